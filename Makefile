@@ -1,0 +1,47 @@
+# Every target sets up what it needs under .venv by itself.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+KERNELS := $(wildcard ringpose/kernels/*.c ringpose/kernels/*.h)
+
+.PHONY: demo test test-slow check lint types layers man bench-speed clean help
+
+help:
+	@echo "make demo         the main job on simulated shots: calibration, detection, poses, printed and drawn"
+	@echo "make test         the tests (make test-slow: the Monte-Carlo and whole-data-set ones too)"
+	@echo "make check        lint, types, layers, man pages"
+
+$(STAMP): pyproject.toml setup.py $(KERNELS)
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	touch $@
+
+demo: $(STAMP)
+	PATH="$(CURDIR)/$(BIN):$$PATH" sh examples/demo.sh demo
+
+test: $(STAMP)
+	$(BIN)/python -m pytest -n 2 -m "not slow"
+
+test-slow: $(STAMP)
+	$(BIN)/python -m pytest -n 2
+
+check: lint types layers man
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(STAMP)
+	$(BIN)/mypy
+
+layers: $(STAMP)
+	$(BIN)/lint-imports
+
+man:
+	@if command -v mandoc >/dev/null; then mandoc -T lint -W warning man/*.[1-9]; \
+	elif [ -n "$$CI" ]; then echo "make man: mandoc is missing" >&2; exit 1; \
+	else echo "make man: mandoc is missing (apt install mandoc): manual not linted" >&2; fi
+
+clean:
+	rm -rf $(VENV) build dist demo *.egg-info ringpose/kernels/*.so

@@ -1,0 +1,1 @@
+"""(poses, truth) -> tables."""

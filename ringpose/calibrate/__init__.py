@@ -1,0 +1,1 @@
+"""Board frames -> camera and light planes."""

@@ -1,0 +1,1 @@
+"""Laser drivers behind one protocol."""

@@ -1,0 +1,1 @@
+"""Words -> calls: one module per subcommand, no arithmetic."""

@@ -1,0 +1,1 @@
+"""Frame -> break points."""

@@ -1,0 +1,1 @@
+"""Bytes <-> nouns: everything is checked once, here, at the border."""

@@ -1,0 +1,1 @@
+"""Break points -> pose of the ring."""

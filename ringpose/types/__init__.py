@@ -1,0 +1,1 @@
+"""Nouns: the frozen records that stages hand to each other."""

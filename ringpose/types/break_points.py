@@ -1,0 +1,67 @@
+"""Where the stripes on the ring's face end."""
+
+from dataclasses import dataclass
+from enum import Enum, IntFlag
+
+from jaxtyping import Bool, Float64, Int64
+
+from ringpose.types.arrays import Array
+from ringpose.types.segments import Segments
+from ringpose.types.stripes import Stripes
+
+
+class BreakPointFlag(IntFlag):
+    """What makes a break point less than a clean end of a clean stripe."""
+
+    SATURATED = 1
+    KINK = 2
+    """The stripe runs on beyond the edge, at another angle."""
+    CLIPPED = 4
+    """The stripe leaves the image before its edge."""
+    OCCLUDED = 8
+
+
+class NoBreakPoints(Enum):
+    """Why a shot has no break points; the value is the sentence the user reads."""
+
+    NO_LASER_FRAME = "no frame has a laser on"
+    IMAGE_DARK = "the image is dark: no stripe stands out of the noise"
+    IMAGE_SATURATED = "the image is saturated: no stripe stands out"
+    NO_STRIPE = "no laser stripe found"
+    NO_RING = "stripes found, but no piece of one looks like the ring's face"
+    AMBIGUOUS_LABELS = "the stripes fit the lasers in more than one way; switch the lasers one by one"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BreakPoints:
+    """Ends of the stripes on the ring's face, in (distorted) pixels; NaN where one was not seen."""
+
+    position_px: Float64[Array, "laser edge=2 xy=2"]
+    covariance_px2: Float64[Array, "laser edge=2 xy=2 xy=2"]
+    flags: Int64[Array, "laser edge=2"]
+    """Sums of `BreakPointFlag`."""
+    face_start_px: Float64[Array, "laser xy=2"]
+    """The stripe's line on the face, undistorted (still pixels), from ..."""
+    face_end_px: Float64[Array, "laser xy=2"]
+    """... to here; NaN where the laser's stripe on the face was not seen."""
+    face_sigma_px: Float64[Array, "laser end=2"]
+    """Standard deviation of that line across itself, at its start and at its end."""
+    labelled: bool
+    """True if switched frames gave the labels, False if the assignment that fits one ring best did."""
+
+    @property
+    def seen(self) -> Bool[Array, "laser edge=2"]:
+        """Which of them were seen."""
+        seen: Bool[Array, "laser edge=2"] = self.position_px[..., 0] == self.position_px[..., 0]
+        return seen
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Detection:
+    """All that was found in one shot."""
+
+    shot: str
+    stamp_s: float
+    break_points: BreakPoints | NoBreakPoints
+    stripes: Stripes | None = None
+    segments: Segments | None = None

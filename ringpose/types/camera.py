@@ -1,0 +1,23 @@
+"""The camera: pinhole and OpenCV's distortion, under the names of ROS camera_info."""
+
+from dataclasses import dataclass
+
+from jaxtyping import Float64
+
+from ringpose.types.arrays import Array
+
+DISTORTION_COEFFICIENTS = {"plumb_bob": 5, "rational_polynomial": 8}
+"""The distortion models of ROS that OpenCV computes, with the number of their coefficients."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Camera:
+    """Intrinsic parameters; pixel (0, 0) is the centre of the top-left pixel."""
+
+    camera_name: str
+    image_width: int
+    image_height: int
+    camera_matrix: Float64[Array, "3 3"]
+    distortion_model: str
+    distortion_coefficients: Float64[Array, "coefficient"]
+    """OpenCV's order: k1, k2, p1, p2, k3 (plumb_bob), and k4, k5, k6 (rational_polynomial)."""

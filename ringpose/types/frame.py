@@ -1,0 +1,62 @@
+"""What a camera delivers: one frame, and the shot that several frames of one moment make up."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64, Int64, UInt, UInt8
+
+from ringpose.types.arrays import Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Frame:
+    """One exposure: grey values and what was lit while it was taken."""
+
+    image: UInt[Array, "row column"]
+    lasers: int
+    """Mask: bit i is laser i of the rig on."""
+    stamp_s: float
+    """Host clock (Unix epoch, UTC) at the start of exposure."""
+    exposure_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Shot:
+    """The frames of one moment, each with its laser mask; the target is taken as at rest between them."""
+
+    name: str
+    images: UInt[Array, "frame row column"]
+    lasers: UInt8[Array, "frame"]
+    stamp_s: Float64[Array, "frame"]
+    exposure_s: Float64[Array, "frame"]
+    device_stamp_s: Float64[Array, "frame"] | None = None
+    gain_db: Float64[Array, "frame"] | None = None
+    frame_id: Int64[Array, "frame"] | None = None
+    seen_lasers: UInt8[Array, "frame"] | None = None
+    """What the images show, as opposed to what was commanded."""
+    read_lasers: UInt8[Array, "frame"] | None = None
+    """What the laser board reported, as opposed to what was commanded."""
+    meta: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def frames(self) -> Iterator[Frame]:
+        """The frames in the order in which they were taken."""
+        for image, lasers, stamp_s, exposure_s in zip(
+            self.images, self.lasers, self.stamp_s, self.exposure_s, strict=True
+        ):
+            yield Frame(image=image, lasers=int(lasers), stamp_s=float(stamp_s), exposure_s=float(exposure_s))
+
+    @property
+    def measured_at_s(self) -> float:
+        """The shot's own stamp: mid exposure of its first laser-on frame, of its first frame if none is lit."""
+        lit = np.flatnonzero(self.lasers)
+        first = int(lit[0]) if len(lit) else 0
+        return float(self.stamp_s[first] + self.exposure_s[first] / 2)
+
+    @property
+    def saturation_dn(self) -> int:
+        """The grey value at which a pixel is full: that of the data type, or of 12 bits in 16 (`meta`)."""
+        limit = self.meta.get("saturation_dn")
+        return int(limit) if limit is not None else int(np.iinfo(self.images.dtype).max)

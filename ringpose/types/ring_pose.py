@@ -1,0 +1,61 @@
+"""The answer: where the ring is, or why nobody knows."""
+
+from dataclasses import dataclass
+from enum import Enum, IntFlag
+
+import numpy as np
+from jaxtyping import Float64
+
+from ringpose.types.arrays import Array
+
+
+class NoPose(Enum):
+    """Why a shot has no pose; the value is the sentence the user reads."""
+
+    TOO_FEW_BREAK_POINTS = "too few break points: an edge must be seen by three lasers"
+    UNTRIANGULATED = "a ray runs along its light plane or meets it behind the camera"
+    COLLINEAR = "the break points lie on one line, which no plane determines"
+    NOT_FINITE = "the equations have no finite solution"
+
+
+class PoseFlag(IntFlag):
+    """What to mind about a pose."""
+
+    CENTER_WEAK = 1
+    RADIUS_WEAK = 2
+    DAMPED = 4
+    """The closed form was near singular; damped least squares pulled the centre towards the points."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RingPose:
+    """Pose of the ring in the camera frame, in metres."""
+
+    center_m: Float64[Array, "xyz=3"]
+    normal: Float64[Array, "xyz=3"]
+    """Unit normal of the ring's plane, towards the camera (the paper's Z_b)."""
+    radius_inner_m: float
+    radius_outer_m: float
+    """NaN where that edge was not seen."""
+    grasp_m: Float64[Array, "xyz=3"]
+    """The point where a gripper would close (MATH.md section 5; the paper's mean of six points in `paper`)."""
+    method: str
+    condition: float
+    """Of the equations for the centre, rows scaled to unit length."""
+    residual_rms_px: float
+    """Distance of the break points from those that the pose predicts."""
+    covariance: Float64[Array, "7 7"] | None = None
+    """Of tilt_1, tilt_2, offset_m, center_1_m, center_2_m, radius_inner_m, radius_outer_m."""
+    covariance_center_m2: Float64[Array, "3 3"] | None = None
+    covariance_grasp_m2: Float64[Array, "3 3"] | None = None
+    flags: PoseFlag = PoseFlag(0)
+
+    @property
+    def pitch_rad(self) -> float:
+        """The paper's pitch: asin(w_y) of w = -normal, zero when the ring faces the camera (MATH.md section 4)."""
+        return float(np.arctan2(-self.normal[1], np.hypot(self.normal[0], self.normal[2])))
+
+    @property
+    def yaw_rad(self) -> float:
+        """The paper's yaw: atan2(w_x, w_z) of w = -normal (MATH.md section 4)."""
+        return float(np.arctan2(-self.normal[0], -self.normal[2]))

@@ -1,0 +1,23 @@
+"""What is really there, for simulated and rendered shots."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from jaxtyping import Float64
+
+from ringpose.types.arrays import Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Truth:
+    """One line of `truth.jsonl`; what it says of the ring is None for a shot without a target."""
+
+    shot: str
+    expect: Literal["pose", "partial", "no_target"]
+    center_m: Float64[Array, "xyz=3"] | None = None
+    normal: Float64[Array, "xyz=3"] | None = None
+    radius_inner_m: float | None = None
+    radius_outer_m: float | None = None
+    break_points_px: Float64[Array, "laser edge=2 xy=2"] | None = None
+    groups: Mapping[str, str | float | int | bool] = field(default_factory=dict)

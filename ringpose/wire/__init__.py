@@ -1,0 +1,1 @@
+"""Byte protocols shared by a driver and its stand-in."""

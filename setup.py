@@ -1,0 +1,16 @@
+"""The C kernels: everything else about the package stands in pyproject.toml."""
+
+from setuptools import Extension, setup
+
+setup(
+    ext_modules=[
+        Extension(
+            "ringpose.kernels._kernels",
+            sources=["ringpose/kernels/_kernels.c"],
+            define_macros=[("Py_LIMITED_API", "0x030B0000")],
+            py_limited_api=True,
+            extra_compile_args=["-std=c99", "-O3", "-Wall", "-Wextra"],
+        )
+    ],
+    options={"bdist_wheel": {"py_limited_api": "cp311"}},
+)
