@@ -5,11 +5,11 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 KERNELS := $(wildcard ringpose/kernels/*.c ringpose/kernels/*.h)
 
-.PHONY: demo test test-slow check lint types layers man bench-speed clean help
+.PHONY: help demo test test-slow check lint types layers man clean
 
 help:
 	@echo "make demo         the main job on simulated shots: calibration, detection, poses, printed and drawn"
-	@echo "make test         the tests (make test-slow: the Monte-Carlo and whole-data-set ones too)"
+	@echo "make test         the fast tests (make test-slow: the Monte-Carlo and whole-data-set ones)"
 	@echo "make check        lint, types, layers, man pages"
 
 $(STAMP): pyproject.toml setup.py $(KERNELS)
@@ -24,7 +24,7 @@ test: $(STAMP)
 	$(BIN)/python -m pytest -n 2 -m "not slow"
 
 test-slow: $(STAMP)
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 -m slow
 
 check: lint types layers man
 

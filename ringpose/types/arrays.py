@@ -13,10 +13,3 @@ Array = np.ndarray[Any, np.dtype[Any]]
 
 EDGES = ("inner", "outer")
 """Order of the axis `edge`."""
-
-
-def read_only(array: Array) -> Array:
-    """The same values in an array that nobody can change."""
-    view = array.view()
-    view.flags.writeable = False
-    return view

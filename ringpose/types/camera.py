@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from jaxtyping import Float64
 
 from ringpose.types.arrays import Array
+from ringpose.types.covariance import ParameterCovariance
 
 DISTORTION_COEFFICIENTS = {"plumb_bob": 5, "rational_polynomial": 8}
 """The distortion models of ROS that OpenCV computes, with the number of their coefficients."""
@@ -21,3 +22,5 @@ class Camera:
     distortion_model: str
     distortion_coefficients: Float64[Array, "coefficient"]
     """OpenCV's order: k1, k2, p1, p2, k3 (plumb_bob), and k4, k5, k6 (rational_polynomial)."""
+    covariance: ParameterCovariance | None = None
+    """Of the intrinsic parameters alone; that of a whole rig stands in the rig."""

@@ -8,19 +8,8 @@ from jaxtyping import Float64
 
 from ringpose.types.arrays import Array
 from ringpose.types.camera import Camera
+from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.laser_planes import LaserPlanes
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class ParameterCovariance:
-    """Joint covariance of named parameters.
-
-    Names: `fx fy cx cy k1 k2 p1 p2 k3 ...` of the camera, `<laser>.tilt_1 <laser>.tilt_2 <laser>.distance`
-    of each light plane (tilt basis: `ringpose.geometry.rotations.tilt_basis`); pixels, radians, metres.
-    """
-
-    parameters: tuple[str, ...]
-    data: Float64[Array, "parameter parameter"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

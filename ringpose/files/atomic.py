@@ -1,0 +1,59 @@
+"""Files that are whole or not there: written aside, then renamed."""
+
+import errno
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+from ringpose.errors import CannotCreateError, InputOutputError, RingposeError
+
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
+
+
+@contextmanager
+def replacing(path: Path, force: bool) -> Iterator[IO[bytes]]:
+    """A file to write into that takes the place of `path` when the block ends well, and vanishes if it does not."""
+    if path.exists() and not force:
+        raise CannotCreateError(str(path), "exists already", "add --force to replace it")
+    try:
+        handle, aside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+    except OSError as error:
+        raise output_error(path, error) from error
+    try:
+        with os.fdopen(handle, "wb") as stream:
+            yield stream
+            stream.flush()
+            os.fsync(stream.fileno())
+        Path(aside).chmod(0o666 & ~_umask())
+        Path(aside).replace(path)
+    except BaseException as error:
+        Path(aside).unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise output_error(path, error) from error
+        raise
+
+
+def make_folder(path: Path) -> Path:
+    """The folder, made if need be."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise output_error(path, error) from error
+    return path
+
+
+def output_error(path: Path | str, error: OSError) -> RingposeError:
+    """What an operating-system error on an output means to the user."""
+    reason = (error.strerror or str(error)).lower()
+    if error.errno in _FULL:
+        return InputOutputError(str(path), f"writing broke off: {reason}", "free space and run again")
+    return CannotCreateError(str(path), f"cannot be written: {reason}", "choose another output")
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

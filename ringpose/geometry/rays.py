@@ -1,0 +1,82 @@
+"""Pixels and rays (MATH.md section 1)."""
+
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Float64
+
+from ringpose.types.arrays import Array
+from ringpose.types.camera import Camera
+
+_EXACT = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-14)
+"""OpenCV's default of five iterations leaves up to 0.01 px."""
+
+GRAZING = 1e-9
+"""A ray whose cosine with a plane's normal is below this runs along the plane."""
+
+
+def undistort(points_px: Float64[Array, "*shape xy=2"], camera: Camera) -> Float64[Array, "*shape xy=2"]:
+    """Normalised image coordinates x/z, y/z of distorted pixels; NaN stays NaN."""
+    flat = np.ascontiguousarray(points_px, dtype=np.float64).reshape(-1, 1, 2)
+    if not len(flat):
+        return np.empty_like(points_px)
+    matrix, coefficients = camera.camera_matrix, camera.distortion_coefficients
+    iterative: Any = getattr(cv2, "undistortPointsIter", None)
+    if iterative is not None:  # OpenCV 4; in OpenCV 5 undistortPoints itself takes the criteria
+        normalised = iterative(flat, matrix, coefficients, None, None, _EXACT)
+    else:
+        normalised = cv2.undistortPoints(flat, matrix, coefficients, criteria=_EXACT)
+    return np.asarray(normalised, dtype=np.float64).reshape(points_px.shape)
+
+
+def rays(points_px: Float64[Array, "*shape xy=2"], camera: Camera) -> Float64[Array, "*shape xyz=3"]:
+    """Rays (x, y, 1) through distorted pixels, in the camera frame; NaN stays NaN."""
+    normalised = undistort(points_px, camera)
+    return np.concatenate([normalised, np.ones_like(normalised[..., :1])], axis=-1)
+
+
+def undistorted_pixels(points_px: Float64[Array, "*shape xy=2"], camera: Camera) -> Float64[Array, "*shape xy=2"]:
+    """Where the same camera without distortion would see what it sees at these pixels."""
+    focal, principal = _focal_and_principal(camera)
+    return undistort(points_px, camera) * focal + principal
+
+
+def project(points: Float64[Array, "*shape xyz=3"], camera: Camera) -> Float64[Array, "*shape xy=2"]:
+    """Distorted pixels of points in the camera frame; NaN for points at or behind the camera."""
+    flat = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)
+    flat = np.where(flat[:, 2:] > 0, flat, np.nan)
+    if not len(flat):
+        return np.empty((*points.shape[:-1], 2))
+    origin = np.zeros(3)
+    pixels, _ = cv2.projectPoints(flat, origin, origin, camera.camera_matrix, camera.distortion_coefficients)
+    return np.asarray(pixels, dtype=np.float64).reshape(*points.shape[:-1], 2)
+
+
+def project_undistorted(points: Float64[Array, "*shape xyz=3"], camera: Camera) -> Float64[Array, "*shape xy=2"]:
+    """Pixels in the image of the same camera without distortion; NaN for points at or behind the camera."""
+    focal, principal = _focal_and_principal(camera)
+    depth = np.where(points[..., 2:] > 0, points[..., 2:], np.nan)
+    return points[..., :2] / depth * focal + principal
+
+
+def intersect(
+    directions: Float64[Array, "*shape xyz=3"],
+    normal: Float64[Array, "*#shape xyz=3"],
+    distance_m: Float64[Array, "*#shape"],
+) -> Float64[Array, "*shape xyz=3"]:
+    """Points P = t r with t = d / (m . r): where rays from the camera's centre meet planes `m . P = d`.
+
+    NaN where a ray runs along its plane, or meets it behind the camera.
+    """
+    cosine = np.sum(directions * normal, axis=-1)
+    length = np.linalg.norm(directions, axis=-1)
+    along = np.abs(cosine) < GRAZING * length
+    parameter = distance_m / np.where(along, np.nan, cosine)
+    points: Float64[Array, "*shape xyz=3"] = np.where(parameter > 0, parameter, np.nan)[..., None] * directions
+    return points
+
+
+def _focal_and_principal(camera: Camera) -> tuple[Float64[Array, "2"], Float64[Array, "2"]]:
+    matrix = camera.camera_matrix
+    return np.array([matrix[0, 0], matrix[1, 1]]), np.array([matrix[0, 2], matrix[1, 2]])

@@ -1,0 +1,33 @@
+"""Directions and rotations."""
+
+import numpy as np
+from jaxtyping import Float64
+
+from ringpose.types.arrays import Array
+
+
+def tilt_basis(normal: Float64[Array, "3"]) -> Float64[Array, "2 3"]:
+    """Two unit vectors e1, e2 across a unit normal: e1 along z x n (x axis if n is along z), e2 = n x e1.
+
+    A tilted normal is n(t1, t2) = normalised (n + t1 e1 + t2 e2).
+    """
+    across = np.array([-normal[1], normal[0], 0.0])
+    length = np.linalg.norm(across)
+    first = across / length if length > np.finfo(float).eps else np.array([1.0, 0.0, 0.0])
+    return np.stack([first, np.cross(normal, first)])
+
+
+def tilted(normal: Float64[Array, "3"], tilt_rad: Float64[Array, "2"]) -> Float64[Array, "3"]:
+    """The unit normal n(t1, t2) in the tilt basis of `normal`."""
+    moved = normal + tilt_rad @ tilt_basis(normal)
+    unit: Float64[Array, "3"] = moved / np.linalg.norm(moved)
+    return unit
+
+
+def angle_between(
+    first: Float64[Array, "*shape xyz=3"], second: Float64[Array, "*shape xyz=3"]
+) -> Float64[Array, "*shape"]:
+    """Angle between vectors in radians; atan2, because arccos of a dot product loses small angles."""
+    sine = np.linalg.norm(np.cross(first, second), axis=-1)
+    angle: Float64[Array, "*shape"] = np.arctan2(sine, np.sum(first * second, axis=-1))
+    return angle
