@@ -1,4 +1,4 @@
-"""The application: subcommands, signals, and errors turned into exit statuses."""
+"""The entry point: signals become exceptions, errors become exit statuses."""
 
 import os
 import signal
@@ -9,32 +9,11 @@ from types import FrameType
 import typer
 
 from ringpose.cli import messages
-from ringpose.errors import CLOSED_PIPE, NO_POSE, RingposeError, SignalReceived, UsageError
-
-app = typer.Typer(
-    name="ringpose",
-    help="Pose of a satellite's launch-adapter ring from one camera and line lasers.",
-    epilog="Each command has a manual page: man ringpose-pose. Exit statuses: man ringpose-conventions.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
+from ringpose.cli.app import app
+from ringpose.errors import CLOSED_PIPE, RingposeError, SignalReceived, UsageError
 
 _WRONG_WORDS: type[Exception] = typer.BadParameter.__mro__[1]
 """UsageError of the click inside typer, which has no public name."""
-
-
-@app.callback()
-def _options(
-    show_version: bool = typer.Option(False, "--version", help="Print the version and exit."),
-) -> None:
-    if show_version:
-        from importlib.metadata import version
-
-        typer.echo(f"ringpose {version('ringpose')}")
-        raise typer.Exit
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -69,6 +48,3 @@ def run() -> None:
 
 def _raise(number: int, frame: FrameType | None) -> None:
     raise SignalReceived(number)
-
-
-__all__ = ["NO_POSE", "app", "main", "run"]
