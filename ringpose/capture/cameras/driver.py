@@ -1,0 +1,48 @@
+"""What capture asks of a camera driver."""
+
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Protocol, runtime_checkable
+
+from ringpose.types.frame import Frame
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraDescription:
+    """Which camera it is, as it stands in the session file."""
+
+    name: str
+    image_width: int
+    image_height: int
+
+
+@runtime_checkable
+class CameraDriver(Protocol):
+    """A camera that a program triggers; a driver derives from this and gains the `with` block that ends closed."""
+
+    def open(self) -> None:
+        """Take the device; a `DeviceError` says what is in the way."""
+
+    def describe(self) -> CameraDescription:
+        """Which camera it is; only while it is open."""
+
+    def arm(self, exposure_s: float | None) -> None:
+        """Be ready for the frames of one shot, each exposed this long; None for the device's own setting."""
+
+    def trigger(self, lasers: int) -> Frame:
+        """Expose one frame now and wait for it; `lasers` is the mask commanded, to be kept with the frame."""
+
+    def close(self) -> None:
+        """Let go of the device; closing twice does nothing."""
+
+    def __enter__(self) -> None:
+        try:
+            self.open()
+        except BaseException:
+            self.close()
+            raise
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

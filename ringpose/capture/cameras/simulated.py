@@ -1,0 +1,48 @@
+"""`sim:`: a camera that looks at a simulated scene, in this process."""
+
+from typing import Protocol, runtime_checkable
+
+from ringpose.capture.cameras.driver import CameraDescription, CameraDriver
+from ringpose.capture.lasers.driver import LaserDriver
+from ringpose.types.frame import Frame
+
+
+@runtime_checkable
+class SceneFrame(Protocol):
+    """The scene at one of its moments, as its camera sees it."""
+
+    def __call__(self, moment: int, lasers: int, exposure_s: float | None) -> Frame:
+        """The frame of moment `moment` (from 0) while the lasers of the mask are on."""
+
+
+class SimulatedCamera(CameraDriver):
+    """Every arming is the next moment of the scene; the image shows the lasers that are really on."""
+
+    def __init__(self, description: CameraDescription, scene_frame: SceneFrame, lasers: LaserDriver) -> None:
+        self._description = description
+        self._scene_frame = scene_frame
+        self._lasers = lasers
+        self._moment = -1
+        self._exposure_s: float | None = None
+
+    def open(self) -> None:
+        """Stand before the scene's first moment."""
+        self._moment = -1
+
+    def describe(self) -> CameraDescription:
+        """The scene's camera."""
+        return self._description
+
+    def arm(self, exposure_s: float | None) -> None:
+        """Let the scene move on to its next moment."""
+        self._moment += 1
+        self._exposure_s = exposure_s
+
+    def trigger(self, lasers: int) -> Frame:
+        """A frame of this moment; lasers that cannot say what is on are taken as commanded."""
+        lit = self._lasers.read_mask()
+        frame = self._scene_frame(self._moment, lasers if lit is None else lit, self._exposure_s)
+        return Frame(image=frame.image, lasers=lasers, stamp_s=frame.stamp_s, exposure_s=frame.exposure_s)
+
+    def close(self) -> None:
+        """Nothing to let go of."""

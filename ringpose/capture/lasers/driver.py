@@ -1,0 +1,56 @@
+"""What capture asks of a laser driver."""
+
+from types import TracebackType
+from typing import Protocol, runtime_checkable
+
+from ringpose.errors import LaserSafetyError
+
+
+@runtime_checkable
+class LaserDriver(Protocol):
+    """Lasers that a program switches; a driver derives from this and gains the `with` block that ends with all off.
+
+    Masks are those of the shots: bit i is laser i of the rig.
+    """
+
+    @property
+    def count(self) -> int:
+        """Number of lasers."""
+
+    def open(self) -> None:
+        """Take the device and switch everything off; a `DeviceError` says what is in the way."""
+
+    def set_mask(self, lasers: int) -> None:
+        """Light exactly these: what has to go off goes off before what has to come on."""
+
+    def read_mask(self) -> int | None:
+        """What the board reports to be on; None if it cannot say."""
+
+    def close(self) -> None:
+        """Let go of the device; closing twice does nothing."""
+
+    def __enter__(self) -> None:
+        try:
+            self.open()
+        except BaseException:
+            self.close()
+            raise
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            self._switch_off()
+        except BaseException:  # a second signal must not leave a laser burning
+            self._switch_off()
+            raise
+        finally:
+            self.close()
+
+    def _switch_off(self) -> None:
+        self.set_mask(0)
+        left_on = self.read_mask()
+        if left_on:
+            raise LaserSafetyError(
+                "lasers", f"reported on (mask {left_on}) after all were switched off", "cut the power"
+            )

@@ -1,0 +1,41 @@
+"""`none:`: lasers that burn all the time, or that somebody else switches."""
+
+from collections.abc import Iterable
+
+from ringpose.capture.lasers.driver import LaserDriver
+from ringpose.capture.sequence import Step
+from ringpose.errors import UsageError
+
+
+class UncontrolledLasers(LaserDriver):
+    """Taken as all on, always; switching them off is the user's own business."""
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+
+    @property
+    def count(self) -> int:
+        """Number of lasers of the rig."""
+        return self._count
+
+    def open(self) -> None:
+        """Nothing to take."""
+
+    def set_mask(self, lasers: int) -> None:
+        """Nothing to switch: `refuse_switching` has seen to it that only the step `all` is asked for."""
+
+    def read_mask(self) -> int | None:
+        """Nobody knows."""
+        return None
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+
+def refuse_switching(steps: Iterable[Step]) -> None:
+    """A sequence for lasers that nothing switches may have the step `all` only."""
+    for step in steps:
+        if step.text != "all":
+            raise UsageError(
+                "--lasers none:", f'nothing switches the lasers for step "{step.text}"', "say --sequence all"
+            )

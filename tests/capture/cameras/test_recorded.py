@@ -1,0 +1,111 @@
+"""Recorded shots and images by the steps of a sequence."""
+
+import numpy as np
+import pytest
+
+from ringpose.capture.cameras.recorded import UNKNOWN_LASERS, Recording, frames_of_steps
+from ringpose.capture.sequence import parsed_sequence
+from ringpose.errors import DataError
+from ringpose.types.frame import Shot
+
+
+def shot_of_masks(*lasers: int, name: str = "shot", **fields: object) -> Shot:
+    """Frame k is all k and was taken at k seconds."""
+    places = np.arange(len(lasers))
+    return Shot(
+        name=name,
+        images=np.broadcast_to(places.astype(np.uint8)[:, None, None], (len(lasers), 2, 3)),
+        lasers=np.array(lasers, dtype=np.uint8),
+        stamp_s=places.astype(np.float64),
+        exposure_s=np.full(len(lasers), 0.01),
+        **fields,
+    )
+
+
+def image(name: str, value: int = 0, width: int = 3) -> Shot:
+    return Shot(
+        name=name,
+        images=np.full((1, 2, width), value, dtype=np.uint8),
+        lasers=np.array([UNKNOWN_LASERS], dtype=np.uint8),
+        stamp_s=np.array([float(value)]),
+        exposure_s=np.zeros(1),
+    )
+
+
+def test_without_a_sequence_a_shot_stays_as_it_is():
+    shot = shot_of_masks(0, 1, 2, 4, 7)
+
+    assert Recording(None).taken(shot) is shot
+
+
+def test_the_frames_with_the_masks_of_the_steps_are_chosen_in_their_order():
+    shot = shot_of_masks(0, 1, 2, 4, 7, frame_id=np.arange(40, 45), name="kept")
+
+    chosen = frames_of_steps(shot, parsed_sequence("all,off,2"))
+
+    assert chosen.name == "kept"
+    assert chosen.lasers.tolist() == [7, 0, 2]
+    assert chosen.images[:, 0, 0].tolist() == [4, 0, 2]
+    assert chosen.stamp_s.tolist() == [4.0, 0.0, 2.0]
+    assert chosen.frame_id is not None
+    assert chosen.frame_id.tolist() == [44, 40, 42]
+
+
+def test_a_step_met_again_takes_the_next_such_frame():
+    chosen = frames_of_steps(shot_of_masks(0, 1, 0), parsed_sequence("off,1,off"))
+
+    assert chosen.images[:, 0, 0].tolist() == [0, 1, 2]
+
+
+def test_a_missing_mask_is_bad_data_that_says_what_is_there():
+    with pytest.raises(DataError, match=r"shot: no frame with lasers 4; its frames: off,1,2,3,1\+2\+3"):
+        frames_of_steps(shot_of_masks(0, 1, 2, 4, 7), parsed_sequence("off,4"))
+
+
+def test_one_off_frame_does_not_serve_for_two():
+    with pytest.raises(DataError, match="only 1 of 2 frames with lasers off"):
+        frames_of_steps(shot_of_masks(0, 1), parsed_sequence("off,1,off"))
+
+
+def test_a_shot_in_the_dark_has_no_frame_with_all_lasers_on():
+    with pytest.raises(DataError, match="no frame with lasers all"):
+        frames_of_steps(shot_of_masks(0, 0), parsed_sequence("all"))
+
+
+def test_a_bad_shot_does_not_stop_the_recording():
+    recording = Recording(parsed_sequence("all"))
+    with pytest.raises(DataError):
+        recording.taken(shot_of_masks(0))
+
+    after = recording.taken(shot_of_masks(7))
+
+    assert after is not None
+    assert after.lasers.tolist() == [7]
+
+
+def test_consecutive_images_make_shots_by_the_sequence():
+    recording = Recording(parsed_sequence("off,2,all"))
+
+    shots = [recording.taken(image(f"image_{place}", place)) for place in range(6)]
+    recording.end()
+
+    assert [shot and shot.name for shot in shots] == [None, None, "image_0", None, None, "image_3"]
+    assert shots[5] is not None
+    assert shots[5].lasers.tolist() == [0, 2, UNKNOWN_LASERS]
+    assert shots[5].images[:, 0, 0].tolist() == [3, 4, 5]
+
+
+def test_images_too_few_for_a_last_shot_are_bad_data():
+    recording = Recording(parsed_sequence("off,all"))
+    recording.taken(image("lonely"))
+
+    with pytest.raises(DataError, match="lonely: 1 of 2 images"):
+        recording.end()
+
+
+def test_images_of_two_sizes_make_no_shot():
+    recording = Recording(parsed_sequence("off,all"))
+    recording.taken(image("small"))
+
+    with pytest.raises(DataError, match="wide: differs from small"):
+        recording.taken(image("wide", width=4))

@@ -1,0 +1,58 @@
+"""The simulated camera sees what is lit, and a new moment with every arming."""
+
+import numpy as np
+import pytest
+
+from ringpose.capture.cameras.driver import CameraDescription
+from ringpose.capture.cameras.simulated import SimulatedCamera
+from ringpose.capture.lasers.simulated import SimulatedLasers
+from ringpose.capture.lasers.uncontrolled import UncontrolledLasers, refuse_switching
+from ringpose.capture.pipeline import captured_shots
+from ringpose.capture.sequence import parsed_sequence
+from ringpose.errors import UsageError
+from ringpose.types.frame import Frame
+
+DESCRIPTION = CameraDescription(name="scene", image_width=3, image_height=2)
+
+
+def scene_frame(moment: int, lasers: int, exposure_s: float | None) -> Frame:
+    """An image of value 10 * moment + mask."""
+    image = np.full((2, 3), 10 * moment + lasers, dtype=np.uint8)
+    return Frame(image=image, lasers=lasers, stamp_s=float(moment), exposure_s=exposure_s or 0.01)
+
+
+def test_each_shot_is_the_next_moment_of_the_scene():
+    lasers = SimulatedLasers(3)
+    camera = SimulatedCamera(DESCRIPTION, scene_frame, lasers)
+
+    with camera, lasers:
+        shots = list(captured_shots(camera, lasers, parsed_sequence("off,1,all"), ["a", "b"]))
+
+    assert [shot.images[:, 0, 0].tolist() for shot in shots] == [[0, 1, 7], [10, 11, 17]]
+
+
+def test_the_image_shows_what_is_lit_not_what_was_commanded():
+    class Stuck(SimulatedLasers):
+        def read_mask(self) -> int | None:
+            return 0b100
+
+    camera = SimulatedCamera(DESCRIPTION, scene_frame, Stuck(3))
+
+    (shot,) = captured_shots(camera, Stuck(3), parsed_sequence("off"), ["a"])
+
+    assert shot.images[0, 0, 0] == 0b100
+    assert shot.lasers.tolist() == [0]
+
+
+def test_lasers_that_nothing_switches_are_on_in_every_image():
+    lasers = UncontrolledLasers(3)
+    camera = SimulatedCamera(DESCRIPTION, scene_frame, lasers)
+
+    (shot,) = captured_shots(camera, lasers, parsed_sequence("all"), ["a"])
+
+    assert shot.images[0, 0, 0] == 7
+
+
+def test_lasers_that_nothing_switches_cannot_go_off():
+    with pytest.raises(UsageError, match='step "off"'):
+        refuse_switching(parsed_sequence("off,all"))

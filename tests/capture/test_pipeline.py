@@ -1,0 +1,165 @@
+"""Lock step of camera and lasers, on drivers that write down what they are told."""
+
+from itertools import count
+
+import numpy as np
+import pytest
+
+from ringpose.capture.cameras.driver import CameraDescription, CameraDriver
+from ringpose.capture.lasers.driver import LaserDriver
+from ringpose.capture.pipeline import captured_shots
+from ringpose.capture.sequence import parsed_sequence
+from ringpose.errors import DeviceError, LaserSafetyError, SignalReceived
+from ringpose.types.frame import Frame
+
+
+class NotedLasers(LaserDriver):
+    count = 3
+
+    def __init__(self, stuck: int = 0, reports: bool = True) -> None:
+        self.calls: list[str] = []
+        self.lit = 0
+        self.stuck = stuck
+        self.reports = reports
+
+    def open(self) -> None:
+        self.calls.append("open")
+
+    def set_mask(self, lasers: int) -> None:
+        self.calls.append(f"set {lasers}")
+        self.lit = lasers | self.stuck
+
+    def read_mask(self) -> int | None:
+        return self.lit if self.reports else None
+
+    def close(self) -> None:
+        self.calls.append("close")
+
+
+class NotedCamera(CameraDriver):
+    """Its images say how many frames it has taken and what was lit."""
+
+    def __init__(self, lasers: NotedLasers, fails_at: int | None = None, error: BaseException | None = None) -> None:
+        self.lasers = lasers
+        self.fails_at = fails_at
+        self.error = error
+        self.taken = 0
+        self.exposure_s: float | None = None
+        self.closed = 0
+
+    def open(self) -> None:
+        pass
+
+    def describe(self) -> CameraDescription:
+        return CameraDescription(name="noted", image_width=3, image_height=2)
+
+    def arm(self, exposure_s: float | None) -> None:
+        self.exposure_s = exposure_s
+
+    def trigger(self, lasers: int) -> Frame:
+        if self.taken == self.fails_at and self.error:
+            raise self.error
+        image = np.full((2, 3), 10 * self.taken + self.lasers.lit, dtype=np.uint8)
+        self.taken += 1
+        return Frame(image=image, lasers=lasers, stamp_s=float(self.taken), exposure_s=self.exposure_s or 0.005)
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+def test_every_frame_is_taken_while_its_lasers_are_lit():
+    lasers = NotedLasers()
+
+    (shot,) = captured_shots(NotedCamera(lasers), lasers, parsed_sequence("off,1,2,3,off"), ["first"])
+
+    assert shot.images[:, 0, 0].tolist() == [0, 11, 22, 34, 40]
+    assert shot.lasers.tolist() == [0, 1, 2, 4, 0]
+    assert shot.stamp_s.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
+
+
+def test_a_shot_is_handed_on_with_its_lasers_off():
+    lasers = NotedLasers()
+    shots = captured_shots(NotedCamera(lasers), lasers, parsed_sequence("off,all"), map(str, count()))
+
+    next(shots)
+
+    assert lasers.lit == 0
+
+
+def test_what_the_board_reports_is_kept_beside_what_was_commanded():
+    lasers = NotedLasers(stuck=0b100)
+
+    (shot,) = captured_shots(NotedCamera(lasers), lasers, parsed_sequence("off,1"), ["first"])
+
+    assert shot.lasers.tolist() == [0, 1]
+    assert shot.read_lasers is not None
+    assert shot.read_lasers.tolist() == [0b100, 0b101]
+
+
+def test_a_board_that_cannot_say_leaves_no_report():
+    lasers = NotedLasers(reports=False)
+
+    (shot,) = captured_shots(NotedCamera(lasers), lasers, parsed_sequence("off,1"), ["first"])
+
+    assert shot.read_lasers is None
+
+
+def test_the_exposure_reaches_the_camera():
+    lasers = NotedLasers()
+
+    (shot,) = captured_shots(NotedCamera(lasers), lasers, parsed_sequence("all"), ["first"], exposure_s=0.25)
+
+    assert shot.exposure_s.tolist() == [0.25]
+
+
+@pytest.mark.parametrize(
+    "error", [SignalReceived(15), SignalReceived(2), DeviceError("camera", "gone"), KeyError("bug")]
+)
+def test_whatever_ends_a_capture_ends_with_the_lasers_off_and_both_devices_closed(error):
+    lasers = NotedLasers()
+    camera = NotedCamera(lasers, fails_at=3, error=error)
+
+    with pytest.raises(type(error)), camera, lasers:
+        list(captured_shots(camera, lasers, parsed_sequence("off,1,2,3"), ["first"]))
+
+    assert lasers.calls[-3:] == ["set 4", "set 0", "close"]
+    assert camera.closed == 1
+
+
+def test_lasers_that_cannot_be_opened_are_let_go_of():
+    class Absent(NotedLasers):
+        def open(self) -> None:
+            raise DeviceError("lasers", "no such port")
+
+    lasers = Absent()
+
+    with pytest.raises(DeviceError), lasers:
+        pass
+
+    assert lasers.calls == ["close"]
+
+
+def test_a_second_signal_while_switching_off_leaves_no_laser_burning():
+    class Interrupted(NotedLasers):
+        def set_mask(self, lasers: int) -> None:
+            if lasers == 0 and "interrupted" not in self.calls:
+                self.calls.append("interrupted")
+                raise SignalReceived(15)
+            super().set_mask(lasers)
+
+    lasers = Interrupted()
+
+    with pytest.raises(SignalReceived), lasers:
+        lasers.set_mask(7)
+
+    assert lasers.lit == 0
+    assert lasers.calls[-1] == "close"
+
+
+def test_a_laser_reported_on_at_the_end_is_a_safety_fault():
+    lasers = NotedLasers(stuck=0b010)
+
+    with pytest.raises(LaserSafetyError, match="mask 2"), lasers:
+        pass
+
+    assert lasers.calls[-1] == "close"
