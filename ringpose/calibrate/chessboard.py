@@ -1,0 +1,85 @@
+"""Inner corners of a chessboard in an image, in the order of the board frame."""
+
+from typing import Any
+
+import cv2
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from ringpose.types.arrays import Array
+
+_SECTOR_BASED: int = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+_CLASSIC: int = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+
+WINDOW_PER_SQUARE = 0.25
+"""Half-window of the sub-pixel refinement, in shortest squares: 5 px on a 640 x 480 photograph of 21 px squares.
+
+A window that reaches into the next corner ruins the result: with 11 px there the rms doubles from 0.20 to 0.41 px.
+"""
+
+LARGEST_WINDOW_PX = 15
+
+_REFINED = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4)
+
+
+def chessboard_corners(
+    image: UInt8[Array, "row column"], columns: int, rows: int
+) -> Float64[Array, "corner xy=2"] | None:
+    """The inner corners, row by row from the top left, refined to sub-pixel; None if not all of them are found."""
+    size = (columns, rows)
+    found, corners = cv2.findChessboardCornersSB(image, size, flags=_SECTOR_BASED)
+    if not found:
+        found, corners = cv2.findChessboardCorners(image, size, flags=_CLASSIC)
+    if not found:
+        return None
+    grid = np.asarray(corners, dtype=np.float64).reshape(rows, columns, 2)
+    refined = refined_corners(image, grid.reshape(-1, 2), WINDOW_PER_SQUARE * shortest_side(grid)).reshape(
+        rows, columns, 2
+    )
+    return _in_board_order(image, refined).reshape(-1, 2)
+
+
+def shortest_side(grid: Float64[Array, "row column xy=2"]) -> float:
+    """Length in pixels of the shortest side of a square."""
+    along = np.linalg.norm(np.diff(grid, axis=1), axis=-1)
+    down = np.linalg.norm(np.diff(grid, axis=0), axis=-1)
+    return float(min(along.min(initial=np.inf), down.min(initial=np.inf)))
+
+
+def refined_corners(
+    image: UInt8[Array, "row column"], corners: Float64[Array, "corner xy=2"], half_window_px: float
+) -> Float64[Array, "corner xy=2"]:
+    """Saddle points near the given corners, within a window; a corner that ran off keeps its place."""
+    half = int(np.clip(half_window_px, 2, LARGEST_WINDOW_PX))
+    start: Any = np.ascontiguousarray(corners, dtype=np.float32).reshape(-1, 1, 2)
+    moved = np.asarray(cv2.cornerSubPix(image, start.copy(), (half, half), (-1, -1), _REFINED), dtype=np.float64)
+    moved = moved.reshape(-1, 2)
+    near = np.linalg.norm(moved - corners, axis=1) < half
+    return np.where(near[:, None], moved, corners)
+
+
+def _in_board_order(
+    image: UInt8[Array, "row column"], grid: Float64[Array, "row column xy=2"]
+) -> Float64[Array, "row column xy=2"]:
+    """The same corners with x to the right, y down (never mirrored), and the outer top-left square black.
+
+    A board with both numbers of squares odd or both even looks the same turned by half a turn: then the first
+    corner is the one further up and left in the image.
+    """
+    right, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
+    if right[0] * down[1] - right[1] * down[0] < 0:
+        grid = grid[:, ::-1]
+    turned = grid[::-1, ::-1]
+    rows, columns = grid.shape[:2]
+    if (rows + columns) % 2:
+        return grid if _first_inner_square_is_black(image, grid) else turned
+    return grid if grid[0, 0].sum() <= grid[-1, -1].sum() else turned
+
+
+def _first_inner_square_is_black(image: UInt8[Array, "row column"], grid: Float64[Array, "row column xy=2"]) -> bool:
+    """Whether the square between the first four corners is darker than its neighbour: it has the outer one's colour."""
+    middle = (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]) / 4
+    column, row = np.rint(middle).astype(np.int64).reshape(-1, 2).T
+    values = image[row, column].astype(np.float64).reshape(middle.shape[:2])
+    sign = 1 - 2 * (np.indices(values.shape).sum(axis=0) % 2)
+    return bool(np.sum(sign * (values - np.median(values))) < 0)

@@ -1,0 +1,127 @@
+"""Corners of a marker from its sides.
+
+A window around a corner (OpenCV's refinement) sees the corner rounded by blur and puts it 0.15 px inside; a side is
+straight for hundreds of pixels. Each side is a parabola (a lens bends it), and a corner is where two of them meet.
+"""
+
+import cv2
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from ringpose.types.arrays import Array
+
+REACH_PX = 4.0
+"""How far across a side is looked for the edge, and at most half a cell of the marker's black border."""
+
+CELLS = 6
+"""Cells across the smallest dictionaries' markers, border included; a border cell is no larger than this share."""
+
+SHORTEST_SIDE_PX = 24.0
+"""Below this a side has too few clean samples."""
+
+MINIMUM_SAMPLES = 8
+
+_STEPS = np.arange(-1.0, 1.0 + 1e-9, 0.125)
+_OUTLIER = 4.0 * 1.4826
+
+
+def corners_from_sides(
+    image: UInt8[Array, "row column"], corners: Float64[Array, "corner=4 xy=2"]
+) -> Float64[Array, "corner=4 xy=2"]:
+    """The corners where the marker's sides meet; a corner that the sides do not confirm stays as given."""
+    lengths = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
+    if lengths.min() < SHORTEST_SIDE_PX:
+        return corners
+    sides = [_side(image, corners[i], corners[(i + 1) % 4]) for i in range(4)]
+    refined = corners.copy()
+    for i in range(4):
+        before, after = sides[i - 1], sides[i]
+        if before is not None and after is not None:
+            meeting = _meeting_point(before, after, corners[i])
+            if np.linalg.norm(meeting - corners[i]) < REACH_PX / 2:
+                refined[i] = meeting
+    return refined
+
+
+class _Side:
+    """A parabola: `start + t along + (c0 + c1 t + c2 t^2) normal`, t in pixels."""
+
+    def __init__(self, start: Float64[Array, "2"], end: Float64[Array, "2"]) -> None:
+        self.length = float(np.linalg.norm(end - start))
+        self.start = start
+        self.along = (end - start) / self.length
+        self.normal = np.array([self.along[1], -self.along[0]])  # outwards: corners run clockwise
+        self.coefficients = np.zeros(3)
+
+    def points(self, t: Float64[Array, "n"], across: Float64[Array, "*k n"]) -> Float64[Array, "*k n 2"]:
+        offset = np.polynomial.polynomial.polyval(t, self.coefficients) + across
+        points: Float64[Array, "*k n 2"] = self.start + t[:, None] * self.along + offset[..., None] * self.normal
+        return points
+
+    def tangent(self, t: float) -> tuple[Float64[Array, "2"], Float64[Array, "2"]]:
+        """Point and direction at t."""
+        slope = self.coefficients[1] + 2 * self.coefficients[2] * t
+        return self.points(np.array([t]), np.zeros(1))[0], self.along + slope * self.normal
+
+
+def _side(image: UInt8[Array, "row column"], start: Float64[Array, "2"], end: Float64[Array, "2"]) -> _Side | None:
+    side = _Side(start, end)
+    t = np.linspace(0.1, 0.9, int(0.8 * side.length)) * side.length
+    reach = min(REACH_PX, 0.5 * side.length / CELLS)
+    for _ in range(3):
+        offset = _edge_offset(image, side, t, reach)
+        fitted = _robust_parabola(t, np.polynomial.polynomial.polyval(t, side.coefficients) + offset)
+        if fitted is None:
+            return None
+        side.coefficients = fitted
+    return side
+
+
+def _edge_offset(
+    image: UInt8[Array, "row column"], side: _Side, t: Float64[Array, "n"], reach: float
+) -> Float64[Array, "n"]:
+    """How far outside the side its edge lies: centroid of the dark-to-bright gradient; NaN where there is none."""
+    across = reach * _STEPS
+    places = side.points(t, np.broadcast_to(across[:, None], (len(across), len(t))))
+    grey = cv2.remap(
+        image,
+        np.ascontiguousarray(places[..., 0], dtype=np.float32),
+        np.ascontiguousarray(places[..., 1], dtype=np.float32),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    rise = np.maximum(np.diff(np.asarray(grey, dtype=np.float64), axis=0), 0)
+    total = rise.sum(axis=0)
+    seen = total > 0.5 * np.median(total)
+    middle = (across[1:] + across[:-1]) / 2
+    centroid: Float64[Array, "n"] = np.where(seen, middle @ rise / np.where(seen, total, 1.0), np.nan)
+    return centroid
+
+
+def _robust_parabola(t: Float64[Array, "n"], offset: Float64[Array, "n"]) -> Float64[Array, "3"] | None:
+    used = np.isfinite(offset)
+    coefficients = None
+    for _ in range(3):
+        if used.sum() < MINIMUM_SAMPLES:
+            return None
+        coefficients = np.polynomial.polynomial.polyfit(t[used], offset[used], 2)
+        residual = offset - np.polynomial.polynomial.polyval(t, coefficients)
+        limit = max(_OUTLIER * float(np.median(np.abs(residual[used]))), 1e-6)
+        used = np.isfinite(offset) & (np.abs(np.nan_to_num(residual, nan=np.inf)) < limit)
+    return coefficients
+
+
+def _meeting_point(before: _Side, after: _Side, corner: Float64[Array, "2"]) -> Float64[Array, "2"]:
+    """Where the side that ends in a corner meets the side that starts there: tangents, re-drawn at the meeting."""
+    t_before, t_after = before.length, 0.0
+    meeting = corner
+    for _ in range(3):
+        first, along = before.tangent(t_before)
+        second, away = after.tangent(t_after)
+        system = np.stack([along, -away], axis=1)
+        if abs(np.linalg.det(system)) < 1e-6:
+            return corner
+        step = np.linalg.solve(system, second - first)
+        meeting = first + step[0] * along
+        t_before, t_after = t_before + step[0], t_after + step[1]
+    return meeting
