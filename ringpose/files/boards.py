@@ -1,0 +1,73 @@
+"""Board files: the kind of a calibration board and its sizes in metres."""
+
+from pathlib import Path
+from typing import Any, cast, get_args
+
+from ringpose.files import atomic
+from ringpose.files.fields import Fields
+from ringpose.files.yaml import read_yaml, write_yaml
+from ringpose.types.board import Board, BoardKind
+
+_COUNTS = ("squares_x", "squares_y")
+_LENGTHS = ("square_m", "marker_m", "gap_m", "spacing_m", "width_m", "height_m", "margin_m")
+_KEYS = ("ringpose", "kind", *_COUNTS, *_LENGTHS, "dictionary", "legacy_pattern", "order")
+
+NEEDED = {
+    "charuco": ("squares_x", "squares_y", "square_m", "marker_m", "dictionary"),
+    "chessboard": ("squares_x", "squares_y", "square_m"),
+    "four_markers": ("width_m", "height_m", "marker_m", "margin_m", "dictionary"),
+    "aruco_grid": ("squares_x", "squares_y", "marker_m", "gap_m", "dictionary"),
+    "asymmetric_circles": ("squares_x", "squares_y", "spacing_m"),
+}
+"""What each kind of board cannot do without."""
+
+
+def read_board(path: Path) -> Board:
+    """The board in a board file."""
+    return board_of(read_yaml(path, _KEYS))
+
+
+def board_of(fields: Fields) -> Board:
+    """The board in a mapping; scenes hold one too."""
+    kind = fields.choice("kind", get_args(BoardKind))
+    for key in NEEDED[kind]:
+        fields.raw(key)
+    if fields.has("ringpose") and fields.text("ringpose") != "board/1":
+        raise fields.problem("ringpose", f"is {fields.text('ringpose')!r}, must be 'board/1'")
+    sizes: dict[str, Any] = {key: fields.integer(key, least=1) for key in _COUNTS if fields.has(key)}
+    sizes |= {key: _length(fields, key) for key in _LENGTHS if fields.has(key)}
+    sizes |= {key: fields.text(key) for key in ("dictionary", "order") if fields.has(key)}
+    if fields.has("legacy_pattern"):
+        sizes["legacy_pattern"] = fields.boolean("legacy_pattern")
+    _check_fit(fields, sizes)
+    return Board(kind=cast(BoardKind, kind), **sizes)
+
+
+def write_board(path: Path, board: Board, *, force: bool = False) -> None:
+    """Write a board file."""
+    with atomic.replacing(path, force) as stream:
+        write_yaml(stream, board_values(board))
+
+
+def board_values(board: Board) -> dict[str, Any]:
+    """What `board_of` reads."""
+    values = {key: getattr(board, key) for key in _KEYS if key not in ("ringpose", "legacy_pattern")}
+    if board.legacy_pattern:
+        values["legacy_pattern"] = True
+    return {key: value for key, value in values.items() if value is not None}
+
+
+def _length(fields: Fields, key: str) -> float:
+    length = fields.length_m(key)
+    if length < 0 or (length == 0 and key != "margin_m"):
+        raise fields.problem(key, f"is {length:g}, must be positive")
+    return length
+
+
+def _check_fit(fields: Fields, sizes: dict[str, Any]) -> None:
+    if "square_m" in sizes and sizes.get("marker_m", 0) >= sizes["square_m"]:
+        raise fields.problem("marker_m", f"is {sizes['marker_m']:g}, must be smaller than square_m")
+    if "width_m" in sizes and "height_m" in sizes:
+        taken = 2 * (sizes.get("marker_m", 0) + sizes.get("margin_m", 0))
+        if taken > min(sizes["width_m"], sizes["height_m"]):
+            raise fields.problem("marker_m", "two markers and their margins are wider than the board")

@@ -1,0 +1,20 @@
+"""A whole file's bytes."""
+
+from pathlib import Path
+
+from ringpose.errors import InputOutputError, NoInputError
+
+
+def read_bytes(path: Path) -> bytes:
+    """The bytes of an input file; one that is missing or shut off is no input."""
+    try:
+        return path.read_bytes()
+    except (FileNotFoundError, NotADirectoryError):
+        raise NoInputError(str(path), "does not exist") from None
+    except IsADirectoryError:
+        raise NoInputError(str(path), "is a folder, must be a file") from None
+    except PermissionError:
+        raise NoInputError(str(path), "cannot be opened: permission denied") from None
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputOutputError(str(path), f"reading broke off: {reason.lower()}") from error

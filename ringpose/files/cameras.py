@@ -1,0 +1,139 @@
+"""Cameras: the project's own camera.yaml and rig.yaml, ROS camera_info, OpenCV FileStorage."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from ringpose.errors import DataError
+from ringpose.files import atomic, opencv_storage
+from ringpose.files.bytes import read_bytes
+from ringpose.files.covariances import camera_parameters, covariance_values, read_covariance
+from ringpose.files.fields import Fields
+from ringpose.files.provenance import provenance
+from ringpose.files.yaml import parsed, write_yaml
+from ringpose.types.arrays import Array
+from ringpose.types.camera import DISTORTION_COEFFICIENTS, Camera
+
+SCHEMA = "camera/1"
+
+CAMERA_KEYS = (
+    "image_width",
+    "image_height",
+    "camera_name",
+    "camera_matrix",
+    "distortion_model",
+    "distortion_coefficients",
+    "rectification_matrix",
+    "projection_matrix",
+    "covariance",
+)
+"""Keys of ROS camera_info, of which the two matrices of a stereo pair are not read."""
+
+FILE_KEYS = ("ringpose", "provenance", "standard_deviations", "quality", *CAMERA_KEYS)
+
+_MATRIX_KEYS = ("rows", "cols", "data")
+
+
+def read_camera(path: Path) -> Camera:
+    """The camera of a camera.yaml, a rig.yaml, a ROS camera_info file or an OpenCV FileStorage file."""
+    text, file = read_bytes(path), str(path)
+    if opencv_storage.is_storage(text):
+        return opencv_storage.camera_of(text, file, path.stem)
+    values = parsed(text, file)
+    schema = str(values.get("ringpose", "")) if isinstance(values, Mapping) else ""
+    if schema.startswith("rig/"):
+        return camera_of(Fields(file, values).fields("camera", CAMERA_KEYS))
+    if not schema:
+        return camera_of(
+            Fields(file, {"camera_name": path.stem, "distortion_model": "plumb_bob"} | _mapping(values, file))
+        )
+    return camera_of(Fields(file, values, FILE_KEYS), schema=schema)
+
+
+def write_camera(
+    path: Path,
+    camera: Camera,
+    *,
+    extra: Mapping[str, Any] = MappingProxyType({}),
+    force: bool = False,
+    inputs: Iterable[Path] = (),
+) -> None:
+    """Write camera.yaml; `extra` are the keys `standard_deviations` and `quality`, for the reader."""
+    head = {"ringpose": SCHEMA, "provenance": provenance(inputs)}
+    with atomic.replacing(path, force) as stream:
+        write_yaml(stream, head | camera_values(camera) | dict(extra))
+
+
+def camera_of(fields: Fields, schema: str = SCHEMA) -> Camera:
+    """The camera in a mapping with the keys of ROS camera_info."""
+    if schema != SCHEMA:
+        raise fields.problem("ringpose", f"is {schema!r}, must be {SCHEMA!r}", "give a camera.yaml or a rig.yaml")
+    coefficients = _coefficients(fields)
+    return Camera(
+        camera_name=fields.text("camera_name") if fields.has("camera_name") else "",
+        image_width=fields.integer("image_width", least=1),
+        image_height=fields.integer("image_height", least=1),
+        camera_matrix=checked_matrix(fields, _matrix(fields, "camera_matrix", (3, 3)).reshape(3, 3)),
+        distortion_model=fields.choice("distortion_model", DISTORTION_COEFFICIENTS),
+        distortion_coefficients=coefficients,
+        covariance=read_covariance(fields, camera_parameters(len(coefficients))),
+    )
+
+
+def camera_values(camera: Camera) -> dict[str, Any]:
+    """What `camera_of` reads, in the order of ROS camera_info."""
+    coefficients = camera.distortion_coefficients
+    values: dict[str, Any] = {
+        "image_width": camera.image_width,
+        "image_height": camera.image_height,
+        "camera_name": camera.camera_name or None,
+        "camera_matrix": {"rows": 3, "cols": 3, "data": camera.camera_matrix.ravel()},
+        "distortion_model": camera.distortion_model,
+        "distortion_coefficients": {"rows": 1, "cols": len(coefficients), "data": coefficients},
+    }
+    if camera.covariance is not None:
+        values["covariance"] = covariance_values(camera.covariance)
+    return {key: value for key, value in values.items() if value is not None}
+
+
+def checked_matrix(fields: Fields, matrix: Float64[Array, "3 3"]) -> Float64[Array, "3 3"]:
+    """The camera matrix, if a pinhole camera can have it."""
+    if np.any(matrix[[0, 1, 2, 2], [1, 0, 0, 1]] != 0) or matrix[2, 2] != 1:
+        raise fields.problem("camera_matrix", "must have the form [fx, 0, cx, 0, fy, cy, 0, 0, 1]")
+    if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
+        raise fields.problem("camera_matrix", "has a focal length that is not positive")
+    size = np.array([fields.integer("image_width", least=1), fields.integer("image_height", least=1)])
+    if np.any(np.abs(matrix[:2, 2] - size / 2) > 1.5 * size):
+        center = f"({matrix[0, 2]:g}, {matrix[1, 2]:g})"
+        raise fields.problem("camera_matrix", f"has its principal point at {center}, far outside the image")
+    return matrix
+
+
+def _coefficients(fields: Fields) -> Float64[Array, "n"]:
+    model = fields.choice("distortion_model", DISTORTION_COEFFICIENTS)
+    wanted = DISTORTION_COEFFICIENTS[model]
+    given = _matrix(fields, "distortion_coefficients", (None, None))
+    if model == "plumb_bob" and len(given) in (0, 4):  # ROS and OpenCV leave out what is zero
+        return np.concatenate([given, np.zeros(wanted - len(given))])
+    if len(given) != wanted:
+        raise fields.problem("distortion_coefficients", f"has {len(given)} numbers, {model} has {wanted}")
+    return given
+
+
+def _matrix(fields: Fields, key: str, shape: tuple[int | None, int | None]) -> Float64[Array, "n"]:
+    entry = fields.fields(key, _MATRIX_KEYS)
+    rows, columns = entry.integer("rows", least=0), entry.integer("cols", least=0)
+    for name, found, wanted in (("rows", rows, shape[0]), ("cols", columns, shape[1])):
+        if wanted is not None and found != wanted:
+            raise entry.problem(name, f"is {found}, must be {wanted}")
+    return entry.vector("data", rows * columns)
+
+
+def _mapping(values: object, file: str) -> dict[str, Any]:
+    if not isinstance(values, Mapping) or "camera_matrix" not in values:
+        raise DataError(file, "is no camera", "give a camera.yaml, rig.yaml, ROS camera_info or OpenCV file")
+    return dict(values)

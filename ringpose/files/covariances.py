@@ -1,0 +1,60 @@
+"""The `covariance` entry of camera.yaml and rig.yaml: joint over named parameters."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from ringpose.files.fields import Fields, hint
+from ringpose.types.arrays import Array
+from ringpose.types.covariance import ParameterCovariance
+
+_KEYS = ("parameters", "data")
+
+_NEGATIVE = -1e-9
+"""An eigenvalue of the correlation matrix below this is no rounding error."""
+
+
+def camera_parameters(coefficients: int) -> tuple[str, ...]:
+    """Names of a camera's parameters, for so many distortion coefficients."""
+    return ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")[: 4 + coefficients]
+
+
+def laser_parameters(names: Sequence[str]) -> tuple[str, ...]:
+    """Names of the light planes' parameters."""
+    return tuple(f"{name}.{what}" for name in names for what in ("tilt_1", "tilt_2", "distance"))
+
+
+def covariance_of(fields: Fields, known: Sequence[str]) -> ParameterCovariance:
+    """The covariance in a mapping, its parameters being among the known ones."""
+    names = fields.texts("parameters")
+    for name in names:
+        if name not in known:
+            raise fields.problem("parameters", f"unknown parameter {name!r}", hint(name, known))
+    if len(set(names)) != len(names):
+        raise fields.problem("parameters", "a parameter stands twice")
+    return ParameterCovariance(parameters=names, data=_checked(fields, fields.array("data", (len(names), len(names)))))
+
+
+def covariance_values(covariance: ParameterCovariance) -> dict[str, Any]:
+    """What `covariance_of` reads."""
+    return {"parameters": list(covariance.parameters), "data": covariance.data}
+
+
+def read_covariance(parent: Fields, known: Sequence[str]) -> ParameterCovariance | None:
+    """The optional key `covariance` of a camera or rig."""
+    return covariance_of(parent.fields("covariance", _KEYS), known) if parent.has("covariance") else None
+
+
+def _checked(fields: Fields, data: Float64[Array, "n n"]) -> Float64[Array, "n n"]:
+    variance = np.diag(data)
+    if (variance < 0).any():
+        raise fields.problem("data", "has a negative variance on its diagonal")
+    sigma = np.sqrt(np.where(variance > 0, variance, 1.0))
+    correlation = data / np.outer(sigma, sigma)
+    if np.abs(correlation - correlation.T).max(initial=0.0) > -_NEGATIVE:
+        raise fields.problem("data", "is not symmetric")
+    if len(data) and np.linalg.eigvalsh(correlation).min() < _NEGATIVE * len(data):
+        raise fields.problem("data", "is not positive semidefinite: no errors have this covariance")
+    return (data + data.T) / 2

@@ -1,0 +1,199 @@
+"""One mapping of a file or record, read key by key; whatever is wrong is refused with its place."""
+
+import difflib
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from ringpose.errors import DataError
+from ringpose.types.arrays import Array
+
+FREE_PREFIX = "x_"
+"""Keys that begin so are the user's own: never read, never refused."""
+
+LONGEST_M = 5.0
+"""No length of a rig or board is longer; a larger number is in millimetres."""
+
+
+class Fields:
+    """A mapping that knows its place, such as `rig.yaml: lasers[1]`, and refuses keys that nobody knows."""
+
+    def __init__(self, file: str, values: object, known: Iterable[str] | None = None, path: str = "") -> None:
+        self.file = file
+        self.path = path
+        if not isinstance(values, Mapping):
+            raise DataError(self.place(), f"is {kind(values)}, must be a mapping of keys to values")
+        self.values: Mapping[str, Any] = values
+        if known is not None:
+            self._refuse_unknown(tuple(known))
+
+    def place(self, key: str = "") -> str:
+        """`rig.yaml: lasers[1].normal`."""
+        where = ".".join(part for part in (self.path, key) if part)
+        return f"{self.file}: {where}" if where else self.file
+
+    def problem(self, key: str, found: str, remedy: str = "") -> DataError:
+        """The error of this key, to be raised."""
+        return DataError(self.place(key), found, remedy)
+
+    def has(self, key: str) -> bool:
+        """Whether the key is there and not null."""
+        return self.values.get(key) is not None
+
+    def raw(self, key: str) -> Any:
+        """The value as it was read; missing and null are refused."""
+        if key not in self.values:
+            raise self.problem("", f"has no key {key!r}", self._near(key))
+        if self.values[key] is None:
+            raise self.problem(key, "is null, must have a value")
+        return self.values[key]
+
+    def text(self, key: str) -> str:
+        """A string."""
+        value = self.raw(key)
+        if not isinstance(value, str) or not value:
+            raise self.problem(key, f"is {kind(value)}, must be a text")
+        return value
+
+    def choice(self, key: str, allowed: Iterable[str]) -> str:
+        """One of the allowed words."""
+        value, words = self.text(key), tuple(allowed)
+        if value not in words:
+            raise self.problem(key, f"is {value!r}, must be one of {', '.join(words)}", hint(value, words))
+        return value
+
+    def boolean(self, key: str) -> bool:
+        """True or false."""
+        value = self.raw(key)
+        if not isinstance(value, bool):
+            raise self.problem(key, f"is {kind(value)}, must be true or false")
+        return value
+
+    def integer(self, key: str, least: float = -math.inf, most: float = math.inf) -> int:
+        """A whole number between two bounds, both included."""
+        value = self.raw(key)
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise self.problem(key, f"is {kind(value)}, must be a whole number")
+        self._check_range(key, float(value), (least, most))
+        return value
+
+    def number(self, key: str, least: float = -math.inf, most: float = math.inf) -> float:
+        """A finite number between two bounds, both included."""
+        value = self.raw(key)
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.problem(key, f"is {kind(value)}, must be a number")
+        self._check_range(key, float(value), (least, most))
+        return float(value)
+
+    def length_m(self, key: str) -> float:
+        """A finite length of either sign that metres make plausible."""
+        value = self.number(key)
+        self.check_metres(key, np.array([value]))
+        return value
+
+    def array(self, key: str, shape: tuple[int | None, ...], allow_nan: bool = False) -> Float64[Array, "..."]:
+        """Nested lists of finite numbers as an array; None in the shape is any length, null in the lists NaN."""
+        value = self.raw(key)
+        wanted = " x ".join("n" if length is None else str(length) for length in shape)
+        try:
+            array = np.array(_numbers(value) if isinstance(value, list) else value, dtype=np.float64)
+        except (TypeError, ValueError, OverflowError, RecursionError):
+            raise self.problem(key, f"must be {wanted} numbers") from None
+        if array.size == 0 and 0 not in shape and None in shape:
+            array = array.reshape([0 if length is None else length for length in shape])
+        if array.ndim != len(shape) or any(w not in (None, n) for w, n in zip(shape, array.shape, strict=True)):
+            found = " x ".join(map(str, array.shape)) or "one"
+            raise self.problem(key, f"has {found} numbers, must have {wanted}")
+        if np.isinf(array).any() or (np.isnan(array).any() and not allow_nan):
+            raise self.problem(key, "has a number that is not finite")
+        return array
+
+    def vector(self, key: str, length: int) -> Float64[Array, "n"]:
+        """A list of so many finite numbers."""
+        return self.array(key, (length,))
+
+    def point_m(self, key: str) -> Float64[Array, "xyz=3"]:
+        """A point that metres make plausible."""
+        point = self.vector(key, 3)
+        self.check_metres(key, point)
+        return point
+
+    def check_metres(self, key: str, lengths: Float64[Array, "n"]) -> None:
+        """Refuse lengths that only make sense in millimetres."""
+        longest = float(lengths[np.argmax(np.abs(lengths))])
+        if abs(longest) > LONGEST_M:
+            raise self.problem(key, f"is {longest:g}", "metres belong here; this looks like millimetres")
+
+    def fields(self, key: str, known: Iterable[str] | None = None) -> "Fields":
+        """The mapping under a key."""
+        return Fields(self.file, self.raw(key), known, self._below(key))
+
+    def each(self, key: str, known: Iterable[str] | None = None) -> Iterator["Fields"]:
+        """The mappings in the list under a key."""
+        items = self.raw(key)
+        if not isinstance(items, list):
+            raise self.problem(key, f"is {kind(items)}, must be a list")
+        for number, item in enumerate(items):
+            yield Fields(self.file, item, known, self._below(f"{key}[{number}]"))
+
+    def texts(self, key: str) -> tuple[str, ...]:
+        """A list of strings."""
+        items = self.raw(key)
+        if not isinstance(items, list) or not all(isinstance(item, str) for item in items):
+            raise self.problem(key, "must be a list of texts")
+        return tuple(items)
+
+    def _below(self, key: str) -> str:
+        return f"{self.path}.{key}" if self.path else key
+
+    def _check_range(self, key: str, value: float, bounds: tuple[float, float]) -> None:
+        if not math.isfinite(value):
+            raise self.problem(key, f"is {value}, must be finite")
+        if not bounds[0] <= value <= bounds[1]:
+            most = f" and at most {bounds[1]:g}" if bounds[1] < math.inf else ""
+            least = f"at least {bounds[0]:g}" if bounds[0] > -math.inf else ""
+            raise self.problem(key, f"is {value:g}, must be {least}{most}".replace("be  and", "be"))
+
+    def _refuse_unknown(self, known: tuple[str, ...]) -> None:
+        for key in self.values:
+            if not isinstance(key, str):
+                raise self.problem("", f"has the key {key!r}, which is no text")
+            if key not in known and not key.startswith(FREE_PREFIX):
+                remedy = hint(key, known) or f"begin it with {FREE_PREFIX} if it is your own"
+                raise self.problem("", f"unknown key {key!r}", remedy)
+
+    def _near(self, key: str) -> str:
+        near = difflib.get_close_matches(key, [k for k in self.values if isinstance(k, str)], n=1)
+        return f"did you mean {key!r} where {near[0]!r} stands?" if near else ""
+
+
+def hint(word: str, known: Iterable[str]) -> str:
+    """`did you mean ...?`, or nothing where no known word is near."""
+    near = difflib.get_close_matches(word, list(known), n=1)
+    return f"did you mean {near[0]!r}?" if near else ""
+
+
+def kind(value: object) -> str:
+    """What a value is, in the words of the file."""
+    if value is None:
+        return "empty"
+    if isinstance(value, Mapping):
+        return "a mapping"
+    if isinstance(value, list):
+        return "a list"
+    return f"the text {value[:40]!r}" if isinstance(value, str) else f"{value!r:.40}"
+
+
+def _numbers(values: list[Any]) -> list[Any]:
+    return [_numbers(value) if isinstance(value, list) else _number(value) for value in values]
+
+
+def _number(value: object) -> float:
+    if value is None:
+        return math.nan
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError(value)
+    return float(value)

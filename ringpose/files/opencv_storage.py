@@ -1,0 +1,79 @@
+"""Cameras in OpenCV's FileStorage format, YAML or XML."""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from ringpose.errors import DataError
+from ringpose.files.fields import Fields
+from ringpose.files.yaml import parsed
+from ringpose.types.arrays import Array
+from ringpose.types.camera import Camera
+
+_MATRIX, _COEFFICIENTS = "camera_matrix", "distortion_coefficients"
+_MATRIX_KEYS = ("rows", "cols", "dt", "data")
+
+
+def is_storage(text: bytes) -> bool:
+    """Whether a file begins as OpenCV's FileStorage does."""
+    return text.startswith((b"%YAML:", b"<?xml", b"<opencv_storage"))
+
+
+def camera_of(text: bytes, file: str, name: str) -> Camera:
+    """The camera under the keys that OpenCV's calibration samples write."""
+    from ringpose.files.cameras import checked_matrix
+
+    fields = Fields(file, _xml_values(text, file) if text.startswith(b"<") else parsed(_yaml_text(text), file))
+    if not fields.has(_MATRIX):
+        raise DataError(file, f"has no {_MATRIX}", "give a file with one camera, as OpenCV's calibration sample writes")
+    if not (fields.has("image_width") and fields.has("image_height")):
+        raise DataError(file, "does not say the size of the image", "add image_width: and image_height: to it")
+    coefficients = _trimmed(fields, _storage_matrix(fields, _COEFFICIENTS, 1).ravel())
+    return Camera(
+        camera_name=name,
+        image_width=fields.integer("image_width", least=1),
+        image_height=fields.integer("image_height", least=1),
+        camera_matrix=checked_matrix(fields, _storage_matrix(fields, _MATRIX, 3)),
+        distortion_model="plumb_bob" if len(coefficients) == 5 else "rational_polynomial",
+        distortion_coefficients=coefficients,
+    )
+
+
+def _trimmed(fields: Fields, given: Float64[Array, "n"]) -> Float64[Array, "n"]:
+    used = int(np.flatnonzero(given)[-1]) + 1 if given.any() else 0
+    length = 5 if used <= 5 else 8
+    if used > 8:
+        raise fields.problem(_COEFFICIENTS, f"has {len(given)} numbers", "calibrate without thin prism and tilt terms")
+    return np.concatenate([given, np.zeros(8)])[:length]
+
+
+def _storage_matrix(fields: Fields, key: str, rows: int) -> Float64[Array, "row column"]:
+    entry = fields.fields(key, _MATRIX_KEYS)
+    size = entry.integer("rows", least=1) * entry.integer("cols", least=1)
+    data = entry.vector("data", size)
+    if rows == 3 and size != 9:
+        raise fields.problem(key, f"has {size} numbers, must have 3 x 3")
+    return data.reshape(rows, -1)
+
+
+def _yaml_text(text: bytes) -> bytes:
+    return text.partition(b"\n")[2]
+
+
+def _xml_values(text: bytes, file: str) -> dict[str, Any]:
+    import cv2
+
+    try:
+        storage = cv2.FileStorage(text.decode(), cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+        values: dict[str, Any] = {}
+        for key in (_MATRIX, _COEFFICIENTS):
+            matrix = storage.getNode(key).mat()
+            if matrix is not None:
+                values[key] = {"rows": len(matrix), "cols": matrix.size // len(matrix), "data": matrix.ravel().tolist()}
+        for key in ("image_width", "image_height"):
+            if not storage.getNode(key).empty():
+                values[key] = int(storage.getNode(key).real())
+    except (cv2.error, UnicodeDecodeError, SystemError):
+        raise DataError(file, "is no valid OpenCV FileStorage XML") from None
+    return values

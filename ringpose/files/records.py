@@ -1,0 +1,67 @@
+"""Records: one JSON object a line. The one place that writes to stdout."""
+
+import json
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from typing import IO, Any
+
+from ringpose.errors import DataError, InputOutputError
+from ringpose.files.plain import plain
+
+_STDOUT = "standard output"
+
+
+def line_of(record: Mapping[str, Any]) -> str:
+    """The record as strict JSON on one line; what is not finite becomes null."""
+    return json.dumps(plain(record), allow_nan=False, separators=(", ", ": ")) + "\n"
+
+
+def write(record: Mapping[str, Any]) -> None:
+    """One record on stdout, at once."""
+    write_text(line_of(record))
+
+
+def write_text(line: str) -> None:
+    """One line on stdout, at once; a closed pipe stays a BrokenPipeError, for the command to end."""
+    if sys.stdout is None:
+        raise InputOutputError(_STDOUT, "is closed")
+    try:
+        sys.stdout.write(line)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise InputOutputError(_STDOUT, f"writing broke off: {reason}") from error
+
+
+def read(stream: Iterable[str] | IO[str], place: str) -> Iterator[tuple[str, dict[str, Any]]]:
+    """The place and the record of each line that is not blank, as soon as the line is there."""
+    for number, line in enumerate(stream, start=1):
+        if line.strip():
+            where = f"{place}:{number}"
+            yield where, record_of(line, where)
+
+
+def record_of(line: str | bytes, place: str) -> dict[str, Any]:
+    """The record on one line; NaN and Infinity are no JSON."""
+    try:
+        record = json.loads(line, parse_constant=_refuse, object_pairs_hook=_mapping)
+    except (ValueError, RecursionError) as error:
+        reason = str(error).splitlines()[0]
+        raise DataError(place, f"is no JSON: {reason}") from None
+    if not isinstance(record, dict):
+        raise DataError(place, "is no record", "write one JSON object a line")
+    return record
+
+
+def _refuse(word: str) -> None:
+    raise ValueError(f"{word} is not allowed, write null")
+
+
+def _mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    record = dict(pairs)
+    if len(record) != len(pairs):
+        names = [name for name, _ in pairs]
+        raise ValueError(f"the key {next(n for n in names if names.count(n) > 1)!r} stands twice")
+    return record

@@ -1,0 +1,141 @@
+"""rig.yaml: the camera, the light planes, their covariance, the mount."""
+
+import hashlib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64
+
+from ringpose.files import atomic
+from ringpose.files.bytes import read_bytes
+from ringpose.files.cameras import CAMERA_KEYS, camera_of, camera_values
+from ringpose.files.covariances import camera_parameters, covariance_values, laser_parameters, read_covariance
+from ringpose.files.fields import Fields
+from ringpose.files.provenance import provenance
+from ringpose.files.yaml import parsed, write_yaml
+from ringpose.types.arrays import Array
+from ringpose.types.laser_planes import LaserPlanes
+from ringpose.types.rig import Rig
+
+SCHEMA = "rig/1"
+MOST_LASERS = 8
+"""Bits of a mask."""
+
+_KEYS = ("ringpose", "provenance", "camera", "lasers", "covariance", "mount", "quality")
+_LASER_KEYS = ("name", "normal", "distance_m", "projector_m")
+_UNIT = 1e-6
+"""How far from 1 a length, or from a rotation a matrix, may be and still count as rounded."""
+
+
+def read_rig(path: Path) -> Rig:
+    """The rig in a rig.yaml; normals are made exactly unit length."""
+    text = read_bytes(path)
+    return rig_of(Fields(str(path), parsed(text, str(path)), _KEYS), hashlib.sha256(text).hexdigest())
+
+
+def rig_of(fields: Fields, sha256: str = "") -> Rig:
+    """The rig in a mapping; scenes hold one too."""
+    schema = fields.text("ringpose")
+    if schema != SCHEMA:
+        raise fields.problem("ringpose", f"is {schema!r}, must be {SCHEMA!r}")
+    camera = camera_of(fields.fields("camera", CAMERA_KEYS))
+    lasers = _lasers(fields)
+    known = camera_parameters(len(camera.distortion_coefficients)) + laser_parameters(lasers.names)
+    return Rig(
+        camera=camera,
+        lasers=lasers,
+        covariance=read_covariance(fields, known),
+        tool_from_camera=_tool_from_camera(fields) if fields.has("mount") else None,
+        provenance=fields.fields("provenance").values if fields.has("provenance") else {},
+        sha256=sha256,
+    )
+
+
+def write_rig(
+    path: Path,
+    rig: Rig,
+    *,
+    extra: Mapping[str, Any] = MappingProxyType({}),
+    force: bool = False,
+    inputs: Iterable[Path] = (),
+) -> None:
+    """Write rig.yaml with the provenance of this run; `extra` may hold the key `quality`, for the reader."""
+    values = rig_values(rig)
+    head = {"ringpose": values.pop("ringpose"), "provenance": provenance(inputs)}
+    with atomic.replacing(path, force) as stream:
+        write_yaml(stream, head | values | dict(extra))
+
+
+def rig_values(rig: Rig) -> dict[str, Any]:
+    """What `rig_of` reads, without provenance."""
+    values: dict[str, Any] = {
+        "ringpose": SCHEMA,
+        "camera": camera_values(rig.camera),
+        "lasers": _laser_values(rig.lasers),
+    }
+    if rig.covariance is not None:
+        values["covariance"] = covariance_values(rig.covariance)
+    if rig.tool_from_camera is not None:
+        values["mount"] = {"tool_from_camera": rig.tool_from_camera}
+    return values
+
+
+def _lasers(fields: Fields) -> LaserPlanes:
+    entries = list(fields.each("lasers", _LASER_KEYS))
+    if not 1 <= len(entries) <= MOST_LASERS:
+        raise fields.problem("lasers", f"has {len(entries)} lasers, must have 1 to {MOST_LASERS}")
+    names = tuple(_name(entry) for entry in entries)
+    for number, entry in enumerate(entries):
+        if names[number] in names[:number]:
+            raise entry.problem("name", f"{names[number]!r} stands twice")
+    unknown = np.full(3, np.nan)
+    return LaserPlanes(
+        names=names,
+        normal=np.stack([_normal(entry) for entry in entries]),
+        distance_m=np.array([entry.length_m("distance_m") for entry in entries]),
+        projector_m=np.stack(
+            [entry.point_m("projector_m") if entry.has("projector_m") else unknown for entry in entries]
+        ),
+    )
+
+
+def _name(entry: Fields) -> str:
+    name = entry.text("name")
+    if "." in name:
+        raise entry.problem("name", f"is {name!r}, must have no full stop")
+    return name
+
+
+def _normal(entry: Fields) -> Float64[Array, "3"]:
+    normal = entry.vector("normal", 3)
+    length = float(np.linalg.norm(normal))
+    if abs(length - 1) > _UNIT:
+        remedy = "divide normal and distance_m by it" if length > 0 else ""
+        raise entry.problem("normal", f"has length {length:.6g}, must be 1", remedy)
+    unit: Float64[Array, "3"] = normal / length
+    return unit
+
+
+def _laser_values(lasers: LaserPlanes) -> list[dict[str, Any]]:
+    rows = zip(lasers.names, lasers.normal, lasers.distance_m, lasers.projector_m, strict=True)
+    return [
+        {"name": name, "normal": normal, "distance_m": distance_m}
+        | ({"projector_m": projector_m} if np.isfinite(projector_m).all() else {})
+        for name, normal, distance_m, projector_m in rows
+    ]
+
+
+def _tool_from_camera(fields: Fields) -> Float64[Array, "4 4"]:
+    mount = fields.fields("mount", ("tool_from_camera",))
+    matrix = mount.array("tool_from_camera", (4, 4))
+    if np.any(matrix[3] != [0, 0, 0, 1]):
+        raise mount.problem("tool_from_camera", "must end with the row [0, 0, 0, 1]")
+    rotation = matrix[:3, :3]
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > _UNIT or np.linalg.det(rotation) < 0:
+        raise mount.problem("tool_from_camera", "its left upper 3 x 3 numbers are no rotation")
+    mount.check_metres("tool_from_camera", matrix[:3, 3])
+    left, _, right = np.linalg.svd(rotation)
+    return np.block([[left @ right, matrix[:3, 3:]], [matrix[3:]]])

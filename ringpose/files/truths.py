@@ -1,0 +1,101 @@
+"""truth.jsonl: what is really there, one line a shot."""
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, Literal, cast
+
+import numpy as np
+from jaxtyping import Float64
+
+from ringpose.files import atomic, records
+from ringpose.files.bytes import read_bytes
+from ringpose.files.fields import Fields
+from ringpose.types.arrays import Array
+from ringpose.types.truth import Truth
+
+_KEYS = (
+    "schema",
+    "shot",
+    "center_m",
+    "normal",
+    "radius_inner_m",
+    "radius_outer_m",
+    "break_points_px",
+    "expect",
+    "groups",
+)
+_EXPECT = ("pose", "partial", "no_target")
+_UNIT = 1e-6
+
+
+def read_truths(path: Path) -> Iterator[Truth]:
+    """The truths of a file, in its order; a shot that stands twice is refused."""
+    shots: set[str] = set()
+    lines = read_bytes(path).decode(errors="replace").splitlines()
+    for place, record in records.read(lines, str(path)):
+        truth = truth_of(Fields(place, record, _KEYS))
+        if truth.shot in shots:
+            raise Fields(place, record).problem("shot", f"{truth.shot!r} stands twice")
+        shots.add(truth.shot)
+        yield truth
+
+
+def write_truths(path: Path, truths: Iterable[Truth], *, force: bool = False) -> None:
+    """Write truth.jsonl."""
+    with atomic.replacing(path, force) as stream:
+        for truth in truths:
+            stream.write(records.line_of(truth_record(truth)).encode())
+
+
+def truth_of(fields: Fields) -> Truth:
+    """The truth in one record."""
+    return Truth(
+        shot=fields.text("shot"),
+        expect=cast(Literal["pose", "partial", "no_target"], fields.choice("expect", _EXPECT)),
+        center_m=fields.vector("center_m", 3) if fields.has("center_m") else None,
+        normal=_normal(fields) if fields.has("normal") else None,
+        radius_inner_m=fields.length_m("radius_inner_m") if fields.has("radius_inner_m") else None,
+        radius_outer_m=fields.length_m("radius_outer_m") if fields.has("radius_outer_m") else None,
+        break_points_px=_break_points(fields) if fields.has("break_points_px") else None,
+        groups=fields.fields("groups").values if fields.has("groups") else {},
+    )
+
+
+def truth_record(truth: Truth) -> dict[str, Any]:
+    """What `truth_of` reads; a break point that is not seen is null."""
+    return {
+        "shot": truth.shot,
+        "center_m": truth.center_m,
+        "normal": truth.normal,
+        "radius_inner_m": truth.radius_inner_m,
+        "radius_outer_m": truth.radius_outer_m,
+        "break_points_px": None if truth.break_points_px is None else _points_or_null(truth.break_points_px),
+        "expect": truth.expect,
+        "groups": dict(truth.groups),
+    }
+
+
+def _normal(fields: Fields) -> Float64[Array, "3"]:
+    normal = fields.vector("normal", 3)
+    length = float(np.linalg.norm(normal))
+    if abs(length - 1) > _UNIT:
+        raise fields.problem("normal", f"has length {length:.6g}, must be 1")
+    unit: Float64[Array, "3"] = normal / length
+    return unit
+
+
+def _break_points(fields: Fields) -> Float64[Array, "laser edge=2 xy=2"]:
+    """Pixels of [laser][edge]; a whole point may be null, or both its numbers."""
+    lasers = fields.raw("break_points_px")
+    filled = lasers
+    if isinstance(lasers, list):
+        nothing = [None, None]
+        filled = [
+            [nothing if p is None else p for p in edges] if isinstance(edges, list) else edges for edges in lasers
+        ]
+    shaped = Fields(fields.file, {"break_points_px": filled})
+    return shaped.array("break_points_px", (None, 2, 2), allow_nan=True)
+
+
+def _points_or_null(points: Float64[Array, "laser edge=2 xy=2"]) -> list[list[Any]]:
+    return [[None if np.isnan(p).any() else p.tolist() for p in edges] for edges in points]

@@ -1,0 +1,81 @@
+"""YAML as its version 1.2 reads it: `1e-3` is a number, `off` and `2026-01-01` are texts, no key stands twice."""
+
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import IO, Any
+
+import yaml
+
+from ringpose.errors import DataError
+from ringpose.files.bytes import read_bytes
+from ringpose.files.fields import Fields
+from ringpose.files.plain import plain
+
+_TAG = "tag:yaml.org,2002:"
+_RESOLVERS = [
+    ("bool", r"true|True|TRUE|false|False|FALSE", "tTfF"),
+    ("int", r"[-+]?[0-9]+", "-+0123456789"),
+    (
+        "float",
+        r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
+        "-+.0123456789",
+    ),
+    ("null", r"~|null|Null|NULL|", ["~", "n", "N", ""]),
+]
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe, of YAML 1.2's core schema, and strict about keys."""
+
+    yaml_implicit_resolvers: Any = {}  # noqa: RUF012 (PyYAML's own way)
+
+
+def _mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
+    values: dict[Any, Any] = {}
+    for key_node, value_node in node.value:
+        key = loader.construct_object(key_node, deep=True)
+        if not isinstance(key, str | int | float):
+            raise yaml.constructor.ConstructorError(None, None, "a key must be a text", key_node.start_mark)
+        if key in values:
+            raise yaml.constructor.ConstructorError(None, None, f"the key {key!r} stands twice", key_node.start_mark)
+        values[key] = loader.construct_object(value_node, deep=True)
+    return values
+
+
+def _integer(loader: _Loader, node: yaml.ScalarNode) -> int:
+    return int(node.value)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Quotes every text that YAML 1.1 or 1.2 would take for something else."""
+
+
+for _name, _pattern, _first in _RESOLVERS:
+    for _class in (_Loader, _Dumper):
+        _class.add_implicit_resolver(_TAG + _name, re.compile(f"^(?:{_pattern})$"), list(_first))
+_Loader.add_constructor(_TAG + "map", _mapping)
+_Loader.add_constructor(_TAG + "opencv-matrix", _mapping)
+_Loader.add_constructor(_TAG + "int", _integer)
+
+
+def parsed(text: bytes, file: str) -> Any:
+    """What one YAML document says."""
+    try:
+        return yaml.load(text, Loader=_Loader)  # noqa: S506 (a safe loader)
+    except yaml.MarkedYAMLError as error:
+        line = f":{error.problem_mark.line + 1}" if error.problem_mark else ""
+        raise DataError(file + line, f"is no valid YAML: {error.problem or error.context}") from None
+    except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
+        raise DataError(file, f"is no valid YAML: {str(error).splitlines()[0]}") from None
+
+
+def read_yaml(path: Path, known: Iterable[str] | None = None) -> Fields:
+    """The mapping at the top of a YAML file; keys that are not known are refused."""
+    return Fields(str(path), parsed(read_bytes(path), str(path)), known)
+
+
+def write_yaml(stream: IO[bytes], values: Mapping[str, Any]) -> None:
+    """One YAML document, keys in their order, lists of numbers on one line."""
+    options: Any = {"sort_keys": False, "default_flow_style": None, "width": 120, "allow_unicode": True}
+    yaml.dump(plain(values), stream, Dumper=_Dumper, encoding="utf-8", **options)
