@@ -1,0 +1,123 @@
+"""Shots: one NPZ a shot, or a plain image as a shot of one frame."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float64, UInt8
+
+from ringpose.errors import DataError, NoInputError
+from ringpose.files import records
+from ringpose.files.archives import Archive, write_archive
+from ringpose.files.images import IMAGE_SUFFIXES, read_image, write_image
+from ringpose.types.arrays import Array
+from ringpose.types.frame import Shot
+from ringpose.types.rig import Rig
+
+__all__ = ["ALL_LASERS", "SHOT_SUFFIXES", "read_image", "read_shot", "shot_of", "write_image", "write_shot"]
+
+SHOT_SUFFIXES = (".npz", *IMAGE_SUFFIXES)
+
+ALL_LASERS = 255
+"""Mask of an image that is read without a rig: all lasers on, however many there are."""
+
+_NEEDED = ("images", "lasers", "stamp_s", "exposure_s")
+_TIMES = ("device_stamp_s", "gain_db")
+_MASKS = ("seen_lasers", "read_lasers")
+_KEYS = (*_NEEDED, *_TIMES, "frame_id", *_MASKS, "meta")
+
+
+def read_shot(path: Path, channel: str | None = None, rig: Rig | None = None) -> Shot:
+    """The shot in an NPZ file, or an image as a shot of one frame with all lasers on.
+
+    Its name is the file's without suffix. With a rig the shot must fit it: no mask names a laser that the rig does not
+    have, and the images have the camera's size. An image does not say which lasers were on: its mask has the bits of
+    all the rig's lasers, or `ALL_LASERS` without a rig. Its stamp is the time at which the file was last changed, its
+    exposure 0, which stands for not known.
+    """
+    if path.suffix.lower() == ".npz":
+        return shot_of(Archive(path), rig)
+    image = read_image(path, channel)
+    lasers = ALL_LASERS if rig is None else (1 << len(rig.lasers.names)) - 1
+    shot = Shot(
+        name=path.stem,
+        images=image[None],
+        lasers=np.array([lasers], np.uint8),
+        stamp_s=np.array([_changed_at_s(path)]),
+        exposure_s=np.zeros(1),
+    )
+    return _fitting(shot, rig, path)
+
+
+def shot_of(archive: Archive, rig: Rig | None = None) -> Shot:
+    """The shot in an open archive."""
+    archive.refuse_unknown(_KEYS)
+    images = archive.array("images", "u", (None, None, None))
+    if images.dtype.itemsize > 2 or images.size == 0:
+        raise archive.problem("images", f"has type {images.dtype} and {images.size} pixels, must be 8 or 16 bits")
+    frames = len(images)
+    shot = Shot(
+        name=archive.path.stem,
+        images=images.astype(images.dtype.newbyteorder("="), copy=False),
+        lasers=_masks(archive, "lasers", frames),
+        stamp_s=_times(archive, "stamp_s", frames),
+        exposure_s=_times(archive, "exposure_s", frames),
+        meta=_meta(archive),
+        **_optional(archive, frames),
+    )
+    return _fitting(shot, rig, archive.path)
+
+
+def write_shot(path: Path, shot: Shot, *, force: bool = False) -> None:
+    """Write a shot as NPZ; what it does not have is left out."""
+    arrays = {key: getattr(shot, key) for key in _KEYS if key != "meta" and getattr(shot, key) is not None}
+    meta = {"meta": np.array(records.line_of(shot.meta).strip())} if shot.meta else {}
+    write_archive(path, arrays | meta, force=force)
+
+
+def _fitting(shot: Shot, rig: Rig | None, path: Path) -> Shot:
+    if rig is None:
+        return shot
+    lasers = len(rig.lasers.names)
+    for frame, mask in enumerate(shot.lasers.tolist()):
+        if mask >> lasers:
+            found = f"frame {frame} names laser {mask.bit_length()}, the rig has {lasers}"
+            raise DataError(f"{path}: lasers", found, "give the rig that took the shot")
+    height, width = shot.images.shape[1:]
+    if (width, height) != (rig.camera.image_width, rig.camera.image_height):
+        found = f"{width} x {height} pixels, the rig's camera has {rig.camera.image_width} x {rig.camera.image_height}"
+        raise DataError(str(path), found, "give the rig that took the shot")
+    return shot
+
+
+def _masks(archive: Archive, key: str, frames: int) -> UInt8[Array, "frame"]:
+    masks = archive.integers(key, (frames,))
+    if masks.min() < 0 or masks.max() > 255:
+        raise archive.problem(key, f"has the mask {masks.min() if masks.min() < 0 else masks.max()}, must be 0 to 255")
+    return masks.astype(np.uint8)
+
+
+def _times(archive: Archive, key: str, frames: int) -> Float64[Array, "frame"]:
+    times: Float64[Array, "frame"] = archive.numbers(key, (frames,))
+    if times.min() < 0:
+        raise archive.problem(key, f"is {times.min():g} in frame {times.argmin()}, must not be negative")
+    return times
+
+
+def _optional(archive: Archive, frames: int) -> dict[str, Any]:
+    values: dict[str, Any] = {key: archive.numbers(key, (frames,)) for key in _TIMES if key in archive}
+    values |= {key: _masks(archive, key, frames) for key in _MASKS if key in archive}
+    if "frame_id" in archive:
+        values["frame_id"] = archive.integers("frame_id", (frames,))
+    return values
+
+
+def _meta(archive: Archive) -> dict[str, Any]:
+    return records.record_of(archive.text("meta"), f"{archive.path}: meta") if "meta" in archive else {}
+
+
+def _changed_at_s(path: Path) -> float:
+    try:
+        return max(path.stat().st_mtime, 0.0)
+    except OSError:
+        raise NoInputError(str(path), "has gone while it was read") from None
