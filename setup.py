@@ -6,7 +6,14 @@ setup(
     ext_modules=[
         Extension(
             "ringpose.kernels._kernels",
-            sources=["ringpose/kernels/_kernels.c"],
+            sources=[
+                "ringpose/kernels/_kernels.c",
+                "ringpose/kernels/chains.c",
+                "ringpose/kernels/cuts.c",
+                "ringpose/kernels/gradient.c",
+                "ringpose/kernels/lists.c",
+            ],
+            depends=["ringpose/kernels/kernels.h"],
             define_macros=[("Py_LIMITED_API", "0x030B0000")],
             py_limited_api=True,
             extra_compile_args=["-std=c99", "-O3", "-Wall", "-Wextra"],

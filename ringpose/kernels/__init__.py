@@ -1,1 +1,65 @@
-"""The hot loops in C, each with a readable NumPy twin that is its oracle."""
+"""The hot loops in C, behind typed functions; each has a readable twin in `ringpose.kernels.reference`.
+
+The twins are the oracle of the tests, not a fallback: they are some hundred times slower, and a silent
+fallback would hide that from whoever wonders about it.
+"""
+
+import numpy as np
+from jaxtyping import Int16, Int32, UInt8
+
+from ringpose.types.arrays import Array
+
+try:
+    from ringpose.kernels import _kernels
+except ImportError as error:
+    raise ImportError(
+        "ringpose.kernels: the C kernels are not built for this Python; run `pip install .` where ringpose's source is"
+        " (a C compiler is needed)"
+    ) from error
+
+
+def gradient(
+    image: UInt8[Array, "row column"], upper: int
+) -> tuple[Int16[Array, "row column"], Int32[Array, "anchor"], UInt8[Array, "anchor"]]:
+    """Gradient magnitude, its maxima, and how the edge runs through each.
+
+    The image is smoothed with the binomial 1 4 6 4 1 (sigma 1 px), border pixels repeated outside; then Sobel.
+    The magnitude is max + 3/8 min of the two absolute components (7 % from the Euclidean one), in units of 1/128
+    grey value per pixel, and 0 on the outermost pixels. Anchors are maxima across the edge of at least `upper`
+    (same unit), as `row * width + column` in ascending order; their orientation is 0 for an edge along x,
+    1 down to the right, 2 along y, 3 down to the left.
+    """
+    magnitude = np.empty(image.shape, np.int16)
+    anchors, orientation = _kernels.gradient(np.ascontiguousarray(image), upper, magnitude)
+    return magnitude, np.frombuffer(anchors, np.int32), np.frombuffer(orientation, np.uint8)
+
+
+def chains(
+    magnitude: Int16[Array, "row column"],
+    anchors: Int32[Array, "anchor"],
+    orientation: UInt8[Array, "anchor"],
+    lower: int,
+    shortest: int,
+) -> tuple[Int32[Array, "pixel xy=2"], Int32[Array, "start"]]:
+    """Edge chains, one pixel wide: their pixels, and where each chain starts among them (last entry: the end).
+
+    From each anchor, the strongest first, two walks in opposite directions; a walk goes to the largest magnitude of
+    the three pixels ahead (straight on, if equal; then left) and stops below `lower`, on another chain, or on the
+    border of the image. Chains of fewer than `shortest` pixels are dropped, and yet no other chain may cross them.
+    The magnitude serves as scratch memory meanwhile and is as before on return: no other thread may use it.
+    """
+    pixels, starts = _kernels.chains(magnitude, anchors, orientation, lower, shortest)
+    return np.frombuffer(pixels, np.int32).reshape(-1, 2), np.frombuffer(starts, np.int32)
+
+
+def cuts(
+    pixels: Int32[Array, "pixel xy=2"],
+    starts: Int32[Array, "start"],
+    deviation_px: float,
+    share_change: float,
+    window: int,
+    shortest: int,
+) -> Int32[Array, "piece end=2"]:
+    """First and last pixel of each straight piece of the chains (MATH.md section 2); neighbours share the corner."""
+    pieces = _kernels.cuts(pixels, starts, deviation_px, share_change, window, shortest)
+    return np.frombuffer(pieces, np.int32).reshape(-1, 2)

@@ -1,9 +1,192 @@
-/* The hot loops of ringpose. Each function has a readable NumPy twin in ringpose/kernels/reference.py. */
+/* The Python side of the kernels: arguments are checked here, and the GIL is released around the work.
+
+   Every array arrives through the buffer protocol; results of unknown length leave as bytes. Each function has a
+   readable NumPy twin in ringpose/kernels/reference.py. */
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 
-static PyMethodDef methods[] = {{NULL, NULL, 0, NULL}};
+#include <string.h>
 
-static struct PyModuleDef module = {PyModuleDef_HEAD_INIT, "_kernels", NULL, -1, methods, NULL, NULL, NULL, NULL};
+#include "kernels.h"
 
-PyMODINIT_FUNC PyInit__kernels(void) { return PyModule_Create(&module); }
+/* Opens a contiguous buffer of that element; a Python exception and 0 if the object has none. */
+static int open_array(PyObject *object, Py_buffer *view, const char *name, const char *formats, int size, int axes,
+                      int writable) {
+    if (PyObject_GetBuffer(object, view, PyBUF_STRIDES | PyBUF_FORMAT) < 0) return 0;
+    const char *format = view->format ? view->format : "B";
+    if (*format == '@' || *format == '=') format++;
+    if (view->itemsize != size || format[0] == '\0' || format[1] != '\0' || strchr(formats, format[0]) == NULL)
+        PyErr_Format(PyExc_TypeError, "%s: elements are '%s' of %zd bytes, must be '%c' of %d", name, format,
+                     view->itemsize, formats[0], size);
+    else if (view->ndim != axes)
+        PyErr_Format(PyExc_ValueError, "%s: has %d axes, must have %d", name, view->ndim, axes);
+    else if (!PyBuffer_IsContiguous(view, 'C'))
+        PyErr_Format(PyExc_ValueError, "%s: is not contiguous in rows", name);
+    else if (writable && view->readonly)
+        PyErr_Format(PyExc_ValueError, "%s: is read-only", name);
+    else
+        return 1;
+    PyBuffer_Release(view);
+    return 0;
+}
+
+/* Image indices are 32 bits wide. */
+static int fits(const Py_buffer *view, const char *name) {
+    if (view->shape[0] > 0 && view->shape[1] > 0 && view->shape[0] <= INT32_MAX / view->shape[1]) return 1;
+    PyErr_Format(PyExc_ValueError, "%s: %zd rows of %zd columns, must be 1 to 2^31 - 1 pixels", name, view->shape[0],
+                 view->shape[1]);
+    return 0;
+}
+
+static int within(long value, long least, long most, const char *name) {
+    if (value >= least && value <= most) return 1;
+    PyErr_Format(PyExc_ValueError, "%s: is %ld, must be %ld to %ld", name, value, least, most);
+    return 0;
+}
+
+/* Two lists as two bytes objects; releases them. */
+static PyObject *two_bytes(int done, List *first, List *second) {
+    PyObject *result = NULL;
+    if (!done)
+        PyErr_NoMemory();
+    else
+        result = Py_BuildValue("(y#y#)", first->data ? first->data : "", (Py_ssize_t)(first->used * first->item),
+                               second->data ? second->data : "", (Py_ssize_t)(second->used * second->item));
+    release(first);
+    release(second);
+    return result;
+}
+
+static PyObject *gradient_of(const Py_buffer *image, const Py_buffer *magnitude, long upper) {
+    if (magnitude->shape[0] != image->shape[0] || magnitude->shape[1] != image->shape[1]) {
+        PyErr_SetString(PyExc_ValueError, "magnitude: must have the shape of the image");
+        return NULL;
+    }
+    if (!fits(image, "image") || !within(upper, 1, INT16_MAX, "upper")) return NULL;
+    Anchors anchors = {{NULL, 0, 0, sizeof(int32_t)}, {NULL, 0, 0, sizeof(uint8_t)}};
+    int done;
+    Py_BEGIN_ALLOW_THREADS
+    done = find_gradient(image->buf, (size_t)image->shape[0], (size_t)image->shape[1], (int)upper, magnitude->buf,
+                         &anchors);
+    Py_END_ALLOW_THREADS
+    return two_bytes(done, &anchors.index, &anchors.orientation);
+}
+
+static PyObject *gradient(PyObject *module, PyObject *arguments) {
+    (void)module;
+    PyObject *image, *magnitude, *result = NULL;
+    long upper;
+    Py_buffer image_view, magnitude_view;
+    if (!PyArg_ParseTuple(arguments, "OlO", &image, &upper, &magnitude)) return NULL;
+    if (!open_array(image, &image_view, "image", "B", 1, 2, 0)) return NULL;
+    if (open_array(magnitude, &magnitude_view, "magnitude", "h", 2, 2, 1)) {
+        result = gradient_of(&image_view, &magnitude_view, upper);
+        PyBuffer_Release(&magnitude_view);
+    }
+    PyBuffer_Release(&image_view);
+    return result;
+}
+
+static int anchors_inside(const Py_buffer *magnitude, const Py_buffer *index) {
+    const int32_t *anchor = index->buf;
+    const int16_t *value = magnitude->buf;
+    Py_ssize_t pixels = magnitude->shape[0] * magnitude->shape[1];
+    for (Py_ssize_t i = 0; i < index->shape[0]; i++) {
+        if (anchor[i] >= 0 && anchor[i] < pixels && value[anchor[i]] >= 0) continue;
+        PyErr_Format(PyExc_ValueError, "anchors: number %zd is outside the image or has a negative magnitude", i);
+        return 0;
+    }
+    return 1;
+}
+
+static PyObject *chains_of(const Py_buffer *magnitude, const Py_buffer *index, const Py_buffer *turn, long lower,
+                           long shortest) {
+    if (index->shape[0] != turn->shape[0]) {
+        PyErr_SetString(PyExc_ValueError, "orientation: must have one entry for each anchor");
+        return NULL;
+    }
+    if (!fits(magnitude, "magnitude") || !anchors_inside(magnitude, index)) return NULL;
+    if (!within(lower, 1, INT16_MAX, "lower") || !within(shortest, 1, INT32_MAX, "shortest")) return NULL;
+    EdgeArea area = {magnitude->buf, (size_t)magnitude->shape[0], (size_t)magnitude->shape[1], (int)lower};
+    List pixels = {NULL, 0, 0, sizeof(Pixel)}, starts = {NULL, 0, 0, sizeof(int32_t)};
+    int done;
+    Py_BEGIN_ALLOW_THREADS
+    done = walk_chains(area, index->buf, turn->buf, (size_t)index->shape[0], (size_t)shortest, &pixels, &starts);
+    Py_END_ALLOW_THREADS
+    return two_bytes(done, &pixels, &starts);
+}
+
+static PyObject *chains(PyObject *module, PyObject *arguments) {
+    (void)module;
+    PyObject *magnitude, *index, *turn, *result = NULL;
+    long lower, shortest;
+    Py_buffer magnitude_view, index_view, turn_view;
+    if (!PyArg_ParseTuple(arguments, "OOOll", &magnitude, &index, &turn, &lower, &shortest)) return NULL;
+    if (!open_array(magnitude, &magnitude_view, "magnitude", "h", 2, 2, 1)) return NULL;
+    if (open_array(index, &index_view, "anchors", "il", 4, 1, 0)) {
+        if (open_array(turn, &turn_view, "orientation", "B", 1, 1, 0)) {
+            result = chains_of(&magnitude_view, &index_view, &turn_view, lower, shortest);
+            PyBuffer_Release(&turn_view);
+        }
+        PyBuffer_Release(&index_view);
+    }
+    PyBuffer_Release(&magnitude_view);
+    return result;
+}
+
+static int starts_ascend(const Py_buffer *starts, Py_ssize_t pixels) {
+    const int32_t *start = starts->buf;
+    Py_ssize_t count = starts->shape[0];
+    int ascend = count > 0 && start[0] >= 0 && start[count - 1] <= pixels && pixels <= INT32_MAX;
+    for (Py_ssize_t i = 1; ascend && i < count; i++) ascend = start[i - 1] <= start[i];
+    if (!ascend) PyErr_SetString(PyExc_ValueError, "starts: must ascend from 0 or more to at most the number of pixels");
+    return ascend;
+}
+
+static PyObject *cuts_of(const Py_buffer *pixels, const Py_buffer *starts, CutRules rules) {
+    if (pixels->shape[1] != 2) {
+        PyErr_SetString(PyExc_ValueError, "pixels: must be pairs of x and y");
+        return NULL;
+    }
+    if (!starts_ascend(starts, pixels->shape[0])) return NULL;
+    List pieces = {NULL, 0, 0, sizeof(Pixel)};
+    int done;
+    Py_BEGIN_ALLOW_THREADS
+    done = cut_chains(pixels->buf, starts->buf, (size_t)starts->shape[0] - 1, rules, &pieces);
+    Py_END_ALLOW_THREADS
+    PyObject *result = done ? PyBytes_FromStringAndSize(pieces.data, (Py_ssize_t)(pieces.used * pieces.item))
+                            : PyErr_NoMemory();
+    release(&pieces);
+    return result;
+}
+
+static PyObject *cuts(PyObject *module, PyObject *arguments) {
+    (void)module;
+    PyObject *pixels, *starts, *result = NULL;
+    double deviation, share_change;
+    long window, shortest;
+    Py_buffer pixels_view, starts_view;
+    if (!PyArg_ParseTuple(arguments, "OOddll", &pixels, &starts, &deviation, &share_change, &window, &shortest))
+        return NULL;
+    if (!within(window, 2, INT32_MAX, "window") || !within(shortest, 2, INT32_MAX, "shortest")) return NULL;
+    CutRules rules = {deviation, share_change, (size_t)window, (size_t)shortest};
+    if (!open_array(pixels, &pixels_view, "pixels", "il", 4, 2, 0)) return NULL;
+    if (open_array(starts, &starts_view, "starts", "il", 4, 1, 0)) {
+        result = cuts_of(&pixels_view, &starts_view, rules);
+        PyBuffer_Release(&starts_view);
+    }
+    PyBuffer_Release(&pixels_view);
+    return result;
+}
+
+static PyMethodDef methods[] = {
+    {"gradient", gradient, METH_VARARGS, "gradient(image, upper, magnitude) -> (anchors, orientation)"},
+    {"chains", chains, METH_VARARGS,
+     "chains(magnitude, anchors, orientation, lower, shortest) -> (pixels, starts)"},
+    {"cuts", cuts, METH_VARARGS, "cuts(pixels, starts, deviation, share_change, window, shortest) -> pieces"},
+    {NULL, NULL, 0, NULL},
+};
+
+static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, "_kernels", NULL, 0, methods, NULL, NULL, NULL, NULL};
+
+PyMODINIT_FUNC PyInit__kernels(void) { return PyModule_Create(&definition); }

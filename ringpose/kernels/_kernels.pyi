@@ -1,0 +1,9 @@
+from ringpose.types.arrays import Array
+
+def gradient(image: Array, upper: int, magnitude: Array, /) -> tuple[bytes, bytes]: ...
+def chains(
+    magnitude: Array, anchors: Array, orientation: Array, lower: int, shortest: int, /
+) -> tuple[bytes, bytes]: ...
+def cuts(
+    pixels: Array, starts: Array, deviation: float, share_change: float, window: int, shortest: int, /
+) -> bytes: ...

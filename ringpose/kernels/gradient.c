@@ -1,0 +1,148 @@
+/* Smoothing, gradient and anchors in one pass over the rows; twin: reference.gradient.
+
+   A smoothed value is 16 grey values, so that a dim edge keeps its shape; a Sobel difference of those is
+   128 grey values a pixel. 8-bit images keep every sum within 16 bits: 255 * 16 * 16 = 65280 unsigned,
+   4 * 4080 = 16320 for one difference, 24480 for the magnitude. A 16-bit image needs another smooth_row
+   only, which shifts its sums to the same scale. */
+#include "kernels.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+/* Rows with two columns of margin, replicated (sums) or unused (the others). */
+enum { MARGIN = 2 };
+
+typedef struct {
+    void *memory;
+    uint16_t *sum;
+    int16_t *smooth[3];
+    int16_t *along, *across;
+    int16_t *orientation[2];
+    uint8_t *is_anchor;
+} Rows;
+
+static int allocate_rows(Rows *rows, size_t width) {
+    size_t stride = width + 2 * MARGIN;
+    if (stride > SIZE_MAX / 32) return 0;
+    rows->memory = calloc(9 * stride, sizeof(int16_t));
+    if (rows->memory == NULL) return 0;
+    int16_t *row = (int16_t *)rows->memory + MARGIN;
+    rows->sum = (uint16_t *)row;
+    for (int i = 0; i < 3; i++) rows->smooth[i] = row + (size_t)(1 + i) * stride;
+    rows->along = row + 4 * stride;
+    rows->across = row + 5 * stride;
+    for (int i = 0; i < 2; i++) rows->orientation[i] = row + (size_t)(6 + i) * stride;
+    rows->is_anchor = (uint8_t *)(row + 8 * stride);
+    return 1;
+}
+
+/* Binomial 1 4 6 4 1 down the columns, then along the row; the border pixel is repeated outside. */
+VECTOR_LOOP
+static void smooth_row(const uint8_t *const restrict in[5], size_t width, uint16_t *restrict sum, int16_t *restrict out) {
+    const uint8_t *restrict a = in[0], *restrict b = in[1], *restrict c = in[2], *restrict d = in[3], *restrict e = in[4];
+    for (size_t x = 0; x < width; x++) sum[x] = (uint16_t)(a[x] + 4 * (b[x] + d[x]) + 6 * c[x] + e[x]);
+    for (int i = 1; i <= MARGIN; i++) {
+        *(sum - i) = sum[0];
+        sum[width - 1 + (size_t)i] = sum[width - 1];
+    }
+    const uint16_t *restrict s = sum;
+    for (size_t x = 0; x < width; x++) {
+        const uint16_t *at = s + x;
+        uint16_t total = (uint16_t)(*(at - 2) + 4 * (*(at - 1) + at[1]) + 6 * at[0] + at[2] + 8);
+        out[x] = (int16_t)(total >> 4);
+    }
+}
+
+/* Sobel; orientation 0: edge along x, 2: along y, 1: down to the right, 3: down to the left. */
+VECTOR_LOOP
+static void gradient_row(const Rows *rows, const int16_t *restrict up, const int16_t *restrict here,
+                         const int16_t *restrict down, size_t width, int16_t *restrict magnitude,
+                         int16_t *restrict orientation) {
+    int16_t *restrict along = rows->along, *restrict across = rows->across;
+    for (size_t x = 0; x < width; x++) {
+        along[x] = (int16_t)(up[x] + 2 * here[x] + down[x]);
+        across[x] = (int16_t)(down[x] - up[x]);
+    }
+    for (size_t x = 1; x + 1 < width; x++) {
+        int16_t gx = (int16_t)(along[x + 1] - along[x - 1]);
+        int16_t gy = (int16_t)(across[x - 1] + 2 * across[x] + across[x + 1]);
+        int16_t ax = (int16_t)(gx < 0 ? -gx : gx), ay = (int16_t)(gy < 0 ? -gy : gy);
+        int16_t most = ax > ay ? ax : ay, least = ax > ay ? ay : ax;
+        magnitude[x] = (int16_t)(most + ((uint16_t)(3 * least) >> 3));
+        int16_t diagonal = (int16_t)((gx ^ gy) < 0 ? 1 : 3);
+        int16_t straight = (int16_t)(ax > ay ? 2 : 0);
+        orientation[x] = (int16_t)(2 * least) < most ? straight : diagonal;
+    }
+}
+
+/* 1 where the magnitude is a maximum across the edge; of two equal ones the earlier in raster order. */
+VECTOR_LOOP
+static void mark_maxima(const int16_t *restrict here, size_t width, const int16_t *restrict orientation, int16_t upper,
+                        uint8_t *restrict is_anchor) {
+    const int16_t *restrict up = here - width, *restrict down = here + width;
+    for (size_t x = 1; x + 1 < width; x++) {
+        int16_t turn = orientation[x], value = here[x];
+        int16_t before = turn == 0 ? up[x] : turn == 1 ? up[x + 1] : turn == 2 ? here[x - 1] : up[x - 1];
+        int16_t after = turn == 0 ? down[x] : turn == 1 ? down[x - 1] : turn == 2 ? here[x + 1] : down[x + 1];
+        is_anchor[x] = (value >= upper) & (value > before) & (value >= after);
+    }
+}
+
+static int keep_anchors(const uint8_t *is_anchor, const int16_t *orientation, size_t width, size_t row, Anchors *anchors) {
+    if (!reserve(&anchors->index, width) || !reserve(&anchors->orientation, width)) return 0;
+    int32_t *index = anchors->index.data;
+    uint8_t *turn = anchors->orientation.data;
+    size_t n = anchors->index.used;
+    for (size_t x = 1; x + 1 < width;) {
+        uint64_t eight = 0;
+        if (x + 9 < width && (memcpy(&eight, is_anchor + x, 8), eight == 0)) {
+            x += 8;
+            continue;
+        }
+        if (is_anchor[x]) {
+            index[n] = (int32_t)(row * width + x);
+            turn[n++] = (uint8_t)orientation[x];
+        }
+        x++;
+    }
+    anchors->index.used = anchors->orientation.used = n;
+    return 1;
+}
+
+static void smooth_at(const uint8_t *image, size_t height, size_t width, size_t row, const Rows *rows) {
+    const uint8_t *in[5];
+    for (size_t i = 0; i < 5; i++) {
+        size_t y = row + i < MARGIN ? 0 : row + i - MARGIN;
+        in[i] = image + (y < height ? y : height - 1) * width;
+    }
+    smooth_row(in, width, rows->sum, rows->smooth[row % 3]);
+}
+
+int find_gradient(const uint8_t *image, size_t height, size_t width, int upper, int16_t *magnitude, Anchors *anchors) {
+    memset(magnitude, 0, width * sizeof *magnitude);
+    memset(magnitude + (height - 1) * width, 0, width * sizeof *magnitude);
+    if (height < 3 || width < 3) {
+        memset(magnitude, 0, height * width * sizeof *magnitude);
+        return 1;
+    }
+    Rows rows;
+    if (!allocate_rows(&rows, width)) return 0;
+    int done = 1;
+    smooth_at(image, height, width, 0, &rows);
+    smooth_at(image, height, width, 1, &rows);
+    for (size_t y = 1; y < height && done; y++) {
+        int16_t *here = magnitude + y * width;
+        if (y + 1 < height) {
+            smooth_at(image, height, width, y + 1, &rows);
+            gradient_row(&rows, rows.smooth[(y - 1) % 3], rows.smooth[y % 3], rows.smooth[(y + 1) % 3], width, here,
+                         rows.orientation[y % 2]);
+            here[0] = here[width - 1] = 0;
+        }
+        if (y < 2) continue;
+        const int16_t *orientation = rows.orientation[(y - 1) % 2];
+        mark_maxima(here - width, width, orientation, (int16_t)upper, rows.is_anchor);
+        done = keep_anchors(rows.is_anchor, orientation, width, y - 1, anchors);
+    }
+    free(rows.memory);
+    return done;
+}

@@ -1,0 +1,55 @@
+/* What the kernels share: row types, growing lists, and the compiler's help. No Python in here. */
+#ifndef RINGPOSE_KERNELS_H
+#define RINGPOSE_KERNELS_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+/* Two versions of a vector loop in one portable library; the loader takes the one that the processor can do. */
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && defined(__GLIBC__) && !defined(RINGPOSE_PORTABLE)
+#define VECTOR_LOOP __attribute__((target_clones("avx2", "default")))
+#else
+#define VECTOR_LOOP
+#endif
+
+typedef struct {
+    int32_t x, y;
+} Pixel;
+
+/* A list that doubles; `item` is the size of one entry in bytes. Begin with {NULL, 0, 0, item}, end with release. */
+typedef struct {
+    void *data;
+    size_t used, capacity, item;
+} List;
+
+/* Room for `extra` more entries; 0 if there is no memory. */
+int reserve(List *list, size_t extra);
+void release(List *list);
+
+typedef struct {
+    List index;       /* int32_t: row * width + column */
+    List orientation; /* uint8_t: 0 to 3, the walking direction along the edge */
+} Anchors;
+
+/* Each returns 0 if there is no memory, and leaves its lists to the caller. */
+int find_gradient(const uint8_t *image, size_t height, size_t width, int upper, int16_t *magnitude, Anchors *anchors);
+
+typedef struct {
+    int16_t *magnitude;
+    size_t height, width;
+    int lower;
+} EdgeArea;
+
+int walk_chains(EdgeArea area, const int32_t *anchor, const uint8_t *orientation, size_t anchors, size_t shortest,
+                List *pixels, List *starts);
+
+typedef struct {
+    double deviation;    /* of estimated length from chord, pixels */
+    double share_change; /* L1 difference of direction shares */
+    size_t window;       /* steps */
+    size_t shortest;     /* pixels */
+} CutRules;
+
+int cut_chains(const Pixel *pixels, const int32_t *starts, size_t chains, CutRules rules, List *pieces);
+
+#endif

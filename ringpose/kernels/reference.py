@@ -1,0 +1,156 @@
+"""The kernels again, written to be read: the oracle of `ringpose.kernels`, equal to it bit for bit."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Int16, Int32, Int64, UInt8
+
+from ringpose.types.arrays import Array
+
+STEPS = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))
+"""The eight directions as (x, y), clockwise as seen; opposite directions differ by 4."""
+
+
+def gradient(
+    image: UInt8[Array, "row column"], upper: int
+) -> tuple[Int16[Array, "row column"], Int32[Array, "anchor"], UInt8[Array, "anchor"]]:
+    """Twin of `ringpose.kernels.gradient`."""
+    height, width = image.shape
+    magnitude = np.zeros((height, width), np.int16)
+    orientation = np.zeros((height, width), np.uint8)
+    if height >= 3 and width >= 3:
+        gx, gy = sobel(smoothed(image))
+        most, least = np.maximum(abs(gx), abs(gy)), np.minimum(abs(gx), abs(gy))
+        magnitude[1:-1, 1:-1] = most + (3 * least >> 3)
+        straight = np.where(abs(gx) > abs(gy), 2, 0)
+        diagonal = np.where((gx < 0) != (gy < 0), 1, 3)
+        orientation[1:-1, 1:-1] = np.where(2 * least < most, straight, diagonal)
+    anchors = np.flatnonzero(is_maximum(magnitude, orientation) & (magnitude >= upper))
+    return magnitude, anchors.astype(np.int32), orientation.ravel()[anchors]
+
+
+def smoothed(image: UInt8[Array, "row column"]) -> Int64[Array, "row column"]:
+    """The image under the binomial 1 4 6 4 1 along both axes, times 16."""
+    height, width = image.shape
+    padded = np.pad(image.astype(np.int64), 2, mode="edge")
+    weights = np.array([1, 4, 6, 4, 1])
+    down = np.tensordot(weights, [padded[i : i + height] for i in range(5)], axes=1)
+    both: Int64[Array, "row column"] = np.tensordot(weights, [down[:, i : i + width] for i in range(5)], axes=1)
+    return both + 8 >> 4
+
+
+def sobel(image: Int64[Array, "row column"]) -> tuple[Int64[Array, "row-2 column-2"], Int64[Array, "row-2 column-2"]]:
+    """Sobel differences along x and y of the inner pixels."""
+    along = image[:-2] + 2 * image[1:-1] + image[2:]
+    across = image[2:] - image[:-2]
+    return along[:, 2:] - along[:, :-2], across[:, :-2] + 2 * across[:, 1:-1] + across[:, 2:]
+
+
+def is_maximum(
+    magnitude: Int16[Array, "row column"], orientation: UInt8[Array, "row column"]
+) -> UInt8[Array, "row column"]:
+    """1 where the magnitude is a maximum across the edge; of two equal ones the earlier in raster order."""
+    height, width = magnitude.shape
+    padded = np.pad(magnitude, 1)
+    maximum = np.zeros((height, width), np.uint8)
+    for turn, (x, y) in enumerate(((0, -1), (1, -1), (-1, 0), (-1, -1))):
+        before = padded[1 + y : 1 + y + height, 1 + x : 1 + x + width]
+        after = padded[1 - y : 1 - y + height, 1 - x : 1 - x + width]
+        maximum |= (orientation == turn) & (magnitude > before) & (magnitude >= after)
+    return maximum
+
+
+def chains(
+    magnitude: Int16[Array, "row column"],
+    anchors: Int32[Array, "anchor"],
+    orientation: UInt8[Array, "anchor"],
+    lower: int,
+    shortest: int,
+) -> tuple[Int32[Array, "pixel xy=2"], Int32[Array, "start"]]:
+    """Twin of `ringpose.kernels.chains`."""
+    free = {(x, y): int(magnitude[y, x]) for y, x in np.ndindex(magnitude.shape)}
+    taken = dict.fromkeys(free, False)
+    found: list[list[tuple[int, int]]] = []
+    for number in np.argsort(-magnitude.ravel()[anchors].astype(np.int64), kind="stable"):
+        y, x = divmod(int(anchors[number]), magnitude.shape[1])
+        if taken[x, y] or free[x, y] < lower:
+            continue
+        taken[x, y] = True
+        direction = int(orientation[number])
+        back = walk(free, taken, (x, y), direction + 4, lower)
+        forth = walk(free, taken, (x, y), direction, lower)
+        found.append([*reversed(back), (x, y), *forth])
+    long = [chain for chain in found if len(chain) >= shortest]
+    pixels = np.array([pixel for chain in long for pixel in chain], np.int32).reshape(-1, 2)
+    return pixels, np.cumsum([0, *map(len, long)], dtype=np.int32)
+
+
+def walk(
+    magnitude: dict[tuple[int, int], int],
+    taken: dict[tuple[int, int], bool],
+    at: tuple[int, int],
+    direction: int,
+    lower: int,
+) -> list[tuple[int, int]]:
+    """One walk from a taken pixel; marks what it takes."""
+    path: list[tuple[int, int]] = []
+    while all((at[0] + x, at[1] + y) in magnitude for x, y in STEPS):
+        ahead = [(direction + turn) % 8 for turn in (0, -1, 1)]
+        pixels = [(at[0] + STEPS[way][0], at[1] + STEPS[way][1]) for way in ahead]
+        best = max(range(3), key=lambda i: magnitude[pixels[i]])
+        at, direction = pixels[best], ahead[best]
+        if taken[at] or magnitude[at] < lower:
+            break
+        taken[at] = True
+        path.append(at)
+    return path
+
+
+def cuts(
+    pixels: Int32[Array, "pixel xy=2"],
+    starts: Int32[Array, "start"],
+    deviation_px: float,
+    share_change: float,
+    window: int,
+    shortest: int,
+) -> Int32[Array, "piece end=2"]:
+    """Twin of `ringpose.kernels.cuts`."""
+    pieces = []
+    for first, end in zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True):
+        chain = pixels[first:end].tolist()
+        at = 0
+        while len(chain) - at >= shortest:
+            length = piece_length(chain[at:], deviation_px, share_change, window)
+            if length + 1 >= shortest:
+                pieces.append((first + at, first + at + length))
+            at += length
+            if at == len(chain) - 1:
+                break
+    return np.array(pieces, np.int32).reshape(-1, 2)
+
+
+def piece_length(chain: list[list[int]], deviation_px: float, share_change: float, window: int) -> int:
+    """Steps from the start of the chain to the end of its first straight piece."""
+    kinds = ["hvo"[0 if a[1] == b[1] else 1 if a[0] == b[0] else 2] for a, b in pairwise(chain)]
+    head = kinds[:window]
+    for k in range(1, len(chain)):
+        h, v, o = (kinds[:k].count(kind) for kind in "hvo")
+        if math.sqrt((h + o) ** 2 + (v + o) ** 2) - chord(chain[0], chain[k]) > deviation_px:
+            return farthest(chain[: k + 1])
+        recent = kinds[k - window : k]
+        if k > window and sum(abs(recent.count(kind) - head.count(kind)) for kind in "hvo") > share_change * window:
+            return k - window // 2
+    return len(chain) - 1
+
+
+def chord(start: list[int], end: list[int]) -> float:
+    """Distance of two pixels."""
+    return math.sqrt((end[0] - start[0]) ** 2 + (end[1] - start[1]) ** 2)
+
+
+def farthest(chain: list[list[int]]) -> int:
+    """Number of the first pixel that lies farthest from the chord."""
+    (x0, y0), (x1, y1) = chain[0], chain[-1]
+    off = [abs((x1 - x0) * (y - y0) - (y1 - y0) * (x - x0)) for x, y in chain[:-1]]
+    return max(1, off.index(max(off)))
