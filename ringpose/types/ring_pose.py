@@ -14,7 +14,8 @@ class NoPose(Enum):
 
     TOO_FEW_BREAK_POINTS = "too few break points: an edge must be seen by three lasers"
     UNTRIANGULATED = "a ray runs along its light plane or meets it behind the camera"
-    COLLINEAR = "the break points lie on one line, which no plane determines"
+    COLLINEAR = "the break points lie on one line within their errors, which no plane determines"
+    EDGE_ON = "the ring's plane passes through the camera: its face cannot be seen"
     NOT_FINITE = "the equations have no finite solution"
 
 

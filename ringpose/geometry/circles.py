@@ -1,0 +1,25 @@
+"""Circles in space."""
+
+import numpy as np
+from jaxtyping import Float64
+
+from ringpose.types.arrays import Array
+
+
+def nearest_crossing(
+    point: Float64[Array, "n xyz=3"],
+    direction: Float64[Array, "n xyz=3"],
+    center: Float64[Array, "3"],
+    radius: Float64[Array, "n"],
+) -> Float64[Array, "n xyz=3"]:
+    """Where lines cross spheres about one centre: of the two crossings the one nearer to the line's given point.
+
+    A line in the circle's plane meets circle and sphere at the same points. A line that passes the sphere
+    by gives its point nearest to the centre. `direction` has unit length.
+    """
+    along = np.sum((center - point) * direction, axis=-1)
+    foot = point + along[:, None] * direction
+    half_chord = np.sqrt(np.maximum(radius**2 - np.sum((foot - center) ** 2, axis=-1), 0.0))
+    step = along + np.where(along > 0, -half_chord, half_chord)
+    crossing: Float64[Array, "n xyz=3"] = point + step[:, None] * direction
+    return crossing

@@ -1,0 +1,34 @@
+"""Linear least squares near singularity, for batches of small systems."""
+
+import numpy as np
+from jaxtyping import Float64
+
+from ringpose.types.arrays import Array
+
+
+def inverse_condition(matrix: Float64[Array, "batch row column"]) -> Float64[Array, "batch"]:
+    """Smallest over largest singular value of each matrix, after scaling its rows to unit length.
+
+    The scaling takes away the units in which the rows happen to be written; a row of zeros stays one.
+    """
+    length = np.linalg.norm(matrix, axis=-1, keepdims=True)
+    scaled = matrix / np.where(length > 0, length, 1.0)
+    singular = np.linalg.svd(scaled, compute_uv=False)
+    quotient: Float64[Array, "batch"] = singular[:, -1] / np.where(singular[:, 0] > 0, singular[:, 0], 1.0)
+    return quotient
+
+
+def damped_solution(
+    matrix: Float64[Array, "batch row column"],
+    target: Float64[Array, "batch row"],
+    damping: Float64[Array, "batch"],
+) -> Float64[Array, "batch column"]:
+    """Damped least squares (A^T A + lambda^2 I)^-1 A^T b, with lambda = damping * largest singular value of A.
+
+    Computed from the singular values, so that A^T A is never formed and zero damping is the pseudo-inverse.
+    """
+    left, singular, right = np.linalg.svd(matrix, full_matrices=False)
+    square = singular**2 + (damping[:, None] * singular[:, :1]) ** 2
+    gain = np.divide(singular, square, out=np.zeros_like(singular), where=square > 0)
+    solution: Float64[Array, "batch column"] = np.einsum("brk,br,bk,bkc->bc", left, target, gain, right)
+    return solution

@@ -1,0 +1,87 @@
+"""Break points -> pose of the ring: section 4 of MATH.md, in its order."""
+
+from enum import StrEnum
+
+import numpy as np
+
+from ringpose.pose.closed_form import ClosedForm
+from ringpose.pose.constrained import constrained_form
+from ringpose.pose.observability import pose_flags, why_undetermined, why_unusable
+from ringpose.pose.paper import paper_form
+from ringpose.pose.point_covariance import point_covariance
+from ringpose.pose.residuals import prediction_rms_px
+from ringpose.pose.triangulate import triangulated
+from ringpose.pose.uncertainty import PoseCovariance, pose_covariance
+from ringpose.types.break_points import BreakPoints
+from ringpose.types.rig import Rig
+from ringpose.types.ring_points import RingPoints
+from ringpose.types.ring_pose import NoPose, RingPose
+
+
+class Method(StrEnum):
+    """How the pose is computed."""
+
+    PAPER = "paper"
+    PAPER_CONSTRAINED = "paper-constrained"
+
+
+FORMS = {Method.PAPER: paper_form, Method.PAPER_CONSTRAINED: constrained_form}
+"""The closed form of each method."""
+
+
+def estimate_pose(break_points: BreakPoints, rig: Rig, method: Method = Method.PAPER_CONSTRAINED) -> RingPose | NoPose:
+    """Pose of the ring in the camera frame, or the reason why there is none.
+
+    Its covariances are None if a seen break point's covariance is NaN.
+    """
+    points = triangulated(break_points, rig)
+    undetermined = why_undetermined(points, break_points)
+    if undetermined is not None:
+        return undetermined
+
+    form = closed_form(points, method)
+    covariance = covariance_of_form(points, break_points, rig, method)
+    residual = prediction_rms_px(form, points, break_points, rig)
+    unusable = why_unusable(residual, covariance)
+    if unusable is not None:
+        return unusable
+
+    return ring_pose(form, covariance, residual, method)
+
+
+def ring_pose(form: ClosedForm, covariance: PoseCovariance | None, residual_rms_px: float, method: Method) -> RingPose:
+    """The record of a batch of one."""
+    radius_inner_m, radius_outer_m = form.radius_m[0].tolist()
+    return RingPose(
+        center_m=form.center_m[0],
+        normal=form.normal[0],
+        radius_inner_m=radius_inner_m,
+        radius_outer_m=radius_outer_m,
+        grasp_m=form.grasp_m[0],
+        method=method.value,
+        condition=float(form.condition[0]),
+        residual_rms_px=residual_rms_px,
+        covariance=None if covariance is None else covariance.parameters,
+        covariance_center_m2=None if covariance is None else covariance.center_m2,
+        covariance_grasp_m2=None if covariance is None else covariance.grasp_m2,
+        flags=pose_flags(form, covariance),
+    )
+
+
+def closed_form(points: RingPoints, method: Method) -> ClosedForm:
+    """The method's solution, a batch of one."""
+    laser, edges = np.nonzero(points.seen)
+    return FORMS[method](points.position_m[None, laser, edges], edges)
+
+
+def covariance_of_form(
+    points: RingPoints, break_points: BreakPoints, rig: Rig, method: Method
+) -> PoseCovariance | None:
+    """Covariance of the method's solution; None if a seen break point's is NaN."""
+    laser, edges = np.nonzero(points.seen)
+    covariance_px2 = break_points.covariance_px2[laser, edges]
+    if np.isnan(covariance_px2).any():
+        return None
+    positions = points.position_m[laser, edges]
+    covariance_m2 = point_covariance(positions, covariance_px2, laser, rig)
+    return pose_covariance(FORMS[method], positions, edges, covariance_m2)

@@ -1,0 +1,77 @@
+"""Covariance of a pose, to first order.
+
+J Sigma J^T, with Sigma the joint covariance of the triangulated points and J by central differences of the same
+closed form that gave the pose.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from ringpose.geometry.rotations import tilt_basis
+from ringpose.pose.closed_form import ClosedForm
+from ringpose.types.arrays import Array
+
+STEP = 1e-6
+"""Of the central differences, in units of the points' largest distance from their mean.
+
+Small against the arc's height even for points that are nearly in line (1e-3 of their extent), large against
+rounding (1e-16 of their distance).
+"""
+
+Solve = Callable[[Float64[Array, "batch point xyz=3"], Int64[Array, "point"]], ClosedForm]
+"""A closed form: points in metres and the edge of each -> solutions."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PoseCovariance:
+    """Covariances of one pose; NaN where the quantity itself is NaN."""
+
+    parameters: Float64[Array, "7 7"]
+    """Of tilt_1, tilt_2, offset_m, center_1_m, center_2_m, radius_inner_m, radius_outer_m."""
+    center_m2: Float64[Array, "3 3"]
+    grasp_m2: Float64[Array, "3 3"]
+
+
+def pose_covariance(
+    solve: Solve,
+    points: Float64[Array, "point xyz=3"],
+    edges: Int64[Array, "point"],
+    covariance_m2: Float64[Array, "coordinate coordinate"],
+) -> PoseCovariance:
+    """Covariance of the closed form's solution at these points, whose joint covariance is given.
+
+    First order is enough while the centre's standard deviation is a few percent of the radius. Beyond that (flag
+    CENTER_WEAK) the centre's distribution is skew: it is the arc's height that is measured, the centre's
+    distance goes with its inverse, and the true centre may lie many of these standard deviations away.
+    """
+    jacobian = solution_jacobian(solve, points, edges)
+    joint = jacobian @ covariance_m2 @ jacobian.T
+    return PoseCovariance(parameters=joint[:7, :7], center_m2=joint[7:10, 7:10], grasp_m2=joint[10:, 10:])
+
+
+def solution_jacobian(
+    solve: Solve, points: Float64[Array, "point xyz=3"], edges: Int64[Array, "point"]
+) -> Float64[Array, "13 coordinate"]:
+    """Derivatives of the seven parameters, the centre and the grasp point by the points' coordinates x1 y1 z1 x2 ..."""
+    step = STEP * float(np.linalg.norm(points - points.mean(axis=0), axis=-1).max())
+    moves = step * np.eye(points.size).reshape(-1, *points.shape)
+    form = solve(np.concatenate([points + moves, points - moves, points[None]]), edges)
+    values = solution_values(form, form.normal[-1])
+    forward, backward = values[: points.size], values[points.size : -1]
+    return (forward - backward).T / (2.0 * step)
+
+
+def solution_values(form: ClosedForm, normal: Float64[Array, "3"]) -> Float64[Array, "batch 13"]:
+    """The seven parameters about a given unit normal, then the centre and the grasp point.
+
+    The tilts are those of `geometry.rotations.tilted`; center_1 and center_2 are the centre's coordinates along
+    the two vectors of that normal's tilt basis, which stays where it is while the ring tilts.
+    """
+    basis = tilt_basis(normal)
+    tilt = form.normal @ basis.T / (form.normal @ normal)[:, None]
+    return np.concatenate(
+        [tilt, form.offset_m[:, None], form.center_m @ basis.T, form.radius_m, form.center_m, form.grasp_m], axis=-1
+    )

@@ -1,0 +1,77 @@
+"""No noise in, exact out, at random poses."""
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from ringpose.pose.pipeline import Method, estimate_pose
+from ringpose.types.ring_pose import PoseFlag
+
+POSES = st.fixed_dictionaries(
+    {
+        "distance_m": st.floats(0.2, 1.0),
+        "across": st.floats(-0.2, 0.2),
+        "tilt_rad": st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3)),
+        "turn_rad": st.floats(-0.3, 0.3),
+        "side": st.sampled_from([-1, 1]),
+        "size": st.sampled_from(["R597", "R1194"]),
+    }
+)
+
+
+BOTH_RIGS = pytest.mark.parametrize("rig", ["A", "B"])
+BOTH_METHODS = pytest.mark.parametrize("method", list(Method))
+
+
+def exact_tolerance_m(pose):
+    """Rounding of a metre, raised by the square of the condition: the arc's height is a difference of squares."""
+    return 1e-12 + 3e-16 * pose.condition**2
+
+
+@BOTH_RIGS
+@BOTH_METHODS
+@given(where=POSES)
+def test_true_points_give_the_true_center(scene_of, rig, method, where):
+    scene = scene_of(rig, **where)
+
+    pose = estimate_pose(scene.break_points(), scene.rig, method)
+
+    assume(PoseFlag.DAMPED not in pose.flags)
+    np.testing.assert_allclose(pose.center_m, scene.ring.center_m, rtol=0, atol=exact_tolerance_m(pose))
+
+
+@BOTH_RIGS
+@BOTH_METHODS
+@given(where=POSES)
+def test_true_points_give_the_true_radii(scene_of, rig, method, where):
+    scene = scene_of(rig, **where)
+
+    pose = estimate_pose(scene.break_points(), scene.rig, method)
+
+    assume(PoseFlag.DAMPED not in pose.flags)
+    radii = [pose.radius_inner_m, pose.radius_outer_m]
+    np.testing.assert_allclose(radii, scene.ring.radius_m, rtol=0, atol=exact_tolerance_m(pose))
+
+
+@BOTH_RIGS
+@BOTH_METHODS
+@given(where=POSES)
+def test_true_points_give_the_true_normal_damped_or_not(scene_of, rig, method, where):
+    scene = scene_of(rig, **where)
+
+    pose = estimate_pose(scene.break_points(), scene.rig, method)
+
+    np.testing.assert_allclose(pose.normal, scene.ring.normal, rtol=0, atol=1e-12)
+
+
+@BOTH_RIGS
+@BOTH_METHODS
+@given(where=POSES)
+def test_true_points_leave_no_residual(scene_of, rig, method, where):
+    scene = scene_of(rig, **where)
+
+    pose = estimate_pose(scene.break_points(), scene.rig, method)
+
+    assume(PoseFlag.DAMPED not in pose.flags)
+    assert pose.residual_rms_px < 1e-9
