@@ -1,0 +1,105 @@
+"""Summaries as plain aligned text, in millimetres and degrees."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+from ringpose.bench.score import Outcome
+from ringpose.bench.summary import ABSENT, Spread, Summary
+
+OUTCOMES = {
+    Outcome.OK: "ok",
+    Outcome.DEGRADED: "degraded",
+    Outcome.MISSED: "missed",
+    Outcome.PARTIAL: "partial",
+    Outcome.PARTIAL_NONE: "part.none",
+    Outcome.NO_TARGET: "no target",
+    Outcome.WRONG: "wrong",
+    Outcome.LOST: "lost",
+}
+
+_MM = 1e3
+_DEG = 180 / math.pi
+
+COLUMNS = {
+    "center_x_m": ("x mm", _MM),
+    "center_y_m": ("y mm", _MM),
+    "center_z_m": ("z mm", _MM),
+    "center_m": ("center mm", _MM),
+    "normal_rad": ("normal deg", _DEG),
+    "radius_inner_m": ("r_in mm", _MM),
+    "radius_outer_m": ("r_out mm", _MM),
+    "grasp_m": ("grasp mm", _MM),
+}
+"""Heading and factor of each quantity."""
+
+NEES = {"center_nees": "center NEES", "normal_nees": "normal NEES"}
+
+
+def table(summaries: Sequence[Summary], by: Sequence[str]) -> str:
+    """Three blocks: what became of the shots, the errors' RMSE with NEES, their median and maximum."""
+    blocks = [
+        _block("shots", summaries, by, _counts),
+        _block("errors, root mean square", summaries, by, _rmse),
+        _block("errors, median and maximum", summaries, by, _median_and_max),
+    ]
+    return "\n\n".join(blocks) + "\n"
+
+
+def _block(
+    title: str, summaries: Sequence[Summary], by: Sequence[str], cells: Callable[[Summary], Mapping[str, str]]
+) -> str:
+    names = ["method", *by]
+    rows = [[*_group_cells(line, by), *cells(line).values()] for line in summaries]
+    heading = [*names, *(cells(summaries[0]) if summaries else {})]
+    return "\n".join([title, *aligned([heading, *rows], left=len(names))])
+
+
+def aligned(rows: Sequence[Sequence[str]], left: int) -> list[str]:
+    """Rows of cells as lines; the first `left` columns flush left, the others flush right."""
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    return [
+        "  ".join(
+            cell.ljust(width) if column < left else cell.rjust(width)
+            for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
+
+
+def _group_cells(line: Summary, by: Sequence[str]) -> list[str]:
+    method = line.method or ABSENT
+    return [method, *(str(line.group.get(name, ABSENT)) if line.group else "all" for name in by)]
+
+
+def _counts(line: Summary) -> Mapping[str, str]:
+    counted = {heading: str(line.outcomes[outcome]) for outcome, heading in OUTCOMES.items()}
+    return {"shots": str(line.shots), **counted}
+
+
+def _rmse(line: Summary) -> Mapping[str, str]:
+    errors = {
+        heading: _number(line.errors.get(name), factor, lambda spread: spread.rmse)
+        for name, (heading, factor) in COLUMNS.items()
+    }
+    nees = {heading: f"{line.nees[name]:.3g}" if name in line.nees else ABSENT for name, heading in NEES.items()}
+    return {**errors, **nees}
+
+
+def _median_and_max(line: Summary) -> Mapping[str, str]:
+    cells = {}
+    for name in ("center_m", "normal_rad", "radius_inner_m", "radius_outer_m", "grasp_m"):
+        heading, factor = COLUMNS[name]
+        cells[heading] = _number(line.errors.get(name), factor, lambda spread: spread.median)
+        cells[f"{heading.split()[0]} max"] = _number(line.errors.get(name), factor, lambda spread: spread.max)
+    return cells
+
+
+def _number(spread: Spread | None, factor: float, part: Callable[[Spread], float]) -> str:
+    """Three significant digits, without an exponent."""
+    if spread is None:
+        return ABSENT
+    value = part(spread) * factor
+    if value == 0:
+        return "0"
+    digits = max(0, 2 - math.floor(math.log10(value)))
+    return f"{value:.{digits}f}"

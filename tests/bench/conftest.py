@@ -1,0 +1,79 @@
+"""A ring that faces the camera at 1 m, and answers about it."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ringpose.bench.answer import Answer
+from ringpose.types.camera import Camera
+from ringpose.types.truth import Truth
+
+CENTER_M = np.array([0.1, -0.2, 1.0])
+NORMAL = np.array([0.0, 0.0, -1.0])
+ANGLES_RAD = np.array([-0.2, 0.0, 0.3])
+"""Where the three stripes cross the ring, from the x axis."""
+
+
+@pytest.fixture
+def camera() -> Camera:
+    matrix = np.array([[1000.0, 0.0, 800.0], [0.0, 1000.0, 600.0], [0.0, 0.0, 1.0]])
+    return Camera(
+        camera_name="plain",
+        image_width=1600,
+        image_height=1200,
+        camera_matrix=matrix,
+        distortion_model="plumb_bob",
+        distortion_coefficients=np.zeros(5),
+    )
+
+
+@pytest.fixture
+def on_ring() -> Callable[[float, float], Any]:
+    """The point of the ring's plane at an angle from the x axis and a radius."""
+
+    def point(angle_rad: float, radius_m: float) -> Any:
+        return CENTER_M + radius_m * np.array([np.cos(angle_rad), np.sin(angle_rad), 0.0])
+
+    return point
+
+
+@pytest.fixture
+def truth_of(on_ring: Callable[[float, float], Any]) -> Callable[..., Truth]:
+    def truth(**changes: Any) -> Truth:
+        pixels = [
+            [1000 * point[:2] / point[2] + [800, 600] for point in (on_ring(angle, 0.4), on_ring(angle, 0.5))]
+            for angle in ANGLES_RAD
+        ]
+        values: dict[str, Any] = {
+            "shot": "a",
+            "expect": "pose",
+            "center_m": CENTER_M,
+            "normal": NORMAL,
+            "radius_inner_m": 0.4,
+            "radius_outer_m": 0.5,
+            "break_points_px": np.array(pixels),
+        }
+        return Truth(**{**values, **changes})
+
+    return truth
+
+
+@pytest.fixture
+def answer_of(on_ring: Callable[[float, float], Any]) -> Callable[..., Answer]:
+    """The true answer, but for the changes."""
+
+    def answer(**changes: Any) -> Answer:
+        values: dict[str, Any] = {
+            "shot": "a",
+            "method": "paper",
+            "center_m": CENTER_M,
+            "normal": NORMAL,
+            "radius_inner_m": 0.4,
+            "radius_outer_m": 0.5,
+            "grasp_m": on_ring(0.0, 0.45),
+        }
+        return Answer(**{**values, **changes})
+
+    return answer

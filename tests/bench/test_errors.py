@@ -1,0 +1,72 @@
+"""Closed-form cases of the errors."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ringpose.bench.errors import distance_to_circle_m, mahalanobis_squared, tilt_error_rad
+from ringpose.geometry.rotations import tilted
+
+ORIGIN = np.zeros(3)
+Z = np.array([0.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("point", "distance"),
+    [
+        ([2.0, 0.0, 0.0], 0.0),
+        ([0.0, -2.0, 0.0], 0.0),
+        ([5.0, 0.0, 4.0], 5.0),
+        ([0.0, 0.0, 0.0], 2.0),
+        ([0.0, 1.0, 0.0], 1.0),
+    ],
+)
+def test_distance_to_a_circle_of_radius_2_about_the_z_axis(point, distance):
+    assert distance_to_circle_m(np.array(point), ORIGIN, Z, 2.0) == pytest.approx(distance, abs=1e-15)
+
+
+@given(st.floats(0, 2 * np.pi), st.floats(-1, 1), st.floats(-1, 1))
+def test_moving_a_point_off_the_circle_is_seen_in_full(angle, outwards, upwards):
+    direction = np.array([np.cos(angle), np.sin(angle), 0.0])
+    point = (2.0 + outwards) * direction + upwards * Z
+
+    distance = distance_to_circle_m(point + 3.0, ORIGIN + 3.0, Z, 2.0)
+
+    assert distance == pytest.approx(np.hypot(outwards, upwards), abs=1e-14)
+
+
+def test_mahalanobis_distance_of_a_correlated_error():
+    covariance = np.array([[2.0, 1.0], [1.0, 2.0]])
+
+    along = mahalanobis_squared(np.array([3.0, 3.0]), covariance)
+    across = mahalanobis_squared(np.array([1.0, -1.0]), covariance)
+
+    assert along == pytest.approx(18 / 3)
+    assert across == pytest.approx(2 / 1)
+
+
+def test_an_error_along_a_direction_that_is_claimed_to_be_exact_is_huge():
+    covariance = np.diag([1.0, 1.0, 0.0])
+
+    assert mahalanobis_squared(np.array([0.0, 0.0, 0.001]), covariance) > 1e5
+    assert mahalanobis_squared(np.array([1.0, 1.0, 0.0]), covariance) == pytest.approx(2)
+
+
+def test_mean_nees_of_errors_drawn_from_their_covariance_is_1(rng):
+    factor = rng.normal(size=(3, 3))
+    errors = rng.normal(size=(4000, 3)) @ factor.T
+
+    nees = np.mean([mahalanobis_squared(error, factor @ factor.T) / 3 for error in errors])
+
+    assert nees == pytest.approx(1, abs=4 * np.sqrt(2 / (3 * 4000)))
+
+
+@given(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3))
+def test_tilts_lead_from_the_answer_to_the_truth(tilt_1, tilt_2):
+    normal = np.array([0.48, -0.6, -0.64])
+    truth = tilted(normal, np.array([tilt_1, tilt_2]))
+
+    tilt_rad = tilt_error_rad(normal, truth)
+
+    np.testing.assert_allclose(tilt_rad, [tilt_1, tilt_2], atol=1e-12)

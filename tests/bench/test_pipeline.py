@@ -1,0 +1,54 @@
+"""Answers joined with truths."""
+
+from ringpose.bench.answer import Answer
+from ringpose.bench.pipeline import answered_twice, scores, without_truth
+from ringpose.bench.score import Outcome
+
+
+def outcomes(found):
+    return [(score.method, score.shot, score.outcome) for score in found]
+
+
+def test_every_true_shot_is_scored_in_the_order_of_the_truth(truth_of, answer_of):
+    truths = [truth_of(shot=name) for name in "abc"]
+
+    found = scores([answer_of(shot="c"), answer_of(shot="a")], truths, None)
+
+    assert outcomes(found) == [("paper", "a", Outcome.OK), ("paper", "b", Outcome.LOST), ("paper", "c", Outcome.OK)]
+
+
+def test_each_method_is_scored_by_itself(truth_of, answer_of):
+    truths = [truth_of(shot=name) for name in "ab"]
+
+    found = scores([answer_of(shot="a"), answer_of(shot="b", method="other")], truths, None)
+
+    assert outcomes(found) == [
+        ("paper", "a", Outcome.OK),
+        ("paper", "b", Outcome.LOST),
+        ("other", "a", Outcome.LOST),
+        ("other", "b", Outcome.OK),
+    ]
+
+
+def test_a_line_without_a_method_counts_for_every_method(truth_of, answer_of):
+    none = Answer(shot="b", method="", posed=False)
+
+    found = scores([none, answer_of(shot="a")], [truth_of(shot="a"), truth_of(shot="b")], None)
+
+    assert outcomes(found) == [("paper", "a", Outcome.OK), ("paper", "b", Outcome.MISSED)]
+
+
+def test_no_answer_at_all_leaves_every_shot_lost(truth_of):
+    assert outcomes(scores([], [truth_of()], None)) == [("", "a", Outcome.LOST)]
+
+
+def test_answers_without_a_truth_are_named_once(truth_of, answer_of):
+    answers = [answer_of(shot="z"), answer_of(), answer_of(shot="z", method="other"), answer_of(shot="y")]
+
+    assert without_truth(answers, [truth_of()]) == ["z", "y"]
+
+
+def test_a_shot_answered_twice_by_one_method_is_named(answer_of):
+    answers = [answer_of(), answer_of(method="other"), answer_of(shot="b"), answer_of()]
+
+    assert answered_twice(answers) == ["a"]

@@ -1,0 +1,74 @@
+"""Groups of scores."""
+
+import pytest
+
+from ringpose.bench.score import Outcome, Score
+from ringpose.bench.summary import ABSENT, spread, summaries
+
+
+def scored(
+    shot: str, error_m: float | None = None, *, method: str = "paper", **groups: str | float | int | bool
+) -> Score:
+    return Score(
+        shot=shot,
+        method=method,
+        outcome=Outcome.MISSED if error_m is None else Outcome.OK,
+        groups=groups,
+        errors={} if error_m is None else {"center_x_m": error_m},
+    )
+
+
+def test_the_spread_of_errors_of_both_signs():
+    found = spread([3.0, -4.0, 0.0, 12.0])
+
+    assert found.count == 4
+    assert found.rmse == 6.5
+    assert found.median == 3.5
+    assert found.max == 12.0
+
+
+def test_groups_come_sorted_by_size_and_all_shots_come_last():
+    lines = summaries([scored(str(at), 1.0, distance_m=at) for at in (10, 2.5, 0.5, 2.5)], ["distance_m"])
+
+    assert [(line.group.get("distance_m"), line.shots) for line in lines] == [(0.5, 1), (2.5, 2), (10, 1), (None, 4)]
+
+
+def test_a_group_that_a_truth_does_not_name_is_a_dash():
+    lines = summaries([scored("a", 1.0, light="dim"), scored("b", 1.0)], ["light"])
+
+    assert [line.group.get("light") for line in lines] == [ABSENT, "dim", None]
+
+
+def test_failures_are_counted_and_do_not_enter_the_errors():
+    (line,) = summaries([scored("a", 3.0), scored("b"), scored("c", -3.0)], [])
+
+    assert (line.outcomes[Outcome.OK], line.outcomes[Outcome.MISSED], line.outcomes[Outcome.LOST]) == (2, 1, 0)
+    assert line.errors["center_x_m"].count == 2
+    assert line.errors["center_x_m"].rmse == 3.0
+
+
+def test_counts_of_the_outcomes_add_up_to_the_shots():
+    lines = summaries([scored("a", 1.0, light="dim"), scored("b", light="dim"), scored("c", light="sun")], ["light"])
+
+    assert [sum(line.outcomes.values()) for line in lines] == [line.shots for line in lines]
+
+
+def test_methods_are_not_mixed():
+    lines = summaries([scored("a", 1.0), scored("a", 5.0, method="other")], [])
+
+    assert [(line.method, line.errors["center_x_m"].rmse) for line in lines] == [("paper", 1.0), ("other", 5.0)]
+
+
+def test_a_quantity_that_nobody_gave_is_not_there():
+    (line,) = summaries([scored("a")], [])
+
+    assert line.errors == {}
+
+
+def test_nees_is_a_mean_not_a_root():
+    one = Score(shot="a", method="ml", outcome=Outcome.OK, errors={"center_nees": 0.5})
+    two = Score(shot="b", method="ml", outcome=Outcome.OK, errors={"center_nees": 1.7})
+
+    (line,) = summaries([one, two], [])
+
+    assert line.nees["center_nees"] == pytest.approx(1.1)

@@ -1,0 +1,42 @@
+"""The table as the user sees it."""
+
+from ringpose.bench.score import Outcome, Score
+from ringpose.bench.summary import summaries
+from ringpose.bench.table import aligned, table
+
+
+def scores() -> list[Score]:
+    near = {"center_m": 0.0123456, "normal_rad": 0.0174533, "grasp_m": 0.00012345, "center_nees": 1.25}
+    return [
+        Score(shot="a", method="paper", outcome=Outcome.OK, groups={"distance_m": 0.5}, errors=near),
+        Score(shot="b", method="paper", outcome=Outcome.MISSED, groups={"distance_m": 1}),
+    ]
+
+
+def test_every_line_of_a_block_has_its_numbers_in_columns():
+    block = table(summaries(scores(), ["distance_m"]), ["distance_m"]).split("\n\n")[0].splitlines()
+
+    assert block == [
+        "shots",
+        "method  distance_m  shots  ok  degraded  missed  partial  part.none  no target  wrong  lost",
+        "paper   0.5             1   1         0       0        0          0          0      0     0",
+        "paper   1               1   0         0       1        0          0          0      0     0",
+        "paper   all             2   1         0       1        0          0          0      0     0",
+    ]
+
+
+def test_errors_have_three_digits_in_millimetres_and_degrees():
+    block = table(summaries(scores(), []), []).split("\n\n")[1].splitlines()
+
+    assert block[1].split("  ")[-1] == "normal NEES"
+    assert block[2].split() == ["paper", "-", "-", "-", "12.3", "1.00", "-", "-", "0.123", "1.25", "-"]
+
+
+def test_there_is_no_trailing_space_and_no_tab():
+    lines = table(summaries(scores(), ["distance_m"]), ["distance_m"]).splitlines()
+
+    assert [line for line in lines if line != line.rstrip() or "\t" in line] == []
+
+
+def test_text_is_flush_left_and_numbers_are_flush_right():
+    assert aligned([["ab", "1"], ["c", "22"]], left=1) == ["ab   1", "c   22"]

@@ -1,0 +1,42 @@
+"""Limits that are held, and limits that are missed."""
+
+from ringpose.bench.score import Outcome, Score
+from ringpose.bench.summary import summaries
+from ringpose.bench.thresholds import missed_count_limits, missed_error_limits
+
+
+def scored(light: str, grasp_m: float | None) -> Score:
+    return Score(
+        shot=light,
+        method="paper",
+        outcome=Outcome.MISSED if grasp_m is None else Outcome.OK,
+        groups={"light": light},
+        errors={} if grasp_m is None else {"grasp_m": grasp_m},
+    )
+
+
+LINES = summaries([scored("dim", 0.001), scored("sun", 0.003), scored("none", None)], ["light"])
+
+
+def test_a_limit_that_every_group_holds_says_nothing():
+    assert missed_error_limits(LINES, {"grasp_m": 0.0031}) == []
+
+
+def test_one_group_over_the_limit_is_named_though_all_together_hold_it():
+    assert missed_error_limits(LINES, {"grasp_m": 0.0025}) == [
+        "grasp_m: RMSE 0.003 of light sun (paper) exceeds 0.0025"
+    ]
+
+
+def test_a_limit_on_what_nobody_gave_is_missed():
+    assert missed_error_limits(LINES, {"normal_rad": 1.0}) == ["normal_rad: no shot has such an error, limit 1"]
+
+
+def test_too_many_misses_are_counted_over_all_groups():
+    limits = {(Outcome.MISSED, Outcome.LOST): 0}
+
+    assert missed_count_limits(LINES, limits) == ["missed and lost: 1 shots of all shots (paper) exceed 0"]
+
+
+def test_as_many_misses_as_allowed_are_allowed():
+    assert missed_count_limits(LINES, {(Outcome.MISSED,): 1}) == []
