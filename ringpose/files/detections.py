@@ -1,0 +1,145 @@
+"""Detections: one NPZ a shot or one JSON record, with the same names in both."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Int64
+
+from ringpose.files.archives import Archive, write_archive
+from ringpose.files.fields import Fields
+from ringpose.types.arrays import Array
+from ringpose.types.break_points import BreakPoints, Detection, NoBreakPoints
+from ringpose.types.segments import Segments
+from ringpose.types.stripes import Stripes
+
+SCHEMA = "ringpose/detection/1"
+
+_POINTS = ("position_px", "covariance_px2", "flags", "face_start_px", "face_end_px", "face_sigma_px", "labelled")
+_STRIPES = ("position_px", "sigma_px", "peak_dn", "piece", "laser")
+_SEGMENTS = ("start_px", "end_px", "support")
+_PARTS = {"break_points": _POINTS, "stripes": _STRIPES, "segments": _SEGMENTS}
+_KEYS = ("schema", "shot", "stamp_s", "reason", *_PARTS)
+
+
+def detection_record(detection: Detection, full: bool = True) -> dict[str, Any]:
+    """The record of one shot; without `full` stripes and segments, which are long, are left out."""
+    found = detection.break_points if isinstance(detection.break_points, BreakPoints) else None
+    record: dict[str, Any] = {
+        "schema": SCHEMA,
+        "shot": detection.shot,
+        "stamp_s": detection.stamp_s,
+        "reason": detection.break_points.value if isinstance(detection.break_points, NoBreakPoints) else None,
+        "break_points": _part(found, _POINTS),
+    }
+    if full:
+        record |= {"stripes": _part(detection.stripes, _STRIPES), "segments": _part(detection.segments, _SEGMENTS)}
+    return record
+
+
+def detection_of(record: Mapping[str, Any], place: str) -> Detection:
+    """The detection that a record is; null numbers become NaN."""
+    fields = Fields(place, record, _KEYS)
+    schema = fields.text("schema")
+    if schema != SCHEMA:
+        raise fields.problem("schema", f"is {schema!r}, must be {SCHEMA!r}", "give the output of ringpose detect")
+    parts = {key: fields.fields(key, _PARTS[key]) for key in _PARTS if fields.has(key)}
+    return Detection(
+        shot=fields.text("shot"),
+        stamp_s=fields.number("stamp_s") if fields.has("stamp_s") else math.nan,
+        break_points=_break_points(parts["break_points"]) if "break_points" in parts else _reason(fields),
+        stripes=_stripes(parts["stripes"]) if "stripes" in parts else None,
+        segments=_segments(parts["segments"]) if "segments" in parts else None,
+    )
+
+
+def write_detection(path: Path, detection: Detection, *, force: bool = False) -> None:
+    """Write a detection as NPZ: the record's keys, those of its parts as `break_points.position_px`."""
+    arrays: dict[str, Any] = {}
+    for key, value in detection_record(detection).items():
+        if isinstance(value, Mapping):
+            arrays |= {f"{key}.{name}": part for name, part in value.items()}
+        elif value is not None:
+            arrays[key] = value
+    write_archive(path, arrays, force=force)
+
+
+def read_detection(path: Path) -> Detection:
+    """The detection in an NPZ file."""
+    return detection_in(Archive(path))
+
+
+def detection_in(archive: Archive) -> Detection:
+    """The detection in an open archive."""
+    record: dict[str, Any] = {}
+    for key, array in archive.arrays.items():
+        part, _, name = key.partition(".")
+        if name and part in _PARTS:
+            record.setdefault(part, {})[name] = array.tolist()
+        else:
+            record[key] = array.tolist()
+    return detection_of(record, str(archive.path))
+
+
+def is_detection(archive: Archive) -> bool:
+    """Whether an archive says that it is a detection, of whatever version."""
+    return "schema" in archive
+
+
+def _part(part: object, names: tuple[str, ...]) -> dict[str, Any] | None:
+    return None if part is None else {name: getattr(part, name) for name in names}
+
+
+def _reason(fields: Fields) -> NoBreakPoints:
+    sentence = fields.text("reason")
+    try:
+        return NoBreakPoints(sentence)
+    except ValueError:
+        raise fields.problem("reason", f"unknown reason {sentence[:60]!r}") from None
+
+
+def _break_points(fields: Fields) -> BreakPoints:
+    position = fields.array("position_px", (None, 2, 2), allow_nan=True)
+    lasers = len(position)
+    return BreakPoints(
+        position_px=position,
+        covariance_px2=fields.array("covariance_px2", (lasers, 2, 2, 2), allow_nan=True),
+        flags=_integers(fields, "flags", (lasers, 2)),
+        face_start_px=fields.array("face_start_px", (lasers, 2), allow_nan=True),
+        face_end_px=fields.array("face_end_px", (lasers, 2), allow_nan=True),
+        face_sigma_px=fields.array("face_sigma_px", (lasers, 2), allow_nan=True),
+        labelled=fields.boolean("labelled"),
+    )
+
+
+def _stripes(fields: Fields) -> Stripes:
+    position = fields.array("position_px", (None, 2))
+    laser = _integers(fields, "laser", (None,))
+    piece = _integers(fields, "piece", (len(position),))
+    if len(piece) and not 0 <= piece.min() <= piece.max() < len(laser):
+        raise fields.problem("piece", f"names a piece beyond the {len(laser)} that there are")
+    return Stripes(
+        position_px=position,
+        sigma_px=fields.array("sigma_px", (len(position),), allow_nan=True),
+        peak_dn=fields.array("peak_dn", (len(position),), allow_nan=True),
+        piece=piece,
+        laser=laser,
+    )
+
+
+def _segments(fields: Fields) -> Segments:
+    start = fields.array("start_px", (None, 2))
+    return Segments(
+        start_px=start,
+        end_px=fields.array("end_px", (len(start), 2)),
+        support=_integers(fields, "support", (len(start),)),
+    )
+
+
+def _integers(fields: Fields, key: str, shape: tuple[int | None, ...]) -> Int64[Array, "..."]:
+    numbers = fields.array(key, shape)
+    if np.any(numbers != np.round(numbers)):
+        raise fields.problem(key, "has a number that is not whole")
+    return numbers.astype(np.int64)

@@ -1,0 +1,70 @@
+"""What a command is given to read: files, folders, or `-`, each yielded as soon as it is named."""
+
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ringpose.errors import DataError, NoInputError
+from ringpose.files import records
+
+STDIN = "-"
+
+
+class Record(NamedTuple):
+    """A JSON record that came on stdin, and the place it came from."""
+
+    place: str
+    values: dict[str, Any]
+
+
+Input = Path | Record
+Problem = DataError | NoInputError
+
+
+def inputs(arguments: Iterable[str | Path], suffixes: Iterable[str]) -> Iterator[Input | Problem]:
+    """The inputs in the order in which they are named; of a folder its files with these suffixes, by name.
+
+    `-` stands for what stdin names, one a line, read as it comes: a name (file or folder), or a JSON record. What
+    cannot be an input is yielded as the error that says so, for the caller's batch to report and go on.
+    """
+    wanted = tuple(suffixes)
+    for argument in arguments:
+        if str(argument) == STDIN:
+            yield from _named_on_stdin(wanted)
+        else:
+            yield from _paths(Path(argument), wanted)
+
+
+def _named_on_stdin(suffixes: tuple[str, ...]) -> Iterator[Input | Problem]:
+    if sys.stdin is None:
+        yield NoInputError("standard input", "is closed")
+        return
+    for number, line in enumerate(sys.stdin, start=1):
+        text = line.strip()
+        if text.startswith("{"):
+            yield _record(text, f"standard input:{number}")
+        elif text:
+            yield from _paths(Path(line.rstrip("\r\n")), suffixes)
+
+
+def _record(line: str, place: str) -> Record | DataError:
+    try:
+        return Record(place, records.record_of(line, place))
+    except DataError as problem:
+        return problem
+
+
+def _paths(path: Path, suffixes: tuple[str, ...]) -> Iterator[Path | NoInputError]:
+    try:
+        files = sorted(child for child in path.iterdir() if _wanted(child, suffixes)) if path.is_dir() else [path]
+    except OSError as error:
+        yield NoInputError(str(path), f"cannot be opened: {(error.strerror or str(error)).lower()}")
+        return
+    if not files:
+        yield NoInputError(str(path), f"holds no file that ends with {', '.join(suffixes)}")
+    yield from files
+
+
+def _wanted(path: Path, suffixes: tuple[str, ...]) -> bool:
+    return path.suffix.lower() in suffixes and not path.name.startswith(".")

@@ -1,0 +1,152 @@
+"""The pose line: one JSON record a shot (`ringpose-records(5)`, `pose.schema.json`)."""
+
+import math
+from collections.abc import Mapping
+from typing import Any, cast
+
+import numpy as np
+from jaxtyping import Float64
+
+from ringpose.files.fields import Fields
+from ringpose.types.arrays import Array
+from ringpose.types.pose_line import PoseFrame, PoseLine
+from ringpose.types.ring_pose import PoseFlag, RingPose
+
+SCHEMA = "ringpose/pose/1"
+
+_KEYS = (
+    "schema",
+    "shot",
+    "stamp_s",
+    "frame",
+    "status",
+    "reason",
+    "flags",
+    "pose",
+    "laser_health",
+    "dropped",
+    "latency_s",
+    "rig",
+)
+_POSE_KEYS = (
+    "center_m",
+    "normal",
+    "pitch_rad",
+    "yaw_rad",
+    "radius_inner_m",
+    "radius_outer_m",
+    "grasp_m",
+    "covariance",
+    "ring_posterior",
+    "method",
+    "residual_rms_px",
+    "condition",
+)
+_COVARIANCE_KEYS = ("full", "center", "grasp")
+
+
+def pose_record(line: PoseLine) -> dict[str, Any]:
+    """The record of one shot; what is not finite becomes null when it is written."""
+    return {
+        "schema": SCHEMA,
+        "shot": line.shot,
+        "stamp_s": line.stamp_s,
+        "frame": line.frame,
+        "status": line.status,
+        "reason": line.reason,
+        "flags": list(line.flags),
+        "pose": None if line.pose is None else _pose_values(line.pose),
+        "laser_health": dict(line.laser_health),
+        "dropped": line.dropped,
+        "latency_s": line.latency_s,
+        "rig": line.rig or None,
+    }
+
+
+def pose_line_of(record: Mapping[str, Any], place: str) -> PoseLine:
+    """The line that a record is; null becomes NaN, or None where the whole quantity is missing."""
+    fields = Fields(place, record, _KEYS)
+    schema = fields.text("schema")
+    if schema != SCHEMA:
+        raise fields.problem("schema", f"is {schema!r}, must be {SCHEMA!r}", "give the output of ringpose pose")
+    flags = _flags(fields)
+    return PoseLine(
+        shot=fields.text("shot"),
+        stamp_s=_number(fields, "stamp_s"),
+        pose=_pose_of(fields.fields("pose", _POSE_KEYS), flags) if fields.has("pose") else None,
+        reason=fields.text("reason") if fields.has("reason") else None,
+        frame=cast(PoseFrame, fields.choice("frame", ("camera", "tool"))),
+        laser_health=fields.fields("laser_health").values if fields.has("laser_health") else {},
+        dropped=fields.integer("dropped", least=0) if fields.has("dropped") else 0,
+        latency_s=_number(fields, "latency_s"),
+        rig=fields.text("rig") if fields.has("rig") else "",
+    )
+
+
+def _pose_values(pose: RingPose) -> dict[str, Any]:
+    return {
+        "center_m": _whole(pose.center_m),
+        "normal": _whole(pose.normal),
+        "pitch_rad": pose.pitch_rad,
+        "yaw_rad": pose.yaw_rad,
+        "radius_inner_m": pose.radius_inner_m,
+        "radius_outer_m": pose.radius_outer_m,
+        "grasp_m": _whole(pose.grasp_m),
+        "covariance": _covariance_values(pose),
+        "ring_posterior": None,
+        "method": pose.method,
+        "residual_rms_px": pose.residual_rms_px,
+        "condition": pose.condition,
+    }
+
+
+def _covariance_values(pose: RingPose) -> dict[str, Any] | None:
+    matrices = (pose.covariance, pose.covariance_center_m2, pose.covariance_grasp_m2)
+    if all(matrix is None for matrix in matrices):
+        return None
+    return {key: _whole(matrix) for key, matrix in zip(_COVARIANCE_KEYS, matrices, strict=True)}
+
+
+def _whole(values: Float64[Array, "..."] | None) -> Float64[Array, "..."] | None:
+    """The array, or None if a part of it is not known."""
+    return values if values is not None and np.isfinite(values).all() else None
+
+
+def _pose_of(fields: Fields, flags: PoseFlag) -> RingPose:
+    covariance = fields.fields("covariance", _COVARIANCE_KEYS) if fields.has("covariance") else None
+    return RingPose(
+        center_m=_vector(fields, "center_m"),
+        normal=_vector(fields, "normal"),
+        radius_inner_m=_number(fields, "radius_inner_m"),
+        radius_outer_m=_number(fields, "radius_outer_m"),
+        grasp_m=_vector(fields, "grasp_m"),
+        method=fields.text("method"),
+        condition=_number(fields, "condition", missing=math.inf),
+        residual_rms_px=_number(fields, "residual_rms_px"),
+        covariance=_matrix(covariance, "full", 7),
+        covariance_center_m2=_matrix(covariance, "center", 3),
+        covariance_grasp_m2=_matrix(covariance, "grasp", 3),
+        flags=flags,
+    )
+
+
+def _flags(fields: Fields) -> PoseFlag:
+    flags = PoseFlag(0)
+    known = {str(flag.name).lower(): flag for flag in PoseFlag}
+    for name in fields.texts("flags"):
+        if name not in known:
+            raise fields.problem("flags", f"unknown flag {name!r}")
+        flags |= known[name]
+    return flags
+
+
+def _number(fields: Fields, key: str, missing: float = math.nan) -> float:
+    return fields.number(key) if fields.has(key) else missing
+
+
+def _vector(fields: Fields, key: str) -> Float64[Array, "xyz=3"]:
+    return fields.vector(key, 3) if fields.has(key) else np.full(3, np.nan)
+
+
+def _matrix(fields: Fields | None, key: str, size: int) -> Float64[Array, "n n"] | None:
+    return fields.array(key, (size, size)) if fields is not None and fields.has(key) else None
