@@ -1,23 +1,27 @@
 """One answer against one truth: an outcome and the errors."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
+from jaxtyping import Float64
 
 from ringpose.bench.answer import Answer
 from ringpose.bench.arc import outside_arc
 from ringpose.bench.errors import distance_to_circle_m, mahalanobis_squared, tilt_error_rad
 from ringpose.geometry.rotations import angle_between
+from ringpose.types.arrays import Array
 from ringpose.types.camera import Camera
+from ringpose.types.ring_pose import PoseFlag, RingPose
 from ringpose.types.truth import Truth
 
 WRONG_SIGMAS = 5.0
 """A centre farther off than this, in its own standard deviations and without a flag, is a wrong pose."""
 
-CENTER_FLAGS = frozenset({"center_weak", "damped"})
-"""Flags that warn of the centre."""
+CENTER_FLAGS = PoseFlag.CENTER_WEAK | PoseFlag.DAMPED
+"""What warns of the centre."""
 
 
 class Outcome(StrEnum):
@@ -69,7 +73,7 @@ the true mid-band circle; squared error in standard deviations, by degree of fre
 
 def score(truth: Truth, answer: Answer | None, method: str, camera: Camera | None) -> Score:
     """An answer (None for a shot without a line) against the truth; without the camera the arc goes unchecked."""
-    errors = {} if answer is None else _errors(truth, answer)
+    errors = {} if answer is None or answer.pose is None else _errors(truth, answer.pose)
     return Score(
         shot=truth.shot,
         method=method,
@@ -82,65 +86,69 @@ def score(truth: Truth, answer: Answer | None, method: str, camera: Camera | Non
 def _outcome(truth: Truth, answer: Answer | None, errors: Mapping[str, float], camera: Camera | None) -> Outcome:
     if answer is None:
         return Outcome.LOST
-    if not answer.posed:
+    if answer.pose is None:
         return {"pose": Outcome.MISSED, "partial": Outcome.PARTIAL_NONE, "no_target": Outcome.NO_TARGET}[truth.expect]
-    if _is_wrong(truth, answer, errors, camera):
+    if _is_wrong(truth, answer.pose, errors, camera):
         return Outcome.WRONG
     if truth.expect == "partial":
         return Outcome.PARTIAL
-    return Outcome.DEGRADED if answer.flags else Outcome.OK
+    return Outcome.DEGRADED if answer.pose.flags else Outcome.OK
 
 
-def _is_wrong(truth: Truth, answer: Answer, errors: Mapping[str, float], camera: Camera | None) -> bool:
+def _is_wrong(truth: Truth, pose: RingPose, errors: Mapping[str, float], camera: Camera | None) -> bool:
     if truth.expect == "no_target":
         return True
-    if errors.get("center_nees", 0.0) * 3 > WRONG_SIGMAS**2 and not CENTER_FLAGS & set(answer.flags):
+    if errors.get("center_nees", 0.0) * 3 > WRONG_SIGMAS**2 and not pose.flags & CENTER_FLAGS:
         return True
-    return camera is not None and answer.grasp_m is not None and outside_arc(answer.grasp_m, truth, camera)
+    return camera is not None and _known(pose.grasp_m) and outside_arc(pose.grasp_m, truth, camera)
 
 
-def _errors(truth: Truth, answer: Answer) -> dict[str, float]:
-    if truth.expect == "no_target" or not answer.posed:
+def _errors(truth: Truth, pose: RingPose) -> dict[str, float]:
+    if truth.expect == "no_target":
         return {}
-    errors = {**_normal_errors(truth, answer), **_grasp_errors(truth, answer)}
+    errors = {**_normal_errors(truth, pose), **_grasp_errors(truth, pose)}
     if truth.expect == "pose":
-        errors |= {**_center_errors(truth, answer), **_radius_errors(truth, answer)}
+        errors |= {**_center_errors(truth, pose), **_radius_errors(truth, pose)}
     return errors
 
 
-def _center_errors(truth: Truth, answer: Answer) -> dict[str, float]:
-    if truth.center_m is None or answer.center_m is None:
+def _center_errors(truth: Truth, pose: RingPose) -> dict[str, float]:
+    if truth.center_m is None or not _known(pose.center_m):
         return {}
-    error = answer.center_m - truth.center_m
+    error = pose.center_m - truth.center_m
     errors = {f"center_{axis}_m": float(part) for axis, part in zip("xyz", error, strict=True)}
     errors["center_m"] = float(np.linalg.norm(error))
-    if answer.covariance_center_m2 is not None:
-        errors["center_nees"] = mahalanobis_squared(error, answer.covariance_center_m2) / 3
+    if pose.covariance_center_m2 is not None:
+        errors["center_nees"] = mahalanobis_squared(error, pose.covariance_center_m2) / 3
     return errors
 
 
-def _normal_errors(truth: Truth, answer: Answer) -> dict[str, float]:
-    if truth.normal is None or answer.normal is None:
+def _normal_errors(truth: Truth, pose: RingPose) -> dict[str, float]:
+    if truth.normal is None or not _known(pose.normal):
         return {}
-    errors = {"normal_rad": float(angle_between(answer.normal[None], truth.normal[None])[0])}
-    if answer.covariance is not None:
-        tilt_rad = tilt_error_rad(answer.normal, truth.normal)
-        errors["normal_nees"] = mahalanobis_squared(tilt_rad, answer.covariance[:2, :2]) / 2
+    errors = {"normal_rad": float(angle_between(pose.normal[None], truth.normal[None])[0])}
+    if pose.covariance is not None:
+        tilt_rad = tilt_error_rad(pose.normal, truth.normal)
+        errors["normal_nees"] = mahalanobis_squared(tilt_rad, pose.covariance[:2, :2]) / 2
     return errors
 
 
-def _radius_errors(truth: Truth, answer: Answer) -> dict[str, float]:
+def _radius_errors(truth: Truth, pose: RingPose) -> dict[str, float]:
     pairs = {
-        "radius_inner_m": (answer.radius_inner_m, truth.radius_inner_m),
-        "radius_outer_m": (answer.radius_outer_m, truth.radius_outer_m),
+        "radius_inner_m": (pose.radius_inner_m, truth.radius_inner_m),
+        "radius_outer_m": (pose.radius_outer_m, truth.radius_outer_m),
     }
-    return {name: said - true for name, (said, true) in pairs.items() if said is not None and true is not None}
+    return {name: said - true for name, (said, true) in pairs.items() if true is not None and math.isfinite(said)}
 
 
-def _grasp_errors(truth: Truth, answer: Answer) -> dict[str, float]:
-    if truth.center_m is None or truth.normal is None or answer.grasp_m is None:
+def _grasp_errors(truth: Truth, pose: RingPose) -> dict[str, float]:
+    if truth.center_m is None or truth.normal is None or not _known(pose.grasp_m):
         return {}
     if truth.radius_inner_m is None or truth.radius_outer_m is None:
         return {}
     middle_m = (truth.radius_inner_m + truth.radius_outer_m) / 2
-    return {"grasp_m": distance_to_circle_m(answer.grasp_m, truth.center_m, truth.normal, middle_m)}
+    return {"grasp_m": distance_to_circle_m(pose.grasp_m, truth.center_m, truth.normal, middle_m)}
+
+
+def _known(vector: Float64[Array, "3"]) -> bool:
+    return bool(np.isfinite(vector).all())

@@ -8,6 +8,7 @@ import pytest
 
 from ringpose.bench.answer import Answer
 from ringpose.types.camera import Camera
+from ringpose.types.ring_pose import RingPose
 from ringpose.types.truth import Truth
 
 CENTER_M = np.array([0.1, -0.2, 1.0])
@@ -61,19 +62,30 @@ def truth_of(on_ring: Callable[[float, float], Any]) -> Callable[..., Truth]:
 
 
 @pytest.fixture
-def answer_of(on_ring: Callable[[float, float], Any]) -> Callable[..., Answer]:
-    """The true answer, but for the changes."""
+def pose_of(on_ring: Callable[[float, float], Any]) -> Callable[..., RingPose]:
+    """The true pose, but for the changes."""
 
-    def answer(**changes: Any) -> Answer:
+    def pose(**changes: Any) -> RingPose:
         values: dict[str, Any] = {
-            "shot": "a",
             "method": "paper",
             "center_m": CENTER_M,
             "normal": NORMAL,
             "radius_inner_m": 0.4,
             "radius_outer_m": 0.5,
             "grasp_m": on_ring(0.0, 0.45),
+            "condition": 1.0,
+            "residual_rms_px": 0.0,
         }
-        return Answer(**{**values, **changes})
+        return RingPose(**{**values, **changes})
+
+    return pose
+
+
+@pytest.fixture
+def answer_of(pose_of: Callable[..., RingPose]) -> Callable[..., Answer]:
+    """The true answer, but for changes of the pose."""
+
+    def answer(shot: str = "a", method: str = "paper", **changes: Any) -> Answer:
+        return Answer(shot=shot, method=method, pose=pose_of(method=method, **changes))
 
     return answer

@@ -31,7 +31,7 @@ def test_each_method_is_scored_by_itself(truth_of, answer_of):
 
 
 def test_a_line_without_a_method_counts_for_every_method(truth_of, answer_of):
-    none = Answer(shot="b", method="", posed=False)
+    none = Answer(shot="b", method="", pose=None)
 
     found = scores([none, answer_of(shot="a")], [truth_of(shot="a"), truth_of(shot="b")], None)
 

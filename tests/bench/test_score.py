@@ -6,10 +6,11 @@ import pytest
 from ringpose.bench.answer import Answer
 from ringpose.bench.score import QUANTITIES, Outcome, score
 from ringpose.geometry.rotations import tilted
+from ringpose.types.ring_pose import PoseFlag
 from ringpose.types.truth import Truth
 
 NOTHING = Truth(shot="a", expect="no_target")
-NO_POSE = Answer(shot="a", method="paper", posed=False)
+NO_POSE = Answer(shot="a", method="paper", pose=None)
 SMALL = np.eye(3) * 1e-6
 """A standard deviation of 1 mm."""
 
@@ -46,14 +47,21 @@ def test_normal_radius_and_grasp_errors_are_those_put_in(truth_of, answer_of, on
 
 
 def test_a_radius_that_was_not_seen_is_not_scored(truth_of, answer_of):
-    errors = score(truth_of(), answer_of(radius_inner_m=None), "paper", None).errors
+    errors = score(truth_of(), answer_of(radius_inner_m=np.nan), "paper", None).errors
 
     assert "radius_inner_m" not in errors
     assert "radius_outer_m" in errors
 
 
+def test_a_center_that_is_not_given_is_not_scored(truth_of, answer_of):
+    errors = score(truth_of(), answer_of(center_m=np.full(3, np.nan)), "paper", None).errors
+
+    assert {name for name in errors if "center" in name} == set()
+    assert "normal_rad" in errors
+
+
 def test_a_flag_makes_a_pose_degraded(truth_of, answer_of):
-    assert score(truth_of(), answer_of(flags=("radius_weak",)), "paper", None).outcome is Outcome.DEGRADED
+    assert score(truth_of(), answer_of(flags=PoseFlag.RADIUS_WEAK), "paper", None).outcome is Outcome.DEGRADED
 
 
 @pytest.mark.parametrize(
@@ -89,13 +97,13 @@ def test_a_center_beyond_five_of_its_sigmas_is_wrong(truth_of, answer_of, off_mm
 
 
 def test_a_center_that_is_flagged_is_degraded_however_far_off(truth_of, answer_of):
-    answer = answer_of(center_m=np.zeros(3), covariance_center_m2=SMALL, flags=("center_weak",))
+    answer = answer_of(center_m=np.zeros(3), covariance_center_m2=SMALL, flags=PoseFlag.CENTER_WEAK)
 
     assert score(truth_of(), answer, "paper", None).outcome is Outcome.DEGRADED
 
 
 def test_a_flag_of_something_else_does_not_excuse_the_center(truth_of, answer_of):
-    answer = answer_of(center_m=np.zeros(3), covariance_center_m2=SMALL, flags=("radius_weak",))
+    answer = answer_of(center_m=np.zeros(3), covariance_center_m2=SMALL, flags=PoseFlag.RADIUS_WEAK)
 
     assert score(truth_of(), answer, "paper", None).outcome is Outcome.WRONG
 
@@ -103,7 +111,7 @@ def test_a_flag_of_something_else_does_not_excuse_the_center(truth_of, answer_of
 def test_the_normals_covariance_gives_its_nees(truth_of, answer_of):
     covariance = np.diag([1e-4, 4e-4, 1, 1, 1, 1, 1])
     answer = answer_of(normal=truth_of().normal, covariance=covariance)
-    truth = truth_of(normal=tilted(answer.normal, np.array([0.01, 0.04])))
+    truth = truth_of(normal=tilted(answer.pose.normal, np.array([0.01, 0.04])))
 
     errors = score(truth, answer, "paper", None).errors
 

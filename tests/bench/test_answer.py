@@ -1,0 +1,24 @@
+"""Pose lines as answers."""
+
+import pytest
+
+from ringpose.bench.answer import answer_of
+from ringpose.errors import DataError
+from ringpose.types.pose_line import PoseLine
+
+
+def test_a_line_with_a_pose_names_its_method(pose_of):
+    answer = answer_of(PoseLine(shot="a", stamp_s=0.0, pose=pose_of(method="paper")), "poses:1")
+
+    assert (answer.shot, answer.method) == ("a", "paper")
+
+
+def test_a_line_without_a_pose_names_none():
+    answer = answer_of(PoseLine(shot="a", stamp_s=0.0, pose=None, reason="dark"), "poses:1")
+
+    assert (answer.pose, answer.method) == (None, "")
+
+
+def test_poses_in_the_tools_frame_cannot_be_compared(pose_of):
+    with pytest.raises(DataError, match="poses:7: is in the tool frame"):
+        answer_of(PoseLine(shot="a", stamp_s=0.0, pose=pose_of(), frame="tool"), "poses:7")
