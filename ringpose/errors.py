@@ -8,7 +8,7 @@
       LaserSafetyError     70   a laser may be on that should be off
       CannotCreateError    73   an output exists already, or its folder cannot be written
       InputOutputError     74   reading or writing broke off: disk full, cable pulled
-    SignalReceived      128+n   SIGHUP, SIGINT, SIGTERM as an exception, so that `with` blocks run
+    SignalReceived      128+n   SIGHUP, SIGINT, SIGTERM, a closed pipe as an exception, so that `with` blocks run
 
 0 is done, 1 a bug, 3 done although a shot has no pose or a threshold was missed; 141 a closed pipe.
 """
@@ -75,7 +75,7 @@ class InputOutputError(RingposeError):
 
 
 class SignalReceived(BaseException):
-    """SIGHUP, SIGINT or SIGTERM; no `except Exception` swallows it on its way out."""
+    """SIGHUP, SIGINT, SIGTERM, or a closed pipe; no `except Exception` swallows it on its way out."""
 
     def __init__(self, number: int) -> None:
         self.status = 128 + number

@@ -1,5 +1,7 @@
 """The application object that every subcommand registers itself on."""
 
+from typing import Annotated
+
 import typer
 
 app = typer.Typer(
@@ -14,12 +16,18 @@ app = typer.Typer(
 )
 
 
-@app.callback()
-def _options(
-    show_version: bool = typer.Option(False, "--version", help="Print the version and exit."),
-) -> None:
-    if show_version:
+def _print_version(wanted: bool) -> None:
+    if wanted:
         from importlib.metadata import version
 
         typer.echo(f"ringpose {version('ringpose')}")
         raise typer.Exit
+
+
+@app.callback()
+def _options(
+    show_version: Annotated[
+        bool, typer.Option("--version", help="Print the version and exit.", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
+    pass

@@ -1,12 +1,15 @@
 """Many inputs, of which some may be bad: each is named on stderr, the rest goes on, the worst status is returned."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from typing import TypeVar
 
 import typer
 
 from ringpose.cli import messages
 from ringpose.errors import DataError, NoInputError
+
+_Item = TypeVar("_Item")
 
 
 class Batch:
@@ -23,6 +26,15 @@ class Batch:
         except (DataError, NoInputError) as problem:
             messages.error(problem)
             self.met(problem.status)
+
+    def good(self, items: Iterable[_Item | DataError | NoInputError]) -> Iterator[_Item]:
+        """The items that are no errors, as they come; the errors are named on stderr."""
+        for item in items:
+            if isinstance(item, DataError | NoInputError):
+                messages.error(item)
+                self.met(item.status)
+            else:
+                yield item
 
     def met(self, status: int) -> None:
         """Remember a status."""

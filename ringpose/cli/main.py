@@ -1,50 +1,114 @@
-"""The entry point: signals become exceptions, errors become exit statuses."""
+"""The entry point: signals become exceptions, errors become exit statuses.
+
+Nothing heavy is imported before the signals are caught, so that an interrupt during start-up is no traceback.
+"""
 
 import os
 import signal
 import sys
 from collections.abc import Sequence
+from importlib import import_module
+from importlib.util import find_spec
 from types import FrameType
-
-import typer
+from typing import Any
 
 from ringpose.cli import messages
-from ringpose.cli.app import app
 from ringpose.errors import CLOSED_PIPE, RingposeError, SignalReceived, UsageError
 
-_WRONG_WORDS: type[Exception] = typer.BadParameter.__mro__[1]
-"""UsageError of the click inside typer, which has no public name."""
+COMMANDS = ("capture", "calibrate_camera", "calibrate_planes", "detect", "pose", "simulate", "bench")
+"""Modules of the subcommands, in the order of the help."""
+
+_ENDING = (signal.SIGHUP, signal.SIGINT, signal.SIGTERM)
 
 
 def main(arguments: Sequence[str]) -> int:
     """Run one command line and return its exit status; bugs leave as exceptions."""
     try:
-        status = app(list(arguments), standalone_mode=False)
-        sys.stdout.flush()
-    except _WRONG_WORDS as error:
-        messages.error(UsageError("", error.format_message(), "see ringpose --help"))  # type: ignore[attr-defined]
-        return UsageError.status
-    except typer.Abort:
-        return 128 + signal.SIGINT
-    except BrokenPipeError:
+        status = _command(list(arguments))
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except (BrokenPipeError, SystemExit):  # typer turns the former into the latter, and exits for nothing else
         return CLOSED_PIPE
     except RingposeError as error:
         messages.error(error)
         return error.status
+    except OSError as error:
+        return _output_failed(error)
     except SignalReceived as received:
         return int(received.status)
-    return int(status or 0)
+    except KeyboardInterrupt:
+        return 128 + signal.SIGINT
+    return status
 
 
 def run() -> None:
     """The entry point of the `ringpose` command."""
-    for number in (signal.SIGHUP, signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _raise)
-    status = main(sys.argv[1:])
-    if status == CLOSED_PIPE:  # what Python still holds for stdout would raise again at exit
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    try:
+        for number in _ENDING:
+            if signal.getsignal(number) != signal.SIG_IGN:  # nohup, or a shell's background job
+                signal.signal(number, _raise)
+        for stream in (sys.stdin, sys.stdout):
+            if stream is not None:
+                stream.reconfigure(encoding="utf-8", errors="surrogateescape")  # type: ignore[union-attr]
+        status = main(sys.argv[1:])
+    except SignalReceived as received:
+        status = received.status
+    _ignore_signals()
+    _drop_unwritten()
     sys.exit(status)
 
 
+def _command(arguments: list[str]) -> int:
+    import typer
+
+    from ringpose.cli.app import app
+
+    for name in COMMANDS:
+        if find_spec(f"ringpose.cli.{name}"):
+            import_module(f"ringpose.cli.{name}")
+    wrong_words: Any = typer.BadParameter.__mro__[1]  # UsageError of the click inside typer, which has no public name
+    try:
+        return int(app(arguments, standalone_mode=False) or 0)
+    except wrong_words as error:
+        if type(error).__name__ == "NoArgsIsHelpError":
+            sys.stderr.write(error.format_message().rstrip() + "\n")
+            return UsageError.status
+        context = getattr(error, "ctx", None)
+        raise UsageError("", error.format_message().rstrip("."), f"see {_path(context)} --help") from None
+    except typer.Abort:
+        return 128 + signal.SIGINT
+
+
+def _path(context: object) -> str:
+    """`ringpose pose`, whatever the program was started as."""
+    words = str(getattr(context, "command_path", "")).split()[1:]
+    return " ".join(["ringpose", *words])
+
+
+def _output_failed(error: OSError) -> int:
+    """An error of the last flush of stdout; a file's errors were given their place where they arose."""
+    from ringpose.errors import InputOutputError
+
+    if error.filename is not None:
+        raise error
+    messages.error(InputOutputError("standard output", f"writing broke off: {(error.strerror or str(error)).lower()}"))
+    return InputOutputError.status
+
+
 def _raise(number: int, frame: FrameType | None) -> None:
+    _ignore_signals()  # a second signal must not break off the clean-up after the first
     raise SignalReceived(number)
+
+
+def _ignore_signals() -> None:
+    for number in _ENDING:
+        signal.signal(number, signal.SIG_IGN)
+
+
+def _drop_unwritten() -> None:
+    """What stdout could not take, Python would try to write once more at exit, and complain."""
+    try:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

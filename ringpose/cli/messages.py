@@ -11,6 +11,11 @@ def error(problem: RingposeError) -> None:
 
 
 def say(line: str) -> None:
-    """One line on stderr, with the program's name before it."""
-    sys.stderr.write(f"ringpose: {line}\n")
-    sys.stderr.flush()
+    """One line on stderr, with the program's name before it; lost if nobody can read it."""
+    if sys.stderr is None:
+        return
+    try:
+        sys.stderr.write(f"ringpose: {line}\n")
+        sys.stderr.flush()
+    except OSError:
+        pass

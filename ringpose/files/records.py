@@ -1,11 +1,12 @@
 """Records: one JSON object a line. The one place that writes to stdout."""
 
 import json
+import signal
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from typing import IO, Any
 
-from ringpose.errors import DataError, InputOutputError
+from ringpose.errors import DataError, InputOutputError, SignalReceived
 from ringpose.files.plain import plain
 
 _STDOUT = "standard output"
@@ -22,14 +23,14 @@ def write(record: Mapping[str, Any]) -> None:
 
 
 def write_text(line: str) -> None:
-    """One line on stdout, at once; a closed pipe stays a BrokenPipeError, for the command to end."""
+    """One line on stdout, at once; a closed pipe ends the command as the signal would."""
     if sys.stdout is None:
         raise InputOutputError(_STDOUT, "is closed")
     try:
         sys.stdout.write(line)
         sys.stdout.flush()
     except BrokenPipeError:
-        raise
+        raise SignalReceived(signal.SIGPIPE) from None
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise InputOutputError(_STDOUT, f"writing broke off: {reason}") from error

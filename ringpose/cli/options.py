@@ -1,0 +1,37 @@
+"""Options that several commands share, each written once."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+class Channel(StrEnum):
+    """A channel of a colour image."""
+
+    R = "r"
+    G = "g"
+    B = "b"
+
+
+class PoseFrame(StrEnum):
+    """The frame of a pose's vectors."""
+
+    CAMERA = "camera"
+    TOOL = "tool"
+
+
+Inputs = Annotated[
+    list[str],
+    typer.Argument(metavar="INPUT...", help="Files or folders; - reads names or records from stdin, one a line."),
+]
+RigFile = Annotated[Path, typer.Option("--rig", metavar="FILE", help="The calibrated rig (rig.yaml).")]
+OptionalRigFile = Annotated[Path | None, typer.Option("--rig", metavar="FILE", help="The calibrated rig (rig.yaml).")]
+OutputFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Where the result is written.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace output that exists already.")]
+ImageChannel = Annotated[
+    Channel | None, typer.Option("--channel", help="Read this channel of colour images; else their luminance.")
+]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Say on stderr what becomes of each input.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress on stderr, only errors.")]
