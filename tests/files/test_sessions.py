@@ -1,0 +1,169 @@
+"""Session folders, however they end."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+
+from ringpose.errors import CannotCreateError, DataError, SignalReceived
+from ringpose.files.sessions import SessionWriter, read_session, write_session
+from ringpose.files.shots import read_shot
+from ringpose.types.frame import Shot
+from ringpose.types.session import Capture, Session
+
+CAPTURE = Capture(camera="sim:scene.yaml", lasers="sim:", sequence="off,1,off", laser_count=3)
+
+
+def shot(name: str, value: int = 0) -> Shot:
+    return Shot(
+        name=name,
+        images=np.full((1, 2, 3), value, dtype=np.uint8),
+        lasers=np.array([7], dtype=np.uint8),
+        stamp_s=np.array([1.0]),
+        exposure_s=np.array([0.01]),
+    )
+
+
+def written(folder, *names, existing="refuse", capture=CAPTURE):
+    writer = SessionWriter(folder, capture, existing)
+    with writer:
+        return [writer.add(shot(name)) for name in names]
+
+
+def test_a_session_is_read_as_it_was_written(tmp_path):
+    session = Session(
+        captures=(
+            replace(CAPTURE, exposure_s=0.25, rate_hz=2.0, camera_name="rig_b", state="stopped", shots=("b", "a")),
+            replace(CAPTURE, provenance={"version": "1", "inputs": {"x": "y"}}),
+        )
+    )
+
+    write_session(tmp_path, session)
+
+    assert read_session(tmp_path) == session
+
+
+def test_the_shots_lie_beside_the_file_that_lists_them(tmp_path):
+    paths = written(tmp_path / "s", "b", "a")
+
+    assert [read_shot(path).name for path in paths] == ["b", "a"]
+    assert read_session(tmp_path / "s").shots == ("b", "a")
+    assert read_session(tmp_path / "s").captures[0].state == "finished"
+
+
+def test_a_capture_that_is_killed_leaves_a_valid_session(tmp_path):
+    writer = SessionWriter(tmp_path / "s", CAPTURE)
+    with writer:
+        writer.add(shot("a"))
+        during = read_session(tmp_path / "s")
+
+    assert during.captures[0].state == "capturing"
+
+
+def test_a_signal_leaves_a_stopped_session_with_its_finished_shots(tmp_path):
+    def capture_until_a_signal():
+        writer = SessionWriter(tmp_path / "s", CAPTURE)
+        with writer:
+            writer.add(shot("a"))
+            raise SignalReceived(15)
+
+    with pytest.raises(SignalReceived):
+        capture_until_a_signal()
+
+    (capture,) = read_session(tmp_path / "s").captures
+    assert (capture.state, capture.shots) == ("stopped", ("a",))
+
+
+def test_a_folder_with_something_in_it_is_not_written_to(tmp_path):
+    (tmp_path / "holiday.jpg").write_bytes(b"")
+
+    with pytest.raises(CannotCreateError, match="exists already"):
+        written(tmp_path, "a")
+
+
+@pytest.mark.parametrize("existing", ["append", "replace"])
+def test_a_folder_that_is_no_session_is_neither_replaced_nor_appended_to(tmp_path, existing):
+    (tmp_path / "holiday.jpg").write_bytes(b"")
+
+    with pytest.raises(CannotCreateError, match="no session"):
+        written(tmp_path, "a", existing=existing)
+
+
+def test_replacing_a_session_removes_its_shots_and_nothing_else(tmp_path):
+    written(tmp_path / "s", "old")
+    (tmp_path / "s" / "notes.txt").write_text("mine")
+
+    written(tmp_path / "s", "new", existing="replace")
+
+    assert sorted(path.name for path in (tmp_path / "s").iterdir()) == ["new.npz", "notes.txt", "session.yaml"]
+
+
+def test_appending_keeps_the_earlier_capture_and_its_shots(tmp_path):
+    written(tmp_path / "s", "a")
+
+    written(tmp_path / "s", "b", existing="append", capture=replace(CAPTURE, sequence="all"))
+
+    session = read_session(tmp_path / "s")
+    assert session.shots == ("a", "b")
+    assert [capture.sequence for capture in session.captures] == ["off,1,off", "all"]
+
+
+def test_appending_to_a_capture_that_was_cut_off_lists_its_shots(tmp_path):
+    written(tmp_path / "s", "b", "a")
+    cut_off = replace(CAPTURE, state="capturing")
+    write_session(tmp_path / "s", Session(captures=(cut_off,)))
+
+    written(tmp_path / "s", "c", existing="append")
+
+    earlier, current = read_session(tmp_path / "s").captures
+    assert (earlier.state, earlier.shots) == ("stopped", ("a", "b"))
+    assert current.shots == ("c",)
+
+
+def test_free_names_go_on_after_those_that_are_taken(tmp_path):
+    written(tmp_path / "s", "shot_000001", "shot_000002")
+    writer = SessionWriter(tmp_path / "s", CAPTURE, "append")
+
+    with writer:
+        names = writer.free_names()
+        first = next(names)
+
+    assert first == "shot_000003"
+
+
+def test_two_shots_of_one_name_are_bad_data_and_the_first_stays(tmp_path):
+    writer = SessionWriter(tmp_path / "s", CAPTURE)
+    with writer:
+        writer.add(shot("a", value=1))
+        with pytest.raises(DataError, match="a shot of this name already"):
+            writer.add(shot("a", value=2))
+
+    assert read_shot(tmp_path / "s" / "a.npz").images.max() == 1
+
+
+def test_inputs_stand_in_the_provenance_with_their_hash(tmp_path):
+    (tmp_path / "input").write_bytes(b"abc")
+    writer = SessionWriter(tmp_path / "s", CAPTURE)
+    with writer:
+        writer.read_from(tmp_path / "input")
+
+    inputs = read_session(tmp_path / "s").captures[0].provenance["inputs"]
+    assert inputs == {str(tmp_path / "input"): "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"}
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"state": "done"}, "must be one of capturing, finished, stopped"),
+        ({"shots": [1]}, "must be a list of texts"),
+        ({"laser_count": 9}, "at most 8"),
+        ({"speed": 1}, "unknown key 'speed'"),
+    ],
+)
+def test_what_a_session_cannot_say_is_bad_data_with_its_place(tmp_path, change, complaint):
+    capture = {"camera": "files:x", "lasers": "none:", "state": "finished", "shots": [], **change}
+    (tmp_path / "session.yaml").write_text(yaml.safe_dump({"ringpose": "session/1", "captures": [capture]}))
+
+    with pytest.raises(DataError, match=rf"captures\[0\].*{complaint}"):
+        read_session(tmp_path)
