@@ -72,14 +72,16 @@ def outline_m(board: Board) -> tuple[float, float]:
 
 def _inner_corners(board: Board) -> Float64[Array, "corner xyz=3"]:
     columns, rows = (board.squares_x or 0) - 1, (board.squares_y or 0) - 1
-    return (board.square_m or 0.0) * (_lattice(columns, rows) + _FIRST)
+    corners: Float64[Array, "corner xyz=3"] = (board.square_m or 0.0) * (_lattice(columns, rows) + _FIRST)
+    return corners
 
 
 def _circle_centers(board: Board) -> Float64[Array, "corner xyz=3"]:
     """OpenCV's asymmetric grid: odd rows shifted by one spacing, circles of a row two spacings apart."""
     lattice = _lattice(board.squares_x or 0, board.squares_y or 0)
     lattice[:, 0] = 2 * lattice[:, 0] + lattice[:, 1] % 2
-    return (board.spacing_m or 0.0) * (lattice + _FIRST)
+    centers: Float64[Array, "corner xyz=3"] = (board.spacing_m or 0.0) * (lattice + _FIRST)
+    return centers
 
 
 def _four_origins(board: Board) -> Float64[Array, "marker xyz=3"]:

@@ -1,0 +1,134 @@
+"""Where a board stands in the camera frame (MATH.md section 6)."""
+
+import cv2
+import numpy as np
+from jaxtyping import Float64
+
+from ringpose.calibrate.intrinsics import projection_jacobians
+from ringpose.types.arrays import Array
+from ringpose.types.board import BoardPose, BoardView
+from ringpose.types.camera import Camera
+
+_EXACT = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-14)
+
+
+def board_pose(view: BoardView, camera: Camera) -> BoardPose:
+    """The pose with the least reprojection error over all corners.
+
+    A plane seen from far away has two local minima, mirrored in depth: both are refined, the better one is taken.
+    """
+    candidates = _planar_candidates(view.points_board_m, view.points_px, camera, cv2.SOLVEPNP_IPPE)
+    refined = [_refined(view, rigid, camera) for rigid in candidates]
+    return min(refined, key=lambda pose: pose.residual_rms_px)
+
+
+def marker_average_pose(view: BoardView, camera: Camera) -> BoardPose:
+    """The paper's pose: the mean over the poses of the single markers (section 4 of the paper).
+
+    Each square has two solutions (IPPE); the one with the smaller reprojection error is taken, and where that is no
+    decision, the one whose normal agrees with the markers that have decided. Rotations are averaged as matrices and
+    projected back to the nearest rotation.
+    """
+    markers = [_marker_candidates(view, camera, marker) for marker in np.unique(view.ids // 4)]
+    leader = min((marker[0] for marker in markers), key=lambda pose: pose.residual_rms_px)
+    chosen = [_unflipped(marker, leader) for marker in markers]
+    mean = np.mean([pose.rotation for pose in chosen], axis=0)
+    left, _, right = np.linalg.svd(mean)
+    rotation = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    return _pose_of(view, rotation, np.mean([pose.translation_m for pose in chosen], axis=0), camera)
+
+
+def residuals(view: BoardView, pose: BoardPose, camera: Camera) -> Float64[Array, "corner xy=2"]:
+    """Measured minus projected corners, in pixels."""
+    return view.points_px - _projected(view.points_board_m, pose.rotation, pose.translation_m, camera)
+
+
+def pose_covariance(
+    view: BoardView, pose: BoardPose, camera: Camera, sigma_px: float
+) -> Float64[Array, "pose=6 pose=6"]:
+    """Covariance of the rotation vector and translation for corners that err by `sigma_px` in each coordinate."""
+    by_pose, _ = projection_jacobians(view.points_board_m, pose, camera)
+    jacobian = by_pose.reshape(-1, 6)
+    covariance: Float64[Array, "pose=6 pose=6"] = sigma_px**2 * np.linalg.inv(jacobian.T @ jacobian)
+    return covariance
+
+
+def moved_pose(pose: BoardPose, step: Float64[Array, "pose=6"]) -> BoardPose:
+    """The pose with its rotation vector and translation moved by a step."""
+    rotation = cv2.Rodrigues(cv2.Rodrigues(pose.rotation)[0].ravel() + step[:3])[0]
+    return BoardPose(
+        name=pose.name,
+        rotation=np.asarray(rotation, dtype=np.float64),
+        translation_m=pose.translation_m + step[3:],
+        residual_rms_px=pose.residual_rms_px,
+    )
+
+
+RIVAL = 1.5
+"""A flipped solution whose error is within this factor of the better one's is still a candidate."""
+
+
+def _marker_candidates(view: BoardView, camera: Camera, marker: int) -> list[BoardPose]:
+    """Poses of the board by one of its markers alone, the better first; the worse only if it is a rival."""
+    own = view.ids // 4 == marker
+    points, pixels = view.points_board_m[own], view.points_px[own]
+    poses = [
+        _pose_of(BoardView(name=view.name, ids=view.ids[own], points_board_m=points, points_px=pixels), *rigid, camera)
+        for rigid in _planar_candidates(points, pixels, camera, cv2.SOLVEPNP_IPPE)
+    ]
+    poses.sort(key=lambda pose: pose.residual_rms_px)
+    limit = RIVAL * poses[0].residual_rms_px + 1e-6
+    return [pose for pose in poses if pose.residual_rms_px <= limit]
+
+
+def _unflipped(candidates: list[BoardPose], leader: BoardPose) -> BoardPose:
+    return max(candidates, key=lambda pose: float(pose.rotation[:, 2] @ leader.rotation[:, 2]))
+
+
+_Rigid = tuple[Float64[Array, "3 3"], Float64[Array, "xyz=3"]]
+
+
+def _planar_candidates(
+    points: Float64[Array, "corner xyz=3"], pixels: Float64[Array, "corner xy=2"], camera: Camera, method: int
+) -> list[_Rigid]:
+    _, rotations, translations, _ = cv2.solvePnPGeneric(
+        points, pixels, camera.camera_matrix, camera.distortion_coefficients, flags=method
+    )
+    return [
+        (np.asarray(cv2.Rodrigues(r)[0], dtype=np.float64), np.asarray(t, dtype=np.float64).ravel())
+        for r, t in zip(rotations, translations, strict=True)
+    ]
+
+
+def _refined(view: BoardView, rigid: _Rigid, camera: Camera) -> BoardPose:
+    vector, translation = cv2.solvePnPRefineLM(
+        view.points_board_m,
+        view.points_px,
+        camera.camera_matrix,
+        camera.distortion_coefficients,
+        cv2.Rodrigues(rigid[0])[0],
+        rigid[1].reshape(3, 1).copy(),
+        _EXACT,
+    )
+    rotation = np.asarray(cv2.Rodrigues(vector)[0], dtype=np.float64)
+    return _pose_of(view, rotation, np.asarray(translation, dtype=np.float64).ravel(), camera)
+
+
+def _pose_of(
+    view: BoardView, rotation: Float64[Array, "3 3"], translation_m: Float64[Array, "xyz=3"], camera: Camera
+) -> BoardPose:
+    error = view.points_px - _projected(view.points_board_m, rotation, translation_m, camera)
+    rms = float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
+    return BoardPose(name=view.name, rotation=rotation, translation_m=translation_m, residual_rms_px=rms)
+
+
+def _projected(
+    points: Float64[Array, "corner xyz=3"],
+    rotation: Float64[Array, "3 3"],
+    translation_m: Float64[Array, "xyz=3"],
+    camera: Camera,
+) -> Float64[Array, "corner xy=2"]:
+    pixels, _ = cv2.projectPoints(
+        points, cv2.Rodrigues(rotation)[0], translation_m, camera.camera_matrix, camera.distortion_coefficients
+    )
+    return np.asarray(pixels, dtype=np.float64).reshape(-1, 2)

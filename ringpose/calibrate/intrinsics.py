@@ -1,0 +1,83 @@
+"""The intrinsic parameters as a vector, and their covariance with the board's poses marginalised out."""
+
+import cv2
+import numpy as np
+from jaxtyping import Float64
+
+from ringpose.types.arrays import Array
+from ringpose.types.board import BoardPose, BoardView
+from ringpose.types.camera import DISTORTION_COEFFICIENTS, Camera
+
+FOCAL_AND_PRINCIPAL = ("fx", "fy", "cx", "cy")
+COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+
+
+def parameter_names(distortion_model: str) -> tuple[str, ...]:
+    """Names of the intrinsic parameters, in the order of their vector."""
+    return FOCAL_AND_PRINCIPAL + COEFFICIENTS[: DISTORTION_COEFFICIENTS[distortion_model]]
+
+
+def parameters_of(camera: Camera) -> Float64[Array, "parameter"]:
+    """The vector of a camera's intrinsic parameters."""
+    matrix = camera.camera_matrix
+    return np.array(
+        [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *camera.distortion_coefficients], dtype=np.float64
+    )
+
+
+def camera_with(parameters: Float64[Array, "parameter"], camera: Camera) -> Camera:
+    """The camera with other intrinsic parameters, and without covariance."""
+    fx, fy, cx, cy = parameters[:4]
+    return Camera(
+        camera_name=camera.camera_name,
+        image_width=camera.image_width,
+        image_height=camera.image_height,
+        camera_matrix=np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]),
+        distortion_model=camera.distortion_model,
+        distortion_coefficients=parameters[4:].copy(),
+    )
+
+
+def projection_jacobians(
+    points: Float64[Array, "corner xyz=3"], pose: BoardPose, camera: Camera
+) -> tuple[Float64[Array, "corner xy=2 pose=6"], Float64[Array, "corner xy=2 parameter"]]:
+    """Derivatives of the corners' pixels by the pose (rotation vector, translation) and by the intrinsic parameters."""
+    rotation_vector = cv2.Rodrigues(pose.rotation)[0]
+    _, jacobian = cv2.projectPoints(
+        points, rotation_vector, pose.translation_m, camera.camera_matrix, camera.distortion_coefficients
+    )
+    both = np.asarray(jacobian, dtype=np.float64)
+    parameters = 4 + len(camera.distortion_coefficients)
+    both = both.reshape(len(points), 2, -1)
+    return both[..., :6], both[..., 6 : 6 + parameters]
+
+
+def intrinsic_information(
+    views: list[BoardView], poses: list[BoardPose], camera: Camera
+) -> Float64[Array, "parameter parameter"]:
+    """Normal matrix of the intrinsic parameters for corners of unit variance, the poses marginalised out.
+
+    Views share no pose, so the Schur complement is a sum: J_c^T J_c - J_c^T J_p (J_p^T J_p)^-1 J_p^T J_c.
+    """
+    parameters = 4 + len(camera.distortion_coefficients)
+    information = np.zeros((parameters, parameters))
+    for view, pose in zip(views, poses, strict=True):
+        by_pose, by_camera = (
+            j.reshape(-1, j.shape[-1]) for j in projection_jacobians(view.points_board_m, pose, camera)
+        )
+        orthogonal, _ = np.linalg.qr(by_pose)
+        rest = by_camera - orthogonal @ (orthogonal.T @ by_camera)
+        information += rest.T @ rest
+    return information
+
+
+def covariance_of_free(
+    information: Float64[Array, "parameter parameter"], free: Float64[Array, "parameter"], sigma_px: float
+) -> Float64[Array, "parameter parameter"]:
+    """Covariance of the parameters that are free (1); those held fixed (0) have none."""
+    index = np.flatnonzero(free)
+    scale = np.sqrt(np.diag(information)[index])
+    inner = information[np.ix_(index, index)] / np.outer(scale, scale)
+    covariance = np.zeros_like(information)
+    covariance[np.ix_(index, index)] = sigma_px**2 * np.linalg.inv(inner) / np.outer(scale, scale)
+    return covariance

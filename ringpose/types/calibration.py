@@ -1,0 +1,88 @@
+"""What a calibration found, with what is needed to judge it."""
+
+from dataclasses import dataclass
+
+from jaxtyping import Float64
+
+from ringpose.types.arrays import Array
+from ringpose.types.board import BoardPose
+from ringpose.types.camera import Camera
+from ringpose.types.covariance import ParameterCovariance
+from ringpose.types.laser_planes import LaserPlanes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraView:
+    """One view of the board in a camera calibration."""
+
+    name: str
+    pose: BoardPose
+    residual_px: Float64[Array, "corner xy=2"]
+    """Measured minus projected corners."""
+    rejected: str = ""
+    """Why the view was left out; empty if it was used. A view that was left out has its residuals all the same."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraCalibration:
+    """The intrinsic parameters and how well the views determine them."""
+
+    camera: Camera
+    """With the covariance of the intrinsic parameters, the poses of the board marginalised out."""
+    rms_px: float
+    """Of the distances between measured and projected corners of the views used."""
+    sigma_px: float
+    """Standard deviation of one coordinate of a corner, from the residuals and the degrees of freedom."""
+    views: tuple[CameraView, ...]
+
+    @property
+    def used(self) -> tuple[CameraView, ...]:
+        """The views that the parameters were estimated from."""
+        return tuple(view for view in self.views if not view.rejected)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LaserView:
+    """What one view of the board says about one laser."""
+
+    name: str
+    points: Float64[Array, "n xyz=3"]
+    """Stripe centres on the board, triangulated with the board's plane, in the camera frame."""
+    weights: Float64[Array, "n"]
+    """Of the robust fit, 0 to 1."""
+    rms_m: float
+    """Of the points' distances from the light plane, measured normal to it."""
+    held_out_rms_m: float
+    """The same with the light plane of the other views alone; NaN where those do not determine it."""
+
+    @property
+    def distance_m(self) -> float:
+        """Mean depth of the points."""
+        return float(self.points[:, 2].mean())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LaserCalibration:
+    """One light plane's views."""
+
+    name: str
+    views: tuple[LaserView, ...]
+    rms_m: float
+    held_out_rms_m: float
+    """Over all points, each against the light plane of the other views; NaN if no view can be left out."""
+    condition: float
+    """Extent of the points along their longest direction over that across it, in the light plane."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlanesCalibration:
+    """The light planes and how well the views determine them."""
+
+    planes: LaserPlanes
+    covariance: ParameterCovariance | None
+    """Joint, over camera and light planes; None where the method has no honest one."""
+    method: str
+    lasers: tuple[LaserCalibration, ...]
+    poses: tuple[BoardPose, ...]
+    left_out: tuple[tuple[str, str], ...] = ()
+    """Name and reason of each view, or laser of a view, that says nothing."""
