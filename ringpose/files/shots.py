@@ -11,15 +11,12 @@ from ringpose.files import records
 from ringpose.files.archives import Archive, write_archive
 from ringpose.files.images import IMAGE_SUFFIXES, read_image, write_image
 from ringpose.types.arrays import Array
-from ringpose.types.frame import Shot
+from ringpose.types.frame import ALL_LASERS, Shot
 from ringpose.types.rig import Rig
 
 __all__ = ["ALL_LASERS", "SHOT_SUFFIXES", "read_image", "read_shot", "shot_of", "write_image", "write_shot"]
 
 SHOT_SUFFIXES = (".npz", *IMAGE_SUFFIXES)
-
-ALL_LASERS = 255
-"""Mask of an image that is read without a rig: all lasers on, however many there are."""
 
 _NEEDED = ("images", "lasers", "stamp_s", "exposure_s")
 _TIMES = ("device_stamp_s", "gain_db")

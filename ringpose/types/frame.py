@@ -9,6 +9,9 @@ from jaxtyping import Float64, Int64, UInt, UInt8
 
 from ringpose.types.arrays import Array
 
+ALL_LASERS = 255
+"""Mask of an image that is read without a rig: all lasers on, however many there are."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Frame:

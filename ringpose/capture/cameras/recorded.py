@@ -10,10 +10,7 @@ from jaxtyping import Int64, UInt8
 from ringpose.capture.sequence import MOST_LASERS, Step
 from ringpose.errors import DataError
 from ringpose.types.arrays import Array
-from ringpose.types.frame import Shot
-
-UNKNOWN_LASERS = 255
-"""Mask of a plain image with its lasers on, of which nobody knows how many there were."""
+from ringpose.types.frame import ALL_LASERS, Shot
 
 PerFrame = TypeVar("PerFrame", bound=Array)
 
@@ -76,7 +73,7 @@ def shot_of_images(images: Sequence[Shot], steps: Sequence[Step]) -> Shot:
     return Shot(
         name=first.name,
         images=np.concatenate([image.images for image in images]),
-        lasers=np.array([UNKNOWN_LASERS if step.text == "all" else step.mask(MOST_LASERS) for step in steps], np.uint8),
+        lasers=np.array([ALL_LASERS if step.text == "all" else step.mask(MOST_LASERS) for step in steps], np.uint8),
         stamp_s=np.concatenate([image.stamp_s for image in images]),
         exposure_s=np.concatenate([image.exposure_s for image in images]),
         meta={**first.meta, "images": [image.name for image in images]},
@@ -84,7 +81,7 @@ def shot_of_images(images: Sequence[Shot], steps: Sequence[Step]) -> Shot:
 
 
 def _is_image(shot: Shot) -> bool:
-    return bool(len(shot.lasers) == 1 and shot.lasers[0] == UNKNOWN_LASERS)
+    return bool(len(shot.lasers) == 1 and shot.lasers[0] == ALL_LASERS)
 
 
 def _mask(step: Step, count: int) -> int:

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from ringpose.capture.cameras.recorded import UNKNOWN_LASERS, Recording, frames_of_steps
+from ringpose.capture.cameras.recorded import Recording, frames_of_steps
 from ringpose.capture.sequence import parsed_sequence
 from ringpose.errors import DataError
-from ringpose.types.frame import Shot
+from ringpose.types.frame import ALL_LASERS, Shot
 
 
 def shot_of_masks(*lasers: int, name: str = "shot", **fields: object) -> Shot:
@@ -26,7 +26,7 @@ def image(name: str, value: int = 0, width: int = 3) -> Shot:
     return Shot(
         name=name,
         images=np.full((1, 2, width), value, dtype=np.uint8),
-        lasers=np.array([UNKNOWN_LASERS], dtype=np.uint8),
+        lasers=np.array([ALL_LASERS], dtype=np.uint8),
         stamp_s=np.array([float(value)]),
         exposure_s=np.zeros(1),
     )
@@ -91,7 +91,7 @@ def test_consecutive_images_make_shots_by_the_sequence():
 
     assert [shot and shot.name for shot in shots] == [None, None, "image_0", None, None, "image_3"]
     assert shots[5] is not None
-    assert shots[5].lasers.tolist() == [0, 2, UNKNOWN_LASERS]
+    assert shots[5].lasers.tolist() == [0, 2, ALL_LASERS]
     assert shots[5].images[:, 0, 0].tolist() == [3, 4, 5]
 
 
