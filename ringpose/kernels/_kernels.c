@@ -107,11 +107,11 @@ static PyObject *chains_of(const Py_buffer *magnitude, const Py_buffer *index, c
     }
     if (!fits(magnitude, "magnitude") || !anchors_inside(magnitude, index)) return NULL;
     if (!within(lower, 1, INT16_MAX, "lower") || !within(shortest, 1, INT32_MAX, "shortest")) return NULL;
-    EdgeArea area = {magnitude->buf, (size_t)magnitude->shape[0], (size_t)magnitude->shape[1], (int)lower};
+    EdgeArea area = {magnitude->buf, (size_t)magnitude->shape[0], (size_t)magnitude->shape[1], (int)lower, {0}};
     List pixels = {NULL, 0, 0, sizeof(Pixel)}, starts = {NULL, 0, 0, sizeof(int32_t)};
     int done;
     Py_BEGIN_ALLOW_THREADS
-    done = walk_chains(area, index->buf, turn->buf, (size_t)index->shape[0], (size_t)shortest, &pixels, &starts);
+    done = walk_chains(&area, index->buf, turn->buf, (size_t)index->shape[0], (size_t)shortest, &pixels, &starts);
     Py_END_ALLOW_THREADS
     return two_bytes(done, &pixels, &starts);
 }

@@ -82,28 +82,31 @@ static void mark_maxima(const int16_t *restrict here, size_t width, const int16_
     const int16_t *restrict up = here - width, *restrict down = here + width;
     for (size_t x = 1; x + 1 < width; x++) {
         int16_t turn = orientation[x], value = here[x];
-        int16_t before = turn == 0 ? up[x] : turn == 1 ? up[x + 1] : turn == 2 ? here[x - 1] : up[x - 1];
-        int16_t after = turn == 0 ? down[x] : turn == 1 ? down[x - 1] : turn == 2 ? here[x + 1] : down[x + 1];
+        int16_t nw = *(up + x - 1), n = up[x], ne = up[x + 1], w = *(here + x - 1);
+        int16_t e = here[x + 1], sw = *(down + x - 1), s = down[x], se = down[x + 1];
+        int16_t before = turn == 0 ? n : turn == 1 ? ne : turn == 2 ? w : nw;
+        int16_t after = turn == 0 ? s : turn == 1 ? sw : turn == 2 ? e : se;
         is_anchor[x] = (value >= upper) & (value > before) & (value >= after);
     }
 }
 
+/* Appends the marked pixels of a row; groups of eight without a mark, most of them, are skipped. */
 static int keep_anchors(const uint8_t *is_anchor, const int16_t *orientation, size_t width, size_t row, Anchors *anchors) {
     if (!reserve(&anchors->index, width) || !reserve(&anchors->orientation, width)) return 0;
     int32_t *index = anchors->index.data;
     uint8_t *turn = anchors->orientation.data;
     size_t n = anchors->index.used;
     for (size_t x = 1; x + 1 < width;) {
-        uint64_t eight = 0;
-        if (x + 9 < width && (memcpy(&eight, is_anchor + x, 8), eight == 0)) {
-            x += 8;
-            continue;
-        }
-        if (is_anchor[x]) {
+        size_t group = width - 1 - x < 8 ? width - 1 - x : 8;
+        uint64_t eight = 1;
+        if (group == 8) memcpy(&eight, is_anchor + x, 8);
+        size_t end = x + group;
+        if (eight == 0) x = end;
+        for (; x < end; x++) {
             index[n] = (int32_t)(row * width + x);
-            turn[n++] = (uint8_t)orientation[x];
+            turn[n] = (uint8_t)orientation[x];
+            n += is_anchor[x];
         }
-        x++;
     }
     anchors->index.used = anchors->orientation.used = n;
     return 1;

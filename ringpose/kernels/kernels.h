@@ -37,10 +37,11 @@ int find_gradient(const uint8_t *image, size_t height, size_t width, int upper, 
 typedef struct {
     int16_t *magnitude;
     size_t height, width;
-    int lower;
+    int lower;         /* an edge has at least this magnitude */
+    ptrdiff_t step[8]; /* to the neighbours; set by walk_chains */
 } EdgeArea;
 
-int walk_chains(EdgeArea area, const int32_t *anchor, const uint8_t *orientation, size_t anchors, size_t shortest,
+int walk_chains(EdgeArea *area, const int32_t *anchor, const uint8_t *orientation, size_t anchors, size_t shortest,
                 List *pixels, List *starts);
 
 typedef struct {
