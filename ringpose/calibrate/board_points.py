@@ -7,29 +7,11 @@ has the number 4 * marker + corner, clockwise from its top-left.
 import numpy as np
 from jaxtyping import Float64
 
-from ringpose.errors import DataError
 from ringpose.types.arrays import Array
 from ringpose.types.board import Board
 
-_SIZES = {
-    "chessboard": ("squares_x", "squares_y", "square_m"),
-    "charuco": ("squares_x", "squares_y", "square_m", "marker_m", "dictionary"),
-    "four_markers": ("width_m", "height_m", "marker_m", "margin_m", "dictionary"),
-    "aruco_grid": ("squares_x", "squares_y", "marker_m", "gap_m", "dictionary"),
-    "asymmetric_circles": ("squares_x", "squares_y", "spacing_m"),
-}
-"""What a board file must state for each kind."""
-
-
 _FIRST = np.array([1.0, 1.0, 0.0])
 """Place of the first corner or circle, in squares or spacings."""
-
-
-def require_sizes(board: Board) -> None:
-    """Complain about a size that this kind of board needs and its file does not state."""
-    missing = [key for key in _SIZES[board.kind] if getattr(board, key) is None]
-    if missing:
-        raise DataError(f"board ({board.kind})", f"{', '.join(missing)} not given", "add it to the board file")
 
 
 def corner_points(board: Board) -> Float64[Array, "corner xyz=3"]:

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, Int64, UInt, UInt8
 
-from ringpose.calibrate.board_points import corner_points, marker_corners, require_sizes
+from ringpose.calibrate.board_points import corner_points, marker_corners
 from ringpose.calibrate.chessboard import chessboard_corners, refined_corners
 from ringpose.calibrate.marker_sides import corners_from_sides
 from ringpose.calibrate.markers import Markers, find_markers, marker_dictionary
@@ -60,7 +60,6 @@ class NoBoard:
 
 def find_board(image: UInt[Array, "row column"], board: Board, name: str) -> BoardView | NoBoard:
     """The corners of the board that the image shows, in pixels and in the board frame, or the reason for none."""
-    require_sizes(board)
     grey = grey_8_bit(image)
     unusable = _unusable(grey)
     if unusable is not None:

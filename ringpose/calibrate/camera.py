@@ -1,6 +1,6 @@
 """The camera's intrinsic parameters from views of a board, with their covariance, robust against bad views."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -55,25 +55,24 @@ def calibrate_camera(
     camera_name: str = "camera",
 ) -> CameraCalibration:
     """Intrinsic parameters by least squares over all corners; the worst view is rejected until none stands out."""
-    used = list(views)
-    rejected: dict[str, str] = {}
+    used = list(range(len(views)))
+    rejected: dict[int, str] = {}
     blank = _blank(camera_name, image_width, image_height, model)
     while True:
-        _require_views(used)
-        camera, poses = _least_squares(used, blank, model)
+        _require_views(len(used))
+        camera, poses = _least_squares([views[index] for index in used], blank, model)
         worst = None if model.keep_all else _outlier(poses)
         if worst is None or len(rejected) + 1 > LARGEST_REJECTED_SHARE * len(views):
             break
-        rejected[used[worst].name] = _reason(poses, worst)
-        del used[worst]
-    return _judged(views, used, rejected, camera, poses, model)
+        rejected[used.pop(worst)] = _reason(poses, worst)
+    return _judged(views, rejected, camera, model)
 
 
-def _require_views(views: Sequence[BoardView]) -> None:
-    if len(views) < MINIMUM_VIEWS:
+def _require_views(views: int) -> None:
+    if views < MINIMUM_VIEWS:
         raise DataError(
             "calibrate-camera",
-            f"{len(views)} view{'s' * (len(views) != 1)} of the board, at least {MINIMUM_VIEWS} are needed",
+            f"{views} view{'s' * (views != 1)} of the board, at least {MINIMUM_VIEWS} are needed",
             "add views with the board tilted by 20 to 40 degrees to different sides; ten or more are good",
         )
 
@@ -130,32 +129,24 @@ def _reason(poses: Sequence[BoardPose], worst: int) -> str:
 
 
 def _judged(
-    views: Sequence[BoardView],
-    used: Sequence[BoardView],
-    rejected: dict[str, str],
-    camera: Camera,
-    poses: Sequence[BoardPose],
-    model: CameraModel,
+    views: Sequence[BoardView], rejected: Mapping[int, str], camera: Camera, model: CameraModel
 ) -> CameraCalibration:
     """The calibration with its covariance and what each view says."""
-    squares = sum(float(np.sum(residuals(view, pose, camera) ** 2)) for view, pose in zip(used, poses, strict=True))
-    corners = sum(len(view.ids) for view in used)
+    poses = [board_pose(view, camera) for view in views]
+    errors = [residuals(view, pose, camera) for view, pose in zip(views, poses, strict=True)]
+    used = [index for index in range(len(views)) if index not in rejected]
+    squares = sum(float(np.sum(errors[index] ** 2)) for index in used)
+    corners = sum(len(errors[index]) for index in used)
     free = _free(model)
     sigma_px = float(np.sqrt(squares / max(2 * corners - 6 * len(used) - int(free.sum()), 1)))
-    covariance = _covariance(list(used), list(poses), camera, free, sigma_px)
-    all_poses = [board_pose(view, camera) for view in views]
+    covariance = _covariance([views[i] for i in used], [poses[i] for i in used], camera, free, sigma_px)
     return CameraCalibration(
         camera=replace(camera, covariance=covariance),
         rms_px=float(np.sqrt(squares / corners)),
         sigma_px=sigma_px,
         views=tuple(
-            CameraView(
-                name=view.name,
-                pose=pose,
-                residual_px=residuals(view, pose, camera),
-                rejected=rejected.get(view.name, ""),
-            )
-            for view, pose in zip(views, all_poses, strict=True)
+            CameraView(name=view.name, pose=poses[index], residual_px=errors[index], rejected=rejected.get(index, ""))
+            for index, view in enumerate(views)
         ),
     )
 

@@ -40,6 +40,12 @@ class CameraCalibration:
         """The views that the parameters were estimated from."""
         return tuple(view for view in self.views if not view.rejected)
 
+    @property
+    def standard_deviations(self) -> dict[str, float]:
+        """Of the intrinsic parameters, by name; zero for one that was held."""
+        covariance = self.camera.covariance
+        return {} if covariance is None else covariance.standard_deviations
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LaserView:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import numpy as np
 from jaxtyping import Float64
 
 from ringpose.types.arrays import Array
@@ -17,3 +18,8 @@ class ParameterCovariance:
 
     parameters: tuple[str, ...]
     data: Float64[Array, "parameter parameter"]
+
+    @property
+    def standard_deviations(self) -> dict[str, float]:
+        """By name."""
+        return dict(zip(self.parameters, np.sqrt(np.diag(self.data)).tolist(), strict=True))

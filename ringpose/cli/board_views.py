@@ -1,0 +1,57 @@
+"""Images of a board as the calibrating commands read them."""
+
+from pathlib import Path
+
+from ringpose.calibrate.board_image import board_image
+from ringpose.calibrate.board_overlay import board_overlay
+from ringpose.calibrate.board_views import NoBoard, find_board
+from ringpose.errors import DataError
+from ringpose.files.atomic import make_folder
+from ringpose.files.images import write_image
+from ringpose.files.inputs import Input
+from ringpose.files.sources import shot_named
+from ringpose.types.board import Board, BoardView
+from ringpose.types.frame import Shot
+
+
+class BoardImages:
+    """The views gathered so far, and the images that show no board."""
+
+    def __init__(self, board: Board, overlay: Path | None, *, channel: str | None, force: bool) -> None:
+        self.board = board
+        self.overlay = None if overlay is None else make_folder(overlay)
+        self.channel = channel
+        self.force = force
+        self.views: list[BoardView] = []
+        self.paths: list[Path] = []
+        self.without_board: list[tuple[str, str]] = []
+        self.width = 0
+        self.height = 0
+        self.last = ""
+        """What became of the last image."""
+
+    def read(self, item: Input) -> tuple[Shot, BoardView] | None:
+        """The shot that an input names with its view of the board; None, and remembered, if it shows none."""
+        shot = shot_named(item, None, self.channel)
+        self._check_size(shot)
+        if isinstance(item, Path):
+            self.paths.append(item)
+        image = board_image(shot)
+        found = find_board(image, self.board, shot.name)
+        if self.overlay is not None:
+            write_image(self.overlay / f"{shot.name}.png", board_overlay(image, found), force=self.force)
+        if isinstance(found, NoBoard):
+            self.without_board.append((shot.name, found.value))
+            self.last = f"{shot.name}: no board: {found.value}"
+            return None
+        self.views.append(found)
+        self.last = f"{shot.name}: {len(found.ids)} corners"
+        return shot, found
+
+    def _check_size(self, shot: Shot) -> None:
+        height, width = shot.images.shape[1:]
+        if not self.width:
+            self.width, self.height = width, height
+        if (width, height) != (self.width, self.height):
+            found = f"{width} x {height} pixels, the others have {self.width} x {self.height}"
+            raise DataError(shot.name, found, "calibrate with images of one camera and one size")
