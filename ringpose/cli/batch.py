@@ -2,14 +2,15 @@
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import TypeVar
+from typing import TYPE_CHECKING
 
 import typer
 
 from ringpose.cli import messages
 from ringpose.errors import DataError, NoInputError
 
-_Item = TypeVar("_Item")
+if TYPE_CHECKING:
+    from ringpose.files.inputs import Input, Problem
 
 
 class Batch:
@@ -27,8 +28,8 @@ class Batch:
             messages.error(problem)
             self.met(problem.status)
 
-    def good(self, items: Iterable[_Item | DataError | NoInputError]) -> Iterator[_Item]:
-        """The items that are no errors, as they come; the errors are named on stderr."""
+    def good(self, items: "Iterable[Input | Problem]") -> "Iterator[Input]":
+        """The inputs that are no errors, as they come; the errors are named on stderr."""
         for item in items:
             if isinstance(item, DataError | NoInputError):
                 messages.error(item)

@@ -7,8 +7,11 @@ from typing import Any, NamedTuple
 
 from ringpose.errors import DataError, NoInputError
 from ringpose.files import records
+from ringpose.files.bytes import read_bytes
 
 STDIN = "-"
+
+RECORDS_SUFFIX = ".jsonl"
 
 
 class Record(NamedTuple):
@@ -25,15 +28,16 @@ Problem = DataError | NoInputError
 def inputs(arguments: Iterable[str | Path], suffixes: Iterable[str]) -> Iterator[Input | Problem]:
     """The inputs in the order in which they are named; of a folder its files with these suffixes, by name.
 
-    `-` stands for what stdin names, one a line, read as it comes: a name (file or folder), or a JSON record. What
-    cannot be an input is yielded as the error that says so, for the caller's batch to report and go on.
+    A `.jsonl` file, where that is a wanted suffix, stands for its records. `-` stands for what stdin names, one a
+    line, read as it comes: a name (file or folder), or a JSON record. What cannot be an input is yielded as the
+    error that says so, for the caller's batch to report and go on.
     """
     wanted = tuple(suffixes)
     for argument in arguments:
         if str(argument) == STDIN:
             yield from _named_on_stdin(wanted)
         else:
-            yield from _paths(Path(argument), wanted)
+            yield from _opened(Path(argument), wanted)
 
 
 def _named_on_stdin(suffixes: tuple[str, ...]) -> Iterator[Input | Problem]:
@@ -45,10 +49,29 @@ def _named_on_stdin(suffixes: tuple[str, ...]) -> Iterator[Input | Problem]:
         if text.startswith("{"):
             yield _record(text, f"standard input:{number}")
         elif text:
-            yield from _paths(Path(line.rstrip("\r\n")), suffixes)
+            yield from _opened(Path(line.rstrip("\r\n")), suffixes)
 
 
-def _record(line: str, place: str) -> Record | DataError:
+def _opened(path: Path, suffixes: tuple[str, ...]) -> Iterator[Input | Problem]:
+    for item in _paths(path, suffixes):
+        if isinstance(item, Path) and item.suffix.lower() == RECORDS_SUFFIX and RECORDS_SUFFIX in suffixes:
+            yield from _records_in(item)
+        else:
+            yield item
+
+
+def _records_in(path: Path) -> Iterator[Record | Problem]:
+    try:
+        lines = read_bytes(path).splitlines()
+    except NoInputError as problem:
+        yield problem
+        return
+    for number, line in enumerate(lines, start=1):
+        if line.strip():
+            yield _record(line, f"{path}:{number}")
+
+
+def _record(line: str | bytes, place: str) -> Record | DataError:
     try:
         return Record(place, records.record_of(line, place))
     except DataError as problem:

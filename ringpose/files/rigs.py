@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float64
 
+from ringpose.errors import DataError
 from ringpose.files import atomic
 from ringpose.files.bytes import read_bytes
 from ringpose.files.cameras import CAMERA_KEYS, camera_of, camera_values
@@ -52,6 +53,12 @@ def rig_of(fields: Fields, sha256: str = "") -> Rig:
         provenance=fields.fields("provenance").values if fields.has("provenance") else {},
         sha256=sha256,
     )
+
+
+def require_mount(rig: Rig, path: Path) -> None:
+    """Refuse a rig that does not say where the camera is mounted."""
+    if rig.tool_from_camera is None:
+        raise DataError(str(path), "has no mount", "add mount: {tool_from_camera: ...}, or ask for --frame camera")
 
 
 def write_rig(

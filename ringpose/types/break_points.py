@@ -19,6 +19,9 @@ class BreakPointFlag(IntFlag):
     CLIPPED = 4
     """The stripe leaves the image before its edge."""
     OCCLUDED = 8
+    """Its end does not lie on the circle of the others: something hides the edge."""
+    EDGE_UNKNOWN = 16
+    """Inner and outer edge could not be told apart: the ring's centre may lie on either side."""
 
 
 class NoBreakPoints(Enum):
@@ -30,6 +33,7 @@ class NoBreakPoints(Enum):
     NO_STRIPE = "no laser stripe found"
     NO_RING = "stripes found, but no piece of one looks like the ring's face"
     AMBIGUOUS_LABELS = "the stripes fit the lasers in more than one way; switch the lasers one by one"
+    NOT_SOUGHT = "break points were not looked for"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -65,3 +69,17 @@ class Detection:
     break_points: BreakPoints | NoBreakPoints
     stripes: Stripes | None = None
     segments: Segments | None = None
+
+    @property
+    def found(self) -> bool:
+        """Whether there are break points."""
+        return isinstance(self.break_points, BreakPoints)
+
+    @property
+    def summary(self) -> str:
+        """What was found, in a few words."""
+        if self.break_points is NoBreakPoints.NOT_SOUGHT:
+            return f"{0 if self.segments is None else len(self.segments.support)} segments"
+        if isinstance(self.break_points, NoBreakPoints):
+            return str(self.break_points.value)
+        return f"{int(self.break_points.seen.sum())} break points"

@@ -1,0 +1,78 @@
+"""`ringpose detect`: images or shots -> break points."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ringpose.cli.app import app
+from ringpose.cli.options import Force, ImageChannel, Inputs, OptionalRigFile, Quiet, Verbose
+
+if TYPE_CHECKING:
+    from ringpose.types.break_points import Detection
+    from ringpose.types.frame import Shot
+    from ringpose.types.rig import Rig
+
+Output = Annotated[
+    str, typer.Option("--output", "-o", metavar="DIR", help="Write one NPZ a shot into this folder; - writes records.")
+]
+Overlay = Annotated[
+    Path | None, typer.Option("--overlay", metavar="DIR", help="Draw what was found into PNG files in this folder.")
+]
+SegmentsOnly = Annotated[
+    bool, typer.Option("--segments-only", help="Find straight segments in any image; no rig is needed.")
+]
+Full = Annotated[bool, typer.Option("--full", help="Write stripes and segments into records too, as NPZ files do.")]
+
+
+@app.command()
+def detect(
+    inputs: Inputs,
+    rig: OptionalRigFile = None,
+    output: Output = "-",
+    overlay: Overlay = None,
+    segments_only: SegmentsOnly = False,
+    full: Full = False,
+    channel: ImageChannel = None,
+    force: Force = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Find the laser stripes, and where they end on the ring."""
+    from ringpose.cli import messages
+    from ringpose.cli.batch import Batch
+    from ringpose.cli.progress import counted
+    from ringpose.errors import NO_POSE, UsageError
+    from ringpose.files.detection_sink import DetectionSink
+    from ringpose.files.inputs import inputs as named
+    from ringpose.files.rigs import read_rig
+    from ringpose.files.shots import SHOT_SUFFIXES
+    from ringpose.files.sources import shot_named
+
+    if rig is None and not segments_only:
+        raise UsageError("", "--rig is missing", "give --rig FILE, or --segments-only for any image")
+    rig_of_shots = None if rig is None else read_rig(rig)
+    sink = DetectionSink(output, overlay, full=full or segments_only, force=force)
+    batch = Batch()
+    for item in counted(batch.good(named(inputs, SHOT_SUFFIXES)), "shots", quiet):
+        with batch.item():
+            shot = shot_named(item, rig_of_shots, channel)
+            detection = detection_of(shot, None if segments_only else rig_of_shots)
+            sink.write(shot, detection)
+            if verbose:
+                messages.say(f"{shot.name}: {detection.summary}")
+            if not (detection.found or segments_only):
+                batch.met(NO_POSE)
+    batch.finish()
+
+
+def detection_of(shot: "Shot", rig: "Rig | None") -> "Detection":
+    """What is found in a shot; only segments without a rig."""
+    if rig is None:
+        from ringpose.detect.raw_segments import segments_only
+
+        return segments_only(shot)
+
+    from ringpose.detect.pipeline import detect as detected
+
+    return detected(shot, rig)

@@ -1,0 +1,120 @@
+"""What was found in a shot, drawn over its image."""
+
+import cv2
+import numpy as np
+from jaxtyping import Float64, Int64, UInt, UInt8
+
+from ringpose.detect.gradient import eight_bit
+from ringpose.types.arrays import EDGES, Array
+from ringpose.types.break_points import BreakPointFlag, BreakPoints, Detection
+from ringpose.types.segments import Segments
+from ringpose.types.stripes import UNLABELLED, Stripes
+
+Color = tuple[int, int, int]
+
+COLORS: tuple[Color, ...] = (
+    (255, 160, 60),
+    (80, 220, 80),
+    (80, 120, 255),
+    (230, 100, 230),
+    (60, 220, 230),
+    (230, 230, 90),
+    (160, 160, 255),
+    (160, 230, 160),
+)
+"""Blue, green, red of each laser in the order of the rig."""
+
+UNLABELLED_COLOR: Color = (170, 170, 170)
+SEGMENT_COLOR: Color = (0, 200, 255)
+FLAG_COLOR: Color = (60, 60, 255)
+
+ELLIPSE_SIGMAS = 30.0
+"""Break points are known to tenths of a pixel: their error ellipses are drawn so many times larger."""
+
+_BITS = 4
+"""OpenCV draws to 1/16 of a pixel."""
+
+_NAME_OFFSET, _FLAGS_OFFSET = np.array([10.0, -8.0]), np.array([10.0, 18.0])
+
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+
+
+def overlay(image: UInt[Array, "row column"], detection: Detection) -> UInt8[Array, "row column 3"]:
+    """The image as blue, green, red, dimmed, with segments, stripes and break points drawn over it.
+
+    Each laser has its colour; error ellipses are `ELLIPSE_SIGMAS` standard deviations wide.
+    """
+    picture: UInt8[Array, "row column 3"] = cv2.cvtColor(eight_bit(image) // 2, cv2.COLOR_GRAY2BGR)
+    if detection.segments is not None:
+        _draw_segments(picture, detection.segments)
+    if detection.stripes is not None:
+        _draw_stripes(picture, detection.stripes)
+    if isinstance(detection.break_points, BreakPoints):
+        _draw_break_points(picture, detection.break_points)
+    _write(picture, f"{detection.shot}: {detection.summary}", np.array([8.0, 20.0]), (255, 255, 255))
+    return picture
+
+
+def color_of(laser: int) -> Color:
+    """The colour in which a laser is drawn."""
+    return UNLABELLED_COLOR if laser == UNLABELLED else COLORS[laser % len(COLORS)]
+
+
+def _draw_segments(picture: UInt8[Array, "row column 3"], segments: Segments) -> None:
+    for start, end in zip(_fixed(segments.start_px), _fixed(segments.end_px), strict=True):
+        cv2.line(picture, start, end, SEGMENT_COLOR, 1, cv2.LINE_AA, _BITS)
+
+
+def _draw_stripes(picture: UInt8[Array, "row column 3"], stripes: Stripes) -> None:
+    for laser in (UNLABELLED, *range(len(COLORS))):
+        here = stripes.laser[stripes.piece] == laser
+        columns, rows = np.round(stripes.position_px[here]).astype(np.int64).T
+        inside = (rows >= 0) & (rows < picture.shape[0]) & (columns >= 0) & (columns < picture.shape[1])
+        picture[rows[inside], columns[inside]] = color_of(laser)
+
+
+def _draw_break_points(picture: UInt8[Array, "row column 3"], points: BreakPoints) -> None:
+    for laser, edge in np.argwhere(points.seen).tolist():
+        position, color = points.position_px[laser, edge], color_of(laser)
+        _draw_ellipse(picture, position, points.covariance_px2[laser, edge], color)
+        center = _fixed(position[None])[0]
+        cv2.drawMarker(
+            picture, tuple(np.round(position).astype(int).tolist()), color, cv2.MARKER_CROSS, 9, 1, cv2.LINE_AA
+        )
+        cv2.circle(picture, center, 6 << _BITS, color, 1, cv2.LINE_AA, _BITS)
+        flags = flag_names(int(points.flags[laser, edge]))
+        _write(picture, f"{laser + 1} {EDGES[edge]}", position + _NAME_OFFSET, color)
+        _write(picture, " ".join(flags), position + _FLAGS_OFFSET, FLAG_COLOR)
+
+
+def flag_names(flags: int) -> list[str]:
+    """The flags of a break point in words."""
+    return [str(flag.name).lower() for flag in BreakPointFlag if flags & flag]
+
+
+def _draw_ellipse(
+    picture: UInt8[Array, "row column 3"],
+    position: Float64[Array, "2"],
+    covariance: Float64[Array, "2 2"],
+    color: Color,
+) -> None:
+    if not np.isfinite(covariance).all():
+        return
+    variance, axes = np.linalg.eigh(covariance)
+    angle_deg = float(np.degrees(np.arctan2(axes[1, 1], axes[0, 1])))
+    long_short = ELLIPSE_SIGMAS * np.sqrt(np.clip(variance[::-1], 0, 1e4))
+    center, size = _fixed(position[None])[0], _fixed(long_short[None])[0]
+    cv2.ellipse(picture, center, size, angle_deg, 0, 360, color, 1, cv2.LINE_AA, _BITS)
+
+
+def _write(picture: UInt8[Array, "row column 3"], text: str, position: Float64[Array, "2"], color: Color) -> None:
+    place = tuple(np.round(position).astype(int).tolist())
+    ascii_text = text.encode("ascii", "replace").decode()
+    cv2.putText(picture, ascii_text, place, _FONT, 0.45, (0, 0, 0), 3, cv2.LINE_AA)
+    cv2.putText(picture, ascii_text, place, _FONT, 0.45, color, 1, cv2.LINE_AA)
+
+
+def _fixed(points: Float64[Array, "n 2"]) -> list[tuple[int, int]]:
+    """Points in OpenCV's fixed-point coordinates."""
+    fixed: Int64[Array, "n 2"] = np.round(points * (1 << _BITS)).astype(np.int64)
+    return [(x, y) for x, y in fixed.tolist()]

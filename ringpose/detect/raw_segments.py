@@ -1,0 +1,26 @@
+"""The segments of a photograph, of which nothing else is known."""
+
+import numpy as np
+from jaxtyping import UInt
+
+from ringpose.detect.segments import find_segments
+from ringpose.types.arrays import Array
+from ringpose.types.break_points import Detection, NoBreakPoints
+from ringpose.types.frame import Shot
+
+
+def segments_only(shot: Shot) -> Detection:
+    """The segments of the shot's brightest-lit frame; break points are not looked for."""
+    return Detection(
+        shot=shot.name,
+        stamp_s=shot.measured_at_s,
+        break_points=NoBreakPoints.NOT_SOUGHT,
+        segments=find_segments(most_lit_image(shot)),
+    )
+
+
+def most_lit_image(shot: Shot) -> UInt[Array, "row column"]:
+    """The first of the images with the most lasers on."""
+    on = [mask.bit_count() for mask in shot.lasers.tolist()]
+    image: UInt[Array, "row column"] = shot.images[int(np.argmax(on))]
+    return image

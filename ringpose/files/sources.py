@@ -1,0 +1,41 @@
+"""What a pose can be computed from: detections, shots, images, told apart by what they say."""
+
+from pathlib import Path
+
+from ringpose.errors import DataError
+from ringpose.files.archives import Archive
+from ringpose.files.detections import detection_in, detection_of, is_detection
+from ringpose.files.inputs import RECORDS_SUFFIX, Input, Record
+from ringpose.files.shots import SHOT_SUFFIXES, read_shot, shot_of
+from ringpose.types.break_points import BreakPoints, Detection
+from ringpose.types.frame import Shot
+from ringpose.types.rig import Rig
+
+SUFFIXES = (RECORDS_SUFFIX, *SHOT_SUFFIXES)
+
+
+def read_source(item: Input, rig: Rig, channel: str | None = None) -> Shot | Detection:
+    """The detection or the shot that an input is, if it fits the rig."""
+    if isinstance(item, Record):
+        return _fitting(detection_of(item.values, item.place), rig, item.place)
+    if item.suffix.lower() != ".npz":
+        return read_shot(item, channel, rig)
+    archive = Archive(item)
+    if is_detection(archive):
+        return _fitting(detection_in(archive), rig, str(item))
+    return shot_of(archive, rig)
+
+
+def shot_named(item: Input, rig: Rig | None, channel: str | None = None) -> Shot:
+    """The shot that an input names; a record is none."""
+    if isinstance(item, Path):
+        return read_shot(item, channel, rig)
+    raise DataError(item.place, "is a record", "the name of a shot or image is wanted")
+
+
+def _fitting(detection: Detection, rig: Rig, place: str) -> Detection:
+    lasers = len(rig.lasers.names)
+    if isinstance(detection.break_points, BreakPoints) and len(detection.break_points.position_px) != lasers:
+        found = f"has {len(detection.break_points.position_px)} lasers, the rig has {lasers}"
+        raise DataError(f"{place}: break_points", found, "give the rig with which they were detected")
+    return detection
