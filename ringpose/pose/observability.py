@@ -30,6 +30,13 @@ The centre follows from the height of the arc, and its distance is the inverse o
 value is within 5 first-order standard deviations in all but one of 10^4 cases, at 10 % already in all but one of 10^3.
 """
 
+OFF_PLANE = 0.01
+"""Distance of the centre from the ring's plane, in radii, from which it is flagged as weak.
+
+Method `paper` hardly enforces the plane: its centre then slides along the normal by decimetres, which no
+first-order covariance tells; in-plane methods are never concerned.
+"""
+
 
 def why_undetermined(points: RingPoints, break_points: BreakPoints) -> NoPose | None:
     """Reason why these points determine no pose, or None.
@@ -65,9 +72,15 @@ def pose_flags(form: ClosedForm, covariance: PoseCovariance | None) -> PoseFlag:
         flags |= PoseFlag.DAMPED | PoseFlag.CENTER_WEAK | PoseFlag.RADIUS_WEAK
     if np.isnan(radius_m).any():
         flags |= PoseFlag.RADIUS_WEAK
-    if covariance is None:
-        return flags
-    limit_m = WEAK_SD * float(np.nanmin(radius_m))
+    smallest_m = float(np.nanmin(radius_m))
+    if abs(form.normal[0] @ form.center_m[0] - form.offset_m[0]) > OFF_PLANE * smallest_m:
+        flags |= PoseFlag.CENTER_WEAK
+    return flags if covariance is None else flags | weak_flags(covariance, WEAK_SD * smallest_m)
+
+
+def weak_flags(covariance: PoseCovariance, limit_m: float) -> PoseFlag:
+    """Which of centre and radii have a standard deviation over the limit."""
+    flags = PoseFlag(0)
     if standard_deviation(covariance.center_m2) > limit_m:
         flags |= PoseFlag.CENTER_WEAK
     if float(np.nanmax(np.diag(covariance.parameters)[5:])) > limit_m**2:
@@ -77,4 +90,4 @@ def pose_flags(form: ClosedForm, covariance: PoseCovariance | None) -> PoseFlag:
 
 def standard_deviation(covariance: Float64[Array, "n n"]) -> float:
     """In the direction in which it is largest."""
-    return float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+    return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))

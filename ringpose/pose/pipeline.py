@@ -1,11 +1,10 @@
 """Break points -> pose of the ring: section 4 of MATH.md, in its order."""
 
-from enum import StrEnum
-
 import numpy as np
 
 from ringpose.pose.closed_form import ClosedForm
 from ringpose.pose.constrained import constrained_form
+from ringpose.pose.method import Method as Method
 from ringpose.pose.observability import pose_flags, why_undetermined, why_unusable
 from ringpose.pose.paper import paper_form
 from ringpose.pose.point_covariance import point_covariance
@@ -16,13 +15,6 @@ from ringpose.types.break_points import BreakPoints
 from ringpose.types.rig import Rig
 from ringpose.types.ring_points import RingPoints
 from ringpose.types.ring_pose import NoPose, RingPose
-
-
-class Method(StrEnum):
-    """How the pose is computed."""
-
-    PAPER = "paper"
-    PAPER_CONSTRAINED = "paper-constrained"
 
 
 FORMS = {Method.PAPER: paper_form, Method.PAPER_CONSTRAINED: constrained_form}
@@ -77,11 +69,11 @@ def closed_form(points: RingPoints, method: Method) -> ClosedForm:
 def covariance_of_form(
     points: RingPoints, break_points: BreakPoints, rig: Rig, method: Method
 ) -> PoseCovariance | None:
-    """Covariance of the method's solution; None if a seen break point's is NaN."""
+    """Covariance of the method's solution; None if that of a seen break point, or of the rig, is not finite."""
     laser, edges = np.nonzero(points.seen)
-    covariance_px2 = break_points.covariance_px2[laser, edges]
-    if np.isnan(covariance_px2).any():
-        return None
     positions = points.position_m[laser, edges]
-    covariance_m2 = point_covariance(positions, covariance_px2, laser, rig)
+    with np.errstate(invalid="ignore"):
+        covariance_m2 = point_covariance(positions, break_points.covariance_px2[laser, edges], laser, rig)
+    if not np.isfinite(covariance_m2).all():
+        return None
     return pose_covariance(FORMS[method], positions, edges, covariance_m2)

@@ -1,0 +1,220 @@
+"""The covariance of a pose, proved by sampling and by what it must obey."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ringpose.errors import DataError
+from ringpose.pose.pipeline import Method, estimate_pose
+from ringpose.types.covariance import ParameterCovariance
+from ringpose.types.ring_pose import PoseFlag
+
+CAMERA = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+PLANES = tuple(f"{laser}.{what}" for laser in ("left", "middle", "right") for what in ("tilt_1", "tilt_2", "distance"))
+SIGMA_PX = {Method.PAPER: 1e-9, Method.PAPER_CONSTRAINED: 0.03}
+"""`paper` is linear only for noise that no image has: its plane row is too light to hold the centre in the plane."""
+NOISE = pytest.mark.parametrize("method", list(Method))
+SAMPLES = pytest.mark.parametrize("samples", [400, pytest.param(4000, marks=pytest.mark.slow)])
+
+
+def largest_deviation(samples, covariance):
+    """Largest deviation from 1 of the eigenvalues of the samples' covariance, whitened by the predicted one."""
+    root = np.linalg.cholesky(covariance)
+    white = np.linalg.solve(root, np.cov(samples.T)) @ np.linalg.inv(root).T
+    return np.abs(np.linalg.eigvalsh(white) - 1.0).max()
+
+
+def tolerance(samples):
+    return 4.0 * np.sqrt(2.0 / (samples - 1))
+
+
+def axes_across(normal):
+    """The pinned tilt basis: e1 along z x n, e2 = n x e1."""
+    first = np.cross([0.0, 0.0, 1.0], normal)
+    first = first / np.linalg.norm(first)
+    return first, np.cross(normal, first)
+
+
+def parameters_of(pose, normal):
+    """The seven parameters of a pose about a given normal."""
+    first, second = axes_across(normal)
+    tilt = pose.normal / (pose.normal @ normal) - normal
+    distance = pose.normal @ pose.center_m
+    radii = (pose.radius_inner_m, pose.radius_outer_m)
+    return np.array([tilt @ first, tilt @ second, distance, pose.center_m @ first, pose.center_m @ second, *radii])
+
+
+def moved_rig(rig, names, step):
+    """The rig with its named parameters moved, from their definition in the file format."""
+    matrix, coefficients = rig.camera.camera_matrix.copy(), rig.camera.distortion_coefficients.copy()
+    normal, distance = rig.lasers.normal.copy(), rig.lasers.distance_m.copy()
+    places = {"fx": (0, 0), "fy": (1, 1), "cx": (0, 2), "cy": (1, 2)}
+    order = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+    for name, value in zip(names, step, strict=True):
+        laser, _, what = name.partition(".")
+        if name in places:
+            matrix[places[name]] += value
+        elif name in order:
+            coefficients[order.index(name)] += value
+        elif what == "distance":
+            distance[rig.lasers.names.index(laser)] += value
+        else:
+            number = rig.lasers.names.index(laser)
+            axis = axes_across(rig.lasers.normal[number])[what == "tilt_2"]
+            normal[number] += value * axis
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    camera = replace(rig.camera, camera_matrix=matrix, distortion_coefficients=coefficients)
+    return replace(rig, camera=camera, lasers=replace(rig.lasers, normal=normal, distance_m=distance))
+
+
+def correlated(rng):
+    """A full covariance of camera and planes: 0.1 px, 1e-4 of distortion, 10 microradians, 3 micrometres."""
+    scale = np.array([0.1] * 4 + [1e-4] * 5 + [1e-5, 1e-5, 3e-6] * 3)
+    mixed = np.eye(len(scale)) + 0.3 * rng.normal(size=(len(scale), len(scale)))
+    return scale[:, None] * (mixed @ mixed.T) * scale
+
+
+@pytest.fixture
+def scene(scene_of):
+    return scene_of("B", distance_m=0.5)
+
+
+def poses_of_noisy_points(scene, sigma_px, method, samples, rng):
+    noisy = [scene.break_points(sigma_px, rng).position_px for _ in range(samples)]
+    points = scene.break_points()
+    return [estimate_pose(replace(points, position_px=position_px), scene.rig, method) for position_px in noisy]
+
+
+@NOISE
+@SAMPLES
+@pytest.mark.parametrize("what", ["center", "grasp"])
+def test_samples_scatter_as_predicted(scene, rng, method, samples, what):
+    sigma_px = SIGMA_PX[method]
+    predicted = estimate_pose(scene.break_points(sigma_px), scene.rig, method)
+
+    poses = poses_of_noisy_points(scene, sigma_px, method, samples, rng)
+
+    values = np.array([getattr(pose, f"{what}_m") for pose in poses])
+    assert largest_deviation(values, getattr(predicted, f"covariance_{what}_m2")) < tolerance(samples)
+
+
+@SAMPLES
+def test_samples_of_the_seven_parameters_scatter_as_predicted(scene, rng, samples):
+    # little noise: the band's width is known so much better than the centre that its second order shows
+    sigma_px = 0.003
+    predicted = estimate_pose(scene.break_points(sigma_px), scene.rig)
+
+    poses = poses_of_noisy_points(scene, sigma_px, Method.PAPER_CONSTRAINED, samples, rng)
+
+    values = np.array([parameters_of(pose, predicted.normal) for pose in poses])
+    assert largest_deviation(values, predicted.covariance) < tolerance(samples)
+
+
+@SAMPLES
+def test_samples_of_a_wrong_rig_scatter_as_predicted(scene, rng, samples):
+    names = CAMERA + PLANES
+    known = ParameterCovariance(parameters=names, data=correlated(rng))
+    predicted = estimate_pose(scene.break_points(0.03), replace(scene.rig, covariance=known))
+
+    centers = []
+    for step in rng.multivariate_normal(np.zeros(len(names)), known.data, size=samples):
+        position_px = scene.break_points(0.03, rng).position_px
+        wrong = moved_rig(scene.rig, names, step)
+        centers.append(estimate_pose(replace(scene.break_points(), position_px=position_px), wrong).center_m)
+
+    assert largest_deviation(np.array(centers), predicted.covariance_center_m2) < tolerance(samples)
+
+
+@NOISE
+@given(
+    distance_m=st.floats(0.25, 1.0),
+    turn_rad=st.floats(-0.3, 0.3),
+    more=st.lists(st.floats(0.0, 2.0), min_size=12, max_size=12),
+)
+def test_more_noise_never_shrinks_the_covariance(scene_of, method, distance_m, turn_rad, more):
+    scene = scene_of("B", distance_m=distance_m, turn_rad=turn_rad)
+    few = scene.break_points(1e-3)
+    added = 1e-6 * np.array(more).reshape(3, 2, 2)[..., None] * np.eye(2)
+
+    less_sure = replace(few, covariance_px2=few.covariance_px2 + added)
+    before, after = (estimate_pose(points, scene.rig, method).covariance for points in (few, less_sure))
+
+    assert np.linalg.eigvalsh(after - before)[0] >= -1e-9 * np.linalg.eigvalsh(after)[-1]
+
+
+@NOISE
+def test_an_unsure_rig_never_shrinks_the_covariance(scene, rng, method):
+    unsure = replace(scene.rig, covariance=ParameterCovariance(parameters=CAMERA + PLANES, data=correlated(rng)))
+
+    before, after = (estimate_pose(scene.break_points(0.3), rig, method).covariance for rig in (scene.rig, unsure))
+
+    assert np.linalg.eigvalsh(after - before)[0] >= -1e-9 * np.linalg.eigvalsh(after)[-1]
+
+
+def test_covariance_of_the_center_follows_from_the_seven_parameters(scene):
+    pose = estimate_pose(scene.break_points(0.3), scene.rig)
+    first, second = axes_across(pose.normal)
+    # n(t) . c = offset with c's coordinates along the fixed axes: the tilts lift the centre along the normal
+    to_center = np.stack(
+        [
+            -(pose.center_m @ first) * pose.normal,
+            -(pose.center_m @ second) * pose.normal,
+            pose.normal,
+            first,
+            second,
+        ],
+        axis=-1,
+    )
+
+    expected = to_center @ pose.covariance[:5, :5] @ to_center.T
+
+    np.testing.assert_allclose(pose.covariance_center_m2, expected, rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize("missing", ["a break point's", "the rig's"])
+def test_without_a_covariance_there_is_none_of_the_pose(scene, missing):
+    unknown = ParameterCovariance(parameters=("fx",), data=np.array([[np.nan]]))
+    rig = replace(scene.rig, covariance=unknown) if missing == "the rig's" else scene.rig
+    points = scene.break_points(0.3)
+    if missing == "a break point's":
+        points.covariance_px2[1, 0] = np.nan
+
+    pose = estimate_pose(points, rig)
+
+    assert (pose.covariance, pose.covariance_center_m2, pose.covariance_grasp_m2) == (None, None, None)
+
+
+def test_only_the_unseen_radius_has_no_covariance(scene):
+    points = scene.break_points(0.01)
+    points.position_px[:, 0] = np.nan
+
+    pose = estimate_pose(points, scene.rig)
+
+    nan_rows = np.isnan(pose.covariance).all(axis=1)
+    assert nan_rows.tolist() == [False] * 5 + [True, False]
+
+
+def test_rig_covariance_of_an_unknown_parameter_is_bad_data(scene):
+    rig = replace(scene.rig, covariance=ParameterCovariance(parameters=("upper.tilt_1",), data=np.eye(1)))
+
+    with pytest.raises(DataError, match=r"upper\.tilt_1"):
+        estimate_pose(scene.break_points(0.3), rig)
+
+
+@pytest.mark.slow
+@NOISE
+@pytest.mark.parametrize("rig", ["A", "B"])
+@pytest.mark.parametrize("distance_m", [0.25, 0.5, 1.0])
+@pytest.mark.parametrize("tilt_rad", [(0.1, -0.1), (0.0, 0.2)])
+def test_a_center_far_beyond_its_covariance_is_flagged(scene_of, rng, rig, method, distance_m, tilt_rad):
+    scene = scene_of(rig, distance_m=distance_m, tilt_rad=tilt_rad)
+
+    poses = [estimate_pose(scene.break_points(0.3, rng), scene.rig, method) for _ in range(200)]
+    unflagged = [pose for pose in poses if PoseFlag.CENTER_WEAK not in pose.flags]
+    errors = [pose.center_m - scene.ring.center_m for pose in unflagged]
+    squares = [e @ np.linalg.solve(pose.covariance_center_m2, e) for e, pose in zip(errors, unflagged, strict=True)]
+
+    assert max(squares, default=0.0) < 5.0**2
