@@ -27,10 +27,10 @@ def captured_shots(
             frames.append(camera.trigger(mask))
             read_masks.append(lasers.read_mask())
         lasers.set_mask(0)
-        yield _shot(name, frames, read_masks)
+        yield _shot(name, frames, read_masks, camera.describe().saturation_dn)
 
 
-def _shot(name: str, frames: Sequence[Frame], read_masks: Sequence[int | None]) -> Shot:
+def _shot(name: str, frames: Sequence[Frame], read_masks: Sequence[int | None], saturation_dn: int) -> Shot:
     reported = [mask for mask in read_masks if mask is not None]
     return Shot(
         name=name,
@@ -39,4 +39,5 @@ def _shot(name: str, frames: Sequence[Frame], read_masks: Sequence[int | None]) 
         stamp_s=np.array([frame.stamp_s for frame in frames], dtype=np.float64),
         exposure_s=np.array([frame.exposure_s for frame in frames], dtype=np.float64),
         read_lasers=np.array(reported, dtype=np.uint8) if len(reported) == len(frames) else None,
+        meta={"saturation_dn": saturation_dn},
     )

@@ -1,6 +1,7 @@
 """What is lit, frame by frame: `off,1,2,3,off`."""
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from ringpose.errors import UsageError
@@ -34,6 +35,18 @@ class Step:
 def parsed_sequence(text: str) -> tuple[Step, ...]:
     """The steps of a sequence, strictly: separated by commas, each `off`, `all` or numbers joined by `+`."""
     return tuple(_parsed_step(word.strip(), place) for place, word in enumerate(text.split(","), start=1))
+
+
+def steps_of(masks: Iterable[int], count: int) -> tuple[Step, ...]:
+    """The steps that light these masks on a rig with `count` lasers."""
+    return tuple(_step_of(mask, count) for mask in masks)
+
+
+def _step_of(mask: int, count: int) -> Step:
+    if mask == (1 << count) - 1:
+        return Step("all")
+    numbers = [str(bit + 1) for bit in range(MOST_LASERS) if mask >> bit & 1]
+    return Step("+".join(numbers) or "off")
 
 
 def _parsed_step(word: str, place: int) -> Step:

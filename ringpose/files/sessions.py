@@ -1,8 +1,8 @@
 """Session folders: `session.yaml` beside one NPZ a shot."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import asdict, replace
-from itertools import count
+from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, cast, get_args
@@ -35,6 +35,11 @@ _KEYS = (
     "shots",
     "provenance",
 )
+
+
+def folder_of_now() -> Path:
+    """`session-20260101T000000Z`, in the working directory."""
+    return Path(f"session-{datetime.now(UTC):%Y%m%dT%H%M%SZ}")
 
 
 def read_session(folder: Path) -> Session:
@@ -87,10 +92,6 @@ class SessionWriter:
     def read_from(self, path: Path) -> None:
         """Remember an input by its hash."""
         self._inputs[str(path)] = sha256(path)
-
-    def free_names(self) -> Iterator[str]:
-        """shot_000001 and on, without those that are taken."""
-        return (name for number in count(1) if (name := f"shot_{number:06d}") not in self._names)
 
     def _take_over(self) -> None:
         """See to what is in the folder already."""

@@ -51,7 +51,7 @@ class NotedCamera(CameraDriver):
         pass
 
     def describe(self) -> CameraDescription:
-        return CameraDescription(name="noted", image_width=3, image_height=2)
+        return CameraDescription(name="noted", image_width=3, image_height=2, saturation_dn=200)
 
     def arm(self, exposure_s: float | None) -> None:
         self.exposure_s = exposure_s
@@ -102,6 +102,14 @@ def test_a_board_that_cannot_say_leaves_no_report():
     (shot,) = captured_shots(NotedCamera(lasers), lasers, parsed_sequence("off,1"), ["first"])
 
     assert shot.read_lasers is None
+
+
+def test_a_shot_knows_at_which_grey_value_its_camera_is_full():
+    lasers = NotedLasers()
+
+    (shot,) = captured_shots(NotedCamera(lasers), lasers, parsed_sequence("all"), ["first"])
+
+    assert shot.saturation_dn == 200
 
 
 def test_the_exposure_reaches_the_camera():

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ringpose.capture.sequence import MOST_LASERS, Step, parsed_sequence
+from ringpose.capture.sequence import MOST_LASERS, Step, parsed_sequence, steps_of
 from ringpose.errors import UsageError
 
 numbers = st.sets(st.integers(1, MOST_LASERS), min_size=1)
@@ -55,3 +55,12 @@ def test_a_fourth_laser_of_three_is_wrong_usage(text):
 
     with pytest.raises(UsageError, match="names laser 4 of a rig with 3 lasers"):
         step.mask(3)
+
+
+@given(st.lists(st.integers(0, 7), min_size=1))
+def test_masks_come_back_from_the_steps_that_light_them(masks):
+    assert [step.mask(3) for step in steps_of(masks, 3)] == masks
+
+
+def test_masks_read_as_a_user_would_write_them():
+    assert [step.text for step in steps_of([0, 1, 2, 4, 5, 7], 3)] == ["off", "1", "2", "3", "1+3", "all"]

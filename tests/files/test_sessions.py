@@ -121,17 +121,6 @@ def test_appending_to_a_capture_that_was_cut_off_lists_its_shots(tmp_path):
     assert current.shots == ("c",)
 
 
-def test_free_names_go_on_after_those_that_are_taken(tmp_path):
-    written(tmp_path / "s", "shot_000001", "shot_000002")
-    writer = SessionWriter(tmp_path / "s", CAPTURE, "append")
-
-    with writer:
-        names = writer.free_names()
-        first = next(names)
-
-    assert first == "shot_000003"
-
-
 def test_two_shots_of_one_name_are_bad_data_and_the_first_stays(tmp_path):
     writer = SessionWriter(tmp_path / "s", CAPTURE)
     with writer:

@@ -14,6 +14,8 @@ class CameraDescription:
     name: str
     image_width: int
     image_height: int
+    saturation_dn: int
+    """The grey value at which a pixel is full."""
 
 
 @runtime_checkable

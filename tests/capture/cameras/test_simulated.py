@@ -12,7 +12,7 @@ from ringpose.capture.sequence import parsed_sequence
 from ringpose.errors import UsageError
 from ringpose.types.frame import Frame
 
-DESCRIPTION = CameraDescription(name="scene", image_width=3, image_height=2)
+DESCRIPTION = CameraDescription(name="scene", image_width=3, image_height=2, saturation_dn=255)
 
 
 def scene_frame(moment: int, lasers: int, exposure_s: float | None) -> Frame:
