@@ -108,10 +108,11 @@ def _draw_ellipse(
 
 
 def _write(picture: UInt8[Array, "row column 3"], text: str, position: Float64[Array, "2"], color: Color) -> None:
-    place = tuple(np.round(position).astype(int).tolist())
+    column, row = np.round(position).astype(int).tolist()
     ascii_text = text.encode("ascii", "replace").decode()
-    cv2.putText(picture, ascii_text, place, _FONT, 0.45, (0, 0, 0), 3, cv2.LINE_AA)
-    cv2.putText(picture, ascii_text, place, _FONT, 0.45, color, 1, cv2.LINE_AA)
+    for x, y in ((-1, 0), (1, 0), (0, -1), (0, 1)):  # thicker letters would be wider too, in OpenCV 5
+        cv2.putText(picture, ascii_text, (column + x, row + y), _FONT, 0.45, (0, 0, 0), 1, cv2.LINE_AA)
+    cv2.putText(picture, ascii_text, (column, row), _FONT, 0.45, color, 1, cv2.LINE_AA)
 
 
 def _fixed(points: Float64[Array, "n 2"]) -> list[tuple[int, int]]:

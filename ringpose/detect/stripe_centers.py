@@ -46,7 +46,7 @@ STRIPE_SIGMA_PX = 1.6
 def find_stripes(
     image: UInt[Array, "row column"],
     dark: UInt[Array, "row column"] | None = None,
-    parameters: StripeParameters = StripeParameters(),  # noqa: B008  (frozen)
+    parameters: StripeParameters = StripeParameters(),
 ) -> Stripes:
     """Sub-pixel stripe centres, linked along x into pieces without gap or jump; their lasers are not known.
 
@@ -74,7 +74,7 @@ def find_stripes(
 
 
 def response_noise(response: Float32[Array, "row column"]) -> Float32[Array, "row column"]:
-    """Standard deviation of a filter response around each pixel: first quartiles of blocks, which stripes do not reach."""
+    """Standard deviation of a filter response around each pixel, from first quartiles of blocks: no stripe fills them."""
     rows, columns = response.shape
     side = min(NOISE_BLOCK_PX, rows, columns)
     down, across = rows // side, columns // side
@@ -121,7 +121,8 @@ def _newton_step(slope: Float32[Array, "n"], curvature: Float32[Array, "n"], sig
     """Offset of the zero of the first derivative, with the cubic term of a Gaussian ridge."""
     step = -slope.astype(np.float64) / curvature
     step *= 1 - step**2 / (sigma_px**2 + STRIPE_SIGMA_PX**2)
-    return np.clip(step, -1.0, 1.0)
+    clipped: Float64[Array, "n"] = np.clip(step, -1.0, 1.0)
+    return clipped
 
 
 def _sigma(contrast: Float32[Array, "n"], sigma_px: float) -> Float64[Array, "n"]:

@@ -42,6 +42,13 @@ def undistorted_pixels(points_px: Float64[Array, "*shape xy=2"], camera: Camera)
     return undistort(points_px, camera) * focal + principal
 
 
+def undistorted_rays(points_px: Float64[Array, "*shape xy=2"], camera: Camera) -> Float64[Array, "*shape xyz=3"]:
+    """Rays (x, y, 1) through pixels of the same camera without distortion."""
+    focal, principal = _focal_and_principal(camera)
+    normalised = (points_px - principal) / focal
+    return np.concatenate([normalised, np.ones_like(normalised[..., :1])], axis=-1)
+
+
 def project(points: Float64[Array, "*shape xyz=3"], camera: Camera) -> Float64[Array, "*shape xy=2"]:
     """Distorted pixels of points in the camera frame; NaN for points at or behind the camera."""
     flat = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)

@@ -1,0 +1,56 @@
+"""Which frames of a shot show which laser: each alone if the lasers were switched, else all that were on together."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, UInt
+
+from ringpose.types.arrays import Array
+from ringpose.types.frame import Shot
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LaserImage:
+    """A frame with stripes, and the same view without."""
+
+    lit: UInt[Array, "row column"]
+    dark: UInt[Array, "row column"] | None
+    lasers: tuple[int, ...]
+    """Those that its stripes may belong to."""
+
+    @property
+    def labelled(self) -> bool:
+        """Whether there is only one laser that its stripes can belong to."""
+        return len(self.lasers) == 1
+
+    @property
+    def signal(self) -> Float64[Array, "row column"]:
+        """What the lasers add to the ambient light."""
+        return self.lit.astype(np.float64) - (0.0 if self.dark is None else self.dark)
+
+
+def laser_images(shot: Shot, count: int) -> list[LaserImage]:
+    """The frames to look for stripes in, so that every one of `count` lasers that was on is covered once.
+
+    A laser's own frame goes before frames that it shares; the dark frame is the one nearest in time, because the
+    ambient light of a tumbling target changes.
+    """
+    images, covered = [], 0
+    for number in sorted(range(len(shot.lasers)), key=lambda each: (int(shot.lasers[each]).bit_count(), each)):
+        mask = int(shot.lasers[number])
+        new = mask & ~covered & ((1 << count) - 1)
+        if new:
+            lasers = tuple(laser for laser in range(count) if new >> laser & 1)
+            images.append(LaserImage(lit=shot.images[number], dark=_dark(shot, number, mask & covered), lasers=lasers))
+            covered |= mask
+    return images
+
+
+def _dark(shot: Shot, number: int, also_on: int) -> UInt[Array, "row column"] | None:
+    """The frame nearest in time with exactly the lasers on that were on besides the new ones; None without one."""
+    same = np.flatnonzero(shot.lasers == also_on)
+    if not len(same):
+        return None
+    nearest = same[np.argmin(np.abs(shot.stamp_s[same] - shot.stamp_s[number]))]
+    dark: UInt[Array, "row column"] = shot.images[nearest]
+    return dark

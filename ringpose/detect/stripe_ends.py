@@ -1,0 +1,195 @@
+"""Where a stripe on the face ends: an edge blurred by the optics, fitted to the stripe's brightness along itself.
+
+Along the stripe the brightness falls from the face's level to what lies beyond (nothing, the weak continuation
+on a wall, a leak of the stripe on the body behind) as an error function; speckle multiplies it.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64, UInt
+
+from ringpose.types.arrays import Array
+
+_STEPS = np.linspace(-4.0, 4.0, 801)
+_NORMAL_CDF = np.array([0.5 * (1 + math.erf(step / math.sqrt(2))) for step in _STEPS])
+
+INSIDE_COLUMNS = 24
+"""Columns of the face that set its level before the edge."""
+
+OUTSIDE_COLUMNS = 12
+"""Columns beyond the edge that set the level there."""
+
+SEARCH_COLUMNS = 6.0
+"""How far the edge may lie from where the stripe's last centre was found."""
+
+SEARCH_STEP = 0.05
+"""Spacing of the positions tried, in columns; a parabola goes between them."""
+
+EDGE_WIDTHS = (0.45, 0.6, 0.8, 1.0)
+"""Blur of the edge in sigmas of the stripe: the optics blur both, the sheet's own thickness only the stripe."""
+
+SPECKLE_COLUMNS = 2.0
+"""Columns of an edge that share a grain: so much fewer are independent."""
+
+KINK_LEVEL = 0.25
+"""A level beyond the edge of this share of the face's means that the stripe runs on: a wall."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Profile:
+    """Brightness of the stripe along its line, one value a column."""
+
+    x: Float64[Array, "n"]
+    amplitude: Float64[Array, "n"]
+    """Peak of the Gaussian cross-section that fits each column best."""
+    headroom: Float64[Array, "n"]
+    """Share of a full cross-section that ambient light leaves below saturation."""
+    saturated: Bool[Array, "n"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StripeEnd:
+    """An end of the stripe along x."""
+
+    x: float
+    sigma: float
+    outside: float
+    """Level beyond the end, as a share of the face's."""
+    saturated: bool
+
+
+def stripe_sigma(signal: Float64[Array, "row column"], x: Array, y: Float64[Array, "n"]) -> float:
+    """Sigma of the stripe's cross-section, from its mean over the columns x with the centres y."""
+    reach = 6
+    rows = np.rint(y).astype(np.int64)[:, None] + np.arange(-reach, reach + 1)
+    inside = np.all((rows >= 0) & (rows < signal.shape[0]), axis=1)
+    if not inside.any():
+        return 1.5
+    offset = (rows - y[:, None])[inside]
+    value = signal[rows[inside], x[inside][:, None]]
+    value = np.maximum(value - np.median(value[np.abs(offset) > 4.5]), 0)
+    weight = value * (np.abs(offset) < 4.5)
+    return float(np.clip(np.sqrt(np.sum(weight * offset**2) / max(weight.sum(), 1e-9)), 0.7, 4.0))
+
+
+def profile_along(
+    lit: UInt[Array, "row column"],
+    dark: UInt[Array, "row column"] | None,
+    line: tuple[Float64[Array, "n"], Float64[Array, "n"]],
+    sigma: float,
+    saturation_dn: int,
+) -> Profile:
+    """The stripe's brightness in the columns of `line` (x, y in distorted pixels; y where the stripe is expected)."""
+    x, y = line
+    columns = x.astype(np.int64)
+    reach = math.ceil(2.5 * sigma) + 1
+    rows = np.clip(np.rint(y).astype(np.int64)[:, None] + np.arange(-reach, reach + 1), 0, lit.shape[0] - 1)
+    shape = np.exp(-0.5 * ((rows - y[:, None]) / sigma) ** 2)
+    bright = lit[rows, columns[:, None]].astype(np.float64)
+    if dark is None:
+        ambient = np.broadcast_to(np.minimum(bright[:, :1], bright[:, -1:]), bright.shape)
+    else:
+        ambient = dark[rows, columns[:, None]].astype(np.float64)
+    norm = np.sum(shape**2, axis=1)
+    amplitude = np.sum(shape * (bright - ambient), axis=1) / norm
+    expected = float(np.median(amplitude)) if len(amplitude) else 0.0
+    clipped = np.minimum(max(expected, 1.0) * shape, np.maximum(saturation_dn - ambient, 0.0))
+    headroom = np.sum(shape * clipped, axis=1) / norm / max(expected, 1.0)
+    return Profile(x=x, amplitude=amplitude, headroom=headroom, saturated=bright.max(axis=1) >= saturation_dn)
+
+
+def stripe_end(profile: Profile, near_x: float, outward: int, sigma: float) -> StripeEnd | None:
+    """The end of the stripe near a column, going outward (+1 to the right, -1 to the left); None if none fits.
+
+    For each position and width of the edge the two levels follow by weighted least squares; the position with the
+    least residual wins, and the curvature of the residual there gives its standard deviation.
+    """
+    along = (profile.x - near_x) * outward
+    used = (along > -INSIDE_COLUMNS) & (along < OUTSIDE_COLUMNS)
+    if np.count_nonzero(used & (along < -2)) < 4 or np.count_nonzero(used & (along > 1)) < 3:
+        return None
+    along, amplitude, headroom = along[used], profile.amplitude[used], profile.headroom[used]
+    inner = along < -2
+    level = float(np.median(amplitude[inner] / np.maximum(headroom[inner], 0.05)))
+    if level <= 0:
+        return None
+    contrast = max(1.4826 * float(np.median(np.abs(amplitude[inner] / np.maximum(headroom[inner], 0.05) / level - 1))), 0.05)
+    beyond = amplitude[along > 2]
+    noise = max(1.4826 * float(np.median(np.abs(beyond - np.median(beyond)))), 0.01 * level)
+
+    cost, position, width, outside = _best_edge(along, amplitude, headroom, (sigma, contrast, noise))
+    slope = level * np.exp(-0.5 * ((position - along) / width) ** 2) / (width * math.sqrt(2 * math.pi)) * headroom
+    edge = _edge(along, position, width)
+    variance = noise**2 + (contrast * level * headroom * edge) ** 2
+    information = float(np.sum(slope**2 * (1 - outside) ** 2 / variance)) / SPECKLE_COLUMNS
+    if information <= 0 or not np.isfinite(cost):
+        return None
+    at_end = (along > position - 6) & (along < position)
+    return StripeEnd(
+        x=near_x + outward * position,
+        sigma=1 / math.sqrt(information),
+        outside=outside,
+        saturated=bool(np.mean(profile.saturated[used][at_end]) > 0.2) if at_end.any() else False,
+    )
+
+
+def _edge(along: Float64[Array, "n"], position: float, width: float) -> Float64[Array, "n"]:
+    """One inside, nothing outside, an error function between."""
+    return np.interp((position - along) / width, _STEPS, _NORMAL_CDF)
+
+
+def _best_edge(
+    along: Float64[Array, "n"],
+    amplitude: Float64[Array, "n"],
+    headroom: Float64[Array, "n"],
+    spread: tuple[float, float, float],
+) -> tuple[float, float, float, float]:
+    """Cost, position, width and outside level (as a share of the inside's) of the edge that fits best."""
+    sigma, contrast, noise = spread
+    positions = np.arange(-SEARCH_COLUMNS, SEARCH_COLUMNS + SEARCH_STEP / 2, SEARCH_STEP)
+    best = (math.inf, 0.0, sigma, 0.0)
+    for share in EDGE_WIDTHS:
+        width = share * sigma
+        edge = np.interp((positions[:, None] - along) / width, _STEPS, _NORMAL_CDF)
+        cost, outside = _level_costs(edge, amplitude, headroom, contrast, noise)
+        k = int(np.argmin(cost))
+        if cost[k] < best[0]:
+            best = (float(cost[k]), _parabola(positions, cost, k), width, float(outside[k]))
+    return best
+
+
+def _level_costs(
+    edge: Float64[Array, "position n"],
+    amplitude: Float64[Array, "n"],
+    headroom: Float64[Array, "n"],
+    contrast: float,
+    noise: float,
+) -> tuple[Float64[Array, "position"], Float64[Array, "position"]]:
+    """Minus log likelihood of each edge position with its best levels, and the outside level's share of the inside."""
+    inside, outside = edge * headroom, 1 - edge
+    level = np.median(amplitude / np.maximum(headroom, 0.05))
+    for _ in range(2):
+        variance = noise**2 + (contrast * np.asarray(level)[..., None] * inside) ** 2
+        a = np.sum(inside * inside / variance, axis=-1)
+        b = np.sum(inside * outside / variance, axis=-1)
+        c = np.sum(outside * outside / variance, axis=-1)
+        p = np.sum(inside * amplitude / variance, axis=-1)
+        q = np.sum(outside * amplitude / variance, axis=-1)
+        determinant = np.maximum(a * c - b * b, 1e-30)
+        level = np.maximum((c * p - b * q) / determinant, 1e-6)
+        beyond = np.clip((a * q - b * p) / determinant, 0.0, level)
+    residual = amplitude - level[:, None] * inside - beyond[:, None] * outside
+    cost = 0.5 * np.sum(residual**2 / variance + np.log(variance), axis=-1)
+    return cost, beyond / level
+
+
+def _parabola(positions: Float64[Array, "position"], cost: Float64[Array, "position"], k: int) -> float:
+    """The minimum between the positions tried."""
+    if not 0 < k < len(positions) - 1:
+        return float(positions[k])
+    left, middle, right = cost[k - 1 : k + 2]
+    bend = left - 2 * middle + right
+    shift = 0.5 * (left - right) / bend if bend > 0 else 0.0
+    return float(positions[k] + np.clip(shift, -1, 1) * SEARCH_STEP)
