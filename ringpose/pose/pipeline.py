@@ -16,7 +16,6 @@ from ringpose.types.rig import Rig
 from ringpose.types.ring_points import RingPoints
 from ringpose.types.ring_pose import NoPose, RingPose
 
-
 FORMS = {Method.PAPER: paper_form, Method.PAPER_CONSTRAINED: constrained_form}
 """The closed form of each method."""
 

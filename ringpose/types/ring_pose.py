@@ -16,7 +16,7 @@ class NoPose(Enum):
     UNTRIANGULATED = "a ray runs along its light plane or meets it behind the camera"
     COLLINEAR = "the break points lie on one line within their errors, which no plane determines"
     EDGE_ON = "the ring's plane passes through the camera: its face cannot be seen"
-    NOT_FINITE = "the equations have no finite solution"
+    NOT_FINITE = "the solution misses the break points that it came from, as when the ring lies along a light plane"
 
 
 class PoseFlag(IntFlag):
