@@ -72,7 +72,7 @@ class Fields:
             raise self.problem(key, f"is {kind(value)}, must be true or false")
         return value
 
-    def integer(self, key: str, least: float = -math.inf, most: float = math.inf) -> int:
+    def integer(self, key: str, least: int | float = -math.inf, most: int | float = math.inf) -> int:
         """A whole number between two bounds, both included."""
         value = self.raw(key)
         if isinstance(value, bool) or not isinstance(value, int):
@@ -80,7 +80,7 @@ class Fields:
         self._check_range(key, float(value), (least, most))
         return value
 
-    def number(self, key: str, least: float = -math.inf, most: float = math.inf) -> float:
+    def number(self, key: str, least: int | float = -math.inf, most: int | float = math.inf) -> float:
         """A finite number between two bounds, both included."""
         value = self.raw(key)
         if isinstance(value, bool) or not isinstance(value, int | float):
@@ -149,7 +149,7 @@ class Fields:
     def _below(self, key: str) -> str:
         return f"{self.path}.{key}" if self.path else key
 
-    def _check_range(self, key: str, value: float, bounds: tuple[float, float]) -> None:
+    def _check_range(self, key: str, value: float, bounds: tuple[int | float, int | float]) -> None:
         if not math.isfinite(value):
             raise self.problem(key, f"is {value}, must be finite")
         if not bounds[0] <= value <= bounds[1]:

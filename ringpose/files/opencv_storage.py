@@ -12,7 +12,7 @@ from ringpose.types.arrays import Array
 from ringpose.types.camera import Camera
 
 _MATRIX, _COEFFICIENTS = "camera_matrix", "distortion_coefficients"
-_MATRIX_KEYS = ("rows", "cols", "dt", "data")
+_MATRIX_KEYS = ("rows", "cols", "sizes", "dt", "data")
 
 
 def is_storage(text: bytes) -> bool:
@@ -40,7 +40,7 @@ def camera_of(text: bytes, file: str, name: str) -> Camera:
     )
 
 
-def _trimmed(fields: Fields, given: Float64[Array, "n"]) -> Float64[Array, "n"]:
+def _trimmed(fields: Fields, given: Float64[Array, "given"]) -> Float64[Array, "kept"]:
     used = int(np.flatnonzero(given)[-1]) + 1 if given.any() else 0
     length = 5 if used <= 5 else 8
     if used > 8:
@@ -50,7 +50,10 @@ def _trimmed(fields: Fields, given: Float64[Array, "n"]) -> Float64[Array, "n"]:
 
 def _storage_matrix(fields: Fields, key: str, rows: int) -> Float64[Array, "row column"]:
     entry = fields.fields(key, _MATRIX_KEYS)
-    size = entry.integer("rows", least=1) * entry.integer("cols", least=1)
+    if entry.has("sizes"):  # OpenCV 5 writes a vector so
+        size = int(np.prod(entry.array("sizes", (None,))))
+    else:
+        size = entry.integer("rows", least=1) * entry.integer("cols", least=1)
     data = entry.vector("data", size)
     if rows == 3 and size != 9:
         raise fields.problem(key, f"has {size} numbers, must have 3 x 3")

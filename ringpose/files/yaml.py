@@ -56,6 +56,7 @@ for _name, _pattern, _first in _RESOLVERS:
         _class.add_implicit_resolver(_TAG + _name, re.compile(f"^(?:{_pattern})$"), list(_first))
 _Loader.add_constructor(_TAG + "map", _mapping)
 _Loader.add_constructor(_TAG + "opencv-matrix", _mapping)
+_Loader.add_constructor(_TAG + "opencv-nd-matrix", _mapping)
 _Loader.add_constructor(_TAG + "int", _integer)
 
 

@@ -1,0 +1,95 @@
+import math
+
+import numpy as np
+import pytest
+
+from ringpose.errors import DataError
+from ringpose.files.fields import Fields
+
+
+def fields(**values):
+    return Fields("rig.yaml", values)
+
+
+def refusal(action) -> str:
+    with pytest.raises(DataError) as caught:
+        action()
+    return str(caught.value)
+
+
+def test_place_names_the_file_and_the_path_to_the_key():
+    laser = list(Fields("rig.yaml", {"lasers": [{}, {"name": 3}]}).each("lasers"))[1]
+
+    assert refusal(lambda: laser.text("name")) == "rig.yaml: lasers[1].name: is 3, must be a text"
+
+
+def test_unknown_key_is_refused_with_the_nearest_known_one():
+    line = refusal(lambda: Fields("rig.yaml", {"distnace_m": 1}, ("distance_m", "normal")))
+
+    assert line == "rig.yaml: unknown key 'distnace_m'; did you mean 'distance_m'?"
+
+
+def test_unknown_key_without_a_near_one_says_how_to_keep_it():
+    assert "begin it with x_" in refusal(lambda: Fields("rig.yaml", {"colour": 1}, ("distance_m",)))
+
+
+def test_keys_of_the_user_are_left_alone():
+    assert Fields("rig.yaml", {"x_colour": 1}, ("name",)).values == {"x_colour": 1}
+
+
+def test_missing_key_is_named_with_what_stands_there_instead():
+    assert refusal(lambda: fields(normall=1).raw("normal")) == (
+        "rig.yaml: has no key 'normal'; did you mean 'normal' where 'normall' stands?"
+    )
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, True, "1", None, [1.0]])
+def test_what_is_no_finite_number_is_refused(value):
+    assert "rig.yaml: a" in refusal(lambda: fields(a=value).number("a"))
+
+
+@pytest.mark.parametrize("value", [1.5, True, "3", None])
+def test_what_is_no_whole_number_is_refused(value):
+    assert "rig.yaml: a" in refusal(lambda: fields(a=value).integer("a"))
+
+
+def test_number_out_of_its_range_says_the_range():
+    assert refusal(lambda: fields(a=7).number("a", least=0, most=5)).endswith("is 7, must be at least 0 and at most 5")
+
+
+def test_number_below_its_only_bound_says_the_bound():
+    assert refusal(lambda: fields(a=-1).integer("a", least=1)).endswith("is -1, must be at least 1")
+
+
+@pytest.mark.parametrize("value", [-39.5, 5.1])
+def test_length_that_fits_millimetres_only_is_refused_with_the_hint(value):
+    assert "metres belong here; this looks like millimetres" in refusal(lambda: fields(a=value).length_m("a"))
+
+
+def test_length_of_either_sign_up_to_five_metres_is_taken():
+    assert fields(a=-5.0).length_m("a") == -5.0
+
+
+@pytest.mark.parametrize("value", [[1, 2], [1, 2, "3"], [1, 2, True], [[1, 2, 3]], 3.0, [1, 2, math.nan], [1, 2, None]])
+def test_what_is_no_vector_of_three_is_refused(value):
+    assert "rig.yaml: a" in refusal(lambda: fields(a=value).vector("a", 3))
+
+
+def test_ragged_matrix_is_refused():
+    assert "must be n x 2 numbers" in refusal(lambda: fields(a=[[1, 2], [3]]).array("a", (None, 2)))
+
+
+def test_null_in_an_array_is_nan_where_that_is_allowed():
+    array = fields(a=[[1, None], [3, 4]]).array("a", (2, 2), allow_nan=True)
+
+    np.testing.assert_array_equal(array, [[1, math.nan], [3, 4]])
+
+
+def test_empty_list_has_any_length():
+    assert fields(a=[]).array("a", (None, 2)).shape == (0, 2)
+
+
+def test_choice_names_the_allowed_words_and_the_nearest():
+    line = refusal(lambda: fields(a="charucco").choice("a", ("charuco", "chessboard")))
+
+    assert line == "rig.yaml: a: is 'charucco', must be one of charuco, chessboard; did you mean 'charuco'?"

@@ -1,0 +1,145 @@
+import hashlib
+
+import numpy as np
+import pytest
+
+from ringpose.errors import CannotCreateError, DataError
+from ringpose.files.rigs import read_rig, require_mount, write_rig
+from ringpose.types.covariance import ParameterCovariance
+
+
+def test_good_rig_is_read_with_its_hash(rig_file):
+    file = rig_file()
+
+    rig = read_rig(file)
+
+    assert rig.lasers.names == ("left", "right")
+    np.testing.assert_array_equal(rig.lasers.distance_m, [-0.04, 0.05])
+    np.testing.assert_array_equal(rig.lasers.projector_m, [[-0.03, -0.04, 0], [np.nan] * 3])
+    np.testing.assert_array_equal(rig.camera.camera_matrix, [[700, 0, 320.5], [0, 710, 240.25], [0, 0, 1]])
+    assert rig.sha256 == hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def test_rig_with_everything_is_read_as_it_was_written(rig_file, tmp_path, rng):
+    names = ("fx", "k3", "left.tilt_1", "right.distance")
+    root = rng.normal(size=(4, 4)) * np.array([[1.0], [0.01], [1e-4], [1e-5]])
+    before = read_rig(rig_file())
+    joint = ParameterCovariance(parameters=names, data=root @ root.T)
+    object.__setattr__(before, "covariance", joint)
+
+    write_rig(tmp_path / "again.yaml", before, inputs=[tmp_path / "rig.yaml"])
+    after = read_rig(tmp_path / "again.yaml")
+
+    np.testing.assert_array_equal(after.lasers.normal, before.lasers.normal)
+    np.testing.assert_array_equal(after.lasers.projector_m, before.lasers.projector_m)
+    np.testing.assert_array_equal(after.camera.distortion_coefficients, before.camera.distortion_coefficients)
+    np.testing.assert_allclose(after.tool_from_camera, before.tool_from_camera, atol=1e-15)
+    assert after.covariance.parameters == names
+    np.testing.assert_allclose(after.covariance.data, joint.data, rtol=1e-15)
+    assert after.provenance["inputs"] == {str(tmp_path / "rig.yaml"): before.sha256}
+
+
+def test_rounded_normal_is_made_unit_length(rig_file):
+    rig = read_rig(rig_file("lasers.0.normal", [0, 0.6000001, -0.8]))
+
+    np.testing.assert_allclose(np.linalg.norm(rig.lasers.normal, axis=1), 1, rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "finding"),
+    [
+        ("ringpose", "rig/2", "ringpose: is 'rig/2', must be 'rig/1'"),
+        (
+            "lasers.1.distance_m",
+            -39.5,
+            "lasers[1].distance_m: is -39.5; metres belong here; this looks like millimetres",
+        ),
+        ("lasers.0.projector_m", [-30, -40, 0], "lasers[0].projector_m: is -40; metres belong here"),
+        ("mount.tool_from_camera.0.3", 100.0, "mount.tool_from_camera: is 100; metres belong here"),
+        ("lasers.1.normal", [0, 0.6, 0.79], "lasers[1].normal: has length 0.992018, must be 1"),
+        ("lasers.1.normal", [0, 0, 0], "lasers[1].normal: has length 0, must be 1"),
+        ("lasers.1.normal.0", float("nan"), "lasers[1].normal: has a number that is not finite"),
+        ("lasers.1.name", "left", "lasers[1].name: 'left' stands twice"),
+        ("lasers.1.name", "a.b", "lasers[1].name: is 'a.b', must have no full stop"),
+        ("lasers.1.distnace_m", 1, "lasers[1]: unknown key 'distnace_m'; did you mean 'distance_m'?"),
+        ("lasers", [], "lasers: has 0 lasers, must have 1 to 8"),
+        ("mount.tool_from_camera.0.0", 0.5, "mount.tool_from_camera: its left upper 3 x 3 numbers are no rotation"),
+        ("mount.tool_from_camera.0.1", 1, "mount.tool_from_camera: its left upper 3 x 3 numbers are no rotation"),
+        ("mount.tool_from_camera.3.3", 2, "mount.tool_from_camera: must end with the row [0, 0, 0, 1]"),
+        ("camera.image_width", 0, "camera.image_width: is 0, must be at least 1"),
+        ("camera.camera_matrix.data.0", -700, "camera.camera_matrix: has a focal length that is not positive"),
+        ("camera.camera_matrix.data.1", 0.5, "camera.camera_matrix: must have the form"),
+        ("camera.camera_matrix.data.2", 9000, "camera.camera_matrix: has its principal point at (9000, 240.25)"),
+        ("camera.camera_matrix.rows", 2, "camera.camera_matrix.rows: is 2, must be 3"),
+        (
+            "camera.distortion_model",
+            "equidistant",
+            "camera.distortion_model: is 'equidistant', must be one of plumb_bob",
+        ),
+        ("camera.distortion_coefficients.cols", 4, "camera.distortion_coefficients.data: has 5 numbers, must have 4"),
+    ],
+)
+def test_impossible_rig_is_refused_with_its_place(rig_file, path, value, finding):
+    file = rig_file(path, value)
+
+    with pytest.raises(DataError) as caught:
+        read_rig(file)
+
+    assert str(caught.value).startswith(f"{file}: {finding}")
+
+
+@pytest.mark.parametrize(
+    "path", ["camera", "lasers", "lasers.0.normal", "lasers.0.distance_m", "camera.camera_matrix.data"]
+)
+def test_missing_key_is_named(rig_file, deleted, path):
+    with pytest.raises(DataError, match=f"has no key '{path.split('.')[-1]}'"):
+        read_rig(rig_file(path, deleted))
+
+
+@pytest.mark.parametrize(
+    ("parameters", "data", "finding"),
+    [
+        (["fx", "fz"], [[1, 0], [0, 1]], "unknown parameter 'fz'"),
+        (["fx", "middle.tilt_1"], [[1, 0], [0, 1]], "unknown parameter 'middle.tilt_1'"),
+        (["fx", "fx"], [[1, 0], [0, 1]], "a parameter stands twice"),
+        (["fx", "fy"], [[1, 0, 0], [0, 1, 0]], "has 2 x 3 numbers, must have 2 x 2"),
+        (["fx", "left.tilt_1"], [[1, 1e-4], [0, 1e-6]], "is not symmetric"),
+        (["fx", "left.tilt_1"], [[1, 2e-3], [2e-3, 1e-6]], "is not positive semidefinite"),
+        (["fx", "fy"], [[1, 0], [0, -1]], "has a negative variance"),
+        (["fx", "fy"], [[0, 1], [1, 1]], "is not positive semidefinite"),
+    ],
+)
+def test_impossible_covariance_is_refused(rig_file, parameters, data, finding):
+    file = rig_file("covariance", {"parameters": parameters, "data": data})
+
+    with pytest.raises(DataError) as caught:
+        read_rig(file)
+
+    assert finding in str(caught.value)
+
+
+def test_covariance_of_rank_one_is_taken(rig_file):
+    rig = read_rig(rig_file("covariance", {"parameters": ["fx", "left.distance"], "data": [[4, 2e-3], [2e-3, 1e-6]]}))
+
+    assert rig.covariance.parameters == ("fx", "left.distance")
+
+
+def test_rig_without_mount_cannot_give_poses_of_the_tool(rig_file, deleted):
+    file = rig_file("mount", deleted)
+
+    with pytest.raises(DataError, match="has no mount"):
+        require_mount(read_rig(file), file)
+
+
+def test_existing_rig_is_not_overwritten_without_force(rig_file):
+    file = rig_file()
+    before = file.read_bytes()
+
+    with pytest.raises(CannotCreateError, match="--force"):
+        write_rig(file, read_rig(file))
+
+    assert file.read_bytes() == before
+
+
+def test_rendered_rigs_are_read(shared_data):
+    assert read_rig(shared_data / "rendered/rig_b/rig.yaml").lasers.names == ("left", "middle", "right")

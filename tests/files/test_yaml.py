@@ -1,0 +1,88 @@
+from pathlib import Path
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ringpose.errors import DataError, NoInputError
+from ringpose.files.yaml import parsed, read_yaml, write_yaml
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [("1e-3", 0.001), ("-.5E+2", -50.0), ("1.", 1.0), ("012", 12), ("+7", 7), ("true", True), ("~", None)],
+)
+def test_numbers_are_read_as_yaml_1_2_has_them(text, value):
+    assert parsed(f"a: {text}".encode(), "x.yaml") == {"a": value}
+
+
+@pytest.mark.parametrize("text", ["off", "no", "yes", "2026-01-31", "1:30", "0x10", "1_000"])
+def test_words_that_yaml_1_1_would_turn_into_something_else_stay_texts(text):
+    assert parsed(f"a: {text}".encode(), "x.yaml") == {"a": text}
+
+
+@pytest.mark.parametrize(
+    ("text", "finding"),
+    [
+        ("a: 1\nb: 2\na: 3", "x.yaml:3: is no valid YAML: the key 'a' stands twice"),
+        ("a: [1,\nb: 2", "x.yaml:2: is no valid YAML"),
+        ("a: !!python/object/apply:os.getcwd []", "x.yaml:1: is no valid YAML: could not determine a constructor"),
+        ("? [a]\n: 1", "x.yaml:1: is no valid YAML: a key must be a text"),
+        ("a: " + "[" * 5000, "x.yaml: is no valid YAML"),
+        ("a: \x01", "x.yaml: is no valid YAML"),
+        ("a: 1\n---\nb: 2", "x.yaml:2: is no valid YAML"),
+    ],
+)
+def test_bad_yaml_is_one_line_with_its_place(text, finding):
+    with pytest.raises(DataError) as caught:
+        parsed(text.encode(), "x.yaml")
+
+    assert str(caught.value).startswith(finding)
+    assert "\n" not in str(caught.value)
+
+
+def test_binary_data_is_no_yaml():
+    with pytest.raises(DataError, match="is no valid YAML"):
+        parsed(bytes(range(128, 256)), "x.yaml")
+
+
+@pytest.mark.parametrize("text", ["", "- 1", "just words"])
+def test_a_file_must_hold_a_mapping(tmp_path: Path, text):
+    (tmp_path / "x.yaml").write_text(text)
+
+    with pytest.raises(DataError, match="must be a mapping"):
+        read_yaml(tmp_path / "x.yaml")
+
+
+def test_missing_file_is_no_input(tmp_path: Path):
+    with pytest.raises(NoInputError, match="does not exist"):
+        read_yaml(tmp_path / "x.yaml")
+
+
+_SCALARS = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(-(10**12), 10**12),
+    st.floats(allow_nan=False, allow_infinity=False),
+    st.text(st.characters(codec="utf-8", exclude_categories=("C",)), max_size=12),
+    st.sampled_from(["off", "1e-3", "1:30", "2026-01-31", "010", "~", "", "true", "0x1F", "1_000", ".5"]),
+)
+
+
+@given(st.dictionaries(st.text("abc_", min_size=1), st.one_of(_SCALARS, st.lists(_SCALARS))))
+def test_what_is_written_is_read_again(tmp_path_factory, values):
+    file = tmp_path_factory.mktemp("yaml") / "x.yaml"
+    with file.open("wb") as stream:
+        write_yaml(stream, values)
+
+    assert parsed(file.read_bytes(), "x.yaml") == values
+
+
+@given(st.dictionaries(st.text("abc_", min_size=1), _SCALARS))
+def test_what_is_written_is_read_by_other_readers_of_yaml(tmp_path_factory, values):
+    file = tmp_path_factory.mktemp("yaml") / "x.yaml"
+    with file.open("wb") as stream:
+        write_yaml(stream, values)
+
+    assert yaml.safe_load(file.read_bytes()) == values
