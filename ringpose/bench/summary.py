@@ -52,6 +52,12 @@ def summaries(scores: Sequence[Score], by: Sequence[str]) -> list[Summary]:
     return lines
 
 
+def unknown_groups(scores: Sequence[Score], by: Sequence[str]) -> list[str]:
+    """Names that no shot's truth has a group of."""
+    known = {name for score in scores for name in score.groups}
+    return [name for name in by if name not in known]
+
+
 def spread(errors: Iterable[float]) -> Spread:
     """Root mean square, median and maximum of the sizes of at least one error."""
     sizes = np.abs(np.array(list(errors), dtype=np.float64))

@@ -1,9 +1,30 @@
 """What must not be exceeded."""
 
+import math
 from collections.abc import Mapping, Sequence
 
 from ringpose.bench.score import Outcome
 from ringpose.bench.summary import Summary
+
+
+def error_limits(
+    center_mm: float | None, normal_deg: float | None, radius_mm: float | None, grasp_mm: float | None
+) -> dict[str, float]:
+    """Limits on RMSEs as users say them, by the names of `QUANTITIES`, in metres and radians; None is no limit."""
+    wanted = {
+        "center_m": (center_mm, 1e-3),
+        "normal_rad": (normal_deg, math.pi / 180),
+        "radius_inner_m": (radius_mm, 1e-3),
+        "radius_outer_m": (radius_mm, 1e-3),
+        "grasp_m": (grasp_mm, 1e-3),
+    }
+    return {name: value * unit for name, (value, unit) in wanted.items() if value is not None}
+
+
+def count_limits(missed: int | None, wrong: int | None) -> dict[tuple[Outcome, ...], int]:
+    """Limits on the number of shots without a pose that should have one, and of wrong poses; None is no limit."""
+    wanted = {(Outcome.MISSED, Outcome.LOST): missed, (Outcome.WRONG,): wrong}
+    return {outcomes: limit for outcomes, limit in wanted.items() if limit is not None}
 
 
 def missed_error_limits(summaries: Sequence[Summary], limits: Mapping[str, float]) -> list[str]:

@@ -3,7 +3,7 @@
 import pytest
 
 from ringpose.bench.score import Outcome, Score
-from ringpose.bench.summary import ABSENT, spread, summaries
+from ringpose.bench.summary import ABSENT, spread, summaries, unknown_groups
 
 
 def scored(
@@ -72,3 +72,7 @@ def test_nees_is_a_mean_not_a_root():
     (line,) = summaries([one, two], [])
 
     assert line.nees["center_nees"] == pytest.approx(1.1)
+
+
+def test_a_group_that_no_truth_names_is_unknown():
+    assert unknown_groups([scored("a", light="dim"), scored("b", ring="R597")], ["light", "lihgt", "ring"]) == ["lihgt"]

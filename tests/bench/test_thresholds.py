@@ -1,8 +1,12 @@
 """Limits that are held, and limits that are missed."""
 
+import math
+
+import pytest
+
 from ringpose.bench.score import Outcome, Score
 from ringpose.bench.summary import summaries
-from ringpose.bench.thresholds import missed_count_limits, missed_error_limits
+from ringpose.bench.thresholds import count_limits, error_limits, missed_count_limits, missed_error_limits
 
 
 def scored(light: str, grasp_m: float | None) -> Score:
@@ -33,10 +37,20 @@ def test_a_limit_on_what_nobody_gave_is_missed():
 
 
 def test_too_many_misses_are_counted_over_all_groups():
-    limits = {(Outcome.MISSED, Outcome.LOST): 0}
-
-    assert missed_count_limits(LINES, limits) == ["missed and lost: 1 shots of all shots (paper) exceed 0"]
+    assert missed_count_limits(LINES, count_limits(missed=0, wrong=None)) == [
+        "missed and lost: 1 shots of all shots (paper) exceed 0"
+    ]
 
 
 def test_as_many_misses_as_allowed_are_allowed():
     assert missed_count_limits(LINES, {(Outcome.MISSED,): 1}) == []
+
+
+def test_limits_are_said_in_millimetres_and_degrees_and_kept_in_metres_and_radians():
+    limits = error_limits(center_mm=2.0, normal_deg=180.0, radius_mm=None, grasp_mm=0.5)
+
+    assert limits == pytest.approx({"center_m": 0.002, "normal_rad": math.pi, "grasp_m": 0.0005})
+
+
+def test_a_limit_on_radii_holds_for_both_edges():
+    assert set(error_limits(None, None, 1.0, None)) == {"radius_inner_m", "radius_outer_m"}

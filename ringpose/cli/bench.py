@@ -1,0 +1,227 @@
+"""`ringpose bench`: poses and truth -> tables of errors."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+import typer
+
+from ringpose.cli.app import app
+from ringpose.cli.options import Force, OptionalRigFile, PoseFrame, Quiet
+from ringpose.pose.method import Method
+
+if TYPE_CHECKING:
+    from ringpose.bench.answer import Answer
+    from ringpose.bench.score import Outcome, Score
+    from ringpose.bench.summary import Summary
+    from ringpose.cli.batch import Batch
+    from ringpose.types.camera import Camera
+    from ringpose.types.rig import Rig
+    from ringpose.types.truth import Truth
+
+    Limits = tuple[dict[str, float], dict[tuple[Outcome, ...], int]]
+
+STDOUT = "-"
+
+DEFAULT_GROUPS = ("distance_m", "light")
+
+PosesOrFolders = Annotated[
+    list[str],
+    typer.Argument(metavar="INPUT...", help="With --truth pose lines (- for stdin); without it data set folders."),
+]
+TruthFile = Annotated[Path | None, typer.Option("--truth", metavar="FILE", help="What is really there (truth.jsonl).")]
+By = Annotated[
+    str | None,
+    typer.Option("--by", metavar="GROUPS", help="Groups of the truth, by commas; distance_m,light if not given."),
+]
+Methods = Annotated[
+    list[Method] | None, typer.Option("--method", help="Of data sets, may be given again; all methods if not given.")
+]
+JsonFile = Annotated[
+    str | None, typer.Option("--json", metavar="FILE", help="All figures as JSON; - instead of tables.")
+]
+CsvFile = Annotated[str | None, typer.Option("--csv", metavar="FILE", help="A row a shot as CSV; - instead of tables.")]
+MaxCenter = Annotated[float | None, typer.Option("--max-center-mm", min=0, help="Limit on the centre's RMSE.")]
+MaxNormal = Annotated[float | None, typer.Option("--max-normal-deg", min=0, help="Limit on the normal's RMSE.")]
+MaxRadius = Annotated[float | None, typer.Option("--max-radius-mm", min=0, help="Limit on the radii's RMSE.")]
+MaxGrasp = Annotated[float | None, typer.Option("--max-grasp-mm", min=0, help="Limit on the grasp point's RMSE.")]
+MaxMissed = Annotated[int | None, typer.Option("--max-missed", min=0, help="Limit on shots missed or lost.")]
+MaxWrong = Annotated[int | None, typer.Option("--max-wrong", min=0, help="Limit on wrong poses.")]
+
+
+@app.command()
+def bench(
+    inputs: PosesOrFolders,
+    truth: TruthFile = None,
+    rig: OptionalRigFile = None,
+    by: By = None,
+    method: Methods = None,
+    json: JsonFile = None,
+    csv: CsvFile = None,
+    max_center_mm: MaxCenter = None,
+    max_normal_deg: MaxNormal = None,
+    max_radius_mm: MaxRadius = None,
+    max_grasp_mm: MaxGrasp = None,
+    max_missed: MaxMissed = None,
+    max_wrong: MaxWrong = None,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Compare poses with the truth: errors by group, failures counted; status 3 if a limit is missed."""
+    from ringpose.bench.thresholds import count_limits, error_limits
+    from ringpose.cli.batch import Batch
+    from ringpose.errors import UsageError
+
+    if json == csv == STDOUT:
+        raise UsageError("", "--json - and --csv - both want standard output", "write one of them into a file")
+    batch = Batch()
+    scores = (
+        _scores_of_folders(inputs, rig, method or list(Method), batch, quiet)
+        if truth is None
+        else _scores_of_lines(inputs, truth, rig, batch)
+    )
+    limits = (
+        error_limits(max_center_mm, max_normal_deg, max_radius_mm, max_grasp_mm),
+        count_limits(max_missed, max_wrong),
+    )
+    if not scores:
+        batch.finish()
+    names = _names(scores, by)
+    lines, missed = _judged(scores, names, limits, batch)
+    _write(_Targets(json, csv, force, _files(inputs, truth, rig)), scores, lines, missed, names)
+    batch.finish()
+
+
+class _Targets(NamedTuple):
+    json: str | None
+    csv: str | None
+    force: bool
+    inputs: list[Path]
+
+
+def _scores_of_lines(inputs: list[str], truth: Path, rig: Path | None, batch: "Batch") -> "list[Score]":
+    """Pose lines against one truth file; the rig beside it tells which arc the stripes span."""
+    from ringpose.bench.answer import answer_of
+    from ringpose.bench.pipeline import answered_twice, scores, without_truth
+    from ringpose.errors import DataError
+    from ringpose.files.inputs import RECORDS_SUFFIX, Record
+    from ringpose.files.inputs import inputs as named
+    from ringpose.files.poses import pose_line_of
+    from ringpose.files.truths import read_truths
+
+    truths, camera = list(read_truths(truth)), _camera(rig or truth.with_name("rig.yaml"), rig is not None)
+    answers = []
+    for item in batch.good(named(inputs, (RECORDS_SUFFIX,))):
+        with batch.item():
+            if not isinstance(item, Record):
+                raise DataError(str(item), "holds no pose lines", "give the .jsonl output of ringpose pose")
+            answers.append(answer_of(pose_line_of(item.values, item.place), item.place))
+    for shot in without_truth(answers, truths):
+        with batch.item():
+            raise DataError(shot, f"has a pose line but no truth in {truth}", "give the truth of these shots")
+    for shot in answered_twice(answers):
+        with batch.item():
+            raise DataError(
+                shot, "has more than one pose line of one method; the last one counts", "bench each run alone"
+            )
+    return scores(answers, truths, camera)
+
+
+def _files(inputs: list[str], truth: Path | None, rig: Path | None) -> list[Path]:
+    """The files whose hashes go into the report; of a data set its rig and truth."""
+    named = [Path(name) for name in inputs if name != STDOUT]
+    of_sets = [folder / file for folder in named if folder.is_dir() for file in ("rig.yaml", "truth.jsonl")]
+    every = [truth, rig, *named, *of_sets]
+    return [path for path in every if path is not None and path.is_file()]
+
+
+def _camera(rig: Path, wanted: bool) -> "Camera | None":
+    """The camera of a rig file that the user names, or that is there."""
+    from ringpose.files.rigs import read_rig
+
+    return read_rig(rig).camera if wanted or rig.exists() else None
+
+
+def _scores_of_folders(
+    folders: list[str], rig: Path | None, methods: list[Method], batch: "Batch", quiet: bool
+) -> "list[Score]":
+    """Data sets, each detected and posed here by every method."""
+    from ringpose.bench.pipeline import scores
+    from ringpose.errors import UsageError
+    from ringpose.files.rigs import read_rig
+    from ringpose.files.truths import read_truths
+
+    found = []
+    for folder in map(Path, folders):
+        if str(folder) == STDOUT or folder.is_file():
+            raise UsageError("", f"{folder} is no data set folder", "give --truth FILE to compare pose lines")
+        with batch.item():
+            of_shots = read_rig(rig or folder / "rig.yaml")
+            truths = list(read_truths(folder / "truth.jsonl"))
+            answers = list(_answers(folder / "shots", truths, of_shots, methods, batch, quiet))
+            found += scores(answers, truths, of_shots.camera)
+    return found
+
+
+def _answers(
+    shots: Path, truths: "list[Truth]", rig: "Rig", methods: list[Method], batch: "Batch", quiet: bool
+) -> "Iterator[Answer]":
+    from ringpose.bench.answer import Answer
+    from ringpose.cli.pose import pose_line
+    from ringpose.cli.progress import counted
+    from ringpose.detect.pipeline import detect
+    from ringpose.files.shots import read_shot
+
+    for truth in counted(truths, "shots", quiet):
+        with batch.item():
+            detection = detect(read_shot(shots / f"{truth.shot}.npz", rig=rig), rig)
+            for method in methods:
+                line = pose_line(detection, rig, method, PoseFrame.CAMERA)
+                yield Answer(shot=truth.shot, method=method.value, pose=line.pose)
+
+
+def _judged(
+    scores: "list[Score]", names: list[str], limits: "Limits", batch: "Batch"
+) -> "tuple[list[Summary], list[str]]":
+    """The groups, and a sentence for each limit that they miss."""
+    from ringpose.bench.summary import summaries
+    from ringpose.bench.thresholds import missed_count_limits, missed_error_limits
+    from ringpose.cli import messages
+    from ringpose.errors import NO_POSE
+
+    lines = summaries(scores, names)
+    missed = [*missed_error_limits(lines, limits[0]), *missed_count_limits(lines, limits[1])]
+    for sentence in missed:
+        messages.say(sentence)
+        batch.met(NO_POSE)
+    return lines, missed
+
+
+def _names(scores: "list[Score]", by: str | None) -> list[str]:
+    """The groups wished for; without a wish those of distance and light that there are."""
+    from ringpose.bench.summary import unknown_groups
+    from ringpose.errors import UsageError
+
+    names = list(DEFAULT_GROUPS) if by is None else [name.strip() for name in by.split(",") if name.strip()]
+    unknown = unknown_groups(scores, names)
+    if by is not None and unknown:
+        raise UsageError("--by", f'no shot has a group "{unknown[0]}"')
+    return [name for name in names if name not in unknown]
+
+
+def _write(
+    targets: _Targets, scores: "list[Score]", lines: "list[Summary]", missed: list[str], names: list[str]
+) -> None:
+    from ringpose.bench.report import csv_rows, report
+    from ringpose.bench.table import table
+    from ringpose.files import records
+    from ringpose.files.provenance import provenance
+    from ringpose.files.tables import csv_text, write_result
+
+    if STDOUT not in (targets.json, targets.csv):
+        records.write_text(table(lines, names))
+    if targets.json is not None:
+        noted = {**report(lines, scores, missed), "provenance": provenance(targets.inputs)}
+        write_result(targets.json, records.line_of(noted), force=targets.force)
+    if targets.csv is not None:
+        write_result(targets.csv, csv_text(csv_rows(scores)), force=targets.force)
