@@ -5,7 +5,7 @@ fallback would hide that from whoever wonders about it.
 """
 
 import numpy as np
-from jaxtyping import Int16, Int32, UInt8
+from jaxtyping import Float64, Int16, Int32, UInt8
 
 from ringpose.types.arrays import Array
 
@@ -63,3 +63,19 @@ def cuts(
     """First and last pixel of each straight piece of the chains (MATH.md section 2); neighbours share the corner."""
     pieces = _kernels.cuts(pixels, starts, deviation_px, share_change, window, shortest)
     return np.frombuffer(pieces, np.int32).reshape(-1, 2)
+
+
+def fits(
+    magnitude: Int16[Array, "row column"],
+    pixels: Int32[Array, "pixel xy=2"],
+    pieces: Int32[Array, "piece end=2"],
+    trim: int,
+) -> Float64[Array, "piece end=2 xy=2"]:
+    """Ends of the least-squares line through the sub-pixel crests of the magnitude along each piece.
+
+    A crest is the vertex of the parabola through three magnitudes across the piece's longer side, down a column or
+    along a row. `trim` pixels at both ends, but never more than a quarter of the piece, are rounded corners and stay out.
+    The line ends where the piece's end pixels stand along its longer side; without two crests it is the chord.
+    """
+    lines = _kernels.fits(magnitude, pixels, pieces, trim)
+    return np.frombuffer(lines, np.float64).reshape(-1, 2, 2)

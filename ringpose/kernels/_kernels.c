@@ -31,7 +31,7 @@ static int open_array(PyObject *object, Py_buffer *view, const char *name, const
 }
 
 /* Image indices are 32 bits wide. */
-static int fits(const Py_buffer *view, const char *name) {
+static int fits_32_bits(const Py_buffer *view, const char *name) {
     if (view->shape[0] > 0 && view->shape[1] > 0 && view->shape[0] <= INT32_MAX / view->shape[1]) return 1;
     PyErr_Format(PyExc_ValueError, "%s: %zd rows of %zd columns, must be 1 to 2^31 - 1 pixels", name, view->shape[0],
                  view->shape[1]);
@@ -44,16 +44,22 @@ static int within(long value, long least, long most, const char *name) {
     return 0;
 }
 
+/* A list as bytes; releases it. */
+static PyObject *one_bytes(int done, List *list) {
+    PyObject *result =
+        done ? PyBytes_FromStringAndSize(list->data, (Py_ssize_t)(list->used * list->item)) : PyErr_NoMemory();
+    release(list);
+    return result;
+}
+
 /* Two lists as two bytes objects; releases them. */
 static PyObject *two_bytes(int done, List *first, List *second) {
-    PyObject *result = NULL;
-    if (!done)
-        PyErr_NoMemory();
-    else
-        result = Py_BuildValue("(y#y#)", first->data ? first->data : "", (Py_ssize_t)(first->used * first->item),
-                               second->data ? second->data : "", (Py_ssize_t)(second->used * second->item));
-    release(first);
+    PyObject *one = one_bytes(done, first);
+    PyObject *two = one ? one_bytes(done, second) : NULL;
+    PyObject *result = two ? PyTuple_Pack(2, one, two) : NULL;
     release(second);
+    Py_XDECREF(one);
+    Py_XDECREF(two);
     return result;
 }
 
@@ -62,7 +68,7 @@ static PyObject *gradient_of(const Py_buffer *image, const Py_buffer *magnitude,
         PyErr_SetString(PyExc_ValueError, "magnitude: must have the shape of the image");
         return NULL;
     }
-    if (!fits(image, "image") || !within(upper, 1, INT16_MAX, "upper")) return NULL;
+    if (!fits_32_bits(image, "image") || !within(upper, 1, INT16_MAX, "upper")) return NULL;
     Anchors anchors = {{NULL, 0, 0, sizeof(int32_t)}, {NULL, 0, 0, sizeof(uint8_t)}};
     int done;
     Py_BEGIN_ALLOW_THREADS
@@ -105,7 +111,7 @@ static PyObject *chains_of(const Py_buffer *magnitude, const Py_buffer *index, c
         PyErr_SetString(PyExc_ValueError, "orientation: must have one entry for each anchor");
         return NULL;
     }
-    if (!fits(magnitude, "magnitude") || !anchors_inside(magnitude, index)) return NULL;
+    if (!fits_32_bits(magnitude, "magnitude") || !anchors_inside(magnitude, index)) return NULL;
     if (!within(lower, 1, INT16_MAX, "lower") || !within(shortest, 1, INT32_MAX, "shortest")) return NULL;
     EdgeArea area = {magnitude->buf, (size_t)magnitude->shape[0], (size_t)magnitude->shape[1], (int)lower, {0}};
     List pixels = {NULL, 0, 0, sizeof(Pixel)}, starts = {NULL, 0, 0, sizeof(int32_t)};
@@ -143,21 +149,20 @@ static int starts_ascend(const Py_buffer *starts, Py_ssize_t pixels) {
     return ascend;
 }
 
+static int are_pairs(const Py_buffer *view, const char *name) {
+    if (view->shape[1] == 2) return 1;
+    PyErr_Format(PyExc_ValueError, "%s: must be pairs", name);
+    return 0;
+}
+
 static PyObject *cuts_of(const Py_buffer *pixels, const Py_buffer *starts, CutRules rules) {
-    if (pixels->shape[1] != 2) {
-        PyErr_SetString(PyExc_ValueError, "pixels: must be pairs of x and y");
-        return NULL;
-    }
-    if (!starts_ascend(starts, pixels->shape[0])) return NULL;
-    List pieces = {NULL, 0, 0, sizeof(Pixel)};
+    if (!are_pairs(pixels, "pixels") || !starts_ascend(starts, pixels->shape[0])) return NULL;
+    List pieces = {NULL, 0, 0, sizeof(Piece)};
     int done;
     Py_BEGIN_ALLOW_THREADS
     done = cut_chains(pixels->buf, starts->buf, (size_t)starts->shape[0] - 1, rules, &pieces);
     Py_END_ALLOW_THREADS
-    PyObject *result = done ? PyBytes_FromStringAndSize(pieces.data, (Py_ssize_t)(pieces.used * pieces.item))
-                            : PyErr_NoMemory();
-    release(&pieces);
-    return result;
+    return one_bytes(done, &pieces);
 }
 
 static PyObject *cuts(PyObject *module, PyObject *arguments) {
@@ -179,11 +184,53 @@ static PyObject *cuts(PyObject *module, PyObject *arguments) {
     return result;
 }
 
+static int pieces_inside(const Py_buffer *pieces, Py_ssize_t pixels) {
+    const Piece *piece = pieces->buf;
+    for (Py_ssize_t i = 0; i < pieces->shape[0]; i++) {
+        if (piece[i].first >= 0 && piece[i].first <= piece[i].last && piece[i].last < pixels) continue;
+        PyErr_Format(PyExc_ValueError, "pieces: number %zd is not within the pixels", i);
+        return 0;
+    }
+    return 1;
+}
+
+static PyObject *fits_of(const Py_buffer *magnitude, const Py_buffer *pixels, const Py_buffer *pieces, long trim) {
+    if (!fits_32_bits(magnitude, "magnitude") || !within(trim, 0, INT32_MAX, "trim")) return NULL;
+    if (!are_pairs(pixels, "pixels") || !are_pairs(pieces, "pieces")) return NULL;
+    if (!pieces_inside(pieces, pixels->shape[0])) return NULL;
+    Magnitude area = {magnitude->buf, (size_t)magnitude->shape[0], (size_t)magnitude->shape[1]};
+    List lines = {NULL, 0, 0, sizeof(Line)};
+    int done;
+    Py_BEGIN_ALLOW_THREADS
+    done = fit_pieces(&area, pixels->buf, pieces->buf, (size_t)pieces->shape[0], (size_t)trim, &lines);
+    Py_END_ALLOW_THREADS
+    return one_bytes(done, &lines);
+}
+
+static PyObject *fits(PyObject *module, PyObject *arguments) {
+    (void)module;
+    PyObject *magnitude, *pixels, *pieces, *result = NULL;
+    long trim;
+    Py_buffer magnitude_view, pixels_view, pieces_view;
+    if (!PyArg_ParseTuple(arguments, "OOOl", &magnitude, &pixels, &pieces, &trim)) return NULL;
+    if (!open_array(magnitude, &magnitude_view, "magnitude", "h", 2, 2, 0)) return NULL;
+    if (open_array(pixels, &pixels_view, "pixels", "il", 4, 2, 0)) {
+        if (open_array(pieces, &pieces_view, "pieces", "il", 4, 2, 0)) {
+            result = fits_of(&magnitude_view, &pixels_view, &pieces_view, trim);
+            PyBuffer_Release(&pieces_view);
+        }
+        PyBuffer_Release(&pixels_view);
+    }
+    PyBuffer_Release(&magnitude_view);
+    return result;
+}
+
 static PyMethodDef methods[] = {
     {"gradient", gradient, METH_VARARGS, "gradient(image, upper, magnitude) -> (anchors, orientation)"},
     {"chains", chains, METH_VARARGS,
      "chains(magnitude, anchors, orientation, lower, shortest) -> (pixels, starts)"},
     {"cuts", cuts, METH_VARARGS, "cuts(pixels, starts, deviation, share_change, window, shortest) -> pieces"},
+    {"fits", fits, METH_VARARGS, "fits(magnitude, pixels, pieces, trim) -> lines"},
     {NULL, NULL, 0, NULL},
 };
 

@@ -61,7 +61,7 @@ int cut_chains(const Pixel *pixels, const int32_t *starts, size_t chains, CutRul
             size_t last = piece_end(pixels, first, end, rules);
             if (last - first + 1 >= rules.shortest) {
                 if (!reserve(pieces, 1)) return 0;
-                ((Pixel *)pieces->data)[pieces->used++] = (Pixel){(int32_t)first, (int32_t)last};
+                ((Piece *)pieces->data)[pieces->used++] = (Piece){(int32_t)first, (int32_t)last};
             }
             first = last;
             if (last + 1 == end) break;

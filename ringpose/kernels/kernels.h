@@ -51,6 +51,22 @@ typedef struct {
     size_t shortest;     /* pixels */
 } CutRules;
 
+typedef struct {
+    int32_t first, last; /* pixels of a chain */
+} Piece;
+
 int cut_chains(const Pixel *pixels, const int32_t *starts, size_t chains, CutRules rules, List *pieces);
+
+typedef struct {
+    const int16_t *data;
+    size_t height, width;
+} Magnitude;
+
+typedef struct {
+    double start_x, start_y, end_x, end_y;
+} Line;
+
+int fit_pieces(const Magnitude *magnitude, const Pixel *pixels, const Piece *pieces, size_t count, size_t trim,
+               List *lines);
 
 #endif

@@ -4,7 +4,7 @@ import math
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Int16, Int32, Int64, UInt8
+from jaxtyping import Float64, Int16, Int32, Int64, UInt8
 
 from ringpose.types.arrays import Array
 
@@ -154,3 +154,51 @@ def farthest(chain: list[list[int]]) -> int:
     (x0, y0), (x1, y1) = chain[0], chain[-1]
     off = [abs((x1 - x0) * (y - y0) - (y1 - y0) * (x - x0)) for x, y in chain[:-1]]
     return max(1, off.index(max(off)))
+
+
+def fits(
+    magnitude: Int16[Array, "row column"],
+    pixels: Int32[Array, "pixel xy=2"],
+    pieces: Int32[Array, "piece end=2"],
+    trim: int,
+) -> Float64[Array, "piece end=2 xy=2"]:
+    """Twin of `ringpose.kernels.fits`."""
+    lines = [line(magnitude, pixels[first : last + 1].tolist(), trim) for first, last in pieces.tolist()]
+    return np.array(lines, np.float64).reshape(-1, 2, 2)
+
+
+def line(magnitude: Int16[Array, "row column"], piece: list[list[int]], trim: int) -> list[list[float]]:
+    """Both ends of the line of one piece; u runs along its longer side, v across, from its first pixel."""
+    start, end = piece[0], piece[-1]
+    flat = abs(end[0] - start[0]) >= abs(end[1] - start[1])
+    along, across = (0, 1) if flat else (1, 0)
+    trim = min(trim, len(piece) // 4)
+    count = u = uu = v = uv = 0.0
+    for pixel in piece[trim : len(piece) - trim]:
+        shift = crest(magnitude, pixel[0], pixel[1], flat)
+        if shift is None:
+            continue
+        ahead, aside = pixel[along] - start[along], pixel[across] - start[across] + shift
+        count, u, uu, v, uv = count + 1, u + ahead, uu + ahead * ahead, v + aside, uv + ahead * aside
+    spread = count * uu - u * u
+    if spread <= 0:
+        return [[float(start[0]), float(start[1])], [float(end[0]), float(end[1])]]
+    slope = (count * uv - u * v) / spread
+    offset = (v - slope * u) / count
+    ends = [[float(start[0]), float(start[1])], [float(end[0]), float(end[1])]]
+    ends[0][across] = start[across] + offset
+    ends[1][across] = start[across] + (offset + slope * (end[along] - start[along]))
+    return ends
+
+
+def crest(magnitude: Int16[Array, "row column"], x: int, y: int, flat: bool) -> float | None:
+    """Shift of the crest from the pixel's centre across the edge; None where the pixel is no maximum."""
+    height, width = magnitude.shape
+    if not (0 < x < width - 1 and 0 < y < height - 1):
+        return None
+    across = magnitude[y - 1 : y + 2, x] if flat else magnitude[y, x - 1 : x + 2]
+    before, here, after = across.tolist()
+    curvature = before - 2 * here + after
+    if before > here or after > here or curvature == 0:
+        return None
+    return float((before - after) / (2.0 * curvature))

@@ -22,10 +22,11 @@ coarse_images = arrays(
 
 
 def results(module, image):
-    """Everything that the three kernels of a module say of one image."""
+    """Everything that the four kernels of a module say of one image."""
     magnitude, anchors, orientation = module.gradient(image, 128)
     pixels, starts = module.chains(magnitude, anchors, orientation, **LIMITS)
-    return magnitude, anchors, orientation, pixels, starts, module.cuts(pixels, starts, **RULES)
+    pieces = module.cuts(pixels, starts, **RULES)
+    return magnitude, anchors, orientation, pixels, starts, pieces, module.fits(magnitude, pixels, pieces, 2)
 
 
 def assert_equal_results(image):
