@@ -1,0 +1,105 @@
+"""Angles, grasp point, normal and residual against constructions of their own."""
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ringpose.pose.pipeline import Method, estimate_pose
+
+BOTH_METHODS = pytest.mark.parametrize("method", list(Method))
+
+
+def angle_to_plane_rad(direction, first, second):
+    """Angle between a direction and the plane of two others."""
+    across = np.cross(first, second)
+    return np.arcsin(abs(direction @ across) / np.linalg.norm(direction) / np.linalg.norm(across))
+
+
+@BOTH_METHODS
+@given(pitch=st.floats(-0.3, 0.3), yaw=st.floats(-0.3, 0.3))
+def test_pitch_and_yaw_are_the_turns_that_made_the_ring(scene_of, method, pitch, yaw):
+    # away-pointing axis: z, first pitched about x, then yawed about y
+    away = cv2.Rodrigues(np.array([0.0, yaw, 0.0]))[0] @ cv2.Rodrigues(np.array([-pitch, 0.0, 0.0]))[0][:, 2]
+    turn = np.cross([0.0, 0.0, 1.0], away)
+    sine = np.linalg.norm(turn)
+    axis = turn * (np.arctan2(sine, away[2]) / sine if sine > 0 else 1.0)
+    scene = scene_of("B", tilt_rad=(axis[0], axis[1]))
+
+    pose = estimate_pose(scene.break_points(), scene.rig, method)
+
+    np.testing.assert_allclose([pose.pitch_rad, pose.yaw_rad], [pitch, yaw], rtol=0, atol=1e-10)
+
+
+@given(tilt=st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3)))
+def test_pitch_is_the_papers_angle_between_normal_and_horizontal_plane(scene_of, tilt):
+    scene = scene_of("B", tilt_rad=tilt)
+
+    pose = estimate_pose(scene.break_points(), scene.rig)
+
+    expected = angle_to_plane_rad(pose.normal, np.array([1.0, 0, 0]), np.array([0, 0, 1.0]))
+    assert abs(pose.pitch_rad) == pytest.approx(expected, abs=1e-9)
+
+
+@BOTH_METHODS
+def test_a_ring_that_faces_the_camera_has_no_pitch_and_no_yaw(scene_of, method):
+    scene = scene_of("B", tilt_rad=(0.0, 0.0))
+
+    pose = estimate_pose(scene.break_points(), scene.rig, method)
+
+    np.testing.assert_allclose([pose.pitch_rad, pose.yaw_rad], 0.0, atol=1e-10)
+
+
+@BOTH_METHODS
+@given(tilt=st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3)), side=st.sampled_from([-1, 1]))
+def test_the_normal_points_towards_the_camera(scene_of, method, tilt, side):
+    scene = scene_of("B", tilt_rad=tilt, side=side)
+
+    pose = estimate_pose(scene.break_points(), scene.rig, method)
+
+    assert pose.normal @ scene.points_m[1, 0] < 0
+
+
+@given(distance_m=st.floats(0.25, 1.0), turn_rad=st.floats(-0.3, 0.3), side=st.sampled_from([-1, 1]))
+def test_the_grasp_point_is_on_the_middle_of_the_band(scene_of, distance_m, turn_rad, side):
+    scene = scene_of("B", distance_m=distance_m, turn_rad=turn_rad, side=side)
+
+    pose = estimate_pose(scene.break_points(), scene.rig)
+
+    outward = pose.grasp_m - scene.ring.center_m
+    found = [np.linalg.norm(outward), outward @ scene.ring.normal]
+    np.testing.assert_allclose(found, [scene.ring.radius_m.mean(), 0.0], rtol=0, atol=1e-9)
+
+
+def test_the_grasp_point_is_amid_the_break_points(scene_of):
+    scene = scene_of("B")
+
+    pose = estimate_pose(scene.break_points(), scene.rig)
+
+    middle = scene.points_m.reshape(-1, 3).mean(axis=0) - scene.ring.center_m
+    across = np.cross(pose.grasp_m - scene.ring.center_m, middle)
+    assert np.linalg.norm(across) < 1e-9
+
+
+def test_the_papers_grasp_point_is_the_mean_of_the_six(scene_of):
+    scene = scene_of("B")
+
+    pose = estimate_pose(scene.break_points(), scene.rig, Method.PAPER)
+
+    np.testing.assert_allclose(pose.grasp_m, scene.points_m.reshape(-1, 3).mean(axis=0), rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("offset_px", [0.5, 2.0])
+def test_the_residual_is_what_the_pose_leaves_unexplained(scene_of, offset_px):
+    # both ends of a stripe moved apart along it: the plane stays, a wider band explains all but the middle's share
+    scene = scene_of("B")
+    break_points = scene.break_points()
+    along = scene.position_px[1, 1] - scene.position_px[1, 0]
+    along /= np.linalg.norm(along)
+    break_points.position_px[1] += offset_px * np.stack([-along, along])
+
+    pose = estimate_pose(break_points, scene.rig)
+
+    # mean radius takes a third of the middle's shift: residuals (1, 1, 2)/3 on both edges, rms sqrt(2)/3
+    assert pose.residual_rms_px == pytest.approx(np.sqrt(2) / 3 * offset_px, rel=0.05)
