@@ -15,7 +15,7 @@ from ringpose.types.scene import Approach, BoardApproach, BoardPlace, BoardSet, 
 _VIEW_KEYS = ("name", "center_m", "normal", "pitch_rad", "yaw_rad", "roll_rad", "light", "target", "groups")
 _APPROACH_KEYS = ("count", "distances_m", "lights", "tilt_rad", "clock_rad", "offset", "name", "seed")
 _PLACE_KEYS = ("name", "camera_from_board_rvec", "camera_from_board_tvec_m")
-_SET_KEYS = ("board", "views", "generate", "ambient_w_m2", "sequence")
+_SET_KEYS = ("board", "views", "generate", "ambient_w_m2", "exposure_s", "sequence")
 _BOARD_APPROACH_KEYS = ("count", "distances_m", "tilt_rad", "turn_rad", "offset", "seed")
 _ANGLES = ("tilt_rad", "clock_rad", "turn_rad")
 
@@ -33,8 +33,8 @@ def read_trajectory(
     approaches: list[Approach] = []
     for entry in fields.each(key):
         if entry.has("generate"):
-            entry = Fields(entry.file, entry.values, ("generate",), entry.path)
-            approaches.append(_approach(entry.fields("generate", _APPROACH_KEYS), lights))
+            alone = Fields(entry.file, entry.values, ("generate",), entry.path)
+            approaches.append(_approach(alone.fields("generate", _APPROACH_KEYS), lights))
         else:
             views.append(_view(Fields(entry.file, entry.values, _VIEW_KEYS, entry.path), lights))
     names = [view.name for view in views]
@@ -54,8 +54,7 @@ def read_board_set(fields: Fields, key: str, lasers: int) -> BoardSet:
         values["places"] = tuple(_place(place) for place in entry.each("views", _PLACE_KEYS))
     if entry.has("generate"):
         values["approach"] = _board_approach(entry.fields("generate", _BOARD_APPROACH_KEYS))
-    if entry.has("ambient_w_m2"):
-        values["ambient_w_m2"] = entry.number("ambient_w_m2", least=0)
+    values |= {k: entry.number(k, least=0) for k in ("ambient_w_m2", "exposure_s") if entry.has(k)}
     if entry.has("sequence"):
         values["sequence"] = read_sequence(entry, "sequence", lasers)
     return BoardSet(**values)

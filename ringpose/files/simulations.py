@@ -1,0 +1,76 @@
+"""The folder that `ringpose simulate` fills: rig, shots, truth, and calibration views."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import cv2
+
+from ringpose.errors import CannotCreateError
+from ringpose.files import atomic, records
+from ringpose.files.boards import write_board
+from ringpose.files.images import write_image
+from ringpose.files.rigs import write_rig
+from ringpose.files.shots import write_shot
+from ringpose.files.truths import truth_record
+from ringpose.types.board import Board
+from ringpose.types.frame import Shot
+from ringpose.types.rig import Rig
+from ringpose.types.scene import BoardPlace
+from ringpose.types.truth import Truth
+
+
+class SimulationFolder:
+    """Every file is whole as soon as it is there; a truth line follows its shot."""
+
+    def __init__(self, folder: Path, rig: Rig, *, force: bool, inputs: Iterable[Path]) -> None:
+        self.folder = atomic.make_folder(folder)
+        self.force = force
+        self._begin(folder / "truth.jsonl")
+        write_rig(folder / "rig.yaml", rig, force=force, inputs=inputs)
+        atomic.make_folder(folder / "shots")
+
+    def add(self, shot: Shot, truth: Truth) -> Path:
+        """One shot and its line of truth.jsonl; returns the shot's file."""
+        path = self.folder / "shots" / f"{shot.name}.npz"
+        write_shot(path, shot, force=self.force)
+        self._append(self.folder / "truth.jsonl", truth_record(truth))
+        return path
+
+    def begin_boards(self, name: str, board: Board) -> None:
+        """The board file `calibration/<name>_board.yaml`, and the folder of its views."""
+        atomic.make_folder(self.folder / "calibration" / _VIEWS[name])
+        write_board(self.folder / "calibration" / f"{name}_board.yaml", board, force=self.force)
+        self._begin(self.folder / "calibration" / f"{name}_truth.jsonl")
+
+    def add_board(self, name: str, shot: Shot, place: BoardPlace) -> Path:
+        """One view of a board: a PNG if it is a single frame without stripes, else a shot."""
+        plain = len(shot.images) == 1 and not shot.lasers.any()
+        path = self.folder / "calibration" / _VIEWS[name] / f"{shot.name}.{'png' if plain else 'npz'}"
+        if plain:
+            write_image(path, shot.images[0], force=self.force)
+        else:
+            write_shot(path, shot, force=self.force)
+        record = {
+            "view": shot.name,
+            "camera_from_board_rvec": cv2.Rodrigues(place.rotation)[0].ravel(),
+            "camera_from_board_tvec_m": place.translation_m,
+        }
+        self._append(self.folder / "calibration" / f"{name}_truth.jsonl", record)
+        return path
+
+    def _begin(self, path: Path) -> None:
+        if path.exists() and not self.force:
+            raise CannotCreateError(str(path), "exists already", "add --force to replace it")
+        with atomic.replacing(path, force=True):
+            pass
+
+    def _append(self, path: Path, record: Mapping[str, object]) -> None:
+        try:
+            with path.open("a", encoding="utf-8") as stream:
+                stream.write(records.line_of(record))
+        except OSError as error:
+            raise atomic.output_error(path, error) from error
+
+
+_VIEWS = {"camera": "camera", "plane": "planes"}
+"""Folder of the views of each board."""

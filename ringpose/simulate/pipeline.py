@@ -1,0 +1,148 @@
+"""Scene -> shots with their truth, one after the other."""
+
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+
+from ringpose.simulate.board_places import board_places
+from ringpose.simulate.board_target import board_target
+from ringpose.simulate.break_points import true_break_points_px
+from ringpose.simulate.exposure import view_exposure_s
+from ringpose.simulate.in_order import in_order
+from ringpose.simulate.lighting import Stand
+from ringpose.simulate.placement import Placement, ring_rotation
+from ringpose.simulate.sensor import saturation_dn
+from ringpose.simulate.sheets import sheets
+from ringpose.simulate.stage import Stage, staged
+from ringpose.simulate.target import EmptySpace, Target, ring_target
+from ringpose.simulate.trajectory import ring_views
+from ringpose.types.frame import Frame, Shot
+from ringpose.types.scene import BoardPlace, BoardSet, Light, RingView, Scene
+from ringpose.types.truth import Truth
+
+READOUT_S = 0.002
+"""Between the end of one exposure and the start of the next."""
+
+_SHOTS, _BOARDS = 0, 1
+"""First number of every seed, so that boards and shots share no noise."""
+
+
+def simulate(scene: Scene, count: int | None = None, jobs: int = 1) -> Iterator[tuple[Shot, Truth]]:
+    """The first `count` shots of a scene, or all; each as soon as it is made, the same for any number of processes."""
+    views = ring_views(scene)[:count]
+    return in_order(partial(simulated_shot, scene, views), len(views), jobs)
+
+
+def simulated_shot(scene: Scene, views: tuple[RingView, ...], number: int) -> tuple[Shot, Truth]:
+    """Shot and truth of one view."""
+    view = views[number]
+    stand = ring_stand(scene, view)
+    stage = staged(scene, stand, (_SHOTS, scene.seed, number))
+    shot = _exposed(scene, view.name, stage, scene.sequence, view_exposure_s(scene, stand), number)
+    return shot, view_truth(scene, view, stand)
+
+
+def simulated_boards(scene: Scene, boards: BoardSet, jobs: int = 1) -> Iterator[tuple[Shot, BoardPlace]]:
+    """The views of a calibration board, each with the board's true place."""
+    places = board_places(scene, boards)
+    return in_order(partial(simulated_board, scene, boards, places), len(places), jobs)
+
+
+def simulated_board(
+    scene: Scene, boards: BoardSet, places: tuple[BoardPlace, ...], number: int
+) -> tuple[Shot, BoardPlace]:
+    """One view of a board."""
+    place = places[number]
+    placement = Placement(rotation=place.rotation, translation_m=place.translation_m)
+    stand = Stand(
+        target=board_target(boards.board),
+        placement=placement,
+        sheets=sheets(scene.rig.lasers, scene.lasers, placement),
+        light=Light(name="boards", ambient_w_m2=boards.ambient_w_m2),
+    )
+    stage = staged(scene, stand, (_BOARDS, scene.seed, len(boards.sequence), number))
+    return _exposed(scene, place.name, stage, boards.sequence, boards.exposure_s, number), place
+
+
+def ring_stand(scene: Scene, view: RingView) -> Stand:
+    """The view's target in its place, and its light."""
+    rotation = ring_rotation(view.normal, view.roll_rad)
+    placement = Placement(rotation=rotation, translation_m=view.center_m - scene.ring.height_m * rotation[:, 2])
+    return Stand(
+        target=_target(scene, view),
+        placement=placement,
+        sheets=sheets(scene.rig.lasers, scene.lasers, placement),
+        light=scene.lights[view.light],
+    )
+
+
+def view_truth(scene: Scene, view: RingView, stand: Stand) -> Truth:
+    """What is really there; a view in which no break point shows has no target."""
+    groups = {"rig": scene.rig.camera.camera_name, "light": view.light, "frames": len(scene.sequence), **view.groups}
+    if view.target != "ring":
+        return Truth(shot=view.name, expect="no_target", groups={**groups, "usable": 0})
+    break_points_px = true_break_points_px(stand, scene.ring, scene.rig.camera)
+    usable = int(np.isfinite(break_points_px).all(axis=-1).sum())
+    groups = {"ring": f"R{1000 * scene.ring.radius_outer_m:.0f}", **groups, "usable": usable}
+    if usable == 0:
+        return Truth(shot=view.name, expect="no_target", groups=groups)
+    return Truth(
+        shot=view.name,
+        expect="pose" if usable == 2 * len(break_points_px) else "partial",
+        center_m=view.center_m,
+        normal=view.normal,
+        radius_inner_m=scene.ring.radius_inner_m,
+        radius_outer_m=scene.ring.radius_outer_m,
+        break_points_px=break_points_px,
+        groups=groups,
+    )
+
+
+class SceneFrames:
+    """Frames of a scene on demand, for a camera that is simulated in this process.
+
+    The scene's views are its moments, numbered from 0; after the last it stands still.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.views = ring_views(scene)
+        self._moment = -1
+
+    def __call__(self, moment: int, lasers: int, exposure_s: float | None = None) -> Frame:
+        """The frame of one moment while the lasers of the mask are on; without exposure, the scene's own."""
+        if moment != self._moment:
+            self._stand_before(moment)
+        exposed_s = self._exposure_s if exposure_s is None else exposure_s
+        frame = self._stage.frame(lasers, exposed_s, self._stamp_s)
+        self._stamp_s += exposed_s + READOUT_S
+        return frame
+
+    def _stand_before(self, moment: int) -> None:
+        stand = ring_stand(self.scene, self.views[min(moment, len(self.views) - 1)])
+        self._stage = staged(self.scene, stand, (_SHOTS, self.scene.seed, moment))
+        self._exposure_s = view_exposure_s(self.scene, stand)
+        self._stamp_s = self.scene.start_s + moment * self.scene.period_s
+        self._moment = moment
+
+
+def _exposed(scene: Scene, name: str, stage: Stage, sequence: tuple[int, ...], exposure_s: float, number: int) -> Shot:
+    """The frames of one moment as a shot."""
+    stamps_s = scene.start_s + number * scene.period_s + np.arange(len(sequence)) * (exposure_s + READOUT_S)
+    frames = [stage.frame(mask, exposure_s, float(stamp)) for mask, stamp in zip(sequence, stamps_s, strict=True)]
+    meta = {"simulated": True} | ({"saturation_dn": saturation_dn(scene.sensor)} if scene.sensor.bits > 8 else {})
+    return Shot(
+        name=name,
+        images=np.stack([frame.image for frame in frames]),
+        lasers=np.array(sequence, dtype=np.uint8),
+        stamp_s=stamps_s,
+        exposure_s=np.full(len(sequence), exposure_s),
+        meta=meta,
+    )
+
+
+def _target(scene: Scene, view: RingView) -> Target:
+    if view.target == "none":
+        return EmptySpace()
+    return ring_target(scene.ring if view.target == "ring" else None, scene.body)

@@ -1,0 +1,71 @@
+"""One view of a scene, cast once and ready to be lit and exposed as often as wanted."""
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from jaxtyping import Float32
+
+from ringpose.simulate.lighting import Stand
+from ringpose.simulate.pixel_rays import pixel_rays
+from ringpose.simulate.render import layers
+from ringpose.simulate.sensor import digitised, electrons_per_radiance
+from ringpose.simulate.speckle import speckle_pattern
+from ringpose.types.arrays import Array
+from ringpose.types.frame import Frame
+from ringpose.types.scene import Scene, Sensor
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Stage:
+    """Electrons a second in each pixel by each source of light, and the sensor that collects them."""
+
+    sensor: Sensor
+    ambient: Float32[Array, "row column"]
+    laser: Float32[Array, "laser row column"]
+    generator: np.random.Generator = field(repr=False)
+    """Draws each exposure's noise anew."""
+
+    def frame(self, lasers: int, exposure_s: float, stamp_s: float) -> Frame:
+        """One exposure while the lasers of the mask are on."""
+        image = digitised(self.electrons(lasers, exposure_s), self.sensor, self.generator)
+        return Frame(image=image, lasers=lasers, stamp_s=stamp_s, exposure_s=exposure_s)
+
+    def electrons(self, lasers: int, exposure_s: float) -> Float32[Array, "row column"]:
+        """Electrons expected in one exposure."""
+        rate = self.ambient.copy()
+        for number, stripe in enumerate(self.laser):
+            if lasers >> number & 1:
+                rate += stripe
+        return rate * np.float32(exposure_s)
+
+
+def staged(scene: Scene, stand: Stand, seed: tuple[int, ...]) -> Stage:
+    """A target in its place, seen through the scene's lens; the seed fixes speckle and noise."""
+    generator = np.random.default_rng(seed)
+    radiance = layers(stand, pixel_rays(scene.rig.camera))
+    scale = np.float32(electrons_per_radiance(scene.sensor, scene.lens))
+    return Stage(
+        sensor=scene.sensor,
+        ambient=_blurred(scale * radiance.ambient, scene.lens.blur_px),
+        laser=np.stack([_stripe(scene, scale * layer, generator) for layer in radiance.laser]),
+        generator=generator,
+    )
+
+
+def _stripe(
+    scene: Scene, layer: Float32[Array, "row column"], generator: np.random.Generator
+) -> Float32[Array, "row column"]:
+    """A laser's layer with its speckle, seen through the lens; only rows that have light are worked on."""
+    lit = np.flatnonzero(layer.any(axis=1))
+    stripe = layer.copy()
+    if len(lit):
+        first, last = int(lit[0]), int(lit[-1]) + 1
+        stripe[first:last] *= speckle_pattern(scene.speckle, last - first, layer.shape[1], generator)
+    return _blurred(stripe, scene.lens.blur_px)
+
+
+def _blurred(layer: Float32[Array, "row column"], sigma_px: float) -> Float32[Array, "row column"]:
+    if sigma_px == 0.0 or not layer.any():
+        return layer
+    return np.asarray(cv2.GaussianBlur(layer, (0, 0), sigma_px, borderType=cv2.BORDER_REPLICATE), dtype=np.float32)

@@ -1,0 +1,255 @@
+"""The scene that is simulated: target, light, camera electronics, and where everything stands.
+
+Radiometry is in watts per square metre within the camera's pass band. Profile heights count from the body's
+front face towards the camera; a pose is that of the ring's *face*, its highest flat piece.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float64
+
+from ringpose.types.arrays import Array
+from ringpose.types.board import Board
+from ringpose.types.rig import Rig
+
+TargetKind = Literal["ring", "body", "none"]
+"""The body with its ring, the bare body, or nothing but stars."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Material:
+    """How a surface returns light: Lambert's law plus one GGX lobe."""
+
+    diffuse: float
+    """Albedo of the Lambert part."""
+    specular: float
+    """Reflectance of the lobe at normal incidence."""
+    roughness: float
+    """GGX alpha: 0.1 a glossy foil, 0.4 machined metal."""
+
+
+MATERIALS: Mapping[str, Material] = {
+    "matt": Material(diffuse=0.30, specular=0.0, roughness=1.0),
+    "metal": Material(diffuse=0.12, specular=0.55, roughness=0.35),
+    "foil": Material(diffuse=0.05, specular=0.75, roughness=0.18),
+    "white": Material(diffuse=0.80, specular=0.0, roughness=1.0),
+    "black": Material(diffuse=0.04, specular=0.0, roughness=1.0),
+}
+"""The materials that a scene may call by name."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RingShape:
+    """A surface of revolution about the ring's axis, given by its profile."""
+
+    profile_m: Float64[Array, "point radius_height=2"]
+    """Corners of the profile: radius, and height over the body's front face."""
+    face: Material = MATERIALS["metal"]
+    wall: Material = MATERIALS["metal"]
+
+    @property
+    def face_piece(self) -> int:
+        """Index of the profile's highest flat piece."""
+        flat = np.flatnonzero(self.profile_m[1:, 1] == self.profile_m[:-1, 1])
+        return int(flat[np.argmax(self.profile_m[flat, 1])])
+
+    @property
+    def height_m(self) -> float:
+        """Height of the face over the body."""
+        return float(self.profile_m[self.face_piece, 1])
+
+    @property
+    def radius_inner_m(self) -> float:
+        """Radius of the face's inner edge."""
+        return float(self.profile_m[self.face_piece : self.face_piece + 2, 0].min())
+
+    @property
+    def radius_outer_m(self) -> float:
+        """Radius of the face's outer edge."""
+        return float(self.profile_m[self.face_piece : self.face_piece + 2, 0].max())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Foil:
+    """Crinkles of the foil on the body's front face: a height field, periodic and fixed by its seed."""
+
+    rms_m: float = 0.0008
+    crinkle_m: float = 0.03
+    """Size of the largest crinkles."""
+    seed: int = 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Body:
+    """The satellite: a box whose front face carries the ring."""
+
+    size_m: Float64[Array, "3"]
+    """Width and height of the front face, depth of the box."""
+    offset_m: Float64[Array, "2"] = field(default_factory=lambda: np.zeros(2))
+    """Middle of the front face from the ring's axis, along the ring's x and y."""
+    material: Material = MATERIALS["foil"]
+    foil: Foil | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LaserLight:
+    """The line lasers: a Gaussian sheet of light, evenly spread over the fan's angle."""
+
+    power_w: float = 0.02
+    sigma_m: float = 0.0004
+    """Half thickness of the sheet (one sigma) at the projector."""
+    divergence_rad: float = 0.0
+    """Growth of that half thickness with distance, added in squares."""
+    fan_rad: float = 1.4
+    """Full angle of the fan, around the direction in the plane nearest to the optical axis."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Light:
+    """Everything that shines but the lasers."""
+
+    name: str
+    ambient_w_m2: float = 0.0
+    """Irradiance by a laboratory's lamps and walls."""
+    sun_w_m2: float = 0.0
+    """Irradiance across the sun's rays."""
+    sun_direction: Float64[Array, "xyz=3"] = field(default_factory=lambda: np.array([-0.66, -0.33, -0.67]))
+    """Towards the sun, camera frame."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lens:
+    """What the lens does besides its distortion, which is the rig's."""
+
+    f_number: float = 8.0
+    transmission: float = 0.9
+    blur_px: float = 0.7
+    """Sigma of its point spread."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sensor:
+    """EMVA 1288's linear camera model."""
+
+    bits: Literal[8, 12] = 8
+    """12 bits lie in the lower part of 16."""
+    pixel_m: float = 4.5e-6
+    quantum_efficiency: float = 0.5
+    wavelength_m: float = 650e-9
+    saturation_capacity_e: float = 12000.0
+    temporal_dark_noise_e: float = 8.0
+    overall_system_gain_dn_per_e: float = 0.0211
+    black_level_dn: float = 2.0
+    photo_response_non_uniformity: float = 0.005
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Speckle:
+    """Granularity of laser light on a rough surface, before the lens blurs it."""
+
+    contrast: float = 0.3
+    grain_px: float = 1.0
+    """Correlation length; up to 1 every pixel has its own grain."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RingView:
+    """One shot's target and light."""
+
+    name: str
+    center_m: Float64[Array, "xyz=3"]
+    """Centre of the ring's face."""
+    normal: Float64[Array, "xyz=3"]
+    """Of the face, towards the camera."""
+    roll_rad: float = 0.0
+    """Turn of the body about the normal; 0 has its x axis nearest to the camera's."""
+    light: str = "dim"
+    target: TargetKind = "ring"
+    groups: Mapping[str, str | float | int | bool] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Approach:
+    """Views drawn at random: a stretch of the ring near the optical axis, at each distance in turn."""
+
+    count: int = 1
+    """Poses at each distance; each is taken in every light."""
+    distances_m: tuple[float, ...] = (0.5,)
+    lights: tuple[str, ...] = ("dim",)
+    tilt_rad: float = 0.15
+    """Most that the normal leans from the optical axis, about x and about y."""
+    clock_rad: float = 0.2
+    """Most that the middle of the seen arc lies off the horizontal through the centre."""
+    offset: float = 0.1
+    """Most that it lies off the picture's middle, as a share of the picture's width and height."""
+    name: str = "z"
+    seed: int = 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BoardPlace:
+    """Where a board stands in one view: `point_camera = rotation @ point_board + translation_m`."""
+
+    name: str
+    rotation: Float64[Array, "3 3"]
+    translation_m: Float64[Array, "xyz=3"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoardApproach:
+    """Board views drawn at random."""
+
+    count: int = 8
+    distances_m: tuple[float, float] = (0.4, 0.6)
+    """Nearest and farthest distance of the board's middle."""
+    tilt_rad: float = 0.5
+    """Most that the board leans, about x and about y."""
+    turn_rad: float = 0.3
+    """Most that it is turned in its own plane."""
+    offset: float = 0.2
+    """Most that its middle lies off the picture's, as a share of the picture's width and height."""
+    seed: int = 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BoardSet:
+    """Views of one calibration board."""
+
+    board: Board
+    places: tuple[BoardPlace, ...] = ()
+    approach: BoardApproach | None = None
+    ambient_w_m2: float = 3.0
+    exposure_s: float = 0.001
+    sequence: tuple[int, ...] = (0,)
+    """Laser mask of each frame."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scene:
+    """All that `ringpose simulate` needs."""
+
+    rig: Rig
+    ring: RingShape
+    body: Body
+    lights: Mapping[str, Light]
+    lasers: LaserLight = LaserLight()
+    lens: Lens = Lens()
+    sensor: Sensor = Sensor()
+    speckle: Speckle = Speckle()
+    exposure_s: float = 0.005
+    stripe_dn: float | None = None
+    """If given, each view's exposure is set so that the stripes on the ring's face have this grey value."""
+    period_s: float = 0.1
+    """Time between shots."""
+    start_s: float = 1767225600.0
+    """Stamp of the first shot: 2026-01-01, 00:00 UTC."""
+    sequence: tuple[int, ...] = (0, 7)
+    """Laser mask of each frame of a shot."""
+    views: tuple[RingView, ...] = ()
+    approaches: tuple[Approach, ...] = ()
+    camera_boards: BoardSet | None = None
+    plane_boards: BoardSet | None = None
+    seed: int = 1
