@@ -16,8 +16,8 @@ _MATRIX_KEYS = ("rows", "cols", "sizes", "dt", "data")
 
 
 def is_storage(text: bytes) -> bool:
-    """Whether a file begins as OpenCV's FileStorage does."""
-    return text.startswith((b"%YAML:", b"<?xml", b"<opencv_storage"))
+    """Whether a file is one that OpenCV's FileStorage wrote: its XML, its own YAML header, or its matrices."""
+    return text.startswith((b"%YAML:", b"<?xml", b"<opencv_storage")) or b"!!opencv-" in text
 
 
 def camera_of(text: bytes, file: str, name: str) -> Camera:
@@ -61,7 +61,8 @@ def _storage_matrix(fields: Fields, key: str, rows: int) -> Float64[Array, "row 
 
 
 def _yaml_text(text: bytes) -> bytes:
-    return text.partition(b"\n")[2]
+    """Without the header of OpenCV 4, which is no YAML."""
+    return text.partition(b"\n")[2] if text.startswith(b"%YAML:") else text
 
 
 def _xml_values(text: bytes, file: str) -> dict[str, Any]:
