@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from jaxtyping import Float64
 
 from ringpose.types.arrays import Array
-from ringpose.types.board import BoardPose
+from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.camera import Camera
 from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.laser_planes import LaserPlanes
@@ -45,6 +45,19 @@ class CameraCalibration:
         """Of the intrinsic parameters, by name; zero for one that was held."""
         covariance = self.camera.covariance
         return {} if covariance is None else covariance.standard_deviations
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StripeView:
+    """One view of a board with the stripes that the lasers draw on it."""
+
+    board: BoardView
+    stripes_px: tuple[Float64[Array, "n xy=2"], ...]
+    """Stripe centres on the board's plane, by laser; empty for a laser that is not seen or not told apart."""
+    unlabelled_px: tuple[Float64[Array, "n xy=2"], ...] = ()
+    """Stripes whose lasers were on together, in their order down the image (to the right, if they stand upright)."""
+    remarks: tuple[str, ...] = ()
+    """What is missing, and why."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

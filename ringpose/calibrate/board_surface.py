@@ -1,0 +1,71 @@
+"""Where on a board a stripe's centre can be trusted."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from ringpose.calibrate.board_points import marker_corners, outline_m
+from ringpose.calibrate.plane_points import triangulated
+from ringpose.types.arrays import Array
+from ringpose.types.board import Board, BoardPose
+from ringpose.types.camera import Camera
+
+PRINT_MARGIN_PX = 5.0
+"""Distance from an edge between black and white within which a stripe's profile is lopsided: three stripe sigmas."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BoardSurface:
+    """The flat face that carries the board, as one view shows it."""
+
+    board: Board
+    pose: BoardPose
+    camera: Camera
+    surround_m: float = 0.0
+    """How far the flat sheet reaches beyond the board's outline."""
+
+    def points(self, points_px: Float64[Array, "n xy=2"]) -> Float64[Array, "n xyz=3"]:
+        """Pixels triangulated with the board's plane."""
+        return triangulated(points_px, self.pose, self.camera)
+
+    def usable(self, points_px: Float64[Array, "n xy=2"]) -> Bool[Array, "n"]:
+        """Which pixels lie on the sheet and away from printed edges."""
+        place = self._on_board(points_px)
+        margin = PRINT_MARGIN_PX * self._metres_per_pixel()
+        inside = self._on_sheet(place, margin)
+        return inside & ~self._near_marker(place, margin) & ~self._near_square_edge(place, margin)
+
+    def _on_board(self, points_px: Float64[Array, "n xy=2"]) -> Float64[Array, "n xy=2"]:
+        place = (self.points(points_px) - self.pose.translation_m) @ self.pose.rotation
+        finite: Float64[Array, "n xy=2"] = np.nan_to_num(place[:, :2], nan=np.inf)
+        return finite
+
+    def _metres_per_pixel(self) -> float:
+        return float(self.pose.translation_m[2] / self.camera.camera_matrix[0, 0])
+
+    def _on_sheet(self, place: Float64[Array, "n xy=2"], margin: float) -> Bool[Array, "n"]:
+        low = -self.surround_m if self.surround_m else margin
+        high = np.array(outline_m(self.board)) - low
+        inside: Bool[Array, "n"] = np.all((place > low) & (place < high), axis=1)
+        return inside
+
+    def _near_marker(self, place: Float64[Array, "n xy=2"], margin: float) -> Bool[Array, "n"]:
+        if self.board.kind == "charuco":  # a grid of squares too: the margin beside a marker is its white rim
+            margin = min(margin, ((self.board.square_m or 0.0) - (self.board.marker_m or 0.0)) / 4)
+        corners = marker_corners(self.board)[..., :2]
+        near = np.zeros(len(place), dtype=bool)
+        for corner in corners:
+            near |= np.all((place > corner[0] - margin) & (place < corner[2] + margin), axis=1)
+        return near
+
+    def _near_square_edge(self, place: Float64[Array, "n xy=2"], margin: float) -> Bool[Array, "n"]:
+        if self.board.kind not in ("chessboard", "charuco"):
+            return np.zeros(len(place), dtype=bool)
+        square = self.board.square_m or 1.0
+        counts = np.array([self.board.squares_x or 0, self.board.squares_y or 0])
+        cell = np.where(np.isfinite(place), place, 0.0) / square
+        nearest = np.abs(cell - np.rint(cell)).min(axis=1) * square < margin
+        printed = np.all((place > -margin) & (place < counts * square + margin), axis=1)
+        near: Bool[Array, "n"] = nearest & printed
+        return near

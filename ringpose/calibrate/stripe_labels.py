@@ -1,0 +1,52 @@
+"""Which laser drew which stripe, where several were on together."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import permutations
+
+import numpy as np
+from jaxtyping import Float64
+
+from ringpose.types.arrays import Array
+from ringpose.types.calibration import StripeView
+
+DECISION = 3.0
+"""An assignment is taken if its rms distance from the planes is this many times smaller than the next one's."""
+
+
+def labelled_by_order(view: StripeView, order: Sequence[int]) -> StripeView:
+    """The view with its unlabelled stripes given to the lasers in the order in which they cross the image."""
+    if len(view.unlabelled_px) != len(order):
+        return view
+    by_laser = dict(zip(order, view.unlabelled_px, strict=True))
+    return _with_labels(view, by_laser)
+
+
+def labelled_by_planes(
+    view: StripeView,
+    points: Sequence[Float64[Array, "n xyz=3"]],
+    planes: Sequence[tuple[Float64[Array, "3"], float]],
+) -> StripeView:
+    """The view with its unlabelled stripes given to the lasers whose planes they lie on.
+
+    `points` are the stripes' triangulated centres. A view that fits the planes in two ways stays as it is.
+    """
+    if not points:
+        return view
+    cost = np.array(
+        [[np.mean((stripe @ normal - distance_m) ** 2) for normal, distance_m in planes] for stripe in points]
+    )
+    ways = sorted(permutations(range(len(planes)), len(points)), key=lambda way: _rms(cost, way))
+    if len(ways) > 1 and _rms(cost, ways[1]) < DECISION * _rms(cost, ways[0]):
+        return replace(view, remarks=(*view.remarks, "the stripes fit the lasers in more than one way"))
+    return _with_labels(view, dict(zip(ways[0], view.unlabelled_px, strict=True)))
+
+
+def _rms(cost: Float64[Array, "stripe laser"], way: tuple[int, ...]) -> float:
+    return float(np.sqrt(cost[range(len(way)), way].mean()))
+
+
+def _with_labels(view: StripeView, by_laser: Mapping[int, Float64[Array, "n xy=2"]]) -> StripeView:
+    """The view with stripes for the lasers that it has none of."""
+    stripes_px = tuple(seen if len(seen) else by_laser.get(laser, seen) for laser, seen in enumerate(view.stripes_px))
+    return replace(view, stripes_px=stripes_px, unlabelled_px=())
