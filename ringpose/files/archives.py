@@ -31,6 +31,9 @@ class Archive:
         except Exception as error:  # whatever the parsers of a broken zip, zlib stream or header raise
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise DataError(str(path), f"is a broken or foreign NPZ archive: {reason}") from error
+        for key, array in self.arrays.items():
+            if not isinstance(array, np.ndarray):
+                raise self.problem(key, "is no array")
 
     def __contains__(self, key: str) -> bool:
         return key in self.arrays

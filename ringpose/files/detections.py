@@ -61,7 +61,7 @@ def write_detection(path: Path, detection: Detection, *, force: bool = False) ->
     for key, value in detection_record(detection).items():
         if isinstance(value, Mapping):
             arrays |= {f"{key}.{name}": part for name, part in value.items()}
-        elif value is not None:
+        elif value is not None and value == value:  # a stamp that is not known is left out
             arrays[key] = value
     write_archive(path, arrays, force=force)
 

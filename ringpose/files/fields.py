@@ -102,8 +102,8 @@ class Fields:
             array = np.array(_numbers(value) if isinstance(value, list) else value, dtype=np.float64)
         except (TypeError, ValueError, OverflowError, RecursionError):
             raise self.problem(key, f"must be {wanted} numbers") from None
-        if array.size == 0 and 0 not in shape and None in shape:
-            array = array.reshape([0 if length is None else length for length in shape])
+        if array.size == 0 and not all(shape):
+            array = array.reshape([length or 0 for length in shape])
         if array.ndim != len(shape) or any(w not in (None, n) for w, n in zip(shape, array.shape, strict=True)):
             found = " x ".join(map(str, array.shape)) or "one"
             raise self.problem(key, f"has {found} numbers, must have {wanted}")

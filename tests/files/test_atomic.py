@@ -1,0 +1,94 @@
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+
+import pytest
+
+from ringpose.errors import CannotCreateError, InputOutputError
+from ringpose.files.atomic import make_folder, replacing
+
+
+def write(path, content: bytes, force=False):
+    with replacing(path, force) as stream:
+        stream.write(content)
+
+
+def test_file_has_the_rights_that_the_umask_leaves(tmp_path):
+    write(tmp_path / "a", b"new")
+
+    mask = os.umask(0)
+    os.umask(mask)
+    assert (tmp_path / "a").stat().st_mode & 0o777 == 0o666 & ~mask
+
+
+def test_existing_file_stays_without_force(tmp_path):
+    (tmp_path / "a").write_bytes(b"old")
+
+    with pytest.raises(CannotCreateError, match="exists already; add --force"):
+        write(tmp_path / "a", b"new")
+
+    assert (tmp_path / "a").read_bytes() == b"old"
+
+
+def test_existing_file_is_replaced_with_force(tmp_path):
+    (tmp_path / "a").write_bytes(b"old")
+
+    write(tmp_path / "a", b"new", force=True)
+
+    assert (tmp_path / "a").read_bytes() == b"new"
+
+
+def test_failure_leaves_the_old_file_and_nothing_else(tmp_path):
+    (tmp_path / "a").write_bytes(b"old")
+
+    with pytest.raises(ZeroDivisionError), replacing(tmp_path / "a", True) as stream:
+        stream.write(b"half")
+        raise ZeroDivisionError
+
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"a": b"old"}
+
+
+def test_full_disk_leaves_the_old_file_and_nothing_else(tmp_path):
+    (tmp_path / "a").write_bytes(b"old")
+
+    with pytest.raises(InputOutputError, match="writing broke off: no space left on device"):
+        with replacing(tmp_path / "a", True) as stream:
+            stream.write(b"half")
+            raise OSError(28, "No space left on device")
+
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"a": b"old"}
+
+
+@pytest.mark.parametrize("place", ["file/a", "missing/a"])
+def test_unwritable_place_cannot_be_created(tmp_path, place):
+    (tmp_path / "file").touch()
+
+    with pytest.raises(CannotCreateError, match="cannot be written"):
+        write(tmp_path / place, b"new")
+
+
+def test_folder_below_a_file_cannot_be_created(tmp_path):
+    (tmp_path / "file").touch()
+
+    with pytest.raises(CannotCreateError, match="not a directory"):
+        make_folder(tmp_path / "file" / "folder")
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_killed_in_the_middle_leaves_no_half_file_under_the_final_name(tmp_path, number):
+    program = textwrap.dedent(
+        """
+        import sys, time
+        from pathlib import Path
+        from ringpose.files.atomic import replacing
+        with replacing(Path(sys.argv[1]), False) as stream:
+            stream.write(b"half"); stream.flush(); print("now", flush=True); time.sleep(60)
+        """
+    )
+    with subprocess.Popen([sys.executable, "-c", program, str(tmp_path / "a")], stdout=subprocess.PIPE) as process:
+        process.stdout.readline()
+        process.send_signal(number)
+
+    assert not (tmp_path / "a").exists()

@@ -1,0 +1,74 @@
+import pytest
+import yaml
+
+from ringpose.errors import DataError
+from ringpose.files.boards import read_board, write_board
+from ringpose.types.board import Board
+
+CHARUCO = {"kind": "charuco", "squares_x": 11, "squares_y": 8, "square_m": 0.025, "marker_m": 0.018, "dictionary": "D"}
+BOARDS = [
+    Board(
+        kind="charuco", squares_x=11, squares_y=8, square_m=0.025, marker_m=0.018, dictionary="D", legacy_pattern=True
+    ),
+    Board(kind="chessboard", squares_x=10, squares_y=7, square_m=0.025),
+    Board(
+        kind="four_markers", width_m=0.3, height_m=0.24, marker_m=0.06, margin_m=0.01, dictionary="D", order="0 left"
+    ),
+    Board(kind="aruco_grid", squares_x=5, squares_y=7, marker_m=0.04, gap_m=0.01, dictionary="D"),
+    Board(kind="asymmetric_circles", squares_x=4, squares_y=11, spacing_m=0.02),
+]
+
+
+@pytest.mark.parametrize("board", BOARDS, ids=lambda board: board.kind)
+def test_board_is_read_as_it_was_written(tmp_path, board):
+    write_board(tmp_path / "board.yaml", board)
+
+    assert read_board(tmp_path / "board.yaml") == board
+
+
+@pytest.mark.parametrize(
+    ("changes", "finding"),
+    [
+        ({"kind": "charucco"}, "kind: is 'charucco', must be one of charuco"),
+        ({"square_m": 25}, "square_m: is 25; metres belong here; this looks like millimetres"),
+        ({"square_m": -0.02}, "square_m: is -0.02, must be positive"),
+        ({"marker_m": 0.03}, "marker_m: is 0.03, must be smaller than square_m"),
+        ({"squares_x": 0}, "squares_x: is 0, must be at least 1"),
+        ({"squares_x": 11.0}, "squares_x: is 11.0, must be a whole number"),
+        ({"dictionary": None}, "dictionary: is null, must have a value"),
+        ({"legacy_pattern": "yes"}, "legacy_pattern: is the text 'yes', must be true or false"),
+        ({"squre_m": 0.02}, "unknown key 'squre_m'; did you mean 'square_m'?"),
+    ],
+)
+def test_impossible_board_is_refused(tmp_path, changes, finding):
+    (tmp_path / "board.yaml").write_text(yaml.safe_dump(CHARUCO | changes))
+
+    with pytest.raises(DataError) as caught:
+        read_board(tmp_path / "board.yaml")
+
+    assert str(caught.value).startswith(f"{tmp_path / 'board.yaml'}: {finding}")
+
+
+@pytest.mark.parametrize("key", ["squares_x", "squares_y", "square_m", "marker_m", "dictionary"])
+def test_size_that_the_kind_needs_is_missed(tmp_path, key):
+    values = dict(CHARUCO)
+    del values[key]
+    (tmp_path / "board.yaml").write_text(yaml.safe_dump(values))
+
+    with pytest.raises(DataError, match=f"has no key '{key}'"):
+        read_board(tmp_path / "board.yaml")
+
+
+def test_markers_wider_than_the_board_are_refused(tmp_path):
+    values = {
+        "kind": "four_markers",
+        "width_m": 0.3,
+        "height_m": 0.1,
+        "marker_m": 0.06,
+        "margin_m": 0.01,
+        "dictionary": "D",
+    }
+    (tmp_path / "board.yaml").write_text(yaml.safe_dump(values))
+
+    with pytest.raises(DataError, match="wider than the board"):
+        read_board(tmp_path / "board.yaml")

@@ -1,0 +1,140 @@
+import json
+import math
+
+import numpy as np
+import pytest
+
+from ringpose.errors import DataError
+from ringpose.files import records
+from ringpose.files.detections import detection_of, detection_record, read_detection, write_detection
+from ringpose.types.break_points import BreakPoints, Detection, NoBreakPoints
+from ringpose.types.segments import Segments
+from ringpose.types.stripes import Stripes
+
+
+def break_points(rng, lasers=3):
+    position = rng.normal(size=(lasers, 2, 2))
+    position[1, 0] = math.nan
+    covariance = rng.normal(size=(lasers, 2, 2, 2))
+    covariance[1, 0] = math.nan
+    return BreakPoints(
+        position_px=position,
+        covariance_px2=covariance,
+        flags=rng.integers(0, 16, (lasers, 2)),
+        face_start_px=rng.normal(size=(lasers, 2)),
+        face_end_px=rng.normal(size=(lasers, 2)),
+        face_sigma_px=rng.normal(size=(lasers, 2)),
+        labelled=True,
+    )
+
+
+def full_detection(rng, centers=50):
+    piece = np.sort(rng.integers(0, 4, centers))
+    return Detection(
+        shot="a",
+        stamp_s=1.7e9,
+        break_points=break_points(rng),
+        stripes=Stripes(
+            position_px=rng.normal(size=(centers, 2)),
+            sigma_px=rng.normal(size=centers),
+            peak_dn=rng.normal(size=centers),
+            piece=piece,
+            laser=np.array([0, -1, 2, 1]),
+        ),
+        segments=Segments(
+            start_px=rng.normal(size=(7, 2)), end_px=rng.normal(size=(7, 2)), support=rng.integers(1, 99, 7)
+        ),
+    )
+
+
+def same(first, second) -> bool:
+    names = type(first).__slots__
+    pairs = [(getattr(first, name), getattr(second, name)) for name in names]
+    return all(np.array_equal(a, b, equal_nan=isinstance(a, np.ndarray) and a.dtype.kind == "f") for a, b in pairs)
+
+
+def through_json(detection, full=True):
+    return detection_of(records.record_of(records.line_of(detection_record(detection, full)), "x"), "x")
+
+
+def through_file(detection, folder):
+    write_detection(folder / "a.npz", detection)
+    return read_detection(folder / "a.npz")
+
+
+@pytest.fixture(params=["json", "npz"])
+def there_and_back(request, tmp_path):
+    return through_json if request.param == "json" else lambda detection: through_file(detection, tmp_path)
+
+
+def test_detection_is_read_as_it_was_written(rng, there_and_back):
+    before = full_detection(rng)
+
+    after = there_and_back(before)
+
+    assert (after.shot, after.stamp_s) == ("a", 1.7e9)
+    assert same(after.break_points, before.break_points)
+    assert same(after.stripes, before.stripes)
+    assert same(after.segments, before.segments)
+
+
+def test_nothing_found_is_read_as_nothing(there_and_back):
+    nothing = Segments(start_px=np.empty((0, 2)), end_px=np.empty((0, 2)), support=np.empty(0, np.int64))
+    before = Detection(shot="a", stamp_s=math.nan, break_points=NoBreakPoints.NO_STRIPE, segments=nothing)
+
+    after = there_and_back(before)
+
+    assert (after.break_points, after.stripes) == (NoBreakPoints.NO_STRIPE, None)
+    assert same(after.segments, nothing)
+    assert math.isnan(after.stamp_s)
+
+
+@pytest.mark.parametrize("reason", NoBreakPoints)
+def test_every_reason_survives(reason, there_and_back):
+    assert there_and_back(Detection(shot="a", stamp_s=0.0, break_points=reason)).break_points is reason
+
+
+def test_short_record_leaves_stripes_and_segments_out(rng):
+    after = through_json(full_detection(rng), full=False)
+
+    assert (after.stripes, after.segments) == (None, None)
+    assert isinstance(after.break_points, BreakPoints)
+
+
+def test_record_is_strict_json(rng):
+    line = records.line_of(detection_record(full_detection(rng)))
+
+    assert json.loads(line, parse_constant=pytest.fail)["break_points"]["position_px"][1][0] == [None, None]
+
+
+def changed_record(rng, part, key, value):
+    record = json.loads(records.line_of(detection_record(full_detection(rng))))
+    (record[part] if part else record)[key] = value
+    return record
+
+
+@pytest.mark.parametrize(
+    ("part", "key", "value", "finding"),
+    [
+        ("", "schema", "ringpose/pose/1", "schema: is 'ringpose/pose/1', must be 'ringpose/detection/1'"),
+        ("", "shot", "", "shot: is the text '', must be a text"),
+        ("", "break_points", None, "reason: is null"),
+        ("", "breakpoints", {}, "unknown key 'breakpoints'; did you mean 'break_points'?"),
+        ("break_points", "flags", [[0, 0], [0, 1.5], [0, 0]], "break_points.flags: has a number that is not whole"),
+        ("break_points", "flags", [[0, 0]], "break_points.flags: has 1 x 2 numbers, must have 3 x 2"),
+        ("break_points", "labelled", 1, "break_points.labelled: is 1, must be true or false"),
+        ("stripes", "piece", [9] * 50, "stripes.piece: names a piece beyond the 4 that there are"),
+        ("stripes", "sigma_px", [1.0], "stripes.sigma_px: has 1 numbers, must have 50"),
+        ("segments", "end_px", [], "segments.end_px: has 0 numbers, must have 7 x 2"),
+    ],
+)
+def test_impossible_record_is_refused_with_its_place(rng, part, key, value, finding):
+    with pytest.raises(DataError) as caught:
+        detection_of(changed_record(rng, part, key, value), "x:1")
+
+    assert str(caught.value).startswith(f"x:1: {finding}")
+
+
+def test_unknown_reason_is_refused(rng):
+    with pytest.raises(DataError, match="unknown reason 'because'"):
+        detection_of(changed_record(rng, "", "break_points", None) | {"reason": "because"}, "x:1")

@@ -1,0 +1,99 @@
+import cv2
+import numpy as np
+import pytest
+
+from ringpose.errors import CannotCreateError, DataError, NoInputError
+from ringpose.files.images import read_image, write_image
+
+
+def encoded(suffix: str, image) -> bytes:
+    return cv2.imencode(suffix, image)[1].tobytes()
+
+
+def grey(rng, dtype=np.uint8):
+    return rng.integers(0, np.iinfo(dtype).max, (48, 64), dtype=dtype, endpoint=True)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "dtype"),
+    [(".png", np.uint8), (".png", np.uint16), (".tif", np.uint8), (".tiff", np.uint16), (".bmp", np.uint8)],
+)
+def test_grey_values_are_read_as_they_are(tmp_path, rng, suffix, dtype):
+    image = grey(rng, dtype)
+    (tmp_path / f"a{suffix}").write_bytes(encoded(suffix, image))
+
+    read = read_image(tmp_path / f"a{suffix}")
+
+    np.testing.assert_array_equal(read, image)
+    assert read.dtype == dtype
+
+
+@pytest.mark.parametrize(
+    ("channel", "value"), [("r", 30), ("g", 20), ("b", 10), (None, 0.299 * 30 + 0.587 * 20 + 0.114 * 10)]
+)
+@pytest.mark.parametrize("alpha", [[], [255]])
+def test_colour_becomes_luminance_or_the_channel_asked_for(tmp_path, channel, value, alpha):
+    (tmp_path / "a.png").write_bytes(encoded(".png", np.full((4, 4, 3 + len(alpha)), [10, 20, 30, *alpha], np.uint8)))
+
+    assert read_image(tmp_path / "a.png", channel) == pytest.approx(value, abs=0.5)
+
+
+def test_channel_of_a_grey_image_is_the_image(tmp_path, rng):
+    image = grey(rng)
+    (tmp_path / "a.png").write_bytes(encoded(".png", image))
+
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png", "r"), image)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".tif", ".bmp"])
+@pytest.mark.parametrize("kept", [0.0, 0.02, 0.5, 0.98])
+def test_truncated_image_is_one_error_and_nothing_on_stderr(tmp_path, rng, capfd, suffix, kept):
+    whole = encoded(suffix, grey(rng))
+    (tmp_path / f"a{suffix}").write_bytes(whole[: int(kept * len(whole))])
+
+    with pytest.raises(DataError, match=r"cut short|no image"):
+        read_image(tmp_path / f"a{suffix}")
+
+    assert capfd.readouterr().err == ""
+
+
+def test_damaged_png_is_one_error_and_nothing_on_stderr(tmp_path, rng, capfd):
+    damaged = bytearray(encoded(".png", grey(rng)))
+    damaged[len(damaged) // 2] ^= 0xFF
+    (tmp_path / "a.png").write_bytes(damaged)
+
+    with pytest.raises(DataError, match="chunk 'IDAT' fails its check"):
+        read_image(tmp_path / "a.png")
+
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    "content", [b"just words\n", b"PK\x03\x04", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"%PDF-1.4"]
+)
+def test_what_is_no_image_is_refused(tmp_path, capfd, content):
+    (tmp_path / "a.png").write_bytes(content)
+
+    with pytest.raises(DataError, match=r"a\.png: "):
+        read_image(tmp_path / "a.png")
+
+    assert capfd.readouterr().err == ""
+
+
+def test_pixels_that_are_no_grey_values_are_refused(tmp_path, rng):
+    (tmp_path / "a.tif").write_bytes(encoded(".tif", grey(rng).astype(np.float32)))
+
+    with pytest.raises(DataError, match="pixels of type float32"):
+        read_image(tmp_path / "a.tif")
+
+
+def test_missing_image_is_no_input(tmp_path):
+    with pytest.raises(NoInputError):
+        read_image(tmp_path / "a.png")
+
+
+def test_picture_is_written_once(tmp_path, rng):
+    write_image(tmp_path / "a.png", grey(rng))
+
+    with pytest.raises(CannotCreateError):
+        write_image(tmp_path / "a.png", grey(rng))

@@ -1,0 +1,81 @@
+import io
+
+import pytest
+
+from ringpose.errors import DataError, NoInputError
+from ringpose.files.inputs import Record, inputs
+
+
+def test_folder_stands_for_its_files_by_name(tmp_path):
+    for name in ("b.npz", "a.png", "c.txt", ".d.npz", "e.NPZ"):
+        (tmp_path / name).touch()
+
+    found = list(inputs([tmp_path], (".npz", ".png")))
+
+    assert [path.name for path in found] == ["a.png", "b.npz", "e.NPZ"]
+
+
+def test_file_is_taken_whatever_its_suffix_and_whether_it_is_there_or_not(tmp_path):
+    assert list(inputs([tmp_path / "a.txt"], (".npz",))) == [tmp_path / "a.txt"]
+
+
+def test_empty_folder_is_a_problem_and_the_rest_goes_on(tmp_path):
+    (tmp_path / "empty").mkdir()
+
+    problem, path = inputs([tmp_path / "empty", tmp_path / "a.npz"], (".npz", ".png"))
+
+    assert isinstance(problem, NoInputError)
+    assert str(problem) == f"{tmp_path / 'empty'}: holds no file that ends with .npz, .png"
+    assert path == tmp_path / "a.npz"
+
+
+def test_stdin_names_files_folders_and_records(tmp_path, monkeypatch):
+    (tmp_path / "a.npz").touch()
+    monkeypatch.setattr("sys.stdin", io.StringIO(f'{tmp_path}\n\n{{"shot": "b"}}\nc d.png\n'))
+
+    first, record, last = inputs(["-"], (".npz",))
+
+    assert first == tmp_path / "a.npz"
+    assert record == Record("standard input:3", {"shot": "b"})
+    assert str(last) == "c d.png"
+
+
+def test_broken_record_is_a_problem_and_the_rest_goes_on(monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.StringIO('{"shot": \n{"shot": "b"}\n'))
+
+    problem, record = inputs(["-"], ())
+
+    assert isinstance(problem, DataError)
+    assert record == Record("standard input:2", {"shot": "b"})
+
+
+def test_stdin_is_read_no_further_than_asked(monkeypatch):
+    lines = iter(["a\n", "b\n"])
+    monkeypatch.setattr("sys.stdin", lines)
+
+    next(inputs(["-"], ()))
+
+    assert next(lines) == "b\n"
+
+
+def test_closed_stdin_is_a_problem(monkeypatch):
+    monkeypatch.setattr("sys.stdin", None)
+
+    (problem,) = inputs(["-"], ())
+
+    assert isinstance(problem, NoInputError)
+
+
+def test_file_of_records_stands_for_its_records(tmp_path):
+    (tmp_path / "d.jsonl").write_text('{"shot": "a"}\n\n{"shot": "b"}\n')
+
+    found = list(inputs([tmp_path], (".jsonl",)))
+
+    assert found == [Record(f"{tmp_path}/d.jsonl:1", {"shot": "a"}), Record(f"{tmp_path}/d.jsonl:3", {"shot": "b"})]
+
+
+@pytest.mark.parametrize("suffixes", [(".jsonl",), ()])
+def test_missing_file_of_records_is_a_problem_not_a_crash(tmp_path, suffixes):
+    (found,) = inputs([tmp_path / "d.jsonl"], suffixes)
+
+    assert isinstance(found, NoInputError) == bool(suffixes)

@@ -1,0 +1,86 @@
+import json
+import math
+import signal
+
+import numpy as np
+import pytest
+
+from ringpose.errors import DataError, InputOutputError, SignalReceived
+from ringpose.files import records
+
+
+def test_record_is_one_line_of_strict_json(capsys):
+    records.write(
+        {"a": np.array([1.5, math.nan, -math.inf]), "b": np.float64(math.inf), "c": (1, np.int64(2)), "d": "ä\n"}
+    )
+
+    out = capsys.readouterr().out
+
+    assert out.count("\n") == 1
+    assert json.loads(out) == {"a": [1.5, None, None], "b": None, "c": [1, 2], "d": "ä\n"}
+
+
+def test_lines_are_read_one_by_one_with_their_place():
+    lines = iter(['{"a": 1}\n', "\n", '{"a": 2}\n'])
+
+    first = next(records.read(lines, "poses.jsonl"))
+
+    assert first == ("poses.jsonl:1", {"a": 1})
+    assert next(lines) == "\n"
+
+
+def test_place_counts_blank_lines():
+    assert [place for place, _ in records.read(["{}\n", "\n", "{}\n"], "x")] == ["x:1", "x:3"]
+
+
+@pytest.mark.parametrize(
+    ("line", "finding"),
+    [
+        ('{"a": NaN}', "NaN is not allowed, write null"),
+        ('{"a": -Infinity}', "-Infinity is not allowed"),
+        ('{"a": 1, "a": 2}', "the key 'a' stands twice"),
+        ('{"a": 1', "is no JSON"),
+        ("[1]", "is no record"),
+        ("[" * 100_000, "is no JSON"),
+    ],
+)
+def test_bad_line_is_refused_with_its_place(line, finding):
+    with pytest.raises(DataError) as caught:
+        list(records.read([line], "x"))
+
+    assert str(caught.value).startswith("x:1: ")
+    assert finding in str(caught.value)
+
+
+class _Stream:
+    def __init__(self, error: OSError) -> None:
+        self.error = error
+
+    def write(self, text: str) -> None:
+        raise self.error
+
+    def flush(self) -> None:
+        raise self.error
+
+
+def test_closed_pipe_ends_like_the_signal(monkeypatch):
+    monkeypatch.setattr("sys.stdout", _Stream(BrokenPipeError()))
+
+    with pytest.raises(SignalReceived) as caught:
+        records.write({})
+
+    assert caught.value.status == 128 + signal.SIGPIPE
+
+
+def test_full_disk_is_an_input_output_error(monkeypatch):
+    monkeypatch.setattr("sys.stdout", _Stream(OSError(28, "No space left on device")))
+
+    with pytest.raises(InputOutputError, match="standard output: writing broke off: no space left on device"):
+        records.write({})
+
+
+def test_closed_stdout_is_an_input_output_error(monkeypatch):
+    monkeypatch.setattr("sys.stdout", None)
+
+    with pytest.raises(InputOutputError, match="is closed"):
+        records.write({})

@@ -1,0 +1,216 @@
+import io
+import os
+import pickle
+import zipfile
+
+import cv2
+import numpy as np
+import pytest
+
+from ringpose.errors import CannotCreateError, DataError, NoInputError
+from ringpose.files.rigs import read_rig
+from ringpose.files.shots import ALL_LASERS, read_shot, write_shot
+from ringpose.types.frame import Shot
+
+
+def arrays(rng, frames=3, size=(480, 640)):
+    return {
+        "images": rng.integers(0, 255, (frames, *size), dtype=np.uint8),
+        "lasers": np.arange(frames, dtype=np.uint8),
+        "stamp_s": 1.7e9 + np.arange(frames) * 0.02,
+        "exposure_s": np.full(frames, 0.005),
+    }
+
+
+def saved(path, values):
+    np.savez(path, **values)
+    return path
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_shot_is_read_as_it_was_written(tmp_path, rng, dtype):
+    values = arrays(rng) | {
+        "device_stamp_s": np.array([5.0, 5.1, 5.2]),
+        "gain_db": np.array([-3.0, 0.0, 12.0]),
+        "frame_id": np.array([7, 8, 10]),
+        "seen_lasers": np.array([0, 1, 2], np.uint8),
+        "read_lasers": np.array([0, 1, 3], np.uint8),
+    }
+    values["images"] = values["images"].astype(dtype) * (dtype(257) if dtype is np.uint16 else dtype(1))
+    before = Shot(name="a", meta={"saturation_dn": 4095, "camera": "ä"}, **values)
+
+    write_shot(tmp_path / "a.npz", before)
+    after = read_shot(tmp_path / "a.npz")
+
+    assert (after.name, after.meta) == ("a", before.meta)
+    assert {key: getattr(after, key).dtype for key in values} == {key: array.dtype for key, array in values.items()}
+    assert all(np.array_equal(getattr(after, key), array) for key, array in values.items())
+
+
+def test_shot_of_another_program_is_read(tmp_path, rng):
+    values = arrays(rng)
+    values["lasers"] = values["lasers"].astype(np.int64)
+    values["stamp_s"] = values["stamp_s"].astype(">f8")
+    values["images"] = values["images"].astype(">u2")
+
+    shot = read_shot(saved(tmp_path / "a.npz", values | {"x_mine": np.zeros(1)}))
+
+    assert (shot.lasers.dtype, shot.stamp_s.dtype, shot.images.dtype) == (np.uint8, np.float64, np.uint16)
+    np.testing.assert_array_equal(shot.images, values["images"])
+
+
+@pytest.mark.parametrize("key", ["images", "lasers", "stamp_s", "exposure_s"])
+def test_shot_without_a_key_is_refused(tmp_path, rng, key):
+    values = arrays(rng)
+    del values[key]
+
+    with pytest.raises(DataError, match=f"has no key '{key}'"):
+        read_shot(saved(tmp_path / "a.npz", values))
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "finding"),
+    [
+        ("images", np.zeros((3, 4, 5), np.float64), "images: has type float64"),
+        ("images", np.zeros((3, 4, 5), np.uint32), "images: has type uint32"),
+        ("images", np.zeros((4, 5), np.uint8), "images: has shape 4 x 5, must have n x n x n"),
+        ("images", np.zeros((0, 4, 5), np.uint8), "images: has type uint8 and 0 pixels"),
+        ("lasers", np.zeros(2, np.uint8), "lasers: has shape 2, must have 3"),
+        ("lasers", np.array([0, 1, 256]), "lasers: has the mask 256"),
+        ("lasers", np.array([0, 1, -1]), "lasers: has the mask -1"),
+        ("lasers", np.zeros(3), "lasers: has type float64"),
+        ("stamp_s", np.array([1, np.nan, 2]), "stamp_s: has a number that is not finite"),
+        ("stamp_s", np.array([1, -1, 2.0]), "stamp_s: is -1 in frame 1, must not be negative"),
+        ("stamp_s", np.array(["a", "b", "c"]), "stamp_s: has type <U1"),
+        ("exposure_s", np.array([1, np.inf, 2]), "exposure_s: has a number that is not finite"),
+        ("exposure_s", np.array([0.1, 0.1, -0.1]), "exposure_s: is -0.1 in frame 2"),
+        ("gain_db", np.array([np.nan, 0, 0]), "gain_db: has a number that is not finite"),
+        ("meta", np.array("{broken"), "meta: is no JSON"),
+        ("meta", np.array(3), "meta: has type int64"),
+        ("image", np.zeros(3), "unknown key 'image'; did you mean 'images'?"),
+    ],
+)
+def test_impossible_shot_is_refused_with_its_key(tmp_path, rng, key, value, finding):
+    file = saved(tmp_path / "a.npz", arrays(rng) | {key: value})
+
+    with pytest.raises(DataError) as caught:
+        read_shot(file)
+
+    assert str(caught.value).startswith(f"{file}: {finding}")
+
+
+class _Bomb:
+    def __reduce__(self):
+        return os.mkdir, ("should-never-exist",)
+
+
+def test_pickled_objects_are_never_run(tmp_path, rng, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    file = tmp_path / "a.npz"
+    np.savez(file, allow_pickle=True, **arrays(rng), meta=np.array([_Bomb()], dtype=object))
+
+    with pytest.raises(DataError, match="allow_pickle"):
+        read_shot(file)
+
+    assert not (tmp_path / "should-never-exist").exists()
+
+
+def _npy(values) -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, values)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"PK", b"PK\x03\x04" + bytes(60), pickle.dumps({"images": 1}), b"\x89PNG", _npy(np.zeros(3))],
+    ids=["empty", "letters", "zeros", "pickle", "png", "npy"],
+)
+def test_what_is_no_archive_is_refused(tmp_path, content):
+    (tmp_path / "a.npz").write_bytes(content)
+
+    with pytest.raises(DataError, match="NPZ archive") as caught:
+        read_shot(tmp_path / "a.npz")
+
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("kept", [0.001, 0.3, 0.7, 0.999])
+def test_truncated_shot_is_refused(tmp_path, rng, kept):
+    write_shot(tmp_path / "a.npz", Shot(name="a", **arrays(rng)))
+    whole = (tmp_path / "a.npz").read_bytes()
+    (tmp_path / "a.npz").write_bytes(whole[: int(kept * len(whole))])
+
+    with pytest.raises(DataError, match="NPZ archive"):
+        read_shot(tmp_path / "a.npz")
+
+
+def test_damaged_shot_is_refused(tmp_path, rng):
+    write_shot(tmp_path / "a.npz", Shot(name="a", **arrays(rng)))
+    damaged = bytearray((tmp_path / "a.npz").read_bytes())
+    damaged[len(damaged) // 2] ^= 0xFF
+    (tmp_path / "a.npz").write_bytes(damaged)
+
+    with pytest.raises(DataError, match="NPZ archive"):
+        read_shot(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize("header", [b"\x93NUMPY\x01\x00\x04\x00{:(\n", b"\x93NUMPY\x01\x00v\x00{", b"no array"])
+def test_broken_member_is_refused(tmp_path, header):
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        archive.writestr("images.npy", header)
+
+    with pytest.raises(DataError):
+        read_shot(tmp_path / "a.npz")
+
+
+def test_image_is_a_shot_of_one_frame_with_the_rigs_lasers_on(tmp_path, rng, rig_file):
+    image = rng.integers(0, 255, (480, 640), dtype=np.uint8)
+    cv2.imwrite(str(tmp_path / "a.png"), image)
+    os.utime(tmp_path / "a.png", (1.5e9, 1.5e9))
+
+    shot = read_shot(tmp_path / "a.png", rig=read_rig(rig_file()))
+
+    assert (shot.name, shot.lasers.tolist(), shot.stamp_s.tolist()) == ("a", [0b11], [1.5e9])
+    np.testing.assert_array_equal(shot.images, image[None])
+
+
+def test_image_without_a_rig_has_all_lasers_on(tmp_path):
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((4, 5), np.uint8))
+
+    assert read_shot(tmp_path / "a.png").lasers.tolist() == [ALL_LASERS]
+
+
+def test_mask_that_names_a_laser_beyond_the_rigs_is_refused(tmp_path, rng, rig_file):
+    file = saved(tmp_path / "a.npz", arrays(rng) | {"lasers": np.array([0, 3, 4], np.uint8)})
+
+    with pytest.raises(DataError, match="lasers: frame 2 names laser 3, the rig has 2"):
+        read_shot(file, rig=read_rig(rig_file()))
+
+
+def test_image_of_another_size_than_the_rigs_camera_is_refused(tmp_path, rig_file):
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((481, 640), np.uint8))
+
+    with pytest.raises(DataError, match="640 x 481 pixels, the rig's camera has 640 x 480"):
+        read_shot(tmp_path / "a.png", rig=read_rig(rig_file()))
+
+
+def test_missing_shot_is_no_input(tmp_path):
+    with pytest.raises(NoInputError):
+        read_shot(tmp_path / "a.npz")
+
+
+def test_shot_is_not_overwritten_without_force(tmp_path, rng):
+    shot = Shot(name="a", **arrays(rng))
+    write_shot(tmp_path / "a.npz", shot)
+
+    with pytest.raises(CannotCreateError):
+        write_shot(tmp_path / "a.npz", shot)
+
+
+def test_rendered_shot_is_read(shared_data):
+    rig = read_rig(shared_data / "rendered/rig_b/rig.yaml")
+
+    shot = read_shot(shared_data / "rendered/rig_b/shots/B_z0500_p00_dim.npz", rig=rig)
+
+    assert shot.lasers.tolist() == [0, 1, 2, 4, 7]

@@ -1,0 +1,81 @@
+import json
+
+import numpy as np
+import pytest
+
+from ringpose.errors import DataError, NoInputError
+from ringpose.files.truths import read_truths, write_truths
+from ringpose.types.truth import Truth
+
+LINE = {
+    "shot": "a",
+    "center_m": [0.1, 0.2, 0.5],
+    "normal": [0, 0.6, -0.8],
+    "radius_inner_m": 0.567,
+    "radius_outer_m": 0.597,
+    "break_points_px": [[[1, 2], None], [None, None]],
+    "expect": "partial",
+    "groups": {"rig": "B", "distance_m": 0.5},
+}
+
+
+def written(path, *lines):
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    return path
+
+
+def test_truth_is_read_with_nan_for_what_is_not_seen(tmp_path):
+    (truth,) = read_truths(written(tmp_path / "truth.jsonl", LINE))
+
+    assert (truth.shot, truth.expect, truth.groups) == ("a", "partial", {"rig": "B", "distance_m": 0.5})
+    nan = [np.nan, np.nan]
+    np.testing.assert_array_equal(truth.break_points_px, [[[1, 2], nan], [nan, nan]])
+
+
+def test_truths_are_read_as_they_were_written(tmp_path, rng):
+    points = rng.normal(size=(3, 2, 2))
+    points[1, 0] = np.nan
+    before = Truth(
+        shot="a", expect="pose", center_m=rng.normal(size=3), normal=np.array([0, 0, -1.0]), break_points_px=points
+    )
+
+    write_truths(tmp_path / "truth.jsonl", [before, Truth(shot="b", expect="no_target")])
+    after, empty = read_truths(tmp_path / "truth.jsonl")
+
+    np.testing.assert_array_equal(after.center_m, before.center_m)
+    np.testing.assert_array_equal(after.break_points_px, points)
+    assert (empty.center_m, empty.break_points_px, empty.expect) == (None, None, "no_target")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "finding"),
+    [
+        ("expect", "poses", "expect: is 'poses', must be one of pose, partial, no_target; did you mean 'pose'?"),
+        ("normal", [0, 0, 1.5], "normal: has length 1.5, must be 1"),
+        ("radius_outer_m", 597, "radius_outer_m: is 597; metres belong here"),
+        ("break_points_px", [[[1, 2]]], "break_points_px: has 1 x 1 x 2 numbers, must have n x 2 x 2"),
+        ("centre_m", [0, 0, 0], "unknown key 'centre_m'; did you mean 'center_m'?"),
+    ],
+)
+def test_impossible_truth_is_refused_with_its_line(tmp_path, key, value, finding):
+    file = written(tmp_path / "truth.jsonl", LINE | {"shot": "z"}, LINE | {key: value})
+
+    with pytest.raises(DataError) as caught:
+        list(read_truths(file))
+
+    assert str(caught.value).startswith(f"{file}:2: {finding}")
+
+
+def test_shot_that_stands_twice_is_refused(tmp_path):
+    with pytest.raises(DataError, match="'a' stands twice"):
+        list(read_truths(written(tmp_path / "truth.jsonl", LINE, LINE)))
+
+
+def test_missing_truth_is_no_input(tmp_path):
+    with pytest.raises(NoInputError):
+        list(read_truths(tmp_path / "truth.jsonl"))
+
+
+@pytest.mark.parametrize(("folder", "shots"), [("rig_a", 10), ("rig_b", 24), ("variants_a", 4), ("variants_b", 7)])
+def test_rendered_truths_are_read(shared_data, folder, shots):
+    assert len(list(read_truths(shared_data / "rendered" / folder / "truth.jsonl"))) == shots
