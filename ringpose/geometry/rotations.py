@@ -29,5 +29,5 @@ def angle_between(
 ) -> Float64[Array, "*shape"]:
     """Angle between vectors in radians; atan2, because arccos of a dot product loses small angles."""
     sine = np.linalg.norm(np.cross(first, second), axis=-1)
-    angle: Float64[Array, "*shape"] = np.arctan2(sine, np.sum(first * second, axis=-1))
+    angle: Float64[Array, "*shape"] = np.asarray(np.arctan2(sine, np.sum(first * second, axis=-1)))
     return angle

@@ -1,0 +1,52 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ringpose.geometry.circles import nearest_crossing
+
+ANGLE = st.floats(-3.0, 3.0)
+
+
+def on_circle(angle):
+    return np.array([np.cos(angle), np.sin(angle), 0.0])
+
+
+@given(first=ANGLE, apart=st.floats(0.1, 3.0), along=st.one_of(st.floats(-0.9, -0.01), st.floats(0.01, 0.9)))
+def test_a_chord_is_crossed_at_its_nearer_end(first, apart, along):
+    ends = np.stack([on_circle(first), on_circle(first + apart)])
+    chord = ends[1] - ends[0]
+    start = ends.mean(axis=0) + along / 2 * chord
+    near = ends[int(along > 0)]
+
+    crossing = nearest_crossing(start[None], chord[None] / np.linalg.norm(chord), np.zeros(3), np.ones(1))
+
+    np.testing.assert_allclose(crossing[0], near, rtol=0, atol=1e-9)
+
+
+@given(first=ANGLE, apart=st.floats(0.1, 3.0), beyond=st.floats(0.01, 5.0))
+def test_from_outside_the_circle_the_nearer_end_is_the_one_in_front(first, apart, beyond):
+    ends = np.stack([on_circle(first), on_circle(first + apart)])
+    direction = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+    start = ends[0] - beyond * direction
+
+    crossing = nearest_crossing(start[None], direction[None], np.zeros(3), np.ones(1))
+
+    np.testing.assert_allclose(crossing[0], ends[0], rtol=0, atol=1e-9)
+
+
+def test_a_line_that_passes_by_gives_its_point_nearest_to_the_center():
+    start, direction = np.array([[-5.0, 2.0, 0.0]]), np.array([[1.0, 0.0, 0.0]])
+
+    crossing = nearest_crossing(start, direction, np.zeros(3), np.ones(1))
+
+    np.testing.assert_allclose(crossing, [[0.0, 2.0, 0.0]], atol=1e-12)
+
+
+@pytest.mark.parametrize("height", [0.0, 0.6])
+def test_a_line_beside_the_plane_of_the_center_meets_the_sphere(height):
+    start, direction = np.array([[3.0, 0.0, height]]), np.array([[-1.0, 0.0, 0.0]])
+
+    crossing = nearest_crossing(start, direction, np.zeros(3), np.ones(1))
+
+    np.testing.assert_allclose(crossing, [[np.sqrt(1 - height**2), 0.0, height]], atol=1e-12)
