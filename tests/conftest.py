@@ -1,7 +1,9 @@
 """Fixtures for all tests: seeded generators, the shared data, floating-point traps."""
 
+import os
+import shutil
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ from hypothesis import settings
 settings.register_profile("ringpose", derandomize=True, deadline=None, max_examples=50)
 settings.load_profile("ringpose")
 
+CARRIED_DATA = Path(__file__).parent / "data"
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
@@ -27,8 +30,48 @@ def _floating_point_traps() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def shared_data() -> Path:
+def shared_data(request: pytest.FixtureRequest) -> Path:
     """The folder of photographs and rendered shots that this project did not make."""
     if not SHARED_DATA.is_dir():
-        pytest.skip(f"the shared data are not at {SHARED_DATA}")
+        _missing(f"the shared data are not at {SHARED_DATA}", allowed=request.config.getoption("--without-shared-data"))
     return SHARED_DATA
+
+
+@pytest.fixture(scope="session")
+def carried_data() -> Path:
+    """The few rendered shots and board views that the project carries (tests/data/README.md)."""
+    return CARRIED_DATA
+
+
+@pytest.fixture(scope="session")
+def needed_program() -> Callable[[str], str]:
+    """Path of a program that the test cannot do without."""
+
+    def path(name: str) -> str:
+        found = shutil.which(name)
+        if found is None:
+            _missing(f"{name} is not installed (apt install {name})")
+        return str(found)
+
+    return path
+
+
+@pytest.fixture
+def example_folder(tmp_path: Path, carried_data: Path) -> Path:
+    """A working folder as the manual and the examples have it: a rig, shots with truth, board views, a scene."""
+    for source in (carried_data / "rig_b", carried_data / "calib_b"):
+        shutil.copytree(source, tmp_path, dirs_exist_ok=True)
+    shutil.copytree(carried_data / "rig_b", tmp_path / "data_set")
+    shutil.copy(CARRIED_DATA.parents[1] / "examples" / "scene.yaml", tmp_path)
+    return tmp_path
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--without-shared-data", action="store_true", help="skip, even in CI, what needs the shared data")
+
+
+def _missing(what: str, allowed: bool = False) -> None:
+    """Skip at a developer's desk; in CI nothing is left out unasked."""
+    if os.environ.get("CI") and not allowed:
+        pytest.fail(what)
+    pytest.skip(what)
