@@ -74,7 +74,8 @@ def fits(
     """Ends of the least-squares line through the sub-pixel crests of the magnitude along each piece.
 
     A crest is the vertex of the parabola through three magnitudes across the piece's longer side, down a column or
-    along a row. `trim` pixels at both ends, but never more than a quarter of the piece, are rounded corners and stay out.
+    along a row. `trim` pixels at both ends, but never more than a quarter of the piece, are rounded corners and
+    stay out.
     The line ends where the piece's end pixels stand along its longer side; without two crests it is the chord.
     """
     lines = _kernels.fits(magnitude, pixels, pieces, trim)

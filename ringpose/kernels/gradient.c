@@ -12,27 +12,35 @@
 /* Rows with two columns of margin, replicated (sums) or unused (the others). */
 enum { MARGIN = 2 };
 
+/* Pixels of a row that are looked at together. */
+enum { BLOCK = 128 };
+
 typedef struct {
     void *memory;
     uint16_t *sum;
     int16_t *smooth[3];
     int16_t *along, *across;
-    int16_t *orientation[2];
+    int16_t *gx[2], *gy[2];
+    int16_t *orientation;
     uint8_t *is_anchor;
 } Rows;
 
 static int allocate_rows(Rows *rows, size_t width) {
     size_t stride = width + 2 * MARGIN;
     if (stride > SIZE_MAX / 32) return 0;
-    rows->memory = calloc(9 * stride, sizeof(int16_t));
+    rows->memory = calloc(12 * stride, sizeof(int16_t));
     if (rows->memory == NULL) return 0;
     int16_t *row = (int16_t *)rows->memory + MARGIN;
     rows->sum = (uint16_t *)row;
     for (int i = 0; i < 3; i++) rows->smooth[i] = row + (size_t)(1 + i) * stride;
     rows->along = row + 4 * stride;
     rows->across = row + 5 * stride;
-    for (int i = 0; i < 2; i++) rows->orientation[i] = row + (size_t)(6 + i) * stride;
-    rows->is_anchor = (uint8_t *)(row + 8 * stride);
+    for (int i = 0; i < 2; i++) {
+        rows->gx[i] = row + (size_t)(6 + i) * stride;
+        rows->gy[i] = row + (size_t)(8 + i) * stride;
+    }
+    rows->orientation = row + 10 * stride;
+    rows->is_anchor = (uint8_t *)(row + 11 * stride);
     return 1;
 }
 
@@ -53,62 +61,89 @@ static void smooth_row(const uint8_t *const restrict in[5], size_t width, uint16
     }
 }
 
-/* Sobel; orientation 0: edge along x, 2: along y, 1: down to the right, 3: down to the left. */
+/* Sobel, and the magnitude of both components. */
 VECTOR_LOOP
-static void gradient_row(const Rows *rows, const int16_t *restrict up, const int16_t *restrict here,
-                         const int16_t *restrict down, size_t width, int16_t *restrict magnitude,
-                         int16_t *restrict orientation) {
+static void gradient_row(const Rows *rows, size_t row, size_t width, int16_t *restrict magnitude) {
+    const int16_t *restrict up = rows->smooth[(row + 2) % 3], *restrict here = rows->smooth[row % 3];
+    const int16_t *restrict down = rows->smooth[(row + 1) % 3];
     int16_t *restrict along = rows->along, *restrict across = rows->across;
+    int16_t *restrict gx = rows->gx[row % 2], *restrict gy = rows->gy[row % 2];
     for (size_t x = 0; x < width; x++) {
         along[x] = (int16_t)(up[x] + 2 * here[x] + down[x]);
         across[x] = (int16_t)(down[x] - up[x]);
     }
     for (size_t x = 1; x + 1 < width; x++) {
-        int16_t gx = (int16_t)(along[x + 1] - along[x - 1]);
-        int16_t gy = (int16_t)(across[x - 1] + 2 * across[x] + across[x + 1]);
-        int16_t ax = (int16_t)(gx < 0 ? -gx : gx), ay = (int16_t)(gy < 0 ? -gy : gy);
+        int16_t dx = (int16_t)(along[x + 1] - along[x - 1]);
+        int16_t dy = (int16_t)(across[x - 1] + 2 * across[x] + across[x + 1]);
+        int16_t ax = (int16_t)(dx < 0 ? -dx : dx), ay = (int16_t)(dy < 0 ? -dy : dy);
         int16_t most = ax > ay ? ax : ay, least = ax > ay ? ay : ax;
         magnitude[x] = (int16_t)(most + ((uint16_t)(3 * least) >> 3));
-        int16_t diagonal = (int16_t)((gx ^ gy) < 0 ? 1 : 3);
-        int16_t straight = (int16_t)(ax > ay ? 2 : 0);
-        orientation[x] = (int16_t)(2 * least) < most ? straight : diagonal;
+        gx[x] = dx;
+        gy[x] = dy;
     }
 }
 
-/* 1 where the magnitude is a maximum across the edge; of two equal ones the earlier in raster order. */
 VECTOR_LOOP
-static void mark_maxima(const int16_t *restrict here, size_t width, const int16_t *restrict orientation, int16_t upper,
-                        uint8_t *restrict is_anchor) {
+static int16_t strongest(const int16_t *magnitude, size_t from, size_t to) {
+    int16_t most = 0;
+    for (size_t x = from; x < to; x++) most = magnitude[x] > most ? magnitude[x] : most;
+    return most;
+}
+
+/* Orientation (0: edge along x, 2: along y, 1: down to the right, 3: down to the left), and 1 where the magnitude is a
+   maximum across the edge; of two equal ones the earlier in raster order. */
+VECTOR_LOOP
+static void mark_maxima(const Rows *rows, size_t row, const int16_t *restrict here, size_t width, size_t from, size_t to,
+                        int16_t upper) {
     const int16_t *restrict up = here - width, *restrict down = here + width;
-    for (size_t x = 1; x + 1 < width; x++) {
-        int16_t turn = orientation[x], value = here[x];
+    const int16_t *restrict gx = rows->gx[row % 2], *restrict gy = rows->gy[row % 2];
+    int16_t *restrict orientation = rows->orientation;
+    uint8_t *restrict is_anchor = rows->is_anchor;
+    for (size_t x = from; x < to; x++) {
+        int16_t ax = (int16_t)(gx[x] < 0 ? -gx[x] : gx[x]), ay = (int16_t)(gy[x] < 0 ? -gy[x] : gy[x]);
+        int16_t most = ax > ay ? ax : ay, least = ax > ay ? ay : ax;
+        int16_t diagonal = (int16_t)((gx[x] ^ gy[x]) < 0 ? 1 : 3);
+        int16_t straight = (int16_t)(ax > ay ? 2 : 0);
+        int16_t turn = (int16_t)(2 * least) < most ? straight : diagonal;
         int16_t nw = *(up + x - 1), n = up[x], ne = up[x + 1], w = *(here + x - 1);
         int16_t e = here[x + 1], sw = *(down + x - 1), s = down[x], se = down[x + 1];
         int16_t before = turn == 0 ? n : turn == 1 ? ne : turn == 2 ? w : nw;
         int16_t after = turn == 0 ? s : turn == 1 ? sw : turn == 2 ? e : se;
-        is_anchor[x] = (value >= upper) & (value > before) & (value >= after);
+        orientation[x] = turn;
+        is_anchor[x] = (here[x] >= upper) & (here[x] > before) & (here[x] >= after);
     }
 }
 
-/* Appends the marked pixels of a row; groups of eight without a mark, most of them, are skipped. */
-static int keep_anchors(const uint8_t *is_anchor, const int16_t *orientation, size_t width, size_t row, Anchors *anchors) {
-    if (!reserve(&anchors->index, width) || !reserve(&anchors->orientation, width)) return 0;
+/* Appends the anchors among `from` to `to` of a row; groups of eight without one, most of them, are skipped. */
+static void keep_anchors(const Rows *rows, size_t first_index, size_t from, size_t to, Anchors *anchors) {
     int32_t *index = anchors->index.data;
     uint8_t *turn = anchors->orientation.data;
     size_t n = anchors->index.used;
-    for (size_t x = 1; x + 1 < width;) {
-        size_t group = width - 1 - x < 8 ? width - 1 - x : 8;
+    for (size_t x = from; x < to;) {
+        size_t end = to - x < 8 ? to : x + 8;
         uint64_t eight = 1;
-        if (group == 8) memcpy(&eight, is_anchor + x, 8);
-        size_t end = x + group;
+        if (end == x + 8) memcpy(&eight, rows->is_anchor + x, 8);
         if (eight == 0) x = end;
         for (; x < end; x++) {
-            index[n] = (int32_t)(row * width + x);
-            turn[n] = (uint8_t)orientation[x];
-            n += is_anchor[x];
+            index[n] = (int32_t)(first_index + x);
+            turn[n] = (uint8_t)rows->orientation[x];
+            n += rows->is_anchor[x];
         }
     }
     anchors->index.used = anchors->orientation.used = n;
+}
+
+/* The anchors of a row whose neighbours above and below are known; blocks without a strong pixel are skipped. */
+static int find_anchors(const Rows *rows, const int16_t *magnitude, size_t row, size_t width, int16_t upper,
+                        Anchors *anchors) {
+    const int16_t *here = magnitude + row * width;
+    if (!reserve(&anchors->index, width) || !reserve(&anchors->orientation, width)) return 0;
+    for (size_t from = 1; from + 1 < width; from += BLOCK) {
+        size_t to = width - 1 - from < BLOCK ? width - 1 : from + BLOCK;
+        if (strongest(here, from, to) < upper) continue;
+        mark_maxima(rows, row, here, width, from, to, upper);
+        keep_anchors(rows, row * width, from, to, anchors);
+    }
     return 1;
 }
 
@@ -134,17 +169,13 @@ int find_gradient(const uint8_t *image, size_t height, size_t width, int upper, 
     smooth_at(image, height, width, 0, &rows);
     smooth_at(image, height, width, 1, &rows);
     for (size_t y = 1; y < height && done; y++) {
-        int16_t *here = magnitude + y * width;
         if (y + 1 < height) {
+            int16_t *here = magnitude + y * width;
             smooth_at(image, height, width, y + 1, &rows);
-            gradient_row(&rows, rows.smooth[(y - 1) % 3], rows.smooth[y % 3], rows.smooth[(y + 1) % 3], width, here,
-                         rows.orientation[y % 2]);
+            gradient_row(&rows, y, width, here);
             here[0] = here[width - 1] = 0;
         }
-        if (y < 2) continue;
-        const int16_t *orientation = rows.orientation[(y - 1) % 2];
-        mark_maxima(here - width, width, orientation, (int16_t)upper, rows.is_anchor);
-        done = keep_anchors(rows.is_anchor, orientation, width, y - 1, anchors);
+        if (y > 1) done = find_anchors(&rows, magnitude, y - 1, width, (int16_t)upper, anchors);
     }
     free(rows.memory);
     return done;
