@@ -58,7 +58,7 @@ ON_LINE_PX = 2.5
 """Centres so close to a face's line are on its surface; the nearest body behind a ring jumps by 4 px at 1 m."""
 
 SPILL_COST = 15.0
-"""What it costs if all of a stripe's centres on the face's line lie beyond the track: a face ends where its track does."""
+"""What it costs if all of a stripe's centres on a track's line lie beyond the track: a face ends with its track."""
 
 UNSEEN_COST = 6.0
 """What it costs that a laser's stripe is not seen where the face would show it: occluded, or not this face."""
@@ -163,7 +163,9 @@ def _merit(track: Track, centers: Float64[Array, "center xyl=3"]) -> float:
     return float(straight - SPILL_COST * share - CLIPPED_COST * track.clipped)
 
 
-def _scored_groups(candidates: Candidates, size: int, rig: Rig) -> tuple[Int64[Array, "group size"], Float64[Array, "group"]]:
+def _scored_groups(
+    candidates: Candidates, size: int, rig: Rig
+) -> tuple[Int64[Array, "group size"], Float64[Array, "group"]]:
     """Groups of candidates of different lasers that one planar ring explains, with their scores."""
     groups = _groups(candidates, size)
     if not len(groups):
@@ -218,7 +220,7 @@ def _plane_cost(
 
 
 def _planes(points: Float64[Array, "group n xyz=3"]) -> tuple[Float64[Array, "group 3"], Float64[Array, "group"]]:
-    """Planes nearest to the points; for the two ends of a single track, which lie in many planes, one facing the camera."""
+    """Planes nearest to the points; for the two ends of a single track one facing the camera."""
     middle = points.mean(axis=1, keepdims=True)
     if points.shape[1] == 2:
         normal = np.broadcast_to(np.array([0.0, 0.0, 1.0]), (len(points), 3))
@@ -234,10 +236,15 @@ def _ordinate(
     x: Float64[Array, "group laser end"],
     rig: Rig,
 ) -> Float64[Array, "group laser end"]:
-    """Normalised y, at normalised x, of the line in which a plane n . P = d meets a light plane m . P = e: (e n - d m) . r = 0."""
+    """Normalised y, at normalised x, of the line in which a plane n . P = d meets a light plane m . P = e.
+
+    There both give the same point t r of a ray r, so (e n - d m) . r = 0.
+    """
     line = rig.lasers.distance_m[laser][..., None] * normal - distance[..., None] * rig.lasers.normal[laser]
     with np.errstate(divide="ignore", invalid="ignore"):
-        ordinate: Float64[Array, "group laser end"] = -(line[..., None, 0] * x + line[..., None, 2]) / line[..., None, 1]
+        ordinate: Float64[Array, "group laser end"] = (
+            -(line[..., None, 0] * x + line[..., None, 2]) / line[..., None, 1]
+        )
     return ordinate
 
 
@@ -248,7 +255,8 @@ def _circle_cost(points: Float64[Array, "group laser end=2 xyz=3"], focal_px: fl
     if ends < 6:
         return everything
     dropped = [_concentric_cost(points, np.arange(ends) != each, focal_px) for each in range(ends)]
-    return np.minimum(everything, np.min(dropped, axis=0) + DROPPED_END_COST)
+    cost: Float64[Array, "group"] = np.minimum(everything, np.min(dropped, axis=0) + DROPPED_END_COST)
+    return cost
 
 
 def _concentric_cost(
@@ -274,7 +282,8 @@ def _along_and_across(
     along -= np.sum(along * normal, axis=-1, keepdims=True) * normal
     along /= np.linalg.norm(along, axis=-1, keepdims=True)
     axes = np.stack([along, np.cross(normal, along)], axis=-1)
-    return centred @ axes, middle[:, 2]
+    flat: Float64[Array, "group n 2"] = centred @ axes
+    return flat, middle[:, 2]
 
 
 def _ambiguous(

@@ -1,52 +1,82 @@
 """Shot -> break points, in the order of MATH.md section 3."""
 
+from dataclasses import replace
+from enum import StrEnum
+
 import numpy as np
 
 from ringpose.detect.break_points import break_points
 from ringpose.detect.faces import ring_face
 from ringpose.detect.frames import LaserImage, laser_images
 from ringpose.detect.stripe_centers import find_stripes
+from ringpose.detect.stripe_segments import stripes_between_segments
 from ringpose.detect.tracks import straight_tracks
 from ringpose.geometry.rays import undistorted_pixels
 from ringpose.types.break_points import BreakPoints, Detection, NoBreakPoints
 from ringpose.types.frame import Shot
 from ringpose.types.rig import Rig
+from ringpose.types.segments import Segments
 from ringpose.types.stripes import UNLABELLED, Stripes
 
 DARK_DN = 8
 """A frame whose brightest pixels stay below this shows nothing at all."""
 
 
-def detect(shot: Shot, rig: Rig) -> Detection:
+class StripeSource(StrEnum):
+    """What the stripes' pieces are made from."""
+
+    CENTERS = "centers"
+    """Ridges, column by column: finer, and what is used unless the paper's way is asked for."""
+    SEGMENTS = "segments"
+    """The paper's line segments along both edges of each stripe."""
+
+
+def detect(shot: Shot, rig: Rig, source: StripeSource = StripeSource.CENTERS) -> Detection:
     """Stripes and break points of a shot; a shot without break points says why."""
     images = laser_images(shot, len(rig.lasers.names))
     if not images:
         return Detection(shot=shot.name, stamp_s=shot.measured_at_s, break_points=NoBreakPoints.NO_LASER_FRAME)
-    stripes = _all_stripes(images)
+    stripes, segments = _all_stripes(images, source)
     found = _found(stripes, images, rig, shot.saturation_dn)
-    return Detection(shot=shot.name, stamp_s=shot.measured_at_s, break_points=found, stripes=stripes)
+    return Detection(shot=shot.name, stamp_s=shot.measured_at_s, break_points=found, stripes=stripes, segments=segments)
 
 
-def _all_stripes(images: list[LaserImage]) -> Stripes:
-    """The stripes of all frames in one record, with the laser where a frame shows only one."""
-    parts, pieces = [], 0
+def _all_stripes(images: list[LaserImage], source: StripeSource) -> tuple[Stripes, Segments | None]:
+    """The stripes of all frames in one record, with the laser where a frame shows only one; the segments if used."""
+    stripes, segments = [], []
     for image in images:
-        stripes = find_stripes(image.lit, image.dark)
+        if source is StripeSource.SEGMENTS:
+            part, edges = stripes_between_segments(image.lit, image.dark)
+            segments.append(edges)
+        else:
+            part = find_stripes(image.lit, image.dark)
         label = image.lasers[0] if image.labelled else UNLABELLED
-        parts.append((stripes, stripes.piece + pieces, np.full_like(stripes.laser, label)))
-        pieces += len(stripes.laser)
+        stripes.append(replace(part, laser=np.full_like(part.laser, label)))
+    return _joined_stripes(stripes), _joined_segments(segments) if segments else None
+
+
+def _joined_stripes(parts: list[Stripes]) -> Stripes:
+    """Stripes of several frames in one record, their pieces numbered on."""
+    before = np.cumsum([0, *(len(part.laser) for part in parts[:-1])])
     return Stripes(
-        position_px=np.concatenate([stripes.position_px for stripes, _, _ in parts]),
-        sigma_px=np.concatenate([stripes.sigma_px for stripes, _, _ in parts]),
-        peak_dn=np.concatenate([stripes.peak_dn for stripes, _, _ in parts]),
-        piece=np.concatenate([piece for _, piece, _ in parts]),
-        laser=np.concatenate([laser for _, _, laser in parts]),
+        position_px=np.concatenate([part.position_px for part in parts]),
+        sigma_px=np.concatenate([part.sigma_px for part in parts]),
+        peak_dn=np.concatenate([part.peak_dn for part in parts]),
+        piece=np.concatenate([part.piece + start for part, start in zip(parts, before, strict=True)]),
+        laser=np.concatenate([part.laser for part in parts]),
     )
 
 
-def _found(
-    stripes: Stripes, images: list[LaserImage], rig: Rig, saturation_dn: int
-) -> BreakPoints | NoBreakPoints:
+def _joined_segments(parts: list[Segments]) -> Segments:
+    """Segments of several frames in one record."""
+    return Segments(
+        start_px=np.concatenate([part.start_px for part in parts]),
+        end_px=np.concatenate([part.end_px for part in parts]),
+        support=np.concatenate([part.support for part in parts]),
+    )
+
+
+def _found(stripes: Stripes, images: list[LaserImage], rig: Rig, saturation_dn: int) -> BreakPoints | NoBreakPoints:
     """The break points among the stripes, or why there are none."""
     if not len(stripes.piece):
         return _why_no_stripe(images, saturation_dn)

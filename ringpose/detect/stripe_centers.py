@@ -66,7 +66,7 @@ def find_stripes(
     contrast = -curvature[rows, columns] / noise[rows, columns]
     return Stripes(
         position_px=np.stack([columns.astype(np.float64), center], axis=-1),
-        sigma_px=np.hypot(_sigma(contrast, parameters.filter_sigma_px), _scatter(center, piece)),
+        sigma_px=np.maximum(_sigma(contrast, parameters.filter_sigma_px), _scatter(center, piece)),
         peak_dn=peak[rows, columns].astype(np.float64),
         piece=piece,
         laser=np.full(int(piece.max()) + 1 if len(piece) else 0, UNLABELLED, dtype=np.int64),
@@ -74,7 +74,7 @@ def find_stripes(
 
 
 def response_noise(response: Float32[Array, "row column"]) -> Float32[Array, "row column"]:
-    """Standard deviation of a filter response around each pixel, from first quartiles of blocks: no stripe fills them."""
+    """Standard deviation of a filter response around each pixel, from first quartiles: no stripe fills a block."""
     rows, columns = response.shape
     side = min(NOISE_BLOCK_PX, rows, columns)
     down, across = rows // side, columns // side
@@ -132,7 +132,8 @@ def _sigma(contrast: Float32[Array, "n"], sigma_px: float) -> Float64[Array, "n"
     n sqrt(3) / (2 sqrt(2) s^(5/2) pi^(1/4)); the step is the quotient of the first response and the second.
     """
     first_over_second = np.sqrt(2 / 3) * sigma_px
-    return first_over_second / contrast.astype(np.float64)
+    sigma: Float64[Array, "n"] = first_over_second / contrast.astype(np.float64)
+    return sigma
 
 
 def _scatter(center: Float64[Array, "n"], piece: Int64[Array, "n"]) -> Float64[Array, "n"]:

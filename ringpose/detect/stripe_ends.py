@@ -31,7 +31,19 @@ EDGE_WIDTHS = (0.45, 0.6, 0.8, 1.0)
 """Blur of the edge in sigmas of the stripe: the optics blur both, the sheet's own thickness only the stripe."""
 
 SPECKLE_COLUMNS = 2.0
-"""Columns of an edge that share a grain: so much fewer are independent."""
+"""Columns that share a grain: so much fewer are independent.
+
+The grain at the edge itself moves the edge's half level by about its contrast times the edge's width, and no
+number of columns averages that."""
+
+SHAPE_SIGMA = 0.1
+"""Columns by which a real edge's position depends on how its blur is modelled; adds to what noise explains."""
+
+LEAST_HEADROOM = 0.05
+"""Columns that saturation leaves less of than this say nothing about the stripe's level."""
+
+SATURATED_SHARE = 0.2
+"""Share of the last columns with a saturated pixel above which an end is flagged."""
 
 KINK_LEVEL = 0.25
 """A level beyond the edge of this share of the face's means that the stripe runs on: a wall."""
@@ -111,33 +123,42 @@ def stripe_end(profile: Profile, near_x: float, outward: int, sigma: float) -> S
     if np.count_nonzero(used & (along < -2)) < 4 or np.count_nonzero(used & (along > 1)) < 3:
         return None
     along, amplitude, headroom = along[used], profile.amplitude[used], profile.headroom[used]
-    inner = along < -2
-    level = float(np.median(amplitude[inner] / np.maximum(headroom[inner], 0.05)))
+    level, contrast, noise = spread = _spread(along, amplitude, headroom)
     if level <= 0:
         return None
-    contrast = max(1.4826 * float(np.median(np.abs(amplitude[inner] / np.maximum(headroom[inner], 0.05) / level - 1))), 0.05)
-    beyond = amplitude[along > 2]
-    noise = max(1.4826 * float(np.median(np.abs(beyond - np.median(beyond)))), 0.01 * level)
 
-    cost, position, width, outside = _best_edge(along, amplitude, headroom, (sigma, contrast, noise))
+    position, width, outside = _best_edge(along, amplitude, headroom, spread, sigma)
     slope = level * np.exp(-0.5 * ((position - along) / width) ** 2) / (width * math.sqrt(2 * math.pi)) * headroom
-    edge = _edge(along, position, width)
-    variance = noise**2 + (contrast * level * headroom * edge) ** 2
+    variance = noise**2 + (contrast * level * headroom * _edge(along, position, width)) ** 2
     information = float(np.sum(slope**2 * (1 - outside) ** 2 / variance)) / SPECKLE_COLUMNS
-    if information <= 0 or not np.isfinite(cost):
+    if information <= 0:
         return None
-    at_end = (along > position - 6) & (along < position)
+    last = profile.saturated[used][(along > position - 6) & (along < position)]
     return StripeEnd(
         x=near_x + outward * position,
-        sigma=1 / math.sqrt(information),
+        sigma=math.hypot(1 / math.sqrt(information), contrast * width, SHAPE_SIGMA),
         outside=outside,
-        saturated=bool(np.mean(profile.saturated[used][at_end]) > 0.2) if at_end.any() else False,
+        saturated=bool(len(last) and np.mean(last) > SATURATED_SHARE),
     )
+
+
+def _spread(
+    along: Float64[Array, "n"], amplitude: Float64[Array, "n"], headroom: Float64[Array, "n"]
+) -> tuple[float, float, float]:
+    """Level of the face's stripe, its relative spread (speckle), and the noise beyond its end."""
+    inner = along < -2
+    full = amplitude[inner] / np.maximum(headroom[inner], LEAST_HEADROOM)
+    level = float(np.median(full))
+    contrast = 1.4826 * float(np.median(np.abs(full - level))) / max(level, 1e-9)
+    beyond = amplitude[along > 2]
+    noise = 1.4826 * float(np.median(np.abs(beyond - np.median(beyond)))) if len(beyond) else 0.0
+    return level, max(contrast, 0.05), max(noise, 0.01 * level)
 
 
 def _edge(along: Float64[Array, "n"], position: float, width: float) -> Float64[Array, "n"]:
     """One inside, nothing outside, an error function between."""
-    return np.interp((position - along) / width, _STEPS, _NORMAL_CDF)
+    edge: Float64[Array, "n"] = np.interp((position - along) / width, _STEPS, _NORMAL_CDF)
+    return edge
 
 
 def _best_edge(
@@ -145,18 +166,18 @@ def _best_edge(
     amplitude: Float64[Array, "n"],
     headroom: Float64[Array, "n"],
     spread: tuple[float, float, float],
-) -> tuple[float, float, float, float]:
-    """Cost, position, width and outside level (as a share of the inside's) of the edge that fits best."""
-    sigma, contrast, noise = spread
+    sigma: float,
+) -> tuple[float, float, float]:
+    """Position, width and outside level (as a share of the inside's) of the edge that fits best."""
     positions = np.arange(-SEARCH_COLUMNS, SEARCH_COLUMNS + SEARCH_STEP / 2, SEARCH_STEP)
-    best = (math.inf, 0.0, sigma, 0.0)
+    least, best = math.inf, (0.0, sigma, 0.0)
     for share in EDGE_WIDTHS:
         width = share * sigma
         edge = np.interp((positions[:, None] - along) / width, _STEPS, _NORMAL_CDF)
-        cost, outside = _level_costs(edge, amplitude, headroom, contrast, noise)
+        cost, outside = _level_costs(edge, amplitude, headroom, spread)
         k = int(np.argmin(cost))
-        if cost[k] < best[0]:
-            best = (float(cost[k]), _parabola(positions, cost, k), width, float(outside[k]))
+        if cost[k] < least:
+            least, best = float(cost[k]), (_parabola(positions, cost, k), width, float(outside[k]))
     return best
 
 
@@ -164,14 +185,14 @@ def _level_costs(
     edge: Float64[Array, "position n"],
     amplitude: Float64[Array, "n"],
     headroom: Float64[Array, "n"],
-    contrast: float,
-    noise: float,
+    spread: tuple[float, float, float],
 ) -> tuple[Float64[Array, "position"], Float64[Array, "position"]]:
     """Minus log likelihood of each edge position with its best levels, and the outside level's share of the inside."""
+    start, contrast, noise = spread
     inside, outside = edge * headroom, 1 - edge
-    level = np.median(amplitude / np.maximum(headroom, 0.05))
+    level = np.full(len(edge), start)
     for _ in range(2):
-        variance = noise**2 + (contrast * np.asarray(level)[..., None] * inside) ** 2
+        variance = noise**2 + (contrast * level[:, None] * inside) ** 2
         a = np.sum(inside * inside / variance, axis=-1)
         b = np.sum(inside * outside / variance, axis=-1)
         c = np.sum(outside * outside / variance, axis=-1)

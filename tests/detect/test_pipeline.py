@@ -1,0 +1,178 @@
+"""A shot's break points, from drawn stripes whose truth is a formula."""
+
+import numpy as np
+import pytest
+from drawn_scene import DrawnScene, draw_shot, true_break_points
+
+from ringpose.detect.pipeline import StripeSource, detect
+from ringpose.types.break_points import BreakPointFlag, BreakPoints, NoBreakPoints
+from ringpose.types.frame import Shot
+from ringpose.types.rig import Rig
+
+SWITCHED = [0, 1, 2, 4]
+ALL_ON = [7]
+
+
+def found(shot: Shot, rig: Rig) -> BreakPoints:
+    points = detect(shot, rig).break_points
+    assert isinstance(points, BreakPoints), points
+    return points
+
+
+@pytest.mark.parametrize("masks", [SWITCHED, [0, 7], ALL_ON], ids=["switched", "off and all", "all"])
+@pytest.mark.parametrize("depth_m", [0.3, 0.5, 1.0])
+def test_break_points_lie_within_a_seventh_of_a_pixel_of_the_formula(rig, rng, masks, depth_m):
+    scene = DrawnScene(center_m=(0.58, 0.02, depth_m))
+
+    points = found(draw_shot(scene, rig, masks, rng), rig)
+
+    error_px = points.position_px - true_break_points(scene, rig)
+    assert np.abs(error_px).max() < 0.14
+
+
+def test_reported_sigmas_explain_the_errors_under_speckle(rig, rng):
+    errors = []
+    for depth_m in (0.35, 0.5, 0.7):
+        scene = DrawnScene(center_m=(0.58, 0.02, depth_m), speckle=0.2)
+        points = found(draw_shot(scene, rig, SWITCHED, rng), rig)
+        error_px = (points.position_px - true_break_points(scene, rig))[..., 0]
+        errors.append(error_px**2 / points.covariance_px2[..., 0, 0])
+
+    assert 0.2 < np.mean(errors) < 2.0
+
+
+def test_a_ring_on_the_other_side_swaps_the_edges(rig, rng):
+    shot = draw_shot(DrawnScene(), rig, SWITCHED, rng)
+    mirrored = Shot(
+        name="mirrored",
+        images=np.ascontiguousarray(shot.images[:, :, ::-1]),
+        lasers=shot.lasers,
+        stamp_s=shot.stamp_s,
+        exposure_s=shot.exposure_s,
+    )
+
+    points, turned = found(shot, rig), found(mirrored, rig)
+
+    assert np.all(points.position_px[:, 0, 0] > points.position_px[:, 1, 0])
+    assert np.all(turned.position_px[:, 0, 0] < turned.position_px[:, 1, 0])
+
+
+def test_labels_say_whether_switched_frames_gave_them(rig, rng):
+    scene = DrawnScene()
+
+    assert found(draw_shot(scene, rig, SWITCHED, rng), rig).labelled
+    assert not found(draw_shot(scene, rig, ALL_ON, rng), rig).labelled
+
+
+def test_swapped_wiring_is_not_believed(rig, rng):
+    shot = draw_shot(DrawnScene(), rig, [0, 4, 2, 1], rng)
+    swapped = Shot(
+        name="swapped",
+        images=shot.images,
+        lasers=np.array([0, 1, 2, 4], dtype=np.uint8),
+        stamp_s=shot.stamp_s,
+        exposure_s=shot.exposure_s,
+    )
+
+    points = detect(swapped, rig).break_points
+
+    assert not isinstance(points, BreakPoints) or np.count_nonzero(points.seen) < 6
+
+
+def test_a_bar_over_one_end_is_called_occluded_and_left_out(rig, rng):
+    scene = DrawnScene()
+    truth = true_break_points(scene, rig)
+    shot = draw_shot(scene, rig, SWITCHED, rng)
+    images = shot.images.copy()
+    left = int(truth[2, 1, 0])
+    images[:, int(truth[2, 1, 1]) - 40 : int(truth[2, 1, 1]) + 40, left - 30 : left + 35] = 10
+    hidden = Shot(name="hidden", images=images, lasers=shot.lasers, stamp_s=shot.stamp_s, exposure_s=shot.exposure_s)
+
+    points = found(hidden, rig)
+
+    assert points.flags[2, 1] & BreakPointFlag.OCCLUDED
+    assert np.count_nonzero(points.seen) == 5
+    assert np.nanmax(np.abs(points.position_px - truth)) < 0.15
+
+
+def test_two_lasers_in_view_give_four_break_points(rig, rng):
+    scene = DrawnScene(center_m=(0.58, 0.05, 0.235))
+    truth = true_break_points(scene, rig)
+
+    points = found(draw_shot(scene, rig, SWITCHED, rng), rig)
+
+    inside = (truth[..., 1] > 0) & (truth[..., 1] < 1199)
+    assert np.array_equal(points.seen, inside)
+    assert np.nanmax(np.abs(points.position_px - truth)) < 0.2
+
+
+def test_a_saturated_stripe_is_flagged(rig, rng):
+    scene = DrawnScene(peaks_dn=(600.0, 600.0, 600.0))
+
+    points = found(draw_shot(scene, rig, SWITCHED, rng), rig)
+
+    assert np.all(points.flags & BreakPointFlag.SATURATED)
+
+
+def test_the_paper_segments_find_the_same_ring(rig, rng):
+    scene = DrawnScene(noise_dn=0.5)
+    shot = draw_shot(scene, rig, SWITCHED, rng)
+
+    detection = detect(shot, rig, StripeSource.SEGMENTS)
+
+    assert isinstance(detection.break_points, BreakPoints)
+    assert detection.segments is not None
+    assert np.abs(detection.break_points.position_px - true_break_points(scene, rig)).max() < 1.5
+
+
+def flat_shot(value: int, lasers: int = 7) -> Shot:
+    return Shot(
+        name="flat",
+        images=np.full((1, 1200, 1600), value, dtype=np.uint8),
+        lasers=np.array([lasers], dtype=np.uint8),
+        stamp_s=np.zeros(1),
+        exposure_s=np.full(1, 0.001),
+    )
+
+
+@pytest.mark.parametrize(
+    ("shot", "reason"),
+    [
+        (flat_shot(0), NoBreakPoints.IMAGE_DARK),
+        (flat_shot(255), NoBreakPoints.IMAGE_SATURATED),
+        (flat_shot(90), NoBreakPoints.NO_STRIPE),
+        (flat_shot(90, lasers=0), NoBreakPoints.NO_LASER_FRAME),
+    ],
+    ids=["black", "white", "grey", "lasers off"],
+)
+def test_an_image_without_stripes_says_why(rig, shot, reason):
+    assert detect(shot, rig).break_points is reason
+
+
+def test_noise_alone_is_no_ring(rig, rng):
+    images = rng.integers(0, 60, (2, 1200, 1600)).astype(np.uint8)
+    shot = Shot(
+        name="noise",
+        images=images,
+        lasers=np.array([0, 7], dtype=np.uint8),
+        stamp_s=np.zeros(2),
+        exposure_s=np.full(2, 0.001),
+    )
+
+    assert detect(shot, rig).break_points in (NoBreakPoints.NO_STRIPE, NoBreakPoints.NO_RING)
+
+
+def test_detection_does_not_depend_on_the_order_of_frames(rig, rng):
+    shot = draw_shot(DrawnScene(), rig, SWITCHED, rng)
+    order = np.array([2, 0, 3, 1])
+    turned = Shot(
+        name="turned",
+        images=shot.images[order],
+        lasers=shot.lasers[order],
+        stamp_s=shot.stamp_s[order],
+        exposure_s=shot.exposure_s[order],
+    )
+
+    first, second = found(shot, rig), found(turned, rig)
+
+    np.testing.assert_array_equal(first.position_px, second.position_px)
