@@ -4,7 +4,7 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Complex64, Float32, Float64, Int64
 
 from ringpose.types.arrays import Array
 from ringpose.types.scene import Foil
@@ -17,35 +17,32 @@ _OCTAVES = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Relief:
-    """Height and slopes on a periodic grid over the body's front face."""
+    """Height and slopes on a periodic grid over the body's front face, row by row."""
 
     texel_m: float
-    height_slopes: Float32[Array, "row column height_slope=3"]
-    """Height in metres, slope along x, slope along y."""
+    height_m: Float32[Array, "texel"]
+    slope: Complex64[Array, "texel"]
+    """Slope along x as the real part, along y as the imaginary one: a single look-up fetches both."""
 
     def tangent(
         self, x: Float64[Array, "ray"], y: Float64[Array, "ray"]
-    ) -> tuple[Float32[Array, "ray"], Float32[Array, "ray"], Float32[Array, "ray"]]:
-        """Height and slopes of the plane that touches the relief at the nearest point of the grid."""
+    ) -> tuple[Float64[Array, "ray"], Complex64[Array, "ray"]]:
+        """Height and slope of the plane that touches the relief at the nearest point of the grid."""
         column, row = np.rint(x / self.texel_m), np.rint(y / self.texel_m)
-        index = (row.astype(np.int64) % _TEXELS) * _TEXELS + column.astype(np.int64) % _TEXELS
-        height, slope_x, slope_y = self.height_slopes.reshape(-1, 3).take(index, axis=0).T
-        off_x, off_y = (x - column * self.texel_m, y - row * self.texel_m)
-        return (height + slope_x * off_x + slope_y * off_y).astype(np.float32), slope_x, slope_y
+        index = _index(column.astype(np.int64), row.astype(np.int64))
+        slope = self.slope.take(index)
+        off_x, off_y = x - column * self.texel_m, y - row * self.texel_m
+        return self.height_m.take(index) + slope.real * off_x + slope.imag * off_y, slope
 
-    def slopes(
-        self, x: Float64[Array, "ray"], y: Float64[Array, "ray"]
-    ) -> tuple[Float32[Array, "ray"], Float32[Array, "ray"]]:
-        """Slopes along x and y, bilinear between the grid's points, so that glints show no grid."""
+    def slopes(self, x: Float64[Array, "ray"], y: Float64[Array, "ray"]) -> Complex64[Array, "ray"]:
+        """Slope, bilinear between the grid's points, so that glints show no grid."""
         column, share_x = _split(x / self.texel_m)
         row, share_y = _split(y / self.texel_m)
-        right, below = (column + 1) % _TEXELS, ((row + 1) % _TEXELS) * _TEXELS
-        row *= _TEXELS
-        grid = self.height_slopes.reshape(-1, 3)[:, 1:]
-        top = grid.take(row + column, axis=0) * (1 - share_x) + grid.take(row + right, axis=0) * share_x
-        bottom = grid.take(below + column, axis=0) * (1 - share_x) + grid.take(below + right, axis=0) * share_x
-        slope_x, slope_y = (top + (bottom - top) * share_y).T
-        return slope_x, slope_y
+        corners = ((column, row), (column + 1, row), (column, row + 1), (column + 1, row + 1))
+        near, right, below, far = (self.slope.take(_index(*corner)) for corner in corners)
+        top, bottom = near + (right - near) * share_x, below + (far - below) * share_x
+        slope: Complex64[Array, "ray"] = top + (bottom - top) * share_y
+        return slope
 
 
 @functools.lru_cache(maxsize=4)
@@ -60,7 +57,8 @@ def relief(foil: Foil) -> Relief:
     height = np.asarray(height - np.mean(height))
     height *= foil.rms_m / height.std()
     slopes = [(np.roll(height, -1, axis) - np.roll(height, 1, axis)) / (2 * texel_m) for axis in (1, 0)]
-    return Relief(texel_m=texel_m, height_slopes=np.stack([height, *slopes], axis=-1).astype(np.float32))
+    slope = (slopes[0] + 1j * slopes[1]).astype(np.complex64)
+    return Relief(texel_m=texel_m, height_m=height.astype(np.float32).ravel(), slope=slope.ravel())
 
 
 def _ridges(generator: np.random.Generator, crinkles: int) -> Float64[Array, "row column"]:
@@ -69,9 +67,14 @@ def _ridges(generator: np.random.Generator, crinkles: int) -> Float64[Array, "ro
     band = np.exp(-(((frequency - crinkles / 2) / (crinkles / 4)) ** 2))
     noise = np.fft.ifft2(band * np.fft.fft2(generator.standard_normal((_TEXELS, _TEXELS)))).real
     noise /= noise.std()
-    return -np.sqrt(noise**2 + 0.02)
+    ridges: Float64[Array, "row column"] = -np.sqrt(noise**2 + 0.02)
+    return ridges
 
 
-def _split(position: Float64[Array, "ray"]) -> tuple[np.ndarray, np.ndarray]:
+def _index(column: Int64[Array, "ray"], row: Int64[Array, "ray"]) -> Int64[Array, "ray"]:
+    return (row % _TEXELS) * _TEXELS + column % _TEXELS
+
+
+def _split(position: Float64[Array, "ray"]) -> tuple[Int64[Array, "ray"], Float32[Array, "ray"]]:
     whole = np.floor(position)
-    return whole.astype(np.int64) % _TEXELS, (position - whole).astype(np.float32)[:, None]
+    return whole.astype(np.int64), (position - whole).astype(np.float32)

@@ -13,15 +13,15 @@ from jaxtyping import Bool, Float32, Float64, Int64, UInt8, UInt16
 
 from ringpose.simulate.lighting import Hits, Stand, ambient_radiance, laser_radiance, settled_hits
 from ringpose.simulate.pixel_rays import SAMPLES, PixelRays, centre_directions, sample_directions
-from ringpose.simulate.sheets import in_sheet
+from ringpose.simulate.sheets import half_thickness_m, in_sheet
 from ringpose.simulate.target import EMPTY
 from ringpose.types.arrays import Array
 
 _BLOCK = 1 << 15
 """Rays worked on at a time, so that they stay in the processor's cache."""
 
-_COARSEST_SIGMA = 0.7
-"""A stripe is thin where a pixel covers more than this share of its sigma; one ray would alias it."""
+_COARSEST_SIGMA = 1.25
+"""A stripe is thin where a pixel covers more sigmas than this; the alias of one ray shifts a wider one by < 1e-5 px."""
 
 _SLACK = 0.002
 """Of the depth: about three pixels of an 8 mm lens, so that the neighbours of a stripe are cast as well."""
@@ -60,7 +60,9 @@ def _one_ray_a_pixel(stand: Stand, rays: PixelRays) -> tuple[Float32[Array, "sou
             near = np.flatnonzero(in_sheet(stand.sheets, laser, hits.point, footprint_m))
             radiance[1 + laser, block][hit[near]], shadowed = laser_radiance(stand, hits.at(near), laser)
             code[block][hit[near]] |= shadowed.astype(np.uint16) << (laser + 1)
-            thin[block][hit[near]] |= footprint_m[near] > _COARSEST_SIGMA * stand.sheets.light.sigma_m
+            thin[block][hit[near]] |= footprint_m[near] > _COARSEST_SIGMA * half_thickness_m(
+                stand.sheets.light, depth_m[near]
+            )
     return radiance, _refined(code, thin, rays)
 
 

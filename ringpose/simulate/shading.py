@@ -52,7 +52,7 @@ def reflectance_per_sr(
     half = to_light + to_eye
     half /= np.maximum(np.linalg.norm(half, axis=0), 1e-9)
     n_half, n_light, n_eye = (np.maximum(_dot(normal, vector), 1e-4) for vector in (half, to_light, to_eye))
-    alpha2 = material.roughness**4
+    alpha2 = material.roughness**2
     spread = alpha2 / (np.pi * (n_half**2 * (alpha2 - 1) + 1) ** 2)
     fresnel = material.specular + (1 - material.specular) * (1 - _dot(half, to_eye).clip(0, 1)) ** 5
     fresnel = np.where(material.specular > 0, fresnel, 0.0)
@@ -81,7 +81,7 @@ def laboratory_radiance(
     lamps = rotation.T @ (_LAMPS / np.linalg.norm(_LAMPS, axis=1, keepdims=True)).T
     for lamp, sharpness, share in zip(lamps.T, _SHARPNESS, _SHARES, strict=True):
         matt += share * (lamp @ normal).clip(0, None)
-        blurred = 1 / (1 / sharpness + material.roughness**4)
+        blurred = 1 / (1 / sharpness + material.roughness**2)
         glossy += share * blurred / 2 * np.exp(blurred * ((lamp @ mirrored).clip(-1, 1) - 1))
     fresnel = np.where(material.specular > 0, material.specular + (1 - material.specular) * (1 - n_eye) ** 5, 0.0)
     radiance: Float64[Array, "ray"] = (material.diffuse * matt + fresnel * glossy) / np.pi

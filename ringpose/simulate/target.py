@@ -65,7 +65,7 @@ class RingTarget:
     @property
     def relief_m(self) -> float:
         """See `Target`; rays up to 60 degrees from the front face's normal."""
-        return 0.0 if self.foil is None else 2.0 * float(np.abs(self.foil.height_slopes[..., 0]).max())
+        return 0.0 if self.foil is None else 2.0 * float(np.abs(self.foil.height_m).max())
 
     def first_hits(
         self, eye: Float64[Array, "xyz=3"], direction: Float64[Array, "xyz=3 ray"]
@@ -180,9 +180,9 @@ def _on_foil(
     parameter = flat
     for _ in range(_SETTLING_STEPS):
         x, y, z = eye[:, None] + parameter * direction
-        height, slope_x, slope_y = foil.tangent(x, y)
-        parameter = parameter + (height - z) / (direction[2] - slope_x * direction[0] - slope_y * direction[1])
+        height_m, slope = foil.tangent(x, y)
+        parameter = parameter + (height_m - z) / (direction[2] - slope.real * direction[0] - slope.imag * direction[1])
     point = eye[:, None] + parameter * direction
-    slope_x, slope_y = foil.slopes(point[0], point[1])
-    normal = np.stack([-slope_x, -slope_y, np.ones_like(slope_x)]).astype(np.float64)
+    slope = foil.slopes(point[0], point[1])
+    normal = np.stack([-slope.real, -slope.imag, np.ones(len(flat))])
     return point, normal / np.sqrt(np.einsum("ij,ij->j", normal, normal))

@@ -28,13 +28,13 @@ class Material:
     specular: float
     """Reflectance of the lobe at normal incidence."""
     roughness: float
-    """GGX alpha: 0.1 a glossy foil, 0.4 machined metal."""
+    """GGX alpha: 0.1 a polished surface, 0.4 machined metal."""
 
 
 MATERIALS: Mapping[str, Material] = {
     "matt": Material(diffuse=0.30, specular=0.0, roughness=1.0),
     "metal": Material(diffuse=0.12, specular=0.55, roughness=0.35),
-    "foil": Material(diffuse=0.05, specular=0.75, roughness=0.18),
+    "foil": Material(diffuse=0.06, specular=0.75, roughness=0.22),
     "white": Material(diffuse=0.80, specular=0.0, roughness=1.0),
     "black": Material(diffuse=0.04, specular=0.0, roughness=1.0),
 }
@@ -99,9 +99,9 @@ class LaserLight:
     """The line lasers: a Gaussian sheet of light, evenly spread over the fan's angle."""
 
     power_w: float = 0.02
-    sigma_m: float = 0.0004
+    sigma_m: float = 0.0002
     """Half thickness of the sheet (one sigma) at the projector."""
-    divergence_rad: float = 0.0
+    divergence_rad: float = 0.0007
     """Growth of that half thickness with distance, added in squares."""
     fan_rad: float = 1.4
     """Full angle of the fan, around the direction in the plane nearest to the optical axis."""
@@ -221,8 +221,8 @@ class BoardSet:
     board: Board
     places: tuple[BoardPlace, ...] = ()
     approach: BoardApproach | None = None
-    ambient_w_m2: float = 3.0
-    exposure_s: float = 0.001
+    ambient_w_m2: float = 6.0
+    exposure_s: float = 0.004
     sequence: tuple[int, ...] = (0,)
     """Laser mask of each frame."""
 
