@@ -6,23 +6,17 @@ from dataclasses import dataclass, replace
 from itertools import chain, islice
 from pathlib import Path
 
-from ringpose.capture.cameras.driver import CameraDescription
 from ringpose.capture.cameras.recorded import Recording
-from ringpose.capture.cameras.simulated import SimulatedCamera
 from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.capture.lasers.simulated import SimulatedLasers
 from ringpose.capture.lasers.uncontrolled import UncontrolledLasers, refuse_switching
 from ringpose.capture.pace import paced
-from ringpose.capture.pipeline import captured_shots
 from ringpose.capture.sequence import Step, steps_of
 from ringpose.capture.uri import CAMERAS, LASERS, scheme_and_rest
 from ringpose.cli.batch import Batch
-from ringpose.errors import DataError, UsageError
-from ringpose.files.inputs import Input, Problem, Record, inputs
-from ringpose.files.scenes import read_scene
+from ringpose.errors import DataError, NoInputError, UsageError
+from ringpose.files.inputs import STDIN, Input, Problem, Record, inputs
 from ringpose.files.shots import SHOT_SUFFIXES, read_shot
-from ringpose.simulate.pipeline import SceneFrames
-from ringpose.simulate.sensor import saturation_dn
 from ringpose.types.frame import Shot
 from ringpose.types.session import Capture
 
@@ -81,6 +75,13 @@ def _recorded(pattern: str, wanted: Wanted, batch: Batch) -> Source:
 
 def _simulated(scene_file: Path, wanted: Wanted) -> Source:
     """The scene's own camera; every shot is the next of its views."""
+    from ringpose.capture.cameras.driver import CameraDescription
+    from ringpose.capture.cameras.simulated import SimulatedCamera
+    from ringpose.capture.pipeline import captured_shots
+    from ringpose.files.scenes import read_scene
+    from ringpose.simulate.pipeline import SceneFrames
+    from ringpose.simulate.sensor import saturation_dn
+
     scene = read_scene(scene_file)
     frames, rig_camera, laser_count = SceneFrames(scene), scene.rig.camera, len(scene.rig.lasers.names)
     lasers, steps = _lasers_and_steps(wanted, laser_count, scene.sequence)
@@ -118,10 +119,10 @@ def _lasers_and_steps(
 def _named(pattern: str) -> Iterator[Input | Problem]:
     """The files of a folder or a pattern; `-` reads names from stdin."""
     path = Path(pattern)
-    if path.exists() or not set("*?[") & set(pattern):
+    if pattern == STDIN or path.exists():
         return inputs([pattern], SHOT_SUFFIXES)
     found = sorted(Path(path.anchor or ".").glob(str(path.relative_to(path.anchor))))
-    return inputs(found or [path], SHOT_SUFFIXES)
+    return inputs(found, SHOT_SUFFIXES) if found else iter([NoInputError(pattern, "does not exist")])
 
 
 def _recorded_shots(items: Iterable[Input], wanted: Wanted, batch: Batch, read_from: ReadFrom) -> Iterator[Shot]:
