@@ -6,7 +6,7 @@ box's other faces; -1 is empty space.
 """
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int8
@@ -22,6 +22,7 @@ _SETTLING_STEPS = 2
 """Newton steps from the flat face to the foil, each to the plane that touches it; 10 micrometres at most remain."""
 
 
+@runtime_checkable
 class Target(Protocol):
     """Surfaces that rays meet, each of one material."""
 
