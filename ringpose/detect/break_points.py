@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float64, Int64
 
 from ringpose.detect.faces import Face
 from ringpose.detect.frames import LaserImage
-from ringpose.detect.stripe_ends import KINK_LEVEL, profile_along, stripe_end, stripe_sigma
+from ringpose.detect.stripe_ends import KINK_LEVEL, profile_along, reached_x, stripe_end, stripe_sigma
 from ringpose.detect.tracks import BORDER_PX, Track
 from ringpose.geometry.circles import concentric_arcs
 from ringpose.geometry.planes import nearest_plane
@@ -90,7 +90,7 @@ def _track_ends(
     profile = profile_along(image.lit, image.dark, (x, y), sigma, saturation_dn)
     position, covariance, flags = np.full((2, 2), np.nan), np.full((2, 2, 2), np.nan), [0, 0]
     for side, (near_x, outward) in enumerate(((x[on_face][0], -1), (x[on_face][-1], 1))):
-        end = stripe_end(profile, float(near_x), outward, sigma)
+        end = stripe_end(profile, reached_x(profile, float(near_x), outward), outward, sigma)
         if end is None or _at_border(end.x, rig):
             flags[side] = int(BreakPointFlag.CLIPPED)
             continue

@@ -39,6 +39,12 @@ number of columns averages that."""
 SHAPE_SIGMA = 0.1
 """Columns by which a real edge's position depends on how its blur is modelled; adds to what noise explains."""
 
+MEDIAN_COLUMNS = 5
+"""Columns whose median says whether the stripe still goes on."""
+
+UNDIMMED_LEVEL = 0.6
+"""Share of the face's level above which it does; a wall beyond a kink has less."""
+
 LEAST_HEADROOM = 0.05
 """Columns that saturation leaves less of than this say nothing about the stripe's level."""
 
@@ -110,6 +116,24 @@ def profile_along(
     clipped = np.minimum(max(expected, 1.0) * shape, np.maximum(saturation_dn - ambient, 0.0))
     headroom = np.sum(shape * clipped, axis=1) / norm / max(expected, 1.0)
     return Profile(x=x, amplitude=amplitude, headroom=headroom, saturated=bright.max(axis=1) >= saturation_dn)
+
+
+def reached_x(profile: Profile, near_x: float, outward: int) -> float:
+    """The last column to which the stripe goes on undimmed beyond the last centre that was found.
+
+    Where ambient light nearly saturates, the stripe is too weak for single columns, not for a median of five.
+    """
+    along = (profile.x - near_x) * outward
+    order = np.argsort(along, kind="stable")
+    along = along[order]
+    full = (profile.amplitude / np.maximum(profile.headroom, LEAST_HEADROOM))[order]
+    level = np.median(full[(along > -INSIDE_COLUMNS) & (along < 0)]) if np.any(along < 0) else 0.0
+    beyond = full[along > 0]
+    if level <= 0 or len(beyond) < MEDIAN_COLUMNS:
+        return near_x
+    smooth = np.median(np.lib.stride_tricks.sliding_window_view(beyond, MEDIAN_COLUMNS), axis=-1)
+    undimmed = int(np.argmin(np.append(smooth > UNDIMMED_LEVEL * level, False)))
+    return near_x + outward * (undimmed + MEDIAN_COLUMNS // 2 if undimmed else 0)
 
 
 def stripe_end(profile: Profile, near_x: float, outward: int, sigma: float) -> StripeEnd | None:
