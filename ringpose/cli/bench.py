@@ -107,9 +107,8 @@ def _scores_of_lines(inputs: list[str], truth: Path, rig: Path | None, batch: "B
     from ringpose.files.inputs import RECORDS_SUFFIX, Record
     from ringpose.files.inputs import inputs as named
     from ringpose.files.poses import pose_line_of
-    from ringpose.files.truths import read_truths
 
-    truths, camera = list(read_truths(truth)), _camera(rig or truth.with_name("rig.yaml"), rig is not None)
+    truths, camera = _truths(truth), _camera(rig or truth.with_name("rig.yaml"), rig is not None)
     answers = []
     for item in batch.good(named(inputs, (RECORDS_SUFFIX,))):
         with batch.item():
@@ -125,6 +124,16 @@ def _scores_of_lines(inputs: list[str], truth: Path, rig: Path | None, batch: "B
                 shot, "has more than one pose line of one method; the last one counts", "bench each run alone"
             )
     return scores(answers, truths, camera)
+
+
+def _truths(file: Path) -> "list[Truth]":
+    from ringpose.errors import DataError
+    from ringpose.files.truths import read_truths
+
+    truths = list(read_truths(file))
+    if not truths:
+        raise DataError(str(file), "names no shot")
+    return truths
 
 
 def _files(inputs: list[str], truth: Path | None, rig: Path | None) -> list[Path]:
@@ -149,7 +158,6 @@ def _scores_of_folders(
     from ringpose.bench.pipeline import scores
     from ringpose.errors import UsageError
     from ringpose.files.rigs import read_rig
-    from ringpose.files.truths import read_truths
 
     found = []
     for folder in map(Path, folders):
@@ -157,7 +165,7 @@ def _scores_of_folders(
             raise UsageError("", f"{folder} is no data set folder", "give --truth FILE to compare pose lines")
         with batch.item():
             of_shots = read_rig(rig or folder / "rig.yaml")
-            truths = list(read_truths(folder / "truth.jsonl"))
+            truths = _truths(folder / "truth.jsonl")
             answers = list(_answers(folder / "shots", truths, of_shots, methods, batch, quiet))
             found += scores(answers, truths, of_shots.camera)
     return found

@@ -1,0 +1,316 @@
+"""`ringpose bench`, on poses that are off by known amounts."""
+
+import csv
+import io
+import json
+import math
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ringpose.cli.main import main
+from ringpose.files.poses import pose_record
+from ringpose.files.records import line_of
+from ringpose.files.truths import write_truths
+from ringpose.types.pose_line import PoseLine
+from ringpose.types.ring_pose import RingPose
+from ringpose.types.truth import Truth
+
+CENTER_M = np.array([0.1, -0.2, 1.0])
+X, Z = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
+NORMAL = -Z
+
+
+@pytest.fixture(autouse=True)
+def _in_an_empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def truth(shot: str, expect: str = "pose", **groups: str | float) -> Truth:
+    return Truth(
+        shot=shot,
+        expect=expect,
+        center_m=CENTER_M,
+        normal=NORMAL,
+        radius_inner_m=0.4,
+        radius_outer_m=0.5,
+        groups=groups,
+    )
+
+
+def pose_off_by(off_m: float) -> RingPose:
+    """Centre and grasp point off along the ring's axis, radii along themselves, the normal by as many radians."""
+    return RingPose(
+        center_m=CENTER_M + off_m * Z,
+        normal=np.array([math.sin(off_m), 0.0, -math.cos(off_m)]),
+        radius_inner_m=0.4 + off_m,
+        radius_outer_m=0.5 - off_m,
+        grasp_m=CENTER_M + 0.45 * X + off_m * Z,
+        method="paper",
+        condition=1.0,
+        residual_rms_px=0.1,
+    )
+
+
+def write_poses(path: Path, **offsets_m: float | None) -> Path:
+    """A line for each shot; None has no pose."""
+    lines = [
+        PoseLine(
+            shot=shot,
+            stamp_s=0.0,
+            pose=None if off_m is None else pose_off_by(off_m),
+            reason="no laser stripe found" if off_m is None else None,
+        )
+        for shot, off_m in offsets_m.items()
+    ]
+    path.write_text("".join(line_of(pose_record(line)) for line in lines))
+    return path
+
+
+@pytest.fixture
+def poses() -> str:
+    """Two shots at half a metre, off by 3 and 4 mm, one at a metre without a pose."""
+    write_truths(
+        Path("truth.jsonl"), [truth("a", distance_m=0.5), truth("b", distance_m=0.5), truth("c", distance_m=1.0)]
+    )
+    return str(write_poses(Path("poses.jsonl"), a=0.003, b=-0.004, c=None))
+
+
+def report_of(capsys, *words: str) -> tuple[int, dict]:
+    status = main(["bench", *words, "--truth", "truth.jsonl", "--json", "-"])
+    return status, json.loads(capsys.readouterr().out)
+
+
+def test_errors_come_out_as_they_were_put_in(poses, capsys):
+    status, report = report_of(capsys, poses)
+
+    everything = report["groups"][-1]
+    off_m = math.sqrt((0.003**2 + 0.004**2) / 2)
+    rmse = {name: spread["rmse"] for name, spread in everything["errors"].items()}
+    assert status == 0
+    assert rmse == pytest.approx(
+        {
+            "center_x_m": 0.0,
+            "center_y_m": 0.0,
+            "center_z_m": off_m,
+            "center_m": off_m,
+            "normal_rad": off_m,
+            "radius_inner_m": off_m,
+            "radius_outer_m": off_m,
+            "grasp_m": off_m,
+        },
+        abs=1e-12,
+    )
+
+
+def test_failures_are_counted_by_group(poses, capsys):
+    _, report = report_of(capsys, poses)
+
+    counted = [(each["group"], each["shots"], each["outcomes"]["missed"]) for each in report["groups"]]
+    assert counted == [({"distance_m": 0.5}, 2, 0), ({"distance_m": 1.0}, 1, 1), ({}, 3, 1)]
+
+
+def test_the_table_goes_to_standard_output(poses, capsys):
+    status = main(["bench", poses, "--truth", "truth.jsonl"])
+
+    streams = capsys.readouterr()
+    assert (status, streams.err) == (0, "")
+    assert streams.out.splitlines()[1].split()[:4] == ["method", "distance_m", "shots", "ok"]
+    assert streams.out.splitlines()[4].split()[:4] == ["paper", "all", "3", "2"]
+
+
+def test_pose_lines_come_on_standard_input(poses, capsys, monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.StringIO(Path(poses).read_text()))
+
+    status, report = report_of(capsys, "-")
+
+    assert (status, len(report["shots"])) == (0, 3)
+
+
+def test_a_shot_without_a_line_is_lost(poses, capsys):
+    write_poses(Path(poses), a=0.003)
+
+    status, report = report_of(capsys, poses)
+
+    assert status == 0
+    assert [shot["outcome"] for shot in report["shots"]] == ["ok", "lost", "lost"]
+
+
+def test_a_line_without_a_truth_is_named(poses, capsys):
+    write_poses(Path(poses), a=0.003, b=0.003, c=0.003, stranger=0.0)
+
+    status = main(["bench", poses, "--truth", "truth.jsonl"])
+
+    assert status == 65
+    assert capsys.readouterr().err.startswith("ringpose: stranger: has a pose line but no truth in truth.jsonl")
+
+
+def test_a_bad_line_is_named_and_the_rest_is_scored(poses, capsys):
+    with Path(poses).open("a") as stream:
+        stream.write("{}\nnot json\n")
+
+    status = main(["bench", poses, "--truth", "truth.jsonl", "--json", "-"])
+
+    streams = capsys.readouterr()
+    assert status == 65
+    assert [line.split(": ")[1] for line in streams.err.splitlines()] == ["poses.jsonl:4", "poses.jsonl:5"]
+    assert len(json.loads(streams.out)["shots"]) == 3
+
+
+def test_a_shot_with_two_lines_is_named(poses, capsys):
+    Path(poses).write_text(Path(poses).read_text() * 2)
+
+    status = main(["bench", poses, "--truth", "truth.jsonl"])
+
+    assert status == 65
+    assert "a: has more than one pose line of one method" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "complaint"),
+    [
+        (["--max-grasp-mm", "3.6"], 0, ""),
+        (["--max-grasp-mm", "3.5"], 3, "grasp_m: RMSE 0.003536 of distance_m 0.5 (paper) exceeds 0.0035"),
+        (["--max-normal-deg", "0.2"], 3, "normal_rad: RMSE 0.003536"),
+        (["--max-center-mm", "1"], 3, "center_m: RMSE"),
+        (["--max-radius-mm", "1"], 3, "radius_inner_m: RMSE"),
+        (["--max-missed", "1", "--max-wrong", "0"], 0, ""),
+        (["--max-missed", "0"], 3, "missed and lost: 1 shots of all shots (paper) exceed 0"),
+    ],
+)
+def test_a_limit_that_is_missed_is_status_3(poses, capsys, words, status, complaint):
+    ended = main(["bench", poses, "--truth", "truth.jsonl", *words])
+
+    streams = capsys.readouterr()
+    assert ended == status
+    assert complaint in streams.err
+    assert (streams.err == "") == (status == 0)
+
+
+def test_groups_may_be_chosen(poses, capsys):
+    write_truths(Path("truth.jsonl"), [truth(s, ring="R597", light=s) for s in "abc"], force=True)
+
+    _, report = report_of(capsys, poses, "--by", "light,ring")
+
+    assert report["groups"][0]["group"] == {"light": "a", "ring": "R597"}
+
+
+def test_a_group_that_no_truth_has_is_wrong_usage(poses, capsys):
+    status = main(["bench", poses, "--truth", "truth.jsonl", "--by", "colour"])
+
+    assert status == 2
+    assert capsys.readouterr().err == 'ringpose: --by: no shot has a group "colour"\n'
+
+
+def test_csv_has_a_row_a_shot(poses, capsys):
+    main(["bench", poses, "--truth", "truth.jsonl", "--csv", "-"])
+
+    rows = list(csv.DictReader(io.StringIO(capsys.readouterr().out)))
+    assert [(row["shot"], row["outcome"], row["distance_m"]) for row in rows] == [
+        ("a", "ok", "0.5"),
+        ("b", "ok", "0.5"),
+        ("c", "missed", "1.0"),
+    ]
+    assert float(rows[1]["center_z_m"]) == pytest.approx(-0.004)
+    assert rows[2]["center_z_m"] == ""
+
+
+def test_a_report_says_where_it_came_from_and_is_not_overwritten_unasked(poses, capsys):
+    words = ["bench", poses, "--truth", "truth.jsonl", "--json", "report.json"]
+
+    statuses = [main(words), main(words), main([*words, "--force"])]
+
+    assert statuses == [0, 73, 0]
+    provenance = json.loads(Path("report.json").read_text())["provenance"]
+    assert sorted(provenance["inputs"]) == ["poses.jsonl", "truth.jsonl"]
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "complaint"),
+    [
+        (["poses.jsonl", "--truth", "nowhere.jsonl"], 66, "nowhere.jsonl: does not exist"),
+        (["poses.jsonl", "--truth", "truth.jsonl", "--rig", "nowhere.yaml"], 66, "nowhere.yaml: does not exist"),
+        (["poses.jsonl"], 2, "is no data set folder; give --truth FILE"),
+        (["-"], 2, "is no data set folder"),
+        (["empty"], 66, "empty/rig.yaml: does not exist"),
+        (["poses.jsonl", "--truth", "truth.jsonl", "--json", "-", "--csv", "-"], 2, "both want standard output"),
+        (["poses.jsonl", "--truth", "truth.jsonl", "--method", "magic"], 2, "--method"),
+    ],
+)
+def test_what_cannot_be_compared_is_one_line(poses, capsys, words, status, complaint):
+    Path("empty").mkdir()
+
+    ended = main(["bench", *words])
+
+    streams = capsys.readouterr()
+    assert (ended, streams.out) == (status, "")
+    assert len(streams.err.splitlines()) == 1
+    assert complaint in streams.err
+
+
+def test_a_truth_without_shots_is_bad_data(poses, capsys):
+    Path("truth.jsonl").write_text("")
+    Path(poses).write_text("")
+
+    status = main(["bench", poses, "--truth", "truth.jsonl"])
+
+    assert status == 65
+    assert "names no shot" in capsys.readouterr().err
+
+
+@pytest.fixture
+def data_set(carried_data) -> Path:
+    """Two shots of the carried data."""
+    folder = Path("data_set")
+    (folder / "shots").mkdir(parents=True)
+    shutil.copy(carried_data / "rig_b" / "rig.yaml", folder)
+    lines = (carried_data / "rig_b" / "truth.jsonl").read_text().splitlines(keepends=True)
+    wanted = [line for line in lines if json.loads(line)["shot"] in ("B_z0500_p01_dim", "V03_occl_B500_dim")]
+    (folder / "truth.jsonl").write_text("".join(wanted))
+    for line in wanted:
+        shutil.copy(carried_data / "rig_b" / "shots" / f"{json.loads(line)['shot']}.npz", folder / "shots")
+    return folder
+
+
+def test_a_data_set_is_measured_by_every_method(data_set, capsys):
+    status = main(["bench", str(data_set), "--json", "-"])
+
+    report = json.loads(capsys.readouterr().out)
+    assert status == 0
+    assert {(shot["method"], shot["shot"], shot["outcome"] == "partial") for shot in report["shots"]} == {
+        ("paper", "B_z0500_p01_dim", False),
+        ("paper", "V03_occl_B500_dim", True),
+        ("paper-constrained", "B_z0500_p01_dim", False),
+        ("paper-constrained", "V03_occl_B500_dim", True),
+    }
+
+
+def test_one_method_may_be_chosen(data_set, capsys):
+    main(["bench", str(data_set), "--method", "paper", "--json", "-"])
+
+    assert {shot["method"] for shot in json.loads(capsys.readouterr().out)["shots"]} == {"paper"}
+
+
+def test_a_shot_that_the_data_set_lacks_is_named_and_lost(data_set, capsys):
+    (data_set / "shots" / "B_z0500_p01_dim.npz").unlink()
+
+    status = main(["bench", str(data_set), "--method", "paper", "--json", "-"])
+
+    streams = capsys.readouterr()
+    assert status == 66
+    assert "B_z0500_p01_dim.npz: does not exist" in streams.err
+    assert [shot["outcome"] for shot in json.loads(streams.out)["shots"]] == ["lost", "partial"]
+
+
+def test_with_another_rig_the_poses_are_worse(data_set, capsys):
+    rig = (data_set / "rig.yaml").read_text()
+    Path("other.yaml").write_text(rig.replace("-0.070047993855", "-0.0705"))
+
+    figures = []
+    for words in ([], ["--rig", "other.yaml"]):
+        main(["bench", str(data_set), "--method", "paper-constrained", "--json", "-", *words])
+        figures.append(json.loads(capsys.readouterr().out)["groups"][-1]["errors"]["grasp_m"]["rmse"])
+
+    assert figures[1] > 2 * figures[0]
