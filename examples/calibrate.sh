@@ -1,0 +1,19 @@
+#!/bin/sh
+# A rig from board views: first the camera, then the planes of the lasers; and what that is good for.
+#
+#   sh examples/calibrate.sh [folder for what is written]
+set -eu
+here=$(CDPATH= cd -- "$(dirname -- "$0")" && pwd)
+boards=$here/../tests/data/calib_b
+data=$here/../tests/data/rig_b
+out=${1:-calibrate}
+mkdir -p "$out"
+
+ringpose calibrate-camera "$boards/camera" --board "$boards/camera_board.yaml" --camera-name rig_b \
+    --output "$out/camera.yaml"
+ringpose calibrate-planes "$boards/planes" --board "$boards/plane_board.yaml" --camera "$out/camera.yaml" \
+    --output "$out/rig.yaml"
+
+echo "Poses with this rig, and with the true one:"
+ringpose bench "$data" --method paper-constrained --by rig --rig "$out/rig.yaml" --max-grasp-mm 1
+ringpose bench "$data" --method paper-constrained --by rig
