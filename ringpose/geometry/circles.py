@@ -27,6 +27,43 @@ def nearest_crossing(
     return crossing
 
 
+class ArcEquations(NamedTuple):
+    """Two arcs about one centre: bend (x^2 + y^2) + x + lean y + level = 0, from the mean of their points."""
+
+    bend: Float64[Array, "*batch 1"]
+    lean: Float64[Array, "*batch 1"]
+    level: Float64[Array, "*batch arc=2"]
+
+
+def arc_equations(points: Float64[Array, "*batch n xy=2"], arc: Int64[Array, "n"]) -> ArcEquations:
+    """Two arcs about one centre through points in a plane that cross the x axis steeply; `arc` is 0 or 1.
+
+    The equation is linear in bend, lean and the two levels, stays regular where the arcs become straight
+    (bend = 0), and its residual is a distance along x. The usual algebraic fit |P|^2 = 2 C . P + k has
+    neither property: it prefers small circles, hopelessly so for three points nearly on a line.
+    """
+    centred = points - points.mean(axis=-2, keepdims=True)
+    scale = np.maximum(np.abs(centred).max(axis=(-2, -1), keepdims=True), np.finfo(float).tiny)
+    x, y = np.moveaxis(centred / scale, -1, 0)
+    which = np.broadcast_to(np.eye(2)[arc], (*x.shape, 2))
+    rows = np.concatenate([(x**2 + y**2)[..., None], y[..., None], which], axis=-1)
+    solution = np.einsum("...ij,...j->...i", np.linalg.pinv(rows, rcond=1e-12), -x)
+    return ArcEquations(
+        bend=solution[..., :1] / scale[..., 0], lean=solution[..., 1:2], level=solution[..., 2:] * scale[..., 0]
+    )
+
+
+def arc_crossings(arcs: ArcEquations) -> Float64[Array, "*batch arc=2"]:
+    """Where each arc crosses the radius through the mean of the points: distance from that mean, towards positive x.
+
+    The root of bend t^2 + s t + level = 0, s = sqrt(1 + lean^2), in the form that has no hole at bend = 0.
+    """
+    steepness = np.hypot(1.0, arcs.lean)
+    root = np.sqrt(np.maximum(steepness**2 - 4.0 * arcs.bend * arcs.level, 0.0))
+    crossings: Float64[Array, "*batch arc=2"] = -2.0 * arcs.level / (steepness + root)
+    return crossings
+
+
 class Arcs(NamedTuple):
     """Two short arcs about one centre."""
 
@@ -39,26 +76,15 @@ class Arcs(NamedTuple):
 
 
 def concentric_arcs(points: Float64[Array, "*batch n xy=2"], arc: Int64[Array, "n"]) -> Arcs:
-    """Two arcs about one centre through points in a plane that cross the x axis steeply; `arc` is 0 or 1.
-
-    a (x^2 + y^2) + x + b y + c_arc = 0 is linear in a, b and the two c, stays regular where the arcs become
-    straight (a = 0), and its residual is a distance along x. The usual algebraic fit |P|^2 = 2 C . P + k has
-    neither property: it prefers small circles, hopelessly so for three points nearly on a line.
-    """
-    middle = points.mean(axis=-2, keepdims=True)
-    scale = np.maximum(np.abs(points - middle).max(axis=(-2, -1), keepdims=True), np.finfo(float).tiny)
-    x, y = np.moveaxis((points - middle) / scale, -1, 0)
-    square = x**2 + y**2
-    which = np.broadcast_to(np.eye(2)[arc], (*x.shape, 2))
-    rows = np.concatenate([square[..., None], y[..., None], which], axis=-1)
-    solution = np.einsum("...ij,...j->...i", np.linalg.pinv(rows, rcond=1e-12), -x)
-    bend, lean = solution[..., :1], solution[..., 1:2]
-    residual = np.einsum("...ij,...j->...i", rows, solution) + x
+    """Curvature and distance of two arcs about one centre, and where points lie beside them: `arc_equations`."""
+    equations = arc_equations(points, arc)
+    bend, lean, level = equations
+    x, y = np.moveaxis(points - points.mean(axis=-2, keepdims=True), -1, 0)
+    residual = bend * (x**2 + y**2) + x + lean * y + level[..., arc]
     steepness = np.hypot(2 * bend * x + 1, 2 * bend * y + lean)
-    between = np.abs(solution[..., 3] - solution[..., 2]) / np.hypot(1, lean[..., 0])
-    level = np.sqrt(np.maximum(1 + lean**2 - 4 * bend * solution[..., 2:].mean(axis=-1, keepdims=True), 1e-12))
+    straight = np.sqrt(np.maximum(1 + lean**2 - 4 * bend * level.mean(axis=-1, keepdims=True), 1e-12))
     return Arcs(
-        curvature=(-2 * bend / level)[..., 0] / scale[..., 0, 0],
-        band=between * scale[..., 0, 0],
-        outside=residual / np.maximum(steepness, 1e-9) * scale[..., 0],
+        curvature=(-2 * bend / straight)[..., 0],
+        band=np.abs(np.diff(arc_crossings(equations), axis=-1))[..., 0],
+        outside=residual / np.maximum(steepness, 1e-9),
     )

@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from ringpose.geometry.circles import arc_crossings, arc_equations
 from ringpose.pose.closed_form import (
     SINGULAR_BELOW,
     ClosedForm,
@@ -11,7 +12,7 @@ from ringpose.pose.closed_form import (
     facing,
     mean_radii,
 )
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import EDGES, Array
 
 
 def constrained_form(points: Float64[Array, "batch point xyz=3"], edges: Int64[Array, "point"]) -> ClosedForm:
@@ -19,13 +20,12 @@ def constrained_form(points: Float64[Array, "batch point xyz=3"], edges: Int64[A
     mean = points.mean(axis=1)
     normal, axes = ring_plane(points)
     center, quotient = ring_center(points, edges, axes)
-    radius = mean_radii(points, edges, center)
     return ClosedForm(
         normal=normal,
         offset_m=np.sum(normal * mean, axis=-1),
         center_m=center,
-        radius_m=radius,
-        grasp_m=mid_band_point(center, normal, radius, mean),
+        radius_m=mean_radii(points, edges, center),
+        grasp_m=mid_band_point(points, edges, normal),
         condition=1.0 / np.maximum(quotient, np.finfo(float).tiny),
         damped=quotient < SINGULAR_BELOW,
     )
@@ -55,18 +55,25 @@ def ring_center(
 
 
 def mid_band_point(
-    center: Float64[Array, "batch xyz=3"],
+    points: Float64[Array, "batch point xyz=3"],
+    edges: Int64[Array, "point"],
     normal: Float64[Array, "batch xyz=3"],
-    radius: Float64[Array, "batch edge=2"],
-    mean: Float64[Array, "batch xyz=3"],
 ) -> Float64[Array, "batch xyz=3"]:
     """Grasp point c + (r_i + r_o)/2 e, with e in the plane from the centre towards the mean of the points (section 5).
 
+    Not by way of the centre, which would be ill-advised where it is weak: the equations above like small circles, and
+    within their noise put it among the points. Two arcs that may also be straight give the same point, regularly.
     NaN if an edge was not seen: the middle of the band is then not known.
     """
-    offset = mean - center
-    outward = offset - np.sum(offset * normal, axis=-1, keepdims=True) * normal
-    length = np.linalg.norm(outward, axis=-1, keepdims=True)
-    direction = outward / np.where(length > 0, length, np.nan)
-    grasp: Float64[Array, "batch xyz=3"] = center + radius.mean(axis=-1, keepdims=True) * direction
+    if len(set(edges.tolist())) < len(EDGES):
+        return np.full_like(normal, np.nan)
+    mean = points.mean(axis=1)
+    between = points[:, edges == 1].mean(axis=1) - points[:, edges == 0].mean(axis=1)
+    x_axis = between - np.sum(between * normal, axis=-1, keepdims=True) * normal
+    length = np.linalg.norm(x_axis, axis=-1, keepdims=True)
+    x_axis /= np.where(length > 0, length, np.nan)
+    axes = np.stack([x_axis, np.cross(normal, x_axis)], axis=1)
+    arcs = arc_equations((points - mean[:, None]) @ axes.swapaxes(1, 2), edges)
+    outward = (axes[:, 0] + arcs.lean * axes[:, 1]) / np.hypot(1.0, arcs.lean)
+    grasp: Float64[Array, "batch xyz=3"] = mean + arc_crossings(arcs).mean(axis=-1, keepdims=True) * outward
     return grasp

@@ -20,14 +20,17 @@ COLLINEAR_BELOW = 1e-6
 EDGE_ON_BELOW = 0.01
 """Sine of the angle at which the camera looks onto the ring's plane: 0.6 degrees, far less than any face shows."""
 
-TILT_SD_LIMIT_RAD = 0.35
-"""Standard deviation of the normal's direction (20 degrees) beyond which the points are a line within their errors."""
+TILT_SD_LIMIT_RAD = 0.5
+"""Standard deviation of the normal's direction (30 degrees) from which the points are a line within their errors.
+
+Far below it the lever of the radius has made the centre weak, which is flagged.
+"""
 
 WEAK_SD = 0.05
 """Standard deviation of the centre, or of a radius, in radii, from which it is flagged as weak.
 
-The centre follows from the height of the arc, and its distance is the inverse of that height: at 5 % the true
-value is within 5 first-order standard deviations in all but one of 10^4 cases, at 10 % already in all but one of 10^3.
+The centre follows from the height of the arc, and its distance is the inverse of that height. At 5 % the truth is
+within 5 of the first-order standard deviations in all but one of 30 000 cases, at 10 % in all but one of 2000.
 """
 
 OFF_PLANE = 0.01

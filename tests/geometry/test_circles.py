@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ringpose.geometry.circles import nearest_crossing
+from ringpose.geometry.circles import arc_crossings, arc_equations, concentric_arcs, nearest_crossing
 
 ANGLE = st.floats(-3.0, 3.0)
 
@@ -50,3 +50,50 @@ def test_a_line_beside_the_plane_of_the_center_meets_the_sphere(height):
     crossing = nearest_crossing(start, direction, np.zeros(3), np.ones(1))
 
     np.testing.assert_allclose(crossing, [[np.sqrt(1 - height**2), 0.0, height]], atol=1e-12)
+
+
+ARC = np.array([0, 1, 0, 1, 0, 1])
+
+
+def two_arcs(radius, band, heights):
+    """Points at these heights of two arcs about one centre to the right, the second one `band` farther from it."""
+    radii = radius + band * np.array([0.0, 1.0])
+    return np.stack([[radius - np.sqrt(r * r - h * h), h] for h in heights for r in radii])
+
+
+@given(radius=st.floats(0.3, 5.0), band=st.floats(0.01, 0.05), spacing=st.floats(0.01, 0.2))
+def test_arcs_give_their_curvature_and_band(radius, band, spacing):
+    points = two_arcs(radius, band, [-spacing, 0.1 * spacing, spacing])
+
+    arcs = concentric_arcs(points, ARC)
+
+    np.testing.assert_allclose([float(arcs.curvature) * (radius + band / 2), float(arcs.band)], [1.0, band], rtol=1e-3)
+
+
+@given(radius=st.floats(0.3, 5.0), band=st.floats(0.01, 0.05), spacing=st.floats(0.01, 0.2))
+def test_arcs_cross_the_radius_through_the_mean_at_their_radii(radius, band, spacing):
+    points = two_arcs(radius, band, [-spacing, 0.1 * spacing, spacing])
+    center, mean = np.array([radius, 0.0]), points.mean(axis=0)
+
+    crossings = arc_crossings(arc_equations(points, ARC))
+
+    # positive x is towards the centre
+    expected = np.linalg.norm(mean - center) - radius - np.array([0.0, band])
+    np.testing.assert_allclose(crossings, expected, rtol=0, atol=1e-9)
+
+
+@given(lean=st.floats(-0.5, 0.5))
+def test_straight_arcs_have_no_curvature(lean):
+    points = np.array([[x + lean * y, y] for y in (-0.1, 0.0, 0.1) for x in (0.0, 0.03)])
+
+    assert float(concentric_arcs(points, ARC).curvature) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_point_beside_its_arc_is_told_from_those_on_it():
+    heights = np.linspace(-0.2, 0.2, 41)
+    points = two_arcs(0.6, 0.03, heights)
+    points[40, 0] += 1e-3
+
+    outside = concentric_arcs(points, np.tile([0, 1], 41)).outside
+
+    assert np.argmax(np.abs(outside)) == 40

@@ -72,6 +72,23 @@ def test_the_grasp_point_is_on_the_middle_of_the_band(scene_of, distance_m, turn
     np.testing.assert_allclose(found, [scene.ring.radius_m.mean(), 0.0], rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize(("rig", "distance_m"), [("A", 0.2), ("A", 0.5), ("A", 1.0), ("B", 0.25), ("B", 1.0)])
+def test_the_grasp_point_is_known_where_the_center_is_not(scene_of, rng, rig, distance_m):
+    scene = scene_of(rig, distance_m=distance_m)
+
+    poses = [estimate_pose(scene.break_points(0.3, rng), scene.rig) for _ in range(100)]
+
+    deviations = []
+    for pose in poses:
+        offset = pose.grasp_m - scene.ring.center_m
+        height = offset @ scene.ring.normal
+        outward = (offset - height * scene.ring.normal) / np.linalg.norm(offset - height * scene.ring.normal)
+        beside = np.array([height, offset @ outward - scene.ring.radius_m.mean()])
+        across = np.stack([scene.ring.normal, outward])
+        deviations.append(np.sqrt(beside @ np.linalg.solve(across @ pose.covariance_grasp_m2 @ across.T, beside)))
+    assert max(deviations) < 5.0
+
+
 def test_the_grasp_point_is_amid_the_break_points(scene_of):
     scene = scene_of("B")
 
