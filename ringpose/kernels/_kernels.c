@@ -64,11 +64,11 @@ static PyObject *two_bytes(int done, List *first, List *second) {
 }
 
 static PyObject *gradient_of(const Py_buffer *image, const Py_buffer *magnitude, long upper) {
+    if (!fits_32_bits(image, "image") || !within(upper, 1, INT16_MAX, "upper")) return NULL;
     if (magnitude->shape[0] != image->shape[0] || magnitude->shape[1] != image->shape[1]) {
         PyErr_SetString(PyExc_ValueError, "magnitude: must have the shape of the image");
         return NULL;
     }
-    if (!fits_32_bits(image, "image") || !within(upper, 1, INT16_MAX, "upper")) return NULL;
     Anchors anchors = {{NULL, 0, 0, sizeof(int32_t)}, {NULL, 0, 0, sizeof(uint8_t)}};
     int done;
     Py_BEGIN_ALLOW_THREADS
