@@ -68,7 +68,7 @@ class Arcs(NamedTuple):
     """Two short arcs about one centre."""
 
     curvature: Float64[Array, "*batch"]
-    """One over the radius; positive if the centre lies on the side of positive x."""
+    """One over the radius (root of the mean square of the two); positive if the centre is towards positive x."""
     band: Float64[Array, "*batch"]
     """Distance between the arcs."""
     outside: Float64[Array, "*batch n"]

@@ -67,7 +67,8 @@ def test_arcs_give_their_curvature_and_band(radius, band, spacing):
 
     arcs = concentric_arcs(points, ARC)
 
-    np.testing.assert_allclose([float(arcs.curvature) * (radius + band / 2), float(arcs.band)], [1.0, band], rtol=1e-3)
+    between = np.hypot(radius, radius + band) / np.sqrt(2)
+    np.testing.assert_allclose([float(arcs.curvature) * between, float(arcs.band)], [1.0, band], rtol=1e-6)
 
 
 @given(radius=st.floats(0.3, 5.0), band=st.floats(0.01, 0.05), spacing=st.floats(0.01, 0.2))
