@@ -1,0 +1,157 @@
+"""The main job, end to end, on shots that ringpose did not make: from files to errors against their truth."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from ringpose.cli.main import main
+
+SETS = ("rig_a", "rig_b", "variants_a", "variants_b")
+
+
+@pytest.fixture(autouse=True)
+def _in_an_empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def carried_report(carried_data, tmp_path_factory):
+    """Errors of both methods on the carried shots."""
+    return report_of(tmp_path_factory.mktemp("carried"), [carried_data / "rig_b"])
+
+
+@pytest.fixture(scope="module")
+def shared_report(shared_data, tmp_path_factory):
+    """Errors of both methods on all rendered shots."""
+    return report_of(tmp_path_factory.mktemp("shared"), [shared_data / "rendered" / name for name in SETS])
+
+
+def report_of(folder: Path, data_sets: list[Path]) -> dict:
+    words = ["bench", *map(str, data_sets), "--json", str(folder / "report.json"), "--quiet"]
+    status = main(words)
+
+    assert status == 0
+    return json.loads((folder / "report.json").read_text())
+
+
+def all_shots(report: dict, method: str) -> dict:
+    (line,) = [line for line in report["groups"] if line["method"] == method and not line["group"]]
+    return line
+
+
+def piped(capsys, monkeypatch, tmp_path: Path, shots: Path, rig: Path) -> list[dict]:
+    """`capture | detect - | pose -`, one after the other; the pose lines."""
+    text, statuses = "", []
+    for words in (
+        ["capture", "--camera", f"files:{shots}", "--output", "session"],
+        ["detect", "-", "--rig", str(rig)],
+        ["pose", "-", "--rig", str(rig)],
+    ):
+        (tmp_path / "piped").write_text(text)
+        with (tmp_path / "piped").open() as stream:
+            monkeypatch.setattr("sys.stdin", stream)
+            statuses.append(main(words))
+        text = capsys.readouterr().out
+    assert set(statuses) <= {0, 3}
+    return [json.loads(line) for line in text.splitlines()]
+
+
+def test_no_carried_shot_is_lost_on_its_way(carried_data, capsys, monkeypatch, tmp_path):
+    shots = carried_data / "rig_b" / "shots"
+
+    lines = piped(capsys, monkeypatch, tmp_path, shots, carried_data / "rig_b" / "rig.yaml")
+
+    assert [line["shot"] for line in lines] == sorted(path.stem for path in shots.iterdir())
+    assert [line["shot"] for line in lines if line["pose"] is None] == []
+
+
+@pytest.mark.parametrize("method", ["paper", "paper-constrained"])
+def test_no_carried_shot_is_missed_or_wrong(carried_report, method):
+    outcomes = all_shots(carried_report, method)["outcomes"]
+
+    assert (outcomes["missed"], outcomes["wrong"], outcomes["lost"], outcomes["partial_none"]) == (0, 0, 0, 0)
+    assert outcomes["partial"] == 1
+
+
+LIMITS = [
+    ("paper", "normal_rad", 0.005, 0.03),
+    ("paper", "grasp_m", 0.008, 0.025),
+    ("paper", "center_m", 0.06, 0.15),
+    ("paper-constrained", "normal_rad", 0.005, 0.03),
+    ("paper-constrained", "grasp_m", 0.0001, 0.0007),
+    ("paper-constrained", "center_m", 0.005, 0.02),
+    ("paper-constrained", "radius_outer_m", 0.002, 0.006),
+]
+"""Method, error, its median and its maximum: about twice what the shots give.
+
+The normal from six points at 1 m is good to a degree and the centre to a centimetre along the optical axis; the
+grasp point is known ten times better. The paper's own form does not hold the centre in the plane.
+"""
+
+
+@pytest.mark.parametrize(("method", "quantity", "median", "largest"), LIMITS)
+def test_errors_on_carried_shots(carried_report, method, quantity, median, largest):
+    error = all_shots(carried_report, method)["errors"][quantity]
+
+    assert error["count"] >= 4
+    assert error["median"] < median
+    assert error["max"] < largest
+
+
+def test_the_plane_makes_the_grasp_point_ten_times_better_than_the_paper_has_it(carried_report):
+    free, constrained = (
+        all_shots(carried_report, method)["errors"]["grasp_m"]["rmse"] for method in ("paper", "paper-constrained")
+    )
+
+    assert constrained < free / 10
+
+
+def test_a_rig_calibrated_from_carried_board_views_gives_the_same_grasp_points(carried_data, capsys):
+    boards, data = carried_data / "calib_b", carried_data / "rig_b"
+    camera = [str(boards / "camera"), "--board", str(boards / "camera_board.yaml"), "--output", "camera.yaml"]
+    planes = [str(boards / "planes"), "--board", str(boards / "plane_board.yaml"), "--camera", "camera.yaml"]
+
+    statuses = [
+        main(["calibrate-camera", *camera]),
+        main(["calibrate-planes", *planes, "--output", "rig.yaml"]),
+        main(["bench", str(data), "--rig", "rig.yaml", "--method", "paper-constrained", "--json", "report.json"]),
+    ]
+
+    assert statuses == [0, 0, 0]
+    errors = all_shots(json.loads(Path("report.json").read_text()), "paper-constrained")["errors"]
+    assert errors["grasp_m"]["median"] < 0.0005
+    assert errors["normal_rad"]["median"] < 0.008
+
+
+@pytest.mark.slow
+def test_no_rendered_shot_is_lost_and_each_without_a_pose_has_its_reason(shared_data, capsys, monkeypatch, tmp_path):
+    lines, names = [], []
+    for name in SETS:
+        folder = shared_data / "rendered" / name
+        (tmp_path / name).mkdir()
+        monkeypatch.chdir(tmp_path / name)
+        lines += piped(capsys, monkeypatch, tmp_path, folder / "shots", folder / "rig.yaml")
+        names += sorted(path.stem for path in (folder / "shots").iterdir())
+
+    assert [line["shot"] for line in lines] == names
+    assert [line["shot"] for line in lines if (line["pose"] is None) != bool(line["reason"])] == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["paper", "paper-constrained"])
+def test_failures_on_all_rendered_shots(shared_report, method):
+    outcomes = all_shots(shared_report, method)["outcomes"]
+
+    assert sum(outcomes.values()) == 45
+    assert (outcomes["lost"], outcomes["wrong"], outcomes["no_target"]) == (0, 0, 0)
+    assert outcomes["missed"] <= 1
+
+
+@pytest.mark.slow
+def test_errors_on_all_rendered_shots(shared_report):
+    errors = all_shots(shared_report, "paper-constrained")["errors"]
+
+    assert errors["normal_rad"]["median"] < 0.005
+    assert errors["grasp_m"]["median"] < 0.0002
+    assert errors["center_m"]["median"] < 0.03
