@@ -18,6 +18,9 @@ from ringpose.errors import CLOSED_PIPE, RingposeError, SignalReceived, UsageErr
 COMMANDS = ("capture", "calibrate_camera", "calibrate_planes", "detect", "pose", "simulate", "bench")
 """Modules of the subcommands, in the order of the help."""
 
+AGAIN_S = 0.1
+"""How long after a signal its exception is raised once more, if it got lost."""
+
 _ENDING = (signal.SIGHUP, signal.SIGINT, signal.SIGTERM)
 
 
@@ -43,10 +46,13 @@ def main(arguments: Sequence[str]) -> int:
 
 def run() -> None:
     """The entry point of the `ringpose` command."""
+    interrupts = _Interrupts()
+    sys.unraisablehook = _report_unraisable
     try:
         for number in _ENDING:
             if signal.getsignal(number) != signal.SIG_IGN:  # nohup, or a shell's background job
-                signal.signal(number, _raise)
+                signal.signal(number, interrupts)
+        signal.signal(signal.SIGALRM, interrupts)
         for stream in (sys.stdin, sys.stdout):
             if stream is not None:
                 stream.reconfigure(encoding="utf-8", errors="surrogateescape")  # type: ignore[union-attr]
@@ -68,21 +74,15 @@ def _command(arguments: list[str]) -> int:
             import_module(f"ringpose.cli.{name}")
     wrong_words: Any = typer.BadParameter.__mro__[1]  # UsageError of the click inside typer, which has no public name
     try:
-        return int(app(arguments, standalone_mode=False) or 0)
+        return int(app(arguments, prog_name="ringpose", standalone_mode=False) or 0)
     except wrong_words as error:
         if type(error).__name__ == "NoArgsIsHelpError":
             sys.stderr.write(error.format_message().rstrip() + "\n")
             return UsageError.status
-        context = getattr(error, "ctx", None)
-        raise UsageError("", error.format_message().rstrip("."), f"see {_path(context)} --help") from None
+        path = getattr(getattr(error, "ctx", None), "command_path", "ringpose")
+        raise UsageError("", error.format_message().rstrip("."), f"see {path} --help") from None
     except typer.Abort:
         return 128 + signal.SIGINT
-
-
-def _path(context: object) -> str:
-    """`ringpose pose`, whatever the program was started as."""
-    words = str(getattr(context, "command_path", "")).split()[1:]
-    return " ".join(["ringpose", *words])
 
 
 def _output_failed(error: OSError) -> int:
@@ -95,13 +95,37 @@ def _output_failed(error: OSError) -> int:
     return InputOutputError.status
 
 
-def _raise(number: int, frame: FrameType | None) -> None:
-    _ignore_signals()  # a second signal must not break off the clean-up after the first
-    raise SignalReceived(number)
+class _Interrupts:
+    """Turns signals into one exception, which is raised again and again until it is on its way.
+
+    Once is not enough: foreign code may swallow it (an import in C clears all errors, a destructor cannot raise).
+    While a `with` or `finally` block cleans up after it, no signal breaks that off.
+    """
+
+    def __init__(self) -> None:
+        self.number = 0
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        self.number = self.number or number
+        signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
+        if not _on_its_way(sys.exception()):
+            raise SignalReceived(self.number)
+
+
+def _on_its_way(error: BaseException | None) -> bool:
+    while error is not None and not isinstance(error, SignalReceived):
+        error = error.__context__
+    return error is not None
+
+
+def _report_unraisable(unraisable: Any) -> None:
+    if not isinstance(unraisable.exc_value, SignalReceived):
+        sys.__unraisablehook__(unraisable)
 
 
 def _ignore_signals() -> None:
-    for number in _ENDING:
+    signal.setitimer(signal.ITIMER_REAL, 0)
+    for number in (*_ENDING, signal.SIGALRM):
         signal.signal(number, signal.SIG_IGN)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ringpose.errors import DataError, NoInputError
-from ringpose.files import records
+from ringpose.files import records, stdin
 from ringpose.files.bytes import read_bytes
 
 STDIN = "-"
@@ -44,7 +44,7 @@ def _named_on_stdin(suffixes: tuple[str, ...]) -> Iterator[Input | Problem]:
     if sys.stdin is None:
         yield NoInputError("standard input", "is closed")
         return
-    for number, line in enumerate(sys.stdin, start=1):
+    for number, line in enumerate(stdin.lines(), start=1):
         text = line.strip()
         if text.startswith("{"):
             yield _record(text, f"standard input:{number}")

@@ -10,9 +10,11 @@ from ringpose.errors import CannotCreateError, InputOutputError
 from ringpose.files.atomic import make_folder, replacing
 
 
-def write(path, content: bytes, force=False):
+def write(path, content: bytes, force=False, error: Exception | None = None):
     with replacing(path, force) as stream:
         stream.write(content)
+        if error is not None:
+            raise error
 
 
 def test_file_has_the_rights_that_the_umask_leaves(tmp_path):
@@ -43,9 +45,8 @@ def test_existing_file_is_replaced_with_force(tmp_path):
 def test_failure_leaves_the_old_file_and_nothing_else(tmp_path):
     (tmp_path / "a").write_bytes(b"old")
 
-    with pytest.raises(ZeroDivisionError), replacing(tmp_path / "a", True) as stream:
-        stream.write(b"half")
-        raise ZeroDivisionError
+    with pytest.raises(ZeroDivisionError):
+        write(tmp_path / "a", b"half", force=True, error=ZeroDivisionError())
 
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"a": b"old"}
 
@@ -54,9 +55,7 @@ def test_full_disk_leaves_the_old_file_and_nothing_else(tmp_path):
     (tmp_path / "a").write_bytes(b"old")
 
     with pytest.raises(InputOutputError, match="writing broke off: no space left on device"):
-        with replacing(tmp_path / "a", True) as stream:
-            stream.write(b"half")
-            raise OSError(28, "No space left on device")
+        write(tmp_path / "a", b"half", force=True, error=OSError(28, "No space left on device"))
 
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"a": b"old"}
 

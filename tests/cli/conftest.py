@@ -1,0 +1,109 @@
+"""A rig, detections of a ring that is exactly known, and shots that show nothing."""
+
+import json
+import math
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+WIDTH, HEIGHT, FOCAL = 640, 480, 500.0
+CENTER = np.array([0.58, 0.02, 0.9])
+RADII = (0.567, 0.597)
+ROWS_M = (-0.1, 0.03, 0.15)
+"""Where the three stripes cross the ring's plane, which stands across the optical axis."""
+
+
+def laser(name: str, row_m: float, tilt_rad: float) -> dict[str, Any]:
+    """A light plane that meets the plane z = CENTER[2] in the line y = row_m."""
+    normal = [0.0, math.cos(tilt_rad), -math.sin(tilt_rad)]
+    return {"name": name, "normal": normal, "distance_m": normal[1] * row_m + normal[2] * float(CENTER[2])}
+
+
+RIG: dict[str, Any] = {
+    "ringpose": "rig/1",
+    "camera": {
+        "image_width": WIDTH,
+        "image_height": HEIGHT,
+        "camera_matrix": {"rows": 3, "cols": 3, "data": [FOCAL, 0, 319.5, 0, FOCAL, 239.5, 0, 0, 1]},
+        "distortion_model": "plumb_bob",
+        "distortion_coefficients": {"rows": 1, "cols": 5, "data": [0, 0, 0, 0, 0]},
+    },
+    "lasers": [laser(f"l{number}", row, 0.2 * (number - 1)) for number, row in enumerate(ROWS_M)],
+    "mount": {"tool_from_camera": [[0, -1, 0, 0.1], [1, 0, 0, 0.2], [0, 0, 1, -0.3], [0, 0, 0, 1]]},
+}
+
+
+def break_points_px() -> list[Any]:
+    """Pixels where the stripes end on a ring of the known centre and radii."""
+    points = [[(CENTER[0] - math.sqrt(r**2 - (y - CENTER[1]) ** 2), y) for r in RADII] for y in ROWS_M]
+    return [[[319.5 + FOCAL * x / CENTER[2], 239.5 + FOCAL * y / CENTER[2]] for x, y in edges] for edges in points]
+
+
+def detection(shot: str) -> dict[str, Any]:
+    """The record of a shot with all six break points."""
+    points = break_points_px()
+    parts = {
+        "position_px": points,
+        "covariance_px2": [[[[0.01, 0], [0, 0.01]]] * 2] * 3,
+        "flags": [[0, 0]] * 3,
+        "face_start_px": [edges[0] for edges in points],
+        "face_end_px": [edges[1] for edges in points],
+        "face_sigma_px": [[0.1, 0.1]] * 3,
+        "labelled": True,
+    }
+    return {"schema": "ringpose/detection/1", "shot": shot, "stamp_s": 1.7e9, "reason": None, "break_points": parts}
+
+
+def line(shot: str) -> str:
+    """The record as a line of JSON."""
+    return json.dumps(detection(shot)) + "\n"
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Path:
+    """A good rig file."""
+    file = tmp_path / "rig.yaml"
+    file.write_text(yaml.safe_dump(RIG))
+    return file
+
+
+@pytest.fixture
+def detections(tmp_path: Path) -> Path:
+    """A file of three detections."""
+    file = tmp_path / "detections.jsonl"
+    file.write_text(line("a") + line("b") + line("c"))
+    return file
+
+
+@pytest.fixture
+def picture(tmp_path: Path) -> Callable[..., Path]:
+    """Writes an image of one grey value, with rows of another."""
+
+    def written(name: str, grey: int = 0, rows: tuple[int, ...] = (), size: tuple[int, int] = (HEIGHT, WIDTH)) -> Path:
+        image = np.full(size, grey, np.uint8)
+        for row in rows:
+            image[row - 1 : row + 2, 100:540] = np.array([[90], [200], [90]])
+        cv2.imwrite(str(tmp_path / name), image)
+        return tmp_path / name
+
+    return written
+
+
+@pytest.fixture
+def started() -> Callable[..., "subprocess.Popen[str]"]:
+    """Starts the command as a process of its own."""
+
+    def start(*arguments: str | Path, before: str = "", **options: Any) -> "subprocess.Popen[str]":
+        program = f"{before}\nfrom ringpose.cli.main import run\nrun()"
+        words = [sys.executable, "-W", "error", "-c", program, *map(str, arguments)]
+        pipe = subprocess.PIPE
+        return subprocess.Popen(words, **({"stdin": pipe, "stdout": pipe, "stderr": pipe, "text": True} | options))
+
+    return start

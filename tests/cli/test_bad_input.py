@@ -1,0 +1,135 @@
+"""Each kind of bad input is one line on stderr and its status, and does not stop the rest of a batch."""
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+from ringpose.cli.main import main
+
+SIZE = (480, 640)
+
+
+def npz(path, **changes):
+    values = {
+        "images": np.full((2, *SIZE), 20, np.uint8),
+        "lasers": np.array([0, 7], np.uint8),
+        "stamp_s": np.array([1.0, 1.1]),
+        "exposure_s": np.array([0.005, 0.005]),
+    }
+    np.savez(path, **{key: value for key, value in (values | changes).items() if value is not None})
+    return path
+
+
+def broken_image(folder, picture):
+    path = folder / "bad.png"
+    path.write_bytes(picture("whole.png", 90).read_bytes()[:-40])
+    return path
+
+
+def wrong_format(folder, picture):
+    (folder / "bad.tif").write_text("I am a text")
+    return folder / "bad.tif"
+
+
+def empty_file(folder, picture):
+    (folder / "bad.npz").touch()
+    return folder / "bad.npz"
+
+
+def empty_folder(folder, picture):
+    (folder / "empty").mkdir()
+    return folder / "empty"
+
+
+BAD = {
+    "truncated image": (broken_image, 65, "cut short"),
+    "wrong format": (wrong_format, 65, "is no image that can be read"),
+    "empty file": (empty_file, 65, "is no NPZ archive"),
+    "missing file": (lambda folder, picture: folder / "bad.npz", 66, "does not exist"),
+    "empty folder": (empty_folder, 66, "holds no file that ends with"),
+    "NPZ without a key": (lambda folder, picture: npz(folder / "bad.npz", lasers=None), 65, "has no key 'lasers'"),
+    "NaN": (
+        lambda folder, picture: npz(folder / "bad.npz", stamp_s=np.array([1, np.nan])),
+        65,
+        "stamp_s: has a number that is not finite",
+    ),
+    "fourth laser": (
+        lambda folder, picture: npz(folder / "bad.npz", lasers=np.array([0, 8], np.uint8)),
+        65,
+        "lasers: frame 1 names laser 4, the rig has 3",
+    ),
+    "another size": (
+        lambda folder, picture: picture("bad.png", size=(300, 400)),
+        65,
+        "400 x 300 pixels, the rig's camera has 640 x 480",
+    ),
+}
+
+
+@pytest.mark.parametrize("command", ["detect", "pose"])
+@pytest.mark.parametrize("case", BAD)
+def test_bad_shot_is_one_line_and_the_good_ones_come_out(rig, picture, tmp_path, capfd, command, case):
+    make, status, finding = BAD[case]
+    first, last = picture("first.png"), picture("last.png")
+    bad = make(tmp_path, picture)
+
+    assert main([command, str(first), str(bad), str(last), "--rig", str(rig)]) == status
+
+    captured = capfd.readouterr()
+    assert [json.loads(line)["shot"] for line in captured.out.splitlines()] == ["first", "last"]
+    assert captured.err.startswith("ringpose: ")
+    assert finding in captured.err
+    assert captured.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", ["detect", "pose"])
+@pytest.mark.parametrize(
+    ("grey", "rows", "reason"),
+    [
+        (0, (), "the image is dark"),
+        (255, (), "the image is saturated"),
+        (20, (200,), "stripe"),
+    ],
+    ids=["black", "white", "single stripe"],
+)
+def test_image_that_shows_no_ring_is_a_record_with_a_reason(rig, picture, capfd, command, grey, rows, reason):
+    assert main([command, str(picture("a.png", grey, rows)), "--rig", str(rig)]) == 3
+
+    captured = capfd.readouterr()
+    assert reason in json.loads(captured.out)["reason"]
+    assert captured.err == ""
+
+
+@pytest.mark.parametrize(
+    ("laser", "key", "value", "finding"),
+    [
+        (0, "distance_m", -100.0, "lasers[0].distance_m: is -100; metres belong here; this looks like millimetres"),
+        (2, "projector_m", [30, -40, 0], "lasers[2].projector_m: is -40; metres belong here"),
+        (1, "normal", [0, 0.5, 0], "lasers[1].normal: has length 0.5, must be 1"),
+        (1, "normal", [float("nan"), 1, 0], "lasers[1].normal: has a number that is not finite"),
+    ],
+)
+@pytest.mark.parametrize("command", ["detect", "pose"])
+def test_bad_rig_is_one_line_before_anything_is_read(rig, capfd, command, laser, key, value, finding):
+    values = yaml.safe_load(rig.read_text())
+    values["lasers"][laser][key] = value
+    rig.write_text(yaml.safe_dump(values))
+
+    assert main([command, "never-read.png", "--rig", str(rig)]) == 65
+
+    captured = capfd.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith(f"ringpose: {rig}: {finding}")
+    assert captured.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("folder", ["/proc", "/dev/null"])
+def test_unwritable_output_is_one_line(picture, capfd, folder):
+    assert main(["detect", str(picture("a.png")), "--segments-only", "--output", f"{folder}/ringpose"]) == 73
+
+    captured = capfd.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith(f"ringpose: {folder}/ringpose: cannot be written: ")
+    assert captured.err.count("\n") == 1

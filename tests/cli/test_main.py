@@ -1,0 +1,44 @@
+from importlib.metadata import version
+
+import pytest
+
+from ringpose.cli.main import main
+
+
+def test_version_is_printed(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"ringpose {version('ringpose')}\n"
+
+
+def test_no_words_are_wrong_usage_and_get_the_help(capsys):
+    assert main([]) == 2
+
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "Commands:" in captured.err
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--nonsense"], "ringpose: No such option: --nonsense; see ringpose --help\n"),
+        (["nonsense"], "ringpose: No such command 'nonsense'; see ringpose --help\n"),
+        (["pose"], "see ringpose pose --help\n"),
+        (["pose", "-", "--rig"], "ringpose: Option '--rig' requires an argument; see ringpose --help\n"),
+        (["pose", "-", "--rig", "rig.yaml", "--method", "guess"], "see ringpose pose --help\n"),
+        (["detect", "a.png"], "ringpose: --rig is missing; give --rig FILE, or --segments-only for any image\n"),
+    ],
+)
+def test_wrong_words_are_one_line(capsys, words, message):
+    assert main(words) == 2
+
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.endswith(message)
+    assert captured.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", ["detect", "pose"])
+def test_every_command_has_its_help(capsys, command):
+    assert main([command, "--help"]) == 0
+    assert f"Usage: ringpose {command}" in capsys.readouterr().out

@@ -1,0 +1,108 @@
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+from ringpose.cli.main import main
+from ringpose.files.poses import pose_line_of
+
+CENTER_M = [0.58, 0.02, 0.9]
+"""Of the ring whose break points the fixture `detections` holds."""
+
+
+def lines(text: str) -> list[dict]:
+    return [json.loads(line) for line in text.splitlines()]
+
+
+@pytest.mark.parametrize("method", ["paper", "paper-constrained"])
+def test_pose_of_exact_break_points_is_exact(rig, detections, capsys, method):
+    assert main(["pose", str(detections), "--rig", str(rig), "--method", method]) == 0
+
+    records = lines(capsys.readouterr().out)
+    assert [record["shot"] for record in records] == ["a", "b", "c"]
+    np.testing.assert_allclose(records[0]["pose"]["center_m"], CENTER_M, atol=1e-9)
+    np.testing.assert_allclose(records[0]["pose"]["normal"], [0, 0, -1], atol=1e-9)
+
+
+def test_pose_in_the_tool_frame_is_the_cameras_moved_by_the_mount(rig, detections, capsys):
+    mount = np.array(yaml.safe_load(rig.read_text())["mount"]["tool_from_camera"])
+
+    assert main(["pose", str(detections), "--rig", str(rig), "--frame", "tool"]) == 0
+
+    record = lines(capsys.readouterr().out)[0]
+    np.testing.assert_allclose(record["pose"]["center_m"], (mount @ [*CENTER_M, 1])[:3], atol=1e-9)
+    assert record["frame"] == "tool"
+
+
+def test_tool_frame_needs_the_mount(rig, detections, capsys):
+    values = yaml.safe_load(rig.read_text())
+    del values["mount"]
+    rig.write_text(yaml.safe_dump(values))
+
+    assert main(["pose", str(detections), "--rig", str(rig), "--frame", "tool"]) == 65
+
+    captured = capsys.readouterr()
+    assert (captured.out, captured.err.count("\n")) == ("", 1)
+    assert "has no mount" in captured.err
+
+
+def test_line_names_the_rig_by_its_hash_and_the_time_it_took(rig, detections, capsys):
+    main(["pose", str(detections), "--rig", str(rig)])
+
+    line = pose_line_of(lines(capsys.readouterr().out)[0], "x")
+    assert len(line.rig) == 64
+    assert 0 < line.latency_s < 5
+    assert line.stamp_s == 1.7e9
+
+
+def test_shot_without_break_points_is_a_line_with_its_reason(rig, picture, capsys):
+    assert main(["pose", str(picture("black.png")), "--rig", str(rig)]) == 3
+
+    (record,) = lines(capsys.readouterr().out)
+    assert (record["shot"], record["status"], record["pose"]) == ("black", "none", None)
+    assert record["reason"] == "the image is dark: no stripe stands out of the noise"
+
+
+def test_bad_inputs_are_named_and_the_rest_goes_on(rig, detections, picture, tmp_path, capsys):
+    (tmp_path / "broken.png").write_bytes(picture("whole.png", 40).read_bytes()[:100])
+    words = ["pose", str(tmp_path / "none.npz"), str(tmp_path / "broken.png"), str(detections), "--rig", str(rig)]
+
+    assert main(words) == 66
+
+    captured = capsys.readouterr()
+    assert len(lines(captured.out)) == 3
+    assert captured.err.splitlines() == [
+        f"ringpose: {tmp_path}/none.npz: does not exist",
+        f"ringpose: {tmp_path}/broken.png: is a PNG image that is cut short",
+    ]
+
+
+def test_detection_of_another_number_of_lasers_is_refused(rig, detections, capsys):
+    values = yaml.safe_load(rig.read_text())
+    rig.write_text(yaml.safe_dump(values | {"lasers": values["lasers"][:2]}))
+
+    assert main(["pose", str(detections), "--rig", str(rig)]) == 65
+
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "has 3 lasers, the rig has 2" in captured.err
+
+
+def test_verbose_says_what_became_of_each_shot(rig, detections, capsys):
+    main(["pose", str(detections), "--rig", str(rig), "-v"])
+
+    captured = capsys.readouterr()
+    record = lines(captured.out)[0]
+    assert captured.err.splitlines()[0] == f"ringpose: a: {', '.join(record['flags']) or 'ok'}"
+
+
+def test_nothing_is_said_where_all_is_well(rig, detections, capsys):
+    main(["pose", str(detections), "--rig", str(rig)])
+
+    assert capsys.readouterr().err == ""
+
+
+def test_missing_rig_is_no_input(detections, tmp_path, capsys):
+    assert main(["pose", str(detections), "--rig", str(tmp_path / "none.yaml")]) == 66
+    assert capsys.readouterr().out == ""

@@ -1,0 +1,203 @@
+"""Pipes and signals, with the command as a process of its own."""
+
+import inspect
+import json
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+DEADLINE_S = 60
+
+
+def ended(process) -> tuple[int, str]:
+    """Status and what it said on stderr."""
+    _, said = process.communicate(timeout=DEADLINE_S)
+    return process.returncode, said
+
+
+def test_first_line_is_out_before_the_last_input_is_read(started, rig, detections):
+    first, *rest = detections.read_text().splitlines(keepends=True)
+    with started("pose", "-", "--rig", rig) as process:
+        process.stdin.write(first)
+        process.stdin.flush()
+        answer = process.stdout.readline()
+        process.stdin.writelines(rest)
+        out, said = process.communicate(timeout=DEADLINE_S)
+
+    assert json.loads(answer)["shot"] == "a"
+    assert [json.loads(line)["shot"] for line in out.splitlines()] == ["b", "c"]
+    assert (process.returncode, said) == (0, "")
+
+
+def test_detect_streams_into_pose(started, rig, picture):
+    with (
+        started("detect", "-", "--rig", rig) as detect,
+        started("pose", "-", "--rig", rig, stdin=detect.stdout) as pose,
+    ):
+        detect.stdin.write(f"{picture('a.png')}\n")
+        detect.stdin.flush()
+        answer = pose.stdout.readline()
+        detect.stdin.close()
+        pose.wait(DEADLINE_S)
+        detect.wait(DEADLINE_S)
+
+    assert json.loads(answer)["shot"] == "a"
+    assert (detect.returncode, pose.returncode) == (3, 3)
+
+
+@pytest.mark.parametrize(
+    ("number", "status"),
+    [(signal.SIGTERM, 143), (signal.SIGINT, 130), (signal.SIGHUP, 129)],
+    ids=["TERM", "INT", "HUP"],
+)
+def test_signal_while_streaming_ends_with_its_status_and_no_word(started, rig, detections, number, status):
+    with started("pose", "-", "--rig", rig) as process:
+        process.stdin.write(detections.read_text())
+        process.stdin.flush()
+        answers = [process.stdout.readline() for _ in range(3)]
+        process.send_signal(number)
+        process.wait(DEADLINE_S)
+        said = process.stderr.read()
+
+    assert [json.loads(answer)["shot"] for answer in answers] == ["a", "b", "c"]
+    assert (process.returncode, said) == (status, "")
+
+
+class Interrupting:
+    """Sends the process a signal when a module is about to be imported."""
+
+    def __init__(self, module: str) -> None:
+        self.module = module
+
+    def find_spec(self, name, path=None, target=None):
+        if name == self.module:
+            os.kill(os.getpid(), signal.SIGINT)
+
+
+@pytest.mark.parametrize("module", ["typer", "ringpose.cli.pose", "yaml", "numpy", "cv2", "ringpose.detect.pipeline"])
+def test_interrupt_while_a_module_is_imported_is_no_traceback(started, rig, detections, module):
+    code = f"{inspect.getsource(Interrupting)}\nsys.meta_path.insert(0, Interrupting({module!r}))\n"
+    with started("pose", detections, "--rig", rig, before=f"import os, signal, sys\n{code}") as process:
+        status, said = ended(process)
+
+    assert (status, said) == (130, "")
+
+
+LOST = """
+import ringpose.errors, signal, sys, os
+class Swallows:
+    def __del__(self): os.kill(os.getpid(), signal.SIGTERM)
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == "ringpose.files.rigs":
+            Swallows()
+sys.meta_path.insert(0, Finder())
+"""
+
+
+def test_signal_that_gets_lost_in_a_destructor_is_raised_again(started, rig):
+    with started("pose", "-", "--rig", rig, before=LOST) as process:
+        process.wait(DEADLINE_S)
+        said = process.stderr.read()
+
+    assert (process.returncode, said) == (143, "")
+
+
+CLEANS_UP = """
+import os, signal, sys, time
+import ringpose.cli.main as cli
+def command(arguments):
+    try:
+        print("on", flush=True)
+        time.sleep(60)
+    finally:
+        for _ in range(3):
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.2)
+        print("off", flush=True)
+cli._command = command
+"""
+
+
+def test_clean_up_is_not_broken_off_by_further_signals(started):
+    with started(before=CLEANS_UP) as process:
+        process.stdout.readline()
+        process.send_signal(signal.SIGTERM)
+        rest, said = process.communicate(timeout=DEADLINE_S)
+
+    assert (process.returncode, rest, said) == (143, "off\n", "")
+
+
+def test_signals_that_the_parent_ignores_stay_ignored(started, rig, detections):
+    def ignore() -> None:
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+
+    with started("pose", "-", "--rig", rig, preexec_fn=ignore) as process:
+        process.stdin.write(detections.read_text())
+        process.stdin.flush()
+        process.stdout.readline()
+        process.send_signal(signal.SIGHUP)
+        _, said = process.communicate(timeout=DEADLINE_S)
+
+    assert (process.returncode, said) == (0, "")
+
+
+def test_closed_pipe_ends_quietly(started, rig, detections):
+    line = detections.read_text().splitlines(keepends=True)[0]
+    with started("pose", "-", "--rig", rig) as process:
+        process.stdin.write(line)
+        process.stdin.flush()
+        process.stdout.readline()
+        process.stdout.close()
+        process.stdin.write(line)
+        process.stdin.flush()
+        process.wait(DEADLINE_S)
+        said = process.stderr.read()
+
+    assert (process.returncode, said) == (141, "")
+
+
+@pytest.mark.parametrize("words", [["--help"], ["--version"]])
+def test_help_into_a_closed_pipe_ends_quietly(started, words):
+    with started(*words) as process:
+        process.stdout.close()
+        process.wait(DEADLINE_S)
+        said = process.stderr.read()
+
+    assert (process.returncode, said) == (141, "")
+
+
+def test_full_disk_is_one_line(started, rig, detections):
+    with Path("/dev/full").open("w") as full, started("pose", detections, "--rig", rig, stdout=full) as process:
+        status, said = ended(process)
+
+    assert status == 74
+    assert said == "ringpose: standard output: writing broke off: no space left on device\n"
+
+
+def test_closed_stdout_is_one_line(started, rig, detections):
+    with started("pose", detections, "--rig", rig, preexec_fn=_close_stdout) as process:
+        status, said = ended(process)
+
+    assert (status, said.count("\n")) == (74, 1)
+
+
+def test_nobody_to_read_the_messages_changes_no_status(started, rig, tmp_path):
+    with Path("/dev/full").open("w") as full:
+        process = started("pose", tmp_path / "none.npz", "--rig", rig, stderr=full)
+        process.communicate(timeout=DEADLINE_S)
+
+    assert process.returncode == 66
+
+
+def test_name_that_is_no_utf_8_is_a_name(started, rig, tmp_path):
+    with started("pose", "-", "--rig", rig, text=False) as process:
+        _, said = process.communicate(bytes(tmp_path) + b"/\xff.npz\n", timeout=DEADLINE_S)
+
+    assert (process.returncode, said.count(b"\n")) == (66, 1)
+
+
+def _close_stdout() -> None:
+    os.close(1)
