@@ -1,0 +1,94 @@
+import cv2
+import numpy as np
+import pytest
+
+from ringpose.geometry.rotations import tilted
+from ringpose.pose.other_frame import pose_in_frame
+from ringpose.types.ring_pose import RingPose
+
+
+def rigid(rng):
+    matrix = np.eye(4)
+    matrix[:3, :3] = cv2.Rodrigues(rng.normal(size=3))[0]
+    matrix[:3, 3] = rng.normal(size=3)
+    return matrix
+
+
+def some_pose(rng, **covariances) -> RingPose:
+    normal = rng.normal(size=3)
+    return RingPose(
+        center_m=rng.normal(size=3),
+        normal=normal / np.linalg.norm(normal),
+        radius_inner_m=0.567,
+        radius_outer_m=0.597,
+        grasp_m=rng.normal(size=3),
+        method="paper",
+        condition=10.0,
+        residual_rms_px=0.1,
+        **covariances,
+    )
+
+
+def square(rng, size):
+    root = rng.normal(size=(size, size))
+    return root @ root.T
+
+
+def test_vectors_are_moved_and_radii_stay(rng):
+    pose, matrix = some_pose(rng), rigid(rng)
+
+    moved = pose_in_frame(pose, matrix)
+
+    np.testing.assert_allclose(moved.center_m, (matrix @ [*pose.center_m, 1])[:3])
+    np.testing.assert_allclose(moved.grasp_m, (matrix @ [*pose.grasp_m, 1])[:3])
+    np.testing.assert_allclose(moved.normal, (matrix @ [*pose.normal, 0])[:3])
+    assert (moved.radius_inner_m, moved.radius_outer_m, moved.covariance) == (0.567, 0.597, None)
+
+
+def test_there_and_back_is_the_same(rng):
+    pose = some_pose(
+        rng, covariance=square(rng, 7), covariance_center_m2=square(rng, 3), covariance_grasp_m2=square(rng, 3)
+    )
+    matrix = rigid(rng)
+
+    again = pose_in_frame(pose_in_frame(pose, matrix), np.linalg.inv(matrix))
+
+    np.testing.assert_allclose(again.center_m, pose.center_m, atol=1e-12)
+    np.testing.assert_allclose(again.covariance, pose.covariance, atol=1e-11)
+    np.testing.assert_allclose(again.covariance_center_m2, pose.covariance_center_m2, atol=1e-12)
+    np.testing.assert_allclose(again.covariance_grasp_m2, pose.covariance_grasp_m2, atol=1e-12)
+
+
+@pytest.mark.parametrize("trial", range(5))
+def test_covariance_of_normal_and_offset_is_that_of_moved_samples(rng, trial):
+    """Planes with small errors, moved one by one, scatter as the moved covariance says."""
+    covariance = np.zeros((7, 7))
+    covariance[:3, :3] = 1e-10 * square(rng, 3)
+    pose, matrix = some_pose(rng, covariance=covariance), rigid(rng)
+    count = 2000
+    errors = rng.multivariate_normal(np.zeros(3), covariance[:3, :3], count)
+    offset = pose.normal @ pose.center_m
+
+    normals = np.array([tilted(pose.normal, error[:2]) for error in errors]) @ matrix[:3, :3].T
+    offsets = offset + errors[:, 2] + normals @ matrix[:3, 3]
+    moved = pose_in_frame(pose, matrix)
+
+    basis = np.stack([tilted(moved.normal, tilt) - moved.normal for tilt in 1e-6 * np.eye(2)]) * 1e6
+    samples = np.column_stack([(normals - moved.normal) @ basis.T, offsets])
+    scale = np.sqrt(np.diag(moved.covariance)[:3])
+    difference = (np.cov(samples.T) - moved.covariance[:3, :3]) / np.outer(scale, scale)
+    assert np.abs(difference).max() < 4 * np.sqrt(2 / (count - 1))
+
+
+def test_centre_in_the_plane_turns_with_the_basis(rng):
+    covariance = np.zeros((7, 7))
+    covariance[3:5, 3:5] = square(rng, 2)
+    pose, matrix = some_pose(rng, covariance=covariance), rigid(rng)
+    basis = np.stack([tilted(pose.normal, tilt) - pose.normal for tilt in 1e-6 * np.eye(2)]) * 1e6
+
+    moved = pose_in_frame(pose, matrix)
+
+    moved_basis = np.stack([tilted(moved.normal, tilt) - moved.normal for tilt in 1e-6 * np.eye(2)]) * 1e6
+    in_space = moved_basis.T @ moved.covariance[3:5, 3:5] @ moved_basis
+    expected = matrix[:3, :3] @ basis.T @ covariance[3:5, 3:5] @ basis @ matrix[:3, :3].T
+    np.testing.assert_allclose(in_space, expected, atol=1e-4)
