@@ -1,8 +1,10 @@
 # Every target sets up what it needs under .venv by itself.
 PYTHON ?= python3
+PYTEST_FLAGS ?=
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 $(PYTEST_FLAGS)
 KERNELS := $(wildcard ringpose/kernels/*.c ringpose/kernels/*.h)
 
 .PHONY: help demo test test-slow check lint types layers man clean
@@ -21,10 +23,10 @@ demo: $(STAMP)
 	PATH="$(CURDIR)/$(BIN):$$PATH" sh examples/demo.sh demo
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -n 2 -m "not slow"
+	$(PYTEST) -m "not slow"
 
 test-slow: $(STAMP)
-	$(BIN)/python -m pytest -n 2 -m slow
+	$(PYTEST) -m slow
 
 check: lint types layers man
 
