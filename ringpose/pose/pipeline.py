@@ -70,9 +70,11 @@ def covariance_of_form(
 ) -> PoseCovariance | None:
     """Covariance of the method's solution; None if that of a seen break point, or of the rig, is not finite."""
     laser, edges = np.nonzero(points.seen)
+    covariance_px2 = break_points.covariance_px2[laser, edges]
+    if not np.isfinite(covariance_px2).all():
+        return None
     positions = points.position_m[laser, edges]
-    with np.errstate(invalid="ignore"):
-        covariance_m2 = point_covariance(positions, break_points.covariance_px2[laser, edges], laser, rig)
+    covariance_m2 = point_covariance(positions, covariance_px2, laser, rig)
     if not np.isfinite(covariance_m2).all():
         return None
     return pose_covariance(FORMS[method], positions, edges, covariance_m2)
