@@ -1,10 +1,22 @@
 """Light planes through triangulated stripe centres (MATH.md section 6)."""
 
+from enum import StrEnum
+
 import numpy as np
 from jaxtyping import Float64
 
 from ringpose.geometry.planes import nearest_plane
 from ringpose.types.arrays import Array
+
+
+class PlanesMethod(StrEnum):
+    """How board poses and light planes are estimated."""
+
+    TOTAL_LEAST_SQUARES = "total-least-squares"
+    """One pose over all corners of a board; the plane nearest to the points, robust, with covariance."""
+    PAPER = "paper"
+    """The mean of the poses of the single markers; S . P = 1 by least squares."""
+
 
 _TUKEY = 4.685
 """Tukey's constant: 95 % efficient on normal errors."""
@@ -13,6 +25,13 @@ _ITERATIONS = 20
 
 _SMALLEST_SCALE_M = 1e-9
 """Scale below which points are exact, so that rounding is not taken for outliers."""
+
+
+def light_plane(
+    points: Float64[Array, "n xyz=3"], method: PlanesMethod
+) -> tuple[Float64[Array, "3"], float, Float64[Array, "n"]]:
+    """Unit normal, distance and the points' weights by one of the methods."""
+    return paper_plane(points) if method is PlanesMethod.PAPER else robust_plane(points)
 
 
 def robust_plane(
@@ -49,8 +68,15 @@ def downward(normal: Float64[Array, "3"], distance_m: float) -> tuple[Float64[Ar
     return normal, distance_m
 
 
-def extents_m(points: Float64[Array, "n xyz=3"], weights: Float64[Array, "n"]) -> tuple[float, float]:
-    """Root mean square extent of the points along their longest direction, and across it in their plane."""
-    _, _, singular_values = nearest_plane(points, weights)
-    along, across, _ = singular_values / np.sqrt(weights.sum())
-    return float(along), float(across)
+def condition(points: Float64[Array, "n xyz=3"], weights: Float64[Array, "n"]) -> float:
+    """Extent of the points along their longest direction over that across it, in their plane.
+
+    Infinite for points on one line, which leave the plane open.
+    """
+    _, _, (along, across, _) = nearest_plane(points, weights)
+    return float(along / across) if across > 0 else float("inf")
+
+
+def extent_m(points: Float64[Array, "n xyz=3"]) -> float:
+    """Root mean square distance of the points from their middle."""
+    return float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))

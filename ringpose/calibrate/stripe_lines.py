@@ -6,13 +6,15 @@ the one that carries the most light first; what lies beside the board's plane, a
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float64, UInt
 
 from ringpose.calibrate.board_surface import BoardSurface
-from ringpose.detect.stripe_centers import StripeParameters, find_stripes
+from ringpose.detect.stripe_centers import find_stripes
 from ringpose.geometry.rays import undistorted_pixels
 from ringpose.types.arrays import Array
+from ringpose.types.stripes import Stripes
 
 NEAR_PX = 1.5
 """Centres within this distance of a line belong to it, before its own scatter is known."""
@@ -28,8 +30,9 @@ RIVAL_SHARE = 0.5
 
 OUTLIER_SIGMAS = 3.5
 
-WIDE_STRIPE_PX = 7.0
-"""Stripes wider than this at half height (saturated, or out of focus) want a wider filter."""
+SHRINKINGS = (1, 2, 4)
+"""Factors by which a frame is made smaller until its stripes are as narrow as the stripe finder wants them: a stripe
+that is saturated or out of focus has two ridges, its shoulders, where it is 15 px wide, and one where it is 4."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -54,39 +57,54 @@ def stripe_lines(
     surface: BoardSurface,
     lasers: int,
 ) -> list[StripeLine]:
-    """At most one line more than lasers are on, brightest first, all lying or all upright."""
-    lying = _lines(image, dark, surface, lasers + 1, upright=False)
-    standing = _lines(image.T, None if dark is None else dark.T, surface, lasers + 1, upright=True)
-    best = max(lying, standing, key=lambda lines: sum(line.light for line in lines[:lasers]))
+    """One line for each laser that is on, brightest first; fewer or more if the frame does not show as many."""
+    found: list[StripeLine] = []
+    for shrinking in SHRINKINGS:
+        lines = _lines_at_scale(image, dark, surface, lasers, shrinking)
+        if len(lines) == lasers:
+            return lines
+        found = found or lines
+    return found
+
+
+def _lines_at_scale(
+    image: UInt[Array, "row column"],
+    dark: UInt[Array, "row column"] | None,
+    surface: BoardSurface,
+    lasers: int,
+    shrinking: int,
+) -> list[StripeLine]:
+    """The lines, and one more if it rivals them: all lying, or all upright."""
+    small, small_dark = _shrunk(image, shrinking), None if dark is None else _shrunk(dark, shrinking)
+    lying = _lines(find_stripes(small, small_dark), surface, lasers + 1, shrinking, upright=False)
+    turned = find_stripes(_turned(small), None if small_dark is None else _turned(small_dark))
+    upright = _lines(turned, surface, lasers + 1, shrinking, upright=True)
+    best = max(lying, upright, key=lambda lines: sum(line.light for line in lines[:lasers]))
     rivals = [line for line in best[lasers:] if line.light > RIVAL_SHARE * best[lasers - 1].light]
     return best[:lasers] + rivals
 
 
-def stripe_width_px(image: UInt[Array, "row column"], dark: UInt[Array, "row column"] | None) -> float:
-    """Typical width at half height of each column's brightest stripe."""
-    signal = image.astype(np.float32) - (0 if dark is None else dark)
-    signal = signal - np.median(signal, axis=0)
-    peak = signal.max(axis=0)
-    bright = peak > 0.5 * peak.max()
-    return float(np.median((signal > 0.5 * peak).sum(axis=0)[bright]))
+def _shrunk(image: UInt[Array, "row column"], factor: int) -> UInt[Array, "row column"]:
+    if factor == 1:
+        return image
+    rows, columns = (size // factor for size in image.shape)
+    whole = np.ascontiguousarray(image[: rows * factor, : columns * factor])
+    small: UInt[Array, "row column"] = np.asarray(cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA))
+    return small
 
 
-def _lines(
-    image: UInt[Array, "row column"],
-    dark: UInt[Array, "row column"] | None,
-    surface: BoardSurface,
-    most: int,
-    upright: bool,
-) -> list[StripeLine]:
-    image = np.ascontiguousarray(image)
-    dark = None if dark is None else np.ascontiguousarray(dark)
-    width = stripe_width_px(image, dark)
-    parameters = StripeParameters(filter_sigma_px=max(2.0, 0.5 * width if width > WIDE_STRIPE_PX else 0.0))
-    stripes = find_stripes(image, dark, parameters)
-    points_px = stripes.position_px[:, ::-1].copy() if upright else stripes.position_px
+def _turned(image: UInt[Array, "row column"]) -> UInt[Array, "row column"]:
+    turned: UInt[Array, "row column"] = np.ascontiguousarray(image.T)
+    return turned
+
+
+def _lines(stripes: Stripes, surface: BoardSurface, most: int, shrinking: int, upright: bool) -> list[StripeLine]:
+    """The lines among the stripe centres of a frame that was shrunk, and turned if they are upright."""
+    centers_px = shrinking * stripes.position_px + (shrinking - 1) / 2
+    points_px = centers_px[:, ::-1].copy() if upright else centers_px
     usable = surface.usable(points_px)
     points_px, peak = points_px[usable], stripes.peak_dn[usable]
-    straight = undistorted_pixels(points_px, surface.camera)
+    straight = undistorted_pixels(points_px, surface.camera) / shrinking
     straight = straight[:, ::-1].copy() if upright else straight
     lines: list[StripeLine] = []
     rng = np.random.default_rng(0)

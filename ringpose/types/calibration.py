@@ -82,9 +82,11 @@ class LaserView:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LaserCalibration:
-    """One light plane's views."""
+    """One light plane `normal . point = distance_m`, and what each view says about it."""
 
     name: str
+    normal: Float64[Array, "xyz=3"]
+    distance_m: float
     views: tuple[LaserView, ...]
     rms_m: float
     held_out_rms_m: float
@@ -103,5 +105,5 @@ class PlanesCalibration:
     method: str
     lasers: tuple[LaserCalibration, ...]
     poses: tuple[BoardPose, ...]
-    left_out: tuple[tuple[str, str], ...] = ()
-    """Name and reason of each view, or laser of a view, that says nothing."""
+    remarks: tuple[tuple[str, str], ...] = ()
+    """What was left out or is missing: the view's name, and why."""
