@@ -39,14 +39,21 @@ class RingPose:
     radius_outer_m: float
     """NaN where that edge was not seen."""
     grasp_m: Float64[Array, "xyz=3"]
-    """The point where a gripper would close (MATH.md section 5; the paper's mean of six points in `paper`)."""
+    """The point where a gripper would close: in the middle of the band, amid what was seen (MATH.md section 5).
+
+    In `paper` the mean of the break points. NaN where the middle of the band is not known, an edge being unseen.
+    """
     method: str
     condition: float
     """Of the equations for the centre, rows scaled to unit length."""
     residual_rms_px: float
     """Distance of the break points from those that the pose predicts."""
     covariance: Float64[Array, "7 7"] | None = None
-    """Of tilt_1, tilt_2, offset_m, center_1_m, center_2_m, radius_inner_m, radius_outer_m."""
+    """Of tilt_1, tilt_2, offset_m, center_1_m, center_2_m, radius_inner_m, radius_outer_m; NaN for an unseen radius.
+
+    Plane: normal(tilt) . point = offset_m (`ringpose.geometry.rotations.tilted`). center_1_m and center_2_m are the
+    centre's coordinates along the tilt basis of the estimated normal, which stays while the ring tilts.
+    """
     covariance_center_m2: Float64[Array, "3 3"] | None = None
     covariance_grasp_m2: Float64[Array, "3 3"] | None = None
     flags: PoseFlag = PoseFlag(0)
