@@ -1,0 +1,88 @@
+"""`ringpose calibrate-planes`: camera and shots of a board with stripes -> rig.yaml."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ringpose.cli.app import app
+from ringpose.cli.options import Force, ImageChannel, Inputs, OutputFile, Quiet, Verbose
+
+
+class Method(StrEnum):
+    """How board poses and light planes are estimated."""
+
+    TOTAL_LEAST_SQUARES = "total-least-squares"
+    PAPER = "paper"
+
+
+CameraFile = Annotated[Path, typer.Option("--camera", metavar="FILE", help="The calibrated camera (camera.yaml).")]
+BoardFile = Annotated[Path, typer.Option("--board", metavar="FILE", help="The board file: its kind and its sizes.")]
+MethodName = Annotated[Method, typer.Option("--method", help="How the light planes are estimated.")]
+LaserNames = Annotated[
+    str | None,
+    typer.Option("--laser-names", metavar="NAMES", help="Names by mask bit, comma between, as left,middle,right."),
+]
+LaserOrder = Annotated[
+    str | None,
+    typer.Option("--laser-order", metavar="NAMES", help="Order of the stripes down the image, if all lasers are on."),
+]
+Surround = Annotated[
+    float, typer.Option("--surround", metavar="METRES", min=0, help="The flat sheet reaches so far beyond the board.")
+]
+Overlay = Annotated[
+    Path | None, typer.Option("--overlay", metavar="DIR", help="Draw what was found into PNG files in this folder.")
+]
+
+
+@app.command("calibrate-planes")
+def calibrate_planes(
+    inputs: Inputs,
+    camera: CameraFile,
+    board: BoardFile,
+    output: OutputFile,
+    method: MethodName = Method.TOTAL_LEAST_SQUARES,
+    laser_names: LaserNames = None,
+    laser_order: LaserOrder = None,
+    surround: Surround = 0.0,
+    overlay: Overlay = None,
+    channel: ImageChannel = None,
+    force: Force = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Estimate the light planes from shots of a board that the stripes cross."""
+    from ringpose.calibrate.planes import calibrate_planes as calibrated
+    from ringpose.calibrate.planes_quality import calibrated_rig, planes_quality, planes_summary
+    from ringpose.cli import messages
+    from ringpose.cli.batch import Batch
+    from ringpose.cli.board_views import BoardImages
+    from ringpose.cli.progress import counted
+    from ringpose.cli.stripe_images import StripeImages
+    from ringpose.errors import NO_POSE
+    from ringpose.files.boards import read_board
+    from ringpose.files.cameras import read_camera
+    from ringpose.files.inputs import inputs as named
+    from ringpose.files.rigs import write_rig
+    from ringpose.files.shots import SHOT_SUFFIXES
+
+    images = BoardImages(read_board(board), overlay, channel=channel, force=force)
+    stripes = StripeImages(images, read_camera(camera), laser_names, laser_order, surround)
+    batch = Batch()
+    for item in counted(batch.good(named(inputs, SHOT_SUFFIXES)), "shots", quiet):
+        with batch.item():
+            stripes.read(item)
+            if verbose:
+                messages.say(images.last)
+    for name, reason in images.without_board:
+        messages.say(f"{name}: no board: {reason}")
+        batch.met(NO_POSE)
+    calibration = calibrated(stripes.views, stripes.camera, stripes.model(method.value))
+    rig = calibrated_rig(stripes.camera, calibration)
+    quality = planes_quality(calibration, images.without_board)
+    write_rig(output, rig, extra=quality, force=force, inputs=[camera, board, *images.paths])
+    if not quiet:
+        for line in planes_summary(calibration):
+            messages.say(line)
+    batch.finish()

@@ -1,0 +1,60 @@
+"""Shots of a board with stripes, as `ringpose calibrate-planes` reads them."""
+
+from ringpose.calibrate.board_overlay import stripe_overlay
+from ringpose.calibrate.laser_names import ALL, laser_names, laser_order
+from ringpose.calibrate.plane_fits import PlanesMethod
+from ringpose.calibrate.planes import PlanesModel
+from ringpose.calibrate.stripe_views import stripe_view
+from ringpose.cli.board_views import BoardImages
+from ringpose.errors import DataError
+from ringpose.files.images import write_image
+from ringpose.files.inputs import Input
+from ringpose.types.calibration import StripeView
+from ringpose.types.camera import Camera
+from ringpose.types.frame import Shot
+
+
+class StripeImages:
+    """The views gathered so far; the first shot says how many lasers there are."""
+
+    def __init__(
+        self, images: BoardImages, camera: Camera, names: str | None, order: str | None, surround_m: float
+    ) -> None:
+        self.images = images
+        self.camera = camera
+        self.views: list[StripeView] = []
+        self.given = (names, order)
+        self.surround_m = surround_m
+        self.names: tuple[str, ...] = ()
+
+    def read(self, item: Input) -> None:
+        """Add the view that a shot shows."""
+        read = self.images.read(item)
+        if read is None:
+            return
+        shot, view = read
+        self._check(shot)
+        seen = stripe_view(shot, view, self.images.board, self.camera, len(self.names), self.surround_m)
+        self.views.append(seen)
+        found = sum(len(px) > 0 for px in (*seen.stripes_px, *seen.unlabelled_px))
+        self.images.last += f", {found} stripes" + "".join(f"; {remark}" for remark in seen.remarks)
+        if self.images.overlay is not None:
+            drawn = stripe_overlay(shot.images.max(axis=0), seen)
+            write_image(self.images.overlay / f"{shot.name}.png", drawn, force=True)
+
+    def model(self, method: str) -> PlanesModel:
+        """What is to be estimated."""
+        order = laser_order(self.given[1], self.names)
+        return PlanesModel(names=self.names, method=PlanesMethod(method), order=order)
+
+    def _check(self, shot: Shot) -> None:
+        size = (shot.images.shape[2], shot.images.shape[1])
+        wanted = (self.camera.image_width, self.camera.image_height)
+        if size != wanted:
+            found = f"{size[0]} x {size[1]} pixels, the camera has {wanted[0]} x {wanted[1]}"
+            raise DataError(shot.name, found, "give the camera that took the shots")
+        self.names = self.names or laser_names(self.given[0], shot)
+        highest = max((int(mask) for mask in shot.lasers if mask != ALL), default=0).bit_length()
+        if highest > len(self.names):
+            found = f"a frame names laser {highest}, there are {len(self.names)} ({', '.join(self.names)})"
+            raise DataError(shot.name, found, "give all names with --laser-names")
