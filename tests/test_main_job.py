@@ -114,7 +114,7 @@ def test_a_rig_calibrated_from_carried_board_views_gives_the_same_grasp_points(c
 
     statuses = [
         main(["calibrate-camera", *camera]),
-        main(["calibrate-planes", *planes, "--output", "rig.yaml"]),
+        main(["calibrate-planes", *planes, "--laser-order", "right,middle,left", "--output", "rig.yaml"]),
         main(["bench", str(data), "--rig", "rig.yaml", "--method", "paper-constrained", "--json", "report.json"]),
     ]
 
