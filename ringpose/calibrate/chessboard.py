@@ -40,7 +40,7 @@ def chessboard_corners(
     return None
 
 
-def irregularity(grid: Float64[Array, "row column xy=2"]) -> float:
+def irregularity(grid: Float64[Array, "corner_row corner_column xy=2"]) -> float:
     """Largest third difference along the rows and columns, in shortest sides.
 
     Perspective and a lens change the squares smoothly; a column that the finder put beside the corners does not.
@@ -51,17 +51,19 @@ def irregularity(grid: Float64[Array, "row column xy=2"]) -> float:
 
 def _sector_based(
     image: UInt8[Array, "row column"], columns: int, rows: int
-) -> Float64[Array, "row column xy=2"] | None:
+) -> Float64[Array, "corner_row corner_column xy=2"] | None:
     found, corners = cv2.findChessboardCornersSB(image, (columns, rows), flags=_SECTOR_BASED)
     return np.asarray(corners, dtype=np.float64).reshape(rows, columns, 2) if found else None
 
 
-def _classic(image: UInt8[Array, "row column"], columns: int, rows: int) -> Float64[Array, "row column xy=2"] | None:
+def _classic(
+    image: UInt8[Array, "row column"], columns: int, rows: int
+) -> Float64[Array, "corner_row corner_column xy=2"] | None:
     found, corners = cv2.findChessboardCorners(image, (columns, rows), flags=_CLASSIC)
     return np.asarray(corners, dtype=np.float64).reshape(rows, columns, 2) if found else None
 
 
-def shortest_side(grid: Float64[Array, "row column xy=2"]) -> float:
+def shortest_side(grid: Float64[Array, "corner_row corner_column xy=2"]) -> float:
     """Length in pixels of the shortest side of a square."""
     along = np.linalg.norm(np.diff(grid, axis=1), axis=-1)
     down = np.linalg.norm(np.diff(grid, axis=0), axis=-1)
@@ -81,8 +83,8 @@ def refined_corners(
 
 
 def _in_board_order(
-    image: UInt8[Array, "row column"], grid: Float64[Array, "row column xy=2"]
-) -> Float64[Array, "row column xy=2"]:
+    image: UInt8[Array, "row column"], grid: Float64[Array, "corner_row corner_column xy=2"]
+) -> Float64[Array, "corner_row corner_column xy=2"]:
     """The same corners with x to the right, y down (never mirrored), and the outer top-left square black.
 
     A board with both numbers of squares odd or both even looks the same turned by half a turn: then the first
@@ -98,7 +100,9 @@ def _in_board_order(
     return grid if grid[0, 0].sum() <= grid[-1, -1].sum() else turned
 
 
-def _first_inner_square_is_black(image: UInt8[Array, "row column"], grid: Float64[Array, "row column xy=2"]) -> bool:
+def _first_inner_square_is_black(
+    image: UInt8[Array, "row column"], grid: Float64[Array, "corner_row corner_column xy=2"]
+) -> bool:
     """Whether the square between the first four corners is darker than its neighbour: it has the outer one's colour."""
     middle = (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]) / 4
     column, row = np.rint(middle).astype(np.int64).reshape(-1, 2).T
