@@ -37,13 +37,17 @@ def break_points_px_at(
     inward = np.array([_INSIDE_M, -_INSIDE_M])[:, None] * np.array([1.0, 1.0, 0.0])
     radial = point / np.linalg.norm(point[..., :2], axis=-1, keepdims=True)
     inside = point + inward * radial + [0.0, 0.0, _INSIDE_M]
-    rotation, translation_m = stand.placement.rotation, stand.placement.translation_m
-    pixel = project(point @ rotation.T + translation_m, camera)
+    pixel = project(stand.placement.points_camera(point), camera)
+    shown = in_picture(pixel, camera) & _seen_and_lit(stand, inside)
+    return np.where(shown[..., None], pixel, np.nan)
+
+
+def in_picture(pixel: Float64[Array, "*shape xy=2"], camera: Camera) -> Bool[Array, "*shape"]:
+    """Whether pixels lie within the picture; NaN does not."""
     size = np.array([camera.image_width, camera.image_height])
     with np.errstate(invalid="ignore"):
-        in_picture = ((pixel > -0.5) & (pixel < size - 0.5)).all(axis=-1)
-    shown = in_picture & _seen_and_lit(stand, inside)
-    return np.where(shown[..., None], pixel, np.nan)
+        inside = (pixel > -0.5) & (pixel < size - 0.5)
+    return np.logical_and(inside[..., 0], inside[..., 1])
 
 
 def crossings(

@@ -3,10 +3,12 @@
 import numpy as np
 from jaxtyping import Float64
 
-from ringpose.simulate.break_points import crossings
+from ringpose.geometry.rays import project
+from ringpose.simulate.break_points import crossings, in_picture
 from ringpose.simulate.lighting import Hits, Stand, laser_radiance
 from ringpose.simulate.pixel_rays import pixel_rays
 from ringpose.simulate.sensor import electrons_per_radiance
+from ringpose.simulate.sheets import half_thickness_m
 from ringpose.types.arrays import Array
 from ringpose.types.scene import Scene
 
@@ -30,27 +32,24 @@ def view_exposure_s(scene: Scene, stand: Stand) -> float:
 
 
 def _stripe_radiances(scene: Scene, stand: Stand) -> Float64[Array, "crossing"]:
-    """Peak radiance of each laser's stripe in the middle of the band, on both sides of the ring, behind the lens."""
+    """Peak radiance, behind the lens, of each stripe in the middle of the band that the picture shows."""
     middle_m = np.array([(scene.ring.radius_inner_m + scene.ring.radius_outer_m) / 2])
-    found = []
-    for side in (-1.0, 1.0):
-        for laser, point in enumerate(crossings(stand, scene.ring.height_m, middle_m, side)):
-            if np.isfinite(point).all():
-                found.append(_peak(scene, stand, laser, point[0]))
-    return np.array(found)
+    points = np.concatenate([crossings(stand, scene.ring.height_m, middle_m, side) for side in (-1.0, 1.0)], axis=1)
+    pixels = project(stand.placement.points_camera(points), scene.rig.camera)
+    shown = np.argwhere(in_picture(pixels, scene.rig.camera))
+    return np.array([_peak(scene, stand, int(laser), points[laser, side]) for laser, side in shown])
 
 
 def _peak(scene: Scene, stand: Stand, laser: int, point: Float64[Array, "3"]) -> float:
     to_eye = stand.placement.eye_m - point
-    depth_m = float((stand.placement.rotation @ point + stand.placement.translation_m)[2])
-    if depth_m <= 0:
-        return 0.0
     hits = Hits(
         surface=np.array([scene.ring.face_piece], dtype=np.int8),
         point=point[:, None],
         normal=np.array([[0.0], [0.0], [1.0]]),
         to_eye=(to_eye / np.linalg.norm(to_eye))[:, None],
     )
-    sigma_px = scene.lasers.sigma_m / (depth_m * pixel_rays(scene.rig.camera).angle_per_px)
-    blurred = np.sqrt(sigma_px**2 / (sigma_px**2 + scene.lens.blur_px**2 + 1 / 12))
+    depth_m = stand.placement.points_camera(point)[2:]
+    per_px_m = float(depth_m[0]) * pixel_rays(scene.rig.camera).angle_per_px
+    sigma_px = float(half_thickness_m(scene.lasers, depth_m)[0]) / per_px_m
+    blurred = sigma_px / np.sqrt(sigma_px**2 + scene.lens.blur_px**2 + 1 / 12)
     return float(laser_radiance(stand, hits, laser)[0][0] * blurred)

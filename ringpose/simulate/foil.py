@@ -72,7 +72,8 @@ def _ridges(generator: np.random.Generator, crinkles: int) -> Float64[Array, "ro
 
 
 def _index(column: Int64[Array, "ray"], row: Int64[Array, "ray"]) -> Int64[Array, "ray"]:
-    return (row % _TEXELS) * _TEXELS + column % _TEXELS
+    index: Int64[Array, "ray"] = (row % _TEXELS) * _TEXELS + column % _TEXELS
+    return index
 
 
 def _split(position: Float64[Array, "ray"]) -> tuple[Int64[Array, "ray"], Float32[Array, "ray"]]:

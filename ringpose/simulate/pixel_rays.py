@@ -13,8 +13,11 @@ from ringpose.types.camera import Camera
 SAMPLES = 16
 """Samples of a refined pixel: an edge moves by 0.003 px rms against 256 of them."""
 
-_GRID_PX = 16.0
-"""Spacing of the knots between which the lens is interpolated: 3e-6 px off for an 8 mm lens."""
+FINE_SAMPLES = 256
+"""Samples of a pixel in which an edge cuts a stripe: sixteen moved a stripe's end by up to 0.06 px."""
+
+_KNOTS = 100
+"""Knots each way between which the lens is interpolated: 1e-6 px off for an 8 mm lens."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -56,26 +59,30 @@ def centre_directions(rays: PixelRays, pixels: slice) -> Float64[Array, "xyz=3 r
     return np.stack([x, y, np.ones_like(x)])
 
 
-def sample_directions(rays: PixelRays, pixels: Int64[Array, "n"]) -> Float64[Array, "xyz=3 ray"]:
+def sample_directions(
+    rays: PixelRays, pixels: Int64[Array, "n"], samples: int = SAMPLES
+) -> Float64[Array, "xyz=3 ray"]:
     """Rays of the samples of some pixels, sample by sample: ray s * n + k is sample s of pixel k."""
-    shift_x, shift_y = _shifts_px(pixels, rays.width)
+    shift_x, shift_y = _shifts_px(pixels, rays.width, samples)
     along_row, along_column = rays.per_px[:, :, None, pixels]
     x, y = rays.direction[:, None, pixels] + shift_x * along_row + shift_y * along_column
     return np.stack([x.ravel(), y.ravel(), np.ones(x.size)])
 
 
-def _shifts_px(pixels: Int64[Array, "n"], width: int) -> tuple[Float64[Array, "sample n"], Float64[Array, "sample #n"]]:
-    """Sixteen rows and sixteen columns, each taken once (Hammersley's set).
+def _shifts_px(
+    pixels: Int64[Array, "n"], width: int, samples: int
+) -> tuple[Float64[Array, "sample n"], Float64[Array, "sample #n"]]:
+    """As many rows and columns as samples, each taken once (Hammersley's set; a power of two).
 
     The rows are the same in all pixels, so that a stripe's profile is integrated by the midpoint rule;
     the columns are shifted around from pixel to pixel, so that upright edges show no bands.
     """
-    order = np.arange(SAMPLES)
-    reversed_bits = sum(((order >> bit) & 1) << (3 - bit) for bit in range(4))
+    bits, order = samples.bit_length() - 1, np.arange(samples)
+    reversed_bits = sum(((order >> bit) & 1) << (bits - 1 - bit) for bit in range(bits))
     turn = np.modf(0.7548776662 * (pixels % width) + 0.5698402910 * (pixels // width))[0]
-    across = np.modf(order[:, None] / SAMPLES + turn)[0] - 0.5
-    return across, ((np.asarray(reversed_bits) + 0.5) / SAMPLES - 0.5)[:, None]
+    across = np.modf(order[:, None] / samples + turn)[0] - 0.5
+    return across, ((np.asarray(reversed_bits) + 0.5) / samples - 0.5)[:, None]
 
 
 def _knots(length: int) -> Float64[Array, "knot"]:
-    return np.linspace(-1.0, float(length), max(8, int(length / _GRID_PX) + 1))
+    return np.linspace(-1.0, float(length), _KNOTS)

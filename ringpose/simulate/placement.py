@@ -24,6 +24,10 @@ class Placement:
         """Points of the camera frame in the target frame."""
         return self.vectors_target(point_camera - self.translation_m[:, None])
 
+    def points_camera(self, point_target: Float64[Array, "*shape xyz=3"]) -> Float64[Array, "*shape xyz=3"]:
+        """Points of the target frame, in rows, in the camera frame."""
+        return point_target @ self.rotation.T + self.translation_m
+
     def vectors_target(self, vector_camera: Float64[Array, "xyz=3 n"]) -> Float64[Array, "xyz=3 n"]:
         """Directions of the camera frame in the target frame."""
         return self.rotation.T @ vector_camera

@@ -1,0 +1,77 @@
+"""A small rig and scene: a quarter of a megapixel is enough for every law that is tested here."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ringpose.types.camera import Camera
+from ringpose.types.laser_planes import LaserPlanes
+from ringpose.types.rig import Rig
+from ringpose.types.scene import Body, LaserLight, Lens, Light, RingShape, RingView, Scene, Sensor, Speckle
+
+
+@pytest.fixture(scope="session")
+def small_rig():
+    pitch_rad = np.radians([10.0, 0.0, -10.0])
+    normal = np.stack([np.zeros(3), np.cos(pitch_rad), -np.sin(pitch_rad)], axis=1)
+    projector_m = np.array([[-0.03, -0.04, 0.0], [0.0, -0.07, -0.02], [0.03, -0.04, 0.0]])
+    return Rig(
+        camera=Camera(
+            camera_name="small",
+            image_width=320,
+            image_height=240,
+            camera_matrix=np.array([[356.0, 0.0, 160.7], [0.0, 356.4, 119.2], [0.0, 0.0, 1.0]]),
+            distortion_model="plumb_bob",
+            distortion_coefficients=np.array([-0.105, 0.118, 0.00055, -0.0004, 0.0]),
+        ),
+        lasers=LaserPlanes(
+            names=("left", "middle", "right"),
+            normal=normal,
+            distance_m=(normal * projector_m).sum(axis=1),
+            projector_m=projector_m,
+        ),
+    )
+
+
+@pytest.fixture(scope="session")
+def ring():
+    return RingShape(profile_m=np.array([[0.567, 0.0], [0.567, 0.06], [0.597, 0.06], [0.597, 0.0]]))
+
+
+@pytest.fixture(scope="session")
+def view():
+    return RingView(
+        name="near", center_m=np.array([-0.57, -0.08, 0.47]), normal=np.array([0.0, 0.1, -np.sqrt(0.99)]), light="dim"
+    )
+
+
+@pytest.fixture(scope="session")
+def scene(small_rig, ring, view):
+    lights = {
+        "dim": Light(name="dim"),
+        "normal": Light(name="normal", ambient_w_m2=8.0),
+        "strong": Light(name="strong", ambient_w_m2=0.5, sun_w_m2=15.0),
+    }
+    return Scene(
+        rig=small_rig,
+        ring=ring,
+        body=Body(size_m=np.array([2.2, 2.2, 1.0])),
+        lights=lights,
+        sensor=Sensor(pixel_m=2.25e-5),
+        exposure_s=0.0002,
+        views=(view,),
+        sequence=(0, 1, 2, 4, 7),
+    )
+
+
+@pytest.fixture(scope="session")
+def clean_scene(scene):
+    """No speckle, no blur, no spread of the pixels; one thickness of the sheets all over."""
+    return replace(
+        scene,
+        speckle=Speckle(contrast=0.0),
+        lens=Lens(blur_px=0.0),
+        sensor=replace(scene.sensor, photo_response_non_uniformity=0.0),
+        lasers=LaserLight(sigma_m=0.0008, divergence_rad=0.0),
+    )

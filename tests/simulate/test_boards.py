@@ -1,0 +1,111 @@
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from ringpose.calibrate.board_points import corner_points
+from ringpose.calibrate.board_views import find_board
+from ringpose.geometry.rays import project
+from ringpose.simulate.board_places import board_places, middle_of_board_m
+from ringpose.simulate.board_target import board_target
+from ringpose.simulate.pipeline import simulated_boards
+from ringpose.types.board import Board, BoardView
+from ringpose.types.camera import Camera
+from ringpose.types.scene import BoardApproach, BoardSet
+
+CHARUCO = Board(kind="charuco", squares_x=7, squares_y=5, square_m=0.04, marker_m=0.03, dictionary="DICT_4X4_50")
+BOARDS = {
+    "charuco": CHARUCO,
+    "chessboard": Board(kind="chessboard", squares_x=8, squares_y=6, square_m=0.03),
+    "four_markers": Board(
+        kind="four_markers", width_m=0.3, height_m=0.24, marker_m=0.06, margin_m=0.01, dictionary="DICT_4X4_50"
+    ),
+    "aruco_grid": Board(
+        kind="aruco_grid", squares_x=5, squares_y=4, marker_m=0.045, gap_m=0.012, dictionary="DICT_4X4_50"
+    ),
+}
+
+
+@pytest.fixture
+def sharp_scene(scene):
+    """A picture large enough for markers."""
+    camera = Camera(
+        camera_name="sharp",
+        image_width=640,
+        image_height=480,
+        camera_matrix=np.array([[712.0, 0.0, 321.4], [0.0, 712.8, 238.4], [0.0, 0.0, 1.0]]),
+        distortion_model="plumb_bob",
+        distortion_coefficients=scene.rig.camera.distortion_coefficients,
+    )
+    return replace(scene, rig=replace(scene.rig, camera=camera), sensor=replace(scene.sensor, pixel_m=1.1e-5))
+
+
+def boards_of(kind, **values):
+    approach = BoardApproach(count=2, distances_m=(0.40, 0.45), tilt_rad=0.3, turn_rad=0.1, offset=0.02)
+    return BoardSet(**{"board": BOARDS[kind], "approach": approach, "exposure_s": 0.002} | values)
+
+
+@pytest.mark.parametrize("kind", BOARDS)
+def test_corners_are_found_where_the_boards_place_puts_them(sharp_scene, kind):
+    ((shot, place), *_) = simulated_boards(sharp_scene, boards_of(kind))
+
+    found = find_board(shot.images[0], BOARDS[kind], shot.name)
+
+    assert isinstance(found, BoardView)
+    true_px = project(
+        corner_points(BOARDS[kind])[found.ids] @ place.rotation.T + place.translation_m, sharp_scene.rig.camera
+    )
+    assert len(found.ids) >= 16
+    assert np.sqrt(np.mean((found.points_px - true_px) ** 2)) < 0.1
+
+
+def test_the_print_of_a_charuco_board_is_opencvs():
+    """Cell by cell of a marker's bits and of the squares around, against OpenCV's own picture of the board."""
+    size_px = 64
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    theirs = cv2.aruco.CharucoBoard((7, 5), 0.04, 0.03, dictionary).generateImage((7 * size_px, 5 * size_px))
+    row, column = np.mgrid[0 : 5 * size_px, 0 : 7 * size_px]
+    metres_per_px = 0.04 / size_px
+
+    ours = board_target(CHARUCO).print_at(
+        ((column.ravel() + 0.5) * metres_per_px), ((row.ravel() + 0.5) * metres_per_px)
+    )
+
+    assert ((theirs.ravel() > 127) == (ours > 0)).mean() > 0.99
+
+
+def test_stripes_cross_the_plane_board(sharp_scene):
+    boards = boards_of("four_markers", sequence=(0, 1, 2, 4, 7))
+
+    ((shot, _), *_) = simulated_boards(sharp_scene, boards)
+
+    brighter = shot.images[1:4].astype(int) - shot.images[0]
+    assert ((brighter > 30).sum(axis=(1, 2)) > 300).all()
+
+
+def test_written_places_come_first(sharp_scene):
+    boards = boards_of("charuco")
+    written = board_places(sharp_scene, boards)[:1]
+
+    places = board_places(sharp_scene, replace(boards, places=written))
+
+    assert len(places) == 3
+    assert places[0] is written[0]
+
+
+def test_drawn_boards_stand_between_the_distances(sharp_scene):
+    approach = BoardApproach(count=50, distances_m=(0.3, 0.9), offset=0.0)
+
+    places = board_places(sharp_scene, boards_of("charuco", approach=approach))
+
+    depth_m = [(p.rotation @ middle_of_board_m(CHARUCO) + p.translation_m)[2] for p in places]
+    assert min(depth_m) >= 0.3
+    assert max(depth_m) <= 0.9
+    assert np.ptp(depth_m) > 0.4
+
+
+def test_the_board_faces_the_camera(sharp_scene):
+    places = board_places(sharp_scene, boards_of("charuco", approach=BoardApproach(count=50)))
+
+    assert min(place.rotation[2, 2] for place in places) > 0.5

@@ -1,0 +1,129 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from ringpose.files.rigs import read_rig
+from ringpose.files.truths import read_truths
+from ringpose.simulate.pipeline import ring_stand, view_truth
+from ringpose.types.scene import RingShape, RingView
+
+
+def truth_of(scene, view):
+    return view_truth(scene, view, ring_stand(scene, view))
+
+
+def pixel_of(point, camera):
+    """Pinhole and plumb_bob, written out."""
+    x, y = point[0] / point[2], point[1] / point[2]
+    k1, k2, p1, p2, k3 = camera.distortion_coefficients
+    r2 = x * x + y * y
+    radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    distorted_x = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+    distorted_y = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+    matrix = camera.camera_matrix
+    return np.array([matrix[0, 0] * distorted_x + matrix[0, 2], matrix[1, 1] * distorted_y + matrix[1, 2]])
+
+
+def point_where_circle_meets_plane(view, radius_m, normal, distance_m):
+    """Root of the plane's equation along the circle, near the camera's axis."""
+    first = np.cross([0.0, 1.0, 0.0], view.normal)
+    first /= np.linalg.norm(first)
+    second = np.cross(view.normal, first)
+    towards = -view.center_m
+    start = np.arctan2(towards @ second, towards @ first)
+
+    def point(angle):
+        return view.center_m + radius_m * (np.cos(angle) * first + np.sin(angle) * second)
+
+    return point(brentq(lambda angle: normal @ point(angle) - distance_m, start - 0.6, start + 0.6, xtol=1e-15))
+
+
+@pytest.mark.parametrize("edge", [0, 1])
+@pytest.mark.parametrize("laser", [0, 1, 2])
+def test_break_points_are_where_circle_and_light_plane_meet(scene, view, laser, edge):
+    radius_m = (0.567, 0.597)[edge]
+    planes = scene.rig.lasers
+    point = point_where_circle_meets_plane(view, radius_m, planes.normal[laser], planes.distance_m[laser])
+
+    truth = truth_of(scene, view)
+
+    error_px = np.linalg.norm(truth.break_points_px[laser, edge] - pixel_of(point, scene.rig.camera))
+    assert error_px < 1e-9
+
+
+def test_six_visible_break_points_are_a_pose(scene, view):
+    assert truth_of(scene, view).expect == "pose"
+
+
+def test_a_break_point_outside_the_picture_is_null_and_the_shot_partial(scene, view):
+    near = replace(view, center_m=view.center_m - [0.0, 0.0, 0.30])
+
+    truth = truth_of(scene, near)
+
+    assert truth.expect == "partial"
+    assert np.isnan(truth.break_points_px).any()
+
+
+def test_a_ring_out_of_sight_is_no_target(scene, view):
+    aside = replace(view, center_m=np.array([2.0, 0.0, 0.5]))
+
+    truth = truth_of(scene, aside)
+
+    assert (truth.expect, truth.center_m) == ("no_target", None)
+
+
+@pytest.mark.parametrize("target", ["body", "none"])
+def test_a_view_without_ring_is_no_target(scene, view, target):
+    assert truth_of(scene, replace(view, target=target)).expect == "no_target"
+
+
+FLAT = [[0.56, 0.0], [0.56, 0.06], [0.60, 0.06], [0.60, 0.0]]
+RIM = [[0.55, 0.0], [0.555, 0.16], [0.56, 0.06], [0.60, 0.06], [0.60, 0.0]]
+"""A knife edge 100 mm higher than the face, just inside of it."""
+
+
+@pytest.mark.parametrize(("profile_m", "seen"), [(FLAT, True), (RIM, False)])
+def test_a_break_point_behind_a_rim_is_null(scene, view, profile_m, seen):
+    """Seen from inside the ring."""
+    inside = replace(view, center_m=np.array([-0.45, -0.08, 0.47]))
+    rimmed = replace(scene, ring=RingShape(profile_m=np.array(profile_m)))
+
+    truth = truth_of(rimmed, inside)
+
+    assert np.isfinite(truth.break_points_px[1, 0]).all() == seen
+
+
+def test_a_fan_too_narrow_leaves_the_break_points_dark(scene, view):
+    narrow = replace(scene, lasers=replace(scene.lasers, fan_rad=0.01))
+
+    assert truth_of(narrow, view).expect != "pose"
+
+
+@pytest.mark.parametrize("folder", ["rig_a", "rig_b"])
+def test_truth_agrees_with_data_that_this_project_did_not_make(scene, shared_data, folder):
+    rig = read_rig(shared_data / "rendered" / folder / "rig.yaml")
+    theirs = [
+        truth for truth in read_truths(shared_data / "rendered" / folder / "truth.jsonl") if truth.normal is not None
+    ]
+
+    ours = [truth_of(scene_of(scene, rig, truth), view_of(truth)) for truth in theirs]
+
+    for_compare = [np.stack([t.break_points_px for t in truths]) for truths in (ours, theirs)]
+    np.testing.assert_allclose(*for_compare, atol=1e-3)
+    assert [t.expect for t in ours] == [t.expect for t in theirs]
+
+
+def scene_of(scene, rig, truth):
+    profile_m = [
+        [truth.radius_inner_m, 0],
+        [truth.radius_inner_m, 0.06],
+        [truth.radius_outer_m, 0.06],
+        [truth.radius_outer_m, 0],
+    ]
+    return replace(scene, rig=rig, ring=RingShape(profile_m=np.array(profile_m)))
+
+
+def view_of(truth):
+    return RingView(name=truth.shot, center_m=truth.center_m, normal=truth.normal)

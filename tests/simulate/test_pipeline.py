@@ -1,0 +1,122 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ringpose.geometry.rays import rays
+from ringpose.simulate.pipeline import SceneFrames, ring_stand, simulate
+from ringpose.simulate.stage import staged
+from ringpose.simulate.trajectory import ring_views
+from ringpose.types.scene import Approach
+
+
+def images_of(scene, **options):
+    return [shot.images for shot, _ in simulate(scene, **options)]
+
+
+def test_the_same_seed_gives_the_same_images(scene):
+    first, second = images_of(scene), images_of(scene)
+
+    np.testing.assert_array_equal(first, second)
+
+
+def test_another_seed_gives_other_noise(scene):
+    first, second = images_of(scene), images_of(replace(scene, seed=2))
+
+    assert (first[0] != second[0]).mean() > 0.001
+
+
+def test_processes_do_not_change_the_images(scene):
+    several = replace(scene, views=(), approaches=(Approach(count=3, distances_m=(0.5,)),), sequence=(7,))
+
+    one, two = images_of(several, jobs=1), images_of(several, jobs=2)
+
+    np.testing.assert_array_equal(one, two)
+
+
+def test_count_takes_the_first_shots(scene):
+    several = replace(scene, approaches=(Approach(count=3),), sequence=(7,))
+
+    names = [shot.name for shot, _ in simulate(several, count=2)]
+
+    assert names == ["near", "z0500_p00_dim"]
+
+
+def test_frames_follow_the_sequence(scene):
+    ((shot, _),) = simulate(scene)
+
+    assert shot.lasers.tolist() == [0, 1, 2, 4, 7]
+    assert (np.diff(shot.stamp_s) > shot.exposure_s[:-1]).all()
+
+
+def test_lasers_add_up(scene, view):
+    stage = staged(scene, ring_stand(scene, view), (1,))
+
+    alone = [stage.electrons(mask, 0.001) for mask in (1, 2, 4)]
+
+    np.testing.assert_allclose(stage.electrons(7, 0.001), sum(alone), rtol=1e-5, atol=1e-3)
+
+
+def test_light_grows_with_exposure(scene, view):
+    stage = staged(scene, ring_stand(scene, view), (1,))
+
+    np.testing.assert_allclose(stage.electrons(7, 0.003), 3 * stage.electrons(7, 0.001), rtol=1e-5)
+
+
+def test_exposure_reaches_the_wanted_grey_value(clean_scene, view):
+    """Peak of the brightest stripe on the face, within noise and the rounding of the profile over pixels."""
+    ((shot, truth),) = simulate(replace(clean_scene, stripe_dn=150.0, lens=replace(clean_scene.lens, blur_px=0.7)))
+
+    peaks = []
+    for laser, ends in enumerate(truth.break_points_px):
+        first, last = np.sort(ends[:, 0]).astype(int)
+        row = int(ends[:, 1].mean())
+        peaks.append(shot.images[1 + laser][row - 4 : row + 5, first + 4 : last - 3].max(axis=0).mean())
+    assert max(peaks) == pytest.approx(150, rel=0.15)
+
+
+def test_a_moment_of_the_simulated_camera_is_the_views_shot(scene):
+    frames = SceneFrames(scene)
+    ((shot, _),) = simulate(scene)
+
+    taken = [frames(0, int(mask)).image for mask in shot.lasers]
+
+    np.testing.assert_array_equal(taken, shot.images)
+
+
+def test_the_simulated_cameras_clock_goes_on(scene):
+    frames = SceneFrames(replace(scene, approaches=(Approach(count=2),)))
+
+    stamps = [frames(moment, 7).stamp_s for moment in (0, 0, 1, 2, 7)]
+
+    assert (np.diff(stamps) > 0).all()
+
+
+def test_noise_is_drawn_anew_for_each_frame(scene):
+    frames = SceneFrames(scene)
+
+    first, second = (frames(0, 7, 0.0005).image for _ in range(2))
+
+    assert (first != second).any()
+
+
+@pytest.mark.parametrize("distance_m", [0.25, 0.5, 1.0])
+def test_drawn_poses_show_the_band_at_their_distance(scene, distance_m):
+    """The middle of the band crosses the ray of a pixel near the picture's middle, at that depth."""
+    approach = Approach(count=20, distances_m=(distance_m,), offset=0.0)
+
+    views = ring_views(replace(scene, views=(), approaches=(approach,)))
+
+    at = distance_m * rays(np.array([159.5, 119.5]), scene.rig.camera)
+    radius_m = [np.linalg.norm(at - view.center_m) for view in views]
+    off_plane_m = [abs((at - view.center_m) @ view.normal) for view in views]
+    assert np.allclose(radius_m, 0.582, atol=1e-9)
+    assert max(off_plane_m) < 1e-9
+
+
+def test_names_of_drawn_views_are_unique(scene):
+    approach = Approach(count=4, distances_m=(0.25, 0.5), lights=("dim", "normal"))
+
+    names = [view.name for view in ring_views(replace(scene, approaches=(approach,)))]
+
+    assert len(set(names)) == len(names) == 17

@@ -1,0 +1,164 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from ringpose.geometry.rays import intersect, project, rays
+from ringpose.simulate.pipeline import ring_stand
+from ringpose.simulate.pixel_rays import pixel_rays
+from ringpose.simulate.render import layers
+from ringpose.types.scene import MATERIALS, Body, Foil, LaserLight, Light, RingShape
+
+
+def rendered(scene, view):
+    return layers(ring_stand(scene, view), pixel_rays(scene.rig.camera))
+
+
+def stripe_pixels(scene, view, laser):
+    """The stripe's middle on the face: points of face and light plane, densely, seen by the camera."""
+    normal, distance_m = scene.rig.lasers.normal[laser], scene.rig.lasers.distance_m[laser]
+    along = np.cross(view.normal, normal)
+    start = np.linalg.solve(np.stack([view.normal, normal, along]), [view.normal @ view.center_m, distance_m, 0.0])
+    line = start + np.linspace(-0.6, 0.6, 40001)[:, None] * along / np.linalg.norm(along)
+    pixels = project(line, scene.rig.camera)
+    kept = pixels[np.isfinite(pixels).all(axis=1) & (pixels[:, 0] > -50) & (pixels[:, 0] < 400)]
+    return kept[np.argsort(kept[:, 0])]
+
+
+WIDE_RING = RingShape(profile_m=np.array([[0.2, 0.06], [1.0, 0.06]]), face=MATERIALS["matt"])
+"""A flat ring wider than the picture."""
+
+
+def with_sigma(scene, sigma_m):
+    return replace(scene, ring=WIDE_RING, lasers=LaserLight(sigma_m=sigma_m, divergence_rad=0.0))
+
+
+@pytest.mark.parametrize("sigma_m", [0.0008, 0.0012, 0.0020], ids=["0.6 px", "0.9 px", "1.5 px"])
+def test_column_centroids_lie_on_the_analytic_stripe(clean_scene, view, sigma_m):
+    flat = with_sigma(clean_scene, sigma_m)
+
+    image = rendered(flat, view).laser[1].astype(float)
+
+    true = stripe_pixels(flat, view, 1)
+    columns = np.arange(10, 310)
+    centroid = (image * np.arange(240)[:, None]).sum(axis=0)[columns] / image.sum(axis=0)[columns]
+    error_px = centroid - np.interp(columns, true[:, 0], true[:, 1])
+    assert np.abs(error_px).max() < 0.005
+
+
+def test_a_stripe_thinner_than_a_pixel_is_integrated_over_each(clean_scene, view):
+    """Shares of a column's light in its pixels, against the Gaussian's integral between their borders."""
+    flat, sigma_m = with_sigma(clean_scene, 0.0004), 0.0004
+    camera, planes = flat.rig.camera, flat.rig.lasers
+
+    column = rendered(flat, view).laser[1][:, 150].astype(float)
+
+    borders = np.stack([np.full(241, 150.0), np.arange(241) - 0.5], axis=1)
+    points = intersect(rays(borders, camera), view.normal, np.array(view.normal @ view.center_m))
+    shares = np.diff(norm.cdf((points @ planes.normal[1] - planes.distance_m[1]) / sigma_m))
+    np.testing.assert_allclose(column / column.sum(), np.abs(shares), atol=1e-3)
+
+
+@pytest.mark.parametrize("shift_m", [0.0, 0.004, 0.008, 0.012, 0.016, 0.020])
+def test_the_stripe_on_the_face_ends_at_the_break_points(clean_scene, view, shift_m):
+    """Beyond the middle column, the light in units of a column's is the distance to the end."""
+    dark = replace(MATERIALS["black"], diffuse=0.0)
+    alone = replace(clean_scene, body=Body(size_m=np.array([2.2, 2.2, 1.0]), material=dark))
+    alone = replace(alone, ring=replace(alone.ring, wall=dark))
+    moved = replace(view, center_m=view.center_m + np.array([shift_m, 0.0, 0.0]))
+
+    profile = rendered(alone, moved).laser[1].astype(float).sum(axis=0)
+
+    left, right = sorted(stripe_edge(alone, moved, radius_m) for radius_m in (0.567, 0.597))
+    columns = np.arange(320)
+    inside = (columns > left + 2) & (columns < right - 2)
+    share = profile / np.polyval(np.polyfit(columns[inside], profile[inside], 2), columns)
+    middle = int((left + right) / 2)
+    found = (middle + 0.5 - share[middle - 30 : middle + 1].sum(), middle + 0.5 + share[middle + 1 : middle + 30].sum())
+    np.testing.assert_allclose(found, (left, right), atol=0.01)
+
+
+def stripe_edge(scene, view, radius_m):
+    normal, distance_m = scene.rig.lasers.normal[1], scene.rig.lasers.distance_m[1]
+    along = np.cross(view.normal, normal)
+    start = np.linalg.solve(np.stack([view.normal, normal, along]), [view.normal @ view.center_m, distance_m, 0.0])
+    along /= np.linalg.norm(along)
+    off = start - view.center_m
+    half = np.sqrt((off @ along) ** 2 - off @ off + radius_m**2)
+    ends = [start + (sign * half - off @ along) * along for sign in (-1, 1)]
+    return float(project(min(ends, key=lambda p: abs(p[0]))[None], scene.rig.camera)[0, 0])
+
+
+def test_light_of_thin_stripes_is_kept(clean_scene, view):
+    """A sheet eight times as thin sends the same light in all, eight times as bright."""
+    thick, thin = (rendered(with_sigma(clean_scene, sigma_m), view).laser[1] for sigma_m in (0.0024, 0.0003))
+
+    assert thin.sum() == pytest.approx(thick.sum(), rel=2e-3)
+
+
+def test_the_laser_leaves_a_shadow_beside_the_ring(clean_scene, view):
+    """The camera sees body beyond the outer edge that the middle laser, 70 mm aside, does not reach."""
+    offset = replace(
+        clean_scene.rig.lasers,
+        projector_m=clean_scene.rig.lasers.projector_m - [0.3, 0.0, 0.0],
+    )
+    from_inside = replace(clean_scene, rig=replace(clean_scene.rig, lasers=offset))
+
+    image = rendered(from_inside, view).laser[1]
+
+    edge = max(stripe_edge(clean_scene, view, radius_m) for radius_m in (0.567, 0.597))
+    beyond = image[:, int(edge) + 2 : int(edge) + 12].sum(axis=0)
+    far_beyond = image[:, int(edge) + 60 : int(edge) + 80].sum(axis=0)
+    assert beyond.max() == 0.0
+    assert far_beyond.min() > 0.0
+
+
+def test_foil_makes_the_stripe_wiggle(clean_scene, view):
+    crinkled = replace(clean_scene, ring=clean_scene.ring, body=Body(size_m=np.array([2.2, 2.2, 1.0]), foil=Foil()))
+
+    flat, wavy = (rendered(scene, view).laser[1].astype(float) for scene in (clean_scene, crinkled))
+
+    def wiggle_px(image):
+        columns = np.flatnonzero(image[:, :100].sum(axis=0) > 0)
+        rows = np.arange(240)[:, None]
+        centroid = (image[:, columns] * rows).sum(axis=0) / image[:, columns].sum(axis=0)
+        return (centroid - np.polyval(np.polyfit(columns, centroid, 2), columns)).std()
+
+    assert wiggle_px(flat) < 0.02
+    assert wiggle_px(wavy) > 0.05
+
+
+@pytest.mark.parametrize("light", ["normal", "strong"])
+def test_ambient_light_covers_the_body(clean_scene, view, light):
+    image = rendered(clean_scene, replace(view, light=light)).ambient
+
+    assert (image > 0).mean() > 0.9
+
+
+def test_stripes_alone_leave_the_rest_black(clean_scene, view):
+    radiance = rendered(clean_scene, view)
+
+    assert radiance.ambient.max() == 0.0
+    assert (radiance.laser.sum(axis=0) > 0).mean() < 0.2
+
+
+def test_the_sun_casts_the_rings_shadow(clean_scene, view):
+    """Low sun from inside the ring: the body right behind the wall is darker than the body far from it."""
+    low = Light(name="low", sun_w_m2=15.0, sun_direction=np.array([-0.9, 0.0, -0.4]))
+    matt = replace(
+        clean_scene, lights={"dim": low}, body=Body(size_m=np.array([2.2, 2.2, 1.0]), material=MATERIALS["matt"])
+    )
+
+    image = rendered(matt, view).ambient
+
+    edge = int(max(stripe_edge(clean_scene, view, radius_m) for radius_m in (0.567, 0.597)))
+    row = int(stripe_pixels(clean_scene, view, 1)[:, 1].mean())
+    assert image[row, edge + 5] == 0.0
+    assert image[row, 300] > 0.0
+
+
+def test_empty_space_is_black(clean_scene, view):
+    radiance = rendered(clean_scene, replace(view, target="none", light="strong"))
+
+    assert radiance.ambient.max() == radiance.laser.max() == 0.0

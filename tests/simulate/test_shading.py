@@ -1,0 +1,77 @@
+import numpy as np
+import pytest
+
+from ringpose.simulate.shading import laboratory_radiance, reflectance_per_sr, surfaces
+from ringpose.types.scene import MATERIALS, Material
+
+UP = np.array([[0.0], [0.0], [1.0]])
+
+
+def directions(n=400):
+    """Unit vectors on the upper half sphere, and the solid angle of each times its cosine."""
+    cosine = (np.arange(n) + 0.5) / n
+    angle = 2 * np.pi * (np.arange(2 * n) + 0.5) / (2 * n)
+    z, phi = (grid.ravel() for grid in np.meshgrid(cosine, angle))
+    sine = np.sqrt(1 - z**2)
+    return np.stack([sine * np.cos(phi), sine * np.sin(phi), z]), z * 2 * np.pi / len(z)
+
+
+def reflected_share(material, to_light):
+    to_eye, weight = directions()
+    n = to_eye.shape[1]
+    table = surfaces([material], np.zeros(n, dtype=np.int8))
+    light = np.repeat(to_light[:, None], n, axis=1)
+    return float(reflectance_per_sr(table, np.repeat(UP, n, axis=1), light, to_eye) @ weight)
+
+
+@pytest.mark.parametrize("tilt_rad", [0.0, 0.7, 1.3])
+@pytest.mark.parametrize("name", MATERIALS)
+def test_no_surface_returns_more_light_than_falls_on_it(name, tilt_rad):
+    share = reflected_share(MATERIALS[name], np.array([np.sin(tilt_rad), 0.0, np.cos(tilt_rad)]))
+
+    assert share < 1.0
+
+
+def test_a_matt_surface_returns_its_albedo():
+    matt = Material(diffuse=0.3, specular=0.0, roughness=1.0)
+
+    assert reflected_share(matt, np.array([0.6, 0.0, 0.8])) == pytest.approx(0.3, rel=1e-3)
+
+
+def test_a_polished_surface_returns_its_specular_share():
+    polished = Material(diffuse=0.0, specular=0.5, roughness=0.1)
+
+    assert reflected_share(polished, np.array([0.0, 0.0, 1.0])) == pytest.approx(0.5, rel=0.03)
+
+
+def test_light_and_eye_can_change_places(rng):
+    pairs = rng.standard_normal((2, 3, 200))
+    pairs[:, 2] = np.abs(pairs[:, 2])
+    first, second = pairs / np.linalg.norm(pairs, axis=1, keepdims=True)
+    metal = surfaces([MATERIALS["metal"]], np.zeros(200, dtype=np.int8))
+    normal = np.repeat(UP, 200, axis=1)
+
+    there = reflectance_per_sr(metal, normal, first.copy(), second)
+    back = reflectance_per_sr(metal, normal, second.copy(), first)
+
+    np.testing.assert_allclose(there, back, rtol=1e-9)
+
+
+def test_the_mirror_direction_is_the_brightest():
+    to_eye, _ = directions(200)
+    light = np.repeat(np.array([[0.5], [0.0], [np.sqrt(0.75)]]), to_eye.shape[1], axis=1)
+    foil = surfaces([MATERIALS["foil"]], np.zeros(to_eye.shape[1], dtype=np.int8))
+
+    brightest = to_eye[:, np.argmax(reflectance_per_sr(foil, np.repeat(UP, len(light.T), axis=1), light, to_eye))]
+
+    assert brightest @ [-0.5, 0.0, np.sqrt(0.75)] > 0.99
+
+
+def test_laboratory_light_is_about_a_matt_sheets_share_of_it():
+    """Facing the camera, between lamps: 0.8 of the ambient irradiance over pi, within a factor of two."""
+    white = surfaces([MATERIALS["white"]], np.zeros(1, dtype=np.int8))
+    facing = np.array([[0.0], [0.0], [-1.0]])
+
+    radiance = laboratory_radiance(white, facing, facing, np.eye(3))
+
+    assert 0.5 < radiance[0] / (0.8 / np.pi) < 2.0

@@ -1,0 +1,92 @@
+import numpy as np
+
+from ringpose.simulate.foil import relief
+from ringpose.simulate.target import EMPTY, ring_target
+from ringpose.types.scene import Body, Foil
+
+SIZE_M = np.array([2.0, 1.5, 1.0])
+
+
+def rays_at_box(rng, n=3000):
+    eye = np.array([0.3, -0.2, 0.6])
+    aim = rng.uniform(-1.3, 1.3, (3, n))
+    return eye, aim - eye[:, None]
+
+
+def test_rays_hit_the_box_where_they_enter_it(rng):
+    target = ring_target(None, Body(size_m=SIZE_M))
+    eye, direction = rays_at_box(rng)
+
+    parameter, surface = target.first_hits(eye, direction)
+
+    hit = surface != EMPTY
+    point = eye[:, None] + parameter[hit] * direction[:, hit]
+    beyond = np.abs(point - [[0.0], [0.0], [-0.5]]) - SIZE_M[:, None] / 2
+    np.testing.assert_allclose(beyond.max(axis=0), 0.0, atol=1e-12)
+
+
+def test_rays_that_enter_the_box_hit_it(rng):
+    target = ring_target(None, Body(size_m=SIZE_M))
+    eye, direction = rays_at_box(rng)
+    passed = eye[:, None, None] + direction[:, None] * np.linspace(0, 4, 1500)[:, None]
+    inside = (np.abs(passed - np.array([0.0, 0.0, -0.5])[:, None, None]) < SIZE_M[:, None, None] / 2).all(axis=0)
+
+    _, surface = target.first_hits(eye, direction)
+
+    assert inside.any(axis=0).sum() > 200
+    assert (surface[inside.any(axis=0)] != EMPTY).all()
+
+
+def test_normals_of_the_box_point_out_of_the_side_that_is_hit(rng):
+    target = ring_target(None, Body(size_m=SIZE_M))
+    eye = np.array([3.0, 2.0, 1.5])
+    direction = rng.uniform(-0.9, 0.2, (3, 2000)) - eye[:, None]
+    parameter, surface = target.first_hits(eye, direction)
+    hit = surface != EMPTY
+
+    point, normal = target.settled(eye, direction[:, hit], parameter[hit], surface[hit])
+
+    outside = np.abs(point + 1e-6 * normal - [[0.0], [0.0], [-0.5]]) - SIZE_M[:, None] / 2
+    np.testing.assert_allclose(outside.max(axis=0), 1e-6, atol=1e-10)
+
+
+def test_hits_settle_on_the_foil(rng):
+    """Height of the settled point against the relief, bilinear, by an independent look-up."""
+    foil = Foil(rms_m=0.0008, crinkle_m=0.03)
+    target = ring_target(None, Body(size_m=SIZE_M, foil=foil))
+    eye = np.array([0.1, 0.05, 0.4])
+    direction = np.stack([*rng.uniform(-0.2, 0.2, (2, 2000)), np.zeros(2000)]) - eye[:, None]
+    parameter, surface = target.first_hits(eye, direction)
+
+    point, normal = target.settled(eye, direction, parameter, surface)
+
+    field = relief(foil)
+    grid = field.height_m.reshape(512, 512)
+    column, row = (np.rint(axis / field.texel_m).astype(int) % 512 for axis in point[:2])
+    steepest = np.hypot(field.slope.real, field.slope.imag).max()
+    off_m = np.abs(point[2] - grid[row, column])
+    assert off_m.max() < steepest * field.texel_m
+    assert np.median(off_m) < 5e-5
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=0), 1.0, atol=1e-12)
+
+
+def test_foil_is_fixed_by_its_seed():
+    first, again, other = (relief(Foil(seed=seed)).height_m for seed in (1, 1, 2))
+
+    assert (first == again).all()
+    assert (first != other).any()
+
+
+def test_foil_has_the_height_that_is_asked():
+    heights_m = relief(Foil(rms_m=0.002)).height_m
+
+    np.testing.assert_allclose([heights_m.mean(), heights_m.std()], [0.0, 0.002], atol=1e-6)
+
+
+def test_slopes_are_those_of_the_heights():
+    field = relief(Foil())
+    grid = field.height_m.reshape(512, 512).astype(float)
+
+    numeric = (np.roll(grid, -1, axis=1) - np.roll(grid, 1, axis=1)) / (2 * field.texel_m)
+
+    np.testing.assert_allclose(field.slope.reshape(512, 512).real, numeric, atol=1e-4)
