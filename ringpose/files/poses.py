@@ -104,7 +104,8 @@ def _covariance_values(pose: RingPose) -> dict[str, Any] | None:
     matrices = (pose.covariance, pose.covariance_center_m2, pose.covariance_grasp_m2)
     if all(matrix is None for matrix in matrices):
         return None
-    return {key: _whole(matrix) for key, matrix in zip(_COVARIANCE_KEYS, matrices, strict=True)}
+    parameters, center, grasp = matrices
+    return {"full": parameters, "center": _whole(center), "grasp": _whole(grasp)}
 
 
 def _whole(values: Float64[Array, "..."] | None) -> Float64[Array, "..."] | None:
@@ -149,4 +150,4 @@ def _vector(fields: Fields, key: str) -> Float64[Array, "xyz=3"]:
 
 
 def _matrix(fields: Fields | None, key: str, size: int) -> Float64[Array, "n n"] | None:
-    return fields.array(key, (size, size)) if fields is not None and fields.has(key) else None
+    return fields.array(key, (size, size), allow_nan=True) if fields is not None and fields.has(key) else None

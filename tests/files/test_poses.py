@@ -63,6 +63,7 @@ def test_line_with_everything_fits_the_schema(pose):
         {"covariance": np.full((7, 7), math.nan)},
         {"radius_inner_m": math.nan, "residual_rms_px": math.nan, "condition": math.inf},
         {"center_m": np.full(3, math.nan)},
+        {"grasp_m": np.full(3, math.nan), "covariance_grasp_m2": np.full((3, 3), math.nan)},
         {"flags": PoseFlag(0)},
     ],
 )
@@ -120,6 +121,15 @@ def test_what_is_not_known_is_read_as_nan(pose):
 
     assert np.isnan([*after.pose.center_m, after.pose.radius_outer_m]).all()
     assert after.pose.condition == math.inf
+
+
+def test_covariance_of_a_radius_that_is_not_known_leaves_the_rest_known(pose):
+    covariance = pose.covariance.copy()
+    covariance[5], covariance[:, 5] = math.nan, math.nan
+
+    after = pose_line_of(record(line(replace(pose, covariance=covariance))), "x")
+
+    np.testing.assert_array_equal(after.pose.covariance, covariance)
 
 
 def test_reason_is_read_as_it_was_written():
