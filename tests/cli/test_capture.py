@@ -1,9 +1,8 @@
 """`ringpose capture`, from files and from a simulated scene."""
 
 import io
+import resource
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -327,19 +326,14 @@ def test_lasers_that_nothing_switches_are_on(scene):
     assert shot.images.max() > 100
 
 
-def running_capture(*words: str) -> subprocess.Popen[str]:
-    """A capture that waits a minute between shots."""
-    program = [sys.executable, "-c", "from ringpose.cli.main import run; run()"]
-    slowly = ["capture", "--camera", "files:in", "--rate", "0.016", "--output", "s", *words]
-    return subprocess.Popen([*program, *slowly], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+A_MINUTE_EACH = ("capture", "--camera", "files:in", "--rate", "0.016", "--output", "s")
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
-def test_a_signal_leaves_finished_shots_and_a_valid_session(number):
+def test_a_signal_leaves_finished_shots_and_a_valid_session(number, started):
     for name in "abc":
         recorded(Path("in"), name)
-    with running_capture() as process:
-        assert process.stdout is not None
+    with started(*A_MINUTE_EACH) as process:
         first = process.stdout.readline()
 
         process.send_signal(number)
@@ -352,12 +346,11 @@ def test_a_signal_leaves_finished_shots_and_a_valid_session(number):
     assert sorted(path.name for path in Path("s").iterdir()) == ["a.npz", "session.yaml"]
 
 
-def test_the_first_name_is_out_before_the_second_shot_is_taken():
+def test_the_first_name_is_out_before_the_second_shot_is_taken(started):
     for name in "ab":
         recorded(Path("in"), name)
     began_s = time.monotonic()
-    with running_capture() as process:
-        assert process.stdout is not None
+    with started(*A_MINUTE_EACH) as process:
         first = process.stdout.readline()
         process.terminate()
 
@@ -365,23 +358,34 @@ def test_the_first_name_is_out_before_the_second_shot_is_taken():
     assert time.monotonic() - began_s < 30
 
 
-def test_a_reader_that_goes_away_ends_the_capture_with_a_valid_session():
+def test_a_reader_that_goes_away_ends_the_capture_with_a_valid_session(started):
     for name in "abcdef":
         recorded(Path("in"), name)
-    program = [sys.executable, "-c", "from ringpose.cli.main import run; run()"]
-    process = subprocess.Popen(
-        [*program, "capture", "--camera", "files:in", "--rate", "5", "--output", "s"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stdout is not None
-    assert process.stderr is not None
-    process.stdout.readline()
-    process.stdout.close()
-    err = process.stderr.read()
-    process.stderr.close()
+    with started("capture", "--camera", "files:in", "--rate", "5", "--output", "s") as process:
+        process.stdout.readline()
+        process.stdout.close()
+        said = process.stderr.read()
+        status = process.wait(timeout=30)
 
-    assert process.wait(timeout=30) == 141
-    assert err == ""
+    assert (status, said) == (141, "")
     assert read_session(Path("s")).captures[0].state == "stopped"
+
+
+def test_a_full_disk_keeps_what_was_finished(started, rng):
+    """No file may grow beyond 5 kB here; noise does not compress."""
+    for name in "ab":
+        recorded(Path("in"), name)
+    noise = rng.integers(0, 256, (1, 120, 160), dtype=np.uint8)
+    write_shot(
+        Path("in/z.npz"),
+        Shot(name="z", images=noise, lasers=np.zeros(1, np.uint8), stamp_s=np.zeros(1), exposure_s=np.zeros(1)),
+    )
+    words = ["capture", "--camera", "files:in", "--output", "s"]
+
+    with started(*words, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (5_000, 5_000))) as process:
+        out, said = process.communicate(timeout=60)
+
+    assert (process.returncode, out) == (74, "s/a.npz\ns/b.npz\n")
+    assert said.startswith("ringpose: s/z.npz: writing broke off: ")
+    (capture,) = read_session(Path("s")).captures
+    assert (capture.state, capture.shots) == ("stopped", ("a", "b"))
