@@ -2,7 +2,7 @@ from importlib.metadata import version
 
 import pytest
 
-from ringpose.cli.main import main
+from ringpose.cli.main import COMMANDS, main
 
 
 def test_version_is_printed(capsys):
@@ -42,3 +42,15 @@ def test_wrong_words_are_one_line(capsys, words, message):
 def test_every_command_has_its_help(capsys, command):
     assert main([command, "--help"]) == 0
     assert f"Usage: ringpose {command}" in capsys.readouterr().out
+
+
+HEAVY = ("numpy", "cv2", "scipy", "yaml", "rich", "jaxtyping")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_imports_nothing_heavy(started, command):
+    after = f"import atexit, sys\natexit.register(lambda: print(*sys.modules.keys() & set({HEAVY!r}), file=sys.stderr))"
+    with started(command.replace("_", "-"), "--help", before=after) as process:
+        _, said = process.communicate(timeout=60)
+
+    assert (process.returncode, said.split()) == (0, [])

@@ -3,10 +3,16 @@
 import inspect
 import json
 import os
+import pty
+import resource
 import signal
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
+
+from ringpose.files.detections import read_detection
 
 DEADLINE_S = 60
 
@@ -175,6 +181,33 @@ def test_full_disk_is_one_line(started, rig, detections):
 
     assert status == 74
     assert said == "ringpose: standard output: writing broke off: no space left on device\n"
+
+
+def test_full_disk_in_a_batch_leaves_what_was_finished(started, picture, tmp_path):
+    """No file may grow beyond 4 kB here: enough for an image without segments, not for one with hundreds."""
+    picture("a.png")
+    noise = np.random.default_rng(1).integers(0, 255, (480, 640), dtype=np.uint8)
+    cv2.imwrite(str(tmp_path / "b.png"), noise)
+    words = ["detect", tmp_path / "a.png", tmp_path / "b.png", "--segments-only", "--output", tmp_path / "out"]
+    with started(*words, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (4_000, 4_000))) as process:
+        out, said = process.communicate(timeout=DEADLINE_S)
+
+    assert (process.returncode, out) == (74, f"{tmp_path}/out/a.npz\n")
+    assert said.startswith(f"ringpose: {tmp_path}/out/b.npz: writing broke off: ")
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["a.npz"]
+    assert read_detection(tmp_path / "out" / "a.npz").shot == "a"
+
+
+def test_progress_goes_to_a_terminal_and_leaves_the_records_alone(started, rig, detections):
+    terminal, end = pty.openpty()
+    with started("pose", detections, "--rig", rig, stderr=end, env={**os.environ, "TERM": "xterm"}) as process:
+        out, _ = process.communicate(timeout=DEADLINE_S)
+    os.close(end)
+    said = os.read(terminal, 1 << 16).decode()
+    os.close(terminal)
+
+    assert "shots" in said
+    assert [json.loads(line)["shot"] for line in out.splitlines()] == ["a", "b", "c"]
 
 
 def test_closed_stdout_is_one_line(started, rig, detections):
