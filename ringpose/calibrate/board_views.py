@@ -61,15 +61,12 @@ class NoBoard:
 def find_board(image: UInt[Array, "row column"], board: Board, name: str) -> BoardView | NoBoard:
     """The corners of the board that the image shows, in pixels and in the board frame, or the reason for none."""
     grey = grey_8_bit(image)
-    unusable = _unusable(grey)
-    if unusable is not None:
-        return unusable
     if board.kind in ("charuco", "four_markers", "aruco_grid"):
         seen = _marker_view(grey, board)
     else:
         seen = _pattern_view(grey, board)
     if isinstance(seen, NoBoard):
-        return seen
+        return _unusable(grey) or seen
     ids, points_px = seen
     return BoardView(name=name, ids=ids, points_board_m=corner_points(board)[ids], points_px=points_px)
 
@@ -86,6 +83,7 @@ _Corners = tuple[Int64[Array, "corner"], Float64[Array, "corner xy=2"]]
 
 
 def _unusable(grey: UInt8[Array, "row column"]) -> NoBoard | None:
+    """What is wrong with an image in which nothing could be found, whatever the board."""
     bright = float(np.percentile(grey, 99))
     if bright < DARK_DN:
         return NoBoard(failure=BoardFailure.TOO_DARK, found=f"99 % of the pixels are below {bright:.0f} of 255")

@@ -93,7 +93,9 @@ def _place(name: str) -> str:
     return f'laser "{name}"'
 
 
-def _held_out_m(points: Sequence[Points], seen: Sequence[int], left_out: int, method: PlanesMethod) -> Points:
+def _held_out_m(
+    points: Sequence[Points], seen: Sequence[int], left_out: int, method: PlanesMethod
+) -> Float64[Array, "n"]:
     """Distances of one view's points from the plane of the other views; NaN where those determine none."""
     own = points[left_out]
     others = [points[index] for index in seen if index != left_out]

@@ -24,7 +24,7 @@ def labelled_by_order(view: StripeView, order: Sequence[int]) -> StripeView:
 
 def labelled_by_planes(
     view: StripeView,
-    points: Sequence[Float64[Array, "n xyz=3"]],
+    points: Sequence[Float64[Array, "_ xyz=3"]],
     planes: Sequence[tuple[Float64[Array, "3"], float]],
 ) -> StripeView:
     """The view with its unlabelled stripes given to the lasers whose planes they lie on.
@@ -46,7 +46,7 @@ def _rms(cost: Float64[Array, "stripe laser"], way: tuple[int, ...]) -> float:
     return float(np.sqrt(cost[range(len(way)), way].mean()))
 
 
-def _with_labels(view: StripeView, by_laser: Mapping[int, Float64[Array, "n xy=2"]]) -> StripeView:
+def _with_labels(view: StripeView, by_laser: Mapping[int, Float64[Array, "_ xy=2"]]) -> StripeView:
     """The view with stripes for the lasers that it has none of."""
     stripes_px = tuple(seen if len(seen) else by_laser.get(laser, seen) for laser, seen in enumerate(view.stripes_px))
     return replace(view, stripes_px=stripes_px, unlabelled_px=())

@@ -84,17 +84,19 @@ def _lines_at_scale(
     return best[:lasers] + rivals
 
 
-def _shrunk(image: UInt[Array, "row column"], factor: int) -> UInt[Array, "row column"]:
+def _shrunk(image: UInt[Array, "row column"], factor: int) -> UInt[Array, "small_row small_column"]:
     if factor == 1:
         return image
     rows, columns = (size // factor for size in image.shape)
     whole = np.ascontiguousarray(image[: rows * factor, : columns * factor])
-    small: UInt[Array, "row column"] = np.asarray(cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA))
+    small: UInt[Array, "small_row small_column"] = np.asarray(
+        cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA)
+    )
     return small
 
 
-def _turned(image: UInt[Array, "row column"]) -> UInt[Array, "row column"]:
-    turned: UInt[Array, "row column"] = np.ascontiguousarray(image.T)
+def _turned(image: UInt[Array, "row column"]) -> UInt[Array, "column row"]:
+    turned: UInt[Array, "column row"] = np.ascontiguousarray(image.T)
     return turned
 
 

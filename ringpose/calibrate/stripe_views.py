@@ -26,8 +26,8 @@ def stripe_view(
     surface = BoardSurface(board=board, pose=board_pose(view, camera), camera=camera, surround_m=surround_m)
     dark = dark_image(shot)
     every = (1 << lasers) - 1
-    labelled: dict[int, Float64[Array, "n xy=2"]] = {}
-    unlabelled: tuple[Float64[Array, "n xy=2"], ...] = ()
+    labelled: dict[int, Float64[Array, "_ xy=2"]] = {}
+    unlabelled: tuple[Float64[Array, "_ xy=2"], ...] = ()
     remarks: list[str] = []
     for frame in sorted(shot.frames, key=lambda frame: (frame.lasers & every).bit_count()):
         on = [laser for laser in range(lasers) if frame.lasers >> laser & 1]
@@ -50,7 +50,7 @@ def stripe_view(
 
 def _stripes(
     frame: Frame, dark: np.ndarray | None, surface: BoardSurface, on: int
-) -> tuple[tuple[Float64[Array, "n xy=2"], ...], str]:
+) -> tuple[tuple[Float64[Array, "_ xy=2"], ...], str]:
     """The frame's stripes in their order across the image, and why they are not as many as lasers are on."""
     lines = stripe_lines(frame.image, dark, surface, on)
     if len(lines) != on:

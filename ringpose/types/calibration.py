@@ -52,9 +52,9 @@ class StripeView:
     """One view of a board with the stripes that the lasers draw on it."""
 
     board: BoardView
-    stripes_px: tuple[Float64[Array, "n xy=2"], ...]
+    stripes_px: tuple[Float64[Array, "_ xy=2"], ...]
     """Stripe centres on the board's plane, by laser; empty for a laser that is not seen or not told apart."""
-    unlabelled_px: tuple[Float64[Array, "n xy=2"], ...] = ()
+    unlabelled_px: tuple[Float64[Array, "_ xy=2"], ...] = ()
     """Stripes whose lasers were on together, in their order down the image (to the right, if they stand upright)."""
     remarks: tuple[str, ...] = ()
     """What is missing, and why."""
