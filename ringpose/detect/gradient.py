@@ -11,8 +11,8 @@ from ringpose.types.arrays import Array
 STEPS_PER_DN = 128
 """Units of the kernels' magnitude in one grey value per pixel: 16 of the smoothing, 8 of the Sobel weights."""
 
-LARGEST_GRADIENT_DN = 191.25
-"""Grey values per pixel: what the steepest 8-bit pattern gives, 24480 / 128."""
+LARGEST_STEPS = 32767
+"""More than any 8-bit pattern gives."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -34,8 +34,8 @@ def image_gradient(image: UInt8[Array, "row column"], upper_dn: float) -> Gradie
 
 
 def magnitude_steps(gradient_dn: float) -> int:
-    """Grey values per pixel in the kernels' unit, at least one step."""
-    return max(1, round(STEPS_PER_DN * min(gradient_dn, LARGEST_GRADIENT_DN + 1)))
+    """Grey values per pixel in the kernels' unit: 1 to `LARGEST_STEPS`."""
+    return round(min(max(1.0, STEPS_PER_DN * gradient_dn), LARGEST_STEPS))
 
 
 def eight_bit(image: UInt[Array, "row column"]) -> UInt8[Array, "row column"]:

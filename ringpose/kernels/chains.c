@@ -53,13 +53,14 @@ static int worth(int16_t value, int preference) { return 4 * (value < 0 ? -value
 
 static int larger(int a, int b) { return a > b ? a : b; }
 
-/* Walks from a pixel that is already taken; appends what it takes. Returns 0 if there is no memory. */
+/* Walks from a pixel that is already taken; appends what it takes. It ends where a neighbour has no gradient, lest it turn
+   aside along the margin. Returns 0 if there is no memory. */
 static int walk(const EdgeArea *area, Pixel at, unsigned direction, List *pixels) {
     static const unsigned turn[3] = {1, 7, 0};
     const ptrdiff_t *step = area->step;
-    const uint32_t inner_width = (uint32_t)area->width - 2, inner_height = (uint32_t)area->height - 2;
+    const int32_t right_end = (int32_t)area->width - MARGIN - 1, lower_end = (int32_t)area->height - MARGIN - 1;
     int16_t *value = area->magnitude + (ptrdiff_t)at.y * (ptrdiff_t)area->width + at.x;
-    while ((uint32_t)at.x - 1 < inner_width && (uint32_t)at.y - 1 < inner_height) {
+    while (at.x > MARGIN && at.x < right_end && at.y > MARGIN && at.y < lower_end) {
         int straight = worth(value[step[direction]], 2);
         int left = worth(value[step[(direction + 7) & 7]], 1), right = worth(value[step[(direction + 1) & 7]], 0);
         direction = (direction + turn[larger(straight, larger(left, right)) & 3]) & 7;

@@ -2,15 +2,12 @@
 
    A smoothed value is 16 grey values, so that a dim edge keeps its shape; a Sobel difference of those is
    128 grey values a pixel. 8-bit images keep every sum within 16 bits: 255 * 16 * 16 = 65280 unsigned,
-   4 * 4080 = 16320 for one difference, 24480 for the magnitude. A 16-bit image needs another smooth_row
+   4 * 4080 = 16320 for one difference, 22440 for the magnitude. A 16-bit image needs another smooth_row
    only, which shifts its sums to the same scale. */
 #include "kernels.h"
 
 #include <stdlib.h>
 #include <string.h>
-
-/* Rows with two columns of margin, replicated (sums) or unused (the others). */
-enum { MARGIN = 2 };
 
 /* Pixels of a row that are looked at together. */
 enum { BLOCK = 128 };
@@ -26,38 +23,34 @@ typedef struct {
 } Rows;
 
 static int allocate_rows(Rows *rows, size_t width) {
-    size_t stride = width + 2 * MARGIN;
-    if (stride > SIZE_MAX / 32) return 0;
-    rows->memory = calloc(12 * stride, sizeof(int16_t));
+    if (width > SIZE_MAX / 32) return 0;
+    rows->memory = calloc(12 * width, sizeof(int16_t));
     if (rows->memory == NULL) return 0;
-    int16_t *row = (int16_t *)rows->memory + MARGIN;
-    rows->sum = (uint16_t *)row;
-    for (int i = 0; i < 3; i++) rows->smooth[i] = row + (size_t)(1 + i) * stride;
-    rows->along = row + 4 * stride;
-    rows->across = row + 5 * stride;
+    int16_t *row = rows->memory;
+    rows->sum = rows->memory;
+    for (int i = 0; i < 3; i++) rows->smooth[i] = row + (size_t)(1 + i) * width;
+    rows->along = row + 4 * width;
+    rows->across = row + 5 * width;
     for (int i = 0; i < 2; i++) {
-        rows->gx[i] = row + (size_t)(6 + i) * stride;
-        rows->gy[i] = row + (size_t)(8 + i) * stride;
+        rows->gx[i] = row + (size_t)(6 + i) * width;
+        rows->gy[i] = row + (size_t)(8 + i) * width;
     }
-    rows->orientation = row + 10 * stride;
-    rows->is_anchor = (uint8_t *)(row + 11 * stride);
+    rows->orientation = row + 10 * width;
+    rows->is_anchor = (uint8_t *)(row + 11 * width);
     return 1;
 }
 
-/* Binomial 1 4 6 4 1 down the columns, then along the row; the border pixel is repeated outside. */
+/* Binomial 1 4 6 4 1 down the columns, then along the row. */
 VECTOR_LOOP
-static void smooth_row(const uint8_t *const restrict in[5], size_t width, uint16_t *restrict sum, int16_t *restrict out) {
-    const uint8_t *restrict a = in[0], *restrict b = in[1], *restrict c = in[2], *restrict d = in[3], *restrict e = in[4];
+static void smooth_row(const uint8_t *restrict image, size_t row, size_t width, const Rows *rows) {
+    const uint8_t *restrict c = image + row * width;
+    const uint8_t *restrict a = c - 2 * width, *restrict b = c - width, *restrict d = c + width, *restrict e = d + width;
+    uint16_t *restrict sum = rows->sum;
+    int16_t *restrict smooth = rows->smooth[row % 3];
     for (size_t x = 0; x < width; x++) sum[x] = (uint16_t)(a[x] + 4 * (b[x] + d[x]) + 6 * c[x] + e[x]);
-    for (int i = 1; i <= MARGIN; i++) {
-        *(sum - i) = sum[0];
-        sum[width - 1 + (size_t)i] = sum[width - 1];
-    }
-    const uint16_t *restrict s = sum;
-    for (size_t x = 0; x < width; x++) {
-        const uint16_t *at = s + x;
-        uint16_t total = (uint16_t)(*(at - 2) + 4 * (*(at - 1) + at[1]) + 6 * at[0] + at[2] + 8);
-        out[x] = (int16_t)(total >> 4);
+    for (size_t x = 2; x + 2 < width; x++) {
+        uint16_t total = (uint16_t)(sum[x - 2] + 4 * (sum[x - 1] + sum[x + 1]) + 6 * sum[x] + sum[x + 2] + 8);
+        smooth[x] = (int16_t)(total >> 4);
     }
 }
 
@@ -72,7 +65,7 @@ static void gradient_row(const Rows *rows, size_t row, size_t width, int16_t *re
         along[x] = (int16_t)(up[x] + 2 * here[x] + down[x]);
         across[x] = (int16_t)(down[x] - up[x]);
     }
-    for (size_t x = 1; x + 1 < width; x++) {
+    for (size_t x = MARGIN; x + MARGIN < width; x++) {
         int16_t dx = (int16_t)(along[x + 1] - along[x - 1]);
         int16_t dy = (int16_t)(across[x - 1] + 2 * across[x] + across[x + 1]);
         int16_t ax = (int16_t)(dx < 0 ? -dx : dx), ay = (int16_t)(dy < 0 ? -dy : dy);
@@ -133,13 +126,14 @@ static void keep_anchors(const Rows *rows, size_t first_index, size_t from, size
     anchors->index.used = anchors->orientation.used = n;
 }
 
-/* The anchors of a row whose neighbours above and below are known; blocks without a strong pixel are skipped. */
+/* The anchors of a row whose neighbours have gradients; blocks without a strong pixel are skipped. */
 static int find_anchors(const Rows *rows, const int16_t *magnitude, size_t row, size_t width, int16_t upper,
                         Anchors *anchors) {
     const int16_t *here = magnitude + row * width;
+    const size_t last = width - MARGIN - 1;
     if (!reserve(&anchors->index, width) || !reserve(&anchors->orientation, width)) return 0;
-    for (size_t from = 1; from + 1 < width; from += BLOCK) {
-        size_t to = width - 1 - from < BLOCK ? width - 1 : from + BLOCK;
+    for (size_t from = MARGIN + 1; from < last; from += BLOCK) {
+        size_t to = last - from < BLOCK ? last : from + BLOCK;
         if (strongest(here, from, to) < upper) continue;
         mark_maxima(rows, row, here, width, from, to, upper);
         keep_anchors(rows, row * width, from, to, anchors);
@@ -147,35 +141,26 @@ static int find_anchors(const Rows *rows, const int16_t *magnitude, size_t row, 
     return 1;
 }
 
-static void smooth_at(const uint8_t *image, size_t height, size_t width, size_t row, const Rows *rows) {
-    const uint8_t *in[5];
-    for (size_t i = 0; i < 5; i++) {
-        size_t y = row + i < MARGIN ? 0 : row + i - MARGIN;
-        in[i] = image + (y < height ? y : height - 1) * width;
-    }
-    smooth_row(in, width, rows->sum, rows->smooth[row % 3]);
-}
-
 int find_gradient(const uint8_t *image, size_t height, size_t width, int upper, int16_t *magnitude, Anchors *anchors) {
-    memset(magnitude, 0, width * sizeof *magnitude);
-    memset(magnitude + (height - 1) * width, 0, width * sizeof *magnitude);
-    if (height < 3 || width < 3) {
+    const size_t margin = MARGIN, rim = margin * width;
+    if (height <= 2 * margin || width <= 2 * margin) {
         memset(magnitude, 0, height * width * sizeof *magnitude);
         return 1;
     }
     Rows rows;
     if (!allocate_rows(&rows, width)) return 0;
+    memset(magnitude, 0, rim * sizeof *magnitude);
+    memset(magnitude + height * width - rim, 0, rim * sizeof *magnitude);
+    smooth_row(image, margin - 1, width, &rows);
+    smooth_row(image, margin, width, &rows);
     int done = 1;
-    smooth_at(image, height, width, 0, &rows);
-    smooth_at(image, height, width, 1, &rows);
-    for (size_t y = 1; y < height && done; y++) {
-        if (y + 1 < height) {
-            int16_t *here = magnitude + y * width;
-            smooth_at(image, height, width, y + 1, &rows);
-            gradient_row(&rows, y, width, here);
-            here[0] = here[width - 1] = 0;
-        }
-        if (y > 1) done = find_anchors(&rows, magnitude, y - 1, width, (int16_t)upper, anchors);
+    for (size_t y = margin; y < height - margin && done; y++) {
+        int16_t *here = magnitude + y * width;
+        smooth_row(image, y + 1, width, &rows);
+        gradient_row(&rows, y, width, here);
+        memset(here, 0, margin * sizeof *here);
+        memset(here + width - margin, 0, margin * sizeof *here);
+        if (y >= margin + 2) done = find_anchors(&rows, magnitude, y - 1, width, (int16_t)upper, anchors);
     }
     free(rows.memory);
     return done;

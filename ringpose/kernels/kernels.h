@@ -12,6 +12,9 @@
 #define VECTOR_LOOP
 #endif
 
+/* The gradient of a pixel comes from the 7 x 7 pixels around it, and is 0 where they leave the image. */
+enum { MARGIN = 3 };
+
 typedef struct {
     int32_t x, y;
 } Pixel;

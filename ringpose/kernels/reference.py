@@ -4,39 +4,42 @@ import math
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float64, Int16, Int32, Int64, UInt8
+from jaxtyping import Bool, Float64, Int16, Int32, Int64, UInt8
 
 from ringpose.types.arrays import Array
 
 STEPS = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))
 """The eight directions as (x, y), clockwise as seen; opposite directions differ by 4."""
 
+MARGIN = 3
+"""The gradient of a pixel comes from the 7 x 7 pixels around it, and is 0 where they leave the image."""
+
+INNER = (slice(MARGIN, -MARGIN), slice(MARGIN, -MARGIN))
+
 
 def gradient(
     image: UInt8[Array, "row column"], upper: int
 ) -> tuple[Int16[Array, "row column"], Int32[Array, "anchor"], UInt8[Array, "anchor"]]:
     """Twin of `ringpose.kernels.gradient`."""
-    height, width = image.shape
-    magnitude = np.zeros((height, width), np.int16)
-    orientation = np.zeros((height, width), np.uint8)
-    if height >= 3 and width >= 3:
+    magnitude = np.zeros(image.shape, np.int16)
+    orientation = np.zeros(image.shape, np.uint8)
+    if min(image.shape) > 2 * MARGIN:
         gx, gy = sobel(smoothed(image))
         most, least = np.maximum(abs(gx), abs(gy)), np.minimum(abs(gx), abs(gy))
-        magnitude[1:-1, 1:-1] = most + (3 * least >> 3)
+        magnitude[INNER] = most + (3 * least >> 3)
         straight = np.where(abs(gx) > abs(gy), 2, 0)
         diagonal = np.where((gx < 0) != (gy < 0), 1, 3)
-        orientation[1:-1, 1:-1] = np.where(2 * least < most, straight, diagonal)
+        orientation[INNER] = np.where(2 * least < most, straight, diagonal)
     anchors = np.flatnonzero(is_maximum(magnitude, orientation) & (magnitude >= upper))
     return magnitude, anchors.astype(np.int32), orientation.ravel()[anchors]
 
 
-def smoothed(image: UInt8[Array, "row column"]) -> Int64[Array, "row column"]:
+def smoothed(image: UInt8[Array, "row column"]) -> Int64[Array, "row-4 column-4"]:
     """The image under the binomial 1 4 6 4 1 along both axes, times 16."""
     height, width = image.shape
-    padded = np.pad(image.astype(np.int64), 2, mode="edge")
     weights = np.array([1, 4, 6, 4, 1])
-    down = np.tensordot(weights, [padded[i : i + height] for i in range(5)], axes=1)
-    both: Int64[Array, "row column"] = np.tensordot(weights, [down[:, i : i + width] for i in range(5)], axes=1)
+    down = np.tensordot(weights, [image[i : height - 4 + i] for i in range(5)], axes=1)
+    both: Int64[Array, "row-4 column-4"] = np.tensordot(weights, [down[:, i : width - 4 + i] for i in range(5)], axes=1)
     return both + 8 >> 4
 
 
@@ -49,16 +52,18 @@ def sobel(image: Int64[Array, "row column"]) -> tuple[Int64[Array, "row-2 column
 
 def is_maximum(
     magnitude: Int16[Array, "row column"], orientation: UInt8[Array, "row column"]
-) -> UInt8[Array, "row column"]:
-    """1 where the magnitude is a maximum across the edge; of two equal ones the earlier in raster order."""
-    height, width = magnitude.shape
-    padded = np.pad(magnitude, 1)
-    maximum = np.zeros((height, width), np.uint8)
+) -> Bool[Array, "row column"]:
+    """Where the magnitude is a maximum across the edge, among neighbours that all have a gradient.
+
+    Of two equal ones it is the earlier in raster order.
+    """
+    maximum = np.zeros(magnitude.shape, bool)
     for turn, (x, y) in enumerate(((0, -1), (1, -1), (-1, 0), (-1, -1))):
-        before = padded[1 + y : 1 + y + height, 1 + x : 1 + x + width]
-        after = padded[1 - y : 1 - y + height, 1 - x : 1 - x + width]
+        before, after = np.roll(magnitude, (-y, -x), axis=(0, 1)), np.roll(magnitude, (y, x), axis=(0, 1))
         maximum |= (orientation == turn) & (magnitude > before) & (magnitude >= after)
-    return maximum
+    within = np.zeros(magnitude.shape, bool)
+    within[MARGIN + 1 : -MARGIN - 1, MARGIN + 1 : -MARGIN - 1] = True
+    return maximum & within
 
 
 def chains(
@@ -69,17 +74,19 @@ def chains(
     shortest: int,
 ) -> tuple[Int32[Array, "pixel xy=2"], Int32[Array, "start"]]:
     """Twin of `ringpose.kernels.chains`."""
+    height, width = magnitude.shape
     free = {(x, y): int(magnitude[y, x]) for y, x in np.ndindex(magnitude.shape)}
+    inner = {(x, y) for x in range(MARGIN + 1, width - MARGIN - 1) for y in range(MARGIN + 1, height - MARGIN - 1)}
     taken = dict.fromkeys(free, False)
     found: list[list[tuple[int, int]]] = []
     for number in np.argsort(-magnitude.ravel()[anchors].astype(np.int64), kind="stable"):
-        y, x = divmod(int(anchors[number]), magnitude.shape[1])
+        y, x = divmod(int(anchors[number]), width)
         if taken[x, y] or free[x, y] < lower:
             continue
         taken[x, y] = True
         direction = int(orientation[number])
-        back = walk(free, taken, (x, y), direction + 4, lower)
-        forth = walk(free, taken, (x, y), direction, lower)
+        back = walk(free, taken, inner, (x, y), direction + 4, lower)
+        forth = walk(free, taken, inner, (x, y), direction, lower)
         found.append([*reversed(back), (x, y), *forth])
     long = [chain for chain in found if len(chain) >= shortest]
     pixels = np.array([pixel for chain in long for pixel in chain], np.int32).reshape(-1, 2)
@@ -89,13 +96,14 @@ def chains(
 def walk(
     magnitude: dict[tuple[int, int], int],
     taken: dict[tuple[int, int], bool],
+    inner: set[tuple[int, int]],
     at: tuple[int, int],
     direction: int,
     lower: int,
 ) -> list[tuple[int, int]]:
     """One walk from a taken pixel; marks what it takes."""
     path: list[tuple[int, int]] = []
-    while all((at[0] + x, at[1] + y) in magnitude for x, y in STEPS):
+    while at in inner:
         ahead = [(direction + turn) % 8 for turn in (0, -1, 1)]
         pixels = [(at[0] + STEPS[way][0], at[1] + STEPS[way][1]) for way in ahead]
         best = max(range(3), key=lambda i: magnitude[pixels[i]])

@@ -100,7 +100,7 @@ def test_kernels_fit_random_pixels_inside_and_outside_the_image_as_their_twins_d
 
 
 @given(
-    magnitude=arrays(np.int16, st.tuples(st.integers(1, 12), st.integers(1, 12)), elements=st.integers(0, 5)),
+    magnitude=arrays(np.int16, st.tuples(st.integers(1, 20), st.integers(1, 24)), elements=st.integers(0, 5)),
     lower=st.integers(1, 4),
     data=st.data(),
 )

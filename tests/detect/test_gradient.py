@@ -1,0 +1,85 @@
+"""Gradient and anchors: exact on ramps, on the edge on steps."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ringpose.detect.gradient import LARGEST_STEPS, STEPS_PER_DN, eight_bit, image_gradient, magnitude_steps
+
+ROW, COLUMN = np.indices((24, 30))
+
+
+@pytest.mark.parametrize("ramp", [COLUMN, ROW])
+@pytest.mark.parametrize("slope_dn", [1, 2, 7])
+def test_a_ramp_along_an_axis_has_exactly_its_slope(ramp, slope_dn):
+    gradient = image_gradient((slope_dn * ramp).astype(np.uint8), 1.0)
+
+    np.testing.assert_array_equal(gradient.magnitude[3:-3, 3:-3], STEPS_PER_DN * slope_dn)
+
+
+def test_a_diagonal_ramp_is_within_seven_percent_of_its_slope():
+    gradient = image_gradient((2 * (ROW + COLUMN)).astype(np.uint8), 1.0)
+
+    steepness_dn = gradient.magnitude[3:-3, 3:-3] / STEPS_PER_DN
+    np.testing.assert_allclose(steepness_dn, 2 * np.sqrt(2), rtol=0.07)
+
+
+def test_the_outermost_three_pixels_have_no_gradient(rng):
+    magnitude = image_gradient(rng.integers(0, 256, (19, 22), np.uint8), 1.0).magnitude
+
+    assert magnitude[3:-3, 3:-3].all()
+    assert np.count_nonzero(magnitude) == 13 * 16
+
+
+@pytest.mark.parametrize("value", [0, 128, 255])
+def test_a_flat_image_has_no_anchors(value):
+    assert not len(image_gradient(np.full((20, 20), value, np.uint8), 0.01).anchors)
+
+
+@pytest.mark.parametrize(
+    ("across", "orientation"), [(ROW - 12, 0), (COLUMN - ROW - 3, 1), (COLUMN - 14, 2), (COLUMN + ROW - 27, 3)]
+)
+def test_anchors_of_a_step_lie_on_it_and_know_how_it_runs(across, orientation):
+    gradient = image_gradient(np.where(across > 0, 200, np.where(across < 0, 20, 110)).astype(np.uint8), 20.0)
+
+    row, column = np.divmod(gradient.anchors, 30)
+    inside = (abs(ROW - 11.5) < 6) & (abs(COLUMN - 14.5) < 9)
+    assert set(np.flatnonzero(inside & (across == 0))) <= set(gradient.anchors)
+    assert abs(across[row, column]).max() <= orientation % 2
+    assert set(gradient.orientation[inside[row, column]]) == {orientation}
+
+
+@given(shift_x=st.integers(0, 9), shift_y=st.integers(0, 9))
+def test_moving_the_image_moves_its_gradient(shift_x, shift_y):
+    scene = np.random.default_rng(7).integers(0, 256, (40, 44), np.uint8)
+    here = image_gradient(scene[:30, :34], 5.0).magnitude
+
+    moved = image_gradient(scene[shift_y : shift_y + 30, shift_x : shift_x + 34], 5.0).magnitude
+
+    np.testing.assert_array_equal(moved[3 : 27 - shift_y, 3 : 31 - shift_x], here[3 + shift_y : 27, 3 + shift_x : 31])
+
+
+def test_the_steepest_pattern_stays_within_sixteen_bits():
+    magnitude = image_gradient(np.where(ROW + COLUMN > 26, 255, 0).astype(np.uint8), 5.0).magnitude
+
+    assert 10_000 < magnitude.max() < LARGEST_STEPS
+
+
+@pytest.mark.parametrize(("gradient_dn", "steps"), [(0.0, 1), (1.0, 128), (3.0, 384), (1e9, LARGEST_STEPS)])
+def test_thresholds_become_whole_steps(gradient_dn, steps):
+    assert magnitude_steps(gradient_dn) == steps
+
+
+def test_eight_bit_leaves_an_image_of_eight_bits_alone():
+    image = np.arange(12, dtype=np.uint8).reshape(3, 4)
+
+    assert eight_bit(image) is image
+
+
+@pytest.mark.parametrize(("bits", "dtype"), [(8, np.uint16), (10, np.uint16), (12, np.uint16), (16, np.uint16)])
+def test_eight_bit_keeps_the_upper_bits(bits, dtype, rng):
+    image = rng.integers(0, 1 << bits, (20, 20)).astype(dtype)
+    image[0, 0] = (1 << bits) - 1
+
+    np.testing.assert_array_equal(eight_bit(image), image >> (bits - 8))

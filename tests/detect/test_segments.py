@@ -1,0 +1,253 @@
+"""The line detector: where it cuts, how near its segments come, how much of real images it finds."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.special import ndtr
+
+from ringpose.detect.chains import Chains
+from ringpose.detect.segments import SegmentParameters, find_segments, straight_pieces
+
+RIGHT, DOWN, UP, RISING, FALLING = (1, 0), (0, 1), (0, -1), (1, -1), (1, 1)
+SHARES_OFF = 3.0
+LENGTH_OFF = 1e9
+
+
+def chain(*steps):
+    """One chain of these steps."""
+    pixels = np.cumsum([(0, 0), *steps], axis=0, dtype=np.int32)
+    return Chains(pixels=pixels, starts=np.array([0, len(pixels)], np.int32))
+
+
+def shallow(steps, count):
+    """`count` times the flat line that rises or falls one pixel in three."""
+    return [*steps, RIGHT, RIGHT] * count
+
+
+def estimated_length(chain):
+    """The paper's D_r of a whole chain."""
+    steps = abs(np.diff(chain.pixels, axis=0))
+    return np.hypot(*steps.sum(axis=0))
+
+
+def pieces_of(chain, **parameters):
+    return straight_pieces(chain, SegmentParameters(**parameters)).tolist()
+
+
+CORNER = chain(*[RIGHT] * 40, *[DOWN] * 40)
+SLOPE = chain(*[RIGHT, DOWN] * 40)
+ROOF = chain(*shallow([RISING], 30), *shallow([FALLING], 30))
+
+
+@pytest.mark.parametrize("monotone", [CORNER, SLOPE])
+def test_the_estimated_length_of_a_monotone_chain_is_its_chord(monotone):
+    assert estimated_length(monotone) == np.hypot(*(monotone.pixels[-1] - monotone.pixels[0]))
+
+
+def test_a_corner_is_cut_within_half_a_window():
+    first, second = pieces_of(CORNER)
+
+    assert first[0] == 0
+    assert second[1] == 80
+    assert first[1] == second[0]
+    assert abs(first[1] - 40) <= SegmentParameters().window_steps / 2
+
+
+def test_a_slope_with_the_counts_of_the_corner_is_not_cut():
+    assert pieces_of(SLOPE) == [[0, 80]]
+
+
+def test_the_length_condition_alone_does_not_see_a_monotone_corner():
+    assert pieces_of(CORNER, share_change=SHARES_OFF) == [[0, 80]]
+
+
+def test_the_length_condition_cuts_a_roof_at_its_ridge():
+    first, second = pieces_of(ROOF, share_change=SHARES_OFF)
+
+    assert abs(first[1] - 90) <= 3
+    assert [first[0], second[1]] == [0, 180]
+
+
+def test_the_direction_shares_alone_do_not_see_a_roof():
+    assert pieces_of(ROOF, deviation_px=LENGTH_OFF) == [[0, 180]]
+
+
+def test_a_hairpin_is_cut_where_it_turns():
+    first, second = pieces_of(chain(*[RIGHT] * 30, UP, *[(-1, 0)] * 30), share_change=SHARES_OFF)
+
+    assert abs(first[1] - 30) <= 1
+    assert second[1] == 61
+
+
+@pytest.mark.parametrize("slope", np.linspace(-3, 3, 13))
+def test_a_digital_line_of_any_slope_is_one_piece(slope):
+    t = np.arange(120) / max(1, abs(slope))
+    pixels = np.round(np.stack([t, slope * t], axis=1)).astype(np.int32)
+    line = Chains(pixels=pixels, starts=np.array([0, 120], np.int32))
+
+    assert pieces_of(line) == [[0, 119]]
+
+
+def test_a_circle_is_cut_into_many_pieces():
+    angle = np.linspace(0, 2 * np.pi, 4000)
+    pixels = np.round(60 * np.stack([np.cos(angle), np.sin(angle)], axis=1)).astype(np.int32)
+    pixels = pixels[np.r_[True, np.diff(pixels, axis=0).any(axis=1)]]
+    circle = Chains(pixels=pixels, starts=np.array([0, len(pixels)], np.int32))
+
+    assert len(pieces_of(circle)) >= 6
+
+
+def test_pieces_shorter_than_the_threshold_are_dropped():
+    assert pieces_of(CORNER, shortest_px=60) == []
+
+
+def half_plane(angle_rad, offset_px, shape=(90, 110), blur_px=0.8):
+    """Bright on one side of the line normal @ (x, y) = normal @ centre + offset; exact at pixel centres."""
+    row, column = np.indices(shape)
+    normal = np.array([np.cos(angle_rad), np.sin(angle_rad)])
+    distance = normal[0] * (column - 55) + normal[1] * (row - 45) - offset_px
+    return np.round(30 + 160 * ndtr(distance / blur_px)).astype(np.uint8), normal
+
+
+def distances_px(segments, normal, offset_px):
+    """Signed distance of all segment ends from the line of `half_plane`."""
+    ends = np.concatenate([segments.start_px, segments.end_px])
+    return (ends - [55, 45]) @ normal - offset_px
+
+
+angles = st.floats(0, 2 * np.pi)
+offsets = st.floats(-6, 6)
+
+
+@given(angle_rad=angles, offset_px=offsets)
+def test_the_chord_of_an_edge_is_within_a_pixel_of_it(angle_rad, offset_px):
+    image, normal = half_plane(angle_rad, offset_px)
+
+    segments = find_segments(image, method="length")
+
+    assert segments.support.sum() > 60
+    assert abs(distances_px(segments, normal, offset_px)).max() < 1.0
+
+
+@given(angle_rad=angles, offset_px=offsets)
+def test_the_refined_line_of_an_edge_is_within_a_tenth_of_a_pixel(angle_rad, offset_px):
+    image, normal = half_plane(angle_rad, offset_px)
+
+    segments = find_segments(image, method="refined")
+
+    assert abs(distances_px(segments, normal, offset_px)).max() < 0.1
+
+
+@pytest.mark.parametrize(("method", "bias_limit_px"), [("length", 0.05), ("refined", 0.003)])
+@pytest.mark.parametrize("angle_rad", [0.0, 0.5 * np.pi, np.pi, 1.5 * np.pi])
+def test_lines_along_the_axes_have_no_half_pixel_bias(method, bias_limit_px, angle_rad):
+    offsets_px = np.arange(-3, 3, 0.1) + 0.03
+
+    errors_px = []
+    for offset_px in offsets_px:
+        image, normal = half_plane(angle_rad, offset_px)
+        errors_px.extend(distances_px(find_segments(image, method=method), normal, offset_px))
+
+    assert abs(np.mean(errors_px)) < bias_limit_px
+
+
+@pytest.mark.parametrize(("method", "bias_limit_px"), [("length", 0.1), ("refined", 0.005)])
+def test_lines_of_all_directions_have_no_bias_to_their_dark_side(method, bias_limit_px, rng):
+    errors_px = []
+    for angle_rad, offset_px in rng.uniform([0, -5], [2 * np.pi, 5], (200, 2)):
+        image, normal = half_plane(angle_rad, offset_px)
+        errors_px.append(distances_px(find_segments(image, method=method), normal, offset_px).mean())
+
+    assert abs(np.mean(errors_px)) < bias_limit_px
+
+
+def test_the_two_edges_of_a_stripe_lie_about_its_centre(rng):
+    row, column = np.indices((80, 300))
+    centre_y = 38.3 + 0.03 * column
+    stripe = 4 + 170 * np.exp(-0.5 * ((row - centre_y) / 2.5) ** 2)
+    noise = rng.normal(0, np.sqrt(1.5**2 + 0.05 * stripe))
+    image = np.round(stripe + noise).clip(0, 255).astype(np.uint8)
+
+    segments = find_segments(image, method="refined")
+    long = segments.support > 200
+    ends = np.stack([segments.start_px[long], segments.end_px[long]])
+
+    assert long.sum() == 2
+    off_px = ends[..., 1] - (38.3 + 0.03 * ends[..., 0])
+    assert abs(off_px.mean()) < 0.03
+
+
+def test_support_counts_the_pixels_of_a_piece():
+    image, _ = half_plane(0.0, 0.2)
+
+    segments = find_segments(image)
+
+    assert segments.support.tolist() == [abs(segments.end_px - segments.start_px).max() + 1]
+
+
+@pytest.mark.parametrize("method", ["length", "refined"])
+@pytest.mark.parametrize("shape", [(1, 1), (3, 3), (1, 50), (50, 1), (40, 60)])
+@pytest.mark.parametrize("value", [0, 255])
+def test_a_flat_image_has_no_segments(method, shape, value):
+    segments = find_segments(np.full(shape, value, np.uint8), method=method)
+
+    assert (segments.start_px.shape, segments.end_px.shape, segments.support.shape) == ((0, 2), (0, 2), (0,))
+
+
+def test_twelve_bits_in_sixteen_give_the_segments_of_eight():
+    image, _ = half_plane(0.3, 0.2)
+
+    eight, twelve = find_segments(image), find_segments(16 * image.astype(np.uint16))
+
+    np.testing.assert_array_equal(twelve.start_px, eight.start_px)
+
+
+def test_an_image_that_is_a_view_gives_the_segments_of_its_copy():
+    image, _ = half_plane(0.3, 0.2)
+
+    view, copy = find_segments(image[::2, ::-1]), find_segments(image[::2, ::-1].copy())
+
+    np.testing.assert_array_equal(view.start_px, copy.start_px)
+
+
+def recalled_px(truth, segments, distances_px, angle_rad):
+    """Length of one true segment that lies beside found ones, for each distance, sampled at each pixel."""
+    start, end = truth.reshape(2, 2)
+    true_px = np.linalg.norm(end - start)
+    along = (end - start) / true_px
+    found = segments.end_px - segments.start_px
+    length = np.linalg.norm(found, axis=1)
+    found = found / length[:, None]
+    parallel = abs(found[:, 0] * along[1] - found[:, 1] * along[0]) < np.sin(angle_rad)
+    found, length, first = found[parallel], length[parallel], segments.start_px[parallel]
+    samples = start + np.linspace(0, 1, 2 * round(true_px) + 1)[1::2, None] * (end - start)
+    offset = samples[:, None] - first
+    ahead = (offset * found).sum(axis=2)
+    aside = abs(offset[..., 0] * found[:, 1] - offset[..., 1] * found[:, 0])
+    aside[(ahead < -1) | (ahead > length + 1)] = np.inf
+    nearest = aside.min(axis=1, initial=np.inf)
+    return true_px * (nearest[:, None] <= distances_px).mean(axis=0)
+
+
+def york_recall(folder: Path, method, distances_px):
+    """Length-weighted recall over all photographs; their lines count pixels from 1."""
+    recalled = total = 0.0
+    for photograph in sorted((folder / "images").glob("*.jpg")):
+        (lines,) = (folder / "lines").glob(f"{photograph.stem}*.csv")
+        truth = np.loadtxt(lines, delimiter=",", skiprows=1)[:, :4] - 1
+        segments = find_segments(cv2.imread(str(photograph), cv2.IMREAD_GRAYSCALE), method=method)
+        recalled += sum(recalled_px(line, segments, distances_px, np.radians(5)) for line in truth)
+        total += np.hypot(*(truth[:, 2:] - truth[:, :2]).T).sum()
+    return recalled / total
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("method", "floors"), [("length", [0.65, 0.79]), ("refined", [0.75, 0.83])])
+def test_recall_on_the_york_photographs_at_one_and_a_half_and_three_pixels(shared_data: Path, method, floors):
+    recall = york_recall(shared_data / "real" / "yorkurban", method, np.array([1.5, 3.0]))
+
+    assert (recall > floors).all(), recall
