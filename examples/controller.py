@@ -58,8 +58,9 @@ def command(record, limits):
     grasp_m, tilt_rad = standard_deviations(pose["covariance"])
     if grasp_m > limits.grasp_m or tilt_rad > limits.tilt_rad:
         return {"do": "hold", "why": f"not sure enough: {1000 * grasp_m:.2f} mm, {math.degrees(tilt_rad):.2f} degrees"}
-    approach = [-part for part in pose["normal"]]
-    return {"do": "move", "to_m": pose["grasp_m"], "along": approach, "sd_m": round(grasp_m, 6)}
+    to_m = [round(part, 5) for part in pose["grasp_m"]]
+    approach = [round(-part, 5) for part in pose["normal"]]
+    return {"do": "move", "to_m": to_m, "along": approach, "sd_m": round(grasp_m, 6)}
 
 
 def main():

@@ -14,6 +14,7 @@ settings.register_profile("ringpose", derandomize=True, deadline=None, max_examp
 settings.load_profile("ringpose")
 
 CARRIED_DATA = Path(__file__).parent / "data"
+EXAMPLES = Path(__file__).parents[1] / "examples"
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
@@ -62,7 +63,8 @@ def example_folder(tmp_path: Path, carried_data: Path) -> Path:
     for source in (carried_data / "rig_b", carried_data / "calib_b"):
         shutil.copytree(source, tmp_path, dirs_exist_ok=True)
     shutil.copytree(carried_data / "rig_b", tmp_path / "data_set")
-    shutil.copy(CARRIED_DATA.parents[1] / "examples" / "scene.yaml", tmp_path)
+    for name in ("scene.yaml", "scene-rig.yaml"):
+        shutil.copy(EXAMPLES / name, tmp_path)
     return tmp_path
 
 
