@@ -169,3 +169,9 @@ def rendered_truth(shared_data) -> Callable[[str, np.ndarray], np.ndarray]:
         return projected_px(points_m @ turn.T + np.array(truths[view]["camera_from_board_tvec_m"]))
 
     return pixels
+
+
+@pytest.fixture
+def true_poses() -> Callable[[np.random.Generator, int], list[tuple[np.ndarray, np.ndarray]]]:
+    """Makes board poses."""
+    return poses
