@@ -8,20 +8,13 @@ import signal
 import sys
 from collections.abc import Sequence
 from importlib import import_module
-from importlib.util import find_spec
-from types import FrameType
 from typing import Any
 
-from ringpose.cli import messages
+from ringpose.cli import interrupts, messages
 from ringpose.errors import CLOSED_PIPE, RingposeError, SignalReceived, UsageError
 
 COMMANDS = ("capture", "calibrate_camera", "calibrate_planes", "detect", "pose", "simulate", "bench")
 """Modules of the subcommands, in the order of the help."""
-
-AGAIN_S = 0.1
-"""How long after a signal its exception is raised once more, if it got lost."""
-
-_ENDING = (signal.SIGHUP, signal.SIGINT, signal.SIGTERM)
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -46,20 +39,15 @@ def main(arguments: Sequence[str]) -> int:
 
 def run() -> None:
     """The entry point of the `ringpose` command."""
-    interrupts = _Interrupts()
-    sys.unraisablehook = _report_unraisable
     try:
-        for number in _ENDING:
-            if signal.getsignal(number) != signal.SIG_IGN:  # nohup, or a shell's background job
-                signal.signal(number, interrupts)
-        signal.signal(signal.SIGALRM, interrupts)
+        interrupts.raise_signals()
         for stream in (sys.stdin, sys.stdout):
             if stream is not None:
                 stream.reconfigure(encoding="utf-8", errors="surrogateescape")  # type: ignore[union-attr]
         status = main(sys.argv[1:])
     except SignalReceived as received:
         status = received.status
-    _ignore_signals()
+    interrupts.ignore_signals()
     _drop_unwritten()
     sys.exit(status)
 
@@ -70,8 +58,7 @@ def _command(arguments: list[str]) -> int:
     from ringpose.cli.app import app
 
     for name in COMMANDS:
-        if find_spec(f"ringpose.cli.{name}"):
-            import_module(f"ringpose.cli.{name}")
+        import_module(f"ringpose.cli.{name}")
     wrong_words: Any = typer.BadParameter.__mro__[1]  # UsageError of the click inside typer, which has no public name
     try:
         return int(app(arguments, prog_name="ringpose", standalone_mode=False) or 0)
@@ -93,40 +80,6 @@ def _output_failed(error: OSError) -> int:
         raise error
     messages.error(InputOutputError("standard output", f"writing broke off: {(error.strerror or str(error)).lower()}"))
     return InputOutputError.status
-
-
-class _Interrupts:
-    """Turns signals into one exception, which is raised again and again until it is on its way.
-
-    Once is not enough: foreign code may swallow it (an import in C clears all errors, a destructor cannot raise).
-    While a `with` or `finally` block cleans up after it, no signal breaks that off.
-    """
-
-    def __init__(self) -> None:
-        self.number = 0
-
-    def __call__(self, number: int, frame: FrameType | None) -> None:
-        self.number = self.number or number
-        signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
-        if not _on_its_way(sys.exception()):
-            raise SignalReceived(self.number)
-
-
-def _on_its_way(error: BaseException | None) -> bool:
-    while error is not None and not isinstance(error, SignalReceived):
-        error = error.__context__
-    return error is not None
-
-
-def _report_unraisable(unraisable: Any) -> None:
-    if not isinstance(unraisable.exc_value, SignalReceived):
-        sys.__unraisablehook__(unraisable)
-
-
-def _ignore_signals() -> None:
-    signal.setitimer(signal.ITIMER_REAL, 0)
-    for number in (*_ENDING, signal.SIGALRM):
-        signal.signal(number, signal.SIG_IGN)
 
 
 def _drop_unwritten() -> None:

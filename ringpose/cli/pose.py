@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli.app import app
+from ringpose.cli.detect import detection_of
 from ringpose.cli.options import ImageChannel, Inputs, PoseFrame, PoseMethod, Quiet, RigFile, Verbose
 from ringpose.pose.method import Method
 
@@ -56,7 +57,6 @@ def pose(
 
 def pose_line(source: "Shot | Detection", rig: "Rig", method: Method, frame: PoseFrame) -> "PoseLine":
     """The pose of one shot, or the reason why it has none, and how long that took."""
-    from ringpose.detect.pipeline import detect
     from ringpose.pose.other_frame import pose_in_frame
     from ringpose.pose.pipeline import estimate_pose
     from ringpose.types.break_points import BreakPoints, Detection
@@ -64,7 +64,7 @@ def pose_line(source: "Shot | Detection", rig: "Rig", method: Method, frame: Pos
     from ringpose.types.ring_pose import RingPose
 
     start_s = perf_counter()
-    detection = source if isinstance(source, Detection) else detect(source, rig)
+    detection = source if isinstance(source, Detection) else detection_of(source, rig)
     points = detection.break_points
     result = estimate_pose(points, rig, method) if isinstance(points, BreakPoints) else points
     if isinstance(result, RingPose) and frame is PoseFrame.TOOL and rig.tool_from_camera is not None:

@@ -11,6 +11,7 @@ from jaxtyping import Float64
 from ringpose.errors import DataError
 from ringpose.files import atomic, opencv_storage
 from ringpose.files.bytes import read_bytes
+from ringpose.files.camera_matrices import checked_matrix
 from ringpose.files.covariances import camera_parameters, covariance_values, read_covariance
 from ringpose.files.fields import Fields
 from ringpose.files.provenance import provenance
@@ -98,19 +99,6 @@ def camera_values(camera: Camera) -> dict[str, Any]:
     if camera.covariance is not None:
         values["covariance"] = covariance_values(camera.covariance)
     return {key: value for key, value in values.items() if value is not None}
-
-
-def checked_matrix(fields: Fields, matrix: Float64[Array, "3 3"]) -> Float64[Array, "3 3"]:
-    """The camera matrix, if a pinhole camera can have it."""
-    if np.any(matrix[[0, 1, 2, 2], [1, 0, 0, 1]] != 0) or matrix[2, 2] != 1:
-        raise fields.problem("camera_matrix", "must have the form [fx, 0, cx, 0, fy, cy, 0, 0, 1]")
-    if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
-        raise fields.problem("camera_matrix", "has a focal length that is not positive")
-    size = np.array([fields.integer("image_width", least=1), fields.integer("image_height", least=1)])
-    if np.any(np.abs(matrix[:2, 2] - size / 2) > 1.5 * size):
-        center = f"({matrix[0, 2]:g}, {matrix[1, 2]:g})"
-        raise fields.problem("camera_matrix", f"has its principal point at {center}, far outside the image")
-    return matrix
 
 
 def _coefficients(fields: Fields) -> Float64[Array, "n"]:

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from ringpose.errors import DataError
+from ringpose.files.camera_matrices import checked_matrix
 from ringpose.files.fields import Fields
 from ringpose.files.yaml import parsed
 from ringpose.types.arrays import Array
@@ -22,8 +23,6 @@ def is_storage(text: bytes) -> bool:
 
 def camera_of(text: bytes, file: str, name: str) -> Camera:
     """The camera under the keys that OpenCV's calibration samples write."""
-    from ringpose.files.cameras import checked_matrix
-
     fields = Fields(file, _xml_values(text, file) if text.startswith(b"<") else parsed(_yaml_text(text), file))
     if not fields.has(_MATRIX):
         raise DataError(file, f"has no {_MATRIX}", "give a file with one camera, as OpenCV's calibration sample writes")
