@@ -10,9 +10,9 @@ out=${1:-calibrate}
 mkdir -p "$out"
 
 ringpose calibrate-camera "$boards/camera" --board "$boards/camera_board.yaml" --camera-name rig_b \
-    --output "$out/camera.yaml"
+    --output "$out/camera.yaml" --force
 ringpose calibrate-planes "$boards/planes" --board "$boards/plane_board.yaml" --camera "$out/camera.yaml" \
-    --laser-order right,middle,left --output "$out/rig.yaml"
+    --laser-order right,middle,left --output "$out/rig.yaml" --force
 
 echo "Poses with this rig, and with the true one:"
 ringpose bench "$data" --method paper-constrained --by rig --rig "$out/rig.yaml" --max-grasp-mm 1

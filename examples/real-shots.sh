@@ -9,8 +9,8 @@ out=${1:-real-shots}
 mkdir -p "$out"
 
 echo "What the controller hears:"
-ringpose capture --camera "files:$data/shots" --output "$out/session" |
-    ringpose detect - --rig "$data/rig.yaml" --overlay "$out/overlay" |
+ringpose capture --camera "files:$data/shots" --output "$out/session" --force |
+    ringpose detect - --rig "$data/rig.yaml" --overlay "$out/overlay" --force |
     ringpose pose - --rig "$data/rig.yaml" |
     tee "$out/poses.jsonl" |
     python3 "$here/controller.py"
