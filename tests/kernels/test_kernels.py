@@ -1,0 +1,42 @@
+"""What the package of kernels promises beyond its results."""
+
+import importlib
+import sys
+import threading
+
+import numpy as np
+import pytest
+
+from ringpose import kernels
+
+
+def test_missing_kernels_are_an_import_error_that_says_what_to_do(monkeypatch):
+    monkeypatch.delitem(sys.modules, "ringpose.kernels")
+    monkeypatch.setitem(sys.modules, "ringpose.kernels._kernels", None)
+
+    with pytest.raises(ImportError, match=r"not built for this Python; run `pip install \.`"):
+        importlib.import_module("ringpose.kernels")
+
+
+def test_threads_with_their_own_images_do_not_disturb_each_other(rng):
+    images = np.kron(rng.integers(0, 256, (4, 20, 30), np.uint8), np.ones((1, 9, 9), np.uint8))
+    found = {}
+
+    def find(number):
+        found[number] = kernels.chains(*kernels.gradient(images[number], 300), 150, 5)[0].tobytes()
+
+    alone = [kernels.chains(*kernels.gradient(image, 300), 150, 5)[0].tobytes() for image in images]
+    threads = [threading.Thread(target=find, args=(number,)) for number in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+
+    assert [found[number] for number in range(4)] == alone
+
+
+def test_results_of_the_walk_cannot_be_written_to(rng):
+    pixels, starts = kernels.chains(*kernels.gradient(rng.integers(0, 256, (30, 30), np.uint8), 300), 150, 5)
+
+    assert not pixels.flags.writeable
+    assert not starts.flags.writeable
