@@ -36,8 +36,15 @@ SPECKLE_COLUMNS = 2.0
 The grain at the edge itself moves the edge's half level by about its contrast times the edge's width, and no
 number of columns averages that."""
 
-SHAPE_SIGMA = 0.1
+GRAIN_FACTOR = 1.5
+"""The last grain before the edge moves the edge's half level by its contrast times the edge's width; the optics,
+which average over about twice that width, let the columns show less contrast than one grain has."""
+
+SHAPE_SIGMA = 0.02
 """Columns by which a real edge's position depends on how its blur is modelled; adds to what noise explains."""
+
+FLANK_SIGMAS = 3.0
+"""Rows on both sides of the line that are looked at, in sigmas of the stripe."""
 
 MEDIAN_COLUMNS = 5
 """Columns whose median says whether the stripe still goes on."""
@@ -51,8 +58,21 @@ LEAST_HEADROOM = 0.05
 SATURATED_SHARE = 0.2
 """Share of the last columns with a saturated pixel above which an end is flagged."""
 
+FLANKS_SHARE = 0.6
+"""Share of columns with a saturated pixel above which a stripe is read by its flanks; they see less light."""
+
 KINK_LEVEL = 0.25
 """A level beyond the edge of this share of the face's means that the stripe runs on: a wall."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Line:
+    """Whole columns x and where the stripe's line runs in them, in distorted pixels."""
+
+    x: Float64[Array, "n"]
+    y: Float64[Array, "n"]
+    on_face: Bool[Array, "n"]
+    """Between the ends of the track; the others lie some way beyond."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -95,27 +115,44 @@ def stripe_sigma(signal: Float64[Array, "row column"], x: Array, y: Float64[Arra
 def profile_along(
     lit: UInt[Array, "row column"],
     dark: UInt[Array, "row column"] | None,
-    line: tuple[Float64[Array, "n"], Float64[Array, "n"]],
+    line: Line,
     sigma: float,
     saturation_dn: int,
 ) -> Profile:
-    """The stripe's brightness in the columns of `line` (x, y in distorted pixels; y where the stripe is expected)."""
-    x, y = line
-    columns = x.astype(np.int64)
-    reach = math.ceil(2.5 * sigma) + 1
+    """The stripe's brightness in the columns of its line.
+
+    Where the stripe's middle is saturated, its flanks alone speak, the same rows in every column.
+    """
+    x, y = line.x, line.y
+    columns = x.astype(np.int64)[:, None]
+    reach = math.ceil(FLANK_SIGMAS * sigma) + 1
     rows = np.clip(np.rint(y).astype(np.int64)[:, None] + np.arange(-reach, reach + 1), 0, lit.shape[0] - 1)
-    shape = np.exp(-0.5 * ((rows - y[:, None]) / sigma) ** 2)
-    bright = lit[rows, columns[:, None]].astype(np.float64)
-    if dark is None:
-        ambient = np.broadcast_to(np.minimum(bright[:, :1], bright[:, -1:]), bright.shape)
-    else:
-        ambient = dark[rows, columns[:, None]].astype(np.float64)
-    norm = np.sum(shape**2, axis=1)
-    amplitude = np.sum(shape * (bright - ambient), axis=1) / norm
-    expected = float(np.median(amplitude)) if len(amplitude) else 0.0
-    clipped = np.minimum(max(expected, 1.0) * shape, np.maximum(saturation_dn - ambient, 0.0))
-    headroom = np.sum(shape * clipped, axis=1) / norm / max(expected, 1.0)
-    return Profile(x=x, amplitude=amplitude, headroom=headroom, saturated=bright.max(axis=1) >= saturation_dn)
+    offset = np.abs(rows - y[:, None])
+    bright = lit[rows, columns].astype(np.float64)
+    ambient = _ambient(bright) if dark is None else dark[rows, columns].astype(np.float64)
+    full = bright >= saturation_dn
+    shape = np.exp(-0.5 * (offset / sigma) ** 2)
+    weight = np.where(offset > _clipped_to(offset, full & (ambient < saturation_dn / 2), line.on_face, sigma), shape, 0)
+    norm = np.maximum(np.sum(weight * shape, axis=1), 1e-9)
+    amplitude = np.sum(weight * (bright - ambient), axis=1) / norm
+    expected = max(float(np.median(amplitude[line.on_face])), 1.0)
+    room = np.minimum(expected * shape, np.maximum(saturation_dn - ambient, 0.0))
+    headroom = np.sum(weight * room, axis=1) / norm / expected
+    return Profile(x=x, amplitude=amplitude, headroom=headroom, saturated=full.any(axis=1))
+
+
+def _clipped_to(
+    offset: Float64[Array, "n row"], full: Bool[Array, "n row"], on_face: Bool[Array, "n"], sigma: float
+) -> float:
+    """Distance from the line up to which the stripe is saturated in most columns; -1 if it hardly is."""
+    half_width = np.max(np.where(full, offset, 0.0), axis=1)[on_face]
+    widest = float(np.quantile(half_width, 1 - FLANKS_SHARE))
+    return min(widest + 0.5, FLANK_SIGMAS * sigma - 1) if widest else -1.0
+
+
+def _ambient(bright: Float64[Array, "n row"]) -> Float64[Array, "n row"]:
+    """Without a dark frame: the darker of the values above and below the stripe."""
+    return np.broadcast_to(np.minimum(bright[:, :1], bright[:, -1:]), bright.shape)
 
 
 def reached_x(profile: Profile, near_x: float, outward: int) -> float:
@@ -157,10 +194,11 @@ def stripe_end(profile: Profile, near_x: float, outward: int, sigma: float) -> S
     information = float(np.sum(slope**2 * (1 - outside) ** 2 / variance)) / SPECKLE_COLUMNS
     if information <= 0:
         return None
+    speckle = math.sqrt(max(contrast**2 - (noise / level) ** 2, 0.0))
     last = profile.saturated[used][(along > position - 6) & (along < position)]
     return StripeEnd(
         x=near_x + outward * position,
-        sigma=math.hypot(1 / math.sqrt(information), contrast * width, SHAPE_SIGMA),
+        sigma=math.hypot(1 / math.sqrt(information), GRAIN_FACTOR * speckle * width, SHAPE_SIGMA),
         outside=outside,
         saturated=bool(len(last) and np.mean(last) > SATURATED_SHARE),
     )
@@ -176,7 +214,7 @@ def _spread(
     contrast = 1.4826 * float(np.median(np.abs(full - level))) / max(level, 1e-9)
     beyond = amplitude[along > 2]
     noise = 1.4826 * float(np.median(np.abs(beyond - np.median(beyond)))) if len(beyond) else 0.0
-    return level, max(contrast, 0.05), max(noise, 0.01 * level)
+    return level, max(contrast, 0.01), max(noise, 0.01 * level)
 
 
 def _edge(along: Float64[Array, "n"], position: float, width: float) -> Float64[Array, "n"]:
@@ -226,7 +264,7 @@ def _level_costs(
         level = np.maximum((c * p - b * q) / determinant, 1e-6)
         beyond = np.clip((a * q - b * p) / determinant, 0.0, level)
     residual = amplitude - level[:, None] * inside - beyond[:, None] * outside
-    cost = 0.5 * np.sum(residual**2 / variance + np.log(variance), axis=-1)
+    cost = 0.5 * np.sum(residual**2 / variance, axis=-1)
     return cost, beyond / level
 
 

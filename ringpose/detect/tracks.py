@@ -24,8 +24,11 @@ KINK_PX = 0.6
 JOINED_PX = 0.5
 """Tracks whose lines meet this closely across a gap are one surface."""
 
-SPECKLE_COLUMNS = 3.0
-"""Neighbouring centres within a speckle grain err alike: so many columns count as one measurement."""
+SHORT_SERIES = 1.5
+"""A line fitted to a short series takes part of its likeness away: what is found is so much too small."""
+
+LONGEST_CORRELATION = 40
+"""Columns over which errors of neighbouring centres are looked at for likeness: a facet of crinkled foil."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -42,6 +45,8 @@ class Track:
     slope: float
     scatter: float
     """Standard deviation of a centre about the line."""
+    correlation: float
+    """Columns that err alike (a speckle grain, a facet behind the stripe) and count as one measurement."""
     clipped: bool
     """Whether it leaves the image at its left or right border."""
 
@@ -50,8 +55,8 @@ class Track:
         return self.middle_y + self.slope * (x - self.middle_x)
 
     def sigma(self, x: float) -> float:
-        """Standard deviation of the line's ordinate, speckle grains counted once."""
-        n = len(self.centers) / SPECKLE_COLUMNS
+        """Standard deviation of the line's ordinate, columns that err alike counted once."""
+        n = max(len(self.centers) / self.correlation, 2.0)
         spread = max(self.x_end - self.x_start, 1.0) / np.sqrt(12)
         return float(self.scatter / np.sqrt(n) * np.hypot(1.0, (x - self.middle_x) / spread))
 
@@ -127,8 +132,22 @@ def _track(
         middle_y=float(middle_y),
         slope=float(slope),
         scatter=scatter,
+        correlation=_correlation_columns((y - middle_y - slope * (x - middle_x))[weight > 0]),
         clipped=bool(at_border[centers[0]] or at_border[centers[-1]]),
     )
+
+
+def _correlation_columns(residual: Float64[Array, "n"]) -> float:
+    """1 + 2 times the sum of the autocorrelation, as far as it stays positive (Geyer's initial sequence)."""
+    centred = residual - residual.mean()
+    variance = centred @ centred
+    columns = 1.0
+    for lag in range(1, min(LONGEST_CORRELATION, len(residual) // 3)):
+        likeness = float(centred[lag:] @ centred[:-lag] / max(variance, 1e-12))
+        if likeness <= 0:
+            break
+        columns += 2 * likeness
+    return SHORT_SERIES * columns
 
 
 def _joined(

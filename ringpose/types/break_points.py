@@ -61,6 +61,19 @@ class BreakPoints:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RingEdgePoints:
+    """Points of the ring's visible edges between the stripes, in (distorted) pixels."""
+
+    position_px: Float64[Array, "point xy=2"]
+    normal: Float64[Array, "point xy=2"]
+    """Unit normal of the edge in the image: the direction in which the position was measured."""
+    sigma_px: Float64[Array, "point"]
+    """Standard deviation along that normal."""
+    edge: Int64[Array, "point"]
+    """0 for the inner edge, 1 for the outer (order of `EDGES`)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Detection:
     """All that was found in one shot."""
 
@@ -69,6 +82,8 @@ class Detection:
     break_points: BreakPoints | NoBreakPoints
     stripes: Stripes | None = None
     segments: Segments | None = None
+    ring_edges: RingEdgePoints | None = None
+    """None where the edges were not looked for or not seen."""
 
     @property
     def found(self) -> bool:

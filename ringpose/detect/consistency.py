@@ -1,0 +1,134 @@
+"""Whether the ends of the face's tracks make one ring, which of them is hidden, and where the ring's centre lies."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from ringpose.detect.tracks import Track
+from ringpose.geometry.circles import concentric_arcs
+from ringpose.geometry.planes import nearest_plane, towards_camera
+from ringpose.geometry.rays import intersect, rays, undistorted_rays
+from ringpose.types.arrays import Array
+from ringpose.types.break_points import BreakPointFlag
+from ringpose.types.rig import Rig
+from ringpose.types.stripes import UNLABELLED
+
+CIRCLE_SIGMA_PX = 0.5
+"""How far a refined end may lie from its circle besides its own sigma: calibration, an edge's chamfer."""
+
+OCCLUDED_COST = 12.0
+"""Drop in squared sigmas over two that calls one end of six occluded: below 1e-5 by chance, six ends tried."""
+
+SIDE_SIGMAS = 2.0
+"""How clearly the curvature must say on which side the ring's centre lies."""
+
+TIE = 3.0
+"""Two ends whose removal explains the rest this equally well cannot be told apart by the circles: if one end of
+a stripe is wrong, another curvature makes the other end look wrong."""
+
+IN_FRONT_M = 0.005
+"""What stands out of the ring's face by more than this is not the ring."""
+
+BESIDE_PX = 40.0
+"""How far from an end a stripe on what hides it begins."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Ends:
+    """The two ends of each face track, left then right, in distorted pixels."""
+
+    laser: Int64[Array, "track"]
+    position_px: Float64[Array, "track end=2 xy=2"]
+    covariance_px2: Float64[Array, "track end=2 xy=2 xy=2"]
+    flags: Int64[Array, "track end=2"]
+    straight_x: Float64[Array, "track end=2"]
+    """The tracks' own ends, undistorted columns."""
+
+
+def without_occluded(ends: Ends, tracks: Sequence[Track], rig: Rig) -> Ends:
+    """The ends without the one that lies off the circles of the others, if there is such a one.
+
+    If both ends of its stripe would do, the one beside a stripe on something nearer than the face is hidden;
+    if that decides nothing, both are left out.
+    """
+    if np.count_nonzero(np.isfinite(ends.position_px[..., 0])) < 6:
+        return ends
+    flat, seen, metres_a_pixel = _flat(ends, rig)
+    circle = np.broadcast_to([0, 1], seen.shape)[seen]
+    sigma = np.hypot(np.sqrt(ends.covariance_px2[seen][:, 0, 0]), CIRCLE_SIGMA_PX) * metres_a_pixel
+
+    def cost(used: Bool[Array, "n"]) -> float:
+        outside = concentric_arcs(flat[used], circle[used]).outside
+        return float(0.5 * np.sum((outside / sigma[used]) ** 2))
+
+    everything = cost(np.ones(len(flat), dtype=bool))
+    without = np.array([cost(np.arange(len(flat)) != each) for each in range(len(flat))])
+    if everything - without.min() < OCCLUDED_COST:
+        return ends
+    suspects = np.argwhere(seen)[without < without.min() + TIE]
+    if len(suspects) > 1:
+        beside = [each for each in suspects if _beside_something_nearer(ends, int(each[0]), int(each[1]), tracks, rig)]
+        suspects = np.array(beside) if len(beside) == 1 else suspects
+    return _without(ends, suspects)
+
+
+def _without(ends: Ends, suspects: Int64[Array, "n 2"]) -> Ends:
+    """The ends with some called occluded."""
+    position, covariance, flags = ends.position_px.copy(), ends.covariance_px2.copy(), ends.flags.copy()
+    which = tuple(suspects.T)
+    position[which], covariance[which] = np.nan, np.nan
+    flags[which] |= int(BreakPointFlag.OCCLUDED)
+    return replace(ends, position_px=position, covariance_px2=covariance, flags=flags)
+
+
+def _beside_something_nearer(ends: Ends, number: int, side: int, tracks: Sequence[Track], rig: Rig) -> bool:
+    """Whether a stripe of the same laser begins beside an end and, by its depth, in front of the face."""
+    laser = int(ends.laser[number])
+    points = _points(ends, rig)[np.isfinite(ends.position_px[..., 0])]
+    towards = towards_camera(nearest_plane(points)[0], points.mean(axis=0))
+    end_x = float(ends.straight_x[number, side])
+    for track in tracks:
+        near_x = track.x_end if side == 0 else track.x_start
+        outward = (near_x - end_x) * (-1 if side == 0 else 1)
+        if track.laser in (laser, UNLABELLED) and -BESIDE_PX / 4 < outward < BESIDE_PX:
+            ray = undistorted_rays(np.array([near_x, track.y(near_x)]), rig.camera)
+            point = intersect(ray, rig.lasers.normal[laser], rig.lasers.distance_m[laser])
+            if towards @ (point - points.mean(axis=0)) > IN_FRONT_M:
+                return True
+    return False
+
+
+def _points(ends: Ends, rig: Rig) -> Float64[Array, "track end=2 xyz=3"]:
+    """The ends in the camera frame."""
+    normal, distance = rig.lasers.normal[ends.laser][:, None], rig.lasers.distance_m[ends.laser][:, None]
+    return intersect(rays(ends.position_px, rig.camera), normal, distance)
+
+
+def _flat(ends: Ends, rig: Rig) -> tuple[Float64[Array, "n 2"], Bool[Array, "track 2"], Float64[Array, "n"]]:
+    """The seen ends in the plane nearest to them: coordinates, which were seen, and metres a pixel at each."""
+    seen = np.isfinite(ends.position_px[..., 0])
+    points = _points(ends, rig)[seen]
+    plane_normal, _, _ = nearest_plane(points)
+    across = np.cross(plane_normal, [0.0, 1.0, 0.0])  # runs along image rows, so that "right" keeps its meaning
+    across *= np.sign(across[0]) / np.linalg.norm(across)
+    axes = np.stack([across, np.cross(plane_normal, across)])
+    return (points - points.mean(axis=0)) @ axes.T, seen, points[:, 2] / rig.camera.camera_matrix[0, 0]
+
+
+def side_of_center(ends: Ends, rig: Rig) -> tuple[bool, bool]:
+    """Whether the ring's centre lies to the right of the stripes (their right ends are inner), and if that is clear.
+
+    The sign of the arcs' curvature says it; its sigma by differences.
+    """
+    seen = np.isfinite(ends.position_px[..., 0])
+    if np.count_nonzero(seen) < 4 or min(np.count_nonzero(seen, axis=0)) < 1 or len(ends.laser) < 2:
+        return False, False
+    flat, seen, metres_a_pixel = _flat(ends, rig)
+    circle = np.broadcast_to([0, 1], seen.shape)[seen]
+    step = np.sqrt(ends.covariance_px2[seen][:, 0, 0]) * metres_a_pixel
+    moved = flat + np.stack([np.diag(step), np.zeros((len(flat), len(flat)))], axis=-1)
+    here = float(concentric_arcs(flat, circle).curvature)
+    sigma = float(np.linalg.norm(concentric_arcs(moved, circle).curvature - here))
+    return here > 0, abs(here) > SIDE_SIGMAS * sigma
