@@ -145,7 +145,8 @@ static int starts_ascend(const Py_buffer *starts, Py_ssize_t pixels) {
     Py_ssize_t count = starts->shape[0];
     int ascend = count > 0 && start[0] >= 0 && start[count - 1] <= pixels && pixels <= INT32_MAX;
     for (Py_ssize_t i = 1; ascend && i < count; i++) ascend = start[i - 1] <= start[i];
-    if (!ascend) PyErr_SetString(PyExc_ValueError, "starts: must ascend from 0 or more to at most the number of pixels");
+    if (!ascend)
+        PyErr_SetString(PyExc_ValueError, "starts: must ascend from 0 or more to at most the number of pixels");
     return ascend;
 }
 

@@ -1,6 +1,7 @@
 /* The edge walk; twin: reference.chains.
 
-   A pixel that belongs to a chain has its magnitude negated while the walk lasts; all are set right again at the end. */
+   A pixel that belongs to a chain has its magnitude negated while the walks last; all are set right again at the
+   end. */
 #include "kernels.h"
 
 #include <stdlib.h>
@@ -53,8 +54,8 @@ static int worth(int16_t value, int preference) { return 4 * (value < 0 ? -value
 
 static int larger(int a, int b) { return a > b ? a : b; }
 
-/* Walks from a pixel that is already taken; appends what it takes. It ends where a neighbour has no gradient, lest it turn
-   aside along the margin. Returns 0 if there is no memory. */
+/* Walks from a pixel that is already taken; appends what it takes. It ends where a neighbour has no gradient, lest it
+   turn aside along the margin. Returns 0 if there is no memory. */
 static int walk(const EdgeArea *area, Pixel at, unsigned direction, List *pixels) {
     static const unsigned turn[3] = {1, 7, 0};
     const ptrdiff_t *step = area->step;

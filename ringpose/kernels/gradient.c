@@ -44,7 +44,8 @@ static int allocate_rows(Rows *rows, size_t width) {
 VECTOR_LOOP
 static void smooth_row(const uint8_t *restrict image, size_t row, size_t width, const Rows *rows) {
     const uint8_t *restrict c = image + row * width;
-    const uint8_t *restrict a = c - 2 * width, *restrict b = c - width, *restrict d = c + width, *restrict e = d + width;
+    const uint8_t *restrict a = c - 2 * width, *restrict b = c - width;
+    const uint8_t *restrict d = c + width, *restrict e = d + width;
     uint16_t *restrict sum = rows->sum;
     int16_t *restrict smooth = rows->smooth[row % 3];
     for (size_t x = 0; x < width; x++) sum[x] = (uint16_t)(a[x] + 4 * (b[x] + d[x]) + 6 * c[x] + e[x]);
@@ -86,8 +87,8 @@ static int16_t strongest(const int16_t *magnitude, size_t from, size_t to) {
 /* Orientation (0: edge along x, 2: along y, 1: down to the right, 3: down to the left), and 1 where the magnitude is a
    maximum across the edge; of two equal ones the earlier in raster order. */
 VECTOR_LOOP
-static void mark_maxima(const Rows *rows, size_t row, const int16_t *restrict here, size_t width, size_t from, size_t to,
-                        int16_t upper) {
+static void mark_maxima(const Rows *rows, size_t row, const int16_t *restrict here, size_t width, size_t from,
+                        size_t to, int16_t upper) {
     const int16_t *restrict up = here - width, *restrict down = here + width;
     const int16_t *restrict gx = rows->gx[row % 2], *restrict gy = rows->gy[row % 2];
     int16_t *restrict orientation = rows->orientation;
