@@ -81,6 +81,8 @@ def _view(entry: Fields, lights: tuple[str, ...]) -> RingView:
         values["roll_rad"] = entry.number("roll_rad", least=-7, most=7)
     if entry.has("groups"):
         values["groups"] = entry.fields("groups").values
+        if not all(isinstance(value, str | int | float | bool) for value in values["groups"].values()):
+            raise entry.problem("groups", "must hold texts, numbers, true or false")
     return RingView(**values)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import cv2
 
-from ringpose.errors import CannotCreateError
+from ringpose.errors import DataError
 from ringpose.files import atomic, records
 from ringpose.files.boards import write_board
 from ringpose.files.images import write_image
@@ -25,7 +25,7 @@ class SimulationFolder:
     def __init__(self, folder: Path, rig: Rig, *, force: bool, inputs: Iterable[Path]) -> None:
         self.folder = atomic.make_folder(folder)
         self.force = force
-        self._begin(folder / "truth.jsonl")
+        self._begin(folder / "truth.jsonl", folder / "shots")
         write_rig(folder / "rig.yaml", rig, force=force, inputs=inputs)
         atomic.make_folder(folder / "shots")
 
@@ -40,7 +40,8 @@ class SimulationFolder:
         """The board file `calibration/<name>_board.yaml`, and the folder of its views."""
         atomic.make_folder(self.folder / "calibration" / _VIEWS[name])
         write_board(self.folder / "calibration" / f"{name}_board.yaml", board, force=self.force)
-        self._begin(self.folder / "calibration" / f"{name}_truth.jsonl")
+        views = self.folder / "calibration" / _VIEWS[name]
+        self._begin(self.folder / "calibration" / f"{name}_truth.jsonl", views)
 
     def add_board(self, name: str, shot: Shot, place: BoardPlace) -> Path:
         """One view of a board: a PNG if it is a single frame without stripes, else a shot."""
@@ -58,11 +59,12 @@ class SimulationFolder:
         self._append(self.folder / "calibration" / f"{name}_truth.jsonl", record)
         return path
 
-    def _begin(self, path: Path) -> None:
-        if path.exists() and not self.force:
-            raise CannotCreateError(str(path), "exists already", "add --force to replace it")
-        with atomic.replacing(path, force=True):
-            pass
+    def _begin(self, truth: Path, views: Path) -> None:
+        """An empty truth file; an older one goes together with what it lists."""
+        with atomic.replacing(truth, self.force):
+            for name in _listed(truth):
+                for suffix in ("npz", "png"):
+                    (views / f"{name}.{suffix}").unlink(missing_ok=True)
 
     def _append(self, path: Path, record: Mapping[str, object]) -> None:
         try:
@@ -74,3 +76,15 @@ class SimulationFolder:
 
 _VIEWS = {"camera": "camera", "plane": "planes"}
 """Folder of the views of each board."""
+
+
+def _listed(truth: Path) -> list[str]:
+    """Names of the shots or views in an older truth file, as far as it can be read."""
+    if not truth.is_file():
+        return []
+    try:
+        listed = [record for _, record in records.read(truth.read_text(encoding="utf-8").splitlines(), str(truth))]
+    except (DataError, UnicodeDecodeError):
+        return []
+    names = (str(record.get("shot", record.get("view", ""))) for record in listed)
+    return [name for name in names if name and Path(name).name == name]

@@ -1,10 +1,12 @@
 """Where the ring stands, view by view: as the scene says, or drawn at random within its limits."""
 
+from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
 from jaxtyping import Float64
 
+from ringpose.errors import DataError
 from ringpose.geometry.rays import rays
 from ringpose.simulate.placement import facing_normal, ring_rotation
 from ringpose.types.arrays import Array
@@ -15,7 +17,12 @@ from ringpose.types.scene import Approach, RingView, Scene
 def ring_views(scene: Scene) -> tuple[RingView, ...]:
     """All views of a scene: the written ones, then the drawn ones."""
     drawn = [view for approach in scene.approaches for view in _drawn_views(scene, approach)]
-    return (*scene.views, *drawn)
+    views = (*scene.views, *drawn)
+    names = Counter(view.name for view in views)
+    if len(names) < len(views):
+        found = f"two views are called {names.most_common(1)[0][0]!r}"
+        raise DataError("the scene's trajectory", found, "give each generated set a name of its own")
+    return views
 
 
 def _drawn_views(scene: Scene, approach: Approach) -> Iterator[RingView]:

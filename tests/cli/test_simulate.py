@@ -1,0 +1,208 @@
+"""`ringpose simulate`: what it writes, what it says, what it refuses."""
+
+import json
+import signal
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from ringpose.cli.main import main
+from ringpose.files.boards import read_board
+from ringpose.files.rigs import read_rig
+from ringpose.files.shots import read_shot
+from ringpose.files.truths import read_truths
+
+RIG = {
+    "ringpose": "rig/1",
+    "camera": {
+        "image_width": 200,
+        "image_height": 150,
+        "camera_name": "tiny",
+        "camera_matrix": {"rows": 3, "cols": 3, "data": [222.0, 0, 99.5, 0, 222.0, 74.5, 0, 0, 1]},
+        "distortion_model": "plumb_bob",
+        "distortion_coefficients": {"rows": 1, "cols": 5, "data": [-0.1, 0.1, 0, 0, 0]},
+    },
+    "lasers": [
+        {"name": "upper", "normal": [0, 1, 0], "distance_m": -0.05, "projector_m": [0, -0.05, 0]},
+        {"name": "lower", "normal": [0, 1, 0], "distance_m": 0.05, "projector_m": [0, 0.05, 0]},
+    ],
+}
+SCENE = {
+    "ringpose": "scene/1",
+    "rig": "rig.yaml",
+    "ring": {"radius_inner_m": 0.567, "radius_outer_m": 0.597, "height_m": 0.06},
+    "body": {"size_m": [2.2, 2.2, 1.0]},
+    "sensor": {"pixel_m": 3.6e-5},
+    "stripe_dn": 150,
+    "sequence": "off,all",
+    "trajectory": [{"generate": {"distances_m": [0.5], "count": 3}}],
+}
+MARKERS = {"dictionary": "DICT_4X4_50"}
+CHARUCO = {"kind": "charuco", "squares_x": 5, "squares_y": 4, "square_m": 0.06, "marker_m": 0.045} | MARKERS
+FOUR = {"kind": "four_markers", "width_m": 0.3, "height_m": 0.24, "marker_m": 0.06, "margin_m": 0.01} | MARKERS
+BOARDS = {
+    "camera": {"board": CHARUCO, "generate": {"count": 2}},
+    "planes": {"board": FOUR, "generate": {"count": 1}, "sequence": "off,1,2"},
+}
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(RIG))
+    (tmp_path / "scene.yaml").write_text(yaml.safe_dump(SCENE))
+    return tmp_path / "scene.yaml"
+
+
+def simulate(scene: Path, *options: str) -> int:
+    return main(["simulate", str(scene), "--output", str(scene.parent / "out"), "--jobs", "1", *options])
+
+
+def test_shots_rig_and_truth_are_written(scene, capsys):
+    status = simulate(scene)
+
+    out = scene.parent / "out"
+    names = [Path(line).stem for line in capsys.readouterr().out.splitlines()]
+    assert (status, names) == (0, ["z0500_p00_dim", "z0500_p01_dim", "z0500_p02_dim"])
+    rig = read_rig(out / "rig.yaml")
+    assert [read_shot(out / "shots" / f"{name}.npz", rig=rig).lasers.tolist() for name in names] == [[0, 3]] * 3
+    assert [truth.shot for truth in read_truths(out / "truth.jsonl")] == names
+
+
+def test_names_on_stdout_are_those_of_files(scene, capsys):
+    simulate(scene, "--count", "2")
+
+    lines = capsys.readouterr().out.splitlines()
+    assert [Path(line).is_file() for line in lines] == [True, True]
+
+
+def test_the_rig_says_where_it_comes_from(scene):
+    simulate(scene, "--count", "1")
+
+    provenance = yaml.safe_load((scene.parent / "out" / "rig.yaml").read_text())["provenance"]
+    assert str(scene) in provenance["inputs"]
+
+
+def test_another_seed_gives_other_poses(scene):
+    simulate(scene, "--count", "1")
+    first = (scene.parent / "out" / "truth.jsonl").read_text()
+
+    simulate(scene, "--count", "1", "--seed", "99", "--force")
+
+    assert (scene.parent / "out" / "truth.jsonl").read_text() != first
+
+
+def test_board_views_are_written_for_both_calibrations(scene):
+    scene.write_text(yaml.safe_dump(SCENE | {"boards": BOARDS}))
+
+    status = simulate(scene, "--count", "1")
+
+    calibration = scene.parent / "out" / "calibration"
+    assert status == 0
+    assert cv2.imread(str(calibration / "camera" / "board_01.png"), cv2.IMREAD_UNCHANGED).shape == (150, 200)
+    assert read_shot(calibration / "planes" / "board_00.npz").lasers.tolist() == [0, 1, 2]
+    assert read_board(calibration / "plane_board.yaml").kind == "four_markers"
+
+
+def test_the_boards_places_are_told(scene):
+    scene.write_text(yaml.safe_dump(SCENE | {"boards": BOARDS}))
+
+    simulate(scene, "--count", "1")
+
+    lines = (scene.parent / "out" / "calibration" / "camera_truth.jsonl").read_text().splitlines()
+    assert [json.loads(line)["view"] for line in lines] == ["board_00", "board_01"]
+    assert len(json.loads(lines[0])["camera_from_board_rvec"]) == 3
+
+
+def test_what_exists_is_not_replaced(scene, capsys):
+    simulate(scene, "--count", "1")
+
+    status = simulate(scene, "--count", "1")
+
+    assert status == 73
+    assert "exists already; add --force" in capsys.readouterr().err
+
+
+def test_force_removes_what_the_older_run_made_and_nothing_else(scene):
+    simulate(scene)
+    own = scene.parent / "out" / "shots" / "mine.npz"
+    own.write_bytes(b"my own")
+
+    simulate(scene, "--count", "1", "--force")
+
+    left = sorted(path.name for path in own.parent.iterdir())
+    assert left == ["mine.npz", "z0500_p00_dim.npz"]
+
+
+def test_verbose_says_what_to_expect_of_each_shot(scene, capsys):
+    simulate(scene, "--count", "1", "--verbose")
+
+    assert capsys.readouterr().err.startswith("ringpose: z0500_p00_dim: 2 frames of ")
+
+
+@pytest.mark.parametrize(
+    ("change", "status", "message"),
+    [
+        ({"rig": "none.yaml"}, 66, "none.yaml"),
+        ({"lihgts": {}}, 65, "unknown key 'lihgts'"),
+        ({"ring": {"radius_inner_m": 567, "radius_outer_m": 597, "height_m": 60}}, 65, "looks like millimetres"),
+        ({"trajectory": [{"generate": {}}, {"generate": {}}]}, 65, "two views are called 'z0500_p00_dim'"),
+    ],
+)
+def test_a_wrong_scene_is_one_line_and_its_status(scene, capsys, change, status, message):
+    scene.write_text(yaml.safe_dump(SCENE | change))
+
+    found = simulate(scene)
+
+    error = capsys.readouterr().err
+    assert found == status
+    assert message in error
+    assert error.count("\n") == 1
+
+
+def test_a_scene_that_is_not_there(tmp_path):
+    assert main(["simulate", str(tmp_path / "none.yaml"), "--output", str(tmp_path / "out")]) == 66
+
+
+def test_an_output_that_is_a_file(scene):
+    (scene.parent / "out").write_text("in the way")
+
+    assert simulate(scene) == 73
+
+
+def test_the_first_shot_is_named_before_the_last_is_made(scene, started):
+    """A thousand shots would take minutes; the process is stopped after the first and leaves whole files."""
+    endless = SCENE | {"trajectory": [{"generate": {"distances_m": [0.5], "count": 1000}}]}
+    scene.write_text(yaml.safe_dump(endless))
+
+    process = started("simulate", scene, "--output", scene.parent / "out", "--jobs", "1")
+    first = process.stdout.readline()
+    process.send_signal(signal.SIGTERM)
+    _, error = process.communicate(timeout=30)
+
+    assert process.returncode == 143
+    assert error == ""
+    assert Path(first.strip()).is_file()
+    shots = [read_shot(path) for path in (scene.parent / "out" / "shots").glob("*.npz")]
+    assert {truth.shot for truth in read_truths(scene.parent / "out" / "truth.jsonl")} <= {shot.name for shot in shots}
+
+
+def test_an_interrupt_with_several_processes_is_quiet(scene, started):
+    endless = SCENE | {"trajectory": [{"generate": {"distances_m": [0.5], "count": 1000}}]}
+    scene.write_text(yaml.safe_dump(endless))
+
+    process = started("simulate", scene, "--output", scene.parent / "out", "--jobs", "2")
+    process.stdout.readline()
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=60)
+
+    assert (process.returncode, error) == (130, "")
+
+
+def test_the_stripes_have_the_wanted_brightness(scene):
+    simulate(scene, "--count", "1")
+
+    shot = read_shot(scene.parent / "out" / "shots" / "z0500_p00_dim.npz")
+    assert 100 < np.percentile(shot.images[1].max(axis=0), 50) <= 255

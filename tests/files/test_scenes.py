@@ -1,0 +1,195 @@
+"""What scene.yaml says, and what is refused, each with its place and in one line."""
+
+import copy
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from ringpose.errors import DataError, NoInputError
+from ringpose.files.scenes import read_scene
+from ringpose.types.ring_pose import RingPose
+from ringpose.types.scene import MATERIALS
+
+BOARD = {
+    "kind": "charuco",
+    "squares_x": 7,
+    "squares_y": 5,
+    "square_m": 0.04,
+    "marker_m": 0.03,
+    "dictionary": "DICT_4X4_50",
+}
+
+SCENE = {
+    "ringpose": "scene/1",
+    "rig": "rig.yaml",
+    "ring": {"radius_inner_m": 0.567, "radius_outer_m": 0.597, "height_m": 0.06},
+    "body": {"size_m": [2.2, 2.1, 1.0], "foil": {"rms_m": 0.001}},
+    "lights": {"dim": {}, "sun": {"sun_w_m2": 15, "sun_direction": [0, -1, -1]}},
+    "trajectory": [
+        {"name": "a", "center_m": [-0.58, 0.0, 0.5], "normal": [0.0, 0.0, -1.0]},
+        {"generate": {"distances_m": [0.5], "count": 2, "lights": ["dim", "sun"]}},
+    ],
+    "boards": {"camera": {"board": BOARD, "generate": {"count": 3}}},
+}
+
+RIG = {
+    "ringpose": "rig/1",
+    "camera": {
+        "image_width": 320,
+        "image_height": 240,
+        "camera_matrix": {"rows": 3, "cols": 3, "data": [356.0, 0, 160, 0, 356.0, 120, 0, 0, 1]},
+        "distortion_model": "plumb_bob",
+        "distortion_coefficients": {"rows": 1, "cols": 5, "data": [0, 0, 0, 0, 0]},
+    },
+    "lasers": [
+        {"name": "left", "normal": [0, 1, 0], "distance_m": -0.05, "projector_m": [0, -0.05, 0]},
+        {"name": "right", "normal": [0, 0.8, 0.6], "distance_m": 0.2, "projector_m": [0, 0.25, 0]},
+    ],
+}
+
+
+@pytest.fixture
+def scene_of(tmp_path: Path):
+    """Reads the scene above with something changed: a path of keys, and what stands there; None removes it."""
+
+    def read(*changes, rig=RIG):
+        values = copy.deepcopy(SCENE)
+        for keys, value in changes:
+            *path, last = keys.split(".")
+            below = values
+            for key in path:
+                below = below[int(key) if key.isdigit() else key]
+            if value is None:
+                del below[last]
+            else:
+                below[int(last) if last.isdigit() else last] = value
+        (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig))
+        (tmp_path / "scene.yaml").write_text(yaml.safe_dump(values))
+        return read_scene(tmp_path / "scene.yaml")
+
+    return read
+
+
+def test_radii_and_height_make_an_annulus_with_walls(scene_of):
+    ring = scene_of().ring
+
+    np.testing.assert_allclose(ring.profile_m, [[0.567, 0], [0.567, 0.06], [0.597, 0.06], [0.597, 0]])
+    assert (ring.radius_inner_m, ring.radius_outer_m, ring.height_m) == (0.567, 0.597, 0.06)
+
+
+def test_the_highest_flat_piece_of_a_profile_is_the_face(scene_of):
+    profile_m = [[0.5, 0.0], [0.5, 0.02], [0.55, 0.02], [0.56, 0.05], [0.60, 0.05], [0.61, 0.0]]
+
+    ring = scene_of(("ring", {"profile_m": profile_m})).ring
+
+    assert (ring.radius_inner_m, ring.radius_outer_m, ring.height_m) == (0.56, 0.60, 0.05)
+
+
+def test_materials_go_by_name_or_by_numbers(scene_of):
+    ring = scene_of(("ring.face", "matt"), ("ring.wall", {"diffuse": 0.1, "specular": 0.2, "roughness": 0.3})).ring
+
+    assert ring.face == MATERIALS["matt"]
+    assert (ring.wall.diffuse, ring.wall.specular, ring.wall.roughness) == (0.1, 0.2, 0.3)
+
+
+def test_what_is_not_given_keeps_its_default(scene_of):
+    foil = scene_of().body.foil
+
+    assert (foil.rms_m, foil.crinkle_m) == (0.001, 0.03)
+
+
+def test_without_foil_the_body_is_flat(scene_of):
+    assert scene_of(("body.foil", None)).body.foil is None
+
+
+def test_a_sequence_is_masks(scene_of):
+    assert scene_of(("sequence", "off,1,2,1+2,all")).sequence == (0, 1, 2, 3, 3)
+
+
+def test_pitch_and_yaw_are_the_papers(scene_of):
+    posed = {"name": "a", "center_m": [0, 0, 1], "pitch_rad": 0.2, "yaw_rad": -0.1}
+    view = scene_of(("trajectory.0", posed)).views[0]
+
+    pose = RingPose(
+        center_m=view.center_m, normal=view.normal, radius_inner_m=1.0, radius_outer_m=1.1, grasp_m=np.zeros(3),
+        method="paper", condition=1.0, residual_rms_px=0.0,
+    )  # fmt: skip
+    assert (pose.pitch_rad, pose.yaw_rad) == pytest.approx((0.2, -0.1))
+
+
+def test_keys_of_the_users_own_are_left_alone(scene_of):
+    assert scene_of(("x_note", "mine")).views[0].name == "a"
+
+
+def test_written_and_generated_views_stand_apart(scene_of):
+    scene = scene_of()
+
+    assert [view.name for view in scene.views] == ["a"]
+    assert scene.approaches[0].lights == ("dim", "sun")
+
+
+@pytest.mark.parametrize(
+    ("keys", "value", "message"),
+    [
+        ("ringpose", "scene/9", "ringpose: is 'scene/9', must be 'scene/1'"),
+        ("lihgts", {}, "unknown key 'lihgts'; did you mean 'lights'?"),
+        ("ring.radius_inner_m", 567, "looks like millimetres"),
+        ("ring.radius_inner_m", 0.6, "must be smaller than radius_outer_m"),
+        ("ring.height_m", -0.1, "must be positive"),
+        ("ring.height_m", None, "has no key 'height_m'"),
+        ("ring.face", "mettal", "did you mean 'metal'?"),
+        ("ring", {"profile_m": [[0.5, 0.0], [0.6, 0.1]]}, "has no flat piece"),
+        ("ring", {"profile_m": [[0.5, 0.0], [0.5, 0.0], [0.6, 0.0]]}, "a point twice"),
+        ("body.size_m", [2.2, 2.2], "body.size_m: has 2 numbers, must have 3"),
+        ("body.size_m", [2200, 2200, 1000], "looks like millimetres"),
+        ("body.foil.rms_m", 0, "must be positive"),
+        ("lights.sun.sun_direction", [0, 0, 0], "has length 0"),
+        ("lights.sun.sun_w_m2", -1, "must be at least 0"),
+        ("sensor", {"bits": 10}, "is 10, must be 8 or 12"),
+        ("sensor", {"saturation_capacity": 1000}, "did you mean 'saturation_capacity_e'?"),
+        ("lens", {"f_number": 0}, "lens.f_number: is 0, must be at least 1e-06"),
+        ("lasers", {"sigma_m": 0.4, "fan": 1}, "unknown key 'fan'"),
+        ("sequence", "off,3", "has the step '3'"),
+        ("sequence", "off,,all", "has the step ''"),
+        ("trajectory.0.normal", [0, 0, 1], "points away from the camera"),
+        ("trajectory.0.normal", [0, 0, -0.9], "has length 0.9, must be 1"),
+        ("trajectory.0.center_m", [0, 0, 500], "looks like millimetres"),
+        ("trajectory.0.light", "bright", "is 'bright', must be one of dim, sun"),
+        ("trajectory.0.pitch_rad", 0.1, "is given beside pitch_rad or yaw_rad"),
+        ("trajectory.0.name", "a/b", "must be a plain file name"),
+        ("trajectory.0.groups", {"a": [1]}, "must hold texts, numbers, true or false"),
+        ("trajectory.1.generate.lights", ["moon"], "has 'moon', which is none of dim, sun"),
+        ("trajectory.1.generate.distances_m", [300], "looks like millimetres"),
+        ("trajectory.1.count", 3, "unknown key 'count'"),
+        ("boards.camera.generate.distances_m", [0.4], "must be the nearest and the farthest distance"),
+        ("boards.camera.board", {"kind": "asymmetric_circles", "squares_x": 4, "squares_y": 11, "spacing_m": 0.02},
+         "which is not simulated"),
+        ("exposure_s", float("nan"), "must be finite"),
+    ],
+)  # fmt: skip
+def test_a_wrong_scene_is_refused_in_one_line(scene_of, keys, value, message):
+    with pytest.raises(DataError) as problem:
+        scene_of((keys, value))
+
+    assert message in str(problem.value)
+    assert "\n" not in str(problem.value)
+
+
+def test_a_name_that_stands_twice_is_refused(scene_of):
+    with pytest.raises(DataError, match="'a' stands twice"):
+        scene_of(("trajectory.1", SCENE["trajectory"][0]))
+
+
+def test_a_rig_without_projectors_is_refused(scene_of):
+    rig = copy.deepcopy(RIG)
+    del rig["lasers"][1]["projector_m"]
+
+    with pytest.raises(DataError, match="laser 'right' has no projector_m"):
+        scene_of(rig=rig)
+
+
+def test_a_missing_rig_is_no_input(scene_of):
+    with pytest.raises(NoInputError):
+        scene_of(("rig", "elsewhere.yaml"))

@@ -1,0 +1,31 @@
+import operator
+from functools import partial
+from itertools import islice
+
+import pytest
+
+from ringpose.simulate.in_order import in_order
+
+
+@pytest.mark.parametrize("jobs", [1, 2, 3])
+def test_results_come_in_order(jobs):
+    assert list(in_order(partial(pow, 2), 7, jobs)) == [1, 2, 4, 8, 16, 32, 64]
+
+
+def test_no_work_is_no_result():
+    assert list(in_order(partial(pow, 2), 0, 4)) == []
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_what_goes_wrong_in_a_worker_goes_wrong_here(jobs):
+    with pytest.raises(ZeroDivisionError):
+        list(in_order(partial(operator.floordiv, 10), 4, jobs))
+
+
+def test_results_left_unfetched_hold_nobody_up():
+    results = in_order(partial(pow, 2), 10**6, 2)
+
+    first = list(islice(results, 3))
+    results.close()
+
+    assert first == [1, 2, 4]
