@@ -74,6 +74,8 @@ def bench(
 
     if json == csv == STDOUT:
         raise UsageError("", "--json - and --csv - both want standard output", "write one of them into a file")
+    if truth is not None and method:
+        raise UsageError("--method", "pose lines have been computed already", "leave it out")
     batch = Batch()
     scores = (
         _scores_of_folders(inputs, rig, method or list(Method), batch, quiet)

@@ -236,7 +236,8 @@ def test_a_report_says_where_it_came_from_and_is_not_overwritten_unasked(poses, 
         (["-"], 2, "is no data set folder"),
         (["empty"], 66, "empty/rig.yaml: does not exist"),
         (["poses.jsonl", "--truth", "truth.jsonl", "--json", "-", "--csv", "-"], 2, "both want standard output"),
-        (["poses.jsonl", "--truth", "truth.jsonl", "--method", "magic"], 2, "--method"),
+        (["empty", "--method", "magic"], 2, "--method"),
+        (["poses.jsonl", "--truth", "truth.jsonl", "--method", "paper"], 2, "have been computed already"),
     ],
 )
 def test_what_cannot_be_compared_is_one_line(poses, capsys, words, status, complaint):
