@@ -11,7 +11,7 @@ import numpy as np
 from ringpose.errors import DataError
 from ringpose.files import atomic
 from ringpose.files.bytes import read_bytes
-from ringpose.files.fields import FREE_PREFIX, hint
+from ringpose.files.fields import FREE_PREFIX, hint, unusable
 from ringpose.types.arrays import Array
 
 _ZIP = b"PK"
@@ -65,8 +65,8 @@ class Archive:
     def numbers(self, key: str, shape: tuple[int | None, ...], allow_nan: bool = False) -> Array:
         """An array of finite numbers, float64."""
         array = self.array(key, "fiu", shape).astype(np.float64)
-        if np.isinf(array).any() or (np.isnan(array).any() and not allow_nan):
-            raise self.problem(key, "has a number that is not finite")
+        if finding := unusable(array, allow_nan):
+            raise self.problem(key, finding)
         return array
 
     def integers(self, key: str, shape: tuple[int | None, ...]) -> Array:

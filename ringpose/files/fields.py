@@ -14,6 +14,9 @@ from ringpose.types.arrays import Array
 FREE_PREFIX = "x_"
 """Keys that begin so are the user's own: never read, never refused."""
 
+LARGEST = 1e30
+"""No number in a file of ours is larger; squares of larger ones would not be finite."""
+
 LONGEST_M = 5.0
 """No length of a rig or board is longer; a larger number is in millimetres."""
 
@@ -77,7 +80,7 @@ class Fields:
         value = self.raw(key)
         if isinstance(value, bool) or not isinstance(value, int):
             raise self.problem(key, f"is {kind(value)}, must be a whole number")
-        self._check_range(key, float(value), (least, most))
+        self._check_range(key, value, (least, most))
         return value
 
     def number(self, key: str, least: int | float = -math.inf, most: int | float = math.inf) -> float:
@@ -85,7 +88,7 @@ class Fields:
         value = self.raw(key)
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise self.problem(key, f"is {kind(value)}, must be a number")
-        self._check_range(key, float(value), (least, most))
+        self._check_range(key, value, (least, most))
         return float(value)
 
     def length_m(self, key: str) -> float:
@@ -107,8 +110,8 @@ class Fields:
         if array.ndim != len(shape) or any(w not in (None, n) for w, n in zip(shape, array.shape, strict=True)):
             found = " x ".join(map(str, array.shape)) or "one"
             raise self.problem(key, f"has {found} numbers, must have {wanted}")
-        if np.isinf(array).any() or (np.isnan(array).any() and not allow_nan):
-            raise self.problem(key, "has a number that is not finite")
+        if finding := unusable(array, allow_nan):
+            raise self.problem(key, finding)
         return array
 
     def vector(self, key: str, length: int) -> Float64[Array, "n"]:
@@ -149,9 +152,11 @@ class Fields:
     def _below(self, key: str) -> str:
         return f"{self.path}.{key}" if self.path else key
 
-    def _check_range(self, key: str, value: float, bounds: tuple[int | float, int | float]) -> None:
-        if not math.isfinite(value):
+    def _check_range(self, key: str, value: int | float, bounds: tuple[int | float, int | float]) -> None:
+        if value != value or abs(value) == math.inf:
             raise self.problem(key, f"is {value}, must be finite")
+        if abs(value) > LARGEST:
+            raise self.problem(key, f"is larger than {LARGEST:g}")
         if not bounds[0] <= value <= bounds[1]:
             most = f" and at most {bounds[1]:g}" if bounds[1] < math.inf else ""
             least = f"at least {bounds[0]:g}" if bounds[0] > -math.inf else ""
@@ -168,6 +173,15 @@ class Fields:
     def _near(self, key: str) -> str:
         near = difflib.get_close_matches(key, [k for k in self.values if isinstance(k, str)], n=1)
         return f"did you mean {key!r} where {near[0]!r} stands?" if near else ""
+
+
+def unusable(array: Float64[Array, "..."], allow_nan: bool) -> str:
+    """What is wrong with the numbers of an array; nothing if they are fit to compute with."""
+    if np.isinf(array).any() or (np.isnan(array).any() and not allow_nan):
+        return "has a number that is not finite"
+    if array.size and np.nanmax(np.abs(array), initial=0.0) > LARGEST:
+        return f"has a number larger than {LARGEST:g}"
+    return ""
 
 
 def hint(word: str, known: Iterable[str]) -> str:

@@ -76,7 +76,7 @@ def pose_line_of(record: Mapping[str, Any], place: str) -> PoseLine:
         pose=_pose_of(fields.fields("pose", _POSE_KEYS), flags) if fields.has("pose") else None,
         reason=fields.text("reason") if fields.has("reason") else None,
         frame=cast(PoseFrame, fields.choice("frame", ("camera", "tool"))),
-        laser_health=fields.fields("laser_health").values if fields.has("laser_health") else {},
+        laser_health=_laser_health(fields.fields("laser_health")) if fields.has("laser_health") else {},
         dropped=fields.integer("dropped", least=0) if fields.has("dropped") else 0,
         latency_s=_number(fields, "latency_s"),
         rig=fields.text("rig") if fields.has("rig") else "",
@@ -139,6 +139,10 @@ def _flags(fields: Fields) -> PoseFlag:
             raise fields.problem("flags", f"unknown flag {name!r}")
         flags |= known[name]
     return flags
+
+
+def _laser_health(fields: Fields) -> dict[str, float]:
+    return {name: _number(fields, name) for name in fields.values}
 
 
 def _number(fields: Fields, key: str, missing: float = math.nan) -> float:

@@ -1,6 +1,6 @@
 """truth.jsonl: what is really there, one line a shot."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -9,7 +9,7 @@ from jaxtyping import Float64
 
 from ringpose.files import atomic, records
 from ringpose.files.bytes import read_bytes
-from ringpose.files.fields import Fields
+from ringpose.files.fields import Fields, kind
 from ringpose.types.arrays import Array
 from ringpose.types.truth import Truth
 
@@ -57,7 +57,7 @@ def truth_of(fields: Fields) -> Truth:
         radius_inner_m=fields.length_m("radius_inner_m") if fields.has("radius_inner_m") else None,
         radius_outer_m=fields.length_m("radius_outer_m") if fields.has("radius_outer_m") else None,
         break_points_px=_break_points(fields) if fields.has("break_points_px") else None,
-        groups=fields.fields("groups").values if fields.has("groups") else {},
+        groups=_groups(fields.fields("groups")) if fields.has("groups") else {},
     )
 
 
@@ -73,6 +73,13 @@ def truth_record(truth: Truth) -> dict[str, Any]:
         "expect": truth.expect,
         "groups": dict(truth.groups),
     }
+
+
+def _groups(fields: Fields) -> Mapping[str, str | float | int | bool]:
+    for key, value in fields.values.items():
+        if not isinstance(key, str) or not isinstance(value, str | float | int):
+            raise fields.problem(str(key), f"is {kind(value)}, must be a text, a number, true or false")
+    return fields.values
 
 
 def _normal(fields: Fields) -> Float64[Array, "3"]:

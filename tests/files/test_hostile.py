@@ -1,0 +1,225 @@
+"""Whatever stands in a file, reading it gives a record or one error that names the place."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from ringpose.errors import DataError
+from ringpose.files import records
+from ringpose.files.boards import read_board
+from ringpose.files.cameras import read_camera
+from ringpose.files.detections import detection_of
+from ringpose.files.poses import pose_line_of
+from ringpose.files.rigs import read_rig
+from ringpose.files.shots import read_shot, write_shot
+from ringpose.files.truths import read_truths
+from ringpose.types.frame import Shot
+
+ODD = st.sampled_from(
+    [
+        None,
+        True,
+        0,
+        -1,
+        1e308,
+        -1e-308,
+        10**400,
+        math.nan,
+        math.inf,
+        "",
+        "a",
+        "1e3",
+        [],
+        [[]],
+        {},
+        {"a": 1},
+        [None],
+        [[1], 2],
+    ]
+)
+
+MATRIX = {"rows": 3, "cols": 3, "data": [700.0, 0, 320.5, 0, 710.0, 240.25, 0, 0, 1]}
+COEFFICIENTS = {"rows": 1, "cols": 5, "data": [-0.1, 0.12, 1e-4, -2e-4, 0.03]}
+CAMERA = {
+    "image_width": 640,
+    "image_height": 480,
+    "camera_matrix": MATRIX,
+    "distortion_model": "plumb_bob",
+    "distortion_coefficients": COEFFICIENTS,
+    "covariance": {"parameters": ["fx", "k1"], "data": [[1.0, 1e-4], [1e-4, 1e-6]]},
+}
+RIG = {
+    "ringpose": "rig/1",
+    "provenance": {"version": "0"},
+    "camera": CAMERA,
+    "lasers": [{"name": "l", "normal": [0, 0.6, -0.8], "distance_m": -0.04, "projector_m": [0, 0, 0]}],
+    "covariance": {"parameters": ["fx", "l.tilt_1"], "data": [[1.0, 1e-4], [1e-4, 1e-6]]},
+    "mount": {"tool_from_camera": np.eye(4).tolist()},
+}
+BOARD = {"kind": "four_markers", "width_m": 0.3, "height_m": 0.2, "marker_m": 0.05, "margin_m": 0, "dictionary": "D"}
+TRUTH = {
+    "shot": "a",
+    "expect": "pose",
+    "center_m": [0, 0, 1],
+    "normal": [0, 0, -1],
+    "radius_inner_m": 0.5,
+    "break_points_px": [[[1, 2], None]],
+    "groups": {"a": 1},
+}
+POINTS = {
+    "position_px": [[[1, 2], [None, None]]],
+    "covariance_px2": [[[[1, 0], [0, 1]]] * 2],
+    "flags": [[0, 1]],
+    "face_start_px": [[1, 2]],
+    "face_end_px": [[3, 4]],
+    "face_sigma_px": [[1, 1]],
+    "labelled": True,
+}
+STRIPES = {"position_px": [[1, 2]], "sigma_px": [1], "peak_dn": [9], "piece": [0], "laser": [-1]}
+DETECTION = {
+    "schema": "ringpose/detection/1",
+    "shot": "a",
+    "stamp_s": 1.0,
+    "reason": None,
+    "break_points": POINTS,
+    "stripes": STRIPES,
+    "segments": {"start_px": [[1, 2]], "end_px": [[3, 4]], "support": [20]},
+}
+POSE = {
+    "center_m": [0, 0, 1],
+    "normal": [0, 0, -1],
+    "pitch_rad": 0,
+    "yaw_rad": 0,
+    "radius_inner_m": 0.5,
+    "radius_outer_m": None,
+    "grasp_m": [0, 0, 1],
+    "covariance": {"full": np.eye(7).tolist(), "center": None, "grasp": None},
+    "ring_posterior": None,
+    "method": "paper",
+    "residual_rms_px": 0.1,
+    "condition": 10,
+}
+LINE = {
+    "schema": "ringpose/pose/1",
+    "shot": "a",
+    "stamp_s": 1.0,
+    "frame": "camera",
+    "status": "degraded",
+    "reason": None,
+    "flags": ["center_weak"],
+    "pose": POSE,
+    "laser_health": {},
+    "dropped": 0,
+    "latency_s": 0.1,
+    "rig": None,
+}
+
+
+def paths(values, here=()):
+    """Every place in nested values."""
+    items = values.items() if isinstance(values, dict) else enumerate(values) if isinstance(values, list) else ()
+    for key, item in items:
+        yield (*here, key)
+        yield from paths(item, (*here, key))
+
+
+def spoiled(values, path, value):
+    if not path:
+        return value
+    copy = values.copy()
+    copy[path[0]] = spoiled(values[path[0]], path[1:], value)
+    return copy
+
+
+def spoiled_once(values):
+    return st.builds(lambda path, odd: spoiled(values, path, odd), st.sampled_from(sorted(paths(values), key=str)), ODD)
+
+
+def outcome(read, source, place: str):
+    """What is read, or None if it was refused as it should be: in one line that begins with the place."""
+    try:
+        return read(source)
+    except DataError as error:
+        refusal = str(error)
+    assert refusal.startswith(place)
+    assert "\n" not in refusal
+    return None
+
+
+def outcome_of_text(read, folder: Path, text: str):
+    file = folder / "file"
+    file.write_text(text)
+    return outcome(read, file, str(file))
+
+
+relaxed = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+@pytest.mark.parametrize(
+    ("read", "values"),
+    [(read_rig, RIG), (read_camera, {"ringpose": "camera/1"} | CAMERA), (read_camera, CAMERA), (read_board, BOARD)],
+    ids=["rig", "camera", "ros", "board"],
+)
+@relaxed
+@given(data=st.data())
+def test_spoiled_yaml(tmp_path, read, values, data):
+    assert outcome_of_text(read, tmp_path, yaml.safe_dump(values)) is not None
+
+    outcome_of_text(read, tmp_path, yaml.safe_dump(data.draw(spoiled_once(values))))
+
+
+@pytest.mark.parametrize(
+    ("read", "values"), [(detection_of, DETECTION), (pose_line_of, LINE)], ids=["detection", "pose line"]
+)
+@relaxed
+@given(data=st.data())
+def test_spoiled_record(read, values, data):
+    assert read(values, "x") is not None
+
+    outcome(lambda record: read(record, "x"), data.draw(spoiled_once(values)), "x: ")
+
+
+@relaxed
+@given(values=spoiled_once(TRUTH))
+def test_spoiled_truth(tmp_path, values):
+    outcome_of_text(lambda file: list(read_truths(file)), tmp_path, json.dumps(values) + "\n")
+
+
+@relaxed
+@given(text=st.text(max_size=80))
+def test_text_that_is_no_record(text):
+    record = outcome(lambda line: records.record_of(line, "x"), text, "x: ")
+
+    assert record is None or isinstance(record, dict)
+
+
+@pytest.fixture(scope="module")
+def whole_shot(tmp_path_factory) -> bytes:
+    file = tmp_path_factory.mktemp("shot") / "a.npz"
+    images = np.random.default_rng(0).integers(0, 255, (2, 6, 8), dtype=np.uint8)
+    times = np.array([1.0, 2.0])
+    shot = Shot(
+        name="a", images=images, lasers=np.array([0, 1], np.uint8), stamp_s=times, exposure_s=times, meta={"a": 1}
+    )
+    write_shot(file, shot)
+    return file.read_bytes()
+
+
+@relaxed
+@given(data=st.data())
+def test_damaged_shot(tmp_path, whole_shot, data):
+    damaged = bytearray(whole_shot)
+    for place in data.draw(st.lists(st.integers(0, len(damaged) - 1), min_size=1, max_size=4)):
+        damaged[place] = data.draw(st.integers(0, 255))
+    file = tmp_path / "a.npz"
+    file.write_bytes(damaged)
+
+    shot = outcome(read_shot, file, str(file))
+
+    assert shot is None or shot.images.shape[0] == 2
