@@ -94,7 +94,7 @@ def _beside_something_nearer(ends: Ends, number: int, side: int, tracks: Sequenc
         outward = (near_x - end_x) * (-1 if side == 0 else 1)
         if track.laser in (laser, UNLABELLED) and -BESIDE_PX / 4 < outward < BESIDE_PX:
             ray = undistorted_rays(np.array([near_x, track.y(near_x)]), rig.camera)
-            point = intersect(ray, rig.lasers.normal[laser], rig.lasers.distance_m[laser])
+            point = intersect(ray, rig.lasers.normal[laser], np.asarray(rig.lasers.distance_m[laser]))
             if towards @ (point - points.mean(axis=0)) > IN_FRONT_M:
                 return True
     return False
