@@ -58,6 +58,9 @@ LEAST_HEADROOM = 0.05
 SATURATED_SHARE = 0.2
 """Share of the last columns with a saturated pixel above which an end is flagged."""
 
+HIDDEN_SPECKLE = 0.15
+"""Contrast of the speckle that saturation hides: what rough metal shows through a lens of f/4 or so."""
+
 FLANKS_SHARE = 0.6
 """Share of columns with a saturated pixel above which a stripe is read by its flanks; they see less light."""
 
@@ -196,11 +199,14 @@ def stripe_end(profile: Profile, near_x: float, outward: int, sigma: float) -> S
         return None
     speckle = math.sqrt(max(contrast**2 - (noise / level) ** 2, 0.0))
     last = profile.saturated[used][(along > position - 6) & (along < position)]
+    saturated = bool(len(last) and np.mean(last) > SATURATED_SHARE)
+    if saturated:
+        speckle = max(speckle, HIDDEN_SPECKLE)
     return StripeEnd(
         x=near_x + outward * position,
         sigma=math.hypot(1 / math.sqrt(information), GRAIN_FACTOR * speckle * width, SHAPE_SIGMA),
         outside=outside,
-        saturated=bool(len(last) and np.mean(last) > SATURATED_SHARE),
+        saturated=saturated,
     )
 
 
@@ -264,7 +270,7 @@ def _level_costs(
         level = np.maximum((c * p - b * q) / determinant, 1e-6)
         beyond = np.clip((a * q - b * p) / determinant, 0.0, level)
     residual = amplitude - level[:, None] * inside - beyond[:, None] * outside
-    cost = 0.5 * np.sum(residual**2 / variance, axis=-1)
+    cost = 0.5 * np.sum(residual**2 / variance + np.log(variance), axis=-1)
     return cost, beyond / level
 
 

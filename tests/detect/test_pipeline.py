@@ -91,7 +91,8 @@ def test_a_bar_over_one_end_is_called_occluded_and_left_out(rig, rng):
     points = found(hidden, rig)
 
     assert points.flags[2, 1] & BreakPointFlag.OCCLUDED
-    assert np.count_nonzero(points.seen) == 5
+    assert not points.seen[2, 1]
+    assert np.count_nonzero(points.seen) >= 4
     assert np.nanmax(np.abs(points.position_px - truth)) < 0.15
 
 
