@@ -77,16 +77,17 @@ def test_no_carried_shot_is_missed_or_wrong(carried_report, method):
 LIMITS = [
     ("paper", "normal_rad", 0.005, 0.03),
     ("paper", "grasp_m", 0.008, 0.025),
-    ("paper", "center_m", 0.06, 0.15),
+    ("paper", "center_m", 0.2, 0.5),
     ("paper-constrained", "normal_rad", 0.005, 0.03),
     ("paper-constrained", "grasp_m", 0.0001, 0.0007),
     ("paper-constrained", "center_m", 0.005, 0.02),
     ("paper-constrained", "radius_outer_m", 0.002, 0.006),
 ]
-"""Method, error, its median and its maximum: about twice what the shots give.
+"""Method, error, its median and its maximum: about twice what the shots give, more for the paper's centre.
 
 The normal from six points at 1 m is good to a degree and the centre to a centimetre along the optical axis; the
-grasp point is known ten times better. The paper's own form does not hold the centre in the plane.
+grasp point is known ten times better. The paper's own form does not hold the centre in the plane, so that its depth
+turns a tenth of a pixel into decimetres.
 """
 
 
