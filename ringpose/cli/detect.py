@@ -46,19 +46,20 @@ def detect(
     from ringpose.files.detection_sink import DetectionSink
     from ringpose.files.inputs import inputs as named
     from ringpose.files.rigs import read_rig
-    from ringpose.files.shots import SHOT_SUFFIXES
-    from ringpose.files.sources import shot_named
+    from ringpose.files.shots import SHOT_SUFFIXES, read_shot
+    from ringpose.files.sources import file_named
 
     if rig is None and not segments_only:
         raise UsageError("", "--rig is missing", "give --rig FILE, or --segments-only for any image")
     rig_of_shots = None if rig is None else read_rig(rig)
-    sink = DetectionSink(output, overlay, full=full or segments_only, force=force)
+    sink = DetectionSink(output, overlay, rig=rig, full=full or segments_only, force=force)
     batch = Batch()
     for item in counted(batch.good(named(inputs, SHOT_SUFFIXES)), "shots", quiet):
         with batch.item():
-            shot = shot_named(item, rig_of_shots, channel)
+            path = file_named(item)
+            shot = read_shot(path, channel, rig_of_shots)
             detection = detection_of(shot, None if segments_only else rig_of_shots)
-            sink.write(shot, detection)
+            sink.write(shot, detection, path)
             if verbose:
                 messages.say(f"{shot.name}: {detection.summary}")
             if not (detection.found or segments_only):

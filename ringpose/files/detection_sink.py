@@ -17,14 +17,15 @@ STDOUT = "-"
 class DetectionSink:
     """Writes each detection as soon as it is there; of two shots with one name the second is refused."""
 
-    def __init__(self, output: str, overlays: Path | None, *, full: bool, force: bool) -> None:
+    def __init__(self, output: str, overlays: Path | None, *, rig: Path | None, full: bool, force: bool) -> None:
         self.folder = None if output == STDOUT else atomic.make_folder(Path(output))
         self.overlays = None if overlays is None else atomic.make_folder(overlays)
+        self.rig = rig
         self.full = full
         self.force = force
         self.names: set[str] = set()
 
-    def write(self, shot: Shot, detection: Detection) -> None:
+    def write(self, shot: Shot, detection: Detection, source: Path) -> None:
         """The picture first: a detection that is announced is complete."""
         self._check_name(shot.name)
         if self.overlays is not None:
@@ -34,7 +35,8 @@ class DetectionSink:
             records.write(detection_record(detection, self.full))
         else:
             path = self.folder / f"{shot.name}.npz"
-            write_detection(path, detection, force=self.force)
+            inputs = [source] if self.rig is None else [source, self.rig]
+            write_detection(path, detection, force=self.force, inputs=inputs)
             records.write_text(f"{path}\n")
 
     def _check_name(self, name: str) -> None:

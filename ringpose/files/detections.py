@@ -1,21 +1,26 @@
 """Detections: one NPZ a shot or one JSON record, with the same names in both."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Int64
 
+from ringpose.files import records
 from ringpose.files.archives import Archive, write_archive
 from ringpose.files.fields import Fields
+from ringpose.files.provenance import provenance
 from ringpose.types.arrays import Array
 from ringpose.types.break_points import BreakPoints, Detection, NoBreakPoints
 from ringpose.types.segments import Segments
 from ringpose.types.stripes import Stripes
 
 SCHEMA = "ringpose/detection/1"
+
+PROVENANCE = "provenance"
+"""Key of an NPZ file: a JSON text."""
 
 _POINTS = ("position_px", "covariance_px2", "flags", "face_start_px", "face_end_px", "face_sigma_px", "labelled")
 _STRIPES = ("position_px", "sigma_px", "peak_dn", "piece", "laser")
@@ -55,9 +60,9 @@ def detection_of(record: Mapping[str, Any], place: str) -> Detection:
     )
 
 
-def write_detection(path: Path, detection: Detection, *, force: bool = False) -> None:
-    """Write a detection as NPZ: the record's keys, those of its parts as `break_points.position_px`."""
-    arrays: dict[str, Any] = {}
+def write_detection(path: Path, detection: Detection, *, force: bool = False, inputs: Iterable[Path] = ()) -> None:
+    """Write a detection as NPZ: the record's keys, those of its parts as `break_points.position_px`, and provenance."""
+    arrays: dict[str, Any] = {PROVENANCE: np.array(records.line_of(provenance(inputs)).strip())}
     for key, value in detection_record(detection).items():
         if isinstance(value, Mapping):
             arrays |= {f"{key}.{name}": part for name, part in value.items()}
@@ -75,6 +80,8 @@ def detection_in(archive: Archive) -> Detection:
     """The detection in an open archive."""
     record: dict[str, Any] = {}
     for key, array in archive.arrays.items():
+        if key == PROVENANCE:
+            continue
         part, _, name = key.partition(".")
         if name and part in _PARTS:
             record.setdefault(part, {})[name] = array.tolist()

@@ -28,8 +28,13 @@ def read_source(item: Input, rig: Rig, channel: str | None = None) -> Shot | Det
 
 def shot_named(item: Input, rig: Rig | None, channel: str | None = None) -> Shot:
     """The shot that an input names; a record is none."""
+    return read_shot(file_named(item), channel, rig)
+
+
+def file_named(item: Input) -> Path:
+    """The file that an input is; a record is none."""
     if isinstance(item, Path):
-        return read_shot(item, channel, rig)
+        return item
     raise DataError(item.place, "is a record", "the name of a shot or image is wanted")
 
 

@@ -1,4 +1,6 @@
+import hashlib
 import json
+from importlib.metadata import version
 
 import cv2
 import numpy as np
@@ -43,6 +45,17 @@ def test_folder_takes_one_archive_a_shot_and_names_it(rig, picture, tmp_path, ca
     names = capsys.readouterr().out.splitlines()
     assert names == [str(tmp_path / "out" / "a.npz"), str(tmp_path / "out" / "b.npz")]
     assert [read_detection(tmp_path / "out" / name).shot for name in ("a.npz", "b.npz")] == ["a", "b"]
+
+
+def test_archive_says_where_it_came_from(rig, picture, tmp_path):
+    file = picture("a.png", 20, (100,))
+
+    main(["detect", str(file), "--rig", str(rig), "--output", str(tmp_path / "out")])
+
+    with np.load(tmp_path / "out" / "a.npz") as archive:
+        provenance = json.loads(str(archive["provenance"]))
+    assert provenance["version"] == version("ringpose")
+    assert provenance["inputs"] == {str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in (file, rig)}
 
 
 def test_archive_is_not_replaced_without_force(picture, tmp_path, capsys):
