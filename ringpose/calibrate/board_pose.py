@@ -29,7 +29,7 @@ def marker_average_pose(view: BoardView, camera: Camera) -> BoardPose:
     decision, the one whose normal agrees with the markers that have decided. Rotations are averaged as matrices and
     projected back to the nearest rotation.
     """
-    markers = [_marker_candidates(view, camera, marker) for marker in np.unique(view.ids // 4)]
+    markers = [_marker_candidates(view, camera, marker) for marker in np.unique(view.ids // 4).tolist()]
     leader = min((marker[0] for marker in markers), key=lambda pose: pose.residual_rms_px)
     chosen = [_unflipped(marker, leader) for marker in markers]
     mean = np.mean([pose.rotation for pose in chosen], axis=0)

@@ -53,8 +53,9 @@ def planes_covariance(
     """Covariance of the camera's parameters (if the camera has one) and of each plane's two tilts and distance."""
     estimate = _estimate(views, poses, camera, lasers)
     sigma_px = corner_sigma_px(views, poses, camera)
-    excess = max(1.0, view_excess(views, poses, camera, lasers, sigma_px))
-    own = excess * (_from_corners(estimate, sigma_px) + _from_stripes(estimate))
+    own = view_excess(views, poses, camera, lasers, sigma_px) * (
+        _from_corners(estimate, sigma_px) + _from_stripes(estimate)
+    )
     names = tuple(f"{laser.name}.{what}" for laser in lasers for what in ("tilt_1", "tilt_2", "distance"))
     if camera.covariance is None:
         return ParameterCovariance(parameters=names, data=own)

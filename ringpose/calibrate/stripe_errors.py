@@ -30,14 +30,12 @@ def line_variance_px2(points_px: Float64[Array, "n xy=2"]) -> float:
 
 
 def correlation_length(residual: Float64[Array, "n"]) -> float:
-    """Number of neighbours that count as one: 1 + 2 times the sum of the autocorrelation up to its first zero."""
+    """Number of neighbours that count as one: 1 + 2 times the sum of the autocorrelation while it is significant."""
     power = float(residual @ residual)
-    if power == 0:
-        return 1.0
     length = 1.0
     for lag in range(1, len(residual) // 4):
-        correlation = float(residual[lag:] @ residual[:-lag]) / power
-        if correlation <= 0:
+        correlation = float(residual[lag:] @ residual[:-lag]) / power if power > 0 else 0.0
+        if correlation < 2 / np.sqrt(len(residual)):
             break
         length += 2 * correlation
     return length

@@ -14,6 +14,9 @@ from ringpose.types.board import BoardPose
 from ringpose.types.calibration import LaserCalibration, StripeView
 from ringpose.types.camera import Camera
 
+SIGNIFICANCE = 3.0
+"""Standard deviations by which the sum of squares must exceed its mean (chi-squared) to be more than chance."""
+
 _POSE_STEP = 1e-5
 _LINE_STEP_PX = 0.01
 
@@ -34,7 +37,7 @@ def view_excess(
 ) -> float:
     """Mean square of each stripe's offset and turn from its light plane, in units of the variance expected of them.
 
-    One if corners and stripes err as they say; well above one if the board is bent or its sizes are not exact.
+    One where chance explains it; above one if the board is bent or its sizes are not exact.
     """
     squares, numbers = 0.0, -3 * len(lasers)
     for view, pose in zip(views, poses, strict=True):
@@ -43,7 +46,9 @@ def view_excess(
             if len(points_px):
                 squares += _normalised_square(points_px, pose, camera, laser, of_pose)
                 numbers += 2
-    return squares / numbers if numbers > 0 else 1.0
+    if numbers <= 0 or squares < numbers + SIGNIFICANCE * np.sqrt(2 * numbers):
+        return 1.0
+    return squares / numbers
 
 
 def _normalised_square(

@@ -1,12 +1,13 @@
 """Shots of a board with stripes, as `ringpose calibrate-planes` reads them."""
 
 from ringpose.calibrate.board_overlay import stripe_overlay
+from ringpose.calibrate.board_points import marker_corners
 from ringpose.calibrate.laser_names import ALL, laser_names, laser_order
 from ringpose.calibrate.plane_fits import PlanesMethod
 from ringpose.calibrate.planes import PlanesModel
 from ringpose.calibrate.stripe_views import stripe_view
 from ringpose.cli.board_views import BoardImages
-from ringpose.errors import DataError
+from ringpose.errors import DataError, UsageError
 from ringpose.files.images import write_image
 from ringpose.files.inputs import Input
 from ringpose.types.calibration import StripeView
@@ -44,6 +45,8 @@ class StripeImages:
 
     def model(self, method: str) -> PlanesModel:
         """What is to be estimated."""
+        if method == PlanesMethod.PAPER and not len(marker_corners(self.images.board)):
+            raise UsageError("--method paper", "averages the poses of single markers, and the board has none")
         order = laser_order(self.given[1], self.names)
         return PlanesModel(names=self.names, method=PlanesMethod(method), order=order)
 

@@ -175,3 +175,9 @@ def rendered_truth(shared_data) -> Callable[[str, np.ndarray], np.ndarray]:
 def true_poses() -> Callable[[np.random.Generator, int], list[tuple[np.ndarray, np.ndarray]]]:
     """Makes board poses."""
     return poses
+
+
+@pytest.fixture
+def true_planes() -> tuple[np.ndarray, np.ndarray]:
+    """Normals and distances of the light planes."""
+    return NORMALS, DISTANCES_M

@@ -1,0 +1,202 @@
+"""Light planes from exact, noisy and degenerate views."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ringpose.calibrate.plane_fits import PlanesMethod, paper_plane, robust_plane
+from ringpose.calibrate.planes import PlanesModel, calibrate_planes
+from ringpose.errors import DataError
+from ringpose.geometry.rotations import tilt_basis
+from ringpose.types.covariance import ParameterCovariance
+
+NAMES = ("left", "middle", "right")
+MODEL = PlanesModel(names=NAMES)
+PAPER = replace(MODEL, method=PlanesMethod.PAPER)
+NOTHING = np.empty((0, 2))
+
+
+def errors(found, true_planes) -> np.ndarray:
+    """Tilts and distance of the true planes as seen from the estimate, nine numbers."""
+    parts = []
+    for laser, normal, distance_m in zip(found.lasers, *true_planes, strict=True):
+        along = normal @ laser.normal
+        parts += [*(tilt_basis(laser.normal) @ normal / along), distance_m * np.sign(along) - laser.distance_m]
+    return np.array(parts)
+
+
+@pytest.mark.parametrize("model", [MODEL, PAPER], ids=lambda model: model.method.value)
+@pytest.mark.parametrize("number", [2, 6])
+def test_exact_views_give_the_exact_planes(model, number, rng, stripe_views, true_poses, true_planes, true_camera):
+    found = calibrate_planes(stripe_views(true_poses(rng, number), rng), true_camera, model)
+
+    assert np.abs(errors(found, true_planes)).max() < 1e-5
+    assert max(laser.rms_m for laser in found.lasers) < 1e-7
+
+
+def test_two_parallel_boards_at_two_depths_suffice(rng, stripe_views, true_planes, true_camera):
+    facing = [(np.eye(3), np.array([-0.15, -0.12, depth])) for depth in (0.45, 0.55)]
+
+    found = calibrate_planes(stripe_views(facing, rng), true_camera, MODEL)
+
+    assert np.abs(errors(found, true_planes)).max() < 1e-5
+
+
+def test_one_view_is_one_line_and_is_refused(rng, stripe_views, true_poses, true_camera):
+    with pytest.raises(DataError, match=r"one line.*add a view of the board 50 mm or more nearer or farther"):
+        calibrate_planes(stripe_views(true_poses(rng, 1), rng), true_camera, MODEL)
+
+
+def test_the_same_view_three_times_is_one_line_and_is_refused(rng, stripe_views, true_poses, true_camera):
+    same = 3 * true_poses(rng, 1)
+
+    with pytest.raises(DataError, match="3 views lie on one line"):
+        calibrate_planes(stripe_views(same, rng, 0.02, 0.05), true_camera, MODEL)
+
+
+def test_a_laser_that_is_seen_once_is_named(rng, stripe_views, true_poses, true_camera):
+    views = stripe_views(true_poses(rng, 4), rng)
+    hidden = [views[0], *(replace(view, stripes_px=(*view.stripes_px[:2], NOTHING)) for view in views[1:])]
+
+    with pytest.raises(DataError, match='laser "right"'):
+        calibrate_planes(hidden, true_camera, MODEL)
+
+
+def test_no_view_at_all_says_what_is_needed(true_camera):
+    with pytest.raises(DataError, match="two or more distances"):
+        calibrate_planes([], true_camera, MODEL)
+
+
+def test_stripes_on_no_common_plane_are_refused(rng, stripe_views, true_poses, true_camera):
+    views = stripe_views(true_poses(rng, 3), rng)
+    mixed = [replace(views[0], stripes_px=views[0].stripes_px[::-1]), *views[1:]]
+
+    with pytest.raises(DataError, match="lie on no common plane"):
+        calibrate_planes(mixed, true_camera, MODEL)
+
+
+def test_a_stripe_beside_its_plane_is_left_out_by_name(rng, stripe_views, true_poses, true_planes, true_camera):
+    views = stripe_views(true_poses(rng, 8), rng, 0.02, 0.05)
+    views[2] = replace(views[2], stripes_px=(views[2].stripes_px[0] + [0.0, 8.0], *views[2].stripes_px[1:]))
+
+    found = calibrate_planes(views, true_camera, MODEL)
+
+    assert [(name, reason[:23]) for name, reason in found.remarks] == [("v2", "stripe of left left out")]
+    assert np.abs(errors(found, true_planes)).max() < 1e-3
+
+
+def test_a_board_that_does_not_fit_is_left_out_by_name(rng, stripe_views, true_poses, true_camera):
+    views = stripe_views(true_poses(rng, 6), rng, 0.02, 0.05)
+    bent = replace(views[1].board, points_px=views[1].board.points_px + rng.normal(0, 3, (16, 2)))
+    views[1] = replace(views[1], board=bent)
+
+    found = calibrate_planes(views, true_camera, MODEL)
+
+    assert [name for name, _ in found.remarks] == ["v1"]
+    assert len(found.poses) == 5
+
+
+def unlabelled(view, order):
+    return replace(view, stripes_px=(NOTHING,) * 3, unlabelled_px=tuple(view.stripes_px[laser] for laser in order))
+
+
+def test_stripes_seen_together_are_told_apart_by_the_planes_of_the_others(
+    rng, stripe_views, true_poses, true_planes, true_camera
+):
+    views = stripe_views(true_poses(rng, 6), rng, 0.02, 0.05)
+    mixed = [*views[:3], *(unlabelled(view, (2, 1, 0)) for view in views[3:])]
+
+    found = calibrate_planes(mixed, true_camera, MODEL)
+
+    assert [len(laser.views) for laser in found.lasers] == [6, 6, 6]
+    assert np.abs(errors(found, true_planes)).max() < 1e-3
+
+
+def test_stripes_seen_together_alone_need_their_order(rng, stripe_views, true_poses, true_camera):
+    together = [unlabelled(view, (2, 1, 0)) for view in stripe_views(true_poses(rng, 3), rng)]
+
+    with pytest.raises(DataError, match="--laser-order"):
+        calibrate_planes(together, true_camera, MODEL)
+
+
+def test_stripes_seen_together_are_labelled_by_their_order(rng, stripe_views, true_poses, true_planes, true_camera):
+    together = [unlabelled(view, (2, 1, 0)) for view in stripe_views(true_poses(rng, 3), rng)]
+
+    found = calibrate_planes(together, true_camera, replace(MODEL, order=(2, 1, 0)))
+
+    assert np.abs(errors(found, true_planes)).max() < 1e-5
+
+
+def test_held_out_error_is_unknown_with_two_views(rng, stripe_views, true_poses, true_camera):
+    found = calibrate_planes(stripe_views(true_poses(rng, 2), rng, 0.02, 0.05), true_camera, MODEL)
+
+    assert np.isnan([laser.held_out_rms_m for laser in found.lasers]).all()
+
+
+def test_the_joint_covariance_holds_the_cameras(rng, stripe_views, true_poses, true_camera, camera_covariance):
+    camera = replace(true_camera, covariance=camera_covariance)
+
+    found = calibrate_planes(stripe_views(true_poses(rng, 5), rng, 0.02, 0.05), camera, MODEL)
+
+    count = len(camera_covariance.parameters)
+    assert found.covariance.parameters[:count] == camera_covariance.parameters
+    assert found.covariance.data[:count, :count] == pytest.approx(camera_covariance.data)
+    assert np.linalg.eigvalsh(found.covariance.data).min() > -1e-12
+    assert np.abs(found.covariance.data[:count, count:]).max() > 0
+
+
+def test_the_papers_method_claims_no_covariance(rng, stripe_views, true_poses, true_camera):
+    views = stripe_views(true_poses(rng, 4), rng, 0.02, 0.05)
+
+    assert calibrate_planes(views, true_camera, PAPER).covariance is None
+
+
+@pytest.mark.slow
+def test_errors_have_the_joint_covariance_that_is_reported(
+    rng, stripe_views, true_poses, true_planes, true_camera, camera_covariance
+):
+    runs = 40
+    poses = true_poses(rng, 7)
+    normalised = []
+    for _ in range(runs):
+        wrong = rng.multivariate_normal(np.zeros(9), camera_covariance.data)
+        fx, fy, cx, cy = np.array([1781.3, 1780.6, 803.7, 596.2]) + wrong[:4]
+        camera = replace(
+            true_camera,
+            camera_matrix=np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]),
+            distortion_coefficients=true_camera.distortion_coefficients + wrong[4:],
+            covariance=camera_covariance,
+        )
+        found = calibrate_planes(stripe_views(poses, rng, 0.05, 0.1), camera, MODEL)
+        error = errors(found, true_planes)
+        normalised.append(error @ np.linalg.solve(found.covariance.data[9:, 9:], error))
+
+    assert np.mean(normalised) == pytest.approx(9, abs=3 * np.sqrt(2 * 9 / runs))
+
+
+@pytest.fixture
+def camera_covariance() -> ParameterCovariance:
+    sigma = np.array([0.15, 0.15, 0.2, 0.2, 4e-4, 2e-3, 2e-5, 2e-5, 0.0])
+    names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+    return ParameterCovariance(parameters=names, data=np.diag(sigma**2))
+
+
+def test_the_papers_plane_and_the_nearest_plane_agree_on_exact_points(rng):
+    points = rng.uniform(-1, 1, (50, 3))
+    points[:, 2] = 2 + 0.3 * points[:, 0] - 0.2 * points[:, 1]
+
+    paper, nearest = paper_plane(points), robust_plane(points)
+
+    assert np.abs(paper[0] - nearest[0]).max() < 1e-12
+    assert paper[1] == pytest.approx(nearest[1], abs=1e-12)
+
+
+def test_a_third_of_wrong_points_does_not_move_the_robust_plane(rng):
+    points = rng.uniform(-1, 1, (300, 3)) * [1, 1, 0] + rng.normal(0, 1e-4, (300, 3)) + [0, 0, 2]
+    points[:90, 2] += rng.uniform(0.01, 0.5, 90)
+
+    normal, distance_m, _ = robust_plane(points)
+
+    assert np.abs(normal - [0, 0, 1]).max() < 1e-4
+    assert distance_m == pytest.approx(2, abs=1e-4)

@@ -1,0 +1,177 @@
+"""Stripes on rendered and photographed boards."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import scipy.io
+
+from ringpose.calibrate.board_image import board_image
+from ringpose.calibrate.board_views import find_board
+from ringpose.calibrate.camera import CameraModel, calibrate_camera
+from ringpose.calibrate.plane_fits import PlanesMethod
+from ringpose.calibrate.planes import PlanesModel, calibrate_planes
+from ringpose.calibrate.stripe_views import stripe_view
+from ringpose.geometry.rotations import angle_between
+from ringpose.types.board import Board
+from ringpose.types.calibration import PlanesCalibration
+from ringpose.types.camera import Camera
+from ringpose.types.frame import Shot
+
+RENDERED = (
+    np.array(
+        [
+            [0.00566835033, 0.984148362139, -0.17725651216],
+            [-0.004363296259, 0.9999874955, 0.002443458521],
+            [-0.007049019511, 0.985054082892, 0.172101031672],
+        ]
+    ),
+    np.array([-0.039535984995, -0.070047993855, -0.039613633901]),
+)
+"""The light planes of the rendered rig B."""
+
+
+def shot_of(path: Path, channel: int | None = None) -> Shot:
+    """An NPZ shot; or an image, one colour of it, as a shot with all lasers on."""
+    if path.suffix == ".npz":
+        with np.load(path) as stored:
+            parts = {key: stored[key] for key in ("images", "lasers", "stamp_s", "exposure_s")}
+        return Shot(name=path.stem, **parts)
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE if channel is None else cv2.IMREAD_COLOR)
+    grey = image if channel is None else np.ascontiguousarray(image[..., channel])
+    lasers = np.array([255], np.uint8)
+    return Shot(name=path.stem, images=grey[None], lasers=lasers, stamp_s=np.zeros(1), exposure_s=np.zeros(1))
+
+
+def offset_at_half_a_metre_m(found: PlanesCalibration) -> np.ndarray:
+    """Distance between estimated and true planes on the line x = 0, z = 0.5."""
+    height = [(d - 0.5 * n[:, 2]) / n[:, 1] for n, d in ((found.planes.normal, found.planes.distance_m), RENDERED)]
+    return height[0] - height[1]
+
+
+@pytest.fixture(scope="module")
+def rendered(shared_data):
+    """Planes of the rendered views by either method, with the true camera."""
+    board = Board(
+        kind="four_markers", dictionary="DICT_4X4_50", width_m=0.3, height_m=0.24, marker_m=0.06, margin_m=0.01
+    )
+    camera = Camera(
+        camera_name="rig_b",
+        image_width=1600,
+        image_height=1200,
+        camera_matrix=np.array([[1781.3, 0, 803.7], [0, 1780.6, 596.2], [0, 0, 1]]),
+        distortion_model="plumb_bob",
+        distortion_coefficients=np.array([-0.105, 0.118, 0.00055, -0.0004, 0.0]),
+    )
+    shots = [shot_of(path) for path in sorted((shared_data / "rendered" / "calib_b" / "planes").glob("*.npz"))]
+    views = [stripe_view(shot, find_board(board_image(shot), board, shot.name), board, camera, 3) for shot in shots]
+    model = PlanesModel(names=("left", "middle", "right"))
+    return {method: calibrate_planes(views, camera, replace(model, method=method)) for method in PlanesMethod}
+
+
+@pytest.mark.parametrize(
+    ("method", "angle_deg", "offset_mm"),
+    [(PlanesMethod.TOTAL_LEAST_SQUARES, 0.006, 0.005), (PlanesMethod.PAPER, 0.01, 0.05)],
+)
+def test_rendered_planes_are_where_the_truth_has_them(method, angle_deg, offset_mm, rendered):
+    found = rendered[method]
+
+    angles = np.degrees(angle_between(found.planes.normal, RENDERED[0]))
+    assert angles.max() < angle_deg
+    assert np.abs(offset_at_half_a_metre_m(found)).max() < 1e-3 * offset_mm
+
+
+def test_held_out_points_lie_within_fifty_micrometres_of_the_plane_of_the_other_views(rendered):
+    lasers = rendered[PlanesMethod.TOTAL_LEAST_SQUARES].lasers
+
+    assert [len(laser.views) for laser in lasers] == [8, 8, 8]
+    assert max(view.held_out_rms_m for laser in lasers for view in laser.views) < 50e-6
+
+
+def test_rendered_planes_lie_within_three_reported_sigmas_of_the_truth(rendered):
+    found = rendered[PlanesMethod.TOTAL_LEAST_SQUARES]
+
+    deviations = np.array(list(found.covariance.standard_deviations.values())).reshape(3, 3)
+    assert np.abs((found.planes.distance_m - RENDERED[1]) / deviations[:, 2]).max() < 3
+    assert (angle_between(found.planes.normal, RENDERED[0]) / np.linalg.norm(deviations[:, :2], axis=1)).max() < 3
+
+
+@pytest.fixture(scope="module")
+def uba(shared_data):
+    """The red plane across a chessboard, upright, over black and white squares; red channel, published camera.
+
+    Its squares are 21.167 x 21.125 mm, which a board file cannot say: they are put in here.
+    """
+    folder = shared_data / "real" / "uba_laser_plane"
+    published = scipy.io.loadmat(folder / "Calib_Results.mat")
+    (fx, fy), (cx, cy) = published["fc"].ravel(), published["cc"].ravel()
+    camera = Camera(
+        camera_name="uba",
+        image_width=1152,
+        image_height=768,
+        camera_matrix=np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]),
+        distortion_model="plumb_bob",
+        distortion_coefficients=published["kc"].ravel().astype(np.float64),
+    )
+    board = Board(kind="chessboard", squares_x=12, squares_y=8, square_m=0.021167)
+    views = []
+    for path in sorted((folder / "color").glob("*.png")):
+        green, red = shot_of(path, 1), shot_of(path, 2)
+        view = find_board(board_image(green), board, path.stem)
+        view = replace(view, points_board_m=view.points_board_m * [1, 21.125 / 21.167, 1])
+        views.append(stripe_view(red, view, board, camera, 1))
+    return calibrate_planes(views, camera, PlanesModel(names=("red",)))
+
+
+@pytest.mark.slow
+def test_a_real_upright_stripe_over_squares_agrees_with_the_published_plane(uba):
+    """The published one comes from integer, 1-based pixels (+1.4 px): 0.25 degrees and 0.44 mm off ours and theirs."""
+    (laser,) = uba.lasers
+    published, distance_m = np.array([-0.87330925, -0.35148468, 0.33732696]), 0.12317683494
+    points = np.concatenate([view.points for view in laser.views])
+
+    angle = angle_between(laser.normal, published)
+    assert np.degrees(min(angle, np.pi - angle)) < 0.35
+    assert (
+        abs(np.mean(points @ published + distance_m)) < 0.7e-3 or abs(np.mean(points @ published - distance_m)) < 0.7e-3
+    )
+    assert len(laser.views) == 14
+
+
+@pytest.mark.slow
+def test_a_real_upright_stripe_lies_on_its_plane(uba):
+    (laser,) = uba.lasers
+
+    assert laser.rms_m < 0.2e-3
+    assert max(view.held_out_rms_m for view in laser.views) < 0.25e-3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("folder", "views", "rms_m", "angle_deg", "normal"),
+    [
+        ("root", 8, 0.6e-3, 0.6, (0.79686689, 0.06148914, 0.60101765)),
+        ("calib2", 8, 0.25e-3, 1.0, (-0.84577, -0.12256, 0.51929)),
+        ("calib3", 16, 0.4e-3, 0.4, (-0.84685, -0.12418, 0.51714)),
+    ],
+)
+def test_a_saturated_stripe_on_the_sheet_beside_the_board(folder, views, rms_m, angle_deg, normal, shared_data):
+    """Published for `root`, reproduced by others for the rest (rms 0.33 of 7 views, 0.20, 0.29 mm).
+
+    The stripe crosses the sheet beside the board, 15 to 25 px wide and saturated. Eight alike views determine the
+    camera weakly (`calib2`: focal length to 3 %), which is why angles agree to half a degree only.
+    """
+    board = Board(kind="chessboard", squares_x=8, squares_y=7, square_m=0.01)
+    shots = [shot_of(path) for path in sorted((shared_data / "real" / "etna_laser_robot" / folder).glob("*.png"))]
+    seen = [find_board(shot.images[0], board, shot.name) for shot in shots]
+    camera = calibrate_camera(seen, 1280, 1024, CameraModel(fix_k3=True, keep_all=True)).camera
+
+    stripes = [stripe_view(shot, view, board, camera, 1, 0.1) for shot, view in zip(shots, seen, strict=True)]
+    (laser,) = calibrate_planes(stripes, camera, PlanesModel(names=("red",))).lasers
+
+    angle = angle_between(laser.normal, np.array(normal))
+    assert len(laser.views) == views
+    assert laser.rms_m < rms_m
+    assert np.degrees(min(angle, np.pi - angle)) < angle_deg
