@@ -1,22 +1,21 @@
 """`ringpose simulate`: a scene -> shots with truth, and calibration views."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from ringpose.cli.app import app
 from ringpose.cli.options import Force, Quiet, Verbose
 
-if TYPE_CHECKING:
-    from ringpose.files.simulations import SimulationFolder
-    from ringpose.types.scene import Scene
-
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="The scene (scene.yaml).")]
 OutputFolder = Annotated[
     Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for rig, shots, truth and calibration views.")
 ]
-Count = Annotated[int | None, typer.Option("--count", metavar="N", min=1, help="Make only the first N shots.")]
+Count = Annotated[
+    int | None,
+    typer.Option("--count", metavar="N", min=1, help="Make only the first N shots, and views of each board."),
+]
 Seed = Annotated[int | None, typer.Option("--seed", metavar="N", min=0, help="Use this seed instead of the scene's.")]
 Jobs = Annotated[
     int,
@@ -45,6 +44,7 @@ def simulate(
     from ringpose.files.scenes import read_scene
     from ringpose.files.simulations import SimulationFolder
     from ringpose.simulate.pipeline import simulate as simulated
+    from ringpose.simulate.pipeline import simulated_boards
 
     read = read_scene(scene)
     seeded = read if seed is None else replace(read, seed=seed)
@@ -54,16 +54,7 @@ def simulate(
         records.write_text(f"{folder.add(shot, truth)}\n")
         if verbose:
             messages.say(f"{shot.name}: {len(shot.images)} frames of {1e3 * shot.exposure_s[0]:.3f} ms, {truth.expect}")
-    write_boards(folder, seeded, processes, quiet)
-
-
-def write_boards(folder: "SimulationFolder", scene: "Scene", processes: int, quiet: bool) -> None:
-    """The calibration views that the scene asks for; they are not shots, so their names do not go to stdout."""
-    from ringpose.cli.progress import counted
-    from ringpose.simulate.pipeline import simulated_boards
-
-    for name, boards in (("camera", scene.camera_boards), ("plane", scene.plane_boards)):
+    for name, boards in (("camera", seeded.camera_boards), ("plane", seeded.plane_boards)):
         if boards is not None:
-            folder.begin_boards(name, boards.board)
-            for shot, place in counted(simulated_boards(scene, boards, processes), f"{name} board views", quiet):
-                folder.add_board(name, shot, place)
+            views = counted(simulated_boards(seeded, boards, count, processes), f"{name} board views", quiet)
+            folder.add_boards(name, boards.board, views)

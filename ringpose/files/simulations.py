@@ -36,28 +36,27 @@ class SimulationFolder:
         self._append(self.folder / "truth.jsonl", truth_record(truth))
         return path
 
-    def begin_boards(self, name: str, board: Board) -> None:
-        """The board file `calibration/<name>_board.yaml`, and the folder of its views."""
-        atomic.make_folder(self.folder / "calibration" / _VIEWS[name])
-        write_board(self.folder / "calibration" / f"{name}_board.yaml", board, force=self.force)
-        views = self.folder / "calibration" / _VIEWS[name]
-        self._begin(self.folder / "calibration" / f"{name}_truth.jsonl", views)
+    def add_boards(self, name: str, board: Board, views: Iterable[tuple[Shot, BoardPlace]]) -> None:
+        """The views of a board, `camera` or `plane`, each as it comes, with the board file and the true places."""
+        calibration = atomic.make_folder(self.folder / "calibration")
+        folder, truth = atomic.make_folder(calibration / _VIEWS[name]), calibration / f"{name}_truth.jsonl"
+        self._begin(truth, folder)
+        write_board(calibration / f"{name}_board.yaml", board, force=self.force)
+        for shot, place in views:
+            self._write_view(folder, shot)
+            record = {
+                "view": shot.name,
+                "camera_from_board_rvec": cv2.Rodrigues(place.rotation)[0].ravel(),
+                "camera_from_board_tvec_m": place.translation_m,
+            }
+            self._append(truth, record)
 
-    def add_board(self, name: str, shot: Shot, place: BoardPlace) -> Path:
-        """One view of a board: a PNG if it is a single frame without stripes, else a shot."""
-        plain = len(shot.images) == 1 and not shot.lasers.any()
-        path = self.folder / "calibration" / _VIEWS[name] / f"{shot.name}.{'png' if plain else 'npz'}"
-        if plain:
-            write_image(path, shot.images[0], force=self.force)
+    def _write_view(self, folder: Path, shot: Shot) -> None:
+        """A PNG if it is a single frame without stripes, else a shot."""
+        if len(shot.images) == 1 and not shot.lasers.any():
+            write_image(folder / f"{shot.name}.png", shot.images[0], force=self.force)
         else:
-            write_shot(path, shot, force=self.force)
-        record = {
-            "view": shot.name,
-            "camera_from_board_rvec": cv2.Rodrigues(place.rotation)[0].ravel(),
-            "camera_from_board_tvec_m": place.translation_m,
-        }
-        self._append(self.folder / "calibration" / f"{name}_truth.jsonl", record)
-        return path
+            write_shot(folder / f"{shot.name}.npz", shot, force=self.force)
 
     def _begin(self, truth: Path, views: Path) -> None:
         """An empty truth file; an older one goes together with what it lists."""

@@ -9,6 +9,9 @@ from typing import TypeVar, cast
 
 Result = TypeVar("Result")
 
+WORTH_A_PROCESS = 4
+"""Fewer pieces than this are done sooner than a process has started."""
+
 
 def in_order(work: Callable[[int], Result], count: int, jobs: int) -> Iterator[Result]:
     """work(0), work(1), ... work(count - 1).
@@ -17,13 +20,14 @@ def in_order(work: Callable[[int], Result], count: int, jobs: int) -> Iterator[R
     results never pile up. There are no threads and no locks that an interrupt could leave behind, as there are in an
     executor's pool.
     """
-    if min(jobs, count) <= 1:
+    jobs = min(jobs, count // WORTH_A_PROCESS)
+    if jobs <= 1:
         yield from map(work, range(count))
         return
     context = multiprocessing.get_context("spawn")
     processes, results = [], []
     try:
-        for first in range(min(jobs, count)):
+        for first in range(jobs):
             result, sender = context.Pipe(duplex=False)
             process = context.Process(target=_do, args=(work, range(first, count, jobs), sender), daemon=True)
             processes.append(process)

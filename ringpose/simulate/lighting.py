@@ -24,6 +24,8 @@ class Stand:
     placement: Placement
     sheets: Sheets
     light: Light
+    lasers: tuple[int, ...]
+    """Those that will be on in some frame; the others' layers stay black."""
 
     @property
     def is_lit(self) -> bool:

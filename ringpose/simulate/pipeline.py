@@ -37,15 +37,17 @@ def simulate(scene: Scene, count: int | None = None, jobs: int = 1) -> Iterator[
 def simulated_shot(scene: Scene, views: tuple[RingView, ...], number: int) -> tuple[Shot, Truth]:
     """Shot and truth of one view."""
     view = views[number]
-    stand = ring_stand(scene, view)
+    stand = ring_stand(scene, view, scene.sequence)
     stage = staged(scene, stand, (_SHOTS, scene.seed, number))
     shot = _exposed(scene, view.name, stage, scene.sequence, view_exposure_s(scene, stand), number)
     return shot, view_truth(scene, view, stand)
 
 
-def simulated_boards(scene: Scene, boards: BoardSet, jobs: int = 1) -> Iterator[tuple[Shot, BoardPlace]]:
-    """The views of a calibration board, each with the board's true place."""
-    places = board_places(scene, boards)
+def simulated_boards(
+    scene: Scene, boards: BoardSet, count: int | None = None, jobs: int = 1
+) -> Iterator[tuple[Shot, BoardPlace]]:
+    """The first `count` views of a calibration board, or all, each with the board's true place."""
+    places = board_places(scene, boards)[:count]
     return in_order(partial(simulated_board, scene, boards, places), len(places), jobs)
 
 
@@ -60,13 +62,14 @@ def simulated_board(
         placement=placement,
         sheets=sheets(scene.rig.lasers, scene.lasers, placement),
         light=Light(name="boards", ambient_w_m2=boards.ambient_w_m2),
+        lasers=_lit(scene, boards.sequence),
     )
     stage = staged(scene, stand, (_BOARDS, scene.seed, len(boards.sequence), number))
     return _exposed(scene, place.name, stage, boards.sequence, boards.exposure_s, number), place
 
 
-def ring_stand(scene: Scene, view: RingView) -> Stand:
-    """The view's target in its place, and its light."""
+def ring_stand(scene: Scene, view: RingView, masks: tuple[int, ...] = (255,)) -> Stand:
+    """The view's target in its place, and its light; the masks say which lasers will be on."""
     rotation = ring_rotation(view.normal, view.roll_rad)
     placement = Placement(rotation=rotation, translation_m=view.center_m - scene.ring.height_m * rotation[:, 2])
     return Stand(
@@ -74,6 +77,7 @@ def ring_stand(scene: Scene, view: RingView) -> Stand:
         placement=placement,
         sheets=sheets(scene.rig.lasers, scene.lasers, placement),
         light=scene.lights[view.light],
+        lasers=_lit(scene, masks),
     )
 
 
@@ -146,3 +150,8 @@ def _target(scene: Scene, view: RingView) -> Target:
     if view.target == "none":
         return EmptySpace()
     return ring_target(scene.ring if view.target == "ring" else None, scene.body)
+
+
+def _lit(scene: Scene, masks: tuple[int, ...]) -> tuple[int, ...]:
+    """Lasers that are on in any of the masks."""
+    return tuple(k for k in range(len(scene.rig.lasers.names)) if any(mask >> k & 1 for mask in masks))

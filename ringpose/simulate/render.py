@@ -58,7 +58,7 @@ def _one_ray_a_pixel(
         hit, hits, footprint_m = _cast(stand, direction, rays.angle_per_px)
         radiance[0, block][hit], shadowed = ambient_radiance(stand, hits)
         code[block][hit] = ((hits.surface.astype(np.uint16) + 1) << (lasers + 1)) | shadowed
-        for laser in range(lasers):
+        for laser in stand.lasers:
             near = np.flatnonzero(in_sheet(stand.sheets, laser, hits.point, footprint_m))
             radiance[1 + laser, block][hit[near]], shadowed = laser_radiance(stand, hits.at(near), laser)
             code[block][hit[near]] |= shadowed.astype(np.uint16) << (laser + 1)
@@ -98,23 +98,23 @@ def _cast(
     if not stand.is_lit:
         flat = eye[:, None] + parameter[hit] * direction[:, hit]
         slack_m = stand.target.relief_m + 4.0 * angle_per_px * parameter[hit]
-        near = [in_sheet(stand.sheets, laser, flat, slack_m) for laser in range(len(stand.sheets.distance_m))]
-        hit = hit[np.any(near, axis=0)]
+        near = [in_sheet(stand.sheets, laser, flat, slack_m) for laser in stand.lasers]
+        hit = hit[np.any(near, axis=0)] if near else hit[:0]
     hits = settled_hits(stand, direction[:, hit], parameter[hit], surface[hit])
     return hit, hits, angle_per_px * parameter[hit]
 
 
-def _sampled(stand: Stand, rays: PixelRays, pixels: Int64[Array, "n"], samples: int) -> list[Float64[Array, "n"]]:
+def _sampled(stand: Stand, rays: PixelRays, pixels: Int64[Array, "n"], samples: int) -> Float64[Array, "source n"]:
     """Mean over each pixel's samples: ambient light, then laser by laser."""
     direction = stand.placement.vectors_target(sample_directions(rays, pixels, samples))
     hit, hits, _ = _cast(stand, direction, rays.angle_per_px)
-    radiance = [ambient_radiance(stand, hits)[0]]
-    radiance += [laser_radiance(stand, hits, laser)[0] for laser in range(len(stand.sheets.distance_m))]
-    means = []
-    for of_source in radiance:
+    of_sources = [(0, ambient_radiance(stand, hits)[0])]
+    of_sources += [(1 + laser, laser_radiance(stand, hits, laser)[0]) for laser in stand.lasers]
+    means = np.zeros((1 + len(stand.sheets.distance_m), len(pixels)))
+    for source, radiance in of_sources:
         of_rays = np.zeros(samples * len(pixels))
-        of_rays[hit] = of_source
-        means.append(of_rays.reshape(samples, -1).mean(axis=0))
+        of_rays[hit] = radiance
+        means[source] = of_rays.reshape(samples, -1).mean(axis=0)
     return means
 
 

@@ -97,7 +97,7 @@ def test_another_seed_gives_other_poses(scene):
 def test_board_views_are_written_for_both_calibrations(scene):
     scene.write_text(yaml.safe_dump(SCENE | {"boards": BOARDS}))
 
-    status = simulate(scene, "--count", "1")
+    status = simulate(scene, "--count", "2")
 
     calibration = scene.parent / "out" / "calibration"
     assert status == 0
@@ -109,7 +109,7 @@ def test_board_views_are_written_for_both_calibrations(scene):
 def test_the_boards_places_are_told(scene):
     scene.write_text(yaml.safe_dump(SCENE | {"boards": BOARDS}))
 
-    simulate(scene, "--count", "1")
+    simulate(scene, "--count", "2")
 
     lines = (scene.parent / "out" / "calibration" / "camera_truth.jsonl").read_text().splitlines()
     assert [json.loads(line)["view"] for line in lines] == ["board_00", "board_01"]

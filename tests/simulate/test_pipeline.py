@@ -27,7 +27,7 @@ def test_another_seed_gives_other_noise(scene):
 
 
 def test_processes_do_not_change_the_images(scene):
-    several = replace(scene, views=(), approaches=(Approach(count=3, distances_m=(0.5,)),), sequence=(7,))
+    several = replace(scene, views=(), approaches=(Approach(count=8, distances_m=(0.5,)),), sequence=(7,))
 
     one, two = images_of(several, jobs=1), images_of(several, jobs=2)
 
