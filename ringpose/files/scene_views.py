@@ -9,6 +9,7 @@ from jaxtyping import Float64
 from ringpose.errors import DataError
 from ringpose.files.boards import board_of
 from ringpose.files.fields import Fields
+from ringpose.geometry.rotations import facing_normal
 from ringpose.types.arrays import Array
 from ringpose.types.scene import Approach, BoardApproach, BoardPlace, BoardSet, RingView, TargetKind
 
@@ -90,8 +91,7 @@ def _normal(entry: Fields) -> Float64[Array, "3"]:
     """Given itself or by the paper's pitch and yaw; always towards the camera."""
     if not entry.has("normal"):
         pitch, yaw = (entry.number(key, least=-1.5, most=1.5) for key in ("pitch_rad", "yaw_rad"))
-        away = [np.sin(yaw) * np.cos(pitch), np.sin(pitch), np.cos(yaw) * np.cos(pitch)]
-        return -np.array(away, dtype=np.float64)
+        return facing_normal(pitch, yaw)
     if entry.has("pitch_rad") or entry.has("yaw_rad"):
         raise entry.problem("normal", "is given beside pitch_rad or yaw_rad", "give one of the two")
     normal = entry.vector("normal", 3)

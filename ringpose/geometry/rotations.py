@@ -31,3 +31,9 @@ def angle_between(
     sine = np.linalg.norm(np.cross(first, second), axis=-1)
     angle: Float64[Array, "*shape"] = np.asarray(np.arctan2(sine, np.sum(first * second, axis=-1)))
     return angle
+
+
+def facing_normal(pitch_rad: float, yaw_rad: float) -> Float64[Array, "3"]:
+    """The unit normal towards the camera that has the paper's pitch and yaw (MATH.md section 4)."""
+    away = [np.sin(yaw_rad) * np.cos(pitch_rad), np.sin(pitch_rad), np.cos(yaw_rad) * np.cos(pitch_rad)]
+    return -np.array(away, dtype=np.float64)

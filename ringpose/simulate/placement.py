@@ -41,9 +41,3 @@ def ring_rotation(normal: Float64[Array, "3"], roll_rad: float) -> Float64[Array
     y = np.cross(z, x)
     cosine, sine = np.cos(roll_rad), np.sin(roll_rad)
     return np.stack([cosine * x + sine * y, cosine * y - sine * x, z], axis=1)
-
-
-def facing_normal(pitch_rad: float, yaw_rad: float) -> Float64[Array, "3"]:
-    """The normal towards the camera that has the paper's pitch and yaw (MATH.md section 4)."""
-    away = [np.sin(yaw_rad) * np.cos(pitch_rad), np.sin(pitch_rad), np.cos(yaw_rad) * np.cos(pitch_rad)]
-    return -np.array(away, dtype=np.float64)

@@ -8,7 +8,8 @@ from jaxtyping import Float64
 
 from ringpose.errors import DataError
 from ringpose.geometry.rays import rays
-from ringpose.simulate.placement import facing_normal, ring_rotation
+from ringpose.geometry.rotations import facing_normal
+from ringpose.simulate.placement import ring_rotation
 from ringpose.types.arrays import Array
 from ringpose.types.camera import Camera
 from ringpose.types.scene import Approach, RingView, Scene

@@ -3,7 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ringpose.simulate.placement import Placement, facing_normal, ring_rotation
+from ringpose.geometry.rotations import facing_normal
+from ringpose.simulate.placement import Placement, ring_rotation
 from ringpose.types.ring_pose import RingPose
 
 PLACEMENT = Placement(rotation=ring_rotation(facing_normal(0.2, -0.3), 0.4), translation_m=np.array([0.1, 0.2, 0.5]))
