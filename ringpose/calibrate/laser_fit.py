@@ -33,9 +33,8 @@ def laser_calibration(
     normal, distance_m, weights = light_plane(every, method)
     spread = condition(every, weights)
     if spread > LARGEST_CONDITION:
-        found = (
-            f"the points of its {len(seen)} views lie on one line (condition {spread:.0f}): that determines no plane"
-        )
+        lying = "its one view lie" if len(seen) == 1 else f"its {len(seen)} views lie"
+        found = f"the points of {lying} on one line (condition {spread:.0f}), which determines no plane"
         raise DataError(_place(name), found, _another_view(every))
     rms_m = _rms(every @ normal - distance_m)
     if rms_m > LARGEST_SCATTER * extent_m(every):

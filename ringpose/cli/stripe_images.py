@@ -47,7 +47,7 @@ class StripeImages:
         """What is to be estimated."""
         if method == PlanesMethod.PAPER and not len(marker_corners(self.images.board)):
             raise UsageError("--method paper", "averages the poses of single markers, and the board has none")
-        order = laser_order(self.given[1], self.names)
+        order = laser_order(self.given[1], self.names) if self.names else None
         return PlanesModel(names=self.names, method=PlanesMethod(method), order=order)
 
     def _check(self, shot: Shot) -> None:

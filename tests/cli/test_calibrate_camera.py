@@ -1,0 +1,159 @@
+"""`ringpose calibrate-camera`: files, reasons, statuses."""
+
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from ringpose.cli.main import main
+
+VIEWS = ("cam_B_00.png", "cam_B_03.png", "cam_B_06.png", "cam_B_09.png")
+
+
+@pytest.fixture
+def folder(carried_data, tmp_path, monkeypatch):
+    """A working folder with four carried views of the ChArUco board."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "views").mkdir()
+    for name in VIEWS:
+        shutil.copy(carried_data / "calib_b" / "camera" / name, tmp_path / "views")
+    shutil.copy(carried_data / "calib_b" / "camera_board.yaml", tmp_path)
+    return tmp_path
+
+
+def calibrate(*words: str) -> int:
+    return main(["calibrate-camera", "--board", "camera_board.yaml", "--output", "camera.yaml", *words])
+
+
+def written(folder) -> dict:
+    return yaml.safe_load((folder / "camera.yaml").read_text())
+
+
+def test_carried_views_give_the_true_focal_length(folder):
+    status = calibrate("views")
+
+    found = written(folder)
+    assert status == 0
+    assert found["camera_matrix"]["data"][0] == pytest.approx(1781.3, abs=2.0)
+    assert found["distortion_coefficients"]["data"][0] == pytest.approx(-0.105, abs=0.01)
+
+
+def test_the_file_says_how_good_it_is_and_where_it_comes_from(folder):
+    calibrate("views")
+
+    found = written(folder)
+    assert 0 < found["standard_deviations"]["fx"] < 2
+    assert found["quality"]["rms_px"] < 0.1
+    assert [view["name"] for view in found["quality"]["views"]] == [name[:-4] for name in VIEWS]
+    assert len(found["covariance"]["data"]) == 9
+    assert len(found["provenance"]["inputs"]) == 5
+
+
+def test_the_camera_is_read_back_with_its_covariance(folder):
+    from ringpose.files.cameras import read_camera
+
+    calibrate("views", "--camera-name", "wide", "--fix-k3")
+
+    camera = read_camera(folder / "camera.yaml")
+    assert camera.camera_name == "wide"
+    assert camera.covariance.standard_deviations["k3"] == 0
+
+
+def test_rational_distortion_has_eight_coefficients(folder):
+    status = calibrate("views", "--distortion-model", "rational_polynomial")
+
+    assert status == 0
+    assert written(folder)["distortion_coefficients"]["cols"] == 8
+
+
+def test_an_image_without_a_board_is_named_and_the_rest_goes_on(folder, capsys):
+    cv2.imwrite("views/black.png", np.zeros((1200, 1600), np.uint8))
+
+    status = calibrate("views")
+
+    assert status == 3
+    assert "ringpose: black: no board: too dark" in capsys.readouterr().err
+    assert written(folder)["quality"]["without_board"][0]["name"] == "black"
+
+
+def test_a_damaged_image_is_named_and_the_rest_goes_on(folder, capsys):
+    whole = (folder / "views" / VIEWS[0]).read_bytes()
+    (folder / "views" / "damaged.png").write_bytes(whole[: len(whole) // 2])
+
+    status = calibrate("views")
+
+    assert status == 65
+    assert "damaged.png" in capsys.readouterr().err
+    assert written(folder)["quality"]["views_used"] == 4
+
+
+def test_an_image_of_another_size_is_named_and_the_rest_goes_on(folder, capsys):
+    cv2.imwrite("views/zoom.png", np.zeros((480, 640), np.uint8))
+
+    status = calibrate("views")
+
+    assert status == 65
+    assert "zoom: 640 x 480 pixels, the others have 1600 x 1200" in capsys.readouterr().err
+
+
+def test_the_wrong_board_file_says_so_for_each_image(folder, capsys):
+    board = (folder / "camera_board.yaml").read_text().replace("DICT_5X5_100", "DICT_6X6_250")
+    (folder / "camera_board.yaml").write_text(board)
+
+    status = calibrate("views")
+
+    assert status == 65
+    assert "markers found (0 of 44)" in capsys.readouterr().err
+    assert not (folder / "camera.yaml").exists()
+
+
+def test_two_images_are_too_few_and_the_line_says_what_to_add(folder, capsys):
+    status = calibrate(f"views/{VIEWS[0]}", f"views/{VIEWS[1]}")
+
+    assert status == 65
+    assert "2 views of the board, at least 3 are needed; add views" in capsys.readouterr().err
+
+
+def test_an_output_that_exists_is_kept(folder, capsys):
+    (folder / "camera.yaml").write_text("precious")
+
+    status = calibrate("views")
+
+    assert status == 73
+    assert (folder / "camera.yaml").read_text() == "precious"
+
+
+def test_names_come_through_standard_input(folder, monkeypatch):
+    (folder / "names").write_text("".join(f"views/{name}\n" for name in VIEWS))
+    with (folder / "names").open() as stream:
+        monkeypatch.setattr("sys.stdin", stream)
+        status = calibrate("-")
+
+    assert status == 0
+
+
+def test_overlays_are_drawn_for_found_and_missing_boards(folder):
+    cv2.imwrite("views/black.png", np.zeros((1200, 1600), np.uint8))
+
+    calibrate("views", "--overlay", "drawn")
+
+    drawn = sorted(path.name for path in (folder / "drawn").iterdir())
+    assert drawn == ["black.png", *VIEWS]
+    assert cv2.imread("drawn/black.png").max() == 255
+
+
+def test_quiet_says_nothing_of_what_went_well(folder, capsys):
+    calibrate("views", "--quiet")
+
+    assert capsys.readouterr().err == ""
+
+
+def test_the_summary_names_values_and_deviations(folder, capsys):
+    calibrate("views")
+
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "4 of 4 views used, rms 0.0" in said.err
+    assert "ringpose: fx 178" in said.err
