@@ -2,24 +2,24 @@
 
 from setuptools import Extension, setup
 
+
+def kernels(name: str, parts: tuple[str, ...], headers: tuple[str, ...]) -> Extension:
+    """One extension module of `ringpose.kernels` through the stable ABI."""
+    return Extension(
+        f"ringpose.kernels.{name}",
+        sources=[f"ringpose/kernels/{part}.c" for part in (name, *parts)],
+        depends=[f"ringpose/kernels/{header}.h" for header in headers],
+        define_macros=[("Py_LIMITED_API", "0x030B0000")],
+        py_limited_api=True,
+        # No fused multiply-add: the kernels equal their Python twins to the last bit.
+        extra_compile_args=["-std=c99", "-O3", "-ffp-contract=off", "-Wall", "-Wextra"],
+    )
+
+
 setup(
     ext_modules=[
-        Extension(
-            "ringpose.kernels._kernels",
-            sources=[
-                "ringpose/kernels/_kernels.c",
-                "ringpose/kernels/chains.c",
-                "ringpose/kernels/cuts.c",
-                "ringpose/kernels/fits.c",
-                "ringpose/kernels/gradient.c",
-                "ringpose/kernels/lists.c",
-            ],
-            depends=["ringpose/kernels/kernels.h"],
-            define_macros=[("Py_LIMITED_API", "0x030B0000")],
-            py_limited_api=True,
-            # No fused multiply-add: the kernels equal their Python twins to the last bit.
-            extra_compile_args=["-std=c99", "-O3", "-ffp-contract=off", "-Wall", "-Wextra"],
-        )
+        kernels("_kernels", ("chains", "cuts", "fits", "gradient", "lists"), ("buffers", "kernels")),
+        kernels("_ring", ("groups",), ("buffers", "ring")),
     ],
     options={"bdist_wheel": {"py_limited_api": "cp311"}},
 )

@@ -1,0 +1,7 @@
+from ringpose.types.arrays import Array
+
+_Group = tuple[int, int, int, float, float]
+
+def groups(
+    track: Array, laser: Array, ends: Array, merit: Array, planes: Array, parameters: Array, /
+) -> tuple[_Group, _Group, _Group]: ...

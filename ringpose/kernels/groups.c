@@ -1,0 +1,231 @@
+/* Which tracks lie on one planar ring: every choice of one track a laser is scored. Twin: reference_ring.py. */
+#include "ring.h"
+
+#include <math.h>
+#include <stddef.h>
+
+/* Solves the symmetric 3 x 3 system a x = b; 0 if a is singular. */
+static int solve3(const double a[6], const double b[3], double x[3]) {
+    double c00 = a[3] * a[5] - a[4] * a[4], c01 = a[2] * a[4] - a[1] * a[5], c02 = a[1] * a[4] - a[2] * a[3];
+    double determinant = a[0] * c00 + a[1] * c01 + a[2] * c02;
+    if (!(fabs(determinant) > 1e-14 * a[0] * a[3] * a[5])) return 0;
+    double c11 = a[0] * a[5] - a[2] * a[2], c12 = a[1] * a[2] - a[0] * a[4], c22 = a[0] * a[3] - a[1] * a[1];
+    x[0] = (c00 * b[0] + c01 * b[1] + c02 * b[2]) / determinant;
+    x[1] = (c01 * b[0] + c11 * b[1] + c12 * b[2]) / determinant;
+    x[2] = (c02 * b[0] + c12 * b[1] + c22 * b[2]) / determinant;
+    return 1;
+}
+
+/* On a plane the inverse depth is linear in the normalised image: 1/z = p . (x, y, 1). Half the squared sigmas of
+   the tracks' ends from the best such plane, which for a single track is the one that faces the camera. */
+static double plane_cost(const Candidate *const member[], int size, double plane[3]) {
+    double a[6] = {0}, b[3] = {0}, square = 0;
+    for (int i = 0; i < size; i++) {
+        for (int k = 0; k < 6; k++) a[k] += member[i]->normal_matrix[k];
+        for (int k = 0; k < 3; k++) b[k] += member[i]->right_side[k];
+        square += member[i]->square;
+    }
+    if (size == 1) {
+        plane[0] = plane[1] = 0;
+        plane[2] = 0.5 * (member[0]->inverse_depth[0] + member[0]->inverse_depth[1]);
+        return 0;
+    }
+    if (!solve3(a, b, plane)) return INFINITY;
+    double cost = 0.5 * (square - plane[0] * b[0] - plane[1] * b[1] - plane[2] * b[2]);
+    return cost > 0 ? cost : 0;
+}
+
+/* Lasers outside the group whose stripe on the plane the image would show at normalised x. */
+static int unseen_lasers(const Candidate *const member[], int size, const double plane[3], const Scene *scene) {
+    double x = 0;
+    int unseen = 0;
+    for (int i = 0; i < size; i++) x += (member[i]->x[0] + member[i]->x[1]) / (2 * size);
+    for (int laser = 0; laser < scene->lasers; laser++) {
+        int in_group = 0;
+        for (int i = 0; i < size; i++) in_group |= member[i]->laser == laser;
+        const double *light = scene->plane[laser];
+        double y = -((plane[0] - light[0]) * x + plane[2] - light[2]) / (plane[1] - light[1]);
+        double row = y * scene->focal_y + scene->principal_y;
+        unseen += !in_group && row > scene->border && row < scene->height - scene->border;
+    }
+    return unseen;
+}
+
+typedef struct {
+    double x, y;
+    int arc, used;
+} End;
+
+/* Half the squared sigmas of the used ends from two arcs about one centre: a (x^2 + y^2) + x + b y + c_arc = 0,
+   the c eliminated by centring each arc. Infinite for rings that nobody builds. */
+static double arcs_cost(const End *end, int ends, double sigma, const RingLimits *limits, int free_radius) {
+    double count[2] = {0}, mean_x[2] = {0}, mean_y[2] = {0}, mean_q[2] = {0};
+    for (int k = 0; k < ends; k++)
+        if (end[k].used) {
+            int arc = end[k].arc;
+            count[arc] += 1;
+            mean_x[arc] += end[k].x;
+            mean_y[arc] += end[k].y;
+            mean_q[arc] += end[k].x * end[k].x + end[k].y * end[k].y;
+        }
+    if (count[0] == 0 || count[1] == 0) return INFINITY;
+    for (int arc = 0; arc < 2; arc++) {
+        mean_x[arc] /= count[arc];
+        mean_y[arc] /= count[arc];
+        mean_q[arc] /= count[arc];
+    }
+    double uu = 0, uv = 0, vv = 0, ut = 0, vt = 0;
+    for (int k = 0; k < ends; k++)
+        if (end[k].used) {
+            int arc = end[k].arc;
+            double u = end[k].x * end[k].x + end[k].y * end[k].y - mean_q[arc];
+            double v = end[k].y - mean_y[arc], t = end[k].x - mean_x[arc];
+            uu += u * u;
+            uv += u * v;
+            vv += v * v;
+            ut += u * t;
+            vt += v * t;
+        }
+    double determinant = uu * vv - uv * uv, a = 0, b = 0;
+    if (determinant > 1e-12 * uu * vv) {
+        a = -(vv * ut - uv * vt) / determinant;
+        b = -(uu * vt - uv * ut) / determinant;
+    } else if (vv > 0)
+        b = -vt / vv;
+    double c[2], cost = 0;
+    for (int arc = 0; arc < 2; arc++) c[arc] = -mean_x[arc] - a * mean_q[arc] - b * mean_y[arc];
+    for (int k = 0; k < ends; k++)
+        if (end[k].used) {
+            double x = end[k].x, y = end[k].y;
+            double residual = a * (x * x + y * y) + x + b * y + c[end[k].arc];
+            double outside = residual / fmax(hypot(2 * a * x + 1, 2 * a * y + b), 1e-9) / sigma;
+            cost += 0.5 * outside * outside;
+        }
+    double level = sqrt(fmax(1 + b * b - 2 * a * (c[0] + c[1]), 1e-12));
+    if (!free_radius && fabs(2 * a) / level > 1 / limits->minimum_radius) return INFINITY;
+    if (fabs(c[1] - c[0]) / sqrt(1 + b * b) < limits->minimum_band) return INFINITY;
+    return cost;
+}
+
+/* The ends of a group in their plane, x along the stripes from start to end; returns their mean depth. */
+static double flat_ends(const Candidate *const member[], int size, const double plane[3], End *end) {
+    double point[2 * MOST_MEMBERS][3], middle[3] = {0}, along[3] = {0};
+    for (int i = 0; i < size; i++)
+        for (int side = 0; side < 2; side++) {
+            double depth = 1 / member[i]->inverse_depth[side], *p = point[2 * i + side];
+            p[0] = member[i]->x[side] * depth;
+            p[1] = member[i]->y[side] * depth;
+            p[2] = depth;
+            for (int k = 0; k < 3; k++) {
+                middle[k] += p[k] / (2 * size);
+                along[k] += side ? p[k] : -p[k];
+            }
+        }
+    double length = sqrt(plane[0] * plane[0] + plane[1] * plane[1] + plane[2] * plane[2]);
+    double n[3] = {plane[0] / length, plane[1] / length, plane[2] / length};
+    double off = along[0] * n[0] + along[1] * n[1] + along[2] * n[2];
+    for (int k = 0; k < 3; k++) along[k] -= off * n[k];
+    length = sqrt(along[0] * along[0] + along[1] * along[1] + along[2] * along[2]);
+    for (int k = 0; k < 3; k++) along[k] /= length;
+    double across[3] = {n[1] * along[2] - n[2] * along[1], n[2] * along[0] - n[0] * along[2],
+                        n[0] * along[1] - n[1] * along[0]};
+    for (int e = 0; e < 2 * size; e++) {
+        double d[3] = {point[e][0] - middle[0], point[e][1] - middle[1], point[e][2] - middle[2]};
+        end[e] = (End){d[0] * along[0] + d[1] * along[1] + d[2] * along[2],
+                       d[0] * across[0] + d[1] * across[1] + d[2] * across[2], e % 2, 1};
+    }
+    return middle[2];
+}
+
+static double circle_cost(const Candidate *const member[], int size, const double plane[3], const Scene *scene) {
+    End end[2 * MOST_MEMBERS];
+    const RingLimits *limits = &scene->limits;
+    double sigma = scene->along_sigma * flat_ends(member, size, plane, end) / scene->focal_x;
+    double best = arcs_cost(end, 2 * size, sigma, limits, size > 2);
+    if (size < 3 || best < limits->dropped_end) return best;
+    for (int e = 0; e < 2 * size; e++) {
+        end[e].used = 0;
+        best = fmin(best, arcs_cost(end, 2 * size, sigma, limits, 1) + limits->dropped_end);
+        end[e].used = 1;
+    }
+    return best;
+}
+
+double group_score(const Candidate *const member[], int size, const Scene *scene) {
+    const RingLimits *limits = &scene->limits;
+    double plane[3], merit = 0;
+    for (int i = 0; i < size; i++) merit += member[i]->merit;
+    double cost = plane_cost(member, size, plane);
+    if (!(cost < limits->plane * size)) return -INFINITY;
+    double tilt = size == 1 ? 0 : atan2(hypot(plane[0], plane[1]), fabs(plane[2]));
+    if (tilt > limits->tilt) return -INFINITY;
+    if (size > 1) {
+        double circle = circle_cost(member, size, plane, scene);
+        if (!(circle < limits->circle * size)) return -INFINITY;
+        cost += circle;
+    }
+    cost += limits->unseen * unseen_lasers(member, size, plane, scene);
+    return merit - cost - 0.5 * (tilt / 0.5) * (tilt / 0.5);
+}
+
+static int same_tracks(const Candidate *const first[], const int32_t *second, const Candidate *all, int size) {
+    for (int i = 0; i < size; i++) {
+        int found = 0;
+        for (int j = 0; j < size; j++) found |= first[i]->track == all[second[j]].track;
+        if (!found) return 0;
+    }
+    return 1;
+}
+
+typedef struct {
+    const Candidate *all;
+    int count, size;
+    const Scene *scene;
+    const Best *known; /* when looking for rivals of the best */
+    Best *best;
+    double *rival;
+} Search;
+
+static void visit(Search *search, const Candidate *const member[], const int32_t *index) {
+    double score = group_score(member, search->size, search->scene);
+    if (search->known) {
+        int itself = 1;
+        for (int i = 0; i < search->size; i++) itself &= index[i] == search->known->index[i];
+        if (!itself) *search->rival = fmax(*search->rival, score);
+    } else if (score > search->best->score) {
+        search->best->score = score;
+        for (int i = 0; i < search->size; i++) search->best->index[i] = index[i];
+    }
+}
+
+/* All groups of a size in which lasers ascend and no track stands twice. */
+static void descend(Search *search, int depth, const Candidate **member, int32_t *index) {
+    if (depth == search->size) {
+        if (!search->known || same_tracks(member, search->known->index, search->all, search->size))
+            visit(search, member, index);
+        return;
+    }
+    for (int c = depth ? index[depth - 1] + 1 : 0; c < search->count; c++) {
+        int fits = depth == 0 || search->all[c].laser > member[depth - 1]->laser;
+        for (int i = 0; i < depth; i++) fits &= search->all[c].track != member[i]->track;
+        if (!fits) continue;
+        member[depth] = &search->all[c];
+        index[depth] = c;
+        descend(search, depth + 1, member, index);
+    }
+}
+
+Best best_group(const Candidate *all, int count, int size, const Scene *scene) {
+    Best best = {{-1, -1, -1}, -INFINITY, -INFINITY};
+    const Candidate *member[MOST_MEMBERS];
+    int32_t index[MOST_MEMBERS];
+    Search search = {all, count, size, scene, NULL, &best, NULL};
+    descend(&search, 0, member, index);
+    if (best.score > -INFINITY) {
+        Best known = best;
+        search.known = &known;
+        search.rival = &best.rival;
+        descend(&search, 0, member, index);
+    }
+    return best;
+}
