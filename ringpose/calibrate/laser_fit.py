@@ -41,26 +41,30 @@ def laser_calibration(
         found = f"the points of its {len(seen)} views lie on no common plane (rms {1e3 * rms_m:.1f} mm)"
         raise DataError(_place(name), found, "see with --overlay whether these stripes are the laser's")
 
-    held_out = [_held_out_m(points, seen, index, method) for index in seen]
+    held_out_m = [_held_out_m(points, seen, index, method) for index in seen]
     by_view = np.split(weights, np.cumsum([len(points[index]) for index in seen])[:-1])
     return LaserCalibration(
         name=name,
         normal=normal,
         distance_m=distance_m,
         views=tuple(
-            LaserView(
-                name=views[index],
-                points=points[index],
-                weights=weight,
-                rms_m=_rms(points[index] @ normal - distance_m),
-                held_out_rms_m=_rms(other),
-            )
-            for index, weight, other in zip(seen, by_view, held_out, strict=True)
+            _view(views[index], points[index], weight, points[index] @ normal - distance_m, other)
+            for index, weight, other in zip(seen, by_view, held_out_m, strict=True)
         ),
         rms_m=rms_m,
-        held_out_rms_m=_rms(np.concatenate(held_out)),
+        held_out_rms_m=_rms(np.concatenate(held_out_m)),
         condition=spread,
     )
+
+
+def _view(
+    name: str,
+    points: Float64[Array, "n xyz=3"],
+    weights: Float64[Array, "n"],
+    residual_m: Float64[Array, "n"],
+    held_out_m: Float64[Array, "n"],
+) -> LaserView:
+    return LaserView(name=name, points=points, weights=weights, rms_m=_rms(residual_m), held_out_rms_m=_rms(held_out_m))
 
 
 def outlying_views(points: Sequence[Points], method: PlanesMethod) -> dict[int, str]:

@@ -4,6 +4,8 @@ A window around a corner (OpenCV's refinement) sees the corner rounded by blur a
 straight for hundreds of pixels. Each side is a parabola (a lens bends it), and a corner is where two of them meet.
 """
 
+from dataclasses import dataclass, replace
+
 import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
@@ -43,17 +45,19 @@ def corners_from_sides(
     return refined
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Side:
     """A parabola: `start + t along + (c0 + c1 t + c2 t^2) normal`, t in pixels."""
 
-    def __init__(self, start: Float64[Array, "2"], end: Float64[Array, "2"]) -> None:
-        self.length = float(np.linalg.norm(end - start))
-        self.start = start
-        self.along = (end - start) / self.length
-        self.normal = np.array([self.along[1], -self.along[0]])  # outwards: corners run clockwise
-        self.coefficients = np.zeros(3)
+    start: Float64[Array, "2"]
+    along: Float64[Array, "2"]
+    normal: Float64[Array, "2"]
+    """Outwards: corners run clockwise."""
+    length: float
+    coefficients: Float64[Array, "3"]
 
     def points(self, t: Float64[Array, "n"], across: Float64[Array, "*k n"]) -> Float64[Array, "*k n 2"]:
+        """Points at t, so far outside the parabola."""
         offset = np.polynomial.polynomial.polyval(t, self.coefficients) + across
         points: Float64[Array, "*k n 2"] = self.start + t[:, None] * self.along + offset[..., None] * self.normal
         return points
@@ -64,8 +68,16 @@ class _Side:
         return self.points(np.array([t]), np.zeros(1))[0], self.along + slope * self.normal
 
 
+def _straight(start: Float64[Array, "2"], end: Float64[Array, "2"]) -> _Side:
+    length = float(np.linalg.norm(end - start))
+    along = (end - start) / length
+    normal = np.array([along[1], -along[0]])
+    return _Side(start=start, along=along, normal=normal, length=length, coefficients=np.zeros(3))
+
+
 def _side(image: UInt8[Array, "row column"], start: Float64[Array, "2"], end: Float64[Array, "2"]) -> _Side | None:
-    side = _Side(start, end)
+    """The side between two corners, drawn through its edge; None where too little of the edge is seen."""
+    side = _straight(start, end)
     t = np.linspace(0.1, 0.9, int(0.8 * side.length)) * side.length
     reach = min(REACH_PX, 0.5 * side.length / CELLS)
     for _ in range(3):
@@ -73,7 +85,7 @@ def _side(image: UInt8[Array, "row column"], start: Float64[Array, "2"], end: Fl
         fitted = _robust_parabola(t, np.polynomial.polynomial.polyval(t, side.coefficients) + offset)
         if fitted is None:
             return None
-        side.coefficients = fitted
+        side = replace(side, coefficients=fitted)
     return side
 
 

@@ -5,7 +5,8 @@ from pathlib import Path
 from ringpose.calibrate.board_image import board_image
 from ringpose.calibrate.board_overlay import board_overlay
 from ringpose.calibrate.board_views import NoBoard, find_board
-from ringpose.errors import DataError
+from ringpose.cli import messages
+from ringpose.errors import NO_POSE, DataError
 from ringpose.files.atomic import make_folder
 from ringpose.files.images import write_image
 from ringpose.files.inputs import Input
@@ -47,6 +48,12 @@ class BoardImages:
         self.views.append(found)
         self.last = f"{shot.name}: {len(found.ids)} corners"
         return shot, found
+
+    def reported(self) -> int:
+        """Exit status, after the images without a board are named on stderr."""
+        for name, reason in self.without_board:
+            messages.say(f"{name}: no board: {reason}")
+        return NO_POSE if self.without_board else 0
 
     def _check_size(self, shot: Shot) -> None:
         height, width = shot.images.shape[1:]

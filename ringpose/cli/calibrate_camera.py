@@ -52,7 +52,6 @@ def calibrate_camera(
     from ringpose.cli.batch import Batch
     from ringpose.cli.board_views import BoardImages
     from ringpose.cli.progress import counted
-    from ringpose.errors import NO_POSE
     from ringpose.files.boards import read_board
     from ringpose.files.cameras import write_camera
     from ringpose.files.inputs import inputs as named
@@ -68,9 +67,7 @@ def calibrate_camera(
             images.read(item)
             if verbose:
                 messages.say(images.last)
-    for name, reason in images.without_board:
-        messages.say(f"{name}: no board: {reason}")
-        batch.met(NO_POSE)
+    batch.met(images.reported())
     calibration = calibrated(images.views, images.width, images.height, model, camera_name)
     quality = camera_quality(calibration, images.without_board)
     write_camera(output, calibration.camera, extra=quality, force=force, inputs=[board, *images.paths])

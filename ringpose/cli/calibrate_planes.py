@@ -60,7 +60,6 @@ def calibrate_planes(
     from ringpose.cli.board_views import BoardImages
     from ringpose.cli.progress import counted
     from ringpose.cli.stripe_images import StripeImages
-    from ringpose.errors import NO_POSE
     from ringpose.files.boards import read_board
     from ringpose.files.cameras import read_camera
     from ringpose.files.inputs import inputs as named
@@ -75,9 +74,7 @@ def calibrate_planes(
             stripes.read(item)
             if verbose:
                 messages.say(images.last)
-    for name, reason in images.without_board:
-        messages.say(f"{name}: no board: {reason}")
-        batch.met(NO_POSE)
+    batch.met(images.reported())
     calibration = calibrated(stripes.views, stripes.camera, stripes.model(method.value))
     rig = calibrated_rig(stripes.camera, calibration)
     quality = planes_quality(calibration, images.without_board)
