@@ -58,6 +58,8 @@ def read_scene(path: Path) -> Scene:
     }
     if fields.has("sequence"):
         values["sequence"] = read_sequence(fields, "sequence", len(rig.lasers.names))
+    else:
+        values["sequence"] = (0, (1 << len(rig.lasers.names)) - 1)
     if fields.has("trajectory"):
         values["views"], values["approaches"] = read_trajectory(fields, "trajectory", tuple(lights))
     if fields.has("boards"):

@@ -25,8 +25,8 @@ class SimulationFolder:
     def __init__(self, folder: Path, rig: Rig, *, force: bool, inputs: Iterable[Path]) -> None:
         self.folder = atomic.make_folder(folder)
         self.force = force
-        self._begin(folder / "truth.jsonl", folder / "shots")
         write_rig(folder / "rig.yaml", rig, force=force, inputs=inputs)
+        self._begin(folder / "truth.jsonl", folder / "shots")
         atomic.make_folder(folder / "shots")
 
     def add(self, shot: Shot, truth: Truth) -> Path:

@@ -108,6 +108,10 @@ def test_a_sequence_is_masks(scene_of):
     assert scene_of(("sequence", "off,1,2,1+2,all")).sequence == (0, 1, 2, 3, 3)
 
 
+def test_without_a_sequence_all_lasers_follow_none(scene_of):
+    assert scene_of().sequence == (0, 3)
+
+
 def test_pitch_and_yaw_are_the_papers(scene_of):
     posed = {"name": "a", "center_m": [0, 0, 1], "pitch_rad": 0.2, "yaw_rad": -0.1}
     view = scene_of(("trajectory.0", posed)).views[0]

@@ -49,6 +49,12 @@ def test_frames_follow_the_sequence(scene):
     assert (np.diff(shot.stamp_s) > shot.exposure_s[:-1]).all()
 
 
+def test_twelve_bits_say_where_they_saturate(scene):
+    ((shot, _),) = simulate(replace(scene, sensor=replace(scene.sensor, bits=12)))
+
+    assert (shot.images.dtype, shot.saturation_dn) == (np.uint16, 4095)
+
+
 def test_lasers_add_up(scene, view):
     stage = staged(scene, ring_stand(scene, view), (1,))
 

@@ -1,0 +1,81 @@
+"""The same scenes as images that this project did not make."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ringpose.files.rigs import read_rig
+from ringpose.files.shots import read_shot
+from ringpose.files.truths import read_truths
+from ringpose.geometry.rays import project
+from ringpose.simulate.pipeline import simulate
+from ringpose.types.scene import Body, Foil, LaserLight, Lens, RingShape, RingView, Sensor, Speckle
+
+SHOTS = ["B_z0300_p00_dim", "B_z0500_p00_dim", "B_z1000_p00_dim"]
+
+
+@pytest.fixture
+def pair_of(scene, shared_data):
+    """A rendered shot, the shot of the same scene simulated, and the truth."""
+
+    def pair(name):
+        folder = shared_data / "rendered" / "rig_b"
+        truth = next(truth for truth in read_truths(folder / "truth.jsonl") if truth.shot == name)
+        inner, outer = truth.radius_inner_m, truth.radius_outer_m
+        same = replace(
+            scene,
+            rig=read_rig(folder / "rig.yaml"),
+            ring=RingShape(profile_m=np.array([[inner, 0], [inner, 0.06], [outer, 0.06], [outer, 0]])),
+            body=Body(size_m=np.array([2.2, 2.2, 1.0]), foil=Foil()),
+            sensor=Sensor(),
+            lens=Lens(),
+            lasers=LaserLight(),
+            speckle=Speckle(),
+            stripe_dn=150.0,
+            views=(RingView(name=name, center_m=truth.center_m, normal=truth.normal),),
+        )
+        ((simulated, _),) = simulate(same)
+        return read_shot(folder / "shots" / f"{name}.npz"), simulated, truth, same.rig
+
+    return pair
+
+
+def errors_px(shot, truth, rig):
+    """Distance of the column centroids on the face, in the frames of single lasers, from the analytic stripe."""
+    return np.concatenate([errors_of_laser(shot, truth, rig, laser) for laser in range(3)])
+
+
+def errors_of_laser(shot, truth, rig, laser):
+    normal = rig.lasers.normal[laser]
+    along = np.cross(truth.normal, normal)
+    start = np.linalg.solve(
+        np.stack([truth.normal, normal, along]), [truth.normal @ truth.center_m, rig.lasers.distance_m[laser], 0.0]
+    )
+    line = project(start + np.linspace(-1.0, 1.0, 20001)[:, None] * along / np.linalg.norm(along), rig.camera)
+    first, last = np.sort(truth.break_points_px[laser, :, 0])
+    near = line[(line[:, 0] > first - 5) & (line[:, 0] < last + 5)]
+    near = near[np.argsort(near[:, 0])]
+    columns = np.arange(int(first) + 6, int(last) - 5)
+    rows = np.interp(columns, near[:, 0], near[:, 1])
+    window = np.rint(rows).astype(int) + np.arange(-8, 9)[:, None]
+    light = shot.images[1 + laser][window, columns].astype(float) - shot.images[0].mean()
+    return (light * window).sum(axis=0) / light.sum(axis=0) - rows
+
+
+@pytest.mark.parametrize("name", SHOTS)
+def test_stripes_lie_on_the_truth_in_both(pair_of, name):
+    rendered, simulated, truth, rig = pair_of(name)
+
+    means_px = [abs(errors_px(shot, truth, rig).mean()) for shot in (rendered, simulated)]
+
+    assert max(means_px) < 0.03
+
+
+@pytest.mark.parametrize("name", SHOTS)
+def test_speckle_and_noise_scatter_the_stripes_as_much_in_both(pair_of, name):
+    rendered, simulated, truth, rig = pair_of(name)
+
+    theirs_px, ours_px = (errors_px(shot, truth, rig).std() for shot in (rendered, simulated))
+
+    assert ours_px == pytest.approx(theirs_px, rel=0.3)
