@@ -1,11 +1,25 @@
 """The application object that every subcommand registers itself on."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
+
+
+class TwoWords(TyperGroup):
+    """Commands whose name is two words stand beside the command of the first word alone."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The longest name that the words begin with."""
+        name = " ".join(args[:2])
+        if name in self.commands and " " in name:
+            return name, self.commands[name], args[2:]
+        return super().resolve_command(ctx, args)
+
 
 app = typer.Typer(
     name="ringpose",
+    cls=TwoWords,
     help="Pose of a satellite's launch-adapter ring from one camera and line lasers.",
     epilog="Each command has a manual page: man ringpose-pose. Exit statuses: man ringpose-conventions.",
     no_args_is_help=True,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from ringpose.cli.app import app
+from ringpose.cli.bench_detectors import detectors
 from ringpose.cli.options import Force, OptionalRigFile, PoseFrame, Quiet
 from ringpose.pose.method import Method
 
@@ -235,3 +236,6 @@ def _write(
         write_result(targets.json, records.line_of(noted), force=targets.force)
     if targets.csv is not None:
         write_result(targets.csv, csv_text(csv_rows(scores)), force=targets.force)
+
+
+app.command("bench detectors")(detectors)
