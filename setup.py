@@ -19,7 +19,7 @@ def kernels(name: str, parts: tuple[str, ...], headers: tuple[str, ...]) -> Exte
 setup(
     ext_modules=[
         kernels("_kernels", ("chains", "cuts", "fits", "gradient", "lists"), ("buffers", "kernels")),
-        kernels("_ring", ("groups",), ("buffers", "ring")),
+        kernels("_ring", ("groups", "lens", "tracks"), ("buffers", "ring", "select", "tracks")),
     ],
     options={"bdist_wheel": {"py_limited_api": "cp311"}},
 )

@@ -4,6 +4,7 @@ This is also what labels the stripes of a frame with several lasers on: every as
 scored by how well one planar ring explains it, order swaps included.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -56,9 +57,6 @@ DROPPED_END_COST = 6.0
 UNSEEN_COST = 6.0
 """What it costs that a laser's stripe is not seen where the face would show it: occluded, or not this face."""
 
-ON_LINE_PX = 2.5
-"""Centres so close to a face's line are on its surface; the nearest body behind a ring jumps by 4 px at 1 m."""
-
 SPILL_COST = 15.0
 """What it costs if all of a stripe's centres on a track's line lie beyond the track: a face ends with its track."""
 
@@ -100,17 +98,14 @@ class Candidates:
     merit: Float64[Array, "candidate"]
 
 
-def ring_face(
-    tracks: Sequence[Track], centers: Float64[Array, "center xyl=3"], lasers: Sequence[int], rig: Rig
-) -> Face | None:
+def ring_face(tracks: Sequence[Track], lasers: Sequence[int], rig: Rig) -> Face | None:
     """The most convincing face, from as many lasers as agree on one; None if no track will do.
 
-    `centers` are all stripe centres: x, y in undistorted pixels, and their laser or `UNLABELLED`;
     `lasers` are those that an unlabelled track may belong to.
     """
     if not tracks:
         return None
-    candidates = face_candidates(tracks, centers, lasers, rig)
+    candidates = face_candidates(tracks, lasers, rig)
     groups = best_groups(
         candidates.track, candidates.laser, candidates.ends, candidates.merit, _planes(rig), _rules(rig)
     )
@@ -125,9 +120,7 @@ def ring_face(
     )
 
 
-def face_candidates(
-    tracks: Sequence[Track], centers: Float64[Array, "center xyl=3"], lasers: Sequence[int], rig: Rig
-) -> Candidates:
+def face_candidates(tracks: Sequence[Track], lasers: Sequence[int], rig: Rig) -> Candidates:
     """The tracks of greatest merit under every laser that they may belong to and that puts them at a possible place."""
     pairs = [
         (number, laser)
@@ -138,7 +131,7 @@ def face_candidates(
     ends_px = np.array([[[t.x_start, t.y(t.x_start)], [t.x_end, t.y(t.x_end)]] for t in tracks])
     rays = undistorted_rays(ends_px, rig.camera)[track]
     possible = np.flatnonzero(_possible(rays, _planes(rig)[laser]))
-    merit = {number: _merit(tracks[number], centers) for number in np.unique(track[possible])}
+    merit = {number: _merit(tracks[number]) for number in np.unique(track[possible])}
     of_laser = [sorted(possible[laser[possible] == each], key=lambda k: -merit[track[k]]) for each in np.unique(laser)]
     kept = np.array([each for members in of_laser for each in members[:CANDIDATES]], dtype=np.int64)
     return Candidates(
@@ -159,15 +152,11 @@ def _possible(rays: Float64[Array, "n end=2 xyz=3"], planes: Float64[Array, "n x
     return possible
 
 
-def _merit(track: Track, centers: Float64[Array, "center xyl=3"]) -> float:
+def _merit(track: Track) -> float:
     """How much a track looks like a flat metal face: long for its scatter, and nothing on its line beyond its ends."""
-    x, y, laser = centers.T
-    outside = (np.abs(x - track.middle_x) < 1.5 * track.length + 40) & ((x < track.x_start - 2) | (x > track.x_end + 2))
-    outside &= np.abs(y - track.middle_y - track.slope * (x - track.middle_x)) < ON_LINE_PX
-    spilt = np.count_nonzero(outside & ((laser == track.laser) | (track.laser == UNLABELLED)))
-    share = spilt / (spilt + len(track.centers))
-    straight = 2 * np.log(min(len(track.centers), ENOUGH_COLUMNS)) - 0.5 * (track.scatter / 0.3) ** 2
-    return float(straight - SPILL_COST * share - CLIPPED_COST * track.clipped)
+    share = track.spilt / (track.spilt + track.count)
+    straight = 2 * math.log(min(track.count, ENOUGH_COLUMNS)) - 0.5 * (track.scatter / 0.3) ** 2
+    return straight - SPILL_COST * share - CLIPPED_COST * track.clipped
 
 
 def _planes(rig: Rig) -> Float64[Array, "laser xyz=3"]:

@@ -11,7 +11,6 @@ from ringpose.detect.frames import LaserImage, laser_images
 from ringpose.detect.stripe_centers import find_stripes
 from ringpose.detect.stripe_segments import stripes_between_segments
 from ringpose.detect.tracks import straight_tracks
-from ringpose.geometry.rays import undistorted_pixels
 from ringpose.types.break_points import BreakPoints, Detection, NoBreakPoints
 from ringpose.types.frame import Shot
 from ringpose.types.rig import Rig
@@ -80,11 +79,9 @@ def _found(stripes: Stripes, images: list[LaserImage], rig: Rig, saturation_dn: 
     """The break points among the stripes, or why there are none."""
     if not len(stripes.piece):
         return _why_no_stripe(images, saturation_dn)
-    points = undistorted_pixels(stripes.position_px, rig.camera)
-    tracks = straight_tracks(stripes, points, rig.camera.image_width)
-    centers = np.column_stack([points, stripes.laser[stripes.piece].astype(np.float64)])
+    tracks = straight_tracks(stripes, rig.camera)
     unlabelled = [laser for image in images if not image.labelled for laser in image.lasers]
-    face = ring_face(tracks, centers, unlabelled, rig)
+    face = ring_face(tracks, unlabelled, rig)
     if face is None:
         return NoBreakPoints.NO_RING
     if face.ambiguous:

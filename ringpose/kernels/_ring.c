@@ -4,9 +4,11 @@
 
 #include <math.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "buffers.h"
 #include "ring.h"
+#include "tracks.h"
 
 /* Inverse depth at both ends, and the end's share in the equations of a plane: 1/z = p . (x, y, 1), each weighted
    by what a pixel's error across the track does to the inverse depth. */
@@ -69,26 +71,103 @@ static PyObject *groups_of(Py_buffer view[6]) {
     return Py_BuildValue("(NNN)", group(&best[0], 1), group(&best[1], 2), group(&best[2], 3));
 }
 
+/* Opens arrays one after the other; 1 if all are as described (axes, 'd' doubles, 'i' int32, 'q' int64). */
+typedef struct {
+    const char *name, *format;
+    int axes;
+} Description;
+
+static int size_of(char format) { return format == 'i' ? 4 : 8; }
+
+static int open_arrays(PyObject *const object[], Py_buffer view[], const Description description[], int count) {
+    for (int i = 0; i < count; i++) {
+        const Description *d = &description[i];
+        if (open_array(object[i], &view[i], d->name, d->format, size_of(d->format[0]), d->axes, 0)) continue;
+        while (i > 0) PyBuffer_Release(&view[--i]);
+        return 0;
+    }
+    return 1;
+}
+
 static PyObject *groups(PyObject *module, PyObject *arguments) {
     (void)module;
-    static const char *const names[] = {"track", "laser", "ends", "merit", "planes", "parameters"};
-    static const char *const formats[] = {"i", "i", "d", "d", "d", "d"};
-    static const int axes[] = {1, 1, 2, 1, 2, 1};
-    PyObject *object[6], *result = NULL;
+    static const Description description[] = {{"track", "i", 1}, {"laser", "i", 1},  {"ends", "d", 2},
+                                              {"merit", "d", 1}, {"planes", "d", 2}, {"parameters", "d", 1}};
+    PyObject *o[6], *result = NULL;
     Py_buffer view[6];
-    if (!PyArg_ParseTuple(arguments, "OOOOOO", &object[0], &object[1], &object[2], &object[3], &object[4], &object[5]))
+    if (!PyArg_ParseTuple(arguments, "OOOOOO", &o[0], &o[1], &o[2], &o[3], &o[4], &o[5])) return NULL;
+    if (!open_arrays(o, view, description, 6)) return NULL;
+    result = groups_of(view);
+    for (int i = 0; i < 6; i++) PyBuffer_Release(&view[i]);
+    return result;
+}
+
+enum { LENS = 12, RULES = 8 };
+
+/* Whether all centres are finite, their pieces ascend from 0, and every piece has a laser. */
+static int centers_in_order(const Py_buffer view[7]) {
+    const int64_t *piece = view[3].buf;
+    Py_ssize_t n = view[0].shape[0];
+    for (Py_ssize_t i = 0; i < n; i++) {
+        int in_order = piece[i] >= (i ? piece[i - 1] : 0) && piece[i] < view[4].shape[0];
+        for (int k = 0; k < 3; k++) in_order &= isfinite(((const double *)view[k].buf)[i]) != 0;
+        if (in_order) continue;
+        PyErr_Format(PyExc_ValueError, "centers: number %zd is not finite, or its piece is out of order", i);
+        return 0;
+    }
+    return 1;
+}
+
+static PyObject *tracks_of(const Py_buffer view[7]) {
+    Py_ssize_t n = view[0].shape[0];
+    const double *lens = view[5].buf, *rule = view[6].buf;
+    if (view[1].shape[0] != n || view[2].shape[0] != n || view[3].shape[0] != n || view[5].shape[0] != LENS ||
+        view[6].shape[0] != RULES || n > INT32_MAX || !(rule[6] >= 1 && rule[6] < 1e6)) {
+        PyErr_SetString(PyExc_ValueError, "tracks: arrays do not fit together");
         return NULL;
-    int opened = 0;
-    while (opened < 6 && open_array(object[opened], &view[opened], names[opened], formats[opened],
-                                    formats[opened][0] == 'i' ? 4 : 8, axes[opened], 0))
-        opened++;
-    if (opened == 6) result = groups_of(view);
-    while (opened > 0) PyBuffer_Release(&view[--opened]);
+    }
+    if (!centers_in_order(view)) return NULL;
+    double *x = malloc((size_t)(n ? n : 1) * sizeof *x), *y = malloc((size_t)(n ? n : 1) * sizeof *y);
+    Track *track = NULL;
+    size_t count = 0;
+    if (x && y) {
+        Py_BEGIN_ALLOW_THREADS
+        memcpy(x, view[0].buf, (size_t)n * sizeof *x);
+        memcpy(y, view[1].buf, (size_t)n * sizeof *y);
+        undistort(&(Lens){lens[0], lens[1], lens[2], lens[3], lens[4], lens[5], lens[6], lens[7], lens[8], lens[9],
+                          lens[10], lens[11]},
+                  x, y, (size_t)n);
+        Centers centers = {(size_t)n, (size_t)view[4].shape[0], view[0].buf, x, y, view[2].buf, view[3].buf,
+                           view[4].buf};
+        TrackRules rules = {rule[0], rule[1], rule[2], rule[3], rule[4], (size_t)rule[5], (size_t)rule[7], rule[6]};
+        track = straight_tracks(&centers, &rules, &count);
+        Py_END_ALLOW_THREADS
+    }
+    PyObject *result =
+        track ? PyBytes_FromStringAndSize((const char *)track, (Py_ssize_t)(count * sizeof *track)) : PyErr_NoMemory();
+    free(track);
+    free(x);
+    free(y);
+    return result;
+}
+
+static PyObject *tracks(PyObject *module, PyObject *arguments) {
+    (void)module;
+    static const Description description[] = {{"column", "d", 1}, {"row", "d", 1},  {"sigma", "d", 1},
+                                              {"piece", "lq", 1}, {"laser", "lq", 1}, {"lens", "d", 1},
+                                              {"rules", "d", 1}};
+    PyObject *o[7], *result = NULL;
+    Py_buffer view[7];
+    if (!PyArg_ParseTuple(arguments, "OOOOOOO", &o[0], &o[1], &o[2], &o[3], &o[4], &o[5], &o[6])) return NULL;
+    if (!open_arrays(o, view, description, 7)) return NULL;
+    result = tracks_of(view);
+    for (int i = 0; i < 7; i++) PyBuffer_Release(&view[i]);
     return result;
 }
 
 static PyMethodDef methods[] = {
     {"groups", groups, METH_VARARGS, "Best groups of one, two and three tracks."},
+    {"tracks", tracks, METH_VARARGS, "Straight tracks among stripe centres."},
     {NULL, NULL, 0, NULL},
 };
 

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, Int32
+from jaxtyping import Float64, Int32, Int64
 
 from ringpose.types.arrays import Array
 
@@ -40,6 +40,68 @@ class RingRules(NamedTuple):
     maximum_tilt_rad: float
     minimum_radius_m: float
     minimum_band_m: float
+
+
+class TrackRules(NamedTuple):
+    """What cuts, joins and judges tracks."""
+
+    kink_px: float
+    """A piece that leaves its chord by more than this (and one and a half sigmas of its centres) is cut there."""
+    joined_px: float
+    """Tracks whose lines meet this closely across a gap (and two of their sigmas) are one."""
+    short_series: float
+    """Factor on a correlation length found in the residuals of a fitted line."""
+    on_line_px: float
+    """Centres so close to a track's line count as on it."""
+    border_px: float
+    """A track with an end so close to the image's left or right border is clipped."""
+    minimum_columns: float
+    image_width: float
+    longest_lag: float
+    """Columns over which errors of neighbouring centres are looked at for likeness."""
+
+
+class Lens(NamedTuple):
+    """OpenCV's pinhole and distortion."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    k1: float
+    k2: float
+    p1: float
+    p2: float
+    k3: float
+    k4: float = 0.0
+    k5: float = 0.0
+    k6: float = 0.0
+
+
+TRACK_COLUMNS = (
+    "laser", "count", "x_start", "x_end", "middle_x", "middle_y", "slope", "scatter", "correlation", "clipped", "spilt",
+)  # fmt: skip
+"""What `straight_tracks` says of each track; `spilt`: centres on its line within 1.5 lengths + 40 px of its middle
+that lie more than 2 px beyond its ends."""
+
+
+def straight_tracks(
+    position_px: Float64[Array, "center xy=2"],
+    sigma_px: Float64[Array, "center"],
+    piece: Int64[Array, "center"],
+    laser: Int64[Array, "piece"],
+    lens: Lens,
+    rules: TrackRules,
+) -> Float64[Array, "track column=11"]:
+    """Straight lines y = middle_y + slope (x - middle_x) through stripe centres, in undistorted pixels.
+
+    Pieces are cut at their kinks (Ramer's method on running medians of seven) and joined across gaps; each line is a
+    least-squares fit, a second one without outliers. Centres are sorted by piece, then column.
+    """
+    column, row = np.ascontiguousarray(position_px.T)
+    numbers = (np.array(lens, dtype=np.float64), np.array(rules, dtype=np.float64))
+    found = _ring.tracks(column, row, np.ascontiguousarray(sigma_px), piece, laser, *numbers)
+    return np.frombuffer(found, dtype=np.float64).reshape(-1, len(TRACK_COLUMNS))
 
 
 class Group(NamedTuple):

@@ -1,0 +1,139 @@
+"""Straight tracks: the kernel equals its twin, and finds the lines that were drawn."""
+
+import cv2
+import numpy as np
+import pytest
+
+from ringpose.kernels import reference_tracks
+from ringpose.kernels.ring import TRACK_COLUMNS, Lens, TrackRules, straight_tracks
+
+RULES = TrackRules(
+    kink_px=0.6,
+    joined_px=0.5,
+    short_series=1.5,
+    on_line_px=2.5,
+    border_px=3.0,
+    minimum_columns=10,
+    image_width=800,
+    longest_lag=40,
+)
+STRAIGHT = Lens(900.0, 900.0, 400.0, 300.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+BENT = Lens(900.0, 905.0, 400.0, 300.0, -0.2, 0.1, 0.001, -0.002, 0.03, 0.01, 0.002, 0.0)
+
+
+def stripes(rng, count, *, noise=0.2):
+    """Random kinked, interrupted stripes: position, sigma, piece, laser."""
+    position, piece, laser = [], [], []
+    for _ in range(count):
+        start, length = rng.integers(0, 600), rng.integers(5, 200)
+        x = np.arange(start, min(start + length, 800), dtype=np.float64)
+        slope, other, kink = [*rng.uniform(-0.2, 0.2, 2).tolist(), rng.uniform(0, 800)]
+        y = rng.uniform(50, 550) + slope * x + np.where(x > kink, other * (x - kink), 0)
+        kept = rng.random(len(x)) > 0.02
+        if kept.any():
+            piece += [len(laser)] * int(kept.sum())
+            laser.append(rng.integers(-1, 3))
+            position.append(np.column_stack([x, y + rng.normal(0, noise, len(x))])[kept])
+    sigma = np.full(len(piece), noise)
+    return np.concatenate(position), sigma, np.array(piece, dtype=np.int64), np.array(laser, dtype=np.int64)
+
+
+@pytest.mark.parametrize("lens", [STRAIGHT, BENT], ids=["straight", "bent"])
+@pytest.mark.parametrize("seed", range(15))
+def test_tracks_equal_the_twin(seed, lens):
+    drawn = stripes(np.random.default_rng(seed), 25)
+
+    found = straight_tracks(*drawn, lens, RULES)
+    expected = reference_tracks.straight_tracks(*drawn, lens, RULES)
+
+    assert found.shape == expected.shape
+    order, other = (np.lexsort((rows[:, 5], rows[:, 2])) for rows in (found, expected))
+    np.testing.assert_allclose(found[order], expected[other], rtol=1e-6, atol=1e-6)
+
+
+def line(x, y, laser=-1):
+    """One piece as arguments of straight_tracks."""
+    position = np.column_stack([x, y]).astype(np.float64)
+    return position, np.full(len(x), 0.1), np.zeros(len(x), dtype=np.int64), np.array([laser], dtype=np.int64)
+
+
+def columns(rows, name):
+    return rows[:, TRACK_COLUMNS.index(name)]
+
+
+def test_a_drawn_line_comes_back():
+    x = np.arange(100, 300)
+
+    rows = straight_tracks(*line(x, 200 + 0.03 * x), STRAIGHT, RULES)
+
+    assert len(rows) == 1
+    assert columns(rows, "slope") == pytest.approx(0.03, abs=1e-9)
+    assert columns(rows, "middle_y") == pytest.approx(200 + 0.03 * 199.5, abs=1e-9)
+    assert (columns(rows, "x_start")[0], columns(rows, "x_end")[0]) == (100, 299)
+
+
+def test_a_kink_cuts_a_piece_in_two():
+    x = np.arange(100, 300)
+    y = 200 + np.where(x > 220, 0.3 * (x - 220), 0.0)
+
+    rows = straight_tracks(*line(x, y), STRAIGHT, RULES)
+
+    assert np.sort(columns(rows, "slope")) == pytest.approx([0.0, 0.3], abs=0.01)
+    assert np.sort(columns(rows, "x_start"))[1] == pytest.approx(220, abs=3)
+
+
+def test_a_gap_on_one_line_is_bridged():
+    x = np.concatenate([np.arange(100, 160), np.arange(175, 240)])
+    piece = np.repeat([0, 1], [60, 65])
+
+    rows = straight_tracks(
+        np.column_stack([x, np.full(125, 50.0)]).astype(np.float64),
+        np.full(125, 0.1),
+        piece.astype(np.int64),
+        np.array([-1, -1], dtype=np.int64),
+        STRAIGHT,
+        RULES,
+    )
+
+    assert columns(rows, "count").tolist() == [125]
+
+
+def test_distortion_is_undone():
+    x = np.linspace(20, 780, 400)
+    rays = np.column_stack([(x - 400) / 900, np.full(400, 0.25), np.ones(400)])
+
+    matrix = np.array([[900.0, 0, 400], [0, 905.0, 300], [0, 0, 1]])
+    coefficients = np.array(BENT[4:])
+    bent = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), matrix, coefficients)[0].reshape(-1, 2)
+
+    rows = straight_tracks(bent, np.full(400, 0.1), np.zeros(400, np.int64), np.zeros(1, np.int64), BENT, RULES)
+
+    assert len(rows) == 1
+    assert columns(rows, "slope") == pytest.approx(0.0, abs=1e-8)
+    assert columns(rows, "middle_y") == pytest.approx(300 + 905 * 0.25, abs=1e-5)
+
+
+def test_white_noise_has_a_correlation_near_the_factor_alone(rng):
+    x = np.arange(0, 700)
+
+    rows = straight_tracks(*line(x, 200 + rng.normal(0, 0.2, 700)), STRAIGHT, RULES)
+
+    assert 1.5 <= columns(rows, "correlation")[0] < 2.1
+
+
+def test_no_centres_give_no_tracks():
+    nothing = np.zeros((0, 2)), np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.int64)
+
+    assert straight_tracks(*nothing, STRAIGHT, RULES).shape == (0, 11)
+
+
+@pytest.mark.parametrize(
+    ("piece", "position"),
+    [(np.array([1, 0]), 1.0), (np.array([0, 5]), 1.0), (np.array([0, 0]), np.nan)],
+    ids=["descending", "beyond", "not a number"],
+)
+def test_centres_out_of_order_are_refused(piece, position):
+    with pytest.raises(ValueError, match="centers"):
+        straight_tracks(
+            np.full((2, 2), position), np.ones(2), piece.astype(np.int64), np.zeros(2, np.int64), STRAIGHT, RULES
+        )
