@@ -7,10 +7,11 @@ STAMP := $(VENV)/.installed
 PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 $(PYTEST_FLAGS)
 KERNELS := $(wildcard ringpose/kernels/*.c ringpose/kernels/*.h)
 
-.PHONY: help demo test test-slow check lint types layers man clean
+.PHONY: help demo bench-speed test test-slow check lint types layers man clean
 
 help:
 	@echo "make demo         the main job on simulated shots: calibration, detection, poses, printed and drawn"
+	@echo "make bench-speed  what detection and pose take, and how fine they are, beside their limits"
 	@echo "make test         the fast tests (make test-slow: the Monte-Carlo and whole-data-set ones)"
 	@echo "make check        lint, types, layers, man pages"
 
@@ -21,6 +22,9 @@ $(STAMP): pyproject.toml setup.py $(KERNELS)
 
 demo: $(STAMP)
 	PATH="$(CURDIR)/$(BIN):$$PATH" sh examples/demo.sh demo
+
+bench-speed: $(STAMP)
+	$(BIN)/ringpose bench speed
 
 test: $(STAMP)
 	$(PYTEST) -m "not slow"

@@ -21,12 +21,13 @@ ESCAPES = {r"\&": "", r"\-": "-", r"\e": "\\", r"\(dq": '"', r"\(aq": "'"}
 
 
 def options_of_command(name: str) -> set[str]:
-    """What the command line takes, with and without a second spelling."""
+    """What the command line takes, with and without a second spelling; with it commands of two words."""
     for module in COMMANDS:
         import_module(f"ringpose.cli.{module}")
     group = typer.main.get_command(app)
-    command = group.commands[name]  # type: ignore[attr-defined]
-    spellings = [opt for param in command.params for opt in (*param.opts, *param.secondary_opts)]
+    every = group.commands.items()  # type: ignore[attr-defined]
+    parameters = [param for words, command in every if words.split()[0] == name for param in command.params]
+    spellings = [opt for param in parameters for opt in (*param.opts, *param.secondary_opts)]
     return {opt for opt in spellings if opt.startswith("-")} | {"-h", "--help"}
 
 

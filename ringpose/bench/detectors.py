@@ -56,6 +56,7 @@ class DetectorLine:
     fragments: float = math.nan
     """Segments on each line of a piece."""
     center_rms_px: float = math.nan
+    """Root mean square error of the centre line; of break points their robust deviation across the stripe."""
     end_bias_px: float = math.nan
     """How far ends stop short of the true ones, median."""
     end_sd_px: float = math.nan
@@ -148,7 +149,7 @@ def _chain_line(images: Sequence[StripeImage], times: dict[str, float]) -> Detec
         ratio=times[CHAIN] / times[DetectorName.EDGE_DRAWING],
         segments=sum(isinstance(each.break_points, BreakPoints) for each in found) * 3 / len(images),
         recall=len(errors.along_px) / errors.expected,
-        center_rms_px=rms(errors.across_px),
+        center_rms_px=robust_sd(errors.across_px),
         end_bias_px=-median(errors.along_px),
         end_sd_px=robust_sd(errors.along_px),
         false=float(wrong.sum()) / len(images),

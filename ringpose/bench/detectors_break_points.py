@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, Int64
 
 from ringpose.bench.detectors_bounds import column_bound_px, end_bound_px
 from ringpose.bench.stripe_images import StripeImage, true_row
@@ -48,15 +48,14 @@ class BreakPointErrors:
     flagged: Bool[Array, "point"]
 
 
-def center_errors(stripes: Stripes | None, image: StripeImage) -> CenterErrors:
-    """Of all centres near a piece's true row."""
-    if stripes is None:
-        return CenterErrors(error_px=np.zeros(0), sigma_px=np.zeros(0), bound_px=np.zeros(0))
+def center_errors(stripes: Stripes, image: StripeImage) -> CenterErrors:
+    """Of all centres near a piece's true row, but for pieces of ridges that do no more than cross it."""
     x, y = stripes.position_px.T
     errors, sigmas, bounds = [], [], []
     for piece, (start, end) in enumerate(image.pieces_px):
         error = y - true_row(image, piece, x)
-        own = (np.abs(error) < NEAR_PX) & (x > start[0] + INSIDE_PX) & (x < end[0] - INSIDE_PX)
+        near = (np.abs(error) < NEAR_PX) & (x > start[0] + INSIDE_PX) & (x < end[0] - INSIDE_PX)
+        own = near & _mostly(near, stripes.piece)
         errors.append(error[own])
         sigmas.append(stripes.sigma_px[own])
         peak_dn = float(image.peak_dn[piece // 3])
@@ -114,6 +113,13 @@ def joined_break_points(parts: list[BreakPointErrors]) -> BreakPointErrors:
         bound_px=np.concatenate([part.bound_px for part in parts]),
         flagged=np.concatenate([part.flagged for part in parts]),
     )
+
+
+def _mostly(near: Bool[Array, "center"], piece: Int64[Array, "center"]) -> Bool[Array, "center"]:
+    """Which centres are of a piece that is near by more than half."""
+    share = np.bincount(piece, near) / np.maximum(np.bincount(piece), 1)
+    mostly: Bool[Array, "center"] = share[piece] > 0.5
+    return mostly
 
 
 def _none_of(expected: int) -> BreakPointErrors:

@@ -8,6 +8,7 @@ import typer
 
 from ringpose.cli.app import app
 from ringpose.cli.bench_detectors import detectors
+from ringpose.cli.bench_speed import speed
 from ringpose.cli.options import Force, OptionalRigFile, PoseFrame, Quiet
 from ringpose.pose.method import Method
 
@@ -239,3 +240,4 @@ def _write(
 
 
 app.command("bench detectors")(detectors)
+app.command("bench speed")(speed)

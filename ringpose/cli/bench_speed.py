@@ -1,0 +1,100 @@
+"""`ringpose bench speed`: what it takes and how fine it is on this machine, beside the limits."""
+
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ringpose.cli.options import Force, PoseFrame
+from ringpose.pose.method import Method
+
+if TYPE_CHECKING:
+    from ringpose.bench.speed_gates import GateSection
+    from ringpose.types.frame import Shot
+    from ringpose.types.rig import Rig
+
+STDOUT = "-"
+
+COMMAND = "import sys; from ringpose.cli.main import run; run()"
+
+Seeds = Annotated[int, typer.Option("--seeds", min=1, help="Synthetic images of each kind for the accuracy.")]
+Rounds = Annotated[int, typer.Option("--rounds", min=1, help="Turns in which each time is taken.")]
+JsonFile = Annotated[str | None, typer.Option("--json", metavar="FILE", help="All of it as JSON; - instead of text.")]
+
+
+def speed(seeds: Seeds = 10, rounds: Rounds = 11, json: JsonFile = None, force: Force = False) -> None:
+    """Measure what detection and pose take and how fine they are, each beside the limit it is meant to keep."""
+    from ringpose.bench.speed_gates import section_record, section_text
+    from ringpose.files import records
+    from ringpose.files.provenance import provenance
+    from ringpose.files.tables import write_result
+
+    measured = []
+    for section in _sections(seeds, rounds):
+        measured.append(section)
+        if json != STDOUT:
+            records.write_text(section_text(section) + "\n")
+    if json is not None:
+        sections = [section_record(section) for section in measured]
+        noted = {"ringpose": "bench_speed/1", "sections": sections, "provenance": provenance([])}
+        write_result(json, records.line_of(noted), force=force)
+
+
+def _sections(seeds: int, rounds: int) -> "Iterator[GateSection]":
+    from tempfile import TemporaryDirectory
+
+    from ringpose.bench.speed import detection_sections, start_gates
+
+    yield from detection_sections(seeds, rounds, _pose_stream)
+    with TemporaryDirectory() as folder:
+        yield start_gates(_starts(Path(folder)), rounds)
+
+
+def _pose_stream(shot: "Shot", rig: "Rig") -> str:
+    """What `ringpose pose` writes about a shot."""
+    from ringpose.cli.pose import pose_line
+    from ringpose.files.poses import pose_record
+    from ringpose.files.records import line_of
+
+    return line_of(pose_record(pose_line(shot, rig, Method.PAPER_CONSTRAINED, PoseFrame.CAMERA)))
+
+
+def _starts(folder: Path) -> dict[str, Callable[[], object]]:
+    """Processes that end, or say their first line, as soon as they can."""
+    from ringpose.bench.detectors import shot_of
+    from ringpose.bench.stripe_images import Kind, stripe_image
+    from ringpose.detect.pipeline import detect
+    from ringpose.files.detections import detection_record
+    from ringpose.files.records import line_of
+    from ringpose.files.rigs import write_rig
+    from ringpose.files.shots import write_shot
+
+    image = stripe_image(Kind.DARK, 0)
+    rig, shot, record = folder / "rig.yaml", folder / "shot.npz", folder / "detection.jsonl"
+    write_rig(rig, image.rig)
+    write_shot(shot, shot_of(image))
+    record.write_text(line_of(detection_record(detect(shot_of(image), image.rig), full=False)))
+    pose = ["-c", COMMAND, "pose", "--rig", str(rig)]
+    return {
+        "import numpy, cv2": lambda: _first_line(["-c", "import numpy, cv2"]),
+        "ringpose pose --help": lambda: _first_line(["-c", COMMAND, "pose", "--help"]),
+        "first pose line of a detection": lambda: _first_line([*pose, str(record)]),
+        "first pose line of a shot": lambda: _first_line([*pose, str(shot)]),
+    }
+
+
+def _first_line(words: Sequence[str]) -> str:
+    """Run Python until it says something, or ends."""
+    from subprocess import PIPE, Popen
+
+    from ringpose.errors import InputOutputError
+
+    with Popen([sys.executable, *words], stdout=PIPE, text=True) as process:  # noqa: S603 (words of our own)
+        line = process.stdout.readline() if process.stdout else ""
+        if line:
+            process.kill()
+    if not line and process.returncode:
+        raise InputOutputError(" ".join(words[2:]), f"ended with status {process.returncode}")
+    return line
