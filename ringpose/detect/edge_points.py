@@ -1,0 +1,109 @@
+"""Single steps of brightness -> independent points of the ring's edges, with sigmas that explain their scatter."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from ringpose.detect.edge_trace import EdgeTrace, beyond_px
+from ringpose.detect.ring_arcs import RingArcs
+from ringpose.types.arrays import Array
+from ringpose.types.break_points import RingEdgePoints
+
+BLUR_SIGMA_PX = 0.03
+"""By how much a step's place depends on the assumed shape of its blur."""
+
+GROUP = 3
+"""Neighbouring steps that make one point: 12 px, which a facet of crinkled foil hardly exceeds."""
+
+STRETCH = 15
+"""Neighbouring steps, or points, whose scatter tells the size of their errors."""
+
+OUTLIER_SIGMAS = 3.5
+"""What lies off the ring by more is none of it, and counts in the scatter as if it were so far off."""
+
+FARTHEST_PX = 1.5
+"""Nor is a step this far off, whatever its neighbours scatter."""
+
+POINT_SIGMA_PX = 0.5
+"""A point that is known worse is of no use."""
+
+MINIMUM_POINTS = 8
+"""Fewer points cannot tell an edge from a chance."""
+
+
+class _Points(NamedTuple):
+    number: Float64[Array, "n"]
+    side: Float64[Array, "n"]
+    position_px: Float64[Array, "n xy=2"]
+    normal: Float64[Array, "n xy=2"]
+    off_px: Float64[Array, "n"]
+    """From the edge of the ring that explains all of them."""
+    sigma_px: Float64[Array, "n"]
+
+
+def ring_edge_points(
+    arcs: RingArcs, trace: EdgeTrace, offset_px: Float64[Array, "n"], sigma_px: Float64[Array, "n"]
+) -> RingEdgePoints | None:
+    """Points of the ring near `arcs` from the steps found beside the places of a trace; None for too few.
+
+    A step's own sigma tells how it compares with its neighbours; what they all are worth (facets of foil, walls
+    and shadows beside the edge) shows in their scatter about the ring.
+    """
+    position = trace.place_px + offset_px[:, None] * trace.normal
+    off_px = beyond_px(arcs, trace, offset_px)
+    steps = _Points(trace.number, trace.side, position, trace.normal, off_px, np.hypot(sigma_px, BLUR_SIGMA_PX))
+    steps = _without_outliers(steps._replace(sigma_px=steps.sigma_px * _scale(steps)))
+    points = _grouped(steps)
+    points = points._replace(sigma_px=np.hypot(points.sigma_px, BLUR_SIGMA_PX))
+    points = _without_outliers(points._replace(sigma_px=points.sigma_px * np.maximum(_scale(points), 1.0)))
+    known = points.sigma_px < POINT_SIGMA_PX
+    if np.count_nonzero(known) < MINIMUM_POINTS:
+        return None
+    return RingEdgePoints(
+        position_px=points.position_px[known],
+        normal=points.normal[known],
+        sigma_px=points.sigma_px[known],
+        edge=(points.side[known] < 0).astype(np.int64),
+    )
+
+
+def _without_outliers(points: _Points) -> _Points:
+    kept = np.abs(points.off_px) < np.minimum(OUTLIER_SIGMAS * points.sigma_px, FARTHEST_PX)
+    return _chosen(points, kept)
+
+
+def _chosen(points: _Points, which: Bool[Array, "n"]) -> _Points:
+    return _Points(*(part[which] for part in points))
+
+
+def _grouped(steps: _Points) -> _Points:
+    """Weighted means of neighbouring steps, along the inner edge first."""
+    key = np.floor(steps.number / GROUP) - 1e6 * (steps.side > 0)
+    _, group = np.unique(key, return_inverse=True)
+    weight = steps.sigma_px**-2
+    total = np.bincount(group, weight)
+
+    def mean(values: Float64[Array, "n"]) -> Float64[Array, "m"]:
+        return np.bincount(group, weight * values) / total
+
+    number, side, off_px = mean(steps.number), mean(steps.side), mean(steps.off_px)
+    position = np.stack([mean(steps.position_px[:, axis]) for axis in (0, 1)], axis=-1)
+    normal = np.stack([mean(steps.normal[:, axis]) for axis in (0, 1)], axis=-1)
+    normal /= np.hypot(*normal.T)[:, None]
+    return _Points(number, side, position, normal, off_px, total**-0.5)
+
+
+def _scale(points: _Points) -> Float64[Array, "n"]:
+    """Root mean square of the deviations in sigmas, over a stretch of the same edge."""
+    scale = np.ones(len(points.side))
+    deviation = np.abs(points.off_px / points.sigma_px)
+    for edge in (1.0, -1.0):
+        here = np.flatnonzero(points.side == edge)
+        half = min(STRETCH, len(here)) // 2
+        if half:
+            padded = np.pad(deviation[here], half, mode="symmetric")
+            near = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1)
+            limit = OUTLIER_SIGMAS * 1.4826 * np.median(near, axis=-1, keepdims=True)
+            scale[here] = np.sqrt(np.mean(np.minimum(near, limit) ** 2, axis=-1))
+    return np.maximum(scale, 1e-3)

@@ -1,0 +1,110 @@
+"""Where the image should show the ring's edges, and how well that is known."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from ringpose.detect.ring_arc_fit import Sights
+from ringpose.detect.ring_arcs import RingArcs, arc_points, off_face_m
+from ringpose.geometry.rays import project, project_undistorted
+from ringpose.types.arrays import Array
+from ringpose.types.rig import Rig
+
+MARGIN_PX = 8.0
+"""Closer to the image's border no edge is looked for."""
+
+HALF_TURN = 2.0
+"""Radians of the ring to both sides of the stripes that can be in view."""
+
+CELL_PX = 10.0
+"""Places within one to two cells of a stripe are left out."""
+
+WIDER = 0.3
+"""Share of the image's size by which distortion may shift what is near its border."""
+
+OBLIQUE = 3.0
+"""Most by which foreshortening and depth shrink an error across the edge in the image."""
+
+NUDGE_M = 1e-4
+"""Step off the face that tells metres a pixel."""
+
+
+class EdgeTrace(NamedTuple):
+    """Places on the predicted edges that lie in the image: along the inner edge, then along the outer."""
+
+    point: Float64[Array, "n xyz=3"]
+    outward: Float64[Array, "n xyz=3"]
+    """Unit vector on the ring's plane that leads off the face."""
+    side: Float64[Array, "n"]
+    """1 on the inner edge, -1 on the outer."""
+    place_px: Float64[Array, "n xy=2"]
+    normal: Float64[Array, "n xy=2"]
+    """Unit normal of the edge in the image, off the face."""
+    metres_per_px: Float64[Array, "n"]
+    """On the ring's plane, for a step along the normal."""
+    number: Float64[Array, "n"]
+    """Counts the places along an edge; those on the image's border are missing."""
+
+
+def chosen(trace: EdgeTrace, which: Bool[Array, "n"]) -> EdgeTrace:
+    """Some of the places."""
+    return EdgeTrace(*(part[which] for part in trace))
+
+
+def edge_trace(
+    arcs: RingArcs, covariance: Float64[Array, "state=7 state=7"], rig: Rig, spacing_px: float, sigma_px: float
+) -> EdgeTrace:
+    """Places about `spacing_px` apart along both edges, where these are predicted to `sigma_px`."""
+    camera = rig.camera
+    size = np.array([camera.image_width, camera.image_height])
+    count = int(np.hypot(*size) / spacing_px)
+    number = np.arange(-count, count + 1, dtype=np.float64)
+    metres_per_px = arcs.origin[2] / camera.camera_matrix[0, 0]
+    number = number[np.abs(arcs.curvature * number * spacing_px * metres_per_px) < HALF_TURN]
+    side, number = np.repeat([1.0, -1.0], len(number)), np.tile(number, 2)
+    point, outward = arc_points(arcs, number * spacing_px * metres_per_px, side)
+
+    _, rows = off_face_m(arcs, point, side)
+    sigma_m = np.sqrt(np.maximum(np.sum((rows @ covariance) * rows, axis=-1), 0.0))
+    straight = project_undistorted(point, camera)
+    near = np.all((straight > -WIDER * size) & (straight < (1 + WIDER) * size), axis=-1)
+    near &= sigma_m < OBLIQUE * sigma_px * metres_per_px
+    point, outward, side, number, sigma_m = point[near], outward[near], side[near], number[near], sigma_m[near]
+
+    along = np.cross(arcs.axes[2], outward)
+    place, nudged, beside = project(np.stack([point, point + NUDGE_M * outward, point + NUDGE_M * along]), camera)
+    normal = np.stack([-(beside - place)[:, 1], (beside - place)[:, 0]], axis=-1)
+    normal /= np.hypot(*normal.T)[:, None]
+    px_per_m = np.sum(normal * (nudged - place), axis=-1) / NUDGE_M
+    normal, px_per_m = normal * np.sign(px_per_m)[:, None], np.abs(px_per_m)
+    inside = np.all((place > MARGIN_PX) & (place < size - 1 - MARGIN_PX), axis=-1) & (sigma_m * px_per_m < sigma_px)
+    return chosen(EdgeTrace(point, outward, side, place, normal, 1 / px_per_m, number), inside)
+
+
+def sights_at(trace: EdgeTrace, offset_px: Float64[Array, "n"], sigma_px: Float64[Array, "n"]) -> Sights:
+    """The rays to what was found beside the places."""
+    return Sights(
+        ray=trace.point + (offset_px * trace.metres_per_px)[:, None] * trace.outward,
+        side=trace.side,
+        sigma_m=sigma_px * trace.metres_per_px,
+    )
+
+
+def beyond_px(arcs: RingArcs, trace: EdgeTrace, offset_px: Float64[Array, "n"]) -> Float64[Array, "n"]:
+    """How far off the face, along the normal, from the edge of these arcs, lies what was found beside the places."""
+    beyond_m, _ = off_face_m(arcs, sights_at(trace, offset_px, offset_px).ray, trace.side)
+    return beyond_m / trace.metres_per_px
+
+
+def clear_of(stripes_px: Float64[Array, "center xy=2"] | None, trace: EdgeTrace) -> EdgeTrace:
+    """The places without those beside a stripe."""
+    if stripes_px is None or not len(trace.side) or not len(stripes_px):
+        return trace
+    place = np.floor(trace.place_px / CELL_PX).astype(np.int64) + 1
+    stripe = np.floor(stripes_px / CELL_PX).astype(np.int64) + 1
+    lit = np.zeros(np.maximum(place.max(axis=0), stripe.max(axis=0)) + 2, dtype=bool)
+    for dx in (-1, 0, 1):
+        for dy in (-1, 0, 1):
+            lit[stripe[:, 0] + dx, stripe[:, 1] + dy] = True
+    return chosen(trace, ~lit[place[:, 0], place[:, 1]])

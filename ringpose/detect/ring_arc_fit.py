@@ -1,0 +1,147 @@
+"""The arcs that explain break points, the stripes' lines on the face, and edge points, by robust least squares."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+
+from ringpose.detect.ring_arcs import RingArcs, moved, off_face_m
+from ringpose.geometry.planes import towards_camera
+from ringpose.geometry.rays import intersect, rays, undistorted_rays
+from ringpose.types.arrays import Array
+from ringpose.types.break_points import BreakPoints
+from ringpose.types.rig import Rig
+
+TILT_SIGMA_RAD = 0.4
+"""Prior of the ring's tilt out of facing the camera; the stripes' lines say much more about all but one direction."""
+
+TURN_SIGMA_RAD = 0.6
+"""Prior of the angle between the stripes on the face and the radius."""
+
+CURVATURE_SIGMA = 2.5
+"""Prior of one over the radius, in 1/m: adapter rings have radii of 0.4 to 1.5 m, and either side is possible."""
+
+HALF_BAND_M = (0.018, 0.008)
+"""Prior of half the band's width, mean and sigma: 20 to 60 mm wide."""
+
+LINE_SIGMA_PX = 0.1
+"""What the calibration may add to the sigma of a stripe's line across itself."""
+
+END_SIGMA_PX = 0.4
+"""What calibration and the material may add to the sigma of a break point."""
+
+OUTLIER_SIGMAS = 3.0
+"""Where a sight begins to count less; its weight falls as the fourth power beyond."""
+
+
+class Sights(NamedTuple):
+    """Rays that should meet an edge."""
+
+    ray: Float64[Array, "n xyz=3"]
+    side: Float64[Array, "n"]
+    """1 for the inner edge, -1 for the outer."""
+    sigma_m: Float64[Array, "n"]
+    """Across the edge, on the ring's plane."""
+
+
+NO_SIGHTS = Sights(np.zeros((0, 3)), np.zeros(0), np.zeros(0))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StripeEvidence:
+    """What the stripes alone say: points of the ring's plane, and the break points."""
+
+    plane_point: Float64[Array, "m xyz=3"]
+    plane_sigma_m: Float64[Array, "m"]
+    ends: Sights
+    start: RingArcs
+    """First guess, and the frame of the priors: facing the camera, straight."""
+
+
+def stripe_evidence(break_points: BreakPoints, rig: Rig) -> StripeEvidence | None:
+    """The evidence in the break points; None without a stripe's line on the face and two of its ends."""
+    lasers = np.flatnonzero(np.isfinite(break_points.face_start_px[:, 0]))
+    seen = break_points.seen
+    if not len(lasers) or not seen.any(axis=0).all():
+        return None
+    line_px = np.stack([break_points.face_start_px, break_points.face_end_px], axis=1)[lasers]
+    plane_point = _on_light(undistorted_rays(line_px, rig.camera), lasers, rig)
+    moved_point = _on_light(undistorted_rays(line_px + np.array([0.0, 1.0]), rig.camera), lasers, rig)
+    position = _on_light(rays(break_points.position_px, rig.camera), np.arange(len(seen)), rig)[seen]
+    side = np.broadcast_to([1.0, -1.0], seen.shape)[seen]
+    start = _facing(plane_point, position, side)
+    line_sigma_px = np.hypot(break_points.face_sigma_px[lasers], LINE_SIGMA_PX)
+    end_sigma_px = np.hypot(np.sqrt(break_points.covariance_px2[seen][:, 0, 0]), END_SIGMA_PX)
+    return StripeEvidence(
+        plane_point=plane_point.reshape(-1, 3),
+        plane_sigma_m=(np.abs((moved_point - plane_point) @ start.axes[2]) * line_sigma_px).ravel(),
+        ends=Sights(ray=position, side=side, sigma_m=end_sigma_px * position[:, 2] / rig.camera.camera_matrix[0, 0]),
+        start=start,
+    )
+
+
+def _on_light(ray: Float64[Array, "laser k xyz=3"], lasers: Array, rig: Rig) -> Float64[Array, "laser k xyz=3"]:
+    return intersect(ray, rig.lasers.normal[lasers][:, None], rig.lasers.distance_m[lasers][:, None])
+
+
+def _facing(
+    lines: Float64[Array, "laser end=2 xyz=3"], ends: Float64[Array, "n xyz=3"], side: Float64[Array, "n"]
+) -> RingArcs:
+    """Straight edges across the stripes, on a plane that faces the camera as far as the stripes' direction allows."""
+    along = (lines[:, 1] - lines[:, 0]).sum(axis=0)
+    along /= np.linalg.norm(along)
+    middle = lines.mean(axis=(0, 1))
+    place = (ends - middle) @ along
+    inner, outer = place[side > 0].mean(), place[side < 0].mean()
+    across = along if inner > outer else -along
+    origin = middle + (inner + outer) / 2 * along
+    normal = towards_camera(origin - (origin @ across) * across, origin)
+    normal /= np.linalg.norm(normal)
+    return RingArcs(
+        origin=origin,
+        axes=np.stack([across, np.cross(normal, across), normal]),
+        curvature=0.0,
+        half_band_m=abs(inner - outer) / 2,
+    )
+
+
+def fitted_arcs(
+    arcs: RingArcs, evidence: StripeEvidence, edges: Sights, rounds: int, outlier_sigmas: float = OUTLIER_SIGMAS
+) -> tuple[RingArcs, Float64[Array, "state=7 state=7"]]:
+    """The arcs after some rounds of Gauss-Newton from `arcs`, and the covariance of their state."""
+    sights = Sights(*(np.concatenate(both) for both in zip(evidence.ends, edges, strict=True)))
+    information = np.eye(7)
+    for _ in range(rounds):
+        beyond, rows = off_face_m(arcs, sights.ray, sights.side)
+        residual = beyond / sights.sigma_m
+        weight = (1 + (residual / outlier_sigmas) ** 2) ** -2
+        rows /= sights.sigma_m[:, None]
+        weighted = rows * weight[:, None]
+        fixed_rows, fixed_residual = _plane_and_priors(arcs, evidence)
+        information = weighted.T @ rows + fixed_rows.T @ fixed_rows
+        arcs = moved(arcs, -np.linalg.solve(information, weighted.T @ residual + fixed_rows.T @ fixed_residual))
+    return arcs, np.linalg.inv(information)
+
+
+def _plane_and_priors(
+    arcs: RingArcs, evidence: StripeEvidence
+) -> tuple[Float64[Array, "m state=7"], Float64[Array, "m"]]:
+    """Rows and residuals of the stripes' lines and of the priors."""
+    count = len(evidence.plane_point)
+    rows, residual = np.zeros((count + 5, 7)), np.empty(count + 5)
+    offset = (evidence.plane_point - arcs.origin) @ arcs.axes.T
+    rows[:count, :2], rows[:count, 2] = offset[:, :2], -1.0
+    rows[:count] /= evidence.plane_sigma_m[:, None]
+    residual[:count] = offset[:, 2] / evidence.plane_sigma_m
+
+    across, along, normal = arcs.axes
+    reference = evidence.start.axes
+    rows[count : count + 2, :2] = reference[:2] @ arcs.axes[:2].T / TILT_SIGMA_RAD
+    rows[count + 2, 4] = along @ reference[1] / TURN_SIGMA_RAD
+    rows[count + 3, 5], rows[count + 4, 6] = 1 / CURVATURE_SIGMA, 1 / HALF_BAND_M[1]
+    residual[count : count + 2] = reference[:2] @ normal / TILT_SIGMA_RAD
+    residual[count + 2] = across @ reference[1] / TURN_SIGMA_RAD
+    residual[count + 3] = arcs.curvature / CURVATURE_SIGMA
+    residual[count + 4] = (arcs.half_band_m - HALF_BAND_M[0]) / HALF_BAND_M[1]
+    return rows, residual

@@ -1,0 +1,166 @@
+"""The ring's visible edges between and beyond the stripes (MATH.md section 5 c), followed from the break points.
+
+Stripes close together hardly tell the ring's curvature: the search begins where the edges are predicted to a
+pixel, and what is found there predicts them farther on, until the image ends or the edge is lost.
+"""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float64, UInt
+
+from ringpose.detect.edge_points import ring_edge_points
+from ringpose.detect.edge_steps import ALONG_PX, EdgeSteps, Profiles, edge_profiles, edge_steps
+from ringpose.detect.edge_trace import EdgeTrace, chosen, clear_of, edge_trace, sights_at
+from ringpose.detect.ring_arc_fit import NO_SIGHTS, Sights, StripeEvidence, fitted_arcs, stripe_evidence
+from ringpose.detect.ring_arcs import CURVATURE, RingArcs
+from ringpose.types.arrays import Array
+from ringpose.types.break_points import BreakPointFlag, BreakPoints, RingEdgePoints
+from ringpose.types.rig import Rig
+
+ROUNDS = 10
+"""Most rounds of following the edges; each carries about twice as far."""
+
+FARTHER = 1.05
+"""A round that reaches less than this much farther is the last."""
+
+PREDICTED_SIGMA_PX = 0.9
+"""Where the edge is predicted worse than this it is not looked for yet."""
+
+WALK_SPACING_PX = 12
+"""Distance of the steps that are looked for on the way."""
+
+WALK_REACH_PX, REACH_PX = 3, 2
+"""How far from the predicted edge a step is looked for, on the way and in the end."""
+
+WALK_BLUR_PX = 0.8
+"""Blur of the edges that is assumed on the way."""
+
+BLURS_PX = (0.6, 0.75, 0.95, 1.2, 1.5)
+"""Blurs that are tried in the end, from a sharp lens to one that is focused elsewhere."""
+
+BLUR_STEPS = 60
+"""So many of the clearest steps tell the blur."""
+
+STEP_SIGMA_PX = 0.5
+"""A step that is known worse than this is none."""
+
+STEP_SIGMAS = 5.0
+"""Nor is one whose height is less than this many of its standard deviations: one of many places fits noise well."""
+
+STEP_DN = 2.0
+"""Nor is one of fewer grey values: rounding to whole ones moves it."""
+
+CLUTTER = 2.5
+"""Steps are trusted as if their sigmas were so many times larger: what lies beyond the edge is no even ground."""
+
+LEAST_SIGMA_PX = 0.1
+"""No single step is trusted more than this."""
+
+SIDE_SIGMAS = 4.0
+"""How clearly the edges' curvature must say on which side the ring's centre lies."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EdgeImage:
+    """A frame in which the ring's edges are looked for."""
+
+    image: UInt[Array, "row column"]
+    saturation_dn: int
+    stripes_px: Float64[Array, "center xy=2"] | None = None
+    """Centres of the stripes that it shows; None for a frame without lasers."""
+
+
+class FoundEdges(NamedTuple):
+    """The ring's edges, and what their curvature says of the side on which its centre lies."""
+
+    points: RingEdgePoints
+    side_sigmas: float
+    """Curvature over its standard deviation; negative if inner and outer edge have each other's name."""
+
+
+def ring_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> RingEdgePoints | None:
+    """Points of the ring's edges, named as the break points name them; None where none was seen."""
+    found = found_edges(break_points, frame, rig)
+    return None if found is None else found.points
+
+
+def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundEdges | None:
+    """Points of the ring's edges, and how sure the edges' names are; None where no edge was seen."""
+    evidence = stripe_evidence(break_points, rig)
+    if evidence is None:
+        return None
+    arcs, covariance = followed_arcs(evidence, frame, rig)
+    trace = clear_of(frame.stripes_px, edge_trace(arcs, covariance, rig, ALONG_PX, PREDICTED_SIGMA_PX))
+    profiles = edge_profiles(frame.image, trace.place_px, trace.normal, REACH_PX, frame.saturation_dn)
+    steps = edge_steps(profiles, REACH_PX, blur_px(profiles))
+    seen = clear_steps(steps)
+    trace, offset_px, sigma_px = chosen(trace, seen), steps.offset_px[seen], steps.sigma_px[seen]
+    arcs, covariance = fitted_arcs(arcs, evidence, trusted_sights(trace, offset_px, sigma_px), 2)
+    points = ring_edge_points(arcs, trace, offset_px, sigma_px)
+    side_sigmas = arcs.curvature / float(np.sqrt(covariance[CURVATURE, CURVATURE]))
+    return None if points is None else FoundEdges(points, side_sigmas)
+
+
+def named_by_curvature(break_points: BreakPoints, found: FoundEdges) -> tuple[BreakPoints, RingEdgePoints]:
+    """Break points and edge points with their edges' names set right, if the break points left them open."""
+    unknown = int(BreakPointFlag.EDGE_UNKNOWN)
+    if not np.any(break_points.flags & unknown) or abs(found.side_sigmas) < SIDE_SIGMAS:
+        return break_points, found.points
+    named = replace(break_points, flags=break_points.flags & ~unknown)
+    if found.side_sigmas > 0:
+        return named, found.points
+    swapped = replace(
+        named,
+        position_px=named.position_px[:, ::-1],
+        covariance_px2=named.covariance_px2[:, ::-1],
+        flags=named.flags[:, ::-1],
+    )
+    return swapped, replace(found.points, edge=1 - found.points.edge)
+
+
+def followed_arcs(
+    evidence: StripeEvidence, frame: EdgeImage, rig: Rig
+) -> tuple[RingArcs, Float64[Array, "state=7 state=7"]]:
+    """The ring's edges as far as they can be followed from the stripes, and their covariance."""
+    arcs, covariance = fitted_arcs(evidence.start, evidence, NO_SIGHTS, 5, np.inf)
+    reached = 0
+    for _ in range(ROUNDS):
+        trace = edge_trace(arcs, covariance, rig, WALK_SPACING_PX, PREDICTED_SIGMA_PX)
+        if len(trace.side) <= reached * FARTHER:
+            break
+        reached = len(trace.side)
+        trace = clear_of(frame.stripes_px, trace)
+        profiles = edge_profiles(frame.image, trace.place_px, trace.normal, WALK_REACH_PX, frame.saturation_dn)
+        steps = edge_steps(profiles, WALK_REACH_PX, WALK_BLUR_PX)
+        seen = clear_steps(steps)
+        sights = trusted_sights(chosen(trace, seen), steps.offset_px[seen], steps.sigma_px[seen])
+        arcs, covariance = fitted_arcs(arcs, evidence, sights, 2)
+    return arcs, covariance
+
+
+def clear_steps(steps: EdgeSteps) -> Bool[Array, "n"]:
+    """Which steps are more than noise."""
+    known = np.isfinite(steps.offset_px) & (steps.sigma_px < STEP_SIGMA_PX)
+    return known & (steps.height > STEP_SIGMAS) & (steps.height_dn > STEP_DN)
+
+
+def trusted_sights(trace: EdgeTrace, offset_px: Float64[Array, "n"], sigma_px: Float64[Array, "n"]) -> Sights:
+    """The steps as evidence for the ring."""
+    return sights_at(trace, offset_px, CLUTTER * np.hypot(sigma_px, LEAST_SIGMA_PX))
+
+
+def blur_px(profiles: Profiles) -> float:
+    """The blur (sigma) that explains the clearest steps best, to a twentieth of a pixel."""
+    clear = np.flatnonzero(~profiles.saturated.any(axis=1))
+    clear = clear[np.argsort(np.ptp(profiles.value[clear], axis=1))[-BLUR_STEPS:]]
+    if len(clear) < BLUR_STEPS // 4:
+        return WALK_BLUR_PX
+    part = Profiles(profiles.across_px, *(each[clear] for each in profiles[1:]))
+    cost = [float(np.median(edge_steps(part, REACH_PX, blur).cost)) for blur in BLURS_PX]
+    best = min(max(int(np.argmin(cost)), 1), len(cost) - 2)
+    near = slice(best - 1, best + 2)
+    bend, slope, _ = np.polyfit(np.log(BLURS_PX[near]), cost[near], 2)
+    log_blur = -slope / (2 * bend) if bend > 0 else np.log(BLURS_PX[int(np.argmin(cost))])
+    return float(np.round(np.exp(np.clip(log_blur, np.log(BLURS_PX[0]), np.log(BLURS_PX[-1]))) * 20) / 20)
