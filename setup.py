@@ -19,7 +19,11 @@ def kernels(name: str, parts: tuple[str, ...], headers: tuple[str, ...]) -> Exte
 setup(
     ext_modules=[
         kernels("_kernels", ("chains", "cuts", "fits", "gradient", "lists"), ("buffers", "kernels")),
-        kernels("_ring", ("groups", "lens", "tracks"), ("buffers", "ring", "select", "tracks")),
+        kernels(
+            "_ring",
+            ("ends", "groups", "lens", "tracks"),
+            ("buffers", "ends", "normal_cdf", "ring", "select", "tracks"),
+        ),
     ],
     options={"bdist_wheel": {"py_limited_api": "cp311"}},
 )

@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "buffers.h"
+#include "ends.h"
 #include "ring.h"
 #include "tracks.h"
 
@@ -165,8 +166,68 @@ static PyObject *tracks(PyObject *module, PyObject *arguments) {
     return result;
 }
 
+enum { END_RULES = 13, LINE_COLUMNS = 5 };
+
+static PyObject *ends_of(const Py_buffer *lit, const Py_buffer *dark, const Py_buffer view[3]) {
+    const double *lens = view[1].buf, *rule = view[2].buf;
+    if (view[0].shape[1] != LINE_COLUMNS || view[1].shape[0] != LENS || view[2].shape[0] != END_RULES ||
+        lit->shape[0] < 1 || lit->shape[1] < 1 ||
+        (dark && (dark->shape[0] != lit->shape[0] || dark->shape[1] != lit->shape[1]))) {
+        PyErr_SetString(PyExc_ValueError, "ends: arrays do not fit together");
+        return NULL;
+    }
+    Images images = {lit->buf, dark ? dark->buf : NULL, lit->shape[0], lit->shape[1], lit->itemsize == 2};
+    Lens camera = {lens[0], lens[1], lens[2], lens[3], lens[4],  lens[5],
+                   lens[6], lens[7], lens[8], lens[9], lens[10], lens[11]};
+    EndRules rules;
+    memcpy(&rules, rule, sizeof rules);
+    size_t lines = (size_t)view[0].shape[0];
+    StripeEnd *end = malloc((lines ? lines : 1) * 2 * sizeof *end);
+    int done = 0;
+    if (end) {
+        Py_BEGIN_ALLOW_THREADS
+        done = stripe_ends(&images, view[0].buf, lines, &camera, &rules, end);
+        Py_END_ALLOW_THREADS
+    }
+    PyObject *result =
+        done ? PyBytes_FromStringAndSize((const char *)end, (Py_ssize_t)(lines * 2 * sizeof *end)) : PyErr_NoMemory();
+    free(end);
+    return result;
+}
+
+/* An image of 8 or 16 bits. */
+static int open_image(PyObject *object, Py_buffer *view, const char *name) {
+    Py_buffer peek;
+    if (PyObject_GetBuffer(object, &peek, PyBUF_STRIDES) < 0) return 0;
+    int wide = peek.itemsize == 2;
+    PyBuffer_Release(&peek);
+    return open_array(object, view, name, wide ? "H" : "B", wide ? 2 : 1, 2, 0);
+}
+
+static PyObject *ends(PyObject *module, PyObject *arguments) {
+    (void)module;
+    static const Description description[] = {{"lines", "d", 2}, {"lens", "d", 1}, {"rules", "d", 1}};
+    PyObject *lit, *dark, *o[3], *result = NULL;
+    Py_buffer lit_view, dark_view, view[3];
+    if (!PyArg_ParseTuple(arguments, "OOOOO", &lit, &dark, &o[0], &o[1], &o[2])) return NULL;
+    if (!open_image(lit, &lit_view, "lit")) return NULL;
+    int with_dark = dark != Py_None;
+    if (!with_dark || open_image(dark, &dark_view, "dark")) {
+        if (with_dark && dark_view.itemsize != lit_view.itemsize)
+            PyErr_SetString(PyExc_TypeError, "dark: must be of the same type as lit");
+        else if (open_arrays(o, view, description, 3)) {
+            result = ends_of(&lit_view, with_dark ? &dark_view : NULL, view);
+            for (int i = 0; i < 3; i++) PyBuffer_Release(&view[i]);
+        }
+        if (with_dark) PyBuffer_Release(&dark_view);
+    }
+    PyBuffer_Release(&lit_view);
+    return result;
+}
+
 static PyMethodDef methods[] = {
     {"groups", groups, METH_VARARGS, "Best groups of one, two and three tracks."},
+    {"ends", ends, METH_VARARGS, "Ends of stripes."},
     {"tracks", tracks, METH_VARARGS, "Straight tracks among stripe centres."},
     {NULL, NULL, 0, NULL},
 };

@@ -43,3 +43,10 @@ void undistort(const Lens *lens, double *x, double *y, size_t n) {
         y[i] = v * lens->fy + lens->cy;
     }
 }
+
+void distort_pixel(const Lens *lens, double *x, double *y) {
+    double at[2], slope[3];
+    distort(lens, (*x - lens->cx) / lens->fx, (*y - lens->cy) / lens->fy, at, slope);
+    *x = at[0] * lens->fx + lens->cx;
+    *y = at[1] * lens->fy + lens->cy;
+}

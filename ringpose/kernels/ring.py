@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, Int32, Int64
+from jaxtyping import Float64, Int32, Int64, UInt
 
 from ringpose.types.arrays import Array
 
@@ -61,6 +61,35 @@ class TrackRules(NamedTuple):
     """Columns over which errors of neighbouring centres are looked at for likeness."""
 
 
+class EndRules(NamedTuple):
+    """What finds the end of a stripe."""
+
+    saturation_dn: float
+    beyond_columns: float
+    """Columns beyond a track in which its end is looked for."""
+    inside_columns: float
+    """Columns of the face that set its level before the edge."""
+    outside_columns: float
+    """Columns beyond the edge that set the level there."""
+    flank_sigmas: float
+    """Rows on both sides of the line that are looked at, in sigmas of the stripe."""
+    flanks_share: float
+    """Share of columns with a saturated pixel above which a stripe is read by its flanks."""
+    undimmed_level: float
+    """Share of the face's level above which the stripe still goes on."""
+    least_headroom: float
+    """Columns that saturation leaves less of than this say nothing about the stripe's level."""
+    speckle_columns: float
+    """Columns that share a grain of speckle."""
+    grain_factor: float
+    """Shift of the edge by the last grain, in its contrast times the edge's width."""
+    shape_sigma: float
+    """Columns by which an edge's position depends on how its blur is modelled."""
+    saturated_share: float
+    """Share of saturated columns above which `hidden_speckle` is assumed."""
+    hidden_speckle: float
+
+
 class Lens(NamedTuple):
     """OpenCV's pinhole and distortion."""
 
@@ -102,6 +131,27 @@ def straight_tracks(
     numbers = (np.array(lens, dtype=np.float64), np.array(rules, dtype=np.float64))
     found = _ring.tracks(column, row, np.ascontiguousarray(sigma_px), piece, laser, *numbers)
     return np.frombuffer(found, dtype=np.float64).reshape(-1, len(TRACK_COLUMNS))
+
+
+def stripe_ends(
+    lit: UInt[Array, "row column"],
+    dark: UInt[Array, "row column"] | None,
+    lines: Float64[Array, "track column=5"],
+    lens: Lens,
+    rules: EndRules,
+) -> Float64[Array, "track end=2 column=8"]:
+    """Left and right end of the stripe on each line, to a fraction of a column.
+
+    Lines are middle_x, middle_y, slope, x_start, x_end in undistorted pixels. The stripe's brightness along its line
+    (the Gaussian section that fits each column best) is compared with a level inside, a level outside, and an error
+    function between; the most likely position, width and levels win. Columns of the result: x, y and slope of the
+    line there (distorted pixels), sigma along x, the level outside as a share of that inside, the share of saturated
+    columns at the end, the edge's width, and the sigma of the stripe's section; NaN where no edge fits.
+    """
+    numbers = (np.array(lens, dtype=np.float64), np.array(rules, dtype=np.float64))
+    black = None if dark is None else np.ascontiguousarray(dark)
+    found = _ring.ends(np.ascontiguousarray(lit), black, np.ascontiguousarray(lines), *numbers)
+    return np.frombuffer(found, dtype=np.float64).reshape(-1, 2, 8)
 
 
 class Group(NamedTuple):

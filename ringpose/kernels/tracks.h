@@ -13,6 +13,9 @@ typedef struct {
 /* Distorted to undistorted pixels, n of them, in place; `x` and `y` run along stripes. */
 void undistort(const Lens *lens, double *x, double *y, size_t n);
 
+/* One undistorted pixel to where the lens shows it, in place. */
+void distort_pixel(const Lens *lens, double *x, double *y);
+
 typedef struct {
     double kink, joined;      /* px */
     double short_series;      /* factor */

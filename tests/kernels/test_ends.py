@@ -1,0 +1,140 @@
+"""Ends of stripes: the kernel equals its twin, and finds the ends that were drawn."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ringpose.kernels import _ring, reference_ends
+from ringpose.kernels.ring import EndRules, Lens, stripe_ends
+
+RULES = EndRules(
+    saturation_dn=255.0,
+    beyond_columns=40.0,
+    inside_columns=24.0,
+    outside_columns=12.0,
+    flank_sigmas=3.0,
+    flanks_share=0.6,
+    undimmed_level=0.6,
+    least_headroom=0.05,
+    speckle_columns=2.0,
+    grain_factor=1.5,
+    shape_sigma=0.02,
+    saturated_share=0.2,
+    hidden_speckle=0.15,
+)
+STRAIGHT = Lens(900.0, 900.0, 160.0, 60.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+BENT = Lens(300.0, 300.0, 160.0, 60.0, -0.1, 0.02, 0.001, -0.001, 0.0)
+LINE = np.array([[150.0, 60.31, 0.02, 100.0, 200.0]])
+
+
+def normal_cdf_table():
+    """How ringpose/kernels/normal_cdf.h was made."""
+    return [0.5 * (1 + math.erf((-4 + 8 * step / 800) / math.sqrt(2))) for step in range(801)]
+
+
+def drawn(start, end, *, peak=150.0, sigma=1.6, blur=1.0, ambient=10.0):
+    """A stripe on LINE between two ends, as grey values (120 x 320)."""
+    x, rows = np.arange(320.0), np.arange(120.0)[:, None]
+    y = 60.31 + 0.02 * (x - 150)
+    fade = [0.25 * math.erfc((start - k) / blur / math.sqrt(2)) * math.erfc((k - end) / blur / math.sqrt(2)) for k in x]
+    return ambient + peak * np.array(fade) * np.exp(-0.5 * ((rows - y) / sigma) ** 2)
+
+
+def image(values, rng=None, noise=0.0, dtype=np.uint8):
+    noisy = values if rng is None else values + rng.normal(0, noise, values.shape)
+    return np.clip(np.rint(noisy), 0, 255 if dtype is np.uint8 else 65535).astype(dtype)
+
+
+@pytest.mark.parametrize("lens", [STRAIGHT, BENT], ids=["straight", "bent"])
+@pytest.mark.parametrize("dark", [False, True], ids=["lit", "lit and dark"])
+@pytest.mark.parametrize(("peak", "ambient"), [(150.0, 10.0), (600.0, 10.0), (60.0, 200.0), (4.0, 1.0)])
+def test_ends_equal_the_twin(rng, lens, dark, peak, ambient):
+    lit = image(drawn(100.2, 199.7, peak=peak, ambient=ambient), rng, 2.0)
+    black = image(np.full(lit.shape, ambient), rng, 2.0) if dark else None
+
+    found = stripe_ends(lit, black, LINE, lens, RULES)
+    expected = reference_ends.stripe_ends(lit, black, LINE, lens, RULES)
+
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_ends_on_noise_equal_the_twin(seed):
+    rng = np.random.default_rng(seed)
+    lit = rng.integers(0, 256, (120, 320)).astype(np.uint8)
+    line = np.array([[rng.uniform(20, 300), rng.uniform(-5, 125), rng.uniform(-0.3, 0.3), 60.0, rng.uniform(62, 310)]])
+
+    found = stripe_ends(lit, None, line, BENT, RULES)
+    expected = reference_ends.stripe_ends(lit, None, line, BENT, RULES)
+
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.25, 0.5, 0.75])
+@pytest.mark.parametrize("blur", [0.8, 1.0, 1.3])
+def test_a_drawn_end_is_found_without_bias(shift, blur):
+    lit = image(drawn(100 + shift, 200 - shift, blur=blur))
+
+    left, right = stripe_ends(lit, None, LINE, STRAIGHT, RULES)[0, :, 0]
+
+    assert left == pytest.approx(100 + shift, abs=0.03)
+    assert right == pytest.approx(200 - shift, abs=0.03)
+
+
+def test_scatter_is_the_reported_sigma(rng):
+    errors = []
+    for _ in range(60):
+        found = stripe_ends(image(drawn(100.3, 199.6), rng, 6.0), None, LINE, STRAIGHT, RULES)[0]
+        errors += [(found[0, 0] - 100.3) / found[0, 3], (found[1, 0] - 199.6) / found[1, 3]]
+
+    assert 0.5 < np.mean(np.square(errors)) < 1.6
+
+
+@pytest.mark.parametrize("peak", [400.0, 600.0])
+def test_saturation_does_not_move_an_end_outward(peak):
+    found = stripe_ends(image(drawn(100.0, 200.0, peak=peak)), None, LINE, STRAIGHT, RULES)[0]
+
+    assert found[0, 0] == pytest.approx(100.0, abs=0.2)
+    assert found[1, 0] == pytest.approx(200.0, abs=0.2)
+    assert np.all(found[:, 5] > 0.5)
+
+
+def test_sixteen_bits_are_read():
+    lit = image(drawn(100.0, 200.0, peak=3000.0, ambient=100.0), dtype=np.uint16)
+
+    found = stripe_ends(lit, None, LINE, STRAIGHT, RULES._replace(saturation_dn=4095.0))[0]
+
+    assert found[:, 0] == pytest.approx([100.0, 200.0], abs=0.03)
+
+
+def test_a_line_outside_the_image_has_no_end():
+    far = np.array([[5000.0, 60.0, 0.0, 4950.0, 5050.0]])
+
+    assert np.all(np.isnan(stripe_ends(image(drawn(100, 200)), None, far, STRAIGHT, RULES)[..., 0]))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
+def test_wild_lines_have_no_end(value):
+    wild = np.array([[150.0, value, 0.0, 100.0, 200.0], [150.0, 60.0, 0.0, 100.0, value]])
+
+    assert stripe_ends(image(drawn(100, 200)), None, wild, STRAIGHT, RULES).shape == (2, 2, 8)
+
+
+@pytest.mark.parametrize(
+    ("dark", "error"),
+    [(np.zeros((10, 10), np.uint8), ValueError), (np.zeros((120, 320), np.uint16), TypeError)],
+    ids=["size", "type"],
+)
+def test_a_dark_frame_unlike_the_lit_one_is_refused(dark, error):
+    numbers = (np.array(STRAIGHT), np.array(RULES, dtype=np.float64))
+
+    with pytest.raises(error):
+        _ring.ends(image(drawn(100, 200)), dark, LINE, *numbers)
+
+
+def test_the_table_of_the_header_is_the_normal_distribution():
+    numbers = (Path(__file__).parents[2] / "ringpose/kernels/normal_cdf.h").read_text().split("{")[1].split("}")[0]
+
+    assert [float(each) for each in numbers.split(",")] == normal_cdf_table()
