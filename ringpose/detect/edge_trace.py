@@ -53,7 +53,7 @@ def chosen(trace: EdgeTrace, which: Bool[Array, "n"]) -> EdgeTrace:
 
 
 def edge_trace(
-    arcs: RingArcs, covariance: Float64[Array, "state=7 state=7"], rig: Rig, spacing_px: float, sigma_px: float
+    arcs: RingArcs, covariance: Float64[Array, "state=7 state=7"], rig: Rig, spacing_px: int | float, sigma_px: float
 ) -> EdgeTrace:
     """Places about `spacing_px` apart along both edges, where these are predicted to `sigma_px`."""
     camera = rig.camera

@@ -6,7 +6,7 @@ from jaxtyping import Float64, Int64, UInt, UInt8
 
 from ringpose.detect.gradient import eight_bit
 from ringpose.types.arrays import EDGES, Array
-from ringpose.types.break_points import BreakPointFlag, BreakPoints, Detection
+from ringpose.types.break_points import BreakPointFlag, BreakPoints, Detection, RingEdgePoints
 from ringpose.types.segments import Segments
 from ringpose.types.stripes import UNLABELLED, Stripes
 
@@ -28,6 +28,12 @@ UNLABELLED_COLOR: Color = (170, 170, 170)
 SEGMENT_COLOR: Color = (0, 200, 255)
 FLAG_COLOR: Color = (60, 60, 255)
 
+EDGE_COLORS: tuple[Color, Color] = ((200, 200, 90), (90, 200, 200))
+"""Of the inner and the outer edge."""
+
+EDGE_HALF_LENGTH_PX = 3.0
+"""Points of the ring's edges are drawn as dashes along the edge."""
+
 ELLIPSE_SIGMAS = 30.0
 """Break points are known to tenths of a pixel: their error ellipses are drawn so many times larger."""
 
@@ -40,7 +46,7 @@ _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 def overlay(image: UInt[Array, "row column"], detection: Detection) -> UInt8[Array, "row column 3"]:
-    """The image as blue, green, red, dimmed, with segments, stripes and break points drawn over it.
+    """The image as blue, green, red, dimmed, with segments, stripes, ring edges and break points drawn over it.
 
     Each laser has its colour; error ellipses are `ELLIPSE_SIGMAS` standard deviations wide.
     """
@@ -49,6 +55,8 @@ def overlay(image: UInt[Array, "row column"], detection: Detection) -> UInt8[Arr
         _draw_segments(picture, detection.segments)
     if detection.stripes is not None:
         _draw_stripes(picture, detection.stripes)
+    if detection.ring_edges is not None:
+        _draw_ring_edges(picture, detection.ring_edges)
     if isinstance(detection.break_points, BreakPoints):
         _draw_break_points(picture, detection.break_points)
     _write(picture, f"{detection.shot}: {detection.summary}", np.array([8.0, 20.0]), (255, 255, 255))
@@ -71,6 +79,13 @@ def _draw_stripes(picture: UInt8[Array, "row column 3"], stripes: Stripes) -> No
         columns, rows = np.round(stripes.position_px[here]).astype(np.int64).T
         inside = (rows >= 0) & (rows < picture.shape[0]) & (columns >= 0) & (columns < picture.shape[1])
         picture[rows[inside], columns[inside]] = color_of(laser)
+
+
+def _draw_ring_edges(picture: UInt8[Array, "row column 3"], edges: RingEdgePoints) -> None:
+    along = EDGE_HALF_LENGTH_PX * edges.normal[:, ::-1] * np.array([-1.0, 1.0])
+    starts, ends = _fixed(edges.position_px - along), _fixed(edges.position_px + along)
+    for start, end, edge in zip(starts, ends, edges.edge.tolist(), strict=True):
+        cv2.line(picture, start, end, EDGE_COLORS[edge], 1, cv2.LINE_AA, _BITS)
 
 
 def _draw_break_points(picture: UInt8[Array, "row column 3"], points: BreakPoints) -> None:

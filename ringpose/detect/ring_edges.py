@@ -17,7 +17,9 @@ from ringpose.detect.ring_arc_fit import NO_SIGHTS, Sights, StripeEvidence, fitt
 from ringpose.detect.ring_arcs import CURVATURE, RingArcs
 from ringpose.types.arrays import Array
 from ringpose.types.break_points import BreakPointFlag, BreakPoints, RingEdgePoints
+from ringpose.types.frame import Shot
 from ringpose.types.rig import Rig
+from ringpose.types.stripes import Stripes
 
 ROUNDS = 10
 """Most rounds of following the edges; each carries about twice as far."""
@@ -78,6 +80,25 @@ class FoundEdges(NamedTuple):
     points: RingEdgePoints
     side_sigmas: float
     """Curvature over its standard deviation; negative if inner and outer edge have each other's name."""
+
+
+def shown_edges(
+    break_points: BreakPoints, shot: Shot, stripes: Stripes, rig: Rig
+) -> tuple[BreakPoints, RingEdgePoints | None]:
+    """The edges in the frame of a shot that shows them best, and the break points, their edges named by it if open."""
+    found = found_edges(break_points, edge_image(shot, stripes), rig)
+    return (break_points, None) if found is None else named_by_curvature(break_points, found)
+
+
+def edge_image(shot: Shot, stripes: Stripes) -> EdgeImage:
+    """The first frame without lasers; without one, that with the fewest, and where its stripes are."""
+    number = min(range(len(shot.lasers)), key=lambda each: int(shot.lasers[each]).bit_count())
+    dark = not shot.lasers[number]
+    return EdgeImage(
+        image=shot.images[number],
+        saturation_dn=shot.saturation_dn,
+        stripes_px=None if dark else stripes.position_px,
+    )
 
 
 def ring_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> RingEdgePoints | None:

@@ -12,8 +12,8 @@ from ringpose.files import records
 from ringpose.files.archives import Archive, write_archive
 from ringpose.files.fields import Fields
 from ringpose.files.provenance import provenance
-from ringpose.types.arrays import Array
-from ringpose.types.break_points import BreakPoints, Detection, NoBreakPoints
+from ringpose.types.arrays import EDGES, Array
+from ringpose.types.break_points import BreakPoints, Detection, NoBreakPoints, RingEdgePoints
 from ringpose.types.segments import Segments
 from ringpose.types.stripes import Stripes
 
@@ -23,9 +23,10 @@ PROVENANCE = "provenance"
 """Key of an NPZ file: a JSON text."""
 
 _POINTS = ("position_px", "covariance_px2", "flags", "face_start_px", "face_end_px", "face_sigma_px", "labelled")
+_RING_EDGES = ("position_px", "normal", "sigma_px", "edge")
 _STRIPES = ("position_px", "sigma_px", "peak_dn", "piece", "laser")
 _SEGMENTS = ("start_px", "end_px", "support")
-_PARTS = {"break_points": _POINTS, "stripes": _STRIPES, "segments": _SEGMENTS}
+_PARTS = {"break_points": _POINTS, "ring_edges": _RING_EDGES, "stripes": _STRIPES, "segments": _SEGMENTS}
 _KEYS = ("schema", "shot", "stamp_s", "reason", *_PARTS)
 
 
@@ -38,6 +39,7 @@ def detection_record(detection: Detection, full: bool = True) -> dict[str, Any]:
         "stamp_s": detection.stamp_s,
         "reason": detection.break_points.value if isinstance(detection.break_points, NoBreakPoints) else None,
         "break_points": _part(found, _POINTS),
+        "ring_edges": _part(detection.ring_edges, _RING_EDGES),
     }
     if full:
         record |= {"stripes": _part(detection.stripes, _STRIPES), "segments": _part(detection.segments, _SEGMENTS)}
@@ -57,6 +59,7 @@ def detection_of(record: Mapping[str, Any], place: str) -> Detection:
         break_points=_break_points(parts["break_points"]) if "break_points" in parts else _reason(fields),
         stripes=_stripes(parts["stripes"]) if "stripes" in parts else None,
         segments=_segments(parts["segments"]) if "segments" in parts else None,
+        ring_edges=_ring_edges(parts["ring_edges"]) if "ring_edges" in parts else None,
     )
 
 
@@ -118,6 +121,19 @@ def _break_points(fields: Fields) -> BreakPoints:
         face_end_px=fields.array("face_end_px", (lasers, 2), allow_nan=True),
         face_sigma_px=fields.array("face_sigma_px", (lasers, 2), allow_nan=True),
         labelled=fields.boolean("labelled"),
+    )
+
+
+def _ring_edges(fields: Fields) -> RingEdgePoints:
+    position = fields.array("position_px", (None, 2))
+    edge = _integers(fields, "edge", (len(position),))
+    if len(edge) and not 0 <= edge.min() <= edge.max() < len(EDGES):
+        raise fields.problem("edge", "names an edge that is neither 0 (inner) nor 1 (outer)")
+    return RingEdgePoints(
+        position_px=position,
+        normal=fields.array("normal", (len(position), 2)),
+        sigma_px=fields.array("sigma_px", (len(position),)),
+        edge=edge,
     )
 
 
