@@ -8,6 +8,7 @@ import numpy as np
 from ringpose.detect.break_points import break_points
 from ringpose.detect.faces import ring_face
 from ringpose.detect.frames import LaserImage, laser_images
+from ringpose.detect.ring_edges import shown_edges
 from ringpose.detect.stripe_centers import find_stripes
 from ringpose.detect.stripe_segments import stripes_between_segments
 from ringpose.detect.tracks import straight_tracks
@@ -36,8 +37,17 @@ def detect(shot: Shot, rig: Rig, source: StripeSource = StripeSource.CENTERS) ->
     if not images:
         return Detection(shot=shot.name, stamp_s=shot.measured_at_s, break_points=NoBreakPoints.NO_LASER_FRAME)
     stripes, segments = _all_stripes(images, source)
-    found = _found(stripes, images, rig, shot.saturation_dn)
-    return Detection(shot=shot.name, stamp_s=shot.measured_at_s, break_points=found, stripes=stripes, segments=segments)
+    found, edges = _found(stripes, images, rig, shot.saturation_dn), None
+    if isinstance(found, BreakPoints) and source is StripeSource.CENTERS:
+        found, edges = shown_edges(found, shot, stripes, rig)
+    return Detection(
+        shot=shot.name,
+        stamp_s=shot.measured_at_s,
+        break_points=found,
+        stripes=stripes,
+        segments=segments,
+        ring_edges=edges,
+    )
 
 
 def _all_stripes(images: list[LaserImage], source: StripeSource) -> tuple[Stripes, Segments | None]:
