@@ -96,8 +96,7 @@ def _found(stripes: Stripes, images: list[LaserImage], rig: Rig, saturation_dn: 
         return NoBreakPoints.NO_RING
     if face.ambiguous:
         return NoBreakPoints.AMBIGUOUS_LABELS
-    shows = {laser: image for image in images for laser in image.lasers}
-    return break_points(face, tracks, shows, rig, saturation_dn)
+    return break_points(face, tracks, images, rig, saturation_dn)
 
 
 def _why_no_stripe(images: list[LaserImage], saturation_dn: int) -> NoBreakPoints:
