@@ -22,9 +22,15 @@ STRIPE_COLUMNS = {
 """Heading and format of what only stripes with truth have."""
 
 
-def detectors_table(groups: Mapping[str, Sequence[DetectorLine]]) -> str:
-    """A block for each group of images."""
-    return "\n\n".join(_block(title, lines) for title, lines in groups.items()) + "\n"
+def group_table(title: str, lines: Sequence[DetectorLine]) -> str:
+    """A line for each detector on a group of images, with the columns that are known."""
+    stripes = any(not math.isnan(line.recall) for line in lines)
+    drawn = any(line.length_recall for line in lines)
+    heading = ["detector", "ms", "ratio", "segments"]
+    heading += [name for name, _ in STRIPE_COLUMNS.values()] if stripes else []
+    heading += [f"recall {distance_px:g} px" for distance_px in LINE_DISTANCES_PX] if drawn else []
+    rows = [_cells(line, stripes, drawn) for line in lines]
+    return "\n".join([title, *aligned([heading, *rows], left=1)]) + "\n"
 
 
 def detectors_report(groups: Mapping[str, Sequence[DetectorLine]]) -> dict[str, Any]:
@@ -38,16 +44,6 @@ def detectors_report(groups: Mapping[str, Sequence[DetectorLine]]) -> dict[str, 
 def number(value: float, form: str) -> str:
     """A figure, or that there is none."""
     return ABSENT if math.isnan(value) else format(value, form)
-
-
-def _block(title: str, lines: Sequence[DetectorLine]) -> str:
-    stripes = any(not math.isnan(line.recall) for line in lines)
-    drawn = any(line.length_recall for line in lines)
-    heading = ["detector", "ms", "ratio", "segments"]
-    heading += [name for name, _ in STRIPE_COLUMNS.values()] if stripes else []
-    heading += [f"recall {distance_px:g} px" for distance_px in LINE_DISTANCES_PX] if drawn else []
-    rows = [_cells(line, stripes, drawn) for line in lines]
-    return "\n".join([title, *aligned([heading, *rows], left=1)])
 
 
 def _cells(line: DetectorLine, stripes: bool, drawn: bool) -> list[str]:

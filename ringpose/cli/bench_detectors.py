@@ -50,9 +50,13 @@ def detectors(
 ) -> None:
     """Compare line detectors: times on one core relative to EdgeDrawing, errors where truth is known."""
     from ringpose.bench.detectors import compared
+    from ringpose.bench.detectors_report import detectors_report, group_table
     from ringpose.cli.batch import Batch
     from ringpose.cli.progress import counted
     from ringpose.errors import UsageError
+    from ringpose.files import records
+    from ringpose.files.provenance import provenance
+    from ringpose.files.tables import write_result
 
     if lines_truth is not None and not images:
         raise UsageError("--lines-truth", "belongs to images, and none is given")
@@ -63,11 +67,15 @@ def detectors(
     wanted = kind or ([] if images else ALL_KINDS.split(", "))
     todo = [*groups, *_kinds(wanted)]
     lines: dict[str, list[DetectorLine]] = {}
-    for title in counted(todo, "groups", quiet):
-        members = groups[title] if title in groups else _synthetic(title, seeds)
-        lines[_title(title, members)] = compared(members, rounds)
-    if lines:
-        _write(lines, json, force, [Path(name) for name in images or [] if Path(name).is_file()])
+    for name in counted(todo, "groups", quiet):
+        members = groups[name] if name in groups else _synthetic(name, seeds)
+        title = _title(name, members)
+        lines[title] = compared(members, rounds)
+        if json != STDOUT:
+            records.write_text(group_table(title, lines[title]) + "\n")
+    if lines and json is not None:
+        noted = {**detectors_report(lines), "provenance": provenance(_files(images or []))}
+        write_result(json, records.line_of(noted), force=force)
     batch.finish()
 
 
@@ -115,14 +123,6 @@ def _title(name: str, images: "list[KnownImage]") -> str:
     return f"{name}: {len(images)} of {', '.join(f'{width} x {height}' for width, height in sizes)} pixels"
 
 
-def _write(groups: "dict[str, list[DetectorLine]]", json: str | None, force: bool, files: list[Path]) -> None:
-    from ringpose.bench.detectors_report import detectors_report, detectors_table
-    from ringpose.files import records
-    from ringpose.files.provenance import provenance
-    from ringpose.files.tables import write_result
-
-    if json != STDOUT:
-        records.write_text(detectors_table(groups))
-    if json is not None:
-        noted = {**detectors_report(groups), "provenance": provenance(files)}
-        write_result(json, records.line_of(noted), force=force)
+def _files(names: list[str]) -> list[Path]:
+    """The images whose hashes go into the report."""
+    return [Path(name) for name in names if Path(name).is_file()]
