@@ -143,6 +143,8 @@ def edge_steps(profiles: Profiles, reach_px: int, blur_px: float) -> EdgeSteps:
 
 def _pooled(values: Float64[Array, "n"]) -> Float64[Array, "n"]:
     """Running mean over neighbours, fewer at the ends."""
+    if not len(values):
+        return values
     window = np.ones(POOLED)
     return _same(values, window) / _same(np.ones(len(values)), window)
 

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float64
 
@@ -17,8 +18,8 @@ MARGIN_PX = 8.0
 HALF_TURN = 2.0
 """Radians of the ring to both sides of the stripes that can be in view."""
 
-CELL_PX = 10.0
-"""Places within one to two cells of a stripe are left out."""
+CELL_PX, CELLS = 4.0, 2
+"""Places up to so many cells of an image's grid from a stripe's centre are left out: 8 to 12 px."""
 
 WIDER = 0.3
 """Share of the image's size by which distortion may shift what is near its border."""
@@ -101,10 +102,10 @@ def clear_of(stripes_px: Float64[Array, "center xy=2"] | None, trace: EdgeTrace)
     """The places without those beside a stripe."""
     if stripes_px is None or not len(trace.side) or not len(stripes_px):
         return trace
-    place = np.floor(trace.place_px / CELL_PX).astype(np.int64) + 1
-    stripe = np.floor(stripes_px / CELL_PX).astype(np.int64) + 1
-    lit = np.zeros(np.maximum(place.max(axis=0), stripe.max(axis=0)) + 2, dtype=bool)
-    for dx in (-1, 0, 1):
-        for dy in (-1, 0, 1):
-            lit[stripe[:, 0] + dx, stripe[:, 1] + dy] = True
-    return chosen(trace, ~lit[place[:, 0], place[:, 1]])
+    cells = np.floor(np.concatenate([trace.place_px, stripes_px]) / CELL_PX).astype(np.int64)
+    cells -= cells.min(axis=0)
+    column, row = cells.T
+    lit = np.zeros((row.max() + 1, column.max() + 1), dtype=np.uint8)
+    lit[row[len(trace.side) :], column[len(trace.side) :]] = 1
+    lit = cv2.dilate(lit, np.ones((2 * CELLS + 1, 2 * CELLS + 1), dtype=np.uint8))
+    return chosen(trace, lit[row[: len(trace.side)], column[: len(trace.side)]] == 0)
