@@ -21,8 +21,8 @@ setup(
         kernels("_kernels", ("chains", "cuts", "fits", "gradient", "lists"), ("buffers", "kernels")),
         kernels(
             "_ring",
-            ("ends", "groups", "lens", "tracks"),
-            ("buffers", "ends", "normal_cdf", "ring", "select", "tracks"),
+            ("arcs", "ends", "groups", "lens", "tracks"),
+            ("arcs", "buffers", "ends", "normal_cdf", "ring", "select", "tracks"),
         ),
     ],
     options={"bdist_wheel": {"py_limited_api": "cp311"}},

@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from ringpose.detect.tracks import Track
-from ringpose.geometry.circles import concentric_arcs
 from ringpose.geometry.planes import nearest_plane, towards_camera
 from ringpose.geometry.rays import intersect, rays, undistorted_rays
+from ringpose.kernels.ring import ArcFit, arc_fit
 from ringpose.types.arrays import Array
 from ringpose.types.break_points import BreakPointFlag
 from ringpose.types.rig import Rig
@@ -55,17 +55,9 @@ def without_occluded(ends: Ends, tracks: Sequence[Track], rig: Rig) -> Ends:
     """
     if np.count_nonzero(np.isfinite(ends.position_px[..., 0])) < 6:
         return ends
-    flat, seen, metres_a_pixel = _flat(ends, rig)
-    circle = np.broadcast_to([0, 1], seen.shape)[seen]
-    sigma = np.hypot(np.sqrt(ends.covariance_px2[seen][:, 0, 0]), CIRCLE_SIGMA_PX) * metres_a_pixel
-
-    def cost(used: Bool[Array, "n"]) -> float:
-        outside = concentric_arcs(flat[used], circle[used]).outside
-        return float(0.5 * np.sum((outside / sigma[used]) ** 2))
-
-    everything = cost(np.ones(len(flat), dtype=bool))
-    without = np.array([cost(np.arange(len(flat)) != each) for each in range(len(flat))])
-    if everything - without.min() < OCCLUDED_COST:
+    fit, seen = _fit(ends, rig)
+    without = fit.cost_without
+    if fit.cost - without.min() < OCCLUDED_COST:
         return ends
     suspects = np.argwhere(seen)[without < without.min() + TIE]
     if len(suspects) > 1:
@@ -125,10 +117,13 @@ def side_of_center(ends: Ends, rig: Rig) -> tuple[bool, bool]:
     seen = np.isfinite(ends.position_px[..., 0])
     if np.count_nonzero(seen) < 4 or min(np.count_nonzero(seen, axis=0)) < 1 or len(ends.laser) < 2:
         return False, False
+    fit, _ = _fit(ends, rig)
+    return fit.curvature > 0, abs(fit.curvature) > SIDE_SIGMAS * fit.curvature_sigma
+
+
+def _fit(ends: Ends, rig: Rig) -> tuple[ArcFit, Bool[Array, "track 2"]]:
+    """How well the seen ends fit two arcs about one centre, and which were seen."""
     flat, seen, metres_a_pixel = _flat(ends, rig)
-    circle = np.broadcast_to([0, 1], seen.shape)[seen]
-    step = np.sqrt(ends.covariance_px2[seen][:, 0, 0]) * metres_a_pixel
-    moved = flat + np.stack([np.diag(step), np.zeros((len(flat), len(flat)))], axis=-1)
-    here = float(concentric_arcs(flat, circle).curvature)
-    sigma = float(np.linalg.norm(concentric_arcs(moved, circle).curvature - here))
-    return here > 0, abs(here) > SIDE_SIGMAS * sigma
+    arc = np.broadcast_to(np.array([0, 1], dtype=np.int32), seen.shape)[seen]
+    along_m = np.sqrt(ends.covariance_px2[seen][:, 0, 0]) * metres_a_pixel
+    return arc_fit(flat, arc, np.hypot(along_m, CIRCLE_SIGMA_PX * metres_a_pixel), along_m), seen

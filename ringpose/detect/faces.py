@@ -21,8 +21,8 @@ from ringpose.types.stripes import UNLABELLED
 DEPTH_RANGE_M = (0.05, 3.0)
 """Where a ring can be: wider on both sides than the 0.2 to 1 m that the method is made for."""
 
-FACE_LENGTH_M = (0.003, 0.3)
-"""Length of a stripe on the face: bands of adapter rings are 20 to 60 mm wide, crossed obliquely at worst."""
+FACE_LENGTH_M = (0.003, 0.16)
+"""Length of a stripe on the face: bands of adapter rings are 20 to 60 mm wide and crossed at 45 degrees or more."""
 
 MAXIMUM_TILT_RAD = float(np.deg2rad(75))
 """Beyond this a face is too oblique to show a stripe of any length."""
@@ -69,7 +69,7 @@ ENOUGH_COLUMNS = 120
 CONVINCING_SCORE = {3: 9.0, 2: 12.0, 1: 6.0}
 """Scores that tracks on foil hardly ever reach by chance, by number of tracks; two tracks are checked by little."""
 
-TRACK_PRICE = 4.0
+TRACK_PRICE = 3.0
 """What another track must add to the score: a piece of foil that happens to lie in the plane adds less."""
 
 CLEAR_MARGIN = 4.0

@@ -6,6 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "arcs.h"
 #include "buffers.h"
 #include "ends.h"
 #include "ring.h"
@@ -166,6 +167,64 @@ static PyObject *tracks(PyObject *module, PyObject *arguments) {
     return result;
 }
 
+enum { MOST_ENDS = 64 };
+
+static double consistency_cost(const End *end, const double *sigma, int ends) {
+    Arcs arcs;
+    double cost = 0;
+    if (!fit_arcs(end, ends, &arcs)) return INFINITY;
+    for (int k = 0; k < ends; k++)
+        if (end[k].used) {
+            double outside = outside_arc(&arcs, &end[k]) / sigma[k];
+            cost += 0.5 * outside * outside;
+        }
+    return cost;
+}
+
+/* Cost of all ends, of all but each, the curvature, and its sigma by differences. */
+static PyObject *arcs_of(const Py_buffer view[4]) {
+    int ends = (int)view[0].shape[0];
+    if (view[0].shape[0] > MOST_ENDS || view[0].shape[1] != 2 || view[1].shape[0] != ends ||
+        view[2].shape[0] != ends || view[3].shape[0] != ends) {
+        PyErr_SetString(PyExc_ValueError, "arcs: arrays do not fit together");
+        return NULL;
+    }
+    const double *point = view[0].buf, *sigma = view[2].buf, *along = view[3].buf;
+    const int32_t *arc = view[1].buf;
+    End end[MOST_ENDS];
+    double result[MOST_ENDS + 3];
+    for (int k = 0; k < ends; k++) end[k] = (End){point[2 * k], point[2 * k + 1], arc[k] != 0, 1};
+    result[0] = consistency_cost(end, sigma, ends);
+    for (int k = 0; k < ends; k++) {
+        end[k].used = 0;
+        result[k + 1] = consistency_cost(end, sigma, ends);
+        end[k].used = 1;
+    }
+    Arcs arcs = {0, 0, {0, 0}};
+    double curvature = fit_arcs(end, ends, &arcs) ? arcs_curvature(&arcs) : NAN, variance = 0;
+    for (int k = 0; k < ends; k++) {
+        end[k].x += along[k];
+        double change = fit_arcs(end, ends, &arcs) ? arcs_curvature(&arcs) - curvature : NAN;
+        variance += change * change;
+        end[k].x -= along[k];
+    }
+    result[ends + 1] = curvature;
+    result[ends + 2] = sqrt(variance);
+    return PyBytes_FromStringAndSize((const char *)result, (Py_ssize_t)((size_t)(ends + 3) * sizeof *result));
+}
+
+static PyObject *arcs(PyObject *module, PyObject *arguments) {
+    (void)module;
+    static const Description description[] = {{"points", "d", 2}, {"arc", "i", 1}, {"sigma", "d", 1}, {"along", "d", 1}};
+    PyObject *o[4], *result = NULL;
+    Py_buffer view[4];
+    if (!PyArg_ParseTuple(arguments, "OOOO", &o[0], &o[1], &o[2], &o[3])) return NULL;
+    if (!open_arrays(o, view, description, 4)) return NULL;
+    result = arcs_of(view);
+    for (int i = 0; i < 4; i++) PyBuffer_Release(&view[i]);
+    return result;
+}
+
 enum { END_RULES = 13, LINE_COLUMNS = 5 };
 
 static PyObject *ends_of(const Py_buffer *lit, const Py_buffer *dark, const Py_buffer view[3]) {
@@ -227,6 +286,7 @@ static PyObject *ends(PyObject *module, PyObject *arguments) {
 
 static PyMethodDef methods[] = {
     {"groups", groups, METH_VARARGS, "Best groups of one, two and three tracks."},
+    {"arcs", arcs, METH_VARARGS, "How well points fit two arcs about one centre."},
     {"ends", ends, METH_VARARGS, "Ends of stripes."},
     {"tracks", tracks, METH_VARARGS, "Straight tracks among stripe centres."},
     {NULL, NULL, 0, NULL},

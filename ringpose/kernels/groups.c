@@ -4,6 +4,8 @@
 #include <math.h>
 #include <stddef.h>
 
+#include "arcs.h"
+
 /* Solves the symmetric 3 x 3 system a x = b; 0 if a is singular. */
 static int solve3(const double a[6], const double b[3], double x[3]) {
     double c00 = a[3] * a[5] - a[4] * a[4], c01 = a[2] * a[4] - a[1] * a[5], c02 = a[1] * a[4] - a[2] * a[3];
@@ -51,60 +53,18 @@ static int unseen_lasers(const Candidate *const member[], int size, const double
     return unseen;
 }
 
-typedef struct {
-    double x, y;
-    int arc, used;
-} End;
-
-/* Half the squared sigmas of the used ends from two arcs about one centre: a (x^2 + y^2) + x + b y + c_arc = 0,
-   the c eliminated by centring each arc. Infinite for rings that nobody builds. */
+/* Half the squared sigmas of the used ends from two arcs about one centre; infinite for rings that nobody builds. */
 static double arcs_cost(const End *end, int ends, double sigma, const RingLimits *limits, int free_radius) {
-    double count[2] = {0}, mean_x[2] = {0}, mean_y[2] = {0}, mean_q[2] = {0};
+    Arcs arcs;
+    double cost = 0;
+    if (!fit_arcs(end, ends, &arcs)) return INFINITY;
     for (int k = 0; k < ends; k++)
         if (end[k].used) {
-            int arc = end[k].arc;
-            count[arc] += 1;
-            mean_x[arc] += end[k].x;
-            mean_y[arc] += end[k].y;
-            mean_q[arc] += end[k].x * end[k].x + end[k].y * end[k].y;
-        }
-    if (count[0] == 0 || count[1] == 0) return INFINITY;
-    for (int arc = 0; arc < 2; arc++) {
-        mean_x[arc] /= count[arc];
-        mean_y[arc] /= count[arc];
-        mean_q[arc] /= count[arc];
-    }
-    double uu = 0, uv = 0, vv = 0, ut = 0, vt = 0;
-    for (int k = 0; k < ends; k++)
-        if (end[k].used) {
-            int arc = end[k].arc;
-            double u = end[k].x * end[k].x + end[k].y * end[k].y - mean_q[arc];
-            double v = end[k].y - mean_y[arc], t = end[k].x - mean_x[arc];
-            uu += u * u;
-            uv += u * v;
-            vv += v * v;
-            ut += u * t;
-            vt += v * t;
-        }
-    double determinant = uu * vv - uv * uv, a = 0, b = 0;
-    if (determinant > 1e-12 * uu * vv) {
-        a = -(vv * ut - uv * vt) / determinant;
-        b = -(uu * vt - uv * ut) / determinant;
-    } else if (vv > 0)
-        b = -vt / vv;
-    double c[2], cost = 0;
-    for (int arc = 0; arc < 2; arc++) c[arc] = -mean_x[arc] - a * mean_q[arc] - b * mean_y[arc];
-    for (int k = 0; k < ends; k++)
-        if (end[k].used) {
-            double x = end[k].x, y = end[k].y;
-            double residual = a * (x * x + y * y) + x + b * y + c[end[k].arc];
-            double outside = residual / fmax(hypot(2 * a * x + 1, 2 * a * y + b), 1e-9) / sigma;
+            double outside = outside_arc(&arcs, &end[k]) / sigma;
             cost += 0.5 * outside * outside;
         }
-    double level = sqrt(fmax(1 + b * b - 2 * a * (c[0] + c[1]), 1e-12));
-    if (!free_radius && fabs(2 * a) / level > 1 / limits->minimum_radius) return INFINITY;
-    if (fabs(c[1] - c[0]) / sqrt(1 + b * b) < limits->minimum_band) return INFINITY;
-    return cost;
+    if (!free_radius && fabs(arcs_curvature(&arcs)) > 1 / limits->minimum_radius) return INFINITY;
+    return arcs_band(&arcs) < limits->minimum_band ? INFINITY : cost;
 }
 
 /* The ends of a group in their plane, x along the stripes from start to end; returns their mean depth. */

@@ -4,7 +4,7 @@
 #include <math.h>
 
 enum { MOST_STEPS = 20 };
-#define CLOSE 1e-11 /* normalised: 2e-8 px */
+#define CLOSE 1e-5 /* normalised; Newton's next step would move by its square: 1e-7 px */
 
 /* OpenCV's distortion of (x, y) and its derivatives: dx/dx, dx/dy, dy/dy (the mixed ones are equal). */
 static void distort(const Lens *lens, double x, double y, double at[2], double slope[3]) {
@@ -22,10 +22,11 @@ static void distort(const Lens *lens, double x, double y, double at[2], double s
 }
 
 void undistort(const Lens *lens, double *x, double *y, size_t n) {
-    double shift_x = 0, shift_y = 0; /* of the point before: neighbours on a stripe are shifted alike */
+    /* Neighbours on a stripe are shifted alike: the shifts of the two points before are continued. */
+    double shift_x = 0, shift_y = 0, before_x = 0, before_y = 0;
     for (size_t i = 0; i < n; i++) {
         double goal_x = (x[i] - lens->cx) / lens->fx, goal_y = (y[i] - lens->cy) / lens->fy;
-        double u = goal_x + shift_x, v = goal_y + shift_y;
+        double u = goal_x + 2 * shift_x - before_x, v = goal_y + 2 * shift_y - before_y;
         for (int step = 0; step < MOST_STEPS; step++) {
             double at[2], slope[3];
             distort(lens, u, v, at, slope);
@@ -37,6 +38,8 @@ void undistort(const Lens *lens, double *x, double *y, size_t n) {
             v -= move_y;
             if (!(fabs(move_x) + fabs(move_y) > CLOSE)) break;
         }
+        before_x = shift_x;
+        before_y = shift_y;
         shift_x = isfinite(u) ? u - goal_x : 0;
         shift_y = isfinite(v) ? v - goal_y : 0;
         x[i] = u * lens->fx + lens->cx;

@@ -5,7 +5,7 @@ from itertools import combinations, product
 import numpy as np
 from jaxtyping import Float64, Int32
 
-from ringpose.kernels.ring import Group, RingRules
+from ringpose.kernels.ring import ArcFit, Group, RingRules
 from ringpose.types.arrays import Array
 
 NOTHING = -np.inf
@@ -101,16 +101,33 @@ def _circles(points: Float64[Array, "member end=2 xyz=3"], plane: Array, rules: 
 
 
 def _arcs(flat: Array, arc: Array, sigma: float, rules: RingRules, *, free_radius: bool) -> float:
-    """Cost of points off two arcs a (x^2 + y^2) + x + b y + c_arc = 0; infinite for rings that nobody builds."""
+    """Cost of points off two arcs; infinite for rings that nobody builds."""
+    outside, curvature, band = arcs(flat, arc)
+    if not free_radius and abs(curvature) > 1 / rules.minimum_radius_m:
+        return np.inf
+    return np.inf if band < rules.minimum_band_m else float(0.5 * np.sum((outside / sigma) ** 2))
+
+
+def arcs(flat: Float64[Array, "n xy=2"], arc: Array) -> tuple[Float64[Array, "n"], float, float]:
+    """Distances of points off the arcs a (x^2 + y^2) + x + b y + c_arc = 0, their curvature, their distance."""
     x, y = flat.T
     square = x**2 + y**2
     rows = np.column_stack([square, y, arc == 0, arc == 1]).astype(np.float64)
     (bend, lean, *constant), *_ = np.linalg.lstsq(rows, -x, rcond=1e-13)
     residual = bend * square + x + lean * y + np.array(constant)[arc]
-    outside = residual / np.maximum(np.hypot(2 * bend * x + 1, 2 * bend * y + lean), 1e-9)
+    outside: Float64[Array, "n"] = residual / np.maximum(np.hypot(2 * bend * x + 1, 2 * bend * y + lean), 1e-9)
     level = np.sqrt(max(1 + lean**2 - 2 * bend * sum(constant), 1e-12))
-    if not free_radius and abs(2 * bend) / level > 1 / rules.minimum_radius_m:
-        return np.inf
-    if abs(constant[1] - constant[0]) / np.hypot(1, lean) < rules.minimum_band_m:
-        return np.inf
-    return float(0.5 * np.sum((outside / sigma) ** 2))
+    return outside, float(-2 * bend / level), float(abs(constant[1] - constant[0]) / np.hypot(1, lean))
+
+
+def arc_fit(points: Array, arc: Array, sigma: Array, along_sigma: Array) -> ArcFit:
+    """Twin of `ringpose.kernels.ring.arc_fit`."""
+
+    def cost(used: Array) -> float:
+        return float(0.5 * np.sum((arcs(points[used], arc[used])[0] / sigma[used]) ** 2))
+
+    number = np.arange(len(points))
+    curvature = arcs(points, arc)[1]
+    moved = [arcs(points + np.outer(number == each, [along_sigma[each], 0.0]), arc)[1] for each in number]
+    without = np.array([cost(number != each) for each in number])
+    return ArcFit(cost(number >= 0), without, curvature, float(np.linalg.norm(np.array(moved) - curvature)))

@@ -170,8 +170,8 @@ def _row(line: Line, centers: Centers, rules: TrackRules) -> tuple[int | float, 
     ends = centers.column[line.centers[[0, -1]]]
     clipped = np.any((ends < rules.border_px) | (ends > rules.image_width - 1 - rules.border_px))
     x, y = centers.points.T
-    near = np.abs(x - line.middle[0]) < 1.5 * (line.x[1] - line.x[0]) + 40
-    beyond = near & ((x < line.x[0] - 2) | (x > line.x[1] + 2))
+    reach = min(line.x[1] - line.x[0], 100.0) + 40
+    beyond = (x > line.x[0] - reach) & (x < line.x[0] - 2) | (x > line.x[1] + 2) & (x < line.x[1] + reach)
     beyond &= np.abs(y - line.middle[1] - line.slope * (x - line.middle[0])) < rules.on_line_px
     spilt = int(np.count_nonzero(beyond & ((centers.laser == line.laser) | (line.laser < 0))))
     shape = (*line.x, *line.middle, line.slope, line.scatter, line.correlation)

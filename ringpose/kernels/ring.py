@@ -110,8 +110,8 @@ class Lens(NamedTuple):
 TRACK_COLUMNS = (
     "laser", "count", "x_start", "x_end", "middle_x", "middle_y", "slope", "scatter", "correlation", "clipped", "spilt",
 )  # fmt: skip
-"""What `straight_tracks` says of each track; `spilt`: centres on its line within 1.5 lengths + 40 px of its middle
-that lie more than 2 px beyond its ends."""
+"""What `straight_tracks` says of each track; `spilt`: centres on its line between 2 px and the track's length
+(at most 100 px) + 40 px beyond its ends."""
 
 
 def straight_tracks(
@@ -152,6 +152,32 @@ def stripe_ends(
     black = None if dark is None else np.ascontiguousarray(dark)
     found = _ring.ends(np.ascontiguousarray(lit), black, np.ascontiguousarray(lines), *numbers)
     return np.frombuffer(found, dtype=np.float64).reshape(-1, 2, 8)
+
+
+class ArcFit(NamedTuple):
+    """How well points fit two arcs about one centre."""
+
+    cost: float
+    """Squared sigmas over two of all points."""
+    cost_without: Float64[Array, "n"]
+    """The same with each point left out."""
+    curvature: float
+    """One over the radius; positive if the centre lies on the side of positive x."""
+    curvature_sigma: float
+
+
+def arc_fit(
+    points: Float64[Array, "n xy=2"],
+    arc: Int32[Array, "n"],
+    sigma: Float64[Array, "n"],
+    along_sigma: Float64[Array, "n"],
+) -> ArcFit:
+    """Arcs a (x^2 + y^2) + x + b y + c_arc = 0 through at most 64 points, by least squares along x.
+
+    Costs count distances in `sigma`; the curvature's sigma follows from moving each point by `along_sigma`.
+    """
+    found = np.frombuffer(_ring.arcs(np.ascontiguousarray(points), arc, sigma, along_sigma), dtype=np.float64)
+    return ArcFit(float(found[0]), found[1:-2], float(found[-2]), float(found[-1]))
 
 
 class Group(NamedTuple):

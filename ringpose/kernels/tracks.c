@@ -53,10 +53,15 @@ static double smoothed(const double *y, ptrdiff_t n, ptrdiff_t i) {
     return window[SMOOTHED / 2];
 }
 
-/* Where a run of centres is farthest from the chord of its smoothed ends, and how far. */
-static double farthest_from_chord(const double *x, const double *y, ptrdiff_t n, ptrdiff_t *where) {
-    double start = smoothed(y, n, 0), end = smoothed(y, n, n - 1), most = -1;
+/* Where a run of centres is farthest from the chord of its smoothed ends, and how far; -1 if nowhere by more than
+   is allowed: a median is no farther than the farthest of its values, so most runs need none. */
+static double farthest_from_chord(const double *x, const double *y, ptrdiff_t n, double allowed, ptrdiff_t *where) {
+    double start = smoothed(y, n, 0), end = smoothed(y, n, n - 1), most = -1, lean = 0;
     double slope = (end - start) / (x[n - 1] - x[0]);
+    for (ptrdiff_t i = 0; i < n; i++) most = fmax(most, fabs(y[i] - (start + slope * (x[i] - x[0]))));
+    for (ptrdiff_t i = 1; i < n; i++) lean = fmax(lean, x[i] - x[i - 1]);
+    if (most + fabs(slope) * lean * (SMOOTHED / 2) <= allowed) return -1;
+    most = -1;
     for (ptrdiff_t i = 0; i < n; i++) {
         double bend = fabs(smoothed(y, n, i) - (start + slope * (x[i] - x[0])));
         if (bend > most) {
@@ -149,7 +154,7 @@ static int cut(size_t first, size_t last, double laser, const Work *work, Drafts
     memcpy(work->scratch, work->centers->sigma + first, n * sizeof(double));
     double allowed = work->rules->kink + 1.5 * median(work->scratch, n);
     ptrdiff_t where = 0;
-    if (farthest_from_chord(x, y, (ptrdiff_t)n, &where) > allowed) {
+    if (farthest_from_chord(x, y, (ptrdiff_t)n, allowed, &where) > allowed) {
         size_t at = (size_t)(where < 1 ? 1 : where > (ptrdiff_t)n - 1 ? (ptrdiff_t)n - 1 : where);
         return cut(first, first + at, laser, work, drafts) && cut(first + at, last, laser, work, drafts);
     }
@@ -212,6 +217,20 @@ static int join(Drafts *drafts, const Work *work) {
     return 1;
 }
 
+/* Adds the centres on a track's line between two columns. */
+static void count_side(Track *track, double from, double to, const int32_t *head, const int32_t *next,
+                       const Work *work) {
+    const Centers *c = work->centers;
+    double width = work->rules->width;
+    size_t last = (size_t)fmin(fmax(to, 0), width);
+    for (size_t column = (size_t)fmin(fmax(from, 0), width); column <= last; column++)
+        for (int32_t i = head[column]; i >= 0; i = next[i]) {
+            double laser = (double)c->laser[c->piece[i]];
+            if (!(c->x[i] > from && c->x[i] < to) || (track->laser >= 0 && laser != track->laser)) continue;
+            track->spilt += fabs(c->y[i] - line_y(track, c->x[i])) < work->rules->on_line;
+        }
+}
+
 /* For every track the centres on its line that lie beyond its ends, found through lists of centres by column. */
 static int count_spilt(Drafts *drafts, const Work *work) {
     const Centers *c = work->centers;
@@ -230,17 +249,9 @@ static int count_spilt(Drafts *drafts, const Work *work) {
     }
     for (size_t t = 0; t < drafts->used; t++) {
         Track *track = &drafts->data[t].track;
-        double reach = 1.5 * (track->x_end - track->x_start) + 40, width = work->rules->width;
-        size_t from = (size_t)fmin(fmax(track->middle_x - reach, 0), width);
-        size_t to = (size_t)fmin(fmax(track->middle_x + reach, 0), width);
-        for (size_t column = from; column <= to; column++)
-            for (int32_t i = head[column]; i >= 0; i = next[i]) {
-                double x = c->x[i];
-                if (fabs(x - track->middle_x) >= reach || (x >= track->x_start - 2 && x <= track->x_end + 2)) continue;
-                double laser = (double)c->laser[c->piece[i]];
-                if (track->laser >= 0 && laser != track->laser) continue;
-                track->spilt += fabs(c->y[i] - line_y(track, x)) < work->rules->on_line;
-            }
+        double length = track->x_end - track->x_start, reach = fmin(length, 100) + 40;
+        count_side(track, track->x_start - reach, track->x_start - 2, head, next, work);
+        count_side(track, track->x_end + 2, track->x_end + reach, head, next, work);
     }
     free(next);
     free(head);

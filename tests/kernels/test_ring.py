@@ -6,7 +6,7 @@ from drawn_scene import DrawnScene, drawn_rig, true_break_points
 
 from ringpose.geometry.rays import undistort
 from ringpose.kernels import reference_ring
-from ringpose.kernels.ring import RingRules, best_groups
+from ringpose.kernels.ring import RingRules, arc_fit, best_groups
 
 RULES = RingRules(
     focal_x=1781.0,
@@ -104,3 +104,19 @@ def test_wild_ends_give_no_crash(rng, value):
     best = best_groups(track, laser, ends, merit, planes(), RULES)
 
     assert len(best) == 3
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_arc_fits_equal_the_twin(seed):
+    rng = np.random.default_rng(seed)
+    y = np.repeat([-0.08, 0.01, 0.07], 2)
+    radius = np.tile([0.567, 0.597], 3)
+    points = np.column_stack([0.58 - np.sqrt(radius**2 - y**2) + rng.normal(0, 2e-4, 6), y])
+    arc = np.tile(np.array([0, 1], dtype=np.int32), 3)
+    sigma = rng.uniform(1e-4, 3e-4, 6)
+
+    found, expected = arc_fit(points, arc, sigma, sigma / 2), reference_ring.arc_fit(points, arc, sigma, sigma / 2)
+
+    np.testing.assert_allclose(found.cost_without, expected.cost_without, rtol=1e-6)
+    np.testing.assert_allclose(found[0:1] + found[2:], expected[0:1] + expected[2:], rtol=1e-6)
+    assert found.curvature > 0

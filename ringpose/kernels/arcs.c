@@ -1,0 +1,56 @@
+/* Two short arcs about one centre; twin: reference_ring.py. */
+#include "arcs.h"
+
+#include <math.h>
+
+/* The c are eliminated by centring each arc, which leaves two unknowns. */
+int fit_arcs(const End *end, int ends, Arcs *arcs) {
+    double count[2] = {0}, mean_x[2] = {0}, mean_y[2] = {0}, mean_q[2] = {0};
+    for (int k = 0; k < ends; k++)
+        if (end[k].used) {
+            int arc = end[k].arc;
+            count[arc] += 1;
+            mean_x[arc] += end[k].x;
+            mean_y[arc] += end[k].y;
+            mean_q[arc] += end[k].x * end[k].x + end[k].y * end[k].y;
+        }
+    if (count[0] == 0 || count[1] == 0) return 0;
+    for (int arc = 0; arc < 2; arc++) {
+        mean_x[arc] /= count[arc];
+        mean_y[arc] /= count[arc];
+        mean_q[arc] /= count[arc];
+    }
+    double uu = 0, uv = 0, vv = 0, ut = 0, vt = 0;
+    for (int k = 0; k < ends; k++)
+        if (end[k].used) {
+            int arc = end[k].arc;
+            double u = end[k].x * end[k].x + end[k].y * end[k].y - mean_q[arc];
+            double v = end[k].y - mean_y[arc], t = end[k].x - mean_x[arc];
+            uu += u * u;
+            uv += u * v;
+            vv += v * v;
+            ut += u * t;
+            vt += v * t;
+        }
+    double determinant = uu * vv - uv * uv;
+    arcs->a = arcs->b = 0;
+    if (determinant > 1e-12 * uu * vv) {
+        arcs->a = -(vv * ut - uv * vt) / determinant;
+        arcs->b = -(uu * vt - uv * ut) / determinant;
+    } else if (vv > 0)
+        arcs->b = -vt / vv;
+    for (int arc = 0; arc < 2; arc++) arcs->c[arc] = -mean_x[arc] - arcs->a * mean_q[arc] - arcs->b * mean_y[arc];
+    return 1;
+}
+
+double outside_arc(const Arcs *arcs, const End *end) {
+    double x = end->x, y = end->y, residual = arcs->a * (x * x + y * y) + x + arcs->b * y + arcs->c[end->arc];
+    return residual / fmax(hypot(2 * arcs->a * x + 1, 2 * arcs->a * y + arcs->b), 1e-9);
+}
+
+double arcs_curvature(const Arcs *arcs) {
+    double level = 1 + arcs->b * arcs->b - 2 * arcs->a * (arcs->c[0] + arcs->c[1]);
+    return -2 * arcs->a / sqrt(fmax(level, 1e-12));
+}
+
+double arcs_band(const Arcs *arcs) { return fabs(arcs->c[1] - arcs->c[0]) / sqrt(1 + arcs->b * arcs->b); }

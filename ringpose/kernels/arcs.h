@@ -1,0 +1,26 @@
+/* Two short arcs about one centre through points in a plane. No Python in here. Twin: reference_ring.py. */
+#ifndef RINGPOSE_ARCS_H
+#define RINGPOSE_ARCS_H
+
+typedef struct {
+    double x, y;
+    int arc, used;
+} End;
+
+/* a (x^2 + y^2) + x + b y + c_arc = 0, by least squares over the used points. */
+typedef struct {
+    double a, b, c[2];
+} Arcs;
+
+/* 0 if an arc has no point. */
+int fit_arcs(const End *end, int ends, Arcs *arcs);
+
+/* Distance of a point from its arc, positive towards positive x. */
+double outside_arc(const Arcs *arcs, const End *end);
+
+/* One over the radius; positive if the centre lies on the side of positive x. */
+double arcs_curvature(const Arcs *arcs);
+
+double arcs_band(const Arcs *arcs);
+
+#endif
