@@ -142,7 +142,7 @@ def _length_recall(found: Sequence[Segments], images: Sequence[KnownImage]) -> d
 def _chain_line(images: Sequence[StripeImage], times: dict[str, float]) -> DetectorLine:
     found = [detect(shot_of(image), image.rig) for image in images]
     errors = joined_break_points([break_point_errors(each, image) for each, image in zip(found, images, strict=True)])
-    wrong = ~errors.flagged & (np.hypot(errors.along_px, errors.across_px) > WRONG_PX)
+    wrong = (errors.flags == 0) & (np.hypot(errors.along_px, errors.across_px) > WRONG_PX)
     return DetectorLine(
         detector=CHAIN,
         time_s=times[CHAIN],

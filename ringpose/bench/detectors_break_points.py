@@ -45,7 +45,7 @@ class BreakPointErrors:
     """Squared error in the reported covariance, by degree of freedom (2)."""
     bound_px: Float64[Array, "point"]
     """Least standard deviation possible along the stripe, without speckle and saturation."""
-    flagged: Bool[Array, "point"]
+    flags: Int64[Array, "point"]
 
 
 def center_errors(stripes: Stripes, image: StripeImage) -> CenterErrors:
@@ -88,7 +88,7 @@ def break_point_errors(detection: Detection, image: StripeImage) -> BreakPointEr
         across_sigma_px=np.sqrt(covariance[:, 1, 1]),
         nees=(off[:, None] @ np.linalg.solve(covariance, off[..., None]))[:, 0, 0] / 2,
         bound_px=bounds[laser],
-        flagged=found.flags[found.seen] != 0,
+        flags=found.flags[found.seen],
     )
 
 
@@ -111,7 +111,7 @@ def joined_break_points(parts: list[BreakPointErrors]) -> BreakPointErrors:
         across_sigma_px=np.concatenate([part.across_sigma_px for part in parts]),
         nees=np.concatenate([part.nees for part in parts]),
         bound_px=np.concatenate([part.bound_px for part in parts]),
-        flagged=np.concatenate([part.flagged for part in parts]),
+        flags=np.concatenate([part.flags for part in parts]),
     )
 
 
@@ -132,5 +132,5 @@ def _none_of(expected: int) -> BreakPointErrors:
         across_sigma_px=nothing,
         nees=nothing,
         bound_px=nothing,
-        flagged=nothing > 0,
+        flags=np.zeros(0, np.int64),
     )

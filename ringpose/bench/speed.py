@@ -18,6 +18,7 @@ from ringpose.bench.speed_times import median_times_s, one_core
 from ringpose.bench.stripe_images import Kind, StripeImage, stripe_image, switched_frames
 from ringpose.detect.peers import DetectorName, detector
 from ringpose.detect.pipeline import detect
+from ringpose.detect.stripe_centers import find_stripes
 from ringpose.geometry.rays import undistorted_pixels
 from ringpose.pose.method import Method
 from ringpose.pose.pipeline import estimate_pose
@@ -70,11 +71,12 @@ def segment_gates(rounds: int) -> list[Gate]:
 
 def chain_gates(rounds: int, pose_stream: PoseStream) -> list[Gate]:
     """From the image to break points with sigmas, and on to the pose line."""
-    times_s = {"peer": 0.0, "one": 0.0, "four": 0.0, "stream": 0.0}
+    times_s = {"peer": 0.0, "centers": 0.0, "one": 0.0, "four": 0.0, "stream": 0.0}
     for seed in range(TIMED_IMAGES):
         image, frames = switched_frames(Kind.DARK, seed)
         calls: dict[str, Callable[[], object]] = {
             "peer": partial(detector(DetectorName.EDGE_DRAWING), image.image),
+            "centers": partial(find_stripes, image.image),
             "one": partial(detect, shot_of(image), image.rig),
             "four": partial(detect, switched_shot(frames[1:]), image.rig),
             "stream": partial(pose_stream, shot_of(image), image.rig),
@@ -85,6 +87,7 @@ def chain_gates(rounds: int, pose_stream: PoseStream) -> list[Gate]:
     further_s = (times_s["four"] - times_s["one"]) / 3
     return [
         Gate(what="one frame, all lasers on, full frame", measured=times_s["one"] / peer_s, unit=PEER, most=0.12),
+        Gate(what="of that, stripe centres", measured=times_s["centers"] / peer_s, unit=PEER),
         Gate(what="one frame, all lasers on, tracked bands", measured=None, unit=PEER, most=0.08),
         Gate(what="each further frame of a switched shot", measured=further_s / peer_s, unit=PEER, most=0.12),
         Gate(what="pose stream", measured=times_s["stream"] / times_s["one"], unit="x detect alone", most=2.0),

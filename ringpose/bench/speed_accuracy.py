@@ -18,7 +18,7 @@ from ringpose.bench.speed_gates import Gate
 from ringpose.bench.stripe_images import Kind, StripeImage, stripe_image
 from ringpose.detect.pipeline import detect
 from ringpose.detect.stripe_centers import find_stripes
-from ringpose.types.break_points import Detection
+from ringpose.types.break_points import BreakPointFlag, Detection
 
 CLEAN = (Kind.DARK, Kind.DIM)
 """Kinds whose noise is that of the sensor alone: the bound holds for them."""
@@ -61,7 +61,7 @@ def _gates_of_kind(kind: Kind, errors: BreakPointErrors) -> list[Gate]:
     limit = SIGMA_LIMITS_PX.get(kind, math.inf)
     limited = kind in SIGMA_LIMITS_PX
     least, most = HONEST_NEES if limited else (-math.inf, math.inf)
-    clear = ~errors.flagged
+    clear = errors.flags & ~BreakPointFlag.SATURATED == 0
     gates = [
         Gate(what=f"{kind}: found", measured=len(errors.along_px) / errors.expected, unit="of all"),
         Gate(what=f"{kind}: sigma along", measured=robust_sd(errors.along_px), unit="px", most=limit),
@@ -81,4 +81,4 @@ def _wrong(errors: BreakPointErrors) -> float:
     far = np.hypot(errors.along_px, errors.across_px) > WRONG_PX
     far |= np.abs(errors.along_px) > WRONG_SIGMAS * errors.along_sigma_px
     far |= np.abs(errors.across_px) > WRONG_SIGMAS * errors.across_sigma_px
-    return float((far & ~errors.flagged).sum())
+    return float((far & (errors.flags == 0)).sum())

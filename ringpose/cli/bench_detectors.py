@@ -70,9 +70,10 @@ def detectors(
     for name in counted(todo, "groups", quiet):
         members = groups[name] if name in groups else _synthetic(name, seeds)
         title = _title(name, members)
+        apart = "\n" if lines else ""
         lines[title] = compared(members, rounds)
         if json != STDOUT:
-            records.write_text(group_table(title, lines[title]) + "\n")
+            records.write_text(apart + group_table(title, lines[title]))
     if lines and json is not None:
         noted = {**detectors_report(lines), "provenance": provenance(_files(images or []))}
         write_result(json, records.line_of(noted), force=force)

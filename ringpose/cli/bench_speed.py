@@ -31,11 +31,12 @@ def speed(seeds: Seeds = 10, rounds: Rounds = 11, json: JsonFile = None, force: 
     from ringpose.files.provenance import provenance
     from ringpose.files.tables import write_result
 
-    measured = []
+    measured: list[GateSection] = []
     for section in _sections(seeds, rounds):
+        apart = "\n" if measured else ""
         measured.append(section)
         if json != STDOUT:
-            records.write_text(section_text(section) + "\n")
+            records.write_text(apart + section_text(section))
     if json is not None:
         sections = [section_record(section) for section in measured]
         noted = {"ringpose": "bench_speed/1", "sections": sections, "provenance": provenance([])}

@@ -88,7 +88,7 @@ def test_flags_are_told(image):
 
     errors = break_point_errors(moved(image, 0.0, flags=flags), image)
 
-    assert errors.flagged.tolist() == [False] * 5 + [True]
+    assert errors.flags.tolist() == [0] * 5 + [BreakPointFlag.KINK]
 
 
 def test_each_end_has_the_bound_of_its_own_stripe(image):
