@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from ringpose.detect.consistency import Ends, side_of_center, without_occluded
+from ringpose.detect.consistency import Ends, checked
 from ringpose.detect.faces import Face
 from ringpose.detect.frames import LaserImage
 from ringpose.detect.stripe_ends import StripeEnds, stripe_ends
@@ -28,8 +28,7 @@ def break_points(
         if shown:
             found = stripe_ends([track for _, track in shown], image, rig.camera, saturation_dn)
             parts.append(_named(shown, found))
-    ends = without_occluded(_joined(parts), tracks, rig)
-    right_is_inner, clear = side_of_center(ends, rig)
+    ends, right_is_inner, clear = checked(_joined(parts), tracks, rig)
     order = np.array([1, 0]) if right_is_inner else np.array([0, 1])
     flags = ends.flags[:, order] | (0 if clear else int(BreakPointFlag.EDGE_UNKNOWN))
     labelled = all(image.labelled for image in images if any(laser in image.lasers for laser in ends.laser))

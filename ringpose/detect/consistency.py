@@ -35,6 +35,9 @@ BESIDE_PX = 40.0
 """How far from an end a stripe on what hides it begins."""
 
 
+Seen = Bool[Array, "track end=2"]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ends:
     """The two ends of each face track, left then right, in distorted pixels."""
@@ -47,19 +50,27 @@ class Ends:
     """The tracks' own ends, undistorted columns."""
 
 
-def without_occluded(ends: Ends, tracks: Sequence[Track], rig: Rig) -> Ends:
-    """The ends without the one that lies off the circles of the others, if there is such a one.
+def checked(ends: Ends, tracks: Sequence[Track], rig: Rig) -> tuple[Ends, bool, bool]:
+    """The ends without a hidden one; whether the ring's centre lies to the right of the stripes; whether that is clear.
+
+    The sign of the arcs' curvature tells the side: if the centre lies to the right, right ends are inner ones.
+    """
+    seen = np.isfinite(ends.position_px[..., 0])
+    if len(ends.laser) < 2 or np.count_nonzero(seen) < 4 or not seen.any(axis=0).all():
+        return ends, False, False
+    fit = _fit(ends, seen, rig)
+    if np.count_nonzero(seen) >= 6 and fit.cost - fit.cost_without.min() > OCCLUDED_COST:
+        return checked(_without_hidden(ends, seen, fit, tracks, rig), tracks, rig)
+    return ends, fit.curvature > 0, abs(fit.curvature) > SIDE_SIGMAS * fit.curvature_sigma
+
+
+def _without_hidden(ends: Ends, seen: Seen, fit: ArcFit, tracks: Sequence[Track], rig: Rig) -> Ends:
+    """The ends without the one that lies off the circles of the others.
 
     If both ends of its stripe would do, the one beside a stripe on something nearer than the face is hidden;
     if that decides nothing, both are left out.
     """
-    if np.count_nonzero(np.isfinite(ends.position_px[..., 0])) < 6:
-        return ends
-    fit, seen = _fit(ends, rig)
-    without = fit.cost_without
-    if fit.cost - without.min() < OCCLUDED_COST:
-        return ends
-    suspects = np.argwhere(seen)[without < without.min() + TIE]
+    suspects = np.argwhere(seen)[fit.cost_without < fit.cost_without.min() + TIE]
     if len(suspects) > 1:
         beside = [each for each in suspects if _beside_something_nearer(ends, int(each[0]), int(each[1]), tracks, rig)]
         suspects = np.array(beside) if len(beside) == 1 else suspects
@@ -98,32 +109,14 @@ def _points(ends: Ends, rig: Rig) -> Float64[Array, "track end=2 xyz=3"]:
     return intersect(rays(ends.position_px, rig.camera), normal, distance)
 
 
-def _flat(ends: Ends, rig: Rig) -> tuple[Float64[Array, "n 2"], Bool[Array, "track 2"], Float64[Array, "n"]]:
-    """The seen ends in the plane nearest to them: coordinates, which were seen, and metres a pixel at each."""
-    seen = np.isfinite(ends.position_px[..., 0])
+def _fit(ends: Ends, seen: Seen, rig: Rig) -> ArcFit:
+    """How well the seen ends fit two arcs about one centre, in the plane nearest to them."""
     points = _points(ends, rig)[seen]
-    plane_normal, _, _ = nearest_plane(points)
-    across = np.cross(plane_normal, [0.0, 1.0, 0.0])  # runs along image rows, so that "right" keeps its meaning
-    across *= np.sign(across[0]) / np.linalg.norm(across)
-    axes = np.stack([across, np.cross(plane_normal, across)])
-    return (points - points.mean(axis=0)) @ axes.T, seen, points[:, 2] / rig.camera.camera_matrix[0, 0]
-
-
-def side_of_center(ends: Ends, rig: Rig) -> tuple[bool, bool]:
-    """Whether the ring's centre lies to the right of the stripes (their right ends are inner), and if that is clear.
-
-    The sign of the arcs' curvature says it; its sigma by differences.
-    """
-    seen = np.isfinite(ends.position_px[..., 0])
-    if np.count_nonzero(seen) < 4 or min(np.count_nonzero(seen, axis=0)) < 1 or len(ends.laser) < 2:
-        return False, False
-    fit, _ = _fit(ends, rig)
-    return fit.curvature > 0, abs(fit.curvature) > SIDE_SIGMAS * fit.curvature_sigma
-
-
-def _fit(ends: Ends, rig: Rig) -> tuple[ArcFit, Bool[Array, "track 2"]]:
-    """How well the seen ends fit two arcs about one centre, and which were seen."""
-    flat, seen, metres_a_pixel = _flat(ends, rig)
-    arc = np.broadcast_to(np.array([0, 1], dtype=np.int32), seen.shape)[seen]
+    normal, _, _ = nearest_plane(points)
+    along = np.array([normal[2], 0.0, -normal[0]])  # runs along image rows, so that "right" keeps its meaning
+    along *= np.sign(along[0]) / np.linalg.norm(along)
+    flat = (points - points.mean(axis=0)) @ np.stack([along, np.cross(normal, along)], axis=-1)
+    metres_a_pixel = points[:, 2] / rig.camera.camera_matrix[0, 0]
     along_m = np.sqrt(ends.covariance_px2[seen][:, 0, 0]) * metres_a_pixel
-    return arc_fit(flat, arc, np.hypot(along_m, CIRCLE_SIGMA_PX * metres_a_pixel), along_m), seen
+    arc = np.broadcast_to(np.array([0, 1], dtype=np.int32), seen.shape)[seen]
+    return arc_fit(flat, arc, np.hypot(along_m, CIRCLE_SIGMA_PX * metres_a_pixel), along_m)

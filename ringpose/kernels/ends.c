@@ -135,15 +135,25 @@ static ptrdiff_t clipped_row(ptrdiff_t row, ptrdiff_t height) {
 /* One column's window: offsets from the line, brightness, ambient light. */
 typedef struct {
     int rows;
-    double offset[2 * MOST_REACH + 1], bright[2 * MOST_REACH + 1], ambient[2 * MOST_REACH + 1];
+    double offset[2 * MOST_REACH + 1], shape[2 * MOST_REACH + 1], bright[2 * MOST_REACH + 1],
+        ambient[2 * MOST_REACH + 1];
 } Section;
 
-static void read_section(const Images *images, const Profile *profile, ptrdiff_t i, int reach, Section *section) {
+static void read_section(const Images *images, const Profile *profile, ptrdiff_t i, int reach, double sigma,
+                         Section *section) {
     ptrdiff_t row = (ptrdiff_t)rint(profile->y[i]), column = profile->first + i;
     section->rows = 2 * reach + 1;
+    /* The Gaussian from row to row: exp(-(o + 1)^2 / 2s^2) = exp(-o^2 / 2s^2) exp(-(2o + 1) / 2s^2). */
+    double start = (double)(row - reach) - profile->y[i], square = sigma * sigma;
+    double shape = exp(-0.5 * start * start / square), ratio = exp(-(2 * start + 1) / (2 * square));
+    double step = exp(-1 / square);
     for (int k = 0; k < section->rows; k++) {
         ptrdiff_t at = clipped_row(row - reach + k, images->height);
-        section->offset[k] = fabs((double)at - profile->y[i]);
+        double offset = (double)at - profile->y[i];
+        section->offset[k] = fabs(offset);
+        section->shape[k] = at == row - reach + k ? shape : exp(-0.5 * offset * offset / square);
+        shape *= ratio;
+        ratio *= step;
         section->bright[k] = pixel(images, images->lit, at, column);
         if (images->dark) section->ambient[k] = pixel(images, images->dark, at, column);
     }
@@ -152,56 +162,66 @@ static void read_section(const Images *images, const Profile *profile, ptrdiff_t
 }
 
 /* Distance from the line up to which the stripe is saturated in most columns; -1 if it hardly is. */
-static double clipped_to(const Images *images, Profile *profile, int reach, double sigma, const EndRules *rules) {
-    Section section;
+static double clipped_to(Profile *profile, double sigma, const EndRules *rules) {
     ptrdiff_t face = profile->face_last - profile->face_first + 1;
-    for (ptrdiff_t i = 0; i < profile->count; i++) {
-        read_section(images, profile, i, reach, &section);
-        double widest = 0;
-        profile->saturated[i] = 0;
-        for (int k = 0; k < section.rows; k++)
-            if (section.bright[k] >= rules->saturation) {
-                profile->saturated[i] = 1;
-                if (section.ambient[k] < rules->saturation / 2) widest = fmax(widest, section.offset[k]);
-            }
-        profile->half_width[i] = widest;
-    }
     memcpy(profile->scratch, profile->half_width + profile->face_first, (size_t)face * sizeof(double));
     qsort(profile->scratch, (size_t)face, sizeof(double), ascending);
     double widest = profile->scratch[(ptrdiff_t)((1 - rules->flanks_share) * (double)(face - 1))];
     return widest > 0 ? fmin(widest + 0.5, rules->flank_sigmas * sigma - 1) : -1;
 }
 
-/* Brightness of the stripe in every column: the peak of the Gaussian section that fits best. */
+/* Whether a column has a saturated pixel, and how far from the line the stripe itself is saturated. */
+static void note_saturation(Profile *profile, ptrdiff_t i, const Section *section, const EndRules *rules) {
+    double widest = 0;
+    profile->saturated[i] = 0;
+    for (int k = 0; k < section->rows; k++)
+        if (section->bright[k] >= rules->saturation) {
+            profile->saturated[i] = 1;
+            if (section->ambient[k] < rules->saturation / 2) widest = fmax(widest, section->offset[k]);
+        }
+    profile->half_width[i] = widest;
+}
+
+/* Peak of the Gaussian section that fits a column best, from the rows beyond `inner`; or, for `expected` > 0, the
+   share of a stripe of that peak that saturation would leave. */
+static double fitted_peak(const Section *section, double inner, double expected, double saturation) {
+    double norm = 0, sum = 0;
+    for (int k = 0; k < section->rows; k++) {
+        if (!(section->offset[k] > inner)) continue;
+        double shape = section->shape[k];
+        double value = section->bright[k] - section->ambient[k];
+        if (expected > 0) value = fmin(shape, fmax(saturation - section->ambient[k], 0) / expected);
+        norm += shape * shape;
+        sum += shape * value;
+    }
+    return sum / fmax(norm, 1e-9);
+}
+
+/* Brightness of the stripe in every column, and what room saturation leaves it. */
 static void fill_profile(const Images *images, Profile *profile, double sigma, const EndRules *rules) {
     int reach = (int)ceil(rules->flank_sigmas * sigma) + 1;
     if (reach > MOST_REACH) reach = MOST_REACH;
-    double inner = clipped_to(images, profile, reach, sigma, rules);
     Section section;
-    double expected = 1, shape[2 * MOST_REACH + 1];
-    for (int pass = 0; pass < 2; pass++) { /* amplitudes first, then what room a stripe of their median has */
-        for (ptrdiff_t i = 0; i < profile->count; i++) {
-            read_section(images, profile, i, reach, &section);
-            double norm = 0, sum = 0;
-            for (int k = 0; k < section.rows; k++) {
-                double t = section.offset[k] / sigma;
-                shape[k] = exp(-0.5 * t * t);
-                double weight = section.offset[k] > inner ? shape[k] : 0;
-                double room = fmin(expected * shape[k], fmax(rules->saturation - section.ambient[k], 0));
-                norm += weight * shape[k];
-                sum += weight * (pass == 0 ? section.bright[k] - section.ambient[k] : room);
-            }
-            norm = fmax(norm, 1e-9);
-            if (pass == 0)
-                profile->amplitude[i] = sum / norm;
-            else
-                profile->headroom[i] = sum / norm / expected;
-        }
-        if (pass == 0) {
-            ptrdiff_t face = profile->face_last - profile->face_first + 1;
-            memcpy(profile->scratch, profile->amplitude + profile->face_first, (size_t)face * sizeof(double));
-            expected = fmax(median(profile->scratch, (size_t)face), 1);
-        }
+    double brightest = 0;
+    for (ptrdiff_t i = 0; i < profile->count; i++) {
+        read_section(images, profile, i, reach, sigma, &section);
+        note_saturation(profile, i, &section, rules);
+        for (int k = 0; k < section.rows; k++) brightest = fmax(brightest, section.ambient[k]);
+        profile->amplitude[i] = fitted_peak(&section, -1, 0, rules->saturation);
+        profile->headroom[i] = 1;
+    }
+    double inner = clipped_to(profile, sigma, rules);
+    for (ptrdiff_t i = 0; inner >= 0 && i < profile->count; i++) {
+        read_section(images, profile, i, reach, sigma, &section);
+        profile->amplitude[i] = fitted_peak(&section, inner, 0, rules->saturation);
+    }
+    size_t face = (size_t)(profile->face_last - profile->face_first + 1);
+    memcpy(profile->scratch, profile->amplitude + profile->face_first, face * sizeof(double));
+    double expected = fmax(median(profile->scratch, face), 1);
+    if (expected + brightest <= rules->saturation) return; /* room everywhere */
+    for (ptrdiff_t i = 0; i < profile->count; i++) {
+        read_section(images, profile, i, reach, sigma, &section);
+        profile->headroom[i] = fitted_peak(&section, inner, expected, rules->saturation);
     }
 }
 
@@ -257,41 +277,83 @@ static int measure_spread(Columns *columns, const EndRules *rules) {
     return columns->level > 0;
 }
 
-/* Minus log likelihood of an edge with its best levels, and the outside level's share of the inside. */
-static double edge_cost(const Columns *columns, double position, double width, double *outside) {
-    double a = 0, b = 0, c = 0, p = 0, q = 0, square = 0, logarithm = 1, cost = 0;
-    double spread = columns->contrast * columns->level, noise = columns->noise * columns->noise;
+/* What the columns add to the equations for the two levels, and to the likelihood. */
+typedef struct {
+    double inside, both, outside, in_value, out_value, square, logarithm;
+} Sums;
+
+/* Sums over the columns up to each one, if all lay inside the edge, and if all lay outside. */
+typedef struct {
+    Sums in[WINDOW + 1], out[WINDOW + 1];
+} Running;
+
+static void add(Sums *sums, double in, double out, double value, double variance) {
+    double weight = 1 / variance;
+    sums->inside += in * in * weight;
+    sums->both += in * out * weight;
+    sums->outside += out * out * weight;
+    sums->in_value += in * value * weight;
+    sums->out_value += out * value * weight;
+    sums->square += value * value * weight;
+    sums->logarithm += log(variance);
+}
+
+static void add_range(Sums *sums, const Sums *from, const Sums *to) {
+    sums->inside += to->inside - from->inside;
+    sums->outside += to->outside - from->outside;
+    sums->in_value += to->in_value - from->in_value;
+    sums->out_value += to->out_value - from->out_value;
+    sums->square += to->square - from->square;
+    sums->logarithm += to->logarithm - from->logarithm;
+}
+
+static double variance_of(const Columns *columns, double in) {
+    double spread = columns->contrast * columns->level * in;
+    return columns->noise * columns->noise + spread * spread;
+}
+
+static void run(const Columns *columns, Running *running) {
+    memset(running, 0, sizeof *running);
     for (int i = 0; i < columns->count; i++) {
-        double edge = normal_cdf((position - columns->along[i]) / width);
-        double in = edge * columns->headroom[i], out = 1 - edge, value = columns->amplitude[i];
-        double variance = noise + spread * spread * in * in, weight = 1 / variance;
-        a += in * in * weight;
-        b += in * out * weight;
-        c += out * out * weight;
-        p += in * value * weight;
-        q += out * value * weight;
-        square += value * value * weight;
-        logarithm *= variance;
-        if (!(logarithm > 1e-200 && logarithm < 1e200)) {
-            cost += log(logarithm);
-            logarithm = 1;
-        }
+        double head = columns->headroom[i], value = columns->amplitude[i];
+        running->in[i + 1] = running->in[i];
+        running->out[i + 1] = running->out[i];
+        add(&running->in[i + 1], head, 0, value, variance_of(columns, head));
+        add(&running->out[i + 1], 0, 1, value, variance_of(columns, 0));
     }
-    cost += log(logarithm);
-    double determinant = fmax(a * c - b * b, 1e-30);
-    double within = fmax((c * p - b * q) / determinant, 1e-6);
-    double beyond = fmin(fmax((a * q - b * p) / determinant, 0), within);
+}
+
+/* Minus log likelihood of an edge with its best levels, and the outside level's share of the inside. Columns ascend
+   in `along`; more than four widths from the edge they lie wholly on one side. */
+static double edge_cost(const Columns *columns, const Running *running, double position, double width,
+                        double *outside) {
+    Sums sums = {0};
+    int first = 0, last, count = columns->count;
+    while (first < count && (position - columns->along[first]) / width >= 4) first++;
+    add_range(&sums, &running->in[0], &running->in[first]);
+    for (last = first; last < count && (position - columns->along[last]) / width > -4; last++) {
+        double edge = normal_cdf((position - columns->along[last]) / width), in = edge * columns->headroom[last];
+        add(&sums, in, 1 - edge, columns->amplitude[last], variance_of(columns, in));
+    }
+    add_range(&sums, &running->out[last], &running->out[count]);
+    double determinant = fmax(sums.inside * sums.outside - sums.both * sums.both, 1e-30);
+    double within = fmax((sums.outside * sums.in_value - sums.both * sums.out_value) / determinant, 1e-6);
+    double beyond = (sums.inside * sums.out_value - sums.both * sums.in_value) / determinant;
+    beyond = fmin(fmax(beyond, 0), within);
     *outside = beyond / within;
-    return 0.5 * (cost + square - 2 * within * p - 2 * beyond * q + within * within * a + 2 * within * beyond * b +
-                  beyond * beyond * c);
+    double square = sums.square - 2 * within * sums.in_value - 2 * beyond * sums.out_value +
+                    within * within * sums.inside + 2 * within * beyond * sums.both + beyond * beyond * sums.outside;
+    return 0.5 * (square + sums.logarithm);
 }
 
 /* A coarse search at one width, then all widths around what it found, then a parabola. */
 static void best_edge(const Columns *columns, double sigma, double *position, double *width, double *outside) {
     static const double share[] = {0.45, 0.6, 0.8, 1.0};
+    Running running;
+    run(columns, &running);
     double least = INFINITY, start = 0, ignored;
     for (int k = -12; k <= 12; k++) {
-        double cost = edge_cost(columns, 0.5 * k, 0.8 * sigma, &ignored);
+        double cost = edge_cost(columns, &running, 0.5 * k, 0.8 * sigma, &ignored);
         if (cost < least) {
             least = cost;
             start = 0.5 * k;
@@ -305,7 +367,7 @@ static void best_edge(const Columns *columns, double sigma, double *position, do
         double cost[31], level[31];
         int k = 0;
         for (int j = 0; j < 31; j++) {
-            cost[j] = edge_cost(columns, start + (j - 15) * 0.05, share[s] * sigma, &level[j]);
+            cost[j] = edge_cost(columns, &running, start + (j - 15) * 0.05, share[s] * sigma, &level[j]);
             if (cost[j] < cost[k]) k = j;
         }
         if (!(cost[k] < least)) continue;
@@ -345,9 +407,9 @@ static StripeEnd find_end(const Profile *profile, ptrdiff_t near, int outward, d
     Columns columns = {.count = 0};
     ptrdiff_t at[WINDOW];
     int inner = 0, outer = 0;
-    for (ptrdiff_t i = 0; i < profile->count && columns.count < WINDOW; i++) {
-        double along = (double)((i - near) * outward);
-        if (!(along > -rules->inside_columns && along < rules->outside_columns)) continue;
+    for (double along = 1 - rules->inside_columns; along < rules->outside_columns && columns.count < WINDOW; along++) {
+        ptrdiff_t i = near + outward * (ptrdiff_t)along;
+        if (i < 0 || i >= profile->count) continue;
         inner += along < -2;
         outer += along > 1;
         at[columns.count] = i;

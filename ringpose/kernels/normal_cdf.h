@@ -168,8 +168,8 @@ static const double NORMAL_CDF[801] = {
     0.9999683287581669};
 
 static inline double normal_cdf(double t) {
-    if (!(t > -4)) return NORMAL_CDF[0];
-    if (t >= 4) return NORMAL_CDF[800];
+    if (!(t > -4)) return 0;
+    if (t >= 4) return 1;
     double at = (t + 4) * 100;
     int low = (int)at;
     return NORMAL_CDF[low] + (NORMAL_CDF[low + 1] - NORMAL_CDF[low]) * (at - low);

@@ -184,7 +184,7 @@ def _spread(
 
 def _edge(along: Float64[Array, "n"], position: float, width: float) -> Float64[Array, "n"]:
     """One inside, nothing outside, an error function between."""
-    edge: Float64[Array, "n"] = np.interp((position - along) / width, STEPS, NORMAL_CDF)
+    edge: Float64[Array, "n"] = np.interp((position - along) / width, STEPS, NORMAL_CDF, left=0.0, right=1.0)
     return edge
 
 
