@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Int16, Int32, UInt, UInt8
+from jaxtyping import Int16, Int32, UInt, UInt8, UInt16
 
 from ringpose import kernels
 from ringpose.types.arrays import Array
@@ -27,9 +27,13 @@ class Gradient:
     """0: edge along x, 1: down to the right, 2: along y, 3: down to the left."""
 
 
-def image_gradient(image: UInt8[Array, "row column"], upper_dn: float) -> Gradient:
-    """Gradient of the smoothed image, and the anchors of at least `upper_dn` grey values per pixel."""
-    magnitude, anchors, orientation = kernels.gradient(image, magnitude_steps(upper_dn))
+def image_gradient(image: UInt[Array, "row column"], upper_dn: float) -> Gradient:
+    """Gradient of the smoothed image, and the anchors of at least `upper_dn` grey values per pixel.
+
+    Grey values are those of 8 bits: of 12 bits, known by the largest value, the last four count as fractions.
+    """
+    narrowed, bits = in_sixteen_bits(image)
+    magnitude, anchors, orientation = kernels.gradient(narrowed, magnitude_steps(upper_dn), bits)
     return Gradient(magnitude=magnitude, anchors=anchors, orientation=orientation)
 
 
@@ -38,11 +42,22 @@ def magnitude_steps(gradient_dn: float) -> int:
     return round(min(max(1.0, STEPS_PER_DN * gradient_dn), LARGEST_STEPS))
 
 
-def eight_bit(image: UInt[Array, "row column"]) -> UInt8[Array, "row column"]:
-    """The image in 8 bits: a wider one loses low bits until its largest value fits.
+def in_sixteen_bits(
+    image: UInt[Array, "row column"],
+) -> tuple[UInt8[Array, "row column"] | UInt16[Array, "row column"], int]:
+    """The image in elements of 8 or 16 bits, and how many bits its values have; a wider one loses low bits."""
+    if image.dtype == np.uint8:
+        return image, 8
+    bits = int(image.max(initial=0)).bit_length()
+    if bits <= 8:
+        return image.astype(np.uint8), 8
+    if bits <= 16:
+        return image.astype(np.uint16, copy=False), bits
+    return (image >> (bits - 16)).astype(np.uint16), 16
 
-    So 12 bits in 16 keep their contrast, and thresholds in grey values mean the same for every camera.
-    """
+
+def eight_bit(image: UInt[Array, "row column"]) -> UInt8[Array, "row column"]:
+    """The image in 8 bits: a wider one loses low bits until its largest value fits, so 12 bits keep their contrast."""
     if image.dtype == np.uint8:
         return image
     excess = max(0, int(image.max(initial=0)).bit_length() - 8)

@@ -8,7 +8,7 @@ from jaxtyping import Float64, Int32, UInt
 
 from ringpose import kernels
 from ringpose.detect.chains import Chains, edge_chains
-from ringpose.detect.gradient import Gradient, eight_bit, image_gradient
+from ringpose.detect.gradient import Gradient, image_gradient
 from ringpose.types.arrays import Array
 from ringpose.types.segments import Segments
 
@@ -44,8 +44,8 @@ def find_segments(
     parameters: SegmentParameters = SegmentParameters(),
     method: Method = "length",
 ) -> Segments:
-    """Straight edges of the image; images of more than 8 bits are taken down to 8 (`eight_bit`)."""
-    gradient = image_gradient(eight_bit(image), parameters.upper_gradient_dn)
+    """Straight edges of the image; thresholds mean grey values of 8 bits whatever the image has."""
+    gradient = image_gradient(image, parameters.upper_gradient_dn)
     chains = edge_chains(gradient, parameters.lower_gradient_dn, parameters.shortest_px)
     pieces = straight_pieces(chains, parameters)
     if method == "refined":

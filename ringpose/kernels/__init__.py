@@ -5,7 +5,7 @@ fallback would hide that from whoever wonders about it.
 """
 
 import numpy as np
-from jaxtyping import Float64, Int16, Int32, UInt8
+from jaxtyping import Float64, Int16, Int32, UInt8, UInt16
 
 from ringpose.types.arrays import Array
 
@@ -19,18 +19,21 @@ except ImportError as error:
 
 
 def gradient(
-    image: UInt8[Array, "row column"], upper: int
+    image: UInt8[Array, "row column"] | UInt16[Array, "row column"], upper: int, bits: int = 8
 ) -> tuple[Int16[Array, "row column"], Int32[Array, "anchor"], UInt8[Array, "anchor"]]:
     """Gradient magnitude, its maxima, and how the edge runs through each.
 
     The image is smoothed with the binomial 1 4 6 4 1 (sigma 1 px); then Sobel. The magnitude is max + 3/8 min of the
     two absolute components (7 % from the Euclidean one), in units of 1/128 grey value per pixel. It is 0 on the
     outermost three pixels, whose gradient needs pixels outside: a border made up there would bend the edges.
-    Anchors are maxima across the edge of at least `upper` (same unit), as `row * width + column` in ascending order;
-    their orientation is 0 for an edge along x, 1 down to the right, 2 along y, 3 down to the left.
+    Anchors are maxima of at least `upper` (same unit): along the row in every fifth row, if the edge is nearer to
+    upright, else down the column in every fifth column. They come as `row * width + column` in ascending order; their
+    orientation is 0 for an edge along x, 1 down to the right, 2 along y, 3 down to the left.
+    Images of 16-bit elements have values of `bits` bits, 9 to 16, which count as `bits` - 8 binary digits after the
+    point.
     """
     magnitude = np.empty(image.shape, np.int16)
-    anchors, orientation = _kernels.gradient(np.ascontiguousarray(image), upper, magnitude)
+    anchors, orientation = _kernels.gradient(np.ascontiguousarray(image), bits, upper, magnitude)
     return magnitude, np.frombuffer(anchors, np.int32), np.frombuffer(orientation, np.uint8)
 
 
@@ -44,9 +47,9 @@ def chains(
     """Edge chains, one pixel wide: their pixels, and where each chain starts among them (last entry: the end).
 
     From each anchor, the strongest first, two walks in opposite directions; a walk goes to the largest magnitude of
-    the three pixels ahead (straight on, if equal; then left) and stops below `lower`, on another chain, or where the
-    image's outermost three pixels begin. Chains of fewer than `shortest` pixels are dropped, and yet no other chain
-    may cross them.
+    the three pixels ahead (straight on, if equal; then left) and stops below `lower`, on another chain, or where one
+    of the three is among the image's outermost three pixels; anchors must not lie there. Chains of fewer than
+    `shortest` pixels are dropped, and yet no other chain may cross them.
     The magnitude serves as scratch memory meanwhile and is as before on return: no other thread may use it.
     """
     pixels, starts = _kernels.chains(magnitude, anchors, orientation, lower, shortest)

@@ -43,7 +43,8 @@ static PyObject *two_bytes(int done, List *first, List *second) {
     return result;
 }
 
-static PyObject *gradient_of(const Py_buffer *image, const Py_buffer *magnitude, long upper) {
+static PyObject *gradient_of(const Py_buffer *image, const Py_buffer *magnitude, long upper, long bits) {
+    const Image data = {image->buf, (size_t)image->shape[0], (size_t)image->shape[1], (int)bits};
     if (!fits_32_bits(image, "image") || !within(upper, 1, INT16_MAX, "upper")) return NULL;
     if (magnitude->shape[0] != image->shape[0] || magnitude->shape[1] != image->shape[1]) {
         PyErr_SetString(PyExc_ValueError, "magnitude: must have the shape of the image");
@@ -52,8 +53,7 @@ static PyObject *gradient_of(const Py_buffer *image, const Py_buffer *magnitude,
     Anchors anchors = {{NULL, 0, 0, sizeof(int32_t)}, {NULL, 0, 0, sizeof(uint8_t)}};
     int done;
     Py_BEGIN_ALLOW_THREADS
-    done = find_gradient(image->buf, (size_t)image->shape[0], (size_t)image->shape[1], (int)upper, magnitude->buf,
-                         &anchors);
+    done = find_gradient(&data, (int)upper, magnitude->buf, &anchors);
     Py_END_ALLOW_THREADS
     return two_bytes(done, &anchors.index, &anchors.orientation);
 }
@@ -61,25 +61,30 @@ static PyObject *gradient_of(const Py_buffer *image, const Py_buffer *magnitude,
 static PyObject *gradient(PyObject *module, PyObject *arguments) {
     (void)module;
     PyObject *image, *magnitude, *result = NULL;
-    long upper;
+    long upper, bits;
     Py_buffer image_view, magnitude_view;
-    if (!PyArg_ParseTuple(arguments, "OlO", &image, &upper, &magnitude)) return NULL;
-    if (!open_array(image, &image_view, "image", "B", 1, 2, 0)) return NULL;
+    if (!PyArg_ParseTuple(arguments, "OllO", &image, &bits, &upper, &magnitude)) return NULL;
+    if (!within(bits, 8, 16, "bits")) return NULL;
+    if (!open_array(image, &image_view, "image", bits > 8 ? "H" : "B", bits > 8 ? 2 : 1, 2, 0)) return NULL;
     if (open_array(magnitude, &magnitude_view, "magnitude", "h", 2, 2, 1)) {
-        result = gradient_of(&image_view, &magnitude_view, upper);
+        result = gradient_of(&image_view, &magnitude_view, upper, bits);
         PyBuffer_Release(&magnitude_view);
     }
     PyBuffer_Release(&image_view);
     return result;
 }
 
+/* Whether every anchor is among the pixels that have a gradient. */
 static int anchors_inside(const Py_buffer *magnitude, const Py_buffer *index) {
     const int32_t *anchor = index->buf;
     const int16_t *value = magnitude->buf;
-    Py_ssize_t pixels = magnitude->shape[0] * magnitude->shape[1];
+    const uint32_t width = (uint32_t)magnitude->shape[1], height = (uint32_t)magnitude->shape[0];
+    const uint32_t wide = width > 2 * MARGIN ? width - 2 * MARGIN : 0;
+    const uint32_t high = height > 2 * MARGIN ? height - 2 * MARGIN : 0;
     for (Py_ssize_t i = 0; i < index->shape[0]; i++) {
-        if (anchor[i] >= 0 && anchor[i] < pixels && value[anchor[i]] >= 0) continue;
-        PyErr_Format(PyExc_ValueError, "anchors: number %zd is outside the image or has a negative magnitude", i);
+        const uint32_t at = (uint32_t)anchor[i];
+        if (at % width - MARGIN < wide && at / width - MARGIN < high && value[at] >= 0) continue;
+        PyErr_Format(PyExc_ValueError, "anchors: number %zd has no gradient or a negative one", i);
         return 0;
     }
     return 1;
@@ -93,7 +98,8 @@ static PyObject *chains_of(const Py_buffer *magnitude, const Py_buffer *index, c
     }
     if (!fits_32_bits(magnitude, "magnitude") || !anchors_inside(magnitude, index)) return NULL;
     if (!within(lower, 1, INT16_MAX, "lower") || !within(shortest, 1, INT32_MAX, "shortest")) return NULL;
-    EdgeArea area = {magnitude->buf, (size_t)magnitude->shape[0], (size_t)magnitude->shape[1], (int)lower, {0}};
+    if (index->shape[0] == 0) return Py_BuildValue("(y#y#)", "", (Py_ssize_t)0, "\0\0\0\0", (Py_ssize_t)4);
+    const EdgeArea area = {magnitude->buf, (size_t)magnitude->shape[0], (size_t)magnitude->shape[1], (int)lower};
     List pixels = {NULL, 0, 0, sizeof(Pixel)}, starts = {NULL, 0, 0, sizeof(int32_t)};
     int done;
     Py_BEGIN_ALLOW_THREADS
@@ -207,7 +213,7 @@ static PyObject *fits(PyObject *module, PyObject *arguments) {
 }
 
 static PyMethodDef methods[] = {
-    {"gradient", gradient, METH_VARARGS, "gradient(image, upper, magnitude) -> (anchors, orientation)"},
+    {"gradient", gradient, METH_VARARGS, "gradient(image, bits, upper, magnitude) -> (anchors, orientation)"},
     {"chains", chains, METH_VARARGS,
      "chains(magnitude, anchors, orientation, lower, shortest) -> (pixels, starts)"},
     {"cuts", cuts, METH_VARARGS, "cuts(pixels, starts, deviation, share_change, window, shortest) -> pieces"},

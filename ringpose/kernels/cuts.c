@@ -4,17 +4,24 @@
 #include <math.h>
 #include <stdlib.h>
 
-enum { HORIZONTAL, VERTICAL, OBLIQUE, KINDS };
+/* Counts of steps; all others are oblique. */
+typedef struct {
+    int64_t horizontal, vertical;
+} Steps;
 
-static int kind_of_step(Pixel from, Pixel to) {
-    return from.y == to.y ? HORIZONTAL : from.x == to.x ? VERTICAL : OBLIQUE;
+static Steps step_between(Pixel from, Pixel to) {
+    const int horizontal = from.y == to.y;
+    return (Steps){horizontal, !horizontal & (from.x == to.x)};
 }
 
-/* Estimated length minus chord. */
-static double excess(const double steps[KINDS], Pixel from, Pixel to) {
-    double wide = steps[HORIZONTAL] + steps[OBLIQUE], high = steps[VERTICAL] + steps[OBLIQUE];
-    double dx = (double)to.x - from.x, dy = (double)to.y - from.y;
-    return sqrt(wide * wide + high * high) - sqrt(dx * dx + dy * dy);
+/* Whether the estimated length exceeds the chord by more than the deviation. They are equal, and nothing need be
+   computed, as long as no step went back. */
+static int exceeds(Steps steps, int64_t all, Pixel from, Pixel to, double deviation) {
+    const int64_t wide = all - steps.vertical, high = all - steps.horizontal;
+    const int64_t dx = (int64_t)to.x - from.x, dy = (int64_t)to.y - from.y;
+    if (wide == llabs(dx) && high == llabs(dy)) return 0 > deviation;
+    const double length = sqrt((double)wide * (double)wide + (double)high * (double)high);
+    return length - sqrt((double)dx * (double)dx + (double)dy * (double)dy) > deviation;
 }
 
 /* The pixel that lies farthest from the chord, the first such; at least one step on, so that cutting ends. */
@@ -34,22 +41,24 @@ static size_t farthest(const Pixel *pixel, size_t first, size_t last) {
 
 /* Last pixel of the straight piece that begins at `first`; `end` is one past the chain. */
 static size_t piece_end(const Pixel *pixel, size_t first, size_t end, CutRules rules) {
-    double steps[KINDS] = {0, 0, 0};
-    ptrdiff_t head[KINDS] = {0, 0, 0}, window[KINDS] = {0, 0, 0};
+    Steps steps = {0, 0}, head = {0, 0}, window = {0, 0};
+    const double most = rules.share_change * (double)rules.window;
     for (size_t k = first + 1; k < end; k++) {
-        int kind = kind_of_step(pixel[k - 1], pixel[k]);
-        steps[kind] += 1;
-        if (excess(steps, pixel[first], pixel[k]) > rules.deviation) return farthest(pixel, first, k);
-        window[kind]++;
+        const Steps now = step_between(pixel[k - 1], pixel[k]);
+        steps.horizontal += now.horizontal;
+        steps.vertical += now.vertical;
+        if (exceeds(steps, (int64_t)(k - first), pixel[first], pixel[k], rules.deviation))
+            return farthest(pixel, first, k);
         if (k - first <= rules.window) {
-            head[kind]++;
+            head = window = steps;
             continue;
         }
-        size_t old = k - rules.window;
-        window[kind_of_step(pixel[old - 1], pixel[old])]--;
-        ptrdiff_t change = 0;
-        for (int i = 0; i < KINDS; i++) change += window[i] > head[i] ? window[i] - head[i] : head[i] - window[i];
-        if ((double)change > rules.share_change * (double)rules.window) return k - rules.window / 2;
+        const Steps old = step_between(pixel[k - rules.window - 1], pixel[k - rules.window]);
+        window.horizontal += now.horizontal - old.horizontal;
+        window.vertical += now.vertical - old.vertical;
+        const int64_t horizontal = window.horizontal - head.horizontal, vertical = window.vertical - head.vertical;
+        const int64_t change = llabs(horizontal) + llabs(vertical) + llabs(horizontal + vertical);
+        if ((double)change > most) return k - rules.window / 2;
     }
     return end - 1;
 }

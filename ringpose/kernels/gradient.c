@@ -2,8 +2,8 @@
 
    A smoothed value is 16 grey values, so that a dim edge keeps its shape; a Sobel difference of those is
    128 grey values a pixel. 8-bit images keep every sum within 16 bits: 255 * 16 * 16 = 65280 unsigned,
-   4 * 4080 = 16320 for one difference, 22440 for the magnitude. A 16-bit image needs another smooth_row
-   only, which shifts its sums to the same scale. */
+   4 * 4080 = 16320 for one difference, 22440 for the magnitude. Wider images are summed in 32 bits and
+   shifted to the same scale: at most 4095 smoothed, 22523 in magnitude. */
 #include "kernels.h"
 
 #include <stdlib.h>
@@ -12,31 +12,37 @@
 /* Pixels of a row that are looked at together. */
 enum { BLOCK = 128 };
 
+/* Anchors lie in columns whose number is a multiple of it, those of upright edges in such rows. */
+enum { ANCHOR_SPACING = 5 };
+
 typedef struct {
     void *memory;
-    uint16_t *sum;
+    uint32_t *wide_sum;
+    uint16_t *sum; /* in the same place */
     int16_t *smooth[3];
     int16_t *along, *across;
     int16_t *gx[2], *gy[2];
-    int16_t *orientation;
     uint8_t *is_anchor;
+    int16_t *has_anchors; /* 1 in columns that are multiples of ANCHOR_SPACING */
 } Rows;
 
 static int allocate_rows(Rows *rows, size_t width) {
     if (width > SIZE_MAX / 32) return 0;
-    rows->memory = calloc(12 * width, sizeof(int16_t));
+    rows->memory = calloc(13 * width, sizeof(int16_t));
     if (rows->memory == NULL) return 0;
     int16_t *row = rows->memory;
+    rows->wide_sum = rows->memory;
     rows->sum = rows->memory;
-    for (int i = 0; i < 3; i++) rows->smooth[i] = row + (size_t)(1 + i) * width;
-    rows->along = row + 4 * width;
-    rows->across = row + 5 * width;
+    for (int i = 0; i < 3; i++) rows->smooth[i] = row + (size_t)(2 + i) * width;
+    rows->along = row + 5 * width;
+    rows->across = row + 6 * width;
     for (int i = 0; i < 2; i++) {
-        rows->gx[i] = row + (size_t)(6 + i) * width;
-        rows->gy[i] = row + (size_t)(8 + i) * width;
+        rows->gx[i] = row + (size_t)(7 + i) * width;
+        rows->gy[i] = row + (size_t)(9 + i) * width;
     }
-    rows->orientation = row + 10 * width;
     rows->is_anchor = (uint8_t *)(row + 11 * width);
+    rows->has_anchors = row + 12 * width;
+    for (size_t x = 0; x < width; x += ANCHOR_SPACING) rows->has_anchors[x] = 1;
     return 1;
 }
 
@@ -53,6 +59,31 @@ static void smooth_row(const uint8_t *restrict image, size_t row, size_t width, 
         uint16_t total = (uint16_t)(sum[x - 2] + 4 * (sum[x - 1] + sum[x + 1]) + 6 * sum[x] + sum[x + 2] + 8);
         smooth[x] = (int16_t)(total >> 4);
     }
+}
+
+/* The same of values of `bits` bits. */
+VECTOR_LOOP
+static void smooth_wide_row(const uint16_t *restrict image, size_t row, size_t width, int bits, const Rows *rows) {
+    const uint16_t *restrict c = image + row * width;
+    const uint16_t *restrict a = c - 2 * width, *restrict b = c - width;
+    const uint16_t *restrict d = c + width, *restrict e = d + width;
+    uint32_t *restrict sum = rows->wide_sum;
+    int16_t *restrict smooth = rows->smooth[row % 3];
+    const int shift = bits - 4;
+    const uint32_t half = UINT32_C(1) << (shift - 1);
+    for (size_t x = 0; x < width; x++)
+        sum[x] = a[x] + 4 * ((uint32_t)b[x] + d[x]) + 6 * (uint32_t)c[x] + e[x];
+    for (size_t x = 2; x + 2 < width; x++) {
+        uint32_t total = sum[x - 2] + 4 * (sum[x - 1] + sum[x + 1]) + 6 * sum[x] + sum[x + 2] + half;
+        smooth[x] = (int16_t)(total >> shift);
+    }
+}
+
+static void smooth_image_row(const Image *image, size_t row, const Rows *rows) {
+    if (image->bits > 8)
+        smooth_wide_row(image->data, row, image->width, image->bits, rows);
+    else
+        smooth_row(image->data, row, image->width, rows);
 }
 
 /* Sobel, and the magnitude of both components. */
@@ -84,32 +115,35 @@ static int16_t strongest(const int16_t *magnitude, size_t from, size_t to) {
     return most;
 }
 
-/* Orientation (0: edge along x, 2: along y, 1: down to the right, 3: down to the left), and 1 where the magnitude is a
-   maximum across the edge; of two equal ones the earlier in raster order. */
+/* 1 where the magnitude is a maximum across the edge, down the column or along the row whichever is nearer; of two
+   equal ones the earlier in raster order. */
 VECTOR_LOOP
 static void mark_maxima(const Rows *rows, size_t row, const int16_t *restrict here, size_t width, size_t from,
                         size_t to, int16_t upper) {
     const int16_t *restrict up = here - width, *restrict down = here + width;
     const int16_t *restrict gx = rows->gx[row % 2], *restrict gy = rows->gy[row % 2];
-    int16_t *restrict orientation = rows->orientation;
+    const int16_t *restrict column_has_anchors = rows->has_anchors;
+    const int16_t row_has_anchors = row % ANCHOR_SPACING == 0;
     uint8_t *restrict is_anchor = rows->is_anchor;
     for (size_t x = from; x < to; x++) {
         int16_t ax = (int16_t)(gx[x] < 0 ? -gx[x] : gx[x]), ay = (int16_t)(gy[x] < 0 ? -gy[x] : gy[x]);
-        int16_t most = ax > ay ? ax : ay, least = ax > ay ? ay : ax;
-        int16_t diagonal = (int16_t)((gx[x] ^ gy[x]) < 0 ? 1 : 3);
-        int16_t straight = (int16_t)(ax > ay ? 2 : 0);
-        int16_t turn = (int16_t)(2 * least) < most ? straight : diagonal;
-        int16_t nw = *(up + x - 1), n = up[x], ne = up[x + 1], w = *(here + x - 1);
-        int16_t e = here[x + 1], sw = *(down + x - 1), s = down[x], se = down[x + 1];
-        int16_t before = turn == 0 ? n : turn == 1 ? ne : turn == 2 ? w : nw;
-        int16_t after = turn == 0 ? s : turn == 1 ? sw : turn == 2 ? e : se;
-        orientation[x] = turn;
-        is_anchor[x] = (here[x] >= upper) & (here[x] > before) & (here[x] >= after);
+        int16_t west = *(here + x - 1), east = here[x + 1], north = up[x], south = down[x];
+        int16_t before = ax > ay ? west : north, after = ax > ay ? east : south;
+        int16_t has_anchors = ax > ay ? row_has_anchors : column_has_anchors[x];
+        is_anchor[x] = (uint8_t)(has_anchors & (here[x] >= upper) & (here[x] > before) & (here[x] >= after));
     }
 }
 
+/* 0: edge along x, 2: along y, 1: down to the right, 3: down to the left. */
+static uint8_t orientation(int gx, int gy) {
+    int ax = abs(gx), ay = abs(gy), most = ax > ay ? ax : ay, least = ax > ay ? ay : ax;
+    if (2 * least >= most) return (gx ^ gy) < 0 ? 1 : 3;
+    return ax > ay ? 2 : 0;
+}
+
 /* Appends the anchors among `from` to `to` of a row; groups of eight without one, most of them, are skipped. */
-static void keep_anchors(const Rows *rows, size_t first_index, size_t from, size_t to, Anchors *anchors) {
+static void keep_anchors(const Rows *rows, size_t row, size_t width, size_t from, size_t to, Anchors *anchors) {
+    const int16_t *gx = rows->gx[row % 2], *gy = rows->gy[row % 2];
     int32_t *index = anchors->index.data;
     uint8_t *turn = anchors->orientation.data;
     size_t n = anchors->index.used;
@@ -119,9 +153,9 @@ static void keep_anchors(const Rows *rows, size_t first_index, size_t from, size
         if (end == x + 8) memcpy(&eight, rows->is_anchor + x, 8);
         if (eight == 0) x = end;
         for (; x < end; x++) {
-            index[n] = (int32_t)(first_index + x);
-            turn[n] = (uint8_t)rows->orientation[x];
-            n += rows->is_anchor[x];
+            if (!rows->is_anchor[x]) continue;
+            index[n] = (int32_t)(row * width + x);
+            turn[n++] = orientation(gx[x], gy[x]);
         }
     }
     anchors->index.used = anchors->orientation.used = n;
@@ -137,13 +171,13 @@ static int find_anchors(const Rows *rows, const int16_t *magnitude, size_t row, 
         size_t to = last - from < BLOCK ? last : from + BLOCK;
         if (strongest(here, from, to) < upper) continue;
         mark_maxima(rows, row, here, width, from, to, upper);
-        keep_anchors(rows, row * width, from, to, anchors);
+        keep_anchors(rows, row, width, from, to, anchors);
     }
     return 1;
 }
 
-int find_gradient(const uint8_t *image, size_t height, size_t width, int upper, int16_t *magnitude, Anchors *anchors) {
-    const size_t margin = MARGIN, rim = margin * width;
+int find_gradient(const Image *image, int upper, int16_t *magnitude, Anchors *anchors) {
+    const size_t height = image->height, width = image->width, margin = MARGIN, rim = margin * width;
     if (height <= 2 * margin || width <= 2 * margin) {
         memset(magnitude, 0, height * width * sizeof *magnitude);
         return 1;
@@ -152,12 +186,12 @@ int find_gradient(const uint8_t *image, size_t height, size_t width, int upper, 
     if (!allocate_rows(&rows, width)) return 0;
     memset(magnitude, 0, rim * sizeof *magnitude);
     memset(magnitude + height * width - rim, 0, rim * sizeof *magnitude);
-    smooth_row(image, margin - 1, width, &rows);
-    smooth_row(image, margin, width, &rows);
+    smooth_image_row(image, margin - 1, &rows);
+    smooth_image_row(image, margin, &rows);
     int done = 1;
     for (size_t y = margin; y < height - margin && done; y++) {
         int16_t *here = magnitude + y * width;
-        smooth_row(image, y + 1, width, &rows);
+        smooth_image_row(image, y + 1, &rows);
         gradient_row(&rows, y, width, here);
         memset(here, 0, margin * sizeof *here);
         memset(here + width - margin, 0, margin * sizeof *here);

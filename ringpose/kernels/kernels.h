@@ -30,21 +30,26 @@ int reserve(List *list, size_t extra);
 void release(List *list);
 
 typedef struct {
+    const void *data; /* uint8_t if bits is 8, uint16_t if it is more */
+    size_t height, width;
+    int bits;
+} Image;
+
+typedef struct {
     List index;       /* int32_t: row * width + column */
     List orientation; /* uint8_t: 0 to 3, the walking direction along the edge */
 } Anchors;
 
 /* Each returns 0 if there is no memory, and leaves its lists to the caller. */
-int find_gradient(const uint8_t *image, size_t height, size_t width, int upper, int16_t *magnitude, Anchors *anchors);
+int find_gradient(const Image *image, int upper, int16_t *magnitude, Anchors *anchors);
 
 typedef struct {
     int16_t *magnitude;
     size_t height, width;
-    int lower;         /* an edge has at least this magnitude */
-    ptrdiff_t step[8]; /* to the neighbours; set by walk_chains */
+    int lower; /* an edge has at least this magnitude */
 } EdgeArea;
 
-int walk_chains(EdgeArea *area, const int32_t *anchor, const uint8_t *orientation, size_t anchors, size_t shortest,
+int walk_chains(const EdgeArea *area, const int32_t *anchor, const uint8_t *orientation, size_t anchors, size_t shortest,
                 List *pixels, List *starts);
 
 typedef struct {

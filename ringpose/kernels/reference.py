@@ -4,7 +4,7 @@ import math
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int16, Int32, Int64, UInt8
+from jaxtyping import Bool, Float64, Int16, Int32, Int64, UInt8, UInt16
 
 from ringpose.types.arrays import Array
 
@@ -16,31 +16,44 @@ MARGIN = 3
 
 INNER = (slice(MARGIN, -MARGIN), slice(MARGIN, -MARGIN))
 
+ANCHOR_SPACING = 5
+"""Anchors lie in columns whose number is a multiple of it, those of upright edges in such rows."""
+
+ALONG_Y = 2
+"""Orientation of an upright edge."""
+
+WALL = 1 << 15
+"""More than any magnitude: what the margin has for the walks."""
+
 
 def gradient(
-    image: UInt8[Array, "row column"], upper: int
+    image: UInt8[Array, "row column"] | UInt16[Array, "row column"], upper: int, bits: int = 8
 ) -> tuple[Int16[Array, "row column"], Int32[Array, "anchor"], UInt8[Array, "anchor"]]:
     """Twin of `ringpose.kernels.gradient`."""
     magnitude = np.zeros(image.shape, np.int16)
     orientation = np.zeros(image.shape, np.uint8)
+    is_upright = np.zeros(image.shape, bool)
     if min(image.shape) > 2 * MARGIN:
-        gx, gy = sobel(smoothed(image))
+        gx, gy = sobel(smoothed(image, bits))
         most, least = np.maximum(abs(gx), abs(gy)), np.minimum(abs(gx), abs(gy))
         magnitude[INNER] = most + (3 * least >> 3)
-        straight = np.where(abs(gx) > abs(gy), 2, 0)
+        straight = np.where(abs(gx) > abs(gy), ALONG_Y, 0)
         diagonal = np.where((gx < 0) != (gy < 0), 1, 3)
         orientation[INNER] = np.where(2 * least < most, straight, diagonal)
-    anchors = np.flatnonzero(is_maximum(magnitude, orientation) & (magnitude >= upper))
+        is_upright[INNER] = straight == ALONG_Y
+    anchors = np.flatnonzero(is_maximum(magnitude, is_upright) & has_anchors(is_upright) & (magnitude >= upper))
     return magnitude, anchors.astype(np.int32), orientation.ravel()[anchors]
 
 
-def smoothed(image: UInt8[Array, "row column"]) -> Int64[Array, "row-4 column-4"]:
-    """The image under the binomial 1 4 6 4 1 along both axes, times 16."""
+def smoothed(
+    image: UInt8[Array, "row column"] | UInt16[Array, "row column"], bits: int
+) -> Int64[Array, "row-4 column-4"]:
+    """The image under the binomial 1 4 6 4 1 along both axes, in 1/16 of the 256th part of its range."""
     height, width = image.shape
     weights = np.array([1, 4, 6, 4, 1])
     down = np.tensordot(weights, [image[i : height - 4 + i] for i in range(5)], axes=1)
     both: Int64[Array, "row-4 column-4"] = np.tensordot(weights, [down[:, i : width - 4 + i] for i in range(5)], axes=1)
-    return both + 8 >> 4
+    return both + (1 << bits - 5) >> bits - 4
 
 
 def sobel(image: Int64[Array, "row column"]) -> tuple[Int64[Array, "row-2 column-2"], Int64[Array, "row-2 column-2"]]:
@@ -51,19 +64,26 @@ def sobel(image: Int64[Array, "row column"]) -> tuple[Int64[Array, "row-2 column
 
 
 def is_maximum(
-    magnitude: Int16[Array, "row column"], orientation: UInt8[Array, "row column"]
+    magnitude: Int16[Array, "row column"], is_upright: Bool[Array, "row column"]
 ) -> Bool[Array, "row column"]:
-    """Where the magnitude is a maximum across the edge, among neighbours that all have a gradient.
+    """Where the magnitude is a maximum along the row of an upright edge or down the column of another.
 
-    Of two equal ones it is the earlier in raster order.
+    Its neighbours must all have a gradient; of two equal ones it is the earlier in raster order.
     """
     maximum = np.zeros(magnitude.shape, bool)
-    for turn, (x, y) in enumerate(((0, -1), (1, -1), (-1, 0), (-1, -1))):
-        before, after = np.roll(magnitude, (-y, -x), axis=(0, 1)), np.roll(magnitude, (y, x), axis=(0, 1))
-        maximum |= (orientation == turn) & (magnitude > before) & (magnitude >= after)
+    for axis, edges in ((0, ~is_upright), (1, is_upright)):
+        before, after = np.roll(magnitude, 1, axis), np.roll(magnitude, -1, axis)
+        maximum |= edges & (magnitude > before) & (magnitude >= after)
     within = np.zeros(magnitude.shape, bool)
     within[MARGIN + 1 : -MARGIN - 1, MARGIN + 1 : -MARGIN - 1] = True
     return maximum & within
+
+
+def has_anchors(is_upright: Bool[Array, "row column"]) -> Bool[Array, "row column"]:
+    """Where anchors may lie: an edge passes there every few pixels, whatever its direction."""
+    row, column = np.indices(is_upright.shape)
+    has: Bool[Array, "row column"] = np.where(is_upright, row, column) % ANCHOR_SPACING == 0
+    return has
 
 
 def chains(
@@ -75,9 +95,9 @@ def chains(
 ) -> tuple[Int32[Array, "pixel xy=2"], Int32[Array, "start"]]:
     """Twin of `ringpose.kernels.chains`."""
     height, width = magnitude.shape
-    free = {(x, y): int(magnitude[y, x]) for y, x in np.ndindex(magnitude.shape)}
-    inner = {(x, y) for x in range(MARGIN + 1, width - MARGIN - 1) for y in range(MARGIN + 1, height - MARGIN - 1)}
-    taken = dict.fromkeys(free, False)
+    inner = {(x, y) for x in range(MARGIN, width - MARGIN) for y in range(MARGIN, height - MARGIN)}
+    free = {(x, y): int(magnitude[y, x]) if (x, y) in inner else WALL for y, x in np.ndindex(magnitude.shape)}
+    taken = {pixel: pixel not in inner for pixel in free}
     found: list[list[tuple[int, int]]] = []
     for number in np.argsort(-magnitude.ravel()[anchors].astype(np.int64), kind="stable"):
         y, x = divmod(int(anchors[number]), width)
@@ -85,8 +105,8 @@ def chains(
             continue
         taken[x, y] = True
         direction = int(orientation[number])
-        back = walk(free, taken, inner, (x, y), direction + 4, lower)
-        forth = walk(free, taken, inner, (x, y), direction, lower)
+        back = walk(free, taken, (x, y), direction + 4, lower)
+        forth = walk(free, taken, (x, y), direction, lower)
         found.append([*reversed(back), (x, y), *forth])
     long = [chain for chain in found if len(chain) >= shortest]
     pixels = np.array([pixel for chain in long for pixel in chain], np.int32).reshape(-1, 2)
@@ -96,23 +116,21 @@ def chains(
 def walk(
     magnitude: dict[tuple[int, int], int],
     taken: dict[tuple[int, int], bool],
-    inner: set[tuple[int, int]],
     at: tuple[int, int],
     direction: int,
     lower: int,
 ) -> list[tuple[int, int]]:
     """One walk from a taken pixel; marks what it takes."""
     path: list[tuple[int, int]] = []
-    while at in inner:
+    while True:
         ahead = [(direction + turn) % 8 for turn in (0, -1, 1)]
         pixels = [(at[0] + STEPS[way][0], at[1] + STEPS[way][1]) for way in ahead]
         best = max(range(3), key=lambda i: magnitude[pixels[i]])
         at, direction = pixels[best], ahead[best]
         if taken[at] or magnitude[at] < lower:
-            break
+            return path
         taken[at] = True
         path.append(at)
-    return path
 
 
 def cuts(

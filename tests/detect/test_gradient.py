@@ -45,7 +45,8 @@ def test_anchors_of_a_step_lie_on_it_and_know_how_it_runs(across, orientation):
 
     row, column = np.divmod(gradient.anchors, 30)
     inside = (abs(ROW - 11.5) < 6) & (abs(COLUMN - 14.5) < 9)
-    assert set(np.flatnonzero(inside & (across == 0))) <= set(gradient.anchors)
+    along = ROW if orientation == 2 else COLUMN
+    assert set(np.flatnonzero(inside & (across == 0) & (along % 5 == 0))) <= set(gradient.anchors)
     assert abs(across[row, column]).max() <= orientation % 2
     assert set(gradient.orientation[inside[row, column]]) == {orientation}
 
@@ -69,6 +70,32 @@ def test_the_steepest_pattern_stays_within_sixteen_bits():
 @pytest.mark.parametrize(("gradient_dn", "steps"), [(0.0, 1), (1.0, 128), (3.0, 384), (1e9, LARGEST_STEPS)])
 def test_thresholds_become_whole_steps(gradient_dn, steps):
     assert magnitude_steps(gradient_dn) == steps
+
+
+@pytest.mark.parametrize("bits", [9, 12, 16])
+def test_more_bits_give_the_gradient_of_eight(bits, rng):
+    image = rng.integers(0, 256, (20, 24), np.uint16)
+    image[0, 0] = 255
+
+    wide = image_gradient(image << (bits - 8), 5.0)
+
+    np.testing.assert_array_equal(wide.magnitude, image_gradient(image.astype(np.uint8), 5.0).magnitude)
+
+
+def test_the_low_bits_of_twelve_make_a_gradient():
+    image = (2000 + 4 * COLUMN).astype(np.uint16)
+    image[0, 0] = 4095
+
+    magnitude = image_gradient(image, 1.0).magnitude
+
+    np.testing.assert_array_equal(magnitude[6:-3, 6:-3], STEPS_PER_DN * 4 // 16)
+
+
+@pytest.mark.parametrize(("dtype", "largest"), [(np.uint16, 200), (np.uint32, 1 << 20), (np.uint64, 3)])
+def test_images_of_any_width_are_taken(dtype, largest):
+    image = np.full((20, 20), largest, dtype)
+
+    assert not image_gradient(image, 1.0).magnitude.any()
 
 
 def test_eight_bit_leaves_an_image_of_eight_bits_alone():

@@ -7,7 +7,8 @@ from ringpose.kernels import _kernels
 
 IMAGE = np.zeros((8, 9), np.uint8)
 MAGNITUDE = np.zeros((8, 9), np.int16)
-ANCHORS = np.array([20], np.int32)
+ANCHORS = np.array([30], np.int32)
+INNER = np.array([30, 31, 32, 39, 40, 41], np.int32)
 ORIENTATION = np.zeros(1, np.uint8)
 PIXELS = np.zeros((6, 2), np.int32)
 STARTS = np.array([0, 6], np.int32)
@@ -25,42 +26,54 @@ def read_only(array):
 @pytest.mark.parametrize("image", [None, 3, [[1, 2]], IMAGE.astype(np.uint16), IMAGE.astype(np.int8)])
 def test_an_image_of_another_type_is_a_type_error(image):
     with pytest.raises(TypeError):
-        _kernels.gradient(image, 100, MAGNITUDE)
+        _kernels.gradient(image, 8, 100, MAGNITUDE)
 
 
 @pytest.mark.parametrize("image", [IMAGE[:, ::2], IMAGE.T, IMAGE[0], IMAGE[None], IMAGE[:0], IMAGE[:-1]])
 def test_an_image_of_another_shape_or_layout_is_a_value_error(image):
     with pytest.raises(ValueError, match="image"):
-        _kernels.gradient(image, 100, MAGNITUDE)
+        _kernels.gradient(image, 8, 100, MAGNITUDE)
 
 
 @pytest.mark.parametrize("magnitude", [read_only(MAGNITUDE), np.zeros((16, 18), np.int16)[::2, ::2]])
 def test_a_magnitude_that_cannot_be_filled_is_a_value_error(magnitude):
     with pytest.raises(ValueError, match="magnitude"):
-        _kernels.gradient(IMAGE, 100, magnitude)
+        _kernels.gradient(IMAGE, 8, 100, magnitude)
 
 
 @pytest.mark.parametrize("upper", [0, -1, 32768, 10**9])
 def test_a_threshold_outside_sixteen_bits_is_a_value_error(upper):
     with pytest.raises(ValueError, match="upper"):
-        _kernels.gradient(IMAGE, upper, MAGNITUDE)
+        _kernels.gradient(IMAGE, 8, upper, MAGNITUDE)
 
 
 def test_an_image_of_more_pixels_than_an_index_can_count_is_a_value_error():
     image = np.empty((1 << 16, 1 << 15), np.uint8)
 
     with pytest.raises(ValueError, match="2\\^31"):
-        _kernels.gradient(image, 100, MAGNITUDE)
+        _kernels.gradient(image, 8, 100, MAGNITUDE)
 
 
-@pytest.mark.parametrize("anchor", [-1, 72, 2**31 - 1])
-def test_an_anchor_outside_the_image_is_a_value_error(anchor):
-    with pytest.raises(ValueError, match="anchors: number 0 is outside"):
+@pytest.mark.parametrize("bits", [7, 17, 10**9])
+def test_bits_out_of_range_are_a_value_error(bits):
+    with pytest.raises(ValueError, match="bits"):
+        _kernels.gradient(IMAGE, bits, 100, MAGNITUDE)
+
+
+@pytest.mark.parametrize(("image", "bits"), [(IMAGE, 9), (IMAGE.astype(np.uint16), 8)])
+def test_bits_that_do_not_go_with_the_elements_are_a_type_error(image, bits):
+    with pytest.raises(TypeError, match="image"):
+        _kernels.gradient(image, bits, 100, MAGNITUDE)
+
+
+@pytest.mark.parametrize("anchor", [-1, 0, 26, 29, 33, 48, 72, 2**31 - 1])
+def test_an_anchor_outside_the_image_or_on_its_margin_is_a_value_error(anchor):
+    with pytest.raises(ValueError, match="anchors: number 0 has no gradient"):
         _kernels.chains(MAGNITUDE.copy(), np.array([anchor], np.int32), ORIENTATION, 1, 2)
 
 
 def test_an_anchor_on_a_negative_magnitude_is_a_value_error():
-    with pytest.raises(ValueError, match="negative magnitude"):
+    with pytest.raises(ValueError, match="a negative one"):
         _kernels.chains(np.full((8, 9), -5, np.int16), ANCHORS, ORIENTATION, 1, 2)
 
 
@@ -78,10 +91,11 @@ def test_walk_limits_out_of_range_are_a_value_error(limits):
 def test_a_magnitude_that_is_strong_up_to_the_border_keeps_the_walks_inside():
     magnitude = np.full((8, 9), 7, np.int16)
 
-    pixels, _ = _kernels.chains(magnitude, np.arange(72, dtype=np.int32), np.zeros(72, np.uint8), 1, 1)
+    pixels, _ = _kernels.chains(magnitude, INNER, np.zeros(len(INNER), np.uint8), 1, 1)
 
     walked = np.frombuffer(pixels, np.int32).reshape(-1, 2)
-    assert sorted(map(tuple, walked.tolist())) == sorted((x, y) for x in range(9) for y in range(8))
+    assert sorted(map(tuple, walked.tolist())) == [(x, y) for x in (3, 4, 5) for y in (3, 4)]
+    assert (magnitude == 7).all()
 
 
 @pytest.mark.parametrize("starts", [[], [0, 7], [-1, 6], [4, 2, 6]])
