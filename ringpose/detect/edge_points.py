@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Bool, Float64, Int64
 
 from ringpose.detect.edge_trace import EdgeTrace, beyond_px
 from ringpose.detect.ring_arcs import RingArcs
@@ -22,13 +22,16 @@ STRETCH = 15
 OUTLIER_SIGMAS = 3.5
 """What lies off the ring by more is none of it, and counts in the scatter as if it were so far off."""
 
+DISPLACED_PX = 0.4
+"""A stretch this far off as a whole is the rim of a wall, a chamfer, a shadow."""
+
 FARTHEST_PX = 1.5
 """Nor is a step this far off, whatever its neighbours scatter."""
 
 POINT_SIGMA_PX = 0.5
 """A point that is known worse is of no use."""
 
-MINIMUM_POINTS = 8
+MINIMUM_POINTS = 12
 """Fewer points cannot tell an edge from a chance."""
 
 
@@ -53,6 +56,7 @@ def ring_edge_points(
     position = trace.place_px + offset_px[:, None] * trace.normal
     off_px = beyond_px(arcs, trace, offset_px)
     steps = _Points(trace.number, trace.side, position, trace.normal, off_px, np.hypot(sigma_px, BLUR_SIGMA_PX))
+    steps = _chosen(steps, ~_displaced(steps))
     steps = _without_outliers(steps._replace(sigma_px=steps.sigma_px * _scale(steps)))
     points = _grouped(steps)
     points = points._replace(sigma_px=np.hypot(points.sigma_px, BLUR_SIGMA_PX))
@@ -98,12 +102,30 @@ def _scale(points: _Points) -> Float64[Array, "n"]:
     """Root mean square of the deviations in sigmas, over a stretch of the same edge."""
     scale = np.ones(len(points.side))
     deviation = np.abs(points.off_px / points.sigma_px)
-    for edge in (1.0, -1.0):
-        here = np.flatnonzero(points.side == edge)
-        half = min(STRETCH, len(here)) // 2
-        if half:
-            padded = np.pad(deviation[here], half, mode="symmetric")
-            near = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1)
-            limit = OUTLIER_SIGMAS * 1.4826 * np.median(near, axis=-1, keepdims=True)
-            scale[here] = np.sqrt(np.mean(np.minimum(near, limit) ** 2, axis=-1))
+    for here in _edges(points):
+        near = _stretches(deviation[here])
+        limit = OUTLIER_SIGMAS * 1.4826 * np.median(near, axis=-1, keepdims=True)
+        scale[here] = np.sqrt(np.mean(np.minimum(near, limit) ** 2, axis=-1))
     return np.maximum(scale, 1e-3)
+
+
+def _displaced(points: _Points) -> Bool[Array, "n"]:
+    """Whether a stretch is off the ring as a whole, much the same everywhere: another edge beside it."""
+    displaced = np.zeros(len(points.side), dtype=bool)
+    for here in _edges(points):
+        near = _stretches(points.off_px[here])
+        middle, spread = near.mean(axis=-1), near.std(axis=-1)
+        displaced[here] = (np.abs(middle) > DISPLACED_PX) & (np.abs(middle) > spread)
+    return displaced
+
+
+def _edges(points: _Points) -> list[Int64[Array, "m"]]:
+    """Indices of the points on the inner and on the outer edge, if there are enough for a stretch."""
+    edges = [np.flatnonzero(points.side == side) for side in (1.0, -1.0)]
+    return [here for here in edges if len(here) >= 2]
+
+
+def _stretches(values: Float64[Array, "n"]) -> Float64[Array, "n near"]:
+    """The values of each one's neighbours, mirrored at the ends."""
+    half = min(STRETCH, len(values)) // 2
+    return np.lib.stride_tricks.sliding_window_view(np.pad(values, half, mode="symmetric"), 2 * half + 1)

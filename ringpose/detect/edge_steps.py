@@ -154,7 +154,7 @@ def _same(values: Float64[Array, "n"], window: Float64[Array, "m"]) -> Float64[A
     return np.convolve(values, window)[half : half + len(values)]
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=256)
 def _templates(reach_px: int, blur_px: float) -> _Templates:
     """The two levels on both sides of each place, blurred, and the weights of the samples there."""
     across = np.arange(-reach_px - INSIDE_PX, reach_px + OUTSIDE_PX + 1, dtype=np.float64)

@@ -4,6 +4,7 @@ Stripes close together hardly tell the ring's curvature: the search begins where
 pixel, and what is found there predicts them farther on, until the image ends or the edge is lost.
 """
 
+import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -27,20 +28,20 @@ ROUNDS = 10
 FARTHER = 1.05
 """A round that reaches less than this much farther is the last."""
 
-PREDICTED_SIGMA_PX = 0.9
+PREDICTED_SIGMA_PX = 1.3
 """Where the edge is predicted worse than this it is not looked for yet."""
 
 WALK_SPACING_PX = 12
 """Distance of the steps that are looked for on the way."""
 
-WALK_REACH_PX, REACH_PX = 3, 2
+WALK_REACH_PX, REACH_PX = 4, 2
 """How far from the predicted edge a step is looked for, on the way and in the end."""
 
-WALK_BLUR_PX = 0.8
-"""Blur of the edges that is assumed on the way."""
+BLUR_PX = 0.9
+"""Blur (sigma) of the edges that is assumed on the way."""
 
-BLURS_PX = (0.6, 0.75, 0.95, 1.2, 1.5)
-"""Blurs that are tried in the end, from a sharp lens to one that is focused elsewhere."""
+BLUR_SPANS = (0.4, 0.2, 0.07)
+"""Blurs between which the right one is sought in the end, each time closer: half to twice the one assumed."""
 
 BLUR_STEPS = 60
 """So many of the clearest steps tell the blur."""
@@ -154,7 +155,7 @@ def followed_arcs(
         reached = len(trace.side)
         trace = clear_of(frame.stripes_px, trace)
         profiles = edge_profiles(frame.image, trace.place_px, trace.normal, WALK_REACH_PX, frame.saturation_dn)
-        steps = edge_steps(profiles, WALK_REACH_PX, WALK_BLUR_PX)
+        steps = edge_steps(profiles, WALK_REACH_PX, BLUR_PX)
         seen = clear_steps(steps)
         sights = trusted_sights(chosen(trace, seen), steps.offset_px[seen], steps.sigma_px[seen])
         arcs, covariance = fitted_arcs(arcs, evidence, sights, 2)
@@ -173,15 +174,17 @@ def trusted_sights(trace: EdgeTrace, offset_px: Float64[Array, "n"], sigma_px: F
 
 
 def blur_px(profiles: Profiles) -> float:
-    """The blur (sigma) that explains the clearest steps best, to a twentieth of a pixel."""
+    """The blur (sigma) that explains the clearest steps best; a step's place depends on it by a third of its error."""
     clear = np.flatnonzero(~profiles.saturated.any(axis=1))
     clear = clear[np.argsort(np.ptp(profiles.value[clear], axis=1))[-BLUR_STEPS:]]
     if len(clear) < BLUR_STEPS // 4:
-        return WALK_BLUR_PX
+        return BLUR_PX
     part = Profiles(profiles.across_px, *(each[clear] for each in profiles[1:]))
-    cost = [float(np.median(edge_steps(part, REACH_PX, blur).cost)) for blur in BLURS_PX]
-    best = min(max(int(np.argmin(cost)), 1), len(cost) - 2)
-    near = slice(best - 1, best + 2)
-    bend, slope, _ = np.polyfit(np.log(BLURS_PX[near]), cost[near], 2)
-    log_blur = -slope / (2 * bend) if bend > 0 else np.log(BLURS_PX[int(np.argmin(cost))])
-    return float(np.round(np.exp(np.clip(log_blur, np.log(BLURS_PX[0]), np.log(BLURS_PX[-1]))) * 20) / 20)
+    log_blur = math.log(BLUR_PX)
+    for span in BLUR_SPANS:
+        trials = [round(math.exp(log_blur + side * span), 2) for side in (-1, 0, 1)]
+        left, middle, right = (float(np.median(edge_steps(part, REACH_PX, trial).cost)) for trial in trials)
+        bend = left - 2 * middle + right
+        step = (left - right) / (2 * bend) if bend > 0 else math.copysign(1.0, left - right)
+        log_blur += span * min(max(step, -1.5), 1.5)
+    return round(math.exp(log_blur), 2)

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from ringpose.detect.overlay import COLORS, SEGMENT_COLOR, UNLABELLED_COLOR, overlay
-from ringpose.types.break_points import BreakPointFlag, BreakPoints, Detection, NoBreakPoints
+from ringpose.detect.overlay import COLORS, EDGE_COLORS, SEGMENT_COLOR, UNLABELLED_COLOR, overlay
+from ringpose.types.break_points import BreakPointFlag, BreakPoints, Detection, NoBreakPoints, RingEdgePoints
 from ringpose.types.segments import Segments
 from ringpose.types.stripes import UNLABELLED, Stripes
 
@@ -102,3 +102,17 @@ def test_flags_are_written_beside_the_point():
 
 def test_break_point_outside_the_picture_is_no_crash():
     assert overlay(empty(), detection(break_points([-50.0, 1e4]))).shape == (200, 300, 3)
+
+
+def test_points_of_the_ring_edges_are_dashes_along_the_edge():
+    edges = RingEdgePoints(
+        position_px=np.array([[100.0, 120.0], [200.0, 120.0]]),
+        normal=np.array([[1.0, 0.0], [0.0, 1.0]]),
+        sigma_px=np.ones(2),
+        edge=np.array([0, 1]),
+    )
+
+    picture = overlay(empty(), detection(ring_edges=edges))
+
+    np.testing.assert_allclose(picture[[118, 122], 100], [EDGE_COLORS[0]] * 2, atol=3)
+    np.testing.assert_allclose(picture[120, [198, 202]], [EDGE_COLORS[1]] * 2, atol=3)

@@ -7,7 +7,7 @@ import pytest
 from ringpose.errors import DataError
 from ringpose.files import records
 from ringpose.files.detections import detection_of, detection_record, read_detection, write_detection
-from ringpose.types.break_points import BreakPoints, Detection, NoBreakPoints
+from ringpose.types.break_points import BreakPoints, Detection, NoBreakPoints, RingEdgePoints
 from ringpose.types.segments import Segments
 from ringpose.types.stripes import Stripes
 
@@ -47,6 +47,15 @@ def full_detection(rng, centers=50):
     )
 
 
+def ring_edges(rng, count=9):
+    return RingEdgePoints(
+        position_px=rng.normal(size=(count, 2)),
+        normal=rng.normal(size=(count, 2)),
+        sigma_px=rng.normal(size=count),
+        edge=rng.integers(0, 2, count),
+    )
+
+
 def same(first, second) -> bool:
     names = type(first).__slots__
     pairs = [(getattr(first, name), getattr(second, name)) for name in names]
@@ -76,6 +85,24 @@ def test_detection_is_read_as_it_was_written(rng, there_and_back):
     assert same(after.break_points, before.break_points)
     assert same(after.stripes, before.stripes)
     assert same(after.segments, before.segments)
+
+
+def test_ring_edges_are_read_as_they_were_written(rng, there_and_back):
+    before = Detection(shot="a", stamp_s=0.0, break_points=break_points(rng), ring_edges=ring_edges(rng))
+
+    after = there_and_back(before)
+
+    assert after.ring_edges is not None
+    assert same(after.ring_edges, before.ring_edges)
+
+
+def test_edge_that_is_neither_inner_nor_outer_is_an_error(rng):
+    before = Detection(shot="a", stamp_s=0.0, break_points=break_points(rng), ring_edges=ring_edges(rng))
+    record = records.record_of(records.line_of(detection_record(before)), "x")
+    record["ring_edges"]["edge"][3] = 2
+
+    with pytest.raises(DataError, match="inner"):
+        detection_of(record, "x")
 
 
 def test_nothing_found_is_read_as_nothing(there_and_back):

@@ -1,0 +1,354 @@
+"""The ring's visible edges, in pictures drawn from formulas and on a rendered shot."""
+
+import json
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import pytest
+from drawn_scene import RADII_M, DrawnScene, drawn_rig, line_of, true_break_points
+
+from ringpose.detect.pipeline import detect
+from ringpose.detect.ring_edges import EdgeImage, found_edges, named_by_curvature, ring_edges
+from ringpose.files.rigs import read_rig
+from ringpose.files.shots import read_shot
+from ringpose.types.break_points import BreakPointFlag, BreakPoints, RingEdgePoints
+from ringpose.types.rig import Rig
+
+END_SIGMA_PX = 0.3
+LINE_SIGMA_PX = 0.03
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What there is to see beside the ring's face, in grey values."""
+
+    face_dn: float = 60.0
+    inside_dn: float = 30.0
+    outside_dn: float = 100.0
+    clutter_dn: float = 0.0
+    noise_dn: float = 1.0
+    blur_px: float = 0.8
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    """The drawn scenes' rig with a lens that does not distort, so that every pixel's ray is a formula."""
+    drawn = drawn_rig()
+    camera = replace(drawn.camera, distortion_coefficients=np.zeros(5))
+    return replace(drawn, camera=camera)
+
+
+def narrow(rig: Rig) -> Rig:
+    """The same with the lasers a degree and a half apart, as in the paper's virtual rig."""
+    tilt = np.deg2rad([1.5, 0.0, -1.5])
+    normal = np.stack([np.zeros(3), np.cos(tilt), np.sin(tilt)], axis=-1)
+    return replace(rig, lasers=replace(rig.lasers, normal=normal, distance_m=np.full(3, -0.1)))
+
+
+def radius_m(scene: DrawnScene, rig: Rig, x_px: np.ndarray, y_px: np.ndarray) -> np.ndarray:
+    """Distance from the ring's centre at which the ray of a pixel meets its plane."""
+    matrix = rig.camera.camera_matrix
+    x, y = (x_px - matrix[0, 2]) / matrix[0, 0], (y_px - matrix[1, 2]) / matrix[1, 1]
+    normal = np.array(scene.normal) / np.linalg.norm(scene.normal)
+    depth = float(normal @ np.array(scene.center_m)) / (normal[0] * x + normal[1] * y + normal[2])
+    offsets = [depth * x - scene.center_m[0], depth * y - scene.center_m[1], depth - scene.center_m[2]]
+    return np.sqrt(sum(each**2 for each in offsets))
+
+
+def all_radii_m(scene: DrawnScene, rig: Rig) -> np.ndarray:
+    return radius_m(scene, rig, np.arange(1600.0), np.arange(1200.0)[:, None])
+
+
+def picture(scene: DrawnScene, rig: Rig, around: Surroundings, rng: np.random.Generator) -> np.ndarray:
+    """The face between two surfaces of even or uneven brightness, its edges covering pixels in part."""
+    radius = all_radii_m(scene, rig)
+    width = np.hypot(*np.gradient(radius))
+    inside = np.clip((RADII_M[0] - radius) / width + 0.5, 0, 1)
+    outside = np.clip((radius - RADII_M[1]) / width + 0.5, 0, 1)
+    uneven = cv2.GaussianBlur(rng.normal(size=radius.shape), (0, 0), 3.0)
+    uneven *= around.clutter_dn / uneven.std()
+    image = around.face_dn * (1 - inside - outside)
+    image += inside * (around.inside_dn + uneven) + outside * (around.outside_dn + uneven)
+    image = cv2.GaussianBlur(image, (0, 0), around.blur_px) + rng.normal(0, around.noise_dn, radius.shape)
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+def lit(image: np.ndarray) -> EdgeImage:
+    return EdgeImage(image=image, saturation_dn=255)
+
+
+def measured(scene: DrawnScene, rig: Rig, rng: np.random.Generator) -> BreakPoints:
+    """Break points as a detector would give them: off by their sigma, between perfect lines."""
+    truth = true_break_points(scene, rig)
+    count = len(truth)
+    normal = np.array(scene.normal) / np.linalg.norm(scene.normal)
+    distance = float(normal @ np.array(scene.center_m))
+    slopes = []
+    for laser in range(count):
+        point, direction = line_of(rig, laser, normal, distance)
+        ends = np.stack([point, point + 1e-3 * direction]) @ rig.camera.camera_matrix.T
+        run = np.diff(ends[:, :2] / ends[:, 2:], axis=0)[0]
+        slopes.append(run[1] / run[0])
+    shift = rng.normal(0, END_SIGMA_PX, (count, 2))
+    position = truth + np.stack([shift, shift * np.array(slopes)[:, None]], axis=-1)
+    covariance = np.broadcast_to(np.diag([END_SIGMA_PX**2, 0.1 * END_SIGMA_PX**2]), (count, 2, 2, 2)).copy()
+    return BreakPoints(
+        position_px=position,
+        covariance_px2=covariance,
+        flags=np.zeros((count, 2), dtype=np.int64),
+        face_start_px=truth[:, 1],
+        face_end_px=truth[:, 0],
+        face_sigma_px=np.full((count, 2), LINE_SIGMA_PX),
+        labelled=True,
+    )
+
+
+def off_edge_px(points: RingEdgePoints, scene: DrawnScene, rig: Rig) -> np.ndarray:
+    """Signed distance of the points from the true edge along their normals: radius over its change for a pixel."""
+    here, before, behind = (
+        radius_m(scene, rig, *(points.position_px + step * points.normal).T) for step in (0.0, -0.5, 0.5)
+    )
+    return (here - np.array(RADII_M)[points.edge]) / (behind - before)
+
+
+def seen_edges(points: RingEdgePoints | None) -> RingEdgePoints:
+    assert points is not None
+    return points
+
+
+@pytest.mark.parametrize("lasers", ["wide", "narrow"])
+@pytest.mark.parametrize("depth_m", [0.3, 0.5, 1.0])
+def test_points_lie_on_the_true_edges_within_a_twentieth_of_a_pixel(rig, rng, lasers, depth_m):
+    rig = rig if lasers == "wide" else narrow(rig)
+    scene = DrawnScene(center_m=(0.58, 0.02, depth_m))
+
+    points = seen_edges(ring_edges(measured(scene, rig, rng), lit(picture(scene, rig, Surroundings(), rng)), rig))
+
+    error_px = off_edge_px(points, scene, rig)
+    assert abs(np.median(error_px)) < 0.025
+    assert 1.4826 * np.median(np.abs(error_px)) < 0.05
+
+
+@pytest.mark.parametrize("lasers", ["wide", "narrow"])
+def test_both_edges_are_followed_through_the_whole_image(rig, rng, lasers):
+    rig = rig if lasers == "wide" else narrow(rig)
+    scene = DrawnScene()
+
+    points = seen_edges(ring_edges(measured(scene, rig, rng), lit(picture(scene, rig, Surroundings(), rng)), rig))
+
+    rows = [points.position_px[points.edge == edge, 1] for edge in (0, 1)]
+    assert all(each.min() < 25 and each.max() > 1175 for each in rows)
+
+
+@pytest.mark.parametrize("clutter_dn", [0.0, 15.0, 40.0])
+def test_sigmas_explain_the_errors_beside_clutter(rig, rng, clutter_dn):
+    scene = DrawnScene()
+    around = Surroundings(outside_dn=80.0, clutter_dn=clutter_dn)
+
+    points = seen_edges(ring_edges(measured(scene, rig, rng), lit(picture(scene, rig, around, rng)), rig))
+
+    squares = (off_edge_px(points, scene, rig) / points.sigma_px) ** 2
+    assert 0.4 < np.mean(squares) < 1.5
+    assert np.max(squares) < 25
+
+
+@pytest.mark.parametrize("blur_px", [0.5, 0.9, 1.5])
+def test_blur_of_the_lens_moves_edges_by_less_than_a_twentyfifth_of_a_pixel(rig, rng, blur_px):
+    scene = DrawnScene()
+    image = picture(scene, rig, Surroundings(blur_px=blur_px), rng)
+
+    points = seen_edges(ring_edges(measured(scene, rig, rng), lit(image), rig))
+
+    assert abs(np.mean(off_edge_px(points, scene, rig))) < 0.04
+
+
+def test_normals_lead_off_the_face(rig, rng):
+    scene = DrawnScene()
+
+    points = seen_edges(ring_edges(measured(scene, rig, rng), lit(picture(scene, rig, Surroundings(), rng)), rig))
+
+    step_m = radius_m(scene, rig, *(points.position_px + points.normal).T) - np.array(RADII_M)[points.edge]
+    assert np.all(np.sign(step_m) == np.where(points.edge == 0, -1, 1))
+    np.testing.assert_allclose(np.hypot(*points.normal.T), 1.0, atol=1e-12)
+
+
+def test_an_edge_without_contrast_is_absent(rig, rng):
+    scene = DrawnScene()
+    around = Surroundings(inside_dn=60.0)
+
+    points = seen_edges(ring_edges(measured(scene, rig, rng), lit(picture(scene, rig, around, rng)), rig))
+
+    assert np.mean(points.edge == 0) < 0.05
+
+
+@pytest.mark.parametrize("level_dn", [2.0, 120.0, 255.0], ids=["dark", "grey", "saturated"])
+def test_an_even_image_shows_no_edges(rig, rng, level_dn):
+    scene = DrawnScene()
+    even = Surroundings(face_dn=level_dn, inside_dn=level_dn, outside_dn=level_dn)
+
+    assert ring_edges(measured(scene, rig, rng), lit(picture(scene, rig, even, rng)), rig) is None
+
+
+def test_noise_alone_shows_no_edges(rig, rng):
+    image = rng.integers(0, 256, (1200, 1600)).astype(np.uint8)
+
+    assert ring_edges(measured(DrawnScene(), rig, rng), lit(image), rig) is None
+
+
+def test_a_wall_below_the_edge_is_not_taken_for_it(rig, rng):
+    scene = DrawnScene()
+    wall = replace(scene, center_m=(0.58, 0.02, 0.54))
+    image = picture(scene, rig, Surroundings(inside_dn=60.0), rng)
+    image[(all_radii_m(wall, rig) < RADII_M[0]) & (all_radii_m(scene, rig) < RADII_M[0])] = 20
+
+    points = seen_edges(ring_edges(measured(scene, rig, rng), lit(image), rig))
+
+    error_px = off_edge_px(points, scene, rig)
+    assert np.mean(np.abs(error_px) > 0.5) < 0.02
+    assert np.abs(error_px / points.sigma_px).max() < 5
+
+
+def test_a_bar_across_the_ring_gives_no_points_off_the_edges(rig, rng):
+    scene = DrawnScene()
+    image = picture(scene, rig, Surroundings(), rng)
+    image[650:800] = 90
+    image[650:800, ::7] = 20
+
+    points = seen_edges(ring_edges(measured(scene, rig, rng), lit(image), rig))
+
+    assert np.abs(off_edge_px(points, scene, rig) / points.sigma_px).max() < 6
+    assert np.count_nonzero((points.position_px[:, 1] > 655) & (points.position_px[:, 1] < 795)) < 3
+
+
+def test_saturation_beyond_the_edge_is_left_out(rig, rng):
+    scene = DrawnScene()
+    around = Surroundings(outside_dn=400.0)
+
+    points = seen_edges(ring_edges(measured(scene, rig, rng), lit(picture(scene, rig, around, rng)), rig))
+
+    assert not np.any(points.edge == 1)
+
+
+def test_two_stripes_lead_to_the_edges_too(rig, rng):
+    scene = DrawnScene(center_m=(0.58, 0.05, 0.235))
+    both = measured(scene, rig, rng)
+    in_view = (both.position_px[..., 1] > 0) & (both.position_px[..., 1] < 1199)
+    seen = replace(
+        both,
+        position_px=np.where(in_view[..., None], both.position_px, np.nan),
+        face_start_px=np.where(in_view[:, :1], both.face_start_px, np.nan),
+        face_end_px=np.where(in_view[:, :1], both.face_end_px, np.nan),
+    )
+
+    points = seen_edges(ring_edges(seen, lit(picture(scene, rig, Surroundings(), rng)), rig))
+
+    assert np.abs(off_edge_px(points, scene, rig)).max() < 0.3
+
+
+def test_no_stripe_leads_nowhere(rig, rng):
+    scene = DrawnScene()
+    nothing = replace(measured(scene, rig, rng), position_px=np.full((3, 2, 2), np.nan))
+
+    assert ring_edges(nothing, lit(picture(scene, rig, Surroundings(), rng)), rig) is None
+
+
+def test_images_of_twelve_bits_give_the_same_edges(rig, rng):
+    scene = DrawnScene()
+    ends = measured(scene, rig, rng)
+    image = picture(scene, rig, Surroundings(), rng)
+
+    eight = seen_edges(ring_edges(ends, lit(image), rig))
+    twelve = seen_edges(ring_edges(ends, EdgeImage(image=image.astype(np.uint16) * 16, saturation_dn=4095), rig))
+
+    assert abs(len(twelve.edge) - len(eight.edge)) <= 4
+    np.testing.assert_allclose(off_edge_px(twelve, scene, rig).std(), off_edge_px(eight, scene, rig).std(), atol=0.01)
+
+
+def named_wrong(points: BreakPoints) -> BreakPoints:
+    return replace(
+        points,
+        position_px=points.position_px[:, ::-1].copy(),
+        flags=np.full((3, 2), int(BreakPointFlag.EDGE_UNKNOWN)),
+    )
+
+
+def test_curvature_tells_on_which_side_the_centre_lies(rig, rng):
+    rig, scene = narrow(rig), DrawnScene()
+    ends, frame = measured(scene, rig, rng), lit(picture(scene, rig, Surroundings(), rng))
+
+    right, wrong = found_edges(ends, frame, rig), found_edges(named_wrong(ends), frame, rig)
+
+    assert right is not None
+    assert wrong is not None
+    assert right.side_sigmas > 10 > -10 > wrong.side_sigmas
+
+
+def test_edges_with_open_names_are_named_by_their_curvature(rig, rng):
+    rig, scene = narrow(rig), DrawnScene()
+    ends = measured(scene, rig, rng)
+    frame = lit(picture(scene, rig, Surroundings(), rng))
+    found = found_edges(named_wrong(ends), frame, rig)
+    assert found is not None
+
+    named, points = named_by_curvature(named_wrong(ends), found)
+
+    np.testing.assert_array_equal(named.position_px, ends.position_px)
+    assert not np.any(named.flags)
+    assert np.abs(off_edge_px(points, scene, rig)).max() < 0.5
+
+
+def test_names_that_are_known_stay(rig, rng):
+    rig, scene = narrow(rig), DrawnScene()
+    ends = replace(named_wrong(measured(scene, rig, rng)), flags=np.zeros((3, 2), dtype=np.int64))
+    found = found_edges(ends, lit(picture(scene, rig, Surroundings(), rng)), rig)
+    assert found is not None
+
+    assert named_by_curvature(ends, found)[0] is ends
+
+
+def circle_px(truth: dict, radius: float, rig: Rig) -> np.ndarray:
+    """Densely spaced points of a true edge, by OpenCV's projection."""
+    normal = np.array(truth["normal"])
+    across = np.cross(normal, [0.0, 1.0, 0.0])
+    across /= np.linalg.norm(across)
+    angle = np.linspace(0, 2 * np.pi, 40000)[:, None]
+    points = np.array(truth["center_m"]) + radius * (np.cos(angle) * across + np.sin(angle) * np.cross(normal, across))
+    points = points[points[:, 2] > 0.2]
+    matrix, distortion = rig.camera.camera_matrix, rig.camera.distortion_coefficients
+    return cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, distortion)[0].reshape(-1, 2)
+
+
+def rendered_errors_px(points: RingEdgePoints, truth: dict, rig: Rig) -> np.ndarray:
+    """Distance of edge points from the true edges along their normals."""
+    error_px = np.empty(len(points.edge))
+    for edge, radius in enumerate((truth["radius_inner_m"], truth["radius_outer_m"])):
+        circle = circle_px(truth, radius, rig)
+        for which in np.flatnonzero(points.edge == edge):
+            offset = points.position_px[which] - circle
+            nearest = offset[np.argmin(np.sum(offset**2, axis=-1))]
+            error_px[which] = nearest @ points.normal[which]
+    return error_px
+
+
+def test_a_rendered_shot_with_all_lasers_on_shows_its_edges(carried_data):
+    rig = read_rig(carried_data / "rig_b" / "rig.yaml")
+    lines = (carried_data / "rig_b" / "truth.jsonl").read_text().splitlines()
+    truth = next(each for each in map(json.loads, lines) if each["shot"] == "B_z0500_p01_normal")
+
+    detection = detect(read_shot(carried_data / "rig_b" / "shots" / "B_z0500_p01_normal.npz"), rig)
+
+    points = seen_edges(detection.ring_edges)
+    error_px = rendered_errors_px(points, truth, rig)
+    assert len(error_px) > 100
+    assert 1.4826 * np.median(np.abs(error_px)) < 0.3
+    assert abs(np.sum(error_px / points.sigma_px**2) / np.sum(points.sigma_px**-2)) < 0.1
+    assert 0.6 < np.mean((error_px / points.sigma_px) ** 2) < 1.5
+
+
+def test_dim_light_shows_no_edges(carried_data):
+    rig = read_rig(carried_data / "rig_b" / "rig.yaml")
+
+    detection = detect(read_shot(carried_data / "rig_b" / "shots" / "B_z0500_p00_dim.npz"), rig)
+
+    assert detection.ring_edges is None
