@@ -295,7 +295,6 @@ static void add(Sums *sums, double in, double out, double value, double variance
     sums->in_value += in * value * weight;
     sums->out_value += out * value * weight;
     sums->square += value * value * weight;
-    sums->logarithm += log(variance);
 }
 
 static void add_range(Sums *sums, const Sums *from, const Sums *to) {
@@ -320,6 +319,8 @@ static void run(const Columns *columns, Running *running) {
         running->out[i + 1] = running->out[i];
         add(&running->in[i + 1], head, 0, value, variance_of(columns, head));
         add(&running->out[i + 1], 0, 1, value, variance_of(columns, 0));
+        running->in[i + 1].logarithm += log(variance_of(columns, head));
+        running->out[i + 1].logarithm += log(variance_of(columns, 0));
     }
 }
 
@@ -328,12 +329,19 @@ static void run(const Columns *columns, Running *running) {
 static double edge_cost(const Columns *columns, const Running *running, double position, double width,
                         double *outside) {
     Sums sums = {0};
+    double variances = 1;
     int first = 0, last, count = columns->count;
     while (first < count && (position - columns->along[first]) / width >= 4) first++;
     add_range(&sums, &running->in[0], &running->in[first]);
     for (last = first; last < count && (position - columns->along[last]) / width > -4; last++) {
         double edge = normal_cdf((position - columns->along[last]) / width), in = edge * columns->headroom[last];
-        add(&sums, in, 1 - edge, columns->amplitude[last], variance_of(columns, in));
+        double variance = variance_of(columns, in);
+        add(&sums, in, 1 - edge, columns->amplitude[last], variance);
+        variances *= variance;
+        if (!(variances > 1e-150 && variances < 1e150)) {
+            sums.logarithm += log(variances);
+            variances = 1;
+        }
     }
     add_range(&sums, &running->out[last], &running->out[count]);
     double determinant = fmax(sums.inside * sums.outside - sums.both * sums.both, 1e-30);
@@ -343,7 +351,7 @@ static double edge_cost(const Columns *columns, const Running *running, double p
     *outside = beyond / within;
     double square = sums.square - 2 * within * sums.in_value - 2 * beyond * sums.out_value +
                     within * within * sums.inside + 2 * within * beyond * sums.both + beyond * beyond * sums.outside;
-    return 0.5 * (square + sums.logarithm);
+    return 0.5 * (square + sums.logarithm + log(variances));
 }
 
 /* A coarse search at one width, then all widths around what it found, then a parabola. */
@@ -364,20 +372,20 @@ static void best_edge(const Columns *columns, double sigma, double *position, do
     *width = sigma;
     *outside = 0;
     for (int s = 0; s < 4; s++) {
-        double cost[31], level[31];
+        double cost[15], level[15];
         int k = 0;
-        for (int j = 0; j < 31; j++) {
-            cost[j] = edge_cost(columns, &running, start + (j - 15) * 0.05, share[s] * sigma, &level[j]);
+        for (int j = 0; j < 15; j++) {
+            cost[j] = edge_cost(columns, &running, start + (j - 7) * 0.1, share[s] * sigma, &level[j]);
             if (cost[j] < cost[k]) k = j;
         }
         if (!(cost[k] < least)) continue;
         double shift = 0;
-        if (k > 0 && k < 30) {
+        if (k > 0 && k < 14) {
             double bend = cost[k - 1] - 2 * cost[k] + cost[k + 1];
             if (bend > 0) shift = fmin(fmax(0.5 * (cost[k - 1] - cost[k + 1]) / bend, -1), 1);
         }
         least = cost[k];
-        *position = start + (k - 15) * 0.05 + 0.05 * shift;
+        *position = start + (k - 7 + shift) * 0.1;
         *width = share[s] * sigma;
         *outside = level[k];
     }

@@ -9,11 +9,13 @@ enum { MOST_STEPS = 20 };
 /* OpenCV's distortion of (x, y) and its derivatives: dx/dx, dx/dy, dy/dy (the mixed ones are equal). */
 static void distort(const Lens *lens, double x, double y, double at[2], double slope[3]) {
     double r2 = x * x + y * y;
-    double upper = 1 + r2 * (lens->k1 + r2 * (lens->k2 + r2 * lens->k3));
-    double lower = 1 + r2 * (lens->k4 + r2 * (lens->k5 + r2 * lens->k6));
-    double upper_slope = lens->k1 + r2 * (2 * lens->k2 + r2 * 3 * lens->k3);
-    double lower_slope = lens->k4 + r2 * (2 * lens->k5 + r2 * 3 * lens->k6);
-    double radial = upper / lower, grow = 2 * (upper_slope - radial * lower_slope) / lower;
+    double radial = 1 + r2 * (lens->k1 + r2 * (lens->k2 + r2 * lens->k3));
+    double grow = 2 * (lens->k1 + r2 * (2 * lens->k2 + r2 * 3 * lens->k3));
+    if (lens->k4 != 0 || lens->k5 != 0 || lens->k6 != 0) {
+        double part = 1 / (1 + r2 * (lens->k4 + r2 * (lens->k5 + r2 * lens->k6)));
+        radial *= part;
+        grow = part * (grow - 2 * radial * (lens->k4 + r2 * (2 * lens->k5 + r2 * 3 * lens->k6)));
+    }
     at[0] = x * radial + 2 * lens->p1 * x * y + lens->p2 * (r2 + 2 * x * x);
     at[1] = y * radial + lens->p1 * (r2 + 2 * y * y) + 2 * lens->p2 * x * y;
     slope[0] = radial + x * x * grow + 2 * lens->p1 * y + 6 * lens->p2 * x;
@@ -24,16 +26,17 @@ static void distort(const Lens *lens, double x, double y, double at[2], double s
 void undistort(const Lens *lens, double *x, double *y, size_t n) {
     /* Neighbours on a stripe are shifted alike: the shifts of the two points before are continued. */
     double shift_x = 0, shift_y = 0, before_x = 0, before_y = 0;
+    double per_x = 1 / lens->fx, per_y = 1 / lens->fy;
     for (size_t i = 0; i < n; i++) {
-        double goal_x = (x[i] - lens->cx) / lens->fx, goal_y = (y[i] - lens->cy) / lens->fy;
+        double goal_x = (x[i] - lens->cx) * per_x, goal_y = (y[i] - lens->cy) * per_y;
         double u = goal_x + 2 * shift_x - before_x, v = goal_y + 2 * shift_y - before_y;
         for (int step = 0; step < MOST_STEPS; step++) {
             double at[2], slope[3];
             distort(lens, u, v, at, slope);
             double off_x = at[0] - goal_x, off_y = at[1] - goal_y;
-            double determinant = slope[0] * slope[2] - slope[1] * slope[1];
-            double move_x = (slope[2] * off_x - slope[1] * off_y) / determinant;
-            double move_y = (slope[0] * off_y - slope[1] * off_x) / determinant;
+            double part = 1 / (slope[0] * slope[2] - slope[1] * slope[1]);
+            double move_x = part * (slope[2] * off_x - slope[1] * off_y);
+            double move_y = part * (slope[0] * off_y - slope[1] * off_x);
             u -= move_x;
             v -= move_y;
             if (!(fabs(move_x) + fabs(move_y) > CLOSE)) break;

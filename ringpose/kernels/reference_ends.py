@@ -202,14 +202,14 @@ def _best_edge(
     """
     coarse = np.arange(-12, 13) * 0.5
     cost = [_cost(along, amplitude, headroom, spread, at, 0.8 * sigma)[0] for at in coarse]
-    fine = coarse[int(np.argmin(cost))] + np.arange(-15, 16) * 0.05
+    fine = coarse[int(np.argmin(cost))] + np.arange(-7, 8) * 0.1
     least, best = math.inf, (0.0, sigma, 0.0)
     for share in (0.45, 0.6, 0.8, 1.0):
         found = [_cost(along, amplitude, headroom, spread, at, share * sigma) for at in fine]
         k = int(np.argmin([each[0] for each in found]))
         if found[k][0] < least:
             shift = _parabola([found[j][0] for j in (k - 1, k, k + 1)]) if 0 < k < len(fine) - 1 else 0.0
-            least, best = found[k][0], (float(fine[k] + 0.05 * shift), share * sigma, found[k][1])
+            least, best = found[k][0], (float(fine[k] + 0.1 * shift), share * sigma, found[k][1])
     return best
 
 

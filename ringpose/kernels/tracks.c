@@ -110,23 +110,20 @@ static void fit(Draft *draft, const Work *work) {
     gather(draft, work->centers->y, y);
     track->middle_x = track->middle_y = track->slope = 0;
     for (int round = 0; round < 2; round++) {
-        double count = 0, sum_x = 0, sum_y = 0, xx = 0, xy = 0;
-        double old_x = track->middle_x, old_y = track->middle_y, old_slope = track->slope;
-        for (size_t i = 0; i < n; i++)
-            if (round == 0 || fabs(y[i] - old_y - old_slope * (x[i] - old_x)) < limit) {
-                count += 1;
-                sum_x += x[i];
-                sum_y += y[i];
-            }
-        track->middle_x = sum_x / count;
-        track->middle_y = sum_y / count;
-        for (size_t i = 0; i < n; i++)
-            if (round == 0 || fabs(y[i] - old_y - old_slope * (x[i] - old_x)) < limit) {
-                double dx = x[i] - track->middle_x;
-                xx += dx * dx;
-                xy += dx * (y[i] - track->middle_y);
-            }
-        track->slope = xy / xx;
+        double count = 0, sum_x = 0, sum_y = 0, xx = 0, xy = 0, origin_x = x[n / 2], origin_y = y[n / 2];
+        double lean = track->slope, shift = origin_y - track->middle_y - lean * (origin_x - track->middle_x);
+        for (size_t i = 0; i < n; i++) {
+            double dx = x[i] - origin_x, dy = y[i] - origin_y;
+            if (round > 0 && !(fabs(dy + shift - lean * dx) < limit)) continue;
+            count += 1;
+            sum_x += dx;
+            sum_y += dy;
+            xx += dx * dx;
+            xy += dx * dy;
+        }
+        track->slope = (xy - sum_x * sum_y / count) / (xx - sum_x * sum_x / count);
+        track->middle_x = origin_x + sum_x / count;
+        track->middle_y = origin_y + sum_y / count;
         for (size_t i = 0; i < n; i++) r[i] = fabs(y[i] - track->middle_y - track->slope * (x[i] - track->middle_x));
         track->scatter = fmax(1.4826 * median(r, n), 0.01);
         limit = 3 * track->scatter;
