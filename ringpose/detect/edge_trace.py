@@ -27,6 +27,9 @@ WIDER = 0.3
 OBLIQUE = 3.0
 """Most by which foreshortening and depth shrink an error across the edge in the image."""
 
+DETOUR = 1.3
+"""Length of an arc from the stripes to the farthest corner of the image, over the distance."""
+
 NUDGE_M = 1e-4
 """Step off the face that tells metres a pixel."""
 
@@ -59,9 +62,10 @@ def edge_trace(
     """Places about `spacing_px` apart along both edges, where these are predicted to `sigma_px`."""
     camera = rig.camera
     size = np.array([camera.image_width, camera.image_height])
-    count = int(np.hypot(*size) / spacing_px)
-    number = np.arange(-count, count + 1, dtype=np.float64)
     metres_per_px = arcs.origin[2] / camera.camera_matrix[0, 0]
+    middle = np.abs(project_undistorted(arcs.origin, camera) - size / 2)
+    count = int(DETOUR * np.hypot(*(middle + size / 2)) / spacing_px)
+    number = np.arange(-count, count + 1, dtype=np.float64)
     number = number[np.abs(arcs.curvature * number * spacing_px * metres_per_px) < HALF_TURN]
     side, number = np.repeat([1.0, -1.0], len(number)), np.tile(number, 2)
     point, outward = arc_points(arcs, number * spacing_px * metres_per_px, side)

@@ -31,22 +31,22 @@ class StripeSource(StrEnum):
     """The paper's line segments along both edges of each stripe."""
 
 
-def detect(shot: Shot, rig: Rig, source: StripeSource = StripeSource.CENTERS) -> Detection:
-    """Stripes and break points of a shot; a shot without break points says why."""
+def detect(shot: Shot, rig: Rig, source: StripeSource = StripeSource.CENTERS, *, edges: bool = True) -> Detection:
+    """Stripes, break points and (unless `edges` is false) the ring's visible edges; no break points say why."""
     images = laser_images(shot, len(rig.lasers.names))
     if not images:
         return Detection(shot=shot.name, stamp_s=shot.measured_at_s, break_points=NoBreakPoints.NO_LASER_FRAME)
     stripes, segments = _all_stripes(images, source)
-    found, edges = _found(stripes, images, rig, shot.saturation_dn), None
-    if isinstance(found, BreakPoints) and source is StripeSource.CENTERS:
-        found, edges = shown_edges(found, shot, stripes, rig)
+    found, ring_edges = _found(stripes, images, rig, shot.saturation_dn), None
+    if edges and isinstance(found, BreakPoints) and source is StripeSource.CENTERS:
+        found, ring_edges = shown_edges(found, shot, stripes, rig)
     return Detection(
         shot=shot.name,
         stamp_s=shot.measured_at_s,
         break_points=found,
         stripes=stripes,
         segments=segments,
-        ring_edges=edges,
+        ring_edges=ring_edges,
     )
 
 

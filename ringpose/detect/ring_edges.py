@@ -55,6 +55,9 @@ STEP_SIGMAS = 5.0
 STEP_DN = 2.0
 """Nor is one of fewer grey values: rounding to whole ones moves it."""
 
+LEAST_SHARE = 0.05
+"""Where fewer of the predicted places show a step there is no edge to follow."""
+
 CLUTTER = 2.5
 """Steps are trusted as if their sigmas were so many times larger: what lies beyond the edge is no even ground."""
 
@@ -113,7 +116,10 @@ def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundE
     evidence = stripe_evidence(break_points, rig)
     if evidence is None:
         return None
-    arcs, covariance = followed_arcs(evidence, frame, rig)
+    followed = followed_arcs(evidence, frame, rig)
+    if followed is None:
+        return None
+    arcs, covariance = followed
     trace = clear_of(frame.stripes_px, edge_trace(arcs, covariance, rig, ALONG_PX, PREDICTED_SIGMA_PX))
     profiles = edge_profiles(frame.image, trace.place_px, trace.normal, REACH_PX, frame.saturation_dn)
     steps = edge_steps(profiles, REACH_PX, blur_px(profiles))
@@ -144,8 +150,8 @@ def named_by_curvature(break_points: BreakPoints, found: FoundEdges) -> tuple[Br
 
 def followed_arcs(
     evidence: StripeEvidence, frame: EdgeImage, rig: Rig
-) -> tuple[RingArcs, Float64[Array, "state=7 state=7"]]:
-    """The ring's edges as far as they can be followed from the stripes, and their covariance."""
+) -> tuple[RingArcs, Float64[Array, "state=7 state=7"]] | None:
+    """The ring's edges as far as they can be followed from the stripes, and their covariance; None if not at all."""
     arcs, covariance = fitted_arcs(evidence.start, evidence, NO_SIGHTS, 5, np.inf)
     reached = 0
     for _ in range(ROUNDS):
@@ -157,6 +163,8 @@ def followed_arcs(
         profiles = edge_profiles(frame.image, trace.place_px, trace.normal, WALK_REACH_PX, frame.saturation_dn)
         steps = edge_steps(profiles, WALK_REACH_PX, BLUR_PX)
         seen = clear_steps(steps)
+        if np.count_nonzero(seen) < LEAST_SHARE * len(seen):
+            return None
         sights = trusted_sights(chosen(trace, seen), steps.offset_px[seen], steps.sigma_px[seen])
         arcs, covariance = fitted_arcs(arcs, evidence, sights, 2)
     return arcs, covariance
