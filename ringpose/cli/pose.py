@@ -23,7 +23,7 @@ Frame = Annotated[PoseFrame, typer.Option("--frame", help="Frame of the vectors;
 def pose(
     inputs: Inputs,
     rig: RigFile,
-    method: PoseMethod = Method.PAPER_CONSTRAINED,
+    method: PoseMethod = Method.ML,
     frame: Frame = PoseFrame.CAMERA,
     channel: ImageChannel = None,
     verbose: Verbose = False,
@@ -59,21 +59,23 @@ def pose_line(source: "Shot | Detection", rig: "Rig", method: Method, frame: Pos
     """The pose of one shot, or the reason why it has none, and how long that took."""
     from ringpose.pose.other_frame import pose_in_frame
     from ringpose.pose.pipeline import estimate_pose
-    from ringpose.types.break_points import BreakPoints, Detection
+    from ringpose.types.break_points import BreakPoints, Detection, NoBreakPoints
     from ringpose.types.pose_line import PoseLine
-    from ringpose.types.ring_pose import RingPose
+    from ringpose.types.ring_pose import NoPose, RingPose
 
     start_s = perf_counter()
     detection = source if isinstance(source, Detection) else detection_of(source, rig)
     points = detection.break_points
-    result = estimate_pose(points, rig, method) if isinstance(points, BreakPoints) else points
+    result: RingPose | NoPose | NoBreakPoints = (
+        estimate_pose(points, rig, method, detection.ring_edges) if isinstance(points, BreakPoints) else points
+    )
     if isinstance(result, RingPose) and frame is PoseFrame.TOOL and rig.tool_from_camera is not None:
         result = pose_in_frame(result, rig.tool_from_camera)
     return PoseLine(
         shot=detection.shot,
         stamp_s=detection.stamp_s,
         pose=result if isinstance(result, RingPose) else None,
-        reason=None if isinstance(result, RingPose) else result.value,
+        reason=(result.remark or None) if isinstance(result, RingPose) else result.value,
         frame=frame.value,
         latency_s=perf_counter() - start_s,
         rig=rig.sha256,

@@ -93,7 +93,7 @@ def _pose_values(pose: RingPose) -> dict[str, Any]:
         "radius_outer_m": pose.radius_outer_m,
         "grasp_m": _whole(pose.grasp_m),
         "covariance": _covariance_values(pose),
-        "ring_posterior": None,
+        "ring_posterior": None if pose.ring_posterior is None else dict(pose.ring_posterior),
         "method": pose.method,
         "residual_rms_px": pose.residual_rms_px,
         "condition": pose.condition,
@@ -128,6 +128,7 @@ def _pose_of(fields: Fields, flags: PoseFlag) -> RingPose:
         covariance_center_m2=_matrix(covariance, "center", 3),
         covariance_grasp_m2=_matrix(covariance, "grasp", 3),
         flags=flags,
+        ring_posterior=_posterior(fields) if fields.has("ring_posterior") else None,
     )
 
 
@@ -139,6 +140,11 @@ def _flags(fields: Fields) -> PoseFlag:
             raise fields.problem("flags", f"unknown flag {name!r}")
         flags |= known[name]
     return flags
+
+
+def _posterior(fields: Fields) -> dict[str, float]:
+    shares = fields.fields("ring_posterior")
+    return {name: shares.number(name, least=0, most=1) for name in shares.values}
 
 
 def _laser_health(fields: Fields) -> dict[str, float]:

@@ -6,5 +6,6 @@ from enum import StrEnum
 class Method(StrEnum):
     """How the pose is computed."""
 
+    ML = "ml"
     PAPER = "paper"
     PAPER_CONSTRAINED = "paper-constrained"

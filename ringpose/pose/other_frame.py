@@ -16,7 +16,8 @@ def pose_in_frame(pose: RingPose, frame_from_camera: Float64[Array, "4 4"]) -> R
     The tilt basis of the seven parameters is that of the normal in the new frame; radii stay as they are.
     """
     rotation, translation = frame_from_camera[:3, :3], frame_from_camera[:3, 3]
-    jacobian = _parameters_from_camera(pose.normal, rotation, translation)
+    known = bool(np.isfinite(pose.normal).all())
+    jacobian = _parameters_from_camera(pose.normal, rotation, translation) if known else np.eye(7)
     return replace(
         pose,
         center_m=rotation @ pose.center_m + translation,
@@ -45,4 +46,9 @@ def _parameters_from_camera(
 
 
 def _carried(jacobian: Float64[Array, "n n"], covariance: Float64[Array, "n n"] | None) -> Float64[Array, "n n"] | None:
-    return None if covariance is None else jacobian @ covariance @ jacobian.T
+    """What is unknown stays so, and spoils nothing else: what is known in one frame is in the other."""
+    if covariance is None:
+        return None
+    unknown = covariance != covariance
+    carried = jacobian @ np.where(unknown, 0.0, covariance) @ jacobian.T
+    return np.where(unknown, np.nan, carried)

@@ -1,18 +1,22 @@
-"""Break points -> pose of the ring: section 4 of MATH.md, in its order."""
+"""Break points -> pose of the ring: sections 4 (the paper's closed form) and 5 (the most likely ring) of MATH.md."""
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from ringpose.pose.closed_form import ClosedForm
 from ringpose.pose.constrained import constrained_form
 from ringpose.pose.method import Method as Method
+from ringpose.pose.most_likely import most_likely_pose
 from ringpose.pose.observability import pose_flags, why_undetermined, why_unusable
 from ringpose.pose.paper import paper_form
 from ringpose.pose.point_covariance import point_covariance
 from ringpose.pose.residuals import prediction_rms_px
 from ringpose.pose.triangulate import triangulated
 from ringpose.pose.uncertainty import PoseCovariance, pose_covariance
-from ringpose.types.break_points import BreakPoints
+from ringpose.types.break_points import BreakPoints, RingEdgePoints
 from ringpose.types.rig import Rig
+from ringpose.types.ring import KnownRadii, Ring
 from ringpose.types.ring_points import RingPoints
 from ringpose.types.ring_pose import NoPose, RingPose
 
@@ -20,11 +24,27 @@ FORMS = {Method.PAPER: paper_form, Method.PAPER_CONSTRAINED: constrained_form}
 """The closed form of each method."""
 
 
-def estimate_pose(break_points: BreakPoints, rig: Rig, method: Method = Method.PAPER_CONSTRAINED) -> RingPose | NoPose:
+def estimate_pose(
+    break_points: BreakPoints,
+    rig: Rig,
+    method: Method = Method.ML,
+    ring_edges: RingEdgePoints | None = None,
+    known: KnownRadii | Sequence[Ring] | None = None,
+) -> RingPose | NoPose:
     """Pose of the ring in the camera frame, or the reason why there is none.
 
-    Its covariances are None if a seen break point's covariance is NaN.
+    Its covariances are None if a seen break point's covariance is NaN. `known` is the ring's size or a catalogue of
+    rings of which it may be one; the paper's methods have no use for it, nor for visible edges.
     """
+    if method is Method.ML:
+        return most_likely_pose(break_points, rig, ring_edges, known)
+    return closed_form_pose(break_points, rig, method)
+
+
+def closed_form_pose(
+    break_points: BreakPoints, rig: Rig, method: Method = Method.PAPER_CONSTRAINED
+) -> RingPose | NoPose:
+    """The same by one of the paper's methods."""
     points = triangulated(break_points, rig)
     undetermined = why_undetermined(points, break_points)
     if undetermined is not None:

@@ -19,7 +19,7 @@ class PoseLine:
     stamp_s: float
     pose: RingPose | None
     reason: str | None = None
-    """Why there is no pose; None where there is one."""
+    """Why there is no pose; of a pose what contradicts it, None if nothing does."""
     frame: PoseFrame = "camera"
     """The frame of the pose's vectors."""
     laser_health: Mapping[str, float] = field(default_factory=dict)

@@ -1,5 +1,6 @@
 """The answer: where the ring is, or why nobody knows."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum, IntFlag
 
@@ -16,6 +17,7 @@ class NoPose(Enum):
     UNTRIANGULATED = "a ray runs along its light plane or meets it behind the camera"
     COLLINEAR = "the break points lie on one line within their errors, which no plane determines"
     EDGE_ON = "the ring's plane passes through the camera: its face cannot be seen"
+    UNDETERMINED = "neither the ring's plane nor a point to grasp is determined by what was seen"
     NOT_FINITE = "the solution misses the break points that it came from, as when the ring lies along a light plane"
 
 
@@ -26,6 +28,20 @@ class PoseFlag(IntFlag):
     RADIUS_WEAK = 2
     DAMPED = 4
     """The closed form was near singular; damped least squares pulled the centre towards the points."""
+    NORMAL_WEAK = 8
+    """One stripe leaves the tilt about it open: grasp point without a normal."""
+    SIDE_UNKNOWN = 16
+    """Inner and outer edge could not be told apart: the centre may lie on either side."""
+    POINT_LEFT_OUT = 32
+    """A break point contradicts the others and was left out."""
+    STRIPE_LEFT_OUT = 64
+    """A laser's stripe contradicts the others and was left out."""
+    RELABELLED = 128
+    """The stripes fit one ring only if they belong to other lasers than was said."""
+    RADIUS_DISAGREES = 256
+    """The ring that was seen has not the radii that were said; they were left out."""
+    INCONSISTENT = 512
+    """What was seen disagrees with one ring by more than its errors; the covariance is widened accordingly."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -33,8 +49,9 @@ class RingPose:
     """Pose of the ring in the camera frame, in metres."""
 
     center_m: Float64[Array, "xyz=3"]
+    """NaN if it is not determined."""
     normal: Float64[Array, "xyz=3"]
-    """Unit normal of the ring's plane, towards the camera (the paper's Z_b)."""
+    """Unit normal of the ring's plane, towards the camera (the paper's Z_b); NaN if it is not determined."""
     radius_inner_m: float
     radius_outer_m: float
     """NaN where that edge was not seen."""
@@ -45,11 +62,12 @@ class RingPose:
     """
     method: str
     condition: float
-    """Of the equations for the centre, rows scaled to unit length."""
+    """Of the equations: in `ml` for everything, columns scaled to unit length; else for the centre, rows scaled."""
     residual_rms_px: float
     """Distance of the break points from those that the pose predicts."""
     covariance: Float64[Array, "7 7"] | None = None
-    """Of tilt_1, tilt_2, offset_m, center_1_m, center_2_m, radius_inner_m, radius_outer_m; NaN for an unseen radius.
+    """Of tilt_1, tilt_2, offset_m, center_1_m, center_2_m, radius_inner_m, radius_outer_m; NaN in rows and
+    columns of what is not determined.
 
     Plane: normal(tilt) . point = offset_m (`ringpose.geometry.rotations.tilted`). center_1_m and center_2_m are the
     centre's coordinates along the tilt basis of the estimated normal, which stays while the ring tilts.
@@ -57,6 +75,13 @@ class RingPose:
     covariance_center_m2: Float64[Array, "3 3"] | None = None
     covariance_grasp_m2: Float64[Array, "3 3"] | None = None
     flags: PoseFlag = PoseFlag(0)
+    remark: str = ""
+    """What to mind, in words; empty if nothing."""
+    ring_posterior: Mapping[str, float] | None = None
+    """Probability of each ring of a catalogue, `none of these` among them; None without a catalogue."""
+    stripe_deviation: Float64[Array, "laser 2"] | None = None
+    """How far each laser's stripe is from where the other lasers' stripes put the ring, in standard deviations of that
+    difference: its line's middle up and down, its slope. NaN for a laser without a stripe to compare."""
 
     @property
     def pitch_rad(self) -> float:

@@ -281,6 +281,8 @@ def test_a_data_set_is_measured_by_every_method(data_set, capsys):
     report = json.loads(capsys.readouterr().out)
     assert status == 0
     assert {(shot["method"], shot["shot"], shot["outcome"] == "partial") for shot in report["shots"]} == {
+        ("ml", "B_z0500_p01_dim", False),
+        ("ml", "V03_occl_B500_dim", True),
         ("paper", "B_z0500_p01_dim", False),
         ("paper", "V03_occl_B500_dim", True),
         ("paper-constrained", "B_z0500_p01_dim", False),

@@ -65,6 +65,8 @@ def test_line_with_everything_fits_the_schema(pose):
         {"center_m": np.full(3, math.nan)},
         {"grasp_m": np.full(3, math.nan), "covariance_grasp_m2": np.full((3, 3), math.nan)},
         {"flags": PoseFlag(0)},
+        {"normal": np.full(3, math.nan)},
+        {"ring_posterior": {"R597": 0.9, "none of these": 0.1}},
     ],
 )
 def test_line_of_a_pose_that_is_known_in_part_fits_the_schema(pose, changes):
@@ -80,7 +82,7 @@ def test_line_without_a_pose_fits_the_schema():
     [
         {"status": "none"},
         {"flags": []},
-        {"reason": "why"},
+        {"reason": ""},
         {"pose": None},
         {"more": 1},
         {"stamp_s": "now"},

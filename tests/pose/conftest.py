@@ -5,13 +5,13 @@ line is cut with the two circles by the formula for quadratic equations; OpenCV 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 import pytest
 
-from ringpose.types.break_points import BreakPoints
+from ringpose.types.break_points import BreakPoints, RingEdgePoints
 from ringpose.types.camera import Camera
 from ringpose.types.laser_planes import LaserPlanes
 from ringpose.types.rig import Rig
@@ -158,3 +158,61 @@ def scene_of() -> Callable[..., Scene]:
 def break_points_at() -> Callable[..., BreakPoints]:
     """Builds break points from an array of pixels."""
     return break_points_of
+
+
+def line_of_face(scene, laser):
+    """Undistorted pixels of the face's stripe at both edges, left one first: its line in the image."""
+    camera = scene.rig.camera
+    matrix = camera.camera_matrix
+    points = scene.points_m[laser]
+    straight = points[:, :2] / points[:, 2:] * [matrix[0, 0], matrix[1, 1]] + [matrix[0, 2], matrix[1, 2]]
+    return straight[np.argsort(straight[:, 0])]
+
+
+def face_points_of(scene, sigma_px, line_px, rng=None):
+    """Break points and the lines of the stripes between them; with a generator both have noise.
+
+    A line's middle errs by `line_px`, its ends by twice that with a correlation of -1/2, as those of a line fitted to
+    evenly spread centres do.
+    """
+    points = scene.break_points(sigma_px, rng)
+    lines = np.array([line_of_face(scene, laser) for laser in range(len(points.flags))])
+    if rng is not None:
+        middle, slope = line_px * rng.normal(size=(2, len(lines), 1))
+        lines[:, :, 1] += middle + np.sqrt(3.0) * slope * [-1.0, 1.0]
+    sigma = np.full((len(lines), 2), 2.0 * line_px)
+    return replace(points, face_start_px=lines[:, 0], face_end_px=lines[:, 1], face_sigma_px=sigma)
+
+
+def visible_edges_of(scene, count, sigma_px, rng=None):
+    """Points of both edges within 4 degrees of the middle stripe, seen across the edge."""
+    ring = scene.ring
+    inward = scene.points_m[1, 0] - ring.center_m
+    inward /= np.linalg.norm(inward)
+    along = np.cross(ring.normal, inward)
+    angle = np.linspace(-0.07, 0.07, count // 2)
+    radial = np.cos(angle)[:, None] * inward + np.sin(angle)[:, None] * along
+    places = [pixels_of(ring.center_m + radius * radial, scene.rig.camera) for radius in ring.radius_m]
+    position = np.concatenate(places)
+    tangent = np.concatenate([np.gradient(place, axis=0) for place in places])
+    normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1) / np.linalg.norm(tangent, axis=-1, keepdims=True)
+    if rng is not None:
+        position = position + sigma_px * rng.normal(size=len(position))[:, None] * normal
+    return RingEdgePoints(
+        position_px=position,
+        normal=normal,
+        sigma_px=np.full(len(position), sigma_px),
+        edge=np.repeat([0, 1], count // 2),
+    )
+
+
+@pytest.fixture(scope="session")
+def face_points() -> Callable[..., BreakPoints]:
+    """Builds break points with their stripes' lines: `face_points(scene, 0.3, 0.03, rng)`."""
+    return face_points_of
+
+
+@pytest.fixture(scope="session")
+def visible_edges() -> Callable[..., RingEdgePoints]:
+    """Builds visible edge points: `visible_edges(scene, 100, 0.3, rng)`."""
+    return visible_edges_of

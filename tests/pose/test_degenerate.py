@@ -9,10 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ringpose.errors import DataError
-from ringpose.pose.pipeline import Method, estimate_pose
+from ringpose.pose.pipeline import FORMS
+from ringpose.pose.pipeline import closed_form_pose as estimate_pose
 from ringpose.types.ring_pose import NoPose, PoseFlag, RingPose
 
-BOTH_METHODS = pytest.mark.parametrize("method", list(Method))
+BOTH_METHODS = pytest.mark.parametrize("method", list(FORMS))
 WITH_AND_WITHOUT_COVARIANCE = pytest.mark.parametrize("sigma_px", [np.nan, 0.3])
 
 

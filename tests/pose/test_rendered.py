@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 import yaml
 
-from ringpose.pose.pipeline import Method, estimate_pose
+from ringpose.pose.pipeline import FORMS, Method
+from ringpose.pose.pipeline import closed_form_pose as estimate_pose
 from ringpose.types.camera import Camera
 from ringpose.types.laser_planes import LaserPlanes
 from ringpose.types.rig import Rig
 from ringpose.types.ring_pose import NoPose
 
-BOTH_METHODS = pytest.mark.parametrize("method", list(Method))
+BOTH_METHODS = pytest.mark.parametrize("method", list(FORMS))
 FOLDERS = pytest.mark.parametrize("folder", ["rig_a", "rig_b", "variants_a", "variants_b"])
 ROUNDING_SIGMA_PX = 1e-4 / np.sqrt(12)
 

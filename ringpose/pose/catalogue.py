@@ -1,0 +1,60 @@
+"""Which ring of a catalogue was seen, if any."""
+
+from collections.abc import Mapping, Sequence
+from math import exp, log, pi, sqrt
+
+import numpy as np
+from jaxtyping import Float64
+
+from ringpose.types.arrays import Array
+from ringpose.types.ring import KnownRadii, Ring
+
+NONE_OF_THESE = "none of these"
+"""The name of the answer that it is another ring."""
+
+LIKELY_ENOUGH = 0.95
+"""Probability from which a ring's radii are used; below it the radii stay unknown."""
+
+RADIUS_FROM_M, RADIUS_TO_M = 0.2, 2.0
+BAND_FROM_M, BAND_TO_M = 0.005, 0.2
+"""What a ring that is in no catalogue may be like, every size as likely as its double."""
+
+
+def ring_posterior(
+    curvature: float, band_m: float, covariance: Float64[Array, "2 2"], rings: Sequence[Ring]
+) -> Mapping[str, float]:
+    """Probability of each ring, given the curvature and the band's width of a pose without known radii.
+
+    Curvature and width err like Gaussians even where the radii do not. An interval of the catalogue counts as a
+    Gaussian of the same standard deviation; all rings, and that it is none of them, are as likely beforehand.
+    """
+    logs = {NONE_OF_THESE: _log_density_of_any(curvature, band_m, sqrt(float(covariance[0, 0])))}
+    logs |= {ring.name: _log_density(curvature, band_m, covariance, ring.known_radii) for ring in rings}
+    largest = max(logs.values())
+    shares = {name: exp(value - largest) for name, value in logs.items()}
+    total = sum(shares.values())
+    return {name: share / total for name, share in shares.items()}
+
+
+def likely_ring(posterior: Mapping[str, float], rings: Sequence[Ring]) -> Ring | None:
+    """The ring that it is by all likelihood; None if that is open, or none of these."""
+    return next((ring for ring in rings if posterior[ring.name] > LIKELY_ENOUGH), None)
+
+
+def _log_density(curvature: float, band_m: float, covariance: Float64[Array, "2 2"], known: KnownRadii) -> float:
+    """Of what was measured, if it is a ring of these radii."""
+    inner_m, outer_m = known.radius_m.tolist()
+    expected = np.array([2.0 / (inner_m + outer_m), outer_m - inner_m])
+    by_radius = np.array([[-0.5 * expected[0] ** 2, -0.5 * expected[0] ** 2], [-1.0, 1.0]])
+    spread = covariance + by_radius @ np.diag(known.sd_m**2) @ by_radius.T
+    error = np.array([curvature, band_m]) - expected
+    return float(-0.5 * error @ np.linalg.solve(spread, error) - 0.5 * log(np.linalg.det(spread)) - log(2 * pi))
+
+
+def _log_density_of_any(curvature: float, band_m: float, sd: float) -> float:
+    """Of what was measured, if it is any ring."""
+    logs = np.linspace(log(1 / RADIUS_TO_M), log(1 / RADIUS_FROM_M), 400)
+    likelihood = np.exp(-0.5 * np.minimum(((np.exp(logs) - curvature) / sd) ** 2, 1400.0)) / (sd * sqrt(2 * pi))
+    bend = max(float(likelihood.mean()), 1e-300)
+    inside = BAND_FROM_M < band_m < BAND_TO_M
+    return log(bend) + (-log(band_m * log(BAND_TO_M / BAND_FROM_M)) if inside else -700.0)

@@ -1,0 +1,193 @@
+"""What contradicts the rest: a wrong break point, a stripe on something else, exchanged lasers, wrong radii.
+
+Six break points and three stripes are twelve numbers for seven unknowns. If these disagree by more than chance
+allows, the shot is solved again without each of its parts; the part whose absence heals the fit by far more than
+chance is left out. If two parts would do equally well, none is: the fit stays, and says so.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import permutations
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from ringpose.pose.likelihood import Fit, fitted
+from ringpose.pose.measurements import Measurements
+from ringpose.pose.residual_rows import Beforehand
+from ringpose.pose.rig_errors import RigErrors
+from ringpose.pose.ring_model import PARAMETERS
+from ringpose.types.arrays import EDGES
+from ringpose.types.rig import Rig
+from ringpose.types.ring_pose import PoseFlag
+
+ALARM_SIGMAS = 3.7
+"""One shot in ten thousand is beyond it by chance."""
+
+PRICE_OF_A_NUMBER = 2.0
+"""What leaving out one number must lower the sum of squares by, besides what it lowers anyway."""
+
+PRICE_OF_A_SUSPICION = 12.0
+"""The same for any suspicion at all: a factor of 400 in likelihood."""
+
+PRICE_OF_A_LABEL = 30.0
+"""For distrusting lasers that were switched one by one."""
+
+CLEARLY = 6.0
+"""By how much the best explanation must beat another kind of it: a factor of 20 in likelihood."""
+
+
+class Explanation(NamedTuple):
+    """What was left out or changed, and the fit that it leads to."""
+
+    measured: Measurements
+    before: Beforehand
+    fit: Fit
+    flag: PoseFlag
+    remark: str
+    price: float
+    """Of the suspicion, in squared standard deviations."""
+    laser: int = -1
+    """Whose break point it is that was left out."""
+    both: bool = False
+    """Whether both of them were."""
+
+    @property
+    def score(self) -> float:
+        """Cost and price: less is better."""
+        return own_cost(self.fit, self.measured) + self.price
+
+
+def explained(
+    measured: Measurements, rig: Rig, before: Beforehand, errors: RigErrors | None, labelled: bool
+) -> Explanation | None:
+    """The fit of everything, or of all but what contradicts the rest; None if nothing can be fitted."""
+    fit = fitted(measured, rig, before, errors)
+    everything = None if fit is None else Explanation(measured, before, fit, PoseFlag(0), "", 0.0)
+    if everything is not None and not disagrees(everything.fit, measured, before):
+        return everything
+    tried = []
+    for suspicion in _suspicions(measured, rig, before, labelled):
+        other = fitted(suspicion.measured, rig, suspicion.before, errors)
+        if other is not None and other.state.curvature > 0:
+            tried.append(Explanation(fit=other, **suspicion._asdict()))
+    best = _clearest(tried)
+    if best is not None and (everything is None or best.score < everything.score):
+        return best
+    remark = "what was seen disagrees with one ring by more than its errors, and no single part is to blame"
+    return None if everything is None else everything._replace(flag=PoseFlag.INCONSISTENT, remark=remark)
+
+
+def _clearest(tried: list[Explanation]) -> Explanation | None:
+    """The best explanation if it beats the others clearly.
+
+    Of two ends of one stripe that would do equally well (another curvature makes the other end look wrong), both are
+    left out.
+    """
+    near = sorted(tried, key=lambda each: each.score)
+    near = [each for each in near if each.score < near[0].score + CLEARLY]
+    lasers = {each.laser for each in near}
+    if len(near) > 1 and len(lasers) == 1 and -1 not in lasers:
+        return next((each for each in tried if each.flag == near[0].flag and each.both and each.laser in lasers), None)
+    return near[0] if len(near) == 1 else None
+
+
+def own_cost(fit: Fit, measured: Measurements) -> float:
+    """Sum of squares of stripes, break points, radii and rig; of visible edges there are too many to weigh here."""
+    squares = np.minimum(fit.residual**2, 1e6)
+    first = _count(measured)
+    edges = float(squares[first : first + len(measured.edges.edge)].sum())
+    return float(squares.sum()) - edges + (0.0 if fit.rig_step is None else float(fit.rig_step @ fit.rig_step))
+
+
+def freedom(fit: Fit, measured: Measurements, before: Beforehand) -> int:
+    """How many numbers there are to spare; none if the shot leaves something open."""
+    if before.weak_about is not None or fit.weak:
+        return 0
+    radii = 0 if before.radii is None else int(np.isfinite(before.radii.radius_m).sum())
+    return max(_count(measured) + radii - PARAMETERS, 0)
+
+
+def disagrees(fit: Fit, measured: Measurements, before: Beforehand) -> bool:
+    """Whether the residuals are larger than chance allows (Wilson and Hilferty's chi-squared)."""
+    spare = freedom(fit, measured, before)
+    if not spare:
+        return False
+    limit = spare * (1.0 - 2.0 / (9.0 * spare) + ALARM_SIGMAS * sqrt(2.0 / (9.0 * spare))) ** 3
+    return own_cost(fit, measured) > limit
+
+
+def _count(measured: Measurements) -> int:
+    """Numbers that stripes and break points give."""
+    return 2 * len(measured.lines.laser) + len(measured.points.laser) + int(measured.points.alone.sum())
+
+
+class Suspicion(NamedTuple):
+    """An explanation before it is tried."""
+
+    measured: Measurements
+    before: Beforehand
+    flag: PoseFlag
+    remark: str
+    price: float
+    laser: int = -1
+    both: bool = False
+
+
+def _suspicions(measured: Measurements, rig: Rig, before: Beforehand, labelled: bool) -> Iterator[Suspicion]:
+    yield from _wrong_points(measured, rig, before)
+    yield from _wrong_stripes(measured, rig, before)
+    yield from _wrong_labels(measured, rig, before, labelled)
+    if before.radii is not None:
+        remark = "the ring that was seen does not have the radii that were said; they were left out"
+        numbers = float(np.isfinite(before.radii.radius_m).sum())
+        price = PRICE_OF_A_SUSPICION + PRICE_OF_A_NUMBER * numbers
+        yield Suspicion(measured, before._replace(radii=None), PoseFlag.RADIUS_DISAGREES, remark, price)
+
+
+def _wrong_points(measured: Measurements, rig: Rig, before: Beforehand) -> Iterator[Suspicion]:
+    points, flag = measured.points, PoseFlag.POINT_LEFT_OUT
+    for laser in sorted(set(points.laser.tolist())):
+        own, name = np.flatnonzero(points.laser == laser), rig.lasers.names[laser]
+        for number in own.tolist():
+            keep = np.arange(len(points.laser)) != number
+            which = f"the {EDGES[points.edge[number]]} break point of laser {name}"
+            remark = f"{which} contradicts the others and was left out"
+            price = PRICE_OF_A_SUSPICION + PRICE_OF_A_NUMBER
+            yield Suspicion(measured.with_points(keep), before, flag, remark, price, laser)
+        if len(own) > 1:
+            remark = f"a break point of laser {name} contradicts the others; both were left out"
+            price = PRICE_OF_A_SUSPICION + 2 * PRICE_OF_A_NUMBER + CLEARLY
+            yield Suspicion(measured.with_points(points.laser != laser), before, flag, remark, price, laser, True)
+
+
+def _wrong_stripes(measured: Measurements, rig: Rig, before: Beforehand) -> Iterator[Suspicion]:
+    seen = _seen(measured)
+    for laser in seen if len(seen) > 2 else []:
+        less = measured.without_laser(laser)
+        price = PRICE_OF_A_SUSPICION + PRICE_OF_A_NUMBER * (_count(measured) - _count(less))
+        remark = f"the stripe of laser {rig.lasers.names[laser]} contradicts the others and was left out"
+        yield Suspicion(less, before, PoseFlag.STRIPE_LEFT_OUT, remark, price)
+
+
+def _wrong_labels(measured: Measurements, rig: Rig, before: Beforehand, labelled: bool) -> Iterator[Suspicion]:
+    """Every other order of up to three lasers."""
+    seen, names = _seen(measured), rig.lasers.names
+    for order in permutations(seen) if len(seen) <= 3 else []:
+        if list(order) != seen:
+            changed = measured.relabelled(dict(zip(seen, order, strict=True)))
+            said, fits = (", ".join(names[laser] for laser in lasers) for lasers in (seen, order))
+            remark = f"the stripes fit one ring only as those of lasers {fits}, not {said}"
+            price = PRICE_OF_A_LABEL if labelled else PRICE_OF_A_SUSPICION
+            yield Suspicion(changed, before, PoseFlag.RELABELLED, remark, price)
+
+
+def _seen(measured: Measurements) -> list[int]:
+    return sorted({*measured.points.laser.tolist(), *measured.lines.laser.tolist()})
+
+
+def swapped(measured: Measurements) -> Measurements:
+    """Inner edges taken for outer ones and the reverse."""
+    points, edges = measured.points, measured.edges
+    return replace(measured, points=replace(points, edge=1 - points.edge), edges=replace(edges, edge=1 - edges.edge))

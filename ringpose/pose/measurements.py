@@ -1,0 +1,179 @@
+"""What the likelihood is made of: stripe lines, break points and ring edges in normalised undistorted coordinates.
+
+Normalised coordinates are those of rays (x, y, 1). Stripes run roughly along x, as the detector reads them: a line is
+measured by its ordinates, a break point by its abscissa.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float64, Int64
+
+from ringpose.errors import DataError
+from ringpose.geometry.rays import undistort
+from ringpose.types.arrays import Array
+from ringpose.types.break_points import BreakPoints, RingEdgePoints
+from ringpose.types.camera import Camera
+from ringpose.types.rig import Rig
+
+NOMINAL_SIGMA_PX = 0.3
+"""Of a break point that comes without a covariance: it weighs the points against each other and is told nobody."""
+
+LEAST_SIGMA_PX = 1e-6
+"""Of anything measured; less is rounding."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Lines:
+    """The stripes' lines on the ring's face, by their ordinates at the two ends."""
+
+    laser: Int64[Array, "line"]
+    x: Float64[Array, "line end=2"]
+    y: Float64[Array, "line end=2"]
+    whitening: Float64[Array, "line 2 end=2"]
+    """W with W^T W the inverse covariance of the two ordinates."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Points:
+    """Break points."""
+
+    laser: Int64[Array, "point"]
+    edge: Int64[Array, "point"]
+    x: Float64[Array, "point"]
+    y: Float64[Array, "point"]
+    covariance: Float64[Array, "point xy=2 xy=2"]
+    alone: Bool[Array, "point"]
+    """Whether no line of its stripe is known: its ordinate then counts; else the line knows it better."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Edges:
+    """Visible points of the ring's edges."""
+
+    edge: Int64[Array, "visible"]
+    ray: Float64[Array, "visible xyz=3"]
+    step: Float64[Array, "visible xy=2"]
+    """Displacement by one standard deviation, along the edge's normal in the image."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Measurements:
+    """All that was measured in one shot."""
+
+    lines: Lines
+    points: Points
+    edges: Edges
+    sure: bool
+    """Whether every break point came with its covariance."""
+
+    def with_points(self, keep: Bool[Array, "point"]) -> "Measurements":
+        """With these break points only."""
+        points = {name: getattr(self.points, name)[keep] for name in ("laser", "edge", "x", "y", "covariance", "alone")}
+        return replace(self, points=Points(**points))
+
+    def without_laser(self, laser: int) -> "Measurements":
+        """Without a laser's line and break points."""
+        keep = self.lines.laser != laser
+        lines = {name: getattr(self.lines, name)[keep] for name in ("laser", "x", "y", "whitening")}
+        return replace(self.with_points(self.points.laser != laser), lines=Lines(**lines))
+
+    def relabelled(self, laser_of: Mapping[int, int]) -> "Measurements":
+        """With stripes given to other lasers."""
+        lines = np.array([laser_of[laser] for laser in self.lines.laser.tolist()], dtype=np.int64)
+        points = np.array([laser_of[laser] for laser in self.points.laser.tolist()], dtype=np.int64)
+        return replace(self, lines=replace(self.lines, laser=lines), points=replace(self.points, laser=points))
+
+
+def measurements_of(break_points: BreakPoints, rig: Rig, ring_edges: RingEdgePoints | None = None) -> Measurements:
+    """The measurements of a detection."""
+    lasers, known = len(break_points.position_px), len(rig.lasers.normal)
+    if lasers != known:
+        raise DataError(
+            "break points", f"they are of {lasers} lasers, the rig has {known}", "use the rig that took the shots"
+        )
+    lines = _lines(break_points, rig.camera)
+    laser, edge = np.nonzero(break_points.seen)
+    covariance_px2 = break_points.covariance_px2[laser, edge]
+    sure = bool(np.isfinite(covariance_px2).all())
+    if not sure:
+        unknown = ~np.isfinite(covariance_px2).all(axis=(1, 2))
+        covariance_px2[unknown] = NOMINAL_SIGMA_PX**2 * np.eye(2)
+    xy = undistort(break_points.position_px[laser, edge], rig.camera)
+    by_pixel = rays_by_pixel(xy, rig.camera)
+    has_line = np.zeros(lasers, dtype=bool)
+    has_line[lines.laser] = True
+    points = Points(
+        laser=laser,
+        edge=edge,
+        x=xy[:, 0],
+        y=xy[:, 1],
+        covariance=by_pixel @ (covariance_px2 + LEAST_SIGMA_PX**2 * np.eye(2)) @ by_pixel.swapaxes(1, 2),
+        alone=~has_line[laser],
+    )
+    return Measurements(lines=lines, points=points, edges=_edges(ring_edges, rig.camera), sure=sure)
+
+
+def line_covariance(sigma: Float64[Array, "line end=2"]) -> Float64[Array, "line end=2 end=2"]:
+    """Joint covariance of the ordinates at both ends of a fitted line, whose standard deviations are given.
+
+    An ordinate at the share t of the line's length has the variance s^2 (1 + 12 (t - a)^2), for centres spread
+    evenly over the length; a, where the line is known best, follows from the two given ones (1/2 if they are
+    equal), and the covariance of the two ends is s^2 (1 - 12 a (1 - a)).
+    """
+    start, end = (sigma**2).T
+    bend, lean, level = 12.0 * (end - start), 24.0 * start, end - 13.0 * start
+    # the root that stays finite as the sigmas become equal
+    best = -2.0 * level / (lean + np.sqrt(np.maximum(lean**2 - 4.0 * bend * level, 0.0)))
+    best = np.clip(best, 0.0, 1.0)
+    middle = (start + end) / (2.0 + 12.0 * (best**2 + (1.0 - best) ** 2))
+    between = middle * (1.0 - 12.0 * best * (1.0 - best))
+    covariance: Float64[Array, "line end=2 end=2"] = np.stack([start, between, between, end], axis=-1)
+    return covariance.reshape(-1, 2, 2)
+
+
+def rays_by_pixel(xy: Float64[Array, "n xy=2"], camera: Camera) -> Float64[Array, "n 2 2"]:
+    """Derivatives of the normalised coordinates by the distorted pixel."""
+    by_ray, _ = pixels_by_ray_and_camera(xy, camera)
+    inverse: Float64[Array, "n 2 2"] = np.linalg.inv(by_ray)
+    return inverse
+
+
+def pixels_by_ray_and_camera(
+    xy: Float64[Array, "n xy=2"], camera: Camera
+) -> tuple[Float64[Array, "n 2 2"], Float64[Array, "n 2 parameter"]]:
+    """Derivatives of the distorted pixel by the normalised coordinates, and by fx, fy, cx, cy, k1, k2, ..."""
+    if not len(xy):
+        return np.empty((0, 2, 2)), np.empty((0, 2, 4 + len(camera.distortion_coefficients)))
+    rays = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
+    zero = np.zeros(3)
+    _, jacobian = cv2.projectPoints(rays, zero, zero, camera.camera_matrix, camera.distortion_coefficients)
+    by = np.asarray(jacobian, dtype=np.float64).reshape(len(xy), 2, -1)
+    return by[:, :, 3:5], by[:, :, 6:]  # after rotation 3: translation 3, of which two move the ray
+
+
+def _lines(break_points: BreakPoints, camera: Camera) -> Lines:
+    ends = np.stack([break_points.face_start_px, break_points.face_end_px], axis=1)
+    laser = np.flatnonzero(np.isfinite(ends.sum(axis=(1, 2)) + break_points.face_sigma_px.sum(axis=1)))
+    matrix = camera.camera_matrix
+    sigma = np.maximum(break_points.face_sigma_px[laser], LEAST_SIGMA_PX) / matrix[1, 1]
+    return Lines(
+        laser=laser,
+        x=(ends[laser, :, 0] - matrix[0, 2]) / matrix[0, 0],
+        y=(ends[laser, :, 1] - matrix[1, 2]) / matrix[1, 1],
+        whitening=np.linalg.inv(np.linalg.cholesky(line_covariance(sigma))),
+    )
+
+
+def _edges(ring_edges: RingEdgePoints | None, camera: Camera) -> Edges:
+    if ring_edges is None or not len(ring_edges.edge):
+        return Edges(edge=np.empty(0, dtype=np.int64), ray=np.empty((0, 3)), step=np.empty((0, 2)))
+    xy = undistort(ring_edges.position_px, camera)
+    step_px = ring_edges.normal * np.maximum(ring_edges.sigma_px, LEAST_SIGMA_PX)[:, None]
+    return Edges(
+        edge=ring_edges.edge,
+        ray=np.concatenate([xy, np.ones((len(xy), 1))], axis=1),
+        step=(rays_by_pixel(xy, camera) @ step_px[:, :, None])[:, :, 0],
+    )

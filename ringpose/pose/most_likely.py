@@ -1,0 +1,215 @@
+"""Method `ml`: the most likely ring with its covariance, and what of it is determined (MATH.md section 5)."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from ringpose.pose.catalogue import likely_ring, ring_posterior
+from ringpose.pose.consistency import Explanation, explained, freedom, own_cost, swapped
+from ringpose.pose.deviations import stripe_deviation
+from ringpose.pose.likelihood import Fit
+from ringpose.pose.likelihood_output import (
+    BEND,
+    CENTER,
+    GRASP,
+    RADII,
+    TILTS,
+    WIDTH,
+    Quantities,
+    covariance_of,
+    quantities,
+)
+from ringpose.pose.measurements import Measurements, measurements_of
+from ringpose.pose.method import Method
+from ringpose.pose.observability import (
+    EDGE_ON_BELOW,
+    TILT_SD_LIMIT_RAD,
+    WEAK_SD,
+    standard_deviation,
+)
+from ringpose.pose.residual_rows import Beforehand
+from ringpose.pose.rig_errors import rig_errors
+from ringpose.types.arrays import Array
+from ringpose.types.break_points import BreakPointFlag, BreakPoints, RingEdgePoints
+from ringpose.types.rig import Rig
+from ringpose.types.ring import KnownRadii, Ring
+from ringpose.types.ring_pose import NoPose, PoseFlag, RingPose
+
+UNKNOWN_FROM = 0.5
+"""Standard deviation of the curvature, as a share of it, from which the centre is not determined at all: one over a
+curvature that may be zero within two standard deviations has no error to speak of."""
+
+GRASP_UNKNOWN_FROM_M = 0.01
+"""Standard deviation of the grasp point, or of the band's width, from which nobody knows where the band is."""
+
+SIDE_MARGIN = 9.0
+"""By how much, in squared standard deviations, the better of two sides for the centre must fit: 3 sigma."""
+
+
+def most_likely_pose(
+    break_points: BreakPoints,
+    rig: Rig,
+    ring_edges: RingEdgePoints | None = None,
+    known: KnownRadii | Sequence[Ring] | None = None,
+) -> RingPose | NoPose:
+    """The most likely pose, or the reason why there is none; covariances are None if a break point's is NaN.
+
+    Of a catalogue the ring that it is by all likelihood lends its radii; if it may be several, or none of these, the
+    radii stay unknown.
+    """
+    measured = measurements_of(break_points, rig, ring_edges)
+    impossible = _why_impossible(measured, rig)
+    if impossible is not None:
+        return impossible
+    radii = known if isinstance(known, KnownRadii) else None
+    best, sure_of_side = _on_the_better_side(break_points, measured, rig, Beforehand(radii))
+    if best is None:
+        return NoPose.NOT_FINITE
+    if known is None or isinstance(known, KnownRadii):
+        return _pose(best, rig, sure_of_side)
+    posterior = _posterior(best, known)
+    ring = likely_ring(posterior, known)
+    if ring is not None:
+        with_radii = _on_the_better_side(break_points, measured, rig, Beforehand(ring.known_radii))
+        best, sure_of_side = (with_radii[0] or best), with_radii[1]
+    pose = _pose(best, rig, sure_of_side)
+    return pose if isinstance(pose, NoPose) else replace(pose, ring_posterior=posterior)
+
+
+def _posterior(best: Explanation, rings: Sequence[Ring]) -> Mapping[str, float]:
+    fit = best.fit
+    joint = covariance_of(fit, quantities(fit), best.measured)
+    return ring_posterior(abs(fit.state.curvature), fit.state.band_m, joint[BEND:, BEND:], rings)
+
+
+def _why_impossible(measured: Measurements, rig: Rig) -> NoPose | None:
+    points = measured.points
+    if not len(points.x):
+        return NoPose.TOO_FEW_BREAK_POINTS
+    if not bool(np.isfinite(points.x + points.y).all()):
+        return NoPose.UNTRIANGULATED
+    rays = np.stack([points.x, points.y, np.ones_like(points.x)], axis=-1)
+    cosine = (rays * rig.lasers.normal[points.laser]).sum(axis=1)
+    before_camera = rig.lasers.distance_m[points.laser] * cosine > 0
+    grazing = np.abs(cosine) < 1e-9 * np.sqrt((rays * rays).sum(axis=1))
+    return NoPose.UNTRIANGULATED if bool((grazing | ~before_camera).any()) else None
+
+
+def _on_the_better_side(
+    break_points: BreakPoints, measured: Measurements, rig: Rig, before: Beforehand
+) -> tuple[Explanation | None, bool]:
+    """The best explanation and whether its side is sure: guessed edges are tried both ways round."""
+    errors, labelled = rig_errors(rig), break_points.labelled
+    best = explained(measured, rig, before, errors, labelled)
+    guessed = bool((break_points.flags[break_points.seen] & int(BreakPointFlag.EDGE_UNKNOWN)).any())
+    if not guessed:
+        return best, True
+    other = explained(swapped(measured), rig, before, errors, labelled)
+    if best is None or other is None:
+        return best or other, True
+    first, second = sorted((best, other), key=_side_score)
+    return first, _side_score(second) - _side_score(first) > SIDE_MARGIN
+
+
+def _side_score(explanation: Explanation) -> float:
+    """Its score; a curvature below zero says by how many of its standard deviations it is on the wrong side."""
+    fit = explanation.fit
+    variance = float(np.linalg.inv(fit.normal_matrix + 1e-7 * np.eye(7))[5, 5])
+    return explanation.score + min(fit.state.curvature, 0.0) ** 2 / variance
+
+
+class Determined(NamedTuple):
+    """What of a fit is known well enough to be told."""
+
+    normal: bool
+    center: bool
+    grasp: bool
+    radius: Bool[Array, "edge=2"]
+
+
+def _determined(best: Explanation, joint: Float64[Array, "15 15"], sure_of_side: bool) -> Determined:
+    fit = best.fit
+    normal = standard_deviation(joint[TILTS, TILTS]) <= TILT_SD_LIMIT_RAD
+    bend = sqrt(joint[BEND, BEND]) < UNKNOWN_FROM * fit.state.curvature
+    across = np.stack([fit.state.outward, fit.state.normal])
+    grasp_sd_m = standard_deviation(across[:1] @ joint[GRASP, GRASP] @ across[:1].T)
+    edges = {*best.measured.points.edge.tolist(), *best.measured.edges.edge.tolist()}
+    told = sure_of_side or best.before.radii is not None
+    return Determined(
+        normal=normal,
+        center=normal and sure_of_side and bend,
+        grasp=max(grasp_sd_m, sqrt(joint[WIDTH, WIDTH])) <= GRASP_UNKNOWN_FROM_M,
+        radius=np.array([told and bend and (edge in edges or best.before.radii is not None) for edge in range(2)]),
+    )
+
+
+def _pose(best: Explanation, rig: Rig, sure_of_side: bool) -> RingPose | NoPose:
+    fit = best.fit
+    found = quantities(fit)
+    joint = covariance_of(fit, found, best.measured)
+    if best.flag & PoseFlag.INCONSISTENT:
+        joint = joint * max(own_cost(fit, best.measured) / freedom(fit, best.measured, best.before), 1.0)
+    position = fit.rows.origin.position_m
+    if not bool(np.isfinite(joint).all()):
+        return NoPose.NOT_FINITE
+    if abs(float(position @ fit.state.normal)) < EDGE_ON_BELOW * sqrt(float(position @ position)):
+        return NoPose.EDGE_ON
+    known = _determined(best, joint, sure_of_side)
+    if not known.grasp and not known.normal:
+        return NoPose.COLLINEAR if len(set(best.measured.points.laser.tolist())) > 1 else NoPose.UNDETERMINED
+    radius_inner_m, radius_outer_m = np.where(known.radius, found.radius_m, np.nan).tolist()
+    sure = best.measured.sure
+    return RingPose(
+        center_m=found.center_m if known.center else np.full(3, np.nan),
+        normal=fit.state.normal if known.normal else np.full(3, np.nan),
+        radius_inner_m=radius_inner_m,
+        radius_outer_m=radius_outer_m,
+        grasp_m=found.grasp_m if known.grasp else np.full(3, np.nan),
+        method=Method.ML.value,
+        condition=_condition(fit),
+        residual_rms_px=_residual_rms_px(fit, best.measured, rig),
+        covariance=_with_unknown(joint[:7, :7], known) if sure else None,
+        covariance_center_m2=joint[CENTER, CENTER] if known.center and sure else None,
+        covariance_grasp_m2=joint[GRASP, GRASP] if known.grasp and sure else None,
+        flags=best.flag | _weak(found, joint, known) | (PoseFlag(0) if sure_of_side else PoseFlag.SIDE_UNKNOWN),
+        remark=best.remark,
+        stripe_deviation=stripe_deviation(fit, best.measured, len(rig.lasers.names)),
+    )
+
+
+def _weak(found: Quantities, joint: Float64[Array, "15 15"], known: Determined) -> PoseFlag:
+    """What is not determined, or worse than `WEAK_SD`."""
+    limit_m = WEAK_SD * float(np.abs(found.radius_m).min())
+    flags = PoseFlag(0) if known.normal else PoseFlag.NORMAL_WEAK
+    if not known.center or standard_deviation(joint[CENTER, CENTER]) > limit_m:
+        flags |= PoseFlag.CENTER_WEAK
+    if not known.radius.all() or float(np.diag(joint)[RADII].max()) > limit_m**2:
+        flags |= PoseFlag.RADIUS_WEAK
+    return flags
+
+
+def _with_unknown(covariance: Float64[Array, "7 7"], known: Determined) -> Float64[Array, "7 7"]:
+    """NaN in the rows and columns of what is not determined."""
+    told = np.array([known.normal] * 3 + [known.center] * 2 + known.radius.tolist())
+    masked: Float64[Array, "7 7"] = np.where(told[:, None] & told, covariance, np.nan)
+    return masked
+
+
+def _condition(fit: Fit) -> float:
+    """Largest over smallest singular value of the derivatives of all residuals, columns scaled to unit length."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(fit.normal_matrix), np.finfo(float).tiny))
+    values = np.linalg.eigvalsh(fit.normal_matrix * scale[:, None] * scale)
+    return float(np.sqrt(values[-1] / max(float(values[0]), np.finfo(float).eps)))
+
+
+def _residual_rms_px(fit: Fit, measured: Measurements, rig: Rig) -> float:
+    """Distance of the break points from those that the pose predicts: along their lines, and from these."""
+    points, rows, matrix = measured.points, fit.rows, rig.camera.camera_matrix
+    sign = 2.0 * points.edge - 1.0
+    along = (rows.arcs.distance_m - 0.5 * sign * fit.state.band_m) / rows.by_x * matrix[0, 0]
+    across = (points.y - rows.points.rays[:, 1]) * matrix[1, 1]
+    return float(np.sqrt(np.mean((1.0 + rows.points.slope**2) * along**2 + across**2)))

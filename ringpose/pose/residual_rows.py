@@ -1,0 +1,175 @@
+"""All residuals of a shot in one column, each divided by its standard deviation, with their derivatives.
+
+Order: lines, break points along their lines, break points across where no line is known, visible edges, then
+what is known beforehand.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+
+from ringpose.pose.measurements import Measurements
+from ringpose.pose.ring_model import (
+    BAND,
+    CURVATURE,
+    PARAMETERS,
+    PLANE,
+    TURN,
+    ArcParts,
+    EdgeParts,
+    LineParts,
+    Origin,
+    PointParts,
+    RingState,
+    arc_parts,
+    edge_parts,
+    line_parts,
+    origin_of,
+    point_derivatives,
+    point_parts,
+)
+from ringpose.types.arrays import Array
+from ringpose.types.laser_planes import LaserPlanes
+from ringpose.types.ring import KnownRadii
+
+LIKELY_CURVATURE, CURVATURE_SD = 1.5, 1.5
+"""One over metres: what a ring that somebody builds may have (0.3 m: 3.3; the largest in launcher manuals: 0.76)."""
+
+TURN_SD_RAD = 0.5
+"""How far the stripes' direction may be from the radius, where one stripe alone has to tell it."""
+
+TILT_SD_RAD = 0.6
+"""How far a face that is seen may be turned from the line of sight, where one stripe leaves that open."""
+
+
+LIKELY_BAND_M, BAND_SD_M = 0.03, 0.03
+"""Where only one edge was seen: as wide as the bands in launcher manuals, or twice that, or very narrow."""
+
+
+class Beforehand(NamedTuple):
+    """What is known before the measurement."""
+
+    radii: KnownRadii | None = None
+    weak_about: RingState | None = None
+    """The start of a search in which what the shot leaves open is held to what rings are like."""
+    one_edge: bool = False
+    """Whether only one edge was seen."""
+
+
+class Rows(NamedTuple):
+    """The column and what it was made of."""
+
+    residual: Float64[Array, "row"]
+    by_state: Float64[Array, "row 7"]
+    lines: LineParts
+    points: PointParts
+    arcs: ArcParts
+    origin: Origin
+    edges: EdgeParts | None
+    by_x: Float64[Array, "point"]
+    """Derivative of a break point's distance from the circle by its abscissa."""
+    along_scale: Float64[Array, "point"]
+    """One over the standard deviation of that distance."""
+    across: "AcrossScale"
+
+
+class AcrossScale(NamedTuple):
+    """How ordinates of break points without a line enter: (y - y(x) - share * distance) * scale."""
+
+    which: Array
+    share: Float64[Array, "alone"]
+    scale: Float64[Array, "alone"]
+
+
+def rows_of(state: RingState, measured: Measurements, planes: LaserPlanes, before: Beforehand) -> Rows:
+    """The residuals of a state."""
+    points = measured.points
+    lines, on_line = line_parts(state, measured.lines, planes), point_parts(state, points, planes)
+    origin = origin_of(state, on_line)
+    arcs = arc_parts(state, on_line.position_m, origin)
+    sign = 2.0 * points.edge - 1.0
+    distance_m = arcs.distance_m - 0.5 * sign * state.band_m
+    by_state = point_derivatives(on_line, arcs, sign, origin)
+    by_x = _away_from_zero((on_line.by_x * arcs.radial).sum(axis=1))
+    scale = 1.0 / (np.abs(by_x) * np.sqrt(points.covariance[:, 0, 0]))
+    residual = [lines.residual.ravel(), scale * distance_m]
+    derivative = [lines.by_state.reshape(-1, PARAMETERS), scale[:, None] * by_state]
+
+    across = _across_scale(measured, on_line.slope, by_x)
+    if len(across.which):
+        y, by_plane = points.y[across.which] - on_line.rays[across.which, 1], on_line.y_by_plane[across.which]
+        own = -across.share[:, None] * by_state[across.which]
+        own[:, PLANE] -= by_plane
+        residual.append(across.scale * (y - across.share * distance_m[across.which]))
+        derivative.append(across.scale[:, None] * own)
+    visible = edge_parts(state, measured.edges, origin) if len(measured.edges.edge) else None
+    if visible is not None:
+        residual.append(visible.residual)
+        derivative.append(visible.by_state)
+    known_residual, known_derivative = _known(state, before)
+    return Rows(
+        residual=np.concatenate([*residual, known_residual]),
+        by_state=np.concatenate([*derivative, known_derivative]),
+        lines=lines,
+        points=on_line,
+        arcs=arcs,
+        origin=origin,
+        edges=visible,
+        by_x=by_x,
+        along_scale=scale,
+        across=across,
+    )
+
+
+def _across_scale(measured: Measurements, slope: Float64[Array, "point"], by_x: Float64[Array, "point"]) -> AcrossScale:
+    """The ordinate above the predicted line errs with the abscissa too; what is left of it does not."""
+    which = np.flatnonzero(measured.points.alone)
+    covariance, slope = measured.points.covariance[which], slope[which]
+    xx, xy, yy = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
+    with_x = xy - slope * xx
+    left = yy - 2.0 * slope * xy + slope**2 * xx - with_x**2 / xx
+    return AcrossScale(which, with_x / xx / by_x[which], 1.0 / np.sqrt(np.maximum(left, 1e-12 * xx)))
+
+
+def _known(state: RingState, before: Beforehand) -> tuple[Float64[Array, "row"], Float64[Array, "row 7"]]:
+    residual: list[float] = []
+    rows: list[tuple[dict[int, float], float]] = []
+    if before.radii is not None:
+        rows += _radius_rows(state, before.radii)
+    if before.weak_about is not None:
+        rows += _weak_rows(state, before.weak_about)
+    if before.one_edge:
+        rows.append(({BAND: 1.0 / BAND_SD_M}, (state.band_m - LIKELY_BAND_M) / BAND_SD_M))
+    derivative = np.zeros((len(rows), PARAMETERS))
+    for number, (entries, value) in enumerate(rows):
+        residual.append(value)
+        for column, entry in entries.items():
+            derivative[number, column] = entry
+    return np.array(residual, dtype=np.float64), derivative
+
+
+def _radius_rows(state: RingState, radii: KnownRadii) -> list[tuple[dict[int, float], float]]:
+    """(1/k -+ band/2 - radius) / sd, written as 1 - k (radius -+ band/2) so that no curvature is forbidden."""
+    rows = []
+    for sign, radius_m, sd_m in zip((-1.0, 1.0), radii.radius_m.tolist(), radii.sd_m.tolist(), strict=True):
+        if radius_m == radius_m:
+            middle_m, weight = radius_m - 0.5 * sign * state.band_m, radius_m / sd_m
+            entries = {CURVATURE: -weight * middle_m, BAND: weight * 0.5 * sign * state.curvature}
+            rows.append((entries, weight * (1.0 - state.curvature * middle_m)))
+    return rows
+
+
+def _weak_rows(state: RingState, about: RingState) -> list[tuple[dict[int, float], float]]:
+    tilt_scale = TILT_SD_RAD * float(about.plane[2])
+    turn = float(state.outward @ about.along)
+    return [
+        ({CURVATURE: 1.0 / CURVATURE_SD}, (state.curvature - LIKELY_CURVATURE) / CURVATURE_SD),
+        ({TURN: 1.0 / TURN_SD_RAD}, turn / TURN_SD_RAD),
+        ({0: 1.0 / tilt_scale}, float(state.plane[0]) / tilt_scale),
+        ({1: 1.0 / tilt_scale}, float(state.plane[1]) / tilt_scale),
+    ]
+
+
+def _away_from_zero(value: Float64[Array, "n"]) -> Float64[Array, "n"]:
+    return np.where(np.abs(value) < 1e-9, 1e-9, value)

@@ -1,0 +1,132 @@
+"""How errors of light planes and camera move the residuals.
+
+Light planes and camera are known with a joint covariance. Its square root says how independent unit errors move the
+parameters; each of them is an unknown of the fit beside the ring, held to zero by its own unit.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float64, Int64
+
+from ringpose.errors import DataError
+from ringpose.geometry.rotations import tilt_basis
+from ringpose.pose.measurements import Measurements, pixels_by_ray_and_camera
+from ringpose.pose.residual_rows import Rows
+from ringpose.pose.ring_model import RingState
+from ringpose.types.arrays import Array
+from ringpose.types.rig import Rig
+
+CAMERA_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+"""In the order of the columns that OpenCV differentiates by."""
+
+PLANE_PARAMETERS = ("tilt_1", "tilt_2", "distance")
+
+_NEGLIGIBLE = 1e-12
+"""Share of the correlations' largest eigenvalue under which a direction of correlated parameters counts as known."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RigErrors:
+    """The square root of the rig's covariance by places."""
+
+    camera: Float64[Array, "camera error"]
+    """Rows in OpenCV's order; zeros for what is not in the covariance."""
+    lasers: Float64[Array, "laser plane=3 error"]
+    """By tilt_1, tilt_2 and distance."""
+    basis: Float64[Array, "laser 2 3"]
+
+
+@lru_cache(maxsize=8)
+def rig_errors(rig: Rig) -> RigErrors | None:
+    """None if nothing is known of them."""
+    if rig.covariance is None or not np.isfinite(rig.covariance.data).all():
+        return None
+    root = _root(rig.covariance.data)
+    camera = np.zeros((4 + len(rig.camera.distortion_coefficients), root.shape[1]))
+    lasers = np.zeros((len(rig.lasers.names), len(PLANE_PARAMETERS), root.shape[1]))
+    for name, row in zip(rig.covariance.parameters, root, strict=True):
+        laser, _, what = name.rpartition(".")
+        if name in CAMERA_PARAMETERS[: len(camera)]:
+            camera[CAMERA_PARAMETERS.index(name)] = row
+        elif laser in rig.lasers.names and what in PLANE_PARAMETERS:
+            lasers[rig.lasers.names.index(laser), PLANE_PARAMETERS.index(what)] = row
+        else:
+            raise DataError(
+                "the rig's covariance",
+                f"it names {name!r}, which is no parameter of this rig",
+                "run ringpose calibrate-planes",
+            )
+    basis = np.array([tilt_basis(normal) for normal in rig.lasers.normal])
+    return RigErrors(camera=camera, lasers=lasers, basis=basis)
+
+
+def _root(covariance: Float64[Array, "n n"]) -> Float64[Array, "n error"]:
+    """R with R R^T the covariance; parameters are first brought to one scale: pixels beside microradians."""
+    deviation = np.sqrt(np.diag(covariance))
+    scale = np.where(deviation > 0, deviation, 1.0)
+    variance, axes = np.linalg.eigh(covariance / scale[:, None] / scale)
+    kept = variance > _NEGLIGIBLE * max(float(variance[-1]), 0.0)
+    root: Float64[Array, "n error"] = scale[:, None] * axes[:, kept] * np.sqrt(variance[kept])
+    return root
+
+
+class ByRig(NamedTuple):
+    """Derivatives by the rig's unit errors."""
+
+    rows: Float64[Array, "row error"]
+    """Of the residuals; zero for what is known beforehand."""
+    mean: Float64[Array, "error"]
+    """Of the mean of the break points, along the band."""
+
+
+def rows_by_rig(state: RingState, rows: Rows, measured: Measurements, errors: RigErrors, rig: Rig) -> ByRig:
+    """How a wrong rig moves the residuals."""
+    lines, points = measured.lines, measured.points
+    xy = np.concatenate([np.stack([lines.x, lines.y], axis=-1).reshape(-1, 2), np.stack([points.x, points.y], axis=-1)])
+    shift = _ray_shift(xy, errors, rig)
+    ends, tips = shift[: 2 * len(lines.laser)].reshape(-1, 2, *shift.shape[1:]), shift[2 * len(lines.laser) :]
+
+    above = ends[:, :, 1] - rows.lines.slope[:, None, None] * ends[:, :, 0]
+    above -= _ordinate_shift(rows.lines.rays, lines.laser, rows.lines.steepness, state, errors)
+    parts = [(lines.whitening @ above).reshape(-1, above.shape[-1])]
+
+    y_shift = _ordinate_shift(rows.points.rays[:, None], points.laser, rows.points.steepness, state, errors)[:, 0]
+    by_y = (rows.points.by_y * rows.arcs.radial).sum(axis=1)
+    distance = by_y[:, None] * y_shift + rows.by_x[:, None] * tips[:, 0]
+    parts.append(rows.along_scale[:, None] * distance)
+
+    which, share, scale = rows.across
+    if len(which):
+        across = tips[which, 1] - rows.points.slope[which, None] * tips[which, 0] - y_shift[which]
+        parts.append(scale[:, None] * (across - share[:, None] * distance[which]))
+    if rows.edges is not None:
+        seen = _ray_shift(measured.edges.ray[:, :2], errors, rig)
+        parts.append((rows.edges.by_ray[:, :, None] * seen).sum(axis=1))
+    parts.append(np.zeros((len(rows.residual) - sum(map(len, parts)), parts[0].shape[-1])))
+    ordinate = y_shift + rows.points.slope[:, None] * tips[:, 0]
+    mean = state.along @ rows.origin.by_ray @ np.stack([tips[:, 0].mean(axis=0), ordinate.mean(axis=0)])
+    return ByRig(np.concatenate(parts), mean)
+
+
+def _ray_shift(xy: Float64[Array, "n xy=2"], errors: RigErrors, rig: Rig) -> Float64[Array, "n 2 error"]:
+    """How normalised coordinates of fixed pixels move with the camera's parameters."""
+    if not errors.camera.any():
+        return np.zeros((len(xy), 2, errors.camera.shape[1]))
+    by_ray, by_camera = pixels_by_ray_and_camera(xy, rig.camera)
+    shift: Float64[Array, "n 2 error"] = -np.linalg.inv(by_ray) @ (by_camera @ errors.camera)
+    return shift
+
+
+def _ordinate_shift(
+    rays: Float64[Array, "n k 3"],
+    laser: Int64[Array, "n"],
+    steepness: Float64[Array, "n"],
+    state: RingState,
+    errors: RigErrors,
+) -> Float64[Array, "n k error"]:
+    """How the predicted ordinate moves with the light plane, at constant abscissa: -(dm - dd q) . r / (m - d q)_y."""
+    by_plane = np.concatenate([-rays @ errors.basis[laser].swapaxes(1, 2), (rays @ state.plane)[:, :, None]], axis=-1)
+    return by_plane @ errors.lasers[laser] / steepness[:, None, None]

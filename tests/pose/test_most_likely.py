@@ -1,0 +1,185 @@
+"""Method `ml`: exact without noise, at the bound with it, true to its covariance, whole or in part."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ringpose.pose.pipeline import estimate_pose
+from ringpose.types.ring import KnownRadii
+from ringpose.types.ring_pose import NoPose, PoseFlag
+
+KNOWN = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.array([1e-4, 1e-4]))
+POINT_PX, LINE_PX = 0.3, 0.01
+"""Of a break point, and of the middle of a stripe's line: 0.1 px a column, a hundred independent columns."""
+
+RIGS_AND_DISTANCES = pytest.mark.parametrize(
+    ("rig", "distance_m"), [("A", 0.25), ("A", 0.5), ("A", 1.0), ("B", 0.25), ("B", 0.5), ("B", 1.0)]
+)
+SIZES = pytest.mark.parametrize("known", [None, KNOWN], ids=["radius unknown", "radius known"])
+
+
+def values_of(pose, normal):
+    """Seven parameters about a given normal, centre, grasp point."""
+    first = np.cross([0.0, 0.0, 1.0], normal)
+    first = first / np.linalg.norm(first)
+    second = np.cross(normal, first)
+    tilt = pose.normal / (pose.normal @ normal)
+    own = [tilt @ first, tilt @ second, pose.normal @ pose.grasp_m, pose.center_m @ first, pose.center_m @ second]
+    return np.array([*own, pose.radius_inner_m, pose.radius_outer_m, *pose.center_m, *pose.grasp_m])
+
+
+def without(points, *places):
+    """Without these break points."""
+    position, covariance = points.position_px.copy(), points.covariance_px2.copy()
+    for place in places:
+        position[place], covariance[place] = np.nan, np.nan
+    return replace(points, position_px=position, covariance_px2=covariance)
+
+
+def without_line(points, laser):
+    """Without a stripe's line."""
+    start, end = points.face_start_px.copy(), points.face_end_px.copy()
+    start[laser], end[laser] = np.nan, np.nan
+    return replace(points, face_start_px=start, face_end_px=end)
+
+
+@given(
+    distance_m=st.floats(0.25, 1.0),
+    tilt=st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3)),
+    turn_rad=st.floats(-0.3, 0.3),
+    side=st.sampled_from([-1, 1]),
+    size=st.sampled_from(["R597", "R1194"]),
+)
+def test_true_stripes_and_points_give_the_true_ring(scene_of, face_points, distance_m, tilt, turn_rad, side, size):
+    scene = scene_of("B", distance_m=distance_m, tilt_rad=tilt, turn_rad=turn_rad, side=side, size=size)
+
+    pose = estimate_pose(face_points(scene, 1e-3, 1e-4), scene.rig)
+
+    found = np.concatenate([pose.center_m, pose.normal, [pose.radius_inner_m, pose.radius_outer_m]])
+    true = np.concatenate([scene.ring.center_m, scene.ring.normal, scene.ring.radius_m])
+    np.testing.assert_allclose(found, true, rtol=0, atol=1e-8)
+
+
+@given(distance_m=st.floats(0.25, 1.0), turn_rad=st.floats(-0.3, 0.3), side=st.sampled_from([-1, 1]))
+def test_the_grasp_point_is_on_the_middle_of_the_band(scene_of, face_points, distance_m, turn_rad, side):
+    scene = scene_of("B", distance_m=distance_m, turn_rad=turn_rad, side=side)
+
+    pose = estimate_pose(face_points(scene, 1e-3, 1e-4), scene.rig)
+
+    outward = pose.grasp_m - scene.ring.center_m
+    found = [np.linalg.norm(outward), outward @ scene.ring.normal]
+    np.testing.assert_allclose(found, [scene.ring.radius_m.mean(), 0.0], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("missing", [[], [(0, 0)], [(0, 0), (1, 1)], [(0, 0), (1, 0), (2, 0)]], ids=len)
+def test_break_points_alone_give_the_true_center(scene_of, missing):
+    scene = scene_of("B", distance_m=0.5)
+
+    pose = estimate_pose(without(scene.break_points(1e-3), *missing), scene.rig)
+
+    np.testing.assert_allclose(pose.center_m, scene.ring.center_m, rtol=0, atol=1e-8)
+
+
+def test_without_one_edge_the_other_radius_and_the_grasp_point_are_not_known(scene_of, face_points):
+    scene = scene_of("B", distance_m=0.5)
+
+    pose = estimate_pose(without(face_points(scene, 0.01, 0.001), (0, 0), (1, 0), (2, 0)), scene.rig)
+
+    assert (np.isnan(pose.radius_inner_m), np.isnan(pose.radius_outer_m)) == (True, False)
+    assert np.isnan(pose.grasp_m).all()
+
+
+def test_two_stripes_give_normal_and_grasp_point_without_a_center(scene_of, face_points):
+    scene = scene_of("B", distance_m=0.25)
+    points = without_line(without(face_points(scene, POINT_PX, LINE_PX), (2, 0), (2, 1)), 2)
+
+    pose = estimate_pose(points, scene.rig)
+
+    assert np.linalg.norm(pose.normal - scene.ring.normal) < 1e-6
+    assert PoseFlag.CENTER_WEAK in pose.flags
+
+
+def test_two_stripes_and_the_radius_give_the_center(scene_of, face_points):
+    scene = scene_of("B", distance_m=0.25)
+    points = without_line(without(face_points(scene, POINT_PX, LINE_PX), (2, 0), (2, 1)), 2)
+
+    pose = estimate_pose(points, scene.rig, known=KNOWN)
+
+    np.testing.assert_allclose(pose.center_m, scene.ring.center_m, rtol=0, atol=1e-8)
+
+
+def test_one_stripe_gives_a_grasp_point_without_a_normal(scene_of, face_points):
+    scene = scene_of("B", distance_m=0.25)
+    points = without(face_points(scene, POINT_PX, LINE_PX), (0, 0), (0, 1), (2, 0), (2, 1))
+
+    pose = estimate_pose(without_line(without_line(points, 0), 2), scene.rig)
+
+    offset = pose.grasp_m - scene.points_m[1].mean(axis=0)
+    assert np.linalg.norm(offset) < 0.5e-3
+    assert np.isnan(pose.normal).all()
+    assert PoseFlag.NORMAL_WEAK in pose.flags
+
+
+def test_no_break_point_is_a_reason(scene_of, face_points):
+    scene = scene_of("B")
+    every = [(laser, edge) for laser in range(3) for edge in range(2)]
+
+    assert estimate_pose(without(face_points(scene, 0.3, 0.01), *every), scene.rig) is NoPose.TOO_FEW_BREAK_POINTS
+
+
+def test_visible_edges_make_the_center_far_better_known(scene_of, face_points, visible_edges):
+    scene = scene_of("B", distance_m=0.5)
+    points = face_points(scene, POINT_PX, LINE_PX)
+
+    without_edges = estimate_pose(points, scene.rig)
+    with_edges = estimate_pose(points, scene.rig, ring_edges=visible_edges(scene, 200, 0.3))
+
+    spread = [np.sqrt(np.trace(pose.covariance_center_m2)) for pose in (without_edges, with_edges)]
+    assert spread[0] > 2 * spread[1]
+
+
+def test_true_edges_give_the_true_center(scene_of, face_points, visible_edges):
+    scene = scene_of("B", distance_m=0.5)
+
+    pose = estimate_pose(face_points(scene, 0.3, 0.01), scene.rig, ring_edges=visible_edges(scene, 100, 0.3))
+
+    np.testing.assert_allclose(pose.center_m, scene.ring.center_m, rtol=0, atol=1e-7)
+
+
+def poses_of_samples(scene, face_points, known, rng, samples):
+    shots = [face_points(scene, POINT_PX, LINE_PX, rng) for _ in range(samples)]
+    return [estimate_pose(points, scene.rig, known=known) for points in shots]
+
+
+@pytest.mark.parametrize("samples", [150, pytest.param(2000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("rig", ["B"])
+@pytest.mark.parametrize("distance_m", [0.3, 0.5, 1.0])
+@SIZES
+def test_samples_scatter_as_the_covariance_says(scene_of, face_points, rng, rig, distance_m, known, samples):
+    scene = scene_of(rig, distance_m=distance_m)
+    predicted = estimate_pose(face_points(scene, POINT_PX, LINE_PX), scene.rig, known=known)
+
+    poses = poses_of_samples(scene, face_points, known, rng, samples)
+
+    root = np.linalg.cholesky(predicted.covariance_grasp_m2)
+    white = np.linalg.solve(root, np.cov(np.array([pose.grasp_m for pose in poses]).T)) @ np.linalg.inv(root).T
+    assert np.abs(np.linalg.eigvalsh(white) - 1).max() < 4 * np.sqrt(2 / (samples - 1))
+
+
+@pytest.mark.slow
+@RIGS_AND_DISTANCES
+@SIZES
+def test_errors_are_at_the_bound(scene_of, face_points, rng, rig, distance_m, known):
+    scene = scene_of(rig, distance_m=distance_m)
+    bound = estimate_pose(face_points(scene, POINT_PX, LINE_PX), scene.rig, known=known)
+    if PoseFlag.CENTER_WEAK in bound.flags:
+        pytest.skip("the bound itself says that the centre is hardly there")
+
+    poses = poses_of_samples(scene, face_points, known, rng, 1500)
+
+    errors = np.array([values_of(pose, scene.ring.normal) for pose in poses]) - values_of(bound, scene.ring.normal)
+    ratio = np.sqrt(np.mean(errors[:, :7] ** 2, axis=0) / np.diag(bound.covariance))
+    assert ratio.max() < 1.1

@@ -1,0 +1,66 @@
+"""The derivatives of every residual, against central differences."""
+
+import numpy as np
+import pytest
+
+from ringpose.pose.measurements import measurements_of
+from ringpose.pose.residual_rows import Beforehand, rows_of
+from ringpose.pose.ring_model import RingState, moved
+from ringpose.types.ring import KnownRadii
+
+STEP = 1e-6
+RADII = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.array([0.001, 0.002]))
+
+
+@pytest.fixture(params=["points alone", "stripes", "stripes and edges"])
+def measured(request, scene_of, face_points, visible_edges):
+    scene = scene_of("B", distance_m=0.5, tilt_rad=(0.2, -0.15), turn_rad=0.3)
+    points = scene.break_points(0.3) if request.param == "points alone" else face_points(scene, 0.3, 0.03)
+    edges = visible_edges(scene, 40, 0.2) if request.param == "stripes and edges" else None
+    return scene, measurements_of(points, scene.rig, edges)
+
+
+def some_state(scene, rng):
+    """A ring some way off the true one."""
+    plane = scene.ring.normal / (scene.ring.normal @ scene.ring.center_m) * rng.uniform(0.95, 1.05, 3)
+    outward = np.cross(plane, rng.normal(size=3) + np.array([0.0, 3.0, 0.0]))
+    return RingState(plane, outward / np.linalg.norm(outward), 0.002, 1.4, 0.033)
+
+
+def unscaled(rows, points):
+    """The rows in units that do not change with the state: the noise of a break point's distance does."""
+    residual = rows.residual.copy()
+    lines = rows.lines.residual.size
+    residual[lines : lines + points] /= rows.along_scale
+    return residual[: lines + points]
+
+
+@pytest.mark.parametrize("parameter", range(7))
+def test_rows_of_stripes_and_points_have_the_derivatives_of_central_differences(measured, rng, parameter):
+    scene, shot = measured
+    state, count = some_state(scene, rng), len(shot.points.x)
+    rows = rows_of(state, shot, scene.rig.lasers, Beforehand())
+
+    forward, backward = (
+        unscaled(rows_of(moved(state, sign * STEP * np.eye(7)[parameter]), shot, scene.rig.lasers, Beforehand()), count)
+        for sign in (1, -1)
+    )
+
+    derivative = rows.by_state[: len(forward), parameter].copy()
+    derivative[rows.lines.residual.size :] /= rows.along_scale
+    scale = max(1e-3, np.abs(derivative).max())
+    np.testing.assert_allclose(derivative / scale, (forward - backward) / (2 * STEP) / scale, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("parameter", range(7))
+def test_known_radii_have_the_derivatives_of_central_differences(measured, rng, parameter):
+    scene, shot = measured
+    state, before = some_state(scene, rng), Beforehand(RADII)
+    rows = rows_of(state, shot, scene.rig.lasers, before)
+
+    forward, backward = (
+        rows_of(moved(state, sign * STEP * np.eye(7)[parameter]), shot, scene.rig.lasers, before).residual[-2:]
+        for sign in (1, -1)
+    )
+
+    np.testing.assert_allclose(rows.by_state[-2:, parameter], (forward - backward) / (2 * STEP), rtol=0, atol=1e-4)
