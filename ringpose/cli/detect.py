@@ -7,6 +7,7 @@ import typer
 
 from ringpose.cli.app import app
 from ringpose.cli.options import Force, ImageChannel, Inputs, OptionalRigFile, Quiet, Verbose
+from ringpose.detect.stripe_source import StripeSource
 
 if TYPE_CHECKING:
     from ringpose.types.break_points import Detection
@@ -22,6 +23,9 @@ Overlay = Annotated[
 SegmentsOnly = Annotated[
     bool, typer.Option("--segments-only", help="Find straight segments in any image; no rig is needed.")
 ]
+StripesFrom = Annotated[
+    StripeSource, typer.Option("--stripes", help="Make stripes from column centers or from the paper's segments.")
+]
 Full = Annotated[bool, typer.Option("--full", help="Write stripes and segments into records too, as NPZ files do.")]
 
 
@@ -32,6 +36,7 @@ def detect(
     output: Output = "-",
     overlay: Overlay = None,
     segments_only: SegmentsOnly = False,
+    stripes: StripesFrom = StripeSource.CENTERS,
     full: Full = False,
     channel: ImageChannel = None,
     force: Force = False,
@@ -58,7 +63,7 @@ def detect(
         with batch.item():
             path = file_named(item)
             shot = read_shot(path, channel, rig_of_shots)
-            detection = detection_of(shot, None if segments_only else rig_of_shots)
+            detection = detection_of(shot, None if segments_only else rig_of_shots, stripes)
             sink.write(shot, detection, path)
             if verbose:
                 messages.say(f"{shot.name}: {detection.summary}")
@@ -67,7 +72,7 @@ def detect(
     batch.finish()
 
 
-def detection_of(shot: "Shot", rig: "Rig | None") -> "Detection":
+def detection_of(shot: "Shot", rig: "Rig | None", source: StripeSource) -> "Detection":
     """What is found in a shot; only segments without a rig."""
     if rig is None:
         from ringpose.detect.raw_segments import segments_only
@@ -76,4 +81,4 @@ def detection_of(shot: "Shot", rig: "Rig | None") -> "Detection":
 
     from ringpose.detect.pipeline import detect as detected
 
-    return detected(shot, rig)
+    return detected(shot, rig, source)

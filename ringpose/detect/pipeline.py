@@ -1,7 +1,6 @@
 """Shot -> break points, in the order of MATH.md section 3."""
 
 from dataclasses import replace
-from enum import StrEnum
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from ringpose.detect.frames import LaserImage, laser_images
 from ringpose.detect.ring_edges import shown_edges
 from ringpose.detect.stripe_centers import find_stripes
 from ringpose.detect.stripe_segments import stripes_between_segments
+from ringpose.detect.stripe_source import StripeSource
 from ringpose.detect.tracks import straight_tracks
 from ringpose.types.break_points import BreakPoints, Detection, NoBreakPoints
 from ringpose.types.frame import Shot
@@ -20,15 +20,6 @@ from ringpose.types.stripes import UNLABELLED, Stripes
 
 DARK_DN = 8
 """A frame whose brightest pixels stay below this shows nothing at all."""
-
-
-class StripeSource(StrEnum):
-    """What the stripes' pieces are made from."""
-
-    CENTERS = "centers"
-    """Ridges, column by column: finer, and what is used unless the paper's way is asked for."""
-    SEGMENTS = "segments"
-    """The paper's line segments along both edges of each stripe."""
 
 
 def detect(shot: Shot, rig: Rig, source: StripeSource = StripeSource.CENTERS, *, edges: bool = True) -> Detection:

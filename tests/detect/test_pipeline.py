@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from drawn_scene import DrawnScene, draw_shot, true_break_points
 
-from ringpose.detect.pipeline import StripeSource, detect
+from ringpose.detect.pipeline import detect
+from ringpose.detect.stripe_source import StripeSource
 from ringpose.types.break_points import BreakPointFlag, BreakPoints, NoBreakPoints
 from ringpose.types.frame import Shot
 from ringpose.types.rig import Rig
