@@ -77,14 +77,33 @@ def edge_trace(
     near &= sigma_m < OBLIQUE * sigma_px * metres_per_px
     point, outward, side, number, sigma_m = point[near], outward[near], side[near], number[near], sigma_m[near]
 
-    along = np.cross(arcs.axes[2], outward)
-    place, nudged, beside = project(np.stack([point, point + NUDGE_M * outward, point + NUDGE_M * along]), camera)
-    normal = np.stack([-(beside - place)[:, 1], (beside - place)[:, 0]], axis=-1)
-    normal /= np.hypot(*normal.T)[:, None]
-    px_per_m = np.sum(normal * (nudged - place), axis=-1) / NUDGE_M
-    normal, px_per_m = normal * np.sign(px_per_m)[:, None], np.abs(px_per_m)
-    inside = np.all((place > MARGIN_PX) & (place < size - 1 - MARGIN_PX), axis=-1) & (sigma_m * px_per_m < sigma_px)
-    return chosen(EdgeTrace(point, outward, side, place, normal, 1 / px_per_m, number), inside)
+    trace = imaged(point, outward, arcs.axes[2], side, number, rig)
+    return chosen(trace, in_image(trace, rig) & (sigma_m < sigma_px * trace.metres_per_px))
+
+
+def imaged(
+    point: Float64[Array, "n xyz=3"],
+    outward: Float64[Array, "n xyz=3"],
+    normal: Float64[Array, "xyz=3"],
+    side: Float64[Array, "n"],
+    number: Float64[Array, "n"],
+    rig: Rig,
+) -> EdgeTrace:
+    """Points of edges on the plane of this normal, and where the image has them, within its border or beyond."""
+    along = np.cross(normal, outward)
+    place, nudged, beside = project(np.stack([point, point + NUDGE_M * outward, point + NUDGE_M * along]), rig.camera)
+    across = np.stack([-(beside - place)[:, 1], (beside - place)[:, 0]], axis=-1)
+    across /= np.hypot(*across.T)[:, None]
+    px_per_m = np.sum(across * (nudged - place), axis=-1) / NUDGE_M
+    across *= np.sign(px_per_m)[:, None]
+    return EdgeTrace(point, outward, side, place, across, 1 / np.abs(px_per_m), number)
+
+
+def in_image(trace: EdgeTrace, rig: Rig) -> Bool[Array, "n"]:
+    """Which places lie well inside the image's border."""
+    last = np.array([rig.camera.image_width, rig.camera.image_height]) - 1
+    inside: Bool[Array, "n"] = np.all((trace.place_px > MARGIN_PX) & (trace.place_px < last - MARGIN_PX), axis=-1)
+    return inside
 
 
 def sights_at(trace: EdgeTrace, offset_px: Float64[Array, "n"], sigma_px: Float64[Array, "n"]) -> Sights:

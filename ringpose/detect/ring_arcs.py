@@ -14,8 +14,6 @@ from ringpose.types.arrays import Array
 STATE = ("tilt_x", "tilt_y", "lift_m", "shift_m", "turn_rad", "curvature", "half_band_m")
 """Order of a step of `RingArcs`: the plane's tilts and offset, place and direction of the band, its shape."""
 
-CURVATURE = STATE.index("curvature")
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RingArcs:

@@ -5,17 +5,19 @@ pixel, and what is found there predicts them farther on, until the image ends or
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64, UInt
+from jaxtyping import Float64
 
 from ringpose.detect.edge_points import ring_edge_points
-from ringpose.detect.edge_steps import ALONG_PX, EdgeSteps, Profiles, edge_profiles, edge_steps
-from ringpose.detect.edge_trace import EdgeTrace, chosen, clear_of, edge_trace, sights_at
-from ringpose.detect.ring_arc_fit import NO_SIGHTS, Sights, StripeEvidence, fitted_arcs, stripe_evidence
-from ringpose.detect.ring_arcs import CURVATURE, RingArcs
+from ringpose.detect.edge_search import BLUR_PX, EdgeImage, clear_steps, step_sights, steps_beside
+from ringpose.detect.edge_start import sights_beside_stripe
+from ringpose.detect.edge_steps import ALONG_PX, Profiles, edge_profiles, edge_steps
+from ringpose.detect.edge_trace import chosen, clear_of, edge_trace
+from ringpose.detect.ring_arc_fit import NO_SIGHTS, StripeEvidence, fitted_arcs, stripe_evidence
+from ringpose.detect.ring_arcs import STATE, RingArcs
 from ringpose.types.arrays import Array
 from ringpose.types.break_points import BreakPointFlag, BreakPoints, RingEdgePoints
 from ringpose.types.frame import Shot
@@ -37,45 +39,22 @@ WALK_SPACING_PX = 12
 WALK_REACH_PX, REACH_PX = 4, 2
 """How far from the predicted edge a step is looked for, on the way and in the end."""
 
-BLUR_PX = 0.9
-"""Blur (sigma) of the edges that is assumed on the way."""
-
 BLUR_SPANS = (0.4, 0.2, 0.07)
 """Blurs between which the right one is sought in the end, each time closer: half to twice the one assumed."""
 
 BLUR_STEPS = 60
 """So many of the clearest steps tell the blur."""
 
-STEP_SIGMA_PX = 0.5
-"""A step that is known worse than this is none."""
-
-STEP_SIGMAS = 5.0
-"""Nor is one whose height is less than this many of its standard deviations: one of many places fits noise well."""
-
-STEP_DN = 2.0
-"""Nor is one of fewer grey values: rounding to whole ones moves it."""
-
 LEAST_SHARE = 0.05
 """Where fewer of the predicted places show a step there is no edge to follow."""
 
-CLUTTER = 2.5
-"""Steps are trusted as if their sigmas were so many times larger: what lies beyond the edge is no even ground."""
+CURVATURE, TURN = STATE.index("curvature"), STATE.index("turn_rad")
 
-LEAST_SIGMA_PX = 0.1
-"""No single step is trusted more than this."""
+TURN_SIGMA_RAD = 0.2
+"""Where the stripes leave the direction of the edges as open as this, the image is asked first."""
 
 SIDE_SIGMAS = 4.0
 """How clearly the edges' curvature must say on which side the ring's centre lies."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class EdgeImage:
-    """A frame in which the ring's edges are looked for."""
-
-    image: UInt[Array, "row column"]
-    saturation_dn: int
-    stripes_px: Float64[Array, "center xy=2"] | None = None
-    """Centres of the stripes that it shows; None for a frame without lasers."""
 
 
 class FoundEdges(NamedTuple):
@@ -123,10 +102,9 @@ def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundE
     trace = clear_of(frame.stripes_px, edge_trace(arcs, covariance, rig, ALONG_PX, PREDICTED_SIGMA_PX))
     profiles = edge_profiles(frame.image, trace.place_px, trace.normal, REACH_PX, frame.saturation_dn)
     steps = edge_steps(profiles, REACH_PX, blur_px(profiles))
-    seen = clear_steps(steps)
-    trace, offset_px, sigma_px = chosen(trace, seen), steps.offset_px[seen], steps.sigma_px[seen]
-    arcs, covariance = fitted_arcs(arcs, evidence, trusted_sights(trace, offset_px, sigma_px), 2)
-    points = ring_edge_points(arcs, trace, offset_px, sigma_px)
+    arcs, covariance = fitted_arcs(arcs, evidence, step_sights(trace, steps), 2)
+    clear = clear_steps(steps)
+    points = ring_edge_points(arcs, chosen(trace, clear), steps.offset_px[clear], steps.sigma_px[clear])
     side_sigmas = arcs.curvature / float(np.sqrt(covariance[CURVATURE, CURVATURE]))
     return None if points is None else FoundEdges(points, side_sigmas)
 
@@ -153,6 +131,8 @@ def followed_arcs(
 ) -> tuple[RingArcs, Float64[Array, "state=7 state=7"]] | None:
     """The ring's edges as far as they can be followed from the stripes, and their covariance; None if not at all."""
     arcs, covariance = fitted_arcs(evidence.start, evidence, NO_SIGHTS, 5, np.inf)
+    if covariance[TURN, TURN] > TURN_SIGMA_RAD**2:
+        arcs, covariance = fitted_arcs(arcs, evidence, sights_beside_stripe(arcs, frame, rig), 4)
     reached = 0
     for _ in range(ROUNDS):
         trace = edge_trace(arcs, covariance, rig, WALK_SPACING_PX, PREDICTED_SIGMA_PX)
@@ -160,25 +140,11 @@ def followed_arcs(
             break
         reached = len(trace.side)
         trace = clear_of(frame.stripes_px, trace)
-        profiles = edge_profiles(frame.image, trace.place_px, trace.normal, WALK_REACH_PX, frame.saturation_dn)
-        steps = edge_steps(profiles, WALK_REACH_PX, BLUR_PX)
-        seen = clear_steps(steps)
-        if np.count_nonzero(seen) < LEAST_SHARE * len(seen):
+        sights = step_sights(trace, steps_beside(frame, trace, WALK_REACH_PX))
+        if len(sights.side) < LEAST_SHARE * len(trace.side):
             return None
-        sights = trusted_sights(chosen(trace, seen), steps.offset_px[seen], steps.sigma_px[seen])
         arcs, covariance = fitted_arcs(arcs, evidence, sights, 2)
     return arcs, covariance
-
-
-def clear_steps(steps: EdgeSteps) -> Bool[Array, "n"]:
-    """Which steps are more than noise."""
-    known = np.isfinite(steps.offset_px) & (steps.sigma_px < STEP_SIGMA_PX)
-    return known & (steps.height > STEP_SIGMAS) & (steps.height_dn > STEP_DN)
-
-
-def trusted_sights(trace: EdgeTrace, offset_px: Float64[Array, "n"], sigma_px: Float64[Array, "n"]) -> Sights:
-    """The steps as evidence for the ring."""
-    return sights_at(trace, offset_px, CLUTTER * np.hypot(sigma_px, LEAST_SIGMA_PX))
 
 
 def blur_px(profiles: Profiles) -> float:

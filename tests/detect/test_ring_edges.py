@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from drawn_scene import RADII_M, DrawnScene, drawn_rig, line_of, true_break_points
 
+from ringpose.detect.edge_search import EdgeImage
 from ringpose.detect.pipeline import detect
-from ringpose.detect.ring_edges import EdgeImage, found_edges, named_by_curvature, ring_edges
+from ringpose.detect.ring_edges import found_edges, named_by_curvature, ring_edges
 from ringpose.files.rigs import read_rig
 from ringpose.files.shots import read_shot
 from ringpose.types.break_points import BreakPointFlag, BreakPoints, RingEdgePoints
@@ -244,6 +245,24 @@ def test_two_stripes_lead_to_the_edges_too(rig, rng):
     points = seen_edges(ring_edges(seen, lit(picture(scene, rig, Surroundings(), rng)), rig))
 
     assert np.abs(off_edge_px(points, scene, rig)).max() < 0.3
+
+
+@pytest.mark.parametrize("laser", [0, 1, 2])
+def test_a_single_stripe_leads_to_the_edges_too(rig, rng, laser):
+    scene = DrawnScene()
+    both = measured(scene, rig, rng)
+    only = np.arange(3) == laser
+    seen = replace(
+        both,
+        position_px=np.where(only[:, None, None], both.position_px, np.nan),
+        face_start_px=np.where(only[:, None], both.face_start_px, np.nan),
+        face_end_px=np.where(only[:, None], both.face_end_px, np.nan),
+    )
+
+    points = seen_edges(ring_edges(seen, lit(picture(scene, rig, Surroundings(), rng)), rig))
+
+    assert np.abs(off_edge_px(points, scene, rig)).max() < 0.3
+    assert np.ptp(points.position_px[:, 1]) > 1100
 
 
 def test_no_stripe_leads_nowhere(rig, rng):
