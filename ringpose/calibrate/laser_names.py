@@ -1,12 +1,10 @@
 """How the lasers are called, in the order of a shot's mask bits."""
 
 from ringpose.errors import DataError, UsageError
-from ringpose.types.frame import Shot
+from ringpose.types.frame import ALL_LASERS, Shot
+from ringpose.types.sequence import MOST_LASERS
 
 THREE = ("left", "middle", "right")
-
-ALL = 255
-"""Mask of an image that does not say which lasers are on."""
 
 
 def laser_names(given: str | None, shot: Shot) -> tuple[str, ...]:
@@ -16,12 +14,17 @@ def laser_names(given: str | None, shot: Shot) -> tuple[str, ...]:
     """
     if given is not None:
         names = tuple(name.strip() for name in given.split(","))
-        if not all(names) or len(set(names)) < len(names) or any("." in name for name in names) or len(names) > 8:
+        if (
+            not all(names)
+            or len(set(names)) < len(names)
+            or any("." in name for name in names)
+            or len(names) > MOST_LASERS
+        ):
             raise UsageError(
                 "--laser-names", f"{given!r} are no names", "give one to eight different ones, as left,right"
             )
         return names
-    masks = [int(mask) for mask in shot.lasers if mask != ALL]
+    masks = [int(mask) for mask in shot.lasers if mask != ALL_LASERS]
     number = max(masks, default=0).bit_length()
     if number == 0:
         found = "does not say how many lasers are on"

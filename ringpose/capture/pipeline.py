@@ -6,8 +6,8 @@ import numpy as np
 
 from ringpose.capture.cameras.driver import CameraDriver
 from ringpose.capture.lasers.driver import LaserDriver
-from ringpose.capture.sequence import Step
 from ringpose.types.frame import Frame, Shot
+from ringpose.types.sequence import Step
 
 
 def captured_shots(

@@ -53,10 +53,10 @@ def capture(
     quiet: Quiet = False,
 ) -> None:
     """Take shots into a session folder: one frame for each step of the sequence, all lasers off in the end."""
-    from ringpose.capture.sequence import parsed_sequence
     from ringpose.cli.batch import Batch
     from ringpose.cli.sources import Wanted, source_of
     from ringpose.files.sessions import SessionWriter, folder_of_now
+    from ringpose.types.sequence import parsed_sequence
 
     steps = None if sequence is None else parsed_sequence(sequence)
     wanted = Wanted(

@@ -11,13 +11,13 @@ from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.capture.lasers.simulated import SimulatedLasers
 from ringpose.capture.lasers.uncontrolled import UncontrolledLasers, refuse_switching
 from ringpose.capture.pace import paced
-from ringpose.capture.sequence import Step, steps_of
 from ringpose.capture.uri import CAMERAS, LASERS, scheme_and_rest
 from ringpose.cli.batch import Batch
 from ringpose.errors import DataError, NoInputError, UsageError
 from ringpose.files.inputs import STDIN, Input, Problem, Record, inputs
 from ringpose.files.shots import SHOT_SUFFIXES, read_shot
 from ringpose.types.frame import Shot
+from ringpose.types.sequence import Step, steps_of
 from ringpose.types.session import Capture
 
 ReadFrom = Callable[[Path], None]

@@ -2,7 +2,7 @@
 
 from ringpose.calibrate.board_overlay import stripe_overlay
 from ringpose.calibrate.board_points import marker_corners
-from ringpose.calibrate.laser_names import ALL, laser_names, laser_order
+from ringpose.calibrate.laser_names import laser_names, laser_order
 from ringpose.calibrate.plane_fits import PlanesMethod
 from ringpose.calibrate.planes import PlanesModel
 from ringpose.calibrate.stripe_views import stripe_view
@@ -12,7 +12,7 @@ from ringpose.files.images import write_image
 from ringpose.files.inputs import Input
 from ringpose.types.calibration import StripeView
 from ringpose.types.camera import Camera
-from ringpose.types.frame import Shot
+from ringpose.types.frame import ALL_LASERS, Shot
 
 
 class StripeImages:
@@ -57,7 +57,7 @@ class StripeImages:
             found = f"{size[0]} x {size[1]} pixels, the camera has {wanted[0]} x {wanted[1]}"
             raise DataError(shot.name, found, "give the camera that took the shots")
         self.names = self.names or laser_names(self.given[0], shot)
-        highest = max((int(mask) for mask in shot.lasers if mask != ALL), default=0).bit_length()
+        highest = max((int(mask) for mask in shot.lasers if mask != ALL_LASERS), default=0).bit_length()
         if highest > len(self.names):
             found = f"a frame names laser {highest}, there are {len(self.names)} ({', '.join(self.names)})"
             raise DataError(shot.name, found, "give all names with --laser-names")

@@ -20,10 +20,9 @@ from ringpose.files.yaml import parsed, write_yaml
 from ringpose.types.arrays import Array
 from ringpose.types.laser_planes import LaserPlanes
 from ringpose.types.rig import Rig
+from ringpose.types.sequence import MOST_LASERS
 
 SCHEMA = "rig/1"
-MOST_LASERS = 8
-"""Bits of a mask."""
 
 _KEYS = ("ringpose", "provenance", "camera", "lasers", "covariance", "mount", "quality")
 _LASER_KEYS = ("name", "normal", "distance_m", "projector_m")

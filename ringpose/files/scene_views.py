@@ -6,12 +6,13 @@ import cv2
 import numpy as np
 from jaxtyping import Float64
 
-from ringpose.errors import DataError
+from ringpose.errors import DataError, UsageError
 from ringpose.files.boards import board_of
 from ringpose.files.fields import Fields
 from ringpose.geometry.rotations import facing_normal
 from ringpose.types.arrays import Array
 from ringpose.types.scene import Approach, BoardApproach, BoardPlace, BoardSet, RingView, TargetKind
+from ringpose.types.sequence import parsed_sequence
 
 _VIEW_KEYS = ("name", "center_m", "normal", "pitch_rad", "yaw_rad", "roll_rad", "light", "target", "groups")
 _APPROACH_KEYS = ("count", "distances_m", "lights", "tilt_rad", "clock_rad", "offset", "name", "seed")
@@ -23,7 +24,10 @@ _ANGLES = ("tilt_rad", "clock_rad", "turn_rad")
 
 def read_sequence(fields: Fields, key: str, lasers: int) -> tuple[int, ...]:
     """Masks of the frames of a shot, from steps such as `off,1,2,3,all`."""
-    return tuple(_mask(fields, key, step.strip(), lasers) for step in fields.text(key).split(","))
+    try:
+        return tuple(step.mask(lasers) for step in parsed_sequence(fields.text(key)))
+    except UsageError as error:
+        raise fields.problem(key, error.found, error.remedy) from error
 
 
 def read_trajectory(
@@ -59,15 +63,6 @@ def read_board_set(fields: Fields, key: str, lasers: int) -> BoardSet:
     if entry.has("sequence"):
         values["sequence"] = read_sequence(entry, "sequence", lasers)
     return BoardSet(**values)
-
-
-def _mask(fields: Fields, key: str, step: str, lasers: int) -> int:
-    if step in ("off", "all"):
-        return (1 << lasers) - 1 if step == "all" else 0
-    numbers = step.split("+")
-    if not all(number.isdecimal() and 1 <= int(number) <= lasers for number in numbers):
-        raise fields.problem(key, f"has the step {step!r}", f"a step is off, all, or numbers 1 to {lasers} joined by +")
-    return sum({1 << (int(number) - 1) for number in numbers})
 
 
 def _view(entry: Fields, lights: tuple[str, ...]) -> RingView:

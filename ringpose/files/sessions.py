@@ -14,6 +14,7 @@ from ringpose.files.provenance import provenance, sha256
 from ringpose.files.shots import write_shot
 from ringpose.files.yaml import read_yaml, write_yaml
 from ringpose.types.frame import Shot
+from ringpose.types.sequence import MOST_LASERS
 from ringpose.types.session import Capture, CaptureState, Session
 
 SCHEMA = "session/1"
@@ -127,10 +128,10 @@ def _capture(fields: Fields) -> Capture:
         camera=fields.text("camera"),
         camera_name=fields.text("camera_name") if fields.has("camera_name") else None,
         lasers=fields.text("lasers"),
-        laser_count=fields.integer("laser_count", least=1.0, most=8.0) if fields.has("laser_count") else None,
+        laser_count=fields.integer("laser_count", least=1, most=MOST_LASERS) if fields.has("laser_count") else None,
         sequence=fields.text("sequence") if fields.has("sequence") else None,
-        exposure_s=fields.number("exposure_s", least=0.0) if fields.has("exposure_s") else None,
-        rate_hz=fields.number("rate_hz", least=0.0) if fields.has("rate_hz") else None,
+        exposure_s=fields.number("exposure_s", least=0) if fields.has("exposure_s") else None,
+        rate_hz=fields.number("rate_hz", least=0) if fields.has("rate_hz") else None,
         state=cast(CaptureState, fields.choice("state", get_args(CaptureState))),
         shots=fields.texts("shots"),
         provenance=fields.fields("provenance").values if fields.has("provenance") else {},

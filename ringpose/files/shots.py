@@ -9,12 +9,10 @@ from jaxtyping import Float64, UInt8
 from ringpose.errors import DataError, NoInputError
 from ringpose.files import records
 from ringpose.files.archives import Archive, write_archive
-from ringpose.files.images import IMAGE_SUFFIXES, read_image, write_image
+from ringpose.files.images import IMAGE_SUFFIXES, read_image
 from ringpose.types.arrays import Array
 from ringpose.types.frame import ALL_LASERS, Shot
 from ringpose.types.rig import Rig
-
-__all__ = ["ALL_LASERS", "SHOT_SUFFIXES", "read_image", "read_shot", "shot_of", "write_image", "write_shot"]
 
 SHOT_SUFFIXES = (".npz", *IMAGE_SUFFIXES)
 

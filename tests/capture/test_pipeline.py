@@ -8,9 +8,9 @@ import pytest
 from ringpose.capture.cameras.driver import CameraDescription, CameraDriver
 from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.capture.pipeline import captured_shots
-from ringpose.capture.sequence import parsed_sequence
 from ringpose.errors import DeviceError, LaserSafetyError, SignalReceived
 from ringpose.types.frame import Frame
+from ringpose.types.sequence import parsed_sequence
 
 
 class NotedLasers(LaserDriver):

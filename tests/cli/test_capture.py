@@ -11,8 +11,9 @@ import pytest
 import yaml
 
 from ringpose.cli.main import main
+from ringpose.files.images import write_image
 from ringpose.files.sessions import read_session
-from ringpose.files.shots import read_shot, write_image, write_shot
+from ringpose.files.shots import read_shot, write_shot
 from ringpose.types.frame import ALL_LASERS, Shot
 
 SMALL_RIG = """\

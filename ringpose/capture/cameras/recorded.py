@@ -7,10 +7,10 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Int64, UInt8
 
-from ringpose.capture.sequence import MOST_LASERS, Step
 from ringpose.errors import DataError
 from ringpose.types.arrays import Array
 from ringpose.types.frame import ALL_LASERS, Shot
+from ringpose.types.sequence import MOST_LASERS, Step
 
 PerFrame = TypeVar("PerFrame", bound=Array)
 

@@ -3,8 +3,8 @@
 from collections.abc import Iterable
 
 from ringpose.capture.lasers.driver import LaserDriver
-from ringpose.capture.sequence import Step
 from ringpose.errors import UsageError
+from ringpose.types.sequence import Step
 
 
 class UncontrolledLasers(LaserDriver):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from ringpose.capture.cameras.recorded import Recording, frames_of_steps
-from ringpose.capture.sequence import parsed_sequence
 from ringpose.errors import DataError
 from ringpose.types.frame import ALL_LASERS, Shot
+from ringpose.types.sequence import parsed_sequence
 
 
 def shot_of_masks(*lasers: int, name: str = "shot", **fields: object) -> Shot:

@@ -1,11 +1,11 @@
-"""The words of --sequence."""
+"""What is lit, frame by frame."""
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ringpose.capture.sequence import MOST_LASERS, Step, parsed_sequence, steps_of
 from ringpose.errors import UsageError
+from ringpose.types.sequence import MOST_LASERS, Step, parsed_sequence, steps_of
 
 numbers = st.sets(st.integers(1, MOST_LASERS), min_size=1)
 
