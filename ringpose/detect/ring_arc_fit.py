@@ -31,6 +31,9 @@ LINE_SIGMA_PX = 0.1
 END_SIGMA_PX = 0.4
 """What calibration and the material may add to the sigma of a break point."""
 
+POSSIBLE = ((0.03, 5.0), (0.001, 0.1), (0.1, 1.1), (-1.0, 10.0))
+"""Limits of depth and half band in metres, of the normal's cosine with the view, of the curvature in 1/m."""
+
 OUTLIER_SIGMAS = 3.0
 """Where a sight begins to count less; its weight falls as the fourth power beyond."""
 
@@ -62,15 +65,19 @@ class StripeEvidence:
 def stripe_evidence(break_points: BreakPoints, rig: Rig) -> StripeEvidence | None:
     """The evidence in the break points; None without a stripe's line on the face and two of its ends."""
     lasers = np.flatnonzero(np.isfinite(break_points.face_start_px[:, 0]))
-    seen = break_points.seen
-    if not len(lasers) or not seen.any(axis=0).all():
-        return None
     line_px = np.stack([break_points.face_start_px, break_points.face_end_px], axis=1)[lasers]
     plane_point = _on_light(undistorted_rays(line_px, rig.camera), lasers, rig)
     moved_point = _on_light(undistorted_rays(line_px + np.array([0.0, 1.0]), rig.camera), lasers, rig)
-    position = _on_light(rays(break_points.position_px, rig.camera), np.arange(len(seen)), rig)[seen]
-    side = np.broadcast_to([1.0, -1.0], seen.shape)[seen]
+    in_space = np.isfinite(plane_point + moved_point).all(axis=(1, 2))
+    lasers, plane_point, moved_point = lasers[in_space], plane_point[in_space], moved_point[in_space]
+    position = _on_light(rays(break_points.position_px, rig.camera), np.arange(len(break_points.flags)), rig)
+    seen = np.isfinite(position[..., 0])
+    if not len(lasers) or not seen.any(axis=0).all():
+        return None
+    position, side = position[seen], np.broadcast_to([1.0, -1.0], seen.shape)[seen]
     start = _facing(plane_point, position, side)
+    if not possible(start):
+        return None
     line_sigma_px = np.hypot(break_points.face_sigma_px[lasers], LINE_SIGMA_PX)
     end_sigma_px = np.hypot(np.sqrt(break_points.covariance_px2[seen][:, 0, 0]), END_SIGMA_PX)
     return StripeEvidence(
@@ -122,6 +129,12 @@ def fitted_arcs(
         information = weighted.T @ rows + fixed_rows.T @ fixed_rows
         arcs = moved(arcs, -np.linalg.solve(information, weighted.T @ residual + fixed_rows.T @ fixed_residual))
     return arcs, np.linalg.inv(information)
+
+
+def possible(arcs: RingArcs) -> bool:
+    """Whether a ring in front of a camera can have these arcs; a fit of contradictions leads anywhere."""
+    numbers = [arcs.origin[2], arcs.half_band_m, -arcs.axes[2, 2], abs(arcs.curvature)]
+    return all(least < number < most for number, (least, most) in zip(numbers, POSSIBLE, strict=True))
 
 
 def _plane_and_priors(

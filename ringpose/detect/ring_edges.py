@@ -16,7 +16,7 @@ from ringpose.detect.edge_search import BLUR_PX, EdgeImage, clear_steps, step_si
 from ringpose.detect.edge_start import sights_beside_stripe
 from ringpose.detect.edge_steps import ALONG_PX, Profiles, edge_profiles, edge_steps
 from ringpose.detect.edge_trace import chosen, clear_of, edge_trace
-from ringpose.detect.ring_arc_fit import NO_SIGHTS, StripeEvidence, fitted_arcs, stripe_evidence
+from ringpose.detect.ring_arc_fit import NO_SIGHTS, StripeEvidence, fitted_arcs, possible, stripe_evidence
 from ringpose.detect.ring_arcs import STATE, RingArcs
 from ringpose.types.arrays import Array
 from ringpose.types.break_points import BreakPointFlag, BreakPoints, RingEdgePoints
@@ -135,6 +135,8 @@ def followed_arcs(
         arcs, covariance = fitted_arcs(arcs, evidence, sights_beside_stripe(arcs, frame, rig), 4)
     reached = 0
     for _ in range(ROUNDS):
+        if not possible(arcs):
+            return None
         trace = edge_trace(arcs, covariance, rig, WALK_SPACING_PX, PREDICTED_SIGMA_PX)
         if len(trace.side) <= reached * FARTHER:
             break

@@ -371,3 +371,13 @@ def test_dim_light_shows_no_edges(carried_data):
     detection = detect(read_shot(carried_data / "rig_b" / "shots" / "B_z0500_p00_dim.npz"), rig)
 
     assert detection.ring_edges is None
+
+
+def test_contradictory_break_points_give_no_exception(rig, rng):
+    frame = lit(picture(DrawnScene(), rig, Surroundings(), rng))
+    true = measured(DrawnScene(), rig, rng)
+    for_all = rng.uniform(-50, [1650, 1250], (20, 3, 2, 2))
+
+    for_each = [ring_edges(replace(true, position_px=position), frame, rig) for position in for_all]
+
+    assert all(points is None or np.isfinite(points.position_px).all() for points in for_each)
