@@ -57,7 +57,8 @@ def _command(arguments: list[str]) -> int:
 
     from ringpose.cli.app import app
 
-    for name in COMMANDS:
+    named = [name for name in COMMANDS if [name.replace("_", "-")] == arguments[:1]]
+    for name in named or COMMANDS:
         import_module(f"ringpose.cli.{name}")
     wrong_words: Any = typer.BadParameter.__mro__[1]  # UsageError of the click inside typer, which has no public name
     try:

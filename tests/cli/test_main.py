@@ -44,7 +44,7 @@ def test_every_command_has_its_help(capsys, command):
     assert f"Usage: ringpose {command}" in capsys.readouterr().out
 
 
-HEAVY = ("numpy", "cv2", "scipy", "yaml", "rich", "jaxtyping")
+HEAVY = ("numpy", "cv2", "scipy", "yaml", "rich", "jaxtyping", "pydantic")
 
 
 @pytest.mark.parametrize("command", COMMANDS)
