@@ -34,6 +34,9 @@ END_SIGMA_PX = 0.4
 POSSIBLE = ((0.03, 5.0), (0.001, 0.1), (0.1, 1.1), (-1.0, 10.0))
 """Limits of depth and half band in metres, of the normal's cosine with the view, of the curvature in 1/m."""
 
+LONGEST_STEP = np.array([0.5, 0.5, 0.2, 0.2, 0.5, 3.0, 0.02])
+"""Largest change of each number of the state in one round, beyond which derivatives mean nothing."""
+
 OUTLIER_SIGMAS = 3.0
 """Where a sight begins to count less; its weight falls as the fourth power beyond."""
 
@@ -127,7 +130,8 @@ def fitted_arcs(
         weighted = rows * weight[:, None]
         fixed_rows, fixed_residual = _plane_and_priors(arcs, evidence)
         information = weighted.T @ rows + fixed_rows.T @ fixed_rows
-        arcs = moved(arcs, -np.linalg.solve(information, weighted.T @ residual + fixed_rows.T @ fixed_residual))
+        step = -np.linalg.solve(information, weighted.T @ residual + fixed_rows.T @ fixed_residual)
+        arcs = moved(arcs, np.clip(step, -LONGEST_STEP, LONGEST_STEP))
     return arcs, np.linalg.inv(information)
 
 
