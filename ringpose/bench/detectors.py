@@ -22,7 +22,7 @@ from ringpose.types.frame import Shot
 from ringpose.types.segments import Segments
 
 CHAIN = "ringpose detect"
-"""All of it, from the image to break points; only where the rig is known."""
+"""From the image to break points, without the ring's edges between them; only where the rig is known."""
 
 LINE_DISTANCES_PX = (1.5, 3.0)
 """How far a segment may be from a drawn line."""
@@ -76,7 +76,7 @@ def compared(images: Sequence[KnownImage], rounds: int) -> list[DetectorLine]:
                 str(name): partial(detector(name), image.image) for name in DetectorName
             }
             if image.stripes is not None:
-                calls[CHAIN] = partial(detect, shot_of(image.stripes), image.stripes.rig)
+                calls[CHAIN] = partial(detect, shot_of(image.stripes), image.stripes.rig, edges=False)
             for name, time_s in median_times_s(calls, rounds).items():
                 times[name] += time_s / len(images)
         lines = [_line(name, images, times) for name in DetectorName]
@@ -140,7 +140,7 @@ def _length_recall(found: Sequence[Segments], images: Sequence[KnownImage]) -> d
 
 
 def _chain_line(images: Sequence[StripeImage], times: dict[str, float]) -> DetectorLine:
-    found = [detect(shot_of(image), image.rig) for image in images]
+    found = [detect(shot_of(image), image.rig, edges=False) for image in images]
     errors = joined_break_points([break_point_errors(each, image) for each, image in zip(found, images, strict=True)])
     wrong = (errors.flags == 0) & (np.hypot(errors.along_px, errors.across_px) > WRONG_PX)
     return DetectorLine(

@@ -71,18 +71,10 @@ def segment_gates(rounds: int) -> list[Gate]:
 
 def chain_gates(rounds: int, pose_stream: PoseStream) -> list[Gate]:
     """From the image to break points with sigmas, and on to the pose line."""
-    times_s = {"peer": 0.0, "centers": 0.0, "one": 0.0, "four": 0.0, "stream": 0.0}
+    times_s: dict[str, float] = {}
     for seed in range(TIMED_IMAGES):
-        image, frames = switched_frames(Kind.DARK, seed)
-        calls: dict[str, Callable[[], object]] = {
-            "peer": partial(detector(DetectorName.EDGE_DRAWING), image.image),
-            "centers": partial(find_stripes, image.image),
-            "one": partial(detect, shot_of(image), image.rig),
-            "four": partial(detect, switched_shot(frames[1:]), image.rig),
-            "stream": partial(pose_stream, shot_of(image), image.rig),
-        }
-        for name, time_s in median_times_s(calls, rounds).items():
-            times_s[name] += time_s
+        for name, time_s in median_times_s(_chain_calls(seed, pose_stream), rounds).items():
+            times_s[name] = times_s.get(name, 0.0) + time_s
     peer_s = times_s["peer"]
     further_s = (times_s["four"] - times_s["one"]) / 3
     return [
@@ -90,8 +82,22 @@ def chain_gates(rounds: int, pose_stream: PoseStream) -> list[Gate]:
         Gate(what="of that, stripe centres", measured=times_s["centers"] / peer_s, unit=PEER),
         Gate(what="one frame, all lasers on, tracked bands", measured=None, unit=PEER, most=0.08),
         Gate(what="each further frame of a switched shot", measured=further_s / peer_s, unit=PEER, most=0.12),
-        Gate(what="pose stream", measured=times_s["stream"] / times_s["one"], unit="x detect alone", most=2.0),
+        Gate(what="with the ring's edges, full frame", measured=times_s["edges"] / peer_s, unit=PEER),
+        Gate(what="pose stream", measured=times_s["stream"] / times_s["edges"], unit="x detect alone", most=2.0),
     ]
+
+
+def _chain_calls(seed: int, pose_stream: PoseStream) -> dict[str, Callable[[], object]]:
+    image, frames = switched_frames(Kind.DARK, seed)
+    shot, rig = shot_of(image), image.rig
+    return {
+        "peer": partial(detector(DetectorName.EDGE_DRAWING), image.image),
+        "centers": partial(find_stripes, image.image),
+        "one": partial(detect, shot, rig, edges=False),
+        "four": partial(detect, switched_shot(frames[1:]), rig, edges=False),
+        "edges": partial(detect, shot, rig),
+        "stream": partial(pose_stream, shot, rig),
+    }
 
 
 def pose_gates(rounds: int) -> list[Gate]:

@@ -59,7 +59,7 @@ def _pose_stream(shot: "Shot", rig: "Rig") -> str:
     from ringpose.files.poses import pose_record
     from ringpose.files.records import line_of
 
-    return line_of(pose_record(pose_line(shot, rig, Method.PAPER_CONSTRAINED, PoseFrame.CAMERA)))
+    return line_of(pose_record(pose_line(shot, rig, Method.ML, PoseFrame.CAMERA)))
 
 
 def _starts(folder: Path) -> dict[str, Callable[[], object]]:
