@@ -26,6 +26,9 @@ SegmentsOnly = Annotated[
 StripesFrom = Annotated[
     StripeSource, typer.Option("--stripes", help="Make stripes from column centers or from the paper's segments.")
 ]
+Track = Annotated[
+    bool, typer.Option("--track", help="Look near the stripes of the shot before first, then everywhere.")
+]
 Full = Annotated[bool, typer.Option("--full", help="Write stripes and segments into records too, as NPZ files do.")]
 
 
@@ -37,6 +40,7 @@ def detect(
     overlay: Overlay = None,
     segments_only: SegmentsOnly = False,
     stripes: StripesFrom = StripeSource.CENTERS,
+    track: Track = False,
     full: Full = False,
     channel: ImageChannel = None,
     force: Force = False,
@@ -58,12 +62,13 @@ def detect(
         raise UsageError("", "--rig is missing", "give --rig FILE, or --segments-only for any image")
     rig_of_shots = None if rig is None else read_rig(rig)
     sink = DetectionSink(output, overlay, rig=rig, full=full or segments_only, force=force)
-    batch = Batch()
+    batch, last = Batch(), None
     for item in counted(batch.good(named(inputs, SHOT_SUFFIXES)), "shots", quiet):
         with batch.item():
             path = file_named(item)
             shot = read_shot(path, channel, rig_of_shots)
-            detection = detection_of(shot, None if segments_only else rig_of_shots, stripes)
+            detection = detection_of(shot, None if segments_only else rig_of_shots, stripes, last)
+            last = detection if track and detection.found else None
             sink.write(shot, detection, path)
             if verbose:
                 messages.say(f"{shot.name}: {detection.summary}")
@@ -72,13 +77,15 @@ def detect(
     batch.finish()
 
 
-def detection_of(shot: "Shot", rig: "Rig | None", source: StripeSource) -> "Detection":
-    """What is found in a shot; only segments without a rig."""
+def detection_of(shot: "Shot", rig: "Rig | None", source: StripeSource, last: "Detection | None") -> "Detection":
+    """What is found in a shot, near what was found last if that is given; only segments without a rig."""
     if rig is None:
         from ringpose.detect.raw_segments import segments_only
 
         return segments_only(shot)
 
     from ringpose.detect.pipeline import detect as detected
+    from ringpose.types.break_points import BreakPoints
 
-    return detected(shot, rig, source)
+    predicted = last.break_points if last is not None and isinstance(last.break_points, BreakPoints) else None
+    return detected(shot, rig, source, predicted=predicted)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ringpose.detect.bands import predicted_windows, stripes_in
 from ringpose.detect.break_points import break_points
 from ringpose.detect.faces import ring_face
 from ringpose.detect.frames import LaserImage, laser_images
@@ -16,19 +17,34 @@ from ringpose.types.break_points import BreakPoints, Detection, NoBreakPoints
 from ringpose.types.frame import Shot
 from ringpose.types.rig import Rig
 from ringpose.types.segments import Segments
-from ringpose.types.stripes import UNLABELLED, Stripes
+from ringpose.types.stripes import UNLABELLED, Stripes, joined_stripes
 
 DARK_DN = 8
 """A frame whose brightest pixels stay below this shows nothing at all."""
 
 
-def detect(shot: Shot, rig: Rig, source: StripeSource = StripeSource.CENTERS, *, edges: bool = True) -> Detection:
-    """Stripes, break points and (unless `edges` is false) the ring's visible edges; no break points say why."""
+def detect(
+    shot: Shot,
+    rig: Rig,
+    source: StripeSource = StripeSource.CENTERS,
+    *,
+    edges: bool = True,
+    predicted: BreakPoints | None = None,
+) -> Detection:
+    """Stripes, break points and (unless `edges` is false) the ring's visible edges; no break points say why.
+
+    With a prediction, only bands about its stripes are searched; if what it saw is not all found there, the whole
+    frames are.
+    """
     images = laser_images(shot, len(rig.lasers.names))
     if not images:
         return Detection(shot=shot.name, stamp_s=shot.measured_at_s, break_points=NoBreakPoints.NO_LASER_FRAME)
-    stripes, segments = _all_stripes(images, source)
-    found, ring_edges = _found(stripes, images, rig, shot.saturation_dn), None
+    stripes = None if predicted is None else _predicted_stripes(images, predicted, rig)
+    segments, ring_edges = None, None
+    found = None if stripes is None else _found(stripes, images, rig, shot.saturation_dn)
+    if stripes is None or found is None or _lost(found, predicted):
+        stripes, segments = _all_stripes(images, source)
+        found = _found(stripes, images, rig, shot.saturation_dn)
     if edges and isinstance(found, BreakPoints) and source is StripeSource.CENTERS:
         found, ring_edges = shown_edges(found, shot, stripes, rig)
     return Detection(
@@ -41,8 +57,25 @@ def detect(shot: Shot, rig: Rig, source: StripeSource = StripeSource.CENTERS, *,
     )
 
 
+def _predicted_stripes(images: list[LaserImage], predicted: BreakPoints, rig: Rig) -> Stripes | None:
+    """The stripes in bands about the predicted ones; None if none is predicted."""
+    parts = []
+    for image in images:
+        windows = predicted_windows(predicted, image.lasers, rig.camera)
+        if windows:
+            parts.append(_labelled(stripes_in(windows, image), image))
+    return joined_stripes(parts) if parts else None
+
+
+def _lost(found: BreakPoints | NoBreakPoints, predicted: BreakPoints | None) -> bool:
+    """Whether a break point that was predicted was not found."""
+    if predicted is None or not isinstance(found, BreakPoints):
+        return True
+    return bool(np.any(predicted.seen & ~found.seen))
+
+
 def _all_stripes(images: list[LaserImage], source: StripeSource) -> tuple[Stripes, Segments | None]:
-    """The stripes of all frames in one record, with the laser where a frame shows only one; the segments if used."""
+    """The stripes of all frames in one record, and the segments if they are made from those."""
     stripes, segments = [], []
     for image in images:
         if source is StripeSource.SEGMENTS:
@@ -50,21 +83,14 @@ def _all_stripes(images: list[LaserImage], source: StripeSource) -> tuple[Stripe
             segments.append(edges)
         else:
             part = find_stripes(image.lit, image.dark)
-        label = image.lasers[0] if image.labelled else UNLABELLED
-        stripes.append(replace(part, laser=np.full_like(part.laser, label)))
-    return _joined_stripes(stripes), _joined_segments(segments) if segments else None
+        stripes.append(_labelled(part, image))
+    return joined_stripes(stripes), _joined_segments(segments) if segments else None
 
 
-def _joined_stripes(parts: list[Stripes]) -> Stripes:
-    """Stripes of several frames in one record, their pieces numbered on."""
-    before = np.cumsum([0, *(len(part.laser) for part in parts[:-1])])
-    return Stripes(
-        position_px=np.concatenate([part.position_px for part in parts]),
-        sigma_px=np.concatenate([part.sigma_px for part in parts]),
-        peak_dn=np.concatenate([part.peak_dn for part in parts]),
-        piece=np.concatenate([part.piece + start for part, start in zip(parts, before, strict=True)]),
-        laser=np.concatenate([part.laser for part in parts]),
-    )
+def _labelled(stripes: Stripes, image: LaserImage) -> Stripes:
+    """Stripes with their laser, where a frame shows only one."""
+    label = image.lasers[0] if image.labelled else UNLABELLED
+    return replace(stripes, laser=np.full_like(stripes.laser, label))
 
 
 def _joined_segments(parts: list[Segments]) -> Segments:

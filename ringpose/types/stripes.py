@@ -1,7 +1,9 @@
 """The laser stripes' centres, column by column."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from jaxtyping import Float64, Int64
 
 from ringpose.types.arrays import Array
@@ -22,3 +24,15 @@ class Stripes:
     """Number of the piece, from 0: centres linked along x without a gap or a jump."""
     laser: Int64[Array, "piece"]
     """Laser of each piece, or `UNLABELLED`."""
+
+
+def joined_stripes(parts: Sequence[Stripes]) -> Stripes:
+    """Stripes of several frames or windows in one record, their pieces numbered on."""
+    before = np.cumsum([0, *(len(part.laser) for part in parts[:-1])])
+    return Stripes(
+        position_px=np.concatenate([part.position_px for part in parts]),
+        sigma_px=np.concatenate([part.sigma_px for part in parts]),
+        peak_dn=np.concatenate([part.peak_dn for part in parts]),
+        piece=np.concatenate([part.piece + start for part, start in zip(parts, before, strict=True)]),
+        laser=np.concatenate([part.laser for part in parts]),
+    )

@@ -178,3 +178,39 @@ def test_detection_does_not_depend_on_the_order_of_frames(rig, rng):
     first, second = found(shot, rig), found(turned, rig)
 
     np.testing.assert_allclose(second.position_px, first.position_px, atol=1e-9)
+
+
+def count_calls(monkeypatch):
+    """Counts frames that are searched whole."""
+    from ringpose.detect import pipeline
+
+    calls = []
+    whole = pipeline.find_stripes
+    monkeypatch.setattr(pipeline, "find_stripes", lambda *frames: calls.append(1) or whole(*frames))
+    return calls
+
+
+def test_a_prediction_restricts_the_search_and_changes_little(rig, rng, monkeypatch):
+    scene = DrawnScene(speckle=0.1)
+    shot = draw_shot(scene, rig, SWITCHED, rng)
+    predicted = found(draw_shot(DrawnScene(center_m=(0.575, 0.022, 0.502)), rig, SWITCHED, rng), rig)
+    whole = found(shot, rig)
+    calls = count_calls(monkeypatch)
+
+    tracked = detect(shot, rig, predicted=predicted).break_points
+
+    assert calls == []
+    assert isinstance(tracked, BreakPoints)
+    np.testing.assert_allclose(tracked.position_px, whole.position_px, atol=0.05)
+
+
+def test_a_lost_prediction_falls_back_to_the_whole_frame(rig, rng, monkeypatch):
+    shot = draw_shot(DrawnScene(), rig, SWITCHED, rng)
+    predicted = found(draw_shot(DrawnScene(center_m=(0.58, 0.02, 0.7)), rig, SWITCHED, rng), rig)
+    calls = count_calls(monkeypatch)
+
+    tracked = detect(shot, rig, predicted=predicted).break_points
+
+    assert len(calls) == 3
+    assert isinstance(tracked, BreakPoints)
+    np.testing.assert_array_equal(tracked.position_px, found(shot, rig).position_px)
