@@ -1,6 +1,7 @@
 """What a calibration of the light planes is worth, for the file and for the reader."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -15,15 +16,7 @@ from ringpose.types.rig import Rig
 def calibrated_rig(camera: Camera, calibration: PlanesCalibration) -> Rig:
     """The rig of camera and light planes; the joint covariance, where there is one, holds the camera's too."""
     joint = calibration.covariance is not None
-    own = Camera(
-        camera_name=camera.camera_name,
-        image_width=camera.image_width,
-        image_height=camera.image_height,
-        camera_matrix=camera.camera_matrix,
-        distortion_model=camera.distortion_model,
-        distortion_coefficients=camera.distortion_coefficients,
-        covariance=None if joint else camera.covariance,
-    )
+    own = replace(camera, covariance=None) if joint else camera
     return Rig(camera=own, lasers=calibration.planes, covariance=calibration.covariance)
 
 

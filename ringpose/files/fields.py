@@ -17,6 +17,9 @@ FREE_PREFIX = "x_"
 LARGEST = 1e30
 """No number in a file of ours is larger; squares of larger ones would not be finite."""
 
+ROUNDED = 1e-6
+"""How far from 1 a length, or from a rotation a matrix, may be and still count as rounded."""
+
 LONGEST_M = 5.0
 """No length of a rig or board is longer; a larger number is in millimetres."""
 
@@ -123,6 +126,15 @@ class Fields:
         point = self.vector(key, 3)
         self.check_metres(key, point)
         return point
+
+    def unit_vector(self, key: str, remedy: str = "") -> Float64[Array, "xyz=3"]:
+        """A vector of length 1, made exactly so."""
+        vector = self.vector(key, 3)
+        length = float(np.linalg.norm(vector))
+        if abs(length - 1) > ROUNDED:
+            raise self.problem(key, f"has length {length:.6g}, must be 1", remedy if length > 0 else "")
+        unit: Float64[Array, "xyz=3"] = vector / length
+        return unit
 
     def check_metres(self, key: str, lengths: Float64[Array, "n"]) -> None:
         """Refuse lengths that only make sense in millimetres."""

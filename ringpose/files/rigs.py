@@ -14,7 +14,7 @@ from ringpose.files import atomic
 from ringpose.files.bytes import read_bytes
 from ringpose.files.cameras import CAMERA_KEYS, camera_of, camera_values
 from ringpose.files.covariances import camera_parameters, covariance_values, laser_parameters, read_covariance
-from ringpose.files.fields import Fields
+from ringpose.files.fields import ROUNDED, Fields
 from ringpose.files.provenance import provenance
 from ringpose.files.yaml import parsed, write_yaml
 from ringpose.types.arrays import Array
@@ -26,8 +26,6 @@ SCHEMA = "rig/1"
 
 _KEYS = ("ringpose", "provenance", "camera", "lasers", "covariance", "mount", "quality")
 _LASER_KEYS = ("name", "normal", "distance_m", "projector_m")
-_UNIT = 1e-6
-"""How far from 1 a length, or from a rotation a matrix, may be and still count as rounded."""
 
 
 def read_rig(path: Path) -> Rig:
@@ -100,7 +98,7 @@ def _lasers(fields: Fields) -> LaserPlanes:
     unknown = np.full(3, np.nan)
     return LaserPlanes(
         names=names,
-        normal=np.stack([_normal(entry) for entry in entries]),
+        normal=np.stack([entry.unit_vector("normal", "divide normal and distance_m by it") for entry in entries]),
         distance_m=np.array([entry.length_m("distance_m") for entry in entries]),
         projector_m=np.stack(
             [entry.point_m("projector_m") if entry.has("projector_m") else unknown for entry in entries]
@@ -113,16 +111,6 @@ def _name(entry: Fields) -> str:
     if "." in name:
         raise entry.problem("name", f"is {name!r}, must have no full stop")
     return name
-
-
-def _normal(entry: Fields) -> Float64[Array, "3"]:
-    normal = entry.vector("normal", 3)
-    length = float(np.linalg.norm(normal))
-    if abs(length - 1) > _UNIT:
-        remedy = "divide normal and distance_m by it" if length > 0 else ""
-        raise entry.problem("normal", f"has length {length:.6g}, must be 1", remedy)
-    unit: Float64[Array, "3"] = normal / length
-    return unit
 
 
 def _laser_values(lasers: LaserPlanes) -> list[dict[str, Any]]:
@@ -140,7 +128,7 @@ def _tool_from_camera(fields: Fields) -> Float64[Array, "4 4"]:
     if np.any(matrix[3] != [0, 0, 0, 1]):
         raise mount.problem("tool_from_camera", "must end with the row [0, 0, 0, 1]")
     rotation = matrix[:3, :3]
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > _UNIT or np.linalg.det(rotation) < 0:
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > ROUNDED or np.linalg.det(rotation) < 0:
         raise mount.problem("tool_from_camera", "its left upper 3 x 3 numbers are no rotation")
     mount.check_metres("tool_from_camera", matrix[:3, 3])
     left, _, right = np.linalg.svd(rotation)

@@ -89,14 +89,10 @@ def _normal(entry: Fields) -> Float64[Array, "3"]:
         return facing_normal(pitch, yaw)
     if entry.has("pitch_rad") or entry.has("yaw_rad"):
         raise entry.problem("normal", "is given beside pitch_rad or yaw_rad", "give one of the two")
-    normal = entry.vector("normal", 3)
-    length = float(np.linalg.norm(normal))
-    if abs(length - 1) > 1e-6:
-        raise entry.problem("normal", f"has length {length:.6g}, must be 1")
+    normal = entry.unit_vector("normal")
     if normal[2] >= 0:
         raise entry.problem("normal", "points away from the camera", "turn its signs: z is forward")
-    unit: Float64[Array, "3"] = normal / length
-    return unit
+    return normal
 
 
 def _approach(entry: Fields, lights: tuple[str, ...]) -> Approach:

@@ -25,7 +25,6 @@ _KEYS = (
     "groups",
 )
 _EXPECT = ("pose", "partial", "no_target")
-_UNIT = 1e-6
 
 
 def read_truths(path: Path) -> Iterator[Truth]:
@@ -53,7 +52,7 @@ def truth_of(fields: Fields) -> Truth:
         shot=fields.text("shot"),
         expect=cast(Literal["pose", "partial", "no_target"], fields.choice("expect", _EXPECT)),
         center_m=fields.vector("center_m", 3) if fields.has("center_m") else None,
-        normal=_normal(fields) if fields.has("normal") else None,
+        normal=fields.unit_vector("normal") if fields.has("normal") else None,
         radius_inner_m=fields.length_m("radius_inner_m") if fields.has("radius_inner_m") else None,
         radius_outer_m=fields.length_m("radius_outer_m") if fields.has("radius_outer_m") else None,
         break_points_px=_break_points(fields) if fields.has("break_points_px") else None,
@@ -80,15 +79,6 @@ def _groups(fields: Fields) -> Mapping[str, str | float | int | bool]:
         if not isinstance(key, str) or not isinstance(value, str | float | int):
             raise fields.problem(str(key), f"is {kind(value)}, must be a text, a number, true or false")
     return fields.values
-
-
-def _normal(fields: Fields) -> Float64[Array, "3"]:
-    normal = fields.vector("normal", 3)
-    length = float(np.linalg.norm(normal))
-    if abs(length - 1) > _UNIT:
-        raise fields.problem("normal", f"has length {length:.6g}, must be 1")
-    unit: Float64[Array, "3"] = normal / length
-    return unit
 
 
 def _break_points(fields: Fields) -> Float64[Array, "laser edge=2 xy=2"]:
