@@ -50,4 +50,4 @@ man:
 	else echo "make man: mandoc is missing (apt install mandoc): manual not linted" >&2; fi
 
 clean:
-	rm -rf $(VENV) build dist demo *.egg-info ringpose/kernels/*.so
+	rm -rf $(VENV) build dist demo calibrate real-shots *.egg-info ringpose/kernels/*.so
