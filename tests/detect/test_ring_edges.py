@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from drawn_scene import RADII_M, DrawnScene, drawn_rig, line_of, true_break_points
+from true_edges import edge_errors_px
 
 from ringpose.detect.edge_search import EdgeImage
 from ringpose.detect.pipeline import detect
@@ -326,30 +327,6 @@ def test_names_that_are_known_stay(rig, rng):
     assert named_by_curvature(ends, found)[0] is ends
 
 
-def circle_px(truth: dict, radius: float, rig: Rig) -> np.ndarray:
-    """Densely spaced points of a true edge, by OpenCV's projection."""
-    normal = np.array(truth["normal"])
-    across = np.cross(normal, [0.0, 1.0, 0.0])
-    across /= np.linalg.norm(across)
-    angle = np.linspace(0, 2 * np.pi, 40000)[:, None]
-    points = np.array(truth["center_m"]) + radius * (np.cos(angle) * across + np.sin(angle) * np.cross(normal, across))
-    points = points[points[:, 2] > 0.2]
-    matrix, distortion = rig.camera.camera_matrix, rig.camera.distortion_coefficients
-    return cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, distortion)[0].reshape(-1, 2)
-
-
-def rendered_errors_px(points: RingEdgePoints, truth: dict, rig: Rig) -> np.ndarray:
-    """Distance of edge points from the true edges along their normals."""
-    error_px = np.empty(len(points.edge))
-    for edge, radius in enumerate((truth["radius_inner_m"], truth["radius_outer_m"])):
-        circle = circle_px(truth, radius, rig)
-        for which in np.flatnonzero(points.edge == edge):
-            offset = points.position_px[which] - circle
-            nearest = offset[np.argmin(np.sum(offset**2, axis=-1))]
-            error_px[which] = nearest @ points.normal[which]
-    return error_px
-
-
 def test_a_rendered_shot_with_all_lasers_on_shows_its_edges(carried_data):
     rig = read_rig(carried_data / "rig_b" / "rig.yaml")
     lines = (carried_data / "rig_b" / "truth.jsonl").read_text().splitlines()
@@ -358,7 +335,7 @@ def test_a_rendered_shot_with_all_lasers_on_shows_its_edges(carried_data):
     detection = detect(read_shot(carried_data / "rig_b" / "shots" / "B_z0500_p01_normal.npz"), rig)
 
     points = seen_edges(detection.ring_edges)
-    error_px = rendered_errors_px(points, truth, rig)
+    error_px = edge_errors_px(points, truth, rig)
     assert len(error_px) > 100
     assert 1.4826 * np.median(np.abs(error_px)) < 0.3
     assert abs(np.sum(error_px / points.sigma_px**2) / np.sum(points.sigma_px**-2)) < 0.1
