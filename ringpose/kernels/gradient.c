@@ -13,7 +13,7 @@
 enum { BLOCK = 128 };
 
 /* Anchors lie in columns whose number is a multiple of it, those of upright edges in such rows. */
-enum { ANCHOR_SPACING = 5 };
+enum { ANCHOR_SPACING = 5, NO_ANCHORS = INT16_MAX };
 
 typedef struct {
     void *memory;
@@ -23,10 +23,10 @@ typedef struct {
     int16_t *along, *across;
     int16_t *gx[2], *gy[2];
     uint8_t *is_anchor;
-    int16_t *has_anchors; /* 1 in columns that are multiples of ANCHOR_SPACING */
+    int16_t *least; /* magnitude of an anchor in each column; none has NO_ANCHORS */
 } Rows;
 
-static int allocate_rows(Rows *rows, size_t width) {
+static int allocate_rows(Rows *rows, size_t width, int16_t upper) {
     if (width > SIZE_MAX / 32) return 0;
     rows->memory = calloc(13 * width, sizeof(int16_t));
     if (rows->memory == NULL) return 0;
@@ -41,8 +41,8 @@ static int allocate_rows(Rows *rows, size_t width) {
         rows->gy[i] = row + (size_t)(9 + i) * width;
     }
     rows->is_anchor = (uint8_t *)(row + 11 * width);
-    rows->has_anchors = row + 12 * width;
-    for (size_t x = 0; x < width; x += ANCHOR_SPACING) rows->has_anchors[x] = 1;
+    rows->least = row + 12 * width;
+    for (size_t x = 0; x < width; x++) rows->least[x] = x % ANCHOR_SPACING == 0 ? upper : NO_ANCHORS;
     return 1;
 }
 
@@ -115,6 +115,11 @@ static int16_t strongest(const int16_t *magnitude, size_t from, size_t to) {
     return most;
 }
 
+/* The first, if all bits of the mask are set, the second, if none: conditions keep compilers from vectors. */
+static int16_t chosen(int16_t mask, int16_t first, int16_t second) {
+    return (int16_t)((first & mask) | (second & ~mask));
+}
+
 /* 1 where the magnitude is a maximum across the edge, down the column or along the row whichever is nearer; of two
    equal ones the earlier in raster order. */
 VECTOR_LOOP
@@ -122,15 +127,15 @@ static void mark_maxima(const Rows *rows, size_t row, const int16_t *restrict he
                         size_t to, int16_t upper) {
     const int16_t *restrict up = here - width, *restrict down = here + width;
     const int16_t *restrict gx = rows->gx[row % 2], *restrict gy = rows->gy[row % 2];
-    const int16_t *restrict column_has_anchors = rows->has_anchors;
-    const int16_t row_has_anchors = row % ANCHOR_SPACING == 0;
+    const int16_t *restrict least_in_column = rows->least;
+    const int16_t least_in_row = row % ANCHOR_SPACING == 0 ? upper : NO_ANCHORS;
     uint8_t *restrict is_anchor = rows->is_anchor;
     for (size_t x = from; x < to; x++) {
         int16_t ax = (int16_t)(gx[x] < 0 ? -gx[x] : gx[x]), ay = (int16_t)(gy[x] < 0 ? -gy[x] : gy[x]);
-        int16_t west = *(here + x - 1), east = here[x + 1], north = up[x], south = down[x];
-        int16_t before = ax > ay ? west : north, after = ax > ay ? east : south;
-        int16_t has_anchors = ax > ay ? row_has_anchors : column_has_anchors[x];
-        is_anchor[x] = (uint8_t)(has_anchors & (here[x] >= upper) & (here[x] > before) & (here[x] >= after));
+        int16_t upright = (int16_t)-(ax > ay);
+        int16_t before = chosen(upright, *(here + x - 1), up[x]), after = chosen(upright, here[x + 1], down[x]);
+        int16_t least = chosen(upright, least_in_row, least_in_column[x]);
+        is_anchor[x] = (here[x] >= least) & (here[x] > before) & (here[x] >= after);
     }
 }
 
@@ -183,7 +188,7 @@ int find_gradient(const Image *image, int upper, int16_t *magnitude, Anchors *an
         return 1;
     }
     Rows rows;
-    if (!allocate_rows(&rows, width)) return 0;
+    if (!allocate_rows(&rows, width, (int16_t)upper)) return 0;
     memset(magnitude, 0, rim * sizeof *magnitude);
     memset(magnitude + height * width - rim, 0, rim * sizeof *magnitude);
     smooth_image_row(image, margin - 1, &rows);
