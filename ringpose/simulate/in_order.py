@@ -5,7 +5,7 @@ import signal
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from multiprocessing.connection import Connection
-from typing import TypeVar, cast
+from typing import TypeVar
 
 Result = TypeVar("Result")
 
@@ -43,14 +43,14 @@ def in_order(work: Callable[[int], Result], count: int, jobs: int) -> Iterator[R
                 process.join()
 
 
-def _received(results: "Connection[object, object]") -> Result:  # type: ignore[type-var]
+def _received(results: "Connection[object, Result | Exception]") -> Result:
     try:
         result = results.recv()
     except EOFError:
         raise RuntimeError("a worker process was killed, perhaps for lack of memory") from None
     if isinstance(result, Exception):
         raise result
-    return cast(Result, result)
+    return result
 
 
 def _do(work: Callable[[int], object], numbers: range, sender: "Connection[object, object]") -> None:

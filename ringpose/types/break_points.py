@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from enum import Enum, IntFlag
 
+import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
 from ringpose.types.arrays import Array
@@ -56,7 +57,7 @@ class BreakPoints:
     @property
     def seen(self) -> Bool[Array, "laser edge=2"]:
         """Which of them were seen."""
-        seen: Bool[Array, "laser edge=2"] = self.position_px[..., 0] == self.position_px[..., 0]
+        seen: Bool[Array, "laser edge=2"] = ~np.isnan(self.position_px[..., 0])
         return seen
 
 
