@@ -1,9 +1,9 @@
 """What capture asks of a camera driver."""
 
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Protocol, runtime_checkable
 
+from ringpose.capture.device import Device
 from ringpose.types.frame import Frame
 
 
@@ -19,11 +19,8 @@ class CameraDescription:
 
 
 @runtime_checkable
-class CameraDriver(Protocol):
-    """A camera that a program triggers; a driver derives from this and gains the `with` block that ends closed."""
-
-    def open(self) -> None:
-        """Take the device; a `DeviceError` says what is in the way."""
+class CameraDriver(Device, Protocol):
+    """A camera that a program triggers."""
 
     def describe(self) -> CameraDescription:
         """Which camera it is; only while it is open."""
@@ -33,18 +30,3 @@ class CameraDriver(Protocol):
 
     def trigger(self, lasers: int) -> Frame:
         """Expose one frame now and wait for it; `lasers` is the mask commanded, to be kept with the frame."""
-
-    def close(self) -> None:
-        """Let go of the device; closing twice does nothing."""
-
-    def __enter__(self) -> None:
-        try:
-            self.open()
-        except BaseException:
-            self.close()
-            raise
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

@@ -3,12 +3,13 @@
 from types import TracebackType
 from typing import Protocol, runtime_checkable
 
+from ringpose.capture.device import Device
 from ringpose.errors import LaserSafetyError
 
 
 @runtime_checkable
-class LaserDriver(Protocol):
-    """Lasers that a program switches; a driver derives from this and gains the `with` block that ends with all off.
+class LaserDriver(Device, Protocol):
+    """Lasers that a program switches; the `with` block ends with all of them off.
 
     Masks are those of the shots: bit i is laser i of the rig.
     """
@@ -25,16 +26,6 @@ class LaserDriver(Protocol):
 
     def read_mask(self) -> int | None:
         """What the board reports to be on; None if it cannot say."""
-
-    def close(self) -> None:
-        """Let go of the device; closing twice does nothing."""
-
-    def __enter__(self) -> None:
-        try:
-            self.open()
-        except BaseException:
-            self.close()
-            raise
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
