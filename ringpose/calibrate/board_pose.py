@@ -1,4 +1,4 @@
-"""Where a board stands in the camera frame (MATH.md section 6)."""
+"""Where a board stands in the camera frame (ringpose-method(7), section 6)."""
 
 import cv2
 import numpy as np

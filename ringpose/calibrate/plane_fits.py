@@ -1,4 +1,4 @@
-"""Light planes through triangulated stripe centres (MATH.md section 6)."""
+"""Light planes through triangulated stripe centres (ringpose-method(7), section 6)."""
 
 from enum import StrEnum
 

@@ -1,4 +1,4 @@
-"""Stripe centres triangulated with a board's plane (MATH.md section 6)."""
+"""Stripe centres triangulated with a board's plane (ringpose-method(7), section 6)."""
 
 import numpy as np
 from jaxtyping import Float64

@@ -1,4 +1,4 @@
-"""Light planes from views of a board with stripes (MATH.md section 6)."""
+"""Light planes from views of a board with stripes (ringpose-method(7), section 6)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""Pixels and rays (MATH.md section 1)."""
+"""Pixels and rays (ringpose-method(7), section 1)."""
 
 from typing import Any
 

@@ -34,6 +34,6 @@ def angle_between(
 
 
 def facing_normal(pitch_rad: float, yaw_rad: float) -> Float64[Array, "3"]:
-    """The unit normal towards the camera that has the paper's pitch and yaw (MATH.md section 4)."""
+    """The unit normal towards the camera that has the paper's pitch and yaw (ringpose-method(7), section 4)."""
     away = [np.sin(yaw_rad) * np.cos(pitch_rad), np.sin(pitch_rad), np.cos(yaw_rad) * np.cos(pitch_rad)]
     return -np.array(away, dtype=np.float64)
