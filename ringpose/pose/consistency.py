@@ -25,8 +25,8 @@ from ringpose.types.ring_pose import PoseFlag
 ALARM_SIGMAS = 3.7
 """One shot in ten thousand is beyond it by chance."""
 
-PRICE_OF_A_NUMBER = 2.0
-"""What leaving out one number must lower the sum of squares by, besides what it lowers anyway."""
+PRICE_OF_A_NUMBER = 4.0
+"""What leaving out one number must lower the sum of squares by; it lowers it by one anyway."""
 
 PRICE_OF_A_SUSPICION = 12.0
 """The same for any suspicion at all: a factor of 400 in likelihood."""
@@ -49,7 +49,7 @@ class Explanation(NamedTuple):
     price: float
     """Of the suspicion, in squared standard deviations."""
     laser: int = -1
-    """Whose break point it is that was left out."""
+    """Whose break point or stripe it is that was left out; -1 if it is none."""
     both: bool = False
     """Whether both of them were."""
 
@@ -85,12 +85,14 @@ def _clearest(tried: list[Explanation]) -> Explanation | None:
     Of two ends of one stripe that would do equally well (another curvature makes the other end look wrong), both are
     left out.
     """
-    near = sorted(tried, key=lambda each: each.score)
+    near = sorted((each for each in tried if not each.both), key=lambda each: each.score)
     near = [each for each in near if each.score < near[0].score + CLEARLY]
     lasers = {each.laser for each in near}
-    if len(near) > 1 and len(lasers) == 1 and -1 not in lasers:
-        return next((each for each in tried if each.flag == near[0].flag and each.both and each.laser in lasers), None)
-    return near[0] if len(near) == 1 else None
+    if len(near) > 1 and (len(lasers) > 1 or -1 in lasers):
+        return None
+    if sum(each.flag == PoseFlag.POINT_LEFT_OUT for each in near) > 1:
+        return next((each for each in tried if each.both and each.laser in lasers), None)
+    return near[0] if near else None
 
 
 def own_cost(fit: Fit, measured: Measurements) -> float:
@@ -158,7 +160,7 @@ def _wrong_points(measured: Measurements, rig: Rig, before: Beforehand) -> Itera
             yield Suspicion(measured.with_points(keep), before, flag, remark, price, laser)
         if len(own) > 1:
             remark = f"a break point of laser {name} contradicts the others; both were left out"
-            price = PRICE_OF_A_SUSPICION + 2 * PRICE_OF_A_NUMBER + CLEARLY
+            price = PRICE_OF_A_SUSPICION + 2 * PRICE_OF_A_NUMBER
             yield Suspicion(measured.with_points(points.laser != laser), before, flag, remark, price, laser, True)
 
 
@@ -168,7 +170,7 @@ def _wrong_stripes(measured: Measurements, rig: Rig, before: Beforehand) -> Iter
         less = measured.without_laser(laser)
         price = PRICE_OF_A_SUSPICION + PRICE_OF_A_NUMBER * (_count(measured) - _count(less))
         remark = f"the stripe of laser {rig.lasers.names[laser]} contradicts the others and was left out"
-        yield Suspicion(less, before, PoseFlag.STRIPE_LEFT_OUT, remark, price)
+        yield Suspicion(less, before, PoseFlag.STRIPE_LEFT_OUT, remark, price, laser)
 
 
 def _wrong_labels(measured: Measurements, rig: Rig, before: Beforehand, labelled: bool) -> Iterator[Suspicion]:

@@ -8,9 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64
 
+from ringpose.geometry.rays import GRAZING
 from ringpose.pose.catalogue import likely_ring, ring_posterior
 from ringpose.pose.consistency import Explanation, explained, freedom, own_cost, swapped
-from ringpose.pose.deviations import stripe_deviation
+from ringpose.pose.deviations import plane_evidence
 from ringpose.pose.likelihood import Fit
 from ringpose.pose.likelihood_output import (
     BEND,
@@ -46,6 +47,9 @@ curvature that may be zero within two standard deviations has no error to speak 
 GRASP_UNKNOWN_FROM_M = 0.01
 """Standard deviation of the grasp point, or of the band's width, from which nobody knows where the band is."""
 
+DOUBTS = PoseFlag.RELABELLED | PoseFlag.STRIPE_LEFT_OUT | PoseFlag.RADIUS_DISAGREES
+"""A shot that had to be mended says nothing about the rig."""
+
 SIDE_MARGIN = 9.0
 """By how much, in squared standard deviations, the better of two sides for the centre must fit: 3 sigma."""
 
@@ -62,13 +66,13 @@ def most_likely_pose(
     radii stay unknown.
     """
     measured = measurements_of(break_points, rig, ring_edges)
-    impossible = _why_impossible(measured, rig)
+    impossible = _why_impossible(measured)
     if impossible is not None:
         return impossible
     radii = known if isinstance(known, KnownRadii) else None
     best, sure_of_side = _on_the_better_side(break_points, measured, rig, Beforehand(radii))
     if best is None:
-        return NoPose.NOT_FINITE
+        return _why_nothing_fits(measured, rig)
     if known is None or isinstance(known, KnownRadii):
         return _pose(best, rig, sure_of_side)
     posterior = _posterior(best, known)
@@ -86,17 +90,23 @@ def _posterior(best: Explanation, rings: Sequence[Ring]) -> Mapping[str, float]:
     return ring_posterior(abs(fit.state.curvature), fit.state.band_m, joint[BEND:, BEND:], rings)
 
 
-def _why_impossible(measured: Measurements, rig: Rig) -> NoPose | None:
+def _why_impossible(measured: Measurements) -> NoPose | None:
+    """Why these points determine nothing: none was seen, or one where no ray goes."""
     points = measured.points
     if not len(points.x):
         return NoPose.TOO_FEW_BREAK_POINTS
     if not bool(np.isfinite(points.x + points.y).all()):
         return NoPose.UNTRIANGULATED
+    return None
+
+
+def _why_nothing_fits(measured: Measurements, rig: Rig) -> NoPose:
+    points = measured.points
     rays = np.stack([points.x, points.y, np.ones_like(points.x)], axis=-1)
     cosine = (rays * rig.lasers.normal[points.laser]).sum(axis=1)
-    before_camera = rig.lasers.distance_m[points.laser] * cosine > 0
-    grazing = np.abs(cosine) < 1e-9 * np.sqrt((rays * rays).sum(axis=1))
-    return NoPose.UNTRIANGULATED if bool((grazing | ~before_camera).any()) else None
+    behind = rig.lasers.distance_m[points.laser] * cosine <= 0
+    grazing = np.abs(cosine) < GRAZING * np.sqrt((rays * rays).sum(axis=1))
+    return NoPose.UNTRIANGULATED if bool((grazing | behind).any()) else NoPose.NOT_FINITE
 
 
 def _on_the_better_side(
@@ -177,7 +187,7 @@ def _pose(best: Explanation, rig: Rig, sure_of_side: bool) -> RingPose | NoPose:
         covariance_grasp_m2=joint[GRASP, GRASP] if known.grasp and sure else None,
         flags=best.flag | _weak(found, joint, known) | (PoseFlag(0) if sure_of_side else PoseFlag.SIDE_UNKNOWN),
         remark=best.remark,
-        stripe_deviation=stripe_deviation(fit, best.measured, len(rig.lasers.names)),
+        plane_evidence=None if best.flag & DOUBTS else plane_evidence(fit, best.measured, rig),
     )
 
 

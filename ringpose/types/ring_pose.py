@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from ringpose.types.arrays import Array
+from ringpose.types.plane_evidence import PlaneEvidence
 
 
 class NoPose(Enum):
@@ -79,9 +80,8 @@ class RingPose:
     """What to mind, in words; empty if nothing."""
     ring_posterior: Mapping[str, float] | None = None
     """Probability of each ring of a catalogue, `none of these` among them; None without a catalogue."""
-    stripe_deviation: Float64[Array, "laser 2"] | None = None
-    """How far each laser's stripe is from where the other lasers' stripes put the ring, in standard deviations of that
-    difference: its line's middle up and down, its slope. NaN for a laser without a stripe to compare."""
+    plane_evidence: PlaneEvidence | None = None
+    """What the stripes say about the light planes; None in methods that do not use them."""
 
     @property
     def pitch_rad(self) -> float:

@@ -94,7 +94,7 @@ def test_verbose_says_what_became_of_each_shot(rig, detections, capsys):
 
     captured = capsys.readouterr()
     record = lines(captured.out)[0]
-    assert captured.err.splitlines()[0] == f"ringpose: a: {', '.join(record['flags']) or 'ok'}"
+    assert captured.err.startswith(f"ringpose: a: {', '.join(record['flags']) or 'ok'}")
 
 
 def test_nothing_is_said_where_all_is_well(rig, detections, capsys):
@@ -106,3 +106,35 @@ def test_nothing_is_said_where_all_is_well(rig, detections, capsys):
 def test_missing_rig_is_no_input(detections, tmp_path, capsys):
     assert main(["pose", str(detections), "--rig", str(tmp_path / "none.yaml")]) == 66
     assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(
+    ("words", "finding"),
+    [
+        (["--rings", "rings.yaml"], "--rings: a catalogue needs --ring"),
+        (["--ring", "auto", "--radius-outer", "0.6"], "--ring: the catalogue says the radii"),
+        (["--radius-sd", "0.001"], "--radius-sd: there is no radius"),
+        (["--radius-outer", "597"], "--radius-outer: 597 is no length in metres"),
+        (["--radius-outer", "0.5", "--radius-inner", "0.6"], "--radius-inner: is not smaller"),
+        (["--ring", "nominal-1195"], "did you mean 'nominal-1194'?"),
+        (["--method", "paper", "--radius-outer", "0.6"], "paper has no use for what is known of the ring"),
+    ],
+)
+def test_what_cannot_be_known_of_a_ring_is_wrong_usage(rig, detections, capsys, words, finding):
+    status = main(["pose", str(detections), "--rig", str(rig), *words])
+
+    assert status == 2
+    assert finding in capsys.readouterr().err
+
+
+def test_a_catalogue_gives_probabilities(rig, detections, capsys):
+    main(["pose", str(detections), "--rig", str(rig), "--ring", "auto"])
+
+    posterior = lines(capsys.readouterr().out)[0]["pose"]["ring_posterior"]
+    assert {"nominal-1194", "none of these"} < set(posterior)
+
+
+def test_a_known_radius_is_the_radius(rig, detections, capsys):
+    main(["pose", str(detections), "--rig", str(rig), "--radius-outer", "0.597", "--radius-sd", "1e-6"])
+
+    assert lines(capsys.readouterr().out)[0]["pose"]["radius_outer_m"] == pytest.approx(0.597, abs=1e-4)

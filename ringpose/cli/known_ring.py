@@ -1,0 +1,96 @@
+"""What the user says about the ring's size."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ringpose.errors import UsageError
+
+if TYPE_CHECKING:
+    from ringpose.types.ring import KnownRadii, Ring
+
+AUTO = "auto"
+"""The name that leaves the choice to the shots."""
+
+DEFAULT_SD_M = 0.0005
+"""Standard deviation of a radius that was said: edges are chamfered or rounded by about as much."""
+
+RadiusOuter = Annotated[
+    float | None, typer.Option("--radius-outer", metavar="M", help="Radius of the outer edge in metres, if known.")
+]
+RadiusInner = Annotated[
+    float | None, typer.Option("--radius-inner", metavar="M", help="Radius of the inner edge in metres, if known.")
+]
+RadiusSd = Annotated[
+    float | None,
+    typer.Option("--radius-sd", metavar="M", help="Standard deviation of the radii that were said; 0.0005 if not."),
+]
+RingName = Annotated[
+    str | None, typer.Option("--ring", metavar="NAME", help="A ring of the catalogue; auto: whichever fits.")
+]
+RingsFile = Annotated[Path | None, typer.Option("--rings", metavar="FILE", help="A catalogue of your own, for --ring.")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SaidOfRing:
+    """The options as given."""
+
+    radius_outer_m: float | None = None
+    radius_inner_m: float | None = None
+    radius_sd_m: float | None = None
+    ring: str | None = None
+    rings: Path | None = None
+
+    @property
+    def nothing(self) -> bool:
+        """Whether none was given."""
+        return self == SaidOfRing()
+
+
+def known_ring(said: SaidOfRing) -> "KnownRadii | Sequence[Ring] | None":
+    """The radii, or the catalogue of which it may be one; None if nothing was said."""
+    _refuse_contradictions(said)
+    if said.ring is not None:
+        return _of_catalogue(said.ring, said.rings)
+    if said.radius_outer_m is None and said.radius_inner_m is None:
+        return None
+    import numpy as np
+
+    from ringpose.types.ring import KnownRadii
+
+    radii = [np.nan if radius_m is None else radius_m for radius_m in (said.radius_inner_m, said.radius_outer_m)]
+    sd_m = DEFAULT_SD_M if said.radius_sd_m is None else said.radius_sd_m
+    return KnownRadii(radius_m=np.array(radii), sd_m=np.full(2, sd_m))
+
+
+def _refuse_contradictions(said: SaidOfRing) -> None:
+    radii = (said.radius_outer_m, said.radius_inner_m)
+    if said.rings is not None and said.ring is None:
+        raise UsageError("--rings", "a catalogue needs --ring", "give --ring NAME or --ring auto")
+    if said.ring is not None and radii != (None, None):
+        raise UsageError("--ring", "the catalogue says the radii", "leave out --radius-outer and --radius-inner")
+    if said.radius_sd_m is not None and radii == (None, None):
+        raise UsageError("--radius-sd", "there is no radius", "give --radius-outer or --radius-inner")
+    options = (("--radius-outer", radii[0]), ("--radius-inner", radii[1]), ("--radius-sd", said.radius_sd_m))
+    for option, value in options:
+        if value is not None and not 0 < value < 5:
+            raise UsageError(option, f"{value:g} is no length in metres that a ring has", "give metres")
+    if None not in radii and not radii[1] < radii[0]:  # type: ignore[operator]
+        raise UsageError("--radius-inner", "is not smaller than --radius-outer", "exchange them")
+
+
+def _of_catalogue(name: str, path: Path | None) -> "KnownRadii | Sequence[Ring]":
+    from ringpose.files.fields import hint
+    from ringpose.files.rings import SHIPPED, read_rings
+
+    rings = read_rings(path or SHIPPED)
+    if name == AUTO:
+        return rings
+    for ring in rings:
+        if ring.name == name:
+            return ring.known_radii
+    names = [ring.name for ring in rings]
+    raise UsageError("--ring", f"{name!r} is not in the catalogue", hint(name, names) or f"it has {', '.join(names)}")

@@ -1,0 +1,58 @@
+"""Catalogues of rings: names and the intervals in which the radii of their edges lie."""
+
+from pathlib import Path
+
+from ringpose.files.fields import Fields
+from ringpose.files.yaml import read_yaml
+from ringpose.types.ring import Ring
+
+SCHEMA = "rings/1"
+
+SHIPPED = Path(__file__).with_name("rings.yaml")
+"""Nominal sizes of the launcher manuals."""
+
+RESERVED = ("auto", "none of these")
+"""Words that are no ring's name."""
+
+_KEYS = ("ringpose", "provenance", "rings")
+_RING_KEYS = ("name", "radius_inner_m", "radius_outer_m", "nominal", "source")
+
+
+def read_rings(path: Path = SHIPPED) -> tuple[Ring, ...]:
+    """The rings of a catalogue, in its order."""
+    fields = read_yaml(path, _KEYS)
+    schema = fields.text("ringpose")
+    if schema != SCHEMA:
+        raise fields.problem("ringpose", f"is {schema!r}, must be {SCHEMA!r}")
+    rings: list[Ring] = []
+    for entry in fields.each("rings", _RING_KEYS):
+        ring = _ring(entry)
+        if ring.name in RESERVED or ring.name in (other.name for other in rings):
+            raise entry.problem("name", f"{ring.name!r} is taken", "give each ring a name of its own")
+        rings.append(ring)
+    if not rings:
+        raise fields.problem("rings", "has no ring in it")
+    return tuple(rings)
+
+
+def _ring(fields: Fields) -> Ring:
+    inner, outer = _interval(fields, "radius_inner_m"), _interval(fields, "radius_outer_m")
+    if not inner[1] < outer[0]:
+        raise fields.problem("radius_inner_m", f"reaches {inner[1]:g}, must end below the outer edge's {outer[0]:g}")
+    return Ring(
+        name=fields.text("name"),
+        radius_inner_m=inner,
+        radius_outer_m=outer,
+        nominal=fields.boolean("nominal") if fields.has("nominal") else False,
+        source=fields.text("source") if fields.has("source") else "",
+    )
+
+
+def _interval(fields: Fields, key: str) -> tuple[float, float]:
+    """From, to: radii in metres, the second one the larger."""
+    interval = fields.vector(key, 2)
+    fields.check_metres(key, interval)
+    start_m, end_m = interval.tolist()
+    if not 0 < start_m < end_m:
+        raise fields.problem(key, f"is [{start_m:g}, {end_m:g}], must be two positive radii, the smaller one first")
+    return start_m, end_m

@@ -1,0 +1,88 @@
+"""Whether the rig still is as it was calibrated, from what the stripes leave over in shot after shot.
+
+Noise leaves something else each time; a light plane that has moved leaves what its error would, always. With three
+stripes a single shot hardly tells which plane it is; shots of different poses do.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from ringpose.types.arrays import Array
+from ringpose.types.plane_evidence import PlaneEvidence
+
+FORGETTING = 0.98
+"""Share of what is known that is left after the next shot: about fifty shots count."""
+
+DRIFTED_FROM = 3.0
+"""A plane's error, in standard deviations of what one shot tells of it, from which it counts as drifted.
+
+A figure around 1 is what noise gives that stays the same in all shots, as on a target that stands still; noise that
+is new in each of n shots gives 1 / sqrt(n).
+"""
+
+SHOTS_NEEDED = 10.0
+"""Fewer shots warn of nothing."""
+
+CLEARLY = 16.0
+"""By how many squared standard deviations one plane's error must explain more than another's to be the one to blame."""
+
+_NOTHING = 1e-9
+"""Share of the largest eigenvalue under which a combination of a plane's errors is not seen at all."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RigHealth:
+    """What a stream of shots says about the light planes."""
+
+    score: Float64[Array, "laser parameter=3"]
+    information: Float64[Array, "laser parameter=3 parameter=3"]
+    shots: float
+    """That count, older ones less."""
+
+    @property
+    def explained(self) -> Float64[Array, "laser"]:
+        """What a plane's own error explains, in squared standard deviations; NaN for one that nothing checks."""
+        squares = np.full(len(self.score), np.nan)
+        for laser, (score, information) in enumerate(zip(self.score, self.information, strict=True)):
+            scale = np.sqrt(np.diag(information))
+            if (scale > 0).all():
+                variance, axes = np.linalg.eigh(information / scale / scale[:, None])
+                kept = variance > _NOTHING * variance[-1]
+                squares[laser] = float(np.sum((axes.T @ (score / scale))[kept] ** 2 / variance[kept]))
+        return squares
+
+    @property
+    def figure(self) -> Float64[Array, "laser"]:
+        """Each plane's error in standard deviations of what one shot tells of it: small is good."""
+        figure: Float64[Array, "laser"] = np.sqrt(self.explained / max(self.shots, 1.0))
+        return figure
+
+
+def new_health(lasers: int) -> RigHealth:
+    """Before the first shot."""
+    return RigHealth(score=np.zeros((lasers, 3)), information=np.zeros((lasers, 3, 3)), shots=0.0)
+
+
+def health_after(health: RigHealth, evidence: PlaneEvidence) -> RigHealth:
+    """With one more shot."""
+    return RigHealth(
+        score=FORGETTING * health.score + evidence.score,
+        information=FORGETTING * health.information + evidence.information,
+        shots=FORGETTING * health.shots + float(evidence.information.any()),
+    )
+
+
+def drift_warning(health: RigHealth, names: tuple[str, ...]) -> str | None:
+    """What to say about a rig that has changed; None while it is as calibrated, or too little is known."""
+    figure = health.figure
+    known = np.flatnonzero(figure == figure)
+    if health.shots < SHOTS_NEEDED or not len(known) or not figure[known].max() > DRIFTED_FROM:
+        return None
+    order = known[np.argsort(-figure[known])]
+    squares = health.explained
+    worst = names[int(order[0])]
+    if len(order) > 1 and squares[order[0]] < squares[order[1]] + CLEARLY:
+        return f"the stripes disagree by {figure[order[0]]:.1f} sigma: a light plane or the camera has moved"
+    return f"the light plane of laser {worst} has moved: its stripe is off by {figure[order[0]]:.1f} sigma"

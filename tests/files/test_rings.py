@@ -1,0 +1,68 @@
+"""Catalogues of rings."""
+
+import numpy as np
+import pytest
+
+from ringpose.errors import DataError
+from ringpose.files.rings import read_rings
+
+MINE = """
+ringpose: rings/1
+rings:
+- name: mine
+  radius_inner_m: [0.5665, 0.5675]
+  radius_outer_m: [0.5965, 0.5975]
+"""
+
+
+@pytest.mark.parametrize(("name", "diameter_mm"), [(f"nominal-{mm}", mm) for mm in (937, 1194, 1666, 2624)])
+def test_a_shipped_outer_edge_is_around_half_the_nominal_diameter(name, diameter_mm):
+    ring = next(ring for ring in read_rings() if ring.name == name)
+
+    assert ring.radius_outer_m[0] < diameter_mm / 2000 < ring.radius_outer_m[1]
+
+
+def test_shipped_rings_say_that_they_are_nominal():
+    assert all(ring.nominal and "interface diameter" in ring.source for ring in read_rings())
+
+
+def test_an_interval_is_known_as_its_middle_with_the_deviation_of_a_uniform_one(tmp_path):
+    (tmp_path / "rings.yaml").write_text(MINE)
+
+    (ring,) = read_rings(tmp_path / "rings.yaml")
+
+    np.testing.assert_allclose(ring.known_radii.radius_m, [0.567, 0.597])
+    np.testing.assert_allclose(ring.known_radii.sd_m, 0.001 / np.sqrt(12))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "finding"),
+    [
+        ("0.5665, 0.5675", "0.5675, 0.5665", "must be two positive radii, the smaller one first"),
+        ("0.5665, 0.5675", "566.5, 567.5", "this looks like millimetres"),
+        ("0.5665, 0.5675", "0.5665, 0.597", "must end below the outer edge's 0.5965"),
+        ("mine", "auto", "is taken"),
+        ("mine", "none of these", "is taken"),
+        ("rings/1", "rings/2", "must be 'rings/1'"),
+        ("radius_inner_m", "inner_m", "unknown key 'inner_m'"),
+    ],
+)
+def test_an_impossible_catalogue_is_refused(tmp_path, old, new, finding):
+    (tmp_path / "rings.yaml").write_text(MINE.replace(old, new))
+
+    with pytest.raises(DataError, match=finding.replace("[", r"\[")):
+        read_rings(tmp_path / "rings.yaml")
+
+
+def test_a_name_stands_once(tmp_path):
+    (tmp_path / "rings.yaml").write_text(MINE + MINE.split("rings:\n")[1])
+
+    with pytest.raises(DataError, match="'mine' is taken"):
+        read_rings(tmp_path / "rings.yaml")
+
+
+def test_an_empty_catalogue_is_refused(tmp_path):
+    (tmp_path / "rings.yaml").write_text("ringpose: rings/1\nrings: []\n")
+
+    with pytest.raises(DataError, match="has no ring in it"):
+        read_rings(tmp_path / "rings.yaml")

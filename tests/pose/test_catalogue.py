@@ -1,0 +1,70 @@
+"""Which ring of a catalogue it is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ringpose.pose.catalogue import NONE_OF_THESE, ring_posterior
+from ringpose.pose.pipeline import estimate_pose
+from ringpose.types.ring import Ring
+
+SIZES = {"R468": (0.4285, 0.4685), "R597": (0.567, 0.597), "R833": (0.798, 0.833), "R1312": (1.272, 1.312)}
+RINGS = [
+    Ring(
+        name=name,
+        radius_inner_m=(inner - 0.002, inner + 0.002),
+        radius_outer_m=(outer - 0.002, outer + 0.002),
+        nominal=False,
+    )
+    for name, (inner, outer) in SIZES.items()
+]
+
+
+def test_the_ring_that_was_seen_is_found(scene_of, face_points, rng):
+    scene = scene_of("B", distance_m=0.5)
+
+    pose = estimate_pose(face_points(scene, 0.3, 0.01, rng), scene.rig, known=RINGS)
+
+    assert pose.ring_posterior["R597"] > 0.99
+
+
+def test_the_radii_of_the_ring_that_was_found_make_the_center_better(scene_of, face_points, rng):
+    scene = scene_of("B", distance_m=0.5)
+    points = face_points(scene, 0.3, 0.01, rng)
+
+    poses = [estimate_pose(points, scene.rig, known=known) for known in (None, RINGS)]
+
+    spread = [np.sqrt(np.trace(pose.covariance_center_m2)) for pose in poses]
+    assert spread[0] > 3 * spread[1]
+
+
+def test_a_ring_of_another_size_is_none_of_these(scene_of, face_points, rng):
+    scene = scene_of("B", distance_m=0.5, size="R1194")
+
+    pose = estimate_pose(face_points(scene, 0.1, 0.01, rng), scene.rig, known=RINGS)
+
+    assert pose.ring_posterior[NONE_OF_THESE] > 0.95
+
+
+def test_where_the_curvature_is_hardly_seen_no_ring_is_forced(scene_of, face_points, rng):
+    scene = scene_of("A", distance_m=0.25)
+
+    pose = estimate_pose(face_points(scene, 0.3, 0.03, rng), scene.rig, known=RINGS)
+
+    assert max(pose.ring_posterior.values()) < 0.95
+
+
+@pytest.mark.parametrize("curvature_sd", [1e-3, 0.1, 3.0])
+def test_probabilities_sum_to_one(curvature_sd):
+    posterior = ring_posterior(1.7, 0.03, np.diag([curvature_sd**2, 1e-8]), RINGS)
+
+    assert sum(posterior.values()) == pytest.approx(1.0)
+
+
+def test_a_wider_interval_promises_less():
+    wide = replace(RINGS[1], name="wide", radius_inner_m=(0.517, 0.59), radius_outer_m=(0.592, 0.602))
+
+    posterior = ring_posterior(2 / 1.164, 0.03, np.diag([1e-4, 1e-8]), [RINGS[1], wide])
+
+    assert posterior["R597"] > 2 * posterior["wide"]

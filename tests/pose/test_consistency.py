@@ -1,0 +1,102 @@
+"""One thing is wrong: found, named, left out; the rest gives the pose."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ringpose.pose.pipeline import estimate_pose
+from ringpose.types.ring import KnownRadii
+from ringpose.types.ring_pose import PoseFlag
+
+KNOWN = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.array([2e-4, 2e-4]))
+OTHER = KnownRadii(radius_m=np.array([0.64, 0.67]), sd_m=np.array([2e-4, 2e-4]))
+EVERY_POINT = pytest.mark.parametrize(("laser", "edge"), [(laser, edge) for laser in range(3) for edge in range(2)])
+
+
+@pytest.fixture
+def scene(scene_of):
+    return scene_of("B", distance_m=0.5, tilt_rad=(0.15, -0.1))
+
+
+@pytest.fixture
+def points(scene, face_points, rng):
+    return face_points(scene, 0.3, 0.01, rng)
+
+
+def shifted(points, laser, edge, shift_px):
+    """A break point moved along its stripe."""
+    position = points.position_px.copy()
+    along = position[laser, 1] - position[laser, 0]
+    position[laser, edge] += shift_px * along / np.linalg.norm(along)
+    return replace(points, position_px=position)
+
+
+def lifted(points, laser, shift_px):
+    """A stripe on something else: line and ends moved across."""
+    position, start, end = points.position_px.copy(), points.face_start_px.copy(), points.face_end_px.copy()
+    for part in (position, start, end):
+        part[laser, ..., 1] += shift_px
+    return replace(points, position_px=position, face_start_px=start, face_end_px=end)
+
+
+def exchanged(points, first, second):
+    """Two lasers' stripes under each other's names."""
+    order = np.arange(len(points.flags))
+    order[[first, second]] = second, first
+    names = ("position_px", "covariance_px2", "flags", "face_start_px", "face_end_px", "face_sigma_px")
+    return replace(points, **{name: getattr(points, name)[order] for name in names})
+
+
+def sigmas_off(pose, scene):
+    """Mahalanobis distance of the centre from the truth."""
+    error = pose.center_m - scene.ring.center_m
+    return np.sqrt(error @ np.linalg.solve(pose.covariance_center_m2, error))
+
+
+@EVERY_POINT
+@pytest.mark.parametrize("shift_px", [-25.0, 12.0])
+def test_a_wrong_break_point_is_left_out(scene, points, laser, edge, shift_px):
+    pose = estimate_pose(shifted(points, laser, edge, shift_px), scene.rig, known=KNOWN)
+
+    assert PoseFlag.POINT_LEFT_OUT in pose.flags
+    assert scene.rig.lasers.names[laser] in pose.remark
+    assert sigmas_off(pose, scene) < 4.0
+
+
+@EVERY_POINT
+def test_a_wrong_break_point_without_a_known_radius_does_no_harm(scene, points, laser, edge):
+    pose = estimate_pose(shifted(points, laser, edge, 20.0), scene.rig)
+
+    assert pose.flags & (PoseFlag.POINT_LEFT_OUT | PoseFlag.INCONSISTENT)
+    assert PoseFlag.CENTER_WEAK in pose.flags or sigmas_off(pose, scene) < 5.0
+
+
+@pytest.mark.parametrize("laser", range(3))
+def test_a_wrong_stripe_is_left_out_or_owned_up_to(scene, points, laser):
+    pose = estimate_pose(lifted(points, laser, 8.0), scene.rig, known=KNOWN)
+
+    assert pose.flags & (PoseFlag.STRIPE_LEFT_OUT | PoseFlag.INCONSISTENT)
+    assert sigmas_off(pose, scene) < 5.0
+
+
+@pytest.mark.parametrize("pair", [(0, 1), (1, 2), (0, 2)])
+def test_exchanged_lasers_are_put_right(scene, points, pair):
+    pose = estimate_pose(replace(exchanged(points, *pair), labelled=False), scene.rig, known=KNOWN)
+
+    assert PoseFlag.RELABELLED in pose.flags
+    assert sigmas_off(pose, scene) < 4.0
+
+
+def test_a_radius_that_is_wrong_is_left_out(scene, points):
+    pose = estimate_pose(points, scene.rig, known=OTHER)
+
+    assert PoseFlag.RADIUS_DISAGREES in pose.flags
+    assert sigmas_off(pose, scene) < 4.0
+
+
+@pytest.mark.slow
+def test_a_good_shot_is_rarely_doubted(scene, face_points, rng):
+    poses = [estimate_pose(face_points(scene, 0.3, 0.01, rng), scene.rig, known=KNOWN) for _ in range(1000)]
+
+    assert sum(bool(pose.flags) for pose in poses) <= 2
