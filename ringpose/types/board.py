@@ -30,6 +30,7 @@ class Board:
     dictionary: str | None = None
     legacy_pattern: bool = False
     order: str | None = None
+    """How the markers are numbered, in words for people; nothing reads it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
