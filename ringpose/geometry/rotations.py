@@ -1,9 +1,14 @@
 """Directions and rotations."""
 
+from math import hypot
+
 import numpy as np
 from jaxtyping import Float64
 
 from ringpose.types.arrays import Array
+
+EPSILON = float(np.finfo(float).eps)
+"""A normal whose part across z is smaller is along z."""
 
 
 def tilt_basis(normal: Float64[Array, "3"]) -> Float64[Array, "2 3"]:
@@ -11,10 +16,10 @@ def tilt_basis(normal: Float64[Array, "3"]) -> Float64[Array, "2 3"]:
 
     A tilted normal is n(t1, t2) = normalised (n + t1 e1 + t2 e2).
     """
-    across = np.array([-normal[1], normal[0], 0.0])
-    length = np.linalg.norm(across)
-    first = across / length if length > np.finfo(float).eps else np.array([1.0, 0.0, 0.0])
-    return np.stack([first, np.cross(normal, first)])
+    x, y, z = normal.tolist()
+    length = hypot(x, y)
+    a, b = (-y / length, x / length) if length > EPSILON else (1.0, 0.0)
+    return np.array([[a, b, 0.0], [-z * b, z * a, x * b - y * a]])
 
 
 def tilted(normal: Float64[Array, "3"], tilt_rad: Float64[Array, "2"]) -> Float64[Array, "3"]:

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from ringpose.geometry.rotations import tilt_basis
-from ringpose.pose.likelihood import RIDGE, Fit
+from ringpose.pose.likelihood import Fit
 from ringpose.pose.measurements import Measurements
+from ringpose.pose.rig_errors import light_plane_bases
 from ringpose.pose.ring_model import PARAMETERS
 from ringpose.types.plane_evidence import PlaneEvidence
 from ringpose.types.rig import Rig
@@ -21,17 +21,18 @@ def plane_evidence(fit: Fit, measured: Measurements, rig: Rig) -> PlaneEvidence:
     score, information = np.zeros((lasers, 3)), np.zeros((lasers, 3, 3))
     if fit.weak or not count:
         return PlaneEvidence(score=score, information=information)
-    inverse = np.linalg.inv(fit.normal_matrix + RIDGE * np.eye(PARAMETERS))
+    inverse = fit.inverse
     by_state = fit.rows.by_state[: 2 * count].reshape(count, 2, PARAMETERS)
     line = np.broadcast_to(np.eye(2), (count, 2, 2))
     if fit.by_rig is not None:
         by_rig = fit.by_rig[: 2 * count].reshape(count, 2, -1)
         line = line + by_rig @ by_rig.swapaxes(1, 2)
     left = line - by_state @ inverse @ by_state.swapaxes(1, 2)
-    basis = np.array([tilt_basis(rig.lasers.normal[laser]) for laser in measured.lines.laser.tolist()])
-    rays = fit.rows.lines.rays
+    basis = light_plane_bases(rig)[measured.lines.laser]
+    rays = fit.rows.sights.rays[: 2 * count].reshape(count, 2, 3)
+    steepness = fit.rows.sights.steepness[: 2 * count : 2, None, None]
     by_plane = np.concatenate([rays @ basis.swapaxes(1, 2), -(rays @ fit.state.plane)[:, :, None]], axis=-1)
-    weighted = np.linalg.solve(line, measured.lines.whitening @ by_plane / fit.rows.lines.steepness[:, None, None])
+    weighted = np.linalg.solve(line, measured.lines.whitening @ by_plane / steepness)
     score[measured.lines.laser] = np.einsum("lrp,lr->lp", weighted, fit.rows.residual[: 2 * count].reshape(count, 2))
     information[measured.lines.laser] = weighted.swapaxes(1, 2) @ left @ weighted
     return PlaneEvidence(score=score, information=information)

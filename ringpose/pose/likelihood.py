@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Float64
 
 from ringpose.pose.measurements import Measurements
-from ringpose.pose.residual_rows import LIKELY_BAND_M, LIKELY_CURVATURE, Beforehand, Rows, rows_of
+from ringpose.pose.residual_rows import Beforehand, Rows, rows_of
 from ringpose.pose.rig_errors import ByRig, RigErrors, rows_by_rig
-from ringpose.pose.ring_model import CURVATURE, PARAMETERS, TURN, RingState, cross, moved, point_parts
+from ringpose.pose.ring_model import CURVATURE, PARAMETERS, TURN, RingState, moved
+from ringpose.pose.starting_state import starting_state
 from ringpose.types.arrays import Array
-from ringpose.types.laser_planes import LaserPlanes
 from ringpose.types.rig import Rig
 
 HUBER_SIGMAS = 3.0
@@ -27,6 +27,8 @@ STEP_SIGMAS = 1e-4
 
 RIDGE = 1e-7
 """Added to the normal matrix (metres, radians, one over metres), so that what is not determined stays put."""
+
+_RIDGE = RIDGE * np.eye(PARAMETERS)
 
 LEAST_DEPTH_M, MOST_DEPTH_M = 1e-3, 1e3
 """A plane outside is none."""
@@ -62,11 +64,10 @@ class Fit(NamedTuple):
         return left
 
     @property
-    def cost(self) -> float:
-        """Sum of squared residuals, those of the rig included, robust."""
-        size = np.abs(self.residual)
-        robust = np.where(self.weight < 1.0, HUBER_SIGMAS * (2.0 * size - HUBER_SIGMAS), size**2)
-        return float(robust.sum() + (0.0 if self.rig_step is None else self.rig_step @ self.rig_step))
+    def inverse(self) -> Float64[Array, "7 7"]:
+        """Of the normal matrix, what is not determined at all held by `RIDGE`."""
+        inverse: Float64[Array, "7 7"] = np.linalg.inv(self.normal_matrix + _RIDGE)
+        return inverse
 
 
 def fitted(measured: Measurements, rig: Rig, before: Beforehand, errors: RigErrors | None) -> Fit | None:
@@ -90,9 +91,9 @@ def fitted(measured: Measurements, rig: Rig, before: Beforehand, errors: RigErro
 
 def _leaves_open(fit: Fit) -> bool:
     """Whether something is known worse from the shot than beforehand."""
-    variance = np.diag(np.linalg.inv(fit.normal_matrix + RIDGE * np.eye(PARAMETERS)))
-    tilt = float(np.sqrt(max(variance[0], variance[1]))) / float(np.abs(fit.state.plane).max())
-    return bool(tilt > 0.5 or variance[TURN] > 0.25 or variance[CURVATURE] > 1.0)
+    variance = fit.inverse.diagonal().tolist()
+    tilt_squared = max(variance[:2]) / float(fit.state.plane @ fit.state.plane)
+    return bool(max(tilt_squared, variance[TURN]) > 0.25 or variance[CURVATURE] > 1.0)
 
 
 def _unsure_of_side(measured: Measurements, before: Beforehand) -> bool:
@@ -107,29 +108,29 @@ def _edges_seen(measured: Measurements) -> int:
 def _search(
     state: RingState, measured: Measurements, rig: Rig, before: Beforehand, errors: RigErrors | None
 ) -> Fit | None:
-    robust = _robust_rows(measured)
+    sighted, robust = measured.sighted(rig.lasers), _robust_rows(measured)
     by_rig: ByRig | None = None
     left = None
     for _ in range(MOST_STEPS):
-        rows = rows_of(state, measured, rig.lasers, before)
+        rows = rows_of(state, measured, sighted, before)
         if errors is not None and by_rig is None:
             by_rig = rows_by_rig(state, rows, measured, errors, rig)
         weight = _weights(rows.residual if left is None else left, robust)
         normal_matrix, step, rig_step = _step(rows, weight, None if by_rig is None else by_rig.rows)
         if not _plausible(state, step):
             return None
+        if step @ normal_matrix @ step < STEP_SIGMAS**2:
+            break
         left = rows.residual + rows.by_state @ step
         if by_rig is not None and rig_step is not None:
             left = left + by_rig.rows @ rig_step
         state = moved(state, step)
-        if step @ normal_matrix @ step < STEP_SIGMAS**2:
-            break
-    rows = rows_of(state, measured, rig.lasers, before)
+    weak = before.weak_about is not None
     if errors is None:
-        return Fit(state, rows, weight, None, None, None, before.weak_about is not None, normal_matrix)
+        return Fit(state, rows, weight, None, None, None, weak, normal_matrix)
     by_rig = rows_by_rig(state, rows, measured, errors, rig)
     normal_matrix, _, rig_step = _step(rows, weight, by_rig.rows)
-    return Fit(state, rows, weight, by_rig.rows, by_rig.mean, rig_step, before.weak_about is not None, normal_matrix)
+    return Fit(state, rows, weight, by_rig.rows, by_rig.mean, rig_step, weak, normal_matrix)
 
 
 def _step(
@@ -139,13 +140,13 @@ def _step(
     weighted = rows.by_state.T * weight
     normal_matrix, gradient = weighted @ rows.by_state, weighted @ rows.residual
     if by_rig is None:
-        return normal_matrix, -np.linalg.solve(normal_matrix + RIDGE * np.eye(PARAMETERS), gradient), None
+        return normal_matrix, -np.linalg.solve(normal_matrix + _RIDGE, gradient), None
     mixed = weighted @ by_rig
     own = (by_rig.T * weight) @ by_rig
     own[np.diag_indices_from(own)] += 1.0
     from_ring = np.linalg.solve(own, np.column_stack([mixed.T, by_rig.T @ (weight * rows.residual)]))
     normal_matrix = normal_matrix - mixed @ from_ring[:, :-1]
-    step = -np.linalg.solve(normal_matrix + RIDGE * np.eye(PARAMETERS), gradient - mixed @ from_ring[:, -1])
+    step = -np.linalg.solve(normal_matrix + _RIDGE, gradient - mixed @ from_ring[:, -1])
     return normal_matrix, step, -from_ring[:, -1] - from_ring[:, :-1] @ step
 
 
@@ -172,76 +173,3 @@ def _plausible(state: RingState, step: Float64[Array, "7"]) -> bool:
         and 1 / MOST_DEPTH_M < depth < 1 / LEAST_DEPTH_M
         and (curvature < STEEPEST_CURVATURE)
     )
-
-
-def starting_state(measured: Measurements, planes: LaserPlanes, before: Beforehand) -> RingState | None:
-    """The plane of the stripes, and a likely ring on it; None if there is none before the camera."""
-    plane = _starting_plane(measured, planes)
-    straight = RingState(plane, np.array([1.0, 0.0, 0.0]), 0.0, LIKELY_CURVATURE, 0.0)
-    points = point_parts(straight, measured.points, planes)
-    if not len(measured.points.x) or not bool((points.position_m[:, 2] > 0).all()):
-        return None
-    outward = _outward(straight, measured, points.position_m, points.by_x)
-    along = points.position_m @ outward
-    inner, outer = along[measured.points.edge == 0], along[measured.points.edge == 1]
-    band_m = float(outer.mean() - inner.mean()) if len(inner) and len(outer) else LIKELY_BAND_M
-    curvature = LIKELY_CURVATURE
-    if before.radii is not None and np.isfinite(before.radii.radius_m).any():
-        curvature = 1.0 / float(np.nanmean(before.radii.radius_m))
-        if np.isfinite(before.radii.radius_m).all():
-            band_m = float(before.radii.radius_m[1] - before.radii.radius_m[0])
-    return RingState(plane, outward, 0.0, curvature, band_m)
-
-
-def _starting_plane(measured: Measurements, planes: LaserPlanes) -> Float64[Array, "3"]:
-    """The q that fits the stripes: (m . r - d q . r) / (m - d q)_y is linear in q but for its weak denominator."""
-    lines, points = measured.lines, measured.points
-    alone = np.flatnonzero(points.alone)
-    ray = np.concatenate(
-        [
-            np.stack([lines.x, lines.y, np.ones_like(lines.x)], axis=-1).reshape(-1, 3),
-            np.stack([points.x[alone], points.y[alone], np.ones(len(alone))], axis=-1),
-        ]
-    )
-    laser = np.concatenate([np.repeat(lines.laser, 2), points.laser[alone]])
-    normal, distance = planes.normal[laser], planes.distance_m[laser]
-    count = len(lines.laser)
-    whitening = np.zeros((len(ray), len(ray)))
-    for number in range(count):
-        whitening[2 * number : 2 * number + 2, 2 * number : 2 * number + 2] = lines.whitening[number]
-    whitening[range(2 * count, len(ray)), range(2 * count, len(ray))] = 1 / np.sqrt(points.covariance[alone, 1, 1])
-    cosine = (normal * ray).sum(axis=1)
-    plane = np.array([0.0, 0.0, float(np.mean(cosine / distance))])
-    for _ in range(2):
-        steepness = normal[:, 1] - distance * plane[1]
-        rows = whitening @ ((distance / steepness)[:, None] * ray)
-        matrix = rows.T @ rows
-        matrix[[0, 1], [0, 1]] += 1.0 / plane[2] ** 2
-        plane = np.linalg.solve(matrix, rows.T @ (whitening @ (cosine / steepness)))
-    return plane
-
-
-def _outward(
-    state: RingState,
-    measured: Measurements,
-    position_m: Float64[Array, "point 3"],
-    by_x: Float64[Array, "point 3"],
-) -> Float64[Array, "3"]:
-    """From inner towards outer ends, seen from the middles of their stripes."""
-    points, lines = measured.points, measured.lines
-    sign = 2.0 * points.edge - 1.0
-    direction = np.zeros(3)
-    for laser in set(points.laser.tolist()):
-        own = points.laser == laser
-        if bool((lines.laser == laser).any()):
-            middle_x = float(lines.x[lines.laser == laser].mean())
-            direction += ((sign * (points.x - middle_x))[own, None] * by_x[own]).sum(axis=0)
-        else:
-            direction += (sign[own, None] * (position_m[own] - position_m[own].mean(axis=0))).sum(axis=0)
-    length = float(np.sqrt(direction @ direction))
-    if length < 1e-9:
-        spread = position_m[-1] - position_m[0]
-        direction = cross(state.normal, spread) if float(spread @ spread) > 0 else by_x[0]
-    direction = direction - (direction @ state.normal) * state.normal
-    unit: Float64[Array, "3"] = direction / np.sqrt(direction @ direction)
-    return unit

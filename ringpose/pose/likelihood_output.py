@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.pose.likelihood import RIDGE, Fit
+from ringpose.pose.likelihood import Fit
 from ringpose.pose.measurements import Measurements
 from ringpose.pose.ring_model import BAND, CURVATURE, PARAMETERS, PLANE, SHIFT, TURN
 from ringpose.types.arrays import Array
@@ -70,7 +70,7 @@ def covariance_of(fit: Fit, found: Quantities, measured: Measurements) -> Float6
     active, its sandwich form where one is. The rig's errors, which are common to all residuals, pass the same gain.
     The grasp point also goes along the band with the mean of the break points.
     """
-    inverse = np.linalg.inv(fit.normal_matrix + RIDGE * np.eye(PARAMETERS))
+    inverse = fit.inverse
     gain = inverse @ (fit.rows.by_state.T * fit.weight)
     if fit.by_rig is not None:
         weighted = fit.by_rig.T * fit.weight
@@ -95,7 +95,7 @@ def covariance_of(fit: Fit, found: Quantities, measured: Measurements) -> Float6
 
 def _mean_shift(fit: Fit, measured: Measurements) -> Float64[Array, "point"]:
     """How far the mean of the break points goes along the band when one of them errs by its standard deviation."""
-    sigma = np.sqrt(measured.points.covariance[:, 0, 0]) * np.sign(fit.rows.by_x)
+    sigma = measured.points.sigma_x * np.sign(fit.rows.by_x)
     by_x, by_y = fit.state.along @ fit.rows.origin.by_ray
-    shift: Float64[Array, "point"] = (by_x + fit.rows.points.slope * by_y) * sigma / len(sigma)
+    shift: Float64[Array, "point"] = (by_x + fit.rows.slope * by_y) * sigma / len(sigma)
     return shift

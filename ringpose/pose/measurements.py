@@ -5,7 +5,8 @@ measured by its ordinates, a break point by its abscissa.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -16,6 +17,7 @@ from ringpose.geometry.rays import undistort
 from ringpose.types.arrays import Array
 from ringpose.types.break_points import BreakPoints, RingEdgePoints
 from ringpose.types.camera import Camera
+from ringpose.types.laser_planes import LaserPlanes
 from ringpose.types.rig import Rig
 
 NOMINAL_SIGMA_PX = 0.3
@@ -45,8 +47,24 @@ class Points:
     x: Float64[Array, "point"]
     y: Float64[Array, "point"]
     covariance: Float64[Array, "point xy=2 xy=2"]
+    sigma_x: Float64[Array, "point"]
+    middle_x: Float64[Array, "point"]
+    """Of the stripe that it is an end of."""
     alone: Bool[Array, "point"]
     """Whether no line of its stripe is known: its ordinate then counts; else the line knows it better."""
+
+
+class Sighted(NamedTuple):
+    """The lines' ends and the break points, with their light planes: what the predicted stripes are compared at."""
+
+    rays: Float64[Array, "sight xyz=3"]
+    """As measured."""
+    light_normal: Float64[Array, "sight xyz=3"]
+    light_distance_m: Float64[Array, "sight"]
+    whitening: Float64[Array, "end end"]
+    """Of the lines' ordinates."""
+    edge_sign: Float64[Array, "point"]
+    """-1 for the inner edge, +1 for the outer."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -69,15 +87,27 @@ class Measurements:
     sure: bool
     """Whether every break point came with its covariance."""
 
+    def sighted(self, planes: LaserPlanes) -> Sighted:
+        """Ends and break points in one."""
+        laser = np.concatenate([np.repeat(self.lines.laser, 2), self.points.laser])
+        rays = np.ones((len(laser), 3))
+        ends = 2 * len(self.lines.laser)
+        rays[:ends, 0], rays[:ends, 1] = self.lines.x.ravel(), self.lines.y.ravel()
+        rays[ends:, 0], rays[ends:, 1] = self.points.x, self.points.y
+        whitening = np.zeros((ends, ends))
+        for number, block in enumerate(self.lines.whitening):
+            whitening[2 * number : 2 * number + 2, 2 * number : 2 * number + 2] = block
+        return Sighted(rays, planes.normal[laser], planes.distance_m[laser], whitening, 2.0 * self.points.edge - 1.0)
+
     def with_points(self, keep: Bool[Array, "point"]) -> "Measurements":
         """With these break points only."""
-        points = {name: getattr(self.points, name)[keep] for name in ("laser", "edge", "x", "y", "covariance", "alone")}
+        points = {each.name: getattr(self.points, each.name)[keep] for each in fields(Points)}
         return replace(self, points=Points(**points))
 
     def without_laser(self, laser: int) -> "Measurements":
         """Without a laser's line and break points."""
         keep = self.lines.laser != laser
-        lines = {name: getattr(self.lines, name)[keep] for name in ("laser", "x", "y", "whitening")}
+        lines = {each.name: getattr(self.lines, each.name)[keep] for each in fields(Lines)}
         return replace(self.with_points(self.points.laser != laser), lines=Lines(**lines))
 
     def relabelled(self, laser_of: Mapping[int, int]) -> "Measurements":
@@ -105,12 +135,15 @@ def measurements_of(break_points: BreakPoints, rig: Rig, ring_edges: RingEdgePoi
     by_pixel = rays_by_pixel(xy, rig.camera)
     has_line = np.zeros(lasers, dtype=bool)
     has_line[lines.laser] = True
+    covariance = by_pixel @ (covariance_px2 + LEAST_SIGMA_PX**2 * np.eye(2)) @ by_pixel.swapaxes(1, 2)
     points = Points(
         laser=laser,
         edge=edge,
         x=xy[:, 0],
         y=xy[:, 1],
-        covariance=by_pixel @ (covariance_px2 + LEAST_SIGMA_PX**2 * np.eye(2)) @ by_pixel.swapaxes(1, 2),
+        covariance=covariance,
+        sigma_x=np.sqrt(covariance[:, 0, 0]),
+        middle_x=_middles(laser, xy[:, 0], lines),
         alone=~has_line[laser],
     )
     return Measurements(lines=lines, points=points, edges=_edges(ring_edges, rig.camera), sure=sure)
@@ -154,6 +187,14 @@ def pixels_by_ray_and_camera(
     return by[:, :, 3:5], by[:, :, 6:]  # after rotation 3: translation 3, of which two move the ray
 
 
+def _middles(laser: Int64[Array, "point"], x: Float64[Array, "point"], lines: Lines) -> Float64[Array, "point"]:
+    """Middle of each point's stripe: of its line, or of its own ends."""
+    middle = {number: sum(ends) / 2 for number, ends in zip(lines.laser.tolist(), lines.x.tolist(), strict=True)}
+    for number in set(laser.tolist()) - middle.keys():
+        middle[number] = float(x[laser == number].mean())
+    return np.array([middle[number] for number in laser.tolist()], dtype=np.float64)
+
+
 def _lines(break_points: BreakPoints, camera: Camera) -> Lines:
     ends = np.stack([break_points.face_start_px, break_points.face_end_px], axis=1)
     laser = np.flatnonzero(np.isfinite(ends.sum(axis=(1, 2)) + break_points.face_sigma_px.sum(axis=1)))
@@ -163,8 +204,18 @@ def _lines(break_points: BreakPoints, camera: Camera) -> Lines:
         laser=laser,
         x=(ends[laser, :, 0] - matrix[0, 2]) / matrix[0, 0],
         y=(ends[laser, :, 1] - matrix[1, 2]) / matrix[1, 1],
-        whitening=np.linalg.inv(np.linalg.cholesky(line_covariance(sigma))),
+        whitening=_whitening(line_covariance(sigma)),
     )
+
+
+def _whitening(covariance: Float64[Array, "line 2 2"]) -> Float64[Array, "line 2 2"]:
+    """Inverse of the Cholesky factor, in closed form."""
+    first, mixed, second = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
+    share = mixed / first
+    scale = 1.0 / np.sqrt(second - share * mixed)
+    whitening = np.zeros_like(covariance)
+    whitening[:, 0, 0], whitening[:, 1, 0], whitening[:, 1, 1] = 1.0 / np.sqrt(first), -share * scale, scale
+    return whitening
 
 
 def _edges(ring_edges: RingEdgePoints | None, camera: Camera) -> Edges:

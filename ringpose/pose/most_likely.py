@@ -34,6 +34,7 @@ from ringpose.pose.observability import (
 )
 from ringpose.pose.residual_rows import Beforehand
 from ringpose.pose.rig_errors import rig_errors
+from ringpose.pose.ring_model import CURVATURE
 from ringpose.types.arrays import Array
 from ringpose.types.break_points import BreakPointFlag, BreakPoints, RingEdgePoints
 from ringpose.types.rig import Rig
@@ -128,8 +129,7 @@ def _on_the_better_side(
 def _side_score(explanation: Explanation) -> float:
     """Its score; a curvature below zero says by how many of its standard deviations it is on the wrong side."""
     fit = explanation.fit
-    variance = float(np.linalg.inv(fit.normal_matrix + 1e-7 * np.eye(7))[5, 5])
-    return explanation.score + min(fit.state.curvature, 0.0) ** 2 / variance
+    return explanation.score + min(fit.state.curvature, 0.0) ** 2 / float(fit.inverse[CURVATURE, CURVATURE])
 
 
 class Determined(NamedTuple):
@@ -145,8 +145,7 @@ def _determined(best: Explanation, joint: Float64[Array, "15 15"], sure_of_side:
     fit = best.fit
     normal = standard_deviation(joint[TILTS, TILTS]) <= TILT_SD_LIMIT_RAD
     bend = sqrt(joint[BEND, BEND]) < UNKNOWN_FROM * fit.state.curvature
-    across = np.stack([fit.state.outward, fit.state.normal])
-    grasp_sd_m = standard_deviation(across[:1] @ joint[GRASP, GRASP] @ across[:1].T)
+    grasp_sd_m = sqrt(max(float(fit.state.outward @ joint[GRASP, GRASP] @ fit.state.outward), 0.0))
     edges = {*best.measured.points.edge.tolist(), *best.measured.edges.edge.tolist()}
     told = sure_of_side or best.before.radii is not None
     return Determined(
@@ -219,7 +218,6 @@ def _condition(fit: Fit) -> float:
 def _residual_rms_px(fit: Fit, measured: Measurements, rig: Rig) -> float:
     """Distance of the break points from those that the pose predicts: along their lines, and from these."""
     points, rows, matrix = measured.points, fit.rows, rig.camera.camera_matrix
-    sign = 2.0 * points.edge - 1.0
-    along = (rows.arcs.distance_m - 0.5 * sign * fit.state.band_m) / rows.by_x * matrix[0, 0]
-    across = (points.y - rows.points.rays[:, 1]) * matrix[1, 1]
-    return float(np.sqrt(np.mean((1.0 + rows.points.slope**2) * along**2 + across**2)))
+    along = rows.arcs.distance_m / rows.by_x * matrix[0, 0]
+    across = (points.y - rows.y) * matrix[1, 1]
+    return float(np.sqrt(np.mean((1.0 + rows.slope**2) * along**2 + across**2)))

@@ -1,5 +1,7 @@
 """What the break points determine, and how well."""
 
+import math
+
 import numpy as np
 from jaxtyping import Float64
 
@@ -93,4 +95,7 @@ def weak_flags(covariance: PoseCovariance, limit_m: float) -> PoseFlag:
 
 def standard_deviation(covariance: Float64[Array, "n n"]) -> float:
     """In the direction in which it is largest."""
-    return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
+    if len(covariance) == 2:
+        (first, mixed), (_, second) = covariance.tolist()
+        return math.sqrt(max(0.5 * (first + second) + math.hypot(0.5 * (first - second), mixed), 0.0))
+    return math.sqrt(max(float(np.linalg.eigvalsh(covariance)[-1]), 0.0))

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float64
 
-from ringpose.pose.measurements import Measurements
+from ringpose.pose.measurements import Measurements, Points, Sighted
 from ringpose.pose.ring_model import (
     BAND,
     CURVATURE,
@@ -18,19 +18,15 @@ from ringpose.pose.ring_model import (
     TURN,
     ArcParts,
     EdgeParts,
-    LineParts,
     Origin,
-    PointParts,
     RingState,
+    Sights,
     arc_parts,
     edge_parts,
-    line_parts,
     origin_of,
-    point_derivatives,
-    point_parts,
+    sights_of,
 )
 from ringpose.types.arrays import Array
-from ringpose.types.laser_planes import LaserPlanes
 from ringpose.types.ring import KnownRadii
 
 LIKELY_CURVATURE, CURVATURE_SD = 1.5, 1.5
@@ -45,6 +41,9 @@ TILT_SD_RAD = 0.6
 
 LIKELY_BAND_M, BAND_SD_M = 0.03, 0.03
 """Where only one edge was seen: as wide as the bands in launcher manuals, or twice that, or very narrow."""
+
+
+_NONE, _NO_ROWS = np.empty(0), np.empty((0, PARAMETERS))
 
 
 class Beforehand(NamedTuple):
@@ -62,16 +61,27 @@ class Rows(NamedTuple):
 
     residual: Float64[Array, "row"]
     by_state: Float64[Array, "row 7"]
-    lines: LineParts
-    points: PointParts
+    ends: int
+    """Number of the lines' ends: so many rows, and so many sights before those of the break points."""
+    sights: Sights
     arcs: ArcParts
     origin: Origin
     edges: EdgeParts | None
     by_x: Float64[Array, "point"]
-    """Derivative of a break point's distance from the circle by its abscissa."""
+    """Derivative of a break point's distance from its circle by its abscissa, along the predicted line."""
     along_scale: Float64[Array, "point"]
     """One over the standard deviation of that distance."""
     across: "AcrossScale"
+
+    @property
+    def slope(self) -> Float64[Array, "point"]:
+        """Of the predicted lines at the break points."""
+        return self.sights.slope[self.ends :]
+
+    @property
+    def y(self) -> Float64[Array, "point"]:
+        """Predicted ordinates of the break points."""
+        return self.sights.rays[self.ends :, 1]
 
 
 class AcrossScale(NamedTuple):
@@ -82,26 +92,28 @@ class AcrossScale(NamedTuple):
     scale: Float64[Array, "alone"]
 
 
-def rows_of(state: RingState, measured: Measurements, planes: LaserPlanes, before: Beforehand) -> Rows:
-    """The residuals of a state."""
-    points = measured.points
-    lines, on_line = line_parts(state, measured.lines, planes), point_parts(state, points, planes)
-    origin = origin_of(state, on_line)
-    arcs = arc_parts(state, on_line.position_m, origin)
-    sign = 2.0 * points.edge - 1.0
-    distance_m = arcs.distance_m - 0.5 * sign * state.band_m
-    by_state = point_derivatives(on_line, arcs, sign, origin)
-    by_x = _away_from_zero((on_line.by_x * arcs.radial).sum(axis=1))
-    scale = 1.0 / (np.abs(by_x) * np.sqrt(points.covariance[:, 0, 0]))
-    residual = [lines.residual.ravel(), scale * distance_m]
-    derivative = [lines.by_state.reshape(-1, PARAMETERS), scale[:, None] * by_state]
+def rows_of(state: RingState, measured: Measurements, sighted: Sighted, before: Beforehand) -> Rows:
+    """The residuals of a state; `sighted` are the same measurements with their light planes."""
+    ends, points = len(sighted.whitening), measured.points
+    sights = sights_of(state, sighted)
+    rays, y_by_plane = sights.rays[ends:], sights.y_by_plane[ends:]
+    origin = origin_of(state, rays, y_by_plane)
+    arcs = arc_parts(state, rays, sighted.edge_sign, origin)
+    by_state = arcs.by_state
+    by_state[:, PLANE] += arcs.by_ray[:, 1:] * y_by_plane
+    by_x = _away_from_zero(arcs.by_ray[:, 0] + sights.slope[ends:] * arcs.by_ray[:, 1])
+    scale = 1.0 / (np.abs(by_x) * points.sigma_x)
+    lines = np.zeros((ends, PARAMETERS))
+    lines[:, PLANE] = sighted.whitening @ -sights.y_by_plane[:ends]
+    residual = [sighted.whitening @ (sighted.rays[:ends, 1] - sights.rays[:ends, 1]), scale * arcs.distance_m]
+    derivative = [lines, scale[:, None] * by_state]
 
-    across = _across_scale(measured, on_line.slope, by_x)
+    across = _across_scale(points, sights.slope[ends:], by_x)
     if len(across.which):
-        y, by_plane = points.y[across.which] - on_line.rays[across.which, 1], on_line.y_by_plane[across.which]
+        y = points.y[across.which] - rays[across.which, 1]
         own = -across.share[:, None] * by_state[across.which]
-        own[:, PLANE] -= by_plane
-        residual.append(across.scale * (y - across.share * distance_m[across.which]))
+        own[:, PLANE] -= y_by_plane[across.which]
+        residual.append(across.scale * (y - across.share * arcs.distance_m[across.which]))
         derivative.append(across.scale[:, None] * own)
     visible = edge_parts(state, measured.edges, origin) if len(measured.edges.edge) else None
     if visible is not None:
@@ -111,8 +123,8 @@ def rows_of(state: RingState, measured: Measurements, planes: LaserPlanes, befor
     return Rows(
         residual=np.concatenate([*residual, known_residual]),
         by_state=np.concatenate([*derivative, known_derivative]),
-        lines=lines,
-        points=on_line,
+        ends=ends,
+        sights=sights,
         arcs=arcs,
         origin=origin,
         edges=visible,
@@ -122,10 +134,12 @@ def rows_of(state: RingState, measured: Measurements, planes: LaserPlanes, befor
     )
 
 
-def _across_scale(measured: Measurements, slope: Float64[Array, "point"], by_x: Float64[Array, "point"]) -> AcrossScale:
+def _across_scale(points: Points, slope: Float64[Array, "point"], by_x: Float64[Array, "point"]) -> AcrossScale:
     """The ordinate above the predicted line errs with the abscissa too; what is left of it does not."""
-    which = np.flatnonzero(measured.points.alone)
-    covariance, slope = measured.points.covariance[which], slope[which]
+    which = np.flatnonzero(points.alone)
+    if not len(which):
+        return AcrossScale(which, _NONE, _NONE)
+    covariance, slope = points.covariance[which], slope[which]
     xx, xy, yy = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
     with_x = xy - slope * xx
     left = yy - 2.0 * slope * xy + slope**2 * xx - with_x**2 / xx
@@ -133,6 +147,8 @@ def _across_scale(measured: Measurements, slope: Float64[Array, "point"], by_x: 
 
 
 def _known(state: RingState, before: Beforehand) -> tuple[Float64[Array, "row"], Float64[Array, "row 7"]]:
+    if before.radii is None and before.weak_about is None and not before.one_edge:
+        return _NONE, _NO_ROWS
     residual: list[float] = []
     rows: list[tuple[dict[int, float], float]] = []
     if before.radii is not None:

@@ -15,7 +15,7 @@ from ringpose.errors import DataError
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.measurements import Measurements, pixels_by_ray_and_camera
 from ringpose.pose.residual_rows import Rows
-from ringpose.pose.ring_model import RingState
+from ringpose.pose.ring_model import RingState, Sights
 from ringpose.types.arrays import Array
 from ringpose.types.rig import Rig
 
@@ -59,8 +59,13 @@ def rig_errors(rig: Rig) -> RigErrors | None:
                 f"it names {name!r}, which is no parameter of this rig",
                 "run ringpose calibrate-planes",
             )
-    basis = np.array([tilt_basis(normal) for normal in rig.lasers.normal])
-    return RigErrors(camera=camera, lasers=lasers, basis=basis)
+    return RigErrors(camera=camera, lasers=lasers, basis=light_plane_bases(rig))
+
+
+@lru_cache(maxsize=8)
+def light_plane_bases(rig: Rig) -> Float64[Array, "laser 2 3"]:
+    """The tilt basis of each light plane."""
+    return np.array([tilt_basis(normal) for normal in rig.lasers.normal])
 
 
 def _root(covariance: Float64[Array, "n n"]) -> Float64[Array, "n error"]:
@@ -84,31 +89,26 @@ class ByRig(NamedTuple):
 
 def rows_by_rig(state: RingState, rows: Rows, measured: Measurements, errors: RigErrors, rig: Rig) -> ByRig:
     """How a wrong rig moves the residuals."""
+    ends, whitening = rows.ends, measured.sighted(rig.lasers).whitening
     lines, points = measured.lines, measured.points
-    xy = np.concatenate([np.stack([lines.x, lines.y], axis=-1).reshape(-1, 2), np.stack([points.x, points.y], axis=-1)])
+    laser = np.concatenate([np.repeat(lines.laser, 2), points.laser])
+    xy = np.column_stack([np.append(lines.x.ravel(), points.x), np.append(lines.y.ravel(), points.y)])
     shift = _ray_shift(xy, errors, rig)
-    ends, tips = shift[: 2 * len(lines.laser)].reshape(-1, 2, *shift.shape[1:]), shift[2 * len(lines.laser) :]
-
-    above = ends[:, :, 1] - rows.lines.slope[:, None, None] * ends[:, :, 0]
-    above -= _ordinate_shift(rows.lines.rays, lines.laser, rows.lines.steepness, state, errors)
-    parts = [(lines.whitening @ above).reshape(-1, above.shape[-1])]
-
-    y_shift = _ordinate_shift(rows.points.rays[:, None], points.laser, rows.points.steepness, state, errors)[:, 0]
-    by_y = (rows.points.by_y * rows.arcs.radial).sum(axis=1)
-    distance = by_y[:, None] * y_shift + rows.by_x[:, None] * tips[:, 0]
-    parts.append(rows.along_scale[:, None] * distance)
+    predicted = _ordinate_shift(rows.sights, laser, state, errors)
+    above = shift[:, 1] - rows.sights.slope[:, None] * shift[:, 0] - predicted
+    tips, y_shift = shift[ends:, 0], predicted[ends:]
+    distance = rows.arcs.by_ray[:, 1:] * y_shift + rows.by_x[:, None] * tips
+    parts = [whitening @ above[:ends], rows.along_scale[:, None] * distance]
 
     which, share, scale = rows.across
     if len(which):
-        across = tips[which, 1] - rows.points.slope[which, None] * tips[which, 0] - y_shift[which]
-        parts.append(scale[:, None] * (across - share[:, None] * distance[which]))
+        parts.append(scale[:, None] * (above[ends:][which] - share[:, None] * distance[which]))
     if rows.edges is not None:
         seen = _ray_shift(measured.edges.ray[:, :2], errors, rig)
         parts.append((rows.edges.by_ray[:, :, None] * seen).sum(axis=1))
     parts.append(np.zeros((len(rows.residual) - sum(map(len, parts)), parts[0].shape[-1])))
-    ordinate = y_shift + rows.points.slope[:, None] * tips[:, 0]
-    mean = state.along @ rows.origin.by_ray @ np.stack([tips[:, 0].mean(axis=0), ordinate.mean(axis=0)])
-    return ByRig(np.concatenate(parts), mean)
+    mean = np.stack([tips.mean(axis=0), (y_shift + rows.slope[:, None] * tips).mean(axis=0)])
+    return ByRig(np.concatenate(parts), state.along @ rows.origin.by_ray @ mean)
 
 
 def _ray_shift(xy: Float64[Array, "n xy=2"], errors: RigErrors, rig: Rig) -> Float64[Array, "n 2 error"]:
@@ -121,12 +121,9 @@ def _ray_shift(xy: Float64[Array, "n xy=2"], errors: RigErrors, rig: Rig) -> Flo
 
 
 def _ordinate_shift(
-    rays: Float64[Array, "n k 3"],
-    laser: Int64[Array, "n"],
-    steepness: Float64[Array, "n"],
-    state: RingState,
-    errors: RigErrors,
-) -> Float64[Array, "n k error"]:
+    sights: Sights, laser: Int64[Array, "sight"], state: RingState, errors: RigErrors
+) -> Float64[Array, "sight error"]:
     """How the predicted ordinate moves with the light plane, at constant abscissa: -(dm - dd q) . r / (m - d q)_y."""
-    by_plane = np.concatenate([-rays @ errors.basis[laser].swapaxes(1, 2), (rays @ state.plane)[:, :, None]], axis=-1)
-    return by_plane @ errors.lasers[laser] / steepness[:, None, None]
+    along = (errors.basis[laser] @ sights.rays[:, :, None])[:, :, 0]
+    by_plane = np.column_stack([-along, sights.rays @ state.plane]) / sights.steepness[:, None]
+    return (by_plane[:, None] @ errors.lasers[laser])[:, 0]

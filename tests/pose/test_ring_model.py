@@ -30,24 +30,28 @@ def some_state(scene, rng):
 def unscaled(rows, points):
     """The rows in units that do not change with the state: the noise of a break point's distance does."""
     residual = rows.residual.copy()
-    lines = rows.lines.residual.size
-    residual[lines : lines + points] /= rows.along_scale
-    return residual[: lines + points]
+    residual[rows.ends : rows.ends + points] /= rows.along_scale
+    return residual[: rows.ends + points]
 
 
 @pytest.mark.parametrize("parameter", range(7))
 def test_rows_of_stripes_and_points_have_the_derivatives_of_central_differences(measured, rng, parameter):
     scene, shot = measured
     state, count = some_state(scene, rng), len(shot.points.x)
-    rows = rows_of(state, shot, scene.rig.lasers, Beforehand())
+    rows = rows_of(state, shot, shot.sighted(scene.rig.lasers), Beforehand())
 
     forward, backward = (
-        unscaled(rows_of(moved(state, sign * STEP * np.eye(7)[parameter]), shot, scene.rig.lasers, Beforehand()), count)
+        unscaled(
+            rows_of(
+                moved(state, sign * STEP * np.eye(7)[parameter]), shot, shot.sighted(scene.rig.lasers), Beforehand()
+            ),
+            count,
+        )
         for sign in (1, -1)
     )
 
     derivative = rows.by_state[: len(forward), parameter].copy()
-    derivative[rows.lines.residual.size :] /= rows.along_scale
+    derivative[rows.ends :] /= rows.along_scale
     scale = max(1e-3, np.abs(derivative).max())
     np.testing.assert_allclose(derivative / scale, (forward - backward) / (2 * STEP) / scale, rtol=0, atol=1e-6)
 
@@ -56,10 +60,12 @@ def test_rows_of_stripes_and_points_have_the_derivatives_of_central_differences(
 def test_known_radii_have_the_derivatives_of_central_differences(measured, rng, parameter):
     scene, shot = measured
     state, before = some_state(scene, rng), Beforehand(RADII)
-    rows = rows_of(state, shot, scene.rig.lasers, before)
+    rows = rows_of(state, shot, shot.sighted(scene.rig.lasers), before)
 
     forward, backward = (
-        rows_of(moved(state, sign * STEP * np.eye(7)[parameter]), shot, scene.rig.lasers, before).residual[-2:]
+        rows_of(
+            moved(state, sign * STEP * np.eye(7)[parameter]), shot, shot.sighted(scene.rig.lasers), before
+        ).residual[-2:]
         for sign in (1, -1)
     )
 
