@@ -24,6 +24,9 @@ from ringpose.types.sequence import MOST_LASERS
 
 SCHEMA = "rig/1"
 
+NEAREST_M = 1e-6
+"""A light plane that is nearer to the camera's centre goes through it."""
+
 _KEYS = ("ringpose", "provenance", "camera", "lasers", "covariance", "mount", "quality")
 _LASER_KEYS = ("name", "normal", "distance_m", "projector_m")
 
@@ -99,7 +102,7 @@ def _lasers(fields: Fields) -> LaserPlanes:
     return LaserPlanes(
         names=names,
         normal=np.stack([entry.unit_vector("normal", "divide normal and distance_m by it") for entry in entries]),
-        distance_m=np.array([entry.length_m("distance_m") for entry in entries]),
+        distance_m=np.array([_distance_m(entry) for entry in entries]),
         projector_m=np.stack(
             [entry.point_m("projector_m") if entry.has("projector_m") else unknown for entry in entries]
         ),
@@ -111,6 +114,13 @@ def _name(entry: Fields) -> str:
     if "." in name:
         raise entry.problem("name", f"is {name!r}, must have no full stop")
     return name
+
+
+def _distance_m(entry: Fields) -> float:
+    distance_m = entry.length_m("distance_m")
+    if abs(distance_m) < NEAREST_M:
+        raise entry.problem("distance_m", f"is {distance_m:g}: the camera is in this plane and sees no depth along it")
+    return distance_m
 
 
 def _laser_values(lasers: LaserPlanes) -> list[dict[str, Any]]:

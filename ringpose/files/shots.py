@@ -9,6 +9,7 @@ from jaxtyping import Float64, UInt8
 from ringpose.errors import DataError, NoInputError
 from ringpose.files import records
 from ringpose.files.archives import Archive, write_archive
+from ringpose.files.fields import Fields
 from ringpose.files.images import IMAGE_SUFFIXES, read_image
 from ringpose.types.arrays import Array
 from ringpose.types.frame import ALL_LASERS, Shot
@@ -46,6 +47,8 @@ def read_shot(path: Path, channel: str | None = None, rig: Rig | None = None) ->
 
 def shot_of(archive: Archive, rig: Rig | None = None) -> Shot:
     """The shot in an open archive."""
+    if "schema" in archive:
+        raise DataError(str(archive.path), "is a detection", "a shot is wanted")
     archive.refuse_unknown(_KEYS)
     images = archive.array("images", "u", (None, None, None))
     if images.dtype.itemsize > 2 or images.size == 0:
@@ -108,7 +111,13 @@ def _optional(archive: Archive, frames: int) -> dict[str, Any]:
 
 
 def _meta(archive: Archive) -> dict[str, Any]:
-    return records.record_of(archive.text("meta"), f"{archive.path}: meta") if "meta" in archive else {}
+    if "meta" not in archive:
+        return {}
+    place = f"{archive.path}: meta"
+    meta = records.record_of(archive.text("meta"), place)
+    if meta.get("saturation_dn") is not None:
+        Fields(place, meta).number("saturation_dn", least=1)
+    return meta
 
 
 def _changed_at_s(path: Path) -> float:

@@ -57,6 +57,7 @@ def test_rounded_normal_is_made_unit_length(rig_file):
         ("lasers.0.projector_m", [-30, -40, 0], "lasers[0].projector_m: is -40; metres belong here"),
         ("mount.tool_from_camera.0.3", 100.0, "mount.tool_from_camera: is 100; metres belong here"),
         ("lasers.1.normal", [0, 0.6, 0.79], "lasers[1].normal: has length 0.992018, must be 1"),
+        ("lasers.1.distance_m", 0, "lasers[1].distance_m: is 0: the camera is in this plane"),
         ("lasers.1.normal", [0, 0, 0], "lasers[1].normal: has length 0, must be 1"),
         ("lasers.1.normal.0", float("nan"), "lasers[1].normal: has a number that is not finite"),
         ("lasers.1.name", "left", "lasers[1].name: 'left' stands twice"),

@@ -87,6 +87,9 @@ def test_shot_without_a_key_is_refused(tmp_path, rng, key):
         ("gain_db", np.array([np.nan, 0, 0]), "gain_db: has a number that is not finite"),
         ("meta", np.array("{broken"), "meta: is no JSON"),
         ("meta", np.array(3), "meta: has type int64"),
+        ("meta", np.array('{"saturation_dn": "full"}'), "meta: saturation_dn: is the text 'full', must be a number"),
+        ("meta", np.array('{"saturation_dn": 0}'), "meta: saturation_dn: is 0, must be at least 1"),
+        ("schema", np.array("ringpose/detection/1"), "is a detection; a shot is wanted"),
         ("image", np.zeros(3), "unknown key 'image'; did you mean 'images'?"),
     ],
 )
