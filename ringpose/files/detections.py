@@ -48,10 +48,11 @@ def detection_record(detection: Detection, full: bool = True) -> dict[str, Any]:
 
 def detection_of(record: Mapping[str, Any], place: str) -> Detection:
     """The detection that a record is; null numbers become NaN."""
-    fields = Fields(place, record, _KEYS)
+    fields = Fields(place, record)
     schema = fields.text("schema")
     if schema != SCHEMA:
         raise fields.problem("schema", f"is {schema!r}, must be {SCHEMA!r}", "give the output of ringpose detect")
+    fields.refuse_unknown(_KEYS)
     parts = {key: fields.fields(key, _PARTS[key]) for key in _PARTS if fields.has(key)}
     return Detection(
         shot=fields.text("shot"),

@@ -34,7 +34,7 @@ class Fields:
             raise DataError(self.place(), f"is {kind(values)}, must be a mapping of keys to values")
         self.values: Mapping[str, Any] = values
         if known is not None:
-            self._refuse_unknown(tuple(known))
+            self.refuse_unknown(tuple(known))
 
     def place(self, key: str = "") -> str:
         """`rig.yaml: lasers[1].normal`."""
@@ -161,6 +161,15 @@ class Fields:
             raise self.problem(key, "must be a list of texts")
         return tuple(items)
 
+    def refuse_unknown(self, known: tuple[str, ...]) -> None:
+        """Refuse keys that are neither known nor the user's own."""
+        for key in self.values:
+            if not isinstance(key, str):
+                raise self.problem("", f"has the key {key!r}, which is no text")
+            if key not in known and not key.startswith(FREE_PREFIX):
+                remedy = hint(key, known) or f"begin it with {FREE_PREFIX} if it is your own"
+                raise self.problem("", f"unknown key {key!r}", remedy)
+
     def _below(self, key: str) -> str:
         return f"{self.path}.{key}" if self.path else key
 
@@ -173,14 +182,6 @@ class Fields:
             most = f" and at most {bounds[1]:g}" if bounds[1] < math.inf else ""
             least = f"at least {bounds[0]:g}" if bounds[0] > -math.inf else ""
             raise self.problem(key, f"is {value:g}, must be {least}{most}".replace("be  and", "be"))
-
-    def _refuse_unknown(self, known: tuple[str, ...]) -> None:
-        for key in self.values:
-            if not isinstance(key, str):
-                raise self.problem("", f"has the key {key!r}, which is no text")
-            if key not in known and not key.startswith(FREE_PREFIX):
-                remedy = hint(key, known) or f"begin it with {FREE_PREFIX} if it is your own"
-                raise self.problem("", f"unknown key {key!r}", remedy)
 
     def _near(self, key: str) -> str:
         near = difflib.get_close_matches(key, [k for k in self.values if isinstance(k, str)], n=1)

@@ -65,10 +65,11 @@ def pose_record(line: PoseLine) -> dict[str, Any]:
 
 def pose_line_of(record: Mapping[str, Any], place: str) -> PoseLine:
     """The line that a record is; null becomes NaN, or None where the whole quantity is missing."""
-    fields = Fields(place, record, _KEYS)
+    fields = Fields(place, record)
     schema = fields.text("schema")
     if schema != SCHEMA:
         raise fields.problem("schema", f"is {schema!r}, must be {SCHEMA!r}", "give the output of ringpose pose")
+    fields.refuse_unknown(_KEYS)
     flags = _flags(fields)
     return PoseLine(
         shot=fields.text("shot"),

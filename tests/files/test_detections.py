@@ -162,6 +162,16 @@ def test_impossible_record_is_refused_with_its_place(rng, part, key, value, find
     assert str(caught.value).startswith(f"x:1: {finding}")
 
 
+def test_record_of_another_kind_is_told_by_its_schema():
+    with pytest.raises(DataError, match=r"schema: is 'ringpose/pose/1', .*; give the output of ringpose detect"):
+        detection_of({"schema": "ringpose/pose/1", "frame": "camera"}, "x:1")
+
+
+def test_record_without_a_schema_is_told_so_before_its_keys_are_judged():
+    with pytest.raises(DataError, match="has no key 'schema'"):
+        detection_of({"center_m": [0, 0, 1]}, "x:1")
+
+
 def test_unknown_reason_is_refused(rng):
     with pytest.raises(DataError, match="unknown reason 'because'"):
         detection_of(changed_record(rng, "", "break_points", None) | {"reason": "because"}, "x:1")

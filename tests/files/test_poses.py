@@ -114,6 +114,11 @@ def test_line_is_read_as_it_was_written(pose):
     assert all(np.array_equal(getattr(after.pose, name), getattr(pose, name)) for name in RingPose.__slots__)
 
 
+def test_record_of_another_kind_is_told_by_its_schema():
+    with pytest.raises(DataError, match=r"schema: is 'ringpose/detection/1', .*; give the output of ringpose pose"):
+        pose_line_of({"schema": "ringpose/detection/1", "break_points": None}, "x:1")
+
+
 def test_what_is_not_known_is_read_as_nan(pose):
     unknown = replace(
         pose, center_m=np.full(3, math.nan), radius_outer_m=math.nan, condition=math.inf, flags=PoseFlag(0)
