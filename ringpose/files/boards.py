@@ -21,6 +21,12 @@ NEEDED = {
 }
 """What each kind of board cannot do without."""
 
+FEWEST = {"charuco": 2, "chessboard": 3, "four_markers": 1, "aruco_grid": 1, "asymmetric_circles": 2}
+"""Squares, markers or circles a side that a board must have to be one."""
+
+MOST_SQUARES = 200
+"""A board of more squares a side is a slip; looking for it would take hours."""
+
 
 def read_board(path: Path) -> Board:
     """The board in a board file."""
@@ -34,7 +40,9 @@ def board_of(fields: Fields) -> Board:
         fields.raw(key)
     if fields.has("ringpose") and fields.text("ringpose") != "board/1":
         raise fields.problem("ringpose", f"is {fields.text('ringpose')!r}, must be 'board/1'")
-    sizes: dict[str, Any] = {key: fields.integer(key, least=1) for key in _COUNTS if fields.has(key)}
+    sizes: dict[str, Any] = {
+        key: fields.integer(key, least=FEWEST[kind], most=MOST_SQUARES) for key in _COUNTS if fields.has(key)
+    }
     sizes |= {key: _length(fields, key) for key in _LENGTHS if fields.has(key)}
     sizes |= {key: fields.text(key) for key in ("dictionary", "order") if fields.has(key)}
     if fields.has("legacy_pattern"):
