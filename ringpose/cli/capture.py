@@ -55,6 +55,7 @@ def capture(
     """Take shots into a session folder: one frame for each step of the sequence, all lasers off in the end."""
     from ringpose.cli.batch import Batch
     from ringpose.cli.sources import Wanted, source_of
+    from ringpose.errors import UsageError
     from ringpose.files.sessions import SessionWriter, folder_of_now
     from ringpose.types.sequence import parsed_sequence
 
@@ -64,7 +65,10 @@ def capture(
     )
     existing, batch = _existing(force, append), Batch()
     source = source_of(wanted, batch)
-    writer = SessionWriter(output or folder_of_now(), source.capture, existing)
+    folder = output or folder_of_now()
+    if folder.resolve() in source.folders:
+        raise UsageError("--output", f"{folder} is where the shots are read from", "choose another folder")
+    writer = SessionWriter(folder, source.capture, existing)
     with ExitStack() as stack:
         for part in (writer, *source.devices):
             stack.enter_context(part)

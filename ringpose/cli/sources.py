@@ -43,6 +43,8 @@ class Source:
 
     capture: Capture
     shots: Callable[[ReadFrom], Iterator[Shot]]
+    folders: frozenset[Path] = frozenset()
+    """Where recorded shots lie, as far as it is known before they are read."""
     devices: tuple[AbstractContextManager[None], ...] = ()
     """To be entered, in this order, while shots are taken."""
 
@@ -60,7 +62,7 @@ def _recorded(pattern: str, wanted: Wanted, batch: Batch) -> Source:
         raise UsageError("--lasers", f'"{wanted.lasers}" cannot light what is recorded', "leave it out")
     if wanted.exposure_s is not None:
         raise UsageError("--exposure", "what is recorded has been exposed", "leave it out")
-    named = batch.good(_named(pattern))
+    named = batch.good(inputs([STDIN], SHOT_SUFFIXES) if pattern == STDIN else _named(pattern))
     first = next(named, None)
     if first is None:
         batch.finish()
@@ -70,6 +72,7 @@ def _recorded(pattern: str, wanted: Wanted, batch: Batch) -> Source:
         shots=lambda read_from: paced(
             islice(_recorded_shots(items, wanted, batch, read_from), wanted.count), wanted.rate_hz
         ),
+        folders=_folders([first] if pattern == STDIN else _matches(pattern)),
     )
 
 
@@ -117,12 +120,24 @@ def _lasers_and_steps(
 
 
 def _named(pattern: str) -> Iterator[Input | Problem]:
-    """The files of a folder or a pattern; `-` reads names from stdin."""
-    path = Path(pattern)
-    if pattern == STDIN or path.exists():
-        return inputs([pattern], SHOT_SUFFIXES)
-    found = sorted(Path(path.anchor or ".").glob(str(path.relative_to(path.anchor))))
+    """The files of a folder or a pattern."""
+    try:
+        found = _matches(pattern)
+    except OSError as error:
+        return iter([NoInputError(pattern, f"cannot be opened: {(error.strerror or str(error)).lower()}")])
     return inputs(found, SHOT_SUFFIXES) if found else iter([NoInputError(pattern, "does not exist")])
+
+
+def _matches(pattern: str) -> list[Path]:
+    path = Path(pattern)
+    if path.exists():
+        return [path]
+    return sorted(Path(path.anchor or ".").glob(str(path.relative_to(path.anchor))))
+
+
+def _folders(items: Iterable[Input | None]) -> frozenset[Path]:
+    paths = [item.resolve() for item in items if isinstance(item, Path)]
+    return frozenset(path if path.is_dir() else path.parent for path in paths)
 
 
 def _recorded_shots(items: Iterable[Input], wanted: Wanted, batch: Batch, read_from: ReadFrom) -> Iterator[Shot]:

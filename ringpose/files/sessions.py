@@ -8,7 +8,7 @@ from types import TracebackType
 from typing import Any, Literal, cast, get_args
 
 from ringpose.errors import CannotCreateError, DataError
-from ringpose.files.atomic import make_folder, replacing
+from ringpose.files.atomic import make_folder, output_error, replacing
 from ringpose.files.fields import Fields
 from ringpose.files.provenance import provenance, sha256
 from ringpose.files.shots import write_shot
@@ -96,7 +96,7 @@ class SessionWriter:
 
     def _take_over(self) -> None:
         """See to what is in the folder already."""
-        if not self.folder.exists() or (self.folder.is_dir() and not any(self.folder.iterdir())):
+        if self._is_free():
             return
         if self._existing == "refuse":
             remedy = "add --append to go on with it, or --force to replace it"
@@ -111,6 +111,13 @@ class SessionWriter:
         else:
             for path in there:
                 path.unlink()
+
+    def _is_free(self) -> bool:
+        """Whether the folder is not there yet, or empty."""
+        try:
+            return not self.folder.exists() or (self.folder.is_dir() and not any(self.folder.iterdir()))
+        except OSError as error:
+            raise output_error(self.folder, error) from error
 
     def _write(self, state: CaptureState) -> None:
         noted = {**self._capture.provenance, "inputs": self._inputs}

@@ -206,6 +206,7 @@ def test_without_an_output_the_folder_is_named_by_the_time(capsys):
         (["--camera", "files:nowhere"], 66, "nowhere: does not exist"),
         (["--camera", "files:no*where"], 66, "no*where: does not exist"),
         (["--camera", "files:empty"], 66, "empty: holds no file"),
+        (["--camera", "files:" + 300 * "a"], 66, "file name too long"),
         (["--camera", "usb:0"], 2, 'names no device; it begins with one of files:, sim:'),
         (["--camera", "files:in", "--lasers", "sim:"], 2, '"sim:" cannot light what is recorded'),
         (["--camera", "files:in", "--lasers", "none:3"], 2, "has words after its colon"),
@@ -254,6 +255,29 @@ def test_force_replaces_a_session_and_append_goes_on_with_it():
     assert (replaced, appended) == (0, 0)
     assert sorted(path.name for path in Path("s").iterdir()) == ["b.npz", "c.npz", "session.yaml"]
     assert read_session(Path("s")).shots == ("b", "c")
+
+
+@pytest.mark.parametrize("camera", ["files:s", "files:s/*.npz", "files:*/*.npz", "files:-"])
+@pytest.mark.parametrize("existing", ["--force", "--append"])
+def test_a_session_is_not_captured_from_itself(capsys, monkeypatch, camera, existing):
+    recorded(Path("in"), "a")
+    main(["capture", "--camera", "files:in", "--output", "s"])
+    before = {path: path.read_bytes() for path in Path("s").iterdir()}
+    monkeypatch.setattr("sys.stdin", io.StringIO("s/a.npz\n"))
+
+    status = main(["capture", "--camera", camera, "--output", "../" + Path.cwd().name + "/s", existing])
+
+    assert status == 2
+    assert "is where the shots are read from" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in Path("s").iterdir()} == before
+
+
+def test_an_output_whose_name_no_folder_can_have_is_one_line(capsys):
+    recorded(Path("in"), "a")
+
+    status = main(["capture", "--camera", "files:in", "--output", 300 * "a"])
+
+    assert (status, capsys.readouterr().err.count("\n")) == (73, 1)
 
 
 def test_an_output_that_cannot_be_made_is_one_line(capsys):
