@@ -52,11 +52,13 @@ def calibrate_camera(
     from ringpose.cli.batch import Batch
     from ringpose.cli.board_views import BoardImages
     from ringpose.cli.progress import counted
+    from ringpose.files.atomic import refuse_existing
     from ringpose.files.boards import read_board
     from ringpose.files.cameras import write_camera
     from ringpose.files.inputs import inputs as named
     from ringpose.files.shots import SHOT_SUFFIXES
 
+    refuse_existing(output, force)
     model = CameraModel(
         distortion_model=distortion_model.value, fix_k3=fix_k3, zero_tangential=zero_tangential, keep_all=keep_all
     )

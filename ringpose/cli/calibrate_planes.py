@@ -60,12 +60,14 @@ def calibrate_planes(
     from ringpose.cli.board_views import BoardImages
     from ringpose.cli.progress import counted
     from ringpose.cli.stripe_images import StripeImages
+    from ringpose.files.atomic import refuse_existing
     from ringpose.files.boards import read_board
     from ringpose.files.cameras import read_camera
     from ringpose.files.inputs import inputs as named
     from ringpose.files.rigs import write_rig
     from ringpose.files.shots import SHOT_SUFFIXES
 
+    refuse_existing(output, force)
     images = BoardImages(read_board(board), overlay, channel=channel, force=force)
     stripes = StripeImages(images, read_camera(camera), laser_names, laser_order, surround)
     batch = Batch()

@@ -74,12 +74,14 @@ def _command(arguments: list[str]) -> int:
 
 
 def _output_failed(error: OSError) -> int:
-    """An error of the last flush of stdout; a file's errors were given their place where they arose."""
+    """An error of the last flush of stdout, or of a file of which nobody expected it."""
     from ringpose.errors import InputOutputError
 
-    if error.filename is not None:
-        raise error
-    messages.error(InputOutputError("standard output", f"writing broke off: {(error.strerror or str(error)).lower()}"))
+    reason = (error.strerror or str(error)).lower()
+    if error.filename is None:
+        messages.error(InputOutputError("standard output", f"writing broke off: {reason}"))
+    else:
+        messages.error(InputOutputError(str(error.filename), f"reading or writing broke off: {reason}"))
     return InputOutputError.status
 
 

@@ -16,8 +16,7 @@ _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 @contextmanager
 def replacing(path: Path, force: bool) -> Iterator[IO[bytes]]:
     """A file to write into that takes the place of `path` when the block ends well, and vanishes if it does not."""
-    if path.exists() and not force:
-        raise CannotCreateError(str(path), "exists already", "add --force to replace it")
+    refuse_existing(path, force)
     try:
         handle, aside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
     except OSError as error:
@@ -34,6 +33,15 @@ def replacing(path: Path, force: bool) -> Iterator[IO[bytes]]:
         if isinstance(error, OSError):
             raise output_error(path, error) from error
         raise
+
+
+def refuse_existing(path: Path, force: bool) -> None:
+    """Refuse an output that exists already, unless it may be replaced; before long work, this tells it in time."""
+    try:
+        if path.exists() and not force:
+            raise CannotCreateError(str(path), "exists already", "add --force to replace it")
+    except OSError as error:
+        raise output_error(path, error) from error
 
 
 def make_folder(path: Path) -> Path:

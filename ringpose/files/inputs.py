@@ -36,6 +36,8 @@ def inputs(arguments: Iterable[str | Path], suffixes: Iterable[str]) -> Iterator
     for argument in arguments:
         if str(argument) == STDIN:
             yield from _named_on_stdin(wanted)
+        elif not str(argument):
+            yield NoInputError('""', "an empty name is no input")
         else:
             yield from _opened(Path(argument), wanted)
 

@@ -34,6 +34,11 @@ def test_existing_file_stays_without_force(tmp_path):
     assert (tmp_path / "a").read_bytes() == b"old"
 
 
+def test_name_that_no_file_can_have_cannot_be_created(tmp_path):
+    with pytest.raises(CannotCreateError, match="file name too long"):
+        write(tmp_path / ("a" * 300), b"new")
+
+
 def test_existing_file_is_replaced_with_force(tmp_path):
     (tmp_path / "a").write_bytes(b"old")
 

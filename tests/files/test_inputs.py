@@ -19,6 +19,15 @@ def test_file_is_taken_whatever_its_suffix_and_whether_it_is_there_or_not(tmp_pa
     assert list(inputs([tmp_path / "a.txt"], (".npz",))) == [tmp_path / "a.txt"]
 
 
+def test_empty_name_is_not_the_working_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.npz").touch()
+
+    (problem,) = inputs([""], (".npz",))
+
+    assert isinstance(problem, NoInputError)
+
+
 def test_empty_folder_is_a_problem_and_the_rest_goes_on(tmp_path):
     (tmp_path / "empty").mkdir()
 
