@@ -5,6 +5,7 @@ from pathlib import Path
 from ringpose.calibrate.board_image import board_image
 from ringpose.calibrate.board_overlay import board_overlay
 from ringpose.calibrate.board_views import NoBoard, find_board
+from ringpose.calibrate.markers import marker_dictionary
 from ringpose.cli import messages
 from ringpose.errors import NO_POSE, DataError
 from ringpose.files.atomic import make_folder
@@ -19,6 +20,8 @@ class BoardImages:
     """The views gathered so far, and the images that show no board."""
 
     def __init__(self, board: Board, overlay: Path | None, *, channel: str | None, force: bool) -> None:
+        if board.dictionary is not None:
+            marker_dictionary(board)  # a name that OpenCV does not know is refused once, not with every image
         self.board = board
         self.overlay = None if overlay is None else make_folder(overlay)
         self.channel = channel

@@ -21,7 +21,7 @@ NEEDED = {
 }
 """What each kind of board cannot do without."""
 
-FEWEST = {"charuco": 2, "chessboard": 3, "four_markers": 1, "aruco_grid": 1, "asymmetric_circles": 2}
+FEWEST = {"charuco": 2, "chessboard": 4, "four_markers": 1, "aruco_grid": 1, "asymmetric_circles": 2}
 """Squares, markers or circles a side that a board must have to be one."""
 
 MOST_SQUARES = 200

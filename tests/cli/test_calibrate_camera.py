@@ -40,6 +40,26 @@ def test_carried_views_give_the_true_focal_length(folder):
     assert found["distortion_coefficients"]["data"][0] == pytest.approx(-0.105, abs=0.01)
 
 
+def test_an_output_that_exists_is_refused_before_the_work(folder, capsys):
+    (folder / "camera.yaml").touch()
+
+    status = calibrate("nowhere")
+
+    assert (status, capsys.readouterr().err) == (
+        73,
+        "ringpose: camera.yaml: exists already; add --force to replace it\n",
+    )
+
+
+def test_a_dictionary_that_is_not_known_is_refused_once(folder, capsys):
+    board = yaml.safe_load((folder / "camera_board.yaml").read_text())
+    (folder / "camera_board.yaml").write_text(yaml.safe_dump(board | {"dictionary": "DICT_FOO"}))
+
+    status = calibrate("views")
+
+    assert (status, capsys.readouterr().err.count("DICT_FOO")) == (65, 1)
+
+
 def test_the_file_says_how_good_it_is_and_where_it_comes_from(folder):
     calibrate("views")
 

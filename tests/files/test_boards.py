@@ -34,6 +34,7 @@ def test_board_is_read_as_it_was_written(tmp_path, board):
         ({"square_m": -0.02}, "square_m: is -0.02, must be positive"),
         ({"marker_m": 0.03}, "marker_m: is 0.03, must be smaller than square_m"),
         ({"squares_x": 1}, "squares_x: is 1, must be at least 2 and at most 200"),
+        ({"kind": "chessboard", "squares_y": 3}, "squares_y: is 3, must be at least 4"),
         ({"squares_x": 100_000}, "squares_x: is 100000, must be at least 2 and at most 200"),
         ({"squares_x": 11.0}, "squares_x: is 11.0, must be a whole number"),
         ({"dictionary": None}, "dictionary: is null, must have a value"),
