@@ -18,7 +18,7 @@ def kernels(name: str, parts: tuple[str, ...], headers: tuple[str, ...]) -> Exte
 
 setup(
     ext_modules=[
-        kernels("_kernels", ("chains", "cuts", "fits", "gradient", "lists"), ("buffers", "kernels")),
+        kernels("_kernels", ("chains", "cuts", "fits", "gradient", "joins", "lists"), ("buffers", "kernels")),
         kernels(
             "_ring",
             ("arcs", "ends", "groups", "lens", "tracks"),

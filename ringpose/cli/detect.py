@@ -7,6 +7,7 @@ import typer
 
 from ringpose.cli.app import app
 from ringpose.cli.options import Force, ImageChannel, Inputs, OptionalRigFile, Quiet, Verbose
+from ringpose.detect.segment_method import SegmentMethod
 from ringpose.detect.stripe_source import StripeSource
 
 if TYPE_CHECKING:
@@ -22,6 +23,9 @@ Overlay = Annotated[
 ]
 SegmentsOnly = Annotated[
     bool, typer.Option("--segments-only", help="Find straight segments in any image; no rig is needed.")
+]
+MethodName = Annotated[
+    SegmentMethod, typer.Option("--method", help="Of --segments-only: the paper's length, or refined.")
 ]
 StripesFrom = Annotated[
     StripeSource, typer.Option("--stripes", help="Make stripes from column centers or from the paper's segments.")
@@ -39,6 +43,7 @@ def detect(
     output: Output = "-",
     overlay: Overlay = None,
     segments_only: SegmentsOnly = False,
+    method: MethodName = SegmentMethod.REFINED,
     stripes: StripesFrom = StripeSource.CENTERS,
     track: Track = False,
     full: Full = False,
@@ -67,7 +72,10 @@ def detect(
         with batch.item():
             path = file_named(item)
             shot = read_shot(path, channel, rig_of_shots)
-            detection = detection_of(shot, None if segments_only else rig_of_shots, stripes, last)
+            if segments_only or rig_of_shots is None:
+                detection = segments_of(shot, method)
+            else:
+                detection = detection_of(shot, rig_of_shots, stripes, last)
             last = detection if track and detection.found else None
             sink.write(shot, detection, path)
             if verbose:
@@ -77,13 +85,15 @@ def detect(
     batch.finish()
 
 
-def detection_of(shot: "Shot", rig: "Rig | None", source: StripeSource, last: "Detection | None") -> "Detection":
-    """What is found in a shot, near what was found last if that is given; only segments without a rig."""
-    if rig is None:
-        from ringpose.detect.raw_segments import segments_only
+def segments_of(shot: "Shot", method: SegmentMethod) -> "Detection":
+    """The straight segments of a shot, and nothing else."""
+    from ringpose.detect.raw_segments import segments_only
 
-        return segments_only(shot)
+    return segments_only(shot, method)
 
+
+def detection_of(shot: "Shot", rig: "Rig", source: StripeSource, last: "Detection | None") -> "Detection":
+    """What is found in a shot, near what was found last if that is given."""
     from ringpose.detect.pipeline import detect as detected
     from ringpose.types.break_points import BreakPoints
 

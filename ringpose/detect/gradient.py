@@ -11,6 +11,9 @@ from ringpose.types.arrays import Array
 STEPS_PER_DN = 128
 """Units of the kernels' magnitude in one grey value per pixel: 16 of the smoothing, 8 of the Sobel weights."""
 
+MARGIN = 4
+"""Outermost pixels in which no anchor lies: those without a gradient, and those beside them."""
+
 LARGEST_STEPS = 32767
 """More than any 8-bit pattern gives."""
 
@@ -27,13 +30,14 @@ class Gradient:
     """0: edge along x, 1: down to the right, 2: along y, 3: down to the left."""
 
 
-def image_gradient(image: UInt[Array, "row column"], upper_dn: float) -> Gradient:
+def image_gradient(
+    image: UInt8[Array, "row column"] | UInt16[Array, "row column"], upper_dn: float, bits: int = 8
+) -> Gradient:
     """Gradient of the smoothed image, and the anchors of at least `upper_dn` grey values per pixel.
 
-    Grey values are those of 8 bits: of 12 bits, known by the largest value, the last four count as fractions.
+    Grey values are those of 8 bits: of 12 `bits`, the last four count as fractions.
     """
-    narrowed, bits = in_sixteen_bits(image)
-    magnitude, anchors, orientation = kernels.gradient(narrowed, magnitude_steps(upper_dn), bits)
+    magnitude, anchors, orientation = kernels.gradient(image, magnitude_steps(upper_dn), bits)
     return Gradient(magnitude=magnitude, anchors=anchors, orientation=orientation)
 
 

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
 
+from ringpose.detect.segment_method import SegmentMethod
 from ringpose.detect.segments import SegmentParameters, find_segments
 from ringpose.detect.stripe_centers import find_stripes
 from ringpose.types.arrays import Array
@@ -119,7 +120,7 @@ _MAKERS: dict[DetectorName, Callable[[], Detector]] = {
     DetectorName.LSD: _lsd,
     DetectorName.FAST_LINES: _fast_lines,
     DetectorName.HOUGH: _hough,
-    DetectorName.LENGTH: lambda: lambda image: find_segments(image, SegmentParameters(), "length"),
-    DetectorName.REFINED: lambda: lambda image: find_segments(image, SegmentParameters(), "refined"),
+    DetectorName.LENGTH: lambda: lambda image: find_segments(image, SegmentParameters(), SegmentMethod.LENGTH),
+    DetectorName.REFINED: lambda: lambda image: find_segments(image, SegmentParameters(), SegmentMethod.REFINED),
     DetectorName.STRIPES: lambda: lambda image: stripe_segments(find_stripes(image)),
 }

@@ -3,19 +3,20 @@
 import numpy as np
 from jaxtyping import UInt
 
+from ringpose.detect.segment_method import SegmentMethod
 from ringpose.detect.segments import find_segments
 from ringpose.types.arrays import Array
 from ringpose.types.break_points import Detection, NoBreakPoints
 from ringpose.types.frame import Shot
 
 
-def segments_only(shot: Shot) -> Detection:
+def segments_only(shot: Shot, method: SegmentMethod = SegmentMethod.REFINED) -> Detection:
     """The segments of the shot's brightest-lit frame; break points are not looked for."""
     return Detection(
         shot=shot.name,
         stamp_s=shot.measured_at_s,
         break_points=NoBreakPoints.NOT_SOUGHT,
-        segments=find_segments(most_lit_image(shot)),
+        segments=find_segments(most_lit_image(shot), method=method),
     )
 
 

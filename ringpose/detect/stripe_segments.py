@@ -3,6 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt
 
+from ringpose.detect.segment_method import SegmentMethod
 from ringpose.detect.segments import find_segments
 from ringpose.types.arrays import Array
 from ringpose.types.segments import Segments
@@ -29,7 +30,7 @@ def stripes_between_segments(
 ) -> tuple[Stripes, Segments]:
     """Stripe centres, one a column, midway between the segments of a stripe's two edges, and the segments."""
     signal = image if dark is None else np.where(image > dark, image - dark, 0).astype(image.dtype)
-    segments = find_segments(signal)
+    segments = find_segments(signal, method=SegmentMethod.LENGTH)
     upper, lower, first, last = _edge_pairs(segments)
     bright = _contrast(signal, segments, (upper, lower), (first, last)) > CONTRAST_DN
     upper, lower, first, last = upper[bright], lower[bright], first[bright], last[bright]

@@ -5,7 +5,7 @@ fallback would hide that from whoever wonders about it.
 """
 
 import numpy as np
-from jaxtyping import Float64, Int16, Int32, UInt8, UInt16
+from jaxtyping import Float64, Int16, Int32, Int64, UInt8, UInt16
 
 from ringpose.types.arrays import Array
 
@@ -74,13 +74,34 @@ def fits(
     pixels: Int32[Array, "pixel xy=2"],
     pieces: Int32[Array, "piece end=2"],
     trim: int,
-) -> Float64[Array, "piece end=2 xy=2"]:
+) -> tuple[Float64[Array, "piece end=2 xy=2"], Float64[Array, "piece moment=6"]]:
     """Ends of the least-squares line through the sub-pixel crests of the magnitude along each piece.
 
     A crest is the vertex of the parabola through three magnitudes across the piece's longer side, down a column or
     along a row. `trim` pixels at both ends, but never more than a quarter of the piece, are rounded corners and
     stay out.
     The line ends where the piece's end pixels stand along its longer side; without two crests it is the chord.
+    The moments are the sums over the crests of 1, x, y, x x, x y and y y.
     """
-    lines = _kernels.fits(magnitude, pixels, pieces, trim)
-    return np.frombuffer(lines, np.float64).reshape(-1, 2, 2)
+    lines, moments = _kernels.fits(magnitude, pixels, pieces, trim)
+    return np.frombuffer(lines).reshape(-1, 2, 2), np.frombuffer(moments).reshape(-1, 6)
+
+
+def joins(
+    lines: Float64[Array, "piece end=2 xy=2"],
+    moments: Float64[Array, "piece moment=6"],
+    pieces: Int32[Array, "piece end=2"],
+    gap_px: float,
+    aside_px: float,
+    shortest: int,
+) -> tuple[Float64[Array, "line end=2 xy=2"], Int64[Array, "line"]]:
+    """Lines of which none continues another, and how many pixels each rests on.
+
+    From the first line to the last, each of at least `shortest` pixels takes the nearest line beyond its end, at
+    most `gap_px` ahead and 2 `aside_px` beside or behind, and again from the new end, as long as all ends of both lie
+    within `aside_px` (measured along x or y) of the least-squares line through the crests of both; then beyond its
+    start. Shorter ones that no other took are dropped.
+    """
+    flat = np.ascontiguousarray(lines).reshape(-1, 4)
+    joined, support = _kernels.joins(flat, moments, pieces, gap_px, aside_px, shortest)
+    return np.frombuffer(joined).reshape(-1, 2, 2), np.frombuffer(support, np.int64)

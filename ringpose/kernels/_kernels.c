@@ -186,12 +186,12 @@ static PyObject *fits_of(const Py_buffer *magnitude, const Py_buffer *pixels, co
     if (!are_pairs(pixels, "pixels") || !are_pairs(pieces, "pieces")) return NULL;
     if (!pieces_inside(pieces, pixels->shape[0])) return NULL;
     Magnitude area = {magnitude->buf, (size_t)magnitude->shape[0], (size_t)magnitude->shape[1]};
-    List lines = {NULL, 0, 0, sizeof(Line)};
+    List lines = {NULL, 0, 0, sizeof(Line)}, moments = {NULL, 0, 0, sizeof(Moments)};
     int done;
     Py_BEGIN_ALLOW_THREADS
-    done = fit_pieces(&area, pixels->buf, pieces->buf, (size_t)pieces->shape[0], (size_t)trim, &lines);
+    done = fit_pieces(&area, pixels->buf, pieces->buf, (size_t)pieces->shape[0], (size_t)trim, &lines, &moments);
     Py_END_ALLOW_THREADS
-    return one_bytes(done, &lines);
+    return two_bytes(done, &lines, &moments);
 }
 
 static PyObject *fits(PyObject *module, PyObject *arguments) {
@@ -212,12 +212,52 @@ static PyObject *fits(PyObject *module, PyObject *arguments) {
     return result;
 }
 
+static PyObject *joins_of(const Py_buffer *lines, const Py_buffer *moments, const Py_buffer *pieces, JoinRules rules) {
+    const Py_ssize_t count = lines->shape[0];
+    if (moments->shape[0] != count || pieces->shape[0] != count || lines->shape[1] != 4 || moments->shape[1] != 6) {
+        PyErr_SetString(PyExc_ValueError, "lines, moments, pieces: must have 4, 6 and 2 columns and equal lengths");
+        return NULL;
+    }
+    if (!are_pairs(pieces, "pieces")) return NULL;
+    List joined = {NULL, 0, 0, sizeof(Line)}, support = {NULL, 0, 0, sizeof(int64_t)};
+    int done;
+    Py_BEGIN_ALLOW_THREADS
+    done = join_lines(lines->buf, moments->buf, pieces->buf, (size_t)count, rules, &joined, &support);
+    Py_END_ALLOW_THREADS
+    return two_bytes(done, &joined, &support);
+}
+
+static PyObject *joins(PyObject *module, PyObject *arguments) {
+    (void)module;
+    PyObject *lines, *moments, *pieces, *result = NULL;
+    double gap, aside;
+    long shortest;
+    Py_buffer lines_view, moments_view, pieces_view;
+    if (!PyArg_ParseTuple(arguments, "OOOddl", &lines, &moments, &pieces, &gap, &aside, &shortest)) return NULL;
+    if (!(gap >= 0 && gap < 1e6 && aside > 0 && aside < 1e6)) {
+        PyErr_SetString(PyExc_ValueError, "gap, aside: must be 0 to 1e6, and aside more than 0");
+        return NULL;
+    }
+    const JoinRules rules = {gap, aside, shortest};
+    if (!open_array(lines, &lines_view, "lines", "d", 8, 2, 0)) return NULL;
+    if (open_array(moments, &moments_view, "moments", "d", 8, 2, 0)) {
+        if (open_array(pieces, &pieces_view, "pieces", "il", 4, 2, 0)) {
+            result = joins_of(&lines_view, &moments_view, &pieces_view, rules);
+            PyBuffer_Release(&pieces_view);
+        }
+        PyBuffer_Release(&moments_view);
+    }
+    PyBuffer_Release(&lines_view);
+    return result;
+}
+
 static PyMethodDef methods[] = {
     {"gradient", gradient, METH_VARARGS, "gradient(image, bits, upper, magnitude) -> (anchors, orientation)"},
     {"chains", chains, METH_VARARGS,
      "chains(magnitude, anchors, orientation, lower, shortest) -> (pixels, starts)"},
     {"cuts", cuts, METH_VARARGS, "cuts(pixels, starts, deviation, share_change, window, shortest) -> pieces"},
-    {"fits", fits, METH_VARARGS, "fits(magnitude, pixels, pieces, trim) -> lines"},
+    {"fits", fits, METH_VARARGS, "fits(magnitude, pixels, pieces, trim) -> (lines, moments)"},
+    {"joins", joins, METH_VARARGS, "joins(lines, moments, pieces, gap, aside, shortest) -> (lines, support)"},
     {NULL, NULL, 0, NULL},
 };
 

@@ -14,14 +14,15 @@ static Steps step_between(Pixel from, Pixel to) {
     return (Steps){horizontal, !horizontal & (from.x == to.x)};
 }
 
-/* Whether the estimated length exceeds the chord by more than the deviation. They are equal, and nothing need be
-   computed, as long as no step went back. */
+/* Whether the estimated length exceeds the chord by more than the deviation. Their difference is that of the squares
+   by their sum, and the sum is at least that of the longer sides: mostly this spares the roots. */
 static int exceeds(Steps steps, int64_t all, Pixel from, Pixel to, double deviation) {
-    const int64_t wide = all - steps.vertical, high = all - steps.horizontal;
-    const int64_t dx = (int64_t)to.x - from.x, dy = (int64_t)to.y - from.y;
-    if (wide == llabs(dx) && high == llabs(dy)) return 0 > deviation;
-    const double length = sqrt((double)wide * (double)wide + (double)high * (double)high);
-    return length - sqrt((double)dx * (double)dx + (double)dy * (double)dy) > deviation;
+    const double wide = (double)(all - steps.vertical), high = (double)(all - steps.horizontal);
+    const double dx = fabs((double)to.x - from.x), dy = fabs((double)to.y - from.y);
+    const double length = wide * wide + high * high, chord = dx * dx + dy * dy;
+    const double sides = (wide > high ? wide : high) + (dx > dy ? dx : dy);
+    if (length - chord <= deviation * sides && deviation >= 0) return 0;
+    return sqrt(length) - sqrt(chord) > deviation;
 }
 
 /* The pixel that lies farthest from the chord, the first such; at least one step on, so that cutting ends. */

@@ -74,7 +74,25 @@ typedef struct {
     double start_x, start_y, end_x, end_y;
 } Line;
 
+/* Sums over the points of a line. */
+typedef struct {
+    double count, x, y, xx, xy, yy;
+} Moments;
+
+/* The regression of y on x, if flat, or of x on y; 0 if the points do not determine one. */
+int line_through(const Moments *sum, int flat, double *slope, double *offset);
+
 int fit_pieces(const Magnitude *magnitude, const Pixel *pixels, const Piece *pieces, size_t count, size_t trim,
-               List *lines);
+               List *lines, List *moments);
+
+typedef struct {
+    double gap;       /* along the line, pixels */
+    double aside;     /* of an end from the joined line, pixels */
+    int64_t shortest; /* pixels of a line to which others are joined */
+} JoinRules;
+
+/* `ends`: x and y of the start and of the end of each line. */
+int join_lines(const double *ends, const Moments *moments, const Piece *pieces, size_t count, JoinRules rules,
+               List *joined, List *support);
 
 #endif

@@ -187,34 +187,47 @@ def fits(
     pixels: Int32[Array, "pixel xy=2"],
     pieces: Int32[Array, "piece end=2"],
     trim: int,
-) -> Float64[Array, "piece end=2 xy=2"]:
+) -> tuple[Float64[Array, "piece end=2 xy=2"], Float64[Array, "piece moment=6"]]:
     """Twin of `ringpose.kernels.fits`."""
-    lines = [line(magnitude, pixels[first : last + 1].tolist(), trim) for first, last in pieces.tolist()]
-    return np.array(lines, np.float64).reshape(-1, 2, 2)
+    fitted = [fit(magnitude, pixels[first : last + 1].tolist(), trim) for first, last in pieces.tolist()]
+    lines = np.array([ends for ends, _ in fitted], np.float64).reshape(-1, 2, 2)
+    return lines, np.array([moments for _, moments in fitted], np.float64).reshape(-1, 6)
 
 
-def line(magnitude: Int16[Array, "row column"], piece: list[list[int]], trim: int) -> list[list[float]]:
-    """Both ends of the line of one piece; u runs along its longer side, v across, from its first pixel."""
+def fit(
+    magnitude: Int16[Array, "row column"], piece: list[list[int]], trim: int
+) -> tuple[list[list[float]], list[float]]:
+    """Both ends of the line of one piece, and the moments of its crests."""
     start, end = piece[0], piece[-1]
     flat = abs(end[0] - start[0]) >= abs(end[1] - start[1])
-    along, across = (0, 1) if flat else (1, 0)
     trim = min(trim, len(piece) // 4)
-    count = u = uu = v = uv = 0.0
-    for pixel in piece[trim : len(piece) - trim]:
-        shift = crest(magnitude, pixel[0], pixel[1], flat)
-        if shift is None:
-            continue
-        ahead, aside = pixel[along] - start[along], pixel[across] - start[across] + shift
-        count, u, uu, v, uv = count + 1, u + ahead, uu + ahead * ahead, v + aside, uv + ahead * aside
+    moments = [0.0] * 6
+    for x, y in piece[trim : len(piece) - trim]:
+        shift = crest(magnitude, x, y, flat)
+        if shift is not None:
+            at_x, at_y = x + (0.0 if flat else shift), y + (shift if flat else 0.0)
+            terms = (1.0, at_x, at_y, at_x * at_x, at_x * at_y, at_y * at_y)
+            moments = [a + b for a, b in zip(moments, terms, strict=True)]
+    straight = line_through(moments, flat)
+    ends = [[float(x), float(y)] for x, y in (start, end)]
+    return (ends if straight is None else [on_line(end, straight, flat) for end in ends]), moments
+
+
+def line_through(moments: list[float], flat: bool) -> tuple[float, float] | None:
+    """Slope and offset of y over x, or of x over y if not flat; None if the points do not determine it."""
+    count, x, y, xx, xy, yy = moments
+    u, v, uu = (x, y, xx) if flat else (y, x, yy)
     spread = count * uu - u * u
-    if spread <= 0:
-        return [[float(start[0]), float(start[1])], [float(end[0]), float(end[1])]]
-    slope = (count * uv - u * v) / spread
-    offset = (v - slope * u) / count
-    ends = [[float(start[0]), float(start[1])], [float(end[0]), float(end[1])]]
-    ends[0][across] = start[across] + offset
-    ends[1][across] = start[across] + (offset + slope * (end[along] - start[along]))
-    return ends
+    if not spread > 0:
+        return None
+    slope = (count * xy - u * v) / spread
+    return slope, (v - slope * u) / count
+
+
+def on_line(point: list[float], line: tuple[float, float], flat: bool) -> list[float]:
+    """The point of the line at the same place along its longer side."""
+    slope, offset = line
+    return [point[0], offset + slope * point[0]] if flat else [offset + slope * point[1], point[1]]
 
 
 def crest(magnitude: Int16[Array, "row column"], x: int, y: int, flat: bool) -> float | None:

@@ -21,6 +21,17 @@ def test_segments_of_any_photograph_need_no_rig(picture, capsys):
     assert {row for row in (100, 300) if np.abs(rows - row).min() < 3} == {100, 300}
 
 
+def test_the_papers_segments_end_on_whole_pixels_and_the_refined_ones_between(picture, capsys):
+    file = picture("lines.png", 20, (100, 300))
+
+    for method in ("length", "refined"):
+        main(["detect", str(file), "--segments-only", "--method", method])
+    length, refined = map(json.loads, capsys.readouterr().out.splitlines())
+
+    assert not np.mod(length["segments"]["start_px"], 1).any()
+    assert np.mod(refined["segments"]["start_px"], 1).any()
+
+
 def test_image_without_a_stripe_is_a_record_with_its_reason(rig, picture, capsys):
     assert main(["detect", str(picture("black.png")), "--rig", str(rig)]) == 3
 

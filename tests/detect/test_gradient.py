@@ -5,7 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ringpose.detect.gradient import LARGEST_STEPS, STEPS_PER_DN, eight_bit, image_gradient, magnitude_steps
+from ringpose.detect.gradient import (
+    LARGEST_STEPS,
+    STEPS_PER_DN,
+    eight_bit,
+    image_gradient,
+    in_sixteen_bits,
+    magnitude_steps,
+)
 
 ROW, COLUMN = np.indices((24, 30))
 
@@ -77,25 +84,35 @@ def test_more_bits_give_the_gradient_of_eight(bits, rng):
     image = rng.integers(0, 256, (20, 24), np.uint16)
     image[0, 0] = 255
 
-    wide = image_gradient(image << (bits - 8), 5.0)
+    wide = image_gradient(image << (bits - 8), 5.0, bits)
 
     np.testing.assert_array_equal(wide.magnitude, image_gradient(image.astype(np.uint8), 5.0).magnitude)
 
 
 def test_the_low_bits_of_twelve_make_a_gradient():
     image = (2000 + 4 * COLUMN).astype(np.uint16)
-    image[0, 0] = 4095
 
-    magnitude = image_gradient(image, 1.0).magnitude
+    magnitude = image_gradient(image, 1.0, bits=12).magnitude
 
-    np.testing.assert_array_equal(magnitude[6:-3, 6:-3], STEPS_PER_DN * 4 // 16)
+    np.testing.assert_array_equal(magnitude[3:-3, 3:-3], STEPS_PER_DN * 4 // 16)
 
 
-@pytest.mark.parametrize(("dtype", "largest"), [(np.uint16, 200), (np.uint32, 1 << 20), (np.uint64, 3)])
-def test_images_of_any_width_are_taken(dtype, largest):
-    image = np.full((20, 20), largest, dtype)
+@pytest.mark.parametrize(
+    ("dtype", "largest", "elements", "bits"),
+    [
+        (np.uint8, 3, np.uint8, 8),
+        (np.uint16, 200, np.uint8, 8),
+        (np.uint16, 4095, np.uint16, 12),
+        (np.uint32, 65535, np.uint16, 16),
+        (np.uint32, 1 << 20, np.uint16, 16),
+        (np.uint64, 0, np.uint8, 8),
+    ],
+)
+def test_images_of_any_width_come_down_to_sixteen_bits(dtype, largest, elements, bits):
+    narrowed, found = in_sixteen_bits(np.full((20, 20), largest, dtype))
 
-    assert not image_gradient(image, 1.0).magnitude.any()
+    assert (narrowed.dtype, found) == (elements, bits)
+    assert narrowed[0, 0] == largest >> max(0, largest.bit_length() - 16)
 
 
 def test_eight_bit_leaves_an_image_of_eight_bits_alone():

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scipy.special import ndtr
 
 from ringpose.detect.chains import Chains
+from ringpose.detect.segment_method import SegmentMethod
 from ringpose.detect.segments import SegmentParameters, find_segments, straight_pieces
 
 RIGHT, DOWN, UP, RISING, FALLING = (1, 0), (0, 1), (0, -1), (1, -1), (1, 1)
@@ -35,7 +36,8 @@ def estimated_length(chain):
 
 
 def pieces_of(chain, **parameters):
-    return straight_pieces(chain, SegmentParameters(**parameters)).tolist()
+    parameters = SegmentParameters(**parameters)
+    return straight_pieces(chain, parameters, parameters.shortest_px).tolist()
 
 
 CORNER = chain(*[RIGHT] * 40, *[DOWN] * 40)
@@ -127,7 +129,7 @@ offsets = st.floats(-6, 6)
 def test_the_chord_of_an_edge_is_within_a_pixel_of_it(angle_rad, offset_px):
     image, normal = half_plane(angle_rad, offset_px)
 
-    segments = find_segments(image, method="length")
+    segments = find_segments(image, method=SegmentMethod.LENGTH)
 
     assert segments.support.sum() > 60
     assert abs(distances_px(segments, normal, offset_px)).max() < 1.0
@@ -137,12 +139,12 @@ def test_the_chord_of_an_edge_is_within_a_pixel_of_it(angle_rad, offset_px):
 def test_the_refined_line_of_an_edge_is_within_a_tenth_of_a_pixel(angle_rad, offset_px):
     image, normal = half_plane(angle_rad, offset_px)
 
-    segments = find_segments(image, method="refined")
+    segments = find_segments(image, method=SegmentMethod.REFINED)
 
     assert abs(distances_px(segments, normal, offset_px)).max() < 0.1
 
 
-@pytest.mark.parametrize(("method", "bias_limit_px"), [("length", 0.05), ("refined", 0.003)])
+@pytest.mark.parametrize(("method", "bias_limit_px"), [(SegmentMethod.LENGTH, 0.05), (SegmentMethod.REFINED, 0.003)])
 @pytest.mark.parametrize("angle_rad", [0.0, 0.5 * np.pi, np.pi, 1.5 * np.pi])
 def test_lines_along_the_axes_have_no_half_pixel_bias(method, bias_limit_px, angle_rad):
     offsets_px = np.arange(-3, 3, 0.1) + 0.03
@@ -155,7 +157,7 @@ def test_lines_along_the_axes_have_no_half_pixel_bias(method, bias_limit_px, ang
     assert abs(np.mean(errors_px)) < bias_limit_px
 
 
-@pytest.mark.parametrize(("method", "bias_limit_px"), [("length", 0.1), ("refined", 0.005)])
+@pytest.mark.parametrize(("method", "bias_limit_px"), [(SegmentMethod.LENGTH, 0.1), (SegmentMethod.REFINED, 0.005)])
 def test_lines_of_all_directions_have_no_bias_to_their_dark_side(method, bias_limit_px, rng):
     errors_px = []
     for angle_rad, offset_px in rng.uniform([0, -5], [2 * np.pi, 5], (200, 2)):
@@ -172,7 +174,7 @@ def test_the_two_edges_of_a_stripe_lie_about_its_centre(rng):
     noise = rng.normal(0, np.sqrt(1.5**2 + 0.05 * stripe))
     image = np.round(stripe + noise).clip(0, 255).astype(np.uint8)
 
-    segments = find_segments(image, method="refined")
+    segments = find_segments(image, method=SegmentMethod.REFINED)
     long = segments.support > 200
     ends = np.stack([segments.start_px[long], segments.end_px[long]])
 
@@ -184,12 +186,12 @@ def test_the_two_edges_of_a_stripe_lie_about_its_centre(rng):
 def test_support_counts_the_pixels_of_a_piece():
     image, _ = half_plane(0.0, 0.2)
 
-    segments = find_segments(image)
+    segments = find_segments(image, method=SegmentMethod.LENGTH)
 
     assert segments.support.tolist() == [abs(segments.end_px - segments.start_px).max() + 1]
 
 
-@pytest.mark.parametrize("method", ["length", "refined"])
+@pytest.mark.parametrize("method", list(SegmentMethod))
 @pytest.mark.parametrize("shape", [(1, 1), (3, 3), (1, 50), (50, 1), (40, 60)])
 @pytest.mark.parametrize("value", [0, 255])
 def test_a_flat_image_has_no_segments(method, shape, value):
@@ -212,6 +214,92 @@ def test_an_image_that_is_a_view_gives_the_segments_of_its_copy():
     view, copy = find_segments(image[::2, ::-1]), find_segments(image[::2, ::-1].copy())
 
     np.testing.assert_array_equal(view.start_px, copy.start_px)
+
+
+def test_refined_is_the_default():
+    image, _ = half_plane(0.3, 0.2)
+
+    default, refined = find_segments(image), find_segments(image, method=SegmentMethod.REFINED)
+
+    np.testing.assert_array_equal(default.start_px, refined.start_px)
+
+
+def broken_edge(gap_px, step_px=0.0):
+    """A level edge at y = 39.3, dimmed to nothing over a gap from x = 150 on, and moved down by a step behind it."""
+    row, column = np.indices((80, 300))
+    edge_y = 39.3 + step_px * (column >= 150)
+    image = 30 + 160 * ndtr((row - edge_y) / 0.8)
+    image[:, 150 : 150 + gap_px] = 110
+    return cv2.GaussianBlur(np.round(image).astype(np.uint8), (0, 0), 0.5)
+
+
+@pytest.mark.parametrize("step_px", [0.0, 0.8])
+def test_a_nearly_straight_edge_is_one_refined_segment(step_px):
+    segments = find_segments(broken_edge(0, step_px))
+
+    level = abs(segments.start_px - segments.end_px)[:, 1] < 3
+    assert level.sum() == 1
+    assert abs(segments.start_px - segments.end_px)[level, 0] > 285
+
+
+def test_an_edge_with_a_step_of_four_pixels_stays_in_two():
+    segments = find_segments(broken_edge(0, 4.0))
+
+    level = (abs(segments.start_px - segments.end_px)[:, 0] > 100).sum()
+    assert level == 2
+
+
+def test_lines_across_the_shadow_of_a_ring_are_not_joined():
+    segments = find_segments(broken_edge(16))
+
+    x = np.sort(np.concatenate([segments.start_px[:, 0], segments.end_px[:, 0]]))
+    assert not ((segments.start_px[:, 0] < 140) & (segments.end_px[:, 0] > 175)).any()
+    assert not ((segments.end_px[:, 0] < 140) & (segments.start_px[:, 0] > 175)).any()
+    assert x.min() < 140
+    assert x.max() > 175
+
+
+def speckled_stripe(rng):
+    """A level stripe whose brightness wavers by 25 % in grains of three pixels."""
+    row, _ = np.indices((80, 400))
+    grain = cv2.GaussianBlur(rng.normal(size=(80, 400)), (0, 0), 1.0)
+    stripe = 170 * np.exp(-0.5 * ((row - 40.2) / 2.5) ** 2) * (1 + 0.25 * grain / grain.std())
+    return np.round(stripe + rng.normal(0, 1.5, stripe.shape)).clip(0, 255).astype(np.uint8)
+
+
+def test_joining_leaves_a_third_of_the_fragments_of_a_speckled_stripe(rng):
+    image = speckled_stripe(rng)
+
+    joined, alone = find_segments(image), find_segments(image, SegmentParameters(aside_px=1e-3))
+
+    assert 3 * len(joined.support) < len(alone.support)
+
+
+def test_rows_that_matter_give_the_segments_in_them(rng):
+    image = np.vstack([speckled_stripe(rng), np.zeros((60, 400), np.uint8), speckled_stripe(rng)])
+
+    segments = find_segments(image, rows=(0, 110))
+
+    ends_px = np.concatenate([segments.start_px, segments.end_px])
+    assert len(ends_px) > 0
+    assert (ends_px[:, 1] < 110).all()
+
+
+@pytest.mark.parametrize("offset_px", [0, 3, 40])
+def test_rows_that_matter_do_not_move_a_segment(offset_px):
+    image, normal = half_plane(np.pi / 2, 1.3)
+
+    segments = find_segments(image, rows=(offset_px, 80))
+
+    assert len(segments.support) > 0
+    assert abs(distances_px(segments, normal, 1.3)).max() < 0.05
+
+
+@pytest.mark.parametrize("rows", [(50, 50), (80, 20), (-30, -10), (200, 300), (0, 3)])
+def test_rows_without_pixels_give_no_segments(rows):
+    image, _ = half_plane(0.3, 0.2)
+
+    assert not len(find_segments(image, rows=rows).support)
 
 
 def recalled_px(truth, segments, distances_px, angle_rad):
@@ -246,7 +334,9 @@ def york_recall(folder: Path, method, distances_px):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("method", "floors"), [("length", [0.65, 0.79]), ("refined", [0.75, 0.83])])
+@pytest.mark.parametrize(
+    ("method", "floors"), [(SegmentMethod.LENGTH, [0.64, 0.77]), (SegmentMethod.REFINED, [0.77, 0.85])]
+)
 def test_recall_on_the_york_photographs_at_one_and_a_half_and_three_pixels(shared_data: Path, method, floors):
     recall = york_recall(shared_data / "real" / "yorkurban", method, np.array([1.5, 3.0]))
 

@@ -124,7 +124,7 @@ def test_cutting_takes_the_largest_coordinates_there_and_back():
 
 
 def test_fitting_takes_the_largest_coordinates_as_chords():
-    lines = _kernels.fits(MAGNITUDE, FAR_CORNERS, PIECES, 0)
+    lines, _ = _kernels.fits(MAGNITUDE, FAR_CORNERS, PIECES, 0)
 
     assert np.frombuffer(lines).tolist() == [-(2.0**31), 2.0**31 - 1, 2.0**31 - 1, -(2.0**31)]
 
@@ -139,3 +139,33 @@ def test_a_piece_outside_the_pixels_is_a_value_error(piece):
 def test_pixels_that_are_no_pairs_are_a_value_error(pixels):
     with pytest.raises(ValueError, match="pixels: must be pairs"):
         _kernels.fits(MAGNITUDE, pixels, PIECES, 0)
+
+
+LINES = np.zeros((1, 4))
+MOMENTS = np.zeros((1, 6))
+
+
+@pytest.mark.parametrize("rules", [(-1.0, 1.0), (1.0, 0.0), (np.nan, 1.0), (1.0, np.nan), (np.inf, 1.0), (1.0, 1e7)])
+def test_joining_rules_out_of_range_are_a_value_error(rules):
+    with pytest.raises(ValueError, match="gap, aside"):
+        _kernels.joins(LINES, MOMENTS, PIECES, *rules, 1)
+
+
+@pytest.mark.parametrize(
+    ("lines", "moments", "pieces"),
+    [(LINES[:, :2].copy(), MOMENTS, PIECES), (LINES, MOMENTS[:, :5].copy(), PIECES), (LINES, MOMENTS, PIECES[:0])],
+)
+def test_joining_tables_of_other_shapes_is_a_value_error(lines, moments, pieces):
+    with pytest.raises(ValueError, match="equal lengths"):
+        _kernels.joins(lines, moments, pieces, 8.0, 1.5, 1)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300, -1e300])
+def test_joining_takes_wild_ends_without_a_crash(value):
+    lines = np.full((40, 4), value)
+    lines[::3] = 5.0
+    pieces = np.tile(np.array([[0, 9]], np.int32), (40, 1))
+
+    joined, support = _kernels.joins(lines, np.ones((40, 6)), pieces, 8.0, 1.5, 1)
+
+    assert len(joined) == 4 * len(support)

@@ -1,0 +1,183 @@
+/* Lines that continue one another become one; twin: reference.joins.
+
+   Ends are looked up in square cells, so wide that what a tip can reach lies in two by two of them. */
+#include "kernels.h"
+
+#include <math.h>
+#include <stdlib.h>
+
+typedef struct {
+    double x, y;
+} Point;
+
+/* A line that grows at its tip. */
+typedef struct {
+    Point tail, tip;
+    Moments sum;
+} Growing;
+
+typedef struct {
+    Point at;
+    int32_t end; /* 2 * line, or 2 * line + 1 */
+} Item;
+
+typedef struct {
+    const Point *ends; /* two a line */
+    const Moments *moments;
+    size_t count;
+    JoinRules rules;
+    double half, cells_per_px; /* of the square that a tip can reach; cells are as wide as it */
+    uint32_t columns, rows;
+    uint32_t *first; /* item of each cell, row by row; one entry more */
+    Item *items;     /* sorted by cell */
+    uint8_t *taken;
+} Board;
+
+enum { MOST_CELLS = 1024 }; /* in a row or column; what lies beyond is in the last one */
+
+/* Column or row of cells, of `count`. */
+static uint32_t cell_at(const Board *board, double value, uint32_t count) {
+    double cell = value * board->cells_per_px;
+    return cell >= count ? count - 1 : cell >= 0 ? (uint32_t)cell : 0;
+}
+
+static uint32_t cell_of(const Board *board, Point point) {
+    return cell_at(board, point.y, board->rows) * board->columns + cell_at(board, point.x, board->columns);
+}
+
+/* Cells over all ends. */
+static void size_board(Board *board) {
+    /* A tip reaches from 2 `aside` behind it to `gap` ahead, and 2 `aside` to both sides. */
+    const double along = board->rules.gap / 2 + board->rules.aside, beside = 2 * board->rules.aside;
+    board->half = 1.01 * sqrt(along * along + beside * beside);
+    board->cells_per_px = 1 / (2 * board->half);
+    board->columns = board->rows = MOST_CELLS;
+    double right = 0, bottom = 0;
+    for (size_t i = 0; i < 2 * board->count; i++) {
+        right = board->ends[i].x > right ? board->ends[i].x : right;
+        bottom = board->ends[i].y > bottom ? board->ends[i].y : bottom;
+    }
+    board->columns = cell_at(board, right, MOST_CELLS) + 1;
+    board->rows = cell_at(board, bottom, MOST_CELLS) + 1;
+}
+
+/* Sorts the ends into their cells. */
+static int fill_board(Board *board) {
+    const size_t ends = 2 * board->count, cells = (size_t)board->columns * board->rows;
+    board->first = calloc(cells + 2, sizeof *board->first);
+    board->items = malloc((ends + 1) * sizeof *board->items);
+    board->taken = calloc(board->count + 1, 1);
+    if (board->first == NULL || board->items == NULL || board->taken == NULL) return 0;
+    uint32_t *next = board->first + 1;
+    for (size_t i = 0; i < ends; i++) next[cell_of(board, board->ends[i]) + 1]++;
+    for (size_t i = 1; i <= cells; i++) next[i] += next[i - 1];
+    for (size_t i = 0; i < ends; i++)
+        board->items[next[cell_of(board, board->ends[i])]++] = (Item){board->ends[i], (int32_t)i};
+    return 1;
+}
+
+static Moments sum_of(const Moments *a, const Moments *b) {
+    return (Moments){a->count + b->count, a->x + b->x,   a->y + b->y,
+                     a->xx + b->xx,       a->xy + b->xy, a->yy + b->yy};
+}
+
+/* Both as one line, if all their ends lie beside it. */
+static int joined_line(const Board *board, const Growing *line, int32_t near, Growing *joined) {
+    const Point far = board->ends[near ^ 1];
+    const Point ends[4] = {line->tail, line->tip, board->ends[near], far};
+    const int flat = fabs(far.x - line->tail.x) >= fabs(far.y - line->tail.y);
+    double slope, offset, tip = flat ? line->tip.x : line->tip.y;
+    const double tail = flat ? line->tail.x : line->tail.y, end = flat ? far.x : far.y;
+    joined->sum = sum_of(&line->sum, board->moments + near / 2);
+    if (!line_through(&joined->sum, flat, &slope, &offset)) return 0;
+    for (int i = 0; i < 4; i++) {
+        double u = flat ? ends[i].x : ends[i].y, v = flat ? ends[i].y : ends[i].x;
+        if (!(fabs(v - (offset + slope * u)) <= board->rules.aside)) return 0;
+    }
+    if (!(fabs(tip - tail) > fabs(end - tail))) tip = end;
+    joined->tail = flat ? (Point){tail, offset + slope * tail} : (Point){offset + slope * tail, tail};
+    joined->tip = flat ? (Point){tip, offset + slope * tip} : (Point){offset + slope * tip, tip};
+    return 1;
+}
+
+/* The nearest free end from one item to another that continues the line in the direction; makes it the best one. */
+static int32_t nearest_end(const Board *board, const uint32_t items[2], const Growing *line, Point way, int32_t found,
+                           double *nearest, Growing *best) {
+    const double gap = board->rules.gap, beside = 2 * board->rules.aside;
+    for (uint32_t i = items[0]; i < items[1]; i++) {
+        const Point near = board->items[i].at;
+        const double x = near.x - line->tip.x, y = near.y - line->tip.y, along = x * way.x + y * way.y;
+        if ((along < -beside) | (along > gap) | (fabs(x * way.y - y * way.x) > beside)) continue;
+        const int32_t end = board->items[i].end;
+        const Point far = board->ends[end ^ 1];
+        const double distance = x * x + y * y;
+        if (board->taken[end / 2] || (far.x - near.x) * way.x + (far.y - near.y) * way.y <= 0) continue;
+        if (distance > *nearest || (distance == *nearest && end >= found)) continue;
+        Growing joined;
+        if (!joined_line(board, line, end, &joined)) continue;
+        *nearest = distance;
+        found = end;
+        *best = joined;
+    }
+    return found;
+}
+
+/* The nearest free end that continues the line; -1 if there is none. */
+static int32_t next_end(const Board *board, const Growing *line, Growing *best) {
+    const double middle = board->rules.gap / 2 - board->rules.aside;
+    const double dx = line->tip.x - line->tail.x, dy = line->tip.y - line->tail.y, length = sqrt(dx * dx + dy * dy);
+    double nearest = INFINITY;
+    int32_t found = -1;
+    if (!(length > 0)) return found;
+    const Point way = {dx / length, dy / length};
+    const double x = line->tip.x + way.x * middle, y = line->tip.y + way.y * middle;
+    const uint32_t left = cell_at(board, x - board->half, board->columns);
+    const uint32_t right = cell_at(board, x + board->half, board->columns);
+    const uint32_t bottom = cell_at(board, y + board->half, board->rows);
+    for (uint32_t row = cell_at(board, y - board->half, board->rows); row <= bottom; row++) {
+        const uint32_t *first = board->first + (size_t)row * board->columns;
+        const uint32_t items[2] = {first[left], first[right + 1]};
+        found = nearest_end(board, items, line, way, found, &nearest, best);
+    }
+    return found;
+}
+
+/* Grows at the tip as far as it goes; returns the pixels of the lines that it took. */
+static int64_t grow(const Board *board, const Piece *pieces, Growing *line) {
+    int64_t support = 0;
+    Growing longer;
+    for (int32_t end; (end = next_end(board, line, &longer)) >= 0; *line = longer) {
+        board->taken[end / 2] = 1;
+        support += (int64_t)pieces[end / 2].last - pieces[end / 2].first + 1;
+    }
+    return support;
+}
+
+static Growing turned(Growing line) { return (Growing){line.tip, line.tail, line.sum}; }
+
+static void join_all(const Board *board, const Piece *pieces, List *joined, List *support) {
+    for (size_t i = 0; i < board->count; i++) {
+        int64_t pixels = (int64_t)pieces[i].last - pieces[i].first + 1;
+        if (board->taken[i] || pixels < board->rules.shortest) continue;
+        board->taken[i] = 1;
+        Growing line = {board->ends[2 * i], board->ends[2 * i + 1], board->moments[i]};
+        pixels += grow(board, pieces, &line);
+        line = turned(line);
+        pixels += grow(board, pieces, &line);
+        ((Line *)joined->data)[joined->used++] = (Line){line.tip.x, line.tip.y, line.tail.x, line.tail.y};
+        ((int64_t *)support->data)[support->used++] = pixels;
+    }
+}
+
+int join_lines(const double *ends, const Moments *moments, const Piece *pieces, size_t count, JoinRules rules,
+               List *joined, List *support) {
+    Board board = {(const Point *)ends, moments, count, rules, 0, 0, 0, 0, NULL, NULL, NULL};
+    if (count > INT32_MAX / 2 || !reserve(joined, count) || !reserve(support, count)) return 0;
+    size_board(&board);
+    int done = fill_board(&board);
+    if (done) join_all(&board, pieces, joined, support);
+    free(board.first);
+    free(board.items);
+    free(board.taken);
+    return done;
+}
