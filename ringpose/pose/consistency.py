@@ -12,13 +12,15 @@ from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float64
 
+from ringpose.pose.edge_correlation import loosened
 from ringpose.pose.likelihood import Fit, fitted
 from ringpose.pose.measurements import Measurements
 from ringpose.pose.residual_rows import Beforehand
 from ringpose.pose.rig_errors import RigErrors
 from ringpose.pose.ring_model import PARAMETERS
-from ringpose.types.arrays import EDGES
+from ringpose.types.arrays import EDGES, Array
 from ringpose.types.rig import Rig
 from ringpose.types.ring_pose import PoseFlag
 
@@ -64,6 +66,9 @@ def explained(
 ) -> Explanation | None:
     """The fit of everything, or of all but what contradicts the rest; None if nothing can be fitted."""
     fit = fitted(measured, rig, before, errors)
+    if fit is not None and len(measured.edges.edge):
+        measured = replace(measured, edges=loosened(measured.edges, _of_edges(fit, measured)))
+        fit = fitted(measured, rig, before, errors)
     everything = None if fit is None else Explanation(measured, before, fit, PoseFlag(0), "", 0.0)
     if everything is not None and not disagrees(everything.fit, measured, before):
         return everything
@@ -95,12 +100,16 @@ def _clearest(tried: list[Explanation]) -> Explanation | None:
     return near[0] if near else None
 
 
+def _of_edges(fit: Fit, measured: Measurements) -> Float64[Array, "visible"]:
+    first = _count(measured)
+    return fit.residual[first : first + len(measured.edges.edge)]
+
+
 def own_cost(fit: Fit, measured: Measurements) -> float:
     """Sum of squares of stripes, break points, radii and rig; of visible edges there are too many to weigh here."""
-    squares = np.minimum(fit.residual**2, 1e6)
-    first = _count(measured)
-    edges = float(squares[first : first + len(measured.edges.edge)].sum())
-    return float(squares.sum()) - edges + (0.0 if fit.rig_step is None else float(fit.rig_step @ fit.rig_step))
+    squares = float(np.minimum(fit.residual**2, 1e6).sum())
+    edges = float(np.minimum(_of_edges(fit, measured) ** 2, 1e6).sum())
+    return squares - edges + (0.0 if fit.rig_step is None else float(fit.rig_step @ fit.rig_step))
 
 
 def freedom(fit: Fit, measured: Measurements, before: Beforehand) -> int:

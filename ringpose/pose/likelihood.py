@@ -11,7 +11,7 @@ from jaxtyping import Float64
 
 from ringpose.pose.measurements import Measurements
 from ringpose.pose.residual_rows import Beforehand, Rows, rows_of
-from ringpose.pose.rig_errors import ByRig, RigErrors, rows_by_rig
+from ringpose.pose.rig_errors import ByRig, RigErrors, rows_by_common_errors
 from ringpose.pose.ring_model import CURVATURE, PARAMETERS, TURN, RingState, moved
 from ringpose.pose.starting_state import starting_state
 from ringpose.types.arrays import Array
@@ -111,10 +111,10 @@ def _search(
     sighted, robust = measured.sighted(rig.lasers), _robust_rows(measured)
     by_rig: ByRig | None = None
     left = None
-    for _ in range(MOST_STEPS):
+    for number in range(MOST_STEPS):
         rows = rows_of(state, measured, sighted, before)
-        if errors is not None and by_rig is None:
-            by_rig = rows_by_rig(state, rows, measured, errors, rig)
+        if number == 0:
+            by_rig = rows_by_common_errors(state, rows, measured, errors, rig)
         weight = _weights(rows.residual if left is None else left, robust)
         normal_matrix, step, rig_step = _step(rows, weight, None if by_rig is None else by_rig.rows)
         if not _plausible(state, step):
@@ -126,9 +126,9 @@ def _search(
             left = left + by_rig.rows @ rig_step
         state = moved(state, step)
     weak = before.weak_about is not None
-    if errors is None:
+    by_rig = rows_by_common_errors(state, rows, measured, errors, rig)
+    if by_rig is None:
         return Fit(state, rows, weight, None, None, None, weak, normal_matrix)
-    by_rig = rows_by_rig(state, rows, measured, errors, rig)
     normal_matrix, _, rig_step = _step(rows, weight, by_rig.rows)
     return Fit(state, rows, weight, by_rig.rows, by_rig.mean, rig_step, weak, normal_matrix)
 

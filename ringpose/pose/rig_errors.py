@@ -1,4 +1,4 @@
-"""How errors of light planes and camera move the residuals.
+"""How errors that many residuals have in common move them.
 
 Light planes and camera are known with a joint covariance. Its square root says how independent unit errors move the
 parameters; each of them is an unknown of the fit beside the ring, held to zero by its own unit.
@@ -79,12 +79,30 @@ def _root(covariance: Float64[Array, "n n"]) -> Float64[Array, "n error"]:
 
 
 class ByRig(NamedTuple):
-    """Derivatives by the rig's unit errors."""
+    """Derivatives by unit errors that residuals have in common, most of them the rig's."""
 
     rows: Float64[Array, "row error"]
     """Of the residuals; zero for what is known beforehand."""
     mean: Float64[Array, "error"]
     """Of the mean of the break points, along the band."""
+
+
+def rows_by_common_errors(
+    state: RingState, rows: Rows, measured: Measurements, errors: RigErrors | None, rig: Rig
+) -> ByRig | None:
+    """How what many residuals have in common moves them: a wrong rig, and a wrong place of a whole visible edge.
+
+    None if there is nothing of that.
+    """
+    found = None if errors is None else rows_by_rig(state, rows, measured, errors, rig)
+    if rows.edges is None:
+        return found
+    common = np.zeros((len(rows.residual), 2))
+    first = rows.ends + len(rows.by_x) + len(rows.across.which)
+    common[first : first + len(measured.edges.edge)] = measured.edges.common
+    if found is None:
+        return ByRig(common, np.zeros(2))
+    return ByRig(np.column_stack([found.rows, common]), np.append(found.mean, [0.0, 0.0]))
 
 
 def rows_by_rig(state: RingState, rows: Rows, measured: Measurements, errors: RigErrors, rig: Rig) -> ByRig:
