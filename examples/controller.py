@@ -53,6 +53,10 @@ def command(record, limits):
     pose = record["pose"]
     if pose is None:
         return {"do": "hold", "why": record["reason"]}
+    if pose["grasp_m"] is None or pose["normal"] is None:
+        return {"do": "hold", "why": ", ".join(record["flags"])}
+    if any(figure is not None and figure > limits.health for figure in record.get("laser_health", {}).values()):
+        return {"do": "hold", "why": "a light plane or the camera has moved"}
     if pose["covariance"] is None:
         return {"do": "hold", "why": "nothing is known of the errors"}
     grasp_m, tilt_rad = standard_deviations(pose["covariance"])
@@ -69,6 +73,7 @@ def main():
     parser.add_argument("--patience", type=float, default=0.5, help="hold after so many seconds without a line")
     parser.add_argument("--grasp-m", type=float, default=0.002, help="standard deviation that is good enough")
     parser.add_argument("--tilt-rad", type=float, default=0.05, help="standard deviation that is good enough")
+    parser.add_argument("--health", type=float, default=3.0, help="laser_health from which the rig is not trusted")
     limits = parser.parse_args()
 
     newest, heard_s, told_of_silence = NewestLine(sys.stdin), time.monotonic(), False

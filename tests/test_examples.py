@@ -94,6 +94,24 @@ def test_the_controller_holds_without_a_pose_and_says_why(controller):
     assert (command["do"], command["why"]) == ("hold", "the image is dark")
 
 
+def test_the_controller_holds_where_the_normal_is_not_known(controller):
+    record = json.loads(pose_line("a"))
+    record["pose"]["normal"] = None
+    record["flags"] = ["normal_weak"]
+
+    (command,) = told(controller(), json.dumps(record) + "\n")
+
+    assert (command["do"], command["why"]) == ("hold", "normal_weak")
+
+
+def test_the_controller_holds_when_the_rig_has_changed(controller):
+    record = json.loads(pose_line("a")) | {"laser_health": {"left": 0.4, "middle": 7.5, "right": None}}
+
+    (command,) = told(controller(), json.dumps(record) + "\n")
+
+    assert command["do"] == "hold"
+
+
 def test_the_controller_takes_the_newest_line_and_counts_those_it_skipped(controller):
     commands = told(controller("--period", "0.5"), "".join(pose_line(str(number)) for number in range(100)))
 
