@@ -171,3 +171,18 @@ def test_a_laser_reported_on_at_the_end_is_a_safety_fault():
         pass
 
     assert lasers.calls[-1] == "close"
+
+
+def test_a_board_that_fails_while_switching_off_is_a_safety_fault():
+    class Unplugged(NotedLasers):
+        def set_mask(self, lasers: int) -> None:
+            self.calls.append(f"set {lasers}")
+            if lasers == 0:
+                raise DeviceError("/dev/ttyUSB0", "gone")
+
+    lasers = Unplugged()
+
+    with pytest.raises(LaserSafetyError, match="gone"), lasers:
+        lasers.set_mask(7)
+
+    assert lasers.calls == ["open", "set 7", "set 0", "set 0", "close"]

@@ -4,7 +4,7 @@ from types import TracebackType
 from typing import Protocol, runtime_checkable
 
 from ringpose.capture.device import Device
-from ringpose.errors import LaserSafetyError
+from ringpose.errors import DeviceError, LaserSafetyError
 
 
 @runtime_checkable
@@ -39,8 +39,11 @@ class LaserDriver(Device, Protocol):
             self.close()
 
     def _switch_off(self) -> None:
-        self.set_mask(0)
-        left_on = self.read_mask()
+        try:
+            self.set_mask(0)
+            left_on = self.read_mask()
+        except DeviceError as error:
+            raise LaserSafetyError("lasers", f"could not be switched off: {error}", "cut the power") from error
         if left_on:
             raise LaserSafetyError(
                 "lasers", f"reported on (mask {left_on}) after all were switched off", "cut the power"
