@@ -27,7 +27,7 @@ class PoseFrame(StrEnum):
 PoseMethod = Annotated[Method, typer.Option("--method", help="How the pose is computed.")]
 Inputs = Annotated[
     list[str],
-    typer.Argument(metavar="INPUT", help="Files or folders; - reads names or records from stdin, one a line."),
+    typer.Argument(metavar="INPUT...", help="Files or folders; - reads names or records from stdin, one a line."),
 ]
 RigFile = Annotated[Path, typer.Option("--rig", metavar="FILE", help="The calibrated rig (rig.yaml).")]
 OptionalRigFile = Annotated[Path | None, typer.Option("--rig", metavar="FILE", help="The calibrated rig (rig.yaml).")]
