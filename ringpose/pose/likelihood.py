@@ -54,6 +54,8 @@ class Fit(NamedTuple):
     """Whether what the shot leaves open was held to what rings are like."""
     normal_matrix: Float64[Array, "7 7"]
     """Inverse covariance of the state if no residual is beyond the robust limit; the rig's errors are in it."""
+    inverse: Float64[Array, "7 7"]
+    """Of that, what is not determined at all held by `RIDGE`."""
 
     @property
     def residual(self) -> Float64[Array, "row"]:
@@ -62,12 +64,6 @@ class Fit(NamedTuple):
             return self.rows.residual
         left: Float64[Array, "row"] = self.rows.residual + self.by_rig @ self.rig_step
         return left
-
-    @property
-    def inverse(self) -> Float64[Array, "7 7"]:
-        """Of the normal matrix, what is not determined at all held by `RIDGE`."""
-        inverse: Float64[Array, "7 7"] = np.linalg.inv(self.normal_matrix + _RIDGE)
-        return inverse
 
 
 def fitted(measured: Measurements, rig: Rig, before: Beforehand, errors: RigErrors | None) -> Fit | None:
@@ -109,28 +105,27 @@ def _search(
     state: RingState, measured: Measurements, rig: Rig, before: Beforehand, errors: RigErrors | None
 ) -> Fit | None:
     sighted, robust = measured.sighted(rig.lasers), _robust_rows(measured)
-    by_rig: ByRig | None = None
+    common: ByRig | None = None
     left = None
     for number in range(MOST_STEPS):
         rows = rows_of(state, measured, sighted, before)
-        if number == 0:
-            by_rig = rows_by_common_errors(state, rows, measured, errors, rig)
+        if number == 1:  # they hardly change from here
+            common = rows_by_common_errors(state, rows, measured, errors, rig)
         weight = _weights(rows.residual if left is None else left, robust)
-        normal_matrix, step, rig_step = _step(rows, weight, None if by_rig is None else by_rig.rows)
+        normal_matrix, step, rig_step = _step(rows, weight, None if common is None else common.rows)
         if not _plausible(state, step):
             return None
-        if step @ normal_matrix @ step < STEP_SIGMAS**2:
+        if number and step @ normal_matrix @ step < STEP_SIGMAS**2:
             break
         left = rows.residual + rows.by_state @ step
-        if by_rig is not None and rig_step is not None:
-            left = left + by_rig.rows @ rig_step
+        if common is not None and rig_step is not None:
+            left = left + common.rows @ rig_step
         state = moved(state, step)
-    weak = before.weak_about is not None
-    by_rig = rows_by_common_errors(state, rows, measured, errors, rig)
-    if by_rig is None:
-        return Fit(state, rows, weight, None, None, None, weak, normal_matrix)
-    normal_matrix, _, rig_step = _step(rows, weight, by_rig.rows)
-    return Fit(state, rows, weight, by_rig.rows, by_rig.mean, rig_step, weak, normal_matrix)
+    inverse = np.linalg.inv(normal_matrix + _RIDGE)
+    by_rig, mean_by_rig = (None, None) if common is None else common
+    return Fit(
+        state, rows, weight, by_rig, mean_by_rig, rig_step, before.weak_about is not None, normal_matrix, inverse
+    )
 
 
 def _step(
