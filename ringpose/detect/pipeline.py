@@ -6,13 +6,13 @@ import numpy as np
 
 from ringpose.detect.bands import predicted_windows, stripes_in
 from ringpose.detect.break_points import break_points
-from ringpose.detect.faces import ring_face
+from ringpose.detect.faces import Face, ring_face
 from ringpose.detect.frames import LaserImage, laser_images
 from ringpose.detect.ring_edges import shown_edges
 from ringpose.detect.stripe_centers import find_stripes
 from ringpose.detect.stripe_segments import stripes_between_segments
 from ringpose.detect.stripe_source import StripeSource
-from ringpose.detect.tracks import straight_tracks
+from ringpose.detect.tracks import Track, straight_tracks
 from ringpose.types.break_points import BreakPoints, Detection, NoBreakPoints
 from ringpose.types.frame import Shot
 from ringpose.types.rig import Rig
@@ -109,11 +109,22 @@ def _found(stripes: Stripes, images: list[LaserImage], rig: Rig, saturation_dn: 
     tracks = straight_tracks(stripes, rig.camera)
     unlabelled = [laser for image in images if not image.labelled for laser in image.lasers]
     face = ring_face(tracks, unlabelled, rig)
+    if not unlabelled and _masks_contradicted(face, tracks, rig):
+        return NoBreakPoints.CONTRADICTED_MASKS
     if face is None:
         return NoBreakPoints.NO_RING
     if face.ambiguous:
         return NoBreakPoints.AMBIGUOUS_LABELS
     return break_points(face, tracks, images, rig, saturation_dn)
+
+
+def _masks_contradicted(face: Face | None, tracks: list[Track], rig: Rig) -> bool:
+    """Whether the stripes make a ring of three lasers only if they belong to others than the masks say."""
+    if face is not None and len(face.tracks) > 2:
+        return False
+    unlabelled = [replace(track, laser=UNLABELLED) for track in tracks]
+    other = ring_face(unlabelled, range(len(rig.lasers.names)), rig)
+    return other is not None and len(other.tracks) > 2
 
 
 def _why_no_stripe(images: list[LaserImage], saturation_dn: int) -> NoBreakPoints:
