@@ -1,4 +1,4 @@
-"""Edge chains: continuous, one pixel wide (MATH.md section 2)."""
+"""Edge chains: continuous, one pixel wide (ringpose-method(7), section 2)."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""Gradient and anchors of an image: where edges may run (MATH.md section 2)."""
+"""Gradient and anchors of an image: where edges may run (ringpose-method(7), section 2)."""
 
 from dataclasses import dataclass
 

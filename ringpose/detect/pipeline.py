@@ -1,4 +1,4 @@
-"""Shot -> break points, in the order of MATH.md section 3."""
+"""Shot -> break points, in the order of ringpose-method(7), section 3."""
 
 from dataclasses import replace
 

@@ -1,6 +1,6 @@
 """The two edges of a ring's face as arcs on a plane, and how they move when the ring does.
 
-Seven numbers as in MATH.md section 5, but about a point of the band between the stripes instead of the centre:
+Seven numbers as in method(7), section 5, but about a point of the band between the stripes instead of the centre:
 they stay regular where the arcs look straight, and a few stripes determine most of them at once.
 """
 

@@ -1,4 +1,4 @@
-"""The ring's visible edges between and beyond the stripes (MATH.md section 5 c), followed from the break points.
+"""The ring's visible edges between and beyond the stripes (method(7), section 5 c), followed from the break points.
 
 Stripes close together hardly tell the ring's curvature: the search begins where the edges are predicted to a
 pixel, and what is found there predicts them farther on, until the image ends or the edge is lost.

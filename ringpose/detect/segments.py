@@ -1,4 +1,4 @@
-"""Straight segments of an image: the paper's line detector (MATH.md section 2)."""
+"""Straight segments of an image: the paper's line detector (ringpose-method(7), section 2)."""
 
 from dataclasses import dataclass
 

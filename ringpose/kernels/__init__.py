@@ -64,7 +64,7 @@ def cuts(
     window: int,
     shortest: int,
 ) -> Int32[Array, "piece end=2"]:
-    """First and last pixel of each straight piece of the chains (MATH.md section 2); neighbours share the corner."""
+    """First and last pixel of each straight piece of the chains (method(7), section 2); neighbours share the corner."""
     pieces = _kernels.cuts(pixels, starts, deviation_px, share_change, window, shortest)
     return np.frombuffer(pieces, np.int32).reshape(-1, 2)
 

@@ -1,4 +1,4 @@
-"""What the paper's two closed forms share (MATH.md section 4).
+"""What the paper's two closed forms share (ringpose-method(7), section 4).
 
 Points come in batches, so that one call serves a pose and all the small displacements that its
 covariance asks for. Within a batch all points stand on the same edges.

@@ -1,4 +1,4 @@
-"""Method `paper-constrained`: the paper's equations, solved inside the ring's plane (MATH.md section 4)."""
+"""Method `paper-constrained`: the paper's equations, solved inside the ring's plane (ringpose-method(7), section 4)."""
 
 import numpy as np
 from jaxtyping import Float64, Int64

@@ -1,4 +1,4 @@
-"""The most likely ring: Gauss-Newton on the rows of MATH.md section 5, robust against ends at the wrong place.
+"""The most likely ring: Gauss-Newton on the rows of method(7), section 5, robust against ends at the wrong place.
 
 No start from the paper's closed form is needed: on the plane the inverse depth is linear in the image, so the lines
 give the plane at once, and in this state every ring is within a few steps of a likely one.

@@ -29,7 +29,7 @@ class Quantities(NamedTuple):
 
 
 def quantities(fit: Fit) -> Quantities:
-    """Centre c = o + (s - 1/k) u, radii 1/k -+ band/2, grasp point o + s u (MATH.md section 5).
+    """Centre c = o + (s - 1/k) u, radii 1/k -+ band/2, grasp point o + s u (ringpose-method(7), section 5).
 
     The mean of the break points o lies in the direction u from the centre by construction, so the grasp point is the
     mid-band point there, whatever the centre's distance.

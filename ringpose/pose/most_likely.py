@@ -1,4 +1,4 @@
-"""Method `ml`: the most likely ring with its covariance, and what of it is determined (MATH.md section 5)."""
+"""Method `ml`: the most likely ring with its covariance, and what of it is determined (method(7), section 5)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

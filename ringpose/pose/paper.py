@@ -1,4 +1,4 @@
-"""Method `paper`: the closed form of Liu, Xie and Liu (2020), section 5, read literally (MATH.md section 4).
+"""Method `paper`: the closed form of Liu, Xie and Liu (2020), section 5, read literally (method(7), section 4).
 
 It works in millimetres, as the paper does: the plane row, of size 1e-3, then hardly counts beside rows of size
 1e2, so the centre is free to leave the ring's plane: exact on true points, decimetres off along the normal with

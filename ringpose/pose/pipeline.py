@@ -1,4 +1,4 @@
-"""Break points -> pose of the ring: sections 4 (the paper's closed form) and 5 (the most likely ring) of MATH.md."""
+"""Break points -> pose of the ring: the paper's closed form and the most likely ring, method(7) sections 4 and 5."""
 
 from collections.abc import Sequence
 

@@ -1,6 +1,6 @@
 """Joint covariance of the triangulated points: of the break points in the image, and of the rig.
 
-All derivatives are of P = t r, t = d / (m . r) (MATH.md section 1), and of the distortion at r.
+All derivatives are of P = t r, t = d / (m . r) (ringpose-method(7), section 1), and of the distortion at r.
 """
 
 from dataclasses import dataclass

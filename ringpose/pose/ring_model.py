@@ -1,4 +1,4 @@
-"""The ring and what it predicts: residuals of MATH.md section 5 with their analytic derivatives.
+"""The ring and what it predicts: residuals of ringpose-method(7), section 5 with their analytic derivatives.
 
 The state is kept where the measurement is, so that nothing degenerates when the ring looks straight: the plane as
 q with q . P = 1 (on it the inverse depth q . r is linear in the image), the band's middle s beyond the mean of the

@@ -1,4 +1,4 @@
-"""Break points in the image -> points in space (MATH.md section 1)."""
+"""Break points in the image -> points in space (ringpose-method(7), section 1)."""
 
 from ringpose.errors import DataError
 from ringpose.geometry.rays import intersect, rays

@@ -57,7 +57,7 @@ class RingPose:
     radius_outer_m: float
     """NaN where that edge was not seen."""
     grasp_m: Float64[Array, "xyz=3"]
-    """The point where a gripper would close: in the middle of the band, amid what was seen (MATH.md section 5).
+    """The point where a gripper would close: in the middle of the band, amid what was seen (method(7), section 5).
 
     In `paper` the mean of the break points. NaN where the middle of the band is not known, an edge being unseen.
     """
@@ -85,10 +85,10 @@ class RingPose:
 
     @property
     def pitch_rad(self) -> float:
-        """The paper's pitch: asin(w_y) of w = -normal, zero when the ring faces the camera (MATH.md section 4)."""
+        """The paper's pitch: asin(w_y) of w = -normal, zero when the ring faces the camera (method(7), section 4)."""
         return float(np.arctan2(-self.normal[1], np.hypot(self.normal[0], self.normal[2])))
 
     @property
     def yaw_rad(self) -> float:
-        """The paper's yaw: atan2(w_x, w_z) of w = -normal (MATH.md section 4)."""
+        """The paper's yaw: atan2(w_x, w_z) of w = -normal (method(7), section 4)."""
         return float(np.arctan2(-self.normal[0], -self.normal[2]))
