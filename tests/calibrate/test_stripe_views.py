@@ -145,7 +145,7 @@ def test_a_real_upright_stripe_lies_on_its_plane(uba):
     (laser,) = uba.lasers
 
     assert laser.rms_m < 0.2e-3
-    assert max(view.held_out_rms_m for view in laser.views) < 0.25e-3
+    assert max(view.held_out_rms_m for view in laser.views) < 0.28e-3
 
 
 @pytest.mark.slow

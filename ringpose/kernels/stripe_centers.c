@@ -1,0 +1,185 @@
+/* From linked ridges to centres with standard deviations; twin: reference_stripe_centers.centers. */
+#include "stripe_columns.h"
+
+#include <math.h>
+#include <stdlib.h>
+
+/* Filter over stripe: a little wider than matched costs 5 % in white noise, and speckle asks for more. */
+#define FILTER_PER_WIDTH 1.3
+
+/* The same for a flat top, over its half width: the flanks weigh most. */
+#define FILTER_PER_HALF_WIDTH 0.82
+
+/* Peak of a flat top over its response, for a filter of that width and sigma 1. */
+#define FLAT_PEAK_PER_RESPONSE 2.162
+
+/* Narrowest stripe sigma believed, and the widest, in sigmas of the ridge filter. */
+#define NARROWEST_PX 0.7
+#define WIDEST 2.0
+
+/* Sigma of the flanks of a flat top. */
+#define FLANK_PX 1.5
+
+/* Another filter, so many narrower or wider, is tried on pieces of so many columns, and taken if it leaves less than
+   that share of the variance. */
+enum { LEAST_TRIED = 40, OTHER_FILTER = 3 };
+#define BETTER 0.95
+
+/* Nor may it lose more than one column in so many. */
+enum { LOST_ONE_IN = 10 };
+
+typedef struct {
+    const StripeImage *image;
+    const Filter *filters; /* the first is that of the ridges */
+    size_t filter_count;
+    const StripeRules *rules;
+    const Ridge *ridges;
+    Patch *patch;
+    Columns columns[2];
+} Job;
+
+/* Square of the sigma of the response from how sharply it falls off at its crest, over the phases of the pixel. */
+static double response_spread(double sharpness) {
+    double b = 3 + 0.125 * sharpness, root = b * b - 7.5 * sharpness;
+    return 3.75 / (b - sqrt(root > 0 ? root : 0));
+}
+
+/* Number of the filter with the nearest sigma. */
+static size_t nearest_filter(const Job *job, double sigma) {
+    size_t best = 1;
+    for (size_t i = 2; i < job->filter_count; i++)
+        if (fabs(job->filters[i].sigma - sigma) < fabs(job->filters[best].sigma - sigma)) best = i;
+    return best;
+}
+
+static Measure measure_with(const Job *job, size_t filter, double width) {
+    Measure how = {.image = job->image, .patch = job->patch, .filter = job->filters + filter, .width = width};
+    double sigma = how.filter->sigma, spread = sigma * sigma + width * width;
+    how.inverse_spread = width > 0 ? 1 / spread : 0;
+    how.peak_per_response = width > 0 ? spread * sqrt(spread) / width : FLAT_PEAK_PER_RESPONSE * sigma * sigma;
+    how.sigma_per_noise = how.filter->slope_norm / job->filters[0].bend_norm;
+    return how;
+}
+
+/* The filter that suits the width of a piece: that of its ridges together, or of its flat tops if it has many. */
+static size_t suited_filter(const Job *job, const int32_t *order, size_t count, double *width) {
+    double response = 0, bend = 0, half_width = 0, own = job->filters[0].sigma;
+    size_t flat = 0;
+    for (size_t i = 0; i < count; i++) {
+        const Ridge *ridge = job->ridges + order[i];
+        response += ridge->response;
+        bend += ridge->bend > 0 ? ridge->bend : 0;
+        half_width -= ridge->bend < 0 ? ridge->bend : 0;
+        flat += ridge->bend < 0;
+    }
+    if (3 * flat > count) {
+        *width = 0;
+        double half = half_width / (double)flat + sqrt(own * own + FLANK_PX * FLANK_PX);
+        return nearest_filter(job, FILTER_PER_HALF_WIDTH * half);
+    }
+    *width = sqrt(fmax(response_spread(bend / response) - own * own, NARROWEST_PX * NARROWEST_PX));
+    *width = fmin(*width, WIDEST * own);
+    return nearest_filter(job, FILTER_PER_WIDTH * *width);
+}
+
+/* Measures ridges with a filter. */
+static Scatter measure_piece_with(const Job *job, size_t filter, double width, const int32_t *order, size_t count,
+                                  Columns *columns) {
+    Measure how = measure_with(job, filter, width);
+    take_ridges(job->ridges, order, count, columns);
+    measure_columns(&how, columns);
+    return scatter(columns);
+}
+
+static void append_columns(const Columns *columns, int64_t number, Centers *centers) {
+    size_t at = centers->count;
+    for (size_t i = 0; i < columns->count; i++) {
+        centers->position[2 * (at + i)] = columns->x[i];
+        centers->position[2 * (at + i) + 1] = columns->y[i];
+        centers->sigma[at + i] = sqrt(columns->variance[i]);
+        centers->peak[at + i] = columns->peak[i];
+        centers->piece[at + i] = number;
+    }
+    centers->count += columns->count;
+}
+
+/* Measures a piece with the filter that suits its width, and if more than the sensor's noise spoils that, with another
+   one: surroundings ask for a narrower one, speckle for a wider one. Returns the better of the two. */
+static Columns *measure_piece(Job *job, const int32_t *order, size_t count) {
+    double width;
+    size_t filter = suited_filter(job, order, count, &width);
+    Columns *columns = job->columns, *other = columns + 1;
+    Scatter of = measure_piece_with(job, filter, width, order, count, columns);
+    if (of.excess > CLUTTERED && width > 0 && count >= LEAST_TRIED) {
+        ptrdiff_t trial = (ptrdiff_t)filter + (of.background ? -OTHER_FILTER : OTHER_FILTER);
+        ptrdiff_t last = (ptrdiff_t)job->filter_count - 1;
+        trial = trial < 1 ? 1 : trial > last ? last : trial;
+        Scatter tried = measure_piece_with(job, (size_t)trial, width, order, count, other);
+        size_t lost = columns->count > other->count ? columns->count - other->count : 0;
+        if (tried.variance < BETTER * of.variance && LOST_ONE_IN * lost <= columns->count) {
+            columns = other;
+            of = tried;
+        }
+    }
+    raise_variances(columns, of);
+    return columns;
+}
+
+/* ---- pieces ---- */
+
+static int is_kept(const StripePiece *piece, const StripeRules *rules) {
+    return (size_t)piece->columns >= rules->shortest && (size_t)piece->strong_columns >= rules->shortest;
+}
+
+size_t kept_ridges(const StripeRules *rules, const List *pieces) {
+    const StripePiece *piece = pieces->data;
+    size_t total = 0;
+    for (size_t i = 0; i < pieces->used; i++) total += is_kept(piece + i, rules) ? (size_t)piece[i].columns : 0;
+    return total;
+}
+
+/* Numbers of the ridges, piece after piece, and where each piece that is kept ends; of the others -1. */
+static int32_t *ridges_by_piece(const StripeRules *rules, const List *ridges, const List *pieces, int32_t *end) {
+    const StripePiece *piece = pieces->data;
+    const Ridge *ridge = ridges->data;
+    int32_t total = 0;
+    for (size_t i = 0; i < pieces->used; i++) {
+        end[i] = is_kept(piece + i, rules) ? total : -1;
+        total += end[i] < 0 ? 0 : piece[i].columns;
+    }
+    int32_t *order = malloc(((size_t)total + 1) * sizeof *order);
+    for (size_t i = 0; order && i < ridges->used; i++)
+        if (end[ridge[i].piece] >= 0) order[end[ridge[i].piece]++] = (int32_t)i;
+    return order;
+}
+
+static size_t longest_piece(const List *pieces) {
+    const StripePiece *piece = pieces->data;
+    int32_t longest = 0;
+    for (size_t i = 0; i < pieces->used; i++) longest = piece[i].columns > longest ? piece[i].columns : longest;
+    return (size_t)longest;
+}
+
+int find_centers(const StripeImage *image, const Filter *filters, size_t filter_count, const StripeRules *rules,
+                 const List *ridges, const List *pieces, Centers *centers) {
+    const StripePiece *piece = pieces->data;
+    Job job = {image, filters, filter_count, rules, ridges->data, malloc(sizeof(Patch)), {{0}, {0}}};
+    int32_t *end = malloc((pieces->used + 1) * sizeof *end);
+    int32_t *order = end ? ridges_by_piece(rules, ridges, pieces, end) : NULL;
+    void *memory[2];
+    for (int i = 0; i < 2; i++) memory[i] = allocate_columns(job.columns + i, longest_piece(pieces));
+    int done = job.patch != NULL && order != NULL && memory[0] != NULL && memory[1] != NULL;
+    int64_t number = 0;
+    for (size_t i = 0; done && i < pieces->used; i++) {
+        if (end[i] < 0) continue;
+        size_t count = (size_t)piece[i].columns;
+        const Columns *columns = measure_piece(&job, order + ((size_t)end[i] - count), count);
+        if (columns->count >= rules->shortest) append_columns(columns, number++, centers);
+    }
+    free(job.patch);
+    free(end);
+    free(order);
+    free(memory[0]);
+    free(memory[1]);
+    return done;
+}

@@ -1,0 +1,53 @@
+/* How one piece's columns are measured. No Python in here. */
+#ifndef RINGPOSE_STRIPE_COLUMNS_H
+#define RINGPOSE_STRIPE_COLUMNS_H
+
+#include "stripes.h"
+
+/* Sums are kept in so many parts, as vectors do it. */
+enum { PARTS = 4 };
+
+/* The columns of one piece: their ridges, what the piece's filter says there, the centres, and scratch. */
+typedef struct {
+    size_t count;
+    int32_t *x, *row;
+    float *ridge_y, *half_width, *noise, *slope, *bend;
+    double *y, *variance, *peak, *square, *ratio;
+} Columns;
+
+/* A filter for a stripe of that width (sigma), or for a flat top (0). */
+typedef struct {
+    const StripeImage *image;
+    Patch *patch;
+    const Filter *filter;
+    double width, inverse_spread; /* of the square of the sigma of the stripe's response; 0 for a flat top */
+    double peak_per_response, sigma_per_noise;
+} Measure;
+
+/* Memory for so many columns; NULL if there is none. */
+void *allocate_columns(Columns *columns, size_t count);
+
+void take_ridges(const Ridge *ridges, const int32_t *order, size_t count, Columns *columns);
+
+/* The centres, with the variances that the sensor's noise explains; columns in which the filter sees no ridge near by
+   are dropped. */
+void measure_columns(const Measure *how, Columns *columns);
+
+/* What second differences between centres show: near ones, unless far ones show much more. */
+typedef struct {
+    double variance; /* of a centre */
+    double excess;   /* over what the sensor's noise explains */
+    size_t lag;      /* columns between the centres */
+    int background;  /* whether it is far ones */
+} Scatter;
+
+Scatter scatter(Columns *columns);
+
+/* An excess above this comes from speckle, clutter or bends rather than from the sensor. */
+#define CLUTTERED 8.0
+
+/* Raises the variances by a small excess, which is the sensor's; adds the scatter where it is large, as it is in the
+   surroundings of each column. */
+void raise_variances(Columns *columns, Scatter of);
+
+#endif

@@ -1,0 +1,206 @@
+/* Ridges of neighbouring columns joined into pieces; twin: reference_stripes.pieces. */
+#include "stripes.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+/* A ridge may lie so many times farther from where its piece is expected than the piece's ridges do on average, within
+   limits in pixels: speckle makes ridges jump, and so does an edge between two surfaces. */
+#define STEP 5.0f
+#define LEAST_STEP_PX 1.25f
+#define MOST_STEP_PX 2.0f
+#define NEXT_PX 1.0f
+
+/* What that average is taken for at first, and the share of each further column in it. */
+#define FIRST_UNREST_PX 0.25f
+#define UNREST_SHARE 0.125f
+
+/* A piece's course is a line fitted to all its columns at first, later to about so many. */
+enum { COURSE_COLUMNS = 8 };
+
+/* Two ridges of a column so far apart may be the shoulders of a flat top. */
+enum { CLOSEST_SHOULDERS = 5, FARTHEST_SHOULDERS = 40 };
+
+/* Between shoulders the signal keeps this share of theirs. */
+#define PLATEAU_SHARE 0.8f
+
+typedef struct {
+    float y, expected, slope, unrest, distance; /* y: of the last ridge */
+    int32_t nearest, missing, columns, strong_columns, piece;
+} Track;
+
+/* Pieces that may go on, from the top; `spare` has as much room. */
+typedef struct {
+    const StripeRules *rules;
+    Track *tracks, *spare;
+    size_t count, capacity;
+    List *pieces;
+} Course;
+
+/* ---- flat tops ---- */
+
+/* Whether the signal between two ridges of a column stays near their own height. */
+static int is_plateau(const StripeImage *image, ptrdiff_t outside, const Ridge *a, const Ridge *b) {
+    if (a->response > 2 * b->response || b->response > 2 * a->response) return 0;
+    size_t x = (size_t)a->x, width = image->width;
+    float high = pixel_at(image, (size_t)a->row * width + x), other = pixel_at(image, (size_t)b->row * width + x);
+    float above = pixel_at(image, clamped(a->row - outside, image->height) * width + x);
+    float below = pixel_at(image, clamped(b->row + outside, image->height) * width + x);
+    float base = above > below ? above : below, level = high < other ? high : other;
+    float least = base + PLATEAU_SHARE * (level - base);
+    if (level <= base) return 0;
+    for (int32_t row = a->row + 1; row < b->row; row++)
+        if (pixel_at(image, (size_t)row * width + x) < least) return 0;
+    return 1;
+}
+
+/* Joins the shoulders of flat tops in one column; returns how many ridges are left. */
+static size_t join_shoulders(const StripeImage *image, ptrdiff_t outside, Ridge *ridge, size_t count) {
+    size_t kept = 0;
+    for (size_t i = 0; i < count; i++) {
+        Ridge here = ridge[i];
+        int32_t apart = i + 1 < count ? ridge[i + 1].row - here.row : 0;
+        if (apart >= CLOSEST_SHOULDERS && apart <= FARTHEST_SHOULDERS &&
+            is_plateau(image, outside, &here, ridge + i + 1)) {
+            i++;
+            here.bend = -0.5f * (ridge[i].y - here.y);
+            here.y = 0.5f * (ridge[i].y + here.y);
+            here.row = (int32_t)(here.y + 0.5f);
+        }
+        ridge[kept++] = here;
+    }
+    return kept;
+}
+
+/* ---- course ---- */
+
+static float distance(float a, float b) { return a < b ? b - a : a - b; }
+
+/* Whether a ridge lies near where the piece is expected, or right beside its last one: a stripe may bend. */
+static int is_next(const Track *track, float y, float apart) {
+    float step = STEP * track->unrest;
+    step = step < LEAST_STEP_PX ? LEAST_STEP_PX : step > MOST_STEP_PX ? MOST_STEP_PX : step;
+    return apart <= step || (track->missing == 0 && distance(track->y, y) <= NEXT_PX);
+}
+
+/* Each ridge asks the nearest piece; a piece takes the nearest that asks, of equals the upper. */
+static void match(Course *course, const Ridge *ridge, size_t count) {
+    Track *track = course->tracks, *last = track + course->count - 1;
+    if (course->count == 0) return;
+    for (size_t i = 0; i < count; i++) {
+        float apart = distance(track->expected, ridge[i].y);
+        for (; track < last; track++) {
+            float next = distance(track[1].expected, ridge[i].y);
+            if (next >= apart) break;
+            apart = next;
+        }
+        if (!is_next(track, ridge[i].y, apart) || (track->nearest >= 0 && apart >= track->distance)) continue;
+        track->nearest = (int32_t)i;
+        track->distance = apart;
+    }
+}
+
+/* A line through the columns so far, then one that forgets. */
+static void follow(Track *track, Ridge *ridge, const StripeRules *rules) {
+    static const float gain[COURSE_COLUMNS + 1] = {0, 1, 1, 5 / 6.f, 7 / 10.f, 3 / 5.f, 11 / 21.f, 13 / 28.f, 5 / 12.f};
+    static const float slope_gain[COURSE_COLUMNS + 1] = {0, .3f, .3f, .3f, .3f, 1 / 5.f, 1 / 7.f, 3 / 28.f, 1 / 12.f};
+    float off = ridge->y - track->expected;
+    int32_t n = ++track->columns < COURSE_COLUMNS ? track->columns : COURSE_COLUMNS;
+    track->slope += track->missing ? off * slope_gain[n] / (float)(track->missing + 1) : off * slope_gain[n];
+    track->expected += off * gain[n] + track->slope;
+    track->unrest += UNREST_SHARE * (distance(off, 0) - track->unrest);
+    track->y = ridge->y;
+    track->strong_columns += ridge->response >= rules->begin_sigmas * ridge->noise;
+    track->missing = 0;
+    track->nearest = -1;
+    ridge->piece = track->piece;
+}
+
+static void end_piece(const Course *course, const Track *track) {
+    ((StripePiece *)course->pieces->data)[track->piece] = (StripePiece){track->columns, track->strong_columns};
+}
+
+/* Moves all pieces on by a column: with the ridge that each took, or without, or ends it. A piece's first columns may
+   not have gaps as long as themselves: noise begins many pieces. Returns how many ridges were taken. */
+static size_t advance(Course *course, Ridge *ridge) {
+    size_t kept = 0, taken = 0;
+    Track *track = course->tracks;
+    for (size_t i = 0; i < course->count; i++) {
+        if (track[i].nearest >= 0) {
+            follow(track + i, ridge + track[i].nearest, course->rules);
+            taken++;
+        } else {
+            track[i].expected += track[i].slope;
+            if (++track[i].missing > (int32_t)course->rules->gap || track[i].missing >= track[i].columns) {
+                end_piece(course, track + i);
+                continue;
+            }
+        }
+        if (kept < i) track[kept] = track[i];
+        for (size_t j = kept++; j > 0 && track[j - 1].expected > track[j].expected; j--) {
+            Track upper = track[j];
+            track[j] = track[j - 1];
+            track[j - 1] = upper;
+        }
+    }
+    course->count = kept;
+    return taken;
+}
+
+static int reserve_tracks(Course *course, size_t count) {
+    if (count <= course->capacity) return 1;
+    Track *spare = realloc(course->spare, 2 * count * sizeof *spare);
+    if (spare) course->spare = spare;
+    Track *tracks = spare ? realloc(course->tracks, 2 * count * sizeof *tracks) : NULL;
+    if (tracks == NULL) return 0;
+    course->tracks = tracks;
+    course->capacity = 2 * count;
+    return 1;
+}
+
+/* Begins pieces with the ridges that no piece took, and puts them among the others. */
+static int begin_pieces(Course *course, Ridge *ridge, size_t count) {
+    if (!reserve(course->pieces, count) || !reserve_tracks(course, course->count + count)) return 0;
+    Track *spare = course->spare;
+    size_t t = 0, all = 0;
+    for (size_t i = 0; i < count; i++) {
+        if (ridge[i].piece >= 0) continue;
+        while (t < course->count && course->tracks[t].expected <= ridge[i].y) spare[all++] = course->tracks[t++];
+        ridge[i].piece = (int32_t)course->pieces->used++;
+        int strong = ridge[i].response >= course->rules->begin_sigmas * ridge[i].noise;
+        spare[all++] = (Track){ridge[i].y, ridge[i].y, 0, FIRST_UNREST_PX, 0, -1, 0, 1, strong, ridge[i].piece};
+    }
+    while (t < course->count) spare[all++] = course->tracks[t++];
+    course->spare = course->tracks;
+    course->tracks = spare;
+    course->count = all;
+    return 1;
+}
+
+/* ---- all ---- */
+
+static int link_columns(const StripeImage *image, ptrdiff_t outside, Course *course, List *ridges) {
+    Ridge *ridge = ridges->data;
+    size_t kept = 0, first = 0, end = 0;
+    for (int32_t x = 0; first < ridges->used; first = end, x++) {
+        for (; x < ridge[first].x && course->count; x++) advance(course, NULL);
+        x = ridge[first].x;
+        for (end = first; end < ridges->used && ridge[end].x == x; end++) continue;
+        size_t count = end - first > 1 ? join_shoulders(image, outside, ridge + first, end - first) : 1;
+        if (kept < first) memmove(ridge + kept, ridge + first, count * sizeof *ridge);
+        match(course, ridge + kept, count);
+        if (advance(course, ridge + kept) < count && !begin_pieces(course, ridge + kept, count)) return 0;
+        kept += count;
+    }
+    ridges->used = kept;
+    for (size_t i = 0; i < course->count; i++) end_piece(course, course->tracks + i);
+    return 1;
+}
+
+int link_ridges(const StripeImage *image, const Filter *filter, const StripeRules *rules, List *ridges, List *pieces) {
+    Course course = {.rules = rules, .pieces = pieces};
+    int done = link_columns(image, (ptrdiff_t)(3 * filter->sigma + 0.5), &course, ridges);
+    free(course.tracks);
+    free(course.spare);
+    return done;
+}

@@ -1,0 +1,295 @@
+/* Where ridges may be, from sums over cells of 4 x 16 pixels; twin: reference_stripes.runs.
+
+   Most of a frame is dark, and whole numbers tell so quickly. Two cells below each other are a window; it holds what
+   is brighter than the cells above and below it, from which it is one cell apart. */
+#include "stripes.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+/* Cells that a window is compared with lie so far from its first one. */
+enum { ABOVE = 2, BELOW = 3, RING = ABOVE + BELOW + 1, WINDOWS = 3 };
+
+/* A window is passed over if one that overlaps it is brighter by this factor: ridges are half a cell off at most. */
+enum { WINDOW_SHARE = 4 };
+
+/* Beside a window with a ridge, one of which a stripe fills this share may hold its end. */
+#define NEIGHBOUR_SHARE 0.4f
+
+typedef struct {
+    const Noise *noise;
+    const StripeRules *rules;
+    size_t blocks, cells;
+    int32_t *sums;     /* of a ring of rows of cells */
+    int32_t *windows;  /* of three rows of windows */
+    int32_t *open_run; /* last of each block, or -1 */
+    uint64_t *row_sum; /* scratch: a row of cells in halves of blocks */
+    uint8_t *active;   /* scratch: a row of windows */
+    uint8_t *wanted;   /* windows that bands ask for, from those that begin in cell -1; or NULL */
+    uint8_t *asked;    /* rows of windows that hold some of those */
+    uint8_t *needed;   /* cells that those look at, from cell -3 */
+    size_t *extent;    /* of each row of cells that are needed, first and one after last; from cell -3 */
+    List *runs;
+} Search;
+
+static int32_t *cell_row(const Search *search, ptrdiff_t cell) {
+    return search->sums + (size_t)(cell + RING) % RING * search->blocks;
+}
+
+static int32_t *window_row(const Search *search, ptrdiff_t cell) {
+    return search->windows + (size_t)(cell + WINDOWS) % WINDOWS * search->blocks;
+}
+
+/* ---- sums ---- */
+
+/* Eight columns at a time: four rows of the even and odd ones, in four lanes of 16 bits. */
+VECTOR_LOOP
+static void add_rows_8(const uint8_t *const in[CELL], size_t from, size_t to, uint64_t *restrict sum) {
+    const uint64_t lanes = UINT64_C(0x00ff00ff00ff00ff);
+    const uint8_t *restrict a = in[0], *restrict b = in[1], *restrict c = in[2], *restrict d = in[3];
+    for (size_t i = from; i < to; i++) {
+        uint64_t w[CELL];
+        memcpy(w, a + 8 * i, 8);
+        memcpy(w + 1, b + 8 * i, 8);
+        memcpy(w + 2, c + 8 * i, 8);
+        memcpy(w + 3, d + 8 * i, 8);
+        uint64_t even = (w[0] & lanes) + (w[1] & lanes) + (w[2] & lanes) + (w[3] & lanes);
+        uint64_t odd = (w[0] >> 8 & lanes) + (w[1] >> 8 & lanes) + (w[2] >> 8 & lanes) + (w[3] >> 8 & lanes);
+        sum[i] = even + odd;
+    }
+}
+
+static void add_blocks_8(const uint64_t *half, size_t from, size_t to, int32_t sign, int32_t *sum) {
+    for (size_t block = from; block < to; block++) {
+        uint64_t lanes = half[2 * block] + half[2 * block + 1]; /* at most 16 * 255 each */
+        sum[block] += sign * (int32_t)(lanes * UINT64_C(0x0001000100010001) >> 48);
+    }
+}
+
+VECTOR_LOOP
+static void add_blocks_16(const uint16_t *const in[CELL], size_t from, size_t to, int32_t sign, int32_t *sum) {
+    for (size_t block = from; block < to; block++) {
+        int32_t total = 0;
+        for (size_t i = 0; i < CELL; i++) {
+            const uint16_t *row = in[i] + block * BLOCK;
+            for (size_t x = 0; x < BLOCK; x++) total += row[x];
+        }
+        sum[block] += sign * total;
+    }
+}
+
+/* The last block, if it reaches beyond the border: the outermost column is repeated. */
+static int32_t border_sum(const StripeImage *image, const void *pixels, const size_t rows[CELL], size_t block) {
+    int32_t sum = 0;
+    for (size_t i = 0; i < CELL; i++)
+        for (size_t x = block * BLOCK; x < (block + 1) * BLOCK; x++) {
+            size_t at = rows[i] * image->width + (x < image->width ? x : image->width - 1);
+            sum += image->wide ? ((const uint16_t *)pixels)[at] : ((const uint8_t *)pixels)[at];
+        }
+    return sum;
+}
+
+static void add_pixels(const Search *search, const void *pixels, const size_t rows[CELL], size_t from, size_t to,
+                       int32_t sign, int32_t *sum) {
+    const StripeImage *image = search->noise->image;
+    size_t whole = image->width / BLOCK, end = to < whole ? to : whole;
+    const uint8_t *in_8[CELL];
+    const uint16_t *in_16[CELL];
+    for (size_t i = 0; i < CELL; i++) {
+        in_8[i] = (const uint8_t *)pixels + (image->wide ? 0 : rows[i] * image->width);
+        in_16[i] = (const uint16_t *)pixels + (image->wide ? rows[i] * image->width : 0);
+    }
+    if (image->wide) {
+        add_blocks_16(in_16, from, end, sign, sum);
+    } else if (from < end) {
+        add_rows_8(in_8, 2 * from, 2 * end, search->row_sum);
+        add_blocks_8(search->row_sum, from, end, sign, sum);
+    }
+    if (to > whole) sum[whole] += sign * border_sum(image, pixels, rows, whole);
+}
+
+/* Sums of a row of cells, which may lie beyond the border. */
+static void add_cells(const Search *search, ptrdiff_t cell, size_t from, size_t to) {
+    const StripeImage *image = search->noise->image;
+    int32_t *sum = cell_row(search, cell);
+    size_t rows[CELL];
+    for (size_t i = 0; i < CELL; i++) rows[i] = clamped(cell * CELL + (ptrdiff_t)i, image->height);
+    memset(sum + from, 0, (to - from) * sizeof *sum);
+    add_pixels(search, image->lit, rows, from, to, 1, sum);
+    if (image->dark) add_pixels(search, image->dark, rows, from, to, -1, sum);
+}
+
+/* Sums of those cells of a row that some wanted window looks at. */
+static void add_needed_cells(const Search *search, ptrdiff_t cell) {
+    size_t row = (size_t)(cell + 1 + ABOVE), end = search->extent[2 * row + 1];
+    const uint8_t *need = search->needed + row * search->blocks;
+    for (size_t b = search->extent[2 * row]; b < end;) {
+        size_t from = b;
+        while (b < end && need[b]) b++;
+        if (b > from) add_cells(search, cell, from, b);
+        while (b < end && !need[b]) b++;
+    }
+}
+
+/* ---- windows ---- */
+
+/* How much brighter two cells are than those next to them, or than those beyond if these are darker: steep stripes
+   reach into the next ones, and what surrounds a stripe into those beyond. */
+VECTOR_LOOP
+static void add_windows(const int32_t *const cells[RING], size_t blocks, int32_t *restrict window) {
+    const int32_t *restrict far_above = cells[0], *restrict above = cells[1], *restrict first = cells[2];
+    const int32_t *restrict second = cells[3], *restrict below = cells[4], *restrict far_below = cells[5];
+    for (size_t b = 0; b < blocks; b++) {
+        int32_t near = above[b] + below[b], far = far_above[b] + far_below[b];
+        window[b] = (first[b] + second[b]) - (near < far ? near : far);
+    }
+}
+
+/* A row of windows; those that no band asks for are nothing. */
+static void find_windows(const Search *search, ptrdiff_t cell) {
+    int32_t *window = window_row(search, cell);
+    if (search->wanted && !search->asked[cell + 1]) {
+        memset(window, 0, search->blocks * sizeof *window);
+        return;
+    }
+    const int32_t *cells[RING];
+    for (ptrdiff_t i = 0; i < RING; i++) cells[i] = cell_row(search, cell - ABOVE + i);
+    add_windows(cells, search->blocks, window);
+    if (!search->wanted) return;
+    const uint8_t *wanted = search->wanted + (size_t)(cell + 1) * search->blocks;
+    for (size_t b = 0; b < search->blocks; b++) window[b] = wanted[b] ? window[b] : 0;
+}
+
+VECTOR_LOOP
+static void mark_windows(const int32_t *restrict before, const int32_t *restrict here, const int32_t *restrict after,
+                         int32_t least, size_t blocks, uint8_t *restrict active) {
+    for (size_t b = 0; b < blocks; b++) {
+        int32_t most = before[b] > after[b] ? before[b] : after[b];
+        active[b] = (here[b] >= least) & (WINDOW_SHARE * here[b] >= most);
+    }
+}
+
+static int add_run(Search *search, size_t block, int32_t first, int32_t last) {
+    int32_t open = search->open_run[block];
+    Run *run = search->runs->data;
+    if (open >= 0 && run[open].last + 1 >= first) {
+        if (run[open].last < last) run[open].last = last;
+        return 1;
+    }
+    if (!reserve(search->runs, 1)) return 0;
+    search->open_run[block] = (int32_t)search->runs->used;
+    ((Run *)search->runs->data)[search->runs->used++] = (Run){(int32_t)block, first, last};
+    return 1;
+}
+
+/* A window that may hold a ridge, and its neighbours where a stripe may end. */
+static int keep_window(Search *search, ptrdiff_t cell, size_t block, const int32_t *window) {
+    size_t row = clamped((cell + 1) * CELL, search->noise->image->height);
+    float least = search->rules->coarse_per_response *
+                  least_response(search->rules, noise_at(search->noise, row, block));
+    if ((float)window[block] < least) return 1;
+    size_t from = block > 0 ? block - 1 : 0, to = block + 1 < search->blocks ? block + 1 : block;
+    int32_t first = cell < 0 ? 0 : (int32_t)cell, last = (int32_t)clamped(cell + 1, search->cells);
+    for (size_t b = from; b <= to; b++)
+        if ((float)window[b] >= NEIGHBOUR_SHARE * least && !add_run(search, b, first, last)) return 0;
+    return 1;
+}
+
+static int keep_windows(Search *search, ptrdiff_t cell, int32_t least) {
+    const int32_t *here = window_row(search, cell);
+    if (search->wanted && !search->asked[cell + 1]) return 1;
+    mark_windows(window_row(search, cell - 1), here, window_row(search, cell + 1), least, search->blocks,
+                 search->active);
+    for (size_t from = 0; from < search->blocks; from += 8) {
+        uint64_t eight = 1;
+        size_t to = search->blocks - from < 8 ? search->blocks : from + 8;
+        if (to == from + 8) memcpy(&eight, search->active + from, 8);
+        if (eight == 0) continue;
+        for (size_t b = from; b < to; b++)
+            if (search->active[b] && !keep_window(search, cell, b, here)) return 0;
+    }
+    return 1;
+}
+
+/* ---- bands ---- */
+
+/* First row and the one after the last that a band asks for in a block. */
+static void band_rows(const StripeImage *image, const int32_t *rows, size_t block, int32_t *top, int32_t *bottom) {
+    size_t end = (block + 1) * BLOCK < image->width ? (block + 1) * BLOCK : image->width;
+    *top = INT32_MAX;
+    *bottom = 0;
+    for (size_t x = block * BLOCK; x < end; x++) {
+        if (rows[2 * x] >= rows[2 * x + 1]) continue;
+        *top = rows[2 * x] < *top ? rows[2 * x] : *top;
+        *bottom = rows[2 * x + 1] > *bottom ? rows[2 * x + 1] : *bottom;
+    }
+    if (*top < 0) *top = 0;
+    if (*bottom > 0 && (size_t)*bottom > image->height) *bottom = (int32_t)image->height;
+}
+
+static void mark_band(Search *search, size_t block, int32_t top, int32_t bottom) {
+    size_t first = (size_t)(top / CELL), end = (size_t)((bottom + CELL - 1) / CELL) + 1;
+    for (size_t row = first; row < end; row++) search->wanted[row * search->blocks + block] = search->asked[row] = 1;
+    for (size_t row = first; row < end + ABOVE + BELOW; row++) {
+        size_t *extent = search->extent + 2 * row;
+        search->needed[row * search->blocks + block] = 1;
+        if (extent[1] == 0 || extent[0] > block) extent[0] = block;
+        if (extent[1] < block + 1) extent[1] = block + 1;
+    }
+}
+
+static int mark_bands(Search *search, const Bands *bands) {
+    size_t blocks = search->blocks, rows = search->cells + 1, all = rows + ABOVE + BELOW;
+    search->extent = calloc(2 * all, sizeof *search->extent);
+    search->wanted = calloc((rows + all) * blocks + rows, 1);
+    if (search->wanted == NULL || search->extent == NULL) return 0;
+    search->needed = search->wanted + rows * blocks;
+    search->asked = search->needed + all * blocks;
+    for (size_t band = 0; band < bands->count; band++)
+        for (size_t block = 0; block < blocks; block++) {
+            int32_t top, bottom;
+            band_rows(search->noise->image, bands->rows + 2 * band * search->noise->image->width, block, &top, &bottom);
+            if (top < bottom) mark_band(search, block, top, bottom);
+        }
+    return 1;
+}
+
+/* ---- all ---- */
+
+/* Rows of cells from -3 on; windows follow when their last cell is known, and are kept when the next ones are. */
+static int pass(Search *search) {
+    double least = (double)search->rules->coarse_per_response * search->rules->least_response;
+    int32_t least_sum = least < 1 ? 1 : least < 1e9 ? (int32_t)least : 1000000000;
+    ptrdiff_t cells = (ptrdiff_t)search->cells;
+    for (ptrdiff_t cell = -1 - ABOVE; cell < cells + BELOW; cell++) {
+        if (search->wanted)
+            add_needed_cells(search, cell);
+        else
+            add_cells(search, cell, 0, search->blocks);
+        if (cell - BELOW >= -1) find_windows(search, cell - BELOW);
+        if (cell - BELOW >= 0 && !keep_windows(search, cell - BELOW - 1, least_sum)) return 0;
+    }
+    memset(window_row(search, cells), 0, search->blocks * sizeof *search->windows);
+    return keep_windows(search, cells - 1, least_sum);
+}
+
+int find_runs(const Noise *noise, const StripeRules *rules, const Bands *bands, List *runs) {
+    Search search = {.noise = noise, .rules = rules, .blocks = noise->blocks, .runs = runs};
+    search.cells = (noise->image->height + CELL - 1) / CELL;
+    search.sums = calloc((RING + WINDOWS + 1) * search.blocks, sizeof *search.sums);
+    search.row_sum = malloc(2 * search.blocks * sizeof *search.row_sum);
+    search.active = malloc(search.blocks);
+    int done = search.sums && search.row_sum && search.active && (!bands->rows || mark_bands(&search, bands));
+    if (done) {
+        search.windows = search.sums + RING * search.blocks;
+        search.open_run = search.windows + WINDOWS * search.blocks;
+        for (size_t b = 0; b < search.blocks; b++) search.open_run[b] = -1;
+        done = pass(&search);
+    }
+    free(search.sums);
+    free(search.row_sum);
+    free(search.active);
+    free(search.wanted);
+    free(search.extent);
+    return done;
+}
