@@ -116,7 +116,8 @@ static Columns *measure_piece(Job *job, const int32_t *order, size_t count) {
         trial = trial < 1 ? 1 : trial > last ? last : trial;
         Scatter tried = measure_piece_with(job, (size_t)trial, width, order, count, other);
         size_t lost = columns->count > other->count ? columns->count - other->count : 0;
-        if (tried.variance < BETTER * of.variance && LOST_ONE_IN * lost <= columns->count) {
+        int better = scatter_variance(other, tried) < BETTER * scatter_variance(columns, of);
+        if (better && LOST_ONE_IN * lost <= columns->count) {
             columns = other;
             of = tried;
         }

@@ -35,13 +35,15 @@ void measure_columns(const Measure *how, Columns *columns);
 
 /* What second differences between centres show: near ones, unless far ones show much more. */
 typedef struct {
-    double variance; /* of a centre */
-    double excess;   /* over what the sensor's noise explains */
-    size_t lag;      /* columns between the centres */
-    int background;  /* whether it is far ones */
+    double excess;  /* over what the sensor's noise explains */
+    size_t lag;     /* columns between the centres */
+    int background; /* whether it is far ones */
 } Scatter;
 
 Scatter scatter(Columns *columns);
+
+/* Variance of a centre that those differences show. */
+double scatter_variance(Columns *columns, Scatter of);
 
 /* An excess above this comes from speckle, clutter or bends rather than from the sensor. */
 #define CLUTTERED 8.0

@@ -35,16 +35,25 @@ static size_t fitting(size_t lag, const Columns *columns) {
     return 4 * lag < columns->count ? lag : columns->count / 4;
 }
 
-/* Squares of second differences: variances of centres, and these over what the sensor's noise explains. */
+/* Squares of second differences over what the sensor's noise explains. */
 VECTOR_LOOP
-static void square_differences(Columns *columns, size_t lag, size_t count) {
+static void compare_differences(Columns *columns, size_t lag, size_t count) {
     const double *restrict y = columns->y, *restrict variance = columns->variance;
-    double *restrict square = columns->square, *restrict ratio = columns->ratio;
+    double *restrict ratio = columns->ratio;
     for (size_t i = 0; i < count; i++) {
         double off = (y[i] + y[i + 2 * lag]) - 2 * y[i + lag];
-        double explained = (variance[i] + variance[i + 2 * lag]) + 4 * variance[i + lag];
+        ratio[i] = off * off / ((variance[i] + variance[i + 2 * lag]) + 4 * variance[i + lag]);
+    }
+}
+
+/* Squares of second differences as variances of centres. */
+VECTOR_LOOP
+static void square_differences(Columns *columns, size_t lag, size_t count) {
+    const double *restrict y = columns->y;
+    double *restrict square = columns->square;
+    for (size_t i = 0; i < count; i++) {
+        double off = (y[i] + y[i + 2 * lag]) - 2 * y[i + lag];
         square[i] = off * off / VARIANCES;
-        ratio[i] = off * off / explained;
     }
 }
 
@@ -62,24 +71,29 @@ static double clipped_mean(double *value, size_t count) {
     return mean;
 }
 
-static Scatter scatter_at(Columns *columns, size_t lag) {
+static double excess(Columns *columns, size_t lag) {
     size_t count = differences(columns, fitting(lag, columns));
-    square_differences(columns, fitting(lag, columns), count);
-    double excess = PRIOR_DIFFERENCES + clipped_mean(columns->ratio, count) * (double)count;
-    return (Scatter){clipped_mean(columns->square, count), excess / (PRIOR_DIFFERENCES + (double)count), lag, 0};
+    compare_differences(columns, fitting(lag, columns), count);
+    double sum = PRIOR_DIFFERENCES + clipped_mean(columns->ratio, count) * (double)count;
+    return sum / (PRIOR_DIFFERENCES + (double)count);
 }
 
 Scatter scatter(Columns *columns) {
-    Scatter near = scatter_at(columns, NEAR_LAG), far = scatter_at(columns, FAR_LAG);
-    far.background = far.excess > BACKGROUND * near.excess;
-    return far.background ? far : near;
+    double near = excess(columns, NEAR_LAG), far = excess(columns, FAR_LAG);
+    int background = far > BACKGROUND * near;
+    return (Scatter){background ? far : near, background ? FAR_LAG : NEAR_LAG, background};
+}
+
+double scatter_variance(Columns *columns, Scatter of) {
+    size_t lag = fitting(of.lag, columns), count = differences(columns, lag);
+    square_differences(columns, lag, count);
+    return clipped_mean(columns->square, count);
 }
 
 /* Adds to the variance of each column that of its surroundings, that of all the piece counting as some more. */
 static void add_locally(Columns *columns, Scatter of) {
     size_t lag = fitting(of.lag, columns), count = differences(columns, lag);
-    double limit = LARGEST_SQUARE * of.variance, *sum = columns->ratio;
-    square_differences(columns, lag, count);
+    double piece = scatter_variance(columns, of), limit = LARGEST_SQUARE * piece, *sum = columns->ratio;
     sum[0] = 0;
     for (size_t i = 0; i < count; i++)
         sum[i + 1] = sum[i] + (columns->square[i] < limit ? columns->square[i] : limit);
@@ -88,7 +102,7 @@ static void add_locally(Columns *columns, Scatter of) {
         size_t to = i + SURROUNDINGS + 1 > lag ? i + SURROUNDINGS + 1 - lag : 0;
         if (to > count) to = count;
         if (from > to) from = to;
-        double local = (sum[to] - sum[from]) + PIECE_DIFFERENCES * of.variance;
+        double local = (sum[to] - sum[from]) + PIECE_DIFFERENCES * piece;
         columns->variance[i] += local / ((double)(to - from) + PIECE_DIFFERENCES);
     }
 }
