@@ -1,0 +1,39 @@
+"""A verdict as keys of a file and as lines to read."""
+
+from typing import Any
+
+from ringpose.types.verdict import Finding, Grade, Verdict
+
+
+def verdict_values(verdict: Verdict) -> dict[str, Any]:
+    """The key `verdict` of a calibration file: grade, advice, every number with its limits."""
+    return {
+        "grade": str(verdict.grade),
+        "advice": list(verdict.advice),
+        "findings": [_finding_values(finding) for finding in verdict.findings],
+    }
+
+
+def verdict_lines(verdict: Verdict) -> list[str]:
+    """Grade with the numbers that are not good, then the advice, one line each."""
+    poor = [finding for finding in verdict.findings if finding.grade is not Grade.GOOD]
+    reasons = "; ".join(finding_text(finding) for finding in poor) or "every number is within its limit"
+    return [f"verdict: {verdict.grade}: {reasons}", *(f"advice: {sentence}" for sentence in verdict.advice)]
+
+
+def finding_text(finding: Finding) -> str:
+    """`left held_out_rms_m 0.0004 (limit 0.0002)`."""
+    place = f"{finding.place} " if finding.place else ""
+    value = "unknown" if finding.value != finding.value else f"{finding.value:.3g}"
+    return f"{place}{finding.name} {value} (limit {finding.good_limit:.3g})"
+
+
+def _finding_values(finding: Finding) -> dict[str, Any]:
+    values: dict[str, Any] = {"place": finding.place} if finding.place else {}
+    return values | {
+        "name": finding.name,
+        "value": finding.value,
+        "good_limit": finding.good_limit,
+        "redo_limit": finding.redo_limit,
+        "grade": str(finding.grade),
+    }

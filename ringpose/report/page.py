@@ -1,0 +1,94 @@
+"""One self-contained HTML page: sections of text, tables and pictures, nothing loaded from elsewhere."""
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from string import Template
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Picture:
+    """A picture with the sentence that says how to read it."""
+
+    png: bytes
+    caption: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """Rows of text under headings."""
+
+    headings: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Section:
+    """A part of the page."""
+
+    title: str
+    text: Sequence[str] = ()
+    """Paragraphs."""
+    table: Table | None = None
+    pictures: Sequence[Picture] = ()
+
+
+def page(title: str, sections: Sequence[Section]) -> str:
+    """The page, whole."""
+    body = "\n".join(_section(section) for section in sections)
+    return _PAGE.substitute(title=escape(title), body=body)
+
+
+_PAGE = Template("""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width">
+<title>$title</title>
+<style>
+body { font: 15px/1.45 sans-serif; color: #222; max-width: 1080px; margin: 2em auto; padding: 0 1em; }
+h1 { font-size: 1.5em; } h2 { font-size: 1.15em; margin-top: 2em; border-bottom: 1px solid #ccc; }
+table { border-collapse: collapse; }
+td, th { padding: .15em .8em; text-align: right; border-bottom: 1px solid #e4e4e4; }
+td:first-child, th:first-child { text-align: left; } th { font-weight: 600; }
+.good { color: #17692c; } .can-be-improved { color: #9a6700; } .redo { color: #b3261e; }
+figure { margin: 1em 0; } img { max-width: 100%; } figcaption { color: #555; }
+</style>
+</head>
+<body>
+<h1>$title</h1>
+$body
+</body>
+</html>
+""")
+
+
+def _section(section: Section) -> str:
+    parts = [f"<h2>{escape(section.title)}</h2>"]
+    parts += [f"<p>{escape(paragraph)}</p>" for paragraph in section.text]
+    parts += [_table(section.table)] if section.table is not None else []
+    parts += [_figure(picture) for picture in section.pictures]
+    return "\n".join(parts)
+
+
+def _table(table: Table) -> str:
+    head = "".join(f"<th>{escape(heading)}</th>" for heading in table.headings)
+    rows = "\n".join(f"<tr>{''.join(_cell(cell) for cell in row)}</tr>" for row in table.rows)
+    return f"<table>\n<tr>{head}</tr>\n{rows}\n</table>"
+
+
+_GRADES = {"good": "good", "can be improved": "can-be-improved", "redo": "redo"}
+
+
+def _cell(text: str) -> str:
+    grade = f' class="{_GRADES[text]}"' if text in _GRADES else ""
+    return f"<td{grade}>{escape(text)}</td>"
+
+
+def _figure(picture: Picture) -> str:
+    data = base64.b64encode(picture.png).decode("ascii")
+    caption = escape(picture.caption)
+    return (
+        f'<figure><img alt="{caption}" src="data:image/png;base64,{data}"><figcaption>{caption}</figcaption></figure>'
+    )

@@ -1,0 +1,80 @@
+"""The page: whole in itself, and nothing in it is taken for markup."""
+
+import base64
+import re
+from html.parser import HTMLParser
+
+import cv2
+import numpy as np
+import pytest
+
+from ringpose.errors import UsageError
+from ringpose.report.canvas import canvas, png_of
+from ringpose.report.page import Picture, Section, Table, page
+from ringpose.report.requirement import require_matplotlib
+from ringpose.report.verdict_section import verdict_section
+from ringpose.types.verdict import Finding, Verdict
+
+
+class Tags(HTMLParser):
+    """Checks that each tag that is opened is closed."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.text = ""
+
+    def handle_starttag(self, tag, attrs):
+        if tag not in ("meta", "img"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def test_texts_are_shown_as_they_are():
+    html = page("a < b", [Section(title="c & d", text=["<script>"], table=Table(headings=["<i>"], rows=[["1 < 2"]]))])
+
+    parser = Tags()
+    parser.feed(html)
+    assert parser.open == []
+    assert all(text in parser.text for text in ("a < b", "c & d", "<script>", "<i>", "1 < 2"))
+
+
+def test_a_picture_is_inside_the_page():
+    drawn = canvas(2, 1)
+    drawn.subplots().plot([0, 1])
+
+    html = page("t", [Section(title="s", pictures=[Picture(png=png_of(drawn), caption="a line")])])
+
+    data = re.search(r'src="data:image/png;base64,([^"]+)"', html)
+    assert data
+    image = cv2.imdecode(np.frombuffer(base64.b64decode(data[1]), np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert image.shape == (110, 220)
+    assert image.min() < 200
+
+
+def test_the_page_loads_nothing_from_elsewhere():
+    assert re.findall(r"https?://|<script|<link", page("t", [Section(title="s")])) == []
+
+
+def test_a_verdict_shows_each_number_with_its_limits():
+    finding = Finding(
+        name="tilt_deg", value=5.0, good_limit=20.0, redo_limit=-np.inf, advice="tilt the board", place="left"
+    )
+
+    section = verdict_section(Verdict(findings=(finding,)))
+
+    assert section.title == "Verdict: can be improved"
+    assert section.text == ("tilt the board",)
+    assert section.table.rows == [["left tilt_deg", "5", "20", "none", "can be improved"]]
+
+
+def test_a_missing_matplotlib_is_said_with_its_remedy(monkeypatch):
+    monkeypatch.setattr("ringpose.report.requirement.find_spec", lambda name: None)
+
+    with pytest.raises(UsageError, match=r"matplotlib is not installed; pip install 'ringpose\[report\]'"):
+        require_matplotlib()
