@@ -1,13 +1,72 @@
-"""Devices by name: `files:shots`, `sim:scene.yaml`, `none:`."""
+"""Devices by name: `files:shots`, `sim:scene.yaml`, `aravis://192.168.0.5?format=Mono12`, `lcus:/dev/ttyUSB0?ch=1,2,3`.
+
+Which schemes there are, entry points say: the groups `ringpose.cameras` and `ringpose.lasers`, each entry named by its
+scheme. An installed package may add its own; nothing is imported before it is asked for by name.
+"""
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from typing import Any
+from urllib.parse import parse_qsl
 
 from ringpose.errors import UsageError
 
-CAMERAS = ("files", "sim")
+CAMERAS = "ringpose.cameras"
 
-LASERS = ("none", "sim")
+LASERS = "ringpose.lasers"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DeviceUri:
+    """A device's URI in its parts: `scheme:place?key=value&key=value`."""
+
+    text: str
+    """As the user wrote it."""
+    option: str
+    """The option that it was given with."""
+    scheme: str
+    place: str
+    """Between the colon (and slashes) and the question mark."""
+    parameters: Mapping[str, str]
+
+    def problem(self, found: str, remedy: str = "") -> UsageError:
+        """What is wrong with it, for the user."""
+        return UsageError(f"{self.option} {self.text}", found, remedy)
+
+    def refuse_unknown(self, known: Sequence[str]) -> None:
+        """Only these parameters may be given."""
+        for key in self.parameters:
+            if key not in known:
+                near = difflib.get_close_matches(key, known, n=1)
+                remedy = f"did you mean {near[0]}?" if near else f"it takes {', '.join(known) or 'none'}"
+                raise self.problem(f'has no parameter "{key}"', remedy)
+
+    def number(self, key: str, default: float) -> float:
+        """A parameter that is a number."""
+        try:
+            return float(self.parameters.get(key, default))
+        except ValueError:
+            raise self.problem(f'{key} is "{self.parameters[key]}", must be a number') from None
+
+
+def schemes(group: str) -> tuple[str, ...]:
+    """The names under which drivers are registered."""
+    return tuple(sorted({entry.name for entry in entry_points(group=group)}))
+
+
+def driver(group: str, scheme: str) -> Any:
+    """What is registered under a name, imported now: it makes a driver of a `DeviceUri`."""
+    return next(iter(entry_points(group=group, name=scheme))).load()
+
+
+def device_uri(text: str, option: str, group: str) -> DeviceUri:
+    """The URI in its parts; its scheme must be one of those registered."""
+    scheme, rest = scheme_and_rest(text, option, schemes(group))
+    place, _, query = rest.removeprefix("//").partition("?")
+    parameters = dict(parse_qsl(query, keep_blank_values=True))
+    return DeviceUri(text=text, option=option, scheme=scheme, place=place, parameters=parameters)
 
 
 def scheme_and_rest(uri: str, option: str, schemes: Sequence[str]) -> tuple[str, str]:

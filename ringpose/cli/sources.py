@@ -11,7 +11,7 @@ from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.capture.lasers.simulated import SimulatedLasers
 from ringpose.capture.lasers.uncontrolled import UncontrolledLasers, refuse_switching
 from ringpose.capture.pace import paced
-from ringpose.capture.uri import CAMERAS, LASERS, scheme_and_rest
+from ringpose.capture.uri import CAMERAS, LASERS, scheme_and_rest, schemes
 from ringpose.cli.batch import Batch
 from ringpose.errors import DataError, NoInputError, UsageError
 from ringpose.files.inputs import STDIN, Input, Problem, Record, inputs
@@ -51,8 +51,8 @@ class Source:
 
 def source_of(wanted: Wanted, batch: Batch) -> Source:
     """The source that the URIs name; bad shots of a recording are the batch's business."""
-    scheme, rest = scheme_and_rest(wanted.camera, "--camera", CAMERAS)
-    if wanted.lasers is not None and scheme_and_rest(wanted.lasers, "--lasers", LASERS)[1]:
+    scheme, rest = scheme_and_rest(wanted.camera, "--camera", schemes(CAMERAS))
+    if wanted.lasers is not None and scheme_and_rest(wanted.lasers, "--lasers", schemes(LASERS))[1]:
         raise UsageError("--lasers", f'"{wanted.lasers}" has words after its colon', "leave them out")
     return _recorded(rest, wanted, batch) if scheme == "files" else _simulated(Path(rest), wanted)
 

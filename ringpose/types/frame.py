@@ -23,6 +23,13 @@ class Frame:
     stamp_s: float
     """Host clock (Unix epoch, UTC) at the start of exposure."""
     exposure_s: float
+    device_stamp_s: float | None = None
+    """The camera's own clock; None where it has none."""
+    frame_id: int | None = None
+    """The camera's own number of the frame."""
+    gain_db: float | None = None
+    attempts: int = 1
+    """Triggers that it took to get this frame whole."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

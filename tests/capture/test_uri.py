@@ -2,7 +2,7 @@
 
 import pytest
 
-from ringpose.capture.uri import CAMERAS, LASERS, scheme_and_rest
+from ringpose.capture.uri import CAMERAS, LASERS, device_uri, scheme_and_rest, schemes
 from ringpose.errors import UsageError
 
 
@@ -15,7 +15,7 @@ from ringpose.errors import UsageError
     ],
 )
 def test_a_uri_is_parted_at_its_first_colon(uri, parts):
-    assert scheme_and_rest(uri, "--camera", CAMERAS) == parts
+    assert scheme_and_rest(uri, "--camera", ("files", "sim")) == parts
 
 
 @pytest.mark.parametrize(
@@ -28,9 +28,30 @@ def test_a_uri_is_parted_at_its_first_colon(uri, parts):
 )
 def test_an_unknown_device_is_wrong_usage(uri, remedy):
     with pytest.raises(UsageError, match=remedy):
-        scheme_and_rest(uri, "--camera", CAMERAS)
+        scheme_and_rest(uri, "--camera", ("files", "sim"))
 
 
 def test_a_camera_is_no_laser():
     with pytest.raises(UsageError, match='--lasers: "files:shots" names no device'):
-        scheme_and_rest("files:shots", "--lasers", LASERS)
+        scheme_and_rest("files:shots", "--lasers", schemes(LASERS))
+
+
+def test_a_device_uri_has_a_place_and_parameters():
+    uri = device_uri("files:///dev/serial/by-id/a?ch=1,2&note=a%20b", "--camera", CAMERAS)
+
+    assert uri.place == "/dev/serial/by-id/a"
+    assert uri.parameters == {"ch": "1,2", "note": "a b"}
+
+
+def test_a_misspelt_parameter_is_wrong_usage_with_the_right_one():
+    uri = device_uri("sim:scene.yaml?formt=Mono12", "--camera", CAMERAS)
+
+    with pytest.raises(UsageError, match='no parameter "formt"; did you mean format'):
+        uri.refuse_unknown(("format", "gain"))
+
+
+def test_a_parameter_that_must_be_a_number_is_checked():
+    uri = device_uri("sim:scene.yaml?gain=high", "--camera", CAMERAS)
+
+    with pytest.raises(UsageError, match='gain is "high", must be a number'):
+        uri.number("gain", 0.0)

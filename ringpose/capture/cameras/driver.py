@@ -25,8 +25,17 @@ class CameraDriver(Device, Protocol):
     def describe(self) -> CameraDescription:
         """Which camera it is; only while it is open."""
 
+    def bounds(self, feature: str) -> tuple[float, float] | None:
+        """Least and greatest value of a feature by its SFNC name (`ExposureTime`, in us); None if it has none."""
+
+    def set(self, feature: str, value: float | str) -> None:
+        """Set a feature by its SFNC name; a `DeviceError` names the bounds if the value lies outside them."""
+
     def arm(self, exposure_s: float | None) -> None:
         """Be ready for the frames of one shot, each exposed this long; None for the device's own setting."""
 
-    def trigger(self, lasers: int) -> Frame:
-        """Expose one frame now and wait for it; `lasers` is the mask commanded, to be kept with the frame."""
+    def trigger(self, lasers: int, exposure_s: float | None = None) -> Frame:
+        """Expose one frame now and wait for it; without an exposure of its own, as long as was said when arming.
+
+        `lasers` is the mask commanded, to be kept with the frame.
+        """

@@ -4,6 +4,7 @@ from typing import Protocol, runtime_checkable
 
 from ringpose.capture.cameras.driver import CameraDescription, CameraDriver
 from ringpose.capture.lasers.driver import LaserDriver
+from ringpose.errors import DeviceError
 from ringpose.types.frame import Frame
 
 
@@ -38,10 +39,19 @@ class SimulatedCamera(CameraDriver):
         self._moment += 1
         self._exposure_s = exposure_s
 
-    def trigger(self, lasers: int) -> Frame:
+    def bounds(self, feature: str) -> tuple[float, float] | None:
+        """The scene's camera takes any setting."""
+        return None
+
+    def set(self, feature: str, value: float | str) -> None:
+        """The scene file alone says how its camera is set."""
+        raise DeviceError("sim:", f"{feature} cannot be set to {value}", "change the scene file")
+
+    def trigger(self, lasers: int, exposure_s: float | None = None) -> Frame:
         """A frame of this moment; lasers that cannot say what is on are taken as commanded."""
         lit = self._lasers.read_mask()
-        frame = self._scene_frame(self._moment, lasers if lit is None else lit, self._exposure_s)
+        exposed_s = self._exposure_s if exposure_s is None else exposure_s
+        frame = self._scene_frame(self._moment, lasers if lit is None else lit, exposed_s)
         return Frame(image=frame.image, lasers=lasers, stamp_s=frame.stamp_s, exposure_s=frame.exposure_s)
 
     def close(self) -> None:
