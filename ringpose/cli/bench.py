@@ -9,7 +9,7 @@ import typer
 from ringpose.cli.app import app
 from ringpose.cli.bench_detectors import detectors
 from ringpose.cli.bench_speed import speed
-from ringpose.cli.options import Force, OptionalRigFile, PoseFrame, Quiet
+from ringpose.cli.options import STDOUT, Force, OptionalRigFile, PoseFrame, Quiet
 from ringpose.pose.method import Method
 
 if TYPE_CHECKING:
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from ringpose.types.truth import Truth
 
     Limits = tuple[dict[str, float], dict[tuple[Outcome, ...], int]]
-
-STDOUT = "-"
 
 DEFAULT_GROUPS = ("distance_m", "light")
 

@@ -5,13 +5,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ringpose.cli.options import Force, ImageChannel, Quiet
+from ringpose.cli.options import STDOUT, Force, ImageChannel, Quiet
 
 if TYPE_CHECKING:
     from ringpose.bench.detectors import DetectorLine, KnownImage
     from ringpose.cli.batch import Batch
 
-STDOUT = "-"
 ALL_KINDS = "dark, dim, speckle, saturated, foil, foilbright"
 
 Images = Annotated[

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ringpose.cli.options import Force, PoseFrame
+from ringpose.cli.options import STDOUT, Force, PoseFrame
 from ringpose.pose.method import Method
 
 if TYPE_CHECKING:
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from ringpose.types.frame import Shot
     from ringpose.types.rig import Rig
 
-STDOUT = "-"
 
 COMMAND = "import sys; from ringpose.cli.main import run; run()"
 

@@ -9,6 +9,9 @@ import typer
 from ringpose.pose.method import Method
 
 
+STDOUT = "-"
+
+
 class Channel(StrEnum):
     """A channel of a colour image."""
 

@@ -11,14 +11,12 @@ from ringpose.files.images import write_image
 from ringpose.types.break_points import Detection
 from ringpose.types.frame import Shot
 
-STDOUT = "-"
-
 
 class DetectionSink:
     """Writes each detection as soon as it is there; of two shots with one name the second is refused."""
 
     def __init__(self, output: str, overlays: Path | None, *, rig: Path | None, full: bool, force: bool) -> None:
-        self.folder = None if output == STDOUT else atomic.make_folder(Path(output))
+        self.folder = None if output == records.STDOUT else atomic.make_folder(Path(output))
         self.overlays = None if overlays is None else atomic.make_folder(overlays)
         self.rig = rig
         self.full = full

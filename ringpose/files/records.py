@@ -9,7 +9,10 @@ from typing import IO, Any
 from ringpose.errors import DataError, InputOutputError, SignalReceived
 from ringpose.files.plain import plain
 
-_STDOUT = "standard output"
+STDOUT = "-"
+"""How standard output is named where a file could be."""
+
+_PLACE = "standard output"
 
 
 def line_of(record: Mapping[str, Any]) -> str:
@@ -25,7 +28,7 @@ def write(record: Mapping[str, Any]) -> None:
 def write_text(line: str) -> None:
     """One line on stdout, at once; a closed pipe ends the command as the signal would."""
     if sys.stdout is None:
-        raise InputOutputError(_STDOUT, "is closed")
+        raise InputOutputError(_PLACE, "is closed")
     try:
         sys.stdout.write(line)
         sys.stdout.flush()
@@ -33,7 +36,7 @@ def write_text(line: str) -> None:
         raise SignalReceived(signal.SIGPIPE) from None
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
-        raise InputOutputError(_STDOUT, f"writing broke off: {reason}") from error
+        raise InputOutputError(_PLACE, f"writing broke off: {reason}") from error
 
 
 def read(stream: Iterable[str] | IO[str], place: str) -> Iterator[tuple[str, dict[str, Any]]]:

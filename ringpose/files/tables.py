@@ -8,8 +8,6 @@ from pathlib import Path
 from ringpose.files import records
 from ringpose.files.atomic import replacing
 
-STDOUT = "-"
-
 
 def csv_text(rows: Iterable[Sequence[str | float | int | bool]]) -> str:
     """Rows as RFC 4180 has them, but for bare line feeds."""
@@ -20,7 +18,7 @@ def csv_text(rows: Iterable[Sequence[str | float | int | bool]]) -> str:
 
 def write_result(target: str, text: str, *, force: bool) -> None:
     """The text on stdout for `-`, or as a file."""
-    if target == STDOUT:
+    if target == records.STDOUT:
         records.write_text(text)
         return
     with replacing(Path(target), force) as stream:
