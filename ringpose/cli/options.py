@@ -8,7 +8,6 @@ import typer
 
 from ringpose.pose.method import Method
 
-
 STDOUT = "-"
 
 
