@@ -1,4 +1,4 @@
-"""Centres of the laser stripes, column by column (MATH.md section 3).
+"""Centres of the laser stripes, column by column (ringpose-method(7), section 3).
 
 Stripes run roughly along the image rows. In each column a stripe is a ridge: the second derivative of the
 Gaussian-smoothed grey values has a minimum there, and the zero of the first derivative next to it is the centre.

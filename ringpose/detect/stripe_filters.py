@@ -1,4 +1,4 @@
-"""The filters that find and refine stripes: derivatives of Gaussians down the columns (MATH.md section 3)."""
+"""Derivatives of Gaussians down the columns, to find stripes and to refine them (ringpose-method(7), section 3)."""
 
 import math
 from functools import lru_cache

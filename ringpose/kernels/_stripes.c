@@ -1,5 +1,4 @@
-/* The Python side of the stripe kernel; arguments are checked here. Twins: reference_stripes.py and
-   reference_stripe_centers.py. */
+/* The Python side of the stripe kernel; arguments are checked here. Twin: reference_stripes.py. */
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 

@@ -1,4 +1,4 @@
-/* From linked ridges to centres with standard deviations; twin: reference_stripe_centers.centers. */
+/* From linked ridges to centres with standard deviations; twin: reference_stripe_centers.py. */
 #include "stripe_columns.h"
 
 #include <math.h>

@@ -1,4 +1,4 @@
-/* Ridges of neighbouring columns joined into pieces; twin: reference_stripes.pieces. */
+/* Ridges of neighbouring columns joined into pieces; twin: reference_stripe_links.py. */
 #include "stripes.h"
 
 #include <stdlib.h>
@@ -85,8 +85,8 @@ static int is_next(const Track *track, float y, float apart) {
 
 /* Each ridge asks the nearest piece; a piece takes the nearest that asks, of equals the upper. */
 static void match(Course *course, const Ridge *ridge, size_t count) {
-    Track *track = course->tracks, *last = track + course->count - 1;
     if (course->count == 0) return;
+    Track *track = course->tracks, *last = track + course->count - 1;
     for (size_t i = 0; i < count; i++) {
         float apart = distance(track->expected, ridge[i].y);
         for (; track < last; track++) {

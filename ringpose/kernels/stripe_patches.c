@@ -1,4 +1,4 @@
-/* Small patches of the image, differentiated down the columns; twin: reference_stripes.derivative. */
+/* Small patches of the image, differentiated down the columns; twin: reference_stripe_patches.py. */
 #include "stripes.h"
 
 /* GNU C's vectors keep sums in registers: the compilers do not see that they may, in loops over 16 columns. */
