@@ -1,0 +1,84 @@
+"""Boards that take lines of text, such as an Arduino with a sketch of one's own: the lines are templates."""
+
+import re
+from dataclasses import dataclass
+
+from ringpose.wire.relay_codec import Command, Read, Switch, WireError
+
+_ON_WORDS = frozenset({"1", "on", "high", "true"})
+
+_OFF_WORDS = frozenset({"0", "off", "low", "false"})
+
+
+@dataclass(frozen=True, slots=True)
+class AsciiCodec:
+    """`{n}` in a template stands for the relay's number."""
+
+    on: str
+    off: str
+    read: str = ""
+    """Asks for the mask of all relays, answered by a number (bit 0 the first relay); empty if the board cannot say."""
+    acknowledged_by: str = ""
+    """The line that follows each command; empty if none does."""
+    end: str = "\n"
+    first: int = 1
+    switches_rows: bool = False
+
+    @property
+    def reports(self) -> bool:
+        """Whether it can say what is on."""
+        return bool(self.read)
+
+    def request(self, command: Command) -> bytes:
+        """One line."""
+        if isinstance(command, Read):
+            return (self.read + self.end).encode()
+        if not isinstance(command, Switch):
+            raise WireError("a board of text lines is told one relay at a time")
+        template = self.on if command.on else self.off
+        return (template.replace("{n}", str(command.relay + self.first)) + self.end).encode()
+
+    def is_whole(self, command: Command, received: bytes) -> bool:
+        """A line, if one is to come at all."""
+        return received.endswith(b"\n") if isinstance(command, Read) or self.acknowledged_by else True
+
+    def lit(self, command: Command, received: bytes) -> int:
+        """The mask that the last line says."""
+        lines = received.decode("ascii", "replace").split("\n")
+        line = lines[-2].strip() if len(lines) > 1 else ""
+        if isinstance(command, Read):
+            return self._mask(line, command.count)
+        if self.acknowledged_by and line != self.acknowledged_by:
+            raise WireError(f'answered "{line}", not "{self.acknowledged_by}"')
+        return 0
+
+    def commands(self, received: bytes) -> tuple[list[Command], bytes]:
+        """Whole lines that fit a template."""
+        end = self.end.encode()
+        *lines, rest = received.split(end)
+        found = [self._command(line.decode("ascii", "replace")) for line in lines]
+        return [command for command in found if command is not None], rest
+
+    def answer(self, command: Command, lit: int, relays: int) -> bytes:
+        """The mask, or the acknowledgement."""
+        if isinstance(command, Read):
+            return f"{lit}\r\n".encode()
+        return f"{self.acknowledged_by}\r\n".encode() if self.acknowledged_by else b""
+
+    def _command(self, line: str) -> Command | None:
+        if self.read and line == self.read:
+            return Read(0)
+        for template, on in ((self.on, True), (self.off, False)):
+            number = re.fullmatch(re.escape(template).replace(r"\{n\}", r"(\d+)"), line)
+            if number is not None:
+                return Switch(int(number[1]) - self.first, on)
+        return None
+
+    def _mask(self, line: str, count: int) -> int:
+        word = line.lower()
+        if count == 1 and word in _ON_WORDS | _OFF_WORDS:
+            return int(word in _ON_WORDS)
+        try:
+            return int(word, 0) & ((1 << count) - 1)
+        except ValueError:
+            raise WireError(f'answered "{line}" to the question what is on') from None

@@ -1,0 +1,122 @@
+"""Modbus-RTU relay boards (Waveshare, LC-tech): coils by functions 01, 05 and 0F, and the timed pulse of Waveshare's.
+
+The pulse is function 05 at address 0200h + relay with the time in tenths of a second: the board itself switches off.
+"""
+
+from dataclasses import dataclass
+
+from ringpose.wire.relay_codec import Command, Pulse, Read, Switch, SwitchRow, WireError
+
+READ_COILS, WRITE_COIL, WRITE_COILS = 0x01, 0x05, 0x0F
+
+FLASH_ON = 0x0200
+"""Address of the timed pulse of relay 0."""
+
+PULSE_STEP_S = 0.1
+
+_REFUSED = 0x80
+"""Added to the function by a board that refuses."""
+
+_REFUSALS = {1: "it does not know this function", 2: "it has no such relay", 3: "it does not take this value"}
+
+
+@dataclass(frozen=True, slots=True)
+class ModbusCodec:
+    """A board by its unit number; clones count their relays from another base or take another value for on."""
+
+    unit: int = 1
+    first: int = 0
+    on_value: int = 0xFF00
+    reports: bool = True
+    switches_rows: bool = True
+
+    def request(self, command: Command) -> bytes:
+        """One frame."""
+        if isinstance(command, Read):
+            return self._frame(READ_COILS, _words(self.first, command.count))
+        if isinstance(command, SwitchRow):
+            values = command.lit.to_bytes((command.count + 7) // 8, "little")
+            head = _words(self.first + command.first, command.count)
+            return self._frame(WRITE_COILS, head + bytes([len(values)]) + values)
+        if isinstance(command, Pulse):
+            steps = round(command.duration_s / PULSE_STEP_S)
+            return self._frame(WRITE_COIL, _words(FLASH_ON + self.first + command.relay, steps))
+        return self._frame(WRITE_COIL, _words(self.first + command.relay, self.on_value if command.on else 0))
+
+    def is_whole(self, command: Command, received: bytes) -> bool:
+        """By the length that the function has; a refusal has five bytes."""
+        if len(received) < 5:
+            return False
+        if received[1] & _REFUSED:
+            return True
+        return len(received) >= (5 + (command.count + 7) // 8 if isinstance(command, Read) else 8)
+
+    def lit(self, command: Command, received: bytes) -> int:
+        """The coils that are on; writing is acknowledged by the beginning of the request."""
+        if len(received) < 5 or crc(received[:-2]) != received[-2:]:
+            raise WireError(f"answered {received.hex(' ')}, which is no whole frame")
+        request = self.request(command)
+        if received[1] & _REFUSED:
+            reason = _REFUSALS.get(received[2], f"exception {received[2]}")
+            raise WireError(f"refused {request.hex(' ')}: {reason}")
+        same = 2 if isinstance(command, Read) else 6
+        if received[:same] != request[:same]:
+            raise WireError(f"answered {received.hex(' ')} to {request.hex(' ')}")
+        if not isinstance(command, Read):
+            return 0
+        return int.from_bytes(received[3:-2], "little") & ((1 << command.count) - 1)
+
+    def commands(self, received: bytes) -> tuple[list[Command], bytes]:
+        """Frames for this unit; what is none is skipped, byte by byte."""
+        found: list[Command] = []
+        place = 0
+        while len(received) - place >= 8:
+            length = 9 + received[place + 6] if received[place + 1] == WRITE_COILS else 8
+            frame = received[place : place + length]
+            if frame[0] == self.unit and len(frame) < length and length < 16:
+                break
+            command = self._command(frame)
+            if command is not None:
+                found.append(command)
+            place += length if command is not None else 1
+        return found, received[place:]
+
+    def answer(self, command: Command, lit: int, relays: int) -> bytes:
+        """The echo, or the states of the coils that were asked for."""
+        if isinstance(command, Read):
+            values = (lit & ((1 << command.count) - 1)).to_bytes((command.count + 7) // 8, "little")
+            return self._frame(READ_COILS, bytes([len(values)]) + values)
+        request = self.request(command)
+        return self._frame(request[1], request[2:6])
+
+    def _command(self, frame: bytes) -> Command | None:
+        if frame[0] != self.unit or crc(frame[:-2]) != frame[-2:]:
+            return None
+        address, value = int.from_bytes(frame[2:4]), int.from_bytes(frame[4:6])
+        if frame[1] == READ_COILS:
+            return Read(value)
+        if frame[1] == WRITE_COILS:
+            return SwitchRow(address - self.first, value, int.from_bytes(frame[7:-2], "little"))
+        if frame[1] != WRITE_COIL:
+            return None
+        if address >= FLASH_ON:
+            return Pulse(address - FLASH_ON - self.first, value * PULSE_STEP_S)
+        return Switch(address - self.first, value == self.on_value)
+
+    def _frame(self, function: int, content: bytes) -> bytes:
+        body = bytes([self.unit, function]) + content
+        return body + crc(body)
+
+
+def crc(body: bytes) -> bytes:
+    """Modbus' checksum: CRC-16 with the reflected polynomial A001h, low byte first."""
+    value = 0xFFFF
+    for byte in body:
+        value ^= byte
+        for _ in range(8):
+            value = value >> 1 ^ 0xA001 if value & 1 else value >> 1
+    return value.to_bytes(2, "little")
+
+
+def _words(*values: int) -> bytes:
+    return b"".join(value.to_bytes(2) for value in values)

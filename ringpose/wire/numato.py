@@ -1,0 +1,64 @@
+"""Numato boards (CDC-ACM, any baud): text commands ended by a carriage return, echoed, then a prompt `>`."""
+
+import re
+from dataclasses import dataclass
+
+from ringpose.wire.relay_codec import Command, Read, Switch, WireError
+
+_DIGITS = "0123456789ABCDEFGHIJKLMNOPQRSTUV"
+"""How the board names its relays."""
+
+_COMMAND = re.compile(r"relay (on|off) ([0-9A-V])|relay (readall)")
+
+_STATES = re.compile(rb"relay readall[\r\n]+([0-9a-fA-F]+)[\r\n]+>")
+
+
+@dataclass(frozen=True, slots=True)
+class NumatoCodec:
+    """Echo and prompt come whether or not a relay has moved: only reading back tells."""
+
+    first: int = 0
+    reports: bool = True
+    switches_rows: bool = False
+
+    def request(self, command: Command) -> bytes:
+        """One line."""
+        if isinstance(command, Read):
+            return b"relay readall\r"
+        if not isinstance(command, Switch):
+            raise WireError("a Numato board is told one relay at a time")
+        return f"relay {'on' if command.on else 'off'} {_DIGITS[command.relay]}\r".encode()
+
+    def is_whole(self, command: Command, received: bytes) -> bool:
+        """Until the prompt after the echo."""
+        return received.rstrip().endswith(b">") and self._echo(command) in received
+
+    def lit(self, command: Command, received: bytes) -> int:
+        """The relays that are on, written as a hexadecimal number."""
+        if not isinstance(command, Read):
+            if self._echo(command) not in received:
+                raise WireError(f'answered {received!r} to "{self._echo(command).decode()}"')
+            return 0
+        states = _STATES.search(received)
+        if states is None:
+            raise WireError(f"answered {received!r} to the question what is on")
+        return int(states[1], 16) & ((1 << command.count) - 1)
+
+    def commands(self, received: bytes) -> tuple[list[Command], bytes]:
+        """Whole lines that are a command; a board only prompts again after any other."""
+        *lines, rest = received.replace(b"\n", b"").split(b"\r")
+        found: list[Command] = []
+        for line in lines:
+            words = _COMMAND.fullmatch(line.decode("ascii", "replace"))
+            if words is None:
+                continue
+            found.append(Read(0) if words[3] else Switch(_DIGITS.index(words[2]), words[1] == "on"))
+        return found, rest
+
+    def answer(self, command: Command, lit: int, relays: int) -> bytes:
+        """The echo, the states if asked for, the prompt."""
+        states = f"{lit:0{max(1, relays // 4)}x}\n\r".encode() if isinstance(command, Read) else b""
+        return self._echo(command) + b"\n\r" + states + b">"
+
+    def _echo(self, command: Command) -> bytes:
+        return self.request(command).rstrip()

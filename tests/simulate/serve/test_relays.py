@@ -1,0 +1,98 @@
+"""The stand-in of a relay board, spoken to in bytes over its terminal."""
+
+import os
+import time
+
+import pytest
+
+from ringpose.simulate.serve.contacts import ContactFaults, Contacts
+from ringpose.simulate.serve.relays import ServedRelays
+from ringpose.wire.lcus import LcusCodec
+from ringpose.wire.modbus import ModbusCodec
+
+
+def soon(condition, within_s=2.0):
+    ends_s = time.monotonic() + within_s
+    while time.monotonic() < ends_s:
+        if condition():
+            return True
+        time.sleep(0.001)
+    return False
+
+
+def test_bytes_on_the_terminal_light_the_laser_that_the_relay_feeds():
+    with ServedRelays(LcusCodec(), relays=(2, 0)) as board:
+        port = os.open(board.port, os.O_RDWR | os.O_NOCTTY)
+        os.write(port, bytes.fromhex("A0 03 01 A4"))
+        lit = soon(lambda: board.mask_at(time.monotonic()) == 0b01)
+        os.close(port)
+
+    assert lit
+    assert board.channels == "3,1"
+
+
+def test_the_board_reports_its_coils():
+    with ServedRelays(LcusCodec()) as board:
+        port = os.open(board.port, os.O_RDWR | os.O_NOCTTY)
+        os.write(port, bytes.fromhex("A0 02 01 A3 FF"))
+        answer = b""
+        while answer.count(b"\n") < 8:
+            answer += os.read(port, 100)
+        os.close(port)
+
+    assert answer.startswith(b"CH1: OFF\r\nCH2: ON \r\nCH3: OFF\r\n")
+
+
+def test_a_pulse_ends_by_itself():
+    with ServedRelays(ModbusCodec()) as board:
+        port = os.open(board.port, os.O_RDWR | os.O_NOCTTY)
+        os.write(port, bytes.fromhex("01 05 02 00 00 07 8D B0"))
+        came_on = soon(lambda: board.mask_at(time.monotonic()) == 1)
+        now_s = time.monotonic()
+        os.close(port)
+
+    assert came_on
+    assert [board.mask_at(now_s + later_s) for later_s in (0.5, 0.75)] == [1, 0]
+
+
+def test_a_terminal_without_its_cable_hangs_up():
+    with ServedRelays(LcusCodec()) as board:
+        port = os.open(board.port, os.O_RDWR | os.O_NOCTTY)
+
+        board.unplug()
+
+        with pytest.raises(OSError, match="Input/output"):
+            os.write(port, b"x")
+        os.close(port)
+
+
+@pytest.mark.parametrize(
+    ("faults", "masks"),
+    [
+        (ContactFaults(), [0, 1, 1, 0, 0]),
+        (ContactFaults(operate_s=0.25), [0, 0, 1, 0, 0]),
+        (ContactFaults(release_s=0.25), [0, 1, 1, 1, 0]),
+        (ContactFaults(late_s={0: 0.25}), [0, 0, 1, 1, 0]),
+        (ContactFaults(stuck=frozenset({0})), [0, 1, 1, 1, 1]),
+        (ContactFaults(welded=frozenset({0})), [1, 1, 1, 1, 1]),
+        (ContactFaults(dead=frozenset({0})), [0, 0, 0, 0, 0]),
+    ],
+)
+def test_contacts_follow_their_coils_as_their_faults_let_them(faults, masks):
+    contacts = Contacts(1, faults)
+
+    contacts.command(0, True, 1.0)
+    contacts.command(0, False, 2.0)
+
+    assert [contacts.mask_at(time_s) for time_s in (0.9, 1.1, 1.3, 2.1, 2.3)] == masks
+
+
+def test_the_share_of_an_exposure_in_which_a_laser_shines():
+    contacts = Contacts(2)
+
+    contacts.command(1, True, 10.0)
+    contacts.command(1, False, 10.5)
+
+    assert contacts.shares(9.5, 11.5) == pytest.approx((0.0, 0.25))
+    assert contacts.on_since_s(1, 10.2) == 10.0
+    assert contacts.on_since_s(1, 10.7) is None
