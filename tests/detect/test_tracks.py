@@ -1,0 +1,46 @@
+"""Lines through stripe centres are as sure as they say, also where few centres err alike."""
+
+import cv2
+import numpy as np
+import pytest
+
+from ringpose.detect.tracks import straight_tracks
+from ringpose.types.camera import Camera
+from ringpose.types.stripes import Stripes
+
+CAMERA = Camera(
+    camera_name="plain",
+    image_width=1600,
+    image_height=1200,
+    camera_matrix=np.array([[1000.0, 0.0, 799.5], [0.0, 1000.0, 599.5], [0.0, 0.0, 1.0]]),
+    distortion_model="plumb_bob",
+    distortion_coefficients=np.zeros(5),
+)
+
+
+def grainy(rng, columns, grain_px):
+    """Errors of 0.1 px whose neighbours err alike, and 0.03 px of their own."""
+    alike = cv2.GaussianBlur(rng.normal(size=(1, columns + 200)), (0, 0), grain_px)[0, 100:-100]
+    return 0.1 * alike * np.sqrt(2.0 * np.sqrt(np.pi) * grain_px) + 0.03 * rng.normal(size=columns)
+
+
+def line_errors(rng, columns, grain_px):
+    """Errors of one line's ends, in their standard deviations."""
+    x = 700.0 + np.arange(columns)
+    stripes = Stripes(
+        position_px=np.column_stack([x, 600.0 + grainy(rng, columns, grain_px)]),
+        sigma_px=np.full(columns, 0.1),
+        peak_dn=np.full(columns, 100.0),
+        piece=np.zeros(columns, dtype=np.int64),
+        laser=np.zeros(1, dtype=np.int64),
+    )
+    (line,) = straight_tracks(stripes, CAMERA)
+    return [(line.y(end) - 600.0) / line.sigma(end) for end in (line.x_start, line.x_end)]
+
+
+@pytest.mark.parametrize("columns", [29, 58, 120, 250])
+@pytest.mark.parametrize("grain_px", [1.0, 2.0])
+def test_lines_are_as_sure_as_they_say(rng, columns, grain_px):
+    errors = np.array([line_errors(rng, columns, grain_px) for _ in range(400)])
+
+    assert 0.7 < np.sqrt(np.mean(errors**2)) < 1.1
