@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float64, UInt8
 
+from ringpose.calibrate.levelled_corners import levelled_corners
 from ringpose.types.arrays import Array
 
 _SECTOR_BASED: int = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
@@ -36,7 +37,8 @@ def chessboard_corners(
             half_window_px = WINDOW_PER_SQUARE * shortest_side(grid)
             refined = refined_corners(image, grid.reshape(-1, 2), half_window_px).reshape(rows, columns, 2)
             if irregularity(refined) < LARGEST_IRREGULARITY:
-                return _in_board_order(image, refined).reshape(-1, 2)
+                levelled = levelled_corners(image, refined, whole_window(half_window_px))
+                return _in_board_order(image, levelled).reshape(-1, 2)
     return None
 
 
@@ -70,11 +72,16 @@ def shortest_side(grid: Float64[Array, "corner_row corner_column xy=2"]) -> floa
     return float(min(along.min(initial=np.inf), down.min(initial=np.inf)))
 
 
+def whole_window(half_window_px: float) -> int:
+    """A half-window in whole pixels, within what makes sense."""
+    return int(np.clip(half_window_px, 2, LARGEST_WINDOW_PX))
+
+
 def refined_corners(
     image: UInt8[Array, "row column"], corners: Float64[Array, "corner xy=2"], half_window_px: float
 ) -> Float64[Array, "corner xy=2"]:
     """Saddle points near the given corners, within a window; a corner that ran off keeps its place."""
-    half = int(np.clip(half_window_px, 2, LARGEST_WINDOW_PX))
+    half = whole_window(half_window_px)
     start: Any = np.ascontiguousarray(corners, dtype=np.float32).reshape(-1, 1, 2)
     moved = np.asarray(cv2.cornerSubPix(image, start.copy(), (half, half), (-1, -1), _REFINED), dtype=np.float64)
     moved = moved.reshape(-1, 2)

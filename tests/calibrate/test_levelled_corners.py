@@ -1,0 +1,81 @@
+"""Corners in uneven light, on boards whose corners are known from the drawing."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from ringpose.calibrate.board_points import corner_points
+from ringpose.calibrate.board_views import find_board
+from ringpose.calibrate.chessboard import refined_corners
+from ringpose.calibrate.levelled_corners import levelled_corners
+from ringpose.types.board import Board
+
+BOARD = Board(kind="chessboard", squares_x=8, squares_y=7, square_m=0.02)
+HALF_PX = 9
+
+
+@pytest.fixture
+def glaring(drawn_board, rng):
+    """A dim board, lit by a stripe beside it, with speckle."""
+    even = drawn_board(BOARD).astype(np.float64)
+    column = np.arange(even.shape[1])
+    light = 0.12 + 1.5 / (1 + ((column - 380) / 25.0) ** 2)
+    speckle = 1 + 0.05 * rng.standard_normal(even.shape)
+    return np.clip(even * light * speckle, 0, 255).astype(np.uint8)
+
+
+def true_px() -> np.ndarray:
+    return 2000 * corner_points(BOARD)[:, :2] + 40 - 0.5
+
+
+def rms(points: np.ndarray) -> float:
+    return float(np.sqrt(np.mean((points.reshape(-1, 2) - true_px()) ** 2)))
+
+
+def test_corners_beside_a_glaring_stripe_are_half_as_far_off(glaring):
+    start = true_px() + 0.3
+
+    plain = refined_corners(glaring, start, float(HALF_PX))
+    levelled = levelled_corners(glaring, start.reshape(6, 7, 2), HALF_PX)
+
+    assert rms(levelled) < 0.5 * rms(plain)
+
+
+def test_corners_in_even_light_stay_where_they_are(drawn_board):
+    levelled = levelled_corners(drawn_board(BOARD), true_px().reshape(6, 7, 2), HALF_PX)
+
+    assert np.abs(levelled.reshape(-1, 2) - true_px()).max() < 0.02
+
+
+def test_a_flat_image_moves_no_corner():
+    flat = np.full((400, 400), 90, np.uint8)
+
+    assert np.array_equal(levelled_corners(flat, true_px().reshape(6, 7, 2), HALF_PX).reshape(-1, 2), true_px())
+
+
+def test_corners_at_the_rim_keep_their_place(drawn_board):
+    tight = drawn_board(BOARD)[72:-72, 72:-72].copy()
+    start = true_px() - 72 + 0.4
+
+    levelled = levelled_corners(tight, start.reshape(6, 7, 2), HALF_PX).reshape(6, 7, 2)
+
+    assert np.array_equal(levelled[0], start.reshape(6, 7, 2)[0])
+
+
+@pytest.mark.parametrize(
+    ("folder", "number", "reference_px"), [("root", 8, 0.2919), ("calib2", 8, 0.2789), ("calib3", 16, 0.6542)]
+)
+@pytest.mark.slow
+def test_etna_photographs_fit_as_well_as_the_reference(folder, number, reference_px, shared_data):
+    from ringpose.calibrate.camera import CameraModel, calibrate_camera
+
+    paths = sorted((shared_data / "real" / "etna_laser_robot" / folder).glob("*.png"))
+    board = replace(BOARD, square_m=0.01)
+    views = [find_board(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), board, path.stem) for path in paths]
+
+    found = calibrate_camera(views, 1280, 1024, CameraModel(fix_k3=True, keep_all=True))
+
+    assert len(found.used) == number
+    assert found.rms_px < reference_px + 0.01
