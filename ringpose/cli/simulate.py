@@ -7,6 +7,7 @@ import typer
 
 from ringpose.cli.app import app
 from ringpose.cli.options import Force, Quiet, Verbose
+from ringpose.cli.simulate_serve import serve
 
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="The scene (scene.yaml).")]
 OutputFolder = Annotated[
@@ -58,3 +59,6 @@ def simulate(
         if boards is not None:
             views = counted(simulated_boards(seeded, boards, count, processes), f"{name} board views", quiet)
             folder.add_boards(name, boards.board, views)
+
+
+app.command("simulate serve")(serve)

@@ -56,16 +56,18 @@ def simulated_board(
 ) -> tuple[Shot, BoardPlace]:
     """One view of a board."""
     place = places[number]
-    placement = Placement(rotation=place.rotation, translation_m=place.translation_m)
-    stand = Stand(
-        target=board_target(boards.board),
-        placement=placement,
-        sheets=sheets(scene.rig.lasers, scene.lasers, placement),
-        light=Light(name="boards", ambient_w_m2=boards.ambient_w_m2),
-        lasers=_lit(scene, boards.sequence),
-    )
-    stage = staged(scene, stand, (_BOARDS, scene.seed, len(boards.sequence), number))
+    stage = staged(scene, _board_stand(scene, boards, place, boards.sequence), _board_seed(scene, boards, number))
     return _exposed(scene, place.name, stage, boards.sequence, boards.exposure_s, number), place
+
+
+def ring_stage(scene: Scene, view: RingView, number: int) -> Stage:
+    """A view of the ring in which any laser may be lit."""
+    return staged(scene, ring_stand(scene, view), (_SHOTS, scene.seed, number))
+
+
+def board_stage(scene: Scene, boards: BoardSet, place: BoardPlace, number: int) -> Stage:
+    """A view of a board in which any laser may be lit."""
+    return staged(scene, _board_stand(scene, boards, place, (255,)), _board_seed(scene, boards, number))
 
 
 def ring_stand(scene: Scene, view: RingView, masks: tuple[int, ...] = (255,)) -> Stand:
@@ -129,6 +131,21 @@ class SceneFrames:
         self._exposure_s = view_exposure_s(self.scene, stand)
         self._stamp_s = self.scene.start_s + moment * self.scene.period_s
         self._moment = moment
+
+
+def _board_stand(scene: Scene, boards: BoardSet, place: BoardPlace, masks: tuple[int, ...]) -> Stand:
+    placement = Placement(rotation=place.rotation, translation_m=place.translation_m)
+    return Stand(
+        target=board_target(boards.board),
+        placement=placement,
+        sheets=sheets(scene.rig.lasers, scene.lasers, placement),
+        light=Light(name="boards", ambient_w_m2=boards.ambient_w_m2),
+        lasers=_lit(scene, masks),
+    )
+
+
+def _board_seed(scene: Scene, boards: BoardSet, number: int) -> tuple[int, ...]:
+    return (_BOARDS, scene.seed, len(boards.sequence), number)
 
 
 def _exposed(scene: Scene, name: str, stage: Stage, sequence: tuple[int, ...], exposure_s: float, number: int) -> Shot:

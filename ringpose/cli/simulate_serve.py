@@ -1,0 +1,107 @@
+"""`ringpose simulate serve`: stand-ins for camera and relay board, looking at a scene."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping
+    from contextlib import AbstractContextManager
+    from typing import Any
+
+SceneOption = Annotated[Path, typer.Option("--scene", metavar="SCENE", help="The scene (scene.yaml).")]
+Address = Annotated[str, typer.Option("--camera", metavar="ADDRESS", help="Where the camera listens: 127.x.y.z.")]
+RelayKind = Annotated[
+    Literal["lcus", "numato", "modbus", "ascii", "none"],
+    typer.Option("--relay", help="The relay board; none leaves the lasers to the camera's output lines."),
+]
+Shown = Annotated[Literal["ring", "camera-board", "plane-board"], typer.Option("--show", help="What stands there.")]
+MoveWhen = Annotated[
+    Literal["pause", "time", "never"],
+    typer.Option("--move", help="When the next view comes: in a pause between frames, after a time, or never."),
+]
+After = Annotated[float, typer.Option("--after", metavar="S", min=0.0, help="Length of that pause, or that time.")]
+WarmUp = Annotated[
+    float, typer.Option("--warm-up", metavar="S", min=0.0, help="Time in which a laser comes to 63 % of its power.")
+]
+FaultTexts = Annotated[
+    list[str] | None, typer.Option("--fault", metavar="FAULT", help="What goes wrong; may be given several times.")
+]
+Log = Annotated[
+    Path | None, typer.Option("--log", metavar="FILE", help="One line a frame: its view and what truly shone.")
+]
+Overwrite = Annotated[bool, typer.Option("--force", help="Replace a log that exists already.")]
+
+
+def serve(
+    scene: SceneOption,
+    camera: Address = "127.0.0.1",
+    relay: RelayKind = "none",
+    show: Shown = "ring",
+    move: MoveWhen = "pause",
+    after: After = 0.3,
+    warm_up: WarmUp = 0.0,
+    fault: FaultTexts = None,
+    log: Log = None,
+    force: Overwrite = False,
+) -> None:
+    """Stand in for the hardware: a camera and a relay board that look at a scene, until a signal ends it."""
+    import signal
+
+    from ringpose.files import records
+    from ringpose.files.scenes import read_scene
+    from ringpose.simulate.serve.faults import parsed_faults
+    from ringpose.simulate.serve.stand_in import Setup, StandIn
+
+    read = read_scene(scene)
+    setup = Setup(
+        address=_loopback(camera),
+        relay=relay,
+        show=show,
+        move=move,
+        after_s=after,
+        warm_up_s=warm_up,
+        faults=parsed_faults(fault or (), len(read.rig.lasers.names)),
+    )
+    with _noted(log, force) as noted, StandIn(read, setup, noted) as served:
+        records.write(served.uris)
+        while True:
+            signal.pause()
+
+
+def _loopback(address: str) -> str:
+    """The address, if it is one of this machine to which nobody else has access."""
+    import ipaddress
+
+    from ringpose.errors import UsageError
+
+    try:
+        if ipaddress.IPv4Address(address).is_loopback:
+            return address
+    except ValueError:
+        pass
+    raise UsageError("--camera", f'"{address}" is no loopback address', "say one such as 127.0.0.1")
+
+
+def _noted(log: Path | None, force: bool) -> "AbstractContextManager[Callable[[Mapping[str, Any]], None] | None]":
+    from contextlib import contextmanager, nullcontext
+
+    from ringpose.files import atomic, records
+
+    if log is None:
+        return nullcontext()
+
+    @contextmanager
+    def opened() -> "Iterator[Callable[[Mapping[str, Any]], None]]":
+        with atomic.replacing(log, force):
+            pass
+        with log.open("a", encoding="utf-8") as stream:
+
+            def noted(note: "Mapping[str, Any]") -> None:
+                stream.write(records.line_of(note))
+                stream.flush()
+
+            yield noted
+
+    return opened()

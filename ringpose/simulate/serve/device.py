@@ -1,0 +1,231 @@
+"""A camera on the network that any GigE Vision client can drive: its sockets, its threads, its exposures."""
+
+import ipaddress
+import queue
+import select
+import socket
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Literal, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import UInt
+
+from ringpose.errors import DeviceError
+from ringpose.simulate.serve import features
+from ringpose.simulate.serve.control import Client, Control
+from ringpose.simulate.serve.registers import TICKS_PER_S, Identity, Registers
+from ringpose.simulate.serve.stream import Stream
+from ringpose.types.arrays import Array
+from ringpose.wire import gige_registers as bootstrap
+from ringpose.wire.gvcp import PORT, answer_bytes, request_in
+from ringpose.wire.gvsp import UDP_OVERHEAD, Leader, PixelFormat, StreamedFrame, block_after, piece_size
+
+
+@runtime_checkable
+class Exposures(Protocol):
+    """What the camera looks at."""
+
+    def image(
+        self, began_s: float, exposure_s: float, gain_db: float, bits: Literal[8, 12]
+    ) -> tuple[UInt[Array, "row column"], Mapping[str, Any]]:
+        """Grey values of an exposure that has just ended (monotonic clock), and what is to be noted of it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraFaults:
+    """What is wrong with the camera."""
+
+    loss: float = 0.0
+    """Share of the stream's packets that get lost."""
+    resends: bool = True
+    """Whether lost packets are sent again when they are asked for."""
+    dies_after: int | None = None
+    """Frames after which it answers no more."""
+    keeps_lines: bool = False
+    """Whether its output lines stay as they are when the client is given up."""
+
+
+class ServedCamera:
+    """A camera at an address of this machine; it serves while its block lasts."""
+
+    def __init__(
+        self,
+        identity: Identity,
+        exposures: Exposures,
+        faults: CameraFaults | None = None,
+        lines_changed: Callable[[int, float], None] | None = None,
+        noted: Callable[[Mapping[str, Any]], None] | None = None,
+    ) -> None:
+        self.identity = identity
+        self.registers = Registers(identity)
+        self._exposures = exposures
+        self._faults = faults or CameraFaults()
+        self._lines_changed = lines_changed
+        self._noted = noted
+        self._control = Control(self.registers, self, keeps_lines=self._faults.keeps_lines)
+        self._triggers: queue.Queue[float] = queue.Queue(maxsize=1)
+        self._exposed_until_s = 0.0
+        self._acquiring = threading.Event()
+        self._ended = threading.Event()
+        self._block = 0
+        self._frames = 0
+        self._threads: list[threading.Thread] = []
+
+    @property
+    def is_dead(self) -> bool:
+        """Whether it has broken down, as its faults have it."""
+        return self._faults.dies_after is not None and self._frames >= self._faults.dies_after
+
+    def __enter__(self) -> "ServedCamera":
+        address = self.identity.address
+        self._sockets = [_bound(address, shared=False), _bound("255.255.255.255", shared=True)]
+        self.stream = Stream(address, self._faults.loss, resends=self._faults.resends)
+        for work in (self._serve_control, self._expose):
+            thread = threading.Thread(target=work, name=f"camera {address} {work.__name__}", daemon=True)
+            self._threads.append(thread)
+            thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ended.set()
+        for thread in self._threads:
+            thread.join()
+        for each in self._sockets:
+            each.close()
+        self.stream.close()
+
+    def start(self) -> None:
+        """See `Actions`; the client has said where its stream socket is."""
+        self.registers[features.MISSED_TRIGGERS] = 0
+        address = str(ipaddress.IPv4Address(self.registers[bootstrap.STREAM_ADDRESS]))
+        self.stream.open((address, self.registers[bootstrap.STREAM_PORT] & 0xFFFF))
+        with suppress(queue.Empty):
+            self._triggers.get_nowait()
+        self._exposed_until_s = 0.0
+        self._acquiring.set()
+
+    def stop(self) -> None:
+        """See `Actions`."""
+        self._acquiring.clear()
+        self.stream.shut()
+
+    def trigger(self) -> None:
+        """See `Actions`; a trigger that comes while a frame is exposed is counted and forgotten."""
+        now_s = time.monotonic()
+        if not self._acquiring.is_set() or not self.registers[features.TRIGGER_MODE]:
+            return
+        try:
+            if now_s < self._exposed_until_s:
+                raise queue.Full
+            self._triggers.put_nowait(now_s)
+            self._exposed_until_s = now_s + self._exposure_s
+        except queue.Full:
+            self.registers[features.MISSED_TRIGGERS] += 1
+
+    def resend(self, block: int, first: int, last: int) -> None:
+        """See `Actions`."""
+        self.stream.resend(block, first, last)
+
+    def fire_test_packet(self, client: Client, size: int) -> None:
+        """See `Actions`."""
+        port = self.registers[bootstrap.STREAM_PORT] & 0xFFFF
+        self.stream.send_bytes(bytes(max(size - UDP_OVERHEAD, 8)), (client[0], port))
+
+    def outputs_changed(self) -> None:
+        """See `Actions`; line k follows the output that is its source."""
+        if self._lines_changed is None:
+            return
+        outputs = self.registers[features.USER_OUTPUT_VALUE_ALL]
+        sources = [self.registers[features.LINE_SOURCE + 4 * line] for line in range(features.LINES)]
+        high = sum(1 << line for line, source in enumerate(sources) if source and outputs >> (source - 1) & 1)
+        self._lines_changed(high, time.monotonic())
+
+    def stamp_ticks(self) -> int:
+        """See `Actions`."""
+        return time.monotonic_ns()
+
+    @property
+    def _exposure_s(self) -> float:
+        low, high = features.EXPOSURE_BOUNDS_US
+        return float(np.clip(self.registers.number(features.EXPOSURE_TIME), low, high)) * 1e-6
+
+    def _serve_control(self) -> None:
+        while not self._ended.is_set():
+            ready, _, _ = select.select(self._sockets, [], [], 0.05)
+            if self.is_dead:
+                continue
+            self._control.expire(time.monotonic())
+            for each in ready:
+                datagram, client = each.recvfrom(2048)
+                request = request_in(datagram)
+                answer = None if request is None else self._control.answer(request, client, time.monotonic())
+                if answer is not None:
+                    self._sockets[0].sendto(answer_bytes(answer), client)
+
+    def _expose(self) -> None:
+        while not self._ended.is_set():
+            began_s = self._next_beginning_s()
+            if began_s is None or self.is_dead:
+                continue
+            exposure_s = self._exposure_s
+            time.sleep(max(0.0, began_s + exposure_s - time.monotonic()))
+            if self._acquiring.is_set():
+                self._send(began_s, exposure_s)
+            if self.registers[features.ACQUISITION_MODE] == features.SINGLE_FRAME:
+                self._acquiring.clear()
+
+    def _next_beginning_s(self) -> float | None:
+        """When the next exposure begins; None if there is none for a while."""
+        if self.registers[features.TRIGGER_MODE] or not self._acquiring.is_set():
+            try:
+                return self._triggers.get(timeout=0.05)
+            except queue.Empty:
+                return None
+        due_s = self._exposed_until_s or time.monotonic()
+        time.sleep(max(0.0, due_s - time.monotonic()))
+        self._exposed_until_s = max(due_s, time.monotonic()) + 1.0 / max(self._frame_rate_hz, 0.1)
+        return time.monotonic()
+
+    @property
+    def _frame_rate_hz(self) -> float:
+        return float(np.clip(self.registers.number(features.FRAME_RATE), *features.FRAME_RATE_BOUNDS_HZ))
+
+    def _send(self, began_s: float, exposure_s: float) -> None:
+        pixel_format, gain_db = self.registers.pixel_format, self.registers.number(features.GAIN)
+        bits: Literal[8, 12] = 8 if pixel_format is PixelFormat.MONO8 else 12
+        image, note = self._exposures.image(began_s, exposure_s, gain_db, bits)
+        self._block = block_after(self._block)
+        leader = Leader(
+            stamp_ticks=int(began_s * TICKS_PER_S),
+            pixel_format=pixel_format,
+            width=image.shape[1],
+            height=image.shape[0],
+        )
+        packet_size = self.registers[bootstrap.STREAM_PACKET_SIZE] & bootstrap.PACKET_SIZE_MASK
+        data = memoryview(image.astype("<u2" if bits > 8 else np.uint8, copy=False).tobytes())
+        if self._noted is not None:
+            self._noted({"frame_id": self._block, "began_s": began_s, "exposure_s": exposure_s, **note})
+        self._frames += 1
+        self.stream.send(StreamedFrame(block=self._block, leader=leader, data=data, piece_size=piece_size(packet_size)))
+
+
+def _bound(address: str, *, shared: bool) -> socket.socket:
+    """A socket at the port of cameras; that for broadcasts is shared with other cameras on this machine."""
+    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    if shared:
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        made.bind((address, PORT))
+    except OSError as error:
+        made.close()
+        found = (error.strerror or str(error)).lower()
+        remedy = "another camera is served there; choose another address, such as 127.0.0.2"
+        raise DeviceError(f"camera {address}", f"port {PORT} cannot be taken: {found}", remedy) from error
+    return made

@@ -1,0 +1,149 @@
+"""A camera and what switches the lasers before it, as two URIs."""
+
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Any, Literal
+
+from ringpose.errors import DataError
+from ringpose.simulate.exposure import view_exposure_s
+from ringpose.simulate.pipeline import ring_stand
+from ringpose.simulate.serve.contacts import Contacts
+from ringpose.simulate.serve.device import ServedCamera
+from ringpose.simulate.serve.faults import Faults
+from ringpose.simulate.serve.registers import Identity
+from ringpose.simulate.serve.relays import ServedRelays
+from ringpose.simulate.serve.views import Move, MovingViews, SceneExposures, board_moving_views, ring_moving_views
+from ringpose.simulate.trajectory import ring_views
+from ringpose.types.scene import BoardSet, Scene
+from ringpose.wire.ascii_relays import AsciiCodec
+from ringpose.wire.lcus import LcusCodec
+from ringpose.wire.modbus import ModbusCodec
+from ringpose.wire.numato import NumatoCodec
+from ringpose.wire.relay_codec import RelayCodec
+
+Relay = Literal["lcus", "numato", "modbus", "ascii", "none"]
+"""The board; `none` leaves the lasers to the camera's output lines."""
+
+Show = Literal["ring", "camera-board", "plane-board"]
+
+_ON, _OFF, _READ = "R{n} ON", "R{n} OFF", "R?"
+
+_CODECS: Mapping[str, Callable[[], RelayCodec]] = {
+    "lcus": LcusCodec,
+    "numato": NumatoCodec,
+    "modbus": ModbusCodec,
+    "ascii": lambda: AsciiCodec(on=_ON, off=_OFF, read=_READ),
+}
+
+_ASCII_PARAMETERS = "&on=R{n}%20ON&off=R{n}%20OFF&read=R?"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setup:
+    """What is served, and how it behaves."""
+
+    address: str = "127.0.0.1"
+    relay: Relay = "none"
+    show: Show = "ring"
+    move: Move = "pause"
+    after_s: float = 0.3
+    """Length of the pause, or of the time, after which the next view comes."""
+    warm_up_s: float = 0.0
+    """Time in which a laser comes to 63 % of its power."""
+    faults: Faults = field(default_factory=Faults)
+
+
+class StandIn:
+    """Serves while its block lasts."""
+
+    def __init__(self, scene: Scene, setup: Setup, noted: Callable[[Mapping[str, Any]], None] | None = None) -> None:
+        self._scene = scene
+        self._setup = setup
+        self._noted = noted
+        self._frames = 0
+        self._lasers = len(scene.rig.lasers.names)
+        self._relays = _relays(setup, self._lasers)
+        self._contacts = (
+            Contacts(self._lasers, setup.faults.contacts) if self._relays is None else self._relays.contacts
+        )
+        self._stack = ExitStack()
+
+    def __enter__(self) -> "StandIn":
+        with ExitStack() as stack:
+            exposures = stack.enter_context(self._exposures())
+            if self._relays is not None:
+                stack.enter_context(self._relays)
+            lines = self._lines_changed if self._relays is None else None
+            self.camera = stack.enter_context(
+                ServedCamera(self._identity(), exposures, self._setup.faults.camera, lines, self._frame_noted)
+            )
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+    @property
+    def uris(self) -> dict[str, str]:
+        """What to give to --camera and --lasers."""
+        camera = f"aravis://{self._setup.address}"
+        if self._relays is None:
+            return {"camera": camera, "lasers": "line:" + ",".join(f"Line{k + 1}" for k in range(self._lasers))}
+        extra = _ASCII_PARAMETERS if self._setup.relay == "ascii" else ""
+        return {
+            "camera": camera,
+            "lasers": f"{self._setup.relay}:{self._relays.port}?ch={self._relays.channels}{extra}",
+        }
+
+    def _exposures(self) -> SceneExposures:
+        return SceneExposures(self._views(), self._scene.sensor, self._contacts, self._setup.warm_up_s)
+
+    def _views(self) -> MovingViews:
+        move, after_s = self._setup.move, self._setup.after_s
+        boards = self._boards()
+        if boards is None:
+            return ring_moving_views(self._scene, move, after_s)
+        return board_moving_views(self._scene, boards, move, after_s)
+
+    def _boards(self) -> BoardSet | None:
+        show, scene = self._setup.show, self._scene
+        if show == "ring":
+            return None
+        boards = scene.camera_boards if show == "camera-board" else scene.plane_boards
+        if boards is None:
+            raise DataError("the scene", f"has no {show}", "give it one under boards")
+        return boards
+
+    def _identity(self) -> Identity:
+        scene, boards = self._scene, self._boards()
+        first = view_exposure_s(scene, ring_stand(scene, ring_views(scene)[0])) if boards is None else boards.exposure_s
+        camera = scene.rig.camera
+        return Identity(
+            address=self._setup.address,
+            width=camera.image_width,
+            height=camera.image_height,
+            bits=scene.sensor.bits,
+            exposure_s=first,
+            serial=f"RP{self._setup.address.rsplit('.', 1)[-1]}",
+        )
+
+    def _lines_changed(self, high: int, now_s: float) -> None:
+        for laser in range(self._lasers):
+            self._contacts.command(laser, bool(high >> laser & 1), now_s)
+
+    def _frame_noted(self, note: Mapping[str, Any]) -> None:
+        self._frames += 1
+        if self._relays is not None and self._frames == self._setup.faults.unplug_after:
+            self._relays.unplug()
+        if self._noted is not None:
+            self._noted(note)
+
+
+def _relays(setup: Setup, lasers: int) -> ServedRelays | None:
+    if setup.relay == "none":
+        return None
+    return ServedRelays(_CODECS[setup.relay](), tuple(range(lasers)), setup.faults.contacts)

@@ -1,0 +1,145 @@
+"""What the stand-in camera looks at: the scene's views, one after the other while time goes by."""
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+from itertools import pairwise
+from types import TracebackType
+from typing import Any, Literal, get_args
+
+import numpy as np
+from jaxtyping import Float32, Float64, UInt
+
+from ringpose.simulate.board_places import board_places
+from ringpose.simulate.pipeline import board_stage, ring_stage
+from ringpose.simulate.sensor import digitised
+from ringpose.simulate.serve.contacts import Contacts
+from ringpose.simulate.stage import Stage
+from ringpose.simulate.trajectory import ring_views
+from ringpose.types.arrays import Array
+from ringpose.types.scene import BoardSet, Scene, Sensor
+
+Move = Literal["pause", "time", "never"]
+"""When the next view comes: in a pause between the frames, after a time, or not at all."""
+
+MOVES = get_args(Move)
+
+_SLICES = 8
+"""Of an exposure, for a laser that grows brighter during it."""
+
+
+class MovingViews:
+    """The views in their order; the next one is prepared while the camera looks at one, and comes when it is ready."""
+
+    def __init__(self, names: Sequence[str], stage: Callable[[int], Stage], move: Move, after_s: float) -> None:
+        self.names = tuple(names)
+        self._stage = stage
+        self._move = move
+        self._after_s = after_s
+        self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="views")
+        self._number = 0
+        self._now: Stage = stage(0)
+        self._next: Future[Stage] | None = None
+        self._shown_s: float | None = None
+        self._looked_s: float | None = None
+        self._prepare()
+
+    def at(self, now_s: float) -> tuple[str, Stage]:
+        """Name and stage of the view that an exposure beginning now (monotonic clock) looks at."""
+        since_s = self._looked_s if self._move == "pause" else self._shown_s
+        due = since_s is not None and now_s - since_s >= self._after_s
+        if due and self._next is not None and self._next.done():
+            self._number, self._now = self._number + 1, self._next.result()
+            self._shown_s = now_s
+            self._prepare()
+        self._shown_s = now_s if self._shown_s is None else self._shown_s
+        self._looked_s = now_s
+        return self.names[self._number], self._now
+
+    def close(self) -> None:
+        """Prepare no more."""
+        self._worker.shutdown(wait=True, cancel_futures=True)
+
+    def _prepare(self) -> None:
+        there = self._number + 1 < len(self.names) and self._move != "never"
+        self._next = self._worker.submit(self._stage, self._number + 1) if there else None
+
+
+class SceneExposures:
+    """Exposures of a scene's views by the lasers that truly shine, for as long as they shine."""
+
+    def __init__(self, views: MovingViews, sensor: Sensor, contacts: Contacts, warm_up_s: float = 0.0) -> None:
+        self._views = views
+        self._sensor = sensor
+        self._contacts = contacts
+        self._warm_up_s = warm_up_s
+        self._generator = np.random.default_rng(1)
+
+    def __enter__(self) -> "SceneExposures":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._views.close()
+
+    def image(
+        self, began_s: float, exposure_s: float, gain_db: float, bits: Literal[8, 12]
+    ) -> tuple[UInt[Array, "row column"], Mapping[str, Any]]:
+        """See `Exposures`; noted are the view and each laser's share of the exposure."""
+        name, stage = self._views.at(began_s)
+        shares = self.laser_shares(began_s, exposure_s)
+        sensor = _set_sensor(self._sensor, gain_db, bits)
+        image = digitised(_electrons(stage, exposure_s, shares), sensor, self._generator)
+        return image, {"view": name, "laser_shares": shares.tolist()}
+
+    def laser_shares(self, began_s: float, exposure_s: float) -> Float64[Array, "laser"]:
+        """Each laser's light during an exposure, as a share of what it gives when it is warm all the time."""
+        edges = np.linspace(began_s, began_s + exposure_s, _SLICES + 1).tolist()
+        slices = [
+            np.array(self._contacts.shares(begin_s, end_s)) * self._warmth((begin_s + end_s) / 2)
+            for begin_s, end_s in pairwise(edges)
+        ]
+        mean: Float64[Array, "laser"] = np.mean(slices, axis=0)
+        return mean
+
+    def _warmth(self, time_s: float) -> Float64[Array, "laser"]:
+        """How near each laser is to its full power; 1 for one that is off at that moment."""
+        lasers = range(len(self._contacts.shares(time_s, time_s)))
+        since_s = [self._contacts.on_since_s(laser, time_s) for laser in lasers]
+        age_s = np.array([np.inf if since is None else time_s - since for since in since_s])
+        warmth: Float64[Array, "laser"] = -np.expm1(-age_s / max(self._warm_up_s, 1e-9))
+        return warmth
+
+
+def ring_moving_views(scene: Scene, move: Move, after_s: float) -> MovingViews:
+    """The ring as the scene's trajectory has it."""
+    views = ring_views(scene)
+    return MovingViews([view.name for view in views], lambda k: ring_stage(scene, views[k], k), move, after_s)
+
+
+def board_moving_views(scene: Scene, boards: BoardSet, move: Move, after_s: float) -> MovingViews:
+    """A calibration board in the places that the scene has for it."""
+    places = board_places(scene, boards)
+    names = [place.name for place in places]
+    return MovingViews(names, lambda k: board_stage(scene, boards, places[k], k), move, after_s)
+
+
+def _electrons(stage: Stage, exposure_s: float, shares: Float64[Array, "laser"]) -> Float32[Array, "row column"]:
+    rate = stage.ambient.copy()
+    for share, stripe in zip(shares.tolist(), stage.laser, strict=True):
+        if share:
+            rate += np.float32(share) * stripe
+    return rate * np.float32(exposure_s)
+
+
+def _set_sensor(sensor: Sensor, gain_db: float, bits: Literal[8, 12]) -> Sensor:
+    """The sensor with a gain, converting to so many bits."""
+    factor = 2.0 ** (bits - sensor.bits)
+    amplified = sensor.overall_system_gain_dn_per_e * factor * 10 ** (gain_db / 20)
+    return replace(
+        sensor,
+        bits=bits,
+        overall_system_gain_dn_per_e=amplified,
+        black_level_dn=sensor.black_level_dn * factor,
+    )

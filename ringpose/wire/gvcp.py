@@ -1,0 +1,128 @@
+"""GVCP: the control messages of GigE Vision cameras, as bytes and back.
+
+A message is a header of four 16-bit numbers, big-endian, and a payload. A request begins with 0x42 and its flags, an
+answer with its status; both end with the request's number. Field by field as in Aravis' `arvgvcpprivate.h`.
+"""
+
+import struct
+from dataclasses import dataclass
+from enum import IntEnum
+
+PORT = 3956
+
+_KEY = 0x42
+_ANSWER_WANTED = 0x01
+_HEADER = struct.Struct(">BBHHH")
+_ANSWER = struct.Struct(">HHHH")
+
+
+class Command(IntEnum):
+    """What is asked; an answer has the next number."""
+
+    DISCOVERY = 0x0002
+    RESEND = 0x0040
+    READ_REGISTER = 0x0080
+    WRITE_REGISTER = 0x0082
+    READ_MEMORY = 0x0084
+    WRITE_MEMORY = 0x0086
+
+
+class Status(IntEnum):
+    """How an answer begins."""
+
+    SUCCESS = 0x0000
+    NOT_IMPLEMENTED = 0x8001
+    INVALID_PARAMETER = 0x8002
+    INVALID_ADDRESS = 0x8003
+    WRITE_PROTECT = 0x8004
+    BAD_ALIGNMENT = 0x8005
+    ACCESS_DENIED = 0x8006
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request:
+    """One message to a camera."""
+
+    command: int
+    number: int
+    """Of the request, 1 to 65535; its answer has the same."""
+    payload: bytes = b""
+    answer_wanted: bool = True
+
+    @property
+    def words(self) -> tuple[int, ...]:
+        """The payload as 32-bit numbers; what is left over at the end is dropped."""
+        return tuple(word for (word,) in struct.iter_unpack(">I", self.payload[: len(self.payload) // 4 * 4]))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answer:
+    """One message from a camera."""
+
+    status: int
+    command: int
+    """Of the request."""
+    number: int
+    payload: bytes = b""
+
+
+def request_bytes(request: Request) -> bytes:
+    """The request as a datagram."""
+    flags = _ANSWER_WANTED if request.answer_wanted else 0
+    header = _HEADER.pack(_KEY, flags, request.command, len(request.payload), request.number)
+    return header + request.payload
+
+
+def request_in(datagram: bytes) -> Request | None:
+    """The request in a datagram; None if it is none, or not whole."""
+    if len(datagram) < _HEADER.size:
+        return None
+    key, flags, command, size, number = _HEADER.unpack_from(datagram)
+    payload = datagram[_HEADER.size : _HEADER.size + size]
+    if key != _KEY or len(payload) != size:
+        return None
+    return Request(command=command, number=number, payload=payload, answer_wanted=bool(flags & _ANSWER_WANTED))
+
+
+def answer_bytes(answer: Answer) -> bytes:
+    """The answer as a datagram."""
+    return _ANSWER.pack(answer.status, answer.command + 1, len(answer.payload), answer.number) + answer.payload
+
+
+def answer_in(datagram: bytes) -> Answer | None:
+    """The answer in a datagram; None if it is none, or not whole."""
+    if len(datagram) < _ANSWER.size:
+        return None
+    status, command, size, number = _ANSWER.unpack_from(datagram)
+    payload = datagram[_ANSWER.size : _ANSWER.size + size]
+    if len(payload) != size:
+        return None
+    return Answer(status=status, command=command - 1, number=number, payload=payload)
+
+
+def read_memory_payload(address: int, size: int) -> bytes:
+    """What asks for `size` bytes from an address."""
+    return struct.pack(">II", address, size)
+
+
+def write_register_payload(address: int, value: int) -> bytes:
+    """What writes a 32-bit number."""
+    return struct.pack(">II", address, value)
+
+
+def written_payload(count: int) -> bytes:
+    """How a write is answered: registers, or bytes, that were written."""
+    return struct.pack(">HH", 0, count)
+
+
+def resend_payload(block: int, first_packet: int, last_packet: int) -> bytes:
+    """What asks for packets of a frame once more; both ends count."""
+    return struct.pack(">HHII", 0, block, first_packet, last_packet)
+
+
+def resend_range(payload: bytes) -> tuple[int, int, int] | None:
+    """Frame, first and last packet of a resend request; None if it is too short."""
+    if len(payload) < 12:
+        return None
+    _, block, first, last = struct.unpack_from(">HHII", payload)
+    return block, first & 0xFFFFFF, last & 0xFFFFFF

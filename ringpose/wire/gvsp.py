@@ -1,0 +1,131 @@
+"""GVSP: a camera's frames as datagrams: a leader, the image in pieces, a trailer.
+
+Each datagram begins with a status, the frame's number (16 bits, 0 never), the kind of packet and the packet's number,
+which is 0 for the leader. Field by field as in Aravis' `arvgvspprivate.h`.
+"""
+
+import struct
+from dataclasses import dataclass
+from enum import IntEnum
+
+HEADER_SIZE = 8
+
+UDP_OVERHEAD = 28
+"""IP and UDP headers, which a stream's packet size counts too."""
+
+PAYLOAD_OVERHEAD = UDP_OVERHEAD + HEADER_SIZE
+
+_HEADER = struct.Struct(">HHI")
+_LEADER = struct.Struct(">HHQIIIIIHH")
+_TRAILER = struct.Struct(">II")
+_IMAGE = 0x0001
+
+
+class Kind(IntEnum):
+    """What a packet carries."""
+
+    LEADER = 1
+    TRAILER = 2
+    PAYLOAD = 3
+
+
+class PixelFormat(IntEnum):
+    """Numbers of the pixel formats in the GenICam naming convention."""
+
+    MONO8 = 0x01080001
+    MONO12 = 0x01100005
+    """The lower twelve of sixteen bits, little-endian."""
+    MONO12_PACKED = 0x010C0006
+    MONO16 = 0x01100007
+
+    @property
+    def bytes_per_pixel(self) -> int:
+        """Of the formats that are not packed."""
+        return (self.value >> 16 & 0xFF) // 8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Packet:
+    """One datagram."""
+
+    block: int
+    """Number of the frame."""
+    kind: int
+    number: int
+    payload: bytes
+    status: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Leader:
+    """What is said of a frame before it comes."""
+
+    stamp_ticks: int
+    pixel_format: int
+    width: int
+    height: int
+
+
+def packet_in(datagram: bytes) -> Packet | None:
+    """The packet in a datagram; None if it is too short."""
+    if len(datagram) < HEADER_SIZE:
+        return None
+    status, block, infos = _HEADER.unpack_from(datagram)
+    payload = datagram[HEADER_SIZE:]
+    return Packet(block=block, kind=infos >> 24 & 0x7F, number=infos & 0xFFFFFF, payload=payload, status=status)
+
+
+def leader_in(payload: bytes) -> Leader | None:
+    """The leader in a packet's payload; None if it announces no image."""
+    if len(payload) < _LEADER.size:
+        return None
+    _, kind, stamp_ticks, pixel_format, width, height, *_ = _LEADER.unpack_from(payload)
+    if kind != _IMAGE:
+        return None
+    return Leader(stamp_ticks=stamp_ticks, pixel_format=pixel_format, width=width, height=height)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StreamedFrame:
+    """A frame in its datagrams, each made when it is asked for: once to send it, and again if it got lost."""
+
+    block: int
+    leader: Leader
+    data: memoryview
+    piece_size: int
+    """Image bytes in a packet."""
+
+    @property
+    def packets(self) -> int:
+        """Number of its datagrams."""
+        return 2 + -(-len(self.data) // self.piece_size)
+
+    def datagram(self, number: int) -> bytes:
+        """The packet of a number."""
+        if number == 0:
+            return _HEADER.pack(0, self.block, Kind.LEADER << 24) + self._leader_payload()
+        if number == self.packets - 1:
+            trailer = _TRAILER.pack(_IMAGE, self.leader.height)
+            return _HEADER.pack(0, self.block, Kind.TRAILER << 24 | number) + trailer
+        piece = self.data[(number - 1) * self.piece_size : number * self.piece_size]
+        return _HEADER.pack(0, self.block, Kind.PAYLOAD << 24 | number) + piece
+
+    def _leader_payload(self) -> bytes:
+        leader = self.leader
+        size = (leader.width, leader.height)
+        return _LEADER.pack(0, _IMAGE, leader.stamp_ticks, leader.pixel_format, *size, 0, 0, 0, 0)
+
+
+def piece_size(packet_size: int) -> int:
+    """Image bytes in a packet of this size on the wire."""
+    return max(packet_size - PAYLOAD_OVERHEAD, 1)
+
+
+def block_after(block: int) -> int:
+    """Number of the next frame: 0 is left out."""
+    return block % 0xFFFF + 1
+
+
+def blocks_between(last: int, block: int) -> int:
+    """Frames that were lost between two that came."""
+    return (block - last - 1) % 0xFFFF
