@@ -1,10 +1,15 @@
 """What capture asks of a laser driver."""
 
+import time
 from types import TracebackType
 from typing import Protocol, runtime_checkable
 
 from ringpose.capture.device import Device
 from ringpose.errors import DeviceError, LaserSafetyError
+
+
+class LasersWentOff(DeviceError):
+    """Nobody was told to: what was taken since then shows too little light, and may be taken again."""
 
 
 @runtime_checkable
@@ -26,6 +31,14 @@ class LaserDriver(Device, Protocol):
 
     def read_mask(self) -> int | None:
         """What the board reports to be on; None if it cannot say."""
+
+    def wait(self, duration_s: float) -> None:
+        """Let time pass; a driver that notices the loss of its device meanwhile raises at once."""
+        time.sleep(duration_s)
+
+    def warnings(self) -> tuple[str, ...]:
+        """What the user should know about the device, which is open."""
+        return ()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

@@ -1,0 +1,222 @@
+"""Relays behind a guard: the process that captures tells the guard, the guard alone touches the port."""
+
+import os
+import resource
+import select
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import ringpose
+from ringpose.capture.lasers.driver import LaserDriver, LasersWentOff
+from ringpose.capture.lasers.guard_end import GuardEnd
+from ringpose.capture.lasers.relay_board import RelayBoard
+from ringpose.capture.lasers.relay_settings import RelaySettings
+from ringpose.capture.lasers.serial_port import SerialPort
+from ringpose.capture.lasers.wear import WORN
+from ringpose.errors import DeviceError, LaserSafetyError
+
+ANSWER_LIMIT_S = 2.0
+"""The guard answers within milliseconds, or after three attempts at a board that does not."""
+
+OPENING_LIMIT_S = 10.0
+
+ENDING_LIMIT_S = 3.0
+
+_START = (
+    "import sys; sys.path[:] = sys.argv[3].split({separator!r}); "
+    "from ringpose.capture.lasers.guard_process import run; sys.exit(run(int(sys.argv[1]), sys.argv[2]))"
+)
+
+
+class GuardedLasers(LaserDriver):
+    """If the guard ends unasked, this process takes the port itself, switches off, and captures no more."""
+
+    def __init__(self, settings: RelaySettings) -> None:
+        self.settings = settings
+        self._guard: subprocess.Popen[bytes] | None = None
+        self._end: GuardEnd | None = None
+        self._guarding = False
+        self._fault: DeviceError | LaserSafetyError | None = None
+        self._faulty = threading.Event()
+        self._number = 0
+        self._received = b""
+        self._worn: tuple[str, ...] = ()
+
+    @property
+    def count(self) -> int:
+        """One laser a relay."""
+        return len(self.settings.relays)
+
+    @property
+    def guard_pid(self) -> int:
+        """Process number of the guard; 0 while there is none."""
+        return 0 if self._guard is None else self._guard.pid
+
+    def open(self) -> None:
+        """Start the guard, which takes the port and switches everything off."""
+        _keep_no_core()
+        self._guard = _started(self.settings)
+        self._end = GuardEnd(self._guard.pid, self._guard_ended)
+        counted = self._answer(0, OPENING_LIMIT_S + self.settings.opening_s)
+        self._worn = _worn(self.settings, counted)
+        self._guarding = True
+
+    def warnings(self) -> tuple[str, ...]:
+        """Relays that have come near the end of their rated life."""
+        return self._worn
+
+    def set_mask(self, lasers: int) -> None:
+        """Light exactly these: what has to go off goes off before what has to come on."""
+        if self._fault is not None and not lasers and not isinstance(self._fault, LaserSafetyError):
+            return  # switched off when the guard ended
+        self._order(f"set {lasers}")
+
+    def read_mask(self) -> int | None:
+        """What the board reports to be on; None if it cannot say."""
+        if self._fault is not None and not isinstance(self._fault, LaserSafetyError):
+            return 0
+        reported = self._order("read")
+        return None if reported == "-" else int(reported)
+
+    def wait(self, duration_s: float) -> None:
+        """Let time pass, but not if the guard or the port is lost meanwhile."""
+        if self._faulty.wait(duration_s) and self._fault is not None:
+            raise self._fault
+
+    def close(self) -> None:
+        """Send the guard home; it switches off once more."""
+        guard, self._guard = self._guard, None
+        if guard is None:
+            return
+        self._guarding = False
+        with suppress(OSError):
+            guard.stdin.close()  # type: ignore[union-attr]
+        try:
+            guard.wait(ENDING_LIMIT_S)
+        except subprocess.TimeoutExpired:
+            guard.kill()
+            guard.wait()
+        finally:
+            guard.stdout.close()  # type: ignore[union-attr]
+
+    def _order(self, order: str) -> str:
+        if self._fault is not None:
+            raise self._fault
+        if self._guard is None:
+            raise DeviceError(self.settings.port, "is not open")
+        self._number += 1
+        try:
+            os.write(self._guard.stdin.fileno(), f"{self._number} {order}\n".encode())  # type: ignore[union-attr]
+        except OSError:
+            raise self._lost() from None
+        return self._answer(self._number, ANSWER_LIMIT_S)
+
+    def _answer(self, number: int, limit_s: float) -> str:
+        """The answer to an order; those to earlier ones, whose wait a signal broke off, are passed over."""
+        ends_s = time.monotonic() + limit_s
+        while True:
+            said, _, words = self._line(ends_s).partition(" ")
+            kind, _, rest = words.partition(" ")
+            if kind == "err" and said in (str(number), "0"):
+                raise self._problem(said, rest)
+            if said == str(number):
+                break
+        if kind == "off":
+            raise LasersWentOff(self.settings.port, f"the guard switched the lasers off: {rest}")
+        return rest
+
+    def _problem(self, said: str, words: str) -> DeviceError | LaserSafetyError:
+        """A refusal; one that was no answer (0) is the guard's last word."""
+        if said == "0" and self._number:
+            return self._lost()
+        return DeviceError(self.settings.port, words)
+
+    def _line(self, ends_s: float) -> str:
+        while b"\n" not in self._received:
+            guard = self._guard
+            if guard is None or guard.stdout is None:
+                raise self._lost()
+            ready, _, _ = select.select([guard.stdout], [], [], max(0.0, ends_s - time.monotonic()))
+            if not ready:
+                guard.kill()
+                raise self._lost()
+            received = os.read(guard.stdout.fileno(), 4096)
+            if not received:
+                raise self._lost()
+            self._received += received
+        line, _, self._received = self._received.partition(b"\n")
+        return line.decode()
+
+    def _lost(self) -> DeviceError | LaserSafetyError:
+        """Why there is no guard any more, once everything was done about it."""
+        if self._end is not None:
+            self._end.has_come.wait(ENDING_LIMIT_S)
+        return self._fault or LaserSafetyError(self.settings.port, "the guard of the lasers is lost", "cut the power")
+
+    def _guard_ended(self) -> None:
+        """In the thread that waits for it: take the port and switch off."""
+        if not self._guarding:
+            return
+        with suppress(ProcessLookupError):
+            os.kill(self.guard_pid, signal.SIGKILL)  # it may only have been stopped
+        try:
+            _switch_off(self.settings)
+        except DeviceError as error:
+            found = f"guard and port are lost, the lasers may be on: {error.found}"
+            self._fault = LaserSafetyError(self.settings.port, found, "cut the power")
+        else:
+            found = "the guard of the lasers ended; they were switched off without it"
+            self._fault = DeviceError(self.settings.port, found)
+        self._faulty.set()
+
+
+def _started(settings: RelaySettings) -> "subprocess.Popen[bytes]":
+    """A fresh interpreter in a session of its own, which finds what this one finds and loads nothing else."""
+    paths = os.pathsep.join([*sys.path, str(Path(ringpose.__file__).parents[1])])
+    start = _START.format(separator=os.pathsep)
+    words = [sys.executable, "-I", "-S", "-c", start, str(os.getpid()), settings.line(), paths]
+    pipe = subprocess.PIPE
+    return subprocess.Popen(words, stdin=pipe, stdout=pipe, start_new_session=True)  # noqa: S603 (no word comes from outside)
+
+
+def _switch_off(settings: RelaySettings) -> None:
+    port = SerialPort(settings.port, settings.baud)
+    ends_s = time.monotonic() + 1.0
+    while True:
+        try:
+            port.open()
+            break
+        except DeviceError:  # the dead guard's hold of the port takes a moment to end
+            if time.monotonic() > ends_s or not Path(settings.port).exists():
+                raise
+            time.sleep(0.005)
+    try:
+        RelayBoard(settings, port).all_off()
+    finally:
+        port.close()
+
+
+def _worn(settings: RelaySettings, counted: str) -> tuple[str, ...]:
+    rated = settings.rated_operations
+    operations = [int(number) for number in counted.split(",")]
+    first = settings.codec.first
+    return tuple(
+        f"{settings.port}: relay {relay + first} has switched {number} times; its kind lasts for about {rated}"
+        for relay, number in zip(settings.relays, operations, strict=True)
+        if rated and number >= WORN * rated
+    )
+
+
+def _keep_no_core() -> None:
+    """A crash must end this process at once: while a core is written its pipes stay open.
+
+    A limit of one byte, unlike none, also keeps the kernel from piping the core to a program (core(5)).
+    """
+    _, hard = resource.getrlimit(resource.RLIMIT_CORE)
+    if hard != 0:
+        resource.setrlimit(resource.RLIMIT_CORE, (1, hard))

@@ -1,0 +1,132 @@
+"""Lasers as relays of a board: laser i is the relay `settings.relays[i]`. Runs in the guard; nothing heavy here."""
+
+import time
+
+from ringpose.capture.lasers.relay_settings import RelaySettings
+from ringpose.capture.lasers.serial_port import SerialPort
+from ringpose.errors import DeviceError
+from ringpose.wire.relay_codec import Command, Pulse, Read, Switch, SwitchRow, WireError
+
+ANSWER_LIMIT_S = 0.25
+
+TRIES = 3
+"""Attempts to switch everything off, or to be understood at all."""
+
+PAUSE_S = 0.02
+"""Between two attempts."""
+
+
+class _Silent(DeviceError):
+    """Not one byte."""
+
+
+class RelayBoard:
+    """A board on a port that is open already."""
+
+    def __init__(self, settings: RelaySettings, port: SerialPort) -> None:
+        self.lit = 0
+        """Commanded last: bit i is laser i."""
+        self.operations = [0] * len(settings.relays)
+        """How often each laser was switched on."""
+        self._settings = settings
+        self._codec = settings.codec
+        self._port = port
+        self._reads = settings.read_back if self._codec.reports else "no"
+
+    def set_mask(self, lasers: int) -> None:
+        """Light exactly these: what has to go off goes off before what has to come on."""
+        self._off(self.lit & ~lasers)
+        self.lit &= lasers
+        for laser in _members(lasers & ~self.lit):
+            self.lit |= 1 << laser
+            self.operations[laser] += 1
+            self._on(laser)
+
+    def repeat(self) -> None:
+        """Say again what is on."""
+        for laser in _members(self.lit):
+            self._on(laser)
+
+    def all_off(self) -> None:
+        """Every laser off, whatever was commanded before, in up to three attempts.
+
+        A board that cannot say whether it has understood is told twice.
+        """
+        problems: list[DeviceError] = []
+        for attempt in range(TRIES):
+            time.sleep(PAUSE_S * min(attempt, 1))
+            try:
+                self._off((1 << len(self._settings.relays)) - 1)
+                left_on = self._read_mask(0)
+            except DeviceError as error:
+                problems.append(error)
+                continue
+            if left_on is None and attempt == 0:
+                continue
+            if not left_on:
+                self.lit = 0
+                return
+            problems.append(DeviceError(self._port.name, f"reports lasers on (mask {left_on}) after switching off"))
+        raise problems[-1]
+
+    def read_mask(self) -> int | None:
+        """What the board reports to be on; None if it cannot say."""
+        return self._read_mask(self.lit)
+
+    def _read_mask(self, expected: int) -> int | None:
+        """An answer that is not as expected is asked for again: the first one can be stale."""
+        if self._reads == "no":
+            return None
+        reported = self._reported()
+        return self._reported() if reported not in (expected, None) else reported
+
+    def _reported(self) -> int | None:
+        try:
+            relays = self._exchange(Read(max(self._settings.relays) + 1))
+        except _Silent:
+            if self._reads != "try":
+                raise
+            self._reads = "no"
+            return None
+        self._reads = "yes"
+        return sum(1 << laser for laser, relay in enumerate(self._settings.relays) if relays >> relay & 1)
+
+    def _on(self, laser: int) -> None:
+        relay, pulse_s = self._settings.relays[laser], self._settings.pulse_s
+        self._exchange(Switch(relay, True) if pulse_s is None else Pulse(relay, pulse_s))
+
+    def _off(self, lasers: int) -> None:
+        """Each is tried, even if another fails."""
+        problems = []
+        for command in self._off_commands(lasers):
+            try:
+                self._exchange(command)
+            except DeviceError as error:
+                problems.append(error)
+        if problems:
+            raise problems[0]
+
+    def _off_commands(self, lasers: int) -> list[Command]:
+        relays = sorted(self._settings.relays[laser] for laser in _members(lasers))
+        is_row = len(relays) > 1 and relays[-1] - relays[0] == len(relays) - 1
+        if is_row and self._codec.switches_rows:
+            return [SwitchRow(relays[0], len(relays), 0)]
+        return [Switch(relay, False) for relay in relays]
+
+    def _exchange(self, command: Command) -> int:
+        received = self._port.exchange(
+            self._codec.request(command), lambda received: self._codec.is_whole(command, received), ANSWER_LIMIT_S
+        )
+        if not self._codec.is_whole(command, received):
+            remedy = "check the board, its scheme in --lasers, its power"
+            if not received:
+                raise _Silent(self._port.name, "does not answer", remedy)
+            raise DeviceError(self._port.name, f"gives no whole answer ({received!r})", remedy)
+        try:
+            return self._codec.lit(command, received)
+        except WireError as error:
+            raise DeviceError(self._port.name, str(error), "check that --lasers names the right board") from error
+
+
+def _members(lasers: int) -> list[int]:
+    return [laser for laser in range(lasers.bit_length()) if lasers >> laser & 1]

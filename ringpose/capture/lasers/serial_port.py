@@ -1,0 +1,100 @@
+"""A serial port that one process owns; whatever goes wrong with it is a `DeviceError`."""
+
+import errno
+import os
+import select
+import termios
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+import serial
+
+from ringpose.errors import DeviceError
+
+WRITE_LIMIT_S = 0.25
+
+REMEDIES = {
+    errno.ENOENT: "see ls /dev/serial/by-id for what is plugged in",
+    errno.EACCES: "you may need to be in the group dialout: sudo usermod -aG dialout $USER, then log in again",
+    errno.EAGAIN: "another program uses it; end that first",
+    errno.EBUSY: "another program uses it; end that first",
+    errno.ENOTTY: "it is no serial port",
+}
+
+
+class SerialPort:
+    """Opened for itself alone. While it waits for an answer it also watches `interrupting` for the end of somebody."""
+
+    def __init__(self, name: str, baud: int) -> None:
+        self.name = name
+        self.interrupting: Sequence[int] = ()
+        """File descriptors; as soon as one becomes readable no answer is waited for any more."""
+        self._baud = baud
+        self._serial: serial.Serial | None = None
+
+    def open(self) -> None:
+        """Take the port."""
+        with self._mapped():
+            self._serial = serial.Serial(self.name, self._baud, timeout=0, write_timeout=WRITE_LIMIT_S, exclusive=True)
+
+    def close(self) -> None:
+        """Let go of it; closing twice does nothing."""
+        port, self._serial = self._serial, None
+        if port is not None:
+            with self._mapped():
+                port.close()
+
+    @property
+    def fileno(self) -> int:
+        """To be polled for a hang-up."""
+        return int(self._opened.fileno())
+
+    def exchange(self, request: bytes, is_whole: Callable[[bytes], bool], limit_s: float) -> bytes:
+        """Write, then read until the answer is whole; what has come by the limit if it never is."""
+        port = self._opened
+        with self._mapped():
+            port.reset_input_buffer()
+            port.write(request)
+        received, ends_s = b"", time.monotonic() + limit_s
+        while not is_whole(received) and self._readable(ends_s - time.monotonic()):
+            with self._mapped():
+                received += port.read(4096)
+        return received
+
+    def is_closed_contact(self, name: str) -> bool:
+        """Whether the input `cts` or `dsr` is asserted."""
+        with self._mapped():
+            return bool(getattr(self._opened, name))
+
+    def _readable(self, within_s: float) -> bool:
+        poll = select.poll()
+        poll.register(self._opened.fileno(), select.POLLIN)
+        for number in self.interrupting:
+            poll.register(number, select.POLLIN)
+        ready = dict(poll.poll(max(0.0, within_s) * 1000))
+        if any(number in ready for number in self.interrupting):
+            return False
+        return self._opened.fileno() in ready
+
+    @property
+    def _opened(self) -> serial.Serial:
+        if self._serial is None:
+            raise DeviceError(self.name, "is not open")
+        return self._serial
+
+    @contextmanager
+    def _mapped(self) -> Iterator[None]:
+        """Termios' own error is no OSError, and pyserial's has no number where a cable was pulled."""
+        try:
+            yield
+        except (OSError, termios.error, ValueError) as error:
+            number = next((part for part in error.args if isinstance(part, int)), None)
+            remedy = REMEDIES.get(number or 0, "check cable and power")
+            raise DeviceError(self.name, _words(error, number), remedy) from error
+
+
+def _words(error: Exception, number: int | None) -> str:
+    if number is None:
+        return f"failed: {error}"
+    return f"cannot be used: {os.strerror(number).lower()}"
