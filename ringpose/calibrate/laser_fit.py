@@ -1,11 +1,13 @@
 """One laser's plane through its points of all views, and what each view says about it."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float64
 
-from ringpose.calibrate.plane_fits import PlanesMethod, condition, extent_m, light_plane
+from ringpose.calibrate.plane_fits import condition, extent_m, light_plane, robust_plane
+from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.errors import DataError
 from ringpose.types.arrays import Array
 from ringpose.types.calibration import LaserCalibration, LaserView
@@ -23,69 +25,81 @@ Points = Float64[Array, "_ xyz=3"]
 """Triangulated centres of one view; none where the laser is not seen."""
 
 
-def laser_calibration(
-    name: str, points: Sequence[Points], views: Sequence[str], method: PlanesMethod
-) -> LaserCalibration:
-    """The plane through the points of all views, with their distances from it and from the plane of the others."""
-    seen = [index for index, own in enumerate(points) if len(own)]
-    _require_views(name, len(seen))
-    every = np.concatenate([points[index] for index in seen])
+class FittedPlane(NamedTuple):
+    """A plane `normal . point = distance_m` through points, and how well they determine it."""
+
+    normal: Float64[Array, "xyz=3"]
+    distance_m: float
+    condition: float
+
+
+def fitted_plane(name: str, points: Sequence[Points], method: PlanesMethod) -> FittedPlane:
+    """The plane through a laser's points of all views; refused with the remedy where they determine none."""
+    seen = sum(len(own) > 0 for own in points)
+    if seen == 0:
+        remedy = "see that its stripe crosses the board; add views at two distances, 50 mm or more apart"
+        raise DataError(_place(name), "no view shows its stripe on the board", remedy)
+    every = np.concatenate(points)
     normal, distance_m, weights = light_plane(every, method)
     spread = condition(every, weights)
     if spread > LARGEST_CONDITION:
-        lying = "its one view lie" if len(seen) == 1 else f"its {len(seen)} views lie"
+        lying = "its one view lie" if seen == 1 else f"its {seen} views lie"
         found = f"the points of {lying} on one line (condition {spread:.0f}), which determines no plane"
         raise DataError(_place(name), found, _another_view(every))
     rms_m = _rms(every @ normal - distance_m)
     if rms_m > LARGEST_SCATTER * extent_m(every):
-        found = f"the points of its {len(seen)} views lie on no common plane (rms {1e3 * rms_m:.1f} mm)"
+        found = f"the points of its {seen} views lie on no common plane (rms {1e3 * rms_m:.1f} mm)"
         raise DataError(_place(name), found, "see with --overlay whether these stripes are the laser's")
+    return FittedPlane(normal, distance_m, spread)
 
-    held_out_m = [_held_out_m(points, seen, index, method) for index in seen]
-    by_view = np.split(weights, np.cumsum([len(points[index]) for index in seen])[:-1])
+
+def plane_without(points: Sequence[Points], left_out: int, method: PlanesMethod) -> FittedPlane | None:
+    """The plane of the other views; None where those determine none."""
+    if not determined_without(points, left_out):
+        return None
+    every = np.concatenate([own for index, own in enumerate(points) if index != left_out])
+    normal, distance_m, weights = light_plane(every, method)
+    return FittedPlane(normal, distance_m, condition(every, weights))
+
+
+def determined_without(points: Sequence[Points], left_out: int) -> bool:
+    """Whether the other views determine the plane."""
+    every = np.concatenate([*(own for index, own in enumerate(points) if index != left_out), np.empty((0, 3))])
+    return len(every) > 2 and condition(every, np.ones(len(every))) < LARGEST_CONDITION
+
+
+def laser_calibration(
+    name: str, plane: FittedPlane, views: Sequence[LaserView], disagreement: float = float("nan")
+) -> LaserCalibration:
+    """The plane with what the views say about it."""
+    residual_m = np.concatenate([view.residual_m for view in views])
+    held_out_m = np.concatenate([view.held_out_m for view in views])
+    known_m = held_out_m[np.isfinite(held_out_m)]
     return LaserCalibration(
         name=name,
-        normal=normal,
-        distance_m=distance_m,
-        views=tuple(
-            _view(views[index], points[index], weight, points[index] @ normal - distance_m, other)
-            for index, weight, other in zip(seen, by_view, held_out_m, strict=True)
-        ),
-        rms_m=rms_m,
-        held_out_rms_m=_rms(np.concatenate(held_out_m)),
-        condition=spread,
+        normal=plane.normal,
+        distance_m=plane.distance_m,
+        views=tuple(views),
+        rms_m=_rms(residual_m),
+        held_out_rms_m=_rms(known_m) if len(known_m) else float("nan"),
+        condition=plane.condition,
+        disagreement=disagreement,
     )
 
 
-def _view(
-    name: str,
-    points: Float64[Array, "n xyz=3"],
-    weights: Float64[Array, "n"],
-    residual_m: Float64[Array, "n"],
-    held_out_m: Float64[Array, "n"],
-) -> LaserView:
-    return LaserView(name=name, points=points, weights=weights, rms_m=_rms(residual_m), held_out_rms_m=_rms(held_out_m))
-
-
-def outlying_views(points: Sequence[Points], method: PlanesMethod) -> dict[int, str]:
+def outlying_views(points: Sequence[Points]) -> dict[int, str]:
     """Views that lie beside the plane of the others, with how far; none where fewer than three views are left."""
     seen = [index for index, own in enumerate(points) if len(own)]
-    if len(seen) < 4 or method is PlanesMethod.PAPER:
+    if len(seen) < 4:
         return {}
     every = np.concatenate([points[index] for index in seen])
-    normal, distance_m, weights = light_plane(every, method)
+    normal, distance_m, weights = robust_plane(every)
     by_view = np.split(weights, np.cumsum([len(points[index]) for index in seen])[:-1])
     return {
         index: f"{1e3 * _rms(points[index] @ normal - distance_m):.2f} mm beside the plane of the other views"
         for index, weight in zip(seen, by_view, strict=True)
         if weight.mean() < LEAST_MEAN_WEIGHT
     }
-
-
-def _require_views(name: str, views: int) -> None:
-    if views == 0:
-        remedy = "see that its stripe crosses the board; add views at two distances, 50 mm or more apart"
-        raise DataError(_place(name), "no view shows its stripe on the board", remedy)
 
 
 def _another_view(points: Float64[Array, "n xyz=3"]) -> str:
@@ -96,20 +110,5 @@ def _place(name: str) -> str:
     return f'laser "{name}"'
 
 
-def _held_out_m(
-    points: Sequence[Points], seen: Sequence[int], left_out: int, method: PlanesMethod
-) -> Float64[Array, "n"]:
-    """Distances of one view's points from the plane of the other views; NaN where those determine none."""
-    own = points[left_out]
-    others = [points[index] for index in seen if index != left_out]
-    if others:
-        every = np.concatenate(others)
-        normal, distance_m, weights = light_plane(every, method)
-        if condition(every, weights) < LARGEST_CONDITION:
-            return own @ normal - distance_m
-    return np.full(len(own), np.nan)
-
-
 def _rms(distances_m: Float64[Array, "n"]) -> float:
-    known = distances_m[np.isfinite(distances_m)]
-    return float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
+    return float(np.sqrt(np.mean(distances_m**2)))

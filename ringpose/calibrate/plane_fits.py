@@ -1,22 +1,11 @@
 """Light planes through triangulated stripe centres (ringpose-method(7), section 6)."""
 
-from enum import StrEnum
-
 import numpy as np
 from jaxtyping import Float64
 
+from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.geometry.planes import nearest_plane
 from ringpose.types.arrays import Array
-
-
-class PlanesMethod(StrEnum):
-    """How board poses and light planes are estimated."""
-
-    TOTAL_LEAST_SQUARES = "total-least-squares"
-    """One pose over all corners of a board; the plane nearest to the points, robust, with covariance."""
-    PAPER = "paper"
-    """The mean of the poses of the single markers; S . P = 1 by least squares."""
-
 
 _TUKEY = 4.685
 """Tukey's constant: 95 % efficient on normal errors."""

@@ -9,14 +9,13 @@ import numpy as np
 
 from ringpose.geometry.rotations import angle_between
 from ringpose.types.calibration import LaserCalibration, PlanesCalibration
-from ringpose.types.camera import Camera
 from ringpose.types.rig import Rig
 
 
-def calibrated_rig(camera: Camera, calibration: PlanesCalibration) -> Rig:
+def calibrated_rig(calibration: PlanesCalibration) -> Rig:
     """The rig of camera and light planes; the joint covariance, where there is one, holds the camera's too."""
     joint = calibration.covariance is not None
-    own = replace(camera, covariance=None) if joint else camera
+    own = replace(calibration.camera, covariance=None) if joint else calibration.camera
     return Rig(camera=own, lasers=calibration.planes, covariance=calibration.covariance)
 
 

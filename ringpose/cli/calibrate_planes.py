@@ -1,25 +1,20 @@
 """`ringpose calibrate-planes`: camera and shots of a board with stripes -> rig.yaml."""
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.cli.app import app
 from ringpose.cli.options import Force, ImageChannel, Inputs, OutputFile, Quiet, Verbose
 
-
-class Method(StrEnum):
-    """How board poses and light planes are estimated."""
-
-    TOTAL_LEAST_SQUARES = "total-least-squares"
-    PAPER = "paper"
-
-
 CameraFile = Annotated[Path, typer.Option("--camera", metavar="FILE", help="The calibrated camera (camera.yaml).")]
 BoardFile = Annotated[Path, typer.Option("--board", metavar="FILE", help="The board file: its kind and its sizes.")]
-MethodName = Annotated[Method, typer.Option("--method", help="How the light planes are estimated.")]
+MethodName = Annotated[PlanesMethod, typer.Option("--method", help="How the light planes are estimated.")]
+FreeCamera = Annotated[
+    bool, typer.Option("--free-camera", help="Let the boards and stripes improve the camera, from its covariance.")
+]
 LaserNames = Annotated[
     str | None,
     typer.Option("--laser-names", metavar="NAMES", help="Names by mask bit, comma between, as left,middle,right."),
@@ -42,7 +37,8 @@ def calibrate_planes(
     camera: CameraFile,
     board: BoardFile,
     output: OutputFile,
-    method: MethodName = Method.TOTAL_LEAST_SQUARES,
+    method: MethodName = PlanesMethod.JOINT,
+    free_camera: FreeCamera = False,
     laser_names: LaserNames = None,
     laser_order: LaserOrder = None,
     surround: Surround = 0.0,
@@ -77,8 +73,8 @@ def calibrate_planes(
             if verbose:
                 messages.say(images.last)
     batch.met(images.reported())
-    calibration = calibrated(stripes.views, stripes.camera, stripes.model(method.value))
-    rig = calibrated_rig(stripes.camera, calibration)
+    calibration = calibrated(stripes.views, stripes.camera, stripes.model(method, free_camera))
+    rig = calibrated_rig(calibration)
     quality = planes_quality(calibration, images.without_board)
     write_rig(output, rig, extra=quality, force=force, inputs=[camera, board, *images.paths])
     if not quiet:

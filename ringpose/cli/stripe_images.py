@@ -1,10 +1,9 @@
 """Shots of a board with stripes, as `ringpose calibrate-planes` reads them."""
 
 from ringpose.calibrate.board_overlay import stripe_overlay
-from ringpose.calibrate.board_points import marker_corners
 from ringpose.calibrate.laser_names import laser_names, laser_order
-from ringpose.calibrate.plane_fits import PlanesMethod
 from ringpose.calibrate.planes import PlanesModel
+from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.calibrate.stripe_views import stripe_view
 from ringpose.cli.board_views import BoardImages
 from ringpose.errors import DataError, UsageError
@@ -13,6 +12,9 @@ from ringpose.files.inputs import Input
 from ringpose.types.calibration import StripeView
 from ringpose.types.camera import Camera
 from ringpose.types.frame import ALL_LASERS, Shot
+
+MARKER_BOARDS = ("four_markers", "aruco_grid")
+"""Boards whose corners are those of markers, which the paper's method takes one by one."""
 
 
 class StripeImages:
@@ -43,12 +45,15 @@ class StripeImages:
             drawn = stripe_overlay(shot.images.max(axis=0), seen)
             write_image(self.images.overlay / f"{shot.name}.png", drawn, force=True)
 
-    def model(self, method: str) -> PlanesModel:
+    def model(self, method: PlanesMethod, free_camera: bool = False) -> PlanesModel:
         """What is to be estimated."""
-        if method == PlanesMethod.PAPER and not len(marker_corners(self.images.board)):
+        if free_camera and (method is not PlanesMethod.JOINT or self.camera.covariance is None):
+            found = "the camera has no covariance" if method is PlanesMethod.JOINT else "only the joint method frees it"
+            raise UsageError("--free-camera", found, "calibrate the camera with ringpose calibrate-camera")
+        if method is PlanesMethod.PAPER and self.images.board.kind not in MARKER_BOARDS:
             raise UsageError("--method paper", "averages the poses of single markers, and the board has none")
         order = laser_order(self.given[1], self.names) if self.names else None
-        return PlanesModel(names=self.names, method=PlanesMethod(method), order=order)
+        return PlanesModel(names=self.names, method=method, order=order, free_camera=free_camera)
 
     def _check(self, shot: Shot) -> None:
         size = (shot.images.shape[2], shot.images.shape[1])

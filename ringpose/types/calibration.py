@@ -1,7 +1,9 @@
 """What a calibration found, with what is needed to judge it."""
 
+import math
 from dataclasses import dataclass
 
+import numpy as np
 from jaxtyping import Float64
 
 from ringpose.types.arrays import Array
@@ -67,12 +69,21 @@ class LaserView:
     name: str
     points: Float64[Array, "n xyz=3"]
     """Stripe centres on the board, triangulated with the board's plane, in the camera frame."""
-    weights: Float64[Array, "n"]
-    """Of the robust fit, 0 to 1."""
-    rms_m: float
-    """Of the points' distances from the light plane, measured normal to it."""
-    held_out_rms_m: float
-    """The same with the light plane of the other views alone; NaN where those do not determine it."""
+    residual_m: Float64[Array, "n"]
+    """The points' distances from the light plane, measured normal to it."""
+    held_out_m: Float64[Array, "n"]
+    """Distances from the light plane of the other views alone, the board where its corners have it; NaN where those
+    views determine no plane."""
+
+    @property
+    def rms_m(self) -> float:
+        """Of the residuals."""
+        return float(np.sqrt(np.mean(self.residual_m**2)))
+
+    @property
+    def held_out_rms_m(self) -> float:
+        """Of the held-out distances; NaN if they are not known."""
+        return float(np.sqrt(np.mean(self.held_out_m**2)))
 
     @property
     def distance_m(self) -> float:
@@ -93,12 +104,17 @@ class LaserCalibration:
     """Over all points, each against the light plane of the other views; NaN if no view can be left out."""
     condition: float
     """Extent of the points along their longest direction over that across it, in the light plane."""
+    disagreement: float = math.nan
+    """By how much the laser's stripes disagree with the boards and the other lasers: squares over their number, 1 where
+    chance explains it; NaN where two views alone leave nothing to judge by, or the method does not tell."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlanesCalibration:
     """The light planes and how well the views determine them."""
 
+    camera: Camera
+    """As it was given, or as stripes and boards have improved it."""
     planes: LaserPlanes
     covariance: ParameterCovariance | None
     """Joint, over camera and light planes; None where the method has no honest one."""
@@ -107,3 +123,5 @@ class PlanesCalibration:
     poses: tuple[BoardPose, ...]
     remarks: tuple[tuple[str, str], ...] = ()
     """What was left out or is missing: the view's name, and why."""
+    excess: float = 1.0
+    """Factor by which variances of corners and stripes were widened, because the views disagree by more."""

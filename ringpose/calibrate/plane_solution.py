@@ -1,0 +1,102 @@
+"""The light planes of a set of views by each method, and those of the views less one."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from ringpose.calibrate.laser_fit import FittedPlane, Points, determined_without, fitted_plane, plane_without
+from ringpose.calibrate.plane_covariance import laser_disagreements, planes_covariance, variance_excess
+from ringpose.calibrate.plane_fits import downward
+from ringpose.calibrate.plane_joint import JointData, JointFit, JointState, corner_sigma_px, joint_data, joint_fit
+from ringpose.calibrate.planes_method import PlanesMethod
+from ringpose.calibrate.stripe_evidence import StripeEvidence
+from ringpose.types.board import BoardPose
+from ringpose.types.camera import Camera
+from ringpose.types.covariance import ParameterCovariance
+
+HeldOut = Sequence[Sequence[FittedPlane | None]]
+"""By laser and view: the plane of the other views; None where they determine none."""
+
+
+class PlaneSolution(NamedTuple):
+    """What a method found."""
+
+    planes: tuple[FittedPlane, ...]
+    poses: tuple[BoardPose, ...]
+    camera: Camera
+    held_out: HeldOut
+    covariance: ParameterCovariance | None = None
+    excess: float = 1.0
+    disagreement: tuple[float, ...] | None = None
+
+
+def separate_solution(evidence: StripeEvidence, method: PlanesMethod) -> PlaneSolution:
+    """Each laser by itself, the boards where their corners have them."""
+    points = [evidence.points(laser) for laser in range(len(evidence.names))]
+    views = range(len(evidence.views))
+    return PlaneSolution(
+        planes=tuple(fitted_plane(name, own, method) for name, own in zip(evidence.names, points, strict=True)),
+        poses=evidence.poses,
+        camera=evidence.camera,
+        held_out=[[plane_without(own, view, method) for view in views] for own in points],
+    )
+
+
+def joint_solution(evidence: StripeEvidence, free_camera: bool) -> PlaneSolution:
+    """Boards, lasers and, if it is free, the camera together, from where each by itself has them."""
+    points = [evidence.points(laser) for laser in range(len(evidence.names))]
+    nearest = PlanesMethod.TOTAL_LEAST_SQUARES
+    start = [fitted_plane(name, own, nearest) for name, own in zip(evidence.names, points, strict=True)]
+    corner_px = corner_sigma_px(evidence.views, evidence.poses, evidence.camera)
+    data = joint_data(evidence.views, evidence.camera, corner_px, free_camera)
+    fit = joint_fit(data, _state(start, evidence.poses, evidence.camera))
+    held = data.with_camera(fit.state.camera) if free_camera else data
+    excess = variance_excess(held, fit)
+    return PlaneSolution(
+        planes=_planes(fit, start),
+        poses=fit.state.poses,
+        camera=fit.state.camera,
+        held_out=_held_out(points, held, fit),
+        covariance=planes_covariance(evidence.names, fit, evidence.camera, excess, free_camera),
+        excess=excess,
+        disagreement=laser_disagreements(held, fit),
+    )
+
+
+def _state(planes: Sequence[FittedPlane], poses: Sequence[BoardPose], camera: Camera) -> JointState:
+    return JointState(
+        poses=tuple(poses),
+        normal=np.stack([plane.normal for plane in planes]),
+        distance_m=np.array([plane.distance_m for plane in planes]),
+        camera=camera,
+    )
+
+
+def _planes(fit: JointFit, start: Sequence[FittedPlane]) -> tuple[FittedPlane, ...]:
+    pairs = zip(fit.state.normal, fit.state.distance_m.tolist(), start, strict=True)
+    return tuple(FittedPlane(*downward(normal, distance_m), old.condition) for normal, distance_m, old in pairs)
+
+
+def _held_out(points: Sequence[Sequence[Points]], data: JointData, fit: JointFit) -> HeldOut:
+    """The planes without each view in turn; those of lasers that are then undetermined take no part."""
+    by_view = []
+    for view in range(len(data.views)):
+        determined = [determined_without(own, view) for own in points]
+        by_view.append(_without_view(data, fit, view, determined))
+    return list(zip(*by_view, strict=True))
+
+
+def _without_view(
+    data: JointData, fit: JointFit, left_out: int, determined: Sequence[bool]
+) -> list[FittedPlane | None]:
+    if not any(determined):
+        return [None] * len(determined)
+    rest = data.without_view(left_out)
+    for laser, known in enumerate(determined):
+        rest = rest if known else rest.without_laser(laser)
+    poses = fit.state.poses[:left_out] + fit.state.poses[left_out + 1 :]
+    state = joint_fit(rest, replace(fit.state, poses=poses)).state
+    planes = zip(state.normal, state.distance_m.tolist(), determined, strict=True)
+    return [FittedPlane(normal, distance_m, np.nan) if known else None for normal, distance_m, known in planes]

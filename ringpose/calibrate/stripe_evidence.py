@@ -1,0 +1,140 @@
+"""Views of boards with stripes, made ready for the light planes: what does not fit is left out, with the reason."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from ringpose.calibrate.laser_fit import LARGEST_CONDITION, Points, outlying_views
+from ringpose.calibrate.plane_fits import condition, robust_plane
+from ringpose.calibrate.plane_points import triangulated
+from ringpose.calibrate.stripe_labels import labelled_by_order, labelled_by_planes
+from ringpose.errors import DataError
+from ringpose.types.arrays import Array
+from ringpose.types.board import BoardPose
+from ringpose.types.calibration import StripeView
+from ringpose.types.camera import Camera
+
+OUTLIER_FACTOR = 4.0
+"""A view whose board fits this many times worse than the median of the views is left out ..."""
+
+OUTLIER_FLOOR_PX = 0.5
+"""... if its rms is above this."""
+
+Remark = tuple[str, str]
+"""A view's name, and what is to be said of it."""
+
+Plane = tuple[Float64[Array, "3"], float]
+"""Unit normal and distance."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StripeEvidence:
+    """Boards where their corners have them, and the stripes on them."""
+
+    names: tuple[str, ...]
+    """Of the lasers."""
+    views: tuple[StripeView, ...]
+    poses: tuple[BoardPose, ...]
+    camera: Camera
+
+    def points(self, laser: int) -> list[Points]:
+        """One laser's points by view."""
+        return [
+            triangulated(view.stripes_px[laser], pose, self.camera)
+            for view, pose in zip(self.views, self.poses, strict=True)
+        ]
+
+    def without_stripe(self, laser: int, view: int) -> "StripeEvidence":
+        """The same without one laser's stripe in one view."""
+        nothing = (np.empty((0, 2)),)
+        kept = self.views[view].stripes_px
+        less = replace(self.views[view], stripes_px=kept[:laser] + nothing + kept[laser + 1 :])
+        return replace(self, views=(*self.views[:view], less, *self.views[view + 1 :]))
+
+
+def stripe_evidence(
+    views: Sequence[StripeView],
+    poses: Sequence[BoardPose],
+    camera: Camera,
+    names: tuple[str, ...],
+    order: tuple[int, ...] | None,
+) -> tuple[StripeEvidence, list[Remark]]:
+    """The views whose boards fit, their stripes given to lasers, stray stripes left out; and what to remark on them."""
+    kept, kept_poses, remarks = _good_boards(views, poses)
+    evidence = StripeEvidence(names=names, views=tuple(kept), poses=tuple(kept_poses), camera=camera)
+    evidence = _labelled(evidence, order)
+    remarks += _missing(evidence)
+    evidence, outlying = _agreeing(evidence)
+    return evidence, remarks + outlying
+
+
+def _good_boards(
+    views: Sequence[StripeView], poses: Sequence[BoardPose]
+) -> tuple[list[StripeView], list[BoardPose], list[Remark]]:
+    """The views whose corners fit the board, their poses, and the others with the reason."""
+    if not views:
+        remedy = "give shots of the board at two or more distances, 50 mm or more apart"
+        raise DataError("calibrate-planes", "no view of the board", remedy)
+    rms = np.array([pose.residual_rms_px for pose in poses])
+    usual = float(np.median(rms))
+    good = rms <= max(OUTLIER_FACTOR * usual, OUTLIER_FLOOR_PX)
+    remarks = [
+        (pose.name, f"left out: its corners miss the board by {pose.residual_rms_px:.2f} px rms, usual is {usual:.2f}")
+        for pose, kept in zip(poses, good, strict=True)
+        if not kept
+    ]
+    kept = np.flatnonzero(good).tolist()
+    return [views[index] for index in kept], [poses[index] for index in kept], remarks
+
+
+def _labelled(evidence: StripeEvidence, order: tuple[int, ...] | None) -> StripeEvidence:
+    """All stripes given to lasers: by the order, or by the planes of the labelled stripes."""
+    if not any(view.unlabelled_px for view in evidence.views):
+        return evidence
+    if order is not None:
+        return replace(evidence, views=tuple(labelled_by_order(view, order) for view in evidence.views))
+    planes = _preliminary_planes(evidence)
+    labelled = [
+        labelled_by_planes(view, [triangulated(px, pose, evidence.camera) for px in view.unlabelled_px], planes)
+        for view, pose in zip(evidence.views, evidence.poses, strict=True)
+    ]
+    return replace(evidence, views=tuple(labelled))
+
+
+def _preliminary_planes(evidence: StripeEvidence) -> list[Plane]:
+    """The planes through the stripes that are labelled already."""
+    planes = []
+    for laser, name in enumerate(evidence.names):
+        points = np.concatenate(evidence.points(laser))
+        normal, distance_m, weights = robust_plane(points) if len(points) else (np.zeros(3), 0.0, np.zeros(0))
+        if not len(points) or condition(points, weights) > LARGEST_CONDITION:
+            raise DataError(
+                f'laser "{name}"',
+                "which stripe is its is not known: too few shots have a frame with it alone on",
+                "capture with --sequence off,1,2,3, or give --laser-order",
+            )
+        planes.append((normal, distance_m))
+    return planes
+
+
+def _agreeing(evidence: StripeEvidence) -> tuple[StripeEvidence, list[Remark]]:
+    """The views without those stripes that lie beside their laser's plane, and which these are."""
+    remarks = []
+    for laser, name in enumerate(evidence.names):
+        for index, reason in outlying_views(evidence.points(laser)).items():
+            evidence = evidence.without_stripe(laser, index)
+            remarks.append((evidence.views[index].board.name, f"stripe of {name} left out: {reason}"))
+    return evidence, remarks
+
+
+def _missing(evidence: StripeEvidence) -> list[Remark]:
+    """What the views do not show."""
+    remarks = []
+    for view in evidence.views:
+        missing = [name for name, px in zip(evidence.names, view.stripes_px, strict=True) if not len(px)]
+        if missing:
+            found = "; ".join(view.remarks) or "none on the board"
+            remarks.append((view.board.name, f"no stripe of {', '.join(missing)}: {found}"))
+    return remarks
