@@ -1,0 +1,292 @@
+"""`aravis:`: GigE Vision and USB3 Vision cameras through libaravis.
+
+aravis:                        the first camera that is found
+aravis:Vendor-Model-Serial     by its name in `ringpose capture --list`
+aravis://192.168.0.5           by its address, without a search
+"""
+
+import ctypes
+import errno
+import ipaddress
+import socket
+import time
+from contextlib import suppress
+from ctypes import byref, c_double, c_int64, c_size_t
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import UInt
+
+from ringpose.capture.cameras.aravis_library import ACCESS_DENIED, NOT_CONTROLLER, PACKAGE, Aravis, AravisError, library
+from ringpose.capture.cameras.feature_names import spellings
+from ringpose.capture.cameras.lock_step import Grab, LockStepCamera, mid_stamp_s
+from ringpose.capture.uri import DeviceUri
+from ringpose.errors import DeviceError
+from ringpose.types.arrays import Array
+from ringpose.wire.gvcp import PORT
+from ringpose.wire.gvsp import blocks_between
+
+BUFFERS = 4
+
+SOCKET_BUFFER_BYTES = 8 << 20
+"""Wanted for the stream's socket; the kernel grants no more than net.core.rmem_max."""
+
+_RMEM_MAX = Path("/proc/sys/net/core/rmem_max")
+
+_SUCCESS = 0
+
+_STATUS = {2: "no frame came", 3: "packets got lost", 4: "packets got lost", 5: "a frame had the wrong size"}
+"""What is wrong with a buffer (`ArvBufferStatus`)."""
+
+
+class AravisCamera(LockStepCamera):
+    """A camera that libaravis can drive; beside the common ones the URI may say `packet` (bytes)."""
+
+    PARAMETERS = (*LockStepCamera.PARAMETERS, "packet")
+
+    def __init__(self, uri: DeviceUri) -> None:
+        super().__init__(uri)
+        self._camera = self._device = self._stream = 0
+        self._acquiring = False
+        self._names: dict[str, str] = {}
+
+    @property
+    def _aravis(self) -> Aravis:
+        found = library()
+        if found is None:
+            raise DeviceError(
+                self.uri.text, "needs the library Aravis, which is not installed", f"apt install {PACKAGE}"
+            )
+        return found
+
+    def close(self) -> None:
+        """Stop, and give the camera back."""
+        if self._camera and self._acquiring:
+            self._acquiring = False
+            with suppress(AravisError):  # it may be gone already
+                self._aravis.call("arv_camera_stop_acquisition", self._camera)
+        for instance in (self._stream, self._camera):
+            if instance:
+                self._aravis.g_object_unref(instance)
+        self._camera = self._device = self._stream = 0
+
+    def bounds(self, feature: str) -> tuple[float, float] | None:
+        """See `CameraDriver`."""
+        name = self._name(feature)
+        if name is None:
+            return None
+        is_float = self._aravis.is_float(self._device, name)
+        least, most = (c_double(), c_double()) if is_float else (c_int64(), c_int64())
+        kind = "float" if is_float else "integer"
+        self._call(f"arv_device_get_{kind}_feature_bounds", name.encode(), byref(least), byref(most))
+        return float(least.value), float(most.value)
+
+    def set(self, feature: str, value: float | str) -> None:
+        """See `CameraDriver`."""
+        name = self._name(feature)
+        if name is None:
+            raise DeviceError(self.uri.text, f"has no feature {feature}")
+        try:
+            self._set(name, value)
+        except AravisError as error:
+            limits = None if isinstance(value, str) else self.bounds(feature)
+            if limits is None or limits[0] <= float(value) <= limits[1]:
+                raise self._error(error) from error
+            found = f"{feature} cannot be {value:g}"
+            raise DeviceError(self.uri.text, found, f"it takes {limits[0]:g} to {limits[1]:g}") from error
+        if feature == "Gain":
+            self._gain_db = self._number("Gain")
+
+    def _connect(self) -> None:
+        self.close()
+        place = self.uri.place
+        self._check_route(place)
+        try:
+            self._camera = self._aravis.call("arv_camera_new", place.encode() or None) or 0
+        except AravisError as error:
+            raise DeviceError(self.uri.text, f"no such camera: {error.message}", _NOT_FOUND) from error
+        if not self._camera:
+            raise DeviceError(self.uri.text, "no camera was found", _NOT_FOUND)
+        self._device = self._aravis.arv_camera_get_device(self._camera)
+        self._names = {}
+        is_network_camera = self._aravis.arv_camera_is_gv_device(self._camera)
+        if is_network_camera and not self._aravis.arv_gv_device_is_controller(self._device):
+            raise DeviceError(
+                self.uri.text, "is controlled by another program", "close that one, or wait 3 s if it died"
+            )
+        self._aravis.arv_device_set_range_check_policy(self._device, 1)
+        if is_network_camera and "packet" in self.uri.parameters:
+            self._call_camera("arv_camera_gv_set_packet_size", int(self.uri.number("packet", 0)))
+        for feature, value in _TRIGGERED:
+            if self._name(feature) is not None:
+                self.set(feature, value)
+
+    def _start(self) -> None:
+        aravis = self._aravis
+        if not self._stream:
+            try:
+                self._stream = aravis.new_stream(self._camera)
+            except AravisError as error:
+                raise self._error(error) from error
+            if aravis.arv_camera_is_gv_device(self._camera):
+                aravis.set_int_property(self._stream, "socket-buffer", 0)
+                aravis.set_int_property(self._stream, "socket-buffer-size", SOCKET_BUFFER_BYTES)
+            self._payload = self._call_camera("arv_camera_get_payload")
+            for _ in range(BUFFERS):
+                aravis.arv_stream_push_buffer(self._stream, aravis.arv_buffer_new_allocate(self._payload))
+        self._call_camera("arv_camera_start_acquisition")
+        self._acquiring = True
+
+    def _stop(self) -> None:
+        self._acquiring = False
+        self._call_camera("arv_camera_stop_acquisition")
+        self._drain()
+
+    def _grab(self, limit_s: float) -> Grab:
+        self._drain()
+        before_s = time.time()
+        self._call("arv_device_execute_command", b"TriggerSoftware")
+        stamp_s = mid_stamp_s(before_s)
+        buffer = self._aravis.arv_stream_timeout_pop_buffer(self._stream, int(1e6 * limit_s))
+        if not buffer:
+            return Grab(stamp_s=stamp_s)
+        try:
+            return self._grabbed(buffer, stamp_s)
+        finally:
+            self._aravis.arv_stream_push_buffer(self._stream, buffer)
+
+    def _grabbed(self, buffer: int, stamp_s: float) -> Grab:
+        aravis = self._aravis
+        status, frame_id = aravis.arv_buffer_get_status(buffer), int(aravis.arv_buffer_get_frame_id(buffer))
+        if status != _SUCCESS:
+            problem = _STATUS.get(status, f"a frame was bad (status {status})")
+            return Grab(stamp_s=stamp_s, problem=problem, frame_id=frame_id, is_late=status not in (3, 4))
+        ticks_ns = int(aravis.arv_buffer_get_timestamp(buffer))
+        return Grab(
+            stamp_s=stamp_s,
+            image=self._image(buffer),
+            device_stamp_s=1e-9 * ticks_ns if ticks_ns else None,
+            frame_id=frame_id,
+        )
+
+    def _image(self, buffer: int) -> UInt[Array, "row column"]:
+        aravis, size = self._aravis, c_size_t()
+        width, height = aravis.arv_buffer_get_image_width(buffer), aravis.arv_buffer_get_image_height(buffer)
+        data = aravis.arv_buffer_get_data(buffer, byref(size))
+        bits = aravis.arv_buffer_get_image_pixel_format(buffer) >> 16 & 0xFF
+        if bits not in (8, 16):
+            found = f"sends {bits} bits a pixel"
+            raise DeviceError(self.uri.text, found, "ask for ?format=Mono8 or, where the camera has it, Mono12")
+        kind = np.dtype(np.uint8 if bits == 8 else "<u2")
+        copied = ctypes.string_at(data, width * height * kind.itemsize)
+        image: UInt[Array, "row column"] = np.frombuffer(copied, dtype=kind).reshape(height, width)
+        return image
+
+    def _drain(self) -> None:
+        """Frames that nobody waits for any more."""
+        while buffer := self._aravis.arv_stream_try_pop_buffer(self._stream):
+            self._aravis.arv_stream_push_buffer(self._stream, buffer)
+
+    def _lost_between(self, last: int, frame_id: int) -> int:
+        return blocks_between(last, frame_id) if frame_id <= 0xFFFF else frame_id - last - 1
+
+    def _loss_remedy(self) -> str:
+        granted = _granted_bytes()
+        if granted is not None and granted < SOCKET_BUFFER_BYTES:
+            return f"let the kernel buffer more: sysctl -w net.core.rmem_max={SOCKET_BUFFER_BYTES}"
+        return super()._loss_remedy()
+
+    def _number(self, feature: str) -> float | None:
+        name = self._name(feature)
+        if name is None:
+            return None
+        kind = "float" if self._aravis.is_float(self._device, name) else "integer"
+        return float(self._call(f"arv_device_get_{kind}_feature_value", name.encode()))
+
+    def _format(self) -> str:
+        return str(self._call("arv_device_get_string_feature_value", b"PixelFormat").decode())
+
+    def _identity(self) -> tuple[str, int, int]:
+        words = [self._text(name) for name in ("DeviceVendorName", "DeviceModelName", "DeviceSerialNumber")]
+        width, height = (int(self._number(name) or 0) for name in ("Width", "Height"))
+        return "-".join(word for word in words if word), width, height
+
+    def _text(self, feature: str) -> str:
+        if self._name(feature) is None:
+            return ""
+        return str((self._call("arv_device_get_string_feature_value", feature.encode()) or b"").decode())
+
+    def _name(self, feature: str) -> str | None:
+        """What this camera calls a feature."""
+        if feature not in self._names:
+            there = [
+                name for name in spellings(feature) if self._aravis.arv_device_get_feature(self._device, name.encode())
+            ]
+            self._names[feature] = there[0] if there else ""
+        return self._names[feature] or None
+
+    def _set(self, name: str, value: float | str) -> None:
+        aravis, device, key = self._aravis, self._device, name.encode()
+        if isinstance(value, str):
+            aravis.call("arv_device_set_string_feature_value", device, key, value.encode())
+        elif isinstance(value, bool):
+            aravis.call("arv_device_set_boolean_feature_value", device, key, int(value))
+        elif aravis.is_float(device, name):
+            aravis.call("arv_device_set_float_feature_value", device, key, float(value))
+        else:
+            aravis.call("arv_device_set_integer_feature_value", device, key, round(value))
+
+    def _call(self, name: str, *arguments: object) -> Any:
+        try:
+            return self._aravis.call(name, self._device, *arguments)
+        except AravisError as error:
+            raise self._error(error) from error
+
+    def _call_camera(self, name: str, *arguments: object) -> int:
+        try:
+            return int(self._aravis.call(name, self._camera, *arguments) or 0)
+        except AravisError as error:
+            raise self._error(error) from error
+
+    def _error(self, error: AravisError) -> DeviceError:
+        if error.code in (NOT_CONTROLLER, ACCESS_DENIED):
+            return DeviceError(
+                self.uri.text, "is controlled by another program", "close that one, or wait 3 s if it died"
+            )
+        if "timeout" in error.message.lower():
+            return DeviceError(self.uri.text, "does not answer any more", "check its cable and its power")
+        return DeviceError(self.uri.text, error.message)
+
+    def _check_route(self, place: str) -> None:
+        """An address that cannot be reached is better said at once."""
+        try:
+            address = str(ipaddress.IPv4Address(place))
+        except ValueError:
+            return
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.connect((address, PORT))
+            except OSError as error:
+                if error.errno not in (errno.ENETUNREACH, errno.EHOSTUNREACH, errno.EACCES):
+                    raise
+                remedy = "give this computer an address in the camera's network"
+                raise DeviceError(self.uri.text, f"there is no route to {address}", remedy) from error
+
+
+_TRIGGERED = (
+    ("AcquisitionMode", "Continuous"),
+    ("TriggerSelector", "FrameStart"),
+    ("TriggerMode", "On"),
+    ("TriggerSource", "Software"),
+)
+
+_NOT_FOUND = "see ringpose capture --list; check its cable, its power, and this computer's address in its network"
+
+
+def _granted_bytes() -> int | None:
+    """The largest socket buffer that the kernel grants; None where it does not say."""
+    try:
+        return int(_RMEM_MAX.read_text())
+    except (OSError, ValueError):
+        return None

@@ -1,0 +1,165 @@
+"""What every triggered camera does alike: expose, wait for that one frame, try again if it came broken."""
+
+import time
+from abc import abstractmethod
+from dataclasses import dataclass
+
+from jaxtyping import UInt
+
+from ringpose.capture.cameras.driver import CameraDescription, CameraDriver
+from ringpose.capture.cameras.feature_names import SATURATION_DN
+from ringpose.capture.uri import DeviceUri
+from ringpose.errors import DeviceError
+from ringpose.types.arrays import Array
+from ringpose.types.frame import Frame
+
+TRIES = 3
+"""Triggers for one frame: the first one after a pause, or one with lost packets, may be in vain."""
+
+ANSWER_LIMIT_S = 2.0
+"""How long a frame may take beyond its exposure."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Grab:
+    """What came of one trigger."""
+
+    stamp_s: float
+    """Host clock (Unix epoch, UTC) at the trigger."""
+    image: UInt[Array, "row column"] | None = None
+    problem: str = "no frame came"
+    """Why there is no image."""
+    device_stamp_s: float | None = None
+    frame_id: int | None = None
+    is_late: bool = True
+    """Whether a frame may still be on its way, so that the next one could be taken for another."""
+
+
+class LockStepCamera(CameraDriver):
+    """A camera that is told each exposure and triggered once for each frame; what a driver adds is below.
+
+    Its URI may say `format` (Mono8 or Mono12), `gain` (dB), `timeout` (s) and `skip`: how many frames to throw away
+    after a change of the exposure, for cameras that apply it late.
+    """
+
+    PARAMETERS: tuple[str, ...] = ("format", "gain", "timeout", "skip")
+
+    def __init__(self, uri: DeviceUri) -> None:
+        uri.refuse_unknown(self.PARAMETERS)
+        self.uri = uri
+        self.dropped = 0
+        """Frames that were lost since it was opened, by its own count."""
+        self._pixel_format = uri.parameters.get("format", "")
+        self._timeout_s = uri.number("timeout", ANSWER_LIMIT_S)
+        self._skip = int(uri.number("skip", 0))
+        self._gain_db: float | None = None
+        self._last_id: int | None = None
+        self._own_exposure_s = self._exposure_s = self._armed_s = 0.0
+        if self._pixel_format and self._pixel_format not in SATURATION_DN:
+            raise uri.problem(f'format "{self._pixel_format}" is not known', f"say one of {', '.join(SATURATION_DN)}")
+
+    def open(self) -> None:
+        """Take the camera and set it to single frames by software trigger."""
+        self.dropped, self._last_id = 0, None
+        self._connect()
+        if self._pixel_format:
+            self.set("PixelFormat", self._pixel_format)
+        if "gain" in self.uri.parameters:
+            self.set("Gain", self.uri.number("gain", 0.0))
+        self._gain_db = self._number("Gain")
+        exposure_us = self._number("ExposureTime")
+        self._own_exposure_s = self._exposure_s = self._armed_s = 0.0 if exposure_us is None else 1e-6 * exposure_us
+        self._start()
+
+    def arm(self, exposure_s: float | None) -> None:
+        """Set the exposure of the frames to come."""
+        self._armed_s = self._own_exposure_s if exposure_s is None else exposure_s
+        self._expose_for(self._armed_s)
+
+    def trigger(self, lasers: int, exposure_s: float | None = None) -> Frame:
+        """A whole frame, if need be in several attempts."""
+        self._expose_for(self._armed_s if exposure_s is None else exposure_s)
+        for attempt in range(1, TRIES + 1):
+            grab = self._grab(self._exposure_s + self._timeout_s)
+            self._count(grab.frame_id)
+            if grab.image is not None:
+                return Frame(
+                    image=grab.image,
+                    lasers=lasers,
+                    stamp_s=grab.stamp_s,
+                    exposure_s=self._exposure_s,
+                    device_stamp_s=grab.device_stamp_s,
+                    frame_id=grab.frame_id,
+                    gain_db=self._gain_db,
+                    attempts=attempt,
+                )
+            if grab.is_late:
+                self._restart()
+        raise DeviceError(self.uri.text, f"{grab.problem}, {TRIES} times in a row", self._loss_remedy())
+
+    def describe(self) -> CameraDescription:
+        """Which camera it is."""
+        name, width, height = self._identity()
+        saturation_dn = SATURATION_DN.get(self._format(), 65535)
+        return CameraDescription(name=name, image_width=width, image_height=height, saturation_dn=saturation_dn)
+
+    def _expose_for(self, exposure_s: float) -> None:
+        if exposure_s == self._exposure_s or self._number("ExposureTime") is None:
+            return
+        self.set("ExposureTime", 1e6 * exposure_s)
+        self._exposure_s = exposure_s
+        for _ in range(self._skip):
+            self._count(self._grab(exposure_s + self._timeout_s).frame_id)
+
+    def _count(self, frame_id: int | None) -> None:
+        """Count the frames that are missing between two numbers."""
+        if frame_id is None:
+            return
+        if self._last_id is not None:
+            self.dropped += self._lost_between(self._last_id, frame_id)
+        self._last_id = frame_id
+
+    def _restart(self) -> None:
+        """Let no late frame be taken for the next one; a camera may number its frames anew."""
+        self._stop()
+        self._last_id = None
+        self._start()
+
+    def _lost_between(self, last: int, frame_id: int) -> int:
+        return max(frame_id - last - 1, 0)
+
+    def _loss_remedy(self) -> str:
+        return "check its cable, and that nothing else sets its trigger"
+
+    @abstractmethod
+    def _connect(self) -> None:
+        """Take the camera."""
+
+    @abstractmethod
+    def _start(self) -> None:
+        """Make it wait for software triggers."""
+
+    @abstractmethod
+    def _stop(self) -> None:
+        """End that."""
+
+    @abstractmethod
+    def _grab(self, limit_s: float) -> Grab:
+        """Trigger once, and wait for the frame that comes of it."""
+
+    @abstractmethod
+    def _number(self, feature: str) -> float | None:
+        """The present value of a numeric feature; None if there is none."""
+
+    @abstractmethod
+    def _format(self) -> str:
+        """The present pixel format."""
+
+    @abstractmethod
+    def _identity(self) -> tuple[str, int, int]:
+        """Name, width and height."""
+
+
+def mid_stamp_s(before_s: float) -> float:
+    """The middle between a time and now, host clock: when a command that was answered meanwhile took effect."""
+    return (before_s + time.time()) / 2
