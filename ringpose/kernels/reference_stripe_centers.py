@@ -9,7 +9,7 @@ from jaxtyping import Float32, Float64, Int64
 
 from ringpose.kernels.reference_stripe_links import Ridge
 from ringpose.kernels.reference_stripe_patches import Filter, Pixels, bend, sections, slope
-from ringpose.kernels.reference_stripe_sigmas import CLUTTERED, Scatter, raised, scatter, scatter_variance
+from ringpose.kernels.reference_stripe_sigmas import CLUTTERED, Scatter, raised, scatter, scatter_variance, usual_excess
 from ringpose.kernels.stripes import Centers, StripeRules
 from ringpose.types.arrays import Array
 
@@ -69,10 +69,13 @@ def centers(
 ) -> Centers:
     """Centres and their sigmas, of all pieces that keep enough columns."""
     measured_pieces = [_measured_piece(pixels, piece, filters) for piece in pieces]
-    kept = [columns for columns in measured_pieces if len(columns.x) >= rules.shortest]
-    x, y, variance, peak = (
-        np.concatenate([np.empty(0), *(getattr(columns, name) for columns in kept)])
-        for name in ("x", "y", "variance", "peak")
+    kept = [columns for columns, _ in measured_pieces if len(columns.x) >= rules.shortest]
+    scatters = [of for columns, of in measured_pieces if len(columns.x) >= rules.shortest]
+    usual = usual_excess(scatters)
+    variances = [raised(each.y, each.variance, of, usual) for each, of in zip(kept, scatters, strict=True)]
+    variance = np.concatenate([np.empty(0), *variances])
+    x, y, peak = (
+        np.concatenate([np.empty(0), *(getattr(columns, name) for columns in kept)]) for name in ("x", "y", "peak")
     )
     return Centers(
         position_px=np.stack([x, y], axis=-1),
@@ -82,20 +85,20 @@ def centers(
     )
 
 
-def _measured_piece(pixels: Pixels, piece: Sequence[Ridge], filters: Sequence[Filter]) -> Columns:
+def _measured_piece(pixels: Pixels, piece: Sequence[Ridge], filters: Sequence[Filter]) -> tuple[Columns, Scatter]:
     """With the filter that suits the piece's width, or with another one if more than the sensor's noise spoils that.
 
     Surroundings ask for a narrower one, speckle for a wider one; the better of the two is taken.
     """
     number, width = suited_filter(piece, filters)
     columns, of = _measured_with(pixels, piece, filters, number, width)
-    if of.excess > CLUTTERED and width and len(piece) >= LEAST_TRIED:
+    if of.excess() > CLUTTERED and width and len(piece) >= LEAST_TRIED:
         trial = number - OTHER_FILTER if of.background else number + OTHER_FILTER
         other, tried = _measured_with(pixels, piece, filters, min(max(trial, 1), len(filters) - 1), width)
         better = scatter_variance(other.y, tried) < BETTER * scatter_variance(columns.y, of)
         if better and LOST_ONE_IN * (len(columns.x) - len(other.x)) <= len(columns.x):
             columns, of = other, tried
-    return Columns(x=columns.x, y=columns.y, variance=raised(columns.y, columns.variance, of), peak=columns.peak)
+    return columns, of
 
 
 def _measured_with(

@@ -3,6 +3,7 @@
 Second differences do not see where a straight piece runs. Near ones show speckle, far ones what surrounds it.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,22 +11,25 @@ from jaxtyping import Float64
 
 from ringpose.types.arrays import Array
 
-NEAR_LAG, FAR_LAG = 4, 20
+NEAR_LAG, FAR_LAG = 4, 40
 """Columns over which the speckle of two centres has become independent, and a background."""
 
 BACKGROUND = 1.75
 """Far centres differ by so much more than near ones where the surroundings of a stripe spoil it."""
 
-PRIOR_DIFFERENCES = 4.0
-"""The sensor's noise counts as much as so many differences."""
+EXPECTED_DIFFERENCES = 4.0
+"""What is expected of a piece counts as much as so many differences."""
+
+FRAME_DIFFERENCES = 8.0
+"""And what the frame's pieces show as so many, on a scale of ratios: short pieces show little."""
 
 LARGEST_SQUARE, ROUNDS = 25.0, 3
 """Squares count up to this many times their mean."""
 
-SURROUNDINGS = 24
+SURROUNDINGS = 16
 """Differences on either side that are a column's surroundings."""
 
-PIECE_DIFFERENCES = 16.0
+PIECE_DIFFERENCES = 6.0
 """Those of all the piece count as so many."""
 
 VARIANCES = 6.0
@@ -40,20 +44,26 @@ Column = Float64[Array, "n"]
 class Scatter(NamedTuple):
     """What second differences between centres show."""
 
-    excess: float
-    """Over what the sensor's noise explains."""
+    total: float
+    """Of their squares over what the sensor's noise explains."""
+    count: int
     lag: int
     """Columns between the centres."""
-    background: bool
-    """Whether far ones show much more than near ones."""
+
+    @property
+    def background(self) -> bool:
+        """Whether far ones show much more than near ones."""
+        return self.lag == FAR_LAG
+
+    def excess(self, expected: float = 1.0) -> float:
+        """Mean of those squares, together with a few that are as expected."""
+        return (EXPECTED_DIFFERENCES * expected + self.total) / (EXPECTED_DIFFERENCES + self.count)
 
 
 def scatter(y: Column, variance: Column) -> Scatter:
     """By near differences, unless far ones show much more."""
-    near, far = _excess(y, variance, NEAR_LAG), _excess(y, variance, FAR_LAG)
-    if far > BACKGROUND * near:
-        return Scatter(far, FAR_LAG, background=True)
-    return Scatter(near, NEAR_LAG, background=False)
+    near, far = _scatter_at(y, variance, NEAR_LAG), _scatter_at(y, variance, FAR_LAG)
+    return far if far.excess() > BACKGROUND * near.excess() else near
 
 
 def scatter_variance(y: Column, of: Scatter) -> float:
@@ -61,18 +71,39 @@ def scatter_variance(y: Column, of: Scatter) -> float:
     return _clipped_mean(_squares(y, _fitting(of.lag, len(y))))
 
 
-def raised(y: Column, variance: Column, of: Scatter) -> Column:
-    """The variances raised by a small excess, which is the sensor's; a large one is added as it is near each column."""
-    if of.excess <= CLUTTERED:
-        return variance * of.excess
+def usual_excess(pieces: Sequence[Scatter]) -> float:
+    """The excess that half the differences of all pieces keep below."""
+    usual, seen, half = 1.0, 0, sum(of.count for of in pieces) / 2
+    for of in sorted(pieces, key=Scatter.excess):
+        if seen < half:
+            usual = of.excess()
+        seen += of.count
+    return usual
+
+
+def raised(y: Column, variance: Column, of: Scatter, usual: float) -> Column:
+    """The variances, or more where the differences around a column show it.
+
+    Where there are few, those of the piece and of the frame count.
+    """
     lag = _fitting(of.lag, len(y))
-    piece, squares = scatter_variance(y, of), _squares(y, lag)
-    squares = np.minimum(squares, LARGEST_SQUARE * piece)
-    added = np.empty(len(y))
+    expected, share = usual * variance.mean(), FRAME_DIFFERENCES / (FRAME_DIFFERENCES + of.count)
+    shown = EXPECTED_DIFFERENCES * expected + of.count * scatter_variance(y, of)
+    piece = expected**share * (shown / (EXPECTED_DIFFERENCES + of.count)) ** (1 - share)
+    squares = np.minimum(_squares(y, lag), LARGEST_SQUARE * piece)
+    around = np.empty(len(y))
     for i in range(len(y)):
         near = squares[max(i - lag - SURROUNDINGS, 0) : max(i - lag + SURROUNDINGS + 1, 0)]
-        added[i] = (near.sum() + PIECE_DIFFERENCES * piece) / (len(near) + PIECE_DIFFERENCES)
-    return variance + added
+        around[i] = (near.sum() + PIECE_DIFFERENCES * piece) / (len(near) + PIECE_DIFFERENCES)
+    return np.maximum(variance, around)
+
+
+def _scatter_at(y: Column, variance: Column, lag: int) -> Scatter:
+    """Of the differences of centres so far apart, or as far as fits."""
+    near = _fitting(lag, len(y))
+    explained = (variance[: -2 * near] + variance[2 * near :]) + 4 * variance[near:-near] if near else np.empty(0)
+    ratio = _differences(y, near) ** 2 / explained
+    return Scatter(_clipped_mean(ratio) * len(ratio), len(ratio), lag)
 
 
 def _fitting(lag: int, count: int) -> int:
@@ -90,16 +121,7 @@ def _squares(y: Column, lag: int) -> Float64[Array, "difference"]:
     return _differences(y, lag) ** 2 / VARIANCES
 
 
-def _excess(y: Column, variance: Column, lag: int) -> float:
-    """Squared second differences over what the sensor's noise explains."""
-    lag = _fitting(lag, len(y))
-    explained = (variance[: -2 * lag] + variance[2 * lag :]) + 4 * variance[lag:-lag] if lag else np.empty(0)
-    ratio = _differences(y, lag) ** 2 / explained
-    total = PRIOR_DIFFERENCES + (_clipped_mean(ratio) * len(ratio) if len(ratio) else 0.0)
-    return total / (PRIOR_DIFFERENCES + len(ratio))
-
-
-def _clipped_mean(values: Column) -> float:
+def _clipped_mean(values: Float64[Array, "difference"]) -> float:
     """Mean without outliers; 1 of nothing."""
     limit, mean = np.inf, 1.0
     for _ in range(ROUNDS if len(values) else 0):

@@ -3,6 +3,7 @@
 
 #include <math.h>
 #include <stdlib.h>
+#include <string.h>
 
 /* Filter over stripe: a little wider than matched costs 5 % in white noise, and speckle asks for more. */
 #define FILTER_PER_WIDTH 1.3
@@ -91,12 +92,13 @@ static Scatter measure_piece_with(const Job *job, size_t filter, double width, c
     return scatter(columns);
 }
 
+/* Adds centres; the sigmas are variances for now. */
 static void append_columns(const Columns *columns, int64_t number, Centers *centers) {
     size_t at = centers->count;
     for (size_t i = 0; i < columns->count; i++) {
         centers->position[2 * (at + i)] = columns->x[i];
         centers->position[2 * (at + i) + 1] = columns->y[i];
-        centers->sigma[at + i] = sqrt(columns->variance[i]);
+        centers->sigma[at + i] = columns->variance[i];
         centers->peak[at + i] = columns->peak[i];
         centers->piece[at + i] = number;
     }
@@ -105,12 +107,12 @@ static void append_columns(const Columns *columns, int64_t number, Centers *cent
 
 /* Measures a piece with the filter that suits its width, and if more than the sensor's noise spoils that, with another
    one: surroundings ask for a narrower one, speckle for a wider one. Returns the better of the two. */
-static Columns *measure_piece(Job *job, const int32_t *order, size_t count) {
+static Columns *measure_piece(Job *job, const int32_t *order, size_t count, Scatter *best) {
     double width;
     size_t filter = suited_filter(job, order, count, &width);
     Columns *columns = job->columns, *other = columns + 1;
     Scatter of = measure_piece_with(job, filter, width, order, count, columns);
-    if (of.excess > CLUTTERED && width > 0 && count >= LEAST_TRIED) {
+    if (excess(of, 1) > CLUTTERED && width > 0 && count >= LEAST_TRIED) {
         ptrdiff_t trial = (ptrdiff_t)filter + (of.background ? -OTHER_FILTER : OTHER_FILTER);
         ptrdiff_t last = (ptrdiff_t)job->filter_count - 1;
         trial = trial < 1 ? 1 : trial > last ? last : trial;
@@ -122,7 +124,7 @@ static Columns *measure_piece(Job *job, const int32_t *order, size_t count) {
             of = tried;
         }
     }
-    raise_variances(columns, of);
+    *best = of;
     return columns;
 }
 
@@ -161,25 +163,55 @@ static size_t longest_piece(const List *pieces) {
     return (size_t)longest;
 }
 
-int find_centers(const StripeImage *image, const Filter *filters, size_t filter_count, const StripeRules *rules,
-                 const List *ridges, const List *pieces, Centers *centers) {
+static int64_t measure_pieces(Job *job, const List *pieces, const int32_t *order, const int32_t *end,
+                              PieceScatter *measured, Centers *centers) {
     const StripePiece *piece = pieces->data;
-    Job job = {image, filters, filter_count, rules, ridges->data, malloc(sizeof(Patch)), {{0}, {0}}};
-    int32_t *end = malloc((pieces->used + 1) * sizeof *end);
-    int32_t *order = end ? ridges_by_piece(rules, ridges, pieces, end) : NULL;
-    void *memory[2];
-    for (int i = 0; i < 2; i++) memory[i] = allocate_columns(job.columns + i, longest_piece(pieces));
-    int done = job.patch != NULL && order != NULL && memory[0] != NULL && memory[1] != NULL;
     int64_t number = 0;
-    for (size_t i = 0; done && i < pieces->used; i++) {
+    for (size_t i = 0; i < pieces->used; i++) {
         if (end[i] < 0) continue;
         size_t count = (size_t)piece[i].columns;
-        const Columns *columns = measure_piece(&job, order + ((size_t)end[i] - count), count);
-        if (columns->count >= rules->shortest) append_columns(columns, number++, centers);
+        Scatter of;
+        const Columns *columns = measure_piece(job, order + ((size_t)end[i] - count), count, &of);
+        if (columns->count < job->rules->shortest) continue;
+        measured[number] = (PieceScatter){of, columns->count};
+        append_columns(columns, number++, centers);
+    }
+    return number;
+}
+
+/* Sigmas from variances, when all pieces are known; `sorted` is scratch. */
+static void find_sigmas(Columns *columns, const PieceScatter *measured, size_t count, PieceScatter *sorted,
+                        Centers *centers) {
+    memcpy(sorted, measured, count * sizeof *sorted);
+    double usual = usual_excess(sorted, count);
+    double *sigma = centers->sigma, *y = centers->position + 1;
+    for (size_t i = 0; i < count; i++) {
+        columns->count = measured[i].columns;
+        memcpy(columns->variance, sigma, columns->count * sizeof *sigma);
+        for (size_t j = 0; j < columns->count; j++, y += 2) columns->y[j] = *y;
+        raise_variances(columns, measured[i].of, usual);
+        for (size_t j = 0; j < columns->count; j++) *sigma++ = sqrt(columns->variance[j]);
+    }
+}
+
+int find_centers(const StripeImage *image, const Filter *filters, size_t filter_count, const StripeRules *rules,
+                 const List *ridges, const List *pieces, Centers *centers) {
+    Job job = {image, filters, filter_count, rules, ridges->data, malloc(sizeof(Patch)), {{0}, {0}}};
+    size_t room = pieces->used + 1;
+    int32_t *end = malloc(room * sizeof *end);
+    int32_t *order = end ? ridges_by_piece(rules, ridges, pieces, end) : NULL;
+    PieceScatter *measured = malloc(2 * room * sizeof *measured);
+    void *memory[2];
+    for (int i = 0; i < 2; i++) memory[i] = allocate_columns(job.columns + i, longest_piece(pieces));
+    int done = job.patch != NULL && order != NULL && measured != NULL && memory[0] != NULL && memory[1] != NULL;
+    if (done) {
+        size_t count = (size_t)measure_pieces(&job, pieces, order, end, measured, centers);
+        find_sigmas(job.columns, measured, count, measured + room, centers);
     }
     free(job.patch);
     free(end);
     free(order);
+    free(measured);
     free(memory[0]);
     free(memory[1]);
     return done;

@@ -35,12 +35,16 @@ void measure_columns(const Measure *how, Columns *columns);
 
 /* What second differences between centres show: near ones, unless far ones show much more. */
 typedef struct {
-    double excess;  /* over what the sensor's noise explains */
+    double sum;     /* of their squares over what the sensor's noise explains */
+    size_t count;   /* of differences */
     size_t lag;     /* columns between the centres */
     int background; /* whether it is far ones */
 } Scatter;
 
 Scatter scatter(Columns *columns);
+
+/* Mean of those squares, together with a few that are as expected. */
+double excess(Scatter of, double expected);
 
 /* Variance of a centre that those differences show. */
 double scatter_variance(Columns *columns, Scatter of);
@@ -48,8 +52,17 @@ double scatter_variance(Columns *columns, Scatter of);
 /* An excess above this comes from speckle, clutter or bends rather than from the sensor. */
 #define CLUTTERED 8.0
 
-/* Raises the variances by a small excess, which is the sensor's; adds the scatter where it is large, as it is in the
-   surroundings of each column. */
-void raise_variances(Columns *columns, Scatter of);
+/* A piece that is measured. */
+typedef struct {
+    Scatter of;
+    size_t columns;
+} PieceScatter;
+
+/* The excess that half the differences of all pieces keep below; sorts them. 1 without any. */
+double usual_excess(PieceScatter *pieces, size_t count);
+
+/* Raises the variances to what the differences around each column show; where there are few, to what those of the piece
+   and of the frame do. */
+void raise_variances(Columns *columns, Scatter of, double usual);
 
 #endif

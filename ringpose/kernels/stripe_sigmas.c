@@ -4,23 +4,28 @@
 #include "stripe_columns.h"
 
 #include <math.h>
+#include <stdlib.h>
 
-/* Columns over which the speckle of two centres has become independent (grains of about 3 px), and a background. */
-enum { NEAR_LAG = 4, FAR_LAG = 20 };
+/* Columns over which the speckle of two centres has become independent (grains of about 3 px), and a background (facets
+   of a foil). */
+enum { NEAR_LAG = 4, FAR_LAG = 40 };
 
 /* Far centres differ by so much more than near ones where the surroundings of a stripe spoil it. */
 #define BACKGROUND 1.75
 
-/* The sensor's noise counts as much as so many differences. */
-#define PRIOR_DIFFERENCES 4.0
+/* What is expected of a piece counts as much as so many differences. */
+#define EXPECTED_DIFFERENCES 4.0
+
+/* And what the frame's pieces show as so many, on a scale of ratios: short pieces show little. */
+#define FRAME_DIFFERENCES 8.0
 
 /* Squares count up to this many times their mean. */
 #define LARGEST_SQUARE 25.0
 enum { ROUNDS = 3 };
 
 /* Differences on either side that are a column's surroundings, and as how many those of all the piece count. */
-enum { SURROUNDINGS = 24 };
-#define PIECE_DIFFERENCES 16.0
+enum { SURROUNDINGS = 16 };
+#define PIECE_DIFFERENCES 6.0
 
 /* A second difference has six times the variance of a centre. */
 #define VARIANCES 6.0
@@ -71,17 +76,19 @@ static double clipped_mean(double *value, size_t count) {
     return mean;
 }
 
-static double excess(Columns *columns, size_t lag) {
-    size_t count = differences(columns, fitting(lag, columns));
-    compare_differences(columns, fitting(lag, columns), count);
-    double sum = PRIOR_DIFFERENCES + clipped_mean(columns->ratio, count) * (double)count;
-    return sum / (PRIOR_DIFFERENCES + (double)count);
+double excess(Scatter of, double expected) {
+    return (EXPECTED_DIFFERENCES * expected + of.sum) / (EXPECTED_DIFFERENCES + (double)of.count);
+}
+
+static Scatter scatter_at(Columns *columns, size_t lag) {
+    size_t near = fitting(lag, columns), count = differences(columns, near);
+    compare_differences(columns, near, count);
+    return (Scatter){clipped_mean(columns->ratio, count) * (double)count, count, lag, lag == FAR_LAG};
 }
 
 Scatter scatter(Columns *columns) {
-    double near = excess(columns, NEAR_LAG), far = excess(columns, FAR_LAG);
-    int background = far > BACKGROUND * near;
-    return (Scatter){background ? far : near, background ? FAR_LAG : NEAR_LAG, background};
+    Scatter near = scatter_at(columns, NEAR_LAG), far = scatter_at(columns, FAR_LAG);
+    return excess(far, 1) > BACKGROUND * excess(near, 1) ? far : near;
 }
 
 double scatter_variance(Columns *columns, Scatter of) {
@@ -90,10 +97,36 @@ double scatter_variance(Columns *columns, Scatter of) {
     return clipped_mean(columns->square, count);
 }
 
-/* Adds to the variance of each column that of its surroundings, that of all the piece counting as some more. */
-static void add_locally(Columns *columns, Scatter of) {
+/* ---- all pieces ---- */
+
+static int by_excess(const void *first, const void *second) {
+    double a = excess(((const PieceScatter *)first)->of, 1), b = excess(((const PieceScatter *)second)->of, 1);
+    return (a > b) - (a < b);
+}
+
+double usual_excess(PieceScatter *pieces, size_t count) {
+    double all = 0, seen = 0, usual = 1;
+    for (size_t i = 0; i < count; i++) all += (double)pieces[i].of.count;
+    qsort(pieces, count, sizeof *pieces, by_excess);
+    for (size_t i = 0; i < count && 2 * seen < all; i++) {
+        usual = excess(pieces[i].of, 1);
+        seen += (double)pieces[i].of.count;
+    }
+    return usual;
+}
+
+/* Variance of a piece's centres: what they show themselves, and what is usual. */
+static double piece_variance(Columns *columns, Scatter of, double usual) {
+    double expected = 0, count = (double)of.count, share = FRAME_DIFFERENCES / (FRAME_DIFFERENCES + count);
+    for (size_t i = 0; i < columns->count; i++) expected += columns->variance[i];
+    expected *= usual / (double)columns->count;
+    double shown = EXPECTED_DIFFERENCES * expected + count * scatter_variance(columns, of);
+    return pow(expected, share) * pow(shown / (EXPECTED_DIFFERENCES + count), 1 - share);
+}
+
+void raise_variances(Columns *columns, Scatter of, double usual) {
     size_t lag = fitting(of.lag, columns), count = differences(columns, lag);
-    double piece = scatter_variance(columns, of), limit = LARGEST_SQUARE * piece, *sum = columns->ratio;
+    double piece = piece_variance(columns, of, usual), limit = LARGEST_SQUARE * piece, *sum = columns->ratio;
     sum[0] = 0;
     for (size_t i = 0; i < count; i++)
         sum[i + 1] = sum[i] + (columns->square[i] < limit ? columns->square[i] : limit);
@@ -102,14 +135,7 @@ static void add_locally(Columns *columns, Scatter of) {
         size_t to = i + SURROUNDINGS + 1 > lag ? i + SURROUNDINGS + 1 - lag : 0;
         if (to > count) to = count;
         if (from > to) from = to;
-        double local = (sum[to] - sum[from]) + PIECE_DIFFERENCES * piece;
-        columns->variance[i] += local / ((double)(to - from) + PIECE_DIFFERENCES);
+        double near = (sum[to] - sum[from]) + PIECE_DIFFERENCES * piece;
+        columns->variance[i] = fmax(columns->variance[i], near / ((double)(to - from) + PIECE_DIFFERENCES));
     }
-}
-
-void raise_variances(Columns *columns, Scatter of) {
-    if (of.excess > CLUTTERED)
-        add_locally(columns, of);
-    else
-        for (size_t i = 0; i < columns->count; i++) columns->variance[i] *= of.excess;
 }
