@@ -3,7 +3,8 @@
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
-from itertools import chain, islice
+from datetime import UTC, datetime
+from itertools import chain, count, islice
 from pathlib import Path
 
 from ringpose.capture.cameras.recorded import Recording
@@ -35,6 +36,8 @@ class Wanted:
     count: int | None = None
     rate_hz: float | None = None
     channel: str | None = None
+    laser_names: tuple[str, ...] | None = None
+    """Of the rig's lasers; None where no rig is given."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,9 +55,12 @@ class Source:
 def source_of(wanted: Wanted, batch: Batch) -> Source:
     """The source that the URIs name; bad shots of a recording are the batch's business."""
     scheme, rest = scheme_and_rest(wanted.camera, "--camera", schemes(CAMERAS))
-    if wanted.lasers is not None and scheme_and_rest(wanted.lasers, "--lasers", schemes(LASERS))[1]:
+    _, words = ("", "") if wanted.lasers is None else scheme_and_rest(wanted.lasers, "--lasers", schemes(LASERS))
+    if words and scheme in ("files", "sim"):
         raise UsageError("--lasers", f'"{wanted.lasers}" has words after its colon', "leave them out")
-    return _recorded(rest, wanted, batch) if scheme == "files" else _simulated(Path(rest), wanted)
+    if scheme == "files":
+        return _recorded(rest, wanted, batch)
+    return _simulated(Path(rest), wanted) if scheme == "sim" else _taken(wanted)
 
 
 def _recorded(pattern: str, wanted: Wanted, batch: Batch) -> Source:
@@ -103,6 +109,43 @@ def _simulated(scene_file: Path, wanted: Wanted) -> Source:
 
     capture = replace(_capture(replace(wanted, steps=steps), "sim:"), camera_name=description.name)
     return Source(capture=replace(capture, laser_count=laser_count), shots=shots, devices=(camera, lasers))
+
+
+def _taken(wanted: Wanted) -> Source:
+    """A camera, and what switches its lasers; without a wish each laser in turn between two frames without any."""
+    from ringpose.capture.lasers.place import LaserPlace
+    from ringpose.capture.pipeline import captured_shots
+    from ringpose.capture.uri import device_uri, driver
+
+    camera_uri = device_uri(wanted.camera, "--camera", CAMERAS)
+    lasers_uri = device_uri(wanted.lasers or "none:", "--lasers", LASERS)
+    camera = driver(CAMERAS, camera_uri.scheme)(camera_uri)
+    lasers = driver(LASERS, lasers_uri.scheme)(lasers_uri, LaserPlace(names=wanted.laser_names, camera=camera))
+    steps = wanted.steps or _each_laser(lasers)
+    if isinstance(lasers, UncontrolledLasers):
+        refuse_switching(steps)
+    for step in steps:
+        step.mask(lasers.count)
+
+    def shots(read_from: ReadFrom) -> Iterator[Shot]:
+        names = paced(islice(names_by_time(), wanted.count), wanted.rate_hz)
+        return captured_shots(camera, lasers, steps, names, wanted.exposure_s)
+
+    capture = replace(_capture(replace(wanted, steps=steps), "none:"), laser_count=lasers.count)
+    return Source(capture=capture, shots=shots, devices=(camera, lasers))
+
+
+def _each_laser(lasers: LaserDriver) -> tuple[Step, ...]:
+    if isinstance(lasers, UncontrolledLasers):
+        return (Step("all"),)
+    return (Step("off"), *(Step(str(number + 1)) for number in range(lasers.count)), Step("off"))
+
+
+def names_by_time() -> Iterator[str]:
+    """`20260101T000000Z_0001`, counted from 1: no two runs give the same."""
+    began = f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
+    for number in count(1):
+        yield f"{began}_{number:04d}"
 
 
 def _lasers_and_steps(

@@ -36,8 +36,8 @@ _RMEM_MAX = Path("/proc/sys/net/core/rmem_max")
 
 _SUCCESS = 0
 
-_STATUS = {2: "no frame came", 3: "packets got lost", 4: "packets got lost", 5: "a frame had the wrong size"}
-"""What is wrong with a buffer (`ArvBufferStatus`)."""
+_INCOMPLETE = (2, 3, 4)
+"""Timeout, missing packets, wrong packet (`ArvBufferStatus`): the frame came, but not all of it."""
 
 
 class AravisCamera(LockStepCamera):
@@ -76,9 +76,10 @@ class AravisCamera(LockStepCamera):
         name = self._name(feature)
         if name is None:
             return None
-        is_float = self._aravis.is_float(self._device, name)
-        least, most = (c_double(), c_double()) if is_float else (c_int64(), c_int64())
-        kind = "float" if is_float else "integer"
+        kind = self._aravis.kind(self._device, name)
+        least, most = (c_double(), c_double()) if kind == "float" else (c_int64(), c_int64())
+        if kind == "boolean":
+            return 0.0, 1.0
         self._call(f"arv_device_get_{kind}_feature_bounds", name.encode(), byref(least), byref(most))
         return float(least.value), float(most.value)
 
@@ -160,8 +161,8 @@ class AravisCamera(LockStepCamera):
         aravis = self._aravis
         status, frame_id = aravis.arv_buffer_get_status(buffer), int(aravis.arv_buffer_get_frame_id(buffer))
         if status != _SUCCESS:
-            problem = _STATUS.get(status, f"a frame was bad (status {status})")
-            return Grab(stamp_s=stamp_s, problem=problem, frame_id=frame_id, is_late=status not in (3, 4))
+            problem = "packets got lost" if status in _INCOMPLETE else f"a frame was bad (status {status})"
+            return Grab(stamp_s=stamp_s, problem=problem, frame_id=frame_id, is_late=status not in _INCOMPLETE)
         ticks_ns = int(aravis.arv_buffer_get_timestamp(buffer))
         return Grab(
             stamp_s=stamp_s,
@@ -201,7 +202,7 @@ class AravisCamera(LockStepCamera):
         name = self._name(feature)
         if name is None:
             return None
-        kind = "float" if self._aravis.is_float(self._device, name) else "integer"
+        kind = self._aravis.kind(self._device, name)
         return float(self._call(f"arv_device_get_{kind}_feature_value", name.encode()))
 
     def _format(self) -> str:
@@ -227,15 +228,9 @@ class AravisCamera(LockStepCamera):
         return self._names[feature] or None
 
     def _set(self, name: str, value: float | str) -> None:
-        aravis, device, key = self._aravis, self._device, name.encode()
-        if isinstance(value, str):
-            aravis.call("arv_device_set_string_feature_value", device, key, value.encode())
-        elif isinstance(value, bool):
-            aravis.call("arv_device_set_boolean_feature_value", device, key, int(value))
-        elif aravis.is_float(device, name):
-            aravis.call("arv_device_set_float_feature_value", device, key, float(value))
-        else:
-            aravis.call("arv_device_set_integer_feature_value", device, key, round(value))
+        kind = "string" if isinstance(value, str) else self._aravis.kind(self._device, name)
+        converted = value.encode() if isinstance(value, str) else float(value) if kind == "float" else round(value)
+        self._aravis.call(f"arv_device_set_{kind}_feature_value", self._device, name.encode(), converted)
 
     def _call(self, name: str, *arguments: object) -> Any:
         try:

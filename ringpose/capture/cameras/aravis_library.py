@@ -51,6 +51,7 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_device_set_range_check_policy": (None, (c_void_p, c_int)),
     "arv_device_get_feature": (c_void_p, (c_void_p, c_char_p)),
     "arv_gc_float_get_type": (c_size_t, ()),
+    "arv_gc_boolean_get_type": (c_size_t, ()),
     "arv_gv_device_is_controller": (c_int, (c_void_p,)),
     "arv_buffer_new_allocate": (c_void_p, (c_size_t,)),
     "arv_buffer_get_status": (c_int, (c_void_p,)),
@@ -77,6 +78,7 @@ _FALLIBLE: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_device_execute_command": (None, (c_void_p, c_char_p)),
     "arv_device_set_string_feature_value": (None, (c_void_p, c_char_p, c_char_p)),
     "arv_device_get_string_feature_value": (c_char_p, (c_void_p, c_char_p)),
+    "arv_device_get_boolean_feature_value": (c_int, (c_void_p, c_char_p)),
     "arv_device_set_boolean_feature_value": (None, (c_void_p, c_char_p, c_int)),
     "arv_device_set_integer_feature_value": (None, (c_void_p, c_char_p, c_int64)),
     "arv_device_get_integer_feature_value": (c_int64, (c_void_p, c_char_p)),
@@ -132,11 +134,13 @@ class Aravis:
         self._library.g_value_set_int(byref(held), value)
         self._library.g_object_set_property(instance, name.encode(), byref(held))
 
-    def is_float(self, device: int, feature: str) -> bool:
-        """Whether a feature is a floating-point number."""
+    def kind(self, device: int, feature: str) -> str:
+        """`float`, `boolean` or `integer`, as the names of the functions have it that get or set a feature."""
         node = self._library.arv_device_get_feature(device, feature.encode())
-        kind = self._library.arv_gc_float_get_type()
-        return bool(node) and bool(self._library.g_type_check_instance_is_a(node, kind))
+        for kind in ("float", "boolean"):
+            if self._library.g_type_check_instance_is_a(node, getattr(self._library, f"arv_gc_{kind}_get_type")()):
+                return kind
+        return "integer"
 
     def _declare(self, name: str, result: Any, arguments: tuple[Any, ...]) -> None:
         function = getattr(self._library, name)

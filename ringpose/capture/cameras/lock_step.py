@@ -2,6 +2,7 @@
 
 import time
 from abc import abstractmethod
+from contextlib import suppress
 from dataclasses import dataclass
 
 from jaxtyping import UInt
@@ -53,6 +54,7 @@ class LockStepCamera(CameraDriver):
         self._timeout_s = uri.number("timeout", ANSWER_LIMIT_S)
         self._skip = int(uri.number("skip", 0))
         self._gain_db: float | None = None
+        self._ready_lines: set[str] = set()
         self._last_id: int | None = None
         self._own_exposure_s = self._exposure_s = self._armed_s = 0.0
         if self._pixel_format and self._pixel_format not in SATURATION_DN:
@@ -60,7 +62,7 @@ class LockStepCamera(CameraDriver):
 
     def open(self) -> None:
         """Take the camera and set it to single frames by software trigger."""
-        self.dropped, self._last_id = 0, None
+        self.dropped, self._last_id, self._ready_lines = 0, None, set()
         self._connect()
         if self._pixel_format:
             self.set("PixelFormat", self._pixel_format)
@@ -96,6 +98,28 @@ class LockStepCamera(CameraDriver):
             if grab.is_late:
                 self._restart()
         raise DeviceError(self.uri.text, f"{grab.problem}, {TRIES} times in a row", self._loss_remedy())
+
+    def set_output(self, line: str, high: bool) -> None:
+        """Set an output line by its SFNC name (`Line1`); output k, low before it is, becomes the source of line k."""
+        number = _line_number(line, self.uri)
+        if line not in self._ready_lines:
+            self._set_user_output(number, False)
+            self.set("LineSelector", line)
+            with suppress(DeviceError):  # the lines of some cameras are outputs for ever
+                self.set("LineMode", "Output")
+            self.set("LineSource", f"UserOutput{number}")
+            self._ready_lines.add(line)
+        self._set_user_output(number, high)
+
+    def output(self, line: str) -> bool | None:
+        """Whether an output line is high."""
+        self.set("UserOutputSelector", f"UserOutput{_line_number(line, self.uri)}")
+        high = self._number("UserOutputValue")
+        return None if high is None else bool(high)
+
+    def _set_user_output(self, number: int, high: bool) -> None:
+        self.set("UserOutputSelector", f"UserOutput{number}")
+        self.set("UserOutputValue", high)
 
     def describe(self) -> CameraDescription:
         """Which camera it is."""
@@ -163,3 +187,10 @@ class LockStepCamera(CameraDriver):
 def mid_stamp_s(before_s: float) -> float:
     """The middle between a time and now, host clock: when a command that was answered meanwhile took effect."""
     return (before_s + time.time()) / 2
+
+
+def _line_number(line: str, uri: DeviceUri) -> int:
+    number = line.removeprefix("Line")
+    if number == line or not number.isascii() or not number.isdigit():
+        raise DeviceError(uri.text, f'has no output line "{line}"', "lines are called Line1, Line2, ...")
+    return int(number)
