@@ -86,6 +86,12 @@ static void smooth_image_row(const Image *image, size_t row, const Rows *rows) {
         smooth_row(image->data, row, image->width, rows);
 }
 
+/* Absolute value as a maximum, which vectors have one instruction for. */
+static int16_t size_of(int16_t value) {
+    const int16_t opposite = (int16_t)-value;
+    return value > opposite ? value : opposite;
+}
+
 /* Sobel, and the magnitude of both components. */
 VECTOR_LOOP
 static void gradient_row(const Rows *rows, size_t row, size_t width, int16_t *restrict magnitude) {
@@ -100,7 +106,7 @@ static void gradient_row(const Rows *rows, size_t row, size_t width, int16_t *re
     for (size_t x = MARGIN; x + MARGIN < width; x++) {
         int16_t dx = (int16_t)(along[x + 1] - along[x - 1]);
         int16_t dy = (int16_t)(across[x - 1] + 2 * across[x] + across[x + 1]);
-        int16_t ax = (int16_t)(dx < 0 ? -dx : dx), ay = (int16_t)(dy < 0 ? -dy : dy);
+        int16_t ax = size_of(dx), ay = size_of(dy);
         int16_t most = ax > ay ? ax : ay, least = ax > ay ? ay : ax;
         magnitude[x] = (int16_t)(most + ((uint16_t)(3 * least) >> 3));
         gx[x] = dx;
@@ -128,41 +134,58 @@ static void mark_maxima(const Rows *rows, size_t row, const int16_t *restrict he
     const int16_t *restrict up = here - width, *restrict down = here + width;
     const int16_t *restrict gx = rows->gx[row % 2], *restrict gy = rows->gy[row % 2];
     const int16_t *restrict least_in_column = rows->least;
-    const int16_t least_in_row = row % ANCHOR_SPACING == 0 ? upper : NO_ANCHORS;
     uint8_t *restrict is_anchor = rows->is_anchor;
     for (size_t x = from; x < to; x++) {
-        int16_t ax = (int16_t)(gx[x] < 0 ? -gx[x] : gx[x]), ay = (int16_t)(gy[x] < 0 ? -gy[x] : gy[x]);
+        int16_t ax = size_of(gx[x]), ay = size_of(gy[x]);
         int16_t upright = (int16_t)-(ax > ay);
         int16_t before = chosen(upright, *(here + x - 1), up[x]), after = chosen(upright, here[x + 1], down[x]);
-        int16_t least = chosen(upright, least_in_row, least_in_column[x]);
+        int16_t least = chosen(upright, upper, least_in_column[x]);
         is_anchor[x] = (here[x] >= least) & (here[x] > before) & (here[x] >= after);
     }
 }
 
-/* 0: edge along x, 2: along y, 1: down to the right, 3: down to the left. */
-static uint8_t orientation(int gx, int gy) {
-    int ax = abs(gx), ay = abs(gy), most = ax > ay ? ax : ay, least = ax > ay ? ay : ax;
-    if (2 * least >= most) return (gx ^ gy) < 0 ? 1 : 3;
-    return ax > ay ? 2 : 0;
+/* The same in rows in which upright edges have no anchors. */
+VECTOR_LOOP
+static void mark_flat_maxima(const Rows *rows, size_t row, const int16_t *restrict here, size_t width, size_t from,
+                             size_t to) {
+    const int16_t *restrict up = here - width, *restrict down = here + width;
+    const int16_t *restrict gx = rows->gx[row % 2], *restrict gy = rows->gy[row % 2];
+    const int16_t *restrict least = rows->least;
+    uint8_t *restrict is_anchor = rows->is_anchor;
+    for (size_t x = from; x < to; x++) {
+        int flat = size_of(gx[x]) <= size_of(gy[x]);
+        is_anchor[x] = flat & (here[x] >= least[x]) & (here[x] > up[x]) & (here[x] >= down[x]);
+    }
 }
 
-/* Appends the anchors among `from` to `to` of a row; groups of eight without one, most of them, are skipped. */
+/* 0: edge along x, 2: along y, 1: down to the right, 3: down to the left. No branches: they would be guessed wrongly. */
+static uint8_t orientation(int gx, int gy) {
+    const int ax = abs(gx), ay = abs(gy), upright = ax > ay;
+    const int most = upright ? ax : ay, least = upright ? ay : ax;
+    const int oblique = -(2 * least >= most), left = 1 + 2 * ((gx ^ gy) >= 0);
+    return (uint8_t)((left & oblique) | ((2 * upright) & ~oblique));
+}
+
+/* Appends the anchors among `from` to `to` of a row; groups of eight without one, most of them, are skipped, and in the
+   others each pixel is written, to be kept or overwritten: branches would be guessed wrongly. */
 static void keep_anchors(const Rows *rows, size_t row, size_t width, size_t from, size_t to, Anchors *anchors) {
     const int16_t *gx = rows->gx[row % 2], *gy = rows->gy[row % 2];
     int32_t *index = anchors->index.data;
     uint8_t *turn = anchors->orientation.data;
-    size_t n = anchors->index.used;
+    const size_t first = anchors->index.used;
+    const int32_t start = (int32_t)(row * width);
+    size_t n = first;
     for (size_t x = from; x < to;) {
         size_t end = to - x < 8 ? to : x + 8;
         uint64_t eight = 1;
         if (end == x + 8) memcpy(&eight, rows->is_anchor + x, 8);
         if (eight == 0) x = end;
         for (; x < end; x++) {
-            if (!rows->is_anchor[x]) continue;
-            index[n] = (int32_t)(row * width + x);
-            turn[n++] = orientation(gx[x], gy[x]);
+            index[n] = start + (int32_t)x;
+            n += rows->is_anchor[x];
         }
     }
+    for (size_t i = first; i < n; i++) turn[i] = orientation(gx[index[i] - start], gy[index[i] - start]);
     anchors->index.used = anchors->orientation.used = n;
 }
 
@@ -175,7 +198,10 @@ static int find_anchors(const Rows *rows, const int16_t *magnitude, size_t row, 
     for (size_t from = MARGIN + 1; from < last; from += BLOCK) {
         size_t to = last - from < BLOCK ? last : from + BLOCK;
         if (strongest(here, from, to) < upper) continue;
-        mark_maxima(rows, row, here, width, from, to, upper);
+        if (row % ANCHOR_SPACING == 0)
+            mark_maxima(rows, row, here, width, from, to, upper);
+        else
+            mark_flat_maxima(rows, row, here, width, from, to);
         keep_anchors(rows, row, width, from, to, anchors);
     }
     return 1;

@@ -1,6 +1,6 @@
 /* Lines that continue one another become one; twin: reference.joins.
 
-   Ends are looked up in square cells, so wide that what a tip can reach lies in two by two of them. */
+   Ends are looked up in square cells, half as wide as the square that a tip can reach. */
 #include "kernels.h"
 
 #include <math.h>
@@ -26,7 +26,7 @@ typedef struct {
     const Moments *moments;
     size_t count;
     JoinRules rules;
-    double half, cells_per_px; /* of the square that a tip can reach; cells are as wide as it */
+    double half, cells_per_px; /* of the square that a tip can reach; cells are half as wide as it */
     uint32_t columns, rows;
     uint32_t *first; /* item of each cell, row by row; one entry more */
     Item *items;     /* sorted by cell */
@@ -50,7 +50,7 @@ static void size_board(Board *board) {
     /* A tip reaches from 2 `aside` behind it to `gap` ahead, and 2 `aside` to both sides. */
     const double along = board->rules.gap / 2 + board->rules.aside, beside = 2 * board->rules.aside;
     board->half = 1.01 * sqrt(along * along + beside * beside);
-    board->cells_per_px = 1 / (2 * board->half);
+    board->cells_per_px = 1 / board->half;
     board->columns = board->rows = MOST_CELLS;
     double right = 0, bottom = 0;
     for (size_t i = 0; i < 2 * board->count; i++) {
