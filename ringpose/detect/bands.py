@@ -67,7 +67,8 @@ def stripes_in(windows: Sequence[Window], image: LaserImage) -> Stripes:
     for window in windows:
         rows, columns = slice(window.top, window.bottom), slice(window.left, window.right)
         dark = None if image.dark is None else np.ascontiguousarray(image.dark[rows, columns])
-        stripes = find_stripes(np.ascontiguousarray(image.lit[rows, columns]), dark)
+        lit = np.ascontiguousarray(image.lit[rows, columns])
+        stripes = find_stripes(lit, dark, saturation_dn=image.saturation_dn)
         shifted = stripes.position_px + np.array([window.left, window.top], dtype=np.float64)
         parts.append(replace(stripes, position_px=shifted))
     return joined_stripes(parts)

@@ -15,6 +15,8 @@ class LaserImage:
 
     lit: UInt[Array, "row column"]
     dark: UInt[Array, "row column"] | None
+    saturation_dn: int
+    """The grey value at which a pixel is full."""
     lasers: tuple[int, ...]
     """Those that its stripes may belong to."""
 
@@ -35,13 +37,15 @@ def laser_images(shot: Shot, count: int) -> list[LaserImage]:
     A laser's own frame goes before frames that it shares; the dark frame is the one nearest in time, because the
     ambient light of a tumbling target changes.
     """
-    images, covered = [], 0
+    images, covered, saturation_dn = [], 0, shot.saturation_dn
     for number in sorted(range(len(shot.lasers)), key=lambda each: (int(shot.lasers[each]).bit_count(), each)):
         mask = int(shot.lasers[number])
         new = mask & ~covered & ((1 << count) - 1)
         if new:
             lasers = tuple(laser for laser in range(count) if new >> laser & 1)
-            images.append(LaserImage(lit=shot.images[number], dark=_dark(shot, number, mask & covered), lasers=lasers))
+            dark = _dark(shot, number, mask & covered)
+            image = LaserImage(lit=shot.images[number], dark=dark, saturation_dn=saturation_dn, lasers=lasers)
+            images.append(image)
             covered |= mask
     return images
 

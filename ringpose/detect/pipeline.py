@@ -19,8 +19,8 @@ from ringpose.types.rig import Rig
 from ringpose.types.segments import Segments
 from ringpose.types.stripes import UNLABELLED, Stripes, joined_stripes
 
-DARK_DN = 8
-"""A frame whose brightest pixels stay below this shows nothing at all."""
+DARK_SHARE = 8 / 255
+"""A frame whose brightest pixels stay below this share of saturation shows nothing at all."""
 
 
 def detect(
@@ -41,10 +41,10 @@ def detect(
         return Detection(shot=shot.name, stamp_s=shot.measured_at_s, break_points=NoBreakPoints.NO_LASER_FRAME)
     stripes = None if predicted is None else _predicted_stripes(images, predicted, rig)
     segments, ring_edges = None, None
-    found = None if stripes is None else _found(stripes, images, rig, shot.saturation_dn)
+    found = None if stripes is None else _found(stripes, images, rig)
     if stripes is None or found is None or _lost(found, predicted):
         stripes, segments = _all_stripes(images, source)
-        found = _found(stripes, images, rig, shot.saturation_dn)
+        found = _found(stripes, images, rig)
     if edges and isinstance(found, BreakPoints) and source is StripeSource.CENTERS:
         found, ring_edges = shown_edges(found, shot, stripes, rig)
     return Detection(
@@ -82,7 +82,7 @@ def _all_stripes(images: list[LaserImage], source: StripeSource) -> tuple[Stripe
             part, edges = stripes_between_segments(image.lit, image.dark)
             segments.append(edges)
         else:
-            part = find_stripes(image.lit, image.dark)
+            part = find_stripes(image.lit, image.dark, saturation_dn=image.saturation_dn)
         stripes.append(_labelled(part, image))
     return joined_stripes(stripes), _joined_segments(segments) if segments else None
 
@@ -102,10 +102,10 @@ def _joined_segments(parts: list[Segments]) -> Segments:
     )
 
 
-def _found(stripes: Stripes, images: list[LaserImage], rig: Rig, saturation_dn: int) -> BreakPoints | NoBreakPoints:
+def _found(stripes: Stripes, images: list[LaserImage], rig: Rig) -> BreakPoints | NoBreakPoints:
     """The break points among the stripes, or why there are none."""
     if not len(stripes.piece):
-        return _why_no_stripe(images, saturation_dn)
+        return _why_no_stripe(images)
     tracks = straight_tracks(stripes, rig.camera)
     unlabelled = [laser for image in images if not image.labelled for laser in image.lasers]
     face = ring_face(tracks, unlabelled, rig)
@@ -115,7 +115,7 @@ def _found(stripes: Stripes, images: list[LaserImage], rig: Rig, saturation_dn: 
         return NoBreakPoints.NO_RING
     if face.ambiguous:
         return NoBreakPoints.AMBIGUOUS_LABELS
-    return break_points(face, tracks, images, rig, saturation_dn)
+    return break_points(face, tracks, images, rig, images[0].saturation_dn)
 
 
 def _masks_contradicted(face: Face | None, tracks: list[Track], rig: Rig) -> bool:
@@ -127,9 +127,9 @@ def _masks_contradicted(face: Face | None, tracks: list[Track], rig: Rig) -> boo
     return other is not None and len(other.tracks) > 2
 
 
-def _why_no_stripe(images: list[LaserImage], saturation_dn: int) -> NoBreakPoints:
-    if all(image.lit.max() < DARK_DN for image in images):
+def _why_no_stripe(images: list[LaserImage]) -> NoBreakPoints:
+    if all(image.lit.max() < DARK_SHARE * image.saturation_dn for image in images):
         return NoBreakPoints.IMAGE_DARK
-    if all(np.median(image.lit) >= saturation_dn for image in images):
+    if all(np.median(image.lit) >= image.saturation_dn for image in images):
         return NoBreakPoints.IMAGE_SATURATED
     return NoBreakPoints.NO_STRIPE

@@ -12,6 +12,7 @@ from jaxtyping import Float64, Int32, UInt
 from ringpose.detect.stripe_filters import stripe_filters
 from ringpose.kernels import stripes as kernel
 from ringpose.types.arrays import Array
+from ringpose.types.frame import full_scale_dn
 from ringpose.types.stripes import UNLABELLED, Stripes
 
 STRIPE_SIGMA_PX = 1.6
@@ -37,7 +38,7 @@ class StripeParameters:
     continue_sigmas: float = 4.0
     """and goes on where they stand out by this one."""
     minimum_peak_dn: float = 3.0
-    """And all are this bright above their surroundings."""
+    """And all are this bright above their surroundings, where a pixel is full at 255."""
     gap_columns: int = 2
     """Columns that may be missing inside a piece."""
     minimum_columns: int = 8
@@ -49,17 +50,21 @@ def find_stripes(
     dark: UInt[Array, "row column"] | None = None,
     parameters: StripeParameters = StripeParameters(),
     bands: Int32[Array, "band column 2"] | None = None,
+    saturation_dn: int | None = None,
 ) -> Stripes:
     """Sub-pixel stripe centres, linked along x into pieces without gap or jump; their lasers are not known.
 
     `dark` is the same view with the lasers off; its ambient light is subtracted (and its noise added). `bands` (see
-    `stripe_bands`) restrict the search.
+    `stripe_bands`) restrict the search. `saturation_dn` is the grey value at which a pixel is full; if it is not
+    known, the image must tell.
     """
     sigma = parameters.filter_sigma_px
+    full_dn = full_scale_dn(image) if saturation_dn is None else saturation_dn
+    minimum_peak_dn = parameters.minimum_peak_dn * full_dn / 255
     rules = kernel.StripeRules(
         begin_sigmas=parameters.threshold_sigmas,
         continue_sigmas=parameters.continue_sigmas,
-        least_response=parameters.minimum_peak_dn * STRIPE_SIGMA_PX / (sigma**2 + STRIPE_SIGMA_PX**2) ** 1.5,
+        least_response=minimum_peak_dn * STRIPE_SIGMA_PX / (sigma**2 + STRIPE_SIGMA_PX**2) ** 1.5,
         coarse_per_response=COARSE_SHARE * sigma**3 * WINDOW_PIXELS,
         gap=parameters.gap_columns,
         shortest=parameters.minimum_columns,

@@ -13,6 +13,10 @@ ALL_LASERS = 255
 """Mask of an image that is read without a rig: all lasers on, however many there are."""
 
 
+USUAL_BITS = (8, 10, 12, 14)
+"""Of cameras whose grey values lie in the lower bits of 16."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Frame:
     """One exposure: grey values and what was lit while it was taken."""
@@ -67,6 +71,21 @@ class Shot:
 
     @property
     def saturation_dn(self) -> int:
-        """The grey value at which a pixel is full: that of the data type, or of 12 bits in 16 (`meta`)."""
+        """The grey value at which a pixel is full: what `meta` says, else what the images allow."""
         limit = self.meta.get("saturation_dn")
-        return int(limit) if limit is not None else int(np.iinfo(self.images.dtype).max)
+        return int(limit) if limit is not None else full_scale_dn(self.images)
+
+
+def full_scale_dn(images: UInt[Array, "*shape"]) -> int:
+    """The largest grey value that a camera could have given, as far as the images tell.
+
+    8 bits have 255. Of more, it is that of the least of 8, 10, 12, 14 and 16 bits that hold every value; in 16 without
+    the lowest bits that no value has, as a camera leaves them that fills elements from the top. So nothing is called
+    full that is not, and a dim image is taken for one of a narrower camera.
+    """
+    most = int(np.iinfo(images.dtype).max)
+    if images.dtype.itemsize == 1:
+        return most
+    used = int(np.bitwise_or.reduce(images, axis=None, initial=0))
+    unused = (used & -used) - 1
+    return next((2**bits - 1 for bits in USUAL_BITS if used < 2**bits), most - unused)

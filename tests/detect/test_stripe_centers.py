@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from ringpose.bench.detectors_break_points import center_errors, joined_centers
+from ringpose.bench.stripe_images import Kind, stripe_image
 from ringpose.detect.stripe_centers import find_stripes
 
 
@@ -90,3 +92,22 @@ def test_sixteen_bits_give_the_same_centres():
 @pytest.mark.parametrize("shape", [(1, 1), (3, 3), (1, 50), (50, 1)])
 def test_tiny_images_have_no_stripe(shape):
     assert len(find_stripes(np.full(shape, 100, dtype=np.uint8)).laser) == 0
+
+
+@pytest.mark.parametrize("kind", [Kind.DARK, Kind.DIM, Kind.SPECKLE, Kind.SATURATED, Kind.FOIL])
+def test_squared_errors_of_columns_average_one_in_their_sigmas(kind):
+    images = [stripe_image(kind, seed) for seed in range(2)]
+
+    errors = joined_centers([center_errors(find_stripes(image.image), image) for image in images])
+
+    assert len(errors.error_px) > 9000
+    assert 0.8 < np.mean((errors.error_px / errors.sigma_px) ** 2) < 1.25
+
+
+@pytest.mark.parametrize("kind", [Kind.DARK, Kind.DIM])
+def test_columns_of_clean_stripes_err_no_more_than_a_seventh_beyond_the_least_possible(kind):
+    image = stripe_image(kind, 3)
+
+    errors = center_errors(find_stripes(image.image), image)
+
+    assert np.sqrt(np.mean((errors.error_px / errors.bound_px) ** 2)) < 1.15
