@@ -44,6 +44,22 @@ def carried_data() -> Path:
     return CARRIED_DATA
 
 
+@pytest.fixture
+def loopback_address(request: pytest.FixtureRequest) -> str:
+    """An address of this machine for this test alone: the port of cameras is fixed."""
+    name = zlib.crc32(request.node.nodeid.encode())
+    return f"127.{1 + (name >> 16) % 254}.{(name >> 8) & 0xFF}.{1 + name % 254}"
+
+
+@pytest.fixture(scope="session")
+def _aravis() -> None:
+    """Leave out, but not in CI, what needs a library that is not installed."""
+    from ringpose.capture.cameras.aravis_library import PACKAGE, library
+
+    if library() is None:
+        _missing(f"libaravis is not installed (apt install {PACKAGE})")
+
+
 @pytest.fixture(scope="session")
 def needed_program() -> Callable[[str], str]:
     """Path of a program that the test cannot do without."""

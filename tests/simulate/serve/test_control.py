@@ -1,0 +1,170 @@
+"""Who may write to the camera, and for how long."""
+
+import pytest
+
+from ringpose.simulate.serve import features
+from ringpose.simulate.serve.control import Control
+from ringpose.simulate.serve.registers import Identity, Registers
+from ringpose.wire import gige_registers as bootstrap
+from ringpose.wire.gvcp import Answer, Command, Request, Status, read_memory_payload, write_register_payload
+
+OWNER, OTHER = ("127.0.0.1", 5000), ("127.0.0.1", 5001)
+
+
+class Recorded:
+    """Notes what the camera is told to do."""
+
+    def __init__(self) -> None:
+        self.done: list[object] = []
+
+    def start(self) -> None:
+        self.done.append("start")
+
+    def stop(self) -> None:
+        self.done.append("stop")
+
+    def trigger(self) -> None:
+        self.done.append("trigger")
+
+    def resend(self, block: int, first: int, last: int) -> None:
+        self.done.append((block, first, last))
+
+    def fire_test_packet(self, client: tuple[str, int], size: int) -> None:
+        self.done.append(size)
+
+    def outputs_changed(self) -> None:
+        self.done.append("outputs")
+
+    def stamp_ticks(self) -> int:
+        return 0x1_0000_0002
+
+
+@pytest.fixture
+def actions():
+    return Recorded()
+
+
+@pytest.fixture
+def control(actions):
+    identity = Identity(address="127.0.0.1", width=4, height=3, bits=8, exposure_s=0.01)
+    return Control(Registers(identity), actions)
+
+
+def written(control: Control, address: int, value: int, client=OWNER, now_s: float = 0.0) -> int:
+    payload = write_register_payload(address, value)
+    answer = control.answer(Request(command=Command.WRITE_REGISTER, number=1, payload=payload), client, now_s)
+    assert answer is not None
+    return answer.status
+
+
+def asked(control: Control, command: int, payload: bytes = b"", client=OWNER) -> Answer:
+    answer = control.answer(Request(command=command, number=7, payload=payload), client, 0.0)
+    assert answer is not None
+    assert answer.number == 7
+    return answer
+
+
+def test_nobody_writes_without_control(control, actions):
+    assert written(control, features.TRIGGER_SOFTWARE, 1) == Status.ACCESS_DENIED
+    assert actions.done == []
+
+
+def test_the_one_who_has_control_sets_things_off(control, actions):
+    written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
+
+    assert written(control, features.ACQUISITION_START, 1) == Status.SUCCESS
+    assert written(control, features.TRIGGER_SOFTWARE, 1) == Status.SUCCESS
+    assert actions.done == ["start", "trigger"]
+
+
+def test_control_is_not_taken_from_its_owner(control):
+    written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
+
+    assert written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL, OTHER) == Status.ACCESS_DENIED
+    assert control.client == OWNER
+
+
+def test_others_may_read_unless_the_owner_is_exclusive(control):
+    written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.EXCLUSIVE)
+
+    assert asked(control, Command.READ_REGISTER, bytes.fromhex("0000a000"), OTHER).status == Status.ACCESS_DENIED
+    assert asked(control, Command.READ_REGISTER, bytes.fromhex("0000a000")).payload == b"\0\0\0\4"
+
+
+def test_a_silent_owner_is_given_up_and_its_outputs_go_low(control, actions):
+    written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
+    written(control, features.USER_OUTPUT_VALUE_ALL, 0b101)
+
+    control.expire(3.1)
+
+    assert control.client is None
+    assert control.registers[features.USER_OUTPUT_VALUE_ALL] == 0
+    assert actions.done == ["outputs", "stop", "outputs"]
+
+
+def test_an_owner_that_is_heard_keeps_control(control):
+    written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
+    control.answer(Request(command=Command.DISCOVERY, number=1), OWNER, 2.0)
+
+    control.expire(4.9)
+
+    assert control.client == OWNER
+
+
+def test_outputs_one_by_one_make_the_mask_of_all(control):
+    written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
+
+    written(control, features.USER_OUTPUT_VALUE + 8, 1)
+
+    assert control.registers[features.USER_OUTPUT_VALUE_ALL] == 0b100
+
+
+def test_the_description_is_where_the_camera_says(control):
+    url = asked(control, Command.READ_MEMORY, read_memory_payload(bootstrap.XML_URL, 512)).payload[4:]
+    name, address, size = url.rstrip(b"\0").decode().split(";")
+
+    start = asked(control, Command.READ_MEMORY, read_memory_payload(int(address, 16), 38)).payload[4:]
+
+    assert name == "Local:ringpose.xml"
+    assert start == b'<?xml version="1.0" encoding="utf-8"?>'
+    assert int(size, 16) == len(features.description())
+
+
+@pytest.mark.parametrize(
+    ("address", "status"),
+    [
+        (features.WIDTH, Status.WRITE_PROTECT),
+        (0xA001, Status.BAD_ALIGNMENT),
+        (features.XML_ADDRESS, Status.INVALID_ADDRESS),
+    ],
+)
+def test_what_cannot_be_written_is_refused(control, address, status):
+    written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
+
+    assert written(control, address, 1) == status
+
+
+def test_an_address_that_is_not_there_is_refused(control):
+    assert asked(control, Command.READ_MEMORY, read_memory_payload(0xFFFFFF00, 8)).status == Status.INVALID_ADDRESS
+    assert asked(control, Command.READ_REGISTER, b"\xff\xff\xff\xfc").status == Status.INVALID_ADDRESS
+
+
+def test_an_unknown_command_is_answered_so(control):
+    assert asked(control, 0x00A0).status == Status.NOT_IMPLEMENTED
+
+
+def test_twelve_bits_need_two_bytes_a_pixel(control):
+    written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
+
+    written(control, features.PIXEL_FORMAT, 0x01100005)
+
+    assert control.registers[features.PAYLOAD_SIZE] == 2 * 4 * 3
+
+
+def test_the_clock_is_latched(control):
+    written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
+
+    written(control, bootstrap.TIMESTAMP_CONTROL, 2)
+
+    assert control.registers[bootstrap.TIMESTAMP_HIGH] == 1
+    assert control.registers[bootstrap.TIMESTAMP_LOW] == 2

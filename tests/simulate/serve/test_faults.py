@@ -1,0 +1,33 @@
+"""Faults in the words of the command line."""
+
+import pytest
+
+from ringpose.errors import UsageError
+from ringpose.simulate.serve.faults import parsed_faults
+
+
+def test_faults_reach_their_parts():
+    faults = parsed_faults(["loss=0.002", "dead-camera=20", "stuck:2", "late:3=0.05", "operate=0.008", "unplug=7"], 3)
+
+    assert (faults.camera.loss, faults.camera.dies_after, faults.unplug_after) == (0.002, 20, 7)
+    assert faults.contacts.stuck == {1}
+    assert faults.contacts.late_s == {2: 0.05}
+    assert faults.contacts.operate_s == 0.008
+
+
+@pytest.mark.parametrize(
+    ("text", "remedy"),
+    [
+        ("los=1", "is no fault; it is one of loss"),
+        ("loss", "say loss=0.002"),
+        ("loss=1", "say loss=0.002"),
+        ("loss=nan", "say loss=0.002"),
+        ("stuck", "say stuck:2"),
+        ("stuck:4", "lasers are numbered from 1 to 3"),
+        ("late:1=x", "say late:2=0.05"),
+        ("no-resend=1", "say no-resend"),
+    ],
+)
+def test_what_is_no_fault_is_wrong_usage(text, remedy):
+    with pytest.raises(UsageError, match=remedy):
+        parsed_faults([text], 3)

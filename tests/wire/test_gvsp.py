@@ -1,0 +1,69 @@
+"""Frames in their datagrams, against bytes written out by hand, and put together again."""
+
+import pytest
+
+from ringpose.wire.gvsp import (
+    Kind,
+    Leader,
+    PixelFormat,
+    StreamedFrame,
+    block_after,
+    blocks_between,
+    leader_in,
+    packet_in,
+    piece_size,
+)
+
+LEADER = Leader(stamp_ticks=0x0102030405060708, pixel_format=PixelFormat.MONO8, width=4, height=3)
+
+FRAME = StreamedFrame(block=9, leader=LEADER, data=memoryview(bytes(range(12))), piece_size=5)
+
+
+@pytest.mark.parametrize(
+    ("number", "text"),
+    [
+        (0, "0000000901000000" + "00000001" + "0102030405060708" + "01080001" + "00000004" + "00000003" + 12 * "00"),
+        (1, "0000000903000001" + "0001020304"),
+        (3, "0000000903000003" + "0a0b"),
+        (4, "0000000902000004" + "00000001" + "00000003"),
+    ],
+    ids=["leader", "first piece", "last piece", "trailer"],
+)
+def test_a_packet_has_the_bytes_of_the_standard(number, text):
+    assert FRAME.datagram(number).hex() == text
+
+
+def test_a_frame_is_its_packets_put_together():
+    packets = [packet_in(FRAME.datagram(number)) for number in range(FRAME.packets)]
+
+    found = [packet for packet in packets if packet is not None]
+    assert [packet.kind for packet in found] == [Kind.LEADER, *3 * [Kind.PAYLOAD], Kind.TRAILER]
+    assert [packet.number for packet in found] == [0, 1, 2, 3, 4]
+    assert b"".join(packet.payload for packet in found[1:-1]) == bytes(range(12))
+    assert leader_in(found[0].payload) == LEADER
+
+
+def test_a_packet_is_as_large_on_the_wire_as_was_said():
+    frame = StreamedFrame(block=1, leader=LEADER, data=memoryview(bytes(5000)), piece_size=piece_size(1400))
+
+    assert len(frame.datagram(1)) + 20 + 8 == 1400
+
+
+@pytest.mark.parametrize(("block", "following"), [(1, 2), (65534, 65535), (65535, 1)])
+def test_no_frame_has_the_number_0(block, following):
+    assert block_after(block) == following
+
+
+@pytest.mark.parametrize(("last", "block", "lost"), [(1, 2, 0), (1, 5, 3), (65535, 1, 0), (65534, 2, 2)])
+def test_lost_frames_are_counted_across_the_wrap(last, block, lost):
+    assert blocks_between(last, block) == lost
+
+
+@pytest.mark.parametrize(("name", "size"), [("MONO8", 1), ("MONO12", 2), ("MONO16", 2)])
+def test_a_pixel_format_says_its_bytes(name, size):
+    assert PixelFormat[name].bytes_per_pixel == size
+
+
+def test_what_is_no_packet_is_passed_over():
+    assert packet_in(b"1234567") is None
+    assert leader_in(bytes(10)) is None
