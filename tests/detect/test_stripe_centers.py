@@ -8,7 +8,7 @@ from ringpose.bench.stripe_images import Kind, stripe_image
 from ringpose.detect.stripe_centers import find_stripes
 
 
-def stripe_image(center, *, peak=150.0, sigma=1.6, noise=0.0, rng=None, shape=(120, 400)):
+def drawn(center, *, peak=150.0, sigma=1.6, noise=0.0, rng=None, shape=(120, 400)):
     rows = np.arange(shape[0])[:, None]
     image = 10 + peak * np.exp(-0.5 * ((rows - center[None, :]) / sigma) ** 2)
     if rng is not None:
@@ -20,7 +20,7 @@ def stripe_image(center, *, peak=150.0, sigma=1.6, noise=0.0, rng=None, shape=(1
 def test_centres_have_no_bias_over_the_pixel(sigma):
     truth = 60 + np.linspace(-1, 1, 400)
 
-    stripes = find_stripes(stripe_image(truth, sigma=sigma))
+    stripes = find_stripes(drawn(truth, sigma=sigma))
 
     error_px = stripes.position_px[:, 1] - truth[stripes.position_px[:, 0].astype(int)]
     assert len(error_px) == 400
@@ -31,7 +31,7 @@ def test_centres_have_no_bias_over_the_pixel(sigma):
 def test_scatter_is_the_reported_sigma(rng):
     truth = np.full(400, 60.3)
 
-    stripes = find_stripes(stripe_image(truth, peak=60, noise=3.0, rng=rng))
+    stripes = find_stripes(drawn(truth, peak=60, noise=3.0, rng=rng))
 
     error_px = stripes.position_px[:, 1] - 60.3
     assert np.std(error_px) == pytest.approx(np.median(stripes.sigma_px), rel=0.3)
@@ -41,7 +41,7 @@ def test_sigma_is_near_the_bound_for_white_noise(rng):
     truth = np.full(400, 60.3)
     peak, noise, sigma = 100.0, 2.0, 1.6
 
-    stripes = find_stripes(stripe_image(truth, peak=peak, noise=noise, sigma=sigma, rng=rng))
+    stripes = find_stripes(drawn(truth, peak=peak, noise=noise, sigma=sigma, rng=rng))
 
     bound_px = 1.062 * noise / peak * np.sqrt(sigma)
     assert np.std(stripes.position_px[:, 1] - 60.3) < 1.3 * bound_px
@@ -50,13 +50,13 @@ def test_sigma_is_near_the_bound_for_white_noise(rng):
 def test_a_jump_begins_a_new_piece():
     truth = np.where(np.arange(400) < 200, 50.0, 70.0)
 
-    stripes = find_stripes(stripe_image(truth))
+    stripes = find_stripes(drawn(truth))
 
     assert len(stripes.laser) == 2
 
 
 def test_a_gap_of_two_columns_does_not():
-    image = stripe_image(np.full(400, 60.0))
+    image = drawn(np.full(400, 60.0))
     image[:, 200:202] = 10
 
     stripes = find_stripes(image)
@@ -65,8 +65,8 @@ def test_a_gap_of_two_columns_does_not():
 
 
 def test_ambient_light_with_its_own_ridges_is_subtracted(rng):
-    dark = stripe_image(np.full(400, 30.0), peak=80)
-    lit = (dark + (stripe_image(np.full(400, 80.0)) - 10)).astype(np.uint8)
+    dark = drawn(np.full(400, 30.0), peak=80)
+    lit = (dark + (drawn(np.full(400, 80.0)) - 10)).astype(np.uint8)
 
     stripes = find_stripes(lit, dark)
 
@@ -82,7 +82,7 @@ def test_noise_has_hardly_any_stripe(rng):
 
 
 def test_sixteen_bits_give_the_same_centres():
-    image = stripe_image(60 + np.linspace(-1, 1, 400))
+    image = drawn(60 + np.linspace(-1, 1, 400))
 
     eight, sixteen = find_stripes(image), find_stripes(image.astype(np.uint16) * 16)
 
