@@ -43,7 +43,7 @@ class DeviceUri:
                 remedy = f"did you mean {near[0]}?" if near else f"it takes {', '.join(known) or 'none'}"
                 raise self.problem(f'has no parameter "{key}"', remedy)
 
-    def number(self, key: str, default: float) -> float:
+    def number(self, key: str, default: int | float) -> float:
         """A parameter that is a number."""
         try:
             return float(self.parameters.get(key, default))

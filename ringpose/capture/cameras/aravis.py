@@ -83,7 +83,7 @@ class AravisCamera(LockStepCamera):
         self._call(f"arv_device_get_{kind}_feature_bounds", name.encode(), byref(least), byref(most))
         return float(least.value), float(most.value)
 
-    def set(self, feature: str, value: float | str) -> None:
+    def set(self, feature: str, value: int | float | str) -> None:
         """See `CameraDriver`."""
         name = self._name(feature)
         if name is None:
@@ -227,7 +227,7 @@ class AravisCamera(LockStepCamera):
             self._names[feature] = there[0] if there else ""
         return self._names[feature] or None
 
-    def _set(self, name: str, value: float | str) -> None:
+    def _set(self, name: str, value: int | float | str) -> None:
         kind = "string" if isinstance(value, str) else self._aravis.kind(self._device, name)
         converted = value.encode() if isinstance(value, str) else float(value) if kind == "float" else round(value)
         self._aravis.call(f"arv_device_set_{kind}_feature_value", self._device, name.encode(), converted)
@@ -250,6 +250,7 @@ class AravisCamera(LockStepCamera):
                 self.uri.text, "is controlled by another program", "close that one, or wait 3 s if it died"
             )
         if "timeout" in error.message.lower():
+            self._acquiring = False  # there is nobody left to stop
             return DeviceError(self.uri.text, "does not answer any more", "check its cable and its power")
         return DeviceError(self.uri.text, error.message)
 

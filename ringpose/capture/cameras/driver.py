@@ -28,7 +28,7 @@ class CameraDriver(Device, Protocol):
     def bounds(self, feature: str) -> tuple[float, float] | None:
         """Least and greatest value of a feature by its SFNC name (`ExposureTime`, in us); None if it has none."""
 
-    def set(self, feature: str, value: float | str) -> None:
+    def set(self, feature: str, value: int | float | str) -> None:
         """Set a feature by its SFNC name; a `DeviceError` names the bounds if the value lies outside them."""
 
     def arm(self, exposure_s: float | None) -> None:

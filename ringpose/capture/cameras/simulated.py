@@ -43,7 +43,7 @@ class SimulatedCamera(CameraDriver):
         """The scene's camera takes any setting."""
         return None
 
-    def set(self, feature: str, value: float | str) -> None:
+    def set(self, feature: str, value: int | float | str) -> None:
         """The scene file alone says how its camera is set."""
         raise DeviceError("sim:", f"{feature} cannot be set to {value}", "change the scene file")
 

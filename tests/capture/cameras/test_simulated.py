@@ -7,7 +7,7 @@ from ringpose.capture.cameras.driver import CameraDescription
 from ringpose.capture.cameras.simulated import SimulatedCamera
 from ringpose.capture.lasers.simulated import SimulatedLasers
 from ringpose.capture.lasers.uncontrolled import UncontrolledLasers, refuse_switching
-from ringpose.capture.pipeline import captured_shots
+from ringpose.capture.pipeline import Procedure, captured_shots
 from ringpose.errors import UsageError
 from ringpose.types.frame import Frame
 from ringpose.types.sequence import parsed_sequence
@@ -26,7 +26,7 @@ def test_each_shot_is_the_next_moment_of_the_scene():
     camera = SimulatedCamera(DESCRIPTION, scene_frame, lasers)
 
     with camera, lasers:
-        shots = list(captured_shots(camera, lasers, parsed_sequence("off,1,all"), ["a", "b"]))
+        shots = list(captured_shots(camera, lasers, Procedure(steps=parsed_sequence("off,1,all")), ["a", "b"]))
 
     assert [shot.images[:, 0, 0].tolist() for shot in shots] == [[0, 1, 7], [10, 11, 17]]
 
@@ -38,7 +38,7 @@ def test_the_image_shows_what_is_lit_not_what_was_commanded():
 
     camera = SimulatedCamera(DESCRIPTION, scene_frame, Stuck(3))
 
-    (shot,) = captured_shots(camera, Stuck(3), parsed_sequence("off"), ["a"])
+    (shot,) = captured_shots(camera, Stuck(3), Procedure(steps=parsed_sequence("off")), ["a"])
 
     assert shot.images[0, 0, 0] == 0b100
     assert shot.lasers.tolist() == [0]
@@ -48,7 +48,7 @@ def test_lasers_that_nothing_switches_are_on_in_every_image():
     lasers = UncontrolledLasers(3)
     camera = SimulatedCamera(DESCRIPTION, scene_frame, lasers)
 
-    (shot,) = captured_shots(camera, lasers, parsed_sequence("all"), ["a"])
+    (shot,) = captured_shots(camera, lasers, Procedure(steps=parsed_sequence("all")), ["a"])
 
     assert shot.images[0, 0, 0] == 7
 
