@@ -27,10 +27,10 @@ JOINED_PX = 0.5
 ON_LINE_PX = 2.5
 """Centres so close to a track's line are on its surface; the nearest body behind a ring jumps by 4 px at 1 m."""
 
-SHORT_SERIES = 1.5
+SHORT_SERIES = 1.25
 """A line fitted to a short series takes part of its likeness away: what is found is so much too small."""
 
-TAKEN_BY_THE_FIT, LEAST_COLUMNS = 4.0, 0.5
+TAKEN_BY_THE_FIT, LEAST_COLUMNS = 5.0, 0.5
 """Independent columns that a fit takes from a series, and the least that are left to it.
 
 The line takes up part of what neighbours err alike, which then shows neither in the scatter nor in the likeness: at 29
