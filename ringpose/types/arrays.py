@@ -1,15 +1,38 @@
-"""The array type of every signature, and the order of its named axes.
+"""The array types of every signature, and the order of their named axes.
 
 Axis names used throughout: `laser` in the order of the rig file and of the bits of a mask, `edge` in the
 order of `EDGES`, `xy` and `xyz` of two and three, `frame`, `row`, `column`. NaN stands for "not seen".
 """
 
-from typing import Any
+import sys
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+if TYPE_CHECKING or "jaxtyping" in sys.modules:
+    from jaxtyping import Bool as Bool
+    from jaxtyping import Complex64 as Complex64
+    from jaxtyping import Float32 as Float32
+    from jaxtyping import Float64 as Float64
+    from jaxtyping import Int8 as Int8
+    from jaxtyping import Int16 as Int16
+    from jaxtyping import Int32 as Int32
+    from jaxtyping import Int64 as Int64
+    from jaxtyping import UInt as UInt
+    from jaxtyping import UInt8 as UInt8
+    from jaxtyping import UInt16 as UInt16
+else:
+
+    class _Unchecked:
+        """Stands for jaxtyping's element types where nobody checks them: importing those takes as long as NumPy."""
+
+        def __class_getitem__(cls, array_and_shape: tuple[Any, str]) -> Any:
+            return array_and_shape[0]
+
+    Bool = Complex64 = Float32 = Float64 = Int8 = Int16 = Int32 = Int64 = UInt = UInt8 = UInt16 = _Unchecked
+
 Array = np.ndarray[Any, np.dtype[Any]]
-"""A NumPy array; jaxtyping adds element type and shape, as in `Float64[Array, "laser xyz=3"]`."""
+"""A NumPy array; element type and shape are added as in `Float64[Array, "laser xyz=3"]` (jaxtyping's notation)."""
 
 EDGES = ("inner", "outer")
 """Order of the axis `edge`."""
