@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 
 NEAR_LAG, FAR_LAG = 4, 40
 """Columns over which the speckle of two centres has become independent, and a background."""
@@ -26,7 +25,7 @@ FRAME_DIFFERENCES = 8.0
 LARGEST_SQUARE, ROUNDS = 25.0, 3
 """Squares count up to this many times their mean."""
 
-SURROUNDINGS = 16
+SURROUNDINGS = 10
 """Differences on either side that are a column's surroundings."""
 
 PIECE_DIFFERENCES = 6.0

@@ -24,7 +24,7 @@ enum { NEAR_LAG = 4, FAR_LAG = 40 };
 enum { ROUNDS = 3 };
 
 /* Differences on either side that are a column's surroundings, and as how many those of all the piece count. */
-enum { SURROUNDINGS = 16 };
+enum { SURROUNDINGS = 10 };
 #define PIECE_DIFFERENCES 6.0
 
 /* A second difference has six times the variance of a centre. */
