@@ -1,43 +1,183 @@
-"""Camera and lasers -> shots, in lock step: light, trigger, next."""
+"""Camera and lasers -> shots, in lock step: light, settle, trigger, next."""
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ringpose.capture.bracketing import merged_brackets, on_the_scale_of
 from ringpose.capture.cameras.driver import CameraDriver
-from ringpose.capture.lasers.driver import LaserDriver
+from ringpose.capture.lasers.driver import LaserDriver, LasersWentOff
+from ringpose.capture.seen import LitPlaces, seen_lasers
+from ringpose.errors import DeviceError, LaserSafetyError
 from ringpose.types.frame import Frame, Shot
 from ringpose.types.sequence import Step
 
+TRIES = 3
+"""How often a shot is taken before what is wrong with it counts."""
+
+DARK_CHECK_S = 0.2
+"""After everything was switched off: long enough for any relay, whatever the settling time that was believed in."""
+
+LEAST_SETTLE_S = 0.02
+"""Of a second attempt after lasers that followed too late."""
+
+RECONNECT_TRIES = 5
+
+RECONNECT_S = 1.0
+"""Between two attempts to open a camera that was lost."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Procedure:
+    """How shots are taken."""
+
+    steps: Sequence[Step]
+    exposure_s: float | None = None
+    """Of steps without one of their own; None for the device's own setting."""
+    settle_s: float = 0.0
+    """From switching to triggering."""
+    must_see: bool = False
+    """Whether a laser that was commanded must show in the image."""
+
 
 def captured_shots(
-    camera: CameraDriver,
-    lasers: LaserDriver,
-    steps: Sequence[Step],
-    names: Iterable[str],
-    exposure_s: float | None = None,
+    camera: CameraDriver, lasers: LaserDriver, procedure: Procedure, names: Iterable[str]
 ) -> Iterator[Shot]:
     """One shot a name, of one frame a step; every laser is off whenever a shot is handed on."""
-    masks = [step.mask(lasers.count) for step in steps]
+    taker = _Taker(camera, lasers, procedure)
     for name in names:
-        camera.arm(exposure_s)
-        frames, read_masks = [], []
-        for mask in masks:
-            lasers.set_mask(mask)
-            frames.append(camera.trigger(mask))
-            read_masks.append(lasers.read_mask())
-        lasers.set_mask(0)
-        yield _shot(name, frames, read_masks, camera.describe().saturation_dn)
+        yield taker.shot(name)
+
+
+class _CameraLost(Exception):
+    """The camera, not the lasers' board, has failed."""
+
+
+class _Taker:
+    """Takes shots and remembers where each laser was last seen."""
+
+    def __init__(self, camera: CameraDriver, lasers: LaserDriver, procedure: Procedure) -> None:
+        self._camera = camera
+        self._lasers = lasers
+        self._procedure = procedure
+        self._masks = [step.mask(lasers.count) for step in procedure.steps]
+        self._settle_s = procedure.settle_s
+        self._places: dict[int, LitPlaces] = {}
+
+    def shot(self, name: str) -> Shot:
+        """A shot in which nothing is wrong, after up to three attempts."""
+        self._camera.arm(self._procedure.exposure_s)
+        problem = DeviceError("lasers", "no shot could be taken")
+        for _ in range(TRIES):
+            try:
+                shot = self._taken(name)
+            except LasersWentOff as error:
+                self._lasers.set_mask(0)
+                problem = error
+                continue
+            except _CameraLost as error:
+                self._lasers.set_mask(0)
+                problem = self._reconnected(error)
+                continue
+            checked, doubt = self._checked(shot)
+            if doubt is None:
+                return checked
+            problem, self._settle_s = doubt, max(2 * self._settle_s, LEAST_SETTLE_S)
+        raise problem
+
+    def _taken(self, name: str) -> Shot:
+        frames, read_masks, lit = [], [], -1
+        for step, mask in zip(self._procedure.steps, self._masks, strict=True):
+            self._lasers.set_mask(mask)
+            if mask != lit:
+                self._lasers.wait(self._settle_s)
+            lit = mask
+            frames.append(self._frame(mask, step.exposure_s))
+            read_masks.append(self._lasers.read_mask())
+        self._lasers.set_mask(0)
+        shot = _shot(name, frames, read_masks, self._camera.describe().saturation_dn)
+        return merged_brackets(shot) if any(step.exposure for step in self._procedure.steps) else shot
+
+    def _frame(self, mask: int, exposure_s: float | None) -> Frame:
+        try:
+            return self._camera.trigger(mask, exposure_s)
+        except DeviceError as error:
+            raise _CameraLost(error) from error
+
+    def _reconnected(self, lost: _CameraLost) -> DeviceError:
+        """The camera opened anew, with all lasers off; what was wrong with it counts if that fails."""
+        (problem,) = lost.args
+        self._camera.close()
+        for attempt in range(RECONNECT_TRIES):
+            self._lasers.wait(RECONNECT_S * min(attempt, 1))
+            try:
+                self._camera.open()
+                self._camera.arm(self._procedure.exposure_s)
+            except DeviceError as error:
+                problem = error
+                self._camera.close()
+            else:
+                return DeviceError("camera", f"was lost again and again: {problem}")
+        raise problem
+
+    def _checked(self, shot: Shot) -> tuple[Shot, DeviceError | None]:
+        """The shot with the masks that were seen; a doubt if lasers followed too late or not at all."""
+        seen, places = seen_lasers(shot)
+        if seen is None:
+            return shot, None
+        stuck = {laser: self._places[laser] for laser in self._places if laser not in places}
+        self._places |= places
+        extra = int(np.bitwise_or.reduce(seen & ~shot.lasers))
+        missing = int(np.bitwise_or.reduce(shot.lasers & ~seen))
+        suspects = {laser: found for laser, found in (places | stuck).items() if (extra | missing) >> laser & 1}
+        if suspects:
+            self._refuse_light(suspects, shot)
+        checked = replace(shot, seen_lasers=seen)
+        if extra:
+            return checked, DeviceError("lasers", f"{_names(extra)} seen in frames of others", "raise --settle")
+        if missing and self._procedure.must_see:
+            remedy = "look whether it shines on the target, wait longer (--settle) or expose longer (--exposure)"
+            return checked, DeviceError("lasers", f"{_names(missing)} commanded but not seen, {TRIES} times", remedy)
+        return checked, None
+
+    def _refuse_light(self, suspects: dict[int, LitPlaces], shot: Shot) -> None:
+        """With everything off for long enough no place of these lasers may be lit."""
+        self._lasers.set_mask(0)
+        self._lasers.wait(DARK_CHECK_S)
+        try:
+            frame = self._camera.trigger(0, None)
+        except DeviceError as error:
+            raise LaserSafetyError("lasers", f"{_names_of(suspects)} may be on; the camera failed: {error}") from error
+        image = on_the_scale_of(frame.image, frame.exposure_s, shot)
+        lit = [laser for laser, found in suspects.items() if found.are_lit_in(image)]
+        if lit:
+            raise LaserSafetyError("lasers", f"{_names_of(lit)} seen while all are off", "cut the power")
 
 
 def _shot(name: str, frames: Sequence[Frame], read_masks: Sequence[int | None], saturation_dn: int) -> Shot:
     reported = [mask for mask in read_masks if mask is not None]
+    device_stamps = [frame.device_stamp_s for frame in frames if frame.device_stamp_s is not None]
+    gains = [frame.gain_db for frame in frames if frame.gain_db is not None]
+    ids = [frame.frame_id for frame in frames if frame.frame_id is not None]
     return Shot(
         name=name,
         images=np.stack([frame.image for frame in frames]),
         lasers=np.array([frame.lasers for frame in frames], dtype=np.uint8),
         stamp_s=np.array([frame.stamp_s for frame in frames], dtype=np.float64),
         exposure_s=np.array([frame.exposure_s for frame in frames], dtype=np.float64),
+        device_stamp_s=np.array(device_stamps, dtype=np.float64) if len(device_stamps) == len(frames) else None,
+        gain_db=np.array(gains, dtype=np.float64) if len(gains) == len(frames) else None,
+        frame_id=np.array(ids, dtype=np.int64) if len(ids) == len(frames) else None,
         read_lasers=np.array(reported, dtype=np.uint8) if len(reported) == len(frames) else None,
         meta={"saturation_dn": saturation_dn},
     )
+
+
+def _names(mask: int) -> str:
+    return _names_of([laser for laser in range(mask.bit_length()) if mask >> laser & 1])
+
+
+def _names_of(lasers: Iterable[int]) -> str:
+    numbers = [str(laser + 1) for laser in lasers]
+    return f"laser {numbers[0]} was" if len(numbers) == 1 else f"lasers {', '.join(numbers)} were"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli.app import app
-from ringpose.cli.options import ImageChannel, Quiet, Verbose
+from ringpose.cli.options import ImageChannel, OptionalRigFile, Quiet, Verbose
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -17,11 +17,16 @@ if TYPE_CHECKING:
     from ringpose.types.frame import Shot
 
 CameraUri = Annotated[
-    str, typer.Option("--camera", metavar="URI", help="files:FOLDER, files:PATTERN, files:- or sim:SCENE.yaml.")
+    str,
+    typer.Option(
+        "--camera", metavar="URI", help="files:FOLDER, files:-, sim:SCENE.yaml, aravis:ADDRESS, ... (manual)."
+    ),
 ]
 LasersUri = Annotated[
     str | None,
-    typer.Option("--lasers", metavar="URI", help="sim: or none: (always on); what suits the camera if not given."),
+    typer.Option(
+        "--lasers", metavar="URI", help="lcus:PORT?ch=1,2,3, numato:, modbus:, ascii:, line:, sim:, none: (always on)."
+    ),
 ]
 Steps = Annotated[
     str | None,
@@ -30,6 +35,11 @@ Steps = Annotated[
 Exposure = Annotated[float | None, typer.Option("--exposure", metavar="S", min=1e-9, help="Exposure of each frame.")]
 Count = Annotated[int | None, typer.Option("--count", metavar="N", min=1, help="Shots to take, at most.")]
 Rate = Annotated[float | None, typer.Option("--rate", metavar="HZ", min=1e-3, help="Shots a second, at most.")]
+Duration = Annotated[float | None, typer.Option("--duration", metavar="S", min=1e-3, help="Begin no shot after this.")]
+Settle = Annotated[
+    float | None, typer.Option("--settle", metavar="S", min=0.0, max=10.0, help="From switching to exposing.")
+]
+AllowUnseen = Annotated[bool, typer.Option("--allow-unseen", help="Keep shots in which a laser does not show.")]
 SessionFolder = Annotated[
     Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="The session; session-<UTC time> if not given.")
 ]
@@ -43,8 +53,12 @@ def capture(
     lasers: LasersUri = None,
     sequence: Steps = None,
     exposure: Exposure = None,
+    settle: Settle = None,
+    allow_unseen: AllowUnseen = False,
+    rig: OptionalRigFile = None,
     count: Count = None,
     rate: Rate = None,
+    duration: Duration = None,
     output: SessionFolder = None,
     force: ReplaceSession = False,
     append: Append = False,
@@ -53,6 +67,7 @@ def capture(
     quiet: Quiet = False,
 ) -> None:
     """Take shots into a session folder: one frame for each step of the sequence, all lasers off in the end."""
+    from ringpose.cli import messages
     from ringpose.cli.batch import Batch
     from ringpose.cli.sources import Wanted, source_of
     from ringpose.errors import UsageError
@@ -61,19 +76,39 @@ def capture(
 
     steps = None if sequence is None else parsed_sequence(sequence)
     wanted = Wanted(
-        camera=camera, lasers=lasers, steps=steps, exposure_s=exposure, count=count, rate_hz=rate, channel=channel
+        camera=camera,
+        lasers=lasers,
+        steps=steps,
+        exposure_s=exposure,
+        settle_s=settle,
+        allow_unseen=allow_unseen,
+        laser_names=_laser_names(rig),
+        count=count,
+        rate_hz=rate,
+        duration_s=duration,
+        channel=channel,
     )
     existing, batch = _existing(force, append), Batch()
     source = source_of(wanted, batch)
     folder = output or folder_of_now()
+    if str(folder) == "-":
+        raise UsageError("--output", "a session is a folder, not a stream", "name a folder; its shots' names stream")
     if folder.resolve() in source.folders:
         raise UsageError("--output", f"{folder} is where the shots are read from", "choose another folder")
     writer = SessionWriter(folder, source.capture, existing)
     with ExitStack() as stack:
         for part in (writer, *source.devices):
             stack.enter_context(part)
+        for line in source.warnings():
+            messages.say(line)
         _write(source.shots(writer.read_from), writer, batch, verbose, quiet)
     batch.finish()
+
+
+def _laser_names(rig: Path | None) -> tuple[str, ...] | None:
+    from ringpose.files.rigs import read_rig
+
+    return None if rig is None else read_rig(rig).lasers.names
 
 
 def _existing(force: bool, append: bool) -> "Existing":

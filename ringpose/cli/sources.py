@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from itertools import chain, count, islice
 from pathlib import Path
 
+from ringpose.capture.cameras.driver import CameraDriver
 from ringpose.capture.cameras.recorded import Recording
 from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.capture.lasers.simulated import SimulatedLasers
@@ -18,7 +19,7 @@ from ringpose.errors import DataError, NoInputError, UsageError
 from ringpose.files.inputs import STDIN, Input, Problem, Record, inputs
 from ringpose.files.shots import SHOT_SUFFIXES, read_shot
 from ringpose.types.frame import Shot
-from ringpose.types.sequence import Step, steps_of
+from ringpose.types.sequence import Step, steps_of, written_sequence
 from ringpose.types.session import Capture
 
 ReadFrom = Callable[[Path], None]
@@ -35,6 +36,10 @@ class Wanted:
     exposure_s: float | None = None
     count: int | None = None
     rate_hz: float | None = None
+    duration_s: float | None = None
+    settle_s: float | None = None
+    allow_unseen: bool = False
+    """Whether a shot counts in which a laser that was commanded does not show."""
     channel: str | None = None
     laser_names: tuple[str, ...] | None = None
     """Of the rig's lasers; None where no rig is given."""
@@ -50,23 +55,24 @@ class Source:
     """Where recorded shots lie, as far as it is known before they are read."""
     devices: tuple[AbstractContextManager[None], ...] = ()
     """To be entered, in this order, while shots are taken."""
+    warnings: Callable[[], tuple[str, ...]] = tuple
+    """What the user should know about the devices, once they are entered."""
 
 
 def source_of(wanted: Wanted, batch: Batch) -> Source:
     """The source that the URIs name; bad shots of a recording are the batch's business."""
     scheme, rest = scheme_and_rest(wanted.camera, "--camera", schemes(CAMERAS))
-    _, words = ("", "") if wanted.lasers is None else scheme_and_rest(wanted.lasers, "--lasers", schemes(LASERS))
-    if words and scheme in ("files", "sim"):
-        raise UsageError("--lasers", f'"{wanted.lasers}" has words after its colon', "leave them out")
     if scheme == "files":
         return _recorded(rest, wanted, batch)
     return _simulated(Path(rest), wanted) if scheme == "sim" else _taken(wanted)
 
 
 def _recorded(pattern: str, wanted: Wanted, batch: Batch) -> Source:
+    if wanted.lasers is not None:
+        scheme_and_rest(wanted.lasers, "--lasers", schemes(LASERS))
     if wanted.lasers not in (None, "none:"):
         raise UsageError("--lasers", f'"{wanted.lasers}" cannot light what is recorded', "leave it out")
-    if wanted.exposure_s is not None:
+    if wanted.exposure_s is not None or any(step.exposure for step in wanted.steps or ()):
         raise UsageError("--exposure", "what is recorded has been exposed", "leave it out")
     named = batch.good(inputs([STDIN], SHOT_SUFFIXES) if pattern == STDIN else _named(pattern))
     first = next(named, None)
@@ -76,7 +82,7 @@ def _recorded(pattern: str, wanted: Wanted, batch: Batch) -> Source:
     return Source(
         capture=_capture(wanted, "none:"),
         shots=lambda read_from: paced(
-            islice(_recorded_shots(items, wanted, batch, read_from), wanted.count), wanted.rate_hz
+            islice(_recorded_shots(items, wanted, batch, read_from), wanted.count), wanted.rate_hz, wanted.duration_s
         ),
         folders=_folders([first] if pattern == STDIN else _matches(pattern)),
     )
@@ -86,53 +92,76 @@ def _simulated(scene_file: Path, wanted: Wanted) -> Source:
     """The scene's own camera; every shot is the next of its views."""
     from ringpose.capture.cameras.driver import CameraDescription
     from ringpose.capture.cameras.simulated import SimulatedCamera
-    from ringpose.capture.pipeline import captured_shots
     from ringpose.files.scenes import read_scene
     from ringpose.simulate.pipeline import SceneFrames
     from ringpose.simulate.sensor import saturation_dn
 
     scene = read_scene(scene_file)
-    frames, rig_camera, laser_count = SceneFrames(scene), scene.rig.camera, len(scene.rig.lasers.names)
-    lasers, steps = _lasers_and_steps(wanted, laser_count, scene.sequence)
+    frames, rig_camera = SceneFrames(scene), scene.rig.camera
+    wanted = replace(wanted, lasers=wanted.lasers or "sim:", laser_names=scene.rig.lasers.names)
+    lasers = _lasers(wanted, None)
     description = CameraDescription(
         name=rig_camera.camera_name,
         image_width=rig_camera.image_width,
         image_height=rig_camera.image_height,
         saturation_dn=saturation_dn(scene.sensor),
     )
-    camera = SimulatedCamera(description, frames, lasers)
-    names = islice((view.name for view in frames.views), wanted.count)
-
-    def shots(read_from: ReadFrom) -> Iterator[Shot]:
-        read_from(scene_file)
-        return captured_shots(camera, lasers, steps, paced(names, wanted.rate_hz), wanted.exposure_s)
-
-    capture = replace(_capture(replace(wanted, steps=steps), "sim:"), camera_name=description.name)
-    return Source(capture=replace(capture, laser_count=laser_count), shots=shots, devices=(camera, lasers))
+    steps = wanted.steps or (
+        (Step("all"),) if isinstance(lasers, UncontrolledLasers) else steps_of(scene.sequence, lasers.count)
+    )
+    source = _of_devices(
+        replace(wanted, steps=steps), SimulatedCamera(description, frames, lasers), lasers,
+        (view.name for view in frames.views), scene_file,
+    )  # fmt: skip
+    return replace(source, capture=replace(source.capture, camera_name=description.name))
 
 
 def _taken(wanted: Wanted) -> Source:
     """A camera, and what switches its lasers; without a wish each laser in turn between two frames without any."""
-    from ringpose.capture.lasers.place import LaserPlace
-    from ringpose.capture.pipeline import captured_shots
     from ringpose.capture.uri import device_uri, driver
 
-    camera_uri = device_uri(wanted.camera, "--camera", CAMERAS)
-    lasers_uri = device_uri(wanted.lasers or "none:", "--lasers", LASERS)
-    camera = driver(CAMERAS, camera_uri.scheme)(camera_uri)
-    lasers = driver(LASERS, lasers_uri.scheme)(lasers_uri, LaserPlace(names=wanted.laser_names, camera=camera))
+    uri = device_uri(wanted.camera, "--camera", CAMERAS)
+    camera = driver(CAMERAS, uri.scheme)(uri)
+    lasers = _lasers(wanted, camera)
     steps = wanted.steps or _each_laser(lasers)
+    return _of_devices(replace(wanted, steps=steps), camera, lasers, names_by_time(), None)
+
+
+def _lasers(wanted: Wanted, camera: CameraDriver | None) -> LaserDriver:
+    from ringpose.capture.lasers.place import LaserPlace
+    from ringpose.capture.uri import device_uri, driver
+
+    uri = device_uri(wanted.lasers or "none:", "--lasers", LASERS)
+    lasers: LaserDriver = driver(LASERS, uri.scheme)(uri, LaserPlace(names=wanted.laser_names, camera=camera))
+    return lasers
+
+
+def _of_devices(
+    wanted: Wanted, camera: CameraDriver, lasers: LaserDriver, names: Iterable[str], read: Path | None
+) -> Source:
+    """Shots under these names, by the steps that are wanted; `read` is a file that they come from."""
+    from ringpose.capture.pipeline import Procedure, captured_shots
+
+    steps = wanted.steps or ()
     if isinstance(lasers, UncontrolledLasers):
         refuse_switching(steps)
     for step in steps:
         step.mask(lasers.count)
+    procedure = Procedure(
+        steps=steps,
+        exposure_s=wanted.exposure_s,
+        settle_s=lasers.settle_s if wanted.settle_s is None else wanted.settle_s,
+        must_see=not isinstance(lasers, UncontrolledLasers | SimulatedLasers) and not wanted.allow_unseen,
+    )
 
     def shots(read_from: ReadFrom) -> Iterator[Shot]:
-        names = paced(islice(names_by_time(), wanted.count), wanted.rate_hz)
-        return captured_shots(camera, lasers, steps, names, wanted.exposure_s)
+        if read is not None:
+            read_from(read)
+        due = paced(islice(names, wanted.count), wanted.rate_hz, wanted.duration_s, lasers.wait)
+        return captured_shots(camera, lasers, procedure, due)
 
-    capture = replace(_capture(replace(wanted, steps=steps), "none:"), laser_count=lasers.count)
-    return Source(capture=capture, shots=shots, devices=(camera, lasers))
+    capture = replace(_capture(wanted, "none:"), laser_count=lasers.count, laser_names=wanted.laser_names)
+    return Source(capture=capture, shots=shots, devices=(camera, lasers), warnings=lasers.warnings)
 
 
 def _each_laser(lasers: LaserDriver) -> tuple[Step, ...]:
@@ -146,20 +175,6 @@ def names_by_time() -> Iterator[str]:
     began = f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
     for number in count(1):
         yield f"{began}_{number:04d}"
-
-
-def _lasers_and_steps(
-    wanted: Wanted, laser_count: int, sequence: Iterable[int]
-) -> tuple[LaserDriver, tuple[Step, ...]]:
-    """The lasers, and the steps that they can go; without a wish those of the scene."""
-    if wanted.lasers == "none:":
-        steps = wanted.steps or steps_of([(1 << laser_count) - 1], laser_count)
-        refuse_switching(steps)
-        return UncontrolledLasers(laser_count), steps
-    steps = wanted.steps or steps_of(sequence, laser_count)
-    for step in steps:
-        step.mask(laser_count)
-    return SimulatedLasers(laser_count), steps
 
 
 def _named(pattern: str) -> Iterator[Input | Problem]:
@@ -201,7 +216,7 @@ def _capture(wanted: Wanted, lasers: str) -> Capture:
     return Capture(
         camera=wanted.camera,
         lasers=wanted.lasers or lasers,
-        sequence=None if wanted.steps is None else ",".join(step.text for step in wanted.steps),
+        sequence=None if wanted.steps is None else written_sequence(wanted.steps),
         exposure_s=wanted.exposure_s,
         rate_hz=wanted.rate_hz,
     )

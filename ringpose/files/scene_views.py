@@ -4,13 +4,12 @@ from typing import Any, cast, get_args
 
 import cv2
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.errors import DataError, UsageError
 from ringpose.files.boards import board_of
 from ringpose.files.fields import Fields
 from ringpose.geometry.rotations import facing_normal
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.scene import Approach, BoardApproach, BoardPlace, BoardSet, RingView, TargetKind
 from ringpose.types.sequence import parsed_sequence
 
@@ -25,9 +24,13 @@ _ANGLES = ("tilt_rad", "clock_rad", "turn_rad")
 def read_sequence(fields: Fields, key: str, lasers: int) -> tuple[int, ...]:
     """Masks of the frames of a shot, from steps such as `off,1,2,3,all`."""
     try:
-        return tuple(step.mask(lasers) for step in parsed_sequence(fields.text(key)))
+        steps = parsed_sequence(fields.text(key))
+        masks = tuple(step.mask(lasers) for step in steps)
     except UsageError as error:
         raise fields.problem(key, error.found, error.remedy) from error
+    if any(step.exposure for step in steps):
+        raise fields.problem(key, "has steps with an exposure of their own", "leave out what begins with @")
+    return masks
 
 
 def read_trajectory(

@@ -29,6 +29,7 @@ _KEYS = (
     "camera_name",
     "lasers",
     "laser_count",
+    "laser_names",
     "sequence",
     "exposure_s",
     "rate_hz",
@@ -136,6 +137,7 @@ def _capture(fields: Fields) -> Capture:
         camera_name=fields.text("camera_name") if fields.has("camera_name") else None,
         lasers=fields.text("lasers"),
         laser_count=fields.integer("laser_count", least=1, most=MOST_LASERS) if fields.has("laser_count") else None,
+        laser_names=fields.texts("laser_names") if fields.has("laser_names") else None,
         sequence=fields.text("sequence") if fields.has("sequence") else None,
         exposure_s=fields.number("exposure_s", least=0) if fields.has("exposure_s") else None,
         rate_hz=fields.number("rate_hz", least=0) if fields.has("rate_hz") else None,
@@ -147,4 +149,4 @@ def _capture(fields: Fields) -> Capture:
 
 def _record(capture: Capture) -> dict[str, Any]:
     values = {key: value for key in _KEYS if (value := asdict(capture)[key]) is not None}
-    return {**values, "shots": list(capture.shots)}
+    return {key: list(value) if isinstance(value, tuple) else value for key, value in values.items()}

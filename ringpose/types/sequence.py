@@ -1,4 +1,4 @@
-"""What is lit, frame by frame: `off,1,2,3,off`."""
+"""What is lit, frame by frame, and for how long it is exposed: `off,1,2,3,off`, `off,all@500us,all@4ms`."""
 
 import re
 from collections.abc import Iterable
@@ -11,6 +11,10 @@ MOST_LASERS = 8
 
 _STEP = re.compile(r"[1-9][0-9]*(\+[1-9][0-9]*)*")
 
+_EXPOSURE = re.compile(r"([0-9]+(?:\.[0-9]+)?)(us|ms|s)")
+
+_UNIT_S = {"us": 1e-6, "ms": 1e-3, "s": 1.0}
+
 
 @dataclass(frozen=True, slots=True)
 class Step:
@@ -18,6 +22,19 @@ class Step:
 
     text: str
     """`off`, `all`, or 1-based laser numbers joined by `+`, as the user wrote it."""
+    exposure: str = ""
+    """Such as `500us`; empty for that of all other frames."""
+
+    @property
+    def written(self) -> str:
+        """The step as it stands in a sequence."""
+        return f"{self.text}@{self.exposure}" if self.exposure else self.text
+
+    @property
+    def exposure_s(self) -> float | None:
+        """Its own exposure; None for that of all other frames."""
+        found = _EXPOSURE.fullmatch(self.exposure)
+        return None if found is None else float(found[1]) * _UNIT_S[found[2]]
 
     def mask(self, count: int) -> int:
         """Bit i for laser i of a rig with `count` lasers; a number beyond them is refused."""
@@ -33,8 +50,16 @@ class Step:
 
 
 def parsed_sequence(text: str) -> tuple[Step, ...]:
-    """The steps of a sequence, strictly: separated by commas, each `off`, `all` or numbers joined by `+`."""
-    return tuple(_parsed_step(word.strip(), place) for place, word in enumerate(text.split(","), start=1))
+    """The steps of a sequence, strictly: separated by commas, each `off`, `all` or numbers joined by `+`.
+
+    Behind an `@` a step may have an exposure of its own, in us, ms or s.
+    """
+    return tuple(_exposed_step(word.strip(), place) for place, word in enumerate(text.split(","), start=1))
+
+
+def written_sequence(steps: Iterable[Step]) -> str:
+    """The steps as a user writes them."""
+    return ",".join(step.written for step in steps)
 
 
 def steps_of(masks: Iterable[int], count: int) -> tuple[Step, ...]:
@@ -47,6 +72,15 @@ def _step_of(mask: int, count: int) -> Step:
         return Step("all")
     numbers = [str(bit + 1) for bit in range(MOST_LASERS) if mask >> bit & 1]
     return Step("+".join(numbers) or "off")
+
+
+def _exposed_step(word: str, place: int) -> Step:
+    lasers, at, exposure = word.partition("@")
+    step = Step(_parsed_step(lasers, place).text, exposure)
+    if at and not step.exposure_s:
+        found = f'step {place}, "{word}", has no exposure after its @'
+        raise UsageError("--sequence", found, "write it as 500us, 4ms or 0.5s")
+    return step
 
 
 def _parsed_step(word: str, place: int) -> Step:

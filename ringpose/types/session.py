@@ -23,6 +23,8 @@ class Capture:
     camera_name: str | None = None
     laser_count: int | None = None
     """None where only the recording knows."""
+    laser_names: tuple[str, ...] | None = None
+    """By the rig, in the order of the mask's bits; None where no rig was given."""
     state: CaptureState = "capturing"
     shots: tuple[str, ...] = ()
     """Names of the finished shots in the order in which they were taken."""

@@ -207,9 +207,9 @@ def test_without_an_output_the_folder_is_named_by_the_time(capsys):
         (["--camera", "files:no*where"], 66, "no*where: does not exist"),
         (["--camera", "files:empty"], 66, "empty: holds no file"),
         (["--camera", "files:" + 300 * "a"], 66, "file name too long"),
-        (["--camera", "usb:0"], 2, 'names no device; it begins with one of files:, sim:'),
+        (["--camera", "usb:0"], 2, 'names no device; it begins with one of '),
         (["--camera", "files:in", "--lasers", "sim:"], 2, '"sim:" cannot light what is recorded'),
-        (["--camera", "files:in", "--lasers", "none:3"], 2, "has words after its colon"),
+        (["--camera", "files:in", "--lasers", "none:3"], 2, '"none:3" cannot light what is recorded'),
         (["--camera", "files:in", "--exposure", "0.1"], 2, "what is recorded has been exposed"),
         (["--camera", "files:in", "--sequence", "on"], 2, 'step 1 is "on"'),
         (["--camera", "files:in", "--force", "--append"], 2, "contradict"),
@@ -270,6 +270,15 @@ def test_a_session_is_not_captured_from_itself(capsys, monkeypatch, camera, exis
     assert status == 2
     assert "is where the shots are read from" in capsys.readouterr().err
     assert {path: path.read_bytes() for path in Path("s").iterdir()} == before
+
+
+def test_a_session_is_no_stream(capsys):
+    recorded(Path("in"), "a")
+
+    status = main(["capture", "--camera", "files:in", "--output", "-"])
+
+    assert (status, capsys.readouterr().err.count("\n")) == (2, 1)
+    assert not Path("-").exists()
 
 
 def test_an_output_whose_name_no_folder_can_have_is_one_line(capsys):

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ringpose.errors import UsageError
-from ringpose.types.sequence import MOST_LASERS, Step, parsed_sequence, steps_of
+from ringpose.types.sequence import MOST_LASERS, Step, parsed_sequence, steps_of, written_sequence
 
 numbers = st.sets(st.integers(1, MOST_LASERS), min_size=1)
 
@@ -64,3 +64,21 @@ def test_masks_come_back_from_the_steps_that_light_them(masks):
 
 def test_masks_read_as_a_user_would_write_them():
     assert [step.text for step in steps_of([0, 1, 2, 4, 5, 7], 3)] == ["off", "1", "2", "3", "1+3", "all"]
+
+
+@pytest.mark.parametrize(
+    ("text", "exposure_s"), [("1@500us", 500e-6), ("all@4ms", 4e-3), ("off@0.5s", 0.5), ("2", None)]
+)
+def test_a_step_may_have_an_exposure_of_its_own(text, exposure_s):
+    (step,) = parsed_sequence(text)
+
+    assert step.exposure_s == pytest.approx(exposure_s)
+    assert written_sequence([step]) == text
+
+
+@pytest.mark.parametrize(
+    "text", ["1@", "1@4", "1@ms", "1@-4ms", "1@0ms", "1@4 ms", "1@1e3us", "1@4m", "off@@4ms", "1@nans"]
+)
+def test_an_exposure_without_number_or_unit_is_wrong_usage(text):
+    with pytest.raises(UsageError, match="write it as 500us"):
+        parsed_sequence(text)

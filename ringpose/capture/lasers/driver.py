@@ -23,6 +23,11 @@ class LaserDriver(Device, Protocol):
     def count(self) -> int:
         """Number of lasers."""
 
+    @property
+    def settle_s(self) -> float:
+        """From switching until the light is steady, if nobody measures it."""
+        return 0.0
+
     def open(self) -> None:
         """Take the device and switch everything off; a `DeviceError` says what is in the way."""
 

@@ -53,6 +53,11 @@ class GuardedLasers(LaserDriver):
         return len(self.settings.relays)
 
     @property
+    def settle_s(self) -> float:
+        """Relays close within 10 ms; the rest is for their bouncing and the laser's own start."""
+        return 0.05
+
+    @property
     def guard_pid(self) -> int:
         """Process number of the guard; 0 while there is none."""
         return 0 if self._guard is None else self._guard.pid

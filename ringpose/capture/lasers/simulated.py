@@ -1,6 +1,8 @@
 """`sim:`: lasers of a simulated scene; the simulated camera looks at what is lit here."""
 
 from ringpose.capture.lasers.driver import LaserDriver
+from ringpose.capture.lasers.place import LaserPlace
+from ringpose.capture.uri import DeviceUri
 
 
 class SimulatedLasers(LaserDriver):
@@ -30,3 +32,12 @@ class SimulatedLasers(LaserDriver):
     def close(self) -> None:
         """End with all off."""
         self._lit = 0
+
+
+def sim(uri: DeviceUri, place: LaserPlace) -> SimulatedLasers:
+    """The lasers of the simulated scene."""
+    if uri.place or uri.parameters:
+        raise uri.problem("has words after its colon", "leave them out")
+    if place.names is None or place.camera is not None:
+        raise uri.problem("goes with a simulated camera only")
+    return SimulatedLasers(len(place.names))

@@ -3,8 +3,10 @@
 from collections.abc import Iterable
 
 from ringpose.capture.lasers.driver import LaserDriver
+from ringpose.capture.lasers.place import LaserPlace
+from ringpose.capture.uri import DeviceUri
 from ringpose.errors import UsageError
-from ringpose.types.sequence import Step
+from ringpose.types.sequence import MOST_LASERS, Step
 
 
 class UncontrolledLasers(LaserDriver):
@@ -30,6 +32,13 @@ class UncontrolledLasers(LaserDriver):
 
     def close(self) -> None:
         """Nothing to let go of."""
+
+
+def none(uri: DeviceUri, place: LaserPlace) -> UncontrolledLasers:
+    """As many as the rig has; without a rig as many as a mask has room for."""
+    if uri.place or uri.parameters:
+        raise uri.problem("has words after its colon", "leave them out")
+    return UncontrolledLasers(MOST_LASERS if place.names is None else len(place.names))
 
 
 def refuse_switching(steps: Iterable[Step]) -> None:

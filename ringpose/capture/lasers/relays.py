@@ -1,0 +1,121 @@
+"""`lcus:`, `numato:`, `modbus:`, `ascii:`: relay boards at a serial port, each behind a guard.
+
+Nothing is ever sent to a port to find out what hangs on it: bytes that one board ignores light lasers on another.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from ringpose.capture.lasers.guarded import GuardedLasers
+from ringpose.capture.lasers.place import LaserPlace, channels
+from ringpose.capture.lasers.relay_settings import CODECS, RATED_OPERATIONS, RelaySettings
+from ringpose.capture.uri import DeviceUri
+
+COMMON = ("ch", "baud", "read_back", "heartbeat", "longest_on", "repeat", "interlock", "rated", "opening")
+
+INTERLOCKS = ("", "cts", "dsr")
+
+MOST_RELAYS = 32
+
+READ_BACK = ("yes", "no", "try")
+
+
+def lcus(uri: DeviceUri, place: LaserPlace) -> GuardedLasers:
+    """LCUS-1/2/4/8: `lcus:/dev/ttyUSB0?ch=1,2,3`; one that is silent when it is asked what is on is not asked again."""
+    return GuardedLasers(_settings(uri, place, {}, read_back="try"))
+
+
+def numato(uri: DeviceUri, place: LaserPlace) -> GuardedLasers:
+    """Numato: `numato:/dev/ttyACM0?ch=0,1,2`."""
+    return GuardedLasers(_settings(uri, place, {}))
+
+
+def modbus(uri: DeviceUri, place: LaserPlace) -> GuardedLasers:
+    """Modbus-RTU: `modbus:/dev/ttyUSB0?ch=0,1,2&unit=1&pulse=2`; clones may need `base=1` or `on=0100`."""
+    parameters: dict[str, str | int] = {
+        "unit": _whole(uri, "unit", 1, 247, 255),
+        "first": _whole(uri, "base", 0, 1),
+        "on_value": _hexadecimal(uri, "on", 0xFF00),
+    }
+    settings = _settings(uri, place, parameters, ("unit", "base", "on", "pulse"))
+    if "pulse" not in uri.parameters:
+        return GuardedLasers(settings)
+    pulse_s = _seconds(uri, "pulse", 0.0)
+    if not 0.1 <= pulse_s <= 3276.7:
+        raise uri.problem("pulse must lie between 0.1 and 3276.7 s")
+    return GuardedLasers(replace(settings, pulse_s=pulse_s))
+
+
+def ascii_lines(uri: DeviceUri, place: LaserPlace) -> GuardedLasers:
+    """Lines of text: `ascii:/dev/ttyACM0?ch=1,2,3&on=R{n}%20ON&off=R{n}%20OFF&read=R?&ok=OK`."""
+    templates = {"on": uri.parameters.get("on", ""), "off": uri.parameters.get("off", "")}
+    for key, template in templates.items():
+        if "{n}" not in template:
+            raise uri.problem(f"{key}= must be a line with {{n}} for the number of the relay", f"such as {key}=R{{n}}")
+    more = {"read": uri.parameters.get("read", ""), "acknowledged_by": uri.parameters.get("ok", "")}
+    return GuardedLasers(_settings(uri, place, {**templates, **more}, ("on", "off", "read", "ok")))
+
+
+def _settings(
+    uri: DeviceUri,
+    place: LaserPlace,
+    codec_parameters: Mapping[str, str | int],
+    more: tuple[str, ...] = (),
+    read_back: str = "yes",
+) -> RelaySettings:
+    uri.refuse_unknown((*COMMON, *more))
+    if not uri.place:
+        raise uri.problem("names no port", f"write it as {uri.scheme}:/dev/serial/by-id/...?ch=1,2,3")
+    return RelaySettings(
+        scheme=uri.scheme,
+        port=uri.place,
+        relays=_relays(uri, place, codec_parameters),
+        baud=_whole(uri, "baud", 9600, 4_000_000),
+        codec_parameters=codec_parameters,
+        read_back=_choice(uri, "read_back", READ_BACK, read_back),
+        repeat_s=_seconds(uri, "repeat", 0.0) if "repeat" in uri.parameters else None,
+        opening_s=_seconds(uri, "opening", 2.0 if uri.scheme == "ascii" else 0.0, least=0.0),
+        heartbeat_s=_seconds(uri, "heartbeat", 1.0),
+        longest_on_s=_seconds(uri, "longest_on", 5.0),
+        interlock=_choice(uri, "interlock", INTERLOCKS, ""),
+        rated_operations=_whole(uri, "rated", RATED_OPERATIONS, 10**12),
+    )
+
+
+def _relays(uri: DeviceUri, place: LaserPlace, codec_parameters: Mapping[str, str | int]) -> tuple[int, ...]:
+    """The relays from 0; the URI has the board's own numbers."""
+    first = CODECS[uri.scheme](**codec_parameters).first
+    chosen = []
+    for number in channels(uri, place):
+        if not number.isascii() or not number.isdigit() or not first <= int(number) < first + MOST_RELAYS:
+            raise uri.problem(f'ch= has "{number}"', f"relays have numbers from {first}")
+        chosen.append(int(number) - first)
+    return tuple(chosen)
+
+
+def _whole(uri: DeviceUri, key: str, default: int, most: int, other: int | None = None) -> int:
+    value = uri.number(key, default)
+    if value != int(value) or not (0 <= value <= most or value == other):
+        raise uri.problem(f"{key} must be a whole number of at most {most}")
+    return int(value)
+
+
+def _hexadecimal(uri: DeviceUri, key: str, default: int) -> int:
+    try:
+        return int(uri.parameters.get(key, f"{default:04x}"), 16) & 0xFFFF
+    except ValueError:
+        raise uri.problem(f'{key} is "{uri.parameters[key]}", must be hexadecimal, such as FF00') from None
+
+
+def _seconds(uri: DeviceUri, key: str, default: float, least: float = 0.01) -> float:
+    value = uri.number(key, default)
+    if not least <= value <= 3600.0:
+        raise uri.problem(f"{key} must lie between {least:g} and 3600 s")
+    return value
+
+
+def _choice(uri: DeviceUri, key: str, choices: tuple[str, ...], default: str) -> str:
+    value = uri.parameters.get(key, default)
+    if value not in choices:
+        raise uri.problem(f'{key} is "{value}"', f"it is one of {', '.join(filter(None, choices))}")
+    return value
