@@ -46,8 +46,8 @@ def carried_data() -> Path:
 
 @pytest.fixture
 def loopback_address(request: pytest.FixtureRequest) -> str:
-    """An address of this machine for this test alone: the port of cameras is fixed."""
-    name = zlib.crc32(request.node.nodeid.encode())
+    """An address of this machine for this test and this process alone: the port of cameras is fixed."""
+    name = zlib.crc32(f"{request.node.nodeid} {os.getpid()}".encode())
     return f"127.{1 + (name >> 16) % 254}.{(name >> 8) & 0xFF}.{1 + name % 254}"
 
 

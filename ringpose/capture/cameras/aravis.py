@@ -9,6 +9,7 @@ import ctypes
 import errno
 import ipaddress
 import socket
+import threading
 import time
 from contextlib import suppress
 from ctypes import byref, c_double, c_int64, c_size_t
@@ -16,14 +17,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import UInt
 
 from ringpose.capture.cameras.aravis_library import ACCESS_DENIED, NOT_CONTROLLER, PACKAGE, Aravis, AravisError, library
 from ringpose.capture.cameras.feature_names import spellings
+from ringpose.capture.cameras.genapi import TRIGGERED
 from ringpose.capture.cameras.lock_step import Grab, LockStepCamera, mid_stamp_s
 from ringpose.capture.uri import DeviceUri
 from ringpose.errors import DeviceError
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, UInt
 from ringpose.wire.gvcp import PORT
 from ringpose.wire.gvsp import blocks_between
 
@@ -48,7 +49,8 @@ class AravisCamera(LockStepCamera):
     def __init__(self, uri: DeviceUri) -> None:
         super().__init__(uri)
         self._camera = self._device = self._stream = 0
-        self._acquiring = False
+        self._acquiring = self._is_lost = False
+        self._letting_go: threading.Thread | None = None
         self._names: dict[str, str] = {}
 
     @property
@@ -61,15 +63,22 @@ class AravisCamera(LockStepCamera):
         return found
 
     def close(self) -> None:
-        """Stop, and give the camera back."""
-        if self._camera and self._acquiring:
-            self._acquiring = False
+        """Stop, and give the camera back; for one that is lost this goes on in the background, where it takes 10 s."""
+        if self._acquiring:
             with suppress(AravisError):  # it may be gone already
                 self._aravis.call("arv_camera_stop_acquisition", self._camera)
-        for instance in (self._stream, self._camera):
-            if instance:
-                self._aravis.g_object_unref(instance)
+        instances = [instance for instance in (self._stream, self._camera) if instance]
         self._camera = self._device = self._stream = 0
+        self._acquiring = False
+        letting_go = threading.Thread(target=self._let_go, args=(instances,), daemon=True)
+        letting_go.start()
+        if not self._is_lost:
+            letting_go.join()
+        self._letting_go = letting_go
+
+    def _let_go(self, instances: list[int]) -> None:
+        for instance in instances:
+            self._aravis.g_object_unref(instance)
 
     def bounds(self, feature: str) -> tuple[float, float] | None:
         """See `CameraDriver`."""
@@ -101,6 +110,9 @@ class AravisCamera(LockStepCamera):
 
     def _connect(self) -> None:
         self.close()
+        if self._letting_go is not None:
+            self._letting_go.join()
+        self._is_lost = False
         place = self.uri.place
         self._check_route(place)
         try:
@@ -119,7 +131,7 @@ class AravisCamera(LockStepCamera):
         self._aravis.arv_device_set_range_check_policy(self._device, 1)
         if is_network_camera and "packet" in self.uri.parameters:
             self._call_camera("arv_camera_gv_set_packet_size", int(self.uri.number("packet", 0)))
-        for feature, value in _TRIGGERED:
+        for feature, value in TRIGGERED:
             if self._name(feature) is not None:
                 self.set(feature, value)
 
@@ -250,7 +262,7 @@ class AravisCamera(LockStepCamera):
                 self.uri.text, "is controlled by another program", "close that one, or wait 3 s if it died"
             )
         if "timeout" in error.message.lower():
-            self._acquiring = False  # there is nobody left to stop
+            self._acquiring, self._is_lost = False, True
             return DeviceError(self.uri.text, "does not answer any more", "check its cable and its power")
         return DeviceError(self.uri.text, error.message)
 
@@ -269,13 +281,6 @@ class AravisCamera(LockStepCamera):
                 remedy = "give this computer an address in the camera's network"
                 raise DeviceError(self.uri.text, f"there is no route to {address}", remedy) from error
 
-
-_TRIGGERED = (
-    ("AcquisitionMode", "Continuous"),
-    ("TriggerSelector", "FrameStart"),
-    ("TriggerMode", "On"),
-    ("TriggerSource", "Software"),
-)
 
 _NOT_FOUND = "see ringpose capture --list; check its cable, its power, and this computer's address in its network"
 

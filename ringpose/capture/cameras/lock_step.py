@@ -5,13 +5,11 @@ from abc import abstractmethod
 from contextlib import suppress
 from dataclasses import dataclass
 
-from jaxtyping import UInt
-
 from ringpose.capture.cameras.driver import CameraDescription, CameraDriver
 from ringpose.capture.cameras.feature_names import SATURATION_DN
 from ringpose.capture.uri import DeviceUri
 from ringpose.errors import DeviceError
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, UInt
 from ringpose.types.frame import Frame
 
 TRIES = 3

@@ -5,10 +5,9 @@ from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
-from jaxtyping import Int64, UInt8
 
 from ringpose.errors import DataError
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Int64, UInt8
 from ringpose.types.frame import ALL_LASERS, Shot
 from ringpose.types.sequence import MOST_LASERS, Step
 

@@ -1,0 +1,90 @@
+"""What drivers have in common that reach a camera through GenApi's nodes, whoever wraps them."""
+
+from abc import abstractmethod
+from typing import Any
+
+from ringpose.capture.cameras.feature_names import spellings
+from ringpose.capture.cameras.lock_step import LockStepCamera
+from ringpose.errors import DeviceError
+
+TRIGGERED = (
+    ("AcquisitionMode", "Continuous"),
+    ("TriggerSelector", "FrameStart"),
+    ("TriggerMode", "On"),
+    ("TriggerSource", "Software"),
+)
+"""Single frames by software trigger."""
+
+
+class GenApiCamera(LockStepCamera):
+    """Features as nodes with a value and, where they are numbers, limits; what a driver adds is below."""
+
+    def bounds(self, feature: str) -> tuple[float, float] | None:
+        """See `CameraDriver`."""
+        node = self._node_of(feature)
+        least, most = self._limits(node)
+        return None if least is None or most is None else (float(least), float(most))
+
+    def set(self, feature: str, value: int | float | str) -> None:
+        """See `CameraDriver`."""
+        node = self._node_of(feature)
+        if node is None:
+            raise DeviceError(self.uri.text, f"has no feature {feature}")
+        limits = None if isinstance(value, str) else self.bounds(feature)
+        if limits is not None and not limits[0] <= float(value) <= limits[1]:
+            found = f"{feature} cannot be {value:g}"
+            raise DeviceError(self.uri.text, found, f"it takes {limits[0]:g} to {limits[1]:g}")
+        try:
+            self._set_value(node, value)
+        except Exception as error:  # GenApi's own classes of errors differ from wrapper to wrapper
+            raise DeviceError(self.uri.text, f"{feature} cannot be set to {value}: {_first_line(error)}") from error
+        if feature == "Gain":
+            self._gain_db = self._number("Gain")
+
+    def _set_up(self) -> None:
+        """Single frames by software trigger, as far as the camera has it."""
+        for feature, value in TRIGGERED:
+            if self._node_of(feature) is not None:
+                self.set(feature, value)
+
+    def _number(self, feature: str) -> float | None:
+        node = self._node_of(feature)
+        return None if node is None else float(self._value(node))
+
+    def _format(self) -> str:
+        return self._text("PixelFormat")
+
+    def _identity(self) -> tuple[str, int, int]:
+        words = [self._text(name) for name in ("DeviceVendorName", "DeviceModelName", "DeviceSerialNumber", "DeviceID")]
+        width, height = (int(self._number(name) or 0) for name in ("Width", "Height"))
+        return "-".join(word for word in words[:3] if word), width, height
+
+    def _text(self, feature: str) -> str:
+        node = self._node_of(feature)
+        return "" if node is None else str(self._value(node))
+
+    def _node_of(self, feature: str) -> Any:
+        """The node of a feature under any of its names; None if there is none."""
+        for name in spellings(feature):
+            node = self._node(name)
+            if node is not None:
+                return node
+        return None
+
+    def _limits(self, node: Any) -> tuple[Any, Any]:
+        """Least and greatest value; None where it is no number."""
+        return getattr(node, "min", None), getattr(node, "max", None)
+
+    def _value(self, node: Any) -> Any:
+        return node.value
+
+    def _set_value(self, node: Any, value: int | float | str) -> None:
+        node.value = value
+
+    @abstractmethod
+    def _node(self, name: str) -> Any:
+        """The node of this name that can be used now; None if there is none."""
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).strip() or type(error).__name__).splitlines()[0]

@@ -1,0 +1,101 @@
+"""`gentl:`: any camera whose maker has a GenTL producer, through harvesters, `pip install ringpose[gentl]`.
+
+gentl:/opt/maker/producer.cti                  the first camera that the producer finds
+gentl:/opt/maker/producer.cti?serial=12345     by its serial number
+"""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ringpose.capture.cameras.genapi import GenApiCamera
+from ringpose.capture.cameras.lock_step import Grab, LockStepCamera, mid_stamp_s
+from ringpose.errors import DeviceError
+
+EXTRA = "pip install ringpose[gentl]"
+
+
+class GenTlCamera(GenApiCamera):
+    """A camera that harvesters can drive; it must know software triggers."""
+
+    PARAMETERS = (*LockStepCamera.PARAMETERS, "serial")
+
+    _harvester: Any = None
+    _acquirer: Any = None
+
+    def close(self) -> None:
+        """Stop, and give the camera back."""
+        acquirer, self._acquirer = self._acquirer, None
+        harvester, self._harvester = self._harvester, None
+        if acquirer is not None:
+            acquirer.destroy()
+        if harvester is not None:
+            harvester.reset()
+
+    def _connect(self) -> None:
+        self.close()
+        producer = Path(self.uri.place)
+        self._harvester = _harvester(self.uri.text)
+        if not producer.is_file():
+            raise DeviceError(self.uri.text, f'there is no GenTL producer "{producer}"', "name the maker's .cti file")
+        serial = self.uri.parameters.get("serial")
+        try:
+            self._harvester.add_file(str(producer))
+            self._harvester.update()
+            self._acquirer = self._harvester.create({"serial_number": serial} if serial else 0)
+        except Exception as error:
+            found = (str(error).strip() or "no such camera").splitlines()[0]
+            raise DeviceError(self.uri.text, found, "check its cable, its power, and what else uses it") from error
+        if self._node("TriggerSoftware") is None:
+            raise DeviceError(self.uri.text, "the camera has no software trigger", "take another camera")
+        self._set_up()
+
+    def _start(self) -> None:
+        self._acquirer.start()
+
+    def _stop(self) -> None:
+        self._acquirer.stop()
+
+    def _grab(self, limit_s: float) -> Grab:
+        before_s = time.time()
+        try:
+            self._acquirer.remote_device.node_map.TriggerSoftware.execute()
+            stamp_s = mid_stamp_s(before_s)
+            buffer = self._acquirer.try_fetch(timeout=limit_s)
+        except Exception as error:
+            found = (str(error).strip() or type(error).__name__).splitlines()[0]
+            raise DeviceError(self.uri.text, found, "check its cable and its power") from error
+        if buffer is None:
+            return Grab(stamp_s=stamp_s)
+        try:
+            return _grabbed(buffer, stamp_s)
+        finally:
+            buffer.queue()
+
+    def _node(self, name: str) -> Any:
+        nodes = self._acquirer.remote_device.node_map
+        return getattr(nodes, name, None) if nodes.has_node(name) else None
+
+
+def _grabbed(buffer: Any, stamp_s: float) -> Grab:
+    if not buffer.is_complete():
+        return Grab(stamp_s=stamp_s, problem="packets got lost", frame_id=int(buffer.frame_id), is_late=False)
+    component = buffer.payload.components[0]
+    data = np.array(component.data).reshape(int(component.height), int(component.width))
+    ticks_ns = int(buffer.timestamp_ns or 0)
+    return Grab(
+        stamp_s=stamp_s,
+        image=data,
+        device_stamp_s=1e-9 * ticks_ns if ticks_ns else None,
+        frame_id=int(buffer.frame_id),
+    )
+
+
+def _harvester(text: str) -> Any:
+    try:
+        from harvesters.core import Harvester
+    except ImportError as error:
+        raise DeviceError(text, "needs harvesters, which is not installed", EXTRA) from error
+    return Harvester()

@@ -1,0 +1,79 @@
+"""Shots taken in the background, of which the newest counts: who is late misses some instead of falling behind."""
+
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from time import perf_counter
+from types import TracebackType
+
+from ringpose.types.frame import Shot
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LiveShot:
+    """A shot, and what is to be known of how it came."""
+
+    shot: Shot
+    dropped: int
+    """Shots that were taken after the one before and that nobody saw."""
+    taken_s: float
+    """When it was complete (`time.perf_counter`)."""
+
+
+class NewestShots:
+    """Takes shots in a thread while the block lasts, and hands out the newest; at most one waits.
+
+    What goes wrong while shots are taken is raised where they are handed out.
+    """
+
+    def __init__(self, shots: Iterator[Shot]) -> None:
+        self._shots = shots
+        self._changed = threading.Condition()
+        self._waiting: LiveShot | None = None
+        self._dropped = 0
+        self._ended = False
+        self._failure: BaseException | None = None
+        self._thread = threading.Thread(target=self._take, name="shots", daemon=True)
+
+    def __enter__(self) -> Iterator[LiveShot]:
+        self._thread.start()
+        return self._handed_out()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Let the shot that is being taken come to its end."""
+        with self._changed:
+            self._ended = True
+        self._thread.join()
+
+    def _handed_out(self) -> Iterator[LiveShot]:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._waiting is not None or self._ended)
+                newest, self._waiting = self._waiting, None
+            if newest is None:
+                break
+            yield newest
+        if self._failure is not None:
+            raise self._failure
+
+    def _take(self) -> None:
+        try:
+            while not self._ended:
+                shot = next(self._shots, None)
+                if shot is None:
+                    break
+                self._put(shot)
+        except BaseException as failure:  # raised again where the shots are wanted
+            self._failure = failure
+        finally:
+            with self._changed:
+                self._ended = True
+                self._changed.notify()
+
+    def _put(self, shot: Shot) -> None:
+        with self._changed:
+            self._dropped = self._dropped + 1 if self._waiting is not None else 0
+            self._waiting = LiveShot(shot=shot, dropped=self._dropped, taken_s=perf_counter())
+            self._changed.notify()

@@ -1,0 +1,106 @@
+"""The newest shot wins, and the others are counted."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from ringpose.capture.newest import NewestShots
+from ringpose.errors import DeviceError
+from ringpose.types.frame import Shot
+
+
+def shot(name: str) -> Shot:
+    return Shot(
+        name=name,
+        images=np.zeros((1, 2, 2), np.uint8),
+        lasers=np.array([0], np.uint8),
+        stamp_s=np.array([0.0]),
+        exposure_s=np.array([0.01]),
+    )
+
+
+class Bursts:
+    """Takes as many shots at once as it is told to; then waits to be told again."""
+
+    def __init__(self) -> None:
+        self.wanted = threading.Semaphore(0)
+        self.taken = threading.Semaphore(0)
+        self.number = 0
+
+    def __iter__(self):
+        return self
+
+    def __next__(self) -> Shot:
+        if self.number:
+            self.taken.release()
+        self.wanted.acquire()
+        self.number += 1
+        return shot(f"s{self.number}")
+
+    def take(self, count: int) -> None:
+        for _ in range(count):
+            self.wanted.release()
+        for _ in range(count):
+            self.taken.acquire()
+
+
+def test_who_keeps_up_misses_nothing():
+    bursts = Bursts()
+
+    with NewestShots(bursts) as newest:
+        seen = []
+        for _ in range(3):
+            bursts.take(1)
+            live = next(newest)
+            seen.append((live.shot.name, live.dropped))
+        bursts.wanted.release()
+
+    assert seen == [("s1", 0), ("s2", 0), ("s3", 0)]
+
+
+def test_who_is_late_gets_the_newest_and_the_number_of_those_missed():
+    bursts = Bursts()
+
+    with NewestShots(bursts) as newest:
+        bursts.take(1)
+        first = next(newest)
+        bursts.take(4)
+        second = next(newest)
+        bursts.take(1)
+        third = next(newest)
+        bursts.wanted.release()
+
+    assert [(live.shot.name, live.dropped) for live in (first, second, third)] == [("s1", 0), ("s5", 3), ("s6", 0)]
+
+
+def test_the_last_shot_is_handed_out_before_the_end():
+    with NewestShots(iter([shot("only")])) as newest:
+        names = [live.shot.name for live in newest]
+
+    assert names == ["only"]
+
+
+def test_what_goes_wrong_is_raised_where_shots_are_wanted():
+    def failing():
+        yield shot("a")
+        raise DeviceError("camera", "is gone")
+
+    with NewestShots(failing()) as newest:
+        first = next(newest)
+        with pytest.raises(DeviceError, match="is gone"):
+            next(newest)
+
+    assert first.shot.name == "a"
+
+
+def test_the_block_ends_while_shots_could_go_on():
+    def endless():
+        while True:
+            yield shot("a")
+
+    with NewestShots(endless()) as newest:
+        live = next(newest)
+
+    assert live.shot.name == "a"
+    assert threading.active_count() == len(threading.enumerate())
