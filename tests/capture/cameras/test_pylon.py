@@ -1,0 +1,76 @@
+"""The pylon driver on pypylon's own emulated camera."""
+
+import os
+import sys
+
+import pytest
+
+from ringpose.capture.cameras.pylon import PylonCamera
+from ringpose.capture.uri import DeviceUri
+from ringpose.errors import DeviceError
+
+
+@pytest.fixture
+def emulated():
+    os.environ["PYLON_CAMEMU"] = "1"  # pypylon reads it when it is imported
+    pytest.importorskip("pypylon.pylon", reason="pypylon is not installed (pip install ringpose[pylon])")
+
+    def driver(place: str = "", **parameters: str) -> PylonCamera:
+        return PylonCamera(
+            DeviceUri(text=f"pylon:{place}", option="--camera", scheme="pylon", place=place, parameters=parameters)
+        )
+
+    return driver
+
+
+def test_frames_of_the_emulated_camera_come_one_by_one(emulated):
+    with (camera := emulated()):
+        description = camera.describe()
+        camera.arm(0.002)
+        frames = [camera.trigger(mask) for mask in (0, 1, 2, 4)]
+
+        assert (description.image_width, description.image_height) == frames[0].image.shape[::-1]
+        assert [frame.lasers for frame in frames] == [0, 1, 2, 4]
+        assert [frame.exposure_s for frame in frames] == 4 * [0.002]
+        assert [frame.frame_id - frames[0].frame_id for frame in frames] == [0, 1, 2, 3]
+        assert camera.dropped == 0
+
+
+def test_twelve_bits_and_gain_are_set(emulated):
+    with (camera := emulated(format="Mono12")):
+        assert camera.describe().saturation_dn == 4095
+        assert camera.trigger(0).image.dtype == "uint16"
+
+
+def test_frames_that_fail_are_taken_again(emulated):
+    with (camera := emulated()):
+        camera.set("ForceFailedBufferCount", 2)
+        camera._camera.GetNodeMap().GetNode("ForceFailedBuffer").Execute()
+        frames = [camera.trigger(0) for _ in range(3)]
+
+    assert max(frame.attempts for frame in frames) > 1
+
+
+def test_output_lines_are_set_and_read(emulated):
+    with (camera := emulated()):
+        camera.set_output("Line2", True)
+
+        assert [camera.output(f"Line{number}") for number in (1, 2, 3)] == [False, True, False]
+
+
+def test_an_impossible_exposure_is_refused_with_its_bounds(emulated):
+    with (camera := emulated()), pytest.raises(DeviceError, match=r"ExposureTime cannot be .*; it takes"):
+        camera.arm(1e6)
+
+
+def test_an_absent_camera_says_so(emulated):
+    with pytest.raises(DeviceError, match="no such camera"):
+        emulated("99999999").open()
+
+
+def test_a_missing_package_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pypylon", None)
+    camera = PylonCamera(DeviceUri(text="pylon:", option="--camera", scheme="pylon", place="", parameters={}))
+
+    with pytest.raises(DeviceError, match=r"needs pypylon.*pip install ringpose\[pylon\]"):
+        camera.open()

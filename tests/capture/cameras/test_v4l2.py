@@ -1,0 +1,63 @@
+"""The OpenCV driver on a numbered image sequence: there is no video device to test with."""
+
+import cv2
+import numpy as np
+import pytest
+
+from ringpose.capture.cameras.v4l2 import V4l2Camera
+from ringpose.capture.uri import DeviceUri
+from ringpose.errors import DeviceError
+
+
+def camera(place: str, **parameters: str) -> V4l2Camera:
+    return V4l2Camera(
+        DeviceUri(text=f"v4l2:{place}", option="--camera", scheme="v4l2", place=place, parameters=parameters)
+    )
+
+
+@pytest.fixture
+def sequence(tmp_path) -> str:
+    """Image k is grey value 10 k all over."""
+    for number in range(9):
+        cv2.imwrite(str(tmp_path / f"{number:03d}.png"), np.full((6, 8, 3), 10 * number, np.uint8))
+    return str(tmp_path / "%03d.png")
+
+
+def test_frames_that_began_too_early_are_thrown_away(sequence):
+    with (opened := camera(sequence)):
+        frames = [opened.trigger(0) for _ in range(3)]
+
+    assert [int(frame.image[0, 0]) for frame in frames] == [20, 50, 80]
+    assert frames[0].image.shape == (6, 8)
+
+
+def test_how_many_is_for_the_user_to_say(sequence):
+    with (opened := camera(sequence, flush="0")):
+        frames = [opened.trigger(0) for _ in range(2)]
+
+    assert [int(frame.image[0, 0]) for frame in frames] == [0, 10]
+
+
+def test_the_size_is_the_images(sequence):
+    with (opened := camera(sequence)):
+        description = opened.describe()
+
+    assert (description.image_width, description.image_height, description.saturation_dn) == (8, 6, 255)
+
+
+def test_a_camera_that_gives_no_more_frames_is_an_error(sequence):
+    with (opened := camera(sequence, flush="0")):
+        for _ in range(9):
+            opened.trigger(0)
+        with pytest.raises(DeviceError, match="no frame came, 3 times in a row"):
+            opened.trigger(0)
+
+
+def test_an_absent_device_says_so():
+    with pytest.raises(DeviceError, match=r"cannot be opened; see ringpose capture --list"):
+        camera("/dev/video99").open()
+
+
+def test_a_feature_that_it_does_not_know_is_refused(sequence):
+    with (opened := camera(sequence)), pytest.raises(DeviceError, match="has no feature TriggerMode"):
+        opened.set("TriggerMode", "On")
