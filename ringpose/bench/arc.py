@@ -1,11 +1,10 @@
 """The part of the ring that the stripes span: outside it nothing was measured."""
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.geometry.rays import intersect, rays
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
 from ringpose.types.truth import Truth
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
-from jaxtyping import Float64, UInt8
 
 from ringpose.bench.detectors_break_points import break_point_errors, joined_break_points
 from ringpose.bench.detectors_lines import length_px, length_recalled_px
@@ -16,7 +15,7 @@ from ringpose.bench.speed_times import median_times_s, one_core
 from ringpose.bench.stripe_images import StripeImage
 from ringpose.detect.peers import GIVES_CENTERS, DetectorName, detector
 from ringpose.detect.pipeline import detect
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64, UInt8
 from ringpose.types.break_points import BreakPoints
 from ringpose.types.frame import Shot
 from ringpose.types.segments import Segments

@@ -3,11 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
 
 from ringpose.bench.detectors_bounds import column_bound_px, end_bound_px
 from ringpose.bench.stripe_images import StripeImage, true_row
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.break_points import BreakPoints, Detection
 from ringpose.types.stripes import Stripes
 

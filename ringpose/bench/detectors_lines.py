@@ -3,9 +3,8 @@
 import math
 
 import numpy as np
-from jaxtyping import Bool, Float64
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.segments import Segments
 
 LARGEST_ANGLE_RAD = math.radians(5)

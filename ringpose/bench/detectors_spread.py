@@ -1,9 +1,8 @@
 """Figures of many errors, some of them wild."""
 
 import numpy as np
-from jaxtyping import Float64
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 
 MAD_OF_NORMAL = 1.4826
 """Standard deviation of a normal variable over the median of its sizes about its median."""

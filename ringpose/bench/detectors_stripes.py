@@ -8,10 +8,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64
 
 from ringpose.bench.stripe_images import StripeImage
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.segments import Segments
 
 COVERED = 0.8

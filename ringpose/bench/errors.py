@@ -1,10 +1,9 @@
 """How far an answer is from the truth: pure functions, camera frame, metres and radians."""
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 
 
 def distance_to_circle_m(

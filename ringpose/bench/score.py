@@ -6,13 +6,12 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.bench.answer import Answer
 from ringpose.bench.arc import outside_arc
 from ringpose.bench.errors import distance_to_circle_m, mahalanobis_squared, tilt_error_rad
 from ringpose.geometry.rotations import angle_between
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
 from ringpose.types.ring_pose import PoseFlag, RingPose
 from ringpose.types.truth import Truth

@@ -12,10 +12,9 @@ from enum import StrEnum
 
 import cv2
 import numpy as np
-from jaxtyping import Float64, UInt8
 
 from ringpose.geometry.rays import project, undistorted_pixels
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64, UInt8
 from ringpose.types.camera import Camera
 from ringpose.types.laser_planes import LaserPlanes
 from ringpose.types.rig import Rig

@@ -1,9 +1,8 @@
 """The one image of a shot in which a board's corners are looked for."""
 
 import numpy as np
-from jaxtyping import UInt
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, UInt
 from ringpose.types.frame import Shot
 
 

@@ -2,10 +2,9 @@
 
 import cv2
 import numpy as np
-from jaxtyping import UInt, UInt8
 
 from ringpose.calibrate.board_views import NoBoard, grey_8_bit
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, UInt, UInt8
 from ringpose.types.board import BoardView
 from ringpose.types.calibration import StripeView
 

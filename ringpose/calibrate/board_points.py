@@ -5,9 +5,8 @@ has the number 4 * marker + corner, clockwise from its top-left.
 """
 
 import numpy as np
-from jaxtyping import Float64
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board
 
 _FIRST = np.array([1.0, 1.0, 0.0])

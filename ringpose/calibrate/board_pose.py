@@ -2,10 +2,9 @@
 
 import cv2
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.calibrate.intrinsics import projection_jacobians
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.camera import Camera
 

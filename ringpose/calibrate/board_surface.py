@@ -3,11 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64
 
 from ringpose.calibrate.board_points import marker_corners, outline_m
 from ringpose.calibrate.plane_points import triangulated
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import Board, BoardPose
 from ringpose.types.camera import Camera
 

@@ -5,13 +5,12 @@ from enum import Enum
 
 import cv2
 import numpy as np
-from jaxtyping import Float64, Int64, UInt, UInt8
 
 from ringpose.calibrate.board_points import corner_points, marker_corners
 from ringpose.calibrate.chessboard import chessboard_corners, refined_corners
 from ringpose.calibrate.marker_sides import corners_from_sides
 from ringpose.calibrate.markers import Markers, find_markers, marker_dictionary
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64, Int64, UInt, UInt8
 from ringpose.types.board import Board, BoardView
 
 MINIMUM_CORNERS = 6

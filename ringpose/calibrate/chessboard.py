@@ -4,10 +4,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Float64, UInt8
 
 from ringpose.calibrate.levelled_corners import levelled_corners
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64, UInt8
 
 _SECTOR_BASED: int = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
 _CLASSIC: int = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE

@@ -2,9 +2,8 @@
 
 import cv2
 import numpy as np
-from jaxtyping import Float64
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.camera import DISTORTION_COEFFICIENTS, Camera
 

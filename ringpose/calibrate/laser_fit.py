@@ -4,12 +4,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.calibrate.plane_fits import condition, extent_m, light_plane, robust_plane
 from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.errors import DataError
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.calibration import LaserCalibration, LaserView
 
 LARGEST_CONDITION = 50.0

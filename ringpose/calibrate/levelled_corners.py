@@ -7,9 +7,8 @@ photographs with a laser beside the board the rms falls from 0.44 to 0.28 px, on
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float64, UInt8
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Bool, Float64, UInt8
 
 CLIPPED_SHARE = 0.05
 """What is left of a square's variation beyond its level, as a share of the contrast; edges keep their middle part."""

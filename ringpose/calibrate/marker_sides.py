@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Float64, UInt8
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64, UInt8
 
 REACH_PX = 4.0
 """How far across a side is looked for the edge, and at most half a cell of the marker's black border."""

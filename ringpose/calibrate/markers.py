@@ -4,10 +4,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float64, Int64, UInt8
 
 from ringpose.errors import DataError
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64, Int64, UInt8
 from ringpose.types.board import Board
 
 

@@ -6,7 +6,6 @@ explain (a bent board, an inexact print), the variances of these are widened to 
 """
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.calibrate.board_pose import board_pose
 from ringpose.calibrate.intrinsics import parameter_names
@@ -18,7 +17,7 @@ from ringpose.calibrate.plane_joint import (
     joint_fit,
     prior_information,
 )
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
 from ringpose.types.covariance import ParameterCovariance
 

@@ -1,11 +1,10 @@
 """Light planes through triangulated stripe centres (ringpose-method(7), section 6)."""
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.geometry.planes import nearest_plane
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 
 _TUKEY = 4.685
 """Tukey's constant: 95 % efficient on normal errors."""

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64
 
 from ringpose.calibrate.board_pose import moved_pose, residuals
 from ringpose.calibrate.intrinsics import camera_with, parameter_names, parameters_of, projection_jacobians
@@ -18,7 +17,7 @@ from ringpose.calibrate.stripe_residuals import stripe_rows
 from ringpose.errors import DataError
 from ringpose.geometry.rays import rays
 from ringpose.geometry.rotations import tilted
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose
 from ringpose.types.calibration import StripeView
 from ringpose.types.camera import Camera

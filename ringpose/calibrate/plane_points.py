@@ -1,10 +1,9 @@
 """Stripe centres triangulated with a board's plane (ringpose-method(7), section 6)."""
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.geometry.rays import intersect, rays
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose
 from ringpose.types.camera import Camera
 

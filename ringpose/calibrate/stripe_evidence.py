@@ -4,14 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.calibrate.laser_fit import LARGEST_CONDITION, Points, outlying_views
 from ringpose.calibrate.plane_fits import condition, robust_plane
 from ringpose.calibrate.plane_points import triangulated
 from ringpose.calibrate.stripe_labels import labelled_by_order, labelled_by_planes
 from ringpose.errors import DataError
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose
 from ringpose.types.calibration import StripeView
 from ringpose.types.camera import Camera

@@ -5,9 +5,8 @@ from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
-from jaxtyping import Float64
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.calibration import StripeView
 
 DECISION = 3.0

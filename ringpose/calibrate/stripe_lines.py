@@ -8,12 +8,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float64, UInt
 
 from ringpose.calibrate.board_surface import BoardSurface
 from ringpose.detect.stripe_centers import find_stripes
 from ringpose.geometry.rays import undistorted_pixels
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Bool, Float64, UInt
 from ringpose.types.stripes import Stripes
 
 NEAR_PX = 1.5

@@ -1,13 +1,12 @@
 """A shot of the board -> its view with the stripes, labelled where the frames say which laser was on."""
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.calibrate.board_image import dark_image
 from ringpose.calibrate.board_pose import board_pose
 from ringpose.calibrate.board_surface import BoardSurface
 from ringpose.calibrate.stripe_lines import stripe_lines
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board, BoardView
 from ringpose.types.calibration import StripeView
 from ringpose.types.camera import Camera

@@ -4,12 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.detect.frames import LaserImage
 from ringpose.detect.stripe_centers import find_stripes
 from ringpose.geometry.rays import project, undistorted_rays
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.break_points import BreakPoints
 from ringpose.types.camera import Camera
 from ringpose.types.stripes import Stripes, joined_stripes

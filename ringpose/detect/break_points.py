@@ -3,14 +3,13 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float64, Int64
 
 from ringpose.detect.consistency import Ends, checked
 from ringpose.detect.faces import Face
 from ringpose.detect.frames import LaserImage
 from ringpose.detect.stripe_ends import StripeEnds, stripe_ends
 from ringpose.detect.tracks import Track
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.break_points import BreakPointFlag, BreakPoints
 from ringpose.types.rig import Rig
 

@@ -2,11 +2,9 @@
 
 from dataclasses import dataclass
 
-from jaxtyping import Int32
-
 from ringpose import kernels
 from ringpose.detect.gradient import Gradient, magnitude_steps
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Int32
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

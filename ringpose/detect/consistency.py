@@ -4,13 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
 
 from ringpose.detect.tracks import Track
 from ringpose.geometry.planes import nearest_plane, towards_camera
 from ringpose.geometry.rays import intersect, rays, undistorted_rays
 from ringpose.kernels.ring import ArcFit, arc_fit
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.break_points import BreakPointFlag
 from ringpose.types.rig import Rig
 from ringpose.types.stripes import UNLABELLED

@@ -3,11 +3,10 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
 
 from ringpose.detect.edge_trace import EdgeTrace, beyond_px
 from ringpose.detect.ring_arcs import RingArcs
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.break_points import RingEdgePoints
 
 BLUR_SIGMA_PX = 0.03

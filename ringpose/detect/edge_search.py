@@ -3,12 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64, UInt
 
 from ringpose.detect.edge_steps import EdgeSteps, edge_profiles, edge_steps
 from ringpose.detect.edge_trace import EdgeTrace, chosen, sights_at
 from ringpose.detect.ring_arc_fit import Sights
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Bool, Float64, UInt
 
 BLUR_PX = 0.9
 """Blur (sigma) of edges that is assumed as long as nothing better is known."""

@@ -11,9 +11,8 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float64, UInt
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Bool, Float64, UInt
 
 INSIDE_PX = 5
 """How far inside the nearest place for the edge the surface's brightness is taken from."""

@@ -4,12 +4,11 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float64
 
 from ringpose.detect.ring_arc_fit import Sights
 from ringpose.detect.ring_arcs import RingArcs, arc_points, off_face_m
 from ringpose.geometry.rays import project, project_undistorted
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.rig import Rig
 
 MARGIN_PX = 8.0

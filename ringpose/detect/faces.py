@@ -9,12 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int32
 
 from ringpose.detect.tracks import Track
 from ringpose.geometry.rays import undistorted_rays
 from ringpose.kernels.ring import RingRules, best_groups
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Bool, Float64, Int32
 from ringpose.types.rig import Rig
 from ringpose.types.stripes import UNLABELLED
 
@@ -131,8 +130,8 @@ def face_candidates(tracks: Sequence[Track], lasers: Sequence[int], rig: Rig) ->
     ends_px = np.array([[[t.x_start, t.y(t.x_start)], [t.x_end, t.y(t.x_end)]] for t in tracks])
     rays = undistorted_rays(ends_px, rig.camera)[track]
     possible = np.flatnonzero(_possible(rays, _planes(rig)[laser]))
-    merit = {number: _merit(tracks[number]) for number in np.unique(track[possible])}
-    of_laser = [sorted(possible[laser[possible] == each], key=lambda k: -merit[track[k]]) for each in np.unique(laser)]
+    merit = {number: _merit(tracks[number]) for number in set(track[possible].tolist())}
+    of_laser = [sorted(possible[laser[possible] == each], key=lambda k: -merit[track[k]]) for each in sorted(set(laser.tolist()))]
     kept = np.array([each for members in of_laser for each in members[:CANDIDATES]], dtype=np.int64)
     return Candidates(
         track=np.ascontiguousarray(track[kept]),

@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, UInt
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64, UInt
 from ringpose.types.frame import Shot
 
 

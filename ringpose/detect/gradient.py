@@ -3,10 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Int16, Int32, UInt, UInt8, UInt16
 
 from ringpose import kernels
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Int16, Int32, UInt, UInt8, UInt16
 
 STEPS_PER_DN = 128
 """Units of the kernels' magnitude in one grey value per pixel: 16 of the smoothing, 8 of the Sobel weights."""

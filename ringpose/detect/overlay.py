@@ -2,10 +2,9 @@
 
 import cv2
 import numpy as np
-from jaxtyping import Float64, Int64, UInt, UInt8
 
 from ringpose.detect.gradient import eight_bit
-from ringpose.types.arrays import EDGES, Array
+from ringpose.types.arrays import EDGES, Array, Float64, Int64, UInt, UInt8
 from ringpose.types.break_points import BreakPointFlag, BreakPoints, Detection, RingEdgePoints
 from ringpose.types.segments import Segments
 from ringpose.types.stripes import UNLABELLED, Stripes

@@ -1,11 +1,10 @@
 """The segments of a photograph, of which nothing else is known."""
 
 import numpy as np
-from jaxtyping import UInt
 
 from ringpose.detect.segment_method import SegmentMethod
 from ringpose.detect.segments import find_segments
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, UInt
 from ringpose.types.break_points import Detection, NoBreakPoints
 from ringpose.types.frame import Shot
 

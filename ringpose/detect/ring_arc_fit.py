@@ -4,12 +4,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.detect.ring_arcs import RingArcs, moved, off_face_m
 from ringpose.geometry.planes import towards_camera
 from ringpose.geometry.rays import intersect, rays, undistorted_rays
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.break_points import BreakPoints
 from ringpose.types.rig import Rig
 

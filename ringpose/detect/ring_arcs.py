@@ -7,9 +7,8 @@ they stay regular where the arcs look straight, and a few stripes determine most
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 
 STATE = ("tilt_x", "tilt_y", "lift_m", "shift_m", "turn_rad", "curvature", "half_band_m")
 """Order of a step of `RingArcs`: the plane's tilts and offset, place and direction of the band, its shape."""

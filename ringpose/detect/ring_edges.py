@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.detect.edge_points import ring_edge_points
 from ringpose.detect.edge_search import BLUR_PX, EdgeImage, clear_steps, step_sights, steps_beside
@@ -18,7 +17,7 @@ from ringpose.detect.edge_steps import ALONG_PX, Profiles, edge_profiles, edge_s
 from ringpose.detect.edge_trace import chosen, clear_of, edge_trace
 from ringpose.detect.ring_arc_fit import NO_SIGHTS, StripeEvidence, fitted_arcs, possible, stripe_evidence
 from ringpose.detect.ring_arcs import STATE, RingArcs
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.break_points import BreakPointFlag, BreakPoints, RingEdgePoints
 from ringpose.types.frame import Shot
 from ringpose.types.rig import Rig

@@ -3,13 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Int32, UInt
 
 from ringpose import kernels
 from ringpose.detect.chains import Chains, edge_chains
 from ringpose.detect.gradient import MARGIN, Gradient, image_gradient, in_sixteen_bits
 from ringpose.detect.segment_method import SegmentMethod
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Int32, UInt
 from ringpose.types.segments import Segments
 
 

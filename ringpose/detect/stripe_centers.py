@@ -7,11 +7,10 @@ Gaussian-smoothed grey values has a minimum there, and the zero of the first der
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, Int32, UInt
 
 from ringpose.detect.stripe_filters import stripe_filters
 from ringpose.kernels import stripes as kernel
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64, Int32, UInt
 from ringpose.types.frame import full_scale_dn
 from ringpose.types.stripes import UNLABELLED, Stripes
 

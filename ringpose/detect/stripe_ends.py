@@ -8,13 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64
 
 from ringpose.detect.frames import LaserImage
 from ringpose.detect.tracks import BORDER_PX, Track, lens
 from ringpose.kernels import ring
 from ringpose.kernels.ring import EndRules
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.camera import Camera
 
 BEYOND_COLUMNS = 40

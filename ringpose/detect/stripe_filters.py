@@ -4,10 +4,9 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.kernels.stripes import Filters
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 
 FINEST_SIGMA_PX = 1.0
 FILTERS_AN_OCTAVE = 3

@@ -1,11 +1,10 @@
 """Stripes from straight segments, the paper's way: a stripe is what lies bright between two parallel edges."""
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64, UInt
 
 from ringpose.detect.segment_method import SegmentMethod
 from ringpose.detect.segments import find_segments
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Bool, Float64, Int64, UInt
 from ringpose.types.segments import Segments
 from ringpose.types.stripes import UNLABELLED, Stripes
 

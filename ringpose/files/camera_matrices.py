@@ -1,10 +1,9 @@
 """What a pinhole camera's matrix can be."""
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.files.fields import Fields
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 
 
 def checked_matrix(fields: Fields, matrix: Float64[Array, "3 3"]) -> Float64[Array, "3 3"]:

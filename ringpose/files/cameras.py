@@ -6,7 +6,6 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.errors import DataError
 from ringpose.files import atomic, opencv_storage
@@ -16,7 +15,7 @@ from ringpose.files.covariances import camera_parameters, covariance_values, rea
 from ringpose.files.fields import Fields
 from ringpose.files.provenance import provenance
 from ringpose.files.yaml import parsed, write_yaml
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import DISTORTION_COEFFICIENTS, Camera
 
 SCHEMA = "camera/1"

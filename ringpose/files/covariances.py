@@ -4,10 +4,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.files.fields import Fields, hint
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.covariance import ParameterCovariance
 
 _KEYS = ("parameters", "data")

@@ -6,13 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int64
 
 from ringpose.files import records
 from ringpose.files.archives import Archive, write_archive
 from ringpose.files.fields import Fields
 from ringpose.files.provenance import provenance
-from ringpose.types.arrays import EDGES, Array
+from ringpose.types.arrays import EDGES, Array, Int64
 from ringpose.types.break_points import BreakPoints, Detection, NoBreakPoints, RingEdgePoints
 from ringpose.types.segments import Segments
 from ringpose.types.stripes import Stripes

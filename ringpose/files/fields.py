@@ -6,10 +6,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.errors import DataError
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 
 FREE_PREFIX = "x_"
 """Keys that begin so are the user's own: never read, never refused."""

@@ -8,12 +8,11 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import UInt
 
 from ringpose.errors import DataError
 from ringpose.files import atomic
 from ringpose.files.bytes import read_bytes
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, UInt
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg")
 

@@ -4,11 +4,10 @@ import csv
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.errors import DataError, NoInputError
 from ringpose.files.bytes import read_bytes
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 
 
 def read_lines(path: Path, origin_px: float = 0.0) -> Float64[Array, "line end=2 xy=2"]:

@@ -3,13 +3,12 @@
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.errors import DataError
 from ringpose.files.camera_matrices import checked_matrix
 from ringpose.files.fields import Fields
 from ringpose.files.yaml import parsed
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
 
 _MATRIX, _COEFFICIENTS = "camera_matrix", "distortion_coefficients"

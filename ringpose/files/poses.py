@@ -5,10 +5,9 @@ from collections.abc import Mapping
 from typing import Any, cast
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.files.fields import Fields
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.pose_line import PoseFrame, PoseLine
 from ringpose.types.ring_pose import PoseFlag, RingPose
 

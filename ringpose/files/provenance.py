@@ -5,13 +5,14 @@ import shlex
 import sys
 from collections.abc import Iterable
 from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 
 def provenance(inputs: Iterable[Path]) -> dict[str, Any]:
     """The `provenance` entry of a file that is about to be written."""
+    from importlib.metadata import version  # slow to import, and most commands write no such file
+
     return {
         "version": version("ringpose"),
         "command": shlex.join(["ringpose", *sys.argv[1:]]),

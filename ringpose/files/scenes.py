@@ -6,13 +6,12 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.files.fields import Fields
 from ringpose.files.rigs import read_rig
 from ringpose.files.scene_views import read_board_set, read_sequence, read_trajectory
 from ringpose.files.yaml import read_yaml
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.rig import Rig
 from ringpose.types.scene import (
     MATERIALS,

@@ -4,14 +4,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64, UInt8
 
 from ringpose.errors import DataError, NoInputError
 from ringpose.files import records
 from ringpose.files.archives import Archive, write_archive
 from ringpose.files.fields import Fields
 from ringpose.files.images import IMAGE_SUFFIXES, read_image
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64, UInt8
 from ringpose.types.frame import ALL_LASERS, Shot
 from ringpose.types.rig import Rig
 

@@ -5,12 +5,11 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.files import atomic, records
 from ringpose.files.bytes import read_bytes
 from ringpose.files.fields import Fields, kind
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.truth import Truth
 
 _KEYS = (

@@ -3,9 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, Int64
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64, Int64
 
 
 def nearest_crossing(

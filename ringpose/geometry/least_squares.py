@@ -1,9 +1,8 @@
 """Linear least squares near singularity, for batches of small systems."""
 
 import numpy as np
-from jaxtyping import Float64
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 
 
 def inverse_condition(matrix: Float64[Array, "batch row column"]) -> Float64[Array, "batch"]:

@@ -1,9 +1,8 @@
 """Planes `normal . point = distance`."""
 
 import numpy as np
-from jaxtyping import Float64
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 
 
 def nearest_plane(

@@ -3,9 +3,8 @@
 from math import hypot
 
 import numpy as np
-from jaxtyping import Float64
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 
 EPSILON = float(np.finfo(float).eps)
 """A normal whose part across z is smaller is along z."""

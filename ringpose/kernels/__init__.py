@@ -5,9 +5,8 @@ fallback would hide that from whoever wonders about it.
 """
 
 import numpy as np
-from jaxtyping import Float64, Int16, Int32, Int64, UInt8, UInt16
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64, Int16, Int32, Int64, UInt8, UInt16
 
 try:
     from ringpose.kernels import _kernels

@@ -4,9 +4,8 @@ import math
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int16, Int32, Int64, UInt8, UInt16
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Bool, Float64, Int16, Int32, Int64, UInt8, UInt16
 
 STEPS = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))
 """The eight directions as (x, y), clockwise as seen; opposite directions differ by 4."""

@@ -4,10 +4,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64, UInt
 
 from ringpose.kernels.ring import EndRules, Lens
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Bool, Float64, UInt
 
 CURVE_POINTS = 64
 SECTION_ROWS = 6

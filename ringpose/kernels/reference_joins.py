@@ -4,10 +4,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, Int32, Int64
 
 from ringpose.kernels.reference import line_through, on_line
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64, Int32, Int64
 
 
 @dataclass

@@ -3,10 +3,9 @@
 from itertools import combinations, product
 
 import numpy as np
-from jaxtyping import Float64, Int32
 
 from ringpose.kernels.ring import ArcFit, Group, RingRules
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64, Int32
 
 NOTHING = -np.inf
 

@@ -5,13 +5,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
 
 from ringpose.kernels.reference_stripe_links import Ridge
 from ringpose.kernels.reference_stripe_patches import Filter, Pixels, bend, sections, slope
 from ringpose.kernels.reference_stripe_sigmas import CLUTTERED, Scatter, raised, scatter, scatter_variance, usual_excess
 from ringpose.kernels.stripes import Centers, StripeRules
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float32, Float64, Int64
 
 FILTER_PER_WIDTH, FILTER_PER_HALF_WIDTH = 1.3, 0.82
 """Filter over stripe: a little wider than matched; the same for a flat top, over its half width."""

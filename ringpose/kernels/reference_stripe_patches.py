@@ -3,10 +3,9 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Int64, UInt
 
 from ringpose.kernels.stripes import Filters
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float32, Int64, UInt
 
 Pixels = Float32[Array, "row column"]
 

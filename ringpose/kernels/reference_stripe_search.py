@@ -1,11 +1,10 @@
 """Readable NumPy twin of `stripe_noise.c` and `stripe_search.c`: how noisy an image is, and where ridges may be."""
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int32, Int64, UInt
 
 from ringpose.kernels.reference_stripe_patches import Filter, Pixels, bend, sections
 from ringpose.kernels.stripes import BLOCK, CELL, StripeRules
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Bool, Float32, Int32, Int64, UInt
 
 NOISE_ROWS, NOISE_BLOCKS = 128, 4
 """Size of the areas of which each has a noise figure."""

@@ -5,14 +5,13 @@ along the columns, centres, and what the differences between centres say of thei
 """
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int32, Int64, UInt
 
 from ringpose.kernels.reference_stripe_centers import centers
 from ringpose.kernels.reference_stripe_links import Ridge, pieces
 from ringpose.kernels.reference_stripe_patches import Filter, Pixels, bend, pixels_of, sections, split_filters
 from ringpose.kernels.reference_stripe_search import enough, noise_figures, searched
 from ringpose.kernels.stripes import Centers, Filters, StripeRules
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Bool, Float32, Int32, Int64, UInt
 
 
 def stripes(

@@ -4,10 +4,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float64, Int64
 
 from ringpose.kernels.ring import Lens, TrackRules
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64, Int64
 
 MOST_RUNS = 8
 """Runs of neighbouring centres that one track is joined from."""

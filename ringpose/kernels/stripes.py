@@ -3,9 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32, Int64, UInt
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float32, Float64, Int32, Int64, UInt
 
 try:
     from ringpose.kernels import _stripes

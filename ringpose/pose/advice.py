@@ -1,10 +1,9 @@
 """What would make a pose better, in words."""
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.pose.observability import standard_deviation
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.ring_pose import PoseFlag, RingPose
 
 RADIUS_SD_M = 0.0005

@@ -4,9 +4,8 @@ from collections.abc import Mapping, Sequence
 from math import exp, log, pi, sqrt
 
 import numpy as np
-from jaxtyping import Float64
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.ring import KnownRadii, Ring
 
 NONE_OF_THESE = "none of these"

@@ -7,10 +7,9 @@ covariance asks for. Within a batch all points stand on the same edges.
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
 
 from ringpose.geometry.least_squares import damped_solution, inverse_condition
-from ringpose.types.arrays import EDGES, Array
+from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
 
 SINGULAR_BELOW = 1e-3
 """q0: where smallest over largest singular value of the centre's equations falls below it, they are damped.

@@ -12,7 +12,6 @@ from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.pose.edge_correlation import loosened
 from ringpose.pose.likelihood import Fit, fitted
@@ -20,7 +19,7 @@ from ringpose.pose.measurements import Measurements
 from ringpose.pose.residual_rows import Beforehand
 from ringpose.pose.rig_errors import RigErrors
 from ringpose.pose.ring_model import PARAMETERS
-from ringpose.types.arrays import EDGES, Array
+from ringpose.types.arrays import EDGES, Array, Float64
 from ringpose.types.rig import Rig
 from ringpose.types.ring_pose import PoseFlag
 

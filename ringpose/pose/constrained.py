@@ -1,7 +1,6 @@
 """Method `paper-constrained`: the paper's equations, solved inside the ring's plane (ringpose-method(7), section 4)."""
 
 import numpy as np
-from jaxtyping import Float64, Int64
 
 from ringpose.geometry.circles import arc_crossings, arc_equations
 from ringpose.pose.closed_form import (
@@ -12,7 +11,7 @@ from ringpose.pose.closed_form import (
     facing,
     mean_radii,
 )
-from ringpose.types.arrays import EDGES, Array
+from ringpose.types.arrays import EDGES, Array, Float64, Int64
 
 
 def constrained_form(points: Float64[Array, "batch point xyz=3"], edges: Int64[Array, "point"]) -> ClosedForm:

@@ -7,10 +7,9 @@ number of them averages.
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.pose.measurements import Edges
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 
 SHORT_SERIES = 1.5
 """A circle fitted to a short series takes part of its likeness away: what is found is so much too small."""

@@ -7,9 +7,8 @@ stripes a single shot hardly tells which plane it is; shots of different poses d
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.plane_evidence import PlaneEvidence
 
 FORGETTING = 0.98

@@ -7,14 +7,13 @@ give the plane at once, and in this state every ring is within a few steps of a 
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.pose.measurements import Measurements
 from ringpose.pose.residual_rows import Beforehand, Rows, rows_of
 from ringpose.pose.rig_errors import ByRig, RigErrors, rows_by_common_errors
 from ringpose.pose.ring_model import CURVATURE, PARAMETERS, TURN, RingState, moved
 from ringpose.pose.starting_state import starting_state
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.rig import Rig
 
 HUBER_SIGMAS = 3.0

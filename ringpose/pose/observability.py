@@ -3,12 +3,11 @@
 import math
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.geometry.planes import nearest_plane
 from ringpose.pose.closed_form import ClosedForm
 from ringpose.pose.uncertainty import PoseCovariance
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.break_points import BreakPoints
 from ringpose.types.ring_points import RingPoints
 from ringpose.types.ring_pose import NoPose, PoseFlag

@@ -3,10 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.ring_pose import RingPose
 
 

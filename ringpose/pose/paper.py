@@ -6,7 +6,6 @@ the noise of any real image. Kept as a baseline.
 """
 
 import numpy as np
-from jaxtyping import Float64, Int64
 
 from ringpose.geometry.least_squares import damped_solution
 from ringpose.pose.closed_form import (
@@ -17,7 +16,7 @@ from ringpose.pose.closed_form import (
     facing,
     mean_radii,
 )
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64, Int64
 
 MILLIMETRES = 1000.0
 """In a metre."""

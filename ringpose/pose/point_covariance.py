@@ -7,11 +7,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float64, Int64
 
 from ringpose.errors import DataError
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.camera import Camera
 from ringpose.types.rig import Rig
 

@@ -7,7 +7,6 @@ what is known beforehand.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.pose.measurements import Measurements, Points, Sighted
 from ringpose.pose.ring_model import (
@@ -26,7 +25,7 @@ from ringpose.pose.ring_model import (
     origin_of,
     sights_of,
 )
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.ring import KnownRadii
 
 LIKELY_CURVATURE, CURVATURE_SD = 1.5, 1.5

@@ -1,12 +1,11 @@
 """How far the break points are from where a pose predicts them."""
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.geometry.circles import nearest_crossing
 from ringpose.geometry.rays import GRAZING, project
 from ringpose.pose.closed_form import ClosedForm
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.break_points import BreakPoints
 from ringpose.types.rig import Rig
 from ringpose.types.ring_points import RingPoints

@@ -9,10 +9,9 @@ centre is not determined has a curvature like any other.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.pose.measurements import Edges, Sighted
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 
 PARAMETERS = 7
 """Of the state: plane 3, shift_m, turn of `outward` about the normal, curvature, band_m."""

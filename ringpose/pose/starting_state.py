@@ -1,12 +1,11 @@
 """Where the search for the most likely ring begins."""
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.pose.measurements import Measurements, Sighted
 from ringpose.pose.residual_rows import LIKELY_BAND_M, LIKELY_CURVATURE, Beforehand
 from ringpose.pose.ring_model import RingState, Sights, cross, sights_of
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.laser_planes import LaserPlanes
 
 SHORTEST_M = 1e-9

@@ -8,11 +8,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, Int64
 
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.closed_form import ClosedForm
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64, Int64
 
 STEP = 1e-6
 """Of the central differences, in units of the points' largest distance from their mean.

@@ -1,11 +1,10 @@
 """Where the boards stand: as the scene says, or drawn at random within its limits."""
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.calibrate.board_points import outline_m
 from ringpose.simulate.trajectory import picture_ray
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board
 from ringpose.types.laser_planes import LaserPlanes
 from ringpose.types.scene import BoardApproach, BoardPlace, BoardSet, Scene

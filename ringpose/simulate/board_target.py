@@ -5,11 +5,10 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float64, Int8, UInt8
 
 from ringpose.calibrate.board_points import is_white, marker_corners, outline_m
 from ringpose.simulate.target import EMPTY
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Bool, Float64, Int8, UInt8
 from ringpose.types.board import Board
 from ringpose.types.scene import MATERIALS, Material
 

@@ -1,7 +1,6 @@
 """How long a view is exposed: the scene's time, or as long as its stripes need."""
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.geometry.rays import project
 from ringpose.simulate.break_points import crossings, in_picture
@@ -9,7 +8,7 @@ from ringpose.simulate.lighting import Hits, Stand, laser_radiance
 from ringpose.simulate.pixel_rays import pixel_rays
 from ringpose.simulate.sensor import electrons_per_radiance
 from ringpose.simulate.sheets import half_thickness_m
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.scene import Scene
 
 SHORTEST_S, LONGEST_S = 2e-5, 0.1

@@ -4,9 +4,8 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Complex64, Float32, Float64, Int64
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Complex64, Float32, Float64, Int64
 from ringpose.types.scene import Foil
 
 _TEXELS = 512

@@ -3,13 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int8, Int64
 
 from ringpose.simulate.placement import Placement
 from ringpose.simulate.shading import laboratory_radiance, reflectance_per_sr, surfaces
 from ringpose.simulate.sheets import Sheets, in_sheet, irradiance_w_m2
 from ringpose.simulate.target import Target
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Bool, Float64, Int8, Int64
 from ringpose.types.scene import Light
 
 _FAR_M = 100.0

@@ -4,10 +4,9 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, Int64
 
 from ringpose.geometry.rays import undistort
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.camera import Camera
 
 SAMPLES = 16

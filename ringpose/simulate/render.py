@@ -10,13 +10,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, Float64, Int64, UInt8, UInt16
 
 from ringpose.simulate.lighting import Hits, Stand, ambient_radiance, laser_radiance, settled_hits
 from ringpose.simulate.pixel_rays import FINE_SAMPLES, SAMPLES, PixelRays, centre_directions, sample_directions
 from ringpose.simulate.sheets import half_thickness_m, in_sheet
 from ringpose.simulate.target import EMPTY
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float32, Float64, Int64, UInt8, UInt16
 
 _BLOCK = 1 << 15
 """Rays worked on at a time, so that they stay in the processor's cache."""

@@ -7,9 +7,8 @@ Points and directions are arrays (xyz, ray); an origin may be one for all rays.
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int8, Int64
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Bool, Float64, Int8, Int64
 
 NEAREST = 1e-6
 """Hits nearer than this share of a ray's vector are the surface that the ray starts from."""

@@ -3,9 +3,8 @@
 import functools
 
 import numpy as np
-from jaxtyping import Float32, UInt
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float32, UInt
 from ringpose.types.scene import Lens, Sensor
 
 _PLANCK_TIMES_LIGHT_J_M = 6.62607015e-34 * 299792458.0

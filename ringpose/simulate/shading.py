@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, Int8
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64, Int8
 from ringpose.types.scene import Material
 
 _LAMPS = np.array([[0.45, -0.75, -0.50], [-0.85, -0.25, -0.45], [0.20, 0.60, -0.77], [0.95, 0.10, -0.30]])

@@ -3,10 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64
 
 from ringpose.simulate.placement import Placement
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.laser_planes import LaserPlanes
 from ringpose.types.scene import LaserLight
 

@@ -2,9 +2,8 @@
 
 import cv2
 import numpy as np
-from jaxtyping import Float32
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float32
 from ringpose.types.scene import Speckle
 
 

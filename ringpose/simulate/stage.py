@@ -4,14 +4,13 @@ from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
-from jaxtyping import Float32
 
 from ringpose.simulate.lighting import Stand
 from ringpose.simulate.pixel_rays import pixel_rays
 from ringpose.simulate.render import layers
 from ringpose.simulate.sensor import digitised, electrons_per_radiance
 from ringpose.simulate.speckle import speckle_pattern
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float32
 from ringpose.types.frame import Frame
 from ringpose.types.scene import Scene, Sensor
 

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int8
 
 from ringpose.simulate import revolution
 from ringpose.simulate.foil import Relief, relief
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Bool, Float64, Int8
 from ringpose.types.scene import MATERIALS, Body, Material, RingShape
 
 EMPTY = -1

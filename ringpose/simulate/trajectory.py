@@ -4,13 +4,12 @@ from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.errors import DataError
 from ringpose.geometry.rays import rays
 from ringpose.geometry.rotations import facing_normal
 from ringpose.simulate.placement import ring_rotation
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
 from ringpose.types.scene import Approach, RingView, Scene
 

@@ -6,9 +6,7 @@ Board frame: origin at the top-left outer corner, x right, y down, z into the bo
 from dataclasses import dataclass
 from typing import Literal
 
-from jaxtyping import Float64, Int64
-
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64, Int64
 
 BoardKind = Literal["charuco", "chessboard", "four_markers", "aruco_grid", "asymmetric_circles"]
 

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 from enum import Enum, IntFlag
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.segments import Segments
 from ringpose.types.stripes import Stripes
 

@@ -2,9 +2,7 @@
 
 from dataclasses import dataclass
 
-from jaxtyping import Float64
-
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.covariance import ParameterCovariance
 
 DISTORTION_COEFFICIENTS = {"plumb_bob": 5, "rational_polynomial": 8}

@@ -5,9 +5,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64, Int64, UInt, UInt8
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64, Int64, UInt, UInt8
 
 ALL_LASERS = 255
 """Mask of an image that is read without a rig: all lasers on, however many there are."""

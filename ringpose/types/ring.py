@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -2,9 +2,7 @@
 
 from dataclasses import dataclass
 
-from jaxtyping import Bool, Float64
-
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Bool, Float64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from enum import Enum, IntFlag
 
 import numpy as np
-from jaxtyping import Float64
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.plane_evidence import PlaneEvidence
 
 

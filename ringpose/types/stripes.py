@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, Int64
 
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64, Int64
 
 UNLABELLED = -1
 """Laser of a stripe piece whose laser is not known."""

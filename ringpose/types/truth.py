@@ -4,9 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from jaxtyping import Float64
-
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -13,14 +13,13 @@ from types import TracebackType
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import UInt
 
 from ringpose.errors import DeviceError
 from ringpose.simulate.serve import features
 from ringpose.simulate.serve.control import Client, Control
 from ringpose.simulate.serve.registers import TICKS_PER_S, Identity, Registers
 from ringpose.simulate.serve.stream import Stream
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, UInt
 from ringpose.wire import gige_registers as bootstrap
 from ringpose.wire.gvcp import PORT, answer_bytes, request_in
 from ringpose.wire.gvsp import UDP_OVERHEAD, Leader, PixelFormat, StreamedFrame, block_after, piece_size

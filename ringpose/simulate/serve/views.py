@@ -8,7 +8,6 @@ from types import TracebackType
 from typing import Any, Literal, get_args
 
 import numpy as np
-from jaxtyping import Float32, Float64, UInt
 
 from ringpose.simulate.board_places import board_places
 from ringpose.simulate.pipeline import board_stage, ring_stage
@@ -16,7 +15,7 @@ from ringpose.simulate.sensor import digitised
 from ringpose.simulate.serve.contacts import Contacts
 from ringpose.simulate.stage import Stage
 from ringpose.simulate.trajectory import ring_views
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float32, Float64, UInt
 from ringpose.types.scene import BoardSet, Scene, Sensor
 
 Move = Literal["pause", "time", "never"]
