@@ -131,7 +131,8 @@ def face_candidates(tracks: Sequence[Track], lasers: Sequence[int], rig: Rig) ->
     rays = undistorted_rays(ends_px, rig.camera)[track]
     possible = np.flatnonzero(_possible(rays, _planes(rig)[laser]))
     merit = {number: _merit(tracks[number]) for number in set(track[possible].tolist())}
-    of_laser = [sorted(possible[laser[possible] == each], key=lambda k: -merit[track[k]]) for each in sorted(set(laser.tolist()))]
+    seen = sorted(set(laser.tolist()))
+    of_laser = [sorted(possible[laser[possible] == each], key=lambda k: -merit[track[k]]) for each in seen]
     kept = np.array([each for members in of_laser for each in members[:CANDIDATES]], dtype=np.int64)
     return Candidates(
         track=np.ascontiguousarray(track[kept]),
