@@ -3,13 +3,12 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.likelihood import Fit
 from ringpose.pose.measurements import Measurements
 from ringpose.pose.ring_model import BAND, CURVATURE, PARAMETERS, PLANE, SHIFT, TURN
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 
 TILTS, RADII, CENTER, GRASP, BEND, WIDTH = slice(0, 2), slice(5, 7), slice(7, 10), slice(10, 13), 13, 14
 """Rows of what is derived from a state."""
@@ -90,7 +89,28 @@ def covariance_of(fit: Fit, found: Quantities, measured: Measurements) -> Float6
     )
     spread = by_residual * np.where(fit.weight < 1.0, np.abs(fit.residual), 1.0)
     joint += spread @ spread.T
+    _add_second_order(joint, fit)
     return joint
+
+
+def bow_m(joint: Float64[Array, "15 15"], fit: Fit) -> float:
+    """How far the centre nears the band to second order when the ring errs by a sigma in the directions that turn it.
+
+    For an observer at the band the centre is somewhere on a sphere: with the ring's tilt along `outward` and its turn
+    about the normal it leaves the tangent plane by R / 2 times their squares.
+    """
+    tilt, along = tilt_basis(fit.state.normal) @ fit.state.outward, fit.state.along
+    reach_m = 1.0 / max(abs(fit.state.curvature), STRAIGHTEST) - fit.state.shift_m
+    by_tilt, by_turn = tilt @ joint[TILTS, TILTS] @ tilt, along @ joint[CENTER, CENTER] @ along / reach_m**2
+    return 0.5 * reach_m * float(np.hypot(by_tilt, by_turn))
+
+
+def _add_second_order(joint: Float64[Array, "15 15"], fit: Fit) -> None:
+    """The second moment of that distance, which goes with the squares of Gaussians: 3 bow^2."""
+    outward = np.sqrt(3.0) * bow_m(joint, fit) * fit.state.outward
+    in_basis = tilt_basis(fit.state.normal) @ outward
+    joint[CENTER, CENTER] += np.outer(outward, outward)
+    joint[3:5, 3:5] += np.outer(in_basis, in_basis)
 
 
 def _mean_shift(fit: Fit, measured: Measurements) -> Float64[Array, "point"]:

@@ -6,7 +6,6 @@ from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float64
 
 from ringpose.geometry.rays import GRAZING
 from ringpose.pose.catalogue import likely_ring, ring_posterior
@@ -21,6 +20,7 @@ from ringpose.pose.likelihood_output import (
     TILTS,
     WIDTH,
     Quantities,
+    bow_m,
     covariance_of,
     quantities,
 )
@@ -35,7 +35,7 @@ from ringpose.pose.observability import (
 from ringpose.pose.residual_rows import Beforehand
 from ringpose.pose.rig_errors import rig_errors
 from ringpose.pose.ring_model import CURVATURE
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.break_points import BreakPointFlag, BreakPoints, RingEdgePoints
 from ringpose.types.rig import Rig
 from ringpose.types.ring import KnownRadii, Ring
@@ -50,6 +50,10 @@ GRASP_UNKNOWN_FROM_M = 0.01
 
 DOUBTS = PoseFlag.RELABELLED | PoseFlag.STRIPE_LEFT_OUT | PoseFlag.RADIUS_DISAGREES
 """A shot that had to be mended says nothing about the rig."""
+
+BOWED_FROM = 4.0 / 9.0
+"""Bow in sigmas of the centre beside it, from which no Gaussian tells the centre: a tilt by three sigmas brings it nine
+bows aside, four of its sigmas, so that it is five off in all."""
 
 SIDE_MARGIN = 9.0
 """By how much, in squared standard deviations, the better of two sides for the centre must fit: 3 sigma."""
@@ -184,17 +188,23 @@ def _pose(best: Explanation, rig: Rig, sure_of_side: bool) -> RingPose | NoPose:
         covariance=_with_unknown(joint[:7, :7], known) if sure else None,
         covariance_center_m2=joint[CENTER, CENTER] if known.center and sure else None,
         covariance_grasp_m2=joint[GRASP, GRASP] if known.grasp and sure else None,
-        flags=best.flag | _weak(found, joint, known) | (PoseFlag(0) if sure_of_side else PoseFlag.SIDE_UNKNOWN),
+        flags=best.flag | _weak(fit, found, joint, known) | (PoseFlag(0) if sure_of_side else PoseFlag.SIDE_UNKNOWN),
         remark=best.remark,
         plane_evidence=None if best.flag & DOUBTS else plane_evidence(fit, best.measured, rig),
     )
 
 
-def _weak(found: Quantities, joint: Float64[Array, "15 15"], known: Determined) -> PoseFlag:
-    """What is not determined, or worse than `WEAK_SD`."""
+def _bowed(fit: Fit, joint: Float64[Array, "15 15"]) -> bool:
+    """Whether a likely tilt brings the centre far aside on its arc."""
+    outward = fit.state.outward
+    return bow_m(joint, fit) > BOWED_FROM * sqrt(float(outward @ joint[CENTER, CENTER] @ outward))
+
+
+def _weak(fit: Fit, found: Quantities, joint: Float64[Array, "15 15"], known: Determined) -> PoseFlag:
+    """What is not determined, worse than `WEAK_SD`, or told by no Gaussian."""
     limit_m = WEAK_SD * float(np.abs(found.radius_m).min())
     flags = PoseFlag(0) if known.normal else PoseFlag.NORMAL_WEAK
-    if not known.center or standard_deviation(joint[CENTER, CENTER]) > limit_m:
+    if not known.center or standard_deviation(joint[CENTER, CENTER]) > limit_m or _bowed(fit, joint):
         flags |= PoseFlag.CENTER_WEAK
     if not known.radius.all() or float(np.diag(joint)[RADII].max()) > limit_m**2:
         flags |= PoseFlag.RADIUS_WEAK

@@ -9,14 +9,13 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, Int64
 
 from ringpose.errors import DataError
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.measurements import Measurements, pixels_by_ray_and_camera
 from ringpose.pose.residual_rows import Rows
 from ringpose.pose.ring_model import RingState, Sights
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.rig import Rig
 
 CAMERA_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
@@ -90,19 +89,19 @@ class ByRig(NamedTuple):
 def rows_by_common_errors(
     state: RingState, rows: Rows, measured: Measurements, errors: RigErrors | None, rig: Rig
 ) -> ByRig | None:
-    """How what many residuals have in common moves them: a wrong rig, and a wrong place of a whole visible edge.
+    """How what many residuals have in common moves them: a wrong rig, a wrong place or lean of a whole visible edge.
 
     None if there is nothing of that.
     """
     found = None if errors is None else rows_by_rig(state, rows, measured, errors, rig)
     if rows.edges is None:
         return found
-    common = np.zeros((len(rows.residual), 2))
+    common = np.zeros((len(rows.residual), measured.edges.common.shape[1]))
     first = rows.ends + len(rows.by_x) + len(rows.across.which)
     common[first : first + len(measured.edges.edge)] = measured.edges.common
     if found is None:
-        return ByRig(common, np.zeros(2))
-    return ByRig(np.column_stack([found.rows, common]), np.append(found.mean, [0.0, 0.0]))
+        return ByRig(common, np.zeros(common.shape[1]))
+    return ByRig(np.column_stack([found.rows, common]), np.append(found.mean, np.zeros(common.shape[1])))
 
 
 def rows_by_rig(state: RingState, rows: Rows, measured: Measurements, errors: RigErrors, rig: Rig) -> ByRig:

@@ -16,7 +16,7 @@ from ringpose.types.camera import Camera
 from ringpose.types.laser_planes import LaserPlanes
 from ringpose.types.rig import Rig
 
-SIZES = {"R597": (0.567, 0.597), "R1194": (1.154, 1.194)}
+SIZES = {"R597": (0.567, 0.597), "R833": (0.803, 0.833), "R1194": (1.154, 1.194)}
 
 
 def make_rig(focal, principal, distortion, normal, distance):
