@@ -5,52 +5,145 @@ from typing import Any
 
 import numpy as np
 
-from ringpose.geometry.rotations import angle_between
-from ringpose.types.board import BoardPose
-from ringpose.types.calibration import CameraCalibration, CameraView
+from ringpose.calibrate.coverage import board_tilt_rad
+from ringpose.calibrate.intrinsics import parameters_of
+from ringpose.calibrate.verdict_text import verdict_lines, verdict_values
+from ringpose.types.camera_calibration import (
+    CameraAssessment,
+    CameraCalibration,
+    CameraView,
+    Coverage,
+    CrossValidation,
+    ModelComparison,
+)
+from ringpose.types.verdict import Verdict
 
 
-def camera_quality(calibration: CameraCalibration, without_board: Sequence[tuple[str, str]] = ()) -> Mapping[str, Any]:
+def camera_quality(
+    calibration: CameraCalibration,
+    assessment: CameraAssessment,
+    verdict: Verdict,
+    without_board: Sequence[tuple[str, str]] = (),
+) -> Mapping[str, Any]:
     """The keys `standard_deviations` and `quality` of camera.yaml."""
-    return {
-        "standard_deviations": calibration.standard_deviations,
-        "quality": {
-            "rms_px": calibration.rms_px,
-            "corner_sigma_px": calibration.sigma_px,
-            "views_used": len(calibration.used),
-            "views": [_view_quality(view) for view in calibration.views],
-            "without_board": [{"name": name, "reason": reason} for name, reason in without_board],
-        },
+    quality: dict[str, Any] = {
+        "verdict": verdict_values(verdict),
+        "rms_px": calibration.rms_px,
+        "corner_sigma_px": calibration.sigma_px,
+        "views_used": len(calibration.used),
+        "corners_left_out": _left_out(calibration),
+        "coverage": _coverage_values(assessment.coverage),
+        "projection": _projection_values(calibration, assessment),
+        "cross_validation": _validation_values(assessment.validation) | {"disagreement": assessment.disagreement},
     }
+    if assessment.comparison is not None:
+        quality["models"] = _model_values(assessment.comparison)
+    quality["views"] = [_view_quality(view) for view in calibration.views]
+    quality["without_board"] = [{"name": name, "reason": reason} for name, reason in without_board]
+    return {"standard_deviations": calibration.standard_deviations, "quality": quality}
 
 
-def camera_summary(calibration: CameraCalibration) -> list[str]:
+def camera_summary(calibration: CameraCalibration, assessment: CameraAssessment, verdict: Verdict) -> list[str]:
     """The same in lines to read."""
-    camera, deviations = calibration.camera, calibration.standard_deviations
-    values = dict(zip(deviations, _values(calibration), strict=True))
     lines = [f"{view.name}: left out: {view.rejected}" for view in calibration.views if view.rejected]
+    lines += [_corner_line(view) for view in calibration.used if view.left_out.any()]
     lines.append(
         f"{len(calibration.used)} of {len(calibration.views)} views used, rms {calibration.rms_px:.3f} px, "
         f"corners {calibration.sigma_px:.3f} px"
     )
-    pinhole = ", ".join(f"{name} {values[name]:.2f} ± {deviations[name]:.2f}" for name in ("fx", "fy", "cx", "cy"))
-    lines.append(f"{pinhole} px ({camera.image_width} x {camera.image_height})")
-    lines.append(
-        f"{camera.distortion_model}: "
-        + ", ".join(f"{name} {values[name]:.5f} ± {deviations[name]:.5f}" for name in list(values)[4:])
-    )
-    return lines
+    lines += _parameter_lines(calibration)
+    lines.append(_projection_line(calibration, assessment))
+    if assessment.comparison is not None:
+        lines += comparison_lines(assessment.comparison)
+    return lines + verdict_lines(verdict)
 
 
-def tilt_rad(pose: BoardPose) -> float:
-    """Angle between the board's normal and the line of sight to its origin; zero if it faces the camera."""
-    return float(angle_between(pose.rotation[:, 2], pose.translation_m))
-
-
-def _values(calibration: CameraCalibration) -> list[float]:
+def projection_sigma_m(calibration: CameraCalibration, assessment: CameraAssessment) -> list[float]:
+    """Median projection uncertainty over the image, across the line of sight, at each of the distances."""
     matrix = calibration.camera.camera_matrix
-    pinhole = [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]]
-    return [float(value) for value in (*pinhole, *calibration.camera.distortion_coefficients)]
+    angle = float(np.median(assessment.sigma_px)) / float(np.sqrt(matrix[0, 0] * matrix[1, 1]))
+    return [angle * distance_m for distance_m in assessment.distances_m]
+
+
+def comparison_lines(comparison: ModelComparison) -> list[str]:
+    """Both models, and which of them views that it has not seen speak for."""
+    lines = [
+        f"{fit.distortion_model}: rms {fit.rms_px:.4f} px, {fit.held_out_rms_px:.4f} px on views left out"
+        for fit in comparison.fits
+    ]
+    best = min(comparison.fits, key=lambda fit: fit.held_out_rms_px)
+    difference = (
+        f"median {np.median(comparison.difference_px):.3f} px, at most {np.max(comparison.difference_px):.2f} px"
+    )
+    return [
+        *lines,
+        f"the models differ by {difference} over the image; views left out fit {best.distortion_model} best",
+    ]
+
+
+def _corner_line(view: CameraView) -> str:
+    lengths = np.linalg.norm(view.residual_px[view.left_out], axis=1)
+    return f"{view.name}: {len(lengths)} corners left out, up to {lengths.max():.2f} px off"
+
+
+def _parameter_lines(calibration: CameraCalibration) -> list[str]:
+    camera, deviations = calibration.camera, calibration.standard_deviations
+    values = dict(zip(deviations, parameters_of(camera).tolist(), strict=True))
+    pinhole = ", ".join(f"{name} {values[name]:.2f} ± {deviations[name]:.2f}" for name in ("fx", "fy", "cx", "cy"))
+    bend = ", ".join(f"{name} {values[name]:.5f} ± {deviations[name]:.5f}" for name in list(values)[4:])
+    return [f"{pinhole} px ({camera.image_width} x {camera.image_height})", f"{camera.distortion_model}: {bend}"]
+
+
+def _projection_line(calibration: CameraCalibration, assessment: CameraAssessment) -> str:
+    sigma_px = assessment.sigma_px
+    millimetres = ", ".join(
+        f"{1e3 * sigma_m:.3f} mm at {distance_m:g} m"
+        for sigma_m, distance_m in zip(projection_sigma_m(calibration, assessment), assessment.distances_m, strict=True)
+    )
+    return f"projection ± {np.median(sigma_px):.3f} px (median), {np.max(sigma_px):.3f} px (worst): {millimetres}"
+
+
+def _left_out(calibration: CameraCalibration) -> int:
+    return sum(int(view.left_out.sum()) for view in calibration.used)
+
+
+def _coverage_values(covered: Coverage) -> dict[str, Any]:
+    return {
+        "share": covered.share,
+        "corners": covered.corners,
+        "empty_regions": list(covered.empty_regions),
+        "tilt_rad": [min(covered.tilt_rad), max(covered.tilt_rad)],
+        "tilt_spread_rad": list(covered.tilt_spread_rad),
+        "distance_m": [min(covered.distance_m), max(covered.distance_m)],
+    }
+
+
+def _projection_values(calibration: CameraCalibration, assessment: CameraAssessment) -> dict[str, Any]:
+    return {
+        "sigma_px": float(np.median(assessment.sigma_px)),
+        "sigma_worst_px": float(np.max(assessment.sigma_px)),
+        "distances_m": list(assessment.distances_m),
+        "sigma_m": projection_sigma_m(calibration, assessment),
+    }
+
+
+def _validation_values(validation: CrossValidation) -> dict[str, Any]:
+    return {
+        "split_half_px": float(np.median(validation.split_half_px)),
+        "left_out": [
+            {"name": view.name, "shift_px": view.shift_px, "rms_px": view.rms_px} for view in validation.left_out
+        ],
+    }
+
+
+def _model_values(comparison: ModelComparison) -> dict[str, Any]:
+    return {
+        "difference_px": [float(np.median(comparison.difference_px)), float(np.max(comparison.difference_px))],
+        "fits": [
+            {"distortion_model": fit.distortion_model, "rms_px": fit.rms_px, "held_out_rms_px": fit.held_out_rms_px}
+            for fit in comparison.fits
+        ],
+    }
 
 
 def _view_quality(view: CameraView) -> dict[str, Any]:
@@ -60,7 +153,8 @@ def _view_quality(view: CameraView) -> dict[str, Any]:
         "corners": len(lengths),
         "rms_px": view.pose.residual_rms_px,
         "worst_px": float(lengths.max()),
+        "corners_left_out": int(view.left_out.sum()),
         "distance_m": float(view.pose.translation_m[2]),
-        "tilt_rad": tilt_rad(view.pose),
+        "tilt_rad": board_tilt_rad(view.pose),
     }
     return quality | ({"rejected": view.rejected} if view.rejected else {})

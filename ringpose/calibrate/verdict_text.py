@@ -24,8 +24,8 @@ def verdict_lines(verdict: Verdict) -> list[str]:
 def finding_text(finding: Finding) -> str:
     """`left held_out_rms_m 0.0004 (limit 0.0002)`."""
     place = f"{finding.place} " if finding.place else ""
-    value = "unknown" if finding.value != finding.value else f"{finding.value:.3g}"
-    return f"{place}{finding.name} {value} (limit {finding.good_limit:.3g})"
+    value = "unknown" if finding.value != finding.value else f"{finding.value:.4g}"
+    return f"{place}{finding.name} {value} (limit {finding.good_limit:.4g})"
 
 
 def _finding_values(finding: Finding) -> dict[str, Any]:

@@ -33,6 +33,10 @@ Inputs = Annotated[
 ]
 RigFile = Annotated[Path, typer.Option("--rig", metavar="FILE", help="The calibrated rig (rig.yaml).")]
 OptionalRigFile = Annotated[Path | None, typer.Option("--rig", metavar="FILE", help="The calibrated rig (rig.yaml).")]
+BoardFile = Annotated[Path, typer.Option("--board", metavar="FILE", help="The board file: its kind and its sizes.")]
+Report = Annotated[
+    Path | None, typer.Option("--report", metavar="FILE", help="Write an HTML page with pictures (needs matplotlib).")
+]
 OutputFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Where the result is written.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace output that exists already.")]
 ImageChannel = Annotated[

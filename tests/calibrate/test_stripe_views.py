@@ -10,7 +10,8 @@ import scipy.io
 
 from ringpose.calibrate.board_image import board_image
 from ringpose.calibrate.board_views import find_board
-from ringpose.calibrate.camera import CameraModel, calibrate_camera
+from ringpose.calibrate.camera import calibrate_camera
+from ringpose.calibrate.camera_model import CameraModel
 from ringpose.calibrate.planes import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.calibrate.stripe_views import stripe_view

@@ -1,6 +1,7 @@
 """`ringpose calibrate-camera`: files, reasons, statuses."""
 
 import shutil
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -177,3 +178,43 @@ def test_the_summary_names_values_and_deviations(folder, capsys):
     assert said.out == ""
     assert "4 of 4 views used, rms 0.0" in said.err
     assert "ringpose: fx 178" in said.err
+
+
+def test_the_verdict_stands_in_the_file_and_on_stderr(folder, capsys):
+    calibrate("views")
+
+    verdict = yaml.safe_load(Path("camera.yaml").read_text())["quality"]["verdict"]
+    said = capsys.readouterr().err
+    assert f"ringpose: verdict: {verdict['grade']}: " in said
+    assert all(f"ringpose: advice: {sentence}\n" in said for sentence in verdict["advice"])
+    assert {"name", "value", "good_limit", "redo_limit", "grade"} <= set(verdict["findings"][0])
+
+
+def test_the_report_shows_its_pictures(folder):
+    status = calibrate("views", "--report", "camera.html", "--compare")
+
+    html = Path("camera.html").read_text()
+    assert status == 0
+    assert "Verdict: " in html
+    assert html.count("<img ") == 5
+
+
+def test_a_report_that_exists_is_refused_before_the_work(folder):
+    Path("camera.html").write_text("mine")
+
+    assert calibrate("views", "--report", "camera.html") == 73
+    assert not Path("camera.yaml").exists()
+
+
+@pytest.mark.parametrize("words", ["", "near", "0.5,-1", "1e9"])
+def test_distances_that_are_none_are_wrong_usage(folder, words, capsys):
+    assert calibrate("views", "--distances", words) == 2
+    assert "give metres, as 0.2,0.5,1" in capsys.readouterr().err
+
+
+def test_two_models_are_compared_on_request(folder, capsys):
+    calibrate("views", "--compare")
+
+    fits = yaml.safe_load(Path("camera.yaml").read_text())["quality"]["models"]["fits"]
+    assert [fit["distortion_model"] for fit in fits] == ["plumb_bob", "rational_polynomial"]
+    assert "the models differ by median" in capsys.readouterr().err

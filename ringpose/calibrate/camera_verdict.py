@@ -1,0 +1,162 @@
+"""Whether a camera calibration is good: its numbers, their limits, and what would make them better.
+
+Limits are those of a camera that measures to a tenth of a millimetre at half a metre (0.2 to 0.4 px) with boards of
+some dozens of corners; each finding says which number it is about.
+"""
+
+from collections.abc import Sequence
+from math import degrees, inf, radians
+
+import numpy as np
+
+from ringpose.types.camera_calibration import CameraAssessment, CameraCalibration, Coverage, LeftOutView
+from ringpose.types.verdict import Finding, Verdict
+
+FRONTAL_RAD = radians(10)
+"""Boards that are tilted by less leave focal length and distance open against each other."""
+
+
+def camera_verdict(calibration: CameraCalibration, assessment: CameraAssessment, images: int) -> Verdict:
+    """The verdict, of so many images that were given."""
+    return Verdict(
+        findings=(
+            *_view_findings(calibration, images),
+            *_coverage_findings(assessment.coverage),
+            *_uncertainty_findings(calibration, assessment),
+            *_validation_findings(assessment),
+        )
+    )
+
+
+def _view_findings(calibration: CameraCalibration, images: int) -> list[Finding]:
+    used, loudest = len(calibration.used), max(calibration.used, key=lambda view: view.pose.residual_rms_px)
+    return [
+        Finding(
+            name="views_used",
+            value=float(used),
+            good_limit=10.0,
+            redo_limit=4.0,
+            advice=f"only {used} views were used: take ten or more",
+        ),
+        Finding(
+            name="images_used_share",
+            value=used / max(images, used),
+            good_limit=0.8,
+            redo_limit=0.5,
+            advice="many images were of no use: the reasons stand beside their names",
+        ),
+        Finding(
+            name="corner_sigma_px",
+            value=calibration.sigma_px,
+            good_limit=0.3,
+            redo_limit=1.5,
+            advice=f"the corners are inexact ({loudest.name} most): focus, more light, a flat board held still",
+        ),
+    ]
+
+
+def _coverage_findings(covered: Coverage) -> list[Finding]:
+    largest, distances = max(covered.tilt_rad), covered.distance_m
+    return [
+        Finding(
+            name="coverage_share",
+            value=covered.share,
+            good_limit=0.6,
+            redo_limit=0.25,
+            advice="the corners cover little of the image: bring the board to its rims, or nearer",
+        ),
+        Finding(
+            name="empty_regions",
+            value=float(len(covered.empty_regions)),
+            good_limit=0.0,
+            redo_limit=6.0,
+            advice=f"no corners in the {_listed(covered.empty_regions)}: add a view with the board there",
+        ),
+        Finding(
+            name="largest_tilt_rad",
+            value=largest,
+            good_limit=radians(20),
+            redo_limit=FRONTAL_RAD,
+            advice=f"all boards are within {degrees(largest):.0f} degrees of frontal: tilt the board by 20 to 40",
+        ),
+        Finding(
+            name="tilt_spread_across_rad",
+            value=covered.tilt_spread_rad[1],
+            good_limit=radians(4),
+            redo_limit=-inf,
+            advice="the boards are tilted about one axis only: tilt the board the other way too",
+        ),
+        Finding(
+            name="distance_ratio",
+            value=max(distances) / min(distances),
+            good_limit=1.2,
+            redo_limit=-inf,
+            advice=f"one distance only ({np.mean(distances):.2f} m): add views nearer and farther",
+        ),
+    ]
+
+
+def _uncertainty_findings(calibration: CameraCalibration, assessment: CameraAssessment) -> list[Finding]:
+    sigma_px, where = assessment.sigma_px, assessment.image_map.points_px
+    x, y = where[np.unravel_index(int(np.argmax(sigma_px)), sigma_px.shape)]
+    return [
+        Finding(
+            name="focal_sigma_share",
+            value=calibration.standard_deviations["fx"] / float(calibration.camera.camera_matrix[0, 0]),
+            good_limit=0.002,
+            redo_limit=0.02,
+            advice="the focal length is uncertain: tilt the board more, and take it nearer and farther",
+        ),
+        Finding(
+            name="projection_sigma_px",
+            value=float(np.median(sigma_px)),
+            good_limit=0.3,
+            redo_limit=5.0,
+            advice="the projection is uncertain: add views, tilted to different sides, in every part of the image",
+        ),
+        Finding(
+            name="projection_sigma_worst_px",
+            value=float(np.max(sigma_px)),
+            good_limit=1.0,
+            redo_limit=inf,
+            advice=f"the projection is most uncertain near pixel ({x:.0f}, {y:.0f}): bring the board there, or hold k3",
+        ),
+    ]
+
+
+def _validation_findings(assessment: CameraAssessment) -> list[Finding]:
+    worst = _worst(assessment.validation.left_out)
+    return [
+        Finding(
+            name="view_disagreement",
+            value=assessment.disagreement,
+            good_limit=2.5,
+            redo_limit=15.0,
+            advice="the views disagree by more than their noise: check that the board is flat and its sizes are true, "
+            "that focus and zoom are fixed, and that no glare or cable is taken for a corner",
+        ),
+        Finding(
+            name="leave_one_out_px",
+            value=worst.shift_px,
+            good_limit=1.0,
+            redo_limit=inf,
+            place=worst.name,
+            advice=f"the result hangs on {worst.name}: add views like it, or leave it out",
+        ),
+        Finding(
+            name="split_half_px",
+            value=float(np.median(assessment.validation.split_half_px)),
+            good_limit=1.0,
+            redo_limit=inf,
+            advice="half of the views give another camera than the other half: add views of every kind",
+        ),
+    ]
+
+
+def _worst(left_out: Sequence[LeftOutView]) -> LeftOutView:
+    """The view that moves the result most; without number if none was left out."""
+    return max(left_out, key=lambda view: view.shift_px, default=LeftOutView(name="", shift_px=np.nan, rms_px=np.nan))
+
+
+def _listed(words: Sequence[str]) -> str:
+    return ", ".join(words[:-1]) + " and " + words[-1] if len(words) > 1 else "".join(words)

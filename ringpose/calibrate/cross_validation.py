@@ -1,0 +1,85 @@
+"""How much a camera hangs on which views were taken, and what the views say about one that they have not seen."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ringpose.calibrate.board_pose import board_pose
+from ringpose.calibrate.camera_model import CameraModel
+from ringpose.calibrate.camera_solution import MINIMUM_VIEWS, camera_solution, corners_of
+from ringpose.calibrate.projection_map import displacement_px
+from ringpose.errors import DataError
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.board import BoardView
+from ringpose.types.camera import Camera
+from ringpose.types.camera_calibration import CameraCalibration, CrossValidation, ImageMap, LeftOutView
+
+
+def used_views(calibration: CameraCalibration, boards: Sequence[BoardView]) -> list[BoardView]:
+    """The corners that a calibration used; the boards are those of all views, in their order."""
+    pairs = zip(calibration.views, boards, strict=True)
+    return [corners_of(board, ~view.left_out) for view, board in pairs if not view.rejected]
+
+
+def cross_validation(used: Sequence[BoardView], camera: Camera, model: CameraModel, where: ImageMap) -> CrossValidation:
+    """Calibrations of half the views and of all but one, beside that of all."""
+    without_one = cameras_without_one(used, camera, model)
+    shifts = [_shift_px(camera, other, where) for other in without_one]
+    return CrossValidation(
+        split_half_px=_split_half_px(used, camera, model, where),
+        left_out=tuple(_left_out(*one) for one in zip(used, without_one, shifts, strict=False)),
+        jackknife_px=_jackknife_px(shifts, where),
+    )
+
+
+def cameras_without_one(used: Sequence[BoardView], camera: Camera, model: CameraModel) -> list[Camera | None]:
+    """The camera of all views but one, for each view; empty if there are too few."""
+    if len(used) <= MINIMUM_VIEWS:
+        return []
+    return [_camera([*used[:index], *used[index + 1 :]], camera, model) for index in range(len(used))]
+
+
+def held_out_rms_px(view: BoardView, others: Camera | None) -> float:
+    """Of a view's corners under the camera of the other views, its pose alone fitted."""
+    return float("nan") if others is None else board_pose(view, others).residual_rms_px
+
+
+def _left_out(view: BoardView, others: Camera | None, shift_px: Float64[Array, "map_row map_column"]) -> LeftOutView:
+    return LeftOutView(name=view.name, shift_px=float(np.median(shift_px)), rms_px=held_out_rms_px(view, others))
+
+
+def _shift_px(camera: Camera, other: Camera | None, where: ImageMap) -> Float64[Array, "map_row map_column"]:
+    return _unknown(where) if other is None else displacement_px(camera, other, where)
+
+
+def _unknown(where: ImageMap) -> Float64[Array, "map_row map_column"]:
+    return np.full(where.points_px.shape[:2], np.nan)
+
+
+def _jackknife_px(
+    shifts: Sequence[Float64[Array, "map_row map_column"]], where: ImageMap
+) -> Float64[Array, "map_row map_column"]:
+    """Views are independent of each other even where their corners are not: variance (n - 1) / n sum of squares."""
+    if not shifts:
+        return _unknown(where)
+    share = (len(shifts) - 1) / len(shifts)
+    jackknife: Float64[Array, "map_row map_column"] = np.sqrt(share * np.sum(np.square(shifts), axis=0))
+    return jackknife
+
+
+def _split_half_px(
+    used: Sequence[BoardView], camera: Camera, model: CameraModel, where: ImageMap
+) -> Float64[Array, "map_row map_column"]:
+    """Every other view against the rest: neighbours in a series are alike."""
+    halves = [_camera(used[first::2], camera, model) for first in (0, 1)]
+    one, other = halves
+    if one is None or other is None:
+        return _unknown(where)
+    return displacement_px(one, other, where)
+
+
+def _camera(views: Sequence[BoardView], start: Camera, model: CameraModel) -> Camera | None:
+    try:
+        return camera_solution(views, start, model)[0]
+    except DataError:
+        return None

@@ -1,0 +1,11 @@
+"""HTML pages."""
+
+from pathlib import Path
+
+from ringpose.files import atomic
+
+
+def write_page(path: Path, html: str, *, force: bool = False) -> None:
+    """Write one page."""
+    with atomic.replacing(path, force) as stream:
+        stream.write(html.encode())

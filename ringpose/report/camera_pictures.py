@@ -1,0 +1,142 @@
+"""Pictures of a camera calibration: residuals, coverage, uncertainty."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ringpose.report.canvas import canvas, png_of
+from ringpose.report.page import Picture
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.camera import Camera
+from ringpose.types.camera_calibration import CameraAssessment, CameraCalibration, ModelComparison
+
+ARROW_SHARE = 0.03
+"""Length of the arrow of an rms residual, in image widths."""
+
+
+def residual_field(calibration: CameraCalibration) -> Picture:
+    """Each corner's residual as an arrow, those of left-out corners in red; beside it how they are distributed."""
+    figure = canvas(10, 4.6)
+    field, spread = figure.subplots(1, 2, width_ratios=(2.2, 1))
+    factor = ARROW_SHARE * calibration.camera.image_width / max(calibration.rms_px, 1e-6)
+    for view in calibration.used:
+        color = np.where(view.left_out, "#d62728", "#1f77b4")
+        x, y = view.points_px.T
+        field.quiver(x, y, *(factor * view.residual_px.T), color=color, **_IN_PIXELS)
+    _image_axes(field, calibration.camera)
+    field.set_title(f"residuals, {factor:.0f} times enlarged")
+    errors = np.concatenate([view.residual_px[~view.left_out] for view in calibration.used])
+    for axis, name in enumerate("xy"):
+        spread.hist(errors[:, axis], bins=41, histtype="step", label=name)
+    spread.set_xlabel("residual (px)")
+    spread.set_ylabel("corners")
+    spread.legend()
+    return _picture(
+        figure,
+        "Measured minus predicted corners. Arrows that point alike in a part of the image mean that the lens model, "
+        "the board or the corners are wrong there; noise points everywhere. Red corners were left out.",
+    )
+
+
+def coverage_picture(calibration: CameraCalibration, assessment: CameraAssessment) -> Picture:
+    """Corners over the image with the number in each cell, and tilt against distance of the boards."""
+    covered = assessment.coverage
+    figure = canvas(10, 4.6)
+    image, places = figure.subplots(1, 2, width_ratios=(2.2, 1))
+    extent = _extent(calibration.camera)
+    image.imshow(np.log1p(covered.corners), extent=extent, cmap="Greens", origin="upper", aspect="equal")
+    for view in calibration.used:
+        image.plot(*view.points_px[~view.left_out].T, ".", markersize=2)
+    for (row, column), count in np.ndenumerate(covered.corners):
+        rows, columns = covered.corners.shape
+        x = (column + 0.5) * calibration.camera.image_width / columns
+        y = (row + 0.5) * calibration.camera.image_height / rows
+        image.text(x, y, str(count), ha="center", va="center", color="#a00" if count == 0 else "#333", fontsize=8)
+    _image_axes(image, calibration.camera)
+    image.set_title("corners in each cell")
+    places.plot(np.degrees(covered.tilt_rad), covered.distance_m, "o")
+    places.set_xlabel("tilt of the board (degrees)")
+    places.set_ylabel("distance (m)")
+    places.set_xlim(left=0)
+    places.set_ylim(bottom=0)
+    return _picture(
+        figure, "Good views fill every cell, tilt the board by 20 to 40 degrees to all sides, and differ in distance."
+    )
+
+
+def uncertainty_map(calibration: CameraCalibration, assessment: CameraAssessment) -> Picture:
+    """The projection's standard deviation over the image, and what half of the views say against the other half."""
+    figure = canvas(10, 4.2)
+    left, right = figure.subplots(1, 2)
+    _map(figure, left, assessment.sigma_px, calibration.camera)
+    left.set_title("projection uncertainty (px)")
+    if np.isfinite(assessment.validation.split_half_px).all():
+        _map(figure, right, assessment.validation.split_half_px, calibration.camera)
+    else:
+        right.text(0.5, 0.5, "too few views", ha="center", transform=right.transAxes)
+    right.set_title("half of the views against the rest (px)")
+    return _picture(
+        figure,
+        "Rms displacement of what the camera sees at each pixel, the camera frame turned so that it is least in the "
+        "middle. The right picture may be twice the left one: each half has half of the views.",
+    )
+
+
+def view_picture(calibration: CameraCalibration, assessment: CameraAssessment) -> Picture:
+    """Each view's rms, in the calibration and when it is left out, and how far it moves the result."""
+    figure = canvas(10, 3.6)
+    rms, shift = figure.subplots(1, 2)
+    views = calibration.views
+    place = np.arange(len(views))
+    colors = ["#d62728" if view.rejected else "#1f77b4" for view in views]
+    rms.bar(place, [view.pose.residual_rms_px for view in views], color=colors, label="in the calibration")
+    number = {view.name: index for index, view in enumerate(views)}
+    held = assessment.validation.left_out
+    rms.plot([number[view.name] for view in held], [view.rms_px for view in held], "k_", label="left out")
+    rms.set_ylabel("rms (px)")
+    rms.legend()
+    shift.bar([number[view.name] for view in held], [view.shift_px for view in held])
+    shift.set_ylabel("displacement without the view (px)")
+    for axes in (rms, shift):
+        axes.set_xticks(place, [view.name for view in views], rotation=90, fontsize=7)
+    return _picture(
+        figure, "Red views were rejected. A view that moves the result much stands alone: add others like it."
+    )
+
+
+def comparison_picture(calibration: CameraCalibration, comparison: ModelComparison) -> Picture:
+    """How far apart the cameras of the two distortion models are."""
+    figure = canvas(6, 4.2)
+    axes = figure.subplots()
+    _map(figure, axes, comparison.difference_px, calibration.camera)
+    axes.set_title("difference of the models (px)")
+    return _picture(figure, "Where the corners end, the models may part: neither knows the lens there.")
+
+
+_IN_PIXELS = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.0015}
+
+
+def _map(figure: Figure, axes: Axes, values: Float64[Array, "map_row map_column"], camera: Camera) -> None:
+    shown = axes.imshow(values, extent=_extent(camera), origin="upper", cmap="viridis", interpolation="bilinear")
+    levels = np.unique(np.quantile(values, (0.25, 0.5, 0.75, 0.9)))
+    x = np.linspace(0, camera.image_width - 1, values.shape[1])
+    y = np.linspace(0, camera.image_height - 1, values.shape[0])
+    if len(levels) > 1:
+        axes.clabel(axes.contour(x, y, values, levels=levels, colors="w", linewidths=0.8), fmt="%.2g", fontsize=8)
+    figure.colorbar(shown, ax=axes, shrink=0.8)
+    _image_axes(axes, camera)
+
+
+def _extent(camera: Camera) -> tuple[float, float, float, float]:
+    return -0.5, camera.image_width - 0.5, camera.image_height - 0.5, -0.5
+
+
+def _image_axes(axes: Axes, camera: Camera) -> None:
+    left, right, bottom, top = _extent(camera)
+    axes.set_xlim(left, right)
+    axes.set_ylim(bottom, top)
+    axes.set_aspect("equal")
+
+
+def _picture(figure: Figure, caption: str) -> Picture:
+    return Picture(png=png_of(figure), caption=caption)

@@ -1,0 +1,208 @@
+"""What a camera calibration is judged by, on views whose camera is exactly known."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from ringpose.calibrate.board_points import corner_points
+from ringpose.calibrate.camera import calibrate_camera
+from ringpose.calibrate.camera_assessment import camera_assessment, widened
+from ringpose.calibrate.camera_model import PLUMB_BOB
+from ringpose.calibrate.camera_quality import camera_quality, camera_summary, projection_sigma_m
+from ringpose.calibrate.camera_verdict import camera_verdict
+from ringpose.calibrate.projection_map import displacement_px, image_map, projection_sigma_px
+from ringpose.types.board import Board, BoardView
+from ringpose.types.verdict import Grade, Verdict
+
+CHESSBOARD = Board(kind="chessboard", squares_x=12, squares_y=10, square_m=0.025)
+POINTS = corner_points(CHESSBOARD)
+NOISE_PX = 0.05
+
+
+@pytest.fixture
+def views(rng, board_view, true_poses):
+    def made(number: int, noise_px: float = NOISE_PX) -> list[BoardView]:
+        return [
+            board_view(POINTS, pose, f"v{index}", noise_px * rng.standard_normal((len(POINTS), 2)))
+            for index, pose in enumerate(true_poses(rng, number))
+        ]
+
+    return made
+
+
+@pytest.fixture
+def frontal_views(rng, board_view):
+    """Boards of one distance that hardly lean, and never reach the left of the image."""
+
+    def made(number: int) -> list[BoardView]:
+        found = []
+        for index in range(number):
+            lean = np.asarray(cv2.Rodrigues(np.radians(rng.uniform(-8, 8, 3)))[0])
+            place = np.array([rng.uniform(-0.05, 0.0), rng.uniform(-0.13, -0.11), 0.5])
+            found.append(
+                board_view(POINTS, (lean, place), f"v{index}", NOISE_PX * rng.standard_normal((len(POINTS), 2)))
+            )
+        return found
+
+    return made
+
+
+def verdict_of(found, boards, images: int | None = None) -> Verdict:
+    return camera_verdict(*widened(found, camera_assessment(found, boards, PLUMB_BOB)), images or len(boards))
+
+
+def value(verdict: Verdict, name: str) -> float:
+    return next(finding.value for finding in verdict.findings if finding.name == name)
+
+
+def test_a_turned_camera_frame_displaces_nothing(true_camera):
+    moved = true_camera.camera_matrix.copy()
+    moved[0, 2] += 0.5  # at 1781 px, a turn by a sixth of a minute of arc, but for its second order
+    other = replace(true_camera, camera_matrix=moved, distortion_coefficients=np.zeros(5))
+    one = replace(true_camera, distortion_coefficients=np.zeros(5))
+
+    assert np.median(displacement_px(one, other, image_map(one))) < 0.05
+
+
+def test_a_longer_focal_length_displaces_pixels_by_their_distance_from_the_middle(true_camera):
+    one = replace(true_camera, distortion_coefficients=np.zeros(5))
+    other = replace(one, camera_matrix=one.camera_matrix @ np.diag([1.001, 1.001, 1.0]))
+    where = image_map(one)
+
+    expected = 0.001 * np.linalg.norm(where.points_px - one.camera_matrix[:2, 2], axis=-1)
+    assert displacement_px(one, other, where) == pytest.approx(expected, abs=0.01)
+
+
+@pytest.mark.slow
+def test_the_projection_errs_by_the_uncertainty_that_is_reported(views, true_camera):
+    squares = []
+    for _ in range(50):
+        boards = views(8)
+        found = calibrate_camera(boards, 1600, 1200)
+        where = image_map(found.camera)
+        error_px = displacement_px(found.camera, true_camera, where)
+        squares.append(np.mean(error_px**2 / projection_sigma_px(found.camera, where) ** 2))
+
+    assert np.mean(squares) == pytest.approx(1.0, abs=1.96 * np.std(squares) / np.sqrt(50))
+
+
+@pytest.mark.slow
+def test_views_of_noise_alone_hardly_ever_widen_the_covariance(views):
+    wider = 0
+    for _ in range(25):
+        boards = views(8)
+        found = calibrate_camera(boards, 1600, 1200)
+        wider += widened(found, camera_assessment(found, boards, PLUMB_BOB))[0] is not found
+
+    assert wider <= 2
+
+
+def test_views_of_a_bent_board_widen_the_covariance(views):
+    boards = [
+        replace(view, points_px=view.points_px + 3 * np.sin(index) * (view.points_board_m[:, :2] / 0.3) ** 2)
+        for index, view in enumerate(views(12))
+    ]
+    found = calibrate_camera(boards, 1600, 1200)
+
+    wider, assessed = widened(found, camera_assessment(found, boards, PLUMB_BOB))
+
+    ratio = wider.standard_deviations["fx"] / found.standard_deviations["fx"]
+    assert ratio == pytest.approx(assessed.disagreement)
+    assert ratio > 2
+
+
+def test_good_views_are_good(views):
+    boards = views(15)
+
+    verdict = verdict_of(calibrate_camera(boards, 1600, 1200), boards)
+
+    assert verdict.grade is Grade.GOOD
+    assert verdict.advice == ()
+
+
+def test_frontal_views_of_one_distance_are_not_good_and_the_reader_is_told_why(frontal_views):
+    boards = frontal_views(12)
+
+    verdict = verdict_of(calibrate_camera(boards, 1600, 1200), boards)
+
+    said = " | ".join(verdict.advice)
+    assert verdict.grade is not Grade.GOOD
+    assert "degrees of frontal" in said
+    assert "one distance only (0.5" in said
+    assert "no corners in the upper left, left and lower left" in said
+
+
+def test_images_without_a_board_lower_the_verdict(views):
+    boards = views(10)
+
+    verdict = verdict_of(calibrate_camera(boards, 1600, 1200), boards, images=25)
+
+    assert value(verdict, "images_used_share") == pytest.approx(0.4)
+    assert verdict.grade is Grade.REDO
+
+
+def test_a_view_that_stands_alone_is_named(views):
+    boards = views(6)
+    found = calibrate_camera(boards, 1600, 1200)
+    assessed = camera_assessment(found, boards, PLUMB_BOB)
+    left_out = tuple(
+        replace(view, shift_px=4.0) if view.name == "v2" else view for view in assessed.validation.left_out
+    )
+
+    verdict = camera_verdict(
+        found, replace(assessed, validation=replace(assessed.validation, left_out=left_out)), len(boards)
+    )
+
+    assert any("the result hangs on v2" in sentence for sentence in verdict.advice)
+
+
+def test_three_views_can_be_judged_but_not_left_out(views):
+    boards = views(3)
+    found = calibrate_camera(boards, 1600, 1200)
+
+    assessed = camera_assessment(found, boards, PLUMB_BOB)
+
+    assert assessed.validation.left_out == ()
+    assert np.isnan(assessed.disagreement)
+    assert camera_verdict(found, assessed, 3).grade is Grade.REDO
+
+
+def test_held_out_views_see_no_use_of_coefficients_that_the_lens_has_not(views):
+    boards = views(10)
+    found = calibrate_camera(boards, 1600, 1200)
+
+    comparison = camera_assessment(found, boards, PLUMB_BOB, compare=True).comparison
+
+    plumb_bob, rational = comparison.fits
+    assert rational.rms_px < plumb_bob.rms_px
+    assert rational.held_out_rms_px > 0.99 * plumb_bob.held_out_rms_px
+    assert np.median(comparison.difference_px) < 0.1
+
+
+def test_millimetres_grow_with_distance(views):
+    boards = views(10)
+    found = calibrate_camera(boards, 1600, 1200)
+
+    assessed = camera_assessment(found, boards, PLUMB_BOB, (0.5, 1.0))
+
+    near, far = projection_sigma_m(found, assessed)
+    assert far == pytest.approx(2 * near)
+    assert near == pytest.approx(np.median(assessed.sigma_px) / 1781 * 0.5, rel=1e-3)
+
+
+def test_file_and_summary_say_the_same(views):
+    boards = views(10)
+    found = calibrate_camera(boards, 1600, 1200)
+    assessed = camera_assessment(found, boards, PLUMB_BOB, compare=True)
+    verdict = camera_verdict(found, assessed, 10)
+
+    quality = camera_quality(found, assessed, verdict, [("black", "too dark")])["quality"]
+    lines = camera_summary(found, assessed, verdict)
+
+    assert quality["verdict"]["grade"] == "good"
+    assert lines[-1].startswith("verdict: good")
+    assert f"rms {quality['rms_px']:.3f} px" in lines[0]
+    assert quality["without_board"] == [{"name": "black", "reason": "too dark"}]
+    assert len(quality["cross_validation"]["left_out"]) == 10
