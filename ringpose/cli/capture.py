@@ -101,7 +101,7 @@ def capture(
             stack.enter_context(part)
         for line in source.warnings():
             messages.say(line)
-        _write(source.shots(writer.read_from), writer, batch, verbose, quiet)
+        _write(source.shots(writer.read_from, writer.names), writer, batch, verbose, quiet)
     batch.finish()
 
 

@@ -1,6 +1,6 @@
 """Camera and laser URIs -> shots."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -50,7 +50,8 @@ class Source:
     """Where shots come from."""
 
     capture: Capture
-    shots: Callable[[ReadFrom], Iterator[Shot]]
+    shots: Callable[[ReadFrom, Container[str]], Iterator[Shot]]
+    """The shots; those of a scene go on behind the names that there are already."""
     folders: frozenset[Path] = frozenset()
     """Where recorded shots lie, as far as it is known before they are read."""
     devices: tuple[AbstractContextManager[None], ...] = ()
@@ -81,7 +82,7 @@ def _recorded(pattern: str, wanted: Wanted, batch: Batch) -> Source:
     items = chain([first] if first is not None else [], named)
     return Source(
         capture=_capture(wanted, "none:"),
-        shots=lambda read_from: paced(
+        shots=lambda read_from, _: paced(
             islice(_recorded_shots(items, wanted, batch, read_from), wanted.count), wanted.rate_hz, wanted.duration_s
         ),
         folders=_folders([first] if pattern == STDIN else _matches(pattern)),
@@ -109,10 +110,16 @@ def _simulated(scene_file: Path, wanted: Wanted) -> Source:
     steps = wanted.steps or (
         (Step("all"),) if isinstance(lasers, UncontrolledLasers) else steps_of(scene.sequence, lasers.count)
     )
-    source = _of_devices(
-        replace(wanted, steps=steps), SimulatedCamera(description, frames, lasers), lasers,
-        (view.name for view in frames.views), scene_file,
-    )  # fmt: skip
+    camera = SimulatedCamera(description, frames, lasers)
+
+    def names(there: Container[str]) -> Iterator[str]:
+        for view in frames.views:
+            if view.name in there:
+                camera.skip()
+            else:
+                yield view.name
+
+    source = _of_devices(replace(wanted, steps=steps), camera, lasers, names, scene_file)
     return replace(source, capture=replace(source.capture, camera_name=description.name))
 
 
@@ -124,7 +131,7 @@ def _taken(wanted: Wanted) -> Source:
     camera = driver(CAMERAS, uri.scheme)(uri)
     lasers = _lasers(wanted, camera)
     steps = wanted.steps or _each_laser(lasers)
-    return _of_devices(replace(wanted, steps=steps), camera, lasers, names_by_time(), None)
+    return _of_devices(replace(wanted, steps=steps), camera, lasers, lambda _: names_by_time(), None)
 
 
 def _lasers(wanted: Wanted, camera: CameraDriver | None) -> LaserDriver:
@@ -137,9 +144,13 @@ def _lasers(wanted: Wanted, camera: CameraDriver | None) -> LaserDriver:
 
 
 def _of_devices(
-    wanted: Wanted, camera: CameraDriver, lasers: LaserDriver, names: Iterable[str], read: Path | None
+    wanted: Wanted,
+    camera: CameraDriver,
+    lasers: LaserDriver,
+    names: Callable[[Container[str]], Iterator[str]],
+    read: Path | None,
 ) -> Source:
-    """Shots under these names, by the steps that are wanted; `read` is a file that they come from."""
+    """Shots under names beside those there are, by the steps that are wanted; `read` is a file that they come from."""
     from ringpose.capture.pipeline import Procedure, captured_shots
 
     steps = wanted.steps or ()
@@ -154,10 +165,10 @@ def _of_devices(
         must_see=not isinstance(lasers, UncontrolledLasers | SimulatedLasers) and not wanted.allow_unseen,
     )
 
-    def shots(read_from: ReadFrom) -> Iterator[Shot]:
+    def shots(read_from: ReadFrom, there: Container[str]) -> Iterator[Shot]:
         if read is not None:
             read_from(read)
-        due = paced(islice(names, wanted.count), wanted.rate_hz, wanted.duration_s, lasers.wait)
+        due = paced(islice(names(there), wanted.count), wanted.rate_hz, wanted.duration_s, lasers.wait)
         return captured_shots(camera, lasers, procedure, due)
 
     capture = replace(_capture(wanted, "none:"), laser_count=lasers.count, laser_names=wanted.laser_names)

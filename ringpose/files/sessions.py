@@ -66,13 +66,14 @@ class SessionWriter:
         self._capture = capture
         self._existing = existing
         self._earlier: tuple[Capture, ...] = ()
-        self._names: set[str] = set()
+        self.names: set[str] = set()
+        """Of the shots that lie in the folder."""
         self._shots: list[str] = []
         self._inputs: dict[str, str] = {}
 
     def __enter__(self) -> None:
         self._take_over()
-        self._names = {path.stem for path in make_folder(self.folder).glob("*.npz")}
+        self.names = {path.stem for path in make_folder(self.folder).glob("*.npz")}
         self._capture = replace(self._capture, provenance=provenance([]))
         self._write("capturing")
 
@@ -83,11 +84,11 @@ class SessionWriter:
 
     def add(self, shot: Shot) -> Path:
         """Write a shot and return the path of its file; a name that the session has already is bad data."""
-        if shot.name in self._names:
+        if shot.name in self.names:
             raise DataError(shot.name, f"{self.folder} has a shot of this name already", "give each shot its own name")
         path = self.folder / f"{shot.name}.npz"
         write_shot(path, shot)
-        self._names.add(shot.name)
+        self.names.add(shot.name)
         self._shots.append(shot.name)
         return path
 

@@ -30,6 +30,10 @@ class SimulatedCamera(CameraDriver):
         """Stand before the scene's first moment."""
         self._moment = -1
 
+    def skip(self) -> None:
+        """Pass over the scene's next moment."""
+        self._moment += 1
+
     def describe(self) -> CameraDescription:
         """The scene's camera."""
         return self._description

@@ -1,0 +1,133 @@
+"""Boards on pseudo-terminals, and the real command that captures with them."""
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ringpose.simulate.serve.contacts import ContactFaults
+from ringpose.simulate.serve.relays import ServedRelays
+from ringpose.wire.ascii_relays import AsciiCodec
+from ringpose.wire.lcus import LcusCodec
+from ringpose.wire.modbus import ModbusCodec
+from ringpose.wire.numato import NumatoCodec
+
+ARDUINO = AsciiCodec(on="R{n} ON", off="R{n} OFF", read="R?", acknowledged_by="OK")
+
+BOARDS: dict[str, tuple[Any, str]] = {
+    "lcus": (LcusCodec(), "lcus:{port}?ch=1,2,3"),
+    "numato": (NumatoCodec(), "numato:{port}?ch=0,1,2"),
+    "modbus": (ModbusCodec(), "modbus:{port}?ch=0,1,2"),
+    "ascii": (ARDUINO, "ascii:{port}?ch=1,2,3&on=R{{n}}%20ON&off=R{{n}}%20OFF&read=R?&ok=OK&opening=0"),
+}
+
+RIG = """\
+ringpose: rig/1
+camera:
+  image_width: 160
+  image_height: 120
+  camera_name: small
+  camera_matrix: {rows: 3, cols: 3, data: [178.0, 0.0, 80.0, 0.0, 178.0, 60.0, 0.0, 0.0, 1.0]}
+  distortion_model: plumb_bob
+  distortion_coefficients: {rows: 1, cols: 5, data: [0.0, 0.0, 0.0, 0.0, 0.0]}
+lasers:
+- {name: left, normal: [0.0, 0.984807753, -0.173648178], distance_m: -0.0394, projector_m: [0.0, -0.04, 0.0]}
+- {name: middle, normal: [0.0, 1.0, 0.0], distance_m: -0.07, projector_m: [0.0, -0.07, 0.0]}
+- {name: right, normal: [0.0, 0.984807753, 0.173648178], distance_m: -0.0394, projector_m: [0.0, -0.04, 0.0]}
+"""
+
+SCENE = """\
+ringpose: scene/1
+rig: rig.yaml
+ring: {radius_inner_m: 0.567, radius_outer_m: 0.597, height_m: 0.06}
+body: {size_m: [1.6, 1.6, 1.0]}
+stripe_dn: 200
+sequence: off,1,2,3,off
+trajectory:
+- generate: {count: 40, distances_m: [0.5], tilt_rad: 0.05}
+"""
+
+UNGUARDED = """
+import ringpose.capture.lasers.relays as relays
+from ringpose.capture.lasers.driver import LaserDriver
+from ringpose.capture.lasers.relay_board import RelayBoard
+from ringpose.capture.lasers.serial_port import SerialPort
+
+class Unguarded(LaserDriver):
+    count, settle_s = 3, 0.0
+    def __init__(self, settings):
+        self.port = SerialPort(settings.port, settings.baud)
+        self.board = RelayBoard(settings, self.port)
+    def open(self):
+        self.port.open()
+        self.board.all_off()
+    def set_mask(self, lasers):
+        self.board.set_mask(lasers)
+    def read_mask(self):
+        return self.board.read_mask()
+    def close(self):
+        self.port.close()
+
+relays.GuardedLasers = Unguarded
+"""
+"""Put before the command: it opens the port itself, as it would without the guard."""
+
+
+@pytest.fixture
+def board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
+    """Serves a board by its scheme; `uri` is what capture is given. Wear is counted in the test's own folder."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+    @contextmanager
+    def served(scheme: str, faults: ContactFaults | None = None) -> Iterator[tuple[ServedRelays, str]]:
+        codec, uri = BOARDS[scheme]
+        with ServedRelays(codec, faults=faults) as relays:
+            yield relays, uri.format(port=relays.port)
+
+    return served
+
+
+@pytest.fixture
+def capturing(tmp_path: Path) -> Callable[..., "subprocess.Popen[str]"]:
+    """Starts `ringpose capture` of a small simulated scene with the lasers at a URI; returns the process."""
+    (tmp_path / "rig.yaml").write_text(RIG)
+    (tmp_path / "scene.yaml").write_text(SCENE)
+
+    def start(lasers: str, *words: str, before: str = "") -> "subprocess.Popen[str]":
+        program = f"{before}\nfrom ringpose.cli.main import run\nrun()"
+        command = ["capture", "--camera", "sim:scene.yaml", "--lasers", lasers, "--output", "s", *words]
+        pipe = subprocess.PIPE
+        return subprocess.Popen(
+            [sys.executable, "-W", "error", "-c", program, *command],
+            cwd=tmp_path, stdin=subprocess.DEVNULL, stdout=pipe, stderr=pipe, text=True, env={**os.environ},
+        )  # fmt: skip
+
+    return start
+
+
+@pytest.fixture
+def unguarded() -> str:
+    """Code that takes the guard away."""
+    return UNGUARDED
+
+
+def waited(condition: Callable[[], bool], limit_s: float) -> float:
+    """Time until a condition holds; infinite if it does not within the limit."""
+    began_s = time.monotonic()
+    while time.monotonic() < began_s + limit_s:
+        if condition():
+            return time.monotonic() - began_s
+        time.sleep(0.0002)
+    return float("inf")
+
+
+@pytest.fixture
+def time_until() -> Callable[..., float]:
+    """`waited`, for the tests."""
+    return waited

@@ -1,0 +1,83 @@
+"""Whatever ends the real command, the lasers go off: each board, each signal; and without the guard they do not."""
+
+import signal
+import time
+
+import pytest
+
+from ringpose.files.sessions import read_session
+
+OFF_WITHIN_S = 0.05
+
+HEARTBEAT_S = 1.0
+
+BURN = ("--settle", "0.4", "--sequence", "off,all")
+"""So that at any moment a laser is on for long enough to be found on."""
+
+SCHEMES = ["lcus", *(pytest.param(scheme, marks=pytest.mark.slow) for scheme in ("numato", "modbus", "ascii"))]
+
+HANDLED = [signal.SIGTERM, signal.SIGINT, signal.SIGHUP]
+
+FATAL = [signal.SIGKILL, signal.SIGSEGV]
+
+
+def lit(relays):
+    return relays.mask_at(time.monotonic()) != 0
+
+
+def off_time(relays, process, number, time_until, limit_s=5.0):
+    """Seconds from a signal to a capture with lasers on until they are off for good."""
+    assert time_until(lambda: lit(relays), 30.0) < 30.0
+    time.sleep(0.03)
+    assert lit(relays)
+    process.send_signal(number)
+    off_s = time_until(lambda: not lit(relays), limit_s)
+    time.sleep(0.3)
+    assert not lit(relays)
+    return off_s
+
+
+@pytest.mark.parametrize("number", [*FATAL, *HANDLED])
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_the_lasers_are_off_within_50_ms_whatever_ends_the_capture(board, capturing, time_until, scheme, number):
+    with board(scheme) as (relays, uri), capturing(uri, *BURN) as process:
+        off_s = off_time(relays, process, number, time_until)
+
+    assert off_s < OFF_WITHIN_S
+    assert process.returncode == (-number if number in FATAL else 128 + number)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_the_lasers_of_a_stopped_capture_go_off_with_the_heartbeat(board, capturing, time_until, scheme):
+    with board(scheme) as (relays, uri), capturing(uri, *BURN) as process:
+        off_s = off_time(relays, process, signal.SIGSTOP, time_until)
+        process.kill()
+
+    assert off_s < HEARTBEAT_S + OFF_WITHIN_S
+
+
+@pytest.mark.parametrize("number", [*FATAL, signal.SIGSTOP])
+def test_without_the_guard_the_lasers_burn_on(board, capturing, time_until, unguarded, number):
+    with board("lcus") as (relays, uri), capturing(uri, *BURN, before=unguarded) as process:
+        assert time_until(lambda: lit(relays), 30.0) < 30.0
+        process.send_signal(number)
+        off_s = time_until(lambda: not lit(relays), 2 * HEARTBEAT_S)
+        process.kill()
+
+    assert off_s == float("inf")
+
+
+def test_a_killed_capture_leaves_its_finished_shots_and_can_be_resumed(board, capturing, time_until, tmp_path):
+    with board("lcus") as (_, uri):
+        with capturing(uri, "--settle", "0.01") as process:
+            first = process.stdout.readline().strip()
+            process.kill()
+        with capturing(uri, "--settle", "0.01", "--count", "2", "--append") as process:
+            resumed = process.stdout.read().split()
+
+    assert process.returncode == 0
+    session = read_session(tmp_path / "s")
+    assert [capture.state for capture in session.captures] == ["stopped", "finished"]
+    assert len(resumed) == 2
+    assert first not in resumed
+    assert len(set(session.shots)) == len(session.shots) >= 3
