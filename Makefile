@@ -18,6 +18,7 @@ help:
 $(STAMP): pyproject.toml setup.py $(KERNELS)
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	$(BIN)/python -m compileall -q ringpose  # as pip does for packages that are not editable
 	touch $@
 
 demo: $(STAMP)
