@@ -111,7 +111,7 @@ def _coverage_values(covered: Coverage) -> dict[str, Any]:
     return {
         "share": covered.share,
         "corners": covered.corners,
-        "empty_regions": list(covered.empty_regions),
+        "bare_regions": list(covered.bare_regions),
         "tilt_rad": [min(covered.tilt_rad), max(covered.tilt_rad)],
         "tilt_spread_rad": list(covered.tilt_spread_rad),
         "distance_m": [min(covered.distance_m), max(covered.distance_m)],

@@ -66,11 +66,11 @@ def _coverage_findings(covered: Coverage) -> list[Finding]:
             advice="the corners cover little of the image: bring the board to its rims, or nearer",
         ),
         Finding(
-            name="empty_regions",
-            value=float(len(covered.empty_regions)),
+            name="bare_regions",
+            value=float(len(covered.bare_regions)),
             good_limit=0.0,
             redo_limit=6.0,
-            advice=f"no corners in the {_listed(covered.empty_regions)}: add a view with the board there",
+            advice=f"hardly any corners in the {_listed(covered.bare_regions)}: add a view with the board there",
         ),
         Finding(
             name="largest_tilt_rad",

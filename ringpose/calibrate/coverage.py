@@ -13,6 +13,9 @@ from ringpose.types.camera_calibration import CameraCalibration, Coverage
 CELL_COLUMNS = 8
 """Cells across the image; as many down as make them nearly square."""
 
+BARE_SHARE = 1 / 3
+"""A ninth of the image is bare if no more of its cells have corners: a strip along one side."""
+
 _REGIONS = (("upper left", "top", "upper right"), ("left", "middle", "right"), ("lower left", "bottom", "lower right"))
 
 
@@ -25,7 +28,7 @@ def coverage(calibration: CameraCalibration, boards: Sequence[BoardView]) -> Cov
     middles = [board_middle(board, view.pose) for view, board in used]
     return Coverage(
         corners=_counts(points_px, camera, (_cell_rows(camera), CELL_COLUMNS)).astype(np.int64),
-        empty_regions=_empty_regions(points_px, camera),
+        bare_regions=_bare_regions(points_px, camera),
         tilt_rad=tuple(board_tilt_rad(view.pose) for view, _ in used),
         tilt_spread_rad=_tilt_spread([view.pose for view, _ in used]),
         distance_m=tuple(float(np.linalg.norm(middle)) for middle in middles),
@@ -65,6 +68,8 @@ def _counts(
     return found
 
 
-def _empty_regions(points_px: Float64[Array, "n xy=2"], camera: Camera) -> tuple[str, ...]:
-    counts = _counts(points_px, camera, (3, 3))
-    return tuple(_REGIONS[row][column] for row, column in zip(*np.nonzero(counts == 0), strict=True))
+def _bare_regions(points_px: Float64[Array, "n xy=2"], camera: Camera) -> tuple[str, ...]:
+    """Each ninth of the image is divided into nine cells again."""
+    seen = _counts(points_px, camera, (9, 9)) > 0
+    share = seen.reshape(3, 3, 3, 3).mean(axis=(1, 3))
+    return tuple(_REGIONS[row][column] for row, column in zip(*np.nonzero(share <= BARE_SHARE), strict=True))

@@ -51,7 +51,8 @@ def coverage_picture(calibration: CameraCalibration, assessment: CameraAssessmen
         rows, columns = covered.corners.shape
         x = (column + 0.5) * calibration.camera.image_width / columns
         y = (row + 0.5) * calibration.camera.image_height / rows
-        image.text(x, y, str(count), ha="center", va="center", color="#a00" if count == 0 else "#333", fontsize=8)
+        color = "#a00" if count == 0 else "#333" if count**2 < covered.corners.max() else "w"
+        image.text(x, y, str(count), ha="center", va="center", color=color, fontsize=8)
     _image_axes(image, calibration.camera)
     image.set_title("corners in each cell")
     places.plot(np.degrees(covered.tilt_rad), covered.distance_m, "o")
@@ -117,7 +118,7 @@ _IN_PIXELS = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.0015
 
 
 def _map(figure: Figure, axes: Axes, values: Float64[Array, "map_row map_column"], camera: Camera) -> None:
-    shown = axes.imshow(values, extent=_extent(camera), origin="upper", cmap="viridis", interpolation="bilinear")
+    shown = axes.imshow(np.maximum(values, 1e-6), extent=_extent(camera), origin="upper", norm="log")
     levels = np.unique(np.quantile(values, (0.25, 0.5, 0.75, 0.9)))
     x = np.linspace(0, camera.image_width - 1, values.shape[1])
     y = np.linspace(0, camera.image_height - 1, values.shape[0])

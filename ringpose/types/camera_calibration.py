@@ -53,8 +53,8 @@ class Coverage:
 
     corners: Int64[Array, "cell_row cell_column"]
     """Number in each cell of the image."""
-    empty_regions: tuple[str, ...]
-    """Ninths of the image without a corner, in words: `upper left`."""
+    bare_regions: tuple[str, ...]
+    """Ninths of the image with hardly a corner, in words: `upper left`."""
     tilt_rad: tuple[float, ...]
     """By view: angle between board and image."""
     tilt_spread_rad: tuple[float, float]

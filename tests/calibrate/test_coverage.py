@@ -1,0 +1,89 @@
+"""Which parts of the image corners reach, and how boards stand, on views made for it."""
+
+import numpy as np
+import pytest
+
+from ringpose.calibrate.coverage import coverage
+from ringpose.types.board import BoardPose, BoardView
+from ringpose.types.camera_calibration import CameraCalibration, CameraView
+
+
+@pytest.fixture
+def covered(true_camera):
+    """Makes the coverage of views with given pixels, tilt about x, and distance."""
+
+    def made(*views: tuple[np.ndarray, float, float], bad: int = -1):
+        boards, judged = [], []
+        for index, (points_px, tilt_rad, distance_m) in enumerate(views):
+            points = np.zeros((len(points_px), 3))
+            cosine, sine = np.cos(tilt_rad), np.sin(tilt_rad)
+            turn = np.array([[1.0, 0.0, 0.0], [0.0, cosine, -sine], [0.0, sine, cosine]])
+            pose = BoardPose(
+                name=f"v{index}", rotation=turn, translation_m=np.array([0.0, 0.0, distance_m]), residual_rms_px=0.1
+            )
+            ids = np.arange(len(points_px))
+            boards.append(BoardView(name=f"v{index}", ids=ids, points_board_m=points, points_px=points_px))
+            judged.append(
+                CameraView(
+                    name=f"v{index}",
+                    pose=pose,
+                    points_px=points_px,
+                    residual_px=np.zeros_like(points_px),
+                    left_out=np.zeros(len(points_px), dtype=bool),
+                    rejected="bad" if index == bad else "",
+                )
+            )
+        calibration = CameraCalibration(camera=true_camera, rms_px=0.1, sigma_px=0.1, views=tuple(judged))
+        return coverage(calibration, boards)
+
+    return made
+
+
+def grid_px(left: float, right: float, top: float, bottom: float) -> np.ndarray:
+    column, row = np.meshgrid(np.linspace(left, right, 24), np.linspace(top, bottom, 24))
+    return np.stack([column.ravel(), row.ravel()], axis=1)
+
+
+def test_corners_everywhere_leave_nothing_bare(covered):
+    found = covered((grid_px(0, 1599, 0, 1199), 0.0, 0.5))
+
+    assert (found.share, found.bare_regions) == (1.0, ())
+
+
+def test_a_side_that_is_never_reached_is_named(covered):
+    found = covered((grid_px(560, 1599, 0, 1199), 0.0, 0.5))
+
+    assert found.bare_regions == ("upper left", "left", "lower left")
+
+
+def test_every_corner_is_counted_once(covered):
+    found = covered((grid_px(0, 1599, 0, 1199), 0.0, 0.5), (grid_px(300, 800, 200, 900), 0.0, 0.5))
+
+    assert found.corners.sum() == 2 * 24**2
+
+
+def test_rejected_views_cover_nothing(covered):
+    whole, middle = (grid_px(0, 1599, 0, 1199), 0.0, 0.5), (grid_px(600, 1000, 500, 700), 0.0, 0.9)
+
+    found = covered(whole, middle, bad=0)
+
+    assert found.corners.sum() == 24**2
+    assert found.distance_m == (0.9,)
+
+
+def test_tilt_is_that_between_board_and_image(covered):
+    px = grid_px(0, 100, 0, 100)
+
+    found = covered((px, 0.1, 0.5), (px, -0.4, 0.5))
+
+    assert found.tilt_rad == pytest.approx((0.1, 0.4))
+
+
+def test_boards_tilted_about_one_axis_have_no_spread_across_it(covered):
+    px = grid_px(0, 100, 0, 100)
+
+    found = covered(*((px, tilt, 0.5) for tilt in (-0.4, -0.2, 0.1, 0.4)))
+
+    along, across = found.tilt_spread_rad
+    assert along > 0.3
+    assert across == pytest.approx(0.0, abs=1e-9)
