@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ringpose.calibrate.board_pose import board_pose
 from ringpose.calibrate.laser_fit import FittedPlane, Points, determined_without, fitted_plane, plane_without
 from ringpose.calibrate.plane_covariance import laser_disagreements, planes_covariance, variance_excess
 from ringpose.calibrate.plane_fits import downward
@@ -26,6 +27,8 @@ class PlaneSolution(NamedTuple):
     planes: tuple[FittedPlane, ...]
     poses: tuple[BoardPose, ...]
     camera: Camera
+    corner_points: Sequence[Sequence[Points]]
+    """By laser and view: the stripes on boards where their corners alone have them."""
     held_out: HeldOut
     covariance: ParameterCovariance | None = None
     excess: float = 1.0
@@ -40,6 +43,7 @@ def separate_solution(evidence: StripeEvidence, method: PlanesMethod) -> PlaneSo
         planes=tuple(fitted_plane(name, own, method) for name, own in zip(evidence.names, points, strict=True)),
         poses=evidence.poses,
         camera=evidence.camera,
+        corner_points=points,
         held_out=[[plane_without(own, view, method) for view in views] for own in points],
     )
 
@@ -58,6 +62,7 @@ def joint_solution(evidence: StripeEvidence, free_camera: bool) -> PlaneSolution
         planes=_planes(fit, start),
         poses=fit.state.poses,
         camera=fit.state.camera,
+        corner_points=_seen_by(evidence, fit.state.camera) if free_camera else points,
         held_out=_held_out(points, held, fit),
         covariance=planes_covariance(evidence.names, fit, evidence.camera, excess, free_camera),
         excess=excess,
@@ -72,6 +77,13 @@ def _state(planes: Sequence[FittedPlane], poses: Sequence[BoardPose], camera: Ca
         distance_m=np.array([plane.distance_m for plane in planes]),
         camera=camera,
     )
+
+
+def _seen_by(evidence: StripeEvidence, camera: Camera) -> list[list[Points]]:
+    """The stripes on the boards as another camera has them."""
+    poses = tuple(board_pose(view.board, camera) for view in evidence.views)
+    seen = replace(evidence, camera=camera, poses=poses)
+    return [seen.points(laser) for laser in range(len(seen.names))]
 
 
 def _planes(fit: JointFit, start: Sequence[FittedPlane]) -> tuple[FittedPlane, ...]:

@@ -59,7 +59,7 @@ def _pose(view: StripeView, camera: Camera, method: PlanesMethod) -> BoardPose:
 def _laser(laser: int, evidence: StripeEvidence, solution: PlaneSolution) -> LaserCalibration:
     """One laser's plane, the points of its views where the solution has them, held out where the corners have them."""
     plane = solution.planes[laser]
-    by_corners = evidence.points(laser)
+    by_corners = solution.corner_points[laser]
     views = []
     for index, view in enumerate(evidence.views):
         if not len(by_corners[index]):

@@ -1,15 +1,33 @@
 """What a calibration of the light planes is worth, for the file and for the reader."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from itertools import pairwise
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from ringpose.calibrate.laser_geometry import common_line_gap_m, plane_angles
+from ringpose.calibrate.plane_uncertainty import depth_uncertainty
+from ringpose.calibrate.verdict_text import verdict_lines, verdict_values
 from ringpose.geometry.rotations import angle_between
 from ringpose.types.calibration import LaserCalibration, PlanesCalibration
 from ringpose.types.rig import Rig
+from ringpose.types.verdict import Verdict
+
+DEPTHS_M = (0.2, 0.3, 0.5, 1.0)
+"""Where the uncertainty of depths is given."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlanesAssessment:
+    """The light planes with all that they are judged by."""
+
+    calibration: PlanesCalibration
+    verdict: Verdict
+    paper: PlanesCalibration | None = None
+    """The same views by the paper's method; None where it cannot be applied."""
+    without_board: Sequence[tuple[str, str]] = ()
+    """Images that show no board, and why."""
 
 
 def calibrated_rig(calibration: PlanesCalibration) -> Rig:
@@ -19,40 +37,59 @@ def calibrated_rig(calibration: PlanesCalibration) -> Rig:
     return Rig(camera=own, lasers=calibration.planes, covariance=calibration.covariance)
 
 
-def planes_quality(calibration: PlanesCalibration, without_board: Sequence[tuple[str, str]] = ()) -> Mapping[str, Any]:
+def planes_quality(assessment: PlanesAssessment) -> Mapping[str, Any]:
     """The key `quality` of rig.yaml."""
-    return {
-        "quality": {
-            "method": calibration.method,
-            "standard_deviations": _standard_deviations(calibration),
-            "lasers": [_laser_quality(laser) for laser in calibration.lasers],
-            "boards": [
-                {"name": pose.name, "rms_px": pose.residual_rms_px, "distance_m": float(pose.translation_m[2])}
-                for pose in calibration.poses
-            ],
-            "remarks": [{"name": name, "reason": reason} for name, reason in calibration.remarks],
-            "without_board": [{"name": name, "reason": reason} for name, reason in without_board],
-        },
+    calibration = assessment.calibration
+    quality = {
+        "verdict": verdict_values(assessment.verdict),
+        "method": calibration.method,
+        "standard_deviations": _standard_deviations(calibration),
+        "variance_excess": float(calibration.excess),
+        "lasers": [_laser_quality(laser) for laser in calibration.lasers],
+        "angles": _angles(calibration),
+        "depth_sd_m": _depths(calibration),
+        "boards": [
+            {"name": pose.name, "rms_px": pose.residual_rms_px, "distance_m": float(pose.translation_m[2])}
+            for pose in calibration.poses
+        ],
+        "paper": _paper(assessment),
+        "remarks": [{"name": name, "reason": reason} for name, reason in calibration.remarks],
+        "without_board": [{"name": name, "reason": reason} for name, reason in assessment.without_board],
     }
+    return {"quality": {key: value for key, value in quality.items() if value is not None}}
 
 
-def planes_summary(calibration: PlanesCalibration) -> list[str]:
+def planes_summary(assessment: PlanesAssessment) -> list[str]:
     """The same in lines to read."""
+    calibration = assessment.calibration
     lines = [f"{name}: {reason}" for name, reason in calibration.remarks]
     deviations = _standard_deviations(calibration)
     for laser in calibration.lasers:
-        points = sum(len(view.points) for view in laser.views)
-        line = f"{laser.name}: {points} points of {len(laser.views)} views, rms {1e6 * laser.rms_m:.0f} um"
-        if np.isfinite(laser.held_out_rms_m):
-            line += f", held out {1e6 * laser.held_out_rms_m:.0f} um"
-        else:
-            line += ", held out unknown (a third view would tell)"
-        if deviations:
-            tilt = np.degrees(max(deviations[f"{laser.name}.tilt_1"], deviations[f"{laser.name}.tilt_2"]))
-            line += f", tilt ± {tilt:.4f} deg, distance ± {1e6 * deviations[f'{laser.name}.distance']:.0f} um"
-        lines.append(line)
+        lines.append(_laser_line(laser, deviations))
         lines += _by_distance(laser)
-    return lines + _angles(calibration)
+    for angle in plane_angles(calibration):
+        sd = f" ± {np.degrees(angle.sd_rad):.4f}" if np.isfinite(angle.sd_rad) else ""
+        lines.append(f"{angle.first} to {angle.second}: {np.degrees(angle.angle_rad):.3f}{sd} deg")
+    lines += _depth_lines(calibration)
+    for entry in _paper(assessment) or []:
+        lines.append(
+            f"{entry['name']}: by the paper's method held out {1e6 * entry['held_out_rms_m']:.0f} um, "
+            f"{np.degrees(entry['angle_rad']):.4f} deg and {1e6 * entry['offset_m']:.0f} um away"
+        )
+    return lines + verdict_lines(assessment.verdict)
+
+
+def _laser_line(laser: LaserCalibration, deviations: Mapping[str, float]) -> str:
+    points = sum(len(view.points) for view in laser.views)
+    line = f"{laser.name}: {points} points of {len(laser.views)} views, rms {1e6 * laser.rms_m:.0f} um"
+    if np.isfinite(laser.held_out_rms_m):
+        line += f", held out {1e6 * laser.held_out_rms_m:.0f} um"
+    else:
+        line += ", held out unknown (a third view would tell)"
+    if deviations:
+        tilt = np.degrees(max(deviations[f"{laser.name}.tilt_1"], deviations[f"{laser.name}.tilt_2"]))
+        line += f", tilt ± {tilt:.4f} deg, distance ± {1e6 * deviations[f'{laser.name}.distance']:.0f} um"
+    return line
 
 
 def _by_distance(laser: LaserCalibration) -> list[str]:
@@ -66,13 +103,68 @@ def _by_distance(laser: LaserCalibration) -> list[str]:
     return [f"{laser.name}: held out {ends}"]
 
 
-def _angles(calibration: PlanesCalibration) -> list[str]:
-    """Angles between neighbouring light planes."""
-    lasers = calibration.lasers
+def _angles(calibration: PlanesCalibration) -> dict[str, Any] | None:
+    """Between neighbouring light planes, and how far the lines that they share lie apart."""
+    angles = plane_angles(calibration)
+    if not angles:
+        return None
+    return {
+        "neighbours": [
+            {
+                "lasers": [angle.first, angle.second],
+                "angle_rad": angle.angle_rad,
+                "sd_rad": angle.sd_rad,
+                "line_point_m": angle.line_point_m,
+                "line_direction": angle.line_direction,
+            }
+            for angle in angles
+        ],
+        "common_line_gap_m": common_line_gap_m(angles),
+    }
+
+
+def _depths(calibration: PlanesCalibration) -> dict[str, Any] | None:
+    """Worst standard deviation of depths along each stripe, by distance; NaN where it is out of the image."""
+    if calibration.covariance is None:
+        return None
+    found = depth_uncertainty(calibration.camera, calibration.planes, calibration.covariance, DEPTHS_M)
+    rows = zip(calibration.planes.names, found.worst_m.tolist(), strict=True)
+    return {"distances_m": list(DEPTHS_M), "lasers": [{"name": name, "depth_sd_m": row} for name, row in rows]}
+
+
+def _depth_lines(calibration: PlanesCalibration) -> list[str]:
+    depths = _depths(calibration)
+    if depths is None:
+        return []
+    lines = []
+    for entry in depths["lasers"]:
+        known = [(z, sd) for z, sd in zip(depths["distances_m"], entry["depth_sd_m"], strict=True) if np.isfinite(sd)]
+        if known:
+            said = ", ".join(f"{1e3 * sd:.2f} mm at {z:g} m" for z, sd in known)
+            lines.append(f"{entry['name']}: depths are known to {said} (one sigma)")
+    return lines
+
+
+def _paper(assessment: PlanesAssessment) -> list[dict[str, Any]] | None:
+    """The planes by the paper's method beside these."""
+    if assessment.paper is None:
+        return None
     return [
-        f"{first.name} to {second.name}: {np.degrees(float(angle_between(first.normal, second.normal))):.3f} deg"
-        for first, second in pairwise(lasers)
+        {
+            "name": own.name,
+            "rms_m": other.rms_m,
+            "held_out_rms_m": other.held_out_rms_m,
+            "angle_rad": float(angle_between(own.normal, other.normal)),
+            "offset_m": _offset_m(own, other),
+        }
+        for own, other in zip(assessment.calibration.lasers, assessment.paper.lasers, strict=True)
     ]
+
+
+def _offset_m(own: LaserCalibration, other: LaserCalibration) -> float:
+    """Distance of the middle of the points from the other plane."""
+    middle = np.concatenate([view.points for view in own.views]).mean(axis=0)
+    return abs(float(middle @ other.normal - other.distance_m))
 
 
 def _standard_deviations(calibration: PlanesCalibration) -> dict[str, float]:
@@ -88,6 +180,7 @@ def _laser_quality(laser: LaserCalibration) -> dict[str, Any]:
         "rms_m": laser.rms_m,
         "held_out_rms_m": laser.held_out_rms_m,
         "condition": laser.condition,
+        "disagreement": float(laser.disagreement),
         "views": [
             {
                 "name": view.name,

@@ -4,11 +4,10 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.measurements import pixels_by_ray_and_camera
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose
 from ringpose.types.camera import Camera
 
@@ -24,6 +23,8 @@ class StripeRows(NamedTuple):
     """... by the light plane's two tilts and distance ..."""
     by_camera: Float64[Array, "n parameter"]
     """... and by the intrinsic parameters, the pixels held."""
+    metres_per_pixel: Float64[Array, "n"]
+    """Distance from the light plane that a pixel across the stripe makes."""
 
 
 def stripe_rows(
@@ -57,6 +58,7 @@ def stripe_rows(
         by_pose=by_pose / metres_per_pixel[:, None],
         by_plane=by_plane / metres_per_pixel[:, None],
         by_camera=by_camera / metres_per_pixel[:, None],
+        metres_per_pixel=metres_per_pixel,
     )
 
 

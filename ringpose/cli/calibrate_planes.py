@@ -1,16 +1,31 @@
 """`ringpose calibrate-planes`: camera and shots of a board with stripes -> rig.yaml."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple, TypeVar
 
 import typer
 
 from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.cli.app import app
-from ringpose.cli.options import Force, ImageChannel, Inputs, OutputFile, Quiet, Verbose
+from ringpose.cli.board_print import PrintBoard
+from ringpose.cli.options import BoardFile, Force, ImageChannel, Quiet, Report, Verbose
 
-CameraFile = Annotated[Path, typer.Option("--camera", metavar="FILE", help="The calibrated camera (camera.yaml).")]
-BoardFile = Annotated[Path, typer.Option("--board", metavar="FILE", help="The board file: its kind and its sizes.")]
+if TYPE_CHECKING:
+    from ringpose.calibrate.planes_quality import PlanesAssessment
+    from ringpose.cli.batch import Batch
+    from ringpose.cli.stripe_images import StripeImages
+    from ringpose.types.camera import Camera
+
+Shots = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="INPUT...", help="Files or folders; - reads names from stdin, one a line."),
+]
+CameraFile = Annotated[
+    Path | None, typer.Option("--camera", metavar="FILE", help="The calibrated camera (camera.yaml).")
+]
+OutputFile = Annotated[
+    Path | None, typer.Option("--output", "-o", metavar="FILE", help="Where the rig is written (rig.yaml).")
+]
 MethodName = Annotated[PlanesMethod, typer.Option("--method", help="How the light planes are estimated.")]
 FreeCamera = Annotated[
     bool, typer.Option("--free-camera", help="Let the boards and stripes improve the camera, from its covariance.")
@@ -23,6 +38,16 @@ LaserOrder = Annotated[
     str | None,
     typer.Option("--laser-order", metavar="NAMES", help="Order of the stripes down the image, if all lasers are on."),
 ]
+ExpectedAngles = Annotated[
+    str | None,
+    typer.Option("--expected-angles", metavar="DEGREES", help="Between neighbouring lasers, comma between, as 10,10."),
+]
+Mount = Annotated[
+    Path | None, typer.Option("--mount", metavar="FILE", help="Where the camera is mounted: tool_from_camera.")
+]
+Check = Annotated[
+    Path | None, typer.Option("--check", metavar="RIG", help="Only see whether this rig agrees with the shots.")
+]
 Surround = Annotated[
     float, typer.Option("--surround", metavar="METRES", min=0, help="The flat sheet reaches so far beyond the board.")
 ]
@@ -31,53 +56,183 @@ Overlay = Annotated[
 ]
 
 
+class _Reading(NamedTuple):
+    """How shots are read."""
+
+    board: Path
+    names: str | None
+    order: str | None
+    surround_m: float
+    overlay: Path | None
+    channel: str | None
+    force: bool
+    verbose: bool
+    quiet: bool
+
+
+class _Writing(NamedTuple):
+    """What is written of a calibration."""
+
+    output: Path
+    camera: Path
+    mount: Path | None
+    report: Path | None
+    expected_rad: list[float]
+
+
 @app.command("calibrate-planes")
 def calibrate_planes(
-    inputs: Inputs,
-    camera: CameraFile,
     board: BoardFile,
-    output: OutputFile,
+    inputs: Shots = None,
+    camera: CameraFile = None,
+    output: OutputFile = None,
     method: MethodName = PlanesMethod.JOINT,
     free_camera: FreeCamera = False,
     laser_names: LaserNames = None,
     laser_order: LaserOrder = None,
+    expected_angles: ExpectedAngles = None,
+    mount: Mount = None,
+    check: Check = None,
+    print_board: PrintBoard = None,
     surround: Surround = 0.0,
     overlay: Overlay = None,
+    report: Report = None,
     channel: ImageChannel = None,
     force: Force = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
     """Estimate the light planes from shots of a board that the stripes cross."""
+    if print_board is not None:
+        from ringpose.cli.board_print import print_board as printed
+
+        printed(print_board, board, "four_markers", force=force, quiet=quiet)
+        return
+    shots = _given(inputs, "INPUT")
+    reading = _Reading(board, laser_names, laser_order, surround, overlay, channel, force, verbose, quiet)
+    if check is not None:
+        _check(shots, check, reading)
+        return
+    angles_rad = _angles_rad(expected_angles)
+    writing = _Writing(_given(output, "--output"), _given(camera, "--camera"), mount, report, angles_rad)
+    _calibrate(shots, reading, writing, method, free_camera)
+
+
+def _calibrate(shots: list[str], reading: _Reading, writing: _Writing, method: PlanesMethod, free_camera: bool) -> None:
+    from dataclasses import replace
+
     from ringpose.calibrate.planes import calibrate_planes as calibrated
-    from ringpose.calibrate.planes_quality import calibrated_rig, planes_quality, planes_summary
+    from ringpose.calibrate.planes_quality import (
+        PlanesAssessment,
+        calibrated_rig,
+        planes_quality,
+        planes_summary,
+    )
+    from ringpose.calibrate.planes_verdict import planes_verdict
     from ringpose.cli import messages
     from ringpose.cli.batch import Batch
+    from ringpose.files.cameras import read_camera
+    from ringpose.files.rigs import read_mount, write_rig
+
+    _refuse_existing(writing, reading.force)
+    tool_from_camera = None if writing.mount is None else read_mount(writing.mount)
+    batch = Batch()
+    stripes = _read(shots, reading, read_camera(writing.camera), batch)
+    model = stripes.model(method, free_camera)
+    calibration = calibrated(stripes.views, stripes.camera, model)
+    assessment = PlanesAssessment(
+        calibration=calibration,
+        verdict=planes_verdict(calibration, writing.expected_rad),
+        paper=stripes.by_the_paper(model),
+        without_board=stripes.images.without_board,
+    )
+    rig = replace(calibrated_rig(calibration), tool_from_camera=tool_from_camera)
+    files = [writing.camera, reading.board, *([writing.mount] if writing.mount else []), *stripes.images.paths]
+    write_rig(writing.output, rig, extra=planes_quality(assessment), force=reading.force, inputs=files)
+    if writing.report is not None:
+        _write_report(writing.report, assessment, reading.force)
+    if not reading.quiet:
+        for line in planes_summary(assessment):
+            messages.say(line)
+    batch.finish()
+
+
+def _check(shots: list[str], rig_file: Path, reading: _Reading) -> None:
+    from ringpose.calibrate.rig_check import rig_check, rig_check_lines
+    from ringpose.cli import messages
+    from ringpose.cli.batch import Batch
+    from ringpose.errors import NO_POSE
+    from ringpose.files.rigs import read_rig
+
+    rig = read_rig(rig_file)
+    batch = Batch()
+    stripes = _read(shots, reading._replace(names=",".join(rig.lasers.names)), rig.camera, batch)
+    for view in stripes.views:
+        found = rig_check(view, rig)
+        if not found.holds:
+            batch.met(NO_POSE)
+        if not (reading.quiet and found.holds):
+            for line in rig_check_lines(found):
+                messages.say(line)
+    batch.finish()
+
+
+def _read(shots: list[str], reading: _Reading, camera: "Camera", batch: "Batch") -> "StripeImages":
+    """The views that the shots show; what they do not show is said."""
+    from ringpose.cli import messages
     from ringpose.cli.board_views import BoardImages
     from ringpose.cli.progress import counted
     from ringpose.cli.stripe_images import StripeImages
-    from ringpose.files.atomic import refuse_existing
     from ringpose.files.boards import read_board
-    from ringpose.files.cameras import read_camera
     from ringpose.files.inputs import inputs as named
-    from ringpose.files.rigs import write_rig
     from ringpose.files.shots import SHOT_SUFFIXES
 
-    refuse_existing(output, force)
-    images = BoardImages(read_board(board), overlay, channel=channel, force=force)
-    stripes = StripeImages(images, read_camera(camera), laser_names, laser_order, surround)
-    batch = Batch()
-    for item in counted(batch.good(named(inputs, SHOT_SUFFIXES)), "shots", quiet):
+    images = BoardImages(read_board(reading.board), reading.overlay, channel=reading.channel, force=reading.force)
+    stripes = StripeImages(images, camera, reading.names, reading.order, reading.surround_m)
+    for item in counted(batch.good(named(shots, SHOT_SUFFIXES)), "shots", reading.quiet):
         with batch.item():
             stripes.read(item)
-            if verbose:
+            if reading.verbose:
                 messages.say(images.last)
     batch.met(images.reported())
-    calibration = calibrated(stripes.views, stripes.camera, stripes.model(method, free_camera))
-    rig = calibrated_rig(calibration)
-    quality = planes_quality(calibration, images.without_board)
-    write_rig(output, rig, extra=quality, force=force, inputs=[camera, board, *images.paths])
-    if not quiet:
-        for line in planes_summary(calibration):
-            messages.say(line)
-    batch.finish()
+    return stripes
+
+
+def _write_report(path: Path, assessment: "PlanesAssessment", force: bool) -> None:
+    from ringpose.files.pages import write_page
+    from ringpose.report.planes_report import planes_report
+
+    write_page(path, planes_report(assessment), force=force)
+
+
+def _refuse_existing(writing: _Writing, force: bool) -> None:
+    """Before long work."""
+    from ringpose.files.atomic import refuse_existing
+    from ringpose.report.requirement import require_matplotlib
+
+    refuse_existing(writing.output, force)
+    if writing.report is not None:
+        require_matplotlib()
+        refuse_existing(writing.report, force)
+
+
+_Given = TypeVar("_Given")
+
+
+def _given(value: _Given | None, name: str) -> _Given:
+    from ringpose.errors import UsageError
+
+    if not value:
+        raise UsageError(name, "is missing", "see ringpose calibrate-planes --help")
+    return value
+
+
+def _angles_rad(words: str | None) -> list[float]:
+    from math import radians
+
+    from ringpose.errors import UsageError
+
+    try:
+        return [radians(float(word)) for word in (words or "").split(",") if words]
+    except ValueError as error:
+        raise UsageError("--expected-angles", f"{words!r} are no angles", "give degrees, as 10,10") from error

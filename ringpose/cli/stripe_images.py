@@ -1,15 +1,17 @@
 """Shots of a board with stripes, as `ringpose calibrate-planes` reads them."""
 
+from dataclasses import replace
+
 from ringpose.calibrate.board_overlay import stripe_overlay
 from ringpose.calibrate.laser_names import laser_names, laser_order
-from ringpose.calibrate.planes import PlanesModel
+from ringpose.calibrate.planes import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.calibrate.stripe_views import stripe_view
 from ringpose.cli.board_views import BoardImages
 from ringpose.errors import DataError, UsageError
 from ringpose.files.images import write_image
 from ringpose.files.inputs import Input
-from ringpose.types.calibration import StripeView
+from ringpose.types.calibration import PlanesCalibration, StripeView
 from ringpose.types.camera import Camera
 from ringpose.types.frame import ALL_LASERS, Shot
 
@@ -54,6 +56,15 @@ class StripeImages:
             raise UsageError("--method paper", "averages the poses of single markers, and the board has none")
         order = laser_order(self.given[1], self.names) if self.names else None
         return PlanesModel(names=self.names, method=method, order=order, free_camera=free_camera)
+
+    def by_the_paper(self, model: PlanesModel) -> PlanesCalibration | None:
+        """The same views by the paper's method, to compare; None where it has nothing to say."""
+        if model.method is PlanesMethod.PAPER or self.images.board.kind not in MARKER_BOARDS:
+            return None
+        try:
+            return calibrate_planes(self.views, self.camera, replace(model, method=PlanesMethod.PAPER))
+        except DataError:
+            return None
 
     def _check(self, shot: Shot) -> None:
         size = (shot.images.shape[2], shot.images.shape[1])

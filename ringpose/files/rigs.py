@@ -7,7 +7,6 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.errors import DataError
 from ringpose.files import atomic
@@ -17,7 +16,7 @@ from ringpose.files.covariances import camera_parameters, covariance_values, las
 from ringpose.files.fields import ROUNDED, Fields
 from ringpose.files.provenance import provenance
 from ringpose.files.yaml import parsed, write_yaml
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.laser_planes import LaserPlanes
 from ringpose.types.rig import Rig
 from ringpose.types.sequence import MOST_LASERS
@@ -55,10 +54,17 @@ def rig_of(fields: Fields, sha256: str = "") -> Rig:
     )
 
 
+def read_mount(path: Path) -> Float64[Array, "4 4"]:
+    """`mount: {tool_from_camera: ...}` of a file that says nothing else, or of a rig.yaml."""
+    fields = Fields(str(path), parsed(read_bytes(path), str(path)), _KEYS)
+    fields.raw("mount")
+    return _tool_from_camera(fields)
+
+
 def require_mount(rig: Rig, path: Path) -> None:
     """Refuse a rig that does not say where the camera is mounted."""
     if rig.tool_from_camera is None:
-        raise DataError(str(path), "has no mount", "add mount: {tool_from_camera: ...}, or ask for --frame camera")
+        raise DataError(str(path), "has no mount", "run calibrate-planes with --mount, or ask for --frame camera")
 
 
 def write_rig(

@@ -1,0 +1,179 @@
+"""A calibration board laid out on a page at true scale, with rulers to check the print by."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+
+from ringpose.calibrate.board_points import corner_points, is_white, marker_corners, outline_m
+from ringpose.calibrate.markers import marker_dictionary
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.board import Board
+
+PAGES_M = {
+    "A4": (0.210, 0.297),
+    "A3": (0.297, 0.420),
+    "A2": (0.420, 0.594),
+    "A1": (0.594, 0.841),
+    "A0": (0.841, 1.189),
+}
+"""Short and long side of the pages that are tried, the smallest first."""
+
+RIM_M = 0.010
+"""White that stays around the board: markers at its edge need it, and printers do not print to the page's edge."""
+
+RULER_M = 0.014
+"""Below and beside the board, beyond the rim, for the rulers with their numbers ..."""
+
+TEXT_M = 0.008
+"""... and below these for the words."""
+
+CIRCLE_SHARE = 0.5
+"""Diameter of the circles of a circle grid over the spacing of their rows."""
+
+A4_BOARDS = {
+    "charuco": Board(
+        kind="charuco", squares_x=9, squares_y=6, square_m=0.027, marker_m=0.02, dictionary="DICT_5X5_100"
+    ),
+    "four_markers": Board(
+        kind="four_markers", width_m=0.25, height_m=0.165, marker_m=0.045, margin_m=0.005, dictionary="DICT_4X4_50"
+    ),
+}
+"""Boards for those who have none yet."""
+
+_LETTERS_M = 0.0028
+_TICK_M = 0.00015
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Label:
+    """A line of text; its left end and base line."""
+
+    x_m: float
+    y_m: float
+    text: str
+    height_m: float = _LETTERS_M
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BoardDrawing:
+    """Black shapes on a white page; origin at the page's top-left corner, x right, y down."""
+
+    page: str
+    """The page's name, or its size."""
+    width_m: float
+    height_m: float
+    rectangles_m: Float64[Array, "rectangle side=4"]
+    """x, y, width, height; none overlaps another."""
+    circles_m: Float64[Array, "circle side=3"]
+    """Centre x, y and radius."""
+    labels: tuple[Label, ...]
+    origin_m: tuple[float, float]
+    """Where on the page the board frame's origin is."""
+
+
+def board_drawing(board: Board) -> BoardDrawing:
+    """The board in the middle of the smallest page that holds it with its rulers, upright or lying."""
+    width_m, height_m = outline_m(board)
+    needed_m = (width_m + 2 * RIM_M + RULER_M, height_m + 2 * RIM_M + RULER_M + TEXT_M)
+    page, page_m = _page(needed_m)
+    origin_m = ((page_m[0] - needed_m[0]) / 2 + RULER_M + RIM_M, (page_m[1] - needed_m[1]) / 2 + RIM_M)
+    below_m = origin_m[1] + height_m + RIM_M
+    across, numbers_x = _ruler(origin_m[0], below_m, width_m)
+    down, numbers_y = _ruler(origin_m[1], origin_m[0] - RIM_M, height_m)
+    shift = np.array([*origin_m, 0.0, 0.0])
+    upright = np.column_stack([down[:, 1] - down[:, 3], down[:, 0], down[:, 3], down[:, 2]])
+    names = tuple(
+        Label(x_m=origin_m[0] - RIM_M - 0.0125, y_m=number.x_m + _LETTERS_M, text=number.text) for number in numbers_y
+    )
+    words = Label(x_m=origin_m[0], y_m=below_m + RULER_M + _LETTERS_M, text=_description(board, page, page_m))
+    return BoardDrawing(
+        page=page,
+        width_m=page_m[0],
+        height_m=page_m[1],
+        rectangles_m=np.concatenate([_black_rectangles(board) + shift, across, upright]),
+        circles_m=_circles(board) + np.array([*origin_m, 0.0]),
+        labels=(*numbers_x, *names, words),
+        origin_m=origin_m,
+    )
+
+
+def _page(needed_m: tuple[float, float]) -> tuple[str, tuple[float, float]]:
+    for name, (short, long) in PAGES_M.items():
+        for page_m, way in (((short, long), "upright"), ((long, short), "lying")):
+            if needed_m[0] <= page_m[0] and needed_m[1] <= page_m[1]:
+                return f"{name} {way}", page_m
+    return "of its own size", needed_m
+
+
+def _ruler(start_m: float, beside_m: float, length_m: float) -> tuple[Float64[Array, "tick side=4"], list[Label]]:
+    """Ticks every 10 mm along x from `start_m`, hanging below `beside_m`, and numbers in millimetres every 50."""
+    steps = np.arange(int(length_m / 0.01 + 1e-6) + 1)
+    place = start_m + 0.01 * steps
+    height = np.where(steps % 5 == 0, 0.006, 0.003)
+    ticks = np.column_stack([place - _TICK_M / 2, np.full(len(steps), beside_m), np.full(len(steps), _TICK_M), height])
+    numbers = [
+        Label(x_m=float(x) + 0.0006, y_m=beside_m + 0.0095, text=f"{10 * int(step)}{' mm' if step == 0 else ''}")
+        for x, step in zip(place, steps, strict=True)
+        if step % 5 == 0
+    ]
+    return ticks, numbers
+
+
+def _description(board: Board, page: str, page_m: tuple[float, float]) -> str:
+    """What is on the page; a board that was printed at another scale is measured by the rulers."""
+    sizes = {
+        key.removesuffix("_m"): f"{1e3 * value:g} mm"
+        for key in ("square_m", "marker_m", "gap_m", "spacing_m", "width_m", "height_m", "margin_m")
+        if (value := getattr(board, key)) is not None
+    }
+    counts = f" {board.squares_x} x {board.squares_y}" if board.squares_x else ""
+    said = ", ".join([f"{board.kind}{counts}", *([board.dictionary] if board.dictionary else [])])
+    said += "".join(f", {key} {size}" for key, size in sizes.items())
+    return f"{said}. Page {page}, {1e3 * page_m[0]:.0f} x {1e3 * page_m[1]:.0f} mm: print at 100 %, then measure."
+
+
+def _black_rectangles(board: Board) -> Float64[Array, "rectangle side=4"]:
+    parts = [_black_squares(board)] if board.kind in ("chessboard", "charuco") else []
+    corners = marker_corners(board)
+    if len(corners):
+        parts.append(np.concatenate([_black_cells(board, number) + _place(own) for number, own in enumerate(corners)]))
+    return np.concatenate(parts) if parts else np.empty((0, 4))
+
+
+def _place(corners: Float64[Array, "corner=4 xyz=3"]) -> Float64[Array, "4"]:
+    return np.array([corners[0, 0], corners[0, 1], 0.0, 0.0])
+
+
+def _black_squares(board: Board) -> Float64[Array, "square side=4"]:
+    side = board.square_m or 0.0
+    black = [
+        (column * side, row * side, side, side)
+        for row in range(board.squares_y or 0)
+        for column in range(board.squares_x or 0)
+        if not is_white(column, row, board)
+    ]
+    return np.array(black, dtype=np.float64).reshape(-1, 4)
+
+
+def _black_cells(board: Board, number: int) -> Float64[Array, "run side=4"]:
+    """A marker's black cells, each row's neighbours joined, from the marker's top-left corner."""
+    aruco: Any = cv2.aruco
+    dictionary = marker_dictionary(board)
+    size = dictionary.markerSize + 2
+    black = np.asarray(aruco.generateImageMarker(dictionary, number, size)) < 128
+    cell = (board.marker_m or 0.0) / size
+    runs = []
+    for row, cells in enumerate(black):
+        edges = np.flatnonzero(np.diff(np.pad(cells.astype(np.int8), 1)))
+        runs += [(begin * cell, row * cell, (end - begin) * cell, cell) for begin, end in edges.reshape(-1, 2)]
+    return np.array(runs, dtype=np.float64).reshape(-1, 4)
+
+
+def _circles(board: Board) -> Float64[Array, "circle side=3"]:
+    if board.kind != "asymmetric_circles":
+        return np.empty((0, 3))
+    centers = corner_points(board)
+    radius = CIRCLE_SHARE * (board.spacing_m or 0.0) / 2
+    return np.column_stack([centers[:, :2], np.full(len(centers), radius)])

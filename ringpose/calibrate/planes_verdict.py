@@ -1,0 +1,163 @@
+"""Whether light planes are good: each number beside its limits, with what would make it better."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ringpose.calibrate.laser_fit import LARGEST_CONDITION
+from ringpose.calibrate.laser_geometry import plane_angles
+from ringpose.calibrate.plane_uncertainty import depth_uncertainty
+from ringpose.types.calibration import LaserCalibration, PlanesCalibration
+from ringpose.types.verdict import Finding, Verdict
+
+FEW_VIEWS, FEWEST_VIEWS = 5.0, 2.0
+"""Two views determine a plane and leave nothing to judge it by; with five, one that is wrong stands out."""
+
+GOOD_CONDITION = 10.0
+"""Of views 200 mm wide at distances 20 mm of depth apart across the light plane."""
+
+GOOD_SHARE, BAD_SHARE = 2e-4, 2e-3
+"""Held-out rms over distance: 0.1 mm at 0.5 m is what speckle leaves of a good stripe, 1 mm is another stripe."""
+
+GOOD_EXCESS, BAD_EXCESS = 3.0, 100.0
+"""A sheet that is flat to 0.1 mm may be 3; at 100 the covariance is no more than a guess."""
+
+GOOD_DEPTH_SHARE, BAD_DEPTH_SHARE = 1e-3, 1e-2
+"""Standard deviation of depths over depth, at the farthest board."""
+
+GOOD_RANGE, BAD_RANGE = 1.4, 1.05
+"""Farthest over nearest board: planes hold where they were measured, and beyond by as much again."""
+
+GOOD_BOARD_PX, BAD_BOARD_PX = 0.3, 1.0
+"""Median over the views of the corners' rms from the board."""
+
+ANGLE_TOLERANCE_RAD = float(np.radians(1.0))
+"""By so much lasers may be off the angles that they were mounted at."""
+
+
+def planes_verdict(calibration: PlanesCalibration, expected_angles_rad: Sequence[float] = ()) -> Verdict:
+    """Good, can be improved, or redo; the expected angles are those of neighbouring lasers, in their order."""
+    findings = [_boards(calibration), _distances(calibration), _excess(calibration)]
+    for laser in calibration.lasers:
+        findings += [_views(laser), _condition(laser), _held_out(laser), _disagreement(laser)]
+    findings += _depths(calibration) + _angles(calibration, expected_angles_rad)
+    return Verdict(findings=tuple(finding for finding in findings if finding is not None))
+
+
+def _boards(calibration: PlanesCalibration) -> Finding:
+    return Finding(
+        name="board_rms_px",
+        value=float(np.median([pose.residual_rms_px for pose in calibration.poses])),
+        good_limit=GOOD_BOARD_PX,
+        redo_limit=BAD_BOARD_PX,
+        advice="see with --overlay whether the corners are sharp; measure the board's sizes; check the camera file",
+    )
+
+
+def _distances(calibration: PlanesCalibration) -> Finding:
+    near, far = _range_m(calibration)
+    advice = f"add views of the board nearer than {near / 1.2:.2f} m and farther than {1.2 * far:.2f} m"
+    return Finding(name="distance_ratio", value=far / near, good_limit=GOOD_RANGE, redo_limit=BAD_RANGE, advice=advice)
+
+
+def _range_m(calibration: PlanesCalibration) -> tuple[float, float]:
+    """Depth of the nearest and the farthest board where the stripes cross it."""
+    every = [view.distance_m for laser in calibration.lasers for view in laser.views]
+    return min(every), max(every)
+
+
+def _excess(calibration: PlanesCalibration) -> Finding | None:
+    if calibration.covariance is None:
+        return None
+    return Finding(
+        name="variance_excess",
+        value=float(calibration.excess),
+        good_limit=GOOD_EXCESS,
+        redo_limit=BAD_EXCESS,
+        advice="the views disagree: see that the board is flat and its sizes are measured; calibrate the camera anew",
+    )
+
+
+def _views(laser: LaserCalibration) -> Finding:
+    return Finding(
+        place=laser.name,
+        name="views",
+        value=float(len(laser.views)),
+        good_limit=FEW_VIEWS,
+        redo_limit=FEWEST_VIEWS,
+        advice=f"add views that show the stripe of {laser.name}: six to ten are good",
+    )
+
+
+def _condition(laser: LaserCalibration) -> Finding:
+    middle_m = float(np.mean([view.distance_m for view in laser.views]))
+    return Finding(
+        place=laser.name,
+        name="condition",
+        value=laser.condition,
+        good_limit=GOOD_CONDITION,
+        redo_limit=LARGEST_CONDITION,
+        advice=f"add a view of the board 100 mm or more nearer or farther than {middle_m:.2f} m",
+    )
+
+
+def _held_out(laser: LaserCalibration) -> Finding:
+    middle_m = float(np.mean([view.distance_m for view in laser.views]))
+    worst = max(laser.views, key=lambda view: np.nan_to_num(view.held_out_rms_m))
+    return Finding(
+        place=laser.name,
+        name="held_out_rms_m",
+        value=laser.held_out_rms_m,
+        good_limit=GOOD_SHARE * middle_m,
+        redo_limit=BAD_SHARE * middle_m,
+        advice=f"see with --overlay whether the stripe of {laser.name} is sharp and unsaturated, in {worst.name} first"
+        if np.isfinite(laser.held_out_rms_m)
+        else "a third view would tell the error of the others",
+    )
+
+
+def _disagreement(laser: LaserCalibration) -> Finding | None:
+    numbers = 2 * len(laser.views) - 3
+    if not np.isfinite(laser.disagreement):
+        return None
+    return Finding(
+        place=laser.name,
+        name="disagreement",
+        value=float(laser.disagreement),
+        good_limit=GOOD_EXCESS + 3.0 * float(np.sqrt(2 / numbers)),
+        redo_limit=BAD_EXCESS,
+        advice=f"the stripes of {laser.name} disagree with boards and other lasers: see whether they are its own",
+    )
+
+
+def _depths(calibration: PlanesCalibration) -> list[Finding]:
+    if calibration.covariance is None:
+        return []
+    near, far = _range_m(calibration)
+    found = depth_uncertainty(calibration.camera, calibration.planes, calibration.covariance, (far,))
+    return [
+        Finding(
+            place=f"{laser.name} at {far:.2f} m",
+            name="depth_sd_m",
+            value=sd,
+            good_limit=GOOD_DEPTH_SHARE * far,
+            redo_limit=BAD_DEPTH_SHARE * far,
+            advice=f"add views at {far:.2f} m and {near:.2f} m, the stripe of {laser.name} over the whole image",
+        )
+        for laser, sd in zip(calibration.lasers, found.worst_m[:, 0].tolist(), strict=True)
+        if np.isfinite(sd)
+    ]
+
+
+def _angles(calibration: PlanesCalibration, expected_rad: Sequence[float]) -> list[Finding]:
+    return [
+        Finding(
+            place=f"{angle.first} to {angle.second}",
+            name="angle_error_rad",
+            value=abs(angle.angle_rad - expected),
+            good_limit=ANGLE_TOLERANCE_RAD,
+            redo_limit=5 * ANGLE_TOLERANCE_RAD,
+            advice="see with --overlay whether each stripe belongs to its laser, and how the lasers are mounted",
+        )
+        for angle, expected in zip(plane_angles(calibration), expected_rad, strict=False)
+    ]

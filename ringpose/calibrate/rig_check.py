@@ -1,0 +1,151 @@
+"""Whether a calibrated rig still holds: a new view of the board against its camera and light planes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from ringpose.calibrate.board_pose import board_pose, pose_covariance
+from ringpose.calibrate.intrinsics import parameter_names, projection_jacobians
+from ringpose.calibrate.plane_covariance import PLANE_PARAMETERS
+from ringpose.calibrate.plane_joint import LEAST_SIGMA_PX, corner_sigma_px
+from ringpose.calibrate.plane_points import triangulated
+from ringpose.calibrate.stripe_errors import line_variance_px2, stripe_bend
+from ringpose.calibrate.stripe_labels import labelled_by_planes
+from ringpose.calibrate.stripe_residuals import StripeRows, stripe_rows
+from ringpose.geometry.rays import rays
+from ringpose.types.arrays import Array
+from ringpose.types.board import BoardPose
+from ringpose.types.calibration import StripeView
+from ringpose.types.rig import Rig
+
+SIGMAS = 3.0
+"""By so many standard deviations of rig and view a stripe may lie beside its plane ..."""
+
+FLATNESS_M = 5e-5
+"""... and by this, which boards are not flat to."""
+
+LARGEST_BOARD_PX = 0.5
+"""Corners further than this (rms) from where the camera has the board mean another camera, lens or board."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LaserCheck:
+    """How far one laser's stripe lies from its light plane, measured normal to the plane."""
+
+    name: str
+    offset_m: float
+    """Of the stripe's line, at its end or middle, where it is largest beside its limit; NaN where no stripe is seen."""
+    limit_m: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether the stripe is where the light plane has it; a stripe that is not seen confirms nothing."""
+        return abs(self.offset_m) <= self.limit_m
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RigCheck:
+    """What one view says about a rig."""
+
+    name: str
+    distance_m: float
+    board_rms_px: float
+    lasers: tuple[LaserCheck, ...]
+
+    @property
+    def holds(self) -> bool:
+        """Whether camera and all light planes agree with the view."""
+        return self.board_rms_px <= LARGEST_BOARD_PX and all(laser.holds for laser in self.lasers)
+
+
+def rig_check(view: StripeView, rig: Rig) -> RigCheck:
+    """The board where its corners have it, and each stripe on it against its light plane."""
+    pose = board_pose(view.board, rig.camera)
+    planes = list(zip(rig.lasers.normal, rig.lasers.distance_m.tolist(), strict=True))
+    if view.unlabelled_px:
+        view = labelled_by_planes(view, [triangulated(px, pose, rig.camera) for px in view.unlabelled_px], planes)
+    return RigCheck(
+        name=view.board.name,
+        distance_m=float(pose.translation_m[2]),
+        board_rms_px=pose.residual_rms_px,
+        lasers=tuple(_laser_check(laser, view, pose, rig) for laser in range(len(planes))),
+    )
+
+
+def rig_check_lines(check: RigCheck) -> list[str]:
+    """The figures in lines to read."""
+    head = f"{check.name}: board at {check.distance_m:.2f} m, corners {check.board_rms_px:.2f} px rms"
+    lines = [f"{head} (limit {LARGEST_BOARD_PX:g}): {_judgement(check.board_rms_px <= LARGEST_BOARD_PX)}"]
+    for laser in check.lasers:
+        if np.isnan(laser.offset_m):
+            lines.append(f"{check.name}: {laser.name}: no stripe on the board, not checked")
+        else:
+            found = f"{1e3 * laser.offset_m:+.3f} mm beside its plane (limit {1e3 * laser.limit_m:.3f})"
+            lines.append(f"{check.name}: {laser.name}: {found}: {_judgement(laser.holds)}")
+    return lines
+
+
+def _judgement(holds: bool) -> str:
+    return "holds" if holds else "does not hold"
+
+
+def _laser_check(laser: int, view: StripeView, pose: BoardPose, rig: Rig) -> LaserCheck:
+    name, points_px = rig.lasers.names[laser], view.stripes_px[laser]
+    if not len(points_px):
+        return LaserCheck(name=name, offset_m=float("nan"), limit_m=float("nan"))
+    normal, distance_m = rig.lasers.normal[laser], float(rig.lasers.distance_m[laser])
+    rows = stripe_rows(rays(points_px, rig.camera), pose, normal, distance_m, rig.camera)
+    places = _line_places(points_px) * rows.metres_per_pixel
+    offset_m = places @ rows.residual_px
+    variance = _variance(places @ _by_rig(rows, view, pose, rig), _rig_covariance(rig, laser))
+    variance += _variance(places @ rows.by_pose, _pose_covariance(view, pose, rig))
+    variance += _variance(places @ _unit_bends(points_px).T, line_variance_px2(points_px) * np.eye(2))
+    limit_m = SIGMAS * np.sqrt(variance) + FLATNESS_M
+    worst = int(np.argmax(np.abs(offset_m) / limit_m))
+    return LaserCheck(name=name, offset_m=float(offset_m[worst]), limit_m=float(limit_m[worst]))
+
+
+def _unit_bends(points_px: Float64[Array, "n xy=2"]) -> Float64[Array, "2 n"]:
+    """How far centres move across the stripe when its line is shifted, and turned, by one pixel rms."""
+    shift, turn = stripe_bend(points_px)
+    return np.stack([np.ones(len(points_px)), turn @ shift[0]])
+
+
+def _line_places(points_px: Float64[Array, "n xy=2"]) -> Float64[Array, "place=3 n"]:
+    """Weights that make of values along a stripe those of their straight line at its two ends and its middle."""
+    level, run = _unit_bends(points_px)
+    ends = np.array([run.min(), 0.0, run.max()])
+    weights: Float64[Array, "place=3 n"] = (level + ends[:, None] * run) / len(run)
+    return weights
+
+
+def _by_rig(rows: StripeRows, view: StripeView, pose: BoardPose, rig: Rig) -> Float64[Array, "n parameter"]:
+    """Derivatives by the camera, which the board's pose follows, and by the light plane."""
+    by_pose, by_camera = projection_jacobians(view.board.points_board_m, pose, rig.camera)
+    follow, *_ = np.linalg.lstsq(by_pose.reshape(-1, 6), -by_camera.reshape(2 * len(by_camera), -1), rcond=None)
+    return np.hstack([rows.by_camera + rows.by_pose @ follow, rows.by_plane])
+
+
+def _rig_covariance(rig: Rig, laser: int) -> Float64[Array, "parameter parameter"]:
+    """Of the camera and one light plane; zero where the rig knows none."""
+    names = parameter_names(rig.camera.distortion_model)
+    names += tuple(f"{rig.lasers.names[laser]}.{what}" for what in PLANE_PARAMETERS)
+    covariance = np.zeros((len(names), len(names)))
+    if rig.covariance is not None:
+        known = [index for index, name in enumerate(names) if name in rig.covariance.parameters]
+        places = [rig.covariance.parameters.index(names[index]) for index in known]
+        covariance[np.ix_(known, known)] = rig.covariance.data[np.ix_(places, places)]
+    return covariance
+
+
+def _pose_covariance(view: StripeView, pose: BoardPose, rig: Rig) -> Float64[Array, "pose=6 pose=6"]:
+    corner_px = max(corner_sigma_px([view], [pose], rig.camera), LEAST_SIGMA_PX)
+    return pose_covariance(view.board, pose, rig.camera, corner_px)
+
+
+def _variance(
+    jacobian: Float64[Array, "place parameter"], covariance: Float64[Array, "parameter parameter"]
+) -> Float64[Array, "place"]:
+    variance: Float64[Array, "place"] = np.einsum("pi,ij,pj->p", jacobian, covariance, jacobian)
+    return variance

@@ -1,0 +1,117 @@
+"""The page that `ringpose calibrate-planes --report` writes."""
+
+import numpy as np
+
+from ringpose.calibrate.plane_uncertainty import depth_uncertainty
+from ringpose.calibrate.planes_quality import PlanesAssessment, planes_summary
+from ringpose.report.canvas import canvas, png_of
+from ringpose.report.page import Picture, Section, Table, page
+from ringpose.report.verdict_section import verdict_section
+from ringpose.types.calibration import LaserCalibration, PlanesCalibration
+
+_BIN_SHARE = 0.04
+"""Residuals along a stripe are averaged over this share of the image's width."""
+
+_DEPTHS = 25
+"""Distances at which the uncertainty is drawn."""
+
+
+def planes_report(assessment: PlanesAssessment) -> str:
+    """Verdict, figures, and pictures of the residuals and of what they mean for depths."""
+    calibration = assessment.calibration
+    pictures = [_by_distance(calibration), _along_stripes(calibration)]
+    if calibration.covariance is not None:
+        pictures.append(_depths(calibration))
+    left_out = [list(entry) for entry in (*assessment.without_board, *calibration.remarks)]
+    sections = [
+        verdict_section(assessment.verdict),
+        Section(title="Summary", text=planes_summary(assessment)),
+        Section(title="Views", table=_views(calibration)),
+        Section(title="Residuals and uncertainty", pictures=pictures),
+    ]
+    if left_out:
+        sections.append(Section(title="Left out or missing", table=Table(headings=("view", "why"), rows=left_out)))
+    return page("Calibration of the light planes", sections)
+
+
+def _views(calibration: PlanesCalibration) -> Table:
+    rows = [
+        [
+            laser.name,
+            view.name,
+            f"{view.distance_m:.3f}",
+            str(len(view.points)),
+            _micrometres(view.rms_m),
+            _micrometres(view.held_out_rms_m),
+        ]
+        for laser in calibration.lasers
+        for view in laser.views
+    ]
+    return Table(headings=("laser", "view", "distance m", "points", "rms um", "held out um"), rows=rows)
+
+
+def _micrometres(value_m: float) -> str:
+    return f"{1e6 * value_m:.0f}" if np.isfinite(value_m) else "unknown"
+
+
+def _by_distance(calibration: PlanesCalibration) -> Picture:
+    figure = canvas(10, 3.2 * len(calibration.lasers))
+    axes = figure.subplots(len(calibration.lasers), 1, sharex=True, squeeze=False)[:, 0]
+    for axis, laser in zip(axes, calibration.lasers, strict=True):
+        depth = np.concatenate([view.points[:, 2] for view in laser.views])
+        residual = np.concatenate([view.residual_m for view in laser.views])
+        axis.plot(depth, 1e6 * residual, ",", color="tab:blue", alpha=0.5, label="centres")
+        middle = [view.distance_m for view in laser.views]
+        held_out = [1e6 * float(np.mean(view.held_out_m)) for view in laser.views]
+        axis.plot(middle, held_out, "o", color="tab:red", label="mean of a view, held out")
+        axis.axhline(0, color="black", linewidth=0.6)
+        axis.set_ylabel(f"{laser.name}: residual (um)")
+    axes[0].legend(loc="upper left")
+    axes[-1].set_xlabel("distance (m)")
+    caption = "Distances of the stripe centres from their light plane, against depth; a trend means a wrong camera."
+    return Picture(png=png_of(figure), caption=caption)
+
+
+def _along_stripes(calibration: PlanesCalibration) -> Picture:
+    figure = canvas(10, 3.2 * len(calibration.lasers))
+    axes = figure.subplots(len(calibration.lasers), 1, sharex=True, squeeze=False)[:, 0]
+    for axis, laser in zip(axes, calibration.lasers, strict=True):
+        for view, (place, mean) in zip(laser.views, _averages(laser), strict=True):
+            axis.plot(place, 1e6 * mean, "-", linewidth=1, label=view.name)
+        axis.axhline(0, color="black", linewidth=0.6)
+        axis.set_ylabel(f"{laser.name}: residual (um)")
+    axes[0].legend(loc="upper left", fontsize=6, ncols=4)
+    axes[-1].set_xlabel("direction along the stripe (tangent of the angle from the optical axis)")
+    caption = "The same along the stripes, averaged; curves that bend alike mean a wrong distortion or a bent board."
+    return Picture(png=png_of(figure), caption=caption)
+
+
+def _averages(laser: LaserCalibration) -> list[tuple[np.ndarray, np.ndarray]]:
+    """By view: places along the stripe and mean residuals there."""
+    along = 0 if abs(laser.normal[1]) >= abs(laser.normal[0]) else 1
+    found = []
+    for view in laser.views:
+        place = view.points[:, along] / view.points[:, 2]
+        bins = np.round(place / _BIN_SHARE).astype(int)
+        kept = np.unique(bins)
+        mean = np.array([view.residual_m[bins == each].mean() for each in kept])
+        found.append((kept * _BIN_SHARE, mean))
+    return found
+
+
+def _depths(calibration: PlanesCalibration) -> Picture:
+    covariance = calibration.covariance
+    assert covariance is not None
+    seen = [view.distance_m for laser in calibration.lasers for view in laser.views]
+    distances_m = tuple(np.linspace(0.5 * min(seen), 2 * max(seen), _DEPTHS).tolist())
+    found = depth_uncertainty(calibration.camera, calibration.planes, covariance, distances_m)
+    figure = canvas(10, 4)
+    axis = figure.subplots()
+    for laser, worst in zip(calibration.lasers, found.worst_m, strict=True):
+        axis.plot(distances_m, 1e3 * worst, label=laser.name)
+    axis.axvspan(min(seen), max(seen), color="tab:green", alpha=0.1, label="boards")
+    axis.set_xlabel("distance (m)")
+    axis.set_ylabel("standard deviation of depth (mm)")
+    axis.legend()
+    caption = "What the covariance of camera and planes means for depths: the worst place along each stripe."
+    return Picture(png=png_of(figure), caption=caption)
