@@ -53,6 +53,8 @@ class Explanation(NamedTuple):
     """Whose break point or stripe it is that was left out; -1 if it is none."""
     both: bool = False
     """Whether both of them were."""
+    rivals: tuple[Fit, ...] = ()
+    """Of a contradiction with no one to blame: the fits that each suspicion leads to."""
 
     @property
     def score(self) -> float:
@@ -80,7 +82,10 @@ def explained(
     if best is not None and (everything is None or best.score < everything.score):
         return best
     remark = "what was seen disagrees with one ring by more than its errors, and no single part is to blame"
-    return None if everything is None else everything._replace(flag=PoseFlag.INCONSISTENT, remark=remark)
+    if everything is None:
+        return None
+    rivals = tuple(each.fit for each in _near(tried) if each.score < everything.score)
+    return everything._replace(flag=PoseFlag.INCONSISTENT, remark=remark, rivals=rivals)
 
 
 def _clearest(tried: list[Explanation]) -> Explanation | None:
@@ -89,14 +94,19 @@ def _clearest(tried: list[Explanation]) -> Explanation | None:
     Of two ends of one stripe that would do equally well (another curvature makes the other end look wrong), both are
     left out.
     """
-    near = sorted((each for each in tried if not each.both), key=lambda each: each.score)
-    near = [each for each in near if each.score < near[0].score + CLEARLY]
+    near = _near(tried)
     lasers = {each.laser for each in near}
     if len(near) > 1 and (len(lasers) > 1 or -1 in lasers):
         return None
     if sum(each.flag == PoseFlag.POINT_LEFT_OUT for each in near) > 1:
         return next((each for each in tried if each.both and each.laser in lasers), None)
     return near[0] if near else None
+
+
+def _near(tried: list[Explanation]) -> list[Explanation]:
+    """The best explanation, and those that it does not beat clearly."""
+    near = sorted((each for each in tried if not each.both), key=lambda each: each.score)
+    return [each for each in near if each.score < near[0].score + CLEARLY]
 
 
 def _of_edges(fit: Fit, measured: Measurements) -> Float64[Array, "visible"]:

@@ -1,5 +1,6 @@
 """From the fitted state to centre, radii and grasp point, with their covariances."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -91,6 +92,23 @@ def covariance_of(fit: Fit, found: Quantities, measured: Measurements) -> Float6
     joint += spread @ spread.T
     _add_second_order(joint, fit)
     return joint
+
+
+def spread_of(rivals: Sequence[Fit], best: Fit, found: Quantities) -> Float64[Array, "15 15"]:
+    """Squares of what rivals say instead of the best fit, summed: nobody knows which of them are true."""
+    normal = best.state.normal
+    basis, own = tilt_basis(normal), np.concatenate([found.center_m, found.grasp_m, found.radius_m])
+    apart = np.zeros((len(rivals), 15))
+    for row, fit in zip(apart, rivals, strict=True):
+        said = quantities(fit)
+        other = np.concatenate([said.center_m, said.grasp_m, said.radius_m]) - own
+        row[TILTS] = basis @ fit.state.normal / float(fit.state.normal @ normal)
+        row[2] = fit.state.normal @ said.center_m - normal @ found.center_m
+        row[3:5], row[RADII], row[CENTER], row[GRASP] = basis @ other[:3], other[6:], other[:3], other[3:6]
+        row[BEND] = fit.state.curvature - best.state.curvature
+        row[WIDTH] = fit.state.band_m - best.state.band_m
+    spread: Float64[Array, "15 15"] = apart.T @ apart
+    return spread
 
 
 def bow_m(joint: Float64[Array, "15 15"], fit: Fit) -> float:

@@ -23,6 +23,7 @@ from ringpose.pose.likelihood_output import (
     bow_m,
     covariance_of,
     quantities,
+    spread_of,
 )
 from ringpose.pose.measurements import Measurements, measurements_of
 from ringpose.pose.method import Method
@@ -166,6 +167,7 @@ def _pose(best: Explanation, rig: Rig, sure_of_side: bool) -> RingPose | NoPose:
     joint = covariance_of(fit, found, best.measured)
     if best.flag & PoseFlag.INCONSISTENT:
         joint = joint * max(own_cost(fit, best.measured) / freedom(fit, best.measured, best.before), 1.0)
+        joint += spread_of(best.rivals, fit, found)
     position = fit.rows.origin.position_m
     if not bool(np.isfinite(joint).all()):
         return NoPose.NOT_FINITE

@@ -72,6 +72,18 @@ def test_a_wrong_break_point_without_a_known_radius_does_no_harm(scene, points, 
     assert PoseFlag.CENTER_WEAK in pose.flags or sigmas_off(pose, scene) < 5.0
 
 
+@pytest.mark.parametrize("known", [None, KNOWN], ids=["radius unknown", "radius known"])
+@pytest.mark.parametrize("laser", range(3))
+def test_an_occluder_over_one_laser_is_named(scene, points, laser, known):
+    hidden = shifted(shifted(points, laser, 0, 18.0), laser, 1, -25.0)
+
+    pose = estimate_pose(hidden, scene.rig, known=known)
+
+    assert pose.flags & (PoseFlag.POINT_LEFT_OUT | PoseFlag.STRIPE_LEFT_OUT | PoseFlag.INCONSISTENT)
+    assert scene.rig.lasers.names[laser] in pose.remark or PoseFlag.INCONSISTENT in pose.flags
+    assert np.isnan(pose.center_m).all() or sigmas_off(pose, scene) < 5.0
+
+
 @pytest.mark.parametrize("laser", range(3))
 def test_a_wrong_stripe_is_left_out_or_owned_up_to(scene, points, laser):
     pose = estimate_pose(lifted(points, laser, 8.0), scene.rig, known=KNOWN)
@@ -93,6 +105,32 @@ def test_a_radius_that_is_wrong_is_left_out(scene, points):
 
     assert PoseFlag.RADIUS_DISAGREES in pose.flags
     assert sigmas_off(pose, scene) < 4.0
+
+
+@pytest.mark.parametrize("distance_m", [0.25, 0.5, 1.0])
+@pytest.mark.parametrize(
+    ("size", "said"),
+    [("R1194", (0.567, 0.597)), ("R597", (1.154, 1.194)), ("R833", (0.567, 0.597)), ("R597", (0.803, 0.833))],
+)
+def test_radii_of_another_ring_are_owned_up_to(scene_of, face_points, rng, distance_m, size, said):
+    scene = scene_of("B", distance_m=distance_m, size=size)
+    known = KnownRadii(radius_m=np.array(said), sd_m=np.full(2, 5e-4))
+
+    poses = [estimate_pose(face_points(scene, 0.3, 0.01, rng), scene.rig, known=known) for _ in range(10)]
+
+    owned = [pose for pose in poses if pose.flags & (PoseFlag.RADIUS_DISAGREES | PoseFlag.INCONSISTENT)]
+    assert len(owned) >= 8
+    assert all(pose.remark for pose in owned)
+    assert max(sigmas_off(pose, scene) for pose in owned) < 5.0
+
+
+def test_no_shot_tells_radii_that_it_cannot_see_from_wrong_ones(scene_of, face_points, rng):
+    # 1.5 degrees between the lasers see too little of the arc: what is said of the ring is believed
+    scene = scene_of("A", distance_m=0.5, size="R833")
+
+    pose = estimate_pose(face_points(scene, 0.3, 0.01, rng), scene.rig, known=KNOWN)
+
+    assert not pose.flags
 
 
 @pytest.mark.slow
