@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli.app import app
+from ringpose.cli.device_options import AllowUnseen, Count, Duration, Exposure, LasersUri, Rate, Settle, Steps
 from ringpose.cli.options import ImageChannel, OptionalRigFile, Quiet, Verbose
 
 if TYPE_CHECKING:
@@ -22,24 +23,6 @@ CameraUri = Annotated[
         "--camera", metavar="URI", help="files:FOLDER, files:-, sim:SCENE.yaml, aravis:ADDRESS, ... (manual)."
     ),
 ]
-LasersUri = Annotated[
-    str | None,
-    typer.Option(
-        "--lasers", metavar="URI", help="lcus:PORT?ch=1,2,3, numato:, modbus:, ascii:, line:, sim:, none: (always on)."
-    ),
-]
-Steps = Annotated[
-    str | None,
-    typer.Option("--sequence", metavar="STEPS", help="What is lit, frame by frame: off,1,2,3,off or off,all or 1+2."),
-]
-Exposure = Annotated[float | None, typer.Option("--exposure", metavar="S", min=1e-9, help="Exposure of each frame.")]
-Count = Annotated[int | None, typer.Option("--count", metavar="N", min=1, help="Shots to take, at most.")]
-Rate = Annotated[float | None, typer.Option("--rate", metavar="HZ", min=1e-3, help="Shots a second, at most.")]
-Duration = Annotated[float | None, typer.Option("--duration", metavar="S", min=1e-3, help="Begin no shot after this.")]
-Settle = Annotated[
-    float | None, typer.Option("--settle", metavar="S", min=0.0, max=10.0, help="From switching to exposing.")
-]
-AllowUnseen = Annotated[bool, typer.Option("--allow-unseen", help="Keep shots in which a laser does not show.")]
 SessionFolder = Annotated[
     Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="The session; session-<UTC time> if not given.")
 ]

@@ -31,6 +31,10 @@ Inputs = Annotated[
     list[str],
     typer.Argument(metavar="INPUT...", help="Files or folders; - reads names or records from stdin, one a line."),
 ]
+OptionalInputs = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="INPUT...", help="Files or folders; - reads names or records from stdin, one a line."),
+]
 RigFile = Annotated[Path, typer.Option("--rig", metavar="FILE", help="The calibrated rig (rig.yaml).")]
 OptionalRigFile = Annotated[Path | None, typer.Option("--rig", metavar="FILE", help="The calibrated rig (rig.yaml).")]
 BoardFile = Annotated[Path, typer.Option("--board", metavar="FILE", help="The board file: its kind and its sizes.")]

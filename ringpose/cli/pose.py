@@ -1,31 +1,42 @@
 """`ringpose pose`: detections, shots or images -> one pose line each."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ringpose.cli.app import app
+from ringpose.cli.device_options import AllowUnseen, Count, Duration, Exposure, LasersUri, Settle, Steps
 from ringpose.cli.known_ring import RadiusInner, RadiusOuter, RadiusSd, RingName, RingsFile, SaidOfRing
-from ringpose.cli.options import ImageChannel, Inputs, PoseFrame, PoseMethod, Quiet, RigFile, Verbose
+from ringpose.cli.live import newest_shots, refuse_both
+from ringpose.cli.options import ImageChannel, OptionalInputs, PoseFrame, PoseMethod, Quiet, RigFile, Verbose
 from ringpose.errors import UsageError
 from ringpose.pose.method import Method
 
 if TYPE_CHECKING:
+    from ringpose.capture.newest import LiveShot
+    from ringpose.cli.batch import Batch
+    from ringpose.cli.sources import Wanted
     from ringpose.types.break_points import Detection
     from ringpose.types.frame import Shot
     from ringpose.types.pose_line import PoseLine
     from ringpose.types.rig import Rig
     from ringpose.types.ring import KnownRadii, Ring
 
+LiveCamera = Annotated[
+    str | None, typer.Option("--camera", metavar="URI", help="Measure what this camera sees, see ringpose-capture(1).")
+]
 Frame = Annotated[PoseFrame, typer.Option("--frame", help="Frame of the vectors; tool needs the rig's mount.")]
 
 
 @app.command()
 def pose(
-    inputs: Inputs,
     rig: RigFile,
+    inputs: OptionalInputs = None,
     method: PoseMethod = Method.ML,
     frame: Frame = PoseFrame.CAMERA,
     radius_outer: RadiusOuter = None,
@@ -34,6 +45,14 @@ def pose(
     ring: RingName = None,
     rings: RingsFile = None,
     channel: ImageChannel = None,
+    camera: LiveCamera = None,
+    lasers: LasersUri = None,
+    sequence: Steps = None,
+    exposure: Exposure = None,
+    settle: Settle = None,
+    allow_unseen: AllowUnseen = False,
+    count: Count = None,
+    duration: Duration = None,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
@@ -45,11 +64,11 @@ def pose(
     from ringpose.cli.rig_watch import RigWatch, remarks_on
     from ringpose.errors import NO_POSE
     from ringpose.files import records
-    from ringpose.files.inputs import inputs as named
     from ringpose.files.poses import pose_record
     from ringpose.files.rigs import read_rig, require_mount
-    from ringpose.files.sources import SUFFIXES, read_source
+    from ringpose.types.sequence import parsed_sequence
 
+    refuse_both(inputs, camera, lasers)
     said = SaidOfRing(
         radius_outer_m=radius_outer, radius_inner_m=radius_inner, radius_sd_m=radius_sd, ring=ring, rings=rings
     )
@@ -60,17 +79,72 @@ def pose(
     if frame is PoseFrame.TOOL:
         require_mount(rig_of_shots, rig)
     batch, watch = Batch(), RigWatch(rig_of_shots.lasers.names)
-    for item in counted(batch.good(named(inputs, SUFFIXES)), "shots", quiet):
-        with batch.item():
-            line = watch.watched(
-                pose_line(read_source(item, rig_of_shots, channel), rig_of_shots, method, frame, known)
-            )
-            records.write(pose_record(line))
+    measure = partial(pose_line, rig=rig_of_shots, method=method, frame=frame, known=known)
+    wanted = None
+    if camera is not None:
+        from ringpose.cli.sources import Wanted
+
+        wanted = Wanted(
+            camera=camera,
+            lasers=lasers,
+            steps=None if sequence is None else parsed_sequence(sequence),
+            exposure_s=exposure,
+            settle_s=settle,
+            allow_unseen=allow_unseen,
+            laser_names=rig_of_shots.lasers.names,
+            count=count,
+            duration_s=duration,
+        )
+    with _lines(wanted, batch, measure, (inputs or [], rig_of_shots, channel)) as lines:
+        for line in counted(lines, "shots", quiet):
+            watched = watch.watched(line)
+            records.write(pose_record(watched))
             if verbose:
-                messages.say(f"{line.shot}: {remarks_on(line)}")
+                messages.say(f"{line.shot}: {remarks_on(watched)}")
             if line.pose is None:
                 batch.met(NO_POSE)
     batch.finish()
+
+
+@contextmanager
+def _lines(
+    wanted: "Wanted | None",
+    batch: "Batch",
+    measure: "Callable[[Shot | Detection], PoseLine]",
+    recorded: "tuple[list[str], Rig, str | None]",
+) -> "Iterator[Iterator[PoseLine]]":
+    """Pose lines of a live camera, or of inputs that the user names; what is bad among them is the batch's business."""
+    from ringpose.cli import messages
+
+    if wanted is None:
+        yield _recorded_lines(batch, measure, *recorded)
+        return
+    with newest_shots(wanted, batch, messages.say) as newest:
+        yield _live_lines(newest, batch, measure)
+
+
+def _recorded_lines(
+    batch: "Batch",
+    measure: "Callable[[Shot | Detection], PoseLine]",
+    inputs: list[str],
+    rig: "Rig",
+    channel: str | None,
+) -> "Iterator[PoseLine]":
+    from ringpose.files.inputs import inputs as named
+    from ringpose.files.sources import SUFFIXES, read_source
+
+    for item in batch.good(named(inputs, SUFFIXES)):
+        with batch.item():
+            yield measure(read_source(item, rig, channel))
+
+
+def _live_lines(
+    newest: "Iterator[LiveShot]", batch: "Batch", measure: "Callable[[Shot | Detection], PoseLine]"
+) -> "Iterator[PoseLine]":
+    for live in newest:
+        with batch.item():
+            line = measure(live.shot)
+            yield replace(line, dropped=live.dropped, latency_s=perf_counter() - live.taken_s)
 
 
 def pose_line(
