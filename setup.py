@@ -21,8 +21,8 @@ setup(
         kernels("_kernels", ("chains", "cuts", "fits", "gradient", "joins", "lists"), ("buffers", "kernels")),
         kernels(
             "_ring",
-            ("arcs", "ends", "groups", "lens", "tracks"),
-            ("arcs", "buffers", "ends", "normal_cdf", "ring", "select", "tracks"),
+            ("arcs", "ends", "groups", "lens", "track_lines", "track_spills", "tracks"),
+            ("arcs", "buffers", "drafts", "ends", "kernels", "normal_cdf", "ring", "select", "tracks"),
         ),
         kernels(
             "_stripes",
