@@ -13,7 +13,7 @@ from typing import Any
 from ringpose.cli import interrupts, messages
 from ringpose.errors import CLOSED_PIPE, RingposeError, SignalReceived, UsageError
 
-COMMANDS = ("capture", "calibrate_camera", "calibrate_planes", "detect", "pose", "simulate", "bench")
+COMMANDS = ("capture", "calibrate_camera", "calibrate_planes", "convert_camera", "detect", "pose", "simulate", "bench")
 """Modules of the subcommands, in the order of the help."""
 
 

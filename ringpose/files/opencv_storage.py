@@ -38,6 +38,35 @@ def camera_of(text: bytes, file: str, name: str) -> Camera:
     )
 
 
+def yaml_text(camera: Camera) -> bytes:
+    """YAML with the header that every version of OpenCV reads."""
+    matrices = ((_MATRIX, camera.camera_matrix), (_COEFFICIENTS, camera.distortion_coefficients[:, None]))
+    lines = ["%YAML:1.0", "---", f"image_width: {camera.image_width}", f"image_height: {camera.image_height}"]
+    for key, matrix in matrices:
+        data = ", ".join(repr(value) for value in matrix.ravel().tolist())
+        rows, columns = matrix.shape
+        lines += [
+            f"{key}: !!opencv-matrix",
+            f"   rows: {rows}",
+            f"   cols: {columns}",
+            "   dt: d",
+            f"   data: [ {data} ]",
+        ]
+    return "\n".join([*lines, ""]).encode()
+
+
+def xml_text(camera: Camera) -> bytes:
+    """XML as OpenCV itself writes it."""
+    import cv2
+
+    storage = cv2.FileStorage(".xml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    storage.write("image_width", camera.image_width)
+    storage.write("image_height", camera.image_height)
+    storage.write(_MATRIX, camera.camera_matrix)
+    storage.write(_COEFFICIENTS, camera.distortion_coefficients[:, None])
+    return storage.releaseAndGetString().encode()
+
+
 def _trimmed(fields: Fields, given: Float64[Array, "given"]) -> Float64[Array, "kept"]:
     used = int(np.flatnonzero(given)[-1]) + 1 if given.any() else 0
     length = 5 if used <= 5 else 8

@@ -1,0 +1,22 @@
+"""`ringpose convert-camera`: a camera file -> the same camera for another program."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ringpose.cli.app import app
+from ringpose.cli.options import Force, OutputFile
+from ringpose.files.camera_format import CameraFormat
+
+CameraInput = Annotated[Path, typer.Argument(metavar="CAMERA", help="A camera or rig, in any of the formats.")]
+Format = Annotated[CameraFormat, typer.Option("--format", help="The program that is to read it.")]
+
+
+@app.command("convert-camera")
+def convert_camera(camera: CameraInput, output: OutputFile, form: Format, force: Force = False) -> None:
+    """Write a camera in the format of another program, or one of another program as camera.yaml."""
+    from ringpose.files.camera_formats import write_camera_as
+    from ringpose.files.cameras import read_camera
+
+    write_camera_as(output, read_camera(camera), form, camera, force=force)

@@ -1,0 +1,64 @@
+"""Cameras in Kalibr's camchain files."""
+
+from typing import Any
+
+import numpy as np
+
+from ringpose.errors import DataError
+from ringpose.files.camera_matrices import checked_matrix
+from ringpose.files.fields import Fields
+from ringpose.types.camera import Camera
+
+NAME = "cam0"
+
+_IGNORED = ("rostopic", "cam_overlaps", "T_cn_cnm1", "T_cam_imu", "timeshift_cam_imu")
+_KEYS = ("camera_model", "intrinsics", "distortion_model", "distortion_coeffs", "resolution", *_IGNORED)
+_LENGTHS = {"radtan": 4, "none": 0}
+"""Kalibr's distortion models that are OpenCV's too, with the number of their coefficients: k1, k2, p1, p2."""
+
+
+def is_camchain(values: object) -> bool:
+    """Whether a YAML document is a camchain: mappings under cam0, cam1, ..."""
+    return isinstance(values, dict) and isinstance(values.get(NAME), dict)
+
+
+def camera_of(values: dict[str, Any], file: str) -> Camera:
+    """The camera of a chain of one."""
+    if len(values) > 1:
+        raise DataError(file, f"has {len(values)} cameras", "keep the one that is meant, under cam0")
+    fields = Fields(file, values).fields(NAME, _KEYS)
+    fields.choice("camera_model", ("pinhole",))
+    model = fields.choice("distortion_model", _LENGTHS)
+    given = fields.vector("distortion_coeffs", _LENGTHS[model]) if _LENGTHS[model] else np.empty(0)
+    width, height = fields.vector("resolution", 2).tolist()
+    fx, fy, cx, cy = fields.vector("intrinsics", 4).tolist()
+    size = Fields(file, {"image_width": int(width), "image_height": int(height)}, path=NAME)
+    return Camera(
+        camera_name=NAME,
+        image_width=size.integer("image_width", least=1),
+        image_height=size.integer("image_height", least=1),
+        camera_matrix=checked_matrix(size, np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])),
+        distortion_model="plumb_bob",
+        distortion_coefficients=np.concatenate([given, np.zeros(5 - len(given))]),
+    )
+
+
+def camera_values(camera: Camera) -> dict[str, Any]:
+    """What `camera_of` reads."""
+    coefficients = camera.distortion_coefficients
+    if np.any(coefficients[4:] != 0):
+        raise DataError(
+            "kalibr", "its radtan has k1, k2, p1, p2 alone, and this camera has more", "calibrate with --fix-k3"
+        )
+    matrix = camera.camera_matrix
+    return {
+        NAME: {
+            "cam_overlaps": [],
+            "camera_model": "pinhole",
+            "distortion_coeffs": coefficients[:4],
+            "distortion_model": "radtan",
+            "intrinsics": [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]],
+            "resolution": [camera.image_width, camera.image_height],
+            "rostopic": f"/{camera.camera_name or NAME}/image_raw",
+        }
+    }

@@ -1,0 +1,270 @@
+"""Cameras of other programs: there and back, and as those programs write them."""
+
+import io
+import random
+
+import cv2
+import numpy as np
+import pytest
+import scipy.io
+import yaml
+
+from ringpose.errors import DataError
+from ringpose.files.camera_format import CameraFormat
+from ringpose.files.camera_formats import write_camera_as
+from ringpose.files.cameras import read_camera
+from ringpose.files.mat_file import mat_variables
+from ringpose.types.camera import Camera
+from ringpose.types.covariance import ParameterCovariance
+
+MATRIX = np.array([[700.123456789012, 0, 320.5], [0, 710.0 / 3, 240.25], [0, 0, 1]])
+PLUMB_BOB = np.array([-0.1, 0.12, 1e-4, -2e-4, 0.0312345678901234])
+RADTAN = np.array([-0.1, 0.12, 1e-4, -2e-4, 0.0])
+RATIONAL = np.array([-0.1, 0.12, 1e-4, -2e-4, 0.03, 0.2, -0.01, 1e-3])
+
+
+def camera(coefficients: np.ndarray = PLUMB_BOB) -> Camera:
+    names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+    return Camera(
+        camera_name="c",
+        image_width=640,
+        image_height=480,
+        camera_matrix=MATRIX,
+        distortion_model="plumb_bob" if len(coefficients) == 5 else "rational_polynomial",
+        distortion_coefficients=coefficients,
+        covariance=ParameterCovariance(parameters=names, data=np.diag(np.arange(1.0, 10.0) ** 2)),
+    )
+
+
+def written(tmp_path, form: str, name: str, coefficients: np.ndarray = PLUMB_BOB):
+    write_camera_as(tmp_path / name, camera(coefficients), CameraFormat(form), tmp_path / "c.yaml")
+    return tmp_path / name
+
+
+@pytest.mark.parametrize(
+    ("form", "name", "coefficients"),
+    [
+        ("ros", "c.yaml", PLUMB_BOB),
+        ("ros", "c.yaml", RATIONAL),
+        ("opencv", "c.yml", PLUMB_BOB),
+        ("opencv", "c.yml", RATIONAL),
+        ("opencv", "c.xml", PLUMB_BOB),
+        ("opencv", "c.xml", RATIONAL),
+        ("kalibr", "c.yaml", RADTAN),
+        ("matlab", "c.m", PLUMB_BOB),
+        ("matlab", "c.mat", PLUMB_BOB),
+    ],
+)
+def test_a_camera_comes_back_with_all_its_digits(tmp_path, form, name, coefficients):
+    after = read_camera(written(tmp_path, form, name, coefficients))
+
+    np.testing.assert_array_equal(after.camera_matrix, MATRIX)
+    np.testing.assert_array_equal(after.distortion_coefficients, coefficients)
+    assert (after.image_width, after.image_height) == (640, 480)
+    assert after.covariance is None
+
+
+def test_its_own_format_keeps_the_covariance(tmp_path):
+    write_camera_as(tmp_path / "b.yaml", camera(), CameraFormat.RINGPOSE, written(tmp_path, "ros", "c.yaml"))
+
+    assert read_camera(tmp_path / "b.yaml").covariance.standard_deviations["fy"] == 2.0
+
+
+@pytest.mark.parametrize("name", ["c.yml", "c.xml"])
+def test_opencv_reads_what_is_written_for_it(tmp_path, name):
+    path = written(tmp_path, "opencv", name)
+
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+    np.testing.assert_array_equal(storage.getNode("camera_matrix").mat(), MATRIX)
+    np.testing.assert_array_equal(np.ravel(storage.getNode("distortion_coefficients").mat()), PLUMB_BOB)
+    assert storage.getNode("image_width").real() == 640
+
+
+def test_ros_finds_the_matrices_of_a_stereo_pair(tmp_path):
+    values = yaml.safe_load(written(tmp_path, "ros", "c.yaml").read_text())
+
+    projection = np.reshape(values["projection_matrix"]["data"], (3, 4))
+    np.testing.assert_array_equal(projection[:, :3], MATRIX)
+    assert values["rectification_matrix"]["data"] == np.eye(3).ravel().tolist()
+    assert values.keys().isdisjoint({"ringpose", "covariance", "provenance"})
+
+
+@pytest.mark.parametrize("letters", ["K D", "k d"])
+def test_a_ros_message_is_read(tmp_path, letters):
+    matrix, coefficients = letters.split()
+    message = {"height": 480, "width": 640, "distortion_model": "plumb_bob", "header": {"frame_id": "camera"}}
+    message |= {matrix: MATRIX.ravel().tolist(), coefficients: PLUMB_BOB.tolist()}
+    (tmp_path / "m.yaml").write_text(yaml.safe_dump(message))
+
+    after = read_camera(tmp_path / "m.yaml")
+
+    np.testing.assert_array_equal(after.camera_matrix, MATRIX)
+    np.testing.assert_array_equal(after.distortion_coefficients, PLUMB_BOB)
+
+
+CAMCHAIN = """cam0:
+  cam_overlaps: []
+  camera_model: pinhole
+  distortion_coeffs: [-0.29404, 0.08204, 0.00031, -0.00012]
+  distortion_model: radtan
+  intrinsics: [458.654, 457.296, 367.215, 248.375]
+  resolution: [752, 480]
+  rostopic: /cam0/image_raw
+"""
+
+
+def test_a_camchain_is_read(tmp_path):
+    (tmp_path / "camchain.yaml").write_text(CAMCHAIN)
+
+    after = read_camera(tmp_path / "camchain.yaml")
+
+    assert after.camera_matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist() == [458.654, 457.296, 367.215, 248.375]
+    assert after.distortion_coefficients.tolist() == [-0.29404, 0.08204, 0.00031, -0.00012, 0.0]
+    assert (after.image_width, after.image_height) == (752, 480)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "found"),
+    [
+        ("radtan", "equidistant", "must be one of radtan, none"),
+        ("pinhole", "omni", "must be one of pinhole"),
+        ("[752, 480]", "[752]", "must have 2"),
+        ("-0.00012]", "-0.00012, 0.1]", "must have 4"),
+        ("rostopic", "cam_overlap", "did you mean 'cam_overlaps'"),
+    ],
+)
+def test_a_camchain_that_is_no_opencv_camera_is_refused(tmp_path, before, after, found):
+    (tmp_path / "c.yaml").write_text(CAMCHAIN.replace(before, after))
+
+    with pytest.raises(DataError, match=found):
+        read_camera(tmp_path / "c.yaml")
+
+
+def test_a_camchain_of_two_is_refused(tmp_path):
+    (tmp_path / "c.yaml").write_text(CAMCHAIN + CAMCHAIN.replace("cam0:", "cam1:"))
+
+    with pytest.raises(DataError, match="has 2 cameras"):
+        read_camera(tmp_path / "c.yaml")
+
+
+@pytest.mark.parametrize(("form", "name"), [("kalibr", "c.yaml"), ("matlab", "c.m"), ("matlab", "c.mat")])
+def test_coefficients_that_a_format_cannot_say_are_refused(tmp_path, form, name):
+    with pytest.raises(DataError, match="alone"):
+        written(tmp_path, form, name, RATIONAL)
+
+    assert not (tmp_path / name).exists()
+
+
+TOOLBOX = """% Intrinsic and Extrinsic Camera Parameters
+%-- Focal length:
+fc = [ 657.302679729834480 ; 657.743951341063460 ];
+
+%-- Principal point:
+cc = [ 302.716543666104860 ; 242.333859642613030 ];
+
+%-- Skew coefficient:
+alpha_c = 0.000000000000000;
+
+kc = [ -0.255835104628498 ; 0.127687193003640 ; -0.000208151085316 ; 0.000033387690107 ; 0.000000000000000 ];
+fc_error = [ 0.346912302302012 ; 0.371223454303211 ];
+nx = 640;
+ny = 480;
+omc_1 = [ 1.654763e+00 ; 1.651933e+00 ; -6.699553e-01 ];
+"""
+
+
+def test_a_script_of_the_toolbox_is_read(tmp_path):
+    (tmp_path / "Calib_Results.m").write_text(TOOLBOX)
+
+    after = read_camera(tmp_path / "Calib_Results.m")
+
+    assert after.camera_matrix[0].tolist() == [657.30267972983448, 0.0, 302.71654366610486]
+    assert after.distortion_coefficients[1] == 0.127687193003640
+    assert (after.image_width, after.image_height) == (640, 480)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "found"),
+    [
+        ("alpha_c = 0.0", "alpha_c = 0.1", "skew"),
+        ("nx = 640;", "", "has no nx"),
+        ("fc = [ 657.302679729834480 ;", "fc = [ ", "1 numbers in fc"),
+        ("nx = 640", "nx = width", "other than numbers"),
+    ],
+)
+def test_a_script_that_is_no_such_camera_is_refused(tmp_path, before, after, found):
+    (tmp_path / "c.m").write_text(TOOLBOX.replace(before, after))
+
+    with pytest.raises(DataError, match=found):
+        read_camera(tmp_path / "c.m")
+
+
+def test_uncertainties_are_three_standard_deviations_as_in_the_toolbox(tmp_path):
+    variables = scipy.io.loadmat(written(tmp_path, "matlab", "c.mat"))
+
+    assert variables["fc_error"].ravel().tolist() == [3.0, 6.0]
+    assert variables["kc_error"].ravel().tolist() == [15.0, 18.0, 21.0, 24.0, 27.0]
+
+
+@pytest.mark.parametrize("key", ["K", "IntrinsicMatrix"])
+def test_pixels_of_camera_parameters_are_counted_from_one(tmp_path, key):
+    from_one = MATRIX + np.array([[0, 0, 1], [0, 0, 1], [0, 0, 0]])
+    struct = {
+        key: from_one if key == "K" else from_one.T,
+        "ImageSize": [480, 640],
+        "RadialDistortion": [-0.1, 0.12, 0.03],
+        "TangentialDistortion": [1e-4, -2e-4],
+        "Version": {"Name": "MATLAB"},
+    }
+    scipy.io.savemat(tmp_path / "c.mat", {"params": struct}, do_compression=True)
+
+    after = read_camera(tmp_path / "c.mat")
+
+    np.testing.assert_allclose(after.camera_matrix, MATRIX, atol=1e-12)
+    assert after.distortion_coefficients.tolist() == [-0.1, 0.12, 1e-4, -2e-4, 0.03]
+    assert (after.image_width, after.image_height) == (640, 480)
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+@pytest.mark.parametrize("kind", [np.float64, np.float32, np.uint8, np.int16, np.uint32])
+def test_numbers_of_every_kind_are_those_that_scipy_wrote(rng, kind, compressed):
+    value = rng.integers(0, 100, (3, 4)).astype(kind)
+    stream = io.BytesIO()
+    scipy.io.savemat(stream, {"a_long_name_indeed": value, "x": 7.0}, do_compression=compressed)
+
+    found = mat_variables(stream.getvalue(), "c.mat")
+
+    np.testing.assert_array_equal(found["a_long_name_indeed"], value)
+    assert found["x"].item() == 7.0
+
+
+def test_damaged_mat_files_are_refused_in_one_line(tmp_path):
+    whole = written(tmp_path, "matlab", "c.mat").read_bytes()
+    damage, refused = random.Random(7), 0
+    for _ in range(300):
+        content = bytearray(whole[: damage.randrange(130, len(whole) + 200)])
+        for _ in range(3):
+            content[damage.randrange(126, len(content))] = damage.randrange(256)
+        try:
+            mat_variables(bytes(content), "c.mat")
+        except DataError:
+            refused += 1
+
+    assert refused > 100
+
+
+def test_a_mat_file_of_a_newer_kind_says_how_to_save_it(tmp_path):
+    (tmp_path / "c.mat").write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\0\2IM" + bytes(512))
+
+    with pytest.raises(DataError, match="save it anew with -v7"):
+        read_camera(tmp_path / "c.mat")
+
+
+def test_the_toolbox_of_a_real_set_is_read(shared_data):
+    after = read_camera(shared_data / "real" / "uba_laser_plane" / "Calib_Results.mat")
+
+    assert after.camera_matrix[[0, 1, 0, 1], [0, 1, 2, 2]] == pytest.approx(
+        [819.580391, 820.87185144, 589.72908798, 355.78486577], abs=1e-6
+    )
+    assert after.distortion_coefficients[:2] == pytest.approx([0.0981042148, -0.182481427])
+    assert (after.image_width, after.image_height) == (1152, 768)
