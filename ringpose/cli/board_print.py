@@ -1,10 +1,17 @@
 """`--print-board` of the calibrating commands: a board file -> a page to print."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import typer
 
+OptionalInputs = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="INPUT...", help="Files or folders; - reads names from stdin, one a line."),
+]
+OptionalOutput = Annotated[
+    Path | None, typer.Option("--output", "-o", metavar="FILE", help="Where the result is written.")
+]
 PrintBoard = Annotated[
     Path | None,
     typer.Option("--print-board", metavar="FILE", help="Only draw the board at true scale: .pdf, .svg or .png."),
@@ -29,3 +36,15 @@ def print_board(path: Path, board_file: Path, usual: str, *, force: bool, quiet:
         size = f"{1e3 * drawing.width_m:.0f} x {1e3 * drawing.height_m:.0f} mm"
         messages.say(f"{path}: page {drawing.page}, {size}: print at 100 %, on a flat sheet")
         messages.say(f"{board_file}: correct the sizes by what the printed rulers measure")
+
+
+_Given = TypeVar("_Given")
+
+
+def given(value: _Given | None, name: str) -> _Given:
+    """What a command cannot do without unless it only prints a board."""
+    from ringpose.errors import UsageError
+
+    if not value:
+        raise UsageError(name, "is missing")
+    return value

@@ -7,7 +7,8 @@ from typing import Annotated
 import typer
 
 from ringpose.cli.app import app
-from ringpose.cli.options import BoardFile, Force, ImageChannel, Inputs, OutputFile, Quiet, Report, Verbose
+from ringpose.cli.board_print import OptionalInputs, OptionalOutput, PrintBoard, given
+from ringpose.cli.options import BoardFile, Force, ImageChannel, Quiet, Report, Verbose
 
 
 class DistortionModel(StrEnum):
@@ -33,9 +34,9 @@ CameraName = Annotated[str, typer.Option("--camera-name", metavar="NAME", help="
 
 @app.command("calibrate-camera")
 def calibrate_camera(
-    inputs: Inputs,
     board: BoardFile,
-    output: OutputFile,
+    inputs: OptionalInputs = None,
+    output: OptionalOutput = None,
     distortion_model: Model = DistortionModel.PLUMB_BOB,
     fix_k3: FixK3 = False,
     zero_tangential: ZeroTangential = False,
@@ -43,6 +44,7 @@ def calibrate_camera(
     compare: Compare = False,
     distances: Distances = "0.2,0.5,1",
     camera_name: CameraName = "camera",
+    print_board: PrintBoard = None,
     overlay: Overlay = None,
     report: Report = None,
     channel: ImageChannel = None,
@@ -68,6 +70,12 @@ def calibrate_camera(
     from ringpose.files.shots import SHOT_SUFFIXES
     from ringpose.report.requirement import require_matplotlib
 
+    if print_board is not None:
+        from ringpose.cli.board_print import print_board as printed
+
+        printed(print_board, board, "charuco", force=force, quiet=quiet)
+        return
+    output, shown = given(output, "--output"), given(inputs, "INPUT")
     refuse_existing(output, force)
     if report is not None:
         require_matplotlib()
@@ -78,7 +86,7 @@ def calibrate_camera(
     )
     images = BoardImages(read_board(board), overlay, channel=channel, force=force)
     batch = Batch()
-    for item in counted(batch.good(named(inputs, SHOT_SUFFIXES)), "images", quiet):
+    for item in counted(batch.good(named(shown, SHOT_SUFFIXES)), "images", quiet):
         with batch.item():
             images.read(item)
             if verbose:

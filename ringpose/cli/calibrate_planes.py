@@ -1,13 +1,13 @@
 """`ringpose calibrate-planes`: camera and shots of a board with stripes -> rig.yaml."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
 from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.cli.app import app
-from ringpose.cli.board_print import PrintBoard
+from ringpose.cli.board_print import OptionalInputs, OptionalOutput, PrintBoard, given
 from ringpose.cli.options import BoardFile, Force, ImageChannel, Quiet, Report, Verbose
 
 if TYPE_CHECKING:
@@ -16,15 +16,8 @@ if TYPE_CHECKING:
     from ringpose.cli.stripe_images import StripeImages
     from ringpose.types.camera import Camera
 
-Shots = Annotated[
-    list[str] | None,
-    typer.Argument(metavar="INPUT...", help="Files or folders; - reads names from stdin, one a line."),
-]
 CameraFile = Annotated[
     Path | None, typer.Option("--camera", metavar="FILE", help="The calibrated camera (camera.yaml).")
-]
-OutputFile = Annotated[
-    Path | None, typer.Option("--output", "-o", metavar="FILE", help="Where the rig is written (rig.yaml).")
 ]
 MethodName = Annotated[PlanesMethod, typer.Option("--method", help="How the light planes are estimated.")]
 FreeCamera = Annotated[
@@ -83,9 +76,9 @@ class _Writing(NamedTuple):
 @app.command("calibrate-planes")
 def calibrate_planes(
     board: BoardFile,
-    inputs: Shots = None,
+    inputs: OptionalInputs = None,
     camera: CameraFile = None,
-    output: OutputFile = None,
+    output: OptionalOutput = None,
     method: MethodName = PlanesMethod.JOINT,
     free_camera: FreeCamera = False,
     laser_names: LaserNames = None,
@@ -108,13 +101,13 @@ def calibrate_planes(
 
         printed(print_board, board, "four_markers", force=force, quiet=quiet)
         return
-    shots = _given(inputs, "INPUT")
+    shots = given(inputs, "INPUT")
     reading = _Reading(board, laser_names, laser_order, surround, overlay, channel, force, verbose, quiet)
     if check is not None:
         _check(shots, check, reading)
         return
     angles_rad = _angles_rad(expected_angles)
-    writing = _Writing(_given(output, "--output"), _given(camera, "--camera"), mount, report, angles_rad)
+    writing = _Writing(given(output, "--output"), given(camera, "--camera"), mount, report, angles_rad)
     _calibrate(shots, reading, writing, method, free_camera)
 
 
@@ -214,17 +207,6 @@ def _refuse_existing(writing: _Writing, force: bool) -> None:
     if writing.report is not None:
         require_matplotlib()
         refuse_existing(writing.report, force)
-
-
-_Given = TypeVar("_Given")
-
-
-def _given(value: _Given | None, name: str) -> _Given:
-    from ringpose.errors import UsageError
-
-    if not value:
-        raise UsageError(name, "is missing", "see ringpose calibrate-planes --help")
-    return value
 
 
 def _angles_rad(words: str | None) -> list[float]:

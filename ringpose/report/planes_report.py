@@ -60,7 +60,7 @@ def _by_distance(calibration: PlanesCalibration) -> Picture:
     for axis, laser in zip(axes, calibration.lasers, strict=True):
         depth = np.concatenate([view.points[:, 2] for view in laser.views])
         residual = np.concatenate([view.residual_m for view in laser.views])
-        axis.plot(depth, 1e6 * residual, ",", color="tab:blue", alpha=0.5, label="centres")
+        axis.plot(depth, 1e6 * residual, ".", markersize=1.5, color="tab:blue", alpha=0.5, label="centres")
         middle = [view.distance_m for view in laser.views]
         held_out = [1e6 * float(np.mean(view.held_out_m)) for view in laser.views]
         axis.plot(middle, held_out, "o", color="tab:red", label="mean of a view, held out")
