@@ -8,10 +8,10 @@ import os
 import select
 import signal
 import sys
-from collections.abc import Callable
 from contextlib import suppress
 
-from ringpose.capture.lasers.guard_rules import GuardRules
+from ringpose.capture.lasers.guard_rules import Danger, GuardRules
+from ringpose.capture.lasers.owner import Owner
 from ringpose.capture.lasers.relay_board import RelayBoard
 from ringpose.capture.lasers.relay_settings import RelaySettings, settings_of_line
 from ringpose.capture.lasers.serial_port import SerialPort
@@ -36,7 +36,7 @@ def run(owner: int, line: str) -> int:
     wake = _woken_by_signals()
     port = SerialPort(settings.port, settings.baud)
     try:
-        return _guarded(settings, port, (_end_of(owner), wake))
+        return _guarded(settings, port, Owner(owner), wake)
     except (DeviceError, OSError) as error:
         found = f"{error.found}; {error.remedy}" if isinstance(error, DeviceError) else str(error)
         with suppress(OSError):
@@ -44,15 +44,15 @@ def run(owner: int, line: str) -> int:
         return 1
 
 
-def _guarded(settings: RelaySettings, port: SerialPort, ends: tuple[int, int]) -> int:
+def _guarded(settings: RelaySettings, port: SerialPort, owner: Owner, wake: int) -> int:
     port.open()
     try:
-        return _served(settings, port, ends)
+        return _served(settings, port, owner, (owner.end, wake))
     finally:
         port.close()
 
 
-def _served(settings: RelaySettings, port: SerialPort, ends: tuple[int, int]) -> int:
+def _served(settings: RelaySettings, port: SerialPort, owner: Owner, ends: tuple[int, int]) -> int:
     board = RelayBoard(settings, port)
     earlier = counted_operations(settings.port, settings.relays)
     try:
@@ -60,7 +60,7 @@ def _served(settings: RelaySettings, port: SerialPort, ends: tuple[int, int]) ->
         board.all_off()
         _say(f"0 ok {','.join(map(str, earlier))}\n")
         port.interrupting = ends
-        _serve(GuardRules(board, settings, _interlock(settings, port)), port, ends)
+        _serve(GuardRules(board, settings, (owner.danger, *_interlock(settings, port))), port, ends)
     finally:
         port.interrupting = ()
         board.all_off()
@@ -92,22 +92,14 @@ def _serve(rules: GuardRules, port: SerialPort, ends: tuple[int, int]) -> None:
                 _say(rules.obey(line.decode()))
 
 
-def _interlock(settings: RelaySettings, port: SerialPort) -> Callable[[], bool] | None:
+def _interlock(settings: RelaySettings, port: SerialPort) -> tuple[Danger, ...]:
     if not settings.interlock:
-        return None
-    return lambda: port.is_closed_contact(settings.interlock)
+        return ()
+    return (lambda: "" if port.is_closed_contact(settings.interlock) else "the interlock is open",)
 
 
 def _say(line: str) -> None:
     os.write(ANSWERS, line.encode())
-
-
-def _end_of(owner: int) -> int:
-    """A descriptor that becomes readable when the owner ends; its parent is no longer the owner if it has already."""
-    number = os.pidfd_open(owner)
-    if os.getppid() != owner:
-        raise DeviceError("guard", "its owner has ended")
-    return number
 
 
 def _woken_by_signals() -> int:

@@ -1,18 +1,22 @@
 """When lasers go off although nobody has said so."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import TypeAlias
 
 from ringpose.capture.lasers.relay_board import RelayBoard
 from ringpose.capture.lasers.relay_settings import RelaySettings
 from ringpose.errors import DeviceError
 
-LOOK_S = 0.02
-"""How often the interlock is looked at while a laser is on."""
+LOOK_S = 0.01
+"""How often dangers are looked for while a laser is on."""
+
+Danger: TypeAlias = Callable[[], str]
+"""Says why no laser may be on now; nothing if there is no reason."""
 
 
 class GuardRules:
-    """Obeys one line at a time, and between them watches heartbeat, on-time and interlock.
+    """Obeys one line at a time, and between them watches heartbeat, on-time and other dangers.
 
     Lines are `NUMBER set MASK`, `NUMBER read` and `NUMBER off`; answers are `NUMBER ok MASK`, `NUMBER ok -` where the
     board cannot say, `NUMBER err TEXT`, and `NUMBER off TEXT` if the lasers went off by themselves meanwhile. What was
@@ -23,12 +27,12 @@ class GuardRules:
         self,
         board: RelayBoard,
         settings: RelaySettings,
-        is_interlock_closed: Callable[[], bool] | None = None,
+        dangers: Sequence[Danger] = (),
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._board = board
         self._settings = settings
-        self._is_interlock_closed = is_interlock_closed
+        self._dangers = dangers
         self._clock = clock
         self._heard_s = self._on_since_s = self._said_s = clock()
         self._went_off = ""
@@ -50,7 +54,7 @@ class GuardRules:
         ends_s = [self._heard_s + self._settings.heartbeat_s, self._on_since_s + self._settings.on_limit_s]
         if self._settings.repeat_s is not None:
             ends_s.append(self._said_s + self._settings.repeat_s)
-        if self._is_interlock_closed is not None:
+        if self._dangers:
             ends_s.append(self._clock() + LOOK_S)
         return max(0.0, min(ends_s) - self._clock())
 
@@ -80,8 +84,9 @@ class GuardRules:
         return "ok -" if reported is None else f"ok {reported}"
 
     def _set(self, lasers: int) -> str:
-        if self._is_interlock_closed is not None and not self._is_interlock_closed():
-            raise DeviceError("interlock", "the interlock is open", "close it")
+        danger = self._danger() if lasers else ""
+        if danger:
+            raise DeviceError("lasers", f"stay off: {danger}")
         self._said_s = self._clock()
         if not lasers & self._board.lit:
             self._on_since_s = self._clock()
@@ -90,10 +95,14 @@ class GuardRules:
 
     def _reason_to_switch_off(self) -> str:
         now_s, settings = self._clock(), self._settings
-        if self._is_interlock_closed is not None and not self._is_interlock_closed():
-            return "the interlock was opened"
+        danger = self._danger()
+        if danger:
+            return danger
         if now_s >= self._heard_s + settings.heartbeat_s:
             return f"nothing was heard for {settings.heartbeat_s:g} s (heartbeat)"
         if now_s >= self._on_since_s + settings.on_limit_s:
             return f"a laser was on for {settings.on_limit_s:g} s (longest_on)"
         return ""
+
+    def _danger(self) -> str:
+        return next((reason for danger in self._dangers if (reason := danger())), "")

@@ -77,15 +77,20 @@ class GuardedLasers(LaserDriver):
 
     def set_mask(self, lasers: int) -> None:
         """Light exactly these: what has to go off goes off before what has to come on."""
-        if self._fault is not None and not lasers and not isinstance(self._fault, LaserSafetyError):
-            return  # switched off when the guard ended
-        self._order(f"set {lasers}")
+        try:
+            self._order(f"set {lasers}")
+        except DeviceError:
+            if lasers or self._fault is None:
+                raise  # otherwise they were switched off when the guard ended
 
     def read_mask(self) -> int | None:
         """What the board reports to be on; None if it cannot say."""
-        if self._fault is not None and not isinstance(self._fault, LaserSafetyError):
+        try:
+            reported = self._order("read")
+        except DeviceError:
+            if self._fault is None:
+                raise
             return 0
-        reported = self._order("read")
         return None if reported == "-" else int(reported)
 
     def wait(self, duration_s: float) -> None:

@@ -89,9 +89,17 @@ class SerialPort:
         try:
             yield
         except (OSError, termios.error, ValueError) as error:
-            number = next((part for part in error.args if isinstance(part, int)), None)
+            number = _number(error)
             remedy = REMEDIES.get(number or 0, "check cable and power")
             raise DeviceError(self.name, _words(error, number), remedy) from error
+
+
+def _number(error: BaseException | None) -> int | None:
+    """The system's number of an error; some of pyserial's have it only in what caused them."""
+    if error is None:
+        return None
+    number = next((part for part in error.args if isinstance(part, int)), None)
+    return _number(error.__context__) if number is None else number
 
 
 def _words(error: Exception, number: int | None) -> str:

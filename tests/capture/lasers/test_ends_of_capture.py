@@ -48,12 +48,22 @@ def test_the_lasers_are_off_within_50_ms_whatever_ends_the_capture(board, captur
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
-def test_the_lasers_of_a_stopped_capture_go_off_with_the_heartbeat(board, capturing, time_until, scheme):
-    with board(scheme) as (relays, uri), capturing(uri, *BURN) as process:
+def test_the_lasers_of_a_suspended_capture_go_off_and_it_goes_on_where_it_was(board, capturing, time_until, scheme):
+    with board(scheme) as (relays, uri), capturing(uri, *BURN, "--count", "2") as process:
         off_s = off_time(relays, process, signal.SIGSTOP, time_until)
-        process.kill()
+        process.send_signal(signal.SIGCONT)
+        names, said = process.communicate()
 
-    assert off_s < HEARTBEAT_S + OFF_WITHIN_S
+    assert off_s < OFF_WITHIN_S
+    assert (process.returncode, names.count("\n"), said) == (0, 2, "")
+
+
+def test_the_lasers_go_off_before_the_memory_of_a_large_capture_is_given_back(board, capturing, time_until):
+    ballast = "ballast = b'x' * 700_000_000"
+    with board("lcus") as (relays, uri), capturing(uri, *BURN, before=ballast) as process:
+        off_s = off_time(relays, process, signal.SIGKILL, time_until)
+
+    assert off_s < OFF_WITHIN_S
 
 
 @pytest.mark.parametrize("number", [*FATAL, signal.SIGSTOP])

@@ -1,0 +1,285 @@
+"""The driver and its guard, in the same process as the board's stand-in."""
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import pytest
+
+from ringpose.capture.lasers.driver import LasersWentOff
+from ringpose.capture.lasers.guarded import GuardedLasers
+from ringpose.capture.lasers.place import LaserPlace
+from ringpose.capture.lasers.wear import wear_file
+from ringpose.capture.uri import LASERS, device_uri, driver
+from ringpose.errors import DeviceError, LaserSafetyError
+from ringpose.simulate.serve.contacts import ContactFaults
+
+ALL_SCHEMES = ["lcus", "numato", "modbus", "ascii"]
+
+
+def lasers_at(uri: str) -> GuardedLasers:
+    """As the command makes them."""
+    parts = device_uri(uri, "--lasers", LASERS)
+    made = driver(LASERS, parts.scheme)(parts, LaserPlace())
+    assert isinstance(made, GuardedLasers)
+    return made
+
+
+def lit(relays) -> int:
+    return relays.mask_at(time.monotonic())
+
+
+@pytest.mark.parametrize("scheme", ALL_SCHEMES)
+def test_every_board_lights_what_it_is_told_and_says_so(board, scheme):
+    with board(scheme) as (relays, uri):
+        lasers, seen = lasers_at(uri), []
+        with lasers:
+            for mask in (0b001, 0b110, 0b111, 0b010, 0):
+                lasers.set_mask(mask)
+                seen.append((lasers.read_mask(), lit(relays)))  # the board answers when it has switched
+
+    assert seen == [(mask, mask) for mask in (0b001, 0b110, 0b111, 0b010, 0)]
+
+
+@pytest.mark.parametrize("scheme", ALL_SCHEMES)
+def test_opening_switches_off_what_was_on(board, scheme):
+    with board(scheme) as (relays, uri):
+        relays.contacts.command(1, True, time.monotonic())
+        relays._coils_until_s[1] = float("inf")
+        with lasers_at(uri):
+            opened = lit(relays)
+
+    assert opened == 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP, signal.SIGSEGV])
+def test_a_guard_that_dies_or_stops_is_replaced_at_once(board, time_until, number):
+    with board("lcus") as (relays, uri):
+        lasers = lasers_at(uri)
+        with lasers:
+            lasers.set_mask(0b111)
+            assert time_until(lambda: lit(relays) == 0b111, 1.0) < 1.0
+            os.kill(lasers.guard_pid, number)
+            off_s = time_until(lambda: not lit(relays), 2.0)
+            with pytest.raises(DeviceError, match="the guard of the lasers ended; they were switched off without it"):
+                lasers.set_mask(0b001)
+
+    assert off_s < 0.05
+    assert lit(relays) == 0
+
+
+@pytest.mark.parametrize(
+    "number", [signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1, signal.SIGALRM, signal.SIGXCPU]
+)
+def test_a_guard_that_is_told_to_end_switches_off_first(board, time_until, number):
+    with board("lcus") as (relays, uri):
+        lasers = lasers_at(uri)
+        with lasers:
+            lasers.set_mask(0b111)
+            assert time_until(lambda: lit(relays) == 0b111, 1.0) < 1.0
+            os.kill(lasers.guard_pid, number)
+            off_s = time_until(lambda: not lit(relays), 2.0)
+            with pytest.raises(DeviceError, match="the guard of the lasers ended"):
+                lasers.set_mask(0b001)
+
+    assert off_s < 0.05
+
+
+def test_an_interrupt_meant_for_the_capture_leaves_the_guard_alone(board, time_until):
+    with board("lcus") as (relays, uri):
+        lasers = lasers_at(uri)
+        with lasers:
+            os.kill(lasers.guard_pid, signal.SIGINT)
+            lasers.set_mask(0b100)
+            on_s = time_until(lambda: lit(relays) == 0b100, 1.0)
+
+    assert on_s < 1.0
+
+
+def test_a_pulled_cable_is_noticed_within_100_ms_and_is_a_safety_fault(board):
+    with board("lcus") as (relays, uri):
+        lasers = lasers_at(uri)
+        lasers.open()
+        lasers.set_mask(0b001)
+        relays.unplug()
+        began_s = time.monotonic()
+        with pytest.raises(LaserSafetyError, match="guard and port are lost, the lasers may be on"):
+            lasers.wait(5.0)
+        noticed_s = time.monotonic() - began_s
+        lasers.close()
+
+    assert noticed_s < 0.1
+
+
+def test_lasers_that_nobody_speaks_of_any_more_go_off_and_can_be_lit_again(board, time_until):
+    with board("lcus") as (relays, uri):
+        lasers = lasers_at(uri + "&heartbeat=0.2")
+        with lasers:
+            lasers.set_mask(0b001)
+            time.sleep(0.3)
+            forgotten = lit(relays)
+            with pytest.raises(LasersWentOff, match=r"nothing was heard for 0\.2 s"):
+                lasers.set_mask(0b010)
+            still_off = lit(relays)
+            lasers.set_mask(0)
+            lasers.set_mask(0b010)
+            again_s = time_until(lambda: lit(relays) == 0b010, 0.15)
+
+    assert (forgotten, still_off) == (0, 0)
+    assert again_s < 0.15
+
+
+def test_a_laser_that_is_on_for_too_long_goes_off_though_somebody_speaks(board, time_until):
+    with board("lcus") as (relays, uri):
+        lasers = lasers_at(uri + "&longest_on=0.3")
+        with lasers:
+            lasers.set_mask(0b001)
+            lit_s = time_until(lambda: lasers.read_mask() == 0b001 and not lit(relays), 0.1)
+            off_s = time_until(lambda: not lit(relays), 1.0)
+            with pytest.raises(LasersWentOff, match=r"was on for 0\.3 s"):
+                lasers.read_mask()
+
+    assert lit_s == float("inf")
+    assert off_s < 0.3
+
+
+def test_a_timed_pulse_ends_even_if_capture_and_guard_are_killed_together(board, time_until):
+    program = (
+        "import os, signal, sys, time; from ringpose.capture.lasers.guarded import GuardedLasers; "
+        "from ringpose.capture.lasers.relay_settings import settings_of_line; "
+        "lasers = GuardedLasers(settings_of_line(sys.argv[1])); lasers.open(); lasers.set_mask(7); "
+        "print(lasers.guard_pid, flush=True); time.sleep(60)"
+    )
+    with board("modbus") as (relays, uri):
+        line = lasers_at(uri + "&pulse=0.5").settings.line()
+        with subprocess.Popen([sys.executable, "-c", program, line], stdout=subprocess.PIPE, text=True) as process:
+            guard = int(process.stdout.readline())
+            os.kill(guard, signal.SIGSTOP)
+            process.kill()
+            os.kill(guard, signal.SIGKILL)
+            burning = lit(relays)
+            off_s = time_until(lambda: not lit(relays), 3.0)
+
+    assert burning == 0b111
+    assert off_s < 0.6
+
+
+def test_a_child_that_outlives_the_capture_does_not_keep_the_lasers_on(board, time_until):
+    program = (
+        "import os, sys, time; from ringpose.capture.lasers.guarded import GuardedLasers; "
+        "from ringpose.capture.lasers.relay_settings import settings_of_line; "
+        "lasers = GuardedLasers(settings_of_line(sys.argv[1])); lasers.open(); lasers.set_mask(7); "
+        "os.fork() or time.sleep(3); print('lit', flush=True); time.sleep(60)"
+    )
+    with board("lcus") as (relays, uri):
+        line = replace(lasers_at(uri).settings, heartbeat_s=30.0, longest_on_s=30.0).line()
+        words = [sys.executable, "-c", program, line]
+        with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, start_new_session=True) as process:
+            assert time_until(lambda: lit(relays) == 0b111, 10.0) < 10.0
+            process.stdout.readline()
+            process.kill()
+            off_s = time_until(lambda: not lit(relays), 2.0)
+            os.killpg(process.pid, signal.SIGKILL)
+
+    assert off_s < 0.05
+
+
+def test_a_crash_writes_no_core_before_the_lasers_go_off(board):
+    before = resource.getrlimit(resource.RLIMIT_CORE)
+    with board("lcus") as (_, uri), lasers_at(uri):
+        soft, hard = resource.getrlimit(resource.RLIMIT_CORE)
+    resource.setrlimit(resource.RLIMIT_CORE, before)
+
+    assert soft <= 1
+    assert hard == before[1]
+
+
+def test_a_port_that_is_not_there_says_where_to_look():
+    with (
+        pytest.raises(DeviceError, match="no such file or directory; see ls /dev/serial/by-id"),
+        lasers_at("lcus:/dev/ttyNone?ch=1"),
+    ):
+        pass
+
+
+def test_a_file_that_is_no_port_is_refused(tmp_path):
+    (tmp_path / "file").write_text("")
+
+    with pytest.raises(DeviceError, match="it is no serial port"), lasers_at(f"lcus:{tmp_path}/file?ch=1"):
+        pass
+
+
+def test_a_port_has_one_owner(board):
+    with (
+        board("lcus") as (_, uri),
+        lasers_at(uri),
+        pytest.raises(DeviceError, match="another program uses it"),
+        lasers_at(uri),
+    ):
+        pass
+
+
+def test_a_board_that_speaks_otherwise_is_not_taken_for_the_one_that_was_named(board):
+    with board("lcus") as (relays, _):
+        lasers = lasers_at(f"modbus:{relays.port}?ch=0,1,2")
+        with pytest.raises(DeviceError, match="does not answer"):
+            lasers.open()
+        lasers.close()
+
+    assert lit(relays) == 0
+
+
+def test_a_stuck_contact_is_not_seen_by_a_board_that_reports_its_coils(board):
+    with board("lcus", ContactFaults(stuck=frozenset({1}))) as (relays, uri):
+        lasers = lasers_at(uri)
+        with lasers:
+            lasers.set_mask(0b010)
+            lasers.set_mask(0)
+            reported = lasers.read_mask()
+
+    assert reported == 0
+    assert lit(relays) == 0b010
+
+
+def test_operations_are_counted_from_run_to_run(board):
+    with board("lcus") as (relays, uri):
+        for _ in range(2):
+            lasers = lasers_at(uri)
+            with lasers:
+                for mask in (0b001, 0, 0b011):
+                    lasers.set_mask(mask)
+        counted = json.loads(wear_file(relays.port).read_text())["operations"]
+
+    assert counted == {"0": 4, "1": 2, "2": 0}
+
+
+@pytest.mark.parametrize(("rated", "warns"), [(5, True), (10, False), (0, False)])
+def test_a_relay_near_the_end_of_its_life_is_named(board, rated, warns):
+    with board("lcus") as (relays, uri):
+        file = wear_file(relays.port)
+        file.parent.mkdir(parents=True)
+        file.write_text(json.dumps({"port": relays.port, "operations": {"1": 4}}))
+        lasers = lasers_at(f"{uri}&rated={rated}")
+        with lasers:
+            warnings = lasers.warnings()
+
+    assert (len(warnings) == 1) is warns
+    assert all("relay 2 has switched 4 times; its kind lasts for about 5" in line for line in warnings)
+
+
+@pytest.mark.parametrize("state", ["", "{", "[]", '{"operations": 3}', '{"operations": {"0": "x"}}'])
+def test_a_damaged_count_begins_anew(board, state):
+    with board("lcus") as (relays, uri):
+        file = wear_file(relays.port)
+        file.parent.mkdir(parents=True)
+        file.write_text(state)
+        lasers = lasers_at(uri)
+        with lasers:
+            lasers.set_mask(1)
+
+        assert json.loads(file.read_text())["operations"]["0"] == 1
