@@ -20,8 +20,13 @@ setup(
     ext_modules=[
         kernels("_kernels", ("chains", "cuts", "fits", "gradient", "joins", "lists"), ("buffers", "kernels")),
         kernels(
+            "_edges",
+            ("edge_arcs", "edge_fit", "edge_places", "edge_steps", "lens"),
+            ("buffers", "edges", "kernels", "tracks"),
+        ),
+        kernels(
             "_ring",
-            ("arcs", "ends", "groups", "lens", "track_lines", "track_spills", "tracks"),
+            ("arcs", "ends", "flat_ends", "groups", "lens", "track_lines", "track_spills", "tracks"),
             ("arcs", "buffers", "drafts", "ends", "kernels", "normal_cdf", "ring", "select", "tracks"),
         ),
         kernels(

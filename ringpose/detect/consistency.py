@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ringpose.detect.tracks import Track
+from ringpose.detect.tracks import Track, lens
 from ringpose.geometry.planes import nearest_plane, towards_camera
 from ringpose.geometry.rays import intersect, rays, undistorted_rays
 from ringpose.kernels.ring import ArcFit, arc_fit
@@ -110,12 +110,8 @@ def _points(ends: Ends, rig: Rig) -> Float64[Array, "track end=2 xyz=3"]:
 
 def _fit(ends: Ends, seen: Seen, rig: Rig) -> ArcFit:
     """How well the seen ends fit two arcs about one centre, in the plane nearest to them."""
-    points = _points(ends, rig)[seen]
-    normal, _, _ = nearest_plane(points)
-    along = np.array([normal[2], 0.0, -normal[0]])  # runs along image rows, so that "right" keeps its meaning
-    along *= np.sign(along[0]) / np.linalg.norm(along)
-    flat = (points - points.mean(axis=0)) @ np.stack([along, np.cross(normal, along)], axis=-1)
-    metres_a_pixel = points[:, 2] / rig.camera.camera_matrix[0, 0]
-    along_m = np.sqrt(ends.covariance_px2[seen][:, 0, 0]) * metres_a_pixel
-    arc = np.broadcast_to(np.array([0, 1], dtype=np.int32), seen.shape)[seen]
-    return arc_fit(flat, arc, np.hypot(along_m, CIRCLE_SIGMA_PX * metres_a_pixel), along_m)
+    track, arc = np.nonzero(seen)
+    planes = np.concatenate([rig.lasers.normal, rig.lasers.distance_m[:, None]], axis=1)
+    along_px = np.sqrt(ends.covariance_px2[..., 0, 0][seen])
+    places = ends.position_px[seen]
+    return arc_fit(places, arc.astype(np.int32), along_px, planes[ends.laser[track]], lens(rig.camera), CIRCLE_SIGMA_PX)

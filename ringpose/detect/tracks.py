@@ -6,6 +6,7 @@ a wall or a foil behind it adds tracks of other directions or places.
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 from ringpose.kernels import ring
 from ringpose.kernels.ring import Lens, TrackRules
@@ -95,16 +96,12 @@ def straight_tracks(stripes: Stripes, camera: Camera) -> list[Track]:
     return [_track(row) for row in rows.tolist()]
 
 
+@lru_cache(maxsize=4)
 def lens(camera: Camera) -> Lens:
     """The camera's parameters as the kernels take them."""
     matrix = camera.camera_matrix
-    return Lens(
-        matrix[0, 0],
-        matrix[1, 1],
-        matrix[0, 2],
-        matrix[1, 2],
-        *(float(each) for each in camera.distortion_coefficients),
-    )
+    focal_and_principal = (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2])
+    return Lens(*(float(each) for each in (*focal_and_principal, *camera.distortion_coefficients)))
 
 
 def _track(row: list[float]) -> Track:

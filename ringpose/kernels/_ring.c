@@ -106,6 +106,11 @@ static PyObject *groups(PyObject *module, PyObject *arguments) {
 
 enum { LENS = 12, RULES = 8 };
 
+static Lens lens_of(const Py_buffer *view) {
+    const double *v = view->buf;
+    return (Lens){v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9], v[10], v[11]};
+}
+
 /* Whether all centres are finite, their pieces ascend from 0, and every piece has a laser. */
 static int centers_in_order(const Py_buffer view[7]) {
     const int64_t *piece = view[3].buf;
@@ -122,7 +127,7 @@ static int centers_in_order(const Py_buffer view[7]) {
 
 static PyObject *tracks_of(const Py_buffer view[7]) {
     Py_ssize_t n = view[0].shape[0];
-    const double *lens = view[5].buf, *rule = view[6].buf;
+    const double *rule = view[6].buf;
     if (view[1].shape[0] != n || view[2].shape[0] != n || view[3].shape[0] != n || view[5].shape[0] != LENS ||
         view[6].shape[0] != RULES || n > INT32_MAX || !(rule[6] >= 1 && rule[6] < 1e6)) {
         PyErr_SetString(PyExc_ValueError, "tracks: arrays do not fit together");
@@ -130,15 +135,14 @@ static PyObject *tracks_of(const Py_buffer view[7]) {
     }
     if (!centers_in_order(view)) return NULL;
     double *x = malloc((size_t)(n ? n : 1) * sizeof *x), *y = malloc((size_t)(n ? n : 1) * sizeof *y);
+    Lens lens = lens_of(&view[5]);
     Track *track = NULL;
     size_t count = 0;
     if (x && y) {
         Py_BEGIN_ALLOW_THREADS
         memcpy(x, view[0].buf, (size_t)n * sizeof *x);
         memcpy(y, view[1].buf, (size_t)n * sizeof *y);
-        undistort(&(Lens){lens[0], lens[1], lens[2], lens[3], lens[4], lens[5], lens[6], lens[7], lens[8], lens[9],
-                          lens[10], lens[11]},
-                  x, y, (size_t)n);
+        undistort(&lens, x, y, (size_t)n);
         Centers centers = {(size_t)n, (size_t)view[4].shape[0], view[0].buf, x, y, view[2].buf, view[3].buf,
                            view[4].buf};
         TrackRules rules = {rule[0], rule[1], rule[2], rule[3], rule[4], (size_t)rule[5], (size_t)rule[7], rule[6]};
@@ -167,61 +171,39 @@ static PyObject *tracks(PyObject *module, PyObject *arguments) {
     return result;
 }
 
-enum { MOST_ENDS = 64 };
-
-static double consistency_cost(const End *end, const double *sigma, int ends) {
-    Arcs arcs;
-    double cost = 0;
-    if (!fit_arcs(end, ends, &arcs)) return INFINITY;
-    for (int k = 0; k < ends; k++)
-        if (end[k].used) {
-            double outside = outside_arc(&arcs, &end[k]) / sigma[k];
-            cost += 0.5 * outside * outside;
-        }
-    return cost;
-}
-
-/* Cost of all ends, of all but each, the curvature, and its sigma by differences. */
-static PyObject *arcs_of(const Py_buffer view[4]) {
-    int ends = (int)view[0].shape[0];
-    if (view[0].shape[0] > MOST_ENDS || view[0].shape[1] != 2 || view[1].shape[0] != ends ||
-        view[2].shape[0] != ends || view[3].shape[0] != ends) {
+static PyObject *arcs_of(const Py_buffer view[5], double circle_sigma) {
+    int count = (int)view[0].shape[0];
+    if (view[0].shape[0] > MOST_ENDS || view[0].shape[1] != 2 || view[1].shape[0] != count ||
+        view[2].shape[0] != count || view[3].shape[0] != count || view[3].shape[1] != 4 || view[4].shape[0] != LENS) {
         PyErr_SetString(PyExc_ValueError, "arcs: arrays do not fit together");
         return NULL;
     }
-    const double *point = view[0].buf, *sigma = view[2].buf, *along = view[3].buf;
-    const int32_t *arc = view[1].buf;
     End end[MOST_ENDS];
     double result[MOST_ENDS + 3];
-    for (int k = 0; k < ends; k++) end[k] = (End){point[2 * k], point[2 * k + 1], arc[k] != 0, 1};
-    result[0] = consistency_cost(end, sigma, ends);
-    for (int k = 0; k < ends; k++) {
-        end[k].used = 0;
-        result[k + 1] = consistency_cost(end, sigma, ends);
-        end[k].used = 1;
+    const double *along = view[2].buf;
+    for (int k = 0; k < count; k++) end[k] = (End){.arc = ((const int32_t *)view[1].buf)[k] != 0, .used = 1};
+    Lens lens = lens_of(&view[4]);
+    flatten_ends(view[0].buf, view[3].buf, &lens, end, count);
+    for (int k = 0; k < count; k++) {
+        double metres = end[k].sigma;
+        end[k].along_sigma = along[k] * metres;
+        end[k].sigma = hypot(end[k].along_sigma, circle_sigma * metres);
     }
-    Arcs arcs = {0, 0, {0, 0}};
-    double curvature = fit_arcs(end, ends, &arcs) ? arcs_curvature(&arcs) : NAN, variance = 0;
-    for (int k = 0; k < ends; k++) {
-        end[k].x += along[k];
-        double change = fit_arcs(end, ends, &arcs) ? arcs_curvature(&arcs) - curvature : NAN;
-        variance += change * change;
-        end[k].x -= along[k];
-    }
-    result[ends + 1] = curvature;
-    result[ends + 2] = sqrt(variance);
-    return PyBytes_FromStringAndSize((const char *)result, (Py_ssize_t)((size_t)(ends + 3) * sizeof *result));
+    arc_costs(end, count, result);
+    return PyBytes_FromStringAndSize((const char *)result, (Py_ssize_t)((size_t)(count + 3) * sizeof *result));
 }
 
 static PyObject *arcs(PyObject *module, PyObject *arguments) {
     (void)module;
-    static const Description description[] = {{"points", "d", 2}, {"arc", "i", 1}, {"sigma", "d", 1}, {"along", "d", 1}};
-    PyObject *o[4], *result = NULL;
-    Py_buffer view[4];
-    if (!PyArg_ParseTuple(arguments, "OOOO", &o[0], &o[1], &o[2], &o[3])) return NULL;
-    if (!open_arrays(o, view, description, 4)) return NULL;
-    result = arcs_of(view);
-    for (int i = 0; i < 4; i++) PyBuffer_Release(&view[i]);
+    static const Description description[] = {
+        {"position", "d", 2}, {"arc", "i", 1}, {"along", "d", 1}, {"planes", "d", 2}, {"lens", "d", 1}};
+    PyObject *o[5], *result = NULL;
+    Py_buffer view[5];
+    double circle_sigma;
+    if (!PyArg_ParseTuple(arguments, "OOOOOd", &o[0], &o[1], &o[2], &o[3], &o[4], &circle_sigma)) return NULL;
+    if (!open_arrays(o, view, description, 5)) return NULL;
+    result = arcs_of(view, circle_sigma);
+    for (int i = 0; i < 5; i++) PyBuffer_Release(&view[i]);
     return result;
 }
 

@@ -53,4 +53,36 @@ double arcs_curvature(const Arcs *arcs) {
     return -2 * arcs->a / sqrt(fmax(level, 1e-12));
 }
 
+static double cost(const End *end, int ends) {
+    Arcs arcs;
+    double sum = 0;
+    if (!fit_arcs(end, ends, &arcs)) return INFINITY;
+    for (int k = 0; k < ends; k++)
+        if (end[k].used) {
+            double outside = outside_arc(&arcs, &end[k]) / end[k].sigma;
+            sum += 0.5 * outside * outside;
+        }
+    return sum;
+}
+
+void arc_costs(End *end, int ends, double *result) {
+    result[0] = cost(end, ends);
+    for (int k = 0; k < ends; k++) {
+        end[k].used = 0;
+        result[k + 1] = cost(end, ends);
+        end[k].used = 1;
+    }
+    Arcs arcs = {0, 0, {0, 0}};
+    double curvature = fit_arcs(end, ends, &arcs) ? arcs_curvature(&arcs) : NAN, variance = 0;
+    for (int k = 0; k < ends; k++) {
+        double x = end[k].x;
+        end[k].x += end[k].along_sigma;
+        double change = fit_arcs(end, ends, &arcs) ? arcs_curvature(&arcs) - curvature : NAN;
+        variance += change * change;
+        end[k].x = x;
+    }
+    result[ends + 1] = curvature;
+    result[ends + 2] = sqrt(variance);
+}
+
 double arcs_band(const Arcs *arcs) { return fabs(arcs->c[1] - arcs->c[0]) / sqrt(1 + arcs->b * arcs->b); }

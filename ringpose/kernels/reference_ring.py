@@ -4,7 +4,10 @@ from itertools import combinations, product
 
 import numpy as np
 
-from ringpose.kernels.ring import ArcFit, Group, RingRules
+from ringpose.geometry.planes import nearest_plane
+from ringpose.geometry.rays import intersect
+from ringpose.kernels.reference_tracks import undistorted
+from ringpose.kernels.ring import ArcFit, Group, Lens, RingRules
 from ringpose.types.arrays import Array, Float64, Int32
 
 NOTHING = -np.inf
@@ -119,14 +122,38 @@ def arcs(flat: Float64[Array, "n xy=2"], arc: Array) -> tuple[Float64[Array, "n"
     return outside, float(-2 * bend / level), float(abs(constant[1] - constant[0]) / np.hypot(1, lean))
 
 
-def arc_fit(points: Array, arc: Array, sigma: Array, along_sigma: Array) -> ArcFit:
+def arc_fit(
+    position_px: Float64[Array, "n xy=2"],
+    arc: Int32[Array, "n"],
+    along_sigma_px: Float64[Array, "n"],
+    planes: Float64[Array, "n normal_and_distance=4"],
+    lens: Lens,
+    circle_sigma_px: float,
+) -> ArcFit:
     """Twin of `ringpose.kernels.ring.arc_fit`."""
+    points, metres = flat_ends(position_px, planes, lens)
+    along = along_sigma_px * metres
+    sigma = np.hypot(along, circle_sigma_px * metres)
 
     def cost(used: Array) -> float:
         return float(0.5 * np.sum((arcs(points[used], arc[used])[0] / sigma[used]) ** 2))
 
     number = np.arange(len(points))
     curvature = arcs(points, arc)[1]
-    moved = [arcs(points + np.outer(number == each, [along_sigma[each], 0.0]), arc)[1] for each in number]
+    moved = [arcs(points + np.outer(number == each, [along[each], 0.0]), arc)[1] for each in number]
     without = np.array([cost(number != each) for each in number])
     return ArcFit(cost(number >= 0), without, curvature, float(np.linalg.norm(np.array(moved) - curvature)))
+
+
+def flat_ends(
+    position_px: Float64[Array, "n xy=2"], planes: Float64[Array, "n normal_and_distance=4"], lens: Lens
+) -> tuple[Float64[Array, "n xy=2"], Float64[Array, "n"]]:
+    """Points in the plane nearest to them, with x along the image's rows, and what a pixel is worth there in metres."""
+    straight = (undistorted(position_px, lens) - [lens.cx, lens.cy]) / [lens.fx, lens.fy]
+    directions = np.column_stack([straight, np.ones(len(straight))])
+    points = intersect(directions, planes[:, :3], planes[:, 3])
+    normal, _, _ = nearest_plane(points)
+    along = np.array([normal[2], 0.0, -normal[0]])  # so that "right" keeps its meaning
+    along *= np.sign(along[0]) / np.linalg.norm(along)
+    flat = (points - points.mean(axis=0)) @ np.stack([along, np.cross(normal, along)], axis=-1)
+    return flat, points[:, 2] / lens.fx

@@ -45,7 +45,7 @@ class Scatter(NamedTuple):
 
     total: float
     """Of their squares over what the sensor's noise explains."""
-    count: int
+    differences: int
     lag: int
     """Columns between the centres."""
 
@@ -56,7 +56,7 @@ class Scatter(NamedTuple):
 
     def excess(self, expected: float = 1.0) -> float:
         """Mean of those squares, together with a few that are as expected."""
-        return (EXPECTED_DIFFERENCES * expected + self.total) / (EXPECTED_DIFFERENCES + self.count)
+        return (EXPECTED_DIFFERENCES * expected + self.total) / (EXPECTED_DIFFERENCES + self.differences)
 
 
 def scatter(y: Column, variance: Column) -> Scatter:
@@ -72,11 +72,11 @@ def scatter_variance(y: Column, of: Scatter) -> float:
 
 def usual_excess(pieces: Sequence[Scatter]) -> float:
     """The excess that half the differences of all pieces keep below."""
-    usual, seen, half = 1.0, 0, sum(of.count for of in pieces) / 2
+    usual, seen, half = 1.0, 0, sum(of.differences for of in pieces) / 2
     for of in sorted(pieces, key=Scatter.excess):
         if seen < half:
             usual = of.excess()
-        seen += of.count
+        seen += of.differences
     return usual
 
 
@@ -86,9 +86,9 @@ def raised(y: Column, variance: Column, of: Scatter, usual: float) -> Column:
     Where there are few, those of the piece and of the frame count.
     """
     lag = _fitting(of.lag, len(y))
-    expected, share = usual * variance.mean(), FRAME_DIFFERENCES / (FRAME_DIFFERENCES + of.count)
-    shown = EXPECTED_DIFFERENCES * expected + of.count * scatter_variance(y, of)
-    piece = expected**share * (shown / (EXPECTED_DIFFERENCES + of.count)) ** (1 - share)
+    expected, share = usual * variance.mean(), FRAME_DIFFERENCES / (FRAME_DIFFERENCES + of.differences)
+    shown = EXPECTED_DIFFERENCES * expected + of.differences * scatter_variance(y, of)
+    piece = expected**share * (shown / (EXPECTED_DIFFERENCES + of.differences)) ** (1 - share)
     squares = np.minimum(_squares(y, lag), LARGEST_SQUARE * piece)
     around = np.empty(len(y))
     for i in range(len(y)):

@@ -1,5 +1,6 @@
 """The kernels that look for the ring among the stripes, behind typed functions; twins in `reference_ring`."""
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -127,8 +128,7 @@ def straight_tracks(
     least-squares fit, a second one without outliers. Centres are sorted by piece, then column.
     """
     column, row = np.ascontiguousarray(position_px.T)
-    numbers = (np.array(lens, dtype=np.float64), np.array(rules, dtype=np.float64))
-    found = _ring.tracks(column, row, np.ascontiguousarray(sigma_px), piece, laser, *numbers)
+    found = _ring.tracks(column, row, np.ascontiguousarray(sigma_px), piece, laser, _numbers(lens), _numbers(rules))
     return np.frombuffer(found, dtype=np.float64).reshape(-1, len(TRACK_COLUMNS))
 
 
@@ -147,9 +147,8 @@ def stripe_ends(
     line there (distorted pixels), sigma along x, the level outside as a share of that inside, the share of saturated
     columns at the end, the edge's width, and the sigma of the stripe's section; NaN where no edge fits.
     """
-    numbers = (np.array(lens, dtype=np.float64), np.array(rules, dtype=np.float64))
     black = None if dark is None else np.ascontiguousarray(dark)
-    found = _ring.ends(np.ascontiguousarray(lit), black, np.ascontiguousarray(lines), *numbers)
+    found = _ring.ends(np.ascontiguousarray(lit), black, np.ascontiguousarray(lines), _numbers(lens), _numbers(rules))
     return np.frombuffer(found, dtype=np.float64).reshape(-1, 2, 8)
 
 
@@ -166,17 +165,22 @@ class ArcFit(NamedTuple):
 
 
 def arc_fit(
-    points: Float64[Array, "n xy=2"],
+    position_px: Float64[Array, "n xy=2"],
     arc: Int32[Array, "n"],
-    sigma: Float64[Array, "n"],
-    along_sigma: Float64[Array, "n"],
+    along_sigma_px: Float64[Array, "n"],
+    planes: Float64[Array, "n normal_and_distance=4"],
+    lens: Lens,
+    circle_sigma_px: float,
 ) -> ArcFit:
-    """Arcs a (x^2 + y^2) + x + b y + c_arc = 0 through at most 64 points, by least squares along x.
+    """How well at most 64 points, each seen on a light plane, fit two arcs about one centre.
 
-    Costs count distances in `sigma`; the curvature's sigma follows from moving each point by `along_sigma`.
+    In the plane nearest to them, arcs a (x^2 + y^2) + x + b y + c_arc = 0 are fitted by least squares along x, which
+    runs along the image's rows. Costs count distances in the points' sigmas along x and `circle_sigma_px` together;
+    the curvature's sigma follows from moving each point by the former.
     """
-    found = np.frombuffer(_ring.arcs(np.ascontiguousarray(points), arc, sigma, along_sigma), dtype=np.float64)
-    return ArcFit(float(found[0]), found[1:-2], float(found[-2]), float(found[-1]))
+    found = _ring.arcs(np.ascontiguousarray(position_px), arc, along_sigma_px, planes, _numbers(lens), circle_sigma_px)
+    numbers = np.frombuffer(found, dtype=np.float64)
+    return ArcFit(float(numbers[0]), numbers[1:-2], float(numbers[-2]), float(numbers[-1]))
 
 
 class Group(NamedTuple):
@@ -203,11 +207,17 @@ def best_groups(
     coordinates, `planes` the light planes as m / d, so that 1/z = (m / d) . (x, y, 1) on them. The score is the sum
     of the merits less the costs of plane, circles, unseen lasers, and tilt (half the square of tilt over 0.5 rad).
     """
-    found = _ring.groups(
-        track, laser, ends.reshape(-1, 4), merit, np.ascontiguousarray(planes), np.array(rules, dtype=np.float64)
-    )
+    found = _ring.groups(track, laser, ends.reshape(-1, 4), merit, np.ascontiguousarray(planes), _numbers(rules))
     one, two, three = (
         Group((first, second, third)[:size], score, rival)
         for size, (first, second, third, score, rival) in enumerate(found, start=1)
     )
     return one, two, three
+
+
+@lru_cache(maxsize=32)
+def _numbers(values: tuple[int | float, ...]) -> Float64[Array, "n"]:
+    """Rules or a lens as the kernels read them: the same ones for shot after shot."""
+    numbers = np.array(values, dtype=np.float64)
+    numbers.flags.writeable = False
+    return numbers

@@ -1,11 +1,14 @@
 """The kernels that look for the ring equal their twins."""
 
+import math
+
 import numpy as np
 import pytest
 from drawn_scene import DrawnScene, drawn_rig, true_break_points
 
+from ringpose.detect.tracks import lens
 from ringpose.geometry.rays import undistort
-from ringpose.kernels import reference_ring
+from ringpose.kernels import _ring, reference_ring
 from ringpose.kernels.ring import RingRules, arc_fit, best_groups
 
 RULES = RingRules(
@@ -106,17 +109,47 @@ def test_wild_ends_give_no_crash(rng, value):
     assert len(best) == 3
 
 
+def seen_ring(rng, tilt):
+    """Noisy ends on a ring to the right, arcs, sigmas along the stripes, the ends' light planes, and the lens."""
+    rig = drawn_rig()
+    scene = DrawnScene(normal=(tilt, -0.08, -math.sqrt(1 - tilt**2 - 0.08**2)))
+    pixels = true_break_points(scene, rig).reshape(6, 2) + rng.normal(0, 0.2, (6, 2))
+    planes = np.column_stack([rig.lasers.normal, rig.lasers.distance_m])
+    arc = np.tile(np.array([0, 1], np.int32), 3)
+    return pixels, arc, rng.uniform(0.05, 0.3, 6), np.repeat(planes, 2, axis=0), lens(rig.camera)
+
+
+@pytest.mark.parametrize("tilt", [-0.3, 0.0, 0.2])
 @pytest.mark.parametrize("seed", range(8))
-def test_arc_fits_equal_the_twin(seed):
-    rng = np.random.default_rng(seed)
-    y = np.repeat([-0.08, 0.01, 0.07], 2)
-    radius = np.tile([0.567, 0.597], 3)
-    points = np.column_stack([0.58 - np.sqrt(radius**2 - y**2) + rng.normal(0, 2e-4, 6), y])
-    arc = np.tile(np.array([0, 1], dtype=np.int32), 3)
-    sigma = rng.uniform(1e-4, 3e-4, 6)
+def test_arc_fits_equal_the_twin(seed, tilt):
+    ends = seen_ring(np.random.default_rng(seed), tilt)
 
-    found, expected = arc_fit(points, arc, sigma, sigma / 2), reference_ring.arc_fit(points, arc, sigma, sigma / 2)
+    found, expected = arc_fit(*ends, 0.5), reference_ring.arc_fit(*ends, 0.5)
 
-    np.testing.assert_allclose(found.cost_without, expected.cost_without, rtol=1e-6)
-    np.testing.assert_allclose(found[0:1] + found[2:], expected[0:1] + expected[2:], rtol=1e-6)
-    assert found.curvature > 0
+    np.testing.assert_allclose(found.cost_without, expected.cost_without, rtol=1e-4)
+    np.testing.assert_allclose(found[0:1] + found[2:], expected[0:1] + expected[2:], rtol=1e-4)
+
+
+def test_a_ring_whose_centre_lies_to_the_right_bends_to_the_right(rng):
+    found = arc_fit(*seen_ring(rng, 0.1), 0.5)
+
+    assert found.curvature == pytest.approx(1 / 0.582, abs=4 * found.curvature_sigma)
+    assert found.curvature_sigma < 1.0
+
+
+@pytest.mark.parametrize("changed", range(5))
+def test_arcs_of_arrays_that_do_not_fit_together_are_a_value_error(changed, rng):
+    position, arc, along, planes, _ = seen_ring(rng, 0.1)
+    arrays = [position, arc, along, planes, np.zeros(12)]
+    arrays[changed] = arrays[changed][:-1].copy()
+
+    with pytest.raises(ValueError, match="arcs"):
+        _ring.arcs(*arrays, 0.5)
+
+
+def test_ends_whose_rays_miss_their_planes_give_no_cost_that_compares(rng):
+    position, arc, along, planes, optics = seen_ring(rng, 0.1)
+
+    found = arc_fit(position, arc, along, planes * [1, 1, 1, -1], optics, 0.5)
+
+    assert np.isnan(found.cost)
