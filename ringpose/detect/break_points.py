@@ -1,5 +1,6 @@
 """Break points: the ends of the face's tracks refined in the image, their edges named, and what lies between them."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,7 +10,7 @@ from ringpose.detect.faces import Face
 from ringpose.detect.frames import LaserImage
 from ringpose.detect.stripe_ends import StripeEnds, stripe_ends
 from ringpose.detect.tracks import Track
-from ringpose.types.arrays import Array, Float64, Int64
+from ringpose.types.arrays import Array, Int64
 from ringpose.types.break_points import BreakPointFlag, BreakPoints
 from ringpose.types.rig import Rig
 
@@ -36,36 +37,46 @@ def break_points(
 
 def _named(shown: Sequence[tuple[int, Track]], ends: StripeEnds) -> Ends:
     """The ends of one image's tracks with their lasers, covariances and flags."""
-    seen = np.isfinite(ends.position_px[..., 0])
-    with np.errstate(invalid="ignore"):
-        kink = ends.outside > KINK_LEVEL
-    flags = int(BreakPointFlag.SATURATED) * ends.saturated + int(BreakPointFlag.KINK) * kink
-    across = np.array(
-        [[track.sigma(x) for x in row] for (_, track), row in zip(shown, ends.position_px[..., 0], strict=True)]
-    )
+    x = ends.position_px[..., 0].tolist()
+    rows = zip(shown, x, ends.slope.tolist(), ends.sigma_px.tolist(), strict=True)
+    flags = _flags(x, ends.outside.tolist(), ends.saturated.tolist())
     return Ends(
         laser=np.array([laser for laser, _ in shown], dtype=np.int64),
         position_px=ends.position_px,
-        covariance_px2=_covariance(ends.slope, ends.sigma_px, across),
-        flags=np.where(seen, flags, int(BreakPointFlag.CLIPPED)).astype(np.int64),
+        covariance_px2=np.array(
+            [
+                [_covariance(slope, along, track.sigma(at)) for at, slope, along in zip(*sides, strict=True)]
+                for (_, track), *sides in rows
+            ]
+        ),
+        flags=np.array(flags, dtype=np.int64),
         straight_x=np.array([[track.x_start, track.x_end] for _, track in shown]),
     )
 
 
-def _covariance(
-    slope: Float64[Array, "track end"], along: Float64[Array, "track end"], across: Float64[Array, "track end"]
-) -> Float64[Array, "track end xy=2 xy=2"]:
-    """Covariance of points that err by `along` (columns) along a line of that slope, which errs by `across` (rows)."""
-    direction = np.stack([np.ones_like(slope), slope], axis=-1)
-    covariance: Float64[Array, "track end xy=2 xy=2"] = (
-        along[..., None, None] ** 2 * direction[..., :, None] * direction[..., None, :]
-    )
-    covariance[..., 1, 1] += across**2
-    return covariance
+def _flags(x: list[list[float]], outside: list[list[float]], saturated: list[list[bool]]) -> list[list[int]]:
+    """The flags of ends at those columns, with those levels outside; clipped where there is none."""
+    return [
+        [
+            int(BreakPointFlag.CLIPPED)
+            if math.isnan(at)
+            else int(BreakPointFlag.SATURATED) * full + int(BreakPointFlag.KINK) * (level > KINK_LEVEL)
+            for at, level, full in zip(*sides, strict=True)
+        ]
+        for sides in zip(x, outside, saturated, strict=True)
+    ]
+
+
+def _covariance(slope: float, along: float, across: float) -> list[list[float]]:
+    """Covariance of a point that errs `along` (columns) a line of that slope and, with the line, `across` (rows)."""
+    variance = along * along
+    return [[variance, variance * slope], [variance * slope, variance * slope * slope + across * across]]
 
 
 def _joined(parts: Sequence[Ends]) -> Ends:
     """The ends of all images in one record."""
+    if len(parts) == 1:
+        return parts[0]
     return Ends(
         laser=np.concatenate([part.laser for part in parts]),
         position_px=np.concatenate([part.position_px for part in parts]),
@@ -84,17 +95,16 @@ def _gathered(
     position[ends.laser], covariance[ends.laser] = ends.position_px[:, order], ends.covariance_px2[:, order]
     covariance[np.isnan(position[..., 0])] = np.nan
     all_flags[ends.laser] = flags
-    start, end, sigma = np.full((count, 2), np.nan), np.full((count, 2), np.nan), np.full((count, 2), np.nan)
+    lines = np.full((3, count, 2), np.nan)
     for laser, track in face.tracks:
-        start[laser] = track.x_start, track.y(track.x_start)
-        end[laser] = track.x_end, track.y(track.x_end)
-        sigma[laser] = track.sigma(track.x_start), track.sigma(track.x_end)
+        left, right = track.x_start, track.x_end
+        lines[:, laser] = (left, track.y(left)), (right, track.y(right)), (track.sigma(left), track.sigma(right))
     return BreakPoints(
         position_px=position,
         covariance_px2=covariance,
         flags=all_flags,
-        face_start_px=start,
-        face_end_px=end,
-        face_sigma_px=sigma,
+        face_start_px=lines[0],
+        face_end_px=lines[1],
+        face_sigma_px=lines[2],
         labelled=labelled,
     )
