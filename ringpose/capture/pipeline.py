@@ -137,7 +137,7 @@ class _Taker:
         if extra:
             return checked, DeviceError("lasers", f"{_names(extra)} seen in frames of others", "raise --settle")
         if missing and self._procedure.must_see:
-            remedy = "look whether it shines on the target, wait longer (--settle) or expose longer (--exposure)"
+            remedy = "it stays dark, burns all the time, misses the target, or needs a longer --exposure"
             return checked, DeviceError("lasers", f"{_names(missing)} commanded but not seen, {TRIES} times", remedy)
         return checked, None
 

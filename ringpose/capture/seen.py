@@ -1,9 +1,10 @@
 """Which lasers the images of a shot show, as opposed to what was commanded and to what the board reports.
 
-Every laser's own frame, less the darkest frame without lasers, shows where its light falls. A laser is seen in
-another frame if most of those places are bright there too; motion of the target or ambient light do not do that.
+Every laser's own frame, less the frames without lasers, shows where its light falls. A laser is seen in another frame
+if most of those places are bright there too; motion of the target or ambient light do not do that.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,9 @@ LEAST_SIGMAS = 8.0
 
 LEAST_PIXELS = 25
 """Fewer lit places are glints or noise."""
+
+MOST_OF_IMAGE = 0.2
+"""More of them are no stripe: the ambient light has changed."""
 
 AS_BRIGHT = 0.5
 """A place is lit by the same laser again if it has this share of its contrast,"""
@@ -55,9 +59,8 @@ def seen_lasers(shot: Shot) -> tuple[UInt8[Array, "frame"] | None, dict[int, Lit
     if not len(dark_frames):
         return None, {}
     images = [image.astype(np.float32) for image in shot.images]
-    dark = np.minimum.reduce([images[frame] for frame in dark_frames])
-    bright = np.maximum.reduce([images[frame] for frame in dark_frames])
-    lit = [lit_places(image, dark, bright, shot.saturation_dn) for image in images]
+    without = [images[frame] for frame in dark_frames]
+    lit = [places_lit(image, without, shot.saturation_dn) for image in images]
     alone = {int(mask).bit_length() - 1: frame for frame, mask in enumerate(shot.lasers) if int(mask).bit_count() == 1}
     places = {laser: found for laser, frame in alone.items() if (found := lit[frame]) is not None}
     own = sum(1 << laser for laser in alone)
@@ -69,13 +72,22 @@ def seen_lasers(shot: Shot) -> tuple[UInt8[Array, "frame"] | None, dict[int, Lit
     return np.array(seen, dtype=np.uint8), places
 
 
-def lit_places(image: Image, dark: Image, bright: Image, saturation_dn: int) -> LitPlaces | None:
-    """Places brighter than every frame without lasers; None if there are too few."""
-    above = image - bright
-    sample = np.abs(above.ravel()[::SAMPLED])
-    sigma_dn = 1.4826 * float(np.median(sample))
-    pixel = np.flatnonzero(above.ravel() > max(LEAST_SHARE_OF_FULL * saturation_dn, LEAST_SIGMAS * sigma_dn))
-    if len(pixel) < LEAST_PIXELS:
+def places_lit(image: Image, without: Sequence[Image], saturation_dn: int) -> LitPlaces | None:
+    """Places brighter than in all frames without lasers; or than in one of them, if another has the same light."""
+    darkest, brightest = np.minimum.reduce(without), np.maximum.reduce(without)
+    certain = _brighter_places(image, brightest, darkest, saturation_dn)
+    if certain is not None or len(without) == 1:
+        return certain
+    doubtful = _brighter_places(image, darkest, darkest, saturation_dn)
+    stays = doubtful is not None and any(doubtful.are_lit_in(other) for other in without if other is not image)
+    return doubtful if stays else None
+
+
+def _brighter_places(image: Image, than: Image, dark: Image, saturation_dn: int) -> LitPlaces | None:
+    above = (image - than).ravel()
+    sigma_dn = 1.4826 * float(np.median(np.abs(above[::SAMPLED])))
+    pixel = np.flatnonzero(above > max(LEAST_SHARE_OF_FULL * saturation_dn, LEAST_SIGMAS * sigma_dn))
+    if not LEAST_PIXELS <= len(pixel) <= MOST_OF_IMAGE * len(above):
         return None
     dark_dn = dark.ravel()[pixel]
     return LitPlaces(pixel=pixel, contrast_dn=image.ravel()[pixel] - dark_dn, dark_dn=dark_dn)

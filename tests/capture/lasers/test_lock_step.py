@@ -1,0 +1,144 @@
+"""Shots of a drawn camera that looks at what the relays of a board truly light."""
+
+import numpy as np
+import pytest
+from drawn_camera import DrawnCamera
+
+from ringpose.capture.lasers.place import LaserPlace
+from ringpose.capture.pipeline import Procedure, captured_shots
+from ringpose.capture.uri import LASERS, device_uri, driver
+from ringpose.errors import DeviceError, LaserSafetyError
+from ringpose.simulate.serve.contacts import ContactFaults
+from ringpose.types.sequence import parsed_sequence
+
+IN_TURN = "off,1,2,3,off"
+
+
+def procedure(sequence=IN_TURN, settle_s=0.005, must_see=True):
+    return Procedure(steps=parsed_sequence(sequence), settle_s=settle_s, must_see=must_see)
+
+
+@pytest.fixture
+def shots_of(board, rng):
+    """Takes shots with a board that has these faults; gives them with the camera."""
+
+    def taken(how, faults=None, names=("a",), scheme="lcus", **camera_words):
+        with board(scheme, faults) as (relays, uri):
+            parts = device_uri(uri, "--lasers", LASERS)
+            lasers = driver(LASERS, parts.scheme)(parts, LaserPlace())
+            camera = DrawnCamera(relays.contacts, rng, **camera_words)
+            with camera, lasers:
+                shots = list(captured_shots(camera, lasers, how, names))
+        return shots, camera
+
+    return taken
+
+
+@pytest.mark.parametrize("scheme", ["lcus", "numato", "modbus", "ascii"])
+def test_commanded_reported_and_seen_masks_agree(shots_of, scheme):
+    (shot,), _ = shots_of(procedure(), scheme=scheme)
+
+    assert shot.lasers.tolist() == [0, 1, 2, 4, 0]
+    assert shot.read_lasers.tolist() == [0, 1, 2, 4, 0]
+    assert shot.seen_lasers.tolist() == [0, 1, 2, 4, 0]
+
+
+@pytest.mark.parametrize("sequence", ["off,all", "off,1,2,3,1+2,all,off", "off,1+2", "off,2"])
+def test_several_lasers_at_once_are_seen(shots_of, sequence):
+    (shot,), _ = shots_of(procedure(sequence))
+
+    assert shot.seen_lasers.tolist() == shot.lasers.tolist()
+
+
+@pytest.mark.parametrize("sequence", ["all", "1,2,3"])
+def test_without_a_dark_frame_nobody_knows_what_is_seen(shots_of, sequence):
+    (shot,), _ = shots_of(procedure(sequence))
+
+    assert shot.seen_lasers is None
+
+
+def test_relays_that_follow_late_are_waited_for(shots_of):
+    late = ContactFaults(operate_s=0.008, release_s=0.008)
+
+    shots, camera = shots_of(procedure(settle_s=0.0), late, names="abc")
+
+    assert [shot.seen_lasers.tolist() for shot in shots] == [[0, 1, 2, 4, 0]] * 3
+    assert 3 * 5 < camera.taken < 3 * 5 + 15
+
+
+def test_every_image_shows_the_lasers_of_its_mask_and_no_other(shots_of):
+    late = ContactFaults(operate_s=0.01, release_s=0.01, late_s={1: 0.02})
+
+    shots, _ = shots_of(procedure(settle_s=0.0), late, names=list("abcdef"))
+
+    stripes = np.array([shot.images[:, [11, 26, 41], 100] > 80 for shot in shots])
+    truth = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 0]], dtype=bool)
+    assert np.array_equal(stripes, np.broadcast_to(truth, stripes.shape))
+
+
+def test_a_laser_that_stays_dark_is_an_error_after_three_attempts(shots_of):
+    with pytest.raises(DeviceError, match="laser 2 was commanded but not seen, 3 times; it stays dark, burns all the time"):
+        shots_of(procedure(), ContactFaults(dead=frozenset({1})))
+
+
+def test_a_laser_that_stays_dark_may_be_allowed_to(shots_of):
+    (shot,), _ = shots_of(procedure(must_see=False), ContactFaults(dead=frozenset({1})))
+
+    assert shot.seen_lasers.tolist() == [0, 1, 0, 4, 0]
+
+
+@pytest.mark.parametrize("scheme", ["lcus", "modbus"])
+@pytest.mark.parametrize("must_see", [True, False])
+def test_a_welded_contact_is_a_safety_fault_though_the_board_reports_it_open(shots_of, scheme, must_see):
+    with pytest.raises(LaserSafetyError, match="laser 2 was seen while all are off; cut the power"):
+        shots_of(procedure(must_see=must_see), ContactFaults(stuck=frozenset({1})), scheme=scheme)
+
+
+def test_a_contact_that_welds_between_two_shots_is_a_safety_fault(board, rng):
+    with board("lcus") as (relays, uri):
+        parts = device_uri(uri, "--lasers", LASERS)
+        lasers = driver(LASERS, parts.scheme)(parts, LaserPlace())
+        camera = DrawnCamera(relays.contacts, rng)
+        with camera, lasers:
+            shots = captured_shots(camera, lasers, procedure(), ["a", "b"])
+            next(shots)
+            relays.contacts.faults = ContactFaults(stuck=frozenset({2}))
+            relays.contacts.command(2, True, 0.0)
+
+            with pytest.raises(LaserSafetyError, match="laser 3 was seen while all are off"):
+                next(shots)
+
+
+def test_a_laser_that_was_on_from_the_beginning_is_not_called_seen(shots_of):
+    with pytest.raises(DeviceError, match="laser 1 was commanded but not seen"):
+        shots_of(procedure(), ContactFaults(welded=frozenset({0})))
+
+
+@pytest.mark.parametrize("frame", [2, 4, 7])
+def test_a_camera_that_comes_back_loses_no_shot(shots_of, frame):
+    shots, camera = shots_of(procedure(), names="ab", lost=[frame])
+
+    assert [shot.name for shot in shots] == ["a", "b"]
+    assert [shot.seen_lasers.tolist() for shot in shots] == [[0, 1, 2, 4, 0]] * 2
+    assert camera.opened == 2
+
+
+def test_a_camera_that_stays_away_ends_the_capture_with_the_lasers_off(board, rng, monkeypatch):
+    monkeypatch.setattr("ringpose.capture.pipeline.RECONNECT_S", 0.01)
+    with board("lcus") as (relays, uri):
+        parts = device_uri(uri, "--lasers", LASERS)
+        lasers = driver(LASERS, parts.scheme)(parts, LaserPlace())
+        camera = DrawnCamera(relays.contacts, rng, lost=[3], reopens=False)
+        with pytest.raises(DeviceError, match="is gone"), camera, lasers:
+            list(captured_shots(camera, lasers, procedure(), ["a"]))
+
+        assert relays.mask_at(float("inf")) == 0
+
+
+def test_two_exposures_of_a_laser_become_one_frame(shots_of):
+    (shot,), camera = shots_of(procedure("off@2ms,off@8ms,1@2ms,1@8ms,2@2ms,2@8ms"), brightness_dn=120.0)
+
+    assert camera.taken == 6
+    assert shot.lasers.tolist() == [0, 1, 2]
+    assert shot.seen_lasers.tolist() == [0, 1, 2]
+    assert shot.images.dtype == np.uint16

@@ -1,0 +1,58 @@
+"""A camera that draws a stripe for each laser that truly shone during the exposure."""
+
+import time
+
+import numpy as np
+
+from ringpose.capture.cameras.driver import CameraDescription, CameraDriver
+from ringpose.errors import DeviceError
+from ringpose.types.frame import Frame
+
+HEIGHT, WIDTH = 60, 200
+
+
+class DrawnCamera(CameraDriver):
+    """Ambient 10 DN, stripes of `brightness_dn` at 5 ms; `lost` numbers the frames at which it fails."""
+
+    def __init__(self, contacts, rng, brightness_dn=150.0, lost=(), reopens=True):
+        self.contacts, self.rng, self.brightness_dn = contacts, rng, brightness_dn
+        self.lost, self.reopens = set(lost), reopens
+        self.taken, self.opened, self.triggered_s = 0, 0, []
+        self._exposure_s = 0.005
+
+    def open(self):
+        self.opened += 1
+        if self.opened > 1 and not self.reopens:
+            raise DeviceError("camera", "is gone")
+
+    def close(self):
+        pass
+
+    def describe(self):
+        return CameraDescription(name="drawn", image_width=WIDTH, image_height=HEIGHT, saturation_dn=255)
+
+    def bounds(self, feature):
+        return None
+
+    def set(self, feature, value):
+        raise DeviceError("camera", "has no settings")
+
+    def arm(self, exposure_s):
+        self._exposure_s = exposure_s or 0.005
+
+    def trigger(self, lasers, exposure_s=None):
+        self.taken += 1
+        if self.taken in self.lost:
+            raise DeviceError("camera", "went away")
+        exposed_s = exposure_s or self._exposure_s
+        began_s, stamp_s = time.monotonic(), time.time()
+        self.triggered_s.append(began_s)
+        time.sleep(exposed_s)
+        shares = self.contacts.shares(began_s, began_s + exposed_s)
+        light = np.full((HEIGHT, WIDTH), 10.0)
+        for laser, share in enumerate(shares):
+            light[10 + 15 * laser : 13 + 15 * laser, 20:180] += self.brightness_dn * share
+        grey = 2.0 + light * exposed_s / 0.005
+        noisy = grey + self.rng.normal(size=grey.shape) * np.sqrt(0.5 + 0.05 * grey)
+        image = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+        return Frame(image=image, lasers=lasers, stamp_s=stamp_s, exposure_s=exposed_s)
