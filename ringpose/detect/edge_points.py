@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.detect.edge_trace import EdgeTrace, beyond_px
-from ringpose.detect.ring_arcs import RingArcs
+from ringpose.geometry.ring_arcs import RingArcs
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.break_points import RingEdgePoints
 

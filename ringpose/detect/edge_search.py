@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from ringpose.detect.edge_steps import EdgeSteps, edge_profiles, edge_steps
 from ringpose.detect.edge_trace import EdgeTrace, chosen, sights_at
-from ringpose.detect.ring_arc_fit import Sights
-from ringpose.types.arrays import Array, Bool, Float64, UInt
+from ringpose.kernels.edges import Sights
+from ringpose.types.arrays import Array, Bool, Float64, UInt, UInt8
 
 BLUR_PX = 0.9
 """Blur (sigma) of edges that is assumed as long as nothing better is known."""
@@ -27,6 +28,9 @@ CLUTTER = 2.5
 LEAST_SIGMA_PX = 0.1
 """No single step is trusted more than this."""
 
+CELL_PX, CELLS = 4, 2
+"""Places up to so many cells of an image's grid from a stripe's centre are left out: 8 to 12 px."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class EdgeImage:
@@ -34,8 +38,27 @@ class EdgeImage:
 
     image: UInt[Array, "row column"]
     saturation_dn: int
-    stripes_px: Float64[Array, "center xy=2"] | None = None
-    """Centres of the stripes that it shows; None for a frame without lasers."""
+    lit: UInt8[Array, "cell_row cell_column"] | None = None
+    """Not 0 in the cells of its grid that are beside a stripe; None for a frame without lasers."""
+
+
+def lit_cells(
+    stripes_px: Float64[Array, "center xy=2"], image: UInt[Array, "row column"]
+) -> UInt8[Array, "cell_row cell_column"]:
+    """Which cells of the image are beside one of the stripes' centres."""
+    lit = np.zeros((image.shape[0] // CELL_PX + 1, image.shape[1] // CELL_PX + 1), dtype=np.uint8)
+    column, row = (stripes_px / CELL_PX).astype(np.int64).T
+    lit[row, column] = 1
+    dilated: UInt8[Array, "cell_row cell_column"] = cv2.dilate(lit, np.ones((2 * CELLS + 1, 2 * CELLS + 1), np.uint8))
+    return dilated
+
+
+def clear_of_stripes(frame: EdgeImage, trace: EdgeTrace) -> EdgeTrace:
+    """The places without those beside a stripe."""
+    if frame.lit is None:
+        return trace
+    column, row = (trace.place_px / CELL_PX).astype(np.int64).T
+    return chosen(trace, frame.lit[row, column] == 0)
 
 
 def steps_beside(frame: EdgeImage, trace: EdgeTrace, reach_px: int) -> EdgeSteps:

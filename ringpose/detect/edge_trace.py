@@ -1,13 +1,12 @@
 """Where the image should show the ring's edges, and how well that is known."""
 
+import math
 from typing import NamedTuple
 
-import cv2
-import numpy as np
-
-from ringpose.detect.ring_arc_fit import Sights
-from ringpose.detect.ring_arcs import RingArcs, arc_points, off_face_m
-from ringpose.geometry.rays import project, project_undistorted
+from ringpose.detect.tracks import lens
+from ringpose.geometry.ring_arcs import RingArcs, off_face_m
+from ringpose.kernels import edges as kernels
+from ringpose.kernels.edges import PlaceRules, Sights
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.rig import Rig
 
@@ -16,9 +15,6 @@ MARGIN_PX = 8.0
 
 HALF_TURN = 2.0
 """Radians of the ring to both sides of the stripes that can be in view."""
-
-CELL_PX, CELLS = 4.0, 2
-"""Places up to so many cells of an image's grid from a stripe's centre are left out: 8 to 12 px."""
 
 WIDER = 0.3
 """Share of the image's size by which distortion may shift what is near its border."""
@@ -56,53 +52,40 @@ def chosen(trace: EdgeTrace, which: Bool[Array, "n"]) -> EdgeTrace:
 
 
 def edge_trace(
-    arcs: RingArcs, covariance: Float64[Array, "state=7 state=7"], rig: Rig, spacing_px: int | float, sigma_px: float
-) -> EdgeTrace:
-    """Places about `spacing_px` apart along both edges, where these are predicted to `sigma_px`."""
-    camera = rig.camera
-    size = np.array([camera.image_width, camera.image_height])
-    metres_per_px = arcs.origin[2] / camera.camera_matrix[0, 0]
-    middle = np.abs(project_undistorted(arcs.origin, camera) - size / 2)
-    count = int(DETOUR * np.hypot(*(middle + size / 2)) / spacing_px)
-    number = np.arange(-count, count + 1, dtype=np.float64)
-    number = number[np.abs(arcs.curvature * number * spacing_px * metres_per_px) < HALF_TURN]
-    side, number = np.repeat([1.0, -1.0], len(number)), np.tile(number, 2)
-    point, outward = arc_points(arcs, number * spacing_px * metres_per_px, side)
-
-    _, rows = off_face_m(arcs, point, side)
-    sigma_m = np.sqrt(np.maximum(np.sum((rows @ covariance) * rows, axis=-1), 0.0))
-    straight = project_undistorted(point, camera)
-    near = np.all((straight > -WIDER * size) & (straight < (1 + WIDER) * size), axis=-1)
-    near &= sigma_m < OBLIQUE * sigma_px * metres_per_px
-    point, outward, side, number, sigma_m = point[near], outward[near], side[near], number[near], sigma_m[near]
-
-    trace = imaged(point, outward, arcs.axes[2], side, number, rig)
-    return chosen(trace, in_image(trace, rig) & (sigma_m < sigma_px * trace.metres_per_px))
-
-
-def imaged(
-    point: Float64[Array, "n xyz=3"],
-    outward: Float64[Array, "n xyz=3"],
-    normal: Float64[Array, "xyz=3"],
-    side: Float64[Array, "n"],
-    number: Float64[Array, "n"],
+    arcs: RingArcs,
+    covariance: Float64[Array, "state=7 state=7"],
     rig: Rig,
+    spacing_px: int | float,
+    sigma_px: float,
+    farthest: int | float = math.inf,
 ) -> EdgeTrace:
-    """Points of edges on the plane of this normal, and where the image has them, within its border or beyond."""
-    along = np.cross(normal, outward)
-    place, nudged, beside = project(np.stack([point, point + NUDGE_M * outward, point + NUDGE_M * along]), rig.camera)
-    across = np.stack([-(beside - place)[:, 1], (beside - place)[:, 0]], axis=-1)
-    across /= np.hypot(*across.T)[:, None]
-    px_per_m = np.sum(across * (nudged - place), axis=-1) / NUDGE_M
-    across *= np.sign(px_per_m)[:, None]
-    return EdgeTrace(point, outward, side, place, across, 1 / np.abs(px_per_m), number)
+    """Places about `spacing_px` apart along both edges, where these are predicted to `sigma_px`.
 
-
-def in_image(trace: EdgeTrace, rig: Rig) -> Bool[Array, "n"]:
-    """Which places lie well inside the image's border."""
-    last = np.array([rig.camera.image_width, rig.camera.image_height]) - 1
-    inside: Bool[Array, "n"] = np.all((trace.place_px > MARGIN_PX) & (trace.place_px < last - MARGIN_PX), axis=-1)
-    return inside
+    There are at most `farthest` to both sides of the arcs' origin.
+    """
+    rules = PlaceRules(
+        image_width=rig.camera.image_width,
+        image_height=rig.camera.image_height,
+        spacing_px=spacing_px,
+        sigma_px=sigma_px,
+        half_turn_rad=HALF_TURN,
+        margin_px=MARGIN_PX,
+        wider=WIDER,
+        oblique=OBLIQUE,
+        detour=DETOUR,
+        nudge_m=NUDGE_M,
+        farthest=farthest,
+    )
+    found = kernels.edge_places(arcs, covariance, lens(rig.camera), rules)
+    return EdgeTrace(
+        point=found[:, :3],
+        outward=found[:, 3:6],
+        side=found[:, 6],
+        place_px=found[:, 7:9],
+        normal=found[:, 9:11],
+        metres_per_px=found[:, 11],
+        number=found[:, 12],
+    )
 
 
 def sights_at(trace: EdgeTrace, offset_px: Float64[Array, "n"], sigma_px: Float64[Array, "n"]) -> Sights:
@@ -118,16 +101,3 @@ def beyond_px(arcs: RingArcs, trace: EdgeTrace, offset_px: Float64[Array, "n"]) 
     """How far off the face, along the normal, from the edge of these arcs, lies what was found beside the places."""
     beyond_m, _ = off_face_m(arcs, sights_at(trace, offset_px, offset_px).ray, trace.side)
     return beyond_m / trace.metres_per_px
-
-
-def clear_of(stripes_px: Float64[Array, "center xy=2"] | None, trace: EdgeTrace) -> EdgeTrace:
-    """The places without those beside a stripe."""
-    if stripes_px is None or not len(trace.side) or not len(stripes_px):
-        return trace
-    cells = np.floor(np.concatenate([trace.place_px, stripes_px]) / CELL_PX).astype(np.int64)
-    cells -= cells.min(axis=0)
-    column, row = cells.T
-    lit = np.zeros((row.max() + 1, column.max() + 1), dtype=np.uint8)
-    lit[row[len(trace.side) :], column[len(trace.side) :]] = 1
-    lit = cv2.dilate(lit, np.ones((2 * CELLS + 1, 2 * CELLS + 1), dtype=np.uint8))
-    return chosen(trace, lit[row[: len(trace.side)], column[: len(trace.side)]] == 0)

@@ -1,13 +1,14 @@
 """The arcs that explain break points, the stripes' lines on the face, and edge points, by robust least squares."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.detect.ring_arcs import RingArcs, moved, off_face_m
 from ringpose.geometry.planes import towards_camera
 from ringpose.geometry.rays import intersect, rays, undistorted_rays
+from ringpose.geometry.ring_arcs import RingArcs
+from ringpose.kernels import edges as kernels
+from ringpose.kernels.edges import FitRules, PlanePoints, Sights
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.break_points import BreakPoints
 from ringpose.types.rig import Rig
@@ -33,22 +34,21 @@ END_SIGMA_PX = 0.4
 POSSIBLE = ((0.03, 5.0), (0.001, 0.1), (0.1, 1.1), (-1.0, 10.0))
 """Limits of depth and half band in metres, of the normal's cosine with the view, of the curvature in 1/m."""
 
-LONGEST_STEP = np.array([0.5, 0.5, 0.2, 0.2, 0.5, 3.0, 0.02])
+LONGEST_STEP = (0.5, 0.5, 0.2, 0.2, 0.5, 3.0, 0.02)
 """Largest change of each number of the state in one round, beyond which derivatives mean nothing."""
 
 OUTLIER_SIGMAS = 3.0
 """Where a sight begins to count less; its weight falls as the fourth power beyond."""
 
 
-class Sights(NamedTuple):
-    """Rays that should meet an edge."""
-
-    ray: Float64[Array, "n xyz=3"]
-    side: Float64[Array, "n"]
-    """1 for the inner edge, -1 for the outer."""
-    sigma_m: Float64[Array, "n"]
-    """Across the edge, on the ring's plane."""
-
+RULES = FitRules(
+    tilt_sigma_rad=TILT_SIGMA_RAD,
+    turn_sigma_rad=TURN_SIGMA_RAD,
+    curvature_sigma=CURVATURE_SIGMA,
+    half_band_m=HALF_BAND_M[0],
+    half_band_sigma_m=HALF_BAND_M[1],
+    longest_step=LONGEST_STEP,
+)
 
 NO_SIGHTS = Sights(np.zeros((0, 3)), np.zeros(0), np.zeros(0))
 
@@ -57,8 +57,7 @@ NO_SIGHTS = Sights(np.zeros((0, 3)), np.zeros(0), np.zeros(0))
 class StripeEvidence:
     """What the stripes alone say: points of the ring's plane, and the break points."""
 
-    plane_point: Float64[Array, "m xyz=3"]
-    plane_sigma_m: Float64[Array, "m"]
+    plane: PlanePoints
     ends: Sights
     start: RingArcs
     """First guess, and the frame of the priors: facing the camera, straight."""
@@ -83,8 +82,10 @@ def stripe_evidence(break_points: BreakPoints, rig: Rig) -> StripeEvidence | Non
     line_sigma_px = np.hypot(break_points.face_sigma_px[lasers], LINE_SIGMA_PX)
     end_sigma_px = np.hypot(np.sqrt(break_points.covariance_px2[seen][:, 0, 0]), END_SIGMA_PX)
     return StripeEvidence(
-        plane_point=plane_point.reshape(-1, 3),
-        plane_sigma_m=(np.abs((moved_point - plane_point) @ start.axes[2]) * line_sigma_px).ravel(),
+        plane=PlanePoints(
+            point=plane_point.reshape(-1, 3),
+            sigma_m=(np.abs((moved_point - plane_point) @ start.axes[2]) * line_sigma_px).ravel(),
+        ),
         ends=Sights(ray=position, side=side, sigma_m=end_sigma_px * position[:, 2] / rig.camera.camera_matrix[0, 0]),
         start=start,
     )
@@ -120,44 +121,10 @@ def fitted_arcs(
 ) -> tuple[RingArcs, Float64[Array, "state=7 state=7"]]:
     """The arcs after some rounds of Gauss-Newton from `arcs`, and the covariance of their state."""
     sights = Sights(*(np.concatenate(both) for both in zip(evidence.ends, edges, strict=True)))
-    information = np.eye(7)
-    for _ in range(rounds):
-        beyond, rows = off_face_m(arcs, sights.ray, sights.side)
-        residual = beyond / sights.sigma_m
-        weight = (1 + (residual / outlier_sigmas) ** 2) ** -2
-        rows /= sights.sigma_m[:, None]
-        weighted = rows * weight[:, None]
-        fixed_rows, fixed_residual = _plane_and_priors(arcs, evidence)
-        information = weighted.T @ rows + fixed_rows.T @ fixed_rows
-        step = -np.linalg.solve(information, weighted.T @ residual + fixed_rows.T @ fixed_residual)
-        arcs = moved(arcs, np.clip(step, -LONGEST_STEP, LONGEST_STEP))
-    return arcs, np.linalg.inv(information)
+    return kernels.fitted_arcs(arcs, evidence.plane, sights, evidence.start.axes, RULES, rounds, outlier_sigmas)
 
 
 def possible(arcs: RingArcs) -> bool:
     """Whether a ring in front of a camera can have these arcs; a fit of contradictions leads anywhere."""
     numbers = [arcs.origin[2], arcs.half_band_m, -arcs.axes[2, 2], abs(arcs.curvature)]
     return all(least < number < most for number, (least, most) in zip(numbers, POSSIBLE, strict=True))
-
-
-def _plane_and_priors(
-    arcs: RingArcs, evidence: StripeEvidence
-) -> tuple[Float64[Array, "m state=7"], Float64[Array, "m"]]:
-    """Rows and residuals of the stripes' lines and of the priors."""
-    count = len(evidence.plane_point)
-    rows, residual = np.zeros((count + 5, 7)), np.empty(count + 5)
-    offset = (evidence.plane_point - arcs.origin) @ arcs.axes.T
-    rows[:count, :2], rows[:count, 2] = offset[:, :2], -1.0
-    rows[:count] /= evidence.plane_sigma_m[:, None]
-    residual[:count] = offset[:, 2] / evidence.plane_sigma_m
-
-    across, along, normal = arcs.axes
-    reference = evidence.start.axes
-    rows[count : count + 2, :2] = reference[:2] @ arcs.axes[:2].T / TILT_SIGMA_RAD
-    rows[count + 2, 4] = along @ reference[1] / TURN_SIGMA_RAD
-    rows[count + 3, 5], rows[count + 4, 6] = 1 / CURVATURE_SIGMA, 1 / HALF_BAND_M[1]
-    residual[count : count + 2] = reference[:2] @ normal / TILT_SIGMA_RAD
-    residual[count + 2] = across @ reference[1] / TURN_SIGMA_RAD
-    residual[count + 3] = arcs.curvature / CURVATURE_SIGMA
-    residual[count + 4] = (arcs.half_band_m - HALF_BAND_M[0]) / HALF_BAND_M[1]
-    return rows, residual

@@ -11,12 +11,20 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.detect.edge_points import ring_edge_points
-from ringpose.detect.edge_search import BLUR_PX, EdgeImage, clear_steps, step_sights, steps_beside
+from ringpose.detect.edge_search import (
+    BLUR_PX,
+    EdgeImage,
+    clear_of_stripes,
+    clear_steps,
+    lit_cells,
+    step_sights,
+    steps_beside,
+)
 from ringpose.detect.edge_start import sights_beside_stripe
 from ringpose.detect.edge_steps import ALONG_PX, Profiles, edge_profiles, edge_steps
-from ringpose.detect.edge_trace import chosen, clear_of, edge_trace
+from ringpose.detect.edge_trace import chosen, edge_trace
 from ringpose.detect.ring_arc_fit import NO_SIGHTS, StripeEvidence, fitted_arcs, possible, stripe_evidence
-from ringpose.detect.ring_arcs import STATE, RingArcs
+from ringpose.geometry.ring_arcs import STATE, RingArcs
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.break_points import BreakPointFlag, BreakPoints, RingEdgePoints
 from ringpose.types.frame import Shot
@@ -75,12 +83,9 @@ def shown_edges(
 def edge_image(shot: Shot, stripes: Stripes) -> EdgeImage:
     """The first frame without lasers; without one, that with the fewest, and where its stripes are."""
     number = min(range(len(shot.lasers)), key=lambda each: int(shot.lasers[each]).bit_count())
-    dark = not shot.lasers[number]
-    return EdgeImage(
-        image=shot.images[number],
-        saturation_dn=shot.saturation_dn,
-        stripes_px=None if dark else stripes.position_px,
-    )
+    image = shot.images[number]
+    lit = lit_cells(stripes.position_px, image) if shot.lasers[number] else None
+    return EdgeImage(image=image, saturation_dn=shot.saturation_dn, lit=lit)
 
 
 def ring_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> RingEdgePoints | None:
@@ -98,7 +103,7 @@ def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundE
     if followed is None:
         return None
     arcs, covariance = followed
-    trace = clear_of(frame.stripes_px, edge_trace(arcs, covariance, rig, ALONG_PX, PREDICTED_SIGMA_PX))
+    trace = clear_of_stripes(frame, edge_trace(arcs, covariance, rig, ALONG_PX, PREDICTED_SIGMA_PX))
     profiles = edge_profiles(frame.image, trace.place_px, trace.normal, REACH_PX, frame.saturation_dn)
     steps = edge_steps(profiles, REACH_PX, blur_px(profiles))
     arcs, covariance = fitted_arcs(arcs, evidence, step_sights(trace, steps), 2)
@@ -140,7 +145,7 @@ def followed_arcs(
         if len(trace.side) <= reached * FARTHER:
             break
         reached = len(trace.side)
-        trace = clear_of(frame.stripes_px, trace)
+        trace = clear_of_stripes(frame, trace)
         sights = step_sights(trace, steps_beside(frame, trace, WALK_REACH_PX))
         if len(sights.side) < LEAST_SHARE * len(trace.side):
             return None
@@ -154,7 +159,7 @@ def blur_px(profiles: Profiles) -> float:
     clear = clear[np.argsort(np.ptp(profiles.value[clear], axis=1))[-BLUR_STEPS:]]
     if len(clear) < BLUR_STEPS // 4:
         return BLUR_PX
-    part = Profiles(profiles.across_px, *(each[clear] for each in profiles[1:]))
+    part = Profiles(*(each[clear] for each in profiles))
     log_blur = math.log(BLUR_PX)
     for span in BLUR_SPANS:
         trials = [round(math.exp(log_blur + side * span), 2) for side in (-1, 0, 1)]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringpose.detect.ring_arcs import STATE, RingArcs, arc_points, moved, off_face_m
+from ringpose.geometry.ring_arcs import STATE, RingArcs, arc_points, moved, off_face_m
 
 SIDE = np.where(np.arange(12) % 2, 1.0, -1.0)
 ALONG_M = np.linspace(-0.3, 0.3, 12)

@@ -1,0 +1,163 @@
+/* Where, near predicted places of an edge, brightness steps, to a fraction of a pixel; twin: reference_edges.py. */
+#include "edges.h"
+#include "kernels.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+static double clamped(double value, double most) { return value < 0 ? 0 : value > most ? most : value; }
+
+/* Grey value between the pixels; those of the border go on beyond it. */
+static inline double between(const EdgePicture *picture, const int wide, double x, double y) {
+    const size_t width = picture->width;
+    x = clamped(x, picture->right);
+    y = clamped(y, picture->bottom);
+    const int32_t column = (int32_t)x, row = (int32_t)y;
+    const size_t at = (size_t)row * width + (size_t)column, right = column < picture->right;
+    const size_t below = row < picture->bottom ? width : 0;
+    const double u = x - column, v = y - row;
+    double grey[4];
+    if (wide) {
+        const uint16_t *pixel = (const uint16_t *)picture->data + at;
+        grey[0] = pixel[0], grey[1] = pixel[right], grey[2] = pixel[below], grey[3] = pixel[below + right];
+    } else {
+        const uint8_t *pixel = (const uint8_t *)picture->data + at;
+        grey[0] = pixel[0], grey[1] = pixel[right], grey[2] = pixel[below], grey[3] = pixel[below + right];
+    }
+    return (1 - v) * ((1 - u) * grey[0] + u * grey[1]) + v * ((1 - u) * grey[2] + u * grey[3]);
+}
+
+/* Running mean over neighbours, fewer at the ends. */
+static int pool(double *values, size_t count, size_t window) {
+    double *sum = malloc((count + 1) * sizeof *sum);
+    if (sum == NULL) return 0;
+    sum[0] = 0;
+    for (size_t i = 0; i < count; i++) sum[i + 1] = sum[i] + values[i];
+    const size_t half = window / 2;
+    for (size_t i = 0; i < count; i++) {
+        const size_t first = i > half ? i - half : 0, end = i + half + 1 < count ? i + half + 1 : count;
+        values[i] = (sum[end] - sum[first]) / (double)(end - first);
+    }
+    free(sum);
+    return 1;
+}
+
+/* One profile's mean values, and which samples hide their brightness. */
+static inline void take_samples(const EdgePicture *picture, const int wide, const double place[2],
+                                const double normal[2], const ProfileRules *rules, double *value, uint8_t *saturated,
+                                size_t samples) {
+    const int along = (int)rules->along;
+    const double hiding = rules->saturation - 0.5;
+    for (size_t s = 0; s < samples; s++) {
+        const double across = (double)s - rules->reach - rules->inside;
+        const double x = place[0] + across * normal[0], y = place[1] + across * normal[1];
+        double sum = 0;
+        int hidden = 0;
+        for (int k = 0; k < along; k++) {
+            const double beside = k - (along - 1) / 2.0;
+            const double grey = between(picture, wide, x - beside * normal[1], y + beside * normal[0]);
+            sum += grey;
+            hidden |= grey >= hiding;
+        }
+        value[s] = sum / along;
+        saturated[s] = (uint8_t)hidden;
+    }
+}
+
+static void take_profile(const EdgePicture *picture, const double place[2], const double normal[2],
+                         const ProfileRules *rules, double *value, uint8_t *saturated, size_t samples) {
+    if (picture->wide)
+        take_samples(picture, 1, place, normal, rules, value, saturated, samples);
+    else
+        take_samples(picture, 0, place, normal, rules, value, saturated, samples);
+}
+
+/* Subtracts the mean of the first values from all; returns the variance of the first ones. */
+static double level(double *value, size_t samples, size_t surface) {
+    double mean = 0, square = 0;
+    for (size_t s = 0; s < surface; s++) mean += value[s];
+    mean /= (double)surface;
+    for (size_t s = 0; s < samples; s++) value[s] -= mean;
+    for (size_t s = 0; s < surface; s++) square += value[s] * value[s];
+    return square / (double)(surface - 1);
+}
+
+int edge_profiles(const EdgePicture *picture, const double *place, const double *normal, const ProfileRules *rules,
+                  Profiles *profiles) {
+    const size_t samples = profiles->samples;
+    for (size_t i = 0; i < profiles->count; i++) {
+        double *value = profiles->value + i * samples;
+        take_profile(picture, place + 2 * i, normal + 2 * i, rules, value, profiles->saturated + i * samples, samples);
+        profiles->noise[i] = level(value, samples, (size_t)rules->inside);
+    }
+    if (!pool(profiles->noise, profiles->count, (size_t)rules->pooled)) return 0;
+    for (size_t i = 0; i < profiles->count; i++) {
+        profiles->noise[i] = sqrt(profiles->noise[i] + rules->noise * rules->noise / rules->along);
+        for (size_t s = 0; s < samples; s++) profiles->value[i * samples + s] /= profiles->noise[i];
+    }
+    return 1;
+}
+
+/* Sums over the samples of a profile for every place of the edge: what remains unexplained, and the step's height. */
+VECTOR_LOOP
+static void project(const double *value, size_t samples, const Templates *templates, double *restrict cost,
+                    double *restrict height, double *restrict base) {
+    const size_t places = templates->places;
+    memset(cost, 0, 3 * places * sizeof *cost);
+    for (size_t s = 0; s < samples; s++) {
+        const double *restrict weight = templates->weight + s * places;
+        const double *restrict level = templates->level + s * places, *restrict step = templates->step + s * places;
+        const double v = value[s];
+        for (size_t p = 0; p < places; p++) {
+            cost[p] += v * v * weight[p];
+            base[p] += v * level[p];
+            height[p] += v * step[p];
+        }
+    }
+    for (size_t p = 0; p < places; p++) cost[p] -= base[p] * base[p] + height[p] * height[p];
+}
+
+static int is_touched(const Profiles *profiles, size_t i, const Templates *templates, double offset, double touched) {
+    for (size_t s = 0; s < profiles->samples; s++)
+        if (profiles->saturated[i * profiles->samples + s] && fabs(templates->across[s] - offset) < touched) return 1;
+    return 0;
+}
+
+/* The likeliest place; its sigma is still the square root of the curvature, its cost that of a profile. */
+static EdgeStep likeliest(const Profiles *profiles, size_t i, const Templates *templates, const StepRules *rules,
+                          double *scratch) {
+    const size_t places = templates->places;
+    double *cost = scratch, *height = scratch + places;
+    project(profiles->value + i * profiles->samples, profiles->samples, templates, cost, height, scratch + 2 * places);
+    size_t best = 0;
+    for (size_t p = 1; p < places; p++)
+        if (cost[p] < cost[best]) best = p;
+    best = best < 1 ? 1 : best > places - 2 ? places - 2 : best;
+    const double left = cost[best - 1], least = cost[best], right = cost[best + 1], bend = left - 2 * least + right;
+    const int found = bend > rules->flat && least <= left && least <= right;
+    const double shift = found ? (left - right) / (2 * bend) * rules->spacing : 0;
+    const double offset = templates->place[best] + shift, size = fabs(height[best]);
+    const int hidden = !found || is_touched(profiles, i, templates, offset, rules->touched);
+    return (EdgeStep){hidden ? NAN : offset, rules->spacing * sqrt(2 / (found ? bend : 1)), size,
+                      size * profiles->noise[i] / templates->unit[best], least};
+}
+
+int edge_steps(const Profiles *profiles, const Templates *templates, const StepRules *rules, EdgeStep *steps) {
+    const size_t count = profiles->count;
+    double *scratch = malloc((3 * templates->places + count + 1) * sizeof *scratch);
+    if (scratch == NULL) return 0;
+    double *misfit = scratch + 3 * templates->places;
+    for (size_t i = 0; i < count; i++) {
+        steps[i] = likeliest(profiles, i, templates, rules, scratch);
+        misfit[i] = steps[i].cost / (double)(profiles->samples - 3);
+    }
+    const int done = pool(misfit, count, (size_t)rules->pooled);
+    for (size_t i = 0; done && i < count; i++) {
+        const double excess = sqrt(fmax(misfit[i], 1));
+        steps[i].sigma *= excess;
+        steps[i].height /= excess;
+    }
+    free(scratch);
+    return done;
+}
