@@ -5,7 +5,9 @@ from dataclasses import replace
 from ringpose.cli import messages
 from ringpose.pose.advice import advice
 from ringpose.pose.health import drift_warning, health_after, new_health
+from ringpose.pose.method import Method
 from ringpose.types.pose_line import PoseLine
+from ringpose.types.ring_pose import PoseFlag
 
 
 class RigWatch:
@@ -18,10 +20,9 @@ class RigWatch:
 
     def watched(self, line: PoseLine) -> PoseLine:
         """The line with the lasers' health."""
-        evidence = None if line.pose is None else line.pose.plane_evidence
-        if evidence is None:
+        if line.pose is None or line.pose.method != Method.ML or PoseFlag.RADIUS_DISAGREES in line.pose.flags:
             return line
-        self._health = health_after(self._health, evidence)
+        self._health = health_after(self._health, line.pose.plane_evidence)
         warning = drift_warning(self._health, self._names)
         if warning is not None and not self._warned:
             messages.say(f"{line.shot}: {warning}; run ringpose calibrate-planes")

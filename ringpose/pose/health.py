@@ -4,11 +4,11 @@ Noise leaves something else each time; a light plane that has moved leaves what 
 stripes a single shot hardly tells which plane it is; shots of different poses do.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ringpose.types.arrays import Array, Float64
+from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.plane_evidence import PlaneEvidence
 
 FORGETTING = 0.98
@@ -27,6 +27,9 @@ SHOTS_NEEDED = 10.0
 CLEARLY = 16.0
 """By how many squared standard deviations one plane's error must explain more than another's to be the one to blame."""
 
+DOUBTED_FROM = 0.5
+"""Share of shots of which a stripe, its label or the radii had to be left out from which the rig is to blame."""
+
 _NOTHING = 1e-9
 """Share of the largest eigenvalue under which a combination of a plane's errors is not seen at all."""
 
@@ -39,6 +42,8 @@ class RigHealth:
     information: Float64[Array, "laser parameter=3 parameter=3"]
     shots: float
     """That count, older ones less."""
+    doubted: float = 0.0
+    """Of which something had to be left out, so that they say nothing about the planes."""
 
     @property
     def explained(self) -> Float64[Array, "laser"]:
@@ -64,24 +69,47 @@ def new_health(lasers: int) -> RigHealth:
     return RigHealth(score=np.zeros((lasers, 3)), information=np.zeros((lasers, 3, 3)), shots=0.0)
 
 
-def health_after(health: RigHealth, evidence: PlaneEvidence) -> RigHealth:
-    """With one more shot."""
-    return RigHealth(
-        score=FORGETTING * health.score + evidence.score,
-        information=FORGETTING * health.information + evidence.information,
-        shots=FORGETTING * health.shots + float(evidence.information.any()),
+def health_after(health: RigHealth, evidence: PlaneEvidence | None) -> RigHealth:
+    """With one more shot; None for one of which something had to be left out."""
+    kept = RigHealth(
+        score=FORGETTING * health.score,
+        information=FORGETTING * health.information,
+        shots=FORGETTING * health.shots,
+        doubted=FORGETTING * health.doubted + float(evidence is None),
+    )
+    if evidence is None:
+        return kept
+    return replace(
+        kept,
+        score=kept.score + evidence.score,
+        information=kept.information + evidence.information,
+        shots=kept.shots + float(evidence.information.any()),
     )
 
 
 def drift_warning(health: RigHealth, names: tuple[str, ...]) -> str | None:
     """What to say about a rig that has changed; None while it is as calibrated, or too little is known."""
+    shots = health.shots + health.doubted
+    if shots < SHOTS_NEEDED:
+        return None
     figure = health.figure
     known = np.flatnonzero(figure == figure)
-    if health.shots < SHOTS_NEEDED or not len(known) or not figure[known].max() > DRIFTED_FROM:
-        return None
-    order = known[np.argsort(-figure[known])]
+    if len(known) and figure[known].max() > DRIFTED_FROM:
+        return _where(health, known, names)
+    if health.doubted > DOUBTED_FROM * shots:
+        share = 100.0 * health.doubted / shots
+        return f"{share:.0f} % of the last shots contradict one ring: a light plane or the camera has moved"
+    return None
+
+
+def _where(health: RigHealth, known: Int64[Array, "n"], names: tuple[str, ...]) -> str:
+    """The plane whose error explains most, if none explains nearly as much.
+
+    If the camera has moved against all planes alike, one of them explains that nearly as well.
+    """
     squares = health.explained
-    worst = names[int(order[0])]
-    if len(order) > 1 and squares[order[0]] < squares[order[1]] + CLEARLY:
-        return f"the stripes disagree by {figure[order[0]]:.1f} sigma: a light plane or the camera has moved"
-    return f"the light plane of laser {worst} has moved: its stripe is off by {figure[order[0]]:.1f} sigma"
+    worst = int(known[np.argmax(squares[known])])
+    off = f"{health.figure[worst]:.1f} sigma"
+    if bool((squares[known[known != worst]] + CLEARLY < squares[worst]).all()):
+        return f"the light plane of laser {names[worst]} has moved, or the camera: its stripe is off by {off}"
+    return f"the stripes disagree by {off}: a light plane or the camera has moved"

@@ -8,6 +8,9 @@ import pytest
 from ringpose.geometry.rotations import tilted
 from ringpose.pose.health import DRIFTED_FROM, drift_warning, health_after, new_health
 from ringpose.pose.pipeline import estimate_pose
+from ringpose.types.ring_pose import NoPose
+
+FIFTH_OF_A_DEGREE = np.radians(0.2)
 
 
 def drifted(rig, laser, tilt_rad=(0.0, 0.0), shift_m=0.0):
@@ -27,9 +30,16 @@ def health_of_stream(scene_of, face_points, rng, said, real, shots=40):
             real, distance_m=float(distance_m), tilt_rad=tuple(tilt), turn_rad=float(rng.uniform(-0.2, 0.2))
         )
         pose = estimate_pose(face_points(scene, 0.3, 0.02, rng), said)
-        if pose.plane_evidence is not None:
+        if not isinstance(pose, NoPose):
             health = health_after(health, pose.plane_evidence)
     return health
+
+
+def camera_turned(rig, angle_rad):
+    """All light planes turned alike about x, as they are for a camera that was turned against them."""
+    cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
+    turn = np.array([[1.0, 0.0, 0.0], [0.0, cosine, -sine], [0.0, sine, cosine]])
+    return replace(rig, lasers=replace(rig.lasers, normal=rig.lasers.normal @ turn.T))
 
 
 @pytest.fixture
@@ -45,12 +55,49 @@ def test_noise_alone_leaves_the_lasers_healthy(scene_of, face_points, rng, rig):
 
 
 @pytest.mark.parametrize("laser", range(3))
-@pytest.mark.parametrize("drift", [{"tilt_rad": (0.0, 2e-3)}, {"shift_m": 0.4e-3}], ids=["tilt", "shift"])
+@pytest.mark.parametrize("drift", [{"tilt_rad": (0.0, 2e-3)}, {"shift_m": 0.5e-3}], ids=["tilt", "shift"])
 def test_a_plane_that_has_moved_is_named(scene_of, face_points, rng, rig, laser, drift):
     health = health_of_stream(scene_of, face_points, rng, rig, drifted(rig, laser, **drift))
 
     assert health.figure.max() > DRIFTED_FROM
     assert f"laser {rig.lasers.names[laser]} has moved" in drift_warning(health, rig.lasers.names)
+
+
+@pytest.mark.parametrize("laser", range(3))
+@pytest.mark.parametrize("tilt_rad", [(FIFTH_OF_A_DEGREE, 0.0), (0.0, FIFTH_OF_A_DEGREE)], ids=["along", "across"])
+def test_a_plane_that_has_tilted_by_a_fifth_of_a_degree_is_seen(scene_of, face_points, rng, rig, laser, tilt_rad):
+    health = health_of_stream(scene_of, face_points, rng, rig, drifted(rig, laser, tilt_rad), shots=60)
+
+    assert "has moved" in drift_warning(health, rig.lasers.names)
+
+
+def test_a_camera_that_has_turned_is_seen(scene_of, face_points, rng, rig):
+    health = health_of_stream(scene_of, face_points, rng, rig, camera_turned(rig, FIFTH_OF_A_DEGREE), shots=60)
+
+    assert "the camera" in drift_warning(health, rig.lasers.names)
+
+
+def test_shots_that_had_to_be_mended_are_a_warning_too(rig):
+    health = new_health(3)
+    for _ in range(12):
+        health = health_after(health, None)
+
+    assert "100 % of the last shots contradict one ring" in drift_warning(health, rig.lasers.names)
+
+
+@pytest.mark.slow
+def test_streams_of_noise_never_warn(scene_of, face_points, rng, rig):
+    streams = [health_of_stream(scene_of, face_points, rng, rig, rig) for _ in range(25)]
+
+    assert [drift_warning(health, rig.lasers.names) for health in streams] == [None] * 25
+
+
+@pytest.mark.slow
+def test_a_target_that_stands_still_warns_three_times_in_a_hundred(scene_of, face_points, rng, rig):
+    # its noise stays the same, so that any number of shots tells what the first one does
+    alone = [health_of_stream(scene_of, face_points, rng, rig, rig, shots=1) for _ in range(500)]
+
+    assert np.mean([health.figure.max() > DRIFTED_FROM for health in alone if health.shots]) < 0.05
 
 
 def test_a_few_shots_warn_of_nothing(scene_of, face_points, rng, rig):
