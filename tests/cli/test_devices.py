@@ -1,0 +1,200 @@
+"""Shots and poses over the network and a serial line, from stand-ins that run in a process of their own."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from served_scene import small_scene
+
+from ringpose.cli.main import main
+from ringpose.files.shots import read_shot
+
+pytestmark = pytest.mark.usefixtures("_aravis")
+
+COMMAND = "import sys; from ringpose.cli.main import run; run()"
+
+
+@pytest.fixture
+def serve(tmp_path, monkeypatch, loopback_address):
+    """Start `ringpose simulate serve` and return its URIs."""
+    monkeypatch.chdir(tmp_path)
+    processes = []
+
+    def started(*options: str, scene: str = "scene.yaml") -> dict[str, str]:
+        if not Path(scene).exists():
+            small_scene(tmp_path)
+        command = [sys.executable, "-c", COMMAND, "simulate", "serve", "--scene", scene, "--camera", loopback_address]
+        process = subprocess.Popen([*command, "--log", "log.jsonl", *options], stdout=subprocess.PIPE, text=True)
+        processes.append(process)
+        assert process.stdout is not None
+        return json.loads(process.stdout.readline())
+
+    yield started
+    for process in processes:
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(20) == 143
+        process.stdout.close()
+
+
+def capture(uris: dict[str, str], *options: str) -> int:
+    return main(["capture", "--camera", uris["camera"], "--lasers", uris["lasers"], "--output", "s", *options])
+
+
+def truly_lit(shot) -> list[list[float]]:
+    """Of each frame, how much every laser shone in truth, by the stand-in's log."""
+    notes = {note["frame_id"]: note for note in map(json.loads, Path("log.jsonl").read_text().splitlines())}
+    return [notes[number]["laser_shares"] for number in shot.frame_id.tolist()]
+
+
+def wrong_labels(folder: str = "s") -> list[str]:
+    """Shots whose masks, commanded or seen, are not what truly shone."""
+    wrong = []
+    for path in sorted(Path(folder).glob("*.npz")):
+        shot = read_shot(path)
+        truth = [sum(1 << k for k, share in enumerate(shares) if share > 0.99) for shares in truly_lit(shot)]
+        dark = [sum(0.0 < share < 0.99 for share in shares) for shares in truly_lit(shot)]
+        if shot.lasers.tolist() != truth or shot.seen_lasers.tolist() != truth or any(dark):
+            wrong.append(path.stem)
+    return wrong
+
+
+@pytest.mark.parametrize("relay", ["none", "lcus", "numato", "modbus", "ascii"])
+def test_every_kind_of_laser_switch_gives_frames_with_true_labels(serve, relay):
+    uris = serve("--relay", relay)
+
+    status = capture(uris, "--sequence", "off,1,2,3,off", "--count", "3")
+
+    assert status == 0
+    assert len(list(Path("s").glob("*.npz"))) == 3
+    assert wrong_labels() == []
+
+
+def test_exposures_differ_from_step_to_step(serve):
+    uris = serve()
+
+    status = capture(uris, "--exposure", "0.004", "--sequence", "off,1,2", "--count", "1")
+
+    (path,) = Path("s").glob("*.npz")
+    assert status == 0
+    assert read_shot(path).exposure_s.tolist() == [0.004, 0.004, 0.004]
+
+
+def test_a_dead_camera_ends_the_capture_with_its_finished_shots(serve, capsys):
+    uris = serve("--relay", "lcus", "--fault", "dead-camera=7")
+    uris["camera"] += "?timeout=0.3"
+
+    status = capture(uris, "--sequence", "off,1,2", "--count", "5")
+
+    streams = capsys.readouterr()
+    assert status == 69
+    assert "check its cable" in streams.err
+    assert len(streams.out.splitlines()) == 2
+    assert "state: stopped" in Path("s/session.yaml").read_text()
+
+
+def test_lasers_at_the_lines_of_a_camera_that_is_lost_may_be_on(serve, capsys):
+    uris = serve("--fault", "dead-camera=7")
+    uris["camera"] += "?timeout=0.3"
+
+    status = capture(uris, "--sequence", "off,1,2", "--count", "5")
+
+    assert status == 70
+    assert "cut the power" in capsys.readouterr().err
+
+
+def test_a_laser_that_follows_too_late_is_noticed(serve):
+    uris = serve("--relay", "lcus", "--fault", "late:2=0.3")
+
+    status = capture(uris, "--sequence", "off,1,2,3,off", "--settle", "0.02", "--count", "1")
+
+    assert status != 0 or wrong_labels() == []
+
+
+def test_a_laser_that_sticks_is_a_safety_fault(serve, capsys):
+    uris = serve("--relay", "modbus", "--fault", "stuck:2")
+
+    status = capture(uris, "--sequence", "off,1,2,3,off", "--count", "3")
+
+    assert status == 70
+    assert "laser 2" in capsys.readouterr().err
+
+
+def test_a_pulled_cable_is_a_safety_fault(serve):
+    uris = serve("--relay", "lcus", "--fault", "unplug=7")
+
+    status = capture(uris, "--sequence", "off,1,2,3,off", "--count", "3")
+
+    assert status == 70
+    assert len(list(Path("s").glob("*.npz"))) == 1
+
+
+def test_poses_come_straight_from_devices(serve, example_folder, capsys):
+    uris = serve("--move", "never", scene=str(example_folder / "scene.yaml"))
+
+    devices = ["--camera", uris["camera"], "--lasers", uris["lasers"]]
+    rig = str(example_folder / "scene-rig.yaml")
+    status = main(["pose", "--rig", rig, *devices, "--count", "3", "--sequence", "off,1,2,3,off"])
+
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert status == 0
+    assert len(lines) + sum(line["dropped"] for line in lines) == 3
+    assert max(line["latency_s"] for line in lines) < 5.0
+    assert {line["status"] for line in lines} <= {"ok", "degraded"}
+
+
+def test_without_lasers_the_inputs_or_a_camera_are_wanted(capsys):
+    assert main(["pose", "--rig", "rig.yaml"]) == 2
+    assert main(["pose", "--rig", "rig.yaml", "a.npz", "--camera", "sim:scene.yaml"]) == 2
+    assert main(["pose", "--rig", "rig.yaml", "--camera", "files:shots"]) == 2
+    assert main(["pose", "--rig", "rig.yaml", "a.npz", "--lasers", "none:"]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 4
+
+
+def test_a_camera_is_served_to_this_machine_alone(capsys, tmp_path):
+    small_scene(tmp_path)
+
+    assert main(["simulate", "serve", "--scene", str(tmp_path / "scene.yaml"), "--camera", "192.168.0.1"]) == 2
+    assert "is no loopback address" in capsys.readouterr().err
+
+
+def test_two_cameras_need_two_addresses(serve, loopback_address, capsys):
+    serve()
+
+    status = main(["simulate", "serve", "--scene", "scene.yaml", "--camera", loopback_address])
+
+    assert status == 69
+    assert "choose another address" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("relay", "faults"),
+    [("none", ()), ("lcus", ("operate=0.008", "release=0.004")), ("none", ("loss=0.002",))],
+    ids=["lines", "relays", "loss"],
+)
+def test_two_hundred_shots_have_no_wrong_label(serve, relay, faults):
+    uris = serve("--relay", relay, *(word for fault in faults for word in ("--fault", fault)))
+
+    status = capture(uris, "--sequence", "off,1,2,3,off", "--count", "200", "--quiet")
+
+    assert status == 0
+    assert len(list(Path("s").glob("*.npz"))) == 200
+    assert wrong_labels() == []
+
+
+def test_stamps_are_the_hosts_clock_and_the_cameras(serve):
+    uris = serve()
+    before_s = time.time()
+
+    capture(uris, "--sequence", "off,1,off", "--count", "2")
+
+    shots = [read_shot(path) for path in sorted(Path("s").glob("*.npz"))]
+    stamps_s = np.concatenate([shot.stamp_s for shot in shots])
+    device_s = np.concatenate([shot.device_stamp_s for shot in shots])
+    assert before_s < stamps_s[0] < time.time()
+    np.testing.assert_allclose(np.diff(stamps_s), np.diff(device_s), atol=0.05)
