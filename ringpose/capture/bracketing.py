@@ -26,9 +26,12 @@ LEAST_VARIANCE_DN2 = 1 / 12
 LEVELS = 24
 """Bins of grey values from which the noise is read."""
 
-LEAST_IN_LEVEL = 200
+LEAST_IN_LEVEL = 100
 
 PEDESTAL_SIGMAS = 6.0
+
+THINNED = 3
+"""Every so many-th row and column tell the noise."""
 
 USUAL_FULL_E = 10_000.0
 """Electrons that fill a pixel of a common sensor, where the brackets do not tell the noise."""
@@ -115,7 +118,8 @@ def pixel_noise(
     """
     for images, exposures_s in brackets:
         if len(exposures_s) > 1:
-            short, long = images[np.argmin(exposures_s)], images[np.argmax(exposures_s)]
+            thinned = images[:, ::THINNED, ::THINNED]
+            short, long = thinned[np.argmin(exposures_s)], thinned[np.argmax(exposures_s)]
             return _noise_of_pair(short, long, float(exposures_s.min() / exposures_s.max()), shot.saturation_dn)
     return _usual_noise(0.0, shot.saturation_dn)
 
@@ -211,11 +215,11 @@ def _variance_of_most(values: Float64[Array, "n"]) -> float:
     return float(values.var())
 
 
-def on_the_scale_of(image: UInt[Array, "row column"], exposure_s: float, shot: Shot) -> Image:
+def on_the_scale_of(image: UInt[Array, "row column"], exposure_s: float, shot: Shot) -> UInt[Array, "row column"]:
     """A frame as taken, with the grey values that a merged shot has; as it is beside one that was not merged."""
     merged = shot.meta.get("merged")
     if merged is None:
-        return image.astype(np.float32)
-    scale = np.float32(merged["scale_s"] / exposure_s)
-    grey: Image = (image.astype(np.float32) - np.float32(merged["black_dn"])) * scale
-    return grey + np.float32(merged["pedestal_dn"])
+        return image
+    grey = (image.astype(np.float32) - merged["black_dn"]) * (merged["scale_s"] / exposure_s) + merged["pedestal_dn"]
+    scaled: UInt16[Array, "row column"] = np.rint(grey.clip(0, shot.saturation_dn)).astype(np.uint16)
+    return scaled

@@ -4,12 +4,14 @@ Every laser's own frame, less the frames without lasers, shows where its light f
 if most of those places are bright there too; motion of the target or ambient light do not do that.
 """
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
-from ringpose.types.arrays import Array, Float32, Int64, UInt8
+from ringpose.types.arrays import Array, Float32, Int64, UInt, UInt8
 from ringpose.types.frame import Shot
 
 LEAST_SHARE_OF_FULL = 0.02
@@ -31,9 +33,9 @@ MOST_PLACES = 0.7
 """and the laser is seen if this share of its places is."""
 
 SAMPLED = 7
-"""Every so many-th pixel tells the noise."""
+"""Every so many-th row and column tell the noise."""
 
-Image = Float32[Array, "row column"]
+Image = UInt[Array, "row column"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -46,7 +48,8 @@ class LitPlaces:
 
     def are_lit_in(self, image: Image) -> bool:
         """Whether the same laser lights another image."""
-        bright = image.ravel()[self.pixel] - self.dark_dn > AS_BRIGHT * self.contrast_dn
+        grey = image.ravel()[self.pixel].astype(np.float32)
+        bright = grey - self.dark_dn > AS_BRIGHT * self.contrast_dn
         return bool(bright.mean() > MOST_PLACES)
 
 
@@ -58,9 +61,12 @@ def seen_lasers(shot: Shot) -> tuple[UInt8[Array, "frame"] | None, dict[int, Lit
     dark_frames = np.flatnonzero(shot.lasers == 0)
     if not len(dark_frames):
         return None, {}
-    images = [image.astype(np.float32) for image in shot.images]
+    images = list(shot.images)
     without = [images[frame] for frame in dark_frames]
-    lit = [places_lit(image, without, shot.saturation_dn) for image in images]
+    lit = [
+        places_lit(image, without, shot.saturation_dn) if mask else None
+        for image, mask in zip(images, shot.lasers, strict=True)
+    ]
     alone = {int(mask).bit_length() - 1: frame for frame, mask in enumerate(shot.lasers) if int(mask).bit_count() == 1}
     places = {laser: found for laser, frame in alone.items() if (found := lit[frame]) is not None}
     own = sum(1 << laser for laser in alone)
@@ -74,20 +80,21 @@ def seen_lasers(shot: Shot) -> tuple[UInt8[Array, "frame"] | None, dict[int, Lit
 
 def places_lit(image: Image, without: Sequence[Image], saturation_dn: int) -> LitPlaces | None:
     """Places brighter than in all frames without lasers; or than in one of them, if another has the same light."""
-    darkest, brightest = np.minimum.reduce(without), np.maximum.reduce(without)
+    darkest, brightest = functools.reduce(cv2.min, without), functools.reduce(cv2.max, without)
     certain = _brighter_places(image, brightest, darkest, saturation_dn)
     if certain is not None or len(without) == 1:
         return certain
     doubtful = _brighter_places(image, darkest, darkest, saturation_dn)
-    stays = doubtful is not None and any(doubtful.are_lit_in(other) for other in without if other is not image)
+    stays = doubtful is not None and any(doubtful.are_lit_in(other) for other in without)
     return doubtful if stays else None
 
 
 def _brighter_places(image: Image, than: Image, dark: Image, saturation_dn: int) -> LitPlaces | None:
-    above = (image - than).ravel()
-    sigma_dn = 1.4826 * float(np.median(np.abs(above[::SAMPLED])))
-    pixel = np.flatnonzero(above > max(LEAST_SHARE_OF_FULL * saturation_dn, LEAST_SIGMAS * sigma_dn))
-    if not LEAST_PIXELS <= len(pixel) <= MOST_OF_IMAGE * len(above):
+    sample = image[::SAMPLED, ::SAMPLED].astype(np.float32) - than[::SAMPLED, ::SAMPLED]
+    sigma_dn = 1.4826 * float(np.median(np.abs(sample)))
+    least = max(LEAST_SHARE_OF_FULL * saturation_dn, LEAST_SIGMAS * sigma_dn)
+    pixel = np.flatnonzero(cv2.subtract(image, than) > least)
+    if not LEAST_PIXELS <= len(pixel) <= MOST_OF_IMAGE * image.size:
         return None
-    dark_dn = dark.ravel()[pixel]
+    dark_dn = dark.ravel()[pixel].astype(np.float32)
     return LitPlaces(pixel=pixel, contrast_dn=image.ravel()[pixel] - dark_dn, dark_dn=dark_dn)
