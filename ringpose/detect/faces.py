@@ -7,13 +7,14 @@ scored by how well one planar ring explains it, order swaps included.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
-from ringpose.detect.tracks import Track
-from ringpose.geometry.rays import undistorted_rays
+from ringpose.detect.tracks import Track, lens
 from ringpose.kernels.ring import RingRules, best_groups
 from ringpose.types.arrays import Array, Bool, Float64, Int32
+from ringpose.types.camera import Camera
 from ringpose.types.rig import Rig
 from ringpose.types.stripes import UNLABELLED
 
@@ -121,34 +122,51 @@ def ring_face(tracks: Sequence[Track], lasers: Sequence[int], rig: Rig) -> Face 
 
 def face_candidates(tracks: Sequence[Track], lasers: Sequence[int], rig: Rig) -> Candidates:
     """The tracks of greatest merit under every laser that they may belong to and that puts them at a possible place."""
-    pairs = [
-        (number, laser)
-        for number, track in enumerate(tracks)
-        for laser in (lasers if track.laser == UNLABELLED else [track.laser])
-    ]
-    track, laser = np.array(pairs, dtype=np.int32).reshape(-1, 2).T
-    ends_px = np.array([[[t.x_start, t.y(t.x_start)], [t.x_end, t.y(t.x_end)]] for t in tracks])
-    rays = undistorted_rays(ends_px, rig.camera)[track]
-    possible = np.flatnonzero(_possible(rays, _planes(rig)[laser]))
-    merit = {number: _merit(tracks[number]) for number in set(track[possible].tolist())}
-    seen = sorted(set(laser.tolist()))
-    of_laser = [sorted(possible[laser[possible] == each], key=lambda k: -merit[track[k]]) for each in seen]
-    kept = np.array([each for members in of_laser for each in members[:CANDIDATES]], dtype=np.int64)
+    rays = _rays_of_ends(tracks, rig.camera)
+    laser, track = np.nonzero(_allowed(tracks, lasers, rig) & _possible(rays, _planes(rig)))
+    merits = {number: _merit(tracks[number]) for number in set(track.tolist())}
+    merit = np.array([merits[number] for number in track.tolist()], dtype=np.float64)
+    order = np.lexsort((-merit, laser))
+    rank = np.arange(len(order)) - np.searchsorted(laser, laser)
+    kept = order[rank < CANDIDATES]
     return Candidates(
-        track=np.ascontiguousarray(track[kept]),
-        laser=np.ascontiguousarray(laser[kept]),
-        ends=np.ascontiguousarray(rays[kept, :, :2]),
-        merit=np.array([merit[each] for each in track[kept]], dtype=np.float64),
+        track=track[kept].astype(np.int32),
+        laser=laser[kept].astype(np.int32),
+        ends=rays[track[kept], :, :2],
+        merit=merit[kept],
     )
 
 
-def _possible(rays: Float64[Array, "n end=2 xyz=3"], planes: Float64[Array, "n xyz=3"]) -> Bool[Array, "n"]:
+def _rays_of_ends(tracks: Sequence[Track], camera: Camera) -> Float64[Array, "track end=2 xyz=3"]:
+    """Rays (x, y, 1) through the ends of tracks."""
+    optics = lens(camera)
+    ends_px = [((t.x_start, t.y(t.x_start), 0.0), (t.x_end, t.y(t.x_end), 0.0)) for t in tracks]
+    rays: Float64[Array, "track end=2 xyz=3"] = np.array(ends_px) - (optics.cx, optics.cy, -1.0)
+    rays /= (optics.fx, optics.fy, 1.0)
+    return rays
+
+
+def _allowed(tracks: Sequence[Track], lasers: Sequence[int], rig: Rig) -> Bool[Array, "laser track"]:
+    """Which laser a track may belong to: its own, or one of those of unlabelled tracks."""
+    every = range(len(rig.lasers.names))
+    unlabelled = [laser in lasers for laser in every]
+    return np.array(
+        [unlabelled if track.laser == UNLABELLED else [laser == track.laser for laser in every] for track in tracks]
+    ).T
+
+
+def _possible(
+    rays: Float64[Array, "track end=2 xyz=3"], planes: Float64[Array, "laser xyz=3"]
+) -> Bool[Array, "laser track"]:
     """Whether stripes seen along these rays lie at the depth of a ring and are as long as its face is wide."""
-    inverse_depth = np.sum(rays * planes[:, None], axis=-1)
-    inside = np.all((inverse_depth > 1 / DEPTH_RANGE_M[1]) & (inverse_depth < 1 / DEPTH_RANGE_M[0]), axis=-1)
-    points = rays / np.where(inside[:, None], inverse_depth, 1.0)[..., None]
-    length_m = np.linalg.norm(points[:, 1] - points[:, 0], axis=-1)
-    possible: Bool[Array, "n"] = inside & (length_m > FACE_LENGTH_M[0]) & (length_m < FACE_LENGTH_M[1])
+    inverse_depth = planes @ rays.reshape(-1, 3).T
+    at_depth = (inverse_depth > 1 / DEPTH_RANGE_M[1]) & (inverse_depth < 1 / DEPTH_RANGE_M[0])
+    inside = at_depth[:, ::2] & at_depth[:, 1::2]
+    depth = 1 / np.where(at_depth, inverse_depth, 1.0)
+    along = rays[:, 1] * depth[:, 1::2, None] - rays[:, 0] * depth[:, ::2, None]
+    squared_length = np.einsum("ltk,ltk->lt", along, along)
+    shortest, longest = FACE_LENGTH_M
+    possible: Bool[Array, "laser track"] = inside & (squared_length > shortest**2) & (squared_length < longest**2)
     return possible
 
 
@@ -159,12 +177,14 @@ def _merit(track: Track) -> float:
     return straight - SPILL_COST * share - CLIPPED_COST * track.clipped
 
 
+@lru_cache(maxsize=4)
 def _planes(rig: Rig) -> Float64[Array, "laser xyz=3"]:
     """The light planes as m / d: 1/z = (m / d) . (x, y, 1) on them."""
     planes: Float64[Array, "laser xyz=3"] = rig.lasers.normal / rig.lasers.distance_m[:, None]
     return planes
 
 
+@lru_cache(maxsize=4)
 def _rules(rig: Rig) -> RingRules:
     matrix = rig.camera.camera_matrix
     return RingRules(
