@@ -26,8 +26,14 @@ setup(
         ),
         kernels(
             "_ring",
-            ("arcs", "ends", "flat_ends", "groups", "lens", "track_lines", "track_spills", "tracks"),
-            ("arcs", "buffers", "drafts", "ends", "kernels", "normal_cdf", "ring", "select", "tracks"),
+            (
+                *("arcs", "end_fits", "ends", "flat_ends", "groups", "lens", "profile", "sections"),
+                *("track_lines", "track_spills", "tracks"),
+            ),
+            (
+                *("arcs", "buffers", "drafts", "end_fits", "ends", "kernels", "minimum", "normal_cdf", "profile"),
+                *("ring", "sections", "select", "tracks"),
+            ),
         ),
         kernels(
             "_stripes",

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -28,7 +29,7 @@ def break_points(
         if shown:
             found = stripe_ends([track for _, track in shown], image, rig.camera, saturation_dn)
             parts.append(_named(shown, found))
-    ends, right_is_inner, clear = checked(_joined(parts), tracks, rig)
+    ends, right_is_inner, clear = checked(_edges_alike(_joined(parts)), tracks, rig)
     order = np.array([1, 0]) if right_is_inner else np.array([0, 1])
     flags = ends.flags[:, order] | (0 if clear else int(BreakPointFlag.EDGE_UNKNOWN))
     labelled = all(image.labelled for image in images if any(laser in image.lasers for laser in ends.laser))
@@ -39,7 +40,10 @@ def _named(shown: Sequence[tuple[int, Track]], ends: StripeEnds) -> Ends:
     """The ends of one image's tracks with their lasers, covariances and flags."""
     x = ends.position_px[..., 0].tolist()
     rows = zip(shown, x, ends.slope.tolist(), ends.sigma_px.tolist(), strict=True)
-    flags = _flags(x, ends.outside.tolist(), ends.saturated.tolist())
+    flags = [
+        [_flags(*end) for end in zip(*sides, strict=True)]
+        for sides in zip(x, ends.outside.tolist(), ends.saturated.tolist(), ends.blunt.tolist(), strict=True)
+    ]
     return Ends(
         laser=np.array([laser for laser, _ in shown], dtype=np.int64),
         position_px=ends.position_px,
@@ -54,17 +58,13 @@ def _named(shown: Sequence[tuple[int, Track]], ends: StripeEnds) -> Ends:
     )
 
 
-def _flags(x: list[list[float]], outside: list[list[float]], saturated: list[list[bool]]) -> list[list[int]]:
-    """The flags of ends at those columns, with those levels outside; clipped where there is none."""
-    return [
-        [
-            int(BreakPointFlag.CLIPPED)
-            if math.isnan(at)
-            else int(BreakPointFlag.SATURATED) * full + int(BreakPointFlag.KINK) * (level > KINK_LEVEL)
-            for at, level, full in zip(*sides, strict=True)
-        ]
-        for sides in zip(x, outside, saturated, strict=True)
-    ]
+def _flags(x: float, outside: float, saturated: bool, blunt: bool) -> int:
+    """The flags of an end at that column with that level outside; clipped if there is none."""
+    if math.isnan(x):
+        return int(BreakPointFlag.CLIPPED)
+    kink = outside > KINK_LEVEL
+    named = ((saturated, BreakPointFlag.SATURATED), (kink, BreakPointFlag.KINK), (blunt, BreakPointFlag.BLUNT))
+    return sum(int(flag) for is_so, flag in named if is_so)
 
 
 def _covariance(slope: float, along: float, across: float) -> list[list[float]]:
@@ -84,6 +84,24 @@ def _joined(parts: Sequence[Ends]) -> Ends:
         flags=np.concatenate([part.flags for part in parts]),
         straight_x=np.concatenate([part.straight_x for part in parts]),
     )
+
+
+def _edges_alike(ends: Ends) -> Ends:
+    """The ends with all of an edge blunt where most of them are: it is made alike all around.
+
+    They are then known no better than the best known of the blunt ones.
+    """
+    blunt = (ends.flags & int(BreakPointFlag.BLUNT)) != 0
+    if not blunt.any():
+        return ends
+    seen = np.isfinite(ends.position_px[..., 0])
+    others = seen & ~blunt & (2 * blunt.sum(axis=0) > seen.sum(axis=0))
+    flags, covariance = ends.flags.copy(), ends.covariance_px2.copy()
+    flags[others] |= int(BreakPointFlag.BLUNT)
+    for track, side in np.argwhere(others).tolist():
+        least = covariance[blunt[:, side], side, 0, 0].min()
+        covariance[track, side] *= max(least / covariance[track, side, 0, 0], 1.0)
+    return replace(ends, flags=flags, covariance_px2=covariance)
 
 
 def _gathered(

@@ -11,8 +11,9 @@ from functools import lru_cache
 
 import numpy as np
 
+from ringpose.detect.collinear import collinear_tracks
 from ringpose.detect.tracks import Track, lens
-from ringpose.kernels.ring import RingRules, best_groups
+from ringpose.kernels.ring import Group, RingRules, best_groups
 from ringpose.types.arrays import Array, Bool, Float64, Int32
 from ringpose.types.camera import Camera
 from ringpose.types.rig import Rig
@@ -21,7 +22,7 @@ from ringpose.types.stripes import UNLABELLED
 DEPTH_RANGE_M = (0.05, 3.0)
 """Where a ring can be: wider on both sides than the 0.2 to 1 m that the method is made for."""
 
-FACE_LENGTH_M = (0.003, 0.16)
+FACE_LENGTH_M = (0.003, 0.1)
 """Length of a stripe on the face: bands of adapter rings are 20 to 60 mm wide and crossed at 45 degrees or more."""
 
 MAXIMUM_TILT_RAD = float(np.deg2rad(75))
@@ -59,6 +60,9 @@ UNSEEN_COST = 6.0
 
 SPILL_COST = 15.0
 """What it costs if all of a stripe's centres on a track's line lie beyond the track: a face ends with its track."""
+
+UNION_COST = 3.0
+"""What it costs that a track is put together: the body's stripes, broken by shadows and glints, gain by it as well."""
 
 CLIPPED_COST = 4.0
 """What it costs that a track leaves the image: there is no seeing whether it would have ended."""
@@ -105,14 +109,15 @@ def ring_face(tracks: Sequence[Track], lasers: Sequence[int], rig: Rig) -> Face 
     """
     if not tracks:
         return None
-    candidates = face_candidates(tracks, lasers, rig)
+    unions = collinear_tracks(tracks)
+    tracks = [*tracks, *unions]
+    candidates = face_candidates(tracks, lasers, rig, unions=len(unions))
     groups = best_groups(
         candidates.track, candidates.laser, candidates.ends, candidates.merit, _planes(rig), _rules(rig)
     )
-    convincing = [group for group in groups if group.score > CONVINCING_SCORE[len(group.candidates)]]
-    if not convincing:
+    best = _most_convincing(groups)
+    if best is None:
         return None
-    best = max(convincing, key=lambda group: group.score - TRACK_PRICE * len(group.candidates))
     return Face(
         tracks=tuple((int(candidates.laser[each]), tracks[candidates.track[each]]) for each in best.candidates),
         score=best.score,
@@ -120,11 +125,28 @@ def ring_face(tracks: Sequence[Track], lasers: Sequence[int], rig: Rig) -> Face 
     )
 
 
-def face_candidates(tracks: Sequence[Track], lasers: Sequence[int], rig: Rig) -> Candidates:
-    """The tracks of greatest merit under every laser that they may belong to and that puts them at a possible place."""
+def _most_convincing(groups: tuple[Group, Group, Group]) -> Group | None:
+    """The largest group, unless a smaller one says more; None if none convinces.
+
+    Nothing confirms a single track. Two are confirmed by one plane, and three by one plane and two circles, which
+    is hardly ever so by chance: what three have less in score than other two may be the price of a broken track.
+    """
+    one, two, three = (group if group.score > CONVINCING_SCORE[len(group.candidates)] else None for group in groups)
+    if two is None or three is None:
+        return three or two or one
+    price = TRACK_PRICE if set(two.candidates) < set(three.candidates) else -TRACK_PRICE
+    return three if three.score > two.score + price else two
+
+
+def face_candidates(tracks: Sequence[Track], lasers: Sequence[int], rig: Rig, unions: int = 0) -> Candidates:
+    """The tracks of greatest merit under every laser that they may belong to and that puts them at a possible place.
+
+    So many tracks at the end are unions of others.
+    """
     rays = _rays_of_ends(tracks, rig.camera)
     laser, track = np.nonzero(_allowed(tracks, lasers, rig) & _possible(rays, _planes(rig)))
-    merits = {number: _merit(tracks[number]) for number in set(track.tolist())}
+    joined = len(tracks) - unions
+    merits = {number: _merit(tracks[number]) - UNION_COST * (number >= joined) for number in set(track.tolist())}
     merit = np.array([merits[number] for number in track.tolist()], dtype=np.float64)
     order = np.lexsort((-merit, laser))
     rank = np.arange(len(order)) - np.searchsorted(laser, laser)

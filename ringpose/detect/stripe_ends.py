@@ -41,10 +41,10 @@ SPECKLE_COLUMNS = 2.0
 """Columns that share a grain: so much fewer are independent."""
 
 GRAIN_FACTOR = 1.5
-"""The last grain before the edge moves the edge's half level by its contrast times the edge's width; the optics,
-which average over about twice that width, let the columns show less contrast than one grain has."""
+"""The last grain before the edge moves it by its contrast times the edge's width; the optics, which average over about
+twice that width, let the columns show less contrast than one grain has. So much in simulations of drawn grains."""
 
-SHAPE_SIGMA = 0.02
+SHAPE_SIGMA = 0.01
 """Columns by which a real edge's position depends on how its blur is modelled; adds to what noise explains."""
 
 SATURATED_SHARE = 0.2
@@ -52,6 +52,22 @@ SATURATED_SHARE = 0.2
 
 HIDDEN_SPECKLE = 0.15
 """Contrast of the speckle that saturation hides: what rough metal shows through a lens of f/4 or so."""
+
+TEXTURE_FACTOR = 1.5
+"""Error of a column's peak over what its section leaves unexplained, where crinkled foil lies beneath: 1.4 to 1.75."""
+
+NEAR_COLUMNS = 9.0
+"""Columns beyond the edge in which the level should be the fitted one; farther out the body's stripe may begin."""
+
+MOST_EXCESS = 4.0
+"""What an end may say, in log likelihood, against the width of the blur that all ends share."""
+
+WIDTH_SPREAD = 0.25
+"""How far the blur of one end may be from that of the others: depth of field, pixels."""
+
+BLUNT_GAIN = 1.5
+"""Falls wider than the stripe is thick must explain all ends of an image by so much better, in log likelihood, to be
+believed: no lens blurs more along the stripe than across it, so that an edge has a chamfer or is worn round."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -66,6 +82,8 @@ class StripeEnds:
     outside: Float64[Array, "track end=2"]
     """Level beyond the end, as a share of the face's."""
     saturated: Bool[Array, "track end=2"]
+    blunt: Bool[Array, "track end=2"]
+    """Falls off more slowly than optics blur: the sharp edge lies somewhere in the fall, which sigma includes."""
 
 
 def stripe_ends(tracks: Sequence[Track], image: LaserImage, camera: Camera, saturation_dn: int) -> StripeEnds:
@@ -82,6 +100,7 @@ def stripe_ends(tracks: Sequence[Track], image: LaserImage, camera: Camera, satu
         sigma_px=found[..., 3],
         outside=found[..., 4],
         saturated=saturated,
+        blunt=found[..., 8] == 1,
     )
 
 
@@ -100,4 +119,9 @@ def _rules(saturation_dn: int) -> EndRules:
         shape_sigma=SHAPE_SIGMA,
         saturated_share=SATURATED_SHARE,
         hidden_speckle=HIDDEN_SPECKLE,
+        texture_factor=TEXTURE_FACTOR,
+        near_columns=NEAR_COLUMNS,
+        most_excess=MOST_EXCESS,
+        width_spread=WIDTH_SPREAD,
+        blunt_gain=BLUNT_GAIN,
     )

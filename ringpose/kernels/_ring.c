@@ -207,7 +207,7 @@ static PyObject *arcs(PyObject *module, PyObject *arguments) {
     return result;
 }
 
-enum { END_RULES = 13, LINE_COLUMNS = 5 };
+enum { END_RULES = 18, LINE_COLUMNS = 5 };
 
 static PyObject *ends_of(const Py_buffer *lit, const Py_buffer *dark, const Py_buffer view[3]) {
     const double *lens = view[1].buf, *rule = view[2].buf;

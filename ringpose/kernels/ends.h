@@ -15,7 +15,8 @@ typedef struct {
 
 typedef struct {
     double saturation, beyond_columns, inside_columns, outside_columns, flank_sigmas, flanks_share, undimmed_level,
-        least_headroom, speckle_columns, grain_factor, shape_sigma, saturated_share, hidden_speckle;
+        least_headroom, speckle_columns, grain_factor, shape_sigma, saturated_share, hidden_speckle, texture_factor, near_columns,
+        most_excess, width_spread, blunt_gain;
 } EndRules;
 
 typedef struct {
@@ -23,7 +24,7 @@ typedef struct {
 } StripeLine;
 
 typedef struct {
-    double x, y, slope, sigma, outside, saturated, width, section_sigma;
+    double x, y, slope, sigma, outside, saturated, width, section_sigma, blunt;
 } StripeEnd;
 
 /* Two ends (left, right) a line; NaN where none fits. 0 if there is no memory. */

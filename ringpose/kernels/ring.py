@@ -88,6 +88,16 @@ class EndRules(NamedTuple):
     saturated_share: float
     """Share of saturated columns above which `hidden_speckle` is assumed."""
     hidden_speckle: float
+    texture_factor: float
+    """What a column's section leaves unexplained, times this, is what it errs by."""
+    near_columns: float
+    """Columns beyond the edge in which the level there must be the one that was fitted."""
+    most_excess: float
+    """No end says more than this (in log likelihood) about the width that all share."""
+    width_spread: float
+    """Relative standard deviation of an edge's width about that."""
+    blunt_gain: float
+    """Gain in log likelihood by widths beyond that of the stripe's section, of all ends, above which ends are blunt."""
 
 
 class Lens(NamedTuple):
@@ -138,18 +148,19 @@ def stripe_ends(
     lines: Float64[Array, "track column=5"],
     lens: Lens,
     rules: EndRules,
-) -> Float64[Array, "track end=2 column=8"]:
+) -> Float64[Array, "track end=2 column=9"]:
     """Left and right end of the stripe on each line, to a fraction of a column.
 
     Lines are middle_x, middle_y, slope, x_start, x_end in undistorted pixels. The stripe's brightness along its line
     (the Gaussian section that fits each column best) is compared with a level inside, a level outside, and an error
-    function between; the most likely position, width and levels win. Columns of the result: x, y and slope of the
-    line there (distorted pixels), sigma along x, the level outside as a share of that inside, the share of saturated
-    columns at the end, the edge's width, and the sigma of the stripe's section; NaN where no edge fits.
+    function between; the most likely position, width and levels win, widths near that which suits all ends best.
+    Columns of the result: x, y and slope of the line there (distorted pixels), sigma along x, the level outside as a
+    share of that inside, the share of saturated columns at the end, the edge's width, the sigma of the stripe's
+    section, and whether the edge is blunt; NaN where no edge fits.
     """
     black = None if dark is None else np.ascontiguousarray(dark)
     found = _ring.ends(np.ascontiguousarray(lit), black, np.ascontiguousarray(lines), _numbers(lens), _numbers(rules))
-    return np.frombuffer(found, dtype=np.float64).reshape(-1, 2, 8)
+    return np.frombuffer(found, dtype=np.float64).reshape(-1, 2, 9)
 
 
 class ArcFit(NamedTuple):

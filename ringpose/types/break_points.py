@@ -22,6 +22,8 @@ class BreakPointFlag(IntFlag):
     """Its end does not lie on the circle of the others: something hides the edge."""
     EDGE_UNKNOWN = 16
     """Inner and outer edge could not be told apart: the ring's centre may lie on either side."""
+    BLUNT = 32
+    """The stripe fades over more columns than optics blur: the sharp edge lies somewhere in a chamfer."""
 
 
 class NoBreakPoints(Enum):

@@ -20,9 +20,14 @@ RULES = EndRules(
     least_headroom=0.05,
     speckle_columns=2.0,
     grain_factor=1.5,
-    shape_sigma=0.02,
+    shape_sigma=0.01,
     saturated_share=0.2,
     hidden_speckle=0.15,
+    texture_factor=1.5,
+    near_columns=9.0,
+    most_excess=4.0,
+    width_spread=0.25,
+    blunt_gain=1.5,
 )
 STRAIGHT = Lens(900.0, 900.0, 160.0, 60.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 BENT = Lens(300.0, 300.0, 160.0, 60.0, -0.1, 0.02, 0.001, -0.001, 0.0)
@@ -119,7 +124,7 @@ def test_a_line_outside_the_image_has_no_end():
 def test_wild_lines_have_no_end(value):
     wild = np.array([[150.0, value, 0.0, 100.0, 200.0], [150.0, 60.0, 0.0, 100.0, value]])
 
-    assert stripe_ends(image(drawn(100, 200)), None, wild, STRAIGHT, RULES).shape == (2, 2, 8)
+    assert stripe_ends(image(drawn(100, 200)), None, wild, STRAIGHT, RULES).shape == (2, 2, 9)
 
 
 @pytest.mark.parametrize(

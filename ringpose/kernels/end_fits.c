@@ -1,0 +1,154 @@
+/* Edges fitted to the brightness of a stripe about its end. Twin: reference_ends.py. */
+#include "end_fits.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "minimum.h"
+#include "normal_cdf.h"
+#include "select.h"
+
+/* Level, spread and noise of the columns about an end; 0 if they are dark. */
+static int measure_spread(Columns *columns, double noise, const EndRules *rules) {
+    double full[MOST_COLUMNS], beyond[MOST_COLUMNS];
+    size_t inner = 0, outer = 0;
+    for (int i = 0; i < columns->count; i++) {
+        if (columns->along[i] < -2)
+            full[inner++] = columns->amplitude[i] / fmax(columns->headroom[i], rules->least_headroom);
+        if (columns->along[i] > 2) beyond[outer++] = columns->amplitude[i];
+    }
+    double level = median(full, inner), spread = 0;
+    if (!(level > 0)) return 0;
+    for (size_t i = 0; i < inner; i++) full[i] = fabs(full[i] - level);
+    if (outer) {
+        double middle = median(beyond, outer);
+        for (size_t i = 0; i < outer; i++) beyond[i] = fabs(beyond[i] - middle);
+        spread = 1.4826 * median(beyond, outer);
+    }
+    columns->level = level;
+    columns->contrast = fmax(fmax(1.4826 * median(full, inner) / level, noise / level), 0.002);
+    columns->noise = fmax(fmax(spread, noise), 0.002 * level);
+    return 1;
+}
+
+int gather_columns(const Profile *profile, ptrdiff_t near, int outward, const EndRules *rules, Columns *columns) {
+    int inner = 0, outer = 0, count = 0;
+    for (double along = 1 - rules->inside_columns; along < rules->outside_columns && count < MOST_COLUMNS; along++) {
+        ptrdiff_t i = near + outward * (ptrdiff_t)along;
+        if (i < 0 || i >= profile->count) continue;
+        inner += along < -2;
+        outer += along > 1;
+        columns->along[count] = along;
+        columns->amplitude[count] = profile->amplitude[i];
+        columns->headroom[count] = profile->headroom[i];
+        columns->texture[count] = profile->texture[i];
+        columns->saturated[count++] = profile->saturated[i];
+    }
+    columns->count = count;
+    return inner >= 4 && outer >= 3 && measure_spread(columns, profile->noise, rules);
+}
+
+double column_variance(const Columns *columns, int i, double inside) {
+    double spread = columns->contrast * columns->level * inside;
+    return columns->noise * columns->noise + columns->texture[i] + spread * spread;
+}
+
+/* What the columns add to the equations for the two levels, and to the likelihood. */
+typedef struct {
+    double inside, both, outside, in_value, out_value, square, logarithm;
+} Sums;
+
+/* Sums over the columns up to each one, if all lay inside the edge, and if all lay outside. */
+typedef struct {
+    Sums in[MOST_COLUMNS + 1], out[MOST_COLUMNS + 1];
+} Running;
+
+static void add(Sums *sums, double in, double out, double value, double variance) {
+    double weight = 1 / variance;
+    sums->inside += in * in * weight;
+    sums->both += in * out * weight;
+    sums->outside += out * out * weight;
+    sums->in_value += in * value * weight;
+    sums->out_value += out * value * weight;
+    sums->square += value * value * weight;
+}
+
+static void add_range(Sums *sums, const Sums *from, const Sums *to) {
+    sums->inside += to->inside - from->inside;
+    sums->outside += to->outside - from->outside;
+    sums->in_value += to->in_value - from->in_value;
+    sums->out_value += to->out_value - from->out_value;
+    sums->square += to->square - from->square;
+    sums->logarithm += to->logarithm - from->logarithm;
+}
+
+static void run(const Columns *columns, Running *running) {
+    memset(running, 0, sizeof *running);
+    for (int i = 0; i < columns->count; i++) {
+        double head = columns->headroom[i], value = columns->amplitude[i];
+        running->in[i + 1] = running->in[i];
+        running->out[i + 1] = running->out[i];
+        add(&running->in[i + 1], head, 0, value, column_variance(columns, i, head));
+        add(&running->out[i + 1], 0, 1, value, column_variance(columns, i, 0));
+        running->in[i + 1].logarithm += log(column_variance(columns, i, head));
+        running->out[i + 1].logarithm += log(column_variance(columns, i, 0));
+    }
+}
+
+/* Minus log likelihood of an edge with its best levels, and the outside level's share of the inside. Columns ascend
+   in `along`; more than four widths from the edge they lie wholly on one side. */
+static double edge_cost(const Columns *columns, const Running *running, double position, double width,
+                        double *outside) {
+    Sums sums = {0};
+    double variances = 1;
+    int first = 0, last, count = columns->count;
+    while (first < count && (position - columns->along[first]) / width >= 4) first++;
+    add_range(&sums, &running->in[0], &running->in[first]);
+    for (last = first; last < count && (position - columns->along[last]) / width > -4; last++) {
+        double edge = normal_cdf((position - columns->along[last]) / width), in = edge * columns->headroom[last];
+        double variance = column_variance(columns, last, in);
+        add(&sums, in, 1 - edge, columns->amplitude[last], variance);
+        variances *= variance;
+        if (!(variances > 1e-150 && variances < 1e150)) {
+            sums.logarithm += log(variances);
+            variances = 1;
+        }
+    }
+    add_range(&sums, &running->out[last], &running->out[count]);
+    double determinant = fmax(sums.inside * sums.outside - sums.both * sums.both, 1e-30);
+    double within = fmax((sums.outside * sums.in_value - sums.both * sums.out_value) / determinant, 1e-6);
+    double beyond = (sums.inside * sums.out_value - sums.both * sums.in_value) / determinant;
+    beyond = fmin(fmax(beyond, 0), within);
+    *outside = beyond / within;
+    double square = sums.square - 2 * within * sums.in_value - 2 * beyond * sums.out_value +
+                    within * within * sums.inside + 2 * within * beyond * sums.both + beyond * beyond * sums.outside;
+    return 0.5 * (square + sums.logarithm + log(variances));
+}
+
+/* A coarse search at one width, then all widths around what it found, then a parabola. */
+void fit_edge(const Columns *columns, double sigma, EdgeFit *fit) {
+    enum { FINE = 11 };
+    Running running;
+    double least = INFINITY, start = 0, ignored;
+    run(columns, &running);
+    for (int k = -24; k <= 12; k++) {
+        double cost = edge_cost(columns, &running, 0.5 * k, 0.8 * sigma, &ignored);
+        if (cost < least) {
+            least = cost;
+            start = 0.5 * k;
+        }
+    }
+    for (int s = 0; s < WIDTHS; s++) {
+        double cost[FINE], level[FINE];
+        int k = 0;
+        for (int j = 0; j < FINE; j++) {
+            double at = start + (j - FINE / 2) * 0.15;
+            cost[j] = edge_cost(columns, &running, at, WIDTH[s] * sigma, &level[j]);
+            if (cost[j] < cost[k]) k = j;
+        }
+        double shift = k > 0 && k < FINE - 1 ? parabola(cost[k - 1], cost[k], cost[k + 1]) : 0;
+        fit->cost[s] = cost[k];
+        fit->position[s] = start + (k - FINE / 2 + shift) * 0.15;
+        fit->outside[s] = level[k];
+    }
+}
