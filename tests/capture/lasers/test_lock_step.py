@@ -77,7 +77,9 @@ def test_every_image_shows_the_lasers_of_its_mask_and_no_other(shots_of):
 
 
 def test_a_laser_that_stays_dark_is_an_error_after_three_attempts(shots_of):
-    with pytest.raises(DeviceError, match="laser 2 was commanded but not seen, 3 times; it stays dark, burns all the time"):
+    with pytest.raises(
+        DeviceError, match="laser 2 was commanded but not seen, 3 times; it stays dark, burns all the time"
+    ):
         shots_of(procedure(), ContactFaults(dead=frozenset({1})))
 
 
