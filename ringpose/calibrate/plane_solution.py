@@ -10,7 +10,15 @@ from ringpose.calibrate.board_pose import board_pose
 from ringpose.calibrate.laser_fit import FittedPlane, Points, determined_without, fitted_plane, plane_without
 from ringpose.calibrate.plane_covariance import laser_disagreements, planes_covariance, variance_excess
 from ringpose.calibrate.plane_fits import downward
-from ringpose.calibrate.plane_joint import JointData, JointFit, JointState, corner_sigma_px, joint_data, joint_fit
+from ringpose.calibrate.plane_joint import (
+    LEAST_SIGMA_PX,
+    JointData,
+    JointFit,
+    JointState,
+    corner_sigma_px,
+    joint_data,
+    joint_fit,
+)
 from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.calibrate.stripe_evidence import StripeEvidence
 from ringpose.types.board import BoardPose
@@ -19,6 +27,12 @@ from ringpose.types.covariance import ParameterCovariance
 
 HeldOut = Sequence[Sequence[FittedPlane | None]]
 """By laser and view: the plane of the other views; None where they determine none."""
+
+
+_SIGMA_ROUNDS = 5
+
+_SETTLED = 0.95
+"""Share of the corners' standard deviation below which a smaller one is tried."""
 
 
 class PlaneSolution(NamedTuple):
@@ -53,9 +67,7 @@ def joint_solution(evidence: StripeEvidence, free_camera: bool) -> PlaneSolution
     points = [evidence.points(laser) for laser in range(len(evidence.names))]
     nearest = PlanesMethod.TOTAL_LEAST_SQUARES
     start = [fitted_plane(name, own, nearest) for name, own in zip(evidence.names, points, strict=True)]
-    corner_px = corner_sigma_px(evidence.views, evidence.poses, evidence.camera)
-    data = joint_data(evidence.views, evidence.camera, corner_px, free_camera)
-    fit = joint_fit(data, _state(start, evidence.poses, evidence.camera))
+    data, fit = _fit(evidence, start, free_camera)
     held = data.with_camera(fit.state.camera) if free_camera else data
     excess = variance_excess(held, fit)
     return PlaneSolution(
@@ -68,6 +80,20 @@ def joint_solution(evidence: StripeEvidence, free_camera: bool) -> PlaneSolution
         excess=excess,
         disagreement=laser_disagreements(held, fit),
     )
+
+
+def _fit(evidence: StripeEvidence, start: Sequence[FittedPlane], free_camera: bool) -> tuple[JointData, JointFit]:
+    """The fit with the corners' errors as the fit has them: stray corners, which it resists, bend single boards."""
+    usual_px = corner_sigma_px(evidence.views, evidence.poses, evidence.camera)
+    data = joint_data(evidence.views, evidence.camera, usual_px, free_camera)
+    fit = joint_fit(data, _state(start, evidence.poses, evidence.camera))
+    for _ in range(_SIGMA_ROUNDS):
+        corner_px = max(corner_sigma_px(evidence.views, fit.state.poses, fit.state.camera), LEAST_SIGMA_PX)
+        if corner_px > _SETTLED * data.corner_px:
+            break
+        data = replace(data, corner_px=corner_px)
+        fit = joint_fit(data, fit.state)
+    return data, fit
 
 
 def _state(planes: Sequence[FittedPlane], poses: Sequence[BoardPose], camera: Camera) -> JointState:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from ringpose.calibrate.plane_fits import paper_plane, robust_plane
 from ringpose.calibrate.planes import PlanesModel, calibrate_planes
@@ -15,6 +16,7 @@ from ringpose.types.covariance import ParameterCovariance
 NAMES = ("left", "middle", "right")
 MODEL = PlanesModel(names=NAMES)
 PAPER = replace(MODEL, method=PlanesMethod.PAPER)
+SEPARATE = replace(MODEL, method=PlanesMethod.TOTAL_LEAST_SQUARES)
 NOTHING = np.empty((0, 2))
 
 
@@ -154,26 +156,93 @@ def test_the_papers_method_claims_no_covariance(rng, stripe_views, true_poses, t
 
 
 @pytest.mark.slow
-def test_errors_have_the_joint_covariance_that_is_reported(
-    rng, stripe_views, true_poses, true_planes, true_camera, camera_covariance
+@pytest.mark.parametrize("free_camera", [False, True])
+def test_errors_of_fifty_calibrations_have_the_joint_covariance_that_is_reported(
+    free_camera, rng, stripe_views, true_poses, true_planes, true_camera, camera_covariance
 ):
-    runs = 40
-    poses = true_poses(rng, 7)
+    """Each time another camera, as wrong as its covariance says, other noise, other boards."""
+    runs = 50
     normalised = []
     for _ in range(runs):
         wrong = rng.multivariate_normal(np.zeros(9), camera_covariance.data)
-        fx, fy, cx, cy = np.array([1781.3, 1780.6, 803.7, 596.2]) + wrong[:4]
-        camera = replace(
-            true_camera,
-            camera_matrix=np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]),
-            distortion_coefficients=true_camera.distortion_coefficients + wrong[4:],
-            covariance=camera_covariance,
-        )
-        found = calibrate_planes(stripe_views(poses, rng, 0.05, 0.1), camera, MODEL)
+        camera = wrong_camera(true_camera, wrong, camera_covariance)
+        views = stripe_views(true_poses(rng, 7), rng, 0.05, 0.1)
+        found = calibrate_planes(views, camera, replace(MODEL, free_camera=free_camera))
         error = errors(found, true_planes)
         normalised.append(error @ np.linalg.solve(found.covariance.data[9:, 9:], error))
 
-    assert np.mean(normalised) == pytest.approx(9, abs=3 * np.sqrt(2 * 9 / runs))
+    low, high = chi2.ppf([0.025, 0.975], 9 * runs)
+    assert low < np.sum(normalised) < high
+
+
+def wrong_camera(camera, wrong, covariance):
+    fx, fy, cx, cy = np.array([1781.3, 1780.6, 803.7, 596.2]) + wrong[:4]
+    return replace(
+        camera,
+        camera_matrix=np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]),
+        distortion_coefficients=camera.distortion_coefficients + wrong[4:],
+        covariance=covariance,
+    )
+
+
+def test_a_free_camera_comes_nearer_to_the_truth(
+    rng, stripe_views, true_poses, true_planes, true_camera, camera_covariance
+):
+    wide = replace(camera_covariance, data=100 * camera_covariance.data)
+    camera = wrong_camera(true_camera, np.array([3.0, 3.0, 2.0, -2.0, 0, 0, 0, 0, 0]), wide)
+    views = stripe_views(true_poses(rng, 8), rng, 0.01, 0.05)
+
+    held = calibrate_planes(views, camera, MODEL)
+    freed = calibrate_planes(views, camera, replace(MODEL, free_camera=True))
+
+    assert np.abs(freed.camera.camera_matrix - true_camera.camera_matrix).max() < 0.7
+    assert np.abs(errors(freed, true_planes)).max() < 0.5 * np.abs(errors(held, true_planes)).max()
+
+
+def test_a_held_camera_stays_as_it_is(rng, stripe_views, true_poses, true_camera, camera_covariance):
+    camera = replace(true_camera, covariance=camera_covariance)
+
+    found = calibrate_planes(stripe_views(true_poses(rng, 4), rng, 0.02, 0.05), camera, MODEL)
+
+    assert found.camera is camera
+
+
+def test_stripes_mend_boards_of_which_a_corner_is_wrong(rng, stripe_views, true_poses, true_planes, true_camera):
+    views = stripe_views(true_poses(rng, 6), rng, 0.01, 0.05)
+    for index in range(6):
+        moved = views[index].board.points_px + 0.4 * (np.arange(16) == index)[:, None]
+        views[index] = replace(views[index], board=replace(views[index].board, points_px=moved))
+
+    joint, separate = (calibrate_planes(views, true_camera, model) for model in (MODEL, SEPARATE))
+
+    assert np.linalg.norm(errors(joint, true_planes)) < 0.6 * np.linalg.norm(errors(separate, true_planes))
+
+
+def test_a_bent_board_widens_the_covariance(rng, stripe_views, true_poses, true_camera):
+    poses = true_poses(rng, 6)
+    flat = stripe_views(poses, rng, 0.02, 0.05)
+    bent = [
+        replace(view, stripes_px=tuple(px + np.array([0.0, 0.6 * np.sin(3.0 * index)]) for px in view.stripes_px))
+        for index, view in enumerate(flat)
+    ]
+
+    found = [calibrate_planes(views, true_camera, MODEL) for views in (flat, bent)]
+
+    assert found[0].excess == 1.0
+    assert found[1].excess > 3.0
+
+
+def test_the_laser_that_disagrees_stands_out(rng, stripe_views, true_poses, true_camera):
+    views = stripe_views(true_poses(rng, 8), rng, 0.02, 0.05)
+    views = [
+        replace(view, stripes_px=(*view.stripes_px[:2], view.stripes_px[2] + [0.0, 0.5 * (-1.0) ** index]))
+        for index, view in enumerate(views)
+    ]
+
+    found = calibrate_planes(views, true_camera, MODEL)
+
+    disagreement = [laser.disagreement for laser in found.lasers]
+    assert disagreement[2] > 3 * max(disagreement[:2])
 
 
 @pytest.fixture
