@@ -88,7 +88,7 @@ def merged_brackets(shot: Shot) -> Shot:
     if len(set(exposures_s)) == 1:
         return shot
     groups = exposed_groups(shot.lasers.tolist(), exposures_s)
-    noise = pixel_noise([(shot.images[list(group)], shot.exposure_s[list(group)]) for group in groups], shot)
+    noise = pixel_noise(shot, groups)
     full_dn = FULL_SHARE * shot.saturation_dn
     highest = (full_dn - noise.black_dn) / min(exposures_s)
     unit_s = min(max(exposures_s), MOST_DN / highest)
@@ -108,20 +108,19 @@ def merged_brackets(shot: Shot) -> Shot:
     return replace(shot, images=images, meta={**shot.meta, "saturation_dn": scale.top_dn, "merged": merged}, **chosen)
 
 
-def pixel_noise(
-    brackets: Sequence[tuple[UInt[Array, "exposure row column"], Float64[Array, "exposure"]]], shot: Shot
-) -> PixelNoise:
-    """Black level and noise, from the longest and the shortest exposure of the first bracket.
+def pixel_noise(shot: Shot, groups: Sequence[Sequence[int]]) -> PixelNoise:
+    """Black level and noise, from the longest and the shortest exposure of the first group of several.
 
     Of the difference `(short - black) / q - (long - black)`, q the ratio of the exposures, the variance is
     `dark (1/q^2 + 1) + gain signal (1/q + 1)`: a straight line over the signal.
     """
-    for images, exposures_s in brackets:
-        if len(exposures_s) > 1:
-            thinned = images[:, ::THINNED, ::THINNED]
-            short, long = thinned[np.argmin(exposures_s)], thinned[np.argmax(exposures_s)]
-            return _noise_of_pair(short, long, float(exposures_s.min() / exposures_s.max()), shot.saturation_dn)
-    return _usual_noise(0.0, shot.saturation_dn)
+    group = max(groups, key=len)
+    if len(group) == 1:
+        return _usual_noise(0.0, shot.saturation_dn)
+    short, long = (chosen(group, key=lambda frame: shot.exposure_s[frame]) for chosen in (min, max))
+    thinned = shot.images[:, ::THINNED, ::THINNED]
+    ratio = float(shot.exposure_s[short] / shot.exposure_s[long])
+    return _noise_of_pair(thinned[short], thinned[long], ratio, shot.saturation_dn)
 
 
 def _noise_of_pair(
@@ -134,11 +133,12 @@ def _noise_of_pair(
     black_dn = max(0.0, _mean_of_most(dim - ratio * bright) / (1 - ratio))
     signal_dn = bright - black_dn
     levels = _levels(signal_dn, (dim - black_dn) / ratio - signal_dn)
-    variance = np.array([max(spread, LEAST_VARIANCE_DN2) for _, spread in levels])
-    terms = np.array([[1 / ratio**2 + 1, max(signal, 0.0) * (1 / ratio + 1)] for signal, _ in levels])
     if len(levels) < 2:
         return _usual_noise(black_dn, saturation_dn)
-    dark_variance, gain = np.linalg.lstsq(terms / variance[:, None], np.ones(len(levels)), rcond=None)[0]
+    weight = np.array([count**0.5 / max(spread, LEAST_VARIANCE_DN2) for _, spread, count in levels])
+    spreads = np.array([spread for _, spread, _ in levels])
+    terms = np.array([[1 / ratio**2 + 1, max(signal, 0.0) * (1 / ratio + 1)] for signal, _, _ in levels])
+    dark_variance, gain = np.linalg.lstsq(terms * weight[:, None], spreads * weight, rcond=None)[0]
     return PixelNoise(
         black_dn=black_dn,
         dark_variance_dn2=max(float(dark_variance), LEAST_VARIANCE_DN2),
@@ -146,13 +146,13 @@ def _noise_of_pair(
     )
 
 
-def _levels(signal_dn: Float64[Array, "n"], difference_dn: Float64[Array, "n"]) -> list[tuple[float, float]]:
-    """Mean signal and variance of the difference in bins of equal width, where there are enough pixels."""
+def _levels(signal_dn: Float64[Array, "n"], difference_dn: Float64[Array, "n"]) -> list[tuple[float, float, int]]:
+    """Mean signal, variance of the difference and number of pixels in bins of equal width that have enough."""
     edges = np.linspace(signal_dn.min(), signal_dn.max() + 1e-9, LEVELS + 1)
     level = np.digitize(signal_dn, edges) - 1
     inside = [level == number for number in range(LEVELS)]
     return [
-        (float(signal_dn[chosen].mean()), _variance_of_most(difference_dn[chosen]))
+        (float(signal_dn[chosen].mean()), _variance_of_most(difference_dn[chosen]), int(np.count_nonzero(chosen)))
         for chosen in inside
         if np.count_nonzero(chosen) >= LEAST_IN_LEVEL
     ]
