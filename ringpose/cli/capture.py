@@ -2,11 +2,12 @@
 
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from ringpose.cli.app import app
+from ringpose.cli.capture_checks import check_devices, list_devices
 from ringpose.cli.device_options import AllowUnseen, Count, Duration, Exposure, LasersUri, Rate, Settle, Steps
 from ringpose.cli.options import ImageChannel, OptionalRigFile, Quiet, Verbose
 
@@ -27,7 +28,14 @@ SessionFolder = Annotated[
     Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="The session; session-<UTC time> if not given.")
 ]
 ReplaceSession = Annotated[bool, typer.Option("--force", help="Replace a session that exists already.")]
+ListDevices = Annotated[
+    bool, typer.Option("--list", help="List cameras and serial ports, and exit.", callback=list_devices, is_eager=True)
+]
+TestDevices = Annotated[bool, typer.Option("--test", help="Try camera, exposures and lasers instead of taking shots.")]
 Append = Annotated[bool, typer.Option("--append", help="Go on with a session that exists already.")]
+
+
+LONGEST_SETTLE_S = 10.0
 
 
 @app.command()
@@ -46,6 +54,8 @@ def capture(
     force: ReplaceSession = False,
     append: Append = False,
     channel: ImageChannel = None,
+    test: TestDevices = False,
+    show: ListDevices = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
@@ -63,7 +73,7 @@ def capture(
         lasers=lasers,
         steps=steps,
         exposure_s=exposure,
-        settle_s=settle,
+        settle_s=_settle_s(settle),
         allow_unseen=allow_unseen,
         laser_names=_laser_names(rig),
         count=count,
@@ -72,6 +82,8 @@ def capture(
         channel=channel,
     )
     existing, batch = _existing(force, append), Batch()
+    if test:
+        check_devices(wanted, batch)
     source = source_of(wanted, batch)
     folder = output or folder_of_now()
     if str(folder) == "-":
@@ -92,6 +104,20 @@ def _laser_names(rig: Path | None) -> tuple[str, ...] | None:
     from ringpose.files.rigs import read_rig
 
     return None if rig is None else read_rig(rig).lasers.names
+
+
+def _settle_s(text: str | None) -> 'float | Literal["auto"] | None':
+    from ringpose.errors import UsageError
+
+    if text is None or text == "auto":
+        return "auto" if text else None
+    try:
+        settle_s = float(text)
+    except ValueError:
+        settle_s = -1.0
+    if not 0 <= settle_s <= LONGEST_SETTLE_S:
+        raise UsageError("--settle", f'"{text}"', f"it is auto, or seconds from 0 to {LONGEST_SETTLE_S:g}")
+    return settle_s
 
 
 def _existing(force: bool, append: bool) -> "Existing":

@@ -40,7 +40,7 @@ def serve(
     relay: RelayKind = "none",
     show: Shown = "ring",
     move: MoveWhen = "pause",
-    after: After = 0.3,
+    after: After = 1.0,
     warm_up: WarmUp = 0.0,
     fault: FaultTexts = None,
     log: Log = None,

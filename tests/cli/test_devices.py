@@ -84,6 +84,7 @@ def test_exposures_differ_from_step_to_step(serve):
     assert read_shot(path).exposure_s.tolist() == [0.004, 0.004, 0.004]
 
 
+@pytest.mark.slow
 def test_a_dead_camera_ends_the_capture_with_its_finished_shots(serve, capsys):
     uris = serve("--relay", "lcus", "--fault", "dead-camera=7")
     uris["camera"] += "?timeout=0.3"
@@ -97,6 +98,7 @@ def test_a_dead_camera_ends_the_capture_with_its_finished_shots(serve, capsys):
     assert "state: stopped" in Path("s/session.yaml").read_text()
 
 
+@pytest.mark.slow
 def test_lasers_at_the_lines_of_a_camera_that_is_lost_may_be_on(serve, capsys):
     uris = serve("--fault", "dead-camera=7")
     uris["camera"] += "?timeout=0.3"
@@ -198,3 +200,58 @@ def test_stamps_are_the_hosts_clock_and_the_cameras(serve):
     device_s = np.concatenate([shot.device_stamp_s for shot in shots])
     assert before_s < stamps_s[0] < time.time()
     np.testing.assert_allclose(np.diff(stamps_s), np.diff(device_s), atol=0.05)
+
+
+def findings(capsys) -> dict[str, dict[str, str]]:
+    return {found["check"]: found for found in map(json.loads, capsys.readouterr().out.splitlines())}
+
+
+def test_a_dry_walk_finds_nothing_wrong_with_good_devices(serve, capsys):
+    uris = serve("--relay", "lcus", "--fault", "operate=0.02", "--move", "never")
+
+    devices = ["--camera", uris["camera"], "--lasers", uris["lasers"], "--exposure", "0.0005"]
+    status = main(["capture", "--test", *devices])
+
+    found = findings(capsys)
+    assert status == 0
+    assert found["verdict"]["verdict"] == "ok"
+    assert {"laser 1", "laser 2", "laser 3", "exposure, laser 2", "frames"} <= set(found)
+    settle_s = float(found["settle"]["found"].split("--settle ")[1].split()[0])
+    assert 0.02 < settle_s < 0.3
+
+
+@pytest.mark.slow
+def test_a_dry_walk_finds_the_laser_that_is_dark(serve, capsys):
+    uris = serve("--fault", "dark:2", "--move", "never")
+
+    status = main(["capture", "--test", "--camera", uris["camera"], "--lasers", uris["lasers"]])
+
+    found = findings(capsys)
+    assert status == 3
+    assert [name for name, finding in found.items() if finding["verdict"] == "fault"] == ["laser 2", "verdict"]
+    assert "look whether it shines" in found["laser 2"]["remedy"]
+
+
+def test_a_dry_walk_ends_at_a_laser_that_stays_on(serve, capsys):
+    uris = serve("--relay", "modbus", "--fault", "stuck:2", "--move", "never")
+
+    status = main(["capture", "--test", "--camera", uris["camera"], "--lasers", uris["lasers"]])
+
+    assert status == 70
+    assert "laser 2: is seen after it was switched off; cut the power" in capsys.readouterr().err
+
+
+def test_recorded_shots_are_not_tested(capsys, example_folder):
+    assert main(["capture", "--test", "--camera", f"files:{example_folder}/shots"]) == 2
+
+
+def test_cameras_are_listed_by_their_uris(serve, capsys, loopback_address):
+    serve()
+
+    status = main(["capture", "--list"])
+
+    listed = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    found = [record for record in listed if record.get("address") == loopback_address]
+    assert status == 0
+    assert [record["kind"] for record in found] == ["camera"]
+    assert found[0]["uri"].startswith("aravis:ringpose-Stand-in-RP")

@@ -8,6 +8,7 @@ aravis://192.168.0.5           by its address, without a search
 import ctypes
 import errno
 import ipaddress
+import os
 import socket
 import threading
 import time
@@ -32,6 +33,8 @@ BUFFERS = 4
 
 SOCKET_BUFFER_BYTES = 8 << 20
 """Wanted for the stream's socket; the kernel grants no more than net.core.rmem_max."""
+
+_MORE_BUFFER = f"let the kernel buffer more: sysctl -w net.core.rmem_max={SOCKET_BUFFER_BYTES}"
 
 _RMEM_MAX = Path("/proc/sys/net/core/rmem_max")
 
@@ -107,6 +110,14 @@ class AravisCamera(LockStepCamera):
             raise DeviceError(self.uri.text, found, f"it takes {limits[0]:g} to {limits[1]:g}") from error
         if feature == "Gain":
             self._gain_db = self._number("Gain")
+
+    def warnings(self) -> tuple[str, ...]:
+        """Too small a socket buffer, which matters to users without the right to packet sockets."""
+        granted = _granted_bytes()
+        is_network_camera = bool(self._aravis.arv_camera_is_gv_device(self._camera))
+        if not is_network_camera or os.geteuid() == 0 or granted is None or granted >= SOCKET_BUFFER_BYTES:
+            return ()
+        return (f"the kernel buffers {granted} bytes of a stream; {_MORE_BUFFER}",)
 
     def _connect(self) -> None:
         self.close()
@@ -207,7 +218,7 @@ class AravisCamera(LockStepCamera):
     def _loss_remedy(self) -> str:
         granted = _granted_bytes()
         if granted is not None and granted < SOCKET_BUFFER_BYTES:
-            return f"let the kernel buffer more: sysctl -w net.core.rmem_max={SOCKET_BUFFER_BYTES}"
+            return _MORE_BUFFER
         return super()._loss_remedy()
 
     def _number(self, feature: str) -> float | None:

@@ -31,6 +31,10 @@ class CameraDriver(Device, Protocol):
     def set(self, feature: str, value: int | float | str) -> None:
         """Set a feature by its SFNC name; a `DeviceError` names the bounds if the value lies outside them."""
 
+    def warnings(self) -> tuple[str, ...]:
+        """What the user should know about the device, which is open."""
+        return ()
+
     def arm(self, exposure_s: float | None) -> None:
         """Be ready for the frames of one shot, each exposed this long; None for the device's own setting."""
 

@@ -48,7 +48,7 @@ class Setup:
     relay: Relay = "none"
     show: Show = "ring"
     move: Move = "pause"
-    after_s: float = 0.3
+    after_s: float = 1.0
     """Length of the pause, or of the time, after which the next view comes."""
     warm_up_s: float = 0.0
     """Time in which a laser comes to 63 % of its power."""
