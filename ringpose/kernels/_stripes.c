@@ -90,9 +90,40 @@ static Filter *filters_of(const Views *views) {
     return filters;
 }
 
+/* Lists as large as the last images needed them: asking the system anew for every image takes a fifth of its time.
+   Whoever holds the interpreter's lock may take them. */
+typedef struct {
+    List runs, found, ridges, pieces;
+} Lists;
+
+#define NO_LISTS                                                                                                   \
+    {{NULL, 0, 0, sizeof(Run)}, {NULL, 0, 0, sizeof(Ridge)}, {NULL, 0, 0, sizeof(Ridge)},                          \
+     {NULL, 0, 0, sizeof(StripePiece)}}
+static const Lists no_lists = NO_LISTS;
+static Lists idle_lists = NO_LISTS;
+
+/* Longer lists than these bytes are not kept. */
+enum { LONGEST_KEPT = 1 << 21 };
+
+static Lists take_lists(void) {
+    Lists lists = idle_lists;
+    idle_lists = no_lists;
+    return lists;
+}
+
+static void give_lists_back(Lists *lists) {
+    List *list[] = {&lists->runs, &lists->found, &lists->ridges, &lists->pieces};
+    int taken = idle_lists.ridges.data != NULL;
+    for (size_t i = 0; i < 4; i++) {
+        list[i]->used = 0;
+        if (taken || list[i]->capacity * list[i]->item > LONGEST_KEPT) release(list[i]);
+    }
+    if (!taken) idle_lists = *lists;
+}
+
 /* Ridges and the pieces that they make up. */
 static int find_pieces(const StripeImage *image, const Filter *filter, const StripeRules *rules, const Bands *bands,
-                       List *ridges, List *pieces) {
+                       Lists *lists) {
     Noise noise = {.image = image, .filter = filter, .blocks = (image->width + BLOCK - 1) / BLOCK};
     noise.areas_across = (noise.blocks + NOISE_BLOCKS - 1) / NOISE_BLOCKS;
     size_t areas = (image->height + NOISE_ROWS - 1) / NOISE_ROWS * noise.areas_across;
@@ -100,10 +131,9 @@ static int find_pieces(const StripeImage *image, const Filter *filter, const Str
     noise.patch = malloc(sizeof *noise.patch);
     int done = noise.figure != NULL && noise.patch != NULL;
     for (size_t i = 0; done && i < areas; i++) noise.figure[i] = -1;
-    List runs = {NULL, 0, 0, sizeof(Run)};
-    done = done && find_runs(&noise, rules, bands, &runs) && find_ridges(&noise, rules, &runs, ridges) &&
-           link_ridges(image, filter, rules, ridges, pieces);
-    release(&runs);
+    done = done && find_runs(&noise, rules, bands, &lists->runs) &&
+           find_ridges(&noise, rules, &lists->runs, &lists->found, &lists->ridges) &&
+           link_ridges(image, filter, rules, &lists->ridges, &lists->pieces);
     free(noise.figure);
     free(noise.patch);
     return done;
@@ -131,14 +161,14 @@ static int shorten(PyObject *arrays, size_t count) {
 }
 
 static PyObject *centers_of(const StripeImage *image, const Filter *filters, size_t filter_count,
-                            const StripeRules *rules, const List *ridges, const List *pieces) {
-    size_t most = kept_ridges(rules, pieces);
+                            const StripeRules *rules, const Lists *lists) {
+    size_t most = kept_ridges(rules, &lists->pieces);
     PyObject *arrays = new_arrays(most);
     if (arrays == NULL) return NULL;
     Centers centers = {array_data(arrays, 0), array_data(arrays, 1), array_data(arrays, 2), array_data(arrays, 3), 0};
     int done;
     Py_BEGIN_ALLOW_THREADS
-    done = find_centers(image, filters, filter_count, rules, ridges, pieces, &centers);
+    done = find_centers(image, filters, filter_count, rules, &lists->ridges, &lists->pieces, &centers);
     Py_END_ALLOW_THREADS
     if (!done) PyErr_NoMemory();
     if (done && (centers.count == most || shorten(arrays, centers.count))) return arrays;
@@ -151,16 +181,15 @@ static PyObject *stripes_of(const Views *views, const StripeRules *rules) {
                          (size_t)views->image.shape[1], views->image.itemsize == 2};
     Bands bands = {NULL, 0};
     if (views->bands.obj) bands = (Bands){views->bands.buf, (size_t)views->bands.shape[0]};
-    List ridges = {NULL, 0, 0, sizeof(Ridge)}, pieces = {NULL, 0, 0, sizeof(StripePiece)};
+    Lists lists = take_lists();
     Filter *filters = filters_of(views);
     int done = filters != NULL;
     Py_BEGIN_ALLOW_THREADS
-    done = done && find_pieces(&image, filters, rules, &bands, &ridges, &pieces);
+    done = done && find_pieces(&image, filters, rules, &bands, &lists);
     Py_END_ALLOW_THREADS
-    PyObject *result = done ? centers_of(&image, filters, (size_t)views->figures.shape[0], rules, &ridges, &pieces)
+    PyObject *result = done ? centers_of(&image, filters, (size_t)views->figures.shape[0], rules, &lists)
                             : PyErr_NoMemory();
-    release(&ridges);
-    release(&pieces);
+    give_lists_back(&lists);
     free(filters);
     return result;
 }

@@ -89,18 +89,16 @@ static Run *sorted_runs(const List *runs, size_t blocks, size_t *end) {
     return sorted;
 }
 
-int find_ridges(const Noise *noise, const StripeRules *rules, const List *runs, List *ridges) {
+int find_ridges(const Noise *noise, const StripeRules *rules, const List *runs, List *found, List *ridges) {
     size_t *end = malloc((noise->blocks + 1) * sizeof *end);
     Run *sorted = end ? sorted_runs(runs, noise->blocks, end) : NULL;
-    List found = {NULL, 0, 0, sizeof(Ridge)};
     int done = sorted != NULL && reserve(ridges, runs->used * BLOCK / 2);
     for (size_t i = 0, block = 0; done && block < noise->blocks; block++) {
-        found.used = 0;
-        for (; done && i < end[block]; i++) done = smooth_run(noise, rules, sorted + i, &found);
-        if (done && found.used) done = append_sorted(block, &found, ridges);
+        found->used = 0;
+        for (; done && i < end[block]; i++) done = smooth_run(noise, rules, sorted + i, found);
+        if (done && found->used) done = append_sorted(block, found, ridges);
     }
     free(end);
     free(sorted);
-    release(&found);
     return done;
 }

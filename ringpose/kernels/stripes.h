@@ -95,9 +95,10 @@ typedef struct {
     size_t count;
 } Centers;
 
-/* Each returns 0 if there is no memory. Runs come from the top in each block, ridges column by column from the top. */
+/* Each returns 0 if there is no memory. Runs come from the top in each block, ridges column by column from the top;
+   `found` is scratch. */
 int find_runs(const Noise *noise, const StripeRules *rules, const Bands *bands, List *runs);
-int find_ridges(const Noise *noise, const StripeRules *rules, const List *runs, List *ridges);
+int find_ridges(const Noise *noise, const StripeRules *rules, const List *runs, List *found, List *ridges);
 int link_ridges(const StripeImage *image, const Filter *filter, const StripeRules *rules, List *ridges, List *pieces);
 
 /* How many ridges the pieces have that are long and strong enough. */
