@@ -125,7 +125,7 @@ def _description(board: Board, page: str, page_m: tuple[float, float]) -> str:
     """What is on the page; a board that was printed at another scale is measured by the rulers."""
     sizes = {
         key.removesuffix("_m"): f"{1e3 * value:g} mm"
-        for key in ("square_m", "marker_m", "gap_m", "spacing_m", "width_m", "height_m", "margin_m")
+        for key in ("square_m", "square_y_m", "marker_m", "gap_m", "spacing_m", "width_m", "height_m", "margin_m")
         if (value := getattr(board, key)) is not None
     }
     counts = f" {board.squares_x} x {board.squares_y}" if board.squares_x else ""
@@ -147,9 +147,9 @@ def _place(corners: Float64[Array, "corner=4 xyz=3"]) -> Float64[Array, "4"]:
 
 
 def _black_squares(board: Board) -> Float64[Array, "square side=4"]:
-    side = board.square_m or 0.0
+    width, height = board.square_size_m
     black = [
-        (column * side, row * side, side, side)
+        (column * width, row * height, width, height)
         for row in range(board.squares_y or 0)
         for column in range(board.squares_x or 0)
         if not is_white(column, row, board)

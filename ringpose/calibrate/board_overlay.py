@@ -1,14 +1,20 @@
 """A board's corners drawn into its image."""
 
+import textwrap
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
-from ringpose.calibrate.board_views import NoBoard, grey_8_bit
+from ringpose.calibrate.board_failures import NoBoard
+from ringpose.calibrate.board_views import grey_8_bit
 from ringpose.types.arrays import Array, UInt, UInt8
 from ringpose.types.board import BoardView
 from ringpose.types.calibration import StripeView
 
 _STRIPES = ((80, 160, 255), (80, 255, 80), (255, 160, 80))
+_LETTER_PX = 19.0
+"""Width of a letter at scale 1, on the safe side."""
 _UNLABELLED = (255, 80, 255)
 _CORNER, _FIRST, _TEXT = (60, 60, 255), (60, 255, 60), (60, 255, 255)
 
@@ -17,8 +23,9 @@ def board_overlay(image: UInt[Array, "row column"], found: BoardView | NoBoard) 
     """BGR image: each corner a ring, the first one green; or the reason why there are none."""
     drawn = cv2.cvtColor(grey_8_bit(image), cv2.COLOR_GRAY2BGR)
     if isinstance(found, NoBoard):
-        cv2.putText(drawn, found.value, (20, 40), cv2.FONT_HERSHEY_SIMPLEX, 0.8, _TEXT, 2, cv2.LINE_AA)
-        return np.asarray(drawn, dtype=np.uint8)
+        for x, y in found.points_px:
+            cv2.circle(drawn, (round(float(x) * 16), round(float(y) * 16)), 16 * 5, _TEXT, 1, cv2.LINE_AA, 4)
+        return _with_text(drawn, (f"no board: {found.failure.value}", found.found))
     for number, (x, y) in zip(found.ids, found.points_px, strict=True):
         color = _FIRST if number == found.ids[0] else _CORNER
         cv2.circle(drawn, (round(float(x) * 16), round(float(y) * 16)), 16 * 5, color, 1, cv2.LINE_AA, 4)
@@ -32,6 +39,18 @@ def stripe_overlay(image: UInt[Array, "row column"], view: StripeView) -> UInt8[
     for color, points_px in colored + [(_UNLABELLED, px) for px in view.unlabelled_px]:
         for x, y in points_px:
             cv2.circle(drawn, (round(float(x)), round(float(y))), 2, color, -1)
-    for line, remark in enumerate(view.remarks):
-        cv2.putText(drawn, remark, (20, 40 * (line + 1)), cv2.FONT_HERSHEY_SIMPLEX, 0.8, _TEXT, 2, cv2.LINE_AA)
+    return _with_text(drawn, view.remarks)
+
+
+def _with_text(drawn: UInt8[Array, "row column color=3"], lines: Sequence[str]) -> UInt8[Array, "row column color=3"]:
+    """Lines at the top on a dark ground, as large as fits; long ones are broken."""
+    width = drawn.shape[1]
+    scale = max(width / 1600, 0.4)
+    letters = int(width / (_LETTER_PX * scale)) - 2
+    broken = [part for line in lines for part in textwrap.wrap(line, letters)]
+    step = round(36 * scale)
+    drawn[: len(broken) * step + step // 3 * bool(broken)] //= 3
+    for line, text in enumerate(broken):
+        place = (step // 2, (line + 1) * step - step // 6)
+        cv2.putText(drawn, text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, _TEXT, max(round(2 * scale), 1), cv2.LINE_AA)
     return drawn

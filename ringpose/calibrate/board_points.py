@@ -47,13 +47,13 @@ def outline_m(board: Board) -> tuple[float, float]:
     if board.kind == "asymmetric_circles":
         spacing = board.spacing_m or 0.0
         return (2 * columns + 1) * spacing, (rows + 1) * spacing
-    square = board.square_m or 0.0
-    return columns * square, rows * square
+    width, height = board.square_size_m
+    return columns * width, rows * height
 
 
 def _inner_corners(board: Board) -> Float64[Array, "corner xyz=3"]:
     columns, rows = (board.squares_x or 0) - 1, (board.squares_y or 0) - 1
-    corners: Float64[Array, "corner xyz=3"] = (board.square_m or 0.0) * (_lattice(columns, rows) + _FIRST)
+    corners: Float64[Array, "corner xyz=3"] = np.array([*board.square_size_m, 0.0]) * (_lattice(columns, rows) + _FIRST)
     return corners
 
 

@@ -62,10 +62,10 @@ class BoardSurface:
     def _near_square_edge(self, place: Float64[Array, "n xy=2"], margin: float) -> Bool[Array, "n"]:
         if self.board.kind not in ("chessboard", "charuco"):
             return np.zeros(len(place), dtype=bool)
-        square = self.board.square_m or 1.0
+        square = np.array(self.board.square_size_m)
         counts = np.array([self.board.squares_x or 0, self.board.squares_y or 0])
         cell = np.where(np.isfinite(place), place, 0.0) / square
-        nearest = np.abs(cell - np.rint(cell)).min(axis=1) * square < margin
+        nearest = (np.abs(cell - np.rint(cell)) * square).min(axis=1) < margin
         printed = np.all((place > -margin) & (place < counts * square + margin), axis=1)
         near: Bool[Array, "n"] = nearest & printed
         return near

@@ -1,5 +1,6 @@
 """ArUco markers in an image."""
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -20,12 +21,30 @@ class Markers:
 
 
 def marker_dictionary(board: Board) -> cv2.aruco.Dictionary:
-    """OpenCV's predefined dictionary of the board."""
+    """The board's dictionary: one of OpenCV's, or one's own."""
+    if board.marker_bits:
+        return _own_dictionary(board.marker_bits)
     name = board.dictionary or ""
     number = getattr(cv2.aruco, name, None) if name.startswith("DICT_") else None
     if number is None:
-        raise DataError("board", f'no dictionary "{name}"', "give one of OpenCV's, as DICT_4X4_50")
+        raise DataError("board", f'no dictionary "{name}"', "give one of OpenCV's, as DICT_4X4_50, or a file of one")
     return cv2.aruco.getPredefinedDictionary(number)
+
+
+def _own_dictionary(marker_bits: tuple[str, ...]) -> cv2.aruco.Dictionary:
+    """As many wrong bits are corrected as leave every marker nearest to itself, however it is turned."""
+    side = math.isqrt(len(marker_bits[0]))
+    bits = np.array([[int(bit) for bit in marker] for marker in marker_bits], dtype=np.uint8).reshape(-1, side, side)
+    rows = [cv2.aruco.Dictionary.getByteListFromBits(marker) for marker in bits]
+    return cv2.aruco.Dictionary(np.concatenate(rows), side, (_least_distance(bits) - 1) // 2)
+
+
+def _least_distance(bits: UInt8[Array, "marker row column"]) -> int:
+    """Least number of bits in which two markers differ, or a marker from itself turned."""
+    turned = np.stack([np.rot90(bits, turns, axes=(1, 2)) for turns in range(4)])
+    distance = np.sum(turned[:, :, None] != bits, axis=(-2, -1))
+    distance[0][np.diag_indices(len(bits))] = bits[0].size
+    return int(distance.min())
 
 
 def find_markers(image: UInt8[Array, "row column"], dictionary: cv2.aruco.Dictionary) -> Markers:

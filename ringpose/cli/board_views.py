@@ -2,9 +2,10 @@
 
 from pathlib import Path
 
+from ringpose.calibrate.board_failures import NoBoard
 from ringpose.calibrate.board_image import board_image
 from ringpose.calibrate.board_overlay import board_overlay
-from ringpose.calibrate.board_views import NoBoard, find_board
+from ringpose.calibrate.board_views import find_board
 from ringpose.calibrate.markers import marker_dictionary
 from ringpose.cli import messages
 from ringpose.errors import NO_POSE, DataError

@@ -1,15 +1,18 @@
 """Board files: the kind of a calibration board and its sizes in metres."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast, get_args
 
+from ringpose.errors import DataError
 from ringpose.files import atomic
+from ringpose.files.dictionaries import OPENCV_PREFIX, read_dictionary
 from ringpose.files.fields import Fields
 from ringpose.files.yaml import read_yaml, write_yaml
 from ringpose.types.board import Board, BoardKind
 
 _COUNTS = ("squares_x", "squares_y")
-_LENGTHS = ("square_m", "marker_m", "gap_m", "spacing_m", "width_m", "height_m", "margin_m")
+_LENGTHS = ("square_m", "square_y_m", "marker_m", "gap_m", "spacing_m", "width_m", "height_m", "margin_m")
 _KEYS = ("ringpose", "kind", *_COUNTS, *_LENGTHS, "dictionary", "legacy_pattern", "order")
 
 NEEDED = {
@@ -29,8 +32,18 @@ MOST_SQUARES = 200
 
 
 def read_board(path: Path) -> Board:
-    """The board in a board file."""
-    return board_of(read_yaml(path, _KEYS))
+    """The board in a board file, with the markers of a dictionary file that it names."""
+    board = board_of(read_yaml(path, _KEYS))
+    if board.dictionary is None or board.dictionary.startswith(OPENCV_PREFIX):
+        return board
+    file = path.parent / board.dictionary
+    if not file.exists():
+        raise DataError(
+            f"{path}: dictionary",
+            f'no dictionary "{board.dictionary}"',
+            "give one of OpenCV's, as DICT_4X4_50, or a file",
+        )
+    return replace(board, marker_bits=read_dictionary(file))
 
 
 def board_of(fields: Fields) -> Board:
@@ -73,6 +86,8 @@ def _length(fields: Fields, key: str) -> float:
 
 
 def _check_fit(fields: Fields, sizes: dict[str, Any]) -> None:
+    if "square_y_m" in sizes and fields.text("kind") != "chessboard":
+        raise fields.problem("square_y_m", "belongs to a chessboard alone: markers are square")
     if "square_m" in sizes and sizes.get("marker_m", 0) >= sizes["square_m"]:
         raise fields.problem("marker_m", f"is {sizes['marker_m']:g}, must be smaller than square_m")
     if "width_m" in sizes and "height_m" in sizes:

@@ -73,8 +73,8 @@ class BoardTarget:
         """Black or white at points of the sheet."""
         colour = np.full(len(x_m), _WHITE, dtype=np.int8)
         if self.squares is not None:
-            square_m = self.board.square_m or 1.0
-            column, row = np.floor(x_m / square_m).astype(int), np.floor(y_m / square_m).astype(int)
+            width_m, height_m = self.board.square_size_m
+            column, row = np.floor(x_m / width_m).astype(int), np.floor(y_m / height_m).astype(int)
             rows, columns = self.squares.shape
             inside = np.flatnonzero((column >= 0) & (column < columns) & (row >= 0) & (row < rows))
             colour[inside] = self.squares[row[inside], column[inside]]

@@ -19,6 +19,8 @@ class Board:
     squares_x: int | None = None
     squares_y: int | None = None
     square_m: float | None = None
+    square_y_m: float | None = None
+    """Height of a chessboard's squares where a printer did not make it their width."""
     marker_m: float | None = None
     gap_m: float | None = None
     spacing_m: float | None = None
@@ -26,9 +28,18 @@ class Board:
     height_m: float | None = None
     margin_m: float | None = None
     dictionary: str | None = None
+    """Name of one of OpenCV's, or of the file that holds `marker_bits`."""
+    marker_bits: tuple[str, ...] = ()
+    """Of a dictionary of one's own: each marker's bits row by row, 1 white, without its border."""
     legacy_pattern: bool = False
     order: str | None = None
     """How the markers are numbered, in words for people; nothing reads it."""
+
+    @property
+    def square_size_m(self) -> tuple[float, float]:
+        """Width and height of a square; zero if the board has none."""
+        width_m = self.square_m or 0.0
+        return width_m, self.square_y_m or width_m
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -1,13 +1,16 @@
 """Boards drawn from above, and photographs of boards."""
 
+import json
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
+from ringpose.calibrate.board_failures import BoardFailure, NoBoard, edge_width_px
 from ringpose.calibrate.board_points import corner_points, marker_corners
-from ringpose.calibrate.board_views import BoardFailure, NoBoard, find_board
+from ringpose.calibrate.board_views import find_board
+from ringpose.files.dictionaries import read_dictionary
 from ringpose.types.board import Board
 
 CHESSBOARD = Board(kind="chessboard", squares_x=10, squares_y=7, square_m=0.025)
@@ -81,22 +84,61 @@ def test_a_white_image_is_overexposed(board):
     assert found.failure is BoardFailure.SATURATED
 
 
-def test_a_chessboard_that_is_cut_off_is_not_whole(drawn_board):
-    found = find_board(drawn_board(CHESSBOARD)[:, :300].copy(), CHESSBOARD, "cut")
+@pytest.mark.parametrize("side", ["left", "right", "top", "bottom"])
+def test_a_chessboard_that_is_cut_off_is_said_to_be_so(side, drawn_board):
+    image = drawn_board(CHESSBOARD)
+    kept = {"left": np.s_[:, 190:], "right": np.s_[:, :-190], "top": np.s_[110:], "bottom": np.s_[:-110]}[side]
 
-    assert found.failure is BoardFailure.NOT_WHOLE
+    found = find_board(image[kept].copy(), CHESSBOARD, "cut")
+
+    assert found.failure is BoardFailure.CUT_OFF
+    assert "of 9 x 6 inner corners" in found.found
 
 
-def test_a_chessboard_of_another_size_is_not_found(drawn_board):
+def test_a_covered_chessboard_says_how_much_is_seen(drawn_board):
+    image = drawn_board(CHESSBOARD)
+    image[220:340, 300:420] = 120
+
+    found = find_board(image, CHESSBOARD, "covered")
+
+    assert found.failure is BoardFailure.COVERED
+    assert len(found.points_px) >= 12
+
+
+def test_a_chessboard_of_another_size_says_which(drawn_board):
     found = find_board(drawn_board(CHESSBOARD), replace(CHESSBOARD, squares_x=9), "other size")
 
+    assert found.failure is BoardFailure.OTHER_SIZE
+    assert found.found.startswith("9 x 6 of 8 x 6 inner corners")
+
+
+def test_noise_is_no_part_of_a_chessboard(rng):
+    found = find_board(rng.integers(0, 255, (480, 640), dtype=np.uint8), CHESSBOARD, "noise")
+
     assert found.failure is BoardFailure.NOT_WHOLE
 
 
-def test_a_blurred_chessboard_is_called_blurred(drawn_board):
+def test_an_image_too_blurred_is_called_so_with_its_measure(drawn_board):
     image = cv2.GaussianBlur(drawn_board(CHESSBOARD), (0, 0), 40)
 
-    assert find_board(image, CHESSBOARD, "blurred").failure is BoardFailure.BLURRED
+    found = find_board(image, CHESSBOARD, "blurred")
+
+    assert found.failure is BoardFailure.BLURRED
+    assert "px wide" in found.found
+
+
+@pytest.mark.parametrize("sigma_px", [2.0, 4.0, 8.0])
+def test_the_width_of_edges_is_that_of_the_blur(sigma_px):
+    edge = np.where(np.arange(400) < 200, 40.0, 200.0) * np.ones((400, 1))
+    image = cv2.GaussianBlur(edge, (0, 0), sigma_px).astype(np.uint8)
+
+    assert edge_width_px(image) == pytest.approx(np.hypot(sigma_px, 1.0), rel=0.1)
+
+
+def test_markers_out_of_the_image_are_counted(drawn_board):
+    found = find_board(drawn_board(FOUR)[:, :300].copy()[:250], FOUR, "corner")
+
+    assert found.value == "too few of the board's markers found (1 of 4, 3 of the others are outside the image)"
 
 
 def test_one_marker_of_four_says_one_of_four(drawn_board):
@@ -133,6 +175,88 @@ def test_charuco_markers_are_where_opencv_prints_them(size, legacy):
 
     printed = np.array([np.asarray(corners).reshape(4, 3) for corners in pattern.getObjPoints()])
     assert np.abs(marker_corners(board) - printed).max() < 1e-7
+
+
+OWN = ("011010011", "110100110", "101001110", "000101100", "111011100", "100111001")
+
+
+def test_markers_of_a_dictionary_of_ones_own_are_found(drawn_board):
+    board = Board(
+        kind="aruco_grid", squares_x=3, squares_y=2, marker_m=0.04, gap_m=0.01, dictionary="own.yml", marker_bits=OWN
+    )
+
+    found = find_board(drawn_own_markers(board), board, "own")
+
+    assert len(found.ids) == 24
+    assert error_px(found, board) < 0.1
+
+
+def drawn_own_markers(board: Board) -> np.ndarray:
+    """Bits as they stand in the file, 1 white, each in a black border one bit wide; 2 pixels a millimetre."""
+    image = np.full((2 * 40 + 180, 2 * 40 + 280), 255, np.uint8)
+    for number, (left, top) in enumerate(marker_corners(board)[:, 0, :2]):
+        bits = np.pad(np.reshape([int(bit) for bit in board.marker_bits[number]], (3, 3)), 1)
+        column, row = round(2000 * left) + 40, round(2000 * top) + 40
+        image[row : row + 80, column : column + 80] = np.kron(bits * 255, np.ones((16, 16)))
+    return cv2.GaussianBlur(image * 0.7 + 20, (0, 0), 1.0).astype(np.uint8)
+
+
+def test_every_marker_of_opencvs_grid_photograph_is_found_with_its_own_dictionary(shared_data):
+    folder = shared_data / "real" / "opencv_aruco_photos"
+    board = Board(
+        kind="aruco_grid",
+        squares_x=5,
+        squares_y=7,
+        marker_m=0.04,
+        gap_m=0.01,
+        dictionary="tutorial_dict.yml",
+        marker_bits=read_dictionary(folder / "tutorial_dict.yml"),
+    )
+    gold = json.loads((folder / "gold_corners.json").read_text())["gboriginal"]
+
+    found = find_board(cv2.imread(str(folder / "gboriginal.jpg"), cv2.IMREAD_GRAYSCALE), board, "grid")
+
+    expected = np.array([gold[str(number // 4)][number % 4] for number in found.ids])
+    distance = np.linalg.norm(found.points_px - expected, axis=1)
+    assert len(found.ids) == 4 * 35
+    assert np.median(distance) < 1.0  # gold corners are whole pixels, unrefined; their own tolerance is 1 px
+    assert distance.max() < 2.1
+
+
+SIZES = {1: (7, 13), 2: (7, 13), 3: (7, 13), 4: (5, 5), 5: (5, 5), 6: (5, 5), 7: (3, 9), 8: (3, 9), 9: (3, 9)}
+
+
+@pytest.mark.parametrize("number", SIZES)
+def test_circles_of_opencvs_photographs_are_where_its_tests_expect_them(number, shared_data):
+    folder = shared_data / "real" / "opencv_extra_calib" / "asymmetric_circles"
+    columns, rows = SIZES[number]
+    board = Board(kind="asymmetric_circles", squares_x=columns, squares_y=rows, spacing_m=0.02)
+    storage = cv2.FileStorage(str(folder / f"acircles_corners{number}.dat"), cv2.FILE_STORAGE_READ)
+
+    found = find_board(cv2.imread(str(folder / f"acircles{number}.png"), cv2.IMREAD_GRAYSCALE), board, "circles")
+
+    expected = np.asarray(storage.getNode("corners").mat()).reshape(-1, 2)
+    assert np.abs(found.points_px - expected).max() < 0.01
+
+
+@pytest.mark.parametrize("number", range(1, 8))
+def test_chessboards_of_opencvs_photographs_are_where_its_tests_expect_them(number, shared_data):
+    folder = shared_data / "real" / "opencv_extra_calib"
+    storage = cv2.FileStorage(str(folder / f"chess_corners{number}.dat"), cv2.FILE_STORAGE_READ)
+    board = Board(kind="chessboard", squares_x=6, squares_y=8, square_m=0.02)
+
+    found = find_board(cv2.imread(str(folder / f"chess{number}.png"), cv2.IMREAD_GRAYSCALE), board, "chessboard")
+
+    expected = np.asarray(storage.getNode("corners").mat()).reshape(-1, 2)
+    nearest = np.linalg.norm(found.points_px[:, None] - expected, axis=2).min(axis=1)
+    assert nearest.max() < 0.5
+
+
+def test_higher_squares_have_their_corners_lower():
+    points = corner_points(replace(CHESSBOARD, square_y_m=0.03))
+
+    assert points[0].tolist() == [0.025, 0.03, 0.0]
+    assert points[-1] == pytest.approx([9 * 0.025, 6 * 0.03, 0.0])
 
 
 @pytest.mark.parametrize("side", ["left", "right"])

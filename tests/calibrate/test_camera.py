@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
+from ringpose.calibrate.board_failures import NoBoard
 from ringpose.calibrate.board_points import corner_points
-from ringpose.calibrate.board_views import NoBoard, find_board
+from ringpose.calibrate.board_views import find_board
 from ringpose.calibrate.camera import calibrate_camera
 from ringpose.calibrate.camera_model import CameraModel
 from ringpose.calibrate.intrinsics import parameters_of

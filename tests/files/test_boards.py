@@ -5,16 +5,35 @@ from ringpose.errors import DataError
 from ringpose.files.boards import read_board, write_board
 from ringpose.types.board import Board
 
-CHARUCO = {"kind": "charuco", "squares_x": 11, "squares_y": 8, "square_m": 0.025, "marker_m": 0.018, "dictionary": "D"}
+CHARUCO = {
+    "kind": "charuco",
+    "squares_x": 11,
+    "squares_y": 8,
+    "square_m": 0.025,
+    "marker_m": 0.018,
+    "dictionary": "DICT_4X4_50",
+}
 BOARDS = [
     Board(
-        kind="charuco", squares_x=11, squares_y=8, square_m=0.025, marker_m=0.018, dictionary="D", legacy_pattern=True
+        kind="charuco",
+        squares_x=11,
+        squares_y=8,
+        square_m=0.025,
+        marker_m=0.018,
+        dictionary="DICT_4X4_50",
+        legacy_pattern=True,
     ),
     Board(kind="chessboard", squares_x=10, squares_y=7, square_m=0.025),
     Board(
-        kind="four_markers", width_m=0.3, height_m=0.24, marker_m=0.06, margin_m=0.01, dictionary="D", order="0 left"
+        kind="four_markers",
+        width_m=0.3,
+        height_m=0.24,
+        marker_m=0.06,
+        margin_m=0.01,
+        dictionary="DICT_4X4_50",
+        order="0 left",
     ),
-    Board(kind="aruco_grid", squares_x=5, squares_y=7, marker_m=0.04, gap_m=0.01, dictionary="D"),
+    Board(kind="aruco_grid", squares_x=5, squares_y=7, marker_m=0.04, gap_m=0.01, dictionary="DICT_4X4_50"),
     Board(kind="asymmetric_circles", squares_x=4, squares_y=11, spacing_m=0.02),
 ]
 
@@ -68,9 +87,67 @@ def test_markers_wider_than_the_board_are_refused(tmp_path):
         "height_m": 0.1,
         "marker_m": 0.06,
         "margin_m": 0.01,
-        "dictionary": "D",
+        "dictionary": "DICT_4X4_50",
     }
     (tmp_path / "board.yaml").write_text(yaml.safe_dump(values))
 
     with pytest.raises(DataError, match="wider than the board"):
         read_board(tmp_path / "board.yaml")
+
+
+DICTIONARY = """%YAML:1.0
+nmarkers: 2
+markersize: 3
+marker_0: "101110000"
+marker_1: "000111011"
+"""
+OWN = "{kind: aruco_grid, squares_x: 2, squares_y: 1, marker_m: 0.03, gap_m: 0.01, dictionary: own.yml}"
+
+
+def test_markers_of_a_dictionary_file_are_read(tmp_path):
+    (tmp_path / "own.yml").write_text(DICTIONARY)
+    (tmp_path / "board.yaml").write_text(OWN)
+
+    assert read_board(tmp_path / "board.yaml").marker_bits == ("101110000", "000111011")
+
+
+def test_a_dictionary_that_is_neither_opencvs_nor_a_file_is_refused(tmp_path):
+    (tmp_path / "board.yaml").write_text(OWN)
+
+    with pytest.raises(DataError, match=r'no dictionary "own.yml"; give one of OpenCV'):
+        read_board(tmp_path / "board.yaml")
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "found"),
+    [
+        ("000111011", "00011101", "3 x 3 times 0 or 1"),
+        ("000111011", "000111012", "3 x 3 times 0 or 1"),
+        ("nmarkers: 2", "nmarkers: 3", "marker_2"),
+        ("markersize: 3", "markersize: 30", "at most 10"),
+    ],
+)
+def test_a_damaged_dictionary_is_refused(tmp_path, before, after, found):
+    (tmp_path / "own.yml").write_text(DICTIONARY.replace(before, after))
+    (tmp_path / "board.yaml").write_text(OWN)
+
+    with pytest.raises(DataError, match=found):
+        read_board(tmp_path / "board.yaml")
+
+
+def test_squares_that_are_higher_than_wide_are_read(tmp_path):
+    (tmp_path / "b.yaml").write_text(
+        "{kind: chessboard, squares_x: 12, squares_y: 8, square_m: 0.021, square_y_m: 0.022}"
+    )
+
+    assert read_board(tmp_path / "b.yaml").square_size_m == (0.021, 0.022)
+
+
+def test_markers_are_square(tmp_path):
+    (tmp_path / "b.yaml").write_text(
+        "{kind: charuco, squares_x: 5, squares_y: 7, square_m: 0.04, square_y_m: 0.041, marker_m: 0.02,"
+        " dictionary: DICT_4X4_50}"
+    )
+
+    with pytest.raises(DataError, match="belongs to a chessboard alone"):
+        read_board(tmp_path / "b.yaml")

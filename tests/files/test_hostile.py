@@ -62,7 +62,8 @@ RIG = {
     "covariance": {"parameters": ["fx", "l.tilt_1"], "data": [[1.0, 1e-4], [1e-4, 1e-6]]},
     "mount": {"tool_from_camera": np.eye(4).tolist()},
 }
-BOARD = {"kind": "four_markers", "width_m": 0.3, "height_m": 0.2, "marker_m": 0.05, "margin_m": 0, "dictionary": "D"}
+BOARD = {"kind": "four_markers", "width_m": 0.3, "height_m": 0.2, "marker_m": 0.05, "margin_m": 0}
+BOARD["dictionary"] = "DICT_4X4_50"
 TRUTH = {
     "shot": "a",
     "expect": "pose",
