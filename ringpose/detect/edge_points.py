@@ -82,8 +82,9 @@ def _chosen(points: _Points, which: Bool[Array, "n"]) -> _Points:
 
 def _grouped(steps: _Points) -> _Points:
     """Weighted means of neighbouring steps, along the inner edge first."""
-    key = np.floor(steps.number / GROUP) - 1e6 * (steps.side > 0)
-    _, group = np.unique(key, return_inverse=True)
+    key = np.floor(steps.number / GROUP)
+    begins = np.append(True, (np.diff(key) != 0) | (np.diff(steps.side) != 0))[: len(key)]
+    group = np.cumsum(begins) - 1
     weight = steps.sigma_px**-2
     total = np.bincount(group, weight)
 
@@ -103,8 +104,9 @@ def _scale(points: _Points) -> Float64[Array, "n"]:
     deviation = np.abs(points.off_px / points.sigma_px)
     for here in _edges(points):
         near = _stretches(deviation[here])
-        limit = OUTLIER_SIGMAS * 1.4826 * np.median(near, axis=-1, keepdims=True)
-        scale[here] = np.sqrt(np.mean(np.minimum(near, limit) ** 2, axis=-1))
+        middle = np.sort(near, axis=-1)[:, near.shape[1] // 2, None]
+        near = np.minimum(near, OUTLIER_SIGMAS * 1.4826 * middle)
+        scale[here] = np.sqrt(np.einsum("ij,ij->i", near, near) / near.shape[1])
     return np.maximum(scale, 1e-3)
 
 
@@ -113,8 +115,9 @@ def _displaced(points: _Points) -> Bool[Array, "n"]:
     displaced = np.zeros(len(points.side), dtype=bool)
     for here in _edges(points):
         near = _stretches(points.off_px[here])
-        middle, spread = near.mean(axis=-1), near.std(axis=-1)
-        displaced[here] = (np.abs(middle) > DISPLACED_PX) & (np.abs(middle) > spread)
+        middle = near.mean(axis=-1)
+        variance = np.einsum("ij,ij->i", near, near) / near.shape[1] - middle**2
+        displaced[here] = (np.abs(middle) > DISPLACED_PX) & (middle**2 > variance)
     return displaced
 
 

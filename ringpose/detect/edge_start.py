@@ -32,14 +32,13 @@ DISTINCT, SIMILAR = 2, 6
 
 def sights_beside_stripe(arcs: RingArcs, frame: EdgeImage, rig: Rig) -> Sights:
     """Steps along the two straight edges through a stripe's ends that the image shows best; none if it shows none."""
-    traces = [_places(moved(arcs, turn * TURN), rig) for turn in TURNS_RAD]
-    count = [len(trace.side) for trace in traces]
-    trial = np.repeat(np.arange(len(traces)), count)
-    trace = EdgeTrace(*(np.concatenate(parts) for parts in zip(*traces, strict=True)))
-    trace = clear_of_stripes(frame, trace._replace(number=trial.astype(np.float64)))
+    tables = [_places(moved(arcs, turn * TURN), rig).table for turn in TURNS_RAD]
+    table = np.concatenate(tables)
+    table[:, -1] = np.repeat(np.arange(len(tables)), [len(each) for each in tables])
+    trace = clear_of_stripes(frame, EdgeTrace(table))
 
     clear = clear_steps(steps_beside(frame, trace, REACH_PX))
-    shown = np.bincount(trace.number.astype(np.int64), clear, minlength=len(traces))
+    shown = np.bincount(trace.number.astype(np.int64), clear, minlength=len(tables))
     best = int(np.argmax(shown))
     elsewhere = np.delete(shown, slice(max(best - SIMILAR, 0), best + SIMILAR + 1))
     if shown[best] < max(LEAST_STEPS, DISTINCT * elsewhere.max()):

@@ -1,7 +1,7 @@
 """Where the image should show the ring's edges, and how well that is known."""
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
 
 from ringpose.detect.tracks import lens
 from ringpose.geometry.ring_arcs import RingArcs, off_face_m
@@ -29,26 +29,52 @@ NUDGE_M = 1e-4
 """Step off the face that tells metres a pixel."""
 
 
-class EdgeTrace(NamedTuple):
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgeTrace:
     """Places on the predicted edges that lie in the image: along the inner edge, then along the outer."""
 
-    point: Float64[Array, "n xyz=3"]
-    outward: Float64[Array, "n xyz=3"]
-    """Unit vector on the ring's plane that leads off the face."""
-    side: Float64[Array, "n"]
-    """1 on the inner edge, -1 on the outer."""
-    place_px: Float64[Array, "n xy=2"]
-    normal: Float64[Array, "n xy=2"]
-    """Unit normal of the edge in the image, off the face."""
-    metres_per_px: Float64[Array, "n"]
-    """On the ring's plane, for a step along the normal."""
-    number: Float64[Array, "n"]
-    """Counts the places along an edge; those on the image's border are missing."""
+    table: Float64[Array, "n column=13"]
+    """As `ringpose.kernels.edges.edge_places` gives them."""
+
+    @property
+    def point(self) -> Float64[Array, "n xyz=3"]:
+        """On the ring's plane."""
+        return self.table[:, :3]
+
+    @property
+    def outward(self) -> Float64[Array, "n xyz=3"]:
+        """Unit vector on the ring's plane that leads off the face."""
+        return self.table[:, 3:6]
+
+    @property
+    def side(self) -> Float64[Array, "n"]:
+        """1 on the inner edge, -1 on the outer."""
+        return self.table[:, 6]
+
+    @property
+    def place_px(self) -> Float64[Array, "n xy=2"]:
+        """Where the image should show the point."""
+        return self.table[:, 7:9]
+
+    @property
+    def normal(self) -> Float64[Array, "n xy=2"]:
+        """Unit normal of the edge in the image, off the face."""
+        return self.table[:, 9:11]
+
+    @property
+    def metres_per_px(self) -> Float64[Array, "n"]:
+        """On the ring's plane, for a step along the normal."""
+        return self.table[:, 11]
+
+    @property
+    def number(self) -> Float64[Array, "n"]:
+        """Counts the places along an edge; those on the image's border are missing."""
+        return self.table[:, 12]
 
 
 def chosen(trace: EdgeTrace, which: Bool[Array, "n"]) -> EdgeTrace:
     """Some of the places."""
-    return EdgeTrace(*(part[which] for part in trace))
+    return EdgeTrace(trace.table[which])
 
 
 def edge_trace(
@@ -76,16 +102,7 @@ def edge_trace(
         nudge_m=NUDGE_M,
         farthest=farthest,
     )
-    found = kernels.edge_places(arcs, covariance, lens(rig.camera), rules)
-    return EdgeTrace(
-        point=found[:, :3],
-        outward=found[:, 3:6],
-        side=found[:, 6],
-        place_px=found[:, 7:9],
-        normal=found[:, 9:11],
-        metres_per_px=found[:, 11],
-        number=found[:, 12],
-    )
+    return EdgeTrace(kernels.edge_places(arcs, covariance, lens(rig.camera), rules))
 
 
 def sights_at(trace: EdgeTrace, offset_px: Float64[Array, "n"], sigma_px: Float64[Array, "n"]) -> Sights:

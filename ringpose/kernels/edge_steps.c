@@ -6,26 +6,35 @@
 #include <stdlib.h>
 #include <string.h>
 
+/* What is known of all samples of a profile; the compiler makes loops of their own for them. */
+typedef struct {
+    int wide;  /* elements of 16 bits */
+    int inner; /* none lies at the image's border or beyond */
+} Kind;
+
 static double clamped(double value, double most) { return value < 0 ? 0 : value > most ? most : value; }
 
 /* Grey value between the pixels; those of the border go on beyond it. */
-static inline double between(const EdgePicture *picture, const int wide, double x, double y) {
+static inline double between(const EdgePicture *picture, const Kind kind, double x, double y) {
     const size_t width = picture->width;
-    x = clamped(x, picture->right);
-    y = clamped(y, picture->bottom);
+    if (!kind.inner) {
+        x = clamped(x, picture->right);
+        y = clamped(y, picture->bottom);
+    }
     const int32_t column = (int32_t)x, row = (int32_t)y;
-    const size_t at = (size_t)row * width + (size_t)column, right = column < picture->right;
-    const size_t below = row < picture->bottom ? width : 0;
+    const size_t at = (size_t)row * width + (size_t)column, right = kind.inner || column < picture->right;
+    const size_t below = kind.inner || row < picture->bottom ? width : 0;
     const double u = x - column, v = y - row;
-    double grey[4];
-    if (wide) {
+    int here, beside, under, across;
+    if (kind.wide) {
         const uint16_t *pixel = (const uint16_t *)picture->data + at;
-        grey[0] = pixel[0], grey[1] = pixel[right], grey[2] = pixel[below], grey[3] = pixel[below + right];
+        here = pixel[0], beside = pixel[right], under = pixel[below], across = pixel[below + right];
     } else {
         const uint8_t *pixel = (const uint8_t *)picture->data + at;
-        grey[0] = pixel[0], grey[1] = pixel[right], grey[2] = pixel[below], grey[3] = pixel[below + right];
+        here = pixel[0], beside = pixel[right], under = pixel[below], across = pixel[below + right];
     }
-    return (1 - v) * ((1 - u) * grey[0] + u * grey[1]) + v * ((1 - u) * grey[2] + u * grey[3]);
+    const double upper = here + u * (beside - here), lower = under + u * (across - under);
+    return upper + v * (lower - upper);
 }
 
 /* Running mean over neighbours, fewer at the ends. */
@@ -44,7 +53,7 @@ static int pool(double *values, size_t count, size_t window) {
 }
 
 /* One profile's mean values, and which samples hide their brightness. */
-static inline void take_samples(const EdgePicture *picture, const int wide, const double place[2],
+static inline void take_samples(const EdgePicture *picture, const Kind kind, const double place[2],
                                 const double normal[2], const ProfileRules *rules, double *value, uint8_t *saturated,
                                 size_t samples) {
     const int along = (int)rules->along;
@@ -56,7 +65,7 @@ static inline void take_samples(const EdgePicture *picture, const int wide, cons
         int hidden = 0;
         for (int k = 0; k < along; k++) {
             const double beside = k - (along - 1) / 2.0;
-            const double grey = between(picture, wide, x - beside * normal[1], y + beside * normal[0]);
+            const double grey = between(picture, kind, x - beside * normal[1], y + beside * normal[0]);
             sum += grey;
             hidden |= grey >= hiding;
         }
@@ -67,10 +76,15 @@ static inline void take_samples(const EdgePicture *picture, const int wide, cons
 
 static void take_profile(const EdgePicture *picture, const double place[2], const double normal[2],
                          const ProfileRules *rules, double *value, uint8_t *saturated, size_t samples) {
+    const double reach = rules->reach + rules->inside + rules->outside + rules->along;
+    const int inner = place[0] > reach && place[0] < picture->right - reach && place[1] > reach &&
+                      place[1] < picture->bottom - reach;
     if (picture->wide)
-        take_samples(picture, 1, place, normal, rules, value, saturated, samples);
+        take_samples(picture, (Kind){1, 0}, place, normal, rules, value, saturated, samples);
+    else if (inner)
+        take_samples(picture, (Kind){0, 1}, place, normal, rules, value, saturated, samples);
     else
-        take_samples(picture, 0, place, normal, rules, value, saturated, samples);
+        take_samples(picture, (Kind){0, 0}, place, normal, rules, value, saturated, samples);
 }
 
 /* Subtracts the mean of the first values from all; returns the variance of the first ones. */

@@ -188,4 +188,4 @@ def fitted_arcs(
 
 
 def _numbers_of(arcs: RingArcs) -> Float64[Array, "14"]:
-    return np.array([*arcs.origin, *arcs.axes.ravel(), arcs.curvature, arcs.half_band_m])
+    return np.concatenate([arcs.origin, arcs.axes.ravel(), (arcs.curvature, arcs.half_band_m)])
