@@ -1,7 +1,8 @@
 """Camera and lasers -> shots, in lock step: light, settle, trigger, next."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -9,6 +10,7 @@ from ringpose.capture.bracketing import merged_brackets, on_the_scale_of
 from ringpose.capture.cameras.driver import CameraDriver
 from ringpose.capture.lasers.driver import LaserDriver, LasersWentOff
 from ringpose.capture.seen import LitPlaces, seen_lasers
+from ringpose.capture.settling import measured_settle_s
 from ringpose.errors import DeviceError, LaserSafetyError
 from ringpose.types.frame import Frame, Shot
 from ringpose.types.sequence import Step
@@ -35,8 +37,8 @@ class Procedure:
     steps: Sequence[Step]
     exposure_s: float | None = None
     """Of steps without one of their own; None for the device's own setting."""
-    settle_s: float = 0.0
-    """From switching to triggering."""
+    settle_s: float | None = 0.0
+    """From switching to triggering; None to measure it before the first shot."""
     must_see: bool = False
     """Whether a laser that was commanded must show in the image."""
 
@@ -62,7 +64,8 @@ class _Taker:
         self._lasers = lasers
         self._procedure = procedure
         self._masks = [step.mask(lasers.count) for step in procedure.steps]
-        self._settle_s = procedure.settle_s
+        self._settle_s = 0.0 if procedure.settle_s is None else procedure.settle_s
+        self._settled = procedure.settle_s is not None
         self._places: dict[int, LitPlaces] = {}
 
     def shot(self, name: str) -> Shot:
@@ -71,6 +74,7 @@ class _Taker:
         problem = DeviceError("lasers", "no shot could be taken")
         for _ in range(TRIES):
             try:
+                self._settle()
                 shot = self._taken(name)
             except LasersWentOff as error:
                 self._lasers.set_mask(0)
@@ -86,6 +90,16 @@ class _Taker:
             problem, self._settle_s = doubt, max(2 * self._settle_s, LEAST_SETTLE_S)
         raise problem
 
+    def _settle(self) -> None:
+        """Measure the settling time, once."""
+        if self._settled:
+            return
+        try:
+            self._settle_s = measured_settle_s(self._camera, self._lasers, self._procedure.exposure_s)
+        finally:
+            self._lasers.set_mask(0)
+        self._settled = True
+
     def _taken(self, name: str) -> Shot:
         frames, read_masks, lit = [], [], -1
         for step, mask in zip(self._procedure.steps, self._masks, strict=True):
@@ -96,7 +110,8 @@ class _Taker:
             frames.append(self._frame(mask, step.exposure_s))
             read_masks.append(self._lasers.read_mask())
         self._lasers.set_mask(0)
-        shot = _shot(name, frames, read_masks, self._camera.describe().saturation_dn)
+        meta = {"saturation_dn": self._camera.describe().saturation_dn, "settle_s": self._settle_s}
+        shot = _shot(name, frames, read_masks, meta)
         return merged_brackets(shot) if any(step.exposure for step in self._procedure.steps) else shot
 
     def _frame(self, mask: int, exposure_s: float | None) -> Frame:
@@ -155,7 +170,7 @@ class _Taker:
             raise LaserSafetyError("lasers", f"{_names_of(lit)} seen while all are off", "cut the power")
 
 
-def _shot(name: str, frames: Sequence[Frame], read_masks: Sequence[int | None], saturation_dn: int) -> Shot:
+def _shot(name: str, frames: Sequence[Frame], read_masks: Sequence[int | None], meta: Mapping[str, Any]) -> Shot:
     reported = [mask for mask in read_masks if mask is not None]
     device_stamps = [frame.device_stamp_s for frame in frames if frame.device_stamp_s is not None]
     gains = [frame.gain_db for frame in frames if frame.gain_db is not None]
@@ -170,7 +185,7 @@ def _shot(name: str, frames: Sequence[Frame], read_masks: Sequence[int | None], 
         gain_db=np.array(gains, dtype=np.float64) if len(gains) == len(frames) else None,
         frame_id=np.array(ids, dtype=np.int64) if len(ids) == len(frames) else None,
         read_lasers=np.array(reported, dtype=np.uint8) if len(reported) == len(frames) else None,
-        meta={"saturation_dn": saturation_dn},
+        meta=meta,
     )
 
 

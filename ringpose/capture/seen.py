@@ -52,6 +52,11 @@ class LitPlaces:
         bright = grey - self.dark_dn > AS_BRIGHT * self.contrast_dn
         return bool(bright.mean() > MOST_PLACES)
 
+    def share_of_light(self, image: Image) -> float:
+        """How bright the places are in another image, 1 as in the one they were found in."""
+        grey = image.ravel()[self.pixel].astype(np.float32)
+        return float((grey - self.dark_dn).sum() / self.contrast_dn.sum())
+
 
 def seen_lasers(shot: Shot) -> tuple[UInt8[Array, "frame"] | None, dict[int, LitPlaces]]:
     """The mask seen in each frame, and the places of each laser that has a frame of its own and was seen there.

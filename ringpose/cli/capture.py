@@ -2,7 +2,7 @@
 
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -33,9 +33,6 @@ ListDevices = Annotated[
 ]
 TestDevices = Annotated[bool, typer.Option("--test", help="Try camera, exposures and lasers instead of taking shots.")]
 Append = Annotated[bool, typer.Option("--append", help="Go on with a session that exists already.")]
-
-
-LONGEST_SETTLE_S = 10.0
 
 
 @app.command()
@@ -73,7 +70,7 @@ def capture(
         lasers=lasers,
         steps=steps,
         exposure_s=exposure,
-        settle_s=_settle_s(settle),
+        settle_s=settle,
         allow_unseen=allow_unseen,
         laser_names=_laser_names(rig),
         count=count,
@@ -104,20 +101,6 @@ def _laser_names(rig: Path | None) -> tuple[str, ...] | None:
     from ringpose.files.rigs import read_rig
 
     return None if rig is None else read_rig(rig).lasers.names
-
-
-def _settle_s(text: str | None) -> 'float | Literal["auto"] | None':
-    from ringpose.errors import UsageError
-
-    if text is None or text == "auto":
-        return "auto" if text else None
-    try:
-        settle_s = float(text)
-    except ValueError:
-        settle_s = -1.0
-    if not 0 <= settle_s <= LONGEST_SETTLE_S:
-        raise UsageError("--settle", f'"{text}"', f"it is auto, or seconds from 0 to {LONGEST_SETTLE_S:g}")
-    return settle_s
 
 
 def _existing(force: bool, append: bool) -> "Existing":

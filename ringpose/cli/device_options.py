@@ -1,8 +1,26 @@
 """Options of the commands that take shots from devices."""
 
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 import typer
+
+from ringpose.errors import UsageError
+
+LONGEST_SETTLE_S = 10.0
+
+
+def settle_time(text: str) -> float | Literal["auto"]:
+    """Seconds, or `auto`."""
+    if text == "auto":
+        return "auto"
+    try:
+        settle_s = float(text)
+    except ValueError:
+        settle_s = -1.0
+    if not 0 <= settle_s <= LONGEST_SETTLE_S:
+        raise UsageError("--settle", f'"{text}"', f"it is auto, or seconds from 0 to {LONGEST_SETTLE_S:g}")
+    return settle_s
+
 
 LasersUri = Annotated[
     str | None,
@@ -19,6 +37,9 @@ Count = Annotated[int | None, typer.Option("--count", metavar="N", min=1, help="
 Rate = Annotated[float | None, typer.Option("--rate", metavar="HZ", min=1e-3, help="Shots a second, at most.")]
 Duration = Annotated[float | None, typer.Option("--duration", metavar="S", min=1e-3, help="Begin no shot after this.")]
 Settle = Annotated[
-    float | None, typer.Option("--settle", metavar="S", min=0.0, max=10.0, help="From switching to exposing.")
+    Any,
+    typer.Option(
+        "--settle", metavar="S|auto", parser=settle_time, help="From switching to exposing; auto: measured first."
+    ),
 ]
 AllowUnseen = Annotated[bool, typer.Option("--allow-unseen", help="Keep shots in which a laser does not show.")]

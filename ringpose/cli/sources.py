@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import chain, count, islice
 from pathlib import Path
+from typing import Literal
 
 from ringpose.capture.cameras.driver import CameraDriver
 from ringpose.capture.cameras.recorded import Recording
@@ -37,7 +38,7 @@ class Wanted:
     count: int | None = None
     rate_hz: float | None = None
     duration_s: float | None = None
-    settle_s: float | None = None
+    settle_s: float | Literal["auto"] | None = None
     allow_unseen: bool = False
     """Whether a shot counts in which a laser that was commanded does not show."""
     channel: str | None = None
@@ -161,7 +162,7 @@ def _of_devices(
     procedure = Procedure(
         steps=steps,
         exposure_s=wanted.exposure_s,
-        settle_s=lasers.settle_s if wanted.settle_s is None else wanted.settle_s,
+        settle_s=_settle_s(wanted, lasers),
         must_see=not isinstance(lasers, UncontrolledLasers | SimulatedLasers) and not wanted.allow_unseen,
     )
 
@@ -173,6 +174,13 @@ def _of_devices(
 
     capture = replace(_capture(wanted, "none:"), laser_count=lasers.count, laser_names=wanted.laser_names)
     return Source(capture=capture, shots=shots, devices=(camera, lasers), warnings=lasers.warnings)
+
+
+def _settle_s(wanted: Wanted, lasers: LaserDriver) -> float | None:
+    """None if it is to be measured."""
+    if wanted.settle_s == "auto":
+        return None
+    return lasers.settle_s if wanted.settle_s is None else wanted.settle_s
 
 
 def _each_laser(lasers: LaserDriver) -> tuple[Step, ...]:

@@ -144,3 +144,20 @@ def test_two_exposures_of_a_laser_become_one_frame(shots_of):
     assert shot.lasers.tolist() == [0, 1, 2]
     assert shot.seen_lasers.tolist() == [0, 1, 2]
     assert shot.images.dtype == np.uint16
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.03, 0.08])
+def test_the_settling_time_is_measured_once(shots_of, delay_s):
+    how = procedure(settle_s=None)
+
+    shots, _ = shots_of(how, ContactFaults(operate_s=delay_s / 2, release_s=delay_s), names="ab")
+
+    settle_s = shots[0].meta["settle_s"]
+    assert delay_s < settle_s < 1.25 * (delay_s + 0.05)
+    assert [shot.meta["settle_s"] for shot in shots] == [settle_s] * 2
+    assert [shot.seen_lasers.tolist() for shot in shots] == [[0, 1, 2, 4, 0]] * 2
+
+
+def test_what_does_not_show_cannot_be_measured(shots_of):
+    with pytest.raises(DeviceError, match="no laser shows in the image"):
+        shots_of(procedure(settle_s=None), ContactFaults(dead=frozenset({0, 1, 2})))
