@@ -81,16 +81,23 @@ def undistorted(position_px: Float64[Array, "center xy=2"], lens: Lens) -> Float
     return straight
 
 
-def _straight_parts(run: Int64[Array, "n"], centers: Centers, rules: TrackRules) -> list[Int64[Array, "m"]]:
-    """A run between its kinks: cut where it is farthest from the chord of its ends (Ramer)."""
+def _straight_parts(
+    run: Int64[Array, "n"], centers: Centers, rules: TrackRules, sigma: float = np.inf
+) -> list[Int64[Array, "m"]]:
+    """A run between its kinks: cut where it is farthest from the chord of its ends (Ramer).
+
+    `sigma` is the least of the medians of the runs that it was cut from: a jump raises the sigmas beside it, which
+    must not hide it once the rest of the piece has been cut off.
+    """
     if len(run) < rules.minimum_columns:
         return []
     bend = _from_chord(centers.points[run])
     cut = int(np.argmax(bend))
-    if bend[cut] <= rules.kink_px + 1.5 * float(np.median(centers.sigma[run])):
+    sigma = min(sigma, float(np.median(centers.sigma[run])))
+    if bend[cut] <= rules.kink_px + 1.5 * sigma:
         return [run]
     cut = min(max(cut, 1), len(run) - 1)
-    return _straight_parts(run[:cut], centers, rules) + _straight_parts(run[cut:], centers, rules)
+    return _straight_parts(run[:cut], centers, rules, sigma) + _straight_parts(run[cut:], centers, rules, sigma)
 
 
 def _from_chord(points: Float64[Array, "n xy=2"]) -> Float64[Array, "n"]:

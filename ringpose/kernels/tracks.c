@@ -84,14 +84,18 @@ static ptrdiff_t farthest_place(const Chord *chord, const double *x, const doubl
     return where;
 }
 
-/* Where a piece is to be cut: where it is farthest from its chord, if that is far; else -1. */
-static ptrdiff_t kink_of(size_t first, size_t n, const Work *work) {
+/* Where a run is to be cut: where it is farthest from its chord, if that is far; else -1.
+
+   `sigma`: the least of the medians of the runs that it was cut from; its own is taken into account. A jump raises the
+   sigmas beside it, which must not hide it once the rest of the piece has been cut off. */
+static ptrdiff_t kink_of(size_t first, size_t n, const Work *work, double *sigma) {
     const double *x = work->centers->x + first, *y = work->centers->y + first;
     Chord chord = chord_of(x, y, (ptrdiff_t)n);
     double most = farthest_possible(&chord, x, y, (ptrdiff_t)n);
     if (most <= work->rules->kink) return -1;
     memcpy(work->scratch, work->centers->sigma + first, n * sizeof(double));
-    double allowed = work->rules->kink + 1.5 * median(work->scratch, n), lean = 0;
+    *sigma = fmin(*sigma, median(work->scratch, n));
+    double allowed = work->rules->kink + 1.5 * *sigma, lean = 0;
     if (most <= allowed) return -1;
     for (size_t i = 1; i < n; i++) lean = x[i] - x[i - 1] > lean ? x[i] - x[i - 1] : lean;
     double slack = fabs(chord.slope) * lean * (SMOOTHED / 2);
@@ -99,13 +103,13 @@ static ptrdiff_t kink_of(size_t first, size_t n, const Work *work) {
 }
 
 /* Cuts a piece where it is farthest from its chord (Ramer), as long as that is far. */
-static int cut(size_t first, size_t last, double laser, const Work *work, Drafts *drafts) {
+static int cut(size_t first, size_t last, double sigma, double laser, const Work *work, Drafts *drafts) {
     size_t n = last - first;
     if (n < work->rules->minimum) return 1;
-    ptrdiff_t where = kink_of(first, n, work);
+    ptrdiff_t where = kink_of(first, n, work, &sigma);
     if (where >= 0) {
         size_t at = (size_t)(where < 1 ? 1 : where > (ptrdiff_t)n - 1 ? (ptrdiff_t)n - 1 : where);
-        return cut(first, first + at, laser, work, drafts) && cut(first + at, last, laser, work, drafts);
+        return cut(first, first + at, sigma, laser, work, drafts) && cut(first + at, last, sigma, laser, work, drafts);
     }
     Draft draft = {.first = {first}, .last = {last}, .blocks = 1};
     draft.track.laser = laser;
@@ -175,7 +179,7 @@ Track *straight_tracks(const Centers *centers, const TrackRules *rules, size_t *
     int done = memory != NULL;
     for (size_t first = 0, last; done && first < centers->n; first = last) {
         for (last = first + 1; last < centers->n && centers->piece[last] == centers->piece[first];) last++;
-        done = cut(first, last, (double)centers->laser[centers->piece[first]], &work, &drafts);
+        done = cut(first, last, INFINITY, (double)centers->laser[centers->piece[first]], &work, &drafts);
     }
     if (done && join(&drafts, &work) && count_spilt(drafts.data, drafts.used, &work)) {
         tracks = malloc((drafts.used ? drafts.used : 1) * sizeof *tracks);
