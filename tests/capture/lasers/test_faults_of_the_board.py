@@ -1,0 +1,118 @@
+"""What the real command does when its guard or its cable is lost."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from ringpose.files.sessions import read_session
+from ringpose.files.shots import read_shot
+
+SLOW = ("--settle", "0.3", "--sequence", "off,all")
+
+
+def guard_of(process) -> int:
+    (child,) = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    return int(child)
+
+
+def lit(relays):
+    return relays.mask_at(time.monotonic()) != 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+@pytest.mark.parametrize(
+    "scheme", ["lcus", *(pytest.param(scheme, marks=pytest.mark.slow) for scheme in ("numato", "modbus", "ascii"))]
+)
+def test_a_capture_whose_guard_is_killed_switches_off_and_ends(board, capturing, time_until, tmp_path, scheme, number):
+    with board(scheme) as (relays, uri), capturing(uri, *SLOW) as process:
+        first = process.stdout.readline().strip()
+        assert time_until(lambda: lit(relays), 10.0) < 10.0
+        os.kill(guard_of(process), number)
+        off_s = time_until(lambda: not lit(relays), 2.0)
+        _, said = process.communicate(timeout=30)
+
+    assert off_s < 0.05
+    assert not lit(relays)
+    assert process.returncode == 69
+    assert said.endswith("the guard of the lasers ended; they were switched off without it\n")
+    capture = read_session(tmp_path / "s").captures[0]
+    assert (capture.state, f"s/{capture.shots[0]}.npz") == ("stopped", first)
+
+
+@pytest.mark.parametrize("words", [SLOW, ("--rate", "0.1")], ids=["while a laser is on", "between two shots"])
+def test_a_pulled_cable_ends_the_capture_with_its_finished_shots(board, capturing, time_until, tmp_path, words):
+    with board("lcus") as (relays, uri), capturing(uri, *words) as process:
+        first = process.stdout.readline().strip()
+        if words is SLOW:
+            assert time_until(lambda: lit(relays), 10.0) < 10.0
+        relays.unplug()
+        noticed_s = time_until(lambda: read_session(tmp_path / "s").captures[0].state == "stopped", 5.0)
+        _, said = process.communicate(timeout=30)
+
+    assert noticed_s < 0.5
+    assert process.returncode == 70
+    assert said.count("\n") == 1
+    assert "guard and port are lost, the lasers may be on" in said
+    capture = read_session(tmp_path / "s").captures[0]
+    assert f"s/{capture.shots[0]}.npz" == first
+    assert read_shot(tmp_path / first).seen_lasers is not None
+
+
+def test_a_worn_relay_is_named_on_standard_error(board, capturing):
+    with board("lcus") as (_, uri):
+        for _ in range(2):
+            with capturing(f"{uri}&rated=4", "--settle", "0.01", "--count", "4", "--force") as process:
+                _, said = process.communicate(timeout=60)
+
+    assert process.returncode == 0
+    assert [line.split(": ", 2)[2] for line in said.splitlines()] == [
+        f"relay {number} has switched 4 times; its kind lasts for about 4" for number in (1, 2, 3)
+    ]
+
+
+def test_a_full_disk_leaves_the_lasers_off_and_the_finished_shots(board, capturing, tmp_path):
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (5_000, 5_000))"
+    with board("lcus") as (relays, uri), capturing(uri, "--settle", "0.01", before=limit) as process:
+        names, said = process.communicate(timeout=60)
+
+    assert process.returncode == 74
+    assert "writing broke off" in said
+    assert not lit(relays)
+    assert names == "".join(f"s/{name}.npz\n" for name in read_session(tmp_path / "s").shots)
+
+
+@pytest.mark.parametrize(
+    ("lasers", "status", "complaint"),
+    [
+        ("lcus:/dev/ttyNone?ch=1,2,3", 69, "/dev/ttyNone: cannot be used: no such file or directory; see ls"),
+        ("lcus:/dev/ttyNone", 2, "does not say which channels feed the lasers"),
+        ("lcus:?ch=1", 2, "names no port"),
+        ("lcus:/dev/ttyNone?ch=0,1,2", 2, 'ch= has "0"; relays have numbers from 1'),
+        ("lcus:/dev/ttyNone?ch=1,1,2", 2, "names a channel twice"),
+        ("lcus:/dev/ttyNone?ch=1,2", 2, "has 2 channels for the 3 lasers of the rig"),
+        (
+            "lcus:/dev/ttyNone?ch=left:1,right:2,top:3",
+            2,
+            "must name each of the rig's lasers once: left, middle, right",
+        ),
+        ("lcus:/dev/ttyNone?ch=1,2,3&heartbeat=0", 2, "heartbeat must lie between"),
+        ("lcus:/dev/ttyNone?ch=1,2,3&hartbeat=1", 2, "did you mean heartbeat?"),
+        ("lcus:/dev/ttyNone?ch=1,2,3&interlock=ri", 2, 'interlock is "ri"; it is one of cts, dsr'),
+        ("lcus:/dev/ttyNone?ch=1,2,3&pulse=1", 2, 'has no parameter "pulse"'),
+        ("modbus:/dev/ttyNone?ch=0,1,2&pulse=0.01", 2, "pulse must lie between 0.1"),
+        ("modbus:/dev/ttyNone?ch=0,1,2&on=x", 2, "must be hexadecimal"),
+        ("ascii:/dev/ttyNone?ch=1,2,3&on=R1&off=R{n}", 2, "on= must be a line with {n}"),
+        ("line:Line1,Line2,Line3", 2, "goes with a camera that has output lines only"),
+        ("relay:/dev/ttyNone", 2, "names no device; it begins with one of ascii:, lcus:"),
+    ],
+)
+def test_lasers_that_cannot_be_had_are_one_line(capturing, lasers, status, complaint):
+    with capturing(lasers) as process:
+        _, said = process.communicate(timeout=60)
+
+    assert process.returncode == status
+    assert said.count("\n") == 1
+    assert complaint in said
