@@ -1,0 +1,80 @@
+"""Lasers at a camera's output lines."""
+
+import pytest
+
+from ringpose.capture.lasers.camera_lines import LineLasers
+from ringpose.capture.lasers.place import LaserPlace
+from ringpose.capture.uri import LASERS, device_uri, driver
+from ringpose.errors import DeviceError, LaserSafetyError, UsageError
+
+
+class NotedLines:
+    """A camera whose lines are all high when it is found."""
+
+    def __init__(self, says=True, stuck=""):
+        self.high = dict.fromkeys(("Line1", "Line2", "Line4"), True)
+        self.calls, self.says, self.stuck = [], says, stuck
+
+    def set_output(self, line, high):
+        self.calls.append(f"{line} {'high' if high else 'low'}")
+        if line not in self.high:
+            raise DeviceError("camera", f"has no {line}")
+        self.high[line] = high or line == self.stuck
+
+    def output(self, line):
+        return self.high[line] if self.says else None
+
+
+def line_lasers(camera, text="line:Line2,Line4,Line1", names=None) -> LineLasers:
+    uri = device_uri(text, "--lasers", LASERS)
+    lasers = driver(LASERS, "line")(uri, LaserPlace(names=names, camera=camera))
+    assert isinstance(lasers, LineLasers)
+    return lasers
+
+
+def test_all_lines_are_low_before_anything_is_lit():
+    camera = NotedLines()
+
+    line_lasers(camera).open()
+
+    assert camera.high == {"Line1": False, "Line2": False, "Line4": False}
+
+
+def test_what_goes_off_goes_off_before_what_comes_on():
+    camera = NotedLines()
+    lasers = line_lasers(camera)
+    lasers.set_mask(0b001)
+    camera.calls.clear()
+
+    lasers.set_mask(0b010)
+
+    assert camera.calls == ["Line2 low", "Line1 low", "Line4 high"]
+    assert lasers.read_mask() == 0b010
+
+
+def test_a_line_that_stays_high_in_the_end_is_a_safety_fault():
+    with pytest.raises(LaserSafetyError, match="mask 2"), line_lasers(NotedLines(stuck="Line4")) as _:
+        pass
+
+
+def test_a_camera_that_cannot_say_leaves_no_report():
+    assert line_lasers(NotedLines(says=False)).read_mask() is None
+
+
+def test_lines_may_be_named_by_their_lasers():
+    camera = NotedLines()
+    lasers = line_lasers(camera, "line:right:Line1,left:Line2,middle:Line4", ("left", "middle", "right"))
+
+    lasers.set_mask(0b100)
+
+    assert [line for line, high in camera.high.items() if high] == ["Line1"]
+
+
+def test_a_line_given_twice_is_wrong_usage():
+    with pytest.raises(UsageError, match="names a channel twice"):
+        line_lasers(NotedLines(), "line:Line1,Line1")
+
+
+def test_a_camera_without_output_lines_has_none():
+    with pytest.raises(UsageError, match="goes with a camera that has output lines only"):
+        line_lasers(object())
