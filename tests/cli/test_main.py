@@ -1,4 +1,5 @@
 from importlib.metadata import version
+from pathlib import Path
 
 import pytest
 
@@ -54,3 +55,19 @@ def test_help_imports_nothing_heavy(started, command):
         _, said = process.communicate(timeout=60)
 
     assert (process.returncode, said.split()) == (0, [])
+
+
+RENDERED = Path(__file__).parents[1] / "data" / "rig_b"
+NEEDLESS = ("scipy", "rich", "jaxtyping", "pydantic", "asyncio", "unittest", "numpy.ma", "importlib.metadata")
+
+
+@pytest.mark.parametrize("command", ["detect", "pose"])
+def test_a_shot_imports_nothing_that_its_line_does_not_need(started, command):
+    after = (
+        f"import atexit, sys\natexit.register(lambda: print(*sys.modules.keys() & set({NEEDLESS!r}), file=sys.stderr))"
+    )
+    shot = next(RENDERED.rglob("*.npz"))
+    with started(command, shot, "--rig", RENDERED / "rig.yaml", before=after) as process:
+        printed, said = process.communicate(timeout=60)
+
+    assert (process.returncode, said.split(), printed.count("\n")) == (0, [], 1)
