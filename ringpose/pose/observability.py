@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from ringpose.geometry.planes import nearest_plane
-from ringpose.pose.closed_form import ClosedForm
+from ringpose.kernels.forms import ClosedForm
 from ringpose.pose.uncertainty import PoseCovariance
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.break_points import BreakPoints

@@ -4,12 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ringpose.pose.closed_form import ClosedForm
-from ringpose.pose.constrained import constrained_form
+from ringpose.kernels.forms import ClosedForm, constrained_form, paper_form
 from ringpose.pose.method import Method as Method
 from ringpose.pose.most_likely import most_likely_pose
 from ringpose.pose.observability import pose_flags, why_undetermined, why_unusable
-from ringpose.pose.paper import paper_form
 from ringpose.pose.point_covariance import point_covariance
 from ringpose.pose.residuals import prediction_rms_px
 from ringpose.pose.triangulate import triangulated

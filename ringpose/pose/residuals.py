@@ -4,7 +4,7 @@ import numpy as np
 
 from ringpose.geometry.circles import nearest_crossing
 from ringpose.geometry.rays import GRAZING, project
-from ringpose.pose.closed_form import ClosedForm
+from ringpose.kernels.forms import ClosedForm
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.break_points import BreakPoints
 from ringpose.types.rig import Rig

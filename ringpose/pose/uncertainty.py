@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.pose.closed_form import ClosedForm
+from ringpose.kernels.forms import ClosedForm
 from ringpose.types.arrays import Array, Float64, Int64
 
 STEP = 1e-6

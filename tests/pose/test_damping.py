@@ -6,9 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ringpose.pose.closed_form import LARGEST_DAMPING, SINGULAR_BELOW, damped_center
-from ringpose.pose.constrained import constrained_form
-from ringpose.pose.paper import paper_form
+from ringpose.kernels.forms import LARGEST_DAMPING, SINGULAR_BELOW, constrained_form, paper_form
+from ringpose.kernels.reference_forms import damped_center
 from ringpose.pose.pipeline import FORMS
 from ringpose.pose.pipeline import closed_form_pose as estimate_pose
 from ringpose.types.ring_pose import PoseFlag

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ringpose.pose.constrained import constrained_form
-from ringpose.pose.paper import paper_form
+from ringpose.kernels.forms import constrained_form, paper_form
 from ringpose.pose.pipeline import FORMS
 from ringpose.pose.pipeline import closed_form_pose as estimate_pose
 

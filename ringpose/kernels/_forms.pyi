@@ -1,0 +1,3 @@
+from ringpose.types.arrays import Array
+
+def forms(points: Array, edges: Array, constrained: bool, singular_below: float, /) -> bytes: ...
