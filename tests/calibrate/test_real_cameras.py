@@ -1,0 +1,136 @@
+"""Cameras of photographs and renders beside the reference results that came with them."""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+import pytest
+import scipy.io
+
+from ringpose.calibrate.board_failures import NoBoard
+from ringpose.calibrate.board_views import find_board
+from ringpose.calibrate.camera import calibrate_camera
+from ringpose.calibrate.camera_assessment import camera_assessment, widened
+from ringpose.calibrate.camera_model import CameraModel
+from ringpose.calibrate.camera_verdict import camera_verdict
+from ringpose.calibrate.intrinsics import parameters_of
+from ringpose.types.board import Board, BoardView
+from ringpose.types.camera_calibration import CameraAssessment, CameraCalibration
+from ringpose.types.verdict import Grade
+
+K2 = CameraModel(fix_k3=True)
+SAMPLES = Board(kind="chessboard", squares_x=10, squares_y=7, square_m=0.025)
+ETNA = Board(kind="chessboard", squares_x=8, squares_y=7, square_m=0.01)
+UBA = Board(kind="chessboard", squares_x=12, squares_y=8, square_m=0.021167, square_y_m=0.021125)
+CHARUCO = Board(kind="charuco", squares_x=11, squares_y=8, square_m=0.025, marker_m=0.018, dictionary="DICT_5X5_100")
+TRUTH = [1781.3, 1780.6, 803.7, 596.2, -0.105, 0.118, 0.00055, -0.0004, 0.0]
+
+
+def calibrated(paths: Sequence, board: Board, model: CameraModel) -> tuple[CameraCalibration, CameraAssessment]:
+    images = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in sorted(paths)]
+    found = [find_board(image, board, path.stem) for path, image in zip(sorted(paths), images, strict=True)]
+    views = [view for view in found if not isinstance(view, NoBoard)]
+    height, width = images[0].shape
+    calibration = calibrate_camera(views, width, height, model)
+    return widened(calibration, camera_assessment(calibration, views, model))
+
+
+def deviations_from(calibration: CameraCalibration, reference: Sequence[float]) -> np.ndarray:
+    """In standard deviations that are reported."""
+    sigmas = np.array(list(calibration.standard_deviations.values()))[: len(reference)]
+    error = parameters_of(calibration.camera)[: len(reference)] - reference
+    return np.abs(error) / np.where(sigmas > 0, sigmas, 1.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model", [CameraModel(), K2], ids=["k3", "k2"])
+def test_the_rendered_camera_is_within_three_sigmas_of_the_truth(model, shared_data):
+    folder = shared_data / "rendered" / "calib_b" / "camera"
+
+    calibration, assessment = calibrated(list(folder.glob("*.png")), CHARUCO, model)
+
+    assert len(calibration.used) == 15
+    assert deviations_from(calibration, TRUTH).max() < 3
+    assert camera_verdict(calibration, assessment, 15).grade is Grade.GOOD
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("side", "reference"),
+    [("left", [532.46, 532.41, 342.84, 233.72]), ("right", [534.96, 534.40])],
+)
+def test_opencvs_samples_agree_with_the_reference_of_the_same_finder(side, reference, shared_data):
+    folder = shared_data / "real" / "opencv_samples_stereo"
+
+    calibration, _ = calibrated(list(folder.glob(f"{side}[01]*.jpg")), SAMPLES, CameraModel())
+
+    assert len(calibration.used) == 13
+    assert calibration.rms_px < 0.2  # reference: 0.234 and 0.235, left with one view less
+    assert np.abs(parameters_of(calibration.camera)[: len(reference)] - reference).max() < 3.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("folder", "reference", "rms_px"),
+    [
+        ("root", [2422.3, 2427.65, 693.72, 474.42], 0.2919),
+        ("calib2", [2446.88, 2453.64, 651.92, 535.12], 0.2789),
+        ("calib3", [2418.99, 2422.75, 659.91, 532.28], 0.6542),
+    ],
+)
+def test_etnas_cameras_are_within_a_sigma_of_the_reference(folder, reference, rms_px, shared_data):
+    paths = list((shared_data / "real" / "etna_laser_robot" / folder).glob("*.png"))
+
+    calibration, assessment = calibrated(paths, ETNA, K2)
+
+    assert deviations_from(calibration, reference).max() < 1
+    assert calibration.rms_px < rms_px + 0.01
+    assert camera_verdict(calibration, assessment, len(paths)).grade is not Grade.GOOD
+
+
+@pytest.mark.slow
+def test_ubas_camera_is_within_three_sigmas_of_the_published_one(shared_data):
+    folder = shared_data / "real" / "uba_laser_plane"
+
+    calibration, _ = calibrated(list((folder / "color").glob("*.png")), UBA, K2)
+
+    published = [819.580391, 820.87185144, 589.72908798, 355.78486577, 0.0981042148, -0.182481427]
+    assert len(calibration.used) == 14
+    assert deviations_from(calibration, published).max() < 3
+    assert calibration.rms_px < 0.1926
+
+
+@pytest.mark.slow
+def test_the_toolboxs_own_corners_give_its_own_camera_and_uncertainties(shared_data):
+    toolbox = scipy.io.loadmat(shared_data / "real" / "uba_laser_plane" / "Calib_Results.mat")
+    views = [
+        BoardView(
+            name=f"image{number}",
+            ids=np.arange(77),
+            points_board_m=toolbox[f"X_{number}"].T / 1000,
+            points_px=np.ascontiguousarray(toolbox[f"x_{number}"].T),
+        )
+        for number in range(1, 15)
+    ]
+
+    found = calibrate_camera(views, 1152, 768, CameraModel(fix_k3=True, keep_all=True))
+
+    fc, cc, kc = (toolbox[key].ravel() for key in ("fc", "cc", "kc"))
+    published_sigma = np.concatenate([toolbox[key].ravel() for key in ("fc_error", "cc_error")]) / 3
+    assert parameters_of(found.camera)[:4] == pytest.approx([*fc, *cc], abs=0.002)
+    assert parameters_of(found.camera)[4:8] == pytest.approx(kc[:4], abs=1e-5)
+    assert list(found.standard_deviations.values())[:4] == pytest.approx(published_sigma, rel=0.05)
+
+
+def test_three_views_of_circles_give_a_plausible_camera(shared_data):
+    folder = shared_data / "real" / "opencv_extra_calib" / "asymmetric_circles"
+    board = Board(kind="asymmetric_circles", squares_x=7, squares_y=13, spacing_m=0.02)
+
+    calibration, assessment = calibrated(
+        [folder / f"acircles{number}.png" for number in (1, 2, 3)],
+        board,
+        CameraModel(fix_k3=True, zero_tangential=True),
+    )
+
+    assert calibration.rms_px < 0.3
+    assert camera_verdict(calibration, assessment, 3).grade is Grade.REDO
