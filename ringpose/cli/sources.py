@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import chain, count, islice
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from ringpose.capture.cameras.driver import CameraDriver
 from ringpose.capture.cameras.recorded import Recording
@@ -22,6 +22,9 @@ from ringpose.files.shots import SHOT_SUFFIXES, read_shot
 from ringpose.types.frame import Shot
 from ringpose.types.sequence import Step, steps_of, written_sequence
 from ringpose.types.session import Capture
+
+if TYPE_CHECKING:
+    from ringpose.capture.pipeline import Procedure
 
 ReadFrom = Callable[[Path], None]
 """Is told of each file that is read."""
@@ -165,6 +168,7 @@ def _of_devices(
         settle_s=_settle_s(wanted, lasers),
         must_see=not isinstance(lasers, UncontrolledLasers | SimulatedLasers) and not wanted.allow_unseen,
     )
+    _refuse_long_light(procedure, lasers)
 
     def shots(read_from: ReadFrom, there: Container[str]) -> Iterator[Shot]:
         if read is not None:
@@ -174,6 +178,15 @@ def _of_devices(
 
     capture = replace(_capture(wanted, "none:"), laser_count=lasers.count, laser_names=wanted.laser_names)
     return Source(capture=capture, shots=shots, devices=(camera, lasers), warnings=lasers.warnings)
+
+
+def _refuse_long_light(procedure: "Procedure", lasers: LaserDriver) -> None:
+    """A frame that lasts longer than the guard waits would show lasers going off."""
+    exposures_s = [step.exposure_s or procedure.exposure_s or 0.0 for step in procedure.steps]
+    lasts_s, limit_s = (procedure.settle_s or 0.0) + max(exposures_s), lasers.longest_on_s
+    if limit_s is not None and lasts_s >= limit_s:
+        found = f"a laser would be on for {lasts_s:g} s, and the guard of the lasers allows {limit_s:g} s"
+        raise UsageError("--exposure", found, "raise heartbeat= and longest_on= in --lasers")
 
 
 def _settle_s(wanted: Wanted, lasers: LaserDriver) -> float | None:

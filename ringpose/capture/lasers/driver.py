@@ -28,6 +28,11 @@ class LaserDriver(Device, Protocol):
         """From switching until the light is steady, if nobody measures it."""
         return 0.0
 
+    @property
+    def longest_on_s(self) -> float | None:
+        """How long a laser may be on for one frame; None for ever."""
+        return None
+
     def open(self) -> None:
         """Take the device and switch everything off; a `DeviceError` says what is in the way."""
 

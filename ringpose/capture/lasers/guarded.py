@@ -58,6 +58,11 @@ class GuardedLasers(LaserDriver):
         return 0.05
 
     @property
+    def longest_on_s(self) -> float:
+        """Until the guard steps in, which is told nothing while a frame is exposed."""
+        return min(self.settings.heartbeat_s, self.settings.on_limit_s)
+
+    @property
     def guard_pid(self) -> int:
         """Process number of the guard; 0 while there is none."""
         return 0 if self._guard is None else self._guard.pid

@@ -116,3 +116,12 @@ def test_lasers_that_cannot_be_had_are_one_line(capturing, lasers, status, compl
     assert process.returncode == status
     assert said.count("\n") == 1
     assert complaint in said
+
+
+@pytest.mark.parametrize("words", [("--exposure", "1"), ("--sequence", "off,1@960ms"), ("--settle", "1")])
+def test_a_frame_that_lasts_longer_than_the_guard_waits_is_wrong_usage(capturing, words):
+    with capturing("lcus:/dev/ttyNone?ch=1,2,3", *words) as process:
+        _, said = process.communicate(timeout=60)
+
+    assert process.returncode == 2
+    assert "the guard of the lasers allows 1 s; raise heartbeat= and longest_on=" in said
