@@ -5,8 +5,12 @@
 #include <string.h>
 
 #include "minimum.h"
+#include "kernels.h"
 #include "normal_cdf.h"
 #include "select.h"
+
+/* Sums are kept in so many parts, as vectors do it. */
+enum { PARTS = 4 };
 
 /* Level, spread and noise of the columns about an end; 0 if they are dark. */
 static int measure_spread(Columns *columns, double noise, const EndRules *rules) {
@@ -95,25 +99,79 @@ static void run(const Columns *columns, Running *running) {
     }
 }
 
+/* Columns in which an edge lies: their shares of both levels, and what is seen there. */
+typedef struct {
+    double in[MOST_COLUMNS + PARTS], out[MOST_COLUMNS + PARTS], value[MOST_COLUMNS + PARTS],
+        variance[MOST_COLUMNS + PARTS];
+} Weighted;
+
+/* GNU C's vectors: the compilers do not see that sums may be kept in parts. */
+typedef double Doubles __attribute__((vector_size(8 * PARTS), aligned(8), may_alias));
+#define DOUBLES(address) (*(const Doubles *)(address))
+
+static inline double total(Doubles part) { return (part[0] + part[1]) + (part[2] + part[3]); }
+
+/* Adds the logarithms of variances, as few as their product's range allows. */
+static double logarithm(const double *variance, int n) {
+    double product = 1, sum = 0;
+    for (int i = 0; i < n; i++) {
+        product *= variance[i];
+        if (product > 1e-150 && product < 1e150) continue;
+        sum += log(product);
+        product = 1;
+    }
+    return sum + log(product);
+}
+
+VECTOR_LOOP
+static void add_weighted(Weighted *columns, int n, Sums *sums) {
+    Doubles inside = {0}, both = {0}, outside = {0}, in_value = {0}, out_value = {0}, square = {0};
+    sums->logarithm += logarithm(columns->variance, n);
+    for (int i = n; i % PARTS; i++) {
+        columns->in[i] = columns->out[i] = columns->value[i] = 0;
+        columns->variance[i] = 1;
+    }
+    for (int i = 0; i < n; i += PARTS) {
+        Doubles in = DOUBLES(columns->in + i), out = DOUBLES(columns->out + i), value = DOUBLES(columns->value + i);
+        Doubles weight = 1 / DOUBLES(columns->variance + i);
+        inside += in * in * weight;
+        both += in * out * weight;
+        outside += out * out * weight;
+        in_value += in * value * weight;
+        out_value += out * value * weight;
+        square += value * value * weight;
+    }
+    sums->inside += total(inside);
+    sums->both += total(both);
+    sums->outside += total(outside);
+    sums->in_value += total(in_value);
+    sums->out_value += total(out_value);
+    sums->square += total(square);
+}
+
 /* Minus log likelihood of an edge with its best levels, and the outside level's share of the inside. Columns ascend
    in `along`; more than four widths from the edge they lie wholly on one side. */
 static double edge_cost(const Columns *columns, const Running *running, double position, double width,
                         double *outside) {
     Sums sums = {0};
-    double variances = 1;
-    int first = 0, last, count = columns->count;
-    while (first < count && (position - columns->along[first]) / width >= 4) first++;
+    Weighted weighted;
+    int n = 0;
+    double before = position - 4 * width - columns->along[0]; /* columns wholly inside */
+    int count = columns->count, first = before > 0 ? (int)before : 0, last;
+    double per_width = 1 / width;
+    if (first > count) first = count;
+    while (first < count && (position - columns->along[first]) * per_width >= 4) first++;
     add_range(&sums, &running->in[0], &running->in[first]);
-    for (last = first; last < count && (position - columns->along[last]) / width > -4; last++) {
-        double edge = normal_cdf((position - columns->along[last]) / width), in = edge * columns->headroom[last];
-        double variance = column_variance(columns, last, in);
-        add(&sums, in, 1 - edge, columns->amplitude[last], variance);
-        variances *= variance;
-        if (!(variances > 1e-150 && variances < 1e150)) {
-            sums.logarithm += log(variances);
-            variances = 1;
-        }
+    for (last = first; last < count; last++) {
+        double steps = (position - columns->along[last]) * per_width;
+        if (!(steps > -4)) break;
+        double edge = normal_cdf(steps), in = edge * columns->headroom[last];
+        weighted.in[n] = in;
+        weighted.out[n] = 1 - edge;
+        weighted.value[n] = columns->amplitude[last];
+        weighted.variance[n++] = column_variance(columns, last, in);
     }
+    add_weighted(&weighted, n, &sums);
     add_range(&sums, &running->out[last], &running->out[count]);
     double determinant = fmax(sums.inside * sums.outside - sums.both * sums.both, 1e-30);
     double within = fmax((sums.outside * sums.in_value - sums.both * sums.out_value) / determinant, 1e-6);
@@ -122,7 +180,7 @@ static double edge_cost(const Columns *columns, const Running *running, double p
     *outside = beyond / within;
     double square = sums.square - 2 * within * sums.in_value - 2 * beyond * sums.out_value +
                     within * within * sums.inside + 2 * within * beyond * sums.both + beyond * beyond * sums.outside;
-    return 0.5 * (square + sums.logarithm + log(variances));
+    return 0.5 * (square + sums.logarithm);
 }
 
 /* A coarse search at one width, then all widths around what it found, then a parabola. */

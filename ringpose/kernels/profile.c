@@ -127,7 +127,8 @@ static void fill_headroom(const Images *images, Profile *profile, int reach, con
     Section section;
     double room[MOST_ROWS];
     for (ptrdiff_t i = 0; i < profile->count; i++) {
-        read_section(images, profile->y[i], profile->first + i, profile->sigma, reach, &section);
+        read_section(images, profile->y[i], profile->first + i, reach, &section);
+        shape_section(images, profile->y[i], profile->sigma, reach, &section);
         for (int k = 0; k < section.rows; k++)
             room[k] = fmin(expected * section.shape[k], fmax(rules->saturation - section.ambient[k], 0));
         profile->headroom[i] = fitted_peak(&section, room, parts).value / expected;
@@ -142,7 +143,7 @@ static void fill_profile(const Images *images, Profile *profile, const EndRules 
     double brightest = 0, gain = 0;
     size_t face = (size_t)(profile->face_last - profile->face_first + 1);
     for (ptrdiff_t i = 0; i < profile->count; i++) {
-        read_section(images, profile->y[i], profile->first + i, profile->sigma, reach, &section);
+        read_section(images, profile->y[i], profile->first + i, reach, &section);
         profile->scratch[i] = note_saturation(profile, i, &section, rules);
         profile->headroom[i] = 1;
         for (int k = 0; k < section.rows; k++) brightest = fmax(brightest, section.ambient[k]);
@@ -150,7 +151,8 @@ static void fill_profile(const Images *images, Profile *profile, const EndRules 
     double inner = clipped_to(profile->scratch + profile->face_first, face, profile->sigma, rules);
     Parts parts = {inner, images->dark ? INFINITY : fmax(2 * profile->sigma, inner + 1)};
     for (ptrdiff_t i = 0; i < profile->count; i++) {
-        read_section(images, profile->y[i], profile->first + i, profile->sigma, reach, &section);
+        read_section(images, profile->y[i], profile->first + i, reach, &section);
+        shape_section(images, profile->y[i], profile->sigma, reach, &section);
         for (int k = 0; images->dark && k < section.rows; k++) section.bright[k] -= section.ambient[k];
         Peak peak = fitted_peak(&section, section.bright, &parts);
         profile->amplitude[i] = peak.value;

@@ -2,6 +2,7 @@
 #include "sections.h"
 
 #include <math.h>
+#include <stdlib.h>
 
 #include "minimum.h"
 #include "select.h"
@@ -32,13 +33,25 @@ static size_t median_section(const Images *images, const double *y, ptrdiff_t fi
     return found;
 }
 
+/* Values of a Gaussian at whole steps from where it is 1: each is the one before times a factor that falls by the
+   square of `fall`, its value at one step from the middle; `lean` is what the first factor differs from that. */
+static void fill_gauss(double fall, double lean, int count, double *value) {
+    double here = 1, factor = fall * lean, square = fall * fall;
+    for (int k = 0; k < count; k++) {
+        value[k] = here;
+        here *= factor;
+        factor *= square;
+    }
+}
+
 /* Squares that a Gaussian on a level leaves of a section; infinite if it would be a dark one. Rows are rounded to whole
    pixels from the line, which adds a variance of 1/12. */
-static double section_cost(const double *offset, const double *value, int rows, double sigma) {
-    double shape[ROWS], mean_shape = 0, mean = 0, norm = 0, product = 0, cost = 0;
+static double section_cost(const int *offset, const double *value, int rows, double sigma) {
+    double gauss[SECTION_ROWS + 1], shape[ROWS], mean_shape = 0, mean = 0, norm = 0, product = 0, cost = 0;
     if (rows < 6) return INFINITY;
+    fill_gauss(exp(-0.5 / (sigma * sigma + 1.0 / 12)), 1, SECTION_ROWS + 1, gauss);
     for (int r = 0; r < rows; r++) {
-        shape[r] = exp(-0.5 * offset[r] * offset[r] / (sigma * sigma + 1.0 / 12));
+        shape[r] = gauss[abs(offset[r])];
         mean_shape += shape[r] / rows;
         mean += value[r] / rows;
     }
@@ -56,7 +69,8 @@ static double section_cost(const double *offset, const double *value, int rows, 
 }
 
 double section_sigma(const Images *images, const double *y, ptrdiff_t first, ptrdiff_t count, double saturation) {
-    double bright[ROWS], value[ROWS], offset[ROWS], cost[SIGMAS];
+    double bright[ROWS], value[ROWS], cost[SIGMAS];
+    int offset[ROWS];
     if (!median_section(images, y, first, count, bright, value)) return 1.5;
     int rows = 0, k = 0;
     for (int r = 0; r < ROWS; r++)
@@ -73,19 +87,32 @@ double section_sigma(const Images *images, const double *y, ptrdiff_t first, ptr
     return 0.7 * pow(4 / 0.7, (k + shift) / 16);
 }
 
-void read_section(const Images *images, double y, ptrdiff_t column, double sigma, int reach, Section *section) {
+void read_section(const Images *images, double y, ptrdiff_t column, int reach, Section *section) {
     ptrdiff_t middle = (ptrdiff_t)rint(y);
     section->rows = 2 * reach + 1;
     for (int k = 0; k < section->rows; k++) {
         ptrdiff_t row = middle + k - reach, at = row < 0 ? 0 : row >= images->height ? images->height - 1 : row;
-        double offset = fabs((double)at - y);
-        section->offset[k] = offset;
-        section->shape[k] = exp(-0.5 * (offset / sigma) * (offset / sigma));
+        section->offset[k] = fabs((double)at - y);
         section->bright[k] = pixel(images, images->lit, at, column);
         if (images->dark) section->ambient[k] = pixel(images, images->dark, at, column);
     }
     double darker = fmin(section->bright[0], section->bright[section->rows - 1]);
     for (int k = 0; !images->dark && k < section->rows; k++) section->ambient[k] = darker;
+}
+
+void shape_section(const Images *images, double y, double sigma, int reach, Section *section) {
+    double per_variance = 1 / (sigma * sigma), middle = rint(y), off = y - middle, *shape = section->shape;
+    if (middle < reach || middle + reach >= (double)images->height) { /* rows are repeated there */
+        for (int k = 0; k < section->rows; k++)
+            shape[k] = exp(-0.5 * section->offset[k] * section->offset[k] * per_variance);
+        return;
+    }
+    double here = exp(-0.5 * off * off * per_variance), fall = exp(-0.5 * per_variance);
+    double lean = exp(off * per_variance), value[MOST_ROWS];
+    fill_gauss(fall, lean, reach + 1, value);
+    for (int k = 0; k <= reach; k++) shape[reach + k] = here * value[k];
+    fill_gauss(fall, 1 / lean, reach + 1, value);
+    for (int k = 1; k <= reach; k++) shape[reach - k] = here * value[k];
 }
 
 Peak fitted_peak(const Section *section, const double *value, const Parts *parts) {

@@ -33,7 +33,11 @@ static inline double pixel(const Images *images, const void *data, ptrdiff_t row
    where not saturated. */
 double section_sigma(const Images *images, const double *y, ptrdiff_t first, ptrdiff_t count, double saturation);
 
-void read_section(const Images *images, double y, ptrdiff_t column, double sigma, int reach, Section *section);
+/* The rows up to `reach` from the line at y; at the border the outermost are repeated. */
+void read_section(const Images *images, double y, ptrdiff_t column, int reach, Section *section);
+
+/* Adds to a section that was read what a stripe of that sigma and a peak of 1 would show. */
+void shape_section(const Images *images, double y, double sigma, int reach, Section *section);
 
 /* Peak of the Gaussian section on the level of the rows beside it, in values of its rows. */
 Peak fitted_peak(const Section *section, const double *value, const Parts *parts);
