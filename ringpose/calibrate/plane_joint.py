@@ -12,7 +12,7 @@ import numpy as np
 
 from ringpose.calibrate.board_pose import moved_pose, residuals
 from ringpose.calibrate.intrinsics import camera_with, parameter_names, parameters_of, projection_jacobians
-from ringpose.calibrate.stripe_errors import line_variance_px2, stripe_bend
+from ringpose.calibrate.stripe_errors import line_variance_px2, scatter_px, shared_length, stripe_bend
 from ringpose.calibrate.stripe_residuals import stripe_rows
 from ringpose.errors import DataError
 from ringpose.geometry.rays import rays
@@ -92,10 +92,11 @@ class JointFit(NamedTuple):
 
 def joint_data(views: Sequence[StripeView], camera: Camera, corner_px: float, free_camera: bool = False) -> JointData:
     """The views with the errors that they show themselves."""
+    shared = shared_length([px for view in views for px in view.stripes_px])
     return JointData(
         views=tuple(views),
         corner_px=max(corner_px, LEAST_SIGMA_PX),
-        center_px=tuple(np.array([_center_px(px) for px in view.stripes_px]) for view in views),
+        center_px=tuple(np.array([_center_px(px, shared) for px in view.stripes_px]) for view in views),
         rays=tuple(tuple(rays(px, camera) for px in view.stripes_px) for view in views),
         camera=camera,
         free_camera=free_camera,
@@ -272,7 +273,10 @@ def corner_chi2(view: StripeView, pose: BoardPose, camera: Camera, corner_px: fl
     return float(_huber(residual) @ residual**2)
 
 
-def _center_px(points_px: Float64[Array, "n xy=2"]) -> float:
+def _center_px(points_px: Float64[Array, "n xy=2"], shared: float) -> float:
+    """Scatter times the root of the correlation length, the stripe's own or that of all stripes."""
     if not len(points_px):
         return float("nan")
-    return max(float(np.sqrt(line_variance_px2(points_px) * len(points_px))), LEAST_SIGMA_PX)
+    own = line_variance_px2(points_px) * len(points_px)
+    alike = scatter_px(points_px) ** 2 * shared
+    return max(float(np.sqrt(max(own, alike))), LEAST_SIGMA_PX)

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
 
 from ringpose.calibrate.board_pose import board_pose, pose_covariance
 from ringpose.calibrate.intrinsics import parameter_names, projection_jacobians
@@ -14,7 +13,7 @@ from ringpose.calibrate.stripe_errors import line_variance_px2, stripe_bend
 from ringpose.calibrate.stripe_labels import labelled_by_planes
 from ringpose.calibrate.stripe_residuals import StripeRows, stripe_rows
 from ringpose.geometry.rays import rays
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose
 from ringpose.types.calibration import StripeView
 from ringpose.types.rig import Rig

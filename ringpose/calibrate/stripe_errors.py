@@ -1,8 +1,13 @@
 """How far a stripe's line may err in the image."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ringpose.types.arrays import Array, Float64
+
+BLOCK = 16
+"""Centres whose mean tells how much neighbours have in common: ten times as far as speckle reaches."""
 
 
 def stripe_bend(points_px: Float64[Array, "n xy=2"]) -> Float64[Array, "2 n xy=2"]:
@@ -21,11 +26,39 @@ def line_variance_px2(points_px: Float64[Array, "n xy=2"]) -> float:
 
     Speckle makes neighbours alike; their number is divided by the correlation length of the residuals.
     """
+    residual = _residual_px(points_px)
+    return float(residual.var() * correlation_length(residual) / len(residual))
+
+
+def scatter_px(points_px: Float64[Array, "n xy=2"]) -> float:
+    """Standard deviation of the centres across their stripe."""
+    return float(_residual_px(points_px).std())
+
+
+def shared_length(stripes_px: Sequence[Float64[Array, "_ xy=2"]]) -> float:
+    """The correlation length that many stripes have together, from the means of blocks of their residuals.
+
+    Short stripes, and those that printed squares cut to pieces, hardly show theirs by themselves.
+    """
+    squares, blocks = 0.0, 0
+    for points_px in stripes_px:
+        if len(points_px) < 6 * BLOCK:
+            continue
+        residual = _residual_px(points_px)
+        parts = np.array_split(residual / max(float(residual.std()), 1e-12), len(residual) // BLOCK)
+        squares += sum(len(part) * float(part.mean()) ** 2 for part in parts)
+        blocks += len(parts) - 4
+    return squares / blocks if blocks > 0 else 1.0
+
+
+def _residual_px(points_px: Float64[Array, "n xy=2"]) -> Float64[Array, "n"]:
+    """Offsets across a stripe from the smooth line that a lens may bend it to, in their order along it."""
     middle = points_px - points_px.mean(axis=0)
     run, offset = (middle @ np.linalg.svd(middle, full_matrices=False)[2].T).T
     order = np.argsort(run)
-    residual = offset - np.polynomial.polynomial.polyval(run, np.polynomial.polynomial.polyfit(run, offset, 3))
-    return float(residual.var() * correlation_length(residual[order]) / len(residual))
+    line = np.polynomial.polynomial.polyfit(run, offset, 3)
+    residual: Float64[Array, "n"] = (offset - np.polynomial.polynomial.polyval(run, line))[order]
+    return residual
 
 
 def correlation_length(residual: Float64[Array, "n"]) -> float:

@@ -5,6 +5,7 @@ import numpy as np
 from ringpose.calibrate.board_image import dark_image
 from ringpose.calibrate.board_pose import board_pose
 from ringpose.calibrate.board_surface import BoardSurface
+from ringpose.calibrate.stripe_failures import stripe_failure
 from ringpose.calibrate.stripe_lines import stripe_lines
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board, BoardView
@@ -32,9 +33,9 @@ def stripe_view(
         on = [laser for laser in range(lasers) if frame.lasers >> laser & 1]
         if not on or all(laser in labelled for laser in on):
             continue
-        stripes, remark = _stripes(frame, dark, surface, len(on))
+        stripes, remark = _stripes(frame, dark, surface, on, shot.saturation_dn)
         if remark:
-            remarks.append(remark)
+            remarks += [] if remarks and len(on) > 1 else [remark]
         elif len(on) == 1:
             labelled[on[0]] = stripes[0]
         elif len(on) == lasers and not unlabelled:
@@ -48,12 +49,11 @@ def stripe_view(
 
 
 def _stripes(
-    frame: Frame, dark: np.ndarray | None, surface: BoardSurface, on: int
+    frame: Frame, dark: np.ndarray | None, surface: BoardSurface, on: list[int], saturation_dn: int
 ) -> tuple[tuple[Float64[Array, "_ xy=2"], ...], str]:
     """The frame's stripes in their order across the image, and why they are not as many as lasers are on."""
-    lines = stripe_lines(frame.image, dark, surface, on)
-    if len(lines) != on:
-        more = "more" if len(lines) > on else str(len(lines))
-        return (), f"{more} stripes on the board where {on} laser{'s are' if on > 1 else ' is'} on"
+    lines = stripe_lines(frame.image, dark, surface, len(on))
+    if len(lines) != len(on):
+        return (), stripe_failure(frame.image, dark, surface, len(lines), on, saturation_dn)
     lines.sort(key=lambda line: line.position_px)
     return tuple(line.points_px for line in lines), ""

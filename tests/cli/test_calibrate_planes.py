@@ -1,5 +1,7 @@
 """`ringpose calibrate-planes`: files, reasons, statuses."""
 
+import json
+import re
 import shutil
 
 import numpy as np
@@ -167,3 +169,165 @@ def test_switched_frames_need_no_order(shared_data, folder):
 
     assert status == 0
     assert worst_angle_deg(written(folder)) < 0.01
+
+
+def calibrated(*words: str) -> int:
+    return main(["calibrate-planes", "--board", "plane_board.yaml", *words])
+
+
+def test_a_rig_that_holds_is_confirmed_by_one_view(folder, capsys):
+    calibrate("planes", *ORDER)
+    capsys.readouterr()
+
+    status = calibrated("--check", "rig.yaml", "planes/pln_B_01.npz")
+
+    assert status == 0
+    assert "left: " in (said := capsys.readouterr().err)
+    assert " mm beside its plane (limit 0.0" in said
+
+
+def test_a_rig_that_was_bumped_does_not_hold(folder, capsys):
+    calibrate("planes", *ORDER)
+    rig = written(folder)
+    rig["lasers"][1]["distance_m"] += 0.001
+    (folder / "rig.yaml").write_text(yaml.safe_dump(rig))
+
+    status = calibrated("--check", "rig.yaml", "planes/pln_B_01.npz")
+
+    assert status == 3
+    beside = re.search(r"middle: ([-+.\d]+) mm beside its plane .*: does not hold", capsys.readouterr().err)
+    assert abs(float(beside[1])) == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_view_without_stripes_confirms_no_rig(folder, capsys):
+    calibrate("planes", *ORDER)
+    with np.load("planes/pln_B_01.npz") as shot:
+        np.savez("unlit.npz", **{**shot, "images": shot["images"][[0, 0]]})
+
+    status = calibrated("--check", "rig.yaml", "unlit.npz")
+
+    assert status == 3
+    assert "no stripe on the board, not checked" in capsys.readouterr().err
+
+
+def test_the_mount_becomes_part_of_the_rig(folder):
+    from ringpose.files.rigs import read_rig
+
+    (folder / "mount.yaml").write_text(
+        "mount: {tool_from_camera: [[0, -1, 0, 0.1], [1, 0, 0, 0], [0, 0, 1, 0.05], [0, 0, 0, 1]]}"
+    )
+
+    calibrate("planes", *ORDER, "--mount", "mount.yaml")
+
+    tool_from_camera = read_rig(folder / "rig.yaml").tool_from_camera
+    assert tool_from_camera[:3, 3] == pytest.approx([0.1, 0.0, 0.05])
+
+
+def test_poses_in_the_tools_frame_are_those_in_the_cameras_moved(folder, carried_data, capsys):
+    (folder / "mount.yaml").write_text(
+        "mount: {tool_from_camera: [[0, -1, 0, 0.1], [1, 0, 0, 0], [0, 0, 1, 0.05], [0, 0, 0, 1]]}"
+    )
+    calibrate("planes", *ORDER, "--mount", "mount.yaml")
+    shot = str(carried_data / "rig_b" / "shots" / "B_z0500_p01_dim.npz")
+    capsys.readouterr()
+
+    main(["pose", shot, "--rig", "rig.yaml"])
+    main(["pose", shot, "--rig", "rig.yaml", "--frame", "tool"])
+
+    camera, tool = (json.loads(line)["pose"] for line in capsys.readouterr().out.splitlines())
+    x, y, z = camera["center_m"]
+    assert tool["center_m"] == pytest.approx([0.1 - y, x, z + 0.05], abs=1e-12)
+    assert tool["normal"] == pytest.approx([-camera["normal"][1], camera["normal"][0], camera["normal"][2]], abs=1e-12)
+
+
+def test_a_file_without_a_mount_is_no_mount(folder, capsys):
+    status = calibrate("planes", *ORDER, "--mount", "camera.yaml")
+
+    assert status == 65
+    assert "mount" in capsys.readouterr().err
+
+
+def test_the_verdict_names_the_views_to_add(folder, capsys):
+    calibrate("planes", *ORDER, "--expected-angles", "10,13")
+
+    verdict = written(folder)["quality"]["verdict"]
+    poor = {finding["name"] for finding in verdict["findings"] if finding["grade"] != "good"}
+    assert verdict["grade"] == "can be improved"
+    assert {"views", "angle_error_rad"} <= poor
+    said = capsys.readouterr().err
+    assert "verdict: can be improved" in said
+    assert "advice: add views that show the stripe of left" in said
+
+
+def test_the_papers_planes_stand_beside(folder):
+    calibrate("planes", *ORDER)
+
+    beside = written(folder)["quality"]["paper"]
+    assert [laser["name"] for laser in beside] == ["left", "middle", "right"]
+    assert max(np.degrees(laser["angle_rad"]) for laser in beside) < 0.1
+
+
+def test_angles_that_are_none_are_wrong_usage(folder, capsys):
+    assert calibrate("planes", *ORDER, "--expected-angles", "ten") == 2
+
+
+def test_a_camera_without_covariance_cannot_be_freed(folder, capsys):
+    assert calibrate("planes", *ORDER, "--free-camera") == 2
+    assert "has no covariance" in capsys.readouterr().err
+
+
+def test_the_papers_method_needs_a_board_of_markers_alone(folder, capsys):
+    (folder / "plane_board.yaml").write_text(
+        "{kind: charuco, squares_x: 8, squares_y: 6, square_m: 0.02, marker_m: 0.01, dictionary: DICT_4X4_50}"
+    )
+
+    assert calibrate("planes", *ORDER, "--method", "paper") == 2
+
+
+def test_a_board_is_printed_and_written_where_there_is_none(folder, capsys):
+    status = main(["calibrate-planes", "--print-board", "page.svg", "--board", "new_board.yaml"])
+
+    assert status == 0
+    assert yaml.safe_load((folder / "new_board.yaml").read_text())["kind"] == "four_markers"
+    assert "page A4 lying, 297 x 210 mm" in capsys.readouterr().err
+    assert (folder / "page.svg").stat().st_size > 1000
+
+
+def test_a_printed_board_is_not_replaced_unasked(folder, capsys):
+    (folder / "page.pdf").write_text("precious")
+
+    assert main(["calibrate-planes", "--print-board", "page.pdf", "--board", "plane_board.yaml"]) == 73
+
+
+@pytest.mark.parametrize("missing", ["--output", "--camera", "INPUT"])
+def test_what_is_missing_is_named(missing, folder, capsys):
+    words = {"--output": "rig.yaml", "--camera": "camera.yaml", "INPUT": "planes"}
+    given = [part for name, value in words.items() if name != missing for part in (name, value) if part != "INPUT"]
+
+    assert calibrated(*given) == 2
+    assert f"{missing}: is missing" in capsys.readouterr().err
+
+
+def test_the_report_shows_residuals_and_uncertainty(folder):
+    pytest.importorskip("matplotlib")
+
+    status = calibrate("planes", *ORDER, "--report", "out.html")
+
+    html = (folder / "out.html").read_text()
+    assert status == 0
+    assert html.count("data:image/png;base64,") == 3
+    assert "Verdict: can be improved" in html
+
+
+def test_a_stripe_too_weak_or_swamped_says_so(folder, capsys):
+    with np.load("planes/pln_B_01.npz") as shot:
+        dark, lit = shot["images"]
+        np.savez("planes/weak.npz", **{**shot, "images": np.stack([dark, np.maximum(dark, lit // 60)])})
+        flooded = np.full_like(lit, 255)
+        np.savez("planes/full.npz", **{**shot, "images": np.stack([dark, flooded])})
+
+    calibrate("planes", *ORDER)
+
+    said = capsys.readouterr().err
+    assert "weak: no stripe of left, middle, right: 0 stripes on the board where 3 lasers are on: too dark" in said
+    assert "of the board is saturated" in said

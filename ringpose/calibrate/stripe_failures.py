@@ -1,0 +1,56 @@
+"""Why a frame does not show as many stripes on the board as lasers are on."""
+
+import cv2
+import numpy as np
+
+from ringpose.calibrate.board_points import outline_m
+from ringpose.calibrate.board_surface import BoardSurface
+from ringpose.geometry.rays import project
+from ringpose.types.arrays import Array, Bool, Float64, UInt
+
+FAINT_SIGMAS = 8.0
+"""A board on which nothing stands out by so many standard deviations of its noise shows no laser at all."""
+
+FULL_SHARE = 0.02
+"""Of a board's pixels; more of them full are no stripe's, which covers 1 % of it."""
+
+
+def stripe_failure(
+    image: UInt[Array, "row column"],
+    dark: UInt[Array, "row column"] | None,
+    surface: BoardSurface,
+    found: int,
+    on: list[int],
+    saturation_dn: int,
+) -> str:
+    """The reason in words, with what was measured; `found` stripes where the lasers `on` are on."""
+    lasers = f"{len(on)} lasers are on" if len(on) > 1 else f"laser {on[0] + 1} is on"
+    if found > len(on):
+        return f"more stripes on the board where {lasers}: reflections, or another light?"
+    said = f"{found} stripe{'s' * (found != 1)} on the board where {lasers}"
+    board = _on_board(surface, image.shape)
+    if not board.any():
+        return f"{said}: the board is out of the image"
+    full = float(np.mean(image[board] >= saturation_dn))
+    if full > FULL_SHARE:
+        return f"{said}: {100 * full:.0f} % of the board is saturated"
+    lit = image[board].astype(np.float64) - (0.0 if dark is None else dark[board])
+    background = float(np.median(lit))
+    noise = max(1.4826 * float(np.median(np.abs(lit - background))), 1.0)
+    brightest = float(np.percentile(lit, 99.8)) - background
+    if brightest < FAINT_SIGMAS * noise:
+        return f"{said}: too dark, nothing stands out by more than {brightest:.0f} of {saturation_dn} grey values"
+    return f"{said}: missing or cut off, though something is {brightest:.0f} grey values bright"
+
+
+def _on_board(surface: BoardSurface, shape: tuple[int, ...]) -> Bool[Array, "row column"]:
+    """The pixels of the board's printed face."""
+    width, height = outline_m(surface.board)
+    corners = np.array([[0.0, 0.0, 0.0], [width, 0.0, 0.0], [width, height, 0.0], [0.0, height, 0.0]])
+    pixels: Float64[Array, "4 2"] = project(
+        corners @ surface.pose.rotation.T + surface.pose.translation_m, surface.camera
+    )
+    mask = np.zeros(shape, dtype=np.uint8)
+    if np.isfinite(pixels).all():
+        cv2.fillConvexPoly(mask, np.rint(pixels).astype(np.int32), 1)
+    return mask.astype(bool)
