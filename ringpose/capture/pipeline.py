@@ -9,7 +9,7 @@ import numpy as np
 from ringpose.capture.bracketing import merged_brackets, on_the_scale_of
 from ringpose.capture.cameras.driver import CameraDriver
 from ringpose.capture.lasers.driver import LaserDriver, LasersWentOff
-from ringpose.capture.seen import LitPlaces, seen_lasers
+from ringpose.capture.seen import LitPlaces, seen_lasers, shows_stripe
 from ringpose.capture.settling import measured_settle_s
 from ringpose.errors import DeviceError, LaserSafetyError
 from ringpose.types.frame import Frame, Shot
@@ -52,6 +52,15 @@ def captured_shots(
         yield taker.shot(name)
 
 
+class _Unseen(DeviceError):
+    """Lasers that were commanded, but made no difference."""
+
+    def __init__(self, lasers: int) -> None:
+        self.lasers = lasers
+        remedy = "does it shine, on the target? wait longer (--settle), or expose longer (--exposure)"
+        super().__init__("lasers", f"{_names(lasers)} commanded but not seen, {TRIES} times", remedy)
+
+
 class _CameraLost(Exception):
     """The camera, not the lasers' board, has failed."""
 
@@ -88,6 +97,9 @@ class _Taker:
             if doubt is None:
                 return checked
             problem, self._settle_s = doubt, max(2 * self._settle_s, LEAST_SETTLE_S)
+        if isinstance(problem, _Unseen) and shows_stripe(self._dark_frame().image):
+            found = f"{_names(problem.lasers)} not seen to go on or off, and a stripe shows while all are off"
+            raise LaserSafetyError("lasers", found, "cut the power")
         raise problem
 
     def _settle(self) -> None:
@@ -152,22 +164,25 @@ class _Taker:
         if extra:
             return checked, DeviceError("lasers", f"{_names(extra)} seen in frames of others", "raise --settle")
         if missing and self._procedure.must_see:
-            remedy = "it stays dark, burns all the time, misses the target, or needs a longer --exposure"
-            return checked, DeviceError("lasers", f"{_names(missing)} commanded but not seen, {TRIES} times", remedy)
+            return checked, _Unseen(missing)
         return checked, None
 
     def _refuse_light(self, suspects: dict[int, LitPlaces], shot: Shot) -> None:
         """With everything off for long enough no place of these lasers may be lit."""
-        self._lasers.set_mask(0)
-        self._lasers.wait(DARK_CHECK_S)
-        try:
-            frame = self._camera.trigger(0, None)
-        except DeviceError as error:
-            raise LaserSafetyError("lasers", f"{_names_of(suspects)} may be on; the camera failed: {error}") from error
+        frame = self._dark_frame()
         image = on_the_scale_of(frame.image, frame.exposure_s, shot)
         lit = [laser for laser, found in suspects.items() if found.are_lit_in(image)]
         if lit:
             raise LaserSafetyError("lasers", f"{_names_of(lit)} seen while all are off", "cut the power")
+
+    def _dark_frame(self) -> Frame:
+        self._lasers.set_mask(0)
+        self._lasers.wait(DARK_CHECK_S)
+        try:
+            return self._camera.trigger(0, None)
+        except DeviceError as error:
+            found = f"may be on, and the camera failed that was to show it: {error}"
+            raise LaserSafetyError("lasers", found, "cut the power") from error
 
 
 def _shot(name: str, frames: Sequence[Frame], read_masks: Sequence[int | None], meta: Mapping[str, Any]) -> Shot:

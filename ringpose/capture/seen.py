@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from ringpose.detect.stripe_centers import find_stripes
 from ringpose.types.arrays import Array, Float32, Int64, UInt, UInt8
 from ringpose.types.frame import Shot
 
@@ -31,6 +32,9 @@ AS_BRIGHT = 0.5
 
 MOST_PLACES = 0.7
 """and the laser is seen if this share of its places is."""
+
+LEAST_STRIPE = 0.1
+"""Share of the columns of an image in which a laser's stripe shows at least, if it shines on anything at all."""
 
 SAMPLED = 7
 """Every so many-th row and column tell the noise."""
@@ -92,6 +96,13 @@ def places_lit(image: Image, without: Sequence[Image], saturation_dn: int) -> Li
     doubtful = _brighter_places(image, darkest, darkest, saturation_dn)
     stays = doubtful is not None and any(doubtful.are_lit_in(other) for other in without)
     return doubtful if stays else None
+
+
+def shows_stripe(image: Image) -> bool:
+    """Whether a picture without lasers shows something like a stripe: a bright line across a good part of it."""
+    stripes = find_stripes(image)
+    columns = np.unique(np.rint(stripes.position_px[:, 0]))
+    return bool(len(columns) >= LEAST_STRIPE * image.shape[1])
 
 
 def _brighter_places(image: Image, than: Image, dark: Image, saturation_dn: int) -> LitPlaces | None:
