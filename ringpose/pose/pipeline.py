@@ -11,7 +11,7 @@ from ringpose.pose.observability import pose_flags, why_undetermined, why_unusab
 from ringpose.pose.point_covariance import point_covariance
 from ringpose.pose.residuals import prediction_rms_px
 from ringpose.pose.triangulate import triangulated
-from ringpose.pose.uncertainty import PoseCovariance, pose_covariance
+from ringpose.pose.uncertainty import PoseCovariance, differentiated, pose_covariance
 from ringpose.types.break_points import BreakPoints, RingEdgePoints
 from ringpose.types.rig import Rig
 from ringpose.types.ring import KnownRadii, Ring
@@ -48,8 +48,7 @@ def closed_form_pose(
     if undetermined is not None:
         return undetermined
 
-    form = closed_form(points, method)
-    covariance = covariance_of_form(points, break_points, rig, method)
+    form, covariance = form_and_covariance(points, break_points, rig, method)
     residual = prediction_rms_px(form, points, break_points, rig)
     unusable = why_unusable(residual, covariance)
     if unusable is not None:
@@ -77,22 +76,19 @@ def ring_pose(form: ClosedForm, covariance: PoseCovariance | None, residual_rms_
     )
 
 
-def closed_form(points: RingPoints, method: Method) -> ClosedForm:
-    """The method's solution, a batch of one."""
-    laser, edges = np.nonzero(points.seen)
-    return FORMS[method](points.position_m[None, laser, edges], edges)
-
-
-def covariance_of_form(
+def form_and_covariance(
     points: RingPoints, break_points: BreakPoints, rig: Rig, method: Method
-) -> PoseCovariance | None:
-    """Covariance of the method's solution; None if that of a seen break point, or of the rig, is not finite."""
+) -> tuple[ClosedForm, PoseCovariance | None]:
+    """The method's solution, a batch of one, and its covariance.
+
+    None if the covariance of a seen break point, or of the rig, is not finite.
+    """
     laser, edges = np.nonzero(points.seen)
-    covariance_px2 = break_points.covariance_px2[laser, edges]
-    if not np.isfinite(covariance_px2).all():
-        return None
-    positions = points.position_m[laser, edges]
-    covariance_m2 = point_covariance(positions, covariance_px2, laser, rig)
-    if not np.isfinite(covariance_m2).all():
-        return None
-    return pose_covariance(FORMS[method], positions, edges, covariance_m2)
+    positions, covariance_px2 = points.position_m[laser, edges], break_points.covariance_px2[laser, edges]
+    covariance_m2 = (
+        point_covariance(positions, covariance_px2, laser, rig) if np.isfinite(covariance_px2).all() else None
+    )
+    if covariance_m2 is None or not np.isfinite(covariance_m2).all():
+        return FORMS[method](positions[None], edges), None
+    form, jacobian = differentiated(FORMS[method], positions, edges)
+    return form, pose_covariance(jacobian, covariance_m2)

@@ -4,8 +4,10 @@ J Sigma J^T, with Sigma the joint covariance of the triangulated points and J by
 closed form that gave the pose.
 """
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,33 +36,43 @@ class PoseCovariance:
     grasp_m2: Float64[Array, "3 3"]
 
 
+class Differentiated(NamedTuple):
+    """A solution, and how it moves with its points."""
+
+    form: ClosedForm
+    """A batch of one."""
+    jacobian: Float64[Array, "13 coordinate"]
+    """Of the seven parameters, the centre and the grasp point by the points' coordinates x1 y1 z1 x2 ..."""
+
+
 def pose_covariance(
-    solve: Solve,
-    points: Float64[Array, "point xyz=3"],
-    edges: Int64[Array, "point"],
-    covariance_m2: Float64[Array, "coordinate coordinate"],
+    jacobian: Float64[Array, "13 coordinate"], covariance_m2: Float64[Array, "coordinate coordinate"]
 ) -> PoseCovariance:
-    """Covariance of the closed form's solution at these points, whose joint covariance is given.
+    """Covariance of a solution at points whose joint covariance is given.
 
     First order is enough while the centre's standard deviation is a few percent of the radius. Beyond that (flag
     CENTER_WEAK) the centre's distribution is skew: it is the arc's height that is measured, the centre's
     distance goes with its inverse, and the true centre may lie many of these standard deviations away.
     """
-    jacobian = solution_jacobian(solve, points, edges)
     joint = jacobian @ covariance_m2 @ jacobian.T
     return PoseCovariance(parameters=joint[:7, :7], center_m2=joint[7:10, 7:10], grasp_m2=joint[10:, 10:])
 
 
-def solution_jacobian(
-    solve: Solve, points: Float64[Array, "point xyz=3"], edges: Int64[Array, "point"]
-) -> Float64[Array, "13 coordinate"]:
-    """Derivatives of the seven parameters, the centre and the grasp point by the points' coordinates x1 y1 z1 x2 ..."""
-    step = STEP * float(np.linalg.norm(points - points.mean(axis=0), axis=-1).max())
-    moves = step * np.eye(points.size).reshape(-1, *points.shape)
-    form = solve(np.concatenate([points + moves, points - moves, points[None]]), edges)
+def differentiated(solve: Solve, points: Float64[Array, "point xyz=3"], edges: Int64[Array, "point"]) -> Differentiated:
+    """The closed form's solution at these points, and its derivatives by central differences."""
+    count = points.size
+    apart = points - points.sum(axis=0) / len(points)
+    step = STEP * math.sqrt(float((apart * apart).sum(axis=1).max()))
+    batch = np.empty((2 * count + 1, *points.shape))
+    batch[:] = points
+    flat = batch.reshape(len(batch), count)
+    place = np.arange(count)
+    flat[place, place] += step
+    flat[count + place, place] -= step
+    form = solve(batch, edges)
     values = solution_values(form, form.normal[-1])
-    forward, backward = values[: points.size], values[points.size : -1]
-    return (forward - backward).T / (2.0 * step)
+    own = ClosedForm(**{field.name: getattr(form, field.name)[-1:] for field in fields(ClosedForm)})
+    return Differentiated(own, (values[:count] - values[count:-1]).T / (2.0 * step))
 
 
 def solution_values(form: ClosedForm, normal: Float64[Array, "3"]) -> Float64[Array, "batch 13"]:
