@@ -123,7 +123,7 @@ def test_the_paper_segments_find_the_same_ring(rig, rng):
 
     assert isinstance(detection.break_points, BreakPoints)
     assert detection.segments is not None
-    assert np.abs(detection.break_points.position_px - true_break_points(scene, rig)).max() < 1.5
+    assert np.abs(detection.break_points.position_px - true_break_points(scene, rig)).max() < 0.15
 
 
 def flat_shot(value: int, lasers: int = 7) -> Shot:
