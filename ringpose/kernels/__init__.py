@@ -25,8 +25,8 @@ def gradient(
     The image is smoothed with the binomial 1 4 6 4 1 (sigma 1 px); then Sobel. The magnitude is max + 3/8 min of the
     two absolute components (7 % from the Euclidean one), in units of 1/128 grey value per pixel. It is 0 on the
     outermost three pixels, whose gradient needs pixels outside: a border made up there would bend the edges.
-    Anchors are maxima of at least `upper` (same unit): along the row in every fifth row, if the edge is nearer to
-    upright, else down the column in every fifth column. They come as `row * width + column` in ascending order; their
+    Anchors are maxima of at least `upper` (same unit): along the row in every eighth row, if the edge is nearer to
+    upright, else down the column in every eighth column. They come as `row * width + column` in ascending order; their
     orientation is 0 for an edge along x, 1 down to the right, 2 along y, 3 down to the left.
     Images of 16-bit elements have values of `bits` bits, 9 to 16, which count as `bits` - 8 binary digits after the
     point.

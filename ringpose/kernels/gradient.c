@@ -13,7 +13,7 @@
 enum { BLOCK = 128 };
 
 /* Anchors lie in columns whose number is a multiple of it, those of upright edges in such rows. */
-enum { ANCHOR_SPACING = 5, NO_ANCHORS = INT16_MAX };
+enum { ANCHOR_SPACING = 8, NO_ANCHORS = INT16_MAX };
 
 typedef struct {
     void *memory;

@@ -15,7 +15,7 @@ MARGIN = 3
 
 INNER = (slice(MARGIN, -MARGIN), slice(MARGIN, -MARGIN))
 
-ANCHOR_SPACING = 5
+ANCHOR_SPACING = 8
 """Anchors lie in columns whose number is a multiple of it, those of upright edges in such rows."""
 
 ALONG_Y = 2
