@@ -1,5 +1,6 @@
 """Images of a board as the calibrating commands read them."""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from ringpose.calibrate.board_failures import NoBoard
@@ -8,10 +9,14 @@ from ringpose.calibrate.board_overlay import board_overlay
 from ringpose.calibrate.board_views import find_board
 from ringpose.calibrate.markers import marker_dictionary
 from ringpose.cli import messages
+from ringpose.cli.batch import Batch
+from ringpose.cli.progress import counted
 from ringpose.errors import NO_POSE, DataError
 from ringpose.files.atomic import make_folder
 from ringpose.files.images import write_image
 from ringpose.files.inputs import Input
+from ringpose.files.inputs import inputs as named
+from ringpose.files.shots import SHOT_SUFFIXES
 from ringpose.files.sources import shot_named
 from ringpose.types.board import Board, BoardView
 from ringpose.types.frame import Shot
@@ -53,11 +58,24 @@ class BoardImages:
         self.last = f"{shot.name}: {len(found.ids)} corners"
         return shot, found
 
-    def reported(self) -> int:
-        """Exit status, after the images without a board are named on stderr."""
+    def read_each(
+        self,
+        inputs: Sequence[str],
+        batch: Batch,
+        read: Callable[[Input], object] | None = None,
+        *,
+        quiet: bool = False,
+        verbose: bool = False,
+    ) -> None:
+        """Read all inputs, one by one, by another reader if one is given; those without a board are named on stderr."""
+        for item in counted(batch.good(named(inputs, SHOT_SUFFIXES)), "images", quiet):
+            with batch.item():
+                (read or self.read)(item)
+                if verbose:
+                    messages.say(self.last)
         for name, reason in self.without_board:
             messages.say(f"{name}: no board: {reason}")
-        return NO_POSE if self.without_board else 0
+        batch.met(NO_POSE if self.without_board else 0)
 
     def _check_size(self, shot: Shot) -> None:
         height, width = shot.images.shape[1:]

@@ -2,13 +2,17 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
 from ringpose.cli.app import app
 from ringpose.cli.board_print import OptionalInputs, OptionalOutput, PrintBoard, given
-from ringpose.cli.options import BoardFile, Force, ImageChannel, Quiet, Report, Verbose
+from ringpose.cli.options import BoardFile, BoardOverlay, Force, ImageChannel, Quiet, Report, Verbose
+
+if TYPE_CHECKING:
+    from ringpose.calibrate.camera_model import CameraModel
+    from ringpose.cli.board_views import BoardImages
 
 
 class DistortionModel(StrEnum):
@@ -18,9 +22,6 @@ class DistortionModel(StrEnum):
     RATIONAL_POLYNOMIAL = "rational_polynomial"
 
 
-Overlay = Annotated[
-    Path | None, typer.Option("--overlay", metavar="DIR", help="Draw what was found into PNG files in this folder.")
-]
 Model = Annotated[DistortionModel, typer.Option("--distortion-model", help="How the lens bends rays.")]
 FixK3 = Annotated[bool, typer.Option("--fix-k3", help="Hold k3 at zero: for few views or little distortion.")]
 ZeroTangential = Annotated[bool, typer.Option("--zero-tangential", help="Hold p1 and p2 at zero.")]
@@ -45,7 +46,7 @@ def calibrate_camera(
     distances: Distances = "0.2,0.5,1",
     camera_name: CameraName = "camera",
     print_board: PrintBoard = None,
-    overlay: Overlay = None,
+    overlay: BoardOverlay = None,
     report: Report = None,
     channel: ImageChannel = None,
     force: Force = False,
@@ -53,58 +54,70 @@ def calibrate_camera(
     quiet: Quiet = False,
 ) -> None:
     """Estimate the camera's intrinsic parameters from images of a board."""
-    from ringpose.calibrate.camera import calibrate_camera as calibrated
-    from ringpose.calibrate.camera_assessment import camera_assessment, widened
-    from ringpose.calibrate.camera_model import CameraModel
-    from ringpose.calibrate.camera_quality import camera_quality, camera_summary
-    from ringpose.calibrate.camera_verdict import camera_verdict
-    from ringpose.cli import messages
-    from ringpose.cli.batch import Batch
-    from ringpose.cli.board_views import BoardImages
-    from ringpose.cli.progress import counted
-    from ringpose.files.atomic import refuse_existing
-    from ringpose.files.boards import read_board
-    from ringpose.files.cameras import write_camera
-    from ringpose.files.inputs import inputs as named
-    from ringpose.files.pages import write_page
-    from ringpose.files.shots import SHOT_SUFFIXES
-    from ringpose.report.requirement import require_matplotlib
-
     if print_board is not None:
         from ringpose.cli.board_print import print_board as printed
 
         printed(print_board, board, "charuco", force=force, quiet=quiet)
         return
-    output, shown = given(output, "--output"), given(inputs, "INPUT")
-    refuse_existing(output, force)
-    if report is not None:
-        require_matplotlib()
-        refuse_existing(report, force)
-    at_m = _distances_m(distances)
+
+    from ringpose.calibrate.camera_model import CameraModel
+    from ringpose.cli.batch import Batch
+    from ringpose.cli.board_views import BoardImages
+    from ringpose.cli.calibration_outputs import refuse_existing_outputs
+    from ringpose.files.boards import read_board
+
+    writing = _Writing(given(output, "--output"), report, force, quiet)
+    refuse_existing_outputs(writing.output, report, force)
     model = CameraModel(
         distortion_model=distortion_model.value, fix_k3=fix_k3, zero_tangential=zero_tangential, keep_all=keep_all
     )
+    asked = _Asked(model, _distances_m(distances), compare, camera_name)
     images = BoardImages(read_board(board), overlay, channel=channel, force=force)
     batch = Batch()
-    for item in counted(batch.good(named(shown, SHOT_SUFFIXES)), "images", quiet):
-        with batch.item():
-            images.read(item)
-            if verbose:
-                messages.say(images.last)
-    batch.met(images.reported())
-    found = calibrated(images.views, images.width, images.height, model, camera_name)
-    result = widened(found, camera_assessment(found, images.views, model, at_m, compare))
+    images.read_each(given(inputs, "INPUT"), batch, quiet=quiet, verbose=verbose)
+    _calibrate(images, asked, writing, board)
+    batch.finish()
+
+
+class _Asked(NamedTuple):
+    """What is estimated."""
+
+    model: "CameraModel"
+    distances_m: list[float]
+    compare: bool
+    camera_name: str
+
+
+class _Writing(NamedTuple):
+    """What is written of a calibration."""
+
+    output: Path
+    report: Path | None
+    force: bool
+    quiet: bool
+
+
+def _calibrate(images: "BoardImages", asked: _Asked, writing: _Writing, board: Path) -> None:
+    from ringpose.calibrate.camera import calibrate_camera as calibrated
+    from ringpose.calibrate.camera_assessment import camera_assessment, widened
+    from ringpose.calibrate.camera_quality import camera_quality, camera_summary
+    from ringpose.calibrate.camera_verdict import camera_verdict
+    from ringpose.cli import messages
+    from ringpose.files.cameras import write_camera
+    from ringpose.files.pages import write_page
+
+    found = calibrated(images.views, images.width, images.height, asked.model, asked.camera_name)
+    result = widened(found, camera_assessment(found, images.views, asked.model, asked.distances_m, asked.compare))
     verdict = camera_verdict(*result, len(images.views) + len(images.without_board))
     quality = camera_quality(*result, verdict, images.without_board)
-    write_camera(output, result[0].camera, extra=quality, force=force, inputs=[board, *images.paths])
-    if report is not None:
+    write_camera(writing.output, result[0].camera, extra=quality, force=writing.force, inputs=[board, *images.paths])
+    if writing.report is not None:
         from ringpose.report.camera_report import camera_report
 
-        write_page(report, camera_report(*result, verdict, images.without_board), force=force)
-    if not quiet:
+        write_page(writing.report, camera_report(*result, verdict, images.without_board), force=writing.force)
+    if not writing.quiet:
         for line in camera_summary(*result, verdict):
             messages.say(line)
-    batch.finish()
 
 
 def _distances_m(words: str) -> list[float]:

@@ -8,7 +8,7 @@ import typer
 from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.cli.app import app
 from ringpose.cli.board_print import OptionalInputs, OptionalOutput, PrintBoard, given
-from ringpose.cli.options import BoardFile, Force, ImageChannel, Quiet, Report, Verbose
+from ringpose.cli.options import BoardFile, BoardOverlay, Force, ImageChannel, Quiet, Report, Verbose
 
 if TYPE_CHECKING:
     from ringpose.calibrate.planes_quality import PlanesAssessment
@@ -43,9 +43,6 @@ Check = Annotated[
 ]
 Surround = Annotated[
     float, typer.Option("--surround", metavar="METRES", min=0, help="The flat sheet reaches so far beyond the board.")
-]
-Overlay = Annotated[
-    Path | None, typer.Option("--overlay", metavar="DIR", help="Draw what was found into PNG files in this folder.")
 ]
 
 
@@ -88,7 +85,7 @@ def calibrate_planes(
     check: Check = None,
     print_board: PrintBoard = None,
     surround: Surround = 0.0,
-    overlay: Overlay = None,
+    overlay: BoardOverlay = None,
     report: Report = None,
     channel: ImageChannel = None,
     force: Force = False,
@@ -124,10 +121,11 @@ def _calibrate(shots: list[str], reading: _Reading, writing: _Writing, method: P
     from ringpose.calibrate.planes_verdict import planes_verdict
     from ringpose.cli import messages
     from ringpose.cli.batch import Batch
+    from ringpose.cli.calibration_outputs import refuse_existing_outputs
     from ringpose.files.cameras import read_camera
     from ringpose.files.rigs import read_mount, write_rig
 
-    _refuse_existing(writing, reading.force)
+    refuse_existing_outputs(writing.output, writing.report, reading.force)
     tool_from_camera = None if writing.mount is None else read_mount(writing.mount)
     batch = Batch()
     stripes = _read(shots, reading, read_camera(writing.camera), batch)
@@ -172,22 +170,13 @@ def _check(shots: list[str], rig_file: Path, reading: _Reading) -> None:
 
 def _read(shots: list[str], reading: _Reading, camera: "Camera", batch: "Batch") -> "StripeImages":
     """The views that the shots show; what they do not show is said."""
-    from ringpose.cli import messages
     from ringpose.cli.board_views import BoardImages
-    from ringpose.cli.progress import counted
     from ringpose.cli.stripe_images import StripeImages
     from ringpose.files.boards import read_board
-    from ringpose.files.inputs import inputs as named
-    from ringpose.files.shots import SHOT_SUFFIXES
 
     images = BoardImages(read_board(reading.board), reading.overlay, channel=reading.channel, force=reading.force)
     stripes = StripeImages(images, camera, reading.names, reading.order, reading.surround_m)
-    for item in counted(batch.good(named(shots, SHOT_SUFFIXES)), "shots", reading.quiet):
-        with batch.item():
-            stripes.read(item)
-            if reading.verbose:
-                messages.say(images.last)
-    batch.met(images.reported())
+    images.read_each(shots, batch, stripes.read, quiet=reading.quiet, verbose=reading.verbose)
     return stripes
 
 
@@ -196,17 +185,6 @@ def _write_report(path: Path, assessment: "PlanesAssessment", force: bool) -> No
     from ringpose.report.planes_report import planes_report
 
     write_page(path, planes_report(assessment), force=force)
-
-
-def _refuse_existing(writing: _Writing, force: bool) -> None:
-    """Before long work."""
-    from ringpose.files.atomic import refuse_existing
-    from ringpose.report.requirement import require_matplotlib
-
-    refuse_existing(writing.output, force)
-    if writing.report is not None:
-        require_matplotlib()
-        refuse_existing(writing.report, force)
 
 
 def _angles_rad(words: str | None) -> list[float]:

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from ringpose.pose.method import Method
+from ringpose.types.pose_frame import PoseFrame as PoseFrame
 
 STDOUT = "-"
 
@@ -17,13 +18,6 @@ class Channel(StrEnum):
     R = "r"
     G = "g"
     B = "b"
-
-
-class PoseFrame(StrEnum):
-    """The frame of a pose's vectors."""
-
-    CAMERA = "camera"
-    TOOL = "tool"
 
 
 PoseMethod = Annotated[Method, typer.Option("--method", help="How the pose is computed.")]
@@ -38,6 +32,9 @@ OptionalInputs = Annotated[
 RigFile = Annotated[Path, typer.Option("--rig", metavar="FILE", help="The calibrated rig (rig.yaml).")]
 OptionalRigFile = Annotated[Path | None, typer.Option("--rig", metavar="FILE", help="The calibrated rig (rig.yaml).")]
 BoardFile = Annotated[Path, typer.Option("--board", metavar="FILE", help="The board file: its kind and its sizes.")]
+BoardOverlay = Annotated[
+    Path | None, typer.Option("--overlay", metavar="DIR", help="Draw what was found into PNG files in this folder.")
+]
 Report = Annotated[
     Path | None, typer.Option("--report", metavar="FILE", help="Write an HTML page with pictures (needs matplotlib).")
 ]

@@ -1,4 +1,4 @@
-"""What a calibration found, with what is needed to judge it."""
+"""What a calibration of the light planes found, with what is needed to judge it."""
 
 import math
 from dataclasses import dataclass
@@ -10,42 +10,6 @@ from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.camera import Camera
 from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.laser_planes import LaserPlanes
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CameraView:
-    """One view of the board in a camera calibration."""
-
-    name: str
-    pose: BoardPose
-    residual_px: Float64[Array, "corner xy=2"]
-    """Measured minus projected corners."""
-    rejected: str = ""
-    """Why the view was left out; empty if it was used. A view that was left out has its residuals all the same."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CameraCalibration:
-    """The intrinsic parameters and how well the views determine them."""
-
-    camera: Camera
-    """With the covariance of the intrinsic parameters, the poses of the board marginalised out."""
-    rms_px: float
-    """Of the distances between measured and projected corners of the views used."""
-    sigma_px: float
-    """Standard deviation of one coordinate of a corner, from the residuals and the degrees of freedom."""
-    views: tuple[CameraView, ...]
-
-    @property
-    def used(self) -> tuple[CameraView, ...]:
-        """The views that the parameters were estimated from."""
-        return tuple(view for view in self.views if not view.rejected)
-
-    @property
-    def standard_deviations(self) -> dict[str, float]:
-        """Of the intrinsic parameters, by name; zero for one that was held."""
-        covariance = self.camera.covariance
-        return {} if covariance is None else covariance.standard_deviations
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
