@@ -6,6 +6,7 @@ import numpy as np
 
 from ringpose import kernels
 from ringpose.types.arrays import Array, Int16, Int32, UInt, UInt8, UInt16
+from ringpose.types.frame import full_scale_dn
 
 STEPS_PER_DN = 128
 """Units of the kernels' magnitude in one grey value per pixel: 16 of the smoothing, 8 of the Sobel weights."""
@@ -46,12 +47,17 @@ def magnitude_steps(gradient_dn: float) -> int:
 
 
 def in_sixteen_bits(
-    image: UInt[Array, "row column"],
+    image: UInt[Array, "row column"], saturation_dn: int | None = None
 ) -> tuple[UInt8[Array, "row column"] | UInt16[Array, "row column"], int]:
-    """The image in elements of 8 or 16 bits, and how many bits its values have; a wider one loses low bits."""
+    """The image in elements of 8 or 16 bits, and how many bits its values have; a wider one loses low bits.
+
+    `saturation_dn` is the grey value at which a pixel is full; if it is not given, the image is asked.
+    """
     if image.dtype == np.uint8:
         return image, 8
-    bits = int(image.max(initial=0)).bit_length()
+    if saturation_dn is None:
+        saturation_dn = full_scale_dn(image) if image.itemsize == 2 else 0
+    bits = max(saturation_dn, int(image.max(initial=0))).bit_length()
     if bits <= 8:
         return image.astype(np.uint8), 8
     if bits <= 16:

@@ -15,7 +15,7 @@ def segments_only(shot: Shot, method: SegmentMethod = SegmentMethod.REFINED) -> 
         shot=shot.name,
         stamp_s=shot.measured_at_s,
         break_points=NoBreakPoints.NOT_SOUGHT,
-        segments=find_segments(most_lit_image(shot), method=method),
+        segments=find_segments(most_lit_image(shot), method=method, saturation_dn=shot.saturation_dn),
     )
 
 

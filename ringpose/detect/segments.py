@@ -49,12 +49,16 @@ def find_segments(
     parameters: SegmentParameters = SegmentParameters(),
     method: SegmentMethod = SegmentMethod.REFINED,
     rows: tuple[int, int] | None = None,
+    saturation_dn: int | None = None,
 ) -> Segments:
     """Straight edges of the image; thresholds mean grey values of 8 bits whatever the image has.
 
+    How many bits that are follows from the grey value at which a pixel is full; without it the image is asked, and a
+    dim one may be taken for that of a narrower camera.
+
     Of an image of which only the `rows` from the first to before the second number matter, no others are looked at.
     """
-    narrowed, bits = in_sixteen_bits(image)
+    narrowed, bits = in_sixteen_bits(image, saturation_dn)
     first, end = band(rows, len(image))
     if first >= end:
         return Segments(start_px=np.zeros((0, 2)), end_px=np.zeros((0, 2)), support=np.zeros(0, np.int64))

@@ -341,3 +341,14 @@ def test_recall_on_the_york_photographs_at_one_and_a_half_and_three_pixels(share
     recall = york_recall(shared_data / "real" / "yorkurban", method, np.array([1.5, 3.0]))
 
     assert (recall > floors).all(), recall
+
+
+@pytest.mark.parametrize("bits", [10, 12, 16])
+def test_a_dim_image_of_more_bits_has_the_segments_of_eight(bits):
+    eight, _ = half_plane(0.4, 0.3)
+    eight //= 8
+    wide = eight.astype(np.uint16) << (bits - 8)
+
+    segments = find_segments(wide, saturation_dn=(1 << bits) - 1)
+
+    np.testing.assert_array_equal(segments.start_px, find_segments(eight).start_px)
