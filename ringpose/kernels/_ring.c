@@ -125,12 +125,21 @@ static int centers_in_order(const Py_buffer view[7]) {
     return 1;
 }
 
+/* Rules of tracks: a piece must hold the running median's half window, or that reads beyond it. */
+enum { LEAST_COLUMNS = 4 };
+
+static int track_rules_fit(const double *rule) {
+    for (int i = 0; i < RULES; i++)
+        if (!isfinite(rule[i])) return 0;
+    return rule[5] >= LEAST_COLUMNS && rule[6] >= 1 && rule[6] < 1e6 && rule[7] >= 0;
+}
+
 static PyObject *tracks_of(const Py_buffer view[7]) {
     Py_ssize_t n = view[0].shape[0];
     const double *rule = view[6].buf;
     if (view[1].shape[0] != n || view[2].shape[0] != n || view[3].shape[0] != n || view[5].shape[0] != LENS ||
-        view[6].shape[0] != RULES || n > INT32_MAX || !(rule[6] >= 1 && rule[6] < 1e6)) {
-        PyErr_SetString(PyExc_ValueError, "tracks: arrays do not fit together");
+        view[6].shape[0] != RULES || n > INT32_MAX || !track_rules_fit(rule)) {
+        PyErr_SetString(PyExc_ValueError, "tracks: arrays do not fit together, or a rule is out of range");
         return NULL;
     }
     if (!centers_in_order(view)) return NULL;

@@ -171,7 +171,7 @@ static inline double normal_cdf(double t) {
     if (!(t > -4)) return 0;
     if (t >= 4) return 1;
     double at = (t + 4) * 100;
-    int low = (int)at;
+    int low = at < 799 ? (int)at : 799; /* the last numbers below 4 become 800 when 4 is added */
     return NORMAL_CDF[low] + (NORMAL_CDF[low + 1] - NORMAL_CDF[low]) * (at - low);
 }
 

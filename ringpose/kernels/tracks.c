@@ -144,7 +144,7 @@ static int by_start(const void *first, const void *second) {
 
 /* Makes one track of those that continue each other; tracks that went into another have no blocks left. */
 static int join(Drafts *drafts, const Work *work) {
-    qsort(drafts->data, drafts->used, sizeof *drafts->data, by_start);
+    if (drafts->used) qsort(drafts->data, drafts->used, sizeof *drafts->data, by_start);
     Drafts joined = {NULL, 0, 0};
     for (size_t i = 0; i < drafts->used; i++) {
         Draft draft = drafts->data[i];

@@ -61,6 +61,14 @@ def columns(rows, name):
     return rows[:, TRACK_COLUMNS.index(name)]
 
 
+@pytest.mark.parametrize(
+    "wrong", [{"minimum_columns": 3}, {"image_width": 0}, {"longest_lag": -1}, {"kink_px": np.nan}]
+)
+def test_rules_out_of_range_are_a_value_error(wrong):
+    with pytest.raises(ValueError, match="rule"):
+        straight_tracks(*line(np.arange(100, 300), np.zeros(200)), STRAIGHT, RULES._replace(**wrong))
+
+
 def test_a_drawn_line_comes_back():
     x = np.arange(100, 300)
 
