@@ -5,16 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.geometry.ring_arcs import RingArcs
+from ringpose.kernels import _edges
 from ringpose.kernels.ring import Lens
 from ringpose.types.arrays import Array, Bool, Float64, UInt
-
-try:
-    from ringpose.kernels import _edges
-except ImportError as error:
-    raise ImportError(
-        "ringpose.kernels: the C kernels are not built for this Python; run `pip install .` where ringpose's source is"
-        " (a C compiler is needed)"
-    ) from error
 
 
 class PlaceRules(NamedTuple):
