@@ -83,6 +83,7 @@ def _camera_view(view: BoardView, left_out: Bool[Array, "corner"], camera: Camer
     return CameraView(
         name=view.name,
         pose=pose,
+        ids=view.ids,
         points_px=view.points_px,
         residual_px=residuals(view, pose, camera),
         left_out=left_out,

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from ringpose.calibrate.camera_outliers import CORNER_SIGMAS
 from ringpose.calibrate.coverage import board_tilt_rad
 from ringpose.calibrate.intrinsics import parameters_of
 from ringpose.calibrate.verdict_text import verdict_lines, verdict_values
@@ -31,7 +32,7 @@ def camera_quality(
         "rms_px": calibration.rms_px,
         "corner_sigma_px": calibration.sigma_px,
         "views_used": len(calibration.used),
-        "corners_left_out": _left_out(calibration),
+        "corners_left_out": sum(int(view.left_out.sum()) for view in calibration.used),
         "coverage": _coverage_values(assessment.coverage),
         "projection": _projection_values(calibration, assessment),
         "cross_validation": _validation_values(assessment.validation) | {"disagreement": assessment.disagreement},
@@ -82,8 +83,11 @@ def comparison_lines(comparison: ModelComparison) -> list[str]:
 
 
 def _corner_line(view: CameraView) -> str:
-    lengths = np.linalg.norm(view.residual_px[view.left_out], axis=1)
-    return f"{view.name}: {len(lengths)} corners left out, up to {lengths.max():.2f} px off"
+    off_px = np.linalg.norm(view.residual_px[view.left_out], axis=1)
+    numbers = ", ".join(str(number) for number in view.ids[view.left_out])
+    return (
+        f"{view.name}: corners left out: {numbers}: more than {CORNER_SIGMAS:g} sigmas off, up to {off_px.max():.2f} px"
+    )
 
 
 def _parameter_lines(calibration: CameraCalibration) -> list[str]:
@@ -101,10 +105,6 @@ def _projection_line(calibration: CameraCalibration, assessment: CameraAssessmen
         for sigma_m, distance_m in zip(projection_sigma_m(calibration, assessment), assessment.distances_m, strict=True)
     )
     return f"projection ± {np.median(sigma_px):.3f} px (median), {np.max(sigma_px):.3f} px (worst): {millimetres}"
-
-
-def _left_out(calibration: CameraCalibration) -> int:
-    return sum(int(view.left_out.sum()) for view in calibration.used)
 
 
 def _coverage_values(covered: Coverage) -> dict[str, Any]:
@@ -153,7 +153,10 @@ def _view_quality(view: CameraView) -> dict[str, Any]:
         "corners": len(lengths),
         "rms_px": view.pose.residual_rms_px,
         "worst_px": float(lengths.max()),
-        "corners_left_out": int(view.left_out.sum()),
+        "corners_left_out": [
+            {"corner": int(number), "residual_px": residual}
+            for number, residual in zip(view.ids[view.left_out], view.residual_px[view.left_out], strict=True)
+        ],
         "distance_m": float(view.pose.translation_m[2]),
         "tilt_rad": board_tilt_rad(view.pose),
     }

@@ -13,6 +13,8 @@ class CameraView:
 
     name: str
     pose: BoardPose
+    ids: Int64[Array, "corner"]
+    """Number of each corner on the board."""
     points_px: Float64[Array, "corner xy=2"]
     """The measured corners."""
     residual_px: Float64[Array, "corner xy=2"]

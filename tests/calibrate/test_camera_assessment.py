@@ -1,6 +1,8 @@
 """What a camera calibration is judged by, on views whose camera is exactly known."""
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -206,3 +208,36 @@ def test_file_and_summary_say_the_same(views):
     assert f"rms {quality['rms_px']:.3f} px" in lines[0]
     assert quality["without_board"] == [{"name": "black", "reason": "too dark"}]
     assert len(quality["cross_validation"]["left_out"]) == 10
+
+
+def test_corners_left_out_are_numbered_with_their_residuals(views):
+    boards = views(8)
+    moved = boards[3].points_px.copy()
+    moved[17] += [0.0, 0.7]
+    boards[3] = replace(boards[3], points_px=moved)
+    found = calibrate_camera(boards, 1600, 1200)
+    assessed = camera_assessment(found, boards, PLUMB_BOB)
+    verdict = camera_verdict(found, assessed, 8)
+
+    view = camera_quality(found, assessed, verdict)["quality"]["views"][3]
+    (corner,) = view["corners_left_out"]
+
+    assert corner["corner"] == 17
+    assert corner["residual_px"][1] == pytest.approx(0.7, abs=0.2)
+    assert camera_summary(found, assessed, verdict)[0].startswith("v3: corners left out: 17: more than 5 sigmas off")
+
+
+def test_the_manual_lists_every_limit(views):
+    boards = views(8)
+    found = calibrate_camera(boards, 1600, 1200)
+    verdict = camera_verdict(found, camera_assessment(found, boards, PLUMB_BOB), 8)
+    page = (Path(__file__).parents[2] / "man" / "ringpose-calibrate-camera.1").read_text()
+
+    listed = re.findall(r"^\.It (\w+) Ta (\S+) Ta (\S+)$", page, re.MULTILINE)
+
+    limits = [(finding.name, finding.good_limit, finding.redo_limit) for finding in verdict.findings]
+    assert [name for name, _, _ in listed] == [name for name, _, _ in limits]
+    assert [float(good) for _, good, _ in listed] == pytest.approx([good for _, good, _ in limits], rel=0.03)
+    assert [redo if redo == "none" else float(redo) for _, _, redo in listed] == [
+        "none" if np.isinf(redo) else pytest.approx(redo, rel=0.03) for _, _, redo in limits
+    ]

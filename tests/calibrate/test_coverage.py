@@ -27,6 +27,7 @@ def covered(true_camera):
                 CameraView(
                     name=f"v{index}",
                     pose=pose,
+                    ids=ids,
                     points_px=points_px,
                     residual_px=np.zeros_like(points_px),
                     left_out=np.zeros(len(points_px), dtype=bool),
