@@ -174,7 +174,7 @@ def pose_line(
         stamp_s=detection.stamp_s,
         pose=result if isinstance(result, RingPose) else None,
         reason=(result.remark or None) if isinstance(result, RingPose) else result.value,
-        frame=frame.value,
+        frame=frame,
         latency_s=perf_counter() - start_s,
         rig=rig.sha256,
     )

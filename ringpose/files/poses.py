@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Mapping
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from ringpose.files.fields import Fields
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.pose_line import PoseFrame, PoseLine
+from ringpose.types.pose_frame import PoseFrame
+from ringpose.types.pose_line import PoseLine
 from ringpose.types.ring_pose import PoseFlag, RingPose
 
 SCHEMA = "ringpose/pose/1"
@@ -50,7 +51,7 @@ def pose_record(line: PoseLine) -> dict[str, Any]:
         "schema": SCHEMA,
         "shot": line.shot,
         "stamp_s": line.stamp_s,
-        "frame": line.frame,
+        "frame": line.frame.value,
         "status": line.status,
         "reason": line.reason,
         "flags": list(line.flags),
@@ -75,7 +76,7 @@ def pose_line_of(record: Mapping[str, Any], place: str) -> PoseLine:
         stamp_s=_number(fields, "stamp_s"),
         pose=_pose_of(fields.fields("pose", _POSE_KEYS), flags) if fields.has("pose") else None,
         reason=fields.text("reason") if fields.has("reason") else None,
-        frame=cast(PoseFrame, fields.choice("frame", ("camera", "tool"))),
+        frame=PoseFrame(fields.choice("frame", tuple(PoseFrame))),
         laser_health=_laser_health(fields.fields("laser_health")) if fields.has("laser_health") else {},
         dropped=fields.integer("dropped", least=0) if fields.has("dropped") else 0,
         latency_s=_number(fields, "latency_s"),

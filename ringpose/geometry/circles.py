@@ -61,29 +61,3 @@ def arc_crossings(arcs: ArcEquations) -> Float64[Array, "*batch arc=2"]:
     root = np.sqrt(np.maximum(steepness**2 - 4.0 * arcs.bend * arcs.level, 0.0))
     crossings: Float64[Array, "*batch arc=2"] = -2.0 * arcs.level / (steepness + root)
     return crossings
-
-
-class Arcs(NamedTuple):
-    """Two short arcs about one centre."""
-
-    curvature: Float64[Array, "*batch"]
-    """One over the radius (root of the mean square of the two); positive if the centre is towards positive x."""
-    band: Float64[Array, "*batch"]
-    """Distance between the arcs."""
-    outside: Float64[Array, "*batch n"]
-    """Distance of each point from its arc, positive towards positive x."""
-
-
-def concentric_arcs(points: Float64[Array, "*batch n xy=2"], arc: Int64[Array, "n"]) -> Arcs:
-    """Curvature and distance of two arcs about one centre, and where points lie beside them: `arc_equations`."""
-    equations = arc_equations(points, arc)
-    bend, lean, level = equations
-    x, y = np.moveaxis(points - points.mean(axis=-2, keepdims=True), -1, 0)
-    residual = bend * (x**2 + y**2) + x + lean * y + level[..., arc]
-    steepness = np.hypot(2 * bend * x + 1, 2 * bend * y + lean)
-    straight = np.sqrt(np.maximum(1 + lean**2 - 4 * bend * level.mean(axis=-1, keepdims=True), 1e-12))
-    return Arcs(
-        curvature=(-2 * bend / straight)[..., 0],
-        band=np.abs(np.diff(arc_crossings(equations), axis=-1))[..., 0],
-        outside=residual / np.maximum(steepness, 1e-9),
-    )

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import sqrt
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,47 +13,25 @@ from ringpose.pose.deviations import plane_evidence
 from ringpose.pose.likelihood import Fit
 from ringpose.pose.likelihood_output import (
     BEND,
-    CENTER,
-    GRASP,
-    RADII,
-    TILTS,
-    WIDTH,
     Quantities,
-    bow_m,
     covariance_of,
     quantities,
     spread_of,
 )
 from ringpose.pose.measurements import Measurements, measurements_of
-from ringpose.pose.method import Method
-from ringpose.pose.observability import (
-    EDGE_ON_BELOW,
-    TILT_SD_LIMIT_RAD,
-    WEAK_SD,
-    standard_deviation,
-)
+from ringpose.pose.observability import EDGE_ON_BELOW
 from ringpose.pose.residual_rows import Beforehand
 from ringpose.pose.rig_errors import rig_errors
 from ringpose.pose.ring_model import CURVATURE
-from ringpose.types.arrays import Array, Bool, Float64
+from ringpose.pose.told import determined, told_pose, weak_flags
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.break_points import BreakPointFlag, BreakPoints, RingEdgePoints
 from ringpose.types.rig import Rig
 from ringpose.types.ring import KnownRadii, Ring
 from ringpose.types.ring_pose import NoPose, PoseFlag, RingPose
 
-UNKNOWN_FROM = 0.5
-"""Standard deviation of the curvature, as a share of it, from which the centre is not determined at all: one over a
-curvature that may be zero within two standard deviations has no error to speak of."""
-
-GRASP_UNKNOWN_FROM_M = 0.01
-"""Standard deviation of the grasp point, or of the band's width, from which nobody knows where the band is."""
-
 DOUBTS = PoseFlag.RELABELLED | PoseFlag.STRIPE_LEFT_OUT | PoseFlag.RADIUS_DISAGREES
 """A shot that had to be mended says nothing about the rig."""
-
-BOWED_FROM = 4.0 / 9.0
-"""Bow in sigmas of the centre beside it, from which no Gaussian tells the centre: a tilt by three sigmas brings it nine
-bows aside, four of its sigmas, so that it is five off in all."""
 
 SIDE_MARGIN = 9.0
 """By how much, in squared standard deviations, the better of two sides for the centre must fit: 3 sigma."""
@@ -137,94 +114,37 @@ def _side_score(explanation: Explanation) -> float:
     return explanation.score + min(fit.state.curvature, 0.0) ** 2 / float(fit.inverse[CURVATURE, CURVATURE])
 
 
-class Determined(NamedTuple):
-    """What of a fit is known well enough to be told."""
-
-    normal: bool
-    center: bool
-    grasp: bool
-    radius: Bool[Array, "edge=2"]
-
-
-def _determined(best: Explanation, joint: Float64[Array, "15 15"], sure_of_side: bool) -> Determined:
-    fit = best.fit
-    normal = standard_deviation(joint[TILTS, TILTS]) <= TILT_SD_LIMIT_RAD
-    bend = sqrt(joint[BEND, BEND]) < UNKNOWN_FROM * fit.state.curvature
-    grasp_sd_m = sqrt(max(float(fit.state.outward @ joint[GRASP, GRASP] @ fit.state.outward), 0.0))
-    edges = {*best.measured.points.edge.tolist(), *best.measured.edges.edge.tolist()}
-    told = sure_of_side or best.before.radii is not None
-    return Determined(
-        normal=normal,
-        center=normal and sure_of_side and bend,
-        grasp=max(grasp_sd_m, sqrt(joint[WIDTH, WIDTH])) <= GRASP_UNKNOWN_FROM_M,
-        radius=np.array([told and bend and (edge in edges or best.before.radii is not None) for edge in range(2)]),
-    )
-
-
 def _pose(best: Explanation, rig: Rig, sure_of_side: bool) -> RingPose | NoPose:
     fit = best.fit
     found = quantities(fit)
-    joint = covariance_of(fit, found, best.measured)
-    if best.flag & PoseFlag.INCONSISTENT:
-        joint = joint * max(own_cost(fit, best.measured) / freedom(fit, best.measured, best.before), 1.0)
-        joint += spread_of(best.rivals, fit, found)
-    position = fit.rows.origin.position_m
+    joint = _joint_covariance(best, found)
     if not bool(np.isfinite(joint).all()):
         return NoPose.NOT_FINITE
+    position = fit.rows.origin.position_m
     if abs(float(position @ fit.state.normal)) < EDGE_ON_BELOW * sqrt(float(position @ position)):
         return NoPose.EDGE_ON
-    known = _determined(best, joint, sure_of_side)
+    known = determined(best, joint, sure_of_side)
     if not known.grasp and not known.normal:
         return NoPose.COLLINEAR if len(set(best.measured.points.laser.tolist())) > 1 else NoPose.UNDETERMINED
-    radius_inner_m, radius_outer_m = np.where(known.radius, found.radius_m, np.nan).tolist()
-    sure = best.measured.sure
-    return RingPose(
-        center_m=found.center_m if known.center else np.full(3, np.nan),
-        normal=fit.state.normal if known.normal else np.full(3, np.nan),
-        radius_inner_m=radius_inner_m,
-        radius_outer_m=radius_outer_m,
-        grasp_m=found.grasp_m if known.grasp else np.full(3, np.nan),
-        method=Method.ML.value,
-        condition=_condition(fit),
+    pose = told_pose(fit, found, joint if best.measured.sure else None, known)
+    side = PoseFlag(0) if sure_of_side else PoseFlag.SIDE_UNKNOWN
+    return replace(
+        pose,
         residual_rms_px=_residual_rms_px(fit, best.measured, rig),
-        covariance=_with_unknown(joint[:7, :7], known) if sure else None,
-        covariance_center_m2=joint[CENTER, CENTER] if known.center and sure else None,
-        covariance_grasp_m2=joint[GRASP, GRASP] if known.grasp and sure else None,
-        flags=best.flag | _weak(fit, found, joint, known) | (PoseFlag(0) if sure_of_side else PoseFlag.SIDE_UNKNOWN),
+        flags=best.flag | weak_flags(fit, found, joint, known) | side,
         remark=best.remark,
         plane_evidence=None if best.flag & DOUBTS else plane_evidence(fit, best.measured, rig),
     )
 
 
-def _bowed(fit: Fit, joint: Float64[Array, "15 15"]) -> bool:
-    """Whether a likely tilt brings the centre far aside on its arc."""
-    outward = fit.state.outward
-    return bow_m(joint, fit) > BOWED_FROM * sqrt(float(outward @ joint[CENTER, CENTER] @ outward))
-
-
-def _weak(fit: Fit, found: Quantities, joint: Float64[Array, "15 15"], known: Determined) -> PoseFlag:
-    """What is not determined, worse than `WEAK_SD`, or told by no Gaussian."""
-    limit_m = WEAK_SD * float(np.abs(found.radius_m).min())
-    flags = PoseFlag(0) if known.normal else PoseFlag.NORMAL_WEAK
-    if not known.center or standard_deviation(joint[CENTER, CENTER]) > limit_m or _bowed(fit, joint):
-        flags |= PoseFlag.CENTER_WEAK
-    if not known.radius.all() or float(np.diag(joint)[RADII].max()) > limit_m**2:
-        flags |= PoseFlag.RADIUS_WEAK
-    return flags
-
-
-def _with_unknown(covariance: Float64[Array, "7 7"], known: Determined) -> Float64[Array, "7 7"]:
-    """NaN in the rows and columns of what is not determined."""
-    told = np.array([known.normal] * 3 + [known.center] * 2 + known.radius.tolist())
-    masked: Float64[Array, "7 7"] = np.where(told[:, None] & told, covariance, np.nan)
-    return masked
-
-
-def _condition(fit: Fit) -> float:
-    """Largest over smallest singular value of the derivatives of all residuals, columns scaled to unit length."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(fit.normal_matrix), np.finfo(float).tiny))
-    values = np.linalg.eigvalsh(fit.normal_matrix * scale[:, None] * scale)
-    return float(np.sqrt(values[-1] / max(float(values[0]), np.finfo(float).eps)))
+def _joint_covariance(best: Explanation, found: Quantities) -> Float64[Array, "15 15"]:
+    """That of the fit; of one that contradicts itself as much more as its residuals say and its rivals are apart."""
+    fit = best.fit
+    joint = covariance_of(fit, found, best.measured)
+    if best.flag & PoseFlag.INCONSISTENT:
+        joint = joint * max(own_cost(fit, best.measured) / freedom(fit, best.measured, best.before), 1.0)
+        joint += spread_of(best.rivals, fit, found)
+    return joint
 
 
 def _residual_rms_px(fit: Fit, measured: Measurements, rig: Rig) -> float:

@@ -5,10 +5,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from ringpose.types.pose_frame import PoseFrame
 from ringpose.types.ring_pose import PoseFlag, RingPose
 
 Status = Literal["ok", "degraded", "none"]
-PoseFrame = Literal["camera", "tool"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -20,7 +20,7 @@ class PoseLine:
     pose: RingPose | None
     reason: str | None = None
     """Why there is no pose; of a pose what contradicts it, None if nothing does."""
-    frame: PoseFrame = "camera"
+    frame: PoseFrame = PoseFrame.CAMERA
     """The frame of the pose's vectors."""
     laser_health: Mapping[str, float] = field(default_factory=dict)
     """A figure for each laser; empty where it was not measured."""

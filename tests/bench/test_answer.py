@@ -4,6 +4,7 @@ import pytest
 
 from ringpose.bench.answer import answer_of
 from ringpose.errors import DataError
+from ringpose.types.pose_frame import PoseFrame
 from ringpose.types.pose_line import PoseLine
 
 
@@ -21,4 +22,4 @@ def test_a_line_without_a_pose_names_none():
 
 def test_poses_in_the_tools_frame_cannot_be_compared(pose_of):
     with pytest.raises(DataError, match="poses:7: is in the tool frame"):
-        answer_of(PoseLine(shot="a", stamp_s=0.0, pose=pose_of(), frame="tool"), "poses:7")
+        answer_of(PoseLine(shot="a", stamp_s=0.0, pose=pose_of(), frame=PoseFrame.TOOL), "poses:7")

@@ -10,6 +10,7 @@ import pytest
 from ringpose.errors import DataError
 from ringpose.files import records
 from ringpose.files.poses import pose_line_of, pose_record
+from ringpose.types.pose_frame import PoseFrame
 from ringpose.types.pose_line import PoseLine
 from ringpose.types.ring_pose import PoseFlag, RingPose
 
@@ -104,7 +105,7 @@ def test_schema_refuses_a_line_without_a_key(pose, key):
 
 
 def test_line_is_read_as_it_was_written(pose):
-    before = line(pose, frame="tool", dropped=2, laser_health={"left": 0.9})
+    before = line(pose, frame=PoseFrame.TOOL, dropped=2, laser_health={"left": 0.9})
 
     after = pose_line_of(record(before), "x")
 
