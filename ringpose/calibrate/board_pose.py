@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 
 from ringpose.calibrate.intrinsics import projection_jacobians
+from ringpose.geometry.rotations import rotation_vector
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.camera import Camera
@@ -54,7 +55,7 @@ def pose_covariance(
 
 def moved_pose(pose: BoardPose, step: Float64[Array, "pose=6"]) -> BoardPose:
     """The pose with its rotation vector and translation moved by a step."""
-    rotation = cv2.Rodrigues(cv2.Rodrigues(pose.rotation)[0].ravel() + step[:3])[0]
+    rotation = cv2.Rodrigues(rotation_vector(pose.rotation) + step[:3])[0]
     return BoardPose(
         name=pose.name,
         rotation=np.asarray(rotation, dtype=np.float64),
@@ -105,7 +106,7 @@ def _refined(view: BoardView, rigid: _Rigid, camera: Camera) -> BoardPose:
         view.points_px,
         camera.camera_matrix,
         camera.distortion_coefficients,
-        cv2.Rodrigues(rigid[0])[0],
+        rotation_vector(rigid[0]).reshape(3, 1),
         rigid[1].reshape(3, 1).copy(),
         _EXACT,
     )
@@ -128,6 +129,6 @@ def _projected(
     camera: Camera,
 ) -> Float64[Array, "corner xy=2"]:
     pixels, _ = cv2.projectPoints(
-        points, cv2.Rodrigues(rotation)[0], translation_m, camera.camera_matrix, camera.distortion_coefficients
+        points, rotation_vector(rotation), translation_m, camera.camera_matrix, camera.distortion_coefficients
     )
     return np.asarray(pixels, dtype=np.float64).reshape(-1, 2)

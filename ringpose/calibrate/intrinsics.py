@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 
+from ringpose.geometry.rotations import rotation_vector
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.camera import DISTORTION_COEFFICIENTS, Camera
@@ -41,9 +42,8 @@ def projection_jacobians(
     points: Float64[Array, "corner xyz=3"], pose: BoardPose, camera: Camera
 ) -> tuple[Float64[Array, "corner xy=2 pose=6"], Float64[Array, "corner xy=2 parameter"]]:
     """Derivatives of the corners' pixels by the pose (rotation vector, translation) and by the intrinsic parameters."""
-    rotation_vector = cv2.Rodrigues(pose.rotation)[0]
     _, jacobian = cv2.projectPoints(
-        points, rotation_vector, pose.translation_m, camera.camera_matrix, camera.distortion_coefficients
+        points, rotation_vector(pose.rotation), pose.translation_m, camera.camera_matrix, camera.distortion_coefficients
     )
     both = np.asarray(jacobian, dtype=np.float64)
     parameters = 4 + len(camera.distortion_coefficients)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from ringpose.geometry.rotations import tilt_basis
+from ringpose.geometry.rotations import rotation_vector, tilt_basis
 from ringpose.pose.measurements import pixels_by_ray_and_camera
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose
@@ -64,6 +64,5 @@ def stripe_rows(
 
 def _normal_by_rotation(pose: BoardPose) -> Float64[Array, "xyz=3 rotation=3"]:
     """Derivative of the board's normal by its rotation vector."""
-    vector = cv2.Rodrigues(pose.rotation)[0]
-    by_vector = np.asarray(cv2.Rodrigues(vector)[1], dtype=np.float64).reshape(3, 3, 3)
+    by_vector = np.asarray(cv2.Rodrigues(rotation_vector(pose.rotation))[1], dtype=np.float64).reshape(3, 3, 3)
     return by_vector[:, :, 2].T

@@ -2,12 +2,17 @@
 
 from math import hypot
 
+import cv2
 import numpy as np
 
 from ringpose.types.arrays import Array, Float64
 
 EPSILON = float(np.finfo(float).eps)
 """A normal whose part across z is smaller is along z."""
+
+
+SMALL_ANGLE = 1e-4
+"""Below this an angle is its sine, to 2e-13."""
 
 
 def tilt_basis(normal: Float64[Array, "3"]) -> Float64[Array, "2 3"]:
@@ -41,3 +46,12 @@ def facing_normal(pitch_rad: float, yaw_rad: float) -> Float64[Array, "3"]:
     """The unit normal towards the camera that has the paper's pitch and yaw (ringpose-method(7), section 4)."""
     away = [np.sin(yaw_rad) * np.cos(pitch_rad), np.sin(pitch_rad), np.cos(yaw_rad) * np.cos(pitch_rad)]
     return -np.array(away, dtype=np.float64)
+
+
+def rotation_vector(rotation: Float64[Array, "3 3"]) -> Float64[Array, "3"]:
+    """Axis times angle; OpenCV's is zero below 10 microradians, at which a board that faces the camera would stick."""
+    turn = (rotation - rotation.T) / 2
+    sine = np.array([turn[2, 1], turn[0, 2], turn[1, 0]])
+    if float(np.abs(sine).max()) < SMALL_ANGLE and np.trace(rotation) > 1:
+        return sine
+    return np.asarray(cv2.Rodrigues(rotation)[0], dtype=np.float64).ravel()

@@ -1,0 +1,133 @@
+"""The verdict on light planes, their angles, and what their covariance means for depths."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ringpose.calibrate.laser_geometry import common_line_gap_m, plane_angles
+from ringpose.calibrate.plane_uncertainty import depth_uncertainty
+from ringpose.calibrate.planes import PlanesModel, calibrate_planes
+from ringpose.calibrate.planes_verdict import planes_verdict
+from ringpose.geometry.rays import project, rays
+from ringpose.geometry.rotations import tilted
+from ringpose.types.covariance import ParameterCovariance
+from ringpose.types.laser_planes import LaserPlanes
+from ringpose.types.verdict import Grade
+
+MODEL = PlanesModel(names=("left", "middle", "right"))
+
+
+def facing(depths_m):
+    return [(np.eye(3), np.array([-0.15, -0.12, depth])) for depth in depths_m]
+
+
+@pytest.fixture
+def good(rng, stripe_views, true_camera):
+    views = stripe_views(facing([0.4, 0.45, 0.5, 0.55, 0.6, 0.65]), rng, 0.02, 0.05)
+    return calibrate_planes(views, true_camera, MODEL)
+
+
+def poor_names(calibration, **options):
+    return {finding.name for finding in planes_verdict(calibration, **options).findings if finding.grade != Grade.GOOD}
+
+
+def test_six_views_over_a_range_are_good(good):
+    assert planes_verdict(good).grade is Grade.GOOD
+
+
+def test_two_views_can_be_improved_by_more(rng, stripe_views, true_camera):
+    few = calibrate_planes(stripe_views(facing([0.4, 0.6]), rng, 0.02, 0.05), true_camera, MODEL)
+
+    verdict = planes_verdict(few)
+
+    assert verdict.grade is Grade.IMPROVABLE
+    assert {"views", "held_out_rms_m"} <= poor_names(few)
+    assert "add views that show the stripe of left: six to ten are good" in verdict.advice
+
+
+def test_views_at_one_distance_ask_for_nearer_and_farther_ones(rng, stripe_views, true_poses, true_camera):
+    alike = [(turn, place * 0.5 / (place + turn @ [0.15, 0.12, 0])[2]) for turn, place in true_poses(rng, 6)]
+    calibration = calibrate_planes(stripe_views(alike, rng, 0.02, 0.05), true_camera, MODEL)
+
+    assert "distance_ratio" in poor_names(calibration)
+    assert any(
+        advice.startswith("add views of the board nearer than 0.") for advice in planes_verdict(calibration).advice
+    )
+
+
+def test_points_scattered_by_a_millimetre_are_to_be_done_anew(rng, stripe_views, true_camera):
+    views = stripe_views(facing([0.4, 0.45, 0.5, 0.55, 0.6, 0.65]), rng, 0.02, 6.0)
+
+    assert planes_verdict(calibrate_planes(views, true_camera, MODEL)).grade is Grade.REDO
+
+
+def test_lasers_at_other_angles_than_expected_are_named(good):
+    expected = np.radians([10.3, 14.0]).tolist()
+
+    verdict = planes_verdict(good, expected)
+
+    (found,) = (
+        finding for finding in verdict.findings if finding.name == "angle_error_rad" and finding.grade != "good"
+    )
+    assert found.place == "middle to right"
+
+
+def test_angles_are_those_between_the_normals(good, true_planes):
+    found = [angle.angle_rad for angle in plane_angles(good)]
+
+    wanted = [np.arccos(true_planes[0][i] @ true_planes[0][i + 1]) for i in range(2)]
+    assert found == pytest.approx(wanted, abs=1e-4)
+
+
+def test_an_angles_deviation_is_that_of_drawn_planes(good, rng):
+    (angle, _) = plane_angles(good)
+    covariance = good.covariance
+    places = [covariance.parameters.index(f"{name}.tilt_{i}") for name in ("left", "middle") for i in (1, 2)]
+    drawn = rng.multivariate_normal(np.zeros(4), covariance.data[np.ix_(places, places)], 2000)
+
+    normals = good.planes.normal
+    angles = [np.arccos(tilted(normals[0], each[:2]) @ tilted(normals[1], each[2:])) for each in drawn]
+
+    assert np.std(angles) == pytest.approx(angle.sd_rad, rel=0.1)
+
+
+def test_planes_through_one_line_leave_no_gap(good):
+    fan = np.array([[0.0, np.cos(a), -np.sin(a)] for a in (0.2, 0.0, -0.2)])
+    line_point = np.array([0.0, -0.1, 0.02])
+    lasers = LaserPlanes(
+        names=MODEL.names, normal=fan, distance_m=fan @ line_point, projector_m=np.full((3, 3), np.nan)
+    )
+
+    angles = plane_angles(replace(good, planes=lasers))
+
+    assert common_line_gap_m(angles) < 1e-12
+    assert angles[0].line_point_m == pytest.approx(line_point)
+    assert np.abs(angles[0].line_direction) == pytest.approx([1, 0, 0])
+
+
+def test_depth_deviations_are_those_of_drawn_rigs(good, true_camera, rng):
+    """Cameras and planes drawn from the covariance, each triangulating the same pixel."""
+    names = ("fx", "fy", "cx", "cy", "left.tilt_1", "left.tilt_2", "left.distance")
+    sigma = np.array([0.5, 0.5, 0.4, 0.4, 1e-4, 1e-4, 2e-5])
+    covariance = ParameterCovariance(parameters=names, data=np.diag(sigma**2))
+    normal, distance_m = good.planes.normal[0], float(good.planes.distance_m[0])
+
+    found = depth_uncertainty(true_camera, good.planes, covariance, (0.5,)).depth_sd_m[0, 0, 4]
+
+    middle = rays(np.array([[(true_camera.image_width - 1) / 2, 0.0]]), true_camera)[0]
+    x = 0.5 * middle[0]
+    point = np.array([x, (distance_m - normal[0] * x - normal[2] * 0.5) / normal[1], 0.5])
+    pixel = project(point[None], true_camera)
+    depths = []
+    for step in rng.standard_normal((3000, 7)) * sigma:
+        matrix = true_camera.camera_matrix + np.array([[step[0], 0, step[2]], [0, step[1], step[3]], [0, 0, 0]])
+        seen = rays(pixel, replace(true_camera, camera_matrix=matrix))[0]
+        depths.append((distance_m + step[6]) / (tilted(normal, step[4:6]) @ seen))
+    assert np.std(depths) == pytest.approx(found, rel=0.08)
+
+
+def test_a_stripe_out_of_the_image_has_no_depth(good, true_camera):
+    found = depth_uncertainty(true_camera, good.planes, good.covariance, (0.05,))
+
+    assert np.isnan(found.worst_m).all()
