@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ringpose.detect.bands import predicted_windows, stripes_in
+from ringpose.detect.bands import predicted_bands
 from ringpose.detect.break_points import break_points
 from ringpose.detect.faces import Face, ring_face
 from ringpose.detect.frames import LaserImage, laser_images
@@ -61,9 +61,10 @@ def _predicted_stripes(images: list[LaserImage], predicted: BreakPoints, rig: Ri
     """The stripes in bands about the predicted ones; None if none is predicted."""
     parts = []
     for image in images:
-        windows = predicted_windows(predicted, image.lasers, rig.camera)
-        if windows:
-            parts.append(_labelled(stripes_in(windows, image), image))
+        bands = predicted_bands(predicted, image.lasers, rig.camera)
+        if bands is not None:
+            part = find_stripes(image.lit, image.dark, bands=bands, saturation_dn=image.saturation_dn)
+            parts.append(_labelled(part, image))
     return joined_stripes(parts) if parts else None
 
 

@@ -1,0 +1,41 @@
+"""Bands about predicted stripes."""
+
+import numpy as np
+
+from ringpose.bench.speed import exact_break_points, moved
+from ringpose.bench.stripe_images import Kind, stripe_image
+from ringpose.detect.bands import BAND_PX, BESIDE_PX, predicted_bands
+from ringpose.detect.stripe_centers import find_stripes
+
+IMAGE = stripe_image(Kind.DARK, 0)
+
+
+def test_bands_hold_the_ends_of_predicted_stripes_and_what_surrounds_them():
+    bands = predicted_bands(exact_break_points(IMAGE), (0, 1, 2), IMAGE.rig.camera)
+
+    assert bands is not None
+    assert bands.shape == (3, 1600, 2)
+    x, y = np.moveaxis(IMAGE.break_points_px, -1, 0)
+    columns = np.rint(x).astype(int)
+    inside = np.take_along_axis(bands, columns[..., None], axis=1)
+    assert np.all(inside[..., 0] <= y - BAND_PX + 1)
+    assert np.all(inside[..., 1] >= y + BAND_PX - 1)
+    assert np.all(np.count_nonzero(bands[..., 1], axis=1) == np.ptp(columns, axis=1) + 2 * BESIDE_PX + 1)
+
+
+def test_bands_find_the_centres_that_the_whole_frame_has_there():
+    bands = predicted_bands(moved(exact_break_points(IMAGE)), (0, 1, 2), IMAGE.rig.camera)
+
+    near, whole = find_stripes(IMAGE.image, bands=bands), find_stripes(IMAGE.image)
+
+    places = {tuple(place) for place in np.round(whole.position_px, 2).tolist()}
+    found = [tuple(place) for place in np.round(near.position_px, 2).tolist()]
+    assert len(found) > 400
+    assert np.mean([place in places for place in found]) > 0.8
+
+
+def test_no_predicted_stripe_is_no_band():
+    points = exact_break_points(IMAGE)
+    points.face_start_px[1] = np.nan
+
+    assert predicted_bands(points, (1,), IMAGE.rig.camera) is None
