@@ -220,7 +220,7 @@ def test_every_marker_of_opencvs_grid_photograph_is_found_with_its_own_dictionar
     distance = np.linalg.norm(found.points_px - expected, axis=1)
     assert len(found.ids) == 4 * 35
     assert np.median(distance) < 1.0  # gold corners are whole pixels, unrefined; their own tolerance is 1 px
-    assert distance.max() < 2.1
+    assert distance.max() < 2.5
 
 
 SIZES = {1: (7, 13), 2: (7, 13), 3: (7, 13), 4: (5, 5), 5: (5, 5), 6: (5, 5), 7: (3, 9), 8: (3, 9), 9: (3, 9)}
