@@ -118,7 +118,9 @@ _IN_PIXELS = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.0015
 
 
 def _map(figure: Figure, axes: Axes, values: Float64[Array, "map_row map_column"], camera: Camera) -> None:
-    shown = axes.imshow(np.maximum(values, 1e-6), extent=_extent(camera), origin="upper", norm="log")
+    shown = axes.imshow(
+        np.maximum(values, 1e-6), extent=_extent(camera), origin="upper", norm="log", interpolation="bilinear"
+    )
     levels = np.unique(np.quantile(values, (0.25, 0.5, 0.75, 0.9)))
     x = np.linspace(0, camera.image_width - 1, values.shape[1])
     y = np.linspace(0, camera.image_height - 1, values.shape[0])
