@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from ringpose.calibrate.intrinsics import projection_jacobians
-from ringpose.geometry.rotations import rotation_vector
+from ringpose.geometry.rotations import angle_between, rotation_vector
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.camera import Camera
@@ -17,9 +17,16 @@ def board_pose(view: BoardView, camera: Camera) -> BoardPose:
 
     A plane seen from far away has two local minima, mirrored in depth: both are refined, the better one is taken.
     """
+    return board_poses(view, camera)[0]
+
+
+def board_poses(view: BoardView, camera: Camera) -> list[BoardPose]:
+    """The same, and after it the mirrored pose if the corners cannot tell which of the two it is."""
     candidates = _planar_candidates(view.points_board_m, view.points_px, camera, cv2.SOLVEPNP_IPPE)
-    refined = [_refined(view, rigid, camera) for rigid in candidates]
-    return min(refined, key=lambda pose: pose.residual_rms_px)
+    refined = sorted((_refined(view, rigid, camera) for rigid in candidates), key=lambda pose: pose.residual_rms_px)
+    limit = RIVAL * refined[0].residual_rms_px
+    apart = [pose for pose in refined[1:] if _turned_rad(pose, refined[0]) > MIRRORED_RAD]
+    return [refined[0], *(pose for pose in apart if pose.residual_rms_px <= limit)]
 
 
 def marker_average_pose(view: BoardView, camera: Camera) -> BoardPose:
@@ -63,6 +70,13 @@ def moved_pose(pose: BoardPose, step: Float64[Array, "pose=6"]) -> BoardPose:
         residual_rms_px=pose.residual_rms_px,
     )
 
+
+def _turned_rad(pose: BoardPose, other: BoardPose) -> float:
+    return float(angle_between(pose.rotation[:, 2], other.rotation[:, 2]))
+
+
+MIRRORED_RAD = 0.01
+"""Minima whose normals are nearer to each other are one."""
 
 RIVAL = 1.5
 """A flipped solution whose error is within this factor of the better one's is still a candidate."""

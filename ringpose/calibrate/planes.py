@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ringpose.calibrate.board_pose import board_pose, marker_average_pose
+from ringpose.calibrate.board_pose import board_poses, marker_average_pose
 from ringpose.calibrate.laser_fit import laser_calibration
 from ringpose.calibrate.plane_points import triangulated
 from ringpose.calibrate.plane_solution import PlaneSolution, joint_solution, separate_solution
@@ -32,7 +32,7 @@ class PlanesModel:
 
 def calibrate_planes(views: Sequence[StripeView], camera: Camera, model: PlanesModel) -> PlanesCalibration:
     """The light planes in the camera frame, with what each view says about each of them."""
-    poses = [_pose(view, camera, model.method) for view in views]
+    poses = [_poses(view, camera, model.method) for view in views]
     evidence, remarks = stripe_evidence(views, poses, camera, model.names, model.order)
     if model.method is PlanesMethod.JOINT:
         solution = joint_solution(evidence, model.free_camera)
@@ -52,8 +52,11 @@ def calibrate_planes(views: Sequence[StripeView], camera: Camera, model: PlanesM
     )
 
 
-def _pose(view: StripeView, camera: Camera, method: PlanesMethod) -> BoardPose:
-    return marker_average_pose(view.board, camera) if method is PlanesMethod.PAPER else board_pose(view.board, camera)
+def _poses(view: StripeView, camera: Camera, method: PlanesMethod) -> list[BoardPose]:
+    """The board's pose; and the mirrored one where the corners cannot tell."""
+    if method is PlanesMethod.PAPER:
+        return [marker_average_pose(view.board, camera)]
+    return board_poses(view.board, camera)
 
 
 def _laser(laser: int, evidence: StripeEvidence, solution: PlaneSolution) -> LaserCalibration:

@@ -55,24 +55,31 @@ class StripeEvidence:
 
 def stripe_evidence(
     views: Sequence[StripeView],
-    poses: Sequence[BoardPose],
+    poses: Sequence[Sequence[BoardPose]],
     camera: Camera,
     names: tuple[str, ...],
     order: tuple[int, ...] | None,
 ) -> tuple[StripeEvidence, list[Remark]]:
-    """The views whose boards fit, their stripes given to lasers, stray stripes left out; and what to remark on them."""
-    kept, kept_poses, remarks = _good_boards(views, poses)
-    evidence = StripeEvidence(names=names, views=tuple(kept), poses=tuple(kept_poses), camera=camera)
+    """The views whose boards fit, their stripes given to lasers, stray stripes left out; and what to remark on them.
+
+    `poses` are those of each board: the likelier one, and the mirrored one where the corners cannot tell.
+    """
+    kept, remarks = _good_boards(views, [each[0] for each in poses])
+    evidence = StripeEvidence(
+        names=names,
+        views=tuple(views[index] for index in kept),
+        poses=tuple(poses[index][0] for index in kept),
+        camera=camera,
+    )
     evidence = _labelled(evidence, order)
+    evidence = _unmirrored(evidence, [poses[index] for index in kept])
     remarks += _missing(evidence)
     evidence, outlying = _agreeing(evidence)
     return evidence, remarks + outlying
 
 
-def _good_boards(
-    views: Sequence[StripeView], poses: Sequence[BoardPose]
-) -> tuple[list[StripeView], list[BoardPose], list[Remark]]:
-    """The views whose corners fit the board, their poses, and the others with the reason."""
+def _good_boards(views: Sequence[StripeView], poses: Sequence[BoardPose]) -> tuple[list[int], list[Remark]]:
+    """The views whose corners fit the board, and the others with the reason."""
     if not views:
         remedy = "give shots of the board at two or more distances, 50 mm or more apart"
         raise DataError("calibrate-planes", "no view of the board", remedy)
@@ -84,8 +91,7 @@ def _good_boards(
         for pose, kept in zip(poses, good, strict=True)
         if not kept
     ]
-    kept = np.flatnonzero(good).tolist()
-    return [views[index] for index in kept], [poses[index] for index in kept], remarks
+    return np.flatnonzero(good).tolist(), remarks
 
 
 def _labelled(evidence: StripeEvidence, order: tuple[int, ...] | None) -> StripeEvidence:
@@ -116,6 +122,42 @@ def _preliminary_planes(evidence: StripeEvidence) -> list[Plane]:
             )
         planes.append((normal, distance_m))
     return planes
+
+
+def _unmirrored(evidence: StripeEvidence, poses: Sequence[Sequence[BoardPose]]) -> StripeEvidence:
+    """Boards that may be mirrored stand where their stripes lie nearer to the planes of the other boards."""
+    sure = [index for index, each in enumerate(poses) if len(each) == 1]
+    if len(sure) == len(poses) or len(sure) < 2:
+        return evidence
+    planes = _planes_of(evidence, sure)
+    chosen = [
+        min(each, key=lambda pose, view=view: _misfit_m2(view, pose, evidence.camera, planes))  # type: ignore[misc]
+        for view, each in zip(evidence.views, poses, strict=True)
+    ]
+    return replace(evidence, poses=tuple(chosen))
+
+
+def _planes_of(evidence: StripeEvidence, chosen: Sequence[int]) -> list[Plane | None]:
+    """Of each laser by some of the views; None where those leave it open."""
+    planes: list[Plane | None] = []
+    for laser in range(len(evidence.names)):
+        points = evidence.points(laser)
+        every = np.concatenate([points[index] for index in chosen])
+        if len(every) < 3 or condition(every, np.ones(len(every))) > LARGEST_CONDITION:
+            planes.append(None)
+        else:
+            planes.append(robust_plane(every)[:2])
+    return planes
+
+
+def _misfit_m2(view: StripeView, pose: BoardPose, camera: Camera, planes: Sequence[Plane | None]) -> float:
+    """Sum over the stripes of the mean square distance from their planes, the board being at a pose."""
+    total = 0.0
+    for points_px, plane in zip(view.stripes_px, planes, strict=True):
+        if plane is not None and len(points_px):
+            normal, distance_m = plane
+            total += float(np.mean((triangulated(points_px, pose, camera) @ normal - distance_m) ** 2))
+    return total
 
 
 def _agreeing(evidence: StripeEvidence) -> tuple[StripeEvidence, list[Remark]]:

@@ -2,15 +2,18 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from ringpose.calibrate.board_pose import board_pose
 from ringpose.calibrate.plane_fits import paper_plane, robust_plane
 from ringpose.calibrate.planes import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.errors import DataError
 from ringpose.geometry.rotations import tilt_basis
+from ringpose.types.board import BoardPose
 from ringpose.types.covariance import ParameterCovariance
 
 NAMES = ("left", "middle", "right")
@@ -216,6 +219,42 @@ def test_stripes_mend_boards_of_which_a_corner_is_wrong(rng, stripe_views, true_
     joint, separate = (calibrate_planes(views, true_camera, model) for model in (MODEL, SEPARATE))
 
     assert np.linalg.norm(errors(joint, true_planes)) < 0.6 * np.linalg.norm(errors(separate, true_planes))
+
+
+def test_stripes_turn_a_board_back_that_its_corners_see_mirrored(
+    rng, board_view, stripe_views, true_poses, true_planes, true_camera
+):
+    """The corners of a small board lie between those of its pose and of the mirrored one, nearer to the latter."""
+    small = 0.02 * np.stack(np.meshgrid([0, 1, 2], [0, 1, 2], [0.0]), axis=-1).reshape(-1, 3) + [0.13, 0.1, 0]
+    views = stripe_views(true_poses(rng, 6), rng, 0.01, 0.05)
+    turn = cv2.Rodrigues(np.array([0.25, 0.3, 0.0]))[0]
+    place = np.array([0.0, 0.0, 0.7]) - turn @ [0.15, 0.12, 0.0]
+    doubtful = stripe_views([(turn, place)], rng, 0.0, 0.05)[0]
+    seen = board_view(small, (turn, place), "doubtful")
+    mirrored = next(pose for pose in both_minima(seen, true_camera) if np.abs(pose.rotation - turn).max() > 0.1)
+    other = board_view(small, (mirrored.rotation, mirrored.translation_m), "doubtful")
+    seen = replace(seen, points_px=0.47 * seen.points_px + 0.53 * other.points_px)
+    views.append(replace(doubtful, board=seen))
+
+    found = calibrate_planes(views, true_camera, MODEL)
+
+    assert np.abs(board_pose(seen, true_camera).rotation - turn).max() > 0.1
+    assert found.poses[-1].name == "doubtful"
+    assert np.abs(found.poses[-1].rotation - turn).max() < 0.1
+
+
+def both_minima(view, camera) -> list[BoardPose]:
+    _, vectors, places, _ = cv2.solvePnPGeneric(
+        view.points_board_m,
+        view.points_px,
+        camera.camera_matrix,
+        camera.distortion_coefficients,
+        flags=cv2.SOLVEPNP_IPPE,
+    )
+    return [
+        BoardPose(name="", rotation=cv2.Rodrigues(v)[0], translation_m=t.ravel(), residual_rms_px=0.0)
+        for v, t in zip(vectors, places, strict=True)
+    ]
 
 
 def test_a_bent_board_widens_the_covariance(rng, stripe_views, true_poses, true_camera):
