@@ -18,6 +18,9 @@ from ringpose.types.rig import Rig
 KINK_LEVEL = 0.25
 """A level beyond the edge of this share of the face's means that the stripe runs on: a wall."""
 
+UNCLEAR_PX = 0.75
+"""Ends with a greater sigma are flagged: two of them are the 1.5 px that no end may be off without a flag."""
+
 
 def break_points(
     face: Face, tracks: Sequence[Track], images: Sequence[LaserImage], rig: Rig, saturation_dn: int
@@ -40,9 +43,10 @@ def _named(shown: Sequence[tuple[int, Track]], ends: StripeEnds) -> Ends:
     """The ends of one image's tracks with their lasers, covariances and flags."""
     x = ends.position_px[..., 0].tolist()
     rows = zip(shown, x, ends.slope.tolist(), ends.sigma_px.tolist(), strict=True)
+    found = (ends.position_px[..., 0], ends.sigma_px, ends.outside, ends.saturated, ends.blunt)
     flags = [
         [_flags(*end) for end in zip(*sides, strict=True)]
-        for sides in zip(x, ends.outside.tolist(), ends.saturated.tolist(), ends.blunt.tolist(), strict=True)
+        for sides in zip(*(each.tolist() for each in found), strict=True)
     ]
     return Ends(
         laser=np.array([laser for laser, _ in shown], dtype=np.int64),
@@ -58,13 +62,17 @@ def _named(shown: Sequence[tuple[int, Track]], ends: StripeEnds) -> Ends:
     )
 
 
-def _flags(x: float, outside: float, saturated: bool, blunt: bool) -> int:
-    """The flags of an end at that column with that level outside; clipped if there is none."""
+def _flags(x: float, sigma: float, outside: float, saturated: bool, blunt: bool) -> int:
+    """The flags of an end at that column, of that sigma, with that level outside; clipped if there is none."""
     if math.isnan(x):
         return int(BreakPointFlag.CLIPPED)
-    kink = outside > KINK_LEVEL
-    named = ((saturated, BreakPointFlag.SATURATED), (kink, BreakPointFlag.KINK), (blunt, BreakPointFlag.BLUNT))
-    return sum(int(flag) for is_so, flag in named if is_so)
+    named = {
+        BreakPointFlag.SATURATED: saturated,
+        BreakPointFlag.KINK: outside > KINK_LEVEL,
+        BreakPointFlag.BLUNT: blunt,
+        BreakPointFlag.UNCLEAR: sigma > UNCLEAR_PX and not blunt,
+    }
+    return sum(int(flag) for flag, is_so in named.items() if is_so)
 
 
 def _covariance(slope: float, along: float, across: float) -> list[list[float]]:

@@ -20,6 +20,10 @@ CIRCLE_SIGMA_PX = 0.5
 OCCLUDED_COST = 12.0
 """Drop in squared sigmas over two that calls one end of six occluded: below 1e-5 by chance, six ends tried."""
 
+FITTED_EXACTLY = 4
+"""Two arcs about one centre go through so many ends whatever their errors: nothing is left over that would show those
+of calibration or of a stripe that is two."""
+
 SIDE_SIGMAS = 2.0
 """How clearly the curvature must say on which side the ring's centre lies."""
 
@@ -113,5 +117,7 @@ def _fit(ends: Ends, seen: Seen, rig: Rig) -> ArcFit:
     track, arc = np.nonzero(seen)
     planes = np.concatenate([rig.lasers.normal, rig.lasers.distance_m[:, None]], axis=1)
     along_px = np.sqrt(ends.covariance_px2[..., 0, 0][seen])
+    if len(track) <= FITTED_EXACTLY:
+        along_px = np.hypot(along_px, CIRCLE_SIGMA_PX)
     places = ends.position_px[seen]
     return arc_fit(places, arc.astype(np.int32), along_px, planes[ends.laser[track]], lens(rig.camera), CIRCLE_SIGMA_PX)

@@ -76,8 +76,9 @@ CONVINCING_SCORE = {3: 9.0, 2: 12.0, 1: 6.0}
 TRACK_PRICE = 3.0
 """What another track must add to the score: a piece of foil that happens to lie in the plane adds less."""
 
-CLEAR_MARGIN = 4.0
-"""Two labellings whose scores differ by less are both possible."""
+CLEAR_MARGIN = {3: 4.0, 2: 4.0, 1: math.inf}
+"""Two labellings whose scores differ by less are both possible, by number of tracks; nothing checks that of a single
+one: where stripes cross, what seems to be unseen is not, so that any other possible label is one too many."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -121,7 +122,7 @@ def ring_face(tracks: Sequence[Track], lasers: Sequence[int], rig: Rig) -> Face 
     return Face(
         tracks=tuple((int(candidates.laser[each]), tracks[candidates.track[each]]) for each in best.candidates),
         score=best.score,
-        ambiguous=best.rival > best.score - CLEAR_MARGIN,
+        ambiguous=best.rival > best.score - CLEAR_MARGIN[len(best.candidates)],
     )
 
 

@@ -3,43 +3,68 @@
 
 #include <math.h>
 
-/* The c are eliminated by centring each arc, which leaves two unknowns. */
-int fit_arcs(const End *end, int ends, Arcs *arcs) {
-    double count[2] = {0}, mean_x[2] = {0}, mean_y[2] = {0}, mean_q[2] = {0};
+/* What the equations of the two unknowns are made of, once the c are eliminated by centring each arc. */
+typedef struct {
+    double mean_x[2], mean_y[2], mean_q[2];
+    double uu, uv, vv, ut, vt;
+} Moments;
+
+/* 0 if an arc has no point. */
+static int moments_of(const End *end, int ends, Moments *m) {
+    double count[2] = {0};
+    *m = (Moments){.uu = 0};
     for (int k = 0; k < ends; k++)
         if (end[k].used) {
             int arc = end[k].arc;
             count[arc] += 1;
-            mean_x[arc] += end[k].x;
-            mean_y[arc] += end[k].y;
-            mean_q[arc] += end[k].x * end[k].x + end[k].y * end[k].y;
+            m->mean_x[arc] += end[k].x;
+            m->mean_y[arc] += end[k].y;
+            m->mean_q[arc] += end[k].x * end[k].x + end[k].y * end[k].y;
         }
     if (count[0] == 0 || count[1] == 0) return 0;
     for (int arc = 0; arc < 2; arc++) {
-        mean_x[arc] /= count[arc];
-        mean_y[arc] /= count[arc];
-        mean_q[arc] /= count[arc];
+        m->mean_x[arc] /= count[arc];
+        m->mean_y[arc] /= count[arc];
+        m->mean_q[arc] /= count[arc];
     }
-    double uu = 0, uv = 0, vv = 0, ut = 0, vt = 0;
     for (int k = 0; k < ends; k++)
         if (end[k].used) {
             int arc = end[k].arc;
-            double u = end[k].x * end[k].x + end[k].y * end[k].y - mean_q[arc];
-            double v = end[k].y - mean_y[arc], t = end[k].x - mean_x[arc];
-            uu += u * u;
-            uv += u * v;
-            vv += v * v;
-            ut += u * t;
-            vt += v * t;
+            double u = end[k].x * end[k].x + end[k].y * end[k].y - m->mean_q[arc];
+            double v = end[k].y - m->mean_y[arc], t = end[k].x - m->mean_x[arc];
+            m->uu += u * u;
+            m->uv += u * v;
+            m->vv += v * v;
+            m->ut += u * t;
+            m->vt += v * t;
         }
-    double determinant = uu * vv - uv * uv;
+    return 1;
+}
+
+static void solve(const Moments *m, int straight, Arcs *arcs) {
+    double determinant = m->uu * m->vv - m->uv * m->uv;
     arcs->a = arcs->b = 0;
-    if (determinant > 1e-12 * uu * vv) {
-        arcs->a = -(vv * ut - uv * vt) / determinant;
-        arcs->b = -(uu * vt - uv * ut) / determinant;
-    } else if (vv > 0)
-        arcs->b = -vt / vv;
-    for (int arc = 0; arc < 2; arc++) arcs->c[arc] = -mean_x[arc] - arcs->a * mean_q[arc] - arcs->b * mean_y[arc];
+    if (!straight && determinant > 1e-12 * m->uu * m->vv) {
+        arcs->a = -(m->vv * m->ut - m->uv * m->vt) / determinant;
+        arcs->b = -(m->uu * m->vt - m->uv * m->ut) / determinant;
+    } else if (m->vv > 0)
+        arcs->b = -m->vt / m->vv;
+    for (int arc = 0; arc < 2; arc++)
+        arcs->c[arc] = -m->mean_x[arc] - arcs->a * m->mean_q[arc] - arcs->b * m->mean_y[arc];
+}
+
+int fit_arcs(const End *end, int ends, Arcs *arcs) {
+    Moments moments;
+    if (!moments_of(end, ends, &moments)) return 0;
+    solve(&moments, 0, arcs);
+    return 1;
+}
+
+int fit_wide_arcs(const End *end, int ends, double radius, Arcs *arcs) {
+    Moments moments;
+    if (!moments_of(end, ends, &moments)) return 0;
+    solve(&moments, 0, arcs);
+    if (fabs(arcs_curvature(arcs)) > 1 / radius) solve(&moments, 1, arcs);
     return 1;
 }
 

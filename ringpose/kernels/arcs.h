@@ -20,6 +20,10 @@ typedef struct {
 /* 0 if an arc has no point. */
 int fit_arcs(const End *end, int ends, Arcs *arcs);
 
+/* The same, but straight where that would be of a smaller radius than this: the arcs of two stripes go through any four
+   ends, and where these lie square, the least error bends them at will. */
+int fit_wide_arcs(const End *end, int ends, double radius, Arcs *arcs);
+
 /* Distance of a point from its arc, positive towards positive x. */
 double outside_arc(const Arcs *arcs, const End *end);
 

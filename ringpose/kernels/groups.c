@@ -57,13 +57,13 @@ static int unseen_lasers(const Candidate *const member[], int size, const double
 static double arcs_cost(const End *end, int ends, double sigma, const RingLimits *limits, int free_radius) {
     Arcs arcs;
     double cost = 0;
-    if (!fit_arcs(end, ends, &arcs)) return INFINITY;
+    int fitted = free_radius ? fit_arcs(end, ends, &arcs) : fit_wide_arcs(end, ends, limits->minimum_radius, &arcs);
+    if (!fitted) return INFINITY;
     for (int k = 0; k < ends; k++)
         if (end[k].used) {
             double outside = outside_arc(&arcs, &end[k]) / sigma;
             cost += 0.5 * outside * outside;
         }
-    if (!free_radius && fabs(arcs_curvature(&arcs)) > 1 / limits->minimum_radius) return INFINITY;
     return arcs_band(&arcs) < limits->minimum_band ? INFINITY : cost;
 }
 

@@ -1,6 +1,7 @@
 """Readable NumPy twins of the kernels that look for the ring: the oracles of the tests."""
 
 from itertools import combinations, product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,24 +23,34 @@ def best_groups(
     rules: RingRules,
 ) -> tuple[Group, Group, Group]:
     """Twin of `ringpose.kernels.ring.best_groups`."""
-    one, two, three = (_best_of_size(size, track, laser, ends, merit, planes, rules) for size in (1, 2, 3))
+    pool = Pool(track, laser, ends, merit, planes)
+    one, two, three = (_best_of_size(size, pool, rules) for size in (1, 2, 3))
     return one, two, three
 
 
-def _best_of_size(
-    size: int, track: Array, laser: Array, ends: Array, merit: Array, planes: Array, rules: RingRules
-) -> Group:
+class Pool(NamedTuple):
+    """What groups are made of."""
+
+    track: Int32[Array, "candidate"]
+    laser: Int32[Array, "candidate"]
+    ends: Float64[Array, "candidate end=2 xy=2"]
+    merit: Float64[Array, "candidate"]
+    planes: Float64[Array, "laser xyz=3"]
+
+
+def _best_of_size(size: int, pool: Pool, rules: RingRules) -> Group:
     scores = {}
-    for lasers in combinations(np.unique(laser), size):
-        for members in product(*(np.flatnonzero(laser == each) for each in lasers)):
+    for lasers in combinations(np.unique(pool.laser), size):
+        for members in product(*(np.flatnonzero(pool.laser == each) for each in lasers)):
             group = list(members)
-            if len(set(track[group])) == size:
-                score = merit[group].sum() - group_cost(laser[group], ends[group], planes, rules)
-                scores[tuple(int(each) for each in group)] = float(score)
+            if len(set(pool.track[group])) == size:
+                cost = group_cost(pool.laser[group], pool.ends[group], pool.planes, rules)
+                scores[tuple(int(each) for each in group)] = float(pool.merit[group].sum() - cost)
     best = max(scores, key=lambda group: scores[group], default=())
     if not best or scores[best] == NOTHING:
         return Group((-1,) * size, NOTHING, NOTHING)
-    same = [scores[group] for group in scores if group != best and set(track[list(group)]) == set(track[list(best)])]
+    own = set(pool.track[list(best)])
+    same = [scores[group] for group in scores if group != best and set(pool.track[list(group)]) == own]
     return Group(best, scores[best], max(same, default=NOTHING))
 
 
@@ -106,14 +117,16 @@ def _arcs(flat: Array, arc: Array, sigma: float, rules: RingRules, *, free_radiu
     """Cost of points off two arcs; infinite for rings that nobody builds."""
     outside, curvature, band = arcs(flat, arc)
     if not free_radius and abs(curvature) > 1 / rules.minimum_radius_m:
-        return np.inf
+        outside, _, band = arcs(flat, arc, straight=True)
     return np.inf if band < rules.minimum_band_m else float(0.5 * np.sum((outside / sigma) ** 2))
 
 
-def arcs(flat: Float64[Array, "n xy=2"], arc: Array) -> tuple[Float64[Array, "n"], float, float]:
+def arcs(
+    flat: Float64[Array, "n xy=2"], arc: Array, *, straight: bool = False
+) -> tuple[Float64[Array, "n"], float, float]:
     """Distances of points off the arcs a (x^2 + y^2) + x + b y + c_arc = 0, their curvature, their distance."""
     x, y = flat.T
-    square = x**2 + y**2
+    square = (x**2 + y**2) * (not straight)
     rows = np.column_stack([square, y, arc == 0, arc == 1]).astype(np.float64)
     (bend, lean, *constant), *_ = np.linalg.lstsq(rows, -x, rcond=1e-13)
     residual = bend * square + x + lean * y + np.array(constant)[arc]

@@ -24,6 +24,8 @@ class BreakPointFlag(IntFlag):
     """Inner and outer edge could not be told apart: the ring's centre may lie on either side."""
     BLUNT = 32
     """The stripe fades over more columns than optics blur: the sharp edge lies somewhere in a chamfer."""
+    UNCLEAR = 64
+    """Noise, a glint or foil about the end leaves its place open: its sigma is over 0.75 px."""
 
 
 class NoBreakPoints(Enum):

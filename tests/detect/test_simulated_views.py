@@ -1,0 +1,127 @@
+"""Views in which stripes cross, leave the image or are not there: simulated with the paper's physical light planes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ringpose.detect.pipeline import detect
+from ringpose.simulate.pipeline import simulate
+from ringpose.types.break_points import BreakPointFlag, BreakPoints, NoBreakPoints
+from ringpose.types.camera import Camera
+from ringpose.types.frame import Shot
+from ringpose.types.laser_planes import LaserPlanes
+from ringpose.types.rig import Rig
+from ringpose.types.scene import Body, Light, RingShape, RingView, Scene, Sensor
+
+PITCH_RAD = np.radians([10.0, 0.0, -10.0])
+NORMALS = np.stack([np.zeros(3), np.cos(PITCH_RAD), -np.sin(PITCH_RAD)], axis=1)
+PROJECTORS_M = np.array([[-0.03, -0.04, 0.0], [0.0, -0.07, -0.02], [0.03, -0.04, 0.0]])
+OUTER_M = 0.597
+SWITCHED, ALL_ON = [0, 1, 2, 3], [4]
+
+
+def rig_of(focal_px: float, width: int, height: int) -> Rig:
+    matrix = np.array([[focal_px, 0.0, width / 2], [0.0, focal_px, height / 2], [0.0, 0.0, 1.0]])
+    return Rig(
+        camera=Camera(
+            camera_name="near",
+            image_width=width,
+            image_height=height,
+            camera_matrix=matrix,
+            distortion_model="plumb_bob",
+            distortion_coefficients=np.zeros(5),
+        ),
+        lasers=LaserPlanes(
+            names=("left", "middle", "right"),
+            normal=NORMALS,
+            distance_m=(NORMALS * PROJECTORS_M).sum(axis=1),
+            projector_m=PROJECTORS_M,
+        ),
+    )
+
+
+WIDE = rig_of(560.0, 960, 720)
+"""A lens so wide that all stripes are in view where they cross, below 170 mm."""
+NARROW = rig_of(889.0, 800, 600)
+"""The paper's lens, before pixels of 9 um."""
+
+
+def shot_of(rig: Rig, depth_m: float, frames: list[int], x_m: float = 0.582, target: str = "ring"):
+    """Some frames of a ring whose centre lies at that depth and that far to the right; and its true break points."""
+    view = RingView(
+        name="view", center_m=np.array([x_m, -0.03, depth_m]), normal=np.array([0.0, 0.0, -1.0]), target=target
+    )
+    scene = Scene(
+        rig=rig,
+        ring=RingShape(profile_m=np.array([[0.567, 0.0], [0.567, 0.06], [OUTER_M, 0.06], [OUTER_M, 0.0]])),
+        body=Body(size_m=np.array([2.2, 2.2, 1.0])),
+        lights={"dim": Light(name="dim")},
+        sensor=Sensor(pixel_m=9e-6),
+        exposure_s=0.001,
+        stripe_dn=170.0 if target == "ring" else None,
+        sequence=(0, 1, 2, 4, 7),
+        views=(view,),
+    )
+    shot, truth = next(iter(simulate(scene)))
+    parts = {name: getattr(shot, name)[frames] for name in ("images", "lasers", "stamp_s", "exposure_s")}
+    return replace(shot, **parts, device_stamp_s=None, gain_db=None, frame_id=None), truth.break_points_px
+
+
+def found(shot: Shot, rig: Rig) -> BreakPoints:
+    points = detect(shot, rig).break_points
+    assert isinstance(points, BreakPoints), points
+    return points
+
+
+@pytest.mark.parametrize(("depth_m", "right_is_lower"), [(0.15, True), (0.16, True), (0.18, False), (0.2, False)])
+def test_labels_are_right_on_both_sides_of_where_stripes_cross(depth_m, right_is_lower):
+    shot, truth_px = shot_of(WIDE, depth_m, ALL_ON)
+
+    points = found(shot, WIDE)
+
+    assert np.abs(points.position_px - truth_px).max() < 1.0
+    assert (points.position_px[2, 0, 1] > points.position_px[1, 0, 1]) == right_is_lower
+
+
+@pytest.mark.parametrize("depth_m", [0.168, 0.17, 0.172])
+def test_labels_of_crossing_stripes_are_called_ambiguous(depth_m):
+    shot, _ = shot_of(WIDE, depth_m, ALL_ON)
+
+    assert detect(shot, WIDE).break_points is NoBreakPoints.AMBIGUOUS_LABELS
+
+
+def test_switched_lasers_tell_crossing_stripes_apart():
+    shot, truth_px = shot_of(WIDE, 0.17, SWITCHED)
+
+    points = found(shot, WIDE)
+
+    assert points.labelled
+    assert np.abs(np.sort(points.position_px[..., 0]) - np.sort(truth_px[..., 0])).max() < 1.0
+
+
+def test_two_stripes_in_view_are_handed_on():
+    shot, truth_px = shot_of(NARROW, 0.22, SWITCHED)
+
+    points = found(shot, NARROW)
+
+    assert points.seen.sum(axis=1).tolist() == [2, 2, 0]
+    assert np.abs(np.sort(points.position_px[:2, :, 0]) - np.sort(truth_px[:2, :, 0])).max() < 1.0
+
+
+def test_one_stripe_in_view_is_handed_on_with_its_line_but_without_a_side():
+    shot, truth_px = shot_of(NARROW, 0.2, SWITCHED)
+
+    points = found(shot, NARROW)
+
+    assert points.seen.sum(axis=1).tolist() == [2, 0, 0]
+    assert np.all(points.flags[0] & BreakPointFlag.EDGE_UNKNOWN)
+    assert np.abs(np.sort(points.position_px[0, :, 0]) - np.sort(truth_px[0, :, 0])).max() < 1.0
+    assert np.isfinite(points.face_start_px[0]).all()
+
+
+@pytest.mark.parametrize("target", ["none", "body"])
+def test_without_a_ring_there_are_no_break_points(target):
+    shot, _ = shot_of(NARROW, 0.5, SWITCHED, target=target)
+
+    assert isinstance(detect(shot, NARROW).break_points, NoBreakPoints)
