@@ -43,3 +43,28 @@ def test_a_late_item_delays_no_other(clock):
 def test_without_a_rate_nothing_sleeps(clock):
     assert list(pace.paced("abc", None)) == ["a", "b", "c"]
     assert clock.slept_s == []
+
+
+@pytest.mark.parametrize(("rate_hz", "count"), [(2.0, 3), (0.5, 1), (10.0, 11)])
+def test_no_item_comes_after_the_duration_nor_is_it_waited_for(clock, rate_hz, count):
+    came = list(pace.paced(range(100), rate_hz, 1.0))
+
+    assert len(came) == count
+    assert clock.now_s <= 101.0
+
+
+def test_a_duration_ends_items_that_come_as_they_can(clock):
+    came = []
+    for item in pace.paced(range(100), None, 1.0):
+        came.append(item)
+        clock.now_s += 0.3
+
+    assert came == [0, 1, 2, 3]
+
+
+def test_waiting_may_be_somebody_elses(clock):
+    waited_s = []
+
+    list(pace.paced(range(3), 2.0, wait=waited_s.append))
+
+    assert waited_s == pytest.approx([0.5, 1.0])
