@@ -9,7 +9,7 @@ from contextlib import suppress
 class GuardEnd:
     """Waits, in a thread, for the end of a child process, and acts at once; a stopped one is as bad as a dead one."""
 
-    def __init__(self, pid: int, act: Callable[[], None]) -> None:
+    def __init__(self, pid: int, act: Callable[[int], None]) -> None:
         self._pid = pid
         self._act = act
         self.has_come = threading.Event()
@@ -21,6 +21,6 @@ class GuardEnd:
         with suppress(ChildProcessError):  # if it was waited for elsewhere it has ended
             os.waitid(os.P_PID, self._pid, os.WEXITED | os.WSTOPPED | os.WNOWAIT)
         try:
-            self._act()
+            self._act(self._pid)
         finally:
             self.has_come.set()

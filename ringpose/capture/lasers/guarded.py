@@ -105,10 +105,10 @@ class GuardedLasers(LaserDriver):
 
     def close(self) -> None:
         """Send the guard home; it switches off once more."""
+        self._guarding = False
         guard, self._guard = self._guard, None
         if guard is None:
             return
-        self._guarding = False
         with suppress(OSError):
             guard.stdin.close()  # type: ignore[union-attr]
         try:
@@ -173,12 +173,12 @@ class GuardedLasers(LaserDriver):
             self._end.has_come.wait(ENDING_LIMIT_S)
         return self._fault or LaserSafetyError(self.settings.port, "the guard of the lasers is lost", "cut the power")
 
-    def _guard_ended(self) -> None:
+    def _guard_ended(self, pid: int) -> None:
         """In the thread that waits for it: take the port and switch off."""
         if not self._guarding:
             return
         with suppress(ProcessLookupError):
-            os.kill(self.guard_pid, signal.SIGKILL)  # it may only have been stopped
+            os.kill(pid, signal.SIGKILL)  # it may only have been stopped
         try:
             _switch_off(self.settings)
         except DeviceError as error:
