@@ -225,6 +225,27 @@ def test_a_user_without_rights_loses_no_frame(serve, example_folder):
     assert frames <= 30 + 1  # the first frame may have to be taken again
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("faults", "goes_dark"), [((), True), (("--fault", "keeps-lines"), False)])
+def test_a_killed_capture_leaves_lasers_at_lines_to_the_cameras_heartbeat(serve, faults, goes_dark):
+    uris = serve("--move", "never", *faults)
+    devices = ["--camera", uris["camera"], "--lasers", uris["lasers"]]
+    words = ["capture", *devices, "--sequence", "off" + 60 * ",1", "--output", "killed", "--quiet"]
+    running = subprocess.Popen([sys.executable, "-c", COMMAND, *words], stdout=subprocess.PIPE)
+    running.stdout.readline()
+    time.sleep(0.6)  # in the midst of sixty frames with the laser
+    running.kill()
+    running.wait()
+    running.stdout.close()
+    time.sleep(3.5)
+
+    status = main(["capture", *devices, "--lasers", "none:", "--sequence", "all", "--count", "1", "--output", "after"])
+
+    last = json.loads(Path("log.jsonl").read_text().splitlines()[-1])
+    assert status == 0
+    assert (last["laser_shares"] == [0.0, 0.0, 0.0]) is goes_dark
+
+
 def findings(capsys) -> dict[str, dict[str, str]]:
     return {found["check"]: found for found in map(json.loads, capsys.readouterr().out.splitlines())}
 

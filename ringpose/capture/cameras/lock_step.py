@@ -53,6 +53,7 @@ class LockStepCamera(CameraDriver):
         self._skip = int(uri.number("skip", 0))
         self._gain_db: float | None = None
         self._ready_lines: set[str] = set()
+        self._description: CameraDescription | None = None
         self._last_id: int | None = None
         self._own_exposure_s = self._exposure_s = self._armed_s = 0.0
         if self._pixel_format and self._pixel_format not in SATURATION_DN:
@@ -60,7 +61,7 @@ class LockStepCamera(CameraDriver):
 
     def open(self) -> None:
         """Take the camera and set it to single frames by software trigger."""
-        self.dropped, self._last_id, self._ready_lines = 0, None, set()
+        self.dropped, self._last_id, self._ready_lines, self._description = 0, None, set(), None
         self._connect()
         if self._pixel_format:
             self.set("PixelFormat", self._pixel_format)
@@ -120,10 +121,14 @@ class LockStepCamera(CameraDriver):
         self.set("UserOutputValue", high)
 
     def describe(self) -> CameraDescription:
-        """Which camera it is."""
-        name, width, height = self._identity()
-        saturation_dn = SATURATION_DN.get(self._format(), 65535)
-        return CameraDescription(name=name, image_width=width, image_height=height, saturation_dn=saturation_dn)
+        """Which camera it is, as it was when it was opened."""
+        if self._description is None:
+            name, width, height = self._identity()
+            full_dn = SATURATION_DN.get(self._format(), 65535)
+            self._description = CameraDescription(
+                name=name, image_width=width, image_height=height, saturation_dn=full_dn
+            )
+        return self._description
 
     def _expose_for(self, exposure_s: float) -> None:
         if exposure_s == self._exposure_s or self._number("ExposureTime") is None:

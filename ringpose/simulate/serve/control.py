@@ -15,6 +15,9 @@ from ringpose.wire.gvcp import Answer, Command, Request, Status, resend_range, w
 Client = tuple[str, int]
 """Address and port."""
 
+MOST_READ = 536
+"""Bytes that one answer holds."""
+
 
 @runtime_checkable
 class Actions(Protocol):
@@ -112,6 +115,8 @@ class Control:
         if len(request.words) < 2:
             return Status.INVALID_PARAMETER, b""
         address, size = request.words[0], request.words[1] & 0xFFFF
+        if size > MOST_READ:
+            return Status.INVALID_PARAMETER, b""
         data = self.registers.read(address, size)
         if data is None:
             return Status.INVALID_ADDRESS, b""

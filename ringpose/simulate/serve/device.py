@@ -24,6 +24,10 @@ from ringpose.wire import gige_registers as bootstrap
 from ringpose.wire.gvcp import PORT, answer_bytes, request_in
 from ringpose.wire.gvsp import UDP_OVERHEAD, Leader, PixelFormat, StreamedFrame, block_after, piece_size
 
+LARGEST_PACKET = 16260
+
+SMALLEST_PACKET = 576
+
 
 @runtime_checkable
 class Exposures(Protocol):
@@ -152,8 +156,7 @@ class ServedCamera:
 
     @property
     def _exposure_s(self) -> float:
-        low, high = features.EXPOSURE_BOUNDS_US
-        return float(np.clip(self.registers.number(features.EXPOSURE_TIME), low, high)) * 1e-6
+        return 1e-6 * self.registers.number(features.EXPOSURE_TIME, features.EXPOSURE_BOUNDS_US)
 
     def _serve_control(self) -> None:
         while not self._ended.is_set():
@@ -166,7 +169,8 @@ class ServedCamera:
                 request = request_in(datagram)
                 answer = None if request is None else self._control.answer(request, client, time.monotonic())
                 if answer is not None:
-                    self._sockets[0].sendto(answer_bytes(answer), client)
+                    with suppress(OSError):  # a client that is gone
+                        self._sockets[0].sendto(answer_bytes(answer), client)
 
     def _expose(self) -> None:
         while not self._ended.is_set():
@@ -189,15 +193,13 @@ class ServedCamera:
                 return None
         due_s = self._exposed_until_s or time.monotonic()
         time.sleep(max(0.0, due_s - time.monotonic()))
-        self._exposed_until_s = max(due_s, time.monotonic()) + 1.0 / max(self._frame_rate_hz, 0.1)
+        rate_hz = self.registers.number(features.FRAME_RATE, features.FRAME_RATE_BOUNDS_HZ)
+        self._exposed_until_s = max(due_s, time.monotonic()) + 1.0 / rate_hz
         return time.monotonic()
 
-    @property
-    def _frame_rate_hz(self) -> float:
-        return float(np.clip(self.registers.number(features.FRAME_RATE), *features.FRAME_RATE_BOUNDS_HZ))
-
     def _send(self, began_s: float, exposure_s: float) -> None:
-        pixel_format, gain_db = self.registers.pixel_format, self.registers.number(features.GAIN)
+        pixel_format = self.registers.pixel_format
+        gain_db = self.registers.number(features.GAIN, features.GAIN_BOUNDS_DB)
         bits: Literal[8, 12] = 8 if pixel_format is PixelFormat.MONO8 else 12
         image, note = self._exposures.image(began_s, exposure_s, gain_db, bits)
         self._block = block_after(self._block)
@@ -207,12 +209,16 @@ class ServedCamera:
             width=image.shape[1],
             height=image.shape[0],
         )
-        packet_size = self.registers[bootstrap.STREAM_PACKET_SIZE] & bootstrap.PACKET_SIZE_MASK
+        packet_size = min(self.registers[bootstrap.STREAM_PACKET_SIZE] & bootstrap.PACKET_SIZE_MASK, LARGEST_PACKET)
         data = memoryview(image.astype("<u2" if bits > 8 else np.uint8, copy=False).tobytes())
         if self._noted is not None:
             self._noted({"frame_id": self._block, "began_s": began_s, "exposure_s": exposure_s, **note})
         self._frames += 1
-        self.stream.send(StreamedFrame(block=self._block, leader=leader, data=data, piece_size=piece_size(packet_size)))
+        self.stream.send(
+            StreamedFrame(
+                block=self._block, leader=leader, data=data, piece_size=piece_size(max(packet_size, SMALLEST_PACKET))
+            )
+        )
 
 
 def _bound(address: str, *, shared: bool) -> socket.socket:

@@ -56,10 +56,10 @@ class Registers:
     def __setitem__(self, address: int, value: int) -> None:
         struct.pack_into(">I", self._memory, address, value & 0xFFFFFFFF)
 
-    def number(self, address: int) -> float:
-        """A floating-point number."""
+    def number(self, address: int, bounds: tuple[float, float]) -> float:
+        """A floating-point number within its bounds, whatever a client wrote; the least for what is no number."""
         (value,) = struct.unpack_from(">d", self._memory, address)
-        return float(value)
+        return float(min(value, bounds[1])) if value > bounds[0] else bounds[0]
 
     def set_number(self, address: int, value: float) -> None:
         """Write a floating-point number."""

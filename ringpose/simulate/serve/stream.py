@@ -4,6 +4,7 @@ import socket
 import threading
 import time
 from collections import OrderedDict
+from contextlib import suppress
 
 import numpy as np
 
@@ -69,8 +70,9 @@ class Stream:
             self._send_packets(frame, numbers)
 
     def send_bytes(self, datagram: bytes, client: tuple[str, int]) -> None:
-        """A datagram that is part of no frame."""
-        self._socket.sendto(datagram, client)
+        """A datagram; one that cannot be sent is lost as on any network."""
+        with suppress(OSError):
+            self._socket.sendto(datagram, client)
 
     def close(self) -> None:
         """Let go of the socket."""
@@ -85,4 +87,4 @@ class Stream:
         self.lost_packets += int(lost.sum())
         for number, is_lost in zip(numbers, lost.tolist(), strict=True):
             if not is_lost:
-                self._socket.sendto(frame.datagram(number), client)
+                self.send_bytes(frame.datagram(number), client)

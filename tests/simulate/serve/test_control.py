@@ -1,6 +1,8 @@
 """Who may write to the camera, and for how long."""
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from ringpose.simulate.serve import features
 from ringpose.simulate.serve.control import Control
@@ -147,6 +149,24 @@ def test_what_cannot_be_written_is_refused(control, address, status):
 def test_an_address_that_is_not_there_is_refused(control):
     assert asked(control, Command.READ_MEMORY, read_memory_payload(0xFFFFFF00, 8)).status == Status.INVALID_ADDRESS
     assert asked(control, Command.READ_REGISTER, b"\xff\xff\xff\xfc").status == Status.INVALID_ADDRESS
+
+
+@given(
+    st.lists(st.tuples(st.sampled_from([0x02, 0x40, 0x80, 0x82, 0x84, 0x86]), st.binary(max_size=24)), max_size=8),
+    st.integers(0, 0xFFFF),
+)
+def test_no_request_whatsoever_stops_the_camera(commands, address):
+    identity = Identity(address="127.0.0.1", width=4, height=3, bits=8, exposure_s=0.01)
+    control = Control(Registers(identity), Recorded())
+    written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
+
+    for command, payload in commands:
+        for start in (b"", (address & ~3).to_bytes(4, "big")):
+            control.answer(Request(command=command, number=1, payload=start + payload), OWNER, 0.0)
+
+    low, high = features.EXPOSURE_BOUNDS_US
+    assert low <= control.registers.number(features.EXPOSURE_TIME, features.EXPOSURE_BOUNDS_US) <= high
+    assert asked(control, Command.DISCOVERY).status == Status.SUCCESS
 
 
 def test_an_unknown_command_is_answered_so(control):
