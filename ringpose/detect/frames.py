@@ -37,8 +37,9 @@ def laser_images(shot: Shot, count: int) -> list[LaserImage]:
     ambient light of a tumbling target changes.
     """
     images, covered, saturation_dn = [], 0, shot.saturation_dn
-    for number in sorted(range(len(shot.lasers)), key=lambda each: (int(shot.lasers[each]).bit_count(), each)):
-        mask = int(shot.lasers[number])
+    masks: list[int] = shot.lasers.tolist()
+    for number in sorted(range(len(masks)), key=lambda each: (masks[each].bit_count(), each)):
+        mask = masks[number]
         new = mask & ~covered & ((1 << count) - 1)
         if new:
             lasers = tuple(laser for laser in range(count) if new >> laser & 1)
@@ -51,9 +52,10 @@ def laser_images(shot: Shot, count: int) -> list[LaserImage]:
 
 def _dark(shot: Shot, number: int, also_on: int) -> UInt[Array, "row column"] | None:
     """The frame nearest in time with exactly the lasers on that were on besides the new ones; None without one."""
-    same = np.flatnonzero(shot.lasers == also_on)
-    if not len(same):
+    same = [each for each, mask in enumerate(shot.lasers.tolist()) if mask == also_on]
+    if not same:
         return None
-    nearest = same[np.argmin(np.abs(shot.stamp_s[same] - shot.stamp_s[number]))]
-    dark: UInt[Array, "row column"] = shot.images[nearest]
+    dark: UInt[Array, "row column"] = shot.images[
+        min(same, key=lambda each: abs(shot.stamp_s[each] - shot.stamp_s[number]))
+    ]
     return dark

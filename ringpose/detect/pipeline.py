@@ -90,8 +90,7 @@ def _all_stripes(images: list[LaserImage], source: StripeSource) -> tuple[Stripe
 
 def _labelled(stripes: Stripes, image: LaserImage) -> Stripes:
     """Stripes with their laser, where a frame shows only one."""
-    label = image.lasers[0] if image.labelled else UNLABELLED
-    return replace(stripes, laser=np.full_like(stripes.laser, label))
+    return replace(stripes, laser=np.full_like(stripes.laser, image.lasers[0])) if image.labelled else stripes
 
 
 def _joined_segments(parts: list[Segments]) -> Segments:

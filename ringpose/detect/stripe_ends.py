@@ -6,6 +6,7 @@ on a wall, a leak of the stripe on the body behind) as an error function; speckl
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -104,6 +105,7 @@ def stripe_ends(tracks: Sequence[Track], image: LaserImage, camera: Camera, satu
     )
 
 
+@lru_cache(maxsize=4)
 def _rules(saturation_dn: int) -> EndRules:
     return EndRules(
         saturation_dn=saturation_dn,
