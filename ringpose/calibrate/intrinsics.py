@@ -61,13 +61,26 @@ def intrinsic_information(
     parameters = 4 + len(camera.distortion_coefficients)
     information = np.zeros((parameters, parameters))
     for view, pose in zip(views, poses, strict=True):
-        by_pose, by_camera = (
-            j.reshape(-1, j.shape[-1]) for j in projection_jacobians(view.points_board_m, pose, camera)
-        )
-        orthogonal, _ = np.linalg.qr(by_pose)
-        rest = by_camera - orthogonal @ (orthogonal.T @ by_camera)
+        rest = _beyond_pose(view, pose, camera)
         information += rest.T @ rest
     return information
+
+
+def intrinsic_score(
+    view: BoardView, pose: BoardPose, camera: Camera, residual_px: Float64[Array, "corner xy=2"]
+) -> Float64[Array, "parameter"]:
+    """One view's part of the right side of the normal equations; those of all views cancel at the solution."""
+    score: Float64[Array, "parameter"] = _beyond_pose(view, pose, camera).T @ residual_px.ravel()
+    return score
+
+
+def _beyond_pose(view: BoardView, pose: BoardPose, camera: Camera) -> Float64[Array, "row parameter"]:
+    """Derivatives by the intrinsic parameters, less what the pose can take up."""
+    both = projection_jacobians(view.points_board_m, pose, camera)
+    by_pose, by_camera = (j.reshape(-1, j.shape[-1]) for j in both)
+    orthogonal, _ = np.linalg.qr(by_pose)
+    rest: Float64[Array, "row parameter"] = by_camera - orthogonal @ (orthogonal.T @ by_camera)
+    return rest
 
 
 def covariance_of_free(

@@ -14,6 +14,7 @@ from ringpose.calibrate.camera_assessment import camera_assessment, widened
 from ringpose.calibrate.camera_model import PLUMB_BOB
 from ringpose.calibrate.camera_quality import camera_quality, camera_summary, projection_sigma_m
 from ringpose.calibrate.camera_verdict import camera_verdict
+from ringpose.calibrate.cross_validation import cameras_one_step_away, cameras_without_one
 from ringpose.calibrate.projection_map import displacement_px, image_map, projection_sigma_px
 from ringpose.types.board import Board, BoardView
 from ringpose.types.verdict import Grade, Verdict
@@ -241,3 +242,24 @@ def test_the_manual_lists_every_limit(views):
     assert [redo if redo == "none" else float(redo) for _, _, redo in listed] == [
         "none" if np.isinf(redo) else pytest.approx(redo, rel=0.03) for _, _, redo in limits
     ]
+
+
+def test_one_step_leaves_out_a_view_nearly_as_solving_anew_does(views):
+    boards = views(15)
+    found = calibrate_camera(boards, 1600, 1200).camera
+    where = image_map(found)
+
+    stepped = cameras_one_step_away(boards, found, PLUMB_BOB)
+    solved = cameras_without_one(boards, found, PLUMB_BOB)
+
+    apart_px = [np.median(displacement_px(*pair, where)) for pair in zip(stepped, solved, strict=True)]
+    moved_px = [np.median(displacement_px(found, camera, where)) for camera in solved]
+    assert np.mean(apart_px) < 0.1 * np.mean(moved_px)
+
+
+def test_many_views_of_noise_alone_agree(views):
+    boards = views(25)
+
+    verdict = verdict_of(calibrate_camera(boards, 1600, 1200), boards)
+
+    assert 0.5 < value(verdict, "view_disagreement") < 1.7
