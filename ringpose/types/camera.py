@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.covariance import ParameterCovariance
+from ringpose.types.distortion_model import DistortionModel
 
-DISTORTION_COEFFICIENTS = {"plumb_bob": 5, "rational_polynomial": 8}
+DISTORTION_COEFFICIENTS = {DistortionModel.PLUMB_BOB.value: 5, DistortionModel.RATIONAL_POLYNOMIAL.value: 8}
 """The distortion models of ROS that OpenCV computes, with the number of their coefficients."""
 
 
