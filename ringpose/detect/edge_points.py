@@ -18,6 +18,9 @@ GROUP = 3
 STRETCH = 15
 """Neighbouring steps, or points, whose scatter tells the size of their errors."""
 
+SHARED = 6
+"""So many of them, as large as the edge's are on average, are added: a few that agree by chance say little."""
+
 OUTLIER_SIGMAS = 3.5
 """What lies off the ring by more is none of it, and counts in the scatter as if it were so far off."""
 
@@ -106,7 +109,8 @@ def _scale(points: _Points) -> Float64[Array, "n"]:
         near = _stretches(deviation[here])
         middle = np.sort(near, axis=-1)[:, near.shape[1] // 2, None]
         near = np.minimum(near, OUTLIER_SIGMAS * 1.4826 * middle)
-        scale[here] = np.sqrt(np.einsum("ij,ij->i", near, near) / near.shape[1])
+        squares = np.einsum("ij,ij->i", near, near)
+        scale[here] = np.sqrt((squares + SHARED * squares.mean() / near.shape[1]) / (near.shape[1] + SHARED))
     return np.maximum(scale, 1e-3)
 
 

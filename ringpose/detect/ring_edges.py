@@ -43,6 +43,9 @@ PREDICTED_SIGMA_PX = 1.3
 WALK_SPACING_PX = 12
 """Distance of the steps that are looked for on the way."""
 
+FIRST_SPACING_PX, FIRST_PX = 4, 600
+"""Nearer as long as less of both edges than this is predicted: of so few steps none is to be left out."""
+
 WALK_REACH_PX, REACH_PX = 4, 2
 """How far from the predicted edge a step is looked for, on the way and in the end."""
 
@@ -137,14 +140,15 @@ def followed_arcs(
     arcs, covariance = fitted_arcs(evidence.start, evidence, NO_SIGHTS, 5, np.inf)
     if covariance[TURN, TURN] > TURN_SIGMA_RAD**2:
         arcs, covariance = fitted_arcs(arcs, evidence, sights_beside_stripe(arcs, frame, rig), 4)
-    reached = 0
+    reached_px = 0.0
     for _ in range(ROUNDS):
         if not possible(arcs):
             return None
-        trace = edge_trace(arcs, covariance, rig, WALK_SPACING_PX, PREDICTED_SIGMA_PX)
-        if len(trace.side) <= reached * FARTHER:
+        spacing_px = FIRST_SPACING_PX if reached_px < FIRST_PX else WALK_SPACING_PX
+        trace = edge_trace(arcs, covariance, rig, spacing_px, PREDICTED_SIGMA_PX)
+        if len(trace.side) * spacing_px <= reached_px * FARTHER:
             break
-        reached = len(trace.side)
+        reached_px = len(trace.side) * spacing_px
         trace = clear_of_stripes(frame, trace)
         sights = step_sights(trace, steps_beside(frame, trace, WALK_REACH_PX))
         if len(sights.side) < LEAST_SHARE * len(trace.side):

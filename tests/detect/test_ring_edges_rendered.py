@@ -65,5 +65,9 @@ def test_most_lit_shots_show_a_hundred_points(edges):
     assert len(counts) >= 22
 
 
-def test_stripes_in_the_dark_show_no_edges(edges):
-    assert not lit(edges, "dim")
+def test_edges_that_show_in_the_light_of_stripes_alone_are_the_rings(edges):
+    shots = lit(edges, "dim")
+
+    assert len(shots) <= 2
+    assert np.mean(np.concatenate([(error / sigma) ** 2 for error, sigma in shots])) < 1.25
+    assert all(np.abs(error / sigma).max() < 5 for error, sigma in shots)
