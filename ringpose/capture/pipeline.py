@@ -200,8 +200,15 @@ def _shot(name: str, frames: Sequence[Frame], read_masks: Sequence[int | None], 
         gain_db=np.array(gains, dtype=np.float64) if len(gains) == len(frames) else None,
         frame_id=np.array(ids, dtype=np.int64) if len(ids) == len(frames) else None,
         read_lasers=np.array(reported, dtype=np.uint8) if len(reported) == len(frames) else None,
-        meta=meta,
+        meta={**meta, **_mishaps(frames)},
     )
+
+
+def _mishaps(frames: Sequence[Frame]) -> Mapping[str, Any]:
+    """Frames that were taken again, or that were lost, if there are any."""
+    attempts, dropped = [frame.attempts for frame in frames], sum(frame.dropped for frame in frames)
+    again = {"attempts": attempts} if max(attempts) > 1 else {}
+    return again | ({"dropped_frames": dropped} if dropped else {})
 
 
 def _names(mask: int) -> str:

@@ -91,6 +91,7 @@ def capture(
     with ExitStack() as stack:
         for part in (writer, *source.devices):
             stack.enter_context(part)
+        writer.name_camera(source.camera_name())
         for line in source.warnings():
             messages.say(line)
         _write(source.shots(writer.read_from, writer.names), writer, batch, verbose, quiet)

@@ -62,6 +62,8 @@ class Source:
     """To be entered, in this order, while shots are taken."""
     warnings: Callable[[], tuple[str, ...]] = tuple
     """What the user should know about the devices, once they are entered."""
+    camera_name: Callable[[], str | None] = lambda: None
+    """What the camera calls itself, once it is entered."""
 
 
 def source_of(wanted: Wanted, batch: Batch) -> Source:
@@ -123,8 +125,7 @@ def _simulated(scene_file: Path, wanted: Wanted) -> Source:
             else:
                 yield view.name
 
-    source = _of_devices(replace(wanted, steps=steps), camera, lasers, names, scene_file)
-    return replace(source, capture=replace(source.capture, camera_name=description.name))
+    return _of_devices(replace(wanted, steps=steps), camera, lasers, names, scene_file)
 
 
 def _taken(wanted: Wanted) -> Source:
@@ -177,7 +178,13 @@ def _of_devices(
         return captured_shots(camera, lasers, procedure, due)
 
     capture = replace(_capture(wanted, "none:"), laser_count=lasers.count, laser_names=wanted.laser_names)
-    return Source(capture=capture, shots=shots, devices=(camera, lasers), warnings=lasers.warnings)
+    return Source(
+        capture=capture,
+        shots=shots,
+        devices=(camera, lasers),
+        warnings=lasers.warnings,
+        camera_name=lambda: camera.describe().name,
+    )
 
 
 def _refuse_long_light(procedure: "Procedure", lasers: LaserDriver) -> None:

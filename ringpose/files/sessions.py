@@ -92,6 +92,11 @@ class SessionWriter:
         self._shots.append(shot.name)
         return path
 
+    def name_camera(self, name: str | None) -> None:
+        """What the camera calls itself, which it says only when it is open."""
+        self._capture = replace(self._capture, camera_name=name)
+        self._write("capturing")
+
     def read_from(self, path: Path) -> None:
         """Remember an input by its hash."""
         self._inputs[str(path)] = sha256(path)

@@ -33,6 +33,8 @@ class Frame:
     gain_db: float | None = None
     attempts: int = 1
     """Triggers that it took to get this frame whole."""
+    dropped: int = 0
+    """Frames that the camera numbered since the one before, and that never came."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -14,6 +14,7 @@ import pytest
 from served_scene import small_scene
 
 from ringpose.cli.main import main
+from ringpose.files.sessions import read_session
 from ringpose.files.shots import read_shot
 
 pytestmark = pytest.mark.usefixtures("_aravis")
@@ -63,6 +64,18 @@ def wrong_labels(folder: str = "s") -> list[str]:
         if shot.lasers.tolist() != truth or shot.seen_lasers.tolist() != truth or any(dark):
             wrong.append(path.stem)
     return wrong
+
+
+def test_what_went_wrong_on_the_way_is_kept_with_the_shot(serve):
+    uris = serve("--fault", "loss=0.01", "--fault", "no-resend")
+
+    status = capture(uris, "--sequence", "off,1", "--count", "8")
+
+    shots = [read_shot(path) for path in sorted(Path("s").glob("*.npz"))]
+    attempts = [shot.meta.get("attempts", [1, 1]) for shot in shots]
+    assert status == 0
+    assert max(map(max, attempts)) > 1
+    assert read_session(Path("s")).captures[0].camera_name.startswith("ringpose-Stand-in-RP")
 
 
 @pytest.mark.parametrize("relay", ["none", "lcus", "numato", "modbus", "ascii"])

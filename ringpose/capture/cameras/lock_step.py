@@ -80,6 +80,7 @@ class LockStepCamera(CameraDriver):
     def trigger(self, lasers: int, exposure_s: float | None = None) -> Frame:
         """A whole frame, if need be in several attempts."""
         self._expose_for(self._armed_s if exposure_s is None else exposure_s)
+        dropped_before = self.dropped
         for attempt in range(1, TRIES + 1):
             grab = self._grab(self._exposure_s + self._timeout_s)
             self._count(grab.frame_id)
@@ -93,6 +94,7 @@ class LockStepCamera(CameraDriver):
                     frame_id=grab.frame_id,
                     gain_db=self._gain_db,
                     attempts=attempt,
+                    dropped=self.dropped - dropped_before,
                 )
             if grab.is_late:
                 self._restart()
