@@ -1,6 +1,5 @@
 """`ringpose calibrate-camera`: images of a board -> camera.yaml."""
 
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
@@ -9,17 +8,11 @@ import typer
 from ringpose.cli.app import app
 from ringpose.cli.board_print import OptionalInputs, OptionalOutput, PrintBoard, given
 from ringpose.cli.options import BoardFile, BoardOverlay, Force, ImageChannel, Quiet, Report, Verbose
+from ringpose.types.distortion_model import DistortionModel
 
 if TYPE_CHECKING:
     from ringpose.calibrate.camera_model import CameraModel
     from ringpose.cli.board_views import BoardImages
-
-
-class DistortionModel(StrEnum):
-    """A distortion model under its name in ROS."""
-
-    PLUMB_BOB = "plumb_bob"
-    RATIONAL_POLYNOMIAL = "rational_polynomial"
 
 
 Model = Annotated[DistortionModel, typer.Option("--distortion-model", help="How the lens bends rays.")]
