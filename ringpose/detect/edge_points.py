@@ -134,4 +134,5 @@ def _edges(points: _Points) -> list[Int64[Array, "m"]]:
 def _stretches(values: Float64[Array, "n"]) -> Float64[Array, "n near"]:
     """The values of each one's neighbours, mirrored at the ends."""
     half = min(STRETCH, len(values)) // 2
-    return np.lib.stride_tricks.sliding_window_view(np.pad(values, half, mode="symmetric"), 2 * half + 1)
+    mirrored = np.concatenate([values[half - 1 :: -1], values, values[: -half - 1 : -1]])
+    return mirrored[np.arange(len(values))[:, None] + np.arange(2 * half + 1)]
