@@ -135,4 +135,5 @@ def _stretches(values: Float64[Array, "n"]) -> Float64[Array, "n near"]:
     """The values of each one's neighbours, mirrored at the ends."""
     half = min(STRETCH, len(values)) // 2
     mirrored = np.concatenate([values[half - 1 :: -1], values, values[: -half - 1 : -1]])
-    return mirrored[np.arange(len(values))[:, None] + np.arange(2 * half + 1)]
+    near: Float64[Array, "n near"] = mirrored[np.arange(len(values))[:, None] + np.arange(2 * half + 1)]
+    return near
