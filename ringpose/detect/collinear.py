@@ -8,7 +8,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from ringpose.detect.tracks import Track
+from ringpose.types.arrays import Array, Float64
 
 LEAST_SPILT = 5
 """A track with fewer centres on its line beyond its ends has nothing to be joined to."""
@@ -19,33 +22,45 @@ LONGEST_GAP = 0.5
 APART_PX, APART_SIGMAS = 1.0, 3.0
 """How far apart the lines may be in the middle of the gap: facets behind a stripe, and their own errors."""
 
+FARTHEST_PX = 6.0
+"""Lines farther apart than this are not compared any further."""
+
 ROUNDS = 2
 """Pieces of three or four are joined two by two."""
 
 
 def collinear_tracks(tracks: Sequence[Track]) -> list[Track]:
     """The unions of tracks that could be pieces of one stripe; none where nothing lies on the tracks' lines."""
-    pieces = sorted(
-        (track for track in tracks if track.spilt >= LEAST_SPILT and not track.clipped), key=lambda track: track.x_start
-    )
+    pieces = [track for track in tracks if track.spilt >= LEAST_SPILT and not track.clipped]
     unions: list[Track] = []
     left = pieces
     for _ in range(ROUNDS):
-        left = [
-            union(first, second)
-            for first in left
-            for second in pieces
-            if second.x_start > first.x_end and _continues(first, second)
-        ]
+        left = [union(left[i], pieces[j]) for i, j in _near(left, pieces) if _meet(left[i], pieces[j])]
         unions += left
     return unions
 
 
-def _continues(first: Track, second: Track) -> bool:
+def _near(left: Sequence[Track], right: Sequence[Track]) -> list[tuple[int, int]]:
+    """Which tracks of the right begin not far from the end of which of the left, about on their lines."""
+    if not left or not right:
+        return []
+    first, second = _table(left)[:, :, None], _table(right)[:, None]
+    gap = second[1] - first[2]
+    middle = first[2] + gap / 2
+    apart = first[4] + first[5] * (middle - first[3]) - second[4] - second[5] * (middle - second[3])
+    lengths = first[2] - first[1] + second[2] - second[1]
+    near = (first[0] == second[0]) & (gap > 0) & (gap <= LONGEST_GAP * lengths) & (np.abs(apart) < FARTHEST_PX)
+    return [(i, j) for i, j in np.argwhere(near).tolist()]
+
+
+def _table(tracks: Sequence[Track]) -> Float64[Array, "field=6 track"]:
+    """Laser, start, end, middle and slope of tracks."""
+    rows = [(t.laser, t.x_start, t.x_end, t.middle_x, t.middle_y, t.slope) for t in tracks]
+    return np.array(rows, dtype=np.float64).T
+
+
+def _meet(first: Track, second: Track) -> bool:
     """Whether the second track, which lies to the right, can be on the first one's line."""
-    gap = second.x_start - first.x_end
-    if first.laser != second.laser or gap > LONGEST_GAP * (first.length + second.length):
-        return False
     middle = (first.x_end + second.x_start) / 2
     sigma = math.hypot(first.sigma(middle), second.sigma(middle))
     return abs(first.y(middle) - second.y(middle)) < APART_PX + APART_SIGMAS * sigma

@@ -115,6 +115,13 @@ def test_a_saturated_stripe_is_flagged(rig, rng):
     assert np.all(points.flags & BreakPointFlag.SATURATED)
 
 
+def test_edges_with_a_chamfer_are_flagged_blunt_and_known_worse(rig, rng):
+    points = found(draw_shot(DrawnScene(edge_sigma_px=3.0), rig, SWITCHED, rng), rig)
+
+    assert np.all(points.flags & BreakPointFlag.BLUNT)
+    assert np.all(points.covariance_px2[..., 0, 0] > 1.0)
+
+
 def test_the_paper_segments_find_the_same_ring(rig, rng):
     scene = DrawnScene(noise_dn=0.5)
     shot = draw_shot(scene, rig, SWITCHED, rng)

@@ -143,3 +143,40 @@ def test_the_table_of_the_header_is_the_normal_distribution():
     numbers = (Path(__file__).parents[2] / "ringpose/kernels/normal_cdf.h").read_text().split("{")[1].split("}")[0]
 
     assert [float(each) for each in numbers.split(",")] == normal_cdf_table()
+
+
+@pytest.mark.parametrize(("blur", "blunt"), [(0.6, 0.0), (1.2, 0.0), (3.0, 1.0)])
+def test_an_end_that_fades_over_more_than_the_stripe_is_thick_is_blunt(rng, blur, blunt):
+    lit = image(drawn(100.3, 199.6, blur=blur), rng, 1.5)
+
+    found = stripe_ends(lit, None, LINE, STRAIGHT, RULES)
+
+    np.testing.assert_array_equal(found[0, :, 8], [blunt, blunt])
+
+
+def test_a_blunt_end_is_known_no_better_than_it_is_wide(rng):
+    lit = image(drawn(100.3, 199.6, blur=3.0), rng, 1.5)
+
+    found = stripe_ends(lit, None, LINE, STRAIGHT, RULES)
+
+    assert np.all(found[0, :, 3] > 2.0)
+
+
+@pytest.mark.parametrize("sigma", [1.0, 1.6, 2.4, 3.2])
+@pytest.mark.parametrize("peak", [40.0, 150.0, 450.0])
+def test_the_width_of_the_section_is_found_under_noise_and_saturation(rng, sigma, peak):
+    lit = image(drawn(100.0, 200.0, peak=peak, sigma=sigma), rng, 1.5)
+
+    found = stripe_ends(lit, None, LINE, STRAIGHT, RULES)
+
+    np.testing.assert_allclose(found[0, :, 7], sigma, rtol=0.06)
+
+
+def test_a_step_of_the_light_beneath_moves_an_end_by_no_more_than_its_sigmas(rng):
+    background = np.where(np.arange(320.0) + 0.4 * np.arange(120.0)[:, None] > 225.0, 60.0, 20.0)
+    lit = image(drawn(100.3, 199.6, ambient=0.0) + background, rng, 1.5)
+
+    found = stripe_ends(lit, None, LINE, STRAIGHT, RULES)
+
+    assert abs(found[0, 1, 0] - 199.6) < 3 * found[0, 1, 3]
+    assert found[0, 1, 3] < 1.0
