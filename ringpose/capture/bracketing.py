@@ -96,6 +96,7 @@ def merged_brackets(shot: Shot) -> Shot:
     pedestal = PEDESTAL_SIGMAS * noise.dark_variance_dn2**0.5 * unit_s / float(shot.exposure_s[longest].min())
     scale = Scale(unit_s=unit_s, pedestal_dn=float(np.ceil(pedestal)), full_dn=full_dn, top_dn=int(highest * unit_s))
     images = np.stack([_merged(shot, group, noise, scale) for group in groups])
+    usual = max(1, int((full_dn - noise.black_dn) * unit_s / max(exposures_s)))
     chosen = {name: getattr(shot, name)[longest] for name in _PER_FRAME if getattr(shot, name) is not None}
     merged = {
         "exposures_s": [[exposures_s[frame] for frame in group] for group in groups],
@@ -105,7 +106,12 @@ def merged_brackets(shot: Shot) -> Shot:
         "dark_variance_dn2": noise.dark_variance_dn2,
         "gain_dn_per_e": noise.gain_dn_per_e,
     }
-    return replace(shot, images=images, meta={**shot.meta, "saturation_dn": scale.top_dn, "merged": merged}, **chosen)
+    return replace(
+        shot,
+        images=images,
+        meta={**shot.meta, "saturation_dn": scale.top_dn, "usual_full_dn": usual, "merged": merged},
+        **chosen,
+    )
 
 
 def pixel_noise(shot: Shot, groups: Sequence[Sequence[int]]) -> PixelNoise:

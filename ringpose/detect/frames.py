@@ -18,6 +18,13 @@ class LaserImage:
     """The grey value at which a pixel is full."""
     lasers: tuple[int, ...]
     """Those that its stripes may belong to."""
+    usual_full_dn: int | None = None
+    """What thresholds scale with; the full value if not given."""
+
+    @property
+    def threshold_scale_dn(self) -> int:
+        """The full value of a single exposure."""
+        return self.saturation_dn if self.usual_full_dn is None else self.usual_full_dn
 
     @property
     def labelled(self) -> bool:
@@ -44,8 +51,11 @@ def laser_images(shot: Shot, count: int) -> list[LaserImage]:
         if new:
             lasers = tuple(laser for laser in range(count) if new >> laser & 1)
             dark = _dark(shot, number, mask & covered)
-            image = LaserImage(lit=shot.images[number], dark=dark, saturation_dn=saturation_dn, lasers=lasers)
-            images.append(image)
+            lit = shot.images[number]
+            scale_dn = shot.usual_full_dn
+            images.append(
+                LaserImage(lit=lit, dark=dark, saturation_dn=saturation_dn, lasers=lasers, usual_full_dn=scale_dn)
+            )
             covered |= mask
     return images
 

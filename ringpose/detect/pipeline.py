@@ -63,7 +63,7 @@ def _predicted_stripes(images: list[LaserImage], predicted: BreakPoints, rig: Ri
     for image in images:
         bands = predicted_bands(predicted, image.lasers, rig.camera)
         if bands is not None:
-            part = find_stripes(image.lit, image.dark, bands=bands, saturation_dn=image.saturation_dn)
+            part = find_stripes(image.lit, image.dark, bands=bands, saturation_dn=image.threshold_scale_dn)
             parts.append(_labelled(part, image))
     return joined_stripes(parts) if parts else None
 
@@ -83,7 +83,7 @@ def _all_stripes(images: list[LaserImage], source: StripeSource) -> tuple[Stripe
             part, edges = stripes_between_segments(image.lit, image.dark)
             segments.append(edges)
         else:
-            part = find_stripes(image.lit, image.dark, saturation_dn=image.saturation_dn)
+            part = find_stripes(image.lit, image.dark, saturation_dn=image.threshold_scale_dn)
         stripes.append(_labelled(part, image))
     return joined_stripes(stripes), _joined_segments(segments) if segments else None
 
@@ -128,7 +128,7 @@ def _masks_contradicted(face: Face | None, tracks: list[Track], rig: Rig) -> boo
 
 
 def _why_no_stripe(images: list[LaserImage]) -> NoBreakPoints:
-    if all(image.lit.max() < DARK_SHARE * image.saturation_dn for image in images):
+    if all(image.lit.max() < DARK_SHARE * image.threshold_scale_dn for image in images):
         return NoBreakPoints.IMAGE_DARK
     if all(np.median(image.lit) >= image.saturation_dn for image in images):
         return NoBreakPoints.IMAGE_SATURATED

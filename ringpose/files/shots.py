@@ -114,8 +114,9 @@ def _meta(archive: Archive) -> dict[str, Any]:
         return {}
     place = f"{archive.path}: meta"
     meta = records.record_of(archive.text("meta"), place)
-    if meta.get("saturation_dn") is not None:
-        Fields(place, meta).number("saturation_dn", least=1)
+    for key in ("saturation_dn", "usual_full_dn"):
+        if meta.get(key) is not None:
+            Fields(place, meta).number(key, least=1)
     return meta
 
 

@@ -76,6 +76,12 @@ class Shot:
         limit = self.meta.get("saturation_dn")
         return int(limit) if limit is not None else full_scale_dn(self.images)
 
+    @property
+    def usual_full_dn(self) -> int:
+        """What thresholds on grey values scale with: of merged exposures the full value of the longest alone."""
+        usual = self.meta.get("usual_full_dn")
+        return int(usual) if usual is not None else self.saturation_dn
+
 
 def full_scale_dn(images: UInt[Array, "*shape"]) -> int:
     """The largest grey value that a camera could have given, as far as the images tell.

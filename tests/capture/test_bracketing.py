@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from ringpose.capture.bracketing import exposed_groups, merged_brackets, on_the_scale_of
+from ringpose.detect.stripe_centers import find_stripes
 from ringpose.types.frame import Shot
 
 BLACK_DN, DARK_DN, GAIN = 5.0, 1.2, 0.04
@@ -119,3 +120,17 @@ def test_a_later_frame_is_brought_onto_the_scale(rng, ramp):
 )
 def test_neighbours_of_the_same_lasers_and_other_exposures_belong_together(masks, exposures_s, groups):
     assert exposed_groups(masks, exposures_s) == groups
+
+
+def test_a_stripe_that_only_the_longest_exposure_shows_is_found_beside_one_that_only_the_shortest_does(rng):
+    rows = np.arange(120.0)[:, None]
+    rate = 500.0 + sum(
+        peak * np.exp(-(((rows - row) / 1.8) ** 2) / 2) for peak, row in ((1_200.0, 30.2), (2_000_000.0, 80.4))
+    )
+    rate = np.broadcast_to(rate, (120, 400))
+    shot = merged_brackets(bracketed(rate, [0.0001, 0.001, 0.008], rng))
+
+    stripes = find_stripes(shot.images[0], saturation_dn=shot.usual_full_dn)
+
+    found = [float(np.median(stripes.position_px[stripes.piece == piece, 1])) for piece in set(stripes.piece.tolist())]
+    assert sorted(found) == pytest.approx([30.2, 80.4], abs=0.1)
