@@ -11,7 +11,7 @@ import numpy as np
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 
 try:
-    from ringpose.kernels import _forms
+    from ringpose.kernels import _forms as _forms
 except ImportError as error:
     raise ImportError(
         "ringpose.kernels: the C kernels are not built for this Python; run `pip install .` where ringpose's source is"

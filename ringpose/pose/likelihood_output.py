@@ -90,7 +90,6 @@ def covariance_of(fit: Fit, found: Quantities, measured: Measurements) -> Float6
     )
     spread = by_residual * np.where(fit.weight < 1.0, np.abs(fit.residual), 1.0)
     joint += spread @ spread.T
-    _add_second_order(joint, fit)
     return joint
 
 
@@ -123,12 +122,14 @@ def bow_m(joint: Float64[Array, "15 15"], fit: Fit) -> float:
     return 0.5 * reach_m * float(np.hypot(by_tilt, by_turn))
 
 
-def _add_second_order(joint: Float64[Array, "15 15"], fit: Fit) -> None:
-    """The second moment of that distance, which goes with the squares of Gaussians: 3 bow^2."""
-    outward = np.sqrt(3.0) * bow_m(joint, fit) * fit.state.outward
+def with_second_order(joint: Float64[Array, "15 15"], bow: float, fit: Fit) -> Float64[Array, "15 15"]:
+    """With the second moment of the bow, which goes with the squares of Gaussians: 3 bow^2."""
+    outward = np.sqrt(3.0) * bow * fit.state.outward
     in_basis = tilt_basis(fit.state.normal) @ outward
+    joint = joint.copy()
     joint[CENTER, CENTER] += np.outer(outward, outward)
     joint[3:5, 3:5] += np.outer(in_basis, in_basis)
+    return joint
 
 
 def _mean_shift(fit: Fit, measured: Measurements) -> Float64[Array, "point"]:

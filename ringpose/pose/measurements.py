@@ -70,6 +70,10 @@ class Sighted(NamedTuple):
     """Of the lines' ordinates."""
     edge_sign: Float64[Array, "point"]
     """-1 for the inner edge, +1 for the outer."""
+    light: Float64[Array, "sight 4"]
+    """Normal and distance in one."""
+    edge_sign_and_sigma: Float64[Array, "point 2"]
+    """With the standard deviation of the abscissa."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -105,7 +109,11 @@ class Measurements:
         whitening = np.zeros((ends, ends))
         for number, block in enumerate(self.lines.whitening):
             whitening[2 * number : 2 * number + 2, 2 * number : 2 * number + 2] = block
-        return Sighted(rays, planes.normal[laser], planes.distance_m[laser], whitening, 2.0 * self.points.edge - 1.0)
+        light = np.empty((len(laser), 4))
+        light[:, :3], light[:, 3] = planes.normal[laser], planes.distance_m[laser]
+        signed = np.empty((len(self.points.edge), 2))
+        signed[:, 0], signed[:, 1] = 2.0 * self.points.edge - 1.0, self.points.sigma_x
+        return Sighted(rays, light[:, :3], light[:, 3], whitening, signed[:, 0], light, signed)
 
     def with_points(self, keep: Bool[Array, "point"]) -> "Measurements":
         """With these break points only."""

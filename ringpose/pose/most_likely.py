@@ -14,9 +14,11 @@ from ringpose.pose.likelihood import Fit
 from ringpose.pose.likelihood_output import (
     BEND,
     Quantities,
+    bow_m,
     covariance_of,
     quantities,
     spread_of,
+    with_second_order,
 )
 from ringpose.pose.measurements import Measurements, measurements_of
 from ringpose.pose.observability import EDGE_ON_BELOW
@@ -120,6 +122,8 @@ def _pose(best: Explanation, rig: Rig, sure_of_side: bool) -> RingPose | NoPose:
     joint = _joint_covariance(best, found)
     if not bool(np.isfinite(joint).all()):
         return NoPose.NOT_FINITE
+    bow = bow_m(joint, fit)
+    joint = with_second_order(joint, bow, fit)
     position = fit.rows.origin.position_m
     if abs(float(position @ fit.state.normal)) < EDGE_ON_BELOW * sqrt(float(position @ position)):
         return NoPose.EDGE_ON
@@ -131,7 +135,7 @@ def _pose(best: Explanation, rig: Rig, sure_of_side: bool) -> RingPose | NoPose:
     return replace(
         pose,
         residual_rms_px=_residual_rms_px(fit, best.measured, rig),
-        flags=best.flag | weak_flags(fit, found, joint, known) | side,
+        flags=best.flag | weak_flags(fit, found, joint, known, bow) | side,
         remark=best.remark,
         plane_evidence=None if best.flag & DOUBTS else plane_evidence(fit, best.measured, rig),
     )

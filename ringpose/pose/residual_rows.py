@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ringpose.kernels.ring_rows import Predicted, predicted
 from ringpose.pose.measurements import Measurements, Points, Sighted
 from ringpose.pose.ring_model import (
     BAND,
@@ -20,10 +21,7 @@ from ringpose.pose.ring_model import (
     Origin,
     RingState,
     Sights,
-    arc_parts,
     edge_parts,
-    origin_of,
-    sights_of,
 )
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.ring import KnownRadii
@@ -42,7 +40,7 @@ LIKELY_BAND_M, BAND_SD_M = 0.03, 0.03
 """Where only one edge was seen: as wide as the bands in launcher manuals, or twice that, or very narrow."""
 
 
-_NONE, _NO_ROWS = np.empty(0), np.empty((0, PARAMETERS))
+_NONE = np.empty(0)
 
 
 class Beforehand(NamedTuple):
@@ -53,6 +51,11 @@ class Beforehand(NamedTuple):
     """The start of a search in which what the shot leaves open is held to what rings are like."""
     one_edge: bool = False
     """Whether only one edge was seen."""
+
+    @property
+    def nothing(self) -> bool:
+        """Whether that is all."""
+        return self.radii is None and self.weak_about is None and not self.one_edge
 
 
 class Rows(NamedTuple):
@@ -93,44 +96,40 @@ class AcrossScale(NamedTuple):
 
 def rows_of(state: RingState, measured: Measurements, sighted: Sighted, before: Beforehand) -> Rows:
     """The residuals of a state; `sighted` are the same measurements with their light planes."""
-    ends, points = len(sighted.whitening), measured.points
-    sights = sights_of(state, sighted)
-    rays, y_by_plane = sights.rays[ends:], sights.y_by_plane[ends:]
-    origin = origin_of(state, rays, y_by_plane)
-    arcs = arc_parts(state, rays, sighted.edge_sign, origin)
-    by_state = arcs.by_state
-    by_state[:, PLANE] += arcs.by_ray[:, 1:] * y_by_plane
-    by_x = _away_from_zero(arcs.by_ray[:, 0] + sights.slope[ends:] * arcs.by_ray[:, 1])
-    scale = 1.0 / (np.abs(by_x) * points.sigma_x)
-    lines = np.zeros((ends, PARAMETERS))
-    lines[:, PLANE] = sighted.whitening @ -sights.y_by_plane[:ends]
-    residual = [sighted.whitening @ (sighted.rays[:ends, 1] - sights.rays[:ends, 1]), scale * arcs.distance_m]
-    derivative = [lines, scale[:, None] * by_state]
-
-    across = _across_scale(points, sights.slope[ends:], by_x)
+    own = predicted(state.numbers, sighted.rays, sighted.light, sighted.whitening, sighted.edge_sign_and_sigma)
+    ends, origin = len(sighted.whitening), Origin(own.origin_m, own.origin_by_plane, own.origin_by_ray)
+    parts = [(own.residual, own.by_state)]
+    across = _across_scale(measured.points, own.slope[ends:], own.by_x)
     if len(across.which):
-        y = points.y[across.which] - rays[across.which, 1]
-        own = -across.share[:, None] * by_state[across.which]
-        own[:, PLANE] -= y_by_plane[across.which]
-        residual.append(across.scale * (y - across.share * arcs.distance_m[across.which]))
-        derivative.append(across.scale[:, None] * own)
+        parts.append(_across_rows(measured.points, across, own, ends))
     visible = edge_parts(state, measured.edges, origin) if len(measured.edges.edge) else None
     if visible is not None:
-        residual.append(visible.residual)
-        derivative.append(visible.by_state)
-    known_residual, known_derivative = _known(state, before)
+        parts.append((visible.residual, visible.by_state))
+    if not before.nothing:
+        parts.append(_known(state, before))
+    residual, by_state = parts[0] if len(parts) == 1 else (np.concatenate(each) for each in zip(*parts, strict=True))
     return Rows(
-        residual=np.concatenate([*residual, known_residual]),
-        by_state=np.concatenate([*derivative, known_derivative]),
+        residual=residual,
+        by_state=by_state,
         ends=ends,
-        sights=sights,
-        arcs=arcs,
+        sights=Sights(own.rays, own.slope, own.steepness, own.y_by_plane),
+        arcs=ArcParts(own.distance_m, own.distance_by_state, own.by_ray),
         origin=origin,
         edges=visible,
-        by_x=by_x,
-        along_scale=scale,
+        by_x=own.by_x,
+        along_scale=own.along_scale,
         across=across,
     )
+
+
+def _across_rows(
+    points: Points, across: AcrossScale, own: Predicted, ends: int
+) -> tuple[Float64[Array, "alone"], Float64[Array, "alone 7"]]:
+    which = across.which
+    above = points.y[which] - own.rays[ends:][which, 1]
+    derivative = -across.share[:, None] * own.distance_by_state[which]
+    derivative[:, PLANE] -= own.y_by_plane[ends:][which]
+    return across.scale * (above - across.share * own.distance_m[which]), across.scale[:, None] * derivative
 
 
 def _across_scale(points: Points, slope: Float64[Array, "point"], by_x: Float64[Array, "point"]) -> AcrossScale:
@@ -146,8 +145,6 @@ def _across_scale(points: Points, slope: Float64[Array, "point"], by_x: Float64[
 
 
 def _known(state: RingState, before: Beforehand) -> tuple[Float64[Array, "row"], Float64[Array, "row 7"]]:
-    if before.radii is None and before.weak_about is None and not before.one_edge:
-        return _NONE, _NO_ROWS
     residual: list[float] = []
     rows: list[tuple[dict[int, float], float]] = []
     if before.radii is not None:
@@ -184,7 +181,3 @@ def _weak_rows(state: RingState, about: RingState) -> list[tuple[dict[int, float
         ({0: 1.0 / tilt_scale}, float(state.plane[0]) / tilt_scale),
         ({1: 1.0 / tilt_scale}, float(state.plane[1]) / tilt_scale),
     ]
-
-
-def _away_from_zero(value: Float64[Array, "n"]) -> Float64[Array, "n"]:
-    return np.where(np.abs(value) < 1e-9, 1e-9, value)

@@ -36,6 +36,11 @@ class RingState(NamedTuple):
     band_m: float
 
     @property
+    def numbers(self) -> Float64[Array, "9"]:
+        """All of it in a row."""
+        return np.array([*self.plane.tolist(), *self.outward.tolist(), self.shift_m, self.curvature, self.band_m])
+
+    @property
     def normal(self) -> Float64[Array, "3"]:
         """Unit normal, towards the camera."""
         normal: Float64[Array, "3"] = -self.plane / np.sqrt(self.plane @ self.plane)

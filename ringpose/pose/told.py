@@ -7,7 +7,7 @@ import numpy as np
 
 from ringpose.pose.consistency import Explanation
 from ringpose.pose.likelihood import Fit
-from ringpose.pose.likelihood_output import BEND, CENTER, GRASP, RADII, TILTS, WIDTH, Quantities, bow_m
+from ringpose.pose.likelihood_output import BEND, CENTER, GRASP, RADII, TILTS, WIDTH, Quantities
 from ringpose.pose.method import Method
 from ringpose.pose.observability import TILT_SD_LIMIT_RAD, WEAK_SD, standard_deviation
 from ringpose.types.arrays import Array, Bool, Float64
@@ -69,21 +69,21 @@ def told_pose(fit: Fit, found: Quantities, joint: Float64[Array, "15 15"] | None
     )
 
 
-def weak_flags(fit: Fit, found: Quantities, joint: Float64[Array, "15 15"], known: Determined) -> PoseFlag:
+def weak_flags(fit: Fit, found: Quantities, joint: Float64[Array, "15 15"], known: Determined, bow: float) -> PoseFlag:
     """What is not determined, worse than `WEAK_SD`, or told by no Gaussian."""
     limit_m = WEAK_SD * float(np.abs(found.radius_m).min())
     flags = PoseFlag(0) if known.normal else PoseFlag.NORMAL_WEAK
-    if not known.center or standard_deviation(joint[CENTER, CENTER]) > limit_m or _bowed(fit, joint):
+    if not known.center or standard_deviation(joint[CENTER, CENTER]) > limit_m or _bowed(fit, joint, bow):
         flags |= PoseFlag.CENTER_WEAK
     if not known.radius.all() or float(np.diag(joint)[RADII].max()) > limit_m**2:
         flags |= PoseFlag.RADIUS_WEAK
     return flags
 
 
-def _bowed(fit: Fit, joint: Float64[Array, "15 15"]) -> bool:
+def _bowed(fit: Fit, joint: Float64[Array, "15 15"], bow: float) -> bool:
     """Whether a likely tilt brings the centre far aside on its arc."""
     outward = fit.state.outward
-    return bow_m(joint, fit) > BOWED_FROM * sqrt(float(outward @ joint[CENTER, CENTER] @ outward))
+    return bow > BOWED_FROM * sqrt(float(outward @ joint[CENTER, CENTER] @ outward))
 
 
 def _with_unknown(covariance: Float64[Array, "7 7"], known: Determined) -> Float64[Array, "7 7"] | None:

@@ -1,0 +1,30 @@
+/* What a ring predicts of stripes and break points, with all derivatives. No Python in here. */
+#ifndef RINGPOSE_RING_ROWS_H
+#define RINGPOSE_RING_ROWS_H
+
+enum { STATE = 7, ORIGIN_NUMBERS = 18 };
+
+typedef struct {
+    double plane[3], outward[3], shift, curvature, band;
+} RingState;
+
+/* Sights: the lines' ends, then the break points, with their light planes. */
+typedef struct {
+    int ends, points;
+    const double (*ray)[3];
+    const double (*light)[4];            /* normal and distance of the light plane */
+    const double *whitening;             /* ends x ends, blocks of two on the diagonal */
+    const double (*point)[2];            /* -1 or +1 for the edge, standard deviation of the abscissa */
+} Sighted;
+
+/* Where the numbers of a prediction go. */
+typedef struct {
+    double *residual, (*by_state)[STATE]; /* of ends and points */
+    double *slope, *steepness, (*y_by_plane)[3], (*ray)[3]; /* of sights */
+    double *distance, (*by_ray)[2], (*arc_by_state)[STATE], *by_x, *scale; /* of points */
+    double *origin; /* position, its derivatives by the plane, by the mean ray */
+} Prediction;
+
+void predict(const RingState *state, const Sighted *sighted, const Prediction *to);
+
+#endif

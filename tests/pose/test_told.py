@@ -1,0 +1,63 @@
+"""What of a fit is told: nothing that is not determined, and a warning where no Gaussian tells it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ringpose.pose.pipeline import estimate_pose
+from ringpose.types.ring import KnownRadii
+from ringpose.types.ring_pose import PoseFlag
+
+KNOWN = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.array([1e-4, 1e-4]))
+
+
+def with_stripe(points, laser):
+    """Only one laser's break points and line."""
+    parts = {}
+    for name in ("position_px", "covariance_px2", "face_start_px", "face_end_px", "face_sigma_px"):
+        parts[name] = np.full_like(getattr(points, name), np.nan)
+        parts[name][laser] = getattr(points, name)[laser]
+    return replace(points, **parts)
+
+
+def test_one_stripe_has_the_covariance_of_its_grasp_point_alone(scene_of, face_points):
+    scene = scene_of("B", distance_m=0.25)
+
+    pose = estimate_pose(with_stripe(face_points(scene, 0.3, 0.01), 1), scene.rig)
+
+    assert (pose.covariance, pose.covariance_center_m2) == (None, None)
+    assert np.sqrt(np.trace(pose.covariance_grasp_m2)) < 1e-3
+
+
+def test_one_stripe_and_the_radii_have_the_covariance_of_the_radii(scene_of, face_points):
+    scene = scene_of("B", distance_m=0.25)
+
+    pose = estimate_pose(with_stripe(face_points(scene, 0.3, 0.01), 1), scene.rig, known=KNOWN)
+
+    assert np.isfinite(np.diag(pose.covariance)).tolist() == [False] * 5 + [True] * 2
+
+
+@pytest.mark.parametrize(("line_px", "warned"), [(0.005, False), (0.05, True)])
+def test_a_center_that_a_likely_tilt_brings_aside_is_flagged(scene_of, face_points, line_px, warned):
+    # lasers 1.5 degrees apart at 1 m: the tilt is known to 0.15 or to 1.6 degrees, the centre's side to 0.1 mm
+    scene = scene_of("A", distance_m=1.0)
+
+    pose = estimate_pose(face_points(scene, 0.3, line_px), scene.rig, known=KNOWN)
+
+    assert (PoseFlag.CENTER_WEAK in pose.flags) is warned
+
+
+@pytest.mark.slow
+def test_the_second_moment_of_a_bowed_center_is_told(scene_of, face_points, rng):
+    scene = scene_of("A", distance_m=1.0)
+    squares = []
+    for _ in range(600):
+        said = replace(KNOWN, radius_m=KNOWN.radius_m + 1e-4 * rng.normal(size=2))
+        pose = estimate_pose(face_points(scene, 0.05, 0.03, rng), scene.rig, known=said)
+        outward = (pose.center_m - pose.grasp_m) / np.linalg.norm(pose.center_m - pose.grasp_m)
+        error = outward @ (pose.center_m - scene.ring.center_m)
+        squares.append(error**2 / (outward @ pose.covariance_center_m2 @ outward))
+
+    # squares of squares have heavy tails: their mean errs by 3 / sqrt(600) or so
+    assert 0.7 < np.mean(squares) < 1.4
