@@ -9,7 +9,13 @@ from math import degrees, inf, radians
 
 import numpy as np
 
-from ringpose.types.camera_calibration import CameraAssessment, CameraCalibration, Coverage, LeftOutView
+from ringpose.types.camera_calibration import (
+    CameraAssessment,
+    CameraCalibration,
+    Coverage,
+    LeftOutView,
+    ModelComparison,
+)
 from ringpose.types.verdict import Finding, Verdict
 
 FRONTAL_RAD = radians(10)
@@ -24,6 +30,7 @@ def camera_verdict(calibration: CameraCalibration, assessment: CameraAssessment,
             *_coverage_findings(assessment.coverage),
             *_uncertainty_findings(calibration, assessment),
             *_validation_findings(assessment),
+            *_model_findings(assessment.comparison),
         )
     )
 
@@ -99,6 +106,7 @@ def _coverage_findings(covered: Coverage) -> list[Finding]:
 def _uncertainty_findings(calibration: CameraCalibration, assessment: CameraAssessment) -> list[Finding]:
     sigma_px, where = assessment.sigma_px, assessment.image_map.points_px
     x, y = where[np.unravel_index(int(np.argmax(sigma_px)), sigma_px.shape)]
+    other_way = ", or hold k3 (--fix-k3)" if calibration.standard_deviations["k3"] else ""
     return [
         Finding(
             name="focal_sigma_share",
@@ -119,7 +127,7 @@ def _uncertainty_findings(calibration: CameraCalibration, assessment: CameraAsse
             value=float(np.max(sigma_px)),
             good_limit=1.0,
             redo_limit=inf,
-            advice=f"the projection is most uncertain near pixel ({x:.0f}, {y:.0f}): bring the board there, or hold k3",
+            advice=f"the projection is most uncertain near pixel ({x:.0f}, {y:.0f}): bring the board there{other_way}",
         ),
     ]
 
@@ -150,6 +158,21 @@ def _validation_findings(assessment: CameraAssessment) -> list[Finding]:
             redo_limit=inf,
             advice="half of the views give another camera than the other half: add views of every kind",
         ),
+    ]
+
+
+def _model_findings(comparison: ModelComparison | None) -> list[Finding]:
+    if comparison is None:
+        return []
+    own, other = comparison.fits
+    return [
+        Finding(
+            name="held_out_ratio",
+            value=own.held_out_rms_px / other.held_out_rms_px,
+            good_limit=1.05,
+            redo_limit=inf,
+            advice=f"views left out fit another model better: use --distortion-model {other.distortion_model}",
+        )
     ]
 
 

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from ringpose.calibrate.board_points import is_white, marker_corners, outline_m
+from ringpose.calibrate.markers import marker_dictionary
 from ringpose.simulate.target import EMPTY
 from ringpose.types.arrays import Array, Bool, Float64, Int8, UInt8
 from ringpose.types.board import Board
@@ -132,7 +133,7 @@ def _marker_bits(board: Board, count: int) -> UInt8[Array, "marker bit_y bit_x"]
     if count == 0:
         return np.zeros((0, 1, 1), dtype=np.uint8)
     aruco: Any = cv2.aruco
-    dictionary = aruco.getPredefinedDictionary(getattr(aruco, str(board.dictionary)))
+    dictionary = marker_dictionary(board)
     size = dictionary.markerSize + 2
     markers = [aruco.generateImageMarker(dictionary, number, size) for number in range(count)]
     return (np.stack(markers) > 127).astype(np.uint8)

@@ -177,6 +177,15 @@ def test_charuco_markers_are_where_opencv_prints_them(size, legacy):
     assert np.abs(marker_corners(board) - printed).max() < 1e-7
 
 
+def test_markers_of_apriltag_are_found(drawn_board):
+    board = replace(GRID, dictionary="DICT_APRILTAG_36h11")
+
+    found = find_board(drawn_board(board), board, "april")
+
+    assert len(found.ids) == 48
+    assert error_px(found, board) < 0.1
+
+
 OWN = ("011010011", "110100110", "101001110", "000101100", "111011100", "100111001")
 
 

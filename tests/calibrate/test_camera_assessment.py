@@ -263,3 +263,19 @@ def test_many_views_of_noise_alone_agree(views):
     verdict = verdict_of(calibrate_camera(boards, 1600, 1200), boards)
 
     assert 0.5 < value(verdict, "view_disagreement") < 1.7
+
+
+def test_a_lens_that_plumb_bob_does_not_describe_asks_for_the_other_model(true_poses, rng):
+    boards = []
+    for index, (turn, place) in enumerate(true_poses(rng, 14)):
+        points = POINTS @ turn.T + place
+        flat = points[:, :2] / points[:, 2:]
+        pixels = 1000 * flat / (1 + 4 * np.sum(flat**2, axis=1, keepdims=True)) + [400.0, 300.0]
+        noisy = pixels + 0.01 * rng.standard_normal(pixels.shape)
+        boards.append(BoardView(name=f"v{index}", ids=np.arange(len(POINTS)), points_board_m=POINTS, points_px=noisy))
+    found = calibrate_camera(boards, 800, 600)
+
+    verdict = camera_verdict(found, camera_assessment(found, boards, PLUMB_BOB, compare=True), 14)
+
+    assert value(verdict, "held_out_ratio") > 1.05
+    assert any("use --distortion-model rational_polynomial" in sentence for sentence in verdict.advice)
