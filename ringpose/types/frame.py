@@ -90,7 +90,7 @@ def full_scale_dn(images: UInt[Array, "*shape"]) -> int:
     the lowest bits that no value has, as a camera leaves them that fills elements from the top. So nothing is called
     full that is not, and a dim image is taken for one of a narrower camera.
     """
-    most = 256**images.dtype.itemsize - 1
+    most = (1 << 8 * images.dtype.itemsize) - 1
     if images.dtype.itemsize == 1:
         return most
     used = int(np.bitwise_or.reduce(images, axis=None, initial=0))
