@@ -171,7 +171,7 @@ class _Taker:
         """With everything off for long enough no place of these lasers may be lit."""
         frame = self._dark_frame()
         image = on_the_scale_of(frame.image, frame.exposure_s, shot)
-        lit = [laser for laser, found in suspects.items() if found.are_lit_in(image)]
+        lit = [laser for laser, found in suspects.items() if found.are_lit_in(image) and found.stand_out_in(image)]
         if lit:
             raise LaserSafetyError("lasers", f"{_names_of(lit)} seen while all are off", "cut the power")
 

@@ -33,6 +33,9 @@ AS_BRIGHT = 0.5
 MOST_PLACES = 0.7
 """and the laser is seen if this share of its places is."""
 
+WIDEST_LINE = 25
+"""Part of an image's width that no line of light is as wide as."""
+
 LEAST_STRIPE = 0.1
 """Share of the columns of an image in which a laser's stripe shows at least, if it shines on anything at all."""
 
@@ -54,6 +57,16 @@ class LitPlaces:
         """Whether the same laser lights another image."""
         grey = image.ravel()[self.pixel].astype(np.float32)
         bright = grey - self.dark_dn > AS_BRIGHT * self.contrast_dn
+        return bool(bright.mean() > MOST_PLACES)
+
+    def stand_out_in(self, image: Image) -> bool:
+        """Whether the same laser lights another image that may be lit otherwise, too: the places, but not what is near.
+
+        Brighter ambient light lifts what is near as well; a laser's line is narrow.
+        """
+        size = max(image.shape[1] // WIDEST_LINE, 15)
+        lines = cv2.morphologyEx(image, cv2.MORPH_TOPHAT, np.ones((size, size), dtype=np.uint8))
+        bright = lines.ravel()[self.pixel] > AS_BRIGHT * self.contrast_dn
         return bool(bright.mean() > MOST_PLACES)
 
     def share_of_light(self, image: Image) -> float:
