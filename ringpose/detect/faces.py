@@ -13,6 +13,7 @@ import numpy as np
 
 from ringpose.detect.collinear import collinear_tracks
 from ringpose.detect.tracks import Track, lens
+from ringpose.geometry.rays import undistorted_rays
 from ringpose.kernels.ring import Group, RingRules, best_groups
 from ringpose.types.arrays import Array, Bool, Float64, Int32
 from ringpose.types.camera import Camera
@@ -36,6 +37,9 @@ MINIMUM_BAND_M = 0.003
 
 BORDER_PX = 15.0
 """Closer to the image's upper or lower border a stripe may well be missed."""
+
+CUT_OFF_PX = 6.0
+"""An end so close to the left or right border is where the image ends, not the face."""
 
 CANDIDATES = 20
 """Tracks of the greatest merit that are tried for each laser."""
@@ -210,6 +214,9 @@ def _planes(rig: Rig) -> Float64[Array, "laser xyz=3"]:
 @lru_cache(maxsize=4)
 def _rules(rig: Rig) -> RingRules:
     matrix = rig.camera.camera_matrix
+    rows = np.linspace(0.0, rig.camera.image_height - 1.0, 9)
+    inside = (CUT_OFF_PX, rig.camera.image_width - 1 - CUT_OFF_PX)
+    left, right = (undistorted_rays(np.stack([np.full(9, x), rows], axis=-1), rig.camera)[:, 0] for x in inside)
     return RingRules(
         focal_x=matrix[0, 0],
         focal_y=matrix[1, 1],
@@ -225,4 +232,6 @@ def _rules(rig: Rig) -> RingRules:
         maximum_tilt_rad=MAXIMUM_TILT_RAD,
         minimum_radius_m=MINIMUM_RADIUS_M,
         minimum_band_m=MINIMUM_BAND_M,
+        left_x=float(left.max()),
+        right_x=float(right.min()),
     )

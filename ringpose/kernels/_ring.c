@@ -33,7 +33,7 @@ static PyObject *group(const Best *best, int size) {
                          best->score, best->rival);
 }
 
-enum { PARAMETERS = 14 };
+enum { PARAMETERS = 16 };
 
 static PyObject *groups_of(Py_buffer view[6]) {
     Py_ssize_t count = view[0].shape[0];
@@ -47,7 +47,7 @@ static PyObject *groups_of(Py_buffer view[6]) {
                    (const double(*)[3])view[4].buf,
                    parameter[0], parameter[1], parameter[2], parameter[3], parameter[4], parameter[5],
                    {parameter[7], parameter[8], parameter[9], parameter[10], parameter[11], parameter[12],
-                    parameter[13]}};
+                    parameter[13], parameter[14], parameter[15]}};
     Candidate *all = calloc((size_t)(count > 0 ? count : 1), sizeof *all);
     if (!all) return PyErr_NoMemory();
     for (Py_ssize_t i = 0; i < count; i++) {

@@ -58,7 +58,7 @@ static double arcs_cost(const End *end, int ends, double sigma, const RingLimits
     Arcs arcs;
     double cost = 0;
     int fitted = free_radius ? fit_arcs(end, ends, &arcs) : fit_wide_arcs(end, ends, limits->minimum_radius, &arcs);
-    if (!fitted) return INFINITY;
+    if (!fitted) return 0; /* the border cut off all ends of an edge: there is nothing to check */
     for (int k = 0; k < ends; k++)
         if (end[k].used) {
             double outside = outside_arc(&arcs, &end[k]) / sigma;
@@ -67,8 +67,10 @@ static double arcs_cost(const End *end, int ends, double sigma, const RingLimits
     return arcs_band(&arcs) < limits->minimum_band ? INFINITY : cost;
 }
 
-/* The ends of a group in their plane, x along the stripes from start to end; returns their mean depth. */
-static double flat_ends(const Candidate *const member[], int size, const double plane[3], End *end) {
+/* The ends of a group in their plane, x along the stripes from start to end, without those that the border cut off;
+   returns their mean depth. */
+static double flat_ends(const Candidate *const member[], int size, const double plane[3], const RingLimits *limits,
+                        End *end) {
     double point[2 * MOST_MEMBERS][3], middle[3] = {0}, along[3] = {0};
     for (int i = 0; i < size; i++)
         for (int side = 0; side < 2; side++) {
@@ -91,8 +93,10 @@ static double flat_ends(const Candidate *const member[], int size, const double 
                         n[0] * along[1] - n[1] * along[0]};
     for (int e = 0; e < 2 * size; e++) {
         double d[3] = {point[e][0] - middle[0], point[e][1] - middle[1], point[e][2] - middle[2]};
+        double x = member[e / 2]->x[e % 2];
         end[e] = (End){d[0] * along[0] + d[1] * along[1] + d[2] * along[2],
-                       d[0] * across[0] + d[1] * across[1] + d[2] * across[2], e % 2, 1};
+                       d[0] * across[0] + d[1] * across[1] + d[2] * across[2], e % 2,
+                       !(x < limits->left || x > limits->right)};
     }
     return middle[2];
 }
@@ -100,10 +104,11 @@ static double flat_ends(const Candidate *const member[], int size, const double 
 static double circle_cost(const Candidate *const member[], int size, const double plane[3], const Scene *scene) {
     End end[2 * MOST_MEMBERS];
     const RingLimits *limits = &scene->limits;
-    double sigma = scene->along_sigma * flat_ends(member, size, plane, end) / scene->focal_x;
+    double sigma = scene->along_sigma * flat_ends(member, size, plane, limits, end) / scene->focal_x;
     double best = arcs_cost(end, 2 * size, sigma, limits, size > 2);
     if (size < 3 || best < limits->dropped_end) return best;
     for (int e = 0; e < 2 * size; e++) {
+        if (!end[e].used) continue;
         end[e].used = 0;
         best = fmin(best, arcs_cost(end, 2 * size, sigma, limits, 1) + limits->dropped_end);
         end[e].used = 1;

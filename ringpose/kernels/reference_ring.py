@@ -104,7 +104,9 @@ def _circles(points: Float64[Array, "member end=2 xyz=3"], plane: Array, rules: 
     along /= np.linalg.norm(along)
     flat = (points - middle).reshape(-1, 3) @ np.stack([along, np.cross(normal, along)], axis=-1)
     sigma = rules.along_sigma_px * middle[2] / rules.focal_x
-    arc = np.arange(len(flat)) % 2
+    x = points[..., 0].ravel() / points[..., 2].ravel()
+    used = (x >= rules.left_x) & (x <= rules.right_x)
+    flat, arc = flat[used], (np.arange(len(flat)) % 2)[used]
     everything = _arcs(flat, arc, sigma, rules, free_radius=len(points) > 2)
     if len(points) < 3 or everything < rules.dropped_end_cost:
         return everything
@@ -114,7 +116,9 @@ def _circles(points: Float64[Array, "member end=2 xyz=3"], plane: Array, rules: 
 
 
 def _arcs(flat: Array, arc: Array, sigma: float, rules: RingRules, *, free_radius: bool) -> float:
-    """Cost of points off two arcs; infinite for rings that nobody builds."""
+    """Cost of points off two arcs; infinite for rings that nobody builds, nothing if one arc has no point."""
+    if len(set(arc.tolist())) < 2:
+        return 0.0
     outside, curvature, band = arcs(flat, arc)
     if not free_radius and abs(curvature) > 1 / rules.minimum_radius_m:
         outside, _, band = arcs(flat, arc, straight=True)

@@ -19,6 +19,7 @@ typedef struct {
     double plane, circle, dropped_end, unseen; /* squared sigmas over two */
     double tilt;                               /* radians */
     double minimum_radius, minimum_band;       /* metres */
+    double left, right;                        /* normalised x beyond which an end is cut off by the border */
 } RingLimits;
 
 typedef struct {

@@ -1,5 +1,6 @@
 """The kernels that look for the ring among the stripes, behind typed functions; twins in `reference_ring`."""
 
+import math
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -40,6 +41,10 @@ class RingRules(NamedTuple):
     maximum_tilt_rad: float
     minimum_radius_m: float
     minimum_band_m: float
+    left_x: float = -math.inf
+    """Ends beyond this normalised x, or ..."""
+    right_x: float = math.inf
+    """... this are cut off by the image's border and on no circle."""
 
 
 class TrackRules(NamedTuple):

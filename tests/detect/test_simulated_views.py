@@ -120,6 +120,20 @@ def test_one_stripe_in_view_is_handed_on_with_its_line_but_without_a_side():
     assert np.isfinite(points.face_start_px[0]).all()
 
 
+def test_an_edge_beyond_the_border_leaves_the_other_edge_and_whole_lines():
+    rig = rig_of(1400.0, 1000, 900)
+    shot, truth_px = shot_of(rig, 0.35, SWITCHED, x_m=0.467)
+
+    points = found(shot, rig)
+
+    left = points.flags & BreakPointFlag.CLIPPED
+    assert points.seen.sum() == 3
+    assert np.count_nonzero(left) == 3
+    seen_x = np.nanmax(points.position_px[..., 0], axis=1)
+    assert np.abs(seen_x - np.nanmax(truth_px[..., 0], axis=1)).max() < 1.0
+    assert np.isfinite(points.face_end_px).all()
+
+
 @pytest.mark.parametrize("target", ["none", "body"])
 def test_without_a_ring_there_are_no_break_points(target):
     shot, _ = shot_of(NARROW, 0.5, SWITCHED, target=target)

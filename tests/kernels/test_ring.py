@@ -64,6 +64,32 @@ def test_best_groups_equal_the_twin(seed):
     np.testing.assert_allclose([group.rival for group in found], [group.rival for group in expected], rtol=1e-6)
 
 
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("left_x", "right_x"), [(-0.1, 0.1), (0.0, 0.3), (0.5, 0.6)])
+def test_groups_with_ends_that_the_border_cuts_off_equal_the_twin(seed, left_x, right_x):
+    track, laser, ends, merit = crowd(np.random.default_rng(seed), 6)
+    rules = RULES._replace(left_x=left_x, right_x=right_x)
+
+    found = best_groups(track, laser, ends, merit, planes(), rules)
+    expected = reference_ring.best_groups(track, laser, ends, merit, planes(), rules)
+
+    assert [group.candidates for group in found] == [group.candidates for group in expected]
+    np.testing.assert_allclose([group.score for group in found], [group.score for group in expected], rtol=1e-6)
+
+
+def test_an_end_beyond_the_border_may_lie_off_the_circles(rng):
+    ends = true_ends(rng)
+    number, zero = np.arange(3, dtype=np.int32), np.zeros(3)
+    moved = ends.copy()
+    moved[:, 0] += 0.03 * (ends[:, 1] - ends[:, 0]) * np.array([[1.0], [-1.0], [2.0]])
+    cut = RULES._replace(left_x=float(moved[:, 0, 0].max()) + 1e-3)
+
+    exact = best_groups(number, number, ends, zero, planes(), RULES)[2].score
+    found = best_groups(number, number, moved, zero, planes(), cut)[2].score
+
+    assert found == pytest.approx(exact, abs=0.01)
+
+
 def test_the_true_ring_wins_under_its_true_labels(rng):
     track, laser, ends, merit = crowd(rng, 8)
 
