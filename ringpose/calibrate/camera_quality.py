@@ -16,6 +16,7 @@ from ringpose.types.camera_calibration import (
     Coverage,
     CrossValidation,
     ModelComparison,
+    ModelFit,
 )
 from ringpose.types.verdict import Verdict
 
@@ -68,18 +69,19 @@ def projection_sigma_m(calibration: CameraCalibration, assessment: CameraAssessm
 
 def comparison_lines(comparison: ModelComparison) -> list[str]:
     """Both models, and which of them views that it has not seen speak for."""
-    lines = [
-        f"{fit.distortion_model}: rms {fit.rms_px:.4f} px, {fit.held_out_rms_px:.4f} px on views left out"
-        for fit in comparison.fits
-    ]
-    best = min(comparison.fits, key=lambda fit: fit.held_out_rms_px)
+    lines = [f"{fit.distortion_model}: rms {fit.rms_px:.4f} px{_held_out(fit)}" for fit in comparison.fits]
     difference = (
         f"median {np.median(comparison.difference_px):.3f} px, at most {np.max(comparison.difference_px):.2f} px"
     )
-    return [
-        *lines,
-        f"the models differ by {difference} over the image; views left out fit {best.distortion_model} best",
-    ]
+    lines.append(f"the models differ by {difference} over the image")
+    if not any(np.isnan(fit.held_out_rms_px) for fit in comparison.fits):
+        best = min(comparison.fits, key=lambda fit: fit.held_out_rms_px)
+        lines[-1] += f"; views left out fit {best.distortion_model} best"
+    return lines
+
+
+def _held_out(fit: ModelFit) -> str:
+    return "" if np.isnan(fit.held_out_rms_px) else f", {fit.held_out_rms_px:.4f} px on views left out"
 
 
 def _corner_line(view: CameraView) -> str:

@@ -21,6 +21,11 @@ from ringpose.types.verdict import Finding, Verdict
 FRONTAL_RAD = radians(10)
 """Boards that are tilted by less leave focal length and distance open against each other."""
 
+_DISAGREEMENT = (
+    "the views disagree by more than their noise: check that the board is flat and its sizes are true, "
+    "that focus and zoom are fixed, and that no glare or cable is taken for a corner"
+)
+
 
 def camera_verdict(calibration: CameraCalibration, assessment: CameraAssessment, images: int) -> Verdict:
     """The verdict, of so many images that were given."""
@@ -134,14 +139,14 @@ def _uncertainty_findings(calibration: CameraCalibration, assessment: CameraAsse
 
 def _validation_findings(assessment: CameraAssessment) -> list[Finding]:
     worst = _worst(assessment.validation.left_out)
+    halves_px = float(np.median(assessment.validation.split_half_px))
     return [
         Finding(
             name="view_disagreement",
             value=assessment.disagreement,
             good_limit=2.5,
             redo_limit=15.0,
-            advice="the views disagree by more than their noise: check that the board is flat and its sizes are true, "
-            "that focus and zoom are fixed, and that no glare or cable is taken for a corner",
+            advice=_if_known(assessment.disagreement, _DISAGREEMENT),
         ),
         Finding(
             name="leave_one_out_px",
@@ -149,14 +154,14 @@ def _validation_findings(assessment: CameraAssessment) -> list[Finding]:
             good_limit=1.0,
             redo_limit=inf,
             place=worst.name,
-            advice=f"the result hangs on {worst.name}: add views like it, or leave it out",
+            advice=_if_known(worst.shift_px, f"the result hangs on {worst.name}: add views like it, or leave it out"),
         ),
         Finding(
             name="split_half_px",
-            value=float(np.median(assessment.validation.split_half_px)),
+            value=halves_px,
             good_limit=1.0,
             redo_limit=inf,
-            advice="half of the views give another camera than the other half: add views of every kind",
+            advice=_if_known(halves_px, "half of the views give another camera than the rest: add views of every kind"),
         ),
     ]
 
@@ -165,15 +170,23 @@ def _model_findings(comparison: ModelComparison | None) -> list[Finding]:
     if comparison is None:
         return []
     own, other = comparison.fits
+    ratio = own.held_out_rms_px / other.held_out_rms_px
     return [
         Finding(
             name="held_out_ratio",
-            value=own.held_out_rms_px / other.held_out_rms_px,
+            value=ratio,
             good_limit=1.05,
             redo_limit=inf,
-            advice=f"views left out fit another model better: use --distortion-model {other.distortion_model}",
+            advice=_if_known(
+                ratio, f"views left out fit another model better: use --distortion-model {other.distortion_model}"
+            ),
         )
     ]
+
+
+def _if_known(value: float, advice: str) -> str:
+    """No advice where too few views leave the number unknown: that more are needed is said already."""
+    return "" if np.isnan(value) else advice
 
 
 def _worst(left_out: Sequence[LeftOutView]) -> LeftOutView:

@@ -93,7 +93,12 @@ def _view_row(view: CameraView) -> list[str]:
 
 def _comparison(calibration: CameraCalibration, comparison: ModelComparison) -> Section:
     rows = [
-        [fit.distortion_model, str(fit.parameters), f"{fit.rms_px:.4f}", f"{fit.held_out_rms_px:.4f}"]
+        [
+            fit.distortion_model,
+            str(fit.parameters),
+            f"{fit.rms_px:.4f}",
+            f"{fit.held_out_rms_px:.4f}".replace("nan", "unknown"),
+        ]
         for fit in comparison.fits
     ]
     return Section(

@@ -169,7 +169,19 @@ def test_three_views_can_be_judged_but_not_left_out(views):
 
     assert assessed.validation.left_out == ()
     assert np.isnan(assessed.disagreement)
-    assert camera_verdict(found, assessed, 3).grade is Grade.REDO
+    verdict = camera_verdict(found, assessed, 3)
+    assert verdict.grade is Grade.REDO
+    assert not any("disagree" in sentence or "hangs on" in sentence for sentence in verdict.advice)
+
+
+def test_a_comparison_of_three_views_says_nothing_of_views_left_out(views):
+    boards = views(3)
+    found = calibrate_camera(boards, 1600, 1200)
+    assessed = camera_assessment(found, boards, PLUMB_BOB, compare=True)
+
+    lines = camera_summary(found, assessed, camera_verdict(found, assessed, 3))
+
+    assert not any("nan" in line or "left out fit" in line for line in lines)
 
 
 def test_held_out_views_see_no_use_of_coefficients_that_the_lens_has_not(views):

@@ -1,13 +1,9 @@
 """Corners in uneven light, on boards whose corners are known from the drawing."""
 
-from dataclasses import replace
-
-import cv2
 import numpy as np
 import pytest
 
 from ringpose.calibrate.board_points import corner_points
-from ringpose.calibrate.board_views import find_board
 from ringpose.calibrate.chessboard import refined_corners
 from ringpose.calibrate.levelled_corners import levelled_corners
 from ringpose.types.board import Board
@@ -62,21 +58,3 @@ def test_corners_at_the_rim_keep_their_place(drawn_board):
     levelled = levelled_corners(tight, start.reshape(6, 7, 2), HALF_PX).reshape(6, 7, 2)
 
     assert np.array_equal(levelled[0], start.reshape(6, 7, 2)[0])
-
-
-@pytest.mark.parametrize(
-    ("folder", "number", "reference_px"), [("root", 8, 0.2919), ("calib2", 8, 0.2789), ("calib3", 16, 0.6542)]
-)
-@pytest.mark.slow
-def test_etna_photographs_fit_as_well_as_the_reference(folder, number, reference_px, shared_data):
-    from ringpose.calibrate.camera import calibrate_camera
-    from ringpose.calibrate.camera_model import CameraModel
-
-    paths = sorted((shared_data / "real" / "etna_laser_robot" / folder).glob("*.png"))
-    board = replace(BOARD, square_m=0.01)
-    views = [find_board(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), board, path.stem) for path in paths]
-
-    found = calibrate_camera(views, 1280, 1024, CameraModel(fix_k3=True, keep_all=True))
-
-    assert len(found.used) == number
-    assert found.rms_px < reference_px + 0.01
