@@ -12,7 +12,8 @@ typedef struct {
     int inner; /* none lies at the image's border or beyond */
 } Kind;
 
-static double clamped(double value, double most) { return value < 0 ? 0 : value > most ? most : value; }
+/* What is no number becomes 0. */
+static double clamped(double value, double most) { return !(value > 0) ? 0 : value > most ? most : value; }
 
 /* Grey value between the pixels; those of the border go on beyond it. */
 static inline double between(const EdgePicture *picture, const Kind kind, double x, double y) {
@@ -78,7 +79,7 @@ static void take_profile(const EdgePicture *picture, const double place[2], cons
                          const ProfileRules *rules, double *value, uint8_t *saturated, size_t samples) {
     const double reach = rules->reach + rules->inside + rules->outside + rules->along;
     const int inner = place[0] > reach && place[0] < picture->right - reach && place[1] > reach &&
-                      place[1] < picture->bottom - reach;
+                      place[1] < picture->bottom - reach && fabs(normal[0]) < 1.01 && fabs(normal[1]) < 1.01;
     if (picture->wide)
         take_samples(picture, (Kind){1, 0}, place, normal, rules, value, saturated, samples);
     else if (inner)

@@ -91,6 +91,17 @@ def test_profiles_equal_their_twin(dtype, part):
     np.testing.assert_allclose(ours, twin, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize("normal", [np.nan, np.inf, 1e9])
+@pytest.mark.parametrize("place", [np.nan, -np.inf, 20.0])
+def test_places_and_normals_that_are_none_read_nothing_beyond_the_image(place, normal):
+    image = np.full((40, 40), 7, np.uint8)
+
+    value, saturated, _ = edges.edge_profiles(image, np.full((2, 2), place), np.full((2, 2), normal), PROFILES)
+
+    assert not value.any()
+    assert not saturated.any()
+
+
 @given(st.integers(0, 1000))
 def test_steps_equal_their_twin(seed):
     rng = np.random.default_rng(seed)
