@@ -1,4 +1,4 @@
-"""How much a camera hangs on which views were taken, and what the views say about one that they have not seen."""
+"""How much a camera hangs on which views were taken, and on none of them alone (ringpose-method(7), section 7)."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""Saddle points of a chessboard where the light is uneven.
+"""Saddle points of a chessboard where the light is uneven (ringpose-method(7), section 7).
 
 OpenCV's refinement takes every gradient in its window for an edge: the fall of light beside a glaring stripe, speckle
 and shadows draw it aside. Here dark and bright squares around a corner are each brought to one level first. On
