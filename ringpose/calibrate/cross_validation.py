@@ -1,4 +1,4 @@
-"""How much a camera hangs on which views were taken, and on none of them alone (ringpose-method(7), section 7)."""
+"""How much a camera hangs on which views were taken (ringpose-method(7), section 7)."""
 
 from collections.abc import Sequence
 

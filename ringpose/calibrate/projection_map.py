@@ -1,4 +1,4 @@
-"""Two cameras compared over the image, and how far a camera may be from the truth there (ringpose-method(7), section 7).
+"""Two cameras compared over the image, and how far one may be from the truth there (ringpose-method(7), section 7).
 
 Turning the camera frame moves all pixels alike, as a shift of the principal point does, and harms nothing that is
 calibrated with the same camera. So the turn that makes the displacements in the middle of the image least is taken
