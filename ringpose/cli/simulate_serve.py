@@ -1,7 +1,8 @@
 """`ringpose simulate serve`: stand-ins for camera and relay board, looking at a scene."""
 
+from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -10,15 +11,42 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
     from typing import Any
 
+
+class RelayKind(StrEnum):
+    """A board, or none."""
+
+    LCUS = "lcus"
+    NUMATO = "numato"
+    MODBUS = "modbus"
+    ASCII = "ascii"
+    NONE = "none"
+
+
+class Shown(StrEnum):
+    """What stands before the camera."""
+
+    RING = "ring"
+    CAMERA_BOARD = "camera-board"
+    PLANE_BOARD = "plane-board"
+
+
+class MoveWhen(StrEnum):
+    """When the next view comes."""
+
+    PAUSE = "pause"
+    TIME = "time"
+    NEVER = "never"
+
+
 SceneOption = Annotated[Path, typer.Option("--scene", metavar="SCENE", help="The scene (scene.yaml).")]
 Address = Annotated[str, typer.Option("--camera", metavar="ADDRESS", help="Where the camera listens: 127.x.y.z.")]
-RelayKind = Annotated[
-    Literal["lcus", "numato", "modbus", "ascii", "none"],
+RelayOption = Annotated[
+    RelayKind,
     typer.Option("--relay", help="The relay board; none leaves the lasers to the camera's output lines."),
 ]
-Shown = Annotated[Literal["ring", "camera-board", "plane-board"], typer.Option("--show", help="What stands there.")]
-MoveWhen = Annotated[
-    Literal["pause", "time", "never"],
+ShowOption = Annotated[Shown, typer.Option("--show", help="What stands there.")]
+MoveOption = Annotated[
+    MoveWhen,
     typer.Option("--move", help="When the next view comes: in a pause between frames, after a time, or never."),
 ]
 After = Annotated[float, typer.Option("--after", metavar="S", min=0.0, help="Length of that pause, or that time.")]
@@ -37,9 +65,9 @@ Overwrite = Annotated[bool, typer.Option("--force", help="Replace a log that exi
 def serve(
     scene: SceneOption,
     camera: Address = "127.0.0.1",
-    relay: RelayKind = "none",
-    show: Shown = "ring",
-    move: MoveWhen = "pause",
+    relay: RelayOption = RelayKind.NONE,
+    show: ShowOption = Shown.RING,
+    move: MoveOption = MoveWhen.PAUSE,
     after: After = 1.0,
     warm_up: WarmUp = 0.0,
     fault: FaultTexts = None,
@@ -57,9 +85,9 @@ def serve(
     read = read_scene(scene)
     setup = Setup(
         address=_loopback(camera),
-        relay=relay,
-        show=show,
-        move=move,
+        relay=relay.value,
+        show=show.value,
+        move=move.value,
         after_s=after,
         warm_up_s=warm_up,
         faults=parsed_faults(fault or (), len(read.rig.lasers.names)),
