@@ -6,15 +6,11 @@ aravis://192.168.0.5           by its address, without a search
 """
 
 import ctypes
-import errno
-import ipaddress
 import os
-import socket
 import threading
 import time
 from contextlib import suppress
 from ctypes import byref, c_double, c_int64, c_size_t
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,20 +19,13 @@ from ringpose.capture.cameras.aravis_library import ACCESS_DENIED, NOT_CONTROLLE
 from ringpose.capture.cameras.feature_names import spellings
 from ringpose.capture.cameras.genapi import TRIGGERED
 from ringpose.capture.cameras.lock_step import Grab, LockStepCamera, mid_stamp_s
+from ringpose.capture.cameras.network import MORE_BUFFER, SOCKET_BUFFER_BYTES, check_route, granted_bytes
 from ringpose.capture.uri import DeviceUri
 from ringpose.errors import DeviceError
 from ringpose.types.arrays import Array, UInt
-from ringpose.wire.gvcp import PORT
 from ringpose.wire.gvsp import blocks_between
 
 BUFFERS = 4
-
-SOCKET_BUFFER_BYTES = 8 << 20
-"""Wanted for the stream's socket; the kernel grants no more than net.core.rmem_max."""
-
-_MORE_BUFFER = f"let the kernel buffer more: sysctl -w net.core.rmem_max={SOCKET_BUFFER_BYTES}"
-
-_RMEM_MAX = Path("/proc/sys/net/core/rmem_max")
 
 _SUCCESS = 0
 
@@ -113,11 +102,11 @@ class AravisCamera(LockStepCamera):
 
     def warnings(self) -> tuple[str, ...]:
         """Too small a socket buffer, which matters to users without the right to packet sockets."""
-        granted = _granted_bytes()
+        granted = granted_bytes()
         is_network_camera = bool(self._aravis.arv_camera_is_gv_device(self._camera))
         if not is_network_camera or os.geteuid() == 0 or granted is None or granted >= SOCKET_BUFFER_BYTES:
             return ()
-        return (f"the kernel buffers {granted} bytes of a stream; {_MORE_BUFFER}",)
+        return (f"the kernel buffers {granted} bytes of a stream; {MORE_BUFFER}",)
 
     def _connect(self) -> None:
         self.close()
@@ -125,7 +114,7 @@ class AravisCamera(LockStepCamera):
             self._letting_go.join()
         self._is_lost = False
         place = self.uri.place
-        self._check_route(place)
+        check_route(place, self.uri.text)
         try:
             self._camera = self._aravis.call("arv_camera_new", place.encode() or None) or 0
         except AravisError as error:
@@ -216,9 +205,9 @@ class AravisCamera(LockStepCamera):
         return blocks_between(last, frame_id) if frame_id <= 0xFFFF else frame_id - last - 1
 
     def _loss_remedy(self) -> str:
-        granted = _granted_bytes()
+        granted = granted_bytes()
         if granted is not None and granted < SOCKET_BUFFER_BYTES:
-            return _MORE_BUFFER
+            return MORE_BUFFER
         return super()._loss_remedy()
 
     def _number(self, feature: str) -> float | None:
@@ -277,28 +266,5 @@ class AravisCamera(LockStepCamera):
             return DeviceError(self.uri.text, "does not answer any more", "check its cable and its power")
         return DeviceError(self.uri.text, error.message)
 
-    def _check_route(self, place: str) -> None:
-        """An address that cannot be reached is better said at once."""
-        try:
-            address = str(ipaddress.IPv4Address(place))
-        except ValueError:
-            return
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                probe.connect((address, PORT))
-            except OSError as error:
-                if error.errno not in (errno.ENETUNREACH, errno.EHOSTUNREACH, errno.EACCES):
-                    raise
-                remedy = "give this computer an address in the camera's network"
-                raise DeviceError(self.uri.text, f"there is no route to {address}", remedy) from error
-
 
 _NOT_FOUND = "see ringpose capture --list; check its cable, its power, and this computer's address in its network"
-
-
-def _granted_bytes() -> int | None:
-    """The largest socket buffer that the kernel grants; None where it does not say."""
-    try:
-        return int(_RMEM_MAX.read_text())
-    except (OSError, ValueError):
-        return None

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from served_scene import small_scene
 
-from ringpose.capture.cameras import aravis
+from ringpose.capture.cameras import aravis, network
 from ringpose.capture.cameras.aravis import AravisCamera
 from ringpose.capture.uri import DeviceUri
 from ringpose.errors import DeviceError, UsageError
@@ -136,7 +136,7 @@ def test_a_frame_that_stays_broken_is_taken_again(serve, camera):
 def test_a_camera_that_loses_every_frame_is_an_error_that_says_what_may_help(serve, camera, monkeypatch, tmp_path):
     serve("loss=0.9", "no-resend")
     (tmp_path / "rmem_max").write_text("212992\n")
-    monkeypatch.setattr(aravis, "_RMEM_MAX", tmp_path / "rmem_max")
+    monkeypatch.setattr(network, "_RMEM_MAX", tmp_path / "rmem_max")
 
     with (opened := camera(timeout="0.3")), pytest.raises(DeviceError, match="3 times in a row") as raised:
         opened.trigger(0)
@@ -183,7 +183,7 @@ def test_a_network_that_is_not_there_says_so(camera, monkeypatch):
         def connect(self, address):
             raise OSError(101, "Network is unreachable")
 
-    monkeypatch.setattr(aravis.socket, "socket", Unroutable)
+    monkeypatch.setattr(network.socket, "socket", Unroutable)
 
     with pytest.raises(DeviceError, match=r"there is no route to 10\.9\.8\.7; give this computer an address"):
         camera("10.9.8.7").open()
