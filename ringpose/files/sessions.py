@@ -1,6 +1,7 @@
 """Session folders: `session.yaml` beside one NPZ a shot."""
 
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -80,7 +81,10 @@ class SessionWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._write("finished" if error is None else "stopped")
+        if error is not None and not self._shots and not self._earlier:
+            self._remove()
+        else:
+            self._write("finished" if error is None else "stopped")
 
     def add(self, shot: Shot) -> Path:
         """Write a shot and return the path of its file; a name that the session has already is bad data."""
@@ -118,6 +122,12 @@ class SessionWriter:
         else:
             for path in there:
                 path.unlink()
+
+    def _remove(self) -> None:
+        """A session that broke off before its first shot leaves nothing behind, so that it may simply be begun anew."""
+        (self.folder / FILE).unlink(missing_ok=True)
+        with suppress(OSError):  # other files of the user's
+            self.folder.rmdir()
 
     def _is_free(self) -> bool:
         """Whether the folder is not there yet, or empty."""

@@ -156,3 +156,38 @@ def test_what_a_session_cannot_say_is_bad_data_with_its_place(tmp_path, change, 
 
     with pytest.raises(DataError, match=rf"captures\[0\].*{complaint}"):
         read_session(tmp_path)
+
+
+def test_a_capture_that_breaks_off_before_its_first_shot_leaves_nothing_behind(tmp_path):
+    with pytest.raises(SignalReceived), SessionWriter(tmp_path / "s", CAPTURE):
+        raise SignalReceived(15)
+
+    assert not (tmp_path / "s").exists()
+
+
+def test_one_that_goes_on_with_an_earlier_capture_keeps_it(tmp_path):
+    written(tmp_path / "s", "a")
+
+    with pytest.raises(SignalReceived), SessionWriter(tmp_path / "s", CAPTURE, "append"):
+        raise SignalReceived(15)
+
+    assert [(capture.state, capture.shots) for capture in read_session(tmp_path / "s").captures] == [
+        ("finished", ("a",)),
+        ("stopped", ()),
+    ]
+
+
+def test_files_of_the_users_stay(tmp_path):
+    written(tmp_path / "s", "a")
+    (tmp_path / "s" / "notes.txt").write_text("mine")
+
+    with pytest.raises(SignalReceived), SessionWriter(tmp_path / "s", CAPTURE, "replace"):
+        raise SignalReceived(15)
+
+    assert [path.name for path in (tmp_path / "s").iterdir()] == ["notes.txt"]
+
+
+def test_the_names_of_lasers_survive(tmp_path):
+    written(tmp_path / "s", "a", capture=replace(CAPTURE, laser_names=("left", "middle", "right")))
+
+    assert read_session(tmp_path / "s").captures[0].laser_names == ("left", "middle", "right")

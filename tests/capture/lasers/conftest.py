@@ -94,10 +94,17 @@ def board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]
 
 
 @pytest.fixture
-def capturing(tmp_path: Path) -> Callable[..., "subprocess.Popen[str]"]:
-    """Starts `ringpose capture` of a small simulated scene with the lasers at a URI; returns the process."""
+def scene_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working folder, with a small scene in it."""
     (tmp_path / "rig.yaml").write_text(RIG)
     (tmp_path / "scene.yaml").write_text(SCENE)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def capturing(scene_folder: Path) -> Callable[..., "subprocess.Popen[str]"]:
+    """Starts `ringpose capture` of a small simulated scene with the lasers at a URI; returns the process."""
 
     def start(lasers: str, *words: str, before: str = "") -> "subprocess.Popen[str]":
         program = f"{before}\nfrom ringpose.cli.main import run\nrun()"
@@ -105,7 +112,7 @@ def capturing(tmp_path: Path) -> Callable[..., "subprocess.Popen[str]"]:
         pipe = subprocess.PIPE
         return subprocess.Popen(
             [sys.executable, "-W", "error", "-c", program, *command],
-            cwd=tmp_path, stdin=subprocess.DEVNULL, stdout=pipe, stderr=pipe, text=True, env={**os.environ},
+            cwd=scene_folder, stdin=subprocess.DEVNULL, stdout=pipe, stderr=pipe, text=True, env={**os.environ},
         )  # fmt: skip
 
     return start

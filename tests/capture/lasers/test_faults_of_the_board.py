@@ -7,10 +7,22 @@ from pathlib import Path
 
 import pytest
 
+from ringpose.cli.main import main
 from ringpose.files.sessions import read_session
 from ringpose.files.shots import read_shot
 
 SLOW = ("--settle", "0.3", "--sequence", "off,all")
+
+
+FULL_AFTER_A_SHOT = """
+import pathlib, resource, threading, time
+def fill():
+    while not list(pathlib.Path("s").glob("*.npz")):
+        time.sleep(0.001)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000))
+threading.Thread(target=fill, daemon=True).start()
+"""
+"""Put before the command: once a shot is there, no file may grow beyond 3 kB."""
 
 
 def guard_of(process) -> int:
@@ -74,14 +86,16 @@ def test_a_worn_relay_is_named_on_standard_error(board, capturing):
 
 
 def test_a_full_disk_leaves_the_lasers_off_and_the_finished_shots(board, capturing, tmp_path):
-    limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (5_000, 5_000))"
-    with board("lcus") as (relays, uri), capturing(uri, "--settle", "0.01", before=limit) as process:
+    with board("lcus") as (relays, uri), capturing(uri, "--settle", "0.05", before=FULL_AFTER_A_SHOT) as process:
         names, said = process.communicate(timeout=60)
 
     assert process.returncode == 74
     assert "writing broke off" in said
     assert not lit(relays)
-    assert names == "".join(f"s/{name}.npz\n" for name in read_session(tmp_path / "s").shots)
+    finished = read_session(tmp_path / "s").shots
+    assert len(finished) >= 1
+    assert names == "".join(f"s/{name}.npz\n" for name in finished)
+    assert [read_shot(tmp_path / f"s/{name}.npz").name for name in finished] == list(finished)
 
 
 @pytest.mark.parametrize(
@@ -109,19 +123,21 @@ def test_a_full_disk_leaves_the_lasers_off_and_the_finished_shots(board, capturi
         ("relay:/dev/ttyNone", 2, "names no device; it begins with one of ascii:, lcus:"),
     ],
 )
-def test_lasers_that_cannot_be_had_are_one_line(capturing, lasers, status, complaint):
-    with capturing(lasers) as process:
-        _, said = process.communicate(timeout=60)
+def test_lasers_that_cannot_be_had_are_one_line(scene_folder, capsys, lasers, status, complaint):
+    ended = main(["capture", "--camera", f"sim:{scene_folder}/scene.yaml", "--lasers", lasers, "--output", "s"])
 
-    assert process.returncode == status
+    said = capsys.readouterr().err
+    assert ended == status
     assert said.count("\n") == 1
     assert complaint in said
+    assert not Path("s").exists()
 
 
 @pytest.mark.parametrize("words", [("--exposure", "1"), ("--sequence", "off,1@960ms"), ("--settle", "1")])
-def test_a_frame_that_lasts_longer_than_the_guard_waits_is_wrong_usage(capturing, words):
-    with capturing("lcus:/dev/ttyNone?ch=1,2,3", *words) as process:
-        _, said = process.communicate(timeout=60)
+def test_a_frame_that_lasts_longer_than_the_guard_waits_is_wrong_usage(scene_folder, capsys, words):
+    lasers = "lcus:/dev/ttyNone?ch=1,2,3"
 
-    assert process.returncode == 2
-    assert "the guard of the lasers allows 1 s; raise heartbeat= and longest_on=" in said
+    ended = main(["capture", "--camera", f"sim:{scene_folder}/scene.yaml", "--lasers", lasers, *words])
+
+    assert ended == 2
+    assert "the guard of the lasers allows 1 s; raise heartbeat= and longest_on=" in capsys.readouterr().err
