@@ -12,7 +12,9 @@ from ringpose.capture.cameras import aravis, network
 from ringpose.capture.cameras.aravis import AravisCamera
 from ringpose.capture.uri import DeviceUri
 from ringpose.errors import DeviceError, UsageError
+from ringpose.simulate.serve.device import CameraFaults, ServedCamera
 from ringpose.simulate.serve.faults import parsed_faults
+from ringpose.simulate.serve.registers import Identity
 from ringpose.simulate.serve.stand_in import Setup, StandIn
 
 pytestmark = pytest.mark.usefixtures("_aravis")
@@ -56,6 +58,22 @@ def test_a_camera_says_what_it_is(serve, camera):
         assert (description.image_width, description.image_height, description.saturation_dn) == (200, 150, 255)
         assert opened.bounds("ExposureTime") == (10.0, 1e6)
         assert opened.bounds("NoSuchFeature") is None
+
+
+@pytest.mark.parametrize(("bits", "packet"), [(8, "1400"), (12, "1400"), (12, "9000")])
+def test_every_pixel_comes_as_it_was_sent(camera, loopback_address, rng, bits, packet):
+    sent = []
+
+    class Drawn:
+        def image(self, began_s, exposure_s, gain_db, bits):
+            sent.append(rng.integers(0, 1 << bits, (37, 53)).astype(np.uint8 if bits == 8 else np.uint16))
+            return sent[-1], {}
+
+    identity = Identity(address=loopback_address, width=53, height=37, bits=bits, exposure_s=0.001)
+    with ServedCamera(identity, Drawn(), CameraFaults(loss=0.02)), (opened := camera(packet=packet)):
+        frames = [opened.trigger(0) for _ in range(8)]
+
+    np.testing.assert_array_equal([frame.image for frame in frames], [sent[frame.frame_id - 1] for frame in frames])
 
 
 def test_a_frame_comes_after_its_exposure(serve, camera):
