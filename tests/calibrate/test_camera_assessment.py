@@ -184,6 +184,7 @@ def test_a_comparison_of_three_views_says_nothing_of_views_left_out(views):
     assert not any("nan" in line or "left out fit" in line for line in lines)
 
 
+@pytest.mark.slow
 def test_held_out_views_see_no_use_of_coefficients_that_the_lens_has_not(views):
     boards = views(10)
     found = calibrate_camera(boards, 1600, 1200)
@@ -210,7 +211,7 @@ def test_millimetres_grow_with_distance(views):
 def test_file_and_summary_say_the_same(views):
     boards = views(10)
     found = calibrate_camera(boards, 1600, 1200)
-    assessed = camera_assessment(found, boards, PLUMB_BOB, compare=True)
+    assessed = camera_assessment(found, boards, PLUMB_BOB)
     verdict = camera_verdict(found, assessed, 10)
 
     quality = camera_quality(found, assessed, verdict, [("black", "too dark")])["quality"]
@@ -277,6 +278,7 @@ def test_many_views_of_noise_alone_agree(views):
     assert 0.5 < value(verdict, "view_disagreement") < 1.7
 
 
+@pytest.mark.slow
 def test_a_lens_that_plumb_bob_does_not_describe_asks_for_the_other_model(true_poses, rng):
     boards = []
     for index, (turn, place) in enumerate(true_poses(rng, 14)):
