@@ -8,7 +8,7 @@ from ringpose.capture.cameras.driver import CameraDescription, CameraDriver
 from ringpose.errors import DeviceError
 from ringpose.types.frame import Frame
 
-HEIGHT, WIDTH = 60, 200
+HEIGHT, WIDTH = 130, 200
 
 
 class DrawnCamera(CameraDriver):

@@ -9,7 +9,9 @@ from ringpose.capture.pipeline import Procedure, captured_shots
 from ringpose.capture.uri import LASERS, device_uri, driver
 from ringpose.errors import DeviceError, LaserSafetyError
 from ringpose.simulate.serve.contacts import ContactFaults
+from ringpose.simulate.serve.relays import ServedRelays
 from ringpose.types.sequence import parsed_sequence
+from ringpose.wire.lcus import LcusCodec
 
 IN_TURN = "off,1,2,3,off"
 
@@ -159,3 +161,20 @@ def test_the_settling_time_is_measured_once(shots_of, delay_s):
 def test_what_does_not_show_cannot_be_measured(shots_of):
     with pytest.raises(DeviceError, match="no laser shows in the image"):
         shots_of(procedure(settle_s=None), ContactFaults(dead=frozenset({0, 1, 2})))
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 8])
+def test_any_number_of_lasers_is_captured_one_after_the_other(tmp_path, monkeypatch, rng, count):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    with ServedRelays(LcusCodec(), relays=range(count)) as relays:
+        uri = device_uri(f"lcus:{relays.port}?ch={relays.channels}", "--lasers", LASERS)
+        lasers = driver(LASERS, "lcus")(uri, LaserPlace(names=tuple(f"l{number}" for number in range(count))))
+        camera = DrawnCamera(relays.contacts, rng)
+        sequence = ",".join(["off", *(str(number + 1) for number in range(count)), "all", "off"])
+        with camera, lasers:
+            (shot,) = captured_shots(camera, lasers, procedure(sequence), ["a"])
+
+    masks = [0, *(1 << number for number in range(count)), (1 << count) - 1, 0]
+    assert shot.lasers.tolist() == masks
+    assert shot.read_lasers.tolist() == masks
+    assert shot.seen_lasers.tolist() == masks
