@@ -1,6 +1,7 @@
 """`ringpose capture`, from files and from a simulated scene."""
 
 import io
+import os
 import resource
 import signal
 import time
@@ -427,3 +428,18 @@ def test_a_full_disk_keeps_what_was_finished(started, rng):
     assert said.startswith("ringpose: s/z.npz: writing broke off: ")
     (capture,) = read_session(Path("s")).captures
     assert (capture.state, capture.shots) == ("stopped", ("a", "b"))
+
+
+def test_progress_is_shown_on_a_terminal_and_names_alone_go_out(started):
+    for name in "ab":
+        recorded(Path("in"), name)
+    screen, terminal = os.openpty()
+
+    with started("capture", "--camera", "files:in", "--output", "s", stderr=terminal) as process:
+        out, _ = process.communicate(timeout=60)
+    shown = os.read(screen, 65536).decode()
+    os.close(screen)
+    os.close(terminal)
+
+    assert out == "s/a.npz\ns/b.npz\n"
+    assert "2 shots" in shown
