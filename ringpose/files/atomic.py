@@ -2,6 +2,7 @@
 
 import errno
 import os
+import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,10 +16,14 @@ _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 
 @contextmanager
 def replacing(path: Path, force: bool) -> Iterator[IO[bytes]]:
-    """A file to write into that takes the place of `path` when the block ends well, and vanishes if it does not."""
+    """A file to write into that takes the place of `path` when the block ends well, and vanishes if it does not.
+
+    A symbolic link stays: what it points to is replaced.
+    """
     refuse_existing(path, force)
     try:
-        handle, aside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+        target = path.resolve()
+        handle, aside = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
     except OSError as error:
         raise output_error(path, error) from error
     try:
@@ -27,7 +32,7 @@ def replacing(path: Path, force: bool) -> Iterator[IO[bytes]]:
             stream.flush()
             os.fsync(stream.fileno())
         Path(aside).chmod(0o666 & ~_umask())
-        Path(aside).replace(path)
+        Path(aside).replace(target)
     except BaseException as error:
         Path(aside).unlink(missing_ok=True)
         if isinstance(error, OSError):
@@ -36,12 +41,22 @@ def replacing(path: Path, force: bool) -> Iterator[IO[bytes]]:
 
 
 def refuse_existing(path: Path, force: bool) -> None:
-    """Refuse an output that exists already, unless it may be replaced; before long work, this tells it in time."""
+    """Refuse an output that exists already, unless it may be replaced; before long work, this tells it in time.
+
+    A folder, a device or a pipe is never replaced; nor is there an output in a folder that does not exist.
+    """
     try:
-        if path.exists() and not force:
-            raise CannotCreateError(str(path), "exists already", "add --force to replace it")
+        path.parent.stat()
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise CannotCreateError(str(path), "is a folder, a device or a pipe, no file", "choose another output")
+    except FileNotFoundError as error:
+        if not path.parent.is_dir():
+            raise output_error(path, error) from error
+        return
     except OSError as error:
         raise output_error(path, error) from error
+    if not force:
+        raise CannotCreateError(str(path), "exists already", "add --force to replace it")
 
 
 def make_folder(path: Path) -> Path:

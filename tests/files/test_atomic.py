@@ -7,7 +7,7 @@ import textwrap
 import pytest
 
 from ringpose.errors import CannotCreateError, InputOutputError
-from ringpose.files.atomic import make_folder, replacing
+from ringpose.files.atomic import make_folder, refuse_existing, replacing
 
 
 def write(path, content: bytes, force=False, error: Exception | None = None):
@@ -45,6 +45,50 @@ def test_existing_file_is_replaced_with_force(tmp_path):
     write(tmp_path / "a", b"new", force=True)
 
     assert (tmp_path / "a").read_bytes() == b"new"
+
+
+def test_link_stays_and_its_target_is_replaced(tmp_path):
+    (tmp_path / "a").write_bytes(b"old")
+    (tmp_path / "link").symlink_to("a")
+
+    write(tmp_path / "link", b"new", force=True)
+
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "a").read_bytes() == b"new"
+
+
+def test_link_that_ends_nowhere_is_filled(tmp_path):
+    (tmp_path / "link").symlink_to("a")
+
+    write(tmp_path / "link", b"new")
+
+    assert (tmp_path / "a").read_bytes() == b"new"
+
+
+def test_link_to_itself_cannot_be_written(tmp_path):
+    (tmp_path / "link").symlink_to("link")
+
+    with pytest.raises(CannotCreateError, match="link"):
+        write(tmp_path / "link", b"new", force=True)
+
+
+def test_pipe_is_not_replaced_even_with_force(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+
+    with pytest.raises(CannotCreateError, match="is a folder, a device or a pipe, no file; choose another output"):
+        write(tmp_path / "pipe", b"new", force=True)
+
+    assert (tmp_path / "pipe").is_fifo()
+
+
+def test_folder_is_not_replaced_even_with_force(tmp_path):
+    with pytest.raises(CannotCreateError, match="is a folder"):
+        write(tmp_path, b"new", force=True)
+
+
+def test_missing_folder_is_told_before_long_work(tmp_path):
+    with pytest.raises(CannotCreateError, match="no such file or directory"):
+        refuse_existing(tmp_path / "missing" / "a", force=False)
 
 
 def test_failure_leaves_the_old_file_and_nothing_else(tmp_path):
