@@ -275,9 +275,9 @@ def corner_chi2(view: StripeView, pose: BoardPose, camera: Camera, corner_px: fl
 
 
 def _center_px(points_px: Float64[Array, "n xy=2"], shared: float) -> float:
-    """Scatter times the root of the correlation length, the stripe's own or that of all stripes."""
+    """Scatter times the root of the correlation length: of all stripes where that is known, else the stripe's own."""
     if not len(points_px):
         return float("nan")
-    own = line_variance_px2(points_px) * len(points_px)
-    alike = scatter_px(points_px) ** 2 * shared
-    return max(float(np.sqrt(max(own, alike))), LEAST_SIGMA_PX)
+    if np.isfinite(shared):
+        return max(scatter_px(points_px) * float(np.sqrt(shared)), LEAST_SIGMA_PX)
+    return max(float(np.sqrt(line_variance_px2(points_px) * len(points_px))), LEAST_SIGMA_PX)

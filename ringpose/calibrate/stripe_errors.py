@@ -10,6 +10,10 @@ BLOCK = 16
 """Centres whose mean tells how much neighbours have in common: ten times as far as speckle reaches."""
 
 
+FEWEST_BLOCKS = 30
+"""So many blocks tell a mean square to a quarter."""
+
+
 def stripe_bend(points_px: Float64[Array, "n xy=2"]) -> Float64[Array, "2 n xy=2"]:
     """Two independent ways in which a stripe's line may err: shifted, and turned about its middle, by one pixel rms."""
     middle = points_px - points_px.mean(axis=0)
@@ -38,7 +42,8 @@ def scatter_px(points_px: Float64[Array, "n xy=2"]) -> float:
 def shared_length(stripes_px: Sequence[Float64[Array, "_ xy=2"]]) -> float:
     """The correlation length that many stripes have together, from the means of blocks of their residuals.
 
-    Short stripes, and those that printed squares cut to pieces, hardly show theirs by themselves.
+    Short stripes, and those that printed squares cut to pieces, hardly show theirs by themselves. NaN where there are
+    too few blocks to tell.
     """
     squares, blocks = 0.0, 0
     for points_px in stripes_px:
@@ -48,7 +53,7 @@ def shared_length(stripes_px: Sequence[Float64[Array, "_ xy=2"]]) -> float:
         parts = np.array_split(residual / max(float(residual.std()), 1e-12), len(residual) // BLOCK)
         squares += sum(len(part) * float(part.mean()) ** 2 for part in parts)
         blocks += len(parts) - 4
-    return squares / blocks if blocks > 0 else 1.0
+    return squares / blocks if blocks >= FEWEST_BLOCKS else float("nan")
 
 
 def _residual_px(points_px: Float64[Array, "n xy=2"]) -> Float64[Array, "n"]:
