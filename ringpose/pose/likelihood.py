@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.pose.measurements import Measurements
+from ringpose.pose.measurements import Measurements, Sighted
 from ringpose.pose.residual_rows import Beforehand, Rows, rows_of
 from ringpose.pose.rig_errors import ByRig, RigErrors, rows_by_common_errors
 from ringpose.pose.ring_model import CURVATURE, PARAMETERS, TURN, RingState, moved
@@ -72,15 +72,16 @@ def fitted(measured: Measurements, rig: Rig, before: Beforehand, errors: RigErro
     second search, so that it cannot spoil the rest.
     """
     before = before._replace(one_edge=before.radii is None and _edges_seen(measured) == 1)
-    start = starting_state(measured, rig.lasers, before)
-    fit = None if start is None else _search(start, measured, rig, before, errors)
+    sighted = measured.sighted(rig.lasers)
+    start = starting_state(measured, sighted, before)
+    fit = None if start is None else _search(start, measured, sighted, rig, before, errors)
     if start is not None and (fit is None or _leaves_open(fit)):
-        fit = _search(start, measured, rig, before._replace(weak_about=start), errors)
+        fit = _search(start, measured, sighted, rig, before._replace(weak_about=start), errors)
     if fit is not None and fit.state.curvature < 0 and _unsure_of_side(measured, before):
         turned = fit.state._replace(
             outward=-fit.state.outward, curvature=-fit.state.curvature, shift_m=-fit.state.shift_m
         )
-        fit = _search(turned, measured, rig, before, errors) or fit
+        fit = _search(turned, measured, sighted, rig, before, errors) or fit
     return fit
 
 
@@ -101,9 +102,14 @@ def _edges_seen(measured: Measurements) -> int:
 
 
 def _search(
-    state: RingState, measured: Measurements, rig: Rig, before: Beforehand, errors: RigErrors | None
+    state: RingState,
+    measured: Measurements,
+    sighted: Sighted,
+    rig: Rig,
+    before: Beforehand,
+    errors: RigErrors | None,
 ) -> Fit | None:
-    sighted, robust = measured.sighted(rig.lasers), _robust_rows(measured)
+    robust = _robust_rows(measured)
     common: ByRig | None = None
     left = None
     for number in range(MOST_STEPS):

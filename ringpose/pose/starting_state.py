@@ -6,17 +6,15 @@ from ringpose.pose.measurements import Measurements, Sighted
 from ringpose.pose.residual_rows import LIKELY_BAND_M, LIKELY_CURVATURE, Beforehand
 from ringpose.pose.ring_model import RingState, Sights, cross, sights_of
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.laser_planes import LaserPlanes
 
 SHORTEST_M = 1e-9
 """A direction of less than this is none."""
 
 
-def starting_state(measured: Measurements, planes: LaserPlanes, before: Beforehand) -> RingState | None:
+def starting_state(measured: Measurements, sighted: Sighted, before: Beforehand) -> RingState | None:
     """The plane of the stripes, and a likely ring on it; None if there is none before the camera."""
     if not len(measured.points.x):
         return None
-    sighted = measured.sighted(planes)
     plane = _plane(measured, sighted)
     state = RingState(plane, np.array([1.0, 0.0, 0.0]), 0.0, LIKELY_CURVATURE, 0.0)
     sights = sights_of(state, sighted)
