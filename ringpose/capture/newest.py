@@ -1,7 +1,7 @@
 """Shots taken in the background, of which the newest counts: who is late misses some instead of falling behind."""
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from time import perf_counter
 from types import TracebackType
@@ -26,8 +26,9 @@ class NewestShots:
     What goes wrong while shots are taken is raised where they are handed out.
     """
 
-    def __init__(self, shots: Iterator[Shot]) -> None:
+    def __init__(self, shots: Iterator[Shot], abort: Callable[[], None] | None = None) -> None:
         self._shots = shots
+        self._abort = abort
         self._changed = threading.Condition()
         self._waiting: LiveShot | None = None
         self._dropped = 0
@@ -42,9 +43,11 @@ class NewestShots:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Let the shot that is being taken come to its end."""
+        """Break off the shot that is being taken, if `abort` can; otherwise let it come to its end."""
         with self._changed:
-            self._ended = True
+            was_taking, self._ended = not self._ended, True
+        if was_taking and self._abort is not None:
+            self._abort()
         self._thread.join()
 
     def _handed_out(self) -> Iterator[LiveShot]:

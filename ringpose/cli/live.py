@@ -39,7 +39,7 @@ def newest_shots(wanted: "Wanted", batch: "Batch", say: Callable[[str], None]) -
         for line in source.warnings():
             say(line)
         shots = source.shots(_unread, ())
-        yield stack.enter_context(NewestShots(shots))
+        yield stack.enter_context(NewestShots(shots, source.abort))
 
 
 def _unread(path: "Path") -> None:

@@ -62,6 +62,8 @@ class Source:
     """To be entered, in this order, while shots are taken."""
     warnings: Callable[[], tuple[str, ...]] = tuple
     """What the user should know about the devices, once they are entered."""
+    abort: Callable[[], None] | None = None
+    """Switches the lasers off although another thread takes shots."""
     camera_name: Callable[[], str | None] = lambda: None
     """What the camera calls itself, once it is entered."""
 
@@ -183,6 +185,7 @@ def _of_devices(
         shots=shots,
         devices=(camera, lasers),
         warnings=lasers.warnings,
+        abort=lasers.abort,
         camera_name=lambda: camera.describe().name,
     )
 

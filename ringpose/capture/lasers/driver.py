@@ -46,6 +46,13 @@ class LaserDriver(Device, Protocol):
         """Let time pass; a driver that notices the loss of its device meanwhile raises at once."""
         time.sleep(duration_s)
 
+    def abort(self) -> None:
+        """All off at once, said by another thread than the one that switches, which then fails and ends.
+
+        Lasers that only one thread can reach burn to the end of their shot.
+        """
+        return
+
     def warnings(self) -> tuple[str, ...]:
         """What the user should know about the device, which is open."""
         return ()

@@ -103,6 +103,13 @@ class GuardedLasers(LaserDriver):
         if self._faulty.wait(duration_s) and self._fault is not None:
             raise self._fault
 
+    def abort(self) -> None:
+        """Let the guard switch off and end; nothing can be lit after it."""
+        guard = self._guard
+        if guard is not None and self._guarding:
+            with suppress(ProcessLookupError):
+                os.kill(guard.pid, signal.SIGTERM)
+
     def close(self) -> None:
         """Send the guard home; it switches off once more."""
         self._guarding = False
@@ -158,7 +165,7 @@ class GuardedLasers(LaserDriver):
                 raise self._lost()
             ready, _, _ = select.select([guard.stdout], [], [], max(0.0, ends_s - time.monotonic()))
             if not ready:
-                guard.kill()
+                os.kill(guard.pid, signal.SIGKILL)  # it is ours until `close` has waited for it
                 raise self._lost()
             received = os.read(guard.stdout.fileno(), 4096)
             if not received:

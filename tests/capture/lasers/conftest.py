@@ -106,9 +106,11 @@ def scene_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def capturing(scene_folder: Path) -> Callable[..., "subprocess.Popen[str]"]:
     """Starts `ringpose capture` of a small simulated scene with the lasers at a URI; returns the process."""
 
-    def start(lasers: str, *words: str, before: str = "") -> "subprocess.Popen[str]":
+    def start(
+        lasers: str, *words: str, before: str = "", first: tuple[str, ...] = ("capture", "--output", "s")
+    ) -> "subprocess.Popen[str]":
         program = f"{before}\nfrom ringpose.cli.main import run\nrun()"
-        command = ["capture", "--camera", "sim:scene.yaml", "--lasers", lasers, "--output", "s", *words]
+        command = [*first, "--camera", "sim:scene.yaml", "--lasers", lasers, *words]
         pipe = subprocess.PIPE
         return subprocess.Popen(
             [sys.executable, "-W", "error", "-c", program, *command],

@@ -77,6 +77,18 @@ def test_the_lasers_go_off_before_the_memory_of_a_large_capture_is_given_back(bo
     assert fastest(measured) < OFF_WITHIN_S
 
 
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_the_lasers_are_off_within_50_ms_whatever_ends_a_live_measurement(board, capturing, time_until, number):
+    def measured():
+        live = ("pose", "--rig", "rig.yaml")
+        with board("lcus") as (relays, uri), capturing(uri, "--settle", "0.4", first=live) as process:
+            off_s = off_time(relays, process, number, time_until)
+        assert process.returncode == (-number if number in FATAL else 128 + number)
+        return off_s
+
+    assert fastest(measured) < OFF_WITHIN_S
+
+
 @pytest.mark.parametrize("number", [*FATAL, signal.SIGSTOP])
 def test_without_the_guard_the_lasers_burn_on(board, capturing, time_until, unguarded, number):
     with board("lcus") as (relays, uri), capturing(uri, *BURN, before=unguarded) as process:
