@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from ringpose.cli.batch import Batch
     from ringpose.cli.stripe_images import StripeImages
     from ringpose.types.camera import Camera
+    from ringpose.types.rig import Rig
 
 CameraFile = Annotated[
     Path | None, typer.Option("--camera", metavar="FILE", help="The calibrated camera (camera.yaml).")
@@ -101,6 +102,7 @@ def calibrate_planes(
     shots = given(inputs, "INPUT")
     reading = _Reading(board, laser_names, laser_order, surround, overlay, channel, force, verbose, quiet)
     if check is not None:
+        _refuse_with_check({"--output": output, "--camera": camera, "--mount": mount, "--report": report})
         _check(shots, check, reading)
         return
     angles_rad = _angles_rad(expected_angles)
@@ -108,28 +110,33 @@ def calibrate_planes(
     _calibrate(shots, reading, writing, method, free_camera)
 
 
+def _refuse_with_check(options: dict[str, Path | None]) -> None:
+    """Refuse options that a check would leave aside without a word."""
+    from ringpose.errors import UsageError
+
+    given_besides = [name for name, value in options.items() if value is not None]
+    if given_besides:
+        raise UsageError("--check", "only compares, with the rig's own camera", f"leave out {', '.join(given_besides)}")
+
+
 def _calibrate(shots: list[str], reading: _Reading, writing: _Writing, method: PlanesMethod, free_camera: bool) -> None:
     from dataclasses import replace
 
     from ringpose.calibrate.planes import calibrate_planes as calibrated
-    from ringpose.calibrate.planes_quality import (
-        PlanesAssessment,
-        calibrated_rig,
-        planes_quality,
-        planes_summary,
-    )
+    from ringpose.calibrate.planes_quality import PlanesAssessment, calibrated_rig, planes_summary
     from ringpose.calibrate.planes_verdict import planes_verdict
     from ringpose.cli import messages
     from ringpose.cli.batch import Batch
     from ringpose.cli.calibration_outputs import refuse_existing_outputs
     from ringpose.files.cameras import read_camera
-    from ringpose.files.rigs import read_mount, write_rig
+    from ringpose.files.rigs import read_mount
 
     refuse_existing_outputs(writing.output, writing.report, reading.force)
     tool_from_camera = None if writing.mount is None else read_mount(writing.mount)
     batch = Batch()
     stripes = _read(shots, reading, read_camera(writing.camera), batch)
     model = stripes.model(method, free_camera)
+    stripes.require_angles(len(writing.expected_rad))
     calibration = calibrated(stripes.views, stripes.camera, model)
     assessment = PlanesAssessment(
         calibration=calibration,
@@ -138,14 +145,27 @@ def _calibrate(shots: list[str], reading: _Reading, writing: _Writing, method: P
         without_board=stripes.images.without_board,
     )
     rig = replace(calibrated_rig(calibration), tool_from_camera=tool_from_camera)
-    files = [writing.camera, reading.board, *([writing.mount] if writing.mount else []), *stripes.images.paths]
-    write_rig(writing.output, rig, extra=planes_quality(assessment), force=reading.force, inputs=files)
-    if writing.report is not None:
-        _write_report(writing.report, assessment, reading.force)
+    _write(rig, assessment, writing, [reading.board, *stripes.images.paths], reading.force)
     if not reading.quiet:
         for line in planes_summary(assessment):
             messages.say(line)
     batch.finish()
+
+
+def _write(
+    rig: "Rig",
+    assessment: "PlanesAssessment",
+    writing: _Writing,
+    read: list[Path],
+    force: bool,
+) -> None:
+    from ringpose.calibrate.planes_quality import planes_quality
+    from ringpose.files.rigs import write_rig
+
+    files = [writing.camera, *([writing.mount] if writing.mount else []), *read]
+    write_rig(writing.output, rig, extra=planes_quality(assessment), force=force, inputs=files)
+    if writing.report is not None:
+        _write_report(writing.report, assessment, force)
 
 
 def _check(shots: list[str], rig_file: Path, reading: _Reading) -> None:
@@ -193,6 +213,9 @@ def _angles_rad(words: str | None) -> list[float]:
     from ringpose.errors import UsageError
 
     try:
-        return [radians(float(word)) for word in (words or "").split(",") if words]
+        angles = [float(word) for word in (words or "").split(",") if words]
     except ValueError as error:
         raise UsageError("--expected-angles", f"{words!r} are no angles", "give degrees, as 10,10") from error
+    if not all(0 <= angle <= 180 for angle in angles):
+        raise UsageError("--expected-angles", f"{words!r} are not all from 0 to 180", "give degrees, as 10,10")
+    return [radians(angle) for angle in angles]

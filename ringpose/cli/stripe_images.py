@@ -1,6 +1,7 @@
 """Shots of a board with stripes, as `ringpose calibrate-planes` reads them."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 from ringpose.calibrate.board_overlay import stripe_overlay
 from ringpose.calibrate.laser_names import laser_names, laser_order
@@ -56,6 +57,12 @@ class StripeImages:
             raise UsageError("--method paper", "averages the poses of single markers, and the board has none")
         order = laser_order(self.given[1], self.names) if self.names else None
         return PlanesModel(names=self.names, method=method, order=order, free_camera=free_camera)
+
+    def require_angles(self, count: int) -> None:
+        """Refuse expected angles that are not one for each pair of neighbouring lasers; none at all are welcome."""
+        pairs = [f"{first} to {second}" for first, second in pairwise(self.names)]
+        if count not in (0, len(pairs)):
+            raise UsageError("--expected-angles", f"has {count}, must have {len(pairs)}", f"give {', '.join(pairs)}")
 
     def by_the_paper(self, model: PlanesModel) -> PlanesCalibration | None:
         """The same views by the paper's method, to compare; None where it has nothing to say."""

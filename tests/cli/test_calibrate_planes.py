@@ -377,3 +377,28 @@ def test_errors_of_poses_are_as_large_as_the_estimated_rig_says(benched):
 
     assert 0.5 < nees["center_nees"] < 1.6
     assert 0.5 < nees["normal_nees"] < 1.7
+
+
+@pytest.mark.parametrize(
+    ("angles", "finding"),
+    [
+        ("10", "has 1, must have 2; give left to middle, middle to right"),
+        ("-10,10", "'-10,10' are not all from 0 to 180; give degrees, as 10,10"),
+        ("nan,10", "'nan,10' are not all from 0 to 180; give degrees, as 10,10"),
+    ],
+)
+def test_expected_angles_that_no_lasers_have_are_refused(angles, finding, folder, capsys):
+    status = calibrate("planes", *ORDER, "--expected-angles", angles)
+
+    assert status == 2
+    assert capsys.readouterr().err == f"ringpose: --expected-angles: {finding}\n"
+    assert not (folder / "rig.yaml").exists()
+
+
+def test_check_refuses_what_it_would_leave_aside(folder, capsys):
+    status = calibrate("planes", "--check", "camera.yaml")
+
+    assert status == 2
+    assert capsys.readouterr().err == (
+        "ringpose: --check: only compares, with the rig's own camera; leave out --output, --camera\n"
+    )
