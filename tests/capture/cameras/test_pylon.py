@@ -13,7 +13,8 @@ from ringpose.errors import DeviceError
 @pytest.fixture
 def emulated():
     os.environ["PYLON_CAMEMU"] = "1"  # pypylon reads it when it is imported
-    pytest.importorskip("pypylon.pylon", reason="pypylon is not installed (pip install ringpose[pylon])")
+    if not os.environ.get("CI"):  # there it must not be missing
+        pytest.importorskip("pypylon.pylon", reason="pypylon is not installed (pip install ringpose[pylon])")
 
     def driver(place: str = "", **parameters: str) -> PylonCamera:
         return PylonCamera(
