@@ -12,6 +12,10 @@
 /* Sums are kept in so many parts, as vectors do it. */
 enum { PARTS = 4 };
 
+/* Steps of the fine search, its step in columns, and the width that it begins with. */
+enum { FINE = 11, MIDDLE = 3 };
+#define FINE_STEP 0.15
+
 /* Level, spread and noise of the columns about an end; 0 if they are dark. */
 static int measure_spread(Columns *columns, double noise, const EndRules *rules) {
     double full[MOST_COLUMNS], beyond[MOST_COLUMNS];
@@ -183,30 +187,62 @@ static double edge_cost(const Columns *columns, const Running *running, double p
     return 0.5 * (square + sums.logarithm);
 }
 
-/* A coarse search at one width, then all widths around what it found, then a parabola. */
+/* A search for one end at one width. */
+typedef struct {
+    const Columns *columns;
+    const Running *running;
+    double width;
+} Search;
+
+static double cost_at(const Search *search, double position, double *outside) {
+    return edge_cost(search->columns, search->running, position, search->width, outside);
+}
+
+/* Where the edge lies to half a column: the best of whole columns, and the halves beside it. */
+static double coarse_position(const Search *search) {
+    double least = INFINITY, best = 0, ignored;
+    for (int k = -12; k <= 6; k++) {
+        double cost = cost_at(search, k, &ignored);
+        if (!(cost < least)) continue;
+        least = cost;
+        best = k;
+    }
+    double before = cost_at(search, best - 0.5, &ignored), after = cost_at(search, best + 0.5, &ignored);
+    if (before < least && !(after < before)) return best - 0.5;
+    return after < least ? best + 0.5 : best;
+}
+
+static void try_step(const Search *search, double start, int k, double *cost, double *level) {
+    if (isnan(cost[k])) cost[k] = cost_at(search, start + (k - FINE / 2) * FINE_STEP, &level[k]);
+}
+
+/* Downhill in fine steps about `start` from step `k`, then a parabola; returns the lowest step. */
+static int descend(const Search *search, double start, int k, EdgeFit *fit, int s) {
+    double cost[FINE], level[FINE];
+    for (int j = 0; j < FINE; j++) cost[j] = NAN;
+    try_step(search, start, k, cost, level);
+    for (int next = k;; k = next) {
+        if (k > 0) try_step(search, start, k - 1, cost, level);
+        if (k < FINE - 1) try_step(search, start, k + 1, cost, level);
+        if (k > 0 && cost[k - 1] < cost[next]) next = k - 1;
+        if (k < FINE - 1 && cost[k + 1] < cost[next]) next = k + 1;
+        if (next == k) break;
+    }
+    double shift = k > 0 && k < FINE - 1 ? parabola(cost[k - 1], cost[k], cost[k + 1]) : 0;
+    fit->cost[s] = cost[k];
+    fit->position[s] = start + (k - FINE / 2 + shift) * FINE_STEP;
+    fit->outside[s] = level[k];
+    return k;
+}
+
+/* The middle width first, then from each to its neighbour, whose edge hardly lies elsewhere. */
 void fit_edge(const Columns *columns, double sigma, EdgeFit *fit) {
-    enum { FINE = 11 };
     Running running;
-    double least = INFINITY, start = 0, ignored;
     run(columns, &running);
-    for (int k = -24; k <= 12; k++) {
-        double cost = edge_cost(columns, &running, 0.5 * k, 0.8 * sigma, &ignored);
-        if (cost < least) {
-            least = cost;
-            start = 0.5 * k;
-        }
-    }
-    for (int s = 0; s < WIDTHS; s++) {
-        double cost[FINE], level[FINE];
-        int k = 0;
-        for (int j = 0; j < FINE; j++) {
-            double at = start + (j - FINE / 2) * 0.15;
-            cost[j] = edge_cost(columns, &running, at, WIDTH[s] * sigma, &level[j]);
-            if (cost[j] < cost[k]) k = j;
-        }
-        double shift = k > 0 && k < FINE - 1 ? parabola(cost[k - 1], cost[k], cost[k + 1]) : 0;
-        fit->cost[s] = cost[k];
-        fit->position[s] = start + (k - FINE / 2 + shift) * 0.15;
-        fit->outside[s] = level[k];
-    }
+    double start = coarse_position(&(Search){columns, &running, 0.8 * sigma});
+    int middle = descend(&(Search){columns, &running, WIDTH[MIDDLE] * sigma}, start, FINE / 2, fit, MIDDLE);
+    for (int s = MIDDLE - 1, k = middle; s >= 0; s--)
+        k = descend(&(Search){columns, &running, WIDTH[s] * sigma}, start, k, fit, s);
+    for (int s = MIDDLE + 1, k = middle; s < WIDTHS; s++)
+        k = descend(&(Search){columns, &running, WIDTH[s] * sigma}, start, k, fit, s);
 }

@@ -23,7 +23,8 @@ NORMAL_CDF = np.array([0.5 * (1 + math.erf(step / math.sqrt(2))) for step in STE
 NOT_FOUND = (math.nan,) * 9
 WIDTHS = (0.3, 0.4, 0.55, 0.75, 1.0, 1.4, 2.0)
 SHARP = 5
-COARSE = np.arange(-24, 13) * 0.5
+MIDDLE = 3
+COARSE = np.arange(-12, 7) * 1.0
 FINE = np.arange(-5, 6) * 0.15
 
 
@@ -105,18 +106,31 @@ def _columns(profile: Profile, near_x: float, outward: int, rules: EndRules) -> 
 
 
 def _fit(columns: Columns, sigma: float) -> Fit:
-    """A coarse search at one width, then all widths around what it found, then a parabola."""
-    cost = [_cost(columns, at, 0.8 * sigma)[0] for at in COARSE]
-    fine = COARSE[int(np.argmin(cost))] + FINE
-    costs, positions, outsides = [], [], []
-    for share in WIDTHS:
-        found = [_cost(columns, at, share * sigma) for at in fine]
-        k = int(np.argmin([each[0] for each in found]))
-        shift = parabola([found[j][0] for j in (k - 1, k, k + 1)]) if 0 < k < len(fine) - 1 else 0.0
-        costs.append(found[k][0])
-        positions.append(float(fine[k] + 0.15 * shift))
-        outsides.append(found[k][1])
-    return Fit(cost=np.array(costs), position=np.array(positions), outside=np.array(outsides))
+    """A coarse search at one width, then all widths around what it found, each from where the last one ended."""
+    start = _coarse_position(columns, 0.8 * sigma)
+    costs, positions, outsides = (np.empty(len(WIDTHS)) for _ in range(3))
+    steps = dict.fromkeys(range(len(WIDTHS)), len(FINE) // 2)
+    for s in (MIDDLE, *range(MIDDLE - 1, -1, -1), *range(MIDDLE + 1, len(WIDTHS))):
+        from_step = steps[s + (s < MIDDLE) - (s > MIDDLE)]
+        costs[s], positions[s], outsides[s], steps[s] = _descended(columns, WIDTHS[s] * sigma, start, from_step)
+    return Fit(cost=costs, position=positions, outside=outsides)
+
+
+def _coarse_position(columns: Columns, width: float) -> float:
+    """Where the edge lies to half a column: the best of whole columns, and the halves beside it."""
+    best = COARSE[int(np.argmin([_cost(columns, at, width)[0] for at in COARSE]))]
+    beside = best + np.array([0.0, -0.5, 0.5])
+    return float(beside[int(np.argmin([_cost(columns, at, width)[0] for at in beside]))])
+
+
+def _descended(columns: Columns, width: float, start: float, k: int) -> tuple[float, float, float, int]:
+    """Cost, position, level outside and step of the lowest place downhill from step `k`, then a parabola."""
+    found = [_cost(columns, float(start + shift), width) for shift in FINE]
+    cost = [each[0] for each in found]
+    while (lowest := min((k, k - 1, k + 1), key=lambda j: cost[j] if 0 <= j < len(cost) else math.inf)) != k:
+        k = lowest
+    shift = parabola(cost[k - 1 : k + 2]) if 0 < k < len(FINE) - 1 else 0.0
+    return cost[k], float(start + FINE[k] + 0.15 * shift), found[k][1], k
 
 
 def _cost(columns: Columns, position: float, width: float) -> tuple[float, float]:

@@ -22,13 +22,13 @@ static size_t median_section(const Images *images, const double *y, ptrdiff_t fi
         for (ptrdiff_t r = 0; r < ROWS; r++) {
             ptrdiff_t at = row + r - SECTION_ROWS, column = first + i;
             lit[r][found] = pixel(images, images->lit, at, column);
-            added[r][found] = lit[r][found] - (images->dark ? pixel(images, images->dark, at, column) : 0);
+            if (images->dark) added[r][found] = lit[r][found] - pixel(images, images->dark, at, column);
         }
         found++;
     }
     for (int r = 0; found && r < ROWS; r++) {
         bright[r] = median(lit[r], found);
-        value[r] = median(added[r], found);
+        value[r] = images->dark ? median(added[r], found) : bright[r];
     }
     return found;
 }
