@@ -48,6 +48,9 @@ LSD_SHIFT_PX = 0.5 / LSD_SCALE - 0.5
 """LSD divides positions by its scale as if pixel (0, 0) began at 0; about pixel centres that leaves them 0.125 px
 too small. Measured on stripes: 0.12 px."""
 
+FAST_LINES_LEAST_PX = 6
+"""OpenCV's FastLineDetector blanks so many pixels at two corners, and throws where there are fewer."""
+
 
 def detector(name: DetectorName) -> Detector:
     """A detector that keeps its state from call to call; not to be shared between threads."""
@@ -101,7 +104,7 @@ def _lsd() -> Detector:
 
 def _fast_lines() -> Detector:
     fast = cv2.ximgproc.createFastLineDetector()
-    return lambda image: segments_of(fast.detect(image))
+    return lambda image: segments_of(fast.detect(image) if min(image.shape) >= FAST_LINES_LEAST_PX else None)
 
 
 def _hough() -> Detector:

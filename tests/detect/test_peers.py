@@ -38,9 +38,10 @@ def test_every_detector_finds_an_edge_where_it_is(name, normal):
     assert abs(distance_px(middle, normal)) < SLACK_PX.get(name, 0.35)
 
 
+@pytest.mark.parametrize("shape", [(100, 120), (1, 1), (5, 50), (50, 5), (6, 6)])
 @pytest.mark.parametrize("name", DetectorName)
-def test_an_empty_image_has_no_segments(name):
-    segments = detector(name)(np.zeros((100, 120), np.uint8))
+def test_an_empty_image_has_no_segments(name, shape):
+    segments = detector(name)(np.zeros(shape, np.uint8))
 
     assert (segments.start_px.shape, segments.end_px.shape, segments.support.shape) == ((0, 2), (0, 2), (0,))
 
