@@ -1,5 +1,7 @@
 """How long a view is exposed: the scene's time, or as long as its stripes need."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from ringpose.geometry.rays import project
@@ -8,6 +10,7 @@ from ringpose.simulate.lighting import Hits, Stand, laser_radiance
 from ringpose.simulate.pixel_rays import pixel_rays
 from ringpose.simulate.sensor import electrons_per_radiance
 from ringpose.simulate.sheets import half_thickness_m
+from ringpose.simulate.target import ring_target
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.scene import Scene
 
@@ -18,11 +21,13 @@ SHORTEST_S, LONGEST_S = 2e-5, 0.1
 def view_exposure_s(scene: Scene, stand: Stand) -> float:
     """The scene's exposure, or that which gives the stripes on the ring's face the wanted grey value.
 
-    Taken from the brightest stripe in the middle of the band, rounded to microseconds.
+    Taken from the brightest stripe in the middle of the band, rounded to microseconds. A view without the ring is
+    exposed as it would be with it.
     """
     if scene.stripe_dn is None:
         return scene.exposure_s
-    brightest = float(np.max(_stripe_radiances(scene, stand), initial=0.0))
+    with_ring = replace(stand, target=ring_target(scene.ring, scene.body))
+    brightest = float(np.max(_stripe_radiances(scene, with_ring), initial=0.0))
     if brightest == 0.0:
         return scene.exposure_s
     rate_e = brightest * electrons_per_radiance(scene.sensor, scene.lens)

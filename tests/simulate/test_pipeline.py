@@ -81,6 +81,15 @@ def test_exposure_reaches_the_wanted_grey_value(clean_scene, view):
     assert max(peaks) == pytest.approx(150, rel=0.15)
 
 
+@pytest.mark.parametrize("target", ["body", "none"])
+def test_a_view_without_the_ring_is_exposed_as_with_it(clean_scene, view, target):
+    scene = replace(clean_scene, stripe_dn=150.0, views=(view, replace(view, target=target)))
+
+    with_ring, without = [shot.exposure_s[0] for shot, _ in simulate(scene)]
+
+    assert without == with_ring
+
+
 def test_a_moment_of_the_simulated_camera_is_the_views_shot(scene):
     frames = SceneFrames(scene)
     ((shot, _),) = simulate(scene)
