@@ -83,7 +83,7 @@ def test_exposure_reaches_the_wanted_grey_value(clean_scene, view):
 
 @pytest.mark.parametrize("target", ["body", "none"])
 def test_a_view_without_the_ring_is_exposed_as_with_it(clean_scene, view, target):
-    scene = replace(clean_scene, stripe_dn=150.0, views=(view, replace(view, target=target)))
+    scene = replace(clean_scene, stripe_dn=150.0, views=(view, replace(view, name="other", target=target)))
 
     with_ring, without = [shot.exposure_s[0] for shot, _ in simulate(scene)]
 
