@@ -9,7 +9,7 @@ import typer
 from ringpose.cli.app import app
 from ringpose.cli.bench_detectors import detectors
 from ringpose.cli.bench_speed import speed
-from ringpose.cli.options import STDOUT, Force, OptionalRigFile, PoseFrame, Quiet
+from ringpose.cli.options import STDOUT, Force, OptionalRigFile, PoseFrame, Quiet, finite
 from ringpose.pose.method import Method
 
 if TYPE_CHECKING:
@@ -41,12 +41,26 @@ JsonFile = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="All figures as JSON; - instead of tables.")
 ]
 CsvFile = Annotated[str | None, typer.Option("--csv", metavar="FILE", help="A row a shot as CSV; - instead of tables.")]
-MaxCenter = Annotated[float | None, typer.Option("--max-center-mm", min=0, help="Limit on the centre's RMSE.")]
-MaxNormal = Annotated[float | None, typer.Option("--max-normal-deg", min=0, help="Limit on the normal's RMSE.")]
-MaxRadius = Annotated[float | None, typer.Option("--max-radius-mm", min=0, help="Limit on the radii's RMSE.")]
-MaxGrasp = Annotated[float | None, typer.Option("--max-grasp-mm", min=0, help="Limit on the grasp point's RMSE.")]
-MaxMissed = Annotated[int | None, typer.Option("--max-missed", min=0, help="Limit on shots missed or lost.")]
-MaxWrong = Annotated[int | None, typer.Option("--max-wrong", min=0, help="Limit on wrong poses.")]
+MaxCenter = Annotated[
+    float | None,
+    typer.Option("--max-center-mm", metavar="MM", min=0, callback=finite, help="Limit on the centre's RMSE."),
+]
+MaxNormal = Annotated[
+    float | None,
+    typer.Option("--max-normal-deg", metavar="DEG", min=0, callback=finite, help="Limit on the normal's RMSE."),
+]
+MaxRadius = Annotated[
+    float | None,
+    typer.Option("--max-radius-mm", metavar="MM", min=0, callback=finite, help="Limit on the radii's RMSE."),
+]
+MaxGrasp = Annotated[
+    float | None,
+    typer.Option("--max-grasp-mm", metavar="MM", min=0, callback=finite, help="Limit on the grasp point's RMSE."),
+]
+MaxMissed = Annotated[
+    int | None, typer.Option("--max-missed", metavar="N", min=0, help="Limit on shots missed or lost.")
+]
+MaxWrong = Annotated[int | None, typer.Option("--max-wrong", metavar="N", min=0, help="Limit on wrong poses.")]
 
 
 @app.command()

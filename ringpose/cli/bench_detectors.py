@@ -21,14 +21,17 @@ Kinds = Annotated[
     list[str] | None,
     typer.Option("--kind", metavar="KIND", help=f"Synthetic images: {ALL_KINDS}; may be given again."),
 ]
-Seeds = Annotated[int, typer.Option("--seeds", min=1, help="Synthetic images of each kind.")]
-Rounds = Annotated[int, typer.Option("--rounds", min=1, help="Turns in which each detector is timed on each image.")]
+Seeds = Annotated[int, typer.Option("--seeds", metavar="N", min=1, help="Synthetic images of each kind.")]
+Rounds = Annotated[
+    int, typer.Option("--rounds", metavar="N", min=1, help="Turns in which each detector is timed on each image.")
+]
 LinesTruth = Annotated[
     Path | None,
     typer.Option("--lines-truth", metavar="FILE", help="True lines of the image, or a folder of such files (CSV)."),
 ]
 LinesOrigin = Annotated[
-    int, typer.Option("--lines-origin", min=0, max=1, help="What these call the first pixel; MATLAB says 1.")
+    int,
+    typer.Option("--lines-origin", metavar="N", min=0, max=1, help="What these call the first pixel; MATLAB says 1."),
 ]
 JsonFile = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="All figures as JSON; - instead of tables.")

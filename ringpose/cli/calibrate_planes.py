@@ -8,7 +8,7 @@ import typer
 from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.cli.app import app
 from ringpose.cli.board_print import OptionalInputs, OptionalOutput, PrintBoard, given
-from ringpose.cli.options import BoardFile, BoardOverlay, Force, ImageChannel, Quiet, Report, Verbose
+from ringpose.cli.options import BoardFile, BoardOverlay, Force, ImageChannel, Quiet, Report, Verbose, finite
 
 if TYPE_CHECKING:
     from ringpose.calibrate.planes_quality import PlanesAssessment
@@ -43,7 +43,10 @@ Check = Annotated[
     Path | None, typer.Option("--check", metavar="RIG", help="Only see whether this rig agrees with the shots.")
 ]
 Surround = Annotated[
-    float, typer.Option("--surround", metavar="METRES", min=0, help="The flat sheet reaches so far beyond the board.")
+    float,
+    typer.Option(
+        "--surround", metavar="METRES", min=0, callback=finite, help="The flat sheet reaches so far beyond the board."
+    ),
 ]
 
 

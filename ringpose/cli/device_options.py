@@ -4,6 +4,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from ringpose.cli.options import finite
 from ringpose.errors import UsageError
 
 LONGEST_SETTLE_S = 10.0
@@ -32,10 +33,16 @@ Steps = Annotated[
     str | None,
     typer.Option("--sequence", metavar="STEPS", help="What is lit, frame by frame: off,1,2,3,off or off,all or 1+2."),
 ]
-Exposure = Annotated[float | None, typer.Option("--exposure", metavar="S", min=1e-9, help="Exposure of each frame.")]
+Exposure = Annotated[
+    float | None, typer.Option("--exposure", metavar="S", min=1e-9, callback=finite, help="Exposure of each frame.")
+]
 Count = Annotated[int | None, typer.Option("--count", metavar="N", min=1, help="Shots to take, at most.")]
-Rate = Annotated[float | None, typer.Option("--rate", metavar="HZ", min=1e-3, help="Shots a second, at most.")]
-Duration = Annotated[float | None, typer.Option("--duration", metavar="S", min=1e-3, help="Begin no shot after this.")]
+Rate = Annotated[
+    float | None, typer.Option("--rate", metavar="HZ", min=1e-3, callback=finite, help="Shots a second, at most.")
+]
+Duration = Annotated[
+    float | None, typer.Option("--duration", metavar="S", min=1e-3, callback=finite, help="Begin no shot after this.")
+]
 Settle = Annotated[
     Any,
     typer.Option(

@@ -1,6 +1,7 @@
 """Options that several commands share, each written once."""
 
 from enum import StrEnum
+from math import isfinite
 from pathlib import Path
 from typing import Annotated
 
@@ -18,6 +19,13 @@ class Channel(StrEnum):
     R = "r"
     G = "g"
     B = "b"
+
+
+def finite(value: float | None) -> float | None:
+    """The value; nan, which passes every bound, and infinity are refused."""
+    if value is not None and not isfinite(value):
+        raise typer.BadParameter(f"{value} is no finite number")
+    return value
 
 
 PoseMethod = Annotated[Method, typer.Option("--method", help="How the pose is computed.")]

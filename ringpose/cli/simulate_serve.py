@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ringpose.cli.options import finite
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
     from contextlib import AbstractContextManager
@@ -49,9 +51,14 @@ MoveOption = Annotated[
     MoveWhen,
     typer.Option("--move", help="When the next view comes: in a pause between frames, after a time, or never."),
 ]
-After = Annotated[float, typer.Option("--after", metavar="S", min=0.0, help="Length of that pause, or that time.")]
+After = Annotated[
+    float, typer.Option("--after", metavar="S", min=0.0, callback=finite, help="Length of that pause, or that time.")
+]
 WarmUp = Annotated[
-    float, typer.Option("--warm-up", metavar="S", min=0.0, help="Time in which a laser comes to 63 % of its power.")
+    float,
+    typer.Option(
+        "--warm-up", metavar="S", min=0.0, callback=finite, help="Time in which a laser comes to 63 % of its power."
+    ),
 ]
 FaultTexts = Annotated[
     list[str] | None, typer.Option("--fault", metavar="FAULT", help="What goes wrong; may be given several times.")

@@ -45,6 +45,25 @@ def test_every_command_has_its_help(capsys, command):
     assert f"Usage: ringpose {command}" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("word", ["nan", "inf"])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["capture", "--camera", "files:.", "--exposure"],
+        ["capture", "--camera", "files:.", "--rate"],
+        ["capture", "--camera", "files:.", "--duration"],
+        ["calibrate-planes", "--board", "board.yaml", "--surround"],
+        ["simulate", "serve", "--scene", "scene.yaml", "--after"],
+        ["bench", "poses.jsonl", "--max-center-mm"],
+    ],
+)
+def test_numbers_that_are_not_finite_are_refused(words, word, capsys):
+    status = main([*words, word])
+
+    assert status == 2
+    assert f"'{words[-1]}': {word} is no finite number; see ringpose {words[0]}" in capsys.readouterr().err
+
+
 HEAVY = ("numpy", "cv2", "scipy", "yaml", "rich", "jaxtyping", "pydantic")
 
 
