@@ -11,7 +11,7 @@ from ringpose.detect.faces import Face
 from ringpose.detect.frames import LaserImage
 from ringpose.detect.stripe_ends import StripeEnds, stripe_ends
 from ringpose.detect.tracks import Track
-from ringpose.types.arrays import Array, Int64
+from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.break_points import BreakPointFlag, BreakPoints
 from ringpose.types.rig import Rig
 
@@ -20,6 +20,15 @@ KINK_LEVEL = 0.25
 
 UNCLEAR_PX = 0.75
 """Ends with a greater sigma are flagged: two of them are the 1.5 px that no end may be off without a flag."""
+
+CLIPPED_PHASE = 0.022
+"""Error of a saturated stripe's centre, times the sigma of its section in pixels.
+
+Pixels sample the two corners that clipping makes: each errs by half its bend times the second Bernoulli polynomial of
+its phase (Euler and Maclaurin). A stripe of 1.65 times the largest value is clipped over one sigma on either side, and
+filters weigh the corners by 0.85 of the flanks. All columns err alike where a track stays within a row of pixels; over
+the rows that it crosses the error averages out.
+"""
 
 
 def break_points(
@@ -41,25 +50,36 @@ def break_points(
 
 def _named(shown: Sequence[tuple[int, Track]], ends: StripeEnds) -> Ends:
     """The ends of one image's tracks with their lasers, covariances and flags."""
-    x = ends.position_px[..., 0].tolist()
-    rows = zip(shown, x, ends.slope.tolist(), ends.sigma_px.tolist(), strict=True)
-    found = (ends.position_px[..., 0], ends.sigma_px, ends.outside, ends.saturated, ends.blunt)
+    tracks = [track for _, track in shown]
+    x = ends.position_px[..., 0]
+    straight_x = np.array([[track.x_start, track.x_end] for track in tracks])
+    found = (x, ends.sigma_px, ends.outside, ends.saturated, ends.blunt)
     flags = [
         [_flags(*end) for end in zip(*sides, strict=True)]
         for sides in zip(*(each.tolist() for each in found), strict=True)
     ]
+    shape = (ends.slope.tolist(), ends.sigma_px.tolist(), _line_sigmas(tracks, x, ends).tolist())
     return Ends(
         laser=np.array([laser for laser, _ in shown], dtype=np.int64),
         position_px=ends.position_px,
         covariance_px2=np.array(
-            [
-                [_covariance(slope, along, track.sigma(at)) for at, slope, along in zip(*sides, strict=True)]
-                for (_, track), *sides in rows
-            ]
+            [[_covariance(*end) for end in zip(*sides, strict=True)] for sides in zip(*shape, strict=True)]
         ),
         flags=np.array(flags, dtype=np.int64),
-        straight_x=np.array([[track.x_start, track.x_end] for _, track in shown]),
+        straight_x=straight_x,
+        straight_sigma_px=_line_sigmas(tracks, straight_x, ends),
     )
+
+
+def _line_sigmas(
+    tracks: Sequence[Track], x: Float64[Array, "track end=2"], ends: StripeEnds
+) -> Float64[Array, "track end=2"]:
+    """Standard deviations of the tracks' ordinates at those columns, with what a saturated stripe's centres share."""
+    own = np.array([[track.sigma(at) for at in both] for track, both in zip(tracks, x.tolist(), strict=True)])
+    rows_crossed = np.array([abs(track.slope) * track.length for track in tracks])
+    shared = CLIPPED_PHASE / ends.section_px.max(axis=1) / np.maximum(rows_crossed, 1)
+    sigmas: Float64[Array, "track end=2"] = np.hypot(own, np.where(ends.saturated.any(axis=1), shared, 0.0)[:, None])
+    return sigmas
 
 
 def _flags(x: float, sigma: float, outside: float, saturated: bool, blunt: bool) -> int:
@@ -91,6 +111,7 @@ def _joined(parts: Sequence[Ends]) -> Ends:
         covariance_px2=np.concatenate([part.covariance_px2 for part in parts]),
         flags=np.concatenate([part.flags for part in parts]),
         straight_x=np.concatenate([part.straight_x for part in parts]),
+        straight_sigma_px=np.concatenate([part.straight_sigma_px for part in parts]),
     )
 
 
@@ -124,7 +145,8 @@ def _gathered(
     lines = np.full((3, count, 2), np.nan)
     for laser, track in face.tracks:
         left, right = track.x_start, track.x_end
-        lines[:, laser] = (left, track.y(left)), (right, track.y(right)), (track.sigma(left), track.sigma(right))
+        lines[:2, laser] = (left, track.y(left)), (right, track.y(right))
+    lines[2, ends.laser] = ends.straight_sigma_px
     return BreakPoints(
         position_px=position,
         covariance_px2=covariance,

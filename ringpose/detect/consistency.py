@@ -51,6 +51,8 @@ class Ends:
     flags: Int64[Array, "track end=2"]
     straight_x: Float64[Array, "track end=2"]
     """The tracks' own ends, undistorted columns."""
+    straight_sigma_px: Float64[Array, "track end=2"]
+    """Of the tracks' ordinates there."""
 
 
 def checked(ends: Ends, tracks: Sequence[Track], rig: Rig) -> tuple[Ends, bool, bool]:

@@ -83,6 +83,8 @@ class StripeEnds:
     outside: Float64[Array, "track end=2"]
     """Level beyond the end, as a share of the face's."""
     saturated: Bool[Array, "track end=2"]
+    section_px: Float64[Array, "track end=2"]
+    """Sigma of the stripe's section."""
     blunt: Bool[Array, "track end=2"]
     """Falls off more slowly than optics blur: the sharp edge lies somewhere in the fall, which sigma includes."""
 
@@ -101,6 +103,7 @@ def stripe_ends(tracks: Sequence[Track], image: LaserImage, camera: Camera, satu
         sigma_px=found[..., 3],
         outside=found[..., 4],
         saturated=saturated,
+        section_px=found[..., 7],
         blunt=found[..., 8] == 1,
     )
 

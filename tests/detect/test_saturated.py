@@ -1,0 +1,28 @@
+"""What clipping does to a stripe's line: all its columns err alike."""
+
+import numpy as np
+import pytest
+
+from ringpose.bench.detectors import shot_of
+from ringpose.bench.detectors_break_points import break_point_errors, joined_break_points
+from ringpose.bench.stripe_images import Kind, stripe_image
+from ringpose.detect.pipeline import detect
+
+
+@pytest.mark.slow
+def test_lines_through_clipped_stripes_are_as_far_off_as_they_say() -> None:
+    images = [stripe_image(Kind.SATURATED, seed) for seed in range(100, 125)]
+
+    errors = joined_break_points(
+        [break_point_errors(detect(shot_of(image), image.rig, edges=False), image) for image in images]
+    )
+
+    assert 0.7 < np.mean((errors.across_px / errors.across_sigma_px) ** 2) < 1.3
+
+
+def test_a_line_through_a_clipped_stripe_is_known_no_better_than_the_phase_of_the_pixels() -> None:
+    image = stripe_image(Kind.SATURATED, 49)
+
+    errors = break_point_errors(detect(shot_of(image), image.rig, edges=False), image)
+
+    assert errors.across_sigma_px.min() > 0.02 / image.stripe_sigma_px
