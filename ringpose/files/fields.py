@@ -22,6 +22,15 @@ ROUNDED = 1e-6
 LONGEST_M = 5.0
 """No length of a rig or board is longer; a larger number is in millimetres."""
 
+SIGNS = {
+    "camera_matrix": "a camera",
+    "camera": "a rig",
+    "lasers": "a rig",
+    "trajectory": "a scene",
+    "kind": "a board",
+}
+"""Keys that tell what a file is that was given in the place of another."""
+
 
 class Fields:
     """A mapping that knows its place, such as `rig.yaml: lasers[1]`, and refuses keys that nobody knows."""
@@ -166,8 +175,12 @@ class Fields:
             if not isinstance(key, str):
                 raise self.problem("", f"has the key {key!r}, which is no text")
             if key not in known and not key.startswith(FREE_PREFIX):
-                remedy = hint(key, known) or f"begin it with {FREE_PREFIX} if it is your own"
+                remedy = hint(key, known) or self._mistaken(known) or f"begin it with {FREE_PREFIX} if it is your own"
                 raise self.problem("", f"unknown key {key!r}", remedy)
+
+    def _mistaken(self, known: tuple[str, ...]) -> str:
+        signs = [SIGNS[key] for key in self.values if key in SIGNS and key not in known]
+        return f"this looks like {signs[0]}, give another file" if signs and not self.path else ""
 
     def _below(self, key: str) -> str:
         return f"{self.path}.{key}" if self.path else key

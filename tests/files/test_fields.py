@@ -33,6 +33,21 @@ def test_unknown_key_without_a_near_one_says_how_to_keep_it():
     assert "begin it with x_" in refusal(lambda: Fields("rig.yaml", {"colour": 1}, ("distance_m",)))
 
 
+@pytest.mark.parametrize(
+    ("values", "is_like"),
+    [
+        ({"image_width": 1, "camera_matrix": {}}, "a camera"),
+        ({"camera": {}, "lasers": []}, "a rig"),
+        ({"rig": "rig.yaml", "trajectory": []}, "a scene"),
+        ({"kind": "charuco"}, "a board"),
+    ],
+)
+def test_file_of_another_kind_is_told(values, is_like):
+    line = refusal(lambda: Fields("mount.yaml", values, ("mount",)))
+
+    assert line.endswith(f"; this looks like {is_like}, give another file")
+
+
 def test_keys_of_the_user_are_left_alone():
     assert Fields("rig.yaml", {"x_colour": 1}, ("name",)).values == {"x_colour": 1}
 
