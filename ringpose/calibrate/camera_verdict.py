@@ -33,6 +33,7 @@ def camera_verdict(calibration: CameraCalibration, assessment: CameraAssessment,
         findings=(
             *_view_findings(calibration, images),
             *_coverage_findings(assessment.coverage),
+            *_placing_findings(assessment.coverage),
             *_uncertainty_findings(calibration, assessment),
             *_validation_findings(assessment),
             *_model_findings(assessment.comparison),
@@ -68,7 +69,6 @@ def _view_findings(calibration: CameraCalibration, images: int) -> list[Finding]
 
 
 def _coverage_findings(covered: Coverage) -> list[Finding]:
-    largest, distances = max(covered.tilt_rad), covered.distance_m
     return [
         Finding(
             name="coverage_share",
@@ -84,6 +84,12 @@ def _coverage_findings(covered: Coverage) -> list[Finding]:
             redo_limit=6.0,
             advice=f"hardly any corners in the {_listed(covered.bare_regions)}: add a view with the board there",
         ),
+    ]
+
+
+def _placing_findings(covered: Coverage) -> list[Finding]:
+    largest, distances = max(covered.tilt_rad), covered.distance_m
+    return [
         Finding(
             name="largest_tilt_rad",
             value=largest,
