@@ -57,8 +57,7 @@ class V4l2Camera(LockStepCamera):
 
     def _connect(self) -> None:
         self.close()
-        place = self.uri.place
-        self._capture = cv2.VideoCapture(place, cv2.CAP_V4L2 if place.startswith("/dev/") else cv2.CAP_ANY)
+        self._capture = _opened(self.uri.place)
         if not self._capture.isOpened():
             remedy = "see ringpose capture --list; your user may have to be of the group video"
             raise DeviceError(self.uri.text, "cannot be opened", remedy)
@@ -95,6 +94,16 @@ class V4l2Camera(LockStepCamera):
 
 
 _PROPERTIES = {"ExposureTime": cv2.CAP_PROP_EXPOSURE, "Gain": cv2.CAP_PROP_GAIN}
+
+
+def _opened(place: str) -> Any:
+    """OpenCV's capture, which writes no log of its own if there is no such device."""
+    logging: Any = cv2.utils.logging
+    level = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+    try:
+        return cv2.VideoCapture(place, cv2.CAP_V4L2 if place.startswith("/dev/") else cv2.CAP_ANY)
+    finally:
+        logging.setLogLevel(level)
 
 
 def _grey(image: UInt8[Array, "row column *channel"]) -> UInt8[Array, "row column"]:

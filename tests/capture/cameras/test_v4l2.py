@@ -61,3 +61,10 @@ def test_an_absent_device_says_so():
 def test_a_feature_that_it_does_not_know_is_refused(sequence):
     with (opened := camera(sequence)), pytest.raises(DeviceError, match="has no feature TriggerMode"):
         opened.set("TriggerMode", "On")
+
+
+def test_opencv_adds_no_lines_to_the_one_that_says_so(capfd):
+    with pytest.raises(DeviceError):
+        camera("/dev/video99").open()
+
+    assert capfd.readouterr() == ("", "")
