@@ -21,9 +21,24 @@ class Markers:
 
 
 def marker_dictionary(board: Board) -> cv2.aruco.Dictionary:
-    """The board's dictionary: one of OpenCV's, or one's own."""
-    if board.marker_bits:
-        return _own_dictionary(board.marker_bits)
+    """The board's dictionary: one of OpenCV's, or one's own; it has all the board's markers."""
+    dictionary = _own_dictionary(board.marker_bits) if board.marker_bits else _opencv_dictionary(board)
+    found, needed = len(dictionary.bytesList), marker_count(board)
+    if found < needed:
+        finding = f'dictionary "{board.dictionary}" has {found} markers, the board has {needed}'
+        raise DataError("board", finding, "give a larger dictionary, or correct the number of squares")
+    return dictionary
+
+
+def marker_count(board: Board) -> int:
+    """How many markers are printed on a board of markers."""
+    if board.kind == "four_markers":
+        return 4
+    squares = (board.squares_x or 0) * (board.squares_y or 0)
+    return squares // 2 if board.kind == "charuco" else squares
+
+
+def _opencv_dictionary(board: Board) -> cv2.aruco.Dictionary:
     name = board.dictionary or ""
     number = getattr(cv2.aruco, name, None) if name.startswith("DICT_") else None
     if number is None:
