@@ -137,7 +137,9 @@ def _calibrate(shots: list[str], reading: _Reading, writing: _Writing, method: P
     refuse_existing_outputs(writing.output, writing.report, reading.force)
     tool_from_camera = None if writing.mount is None else read_mount(writing.mount)
     batch = Batch()
-    stripes = _read(shots, reading, read_camera(writing.camera), batch)
+    stripes = _stripe_images(reading, read_camera(writing.camera))
+    stripes.require_method(method, free_camera)
+    _read(shots, reading, stripes, batch)
     model = stripes.model(method, free_camera)
     stripes.require_angles(len(writing.expected_rad))
     calibration = calibrated(stripes.views, stripes.camera, model)
@@ -180,7 +182,8 @@ def _check(shots: list[str], rig_file: Path, reading: _Reading) -> None:
 
     rig = read_rig(rig_file)
     batch = Batch()
-    stripes = _read(shots, reading._replace(names=",".join(rig.lasers.names)), rig.camera, batch)
+    stripes = _stripe_images(reading._replace(names=",".join(rig.lasers.names)), rig.camera)
+    _read(shots, reading, stripes, batch)
     for view in stripes.views:
         found = rig_check(view, rig)
         if not found.holds:
@@ -191,16 +194,19 @@ def _check(shots: list[str], rig_file: Path, reading: _Reading) -> None:
     batch.finish()
 
 
-def _read(shots: list[str], reading: _Reading, camera: "Camera", batch: "Batch") -> "StripeImages":
-    """The views that the shots show; what they do not show is said."""
+def _stripe_images(reading: _Reading, camera: "Camera") -> "StripeImages":
+    """Nothing read yet but the board."""
     from ringpose.cli.board_views import BoardImages
     from ringpose.cli.stripe_images import StripeImages
     from ringpose.files.boards import read_board
 
     images = BoardImages(read_board(reading.board), reading.overlay, channel=reading.channel, force=reading.force)
-    stripes = StripeImages(images, camera, reading.names, reading.order, reading.surround_m)
-    images.read_each(shots, batch, stripes.read, quiet=reading.quiet, verbose=reading.verbose)
-    return stripes
+    return StripeImages(images, camera, reading.names, reading.order, reading.surround_m)
+
+
+def _read(shots: list[str], reading: _Reading, stripes: "StripeImages", batch: "Batch") -> None:
+    """The views that the shots show; what they do not show is said."""
+    stripes.images.read_each(shots, batch, stripes.read, quiet=reading.quiet, verbose=reading.verbose)
 
 
 def _write_report(path: Path, assessment: "PlanesAssessment", force: bool) -> None:

@@ -48,13 +48,16 @@ class StripeImages:
             drawn = stripe_overlay(shot.images.max(axis=0), seen)
             write_image(self.images.overlay / f"{shot.name}.png", drawn, force=True)
 
-    def model(self, method: PlanesMethod, free_camera: bool = False) -> PlanesModel:
-        """What is to be estimated."""
+    def require_method(self, method: PlanesMethod, free_camera: bool) -> None:
+        """Refuse, before any shot is read, what the board or the camera cannot give."""
         if free_camera and (method is not PlanesMethod.JOINT or self.camera.covariance is None):
             found = "the camera has no covariance" if method is PlanesMethod.JOINT else "only the joint method frees it"
             raise UsageError("--free-camera", found, "calibrate the camera with ringpose calibrate-camera")
         if method is PlanesMethod.PAPER and self.images.board.kind not in MARKER_BOARDS:
             raise UsageError("--method paper", "averages the poses of single markers, and the board has none")
+
+    def model(self, method: PlanesMethod, free_camera: bool = False) -> PlanesModel:
+        """What is to be estimated."""
         order = laser_order(self.given[1], self.names) if self.names else None
         return PlanesModel(names=self.names, method=method, order=order, free_camera=free_camera)
 
