@@ -31,17 +31,22 @@ static void sample(const Noise *noise, size_t row, size_t block, size_t first, f
         value[i] = ((fabsf(bend[0]) + fabsf(bend[1])) + (fabsf(bend[2]) + fabsf(bend[3]))) / COLUMNS;
 }
 
+/* The sample of that rank: the largest of which no more than so many are smaller. Counting needs no branches. */
+VECTOR_LOOP
+static float ranked(const float *restrict value) {
+    int32_t smaller[SAMPLES] = {0};
+    float found = 0;
+    for (size_t j = 0; j < SAMPLES; j++)
+        for (size_t i = 0; i < SAMPLES; i++) smaller[i] += value[j] < value[i];
+    for (size_t i = 0; i < SAMPLES; i++) found = smaller[i] <= RANK && value[i] > found ? value[i] : found;
+    return found;
+}
+
 static float area_noise(const Noise *noise, size_t area) {
     size_t row = area / noise->areas_across * NOISE_ROWS, block = area % noise->areas_across * NOISE_BLOCKS;
     float value[SAMPLES];
     for (size_t i = 0; i < STRIPS; i += GROUP) sample(noise, row, block, i, value + i * BLOCK / COLUMNS);
-    for (size_t i = 1; i < SAMPLES; i++) {
-        float here = value[i];
-        size_t place = i;
-        for (; place > 0 && value[place - 1] > here; place--) value[place] = value[place - 1];
-        value[place] = here;
-    }
-    float rounding = (float)(ROUNDING_NOISE * noise->filter->bend_norm), figure = value[RANK] / RANK_VALUE;
+    float rounding = (float)(ROUNDING_NOISE * noise->filter->bend_norm), figure = ranked(value) / RANK_VALUE;
     return figure > rounding ? figure : rounding;
 }
 
