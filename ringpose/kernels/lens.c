@@ -58,6 +58,7 @@ static void step(const Lens *lens, int rational, Chunk *chunk) {
         step_all(lens, 0, chunk);
 }
 
+VECTOR_LOOP
 static int all_close(const Chunk *chunk) {
     int far = 0;
     for (size_t i = 0; i < CHUNK; i++) far |= chunk->move[i] > CLOSE;
@@ -65,13 +66,20 @@ static int all_close(const Chunk *chunk) {
 }
 
 /* Fills a chunk; points that are missing are like its last one. */
-static void take(const Lens *lens, const double *x, const double *y, size_t n, double shift_x, double shift_y,
-                 Chunk *chunk) {
+VECTOR_LOOP
+static void take(const Lens *lens, const double *restrict x, const double *restrict y, size_t n, double shift_x,
+                 double shift_y, Chunk *restrict chunk) {
     double per_x = 1 / lens->fx, per_y = 1 / lens->fy;
+    double centre_x = lens->cx, centre_y = lens->cy;
+    for (size_t i = 0; i < n; i++) {
+        chunk->goal_x[i] = (x[i] - centre_x) * per_x;
+        chunk->goal_y[i] = (y[i] - centre_y) * per_y;
+    }
+    for (size_t i = n; i < CHUNK; i++) {
+        chunk->goal_x[i] = chunk->goal_x[n - 1];
+        chunk->goal_y[i] = chunk->goal_y[n - 1];
+    }
     for (size_t i = 0; i < CHUNK; i++) {
-        size_t from = i < n ? i : n - 1;
-        chunk->goal_x[i] = (x[from] - lens->cx) * per_x;
-        chunk->goal_y[i] = (y[from] - lens->cy) * per_y;
         chunk->u[i] = chunk->goal_x[i] + shift_x;
         chunk->v[i] = chunk->goal_y[i] + shift_y;
     }

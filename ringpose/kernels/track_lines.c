@@ -2,6 +2,7 @@
 #include "drafts.h"
 
 #include <math.h>
+#include <stdint.h>
 #include <string.h>
 
 #include "kernels.h"
@@ -48,27 +49,32 @@ static double correlation_columns(double *residual, size_t n, const TrackRules *
     return rules->short_series * columns;
 }
 
+/* GNU C's vectors: the compilers do not see that sums may be kept in parts. */
+typedef double Doubles __attribute__((vector_size(8 * PARTS), aligned(8), may_alias));
+typedef int64_t Masks __attribute__((vector_size(8 * PARTS), aligned(8), may_alias));
+#define DOUBLES(address) (*(const Doubles *)(address))
+
 /* Sums over centres whose residual is below a limit, about an origin. */
 typedef struct {
-    double count[PARTS], x[PARTS], y[PARTS], xx[PARTS], xy[PARTS];
+    Doubles count, x, y, xx, xy;
 } Sums;
 
 VECTOR_LOOP
-static void add_inliers(const double *restrict x, const double *restrict y, const double *restrict residual, size_t n,
-                        double limit, size_t origin, Sums *sums) {
+static void add_inliers(const double *x, const double *y, const double *residual, size_t n, double limit, size_t origin,
+                        Sums *sums) {
     double origin_x = x[origin], origin_y = y[origin];
+    const Doubles one = {1, 1, 1, 1};
     Sums s = {{0}, {0}, {0}, {0}, {0}};
     size_t whole = n - n % PARTS;
-    for (size_t i = 0; i < whole; i += PARTS)
-        for (size_t j = 0; j < PARTS; j++) {
-            double weight = residual[i + j] < limit ? 1 : 0;
-            double dx = x[i + j] - origin_x, dy = y[i + j] - origin_y, weighted = weight * dx;
-            s.count[j] += weight;
-            s.x[j] += weighted;
-            s.y[j] += weight * dy;
-            s.xx[j] += weighted * dx;
-            s.xy[j] += weighted * dy;
-        }
+    for (size_t i = 0; i < whole; i += PARTS) {
+        Doubles weight = (Doubles)((DOUBLES(residual + i) < limit) & (Masks)one);
+        Doubles dx = DOUBLES(x + i) - origin_x, dy = DOUBLES(y + i) - origin_y, weighted = weight * dx;
+        s.count += weight;
+        s.x += weighted;
+        s.y += weight * dy;
+        s.xx += weighted * dx;
+        s.xy += weighted * dy;
+    }
     for (size_t i = whole; i < n; i++) {
         double weight = residual[i] < limit ? 1 : 0, dx = x[i] - origin_x, dy = y[i] - origin_y;
         s.count[0] += weight;
@@ -80,7 +86,7 @@ static void add_inliers(const double *restrict x, const double *restrict y, cons
     *sums = s;
 }
 
-static double total(const double part[PARTS]) { return (part[0] + part[1]) + (part[2] + part[3]); }
+static double total(const Doubles *part) { return ((*part)[0] + (*part)[1]) + ((*part)[2] + (*part)[3]); }
 
 /* Distances from a track's line. */
 VECTOR_LOOP
@@ -99,8 +105,8 @@ void fit_line(Draft *draft, const Work *work) {
     for (int round = 0; round < 2; round++) {
         Sums sums;
         add_inliers(x, y, r, n, limit, n / 2, &sums);
-        double count = total(sums.count), sum_x = total(sums.x), sum_y = total(sums.y);
-        track->slope = (total(sums.xy) - sum_x * sum_y / count) / (total(sums.xx) - sum_x * sum_x / count);
+        double count = total(&sums.count), sum_x = total(&sums.x), sum_y = total(&sums.y);
+        track->slope = (total(&sums.xy) - sum_x * sum_y / count) / (total(&sums.xx) - sum_x * sum_x / count);
         track->middle_x = x[n / 2] + sum_x / count;
         track->middle_y = y[n / 2] + sum_y / count;
         find_residuals(track, x, y, n, r);
