@@ -52,6 +52,25 @@ def test_an_output_that_exists_is_refused_before_the_work(folder, capsys):
     )
 
 
+def test_a_report_in_the_place_of_the_output_is_refused(folder, capsys):
+    pytest.importorskip("matplotlib")
+
+    status = calibrate("views", "--report", "./camera.yaml")
+
+    assert (status, capsys.readouterr().err) == (
+        2,
+        "ringpose: --report: camera.yaml is the output, too; give each its own file\n",
+    )
+
+
+def test_an_output_in_a_missing_folder_is_refused_before_the_work(folder, capsys):
+    status = calibrate("nowhere", "--report", "missing/report.html")
+
+    assert status == 73
+    assert capsys.readouterr().err.count("\n") == 1
+    assert not (folder / "camera.yaml").exists()
+
+
 def test_a_dictionary_that_is_not_known_is_refused_once(folder, capsys):
     board = yaml.safe_load((folder / "camera_board.yaml").read_text())
     (folder / "camera_board.yaml").write_text(yaml.safe_dump(board | {"dictionary": "DICT_FOO"}))
