@@ -18,8 +18,10 @@ if TYPE_CHECKING:
 
 COMMAND = "import sys; from ringpose.cli.main import run; run()"
 
-Seeds = Annotated[int, typer.Option("--seeds", min=1, help="Synthetic images of each kind for the accuracy.")]
-Rounds = Annotated[int, typer.Option("--rounds", min=1, help="Turns in which each time is taken.")]
+Seeds = Annotated[
+    int, typer.Option("--seeds", metavar="N", min=1, help="Synthetic images of each kind for the accuracy.")
+]
+Rounds = Annotated[int, typer.Option("--rounds", metavar="N", min=1, help="Turns in which each time is taken.")]
 JsonFile = Annotated[str | None, typer.Option("--json", metavar="FILE", help="All of it as JSON; - instead of text.")]
 
 
