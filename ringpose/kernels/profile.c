@@ -77,16 +77,10 @@ static int lay_line(const StripeLine *line, const Lens *lens, const EndRules *ru
     return profile->face_last > profile->face_first;
 }
 
-static int ascending(const void *first, const void *second) {
-    double a = *(const double *)first, b = *(const double *)second;
-    return (a > b) - (a < b);
-}
-
 /* Distance from the line up to which the stripe is saturated in most columns, whose own distances are given; -1 if it
    hardly is. */
 static double clipped_to(double *half_width, size_t face, double sigma, const EndRules *rules) {
-    qsort(half_width, face, sizeof(double), ascending);
-    double widest = half_width[(ptrdiff_t)((1 - rules->flanks_share) * (double)(face - 1))];
+    double widest = kth(half_width, face, (size_t)((1 - rules->flanks_share) * (double)(face - 1)));
     return widest > 0 ? fmin(widest + 0.5, rules->flank_sigmas * sigma - 1) : -1;
 }
 
@@ -135,30 +129,69 @@ static void fill_headroom(const Images *images, Profile *profile, int reach, con
     }
 }
 
+/* Peaks of some columns from the i-th on; returns how many. */
+static ptrdiff_t next_peaks(const Images *images, const Profile *profile, ptrdiff_t i, int reach, const Parts *parts,
+                            Peak peak[TOGETHER]) {
+    const double *y = profile->y + i;
+    if (profile->count - i >= TOGETHER && sections_inside(images, y, reach)) {
+        fitted_peaks(images, y, profile->first + i, profile->sigma, reach, parts, peak);
+        return TOGETHER;
+    }
+    Section section;
+    read_section(images, *y, profile->first + i, reach, &section);
+    shape_section(images, *y, profile->sigma, reach, &section);
+    for (int k = 0; images->dark && k < section.rows; k++) section.bright[k] -= section.ambient[k];
+    *peak = fitted_peak(&section, section.bright, parts);
+    return 1;
+}
+
+/* Peak and what its section leaves unexplained in every column; returns the first one's gain. */
+static double fill_peaks(const Images *images, Profile *profile, int reach, const Parts *parts) {
+    double gain = 0;
+    Peak peak[TOGETHER];
+    for (ptrdiff_t i = 0, found; i < profile->count; i += found) {
+        found = next_peaks(images, profile, i, reach, parts, peak);
+        if (i == 0) gain = peak[0].gain;
+        for (ptrdiff_t k = 0; k < found; k++) {
+            profile->amplitude[i + k] = peak[k].value;
+            profile->texture[i + k] = peak[k].rough;
+        }
+    }
+    return gain;
+}
+
+/* Notes saturation in a column; returns its brightest ambient light. */
+static double note_column(const Images *images, Profile *profile, ptrdiff_t i, int reach, const EndRules *rules) {
+    double most = 0, middle = rint(profile->y[i]), brightest = 0;
+    ptrdiff_t column = profile->first + i, row = (ptrdiff_t)middle - reach;
+    profile->headroom[i] = 1;
+    profile->scratch[i] = profile->saturated[i] = 0;
+    if (!images->dark && middle >= reach && middle + reach < (double)images->height) {
+        for (int k = 0; k <= 2 * reach; k++) {
+            double here = pixel(images, images->lit, row + k, column);
+            most = here > most ? here : most;
+        }
+        double end = pixel(images, images->lit, row + 2 * reach, column);
+        if (most < rules->saturation) return fmin(pixel(images, images->lit, row, column), end);
+    }
+    Section section;
+    read_section(images, profile->y[i], column, reach, &section);
+    profile->scratch[i] = note_saturation(profile, i, &section, rules);
+    for (int k = 0; k < section.rows; k++) brightest = fmax(brightest, section.ambient[k]);
+    return brightest;
+}
+
 /* Brightness of the stripe in every column, and what room saturation leaves it. */
 static void fill_profile(const Images *images, Profile *profile, const EndRules *rules) {
     int reach = (int)ceil(rules->flank_sigmas * profile->sigma) + 1;
     if (reach > MOST_REACH) reach = MOST_REACH;
-    Section section;
-    double brightest = 0, gain = 0;
+    double brightest = 0;
     size_t face = (size_t)(profile->face_last - profile->face_first + 1);
-    for (ptrdiff_t i = 0; i < profile->count; i++) {
-        read_section(images, profile->y[i], profile->first + i, reach, &section);
-        profile->scratch[i] = note_saturation(profile, i, &section, rules);
-        profile->headroom[i] = 1;
-        for (int k = 0; k < section.rows; k++) brightest = fmax(brightest, section.ambient[k]);
-    }
+    for (ptrdiff_t i = 0; i < profile->count; i++)
+        brightest = fmax(brightest, note_column(images, profile, i, reach, rules));
     double inner = clipped_to(profile->scratch + profile->face_first, face, profile->sigma, rules);
     Parts parts = {inner, images->dark ? INFINITY : fmax(2 * profile->sigma, inner + 1)};
-    for (ptrdiff_t i = 0; i < profile->count; i++) {
-        read_section(images, profile->y[i], profile->first + i, reach, &section);
-        shape_section(images, profile->y[i], profile->sigma, reach, &section);
-        for (int k = 0; images->dark && k < section.rows; k++) section.bright[k] -= section.ambient[k];
-        Peak peak = fitted_peak(&section, section.bright, &parts);
-        profile->amplitude[i] = peak.value;
-        profile->texture[i] = peak.rough;
-        if (i == 0) gain = peak.gain;
-    }
+    double gain = fill_peaks(images, profile, reach, &parts);
     memcpy(profile->scratch, profile->amplitude + profile->face_first, face * sizeof(double));
     double expected = fmax(median(profile->scratch, face), 1);
     if (expected + brightest > rules->saturation) fill_headroom(images, profile, reach, &parts, expected, rules);

@@ -4,6 +4,7 @@
 #include <math.h>
 #include <stdlib.h>
 
+#include "kernels.h"
 #include "minimum.h"
 #include "select.h"
 
@@ -144,4 +145,104 @@ Peak fitted_peak(const Section *section, const double *value, const Parts *parts
     }
     peak.rough = residuals / (used > 3 ? used - 2 : 1);
     return peak;
+}
+
+/* ---- four columns at once ---- */
+
+typedef double Doubles __attribute__((vector_size(8 * TOGETHER), aligned(8), may_alias));
+typedef int64_t Masks __attribute__((vector_size(8 * TOGETHER), aligned(8), may_alias));
+
+typedef struct {
+    Doubles offset[MOST_ROWS], value[MOST_ROWS], shape[MOST_ROWS];
+} Sections;
+
+int sections_inside(const Images *images, const double *y, int reach) {
+    int inside = 1;
+    for (int i = 0; i < TOGETHER; i++)
+        inside &= rint(y[i]) >= reach && rint(y[i]) + reach < (double)images->height;
+    return inside;
+}
+
+static inline void load_sections(const Images *images, const double *y, ptrdiff_t first, int reach,
+                                 Sections *sections) {
+    for (int i = 0; i < TOGETHER; i++) {
+        double *value = (double *)sections->value + i, *offset = (double *)sections->offset + i;
+        ptrdiff_t top = (ptrdiff_t)rint(y[i]) - reach;
+        for (int k = 0; k <= 2 * reach; k++) {
+            value[TOGETHER * k] = pixel(images, images->lit, top + k, first + i);
+            offset[TOGETHER * k] = fabs((double)(top + k) - y[i]);
+        }
+        for (int k = 0; images->dark && k <= 2 * reach; k++)
+            value[TOGETHER * k] -= pixel(images, images->dark, top + k, first + i);
+    }
+}
+
+static inline void shape_sections(const double *y, double sigma, int reach, Sections *sections) {
+    double per_variance = 1 / (sigma * sigma), fall = exp(-0.5 * per_variance), square = fall * fall;
+    Doubles here, lean;
+    for (int i = 0; i < TOGETHER; i++) {
+        double off = y[i] - rint(y[i]);
+        here[i] = exp(-0.5 * off * off * per_variance);
+        lean[i] = exp(off * per_variance);
+    }
+    Doubles below = here - here + 1, above = below, down = fall * lean, up = fall * (1 / lean);
+    Doubles *shape = sections->shape + reach;
+    for (int k = 0; k <= reach; k++) {
+        shape[k] = here * below;
+        shape[-k] = here * above;
+        below *= down;
+        above *= up;
+        down *= square;
+        up *= square;
+    }
+}
+
+/* What a vector is where a mask is set, else nothing. */
+#define WHERE(mask, vector) ((Doubles)((Masks)(vector) & (mask)))
+
+static inline void fit_peaks(const Sections *sections, int rows, const Parts *parts, Doubles peak[3]) {
+    const Doubles zero = {0}, one = zero + 1;
+    Doubles level = zero, under = zero, beside = zero, used = zero, residuals = zero;
+    Doubles norm = zero, sum = zero, weights = zero, squares = zero;
+    for (int k = 0; k < rows; k++) {
+        Masks flank = sections->offset[k] > parts->flank;
+        beside += WHERE(flank, one);
+        level += WHERE(flank, sections->value[k]);
+        under += WHERE(flank, sections->shape[k]);
+    }
+    Masks any = beside > 0;
+    Doubles count = beside + WHERE(~any, one);
+    level /= count;
+    under /= count;
+    for (int k = 0; k < rows; k++) {
+        Masks core = (sections->offset[k] > parts->inner) & (sections->offset[k] <= parts->flank);
+        Doubles shape = WHERE(core, sections->shape[k]);
+        norm += shape * (sections->shape[k] - under);
+        sum += shape * (sections->value[k] - level);
+        weights += shape;
+        squares += shape * shape;
+    }
+    Masks enough = norm > 1e-9;
+    norm = WHERE(enough, norm) + WHERE(~enough, zero + 1e-9);
+    peak[0] = sum / norm;
+    peak[2] = (squares + WHERE(any, weights * weights / count)) / (norm * norm);
+    for (int k = 0; k < rows; k++) {
+        Masks here = sections->offset[k] > parts->inner;
+        Doubles residual = sections->value[k] - level - peak[0] * (sections->shape[k] - under);
+        residuals += WHERE(here, residual * residual);
+        used += WHERE(here, one);
+    }
+    Masks many = used > 3;
+    peak[1] = residuals / (WHERE(many, used - 2) + WHERE(~many, one));
+}
+
+VECTOR_LOOP
+void fitted_peaks(const Images *images, const double *y, ptrdiff_t first, double sigma, int reach, const Parts *parts,
+                  Peak peak[TOGETHER]) {
+    Sections sections;
+    Doubles found[3];
+    load_sections(images, y, first, reach, &sections);
+    shape_sections(y, sigma, reach, &sections);
+    fit_peaks(&sections, 2 * reach + 1, parts, found);
+    for (int i = 0; i < TOGETHER; i++) peak[i] = (Peak){found[0][i], found[1][i], found[2][i]};
 }

@@ -42,4 +42,14 @@ void shape_section(const Images *images, double y, double sigma, int reach, Sect
 /* Peak of the Gaussian section on the level of the rows beside it, in values of its rows. */
 Peak fitted_peak(const Section *section, const double *value, const Parts *parts);
 
+/* Columns that are fitted at once. */
+enum { TOGETHER = 4 };
+
+/* Whether the sections of so many columns lie in the image. */
+int sections_inside(const Images *images, const double *y, int reach);
+
+/* The same peaks of so many columns first, first + 1, ... with the line at y, in what the lasers add. */
+void fitted_peaks(const Images *images, const double *y, ptrdiff_t first, double sigma, int reach, const Parts *parts,
+                  Peak peak[TOGETHER]);
+
 #endif
