@@ -31,6 +31,11 @@ the rows that it crosses the error averages out.
 """
 
 
+FACET_SIGMAS = 6.0
+"""Columns over which what lies beneath a stripe is alike, in sigmas of its section: what is finer than the section is
+wide averages out across it. The line follows what is coarser, so that its centres show little of that."""
+
+
 def break_points(
     face: Face, tracks: Sequence[Track], images: Sequence[LaserImage], rig: Rig, saturation_dn: int
 ) -> BreakPoints:
@@ -74,10 +79,17 @@ def _named(shown: Sequence[tuple[int, Track]], ends: StripeEnds) -> Ends:
 def _line_sigmas(
     tracks: Sequence[Track], x: Float64[Array, "track end=2"], ends: StripeEnds
 ) -> Float64[Array, "track end=2"]:
-    """Standard deviations of the tracks' ordinates at those columns, with what a saturated stripe's centres share."""
-    own = np.array([[track.sigma(at) for at in both] for track, both in zip(tracks, x.tolist(), strict=True)])
+    """Standard deviations of the tracks' ordinates at those columns, with what a track's centres share.
+
+    What lies beneath a stripe and shifts its peak by a share of itself shifts its centre by that share of its sigma.
+    """
+    section = ends.section_px.max(axis=1)
+    facets = np.array([track.count for track in tracks]) / (FACET_SIGMAS * section)
+    beneath = np.nan_to_num(section * np.sqrt(ends.beneath.max(axis=1) / np.maximum(facets, 1)))
+    rows = zip(tracks, beneath.tolist(), x.tolist(), strict=True)
+    own = np.array([[track.sigma(at, least) for at in both] for track, least, both in rows])
     rows_crossed = np.array([abs(track.slope) * track.length for track in tracks])
-    shared = CLIPPED_PHASE / ends.section_px.max(axis=1) / np.maximum(rows_crossed, 1)
+    shared = CLIPPED_PHASE / section / np.maximum(rows_crossed, 1)
     sigmas: Float64[Array, "track end=2"] = np.hypot(own, np.where(ends.saturated.any(axis=1), shared, 0.0)[:, None])
     return sigmas
 

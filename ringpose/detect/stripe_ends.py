@@ -85,6 +85,8 @@ class StripeEnds:
     saturated: Bool[Array, "track end=2"]
     section_px: Float64[Array, "track end=2"]
     """Sigma of the stripe's section."""
+    beneath: Float64[Array, "track end=2"]
+    """Relative variance of the stripe's peaks by what lies beneath it."""
     blunt: Bool[Array, "track end=2"]
     """Falls off more slowly than optics blur: the sharp edge lies somewhere in the fall, which sigma includes."""
 
@@ -104,6 +106,7 @@ def stripe_ends(tracks: Sequence[Track], image: LaserImage, camera: Camera, satu
         outside=found[..., 4],
         saturated=saturated,
         section_px=found[..., 7],
+        beneath=found[..., 9],
         blunt=found[..., 8] == 1,
     )
 

@@ -66,11 +66,14 @@ class Track:
         """The line's ordinate."""
         return self.middle_y + self.slope * (x - self.middle_x)
 
-    def sigma(self, x: float) -> float:
-        """Standard deviation of the line's ordinate, columns that err alike counted once."""
+    def sigma(self, x: float, least_px: float = 0.0) -> float:
+        """Standard deviation of the line's ordinate, columns that err alike counted once.
+
+        That of the track's middle is `least_px` at least.
+        """
         n = max(self.count / self.correlation - TAKEN_BY_THE_FIT, LEAST_COLUMNS)
         spread = max(self.length, 1.0) / math.sqrt(12)
-        return self.scatter / math.sqrt(n) * math.hypot(1.0, (x - self.middle_x) / spread)
+        return max(self.scatter / math.sqrt(n), least_px) * math.hypot(1.0, (x - self.middle_x) / spread)
 
     @property
     def length(self) -> float:

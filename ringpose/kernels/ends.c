@@ -143,7 +143,8 @@ static StripeEnd end_of(const Draft *draft, const Profile *profile, int outward,
                        saturated,
                        edge.width,
                        profile->sigma,
-                       blunt};
+                       blunt,
+                       profile->beneath};
 }
 
 /* Reads a line's profile and fits an edge at both its ends; 0 without memory. */
@@ -172,7 +173,8 @@ int stripe_ends(const Images *images, const StripeLine *line, size_t lines, cons
     for (size_t k = 0; done && k < 2 * lines; k++) {
         const Profile *own = &profile[k / 2];
         double sigma = own->face_last > own->face_first ? own->sigma : NAN;
-        end[k] = (StripeEnd){NAN, NAN, NAN, NAN, NAN, NAN, NAN, sigma, NAN};
+        double beneath = own->face_last > own->face_first ? own->beneath : NAN;
+        end[k] = (StripeEnd){NAN, NAN, NAN, NAN, NAN, NAN, NAN, sigma, NAN, beneath};
         if (draft[k].fitted) end[k] = end_of(&draft[k], own, k % 2 ? 1 : -1, &blur, rules);
     }
     for (size_t i = 0; profile && i < lines; i++) free_profile(&profile[i]);

@@ -24,7 +24,7 @@ typedef struct {
 } StripeLine;
 
 typedef struct {
-    double x, y, slope, sigma, outside, saturated, width, section_sigma, blunt;
+    double x, y, slope, sigma, outside, saturated, width, section_sigma, blunt, beneath;
 } StripeEnd;
 
 /* Two ends (left, right) a line; NaN where none fits. 0 if there is no memory. */

@@ -97,8 +97,8 @@ static double note_saturation(Profile *profile, ptrdiff_t i, const Section *sect
 }
 
 /* Variance of the peaks by what a section leaves unexplained beyond noise, and beyond its share on the face; what it
-   leaves comes in `texture`. */
-static void fill_texture(Profile *profile, double gain, const EndRules *rules) {
+   leaves comes in `texture`. What leaves four times the usual is none of the stripe's own grains: it lies beneath. */
+static void fill_texture(Profile *profile, double gain, double expected, const EndRules *rules) {
     size_t n = (size_t)profile->count, face = (size_t)(profile->face_last - profile->face_first + 1);
     memcpy(profile->scratch, profile->texture, n * sizeof(double));
     double white = kth(profile->scratch, n, (n - 1) / 4);
@@ -112,6 +112,13 @@ static void fill_texture(Profile *profile, double gain, const EndRules *rules) {
         double peak = profile->amplitude[i];
         profile->texture[i] = factor * fmax(profile->texture[i] - 2 * (white + share * peak * peak), 0);
     }
+    profile->beneath = 0;
+    for (size_t k = 0; k < face; k++) {
+        double peak = profile->amplitude[(size_t)profile->face_first + k];
+        double own = 2 * factor * share * peak * peak;
+        profile->beneath += fmax(profile->texture[(size_t)profile->face_first + k] - own, 0);
+    }
+    profile->beneath /= (double)face * expected * expected;
     profile->noise = sqrt(white * gain);
 }
 
@@ -195,7 +202,7 @@ static void fill_profile(const Images *images, Profile *profile, const EndRules 
     memcpy(profile->scratch, profile->amplitude + profile->face_first, face * sizeof(double));
     double expected = fmax(median(profile->scratch, face), 1);
     if (expected + brightest > rules->saturation) fill_headroom(images, profile, reach, &parts, expected, rules);
-    fill_texture(profile, gain, rules);
+    fill_texture(profile, gain, expected, rules);
 }
 
 int read_profile(const Images *images, const StripeLine *line, const Lens *lens, const EndRules *rules,

@@ -12,6 +12,7 @@ typedef struct {
     double *y, *amplitude, *headroom, *texture, *scratch;
     unsigned char *saturated;
     double sigma, noise; /* of the cross-section; of the amplitude */
+    double beneath;      /* relative variance of the face's peaks by what clearly lies beneath it */
 } Profile;
 
 /* 1, or 0 if the face has fewer than two columns, or -1 without memory; to be freed in any case. */

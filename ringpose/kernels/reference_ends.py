@@ -56,9 +56,9 @@ class Fit:
 
 def stripe_ends(
     lit: Image, dark: Image | None, lines: Float64[Array, "track column=5"], lens: Lens, rules: EndRules
-) -> Float64[Array, "track end=2 column=9"]:
+) -> Float64[Array, "track end=2 column=10"]:
     """Twin of `ringpose.kernels.ring.stripe_ends`."""
-    ends = np.full((len(lines), 2, 9), np.nan)
+    ends = np.full((len(lines), 2, 10), np.nan)
     fits: dict[tuple[int, int], tuple[Line, float, float, tuple[Columns, Fit]]] = {}
     for number, track in enumerate(lines):
         line = distorted_line(track, lens, lit.shape[1], rules)
@@ -70,12 +70,12 @@ def stripe_ends(
         for side, (near_x, outward) in enumerate(((face[0], -1), (face[-1], 1))):
             near = reached_x(profile, float(near_x), outward, rules)
             columns = _columns(profile, near, outward, rules)
-            ends[number, side, -2] = sigma
+            ends[number, side, 7], ends[number, side, 9] = sigma, profile.beneath
             if columns is not None:
                 fits[number, side] = line, near, sigma, (columns, _fit(columns, sigma))
     blur = _blur([fit for *_, (_, fit) in fits.values()], rules)
     for (number, side), (line, near, sigma, fitted) in fits.items():
-        ends[number, side] = _end(line, near, ((-1, 1)[side], sigma), fitted, blur, rules)
+        ends[number, side, :9] = _end(line, near, ((-1, 1)[side], sigma), fitted, blur, rules)
     return ends
 
 

@@ -37,6 +37,8 @@ class Profile:
     saturated: Bool[Array, "n"]
     noise: float
     """Standard deviation of the amplitude by the noise of pixels, where nothing lies beneath."""
+    beneath: float
+    """Relative variance of the face's peaks by what clearly lies beneath: four times the usual, more than grains do."""
 
 
 def distorted_line(track: Float64[Array, "5"], lens: Lens, width: int, rules: EndRules) -> Line:
@@ -128,13 +130,15 @@ def profile_along(lit: Image, dark: Image | None, line: Line, sigma: float, rule
         room = np.minimum(expected * shape, np.maximum(rules.saturation_dn - ambient, 0.0))
         headroom = _fitted(room, shape, core, beside)[0] / expected
     white = float(np.sort(rough)[(len(rough) - 1) // 4])
+    texture, own = _texture(amplitude, rough, white, line.on_face, rules)
     return Profile(
         x=line.x,
         amplitude=amplitude,
         headroom=headroom,
-        texture=_texture(amplitude, rough, white, line.on_face, rules),
+        texture=texture,
         saturated=full.any(axis=1),
         noise=math.sqrt(white * float(gain[0])),
+        beneath=float(np.maximum(texture - 2 * own, 0)[line.on_face].mean()) / expected**2,
     )
 
 
@@ -160,10 +164,11 @@ def _fitted(
 
 def _texture(
     peak: Float64[Array, "n"], rough: Float64[Array, "n"], white: float, on_face: Bool[Array, "n"], rules: EndRules
-) -> Float64[Array, "n"]:
-    """Variance of the peaks by what a section leaves unexplained beyond noise, and beyond its share on the face."""
+) -> tuple[Float64[Array, "n"], Float64[Array, "n"]]:
+    """Variance of the peaks by what a section leaves unexplained beyond noise and its share on the face; that share."""
     share = float(np.median(np.maximum(rough[on_face] - white, 0) / np.maximum(peak[on_face], 1) ** 2))
-    return rules.texture_factor**2 * np.maximum(rough - 2 * (white + share * peak**2), 0)
+    own, factor = share * peak**2, rules.texture_factor**2
+    return factor * np.maximum(rough - 2 * (white + own), 0), factor * own
 
 
 def _clipped_to(saturated: Float64[Array, "n row"], on_face: Bool[Array, "n"], sigma: float, rules: EndRules) -> float:

@@ -153,7 +153,7 @@ def stripe_ends(
     lines: Float64[Array, "track column=5"],
     lens: Lens,
     rules: EndRules,
-) -> Float64[Array, "track end=2 column=9"]:
+) -> Float64[Array, "track end=2 column=10"]:
     """Left and right end of the stripe on each line, to a fraction of a column.
 
     Lines are middle_x, middle_y, slope, x_start, x_end in undistorted pixels. The stripe's brightness along its line
@@ -161,11 +161,12 @@ def stripe_ends(
     function between; the most likely position, width and levels win, widths near that which suits all ends best.
     Columns of the result: x, y and slope of the line there (distorted pixels), sigma along x, the level outside as a
     share of that inside, the share of saturated columns at the end, the edge's width, the sigma of the stripe's
-    section, and whether the edge is blunt; NaN where no edge fits.
+    section, whether the edge is blunt, and the relative variance of the peaks by what lies beneath the stripe; NaN
+    where no edge fits.
     """
     black = None if dark is None else np.ascontiguousarray(dark)
     found = _ring.ends(np.ascontiguousarray(lit), black, np.ascontiguousarray(lines), _numbers(lens), _numbers(rules))
-    return np.frombuffer(found, dtype=np.float64).reshape(-1, 2, 9)
+    return np.frombuffer(found, dtype=np.float64).reshape(-1, 2, 10)
 
 
 class ArcFit(NamedTuple):

@@ -124,7 +124,7 @@ def test_a_line_outside_the_image_has_no_end():
 def test_wild_lines_have_no_end(value):
     wild = np.array([[150.0, value, 0.0, 100.0, 200.0], [150.0, 60.0, 0.0, 100.0, value]])
 
-    assert stripe_ends(image(drawn(100, 200)), None, wild, STRAIGHT, RULES).shape == (2, 2, 9)
+    assert stripe_ends(image(drawn(100, 200)), None, wild, STRAIGHT, RULES).shape == (2, 2, 10)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What clipping does to a stripe's line: all its columns err alike."""
+"""How well a stripe's line is known where columns err alike: clipped, or on facets of foil."""
 
 import numpy as np
 import pytest
@@ -26,3 +26,12 @@ def test_a_line_through_a_clipped_stripe_is_known_no_better_than_the_phase_of_th
     errors = break_point_errors(detect(shot_of(image), image.rig, edges=False), image)
 
     assert errors.across_sigma_px.min() > 0.02 / image.stripe_sigma_px
+
+
+def test_facets_beneath_a_stripe_make_its_line_less_certain_than_its_centres_scatter() -> None:
+    image = stripe_image(Kind.FOIL, 9)
+    dark = stripe_image(Kind.DARK, 9)
+
+    errors, clear = (break_point_errors(detect(shot_of(each), each.rig, edges=False), each) for each in (image, dark))
+
+    assert errors.across_sigma_px.max() > 10 * clear.across_sigma_px.max()
