@@ -1,6 +1,7 @@
 """Images of a board as the calibrating commands read them."""
 
 from collections.abc import Callable, Sequence
+from hashlib import sha256
 from pathlib import Path
 
 from ringpose.calibrate.board_failures import NoBoard
@@ -33,6 +34,7 @@ class BoardImages:
         self.channel = channel
         self.force = force
         self.views: list[BoardView] = []
+        self.names: dict[str, str] = {}
         self.paths: list[Path] = []
         self.without_board: list[tuple[str, str]] = []
         self.width = 0
@@ -44,10 +46,11 @@ class BoardImages:
         """The shot that an input names with its view of the board; None, and remembered, if it shows none."""
         shot = shot_named(item, None, self.channel)
         self._check_size(shot)
-        if isinstance(item, Path):
-            self.paths.append(item)
+        self._refuse_known(shot)
         image = board_image(shot)
         found = find_board(image, self.board, shot.name)
+        if isinstance(item, Path):
+            self.paths.append(item)
         if self.overlay is not None:
             write_image(self.overlay / f"{shot.name}.png", board_overlay(image, found), force=self.force)
         if isinstance(found, NoBoard):
@@ -76,6 +79,15 @@ class BoardImages:
         for name, reason in self.without_board:
             messages.say(f"{name}: no board: {reason}")
         batch.met(NO_POSE if self.without_board else 0)
+
+    def _refuse_known(self, shot: Shot) -> None:
+        """The same image twice would make the uncertainty too small, the same name overwrite a picture."""
+        digest = sha256(shot.images.tobytes()).hexdigest()
+        if digest in self.names:
+            raise DataError(shot.name, f"is the same image as {self.names[digest]}", "give it once")
+        if self.overlay is not None and shot.name in self.names.values():
+            raise DataError(shot.name, "another image has this name, too", "rename one, or leave out --overlay")
+        self.names[digest] = shot.name
 
     def _check_size(self, shot: Shot) -> None:
         height, width = shot.images.shape[1:]

@@ -71,6 +71,28 @@ def test_an_output_in_a_missing_folder_is_refused_before_the_work(folder, capsys
     assert not (folder / "camera.yaml").exists()
 
 
+def test_an_image_counts_once_however_often_it_is_given(folder, capsys):
+    shutil.copy(folder / "views" / VIEWS[0], folder / "copy.png")
+
+    status = calibrate("views", "copy.png", "--quiet")
+
+    assert (status, capsys.readouterr().err) == (
+        65,
+        "ringpose: copy: is the same image as cam_B_00; give it once\n",
+    )
+    assert written(folder)["quality"]["views_used"] == len(VIEWS)
+
+
+def test_images_of_one_name_do_not_overwrite_their_pictures(folder, capsys):
+    (folder / "more").mkdir()
+    shutil.move(folder / "views" / VIEWS[1], folder / "more" / VIEWS[0])
+
+    calibrate("views", "more", "--overlay", "drawn", "--force", "--quiet")
+
+    said = "ringpose: cam_B_00: another image has this name, too; rename one, or leave out --overlay\n"
+    assert said in capsys.readouterr().err
+
+
 def test_a_dictionary_that_is_not_known_is_refused_once(folder, capsys):
     board = yaml.safe_load((folder / "camera_board.yaml").read_text())
     (folder / "camera_board.yaml").write_text(yaml.safe_dump(board | {"dictionary": "DICT_FOO"}))
