@@ -113,12 +113,12 @@ static Lens lens_of(const Py_buffer *view) {
 
 /* Whether all centres are finite, their pieces ascend from 0, and every piece has a laser. */
 static int centers_in_order(const Py_buffer view[7]) {
+    const double *x = view[0].buf, *y = view[1].buf, *sigma = view[2].buf;
     const int64_t *piece = view[3].buf;
     Py_ssize_t n = view[0].shape[0];
     for (Py_ssize_t i = 0; i < n; i++) {
         int in_order = piece[i] >= (i ? piece[i - 1] : 0) && piece[i] < view[4].shape[0];
-        for (int k = 0; k < 3; k++) in_order &= isfinite(((const double *)view[k].buf)[i]) != 0;
-        if (in_order) continue;
+        if (in_order && isfinite(x[i]) && isfinite(y[i]) && isfinite(sigma[i])) continue;
         PyErr_Format(PyExc_ValueError, "centers: number %zd is not finite, or its piece is out of order", i);
         return 0;
     }

@@ -51,22 +51,21 @@ static double kth(double *value, size_t n, size_t k) {
     return value[k];
 }
 
-/* Of many values, so many tell about where the median lies, between those of these ranks. */
-enum { MANY = 256, TELLING = 41, LOWER = 13, UPPER = 27 };
+/* Of many values, so many tell about where the median lies: between those of these ranks. */
+enum { MANY = 256, TOO_MANY = 2048, TELLING = 41, LOWER = 13, UPPER = 27 };
 
-/* Puts values about the median first, in one pass without branches, and tells how many are smaller than those; 0 if the
+/* Copies values about the median, in one pass without branches, and tells how many are smaller than those; 0 if the
    median is not sure to be among them. */
-static size_t near_median(double *value, size_t n, size_t *smaller) {
+static size_t near_median(const double *value, size_t n, double *near, size_t *smaller) {
     double some[TELLING];
     size_t inside = 0, fewer = 0;
     for (size_t i = 0; i < TELLING; i++) some[i] = value[i * n / TELLING];
     sort_few(some, TELLING);
+    double low = some[LOWER], high = some[UPPER];
     for (size_t i = 0; i < n; i++) {
-        double here = value[i];
-        value[i] = value[inside];
-        value[inside] = here;
-        fewer += here < some[LOWER];
-        inside += (size_t)(here >= some[LOWER]) & (size_t)(here <= some[UPPER]);
+        near[inside] = value[i];
+        fewer += value[i] < low;
+        inside += (size_t)(value[i] >= low) & (size_t)(value[i] <= high);
     }
     *smaller = fewer;
     return fewer < n / 2 && n / 2 < fewer + inside ? inside : 0;
@@ -74,12 +73,15 @@ static size_t near_median(double *value, size_t n, size_t *smaller) {
 
 /* NumPy's median of n > 0 values without NaN, which are reordered. */
 static double median(double *value, size_t n) {
-    size_t smaller = 0, near = n < MANY ? 0 : near_median(value, n, &smaller), middle = n / 2;
-    if (near)
+    double near[TOO_MANY];
+    size_t smaller = 0, middle = n / 2, count = n;
+    size_t found = n < MANY || n > TOO_MANY ? 0 : near_median(value, n, near, &smaller);
+    if (found) {
+        value = near;
+        count = found;
         middle -= smaller;
-    else
-        near = n;
-    double upper = kth(value, near, middle);
+    }
+    double upper = kth(value, count, middle);
     if (n % 2) return upper;
     double lower = value[0];
     for (size_t i = 1; i < middle; i++) lower = value[i] > lower ? value[i] : lower;
