@@ -19,7 +19,11 @@ def kernels(name: str, parts: tuple[str, ...], headers: tuple[str, ...]) -> Exte
 setup(
     ext_modules=[
         kernels("_kernels", ("chains", "cuts", "fits", "gradient", "joins", "lists"), ("buffers", "kernels")),
-        kernels("_forms", ("closed_forms", "ring_rows", "singular"), ("buffers", "forms", "ring_rows", "singular")),
+        kernels(
+            "_forms",
+            ("closed_forms", "form_derivatives", "lens", "misfit", "ring_rows", "singular", "spread"),
+            ("buffers", "forms", "kernels", "misfit", "ring_rows", "singular", "tracks"),
+        ),
         kernels(
             "_edges",
             ("edge_arcs", "edge_fit", "edge_places", "edge_steps", "lens"),

@@ -7,8 +7,6 @@
 #define MILLIMETRES 1000.0 /* in a metre */
 #define ARC_CUT 1e-12      /* singular values under this share of the largest count as none */
 
-enum { NORMAL = 0, OFFSET = 3, CENTER = 4, RADIUS = 7, GRASP = 9, QUOTIENT = 12 };
-
 typedef double Point[3];
 
 static double inner(const double a[3], const double b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
@@ -47,8 +45,10 @@ static void equal_distance_rows(const Problem *problem, const Point *points, Mat
 
 /* Smallest over largest singular value after scaling the rows to unit length. */
 static double inverse_condition(const Matrix *matrix) {
-    Matrix scaled = {.rows = matrix->rows, .columns = matrix->columns};
+    Matrix scaled;
     Singular found;
+    scaled.rows = matrix->rows;
+    scaled.columns = matrix->columns;
     for (int i = 0; i < matrix->rows; i++) {
         double square = 0;
         for (int j = 0; j < matrix->columns; j++) square += matrix->at[j][i] * matrix->at[j][i];
@@ -61,7 +61,8 @@ static double inverse_condition(const Matrix *matrix) {
 
 /* The centre from the mean of the points, and q. */
 static double damped_center(const Problem *problem, const Matrix *rows, const double *target, double *step) {
-    double quotient = inverse_condition(rows), share = fmin(quotient / problem->singular_below, 1);
+    double quotient = problem->regular ? NAN : inverse_condition(rows);
+    double share = fmin(quotient / problem->singular_below, 1); /* 1 if it is NaN */
     Singular found;
     singular_values(rows, &found);
     damped_solution(&found, target, problem->singular_below * sqrt(1 - share * share), 0, step);
@@ -86,8 +87,10 @@ void paper_form(const Problem *problem, const Point *points_m, double form[FORM_
     int count = problem->count;
     Point points[MOST_POINTS], centred[MOST_POINTS], mean, plane, step, center;
     double ones[MOST_POINTS], target[MOST_ROWS];
-    Matrix rows = {.rows = count, .columns = 3};
+    Matrix rows;
     Singular found;
+    rows.rows = count;
+    rows.columns = 3;
     for (int i = 0; i < count; i++) {
         ones[i] = 1;
         for (int k = 0; k < 3; k++) rows.at[k][i] = points[i][k] = MILLIMETRES * points_m[i][k];
@@ -122,7 +125,9 @@ static void cross_arcs(const Problem *problem, const double (*flat)[2], double *
     double scale = 0, target[MOST_POINTS], s[MOST_COLUMNS];
     for (int i = 0; i < count; i++) scale = fmax(scale, fmax(fabs(flat[i][0]), fabs(flat[i][1])));
     scale = fmax(scale, 1e-300);
-    Matrix rows = {.rows = count, .columns = 4};
+    Matrix rows;
+    rows.rows = count;
+    rows.columns = 4;
     for (int i = 0; i < count; i++) {
         double x = flat[i][0] / scale, y = flat[i][1] / scale;
         rows.at[0][i] = x * x + y * y;
@@ -174,8 +179,11 @@ void constrained_form(const Problem *problem, const Point *points_m, double form
     int count = problem->count;
     Point centred[MOST_POINTS], mean;
     double target[MOST_ROWS], step[2];
-    Matrix rows = {.rows = count, .columns = 3}, in_plane = {.columns = 2};
+    Matrix rows, in_plane;
     Singular found;
+    rows.rows = count;
+    rows.columns = 3;
+    in_plane.columns = 2;
     mean_of(points_m, count, mean);
     for (int i = 0; i < count; i++)
         for (int k = 0; k < 3; k++) rows.at[k][i] = centred[i][k] = points_m[i][k] - mean[k];
@@ -195,4 +203,21 @@ void constrained_form(const Problem *problem, const Point *points_m, double form
         form[CENTER + k] = mean[k] + step[0] * found.axis[0][k] + step[1] * found.axis[1][k];
     mean_radii(problem, points_m, form + CENTER, form + RADIUS);
     mid_band_point(problem, points_m, mean, form + NORMAL, form + GRASP);
+}
+
+void nearest_plane(const Point *points_m, int count, double plane[PLANE_NUMBERS]) {
+    Point mean;
+    Matrix rows;
+    Singular found;
+    mean_of(points_m, count, mean);
+    rows.rows = count;
+    rows.columns = 3;
+    for (int i = 0; i < count; i++)
+        for (int k = 0; k < 3; k++) rows.at[k][i] = points_m[i][k] - mean[k];
+    singular_values(&rows, &found);
+    for (int k = 0; k < 3; k++) {
+        plane[k] = found.axis[2][k];
+        plane[4 + k] = found.value[k];
+    }
+    plane[3] = inner(plane, mean);
 }

@@ -5,6 +5,7 @@ Within a batch all points stand on the same edges.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -49,6 +50,23 @@ class ClosedForm:
     damped: Bool[Array, "batch"]
 
 
+class Differentiated(NamedTuple):
+    """A solution, and how it moves with its points."""
+
+    form: ClosedForm
+    """A batch of one."""
+    jacobian: Float64[Array, "13 coordinate"]
+    """Of the seven parameters, the centre and the grasp point by the points' coordinates x1 y1 z1 x2 ..."""
+
+
+STEP = 1e-6
+"""Of the central differences, in units of the points' largest distance from their mean.
+
+Small against the arc's height even for points that are nearly in line (1e-3 of their extent), large against
+rounding (1e-16 of their distance).
+"""
+
+
 def paper_form(points_m: Float64[Array, "batch point xyz=3"], edges: Int64[Array, "point"]) -> ClosedForm:
     """Method `paper`, read literally: plane, centre, radii and the mean of the points as the grasp point.
 
@@ -64,11 +82,31 @@ def constrained_form(points_m: Float64[Array, "batch point xyz=3"], edges: Int64
     return _closed_form(points_m, edges, constrained=True)
 
 
+def nearest_plane(points_m: Float64[Array, "n xyz=3"]) -> tuple[Float64[Array, "3"], float, Float64[Array, "3"]]:
+    """`geometry.planes.nearest_plane` of up to 64 points without weights: normal, distance, singular values."""
+    found = np.frombuffer(_forms.plane(np.ascontiguousarray(points_m)), dtype=np.float64)
+    return found[:3], float(found[3]), found[4:]
+
+
+def differentiated(
+    points_m: Float64[Array, "point xyz=3"], edges: Int64[Array, "point"], constrained: bool
+) -> Differentiated:
+    """One of the two closed forms, and its derivatives by central differences; twin in `reference_derivatives`."""
+    found = _forms.derivatives(
+        np.ascontiguousarray(points_m), np.ascontiguousarray(edges), constrained, SINGULAR_BELOW, STEP
+    )
+    numbers = np.frombuffer(found, dtype=np.float64)
+    return Differentiated(_form_of(numbers[:13].reshape(1, 13)), numbers[13:].reshape(13, -1))
+
+
 def _closed_form(
     points_m: Float64[Array, "batch point xyz=3"], edges: Int64[Array, "point"], constrained: bool
 ) -> ClosedForm:
     found = _forms.forms(np.ascontiguousarray(points_m), np.ascontiguousarray(edges), constrained, SINGULAR_BELOW)
-    form = np.frombuffer(found, dtype=np.float64).reshape(-1, 13)
+    return _form_of(np.frombuffer(found, dtype=np.float64).reshape(-1, 13))
+
+
+def _form_of(form: Float64[Array, "batch 13"]) -> ClosedForm:
     quotient = form[:, 12]
     return ClosedForm(
         normal=form[:, 0:3],

@@ -16,6 +16,9 @@ void undistort(const Lens *lens, double *x, double *y, size_t n);
 /* One undistorted pixel to where the lens shows it, in place. */
 void distort_pixel(const Lens *lens, double *x, double *y);
 
+/* Derivatives of the distortion at a normalised point: dx/dx, dx/dy (as dy/dx), dy/dy. */
+void distortion_slope(const Lens *lens, double x, double y, double slope[3]);
+
 typedef struct {
     double kink, joined;      /* px */
     double short_series;      /* factor */

@@ -4,14 +4,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ringpose.kernels.forms import ClosedForm, constrained_form, paper_form
+from ringpose.kernels.forms import ClosedForm, constrained_form, differentiated, paper_form
 from ringpose.pose.method import Method as Method
 from ringpose.pose.most_likely import most_likely_pose
 from ringpose.pose.observability import pose_flags, why_undetermined, why_unusable
 from ringpose.pose.point_covariance import point_covariance
 from ringpose.pose.residuals import prediction_rms_px
 from ringpose.pose.triangulate import triangulated
-from ringpose.pose.uncertainty import PoseCovariance, differentiated, pose_covariance
+from ringpose.pose.uncertainty import PoseCovariance, pose_covariance
 from ringpose.types.break_points import BreakPoints, RingEdgePoints
 from ringpose.types.rig import Rig
 from ringpose.types.ring import KnownRadii, Ring
@@ -90,5 +90,5 @@ def form_and_covariance(
     )
     if covariance_m2 is None or not np.isfinite(covariance_m2).all():
         return FORMS[method](positions[None], edges), None
-    form, jacobian = differentiated(FORMS[method], positions, edges)
+    form, jacobian = differentiated(positions, edges, constrained=method is Method.PAPER_CONSTRAINED)
     return form, pose_covariance(jacobian, covariance_m2)

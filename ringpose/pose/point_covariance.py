@@ -10,6 +10,7 @@ import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.geometry.rotations import tilt_basis
+from ringpose.kernels.misfit import spread_m2
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.camera import Camera
 from ringpose.types.rig import Rig
@@ -40,18 +41,15 @@ def point_covariance(
 
     The errors of break points are independent of each other; the rig's, where the rig tells them, are common to all.
     """
-    jacobians = point_jacobians(points, rig.lasers.normal[laser], rig.camera)
-    own = jacobians.by_pixel @ covariance_px2 @ jacobians.by_pixel.swapaxes(1, 2)
-    count = len(points)
-    joint = np.zeros((count, 3, count, 3))
-    joint[np.arange(count), :, np.arange(count), :] = own
-    total: Float64[Array, "coordinate coordinate"] = joint.reshape(3 * count, 3 * count)
+    light_normal = rig.lasers.normal[laser]
+    own = spread_m2(points, light_normal, covariance_px2, rig.camera)
     if rig.covariance is None:
-        return total
+        return own
+    jacobians = point_jacobians(points, light_normal, rig.camera)
     by_rig = np.stack(
         [_by_parameter(name, points, laser, rig, jacobians).ravel() for name in rig.covariance.parameters], axis=-1
     )
-    total += by_rig @ rig.covariance.data @ by_rig.T
+    total: Float64[Array, "coordinate coordinate"] = own + by_rig @ rig.covariance.data @ by_rig.T
     return total
 
 
