@@ -75,8 +75,8 @@ def intersect(
 
     NaN where a ray runs along its plane, or meets it behind the camera.
     """
-    cosine = np.sum(directions * normal, axis=-1)
-    length = np.linalg.norm(directions, axis=-1)
+    cosine = (directions * normal).sum(axis=-1)
+    length = np.sqrt((directions * directions).sum(axis=-1))
     along = np.abs(cosine) < GRAZING * length
     parameter = distance_m / np.where(along, np.nan, cosine)
     points: Float64[Array, "*shape xyz=3"] = np.where(parameter > 0, parameter, np.nan)[..., None] * directions

@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 
-from ringpose.geometry.planes import nearest_plane
-from ringpose.kernels.forms import ClosedForm
+from ringpose.kernels.forms import ClosedForm, nearest_plane
 from ringpose.pose.uncertainty import PoseCovariance
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.break_points import BreakPoints
@@ -48,15 +47,16 @@ def why_undetermined(points: RingPoints, break_points: BreakPoints) -> NoPose | 
     One break point that cannot be triangulated spoils all: it shows that a label is wrong, and a pose from the
     others would look right and be wrong.
     """
-    if (break_points.seen & ~points.seen).any():
+    seen = points.seen
+    if (break_points.seen & ~seen).any():
         return NoPose.UNTRIANGULATED
-    if points.seen.sum(axis=0).max(initial=0) < LASERS_ON_AN_EDGE:
+    if max(map(sum, zip(*seen.tolist(), strict=True)), default=0) < LASERS_ON_AN_EDGE:
         return NoPose.TOO_FEW_BREAK_POINTS
-    positions = points.position_m[points.seen]
+    positions = points.position_m[seen]
     _, distance_m, singular_values = nearest_plane(positions)
     if singular_values[1] <= COLLINEAR_BELOW * singular_values[0]:
         return NoPose.COLLINEAR
-    if abs(distance_m) < EDGE_ON_BELOW * np.linalg.norm(positions.mean(axis=0)):
+    if abs(distance_m) < EDGE_ON_BELOW * math.hypot(*(positions.sum(axis=0) / len(positions)).tolist()):
         return NoPose.EDGE_ON
     return None
 
@@ -65,18 +65,18 @@ def why_unusable(residual_rms_px: float, covariance: PoseCovariance | None) -> N
     """Reason why a computed pose is none, or None."""
     if covariance is not None and standard_deviation(covariance.parameters[:2, :2]) > TILT_SD_LIMIT_RAD:
         return NoPose.COLLINEAR
-    return None if np.isfinite(residual_rms_px) else NoPose.NOT_FINITE
+    return None if math.isfinite(residual_rms_px) else NoPose.NOT_FINITE
 
 
 def pose_flags(form: ClosedForm, covariance: PoseCovariance | None) -> PoseFlag:
     """What to mind about a pose (a batch of one); a damped centre is a weak one, whatever its covariance says."""
-    radius_m = form.radius_m[0]
+    radii_m = form.radius_m[0].tolist()
     flags = PoseFlag(0)
     if form.damped[0]:
         flags |= PoseFlag.DAMPED | PoseFlag.CENTER_WEAK | PoseFlag.RADIUS_WEAK
-    if np.isnan(radius_m).any():
+    if any(map(math.isnan, radii_m)):
         flags |= PoseFlag.RADIUS_WEAK
-    smallest_m = float(np.nanmin(radius_m))
+    smallest_m = min(radius_m for radius_m in radii_m if not math.isnan(radius_m))
     if abs(form.normal[0] @ form.center_m[0] - form.offset_m[0]) > OFF_PLANE * smallest_m:
         flags |= PoseFlag.CENTER_WEAK
     return flags if covariance is None else flags | weak_flags(covariance, WEAK_SD * smallest_m)
@@ -85,11 +85,23 @@ def pose_flags(form: ClosedForm, covariance: PoseCovariance | None) -> PoseFlag:
 def weak_flags(covariance: PoseCovariance, limit_m: float) -> PoseFlag:
     """Which of centre and radii have a standard deviation over the limit."""
     flags = PoseFlag(0)
-    if standard_deviation(covariance.center_m2) > limit_m:
+    if spreads_beyond(covariance.center_m2, limit_m):
         flags |= PoseFlag.CENTER_WEAK
-    if float(np.nanmax(np.diag(covariance.parameters)[5:])) > limit_m**2:
+    inner_m2, outer_m2 = covariance.parameters.diagonal().tolist()[5:]
+    if inner_m2 > limit_m**2 or outer_m2 > limit_m**2:
         flags |= PoseFlag.RADIUS_WEAK
     return flags
+
+
+def spreads_beyond(covariance: Float64[Array, "3 3"], limit: float) -> bool:
+    """Whether the standard deviation is over the limit in some direction; mostly seen without eigenvalues.
+
+    The largest variance is at least the largest on the diagonal, and at most their sum.
+    """
+    variances = covariance.diagonal().tolist()
+    if max(variances) > limit**2:
+        return True
+    return not sum(variances) <= limit**2 and standard_deviation(covariance) > limit
 
 
 def standard_deviation(covariance: Float64[Array, "n n"]) -> float:
