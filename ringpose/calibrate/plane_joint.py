@@ -12,7 +12,7 @@ import numpy as np
 
 from ringpose.calibrate.board_pose import moved_pose, residuals
 from ringpose.calibrate.intrinsics import camera_with, parameter_names, parameters_of, projection_jacobians
-from ringpose.calibrate.stripe_errors import line_variance_px2, scatter_px, shared_length, stripe_bend
+from ringpose.calibrate.stripe_errors import scatter_px, shared_length, stripe_bend
 from ringpose.calibrate.stripe_residuals import stripe_rows
 from ringpose.errors import DataError
 from ringpose.geometry.rays import rays
@@ -275,9 +275,7 @@ def corner_chi2(view: StripeView, pose: BoardPose, camera: Camera, corner_px: fl
 
 
 def _center_px(points_px: Float64[Array, "n xy=2"], shared: float) -> float:
-    """Scatter times the root of the correlation length: of all stripes where that is known, else the stripe's own."""
+    """Scatter times the root of the correlation length of all stripes."""
     if not len(points_px):
         return float("nan")
-    if np.isfinite(shared):
-        return max(scatter_px(points_px) * float(np.sqrt(shared)), LEAST_SIGMA_PX)
-    return max(float(np.sqrt(line_variance_px2(points_px) * len(points_px))), LEAST_SIGMA_PX)
+    return max(scatter_px(points_px) * float(np.sqrt(shared)), LEAST_SIGMA_PX)

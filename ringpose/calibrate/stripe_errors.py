@@ -9,9 +9,11 @@ from ringpose.types.arrays import Array, Float64
 BLOCK = 16
 """Centres whose mean tells how much neighbours have in common: ten times as far as speckle reaches."""
 
-
 FEWEST_BLOCKS = 30
-"""So many blocks tell a mean square to a quarter."""
+"""So many blocks tell a mean square to a quarter ..."""
+
+USUAL_LENGTH = 3.0
+"""... and what fewer leave open is taken from here: 1.2 to 4.1 on simulated boards of three kinds."""
 
 
 def stripe_bend(points_px: Float64[Array, "n xy=2"]) -> Float64[Array, "2 n xy=2"]:
@@ -42,8 +44,8 @@ def scatter_px(points_px: Float64[Array, "n xy=2"]) -> float:
 def shared_length(stripes_px: Sequence[Float64[Array, "_ xy=2"]]) -> float:
     """The correlation length that many stripes have together, from the means of blocks of their residuals.
 
-    Short stripes, and those that printed squares cut to pieces, hardly show theirs by themselves. NaN where there are
-    too few blocks to tell.
+    Short stripes, and those that printed squares cut to pieces, hardly show theirs by themselves: taken from each
+    alone, errors were three times as large as they were said to be.
     """
     squares, blocks = 0.0, 0
     for points_px in stripes_px:
@@ -53,7 +55,8 @@ def shared_length(stripes_px: Sequence[Float64[Array, "_ xy=2"]]) -> float:
         parts = np.array_split(residual / max(float(residual.std()), 1e-12), len(residual) // BLOCK)
         squares += sum(len(part) * float(part.mean()) ** 2 for part in parts)
         blocks += len(parts) - 4
-    return squares / blocks if blocks >= FEWEST_BLOCKS else float("nan")
+    missing = max(FEWEST_BLOCKS - blocks, 0)
+    return (squares + missing * USUAL_LENGTH) / (blocks + missing)
 
 
 def _residual_px(points_px: Float64[Array, "n xy=2"]) -> Float64[Array, "n"]:
