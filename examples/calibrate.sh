@@ -15,5 +15,5 @@ ringpose calibrate-planes "$boards/planes" --board "$boards/plane_board.yaml" --
     --laser-order right,middle,left --output "$out/rig.yaml" --force
 
 echo "Poses with this rig, and with the true one:"
-ringpose bench "$data" --method paper-constrained --by rig --rig "$out/rig.yaml" --max-grasp-mm 1
-ringpose bench "$data" --method paper-constrained --by rig
+ringpose bench "$data" --method ml --by rig --rig "$out/rig.yaml" --max-grasp-mm 1
+ringpose bench "$data" --method ml --by rig
