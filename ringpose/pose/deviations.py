@@ -23,7 +23,7 @@ def plane_evidence(fit: Fit, measured: Measurements, rig: Rig) -> PlaneEvidence:
         return PlaneEvidence(score=score, information=information)
     inverse = fit.inverse
     by_state = fit.rows.by_state[: 2 * count].reshape(count, 2, PARAMETERS)
-    line = np.broadcast_to(np.eye(2), (count, 2, 2))
+    line = np.eye(2)
     if fit.by_rig is not None:
         by_rig = fit.by_rig[: 2 * count].reshape(count, 2, -1)
         line = line + by_rig @ by_rig.swapaxes(1, 2)
@@ -33,6 +33,6 @@ def plane_evidence(fit: Fit, measured: Measurements, rig: Rig) -> PlaneEvidence:
     steepness = fit.rows.sights.steepness[: 2 * count : 2, None, None]
     by_plane = np.concatenate([rays @ basis.swapaxes(1, 2), -(rays @ fit.state.plane)[:, :, None]], axis=-1)
     weighted = np.linalg.solve(line, measured.lines.whitening @ by_plane / steepness)
-    score[measured.lines.laser] = np.einsum("lrp,lr->lp", weighted, fit.rows.residual[: 2 * count].reshape(count, 2))
+    score[measured.lines.laser] = (weighted * fit.rows.residual[: 2 * count].reshape(count, 2, 1)).sum(axis=1)
     information[measured.lines.laser] = weighted.swapaxes(1, 2) @ left @ weighted
     return PlaneEvidence(score=score, information=information)

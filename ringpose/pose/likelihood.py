@@ -4,6 +4,7 @@ No start from the paper's closed form is needed: on the plane the inverse depth 
 give the plane at once, and in this state every ring is within a few steps of a likely one.
 """
 
+from math import hypot, isfinite
 from typing import NamedTuple
 
 import numpy as np
@@ -115,7 +116,7 @@ def _search(
     for number in range(MOST_STEPS):
         rows = rows_of(state, measured, sighted, before)
         if number == 1:  # they hardly change from here
-            common = rows_by_common_errors(state, rows, measured, errors, rig)
+            common = rows_by_common_errors(state, rows, measured, sighted, errors, rig)
         weight = _weights(rows.residual if left is None else left, robust)
         normal_matrix, step, rig_step = _step(rows, weight, None if common is None else common.rows)
         if not _plausible(state, step):
@@ -141,12 +142,15 @@ def _step(
     normal_matrix, gradient = weighted @ rows.by_state, weighted @ rows.residual
     if by_rig is None:
         return normal_matrix, -np.linalg.solve(normal_matrix + _RIDGE, gradient), None
-    mixed = weighted @ by_rig
-    own = (by_rig.T * weight) @ by_rig
-    own[np.diag_indices_from(own)] += 1.0
-    from_ring = np.linalg.solve(own, np.column_stack([mixed.T, by_rig.T @ (weight * rows.residual)]))
-    normal_matrix = normal_matrix - mixed @ from_ring[:, :-1]
-    step = -np.linalg.solve(normal_matrix + _RIDGE, gradient - mixed @ from_ring[:, -1])
+    weighted_by_rig = by_rig.T * weight
+    own = weighted_by_rig @ by_rig
+    own.flat[:: len(own) + 1] += 1.0
+    mixed = np.empty((len(own), PARAMETERS + 1))
+    mixed[:, :-1], mixed[:, -1] = weighted_by_rig @ rows.by_state, weighted_by_rig @ rows.residual
+    from_ring = np.linalg.solve(own, mixed)
+    eliminated = mixed[:, :-1].T @ from_ring
+    normal_matrix = normal_matrix - eliminated[:, :-1]
+    step = -np.linalg.solve(normal_matrix + _RIDGE, gradient - eliminated[:, -1])
     return normal_matrix, step, -from_ring[:, -1] - from_ring[:, :-1] @ step
 
 
@@ -165,11 +169,10 @@ def _weights(residual: Float64[Array, "row"], robust: slice) -> Float64[Array, "
 
 
 def _plausible(state: RingState, step: Float64[Array, "7"]) -> bool:
-    plane = state.plane + step[:3]
-    depth = float(np.sqrt(plane @ plane))
+    depth = hypot(*(state.plane + step[:3]).tolist())
     curvature = abs(state.curvature + float(step[CURVATURE]))
     return (
-        bool(np.isfinite(step).all())
+        all(map(isfinite, step.tolist()))
         and 1 / MOST_DEPTH_M < depth < 1 / LEAST_DEPTH_M
         and (curvature < STEEPEST_CURVATURE)
     )

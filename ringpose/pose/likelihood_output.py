@@ -39,14 +39,14 @@ def quantities(fit: Fit) -> Quantities:
     inverse_length = 1.0 / float(np.sqrt(state.plane @ state.plane))
     basis = tilt_basis(normal)
     radius_m = 1.0 / (state.curvature if abs(state.curvature) > STRAIGHTEST else STRAIGHTEST)
-    normal_by_plane = -inverse_length * (np.eye(3) - np.outer(normal, normal))
+    normal_by_plane = -inverse_length * (np.eye(3) - normal[:, None] * normal)
 
     by_state = np.zeros((15, PARAMETERS))
     by_state[0:2, PLANE] = -inverse_length * basis
     by_state[2, PLANE] = -(inverse_length**2) * normal
     by_state[5:7, CURVATURE] = -(radius_m**2)
     by_state[5:7, BAND] = (-0.5, 0.5)
-    leaning = np.outer(normal, outward @ normal_by_plane)  # the outward direction stays in the plane
+    leaning = normal[:, None] * (outward @ normal_by_plane)  # the outward direction stays in the plane
     for first, reach_m in ((7, state.shift_m - radius_m), (10, state.shift_m)):
         rows = by_state[first : first + 3]
         rows[:, PLANE] = origin.by_plane - reach_m * leaning
@@ -75,18 +75,18 @@ def covariance_of(fit: Fit, found: Quantities, measured: Measurements) -> Float6
     if fit.by_rig is not None:
         weighted = fit.by_rig.T * fit.weight
         own = weighted @ fit.by_rig
-        own[np.diag_indices_from(own)] += 1.0
-        mixed = (fit.rows.by_state.T * fit.weight) @ fit.by_rig
-        gain -= inverse @ (mixed @ np.linalg.solve(own, weighted))
+        own.flat[:: len(own) + 1] += 1.0
+        from_ring = np.linalg.solve(own, weighted @ fit.rows.by_state)
+        gain -= inverse @ from_ring.T @ weighted
     by_residual = -found.by_state @ gain
     joint = np.zeros((len(by_residual), len(by_residual)))
     if fit.by_rig is not None and fit.mean_by_rig is not None:
         by_rig = by_residual @ fit.by_rig
-        by_rig[GRASP] += np.outer(fit.state.along, fit.mean_by_rig)
+        by_rig[GRASP] += fit.state.along[:, None] * fit.mean_by_rig
         joint += by_rig @ by_rig.T
     first = 2 * len(measured.lines.laser)
-    by_residual[GRASP, first : first + len(measured.points.laser)] += np.outer(
-        fit.state.along, _mean_shift(fit, measured)
+    by_residual[GRASP, first : first + len(measured.points.laser)] += fit.state.along[:, None] * _mean_shift(
+        fit, measured
     )
     spread = by_residual * np.where(fit.weight < 1.0, np.abs(fit.residual), 1.0)
     joint += spread @ spread.T
@@ -127,7 +127,7 @@ def with_second_order(joint: Float64[Array, "15 15"], bow: float, fit: Fit) -> F
     outward = np.sqrt(3.0) * bow * fit.state.outward
     in_basis = tilt_basis(fit.state.normal) @ outward
     joint = joint.copy()
-    joint[CENTER, CENTER] += np.outer(outward, outward)
+    joint[CENTER, CENTER] += outward[:, None] * outward
     joint[3:5, 3:5] += np.outer(in_basis, in_basis)
     return joint
 

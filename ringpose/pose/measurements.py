@@ -176,7 +176,7 @@ def line_covariance(sigma: Float64[Array, "line end=2"]) -> Float64[Array, "line
     bend, lean, level = 12.0 * (end - start), 24.0 * start, end - 13.0 * start
     # the root that stays finite as the sigmas become equal
     best = -2.0 * level / (lean + np.sqrt(np.maximum(lean**2 - 4.0 * bend * level, 0.0)))
-    best = np.clip(best, 0.0, 1.0)
+    best = np.minimum(np.maximum(best, 0.0), 1.0)
     middle = (start + end) / (2.0 + 12.0 * (best**2 + (1.0 - best) ** 2))
     between = middle * (1.0 - 12.0 * best * (1.0 - best))
     covariance: Float64[Array, "line end=2 end=2"] = np.stack([start, between, between, end], axis=-1)

@@ -156,4 +156,4 @@ def _residual_rms_px(fit: Fit, measured: Measurements, rig: Rig) -> float:
     points, rows, matrix = measured.points, fit.rows, rig.camera.camera_matrix
     along = rows.arcs.distance_m / rows.by_x * matrix[0, 0]
     across = (points.y - rows.y) * matrix[1, 1]
-    return float(np.sqrt(np.mean((1.0 + rows.slope**2) * along**2 + across**2)))
+    return sqrt(float(((1.0 + rows.slope**2) * along**2 + across**2).sum()) / len(along))

@@ -12,7 +12,7 @@ import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.pose.measurements import Measurements, pixels_by_ray_and_camera
+from ringpose.pose.measurements import Measurements, Sighted, pixels_by_ray_and_camera
 from ringpose.pose.residual_rows import Rows
 from ringpose.pose.ring_model import RingState, Sights
 from ringpose.types.arrays import Array, Float64, Int64
@@ -87,13 +87,13 @@ class ByRig(NamedTuple):
 
 
 def rows_by_common_errors(
-    state: RingState, rows: Rows, measured: Measurements, errors: RigErrors | None, rig: Rig
+    state: RingState, rows: Rows, measured: Measurements, sighted: Sighted, errors: RigErrors | None, rig: Rig
 ) -> ByRig | None:
     """How what many residuals have in common moves them: a wrong rig, a wrong place or lean of a whole visible edge.
 
     None if there is nothing of that.
     """
-    found = None if errors is None else rows_by_rig(state, rows, measured, errors, rig)
+    found = None if errors is None else rows_by_rig(state, rows, measured, sighted, errors, rig)
     if rows.edges is None:
         return found
     common = np.zeros((len(rows.residual), measured.edges.common.shape[1]))
@@ -104,18 +104,18 @@ def rows_by_common_errors(
     return ByRig(np.column_stack([found.rows, common]), np.append(found.mean, np.zeros(common.shape[1])))
 
 
-def rows_by_rig(state: RingState, rows: Rows, measured: Measurements, errors: RigErrors, rig: Rig) -> ByRig:
+def rows_by_rig(
+    state: RingState, rows: Rows, measured: Measurements, sighted: Sighted, errors: RigErrors, rig: Rig
+) -> ByRig:
     """How a wrong rig moves the residuals."""
-    ends, whitening = rows.ends, measured.sighted(rig.lasers).whitening
-    lines, points = measured.lines, measured.points
-    laser = np.concatenate([np.repeat(lines.laser, 2), points.laser])
-    xy = np.column_stack([np.append(lines.x.ravel(), points.x), np.append(lines.y.ravel(), points.y)])
-    shift = _ray_shift(xy, errors, rig)
+    ends = rows.ends
+    laser = np.concatenate([np.repeat(measured.lines.laser, 2), measured.points.laser])
+    shift = _ray_shift(sighted.rays[:, :2], errors, rig)
     predicted = _ordinate_shift(rows.sights, laser, state, errors)
     above = shift[:, 1] - rows.sights.slope[:, None] * shift[:, 0] - predicted
     tips, y_shift = shift[ends:, 0], predicted[ends:]
     distance = rows.arcs.by_ray[:, 1:] * y_shift + rows.by_x[:, None] * tips
-    parts = [whitening @ above[:ends], rows.along_scale[:, None] * distance]
+    parts = [sighted.whitening @ above[:ends], rows.along_scale[:, None] * distance]
 
     which, share, scale = rows.across
     if len(which):
@@ -124,7 +124,7 @@ def rows_by_rig(state: RingState, rows: Rows, measured: Measurements, errors: Ri
         seen = _ray_shift(measured.edges.ray[:, :2], errors, rig)
         parts.append((rows.edges.by_ray[:, :, None] * seen).sum(axis=1))
     parts.append(np.zeros((len(rows.residual) - sum(map(len, parts)), parts[0].shape[-1])))
-    mean = np.stack([tips.mean(axis=0), (y_shift + rows.slope[:, None] * tips).mean(axis=0)])
+    mean = np.stack([tips.sum(axis=0), (y_shift + rows.slope[:, None] * tips).sum(axis=0)]) / len(tips)
     return ByRig(np.concatenate(parts), state.along @ rows.origin.by_ray @ mean)
 
 

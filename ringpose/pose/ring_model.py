@@ -6,6 +6,7 @@ break points along the outward direction u, the curvature 1/R of the mid-band ci
 centre is not determined has a curvature like any other.
 """
 
+from math import hypot, nan, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -43,8 +44,9 @@ class RingState(NamedTuple):
     @property
     def normal(self) -> Float64[Array, "3"]:
         """Unit normal, towards the camera."""
-        normal: Float64[Array, "3"] = -self.plane / np.sqrt(self.plane @ self.plane)
-        return normal
+        x, y, z = self.plane.tolist()
+        towards = -(hypot(x, y, z) or nan)
+        return np.array([x / towards, y / towards, z / towards])
 
     @property
     def along(self) -> Float64[Array, "3"]:
@@ -95,7 +97,7 @@ def moved(state: RingState, step: Float64[Array, "7"]) -> RingState:
     outward = outward - (outward @ plane) / (plane @ plane) * plane
     return RingState(
         plane=plane,
-        outward=outward / np.sqrt(outward @ outward),
+        outward=outward / sqrt(outward @ outward),
         shift_m=state.shift_m + float(step[SHIFT]),
         curvature=state.curvature + float(step[CURVATURE]),
         band_m=state.band_m + float(step[BAND]),

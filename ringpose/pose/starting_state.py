@@ -31,7 +31,11 @@ def starting_state(measured: Measurements, sighted: Sighted, before: Beforehand)
 def _likely_size(measured: Measurements, along_m: Float64[Array, "point"], before: Beforehand) -> tuple[float, float]:
     """Curvature and width of the band."""
     inner, outer = along_m[measured.points.edge == 0], along_m[measured.points.edge == 1]
-    band_m = float(outer.mean() - inner.mean()) if len(inner) and len(outer) else LIKELY_BAND_M
+    band_m = (
+        float(outer.sum()) / len(outer) - float(inner.sum()) / len(inner)
+        if len(inner) and len(outer)
+        else LIKELY_BAND_M
+    )
     if before.radii is None or not np.isfinite(before.radii.radius_m).any():
         return LIKELY_CURVATURE, band_m
     inner_m, outer_m = before.radii.radius_m.tolist()
@@ -47,7 +51,7 @@ def _plane(measured: Measurements, sighted: Sighted) -> Float64[Array, "3"]:
     alone = ends + np.flatnonzero(measured.points.alone)
     whitening[alone, alone] = 1.0 / np.sqrt(measured.points.covariance[alone - ends, 1, 1])
     cosine = (sighted.light_normal * sighted.rays).sum(axis=1)
-    plane = np.array([0.0, 0.0, float((cosine / sighted.light_distance_m).mean())])
+    plane = np.array([0.0, 0.0, float((cosine / sighted.light_distance_m).sum()) / count])
     for _ in range(2):
         steepness = sighted.light_normal[:, 1] - sighted.light_distance_m * plane[1]
         rows = whitening @ ((sighted.light_distance_m / steepness)[:, None] * sighted.rays)

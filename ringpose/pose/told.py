@@ -97,6 +97,6 @@ def _with_unknown(covariance: Float64[Array, "7 7"], known: Determined) -> Float
 
 def _condition(fit: Fit) -> float:
     """Largest over smallest singular value of the derivatives of all residuals, columns scaled to unit length."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(fit.normal_matrix), np.finfo(float).tiny))
+    scale = 1.0 / np.sqrt(np.maximum(fit.normal_matrix.diagonal(), np.finfo(float).tiny))
     values = np.linalg.eigvalsh(fit.normal_matrix * scale[:, None] * scale)
     return float(np.sqrt(values[-1] / max(float(values[0]), np.finfo(float).eps)))
