@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ringpose.capture.cameras.aravis_library import PACKAGE, library
+from ringpose.capture.cameras.pylon import pypylon
 
 _VIDEO = Path("/sys/class/video4linux")
 
@@ -69,8 +70,7 @@ def _aravis_cameras() -> Iterator[dict[str, Any]]:
 def _pylon_cameras() -> Iterator[dict[str, Any]]:
     if importlib.util.find_spec("pypylon") is None:
         return
-    from pypylon import pylon
-
+    pylon = pypylon()
     for info in pylon.TlFactory.GetInstance().EnumerateDevices():
         serial, model = info.GetSerialNumber(), info.GetModelName()
         yield {"kind": "camera", "uri": f"pylon:{serial}", "vendor": "Basler", "model": model, "serial": serial}

@@ -5,6 +5,7 @@ pylon:12345678      by its serial number
 """
 
 import time
+import warnings
 from typing import Any
 
 import numpy as np
@@ -98,12 +99,18 @@ def _is_readable(node: Any) -> bool:
     return bool(genicam.IsReadable(node))
 
 
+def pypylon() -> Any:
+    """Basler's module, imported without its warnings: where they are errors, its C part crashes."""
+    with warnings.catch_warnings(action="ignore"):
+        from pypylon import pylon
+    return pylon
+
+
 def _pypylon(text: str) -> Any:
     try:
-        from pypylon import pylon
+        return pypylon()
     except ImportError as error:
         raise DeviceError(text, "needs pypylon, which is not installed", EXTRA) from error
-    return pylon
 
 
 def _reason(error: Exception) -> str:
