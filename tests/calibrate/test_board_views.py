@@ -268,7 +268,7 @@ def test_higher_squares_have_their_corners_lower():
     assert points[-1] == pytest.approx([9 * 0.025, 6 * 0.03, 0.0])
 
 
-@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize("side", ["left", pytest.param("right", marks=pytest.mark.slow)])
 def test_every_stereo_photograph_of_opencv_shows_its_board(side, shared_data):
     photographs = sorted((shared_data / "real" / "opencv_samples_stereo").glob(f"{side}[01]*.jpg"))
 

@@ -263,6 +263,7 @@ def findings(capsys) -> dict[str, dict[str, str]]:
     return {found["check"]: found for found in map(json.loads, capsys.readouterr().out.splitlines())}
 
 
+@pytest.mark.slow
 def test_a_dry_walk_finds_nothing_wrong_with_good_devices(serve, capsys):
     uris = serve("--relay", "lcus", "--fault", "operate=0.02", "--move", "never")
 
@@ -289,6 +290,7 @@ def test_a_dry_walk_finds_the_laser_that_is_dark(serve, capsys):
     assert "look whether it shines" in found["laser 2"]["remedy"]
 
 
+@pytest.mark.slow
 def test_a_dry_walk_ends_at_a_laser_that_stays_on(serve, capsys):
     uris = serve("--relay", "modbus", "--fault", "stuck:2", "--move", "never")
 

@@ -89,7 +89,10 @@ def test_the_lasers_are_off_within_50_ms_whatever_ends_a_live_measurement(board,
     assert fastest(measured) < OFF_WITHIN_S
 
 
-@pytest.mark.parametrize("number", [*FATAL, signal.SIGSTOP])
+@pytest.mark.parametrize(
+    "number",
+    [signal.SIGKILL, *(pytest.param(each, marks=pytest.mark.slow) for each in (signal.SIGSEGV, signal.SIGSTOP))],
+)
 def test_without_the_guard_the_lasers_burn_on(board, capturing, time_until, unguarded, number):
     with board("lcus") as (relays, uri), capturing(uri, *BURN, before=unguarded) as process:
         assert time_until(lambda: lit(relays), 30.0) < 30.0

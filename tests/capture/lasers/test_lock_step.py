@@ -146,7 +146,10 @@ def test_two_exposures_of_a_laser_become_one_frame(shots_of):
     assert shot.images.dtype == np.uint16
 
 
-@pytest.mark.parametrize("delay_s", [0.0, 0.03, 0.08])
+SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize("delay_s", [pytest.param(0.0, marks=SLOW), 0.03, pytest.param(0.08, marks=SLOW)])
 def test_the_settling_time_is_measured_once(shots_of, delay_s):
     how = procedure(settle_s=None)
 
