@@ -36,7 +36,9 @@ def misplaced_m(image: np.ndarray, board: Board, dots_per_inch: float) -> float:
     return float(np.abs(place_m - wanted_m).max())
 
 
-@pytest.mark.parametrize("kind", BOARDS)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=pytest.mark.slow) if kind == "chessboard" else kind for kind in BOARDS]
+)
 def test_a_pdf_page_shows_the_board_at_true_scale(kind, tmp_path, needed_program):
     write_board_print(tmp_path / "board.pdf", board_drawing(BOARDS[kind]))
     dots_per_inch = 80 if kind == "asymmetric_circles" else 300

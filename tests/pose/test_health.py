@@ -64,7 +64,13 @@ def test_a_plane_that_has_moved_is_named(scene_of, face_points, rng, rig, laser,
 
 
 @pytest.mark.parametrize("laser", [0, *(pytest.param(laser, marks=pytest.mark.slow) for laser in (1, 2))])
-@pytest.mark.parametrize("tilt_rad", [(FIFTH_OF_A_DEGREE, 0.0), (0.0, FIFTH_OF_A_DEGREE)], ids=["along", "across"])
+@pytest.mark.parametrize(
+    "tilt_rad",
+    [
+        pytest.param((FIFTH_OF_A_DEGREE, 0.0), id="along"),
+        pytest.param((0.0, FIFTH_OF_A_DEGREE), id="across", marks=pytest.mark.slow),
+    ],
+)
 def test_a_plane_that_has_tilted_by_a_fifth_of_a_degree_is_seen(scene_of, face_points, rng, rig, laser, tilt_rad):
     health = health_of_stream(scene_of, face_points, rng, rig, drifted(rig, laser, tilt_rad), shots=60)
 
