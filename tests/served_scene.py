@@ -2,23 +2,10 @@
 
 from pathlib import Path
 
+from small_rig import SERVED_RIG
+
 from ringpose.files.scenes import read_scene
 from ringpose.types.scene import Scene
-
-RIG = """\
-ringpose: rig/1
-camera:
-  image_width: 200
-  image_height: 150
-  camera_name: small
-  camera_matrix: {rows: 3, cols: 3, data: [222.0, 0.0, 99.5, 0.0, 222.0, 74.5, 0.0, 0.0, 1.0]}
-  distortion_model: plumb_bob
-  distortion_coefficients: {rows: 1, cols: 5, data: [0.0, 0.0, 0.0, 0.0, 0.0]}
-lasers:
-- {name: left, normal: [0.0, 0.984807753, -0.173648178], distance_m: -0.0394, projector_m: [0.0, -0.04, 0.0]}
-- {name: middle, normal: [0.0, 1.0, 0.0], distance_m: -0.07, projector_m: [0.0, -0.07, 0.0]}
-- {name: right, normal: [0.0, 0.984807753, 0.173648178], distance_m: -0.0394, projector_m: [0.0, -0.04, 0.0]}
-"""
 
 SCENE = """\
 ringpose: scene/1
@@ -39,6 +26,6 @@ boards:
 
 def small_scene(folder: Path) -> Scene:
     """The scene, its files in the folder."""
-    (folder / "rig.yaml").write_text(RIG)
+    (folder / "rig.yaml").write_text(SERVED_RIG)
     (folder / "scene.yaml").write_text(SCENE)
     return read_scene(folder / "scene.yaml")

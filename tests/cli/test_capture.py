@@ -10,27 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from small_rig import SMALL_RIG
 
 from ringpose.cli.main import main
 from ringpose.files.images import write_image
 from ringpose.files.sessions import read_session
 from ringpose.files.shots import read_shot, write_shot
 from ringpose.types.frame import ALL_LASERS, Shot
-
-SMALL_RIG = """\
-ringpose: rig/1
-camera:
-  image_width: 160
-  image_height: 120
-  camera_name: small
-  camera_matrix: {rows: 3, cols: 3, data: [178.0, 0.0, 80.0, 0.0, 178.0, 60.0, 0.0, 0.0, 1.0]}
-  distortion_model: plumb_bob
-  distortion_coefficients: {rows: 1, cols: 5, data: [0.0, 0.0, 0.0, 0.0, 0.0]}
-lasers:
-- {name: left, normal: [0.0, 0.984807753, -0.173648178], distance_m: -0.0394, projector_m: [0.0, -0.04, 0.0]}
-- {name: middle, normal: [0.0, 1.0, 0.0], distance_m: -0.07, projector_m: [0.0, -0.07, 0.0]}
-- {name: right, normal: [0.0, 0.984807753, 0.173648178], distance_m: -0.0394, projector_m: [0.0, -0.04, 0.0]}
-"""
 
 SMALL_SCENE = """\
 ringpose: scene/1

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from small_rig import SMALL_RIG
 
 from ringpose.simulate.serve.contacts import ContactFaults
 from ringpose.simulate.serve.relays import ServedRelays
@@ -26,21 +27,6 @@ BOARDS: dict[str, tuple[Any, str]] = {
     "modbus": (ModbusCodec(), "modbus:{port}?ch=0,1,2"),
     "ascii": (ARDUINO, "ascii:{port}?ch=1,2,3&on=R{{n}}%20ON&off=R{{n}}%20OFF&read=R?&ok=OK&opening=0"),
 }
-
-RIG = """\
-ringpose: rig/1
-camera:
-  image_width: 160
-  image_height: 120
-  camera_name: small
-  camera_matrix: {rows: 3, cols: 3, data: [178.0, 0.0, 80.0, 0.0, 178.0, 60.0, 0.0, 0.0, 1.0]}
-  distortion_model: plumb_bob
-  distortion_coefficients: {rows: 1, cols: 5, data: [0.0, 0.0, 0.0, 0.0, 0.0]}
-lasers:
-- {name: left, normal: [0.0, 0.984807753, -0.173648178], distance_m: -0.0394, projector_m: [0.0, -0.04, 0.0]}
-- {name: middle, normal: [0.0, 1.0, 0.0], distance_m: -0.07, projector_m: [0.0, -0.07, 0.0]}
-- {name: right, normal: [0.0, 0.984807753, 0.173648178], distance_m: -0.0394, projector_m: [0.0, -0.04, 0.0]}
-"""
 
 SCENE = """\
 ringpose: scene/1
@@ -96,7 +82,7 @@ def board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]
 @pytest.fixture
 def scene_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The working folder, with a small scene in it."""
-    (tmp_path / "rig.yaml").write_text(RIG)
+    (tmp_path / "rig.yaml").write_text(SMALL_RIG)
     (tmp_path / "scene.yaml").write_text(SCENE)
     monkeypatch.chdir(tmp_path)
     return tmp_path

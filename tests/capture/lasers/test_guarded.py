@@ -34,6 +34,19 @@ def lit(relays) -> int:
     return relays.mask_at(time.monotonic())
 
 
+def off_after_signal(uri: str, relays, time_until, number: int, said: str) -> float:
+    """Seconds from a signal to the guard until all lasers are off; the next command says what happened."""
+    lasers = lasers_at(uri)
+    with lasers:
+        lasers.set_mask(0b111)
+        assert time_until(lambda: lit(relays) == 0b111, 1.0) < 1.0
+        os.kill(lasers.guard_pid, number)
+        off_s: float = time_until(lambda: not lit(relays), 2.0)
+        with pytest.raises(DeviceError, match=said):
+            lasers.set_mask(0b001)
+    return off_s
+
+
 @pytest.mark.parametrize("scheme", ALL_SCHEMES)
 def test_every_board_lights_what_it_is_told_and_says_so(board, scheme):
     with board(scheme) as (relays, uri):
@@ -60,14 +73,9 @@ def test_opening_switches_off_what_was_on(board, scheme):
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP, signal.SIGSEGV])
 def test_a_guard_that_dies_or_stops_is_replaced_at_once(board, time_until, number):
     with board("lcus") as (relays, uri):
-        lasers = lasers_at(uri)
-        with lasers:
-            lasers.set_mask(0b111)
-            assert time_until(lambda: lit(relays) == 0b111, 1.0) < 1.0
-            os.kill(lasers.guard_pid, number)
-            off_s = time_until(lambda: not lit(relays), 2.0)
-            with pytest.raises(DeviceError, match="the guard of the lasers ended; they were switched off without it"):
-                lasers.set_mask(0b001)
+        off_s = off_after_signal(
+            uri, relays, time_until, number, said="the guard of the lasers ended; they were switched off without it"
+        )
 
     assert off_s < 0.05
     assert lit(relays) == 0
@@ -78,14 +86,7 @@ def test_a_guard_that_dies_or_stops_is_replaced_at_once(board, time_until, numbe
 )
 def test_a_guard_that_is_told_to_end_switches_off_first(board, time_until, number):
     with board("lcus") as (relays, uri):
-        lasers = lasers_at(uri)
-        with lasers:
-            lasers.set_mask(0b111)
-            assert time_until(lambda: lit(relays) == 0b111, 1.0) < 1.0
-            os.kill(lasers.guard_pid, number)
-            off_s = time_until(lambda: not lit(relays), 2.0)
-            with pytest.raises(DeviceError, match="the guard of the lasers ended"):
-                lasers.set_mask(0b001)
+        off_s = off_after_signal(uri, relays, time_until, number, said="the guard of the lasers ended")
 
     assert off_s < 0.05
 
