@@ -6,7 +6,6 @@ aravis://192.168.0.5           by its address, without a search
 """
 
 import ctypes
-import os
 import threading
 import time
 from contextlib import suppress
@@ -28,6 +27,10 @@ from ringpose.wire.gvsp import blocks_between
 BUFFERS = 4
 
 _SUCCESS = 0
+
+_NO_PACKET_SOCKET = 1
+"""`ARV_GV_STREAM_OPTION_PACKET_SOCKET_DISABLED`: for root the library reads packet sockets, which hear all traffic
+until their filter is set; a stranger's packet, taken for a frame's, then asks for gigabytes and ends the process."""
 
 _INCOMPLETE = (2, 3, 4)
 """Timeout, missing packets, wrong packet (`ArvBufferStatus`): the frame came, but not all of it."""
@@ -101,12 +104,14 @@ class AravisCamera(LockStepCamera):
             self._gain_db = self._number("Gain")
 
     def warnings(self) -> tuple[str, ...]:
-        """Too small a socket buffer, which matters to users without the right to packet sockets."""
+        """A socket buffer that holds less than a frame."""
         granted = granted_bytes()
-        is_network_camera = bool(self._aravis.arv_camera_is_gv_device(self._camera))
-        if not is_network_camera or os.geteuid() == 0 or granted is None or granted >= SOCKET_BUFFER_BYTES:
+        if not self._aravis.arv_camera_is_gv_device(self._camera) or granted is None:
             return ()
-        return (f"the kernel buffers {granted} bytes of a stream; {MORE_BUFFER}",)
+        frame_bytes = self._call_camera("arv_camera_get_payload")
+        if granted >= frame_bytes:
+            return ()
+        return (f"the kernel buffers {granted} bytes of a stream, a frame has {frame_bytes}; {MORE_BUFFER}",)
 
     def _connect(self) -> None:
         self.close()
@@ -138,11 +143,14 @@ class AravisCamera(LockStepCamera):
     def _start(self) -> None:
         aravis = self._aravis
         if not self._stream:
+            is_network_camera = aravis.arv_camera_is_gv_device(self._camera)
+            if is_network_camera:
+                aravis.arv_camera_gv_set_stream_options(self._camera, _NO_PACKET_SOCKET)
             try:
                 self._stream = aravis.new_stream(self._camera)
             except AravisError as error:
                 raise self._error(error) from error
-            if aravis.arv_camera_is_gv_device(self._camera):
+            if is_network_camera:
                 aravis.set_int_property(self._stream, "socket-buffer", 0)
                 aravis.set_int_property(self._stream, "socket-buffer-size", SOCKET_BUFFER_BYTES)
             self._payload = self._call_camera("arv_camera_get_payload")

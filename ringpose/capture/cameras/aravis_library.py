@@ -48,6 +48,7 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_get_device_protocol": (c_char_p, (c_uint,)),
     "arv_camera_get_device": (c_void_p, (c_void_p,)),
     "arv_camera_is_gv_device": (c_int, (c_void_p,)),
+    "arv_camera_gv_set_stream_options": (None, (c_void_p, c_int)),
     "arv_device_set_range_check_policy": (None, (c_void_p, c_int)),
     "arv_device_get_feature": (c_void_p, (c_void_p, c_char_p)),
     "arv_gc_float_get_type": (c_size_t, ()),
