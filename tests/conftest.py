@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import signal
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,6 +13,10 @@ from hypothesis import settings
 
 settings.register_profile("ringpose", derandomize=True, deadline=None, max_examples=50)
 settings.load_profile("ringpose")
+
+for _number in (signal.SIGINT, signal.SIGHUP):  # as nohup and shells with a job in the background hand them down
+    if signal.getsignal(_number) == signal.SIG_IGN:
+        signal.signal(_number, signal.SIG_DFL)
 
 CARRIED_DATA = Path(__file__).parent / "data"
 EXAMPLES = Path(__file__).parents[1] / "examples"
