@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.pose.edge_correlation import loosened
+from ringpose.pose.edge_errors import ERRORS
 from ringpose.pose.likelihood import Fit, fitted
 from ringpose.pose.measurements import Measurements
 from ringpose.pose.residual_rows import Beforehand
@@ -118,7 +119,10 @@ def own_cost(fit: Fit, measured: Measurements) -> float:
     """Sum of squares of stripes, break points, radii and rig; of visible edges there are too many to weigh here."""
     squares = float(np.minimum(fit.residual**2, 1e6).sum())
     edges = float(np.minimum(_of_edges(fit, measured) ** 2, 1e6).sum())
-    return squares - edges + (0.0 if fit.rig_step is None else float(fit.rig_step @ fit.rig_step))
+    if fit.rig_step is None:
+        return squares - edges
+    of_rig = fit.rig_step[: len(fit.rig_step) - (ERRORS if len(measured.edges.edge) else 0)]
+    return squares - edges + float(of_rig @ of_rig)
 
 
 def freedom(fit: Fit, measured: Measurements, before: Beforehand) -> int:

@@ -13,6 +13,7 @@ import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.geometry.rays import undistort
+from ringpose.pose.edge_errors import ERRORS, common_errors_px
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.break_points import BreakPoints, RingEdgePoints
 from ringpose.types.camera import Camera
@@ -24,12 +25,6 @@ NOMINAL_SIGMA_PX = 0.3
 
 LEAST_SIGMA_PX = 1e-6
 """Of anything measured; less is rounding."""
-
-
-EDGE_BIAS_PX = 0.05
-"""What all points of a visible edge err alike: where the half brightness lies on a rounded or chamfered corner, in its
-shade, before its background; and what this changes evenly along the edge. No number of points averages it; on rendered
-shots it is up to 0.09 px."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -84,9 +79,8 @@ class Edges:
     ray: Float64[Array, "visible xyz=3"]
     step: Float64[Array, "visible xy=2"]
     """Displacement by one standard deviation, along the edge's normal in the image."""
-    common: Float64[Array, "visible error=4"]
-    """What unit errors that an edge's points have in common do, in the points' standard deviations: an offset of each
-    edge and a lean of each; 0 for the other edge."""
+    common: Float64[Array, "visible error"]
+    """What unit errors that an edge's points have in common do, in the points' standard deviations."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -237,7 +231,7 @@ def _whitening(covariance: Float64[Array, "line 2 2"]) -> Float64[Array, "line 2
 def _edges(ring_edges: RingEdgePoints | None, camera: Camera) -> Edges:
     if ring_edges is None or not len(ring_edges.edge):
         return Edges(
-            edge=np.empty(0, dtype=np.int64), ray=np.empty((0, 3)), step=np.empty((0, 2)), common=np.empty((0, 4))
+            edge=np.empty(0, dtype=np.int64), ray=np.empty((0, 3)), step=np.empty((0, 2)), common=np.empty((0, ERRORS))
         )
     xy = undistort(ring_edges.position_px, camera)
     sigma_px = np.maximum(ring_edges.sigma_px, LEAST_SIGMA_PX)[:, None]
@@ -246,25 +240,5 @@ def _edges(ring_edges: RingEdgePoints | None, camera: Camera) -> Edges:
         edge=ring_edges.edge,
         ray=np.concatenate([xy, np.ones((len(xy), 1))], axis=1),
         step=(rays_by_pixel(xy, camera) @ step_px[:, :, None])[:, :, 0],
-        common=_common(ring_edges) / sigma_px,
+        common=common_errors_px(ring_edges) / sigma_px,
     )
-
-
-def _common(ring_edges: RingEdgePoints) -> Float64[Array, "visible error=4"]:
-    common = np.zeros((len(ring_edges.edge), 4))
-    for edge in (0, 1):
-        own = ring_edges.edge == edge
-        common[own, edge] = EDGE_BIAS_PX
-        common[own, 2 + edge] = EDGE_BIAS_PX * _evenly_along(ring_edges.position_px[own], ring_edges.normal[own])
-    return common
-
-
-def _evenly_along(position_px: Float64[Array, "n xy=2"], normal: Float64[Array, "n xy=2"]) -> Float64[Array, "n"]:
-    """A number that grows evenly along an edge, with mean 0 and variance 1 over it."""
-    if not len(position_px):
-        return np.empty(0)
-    across_x, across_y = normal.sum(axis=0)
-    along = position_px @ np.array([-across_y, across_x])
-    first, last = along.min(), along.max()
-    evenly: Float64[Array, "n"] = np.sqrt(12.0) * (along - 0.5 * (first + last)) / max(float(last - first), 1e-9)
-    return evenly

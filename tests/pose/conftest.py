@@ -185,12 +185,12 @@ def face_points_of(scene, sigma_px, line_px, rng=None):
 
 
 def visible_edges_of(scene, count, sigma_px, rng=None):
-    """Points of both edges within 4 degrees of the middle stripe, seen across the edge."""
+    """Points of both edges within 11 degrees of the middle stripe, seen across the edge."""
     ring = scene.ring
     inward = scene.points_m[1, 0] - ring.center_m
     inward /= np.linalg.norm(inward)
     along = np.cross(ring.normal, inward)
-    angle = np.linspace(-0.07, 0.07, count // 2)
+    angle = np.linspace(-0.2, 0.2, count // 2)
     radial = np.cos(angle)[:, None] * inward + np.sin(angle)[:, None] * along
     places = [pixels_of(ring.center_m + radius * radial, scene.rig.camera) for radius in ring.radius_m]
     position = np.concatenate(places)

@@ -1,0 +1,69 @@
+"""Errors that neighbours on a visible edge share are alike over a length, and are unknowns beside the ring."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ringpose.pose.edge_errors import ALIKE_PX, common_errors_px, waves
+from ringpose.pose.pipeline import estimate_pose
+from ringpose.types.ring_pose import PoseFlag
+
+ALONG_PX = np.linspace(-300.0, 900.0, 101)
+
+
+@pytest.mark.parametrize("length_px", [10.0, 50.0, 400.0])
+def test_errors_of_an_edge_are_those_of_a_series_that_is_alike_over_a_length(length_px):
+    along_px = np.linspace(0.0, length_px, 41)
+
+    found = waves(along_px)
+
+    alike = np.exp(-np.abs(along_px[:, None] - along_px) / ALIKE_PX)
+    np.testing.assert_allclose(found @ found.T, alike, rtol=0, atol=0.15)
+
+
+def test_means_over_a_long_edge_err_as_those_of_such_a_series():
+    found = waves(ALONG_PX).mean(axis=0)
+
+    alike = np.exp(-np.abs(ALONG_PX[:, None] - ALONG_PX) / ALIKE_PX)
+    assert found @ found == pytest.approx(alike.mean(), rel=0.02)
+
+
+def test_edges_err_independently_of_each_other(scene_of, visible_edges):
+    edges = visible_edges(scene_of("B", distance_m=0.5), 100, 0.3)
+
+    errors = common_errors_px(edges)
+
+    together = errors @ errors.T
+    assert np.abs(together[:50, 50:]).max() == 0.0
+    assert together[:50, :50].min() > 0.0
+
+
+def test_an_edge_that_bends_alike_spoils_no_shot(scene_of, face_points, visible_edges):
+    scene = scene_of("B", distance_m=0.5)
+    edges = visible_edges(scene, 200, 0.1)
+    bend_px = 0.15 * np.tile(np.cos(np.linspace(0.0, 4.0 * np.pi, 100)), 2)
+    bent = replace(edges, position_px=edges.position_px + bend_px[:, None] * edges.normal)
+
+    pose = estimate_pose(face_points(scene, 0.3, 0.01), scene.rig, ring_edges=bent)
+
+    assert pose.flags == PoseFlag(0)
+    error_m = pose.center_m - scene.ring.center_m
+    assert error_m @ np.linalg.solve(pose.covariance_center_m2, error_m) < 3.0
+
+
+def test_poses_from_edges_that_err_alike_scatter_as_told(scene_of, face_points, visible_edges, rng):
+    scene = scene_of("B", distance_m=0.5)
+    edges = visible_edges(scene, 120, 0.2)
+    along_px = edges.position_px[:60, 1]
+    alike = 0.16 * np.exp(-np.abs(along_px[:, None] - along_px) / ALIKE_PX) + 0.84 * np.eye(60)
+    root = 0.2 * np.linalg.cholesky(alike)
+    squares = []
+    for _ in range(60):
+        off_px = np.concatenate([root @ rng.normal(size=60), root @ rng.normal(size=60)])
+        noisy = replace(edges, position_px=edges.position_px + off_px[:, None] * edges.normal)
+        pose = estimate_pose(face_points(scene, 0.3, 0.01, rng), scene.rig, ring_edges=noisy)
+        error_m = pose.center_m - scene.ring.center_m
+        squares.append(error_m @ np.linalg.solve(pose.covariance_center_m2, error_m) / 3.0)
+
+    assert 0.4 < np.mean(squares) < 1.4
