@@ -30,14 +30,19 @@ setup(
             ("buffers", "edges", "kernels", "tracks"),
         ),
         kernels(
+            "_faces",
+            ("arcs", "candidates", "groups", "lists", "unions"),
+            ("arcs", "buffers", "faces", "kernels", "tracks"),
+        ),
+        kernels(
             "_ring",
             (
-                *("arcs", "end_fits", "ends", "flat_ends", "groups", "lens", "profile", "sections"),
+                *("arcs", "end_fits", "ends", "flat_ends", "lens", "profile", "sections"),
                 *("track_lines", "track_spills", "tracks"),
             ),
             (
                 *("arcs", "buffers", "drafts", "end_fits", "ends", "kernels", "minimum", "normal_cdf", "profile"),
-                *("ring", "sections", "select", "tracks"),
+                *("sections", "select", "tracks"),
             ),
         ),
         kernels(

@@ -3,15 +3,17 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from ringpose.detect.consistency import Ends, checked
 from ringpose.detect.faces import Face
 from ringpose.detect.frames import LaserImage
-from ringpose.detect.stripe_ends import StripeEnds, stripe_ends
-from ringpose.detect.tracks import Track
-from ringpose.types.arrays import Array, Float64, Int64
+from ringpose.detect.stripe_ends import SATURATED_SHARE, stripe_ends
+from ringpose.detect.tracks import BORDER_PX, Track
+from ringpose.kernels.ring import StripeEnd
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.break_points import BreakPointFlag, BreakPoints
 from ringpose.types.rig import Rig
 
@@ -36,94 +38,105 @@ FACET_SIGMAS = 6.0
 wide averages out across it. The line follows what is coarser, so that its centres show little of that."""
 
 
+class Mark(NamedTuple):
+    """An end of a face's track in distorted pixels; NaN where none was found."""
+
+    x: float
+    y: float
+    xx: float
+    """Covariance."""
+    xy: float
+    yx: float
+    yy: float
+    flags: float
+    straight_x: float
+    """The track's own end, an undistorted column, and ..."""
+    straight_sigma_px: float
+    """... the standard deviation of the track's ordinate there."""
+
+
+NAN = math.nan
+
+NO_MARK = Mark(NAN, NAN, NAN, NAN, NAN, NAN, 0.0, NAN, NAN)
+
+
 def break_points(
-    face: Face, tracks: Sequence[Track], images: Sequence[LaserImage], rig: Rig, saturation_dn: int
+    face: Face,
+    tracks: Float64[Array, "track column=11"],
+    images: Sequence[LaserImage],
+    rig: Rig,
+    saturation_dn: int,
 ) -> BreakPoints:
-    """The break points of a face among all tracks; `images` are the frames that show the lasers."""
-    parts = []
+    """The break points of a face among all tracks (rows of `Track`); `images` are the frames that show the lasers."""
+    marks = [(NO_MARK, NO_MARK)] * len(rig.lasers.names)
+    labelled = True
     for image in images:
         shown = [(laser, track) for laser, track in face.tracks if laser in image.lasers]
         if shown:
             found = stripe_ends([track for _, track in shown], image, rig.camera, saturation_dn)
-            parts.append(_named(shown, found))
-    ends, right_is_inner, clear = checked(_edges_alike(_joined(parts)), tracks, rig)
-    order = np.array([1, 0]) if right_is_inner else np.array([0, 1])
-    flags = ends.flags[:, order] | (0 if clear else int(BreakPointFlag.EDGE_UNKNOWN))
-    labelled = all(image.labelled for image in images if any(laser in image.lasers for laser in ends.laser))
-    return _gathered(face, ends, order, flags, len(rig.lasers.names), labelled=labelled)
+            for (laser, track), both in zip(shown, found, strict=True):
+                marks[laser] = _marks(track, both, rig.camera.image_width)
+            labelled = labelled and image.labelled
+    ends, right_is_inner, clear = checked(_edges_alike(_table(marks)), tracks, rig)
+    return _gathered(face, ends, right_is_inner=right_is_inner, clear=clear, labelled=labelled)
 
 
-def _named(shown: Sequence[tuple[int, Track]], ends: StripeEnds) -> Ends:
-    """The ends of one image's tracks with their lasers, covariances and flags."""
-    tracks = [track for _, track in shown]
-    x = ends.position_px[..., 0]
-    straight_x = np.array([[track.x_start, track.x_end] for track in tracks])
-    found = (x, ends.sigma_px, ends.outside, ends.saturated, ends.blunt)
-    flags = [
-        [_flags(*end) for end in zip(*sides, strict=True)]
-        for sides in zip(*(each.tolist() for each in found), strict=True)
-    ]
-    shape = (ends.slope.tolist(), ends.sigma_px.tolist(), _line_sigmas(tracks, x, ends).tolist())
-    return Ends(
-        laser=np.array([laser for laser, _ in shown], dtype=np.int64),
-        position_px=ends.position_px,
-        covariance_px2=np.array(
-            [[_covariance(*end) for end in zip(*sides, strict=True)] for sides in zip(*shape, strict=True)]
-        ),
-        flags=np.array(flags, dtype=np.int64),
-        straight_x=straight_x,
-        straight_sigma_px=_line_sigmas(tracks, straight_x, ends),
+def _marks(track: Track, ends: tuple[StripeEnd, StripeEnd], image_width: int) -> tuple[Mark, Mark]:
+    """The ends of a track with their covariances and flags."""
+    beneath_px, shared_px = _unseen_errors(track, ends)
+    left, right = (
+        _mark(end, image_width, at, *(math.hypot(track.sigma(x, beneath_px), shared_px) for x in (end.x, at)))
+        for end, at in zip(ends, (track.x_start, track.x_end), strict=True)
+    )
+    return left, right
+
+
+def _unseen_errors(track: Track, ends: tuple[StripeEnd, StripeEnd]) -> tuple[float, float]:
+    """Standard deviations of what a track's centres share, which does not show in their scatter.
+
+    What lies beneath a stripe and shifts its peak by a share of itself shifts its centre by that share of its sigma;
+    the other is that of clipping.
+    """
+    section_px, beneath = ends[0].section_px, ends[0].beneath
+    if math.isnan(section_px):
+        return 0.0, 0.0
+    facets = track.centers / (FACET_SIGMAS * section_px)
+    clipped = any(end.saturated > SATURATED_SHARE for end in ends)
+    shared_px = CLIPPED_PHASE / section_px / max(abs(track.slope) * track.length, 1.0) if clipped else 0.0
+    return section_px * math.sqrt(beneath / max(facets, 1.0)), shared_px
+
+
+def _mark(end: StripeEnd, image_width: int, straight_x: float, sigma_px: float, straight_sigma_px: float) -> Mark:
+    """An end with its covariance, from the line's `sigma_px` there, and its flags; at the image's border it is none."""
+    if not BORDER_PX <= end.x <= image_width - 1 - BORDER_PX:
+        return NO_MARK._replace(
+            flags=int(BreakPointFlag.CLIPPED), straight_x=straight_x, straight_sigma_px=straight_sigma_px
+        )
+    xx = end.sigma_px * end.sigma_px
+    xy = xx * end.slope
+    yy = xy * end.slope + sigma_px * sigma_px
+    return Mark(end.x, end.y, xx, xy, xy, yy, _flags(end), straight_x, straight_sigma_px)
+
+
+def _flags(end: StripeEnd) -> int:
+    """The flags of an end that was found."""
+    return (
+        BreakPointFlag.SATURATED * (end.saturated > SATURATED_SHARE)
+        + BreakPointFlag.KINK * (end.outside > KINK_LEVEL)
+        + BreakPointFlag.BLUNT * (end.blunt == 1)
+        + BreakPointFlag.UNCLEAR * (end.sigma_px > UNCLEAR_PX and end.blunt != 1)
     )
 
 
-def _line_sigmas(
-    tracks: Sequence[Track], x: Float64[Array, "track end=2"], ends: StripeEnds
-) -> Float64[Array, "track end=2"]:
-    """Standard deviations of the tracks' ordinates at those columns, with what a track's centres share.
-
-    What lies beneath a stripe and shifts its peak by a share of itself shifts its centre by that share of its sigma.
-    """
-    section = ends.section_px.max(axis=1)
-    facets = np.array([track.count for track in tracks]) / (FACET_SIGMAS * section)
-    beneath = np.nan_to_num(section * np.sqrt(ends.beneath.max(axis=1) / np.maximum(facets, 1)))
-    rows = zip(tracks, beneath.tolist(), x.tolist(), strict=True)
-    own = np.array([[track.sigma(at, least) for at in both] for track, least, both in rows])
-    rows_crossed = np.array([abs(track.slope) * track.length for track in tracks])
-    shared = CLIPPED_PHASE / section / np.maximum(rows_crossed, 1)
-    sigmas: Float64[Array, "track end=2"] = np.hypot(own, np.where(ends.saturated.any(axis=1), shared, 0.0)[:, None])
-    return sigmas
-
-
-def _flags(x: float, sigma: float, outside: float, saturated: bool, blunt: bool) -> int:
-    """The flags of an end at that column, of that sigma, with that level outside; clipped if there is none."""
-    if math.isnan(x):
-        return int(BreakPointFlag.CLIPPED)
-    named = {
-        BreakPointFlag.SATURATED: saturated,
-        BreakPointFlag.KINK: outside > KINK_LEVEL,
-        BreakPointFlag.BLUNT: blunt,
-        BreakPointFlag.UNCLEAR: sigma > UNCLEAR_PX and not blunt,
-    }
-    return sum(int(flag) for flag, is_so in named.items() if is_so)
-
-
-def _covariance(slope: float, along: float, across: float) -> list[list[float]]:
-    """Covariance of a point that errs `along` (columns) a line of that slope and, with the line, `across` (rows)."""
-    variance = along * along
-    return [[variance, variance * slope], [variance * slope, variance * slope * slope + across * across]]
-
-
-def _joined(parts: Sequence[Ends]) -> Ends:
-    """The ends of all images in one record."""
-    if len(parts) == 1:
-        return parts[0]
+def _table(marks: Sequence[tuple[Mark, Mark]]) -> Ends:
+    """The ends over all lasers of the rig."""
+    table = np.array([[*left, *right] for left, right in marks]).reshape(-1, 2, len(NO_MARK))
     return Ends(
-        laser=np.concatenate([part.laser for part in parts]),
-        position_px=np.concatenate([part.position_px for part in parts]),
-        covariance_px2=np.concatenate([part.covariance_px2 for part in parts]),
-        flags=np.concatenate([part.flags for part in parts]),
-        straight_x=np.concatenate([part.straight_x for part in parts]),
-        straight_sigma_px=np.concatenate([part.straight_sigma_px for part in parts]),
+        position_px=table[..., :2].copy(),
+        covariance_px2=table[..., 2:6].reshape(-1, 2, 2, 2),
+        flags=table[..., 6].astype(np.int64),
+        straight_x=table[..., 7],
+        straight_sigma_px=table[..., 8],
     )
 
 
@@ -135,7 +148,7 @@ def _edges_alike(ends: Ends) -> Ends:
     blunt = (ends.flags & int(BreakPointFlag.BLUNT)) != 0
     if not blunt.any():
         return ends
-    seen = np.isfinite(ends.position_px[..., 0])
+    seen = ends.seen
     others = seen & ~blunt & (2 * blunt.sum(axis=0) > seen.sum(axis=0))
     flags, covariance = ends.flags.copy(), ends.covariance_px2.copy()
     flags[others] |= int(BreakPointFlag.BLUNT)
@@ -145,26 +158,20 @@ def _edges_alike(ends: Ends) -> Ends:
     return replace(ends, flags=flags, covariance_px2=covariance)
 
 
-def _gathered(
-    face: Face, ends: Ends, order: Int64[Array, "2"], flags: Int64[Array, "track 2"], count: int, *, labelled: bool
-) -> BreakPoints:
-    """The record over all lasers of the rig, NaN where nothing was seen."""
-    position, covariance = np.full((count, 2, 2), np.nan), np.full((count, 2, 2, 2), np.nan)
-    all_flags = np.zeros((count, 2), dtype=np.int64)
-    position[ends.laser], covariance[ends.laser] = ends.position_px[:, order], ends.covariance_px2[:, order]
-    covariance[np.isnan(position[..., 0])] = np.nan
-    all_flags[ends.laser] = flags
-    lines = np.full((3, count, 2), np.nan)
+def _gathered(face: Face, ends: Ends, *, right_is_inner: bool, clear: bool, labelled: bool) -> BreakPoints:
+    """The record, NaN where nothing was seen."""
+    order = slice(None, None, -1 if right_is_inner else 1)
+    flags = ends.flags[:, order].copy()
+    lines = np.full((len(flags), 2, 2), np.nan)
     for laser, track in face.tracks:
-        left, right = track.x_start, track.x_end
-        lines[:2, laser] = (left, track.y(left)), (right, track.y(right))
-    lines[2, ends.laser] = ends.straight_sigma_px
+        lines[laser] = (track.x_start, track.y(track.x_start)), (track.x_end, track.y(track.x_end))
+        flags[laser] |= 0 if clear else int(BreakPointFlag.EDGE_UNKNOWN)
     return BreakPoints(
-        position_px=position,
-        covariance_px2=covariance,
-        flags=all_flags,
-        face_start_px=lines[0],
-        face_end_px=lines[1],
-        face_sigma_px=lines[2],
+        position_px=ends.position_px[:, order].copy(),
+        covariance_px2=ends.covariance_px2[:, order].copy(),
+        flags=flags,
+        face_start_px=lines[:, 0],
+        face_end_px=lines[:, 1],
+        face_sigma_px=ends.straight_sigma_px,
         labelled=labelled,
     )

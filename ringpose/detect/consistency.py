@@ -1,7 +1,7 @@
 """Whether the ends of the face's tracks make one ring, which of them is hidden, and where the ring's centre lies."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -37,45 +37,50 @@ IN_FRONT_M = 0.005
 BESIDE_PX = 40.0
 """How far from an end a stripe on what hides it begins."""
 
-
-Seen = Bool[Array, "track end=2"]
+Tracks = Float64[Array, "track column=11"]
+"""Rows of `Track`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ends:
-    """The two ends of each face track, left then right, in distorted pixels."""
+    """The ends of the face's tracks, left then right, in distorted pixels; NaN where none was seen."""
 
-    laser: Int64[Array, "track"]
-    position_px: Float64[Array, "track end=2 xy=2"]
-    covariance_px2: Float64[Array, "track end=2 xy=2 xy=2"]
-    flags: Int64[Array, "track end=2"]
-    straight_x: Float64[Array, "track end=2"]
+    position_px: Float64[Array, "laser end=2 xy=2"]
+    covariance_px2: Float64[Array, "laser end=2 xy=2 xy=2"]
+    flags: Int64[Array, "laser end=2"]
+    straight_x: Float64[Array, "laser end=2"]
     """The tracks' own ends, undistorted columns."""
-    straight_sigma_px: Float64[Array, "track end=2"]
+    straight_sigma_px: Float64[Array, "laser end=2"]
     """Of the tracks' ordinates there."""
 
+    @property
+    def seen(self) -> Bool[Array, "laser end=2"]:
+        """Which of them were seen."""
+        seen: Bool[Array, "laser end=2"] = ~np.isnan(self.position_px[..., 0])
+        return seen
 
-def checked(ends: Ends, tracks: Sequence[Track], rig: Rig) -> tuple[Ends, bool, bool]:
+
+def checked(ends: Ends, tracks: Tracks, rig: Rig) -> tuple[Ends, bool, bool]:
     """The ends without a hidden one; whether the ring's centre lies to the right of the stripes; whether that is clear.
 
     The sign of the arcs' curvature tells the side: if the centre lies to the right, right ends are inner ones.
     """
-    seen = np.isfinite(ends.position_px[..., 0])
-    if len(ends.laser) < 2 or np.count_nonzero(seen) < 4 or not seen.any(axis=0).all():
+    left, right = np.count_nonzero(ends.seen, axis=0).tolist()
+    if left + right < FITTED_EXACTLY or not (left and right):
         return ends, False, False
-    fit = _fit(ends, seen, rig)
-    if np.count_nonzero(seen) >= 6 and fit.cost - fit.cost_without.min() > OCCLUDED_COST:
-        return checked(_without_hidden(ends, seen, fit, tracks, rig), tracks, rig)
+    fit = _fit(ends, left + right, rig)
+    if left + right >= 6 and fit.cost - np.nanmin(fit.cost_without) > OCCLUDED_COST:
+        return checked(_without_hidden(ends, fit, tracks, rig), tracks, rig)
     return ends, fit.curvature > 0, abs(fit.curvature) > SIDE_SIGMAS * fit.curvature_sigma
 
 
-def _without_hidden(ends: Ends, seen: Seen, fit: ArcFit, tracks: Sequence[Track], rig: Rig) -> Ends:
+def _without_hidden(ends: Ends, fit: ArcFit, tracks: Tracks, rig: Rig) -> Ends:
     """The ends without the one that lies off the circles of the others.
 
     If both ends of its stripe would do, the one beside a stripe on something nearer than the face is hidden;
     if that decides nothing, both are left out.
     """
-    suspects = np.argwhere(seen)[fit.cost_without < fit.cost_without.min() + TIE]
+    suspects = np.argwhere(fit.cost_without < np.nanmin(fit.cost_without) + TIE)
     if len(suspects) > 1:
         beside = [each for each in suspects if _beside_something_nearer(ends, int(each[0]), int(each[1]), tracks, rig)]
         suspects = np.array(beside) if len(beside) == 1 else suspects
@@ -91,13 +96,12 @@ def _without(ends: Ends, suspects: Int64[Array, "n 2"]) -> Ends:
     return replace(ends, position_px=position, covariance_px2=covariance, flags=flags)
 
 
-def _beside_something_nearer(ends: Ends, number: int, side: int, tracks: Sequence[Track], rig: Rig) -> bool:
+def _beside_something_nearer(ends: Ends, laser: int, side: int, tracks: Tracks, rig: Rig) -> bool:
     """Whether a stripe of the same laser begins beside an end and, by its depth, in front of the face."""
-    laser = int(ends.laser[number])
-    points = _points(ends, rig)[np.isfinite(ends.position_px[..., 0])]
+    points = intersect(rays(ends.position_px[ends.seen], rig.camera), *_planes_of_seen(ends, rig))
     towards = towards_camera(nearest_plane(points)[0], points.mean(axis=0))
-    end_x = float(ends.straight_x[number, side])
-    for track in tracks:
+    end_x = float(ends.straight_x[laser, side])
+    for track in (Track(*row) for row in tracks.tolist()):
         near_x = track.x_end if side == 0 else track.x_start
         outward = (near_x - end_x) * (-1 if side == 0 else 1)
         if track.laser in (laser, UNLABELLED) and -BESIDE_PX / 4 < outward < BESIDE_PX:
@@ -108,18 +112,21 @@ def _beside_something_nearer(ends: Ends, number: int, side: int, tracks: Sequenc
     return False
 
 
-def _points(ends: Ends, rig: Rig) -> Float64[Array, "track end=2 xyz=3"]:
-    """The ends in the camera frame."""
-    normal, distance = rig.lasers.normal[ends.laser][:, None], rig.lasers.distance_m[ends.laser][:, None]
-    return intersect(rays(ends.position_px, rig.camera), normal, distance)
+def _planes_of_seen(ends: Ends, rig: Rig) -> tuple[Float64[Array, "n xyz=3"], Float64[Array, "n"]]:
+    """Normal and distance of the light plane of each end that was seen."""
+    laser = np.nonzero(ends.seen)[0]
+    return rig.lasers.normal[laser], rig.lasers.distance_m[laser]
 
 
-def _fit(ends: Ends, seen: Seen, rig: Rig) -> ArcFit:
-    """How well the seen ends fit two arcs about one centre, in the plane nearest to them."""
-    track, arc = np.nonzero(seen)
-    planes = np.concatenate([rig.lasers.normal, rig.lasers.distance_m[:, None]], axis=1)
-    along_px = np.sqrt(ends.covariance_px2[..., 0, 0][seen])
-    if len(track) <= FITTED_EXACTLY:
+def _fit(ends: Ends, seen: int, rig: Rig) -> ArcFit:
+    """How well so many ends fit two arcs about one centre, in the plane nearest to them."""
+    along_px = np.sqrt(ends.covariance_px2[..., 0, 0])
+    if seen <= FITTED_EXACTLY:
         along_px = np.hypot(along_px, CIRCLE_SIGMA_PX)
-    places = ends.position_px[seen]
-    return arc_fit(places, arc.astype(np.int32), along_px, planes[ends.laser[track]], lens(rig.camera), CIRCLE_SIGMA_PX)
+    return arc_fit(ends.position_px, along_px, _planes(rig), lens(rig.camera), CIRCLE_SIGMA_PX)
+
+
+@lru_cache(maxsize=4)
+def _planes(rig: Rig) -> Float64[Array, "laser normal_and_distance=4"]:
+    """The light planes."""
+    return np.concatenate([rig.lasers.normal, rig.lasers.distance_m[:, None]], axis=1)

@@ -2,6 +2,10 @@
 
 This is also what labels the stripes of a frame with several lasers on: every assignment of tracks to lasers is
 scored by how well one planar ring explains it, order swaps included.
+
+Tracks may be pieces of one stripe that speckle, a glint or a bracket broke. Whether two are one surface is not decided
+beforehand: their union stands beside them, with the scatter that it has about one line, and the ring that explains it
+best chooses.
 """
 
 import math
@@ -11,14 +15,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from ringpose.detect.collinear import collinear_tracks
-from ringpose.detect.tracks import Track, lens
+from ringpose.detect.tracks import LEAST_COLUMNS, TAKEN_BY_THE_FIT, Track
 from ringpose.geometry.rays import undistorted_rays
-from ringpose.kernels.ring import Group, RingRules, best_groups
-from ringpose.types.arrays import Array, Bool, Float64, Int32
+from ringpose.kernels.faces import CandidateRules, FaceRules, Group, RingRules, UnionRules, ring_faces
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
 from ringpose.types.rig import Rig
-from ringpose.types.stripes import UNLABELLED
 
 DEPTH_RANGE_M = (0.05, 3.0)
 """Where a ring can be: wider on both sides than the 0.2 to 1 m that the method is made for."""
@@ -40,6 +42,21 @@ BORDER_PX = 15.0
 
 CUT_OFF_PX = 6.0
 """An end so close to the left or right border is where the image ends, not the face."""
+
+LEAST_SPILT = 5
+"""A track with fewer centres on its line beyond its ends has nothing to be joined to."""
+
+LONGEST_GAP = 0.5
+"""A gap of more than this share of both pieces together is no interruption."""
+
+APART_PX, APART_SIGMAS = 1.0, 3.0
+"""How far apart the lines may be in the middle of the gap: facets behind a stripe, and their own errors."""
+
+FARTHEST_PX = 6.0
+"""Lines farther apart than this are not compared any further."""
+
+ROUNDS = 2
+"""Pieces of three or four are joined two by two."""
 
 CANDIDATES = 20
 """Tracks of the greatest merit that are tried for each laser."""
@@ -71,6 +88,9 @@ UNION_COST = 3.0
 CLIPPED_COST = 4.0
 """What it costs that a track leaves the image: there is no seeing whether it would have ended."""
 
+USUAL_SCATTER_PX = 0.3
+"""Of a stripe's centres about its line on metal."""
+
 ENOUGH_COLUMNS = 120
 """A longer track is no more likely to be a face: the body behind has the longest."""
 
@@ -96,37 +116,21 @@ class Face:
     """Another labelling explains the same tracks about as well."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Candidates:
-    """Tracks with a laser each, sorted by laser."""
-
-    track: Int32[Array, "candidate"]
-    laser: Int32[Array, "candidate"]
-    ends: Float64[Array, "candidate end=2 xy=2"]
-    """Normalised image coordinates."""
-    merit: Float64[Array, "candidate"]
-
-
-def ring_face(tracks: Sequence[Track], lasers: Sequence[int], rig: Rig) -> Face | None:
+def ring_face(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig: Rig) -> Face | None:
     """The most convincing face, from as many lasers as agree on one; None if no track will do.
 
-    `lasers` are those that an unlabelled track may belong to.
+    Tracks are rows of `Track`; `lasers` are those that an unlabelled one may belong to.
     """
-    if not tracks:
-        return None
-    unions = collinear_tracks(tracks)
-    tracks = [*tracks, *unions]
-    candidates = face_candidates(tracks, lasers, rig, unions=len(unions))
-    groups = best_groups(
-        candidates.track, candidates.laser, candidates.ends, candidates.merit, _planes(rig), _rules(rig)
-    )
+    unlabelled = sum(1 << laser for laser in lasers)
+    unions, groups = ring_faces(tracks, unlabelled, _planes(rig), _rules(rig))
     best = _most_convincing(groups)
     if best is None:
         return None
+    rows = [tracks[each] if each < len(tracks) else unions[each - len(tracks)] for each in best.tracks]
     return Face(
-        tracks=tuple((int(candidates.laser[each]), tracks[candidates.track[each]]) for each in best.candidates),
+        tracks=tuple((laser, Track(*row.tolist())) for laser, row in zip(best.lasers, rows, strict=True)),
         score=best.score,
-        ambiguous=best.rival > best.score - CLEAR_MARGIN[len(best.candidates)],
+        ambiguous=best.rival > best.score - CLEAR_MARGIN[len(best.tracks)],
     )
 
 
@@ -136,72 +140,11 @@ def _most_convincing(groups: tuple[Group, Group, Group]) -> Group | None:
     Nothing confirms a single track. Two are confirmed by one plane, and three by one plane and two circles, which
     is hardly ever so by chance: what three have less in score than other two may be the price of a broken track.
     """
-    one, two, three = (group if group.score > CONVINCING_SCORE[len(group.candidates)] else None for group in groups)
+    one, two, three = (group if group.score > CONVINCING_SCORE[len(group.tracks)] else None for group in groups)
     if two is None or three is None:
         return three or two or one
-    price = TRACK_PRICE if set(two.candidates) < set(three.candidates) else -TRACK_PRICE
-    return three if three.score > two.score + price else two
-
-
-def face_candidates(tracks: Sequence[Track], lasers: Sequence[int], rig: Rig, unions: int = 0) -> Candidates:
-    """The tracks of greatest merit under every laser that they may belong to and that puts them at a possible place.
-
-    So many tracks at the end are unions of others.
-    """
-    rays = _rays_of_ends(tracks, rig.camera)
-    laser, track = np.nonzero(_allowed(tracks, lasers, rig) & _possible(rays, _planes(rig)))
-    joined = len(tracks) - unions
-    merits = {number: _merit(tracks[number]) - UNION_COST * (number >= joined) for number in set(track.tolist())}
-    merit = np.array([merits[number] for number in track.tolist()], dtype=np.float64)
-    order = np.lexsort((-merit, laser))
-    rank = np.arange(len(order)) - np.searchsorted(laser, laser)
-    kept = order[rank < CANDIDATES]
-    return Candidates(
-        track=track[kept].astype(np.int32),
-        laser=laser[kept].astype(np.int32),
-        ends=rays[track[kept], :, :2],
-        merit=merit[kept],
-    )
-
-
-def _rays_of_ends(tracks: Sequence[Track], camera: Camera) -> Float64[Array, "track end=2 xyz=3"]:
-    """Rays (x, y, 1) through the ends of tracks."""
-    optics = lens(camera)
-    ends_px = [((t.x_start, t.y(t.x_start), 0.0), (t.x_end, t.y(t.x_end), 0.0)) for t in tracks]
-    rays: Float64[Array, "track end=2 xyz=3"] = np.array(ends_px) - (optics.cx, optics.cy, -1.0)
-    rays /= (optics.fx, optics.fy, 1.0)
-    return rays
-
-
-def _allowed(tracks: Sequence[Track], lasers: Sequence[int], rig: Rig) -> Bool[Array, "laser track"]:
-    """Which laser a track may belong to: its own, or one of those of unlabelled tracks."""
-    every = range(len(rig.lasers.names))
-    unlabelled = [laser in lasers for laser in every]
-    return np.array(
-        [unlabelled if track.laser == UNLABELLED else [laser == track.laser for laser in every] for track in tracks]
-    ).T
-
-
-def _possible(
-    rays: Float64[Array, "track end=2 xyz=3"], planes: Float64[Array, "laser xyz=3"]
-) -> Bool[Array, "laser track"]:
-    """Whether stripes seen along these rays lie at the depth of a ring and are as long as its face is wide."""
-    inverse_depth = planes @ rays.reshape(-1, 3).T
-    at_depth = (inverse_depth > 1 / DEPTH_RANGE_M[1]) & (inverse_depth < 1 / DEPTH_RANGE_M[0])
-    inside = at_depth[:, ::2] & at_depth[:, 1::2]
-    depth = 1 / np.where(at_depth, inverse_depth, 1.0)
-    along = rays[:, 1] * depth[:, 1::2, None] - rays[:, 0] * depth[:, ::2, None]
-    squared_length = np.einsum("ltk,ltk->lt", along, along)
-    shortest, longest = FACE_LENGTH_M
-    possible: Bool[Array, "laser track"] = inside & (squared_length > shortest**2) & (squared_length < longest**2)
-    return possible
-
-
-def _merit(track: Track) -> float:
-    """How much a track looks like a flat metal face: long for its scatter, and nothing on its line beyond its ends."""
-    share = track.spilt / (track.spilt + track.count)
-    straight = 2 * math.log(min(track.count, ENOUGH_COLUMNS)) - 0.5 * (track.scatter / 0.3) ** 2
-    return straight - SPILL_COST * share - CLIPPED_COST * track.clipped
+    among = set(zip(two.lasers, two.tracks, strict=True)) < set(zip(three.lasers, three.tracks, strict=True))
+    return three if three.score > two.score + (TRACK_PRICE if among else -TRACK_PRICE) else two
 
 
 @lru_cache(maxsize=4)
@@ -212,16 +155,43 @@ def _planes(rig: Rig) -> Float64[Array, "laser xyz=3"]:
 
 
 @lru_cache(maxsize=4)
-def _rules(rig: Rig) -> RingRules:
-    matrix = rig.camera.camera_matrix
-    rows = np.linspace(0.0, rig.camera.image_height - 1.0, 9)
-    inside = (CUT_OFF_PX, rig.camera.image_width - 1 - CUT_OFF_PX)
-    left, right = (undistorted_rays(np.stack([np.full(9, x), rows], axis=-1), rig.camera)[:, 0] for x in inside)
+def _rules(rig: Rig) -> FaceRules:
+    unions = UnionRules(
+        least_spilt=LEAST_SPILT,
+        longest_gap=LONGEST_GAP,
+        apart_px=APART_PX,
+        apart_sigmas=APART_SIGMAS,
+        farthest_px=FARTHEST_PX,
+        rounds=ROUNDS,
+        taken_by_fit=TAKEN_BY_THE_FIT,
+        least_columns=LEAST_COLUMNS,
+    )
+    candidates = CandidateRules(
+        nearest_m=DEPTH_RANGE_M[0],
+        farthest_m=DEPTH_RANGE_M[1],
+        shortest_m=FACE_LENGTH_M[0],
+        longest_m=FACE_LENGTH_M[1],
+        usual_scatter_px=USUAL_SCATTER_PX,
+        enough_columns=ENOUGH_COLUMNS,
+        spill_cost=SPILL_COST,
+        clipped_cost=CLIPPED_COST,
+        union_cost=UNION_COST,
+        most=CANDIDATES,
+    )
+    return FaceRules(unions, candidates, _ring_rules(rig.camera))
+
+
+def _ring_rules(camera: Camera) -> RingRules:
+    matrix = camera.camera_matrix
+    rows = np.linspace(0.0, camera.image_height - 1.0, 9)
+    inside = (CUT_OFF_PX, camera.image_width - 1 - CUT_OFF_PX)
+    left, right = (undistorted_rays(np.stack([np.full(9, x), rows], axis=-1), camera)[:, 0] for x in inside)
     return RingRules(
         focal_x=matrix[0, 0],
         focal_y=matrix[1, 1],
+        principal_x=matrix[0, 2],
         principal_y=matrix[1, 2],
-        image_height=rig.camera.image_height,
+        image_height=camera.image_height,
         border_px=BORDER_PX,
         along_sigma_px=ALONG_SIGMA_PX,
         across_sigma_px=ACROSS_SIGMA_PX,

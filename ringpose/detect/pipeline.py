@@ -12,7 +12,9 @@ from ringpose.detect.ring_edges import shown_edges
 from ringpose.detect.stripe_centers import find_stripes
 from ringpose.detect.stripe_segments import stripes_between_segments
 from ringpose.detect.stripe_source import StripeSource
-from ringpose.detect.tracks import Track, straight_tracks
+from ringpose.detect.tracks import straight_tracks
+from ringpose.kernels.ring import TRACK_COLUMNS
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.break_points import BreakPoints, Detection, NoBreakPoints
 from ringpose.types.frame import Shot
 from ringpose.types.rig import Rig
@@ -118,11 +120,12 @@ def _found(stripes: Stripes, images: list[LaserImage], rig: Rig) -> BreakPoints 
     return break_points(face, tracks, images, rig, images[0].saturation_dn)
 
 
-def _masks_contradicted(face: Face | None, tracks: list[Track], rig: Rig) -> bool:
+def _masks_contradicted(face: Face | None, tracks: Float64[Array, "track column=11"], rig: Rig) -> bool:
     """Whether the stripes make a ring of three lasers only if they belong to others than the masks say."""
     if face is not None and len(face.tracks) > 2:
         return False
-    unlabelled = [replace(track, laser=UNLABELLED) for track in tracks]
+    unlabelled = tracks.copy()
+    unlabelled[:, TRACK_COLUMNS.index("laser")] = UNLABELLED
     other = ring_face(unlabelled, range(len(rig.lasers.names)), rig)
     return other is not None and len(other.tracks) > 2
 

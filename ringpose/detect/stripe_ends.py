@@ -5,16 +5,14 @@ on a wall, a leak of the stripe on the body behind) as an error function; speckl
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from ringpose.detect.frames import LaserImage
-from ringpose.detect.tracks import BORDER_PX, Track, lens
+from ringpose.detect.tracks import Track, lens
 from ringpose.kernels import ring
-from ringpose.kernels.ring import EndRules
-from ringpose.types.arrays import Array, Bool, Float64
+from ringpose.kernels.ring import EndRules, StripeEnd
 from ringpose.types.camera import Camera
 
 BEYOND_COLUMNS = 40
@@ -71,44 +69,13 @@ BLUNT_GAIN = 1.5
 believed: no lens blurs more along the stripe than across it, so that an edge has a chamfer or is worn round."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class StripeEnds:
-    """Left and right end of each track, in distorted pixels; NaN where none was found."""
-
-    position_px: Float64[Array, "track end=2 xy=2"]
-    slope: Float64[Array, "track end=2"]
-    """Rows a column of the stripe there."""
-    sigma_px: Float64[Array, "track end=2"]
-    """Along the columns."""
-    outside: Float64[Array, "track end=2"]
-    """Level beyond the end, as a share of the face's."""
-    saturated: Bool[Array, "track end=2"]
-    section_px: Float64[Array, "track end=2"]
-    """Sigma of the stripe's section."""
-    beneath: Float64[Array, "track end=2"]
-    """Relative variance of the stripe's peaks by what lies beneath it."""
-    blunt: Bool[Array, "track end=2"]
-    """Falls off more slowly than optics blur: the sharp edge lies somewhere in the fall, which sigma includes."""
-
-
-def stripe_ends(tracks: Sequence[Track], image: LaserImage, camera: Camera, saturation_dn: int) -> StripeEnds:
-    """The ends of tracks in the image that shows their stripes; an end at the image's border is none."""
-    lines = np.array([[t.middle_x, t.middle_y, t.slope, t.x_start, t.x_end] for t in tracks]).reshape(-1, 5)
+def stripe_ends(
+    tracks: Sequence[Track], image: LaserImage, camera: Camera, saturation_dn: int
+) -> list[tuple[StripeEnd, StripeEnd]]:
+    """The left and right end of each track in the image that shows its stripe."""
+    lines = np.array([(each.middle_x, each.middle_y, each.slope, each.x_start, each.x_end) for each in tracks])
     found = ring.stripe_ends(image.lit, image.dark, lines, lens(camera), _rules(saturation_dn))
-    x = found[..., 0]
-    with np.errstate(invalid="ignore"):
-        inside = (x >= BORDER_PX) & (x <= camera.image_width - 1 - BORDER_PX)
-        saturated = found[..., 5] > SATURATED_SHARE
-    return StripeEnds(
-        position_px=np.where(inside[..., None], found[..., :2], np.nan),
-        slope=found[..., 2],
-        sigma_px=found[..., 3],
-        outside=found[..., 4],
-        saturated=saturated,
-        section_px=found[..., 7],
-        beneath=found[..., 9],
-        blunt=found[..., 8] == 1,
-    )
+    return [(StripeEnd(*left), StripeEnd(*right)) for left, right in found.tolist()]
 
 
 @lru_cache(maxsize=4)

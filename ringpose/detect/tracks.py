@@ -5,11 +5,12 @@ a wall or a foil behind it adds tracks of other directions or places.
 """
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 from ringpose.kernels import ring
 from ringpose.kernels.ring import Lens, TrackRules
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
 from ringpose.types.stripes import Stripes
 
@@ -42,12 +43,11 @@ LONGEST_CORRELATION = 40
 """Columns over which errors of neighbouring centres are looked at for likeness: a facet of crinkled foil."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Track:
+class Track(NamedTuple):
     """Centres on one straight line y = middle_y + slope (x - middle_x), in undistorted pixels."""
 
-    laser: int
-    count: int
+    laser: float
+    centers: float
     x_start: float
     x_end: float
     middle_x: float
@@ -57,9 +57,9 @@ class Track:
     """Standard deviation of a centre about the line."""
     correlation: float
     """Columns that err alike (a speckle grain, a facet behind the stripe) and count as one measurement."""
-    clipped: bool
+    clipped: float
     """Whether it leaves the image at its left or right border."""
-    spilt: int
+    spilt: float
     """Centres on its line some way beyond its ends."""
 
     def y(self, x: float) -> float:
@@ -71,7 +71,7 @@ class Track:
 
         That of the track's middle is `least_px` at least.
         """
-        n = max(self.count / self.correlation - TAKEN_BY_THE_FIT, LEAST_COLUMNS)
+        n = max(self.centers / self.correlation - TAKEN_BY_THE_FIT, LEAST_COLUMNS)
         spread = max(self.length, 1.0) / math.sqrt(12)
         return max(self.scatter / math.sqrt(n), least_px) * math.hypot(1.0, (x - self.middle_x) / spread)
 
@@ -81,22 +81,24 @@ class Track:
         return self.x_end - self.x_start
 
 
-def straight_tracks(stripes: Stripes, camera: Camera) -> list[Track]:
-    """The straight tracks among the stripes."""
-    rules = TrackRules(
+def straight_tracks(stripes: Stripes, camera: Camera) -> Float64[Array, "track column=11"]:
+    """The straight tracks among the stripes, as rows of `Track`."""
+    optics, rules = lens(camera), _rules(camera.image_width)
+    return ring.straight_tracks(stripes.position_px, stripes.sigma_px, stripes.piece, stripes.laser, optics, rules)
+
+
+@lru_cache(maxsize=4)
+def _rules(image_width: int) -> TrackRules:
+    return TrackRules(
         kink_px=KINK_PX,
         joined_px=JOINED_PX,
         short_series=SHORT_SERIES,
         on_line_px=ON_LINE_PX,
         border_px=BORDER_PX,
         minimum_columns=MINIMUM_COLUMNS,
-        image_width=camera.image_width,
+        image_width=image_width,
         longest_lag=LONGEST_CORRELATION,
     )
-    rows = ring.straight_tracks(
-        stripes.position_px, stripes.sigma_px, stripes.piece, stripes.laser, lens(camera), rules
-    )
-    return [_track(row) for row in rows.tolist()]
 
 
 @lru_cache(maxsize=4)
@@ -105,20 +107,3 @@ def lens(camera: Camera) -> Lens:
     matrix = camera.camera_matrix
     focal_and_principal = (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2])
     return Lens(*(float(each) for each in (*focal_and_principal, *camera.distortion_coefficients)))
-
-
-def _track(row: list[float]) -> Track:
-    laser, count, x_start, x_end, middle_x, middle_y, slope, scatter, correlation, clipped, spilt = row
-    return Track(
-        laser=int(laser),
-        count=int(count),
-        x_start=x_start,
-        x_end=x_end,
-        middle_x=middle_x,
-        middle_y=middle_y,
-        slope=slope,
-        scatter=scatter,
-        correlation=correlation,
-        clipped=bool(clipped),
-        spilt=int(spilt),
-    )

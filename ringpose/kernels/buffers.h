@@ -27,4 +27,20 @@ static int open_array(PyObject *object, Py_buffer *view, const char *name, const
     return 0;
 }
 
+/* Opens arrays one after the other; 1 if all are as described (axes, 'd' doubles, 'i' int32, 'q' int64). */
+typedef struct {
+    const char *name, *format;
+    int axes;
+} Description;
+
+static inline int open_arrays(PyObject *const object[], Py_buffer view[], const Description description[], int count) {
+    for (int i = 0; i < count; i++) {
+        const Description *d = &description[i];
+        if (open_array(object[i], &view[i], d->name, d->format, d->format[0] == 'i' ? 4 : 8, d->axes, 0)) continue;
+        while (i > 0) PyBuffer_Release(&view[--i]);
+        return 0;
+    }
+    return 1;
+}
+
 #endif

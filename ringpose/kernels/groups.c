@@ -1,5 +1,5 @@
 /* Which tracks lie on one planar ring: every choice of one track a laser is scored. Twin: reference_ring.py. */
-#include "ring.h"
+#include "faces.h"
 
 #include <math.h>
 #include <stddef.h>
@@ -39,6 +39,7 @@ static double plane_cost(const Candidate *const member[], int size, double plane
 
 /* Lasers outside the group whose stripe on the plane the image would show at normalised x. */
 static int unseen_lasers(const Candidate *const member[], int size, const double plane[3], const Scene *scene) {
+    const RingRules *rules = &scene->rules->ring;
     double x = 0;
     int unseen = 0;
     for (int i = 0; i < size; i++) x += (member[i]->x[0] + member[i]->x[1]) / (2 * size);
@@ -47,29 +48,29 @@ static int unseen_lasers(const Candidate *const member[], int size, const double
         for (int i = 0; i < size; i++) in_group |= member[i]->laser == laser;
         const double *light = scene->plane[laser];
         double y = -((plane[0] - light[0]) * x + plane[2] - light[2]) / (plane[1] - light[1]);
-        double row = y * scene->focal_y + scene->principal_y;
-        unseen += !in_group && row > scene->border && row < scene->height - scene->border;
+        double row = y * rules->focal_y + rules->principal_y;
+        unseen += !in_group && row > rules->border && row < rules->height - rules->border;
     }
     return unseen;
 }
 
 /* Half the squared sigmas of the used ends from two arcs about one centre; infinite for rings that nobody builds. */
-static double arcs_cost(const End *end, int ends, double sigma, const RingLimits *limits, int free_radius) {
+static double arcs_cost(const End *end, int ends, double sigma, const RingRules *rules, int free_radius) {
     Arcs arcs;
     double cost = 0;
-    int fitted = free_radius ? fit_arcs(end, ends, &arcs) : fit_wide_arcs(end, ends, limits->minimum_radius, &arcs);
+    int fitted = free_radius ? fit_arcs(end, ends, &arcs) : fit_wide_arcs(end, ends, rules->minimum_radius, &arcs);
     if (!fitted) return 0; /* the border cut off all ends of an edge: there is nothing to check */
     for (int k = 0; k < ends; k++)
         if (end[k].used) {
             double outside = outside_arc(&arcs, &end[k]) / sigma;
             cost += 0.5 * outside * outside;
         }
-    return arcs_band(&arcs) < limits->minimum_band ? INFINITY : cost;
+    return arcs_band(&arcs) < rules->minimum_band ? INFINITY : cost;
 }
 
 /* The ends of a group in their plane, x along the stripes from start to end, without those that the border cut off;
    returns their mean depth. */
-static double flat_ends(const Candidate *const member[], int size, const double plane[3], const RingLimits *limits,
+static double flat_ends(const Candidate *const member[], int size, const double plane[3], const RingRules *rules,
                         End *end) {
     double point[2 * MOST_MEMBERS][3], middle[3] = {0}, along[3] = {0};
     for (int i = 0; i < size; i++)
@@ -96,40 +97,40 @@ static double flat_ends(const Candidate *const member[], int size, const double 
         double x = member[e / 2]->x[e % 2];
         end[e] = (End){d[0] * along[0] + d[1] * along[1] + d[2] * along[2],
                        d[0] * across[0] + d[1] * across[1] + d[2] * across[2], e % 2,
-                       !(x < limits->left || x > limits->right)};
+                       !(x < rules->left || x > rules->right), 0, 0};
     }
     return middle[2];
 }
 
 static double circle_cost(const Candidate *const member[], int size, const double plane[3], const Scene *scene) {
     End end[2 * MOST_MEMBERS];
-    const RingLimits *limits = &scene->limits;
-    double sigma = scene->along_sigma * flat_ends(member, size, plane, limits, end) / scene->focal_x;
-    double best = arcs_cost(end, 2 * size, sigma, limits, size > 2);
-    if (size < 3 || best < limits->dropped_end) return best;
+    const RingRules *rules = &scene->rules->ring;
+    double sigma = rules->along_sigma * flat_ends(member, size, plane, rules, end) / rules->focal_x;
+    double best = arcs_cost(end, 2 * size, sigma, rules, size > 2);
+    if (size < 3 || best < rules->dropped_end) return best;
     for (int e = 0; e < 2 * size; e++) {
         if (!end[e].used) continue;
         end[e].used = 0;
-        best = fmin(best, arcs_cost(end, 2 * size, sigma, limits, 1) + limits->dropped_end);
+        best = fmin(best, arcs_cost(end, 2 * size, sigma, rules, 1) + rules->dropped_end);
         end[e].used = 1;
     }
     return best;
 }
 
-double group_score(const Candidate *const member[], int size, const Scene *scene) {
-    const RingLimits *limits = &scene->limits;
-    double plane[3], merit = 0;
+static double group_score(const Candidate *const member[], int size, const Scene *scene) {
+    const RingRules *rules = &scene->rules->ring;
+    double plane[3] = {0}, merit = 0;
     for (int i = 0; i < size; i++) merit += member[i]->merit;
     double cost = plane_cost(member, size, plane);
-    if (!(cost < limits->plane * size)) return -INFINITY;
+    if (!(cost < rules->plane_limit * size)) return -INFINITY;
     double tilt = size == 1 ? 0 : atan2(hypot(plane[0], plane[1]), fabs(plane[2]));
-    if (tilt > limits->tilt) return -INFINITY;
+    if (tilt > rules->tilt) return -INFINITY;
     if (size > 1) {
         double circle = circle_cost(member, size, plane, scene);
-        if (!(circle < limits->circle * size)) return -INFINITY;
+        if (!(circle < rules->circle_limit * size)) return -INFINITY;
         cost += circle;
     }
-    cost += limits->unseen * unseen_lasers(member, size, plane, scene);
+    cost += rules->unseen * unseen_lasers(member, size, plane, scene);
     return merit - cost - 0.5 * (tilt / 0.5) * (tilt / 0.5);
 }
 
@@ -182,8 +183,8 @@ static void descend(Search *search, int depth, const Candidate **member, int32_t
 
 Best best_group(const Candidate *all, int count, int size, const Scene *scene) {
     Best best = {{-1, -1, -1}, -INFINITY, -INFINITY};
-    const Candidate *member[MOST_MEMBERS];
-    int32_t index[MOST_MEMBERS];
+    const Candidate *member[MOST_MEMBERS] = {NULL};
+    int32_t index[MOST_MEMBERS] = {0};
     Search search = {all, count, size, scene, NULL, &best, NULL};
     descend(&search, 0, member, index);
     if (best.score > -INFINITY) {

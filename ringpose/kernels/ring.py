@@ -1,12 +1,14 @@
-"""The kernels that look for the ring among the stripes, behind typed functions; twins in `reference_ring`."""
+"""The kernels that make tracks of stripes and find their ends, behind typed functions.
 
-import math
+Twins: `reference_tracks`, `reference_ends`, `reference_ring`.
+"""
+
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.types.arrays import Array, Float64, Int32, Int64, UInt
+from ringpose.types.arrays import Array, Float64, Int64, UInt
 
 try:
     from ringpose.kernels import _ring
@@ -15,36 +17,6 @@ except ImportError as error:
         "ringpose.kernels: the C kernels are not built for this Python; run `pip install .` where ringpose's source is"
         " (a C compiler is needed)"
     ) from error
-
-
-class RingRules(NamedTuple):
-    """What groups of tracks are held against; costs are squared sigmas over two."""
-
-    focal_x: float
-    focal_y: float
-    principal_y: float
-    image_height: float
-    border_px: float
-    """Closer to the upper or lower border a stripe may well be missed."""
-    along_sigma_px: float
-    """How far a track's end may lie from its circle."""
-    across_sigma_px: float
-    """How far a track may lie from the plane's line."""
-    plane_limit: float
-    """Cost above which tracks do not lie on one plane, for each track."""
-    circle_limit: float
-    """Cost above which ends do not lie on two circles, for each track."""
-    dropped_end_cost: float
-    """What it costs to call one of six ends occluded."""
-    unseen_cost: float
-    """What it costs that a laser's stripe is not seen where the plane would show it."""
-    maximum_tilt_rad: float
-    minimum_radius_m: float
-    minimum_band_m: float
-    left_x: float = -math.inf
-    """Ends beyond this normalised x, or ..."""
-    right_x: float = math.inf
-    """... this are cut off by the image's border and on no circle."""
 
 
 class TrackRules(NamedTuple):
@@ -123,7 +95,8 @@ class Lens(NamedTuple):
 
 
 TRACK_COLUMNS = (
-    "laser", "count", "x_start", "x_end", "middle_x", "middle_y", "slope", "scatter", "correlation", "clipped", "spilt",
+    "laser", "centers", "x_start", "x_end", "middle_x", "middle_y",
+    "slope", "scatter", "correlation", "clipped", "spilt",
 )  # fmt: skip
 """What `straight_tracks` says of each track; `spilt`: centres on its line between 2 px and the track's length
 (at most 100 px) + 40 px beyond its ends."""
@@ -142,9 +115,33 @@ def straight_tracks(
     Pieces are cut at their kinks (Ramer's method on running medians of seven) and joined across gaps; each line is a
     least-squares fit, a second one without outliers. Centres are sorted by piece, then column.
     """
-    column, row = np.ascontiguousarray(position_px.T)
-    found = _ring.tracks(column, row, np.ascontiguousarray(sigma_px), piece, laser, _numbers(lens), _numbers(rules))
+    position, sigma = np.ascontiguousarray(position_px), np.ascontiguousarray(sigma_px)
+    found = _ring.tracks(position, sigma, piece, laser, _numbers(lens), _numbers(rules))
     return np.frombuffer(found, dtype=np.float64).reshape(-1, len(TRACK_COLUMNS))
+
+
+class StripeEnd(NamedTuple):
+    """An end of a stripe; NaN where no edge fits."""
+
+    x: float
+    """Distorted pixels, as are ..."""
+    y: float
+    slope: float
+    """... the line's ordinate and slope there."""
+    sigma_px: float
+    """Along x."""
+    outside: float
+    """Level outside as a share of that inside."""
+    saturated: float
+    """Share of saturated columns at the end."""
+    width_px: float
+    """Of the edge."""
+    section_px: float
+    """Sigma of the stripe's section, the same at both ends."""
+    blunt: float
+    """Whether it falls off more slowly than optics blur: the sharp edge lies somewhere in the fall, as sigma says."""
+    beneath: float
+    """Relative variance of the peaks by what lies beneath the stripe, the same at both ends."""
 
 
 def stripe_ends(
@@ -159,10 +156,7 @@ def stripe_ends(
     Lines are middle_x, middle_y, slope, x_start, x_end in undistorted pixels. The stripe's brightness along its line
     (the Gaussian section that fits each column best) is compared with a level inside, a level outside, and an error
     function between; the most likely position, width and levels win, widths near that which suits all ends best.
-    Columns of the result: x, y and slope of the line there (distorted pixels), sigma along x, the level outside as a
-    share of that inside, the share of saturated columns at the end, the edge's width, the sigma of the stripe's
-    section, whether the edge is blunt, and the relative variance of the peaks by what lies beneath the stripe; NaN
-    where no edge fits.
+    Columns of the result are the fields of `StripeEnd`.
     """
     black = None if dark is None else np.ascontiguousarray(dark)
     found = _ring.ends(np.ascontiguousarray(lit), black, np.ascontiguousarray(lines), _numbers(lens), _numbers(rules))
@@ -174,62 +168,29 @@ class ArcFit(NamedTuple):
 
     cost: float
     """Squared sigmas over two of all points."""
-    cost_without: Float64[Array, "n"]
-    """The same with each point left out."""
+    cost_without: Float64[Array, "laser end=2"]
+    """The same with each point left out; NaN where there is none."""
     curvature: float
     """One over the radius; positive if the centre lies on the side of positive x."""
     curvature_sigma: float
 
 
 def arc_fit(
-    position_px: Float64[Array, "n xy=2"],
-    arc: Int32[Array, "n"],
-    along_sigma_px: Float64[Array, "n"],
-    planes: Float64[Array, "n normal_and_distance=4"],
+    position_px: Float64[Array, "laser end=2 xy=2"],
+    along_sigma_px: Float64[Array, "laser end=2"],
+    planes: Float64[Array, "laser normal_and_distance=4"],
     lens: Lens,
     circle_sigma_px: float,
 ) -> ArcFit:
-    """How well at most 64 points, each seen on a light plane, fit two arcs about one centre.
+    """How well the ends of stripes fit two arcs about one centre, one through the left ends, one through the right.
 
     In the plane nearest to them, arcs a (x^2 + y^2) + x + b y + c_arc = 0 are fitted by least squares along x, which
     runs along the image's rows. Costs count distances in the points' sigmas along x and `circle_sigma_px` together;
-    the curvature's sigma follows from moving each point by the former.
+    the curvature's sigma follows from moving each point by the former. Ends that are NaN are none.
     """
-    found = _ring.arcs(np.ascontiguousarray(position_px), arc, along_sigma_px, planes, _numbers(lens), circle_sigma_px)
-    numbers = np.frombuffer(found, dtype=np.float64)
-    return ArcFit(float(numbers[0]), numbers[1:-2], float(numbers[-2]), float(numbers[-1]))
-
-
-class Group(NamedTuple):
-    """The best group of a size."""
-
-    candidates: tuple[int, ...]
-    score: float
-    """Minus infinity if no group is possible."""
-    rival: float
-    """Best score of the same tracks under other lasers."""
-
-
-def best_groups(
-    track: Int32[Array, "candidate"],
-    laser: Int32[Array, "candidate"],
-    ends: Float64[Array, "candidate end=2 xy=2"],
-    merit: Float64[Array, "candidate"],
-    planes: Float64[Array, "laser xyz=3"],
-    rules: RingRules,
-) -> tuple[Group, Group, Group]:
-    """The best groups of one, two and three candidates (tracks under a laser) that one planar ring explains.
-
-    Candidates are sorted by laser; a group has different lasers and different tracks. `ends` are normalised image
-    coordinates, `planes` the light planes as m / d, so that 1/z = (m / d) . (x, y, 1) on them. The score is the sum
-    of the merits less the costs of plane, circles, unseen lasers, and tilt (half the square of tilt over 0.5 rad).
-    """
-    found = _ring.groups(track, laser, ends.reshape(-1, 4), merit, np.ascontiguousarray(planes), _numbers(rules))
-    one, two, three = (
-        Group((first, second, third)[:size], score, rival)
-        for size, (first, second, third, score, rival) in enumerate(found, start=1)
-    )
-    return one, two, three
+    found = _ring.arcs(np.ascontiguousarray(position_px), along_sigma_px, planes, _numbers(lens), circle_sigma_px)
+    cost, *without, curvature, curvature_sigma = np.frombuffer(found, dtype=np.float64).tolist()
+    return ArcFit(cost, np.array(without).reshape(-1, 2), curvature, curvature_sigma)
 
 
 @lru_cache(maxsize=32)

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.detect.tracks import straight_tracks
+from ringpose.detect.tracks import Track, straight_tracks
 from ringpose.types.camera import Camera
 from ringpose.types.stripes import Stripes
 
@@ -34,7 +34,7 @@ def line_errors(rng, columns, grain_px):
         piece=np.zeros(columns, dtype=np.int64),
         laser=np.zeros(1, dtype=np.int64),
     )
-    (line,) = straight_tracks(stripes, CAMERA)
+    (line,) = (Track(*row) for row in straight_tracks(stripes, CAMERA).tolist())
     return [(line.y(end) - 600.0) / line.sigma(end) for end in (line.x_start, line.x_end)]
 
 

@@ -103,7 +103,7 @@ def test_a_gap_on_one_line_is_bridged():
         RULES,
     )
 
-    assert columns(rows, "count").tolist() == [125]
+    assert columns(rows, "centers").tolist() == [125]
 
 
 def test_distortion_is_undone():

@@ -1,0 +1,139 @@
+"""The kernel that looks for the ring's face among tracks, behind a typed function; its twin: `reference_faces`."""
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from ringpose.kernels import _faces
+from ringpose.kernels.ring import TRACK_COLUMNS
+from ringpose.types.arrays import Array, Float64
+
+
+class UnionRules(NamedTuple):
+    """Which tracks may be pieces of one stripe, and are tried as one beside themselves."""
+
+    least_spilt: float
+    """A track with fewer centres on its line beyond its ends has nothing to be joined to."""
+    longest_gap: float
+    """Longest gap, as a share of both tracks together."""
+    apart_px: float
+    """How far apart the lines may be in the middle of the gap,"""
+    apart_sigmas: float
+    """and how many of their sigmas more."""
+    farthest_px: float
+    """Lines farther apart are none, whatever their sigmas."""
+    rounds: float
+    """Each joins what the one before has joined to one more track."""
+    taken_by_fit: float
+    """Independent columns that a line's fit takes,"""
+    least_columns: float
+    """and the least that are left."""
+
+
+class CandidateRules(NamedTuple):
+    """Which tracks may be the face, and which of them are tried for each laser."""
+
+    nearest_m: float
+    farthest_m: float
+    """Depth of a face."""
+    shortest_m: float
+    longest_m: float
+    """Length of a stripe on it."""
+    usual_scatter_px: float
+    """Half its square over two is what a track's merit loses for its scatter; it gains twice the logarithm of ..."""
+    enough_columns: float
+    """... its columns, but no more than for these."""
+    spill_cost: float
+    """What it costs if all centres on a track's line lie beyond the track."""
+    clipped_cost: float
+    """What it costs that a track leaves the image."""
+    union_cost: float
+    """What it costs that a track is put together."""
+    most: float
+    """Tracks of the greatest merit that are tried for each laser."""
+
+
+class RingRules(NamedTuple):
+    """What groups of tracks are held against; costs are squared sigmas over two."""
+
+    focal_x: float
+    focal_y: float
+    principal_x: float
+    principal_y: float
+    image_height: float
+    border_px: float
+    """Closer to the upper or lower border a stripe may well be missed."""
+    along_sigma_px: float
+    """How far a track's end may lie from its circle."""
+    across_sigma_px: float
+    """How far a track may lie from the plane's line."""
+    plane_limit: float
+    """Cost above which tracks do not lie on one plane, for each track."""
+    circle_limit: float
+    """Cost above which ends do not lie on two circles, for each track."""
+    dropped_end_cost: float
+    """What it costs to call one of six ends occluded."""
+    unseen_cost: float
+    """What it costs that a laser's stripe is not seen where the plane would show it."""
+    maximum_tilt_rad: float
+    minimum_radius_m: float
+    minimum_band_m: float
+    left_x: float = -math.inf
+    """Ends beyond this normalised x, or ..."""
+    right_x: float = math.inf
+    """... this are cut off by the image's border and on no circle."""
+
+
+class FaceRules(NamedTuple):
+    """What a face is held against."""
+
+    unions: UnionRules
+    candidates: CandidateRules
+    ring: RingRules
+
+
+class Group(NamedTuple):
+    """The best group of a size: a track for each of some lasers."""
+
+    lasers: tuple[int, ...]
+    tracks: tuple[int, ...]
+    """Numbers; those of unions follow on the others."""
+    score: float
+    """Minus infinity if no group is possible."""
+    rival: float
+    """Best score of the same tracks under other lasers."""
+
+
+class Faces(NamedTuple):
+    """What may be the ring's face."""
+
+    unions: Float64[Array, "union column=11"]
+    """Tracks put together of others; columns as in `TRACK_COLUMNS`."""
+    groups: tuple[Group, Group, Group]
+    """Of one, two and three tracks."""
+
+
+def ring_faces(
+    tracks: Float64[Array, "track column=11"],
+    unlabelled: int,
+    planes: Float64[Array, "laser xyz=3"],
+    rules: FaceRules,
+) -> Faces:
+    """The best groups of one, two and three tracks, each under a laser of its own, that one planar ring explains.
+
+    `unlabelled` is the mask of the lasers that tracks without a laser may belong to. `planes` are the light planes as
+    m / d, so that 1/z = (m / d) . (x, y, 1) on them. Pieces of a line that may be one are tried as one, too. The
+    score is the sum of the merits less the costs of plane, circles, unseen lasers, and tilt (half the square of tilt
+    over 0.5 rad).
+    """
+    unions, *groups = _faces.faces(tracks, unlabelled, planes, _numbers(rules))
+    one, two, three = (Group(*group) for group in groups)
+    return Faces(np.frombuffer(unions, np.float64).reshape(-1, len(TRACK_COLUMNS)), (one, two, three))
+
+
+@lru_cache(maxsize=4)
+def _numbers(rules: FaceRules) -> Float64[Array, "n"]:
+    """Rules as the kernel reads them: the same ones for shot after shot."""
+    return np.array([*rules.unions, *rules.candidates, *rules.ring], dtype=np.float64)

@@ -1,0 +1,264 @@
+"""The kernel that looks for the ring's face among tracks equals its twin."""
+
+import numpy as np
+import pytest
+from drawn_scene import DrawnScene, drawn_rig, true_break_points
+
+from ringpose.geometry.rays import undistorted_pixels
+from ringpose.kernels import _faces, reference_faces
+from ringpose.kernels.faces import CandidateRules, FaceRules, RingRules, UnionRules, ring_faces
+from ringpose.kernels.ring import TRACK_COLUMNS
+
+RULES = FaceRules(
+    UnionRules(
+        least_spilt=5.0,
+        longest_gap=0.5,
+        apart_px=1.0,
+        apart_sigmas=3.0,
+        farthest_px=6.0,
+        rounds=2.0,
+        taken_by_fit=5.0,
+        least_columns=0.5,
+    ),
+    CandidateRules(
+        nearest_m=0.05,
+        farthest_m=3.0,
+        shortest_m=0.003,
+        longest_m=0.1,
+        usual_scatter_px=0.3,
+        enough_columns=120.0,
+        spill_cost=15.0,
+        clipped_cost=4.0,
+        union_cost=3.0,
+        most=20.0,
+    ),
+    RingRules(
+        focal_x=1781.0,
+        focal_y=1780.0,
+        principal_x=803.0,
+        principal_y=596.0,
+        image_height=1200.0,
+        border_px=15.0,
+        along_sigma_px=2.0,
+        across_sigma_px=0.4,
+        plane_limit=8.0,
+        circle_limit=6.0,
+        dropped_end_cost=6.0,
+        unseen_cost=6.0,
+        maximum_tilt_rad=1.3,
+        minimum_radius_m=0.1,
+        minimum_band_m=0.003,
+    ),
+)
+ANY = 0b111
+
+
+def with_rules(**changed):
+    """The rules with some changed."""
+    parts = [part._replace(**{k: v for k, v in changed.items() if k in part._fields}) for part in RULES]
+    return FaceRules(*parts)
+
+
+def rules_of(rig):
+    matrix = rig.camera.camera_matrix
+    focal, principal = matrix[[0, 1], [0, 1]].tolist(), matrix[:2, 2].tolist()
+    return dict(zip(("focal_x", "focal_y", "principal_x", "principal_y"), [*focal, *principal], strict=True))
+
+
+def planes():
+    lasers = drawn_rig().lasers
+    return lasers.normal / lasers.distance_m[:, None]
+
+
+def tracks_between(start_px, end_px, *, count=40.0, scatter=0.1, spilt=0.0, laser=-1.0, clipped=0.0):
+    """Tracks from there to there, undistorted pixels; the rest is the same for all, or given for each."""
+    middle = (start_px + end_px) / 2
+    slope = (end_px[:, 1] - start_px[:, 1]) / (end_px[:, 0] - start_px[:, 0])
+    columns = (laser, count, start_px[:, 0], end_px[:, 0], *middle.T, slope, scatter, 2.0, clipped, spilt)
+    return np.stack(np.broadcast_arrays(*columns), axis=-1).astype(np.float64)
+
+
+def true_ends(rng, *, moved_px=0.0):
+    """Undistorted ends (laser, end, xy) of a true ring's stripes, moved by noise."""
+    rig = drawn_rig()
+    scene = DrawnScene(center_m=(0.58, rng.uniform(-0.05, 0.05), rng.uniform(0.3, 1.0)))
+    position = true_break_points(scene, rig)[:, ::-1]
+    return undistorted_pixels(position + rng.normal(0, moved_px, position.shape), rig.camera)
+
+
+def crowd(rng, count):
+    """A true ring's stripes, one of them in two pieces, among random ones."""
+    ends = np.concatenate([true_ends(rng, moved_px=0.3), rng.uniform(100, 1100, (count, 2, 2))])
+    ends[4:, 1] = ends[4:, 0] + [60.0, 0.0] + rng.normal(0, 3, (count - 1, 2))
+    ends[3], along = ends[2], ends[2, 1] - ends[2, 0]
+    ends[2, 1] -= 0.6 * along
+    ends[3, 0] += 0.5 * along
+    true = np.arange(len(ends)) < 4
+    return tracks_between(
+        ends[:, 0],
+        ends[:, 1],
+        count=rng.integers(10, 200, len(ends)),
+        scatter=rng.uniform(0.05, 0.4, len(ends)),
+        spilt=rng.integers(5, 60, len(ends)) * ~(true & (np.arange(len(ends)) < 2)),
+        laser=np.where(true, -1.0, rng.choice([-1.0, -1.0, 0.0, 1.0, 2.0], len(ends))),
+        clipped=(rng.random(len(ends)) < 0.1) & ~true,
+    )
+
+
+def assert_equal(found, expected):
+    np.testing.assert_allclose(found.unions, expected.unions, rtol=1e-9, atol=1e-9)
+    assert [group[:2] for group in found.groups] == [group[:2] for group in expected.groups]
+    for name in ("score", "rival"):
+        values, wanted = ([getattr(group, name) for group in each.groups] for each in (found, expected))
+        np.testing.assert_allclose(values, wanted, rtol=1e-6)
+
+
+@pytest.mark.parametrize("most", [2.0, 20.0])
+@pytest.mark.parametrize("seed", range(12))
+def test_faces_equal_the_twin(seed, most):
+    tracks, rules = crowd(np.random.default_rng(seed), 9), with_rules(most=most, **rules_of(drawn_rig()))
+
+    found = ring_faces(tracks, ANY, planes(), rules)
+
+    assert_equal(found, reference_faces.ring_faces(tracks, ANY, planes(), rules))
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("left_x", "right_x"), [(-0.1, 0.1), (0.0, 0.3), (0.5, 0.6)])
+def test_faces_with_ends_that_the_border_cuts_off_equal_the_twin(seed, left_x, right_x):
+    tracks = crowd(np.random.default_rng(seed), 9)
+    rules = with_rules(left_x=left_x, right_x=right_x, **rules_of(drawn_rig()))
+
+    found = ring_faces(tracks, ANY, planes(), rules)
+
+    assert_equal(found, reference_faces.ring_faces(tracks, ANY, planes(), rules))
+
+
+def exact_score(tracks, rules):
+    return ring_faces(tracks, ANY, planes(), rules).groups[2].score
+
+
+def test_an_end_beyond_the_border_may_lie_off_the_circles(rng):
+    rules, ends = with_rules(**rules_of(drawn_rig())), true_ends(rng)
+    moved = ends.copy()
+    moved[:, 0] += 0.03 * (ends[:, 1] - ends[:, 0]) * np.array([[1.0], [-1.0], [2.0]])
+    left_x = (moved[:, 0, 0].max() - rules.ring.principal_x) / rules.ring.focal_x + 1e-3
+    cut = rules._replace(ring=rules.ring._replace(left_x=float(left_x)))
+
+    exact = exact_score(tracks_between(ends[:, 0], ends[:, 1]), rules)
+    found = exact_score(tracks_between(moved[:, 0], moved[:, 1]), cut)
+
+    assert found == pytest.approx(exact, abs=0.01)
+
+
+def test_the_true_ring_wins_under_its_true_labels(rng):
+    ends = np.concatenate([true_ends(rng, moved_px=0.3), rng.uniform(100, 1100, (8, 2, 2))])
+    tracks = tracks_between(*np.moveaxis(ends, 1, 0))
+
+    best = ring_faces(tracks, ANY, planes(), with_rules(**rules_of(drawn_rig()))).groups[2]
+
+    assert (best.lasers, best.tracks) == ((0, 1, 2), (0, 1, 2))
+
+
+def test_an_exact_ring_costs_its_tilt(rng):
+    ends = true_ends(rng)
+    tracks = tracks_between(ends[:, 0], ends[:, 1], count=40.0, scatter=0.3)
+
+    score = exact_score(tracks, with_rules(**rules_of(drawn_rig())))
+
+    tilt = np.arctan2(np.hypot(0.05, 0.08), 0.9955)
+    assert score == pytest.approx(3 * (2 * np.log(40.0) - 0.5) - 0.5 * (tilt / 0.5) ** 2, abs=1e-5)
+
+
+@pytest.mark.parametrize("lasers", [0b011, 0b001, 0])
+def test_tracks_without_a_laser_belong_to_none_but_the_given_ones(rng, lasers):
+    ends = true_ends(rng)
+
+    groups = ring_faces(tracks_between(ends[:, 0], ends[:, 1]), lasers, planes(), with_rules()).groups
+
+    assert [group.score > -np.inf for group in groups] == [lasers.bit_count() >= size for size in (1, 2, 3)]
+
+
+def track_of(x, y, spilt=20.0, laser=-1.0, clipped=0.0):
+    """The track that least squares make of centres."""
+    slope, offset = np.polyfit(x, y, 1)
+    scatter = (y - offset - slope * x).std()
+    return np.array([laser, len(x), x[0], x[-1], x.mean(), y.mean(), slope, scatter, 1.0, clipped, spilt])
+
+
+def halves(rng, step_px=0.0, **of_second):
+    """Two tracks on one line, the second off it by a step; and the track of both."""
+    x = np.concatenate([np.arange(100.0, 140.0), np.arange(150.0, 200.0)])
+    y = 300.0 + 0.05 * x + rng.normal(0, 0.3, len(x)) + step_px * (x >= 150)
+    return np.stack([track_of(x[:40], y[:40]), track_of(x[40:], y[40:], **of_second)]), track_of(x, y)
+
+
+def test_a_union_is_the_line_through_all_centres(rng):
+    tracks, expected = halves(rng)
+
+    (both,) = ring_faces(tracks, ANY, planes(), RULES).unions
+
+    found, wanted = (dict(zip(TRACK_COLUMNS, row.tolist(), strict=True)) for row in (both, expected))
+    assert found["middle_x"] == pytest.approx(wanted["middle_x"])
+    assert found["middle_y"] == pytest.approx(wanted["middle_y"], abs=0.01)
+    assert found["slope"] == pytest.approx(wanted["slope"], abs=3e-4)
+    assert found["scatter"] == pytest.approx(wanted["scatter"], rel=0.05)
+
+
+def test_pieces_of_one_line_are_tried_as_one_whatever_their_order(rng):
+    tracks, _ = halves(rng)
+
+    (both,) = ring_faces(tracks[::-1].copy(), ANY, planes(), RULES).unions
+
+    found = dict(zip(TRACK_COLUMNS, both.tolist(), strict=True))
+    assert (found["x_start"], found["x_end"], found["centers"]) == (100.0, 199.0, 90.0)
+
+
+@pytest.mark.parametrize(
+    "of_second",
+    [{"step_px": 3.0}, {"spilt": 0.0}, {"laser": 1.0}, {"clipped": 1.0}],
+    ids=["off", "whole", "other", "clipped"],
+)
+def test_what_cannot_be_one_stripe_is_not_joined(rng, of_second):
+    tracks, _ = halves(rng, **of_second)
+
+    assert len(ring_faces(tracks, ANY, planes(), RULES).unions) == 0
+
+
+def test_no_tracks_give_no_group():
+    groups = ring_faces(np.zeros((0, 11)), ANY, planes(), RULES).groups
+
+    assert [group.score for group in groups] == [-np.inf] * 3
+
+
+@pytest.mark.parametrize("laser", [3.0, -2.0, np.nan])
+def test_a_laser_beyond_the_rig_is_refused(rng, laser):
+    tracks = crowd(rng, 4)
+    tracks[2, 0] = laser
+
+    with pytest.raises(ValueError, match="number 2 is of a laser"):
+        ring_faces(tracks, ANY, planes(), RULES)
+
+
+@pytest.mark.parametrize("wrong", [{"most": 0.0}, {"most": 1e9}, {"most": np.nan}, {"rounds": 100.0}])
+def test_rules_out_of_range_are_a_value_error(rng, wrong):
+    with pytest.raises(ValueError, match="rule"):
+        ring_faces(crowd(rng, 4), ANY, planes(), with_rules(**wrong))
+
+
+@pytest.mark.parametrize("changed", range(3))
+def test_faces_of_arrays_that_do_not_fit_together_are_a_value_error(rng, changed):
+    arrays = [crowd(rng, 4), planes(), np.array([value for part in RULES for value in part])]
+    arrays[changed] = np.ascontiguousarray(arrays[changed][..., :-1])
+
+    with pytest.raises(ValueError, match="do not fit together"):
+        _faces.faces(arrays[0], ANY, *arrays[1:])
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 0.0, 1e300])
+@pytest.mark.parametrize("column", range(1, len(TRACK_COLUMNS)))
+def test_wild_tracks_give_no_crash(rng, column, value):
+    tracks = crowd(rng, 6)
+    tracks[::2, column] = value
+
+    assert len(ring_faces(tracks, ANY, planes(), RULES).groups) == 3
