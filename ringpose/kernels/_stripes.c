@@ -128,14 +128,12 @@ static int find_pieces(const StripeImage *image, const Filter *filter, const Str
     noise.areas_across = (noise.blocks + NOISE_BLOCKS - 1) / NOISE_BLOCKS;
     size_t areas = (image->height + NOISE_ROWS - 1) / NOISE_ROWS * noise.areas_across;
     noise.figure = malloc(areas * sizeof *noise.figure);
-    noise.patch = malloc(sizeof *noise.patch);
-    int done = noise.figure != NULL && noise.patch != NULL;
+    int done = noise.figure != NULL;
     for (size_t i = 0; done && i < areas; i++) noise.figure[i] = -1;
     done = done && find_runs(&noise, rules, bands, &lists->runs) &&
            find_ridges(&noise, rules, &lists->runs, &lists->found, &lists->ridges) &&
            link_ridges(image, filter, rules, &lists->ridges, &lists->pieces);
     free(noise.figure);
-    free(noise.patch);
     return done;
 }
 

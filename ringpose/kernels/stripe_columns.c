@@ -42,8 +42,8 @@ void take_ridges(const Ridge *ridges, const int32_t *order, size_t count, Column
 /* Both derivatives in rows of 16 columns. */
 static void differentiate(const Measure *how, ptrdiff_t row, size_t x, size_t rows) {
     size_t reach = how->filter->reach;
-    load_pixels(how->image, row - (ptrdiff_t)reach, x, rows + 2 * reach, BLOCK, how->patch->pixel);
-    differentiate_pixels(how->filter, BLOCK, rows * BLOCK, how->patch);
+    load_pixels(how->image, row - (ptrdiff_t)reach, x, rows + 2 * reach, how->patch);
+    differentiate_pixels(how->filter, rows * BLOCK, how->patch);
 }
 
 /* How many columns from one on lie so close that they are differentiated together; the first and last row. */
@@ -77,23 +77,23 @@ static void differentiate_all(const Measure *how, Columns *columns) {
    Newton's step, as a quotient of polynomials that is within 1e-4 px. No ridge: a variance of nothing. Returns how many
    columns are not so easily done. */
 VECTOR_LOOP
-static int step_to_centers(const Measure *how, size_t from, size_t to, Columns *columns) {
+static int64_t step_to_centers(const Measure *how, size_t from, size_t to, Columns *columns) {
     const int32_t *restrict row = columns->row;
     const float *restrict slope = columns->slope, *restrict bend = columns->bend, *restrict noise = columns->noise;
     double *restrict y = columns->y, *restrict variance = columns->variance, *restrict peak = columns->peak;
     double inverse_spread = how->inverse_spread, per_noise = how->sigma_per_noise;
     double per_response = how->peak_per_response;
-    int odd = 0;
+    int64_t odd = 0;
     for (size_t i = from; i < to; i++) {
-        double fall = bend[i] < 0 ? -(double)bend[i] : 1;
+        double curve = bend[i], fall = curve < 0 ? -curve : 1;
         double newton = slope[i] / fall, q = newton * newton * inverse_spread;
         double step = newton * (1 + 3 * q + q * q) / (1 + 4 * q + 3 * q * q);
         double crest = fall * (1 + 1.5 * step * step * inverse_spread);
-        double sigma = bend[i] < 0 ? per_noise * noise[i] / crest : 0;
+        double sigma = per_noise * noise[i] / crest;
         y[i] = row[i] + step;
-        variance[i] = sigma * sigma;
+        variance[i] = curve < 0 ? sigma * sigma : 0;
         peak[i] = crest * per_response;
-        odd += (bend[i] >= 0) | (step > NEAR_PX) | (step < -NEAR_PX);
+        odd += (curve >= 0) | (step > NEAR_PX) | (step < -NEAR_PX);
     }
     return odd;
 }

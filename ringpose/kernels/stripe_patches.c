@@ -1,64 +1,90 @@
 /* Small patches of the image, differentiated down the columns; twin: reference_stripe_patches.py. */
 #include "stripes.h"
 
+#include <string.h>
+
 /* GNU C's vectors keep sums in registers: the compilers do not see that they may, in loops over 16 columns. */
 typedef float Floats __attribute__((vector_size(32), aligned(4), may_alias));
 enum { LANES = sizeof(Floats) / sizeof(float) };
 #define FLOATS(address) (*(Floats *)(address))
 #define FIXED_FLOATS(address) (*(const Floats *)(address))
 
-/* Not unrolled, the loop over a block becomes vectors. */
-#define LOAD_ROWS(name, Pixel, value)                                                                              \
+/* Rows of a block in whole numbers. */
+enum { MOST_ROWS = CHUNK + 2 + 2 * MOST_REACH };
+
+#define NUMBERS(name, Pixel, value)                                                                                \
     VECTOR_LOOP                                                                                                    \
-    static void name(const Pixel *lit, const Pixel *dark, size_t width, size_t rows, size_t step, float *out) {    \
+    static void name(const Pixel *restrict lit, const Pixel *restrict dark, size_t count, float *restrict out) {   \
         (void)dark;                                                                                                \
-        for (size_t y = 0; y < rows; y++) {                                                                        \
-            const Pixel *restrict a = lit + y * width, *restrict b = dark ? dark + y * width : NULL;               \
-            float *restrict to = out + y * step;                                                                   \
-            (void)b;                                                                                               \
-            _Pragma("GCC unroll 1") for (size_t i = 0; i < BLOCK; i++) to[i] = (float)(value);                     \
-        }                                                                                                          \
+        for (size_t i = 0; i < count; i++) out[i] = (float)(value);                                                \
     }
 
-LOAD_ROWS(load_8, uint8_t, a[i])
-LOAD_ROWS(load_16, uint16_t, a[i])
-LOAD_ROWS(load_difference_8, uint8_t, a[i] - b[i])
-LOAD_ROWS(load_difference_16, uint16_t, a[i] - b[i])
+NUMBERS(numbers_8, uint8_t, lit[i])
+NUMBERS(numbers_16, uint16_t, lit[i])
+NUMBERS(differences_8, uint8_t, lit[i] - dark[i])
+NUMBERS(differences_16, uint16_t, lit[i] - dark[i])
+
+/* Rows of a block below each other. */
+static void gather_8(const uint8_t *restrict pixels, size_t width, size_t rows, uint8_t *restrict out) {
+    for (size_t y = 0; y < rows; y++) memcpy(out + y * BLOCK, pixels + y * width, BLOCK);
+}
+
+static void gather_16(const uint16_t *restrict pixels, size_t width, size_t rows, uint16_t *restrict out) {
+    for (size_t y = 0; y < rows; y++) memcpy(out + y * BLOCK, pixels + y * width, BLOCK * sizeof *out);
+}
+
+static void load_8(const uint8_t *lit, const uint8_t *dark, size_t width, size_t rows, float *out) {
+    uint8_t pixels[2][MOST_ROWS * BLOCK];
+    gather_8(lit, width, rows, pixels[0]);
+    if (dark) {
+        gather_8(dark, width, rows, pixels[1]);
+        differences_8(pixels[0], pixels[1], rows * BLOCK, out);
+    } else {
+        numbers_8(pixels[0], NULL, rows * BLOCK, out);
+    }
+}
+
+static void load_16(const uint16_t *lit, const uint16_t *dark, size_t width, size_t rows, float *out) {
+    uint16_t pixels[2][MOST_ROWS * BLOCK];
+    gather_16(lit, width, rows, pixels[0]);
+    if (dark) {
+        gather_16(dark, width, rows, pixels[1]);
+        differences_16(pixels[0], pixels[1], rows * BLOCK, out);
+    } else {
+        numbers_16(pixels[0], NULL, rows * BLOCK, out);
+    }
+}
 
 /* Where the block reaches beyond the border. */
-static void load_border(const StripeImage *image, ptrdiff_t row, size_t column, size_t rows, size_t step, float *out) {
+static void load_border(const StripeImage *image, ptrdiff_t row, size_t column, size_t rows, float *out) {
     for (size_t y = 0; y < rows; y++)
         for (size_t i = 0; i < BLOCK; i++) {
             size_t at = clamped(row + (ptrdiff_t)y, image->height), x = clamped((ptrdiff_t)(column + i), image->width);
-            out[y * step + i] = pixel_at(image, at * image->width + x);
+            out[y * BLOCK + i] = pixel_at(image, at * image->width + x);
         }
 }
 
-void load_pixels(const StripeImage *image, ptrdiff_t row, size_t column, size_t rows, size_t step, float *out) {
+void load_pixels(const StripeImage *image, ptrdiff_t row, size_t column, size_t rows, Patch *patch) {
     size_t width = image->width, at = (size_t)(row < 0 ? 0 : row) * width + column;
-    const uint8_t *lit_8 = image->lit, *dark_8 = image->dark;
-    const uint16_t *lit_16 = image->lit, *dark_16 = image->dark;
-    if (row < 0 || (size_t)row + rows > image->height || column + BLOCK > width)
-        load_border(image, row, column, rows, step, out);
-    else if (image->wide && image->dark)
-        load_difference_16(lit_16 + at, dark_16 + at, width, rows, step, out);
+    if (!is_inside(image, row, column, rows))
+        load_border(image, row, column, rows, patch->pixel);
     else if (image->wide)
-        load_16(lit_16 + at, NULL, width, rows, step, out);
-    else if (image->dark)
-        load_difference_8(lit_8 + at, dark_8 + at, width, rows, step, out);
+        load_16((const uint16_t *)image->lit + at, image->dark ? (const uint16_t *)image->dark + at : NULL, width, rows,
+                patch->pixel);
     else
-        load_8(lit_8 + at, NULL, width, rows, step, out);
+        load_8((const uint8_t *)image->lit + at, image->dark ? (const uint8_t *)image->dark + at : NULL, width, rows,
+               patch->pixel);
 }
 
 VECTOR_LOOP
-void bend_pixels(const Filter *filter, size_t step, size_t count, Patch *patch) {
-    const float *tap = filter->bend, *middle = patch->pixel + filter->reach * step;
+void bend_pixels(const Filter *filter, size_t count, Patch *patch) {
+    const float *tap = filter->bend, *middle = patch->pixel + filter->reach * BLOCK;
     for (size_t i = 0; i < count; i += 2 * LANES) {
         const float *up = middle + i, *down = up;
         Floats one = tap[0] * FIXED_FLOATS(up), two = tap[0] * FIXED_FLOATS(up + LANES);
         for (size_t k = 1; k <= filter->reach; k++) {
-            up -= step;
-            down += step;
+            up -= BLOCK;
+            down += BLOCK;
             one += tap[k] * (FIXED_FLOATS(up) + FIXED_FLOATS(down));
             two += tap[k] * (FIXED_FLOATS(up + LANES) + FIXED_FLOATS(down + LANES));
         }
@@ -68,14 +94,14 @@ void bend_pixels(const Filter *filter, size_t step, size_t count, Patch *patch) 
 }
 
 VECTOR_LOOP
-void differentiate_pixels(const Filter *filter, size_t step, size_t count, Patch *patch) {
-    const float *even = filter->bend, *odd = filter->slope, *middle = patch->pixel + filter->reach * step;
+void differentiate_pixels(const Filter *filter, size_t count, Patch *patch) {
+    const float *even = filter->bend, *odd = filter->slope, *middle = patch->pixel + filter->reach * BLOCK;
     for (size_t i = 0; i < count; i += LANES) {
         const float *up = middle + i, *down = up;
         Floats bend = even[0] * FIXED_FLOATS(up), slope = {0};
         for (size_t k = 1; k <= filter->reach; k++) {
-            up -= step;
-            down += step;
+            up -= BLOCK;
+            down += BLOCK;
             Floats above = FIXED_FLOATS(up), below = FIXED_FLOATS(down);
             bend += even[k] * (above + below);
             slope += odd[k] * (below - above);

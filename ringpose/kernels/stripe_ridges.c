@@ -20,14 +20,13 @@ static Ridge ridge_at(const float *here, int32_t column, int32_t row, float nois
 
 /* Ridges in rows of one area of noise. */
 static int smooth_rows(const Noise *noise, const StripeRules *rules, size_t block, size_t first, size_t rows,
-                       List *found) {
+                       Patch *patch, List *found) {
     uint8_t ridge[CHUNK * BLOCK];
     size_t reach = noise->filter->reach, columns = noise->image->width - block * BLOCK;
     float figure = noise_at(noise, first, block);
-    const float *response = noise->patch->bend + BLOCK;
-    load_pixels(noise->image, (ptrdiff_t)first - 1 - (ptrdiff_t)reach, block * BLOCK, rows + 2 + 2 * reach, BLOCK,
-                noise->patch->pixel);
-    bend_pixels(noise->filter, BLOCK, (rows + 2) * BLOCK, noise->patch);
+    const float *response = patch->bend + BLOCK;
+    load_pixels(noise->image, (ptrdiff_t)first - 1 - (ptrdiff_t)reach, block * BLOCK, rows + 2 + 2 * reach, patch);
+    bend_pixels(noise->filter, (rows + 2) * BLOCK, patch);
     mark_ridges(response, least_response(rules, figure), rows * BLOCK, ridge);
     for (size_t i = 0; i < rows * BLOCK; i += 8) {
         uint64_t eight;
@@ -43,7 +42,7 @@ static int smooth_rows(const Noise *noise, const StripeRules *rules, size_t bloc
 }
 
 /* Ridges of one run of cells; the outermost rows of the image have none. */
-static int smooth_run(const Noise *noise, const StripeRules *rules, const Run *run, List *found) {
+static int smooth_run(const Noise *noise, const StripeRules *rules, const Run *run, Patch *patch, List *found) {
     size_t last = noise->image->height - 1, first = (size_t)run->first * CELL, end = (size_t)(run->last + 1) * CELL;
     if (first == 0) first = 1;
     if (end > last) end = last;
@@ -51,7 +50,7 @@ static int smooth_run(const Noise *noise, const StripeRules *rules, const Run *r
         size_t rows = NOISE_ROWS - first % NOISE_ROWS;
         if (rows > CHUNK) rows = CHUNK;
         if (rows > end - first) rows = end - first;
-        if (!smooth_rows(noise, rules, (size_t)run->block, first, rows, found)) return 0;
+        if (!smooth_rows(noise, rules, (size_t)run->block, first, rows, patch, found)) return 0;
         first += rows;
     }
     return 1;
@@ -92,13 +91,15 @@ static Run *sorted_runs(const List *runs, size_t blocks, size_t *end) {
 int find_ridges(const Noise *noise, const StripeRules *rules, const List *runs, List *found, List *ridges) {
     size_t *end = malloc((noise->blocks + 1) * sizeof *end);
     Run *sorted = end ? sorted_runs(runs, noise->blocks, end) : NULL;
-    int done = sorted != NULL && reserve(ridges, runs->used * BLOCK / 2);
+    Patch *patch = malloc(sizeof *patch);
+    int done = sorted != NULL && patch != NULL && reserve(ridges, runs->used * BLOCK / 2);
     for (size_t i = 0, block = 0; done && block < noise->blocks; block++) {
         found->used = 0;
-        for (; done && i < end[block]; i++) done = smooth_run(noise, rules, sorted + i, found);
+        for (; done && i < end[block]; i++) done = smooth_run(noise, rules, sorted + i, patch, found);
         if (done && found->used) done = append_sorted(block, found, ridges);
     }
     free(end);
     free(sorted);
+    free(patch);
     return done;
 }

@@ -8,7 +8,10 @@
 #include <string.h>
 
 /* Cells that a window is compared with lie so far from its first one. */
-enum { ABOVE = 2, BELOW = 3, RING = ABOVE + BELOW + 1, WINDOWS = 3 };
+enum { ABOVE = 2, BELOW = 3, RING = ABOVE + BELOW + 1 };
+
+/* Rows of windows that wait until all rows of their area of noise have been read, with one above and one below. */
+enum { AREA = NOISE_ROWS / CELL, WINDOWS = AREA + 3 };
 
 /* A window is passed over if one that overlaps it is brighter by this factor: ridges are half a cell off at most. */
 enum { WINDOW_SHARE = 4 };
@@ -21,7 +24,7 @@ typedef struct {
     const StripeRules *rules;
     size_t blocks, cells;
     int32_t *sums;     /* of a ring of rows of cells */
-    int32_t *windows;  /* of three rows of windows */
+    int32_t *windows;  /* of a ring of rows of windows */
     int32_t *open_run; /* last of each block, or -1 */
     uint64_t *row_sum; /* scratch: a row of cells in halves of blocks */
     uint8_t *active;   /* scratch: a row of windows */
@@ -42,21 +45,16 @@ static int32_t *window_row(const Search *search, ptrdiff_t cell) {
 
 /* ---- sums ---- */
 
-/* Eight columns at a time: four rows of the even and odd ones, in four lanes of 16 bits. */
+/* Eight columns at a time: the even and odd ones in four lanes of 16 bits. Row after row, as memory is quickest read. */
 VECTOR_LOOP
 static void add_rows_8(const uint8_t *const in[CELL], size_t from, size_t to, uint64_t *restrict sum) {
     const uint64_t lanes = UINT64_C(0x00ff00ff00ff00ff);
-    const uint8_t *restrict a = in[0], *restrict b = in[1], *restrict c = in[2], *restrict d = in[3];
-    for (size_t i = from; i < to; i++) {
-        uint64_t w[CELL];
-        memcpy(w, a + 8 * i, 8);
-        memcpy(w + 1, b + 8 * i, 8);
-        memcpy(w + 2, c + 8 * i, 8);
-        memcpy(w + 3, d + 8 * i, 8);
-        uint64_t even = (w[0] & lanes) + (w[1] & lanes) + (w[2] & lanes) + (w[3] & lanes);
-        uint64_t odd = (w[0] >> 8 & lanes) + (w[1] >> 8 & lanes) + (w[2] >> 8 & lanes) + (w[3] >> 8 & lanes);
-        sum[i] = even + odd;
-    }
+    for (size_t row = 0; row < CELL; row++)
+        for (size_t i = from; i < to; i++) {
+            uint64_t w;
+            memcpy(&w, in[row] + 8 * i, 8);
+            sum[i] = (row ? sum[i] : 0) + (w & lanes) + (w >> 8 & lanes);
+        }
 }
 
 static void add_blocks_8(const uint64_t *half, size_t from, size_t to, int32_t sign, int32_t *sum) {
@@ -256,21 +254,32 @@ static int mark_bands(Search *search, const Bands *bands) {
 
 /* ---- all ---- */
 
-/* Rows of cells from -3 on; windows follow when their last cell is known, and are kept when the next ones are. */
-static int pass(Search *search) {
+/* Keeps windows from row to row. */
+static int keep_rows(Search *search, ptrdiff_t from, ptrdiff_t to) {
     double least = (double)search->rules->coarse_per_response * search->rules->least_response;
     int32_t least_sum = least < 1 ? 1 : least < 1e9 ? (int32_t)least : 1000000000;
-    ptrdiff_t cells = (ptrdiff_t)search->cells;
-    for (ptrdiff_t cell = -1 - ABOVE; cell < cells + BELOW; cell++) {
+    for (ptrdiff_t cell = from; cell < to; cell++)
+        if (!keep_windows(search, cell, least_sum)) return 0;
+    return 1;
+}
+
+/* Rows of cells from -3 on; windows follow when their last cell is known, and are kept when those of the whole area of
+   noise are: its samples are then at hand. */
+static int pass(Search *search) {
+    ptrdiff_t cells = (ptrdiff_t)search->cells, kept = -1;
+    for (ptrdiff_t cell = -1 - ABOVE, window; cell < cells + BELOW; cell++) {
         if (search->wanted)
             add_needed_cells(search, cell);
         else
             add_cells(search, cell, 0, search->blocks);
-        if (cell - BELOW >= -1) find_windows(search, cell - BELOW);
-        if (cell - BELOW >= 0 && !keep_windows(search, cell - BELOW - 1, least_sum)) return 0;
+        window = cell - BELOW;
+        if (window >= -1) find_windows(search, window);
+        if (window <= 0 || window % AREA) continue;
+        if (!keep_rows(search, kept, window - 1)) return 0;
+        kept = window - 1;
     }
     memset(window_row(search, cells), 0, search->blocks * sizeof *search->windows);
-    return keep_windows(search, cells - 1, least_sum);
+    return keep_rows(search, kept, cells);
 }
 
 int find_runs(const Noise *noise, const StripeRules *rules, const Bands *bands, List *runs) {

@@ -10,8 +10,8 @@ enum { BLOCK = 16, CELL = 4 };
 /* Largest number of taps on one side of a filter. */
 enum { MOST_REACH = 40 };
 
-/* Rows of a block that are smoothed together at most, and blocks side by side of which one row is. */
-enum { CHUNK = 64, GROUP = 4, PATCH = GROUP * BLOCK * (2 * MOST_REACH + 1) };
+/* Rows of a block that are smoothed together at most. */
+enum { CHUNK = 64, PATCH = BLOCK * (CHUNK + 2 + 2 * MOST_REACH) };
 
 /* 8 or, if `wide`, 16 bits a pixel; `dark` may be NULL. */
 typedef struct {
@@ -40,24 +40,23 @@ typedef struct {
     size_t count;
 } Bands;
 
-/* Pixels of blocks below each other, or side by side, from `reach` rows above what is differentiated. */
+/* Pixels of a block, from `reach` rows above what is differentiated. */
 typedef struct {
     float pixel[PATCH], bend[PATCH], slope[PATCH];
 } Patch;
 
-/* Loads rows of a block, `step` pixels apart; beyond the border the outermost pixels are repeated. */
-void load_pixels(const StripeImage *image, ptrdiff_t row, size_t column, size_t rows, size_t step, float *out);
+/* Loads rows of a block; beyond the border the outermost pixels are repeated. */
+void load_pixels(const StripeImage *image, ptrdiff_t row, size_t column, size_t rows, Patch *patch);
 
-/* Second derivative down the columns of `count` pixels, whole blocks; the first as well. */
-void bend_pixels(const Filter *filter, size_t step, size_t count, Patch *patch);
-void differentiate_pixels(const Filter *filter, size_t step, size_t count, Patch *patch);
+/* Second derivative down the columns of `count` pixels, whole rows; the first as well. */
+void bend_pixels(const Filter *filter, size_t count, Patch *patch);
+void differentiate_pixels(const Filter *filter, size_t count, Patch *patch);
 
 /* Noise of the second derivative, one figure for areas of some rows and blocks, measured when asked for. */
 typedef struct {
     const StripeImage *image;
     const Filter *filter;
     size_t blocks, areas_across;
-    Patch *patch;
     float *figure; /* negative: not yet known */
 } Noise;
 
@@ -108,6 +107,11 @@ int find_centers(const StripeImage *image, const Filter *filters, size_t filter_
 
 static inline size_t clamped(ptrdiff_t index, size_t size) {
     return index < 0 ? 0 : (size_t)index < size ? (size_t)index : size - 1;
+}
+
+/* Whether rows of a block lie within the image. */
+static inline int is_inside(const StripeImage *image, ptrdiff_t row, size_t column, size_t rows) {
+    return row >= 0 && (size_t)row + rows <= image->height && column + BLOCK <= image->width;
 }
 
 static inline float pixel_at(const StripeImage *image, size_t index) {
