@@ -1,5 +1,6 @@
 """Session folders: `session.yaml` beside one NPZ a shot."""
 
+import tempfile
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import asdict, replace
@@ -8,9 +9,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, cast, get_args
 
-from ringpose.errors import CannotCreateError, DataError
+from ringpose.errors import CannotCreateError, DataError, RingposeError
 from ringpose.files.atomic import make_folder, output_error, replacing
 from ringpose.files.fields import Fields
+from ringpose.files.locks import FolderLock
 from ringpose.files.provenance import provenance, sha256
 from ringpose.files.shots import write_shot
 from ringpose.files.yaml import read_yaml, write_yaml
@@ -21,6 +23,9 @@ from ringpose.types.session import Capture, CaptureState, Session
 SCHEMA = "session/1"
 
 FILE = "session.yaml"
+
+ASIDE = ".*.part"
+"""What a process that was killed while it wrote a file leaves behind."""
 
 Existing = Literal["refuse", "replace", "append"]
 """What to do with a folder that is there already."""
@@ -60,36 +65,60 @@ def write_session(folder: Path, session: Session) -> None:
 
 
 class SessionWriter:
-    """A session that is being captured: whatever ends the block, the finished shots and `session.yaml` stay valid."""
+    """A session that is being captured: whatever ends the block, the finished shots and `session.yaml` stay valid.
+
+    Nothing that lies in the folder is touched before there is a shot to take its place, and nobody else may write into
+    it meanwhile.
+    """
 
     def __init__(self, folder: Path, capture: Capture, existing: Existing = "refuse") -> None:
         self.folder = folder
         self._capture = capture
         self._existing = existing
         self._earlier: tuple[Capture, ...] = ()
+        self._outdated: tuple[Path, ...] = ()
+        """Shots of the session that this one replaces."""
         self.names: set[str] = set()
         """Of the shots that lie in the folder."""
         self._shots: list[str] = []
         self._inputs: dict[str, str] = {}
+        self._has_begun = False
+        self._lock: FolderLock | None = None
 
     def __enter__(self) -> None:
-        self._take_over()
-        self.names = {path.stem for path in make_folder(self.folder).glob("*.npz")}
+        is_free = self._is_free()
+        if not is_free:
+            self._refuse()
+        self._lock = FolderLock(make_folder(self.folder))
+        try:
+            self._take_over(is_free)
+        except BaseException:
+            self._lock.release()
+            raise
         self._capture = replace(self._capture, provenance=provenance([]))
-        self._write("capturing")
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if error is not None and not self._shots and not self._earlier:
-            self._remove()
-        else:
-            self._write("finished" if error is None else "stopped")
+        try:
+            if error is None:
+                self._begin()
+                self._write("finished")
+            elif self._has_begun:
+                with suppress(RingposeError):  # what has ended the capture is worth more than why it cannot be noted
+                    self._write("stopped")
+            else:
+                with suppress(OSError):  # a session, or files of the user's
+                    self.folder.rmdir()
+        finally:
+            if self._lock is not None:
+                self._lock.release()
 
     def add(self, shot: Shot) -> Path:
         """Write a shot and return the path of its file; a name that the session has already is bad data."""
         if shot.name in self.names:
             raise DataError(shot.name, f"{self.folder} has a shot of this name already", "give each shot its own name")
+        self._begin()
         path = self.folder / f"{shot.name}.npz"
         write_shot(path, shot)
         self.names.add(shot.name)
@@ -99,35 +128,48 @@ class SessionWriter:
     def name_camera(self, name: str | None) -> None:
         """What the camera calls itself, which it says only when it is open."""
         self._capture = replace(self._capture, camera_name=name)
-        self._write("capturing")
 
     def read_from(self, path: Path) -> None:
         """Remember an input by its hash."""
         self._inputs[str(path)] = sha256(path)
 
-    def _take_over(self) -> None:
-        """See to what is in the folder already."""
-        if self._is_free():
-            return
+    def _refuse(self) -> None:
+        """What is there may have to stay as it is."""
         if self._existing == "refuse":
             remedy = "add --append to go on with it, or --force to replace it"
             raise CannotCreateError(str(self.folder), "exists already", remedy)
         if not (self.folder / FILE).exists():
             raise CannotCreateError(str(self.folder), f"has no {FILE}, so it is no session", "choose another --output")
-        earlier = read_session(self.folder)
-        there = sorted(self.folder.glob("*.npz"))
-        if self._existing == "append":
-            unlisted = [path.stem for path in there if path.stem not in earlier.shots]
-            self._earlier = tuple(_closed(capture, unlisted) for capture in earlier.captures)
-        else:
-            for path in there:
-                path.unlink()
 
-    def _remove(self) -> None:
-        """A session that broke off before its first shot leaves nothing behind, so that it may simply be begun anew."""
-        (self.folder / FILE).unlink(missing_ok=True)
-        with suppress(OSError):  # other files of the user's
-            self.folder.rmdir()
+    def _take_over(self, is_free: bool) -> None:
+        """See to what is in the folder already; that it can be written to shows at once."""
+        try:
+            with tempfile.TemporaryFile(dir=self.folder):
+                pass
+        except OSError as error:
+            raise output_error(self.folder, error) from error
+        for path in self.folder.glob(ASIDE):
+            path.unlink(missing_ok=True)
+        there = sorted(self.folder.glob("*.npz"))
+        earlier = () if is_free else read_session(self.folder).captures
+        listed = {shot for capture in earlier for shot in capture.shots}
+        unlisted = [path.stem for path in there if path.stem not in listed]
+        closed = tuple(_closed(capture, unlisted) for capture in earlier)
+        if self._existing == "append":
+            self._earlier = closed
+        else:
+            replaced = {shot for capture in closed for shot in capture.shots}
+            self._outdated = tuple(path for path in there if path.stem in replaced)
+        self.names = {path.stem for path in there if path not in self._outdated}
+
+    def _begin(self) -> None:
+        """Before the first shot: the session that is replaced goes, and `session.yaml` says who is at work."""
+        if self._has_begun:
+            return
+        for path in self._outdated:
+            path.unlink(missing_ok=True)
+        self._write("capturing")
+        self._has_begun = True
 
     def _is_free(self) -> bool:
         """Whether the folder is not there yet, or empty."""
@@ -164,5 +206,6 @@ def _capture(fields: Fields) -> Capture:
 
 
 def _record(capture: Capture) -> dict[str, Any]:
-    values = {key: value for key in _KEYS if (value := asdict(capture)[key]) is not None}
-    return {key: list(value) if isinstance(value, tuple) else value for key, value in values.items()}
+    values = asdict(capture)
+    said = {key: values[key] for key in _KEYS if values[key] is not None}
+    return {key: list(value) if isinstance(value, tuple) else value for key, value in said.items()}

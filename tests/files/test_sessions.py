@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
-from ringpose.errors import CannotCreateError, DataError, SignalReceived
+from ringpose.errors import CannotCreateError, DataError, InputOutputError, LaserSafetyError, SignalReceived
 from ringpose.files.sessions import SessionWriter, read_session, write_session
 from ringpose.files.shots import read_shot
 from ringpose.types.frame import Shot
@@ -165,26 +165,66 @@ def test_a_capture_that_breaks_off_before_its_first_shot_leaves_nothing_behind(t
     assert not (tmp_path / "s").exists()
 
 
-def test_one_that_goes_on_with_an_earlier_capture_keeps_it(tmp_path):
+@pytest.mark.parametrize("existing", ["append", "replace"])
+def test_one_that_breaks_off_before_its_first_shot_leaves_the_earlier_session_as_it_was(tmp_path, existing):
     written(tmp_path / "s", "a")
+    before = {path: path.read_bytes() for path in (tmp_path / "s").iterdir()}
 
-    with pytest.raises(SignalReceived), SessionWriter(tmp_path / "s", CAPTURE, "append"):
+    with pytest.raises(SignalReceived), SessionWriter(tmp_path / "s", CAPTURE, existing):
         raise SignalReceived(15)
 
-    assert [(capture.state, capture.shots) for capture in read_session(tmp_path / "s").captures] == [
-        ("finished", ("a",)),
-        ("stopped", ()),
-    ]
+    assert {path: path.read_bytes() for path in (tmp_path / "s").iterdir()} == before
 
 
-def test_files_of_the_users_stay(tmp_path):
+def test_replacing_a_capture_that_was_cut_off_removes_the_shots_that_nothing_lists(tmp_path):
+    written(tmp_path / "s", "b", "a")
+    write_session(tmp_path / "s", Session(captures=(replace(CAPTURE, state="capturing"),)))
+
+    written(tmp_path / "s", "c", existing="replace")
+
+    assert sorted(path.name for path in (tmp_path / "s").iterdir()) == ["c.npz", "session.yaml"]
+
+
+def test_an_npz_file_that_is_no_shot_of_the_session_is_not_replaced_with_it(tmp_path):
     written(tmp_path / "s", "a")
-    (tmp_path / "s" / "notes.txt").write_text("mine")
+    (tmp_path / "s" / "mine.npz").write_bytes(b"mine")
 
-    with pytest.raises(SignalReceived), SessionWriter(tmp_path / "s", CAPTURE, "replace"):
-        raise SignalReceived(15)
+    written(tmp_path / "s", "b", existing="replace")
 
-    assert [path.name for path in (tmp_path / "s").iterdir()] == ["notes.txt"]
+    assert sorted(path.name for path in (tmp_path / "s").iterdir()) == ["b.npz", "mine.npz", "session.yaml"]
+
+
+def test_what_a_killed_capture_was_writing_goes_when_the_session_goes_on(tmp_path):
+    written(tmp_path / "s", "a")
+    (tmp_path / "s" / ".b.npz.x1y2.part").write_bytes(b"half")
+
+    written(tmp_path / "s", "b", existing="append")
+
+    assert sorted(path.name for path in (tmp_path / "s").iterdir()) == ["a.npz", "b.npz", "session.yaml"]
+
+
+@pytest.mark.parametrize("existing", ["append", "replace"])
+def test_two_captures_do_not_write_into_one_folder(tmp_path, existing):
+    with SessionWriter(tmp_path / "s", CAPTURE) as _:
+        writer = SessionWriter(tmp_path / "s", CAPTURE, existing)
+        (tmp_path / "s" / "session.yaml").touch()
+        with pytest.raises(CannotCreateError, match="another capture is writing into it"):
+            writer.__enter__()
+
+
+def test_what_ended_a_capture_is_said_though_the_disk_is_full_by_then(tmp_path, monkeypatch):
+    def full(*_):
+        raise InputOutputError("session.yaml", "no space left on device")
+
+    def welded():
+        writer = SessionWriter(tmp_path / "s", CAPTURE)
+        with writer:
+            writer.add(shot("a"))
+            monkeypatch.setattr("ringpose.files.sessions.write_session", full)
+            raise LaserSafetyError("lasers", "laser 2 was seen while all are off")
+
+    with pytest.raises(LaserSafetyError):
+        welded()
 
 
 def test_the_names_of_lasers_survive(tmp_path):
