@@ -70,7 +70,10 @@ class BoardImages:
         quiet: bool = False,
         verbose: bool = False,
     ) -> None:
-        """Read all inputs, one by one, by another reader if one is given; those without a board are named on stderr."""
+        """Read all inputs, one by one, by another reader if one is given; those without a board are named on stderr.
+
+        Where none could be read, the command ends here: that is said already.
+        """
         for item in counted(batch.good(named(inputs, SHOT_SUFFIXES)), "images", quiet):
             with batch.item():
                 (read or self.read)(item)
@@ -79,6 +82,8 @@ class BoardImages:
         for name, reason in self.without_board:
             messages.say(f"{name}: no board: {reason}")
         batch.met(NO_POSE if self.without_board else 0)
+        if not self.names and batch.status:
+            batch.finish()
 
     def _refuse_known(self, shot: Shot) -> None:
         """The same image twice would make the uncertainty too small, the same name overwrite a picture."""

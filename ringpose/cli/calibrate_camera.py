@@ -7,12 +7,15 @@ import typer
 
 from ringpose.cli.app import app
 from ringpose.cli.board_print import OptionalInputs, OptionalOutput, PrintBoard, given
+from ringpose.cli.modes import CommandWithModes
 from ringpose.cli.options import BoardFile, BoardOverlay, Force, ImageChannel, Quiet, Report, Verbose
 from ringpose.types.distortion_model import DistortionModel
 
 if TYPE_CHECKING:
     from ringpose.calibrate.camera_model import CameraModel
     from ringpose.cli.board_views import BoardImages
+    from ringpose.types.camera_calibration import CameraAssessment, CameraCalibration
+    from ringpose.types.verdict import Verdict
 
 
 Model = Annotated[DistortionModel, typer.Option("--distortion-model", help="How the lens bends rays.")]
@@ -26,7 +29,7 @@ Distances = Annotated[
 CameraName = Annotated[str, typer.Option("--camera-name", metavar="NAME", help="The camera's name in the file.")]
 
 
-@app.command("calibrate-camera")
+@app.command("calibrate-camera", cls=CommandWithModes)
 def calibrate_camera(
     board: BoardFile,
     inputs: OptionalInputs = None,
@@ -68,7 +71,8 @@ def calibrate_camera(
     images = BoardImages(read_board(board), overlay, channel=channel, force=force)
     batch = Batch()
     images.read_each(given(inputs, "INPUT"), batch, quiet=quiet, verbose=verbose)
-    _calibrate(images, asked, writing, board)
+    with batch.item():
+        batch.met(_calibrate(images, asked, writing, board))
     batch.finish()
 
 
@@ -90,27 +94,40 @@ class _Writing(NamedTuple):
     quiet: bool
 
 
-def _calibrate(images: "BoardImages", asked: _Asked, writing: _Writing, board: Path) -> None:
+def _calibrate(images: "BoardImages", asked: _Asked, writing: _Writing, board: Path) -> int:
+    """The exit status that the verdict asks for."""
     from ringpose.calibrate.camera import calibrate_camera as calibrated
     from ringpose.calibrate.camera_assessment import camera_assessment, widened
-    from ringpose.calibrate.camera_quality import camera_quality, camera_summary
+    from ringpose.calibrate.camera_quality import camera_summary
     from ringpose.calibrate.camera_verdict import camera_verdict
-    from ringpose.cli import messages
-    from ringpose.files.cameras import write_camera
-    from ringpose.files.pages import write_page
+    from ringpose.cli.calibration_outputs import say_verdict
 
     found = calibrated(images.views, images.width, images.height, asked.model, asked.camera_name)
     result = widened(found, camera_assessment(found, images.views, asked.model, asked.distances_m, asked.compare))
     verdict = camera_verdict(*result, len(images.views) + len(images.without_board))
-    quality = camera_quality(*result, verdict, images.without_board)
-    write_camera(writing.output, result[0].camera, extra=quality, force=writing.force, inputs=[board, *images.paths])
+    _write(*result, verdict, images, writing, [board, *images.paths])
+    return say_verdict(verdict, camera_summary(*result, verdict), quiet=writing.quiet)
+
+
+def _write(
+    calibration: "CameraCalibration",
+    assessment: "CameraAssessment",
+    verdict: "Verdict",
+    images: "BoardImages",
+    writing: _Writing,
+    read: list[Path],
+) -> None:
+    from ringpose.calibrate.camera_quality import camera_quality
+    from ringpose.files.cameras import write_camera
+    from ringpose.files.pages import write_page
+
+    quality = camera_quality(calibration, assessment, verdict, images.without_board)
+    write_camera(writing.output, calibration.camera, extra=quality, force=writing.force, inputs=read)
     if writing.report is not None:
         from ringpose.report.camera_report import camera_report
 
-        write_page(writing.report, camera_report(*result, verdict, images.without_board), force=writing.force)
-    if not writing.quiet:
-        for line in camera_summary(*result, verdict):
-            messages.say(line)
+        page = camera_report(calibration, assessment, verdict, images.without_board)
+        write_page(writing.report, page, force=writing.force)
 
 
 def _distances_m(words: str) -> list[float]:

@@ -8,14 +8,15 @@ import typer
 from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.cli.app import app
 from ringpose.cli.board_print import OptionalInputs, OptionalOutput, PrintBoard, given
+from ringpose.cli.modes import CommandWithModes
 from ringpose.cli.options import BoardFile, BoardOverlay, Force, ImageChannel, Quiet, Report, Verbose, finite
 
 if TYPE_CHECKING:
     from ringpose.calibrate.planes_quality import PlanesAssessment
     from ringpose.cli.batch import Batch
     from ringpose.cli.stripe_images import StripeImages
+    from ringpose.types.arrays import Array, Float64
     from ringpose.types.camera import Camera
-    from ringpose.types.rig import Rig
 
 CameraFile = Annotated[
     Path | None, typer.Option("--camera", metavar="FILE", help="The calibrated camera (camera.yaml).")
@@ -74,7 +75,7 @@ class _Writing(NamedTuple):
     expected_rad: list[float]
 
 
-@app.command("calibrate-planes")
+@app.command("calibrate-planes", cls=CommandWithModes)
 def calibrate_planes(
     board: BoardFile,
     inputs: OptionalInputs = None,
@@ -105,7 +106,6 @@ def calibrate_planes(
     shots = given(inputs, "INPUT")
     reading = _Reading(board, laser_names, laser_order, surround, overlay, channel, force, verbose, quiet)
     if check is not None:
-        _refuse_with_check({"--output": output, "--camera": camera, "--mount": mount, "--report": report})
         _check(shots, check, reading)
         return
     angles_rad = _angles_rad(expected_angles)
@@ -113,24 +113,10 @@ def calibrate_planes(
     _calibrate(shots, reading, writing, method, free_camera)
 
 
-def _refuse_with_check(options: dict[str, Path | None]) -> None:
-    """Refuse options that a check would leave aside without a word."""
-    from ringpose.errors import UsageError
-
-    given_besides = [name for name, value in options.items() if value is not None]
-    if given_besides:
-        raise UsageError("--check", "only compares, with the rig's own camera", f"leave out {', '.join(given_besides)}")
-
-
 def _calibrate(shots: list[str], reading: _Reading, writing: _Writing, method: PlanesMethod, free_camera: bool) -> None:
-    from dataclasses import replace
-
-    from ringpose.calibrate.planes import calibrate_planes as calibrated
-    from ringpose.calibrate.planes_quality import PlanesAssessment, calibrated_rig, planes_summary
-    from ringpose.calibrate.planes_verdict import planes_verdict
-    from ringpose.cli import messages
+    from ringpose.calibrate.planes_quality import planes_summary
     from ringpose.cli.batch import Batch
-    from ringpose.cli.calibration_outputs import refuse_existing_outputs
+    from ringpose.cli.calibration_outputs import refuse_existing_outputs, say_verdict
     from ringpose.files.cameras import read_camera
     from ringpose.files.rigs import read_mount
 
@@ -140,37 +126,51 @@ def _calibrate(shots: list[str], reading: _Reading, writing: _Writing, method: P
     stripes = _stripe_images(reading, read_camera(writing.camera))
     stripes.require_method(method, free_camera)
     _read(shots, reading, stripes, batch)
-    model = stripes.model(method, free_camera)
-    stripes.require_angles(len(writing.expected_rad))
-    calibration = calibrated(stripes.views, stripes.camera, model)
-    assessment = PlanesAssessment(
-        calibration=calibration,
-        verdict=planes_verdict(calibration, writing.expected_rad),
-        paper=stripes.by_the_paper(model),
-        without_board=stripes.images.without_board,
-    )
-    rig = replace(calibrated_rig(calibration), tool_from_camera=tool_from_camera)
-    _write(rig, assessment, writing, [reading.board, *stripes.images.paths], reading.force)
-    if not reading.quiet:
-        for line in planes_summary(assessment):
-            messages.say(line)
+    with batch.item():
+        assessment = _assessment(stripes, method, free_camera, writing.expected_rad)
+        _write(assessment, tool_from_camera, writing, [reading.board, *stripes.images.paths], reading.force)
+        batch.met(say_verdict(assessment.verdict, planes_summary(assessment), quiet=reading.quiet))
     batch.finish()
 
 
+def _assessment(
+    stripes: "StripeImages", method: PlanesMethod, free_camera: bool, expected_rad: list[float]
+) -> "PlanesAssessment":
+    from ringpose.calibrate.planes import calibrate_planes as calibrated
+    from ringpose.calibrate.planes_quality import PlanesAssessment
+    from ringpose.calibrate.planes_verdict import planes_verdict
+
+    model = stripes.model(method, free_camera)
+    stripes.require_angles(len(expected_rad))
+    calibration = calibrated(stripes.views, stripes.camera, model)
+    return PlanesAssessment(
+        calibration=calibration,
+        verdict=planes_verdict(calibration, expected_rad),
+        paper=stripes.by_the_paper(model),
+        without_board=stripes.images.without_board,
+    )
+
+
 def _write(
-    rig: "Rig",
     assessment: "PlanesAssessment",
+    tool_from_camera: "Float64[Array, '4 4'] | None",
     writing: _Writing,
     read: list[Path],
     force: bool,
 ) -> None:
-    from ringpose.calibrate.planes_quality import planes_quality
+    from dataclasses import replace
+
+    from ringpose.calibrate.planes_quality import calibrated_rig, planes_quality
+    from ringpose.files.pages import write_page
     from ringpose.files.rigs import write_rig
 
+    rig = replace(calibrated_rig(assessment.calibration), tool_from_camera=tool_from_camera)
     files = [writing.camera, *([writing.mount] if writing.mount else []), *read]
     write_rig(writing.output, rig, extra=planes_quality(assessment), force=force, inputs=files)
     if writing.report is not None:
-        _write_report(writing.report, assessment, force)
+        from ringpose.report.planes_report import planes_report
+
+        write_page(writing.report, planes_report(assessment), force=force)
 
 
 def _check(shots: list[str], rig_file: Path, reading: _Reading) -> None:
@@ -207,13 +207,6 @@ def _stripe_images(reading: _Reading, camera: "Camera") -> "StripeImages":
 def _read(shots: list[str], reading: _Reading, stripes: "StripeImages", batch: "Batch") -> None:
     """The views that the shots show; what they do not show is said."""
     stripes.images.read_each(shots, batch, stripes.read, quiet=reading.quiet, verbose=reading.verbose)
-
-
-def _write_report(path: Path, assessment: "PlanesAssessment", force: bool) -> None:
-    from ringpose.files.pages import write_page
-    from ringpose.report.planes_report import planes_report
-
-    write_page(path, planes_report(assessment), force=force)
 
 
 def _angles_rad(words: str | None) -> list[float]:

@@ -1,6 +1,11 @@
-"""Files that the calibrating commands write."""
+"""What the calibrating commands write and say."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ringpose.types.verdict import Verdict
 
 
 def refuse_existing_outputs(output: Path, report: Path | None, force: bool) -> None:
@@ -15,3 +20,16 @@ def refuse_existing_outputs(output: Path, report: Path | None, force: bool) -> N
             raise UsageError("--report", f"{report} is the output, too", "give each its own file")
         require_matplotlib()
         refuse_existing(report, force)
+
+
+def say_verdict(verdict: "Verdict", summary: Sequence[str], *, quiet: bool) -> int:
+    """The summary on stderr, of which no wish for quiet hides that all is to be done again; the exit status."""
+    from ringpose.calibrate.verdict_text import verdict_lines
+    from ringpose.cli import messages
+    from ringpose.errors import NO_POSE
+    from ringpose.types.verdict import Grade
+
+    bad = verdict.grade is Grade.REDO
+    for line in verdict_lines(verdict)[:bad] if quiet else summary:
+        messages.say(line)
+    return NO_POSE if bad else 0

@@ -171,6 +171,27 @@ def test_the_wrong_board_file_says_so_for_each_image(folder, capsys):
     assert not (folder / "camera.yaml").exists()
 
 
+def test_images_that_are_not_there_are_said_alone(folder, capsys):
+    status = calibrate("nowhere.png")
+
+    assert (status, capsys.readouterr().err) == (66, "ringpose: nowhere.png: does not exist\n")
+
+
+def test_a_missing_image_outranks_too_few_views(folder, capsys):
+    status = calibrate(f"views/{VIEWS[0]}", "nowhere.png")
+
+    assert status == 66
+    assert "1 view of the board, at least 3 are needed" in capsys.readouterr().err
+
+
+def test_a_verdict_of_redo_is_a_limit_missed_and_no_quiet_hides_it(folder, capsys):
+    status = calibrate(*(f"views/{name}" for name in VIEWS[:3]), "--quiet")
+
+    assert status == 3
+    assert capsys.readouterr().err.startswith("ringpose: verdict: redo: views_used 3 (limit 10); ")
+    assert (folder / "camera.yaml").exists()
+
+
 def test_two_images_are_too_few_and_the_line_says_what_to_add(folder, capsys):
     status = calibrate(f"views/{VIEWS[0]}", f"views/{VIEWS[1]}")
 

@@ -1,0 +1,95 @@
+"""A rig checked by one new view, and mounted on a tool."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+import yaml
+from plane_views import ORDER, calibrate, calibrated, copy_views
+
+from ringpose.cli.main import main
+
+
+@pytest.fixture
+def folder(carried_data, tmp_path, monkeypatch):
+    """A working folder with the true camera and the carried views of the four-marker board, all lasers on."""
+    monkeypatch.chdir(tmp_path)
+    copy_views(carried_data, tmp_path)
+    return tmp_path
+
+
+def test_a_rig_that_holds_is_confirmed_by_one_view(folder, capsys):
+    status = calibrated("--check", "camera.yaml", "planes/pln_B_01.npz")
+
+    assert status == 0
+    assert "left: " in (said := capsys.readouterr().err)
+    assert " mm beside its plane (limit 0.0" in said
+
+
+def test_a_rig_that_was_bumped_does_not_hold(folder, capsys):
+    rig = yaml.safe_load((folder / "camera.yaml").read_text())
+    rig["lasers"][1]["distance_m"] += 0.001
+    (folder / "camera.yaml").write_text(yaml.safe_dump(rig))
+
+    status = calibrated("--check", "camera.yaml", "planes/pln_B_01.npz")
+
+    assert status == 3
+    beside = re.search(r"middle: ([-+.\d]+) mm beside its plane .*: does not hold", capsys.readouterr().err)
+    assert abs(float(beside[1])) == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_view_without_stripes_confirms_no_rig(folder, capsys):
+    with np.load("planes/pln_B_01.npz") as shot:
+        np.savez("unlit.npz", **{**shot, "images": shot["images"][[0, 0]]})
+
+    status = calibrated("--check", "camera.yaml", "unlit.npz")
+
+    assert status == 3
+    assert "no stripe on the board, not checked" in capsys.readouterr().err
+
+
+def test_check_refuses_what_it_would_leave_aside(folder, capsys):
+    status = calibrate("planes", "--check", "camera.yaml")
+
+    assert status == 2
+    assert capsys.readouterr().err == (
+        "ringpose: --check: only compares, with the rig's own camera; leave out --camera, --output\n"
+    )
+
+
+def test_the_mount_becomes_part_of_the_rig(folder):
+    from ringpose.files.rigs import read_rig
+
+    (folder / "mount.yaml").write_text(
+        "mount: {tool_from_camera: [[0, -1, 0, 0.1], [1, 0, 0, 0], [0, 0, 1, 0.05], [0, 0, 0, 1]]}"
+    )
+
+    calibrate("planes", *ORDER, "--mount", "mount.yaml")
+
+    tool_from_camera = read_rig(folder / "rig.yaml").tool_from_camera
+    assert tool_from_camera[:3, 3] == pytest.approx([0.1, 0.0, 0.05])
+
+
+def test_poses_in_the_tools_frame_are_those_in_the_cameras_moved(folder, carried_data, capsys):
+    (folder / "mount.yaml").write_text(
+        "mount: {tool_from_camera: [[0, -1, 0, 0.1], [1, 0, 0, 0], [0, 0, 1, 0.05], [0, 0, 0, 1]]}"
+    )
+    calibrate("planes", *ORDER, "--mount", "mount.yaml")
+    shot = str(carried_data / "rig_b" / "shots" / "B_z0500_p01_dim.npz")
+    capsys.readouterr()
+
+    main(["pose", shot, "--rig", "rig.yaml"])
+    main(["pose", shot, "--rig", "rig.yaml", "--frame", "tool"])
+
+    camera, tool = (json.loads(line)["pose"] for line in capsys.readouterr().out.splitlines())
+    x, y, z = camera["center_m"]
+    assert tool["center_m"] == pytest.approx([0.1 - y, x, z + 0.05], abs=1e-12)
+    assert tool["normal"] == pytest.approx([-camera["normal"][1], camera["normal"][0], camera["normal"][2]], abs=1e-12)
+
+
+def test_a_file_without_a_mount_is_no_mount(folder, capsys):
+    status = calibrate("planes", *ORDER, "--mount", "camera.yaml")
+
+    assert status == 65
+    assert "mount" in capsys.readouterr().err
