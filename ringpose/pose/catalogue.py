@@ -27,7 +27,7 @@ def ring_posterior(
     Curvature and width err like Gaussians even where the radii do not. An interval of the catalogue counts as a
     Gaussian of the same standard deviation; all rings, and that it is none of them, are as likely beforehand.
     """
-    logs = {NONE_OF_THESE: _log_density_of_any(curvature, band_m, sqrt(float(covariance[0, 0])))}
+    logs = {NONE_OF_THESE: _log_density_of_any(curvature, band_m, np.sqrt(np.diag(covariance)))}
     logs |= {ring.name: _log_density(curvature, band_m, covariance, ring.known_radii) for ring in rings}
     largest = max(logs.values())
     shares = {name: exp(value - largest) for name, value in logs.items()}
@@ -50,10 +50,12 @@ def _log_density(curvature: float, band_m: float, covariance: Float64[Array, "2 
     return float(-0.5 * error @ np.linalg.solve(spread, error) - 0.5 * log(np.linalg.det(spread)) - log(2 * pi))
 
 
-def _log_density_of_any(curvature: float, band_m: float, sd: float) -> float:
+def _log_density_of_any(curvature: float, band_m: float, sd: Float64[Array, "2"]) -> float:
     """Of what was measured, if it is any ring."""
+    bend_sd, band_sd = sd.tolist()
     logs = np.linspace(log(1 / RADIUS_TO_M), log(1 / RADIUS_FROM_M), 400)
-    likelihood = np.exp(-0.5 * np.minimum(((np.exp(logs) - curvature) / sd) ** 2, 1400.0)) / (sd * sqrt(2 * pi))
-    bend = max(float(likelihood.mean()), 1e-300)
-    inside = BAND_FROM_M < band_m < BAND_TO_M
-    return log(bend) + (-log(band_m * log(BAND_TO_M / BAND_FROM_M)) if inside else -700.0)
+    likelihood = np.exp(-0.5 * np.minimum(((np.exp(logs) - curvature) / bend_sd) ** 2, 1400.0))
+    bend = max(float(likelihood.mean()) / (bend_sd * sqrt(2 * pi)), 1e-300)
+    nearest_m = min(max(band_m, BAND_FROM_M), BAND_TO_M)
+    beyond = min(((band_m - nearest_m) / band_sd) ** 2, 1400.0)
+    return log(bend) - log(nearest_m * log(BAND_TO_M / BAND_FROM_M)) - 0.5 * float(beyond)

@@ -19,7 +19,7 @@ from ringpose.pose.likelihood import Fit, fitted
 from ringpose.pose.measurements import Measurements
 from ringpose.pose.residual_rows import Beforehand
 from ringpose.pose.rig_errors import RigErrors
-from ringpose.pose.ring_model import PARAMETERS
+from ringpose.pose.ring_model import CURVATURE, PARAMETERS
 from ringpose.types.arrays import EDGES, Array, Float64
 from ringpose.types.rig import Rig
 from ringpose.types.ring_pose import PoseFlag
@@ -38,6 +38,10 @@ PRICE_OF_A_LABEL = 30.0
 
 CLEARLY = 6.0
 """By how much the best explanation must beat another kind of it: a factor of 20 in likelihood."""
+
+
+CONFIRMED_BELOW = 2.0
+"""How many times as uncertain the curvature may be without the end of a stripe whose other end was wrong."""
 
 
 class Explanation(NamedTuple):
@@ -77,9 +81,9 @@ def explained(
     tried = []
     for suspicion in _suspicions(measured, rig, before, labelled):
         other = fitted(suspicion.measured, rig, suspicion.before, errors)
-        if other is not None and other.state.curvature > 0:
+        if other is not None and (other.state.curvature > 0 or suspicion.both):
             tried.append(Explanation(fit=other, **suspicion._asdict()))
-    best = _clearest(tried)
+    best = _confirmed(_clearest(tried), tried)
     if best is not None and (everything is None or best.score < everything.score):
         return best
     remark = "what was seen disagrees with one ring by more than its errors, and no single part is to blame"
@@ -102,6 +106,21 @@ def _clearest(tried: list[Explanation]) -> Explanation | None:
     if sum(each.flag == PoseFlag.POINT_LEFT_OUT for each in near) > 1:
         return next((each for each in tried if each.both and each.laser in lasers), None)
     return near[0] if near else None
+
+
+def _confirmed(best: Explanation | None, tried: list[Explanation]) -> Explanation | None:
+    """The same, without the other end of its stripe, too, if nothing but that end tells the ring's curvature.
+
+    What hid one end may have hidden both; the other one is used only where the rest would know the ring without it.
+    """
+    if best is None or best.flag != PoseFlag.POINT_LEFT_OUT or best.both:
+        return best
+    less = next((each for each in tried if each.both and each.laser == best.laser), None)
+    return best if less is None or _curvature_sd(less) < CONFIRMED_BELOW * _curvature_sd(best) else less
+
+
+def _curvature_sd(explanation: Explanation) -> float:
+    return sqrt(float(explanation.fit.inverse[CURVATURE, CURVATURE]))
 
 
 def _near(tried: list[Explanation]) -> list[Explanation]:

@@ -154,6 +154,17 @@ def scene_of() -> Callable[..., Scene]:
     return make_scene
 
 
+@pytest.fixture
+def ring_scene(monkeypatch) -> Callable[..., Scene]:
+    """Builds a scene with a ring of any radii: `ring_scene("B", 0.5, (0.567, 0.597))`."""
+
+    def scene_with(rig, distance_m, radii_m):
+        monkeypatch.setitem(SIZES, "other", radii_m)
+        return make_scene(rig, distance_m=distance_m, size="other")
+
+    return scene_with
+
+
 @pytest.fixture(scope="session")
 def break_points_at() -> Callable[..., BreakPoints]:
     """Builds break points from an array of pixels."""

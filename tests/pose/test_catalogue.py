@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringpose.pose.catalogue import NONE_OF_THESE, ring_posterior
+from ringpose.pose.catalogue import LIKELY_ENOUGH, NONE_OF_THESE, ring_posterior
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.types.ring import Ring
 
@@ -68,3 +68,33 @@ def test_a_wider_interval_promises_less():
     posterior = ring_posterior(2 / 1.164, 0.03, np.diag([1e-4, 1e-8]), [RINGS[1], wide])
 
     assert posterior["R597"] > 2 * posterior["wide"]
+
+
+@pytest.mark.parametrize(("rig", "distance_m"), [("A", 0.5), ("B", 0.25), ("B", 0.5)])
+def test_rings_drawn_from_a_catalogue_and_from_elsewhere_are_as_likely_as_told(
+    ring_scene, face_points, rng, rig, distance_m
+):
+    named, told, right = 0, 0.0, 0
+    for _ in range(150):
+        which = rng.integers(len(RINGS) + 1)
+        if which < len(RINGS):
+            radii = rng.uniform(*RINGS[which].radius_inner_m), rng.uniform(*RINGS[which].radius_outer_m)
+        else:
+            middle, band = np.exp(rng.uniform(np.log([0.25, 0.01]), np.log([2.0, 0.1]))).tolist()
+            radii = middle - 0.5 * band, middle + 0.5 * band
+        scene = ring_scene(rig, distance_m, radii)
+        pose = estimate_pose(face_points(scene, 0.3, 0.02, rng), scene.rig, known=RINGS)
+        name, share = max(pose.ring_posterior.items(), key=lambda each: each[1])
+        if share > LIKELY_ENOUGH:
+            named, told = named + 1, told + share
+            right += name == ([*SIZES, NONE_OF_THESE][which])
+
+    # so many wrong names are to be expected, and at most three standard deviations more
+    wrong, expected = named - right, named - told
+    assert wrong <= expected + 3.0 * np.sqrt(expected + 0.1)
+
+
+def test_a_band_as_wide_as_none_is_a_little_less_likely_at_the_limit_than_inside():
+    shares = [ring_posterior(2 / 1.164, band, np.diag([1e-4, 1e-6]), RINGS)[NONE_OF_THESE] for band in (0.1999, 0.2001)]
+
+    assert shares[0] == pytest.approx(shares[1], rel=0.01)

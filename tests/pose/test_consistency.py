@@ -83,6 +83,29 @@ def test_an_occluder_over_both_ends_of_one_stripe_is_owned_up_to(scene, points, 
     assert sigmas_off(pose, scene) < 5.0
 
 
+def test_a_stripe_of_which_both_ends_are_wrong_leaves_the_center_weak_or_true_where_nothing_else_tells_it(
+    scene, face_points, rng
+):
+    poses = []
+    for _ in range(20):
+        # not both the same way: that is what another ring looks like
+        shifts_px = rng.uniform(8.0, 30.0, 2) * rng.permutation([-1.0, 1.0])
+        points = face_points(scene, 0.3, 0.01, rng)
+        hidden = shifted(shifted(points, 1, 0, shifts_px[0]), 1, 1, shifts_px[1])
+        poses.append(estimate_pose(hidden, scene.rig))
+
+    sure = [pose for pose in poses if PoseFlag.CENTER_WEAK not in pose.flags]
+    assert max([sigmas_off(pose, scene) for pose in sure], default=0.0) < 5.0
+    assert sum(bool(pose.flags) for pose in poses) >= 19
+
+
+def test_the_other_end_of_a_stripe_is_used_where_the_radius_confirms_it(scene, points):
+    pose = estimate_pose(shifted(points, 1, 0, 20.0), scene.rig, known=KNOWN)
+
+    assert "both" not in pose.remark
+    assert sigmas_off(pose, scene) < 4.0
+
+
 @pytest.mark.parametrize("laser", range(3))
 def test_a_wrong_stripe_is_left_out_or_owned_up_to(scene, points, laser):
     pose = estimate_pose(lifted(points, laser, 8.0), scene.rig, known=KNOWN)
