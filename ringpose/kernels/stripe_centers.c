@@ -179,6 +179,11 @@ static int64_t measure_pieces(Job *job, const List *pieces, const int32_t *order
     return number;
 }
 
+VECTOR_LOOP
+static void take_roots(const double *restrict variance, size_t count, double *restrict sigma) {
+    for (size_t i = 0; i < count; i++) sigma[i] = sqrt(variance[i]);
+}
+
 /* Sigmas from variances, when all pieces are known; `sorted` is scratch. */
 static void find_sigmas(Columns *columns, const PieceScatter *measured, size_t count, PieceScatter *sorted,
                         Centers *centers) {
@@ -190,25 +195,26 @@ static void find_sigmas(Columns *columns, const PieceScatter *measured, size_t c
         memcpy(columns->variance, sigma, columns->count * sizeof *sigma);
         for (size_t j = 0; j < columns->count; j++, y += 2) columns->y[j] = *y;
         raise_variances(columns, measured[i].of, usual);
-        for (size_t j = 0; j < columns->count; j++) *sigma++ = sqrt(columns->variance[j]);
+        take_roots(columns->variance, columns->count, sigma);
+        sigma += columns->count;
     }
 }
 
 int find_centers(const StripeImage *image, const Filter *filters, size_t filter_count, const StripeRules *rules,
                  const List *ridges, const List *pieces, Centers *centers) {
-    Job job = {image, filters, filter_count, rules, ridges->data, malloc(sizeof(Patch)), {{0}, {0}}};
+    Patch patch;
+    Job job = {image, filters, filter_count, rules, ridges->data, &patch, {{0}, {0}}};
     size_t room = pieces->used + 1;
     int32_t *end = malloc(room * sizeof *end);
     int32_t *order = end ? ridges_by_piece(rules, ridges, pieces, end) : NULL;
     PieceScatter *measured = malloc(2 * room * sizeof *measured);
     void *memory[2];
     for (int i = 0; i < 2; i++) memory[i] = allocate_columns(job.columns + i, longest_piece(pieces));
-    int done = job.patch != NULL && order != NULL && measured != NULL && memory[0] != NULL && memory[1] != NULL;
+    int done = order != NULL && measured != NULL && memory[0] != NULL && memory[1] != NULL;
     if (done) {
         size_t count = (size_t)measure_pieces(&job, pieces, order, end, measured, centers);
         find_sigmas(job.columns, measured, count, measured + room, centers);
     }
-    free(job.patch);
     free(end);
     free(order);
     free(measured);

@@ -1,6 +1,7 @@
 /* Ridges of neighbouring columns joined into pieces; twin: reference_stripe_links.py. */
 #include "stripes.h"
 
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -74,7 +75,7 @@ static size_t join_shoulders(const StripeImage *image, ptrdiff_t outside, Ridge 
 
 /* ---- course ---- */
 
-static float distance(float a, float b) { return a < b ? b - a : a - b; }
+static float distance(float a, float b) { return fabsf(a - b); }
 
 /* Whether a ridge lies near where the piece is expected, or right beside its last one: a stripe may bend. */
 static int is_next(const Track *track, float y, float apart) {

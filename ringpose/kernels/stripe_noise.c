@@ -74,7 +74,7 @@ static void sample(const Noise *noise, size_t row, size_t block, size_t first, f
     const StripeImage *image = noise->image;
     size_t rows = image->height - row < NOISE_ROWS ? image->height - row : NOISE_ROWS;
     size_t blocks = noise->blocks - block < NOISE_BLOCKS ? noise->blocks - block : NOISE_BLOCKS;
-    float folded[(MOST_REACH + 1) * PIXELS], all[PIXELS], *bend = all;
+    float folded[(MOST_REACH + 1) * PIXELS] __attribute__((aligned(64))), all[PIXELS], *bend = all;
     for (size_t i = 0; i < GROUP; i++) {
         ptrdiff_t middle = (ptrdiff_t)(row + (2 * (first + i) + 1) * rows / (2 * STRIPS));
         fold(image, middle, (block + (first + i) % blocks) * BLOCK, noise->filter->reach, folded + i * BLOCK);

@@ -76,20 +76,25 @@ void load_pixels(const StripeImage *image, ptrdiff_t row, size_t column, size_t 
                patch->pixel);
 }
 
+/* Two rows share what lies above the one and below the other. */
 VECTOR_LOOP
 void bend_pixels(const Filter *filter, size_t count, Patch *patch) {
     const float *tap = filter->bend, *middle = patch->pixel + filter->reach * BLOCK;
-    for (size_t i = 0; i < count; i += 2 * LANES) {
-        const float *up = middle + i, *down = up;
-        Floats one = tap[0] * FIXED_FLOATS(up), two = tap[0] * FIXED_FLOATS(up + LANES);
+    for (size_t i = 0; i < count; i += i % BLOCK + LANES < BLOCK ? LANES : BLOCK + LANES) {
+        const float *top = middle + i, *bottom = top + BLOCK;
+        Floats above = FIXED_FLOATS(top), below = FIXED_FLOATS(bottom);
+        Floats one = tap[0] * above, two = tap[0] * below;
         for (size_t k = 1; k <= filter->reach; k++) {
-            up -= BLOCK;
-            down += BLOCK;
-            one += tap[k] * (FIXED_FLOATS(up) + FIXED_FLOATS(down));
-            two += tap[k] * (FIXED_FLOATS(up + LANES) + FIXED_FLOATS(down + LANES));
+            top -= BLOCK;
+            bottom += BLOCK;
+            Floats next_above = FIXED_FLOATS(top), next_below = FIXED_FLOATS(bottom);
+            one += tap[k] * (next_above + below);
+            two += tap[k] * (above + next_below);
+            above = next_above;
+            below = next_below;
         }
         FLOATS(patch->bend + i) = one;
-        FLOATS(patch->bend + i + LANES) = two;
+        FLOATS(patch->bend + i + BLOCK) = two;
     }
 }
 

@@ -22,11 +22,11 @@ static Ridge ridge_at(const float *here, int32_t column, int32_t row, float nois
 static int smooth_rows(const Noise *noise, const StripeRules *rules, size_t block, size_t first, size_t rows,
                        Patch *patch, List *found) {
     uint8_t ridge[CHUNK * BLOCK];
-    size_t reach = noise->filter->reach, columns = noise->image->width - block * BLOCK;
+    size_t reach = noise->filter->reach, columns = noise->image->width - block * BLOCK, pairs = (rows + 3) / 2;
     float figure = noise_at(noise, first, block);
     const float *response = patch->bend + BLOCK;
-    load_pixels(noise->image, (ptrdiff_t)first - 1 - (ptrdiff_t)reach, block * BLOCK, rows + 2 + 2 * reach, patch);
-    bend_pixels(noise->filter, (rows + 2) * BLOCK, patch);
+    load_pixels(noise->image, (ptrdiff_t)first - 1 - (ptrdiff_t)reach, block * BLOCK, 2 * (pairs + reach), patch);
+    bend_pixels(noise->filter, 2 * pairs * BLOCK, patch);
     mark_ridges(response, least_response(rules, figure), rows * BLOCK, ridge);
     for (size_t i = 0; i < rows * BLOCK; i += 8) {
         uint64_t eight;
@@ -91,15 +91,14 @@ static Run *sorted_runs(const List *runs, size_t blocks, size_t *end) {
 int find_ridges(const Noise *noise, const StripeRules *rules, const List *runs, List *found, List *ridges) {
     size_t *end = malloc((noise->blocks + 1) * sizeof *end);
     Run *sorted = end ? sorted_runs(runs, noise->blocks, end) : NULL;
-    Patch *patch = malloc(sizeof *patch);
-    int done = sorted != NULL && patch != NULL && reserve(ridges, runs->used * BLOCK / 2);
+    Patch patch;
+    int done = sorted != NULL && reserve(ridges, runs->used * BLOCK / 2);
     for (size_t i = 0, block = 0; done && block < noise->blocks; block++) {
         found->used = 0;
-        for (; done && i < end[block]; i++) done = smooth_run(noise, rules, sorted + i, patch, found);
+        for (; done && i < end[block]; i++) done = smooth_run(noise, rules, sorted + i, &patch, found);
         if (done && found->used) done = append_sorted(block, found, ridges);
     }
     free(end);
     free(sorted);
-    free(patch);
     return done;
 }

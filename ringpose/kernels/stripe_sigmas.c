@@ -124,18 +124,36 @@ static double piece_variance(Columns *columns, Scatter of, double usual) {
     return pow(expected, share) * pow(shown / (EXPECTED_DIFFERENCES + count), 1 - share);
 }
 
+/* Variances that sums of squares around the columns show; `from` and `to` say where those begin and end. */
+VECTOR_LOOP
+static void raise_between(const double *restrict from, const double *restrict to, double piece, size_t count,
+                          double *restrict variance) {
+    double squares = 2 * SURROUNDINGS + 1 + PIECE_DIFFERENCES, all = PIECE_DIFFERENCES * piece;
+    for (size_t i = 0; i < count; i++) {
+        double near = ((to[i] - from[i]) + all) / squares;
+        variance[i] = variance[i] > near ? variance[i] : near;
+    }
+}
+
+/* The same for one column, which may have fewer differences around it. */
+static void raise_one(const double *sum, size_t i, size_t lag, size_t count, double piece, double *variance) {
+    size_t from = i > lag + SURROUNDINGS ? i - lag - SURROUNDINGS : 0;
+    size_t to = i + SURROUNDINGS + 1 > lag ? i + SURROUNDINGS + 1 - lag : 0;
+    if (to > count) to = count;
+    if (from > to) from = to;
+    double near = (sum[to] - sum[from]) + PIECE_DIFFERENCES * piece;
+    variance[i] = fmax(variance[i], near / ((double)(to - from) + PIECE_DIFFERENCES));
+}
+
 void raise_variances(Columns *columns, Scatter of, double usual) {
     size_t lag = fitting(of.lag, columns), count = differences(columns, lag);
     double piece = piece_variance(columns, of, usual), limit = LARGEST_SQUARE * piece, *sum = columns->ratio;
     sum[0] = 0;
     for (size_t i = 0; i < count; i++)
         sum[i + 1] = sum[i] + (columns->square[i] < limit ? columns->square[i] : limit);
-    for (size_t i = 0; i < columns->count; i++) {
-        size_t from = i > lag + SURROUNDINGS ? i - lag - SURROUNDINGS : 0;
-        size_t to = i + SURROUNDINGS + 1 > lag ? i + SURROUNDINGS + 1 - lag : 0;
-        if (to > count) to = count;
-        if (from > to) from = to;
-        double near = (sum[to] - sum[from]) + PIECE_DIFFERENCES * piece;
-        columns->variance[i] = fmax(columns->variance[i], near / ((double)(to - from) + PIECE_DIFFERENCES));
-    }
+    size_t first = lag + SURROUNDINGS, all = 2 * SURROUNDINGS + 1, whole = count >= all ? count - all + 1 : 0;
+    if (whole == 0) first = columns->count;
+    for (size_t i = 0; i < first && i < columns->count; i++) raise_one(sum, i, lag, count, piece, columns->variance);
+    if (whole) raise_between(sum, sum + all, piece, whole, columns->variance + first);
+    for (size_t i = first + whole; i < columns->count; i++) raise_one(sum, i, lag, count, piece, columns->variance);
 }

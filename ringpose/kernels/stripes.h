@@ -40,15 +40,15 @@ typedef struct {
     size_t count;
 } Bands;
 
-/* Pixels of a block, from `reach` rows above what is differentiated. */
+/* Pixels of a block, from `reach` rows above what is differentiated. A row is a line of the cache. */
 typedef struct {
     float pixel[PATCH], bend[PATCH], slope[PATCH];
-} Patch;
+} __attribute__((aligned(64))) Patch;
 
 /* Loads rows of a block; beyond the border the outermost pixels are repeated. */
 void load_pixels(const StripeImage *image, ptrdiff_t row, size_t column, size_t rows, Patch *patch);
 
-/* Second derivative down the columns of `count` pixels, whole rows; the first as well. */
+/* Second derivative down the columns of `count` pixels, in pairs of whole rows; the first as well, in whole rows. */
 void bend_pixels(const Filter *filter, size_t count, Patch *patch);
 void differentiate_pixels(const Filter *filter, size_t count, Patch *patch);
 
