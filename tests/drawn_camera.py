@@ -12,11 +12,14 @@ HEIGHT, WIDTH = 130, 200
 
 
 class DrawnCamera(CameraDriver):
-    """Ambient 10 DN, stripes of `brightness_dn` at 5 ms; `lost` numbers the frames at which it fails."""
+    """Ambient 10 DN, stripes of `brightness_dn` at 5 ms; `lost` numbers the frames at which it fails.
+
+    In the frames that `hidden` numbers something stands before the lasers.
+    """
 
     def __init__(self, contacts, rng, brightness_dn=150.0, lost=(), reopens=True):
         self.contacts, self.rng, self.brightness_dn = contacts, rng, brightness_dn
-        self.lost, self.reopens = set(lost), reopens
+        self.lost, self.reopens, self.hidden = set(lost), reopens, set()
         self.taken, self.opened, self.triggered_s = 0, 0, []
         self._exposure_s = 0.005
 
@@ -50,7 +53,7 @@ class DrawnCamera(CameraDriver):
         time.sleep(exposed_s)
         shares = self.contacts.shares(began_s, began_s + exposed_s)
         light = np.full((HEIGHT, WIDTH), 10.0)
-        for laser, share in enumerate(shares):
+        for laser, share in enumerate(() if self.taken in self.hidden else shares):
             light[10 + 15 * laser : 13 + 15 * laser, 20:180] += self.brightness_dn * share
         grey = 2.0 + light * exposed_s / 0.005
         noisy = grey + self.rng.normal(size=grey.shape) * np.sqrt(0.5 + 0.05 * grey)

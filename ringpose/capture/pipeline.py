@@ -11,7 +11,7 @@ from ringpose.capture.cameras.driver import CameraDriver
 from ringpose.capture.lasers.driver import LaserDriver, LasersWentOff
 from ringpose.capture.seen import LitPlaces, seen_lasers, shows_stripe
 from ringpose.capture.settling import measured_settle_s
-from ringpose.errors import DeviceError, LaserSafetyError
+from ringpose.errors import DeviceError, LaserSafetyError, UsageError
 from ringpose.types.frame import Frame, Shot
 from ringpose.types.sequence import Step
 
@@ -23,6 +23,9 @@ DARK_CHECK_S = 0.2
 
 LEAST_SETTLE_S = 0.02
 """Of a second attempt after lasers that followed too late."""
+
+SHARE_OF_LIMIT = 0.8
+"""Of the time for which the guard lets a laser be on, what settling may take beside the exposure."""
 
 RECONNECT_TRIES = 5
 
@@ -42,14 +45,30 @@ class Procedure:
     must_see: bool = False
     """Whether a laser that was commanded must show in the image."""
 
+    @property
+    def exposures_s(self) -> tuple[float, ...]:
+        """All that are asked for; none where everything is left to the device."""
+        asked = [self.exposure_s, *(step.exposure_s for step in self.steps)]
+        return tuple(exposure_s for exposure_s in asked if exposure_s is not None)
+
 
 def captured_shots(
     camera: CameraDriver, lasers: LaserDriver, procedure: Procedure, names: Iterable[str]
 ) -> Iterator[Shot]:
     """One shot a name, of one frame a step; every laser is off whenever a shot is handed on."""
+    _refuse_exposures(camera, procedure)
     taker = _Taker(camera, lasers, procedure)
     for name in names:
         yield taker.shot(name)
+
+
+def _refuse_exposures(camera: CameraDriver, procedure: Procedure) -> None:
+    bounds_us = camera.bounds("ExposureTime")
+    least_s, most_s = (0.0, np.inf) if bounds_us is None else (1e-6 * bound for bound in bounds_us)
+    for exposure_s in procedure.exposures_s:
+        if not least_s <= exposure_s * (1 + 1e-9) or not exposure_s * (1 - 1e-9) <= most_s:
+            found = f"the camera cannot expose for {exposure_s:g} s; it takes {least_s:g} to {most_s:g} s"
+            raise UsageError("--exposure, --sequence", found)
 
 
 class _Unseen(DeviceError):
@@ -75,16 +94,18 @@ class _Taker:
         self._masks = [step.mask(lasers.count) for step in procedure.steps]
         self._settle_s = 0.0 if procedure.settle_s is None else procedure.settle_s
         self._settled = procedure.settle_s is not None
+        self._was_late = False
+        """Whether the last shot needed a longer settling time."""
         self._places: dict[int, LitPlaces] = {}
 
     def shot(self, name: str) -> Shot:
         """A shot in which nothing is wrong, after up to three attempts."""
         self._camera.arm(self._procedure.exposure_s)
-        problem = DeviceError("lasers", "no shot could be taken")
+        problem, doubts = DeviceError("lasers", "no shot could be taken"), 0
         for _ in range(TRIES):
             try:
                 self._settle()
-                shot = self._taken(name)
+                shot = self._taken(name, self._settle_after_s(doubts))
             except LasersWentOff as error:
                 self._lasers.set_mask(0)
                 problem = error
@@ -95,12 +116,30 @@ class _Taker:
                 continue
             checked, doubt = self._checked(shot)
             if doubt is None:
+                self._learn(doubts)
                 return checked
-            problem, self._settle_s = doubt, max(2 * self._settle_s, LEAST_SETTLE_S)
+            problem, doubts = doubt, doubts + 1
         if isinstance(problem, _Unseen) and shows_stripe(self._dark_frame().image):
             found = f"{_names(problem.lasers)} not seen to go on or off, and a stripe shows while all are off"
-            raise LaserSafetyError("lasers", found, "cut the power")
+            raise LaserSafetyError("lasers", found, "cut the power; a line that stays then is no laser's")
         raise problem
+
+    def _settle_after_s(self, doubts: int) -> float:
+        """Settling time after so many attempts in doubt: twice as long each time, within what the guard allows."""
+        if not doubts:
+            return self._settle_s
+        longer_s = (1 << doubts - 1) * max(2 * self._settle_s, LEAST_SETTLE_S)
+        limit_s = self._lasers.longest_on_s
+        if limit_s is None:
+            return longer_s
+        spare_s = SHARE_OF_LIMIT * (limit_s - max(self._procedure.exposures_s, default=0.0))
+        return max(self._settle_s, min(longer_s, spare_s))
+
+    def _learn(self, doubts: int) -> None:
+        """Lasers that were late in two shots running are waited for from now on; one that was once, was disturbed."""
+        if doubts and self._was_late:
+            self._settle_s = self._settle_after_s(doubts)
+        self._was_late = doubts > 0
 
     def _settle(self) -> None:
         """Measure the settling time, once."""
@@ -112,17 +151,17 @@ class _Taker:
             self._lasers.set_mask(0)
         self._settled = True
 
-    def _taken(self, name: str) -> Shot:
+    def _taken(self, name: str, settle_s: float) -> Shot:
         frames, read_masks, lit = [], [], -1
         for step, mask in zip(self._procedure.steps, self._masks, strict=True):
             self._lasers.set_mask(mask)
             if mask != lit:
-                self._lasers.wait(self._settle_s)
+                self._lasers.wait(settle_s)
             lit = mask
             frames.append(self._frame(mask, step.exposure_s))
             read_masks.append(self._lasers.read_mask())
         self._lasers.set_mask(0)
-        meta = {"saturation_dn": self._camera.describe().saturation_dn, "settle_s": self._settle_s}
+        meta = {"saturation_dn": self._camera.describe().saturation_dn, "settle_s": settle_s}
         shot = _shot(name, frames, read_masks, meta)
         return merged_brackets(shot) if any(step.exposure for step in self._procedure.steps) else shot
 
@@ -150,6 +189,10 @@ class _Taker:
 
     def _checked(self, shot: Shot) -> tuple[Shot, DeviceError | None]:
         """The shot with the masks that were seen; a doubt if lasers followed too late or not at all."""
+        reported = 0 if shot.read_lasers is None else int(np.bitwise_or.reduce(shot.read_lasers & ~shot.lasers))
+        if reported:
+            self._refuse_reports()
+            return shot, DeviceError("lasers", f"{_names(reported)} reported on in frames of others")
         seen, places = seen_lasers(shot)
         if seen is None:
             return shot, None
@@ -166,6 +209,14 @@ class _Taker:
         if missing and self._procedure.must_see:
             return checked, _Unseen(missing)
         return checked, None
+
+    def _refuse_reports(self) -> None:
+        """With everything off for long enough the board may not report a laser on."""
+        self._lasers.set_mask(0)
+        self._lasers.wait(DARK_CHECK_S)
+        reported = self._lasers.read_mask()
+        if reported:
+            raise LaserSafetyError("lasers", f"{_names(reported)} reported on while all are off", "cut the power")
 
     def _refuse_light(self, suspects: dict[int, LitPlaces], shot: Shot) -> None:
         """With everything off for long enough no place of these lasers may be lit."""

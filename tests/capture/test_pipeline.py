@@ -8,7 +8,7 @@ import pytest
 from ringpose.capture.cameras.driver import CameraDescription, CameraDriver
 from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.capture.pipeline import Procedure, captured_shots
-from ringpose.errors import DeviceError, LaserSafetyError, SignalReceived
+from ringpose.errors import DeviceError, LaserSafetyError, SignalReceived, UsageError
 from ringpose.types.frame import Frame
 from ringpose.types.sequence import parsed_sequence
 
@@ -16,18 +16,19 @@ from ringpose.types.sequence import parsed_sequence
 class NotedLasers(LaserDriver):
     count = 3
 
-    def __init__(self, stuck: int = 0, reports: bool = True) -> None:
+    def __init__(self, stuck: int = 0, reports: bool = True, dark: int = 0) -> None:
         self.calls: list[str] = []
         self.lit = 0
         self.stuck = stuck
         self.reports = reports
+        self.dark = dark
 
     def open(self) -> None:
         self.calls.append("open")
 
     def set_mask(self, lasers: int) -> None:
         self.calls.append(f"set {lasers}")
-        self.lit = lasers | self.stuck
+        self.lit = lasers & ~self.dark | self.stuck
 
     def read_mask(self) -> int | None:
         return self.lit if self.reports else None
@@ -93,13 +94,54 @@ def test_a_shot_is_handed_on_with_its_lasers_off():
 
 
 def test_what_the_board_reports_is_kept_beside_what_was_commanded():
-    lasers = NotedLasers(stuck=0b100)
+    lasers = NotedLasers(dark=0b100)
 
-    (shot,) = captured_shots(NotedCamera(lasers), lasers, Procedure(steps=parsed_sequence("off,1")), ["first"])
+    (shot,) = captured_shots(NotedCamera(lasers), lasers, Procedure(steps=parsed_sequence("off,all")), ["first"])
 
-    assert shot.lasers.tolist() == [0, 1]
+    assert shot.lasers.tolist() == [0, 0b111]
     assert shot.read_lasers is not None
-    assert shot.read_lasers.tolist() == [0b100, 0b101]
+    assert shot.read_lasers.tolist() == [0, 0b011]
+
+
+@pytest.mark.parametrize("sequence", ["off,1", "1,2", "1+2"])
+def test_a_laser_that_the_board_reports_on_though_all_are_off_is_a_safety_fault(sequence):
+    lasers = NotedLasers(stuck=0b100)
+    shots = captured_shots(NotedCamera(lasers), lasers, Procedure(steps=parsed_sequence(sequence)), ["first"])
+
+    with pytest.raises(LaserSafetyError, match="laser 3 was reported on while all are off; cut the power"):
+        next(shots)
+
+
+def test_a_shot_in_which_the_board_reports_another_laser_is_taken_again():
+    class Hasty(NotedLasers):
+        """Reports another laser than the third one, until all were off."""
+
+        def read_mask(self) -> int | None:
+            return 0b010 if self.lit == 4 and "set 0" not in self.calls else self.lit
+
+    lasers = Hasty()
+
+    (shot,) = captured_shots(NotedCamera(lasers), lasers, Procedure(steps=parsed_sequence("1,3")), ["first"])
+
+    assert shot.read_lasers is not None
+    assert shot.read_lasers.tolist() == [1, 4]
+    assert lasers.calls.count("set 4") == 2
+
+
+@pytest.mark.parametrize(("sequence", "exposure_s"), [("all", 1.5), ("off,1@9us", None), ("off,1@1500ms", 0.1)])
+def test_an_exposure_that_the_camera_does_not_have_is_wrong_usage(sequence, exposure_s):
+    class Bounded(NotedCamera):
+        def bounds(self, feature: str) -> tuple[float, float] | None:
+            return {"ExposureTime": (10.0, 1e6)}[feature]
+
+    lasers = NotedLasers()
+    procedure = Procedure(steps=parsed_sequence(sequence), exposure_s=exposure_s)
+    shots = captured_shots(Bounded(lasers), lasers, procedure, ["first"])
+
+    with pytest.raises(UsageError, match="s; it takes 1e-05 to 1 s"):
+        next(shots)
+
+    assert lasers.calls == []
 
 
 def test_a_board_that_cannot_say_leaves_no_report():

@@ -68,6 +68,28 @@ def test_relays_that_follow_late_are_waited_for(shots_of):
     assert 3 * 5 < camera.taken < 3 * 5 + 15
 
 
+def test_a_laser_that_is_hidden_now_and_then_does_not_make_the_capture_slower(board, rng):
+    with board("lcus") as (relays, uri):
+        parts = device_uri(uri, "--lasers", LASERS)
+        lasers = driver(LASERS, parts.scheme)(parts, LaserPlace())
+        camera = DrawnCamera(relays.contacts, rng)
+        settles_s = []
+        with camera, lasers:
+            for number, shot in enumerate(captured_shots(camera, lasers, procedure(settle_s=0.01), "abcde")):
+                settles_s.append(shot.meta["settle_s"])
+                camera.hidden = {camera.taken + 2} if number % 2 == 0 else set()
+
+    assert settles_s == [0.01, 0.02, 0.01, 0.02, 0.01]
+
+
+def test_lasers_are_waited_for_no_longer_than_the_guard_allows(shots_of, monkeypatch):
+    monkeypatch.setattr("ringpose.capture.lasers.guarded.GuardedLasers.longest_on_s", 0.3)
+
+    (shot,), _ = shots_of(procedure("off,1", settle_s=0.13), ContactFaults(late_s={0: 0.14}))
+
+    assert shot.meta["settle_s"] == pytest.approx(0.24)
+
+
 def test_every_image_shows_the_lasers_of_its_mask_and_no_other(shots_of):
     late = ContactFaults(operate_s=0.01, release_s=0.01, late_s={1: 0.02})
 
