@@ -8,6 +8,7 @@ import os
 import select
 import signal
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 
 from ringpose.capture.lasers.guard_rules import Danger, GuardRules
@@ -15,7 +16,7 @@ from ringpose.capture.lasers.owner import Owner
 from ringpose.capture.lasers.relay_board import RelayBoard
 from ringpose.capture.lasers.relay_settings import RelaySettings, settings_of_line
 from ringpose.capture.lasers.serial_port import SerialPort
-from ringpose.capture.lasers.wear import counted_operations, remember_operations
+from ringpose.capture.lasers.wear import Wear
 from ringpose.errors import DeviceError
 
 ORDERS, ANSWERS = 0, 1
@@ -54,22 +55,25 @@ def _guarded(settings: RelaySettings, port: SerialPort, owner: Owner, wake: int)
 
 def _served(settings: RelaySettings, port: SerialPort, owner: Owner, ends: tuple[int, int]) -> int:
     board = RelayBoard(settings, port)
-    earlier = counted_operations(settings.port, settings.relays)
+    wear = Wear(settings.port, settings.relays)
+    select.select(ends, [], [], settings.opening_s)
+    board.all_off()
     try:
-        select.select(ends, [], [], settings.opening_s)
-        board.all_off()
-        _say(f"0 ok {','.join(map(str, earlier))}\n")
+        _say(f"0 ok {','.join(map(str, wear.earlier))}\n")
         port.interrupting = ends
-        _serve(GuardRules(board, settings, (owner.danger, *_interlock(settings, port))), port, ends)
+        rules = GuardRules(board, settings, (owner.danger, *_interlock(settings, port)))
+        _serve(rules, port, ends, lambda: None if board.lit else wear.note(board.operations))
     finally:
         port.interrupting = ()
-        board.all_off()
-        remember_operations(settings.port, settings.relays, board.operations)
+        try:
+            board.all_off()
+        finally:
+            wear.note(board.operations, at_least=1)
     return 0
 
 
-def _serve(rules: GuardRules, port: SerialPort, ends: tuple[int, int]) -> None:
-    """Until the owner, its orders or the port end, or a signal comes."""
+def _serve(rules: GuardRules, port: SerialPort, ends: tuple[int, int], at_rest: Callable[[], None]) -> None:
+    """Until the owner, its orders or the port end, or a signal comes; `at_rest` is called after orders."""
     poll = select.poll()
     for number in (ORDERS, *ends):
         poll.register(number, select.POLLIN)
@@ -90,6 +94,7 @@ def _serve(rules: GuardRules, port: SerialPort, ends: tuple[int, int]) -> None:
             *lines, pending = (pending + received).split(b"\n")
             for line in lines:
                 _say(rules.obey(line.decode()))
+            at_rest()
 
 
 def _interlock(settings: RelaySettings, port: SerialPort) -> tuple[Danger, ...]:

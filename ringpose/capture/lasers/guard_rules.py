@@ -99,9 +99,9 @@ class GuardRules:
         if danger:
             return danger
         if now_s >= self._heard_s + settings.heartbeat_s:
-            return f"nothing was heard for {settings.heartbeat_s:g} s (heartbeat)"
+            return f"nothing was heard for {settings.heartbeat_s:g} s; raise heartbeat= if a frame takes longer"
         if now_s >= self._on_since_s + settings.on_limit_s:
-            return f"a laser was on for {settings.on_limit_s:g} s (longest_on)"
+            return f"a laser was on for {settings.on_limit_s:g} s; raise longest_on= (and pulse=) if it has to be"
         return ""
 
     def _danger(self) -> str:

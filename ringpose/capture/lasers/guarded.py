@@ -177,8 +177,8 @@ class GuardedLasers(LaserDriver):
     def _lost(self) -> DeviceError | LaserSafetyError:
         """Why there is no guard any more, once everything was done about it."""
         if self._end is not None:
-            self._end.has_come.wait(ENDING_LIMIT_S)
-        return self._fault or LaserSafetyError(self.settings.port, "the guard of the lasers is lost", "cut the power")
+            self._end.has_come.wait(ENDING_LIMIT_S + self.settings.opening_s)
+        return self._fault or self._taken_over()
 
     def _guard_ended(self, pid: int) -> None:
         """In the thread that waits for it: take the port and switch off."""
@@ -186,6 +186,11 @@ class GuardedLasers(LaserDriver):
             return
         with suppress(ProcessLookupError):
             os.kill(pid, signal.SIGKILL)  # it may only have been stopped
+        self._taken_over()
+        self._faulty.set()
+
+    def _taken_over(self) -> DeviceError | LaserSafetyError:
+        """Switch off without a guard; what there is to be said about it."""
         try:
             _switch_off(self.settings)
         except DeviceError as error:
@@ -194,7 +199,7 @@ class GuardedLasers(LaserDriver):
         else:
             found = "the guard of the lasers ended; they were switched off without it"
             self._fault = DeviceError(self.settings.port, found)
-        self._faulty.set()
+        return self._fault
 
 
 def _started(settings: RelaySettings) -> "subprocess.Popen[bytes]":
@@ -218,6 +223,10 @@ def _switch_off(settings: RelaySettings) -> None:
                 raise
             time.sleep(0.005)
     try:
+        if settings.opening_s:  # a board that starts anew when its port is opened may not listen yet
+            with suppress(DeviceError):
+                RelayBoard(settings, port).all_off()
+            time.sleep(settings.opening_s)
         RelayBoard(settings, port).all_off()
     finally:
         port.close()

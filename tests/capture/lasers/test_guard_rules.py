@@ -93,7 +93,7 @@ def test_a_laser_that_stays_on_through_orders_has_its_time_from_when_it_came_on(
     clock.now_s += 0.21
     answer = guard.obey("9 set 1")
 
-    assert answer == "9 off a laser was on for 5 s (longest_on)\n"
+    assert answer == "9 off a laser was on for 5 s; raise longest_on= (and pulse=) if it has to be\n"
     assert board.lit == 0
 
 

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+import tty
 from dataclasses import replace
 
 import pytest
@@ -124,7 +125,7 @@ def test_lasers_that_nobody_speaks_of_any_more_go_off_and_can_be_lit_again(board
             lasers.set_mask(0b001)
             time.sleep(0.3)
             forgotten = lit(relays)
-            with pytest.raises(LasersWentOff, match=r"nothing was heard for 0\.2 s"):
+            with pytest.raises(LasersWentOff, match=r"nothing was heard for 0\.2 s; raise heartbeat="):
                 lasers.set_mask(0b010)
             still_off = lit(relays)
             lasers.set_mask(0)
@@ -142,7 +143,7 @@ def test_a_laser_that_is_on_for_too_long_goes_off_though_somebody_speaks(board, 
             lasers.set_mask(0b001)
             lit_s = time_until(lambda: lasers.read_mask() == 0b001 and not lit(relays), 0.1)
             off_s = time_until(lambda: not lit(relays), 1.0)
-            with pytest.raises(LasersWentOff, match=r"was on for 0\.3 s"):
+            with pytest.raises(LasersWentOff, match=r"was on for 0\.3 s; raise longest_on="):
                 lasers.read_mask()
 
     assert lit_s == float("inf")
@@ -198,6 +199,46 @@ def test_a_crash_writes_no_core_before_the_lasers_go_off(board):
 
     assert soft <= 1
     assert hard == before[1]
+
+
+def test_a_guard_that_dies_while_it_opens_is_replaced(board, monkeypatch):
+    with board("lcus") as (relays, uri):
+        relays.contacts.command(1, True, time.monotonic())
+        monkeypatch.setattr("ringpose.capture.lasers.guarded._START", "import os; os._exit(1)  # {separator}")
+        lasers = lasers_at(uri)
+        with pytest.raises(DeviceError, match="the guard of the lasers ended; they were switched off without it"):
+            lasers.open()
+        lasers.close()
+
+    assert lit(relays) == 0
+
+
+@pytest.mark.parametrize("scheme", [pytest.param("numato", marks=pytest.mark.slow), "modbus"])
+def test_a_board_of_eight_relays_that_is_silent_is_no_safety_fault(scheme):
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    lasers = lasers_at(f"{scheme}:{os.ttyname(slave)}?ch=0,1,2,3,4,5,6,7")
+
+    with pytest.raises(DeviceError, match="does not answer; check the board"):
+        lasers.open()
+
+    lasers.close()
+    os.close(master)
+    os.close(slave)
+
+
+def test_operations_are_counted_though_the_cable_is_pulled(board, time_until):
+    with board("lcus") as (relays, uri):
+        lasers = lasers_at(uri)
+        lasers.open()
+        lasers.set_mask(0b011)
+        relays.unplug()
+        file = wear_file(relays.port)
+        noted_s = time_until(file.exists, 5.0)
+        lasers.close()
+
+    assert noted_s < 5.0
+    assert json.loads(file.read_text())["operations"] == {"0": 1, "1": 1, "2": 0}
 
 
 def test_a_port_that_is_not_there_says_where_to_look():
