@@ -10,7 +10,7 @@ import numpy as np
 
 from ringpose.detect.stripe_filters import stripe_filters
 from ringpose.kernels import stripes as kernel
-from ringpose.types.arrays import Array, Float64, Int32, UInt
+from ringpose.types.arrays import Array, Int32, UInt
 from ringpose.types.frame import full_scale_dn
 from ringpose.types.stripes import UNLABELLED, Stripes
 
@@ -48,14 +48,14 @@ def find_stripes(
     image: UInt[Array, "row column"],
     dark: UInt[Array, "row column"] | None = None,
     parameters: StripeParameters = StripeParameters(),
-    bands: Int32[Array, "band column 2"] | None = None,
+    bands: Int32[Array, "band side=4"] | None = None,
     saturation_dn: int | None = None,
 ) -> Stripes:
     """Sub-pixel stripe centres, linked along x into pieces without gap or jump; their lasers are not known.
 
-    `dark` is the same view with the lasers off; its ambient light is subtracted (and its noise added). `bands` (see
-    `stripe_bands`) restrict the search. `saturation_dn` is the grey value at which a pixel is full; if it is not
-    known, the image must tell.
+    `dark` is the same view with the lasers off; its ambient light is subtracted (and its noise added). `bands` restrict
+    the search: first column, the one after the last, and likewise the rows. `saturation_dn` is the grey value at which
+    a pixel is full; if it is not known, the image must tell.
     """
     sigma = parameters.filter_sigma_px
     full_dn = full_scale_dn(image) if saturation_dn is None else saturation_dn
@@ -77,18 +77,3 @@ def find_stripes(
         piece=found.piece,
         laser=np.full(pieces, UNLABELLED, dtype=np.int64),
     )
-
-
-def stripe_bands(
-    row: Float64[Array, "band column"], half_height_px: float, image_height: int
-) -> Int32[Array, "band column 2"]:
-    """Bands about predicted stripes for `find_stripes`: first row and the one after the last in each column.
-
-    `row` is where each stripe is expected in each column of the image, NaN where it is not.
-    """
-    expected = np.isfinite(row)
-    middle = np.where(expected, row, 0.0)
-    first = np.clip(np.ceil(middle - half_height_px), 0, image_height)
-    end = np.where(expected, np.clip(np.floor(middle + half_height_px) + 1, 0, image_height), first)
-    bands: Int32[Array, "band column 2"] = np.stack([first, end], axis=-1).astype(np.int32)
-    return bands

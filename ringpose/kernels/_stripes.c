@@ -35,7 +35,7 @@ static int open_image(PyObject *object, Py_buffer *view, const char *name) {
 static int open_views(Views *views, PyObject *image, PyObject *dark, PyObject *bands, PyObject *taps,
                       PyObject *figures) {
     return open_image(image, &views->image, "image") && (dark == Py_None || open_image(dark, &views->dark, "dark")) &&
-           (bands == Py_None || open_array(bands, &views->bands, "bands", "il", 4, 3, 0)) &&
+           (bands == Py_None || open_array(bands, &views->bands, "bands", "il", 4, 2, 0)) &&
            open_array(taps, &views->taps, "taps", "f", 4, 3, 0) &&
            open_array(figures, &views->figures, "filters", "d", 8, 2, 0);
 }
@@ -55,8 +55,8 @@ static int images_fit(const Views *views) {
 }
 
 static int bands_fit(const Views *views) {
-    if (!views->bands.obj || (views->bands.shape[1] == views->image.shape[1] && views->bands.shape[2] == 2)) return 1;
-    PyErr_SetString(PyExc_ValueError, "bands: must have two rows for each column of the image");
+    if (!views->bands.obj || views->bands.shape[1] == SIDES) return 1;
+    PyErr_SetString(PyExc_ValueError, "bands: must have four sides each");
     return 0;
 }
 

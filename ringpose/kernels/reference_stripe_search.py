@@ -61,7 +61,7 @@ def enough(rules: StripeRules, noise: Float32[Array, "*shape"]) -> Float32[Array
 def searched(
     image: UInt[Array, "row column"],
     dark: UInt[Array, "row column"] | None,
-    bands: Int32[Array, "band column 2"] | None,
+    bands: Int32[Array, "band side=4"] | None,
     noise: Float32[Array, "row column"],
     rules: StripeRules,
 ) -> Bool[Array, "row column"]:
@@ -74,7 +74,7 @@ def searched(
     far_above, above, first, second, below, far_below = (sums[i : i + count] for i in range(6))
     window = first + second - np.minimum(above + below, far_above + far_below)
     if bands is not None:
-        window = np.where(_asked(bands, *window.shape), window, 0)
+        window = np.where(_asked(bands, image.shape, window.shape), window, 0)
     kept = _kept(window, noise, rules)
     cells = kept[:-1] | kept[1:]
     height, width = image.shape
@@ -93,16 +93,17 @@ def cell_sums(image: UInt[Array, "row column"]) -> Int64[Array, "above_and_below
     return sums
 
 
-def _asked(bands: Int32[Array, "band column 2"], windows: int, blocks: int) -> Bool[Array, "window block"]:
-    """Windows that hold rows of a band; the first window begins in cell -1."""
-    asked = np.zeros((windows, blocks), bool)
-    for band in bands:
-        for block in range(blocks):
-            rows = band[block * BLOCK : (block + 1) * BLOCK]
-            rows = rows[rows[:, 0] < rows[:, 1]]
-            if len(rows):
-                top, bottom = max(int(rows[:, 0].min()), 0), int(rows[:, 1].max())
-                asked[top // CELL : -(-bottom // CELL) + 1, block] |= top < bottom
+def _asked(
+    bands: Int32[Array, "band side=4"], size: tuple[int, int], shape: tuple[int, int]
+) -> Bool[Array, "window block"]:
+    """Windows that hold pixels of a band; the first window begins in cell -1."""
+    asked = np.zeros(shape, bool)
+    for band in bands.tolist():
+        pixels = np.zeros(size, bool)
+        left, right, top, bottom = (max(side, 0) for side in band)
+        pixels[top:bottom, left:right] = True
+        rows, columns = pixels.any(axis=1).nonzero()[0], pixels.any(axis=0).nonzero()[0]
+        asked[np.ix_(np.unique([rows // CELL, rows // CELL + 1]), np.unique(columns // BLOCK))] = True
     return asked
 
 

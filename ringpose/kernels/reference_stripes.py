@@ -17,7 +17,7 @@ from ringpose.types.arrays import Array, Bool, Float32, Int32, Int64, UInt
 def stripes(
     image: UInt[Array, "row column"],
     dark: UInt[Array, "row column"] | None,
-    bands: Int32[Array, "band column 2"] | None,
+    bands: Int32[Array, "band side=4"] | None,
     filters: Filters,
     rules: StripeRules,
 ) -> Centers:

@@ -211,44 +211,35 @@ static int keep_windows(Search *search, ptrdiff_t cell, int32_t least) {
 
 /* ---- bands ---- */
 
-/* First row and the one after the last that a band asks for in a block. */
-static void band_rows(const StripeImage *image, const int32_t *rows, size_t block, int32_t *top, int32_t *bottom) {
-    size_t end = (block + 1) * BLOCK < image->width ? (block + 1) * BLOCK : image->width;
-    *top = INT32_MAX;
-    *bottom = 0;
-    for (size_t x = block * BLOCK; x < end; x++) {
-        if (rows[2 * x] >= rows[2 * x + 1]) continue;
-        *top = rows[2 * x] < *top ? rows[2 * x] : *top;
-        *bottom = rows[2 * x + 1] > *bottom ? rows[2 * x + 1] : *bottom;
+/* Marks cells and windows of blocks, for rows of pixels. */
+static void mark_band(Search *search, size_t from, size_t to, size_t top, size_t bottom) {
+    size_t first = top / CELL, end = (bottom + CELL - 1) / CELL + 1;
+    for (size_t row = first; row < end; row++) {
+        memset(search->wanted + row * search->blocks + from, 1, to - from);
+        search->asked[row] = 1;
     }
-    if (*top < 0) *top = 0;
-    if (*bottom > 0 && (size_t)*bottom > image->height) *bottom = (int32_t)image->height;
-}
-
-static void mark_band(Search *search, size_t block, int32_t top, int32_t bottom) {
-    size_t first = (size_t)(top / CELL), end = (size_t)((bottom + CELL - 1) / CELL) + 1;
-    for (size_t row = first; row < end; row++) search->wanted[row * search->blocks + block] = search->asked[row] = 1;
     for (size_t row = first; row < end + ABOVE + BELOW; row++) {
         size_t *extent = search->extent + 2 * row;
-        search->needed[row * search->blocks + block] = 1;
-        if (extent[1] == 0 || extent[0] > block) extent[0] = block;
-        if (extent[1] < block + 1) extent[1] = block + 1;
+        memset(search->needed + row * search->blocks + from, 1, to - from);
+        if (extent[1] == 0 || extent[0] > from) extent[0] = from;
+        if (extent[1] < to) extent[1] = to;
     }
 }
 
 static int mark_bands(Search *search, const Bands *bands) {
+    const StripeImage *image = search->noise->image;
     size_t blocks = search->blocks, rows = search->cells + 1, all = rows + ABOVE + BELOW;
     search->extent = calloc(2 * all, sizeof *search->extent);
     search->wanted = calloc((rows + all) * blocks + rows, 1);
     if (search->wanted == NULL || search->extent == NULL) return 0;
     search->needed = search->wanted + rows * blocks;
     search->asked = search->needed + all * blocks;
-    for (size_t band = 0; band < bands->count; band++)
-        for (size_t block = 0; block < blocks; block++) {
-            int32_t top, bottom;
-            band_rows(search->noise->image, bands->rows + 2 * band * search->noise->image->width, block, &top, &bottom);
-            if (top < bottom) mark_band(search, block, top, bottom);
-        }
+    for (size_t band = 0; band < bands->count; band++) {
+        const int32_t *side = bands->sides + SIDES * band;
+        size_t left = clamped(side[0], image->width + 1), right = clamped(side[1], image->width + 1);
+        size_t top = clamped(side[2], image->height + 1), bottom = clamped(side[3], image->height + 1);
+        if (left < right && top < bottom) mark_band(search, left / BLOCK, (right - 1) / BLOCK + 1, top, bottom);
+    }
     return 1;
 }
 
@@ -263,23 +254,33 @@ static int keep_rows(Search *search, ptrdiff_t from, ptrdiff_t to) {
     return 1;
 }
 
-/* Rows of cells from -3 on; windows follow when their last cell is known, and are kept when those of the whole area of
-   noise are: its samples are then at hand. */
+/* Rows of windows from the first that is asked for to the one after the last. */
+static void asked_rows(const Search *search, ptrdiff_t *first, ptrdiff_t *end) {
+    *first = -1;
+    *end = (ptrdiff_t)search->cells;
+    if (!search->wanted) return;
+    while (*first < *end && !search->asked[*first + 1]) ++*first;
+    while (*first < *end && !search->asked[*end]) --*end;
+}
+
+/* Rows of cells, from those that the first window is compared with; windows follow when their last cell is known, and
+   are kept when those of the whole area of noise are: its samples are then at hand. */
 static int pass(Search *search) {
-    ptrdiff_t cells = (ptrdiff_t)search->cells, kept = -1;
-    for (ptrdiff_t cell = -1 - ABOVE, window; cell < cells + BELOW; cell++) {
+    ptrdiff_t first, end, kept;
+    asked_rows(search, &first, &end);
+    kept = first;
+    for (ptrdiff_t window = first - ABOVE - BELOW; window < end; window++) {
         if (search->wanted)
-            add_needed_cells(search, cell);
+            add_needed_cells(search, window + BELOW);
         else
-            add_cells(search, cell, 0, search->blocks);
-        window = cell - BELOW;
-        if (window >= -1) find_windows(search, window);
-        if (window <= 0 || window % AREA) continue;
+            add_cells(search, window + BELOW, 0, search->blocks);
+        if (window >= first) find_windows(search, window);
+        if (window <= first || window % AREA) continue;
         if (!keep_rows(search, kept, window - 1)) return 0;
         kept = window - 1;
     }
-    memset(window_row(search, cells), 0, search->blocks * sizeof *search->windows);
-    return keep_rows(search, kept, cells);
+    memset(window_row(search, end), 0, search->blocks * sizeof *search->windows);
+    return keep_rows(search, kept, end);
 }
 
 int find_runs(const Noise *noise, const StripeRules *rules, const Bands *bands, List *runs) {
@@ -288,7 +289,7 @@ int find_runs(const Noise *noise, const StripeRules *rules, const Bands *bands, 
     search.sums = calloc((RING + WINDOWS + 1) * search.blocks, sizeof *search.sums);
     search.row_sum = malloc(2 * search.blocks * sizeof *search.row_sum);
     search.active = malloc(search.blocks);
-    int done = search.sums && search.row_sum && search.active && (!bands->rows || mark_bands(&search, bands));
+    int done = search.sums && search.row_sum && search.active && (!bands->sides || mark_bands(&search, bands));
     if (done) {
         search.windows = search.sums + RING * search.blocks;
         search.open_run = search.windows + WINDOWS * search.blocks;

@@ -34,11 +34,12 @@ typedef struct {
     size_t gap, shortest;      /* columns */
 } StripeRules;
 
-/* For each band and column the first row and the one after the last; NULL for the whole image. */
+/* For each band its first column, the one after the last, and likewise its rows; NULL for the whole image. */
 typedef struct {
-    const int32_t *rows;
+    const int32_t *sides;
     size_t count;
 } Bands;
+enum { SIDES = 4 };
 
 /* Pixels of a block, from `reach` rows above what is differentiated. A row is a line of the cache. */
 typedef struct {

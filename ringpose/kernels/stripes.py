@@ -59,16 +59,16 @@ class Centers(NamedTuple):
 def stripes(
     image: UInt[Array, "row column"],
     dark: UInt[Array, "row column"] | None,
-    bands: Int32[Array, "band column 2"] | None,
+    bands: Int32[Array, "band side=4"] | None,
     filters: Filters,
     rules: StripeRules,
 ) -> Centers:
     """Sub-pixel centres of ridges, column by column, linked into pieces; 8 or 16 bits a pixel.
 
-    `dark` is subtracted. `bands` give for each band and column the first row and the one after the last; all else is
-    left out, in blocks of 4 x 16 pixels. Each piece is measured with the filter that suits its width, or with another
-    one if speckle or its surroundings ask for it; sigmas are those of the sensor's noise, raised to what differences
-    between the centres of a piece show.
+    `dark` is subtracted. `bands` give the first column of each band, the one after the last, and likewise its rows; all
+    else is left out, in blocks of 4 x 16 pixels. Each piece is measured with the filter that suits its width, or with
+    another one if speckle or its surroundings ask for it; sigmas are those of the sensor's noise, raised to what
+    differences between the centres of a piece show.
     """
     lit = np.ascontiguousarray(image)
     black = None if dark is None else np.ascontiguousarray(dark)

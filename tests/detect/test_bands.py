@@ -14,13 +14,10 @@ def test_bands_hold_the_ends_of_predicted_stripes_and_what_surrounds_them():
     bands = predicted_bands(exact_break_points(IMAGE), (0, 1, 2), IMAGE.rig.camera)
 
     assert bands is not None
-    assert bands.shape == (3, 1600, 2)
-    x, y = np.moveaxis(IMAGE.break_points_px, -1, 0)
-    columns = np.rint(x).astype(int)
-    inside = np.take_along_axis(bands, columns[..., None], axis=1)
-    assert np.all(inside[..., 0] <= y - BAND_PX + 1)
-    assert np.all(inside[..., 1] >= y + BAND_PX - 1)
-    assert np.all(np.count_nonzero(bands[..., 1], axis=1) == np.ptp(columns, axis=1) + 2 * BESIDE_PX + 1)
+    first, last = IMAGE.break_points_px.min(axis=1), IMAGE.break_points_px.max(axis=1)
+    around = np.array([BESIDE_PX, BAND_PX])
+    np.testing.assert_allclose(bands[:, ::2], first - around, atol=1)
+    np.testing.assert_allclose(bands[:, 1::2], last + around + 1, atol=1)
 
 
 def test_bands_find_the_centres_that_the_whole_frame_has_there():

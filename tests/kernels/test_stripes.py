@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from ringpose.bench.stripe_images import Kind, stripe_rig, switched_frames
-from ringpose.detect.stripe_centers import stripe_bands
 from ringpose.detect.stripe_filters import stripe_filters
 from ringpose.kernels import _stripes, reference_stripes
 from ringpose.kernels.stripes import Filters, StripeRules, stripes
@@ -67,11 +66,20 @@ def test_odd_sizes_equal_the_twin(kind, shape):
 @pytest.mark.parametrize("kind", [Kind.DARK, Kind.FOIL])
 def test_bands_equal_the_twin(kind):
     image, _ = switched_frames(kind, 0, SEVENTH_RIG)
-    height, width = image.image.shape
-    x = np.arange(width, dtype=np.float64)
-    row = np.stack([np.interp(x, *piece.T, left=np.nan, right=np.nan) for piece in image.pieces_px])
+    first, last = np.floor(image.pieces_px.min(axis=1)), np.ceil(image.pieces_px.max(axis=1))
+    bands = np.stack([first[:, 0], last[:, 0] + 1, first[:, 1] - 9, last[:, 1] + 10], axis=-1).astype(np.int32)
 
-    assert_equal_to_twin(image.image, bands=stripe_bands(row, 9.0, height), least=400)
+    assert_equal_to_twin(image.image, bands=bands, least=400)
+
+
+@pytest.mark.parametrize("count", [0, 1, 4])
+@pytest.mark.parametrize("height", [343, 40, 7])
+def test_bands_anywhere_equal_the_twin(height, count, rng):
+    image, _ = switched_frames(Kind.SPECKLE, 0, SEVENTH_RIG)
+    bands = np.sort(rng.integers(-20, 480, (count, 2, 2)), axis=-1).reshape(count, 4)
+    bands[:, 2:] = bands[:, 2:] * height // 343
+
+    assert_equal_to_twin(image.image[150 : 150 + height], bands=bands.astype(np.int32), least=0)
 
 
 @pytest.mark.parametrize("shortest", [1, 3])
@@ -148,15 +156,15 @@ def test_a_dark_frame_unlike_the_image_is_a_value_error(dark):
         call(dark=dark)
 
 
-@pytest.mark.parametrize("bands", [np.zeros((1, 99, 2), np.int32), np.zeros((1, 100, 3), np.int32)])
-def test_bands_that_do_not_cover_the_columns_are_a_value_error(bands):
+@pytest.mark.parametrize("bands", [np.zeros((1, 100, 2), np.int32), np.zeros((4, 3), np.int32)])
+def test_bands_without_four_sides_are_a_value_error(bands):
     with pytest.raises(ValueError, match="bands"):
         call(bands=bands)
 
 
 @pytest.mark.parametrize("rows", [(-(2**31), 2**31 - 1), (2**31 - 1, -(2**31)), (59, 60), (-9, 0), (60, 99)])
 def test_bands_may_reach_beyond_the_image(rows):
-    bands = np.broadcast_to(np.array(rows, np.int32), (1, 100, 2)).copy()
+    bands = np.array([[*rows, 0, 60], [0, 100, *rows], [*rows, *rows]], np.int32)
 
     assert len(call(bands=bands)) == 4
 
