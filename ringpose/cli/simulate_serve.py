@@ -1,5 +1,6 @@
 """`ringpose simulate serve`: stand-ins for camera and relay board, looking at a scene."""
 
+from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,6 +12,7 @@ from ringpose.cli.options import finite
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
     from contextlib import AbstractContextManager
+    from queue import SimpleQueue
     from typing import Any
 
 
@@ -82,8 +84,6 @@ def serve(
     force: Overwrite = False,
 ) -> None:
     """Stand in for the hardware: a camera and a relay board that look at a scene, until a signal ends it."""
-    import signal
-
     from ringpose.files import records
     from ringpose.files.scenes import read_scene
     from ringpose.simulate.serve.faults import parsed_faults
@@ -99,10 +99,24 @@ def serve(
         warm_up_s=warm_up,
         faults=parsed_faults(fault or (), len(read.rig.lasers.names)),
     )
-    with _noted(log, force) as noted, StandIn(read, setup, noted) as served:
+    with _noted(log, force) as noted, _failures_of_threads() as failures, StandIn(read, setup, noted) as served:
         records.write(served.uris)
-        while True:
-            signal.pause()
+        raise failures.get()
+
+
+@contextmanager
+def _failures_of_threads() -> "Iterator[SimpleQueue[BaseException]]":
+    """What ended a thread that serves: without it there is no camera, or no board, any more."""
+    import threading
+    from queue import SimpleQueue
+
+    failures: SimpleQueue[BaseException] = SimpleQueue()
+    usual = threading.excepthook
+    threading.excepthook = lambda ended: failures.put(ended.exc_value or RuntimeError("a thread ended"))
+    try:
+        yield failures
+    finally:
+        threading.excepthook = usual
 
 
 def _loopback(address: str) -> str:
@@ -120,7 +134,7 @@ def _loopback(address: str) -> str:
 
 
 def _noted(log: Path | None, force: bool) -> "AbstractContextManager[Callable[[Mapping[str, Any]], None] | None]":
-    from contextlib import contextmanager, nullcontext
+    from contextlib import nullcontext
 
     from ringpose.files import atomic, records
 
@@ -131,11 +145,13 @@ def _noted(log: Path | None, force: bool) -> "AbstractContextManager[Callable[[M
     def opened() -> "Iterator[Callable[[Mapping[str, Any]], None]]":
         with atomic.replacing(log, force):
             pass
-        with log.open("a", encoding="utf-8") as stream:
+        with log.open("ab", buffering=0) as stream:
 
             def noted(note: "Mapping[str, Any]") -> None:
-                stream.write(records.line_of(note))
-                stream.flush()
+                try:
+                    stream.write(records.line_of(note).encode())
+                except OSError as error:
+                    raise atomic.output_error(log, error) from error
 
             yield noted
 

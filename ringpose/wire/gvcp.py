@@ -86,7 +86,8 @@ def request_in(datagram: bytes) -> Request | None:
 
 def answer_bytes(answer: Answer) -> bytes:
     """The answer as a datagram."""
-    return _ANSWER.pack(answer.status, answer.command + 1, len(answer.payload), answer.number) + answer.payload
+    answered = answer.command + 1 & 0xFFFF
+    return _ANSWER.pack(answer.status, answered, len(answer.payload), answer.number) + answer.payload
 
 
 def answer_in(datagram: bytes) -> Answer | None:
@@ -97,7 +98,7 @@ def answer_in(datagram: bytes) -> Answer | None:
     payload = datagram[_ANSWER.size : _ANSWER.size + size]
     if len(payload) != size:
         return None
-    return Answer(status=status, command=command - 1, number=number, payload=payload)
+    return Answer(status=status, command=command - 1 & 0xFFFF, number=number, payload=payload)
 
 
 def read_memory_payload(address: int, size: int) -> bytes:

@@ -1,6 +1,7 @@
 """Shots and poses over the network and a serial line, from stand-ins that run in a process of their own."""
 
 import json
+import resource
 import signal
 import subprocess
 import sys
@@ -9,11 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from other_client import Port
 from served_scene import small_scene
 
 from ringpose.cli.main import main
 from ringpose.files.sessions import read_session
 from ringpose.files.shots import read_shot
+from ringpose.simulate.serve import features
+from ringpose.wire import gige_registers as bootstrap
 
 pytestmark = pytest.mark.usefixtures("_aravis")
 
@@ -184,6 +188,30 @@ def test_two_cameras_need_two_addresses(serve, loopback_address, capsys):
 
     assert status == 69
     assert "choose another address" in capsys.readouterr().err
+
+
+def no_room_for_much() -> None:
+    """Files end after a few lines, as on a full disk."""
+    resource.setrlimit(resource.RLIMIT_FSIZE, (300, 300))
+
+
+def test_a_camera_that_cannot_write_its_log_ends_loudly(tmp_path, loopback_address):
+    small_scene(tmp_path)
+    command = [sys.executable, "-c", COMMAND, "simulate", "serve", "--scene", "scene.yaml"]
+    words = [*command, "--camera", loopback_address, "--log", "log.jsonl"]
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(words, cwd=tmp_path, preexec_fn=no_room_for_much, text=True, **streams) as serving:
+        serving.stdout.readline()
+        port = Port(loopback_address)
+        port.write(bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL.to_bytes(4, "big"))
+        port.write(features.ACQUISITION_START, (1).to_bytes(4, "big"))
+        status = serving.wait(10)
+        port.close()
+        said = serving.stderr.read()
+
+    assert status == 74
+    assert said.startswith("ringpose: log.jsonl: writing broke off: file too large")
+    assert len(said.splitlines()) == 1
 
 
 @pytest.mark.slow

@@ -52,6 +52,10 @@ def test_a_denied_write_has_the_bytes_of_the_standard():
     assert answer_in(answer_bytes(answer)) == answer
 
 
+def test_the_last_of_all_commands_has_an_answer():
+    assert answer_bytes(Answer(status=Status.NOT_IMPLEMENTED, command=0xFFFF, number=1)).hex() == "8001000000000001"
+
+
 @pytest.mark.parametrize(
     "text", ["", "42", "4101000200000001", "42010080000400020000"], ids=["none", "a", "key", "cut"]
 )

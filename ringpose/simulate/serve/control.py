@@ -15,6 +15,9 @@ from ringpose.wire.gvcp import Answer, Command, Request, Status, resend_range, w
 Client = tuple[str, int]
 """Address and port."""
 
+LEAST_HEARTBEAT_MS = 500
+"""However short a timeout the client asks for."""
+
 MOST_READ = 536
 """Bytes that one answer holds."""
 
@@ -85,7 +88,8 @@ class Control:
 
     def expire(self, now_s: float) -> None:
         """Give up a client that has not been heard for the time of its heartbeat."""
-        if self._client is not None and now_s - self._heard_s > self.registers[bootstrap.HEARTBEAT_TIMEOUT] / 1000:
+        timeout_ms = max(self.registers[bootstrap.HEARTBEAT_TIMEOUT], LEAST_HEARTBEAT_MS)
+        if self._client is not None and now_s - self._heard_s > 1e-3 * timeout_ms:
             self._release()
 
     def _release(self) -> None:
@@ -143,13 +147,15 @@ class Control:
     def _written(self, address: int, data: bytes, client: Client) -> Status:
         if self._client != client and (self._client is not None or address != bootstrap.CONTROL_PRIVILEGE):
             return Status.ACCESS_DENIED
-        if address % 4:
+        if address % 4 or len(data) % 4:
             return Status.BAD_ALIGNMENT
-        if address in _READ_ONLY:
+        words = range(address, address + len(data), 4)
+        if not _READ_ONLY.isdisjoint(words):
             return Status.WRITE_PROTECT
         if not self.registers.write(address, data):
             return Status.INVALID_ADDRESS
-        self._act(address, client)
+        for word in words:
+            self._act(word, client)
         return Status.SUCCESS
 
     def _act(self, address: int, client: Client) -> None:
@@ -196,4 +202,15 @@ class Control:
             self._actions.resend(*wanted)
 
 
-_READ_ONLY = frozenset({features.WIDTH, features.HEIGHT, features.PAYLOAD_SIZE, features.MISSED_TRIGGERS})
+_READ_ONLY = frozenset(
+    {
+        features.WIDTH,
+        features.HEIGHT,
+        features.PAYLOAD_SIZE,
+        features.MISSED_TRIGGERS,
+        features.TEMPERATURE,
+        *range(0, bootstrap.USER_DEFINED_NAME, 4),
+        *range(bootstrap.XML_URL, bootstrap.HEARTBEAT_TIMEOUT, 4),
+    }
+)
+"""What the camera is, and what it measures."""

@@ -28,6 +28,9 @@ LARGEST_PACKET = 16260
 
 SMALLEST_PACKET = 576
 
+_LOOK_S = 0.05
+"""How often a thread that waits looks whether it is to go on."""
+
 
 @runtime_checkable
 class Exposures(Protocol):
@@ -53,6 +56,16 @@ class CameraFaults:
     """Whether its output lines stay as they are when the client is given up."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Beginning:
+    """An exposure that begins."""
+
+    at_s: float
+    """Monotonic clock."""
+    stopped: threading.Event
+    """Set when the acquisition that it belongs to is over."""
+
+
 class ServedCamera:
     """A camera at an address of this machine; it serves while its block lasts."""
 
@@ -71,9 +84,11 @@ class ServedCamera:
         self._lines_changed = lines_changed
         self._noted = noted
         self._control = Control(self.registers, self, keeps_lines=self._faults.keeps_lines)
-        self._triggers: queue.Queue[float] = queue.Queue(maxsize=1)
+        self._triggers: queue.Queue[_Beginning] = queue.Queue(maxsize=1)
         self._exposed_until_s = 0.0
-        self._acquiring = threading.Event()
+        self._stopped = threading.Event()
+        """Of the present acquisition: a new one has a new event, so that no frame of an old one gets into it."""
+        self._stopped.set()
         self._ended = threading.Event()
         self._block = 0
         self._frames = 0
@@ -98,6 +113,7 @@ class ServedCamera:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._ended.set()
+        self._stopped.set()
         for thread in self._threads:
             thread.join()
         for each in self._sockets:
@@ -106,28 +122,29 @@ class ServedCamera:
 
     def start(self) -> None:
         """See `Actions`; the client has said where its stream socket is."""
+        self._stopped.set()
         self.registers[features.MISSED_TRIGGERS] = 0
         address = str(ipaddress.IPv4Address(self.registers[bootstrap.STREAM_ADDRESS]))
         self.stream.open((address, self.registers[bootstrap.STREAM_PORT] & 0xFFFF))
         with suppress(queue.Empty):
             self._triggers.get_nowait()
         self._exposed_until_s = 0.0
-        self._acquiring.set()
+        self._stopped = threading.Event()
 
     def stop(self) -> None:
         """See `Actions`."""
-        self._acquiring.clear()
+        self._stopped.set()
         self.stream.shut()
 
     def trigger(self) -> None:
         """See `Actions`; a trigger that comes while a frame is exposed is counted and forgotten."""
         now_s = time.monotonic()
-        if not self._acquiring.is_set() or not self.registers[features.TRIGGER_MODE]:
+        if self._stopped.is_set() or not self.registers[features.TRIGGER_MODE]:
             return
         try:
             if now_s < self._exposed_until_s:
                 raise queue.Full
-            self._triggers.put_nowait(now_s)
+            self._triggers.put_nowait(_Beginning(at_s=now_s, stopped=self._stopped))
             self._exposed_until_s = now_s + self._exposure_s
         except queue.Full:
             self.registers[features.MISSED_TRIGGERS] += 1
@@ -160,12 +177,12 @@ class ServedCamera:
 
     def _serve_control(self) -> None:
         while not self._ended.is_set():
-            ready, _, _ = select.select(self._sockets, [], [], 0.05)
+            ready, _, _ = select.select(self._sockets, [], [], _LOOK_S)
+            datagrams = [each.recvfrom(2048) for each in ready]
             if self.is_dead:
                 continue
             self._control.expire(time.monotonic())
-            for each in ready:
-                datagram, client = each.recvfrom(2048)
+            for datagram, client in datagrams:
                 request = request_in(datagram)
                 answer = None if request is None else self._control.answer(request, client, time.monotonic())
                 if answer is not None:
@@ -174,28 +191,31 @@ class ServedCamera:
 
     def _expose(self) -> None:
         while not self._ended.is_set():
-            began_s = self._next_beginning_s()
-            if began_s is None or self.is_dead:
+            beginning = self._next_beginning()
+            if beginning is None or self.is_dead:
                 continue
             exposure_s = self._exposure_s
-            time.sleep(max(0.0, began_s + exposure_s - time.monotonic()))
-            if self._acquiring.is_set():
-                self._send(began_s, exposure_s)
+            if beginning.stopped.wait(max(0.0, beginning.at_s + exposure_s - time.monotonic())):
+                continue
+            self._send(beginning.at_s, exposure_s)
             if self.registers[features.ACQUISITION_MODE] == features.SINGLE_FRAME:
-                self._acquiring.clear()
+                beginning.stopped.set()
 
-    def _next_beginning_s(self) -> float | None:
-        """When the next exposure begins; None if there is none for a while."""
-        if self.registers[features.TRIGGER_MODE] or not self._acquiring.is_set():
+    def _next_beginning(self) -> _Beginning | None:
+        """The next exposure; None if there is none for a while."""
+        stopped = self._stopped
+        if self.registers[features.TRIGGER_MODE] or stopped.is_set():
             try:
-                return self._triggers.get(timeout=0.05)
+                return self._triggers.get(timeout=_LOOK_S)
             except queue.Empty:
                 return None
         due_s = self._exposed_until_s or time.monotonic()
-        time.sleep(max(0.0, due_s - time.monotonic()))
+        wait_s = due_s - time.monotonic()
+        if stopped.wait(min(max(0.0, wait_s), _LOOK_S)) or wait_s > _LOOK_S:
+            return None
         rate_hz = self.registers.number(features.FRAME_RATE, features.FRAME_RATE_BOUNDS_HZ)
         self._exposed_until_s = max(due_s, time.monotonic()) + 1.0 / rate_hz
-        return time.monotonic()
+        return _Beginning(at_s=time.monotonic(), stopped=stopped)
 
     def _send(self, began_s: float, exposure_s: float) -> None:
         pixel_format = self.registers.pixel_format

@@ -1,5 +1,6 @@
 """What is to go wrong, in the words of the command line: `loss=0.002`, `stuck:2`, `late:3=0.05`."""
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -9,7 +10,9 @@ from ringpose.simulate.serve.device import CameraFaults
 
 _LASER_FAULTS = ("stuck", "welded", "dark", "late")
 
-_VALUE_FAULTS = ("loss", "late", "operate", "release", "dead-camera", "unplug")
+_COUNTS = ("dead-camera", "unplug")
+
+_VALUE_FAULTS = ("loss", "late", "operate", "release", *_COUNTS)
 
 FAULTS = ("loss", "no-resend", "dead-camera", "keeps-lines", "unplug", "operate", "release", *_LASER_FAULTS)
 
@@ -74,7 +77,10 @@ def _parsed(text: str, lasers: int) -> _Fault:
         number = float(value) if equals else 0.0
     except ValueError:
         number = -1.0
-    if not number >= 0.0 or (name == "loss" and number >= 1.0):
+    is_possible = math.isfinite(number) and number >= 0.0
+    if name in _COUNTS:
+        is_possible = is_possible and number.is_integer() and number >= 1.0
+    if not is_possible or (name == "loss" and number >= 1.0):
         raise UsageError("--fault", f'"{text}" has no possible value', f"say {_example(name)}")
     return _Fault(text=text, name=name, laser=int(laser) - 1 if colon else -1, value=number)
 

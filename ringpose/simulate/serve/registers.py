@@ -67,13 +67,13 @@ class Registers:
 
     @property
     def pixel_format(self) -> PixelFormat:
-        """As a client set it last."""
-        return PixelFormat(self[features.PIXEL_FORMAT])
+        """As a client set it last; Mono8 if that is none that the camera has."""
+        is_deep = self[features.PIXEL_FORMAT] == PixelFormat.MONO12
+        return PixelFormat.MONO12 if is_deep else PixelFormat.MONO8
 
     def renew(self) -> None:
         """Recompute what depends on other registers."""
-        if self[features.PIXEL_FORMAT] not in (PixelFormat.MONO8, PixelFormat.MONO12):
-            self[features.PIXEL_FORMAT] = PixelFormat.MONO8
+        self[features.PIXEL_FORMAT] = self.pixel_format
         pixels = self[features.WIDTH] * self[features.HEIGHT]
         self[features.PAYLOAD_SIZE] = pixels * self.pixel_format.bytes_per_pixel
 

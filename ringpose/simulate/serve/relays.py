@@ -6,13 +6,17 @@ import threading
 import time
 import tty
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from types import TracebackType
 
 from ringpose.simulate.serve.contacts import ContactFaults, Contacts
-from ringpose.wire.relay_codec import Command, Pulse, Read, RelayCodec, row_of
+from ringpose.wire.relay_codec import Command, Pulse, Read, RelayCodec, SwitchRow, row_of
 
 ALL_RELAYS = 8
 """Of the boards that are stood in for."""
+
+_LONGEST_COMMAND = 64
+"""Bytes; what goes on for longer without a command's end is noise."""
 
 
 class ServedRelays:
@@ -52,6 +56,7 @@ class ServedRelays:
     def __enter__(self) -> "ServedRelays":
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
         self.port = os.ttyname(self._slave)
         self._stop_read, self._stop_write = os.pipe()
         self._thread = threading.Thread(target=self._serve, name=self.port, daemon=True)
@@ -80,7 +85,8 @@ class ServedRelays:
             if self._stop_read in ready:
                 return
             commands, pending = self._codec.commands(pending + os.read(self._master, 4096))
-            for command in commands:
+            pending = pending[-_LONGEST_COMMAND:]
+            for command in filter(_is_for_the_board, commands):
                 self._carry_out(command)
 
     def _carry_out(self, command: Command) -> None:
@@ -92,7 +98,8 @@ class ServedRelays:
             if (on | off) >> relay & 1:
                 self._switch(relay, bool(on >> relay & 1), now_s, until_s)
         coils = self._coils(now_s)
-        os.write(self._master, self._codec.answer(command, coils, ALL_RELAYS))
+        with suppress(BlockingIOError):  # nobody reads what the board says
+            os.write(self._master, self._codec.answer(command, coils, ALL_RELAYS))
         if self._changed is not None and not isinstance(command, Read) and coils != before:
             self._changed(coils)
 
@@ -103,3 +110,13 @@ class ServedRelays:
 
     def _coils(self, now_s: float) -> int:
         return sum(1 << relay for relay, until_s in enumerate(self._coils_until_s) if until_s > now_s)
+
+
+def _is_for_the_board(command: Command) -> bool:
+    """Whether it has the relays that are named; a command to others is not answered."""
+    if isinstance(command, Read):
+        return command.count <= ALL_RELAYS
+    if isinstance(command, SwitchRow):
+        row = range(command.first, command.first + command.count)
+        return row.start >= 0 and row.stop <= ALL_RELAYS and command.lit < 1 << command.count
+    return 0 <= command.relay < ALL_RELAYS

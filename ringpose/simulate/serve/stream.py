@@ -49,6 +49,7 @@ class Stream:
     def send(self, frame: StreamedFrame) -> None:
         """All packets of a frame, not faster than the link."""
         with self._lock:
+            client = self._client
             self._kept[frame.block] = frame
             while len(self._kept) > KEPT_FRAMES:
                 self._kept.popitem(last=False)
@@ -56,6 +57,8 @@ class Stream:
         began_s, sent_bytes = time.perf_counter(), 0
         for first in range(0, frame.packets, burst):
             numbers = range(first, min(first + burst, frame.packets))
+            if self._client is not client:
+                break
             self._send_packets(frame, numbers)
             sent_bytes += len(numbers) * frame.piece_size
             time.sleep(max(0.0, began_s + sent_bytes / LINK_BYTES_PER_S - time.perf_counter()))

@@ -138,12 +138,47 @@ def test_the_description_is_where_the_camera_says(control):
         (features.WIDTH, Status.WRITE_PROTECT),
         (0xA001, Status.BAD_ALIGNMENT),
         (features.XML_ADDRESS, Status.INVALID_ADDRESS),
+        (bootstrap.MANUFACTURER_NAME, Status.WRITE_PROTECT),
+        (bootstrap.XML_URL, Status.WRITE_PROTECT),
     ],
 )
 def test_what_cannot_be_written_is_refused(control, address, status):
     written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
 
     assert written(control, address, 1) == status
+
+
+def test_a_row_of_registers_is_written_as_each_of_them_would_be(control, actions):
+    written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
+    unknown_format = bytes(4) + bytes.fromhex("01100007")
+
+    refused = asked(control, Command.WRITE_MEMORY, (features.HEIGHT).to_bytes(4, "big") + unknown_format)
+    uneven = asked(control, Command.WRITE_MEMORY, features.PIXEL_FORMAT.to_bytes(4, "big") + b"\0\0")
+    row = features.USER_OUTPUT_VALUE.to_bytes(4, "big") + 2 * bytes.fromhex("00000001")
+    accepted = asked(control, Command.WRITE_MEMORY, row)
+
+    assert [refused.status, uneven.status] == [Status.WRITE_PROTECT, Status.BAD_ALIGNMENT]
+    assert accepted.status == Status.SUCCESS
+    assert control.registers[features.USER_OUTPUT_VALUE_ALL] == 0b11
+
+
+def test_a_pixel_format_that_the_camera_lacks_is_not_kept(control):
+    written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
+
+    written(control, features.PIXEL_FORMAT, 0x010C0006)
+
+    assert control.registers[features.PIXEL_FORMAT] == 0x01080001
+
+
+def test_no_heartbeat_is_too_short_to_be_kept(control):
+    written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
+    written(control, bootstrap.HEARTBEAT_TIMEOUT, 0)
+
+    control.expire(0.4)
+    kept = control.client
+    control.expire(0.6)
+
+    assert (kept, control.client) == (OWNER, None)
 
 
 def test_an_address_that_is_not_there_is_refused(control):

@@ -26,6 +26,9 @@ def test_faults_reach_their_parts():
         ("stuck:4", "lasers are numbered from 1 to 3"),
         ("late:1=x", "say late:2=0.05"),
         ("no-resend=1", "say no-resend"),
+        ("dead-camera=inf", "say dead-camera=20"),
+        ("unplug=2.5", "say unplug=20"),
+        ("operate=inf", "say operate=0.008"),
     ],
 )
 def test_what_is_no_fault_is_wrong_usage(text, remedy):

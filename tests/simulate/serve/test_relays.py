@@ -1,14 +1,19 @@
 """The stand-in of a relay board, spoken to in bytes over its terminal."""
 
 import os
+import select
+import threading
 import time
+from contextlib import suppress
 
 import pytest
 
 from ringpose.simulate.serve.contacts import ContactFaults, Contacts
 from ringpose.simulate.serve.relays import ServedRelays
+from ringpose.wire.ascii_relays import AsciiCodec
 from ringpose.wire.lcus import LcusCodec
-from ringpose.wire.modbus import ModbusCodec
+from ringpose.wire.modbus import ModbusCodec, crc
+from ringpose.wire.numato import NumatoCodec
 
 
 def soon(condition, within_s=2.0):
@@ -64,6 +69,68 @@ def test_a_terminal_without_its_cable_hangs_up():
         with pytest.raises(OSError, match="Input/output"):
             os.write(port, b"x")
         os.close(port)
+
+
+CODECS = {
+    "lcus": (LcusCodec(), b"\xff"),
+    "numato": (NumatoCodec(), b"\rrelay readall\r"),
+    "modbus": (ModbusCodec(), bytes.fromhex("0101000000083DCC")),
+    "ascii": (AsciiCodec(on="R{n} ON", off="R{n} OFF", read="R?"), b"\nR?\n"),
+}
+
+
+def impossible(name: str) -> list[bytes]:
+    """Well-formed commands to relays that no board has, and noise without an end."""
+    frames = [bytes.fromhex(text) for text in ("0101 0000 ffff", "010f 0000 0001 01ff", "010f 0005 0007 017f")]
+    return {
+        "lcus": [bytes.fromhex("A0 FF 01 A0")],
+        "numato": [b"relay on V\r"],
+        "modbus": [frame + crc(frame) for frame in frames],
+        "ascii": [b"R0 ON\n", b"R99999999999999999999 ON\n"],
+    }[name] + [5000 * b"x"]
+
+
+def answered(port: int, question: bytes) -> bool:
+    """Whether the board still says something, after what it had to say before."""
+    while select.select([port], [], [], 0.2)[0]:
+        os.read(port, 4096)
+    for _ in range(3):  # the first one may end what came before
+        os.write(port, question)
+        if select.select([port], [], [], 0.5)[0]:
+            return True
+    return False
+
+
+@pytest.mark.parametrize("name", CODECS)
+def test_no_bytes_whatsoever_stop_the_board(name, rng):
+    codec, question = CODECS[name]
+
+    with ServedRelays(codec) as board:
+        port = os.open(board.port, os.O_RDWR | os.O_NOCTTY)
+        for noise in [*impossible(name), *(rng.bytes(int(size)) for size in rng.integers(1, 60, 50))]:
+            os.write(port, noise)
+        is_there = answered(port, question)
+        os.close(port)
+
+    assert is_there
+
+
+@pytest.mark.parametrize("name", CODECS)
+def test_a_board_ends_though_nobody_reads_its_answers(name):
+    codec, question = CODECS[name]
+
+    with ServedRelays(codec) as board:
+        port = os.open(board.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        for _ in range(2000):
+            with suppress(BlockingIOError):
+                os.write(port, question)
+        ending = threading.Thread(target=board.unplug, daemon=True)
+        ending.start()
+        ending.join(2.0)
+        has_ended = not ending.is_alive()
+        os.close(port)
+
+    assert has_ended
 
 
 @pytest.mark.parametrize(
