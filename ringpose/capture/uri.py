@@ -5,6 +5,7 @@ scheme. An installed package may add its own; nothing is imported before it is a
 """
 
 import difflib
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import entry_points
@@ -43,12 +44,26 @@ class DeviceUri:
                 remedy = f"did you mean {near[0]}?" if near else f"it takes {', '.join(known) or 'none'}"
                 raise self.problem(f'has no parameter "{key}"', remedy)
 
-    def number(self, key: str, default: int | float) -> float:
-        """A parameter that is a number."""
+    def number(
+        self, key: str, default: int | float, least: int | float = -math.inf, most: int | float = math.inf
+    ) -> float:
+        """A parameter that is a number within these bounds."""
         try:
-            return float(self.parameters.get(key, default))
+            value = float(self.parameters.get(key, default))
         except ValueError:
-            raise self.problem(f'{key} is "{self.parameters[key]}", must be a number') from None
+            value = math.nan
+        if not math.isfinite(value):
+            raise self.problem(f'{key} is "{self.parameters[key]}", must be a number')
+        if not least <= value <= most:
+            raise self.problem(f'{key} is "{self.parameters[key]}"', f"it takes {least:g} to {most:g}")
+        return value
+
+    def whole(self, key: str, default: int, most: int) -> int:
+        """A parameter that counts something."""
+        value = self.number(key, default, 0, most)
+        if not value.is_integer():
+            raise self.problem(f'{key} is "{self.parameters[key]}", must be a whole number')
+        return int(value)
 
 
 def schemes(group: str) -> tuple[str, ...]:

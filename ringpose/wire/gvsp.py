@@ -127,5 +127,6 @@ def block_after(block: int) -> int:
 
 
 def blocks_between(last: int, block: int) -> int:
-    """Frames that were lost between two that came."""
-    return (block - last - 1) % 0xFFFF
+    """Frames that were lost between two that came; none before one that came late, or twice."""
+    lost = (block - last - 1) % 0xFFFF
+    return lost if lost < 0x8000 else 0

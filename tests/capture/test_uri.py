@@ -55,3 +55,27 @@ def test_a_parameter_that_must_be_a_number_is_checked():
 
     with pytest.raises(UsageError, match='gain is "high", must be a number'):
         uri.number("gain", 0.0)
+
+
+@pytest.mark.parametrize(
+    ("written", "problem"),
+    [
+        ("nan", "must be a number"),
+        ("inf", "must be a number"),
+        ("-1", "it takes 0.5 to 9"),
+        ("9.5", "it takes 0.5 to 9"),
+    ],
+)
+def test_a_number_lies_within_its_bounds(written, problem):
+    uri = device_uri(f"sim:scene.yaml?timeout={written}", "--camera", CAMERAS)
+
+    with pytest.raises(UsageError, match=f'timeout is "{written}".*{problem}'):
+        uri.number("timeout", 2.0, 0.5, 9.0)
+
+
+@pytest.mark.parametrize(("written", "problem"), [("0.5", "must be a whole number"), ("-1", "it takes 0 to 9")])
+def test_what_is_counted_is_whole(written, problem):
+    uri = device_uri(f"sim:scene.yaml?skip={written}", "--camera", CAMERAS)
+
+    with pytest.raises(UsageError, match=f'skip is "{written}".*{problem}'):
+        uri.whole("skip", 0, 9)

@@ -59,6 +59,11 @@ def test_lost_frames_are_counted_across_the_wrap(last, block, lost):
     assert blocks_between(last, block) == lost
 
 
+@pytest.mark.parametrize(("last", "block"), [(7, 7), (7, 5), (1, 65535)], ids=["twice", "late", "late, at the wrap"])
+def test_no_frame_is_lost_before_one_that_came_late(last, block):
+    assert blocks_between(last, block) == 0
+
+
 @pytest.mark.parametrize(("name", "size"), [("MONO8", 1), ("MONO12", 2), ("MONO16", 2)])
 def test_a_pixel_format_says_its_bytes(name, size):
     assert PixelFormat[name].bytes_per_pixel == size

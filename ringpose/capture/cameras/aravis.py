@@ -26,6 +26,9 @@ from ringpose.wire.gvsp import blocks_between
 
 BUFFERS = 4
 
+MOST_PACKET_BYTES = 65535
+"""That a packet of a network can have; the camera says how many its own may."""
+
 _SUCCESS = 0
 
 _NO_PACKET_SOCKET = 1
@@ -43,6 +46,7 @@ class AravisCamera(LockStepCamera):
 
     def __init__(self, uri: DeviceUri) -> None:
         super().__init__(uri)
+        self._packet_bytes = uri.whole("packet", 0, MOST_PACKET_BYTES)
         self._camera = self._device = self._stream = 0
         self._acquiring = self._is_lost = False
         self._letting_go: threading.Thread | None = None
@@ -134,8 +138,8 @@ class AravisCamera(LockStepCamera):
                 self.uri.text, "is controlled by another program", "close that one, or wait 3 s if it died"
             )
         self._aravis.arv_device_set_range_check_policy(self._device, 1)
-        if is_network_camera and "packet" in self.uri.parameters:
-            self._call_camera("arv_camera_gv_set_packet_size", int(self.uri.number("packet", 0)))
+        if is_network_camera and self._packet_bytes:
+            self.set("GevSCPSPacketSize", self._packet_bytes)
         for feature, value in TRIGGERED:
             if self._name(feature) is not None:
                 self.set(feature, value)
@@ -187,20 +191,21 @@ class AravisCamera(LockStepCamera):
         return Grab(
             stamp_s=stamp_s,
             image=self._image(buffer),
+            problem="a frame was smaller than it said",
             device_stamp_s=1e-9 * ticks_ns if ticks_ns else None,
             frame_id=frame_id,
         )
 
-    def _image(self, buffer: int) -> UInt[Array, "row column"]:
+    def _image(self, buffer: int) -> UInt[Array, "row column"] | None:
+        """The picture; None if there are fewer bytes than it would have."""
         aravis, size = self._aravis, c_size_t()
         width, height = aravis.arv_buffer_get_image_width(buffer), aravis.arv_buffer_get_image_height(buffer)
         data = aravis.arv_buffer_get_data(buffer, byref(size))
-        bits = aravis.arv_buffer_get_image_pixel_format(buffer) >> 16 & 0xFF
-        if bits not in (8, 16):
-            found = f"sends {bits} bits a pixel"
-            raise DeviceError(self.uri.text, found, "ask for ?format=Mono8 or, where the camera has it, Mono12")
-        kind = np.dtype(np.uint8 if bits == 8 else "<u2")
-        copied = ctypes.string_at(data, width * height * kind.itemsize)
+        kind = np.dtype(np.uint8 if aravis.arv_buffer_get_image_pixel_format(buffer) >> 16 & 0xFF == 8 else "<u2")
+        image_bytes = width * height * kind.itemsize
+        if not 0 < image_bytes <= size.value:
+            return None
+        copied = ctypes.string_at(data, image_bytes)
         image: UInt[Array, "row column"] = np.frombuffer(copied, dtype=kind).reshape(height, width)
         return image
 

@@ -8,7 +8,7 @@ ALIASES = {
     "DeviceTemperature": ("DeviceTemperature", "DeviceTemperatureAbs", "TemperatureAbs"),
 }
 
-SATURATION_DN = {"Mono8": 255, "Mono10": 1023, "Mono12": 4095, "Mono16": 65535}
+SATURATION_DN = {"Mono8": 255, "Mono10": 1023, "Mono12": 4095, "Mono14": 16383, "Mono16": 65535}
 """The last grey value of the pixel formats that a driver can be asked for."""
 
 

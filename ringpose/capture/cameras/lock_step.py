@@ -18,6 +18,9 @@ TRIES = 3
 ANSWER_LIMIT_S = 2.0
 """How long a frame may take beyond its exposure."""
 
+MOST_SKIPPED = 1000
+"""Frames that may be thrown away before one that counts."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Grab:
@@ -49,8 +52,9 @@ class LockStepCamera(CameraDriver):
         self.dropped = 0
         """Frames that were lost since it was opened, by its own count."""
         self._pixel_format = uri.parameters.get("format", "")
-        self._timeout_s = uri.number("timeout", ANSWER_LIMIT_S)
-        self._skip = int(uri.number("skip", 0))
+        self._timeout_s = uri.number("timeout", ANSWER_LIMIT_S, 0.01, 3600.0)
+        self._skip = uri.whole("skip", 0, MOST_SKIPPED)
+        self._wanted_gain_db = uri.number("gain", 0.0) if "gain" in uri.parameters else None
         self._gain_db: float | None = None
         self._ready_lines: set[str] = set()
         self._description: CameraDescription | None = None
@@ -65,8 +69,11 @@ class LockStepCamera(CameraDriver):
         self._connect()
         if self._pixel_format:
             self.set("PixelFormat", self._pixel_format)
-        if "gain" in self.uri.parameters:
-            self.set("Gain", self.uri.number("gain", 0.0))
+        if self._format() not in SATURATION_DN:
+            remedy = "ask for ?format=Mono8 or, where the camera has it, Mono12"
+            raise DeviceError(self.uri.text, f"sends pixels in the format {self._format()}", remedy)
+        if self._wanted_gain_db is not None:
+            self.set("Gain", self._wanted_gain_db)
         self._gain_db = self._number("Gain")
         exposure_us = self._number("ExposureTime")
         self._own_exposure_s = self._exposure_s = self._armed_s = 0.0 if exposure_us is None else 1e-6 * exposure_us
@@ -126,9 +133,8 @@ class LockStepCamera(CameraDriver):
         """Which camera it is, as it was when it was opened."""
         if self._description is None:
             name, width, height = self._identity()
-            full_dn = SATURATION_DN.get(self._format(), 65535)
             self._description = CameraDescription(
-                name=name, image_width=width, image_height=height, saturation_dn=full_dn
+                name=name, image_width=width, image_height=height, saturation_dn=SATURATION_DN[self._format()]
             )
         return self._description
 

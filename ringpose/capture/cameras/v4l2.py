@@ -10,11 +10,11 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
 
-from ringpose.capture.cameras.lock_step import Grab, LockStepCamera
+from ringpose.capture.cameras.lock_step import MOST_SKIPPED, Grab, LockStepCamera
+from ringpose.capture.uri import DeviceUri
 from ringpose.errors import DeviceError
-from ringpose.types.arrays import Array
+from ringpose.types.arrays import Array, UInt8
 
 FLUSHED = 2
 
@@ -31,6 +31,10 @@ class V4l2Camera(LockStepCamera):
     PARAMETERS = (*LockStepCamera.PARAMETERS, "flush")
 
     _capture: Any = None
+
+    def __init__(self, uri: DeviceUri) -> None:
+        super().__init__(uri)
+        self._flushed = uri.whole("flush", FLUSHED, MOST_SKIPPED)
 
     def bounds(self, feature: str) -> tuple[float, float] | None:
         """The kernel knows them, OpenCV does not tell them."""
@@ -62,7 +66,6 @@ class V4l2Camera(LockStepCamera):
             remedy = "see ringpose capture --list; your user may have to be of the group video"
             raise DeviceError(self.uri.text, "cannot be opened", remedy)
         self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
-        self._flushed = int(self.uri.number("flush", FLUSHED))
 
     def _start(self) -> None:
         """It runs already."""

@@ -3,6 +3,7 @@
 import socket
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from ringpose.simulate.serve.device import CameraFaults, ServedCamera
 from ringpose.simulate.serve.faults import parsed_faults
 from ringpose.simulate.serve.registers import Identity
 from ringpose.simulate.serve.stand_in import Setup, StandIn
+from ringpose.wire.gvsp import StreamedFrame
 
 pytestmark = pytest.mark.usefixtures("_aravis")
 
@@ -230,6 +232,42 @@ def test_a_misspelt_parameter_is_wrong_usage(camera):
 def test_an_unknown_format_is_wrong_usage(camera):
     with pytest.raises(UsageError, match='format "RGB8" is not known; say one of Mono8'):
         camera(format="RGB8")
+
+
+@pytest.mark.parametrize("size", ["100", "20000"])
+def test_an_impossible_packet_size_is_refused_with_its_bounds(serve, camera, size):
+    serve()
+
+    with pytest.raises(DeviceError, match=f"GevSCPSPacketSize cannot be {size}; it takes 576 to 16260"):
+        camera(packet=size).open()
+
+
+def test_packets_have_the_size_that_is_asked_for(serve, camera):
+    stand_in = serve()
+
+    with camera(packet="3000"):
+        assert stand_in.camera.registers[0x0D04] == 3000
+
+
+def test_pixels_that_are_not_grey_are_refused(serve, camera, monkeypatch):
+    serve()
+    monkeypatch.setattr(AravisCamera, "_format", lambda self: "BayerRG8")
+
+    with pytest.raises(DeviceError, match=r"sends pixels in the format BayerRG8; ask for \?format=Mono8"):
+        camera().open()
+
+
+def test_a_frame_that_claims_to_be_larger_than_it_is_is_not_read(serve, camera, monkeypatch):
+    serve()
+    claimed = StreamedFrame._leader_payload
+    monkeypatch.setattr(
+        StreamedFrame,
+        "_leader_payload",
+        lambda frame: claimed(replace(frame, leader=replace(frame.leader, width=40000, height=40000))),
+    )
+
+    with (opened := camera(timeout="0.5")), pytest.raises(DeviceError, match="a frame was smaller than it said"):
+        opened.trigger(0)
 
 
 def test_frames_thrown_away_after_a_change_of_exposure(serve, camera):
