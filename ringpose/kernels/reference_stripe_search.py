@@ -102,7 +102,7 @@ def _asked(
         pixels = np.zeros(size, bool)
         left, right, top, bottom = (max(side, 0) for side in band)
         pixels[top:bottom, left:right] = True
-        rows, columns = pixels.any(axis=1).nonzero()[0], pixels.any(axis=0).nonzero()[0]
+        rows, columns = np.flatnonzero(pixels.any(axis=1)), np.flatnonzero(pixels.any(axis=0))
         asked[np.ix_(np.unique([rows // CELL, rows // CELL + 1]), np.unique(columns // BLOCK))] = True
     return asked
 

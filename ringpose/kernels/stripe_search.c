@@ -30,6 +30,7 @@ typedef struct {
     uint8_t *active;   /* scratch: a row of windows */
     uint8_t *wanted;   /* windows that bands ask for, from those that begin in cell -1; or NULL */
     uint8_t *asked;    /* rows of windows that hold some of those */
+    ptrdiff_t first, end; /* of these rows */
     uint8_t *needed;   /* cells that those look at, from cell -3 */
     size_t *extent;    /* of each row of cells that are needed, first and one after last; from cell -3 */
     List *runs;
@@ -240,6 +241,8 @@ static int mark_bands(Search *search, const Bands *bands) {
         size_t top = clamped(side[2], image->height + 1), bottom = clamped(side[3], image->height + 1);
         if (left < right && top < bottom) mark_band(search, left / BLOCK, (right - 1) / BLOCK + 1, top, bottom);
     }
+    while (search->first < search->end && !search->asked[search->first + 1]) search->first++;
+    while (search->first < search->end && !search->asked[search->end]) search->end--;
     return 1;
 }
 
@@ -254,21 +257,10 @@ static int keep_rows(Search *search, ptrdiff_t from, ptrdiff_t to) {
     return 1;
 }
 
-/* Rows of windows from the first that is asked for to the one after the last. */
-static void asked_rows(const Search *search, ptrdiff_t *first, ptrdiff_t *end) {
-    *first = -1;
-    *end = (ptrdiff_t)search->cells;
-    if (!search->wanted) return;
-    while (*first < *end && !search->asked[*first + 1]) ++*first;
-    while (*first < *end && !search->asked[*end]) --*end;
-}
-
 /* Rows of cells, from those that the first window is compared with; windows follow when their last cell is known, and
    are kept when those of the whole area of noise are: its samples are then at hand. */
 static int pass(Search *search) {
-    ptrdiff_t first, end, kept;
-    asked_rows(search, &first, &end);
-    kept = first;
+    ptrdiff_t first = search->first, end = search->end, kept = first;
     for (ptrdiff_t window = first - ABOVE - BELOW; window < end; window++) {
         if (search->wanted)
             add_needed_cells(search, window + BELOW);
@@ -284,8 +276,10 @@ static int pass(Search *search) {
 }
 
 int find_runs(const Noise *noise, const StripeRules *rules, const Bands *bands, List *runs) {
-    Search search = {.noise = noise, .rules = rules, .blocks = noise->blocks, .runs = runs};
-    search.cells = (noise->image->height + CELL - 1) / CELL;
+    size_t cells = (noise->image->height + CELL - 1) / CELL;
+    Search search = {.noise = noise, .rules = rules, .blocks = noise->blocks, .cells = cells, .runs = runs};
+    search.first = -1;
+    search.end = (ptrdiff_t)cells;
     search.sums = calloc((RING + WINDOWS + 1) * search.blocks, sizeof *search.sums);
     search.row_sum = malloc(2 * search.blocks * sizeof *search.row_sum);
     search.active = malloc(search.blocks);
