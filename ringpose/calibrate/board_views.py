@@ -1,5 +1,7 @@
 """What an image shows of a calibration board, or why it shows none."""
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
@@ -28,8 +30,10 @@ def find_board(image: UInt[Array, "row column"], board: Board, name: str) -> Boa
         seen = _pattern_view(grey, board)
     if isinstance(seen, NoBoard):
         return unusable(grey) or seen
-    ids, points_px = seen
-    return BoardView(name=name, ids=ids, points_board_m=corner_points(board)[ids], points_px=points_px)
+    ids, points_px, likeness = seen
+    return BoardView(
+        name=name, ids=ids, points_board_m=corner_points(board)[ids], points_px=points_px, likeness=likeness
+    )
 
 
 def grey_8_bit(image: UInt[Array, "row column"]) -> UInt8[Array, "row column"]:
@@ -40,7 +44,11 @@ def grey_8_bit(image: UInt[Array, "row column"]) -> UInt8[Array, "row column"]:
     return np.rint(image * scale).astype(np.uint8)
 
 
-_Corners = tuple[Int64[Array, "corner"], Float64[Array, "corner xy=2"]]
+class _Corners(NamedTuple):
+    ids: Int64[Array, "corner"]
+    points_px: Float64[Array, "corner xy=2"]
+    likeness: float = 0.0
+    """Of the errors of a marker's corners."""
 
 
 def _pattern_view(grey: UInt8[Array, "row column"], board: Board) -> _Corners | NoBoard:
@@ -52,7 +60,7 @@ def _pattern_view(grey: UInt8[Array, "row column"], board: Board) -> _Corners | 
         corners = _circle_centers(grey, columns, rows)
     if corners is None:
         return pattern_failure(grey, board)
-    return np.arange(len(corners), dtype=np.int64), corners
+    return _Corners(np.arange(len(corners), dtype=np.int64), corners)
 
 
 def _circle_centers(grey: UInt8[Array, "row column"], columns: int, rows: int) -> Float64[Array, "corner xy=2"] | None:
@@ -63,16 +71,13 @@ def _circle_centers(grey: UInt8[Array, "row column"], columns: int, rows: int) -
 
 def _marker_view(grey: UInt8[Array, "row column"], board: Board) -> _Corners | NoBoard:
     """A board with markers: part of it is enough."""
-    if board.kind == "charuco":
-        ids, corners = _charuco_corners(grey, board)
-    else:
-        ids, corners = _marker_corners(grey, board)
-    if len(ids) >= MINIMUM_CORNERS:
-        return ids, corners
+    seen = _charuco_corners(grey, board) if board.kind == "charuco" else _marker_corners(grey, board)
+    if len(seen.ids) >= MINIMUM_CORNERS:
+        return seen
     markers = find_markers(grey, marker_dictionary(board))
     own = _own_markers(markers, board)
     if board.kind == "charuco" and len(own.ids):
-        found = f"{len(ids)} corners, {len(own.ids)} of {len(marker_corners(board))} markers"
+        found = f"{len(seen.ids)} corners, {len(own.ids)} of {len(marker_corners(board))} markers"
         return NoBoard(failure=BoardFailure.FEW_CORNERS, found=found, points_px=own.corners_px.reshape(-1, 2))
     return marker_failure(grey, board, markers, own)
 
@@ -81,8 +86,9 @@ def _marker_corners(grey: UInt8[Array, "row column"], board: Board) -> _Corners:
     """Corners of the board's own markers."""
     own = _own_markers(find_markers(grey, marker_dictionary(board)), board)
     ids = (4 * own.ids[:, None] + np.arange(4)).ravel()
-    corners = [corners_from_sides(grey, corners) for corners in own.corners_px]
-    return ids, np.reshape(corners, (-1, 2)).astype(np.float64)
+    found = [corners_from_sides(grey, corners) for corners in own.corners_px]
+    points_px = np.reshape([one.points_px for one in found], (-1, 2)).astype(np.float64)
+    return _Corners(ids, points_px, float(np.mean([one.likeness for one in found])) if found else 0.0)
 
 
 def _own_markers(markers: Markers, board: Board) -> Markers:
@@ -105,12 +111,12 @@ def _charuco_corners(grey: UInt8[Array, "row column"], board: Board) -> _Corners
     pattern.setLegacyPattern(board.legacy_pattern)
     corners, ids, _, _ = cv2.aruco.CharucoDetector(pattern).detectBoard(grey)
     if ids is None or not len(ids):
-        return np.empty(0, dtype=np.int64), np.empty((0, 2))
+        return _Corners(np.empty(0, dtype=np.int64), np.empty((0, 2)))
     numbers = np.asarray(ids).ravel().astype(np.int64)
     positions = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
     share = WHITE_PER_GAP * ((board.square_m or 1.0) - (board.marker_m or 0.0)) / (2 * (board.square_m or 1.0))
     half_window_px = share * _square_px(numbers, positions, size[0] - 1)
-    return numbers, refined_corners(grey, positions, half_window_px)
+    return _Corners(numbers, refined_corners(grey, positions, half_window_px))
 
 
 def _square_px(ids: Int64[Array, "n"], positions: Float64[Array, "n xy=2"], columns: int) -> float:

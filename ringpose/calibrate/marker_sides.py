@@ -5,10 +5,13 @@ straight for hundreds of pixels. Each side is a parabola (a lens bends it), and 
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
+from scipy.special import ndtr
 
+from ringpose.calibrate.corner_likeness import likeness_of_ends
 from ringpose.types.arrays import Array, Float64, UInt8
 
 REACH_PX = 4.0
@@ -22,17 +25,33 @@ SHORTEST_SIDE_PX = 24.0
 
 MINIMUM_SAMPLES = 8
 
+LARGEST_MARGIN = 0.1
+"""Share of a side at its ends that is left out at most ..."""
+
+CLEAR_BLURS = 4.0
+"""... and if its blur is known, so many of its standard deviations: nearer, the corner is rounded."""
+
+LEAST_BLUR_PX = 0.4
+
+_ROUNDS = 4
+
 _STEPS = np.arange(-1.0, 1.0 + 1e-9, 0.125)
 _OUTLIER = 4.0 * 1.4826
 
 
-def corners_from_sides(
-    image: UInt8[Array, "row column"], corners: Float64[Array, "corner=4 xy=2"]
-) -> Float64[Array, "corner=4 xy=2"]:
+class SideCorners(NamedTuple):
+    """A marker's corners from its sides."""
+
+    points_px: Float64[Array, "corner=4 xy=2"]
+    likeness: float
+    """Correlation of a side's errors at its two ends; zero where not all the sides are seen."""
+
+
+def corners_from_sides(image: UInt8[Array, "row column"], corners: Float64[Array, "corner=4 xy=2"]) -> SideCorners:
     """The corners where the marker's sides meet; a corner that the sides do not confirm stays as given."""
     lengths = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
     if lengths.min() < SHORTEST_SIDE_PX:
-        return corners
+        return SideCorners(corners, 0.0)
     sides = [_side(image, corners[i], corners[(i + 1) % 4]) for i in range(4)]
     refined = corners.copy()
     for i in range(4):
@@ -41,7 +60,8 @@ def corners_from_sides(
             meeting = _meeting_point(before, after, corners[i])
             if np.linalg.norm(meeting - corners[i]) < REACH_PX / 2:
                 refined[i] = meeting
-    return refined
+    likeness = [likeness_of_ends(side.left_out) for side in sides if side is not None]
+    return SideCorners(refined, float(np.mean(likeness)) if len(likeness) == 4 else 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -54,6 +74,8 @@ class _Side:
     """Outwards: corners run clockwise."""
     length: float
     coefficients: Float64[Array, "3"]
+    left_out: float = LARGEST_MARGIN
+    """Share of the side that was left out at each of its ends."""
 
     def points(self, t: Float64[Array, "n"], across: Float64[Array, "*k n"]) -> Float64[Array, "*k n 2"]:
         """Points at t, so far outside the parabola."""
@@ -77,24 +99,25 @@ def _straight(start: Float64[Array, "2"], end: Float64[Array, "2"]) -> _Side:
 def _side(image: UInt8[Array, "row column"], start: Float64[Array, "2"], end: Float64[Array, "2"]) -> _Side | None:
     """The side between two corners, drawn through its edge; None where too little of the edge is seen."""
     side = _straight(start, end)
-    t = np.linspace(0.1, 0.9, int(0.8 * side.length)) * side.length
     reach = min(REACH_PX, 0.5 * side.length / CELLS)
-    for _ in range(3):
-        offset = _edge_offset(image, side, t, reach)
+    left_out, blur_px = LARGEST_MARGIN, reach
+    for _ in range(_ROUNDS):
+        t = np.linspace(left_out, 1.0 - left_out, int((1.0 - 2.0 * left_out) * side.length)) * side.length
+        offset, blur_px = _edge_offset(image, side, t, reach, blur_px)
         fitted = _robust_parabola(t, np.polynomial.polynomial.polyval(t, side.coefficients) + offset)
         if fitted is None:
             return None
-        side = replace(side, coefficients=fitted)
+        side = replace(side, coefficients=fitted, left_out=left_out)
+        left_out = min(CLEAR_BLURS * blur_px / side.length, LARGEST_MARGIN)
     return side
 
 
 def _edge_offset(
-    image: UInt8[Array, "row column"], side: _Side, t: Float64[Array, "n"], reach: float
-) -> Float64[Array, "n"]:
-    """How far outside the side its edge lies; NaN where there is none.
+    image: UInt8[Array, "row column"], side: _Side, t: Float64[Array, "n"], reach: float, blur_px: float
+) -> tuple[Float64[Array, "n"], float]:
+    """How far outside the side its edge lies, NaN where there is none; and how blurred it is.
 
-    Dark within and bright outside, the edge lies where their areas make up the sum of what is seen. Unlike the centroid
-    of the rise, of which noise would leave positive parts, more of them in the bright, this has no bias (0.03 px).
+    Dark within and bright outside, the edge is an error function; each place is weighed by how steep that is there.
     """
     across = reach * _STEPS
     places = side.points(t, np.broadcast_to(across[:, None], (len(across), len(t))))
@@ -109,12 +132,17 @@ def _edge_offset(
     ends = len(across) // 4
     dark, bright = _level(t, seen[:ends].mean(axis=0)), _level(t, seen[-ends:].mean(axis=0))
     rise = bright - dark
-    mean = (seen[1:] + seen[:-1]).mean(axis=0) / 2
     there = (rise > 0) & (seen[-ends:].mean(axis=0) - seen[:ends].mean(axis=0) > 0.5 * rise)
-    offset: Float64[Array, "n"] = np.where(
-        there, reach * ((bright + dark) - 2 * mean) / np.where(there, rise, 1.0), np.nan
-    )
-    return offset
+    if not there.any():
+        return np.full(len(t), np.nan), blur_px
+    share = (seen - dark) / np.where(there, rise, 1.0)
+    steep = np.exp(-0.5 * (across / blur_px) ** 2)
+    model = ndtr(across / blur_px)
+    scale = blur_px * np.sqrt(2 * np.pi)
+    offset: Float64[Array, "n"] = np.where(there, scale * steep @ (model[:, None] - share) / (steep @ steep), np.nan)
+    mean = np.median(share[:, there], axis=1)
+    beside = np.abs(mean - (across > 0) - 0.5 * (across == 0)).sum() * (across[1] - across[0])
+    return offset, float(np.clip(np.sqrt(np.pi / 2) * beside, LEAST_BLUR_PX, reach))
 
 
 def _level(t: Float64[Array, "n"], grey: Float64[Array, "n"]) -> Float64[Array, "n"]:

@@ -7,7 +7,7 @@ explain (a bent board, an inexact print), the variances of these are widened to 
 
 import numpy as np
 
-from ringpose.calibrate.board_pose import board_pose
+from ringpose.calibrate.corner_likeness import likeliest_pose
 from ringpose.calibrate.intrinsics import parameter_names
 from ringpose.calibrate.plane_joint import (
     JointData,
@@ -57,7 +57,7 @@ def variance_excess(data: JointData, fit: JointFit) -> float:
     three for each plane.
     """
     camera = fit.state.camera
-    poses = [board_pose(view.board, camera) for view in data.views]
+    poses = [likeliest_pose(view.board, camera)[0] for view in data.views]
     alone = sum(corner_chi2(view, pose, camera, data.corner_px) for view, pose in zip(data.views, poses, strict=True))
     lasers = range(len(fit.state.distance_m))
     numbers = sum(_numbers(data, laser) for laser in lasers)

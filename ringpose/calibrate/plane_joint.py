@@ -10,9 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.calibrate.board_pose import moved_pose, residuals
+from ringpose.calibrate.board_pose import moved_pose
+from ringpose.calibrate.corner_likeness import by_independent_errors, corner_residuals
 from ringpose.calibrate.intrinsics import camera_with, parameter_names, parameters_of, projection_jacobians
-from ringpose.calibrate.stripe_errors import scatter_px, shared_length, stripe_bend
+from ringpose.calibrate.stripe_errors import center_sigma_px, shared_length, stripe_bend
 from ringpose.calibrate.stripe_residuals import stripe_rows
 from ringpose.errors import DataError
 from ringpose.geometry.rays import rays
@@ -141,8 +142,8 @@ def prior_information(camera: Camera) -> Float64[Array, "parameter parameter"]:
 
 def corner_sigma_px(views: Sequence[StripeView], poses: Sequence[BoardPose], camera: Camera) -> float:
     """Standard deviation of one coordinate of a corner, from the residuals of all views; strays count as three."""
-    errors = [residuals(view.board, pose, camera) for view, pose in zip(views, poses, strict=True)]
-    every = np.abs(np.concatenate([error.ravel() for error in errors]))
+    errors = [corner_residuals(view.board, pose, camera) for view, pose in zip(views, poses, strict=True)]
+    every = np.abs(np.concatenate(errors))
     limited = np.minimum(every, ROBUST_SIGMAS * 1.4826 * float(np.median(every)))
     return float(np.sqrt(np.sum(limited**2) / max(every.size - 6 * len(errors), 1)))
 
@@ -183,9 +184,10 @@ def _view_rows(
     """Derivatives by the view's pose and by what is shared, and residuals, all by standard deviations and weighed."""
     view, pose, planes = data.views[index], state.poses[index], 3 * len(state.distance_m)
     by_pose, by_camera = projection_jacobians(view.board.points_board_m, pose, state.camera)
-    residual = residuals(view.board, pose, state.camera).ravel() / data.corner_px
-    corners = np.hstack([np.zeros((len(residual), planes)), -by_camera.reshape(len(residual), -1) / data.corner_px])
-    rows = [(-by_pose.reshape(-1, 6) / data.corner_px, corners, residual)]
+    residual = corner_residuals(view.board, pose, state.camera) / data.corner_px
+    by_camera = by_independent_errors(by_camera.reshape(len(residual), -1), view.board) / data.corner_px
+    corners = np.hstack([np.zeros((len(residual), planes)), -by_camera])
+    rows = [(-by_independent_errors(by_pose.reshape(-1, 6), view.board) / data.corner_px, corners, residual)]
     for laser, directions in enumerate(_rays(data, state, index)):
         if not len(directions):
             continue
@@ -270,12 +272,12 @@ def _chi2(data: JointData, state: JointState) -> float:
 
 def corner_chi2(view: StripeView, pose: BoardPose, camera: Camera, corner_px: float) -> float:
     """Squared residuals of a view's corners by their standard deviation, robust."""
-    residual = residuals(view.board, pose, camera).ravel() / corner_px
+    residual = corner_residuals(view.board, pose, camera) / corner_px
     return float(_huber(residual) @ residual**2)
 
 
 def _center_px(points_px: Float64[Array, "n xy=2"], shared: float) -> float:
-    """Scatter times the root of the correlation length of all stripes."""
+    """By the correlation length of all stripes."""
     if not len(points_px):
         return float("nan")
-    return max(scatter_px(points_px) * float(np.sqrt(shared)), LEAST_SIGMA_PX)
+    return max(center_sigma_px(points_px, shared), LEAST_SIGMA_PX)

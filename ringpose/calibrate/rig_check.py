@@ -1,20 +1,21 @@
 """Whether a calibrated rig still holds: a new view of the board against its camera and light planes."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.calibrate.board_pose import board_pose, pose_covariance
+from ringpose.calibrate.corner_likeness import by_independent_errors, likeliest_pose
 from ringpose.calibrate.intrinsics import parameter_names, projection_jacobians
 from ringpose.calibrate.plane_covariance import PLANE_PARAMETERS
 from ringpose.calibrate.plane_joint import LEAST_SIGMA_PX, corner_sigma_px
 from ringpose.calibrate.plane_points import triangulated
-from ringpose.calibrate.stripe_errors import line_variance_px2, stripe_bend
+from ringpose.calibrate.stripe_errors import center_sigma_px, shared_length, stripe_bend
 from ringpose.calibrate.stripe_labels import labelled_by_planes
 from ringpose.calibrate.stripe_residuals import StripeRows, stripe_rows
 from ringpose.geometry.rays import rays
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.board import BoardPose
+from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.calibration import StripeView
 from ringpose.types.rig import Rig
 
@@ -60,15 +61,15 @@ class RigCheck:
 
 def rig_check(view: StripeView, rig: Rig) -> RigCheck:
     """The board where its corners have it, and each stripe on it against its light plane."""
-    pose = board_pose(view.board, rig.camera)
+    board = _standing(view, rig)
     planes = list(zip(rig.lasers.normal, rig.lasers.distance_m.tolist(), strict=True))
     if view.unlabelled_px:
-        view = labelled_by_planes(view, [triangulated(px, pose, rig.camera) for px in view.unlabelled_px], planes)
+        view = labelled_by_planes(view, [triangulated(px, board.pose, rig.camera) for px in view.unlabelled_px], planes)
     return RigCheck(
         name=view.board.name,
-        distance_m=float(pose.translation_m[2]),
-        board_rms_px=pose.residual_rms_px,
-        lasers=tuple(_laser_check(laser, view, pose, rig) for laser in range(len(planes))),
+        distance_m=float(board.pose.translation_m[2]),
+        board_rms_px=board.pose.residual_rms_px,
+        lasers=tuple(_laser_check(laser, view, board, rig) for laser in range(len(planes))),
     )
 
 
@@ -89,17 +90,30 @@ def _judgement(holds: bool) -> str:
     return "holds" if holds else "does not hold"
 
 
-def _laser_check(laser: int, view: StripeView, pose: BoardPose, rig: Rig) -> LaserCheck:
+class _Standing(NamedTuple):
+    pose: BoardPose
+    covariance: Float64[Array, "pose=6 pose=6"]
+
+
+def _standing(view: StripeView, rig: Rig) -> _Standing:
+    """Where the view's corners have the board."""
+    pose, unit = likeliest_pose(view.board, rig.camera)
+    corner_px = max(corner_sigma_px([view], [pose], rig.camera), LEAST_SIGMA_PX)
+    return _Standing(pose, corner_px**2 * unit)
+
+
+def _laser_check(laser: int, view: StripeView, board: _Standing, rig: Rig) -> LaserCheck:
     name, points_px = rig.lasers.names[laser], view.stripes_px[laser]
     if not len(points_px):
         return LaserCheck(name=name, offset_m=float("nan"), limit_m=float("nan"))
     normal, distance_m = rig.lasers.normal[laser], float(rig.lasers.distance_m[laser])
-    rows = stripe_rows(rays(points_px, rig.camera), pose, normal, distance_m, rig.camera)
+    rows = stripe_rows(rays(points_px, rig.camera), board.pose, normal, distance_m, rig.camera)
     places = _line_places(points_px) * rows.metres_per_pixel
     offset_m = places @ rows.residual_px
-    variance = _variance(places @ _by_rig(rows, view, pose, rig), _rig_covariance(rig, laser))
-    variance += _variance(places @ rows.by_pose, _pose_covariance(view, pose, rig))
-    variance += _variance(places @ _unit_bends(points_px).T, line_variance_px2(points_px) * np.eye(2))
+    variance = _variance(places @ _by_rig(rows, view.board, board.pose, rig), _rig_covariance(rig, laser))
+    variance += _variance(places @ rows.by_pose, board.covariance)
+    line_variance = center_sigma_px(points_px, shared_length(view.stripes_px)) ** 2 / len(points_px)
+    variance += _variance(places @ _unit_bends(points_px).T, line_variance * np.eye(2))
     limit_m = SIGMAS * np.sqrt(variance) + FLATNESS_M
     worst = int(np.argmax(np.abs(offset_m) / limit_m))
     return LaserCheck(name=name, offset_m=float(offset_m[worst]), limit_m=float(limit_m[worst]))
@@ -119,10 +133,12 @@ def _line_places(points_px: Float64[Array, "n xy=2"]) -> Float64[Array, "place=3
     return weights
 
 
-def _by_rig(rows: StripeRows, view: StripeView, pose: BoardPose, rig: Rig) -> Float64[Array, "n parameter"]:
+def _by_rig(rows: StripeRows, view: BoardView, pose: BoardPose, rig: Rig) -> Float64[Array, "n parameter"]:
     """Derivatives by the camera, which the board's pose follows, and by the light plane."""
-    by_pose, by_camera = projection_jacobians(view.board.points_board_m, pose, rig.camera)
-    follow, *_ = np.linalg.lstsq(by_pose.reshape(-1, 6), -by_camera.reshape(2 * len(by_camera), -1), rcond=None)
+    by_pose, by_camera = projection_jacobians(view.points_board_m, pose, rig.camera)
+    by_pose = by_independent_errors(by_pose.reshape(-1, 6), view)
+    by_camera = by_independent_errors(by_camera.reshape(len(by_pose), -1), view)
+    follow, *_ = np.linalg.lstsq(by_pose, -by_camera, rcond=None)
     return np.hstack([rows.by_camera + rows.by_pose @ follow, rows.by_plane])
 
 
@@ -136,11 +152,6 @@ def _rig_covariance(rig: Rig, laser: int) -> Float64[Array, "parameter parameter
         places = [rig.covariance.parameters.index(names[index]) for index in known]
         covariance[np.ix_(known, known)] = rig.covariance.data[np.ix_(places, places)]
     return covariance
-
-
-def _pose_covariance(view: StripeView, pose: BoardPose, rig: Rig) -> Float64[Array, "pose=6 pose=6"]:
-    corner_px = max(corner_sigma_px([view], [pose], rig.camera), LEAST_SIGMA_PX)
-    return pose_covariance(view.board, pose, rig.camera, corner_px)
 
 
 def _variance(

@@ -6,14 +6,20 @@ import numpy as np
 
 from ringpose.types.arrays import Array, Float64
 
-BLOCK = 16
-"""Centres whose mean tells how much neighbours have in common: ten times as far as speckle reaches."""
+REACH_PX = 16
+"""Neighbours up to here may be alike; those nearer than half of it count in full. Speckle reaches a quarter."""
 
-FEWEST_BLOCKS = 30
-"""So many blocks tell a mean square to a quarter ..."""
+SHORTEST = 96
+"""Fewer centres tell nothing: the line through them takes what they have in common."""
+
+ENOUGH = 480.0
+"""So many centres tell their likeness to a quarter ..."""
 
 USUAL_LENGTH = 3.0
 """... and what fewer leave open is taken from here: 1.2 to 4.1 on simulated boards of three kinds."""
+
+_TERMS = 4
+"""Of the smooth line that centres are held against."""
 
 
 def stripe_bend(points_px: Float64[Array, "n xy=2"]) -> Float64[Array, "2 n xy=2"]:
@@ -27,55 +33,58 @@ def stripe_bend(points_px: Float64[Array, "n xy=2"]) -> Float64[Array, "2 n xy=2
     return bend
 
 
-def line_variance_px2(points_px: Float64[Array, "n xy=2"]) -> float:
-    """Variance of a line's shift and turn: the centres' scatter over the number of independent centres.
+def center_sigma_px(points_px: Float64[Array, "n xy=2"], length: float) -> float:
+    """Standard deviation of a centre for which neighbours, so many of which count as one, may be taken as independent.
 
-    Speckle makes neighbours alike; their number is divided by the correlation length of the residuals.
+    The smooth line takes some of the scatter with it, the more the longer the neighbours are alike.
     """
-    residual = _residual_px(points_px)
-    return float(residual.var() * correlation_length(residual) / len(residual))
+    left = max(len(points_px) - _TERMS * length, 1.0)
+    _, residual = _residual_px(points_px)
+    return float(np.sqrt(length * (residual @ residual) / left))
 
 
 def scatter_px(points_px: Float64[Array, "n xy=2"]) -> float:
     """Standard deviation of the centres across their stripe."""
-    return float(_residual_px(points_px).std())
+    return float(_residual_px(points_px)[1].std())
 
 
 def shared_length(stripes_px: Sequence[Float64[Array, "_ xy=2"]]) -> float:
-    """The correlation length that many stripes have together, from the means of blocks of their residuals.
+    """Number of neighbours that count as one, from the products of neighbouring residuals of many stripes.
 
     Short stripes, and those that printed squares cut to pieces, hardly show theirs by themselves: taken from each
-    alone, errors were three times as large as they were said to be.
+    alone, errors were three times as large as they were said to be. What the smooth lines take of the products and of
+    the squares is given back.
     """
-    squares, blocks = 0.0, 0
+    products, centers = 0.0, 0.0
     for points_px in stripes_px:
-        if len(points_px) < 6 * BLOCK:
+        if len(points_px) < SHORTEST:
             continue
-        residual = _residual_px(points_px)
-        parts = np.array_split(residual / max(float(residual.std()), 1e-12), len(residual) // BLOCK)
-        squares += sum(len(part) * float(part.mean()) ** 2 for part in parts)
-        blocks += len(parts) - 4
-    missing = max(FEWEST_BLOCKS - blocks, 0)
-    return (squares + missing * USUAL_LENGTH) / (blocks + missing)
+        run, residual = _residual_px(points_px)
+        share, taken = _likeness(run, residual)
+        products += share * len(run)
+        centers += len(run) - taken + _TERMS * share
+    missing = max(ENOUGH - centers, 0.0)
+    return max(products + missing * USUAL_LENGTH, 0.0) / (centers + missing)
 
 
-def _residual_px(points_px: Float64[Array, "n xy=2"]) -> Float64[Array, "n"]:
-    """Offsets across a stripe from the smooth line that a lens may bend it to, in their order along it."""
+def _likeness(run: Float64[Array, "n"], residual: Float64[Array, "n"]) -> tuple[float, float]:
+    """Sum of the products of neighbours over that of the squares, and how many centres' products the line takes."""
+    lag = np.arange(-REACH_PX, REACH_PX + 1)
+    window = np.clip(2.0 - np.abs(lag) / (0.5 * REACH_PX), 0.0, 1.0)
+    smooth = np.linalg.qr(np.polynomial.polynomial.polyvander(run / np.abs(run).max(), _TERMS - 1))[0]
+    place = np.rint(run - run[0]).astype(np.int64)
+    sums = []
+    for values in (residual, *smooth.T):
+        along = np.bincount(place, values)
+        sums.append(float(along @ np.convolve(along, window, "same")))
+    return sums[0] / max(float(residual @ residual), 1e-24), sum(sums[1:])
+
+
+def _residual_px(points_px: Float64[Array, "n xy=2"]) -> tuple[Float64[Array, "n"], Float64[Array, "n"]]:
+    """Places along a stripe in their order, and offsets there from the smooth line that a lens may bend it to."""
     middle = points_px - points_px.mean(axis=0)
     run, offset = (middle @ np.linalg.svd(middle, full_matrices=False)[2].T).T
     order = np.argsort(run)
-    line = np.polynomial.polynomial.polyfit(run, offset, 3)
+    line = np.polynomial.polynomial.polyfit(run, offset, _TERMS - 1)
     residual: Float64[Array, "n"] = (offset - np.polynomial.polynomial.polyval(run, line))[order]
-    return residual
-
-
-def correlation_length(residual: Float64[Array, "n"]) -> float:
-    """Number of neighbours that count as one: 1 + 2 times the sum of the autocorrelation while it is significant."""
-    power = float(residual @ residual)
-    length = 1.0
-    for lag in range(1, len(residual) // 4):
-        correlation = float(residual[lag:] @ residual[:-lag]) / power if power > 0 else 0.0
-        if correlation < 2 / np.sqrt(len(residual)):
-            break
-        length += 2 * correlation
-    return length
+    return run[order], residual

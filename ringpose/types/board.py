@@ -51,6 +51,8 @@ class BoardView:
     """Number of each corner on the board; for marker boards 4 * marker id + corner."""
     points_board_m: Float64[Array, "corner xyz=3"]
     points_px: Float64[Array, "corner xy=2"]
+    likeness: float = 0.0
+    """Correlation of the errors that a marker's side has at its two ends, where corners are where sides meet."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

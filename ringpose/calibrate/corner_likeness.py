@@ -1,0 +1,89 @@
+"""What the corners of one marker have in common (ringpose-method(7), section 6).
+
+Each corner is where two sides meet, and each side was drawn through its edge as one parabola: an error of a side
+moves both corners at its ends. Taken for independent, the corners of four markers make boards seem a third better
+placed than they are.
+"""
+
+import numpy as np
+
+from ringpose.calibrate.board_pose import board_pose, moved_pose, residuals
+from ringpose.calibrate.intrinsics import projection_jacobians
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.board import BoardPose, BoardView
+from ringpose.types.camera import Camera
+
+
+def by_independent_errors(
+    rows: Float64[Array, "coordinate *column"], view: BoardView
+) -> Float64[Array, "coordinate *column"]:
+    """Rows of a view's corner coordinates (x and y of each in turn) turned into as many of independent errors.
+
+    Their mean square stays that of a coordinate; corners that belong to no whole marker stay as they are.
+    """
+    if view.likeness == 0:
+        return rows
+    changed = rows.copy()
+    for first in _whole_markers(view):
+        own = slice(2 * first, 2 * first + 8)
+        changed[own] = _whitening(view.points_px[first : first + 4], view.likeness) @ rows[own]
+    return changed
+
+
+def corner_residuals(view: BoardView, pose: BoardPose, camera: Camera) -> Float64[Array, "coordinate"]:
+    """Of a view's corners in pixels, x and y of each in turn, changed to as many of independent errors."""
+    return by_independent_errors(residuals(view, pose, camera).ravel(), view)
+
+
+def likeliest_pose(view: BoardView, camera: Camera) -> tuple[BoardPose, Float64[Array, "pose=6 pose=6"]]:
+    """The board's pose by corners that err alike, and its covariance for errors of one pixel in each coordinate."""
+    pose = board_pose(view, camera)
+    by_pose, _ = projection_jacobians(view.points_board_m, pose, camera)
+    rows = by_independent_errors(by_pose.reshape(-1, 6), view)
+    covariance: Float64[Array, "pose=6 pose=6"] = np.linalg.inv(rows.T @ rows)
+    if view.likeness:
+        pose = moved_pose(pose, covariance @ rows.T @ corner_residuals(view, pose, camera))
+    return pose, covariance
+
+
+def likeness_of_ends(left_out: float) -> float:
+    """Correlation of a parabola's errors at a side's two ends, if it was drawn without this share of the side at each.
+
+    Over places -1 to 1 its level, slope and bend have independent errors in the Legendre polynomials 1, 3^1/2 x and
+    5^1/2 (3 x^2 - 1) / 2; the ends lie at x = 1 / (1 - 2 left_out) and opposite.
+    """
+    end = 1.0 / (1.0 - 2.0 * left_out)
+    even = 1.0 + 5.0 * ((3.0 * end**2 - 1.0) / 2.0) ** 2
+    odd = 3.0 * end**2
+    return (even - odd) / (even + odd)
+
+
+def _whole_markers(view: BoardView) -> list[int]:
+    """Index of the first corner of each marker that is seen whole: four consecutive numbers round a square."""
+    starts = np.arange(0, len(view.ids) - 3)
+    starts = starts[(view.ids[starts] % 4 == 0) & (view.ids[starts + 3] == view.ids[starts] + 3)]
+    return [int(first) for first in starts if _is_square(view.points_board_m[first : first + 4])]
+
+
+def _is_square(corners: Float64[Array, "corner=4 xyz=3"]) -> bool:
+    sides = np.roll(corners, -1, axis=0) - corners
+    lengths = np.linalg.norm(sides, axis=1)
+    closed = np.allclose(lengths, lengths[0], rtol=1e-3) and abs(float(sides[0] @ sides[1])) < 1e-3 * lengths[0] ** 2
+    return bool(closed and lengths[0] > 0)
+
+
+def _whitening(
+    corners_px: Float64[Array, "corner=4 xy=2"], likeness: float
+) -> Float64[Array, "coordinate=8 coordinate=8"]:
+    """Inverse root of the correlation of the eight coordinates that the ends of four sides give."""
+    along = np.roll(corners_px, -1, axis=0) - corners_px
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    normals = np.stack([along[:, 1], -along[:, 0]], axis=1)
+    by_ends = np.zeros((8, 8))
+    for corner in range(4):
+        meeting = np.linalg.inv(np.stack([normals[corner], normals[corner - 1]]))
+        by_ends[2 * corner : 2 * corner + 2, [2 * corner, 2 * ((corner - 1) % 4) + 1]] = meeting
+    ends = np.kron(np.eye(4), np.array([[1.0, likeness], [likeness, 1.0]]))
+    root = np.linalg.cholesky(by_ends @ ends @ by_ends.T)
+    whitening: Float64[Array, "coordinate=8 coordinate=8"] = np.linalg.inv(root)
+    return whitening
