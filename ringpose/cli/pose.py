@@ -115,12 +115,14 @@ def _lines(
 ) -> "Iterator[Iterator[PoseLine]]":
     """Pose lines of a live camera, or of inputs that the user names; what is bad among them is the batch's business."""
     from ringpose.cli import messages
+    from ringpose.files.shots import fitting_shot
 
     if wanted is None:
         yield _recorded_lines(batch, measure, *recorded)
         return
+    _, rig, _ = recorded
     with newest_shots(wanted, batch, messages.say) as newest:
-        yield _live_lines(newest, batch, measure)
+        yield _live_lines(newest, lambda shot: measure(fitting_shot(shot, rig, wanted.camera)))
 
 
 def _recorded_lines(
@@ -138,13 +140,11 @@ def _recorded_lines(
             yield measure(read_source(item, rig, channel))
 
 
-def _live_lines(
-    newest: "Iterator[LiveShot]", batch: "Batch", measure: "Callable[[Shot | Detection], PoseLine]"
-) -> "Iterator[PoseLine]":
+def _live_lines(newest: "Iterator[LiveShot]", measure: "Callable[[Shot], PoseLine]") -> "Iterator[PoseLine]":
+    """What is wrong with one live shot is wrong with all that follow."""
     for live in newest:
-        with batch.item():
-            line = measure(live.shot)
-            yield replace(line, dropped=live.dropped, latency_s=perf_counter() - live.taken_s)
+        line = measure(live.shot)
+        yield replace(line, dropped=live.dropped, latency_s=perf_counter() - live.taken_s)
 
 
 def pose_line(

@@ -41,7 +41,7 @@ def read_shot(path: Path, channel: str | None = None, rig: Rig | None = None) ->
         stamp_s=np.array([_changed_at_s(path)]),
         exposure_s=np.zeros(1),
     )
-    return _fitting(shot, rig, path)
+    return shot if rig is None else fitting_shot(shot, rig, str(path))
 
 
 def shot_of(archive: Archive, rig: Rig | None = None) -> Shot:
@@ -62,7 +62,7 @@ def shot_of(archive: Archive, rig: Rig | None = None) -> Shot:
         meta=_meta(archive),
         **_optional(archive, frames),
     )
-    return _fitting(shot, rig, archive.path)
+    return shot if rig is None else fitting_shot(shot, rig, str(archive.path))
 
 
 def write_shot(path: Path, shot: Shot, *, force: bool = False) -> None:
@@ -72,18 +72,17 @@ def write_shot(path: Path, shot: Shot, *, force: bool = False) -> None:
     write_archive(path, arrays | meta, force=force)
 
 
-def _fitting(shot: Shot, rig: Rig | None, path: Path) -> Shot:
-    if rig is None:
-        return shot
+def fitting_shot(shot: Shot, rig: Rig, place: str) -> Shot:
+    """The shot, if it can be of this rig; `place` is where it comes from."""
     lasers = len(rig.lasers.names)
     for frame, mask in enumerate(shot.lasers.tolist()):
         if mask >> lasers:
             found = f"frame {frame} names laser {mask.bit_length()}, the rig has {lasers}"
-            raise DataError(f"{path}: lasers", found, "give the rig that took the shot")
+            raise DataError(f"{place}: lasers", found, "give the rig that took the shot")
     height, width = shot.images.shape[1:]
     if (width, height) != (rig.camera.image_width, rig.camera.image_height):
         found = f"{width} x {height} pixels, the rig's camera has {rig.camera.image_width} x {rig.camera.image_height}"
-        raise DataError(str(path), found, "give the rig that took the shot")
+        raise DataError(place, found, "give the rig that took the shot")
     return shot
 
 

@@ -333,3 +333,15 @@ def test_cameras_are_listed_by_their_uris(serve, capsys, loopback_address):
     assert status == 0
     assert [record["kind"] for record in found] == ["camera"]
     assert found[0]["uri"].startswith("aravis:ringpose-Stand-in-RP")
+
+
+def test_live_shots_that_the_rig_does_not_fit_end_the_measurement(serve, example_folder, capsys):
+    uris = serve()
+    devices = ["--camera", uris["camera"], "--lasers", uris["lasers"]]
+
+    status = main(["pose", "--rig", str(example_folder / "scene-rig.yaml"), *devices])
+
+    streams = capsys.readouterr()
+    assert status == 65
+    assert streams.out == ""
+    assert "200 x 150 pixels, the rig's camera has 800 x 600; give the rig that took the shot" in streams.err
