@@ -1,5 +1,6 @@
 """Readable NumPy twin of the kernel that makes straight tracks: the oracle of its tests."""
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -10,6 +11,9 @@ from ringpose.types.arrays import Array, Float64, Int64
 
 MOST_RUNS = 8
 """Runs of neighbouring centres that one track is joined from."""
+
+LAG, LEAST_DIFFERENCES = 4, 8
+"""Columns over which the speckle of two centres has become independent, and differences that tell a scatter."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -86,18 +90,26 @@ def _straight_parts(
 ) -> list[Int64[Array, "m"]]:
     """A run between its kinks: cut where it is farthest from the chord of its ends (Ramer).
 
-    `sigma` is the least of the medians of the runs that it was cut from: a jump raises the sigmas beside it, which
-    must not hide it once the rest of the piece has been cut off.
+    `sigma` is the least that was said of the runs that it was cut from, by their own sigmas or by their scatter: a jump
+    raises the sigmas of all the piece, which must not hide it.
     """
     if len(run) < rules.minimum_columns:
         return []
     bend = _from_chord(centers.points[run])
     cut = int(np.argmax(bend))
-    sigma = min(sigma, float(np.median(centers.sigma[run])))
+    sigma = min(sigma, float(np.median(centers.sigma[run])), _scatter(centers.points[run, 1]))
     if bend[cut] <= rules.kink_px + 1.5 * sigma:
         return [run]
     cut = min(max(cut, 1), len(run) - 1)
     return _straight_parts(run[:cut], centers, rules, sigma) + _straight_parts(run[cut:], centers, rules, sigma)
+
+
+def _scatter(y: Float64[Array, "n"]) -> float:
+    """Of a run's centres, by the median of their second differences, which few jumps do not raise."""
+    if len(y) < 2 * LAG + LEAST_DIFFERENCES:
+        return math.inf
+    differences = np.abs(y[: -2 * LAG] + y[2 * LAG :] - 2 * y[LAG:-LAG])
+    return 1.4826 * float(np.median(differences)) / math.sqrt(6)
 
 
 def _from_chord(points: Float64[Array, "n xy=2"]) -> Float64[Array, "n"]:

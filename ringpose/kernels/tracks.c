@@ -10,6 +10,9 @@
 /* Values of a running median. */
 enum { SMOOTHED = 7 };
 
+/* Columns over which the speckle of two centres has become independent, and differences that tell a scatter. */
+enum { LAG = 4, LEAST_DIFFERENCES = 8 };
+
 typedef struct {
     Draft *data;
     size_t used, capacity;
@@ -84,10 +87,19 @@ static ptrdiff_t farthest_place(const Chord *chord, const double *x, const doubl
     return where;
 }
 
+/* Standard deviation of a run's centres as the median of their second differences has it, which few jumps do not raise;
+   infinite if there are too few. */
+static double scatter_of(const double *y, size_t n, double *scratch) {
+    size_t count = n > 2 * LAG ? n - 2 * LAG : 0;
+    if (count < LEAST_DIFFERENCES) return INFINITY;
+    for (size_t i = 0; i < count; i++) scratch[i] = fabs(y[i] + y[i + 2 * LAG] - 2 * y[i + LAG]);
+    return 1.4826 * median(scratch, count) / sqrt(6);
+}
+
 /* Where a run is to be cut: where it is farthest from its chord, if that is far; else -1.
 
-   `sigma`: the least of the medians of the runs that it was cut from; its own is taken into account. A jump raises the
-   sigmas beside it, which must not hide it once the rest of the piece has been cut off. */
+   `sigma`: the least that was said of the runs that it was cut from; what its own sigmas and scatter say is taken into
+   account. A jump raises the sigmas of all the piece, which must not hide it. */
 static ptrdiff_t kink_of(size_t first, size_t n, const Work *work, double *sigma) {
     const double *x = work->centers->x + first, *y = work->centers->y + first;
     Chord chord = chord_of(x, y, (ptrdiff_t)n);
@@ -95,6 +107,7 @@ static ptrdiff_t kink_of(size_t first, size_t n, const Work *work, double *sigma
     if (most <= work->rules->kink) return -1;
     memcpy(work->scratch, work->centers->sigma + first, n * sizeof(double));
     *sigma = fmin(*sigma, median(work->scratch, n));
+    *sigma = fmin(*sigma, scatter_of(y, n, work->scratch));
     double allowed = work->rules->kink + 1.5 * *sigma, lean = 0;
     if (most <= allowed) return -1;
     for (size_t i = 1; i < n; i++) lean = x[i] - x[i - 1] > lean ? x[i] - x[i - 1] : lean;

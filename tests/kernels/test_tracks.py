@@ -90,6 +90,18 @@ def test_a_kink_cuts_a_piece_in_two():
     assert np.sort(columns(rows, "x_start"))[1] == pytest.approx(220, abs=3)
 
 
+def test_a_step_that_raised_all_sigmas_is_cut(rng):
+    """From a ring's face to the foil behind it, at 1 m: neither it nor its own smooth rise may join the two."""
+    x = np.arange(100, 250)
+    y = 200 + 4.6 / (1 + np.exp(-(x - 152.0) / 1.5)) + rng.normal(0, 0.1, 150)
+    position, sigma, piece, laser = line(x, y)
+
+    rows = straight_tracks(position, np.full_like(sigma, 1.2), piece, laser, STRAIGHT, RULES)
+
+    assert np.sort(columns(rows, "middle_y")) == pytest.approx([200.0, 204.6], abs=0.1)
+    assert np.sort(columns(rows, "x_end"))[0] == pytest.approx(150, abs=5)
+
+
 def test_a_gap_on_one_line_is_bridged():
     x = np.concatenate([np.arange(100, 160), np.arange(175, 240)])
     piece = np.repeat([0, 1], [60, 65])
