@@ -26,7 +26,7 @@ typedef struct {
     int32_t *sums;     /* of a ring of rows of cells */
     int32_t *windows;  /* of a ring of rows of windows */
     int32_t *open_run; /* last of each block, or -1 */
-    uint64_t *row_sum; /* scratch: a row of cells in halves of blocks */
+    uint64_t *row_sum; /* scratch: a row of cells in halves or quarters of blocks */
     uint8_t *active;   /* scratch: a row of windows */
     uint8_t *wanted;   /* windows that bands ask for, from those that begin in cell -1; or NULL */
     uint8_t *asked;    /* rows of windows that hold some of those */
@@ -46,34 +46,31 @@ static int32_t *window_row(const Search *search, ptrdiff_t cell) {
 
 /* ---- sums ---- */
 
-/* Eight columns at a time: the even and odd ones in four lanes of 16 bits. Row after row, as memory is quickest read. */
+/* Eight bytes at a time: the even and odd pixels in lanes of twice their bits. Row after row, as memory is quickest
+   read. */
 VECTOR_LOOP
-static void add_rows_8(const uint8_t *const in[CELL], size_t from, size_t to, uint64_t *restrict sum) {
-    const uint64_t lanes = UINT64_C(0x00ff00ff00ff00ff);
+static void add_rows(const uint8_t *const in[CELL], size_t from, size_t to, int bits, uint64_t *restrict sum) {
+    const uint64_t lanes = bits == 8 ? UINT64_C(0x00ff00ff00ff00ff) : UINT64_C(0x0000ffff0000ffff);
     for (size_t row = 0; row < CELL; row++)
         for (size_t i = from; i < to; i++) {
             uint64_t w;
             memcpy(&w, in[row] + 8 * i, 8);
-            sum[i] = (row ? sum[i] : 0) + (w & lanes) + (w >> 8 & lanes);
+            sum[i] = (row ? sum[i] : 0) + (w & lanes) + (w >> bits & lanes);
         }
 }
 
-static void add_blocks_8(const uint64_t *half, size_t from, size_t to, int32_t sign, int32_t *sum) {
+static void add_blocks_8(const uint64_t *part, size_t from, size_t to, int32_t sign, int32_t *sum) {
     for (size_t block = from; block < to; block++) {
-        uint64_t lanes = half[2 * block] + half[2 * block + 1]; /* at most 16 * 255 each */
+        uint64_t lanes = part[2 * block] + part[2 * block + 1]; /* at most 16 * 255 each */
         sum[block] += sign * (int32_t)(lanes * UINT64_C(0x0001000100010001) >> 48);
     }
 }
 
-VECTOR_LOOP
-static void add_blocks_16(const uint16_t *const in[CELL], size_t from, size_t to, int32_t sign, int32_t *sum) {
+static void add_blocks_16(const uint64_t *part, size_t from, size_t to, int32_t sign, int32_t *sum) {
     for (size_t block = from; block < to; block++) {
-        int32_t total = 0;
-        for (size_t i = 0; i < CELL; i++) {
-            const uint16_t *row = in[i] + block * BLOCK;
-            for (size_t x = 0; x < BLOCK; x++) total += row[x];
-        }
-        sum[block] += sign * total;
+        const uint64_t *four = part + 4 * block;
+        uint64_t lanes = (four[0] + four[1]) + (four[2] + four[3]);
+        sum[block] += sign * (int32_t)(uint32_t)(lanes + (lanes >> 32));
     }
 }
 
@@ -92,17 +89,12 @@ static void add_pixels(const Search *search, const void *pixels, const size_t ro
                        int32_t sign, int32_t *sum) {
     const StripeImage *image = search->noise->image;
     size_t whole = image->width / BLOCK, end = to < whole ? to : whole;
-    const uint8_t *in_8[CELL];
-    const uint16_t *in_16[CELL];
-    for (size_t i = 0; i < CELL; i++) {
-        in_8[i] = (const uint8_t *)pixels + (image->wide ? 0 : rows[i] * image->width);
-        in_16[i] = (const uint16_t *)pixels + (image->wide ? rows[i] * image->width : 0);
-    }
-    if (image->wide) {
-        add_blocks_16(in_16, from, end, sign, sum);
-    } else if (from < end) {
-        add_rows_8(in_8, 2 * from, 2 * end, search->row_sum);
-        add_blocks_8(search->row_sum, from, end, sign, sum);
+    size_t bytes = image->wide ? 2 : 1, parts = image->wide ? 4 : 2;
+    const uint8_t *in[CELL];
+    for (size_t i = 0; i < CELL; i++) in[i] = (const uint8_t *)pixels + rows[i] * image->width * bytes;
+    if (from < end) {
+        add_rows(in, parts * from, parts * end, image->wide ? 16 : 8, search->row_sum);
+        (image->wide ? add_blocks_16 : add_blocks_8)(search->row_sum, from, end, sign, sum);
     }
     if (to > whole) sum[whole] += sign * border_sum(image, pixels, rows, whole);
 }
@@ -281,7 +273,7 @@ int find_runs(const Noise *noise, const StripeRules *rules, const Bands *bands, 
     search.first = -1;
     search.end = (ptrdiff_t)cells;
     search.sums = calloc((RING + WINDOWS + 1) * search.blocks, sizeof *search.sums);
-    search.row_sum = malloc(2 * search.blocks * sizeof *search.row_sum);
+    search.row_sum = malloc(4 * search.blocks * sizeof *search.row_sum);
     search.active = malloc(search.blocks);
     int done = search.sums && search.row_sum && search.active && (!bands->sides || mark_bands(&search, bands));
     if (done) {
