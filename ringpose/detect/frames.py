@@ -52,7 +52,7 @@ def laser_images(shot: Shot, count: int) -> list[LaserImage]:
             lasers = tuple(laser for laser in range(count) if new >> laser & 1)
             dark = _dark(shot, number, mask & covered)
             lit = shot.images[number]
-            scale_dn = shot.usual_full_dn
+            scale_dn = shot.merged_full_dn
             images.append(
                 LaserImage(lit=lit, dark=dark, saturation_dn=saturation_dn, lasers=lasers, usual_full_dn=scale_dn)
             )

@@ -79,8 +79,14 @@ class Shot:
     @property
     def usual_full_dn(self) -> int:
         """What thresholds on grey values scale with: of merged exposures the full value of the longest alone."""
+        merged = self.merged_full_dn
+        return self.saturation_dn if merged is None else merged
+
+    @property
+    def merged_full_dn(self) -> int | None:
+        """The full value of the longest exposure, if several were merged."""
         usual = self.meta.get("usual_full_dn")
-        return int(usual) if usual is not None else self.saturation_dn
+        return None if usual is None else int(usual)
 
 
 def full_scale_dn(images: UInt[Array, "*shape"]) -> int:
