@@ -9,6 +9,8 @@ from ringpose.errors import UsageError
 
 LONGEST_SETTLE_S = 10.0
 
+MOST_SHOTS = 10**9
+
 
 def settle_time(text: str) -> float | Literal["auto"]:
     """Seconds, or `auto`."""
@@ -36,7 +38,9 @@ Steps = Annotated[
 Exposure = Annotated[
     float | None, typer.Option("--exposure", metavar="S", min=1e-9, callback=finite, help="Exposure of each frame.")
 ]
-Count = Annotated[int | None, typer.Option("--count", metavar="N", min=1, help="Shots to take, at most.")]
+Count = Annotated[
+    int | None, typer.Option("--count", metavar="N", min=1, max=MOST_SHOTS, help="Shots to take, at most.")
+]
 Rate = Annotated[
     float | None, typer.Option("--rate", metavar="HZ", min=1e-3, callback=finite, help="Shots a second, at most.")
 ]

@@ -107,7 +107,9 @@ def _simulated(scene_file: Path, wanted: Wanted) -> Source:
 
     scene = read_scene(scene_file)
     frames, rig_camera = SceneFrames(scene), scene.rig.camera
-    wanted = replace(wanted, lasers=wanted.lasers or "sim:", laser_names=scene.rig.lasers.names)
+    wanted = replace(
+        wanted, lasers="sim:" if wanted.lasers is None else wanted.lasers, laser_names=scene.rig.lasers.names
+    )
     lasers = _lasers(wanted, None)
     description = CameraDescription(
         name=rig_camera.camera_name,
@@ -145,7 +147,7 @@ def _lasers(wanted: Wanted, camera: CameraDriver | None) -> LaserDriver:
     from ringpose.capture.lasers.place import LaserPlace
     from ringpose.capture.uri import device_uri, driver
 
-    uri = device_uri(wanted.lasers or "none:", "--lasers", LASERS)
+    uri = device_uri("none:" if wanted.lasers is None else wanted.lasers, "--lasers", LASERS)
     lasers: LaserDriver = driver(LASERS, uri.scheme)(uri, LaserPlace(names=wanted.laser_names, camera=camera))
     return lasers
 
@@ -213,10 +215,10 @@ def _each_laser(lasers: LaserDriver) -> tuple[Step, ...]:
 
 
 def names_by_time() -> Iterator[str]:
-    """`20260101T000000Z_0001`, counted from 1: no two runs give the same."""
+    """`20260101T000000Z_000001`, counted from 1: no two runs give the same."""
     began = f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
     for number in count(1):
-        yield f"{began}_{number:04d}"
+        yield f"{began}_{number:06d}"
 
 
 def _named(pattern: str) -> Iterator[Input | Problem]:
@@ -257,7 +259,7 @@ def _recorded_shots(items: Iterable[Input], wanted: Wanted, batch: Batch, read_f
 def _capture(wanted: Wanted, lasers: str) -> Capture:
     return Capture(
         camera=wanted.camera,
-        lasers=wanted.lasers or lasers,
+        lasers=lasers if wanted.lasers is None else wanted.lasers,
         sequence=None if wanted.steps is None else written_sequence(wanted.steps),
         exposure_s=wanted.exposure_s,
         rate_hz=wanted.rate_hz,

@@ -9,9 +9,9 @@ from ringpose.errors import UsageError
 MOST_LASERS = 8
 """A mask is one byte."""
 
-_STEP = re.compile(r"[1-9][0-9]*(\+[1-9][0-9]*)*")
+_STEP = re.compile(r"[1-9][0-9]{0,3}(\+[1-9][0-9]{0,3})*")
 
-_EXPOSURE = re.compile(r"([0-9]+(?:\.[0-9]+)?)(us|ms|s)")
+_EXPOSURE = re.compile(r"([0-9]{1,12}(?:\.[0-9]{1,12})?)(us|ms|s)")
 
 _UNIT_S = {"us": 1e-6, "ms": 1e-3, "s": 1.0}
 

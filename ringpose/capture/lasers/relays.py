@@ -3,6 +3,7 @@
 Nothing is ever sent to a port to find out what hangs on it: bytes that one board ignores light lasers on another.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -16,6 +17,10 @@ COMMON = ("ch", "baud", "read_back", "heartbeat", "longest_on", "repeat", "inter
 INTERLOCKS = ("", "cts", "dsr")
 
 MOST_RELAYS = 32
+
+_NUMBER = re.compile(r"[0-9]{1,4}")
+
+_HEXADECIMAL = re.compile(r"[0-9a-fA-F]{1,4}")
 
 READ_BACK = ("yes", "no", "try")
 
@@ -33,7 +38,7 @@ def numato(uri: DeviceUri, place: LaserPlace) -> GuardedLasers:
 def modbus(uri: DeviceUri, place: LaserPlace) -> GuardedLasers:
     """Modbus-RTU: `modbus:/dev/ttyUSB0?ch=0,1,2&unit=1&pulse=2`; clones may need `base=1` or `on=0100`."""
     parameters: dict[str, str | int] = {
-        "unit": _whole(uri, "unit", 1, 247, 255),
+        "unit": _whole(uri, "unit", 1, 255, least=1),
         "first": _whole(uri, "base", 0, 1),
         "on_value": _hexadecimal(uri, "on", 0xFF00),
     }
@@ -52,6 +57,8 @@ def ascii_lines(uri: DeviceUri, place: LaserPlace) -> GuardedLasers:
     for key, template in templates.items():
         if "{n}" not in template:
             raise uri.problem(f"{key}= must be a line with {{n}} for the number of the relay", f"such as {key}=R{{n}}")
+    if templates["on"] == templates["off"]:
+        raise uri.problem("says the same for on= and off=", "off= must be what switches a relay off")
     more = {"read": uri.parameters.get("read", ""), "acknowledged_by": uri.parameters.get("ok", "")}
     return GuardedLasers(_settings(uri, place, {**templates, **more}, ("on", "off", "read", "ok")))
 
@@ -70,7 +77,7 @@ def _settings(
         scheme=uri.scheme,
         port=uri.place,
         relays=_relays(uri, place, codec_parameters),
-        baud=_whole(uri, "baud", 9600, 4_000_000),
+        baud=_whole(uri, "baud", 9600, 4_000_000, least=1),
         codec_parameters=codec_parameters,
         read_back=_choice(uri, "read_back", READ_BACK, read_back),
         repeat_s=_seconds(uri, "repeat", 0.0) if "repeat" in uri.parameters else None,
@@ -87,24 +94,24 @@ def _relays(uri: DeviceUri, place: LaserPlace, codec_parameters: Mapping[str, st
     first = CODECS[uri.scheme](**codec_parameters).first
     chosen = []
     for number in channels(uri, place):
-        if not number.isascii() or not number.isdigit() or not first <= int(number) < first + MOST_RELAYS:
-            raise uri.problem(f'ch= has "{number}"', f"relays have numbers from {first}")
+        if not _NUMBER.fullmatch(number) or not first <= int(number) < first + MOST_RELAYS:
+            raise uri.problem(f'ch= has "{number}"', f"relays have numbers from {first} to {first + MOST_RELAYS - 1}")
         chosen.append(int(number) - first)
     return tuple(chosen)
 
 
-def _whole(uri: DeviceUri, key: str, default: int, most: int, other: int | None = None) -> int:
+def _whole(uri: DeviceUri, key: str, default: int, most: int, least: int = 0) -> int:
     value = uri.number(key, default)
-    if value != int(value) or not (0 <= value <= most or value == other):
-        raise uri.problem(f"{key} must be a whole number of at most {most}")
+    if not value.is_integer() or not least <= value <= most:
+        raise uri.problem(f"{key} must be a whole number from {least} to {most}")
     return int(value)
 
 
 def _hexadecimal(uri: DeviceUri, key: str, default: int) -> int:
-    try:
-        return int(uri.parameters.get(key, f"{default:04x}"), 16) & 0xFFFF
-    except ValueError:
-        raise uri.problem(f'{key} is "{uri.parameters[key]}", must be hexadecimal, such as FF00') from None
+    written = uri.parameters.get(key, f"{default:04x}")
+    if not _HEXADECIMAL.fullmatch(written) or not int(written, 16):
+        raise uri.problem(f'{key} is "{written}", must be four hexadecimal digits and not 0, such as FF00')
+    return int(written, 16)
 
 
 def _seconds(uri: DeviceUri, key: str, default: float, least: float = 0.01) -> float:
