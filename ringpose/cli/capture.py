@@ -122,6 +122,6 @@ def _write(shots: "Iterator[Shot]", writer: "SessionWriter", batch: "Batch", ver
 
     for shot in counted(shots, "shots", quiet):
         with batch.item():
-            records.write_text(f"{writer.add(shot)}\n")
+            records.write_name(writer.add(shot))
             if verbose:
                 messages.say(f"{shot.name}: {len(shot.lasers)} frames")

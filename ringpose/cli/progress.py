@@ -2,9 +2,38 @@
 
 import sys
 from collections.abc import Iterable, Iterator
-from typing import TypeVar
+from contextlib import suppress
+from typing import IO, TypeVar, cast
 
 _Item = TypeVar("_Item")
+
+
+class _Screen:
+    """A terminal; when it goes away the work goes on without it."""
+
+    encoding = "utf-8"
+
+    def __init__(self, stream: IO[str]) -> None:
+        self._stream = stream
+
+    def isatty(self) -> bool:
+        """Known before it is made."""
+        return True
+
+    def fileno(self) -> int:
+        """For its size."""
+        return self._stream.fileno()
+
+    def write(self, text: str) -> int:
+        """Lost if nobody can see it."""
+        with suppress(OSError):
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        """Lost if nobody can see it."""
+        with suppress(OSError):
+            self._stream.flush()
 
 
 def counted(items: Iterable[_Item], what: str, quiet: bool = False) -> Iterator[_Item]:
@@ -17,7 +46,9 @@ def counted(items: Iterable[_Item], what: str, quiet: bool = False) -> Iterator[
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     columns = (SpinnerColumn(), TextColumn("{task.completed:.0f} " + what), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=False) as progress:
+    with Progress(
+        *columns, console=Console(file=cast("IO[str]", _Screen(sys.stderr))), transient=True, redirect_stdout=False
+    ) as progress:
         task = progress.add_task(what, total=None)
         for item in items:
             yield item

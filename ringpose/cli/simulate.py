@@ -52,7 +52,7 @@ def simulate(
     processes = jobs or len(os.sched_getaffinity(0))
     folder = SimulationFolder(output, read.rig, force=force, inputs=[scene])
     for shot, truth in counted(simulated(seeded, count, processes), "shots", quiet):
-        records.write_text(f"{folder.add(shot, truth)}\n")
+        records.write_name(folder.add(shot, truth))
         if verbose:
             messages.say(f"{shot.name}: {len(shot.images)} frames of {1e3 * shot.exposure_s[0]:.3f} ms, {truth.expect}")
     for name, boards in (("camera", seeded.camera_boards), ("plane", seeded.plane_boards)):

@@ -35,7 +35,7 @@ class DetectionSink:
             path = self.folder / f"{shot.name}.npz"
             inputs = [source] if self.rig is None else [source, self.rig]
             write_detection(path, detection, force=self.force, inputs=inputs)
-            records.write_text(f"{path}\n")
+            records.write_name(path)
 
     def _check_name(self, name: str) -> None:
         if name in self.names and not (self.folder is None and self.overlays is None):

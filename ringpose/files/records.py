@@ -4,6 +4,7 @@ import json
 import signal
 import sys
 from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import IO, Any
 
 from ringpose.errors import DataError, InputOutputError, SignalReceived
@@ -23,6 +24,14 @@ def line_of(record: Mapping[str, Any]) -> str:
 def write(record: Mapping[str, Any]) -> None:
     """One record on stdout, at once."""
     write_text(line_of(record))
+
+
+def write_name(path: Path) -> None:
+    """The name of a file on stdout, such that who reads lines takes it for that name, and not for a record."""
+    name = str(path)
+    if "\n" in name or "\r" in name:
+        raise DataError(repr(name), "is no name for a line: it has a line break", "rename it")
+    write_text(f"./{name}\n" if name.lstrip().startswith("{") else f"{name}\n")
 
 
 def write_text(line: str) -> None:

@@ -1,9 +1,11 @@
 """`ringpose capture`, from files and from a simulated scene."""
 
+import fcntl
 import io
 import os
 import resource
 import signal
+import termios
 import time
 from pathlib import Path
 
@@ -201,6 +203,10 @@ def test_without_an_output_the_folder_is_named_by_the_time(capsys):
         (["--camera", "files:in", "--sequence", "on"], 2, 'step 1 is "on"'),
         (["--camera", "files:in", "--force", "--append"], 2, "contradict"),
         (["--camera", "files:in", "--count", "0"], 2, "--count"),
+        (["--camera", "files:in", "--count", 20 * "9"], 2, "--count"),
+        (["--camera", "files:in", "--lasers", ""], 2, '"" names no device'),
+        (["--camera", "files:in", "--sequence", 5000 * "9"], 2, "a step is off, all, or laser numbers"),
+        (["--camera", "files:in", "--sequence", "1@" + 5000 * "9" + "s"], 2, "has no exposure after its @"),
         (["--camera", "files:in", "--settle", "soon"], 2, '"soon"; it is auto, or seconds from 0 to 10'),
         (["--camera", "files:in", "--settle", "-1"], 2, '"-1"; it is auto, or seconds from 0 to 10'),
         (["--camera", "files:in", "--settle", "nan"], 2, '"nan"; it is auto, or seconds from 0 to 10'),
@@ -429,3 +435,37 @@ def test_progress_is_shown_on_a_terminal_and_names_alone_go_out(started):
 
     assert out == "s/a.npz\ns/b.npz\n"
     assert "2 shots" in shown
+
+
+@pytest.mark.parametrize(("ignored", "status"), [(True, 0), (False, 129)])
+def test_a_terminal_that_goes_away_takes_no_shot_with_it(started, ignored, status):
+    for name in "abcdef":
+        recorded(Path("in"), name)
+    screen, terminal = os.openpty()
+
+    def belongs_to_the_terminal():
+        os.setsid()
+        fcntl.ioctl(terminal, termios.TIOCSCTTY, 0)
+        signal.signal(signal.SIGHUP, signal.SIG_IGN if ignored else signal.SIG_DFL)
+
+    words = ["capture", "--camera", "files:in", "--rate", "5", "--output", "s"]
+    with started(*words, stderr=terminal, preexec_fn=belongs_to_the_terminal) as process:
+        process.stdout.readline()
+        os.close(terminal)
+        os.close(screen)
+        process.stdout.read()
+
+    assert process.returncode == status
+    assert (len(read_session(Path("s")).shots) == 6) is ignored
+
+
+def test_a_shot_whose_name_is_no_line_is_kept_and_named_on_standard_error(capsys):
+    for name in ("a\nb", "c"):
+        recorded(Path("in"), name)
+
+    status = main(["capture", "--camera", "files:in", "--output", "s"])
+
+    streams = capsys.readouterr()
+    assert (status, streams.out) == (65, "s/c.npz\n")
+    assert "it has a line break; rename it" in streams.err
+    assert read_session(Path("s")).shots == ("a\nb", "c")

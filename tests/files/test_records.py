@@ -1,12 +1,15 @@
+import io
 import json
 import math
 import signal
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from ringpose.errors import DataError, InputOutputError, SignalReceived
 from ringpose.files import records
+from ringpose.files.inputs import inputs
 
 
 def test_record_is_one_line_of_strict_json(capsys):
@@ -84,3 +87,21 @@ def test_closed_stdout_is_an_input_output_error(monkeypatch):
 
     with pytest.raises(InputOutputError, match="is closed"):
         records.write({})
+
+
+@pytest.mark.parametrize(("name", "line"), [("s/a.npz", "s/a.npz"), ("{s/a.npz", "./{s/a.npz"), (" {.npz", "./ {.npz")])
+def test_a_name_is_a_line_that_is_read_as_that_name(capsys, monkeypatch, name, line):
+    records.write_name(Path(name))
+
+    said = capsys.readouterr().out
+    assert said == f"{line}\n"
+    monkeypatch.setattr("sys.stdin", io.StringIO(said))
+    assert list(inputs(["-"], (".npz",))) == [Path(name)]
+
+
+@pytest.mark.parametrize("name", ["a\nb.npz", "a\r/b.npz"])
+def test_a_name_that_would_be_two_lines_is_refused(capsys, name):
+    with pytest.raises(DataError, match="it has a line break; rename it"):
+        records.write_name(Path(name))
+
+    assert capsys.readouterr().out == ""
