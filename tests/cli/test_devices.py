@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from other_client import Port
 from served_scene import small_scene
+from small_rig import SMALL_RIG
 
 from ringpose.cli.main import main
 from ringpose.files.sessions import read_session
@@ -335,13 +336,14 @@ def test_cameras_are_listed_by_their_uris(serve, capsys, loopback_address):
     assert found[0]["uri"].startswith("aravis:ringpose-Stand-in-RP")
 
 
-def test_live_shots_that_the_rig_does_not_fit_end_the_measurement(serve, example_folder, capsys):
+def test_live_shots_that_the_rig_does_not_fit_end_the_measurement(serve, capsys):
     uris = serve()
     devices = ["--camera", uris["camera"], "--lasers", uris["lasers"]]
+    Path("other.yaml").write_text(SMALL_RIG)
 
-    status = main(["pose", "--rig", str(example_folder / "scene-rig.yaml"), *devices])
+    status = main(["pose", "--rig", "other.yaml", *devices, "--count", "3"])
 
     streams = capsys.readouterr()
     assert status == 65
     assert streams.out == ""
-    assert "200 x 150 pixels, the rig's camera has 800 x 600; give the rig that took the shot" in streams.err
+    assert "200 x 150 pixels, the rig's camera has 160 x 120; give the rig that took the shot" in streams.err
