@@ -186,25 +186,6 @@ static PyObject *spread(PyObject *module, PyObject *arguments) {
     return result;
 }
 
-/* Numbers of a prediction, in the order in which they are returned. */
-static void lay_out(double *to, Py_ssize_t ends, Py_ssize_t points, Prediction *laid) {
-    Py_ssize_t sights = ends + points, at = 0;
-    Prediction parts = {.residual = to};
-    at += sights;
-    parts.by_state = (double(*)[STATE])(to + at), at += STATE * sights;
-    parts.slope = to + at, at += sights;
-    parts.steepness = to + at, at += sights;
-    parts.y_by_plane = (double(*)[3])(to + at), at += 3 * sights;
-    parts.ray = (double(*)[3])(to + at), at += 3 * sights;
-    parts.distance = to + at, at += points;
-    parts.by_ray = (double(*)[2])(to + at), at += 2 * points;
-    parts.arc_by_state = (double(*)[STATE])(to + at), at += STATE * points;
-    parts.by_x = to + at, at += points;
-    parts.scale = to + at, at += points;
-    parts.origin = to + at;
-    *laid = parts;
-}
-
 static PyObject *rows_of(const Py_buffer view[5]) {
     Py_ssize_t sights = view[1].shape[0], ends = view[3].shape[0], points = view[4].shape[0];
     if (view[0].shape[0] != 9 || view[1].shape[1] != 3 || view[2].shape[0] != sights || view[2].shape[1] != 4 ||
@@ -214,10 +195,10 @@ static PyObject *rows_of(const Py_buffer view[5]) {
         return NULL;
     }
     Prediction laid;
-    Py_ssize_t count = 16 * sights + 12 * points + ORIGIN_NUMBERS;
+    Py_ssize_t count = prediction_numbers((int)ends, (int)points);
     PyObject *result = PyBytes_FromStringAndSize(NULL, count * (Py_ssize_t)sizeof(double));
     if (!result) return NULL;
-    lay_out((double *)PyBytes_AsString(result), ends, points, &laid);
+    lay_out((double *)PyBytes_AsString(result), (int)ends, (int)points, &laid);
     const double *s = view[0].buf;
     RingState state = {{s[0], s[1], s[2]}, {s[3], s[4], s[5]}, s[6], s[7], s[8]};
     Sighted sighted = {(int)ends, (int)points, view[1].buf, view[2].buf, view[3].buf, view[4].buf};

@@ -9,7 +9,7 @@ enum { SHIFT = 3, TURN = 4, CURVATURE = 5, BAND = 6 };
 
 static double inner(const double a[3], const double b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
-static void predict_lines(const RingState *state, const Sighted *sighted, const Prediction *to) {
+void predict_lines(const RingState *state, const Sighted *sighted, const Prediction *to) {
     for (int i = 0; i < sighted->ends + sighted->points; i++) {
         const double *light = sighted->light[i], *ray = sighted->ray[i];
         double line[3];
@@ -96,4 +96,24 @@ void predict(const RingState *state, const Sighted *sighted, const Prediction *t
     compare_lines(sighted, to);
     find_origin(state, sighted, to);
     compare_points(state, sighted, to);
+}
+
+int prediction_numbers(int ends, int points) { return 16 * (ends + points) + 12 * points + ORIGIN_NUMBERS; }
+
+void lay_out(double *to, int ends, int points, Prediction *laid) {
+    int sights = ends + points, at = 0;
+    Prediction parts = {.residual = to};
+    at += sights;
+    parts.by_state = (double(*)[STATE])(to + at), at += STATE * sights;
+    parts.slope = to + at, at += sights;
+    parts.steepness = to + at, at += sights;
+    parts.y_by_plane = (double(*)[3])(to + at), at += 3 * sights;
+    parts.ray = (double(*)[3])(to + at), at += 3 * sights;
+    parts.distance = to + at, at += points;
+    parts.by_ray = (double(*)[2])(to + at), at += 2 * points;
+    parts.arc_by_state = (double(*)[STATE])(to + at), at += STATE * points;
+    parts.by_x = to + at, at += points;
+    parts.scale = to + at, at += points;
+    parts.origin = to + at;
+    *laid = parts;
 }

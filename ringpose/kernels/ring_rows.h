@@ -25,6 +25,13 @@ typedef struct {
     double *origin; /* position, its derivatives by the plane, by the mean ray */
 } Prediction;
 
+/* How many numbers a prediction has, and where each of them goes in one array. */
+int prediction_numbers(int ends, int points);
+void lay_out(double *to, int ends, int points, Prediction *laid);
+
 void predict(const RingState *state, const Sighted *sighted, const Prediction *to);
+
+/* Of that where the stripes run: slope, steepness, ray, y_by_plane. */
+void predict_lines(const RingState *state, const Sighted *sighted, const Prediction *to);
 
 #endif

@@ -42,8 +42,12 @@ def predicted(
     deviation of its abscissa; `whitening` is made of blocks of two.
     """
     found = np.frombuffer(_forms.rows(state, rays, light, whitening, points), dtype=np.float64)
-    sights, count = len(rays), len(points)
-    head, tail = found[: 16 * sights], found[16 * sights :]
+    return prediction_in(found, len(rays), len(points))
+
+
+def prediction_in(numbers: Float64[Array, "n"], sights: int, points: int) -> Predicted:
+    """The prediction that is laid out in a row of numbers."""
+    head, tail = numbers[: 16 * sights], numbers[16 * sights :]
     return Predicted(
         residual=head[:sights],
         by_state=head[sights : 8 * sights].reshape(-1, 7),
@@ -51,11 +55,11 @@ def predicted(
         steepness=head[9 * sights : 10 * sights],
         y_by_plane=head[10 * sights : 13 * sights].reshape(-1, 3),
         rays=head[13 * sights :].reshape(-1, 3),
-        distance_m=tail[:count],
-        by_ray=tail[count : 3 * count].reshape(-1, 2),
-        distance_by_state=tail[3 * count : 10 * count].reshape(-1, 7),
-        by_x=tail[10 * count : 11 * count],
-        along_scale=tail[11 * count : 12 * count],
+        distance_m=tail[:points],
+        by_ray=tail[points : 3 * points].reshape(-1, 2),
+        distance_by_state=tail[3 * points : 10 * points].reshape(-1, 7),
+        by_x=tail[10 * points : 11 * points],
+        along_scale=tail[11 * points : 12 * points],
         origin_m=tail[-18:-15],
         origin_by_plane=tail[-15:-6].reshape(3, 3),
         origin_by_ray=tail[-6:].reshape(3, 2),

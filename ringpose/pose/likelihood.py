@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ringpose.kernels.ring_search import SearchRules, Sought, searched
 from ringpose.pose.measurements import Measurements, Sighted
-from ringpose.pose.residual_rows import Beforehand, Rows, rows_of
+from ringpose.pose.residual_rows import Beforehand, Rows, rows_of, rows_of_prediction
 from ringpose.pose.rig_errors import ByRig, RigErrors, rows_by_common_errors
 from ringpose.pose.ring_model import CURVATURE, PARAMETERS, TURN, RingState, moved
 from ringpose.pose.starting_state import starting_state
@@ -35,6 +36,11 @@ LEAST_DEPTH_M, MOST_DEPTH_M = 1e-3, 1e3
 
 STEEPEST_CURVATURE = 20.0
 """One over metres: a search that leaves these bounds has failed."""
+
+
+_RULES = SearchRules(HUBER_SIGMAS, STEP_SIGMAS, RIDGE, LEAST_DEPTH_M, MOST_DEPTH_M, STEEPEST_CURVATURE)
+
+_NO_RADII = np.full((2, 2), np.nan)
 
 
 class Fit(NamedTuple):
@@ -110,6 +116,57 @@ def _search(
     before: Beforehand,
     errors: RigErrors | None,
 ) -> Fit | None:
+    """The kernel's search for what nearly every shot is made of, steps in here for the rest."""
+    plain = before.weak_about is None and not before.one_edge and not len(measured.edges.edge)
+    if plain and not bool(measured.points.alone.any()):
+        return kernel_search(state, measured, sighted, rig, before, errors)
+    return search_in_steps(state, measured, sighted, rig, before, errors)
+
+
+def kernel_search(
+    state: RingState,
+    measured: Measurements,
+    sighted: Sighted,
+    rig: Rig,
+    before: Beforehand,
+    errors: RigErrors | None,
+) -> Fit | None:
+    """Of stripes, break points on them and known radii; the rig's errors hardly change after the first step."""
+    radii = _NO_RADII if before.radii is None else np.array([before.radii.radius_m, before.radii.sd_m])
+    sought = Sought(sighted.rays, sighted.light, sighted.whitening, sighted.edge_sign_and_sigma, radii)
+    first = 0 if errors is None else 1
+    common, left, numbers = None, None, state.numbers
+    if errors is not None:
+        start = searched(numbers, sought, _RULES, (0, first))
+        if start.failed:
+            return None
+        numbers, left = start.state, start.left
+        there = _state_of(numbers)
+        common = rows_by_common_errors(there, rows_of(there, measured, sighted, before), measured, sighted, errors, rig)
+    found = searched(numbers, sought, _RULES, (first, MOST_STEPS), None if common is None else common.rows, left)
+    if found.failed:
+        return None
+    rows = rows_of_prediction(found.prediction, len(sighted.whitening), found.residual, found.by_state)
+    by_rig, mean_by_rig = (None, None) if common is None else common
+    step = None if common is None else found.error_step
+    return Fit(
+        _state_of(found.state), rows, found.weight, by_rig, mean_by_rig, step, False, found.normal_matrix, found.inverse
+    )
+
+
+def _state_of(numbers: Float64[Array, "9"]) -> RingState:
+    return RingState(numbers[:3], numbers[3:6], *numbers[6:].tolist())
+
+
+def search_in_steps(
+    state: RingState,
+    measured: Measurements,
+    sighted: Sighted,
+    rig: Rig,
+    before: Beforehand,
+    errors: RigErrors | None,
+) -> Fit | None:
+    """All that `residual_rows` knows, one step after the other."""
     robust = _robust_rows(measured)
     common: ByRig | None = None
     left = None
@@ -118,7 +175,10 @@ def _search(
         if number == 1:  # they hardly change from here
             common = rows_by_common_errors(state, rows, measured, sighted, errors, rig)
         weight = _weights(rows.residual if left is None else left, robust)
-        normal_matrix, step, rig_step = _step(rows, weight, None if common is None else common.rows)
+        try:
+            normal_matrix, step, rig_step = _step(rows, weight, None if common is None else common.rows)
+        except np.linalg.LinAlgError:
+            return None
         if not _plausible(state, step):
             return None
         if number and step @ normal_matrix @ step < STEP_SIGMAS**2:

@@ -94,6 +94,9 @@ class AcrossScale(NamedTuple):
     scale: Float64[Array, "alone"]
 
 
+_NOTHING_ACROSS = AcrossScale(np.empty(0, dtype=np.int64), _NONE, _NONE)
+
+
 def rows_of(state: RingState, measured: Measurements, sighted: Sighted, before: Beforehand) -> Rows:
     """The residuals of a state; `sighted` are the same measurements with their light planes."""
     own = predicted(state.numbers, sighted.rays, sighted.light, sighted.whitening, sighted.edge_sign_and_sigma)
@@ -108,17 +111,24 @@ def rows_of(state: RingState, measured: Measurements, sighted: Sighted, before: 
     if not before.nothing:
         parts.append(_known(state, before))
     residual, by_state = parts[0] if len(parts) == 1 else (np.concatenate(each) for each in zip(*parts, strict=True))
+    return rows_of_prediction(own, ends, residual, by_state)._replace(edges=visible, across=across)
+
+
+def rows_of_prediction(
+    own: Predicted, ends: int, residual: Float64[Array, "row"], by_state: Float64[Array, "row 7"]
+) -> Rows:
+    """The same where the kernel has made all residuals: of stripes, break points with a line, and radii."""
     return Rows(
         residual=residual,
         by_state=by_state,
         ends=ends,
         sights=Sights(own.rays, own.slope, own.steepness, own.y_by_plane),
         arcs=ArcParts(own.distance_m, own.distance_by_state, own.by_ray),
-        origin=origin,
-        edges=visible,
+        origin=Origin(own.origin_m, own.origin_by_plane, own.origin_by_ray),
+        edges=None,
         by_x=own.by_x,
         along_scale=own.along_scale,
-        across=across,
+        across=_NOTHING_ACROSS,
     )
 
 
@@ -136,7 +146,7 @@ def _across_scale(points: Points, slope: Float64[Array, "point"], by_x: Float64[
     """The ordinate above the predicted line errs with the abscissa too; what is left of it does not."""
     which = np.flatnonzero(points.alone)
     if not len(which):
-        return AcrossScale(which, _NONE, _NONE)
+        return _NOTHING_ACROSS
     covariance, slope = points.covariance[which], slope[which]
     xx, xy, yy = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
     with_x = xy - slope * xx

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ringpose.kernels.ring_search import started
 from ringpose.pose.measurements import Measurements, Sighted
 from ringpose.pose.residual_rows import LIKELY_BAND_M, LIKELY_CURVATURE, Beforehand
 from ringpose.pose.ring_model import RingState, Sights, cross, sights_of
@@ -15,6 +16,19 @@ def starting_state(measured: Measurements, sighted: Sighted, before: Beforehand)
     """The plane of the stripes, and a likely ring on it; None if there is none before the camera."""
     if not len(measured.points.x):
         return None
+    if bool(measured.points.alone.any()):
+        return state_with_points_alone(measured, sighted, before)
+    start = started(
+        sighted.rays, sighted.light, sighted.whitening, sighted.edge_sign_and_sigma, measured.points.middle_x
+    )
+    if start is None:
+        return None
+    curvature, band_m = _likely_size(measured, start.along_m, before)
+    return RingState(start.plane, start.outward, 0.0, curvature, band_m)
+
+
+def state_with_points_alone(measured: Measurements, sighted: Sighted, before: Beforehand) -> RingState | None:
+    """The same where ends of stripes without a line tell of the plane, too."""
     plane = _plane(measured, sighted)
     state = RingState(plane, np.array([1.0, 0.0, 0.0]), 0.0, LIKELY_CURVATURE, 0.0)
     sights = sights_of(state, sighted)
