@@ -18,6 +18,12 @@ AUTO = "auto"
 DEFAULT_SD_M = 0.0005
 """Standard deviation of a radius that was said: edges are chamfered or rounded by about as much."""
 
+LARGEST_M = 5.0
+"""No ring has a larger radius."""
+
+LARGEST_SD = 0.2
+"""Share of the radius; who knows less of it knows nothing."""
+
 RadiusOuter = Annotated[
     float | None, typer.Option("--radius-outer", metavar="M", help="Radius of the outer edge in metres, if known.")
 ]
@@ -74,12 +80,20 @@ def _refuse_contradictions(said: SaidOfRing) -> None:
         raise UsageError("--ring", "the catalogue says the radii", "leave out --radius-outer and --radius-inner")
     if said.radius_sd_m is not None and radii == (None, None):
         raise UsageError("--radius-sd", "there is no radius", "give --radius-outer or --radius-inner")
-    options = (("--radius-outer", radii[0]), ("--radius-inner", radii[1]), ("--radius-sd", said.radius_sd_m))
-    for option, value in options:
-        if value is not None and not 0 < value < 5:
-            raise UsageError(option, f"{value:g} is no length in metres that a ring has", "give metres")
+    for option, radius_m in zip(("--radius-outer", "--radius-inner"), radii, strict=True):
+        if radius_m is not None and not 0 < radius_m < LARGEST_M:
+            raise UsageError(option, f"{radius_m:g} is no radius in metres that a ring has", _in_metres(radius_m))
+    smallest_m = min((radius_m for radius_m in radii if radius_m is not None), default=LARGEST_M)
+    if said.radius_sd_m is not None and not 0 < said.radius_sd_m < LARGEST_SD * smallest_m:
+        found = f"{said.radius_sd_m:g} is no standard deviation in metres of a radius that is known"
+        raise UsageError("--radius-sd", found, _in_metres(said.radius_sd_m))
     if None not in radii and not radii[1] < radii[0]:  # type: ignore[operator]
         raise UsageError("--radius-inner", "is not smaller than --radius-outer", "exchange them")
+
+
+def _in_metres(value: float) -> str:
+    """What somebody who thinks in millimetres should have given."""
+    return f"give metres: {value / 1000:g}" if 0 < value < 1000 * LARGEST_M else "give metres"
 
 
 def _of_catalogue(name: str, path: Path | None) -> "KnownRadii | Sequence[Ring]":
