@@ -1,6 +1,5 @@
 """Why an image shows no usable board, in words and numbers."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -9,9 +8,13 @@ import numpy as np
 
 from ringpose.calibrate.board_points import marker_corners
 from ringpose.calibrate.chessboard import largest_grid
+from ringpose.calibrate.chessboard_extent import Extent, chessboard_extent
 from ringpose.calibrate.markers import Markers
 from ringpose.types.arrays import Array, Float64, UInt8
 from ringpose.types.board import Board
+
+SMALLEST_PX = 32
+"""Sides of an image in which no board is looked for; OpenCV's finder fails below 15."""
 
 DARK_DN = 25.0
 """Share of the 8-bit range that the brightest hundredth of an image must reach for a board to be visible at all."""
@@ -22,10 +25,6 @@ BRIGHT_SHARE = 0.5
 BLURRED_PX = 4.0
 """Standard deviation of the steepest edges above which an image is called blurred: sharp photographs have 0.8 to 2."""
 
-BEYOND = 1.9
-"""Squares from the last corner that is found to the end of what the next one would need to be found."""
-
-_MOST_ROWS = 20
 _SMOOTHING_PX = 1.0
 _STEEPEST = 99.9
 _DARK_TO_BRIGHT = (2, 98)
@@ -34,10 +33,12 @@ _DARK_TO_BRIGHT = (2, 98)
 class BoardFailure(Enum):
     """Why no board was found; the value is the sentence the user reads."""
 
+    TOO_SMALL = "the image is too small"
     TOO_DARK = "too dark"
     SATURATED = "overexposed"
     FEW_MARKERS = "too few of the board's markers found"
     OTHER_MARKERS = "markers found, but not those of this board; is it the right board file"
+    OTHER_LAYOUT = "the markers do not lie as on the board of the board file"
     FEW_CORNERS = "too few of the board's corners found"
     CUT_OFF = "the board is cut off by the image's rim"
     COVERED = "part of the pattern is covered or glares"
@@ -60,6 +61,13 @@ class NoBoard:
     def value(self) -> str:
         """The sentence the user reads."""
         return f"{self.failure.value} ({self.found})" if self.found else self.failure.value
+
+
+def too_small(grey: UInt8[Array, "row column"]) -> NoBoard | None:
+    """Said of an image in which no board has room."""
+    if min(grey.shape) >= SMALLEST_PX:
+        return None
+    return NoBoard(failure=BoardFailure.TOO_SMALL, found=f"{grey.shape[1]} x {grey.shape[0]} pixels")
 
 
 def unusable(grey: UInt8[Array, "row column"]) -> NoBoard | None:
@@ -90,7 +98,7 @@ def pattern_failure(grey: UInt8[Array, "row column"], board: Board) -> NoBoard:
     width_px = edge_width_px(grey)
     grid = largest_grid(grey) if board.kind == "chessboard" else None
     if grid is not None:
-        return _partial(grid, board, grey.shape, width_px)
+        return _partial(grey, grid, board, width_px)
     failure = BoardFailure.BLURRED if width_px > BLURRED_PX else BoardFailure.NOT_WHOLE
     return NoBoard(failure=failure, found=_measured(width_px))
 
@@ -118,43 +126,46 @@ def marker_failure(grey: UInt8[Array, "row column"], board: Board, markers: Mark
 
 
 def _partial(
-    grid: Float64[Array, "corner_row corner_column xy=2"], board: Board, shape: tuple[int, ...], width_px: float
+    grey: UInt8[Array, "row column"],
+    grid: Float64[Array, "corner_row corner_column xy=2"],
+    board: Board,
+    width_px: float,
 ) -> NoBoard:
     """A part of a chessboard, or another one, was found."""
+    extent = chessboard_extent(grey, grid)
+    wanted = (board.squares_x or 0, board.squares_y or 0)
     rows, columns = sorted(grid.shape[:2])
-    wanted = sorted(((board.squares_x or 0) - 1, (board.squares_y or 0) - 1))
-    found = f"{columns} x {rows} of {wanted[1]} x {wanted[0]} inner corners, {_measured(width_px)}"
-    size = np.array([shape[1], shape[0]], dtype=np.float64)
-    if rows > wanted[0] or columns > wanted[1]:
-        failure = BoardFailure.OTHER_SIZE
-    elif not any(_fits(grid, missing, size) for missing in (wanted, wanted[::-1])):
-        failure = BoardFailure.CUT_OFF
-    else:
-        failure = BoardFailure.BLURRED if width_px > BLURRED_PX else BoardFailure.COVERED
+    few, many = sorted(wanted)
+    found = f"{columns} x {rows} of {many - 1} x {few - 1} inner corners, {_measured(width_px)}"
+    failure = _partial_failure(extent, wanted, blurred=bool(width_px > BLURRED_PX))
+    if failure is BoardFailure.OTHER_SIZE:
+        fewer, more = sorted(extent.squares)
+        found += f"; it ends at {more} x {fewer} squares, squares_x and squares_y are {wanted[0]} and {wanted[1]}"
     return NoBoard(failure=failure, found=found, points_px=grid.reshape(-1, 2))
 
 
-def _fits(
-    grid: Float64[Array, "corner_row corner_column xy=2"], wanted: Sequence[int], size: Float64[Array, "xy=2"]
-) -> bool:
-    """Whether the image has room for what a grid of so many rows and columns has beyond the one found."""
-    missing = [count - own for count, own in zip(wanted, grid.shape[:2], strict=True)]
-    return all(0 <= less <= _room(side, size) for less, side in zip(missing, (grid, grid.swapaxes(0, 1)), strict=True))
+def _partial_failure(extent: Extent, wanted: tuple[int, int], *, blurred: bool) -> BoardFailure:
+    """By the squares that are seen and those that the board has, along either side."""
+    across, down = extent.squares
+    missing = [
+        (columns - across, rows - down)
+        for columns, rows in (wanted, wanted[::-1])
+        if columns >= across and rows >= down
+    ]
+    if not missing:
+        return BoardFailure.OTHER_SIZE
+    if any(_beyond_the_rim(side, extent) for side in missing):
+        return BoardFailure.CUT_OFF
+    if blurred:
+        return BoardFailure.BLURRED
+    return BoardFailure.OTHER_SIZE if extent.whole and all(any(side) for side in missing) else BoardFailure.COVERED
 
 
-def _room(grid: Float64[Array, "corner_row corner_column xy=2"], size: Float64[Array, "xy=2"]) -> int:
-    """How many more rows of corners, with the squares beyond them, fit into the image before and after those found."""
-    return sum(_rows_beyond(side[0], side[0] - side[1], size) for side in (grid, grid[::-1]))
-
-
-def _rows_beyond(
-    last: Float64[Array, "corner_column xy=2"],
-    step: Float64[Array, "corner_column xy=2"],
-    size: Float64[Array, "xy=2"],
-) -> int:
-    reached = last + (np.arange(_MOST_ROWS)[:, None, None] + BEYOND) * step
-    inside = ((reached > 0) & (reached < size - 1)).all(axis=(1, 2))
-    return int(np.argmin(inside)) if not inside.all() else _MOST_ROWS
+def _beyond_the_rim(missing: tuple[int, int], extent: Extent) -> bool:
+    """Whether all squares that are missing may lie outside the image."""
+    if not any(missing):
+        return extent.pierced
+    return all(cut or not squares for squares, cut in zip(missing, extent.cut, strict=True))
 
 
 def _outside(own: Markers, board: Board, shape: tuple[int, int]) -> int:

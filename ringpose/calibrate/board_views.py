@@ -1,15 +1,23 @@
 """What an image shows of a calibration board, or why it shows none."""
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from ringpose.calibrate.board_failures import BoardFailure, NoBoard, marker_failure, pattern_failure, unusable
+from ringpose.calibrate.board_failures import (
+    BoardFailure,
+    NoBoard,
+    marker_failure,
+    pattern_failure,
+    too_small,
+    unusable,
+)
+from ringpose.calibrate.board_layout import MarkerLayout, marker_layout, other_layout
 from ringpose.calibrate.board_points import corner_points, marker_corners
 from ringpose.calibrate.chessboard import chessboard_corners, refined_corners
 from ringpose.calibrate.marker_sides import corners_from_sides
-from ringpose.calibrate.markers import Markers, find_markers, marker_dictionary
+from ringpose.calibrate.markers import Markers, find_markers, marker_count, marker_dictionary, markers_of
 from ringpose.types.arrays import Array, Float64, Int64, UInt, UInt8
 from ringpose.types.board import Board, BoardView
 
@@ -24,15 +32,19 @@ is five times worse (0.02 -> 0.1 px)."""
 def find_board(image: UInt[Array, "row column"], board: Board, name: str) -> BoardView | NoBoard:
     """The corners of the board that the image shows, in pixels and in the board frame, or the reason for none."""
     grey = grey_8_bit(image)
-    if board.kind in ("charuco", "four_markers", "aruco_grid"):
-        seen = _marker_view(grey, board)
-    else:
-        seen = _pattern_view(grey, board)
+    small = too_small(grey)
+    if small is not None:
+        return small
+    seen = _marker_view(grey, board) if marker_count(board) else _pattern_view(grey, board)
     if isinstance(seen, NoBoard):
         return unusable(grey) or seen
-    ids, points_px, likeness = seen
     return BoardView(
-        name=name, ids=ids, points_board_m=corner_points(board)[ids], points_px=points_px, likeness=likeness
+        name=name,
+        ids=seen.ids,
+        points_board_m=corner_points(board)[seen.ids],
+        points_px=seen.points_px,
+        likeness=seen.likeness,
+        marker_size_ratio=None if seen.layout is None else seen.layout.size_ratio,
     )
 
 
@@ -44,14 +56,21 @@ def grey_8_bit(image: UInt[Array, "row column"]) -> UInt8[Array, "row column"]:
     return np.rint(image * scale).astype(np.uint8)
 
 
-class _Corners(NamedTuple):
+_Corners = tuple[Int64[Array, "corner"], Float64[Array, "corner xy=2"]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Seen:
+    """Corners with their numbers, and how the markers lie that tell them."""
+
     ids: Int64[Array, "corner"]
     points_px: Float64[Array, "corner xy=2"]
+    layout: MarkerLayout | None = None
     likeness: float = 0.0
     """Of the errors of a marker's corners."""
 
 
-def _pattern_view(grey: UInt8[Array, "row column"], board: Board) -> _Corners | NoBoard:
+def _pattern_view(grey: UInt8[Array, "row column"], board: Board) -> _Seen | NoBoard:
     """A chessboard or a grid of circles: found whole or not at all."""
     columns, rows = board.squares_x or 0, board.squares_y or 0
     if board.kind == "chessboard":
@@ -60,7 +79,7 @@ def _pattern_view(grey: UInt8[Array, "row column"], board: Board) -> _Corners | 
         corners = _circle_centers(grey, columns, rows)
     if corners is None:
         return pattern_failure(grey, board)
-    return _Corners(np.arange(len(corners), dtype=np.int64), corners)
+    return _Seen(ids=np.arange(len(corners), dtype=np.int64), points_px=corners)
 
 
 def _circle_centers(grey: UInt8[Array, "row column"], columns: int, rows: int) -> Float64[Array, "corner xy=2"] | None:
@@ -69,26 +88,32 @@ def _circle_centers(grey: UInt8[Array, "row column"], columns: int, rows: int) -
     return np.asarray(centers, dtype=np.float64).reshape(-1, 2) if found else None
 
 
-def _marker_view(grey: UInt8[Array, "row column"], board: Board) -> _Corners | NoBoard:
+def _marker_view(grey: UInt8[Array, "row column"], board: Board) -> _Seen | NoBoard:
     """A board with markers: part of it is enough."""
-    seen = _charuco_corners(grey, board) if board.kind == "charuco" else _marker_corners(grey, board)
-    if len(seen.ids) >= MINIMUM_CORNERS:
-        return seen
-    markers = find_markers(grey, marker_dictionary(board))
+    likeness = 0.0
+    if board.kind == "charuco":
+        ids, corners, markers = _charuco_corners(grey, board)
+    else:
+        markers = find_markers(grey, marker_dictionary(board))
+        ids, corners, likeness = _marker_corners(grey, _own_markers(markers, board))
     own = _own_markers(markers, board)
+    fitting = other_layout(board, own)
+    if fitting is not None:
+        return NoBoard(failure=BoardFailure.OTHER_LAYOUT, found=fitting, points_px=own.corners_px.reshape(-1, 2))
+    if len(ids) >= MINIMUM_CORNERS:
+        return _Seen(ids=ids, points_px=corners, layout=marker_layout(board, own), likeness=likeness)
     if board.kind == "charuco" and len(own.ids):
-        found = f"{len(seen.ids)} corners, {len(own.ids)} of {len(marker_corners(board))} markers"
+        found = f"{len(ids)} corners, {len(own.ids)} of {len(marker_corners(board))} markers"
         return NoBoard(failure=BoardFailure.FEW_CORNERS, found=found, points_px=own.corners_px.reshape(-1, 2))
     return marker_failure(grey, board, markers, own)
 
 
-def _marker_corners(grey: UInt8[Array, "row column"], board: Board) -> _Corners:
-    """Corners of the board's own markers."""
-    own = _own_markers(find_markers(grey, marker_dictionary(board)), board)
+def _marker_corners(grey: UInt8[Array, "row column"], own: Markers) -> tuple[*_Corners, float]:
+    """Corners of the board's own markers, and how alike a marker's corners err."""
     ids = (4 * own.ids[:, None] + np.arange(4)).ravel()
     found = [corners_from_sides(grey, corners) for corners in own.corners_px]
     points_px = np.reshape([one.points_px for one in found], (-1, 2)).astype(np.float64)
-    return _Corners(ids, points_px, float(np.mean([one.likeness for one in found])) if found else 0.0)
+    return ids, points_px, float(np.mean([one.likeness for one in found])) if found else 0.0
 
 
 def _own_markers(markers: Markers, board: Board) -> Markers:
@@ -104,19 +129,20 @@ def _single(markers: Markers) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     return single
 
 
-def _charuco_corners(grey: UInt8[Array, "row column"], board: Board) -> _Corners:
-    """Chessboard corners between the board's markers, refined."""
+def _charuco_corners(grey: UInt8[Array, "row column"], board: Board) -> tuple[*_Corners, Markers]:
+    """Chessboard corners between the board's markers, refined, and the markers."""
     size = (board.squares_x or 0, board.squares_y or 0)
     pattern = cv2.aruco.CharucoBoard(size, board.square_m or 0.0, board.marker_m or 0.0, marker_dictionary(board))
     pattern.setLegacyPattern(board.legacy_pattern)
-    corners, ids, _, _ = cv2.aruco.CharucoDetector(pattern).detectBoard(grey)
+    corners, ids, found, found_ids = cv2.aruco.CharucoDetector(pattern).detectBoard(grey)
+    markers = markers_of(found, found_ids)
     if ids is None or not len(ids):
-        return _Corners(np.empty(0, dtype=np.int64), np.empty((0, 2)))
+        return np.empty(0, dtype=np.int64), np.empty((0, 2)), markers
     numbers = np.asarray(ids).ravel().astype(np.int64)
     positions = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
     share = WHITE_PER_GAP * ((board.square_m or 1.0) - (board.marker_m or 0.0)) / (2 * (board.square_m or 1.0))
     half_window_px = share * _square_px(numbers, positions, size[0] - 1)
-    return _Corners(numbers, refined_corners(grey, positions, half_window_px))
+    return numbers, refined_corners(grey, positions, half_window_px), markers
 
 
 def _square_px(ids: Int64[Array, "n"], positions: Float64[Array, "n xy=2"], columns: int) -> float:

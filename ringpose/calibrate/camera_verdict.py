@@ -32,6 +32,7 @@ def camera_verdict(calibration: CameraCalibration, assessment: CameraAssessment,
     return Verdict(
         findings=(
             *_view_findings(calibration, images),
+            *assessment.board,
             *_coverage_findings(assessment.coverage),
             *_placing_findings(assessment.coverage),
             *_uncertainty_findings(calibration, assessment),

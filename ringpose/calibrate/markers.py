@@ -1,7 +1,9 @@
 """ArUco markers in an image."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -35,7 +37,9 @@ def marker_count(board: Board) -> int:
     if board.kind == "four_markers":
         return 4
     squares = (board.squares_x or 0) * (board.squares_y or 0)
-    return squares // 2 if board.kind == "charuco" else squares
+    if board.kind == "aruco_grid":
+        return squares
+    return squares // 2 if board.kind == "charuco" else 0
 
 
 def _opencv_dictionary(board: Board) -> cv2.aruco.Dictionary:
@@ -67,7 +71,12 @@ def find_markers(image: UInt8[Array, "row column"], dictionary: cv2.aruco.Dictio
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     found, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(image)
-    if ids is None or not len(ids):
+    return markers_of(found, ids)
+
+
+def markers_of(found: Sequence[Any] | None, ids: Any) -> Markers:
+    """Markers as OpenCV gives them, by their numbers."""
+    if found is None or ids is None or not len(ids):
         return Markers(ids=np.empty(0, dtype=np.int64), corners_px=np.empty((0, 4, 2)))
     corners = np.stack([np.asarray(one, dtype=np.float64).reshape(4, 2) for one in found])
     order = np.argsort(np.asarray(ids).ravel(), kind="stable")

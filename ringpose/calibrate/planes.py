@@ -11,6 +11,7 @@ from ringpose.calibrate.plane_points import triangulated
 from ringpose.calibrate.plane_solution import PlaneSolution, joint_solution, separate_solution
 from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.calibrate.stripe_evidence import StripeEvidence, stripe_evidence
+from ringpose.errors import DataError
 from ringpose.types.board import BoardPose
 from ringpose.types.calibration import LaserCalibration, LaserView, PlanesCalibration, StripeView
 from ringpose.types.camera import Camera
@@ -34,11 +35,7 @@ def calibrate_planes(views: Sequence[StripeView], camera: Camera, model: PlanesM
     """The light planes in the camera frame, with what each view says about each of them."""
     poses = [_poses(view, camera, model.method) for view in views]
     evidence, remarks = stripe_evidence(views, poses, camera, model.names, model.order)
-    if model.method is PlanesMethod.JOINT:
-        solution = joint_solution(evidence, model.free_camera)
-    else:
-        solution = separate_solution(evidence, model.method)
-
+    solution = _solution(evidence, model)
     lasers = tuple(_laser(laser, evidence, solution) for laser in range(len(model.names)))
     return PlanesCalibration(
         camera=solution.camera,
@@ -50,6 +47,16 @@ def calibrate_planes(views: Sequence[StripeView], camera: Camera, model: PlanesM
         remarks=tuple(remarks),
         excess=solution.excess,
     )
+
+
+def _solution(evidence: StripeEvidence, model: PlanesModel) -> PlaneSolution:
+    if model.method is not PlanesMethod.JOINT:
+        return separate_solution(evidence, model.method)
+    try:
+        return joint_solution(evidence, model.free_camera)
+    except np.linalg.LinAlgError as error:
+        found = "corners and stripes contradict one another so far that no boards and planes fit them"
+        raise DataError("calibrate-planes", found, "measure the board's sizes; check board and camera file") from error
 
 
 def _poses(view: StripeView, camera: Camera, method: PlanesMethod) -> list[BoardPose]:

@@ -35,9 +35,14 @@ ANGLE_TOLERANCE_RAD = float(np.radians(1.0))
 """By so much lasers may be off the angles that they were mounted at."""
 
 
-def planes_verdict(calibration: PlanesCalibration, expected_angles_rad: Sequence[float] = ()) -> Verdict:
-    """Good, can be improved, or redo; the expected angles are those of neighbouring lasers, in their order."""
-    findings = [_boards(calibration), _distances(calibration), _excess(calibration)]
+def planes_verdict(
+    calibration: PlanesCalibration, expected_angles_rad: Sequence[float] = (), board: Sequence[Finding] = ()
+) -> Verdict:
+    """Good, can be improved, or redo; the expected angles are those of neighbouring lasers, in their order.
+
+    `board` is what the images say against the sizes in the board file.
+    """
+    findings = [*board, _boards(calibration), _distances(calibration), _excess(calibration)]
     for laser in calibration.lasers:
         findings += [_views(laser), _condition(laser), _held_out(laser), _disagreement(laser)]
     findings += _depths(calibration) + _angles(calibration, expected_angles_rad)

@@ -136,16 +136,23 @@ def _calibrate(shots: list[str], reading: _Reading, writing: _Writing, method: P
 def _assessment(
     stripes: "StripeImages", method: PlanesMethod, free_camera: bool, expected_rad: list[float]
 ) -> "PlanesAssessment":
+    from ringpose.calibrate.board_layout import marker_size_findings
     from ringpose.calibrate.planes import calibrate_planes as calibrated
     from ringpose.calibrate.planes_quality import PlanesAssessment
     from ringpose.calibrate.planes_verdict import planes_verdict
+    from ringpose.errors import DataError
+    from ringpose.types.verdict import Verdict
 
     model = stripes.model(method, free_camera)
     stripes.require_angles(len(expected_rad))
-    calibration = calibrated(stripes.views, stripes.camera, model)
+    board = marker_size_findings([view.board for view in stripes.views])
+    try:
+        calibration = calibrated(stripes.views, stripes.camera, model)
+    except DataError as error:
+        raise DataError(error.place, error.found, "".join(Verdict(findings=board).advice) or error.remedy) from error
     return PlanesAssessment(
         calibration=calibration,
-        verdict=planes_verdict(calibration, expected_rad),
+        verdict=planes_verdict(calibration, expected_rad, board),
         paper=stripes.by_the_paper(model),
         without_board=stripes.images.without_board,
     )

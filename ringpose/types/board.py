@@ -53,6 +53,8 @@ class BoardView:
     points_px: Float64[Array, "corner xy=2"]
     likeness: float = 0.0
     """Correlation of the errors that a marker's side has at its two ends, where corners are where sides meet."""
+    marker_size_ratio: tuple[float, float] | None = None
+    """Width and height of the markers over `marker_m`, by their distances from one another; None if they tell none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.board import BoardPose
 from ringpose.types.camera import Camera
+from ringpose.types.verdict import Finding
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -136,3 +137,5 @@ class CameraAssessment:
     distances_m: tuple[float, ...]
     """At which the projection uncertainty is given in metres."""
     comparison: ModelComparison | None = None
+    board: tuple[Finding, ...] = ()
+    """What the images say against the sizes in the board file."""

@@ -242,7 +242,7 @@ def test_corners_left_out_are_numbered_with_their_residuals(views):
 
 
 def test_the_manual_lists_every_limit(views):
-    boards = views(8)
+    boards = [replace(view, marker_size_ratio=(1.0, 1.0)) for view in views(8)]
     found = calibrate_camera(boards, 1600, 1200)
     verdict = camera_verdict(found, camera_assessment(found, boards, PLUMB_BOB), 8)
     page = (Path(__file__).parents[2] / "man" / "ringpose-calibrate-camera.1").read_text()

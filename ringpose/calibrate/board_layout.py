@@ -1,0 +1,109 @@
+"""Whether a board's markers lie, and are as large, as the board file says."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+
+from ringpose.calibrate.board_points import marker_corners
+from ringpose.calibrate.markers import Markers
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.board import Board, BoardView
+from ringpose.types.verdict import Finding
+
+LARGEST_MISFIT = 0.25
+"""Of the markers' middles from their places, in markers' sides; 0.02 through a lens, above 1 on another board."""
+
+LARGEST_SIZE_ERROR = 0.03
+"""Of the markers' size by their distances: unrefined corners make them 0.01 too small."""
+
+REDO_SIZE_ERROR = 0.1
+
+_FEWEST = 4
+_MOST_SQUARES = 40
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MarkerLayout:
+    """The markers as seen, in the board frame that their middles tell."""
+
+    misfit: float
+    """Median distance of a middle from where the board has it, in markers' sides."""
+    size_ratio: tuple[float, float]
+    """Median width and height of the markers over those of the board."""
+
+
+def marker_layout(board: Board, markers: Markers) -> MarkerLayout | None:
+    """How the board's own markers lie; None if they are too few, or in one line."""
+    place = marker_corners(board)[markers.ids][..., :2]
+    middle = place.mean(axis=1)
+    if len(middle) < _FEWEST or np.linalg.matrix_rank(middle - middle.mean(axis=0), tol=1e-6) < 2:
+        return None
+    seen_px = _middles(markers.corners_px)
+    homography: Any = cv2.findHomography(seen_px, middle)[0]
+    if homography is None:
+        return None
+    found = cv2.perspectiveTransform(seen_px[None], homography)[0]
+    corners = cv2.perspectiveTransform(markers.corners_px.reshape(1, -1, 2), homography).reshape(-1, 4, 2)
+    side = board.marker_m or 1.0
+    width = np.linalg.norm(corners[:, [1, 2]] - corners[:, [0, 3]], axis=-1) / side
+    height = np.linalg.norm(corners[:, [3, 2]] - corners[:, [0, 1]], axis=-1) / side
+    return MarkerLayout(
+        misfit=float(np.median(np.linalg.norm(found - middle, axis=-1))) / side,
+        size_ratio=(float(np.median(width)), float(np.median(height))),
+    )
+
+
+def _middles(corners: Float64[Array, "marker corner=4 xy=2"]) -> Float64[Array, "marker xy=2"]:
+    """Where the diagonals cross, which is the middle in any perspective."""
+    along, across = corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]
+    offset = corners[:, 1] - corners[:, 0]
+    turn = along[:, 0] * across[:, 1] - along[:, 1] * across[:, 0]
+    share = (offset[:, 0] * across[:, 1] - offset[:, 1] * across[:, 0]) / turn
+    middles: Float64[Array, "marker xy=2"] = corners[:, 0] + share[:, None] * along
+    return middles
+
+
+def other_layout(board: Board, markers: Markers) -> str | None:
+    """What is to be said where the markers lie otherwise than on the board: the numbers of squares that would fit."""
+    layout = marker_layout(board, markers)
+    if layout is None or layout.misfit < LARGEST_MISFIT:
+        return None
+    for other in _others(board, int(markers.ids.max())):
+        found = marker_layout(other, markers)
+        if found is not None and found.misfit < LARGEST_MISFIT:
+            legacy = f", legacy_pattern: {str(other.legacy_pattern).lower()}" * (other.kind == "charuco")
+            return f"but as with squares_x: {other.squares_x}, squares_y: {other.squares_y}{legacy}"
+    return "nor with any other squares_x"
+
+
+def _others(board: Board, last: int) -> Iterator[Board]:
+    """Boards whose markers are numbered otherwise: the same lying, then other numbers of squares in a row."""
+    if not board.squares_x or not board.squares_y:
+        return
+    swapped = (board.squares_y, board.squares_x)
+    counts = [(board.squares_x, board.squares_y), swapped, *((x, board.squares_y) for x in range(2, _MOST_SQUARES))]
+    for squares_x, squares_y in counts:
+        for legacy in (board.legacy_pattern, not board.legacy_pattern) if board.kind == "charuco" else (False,):
+            other = replace(board, squares_x=squares_x, squares_y=squares_y, legacy_pattern=legacy)
+            if last < len(marker_corners(other)):
+                yield other
+
+
+def marker_size_findings(views: Sequence[BoardView]) -> tuple[Finding, ...]:
+    """Whether the markers are as large as the board file says, beside their distances; nothing on other boards."""
+    ratios = [view.marker_size_ratio for view in views if view.marker_size_ratio is not None]
+    if not ratios:
+        return ()
+    width, height = np.median(ratios, axis=0).tolist()
+    finding = Finding(
+        name="marker_size_error",
+        value=max(abs(width - 1), abs(height - 1)),
+        good_limit=LARGEST_SIZE_ERROR,
+        redo_limit=REDO_SIZE_ERROR,
+        advice=f"by their distances the markers are {width:.2f} times as wide and {height:.2f} times as high as "
+        "marker_m says: measure the print, a size in the board file is wrong",
+    )
+    return (finding,)

@@ -1,0 +1,46 @@
+"""Sizes of markers as the images have them, beside the board file."""
+
+from dataclasses import replace
+
+import pytest
+from drawn_boards import CHARUCO, CHESSBOARD, FOUR, GRID
+
+from ringpose.calibrate.board_layout import marker_size_findings
+from ringpose.calibrate.board_views import find_board
+from ringpose.types.verdict import Grade
+
+MARKED = {"charuco": CHARUCO, "four_markers": FOUR, "aruco_grid": GRID}
+
+
+@pytest.mark.parametrize("board", MARKED.values(), ids=MARKED)
+def test_markers_of_a_true_board_file_have_their_size(board, drawn_board):
+    findings = marker_size_findings([find_board(drawn_board(board), board, "true")])
+
+    assert [finding.grade for finding in findings] == [Grade.GOOD]
+
+
+@pytest.mark.parametrize(
+    ("drawn", "said"),
+    [
+        (CHARUCO, replace(CHARUCO, square_m=0.03)),
+        (CHARUCO, replace(CHARUCO, marker_m=0.015)),
+        (FOUR, replace(FOUR, marker_m=0.05)),
+        (GRID, replace(GRID, gap_m=0.02)),
+    ],
+)
+def test_a_size_that_the_images_contradict_asks_to_measure_the_print(drawn, said, drawn_board):
+    (finding,) = marker_size_findings([find_board(drawn_board(drawn), said, "wrong")])
+
+    assert finding.grade is Grade.REDO
+    assert "times as wide and 1." in finding.advice
+
+
+def test_a_width_that_is_wrong_makes_the_markers_too_wide_alone(drawn_board):
+    view = find_board(drawn_board(FOUR), replace(FOUR, width_m=0.35), "wide")
+
+    # middles are 0.22 m apart on the print, 0.27 m in the file
+    assert view.marker_size_ratio == pytest.approx((0.27 / 0.22, 1.0), abs=0.01)
+
+
+def test_a_board_without_markers_says_nothing_of_them(drawn_board):
+    assert marker_size_findings([find_board(drawn_board(CHESSBOARD), CHESSBOARD, "chessboard")]) == ()

@@ -1,0 +1,116 @@
+"""Boards on photographs and renders, beside the corners that came with them."""
+
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from drawn_boards import CHARUCO, CHESSBOARD, FOUR
+
+from ringpose.calibrate.board_failures import NoBoard
+from ringpose.calibrate.board_views import find_board
+from ringpose.files.dictionaries import read_dictionary
+from ringpose.types.board import Board
+
+
+def test_every_marker_of_opencvs_grid_photograph_is_found_with_its_own_dictionary(shared_data):
+    folder = shared_data / "real" / "opencv_aruco_photos"
+    board = Board(
+        kind="aruco_grid",
+        squares_x=5,
+        squares_y=7,
+        marker_m=0.04,
+        gap_m=0.01,
+        dictionary="tutorial_dict.yml",
+        marker_bits=read_dictionary(folder / "tutorial_dict.yml"),
+    )
+    gold = json.loads((folder / "gold_corners.json").read_text())["gboriginal"]
+
+    found = find_board(cv2.imread(str(folder / "gboriginal.jpg"), cv2.IMREAD_GRAYSCALE), board, "grid")
+
+    expected = np.array([gold[str(number // 4)][number % 4] for number in found.ids])
+    distance = np.linalg.norm(found.points_px - expected, axis=1)
+    assert len(found.ids) == 4 * 35
+    assert np.median(distance) < 1.0  # gold corners are whole pixels, unrefined; their own tolerance is 1 px
+    assert distance.max() < 2.5
+
+
+SIZES = {1: (7, 13), 2: (7, 13), 3: (7, 13), 4: (5, 5), 5: (5, 5), 6: (5, 5), 7: (3, 9), 8: (3, 9), 9: (3, 9)}
+
+
+@pytest.mark.parametrize("number", SIZES)
+def test_circles_of_opencvs_photographs_are_where_its_tests_expect_them(number, shared_data):
+    folder = shared_data / "real" / "opencv_extra_calib" / "asymmetric_circles"
+    columns, rows = SIZES[number]
+    board = Board(kind="asymmetric_circles", squares_x=columns, squares_y=rows, spacing_m=0.02)
+    storage = cv2.FileStorage(str(folder / f"acircles_corners{number}.dat"), cv2.FILE_STORAGE_READ)
+
+    found = find_board(cv2.imread(str(folder / f"acircles{number}.png"), cv2.IMREAD_GRAYSCALE), board, "circles")
+
+    expected = np.asarray(storage.getNode("corners").mat()).reshape(-1, 2)
+    assert np.abs(found.points_px - expected).max() < 0.01
+
+
+@pytest.mark.parametrize("number", range(1, 8))
+def test_chessboards_of_opencvs_photographs_are_where_its_tests_expect_them(number, shared_data):
+    folder = shared_data / "real" / "opencv_extra_calib"
+    storage = cv2.FileStorage(str(folder / f"chess_corners{number}.dat"), cv2.FILE_STORAGE_READ)
+    board = Board(kind="chessboard", squares_x=6, squares_y=8, square_m=0.02)
+
+    found = find_board(cv2.imread(str(folder / f"chess{number}.png"), cv2.IMREAD_GRAYSCALE), board, "chessboard")
+
+    expected = np.asarray(storage.getNode("corners").mat()).reshape(-1, 2)
+    nearest = np.linalg.norm(found.points_px[:, None] - expected, axis=2).min(axis=1)
+    assert nearest.max() < 0.5
+
+
+@pytest.mark.parametrize("side", ["left", pytest.param("right", marks=pytest.mark.slow)])
+def test_every_stereo_photograph_of_opencv_shows_its_board(side, shared_data):
+    photographs = sorted((shared_data / "real" / "opencv_samples_stereo").glob(f"{side}[01]*.jpg"))
+
+    found = [find_board(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), CHESSBOARD, path.stem) for path in photographs]
+
+    assert [view.name for view in found if isinstance(view, NoBoard)] == []
+    assert len(found) == 13
+
+
+def test_a_glaring_stripe_beside_the_board_moves_no_column(shared_data):
+    path = shared_data / "real" / "etna_laser_robot" / "calib3" / "frame0001.png"
+    board = Board(kind="chessboard", squares_x=8, squares_y=7, square_m=0.01)
+
+    found = find_board(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), board, "glare")
+
+    plane, _ = cv2.findHomography(found.points_board_m[:, :2], found.points_px)
+    predicted = cv2.perspectiveTransform(found.points_board_m[None, :, :2], plane)[0]
+    assert np.abs(predicted - found.points_px).max() < 3  # the sector-based finder alone: 20
+
+
+def test_corners_on_rendered_charuco_views_are_within_a_twentieth_of_a_pixel(shared_data, rendered_truth):
+    folder = shared_data / "rendered" / "calib_b"
+    board = replace(CHARUCO, squares_x=11, squares_y=8)
+
+    errors = np.concatenate(
+        [
+            found.points_px - rendered_truth(path.stem, found.points_board_m)
+            for path in sorted((folder / "camera").glob("*.png"))[:5]
+            for found in [find_board(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), board, path.stem)]
+        ]
+    )
+
+    assert np.sqrt(np.mean(errors**2)) < 0.03
+    assert np.abs(errors).max() < 0.1
+
+
+def test_marker_corners_on_rendered_views_are_not_drawn_inwards_by_blur(shared_data, rendered_truth):
+    paths = sorted((shared_data / "rendered" / "calib_b" / "planes").glob("*.npz"))
+
+    errors = np.concatenate(
+        [
+            found.points_px - rendered_truth(path.stem, found.points_board_m)
+            for path in paths
+            for found in [find_board(np.load(path)["images"][0], FOUR, path.stem)]
+        ]
+    )
+
+    assert np.sqrt(np.mean(errors**2)) < 0.06  # OpenCV's refinement at the corners: 0.12
