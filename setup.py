@@ -29,9 +29,6 @@ setup(
             ("buffers", "forms", "kernels", "misfit", "ring_rows", "singular", "tracks"),
         ),
         kernels(
-            "_search", ("ring_rows", "ring_search", "ring_start"), ("buffers", "ring_rows", "ring_search", "ring_start")
-        ),
-        kernels(
             "_edges",
             ("edge_arcs", "edge_fit", "edge_places", "edge_steps", "lens"),
             ("buffers", "edges", "kernels", "tracks"),
@@ -39,17 +36,17 @@ setup(
         kernels(
             "_faces",
             ("arcs", "candidates", "groups", "lists", "unions"),
-            ("arcs", "buffers", "faces", "kernels", "tracks"),
+            ("arcs", "buffers", "faces", "kernels", "track_line", "tracks"),
         ),
         kernels(
             "_ring",
             (
-                *("arcs", "end_fits", "ends", "flat_ends", "lens", "profile", "sections"),
+                *("arcs", "end_fits", "ends", "flat_ends", "lens", "marks", "profile", "sections"),
                 *("track_lines", "track_spills", "tracks"),
             ),
             (
-                *("arcs", "buffers", "drafts", "end_fits", "ends", "kernels", "minimum", "normal_cdf", "profile"),
-                *("sections", "select", "tracks"),
+                *("arcs", "buffers", "drafts", "end_fits", "ends", "kernels", "marks", "minimum", "normal_cdf"),
+                *("profile", "sections", "select", "track_line", "tracks"),
             ),
         ),
         kernels(

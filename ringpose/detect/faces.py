@@ -15,7 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ringpose.detect.tracks import LEAST_COLUMNS, TAKEN_BY_THE_FIT, Track
+from ringpose.detect.tracks import LEAST_COLUMNS, TAKEN_BY_THE_FIT
 from ringpose.geometry.rays import undistorted_rays
 from ringpose.kernels.faces import CandidateRules, FaceRules, Group, RingRules, UnionRules, ring_faces
 from ringpose.types.arrays import Array, Float64
@@ -109,8 +109,9 @@ one: where stripes cross, what seems to be unseen is not, so that any other poss
 class Face:
     """The tracks on the ring's face."""
 
-    tracks: tuple[tuple[int, Track], ...]
-    """Laser and its track."""
+    lasers: tuple[int, ...]
+    tracks: Float64[Array, "track column=11"]
+    """Of each of these lasers; columns as in `TRACK_COLUMNS`."""
     score: float
     ambiguous: bool
     """Another labelling explains the same tracks about as well."""
@@ -119,16 +120,16 @@ class Face:
 def ring_face(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig: Rig) -> Face | None:
     """The most convincing face, from as many lasers as agree on one; None if no track will do.
 
-    Tracks are rows of `Track`; `lasers` are those that an unlabelled one may belong to.
+    `lasers` are those that an unlabelled track may belong to.
     """
     unlabelled = sum(1 << laser for laser in lasers)
-    unions, groups = ring_faces(tracks, unlabelled, _planes(rig), _rules(rig))
+    every, groups = ring_faces(tracks, unlabelled, _planes(rig), _rules(rig))
     best = _most_convincing(groups)
     if best is None:
         return None
-    rows = [tracks[each] if each < len(tracks) else unions[each - len(tracks)] for each in best.tracks]
     return Face(
-        tracks=tuple((laser, Track(*row.tolist())) for laser, row in zip(best.lasers, rows, strict=True)),
+        lasers=best.lasers,
+        tracks=every[list(best.tracks)],
         score=best.score,
         ambiguous=best.rival > best.score - CLEAR_MARGIN[len(best.tracks)],
     )

@@ -74,7 +74,7 @@ def _lost(found: BreakPoints | NoBreakPoints, predicted: BreakPoints | None) -> 
     """Whether a break point that was predicted was not found."""
     if predicted is None or not isinstance(found, BreakPoints):
         return True
-    return bool(np.any(predicted.seen & ~found.seen))
+    return bool((predicted.seen & np.isnan(found.position_px[..., 0])).any())
 
 
 def _all_stripes(images: list[LaserImage], source: StripeSource) -> tuple[Stripes, Segments | None]:
@@ -122,12 +122,12 @@ def _found(stripes: Stripes, images: list[LaserImage], rig: Rig) -> BreakPoints 
 
 def _masks_contradicted(face: Face | None, tracks: Float64[Array, "track column=11"], rig: Rig) -> bool:
     """Whether the stripes make a ring of three lasers only if they belong to others than the masks say."""
-    if face is not None and len(face.tracks) > 2:
+    if face is not None and len(face.lasers) > 2:
         return False
     unlabelled = tracks.copy()
     unlabelled[:, TRACK_COLUMNS.index("laser")] = UNLABELLED
     other = ring_face(unlabelled, range(len(rig.lasers.names)), rig)
-    return other is not None and len(other.tracks) > 2
+    return other is not None and len(other.lasers) > 2
 
 
 def _why_no_stripe(images: list[LaserImage]) -> NoBreakPoints:

@@ -4,15 +4,13 @@ Along the stripe the brightness falls from the face's level to what lies beyond 
 on a wall, a leak of the stripe on the body behind) as an error function; speckle multiplies it.
 """
 
-from collections.abc import Sequence
 from functools import lru_cache
 
-import numpy as np
-
 from ringpose.detect.frames import LaserImage
-from ringpose.detect.tracks import Track, lens
+from ringpose.detect.tracks import lens
 from ringpose.kernels import ring
-from ringpose.kernels.ring import EndRules, StripeEnd
+from ringpose.kernels.ring import TRACK_COLUMNS, EndRules
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
 
 BEYOND_COLUMNS = 40
@@ -69,13 +67,14 @@ BLUNT_GAIN = 1.5
 believed: no lens blurs more along the stripe than across it, so that an edge has a chamfer or is worn round."""
 
 
+LINE = [TRACK_COLUMNS.index(name) for name in ("middle_x", "middle_y", "slope", "x_start", "x_end")]
+
+
 def stripe_ends(
-    tracks: Sequence[Track], image: LaserImage, camera: Camera, saturation_dn: int
-) -> list[tuple[StripeEnd, StripeEnd]]:
-    """The left and right end of each track in the image that shows its stripe."""
-    lines = np.array([(each.middle_x, each.middle_y, each.slope, each.x_start, each.x_end) for each in tracks])
-    found = ring.stripe_ends(image.lit, image.dark, lines, lens(camera), _rules(saturation_dn))
-    return [(StripeEnd(*left), StripeEnd(*right)) for left, right in found.tolist()]
+    tracks: Float64[Array, "track column=11"], image: LaserImage, camera: Camera, saturation_dn: int
+) -> Float64[Array, "track end=2 column=10"]:
+    """The left and right end of each track in the image that shows its stripe, as the kernel tells them."""
+    return ring.stripe_ends(image.lit, image.dark, tracks[:, LINE], lens(camera), _rules(saturation_dn))
 
 
 @lru_cache(maxsize=4)

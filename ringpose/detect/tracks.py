@@ -4,9 +4,7 @@ A light plane draws a straight line on every planar surface, so the stripe on th
 a wall or a foil behind it adds tracks of other directions or places.
 """
 
-import math
 from functools import lru_cache
-from typing import NamedTuple
 
 from ringpose.kernels import ring
 from ringpose.kernels.ring import Lens, TrackRules
@@ -43,46 +41,8 @@ LONGEST_CORRELATION = 40
 """Columns over which errors of neighbouring centres are looked at for likeness: a facet of crinkled foil."""
 
 
-class Track(NamedTuple):
-    """Centres on one straight line y = middle_y + slope (x - middle_x), in undistorted pixels."""
-
-    laser: float
-    centers: float
-    x_start: float
-    x_end: float
-    middle_x: float
-    middle_y: float
-    slope: float
-    scatter: float
-    """Standard deviation of a centre about the line."""
-    correlation: float
-    """Columns that err alike (a speckle grain, a facet behind the stripe) and count as one measurement."""
-    clipped: float
-    """Whether it leaves the image at its left or right border."""
-    spilt: float
-    """Centres on its line some way beyond its ends."""
-
-    def y(self, x: float) -> float:
-        """The line's ordinate."""
-        return self.middle_y + self.slope * (x - self.middle_x)
-
-    def sigma(self, x: float, least_px: float = 0.0) -> float:
-        """Standard deviation of the line's ordinate, columns that err alike counted once.
-
-        That of the track's middle is `least_px` at least.
-        """
-        n = max(self.centers / self.correlation - TAKEN_BY_THE_FIT, LEAST_COLUMNS)
-        spread = max(self.length, 1.0) / math.sqrt(12)
-        return max(self.scatter / math.sqrt(n), least_px) * math.hypot(1.0, (x - self.middle_x) / spread)
-
-    @property
-    def length(self) -> float:
-        """Columns from start to end."""
-        return self.x_end - self.x_start
-
-
 def straight_tracks(stripes: Stripes, camera: Camera) -> Float64[Array, "track column=11"]:
-    """The straight tracks among the stripes, as rows of `Track`."""
+    """The straight tracks among the stripes, in undistorted pixels; columns as in `TRACK_COLUMNS`."""
     optics, rules = lens(camera), _rules(camera.image_width)
     return ring.straight_tracks(stripes.position_px, stripes.sigma_px, stripes.piece, stripes.laser, optics, rules)
 

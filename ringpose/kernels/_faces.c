@@ -8,11 +8,11 @@
 #include "buffers.h"
 #include "faces.h"
 
-enum { TRACK_COLUMNS = sizeof(Track) / sizeof(double), RULES = sizeof(FaceRules) / sizeof(double) };
+enum { TRACK_COLUMNS = sizeof(Track) / sizeof(double) };
 enum { MOST_LASERS = 32, MOST_CANDIDATES = 1000, MOST_ROUNDS = 10 };
 
 /* Whether the arrays fit together and tracks have lasers of the rig. */
-static int in_order(const Py_buffer view[3], const FaceRules *rules) {
+static int in_order(const Py_buffer view[2], const FaceRules *rules) {
     const Track *track = view[0].buf;
     Py_ssize_t lasers = view[1].shape[0];
     double most = rules->candidates.most, rounds = rules->unions.rounds;
@@ -30,7 +30,7 @@ static int in_order(const Py_buffer view[3], const FaceRules *rules) {
     return 1;
 }
 
-/* What is found among so many tracks: unions of them, and the best groups of all. */
+/* The tracks, then unions of them; and the best groups of all. */
 typedef struct {
     List tracks;
     Candidate *candidate;
@@ -67,48 +67,51 @@ static PyObject *group(const Found *found, int size) {
                          best->rival);
 }
 
-static PyObject *faces_of(const Py_buffer view[3], unsigned unlabelled) {
-    FaceRules rules;
-    if (view[2].shape[0] != RULES) {
-        PyErr_SetString(PyExc_ValueError, "faces: arrays do not fit together");
-        return NULL;
-    }
-    memcpy(&rules, view[2].buf, sizeof rules);
-    if (!in_order(view, &rules)) return NULL;
-    size_t count = (size_t)view[0].shape[0];
-    Scene scene = {(int)view[1].shape[0], unlabelled, (const double(*)[3])view[1].buf, &rules};
+static PyObject *faces_of(const Py_buffer view[2], unsigned unlabelled, const FaceRules *rules) {
+    if (!in_order(view, rules)) return NULL;
+    Scene scene = {(int)view[1].shape[0], unlabelled, (const double(*)[3])view[1].buf, rules};
     Found found = {.tracks = {NULL, 0, 0, sizeof(Track)}};
     int done;
     Py_BEGIN_ALLOW_THREADS
-    done = find(view[0].buf, count, &scene, &found);
+    done = find(view[0].buf, (size_t)view[0].shape[0], &scene, &found);
     Py_END_ALLOW_THREADS
     PyObject *result = NULL;
-    if (done) {
-        const char *unions = (const char *)found.tracks.data + count * sizeof(Track);
-        result = Py_BuildValue("(y#NNN)", unions, (Py_ssize_t)((found.tracks.used - count) * sizeof(Track)),
+    if (done)
+        result = Py_BuildValue("(y#(NNN))", found.tracks.data, (Py_ssize_t)(found.tracks.used * sizeof(Track)),
                                group(&found, 1), group(&found, 2), group(&found, 3));
-    } else
+    else
         PyErr_NoMemory();
     free(found.candidate);
     release(&found.tracks);
     return result;
 }
 
+/* The rules of unions, of candidates and of rings. */
+static int read_rules(PyObject *const object[3], FaceRules *rules) {
+    return read_numbers(object[0], "unions", (double *)&rules->unions, sizeof(UnionRules) / sizeof(double)) &&
+           read_numbers(object[1], "candidates", (double *)&rules->candidates,
+                        sizeof(CandidateRules) / sizeof(double)) &&
+           read_numbers(object[2], "ring", (double *)&rules->ring, sizeof(RingRules) / sizeof(double));
+}
+
 static PyObject *faces(PyObject *module, PyObject *arguments) {
     (void)module;
-    static const Description description[] = {{"tracks", "d", 2}, {"planes", "d", 2}, {"rules", "d", 1}};
-    PyObject *o[3];
+    static const Description description[] = {{"tracks", "d", 2}, {"planes", "d", 2}};
+    PyObject *o[2], *rules_object[3];
     unsigned unlabelled;
-    Py_buffer view[3];
-    if (!PyArg_ParseTuple(arguments, "OIOO", &o[0], &unlabelled, &o[1], &o[2])) return NULL;
-    if (!open_arrays(o, view, description, 3)) return NULL;
-    PyObject *result = faces_of(view, unlabelled);
-    for (int i = 0; i < 3; i++) PyBuffer_Release(&view[i]);
+    Py_buffer view[2];
+    FaceRules rules;
+    if (!PyArg_ParseTuple(arguments, "OIO(OOO)", &o[0], &unlabelled, &o[1], &rules_object[0], &rules_object[1],
+                          &rules_object[2]) ||
+        !read_rules(rules_object, &rules) || !open_arrays(o, view, description, 2))
+        return NULL;
+    PyObject *result = faces_of(view, unlabelled, &rules);
+    for (int i = 0; i < 2; i++) PyBuffer_Release(&view[i]);
     return result;
 }
 
 static PyMethodDef methods[] = {
-    {"faces", faces, METH_VARARGS, "Unions of tracks, and the best groups of one, two and three."},
+    {"faces", faces, METH_VARARGS, "Tracks and their unions, and the best groups of one, two and three."},
     {NULL, NULL, 0, NULL},
 };
 

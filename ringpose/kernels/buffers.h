@@ -27,7 +27,8 @@ static int open_array(PyObject *object, Py_buffer *view, const char *name, const
     return 0;
 }
 
-/* Opens arrays one after the other; 1 if all are as described (axes, 'd' doubles, 'i' int32, 'q' int64). */
+/* Opens arrays one after the other; 1 if all are as described (axes, 'd' doubles, 'i' int32, 'q' int64). Those that
+   shall be filled have names that begin with '>'. */
 typedef struct {
     const char *name, *format;
     int axes;
@@ -36,9 +37,23 @@ typedef struct {
 static inline int open_arrays(PyObject *const object[], Py_buffer view[], const Description description[], int count) {
     for (int i = 0; i < count; i++) {
         const Description *d = &description[i];
-        if (open_array(object[i], &view[i], d->name, d->format, d->format[0] == 'i' ? 4 : 8, d->axes, 0)) continue;
+        int size = d->format[0] == 'i' ? 4 : 8, fill = d->name[0] == '>';
+        if (open_array(object[i], &view[i], d->name + fill, d->format, size, d->axes, fill)) continue;
         while (i > 0) PyBuffer_Release(&view[--i]);
         return 0;
+    }
+    return 1;
+}
+
+/* Reads a tuple of numbers; a Python exception and 0 if it is none, or not of that length. */
+static inline int read_numbers(PyObject *object, const char *name, double *number, Py_ssize_t count) {
+    if (!PyTuple_Check(object) || PyTuple_Size(object) != count) {
+        PyErr_Format(PyExc_ValueError, "%s: must be a tuple of %zd numbers", name, count);
+        return 0;
+    }
+    for (Py_ssize_t i = 0; i < count; i++) {
+        number[i] = PyFloat_AsDouble(PyTuple_GetItem(object, i));
+        if (number[i] == -1 && PyErr_Occurred()) return 0;
     }
     return 1;
 }

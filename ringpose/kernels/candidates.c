@@ -2,14 +2,14 @@
 #include <math.h>
 
 #include "faces.h"
+#include "track_line.h"
 
 /* The ends on the normalised image. */
 static void place(const Track *track, const RingRules *ring, Candidate *candidate) {
     double end[2] = {track->x_start, track->x_end};
     for (int side = 0; side < 2; side++) {
-        double y = track->middle_y + track->slope * (end[side] - track->middle_x);
         candidate->x[side] = (end[side] - ring->principal_x) / ring->focal_x;
-        candidate->y[side] = (y - ring->principal_y) / ring->focal_y;
+        candidate->y[side] = (line_y(track, end[side]) - ring->principal_y) / ring->focal_y;
     }
 }
 

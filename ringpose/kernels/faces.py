@@ -1,7 +1,6 @@
 """The kernel that looks for the ring's face among tracks, behind a typed function; its twin: `reference_faces`."""
 
 import math
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -99,7 +98,7 @@ class Group(NamedTuple):
 
     lasers: tuple[int, ...]
     tracks: tuple[int, ...]
-    """Numbers; those of unions follow on the others."""
+    """Numbers."""
     score: float
     """Minus infinity if no group is possible."""
     rival: float
@@ -109,8 +108,8 @@ class Group(NamedTuple):
 class Faces(NamedTuple):
     """What may be the ring's face."""
 
-    unions: Float64[Array, "union column=11"]
-    """Tracks put together of others; columns as in `TRACK_COLUMNS`."""
+    tracks: Float64[Array, "n column=11"]
+    """The given ones, and then those that were put together of them."""
     groups: tuple[Group, Group, Group]
     """Of one, two and three tracks."""
 
@@ -128,12 +127,6 @@ def ring_faces(
     score is the sum of the merits less the costs of plane, circles, unseen lasers, and tilt (half the square of tilt
     over 0.5 rad).
     """
-    unions, *groups = _faces.faces(tracks, unlabelled, planes, _numbers(rules))
-    one, two, three = (Group(*group) for group in groups)
-    return Faces(np.frombuffer(unions, np.float64).reshape(-1, len(TRACK_COLUMNS)), (one, two, three))
-
-
-@lru_cache(maxsize=4)
-def _numbers(rules: FaceRules) -> Float64[Array, "n"]:
-    """Rules as the kernel reads them: the same ones for shot after shot."""
-    return np.array([*rules.unions, *rules.candidates, *rules.ring], dtype=np.float64)
+    every, (one, two, three) = _faces.faces(tracks, unlabelled, planes, rules)
+    groups = Group(*one), Group(*two), Group(*three)
+    return Faces(np.frombuffer(every, np.float64).reshape(-1, len(TRACK_COLUMNS)), groups)

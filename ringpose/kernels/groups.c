@@ -134,20 +134,17 @@ static double group_score(const Candidate *const member[], int size, const Scene
     return merit - cost - 0.5 * (tilt / 0.5) * (tilt / 0.5);
 }
 
-static int same_tracks(const Candidate *const first[], const int32_t *second, const Candidate *all, int size) {
-    for (int i = 0; i < size; i++) {
-        int found = 0;
-        for (int j = 0; j < size; j++) found |= first[i]->track == all[second[j]].track;
-        if (!found) return 0;
-    }
-    return 1;
+static int among(int32_t track, const Best *known, const Candidate *all, int size) {
+    int found = 0;
+    for (int i = 0; i < size; i++) found |= track == all[known->index[i]].track;
+    return found;
 }
 
 typedef struct {
     const Candidate *all;
     int count, size;
     const Scene *scene;
-    const Best *known; /* when looking for rivals of the best */
+    const Best *known; /* when looking for rivals of the best: the same tracks under other lasers */
     Best *best;
     double *rival;
 } Search;
@@ -164,20 +161,26 @@ static void visit(Search *search, const Candidate *const member[], const int32_t
     }
 }
 
+/* Whether a group's first tracks may lie on one plane: more of them cost no less. */
+static int on_one_plane(const Candidate *const member[], int count, const Search *search) {
+    double plane[3], limit = search->scene->rules->ring.plane_limit * search->size;
+    return count < 2 || plane_cost(member, count, plane) < limit;
+}
+
 /* All groups of a size in which lasers ascend and no track stands twice. */
 static void descend(Search *search, int depth, const Candidate **member, int32_t *index) {
     if (depth == search->size) {
-        if (!search->known || same_tracks(member, search->known->index, search->all, search->size))
-            visit(search, member, index);
+        visit(search, member, index);
         return;
     }
     for (int c = depth ? index[depth - 1] + 1 : 0; c < search->count; c++) {
-        int fits = depth == 0 || search->all[c].laser > member[depth - 1]->laser;
-        for (int i = 0; i < depth; i++) fits &= search->all[c].track != member[i]->track;
-        if (!fits) continue;
-        member[depth] = &search->all[c];
+        const Candidate *next = &search->all[c];
+        int fits = depth == 0 || next->laser > member[depth - 1]->laser;
+        for (int i = 0; i < depth; i++) fits &= next->track != member[i]->track;
+        if (!fits || (search->known && !among(next->track, search->known, search->all, search->size))) continue;
+        member[depth] = next;
         index[depth] = c;
-        descend(search, depth + 1, member, index);
+        if (depth + 1 == search->size || on_one_plane(member, depth + 1, search)) descend(search, depth + 1, member, index);
     }
 }
 

@@ -21,7 +21,7 @@ def ring_faces(tracks: Tracks, unlabelled: int, planes: Float64[Array, "laser xy
     """Twin of `ringpose.kernels.faces.ring_faces`."""
     unions = collinear_unions(tracks, rules.unions)
     every = np.concatenate([tracks, unions])
-    return Faces(unions, best_groups(_candidates(every, len(unions), unlabelled, planes, rules), rules.ring))
+    return Faces(every, best_groups(_candidates(every, len(unions), unlabelled, planes, rules), rules.ring))
 
 
 def collinear_unions(tracks: Tracks, rules: UnionRules) -> Float64[Array, "union column=11"]:

@@ -25,16 +25,18 @@ def arcs(
 
 def arc_fit(
     position_px: Float64[Array, "laser end=2 xy=2"],
-    along_sigma_px: Float64[Array, "laser end=2"],
+    covariance_px2: Float64[Array, "laser end=2 xy=2 xy=2"],
     planes: Float64[Array, "laser normal_and_distance=4"],
     lens: Lens,
     circle_sigma_px: float,
+    fitted_exactly: int,
 ) -> ArcFit:
     """Twin of `ringpose.kernels.ring.arc_fit`."""
     seen = ~np.isnan(position_px[..., 0])
     laser, arc = np.nonzero(seen)
     points, metres = flat_ends(position_px[seen], planes[laser], lens)
-    along = along_sigma_px[seen] * metres
+    along_px = np.sqrt(covariance_px2[..., 0, 0][seen])
+    along = metres * (np.hypot(along_px, circle_sigma_px) if len(points) <= fitted_exactly else along_px)
     sigma = np.hypot(along, circle_sigma_px * metres)
 
     def cost(used: Array) -> float:
@@ -43,9 +45,11 @@ def arc_fit(
     number = np.arange(len(points))
     curvature = arcs(points, arc)[1]
     moved = [arcs(points + np.outer(number == each, [along[each], 0.0]), arc)[1] for each in number]
-    without = np.full(seen.shape, np.nan)
+    without = np.full(seen.shape, np.inf)
     without[seen] = [cost(number != each) for each in number]
-    return ArcFit(cost(number >= 0), without, curvature, float(np.linalg.norm(np.array(moved) - curvature)))
+    left, right = seen.sum(axis=0).tolist()
+    spread = float(np.linalg.norm(np.array(moved) - curvature))
+    return ArcFit((left, right), cost(number >= 0), tuple(without.ravel().tolist()), curvature, spread)
 
 
 def flat_ends(

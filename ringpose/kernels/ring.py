@@ -1,9 +1,8 @@
 """The kernels that make tracks of stripes and find their ends, behind typed functions.
 
-Twins: `reference_tracks`, `reference_ends`, `reference_ring`.
+Twins: `reference_tracks`, `reference_ends`, `reference_marks`, `reference_ring`.
 """
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -116,32 +115,8 @@ def straight_tracks(
     least-squares fit, a second one without outliers. Centres are sorted by piece, then column.
     """
     position, sigma = np.ascontiguousarray(position_px), np.ascontiguousarray(sigma_px)
-    found = _ring.tracks(position, sigma, piece, laser, _numbers(lens), _numbers(rules))
+    found = _ring.tracks(position, sigma, piece, laser, lens, rules)
     return np.frombuffer(found, dtype=np.float64).reshape(-1, len(TRACK_COLUMNS))
-
-
-class StripeEnd(NamedTuple):
-    """An end of a stripe; NaN where no edge fits."""
-
-    x: float
-    """Distorted pixels, as are ..."""
-    y: float
-    slope: float
-    """... the line's ordinate and slope there."""
-    sigma_px: float
-    """Along x."""
-    outside: float
-    """Level outside as a share of that inside."""
-    saturated: float
-    """Share of saturated columns at the end."""
-    width_px: float
-    """Of the edge."""
-    section_px: float
-    """Sigma of the stripe's section, the same at both ends."""
-    blunt: float
-    """Whether it falls off more slowly than optics blur: the sharp edge lies somewhere in the fall, as sigma says."""
-    beneath: float
-    """Relative variance of the peaks by what lies beneath the stripe, the same at both ends."""
 
 
 def stripe_ends(
@@ -156,20 +131,85 @@ def stripe_ends(
     Lines are middle_x, middle_y, slope, x_start, x_end in undistorted pixels. The stripe's brightness along its line
     (the Gaussian section that fits each column best) is compared with a level inside, a level outside, and an error
     function between; the most likely position, width and levels win, widths near that which suits all ends best.
-    Columns of the result are the fields of `StripeEnd`.
+    Columns of the result: x, y and slope of the line there (distorted pixels), sigma along x, the level outside as a
+    share of that inside, the share of saturated columns at the end, the edge's width, the sigma of the stripe's
+    section, whether the edge is blunt, and the relative variance of the peaks by what lies beneath the stripe; NaN
+    where no edge fits.
     """
     black = None if dark is None else np.ascontiguousarray(dark)
-    found = _ring.ends(np.ascontiguousarray(lit), black, np.ascontiguousarray(lines), _numbers(lens), _numbers(rules))
+    found = _ring.ends(np.ascontiguousarray(lit), black, np.ascontiguousarray(lines), lens, rules)
     return np.frombuffer(found, dtype=np.float64).reshape(-1, 2, 10)
+
+
+class MarkRules(NamedTuple):
+    """What an end is held against, and the flags for it."""
+
+    image_width: float
+    border_px: float
+    """An end so close to the image's left or right border is none."""
+    saturated_share: float
+    """Share of the last columns with a saturated pixel above which an end is saturated."""
+    kink_level: float
+    """A level beyond the edge of this share of the face's is a kink."""
+    unclear_px: float
+    """Ends with a greater sigma are unclear."""
+    clipped_phase: float
+    """Error of a saturated stripe's centre, times the sigma of its section in pixels."""
+    facet_sigmas: float
+    """Columns over which what lies beneath a stripe is alike, in sigmas of its section."""
+    taken_by_fit: float
+    """Independent columns that a line's fit takes,"""
+    least_columns: float
+    """and the least that are left."""
+    saturated_flag: float
+    kink_flag: float
+    clipped_flag: float
+    blunt_flag: float
+    unclear_flag: float
+
+
+class Ends(NamedTuple):
+    """The ends of stripes on the ring's face, left then right; NaN where none was seen."""
+
+    position_px: Float64[Array, "laser end=2 xy=2"]
+    """Distorted."""
+    covariance_px2: Float64[Array, "laser end=2 xy=2 xy=2"]
+    flags: Int64[Array, "laser end=2"]
+    straight_px: Float64[Array, "laser end=2 xy=2"]
+    """The tracks' own ends, undistorted."""
+    straight_sigma_px: Float64[Array, "laser end=2"]
+    """Of the tracks' ordinates there."""
+
+
+def marked_ends(
+    tracks: Float64[Array, "track column=11"],
+    found: Float64[Array, "track end=2 column=10"],
+    track_lasers: tuple[int, ...],
+    lasers: int,
+    rules: MarkRules,
+) -> Ends:
+    """The ends of tracks, each of another one of so many lasers, with covariances and flags.
+
+    `tracks` and `found` are what `straight_tracks` and `stripe_ends` say of them. An end errs along its line by its
+    own sigma, and with the line across: by the scatter of the track's centres, columns that err alike counted once,
+    and by what these share and do not show.
+    """
+    both = (lasers, 2)
+    position, covariance, flags = np.empty((*both, 2)), np.empty((*both, 2, 2)), np.empty(both, np.int64)
+    straight, sigma = np.empty((*both, 2)), np.empty(both)
+    _ring.marks(np.ascontiguousarray(tracks), found, track_lasers, rules, position, covariance, flags, straight, sigma)
+    return Ends(position, covariance, flags, straight, sigma)
 
 
 class ArcFit(NamedTuple):
     """How well points fit two arcs about one centre."""
 
+    seen: tuple[int, int]
+    """Points on either arc."""
     cost: float
     """Squared sigmas over two of all points."""
-    cost_without: Float64[Array, "laser end=2"]
-    """The same with each point left out; NaN where there is none."""
+    cost_without: tuple[float, ...]
+    """The same with each point left out, laser by laser, left and right; infinite where there is none."""
     curvature: float
     """One over the radius; positive if the centre lies on the side of positive x."""
     curvature_sigma: float
@@ -177,25 +217,17 @@ class ArcFit(NamedTuple):
 
 def arc_fit(
     position_px: Float64[Array, "laser end=2 xy=2"],
-    along_sigma_px: Float64[Array, "laser end=2"],
+    covariance_px2: Float64[Array, "laser end=2 xy=2 xy=2"],
     planes: Float64[Array, "laser normal_and_distance=4"],
     lens: Lens,
     circle_sigma_px: float,
+    fitted_exactly: int,
 ) -> ArcFit:
     """How well the ends of stripes fit two arcs about one centre, one through the left ends, one through the right.
 
     In the plane nearest to them, arcs a (x^2 + y^2) + x + b y + c_arc = 0 are fitted by least squares along x, which
     runs along the image's rows. Costs count distances in the points' sigmas along x and `circle_sigma_px` together;
-    the curvature's sigma follows from moving each point by the former. Ends that are NaN are none.
+    the curvature's sigma follows from moving each point by the former, or by both where all points are no more than
+    `fitted_exactly`. Ends that are NaN are none.
     """
-    found = _ring.arcs(np.ascontiguousarray(position_px), along_sigma_px, planes, _numbers(lens), circle_sigma_px)
-    cost, *without, curvature, curvature_sigma = np.frombuffer(found, dtype=np.float64).tolist()
-    return ArcFit(cost, np.array(without).reshape(-1, 2), curvature, curvature_sigma)
-
-
-@lru_cache(maxsize=32)
-def _numbers(values: tuple[int | float, ...]) -> Float64[Array, "n"]:
-    """Rules or a lens as the kernels read them: the same ones for shot after shot."""
-    numbers = np.array(values, dtype=np.float64)
-    numbers.flags.writeable = False
-    return numbers
+    return ArcFit(*_ring.arcs(position_px, covariance_px2, planes, lens, circle_sigma_px, fitted_exactly))

@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "select.h"
+#include "track_line.h"
 
 /* Values of a running median. */
 enum { SMOOTHED = 7 };
@@ -130,12 +131,7 @@ static int cut(size_t first, size_t last, double sigma, double laser, const Work
     return push(drafts, &draft);
 }
 
-static double line_y(const Track *track, double x) { return track->middle_y + track->slope * (x - track->middle_x); }
-
-static double line_sigma(const Track *track, double x) {
-    double n = fmax(track->count / track->correlation, 2), spread = fmax(track->x_end - track->x_start, 1) / sqrt(12);
-    return track->scatter / sqrt(n) * hypot(1, (x - track->middle_x) / spread);
-}
+static double sigma_at(const Track *track, double x) { return line_sigma(track, x, middle_sigma(track, 0, 2)); }
 
 /* Whether the second track lies on the first one's line, not too far beyond its end. */
 static int continues(const Track *first, const Track *second, const TrackRules *rules) {
@@ -145,7 +141,7 @@ static int continues(const Track *first, const Track *second, const TrackRules *
     double middle = (first->x_end + second->x_start) / 2;
     double apart = fabs(line_y(first, middle) - line_y(second, middle));
     double turned = fabs(first->slope - second->slope) * fmin(fmin(length, other), fmax(length, other) / 2) / 2;
-    double allowed = rules->joined + 2 * hypot(line_sigma(first, middle), line_sigma(second, middle));
+    double allowed = rules->joined + 2 * hypot(sigma_at(first, middle), sigma_at(second, middle));
     return fmax(apart, turned) < allowed;
 }
 

@@ -3,14 +3,7 @@
 #include <math.h>
 
 #include "faces.h"
-
-static double line_y(const Track *track, double x) { return track->middle_y + track->slope * (x - track->middle_x); }
-
-static double line_sigma(const Track *track, double x, const UnionRules *rules) {
-    double columns = fmax(track->count / track->correlation - rules->taken_by_fit, rules->least_columns);
-    double spread = fmax(track->x_end - track->x_start, 1) / sqrt(12);
-    return track->scatter / sqrt(columns) * hypot(1, (x - track->middle_x) / spread);
-}
+#include "track_line.h"
 
 /* Whether the second track, which lies to the right, can be on the first one's line. */
 static int meet(const Track *first, const Track *second, const UnionRules *rules) {
@@ -19,7 +12,8 @@ static int meet(const Track *first, const Track *second, const UnionRules *rules
     if (first->laser != second->laser || !(gap > 0 && gap <= rules->longest_gap * lengths)) return 0;
     double middle = first->x_end + gap / 2, apart = fabs(line_y(first, middle) - line_y(second, middle));
     if (!(apart < rules->farthest)) return 0;
-    double sigma = hypot(line_sigma(first, middle, rules), line_sigma(second, middle, rules));
+    double sigma = hypot(line_sigma(first, middle, middle_sigma(first, rules->taken_by_fit, rules->least_columns)),
+                         line_sigma(second, middle, middle_sigma(second, rules->taken_by_fit, rules->least_columns)));
     return apart < rules->apart + rules->apart_sigmas * sigma;
 }
 

@@ -4,7 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.detect.tracks import Track, straight_tracks
+from ringpose.detect.break_points import mark_rules
+from ringpose.detect.tracks import straight_tracks
+from ringpose.kernels.ring import marked_ends
 from ringpose.types.camera import Camera
 from ringpose.types.stripes import Stripes
 
@@ -34,8 +36,9 @@ def line_errors(rng, columns, grain_px):
         piece=np.zeros(columns, dtype=np.int64),
         laser=np.zeros(1, dtype=np.int64),
     )
-    (line,) = (Track(*row) for row in straight_tracks(stripes, CAMERA).tolist())
-    return [(line.y(end) - 600.0) / line.sigma(end) for end in (line.x_start, line.x_end)]
+    tracks = straight_tracks(stripes, CAMERA)
+    ends = marked_ends(tracks, np.full((1, 2, 10), np.nan), (0,), 1, mark_rules(CAMERA.image_width))
+    return (ends.straight_px[0, :, 1] - 600.0) / ends.straight_sigma_px[0]
 
 
 @pytest.mark.parametrize("columns", [29, 58, 120, 250])

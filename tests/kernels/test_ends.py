@@ -133,10 +133,8 @@ def test_wild_lines_have_no_end(value):
     ids=["size", "type"],
 )
 def test_a_dark_frame_unlike_the_lit_one_is_refused(dark, error):
-    numbers = (np.array(STRAIGHT), np.array(RULES, dtype=np.float64))
-
-    with pytest.raises(error):
-        _ring.ends(image(drawn(100, 200)), dark, LINE, *numbers)
+    with pytest.raises(error, match=r"dark|fit together"):
+        _ring.ends(image(drawn(100, 200)), dark, LINE, STRAIGHT, RULES)
 
 
 def test_the_table_of_the_header_is_the_normal_distribution():

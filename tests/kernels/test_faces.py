@@ -106,7 +106,7 @@ def crowd(rng, count):
 
 
 def assert_equal(found, expected):
-    np.testing.assert_allclose(found.unions, expected.unions, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(found.tracks, expected.tracks, rtol=1e-9, atol=1e-9)
     assert [group[:2] for group in found.groups] == [group[:2] for group in expected.groups]
     for name in ("score", "rival"):
         values, wanted = ([getattr(group, name) for group in each.groups] for each in (found, expected))
@@ -196,7 +196,7 @@ def halves(rng, step_px=0.0, **of_second):
 def test_a_union_is_the_line_through_all_centres(rng):
     tracks, expected = halves(rng)
 
-    (both,) = ring_faces(tracks, ANY, planes(), RULES).unions
+    (*_, both) = ring_faces(tracks, ANY, planes(), RULES).tracks
 
     found, wanted = (dict(zip(TRACK_COLUMNS, row.tolist(), strict=True)) for row in (both, expected))
     assert found["middle_x"] == pytest.approx(wanted["middle_x"])
@@ -208,7 +208,7 @@ def test_a_union_is_the_line_through_all_centres(rng):
 def test_pieces_of_one_line_are_tried_as_one_whatever_their_order(rng):
     tracks, _ = halves(rng)
 
-    (both,) = ring_faces(tracks[::-1].copy(), ANY, planes(), RULES).unions
+    (*_, both) = ring_faces(tracks[::-1].copy(), ANY, planes(), RULES).tracks
 
     found = dict(zip(TRACK_COLUMNS, both.tolist(), strict=True))
     assert (found["x_start"], found["x_end"], found["centers"]) == (100.0, 199.0, 90.0)
@@ -222,7 +222,7 @@ def test_pieces_of_one_line_are_tried_as_one_whatever_their_order(rng):
 def test_what_cannot_be_one_stripe_is_not_joined(rng, of_second):
     tracks, _ = halves(rng, **of_second)
 
-    assert len(ring_faces(tracks, ANY, planes(), RULES).unions) == 0
+    assert len(ring_faces(tracks, ANY, planes(), RULES).tracks) == 2
 
 
 def test_no_tracks_give_no_group():
@@ -246,13 +246,21 @@ def test_rules_out_of_range_are_a_value_error(rng, wrong):
         ring_faces(crowd(rng, 4), ANY, planes(), with_rules(**wrong))
 
 
-@pytest.mark.parametrize("changed", range(3))
+@pytest.mark.parametrize("changed", [0, 1])
 def test_faces_of_arrays_that_do_not_fit_together_are_a_value_error(rng, changed):
-    arrays = [crowd(rng, 4), planes(), np.array([value for part in RULES for value in part])]
-    arrays[changed] = np.ascontiguousarray(arrays[changed][..., :-1])
+    arrays = [crowd(rng, 4), planes()]
+    arrays[changed] = np.ascontiguousarray(arrays[changed][:, :-1])
 
     with pytest.raises(ValueError, match="do not fit together"):
-        _faces.faces(arrays[0], ANY, *arrays[1:])
+        _faces.faces(arrays[0], ANY, arrays[1], RULES)
+
+
+@pytest.mark.parametrize("name", ["unions", "candidates", "ring"])
+def test_rules_of_another_length_are_a_value_error(rng, name):
+    wrong = RULES._replace(**{name: getattr(RULES, name)[:-1]})
+
+    with pytest.raises(ValueError, match=name):
+        ring_faces(crowd(rng, 4), ANY, planes(), wrong)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 0.0, 1e300])

@@ -1,0 +1,119 @@
+"""The kernel that says how well ends are known equals its twin."""
+
+import numpy as np
+import pytest
+
+from ringpose.kernels import _ring, reference_marks
+from ringpose.kernels.ring import MarkRules, marked_ends
+
+RULES = MarkRules(
+    image_width=800.0,
+    border_px=3.0,
+    saturated_share=0.2,
+    kink_level=0.25,
+    unclear_px=0.75,
+    clipped_phase=0.022,
+    facet_sigmas=6.0,
+    taken_by_fit=5.0,
+    least_columns=0.5,
+    saturated_flag=1.0,
+    kink_flag=2.0,
+    clipped_flag=4.0,
+    blunt_flag=32.0,
+    unclear_flag=64.0,
+)
+
+
+def tracks(rng, count):
+    """Tracks of any kind."""
+    start, length = rng.uniform(0, 500, count), rng.uniform(0, 300, count)
+    line = (start + length / 2, rng.uniform(50, 550, count), rng.uniform(-0.2, 0.2, count))
+    spread = (rng.uniform(0.01, 0.5, count), rng.uniform(1, 20, count))
+    rest = (np.zeros(count), np.zeros(count))
+    return np.stack(
+        [np.full(count, -1.0), rng.integers(8, 300, count), start, start + length, *line, *spread, *rest], -1
+    )
+
+
+def found_ends(rng, count):
+    """What the kernel of ends may say of them; some are not there, and some lie at the border."""
+    section, beneath = rng.uniform(0.8, 4, (count, 1)), rng.uniform(0, 0.05, (count, 1))
+    shape = (count, 2)
+    columns = (
+        rng.uniform(-5, 805, shape),
+        rng.uniform(0, 600, shape),
+        rng.uniform(-0.2, 0.2, shape),
+        rng.uniform(0.01, 1.5, shape),
+        rng.uniform(0, 0.5, shape),
+        rng.uniform(0, 1, shape) * (rng.random(shape) < 0.3),
+        rng.uniform(0.5, 4, shape),
+        np.broadcast_to(section, shape),
+        1.0 * (rng.random(shape) < 0.2),
+        np.broadcast_to(beneath, shape),
+    )
+    ends = np.stack(columns, axis=-1)
+    ends[rng.random(shape) < 0.2, :7] = np.nan
+    ends[rng.random(count) < 0.1] = np.nan
+    return ends
+
+
+def assert_equal(found, expected):
+    for each, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(each, other, rtol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_marks_equal_the_twin(seed):
+    rng = np.random.default_rng(seed)
+    drawn, lasers = (tracks(rng, 5), found_ends(rng, 5)), tuple(rng.permutation(8)[:5].tolist())
+
+    found = marked_ends(*drawn, lasers, 8, RULES)
+
+    assert_equal(found, reference_marks.marked_ends(*drawn, lasers, 8, RULES))
+
+
+def test_an_end_errs_along_its_line_by_its_own_sigma_and_across_by_the_lines(rng):
+    drawn, ends = tracks(rng, 1), found_ends(rng, 1)
+    ends[0, 1] = [drawn[0, 3], 300.0, 0.5, 0.2, 0.0, 0.0, 1.0, 2.0, 0.0, 0.0]
+
+    marks = marked_ends(drawn, ends, (0,), 1, RULES)
+
+    covariance, across = marks.covariance_px2[0, 1], np.array([-0.5, 1.0])
+    assert covariance[0, 0] == pytest.approx(0.2**2)
+    assert across @ covariance @ across == pytest.approx(marks.straight_sigma_px[0, 1] ** 2)
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "flag"),
+    [(5, 0.5, 1), (4, 0.5, 2), (0, 1.0, 4), (0, np.nan, 4), (8, 1.0, 32), (3, 1.0, 64)],
+    ids=["saturated", "kink", "at the border", "none", "blunt", "unclear"],
+)
+def test_flags_say_what_an_end_is(rng, column, value, flag):
+    ends = np.zeros((1, 2, 10))
+    ends[0, 0] = [400.0, 300.0, 0.0, 0.2, 0.0, 0.0, 1.0, 2.0, 0.0, 0.0]
+    ends[0, 0, column] = value
+
+    assert marked_ends(tracks(rng, 1), ends, (0,), 1, RULES).flags[0, 0] == flag
+
+
+def test_lasers_without_a_track_have_no_end(rng):
+    ends = marked_ends(tracks(rng, 1), found_ends(rng, 1), (1,), 3, RULES)
+
+    assert all(np.isnan(each[[0, 2]]).all() for each in (*ends[:2], *ends[3:]))
+    assert not ends.flags[[0, 2]].any()
+
+
+@pytest.mark.parametrize("lasers", [(3,), (-1,), (), (0, 1)])
+def test_lasers_that_are_not_of_the_rig_or_not_one_a_track_are_a_value_error(rng, lasers):
+    with pytest.raises(ValueError, match="lasers"):
+        marked_ends(tracks(rng, 1), found_ends(rng, 1), lasers, 3, RULES)
+
+
+@pytest.mark.parametrize("changed", range(7))
+def test_marks_of_arrays_that_do_not_fit_together_are_a_value_error(rng, changed):
+    arrays = [tracks(rng, 2), found_ends(rng, 2), np.empty((3, 2, 2)), np.empty((3, 2, 2, 2))]
+    arrays += [np.empty((3, 2), np.int64), np.empty((3, 2, 2)), np.empty((3, 2))]
+    arrays[changed] = np.ascontiguousarray(arrays[changed][..., :1])
+
+    with pytest.raises(ValueError, match="do not fit together"):
+        _ring.marks(*arrays[:2], (0, 1), RULES, *arrays[2:])
