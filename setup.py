@@ -29,6 +29,9 @@ setup(
             ("buffers", "forms", "kernels", "misfit", "ring_rows", "singular", "tracks"),
         ),
         kernels(
+            "_search", ("ring_rows", "ring_search", "ring_start"), ("buffers", "ring_rows", "ring_search", "ring_start")
+        ),
+        kernels(
             "_edges",
             ("edge_arcs", "edge_fit", "edge_places", "edge_steps", "lens"),
             ("buffers", "edges", "kernels", "tracks"),
