@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
 from ringpose.simulate.serve import features
-from ringpose.simulate.serve.registers import Registers
+from ringpose.simulate.serve.registers import BOUNDED, Registers
 from ringpose.wire import gige_registers as bootstrap
 from ringpose.wire.gvcp import Answer, Command, Request, Status, resend_range, written_payload
 
@@ -172,7 +172,7 @@ class Control:
             size = registers[address] & bootstrap.PACKET_SIZE_MASK
             registers[address] = size
             actions.fire_test_packet(client, size)
-        elif address == features.PIXEL_FORMAT:
+        elif address in _RENEWED:
             registers.renew()
         elif address in (features.ACQUISITION_START, features.ACQUISITION_STOP, features.TRIGGER_SOFTWARE):
             {
@@ -201,6 +201,9 @@ class Control:
         if wanted is not None and client[0] == (self._client or ("", 0))[0]:
             self._actions.resend(*wanted)
 
+
+_RENEWED = frozenset({features.PIXEL_FORMAT, *BOUNDED, *(address + 4 for address in BOUNDED)})
+"""Registers that do not keep whatever is written to them."""
 
 _READ_ONLY = frozenset(
     {

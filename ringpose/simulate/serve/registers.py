@@ -12,6 +12,13 @@ HEARTBEAT_MS = 3000
 
 TICKS_PER_S = 1_000_000_000
 
+BOUNDED = {
+    features.EXPOSURE_TIME: features.EXPOSURE_BOUNDS_US,
+    features.GAIN: features.GAIN_BOUNDS_DB,
+    features.FRAME_RATE: features.FRAME_RATE_BOUNDS_HZ,
+}
+"""Floating-point numbers that a client may set."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identity:
@@ -72,7 +79,9 @@ class Registers:
         return PixelFormat.MONO12 if is_deep else PixelFormat.MONO8
 
     def renew(self) -> None:
-        """Recompute what depends on other registers."""
+        """Recompute what depends on other registers, and bring numbers back into their bounds."""
+        for address, bounds in BOUNDED.items():
+            self.set_number(address, self.number(address, bounds))
         self[features.PIXEL_FORMAT] = self.pixel_format
         pixels = self[features.WIDTH] * self[features.HEIGHT]
         self[features.PAYLOAD_SIZE] = pixels * self.pixel_format.bytes_per_pixel

@@ -1,5 +1,8 @@
 """Who may write to the camera, and for how long."""
 
+import math
+import struct
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -168,6 +171,25 @@ def test_a_pixel_format_that_the_camera_lacks_is_not_kept(control):
     written(control, features.PIXEL_FORMAT, 0x010C0006)
 
     assert control.registers[features.PIXEL_FORMAT] == 0x01080001
+
+
+@pytest.mark.parametrize(
+    ("address", "value", "kept"),
+    [
+        (features.GAIN, 99.0, 24.0),
+        (features.EXPOSURE_TIME, 1.0, 10.0),
+        (features.EXPOSURE_TIME, math.nan, 10.0),
+        (features.FRAME_RATE, math.inf, 200.0),
+        (features.FRAME_RATE, 50.0, 50.0),
+    ],
+)
+def test_a_number_out_of_its_bounds_is_not_kept(control, address, value, kept):
+    written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
+
+    asked(control, Command.WRITE_MEMORY, struct.pack(">Id", address, value))
+
+    read = asked(control, Command.READ_MEMORY, read_memory_payload(address, 8)).payload[4:]
+    assert struct.unpack(">d", read) == (kept,)
 
 
 def test_no_heartbeat_is_too_short_to_be_kept(control):
