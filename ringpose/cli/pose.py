@@ -122,6 +122,9 @@ def _lines(
         return
     _, rig, _ = recorded
     with newest_shots(wanted, batch, messages.say) as newest:
+        import ringpose.detect.pipeline  # here, while the first shot is taken, it costs no time
+        import ringpose.pose.pipeline  # noqa: F401
+
         yield _live_lines(newest, lambda shot: measure(fitting_shot(shot, rig, wanted.camera)))
 
 
