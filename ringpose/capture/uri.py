@@ -80,8 +80,12 @@ def device_uri(text: str, option: str, group: str) -> DeviceUri:
     """The URI in its parts; its scheme must be one of those registered."""
     scheme, rest = scheme_and_rest(text, option, schemes(group))
     place, _, query = rest.removeprefix("//").partition("?")
-    parameters = dict(parse_qsl(query, keep_blank_values=True))
-    return DeviceUri(text=text, option=option, scheme=scheme, place=place, parameters=parameters)
+    pairs = parse_qsl(query, keep_blank_values=True)
+    uri = DeviceUri(text=text, option=option, scheme=scheme, place=place, parameters=dict(pairs))
+    twice = next((key for key in uri.parameters if [each for each, _ in pairs].count(key) > 1), None)
+    if twice is not None:
+        raise uri.problem(f"gives {twice}= twice")
+    return uri
 
 
 def scheme_and_rest(uri: str, option: str, schemes: Sequence[str]) -> tuple[str, str]:

@@ -47,9 +47,18 @@ def run() -> None:
         status = main(sys.argv[1:])
     except SignalReceived as received:
         status = received.status
-    interrupts.ignore_signals()
+    _end_undisturbed()
     _drop_unwritten()
     sys.exit(status)
+
+
+def _end_undisturbed() -> None:
+    """Whoever presses Ctrl-C again and again may hit the moment in which signals cease to count."""
+    while True:
+        try:
+            return interrupts.ignore_signals()
+        except SignalReceived:
+            continue
 
 
 def _command(arguments: list[str]) -> int:

@@ -136,6 +136,24 @@ def test_clean_up_is_not_broken_off_by_further_signals(started):
     assert (process.returncode, rest, said) == (143, "off\n", "")
 
 
+LATE_SIGNAL = """
+import os, signal
+from ringpose.cli import interrupts
+quiet = interrupts.ignore_signals
+def pelted():
+    interrupts.ignore_signals = quiet
+    os.kill(os.getpid(), signal.SIGINT)
+    os.getpid()
+interrupts.ignore_signals = pelted
+"""
+"""Put before the command: a last signal comes when signals are about to be ignored."""
+
+
+def test_a_signal_at_the_very_end_is_no_traceback(started):
+    with started("--version", before=LATE_SIGNAL) as process:
+        assert ended(process) == (0, "")
+
+
 def test_signals_that_the_parent_ignores_stay_ignored(started, rig, detections):
     def ignore() -> None:
         signal.signal(signal.SIGHUP, signal.SIG_IGN)

@@ -126,6 +126,7 @@ def test_a_full_disk_leaves_the_lasers_off_and_the_finished_shots(board, capturi
         ("lcus:/dev/ttyNone?ch=1,2," + 5000 * "3", 2, "relays have numbers from 1 to 32"),
         ("ascii:/dev/ttyNone?ch=1,2,3&on=R1&off=R{n}", 2, "on= must be a line with {n}"),
         ("ascii:/dev/ttyNone?ch=1,2,3&on=R{n}&off=R{n}", 2, "says the same for on= and off="),
+        ("lcus:/dev/ttyNone?ch=1,2,3&ch=3,2,1", 2, "gives ch= twice"),
         ("", 2, '"" names no device'),
         ("line:Line1,Line2,Line3", 2, "goes with a camera that has output lines only"),
         ("relay:/dev/ttyNone", 2, "names no device; it begins with one of ascii:, lcus:"),
