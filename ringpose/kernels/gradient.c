@@ -15,33 +15,38 @@ enum { BLOCK = 128 };
 /* Anchors lie in columns whose number is a multiple of it, those of upright edges in such rows. */
 enum { ANCHOR_SPACING = 8, NO_ANCHORS = INT16_MAX };
 
+/* Smoothed rows that are kept: of a row with anchors, and of the one below, their neighbours as well. */
+enum { SMOOTH = 4 };
+
 typedef struct {
     void *memory;
     uint32_t *wide_sum;
     uint16_t *sum; /* in the same place */
-    int16_t *smooth[3];
+    int16_t *smooth[SMOOTH];
     int16_t *along, *across;
-    int16_t *gx[2], *gy[2];
     uint8_t *is_anchor;
     int16_t *least; /* magnitude of an anchor in each column; none has NO_ANCHORS */
 } Rows;
 
+/* Elements beside each row that are worked on as if they were part of it: so vectors need not begin within a row, which
+   would put half of them across two lines of the cache. */
+enum { BESIDE = 32 };
+
 static int allocate_rows(Rows *rows, size_t width, int16_t upper) {
-    if (width > SIZE_MAX / 32) return 0;
-    rows->memory = calloc(13 * width, sizeof(int16_t));
+    if (width > SIZE_MAX / 64) return 0;
+    const size_t step = (width + 3 * BESIDE - 1) / BESIDE * BESIDE;
+    rows->memory = calloc(10 * step + BESIDE, sizeof(int16_t));
     if (rows->memory == NULL) return 0;
-    int16_t *row = rows->memory;
-    rows->wide_sum = rows->memory;
-    rows->sum = rows->memory;
-    for (int i = 0; i < 3; i++) rows->smooth[i] = row + (size_t)(2 + i) * width;
-    rows->along = row + 5 * width;
-    rows->across = row + 6 * width;
-    for (int i = 0; i < 2; i++) {
-        rows->gx[i] = row + (size_t)(7 + i) * width;
-        rows->gy[i] = row + (size_t)(9 + i) * width;
-    }
-    rows->is_anchor = (uint8_t *)(row + 11 * width);
-    rows->least = row + 12 * width;
+    const size_t off = (uintptr_t)rows->memory % (BESIDE * sizeof(int16_t)) / sizeof(int16_t);
+    int16_t *row = (int16_t *)rows->memory + (BESIDE - off);
+    rows->wide_sum = (uint32_t *)(void *)row + BESIDE;
+    row += BESIDE;
+    rows->sum = (uint16_t *)row;
+    for (int i = 0; i < SMOOTH; i++) rows->smooth[i] = row + (size_t)(2 + i) * step;
+    rows->along = row + 6 * step;
+    rows->across = row + 7 * step;
+    rows->is_anchor = (uint8_t *)(row + 8 * step);
+    rows->least = row + 9 * step;
     for (size_t x = 0; x < width; x++) rows->least[x] = x % ANCHOR_SPACING == 0 ? upper : NO_ANCHORS;
     return 1;
 }
@@ -53,10 +58,11 @@ static void smooth_row(const uint8_t *restrict image, size_t row, size_t width, 
     const uint8_t *restrict a = c - 2 * width, *restrict b = c - width;
     const uint8_t *restrict d = c + width, *restrict e = d + width;
     uint16_t *restrict sum = rows->sum;
-    int16_t *restrict smooth = rows->smooth[row % 3];
+    int16_t *restrict smooth = rows->smooth[row % SMOOTH];
     for (size_t x = 0; x < width; x++) sum[x] = (uint16_t)(a[x] + 4 * (b[x] + d[x]) + 6 * c[x] + e[x]);
-    for (size_t x = 2; x + 2 < width; x++) {
-        uint16_t total = (uint16_t)(sum[x - 2] + 4 * (sum[x - 1] + sum[x + 1]) + 6 * sum[x] + sum[x + 2] + 8);
+    const uint16_t *before = sum - 2;
+    for (size_t x = 0; x < width; x++) {
+        uint16_t total = (uint16_t)(before[x] + 4 * (before[x + 1] + sum[x + 1]) + 6 * sum[x] + sum[x + 2] + 8);
         smooth[x] = (int16_t)(total >> 4);
     }
 }
@@ -68,13 +74,14 @@ static void smooth_wide_row(const uint16_t *restrict image, size_t row, size_t w
     const uint16_t *restrict a = c - 2 * width, *restrict b = c - width;
     const uint16_t *restrict d = c + width, *restrict e = d + width;
     uint32_t *restrict sum = rows->wide_sum;
-    int16_t *restrict smooth = rows->smooth[row % 3];
+    int16_t *restrict smooth = rows->smooth[row % SMOOTH];
     const int shift = bits - 4;
     const uint32_t half = UINT32_C(1) << (shift - 1);
     for (size_t x = 0; x < width; x++)
         sum[x] = a[x] + 4 * ((uint32_t)b[x] + d[x]) + 6 * (uint32_t)c[x] + e[x];
-    for (size_t x = 2; x + 2 < width; x++) {
-        uint32_t total = sum[x - 2] + 4 * (sum[x - 1] + sum[x + 1]) + 6 * sum[x] + sum[x + 2] + half;
+    const uint32_t *before = sum - 2;
+    for (size_t x = 0; x < width; x++) {
+        uint32_t total = before[x] + 4 * (before[x + 1] + sum[x + 1]) + 6 * sum[x] + sum[x + 2] + half;
         smooth[x] = (int16_t)(total >> shift);
     }
 }
@@ -95,22 +102,20 @@ static int16_t size_of(int16_t value) {
 /* Sobel, and the magnitude of both components. */
 VECTOR_LOOP
 static void gradient_row(const Rows *rows, size_t row, size_t width, int16_t *restrict magnitude) {
-    const int16_t *restrict up = rows->smooth[(row + 2) % 3], *restrict here = rows->smooth[row % 3];
-    const int16_t *restrict down = rows->smooth[(row + 1) % 3];
+    const int16_t *restrict up = rows->smooth[(row - 1) % SMOOTH], *restrict here = rows->smooth[row % SMOOTH];
+    const int16_t *restrict down = rows->smooth[(row + 1) % SMOOTH];
     int16_t *restrict along = rows->along, *restrict across = rows->across;
-    int16_t *restrict gx = rows->gx[row % 2], *restrict gy = rows->gy[row % 2];
     for (size_t x = 0; x < width; x++) {
         along[x] = (int16_t)(up[x] + 2 * here[x] + down[x]);
         across[x] = (int16_t)(down[x] - up[x]);
     }
-    for (size_t x = MARGIN; x + MARGIN < width; x++) {
-        int16_t dx = (int16_t)(along[x + 1] - along[x - 1]);
-        int16_t dy = (int16_t)(across[x - 1] + 2 * across[x] + across[x + 1]);
+    const int16_t *along_before = along - 1, *across_before = across - 1;
+    for (size_t x = 0; x < width; x++) {
+        int16_t dx = (int16_t)(along[x + 1] - along_before[x]);
+        int16_t dy = (int16_t)(across_before[x] + 2 * across[x] + across[x + 1]);
         int16_t ax = size_of(dx), ay = size_of(dy);
         int16_t most = ax > ay ? ax : ay, least = ax > ay ? ay : ax;
         magnitude[x] = (int16_t)(most + ((uint16_t)(3 * least) >> 3));
-        gx[x] = dx;
-        gy[x] = dy;
     }
 }
 
@@ -121,41 +126,27 @@ static int16_t strongest(const int16_t *magnitude, size_t from, size_t to) {
     return most;
 }
 
-/* The first, if all bits of the mask are set, the second, if none: conditions keep compilers from vectors. */
-static int16_t chosen(int16_t mask, int16_t first, int16_t second) {
-    return (int16_t)((first & mask) | (second & ~mask));
-}
-
-/* 1 where the magnitude is a maximum across the edge, down the column or along the row whichever is nearer; of two
-   equal ones the earlier in raster order. */
+/* 1 where the magnitude is a maximum down the column or along the row; of two equal ones the earlier in raster
+   order. */
 VECTOR_LOOP
-static void mark_maxima(const Rows *rows, size_t row, const int16_t *restrict here, size_t width, size_t from,
-                        size_t to, int16_t upper) {
-    const int16_t *restrict up = here - width, *restrict down = here + width;
-    const int16_t *restrict gx = rows->gx[row % 2], *restrict gy = rows->gy[row % 2];
-    const int16_t *restrict least_in_column = rows->least;
+static void mark_maxima(const Rows *rows, const int16_t *restrict here, size_t width, size_t from, size_t to,
+                        int16_t upper) {
+    const int16_t *restrict up = here - width, *restrict down = here + width, *restrict least = rows->least;
     uint8_t *restrict is_anchor = rows->is_anchor;
     for (size_t x = from; x < to; x++) {
-        int16_t ax = size_of(gx[x]), ay = size_of(gy[x]);
-        int16_t upright = (int16_t)-(ax > ay);
-        int16_t before = chosen(upright, *(here + x - 1), up[x]), after = chosen(upright, here[x + 1], down[x]);
-        int16_t least = chosen(upright, upper, least_in_column[x]);
-        is_anchor[x] = (here[x] >= least) & (here[x] > before) & (here[x] >= after);
+        int flat = (here[x] >= least[x]) & (here[x] > up[x]) & (here[x] >= down[x]);
+        int upright = (here[x] >= upper) & (here[x] > *(here + x - 1)) & (here[x] >= here[x + 1]);
+        is_anchor[x] = (uint8_t)(flat | upright);
     }
 }
 
 /* The same in rows in which upright edges have no anchors. */
 VECTOR_LOOP
-static void mark_flat_maxima(const Rows *rows, size_t row, const int16_t *restrict here, size_t width, size_t from,
-                             size_t to) {
-    const int16_t *restrict up = here - width, *restrict down = here + width;
-    const int16_t *restrict gx = rows->gx[row % 2], *restrict gy = rows->gy[row % 2];
-    const int16_t *restrict least = rows->least;
+static void mark_flat_maxima(const Rows *rows, const int16_t *restrict here, size_t width, size_t from, size_t to) {
+    const int16_t *restrict up = here - width, *restrict down = here + width, *restrict least = rows->least;
     uint8_t *restrict is_anchor = rows->is_anchor;
-    for (size_t x = from; x < to; x++) {
-        int flat = size_of(gx[x]) <= size_of(gy[x]);
-        is_anchor[x] = flat & (here[x] >= least[x]) & (here[x] > up[x]) & (here[x] >= down[x]);
-    }
+    for (size_t x = from; x < to; x++)
+        is_anchor[x] = (here[x] >= least[x]) & (here[x] > up[x]) & (here[x] >= down[x]);
 }
 
 /* 0: edge along x, 2: along y, 1: down to the right, 3: down to the left. No branches: they would be guessed wrongly. */
@@ -166,15 +157,34 @@ static uint8_t orientation(int gx, int gy) {
     return (uint8_t)((left & oblique) | ((2 * upright) & ~oblique));
 }
 
-/* Appends the anchors among `from` to `to` of a row; groups of eight without one, most of them, are skipped, and in the
-   others each pixel is written, to be kept or overwritten: branches would be guessed wrongly. */
-static void keep_anchors(const Rows *rows, size_t row, size_t width, size_t from, size_t to, Anchors *anchors) {
-    const int16_t *gx = rows->gx[row % 2], *gy = rows->gy[row % 2];
+/* Of the maxima those are anchors that lie across their edge; `from` is the first. */
+static void keep_anchors(const Rows *rows, const int16_t *here, size_t row, size_t width, size_t from,
+                         Anchors *anchors) {
+    const int16_t *up = rows->smooth[(row - 1) % SMOOTH], *level = rows->smooth[row % SMOOTH];
+    const int16_t *down = rows->smooth[(row + 1) % SMOOTH];
+    const int crosses = row % ANCHOR_SPACING == 0;
     int32_t *index = anchors->index.data;
     uint8_t *turn = anchors->orientation.data;
-    const size_t first = anchors->index.used;
+    size_t n = from;
+    for (size_t i = from; i < anchors->index.used; i++) {
+        const size_t x = (size_t)index[i] - row * width, a = x - 1, b = x + 1;
+        int gx = (up[b] + 2 * level[b] + down[b]) - (up[a] + 2 * level[a] + down[a]);
+        int gy = (down[a] - up[a]) + 2 * (down[x] - up[x]) + (down[b] - up[b]);
+        int upright = (here[x] > here[a]) & (here[x] >= here[b]) & crosses;
+        int flat = (here[x] >= rows->least[x]) & (here[x] > *(here + x - width)) & (here[x] >= here[x + width]);
+        index[n] = index[i];
+        turn[n] = orientation(gx, gy);
+        n += (size_t)(abs(gx) > abs(gy) ? upright : flat);
+    }
+    anchors->index.used = anchors->orientation.used = n;
+}
+
+/* Appends the maxima among `from` to `to` of a row; groups of eight without one, most of them, are skipped, and in the
+   others each pixel is written, to be kept or overwritten: branches would be guessed wrongly. */
+static void append_maxima(const Rows *rows, size_t row, size_t width, size_t from, size_t to, Anchors *anchors) {
+    int32_t *index = anchors->index.data;
     const int32_t start = (int32_t)(row * width);
-    size_t n = first;
+    size_t n = anchors->index.used;
     for (size_t x = from; x < to;) {
         size_t end = to - x < 8 ? to : x + 8;
         uint64_t eight = 1;
@@ -185,25 +195,25 @@ static void keep_anchors(const Rows *rows, size_t row, size_t width, size_t from
             n += rows->is_anchor[x];
         }
     }
-    for (size_t i = first; i < n; i++) turn[i] = orientation(gx[index[i] - start], gy[index[i] - start]);
-    anchors->index.used = anchors->orientation.used = n;
+    anchors->index.used = n;
 }
 
 /* The anchors of a row whose neighbours have gradients; blocks without a strong pixel are skipped. */
 static int find_anchors(const Rows *rows, const int16_t *magnitude, size_t row, size_t width, int16_t upper,
                         Anchors *anchors) {
     const int16_t *here = magnitude + row * width;
-    const size_t last = width - MARGIN - 1;
+    const size_t last = width - MARGIN - 1, first = anchors->index.used;
     if (!reserve(&anchors->index, width) || !reserve(&anchors->orientation, width)) return 0;
     for (size_t from = MARGIN + 1; from < last; from += BLOCK) {
         size_t to = last - from < BLOCK ? last : from + BLOCK;
         if (strongest(here, from, to) < upper) continue;
         if (row % ANCHOR_SPACING == 0)
-            mark_maxima(rows, row, here, width, from, to, upper);
+            mark_maxima(rows, here, width, from, to, upper);
         else
-            mark_flat_maxima(rows, row, here, width, from, to);
-        keep_anchors(rows, row, width, from, to, anchors);
+            mark_flat_maxima(rows, here, width, from, to);
+        append_maxima(rows, row, width, from, to, anchors);
     }
+    if (anchors->index.used > first) keep_anchors(rows, here, row, width, first, anchors);
     return 1;
 }
 
