@@ -34,21 +34,14 @@ UNDIMMED_LEVEL = 0.6
 LEAST_HEADROOM = 0.05
 """Columns that saturation leaves less of than this say nothing about the stripe's level."""
 
-SPECKLE_COLUMNS = 2.0
-"""Columns that share a grain: so much fewer are independent."""
+LEAST_NOISE = 0.01
+"""No column weighs as if it had less noise than this share of the stripe's level: glare and the tails of the blur."""
 
-GRAIN_FACTOR = 1.5
-"""The last grain before the edge moves it by its contrast times the edge's width; the optics, which average over about
-twice that width, let the columns show less contrast than one grain has. So much in simulations of drawn grains."""
-
-SHAPE_SIGMA = 0.01
+SHAPE_SIGMA = 0.005
 """Columns by which a real edge's position depends on how its blur is modelled; adds to what noise explains."""
 
 SATURATED_SHARE = 0.2
 """Share of the last columns with a saturated pixel above which an end is flagged."""
-
-HIDDEN_SPECKLE = 0.15
-"""Contrast of the speckle that saturation hides: what rough metal shows through a lens of f/4 or so."""
 
 TEXTURE_FACTOR = 1.5
 """Error of a column's peak over what its section leaves unexplained, where crinkled foil lies beneath: 1.4 to 1.75."""
@@ -56,13 +49,10 @@ TEXTURE_FACTOR = 1.5
 NEAR_COLUMNS = 9.0
 """Columns beyond the edge in which the level should be the fitted one; farther out the body's stripe may begin."""
 
-MOST_EXCESS = 4.0
-"""What an end may say, in log likelihood, against the width of the blur that all ends share."""
-
-WIDTH_SPREAD = 0.25
+WIDTH_SPREAD = 0.1
 """How far the blur of one end may be from that of the others: depth of field, pixels."""
 
-BLUNT_GAIN = 1.5
+BLUNT_GAIN = 3.0
 """Falls wider than the stripe is thick must explain all ends of an image by so much better, in log likelihood, to be
 believed: no lens blurs more along the stripe than across it, so that an edge has a chamfer or is worn round."""
 
@@ -88,14 +78,10 @@ def _rules(saturation_dn: int) -> EndRules:
         flanks_share=FLANKS_SHARE,
         undimmed_level=UNDIMMED_LEVEL,
         least_headroom=LEAST_HEADROOM,
-        speckle_columns=SPECKLE_COLUMNS,
-        grain_factor=GRAIN_FACTOR,
+        least_noise=LEAST_NOISE,
         shape_sigma=SHAPE_SIGMA,
-        saturated_share=SATURATED_SHARE,
-        hidden_speckle=HIDDEN_SPECKLE,
         texture_factor=TEXTURE_FACTOR,
         near_columns=NEAR_COLUMNS,
-        most_excess=MOST_EXCESS,
         width_spread=WIDTH_SPREAD,
         blunt_gain=BLUNT_GAIN,
     )

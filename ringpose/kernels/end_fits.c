@@ -7,59 +7,13 @@
 #include "minimum.h"
 #include "kernels.h"
 #include "normal_cdf.h"
-#include "select.h"
 
 /* Sums are kept in so many parts, as vectors do it. */
 enum { PARTS = 4 };
 
 /* Steps of the fine search, its step in columns, and the width that it begins with. */
-enum { FINE = 11, MIDDLE = 3 };
+enum { FINE = 21, MIDDLE = 3 };
 #define FINE_STEP 0.15
-
-/* Level, spread and noise of the columns about an end; 0 if they are dark. */
-static int measure_spread(Columns *columns, double noise, const EndRules *rules) {
-    double full[MOST_COLUMNS], beyond[MOST_COLUMNS];
-    size_t inner = 0, outer = 0;
-    for (int i = 0; i < columns->count; i++) {
-        if (columns->along[i] < -2)
-            full[inner++] = columns->amplitude[i] / fmax(columns->headroom[i], rules->least_headroom);
-        if (columns->along[i] > 2) beyond[outer++] = columns->amplitude[i];
-    }
-    double level = median(full, inner), spread = 0;
-    if (!(level > 0)) return 0;
-    for (size_t i = 0; i < inner; i++) full[i] = fabs(full[i] - level);
-    if (outer) {
-        double middle = median(beyond, outer);
-        for (size_t i = 0; i < outer; i++) beyond[i] = fabs(beyond[i] - middle);
-        spread = 1.4826 * median(beyond, outer);
-    }
-    columns->level = level;
-    columns->contrast = fmax(fmax(1.4826 * median(full, inner) / level, noise / level), 0.002);
-    columns->noise = fmax(fmax(spread, noise), 0.002 * level);
-    return 1;
-}
-
-int gather_columns(const Profile *profile, ptrdiff_t near, int outward, const EndRules *rules, Columns *columns) {
-    int inner = 0, outer = 0, count = 0;
-    for (double along = 1 - rules->inside_columns; along < rules->outside_columns && count < MOST_COLUMNS; along++) {
-        ptrdiff_t i = near + outward * (ptrdiff_t)along;
-        if (i < 0 || i >= profile->count) continue;
-        inner += along < -2;
-        outer += along > 1;
-        columns->along[count] = along;
-        columns->amplitude[count] = profile->amplitude[i];
-        columns->headroom[count] = profile->headroom[i];
-        columns->texture[count] = profile->texture[i];
-        columns->saturated[count++] = profile->saturated[i];
-    }
-    columns->count = count;
-    return inner >= 4 && outer >= 3 && measure_spread(columns, profile->noise, rules);
-}
-
-double column_variance(const Columns *columns, int i, double inside) {
-    double spread = columns->contrast * columns->level * inside;
-    return columns->noise * columns->noise + columns->texture[i] + spread * spread;
-}
 
 /* What the columns add to the equations for the two levels, and to the likelihood. */
 typedef struct {
@@ -93,7 +47,7 @@ static void add_range(Sums *sums, const Sums *from, const Sums *to) {
 static void run(const Columns *columns, Running *running) {
     memset(running, 0, sizeof *running);
     for (int i = 0; i < columns->count; i++) {
-        double head = columns->headroom[i], value = columns->amplitude[i];
+        double head = columns->room[FULL][i], value = columns->amplitude[i];
         running->in[i + 1] = running->in[i];
         running->out[i + 1] = running->out[i];
         add(&running->in[i + 1], head, 0, value, column_variance(columns, i, head));
@@ -169,7 +123,7 @@ static double edge_cost(const Columns *columns, const Running *running, double p
     for (last = first; last < count; last++) {
         double steps = (position - columns->along[last]) * per_width;
         if (!(steps > -4)) break;
-        double edge = normal_cdf(steps), in = edge * columns->headroom[last];
+        double edge = normal_cdf(steps), in = share_shown(columns, last, edge);
         weighted.in[n] = in;
         weighted.out[n] = 1 - edge;
         weighted.value[n] = columns->amplitude[last];

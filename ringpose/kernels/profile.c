@@ -10,6 +10,12 @@
 
 enum { CURVE_POINTS = 64, WINDOW = 64, RUN = 5 };
 
+/* Columns beyond the face in which it is dark, before the stripe on the body behind begins. */
+enum { NEAR_FIRST = 2, NEAR_LAST = 9 };
+
+/* Mean of squares of normal residuals in a section over the lower quartile of some. */
+#define LOW_TO_MEAN 1.4
+
 /* numpy.interp on ascending x. */
 static double interpolated(double at, const double *x, const double *y, ptrdiff_t n) {
     if (at <= x[0]) return y[0];
@@ -57,13 +63,14 @@ static int lay_line(const StripeLine *line, const Lens *lens, const EndRules *ru
     profile->first = (ptrdiff_t)first;
     profile->count = (ptrdiff_t)(last - first) + 1;
     ptrdiff_t n = profile->count;
-    profile->y = malloc(5 * (size_t)n * sizeof(double));
+    profile->y = malloc((5 + ROOMS) * (size_t)n * sizeof(double));
     profile->saturated = malloc((size_t)n);
     if (!profile->y || !profile->saturated) return -1;
     profile->amplitude = profile->y + n;
-    profile->headroom = profile->y + 2 * n;
+    profile->rough = profile->y + 2 * n;
     profile->texture = profile->y + 3 * n;
     profile->scratch = profile->y + 4 * n;
+    for (int k = 0; k < ROOMS; k++) profile->room[k] = profile->y + (5 + k) * n;
     profile->face_first = n;
     profile->face_last = -1;
     for (ptrdiff_t i = 0; i < n; i++) {
@@ -96,43 +103,61 @@ static double note_saturation(Profile *profile, ptrdiff_t i, const Section *sect
     return widest;
 }
 
-/* Variance of the peaks by what a section leaves unexplained beyond noise, and beyond its share on the face; what it
-   leaves comes in `texture`. What leaves four times the usual is none of the stripe's own grains: it lies beneath. */
-static void fill_texture(Profile *profile, double gain, double expected, const EndRules *rules) {
+double low_roughness(double *rough, size_t n) { return LOW_TO_MEAN * kth(rough, n, (n - 1) / 4); }
+
+/* What a section leaves unexplained beyond the ends of the face, before the body's stripe begins: the side on which it
+   is less. */
+static double unlit_roughness(Profile *profile) {
+    double least = INFINITY;
+    ptrdiff_t first[2] = {profile->face_first - NEAR_LAST, profile->face_last + NEAR_FIRST};
+    for (int side = 0; side < 2; side++) {
+        size_t found = 0;
+        for (ptrdiff_t i = first[side]; i <= first[side] + NEAR_LAST - NEAR_FIRST; i++)
+            if (i >= 0 && i < profile->count) profile->scratch[found++] = profile->rough[i];
+        if (found > (NEAR_LAST - NEAR_FIRST) / 2) least = fmin(least, low_roughness(profile->scratch, found));
+    }
+    if (isfinite(least)) return least;
+    size_t n = (size_t)profile->count;
+    memcpy(profile->scratch, profile->rough, n * sizeof(double));
+    return low_roughness(profile->scratch, n);
+}
+
+/* Variance of the peaks by what a section leaves unexplained beyond noise, and beyond its share on the face: what
+   leaves twice as much is not the stripe's own, it lies beneath, and surely so four times the usual. */
+static void fill_texture(Profile *profile, double expected, const EndRules *rules) {
     size_t n = (size_t)profile->count, face = (size_t)(profile->face_last - profile->face_first + 1);
-    memcpy(profile->scratch, profile->texture, n * sizeof(double));
-    double white = kth(profile->scratch, n, (n - 1) / 4);
+    double white = unlit_roughness(profile), factor = rules->texture_factor * rules->texture_factor, beneath = 0;
     for (size_t k = 0; k < face; k++) {
-        double peak = fmax(profile->amplitude[(size_t)profile->face_first + k], 1);
-        double rough = profile->texture[(size_t)profile->face_first + k];
-        profile->scratch[k] = fmax(rough - white, 0) / (peak * peak);
+        size_t i = (size_t)profile->face_first + k;
+        double peak = fmax(profile->amplitude[i], 1);
+        profile->scratch[k] = fmax(profile->rough[i] - white, 0) / (peak * peak);
     }
-    double share = median(profile->scratch, face), factor = rules->texture_factor * rules->texture_factor;
+    double share = median(profile->scratch, face);
     for (size_t i = 0; i < n; i++) {
-        double peak = profile->amplitude[i];
-        profile->texture[i] = factor * fmax(profile->texture[i] - 2 * (white + share * peak * peak), 0);
+        double peak = fabs(profile->amplitude[i]), own = share * peak * fmax(peak, expected);
+        profile->texture[i] = factor * fmax(profile->rough[i] - 2 * (white + own), 0);
+        if ((ptrdiff_t)i >= profile->face_first && (ptrdiff_t)i <= profile->face_last)
+            beneath += fmax(profile->texture[i] - 2 * factor * own, 0);
     }
-    profile->beneath = 0;
-    for (size_t k = 0; k < face; k++) {
-        double peak = profile->amplitude[(size_t)profile->face_first + k];
-        double own = 2 * factor * share * peak * peak;
-        profile->beneath += fmax(profile->texture[(size_t)profile->face_first + k] - own, 0);
-    }
-    profile->beneath /= (double)face * expected * expected;
-    profile->noise = sqrt(white * gain);
+    profile->beneath = beneath / ((double)face * expected * expected);
 }
 
 /* The room that saturation leaves a stripe of the expected peak, by column. */
-static void fill_headroom(const Images *images, Profile *profile, int reach, const Parts *parts, double expected,
-                          const EndRules *rules) {
+static void fill_room(const Images *images, Profile *profile, int reach, const Parts *parts, double expected,
+                      const EndRules *rules) {
+    static const double lit[ROOMS] = {0.1, 0.5, 1};
     Section section;
-    double room[MOST_ROWS];
+    double shown[MOST_ROWS];
+    profile->clipped = 1;
     for (ptrdiff_t i = 0; i < profile->count; i++) {
         read_section(images, profile->y[i], profile->first + i, reach, &section);
         shape_section(images, profile->y[i], profile->sigma, reach, &section);
-        for (int k = 0; k < section.rows; k++)
-            room[k] = fmin(expected * section.shape[k], fmax(rules->saturation - section.ambient[k], 0));
-        profile->headroom[i] = fitted_peak(&section, room, parts).value / expected;
+        for (int r = 0; r < ROOMS; r++) {
+            double peak = lit[r] * expected;
+            for (int k = 0; k < section.rows; k++)
+                shown[k] = fmin(peak * section.shape[k], fmax(rules->saturation - section.ambient[k], 0));
+            profile->room[r][i] = fitted_peak(&section, shown, parts).value / peak;
+        }
     }
 }
 
@@ -152,26 +177,24 @@ static ptrdiff_t next_peaks(const Images *images, const Profile *profile, ptrdif
     return 1;
 }
 
-/* Peak and what its section leaves unexplained in every column; returns the first one's gain. */
-static double fill_peaks(const Images *images, Profile *profile, int reach, const Parts *parts) {
-    double gain = 0;
+/* Peak and what its section leaves unexplained in every column; the gain is the first one's. */
+static void fill_peaks(const Images *images, Profile *profile, int reach, const Parts *parts) {
     Peak peak[TOGETHER];
     for (ptrdiff_t i = 0, found; i < profile->count; i += found) {
         found = next_peaks(images, profile, i, reach, parts, peak);
-        if (i == 0) gain = peak[0].gain;
+        if (i == 0) profile->gain = peak[0].gain;
         for (ptrdiff_t k = 0; k < found; k++) {
             profile->amplitude[i + k] = peak[k].value;
-            profile->texture[i + k] = peak[k].rough;
+            profile->rough[i + k] = peak[k].rough;
         }
     }
-    return gain;
 }
 
 /* Notes saturation in a column; returns its brightest ambient light. */
 static double note_column(const Images *images, Profile *profile, ptrdiff_t i, int reach, const EndRules *rules) {
     double most = 0, middle = rint(profile->y[i]), brightest = 0;
     ptrdiff_t column = profile->first + i, row = (ptrdiff_t)middle - reach;
-    profile->headroom[i] = 1;
+    for (int k = 0; k < ROOMS; k++) profile->room[k][i] = 1;
     profile->scratch[i] = profile->saturated[i] = 0;
     if (!images->dark && middle >= reach && middle + reach < (double)images->height) {
         for (int k = 0; k <= 2 * reach; k++) {
@@ -198,11 +221,11 @@ static void fill_profile(const Images *images, Profile *profile, const EndRules 
         brightest = fmax(brightest, note_column(images, profile, i, reach, rules));
     double inner = clipped_to(profile->scratch + profile->face_first, face, profile->sigma, rules);
     Parts parts = {inner, images->dark ? INFINITY : fmax(2 * profile->sigma, inner + 1)};
-    double gain = fill_peaks(images, profile, reach, &parts);
+    fill_peaks(images, profile, reach, &parts);
     memcpy(profile->scratch, profile->amplitude + profile->face_first, face * sizeof(double));
     double expected = fmax(median(profile->scratch, face), 1);
-    if (expected + brightest > rules->saturation) fill_headroom(images, profile, reach, &parts, expected, rules);
-    fill_texture(profile, gain, expected, rules);
+    if (expected + brightest > rules->saturation) fill_room(images, profile, reach, &parts, expected, rules);
+    fill_texture(profile, expected, rules);
 }
 
 int read_profile(const Images *images, const StripeLine *line, const Lens *lens, const EndRules *rules,
@@ -216,7 +239,7 @@ int read_profile(const Images *images, const StripeLine *line, const Lens *lens,
 }
 
 static double full_level(const Profile *profile, ptrdiff_t i, const EndRules *rules) {
-    return profile->amplitude[i] / fmax(profile->headroom[i], rules->least_headroom);
+    return profile->amplitude[i] / fmax(profile->room[FULL][i], rules->least_headroom);
 }
 
 ptrdiff_t reached(const Profile *profile, ptrdiff_t near, int outward, const EndRules *rules) {

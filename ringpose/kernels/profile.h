@@ -6,14 +6,21 @@
 
 #include "ends.h"
 
+/* How much of the stripe saturation leaves visible where it is faint, half and wholly lit. */
+enum { FAINT, HALF, FULL, ROOMS };
+
 /* Whole columns first, first + 1, ... and what the stripe looks like in them. */
 typedef struct {
     ptrdiff_t first, count, face_first, face_last; /* face: indices, inclusive */
-    double *y, *amplitude, *headroom, *texture, *scratch;
+    double *y, *amplitude, *room[ROOMS], *rough, *texture, *scratch; /* rough: variance that a section leaves */
     unsigned char *saturated;
-    double sigma, noise; /* of the cross-section; of the amplitude */
+    int clipped;        /* saturation leaves some column less than all of the stripe */
+    double sigma, gain; /* of the cross-section; the share of a pixel's variance that reaches the amplitude */
     double beneath;      /* relative variance of the face's peaks by what clearly lies beneath it */
 } Profile;
+
+/* The mean of what sections leave where only noise is, from the lowest of some that may show more. */
+double low_roughness(double *rough, size_t n);
 
 /* 1, or 0 if the face has fewer than two columns, or -1 without memory; to be freed in any case. */
 int read_profile(const Images *images, const StripeLine *line, const Lens *lens, const EndRules *rules,

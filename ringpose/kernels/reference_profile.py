@@ -13,6 +13,9 @@ SECTION_ROWS = 10
 SECTION_COLUMNS = 64
 SECTION_SIGMAS = 0.7 * (4 / 0.7) ** (np.arange(17) / 16)
 NO_SECTION = 1.5
+LIT = (0.1, 0.5, 1.0)
+NEAR = (2, 9)
+LOW_TO_MEAN = 1.4
 Image = UInt[Array, "row column"]
 
 
@@ -31,12 +34,16 @@ class Profile:
 
     x: Float64[Array, "n"]
     amplitude: Float64[Array, "n"]
-    headroom: Float64[Array, "n"]
+    room: Float64[Array, "lit=3 n"]
+    """How much of the stripe saturation leaves visible where so much of it is lit (`LIT`)."""
+    clipped: bool
+    rough: Float64[Array, "n"]
+    """Variance that a section leaves unexplained."""
     texture: Float64[Array, "n"]
     """Variance that what lies beneath the stripe adds to the amplitude."""
     saturated: Bool[Array, "n"]
-    noise: float
-    """Standard deviation of the amplitude by the noise of pixels, where nothing lies beneath."""
+    gain: float
+    """Share of a pixel's variance that reaches the amplitude."""
     beneath: float
     """Relative variance of the face's peaks by what clearly lies beneath: four times the usual, more than grains do."""
 
@@ -125,19 +132,24 @@ def profile_along(lit: Image, dark: Image | None, line: Line, sigma: float, rule
     core, beside = (offset > clipped) & (offset <= flank), offset > flank
     amplitude, rough, gain = _fitted(bright if dark is None else bright - ambient, shape, core, beside)
     expected = max(float(np.median(amplitude[line.on_face])), 1.0)
-    headroom = np.ones_like(amplitude)
-    if expected + ambient.max() > rules.saturation_dn:
-        room = np.minimum(expected * shape, np.maximum(rules.saturation_dn - ambient, 0.0))
-        headroom = _fitted(room, shape, core, beside)[0] / expected
-    white = float(np.sort(rough)[(len(rough) - 1) // 4])
-    texture, own = _texture(amplitude, rough, white, line.on_face, rules)
+    room = np.ones((len(LIT), len(amplitude)))
+    clips = expected + ambient.max() > rules.saturation_dn
+    if clips:
+        left = np.maximum(rules.saturation_dn - ambient, 0.0)
+        shown = [np.minimum(lit * expected * shape, left) for lit in LIT]
+        room = np.stack(
+            [_fitted(each, shape, core, beside)[0] / (lit * expected) for lit, each in zip(LIT, shown, strict=True)]
+        )
+    texture, own = _texture(amplitude, rough, expected, line.on_face, rules)
     return Profile(
         x=line.x,
         amplitude=amplitude,
-        headroom=headroom,
+        room=room,
+        clipped=bool(clips),
+        rough=rough,
         texture=texture,
         saturated=full.any(axis=1),
-        noise=math.sqrt(white * float(gain[0])),
+        gain=float(gain[0]),
         beneath=float(np.maximum(texture - 2 * own, 0)[line.on_face].mean()) / expected**2,
     )
 
@@ -163,12 +175,27 @@ def _fitted(
 
 
 def _texture(
-    peak: Float64[Array, "n"], rough: Float64[Array, "n"], white: float, on_face: Bool[Array, "n"], rules: EndRules
+    peak: Float64[Array, "n"], rough: Float64[Array, "n"], expected: float, on_face: Bool[Array, "n"], rules: EndRules
 ) -> tuple[Float64[Array, "n"], Float64[Array, "n"]]:
     """Variance of the peaks by what a section leaves unexplained beyond noise and its share on the face; that share."""
+    white = _unlit_roughness(rough, on_face)
     share = float(np.median(np.maximum(rough[on_face] - white, 0) / np.maximum(peak[on_face], 1) ** 2))
-    own, factor = share * peak**2, rules.texture_factor**2
+    own, factor = share * np.abs(peak) * np.maximum(np.abs(peak), expected), rules.texture_factor**2
     return factor * np.maximum(rough - 2 * (white + own), 0), factor * own
+
+
+def _unlit_roughness(rough: Float64[Array, "n"], on_face: Bool[Array, "n"]) -> float:
+    """What a section leaves where it is dark, on the side beyond the face where that is less; else little of it."""
+    first, last = np.flatnonzero(on_face)[[0, -1]]
+    left = rough[max(first - NEAR[1], 0) : max(first - NEAR[0] + 1, 0)]
+    right = rough[last + NEAR[0] : last + NEAR[1] + 1]
+    enough = [low_roughness(side) for side in (left, right) if len(side) > (NEAR[1] - NEAR[0]) // 2]
+    return min(enough) if enough else low_roughness(rough)
+
+
+def low_roughness(rough: Float64[Array, "n"]) -> float:
+    """The mean of what sections leave where only noise is, from the lowest of some that may show more."""
+    return LOW_TO_MEAN * float(np.sort(rough)[(len(rough) - 1) // 4])
 
 
 def _clipped_to(saturated: Float64[Array, "n row"], on_face: Bool[Array, "n"], sigma: float, rules: EndRules) -> float:
@@ -184,7 +211,7 @@ def reached_x(profile: Profile, near_x: float, outward: int, rules: EndRules) ->
     Where ambient light nearly saturates, the stripe is too weak for single columns, not for a median of five.
     """
     along = ((profile.x - near_x) * outward)[::outward]
-    full = (profile.amplitude / np.maximum(profile.headroom, rules.least_headroom))[::outward]
+    full = (profile.amplitude / np.maximum(profile.room[-1], rules.least_headroom))[::outward]
     level = np.median(full[(along > -rules.inside_columns) & (along < 0)]) if np.any(along < 0) else 0.0
     beyond = full[along > 0]
     if level <= 0 or len(beyond) < 5:

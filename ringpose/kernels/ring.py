@@ -55,23 +55,16 @@ class EndRules(NamedTuple):
     """Share of the face's level above which the stripe still goes on."""
     least_headroom: float
     """Columns that saturation leaves less of than this say nothing about the stripe's level."""
-    speckle_columns: float
-    """Columns that share a grain of speckle."""
-    grain_factor: float
-    """Shift of the edge by the last grain, in its contrast times the edge's width."""
+    least_noise: float
+    """No column weighs as if it had less noise than this share of the stripe's level: glare, the blur's tails."""
     shape_sigma: float
     """Columns by which an edge's position depends on how its blur is modelled."""
-    saturated_share: float
-    """Share of saturated columns above which `hidden_speckle` is assumed."""
-    hidden_speckle: float
     texture_factor: float
     """What a column's section leaves unexplained, times this, is what it errs by."""
     near_columns: float
     """Columns beyond the edge in which the level there must be the one that was fitted."""
-    most_excess: float
-    """No end says more than this (in log likelihood) about the width that all share."""
     width_spread: float
-    """Relative standard deviation of an edge's width about that."""
+    """Relative standard deviation of an edge's width about that of all edges."""
     blunt_gain: float
     """Gain in log likelihood by widths beyond that of the stripe's section, of all ends, above which ends are blunt."""
 

@@ -12,6 +12,9 @@ from ringpose.files.shots import read_shot
 
 pytestmark = pytest.mark.slow
 
+SOME = 30
+"""Points; fewer on one short piece of an edge tell less than what they err alike."""
+
 FOLDERS = ["rig_a", "rig_b", "variants_a", "variants_b"]
 
 
@@ -45,7 +48,7 @@ def test_edges_are_found_to_a_fraction_of_a_pixel(edges, light, limit_px):
 def test_no_shot_has_a_bias_of_a_tenth_of_a_pixel(edges):
     shots = lit(edges, "normal") + lit(edges, "strong") + lit(edges, "glare")
 
-    biases_px = [np.sum(error / sigma**2) / np.sum(sigma**-2) for error, sigma in shots]
+    biases_px = [np.sum(error / sigma**2) / np.sum(sigma**-2) for error, sigma in shots if len(error) > SOME]
 
     assert np.abs(biases_px).max() < 0.1
 
@@ -69,5 +72,5 @@ def test_edges_that_show_in_the_light_of_stripes_alone_are_the_rings(edges):
     shots = lit(edges, "dim")
 
     assert len(shots) <= 2
-    assert np.mean(np.concatenate([(error / sigma) ** 2 for error, sigma in shots])) < 1.25
+    assert all(np.mean((error / sigma) ** 2) < 1.25 for error, sigma in shots)
     assert all(np.abs(error / sigma).max() < 5 for error, sigma in shots)

@@ -1,0 +1,95 @@
+"""Readable NumPy twin of how well the end of a stripe is known: part of the oracle of the ends' kernel."""
+
+import math
+
+import numpy as np
+
+from ringpose.kernels.reference_end_levels import Columns, Levels, share_shown, variance_of
+from ringpose.kernels.reference_end_widths import Edge
+from ringpose.kernels.ring import EndRules
+from ringpose.types.arrays import Array, Float64
+
+LAGS = 5
+MISFIT_WIDTHS = 3
+STEPS = np.linspace(-4.0, 4.0, 801)
+NORMAL_CDF = np.array([0.5 * (1 + math.erf(step / math.sqrt(2))) for step in STEPS])
+
+
+def lit_share(steps: Float64[Array, "*shape"]) -> Float64[Array, "*shape"]:
+    """The normal distribution function, as far as it is tabulated."""
+    lit: Float64[Array, "*shape"] = np.interp(steps, STEPS, NORMAL_CDF, left=0.0, right=1.0)
+    return lit
+
+
+def edge_variance(
+    columns: Columns, levels: Levels, edge: Edge, likeness: float, information: float, rules: EndRules
+) -> float:
+    """Variance of an edge's position along the columns; its width (logarithm) is known with that information."""
+    t = (edge.position - columns.along) / edge.width
+    lit = lit_share(t)
+    shown, beyond = share_shown(columns, lit), 1 - lit
+    slope = columns.level * (1 - edge.outside) * np.exp(-0.5 * t**2) / (edge.width * math.sqrt(2 * math.pi))
+    weight = 1 / variance_of(columns, levels, shown)
+    shapes = [slope * _growth(columns, lit), shown, beyond][: 3 if edge.outside > 0 else 2]
+    influence = _influence(np.stack(shapes), weight)
+    seen = _column_noise(columns, levels, shown, influence)
+    seen += levels.speckle * max(_speckle(columns, edge, (shown, influence), likeness), 0.0)
+    off = columns.amplitude - columns.level * (shown + edge.outside * beyond)
+    near = np.abs(columns.along - edge.position) <= MISFIT_WIDTHS * edge.width + 1
+    count = int(near.sum())
+    misfit = max(float(np.sum((off**2 * weight)[near])) / (count - 2) - 1, 1.0) if count > 2 else 1.0
+    shift = 0.5 * math.sqrt(2 * math.pi) * edge.width
+    slow = _slow_levels(columns, levels, edge, rules) * shift**2
+    return seen * misfit + slow + edge.per_width**2 / information + rules.shape_sigma**2
+
+
+def _growth(columns: Columns, lit: Float64[Array, "n"]) -> Float64[Array, "n"]:
+    """How what is shown grows with what is lit."""
+    faint, half, full = columns.room
+    grows = np.where(lit < 0.5, faint + 4 * (half - faint) * lit, 2 * half - full + 4 * (full - half) * lit)
+    return np.maximum(grows, 0.0) if columns.clipped else np.ones_like(lit)
+
+
+def _influence(shapes: Float64[Array, "parameter n"], weight: Float64[Array, "n"]) -> Float64[Array, "n"]:
+    """How much each column's light moves the edge, both levels being fitted as well."""
+    normal = (shapes * weight) @ shapes.T
+    levels = np.linalg.lstsq(normal[1:, 1:], normal[1:, 0], rcond=None)[0]
+    information = max(float(normal[0, 0] - levels @ normal[1:, 0]), 1e-12)
+    influence: Float64[Array, "n"] = weight * (shapes[0] - levels @ shapes[1:]) / information
+    return influence
+
+
+def _column_noise(
+    columns: Columns, levels: Levels, shown: Float64[Array, "n"], influence: Float64[Array, "n"]
+) -> float:
+    """Variance by what each column varies by itself, and what lies beneath, all alike."""
+    own = levels.noise + columns.texture + levels.shot * shown
+    beneath = float(np.sum(np.abs(influence) * np.sqrt(columns.texture)))
+    return float(np.sum(influence**2 * own)) + beneath**2
+
+
+def _speckle(columns: Columns, edge: Edge, seen: tuple[Array, Array], likeness: float) -> float:
+    """Variance by speckle of one: half as if grains were resolved, half as if they were finer than the blur."""
+    shown, influence = seen
+    apart = np.round(np.abs(columns.along[:, None] - columns.along))
+    middle = (columns.along[:, None] + columns.along) / 2
+    fine = lit_share(math.sqrt(2) * (edge.position - middle) / edge.width)
+    shared = 0.5 * (np.outer(shown, shown) + fine * np.outer(columns.room[-1], columns.room[-1]))
+    alike = np.where(apart <= LAGS, likeness ** (apart**2), 0.0)
+    return float(influence @ (alike * shared) @ influence)
+
+
+def _slow_levels(columns: Columns, levels: Levels, edge: Edge, rules: EndRules) -> float:
+    """Relative variance of the levels on both sides of an edge that neighbours share beyond grains of speckle."""
+    away, value = columns.along - edge.position, columns.amplitude / columns.level
+    full = (value / np.maximum(columns.room[-1], rules.least_headroom))[away < -3 * edge.width]
+    beyond = value[(away > 3 * edge.width) & (away < rules.near_columns)]
+    inside = max(_slow_variance(full, 1.0) - levels.speckle / columns.level**2, 0.0)
+    return inside + _slow_variance(beyond, edge.outside)
+
+
+def _slow_variance(values: Float64[Array, "n"], level: float) -> float:
+    """Variance about a level of what neighbours share; what each column has of its own shows in their differences."""
+    if len(values) < 3:
+        return 0.0
+    return max(float(np.mean((values - level) ** 2)) - 0.5 * float(np.mean(np.diff(values) ** 2)), 0.0)
