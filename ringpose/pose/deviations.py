@@ -23,16 +23,16 @@ def plane_evidence(fit: Fit, measured: Measurements, rig: Rig) -> PlaneEvidence:
         return PlaneEvidence(score=score, information=information)
     inverse = fit.inverse
     by_state = fit.rows.by_state[: 2 * count].reshape(count, 2, PARAMETERS)
-    line = np.eye(2)
-    if fit.by_rig is not None:
-        by_rig = fit.by_rig[: 2 * count].reshape(count, 2, -1)
-        line = line + by_rig @ by_rig.swapaxes(1, 2)
-    left = line - by_state @ inverse @ by_state.swapaxes(1, 2)
+    left = np.eye(2) - by_state @ inverse @ by_state.swapaxes(1, 2)
     basis = light_plane_bases(rig)[measured.lines.laser]
     rays = fit.rows.sights.rays[: 2 * count].reshape(count, 2, 3)
     steepness = fit.rows.sights.steepness[: 2 * count : 2, None, None]
     by_plane = np.concatenate([rays @ basis.swapaxes(1, 2), -(rays @ fit.state.plane)[:, :, None]], axis=-1)
-    weighted = np.linalg.solve(line, measured.lines.whitening @ by_plane / steepness)
+    weighted = measured.lines.whitening @ by_plane / steepness
+    if fit.by_rig is not None:
+        by_rig = fit.by_rig[: 2 * count].reshape(count, 2, -1)
+        more = by_rig @ by_rig.swapaxes(1, 2)
+        left, weighted = left + more, np.linalg.solve(np.eye(2) + more, weighted)
     score[measured.lines.laser] = (weighted * fit.rows.residual[: 2 * count].reshape(count, 2, 1)).sum(axis=1)
     information[measured.lines.laser] = weighted.swapaxes(1, 2) @ left @ weighted
     return PlaneEvidence(score=score, information=information)

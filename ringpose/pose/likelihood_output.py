@@ -1,6 +1,7 @@
 """From the fitted state to centre, radii and grasp point, with their covariances."""
 
 from collections.abc import Sequence
+from math import hypot, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -8,7 +9,7 @@ import numpy as np
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.likelihood import Fit
 from ringpose.pose.measurements import Measurements
-from ringpose.pose.ring_model import BAND, CURVATURE, PARAMETERS, PLANE, SHIFT, TURN
+from ringpose.pose.ring_model import BAND, CURVATURE, PARAMETERS, PLANE, SHIFT, TURN, cross
 from ringpose.types.arrays import Array, Float64
 
 TILTS, RADII, CENTER, GRASP, BEND, WIDTH = slice(0, 2), slice(5, 7), slice(7, 10), slice(10, 13), 13, 14
@@ -116,20 +117,20 @@ def bow_m(joint: Float64[Array, "15 15"], fit: Fit) -> float:
     For an observer at the band the centre is somewhere on a sphere: with the ring's tilt along `outward` and its turn
     about the normal it leaves the tangent plane by R / 2 times their squares.
     """
-    tilt, along = tilt_basis(fit.state.normal) @ fit.state.outward, fit.state.along
+    normal, outward = fit.state.normal, fit.state.outward
+    tilt, along = tilt_basis(normal) @ outward, cross(normal, outward)
     reach_m = 1.0 / max(abs(fit.state.curvature), STRAIGHTEST) - fit.state.shift_m
     by_tilt, by_turn = tilt @ joint[TILTS, TILTS] @ tilt, along @ joint[CENTER, CENTER] @ along / reach_m**2
-    return 0.5 * reach_m * float(np.hypot(by_tilt, by_turn))
+    return 0.5 * reach_m * hypot(by_tilt, by_turn)
 
 
 def with_second_order(joint: Float64[Array, "15 15"], bow: float, fit: Fit) -> Float64[Array, "15 15"]:
     """With the second moment of the bow, which goes with the squares of Gaussians: 3 bow^2."""
-    outward = np.sqrt(3.0) * bow * fit.state.outward
-    in_basis = tilt_basis(fit.state.normal) @ outward
-    joint = joint.copy()
-    joint[CENTER, CENTER] += outward[:, None] * outward
-    joint[3:5, 3:5] += np.outer(in_basis, in_basis)
-    return joint
+    by_bow = np.zeros(len(joint))
+    by_bow[CENTER] = sqrt(3.0) * bow * fit.state.outward
+    by_bow[3:5] = tilt_basis(fit.state.normal) @ by_bow[CENTER]
+    more: Float64[Array, "15 15"] = joint + by_bow[:, None] * by_bow
+    return more
 
 
 def _mean_shift(fit: Fit, measured: Measurements) -> Float64[Array, "point"]:

@@ -6,6 +6,7 @@ measured by its ordinates, a break point by its abscissa.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from math import sqrt
 from typing import NamedTuple
 
 import cv2
@@ -159,22 +160,22 @@ def measurements_of(break_points: BreakPoints, rig: Rig, ring_edges: RingEdgePoi
     return Measurements(lines=lines, points=points, edges=_edges(ring_edges, rig.camera), sure=sure)
 
 
-def line_covariance(sigma: Float64[Array, "line end=2"]) -> Float64[Array, "line end=2 end=2"]:
-    """Joint covariance of the ordinates at both ends of a fitted line, whose standard deviations are given.
+def line_whitening(start_sd: float, end_sd: float) -> tuple[float, float, float]:
+    """Inverse Cholesky factor (11, 21, 22) of the joint covariance of a fitted line's ordinates at its two ends.
 
     An ordinate at the share t of the line's length has the variance s^2 (1 + 12 (t - a)^2), for centres spread
     evenly over the length; a, where the line is known best, follows from the two given ones (1/2 if they are
     equal), and the covariance of the two ends is s^2 (1 - 12 a (1 - a)).
     """
-    start, end = (sigma**2).T
+    start, end = start_sd * start_sd, end_sd * end_sd
     bend, lean, level = 12.0 * (end - start), 24.0 * start, end - 13.0 * start
     # the root that stays finite as the sigmas become equal
-    best = -2.0 * level / (lean + np.sqrt(np.maximum(lean**2 - 4.0 * bend * level, 0.0)))
-    best = np.minimum(np.maximum(best, 0.0), 1.0)
-    middle = (start + end) / (2.0 + 12.0 * (best**2 + (1.0 - best) ** 2))
-    between = middle * (1.0 - 12.0 * best * (1.0 - best))
-    covariance: Float64[Array, "line end=2 end=2"] = np.stack([start, between, between, end], axis=-1)
-    return covariance.reshape(-1, 2, 2)
+    best = -2.0 * level / (lean + sqrt(max(lean * lean - 4.0 * bend * level, 0.0)))
+    best = min(max(best, 0.0), 1.0)
+    middle = (start + end) / (2.0 + 12.0 * (best * best + (1.0 - best) ** 2))
+    share = middle * (1.0 - 12.0 * best * (1.0 - best)) / start
+    scale = 1.0 / sqrt(end - share * share * start)
+    return 1.0 / start_sd, -share * scale, scale
 
 
 def rays_by_pixel(xy: Float64[Array, "n xy=2"], camera: Camera) -> Float64[Array, "n 2 2"]:
@@ -210,22 +211,15 @@ def _lines(break_points: BreakPoints, camera: Camera) -> Lines:
     laser = np.flatnonzero(np.isfinite(ends.sum(axis=(1, 2)) + break_points.face_sigma_px.sum(axis=1)))
     matrix = camera.camera_matrix
     sigma = np.maximum(break_points.face_sigma_px[laser], LEAST_SIGMA_PX) / matrix[1, 1]
+    whitening = np.zeros((len(laser), 2, 2))
+    for block, sds in zip(whitening, sigma.tolist(), strict=True):
+        block[0, 0], block[1, 0], block[1, 1] = line_whitening(*sds)
     return Lines(
         laser=laser,
         x=(ends[laser, :, 0] - matrix[0, 2]) / matrix[0, 0],
         y=(ends[laser, :, 1] - matrix[1, 2]) / matrix[1, 1],
-        whitening=_whitening(line_covariance(sigma)),
+        whitening=whitening,
     )
-
-
-def _whitening(covariance: Float64[Array, "line 2 2"]) -> Float64[Array, "line 2 2"]:
-    """Inverse of the Cholesky factor, in closed form."""
-    first, mixed, second = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
-    share = mixed / first
-    scale = 1.0 / np.sqrt(second - share * mixed)
-    whitening = np.zeros_like(covariance)
-    whitening[:, 0, 0], whitening[:, 1, 0], whitening[:, 1, 1] = 1.0 / np.sqrt(first), -share * scale, scale
-    return whitening
 
 
 def _edges(ring_edges: RingEdgePoints | None, camera: Camera) -> Edges:

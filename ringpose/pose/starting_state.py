@@ -44,12 +44,11 @@ def state_with_points_alone(measured: Measurements, sighted: Sighted, before: Be
 
 def _likely_size(measured: Measurements, along_m: Float64[Array, "point"], before: Beforehand) -> tuple[float, float]:
     """Curvature and width of the band."""
-    inner, outer = along_m[measured.points.edge == 0], along_m[measured.points.edge == 1]
-    band_m = (
-        float(outer.sum()) / len(outer) - float(inner.sum()) / len(inner)
-        if len(inner) and len(outer)
-        else LIKELY_BAND_M
-    )
+    by_edge: tuple[list[float], list[float]] = ([], [])
+    for edge, along in zip(measured.points.edge.tolist(), along_m.tolist(), strict=True):
+        by_edge[edge].append(along)
+    inner, outer = by_edge
+    band_m = sum(outer) / len(outer) - sum(inner) / len(inner) if inner and outer else LIKELY_BAND_M
     if before.radii is None or not np.isfinite(before.radii.radius_m).any():
         return LIKELY_CURVATURE, band_m
     inner_m, outer_m = before.radii.radius_m.tolist()

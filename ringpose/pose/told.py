@@ -7,9 +7,9 @@ import numpy as np
 
 from ringpose.pose.consistency import Explanation
 from ringpose.pose.likelihood import Fit
-from ringpose.pose.likelihood_output import BEND, CENTER, GRASP, RADII, TILTS, WIDTH, Quantities
+from ringpose.pose.likelihood_output import BEND, CENTER, GRASP, TILTS, WIDTH, Quantities
 from ringpose.pose.method import Method
-from ringpose.pose.observability import TILT_SD_LIMIT_RAD, WEAK_SD, standard_deviation
+from ringpose.pose.observability import TILT_SD_LIMIT_RAD, WEAK_SD, spreads_beyond, standard_deviation
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.ring_pose import PoseFlag, RingPose
 
@@ -23,6 +23,9 @@ GRASP_UNKNOWN_FROM_M = 0.01
 BOWED_FROM = 4.0 / 9.0
 """Bow in sigmas of the centre beside it, from which no Gaussian tells the centre: a tilt by three sigmas brings it nine
 bows aside, four of its sigmas, so that it is five off in all."""
+
+
+_TINY, _EPSILON = float(np.finfo(float).tiny), float(np.finfo(float).eps)
 
 
 class Determined(NamedTuple):
@@ -71,11 +74,11 @@ def told_pose(fit: Fit, found: Quantities, joint: Float64[Array, "15 15"] | None
 
 def weak_flags(fit: Fit, found: Quantities, joint: Float64[Array, "15 15"], known: Determined, bow: float) -> PoseFlag:
     """What is not determined, worse than `WEAK_SD`, or told by no Gaussian."""
-    limit_m = WEAK_SD * float(np.abs(found.radius_m).min())
+    limit_m = WEAK_SD * min(map(abs, found.radius_m.tolist()))
     flags = PoseFlag(0) if known.normal else PoseFlag.NORMAL_WEAK
-    if not known.center or standard_deviation(joint[CENTER, CENTER]) > limit_m or _bowed(fit, joint, bow):
+    if not known.center or spreads_beyond(joint[CENTER, CENTER], limit_m) or _bowed(fit, joint, bow):
         flags |= PoseFlag.CENTER_WEAK
-    if not known.radius.all() or float(np.diag(joint)[RADII].max()) > limit_m**2:
+    if not known.radius.all() or max(joint[5, 5], joint[6, 6]) > limit_m**2:
         flags |= PoseFlag.RADIUS_WEAK
     return flags
 
@@ -91,12 +94,14 @@ def _with_unknown(covariance: Float64[Array, "7 7"], known: Determined) -> Float
     told = np.array([known.normal] * 3 + [known.center] * 2 + known.radius.tolist())
     if not told.any():
         return None
+    if told.all():
+        return covariance
     masked: Float64[Array, "7 7"] = np.where(told[:, None] & told, covariance, np.nan)
     return masked
 
 
 def _condition(fit: Fit) -> float:
     """Largest over smallest singular value of the derivatives of all residuals, columns scaled to unit length."""
-    scale = 1.0 / np.sqrt(np.maximum(fit.normal_matrix.diagonal(), np.finfo(float).tiny))
+    scale = 1.0 / np.sqrt(np.maximum(fit.normal_matrix.diagonal(), _TINY))
     values = np.linalg.eigvalsh(fit.normal_matrix * scale[:, None] * scale)
-    return float(np.sqrt(values[-1] / max(float(values[0]), np.finfo(float).eps)))
+    return float(np.sqrt(values[-1] / max(float(values[0]), _EPSILON)))
