@@ -1,4 +1,4 @@
-"""GVCP: the control messages of GigE Vision cameras, as bytes and back.
+"""GVCP: the control messages of GigE Vision cameras: requests from bytes, answers as bytes.
 
 A message is a header of four 16-bit numbers, big-endian, and a payload. A request begins with 0x42 and its flags, an
 answer with its status; both end with the request's number. Field by field as in Aravis' `arvgvcpprivate.h`.
@@ -66,13 +66,6 @@ class Answer:
     payload: bytes = b""
 
 
-def request_bytes(request: Request) -> bytes:
-    """The request as a datagram."""
-    flags = _ANSWER_WANTED if request.answer_wanted else 0
-    header = _HEADER.pack(_KEY, flags, request.command, len(request.payload), request.number)
-    return header + request.payload
-
-
 def request_in(datagram: bytes) -> Request | None:
     """The request in a datagram; None if it is none, or not whole."""
     if len(datagram) < _HEADER.size:
@@ -90,35 +83,9 @@ def answer_bytes(answer: Answer) -> bytes:
     return _ANSWER.pack(answer.status, answered, len(answer.payload), answer.number) + answer.payload
 
 
-def answer_in(datagram: bytes) -> Answer | None:
-    """The answer in a datagram; None if it is none, or not whole."""
-    if len(datagram) < _ANSWER.size:
-        return None
-    status, command, size, number = _ANSWER.unpack_from(datagram)
-    payload = datagram[_ANSWER.size : _ANSWER.size + size]
-    if len(payload) != size:
-        return None
-    return Answer(status=status, command=command - 1 & 0xFFFF, number=number, payload=payload)
-
-
-def read_memory_payload(address: int, size: int) -> bytes:
-    """What asks for `size` bytes from an address."""
-    return struct.pack(">II", address, size)
-
-
-def write_register_payload(address: int, value: int) -> bytes:
-    """What writes a 32-bit number."""
-    return struct.pack(">II", address, value)
-
-
 def written_payload(count: int) -> bytes:
     """How a write is answered: registers, or bytes, that were written."""
     return struct.pack(">HH", 0, count)
-
-
-def resend_payload(block: int, first_packet: int, last_packet: int) -> bytes:
-    """What asks for packets of a frame once more; both ends count."""
-    return struct.pack(">HHII", 0, block, first_packet, last_packet)
 
 
 def resend_range(payload: bytes) -> tuple[int, int, int] | None:

@@ -35,25 +35,11 @@ class PixelFormat(IntEnum):
     MONO8 = 0x01080001
     MONO12 = 0x01100005
     """The lower twelve of sixteen bits, little-endian."""
-    MONO12_PACKED = 0x010C0006
-    MONO16 = 0x01100007
 
     @property
     def bytes_per_pixel(self) -> int:
-        """Of the formats that are not packed."""
+        """Eight bits, or twelve in sixteen."""
         return (self.value >> 16 & 0xFF) // 8
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Packet:
-    """One datagram."""
-
-    block: int
-    """Number of the frame."""
-    kind: int
-    number: int
-    payload: bytes
-    status: int = 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,25 +50,6 @@ class Leader:
     pixel_format: int
     width: int
     height: int
-
-
-def packet_in(datagram: bytes) -> Packet | None:
-    """The packet in a datagram; None if it is too short."""
-    if len(datagram) < HEADER_SIZE:
-        return None
-    status, block, infos = _HEADER.unpack_from(datagram)
-    payload = datagram[HEADER_SIZE:]
-    return Packet(block=block, kind=infos >> 24 & 0x7F, number=infos & 0xFFFFFF, payload=payload, status=status)
-
-
-def leader_in(payload: bytes) -> Leader | None:
-    """The leader in a packet's payload; None if it announces no image."""
-    if len(payload) < _LEADER.size:
-        return None
-    _, kind, stamp_ticks, pixel_format, width, height, *_ = _LEADER.unpack_from(payload)
-    if kind != _IMAGE:
-        return None
-    return Leader(stamp_ticks=stamp_ticks, pixel_format=pixel_format, width=width, height=height)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

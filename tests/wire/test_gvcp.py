@@ -2,54 +2,40 @@
 
 import pytest
 
-from ringpose.wire.gvcp import (
-    Answer,
-    Command,
-    Request,
-    Status,
-    answer_bytes,
-    answer_in,
-    read_memory_payload,
-    request_bytes,
-    request_in,
-    resend_payload,
-    resend_range,
-    write_register_payload,
-)
+from ringpose.wire.gvcp import Answer, Command, Request, Status, answer_bytes, request_in, resend_range
 
 MESSAGES = [
     ("4201000200000001", Request(command=Command.DISCOVERY, number=1)),
     ("420100800004000200000a00", Request(command=Command.READ_REGISTER, number=2, payload=bytes.fromhex("00000a00"))),
     (
         "420100820008000300000a0000000002",
-        Request(command=Command.WRITE_REGISTER, number=3, payload=write_register_payload(0x0A00, 2)),
-    ),
-    (
-        "42010084000800040000020000000200",
-        Request(command=Command.READ_MEMORY, number=4, payload=read_memory_payload(0x0200, 512)),
+        Request(command=Command.WRITE_REGISTER, number=3, payload=bytes.fromhex("00000a0000000002")),
     ),
     (
         "42000040000c0005000000070000000a0000000c",
-        Request(command=Command.RESEND, number=5, payload=resend_payload(7, 10, 12), answer_wanted=False),
+        Request(
+            command=Command.RESEND,
+            number=5,
+            payload=bytes.fromhex("000000070000000a0000000c"),
+            answer_wanted=False,
+        ),
     ),
 ]
 
 
 @pytest.mark.parametrize(("text", "request_"), MESSAGES)
-def test_a_request_has_the_bytes_of_the_standard(text, request_):
-    assert request_bytes(request_).hex() == text
-
-
-@pytest.mark.parametrize(("text", "request_"), MESSAGES)
-def test_a_request_is_read_back(text, request_):
+def test_a_request_is_read_from_the_bytes_of_the_standard(text, request_):
     assert request_in(bytes.fromhex(text)) == request_
+
+
+def test_a_payload_has_words():
+    assert request_in(bytes.fromhex("420100820009000300000a0000000002ff")).words == (0xA00, 2)
 
 
 def test_a_denied_write_has_the_bytes_of_the_standard():
     answer = Answer(status=Status.ACCESS_DENIED, command=Command.WRITE_REGISTER, number=3, payload=bytes(4))
 
     assert answer_bytes(answer).hex() == "800600830004000300000000"
-    assert answer_in(answer_bytes(answer)) == answer
 
 
 def test_the_last_of_all_commands_has_an_answer():
@@ -61,11 +47,6 @@ def test_the_last_of_all_commands_has_an_answer():
 )
 def test_what_is_no_request_is_passed_over(text):
     assert request_in(bytes.fromhex(text)) is None
-
-
-@pytest.mark.parametrize("text", ["", "0000", "00000081000400020000"])
-def test_what_is_no_answer_is_passed_over(text):
-    assert answer_in(bytes.fromhex(text)) is None
 
 
 def test_a_resend_names_its_packets():

@@ -9,8 +9,6 @@ from ringpose.wire.gvsp import (
     StreamedFrame,
     block_after,
     blocks_between,
-    leader_in,
-    packet_in,
     piece_size,
 )
 
@@ -34,13 +32,12 @@ def test_a_packet_has_the_bytes_of_the_standard(number, text):
 
 
 def test_a_frame_is_its_packets_put_together():
-    packets = [packet_in(FRAME.datagram(number)) for number in range(FRAME.packets)]
+    datagrams = [FRAME.datagram(number) for number in range(FRAME.packets)]
 
-    found = [packet for packet in packets if packet is not None]
-    assert [packet.kind for packet in found] == [Kind.LEADER, *3 * [Kind.PAYLOAD], Kind.TRAILER]
-    assert [packet.number for packet in found] == [0, 1, 2, 3, 4]
-    assert b"".join(packet.payload for packet in found[1:-1]) == bytes(range(12))
-    assert leader_in(found[0].payload) == LEADER
+    numbers = [int.from_bytes(datagram[5:8], "big") for datagram in datagrams]
+    assert [datagram[4] for datagram in datagrams] == [Kind.LEADER, *3 * [Kind.PAYLOAD], Kind.TRAILER]
+    assert numbers == [0, 1, 2, 3, 4]
+    assert b"".join(datagram[8:] for datagram in datagrams[1:-1]) == bytes(range(12))
 
 
 def test_a_packet_is_as_large_on_the_wire_as_was_said():
@@ -64,11 +61,6 @@ def test_no_frame_is_lost_before_one_that_came_late(last, block):
     assert blocks_between(last, block) == 0
 
 
-@pytest.mark.parametrize(("name", "size"), [("MONO8", 1), ("MONO12", 2), ("MONO16", 2)])
+@pytest.mark.parametrize(("name", "size"), [("MONO8", 1), ("MONO12", 2)])
 def test_a_pixel_format_says_its_bytes(name, size):
     assert PixelFormat[name].bytes_per_pixel == size
-
-
-def test_what_is_no_packet_is_passed_over():
-    assert packet_in(b"1234567") is None
-    assert leader_in(bytes(10)) is None

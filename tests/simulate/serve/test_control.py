@@ -11,7 +11,7 @@ from ringpose.simulate.serve import features
 from ringpose.simulate.serve.control import Control
 from ringpose.simulate.serve.registers import Identity, Registers
 from ringpose.wire import gige_registers as bootstrap
-from ringpose.wire.gvcp import Answer, Command, Request, Status, read_memory_payload, write_register_payload
+from ringpose.wire.gvcp import Answer, Command, Request, Status
 
 OWNER, OTHER = ("127.0.0.1", 5000), ("127.0.0.1", 5001)
 
@@ -55,8 +55,13 @@ def control(actions):
     return Control(Registers(identity), actions)
 
 
+def words(*values: int) -> bytes:
+    """Numbers of 32 bits, as a payload has them."""
+    return struct.pack(f">{len(values)}I", *values)
+
+
 def written(control: Control, address: int, value: int, client=OWNER, now_s: float = 0.0) -> int:
-    payload = write_register_payload(address, value)
+    payload = words(address, value)
     answer = control.answer(Request(command=Command.WRITE_REGISTER, number=1, payload=payload), client, now_s)
     assert answer is not None
     return answer.status
@@ -125,10 +130,10 @@ def test_outputs_one_by_one_make_the_mask_of_all(control):
 
 
 def test_the_description_is_where_the_camera_says(control):
-    url = asked(control, Command.READ_MEMORY, read_memory_payload(bootstrap.XML_URL, 512)).payload[4:]
+    url = asked(control, Command.READ_MEMORY, words(bootstrap.XML_URL, 512)).payload[4:]
     name, address, size = url.rstrip(b"\0").decode().split(";")
 
-    start = asked(control, Command.READ_MEMORY, read_memory_payload(int(address, 16), 38)).payload[4:]
+    start = asked(control, Command.READ_MEMORY, words(int(address, 16), 38)).payload[4:]
 
     assert name == "Local:ringpose.xml"
     assert start == b'<?xml version="1.0" encoding="utf-8"?>'
@@ -188,7 +193,7 @@ def test_a_number_out_of_its_bounds_is_not_kept(control, address, value, kept):
 
     asked(control, Command.WRITE_MEMORY, struct.pack(">Id", address, value))
 
-    read = asked(control, Command.READ_MEMORY, read_memory_payload(address, 8)).payload[4:]
+    read = asked(control, Command.READ_MEMORY, words(address, 8)).payload[4:]
     assert struct.unpack(">d", read) == (kept,)
 
 
@@ -204,7 +209,7 @@ def test_no_heartbeat_is_too_short_to_be_kept(control):
 
 
 def test_an_address_that_is_not_there_is_refused(control):
-    assert asked(control, Command.READ_MEMORY, read_memory_payload(0xFFFFFF00, 8)).status == Status.INVALID_ADDRESS
+    assert asked(control, Command.READ_MEMORY, words(0xFFFFFF00, 8)).status == Status.INVALID_ADDRESS
     assert asked(control, Command.READ_REGISTER, b"\xff\xff\xff\xfc").status == Status.INVALID_ADDRESS
 
 
