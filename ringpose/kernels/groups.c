@@ -117,21 +117,25 @@ static double circle_cost(const Candidate *const member[], int size, const doubl
     return best;
 }
 
-static double group_score(const Candidate *const member[], int size, const Scene *scene) {
+/* The score of a group; minus infinity if it is impossible, or not above `least`. */
+static double group_score(const Candidate *const member[], int size, const Scene *scene, double least) {
     const RingRules *rules = &scene->rules->ring;
     double plane[3] = {0}, merit = 0;
     for (int i = 0; i < size; i++) merit += member[i]->merit;
+    if (!(merit > least)) return -INFINITY;
     double cost = plane_cost(member, size, plane);
-    if (!(cost < rules->plane_limit * size)) return -INFINITY;
+    if (!(cost < rules->plane_limit * size && merit - cost > least)) return -INFINITY;
     double tilt = size == 1 ? 0 : atan2(hypot(plane[0], plane[1]), fabs(plane[2]));
     if (tilt > rules->tilt) return -INFINITY;
+    double oblique = 0.5 * (tilt / 0.5) * (tilt / 0.5);
+    if (!(merit - cost - oblique > least)) return -INFINITY;
     if (size > 1) {
         double circle = circle_cost(member, size, plane, scene);
         if (!(circle < rules->circle_limit * size)) return -INFINITY;
         cost += circle;
     }
     cost += rules->unseen * unseen_lasers(member, size, plane, scene);
-    return merit - cost - 0.5 * (tilt / 0.5) * (tilt / 0.5);
+    return merit - cost - oblique;
 }
 
 static int among(int32_t track, const Best *known, const Candidate *all, int size) {
@@ -150,7 +154,8 @@ typedef struct {
 } Search;
 
 static void visit(Search *search, const Candidate *const member[], const int32_t *index) {
-    double score = group_score(member, search->size, search->scene);
+    double least = search->known ? *search->rival : search->best->score;
+    double score = group_score(member, search->size, search->scene, least);
     if (search->known) {
         int itself = 1;
         for (int i = 0; i < search->size; i++) itself &= index[i] == search->known->index[i];
