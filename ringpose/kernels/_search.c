@@ -8,11 +8,11 @@
 
 #include <math.h>
 
-enum { STATE_AT, RAYS, LIGHT, WHITENING, POINTS, RADII, COMMON, LEFT, RULES, ARRAYS };
+enum { STATE_AT, RAYS, LIGHT, WHITENING, POINTS, EDGE_RAYS, EDGES, RADII, COMMON, LEFT, RULES, ARRAYS };
 
 static const Description expected[ARRAYS] = {
     {"state", "d", 1}, {"rays", "d", 2},   {"light", "d", 2}, {"whitening", "d", 2}, {"points", "d", 2},
-    {"radii", "d", 2}, {"common", "d", 2}, {"left", "d", 1},  {"rules", "d", 1},
+    {"edge rays", "d", 2}, {"edges", "d", 2}, {"radii", "d", 2}, {"common", "d", 2}, {"left", "d", 1}, {"rules", "d", 1},
 };
 
 enum { HEAD = 1 + 9 + 2 * STATE * STATE, MOST_SIGHTS = 10000, MOST_ERRORS = 1000 };
@@ -22,10 +22,12 @@ static int known_radii(const double *radii) { return !isnan(radii[0]) + !isnan(r
 static int fit_together(const Py_buffer *view) {
     Py_ssize_t sights = view[RAYS].shape[0], ends = view[WHITENING].shape[0], points = view[POINTS].shape[0];
     if (view[RADII].shape[0] != 2 || view[RADII].shape[1] != 2 || view[STATE_AT].shape[0] != 9) return 0;
-    Py_ssize_t rows = sights + known_radii(view[RADII].buf), errors = view[COMMON].shape[1];
+    Py_ssize_t edges = view[EDGES].shape[0], errors = view[COMMON].shape[1];
+    Py_ssize_t rows = sights + edges + known_radii(view[RADII].buf);
+    if (view[EDGES].shape[1] != 3 || view[EDGE_RAYS].shape[0] != edges || view[EDGE_RAYS].shape[1] != 3) return 0;
     return view[RAYS].shape[1] == 3 && view[LIGHT].shape[0] == sights && view[LIGHT].shape[1] == 4 &&
            view[WHITENING].shape[1] == ends && view[POINTS].shape[1] == 2 && ends % 2 == 0 && points > 0 &&
-           ends + points == sights && sights <= MOST_SIGHTS && errors <= MOST_ERRORS &&
+           ends + points == sights && sights + edges <= MOST_SIGHTS && errors <= MOST_ERRORS &&
            (errors == 0 || view[COMMON].shape[0] == rows) && view[LEFT].shape[0] == rows && view[RULES].shape[0] == 6;
 }
 
@@ -47,7 +49,7 @@ static void write_head(const Search *search, int status, double *to) {
 static PyObject *searched(const Py_buffer *view, int first, int last) {
     int ends = (int)view[WHITENING].shape[0], points = (int)view[POINTS].shape[0];
     const double *radii = view[RADII].buf, *r = view[RULES].buf;
-    int rows = ends + points + known_radii(radii), errors = (int)view[COMMON].shape[1];
+    int edges = (int)view[EDGES].shape[0], rows = ends + points + edges + known_radii(radii), errors = (int)view[COMMON].shape[1];
     int count = HEAD + errors + (3 + STATE) * rows + prediction_numbers(ends, points);
     double *scratch = PyMem_Malloc(((size_t)scratch_numbers(errors) + 1) * sizeof *scratch);
     PyObject *result = PyBytes_FromStringAndSize(NULL, count * (Py_ssize_t)sizeof(double));
@@ -63,11 +65,12 @@ static PyObject *searched(const Py_buffer *view, int first, int last) {
     memcpy(search.left, view[LEFT].buf, (size_t)rows * sizeof(double));
     Prediction prediction;
     lay_out(at + (3 + STATE) * rows, ends, points, &prediction);
-    const Sighted sighted = {ends, points, view[RAYS].buf, view[LIGHT].buf, view[WHITENING].buf, view[POINTS].buf};
-    const KnownRadii known = {{radii[0], radii[1]}, {radii[2], radii[3]}};
+    const Evidence evidence = {{ends, points, view[RAYS].buf, view[LIGHT].buf, view[WHITENING].buf, view[POINTS].buf},
+                               {edges, view[EDGE_RAYS].buf, view[EDGES].buf},
+                               {{radii[0], radii[1]}, {radii[2], radii[3]}}};
     const SearchRules rules = {r[0], r[1], r[2], r[3], r[4], r[5]};
     const Common common = {errors, view[COMMON].buf};
-    int status = search_ring(&sighted, &known, &common, &rules, first, last, &prediction, &search);
+    int status = search_ring(&evidence, &common, &rules, first, last, &prediction, &search);
     write_head(&search, status, to);
     PyMem_Free(scratch);
     return result;
@@ -78,8 +81,8 @@ static PyObject *search(PyObject *module, PyObject *arguments) {
     PyObject *o[ARRAYS], *result = NULL;
     Py_buffer view[ARRAYS];
     int first, last;
-    if (!PyArg_ParseTuple(arguments, "OOOOOOOOOii", &o[0], &o[1], &o[2], &o[3], &o[4], &o[5], &o[6], &o[7], &o[8],
-                          &first, &last))
+    if (!PyArg_ParseTuple(arguments, "OOOOOOOOOOOii", &o[0], &o[1], &o[2], &o[3], &o[4], &o[5], &o[6], &o[7], &o[8],
+                          &o[9], &o[10], &first, &last))
         return NULL;
     if (!open_arrays(o, view, expected, ARRAYS)) return NULL;
     if (fit_together(view))

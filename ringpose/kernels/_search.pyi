@@ -6,6 +6,8 @@ def search(
     light: Array,
     whitening: Array,
     points: Array,
+    edge_rays: Array,
+    edges: Array,
     radii: Array,
     common: Array,
     left: Array,

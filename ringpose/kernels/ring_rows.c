@@ -1,6 +1,7 @@
 /* The rows of the most likely ring; equations and names are those of ringpose/pose/ring_model.py, its twin. */
 #include "ring_rows.h"
 
+#include <float.h>
 #include <math.h>
 #include <string.h>
 
@@ -55,39 +56,71 @@ static void find_origin(const RingState *state, const Sighted *sighted, const Pr
     }
 }
 
-static void compare_points(const RingState *state, const Sighted *sighted, const Prediction *to) {
-    const double *u = state->outward, *q = state->plane, *origin = to->origin, k = state->curvature;
-    double size = sqrt(inner(q, q)), v[3], origin_by_plane[2][3];
+/* A ring's plane with axes along and across `outward`, as points on it are compared with circles. */
+typedef struct {
+    const RingState *state;
+    double along[3], to_u, to_v, u_by_plane[3], v_by_plane[3]; /* of the origin */
+} Band;
+
+static void find_band(const RingState *state, const double *origin, Band *band) {
+    const double *u = state->outward, *q = state->plane;
+    double size = sqrt(inner(q, q)), *v = band->along;
+    band->state = state;
     for (int i = 0; i < 3; i++) /* the normal, -q / |q|, times u */
         v[i] = -(q[(i + 1) % 3] * u[(i + 2) % 3] - q[(i + 2) % 3] * u[(i + 1) % 3]) / size;
     for (int i = 0; i < 3; i++) {
-        origin_by_plane[0][i] = u[0] * origin[3 + i] + u[1] * origin[6 + i] + u[2] * origin[9 + i];
-        origin_by_plane[1][i] = v[0] * origin[3 + i] + v[1] * origin[6 + i] + v[2] * origin[9 + i];
+        band->u_by_plane[i] = u[0] * origin[3 + i] + u[1] * origin[6 + i] + u[2] * origin[9 + i];
+        band->v_by_plane[i] = v[0] * origin[3 + i] + v[1] * origin[6 + i] + v[2] * origin[9 + i];
     }
-    double to_u = inner(u, origin), to_v = inner(v, origin);
+    band->to_u = inner(u, origin);
+    band->to_v = inner(v, origin);
+}
+
+/* Distance of a ray's point on the plane from the circle of an edge (sign -1 or +1), with its derivatives. */
+static double arc_distance(const Band *band, const double ray[3], double sign, double arc[STATE], double by_ray[2]) {
+    const RingState *state = band->state;
+    const double *u = state->outward, *v = band->along, *q = state->plane, k = state->curvature;
+    double depth = 1 / inner(ray, q), over_u = depth * inner(u, ray), over_v = depth * inner(v, ray);
+    double x = over_u - (band->to_u + state->shift), y = over_v - band->to_v, square = x * x + y * y;
+    double stretch = 1 + k * x, turn = k * y, h = sqrt(stretch * stretch + turn * turn);
+    double distance = (2 * x + k * square) / (h + 1), cosine = stretch / h, sine = turn / h;
+    double reach = cosine * over_u + sine * over_v;
+    for (int j = 0; j < 2; j++) by_ray[j] = depth * (cosine * u[j] + sine * v[j] - reach * q[j]);
+    for (int j = 0; j < 3; j++)
+        arc[j] = -reach * depth * ray[j] - cosine * band->u_by_plane[j] - sine * band->v_by_plane[j];
+    arc[SHIFT] = -cosine;
+    arc[TURN] = cosine * y - sine * (x + state->shift);
+    arc[CURVATURE] = (square - distance * distance) / (h + h);
+    arc[BAND] = -0.5 * sign;
+    return distance - 0.5 * state->band * sign;
+}
+
+static void compare_points(const RingState *state, const Sighted *sighted, const Prediction *to) {
+    Band band;
+    find_band(state, to->origin, &band);
     for (int i = 0; i < sighted->points; i++) {
         int sight = sighted->ends + i;
-        const double *ray = to->ray[sight], *y_by_plane = to->y_by_plane[sight];
-        double *arc = to->arc_by_state[i], depth = 1 / inner(ray, q), sign = sighted->point[i][0];
-        double over_u = depth * inner(u, ray), over_v = depth * inner(v, ray);
-        double x = over_u - (to_u + state->shift), y = over_v - to_v, square = x * x + y * y;
-        double stretch = 1 + k * x, turn = k * y, h = sqrt(stretch * stretch + turn * turn);
-        double distance = (2 * x + k * square) / (h + 1), cosine = stretch / h, sine = turn / h;
-        double reach = cosine * over_u + sine * over_v;
-        for (int j = 0; j < 2; j++) to->by_ray[i][j] = depth * (cosine * u[j] + sine * v[j] - reach * q[j]);
-        for (int j = 0; j < 3; j++)
-            arc[j] = -reach * depth * ray[j] - cosine * origin_by_plane[0][j] - sine * origin_by_plane[1][j] +
-                     to->by_ray[i][1] * y_by_plane[j];
-        arc[SHIFT] = -cosine;
-        arc[TURN] = cosine * y - sine * (x + state->shift);
-        arc[CURVATURE] = (square - distance * distance) / (h + h);
-        arc[BAND] = -0.5 * sign;
-        to->distance[i] = distance - 0.5 * state->band * sign;
-        double by_x = to->by_ray[i][0] + to->slope[sight] * to->by_ray[i][1];
+        double *arc = to->arc_by_state[i], *by_ray = to->by_ray[i];
+        to->distance[i] = arc_distance(&band, to->ray[sight], sighted->point[i][0], arc, by_ray);
+        for (int j = 0; j < 3; j++) arc[j] += by_ray[1] * to->y_by_plane[sight][j];
+        double by_x = by_ray[0] + to->slope[sight] * by_ray[1];
         to->by_x[i] = fabs(by_x) < LEAST_RATE ? LEAST_RATE : by_x;
         to->scale[i] = 1 / (fabs(to->by_x[i]) * sighted->point[i][1]);
         to->residual[sight] = to->scale[i] * to->distance[i];
         for (int j = 0; j < STATE; j++) to->by_state[sight][j] = to->scale[i] * arc[j];
+    }
+}
+
+void compare_edges(const RingState *state, const VisibleEdges *edges, const double *origin, double *residual,
+                   double (*by_state)[STATE]) {
+    Band band;
+    find_band(state, origin, &band);
+    for (int i = 0; i < edges->count; i++) {
+        const double *edge = edges->edge[i];
+        double by_ray[2], distance = arc_distance(&band, edges->ray[i], edge[0], by_state[i], by_ray);
+        double rate = fabs(by_ray[0] * edge[1] + by_ray[1] * edge[2]), scale = 1 / (rate > DBL_MIN ? rate : DBL_MIN);
+        residual[i] = scale * distance;
+        for (int j = 0; j < STATE; j++) by_state[i][j] *= scale;
     }
 }
 

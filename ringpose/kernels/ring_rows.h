@@ -17,6 +17,13 @@ typedef struct {
     const double (*point)[2];            /* -1 or +1 for the edge, standard deviation of the abscissa */
 } Sighted;
 
+/* Points of the ring's visible edges. */
+typedef struct {
+    int count;
+    const double (*ray)[3];
+    const double (*edge)[3]; /* -1 or +1, and the displacement by one standard deviation across the edge */
+} VisibleEdges;
+
 /* Where the numbers of a prediction go. */
 typedef struct {
     double *residual, (*by_state)[STATE]; /* of ends and points */
@@ -33,5 +40,9 @@ void predict(const RingState *state, const Sighted *sighted, const Prediction *t
 
 /* Of that where the stripes run: slope, steepness, ray, y_by_plane. */
 void predict_lines(const RingState *state, const Sighted *sighted, const Prediction *to);
+
+/* Distances of visible edges from their circles, in standard deviations, with all derivatives. */
+void compare_edges(const RingState *state, const VisibleEdges *edges, const double *origin, double *residual,
+                   double (*by_state)[STATE]);
 
 #endif

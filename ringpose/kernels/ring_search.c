@@ -23,19 +23,21 @@ static void add_radii(const RingState *state, const KnownRadii *radii, Search *s
     }
 }
 
-static void find_rows(const Sighted *sighted, const KnownRadii *radii, const Prediction *prediction, Search *search) {
-    int sights = sighted->ends + sighted->points;
-    predict(&search->state, sighted, prediction);
+static void find_rows(const Evidence *evidence, const Prediction *prediction, Search *search) {
+    int sights = evidence->sighted.ends + evidence->sighted.points;
+    predict(&search->state, &evidence->sighted, prediction);
     memcpy(search->residual, prediction->residual, (size_t)sights * sizeof(double));
     memcpy(search->by_state, prediction->by_state, (size_t)sights * sizeof search->by_state[0]);
-    add_radii(&search->state, radii, search, sights);
+    compare_edges(&search->state, &evidence->edges, prediction->origin, search->residual + sights,
+                  search->by_state + sights);
+    add_radii(&search->state, &evidence->radii, search, sights + evidence->edges.count);
 }
 
-/* Break points may be in the wrong place; lines are fitted robustly before. */
-static void weigh(const double *residual, const Sighted *sighted, double huber, Search *search) {
+/* Break points and edges may be in the wrong place; lines are fitted robustly before. */
+static void weigh(const double *residual, const Evidence *evidence, double huber, Search *search) {
+    const int first = evidence->sighted.ends, end = first + evidence->sighted.points + evidence->edges.count;
     for (int i = 0; i < search->rows; i++) {
-        int robust = i >= sighted->ends && i < sighted->ends + sighted->points;
-        double size = robust ? fabs(residual[i]) : 0;
+        double size = i >= first && i < end ? fabs(residual[i]) : 0;
         search->weight[i] = size > huber ? huber / size : 1;
     }
 }
@@ -93,6 +95,7 @@ static int eliminated(const Search *search, const Common *common, double normal[
         const double *by_error = common->rows + row * n, *by_state = search->by_state[row];
         for (int i = 0; i < n; i++) {
             double weighted = by_error[i] * search->weight[row];
+            if (weighted == 0) continue; /* most errors move few residuals */
             for (int j = 0; j <= i; j++) own[i * n + j] += weighted * by_error[j];
             for (int j = 0; j < STATE; j++) mixed[i * wide + j] += weighted * by_state[j];
             mixed[i * wide + STATE] += weighted * search->residual[row];
@@ -180,12 +183,12 @@ static void move(const double step[STATE], RingState *state) {
     state->band += step[BAND];
 }
 
-int search_ring(const Sighted *sighted, const KnownRadii *radii, const Common *common, const SearchRules *rules,
-                int first, int last, const Prediction *prediction, Search *search) {
+int search_ring(const Evidence *evidence, const Common *common, const SearchRules *rules, int first, int last,
+                const Prediction *prediction, Search *search) {
     double step[STATE];
     for (int number = first; number < last; number++) {
-        find_rows(sighted, radii, prediction, search);
-        weigh(number ? search->left : search->residual, sighted, rules->huber, search);
+        find_rows(evidence, prediction, search);
+        weigh(number ? search->left : search->residual, evidence, rules->huber, search);
         if (!find_step(common, rules->ridge, search, step)) return SEARCH_FAILED;
         if (!is_plausible(&search->state, step, rules)) return SEARCH_FAILED;
         if (number && size_of(search->normal_matrix, step) < rules->step_sigmas * rules->step_sigmas)

@@ -1,7 +1,7 @@
 """Gauss and Newton's steps to the most likely ring of stripes and break points, behind a typed function.
 
-Its twin is the search in `ringpose.pose.likelihood`, which also knows what is rarer: points without a line, visible
-edges, and shots that leave something open.
+Its twin is the search in `ringpose.pose.likelihood`, which also knows what is rarer: points without a line, and
+shots that leave something open.
 """
 
 from typing import NamedTuple
@@ -27,13 +27,17 @@ class Sought(NamedTuple):
     whitening: Float64[Array, "end end"]
     points: Float64[Array, "point 2"]
     """Sign of each point's edge, standard deviation of its abscissa."""
+    edge_rays: Float64[Array, "visible xyz=3"]
+    """Points of the ring's visible edges."""
+    edges: Float64[Array, "visible 3"]
+    """Sign of each one's edge, displacement by a standard deviation across it."""
     radii: Float64[Array, "2 edge=2"]
     """Radii known beforehand and their standard deviations, NaN if not."""
 
     @property
     def rows(self) -> int:
         """Number of residuals."""
-        return len(self.rays) + int(np.count_nonzero(self.radii[0] == self.radii[0]))
+        return len(self.rays) + len(self.edges) + int(np.count_nonzero(self.radii[0] == self.radii[0]))
 
 
 class Started(NamedTuple):

@@ -12,7 +12,7 @@ import numpy as np
 from ringpose.kernels.ring_search import SearchRules, Sought, searched
 from ringpose.pose.measurements import Measurements, Sighted
 from ringpose.pose.residual_rows import Beforehand, Rows, rows_of, rows_of_prediction
-from ringpose.pose.rig_errors import ByRig, RigErrors, rows_by_common_errors
+from ringpose.pose.rig_errors import ByRig, RigErrors, rows_by_common_errors, rows_by_edge_errors
 from ringpose.pose.ring_model import CURVATURE, PARAMETERS, TURN, RingState, moved
 from ringpose.pose.starting_state import starting_state
 from ringpose.types.arrays import Array, Float64
@@ -41,6 +41,8 @@ STEEPEST_CURVATURE = 20.0
 _RULES = SearchRules(HUBER_SIGMAS, STEP_SIGMAS, RIDGE, LEAST_DEPTH_M, MOST_DEPTH_M, STEEPEST_CURVATURE)
 
 _NO_RADII = np.full((2, 2), np.nan)
+
+_NO_EDGES = np.empty((0, 3))
 
 
 class Fit(NamedTuple):
@@ -117,8 +119,7 @@ def _search(
     errors: RigErrors | None,
 ) -> Fit | None:
     """The kernel's search for what nearly every shot is made of, steps in here for the rest."""
-    plain = before.weak_about is None and not before.one_edge and not len(measured.edges.edge)
-    if plain and not bool(measured.points.alone.any()):
+    if before.weak_about is None and not before.one_edge and not bool(measured.points.alone.any()):
         return kernel_search(state, measured, sighted, rig, before, errors)
     return search_in_steps(state, measured, sighted, rig, before, errors)
 
@@ -131,18 +132,21 @@ def kernel_search(
     before: Beforehand,
     errors: RigErrors | None,
 ) -> Fit | None:
-    """Of stripes, break points on them and known radii; the rig's errors hardly change after the first step."""
-    radii = _NO_RADII if before.radii is None else np.array([before.radii.radius_m, before.radii.sd_m])
-    sought = Sought(sighted.rays, sighted.light, sighted.whitening, sighted.edge_sign_and_sigma, radii)
-    first = 0 if errors is None else 1
+    """Of stripes, break points on them, visible edges and known radii; common errors enter after the first step."""
+    sought = _sought(measured, sighted, before)
+    first = 0 if errors is None and not len(sought.edges) else 1
     common, left, numbers = None, None, state.numbers
-    if errors is not None:
+    if first:
         start = searched(numbers, sought, _RULES, (0, first))
         if start.failed:
             return None
         numbers, left = start.state, start.left
         there = _state_of(numbers)
-        common = rows_by_common_errors(there, rows_of(there, measured, sighted, before), measured, sighted, errors, rig)
+        common = (
+            rows_by_edge_errors(measured, sought.rows, len(sighted.rays))
+            if errors is None
+            else rows_by_common_errors(there, rows_of(there, measured, sighted, before), measured, sighted, errors, rig)
+        )
     found = searched(numbers, sought, _RULES, (first, MOST_STEPS), None if common is None else common.rows, left)
     if found.failed:
         return None
@@ -152,6 +156,15 @@ def kernel_search(
     return Fit(
         _state_of(found.state), rows, found.weight, by_rig, mean_by_rig, step, False, found.normal_matrix, found.inverse
     )
+
+
+def _sought(measured: Measurements, sighted: Sighted, before: Beforehand) -> Sought:
+    edges = _NO_EDGES
+    if len(measured.edges.edge):
+        edges = np.column_stack([2.0 * measured.edges.edge - 1.0, measured.edges.step])
+    radii = _NO_RADII if before.radii is None else np.array([before.radii.radius_m, before.radii.sd_m])
+    rays = measured.edges.ray
+    return Sought(sighted.rays, sighted.light, sighted.whitening, sighted.edge_sign_and_sigma, rays, edges, radii)
 
 
 def _state_of(numbers: Float64[Array, "9"]) -> RingState:

@@ -96,12 +96,17 @@ def rows_by_common_errors(
     found = None if errors is None else rows_by_rig(state, rows, measured, sighted, errors, rig)
     if rows.edges is None:
         return found
-    common = np.zeros((len(rows.residual), measured.edges.common.shape[1]))
-    first = rows.ends + len(rows.by_x) + len(rows.across.which)
-    common[first : first + len(measured.edges.edge)] = measured.edges.common
+    alike = rows_by_edge_errors(measured, len(rows.residual), rows.ends + len(rows.by_x) + len(rows.across.which))
     if found is None:
-        return ByRig(common, np.zeros(common.shape[1]))
-    return ByRig(np.column_stack([found.rows, common]), np.append(found.mean, np.zeros(common.shape[1])))
+        return alike
+    return ByRig(np.column_stack([found.rows, alike.rows]), np.append(found.mean, alike.mean))
+
+
+def rows_by_edge_errors(measured: Measurements, count: int, first: int) -> ByRig:
+    """How what the points of a visible edge err alike moves so many residuals, of which theirs begin at `first`."""
+    common = np.zeros((count, measured.edges.common.shape[1]))
+    common[first : first + len(measured.edges.edge)] = measured.edges.common
+    return ByRig(common, np.zeros(common.shape[1]))
 
 
 def rows_by_rig(

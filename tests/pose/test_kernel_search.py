@@ -27,13 +27,14 @@ def with_covariance(rig):
     return replace(rig, covariance=ParameterCovariance(parameters=PARAMETERS, data=np.diag(SD**2)))
 
 
-@pytest.fixture
-def noisy(scene_of, face_points, rng):
+@pytest.fixture(params=[False, True], ids=["no edges", "visible edges"])
+def noisy(scene_of, face_points, visible_edges, rng, request):
     """Measurements of a noisy shot with wrong ends, which robust weights count less."""
     scene = scene_of("B", distance_m=0.5)
     points = face_points(scene, 0.3, 0.01, rng)
     points.position_px[:, 0, 0] += 10.0, -15.0, 25.0
-    return scene.rig, measurements_of(points, scene.rig)
+    edges = visible_edges(scene, 60, 0.3, rng) if request.param else None
+    return scene.rig, measurements_of(points, scene.rig, edges)
 
 
 @pytest.mark.parametrize("calibrated", [False, True], ids=["rig exact", "rig with its covariance"])
@@ -51,7 +52,7 @@ def test_both_searches_end_at_the_same_ring(noisy, calibrated, radii):
         np.testing.assert_allclose(found, twin, rtol=1e-6, atol=1e-7 * np.abs(twin).max())
     np.testing.assert_allclose(fits[0].state.numbers, fits[1].state.numbers, rtol=1e-9, atol=1e-12)
     assert fits[0].weight.min() < 1.0
-    assert (fits[0].rig_step is None) == (not calibrated)
+    assert (fits[0].rig_step is None) == (not calibrated and not len(measured.edges.edge))
 
 
 def test_both_begin_at_the_same_ring(noisy):
@@ -103,14 +104,20 @@ def test_points_without_lines_that_are_known_impossibly_well_end_the_search_with
     assert isinstance(estimate_pose(points, scene.rig), RingPose | NoPose)
 
 
-@pytest.mark.parametrize("wrong", range(9))
+@pytest.mark.parametrize("wrong", range(11))
 def test_arrays_of_a_search_that_do_not_fit_are_refused(noisy, wrong):
     rig, measured = noisy
     sighted = measured.sighted(rig.lasers)
     sought = Sought(
-        sighted.rays, sighted.light, sighted.whitening, sighted.edge_sign_and_sigma, np.full((2, 2), np.nan)
+        rays=sighted.rays,
+        light=sighted.light,
+        whitening=sighted.whitening,
+        points=sighted.edge_sign_and_sigma,
+        edge_rays=np.ones((4, 3)),
+        edges=np.ones((4, 3)),
+        radii=np.full((2, 2), np.nan),
     )
-    arrays = [np.ones(9), *sought, np.ones((12, 2)), np.ones(12), np.ones(6)]
+    arrays = [np.ones(9), *sought, np.ones((16, 2)), np.ones(16), np.ones(6)]
     arrays[wrong] = np.ascontiguousarray(arrays[wrong][:-1])
 
     with pytest.raises(ValueError, match="do not fit"):
