@@ -1,0 +1,68 @@
+"""Forks the real command for each job that comes: what it imports is loaded once, for all tests.
+
+A job comes with three descriptors: where to say the process's number and, in the end, its status as `subprocess` has
+it; its standard output; its standard error.
+"""
+
+import json
+import os
+import signal
+import socket
+import sys
+
+import scipy.interpolate
+import scipy.optimize
+
+import ringpose.capture.lasers.guarded
+import ringpose.cli.capture
+import ringpose.cli.live
+import ringpose.cli.pose
+import ringpose.cli.sources
+import ringpose.files.scenes
+import ringpose.files.sessions
+import ringpose.simulate.pipeline
+from ringpose.cli.main import run
+
+LOADED = (scipy, ringpose)
+
+
+def carry_out(job, out, said):
+    """Become the command."""
+    os.dup2(out, 1)
+    os.dup2(said, 2)
+    os.closerange(3, 256)
+    sys.stdout, sys.stderr = open(1, "w", closefd=False), open(2, "w", closefd=False)  # noqa: SIM115
+    os.chdir(job["folder"])
+    os.environ.clear()
+    os.environ.update(job["environment"])
+    sys.argv[1:] = job["words"]
+    exec(job["before"], {"__name__": "before"})
+    run()
+
+
+def look_after(job, reply, out, said):
+    """Start the command, and say how it ended; the process between here and there waits for nobody else."""
+    pid = os.fork()
+    if not pid:
+        carry_out(job, out, said)
+    os.close(out)
+    os.close(said)
+    os.write(reply, str(pid).encode())
+    _, status = os.waitpid(pid, 0)
+    os.write(reply, str(os.waitstatus_to_exitcode(status)).encode())
+
+
+jobs = socket.socket(fileno=int(sys.argv[1]))
+signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+while True:
+    line, descriptors, _, _ = socket.recv_fds(jobs, 1 << 20, 3)
+    if not line:
+        break
+    if not os.fork():
+        jobs.close()
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        look_after(json.loads(line), *descriptors)
+        os._exit(0)
+    for number in descriptors:
+        os.close(number)
+jobs.close()
