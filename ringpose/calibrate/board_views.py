@@ -16,6 +16,7 @@ from ringpose.calibrate.board_failures import (
 from ringpose.calibrate.board_layout import MarkerLayout, marker_layout, other_layout
 from ringpose.calibrate.board_points import corner_points, marker_corners
 from ringpose.calibrate.chessboard import chessboard_corners, refined_corners
+from ringpose.calibrate.circle_centers import circle_centers
 from ringpose.calibrate.marker_sides import corners_from_sides
 from ringpose.calibrate.markers import Markers, find_markers, marker_count, marker_dictionary, markers_of
 from ringpose.types.arrays import Array, Float64, Int64, UInt, UInt8
@@ -76,16 +77,10 @@ def _pattern_view(grey: UInt8[Array, "row column"], board: Board) -> _Seen | NoB
     if board.kind == "chessboard":
         corners = chessboard_corners(grey, columns - 1, rows - 1)
     else:
-        corners = _circle_centers(grey, columns, rows)
+        corners = circle_centers(grey, corner_points(board), columns, rows)
     if corners is None:
         return pattern_failure(grey, board)
     return _Seen(ids=np.arange(len(corners), dtype=np.int64), points_px=corners)
-
-
-def _circle_centers(grey: UInt8[Array, "row column"], columns: int, rows: int) -> Float64[Array, "corner xy=2"] | None:
-    flags = cv2.CALIB_CB_ASYMMETRIC_GRID | cv2.CALIB_CB_CLUSTERING
-    found, centers = cv2.findCirclesGrid(grey, (columns, rows), flags=flags)
-    return np.asarray(centers, dtype=np.float64).reshape(-1, 2) if found else None
 
 
 def _marker_view(grey: UInt8[Array, "row column"], board: Board) -> _Seen | NoBoard:

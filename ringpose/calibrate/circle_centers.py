@@ -1,0 +1,93 @@
+"""Centres of the circles of an asymmetric grid in an image (ringpose-method(7), section 7).
+
+A tilted circle is seen as an ellipse whose middle is not where the circle's centre is seen: its near half is seen
+larger. The difference grows with the square of the radius, which is measured by the dark area.
+"""
+
+import cv2
+import numpy as np
+
+from ringpose.types.arrays import Array, Float64, UInt8
+
+LOWEST_CONTRAST_DN = 10.0
+"""Below this a circle's area tells nothing."""
+
+
+def circle_centers(
+    grey: UInt8[Array, "row column"], points_m: Float64[Array, "corner xyz=3"], columns: int, rows: int
+) -> Float64[Array, "corner xy=2"] | None:
+    """Where the circles' centres are seen, whose places on the board are given; None if not all are found."""
+    middles_px = circle_middles(grey, columns, rows)
+    if middles_px is None:
+        return None
+    image_from_board, _ = cv2.findHomography(points_m[:, :2], middles_px)
+    homography = np.asarray(image_from_board, dtype=np.float64)
+    radius_m = _radius_m(grey, middles_px, points_m[:, :2], homography)
+    return middles_px - ellipse_offsets(points_m[:, :2], radius_m, homography)
+
+
+def circle_middles(grey: UInt8[Array, "row column"], columns: int, rows: int) -> Float64[Array, "corner xy=2"] | None:
+    """The middles of the ellipses that the image shows; None if not all are found."""
+    flags = cv2.CALIB_CB_ASYMMETRIC_GRID | cv2.CALIB_CB_CLUSTERING
+    found, middles = cv2.findCirclesGrid(grey, (columns, rows), flags=flags)
+    return np.asarray(middles, dtype=np.float64).reshape(-1, 2) if found else None
+
+
+def ellipse_offsets(
+    centers_m: Float64[Array, "corner xy=2"], radius_m: float, homography: Float64[Array, "3 3"]
+) -> Float64[Array, "corner xy=2"]:
+    """Middle of the ellipse less the image of the centre, for circles on a plane.
+
+    A circle's conic C becomes H^-T C H^-1, and a conic's middle is the pole of the line at infinity.
+    """
+    inverse = np.linalg.inv(homography)
+    conics = np.zeros((len(centers_m), 3, 3))
+    conics[:, 0, 0] = conics[:, 1, 1] = 1.0
+    conics[:, :2, 2] = conics[:, 2, :2] = -centers_m
+    conics[:, 2, 2] = np.sum(centers_m**2, axis=1) - radius_m**2
+    seen = inverse.T @ conics @ inverse
+    middles = np.linalg.solve(seen[:, :2, :2], -seen[:, :2, 2:])[..., 0]
+    offsets: Float64[Array, "corner xy=2"] = middles - _mapped(centers_m, homography)
+    return offsets
+
+
+def _mapped(places: Float64[Array, "n xy=2"], homography: Float64[Array, "3 3"]) -> Float64[Array, "n xy=2"]:
+    seen = places @ homography[:, :2].T + homography[:, 2]
+    mapped: Float64[Array, "n xy=2"] = seen[:, :2] / seen[:, 2:]
+    return mapped
+
+
+def _radius_m(
+    grey: UInt8[Array, "row column"],
+    middles_px: Float64[Array, "corner xy=2"],
+    centers_m: Float64[Array, "corner xy=2"],
+    homography: Float64[Array, "3 3"],
+) -> float:
+    """The circles' common radius, by the dark area of each and the scale there; zero where no area can be told."""
+    distance = np.linalg.norm(middles_px[:, None] - middles_px, axis=-1)
+    np.fill_diagonal(distance, np.inf)
+    areas_px = np.array(
+        [_dark_area(grey, middle, 0.5 * float(near)) for middle, near in zip(middles_px, distance.min(1), strict=True)]
+    )
+    weight = centers_m @ homography[2, :2] + homography[2, 2]
+    scale = abs(float(np.linalg.det(homography))) / np.abs(weight) ** 3
+    told = np.isfinite(areas_px)
+    return float(np.sqrt(np.median(areas_px[told] / scale[told]) / np.pi)) if told.any() else 0.0
+
+
+def _dark_area(grey: UInt8[Array, "row column"], middle: Float64[Array, "xy=2"], reach: float) -> float:
+    """Pixels that are dark about a circle's middle, parts counted; NaN at the image's rim and without contrast."""
+    column, row = np.rint(middle).astype(np.int64).tolist()
+    half = int(reach)
+    if not (half <= column < grey.shape[1] - half and half <= row < grey.shape[0] - half):
+        return float("nan")
+    patch = grey[row - half : row + half + 1, column - half : column + half + 1].astype(np.float64)
+    down, right = np.indices(patch.shape)
+    away = np.hypot(right + column - half - middle[0], down + row - half - middle[1])
+    rim = patch[(away > reach - 2.0) & (away <= reach)]
+    heart = patch[away < 2.0]
+    if not len(rim) or not len(heart) or np.median(rim) - np.median(heart) < LOWEST_CONTRAST_DN:
+        return float("nan")
+    bright, dark = float(np.median(rim)), float(np.median(heart))
+    share = np.clip((bright - patch) / (bright - dark), 0.0, 1.0)
+    return float(share[away <= reach].sum())
