@@ -66,10 +66,20 @@ def _without_hidden(ends: Ends, fit: ArcFit, tracks: Tracks, rig: Rig) -> Ends:
     """
     cost_without = np.array(fit.cost_without).reshape(-1, 2)
     suspects = np.argwhere(cost_without < cost_without.min() + TIE)
-    if len(suspects) > 1:
-        beside = [each for each in suspects if _beside_something_nearer(ends, int(each[0]), int(each[1]), tracks, rig)]
-        suspects = np.array(beside) if len(beside) == 1 else suspects
-    return _without(ends, suspects)
+    beside = [each for each in suspects if _beside_something_nearer(ends, int(each[0]), int(each[1]), tracks, rig)]
+    if len(beside) == 1:
+        return _without(ends, np.array(beside))
+    labelled = np.isin(suspects[:, 0], tracks[:, LASER]).all()
+    return _without(ends, suspects) if labelled else _without_stripes(ends, suspects)
+
+
+def _without_stripes(ends: Ends, suspects: Int64[Array, "n 2"]) -> Ends:
+    """The ends without stripes of which one is suspected: nothing hides it, and no laser is known to have drawn it."""
+    lasers = np.unique(suspects[:, 0])
+    left = _without(ends, np.stack([np.repeat(lasers, 2), np.tile([0, 1], len(lasers))], axis=1))
+    straight, sigma = ends.straight_px.copy(), ends.straight_sigma_px.copy()
+    straight[lasers], sigma[lasers] = np.nan, np.nan
+    return left._replace(straight_px=straight, straight_sigma_px=sigma)
 
 
 def _without(ends: Ends, suspects: Int64[Array, "n 2"]) -> Ends:

@@ -15,12 +15,14 @@ from functools import lru_cache
 
 import numpy as np
 
-from ringpose.detect.tracks import LEAST_COLUMNS, TAKEN_BY_THE_FIT
+from ringpose.detect.tracks import LEAST_COLUMNS, TAKEN_BY_THE_FIT, lens
 from ringpose.geometry.rays import undistorted_rays
 from ringpose.kernels.faces import CandidateRules, FaceRules, Group, RingRules, UnionRules, ring_faces
+from ringpose.kernels.ring import TRACK_COLUMNS
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
 from ringpose.types.rig import Rig
+from ringpose.types.stripes import UNLABELLED
 
 DEPTH_RANGE_M = (0.05, 3.0)
 """Where a ring can be: wider on both sides than the 0.2 to 1 m that the method is made for."""
@@ -105,6 +107,20 @@ CLEAR_MARGIN = {3: 4.0, 2: 4.0, 1: math.inf}
 one: where stripes cross, what seems to be unseen is not, so that any other possible label is one too many."""
 
 
+CONFIRMED = 3
+"""Fewer tracks on one plane may be there by chance, so that it matters what else they may be."""
+
+LONGEST_TO_SHORTEST = 2.5
+"""Stripes cross a band at 45 degrees or more, one may be hidden by half; pieces of foil have any length."""
+
+BODY_RANGE_M = (0.15, 1.5)
+"""Where the body behind a ring is looked for."""
+
+LASER, X_START, X_END, MIDDLE_X, MIDDLE_Y, SLOPE, CLIPPED = (
+    TRACK_COLUMNS.index(name) for name in ("laser", "x_start", "x_end", "middle_x", "middle_y", "slope", "clipped")
+)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Face:
     """The tracks on the ring's face."""
@@ -114,7 +130,7 @@ class Face:
     """Of each of these lasers; columns as in `TRACK_COLUMNS`."""
     score: float
     ambiguous: bool
-    """Another labelling explains the same tracks about as well."""
+    """Another labelling explains the same tracks about as well, or as the body's."""
 
 
 def ring_face(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig: Rig) -> Face | None:
@@ -123,29 +139,90 @@ def ring_face(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], 
     `lasers` are those that an unlabelled track may belong to.
     """
     unlabelled = sum(1 << laser for laser in lasers)
-    every, groups = ring_faces(tracks, unlabelled, _planes(rig), _rules(rig))
+    every, found = ring_faces(tracks, unlabelled, _planes(rig), _rules(rig))
+    groups: list[Group | None] = list(found)
     best = _most_convincing(groups)
+    while best is not None and not _alike(every[list(best.tracks)], best.lasers, rig):
+        groups = [None if group is best else group for group in groups]
+        best = _most_convincing(groups)
     if best is None:
         return None
+    chosen = every[list(best.tracks)]
     return Face(
         lasers=best.lasers,
-        tracks=every[list(best.tracks)],
+        tracks=chosen,
         score=best.score,
-        ambiguous=best.rival > best.score - CLEAR_MARGIN[len(best.tracks)],
+        ambiguous=best.rival > best.score - CLEAR_MARGIN[len(best.tracks)]
+        or (len(best.tracks) < CONFIRMED and may_be_the_body(chosen, best.lasers, lasers, rig)),
     )
 
 
-def _most_convincing(groups: tuple[Group, Group, Group]) -> Group | None:
+def _most_convincing(groups: Sequence[Group | None]) -> Group | None:
     """The largest group, unless a smaller one says more; None if none convinces.
 
     Nothing confirms a single track. Two are confirmed by one plane, and three by one plane and two circles, which
     is hardly ever so by chance: what three have less in score than other two may be the price of a broken track.
     """
-    one, two, three = (group if group.score > CONVINCING_SCORE[len(group.tracks)] else None for group in groups)
+    one, two, three = (
+        group if group is not None and group.score > CONVINCING_SCORE[len(group.tracks)] else None for group in groups
+    )
     if two is None or three is None:
         return three or two or one
     among = set(zip(two.lasers, two.tracks, strict=True)) < set(zip(three.lasers, three.tracks, strict=True))
     return three if three.score > two.score + (TRACK_PRICE if among else -TRACK_PRICE) else two
+
+
+def _alike(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig: Rig) -> bool:
+    """Whether stripes may cross one band: none of them, but those that leave the image, much shorter than another."""
+    rows = tracks.tolist()
+    lengths_m = [_length_m(row, laser, rig) for row, laser in zip(rows, lasers, strict=True)]
+    whole_m = [length_m for row, length_m in zip(rows, lengths_m, strict=True) if not row[CLIPPED]]
+    return not whole_m or max(lengths_m) < LONGEST_TO_SHORTEST * min(whole_m)
+
+
+def may_be_the_body(
+    tracks: Float64[Array, "track column=11"], own: Sequence[int], lasers: Sequence[int], rig: Rig
+) -> bool:
+    """Whether some track would be a stripe on the body behind the ring if it belonged to another of these lasers.
+
+    It would then be longer than any face, and farther away than under its own laser, within reach.
+    """
+    for row, laser in zip(tracks.tolist(), own, strict=True):
+        nearest, farthest = _depths_m(row, laser, rig)
+        for other in lasers if row[LASER] == UNLABELLED else ():
+            low, high = _depths_m(row, other, rig)
+            farther = other != laser and low > max(nearest, BODY_RANGE_M[0]) and high < BODY_RANGE_M[1]
+            if farther and high > farthest and _length_m(row, other, rig) > FACE_LENGTH_M[1]:
+                return True
+    return False
+
+
+def _points_m(row: Sequence[float], laser: int, rig: Rig) -> list[tuple[float, float, float]]:
+    """The ends of a track in the camera frame, if it belongs to that laser."""
+    optics, (a, b, c) = lens(rig.camera), _plane_numbers(rig)[laser]
+    points = []
+    for x_px in (row[X_START], row[X_END]):
+        x = (x_px - optics.cx) / optics.fx
+        y = (row[MIDDLE_Y] + row[SLOPE] * (x_px - row[MIDDLE_X]) - optics.cy) / optics.fy
+        depth = 1 / (a * x + b * y + c or math.nan)
+        points.append((x * depth, y * depth, depth))
+    return points
+
+
+def _depths_m(row: Sequence[float], laser: int, rig: Rig) -> tuple[float, float]:
+    """Depths of a track's nearer and farther end; one behind the camera has a negative one."""
+    start, end = (depth for _, _, depth in _points_m(row, laser, rig))
+    return min(start, end), max(start, end)
+
+
+def _length_m(row: Sequence[float], laser: int, rig: Rig) -> float:
+    return math.dist(*_points_m(row, laser, rig))
+
+
+@lru_cache(maxsize=4)
+def _plane_numbers(rig: Rig) -> list[list[float]]:
+    numbers: list[list[float]] = _planes(rig).tolist()
+    return numbers
 
 
 @lru_cache(maxsize=4)

@@ -1,0 +1,117 @@
+"""Which tracks make a face: stripes of like length on one band, and none that the body behind may show as well."""
+
+import numpy as np
+import pytest
+
+from ringpose.bench.stripe_images import Kind, stripe_image, stripe_rig
+from ringpose.detect.consistency import checked
+from ringpose.detect.faces import may_be_the_body, ring_face
+from ringpose.geometry.rays import undistorted_pixels
+from ringpose.kernels.ring import TRACK_COLUMNS, Ends
+from ringpose.types.break_points import BreakPointFlag
+from ringpose.types.stripes import UNLABELLED
+
+RIG = stripe_rig()
+ALL = (0, 1, 2)
+OCCLUDED = int(BreakPointFlag.OCCLUDED)
+
+
+def row(start, end, laser=UNLABELLED):
+    """A clean track between two points in undistorted pixels."""
+    length = end[0] - start[0]
+    values = {
+        "laser": laser,
+        "centers": length,
+        "x_start": start[0],
+        "x_end": end[0],
+        "middle_x": (start[0] + end[0]) / 2,
+        "middle_y": (start[1] + end[1]) / 2,
+        "slope": (end[1] - start[1]) / length,
+        "scatter": 0.05,
+        "correlation": 1.0,
+    }
+    return [float(values.get(name, 0.0)) for name in TRACK_COLUMNS]
+
+
+def face_ends(seed):
+    """Left and right ends of the stripes on a true ring's face, undistorted."""
+    image = stripe_image(Kind.DARK, seed)
+    return undistorted_pixels(image.break_points_px[:, ::-1].reshape(6, 2), RIG.camera).reshape(3, 2, 2)
+
+
+def body_ends(seed, laser):
+    """The body's stripe right of the ring, undistorted."""
+    piece = stripe_image(Kind.DARK, seed).pieces_px[3 * laser + 2]
+    return undistorted_pixels(piece, RIG.camera)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_three_stripes_on_a_ring_are_its_face(seed):
+    face = ring_face(np.array([row(*ends) for ends in face_ends(seed)]), ALL, RIG)
+
+    assert face.lasers == ALL
+    assert not face.ambiguous
+
+
+@pytest.mark.parametrize("share", [0.2, 0.35])
+def test_a_piece_much_shorter_than_the_other_stripes_is_of_another_surface(share):
+    first, (left, right), third = face_ends(1)
+    tracks = np.array([row(*first), row(left, left + share * (right - left)), row(*third)])
+
+    face = ring_face(tracks, ALL, RIG)
+
+    assert face is None or len(face.lasers) < 3
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_stripe_on_the_body_is_no_face_of_a_nearer_laser(seed):
+    tracks = np.array([row(*body_ends(seed, 2))])
+
+    assert may_be_the_body(tracks, (0,), ALL, RIG)
+
+
+@pytest.mark.parametrize("laser", ALL)
+@pytest.mark.parametrize("seed", range(4))
+def test_a_stripe_on_the_face_is_not_taken_for_the_bodys(seed, laser):
+    tracks = np.array([row(*face_ends(seed)[laser])])
+
+    assert not may_be_the_body(tracks, (laser,), ALL, RIG)
+
+
+def test_a_labelled_stripe_is_no_other_lasers():
+    tracks = np.array([row(*body_ends(0, 2), laser=0)])
+
+    assert not may_be_the_body(tracks, (0,), ALL, RIG)
+
+
+def ends_with_one_wrong(seed, by_px):
+    """The ends of a true ring, but the right one of the second stripe lies farther out."""
+    position = stripe_image(Kind.DARK, seed).break_points_px[:, ::-1].copy()
+    position[1, 1, 0] += by_px
+    return Ends(
+        position_px=position,
+        covariance_px2=np.tile(0.05**2 * np.eye(2), (3, 2, 1, 1)),
+        flags=np.zeros((3, 2), np.int64),
+        straight_px=face_ends(seed),
+        straight_sigma_px=np.full((3, 2), 0.01),
+    )
+
+
+def test_a_stripe_that_no_laser_is_known_to_have_drawn_is_left_out_whole():
+    tracks = np.array([row(*ends) for ends in face_ends(1)])
+
+    ends, _, _ = checked(ends_with_one_wrong(1, 300.0), tracks, RIG)
+
+    assert np.all(ends.flags[1] & OCCLUDED)
+    assert np.isnan(ends.position_px[1]).all()
+    assert np.isnan(ends.straight_px[1]).all()
+    assert not np.isnan(ends.position_px[[0, 2]]).any()
+
+
+def test_of_a_labelled_stripe_the_line_stays():
+    tracks = np.array([row(*ends, laser=laser) for laser, ends in enumerate(face_ends(1))])
+
+    ends, _, _ = checked(ends_with_one_wrong(1, 300.0), tracks, RIG)
+
+    assert np.isnan(ends.position_px[1, 1]).all()
+    assert not np.isnan(ends.straight_px).any()
