@@ -3,11 +3,17 @@
 
 #include <string.h>
 
-/* GNU C's vectors keep sums in registers: the compilers do not see that they may, in loops over 16 columns. */
-typedef float Floats __attribute__((vector_size(32), aligned(4), may_alias));
-enum { LANES = sizeof(Floats) / sizeof(float) };
-#define FLOATS(address) (*(Floats *)(address))
-#define FIXED_FLOATS(address) (*(const Floats *)(address))
+/* GNU C's vectors keep sums in registers: the compilers do not see that they may, in loops over 16 columns. Vectors that
+   the processor does not have are slow: there is a version for each size, and the right one is taken at run time. */
+typedef float FourFloats __attribute__((vector_size(16), aligned(4), may_alias));
+typedef float EightFloats __attribute__((vector_size(32), aligned(4), may_alias));
+#if defined(__x86_64__) && !defined(RINGPOSE_PORTABLE)
+#define HAS_EIGHT __builtin_cpu_supports("avx2")
+#define WITH_EIGHT __attribute__((target("avx2")))
+#else
+#define HAS_EIGHT 0
+#define WITH_EIGHT
+#endif
 
 /* Rows of a block in whole numbers. */
 enum { MOST_ROWS = CHUNK + 2 + 2 * MOST_REACH };
@@ -77,41 +83,55 @@ void load_pixels(const StripeImage *image, ptrdiff_t row, size_t column, size_t 
 }
 
 /* Two rows share what lies above the one and below the other. */
-VECTOR_LOOP
-void bend_pixels(const Filter *filter, size_t count, Patch *patch) {
-    const float *tap = filter->bend, *middle = patch->pixel + filter->reach * BLOCK;
-    for (size_t i = 0; i < count; i += i % BLOCK + LANES < BLOCK ? LANES : BLOCK + LANES) {
-        const float *top = middle + i, *bottom = top + BLOCK;
-        Floats above = FIXED_FLOATS(top), below = FIXED_FLOATS(bottom);
-        Floats one = tap[0] * above, two = tap[0] * below;
-        for (size_t k = 1; k <= filter->reach; k++) {
-            top -= BLOCK;
-            bottom += BLOCK;
-            Floats next_above = FIXED_FLOATS(top), next_below = FIXED_FLOATS(bottom);
-            one += tap[k] * (next_above + below);
-            two += tap[k] * (above + next_below);
-            above = next_above;
-            below = next_below;
-        }
-        FLOATS(patch->bend + i) = one;
-        FLOATS(patch->bend + i + BLOCK) = two;
+#define BEND(name, Floats)                                                                                         \
+    static void name(const Filter *filter, size_t count, Patch *patch) {                                           \
+        const size_t lanes = sizeof(Floats) / sizeof(float);                                                       \
+        const float *tap = filter->bend, *middle = patch->pixel + filter->reach * BLOCK;                           \
+        for (size_t i = 0; i < count; i += i % BLOCK + lanes < BLOCK ? lanes : BLOCK + lanes) {                    \
+            const float *top = middle + i, *bottom = top + BLOCK;                                                  \
+            Floats above = *(const Floats *)top, below = *(const Floats *)bottom;                                  \
+            Floats one = tap[0] * above, two = tap[0] * below;                                                     \
+            for (size_t k = 1; k <= filter->reach; k++) {                                                          \
+                top -= BLOCK;                                                                                      \
+                bottom += BLOCK;                                                                                   \
+                Floats next_above = *(const Floats *)top, next_below = *(const Floats *)bottom;                    \
+                one += tap[k] * (next_above + below);                                                              \
+                two += tap[k] * (above + next_below);                                                              \
+                above = next_above;                                                                                \
+                below = next_below;                                                                                \
+            }                                                                                                      \
+            *(Floats *)(patch->bend + i) = one;                                                                    \
+            *(Floats *)(patch->bend + i + BLOCK) = two;                                                            \
+        }                                                                                                          \
     }
+
+#define DIFFERENTIATE(name, Floats)                                                                                \
+    static void name(const Filter *filter, size_t count, Patch *patch) {                                           \
+        const float *even = filter->bend, *odd = filter->slope, *middle = patch->pixel + filter->reach * BLOCK;    \
+        for (size_t i = 0; i < count; i += sizeof(Floats) / sizeof(float)) {                                       \
+            const float *up = middle + i, *down = up;                                                              \
+            Floats bend = even[0] * *(const Floats *)up, slope = {0};                                              \
+            for (size_t k = 1; k <= filter->reach; k++) {                                                          \
+                up -= BLOCK;                                                                                       \
+                down += BLOCK;                                                                                     \
+                Floats above = *(const Floats *)up, below = *(const Floats *)down;                                 \
+                bend += even[k] * (above + below);                                                                 \
+                slope += odd[k] * (below - above);                                                                 \
+            }                                                                                                      \
+            *(Floats *)(patch->bend + i) = bend;                                                                   \
+            *(Floats *)(patch->slope + i) = slope;                                                                 \
+        }                                                                                                          \
+    }
+
+BEND(bend_by_four, FourFloats)
+DIFFERENTIATE(differentiate_by_four, FourFloats)
+WITH_EIGHT BEND(bend_by_eight, EightFloats)
+WITH_EIGHT DIFFERENTIATE(differentiate_by_eight, EightFloats)
+
+void bend_pixels(const Filter *filter, size_t count, Patch *patch) {
+    (HAS_EIGHT ? bend_by_eight : bend_by_four)(filter, count, patch);
 }
 
-VECTOR_LOOP
 void differentiate_pixels(const Filter *filter, size_t count, Patch *patch) {
-    const float *even = filter->bend, *odd = filter->slope, *middle = patch->pixel + filter->reach * BLOCK;
-    for (size_t i = 0; i < count; i += LANES) {
-        const float *up = middle + i, *down = up;
-        Floats bend = even[0] * FIXED_FLOATS(up), slope = {0};
-        for (size_t k = 1; k <= filter->reach; k++) {
-            up -= BLOCK;
-            down += BLOCK;
-            Floats above = FIXED_FLOATS(up), below = FIXED_FLOATS(down);
-            bend += even[k] * (above + below);
-            slope += odd[k] * (below - above);
-        }
-        FLOATS(patch->bend + i) = bend;
-        FLOATS(patch->slope + i) = slope;
-    }
+    (HAS_EIGHT ? differentiate_by_eight : differentiate_by_four)(filter, count, patch);
 }
