@@ -23,6 +23,9 @@ HUBER_SIGMAS = 3.0
 
 MOST_STEPS = 15
 
+STRIPES_OF_A_PLANE = 2
+"""Fewer leave the tilt about the stripe to the edges."""
+
 STEP_SIGMAS = 1e-4
 """A step of less than this in standard deviations is the last."""
 
@@ -78,11 +81,15 @@ def fitted(measured: Measurements, rig: Rig, before: Beforehand, errors: RigErro
     """The most likely ring; None if the search ends nowhere.
 
     What the shot leaves open (one stripe: the tilt about it; two: the curvature) is held to what rings are like in a
-    second search, so that it cannot spoil the rest.
+    second search, so that it cannot spoil the rest. Where visible edges close such a gap, the search begins from that:
+    far from the ring they lead astray.
     """
     before = before._replace(one_edge=before.radii is None and _edges_seen(measured) == 1)
     sighted = measured.sighted(rig.lasers)
     start = starting_state(measured, sighted, before)
+    if start is not None and len(measured.edges.edge) and len(measured.lines.laser) < STRIPES_OF_A_PLANE:
+        held = _search(start, measured, sighted, rig, before._replace(weak_about=start), errors)
+        start = start if held is None else held.state
     fit = None if start is None else _search(start, measured, sighted, rig, before, errors)
     if start is not None and (fit is None or _leaves_open(fit)):
         fit = _search(start, measured, sighted, rig, before._replace(weak_about=start), errors)

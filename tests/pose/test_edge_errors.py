@@ -67,3 +67,20 @@ def test_poses_from_edges_that_err_alike_scatter_as_told(scene_of, face_points, 
         squares.append(error_m @ np.linalg.solve(pose.covariance_center_m2, error_m) / 3.0)
 
     assert 0.4 < np.mean(squares) < 1.4
+
+
+def test_one_stripe_and_a_visible_edge_tell_the_normal_as_well_as_they_say(scene_of, face_points, visible_edges, rng):
+    sigmas = []
+    for _ in range(30):
+        tilt_rad = tuple(rng.uniform(-0.2, 0.2, 2).tolist())
+        scene = scene_of("B", distance_m=0.25, tilt_rad=tilt_rad)
+        points = face_points(scene, 0.3, 0.01, rng)
+        for name in ("position_px", "covariance_px2", "face_start_px", "face_end_px", "face_sigma_px"):
+            getattr(points, name)[[0, 2]] = np.nan
+        both = visible_edges(scene, 44, 0.3, rng)
+        outer = {name: getattr(both, name)[both.edge == 1] for name in ("position_px", "normal", "sigma_px", "edge")}
+        pose = estimate_pose(points, scene.rig, ring_edges=replace(both, **outer))
+        apart = np.linalg.norm(np.cross(pose.normal, scene.ring.normal))
+        sigmas.append(apart / np.sqrt(np.trace(pose.covariance[:2, :2])))
+
+    assert max(sigmas) < 4.0

@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 import yaml
 
+from ringpose.detect.pipeline import detect
+from ringpose.files.shots import read_shot
 from ringpose.pose.pipeline import FORMS, Method
 from ringpose.pose.pipeline import closed_form_pose as estimate_pose
+from ringpose.pose.pipeline import estimate_pose as most_likely_pose
 from ringpose.types.camera import Camera
 from ringpose.types.laser_planes import LaserPlanes
 from ringpose.types.rig import Rig
@@ -96,6 +99,21 @@ def test_the_pose_predicts_the_break_points_to_their_rounding(poses):
     residuals_px = [pose.residual_rms_px for pose in poses if not isinstance(pose, NoPose)]
 
     assert max(residuals_px) < 1e-4
+
+
+@pytest.mark.parametrize("folder", ["rig_b"])
+def test_what_one_or_two_stripes_and_the_edges_say_of_the_normal_is_true(shared_data, folder, truths):
+    place = shared_data / "rendered" / folder
+    rig, sigmas = read_rig(place / "rig.yaml"), {}
+    for truth in truths:
+        if truth["expect"] == "partial":
+            found = detect(read_shot(place / "shots" / f"{truth['shot']}.npz", rig=rig), rig)
+            pose = most_likely_pose(found.break_points, rig, ring_edges=found.ring_edges)
+            apart = np.linalg.norm(np.cross(pose.normal, truth["normal"]))
+            sigmas[truth["shot"]] = apart / np.sqrt(np.trace(pose.covariance[:2, :2]))
+
+    assert len(sigmas) >= 6
+    assert max(value for value in sigmas.values() if np.isfinite(value)) < 4.0
 
 
 CARRIED = [json.loads(line) for line in (Path(__file__).parent / "true_break_points.jsonl").read_text().splitlines()]
