@@ -19,15 +19,12 @@ def by_independent_errors(
 ) -> Float64[Array, "coordinate *column"]:
     """Rows of a view's corner coordinates (x and y of each in turn) turned into as many of independent errors.
 
-    Their mean square stays that of a coordinate; corners that belong to no whole marker stay as they are.
+    Their mean square stays that of a coordinate. Corners that err alike are those of whole markers.
     """
     if view.likeness == 0:
         return rows
-    changed = rows.copy()
-    for first in _whole_markers(view):
-        own = slice(2 * first, 2 * first + 8)
-        changed[own] = _whitening(view.points_px[first : first + 4], view.likeness) @ rows[own]
-    return changed
+    by_marker = rows.reshape(-1, 8, rows.size // len(rows))
+    return np.linalg.solve(_error_root(view), by_marker).reshape(rows.shape)
 
 
 def corner_residuals(view: BoardView, pose: BoardPose, camera: Camera) -> Float64[Array, "coordinate"]:
@@ -58,32 +55,16 @@ def likeness_of_ends(left_out: float) -> float:
     return (even - odd) / (even + odd)
 
 
-def _whole_markers(view: BoardView) -> list[int]:
-    """Index of the first corner of each marker that is seen whole: four consecutive numbers round a square."""
-    starts = np.arange(0, len(view.ids) - 3)
-    starts = starts[(view.ids[starts] % 4 == 0) & (view.ids[starts + 3] == view.ids[starts] + 3)]
-    return [int(first) for first in starts if _is_square(view.points_board_m[first : first + 4])]
-
-
-def _is_square(corners: Float64[Array, "corner=4 xyz=3"]) -> bool:
-    sides = np.roll(corners, -1, axis=0) - corners
-    lengths = np.linalg.norm(sides, axis=1)
-    closed = np.allclose(lengths, lengths[0], rtol=1e-3) and abs(float(sides[0] @ sides[1])) < 1e-3 * lengths[0] ** 2
-    return bool(closed and lengths[0] > 0)
-
-
-def _whitening(
-    corners_px: Float64[Array, "corner=4 xy=2"], likeness: float
-) -> Float64[Array, "coordinate=8 coordinate=8"]:
-    """Inverse root of the correlation of the eight coordinates that the ends of four sides give."""
-    along = np.roll(corners_px, -1, axis=0) - corners_px
-    along /= np.linalg.norm(along, axis=1, keepdims=True)
-    normals = np.stack([along[:, 1], -along[:, 0]], axis=1)
-    by_ends = np.zeros((8, 8))
+def _error_root(view: BoardView) -> Float64[Array, "marker coordinate=8 coordinate=8"]:
+    """Root of the correlations of the eight coordinates that the ends of a marker's four sides give."""
+    corners = view.points_px.reshape(-1, 4, 2)
+    along = np.roll(corners, -1, axis=1) - corners
+    along /= np.linalg.norm(along, axis=-1, keepdims=True)
+    normals = np.stack([along[..., 1], -along[..., 0]], axis=-1)
+    meeting = np.linalg.inv(np.stack([normals, np.roll(normals, 1, axis=1)], axis=-2))
+    by_ends = np.zeros((len(corners), 8, 8))
     for corner in range(4):
-        meeting = np.linalg.inv(np.stack([normals[corner], normals[corner - 1]]))
-        by_ends[2 * corner : 2 * corner + 2, [2 * corner, 2 * ((corner - 1) % 4) + 1]] = meeting
-    ends = np.kron(np.eye(4), np.array([[1.0, likeness], [likeness, 1.0]]))
-    root = np.linalg.cholesky(by_ends @ ends @ by_ends.T)
-    whitening: Float64[Array, "coordinate=8 coordinate=8"] = np.linalg.inv(root)
-    return whitening
+        by_ends[:, 2 * corner : 2 * corner + 2, [2 * corner, 2 * ((corner - 1) % 4) + 1]] = meeting[:, corner]
+    ends = np.kron(np.eye(4), np.array([[1.0, view.likeness], [view.likeness, 1.0]]))
+    root: Float64[Array, "marker coordinate=8 coordinate=8"] = np.linalg.cholesky(by_ends @ ends @ by_ends.mT)
+    return root

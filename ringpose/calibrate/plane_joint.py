@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.calibrate.board_pose import moved_pose
+from ringpose.calibrate.board_pose import moved_pose, residuals
 from ringpose.calibrate.corner_likeness import by_independent_errors, corner_residuals
 from ringpose.calibrate.intrinsics import camera_with, parameter_names, parameters_of, projection_jacobians
 from ringpose.calibrate.stripe_errors import center_sigma_px, shared_length, stripe_bend
@@ -184,10 +184,11 @@ def _view_rows(
     """Derivatives by the view's pose and by what is shared, and residuals, all by standard deviations and weighed."""
     view, pose, planes = data.views[index], state.poses[index], 3 * len(state.distance_m)
     by_pose, by_camera = projection_jacobians(view.board.points_board_m, pose, state.camera)
-    residual = corner_residuals(view.board, pose, state.camera) / data.corner_px
-    by_camera = by_independent_errors(by_camera.reshape(len(residual), -1), view.board) / data.corner_px
-    corners = np.hstack([np.zeros((len(residual), planes)), -by_camera])
-    rows = [(-by_independent_errors(by_pose.reshape(-1, 6), view.board) / data.corner_px, corners, residual)]
+    error = residuals(view.board, pose, state.camera).reshape(-1, 1)
+    every = np.hstack([-by_pose.reshape(-1, 6), error, -by_camera.reshape(len(error), -1)])
+    every = by_independent_errors(every, view.board) / data.corner_px
+    corners = np.hstack([np.zeros((len(error), planes)), every[:, 7:]])
+    rows = [(every[:, :6], corners, every[:, 6])]
     for laser, directions in enumerate(_rays(data, state, index)):
         if not len(directions):
             continue

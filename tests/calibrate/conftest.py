@@ -135,7 +135,7 @@ def drawn_board() -> Callable[[Board], np.ndarray]:
         else:
             face = _drawn_markers(board)
         printed = np.pad(face, 40, constant_values=255) * 0.7 + 20
-        return cv2.GaussianBlur(printed, (0, 0), 1.0).astype(np.uint8)
+        return np.rint(cv2.GaussianBlur(printed, (0, 0), 1.0)).astype(np.uint8)
 
     return drawn
 
