@@ -10,7 +10,7 @@ import numpy as np
 from ringpose.capture.cameras.driver import CameraDriver
 from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.capture.lasers.uncontrolled import UncontrolledLasers
-from ringpose.capture.seen import Image, LitPlaces, places_lit
+from ringpose.capture.seen import STRIPE_IN_THE_DARK, Image, LitPlaces, places_lit, shows_stripe
 from ringpose.errors import LaserSafetyError
 
 Verdict = Literal["ok", "warning", "fault"]
@@ -109,6 +109,9 @@ def _laser(camera: CameraDriver, lasers: LaserDriver, laser: int, dark: Image) -
     lasers.wait(LONGEST_SETTLE_S)
     after = _image(camera, 0)
     places = places_lit(lit, [dark], full_dn)
+    if places is None and shows_stripe(after):
+        found = "is not seen to go on or off, and a stripe shows while all are off"
+        raise LaserSafetyError(check, found, STRIPE_IN_THE_DARK)
     if places is None:
         remedy = "look whether it shines, at something that the camera sees, and whether the exposure is long enough"
         return None, Finding(check=check, verdict="fault", found="is not seen", remedy=remedy)

@@ -9,7 +9,7 @@ import numpy as np
 from ringpose.capture.bracketing import merged_brackets, on_the_scale_of
 from ringpose.capture.cameras.driver import CameraDriver
 from ringpose.capture.lasers.driver import LaserDriver, LasersWentOff
-from ringpose.capture.seen import LitPlaces, seen_lasers, shows_stripe
+from ringpose.capture.seen import STRIPE_IN_THE_DARK, LitPlaces, seen_lasers, shows_stripe
 from ringpose.capture.settling import measured_settle_s
 from ringpose.errors import DeviceError, LaserSafetyError, UsageError
 from ringpose.types.frame import Frame, Shot
@@ -121,7 +121,7 @@ class _Taker:
             problem, doubts = doubt, doubts + 1
         if isinstance(problem, _Unseen) and shows_stripe(self._dark_frame().image):
             found = f"{_names(problem.lasers)} not seen to go on or off, and a stripe shows while all are off"
-            raise LaserSafetyError("lasers", found, "cut the power; a line that stays then is no laser's")
+            raise LaserSafetyError("lasers", found, STRIPE_IN_THE_DARK)
         raise problem
 
     def _settle_after_s(self, doubts: int) -> float:

@@ -39,6 +39,9 @@ WIDEST_LINE = 25
 LEAST_STRIPE = 0.1
 """Share of the columns of an image in which a laser's stripe shows at least, if it shines on anything at all."""
 
+STRIPE_IN_THE_DARK = "cut the power; a line that stays then is no laser's"
+"""What to do about a stripe that shows while all lasers are off."""
+
 SAMPLED = 7
 """Every so many-th row and column tell the noise."""
 
