@@ -33,8 +33,8 @@ FACE_LENGTH_M = (0.003, 0.1)
 MAXIMUM_TILT_RAD = float(np.deg2rad(75))
 """Beyond this a face is too oblique to show a stripe of any length."""
 
-MINIMUM_RADIUS_M = 0.1
-"""The smallest adapter rings are three times larger."""
+MINIMUM_RADIUS_M = 0.2
+"""The smallest adapter rings are half as large again."""
 
 MINIMUM_BAND_M = 0.003
 """Narrower bands are edges, not faces."""

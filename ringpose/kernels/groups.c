@@ -55,10 +55,10 @@ static int unseen_lasers(const Candidate *const member[], int size, const double
 }
 
 /* Half the squared sigmas of the used ends from two arcs about one centre; infinite for rings that nobody builds. */
-static double arcs_cost(const End *end, int ends, double sigma, const RingRules *rules, int free_radius) {
+static double arcs_cost(const End *end, int ends, double sigma, const RingRules *rules) {
     Arcs arcs;
     double cost = 0;
-    int fitted = free_radius ? fit_arcs(end, ends, &arcs) : fit_wide_arcs(end, ends, rules->minimum_radius, &arcs);
+    int fitted = fit_wide_arcs(end, ends, rules->minimum_radius, &arcs);
     if (!fitted) return 0; /* the border cut off all ends of an edge: there is nothing to check */
     for (int k = 0; k < ends; k++)
         if (end[k].used) {
@@ -106,12 +106,12 @@ static double circle_cost(const Candidate *const member[], int size, const doubl
     End end[2 * MOST_MEMBERS];
     const RingRules *rules = &scene->rules->ring;
     double sigma = rules->along_sigma * flat_ends(member, size, plane, rules, end) / rules->focal_x;
-    double best = arcs_cost(end, 2 * size, sigma, rules, size > 2);
+    double best = arcs_cost(end, 2 * size, sigma, rules);
     if (size < 3 || best < rules->dropped_end) return best;
     for (int e = 0; e < 2 * size; e++) {
         if (!end[e].used) continue;
         end[e].used = 0;
-        best = fmin(best, arcs_cost(end, 2 * size, sigma, rules, 1) + rules->dropped_end);
+        best = fmin(best, arcs_cost(end, 2 * size, sigma, rules) + rules->dropped_end);
         end[e].used = 1;
     }
     return best;

@@ -99,19 +99,19 @@ def _circles(points: Float64[Array, "member end=2 xyz=3"], plane: Array, rules: 
     x = points[..., 0].ravel() / points[..., 2].ravel()
     used = (x >= rules.left_x) & (x <= rules.right_x)
     flat, arc = flat[used], (np.arange(len(flat)) % 2)[used]
-    everything = _arcs(flat, arc, sigma, rules, free_radius=len(points) > 2)
+    everything = _arcs(flat, arc, sigma, rules)
     if len(points) < 3 or everything < rules.dropped_end_cost:
         return everything
     kept = [np.arange(len(flat)) != each for each in range(len(flat))]
-    dropped = [_arcs(flat[each], arc[each], sigma, rules, free_radius=True) for each in kept]
+    dropped = [_arcs(flat[each], arc[each], sigma, rules) for each in kept]
     return min(everything, min(dropped) + rules.dropped_end_cost)
 
 
-def _arcs(flat: Array, arc: Array, sigma: float, rules: RingRules, *, free_radius: bool) -> float:
+def _arcs(flat: Array, arc: Array, sigma: float, rules: RingRules) -> float:
     """Cost of points off two arcs; infinite for rings that nobody builds, nothing if one arc has no point."""
     if len(set(arc.tolist())) < 2:
         return 0.0
     outside, curvature, band = arcs(flat, arc)
-    if not free_radius and abs(curvature) > 1 / rules.minimum_radius_m:
+    if abs(curvature) > 1 / rules.minimum_radius_m:
         outside, _, band = arcs(flat, arc, straight=True)
     return np.inf if band < rules.minimum_band_m else float(0.5 * np.sum((outside / sigma) ** 2))
