@@ -51,9 +51,14 @@ def capture(uris: dict[str, str], *options: str) -> int:
     return main(["capture", "--camera", uris["camera"], "--lasers", uris["lasers"], "--output", "s", *options])
 
 
+def notes_of_log() -> list[dict]:
+    """What the stand-in noted of each frame."""
+    return [json.loads(line) for line in Path("log.jsonl").read_text().splitlines()]
+
+
 def truly_lit(shot) -> list[list[float]]:
     """Of each frame, how much every laser shone in truth, by the stand-in's log."""
-    notes = {note["frame_id"]: note for note in map(json.loads, Path("log.jsonl").read_text().splitlines())}
+    notes = {note["frame_id"]: note for note in notes_of_log()}
     return [notes[number]["laser_shares"] for number in shot.frame_id.tolist()]
 
 
@@ -266,7 +271,9 @@ def test_a_killed_capture_leaves_lasers_at_lines_to_the_cameras_heartbeat(serve,
     words = ["capture", *devices, "--sequence", "off" + 60 * ",1", "--output", "killed", "--quiet"]
     running = subprocess.Popen([sys.executable, "-c", COMMAND, *words], stdout=subprocess.PIPE)
     running.stdout.readline()
-    time.sleep(0.6)  # in the midst of sixty frames with the laser
+    shot_before = notes_of_log()
+    while not any(note["laser_shares"][0] for note in notes_of_log()[len(shot_before) :]):
+        time.sleep(0.01)
     running.kill()
     running.wait()
     running.stdout.close()
@@ -274,7 +281,7 @@ def test_a_killed_capture_leaves_lasers_at_lines_to_the_cameras_heartbeat(serve,
 
     status = main(["capture", *devices, "--lasers", "none:", "--sequence", "all", "--count", "1", "--output", "after"])
 
-    last = json.loads(Path("log.jsonl").read_text().splitlines()[-1])
+    last = notes_of_log()[-1]
     assert status == 0
     assert (last["laser_shares"] == [0.0, 0.0, 0.0]) is goes_dark
 
