@@ -150,6 +150,39 @@ def test_a_laser_that_is_on_for_too_long_goes_off_though_somebody_speaks(board, 
     assert off_s < 0.3
 
 
+GUARD_AT_A_DOOR = """
+import sys
+sys.path[:] = sys.argv[3].split({{separator!r}})
+from pathlib import Path
+from ringpose.capture.lasers import guard_process, serial_port
+serial_port.SerialPort.is_closed_contact = lambda port, name: name == "{name}" and Path("{door}").exists()
+sys.exit(guard_process.run(int(sys.argv[1]), sys.argv[2]))
+"""
+"""Starts the guard at a port that has an input, which no pseudo-terminal has."""
+
+
+@pytest.mark.parametrize("name", ["cts", "dsr"])
+def test_lasers_go_off_when_the_door_opens_and_stay_off(board, time_until, monkeypatch, tmp_path, name):
+    door = tmp_path / "closed"
+    door.touch()
+    monkeypatch.setattr("ringpose.capture.lasers.guarded._START", GUARD_AT_A_DOOR.format(name=name, door=door))
+    with board("lcus") as (relays, uri):
+        lasers = lasers_at(f"{uri}&interlock={name}")
+        with lasers:
+            lasers.set_mask(0b101)
+            lit_while_closed = lasers.read_mask()
+            door.unlink()
+            off_s = time_until(lambda: not lit(relays), 0.9)
+            with pytest.raises(LasersWentOff, match="the interlock is open"):
+                lasers.set_mask(0b010)
+            lasers.set_mask(0)
+            with pytest.raises(DeviceError, match="stay off: the interlock is open"):
+                lasers.set_mask(0b010)
+
+    assert lit_while_closed == 0b101
+    assert off_s < 0.05
+
+
 def test_a_timed_pulse_ends_even_if_capture_and_guard_are_killed_together(board, time_until):
     program = (
         "import os, signal, sys, time; from ringpose.capture.lasers.guarded import GuardedLasers; "
