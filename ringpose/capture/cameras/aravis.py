@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ringpose.capture.cameras.aravis_library import ACCESS_DENIED, NOT_CONTROLLER, PACKAGE, Aravis, AravisError, library
+from ringpose.capture.cameras.aravis_library import PACKAGE, Aravis, AravisError, library
 from ringpose.capture.cameras.feature_names import spellings
 from ringpose.capture.cameras.genapi import TRIGGERED
 from ringpose.capture.cameras.lock_step import Grab, LockStepCamera, mid_stamp_s
@@ -34,6 +34,9 @@ _SUCCESS = 0
 _NO_PACKET_SOCKET = 1
 """`ARV_GV_STREAM_OPTION_PACKET_SOCKET_DISABLED`: for root the library reads packet sockets, which hear all traffic
 until their filter is set; a stranger's packet, taken for a frame's, then asks for gigabytes and ends the process."""
+
+_DENIED = ("access-denied", "controller privilege")
+"""In the library's messages; its numbers of errors differ from version to version."""
 
 _INCOMPLETE = (2, 3, 4)
 """Timeout, missing packets, wrong packet (`ArvBufferStatus`): the frame came, but not all of it."""
@@ -134,9 +137,7 @@ class AravisCamera(LockStepCamera):
         self._names = {}
         is_network_camera = self._aravis.arv_camera_is_gv_device(self._camera)
         if is_network_camera and not self._aravis.arv_gv_device_is_controller(self._device):
-            raise DeviceError(
-                self.uri.text, "is controlled by another program", "close that one, or wait 3 s if it died"
-            )
+            raise self._in_other_hands()
         self._aravis.arv_device_set_range_check_policy(self._device, 1)
         if is_network_camera and self._packet_bytes:
             self.set("GevSCPSPacketSize", self._packet_bytes)
@@ -270,14 +271,16 @@ class AravisCamera(LockStepCamera):
             raise self._error(error) from error
 
     def _error(self, error: AravisError) -> DeviceError:
-        if error.code in (NOT_CONTROLLER, ACCESS_DENIED):
-            return DeviceError(
-                self.uri.text, "is controlled by another program", "close that one, or wait 3 s if it died"
-            )
+        if any(words in error.message.lower() for words in _DENIED):
+            return self._in_other_hands()
         if "timeout" in error.message.lower():
             self._acquiring, self._is_lost = False, True
             return DeviceError(self.uri.text, "does not answer any more", "check its cable and its power")
         return DeviceError(self.uri.text, error.message)
+
+    def _in_other_hands(self) -> DeviceError:
+        remedy = "close that one, or wait 3 s if it died"
+        return DeviceError(self.uri.text, "is controlled by another program", remedy)
 
 
 _NOT_FOUND = "see ringpose capture --list; check its cable, its power, and this computer's address in its network"

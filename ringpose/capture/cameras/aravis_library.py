@@ -14,17 +14,13 @@ SONAMES = ("libaravis-0.8.so.0", "libaravis-0.10.so.0")
 PACKAGE = "libaravis-0.8-0"
 """Where Debian and Ubuntu have it."""
 
-NOT_CONTROLLER, ACCESS_DENIED = 11, 16
-"""Numbers of errors (`ArvDeviceError`)."""
-
 _G_TYPE_INT = 6 << 2
 
 
 class AravisError(Exception):
     """What the library has to say."""
 
-    def __init__(self, code: int, message: str) -> None:
-        self.code = code
+    def __init__(self, message: str) -> None:
         self.message = " ".join(message.split())
         super().__init__(self.message)
 
@@ -118,7 +114,7 @@ class Aravis:
         error = POINTER(_GError)()
         result = getattr(self._library, name)(*arguments, byref(error))
         if error:
-            failed = AravisError(error.contents.code, (error.contents.message or b"").decode(errors="replace"))
+            failed = AravisError((error.contents.message or b"").decode(errors="replace"))
             self._library.g_error_free(error)
             raise failed
         return result

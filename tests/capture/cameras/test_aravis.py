@@ -193,6 +193,15 @@ def test_a_camera_in_other_hands_says_so(serve, camera):
         camera().open()
 
 
+def test_a_camera_that_another_has_taken_meanwhile_says_so(serve, camera):
+    stand_in = serve()
+
+    with (opened := camera()):
+        stand_in.camera._control._client = ("127.0.0.1", 1)
+        with pytest.raises(DeviceError, match="is controlled by another program; close that one"):
+            opened.set("Gain", 1.0)
+
+
 def test_a_camera_that_is_not_there_says_so(camera):
     with pytest.raises(DeviceError, match=r"no such camera: .*; see ringpose capture --list"):
         camera().open()
