@@ -4,14 +4,42 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ringpose.calibrate.board_image import board_image, dark_image
 from ringpose.calibrate.board_points import marker_corners, outline_m
 from ringpose.calibrate.plane_points import triangulated
-from ringpose.types.arrays import Array, Bool, Float64
+from ringpose.geometry.rays import project
+from ringpose.types.arrays import Array, Bool, Float64, UInt
 from ringpose.types.board import Board, BoardPose
 from ringpose.types.camera import Camera
+from ringpose.types.frame import Shot
 
 PRINT_MARGIN_PX = 5.0
 """Distance from an edge between black and white within which a stripe's profile is lopsided: three stripe sigmas."""
+
+
+def board_surface(shot: Shot, board: Board, pose: BoardPose, camera: Camera, surround_m: float = 0.0) -> "BoardSurface":
+    """The face as a shot shows it, which says which squares are dark, and which of them serve.
+
+    Black ink shows a tenth of the light: centres there scatter three times as much. Where no frame without lasers can
+    be subtracted, paper is bright by itself, and stripes stand out, and are not confused with edges, on the ink alone.
+    """
+    first_is_dark = _first_is_dark(board_image(shot), board, pose, camera)
+    first_is_used = first_is_dark == (dark_image(shot) is None)
+    return BoardSurface(board=board, pose=pose, camera=camera, surround_m=surround_m, first_is_used=first_is_used)
+
+
+def _first_is_dark(image: UInt[Array, "row column"], board: Board, pose: BoardPose, camera: Camera) -> bool:
+    """Whether the median step from the squares with even numbers to those with odd ones is upwards."""
+    if board.kind != "chessboard":
+        return True
+    row, column = np.mgrid[0 : board.squares_y or 0, 0 : board.squares_x or 0]
+    middles = np.stack([column + 0.5, row + 0.5], axis=-1).reshape(-1, 2) * board.square_size_m
+    points = np.column_stack([middles, np.zeros(len(middles))]) @ pose.rotation.T + pose.translation_m
+    x, y = np.rint(np.nan_to_num(project(points, camera), nan=-1.0)).T
+    inside = (x >= 0) & (y >= 0) & (x < image.shape[1]) & (y < image.shape[0])
+    grey = image[y[inside].astype(np.int64), x[inside].astype(np.int64)]
+    odd = (row + column).ravel()[inside] % 2 == 1
+    return not (odd.any() and not odd.all()) or float(np.median(grey[odd])) >= float(np.median(grey[~odd]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -23,6 +51,8 @@ class BoardSurface:
     camera: Camera
     surround_m: float = 0.0
     """How far the flat sheet reaches beyond the board's outline."""
+    first_is_used: bool = False
+    """Whether stripes are used on those of a chessboard's squares that have the outer top-left one's colour."""
 
     def points(self, points_px: Float64[Array, "n xy=2"]) -> Float64[Array, "n xyz=3"]:
         """Pixels triangulated with the board's plane."""
@@ -33,7 +63,9 @@ class BoardSurface:
         place = self._on_board(points_px)
         margin = PRINT_MARGIN_PX * self._metres_per_pixel()
         inside = self._on_sheet(place, margin)
-        printed = self._near_marker(place, margin) | self._near_square_edge(place, margin) | self._on_dark_square(place)
+        printed = (
+            self._near_marker(place, margin) | self._near_square_edge(place, margin) | self._on_unused_square(place)
+        )
         return inside & ~printed
 
     def _on_board(self, points_px: Float64[Array, "n xy=2"]) -> Float64[Array, "n xy=2"]:
@@ -70,16 +102,14 @@ class BoardSurface:
         near: Bool[Array, "n"] = nearest & printed
         return near
 
-    def _on_dark_square(self, place: Float64[Array, "n xy=2"]) -> Bool[Array, "n"]:
-        """Black ink shows a tenth of the light: centres there scatter three times as much.
-
-        On a ChArUco board they are used all the same, because markers fill the light squares.
-        """
+    def _on_unused_square(self, place: Float64[Array, "n xy=2"]) -> Bool[Array, "n"]:
+        """On a ChArUco board all are used, because markers fill the light squares."""
         if self.board.kind != "chessboard":
             return np.zeros(len(place), dtype=bool)
-        column, row = np.floor(np.where(np.isfinite(place), place, -1.0) / (self.board.square_m or 1.0)).T
+        square = np.array(self.board.square_size_m)
+        column, row = np.floor(np.where(np.isfinite(place), place, -1.0) / square).T
         inside = (
             (column >= 0) & (column < (self.board.squares_x or 0)) & (row >= 0) & (row < (self.board.squares_y or 0))
         )
-        dark: Bool[Array, "n"] = inside & ((column + row) % 2 == 0)
-        return dark
+        unused: Bool[Array, "n"] = inside & ((column + row) % 2 == (1 if self.first_is_used else 0))
+        return unused

@@ -4,7 +4,7 @@ import numpy as np
 
 from ringpose.calibrate.board_image import dark_image
 from ringpose.calibrate.board_pose import board_pose
-from ringpose.calibrate.board_surface import BoardSurface
+from ringpose.calibrate.board_surface import BoardSurface, board_surface
 from ringpose.calibrate.stripe_failures import stripe_failure
 from ringpose.calibrate.stripe_lines import stripe_lines
 from ringpose.types.arrays import Array, Float64
@@ -23,7 +23,7 @@ def stripe_view(
 
     Frames with one laser on say which it is. Those with several are used for what no such frame shows.
     """
-    surface = BoardSurface(board=board, pose=board_pose(view, camera), camera=camera, surround_m=surround_m)
+    surface = board_surface(shot, board, board_pose(view, camera), camera, surround_m)
     dark = dark_image(shot)
     every = (1 << lasers) - 1
     labelled: dict[int, Float64[Array, "_ xy=2"]] = {}

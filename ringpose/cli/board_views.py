@@ -19,6 +19,7 @@ from ringpose.files.inputs import Input
 from ringpose.files.inputs import inputs as named
 from ringpose.files.shots import SHOT_SUFFIXES
 from ringpose.files.sources import shot_named
+from ringpose.types.arrays import Array, UInt
 from ringpose.types.board import Board, BoardView
 from ringpose.types.frame import Shot
 
@@ -33,6 +34,8 @@ class BoardImages:
         self.overlay = None if overlay is None else make_folder(overlay)
         self.channel = channel
         self.force = force
+        self.luminance_too = False
+        """Look for the board in a colour image's luminance where its channel, that of a laser, shows none."""
         self.views: list[BoardView] = []
         self.names: dict[str, str] = {}
         self.paths: list[Path] = []
@@ -48,7 +51,7 @@ class BoardImages:
         self._check_size(shot)
         self._refuse_known(shot)
         image = board_image(shot)
-        found = find_board(image, self.board, shot.name)
+        found = self._board_in(image, shot.name, item)
         if isinstance(item, Path):
             self.paths.append(item)
         if self.overlay is not None:
@@ -84,6 +87,13 @@ class BoardImages:
         batch.met(NO_POSE if self.without_board else 0)
         if not self.names and batch.status:
             batch.finish()
+
+    def _board_in(self, image: UInt[Array, "row column"], name: str, item: Input) -> BoardView | NoBoard:
+        found = find_board(image, self.board, name)
+        if not (isinstance(found, NoBoard) and self.channel and self.luminance_too):
+            return found
+        besides = find_board(board_image(shot_named(item, None, None)), self.board, name)
+        return found if isinstance(besides, NoBoard) else besides
 
     def _refuse_known(self, shot: Shot) -> None:
         """The same image twice would make the uncertainty too small, the same name overwrite a picture."""

@@ -27,6 +27,7 @@ class StripeImages:
         self, images: BoardImages, camera: Camera, names: str | None, order: str | None, surround_m: float
     ) -> None:
         self.images = images
+        self.images.luminance_too = True
         self.camera = camera
         self.views: list[StripeView] = []
         self.given = (names, order)

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from ringpose.calibrate.board_surface import BoardSurface
+from ringpose.calibrate.board_surface import BoardSurface, board_surface
+from ringpose.geometry.rays import project
 from ringpose.types.board import Board, BoardPose
+from ringpose.types.frame import Shot
 
 
 @pytest.fixture
@@ -33,6 +35,24 @@ def usable_at(surface, project_px, place_m) -> bool:
     ],
 )
 def test_only_light_squares_away_from_their_edges_are_used(place_m, usable, surface, true_camera):
-    from ringpose.geometry.rays import project
-
     assert usable_at(surface, lambda point: project(point, true_camera), place_m) is usable
+
+
+def seen(surface, lasers, first_is_dark) -> Shot:
+    """A shot of the board, square by square."""
+    y, x = np.mgrid[0:1200:4, 0:1600:4]
+    place = surface.points(np.stack([x, y], axis=-1).reshape(-1, 2).astype(float)) - surface.pose.translation_m
+    parity = np.floor(place[:, :2] / 0.03).astype(int).sum(axis=1) % 2
+    image = np.kron(np.where(parity == first_is_dark, 200, 60).reshape(x.shape), np.ones((4, 4))).astype(np.uint8)
+    count = len(lasers)
+    masks, times = np.array(lasers, np.uint8), np.zeros(count)
+    return Shot(name="s", images=np.stack([image] * count), lasers=masks, stamp_s=times, exposure_s=times)
+
+
+@pytest.mark.parametrize("first_is_dark", [True, False])
+@pytest.mark.parametrize(("lasers", "light"), [([0, 1], True), ([1], False)])
+def test_light_squares_serve_where_the_paper_is_subtracted_dark_ones_elsewhere(lasers, light, first_is_dark, surface):
+    found = board_surface(seen(surface, lasers, first_is_dark), surface.board, surface.pose, surface.camera)
+
+    place_m = {True: (0.045, 0.015), False: (0.015, 0.015)}[light == first_is_dark]
+    assert usable_at(found, lambda point: project(point, surface.camera), place_m)

@@ -1,5 +1,6 @@
 """`ringpose calibrate-planes`: what it refuses, reasons, statuses."""
 
+import cv2
 import numpy as np
 import pytest
 from plane_views import ORDER, calibrate, calibrated, copy_views, written
@@ -136,3 +137,16 @@ def test_expected_angles_that_no_lasers_have_are_refused(angles, finding, folder
     assert status == 2
     assert capsys.readouterr().err == f"ringpose: --expected-angles: {finding}\n"
     assert not (folder / "rig.yaml").exists()
+
+
+def test_a_board_that_the_lasers_channel_does_not_show_is_found_in_the_luminance(folder, capsys):
+    for name in ("pln_B_01", "pln_B_03", "pln_B_05"):
+        dark, lit = np.load(f"planes/{name}.npz")["images"]
+        red = np.where(lit > dark + 12, lit, 40).astype(np.uint8)
+        cv2.imwrite(f"planes/{name}.png", np.dstack([dark, dark, red]))
+        (folder / "planes" / f"{name}.npz").unlink()
+
+    calibrate("planes", *ORDER, "--laser-names", "left,middle,right", "--channel", "r", "--verbose")
+
+    assert "no board" not in (said := capsys.readouterr().err)
+    assert "pln_B_01: 16 corners, 3 stripes" in said
