@@ -1,16 +1,22 @@
 """Lasers as relays of a board: laser i is the relay `settings.relays[i]`. Runs in the guard; nothing heavy here."""
 
 import time
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from typing import TypeVar
 
 from ringpose.capture.lasers.relay_settings import RelaySettings
 from ringpose.capture.lasers.serial_port import SerialPort
 from ringpose.errors import DeviceError
 from ringpose.wire.relay_codec import Command, Pulse, Read, Switch, SwitchRow, WireError
 
+Answer = TypeVar("Answer")
+
 ANSWER_LIMIT_S = 0.25
 
 TRIES = 3
-"""Attempts to switch everything off, or to be understood at all."""
+"""Attempts to switch, or to be understood at all."""
 
 PAUSE_S = 0.02
 """Between two attempts."""
@@ -35,12 +41,12 @@ class RelayBoard:
 
     def set_mask(self, lasers: int) -> None:
         """Light exactly these: what has to go off goes off before what has to come on."""
-        self._off(self.lit & ~lasers)
+        _insisted(lambda: self._off(self.lit & ~lasers))
         self.lit &= lasers
         for laser in _members(lasers & ~self.lit):
             self.lit |= 1 << laser
             self.operations[laser] += 1
-            self._on(laser)
+            _insisted(partial(self._on, laser))
 
     def repeat(self) -> None:
         """Say again what is on."""
@@ -71,7 +77,7 @@ class RelayBoard:
 
     def read_mask(self) -> int | None:
         """What the board reports to be on; None if it cannot say."""
-        return self._read_mask(self.lit)
+        return _insisted(lambda: self._read_mask(self.lit))
 
     def _read_mask(self, expected: int) -> int | None:
         """An answer that is not as expected is asked for again: the first one can be stale."""
@@ -126,6 +132,14 @@ class RelayBoard:
             return self._codec.lit(command, received)
         except WireError as error:
             raise DeviceError(self._port.name, str(error), "check that --lasers names the right board") from error
+
+
+def _insisted(act: Callable[[], Answer]) -> Answer:
+    """What an act gives that may fail for a byte that was lost on a long line, and does no harm if it is repeated."""
+    for _ in range(TRIES - 1):
+        with suppress(DeviceError):  # no pause: somebody's end may be why no answer was waited for
+            return act()
+    return act()
 
 
 def _members(lasers: int) -> list[int]:

@@ -106,4 +106,26 @@ def test_one_relay_that_fails_does_not_keep_the_others_on():
     with pytest.raises(DeviceError):
         board.set_mask(0)
 
-    assert [request.hex() for request in port.sent] == ["a00100a1", "a00300a3"]
+    assert [request.hex() for request in port.sent] == ["a00100a1", "a00300a3"] * 3
+
+
+@pytest.mark.parametrize("lost", [1, 2])
+def test_a_byte_that_is_lost_on_the_line_ends_no_capture(lost):
+    class Noisy(NotedPort):
+        """Says nothing to every so many orders in a row, then answers as a Modbus board does."""
+
+        def exchange(self, request, is_whole, limit_s):
+            self.sent.append(request)
+            if len(self.sent) % (lost + 1):
+                raise DeviceError("port", "does not answer")
+            return request
+
+    port = Noisy()
+    board = RelayBoard(RelaySettings(scheme="modbus", port="port", relays=(0, 1), read_back="no"), port)
+
+    board.set_mask(0b01)
+    board.set_mask(0b10)
+
+    assert [request.hex() for request in port.sent[lost :: lost + 1]] == [
+        "01050000ff008c3a", "010500000000cdca", "01050001ff00ddfa",
+    ]  # fmt: skip
