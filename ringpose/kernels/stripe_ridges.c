@@ -18,10 +18,20 @@ static Ridge ridge_at(const float *here, int32_t column, int32_t row, float nois
     return (Ridge){column, row, (float)row + shift, -here[0], bend, noise, -1};
 }
 
+/* Which of eight pixels are ridges, of those in so many columns; branches would be guessed wrongly. */
+static size_t places(const uint8_t *ridge, size_t columns, uint8_t place[8]) {
+    size_t count = 0;
+    for (uint8_t i = 0; i < 8; i++) {
+        place[count] = i;
+        count += ridge[i] & (i < columns);
+    }
+    return count;
+}
+
 /* Ridges in rows of one area of noise. */
 static int smooth_rows(const Noise *noise, const StripeRules *rules, size_t block, size_t first, size_t rows,
                        Patch *patch, List *found) {
-    uint8_t ridge[CHUNK * BLOCK];
+    uint8_t ridge[CHUNK * BLOCK], place[8];
     size_t reach = noise->filter->reach, columns = noise->image->width - block * BLOCK, pairs = (rows + 3) / 2;
     float figure = noise_at(noise, first, block);
     const float *response = patch->bend + BLOCK;
@@ -33,10 +43,12 @@ static int smooth_rows(const Noise *noise, const StripeRules *rules, size_t bloc
         memcpy(&eight, ridge + i, sizeof eight);
         if (eight == 0) continue;
         if (!reserve(found, 8)) return 0;
-        for (size_t j = i; j < i + 8; j++)
-            if (ridge[j] && j % BLOCK < columns)
-                ((Ridge *)found->data)[found->used++] =
-                    ridge_at(response + j, (int32_t)(j % BLOCK), (int32_t)(first + j / BLOCK), figure);
+        size_t count = places(ridge + i, columns > i % BLOCK ? columns - i % BLOCK : 0, place);
+        for (size_t j = 0; j < count; j++) {
+            size_t at = i + place[j];
+            ((Ridge *)found->data)[found->used++] =
+                ridge_at(response + at, (int32_t)(at % BLOCK), (int32_t)(first + at / BLOCK), figure);
+        }
     }
     return 1;
 }
