@@ -9,6 +9,9 @@ from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.camera import DISTORTION_COEFFICIENTS, Camera
 
 FOCAL_AND_PRINCIPAL = ("fx", "fy", "cx", "cy")
+SMALLEST_SHARE = 1e-14
+"""Of the largest eigenvalue: smaller ones are rounding, which makes variances negative."""
+
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
 
@@ -91,5 +94,7 @@ def covariance_of_free(
     scale = np.sqrt(np.diag(information)[index])
     inner = information[np.ix_(index, index)] / np.outer(scale, scale)
     covariance = np.zeros_like(information)
-    covariance[np.ix_(index, index)] = sigma_px**2 * np.linalg.inv(inner) / np.outer(scale, scale)
+    size, axes = np.linalg.eigh(inner)
+    size = np.maximum(size, SMALLEST_SHARE * size[-1])
+    covariance[np.ix_(index, index)] = sigma_px**2 * (axes / size @ axes.T) / np.outer(scale, scale)
     return covariance
