@@ -129,6 +129,14 @@ def test_each_trigger_gives_one_frame_and_its_buffer_back(harvested):
     assert acquirer.state == ["started", "destroyed"]
 
 
+def test_pixels_that_are_not_grey_are_refused(harvested):
+    acquirer = Acquirer()
+    acquirer.remote_device.node_map.PixelFormat.value = "RGBa8"
+
+    with pytest.raises(DeviceError, match=r"sends pixels in the format RGBa8; ask for \?format=Mono8"):
+        harvested(acquirer).open()
+
+
 def test_an_incomplete_frame_is_taken_again(harvested):
     with (camera := harvested(Acquirer(broken=(1, 2)))):
         frame = camera.trigger(0)

@@ -6,7 +6,7 @@ import pytest
 
 from ringpose.capture.cameras.v4l2 import V4l2Camera
 from ringpose.capture.uri import DeviceUri
-from ringpose.errors import DeviceError
+from ringpose.errors import DeviceError, UsageError
 
 
 def camera(place: str, **parameters: str) -> V4l2Camera:
@@ -36,6 +36,12 @@ def test_how_many_is_for_the_user_to_say(sequence):
         frames = [opened.trigger(0) for _ in range(2)]
 
     assert [int(frame.image[0, 0]) for frame in frames] == [0, 10]
+
+
+@pytest.mark.parametrize("flush", ["nan", "-1", "1.5"])
+def test_an_impossible_number_of_frames_is_wrong_usage(flush):
+    with pytest.raises(UsageError, match=f'flush is "{flush}"'):
+        camera("frames/%03d.png", flush=flush)
 
 
 def test_the_size_is_the_images(sequence):
