@@ -103,7 +103,7 @@ static double flat_ends(const Candidate *const member[], int size, const double 
 }
 
 static double circle_cost(const Candidate *const member[], int size, const double plane[3], const Scene *scene) {
-    End end[2 * MOST_MEMBERS];
+    End end[2 * MOST_MEMBERS] = {{0}};
     const RingRules *rules = &scene->rules->ring;
     double sigma = rules->along_sigma * flat_ends(member, size, plane, rules, end) / rules->focal_x;
     double best = arcs_cost(end, 2 * size, sigma, rules);
