@@ -15,6 +15,15 @@ from ringpose.files.fields import FREE_PREFIX, hint, unusable
 from ringpose.types.arrays import Array
 
 _ZIP = b"PK"
+_REMEDY = "copy it anew, or write it with numpy.savez, of arrays without objects"
+_KEYS = "what a shot has stands in ringpose-conventions(7), a detection in ringpose-records(5)"
+_KINDS = {
+    "u": "whole numbers",
+    "i": "whole numbers of either sign",
+    "f": "floating",
+    "U": "a text",
+    "b": "true or false",
+}
 
 
 class Archive:
@@ -24,16 +33,16 @@ class Archive:
         encoded = read_bytes(path)
         self.path = path
         if not encoded.startswith(_ZIP):
-            raise DataError(str(path), "is no NPZ archive")
+            raise DataError(str(path), "is no NPZ archive", "give one that numpy.savez or ringpose wrote")
         try:
             with np.load(io.BytesIO(encoded), allow_pickle=False) as archive:
                 self.arrays: dict[str, Array] = {key: archive[key] for key in archive.files}
         except Exception as error:  # whatever the parsers of a broken zip, zlib stream or header raise
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise DataError(str(path), f"is a broken or foreign NPZ archive: {reason}") from error
+            raise DataError(str(path), f"is a broken or foreign NPZ archive: {reason}", _REMEDY) from error
         for key, array in self.arrays.items():
             if not isinstance(array, np.ndarray):
-                raise self.problem(key, "is no array")
+                raise self.problem(key, "is no array", _REMEDY)
 
     def __contains__(self, key: str) -> bool:
         return key in self.arrays
@@ -47,15 +56,18 @@ class Archive:
         known = tuple(known)
         for key in self.arrays:
             if key not in known and not key.startswith(FREE_PREFIX):
-                raise DataError(str(self.path), f"unknown key {key!r}", hint(key, known))
+                raise DataError(
+                    str(self.path), f"unknown key {key!r}", hint(key, known) or f"begin your own with {FREE_PREFIX}"
+                )
 
     def array(self, key: str, kinds: str, shape: tuple[int | None, ...]) -> Array:
         """An array whose type is of one of the kinds (letters of NumPy) and whose shape is this; None is any length."""
         if key not in self.arrays:
-            raise DataError(str(self.path), f"has no key {key!r}", hint(key, self.arrays))
+            raise DataError(str(self.path), f"has no key {key!r}", hint(key, self.arrays) or _KEYS)
         array = self.arrays[key]
         if array.dtype.kind not in kinds:
-            raise self.problem(key, f"has type {array.dtype}")
+            wanted = " or ".join(_KINDS[kind] for kind in kinds)
+            raise self.problem(key, f"has type {array.dtype}, must be {wanted}")
         if array.ndim != len(shape) or any(w not in (None, n) for w, n in zip(shape, array.shape, strict=True)):
             wanted = " x ".join("n" if length is None else str(length) for length in shape)
             found = " x ".join(map(str, array.shape))

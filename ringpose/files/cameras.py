@@ -54,9 +54,10 @@ def read_camera(path: Path) -> Camera:
     if schema.startswith("rig/"):
         return camera_of(Fields(file, values).fields("camera", CAMERA_KEYS))
     if not schema:
-        return camera_of(
-            Fields(file, {"camera_name": path.stem, "distortion_model": "plumb_bob"} | _ros_mapping(values, file))
-        )
+        said = {"camera_name": path.stem, "distortion_model": "plumb_bob"} | _ros_mapping(values, file)
+        foreign = Fields(file, said)
+        foreign.known = CAMERA_KEYS
+        return camera_of(foreign)
     return camera_of(Fields(file, values, FILE_KEYS), schema=schema)
 
 

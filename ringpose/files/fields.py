@@ -41,8 +41,10 @@ class Fields:
         if not isinstance(values, Mapping):
             raise DataError(self.place(), f"is {kind(values)}, must be a mapping of keys to values")
         self.values: Mapping[str, Any] = values
+        self.known = () if known is None else tuple(known)
+        """Keys that stand for themselves, and are no other key misspelt."""
         if known is not None:
-            self.refuse_unknown(tuple(known))
+            self.refuse_unknown(self.known)
 
     def place(self, key: str = "") -> str:
         """`rig.yaml: lasers[1].normal`."""
@@ -196,7 +198,8 @@ class Fields:
             raise self.problem(key, f"is {value:g}, must be {least}{most}".replace("be  and", "be"))
 
     def _near(self, key: str) -> str:
-        near = difflib.get_close_matches(key, [k for k in self.values if isinstance(k, str)], n=1)
+        strange = [other for other in self.values if isinstance(other, str) and other not in self.known]
+        near = difflib.get_close_matches(key, strange, n=1)
         return f"did you mean {key!r} where {near[0]!r} stands?" if near else ""
 
 

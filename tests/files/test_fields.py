@@ -108,3 +108,16 @@ def test_choice_names_the_allowed_words_and_the_nearest():
     line = refusal(lambda: fields(a="charucco").choice("a", ("charuco", "chessboard")))
 
     assert line == "rig.yaml: a: is 'charucco', must be one of charuco, chessboard; did you mean 'charuco'?"
+
+
+def test_a_key_that_is_missing_is_not_looked_for_in_another_that_is_known():
+    fields = Fields("x.yaml", {"image_height": 480, "imge_width": 640}, None)
+    fields.known = ("image_height", "image_width")
+
+    with pytest.raises(DataError, match="did you mean 'image_width' where 'imge_width' stands"):
+        fields.raw("image_width")
+
+
+def test_no_known_key_is_a_misspelling():
+    with pytest.raises(DataError, match=r"has no key 'image_width'$"):
+        Fields("x.yaml", {"image_height": 480}, ("image_height", "image_width")).raw("image_width")
