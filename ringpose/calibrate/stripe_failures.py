@@ -15,6 +15,12 @@ FULL_SHARE = 0.02
 """Of a board's pixels; more of them full are no stripe's, which covers 1 % of it."""
 
 
+WIDEST_PX = 25.0
+"""Full width at half its height that a stripe has at most: a quarter of the size is the least that is searched."""
+
+_SMOOTHING_PX = 2.0
+
+
 def stripe_failure(
     image: UInt[Array, "row column"],
     dark: UInt[Array, "row column"] | None,
@@ -38,9 +44,21 @@ def stripe_failure(
     background = float(np.median(lit))
     noise = max(1.4826 * float(np.median(np.abs(lit - background))), 1.0)
     brightest = float(np.percentile(lit, 99.8)) - background
+    width_px = 0.0 if dark is None else _width_px(image, dark, board, background + brightest / 2)
+    if brightest > FAINT_SIGMAS and width_px > WIDEST_PX:
+        return f"{said}: blurred, or not the lasers' light: {width_px:.0f} px wide at half its height"
     if brightest < FAINT_SIGMAS * noise:
         return f"{said}: too dark, nothing stands out by more than {brightest:.0f} of {saturation_dn} grey values"
     return f"{said}: missing or cut off, though something is {brightest:.0f} grey values bright"
+
+
+def _width_px(
+    image: UInt[Array, "row column"], dark: UInt[Array, "row column"], board: Bool[Array, "row column"], half_dn: float
+) -> float:
+    """Width, where it is largest, of what the lasers make brighter than this."""
+    lit = cv2.GaussianBlur(image.astype(np.float32) - dark, (0, 0), _SMOOTHING_PX)
+    bright = ((lit > half_dn) & board).astype(np.uint8)
+    return 2.0 * float(cv2.distanceTransform(bright, cv2.DIST_L2, 5).max())
 
 
 def _on_board(surface: BoardSurface, shape: tuple[int, ...]) -> Bool[Array, "row column"]:

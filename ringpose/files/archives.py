@@ -17,13 +17,7 @@ from ringpose.types.arrays import Array
 _ZIP = b"PK"
 _REMEDY = "copy it anew, or write it with numpy.savez, of arrays without objects"
 _KEYS = "what a shot has stands in ringpose-conventions(7), a detection in ringpose-records(5)"
-_KINDS = {
-    "u": "whole numbers",
-    "i": "whole numbers of either sign",
-    "f": "floating",
-    "U": "a text",
-    "b": "true or false",
-}
+_KINDS = {"f": "floating point", "i": "integers", "u": "unsigned integers", "U": "a text", "b": "true or false"}
 
 
 class Archive:

@@ -1,5 +1,7 @@
 """`ringpose calibrate-planes`: what it refuses, reasons, statuses."""
 
+import re
+
 import cv2
 import numpy as np
 import pytest
@@ -109,10 +111,12 @@ def test_what_is_missing_is_named(missing, folder, capsys):
     assert f"{missing}: is missing" in capsys.readouterr().err
 
 
-def test_a_stripe_too_weak_or_swamped_says_so(folder, capsys):
+def test_a_stripe_too_weak_or_swamped_or_blurred_says_so(folder, capsys):
     with np.load("planes/pln_B_01.npz") as shot:
         dark, lit = shot["images"]
         np.savez("planes/weak.npz", **{**shot, "images": np.stack([dark, np.maximum(dark, lit // 60)])})
+        spread = cv2.GaussianBlur(lit, (0, 0), 20)  # full width at half its height: 2.355 times this, and the stripe's
+        np.savez("planes/blurred.npz", **{**shot, "images": np.stack([dark, spread])})
         flooded = np.full_like(lit, 255)
         np.savez("planes/full.npz", **{**shot, "images": np.stack([dark, flooded])})
 
@@ -121,6 +125,8 @@ def test_a_stripe_too_weak_or_swamped_says_so(folder, capsys):
     said = capsys.readouterr().err
     assert "weak: no stripe of left, middle, right: 0 stripes on the board where 3 lasers are on: too dark" in said
     assert "of the board is saturated" in said
+    width_px = re.search(r"blurred: .* where 3 lasers are on: blurred, or not the lasers' light: (\d+) px wide", said)
+    assert 30 < float(width_px[1]) < 60
 
 
 @pytest.mark.parametrize(
