@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from ringpose.bench.detectors import shot_of
-from ringpose.bench.speed_accuracy import break_point_gates, center_gates
+from ringpose.bench.speed_accuracy import accuracy_gates
 from ringpose.bench.speed_gates import Gate, GateSection
 from ringpose.bench.speed_times import median_times_s, one_core
 from ringpose.bench.stripe_images import Kind, StripeImage, stripe_image, switched_frames
@@ -50,8 +50,9 @@ def detection_sections(seeds: int, rounds: int, pose_stream: PoseStream) -> Iter
         yield GateSection(title="straight segments, full frame", gates=segment_gates(rounds))
         yield GateSection(title="image to break points", gates=chain_gates(rounds, pose_stream))
         yield GateSection(title="break points to pose", gates=pose_gates(rounds))
-        yield GateSection(title=f"stripe centres, {seeds} images of a kind", gates=center_gates(seeds))
-        yield GateSection(title=f"break points, {seeds} images of a kind", gates=break_point_gates(seeds))
+        centers, ends = accuracy_gates(seeds)
+        yield GateSection(title=f"stripe centres, {seeds} images of a kind", gates=centers)
+        yield GateSection(title=f"break points, {seeds} images of a kind", gates=ends)
 
 
 def segment_gates(rounds: int) -> list[Gate]:

@@ -8,6 +8,7 @@ import numpy as np
 from ringpose.bench.detectors import WRONG_PX, shot_of
 from ringpose.bench.detectors_break_points import (
     BreakPointErrors,
+    CenterErrors,
     break_point_errors,
     center_errors,
     joined_break_points,
@@ -18,6 +19,7 @@ from ringpose.bench.speed_gates import Gate
 from ringpose.bench.stripe_images import Kind, StripeImage, stripe_image
 from ringpose.detect.pipeline import detect
 from ringpose.detect.stripe_centers import find_stripes
+from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.break_points import BreakPointFlag, Detection
 
 CLEAN = (Kind.DARK, Kind.DIM)
@@ -30,31 +32,35 @@ HONEST_NEES = (0.8, 1.25)
 WRONG_SIGMAS = 5.0
 
 
-def center_gates(seeds: int) -> list[Gate]:
-    """Centres column by column: their error over the least possible one, their sigmas' honesty."""
-    gates = []
-    for kind in (*CLEAN, Kind.SPECKLE, Kind.FOIL):
-        images = (stripe_image(kind, seed) for seed in range(seeds))
-        errors = joined_centers([center_errors(find_stripes(image.image), image) for image in images])
-        nees = mean((errors.error_px / errors.sigma_px) ** 2)
-        if kind in CLEAN:
-            over = rms(errors.error_px / errors.bound_px)
-            gates.append(Gate(what=f"{kind}: error", measured=over, unit="x bound", most=1.15))
-        else:
-            gates.append(Gate(what=f"{kind}: error", measured=rms(errors.error_px), unit="px"))
-        gates.append(Gate(what=f"{kind}: squared errors in sigmas", measured=nees, least=0.8, most=1.25))
-    return gates
+def accuracy_gates(
+    seeds: int, found: Callable[[StripeImage], Detection] | None = None
+) -> tuple[list[Gate], list[Gate]]:
+    """Of stripe centres, column by column, and of the ends of stripes on the face, on the same images of each kind.
 
-
-def break_point_gates(seeds: int, found: Callable[[StripeImage], Detection] | None = None) -> list[Gate]:
-    """Ends of the stripes on the face, by all that `detect` does."""
+    Centres: their error over the least possible one, and the honesty of their sigmas; ends: all that `detect` does.
+    """
     find = found or (lambda image: detect(shot_of(image), image.rig))
-    gates = []
+    centers, ends = [], []
     for kind in Kind:
-        images = (stripe_image(kind, seed) for seed in range(seeds))
-        errors = joined_break_points([break_point_errors(find(image), image) for image in images])
-        gates += _gates_of_kind(kind, errors)
-    return gates
+        errors = [_errors(image, find) for image in (stripe_image(kind, seed) for seed in range(seeds))]
+        if kind in SIGMA_LIMITS_PX:
+            centers += _center_gates(kind, joined_centers([of_centers for of_centers, _ in errors]))
+        ends += _gates_of_kind(kind, joined_break_points([of_ends for _, of_ends in errors]))
+    return centers, ends
+
+
+def _errors(image: StripeImage, find: Callable[[StripeImage], Detection]) -> tuple[CenterErrors, BreakPointErrors]:
+    return center_errors(find_stripes(image.image), image), break_point_errors(find(image), image)
+
+
+def _center_gates(kind: Kind, errors: CenterErrors) -> list[Gate]:
+    over = rms(errors.error_px / errors.bound_px) if kind in CLEAN else rms(errors.error_px)
+    unit, most = ("x bound", 1.15) if kind in CLEAN else ("px", math.inf)
+    nees = mean((errors.error_px / errors.sigma_px) ** 2)
+    return [
+        Gate(what=f"{kind}: error", measured=over, unit=unit, most=most),
+        Gate(what=f"{kind}: squared errors in sigmas", measured=nees, least=0.8, most=1.25),
+    ]
 
 
 def _gates_of_kind(kind: Kind, errors: BreakPointErrors) -> list[Gate]:
@@ -68,12 +74,20 @@ def _gates_of_kind(kind: Kind, errors: BreakPointErrors) -> list[Gate]:
         Gate(what=f"{kind}: bias along", measured=abs(median(errors.along_px)), unit="px", most=limit / 3),
         Gate(what=f"{kind}: sigma across", measured=robust_sd(errors.across_px), unit="px"),
         Gate(what=f"{kind}: squared errors in sigmas", measured=mean(errors.nees[clear]), least=least, most=most),
+        Gate(what=f"{kind}: of that along", measured=_squares(errors.along_px, errors.along_sigma_px, clear)),
+        Gate(what=f"{kind}: of that across", measured=_squares(errors.across_px, errors.across_sigma_px, clear)),
         Gate(what=f"{kind}: wrong without a flag", measured=_wrong(errors), most=0.0 if limited else math.inf),
     ]
     if kind in CLEAN:
         over = robust_sd(errors.along_px / errors.bound_px)
         gates.append(Gate(what=f"{kind}: sigma along", measured=over, unit="x bound", most=1.5))
     return gates
+
+
+def _squares(
+    error_px: Float64[Array, "point"], sigma_px: Float64[Array, "point"], which: Bool[Array, "point"]
+) -> float:
+    return mean((error_px[which] / sigma_px[which]) ** 2)
 
 
 def _wrong(errors: BreakPointErrors) -> float:

@@ -25,7 +25,7 @@ Rounds = Annotated[int, typer.Option("--rounds", metavar="N", min=1, help="Turns
 JsonFile = Annotated[str | None, typer.Option("--json", metavar="FILE", help="All of it as JSON; - instead of text.")]
 
 
-def speed(seeds: Seeds = 10, rounds: Rounds = 11, json: JsonFile = None, force: Force = False) -> None:
+def speed(seeds: Seeds = 40, rounds: Rounds = 11, json: JsonFile = None, force: Force = False) -> None:
     """Measure what detection and pose take and how fine they are, each beside the limit it is meant to keep."""
     from ringpose.bench.speed_gates import section_record, section_text
     from ringpose.files import records

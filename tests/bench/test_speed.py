@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ringpose.bench.speed import exact_break_points, start_gates, switched_shot
-from ringpose.bench.speed_accuracy import break_point_gates
+from ringpose.bench.speed_accuracy import accuracy_gates
 from ringpose.bench.speed_gates import Gate, GateSection, Verdict, section_record, section_text
 from ringpose.bench.speed_times import median_times_s, one_core
 from ringpose.bench.stripe_images import Kind, stripe_image, stripe_rig
@@ -143,7 +143,7 @@ def nothing_wrong(gates):
 
 @pytest.mark.slow
 def test_exact_break_points_miss_only_the_limits_on_honesty():
-    gates = break_point_gates(1, exact)
+    _, gates = accuracy_gates(1, exact)
 
     missed = {gate.what.split(": ")[1] for gate in gates if gate.verdict is Verdict.MISSED}
     assert nothing_wrong(gates)
