@@ -5,14 +5,12 @@
 
 static double dot(const double a[AXES], const double b[AXES]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
 
-/* sin x / x */
-static double sinc(double x) { return x == 0 ? 1 : sin(x) / x; }
-
 void arc_point(const RingArcs *arcs, double along, double side, double point[AXES], double outward[AXES]) {
-    const double angle = arcs->curvature * along, half = sinc(angle / 2);
-    const double toward[2] = {cos(angle), -sin(angle)};
-    const double x = angle * along / 2 * half * half + side * arcs->half_band * toward[0];
-    const double y = along * sinc(angle) + side * arcs->half_band * toward[1];
+    const double half = arcs->curvature * along / 2, sine = sin(half), cosine = cos(half);
+    const double toward[2] = {1 - 2 * sine * sine, -2 * sine * cosine};
+    const double chord = half == 0 ? along : along * sine / half; /* from the origin, at half the angle */
+    const double x = chord * sine + side * arcs->half_band * toward[0];
+    const double y = chord * cosine + side * arcs->half_band * toward[1];
     for (int i = 0; i < AXES; i++) {
         point[i] = arcs->origin[i] + x * arcs->axes[0][i] + y * arcs->axes[1][i];
         outward[i] = side * (toward[0] * arcs->axes[0][i] + toward[1] * arcs->axes[1][i]);

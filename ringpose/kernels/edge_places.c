@@ -12,8 +12,11 @@ static int straight(const Lens *lens, const double point[AXES], double at[2]) {
 
 static double standard_deviation(const double by_state[STATE], const double *covariance) {
     double variance = 0;
-    for (int i = 0; i < STATE; i++)
-        for (int j = 0; j < STATE; j++) variance += by_state[i] * covariance[STATE * i + j] * by_state[j];
+    for (int i = 0; i < STATE; i++) {
+        double sum = 0;
+        for (int j = 0; j < i; j++) sum += covariance[STATE * i + j] * by_state[j];
+        variance += by_state[i] * (2 * sum + covariance[(STATE + 1) * i] * by_state[i]);
+    }
     return sqrt(fmax(variance, 0));
 }
 
