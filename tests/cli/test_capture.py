@@ -1,62 +1,23 @@
-"""`ringpose capture`, from files and from a simulated scene."""
+"""`ringpose capture` from files."""
 
-import fcntl
 import io
-import os
-import resource
-import signal
-import termios
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
-from small_rig import SMALL_RIG
+from recorded_shots import recorded
 
 from ringpose.cli.main import main
 from ringpose.files.images import write_image
 from ringpose.files.sessions import read_session
-from ringpose.files.shots import read_shot, write_shot
-from ringpose.types.frame import ALL_LASERS, Shot
-
-SMALL_SCENE = """\
-ringpose: scene/1
-rig: rig.yaml
-ring: {radius_inner_m: 0.567, radius_outer_m: 0.597, height_m: 0.06}
-body: {size_m: [1.6, 1.6, 1.0]}
-stripe_dn: 200
-sequence: off,all
-trajectory:
-- generate: {count: 3, distances_m: [0.5], tilt_rad: 0.05}
-"""
+from ringpose.files.shots import read_shot
+from ringpose.types.frame import ALL_LASERS
 
 
 @pytest.fixture(autouse=True)
 def _in_an_empty_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-
-
-@pytest.fixture
-def scene(tmp_path):
-    (tmp_path / "rig.yaml").write_text(SMALL_RIG)
-    (tmp_path / "scene.yaml").write_text(SMALL_SCENE)
-    return tmp_path / "scene.yaml"
-
-
-def recorded(folder: Path, name: str, masks: tuple[int, ...] = (0, 1, 2, 4, 7)) -> Path:
-    """A shot whose frame k is all k."""
-    folder.mkdir(exist_ok=True)
-    frames = np.arange(len(masks))
-    shot = Shot(
-        name=name,
-        images=np.broadcast_to(frames.astype(np.uint8)[:, None, None], (len(masks), 4, 6)),
-        lasers=np.array(masks, dtype=np.uint8),
-        stamp_s=100.0 + frames,
-        exposure_s=np.full(len(masks), 0.01),
-    )
-    write_shot(folder / f"{name}.npz", shot)
-    return folder / f"{name}.npz"
 
 
 def test_recorded_shots_keep_their_names_masks_and_stamps(capsys):
@@ -294,169 +255,6 @@ def test_an_output_that_cannot_be_made_is_one_line(capsys):
 
     assert status == 73
     assert "file/s" in capsys.readouterr().err
-
-
-def test_a_scene_is_captured_under_the_names_of_its_views(scene, capsys):
-    status = main(["capture", "--camera", f"sim:{scene}", "--count", "2", "--output", "s"])
-
-    names = [Path(line).stem for line in capsys.readouterr().out.splitlines()]
-    assert status == 0
-    assert names == ["z0500_p00_dim", "z0500_p01_dim"]
-    shot = read_shot(Path("s") / f"{names[0]}.npz")
-    assert shot.lasers.tolist() == [0, 7]
-    assert shot.read_lasers is not None
-    assert shot.read_lasers.tolist() == [0, 7]
-    assert shot.images[0].max() < 50 < shot.images[1].max()
-
-
-def test_a_simulated_shot_lights_one_laser_after_the_other(scene):
-    main(["capture", "--camera", f"sim:{scene}", "--sequence", "1,2,3", "--count", "1", "--output", "s"])
-
-    shot = read_shot(Path("s/z0500_p00_dim.npz"))
-    rows = [int(np.argmax((image > 60).sum(axis=1))) for image in shot.images]
-    assert shot.lasers.tolist() == [1, 2, 4]
-    assert len(set(rows)) == 3
-
-
-def test_the_exposure_that_is_asked_for_is_taken(scene):
-    main(["capture", "--camera", f"sim:{scene}", "--exposure", "0.002", "--count", "1", "--output", "s"])
-
-    assert read_shot(Path("s/z0500_p00_dim.npz")).exposure_s.tolist() == [0.002, 0.002]
-
-
-def test_the_session_of_a_scene_names_camera_lasers_and_sequence(scene):
-    main(["capture", "--camera", f"sim:{scene}", "--count", "1", "--output", "s"])
-
-    (capture,) = read_session(Path("s")).captures
-    assert (capture.camera_name, capture.laser_count, capture.lasers) == ("small", 3, "sim:")
-    assert capture.sequence == "off,all"
-    assert list(capture.provenance["inputs"]) == [str(scene)]
-
-
-@pytest.mark.parametrize(
-    ("words", "complaint"),
-    [
-        (["--sequence", "off,4"], 'step "4" names laser 4 of a rig with 3 lasers'),
-        (["--lasers", "none:", "--sequence", "off,all"], 'nothing switches the lasers for step "off"'),
-    ],
-)
-def test_lasers_that_cannot_do_a_step_are_wrong_usage(scene, capsys, words, complaint):
-    status = main(["capture", "--camera", f"sim:{scene}", *words, "--output", "s"])
-
-    assert status == 2
-    assert complaint in capsys.readouterr().err
-    assert not Path("s").exists()
-
-
-def test_lasers_that_nothing_switches_are_on(scene):
-    status = main(["capture", "--camera", f"sim:{scene}", "--lasers", "none:", "--count", "1", "--output", "s"])
-
-    shot = read_shot(Path("s/z0500_p00_dim.npz"))
-    assert status == 0
-    assert shot.lasers.tolist() == [7]
-    assert shot.images.max() > 100
-
-
-A_MINUTE_EACH = ("capture", "--camera", "files:in", "--rate", "0.016", "--output", "s")
-
-
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
-def test_a_signal_leaves_finished_shots_and_a_valid_session(number, started):
-    for name in "abc":
-        recorded(Path("in"), name)
-    with started(*A_MINUTE_EACH) as process:
-        first = process.stdout.readline()
-
-        process.send_signal(number)
-        out, err = process.communicate(timeout=30)
-
-    assert process.returncode == 128 + number
-    assert (first, out, err) == ("s/a.npz\n", "", "")
-    (capture,) = read_session(Path("s")).captures
-    assert (capture.state, capture.shots) == ("stopped", ("a",))
-    assert sorted(path.name for path in Path("s").iterdir()) == ["a.npz", "session.yaml"]
-
-
-def test_the_first_name_is_out_before_the_second_shot_is_taken(started):
-    for name in "ab":
-        recorded(Path("in"), name)
-    began_s = time.monotonic()
-    with started(*A_MINUTE_EACH) as process:
-        first = process.stdout.readline()
-        process.terminate()
-
-    assert first == "s/a.npz\n"
-    assert time.monotonic() - began_s < 30
-
-
-def test_a_reader_that_goes_away_ends_the_capture_with_a_valid_session(started):
-    for name in "abcdef":
-        recorded(Path("in"), name)
-    with started("capture", "--camera", "files:in", "--rate", "5", "--output", "s") as process:
-        process.stdout.readline()
-        process.stdout.close()
-        said = process.stderr.read()
-        status = process.wait(timeout=30)
-
-    assert (status, said) == (141, "")
-    assert read_session(Path("s")).captures[0].state == "stopped"
-
-
-def test_a_full_disk_keeps_what_was_finished(started, rng):
-    """No file may grow beyond 5 kB here; noise does not compress."""
-    for name in "ab":
-        recorded(Path("in"), name)
-    noise = rng.integers(0, 256, (1, 120, 160), dtype=np.uint8)
-    write_shot(
-        Path("in/z.npz"),
-        Shot(name="z", images=noise, lasers=np.zeros(1, np.uint8), stamp_s=np.zeros(1), exposure_s=np.zeros(1)),
-    )
-    words = ["capture", "--camera", "files:in", "--output", "s"]
-
-    with started(*words, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (5_000, 5_000))) as process:
-        out, said = process.communicate(timeout=60)
-
-    assert (process.returncode, out) == (74, "s/a.npz\ns/b.npz\n")
-    assert said.startswith("ringpose: s/z.npz: writing broke off: ")
-    (capture,) = read_session(Path("s")).captures
-    assert (capture.state, capture.shots) == ("stopped", ("a", "b"))
-
-
-def test_progress_is_shown_on_a_terminal_and_names_alone_go_out(started):
-    for name in "ab":
-        recorded(Path("in"), name)
-    screen, terminal = os.openpty()
-
-    with started("capture", "--camera", "files:in", "--output", "s", stderr=terminal) as process:
-        out, _ = process.communicate(timeout=60)
-    shown = os.read(screen, 65536).decode()
-    os.close(screen)
-    os.close(terminal)
-
-    assert out == "s/a.npz\ns/b.npz\n"
-    assert "2 shots" in shown
-
-
-@pytest.mark.parametrize(("ignored", "status"), [(True, 0), (False, 129)])
-def test_a_terminal_that_goes_away_takes_no_shot_with_it(started, ignored, status):
-    for name in "abcdef":
-        recorded(Path("in"), name)
-    screen, terminal = os.openpty()
-
-    def belongs_to_the_terminal():
-        os.setsid()
-        fcntl.ioctl(terminal, termios.TIOCSCTTY, 0)
-        signal.signal(signal.SIGHUP, signal.SIG_IGN if ignored else signal.SIG_DFL)
-
-    words = ["capture", "--camera", "files:in", "--rate", "5", "--output", "s"]
-    with started(*words, stderr=terminal, preexec_fn=belongs_to_the_terminal) as process:
-        process.stdout.readline()
-        os.close(terminal)
-        os.close(screen)
-        process.stdout.read()
-
-    assert process.returncode == status
-    assert (len(read_session(Path("s")).shots) == 6) is ignored
 
 
 def test_a_shot_whose_name_is_no_line_is_kept_and_named_on_standard_error(capsys):

@@ -1,0 +1,124 @@
+"""`ringpose capture` as a process of its own: signals, pipes, a full disk, a terminal that goes away."""
+
+import fcntl
+import os
+import resource
+import signal
+import termios
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from recorded_shots import recorded
+
+from ringpose.files.sessions import read_session
+from ringpose.files.shots import write_shot
+from ringpose.types.frame import Shot
+
+
+@pytest.fixture(autouse=True)
+def _in_an_empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+A_MINUTE_EACH = ("capture", "--camera", "files:in", "--rate", "0.016", "--output", "s")
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_a_signal_leaves_finished_shots_and_a_valid_session(number, started):
+    for name in "abc":
+        recorded(Path("in"), name)
+    with started(*A_MINUTE_EACH) as process:
+        first = process.stdout.readline()
+
+        process.send_signal(number)
+        out, err = process.communicate(timeout=30)
+
+    assert process.returncode == 128 + number
+    assert (first, out, err) == ("s/a.npz\n", "", "")
+    (capture,) = read_session(Path("s")).captures
+    assert (capture.state, capture.shots) == ("stopped", ("a",))
+    assert sorted(path.name for path in Path("s").iterdir()) == ["a.npz", "session.yaml"]
+
+
+def test_the_first_name_is_out_before_the_second_shot_is_taken(started):
+    for name in "ab":
+        recorded(Path("in"), name)
+    began_s = time.monotonic()
+    with started(*A_MINUTE_EACH) as process:
+        first = process.stdout.readline()
+        process.terminate()
+
+    assert first == "s/a.npz\n"
+    assert time.monotonic() - began_s < 30
+
+
+def test_a_reader_that_goes_away_ends_the_capture_with_a_valid_session(started):
+    for name in "abcdef":
+        recorded(Path("in"), name)
+    with started("capture", "--camera", "files:in", "--rate", "5", "--output", "s") as process:
+        process.stdout.readline()
+        process.stdout.close()
+        said = process.stderr.read()
+        status = process.wait(timeout=30)
+
+    assert (status, said) == (141, "")
+    assert read_session(Path("s")).captures[0].state == "stopped"
+
+
+def test_a_full_disk_keeps_what_was_finished(started, rng):
+    """No file may grow beyond 5 kB here; noise does not compress."""
+    for name in "ab":
+        recorded(Path("in"), name)
+    noise = rng.integers(0, 256, (1, 120, 160), dtype=np.uint8)
+    write_shot(
+        Path("in/z.npz"),
+        Shot(name="z", images=noise, lasers=np.zeros(1, np.uint8), stamp_s=np.zeros(1), exposure_s=np.zeros(1)),
+    )
+    words = ["capture", "--camera", "files:in", "--output", "s"]
+
+    with started(*words, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (5_000, 5_000))) as process:
+        out, said = process.communicate(timeout=60)
+
+    assert (process.returncode, out) == (74, "s/a.npz\ns/b.npz\n")
+    assert said.startswith("ringpose: s/z.npz: writing broke off: ")
+    (capture,) = read_session(Path("s")).captures
+    assert (capture.state, capture.shots) == ("stopped", ("a", "b"))
+
+
+def test_progress_is_shown_on_a_terminal_and_names_alone_go_out(started):
+    for name in "ab":
+        recorded(Path("in"), name)
+    screen, terminal = os.openpty()
+
+    with started("capture", "--camera", "files:in", "--output", "s", stderr=terminal) as process:
+        out, _ = process.communicate(timeout=60)
+    shown = os.read(screen, 65536).decode()
+    os.close(screen)
+    os.close(terminal)
+
+    assert out == "s/a.npz\ns/b.npz\n"
+    assert "2 shots" in shown
+
+
+@pytest.mark.parametrize(("ignored", "status"), [(True, 0), (False, 129)])
+def test_a_terminal_that_goes_away_takes_no_shot_with_it(started, ignored, status):
+    for name in "abcdef":
+        recorded(Path("in"), name)
+    screen, terminal = os.openpty()
+
+    def belongs_to_the_terminal():
+        os.setsid()
+        fcntl.ioctl(terminal, termios.TIOCSCTTY, 0)
+        signal.signal(signal.SIGHUP, signal.SIG_IGN if ignored else signal.SIG_DFL)
+
+    words = ["capture", "--camera", "files:in", "--rate", "5", "--output", "s"]
+    with started(*words, stderr=terminal, preexec_fn=belongs_to_the_terminal) as process:
+        process.stdout.readline()
+        os.close(terminal)
+        os.close(screen)
+        process.stdout.read()
+
+    assert process.returncode == status
+    assert (len(read_session(Path("s")).shots) == 6) is ignored
