@@ -1,38 +1,20 @@
 """The driver and its guard, in the same process as the board's stand-in."""
 
-import json
 import os
-import resource
 import signal
 import subprocess
 import sys
 import time
-import tty
 from dataclasses import replace
 
 import pytest
+from guarded_lasers import lasers_at, lit
 
 from ringpose.capture.lasers.driver import LasersWentOff
-from ringpose.capture.lasers.guarded import GuardedLasers
-from ringpose.capture.lasers.place import LaserPlace
-from ringpose.capture.lasers.wear import wear_file
-from ringpose.capture.uri import LASERS, device_uri, driver
 from ringpose.errors import DeviceError, LaserSafetyError
 from ringpose.simulate.serve.contacts import ContactFaults
 
 ALL_SCHEMES = ["lcus", "numato", "modbus", "ascii"]
-
-
-def lasers_at(uri: str) -> GuardedLasers:
-    """As the command makes them."""
-    parts = device_uri(uri, "--lasers", LASERS)
-    made = driver(LASERS, parts.scheme)(parts, LaserPlace())
-    assert isinstance(made, GuardedLasers)
-    return made
-
-
-def lit(relays) -> int:
-    return relays.mask_at(time.monotonic())
 
 
 def off_after_signal(uri: str, relays, time_until, number: int, said: str) -> float:
@@ -58,17 +40,6 @@ def test_every_board_lights_what_it_is_told_and_says_so(board, scheme):
                 seen.append((lasers.read_mask(), lit(relays)))  # the board answers when it has switched
 
     assert seen == [(mask, mask) for mask in (0b001, 0b110, 0b111, 0b010, 0)]
-
-
-@pytest.mark.parametrize("scheme", ALL_SCHEMES)
-def test_opening_switches_off_what_was_on(board, scheme):
-    with board(scheme) as (relays, uri):
-        relays.contacts.command(1, True, time.monotonic())
-        relays._coils_until_s[1] = float("inf")
-        with lasers_at(uri):
-            opened = lit(relays)
-
-    assert opened == 0
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP, signal.SIGSEGV])
@@ -224,91 +195,6 @@ def test_a_child_that_outlives_the_capture_does_not_keep_the_lasers_on(board, ti
     assert off_s < 0.05
 
 
-def test_a_crash_writes_no_core_before_the_lasers_go_off(board):
-    before = resource.getrlimit(resource.RLIMIT_CORE)
-    with board("lcus") as (_, uri), lasers_at(uri):
-        soft, hard = resource.getrlimit(resource.RLIMIT_CORE)
-    resource.setrlimit(resource.RLIMIT_CORE, before)
-
-    assert soft <= 1
-    assert hard == before[1]
-
-
-def test_a_guard_that_dies_while_it_opens_is_replaced(board, monkeypatch):
-    with board("lcus") as (relays, uri):
-        relays.contacts.command(1, True, time.monotonic())
-        monkeypatch.setattr("ringpose.capture.lasers.guarded._START", "import os; os._exit(1)  # {separator}")
-        lasers = lasers_at(uri)
-        with pytest.raises(DeviceError, match="the guard of the lasers ended; they were switched off without it"):
-            lasers.open()
-        lasers.close()
-
-    assert lit(relays) == 0
-
-
-@pytest.mark.parametrize("scheme", [pytest.param("numato", marks=pytest.mark.slow), "modbus"])
-def test_a_board_of_eight_relays_that_is_silent_is_no_safety_fault(scheme):
-    master, slave = os.openpty()
-    tty.setraw(slave)
-    lasers = lasers_at(f"{scheme}:{os.ttyname(slave)}?ch=0,1,2,3,4,5,6,7")
-
-    with pytest.raises(DeviceError, match="does not answer; check the board"):
-        lasers.open()
-
-    lasers.close()
-    os.close(master)
-    os.close(slave)
-
-
-def test_operations_are_counted_though_the_cable_is_pulled(board, time_until):
-    with board("lcus") as (relays, uri):
-        lasers = lasers_at(uri)
-        lasers.open()
-        lasers.set_mask(0b011)
-        relays.unplug()
-        file = wear_file(relays.port)
-        noted_s = time_until(file.exists, 5.0)
-        lasers.close()
-
-    assert noted_s < 5.0
-    assert json.loads(file.read_text())["operations"] == {"0": 1, "1": 1, "2": 0}
-
-
-def test_a_port_that_is_not_there_says_where_to_look():
-    with (
-        pytest.raises(DeviceError, match="no such file or directory; see ls /dev/serial/by-id"),
-        lasers_at("lcus:/dev/ttyNone?ch=1"),
-    ):
-        pass
-
-
-def test_a_file_that_is_no_port_is_refused(tmp_path):
-    (tmp_path / "file").write_text("")
-
-    with pytest.raises(DeviceError, match="it is no serial port"), lasers_at(f"lcus:{tmp_path}/file?ch=1"):
-        pass
-
-
-def test_a_port_has_one_owner(board):
-    with (
-        board("lcus") as (_, uri),
-        lasers_at(uri),
-        pytest.raises(DeviceError, match="another program uses it"),
-        lasers_at(uri),
-    ):
-        pass
-
-
-def test_a_board_that_speaks_otherwise_is_not_taken_for_the_one_that_was_named(board):
-    with board("lcus") as (relays, _):
-        lasers = lasers_at(f"modbus:{relays.port}?ch=0,1,2")
-        with pytest.raises(DeviceError, match="does not answer"):
-            lasers.open()
-        lasers.close()
-
-    assert lit(relays) == 0
-
-
 def test_a_stuck_contact_is_not_seen_by_a_board_that_reports_its_coils(board):
     with board("lcus", ContactFaults(stuck=frozenset({1}))) as (relays, uri):
         lasers = lasers_at(uri)
@@ -319,42 +205,3 @@ def test_a_stuck_contact_is_not_seen_by_a_board_that_reports_its_coils(board):
 
     assert reported == 0
     assert lit(relays) == 0b010
-
-
-def test_operations_are_counted_from_run_to_run(board):
-    with board("lcus") as (relays, uri):
-        for _ in range(2):
-            lasers = lasers_at(uri)
-            with lasers:
-                for mask in (0b001, 0, 0b011):
-                    lasers.set_mask(mask)
-        counted = json.loads(wear_file(relays.port).read_text())["operations"]
-
-    assert counted == {"0": 4, "1": 2, "2": 0}
-
-
-@pytest.mark.parametrize(("rated", "warns"), [(5, True), (10, False), (0, False)])
-def test_a_relay_near_the_end_of_its_life_is_named(board, rated, warns):
-    with board("lcus") as (relays, uri):
-        file = wear_file(relays.port)
-        file.parent.mkdir(parents=True)
-        file.write_text(json.dumps({"port": relays.port, "operations": {"1": 4}}))
-        lasers = lasers_at(f"{uri}&rated={rated}")
-        with lasers:
-            warnings = lasers.warnings()
-
-    assert (len(warnings) == 1) is warns
-    assert all("relay 2 has switched 4 times; its kind lasts for about 5" in line for line in warnings)
-
-
-@pytest.mark.parametrize("state", ["", "{", "[]", '{"operations": 3}', '{"operations": {"0": "x"}}'])
-def test_a_damaged_count_begins_anew(board, state):
-    with board("lcus") as (relays, uri):
-        file = wear_file(relays.port)
-        file.parent.mkdir(parents=True)
-        file.write_text(state)
-        lasers = lasers_at(uri)
-        with lasers:
-            lasers.set_mask(1)
-
-        assert json.loads(file.read_text())["operations"]["0"] == 1

@@ -1,0 +1,95 @@
+"""A guard takes the port of its board, or says why not."""
+
+import os
+import resource
+import time
+import tty
+
+import pytest
+from guarded_lasers import lasers_at, lit
+
+from ringpose.errors import DeviceError
+
+ALL_SCHEMES = ["lcus", "numato", "modbus", "ascii"]
+
+
+@pytest.mark.parametrize("scheme", ALL_SCHEMES)
+def test_opening_switches_off_what_was_on(board, scheme):
+    with board(scheme) as (relays, uri):
+        relays.contacts.command(1, True, time.monotonic())
+        relays._coils_until_s[1] = float("inf")
+        with lasers_at(uri):
+            opened = lit(relays)
+
+    assert opened == 0
+
+
+def test_a_crash_writes_no_core_before_the_lasers_go_off(board):
+    before = resource.getrlimit(resource.RLIMIT_CORE)
+    with board("lcus") as (_, uri), lasers_at(uri):
+        soft, hard = resource.getrlimit(resource.RLIMIT_CORE)
+    resource.setrlimit(resource.RLIMIT_CORE, before)
+
+    assert soft <= 1
+    assert hard == before[1]
+
+
+def test_a_guard_that_dies_while_it_opens_is_replaced(board, monkeypatch):
+    with board("lcus") as (relays, uri):
+        relays.contacts.command(1, True, time.monotonic())
+        monkeypatch.setattr("ringpose.capture.lasers.guarded._START", "import os; os._exit(1)  # {separator}")
+        lasers = lasers_at(uri)
+        with pytest.raises(DeviceError, match="the guard of the lasers ended; they were switched off without it"):
+            lasers.open()
+        lasers.close()
+
+    assert lit(relays) == 0
+
+
+@pytest.mark.parametrize("scheme", [pytest.param("numato", marks=pytest.mark.slow), "modbus"])
+def test_a_board_of_eight_relays_that_is_silent_is_no_safety_fault(scheme):
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    lasers = lasers_at(f"{scheme}:{os.ttyname(slave)}?ch=0,1,2,3,4,5,6,7")
+
+    with pytest.raises(DeviceError, match="does not answer; check the board"):
+        lasers.open()
+
+    lasers.close()
+    os.close(master)
+    os.close(slave)
+
+
+def test_a_port_that_is_not_there_says_where_to_look():
+    with (
+        pytest.raises(DeviceError, match="no such file or directory; see ls /dev/serial/by-id"),
+        lasers_at("lcus:/dev/ttyNone?ch=1"),
+    ):
+        pass
+
+
+def test_a_file_that_is_no_port_is_refused(tmp_path):
+    (tmp_path / "file").write_text("")
+
+    with pytest.raises(DeviceError, match="it is no serial port"), lasers_at(f"lcus:{tmp_path}/file?ch=1"):
+        pass
+
+
+def test_a_port_has_one_owner(board):
+    with (
+        board("lcus") as (_, uri),
+        lasers_at(uri),
+        pytest.raises(DeviceError, match="another program uses it"),
+        lasers_at(uri),
+    ):
+        pass
+
+
+def test_a_board_that_speaks_otherwise_is_not_taken_for_the_one_that_was_named(board):
+    with board("lcus") as (relays, _):
+        lasers = lasers_at(f"modbus:{relays.port}?ch=0,1,2")
+        with pytest.raises(DeviceError, match="does not answer"):
+            lasers.open()
+        lasers.close()
+
+    assert lit(relays) == 0

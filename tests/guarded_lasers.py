@@ -1,0 +1,19 @@
+"""Relays behind a guard, as the command makes them of a URI."""
+
+import time
+
+from ringpose.capture.lasers.guarded import GuardedLasers
+from ringpose.capture.lasers.place import LaserPlace
+from ringpose.capture.uri import LASERS, device_uri, driver
+
+
+def lasers_at(uri: str) -> GuardedLasers:
+    """As the command makes them."""
+    parts = device_uri(uri, "--lasers", LASERS)
+    made = driver(LASERS, parts.scheme)(parts, LaserPlace())
+    assert isinstance(made, GuardedLasers)
+    return made
+
+
+def lit(relays) -> int:
+    return relays.mask_at(time.monotonic())
