@@ -1,6 +1,6 @@
 """Whether a calibrated rig still holds: a new view of the board against its camera and light planes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +37,8 @@ class LaserCheck:
     offset_m: float
     """Of the stripe's line, at its end or middle, where it is largest beside its limit; NaN where no stripe is seen."""
     limit_m: float
+    lies_on: str = ""
+    """The other laser on whose plane the stripe lies instead."""
 
     @property
     def holds(self) -> bool:
@@ -69,7 +71,7 @@ def rig_check(view: StripeView, rig: Rig) -> RigCheck:
         name=view.board.name,
         distance_m=float(board.pose.translation_m[2]),
         board_rms_px=board.pose.residual_rms_px,
-        lasers=tuple(_laser_check(laser, view, board, rig) for laser in range(len(planes))),
+        lasers=tuple(_judged(laser, view, board, rig) for laser in range(len(planes))),
     )
 
 
@@ -82,7 +84,8 @@ def rig_check_lines(check: RigCheck) -> list[str]:
             lines.append(f"{check.name}: {laser.name}: no stripe on the board, not checked")
         else:
             found = f"{1e3 * laser.offset_m:+.3f} mm beside its plane (limit {1e3 * laser.limit_m:.3f})"
-            lines.append(f"{check.name}: {laser.name}: {found}: {_judgement(laser.holds)}")
+            swapped = f", it lies on the plane of {laser.lies_on}: are they swapped?" if laser.lies_on else ""
+            lines.append(f"{check.name}: {laser.name}: {found}: {_judgement(laser.holds)}{swapped}")
     return lines
 
 
@@ -102,8 +105,18 @@ def _standing(view: StripeView, rig: Rig) -> _Standing:
     return _Standing(pose, corner_px**2 * unit)
 
 
-def _laser_check(laser: int, view: StripeView, board: _Standing, rig: Rig) -> LaserCheck:
-    name, points_px = rig.lasers.names[laser], view.stripes_px[laser]
+def _judged(laser: int, view: StripeView, board: _Standing, rig: Rig) -> LaserCheck:
+    """The laser's stripe beside its own plane; where it is not there, whether it is on that of another."""
+    found = _laser_check(laser, laser, view, board, rig)
+    if found.holds or np.isnan(found.offset_m):
+        return found
+    others = (_laser_check(laser, other, view, board, rig) for other in range(len(rig.lasers.names)))
+    return replace(found, lies_on=next((other.name for other in others if other.holds), ""))
+
+
+def _laser_check(stripe: int, laser: int, view: StripeView, board: _Standing, rig: Rig) -> LaserCheck:
+    """One laser's stripe beside the plane of a laser."""
+    name, points_px = rig.lasers.names[laser], view.stripes_px[stripe]
     if not len(points_px):
         return LaserCheck(name=name, offset_m=float("nan"), limit_m=float("nan"))
     normal, distance_m = rig.lasers.normal[laser], float(rig.lasers.distance_m[laser])

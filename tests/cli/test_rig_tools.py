@@ -39,6 +39,32 @@ def test_a_rig_that_was_bumped_does_not_hold(folder, capsys):
     assert abs(float(beside[1])) == pytest.approx(1.0, abs=0.02)
 
 
+def test_lasers_that_were_swapped_are_called_so(folder, capsys):
+    rig = yaml.safe_load((folder / "camera.yaml").read_text())
+    (folder / "camera.yaml").write_text(yaml.safe_dump(rig | {"lasers": rig["lasers"][::-1]}))
+
+    status = calibrated("--check", "camera.yaml", *one_by_one(folder))
+
+    assert status == 3
+    said = capsys.readouterr().err
+    assert re.search(r"right: .* does not hold, it lies on the plane of left: are they swapped\?", said)
+    assert re.search(r"left: .* does not hold, it lies on the plane of right: are they swapped\?", said)
+
+
+def one_by_one(folder) -> list[str]:
+    """A shot whose first and last laser are on alone: strips of the picture with all of them."""
+    with np.load("planes/pln_B_01.npz") as shot:
+        dark, lit = shot["images"]
+        rows = np.flatnonzero((lit.astype(int) - dark)[:, 760:840].mean(axis=1) > 20)
+        above, below = rows[0] + 40, rows[-1] - 40
+        first, last = dark.copy(), dark.copy()
+        first[below:], last[:above] = lit[below:], lit[:above]
+        frames = {"images": np.stack([dark, first, last]), "lasers": np.array([0, 1, 4], np.uint8)}
+        times = {key: np.resize(shot[key], 3) for key in ("stamp_s", "exposure_s")}
+    np.savez("switched.npz", **frames, **times)
+    return ["switched.npz"]
+
+
 def test_a_view_without_stripes_confirms_no_rig(folder, capsys):
     with np.load("planes/pln_B_01.npz") as shot:
         np.savez("unlit.npz", **{**shot, "images": shot["images"][[0, 0]]})
