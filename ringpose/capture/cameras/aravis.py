@@ -102,13 +102,23 @@ class AravisCamera(LockStepCamera):
         try:
             self._set(name, value)
         except AravisError as error:
-            limits = None if isinstance(value, str) else self.bounds(feature)
-            if limits is None or limits[0] <= float(value) <= limits[1]:
+            remedy = self._possible(name, value)
+            if not remedy:
                 raise self._error(error) from error
-            found = f"{feature} cannot be {value:g}"
-            raise DeviceError(self.uri.text, found, f"it takes {limits[0]:g} to {limits[1]:g}") from error
+            found = f"{feature} cannot be {value if isinstance(value, str) else f'{value:g}'}"
+            raise DeviceError(self.uri.text, found, remedy) from error
         if feature == "Gain":
             self._gain_db = self._number("Gain")
+
+    def _possible(self, name: str, value: int | float | str) -> str:
+        """What a feature takes, for the user; nothing if the value is one of that."""
+        if isinstance(value, str):
+            choices = self._aravis.choices(self._device, name)
+            return "" if not choices or value in choices else f"it takes {', '.join(choices)}"
+        limits = self.bounds(name)
+        if limits is None or limits[0] <= float(value) <= limits[1]:
+            return ""
+        return f"it takes {limits[0]:g} to {limits[1]:g}"
 
     def warnings(self) -> tuple[str, ...]:
         """A socket buffer that holds less than a frame."""

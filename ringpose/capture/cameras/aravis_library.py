@@ -76,6 +76,10 @@ _FALLIBLE: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_device_set_string_feature_value": (None, (c_void_p, c_char_p, c_char_p)),
     "arv_device_get_string_feature_value": (c_char_p, (c_void_p, c_char_p)),
     "arv_device_get_boolean_feature_value": (c_int, (c_void_p, c_char_p)),
+    "arv_device_dup_available_enumeration_feature_values_as_strings": (
+        POINTER(c_char_p),
+        (c_void_p, c_char_p, POINTER(c_uint)),
+    ),
     "arv_device_set_boolean_feature_value": (None, (c_void_p, c_char_p, c_int)),
     "arv_device_set_integer_feature_value": (None, (c_void_p, c_char_p, c_int64)),
     "arv_device_get_integer_feature_value": (c_int64, (c_void_p, c_char_p)),
@@ -105,6 +109,7 @@ class Aravis:
         self._declare("g_value_set_int", None, (POINTER(_GValue), c_int))
         self._declare("g_type_check_instance_is_a", c_int, (c_void_p, c_size_t))
         self._declare("g_error_free", None, (POINTER(_GError),))
+        self._declare("g_free", None, (c_void_p,))
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._library, name)
@@ -138,6 +143,18 @@ class Aravis:
             if self._library.g_type_check_instance_is_a(node, getattr(self._library, f"arv_gc_{kind}_get_type")()):
                 return kind
         return "integer"
+
+    def choices(self, device: int, feature: str) -> tuple[str, ...]:
+        """What an enumeration can be set to; nothing if it is none, or cannot be asked any more."""
+        count = c_uint()
+        name = "arv_device_dup_available_enumeration_feature_values_as_strings"
+        try:
+            found = self.call(name, device, feature.encode(), byref(count))
+        except AravisError:
+            return ()
+        texts = tuple(sorted(found[k].decode() for k in range(count.value)))
+        self._library.g_free(found)
+        return texts
 
     def _declare(self, name: str, result: Any, arguments: tuple[Any, ...]) -> None:
         function = getattr(self._library, name)

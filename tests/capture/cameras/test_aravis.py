@@ -233,6 +233,13 @@ def test_an_impossible_exposure_is_refused_with_its_bounds(serve, camera, exposu
         opened.arm(exposure_s)
 
 
+def test_a_format_that_the_camera_lacks_is_refused_with_those_it_has(serve, camera):
+    serve()
+
+    with pytest.raises(DeviceError, match="PixelFormat cannot be Mono16; it takes Mono12, Mono8"):
+        camera(format="Mono16").open()
+
+
 def test_a_misspelt_parameter_is_wrong_usage(camera):
     with pytest.raises(UsageError, match='no parameter "fromat"; did you mean format'):
         camera(fromat="Mono8")
