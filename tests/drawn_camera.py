@@ -14,12 +14,12 @@ HEIGHT, WIDTH = 130, 200
 class DrawnCamera(CameraDriver):
     """Ambient 10 DN, stripes of `brightness_dn` at 5 ms; `lost` numbers the frames at which it fails.
 
-    In the frames that `hidden` numbers something stands before the lasers.
+    In the frames that `hidden` numbers something stands before the lasers. Once it is `away` it has to be opened anew.
     """
 
     def __init__(self, contacts, rng, brightness_dn=150.0, lost=(), reopens=True):
         self.contacts, self.rng, self.brightness_dn = contacts, rng, brightness_dn
-        self.lost, self.reopens, self.hidden = set(lost), reopens, set()
+        self.lost, self.reopens, self.hidden, self.away = set(lost), reopens, set(), False
         self.taken, self.opened, self.triggered_s = 0, 0, []
         self._exposure_s = 0.005
 
@@ -27,6 +27,7 @@ class DrawnCamera(CameraDriver):
         self.opened += 1
         if self.opened > 1 and not self.reopens:
             raise DeviceError("camera", "is gone")
+        self.away = False
 
     def close(self):
         pass
@@ -41,6 +42,8 @@ class DrawnCamera(CameraDriver):
         raise DeviceError("camera", "has no settings")
 
     def arm(self, exposure_s):
+        if self.away:
+            raise DeviceError("camera", "went away")
         self._exposure_s = exposure_s or 0.005
 
     def trigger(self, lasers, exposure_s=None):

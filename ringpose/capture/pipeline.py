@@ -100,10 +100,10 @@ class _Taker:
 
     def shot(self, name: str) -> Shot:
         """A shot in which nothing is wrong, after up to three attempts."""
-        self._camera.arm(self._procedure.exposure_s)
         problem, doubts = DeviceError("lasers", "no shot could be taken"), 0
         for _ in range(TRIES):
             try:
+                self._arm()
                 self._settle()
                 shot = self._taken(name, self._settle_after_s(doubts))
             except LasersWentOff as error:
@@ -164,6 +164,12 @@ class _Taker:
         meta = {"saturation_dn": self._camera.describe().saturation_dn, "settle_s": settle_s}
         shot = _shot(name, frames, read_masks, meta)
         return merged_brackets(shot) if any(step.exposure for step in self._procedure.steps) else shot
+
+    def _arm(self) -> None:
+        try:
+            self._camera.arm(self._procedure.exposure_s)
+        except DeviceError as error:
+            raise _CameraLost(error) from error
 
     def _frame(self, mask: int, exposure_s: float | None) -> Frame:
         try:

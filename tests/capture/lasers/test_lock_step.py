@@ -147,6 +147,19 @@ def test_a_camera_that_comes_back_loses_no_shot(shots_of, frame):
     assert camera.opened == 2
 
 
+def test_a_camera_that_is_lost_between_two_shots_loses_none(board, rng):
+    with board("lcus") as (relays, uri):
+        parts = device_uri(uri, "--lasers", LASERS)
+        lasers = driver(LASERS, parts.scheme)(parts, LaserPlace())
+        camera, taken = DrawnCamera(relays.contacts, rng), []
+        with camera, lasers:
+            for shot in captured_shots(camera, lasers, procedure(), "ab"):
+                taken.append(shot.name)
+                camera.away = True
+
+    assert (taken, camera.opened) == (["a", "b"], 2)
+
+
 def test_a_camera_that_stays_away_ends_the_capture_with_the_lasers_off(board, rng, monkeypatch):
     monkeypatch.setattr("ringpose.capture.pipeline.RECONNECT_S", 0.01)
     with board("lcus") as (relays, uri):
