@@ -36,9 +36,10 @@ def stripe_bend(points_px: Float64[Array, "n xy=2"]) -> Float64[Array, "2 n xy=2
 def center_sigma_px(points_px: Float64[Array, "n xy=2"], length: float) -> float:
     """Standard deviation of a centre for which neighbours, so many of which count as one, may be taken as independent.
 
-    The smooth line takes some of the scatter with it, the more the longer the neighbours are alike.
+    The smooth line takes some of the scatter with it, the more the longer the neighbours are alike; two more are taken
+    off because the scatter itself is known from so few only (Student's distribution).
     """
-    left = max(len(points_px) - _TERMS * length, 1.0)
+    left = max(len(points_px) - (_TERMS + 2) * length, 1.0)
     _, residual = _residual_px(points_px)
     return float(np.sqrt(length * (residual @ residual) / left))
 

@@ -1,8 +1,9 @@
 """How far lines of correlated centres err."""
 
 import numpy as np
+import pytest
 
-from ringpose.calibrate.stripe_errors import shared_length
+from ringpose.calibrate.stripe_errors import center_sigma_px, shared_length
 
 
 def test_six_short_stripes_whose_centres_come_in_fours_are_not_taken_for_independent(rng):
@@ -16,3 +17,17 @@ def test_stripes_too_short_to_tell_are_not_taken_for_independent(rng):
     stripes = [np.stack([np.arange(60.0), 0.1 * rng.standard_normal(60)], axis=-1) for _ in range(4)]
 
     assert shared_length(stripes) > 1.5
+
+
+@pytest.mark.parametrize("kept", [1.0, 0.5], ids=["whole", "in pieces"])
+def test_lines_of_centres_that_are_means_of_neighbours_err_as_said(kept, rng):
+    """Sums of five neighbours, 18 stripes of one set together; in pieces of 40 with gaps as long."""
+    normalised = []
+    for _ in range(25):
+        noise = np.convolve(rng.standard_normal(18 * 240), np.ones(5) / 50, "same").reshape(18, 240)
+        seen = np.arange(240) % 80 < 80 * kept
+        stripes = [np.stack([np.arange(240.0), own], axis=-1)[seen] for own in noise]
+        length = shared_length(stripes)
+        normalised += [own[:, 1].mean() / center_sigma_px(own, length) * np.sqrt(len(own)) for own in stripes]
+
+    assert 0.9 < np.sqrt(np.mean(np.square(normalised))) < 1.1
