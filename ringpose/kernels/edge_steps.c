@@ -75,6 +75,7 @@ static inline void take_samples(const EdgePicture *picture, const Kind kind, con
     }
 }
 
+VECTOR_LOOP
 static void take_profile(const EdgePicture *picture, const double place[2], const double normal[2],
                          const ProfileRules *rules, double *value, uint8_t *saturated, size_t samples) {
     const double reach = rules->reach + rules->inside + rules->outside + rules->along;
