@@ -63,7 +63,7 @@ def captured_shots(
 
 
 def _refuse_exposures(camera: CameraDriver, procedure: Procedure) -> None:
-    bounds_us = camera.bounds("ExposureTime")
+    bounds_us = camera.bounds("ExposureTime") if procedure.exposures_s else None
     least_s, most_s = (0.0, np.inf) if bounds_us is None else (1e-6 * bound for bound in bounds_us)
     for exposure_s in procedure.exposures_s:
         if not least_s <= exposure_s * (1 + 1e-9) or not exposure_s * (1 - 1e-9) <= most_s:
