@@ -84,6 +84,10 @@ UNSEEN_COST = 6.0
 SPILL_COST = 15.0
 """What it costs if all of a stripe's centres on a track's line lie beyond the track: a face ends with its track."""
 
+COINCIDENCE_COST, BEHIND_M = 3.0, (0.01, 0.3)
+"""The same, at most, where they may be another laser's on the body so far behind: nearly parallel light planes draw its
+stripes so close to one another that one in five faces has another's on its line."""
+
 UNION_COST = 3.0
 """What it costs that a track is put together: the body's stripes, broken by shadows and glints, gain by it as well."""
 
@@ -252,6 +256,9 @@ def _rules(rig: Rig) -> FaceRules:
         usual_scatter_px=USUAL_SCATTER_PX,
         enough_columns=ENOUGH_COLUMNS,
         spill_cost=SPILL_COST,
+        coincidence_cost=COINCIDENCE_COST,
+        behind_least_m=BEHIND_M[0],
+        behind_most_m=BEHIND_M[1],
         clipped_cost=CLIPPED_COST,
         union_cost=UNION_COST,
         most=CANDIDATES,

@@ -29,11 +29,30 @@ static int possible(const double light[3], const CandidateRules *rules, Candidat
     return length > rules->shortest * rules->shortest && length < rules->longest * rules->longest;
 }
 
-/* How much a track looks like a flat metal face: long for its scatter, and nothing on its line beyond its ends. */
-static double merit(const Track *track, int is_union, const CandidateRules *rules) {
+/* Whether what lies on an unlabelled track's line may be another laser's stripe on the body behind it. */
+static int meets_another(const Track *track, const Candidate *candidate, const Scene *scene) {
+    const CandidateRules *rules = &scene->rules->candidates;
+    double x = (candidate->x[0] + candidate->x[1]) / 2, y = (candidate->y[0] + candidate->y[1]) / 2;
+    double depth = 2 / (candidate->inverse_depth[0] + candidate->inverse_depth[1]);
+    for (int laser = 0; track->laser < 0 && laser < scene->lasers; laser++) {
+        const double *light = scene->plane[laser];
+        double behind = 1 / (light[0] * x + light[1] * y + light[2]) - depth;
+        if (laser != candidate->laser && scene->unlabelled >> laser & 1 && behind > rules->behind_least &&
+            behind < rules->behind_most)
+            return 1;
+    }
+    return 0;
+}
+
+/* How much a track looks like a flat metal face: long for its scatter, and nothing on its line beyond its ends; where
+   that may be another laser's, a group of three forgives what is more than such a coincidence costs. */
+static void judge(const Track *track, int is_union, const Scene *scene, Candidate *candidate) {
+    const CandidateRules *rules = &scene->rules->candidates;
     double share = track->spilt / (track->spilt + track->count), rough = track->scatter / rules->usual_scatter;
     double straight = 2 * log(fmin(track->count, rules->enough_columns)) - 0.5 * rough * rough;
-    return straight - rules->spill_cost * share - rules->clipped_cost * track->clipped - rules->union_cost * is_union;
+    double spilt = rules->spill_cost * share, unlikely = spilt - rules->coincidence_cost;
+    candidate->merit = straight - spilt - rules->clipped_cost * track->clipped - rules->union_cost * is_union;
+    candidate->forgiven = unlikely > 0 && meets_another(track, candidate, scene) ? unlikely : 0;
 }
 
 /* The ends' share in the equations of a plane: 1/z = p . (x, y, 1), each weighted by what a pixel's error across the
@@ -55,7 +74,8 @@ static void complete(const double light[3], const RingRules *ring, Candidate *ca
    them there are then. */
 static int rank(const Candidate *candidate, Candidate *own, int count, int most) {
     int at = count < most ? count : most;
-    for (; at > 0 && candidate->merit > own[at - 1].merit; at--)
+    double at_best = candidate->merit + candidate->forgiven;
+    for (; at > 0 && at_best > own[at - 1].merit + own[at - 1].forgiven; at--)
         if (at < most) own[at] = own[at - 1];
     if (at < most) own[at] = *candidate;
     return count < most ? count + 1 : most;
@@ -72,7 +92,7 @@ int find_candidates(const Track *track, size_t count, size_t unions, const Scene
             if (!allowed) continue;
             place(&track[i], &rules->ring, &candidate);
             if (!possible(scene->plane[laser], &rules->candidates, &candidate)) continue;
-            candidate.merit = merit(&track[i], i >= count - unions, &rules->candidates);
+            judge(&track[i], i >= count - unions, scene, &candidate);
             own = rank(&candidate, all + found, own, (int)rules->candidates.most);
         }
         for (int i = 0; i < own; i++) complete(scene->plane[laser], &rules->ring, &all[found + i]);

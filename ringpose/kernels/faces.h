@@ -16,7 +16,8 @@ typedef struct {
 typedef struct {
     double nearest, farthest, shortest, longest; /* m */
     double usual_scatter, enough_columns;
-    double spill_cost, clipped_cost, union_cost;
+    double spill_cost, coincidence_cost, behind_least, behind_most; /* 1, 1, m, m */
+    double clipped_cost, union_cost;
     double most;
 } CandidateRules;
 
@@ -44,6 +45,7 @@ typedef struct {
     double x[2], y[2];       /* normalised image coordinates of its start and end */
     double inverse_depth[2]; /* 1/z there, 1/m */
     double merit;
+    double forgiven; /* what a group of three adds to it */
     double normal_matrix[6], right_side[3], square; /* of the weighted plane equations: upper triangle, sums */
 } Candidate;
 

@@ -45,7 +45,12 @@ class CandidateRules(NamedTuple):
     enough_columns: float
     """... its columns, but no more than for these."""
     spill_cost: float
-    """What it costs if all centres on a track's line lie beyond the track."""
+    """What it costs if all centres on a track's line lie beyond the track, but no more than ..."""
+    coincidence_cost: float
+    """... this if another laser's stripe would lie there on a body behind the face, by ..."""
+    behind_least_m: float
+    behind_most_m: float
+    """... so much in depth."""
     clipped_cost: float
     """What it costs that a track leaves the image."""
     union_cost: float

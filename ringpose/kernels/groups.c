@@ -121,7 +121,7 @@ static double circle_cost(const Candidate *const member[], int size, const doubl
 static double group_score(const Candidate *const member[], int size, const Scene *scene, double least) {
     const RingRules *rules = &scene->rules->ring;
     double plane[3] = {0}, merit = 0;
-    for (int i = 0; i < size; i++) merit += member[i]->merit;
+    for (int i = 0; i < size; i++) merit += member[i]->merit + (size == MOST_MEMBERS ? member[i]->forgiven : 0);
     if (!(merit > least)) return -INFINITY;
     double cost = plane_cost(member, size, plane);
     if (!(cost < rules->plane_limit * size && merit - cost > least)) return -INFINITY;

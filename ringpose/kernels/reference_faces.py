@@ -92,10 +92,13 @@ def _candidates(
     laser, track = np.nonzero((allowed == 1) & _possible(ends, planes, rules.candidates))
     is_union = np.arange(len(tracks)) >= len(tracks) - unions
     merit = (_merits(tracks, rules.candidates) - rules.candidates.union_cost * is_union)[track]
-    order = np.lexsort((-merit, laser))
+    meets = _meet_another(ends, tracks[:, LASER] < 0, unlabelled, planes, rules.candidates)
+    unlikely = np.maximum(_spilt_costs(tracks, rules.candidates) - rules.candidates.coincidence_cost, 0.0)
+    forgiven = unlikely[track] * meets[laser, track]
+    order = np.lexsort((-merit - forgiven, laser))
     rank = np.arange(len(order)) - np.searchsorted(laser, laser)
     kept = order[rank < rules.candidates.most]
-    return Pool(track[kept], laser[kept], ends[track[kept]], merit[kept], planes)
+    return Pool(track[kept], laser[kept], ends[track[kept]], merit[kept], forgiven[kept], planes)
 
 
 def _normalised_ends(tracks: Tracks, rules: RingRules) -> Float64[Array, "track end=2 xy=2"]:
@@ -122,12 +125,36 @@ def _possible(
     return possible
 
 
+def _meet_another(
+    ends: Float64[Array, "track end=2 xy=2"],
+    is_unlabelled: Bool[Array, "track"],
+    unlabelled: int,
+    planes: Float64[Array, "laser xyz=3"],
+    rules: CandidateRules,
+) -> Bool[Array, "laser track"]:
+    """Whether what lies on a track's line may be another laser's stripe on the body behind the face."""
+    rays = np.concatenate([ends, np.ones((len(ends), 2, 1))], axis=-1)
+    inverse_depth = np.einsum("lk,tek->lte", planes, rays).mean(axis=-1)
+    with np.errstate(divide="ignore"):
+        depth = 1 / inverse_depth
+    behind = depth[None] - depth[:, None]  # of the other laser's, for each laser, other and track
+    others = ~np.eye(len(planes), dtype=bool) & (unlabelled >> np.arange(len(planes)) & 1 == 1)
+    at_body = (behind > rules.behind_least_m) & (behind < rules.behind_most_m) & others[..., None]
+    meets: Bool[Array, "laser track"] = at_body.any(axis=1) & is_unlabelled
+    return meets
+
+
+def _spilt_costs(tracks: Tracks, rules: CandidateRules) -> Float64[Array, "track"]:
+    """What centres on the tracks' lines beyond them cost."""
+    costs: Float64[Array, "track"] = rules.spill_cost * tracks[:, SPILT] / (tracks[:, SPILT] + tracks[:, COUNT])
+    return costs
+
+
 def _merits(tracks: Tracks, rules: CandidateRules) -> Float64[Array, "track"]:
     """How much tracks look like a flat metal face: long for their scatter, and nothing on their line beyond."""
-    count, spilt = tracks[:, COUNT], tracks[:, SPILT]
-    straight = 2 * np.log(np.minimum(count, rules.enough_columns))
+    straight = 2 * np.log(np.minimum(tracks[:, COUNT], rules.enough_columns))
     rough = 0.5 * (tracks[:, SCATTER] / rules.usual_scatter_px) ** 2
     merits: Float64[Array, "track"] = (
-        straight - rough - rules.spill_cost * spilt / (spilt + count) - rules.clipped_cost * tracks[:, CLIPPED]
+        straight - rough - _spilt_costs(tracks, rules) - rules.clipped_cost * tracks[:, CLIPPED]
     )
     return merits

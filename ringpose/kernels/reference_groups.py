@@ -9,7 +9,7 @@ from ringpose.kernels.faces import Group, RingRules
 from ringpose.kernels.reference_ring import arcs
 from ringpose.types.arrays import Array, Float64, Int64
 
-NOTHING = -np.inf
+NOTHING, MOST_MEMBERS = -np.inf, 3
 
 
 class Pool(NamedTuple):
@@ -20,6 +20,8 @@ class Pool(NamedTuple):
     ends: Float64[Array, "candidate end=2 xy=2"]
     """Normalised image coordinates."""
     merit: Float64[Array, "candidate"]
+    forgiven: Float64[Array, "candidate"]
+    """What a group of three adds to the merit."""
     planes: Float64[Array, "laser xyz=3"]
 
 
@@ -31,12 +33,13 @@ def best_groups(pool: Pool, rules: RingRules) -> tuple[Group, Group, Group]:
 
 def _best_of_size(size: int, pool: Pool, rules: RingRules) -> Group:
     scores = {}
+    merit = pool.merit + pool.forgiven * (size == MOST_MEMBERS)
     for lasers in combinations(np.unique(pool.laser), size):
         for members in product(*(np.flatnonzero(pool.laser == each) for each in lasers)):
             group = list(members)
             if len(set(pool.track[group])) == size:
                 cost = group_cost(pool.laser[group], pool.ends[group], pool.planes, rules)
-                scores[tuple(int(each) for each in group)] = float(pool.merit[group].sum() - cost)
+                scores[tuple(int(each) for each in group)] = float(merit[group].sum() - cost)
     best = max(scores, key=lambda group: scores[group], default=())
     if not best or scores[best] == NOTHING:
         return Group((-1,) * size, (-1,) * size, NOTHING, NOTHING)

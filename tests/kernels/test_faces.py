@@ -28,6 +28,9 @@ RULES = FaceRules(
         usual_scatter_px=0.3,
         enough_columns=120.0,
         spill_cost=15.0,
+        coincidence_cost=3.0,
+        behind_least_m=0.01,
+        behind_most_m=0.3,
         clipped_cost=4.0,
         union_cost=3.0,
         most=20.0,
@@ -110,7 +113,7 @@ def assert_equal(found, expected):
     assert [group[:2] for group in found.groups] == [group[:2] for group in expected.groups]
     for name in ("score", "rival"):
         values, wanted = ([getattr(group, name) for group in each.groups] for each in (found, expected))
-        np.testing.assert_allclose(values, wanted, rtol=1e-6)
+        np.testing.assert_allclose(values, wanted, rtol=1e-6, atol=1e-5)
 
 
 @pytest.mark.parametrize("most", [2.0, 20.0])
@@ -121,6 +124,17 @@ def test_faces_equal_the_twin(seed, most):
     found = ring_faces(tracks, ANY, planes(), rules)
 
     assert_equal(found, reference_faces.ring_faces(tracks, ANY, planes(), rules))
+
+
+@pytest.mark.parametrize("spilt", [0.0, 20.0, 200.0])
+def test_faces_of_nearly_parallel_planes_equal_the_twin(rng, spilt):
+    light, tracks = stripes_of_nearly_parallel_planes(0.5)
+    crowded = np.concatenate([tracks, crowd(rng, 6)])
+    crowded[:3, SPILT] = spilt
+
+    found = ring_faces(crowded, ANY, light, with_rules(**WIDE))
+
+    assert_equal(found, reference_faces.ring_faces(crowded, ANY, light, with_rules(**WIDE)))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -168,6 +182,44 @@ def test_an_exact_ring_costs_its_tilt(rng):
 
     tilt = np.arctan2(np.hypot(0.05, 0.08), 0.9955)
     assert score == pytest.approx(3 * (2 * np.log(40.0) - 0.5) - 0.5 * (tilt / 0.5) ** 2, abs=1e-5)
+
+
+def stripes_of_nearly_parallel_planes(depth_m):
+    """The light planes (as m / d) of the paper's virtual rig, and where a ring facing its camera shows its stripes."""
+    pitch = np.deg2rad([1.5, 0.0, -1.5])
+    y_m = (-0.1 - np.sin(pitch) * depth_m) / np.cos(pitch)
+    x_m = 0.58 - np.sqrt(np.array([0.597, 0.567]) ** 2 - y_m[:, None] ** 2)
+    ends = np.stack(np.broadcast_arrays(x_m, y_m[:, None]), axis=-1) / depth_m * 960.0 + [799.5, 599.5]
+    light = np.stack([np.zeros(3), np.cos(pitch), np.sin(pitch)], axis=-1) / -0.1
+    return light, tracks_between(ends[:, 0], ends[:, 1])
+
+
+SPILT = TRACK_COLUMNS.index("spilt")
+WIDE = {"focal_x": 960.0, "focal_y": 960.0, "principal_x": 799.5, "principal_y": 599.5}
+
+
+@pytest.mark.parametrize("lasers", [ANY, 0b010], ids=["all lasers", "one"])
+def test_other_lasers_stripes_on_the_body_that_happen_to_lie_on_a_stripes_line_are_no_reason_against_it(lasers):
+    """At half a metre the next laser's stripe on a body 60 mm behind runs where this one's on the ring does."""
+    light, tracks = stripes_of_nearly_parallel_planes(0.5)
+    alone = ring_faces(tracks, ANY, light, with_rules(**WIDE)).groups[2].score
+    tracks[1:, SPILT] = 3 * 40.0
+    tracks[:, 0] = np.where([lasers == ANY] * 3, -1.0, [0, 1, 2])
+
+    found = ring_faces(tracks, lasers, light, with_rules(**WIDE)).groups[2]
+
+    assert found.tracks == (0, 1, 2)
+    assert alone - found.score == pytest.approx(2 * (3.0 if lasers == ANY else 0.75 * 15.0))
+
+
+def test_what_lies_on_the_line_of_the_nearest_of_parallel_stripes_can_be_no_other_lasers():
+    light, tracks = stripes_of_nearly_parallel_planes(0.5)
+    tracks[0, SPILT] = 3 * 40.0
+
+    found = ring_faces(tracks, ANY, light, with_rules(**WIDE)).groups[2]
+
+    tracks[0, SPILT] = 0.0
+    assert ring_faces(tracks, ANY, light, with_rules(**WIDE)).groups[2].score - found.score == pytest.approx(0.75 * 15)
 
 
 @pytest.mark.parametrize("lasers", [0b011, 0b001, 0])
