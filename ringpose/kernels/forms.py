@@ -9,15 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ringpose.kernels import _forms
 from ringpose.types.arrays import Array, Bool, Float64, Int64
-
-try:
-    from ringpose.kernels import _forms as _forms
-except ImportError as error:
-    raise ImportError(
-        "ringpose.kernels: the C kernels are not built for this Python; run `pip install .` where ringpose's source is"
-        " (a C compiler is needed)"
-    ) from error
 
 SINGULAR_BELOW = 1e-3
 """q0: where smallest over largest singular value of the centre's equations falls below it, they are damped.

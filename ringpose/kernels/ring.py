@@ -7,15 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ringpose.kernels import _ring
 from ringpose.types.arrays import Array, Float64, Int64, UInt
-
-try:
-    from ringpose.kernels import _ring
-except ImportError as error:
-    raise ImportError(
-        "ringpose.kernels: the C kernels are not built for this Python; run `pip install .` where ringpose's source is"
-        " (a C compiler is needed)"
-    ) from error
 
 
 class TrackRules(NamedTuple):

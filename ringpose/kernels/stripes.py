@@ -4,15 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ringpose.kernels import _stripes
 from ringpose.types.arrays import Array, Float32, Float64, Int32, Int64, UInt
-
-try:
-    from ringpose.kernels import _stripes
-except ImportError as error:
-    raise ImportError(
-        "ringpose.kernels: the C kernels are not built for this Python; run `pip install .` where ringpose's source is"
-        " (a C compiler is needed)"
-    ) from error
 
 BLOCK = 16
 """Columns that are worked on together."""

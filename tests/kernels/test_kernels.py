@@ -10,9 +10,10 @@ import pytest
 from ringpose import kernels
 
 
-def test_missing_kernels_are_an_import_error_that_says_what_to_do(monkeypatch):
+@pytest.mark.parametrize("name", ["_edges", "_faces", "_forms", "_kernels", "_ring", "_search", "_stripes"])
+def test_missing_kernels_are_an_import_error_that_says_what_to_do(name, monkeypatch):
     monkeypatch.delitem(sys.modules, "ringpose.kernels")
-    monkeypatch.setitem(sys.modules, "ringpose.kernels._kernels", None)
+    monkeypatch.setitem(sys.modules, f"ringpose.kernels.{name}", None)
 
     with pytest.raises(ImportError, match=r"not built for this Python; run `pip install \.`"):
         importlib.import_module("ringpose.kernels")
