@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import shape_checks
 from hypothesis import settings
 
 settings.register_profile("ringpose", derandomize=True, deadline=None, max_examples=50)
@@ -87,6 +88,12 @@ def example_folder(tmp_path: Path, carried_data: Path) -> Path:
     for name in ("scene.yaml", "scene-rig.yaml"):
         shutil.copy(EXAMPLES / name, tmp_path)
     return tmp_path
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup() -> None:
+    """Before any fixture of the test."""
+    shape_checks.begin()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
