@@ -10,7 +10,7 @@ from ringpose.calibrate.circle_centers import circle_middles
 from ringpose.types.board import Board
 
 BOARD = Board(kind="asymmetric_circles", squares_x=4, squares_y=7, spacing_m=0.02)
-FOCAL_PX, MIDDLE_PX = 900.0, np.array([320.0, 240.0])
+FOCAL_PX, MIDDLE_PX, SIZE = 900.0, np.array([260.0, 210.0]), (520, 420)
 SUBPIXELS = 4
 
 
@@ -23,7 +23,7 @@ def tilted_circles():
         turn = cv2.Rodrigues(np.array([0.55, -0.55, 0.1]))[0]
         place = np.array([0.0, 0.0, 0.35]) - turn @ points.mean(axis=0)
         seen = points @ turn.T + place
-        pixels = (np.stack(np.meshgrid(*(np.arange(n * SUBPIXELS) for n in (640, 480))), -1) + 0.5) / SUBPIXELS - 0.5
+        pixels = (np.stack(np.meshgrid(*(np.arange(n * SUBPIXELS) for n in SIZE)), -1) + 0.5) / SUBPIXELS - 0.5
         rays = np.concatenate([(pixels - MIDDLE_PX) / FOCAL_PX, np.ones((*pixels.shape[:2], 1))], axis=-1)
         depth = (turn[:, 2] @ place) / (rays @ turn[:, 2])
         on_board = (rays * depth[..., None] - place) @ turn[:, :2]
@@ -31,7 +31,7 @@ def tilted_circles():
         column = np.clip(np.rint((on_board[..., 0] / 0.02 - 1 - row % 2) / 2), 0, 3)
         nearest = 0.02 * np.stack([2 * column + row % 2 + 1, row + 1], axis=-1)
         dark = np.hypot(*np.moveaxis(on_board - nearest, -1, 0)) < radius_m
-        light = cv2.resize(np.where(dark, 30.0, 220.0), (640, 480), interpolation=cv2.INTER_AREA)
+        light = cv2.resize(np.where(dark, 30.0, 220.0), SIZE, interpolation=cv2.INTER_AREA)
         image = np.rint(cv2.GaussianBlur(light, (0, 0), 0.8)).astype(np.uint8)
         return image, FOCAL_PX * seen[:, :2] / seen[:, 2:] + MIDDLE_PX
 
