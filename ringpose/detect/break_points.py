@@ -21,6 +21,10 @@ KINK_LEVEL = 0.25
 UNCLEAR_PX = 0.75
 """Ends with a greater sigma are flagged: two of them are the 1.5 px that no end may be off without a flag."""
 
+CLEAR_ENDS = 2
+"""Of stripes that end on a ring, so many are known to `UNCLEAR_PX` even before bright foil; of five faces among foil
+that look like one, one has so many. Where a frame shows the ring's edges, these say more."""
+
 CLIPPED_PHASE = 0.022
 """Error of a saturated stripe's centre, times the sigma of its section in pixels.
 
@@ -59,6 +63,12 @@ def break_points(
         face_sigma_px=ends.straight_sigma_px,
         labelled=all(image.labelled for image in images if not set(image.lasers).isdisjoint(face.lasers)),
     )
+
+
+def ends_clear(found: BreakPoints) -> bool:
+    """Whether enough ends are edges: a stripe on foil fades, flickers or runs on where a face seems to end."""
+    clear = found.seen & (found.flags & int(BreakPointFlag.UNCLEAR) == 0)
+    return int(clear.sum()) >= min(CLEAR_ENDS, int(found.seen.sum()))
 
 
 def _ends(face: Face, images: Sequence[LaserImage], rig: Rig, saturation_dn: int) -> Ends:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from ringpose.detect.bands import predicted_bands
-from ringpose.detect.break_points import break_points
+from ringpose.detect.break_points import break_points, ends_clear
 from ringpose.detect.faces import Face, ring_face
 from ringpose.detect.frames import LaserImage, laser_images
 from ringpose.detect.ring_edges import shown_edges
@@ -47,15 +47,17 @@ def detect(
     if stripes is None or found is None or _lost(found, predicted):
         stripes, segments = _all_stripes(images, source)
         found = _found(stripes, images, rig)
-    if edges and isinstance(found, BreakPoints) and source is StripeSource.CENTERS:
+    if isinstance(found, BreakPoints) and (edges or not ends_clear(found)) and source is StripeSource.CENTERS:
         found, ring_edges = shown_edges(found, shot, stripes, rig)
+    if isinstance(found, BreakPoints) and ring_edges is None and not ends_clear(found):
+        found = NoBreakPoints.NO_RING
     return Detection(
         shot=shot.name,
         stamp_s=shot.measured_at_s,
         break_points=found,
         stripes=stripes,
         segments=segments,
-        ring_edges=ring_edges,
+        ring_edges=ring_edges if edges else None,
     )
 
 

@@ -20,11 +20,16 @@ static Unseen unseen_errors(const Track *track, const StripeEnd end[2], const Ma
     return (Unseen){section * sqrt(end[0].beneath / fmax(facets, 1)), clipped ? rules->clipped_phase / section / rows : 0};
 }
 
+/* How well the middle of an edge is known: where in a chamfer the edge lies is another matter. */
+static double middle_of_edge(const StripeEnd *end) {
+    return end->blunt == 1 ? sqrt(fmax(end->sigma * end->sigma - end->width * end->width, 0)) : end->sigma;
+}
+
 static double flags_of(const StripeEnd *end, const MarkRules *rules) {
     int blunt = end->blunt == 1;
     return (end->saturated > rules->saturated_share ? rules->saturated : 0) +
            (end->outside > rules->kink_level ? rules->kink : 0) + (blunt ? rules->blunt : 0) +
-           (end->sigma > rules->unclear && !blunt ? rules->unclear_flag : 0);
+           (middle_of_edge(end) > rules->unclear ? rules->unclear_flag : 0);
 }
 
 void clear_marks(Marks *marks) {

@@ -63,10 +63,11 @@ def _line_sigmas(
 def _flags(found: Float64[Array, "track end=2 column=10"], rules: MarkRules) -> Float64[Array, "track end=2"]:
     """The flags of ends that were found."""
     blunt = found[..., 8] == 1
+    middle = np.sqrt(np.maximum(found[..., 3] ** 2 - blunt * np.nan_to_num(found[..., 6]) ** 2, 0))
     flags: Float64[Array, "track end=2"] = (
         rules.saturated_flag * (found[..., 5] > rules.saturated_share)
         + rules.kink_flag * (found[..., 4] > rules.kink_level)
         + rules.blunt_flag * blunt
-        + rules.unclear_flag * ((found[..., 3] > rules.unclear_px) & ~blunt)
+        + rules.unclear_flag * (middle > rules.unclear_px)
     )
     return flags

@@ -25,7 +25,7 @@ class BreakPointFlag(IntFlag):
     BLUNT = 32
     """The stripe fades over more columns than optics blur: the sharp edge lies somewhere in a chamfer."""
     UNCLEAR = 64
-    """Noise, a glint or foil about the end leaves its place open: its sigma is over 0.75 px."""
+    """Noise, a glint or foil about the end leaves its place open: its sigma is over 0.75 px, a chamfer aside."""
 
 
 class NoBreakPoints(Enum):

@@ -1,0 +1,53 @@
+"""Ends are edges: of a stripe on foil that looks like a face, hardly one is."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ringpose.detect.break_points import ends_clear
+from ringpose.detect.pipeline import detect
+from ringpose.files.rigs import read_rig
+from ringpose.files.shots import read_shot
+from ringpose.types.break_points import BreakPointFlag, BreakPoints, NoBreakPoints
+
+
+def found_ends(seen: int, unclear: int) -> BreakPoints:
+    """Six ends, of which so many are seen, and so many of these unclear."""
+    position = np.full((6, 2), np.nan)
+    position[:seen] = 1.0
+    flags = np.where(np.arange(6) < unclear, int(BreakPointFlag.UNCLEAR), 0)
+    return BreakPoints(
+        position_px=position.reshape(3, 2, 2),
+        covariance_px2=np.tile(np.eye(2), (3, 2, 1, 1)),
+        flags=flags.reshape(3, 2),
+        face_start_px=np.zeros((3, 2)),
+        face_end_px=np.ones((3, 2)),
+        face_sigma_px=np.ones((3, 2)),
+        labelled=False,
+    )
+
+
+@pytest.mark.parametrize(
+    ("seen", "unclear", "clear"), [(6, 4, True), (6, 5, False), (2, 0, True), (2, 1, False), (1, 0, True), (0, 0, True)]
+)
+def test_two_clear_ends_or_all_that_are_seen_make_a_face(seen, unclear, clear):
+    assert ends_clear(found_ends(seen, unclear)) is clear
+
+
+@pytest.mark.parametrize(("rig", "name"), [("rig_b", "B_z0300_p00_strong"), ("variants_b", "V12_glare_B500_glare")])
+def test_stripes_on_foil_alone_are_no_ring(shared_data, rig, name):
+    folder = shared_data / "rendered" / rig
+    lines = map(json.loads, (folder / "truth.jsonl").read_text().splitlines())
+    ends_px = next(
+        np.array([each for each in line["break_points_px"] if each]) for line in lines if line["shot"] == name
+    )
+    shot = read_shot(folder / "shots" / f"{name}.npz")
+    (left, top), (right, bottom) = ends_px.min((0, 1)).astype(int) - 8, ends_px.max((0, 1)).astype(int) + 8
+    images = shot.images.copy()
+    images[shot.lasers > 0, top:bottom, left:right] = images[shot.lasers == 0][:1, top:bottom, left:right]
+
+    found = detect(replace(shot, images=images), read_rig(folder / "rig.yaml"), edges=False).break_points
+
+    assert isinstance(found, NoBreakPoints)
