@@ -107,9 +107,8 @@ def _simulated(scene_file: Path, wanted: Wanted) -> Source:
 
     scene = read_scene(scene_file)
     frames, rig_camera = SceneFrames(scene), scene.rig.camera
-    wanted = replace(
-        wanted, lasers="sim:" if wanted.lasers is None else wanted.lasers, laser_names=scene.rig.lasers.names
-    )
+    switch = "sim:" if wanted.lasers is None else wanted.lasers
+    wanted = replace(wanted, lasers=switch, laser_names=scene.rig.lasers.names)
     lasers = _lasers(wanted, None)
     description = CameraDescription(
         name=rig_camera.camera_name,

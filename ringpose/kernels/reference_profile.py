@@ -121,31 +121,25 @@ def profile_along(lit: Image, dark: Image | None, line: Line, sigma: float, rule
     at = rows, line.x.astype(np.int64)[:, None]
     offset = np.abs(rows - line.y[:, None])
     bright = lit[at].astype(np.float64)
-    ambient = np.broadcast_to(np.minimum(bright[:, :1], bright[:, -1:]), bright.shape)
-    if dark is not None:
-        ambient = dark[at].astype(np.float64)
+    darker = np.broadcast_to(np.minimum(bright[:, :1], bright[:, -1:]), bright.shape)
+    ambient = darker if dark is None else dark[at].astype(np.float64)
     full = bright >= rules.saturation_dn
     clipped = _clipped_to(np.where(full & (ambient < rules.saturation_dn / 2), offset, 0.0), line.on_face, sigma, rules)
-
     flank = max(2 * sigma, clipped + 1) if dark is None else math.inf
     shape = np.exp(-0.5 * (offset / sigma) ** 2)
     core, beside = (offset > clipped) & (offset <= flank), offset > flank
     amplitude, rough, gain = _fitted(bright if dark is None else bright - ambient, shape, core, beside)
     expected = max(float(np.median(amplitude[line.on_face])), 1.0)
-    room = np.ones((len(LIT), len(amplitude)))
-    clips = expected + ambient.max() > rules.saturation_dn
-    if clips:
-        left = np.maximum(rules.saturation_dn - ambient, 0.0)
-        shown = [np.minimum(lit * expected * shape, left) for lit in LIT]
-        room = np.stack(
-            [_fitted(each, shape, core, beside)[0] / (lit * expected) for lit, each in zip(LIT, shown, strict=True)]
-        )
+    clips = bool(expected + ambient.max() > rules.saturation_dn)
+    left = np.maximum(rules.saturation_dn - ambient, 0.0)
+    shown = [_fitted(np.minimum(share * expected * shape, left), shape, core, beside)[0] for share in LIT if clips]
+    room = np.stack(shown) / (expected * np.array(LIT)[:, None]) if clips else np.ones((len(LIT), len(amplitude)))
     texture, own = _texture(amplitude, rough, expected, line.on_face, rules)
     return Profile(
         x=line.x,
         amplitude=amplitude,
         room=room,
-        clipped=bool(clips),
+        clipped=clips,
         rough=rough,
         texture=texture,
         saturated=full.any(axis=1),
