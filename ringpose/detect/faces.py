@@ -45,6 +45,10 @@ BORDER_PX = 15.0
 CUT_OFF_PX = 6.0
 """An end so close to the left or right border is where the image ends, not the face."""
 
+CUT_OFF_ROWS_PX = 10.0
+"""The same for the upper and lower border, where a stripe is not measured once its section is not whole: sections have
+a sigma of 4 px at most, and their filters with them 6.5."""
+
 LEAST_SPILT = 5
 """A track with fewer centres on its line beyond its ends has nothing to be joined to."""
 
@@ -271,6 +275,9 @@ def _ring_rules(camera: Camera) -> RingRules:
     rows = np.linspace(0.0, camera.image_height - 1.0, 9)
     inside = (CUT_OFF_PX, camera.image_width - 1 - CUT_OFF_PX)
     left, right = (undistorted_rays(np.stack([np.full(9, x), rows], axis=-1), camera)[:, 0] for x in inside)
+    columns = np.linspace(0.0, camera.image_width - 1.0, 9)
+    above = (CUT_OFF_ROWS_PX, camera.image_height - 1 - CUT_OFF_ROWS_PX)
+    top, bottom = (undistorted_rays(np.stack([columns, np.full(9, y)], axis=-1), camera)[:, 1] for y in above)
     return RingRules(
         focal_x=matrix[0, 0],
         focal_y=matrix[1, 1],
@@ -289,4 +296,6 @@ def _ring_rules(camera: Camera) -> RingRules:
         minimum_band_m=MINIMUM_BAND_M,
         left_x=float(left.max()),
         right_x=float(right.min()),
+        top_y=float(top.max()),
+        bottom_y=float(bottom.min()),
     )

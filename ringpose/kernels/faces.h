@@ -27,7 +27,8 @@ typedef struct {
     double plane_limit, circle_limit, dropped_end, unseen;     /* squared sigmas over two */
     double tilt;                                               /* radians */
     double minimum_radius, minimum_band;                       /* metres */
-    double left, right;                                        /* normalised x beyond which an end is cut off */
+    double left, right;                                        /* normalised x beyond which an end is cut off, */
+    double top, bottom;                                        /* and y */
 } RingRules;
 
 typedef struct {

@@ -87,6 +87,10 @@ class RingRules(NamedTuple):
     left_x: float = -math.inf
     """Ends beyond this normalised x, or ..."""
     right_x: float = math.inf
+    """... this, or ..."""
+    top_y: float = -math.inf
+    """... beyond this normalised y, or ..."""
+    bottom_y: float = math.inf
     """... this are cut off by the image's border and on no circle."""
 
 

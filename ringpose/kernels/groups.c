@@ -94,10 +94,10 @@ static double flat_ends(const Candidate *const member[], int size, const double 
                         n[0] * along[1] - n[1] * along[0]};
     for (int e = 0; e < 2 * size; e++) {
         double d[3] = {point[e][0] - middle[0], point[e][1] - middle[1], point[e][2] - middle[2]};
-        double x = member[e / 2]->x[e % 2];
+        double x = member[e / 2]->x[e % 2], y = member[e / 2]->y[e % 2];
         end[e] = (End){d[0] * along[0] + d[1] * along[1] + d[2] * along[2],
                        d[0] * across[0] + d[1] * across[1] + d[2] * across[2], e % 2,
-                       !(x < rules->left || x > rules->right), 0, 0};
+                       !(x < rules->left || x > rules->right || y < rules->top || y > rules->bottom), 0, 0};
     }
     return middle[2];
 }

@@ -100,7 +100,8 @@ def _circles(points: Float64[Array, "member end=2 xyz=3"], plane: Array, rules: 
     flat = (points - middle).reshape(-1, 3) @ np.stack([along, np.cross(normal, along)], axis=-1)
     sigma = rules.along_sigma_px * middle[2] / rules.focal_x
     x = points[..., 0].ravel() / points[..., 2].ravel()
-    used = (x >= rules.left_x) & (x <= rules.right_x)
+    y = points[..., 1].ravel() / points[..., 2].ravel()
+    used = (x >= rules.left_x) & (x <= rules.right_x) & (y >= rules.top_y) & (y <= rules.bottom_y)
     flat, arc = flat[used], (np.arange(len(flat)) % 2)[used]
     everything = _arcs(flat, arc, sigma, rules)
     if len(points) < 3 or everything < rules.dropped_end_cost:

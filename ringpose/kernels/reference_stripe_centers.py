@@ -31,6 +31,10 @@ that share of the variance and loses no more than one column in so many."""
 NEAR_PX, ROUNDS, STRAYED_PX = 1.0, 2, 2.5
 """A centre farther than this from its pixel is looked for again, so often; one so far from its ridge is none."""
 
+WHOLE_SPREADS = 1.5
+"""Nearer to the upper or lower border than so many sigmas of the stripe's response a centre is drawn to it: rows beyond
+are taken as the outermost one. From here on by less than a hundredth of the stripe's sigma."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Columns:
@@ -145,7 +149,9 @@ def measured(pixels: Pixels, piece: Sequence[Ridge], how: Measure) -> Columns:
         far = (variance > 0) & (abs(y - row) > NEAR_PX)
         row[far] = np.clip(np.floor(y[far] + 0.5), 0, len(pixels) - 1)
         y[far], variance[far], peak[far] = _stepped(pixels, x[far], row[far], noise[far], how)
+    whole = WHOLE_SPREADS * math.hypot(how.filter_.sigma, how.width)
     kept = (variance > 0) & (abs(y - ridge_y) < STRAYED_PX + np.maximum(-bends, 0))
+    kept &= (y >= whole) & (y <= len(pixels) - 1 - whole)
     return Columns(x=x[kept], y=y[kept], variance=variance[kept], peak=peak[kept])
 
 

@@ -58,6 +58,7 @@ static Measure measure_with(const Job *job, size_t filter, double width) {
     double sigma = how.filter->sigma, spread = sigma * sigma + width * width;
     how.inverse_spread = width > 0 ? 1 / spread : 0;
     how.peak_per_response = width > 0 ? spread * sqrt(spread) / width : FLAT_PEAK_PER_RESPONSE * sigma * sigma;
+    how.whole = whole_from(how.filter, width);
     how.sigma_per_noise = how.filter->slope_norm / job->filters[0].bend_norm;
     return how;
 }

@@ -11,6 +11,10 @@ enum { ROUNDS = 2 };
 /* And one this far from where the ridge was is none. */
 #define STRAYED_PX 2.5
 
+/* Nearer to the upper or lower border than so many sigmas of the stripe's response a centre is drawn to it: rows beyond
+   are taken as the outermost one. From here on by less than a hundredth of the stripe's sigma. */
+#define WHOLE_SPREADS 1.5
+
 /* Rows that are differentiated together. */
 enum { MOST_ROWS = 6 };
 
@@ -82,7 +86,7 @@ static int64_t step_to_centers(const Measure *how, size_t from, size_t to, Colum
     const float *restrict slope = columns->slope, *restrict bend = columns->bend, *restrict noise = columns->noise;
     double *restrict y = columns->y, *restrict variance = columns->variance, *restrict peak = columns->peak;
     double inverse_spread = how->inverse_spread, per_noise = how->sigma_per_noise;
-    double per_response = how->peak_per_response;
+    double per_response = how->peak_per_response, top = how->whole, bottom = (double)how->image->height - 1 - top;
     int64_t odd = 0;
     for (size_t i = from; i < to; i++) {
         double curve = bend[i], fall = curve < 0 ? -curve : 1;
@@ -93,7 +97,7 @@ static int64_t step_to_centers(const Measure *how, size_t from, size_t to, Colum
         y[i] = row[i] + step;
         variance[i] = curve < 0 ? sigma * sigma : 0;
         peak[i] = crest * per_response;
-        odd += (curve >= 0) | (step > NEAR_PX) | (step < -NEAR_PX);
+        odd += (curve >= 0) | (step > NEAR_PX) | (step < -NEAR_PX) | (y[i] < top) | (y[i] > bottom);
     }
     return odd;
 }
@@ -111,6 +115,15 @@ static void step_again(const Measure *how, size_t i, Columns *columns) {
     }
 }
 
+double whole_from(const Filter *filter, double width) { return WHOLE_SPREADS * hypot(filter->sigma, width); }
+
+/* Whether a column shows a ridge near by, and the whole of it. */
+static int is_center(const Measure *how, size_t i, const Columns *columns) {
+    double y = columns->y[i], bottom = (double)how->image->height - 1 - how->whole;
+    double strayed = fabs(y - columns->ridge_y[i]);
+    return columns->variance[i] > 0 && strayed < STRAYED_PX + columns->half_width[i] && y >= how->whole && y <= bottom;
+}
+
 void measure_columns(const Measure *how, Columns *columns) {
     size_t kept = 0;
     differentiate_all(how, columns);
@@ -118,8 +131,7 @@ void measure_columns(const Measure *how, Columns *columns) {
     for (size_t i = 0; i < columns->count; i++) {
         if (columns->variance[i] == 0) continue;
         if (fabs(columns->y[i] - columns->row[i]) > NEAR_PX) step_again(how, i, columns);
-        double strayed = fabs(columns->y[i] - columns->ridge_y[i]);
-        if (columns->variance[i] == 0 || !(strayed < STRAYED_PX + columns->half_width[i])) continue;
+        if (!is_center(how, i, columns)) continue;
         columns->x[kept] = columns->x[i];
         columns->y[kept] = columns->y[i];
         columns->variance[kept] = columns->variance[i];

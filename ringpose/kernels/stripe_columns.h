@@ -22,7 +22,11 @@ typedef struct {
     const Filter *filter;
     double width, inverse_spread; /* of the square of the sigma of the stripe's response; 0 for a flat top */
     double peak_per_response, sigma_per_noise;
+    double whole; /* rows from the upper or lower border from which on a centre is that of the whole stripe */
 } Measure;
+
+/* Those rows. */
+double whole_from(const Filter *filter, double width);
 
 /* Memory for so many columns; NULL if there is none. */
 void *allocate_columns(Columns *columns, size_t count);

@@ -28,6 +28,20 @@ def test_centres_have_no_bias_over_the_pixel(sigma):
     assert abs(error_px.mean()) < 0.003
 
 
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("sigma", [1.1, 1.6, 2.5])
+def test_centres_have_no_bias_where_the_border_cuts_the_stripe_off(sigma, turned):
+    truth = np.linspace(12, 0, 400)
+    image = drawn(truth, sigma=sigma)
+
+    stripes = find_stripes(image[::-1] if turned else image)
+
+    column, row = stripes.position_px.T
+    error_px = (119 - row if turned else row) - truth[column.astype(int)]
+    assert np.abs(error_px).max() < 0.06
+    assert len(error_px) > 180
+
+
 def test_scatter_is_the_reported_sigma(rng):
     truth = np.full(400, 60.3)
 

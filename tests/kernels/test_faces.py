@@ -148,6 +148,17 @@ def test_faces_with_ends_that_the_border_cuts_off_equal_the_twin(seed, left_x, r
     assert_equal(found, reference_faces.ring_faces(tracks, ANY, planes(), rules))
 
 
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("top_y", "bottom_y"), [(-0.1, 0.1), (0.0, 0.3), (0.5, 0.6)])
+def test_faces_with_ends_that_the_upper_or_lower_border_cuts_off_equal_the_twin(seed, top_y, bottom_y):
+    tracks = crowd(np.random.default_rng(seed), 9)
+    rules = with_rules(top_y=top_y, bottom_y=bottom_y, **rules_of(drawn_rig()))
+
+    found = ring_faces(tracks, ANY, planes(), rules)
+
+    assert_equal(found, reference_faces.ring_faces(tracks, ANY, planes(), rules))
+
+
 def exact_score(tracks, rules):
     return ring_faces(tracks, ANY, planes(), rules).groups[2].score
 
