@@ -9,9 +9,9 @@ import numpy as np
 
 from ringpose.files import records
 from ringpose.files.archives import Archive, write_archive
-from ringpose.files.fields import Fields
+from ringpose.files.fields import ROUNDED, Fields
 from ringpose.files.provenance import provenance
-from ringpose.types.arrays import EDGES, Array, Int64
+from ringpose.types.arrays import EDGES, Array, Float64, Int64
 from ringpose.types.break_points import BreakPoints, Detection, NoBreakPoints, RingEdgePoints
 from ringpose.types.segments import Segments
 from ringpose.types.stripes import Stripes
@@ -27,6 +27,11 @@ _STRIPES = ("position_px", "sigma_px", "peak_dn", "piece", "laser")
 _SEGMENTS = ("start_px", "end_px", "support")
 _PARTS = {"break_points": _POINTS, "ring_edges": _RING_EDGES, "stripes": _STRIPES, "segments": _SEGMENTS}
 _KEYS = ("schema", "shot", "stamp_s", "reason", *_PARTS)
+
+LARGEST_SIGMA_PX = 1e4
+"""What is known worse than an image is large is not known."""
+
+LARGEST_INTEGER = 2**31
 
 
 def detection_record(detection: Detection, full: bool = True) -> dict[str, Any]:
@@ -115,11 +120,11 @@ def _break_points(fields: Fields) -> BreakPoints:
     lasers = len(position)
     return BreakPoints(
         position_px=position,
-        covariance_px2=fields.array("covariance_px2", (lasers, 2, 2, 2), allow_nan=True),
+        covariance_px2=_covariances(fields, "covariance_px2", (lasers, 2, 2, 2)),
         flags=_integers(fields, "flags", (lasers, 2)),
         face_start_px=fields.array("face_start_px", (lasers, 2), allow_nan=True),
         face_end_px=fields.array("face_end_px", (lasers, 2), allow_nan=True),
-        face_sigma_px=fields.array("face_sigma_px", (lasers, 2), allow_nan=True),
+        face_sigma_px=_sigmas(fields, "face_sigma_px", (lasers, 2), allow_nan=True),
         labelled=fields.boolean("labelled"),
     )
 
@@ -132,7 +137,7 @@ def _ring_edges(fields: Fields) -> RingEdgePoints:
     return RingEdgePoints(
         position_px=position,
         normal=fields.array("normal", (len(position), 2)),
-        sigma_px=fields.array("sigma_px", (len(position),)),
+        sigma_px=_sigmas(fields, "sigma_px", (len(position),)),
         edge=edge,
     )
 
@@ -163,6 +168,33 @@ def _segments(fields: Fields) -> Segments:
 
 def _integers(fields: Fields, key: str, shape: tuple[int | None, ...]) -> Int64[Array, "..."]:
     numbers = fields.array(key, shape)
-    if np.any(numbers != np.round(numbers)):
+    if np.any(numbers != np.round(numbers)) or np.abs(numbers).max(initial=0.0) > LARGEST_INTEGER:
         raise fields.problem(key, "has a number that is not whole")
     return numbers.astype(np.int64)
+
+
+def _sigmas(fields: Fields, key: str, shape: tuple[int | None, ...], allow_nan: bool = False) -> Float64[Array, "..."]:
+    sigmas = fields.array(key, shape, allow_nan=allow_nan)
+    _check_sigmas(fields, key, sigmas)
+    return sigmas
+
+
+def _covariances(fields: Fields, key: str, shape: tuple[int | None, ...]) -> Float64[Array, "... 2 2"]:
+    """Symmetric matrices without a variance below zero in any direction; rounding is none."""
+    matrices = fields.array(key, shape, allow_nan=True)
+    (first, mixed), (other, second) = np.moveaxis(matrices, (-2, -1), (0, 1))
+    size = np.abs(first) + np.abs(second)
+    uneven = np.abs(mixed - other) > ROUNDED * size
+    if np.any(uneven | (np.minimum(first, second) < 0) | (mixed**2 > first * second + (ROUNDED * size) ** 2)):
+        raise fields.problem(key, "has a matrix that is no covariance")
+    _check_sigmas(fields, key, np.sqrt(np.maximum(np.stack([first, second]), 0.0)))
+    return matrices
+
+
+def _check_sigmas(fields: Fields, key: str, sigmas: Float64[Array, "..."]) -> None:
+    if np.any(sigmas < 0):
+        raise fields.problem(key, "has a standard deviation below 0")
+    if np.any(sigmas > LARGEST_SIGMA_PX):
+        raise fields.problem(
+            key, f"has a standard deviation over {LARGEST_SIGMA_PX:g} px", "write null if it is unknown"
+        )

@@ -81,7 +81,7 @@ def explained(
     tried = []
     for suspicion in _suspicions(measured, rig, before, labelled):
         other = fitted(suspicion.measured, rig, suspicion.before, errors)
-        if other is not None and (other.state.curvature > 0 or suspicion.both):
+        if other is not None and (_is_ring(other) or suspicion.both):
             tried.append(Explanation(fit=other, **suspicion._asdict()))
     best = _confirmed(_clearest(tried), tried)
     if best is not None and (everything is None or best.score < everything.score):
@@ -91,6 +91,11 @@ def explained(
         return None
     rivals = tuple(each.fit for each in _near(tried) if each.score < everything.score)
     return everything._replace(flag=PoseFlag.INCONSISTENT, remark=remark, rivals=rivals)
+
+
+def _is_ring(fit: Fit) -> bool:
+    """Whether the edges are curved and the inner one is inside."""
+    return fit.state.curvature > 0 and fit.state.band_m > 0
 
 
 def _clearest(tried: list[Explanation]) -> Explanation | None:
@@ -145,11 +150,14 @@ def own_cost(fit: Fit, measured: Measurements) -> float:
 
 
 def freedom(fit: Fit, measured: Measurements, before: Beforehand) -> int:
-    """How many numbers there are to spare; none if the shot leaves something open."""
-    if before.weak_about is not None or fit.weak:
-        return 0
+    """How many numbers there are to spare.
+
+    A shot that leaves something open spares none for what it leaves open; nobody knows how many that are, so that all
+    count: what is measured may not cost more than chance allows for so many numbers.
+    """
+    held = before.weak_about is not None or fit.weak
     radii = 0 if before.radii is None else int(np.isfinite(before.radii.radius_m).sum())
-    return max(_count(measured) + radii - PARAMETERS, 0)
+    return max(_count(measured) + radii - (0 if held else PARAMETERS), 0)
 
 
 def disagrees(fit: Fit, measured: Measurements, before: Beforehand) -> bool:

@@ -24,8 +24,8 @@ from ringpose.types.rig import Rig
 NOMINAL_SIGMA_PX = 0.3
 """Of a break point that comes without a covariance: it weighs the points against each other and is told nobody."""
 
-LEAST_SIGMA_PX = 1e-6
-"""Of anything measured; less is rounding."""
+LEAST_SIGMA_PX = 1e-4
+"""Of anything measured: nobody knows an image better, and what is less drowns the rest in rounding."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -165,17 +165,18 @@ def line_whitening(start_sd: float, end_sd: float) -> tuple[float, float, float]
 
     An ordinate at the share t of the line's length has the variance s^2 (1 + 12 (t - a)^2), for centres spread
     evenly over the length; a, where the line is known best, follows from the two given ones (1/2 if they are
-    equal), and the covariance of the two ends is s^2 (1 - 12 a (1 - a)).
+    equal), and the covariance of the two ends is s^2 (1 - 12 a (1 - a)). Ends of which one is known more than
+    sqrt(13) times as well err together as those for which a lies at that end.
     """
     start, end = start_sd * start_sd, end_sd * end_sd
     bend, lean, level = 12.0 * (end - start), 24.0 * start, end - 13.0 * start
     # the root that stays finite as the sigmas become equal
     best = -2.0 * level / (lean + sqrt(max(lean * lean - 4.0 * bend * level, 0.0)))
     best = min(max(best, 0.0), 1.0)
-    middle = (start + end) / (2.0 + 12.0 * (best * best + (1.0 - best) ** 2))
-    share = middle * (1.0 - 12.0 * best * (1.0 - best)) / start
-    scale = 1.0 / sqrt(end - share * share * start)
-    return 1.0 / start_sd, -share * scale, scale
+    together = 1.0 - 12.0 * best * (1.0 - best)
+    correlation = together / sqrt((1.0 + 12.0 * best * best) * (1.0 + 12.0 * (1.0 - best) ** 2))
+    left = sqrt(1.0 - correlation * correlation)
+    return 1.0 / start_sd, -correlation / (start_sd * left), 1.0 / (end_sd * left)
 
 
 def rays_by_pixel(xy: Float64[Array, "n xy=2"], camera: Camera) -> Float64[Array, "n 2 2"]:

@@ -90,6 +90,21 @@ def test_detection_of_another_number_of_lasers_is_refused(rig, detections, capsy
     assert "has 3 lasers, the rig has 2" in captured.err
 
 
+@pytest.mark.parametrize(("key", "limit_px"), [("position_px", 1281.0), ("face_start_px", 7041.0)])
+def test_detection_beside_the_rigs_image_is_refused(rig, detections, tmp_path, capsys, key, limit_px):
+    records = lines(detections.read_text())
+    place = records[0]["break_points"][key][1]
+    (place[0] if key == "position_px" else place)[0] = limit_px
+    changed = tmp_path / "changed.jsonl"
+    changed.write_text("".join(json.dumps(record) + "\n" for record in records))
+
+    assert main(["pose", str(changed), "--rig", str(rig)]) == 65
+
+    captured = capsys.readouterr()
+    assert len(lines(captured.out)) == len(records) - 1
+    assert f"{changed}:1: break_points.{key}: lies beyond the image of 640 x 480 pixels" in captured.err
+
+
 def test_verbose_says_what_became_of_each_shot(rig, detections, capsys):
     main(["pose", str(detections), "--rig", str(rig), "-v"])
 

@@ -15,7 +15,8 @@ from ringpose.types.stripes import Stripes
 def break_points(rng, lasers=3):
     position = rng.normal(size=(lasers, 2, 2))
     position[1, 0] = math.nan
-    covariance = rng.normal(size=(lasers, 2, 2, 2))
+    root = rng.normal(size=(lasers, 2, 2, 2))
+    covariance = root @ root.swapaxes(-1, -2)
     covariance[1, 0] = math.nan
     return BreakPoints(
         position_px=position,
@@ -23,7 +24,7 @@ def break_points(rng, lasers=3):
         flags=rng.integers(0, 16, (lasers, 2)),
         face_start_px=rng.normal(size=(lasers, 2)),
         face_end_px=rng.normal(size=(lasers, 2)),
-        face_sigma_px=rng.normal(size=(lasers, 2)),
+        face_sigma_px=rng.uniform(size=(lasers, 2)),
         labelled=True,
     )
 
@@ -51,7 +52,7 @@ def ring_edges(rng, count=9):
     return RingEdgePoints(
         position_px=rng.normal(size=(count, 2)),
         normal=rng.normal(size=(count, 2)),
-        sigma_px=rng.normal(size=count),
+        sigma_px=rng.uniform(size=count),
         edge=rng.integers(0, 2, count),
     )
 
@@ -149,6 +150,28 @@ def changed_record(rng, part, key, value):
         ("", "breakpoints", {}, "unknown key 'breakpoints'; did you mean 'break_points'?"),
         ("break_points", "flags", [[0, 0], [0, 1.5], [0, 0]], "break_points.flags: has a number that is not whole"),
         ("break_points", "flags", [[0, 0]], "break_points.flags: has 1 x 2 numbers, must have 3 x 2"),
+        ("break_points", "flags", [[0, 0], [0, 1e30], [0, 0]], "break_points.flags: has a number that is not whole"),
+        (
+            "break_points",
+            "face_sigma_px",
+            [[1, 1], [1, -1], [1, 1]],
+            "break_points.face_sigma_px: has a standard devia",
+        ),
+        (
+            "break_points",
+            "face_sigma_px",
+            [[1, 1], [1, 1e9], [1, 1]],
+            "break_points.face_sigma_px: has a standard devia",
+        ),
+        (
+            "break_points",
+            "covariance_px2",
+            [[[[1, 2], [2, 1]]] * 2] * 3,
+            "break_points.covariance_px2: has a matrix th",
+        ),
+        ("break_points", "covariance_px2", [[[[1, 0], [0.1, 1]]] * 2] * 3, "break_points.covariance_px2: has a matri"),
+        ("break_points", "covariance_px2", [[[[-1, 0], [0, 1]]] * 2] * 3, "break_points.covariance_px2: has a matrix"),
+        ("break_points", "covariance_px2", [[[[1e9, 0], [0, 1]]] * 2] * 3, "break_points.covariance_px2: has a stand"),
         ("break_points", "labelled", 1, "break_points.labelled: is 1, must be true or false"),
         ("stripes", "piece", [9] * 50, "stripes.piece: names a piece beyond the 4 that there are"),
         ("stripes", "sigma_px", [1.0], "stripes.sigma_px: has 1 numbers, must have 50"),

@@ -33,3 +33,11 @@ def test_a_line_that_is_known_better_at_one_end_errs_nearly_as_a_fit_to_better_c
     found = np.linalg.inv(whitening.T @ whitening)
     np.testing.assert_allclose(np.diag(found), np.diag(covariance), rtol=1e-6)
     assert found[0, 1] == pytest.approx(covariance[0, 1], rel=0.1)
+
+
+@pytest.mark.parametrize("ends_px", [(0.01, 1.0), (1.0, 0.01), (1e-6, 1e4), (0.0277, 0.1)])
+def test_a_line_that_is_hardly_known_at_one_end_has_a_covariance_all_the_same(ends_px):
+    first, mixed, second = line_whitening(*ends_px)
+
+    inverse = np.linalg.inv(np.array([[first, 0.0], [mixed, second]]))
+    np.testing.assert_allclose(np.sqrt((inverse**2).sum(axis=1)), ends_px, rtol=1e-6)
