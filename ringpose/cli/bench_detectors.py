@@ -15,7 +15,7 @@ ALL_KINDS = "dark, dim, speckle, saturated, foil, foilbright"
 
 Images = Annotated[
     list[str] | None,
-    typer.Argument(metavar="IMAGE", help="Images or folders of them; - reads names; synthetic ones if not given."),
+    typer.Argument(metavar="IMAGE...", help="Images or folders of them; - reads names; synthetic ones if not given."),
 ]
 Kinds = Annotated[
     list[str] | None,

@@ -55,7 +55,7 @@ def stripe_px(turn: np.ndarray, place: np.ndarray, laser: int, number: int = 200
     return projected_px(place + x[:, None] * turn[:, 0] + y[:, None] * turn[:, 1])
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def true_camera() -> Camera:
     return Camera(
         camera_name="true",
@@ -67,14 +67,14 @@ def true_camera() -> Camera:
     )
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def plane_board() -> Board:
     return Board(
         kind="four_markers", dictionary="DICT_4X4_50", width_m=0.3, height_m=0.24, marker_m=0.06, margin_m=0.01
     )
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def board_view() -> Callable[..., BoardView]:
     """Makes the view of points on a board at a pose, with noise in pixels."""
 
@@ -90,7 +90,7 @@ def board_view() -> Callable[..., BoardView]:
     return view
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def stripe_views(board_view, plane_board) -> Callable[..., list[StripeView]]:
     """Makes views of the four-marker board with three stripes, with noise of corners and stripes in pixels."""
     from ringpose.calibrate.board_points import corner_points
@@ -171,13 +171,13 @@ def rendered_truth(shared_data) -> Callable[[str, np.ndarray], np.ndarray]:
     return pixels
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def true_poses() -> Callable[[np.random.Generator, int], list[tuple[np.ndarray, np.ndarray]]]:
     """Makes board poses."""
     return poses
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def true_planes() -> tuple[np.ndarray, np.ndarray]:
     """Normals and distances of the light planes."""
     return NORMALS, DISTANCES_M

@@ -54,7 +54,7 @@ def test_a_chessboard_of_another_size_says_which(drawn_board):
 
 
 def test_noise_is_no_part_of_a_chessboard(rng):
-    found = find_board(rng.integers(0, 255, (480, 640), dtype=np.uint8), CHESSBOARD, "noise")
+    found = find_board(rng.integers(0, 255, (240, 320), dtype=np.uint8), CHESSBOARD, "noise")
 
     assert found.failure is BoardFailure.NOT_WHOLE
 
