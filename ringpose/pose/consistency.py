@@ -33,12 +33,14 @@ PRICE_OF_A_NUMBER = 4.0
 PRICE_OF_A_SUSPICION = 12.0
 """The same for any suspicion at all: a factor of 400 in likelihood."""
 
-PRICE_OF_A_LABEL = 30.0
-"""For distrusting lasers that were switched one by one."""
+PRICE_OF_A_LABEL = 20.0
+"""For distrusting lasers that were switched one by one; less than for a stripe: other labels explain all numbers."""
 
 CLEARLY = 6.0
 """By how much the best explanation must beat another kind of it: a factor of 20 in likelihood."""
 
+STRAIGHT_SIGMAS = 3.0
+"""How many of its standard deviations a curvature may be below zero: two stripes alone hardly tell it."""
 
 CONFIRMED_BELOW = 2.0
 """How many times as uncertain the curvature may be without the end of a stripe whose other end was wrong."""
@@ -85,7 +87,7 @@ def explained(
             tried.append(Explanation(fit=other, **suspicion._asdict()))
     best = _confirmed(_clearest(tried), tried)
     if best is not None and (everything is None or best.score < everything.score):
-        return best
+        return _owned_up(best)
     remark = "what was seen disagrees with one ring by more than its errors, and no single part is to blame"
     if everything is None:
         return None
@@ -94,8 +96,16 @@ def explained(
 
 
 def _is_ring(fit: Fit) -> bool:
-    """Whether the edges are curved and the inner one is inside."""
-    return fit.state.curvature > 0 and fit.state.band_m > 0
+    """Whether the edges are curved the right way, as far as their errors tell, and the inner one is inside."""
+    curvature_sd = sqrt(float(fit.inverse[CURVATURE, CURVATURE]))
+    return fit.state.curvature > -STRAIGHT_SIGMAS * curvature_sd and fit.state.band_m > 0
+
+
+def _owned_up(best: Explanation) -> Explanation:
+    """With a flag more if what is left disagrees, too."""
+    if not disagrees(best.fit, best.measured, best.before):
+        return best
+    return best._replace(flag=best.flag | PoseFlag.INCONSISTENT, remark=f"{best.remark}, but the rest disagrees, too")
 
 
 def _clearest(tried: list[Explanation]) -> Explanation | None:

@@ -160,3 +160,44 @@ def test_a_good_shot_is_rarely_doubted(scene, face_points, rng):
     poses = [estimate_pose(face_points(scene, 0.3, 0.01, rng), scene.rig, known=KNOWN) for _ in range(1000)]
 
     assert sum(bool(pose.flags) for pose in poses) <= 2
+
+
+@EVERY_POINT
+@pytest.mark.parametrize("shift_px", [-400.0, 700.0])
+def test_a_break_point_far_away_never_passes_for_a_ring(scene, points, laser, edge, shift_px):
+    pose = estimate_pose(shifted(points, laser, edge, shift_px), scene.rig)
+
+    assert PoseFlag.POINT_LEFT_OUT in pose.flags
+    assert pose.normal @ scene.ring.normal > np.cos(0.005)
+
+
+@pytest.mark.parametrize("laser", range(3))
+@pytest.mark.parametrize("rise_px", [-200.0, 200.0])
+def test_a_line_that_leaves_its_stripe_is_left_out_or_owned_up_to(scene, points, laser, rise_px):
+    end = points.face_end_px.copy()
+    end[laser, 1] += rise_px
+
+    pose = estimate_pose(replace(points, face_end_px=end), scene.rig)
+
+    assert pose.flags & (PoseFlag.STRIPE_LEFT_OUT | PoseFlag.INCONSISTENT)
+    assert scene.rig.lasers.names[laser] in pose.remark or PoseFlag.INCONSISTENT in pose.flags
+
+
+@pytest.mark.parametrize("labelled", [True, False])
+def test_exchanged_lasers_never_make_a_sure_ring_somewhere_else(scene_of, face_points, rng, labelled):
+    scene = scene_of("B", distance_m=1.0, tilt_rad=(0.05, 0.05), size="R833")
+    points = exchanged(face_points(scene, 0.3, 0.01, rng), 0, 1)
+
+    pose = estimate_pose(replace(points, labelled=labelled), scene.rig)
+
+    assert PoseFlag.RELABELLED in pose.flags
+    assert sigmas_off(pose, scene) < 5.0
+
+
+def test_what_still_disagrees_without_the_part_to_blame_says_so(scene, points):
+    both = shifted(lifted(points, 0, 30.0), 2, 1, 25.0)
+
+    pose = estimate_pose(both, scene.rig, known=KNOWN)
+
+    assert PoseFlag.INCONSISTENT in pose.flags
+    assert PoseFlag.CENTER_WEAK in pose.flags or sigmas_off(pose, scene) < 5.0
