@@ -86,7 +86,9 @@ def test_what_went_wrong_on_the_way_is_kept_with_the_shot(serve):
     assert read_session(Path("s")).captures[0].camera_name.startswith("ringpose-Stand-in-RP")
 
 
-@pytest.mark.parametrize("relay", ["none", "lcus", "numato", "modbus", "ascii"])
+@pytest.mark.parametrize(
+    "relay", ["none", "lcus", *(pytest.param(relay, marks=pytest.mark.slow) for relay in ("numato", "modbus", "ascii"))]
+)
 def test_every_kind_of_laser_switch_gives_frames_with_true_labels(serve, relay):
     uris = serve("--relay", relay)
 
