@@ -46,8 +46,11 @@ WALK_SPACING_PX = 12
 FIRST_SPACING_PX, FIRST_PX = 4, 600
 """Nearer as long as less of both edges than this is predicted: of so few steps none is to be left out."""
 
-WALK_REACH_PX, REACH_PX = 4, 2
-"""How far from the predicted edge a step is looked for, on the way and in the end."""
+FIRST_REACH_PX, WALK_REACH_PX, REACH_PX = 2, 4, 2
+"""How far from the predicted edge a step is looked for, at first, on the way and in the end.
+
+The farther, the more steps are foil's, and at first they are too few to tell.
+"""
 
 BLUR_SPANS = (0.4, 0.2, 0.07)
 """Blurs between which the right one is sought in the end, each time closer: half to twice the one assumed."""
@@ -59,6 +62,10 @@ LEAST_SHARE = 0.05
 """Where fewer of the predicted places show a step there is no edge to follow."""
 
 CURVATURE, TURN = STATE.index("curvature"), STATE.index("turn_rad")
+
+ONE_STRIPE = 2
+"""Points of the plane on a single stripe: how the face is tilted about it is seen by how both edges run. One edge alone
+leaves that to its bends of tenths of a pixel, which foil beside it makes as well."""
 
 TURN_SIGMA_RAD = 0.2
 """Where the stripes leave the direction of the edges as open as this, the image is asked first."""
@@ -113,7 +120,9 @@ def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundE
     clear = clear_steps(steps)
     points = ring_edge_points(arcs, chosen(trace, clear), steps.offset_px[clear], steps.sigma_px[clear])
     side_sigmas = arcs.curvature / float(np.sqrt(covariance[CURVATURE, CURVATURE]))
-    return None if points is None else FoundEdges(points, side_sigmas)
+    if points is None or (len(evidence.plane.point) == ONE_STRIPE and len(np.unique(points.edge)) == 1):
+        return None
+    return FoundEdges(points, side_sigmas)
 
 
 def named_by_curvature(break_points: BreakPoints, found: FoundEdges) -> tuple[BreakPoints, RingEdgePoints]:
@@ -144,13 +153,15 @@ def followed_arcs(
     for _ in range(ROUNDS):
         if not possible(arcs):
             return None
-        spacing_px = FIRST_SPACING_PX if reached_px < FIRST_PX else WALK_SPACING_PX
+        spacing_px, reach_px = (
+            (FIRST_SPACING_PX, FIRST_REACH_PX) if reached_px < FIRST_PX else (WALK_SPACING_PX, WALK_REACH_PX)
+        )
         trace = edge_trace(arcs, covariance, rig, spacing_px, PREDICTED_SIGMA_PX)
         if len(trace.side) * spacing_px <= reached_px * FARTHER:
             break
         reached_px = len(trace.side) * spacing_px
         trace = clear_of_stripes(frame, trace)
-        sights = step_sights(trace, steps_beside(frame, trace, WALK_REACH_PX))
+        sights = step_sights(trace, steps_beside(frame, trace, reach_px))
         if len(sights.side) < LEAST_SHARE * len(trace.side):
             return None
         arcs, covariance = fitted_arcs(arcs, evidence, sights, 2)

@@ -1,4 +1,4 @@
-"""Ends are edges: of a stripe on foil that looks like a face, hardly one is."""
+"""Ends are edges: of a stripe on foil that looks like a face, hardly one is; and what edges beside one stripe tell."""
 
 import json
 from dataclasses import replace
@@ -51,3 +51,24 @@ def test_stripes_on_foil_alone_are_no_ring(shared_data, rig, name):
     found = detect(replace(shot, images=images), read_rig(folder / "rig.yaml"), edges=False).break_points
 
     assert isinstance(found, NoBreakPoints)
+
+
+@pytest.mark.parametrize(("name", "edges"), [("B_z0200_p01_normal", None), ("B_z0200_p01_strong", {0, 1})])
+def test_beside_a_single_stripe_one_edge_alone_is_none(shared_data, name, edges):
+    folder = shared_data / "rendered" / "rig_b"
+    shot = read_shot(folder / "shots" / f"{name}.npz")
+
+    found = detect(shot, read_rig(folder / "rig.yaml"))
+
+    assert isinstance(found.break_points, BreakPoints)
+    assert (None if found.ring_edges is None else set(found.ring_edges.edge.tolist())) == edges
+
+
+def test_edges_are_followed_from_stripes_in_dim_light(shared_data):
+    folder = shared_data / "rendered" / "variants_a"
+    shot = read_shot(folder / "shots" / "V16_lowpower_A1000_dim.npz")
+
+    found = detect(shot, read_rig(folder / "rig.yaml")).ring_edges
+
+    assert found is not None
+    assert len(found.edge) > 100

@@ -12,9 +12,6 @@ from ringpose.files.shots import read_shot
 
 pytestmark = pytest.mark.slow
 
-SOME = 30
-"""Points; fewer on one short piece of an edge tell less than what they err alike."""
-
 FOLDERS = ["rig_a", "rig_b", "variants_a", "variants_b"]
 
 
@@ -48,7 +45,7 @@ def test_edges_are_found_to_a_fraction_of_a_pixel(edges, light, limit_px):
 def test_no_shot_has_a_bias_of_a_tenth_of_a_pixel(edges):
     shots = lit(edges, "normal") + lit(edges, "strong") + lit(edges, "glare")
 
-    biases_px = [np.sum(error / sigma**2) / np.sum(sigma**-2) for error, sigma in shots if len(error) > SOME]
+    biases_px = [np.sum(error / sigma**2) / np.sum(sigma**-2) for error, sigma in shots]
 
     assert np.abs(biases_px).max() < 0.1
 
@@ -71,6 +68,6 @@ def test_most_lit_shots_show_a_hundred_points(edges):
 def test_edges_that_show_in_the_light_of_stripes_alone_are_the_rings(edges):
     shots = lit(edges, "dim")
 
-    assert len(shots) <= 2
+    assert 1 <= len(shots) <= 2
     assert all(np.mean((error / sigma) ** 2) < 1.25 for error, sigma in shots)
     assert all(np.abs(error / sigma).max() < 5 for error, sigma in shots)
