@@ -70,13 +70,16 @@ def too_small(grey: UInt8[Array, "row column"]) -> NoBoard | None:
     return NoBoard(failure=BoardFailure.TOO_SMALL, found=f"{grey.shape[1]} x {grey.shape[0]} pixels")
 
 
-def unusable(grey: UInt8[Array, "row column"]) -> NoBoard | None:
-    """What is wrong with an image in which nothing could be found, whatever the board."""
+def unusable(grey: UInt8[Array, "row column"], seen: NoBoard) -> NoBoard | None:
+    """What is wrong with an image, whatever the board.
+
+    A part of the board that is seen in an overexposed one says why the rest is not.
+    """
     bright = float(np.percentile(grey, 99))
     if bright < DARK_DN:
         return NoBoard(failure=BoardFailure.TOO_DARK, found=f"99 % of the pixels are below {bright:.0f} of 255")
     full = float(np.mean(grey == 255))
-    if full > BRIGHT_SHARE:
+    if full > BRIGHT_SHARE and not len(seen.points_px):
         return NoBoard(failure=BoardFailure.SATURATED, found=f"{100 * full:.0f} % of the pixels are saturated")
     return None
 
@@ -94,17 +97,17 @@ def edge_width_px(grey: UInt8[Array, "row column"]) -> float:
 
 
 def pattern_failure(grey: UInt8[Array, "row column"], board: Board) -> NoBoard:
-    """Why a pattern that must be seen whole is not found."""
+    """Why a chessboard, which must be seen whole, is not found."""
     width_px = edge_width_px(grey)
-    grid = largest_grid(grey) if board.kind == "chessboard" else None
+    grid = largest_grid(grey)
     if grid is not None:
         return _partial(grey, grid, board, width_px)
-    failure = BoardFailure.BLURRED if width_px > BLURRED_PX else BoardFailure.NOT_WHOLE
+    failure = BoardFailure.BLURRED if BLURRED_PX < width_px < np.inf else BoardFailure.NOT_WHOLE
     return NoBoard(failure=failure, found=_measured(width_px))
 
 
 def _measured(width_px: float) -> str:
-    return f"edges are {width_px:.1f} px wide"
+    return f"edges are {width_px:.1f} px wide" if np.isfinite(width_px) else "nothing has contrast"
 
 
 def marker_failure(grey: UInt8[Array, "row column"], board: Board, markers: Markers, own: Markers) -> NoBoard:
@@ -121,7 +124,7 @@ def marker_failure(grey: UInt8[Array, "row column"], board: Board, markers: Mark
         numbers = ", ".join(str(number) for number in markers.ids[:6])
         return NoBoard(failure=BoardFailure.OTHER_MARKERS, found=f"numbers {numbers}")
     width_px = edge_width_px(grey)
-    blurred = f", edges are {width_px:.1f} px wide: blurred" if width_px > BLURRED_PX else ""
+    blurred = f", {_measured(width_px)}" + ": blurred" * bool(np.isfinite(width_px)) if width_px > BLURRED_PX else ""
     return NoBoard(failure=BoardFailure.FEW_MARKERS, found=f"0 of {wanted}{blurred}")
 
 

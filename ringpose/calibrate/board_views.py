@@ -17,6 +17,7 @@ from ringpose.calibrate.board_layout import MarkerLayout, marker_layout, other_l
 from ringpose.calibrate.board_points import corner_points, marker_corners
 from ringpose.calibrate.chessboard import chessboard_corners, refined_corners
 from ringpose.calibrate.circle_centers import circle_centers
+from ringpose.calibrate.circle_failures import circle_failure
 from ringpose.calibrate.marker_sides import corners_from_sides
 from ringpose.calibrate.markers import Markers, find_markers, marker_count, marker_dictionary, markers_of
 from ringpose.types.arrays import Array, Float64, Int64, UInt, UInt8
@@ -38,7 +39,7 @@ def find_board(image: UInt[Array, "row column"], board: Board, name: str) -> Boa
         return small
     seen = _marker_view(grey, board) if marker_count(board) else _pattern_view(grey, board)
     if isinstance(seen, NoBoard):
-        return unusable(grey) or seen
+        return unusable(grey, seen) or seen
     return BoardView(
         name=name,
         ids=seen.ids,
@@ -79,7 +80,7 @@ def _pattern_view(grey: UInt8[Array, "row column"], board: Board) -> _Seen | NoB
     else:
         corners = circle_centers(grey, corner_points(board), columns, rows)
     if corners is None:
-        return pattern_failure(grey, board)
+        return pattern_failure(grey, board) if board.kind == "chessboard" else circle_failure(grey, board)
     return _Seen(ids=np.arange(len(corners), dtype=np.int64), points_px=corners)
 
 
