@@ -9,6 +9,7 @@ from math import degrees, inf, radians
 
 import numpy as np
 
+from ringpose.calibrate.coverage import different_poses
 from ringpose.types.camera_calibration import (
     CameraAssessment,
     CameraCalibration,
@@ -23,7 +24,7 @@ FRONTAL_RAD = radians(10)
 
 _DISAGREEMENT = (
     "the views disagree by more than their noise: check that the board is flat and its sizes are true, "
-    "that focus and zoom are fixed, and that no glare or cable is taken for a corner"
+    "that all images are one camera's, its focus and zoom fixed, and that no glare or cable is taken for a corner"
 )
 
 
@@ -43,14 +44,15 @@ def camera_verdict(calibration: CameraCalibration, assessment: CameraAssessment,
 
 
 def _view_findings(calibration: CameraCalibration, images: int) -> list[Finding]:
-    used, loudest = len(calibration.used), max(calibration.used, key=lambda view: view.pose.residual_rms_px)
+    used, different = len(calibration.used), different_poses([view.pose for view in calibration.used])
+    loudest = max(calibration.used, key=lambda view: view.pose.residual_rms_px)
     return [
         Finding(
             name="views_used",
-            value=float(used),
+            value=float(different),
             good_limit=10.0,
             redo_limit=4.0,
-            advice=f"only {used} views were used: take ten or more",
+            advice=_more_views(used, different),
         ),
         Finding(
             name="images_used_share",
@@ -67,6 +69,12 @@ def _view_findings(calibration: CameraCalibration, images: int) -> list[Finding]
             advice=f"the corners are inexact ({loudest.name} most): focus, more light, a flat board held still",
         ),
     ]
+
+
+def _more_views(used: int, different: int) -> str:
+    if different < used:
+        return f"only {different} of the {used} views differ: move or tilt the board before each of ten or more"
+    return f"only {used} views were used: take ten or more"
 
 
 def _coverage_findings(covered: Coverage) -> list[Finding]:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ringpose.geometry.rotations import angle_between
+from ringpose.geometry.rotations import angle_between, rotation_vector
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.camera import Camera
@@ -15,6 +15,12 @@ CELL_COLUMNS = 8
 
 BARE_SHARE = 1 / 3
 """A ninth of the image is bare if no more of its cells have corners: a strip along one side."""
+
+SAME_RAD = np.radians(2.0)
+"""Boards that are turned by less against each other ..."""
+
+SAME_SHARE = 0.02
+"""... and lie nearer together than this share of their distance are one view, taken again."""
 
 _REGIONS = (("upper left", "top", "upper right"), ("left", "middle", "right"), ("lower left", "bottom", "lower right"))
 
@@ -44,6 +50,21 @@ def board_middle(board: BoardView, pose: BoardPose) -> Float64[Array, "xyz=3"]:
 def board_tilt_rad(pose: BoardPose) -> float:
     """Angle between board and image; where it is zero, no perspective tells the focal length, wherever the board is."""
     return float(angle_between(pose.rotation[:, 2], np.array([0.0, 0.0, 1.0])))
+
+
+def different_poses(poses: Sequence[BoardPose]) -> int:
+    """How many of the poses differ from all before them: a board that was not moved says the same thing again."""
+    found: list[BoardPose] = []
+    for pose in poses:
+        if not any(_alike(pose, other) for other in found):
+            found.append(pose)
+    return len(found)
+
+
+def _alike(pose: BoardPose, other: BoardPose) -> bool:
+    turn = np.linalg.norm(rotation_vector(pose.rotation.T @ other.rotation))
+    way_m = np.linalg.norm(pose.translation_m - other.translation_m)
+    return bool(turn < SAME_RAD and way_m < SAME_SHARE * np.linalg.norm(pose.translation_m))
 
 
 def _tilt_spread(poses: Sequence[BoardPose]) -> tuple[float, float]:

@@ -137,6 +137,18 @@ def test_frontal_views_of_one_distance_are_not_good_and_the_reader_is_told_why(f
     assert "hardly any corners in the upper left," in said
 
 
+def test_one_board_that_stands_still_is_one_view(rng, board_view, true_poses):
+    (pose,) = true_poses(rng, 1)
+    noise = [NOISE_PX * rng.standard_normal((len(POINTS), 2)) for _ in range(10)]
+    boards = [board_view(POINTS, pose, f"v{index}", error) for index, error in enumerate(noise)]
+
+    verdict = verdict_of(calibrate_camera(boards, 1600, 1200), boards)
+
+    assert value(verdict, "views_used") == 1.0
+    assert verdict.grade is Grade.REDO
+    assert any("only 1 of the 10 views differ" in advice for advice in verdict.advice)
+
+
 def test_images_without_a_board_lower_the_verdict(views):
     boards = views(10)
 
