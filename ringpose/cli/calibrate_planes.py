@@ -117,6 +117,7 @@ def _calibrate(shots: list[str], reading: _Reading, writing: _Writing, method: P
     from ringpose.calibrate.planes_quality import planes_summary
     from ringpose.cli.batch import Batch
     from ringpose.cli.calibration_outputs import refuse_existing_outputs, say_verdict
+    from ringpose.errors import NO_POSE
     from ringpose.files.cameras import read_camera
     from ringpose.files.rigs import read_mount
 
@@ -126,6 +127,7 @@ def _calibrate(shots: list[str], reading: _Reading, writing: _Writing, method: P
     stripes = _stripe_images(reading, read_camera(writing.camera))
     stripes.require_method(method, free_camera)
     _read(shots, reading, stripes, batch)
+    batch.met(NO_POSE if stripes.without_stripe else 0)
     with batch.item():
         assessment = _assessment(stripes, method, free_camera, writing.expected_rad)
         _write(assessment, tool_from_camera, writing, [reading.board, *stripes.images.paths], reading.force)

@@ -33,6 +33,8 @@ class StripeImages:
         self.given = (names, order)
         self.surround_m = surround_m
         self.names: tuple[str, ...] = ()
+        self.without_stripe = False
+        """Whether a shot of the board showed no stripe on it: no laser learns from that shot."""
 
     def read(self, item: Input) -> None:
         """Add the view that a shot shows."""
@@ -44,6 +46,7 @@ class StripeImages:
         seen = stripe_view(shot, view, self.images.board, self.camera, len(self.names), self.surround_m)
         self.views.append(seen)
         found = sum(len(px) > 0 for px in (*seen.stripes_px, *seen.unlabelled_px))
+        self.without_stripe |= not found
         self.images.last += f", {found} stripes" + "".join(f"; {remark}" for remark in seen.remarks)
         if self.images.overlay is not None:
             drawn = stripe_overlay(shot.images.max(axis=0), seen)

@@ -50,7 +50,7 @@ def test_a_shot_without_stripes_is_named_in_the_summary(folder, capsys):
 
     status = calibrate("planes", *ORDER)
 
-    assert status == 0
+    assert status == 3
     assert "unlit: no stripe of left, middle, right" in capsys.readouterr().err
 
 
