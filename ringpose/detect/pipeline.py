@@ -6,7 +6,8 @@ import numpy as np
 
 from ringpose.detect.bands import predicted_bands
 from ringpose.detect.break_points import break_points, ends_clear
-from ringpose.detect.faces import Face, ring_face
+from ringpose.detect.contradictions import lie_nowhere
+from ringpose.detect.faces import CONFIRMED, Face, ring_face
 from ringpose.detect.frames import LaserImage, laser_images
 from ringpose.detect.ring_edges import shown_edges
 from ringpose.detect.stripe_centers import find_stripes
@@ -115,6 +116,8 @@ def _found(stripes: Stripes, images: list[LaserImage], rig: Rig) -> BreakPoints 
     face = ring_face(tracks, unlabelled, rig)
     if not unlabelled and _masks_contradicted(face, tracks, rig):
         return NoBreakPoints.CONTRADICTED_MASKS
+    if (face is None or len(face.lasers) < CONFIRMED) and lie_nowhere(tracks, rig):
+        return NoBreakPoints.CONTRADICTED_RIG
     if face is None:
         return NoBreakPoints.NO_RING
     if face.ambiguous:

@@ -37,6 +37,7 @@ class NoBreakPoints(Enum):
     NO_STRIPE = "no laser stripe found"
     NO_RING = "stripes found, but no piece of one looks like the ring's face"
     CONTRADICTED_MASKS = "the stripes make one ring only under other lasers than the masks say; check the wiring"
+    CONTRADICTED_RIG = "most stripes lie nowhere before the camera; the images are of another rig, or upside down"
     AMBIGUOUS_LABELS = "the stripes fit the lasers in more than one way; switch the lasers one by one"
     NOT_SOUGHT = "break points were not looked for"
 
