@@ -26,7 +26,13 @@ FLATNESS_M = 5e-5
 """... and by this, which boards are not flat to."""
 
 LARGEST_BOARD_PX = 0.5
-"""Corners further than this (rms) from where the camera has the board mean another camera, lens or board."""
+"""Corners further than this (rms) from where the camera has the board mean another camera, lens or board ..."""
+
+LEAST_BOARD_PX = 0.1
+"""... as do those further than this and than ..."""
+
+USUAL_FACTOR = 5.0
+"""... so many times what they had when the rig was calibrated: a principal point 10 px off makes 0.3 px."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,16 +59,20 @@ class RigCheck:
     name: str
     distance_m: float
     board_rms_px: float
+    board_limit_px: float
     lasers: tuple[LaserCheck, ...]
 
     @property
     def holds(self) -> bool:
         """Whether camera and all light planes agree with the view."""
-        return self.board_rms_px <= LARGEST_BOARD_PX and all(laser.holds for laser in self.lasers)
+        return self.board_rms_px <= self.board_limit_px and all(laser.holds for laser in self.lasers)
 
 
-def rig_check(view: StripeView, rig: Rig) -> RigCheck:
-    """The board where its corners have it, and each stripe on it against its light plane."""
+def rig_check(view: StripeView, rig: Rig, usual_board_px: float | None = None) -> RigCheck:
+    """The board where its corners have it, and each stripe on it against its light plane.
+
+    `usual_board_px` is the distance of corners from their boards when the rig was calibrated, if that is known.
+    """
     board = _standing(view, rig)
     planes = list(zip(rig.lasers.normal, rig.lasers.distance_m.tolist(), strict=True))
     if view.unlabelled_px:
@@ -71,6 +81,7 @@ def rig_check(view: StripeView, rig: Rig) -> RigCheck:
         name=view.board.name,
         distance_m=float(board.pose.translation_m[2]),
         board_rms_px=board.pose.residual_rms_px,
+        board_limit_px=_board_limit_px(usual_board_px),
         lasers=tuple(_judged(laser, view, board, rig) for laser in range(len(planes))),
     )
 
@@ -78,7 +89,7 @@ def rig_check(view: StripeView, rig: Rig) -> RigCheck:
 def rig_check_lines(check: RigCheck) -> list[str]:
     """The figures in lines to read."""
     head = f"{check.name}: board at {check.distance_m:.2f} m, corners {check.board_rms_px:.2f} px rms"
-    lines = [f"{head} (limit {LARGEST_BOARD_PX:g}): {_judgement(check.board_rms_px <= LARGEST_BOARD_PX)}"]
+    lines = [f"{head} (limit {check.board_limit_px:.2f}): {_judgement(check.board_rms_px <= check.board_limit_px)}"]
     for laser in check.lasers:
         if np.isnan(laser.offset_m):
             lines.append(f"{check.name}: {laser.name}: no stripe on the board, not checked")
@@ -87,6 +98,12 @@ def rig_check_lines(check: RigCheck) -> list[str]:
             swapped = f", it lies on the plane of {laser.lies_on}: are they swapped?" if laser.lies_on else ""
             lines.append(f"{check.name}: {laser.name}: {found}: {_judgement(laser.holds)}{swapped}")
     return lines
+
+
+def _board_limit_px(usual_px: float | None) -> float:
+    if usual_px is None:
+        return LARGEST_BOARD_PX
+    return min(max(USUAL_FACTOR * usual_px, LEAST_BOARD_PX), LARGEST_BOARD_PX)
 
 
 def _judgement(holds: bool) -> str:

@@ -187,14 +187,14 @@ def _check(shots: list[str], rig_file: Path, reading: _Reading) -> None:
     from ringpose.cli import messages
     from ringpose.cli.batch import Batch
     from ringpose.errors import NO_POSE
-    from ringpose.files.rigs import read_rig
+    from ringpose.files.rigs import read_rig, usual_board_px
 
-    rig = read_rig(rig_file)
+    rig, usual_px = read_rig(rig_file), usual_board_px(rig_file)
     batch = Batch()
     stripes = _stripe_images(reading._replace(names=",".join(rig.lasers.names)), rig.camera)
     _read(shots, reading, stripes, batch)
     for view in stripes.views:
-        found = rig_check(view, rig)
+        found = rig_check(view, rig, usual_px)
         if not found.holds:
             batch.met(NO_POSE)
         if not (reading.quiet and found.holds):

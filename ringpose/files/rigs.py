@@ -61,6 +61,18 @@ def read_mount(path: Path) -> Float64[Array, "4 4"]:
     return _tool_from_camera(fields)
 
 
+def usual_board_px(path: Path) -> float | None:
+    """Root mean square distance, in pixels, that the corners had from the rig's own boards: the median over them.
+
+    None where the file does not say.
+    """
+    fields = Fields(str(path), parsed(read_bytes(path), str(path)), _KEYS)
+    boards = fields.fields("quality").values.get("boards") if fields.has("quality") else None
+    known = [board.get("rms_px") for board in boards or () if isinstance(board, Mapping)]
+    numbers = [rms_px for rms_px in known if isinstance(rms_px, float) and np.isfinite(rms_px)]
+    return float(np.median(numbers)) if numbers else None
+
+
 def require_mount(rig: Rig, path: Path) -> None:
     """Refuse a rig that does not say where the camera is mounted."""
     if rig.tool_from_camera is None:

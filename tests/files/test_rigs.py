@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ringpose.errors import CannotCreateError, DataError
-from ringpose.files.rigs import read_rig, require_mount, write_rig
+from ringpose.files.rigs import read_rig, require_mount, usual_board_px, write_rig
 from ringpose.types.covariance import ParameterCovariance
 
 
@@ -18,6 +18,18 @@ def test_good_rig_is_read_with_its_hash(rig_file):
     np.testing.assert_array_equal(rig.lasers.projector_m, [[-0.03, -0.04, 0], [np.nan] * 3])
     np.testing.assert_array_equal(rig.camera.camera_matrix, [[700, 0, 320.5], [0, 710, 240.25], [0, 0, 1]])
     assert rig.sha256 == hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def test_usual_distance_of_corners_is_the_median_of_the_rigs_boards(rig_file, tmp_path):
+    boards = [{"name": str(rms_px), "rms_px": rms_px} for rms_px in (0.5, 0.01, 0.03)]
+
+    write_rig(tmp_path / "judged.yaml", read_rig(rig_file()), extra={"quality": {"boards": boards}})
+
+    assert usual_board_px(tmp_path / "judged.yaml") == 0.03
+
+
+def test_usual_distance_of_corners_is_unknown_where_the_rig_tells_none(rig_file):
+    assert usual_board_px(rig_file()) is None
 
 
 def test_rig_with_everything_is_read_as_it_was_written(rig_file, tmp_path, rng):
