@@ -48,6 +48,15 @@ def standard_deviations(covariance):
     return grasp_m, tilt_rad
 
 
+def record_in(line):
+    """The record on a line; None if it is none that this controller knows, or half of one."""
+    try:
+        record = json.loads(line)
+    except ValueError:
+        return None
+    return record if isinstance(record, dict) and record.get("schema") == "ringpose/pose/1" else None
+
+
 def command(record, limits):
     """What the robot is told after one pose line."""
     pose = record["pose"]
@@ -57,6 +66,8 @@ def command(record, limits):
         return {"do": "hold", "why": ", ".join(record["flags"])}
     if any(figure is not None and figure > limits.health for figure in record.get("laser_health", {}).values()):
         return {"do": "hold", "why": "a light plane or the camera has moved"}
+    if "inconsistent" in record["flags"]:
+        return {"do": "hold", "why": record["reason"]}
     if pose["covariance"] is None:
         return {"do": "hold", "why": "nothing is known of the errors"}
     grasp_m, tilt_rad = standard_deviations(pose["covariance"])
@@ -81,8 +92,10 @@ def main():
         last_round = newest.ended.is_set()
         line, skipped = newest.take()
         if line is not None:
-            record = json.loads(line)
-            told = {"shot": record["shot"], "skipped": skipped, **command(record, limits)}
+            record = record_in(line)
+            told = {"shot": None, "skipped": skipped, "do": "hold", "why": "a line that is no pose line"}
+            if record is not None:
+                told = {"shot": record["shot"], "skipped": skipped, **command(record, limits)}
             print(json.dumps(told), flush=True)
             heard_s, told_of_silence = time.monotonic(), False
         elif not told_of_silence and time.monotonic() - heard_s > limits.patience:

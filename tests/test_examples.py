@@ -67,7 +67,7 @@ def pose_line(shot: str, grasp_sd_m: float = 1e-4, tilt_sd_rad: float = 1e-3) ->
         "grasp_m": [0.1, 0.2, 0.5],
         "covariance": {"full": full, "center": None, "grasp": grasp},
     }
-    return json.dumps({"shot": shot, "reason": None, "pose": pose}) + "\n"
+    return json.dumps({"schema": "ringpose/pose/1", "shot": shot, "flags": [], "reason": None, "pose": pose}) + "\n"
 
 
 def told(process: subprocess.Popen[str], lines: str) -> list[dict]:
@@ -89,7 +89,9 @@ def test_the_controller_holds_when_the_pose_is_not_sure_enough(controller, bad):
 
 
 def test_the_controller_holds_without_a_pose_and_says_why(controller):
-    (command,) = told(controller(), json.dumps({"shot": "a", "reason": "the image is dark", "pose": None}) + "\n")
+    record = json.loads(pose_line("a")) | {"reason": "the image is dark", "pose": None}
+
+    (command,) = told(controller(), json.dumps(record) + "\n")
 
     assert (command["do"], command["why"]) == ("hold", "the image is dark")
 
@@ -102,6 +104,21 @@ def test_the_controller_holds_where_the_normal_is_not_known(controller):
     (command,) = told(controller(), json.dumps(record) + "\n")
 
     assert (command["do"], command["why"]) == ("hold", "normal_weak")
+
+
+@pytest.mark.parametrize("line", ["junk\n", pose_line("a")[:200], "[]\n", pose_line("a").replace("pose/1", "pose/2")])
+def test_the_controller_holds_where_a_line_is_no_pose_line(controller, line):
+    (command,) = told(controller(), line)
+
+    assert (command["do"], command["why"]) == ("hold", "a line that is no pose line")
+
+
+def test_the_controller_holds_where_nobody_knows_what_is_wrong(controller):
+    record = json.loads(pose_line("a")) | {"flags": ["inconsistent"], "reason": "no single part is to blame"}
+
+    (command,) = told(controller(), json.dumps(record) + "\n")
+
+    assert (command["do"], command["why"]) == ("hold", "no single part is to blame")
 
 
 def test_the_controller_holds_when_the_rig_has_changed(controller):

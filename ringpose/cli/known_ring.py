@@ -21,6 +21,9 @@ DEFAULT_SD_M = 0.0005
 LARGEST_M = 5.0
 """No ring has a larger radius."""
 
+LEAST_SD_M = 1e-6
+"""Nobody measures a ring so well; less only spoils the arithmetic."""
+
 LARGEST_SD = 0.2
 """Share of the radius; who knows less of it knows nothing."""
 
@@ -84,7 +87,7 @@ def _refuse_contradictions(said: SaidOfRing) -> None:
         if radius_m is not None and not 0 < radius_m < LARGEST_M:
             raise UsageError(option, f"{radius_m:g} is no radius in metres that a ring has", _in_metres(radius_m))
     smallest_m = min((radius_m for radius_m in radii if radius_m is not None), default=LARGEST_M)
-    if said.radius_sd_m is not None and not 0 < said.radius_sd_m < LARGEST_SD * smallest_m:
+    if said.radius_sd_m is not None and not LEAST_SD_M <= said.radius_sd_m < LARGEST_SD * smallest_m:
         found = f"{said.radius_sd_m:g} is no standard deviation in metres of a radius that is known"
         raise UsageError("--radius-sd", found, _in_metres(said.radius_sd_m))
     if None not in radii and not radii[1] < radii[0]:  # type: ignore[operator]

@@ -78,7 +78,7 @@ def pose(
     rig_of_shots = read_rig(rig)
     if frame is PoseFrame.TOOL:
         require_mount(rig_of_shots, rig)
-    batch, watch = Batch(), RigWatch(rig_of_shots.lasers.names)
+    batch, watch = Batch(), RigWatch(rig_of_shots.lasers.names, method)
     measure = partial(pose_line, rig=rig_of_shots, method=method, frame=frame, known=known)
     wanted = None
     if camera is not None:

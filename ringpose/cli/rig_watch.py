@@ -13,22 +13,28 @@ from ringpose.types.ring_pose import PoseFlag
 class RigWatch:
     """Carries the lasers' health from line to line, and warns once of each drift."""
 
-    def __init__(self, names: tuple[str, ...]) -> None:
+    def __init__(self, names: tuple[str, ...], method: Method) -> None:
         self._names = names
+        self._method = method
         self._health = new_health(len(names))
         self._warned = False
 
     def watched(self, line: PoseLine) -> PoseLine:
-        """The line with the lasers' health."""
-        if line.pose is None or line.pose.method != Method.ML or PoseFlag.RADIUS_DISAGREES in line.pose.flags:
+        """The line with the lasers' health; one without a pose, or of another ring than was said, tells nothing new."""
+        if self._method is not Method.ML:
             return line
-        self._health = health_after(self._health, line.pose.plane_evidence)
-        warning = drift_warning(self._health, self._names)
-        if warning is not None and not self._warned:
-            messages.say(f"{line.shot}: {warning}; run ringpose calibrate-planes")
-        self._warned = warning is not None
+        if line.pose is not None and PoseFlag.RADIUS_DISAGREES not in line.pose.flags:
+            self._health = health_after(self._health, line.pose.plane_evidence)
+            self._warn(line.shot)
         figures = dict(zip(self._names, self._health.figure.tolist(), strict=True))
         return replace(line, laser_health=figures)
+
+    def _warn(self, shot: str) -> None:
+        """Once, until the rig is well again."""
+        warning = drift_warning(self._health, self._names)
+        if warning is not None and not self._warned:
+            messages.say(f"{shot}: {warning}; run ringpose calibrate-planes")
+        self._warned = warning is not None
 
 
 def remarks_on(line: PoseLine) -> str:

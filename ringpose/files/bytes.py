@@ -15,6 +15,8 @@ def read_bytes(path: Path) -> bytes:
         raise NoInputError(str(path), "is a folder, must be a file") from None
     except PermissionError:
         raise NoInputError(str(path), "cannot be opened: permission denied") from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
+    except ValueError:
+        raise NoInputError(repr(str(path)), "is no name that a file can have") from None
+    except OSError as error:
+        reason = error.strerror or str(error)
         raise InputOutputError(str(path), f"reading broke off: {reason.lower()}") from error

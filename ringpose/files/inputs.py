@@ -13,6 +13,9 @@ STDIN = "-"
 
 RECORDS_SUFFIX = ".jsonl"
 
+LONGEST_NAME = 1024
+"""Half a record is longer."""
+
 
 class Record(NamedTuple):
     """A JSON record that came on stdin, and the place it came from."""
@@ -84,11 +87,17 @@ def _paths(path: Path, suffixes: tuple[str, ...]) -> Iterator[Path | NoInputErro
     try:
         files = sorted(child for child in path.iterdir() if _wanted(child, suffixes)) if path.is_dir() else [path]
     except OSError as error:
-        yield NoInputError(str(path), f"cannot be opened: {(error.strerror or str(error)).lower()}")
+        yield NoInputError(_shown(path), f"cannot be opened: {(error.strerror or str(error)).lower()}")
         return
     if not files:
         yield NoInputError(str(path), f"holds no file that ends with {', '.join(suffixes)}")
     yield from files
+
+
+def _shown(path: Path) -> str:
+    """The name, of a line that is none only how it begins."""
+    name = str(path)
+    return name if len(name) <= LONGEST_NAME else f"{name[:60]}..."
 
 
 def _wanted(path: Path, suffixes: tuple[str, ...]) -> bool:

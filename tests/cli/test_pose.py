@@ -105,6 +105,27 @@ def test_detection_beside_the_rigs_image_is_refused(rig, detections, tmp_path, c
     assert f"{changed}:1: break_points.{key}: lies beyond the image of 640 x 480 pixels" in captured.err
 
 
+def test_shot_without_a_pose_still_tells_the_health_of_each_laser(rig, picture, capsys):
+    main(["pose", str(picture("black.png")), "--rig", str(rig)])
+
+    (record,) = lines(capsys.readouterr().out)
+    names = [laser["name"] for laser in yaml.safe_load(rig.read_text())["lasers"]]
+    assert record["laser_health"] == dict.fromkeys(names)
+
+
+def test_what_is_no_name_ends_no_stream(rig, detections, tmp_path, monkeypatch, capsys):
+    (tmp_path / "stdin").write_bytes(b"a\0b\n" + 3000 * b"x" + b"\n" + detections.read_bytes())
+    with (tmp_path / "stdin").open() as stream:
+        monkeypatch.setattr("sys.stdin", stream)
+        status = main(["pose", "-", "--rig", str(rig)])
+
+    captured = capsys.readouterr()
+    assert status == 66
+    assert len(lines(captured.out)) == 3
+    assert "is no name that a file can have" in captured.err
+    assert max(map(len, captured.err.splitlines())) < 200
+
+
 def test_verbose_says_what_became_of_each_shot(rig, detections, capsys):
     main(["pose", str(detections), "--rig", str(rig), "-v"])
 
@@ -134,6 +155,7 @@ def test_missing_rig_is_no_input(detections, tmp_path, capsys):
         (["--radius-outer", "nan"], "--radius-outer: nan is no radius in metres"),
         (["--radius-outer", "0.597", "--radius-inner", "567"], "--radius-inner: 567 is no radius in metres"),
         (["--radius-outer", "0.597", "--radius-sd", "0.5"], "give metres: 0.0005"),
+        (["--radius-outer", "0.597", "--radius-sd", "1e-300"], "--radius-sd: 1e-300 is no standard deviation"),
         (["--radius-outer", "0.5", "--radius-inner", "0.6"], "--radius-inner: is not smaller"),
         (["--ring", "nominal-1195"], "did you mean 'nominal-1194'?"),
         (["--method", "paper", "--radius-outer", "0.6"], "paper has no use for what is known of the ring"),
