@@ -3,6 +3,9 @@
 import os
 import shutil
 import signal
+import socket
+import subprocess
+import sys
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -77,6 +80,17 @@ def needed_program() -> Callable[[str], str]:
         return str(found)
 
     return path
+
+
+@pytest.fixture(scope="session")
+def forker() -> Iterator[socket.socket]:
+    """A process that has loaded the command and forks one for each job."""
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    words = [sys.executable, "-W", "error", str(Path(__file__).with_name("forker.py")), str(theirs.fileno())]
+    with subprocess.Popen(words, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL):
+        theirs.close()
+        yield ours
+        ours.close()
 
 
 @pytest.fixture

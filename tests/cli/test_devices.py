@@ -1,6 +1,7 @@
 """Shots and poses over the network and a serial line, from stand-ins that run in a process of their own."""
 
 import json
+import os
 import resource
 import signal
 import subprocess
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from forked import Forked
 from other_client import Port
 from served_scene import small_scene
 from small_rig import SMALL_RIG
@@ -26,7 +28,7 @@ COMMAND = "import sys; from ringpose.cli.main import run; run()"
 
 
 @pytest.fixture
-def serve(tmp_path, monkeypatch, loopback_address):
+def serve(tmp_path, monkeypatch, loopback_address, forker):
     """Start `ringpose simulate serve` and return its URIs."""
     monkeypatch.chdir(tmp_path)
     processes = []
@@ -34,17 +36,17 @@ def serve(tmp_path, monkeypatch, loopback_address):
     def started(*options: str, scene: str = "scene.yaml") -> dict[str, str]:
         if not Path(scene).exists():
             small_scene(tmp_path)
-        command = [sys.executable, "-c", COMMAND, "simulate", "serve", "--scene", scene, "--camera", loopback_address]
-        process = subprocess.Popen([*command, "--log", "log.jsonl", *options], stdout=subprocess.PIPE, text=True)
+        words = ["simulate", "serve", "--scene", scene, "--camera", loopback_address, "--log", "log.jsonl", *options]
+        job = {"before": "", "words": words, "folder": str(tmp_path), "environment": {**os.environ}}
+        process = Forked(forker, job)
         processes.append(process)
-        assert process.stdout is not None
         return json.loads(process.stdout.readline())
 
     yield started
     for process in processes:
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(20) == 143
-        process.stdout.close()
+        with process:
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(20) == 143
 
 
 def capture(uris: dict[str, str], *options: str) -> int:

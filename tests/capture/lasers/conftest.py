@@ -1,18 +1,15 @@
 """Boards on pseudo-terminals, and the real command that captures with them."""
 
-import json
 import os
-import signal
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
+from forked import Forked
 from small_rig import SMALL_RIG
 
 from ringpose.simulate.serve.contacts import ContactFaults
@@ -91,67 +88,16 @@ def scene_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-class Capturing(AbstractContextManager["Capturing"]):
-    """The real command, forked from a process that has loaded what it imports; used like a `subprocess.Popen`."""
-
-    def __init__(self, forker: socket.socket, job: dict[str, Any]) -> None:
-        self._reply, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        (out, their_out), (said, their_said) = os.pipe(), os.pipe()
-        self.stdout, self.stderr = os.fdopen(out), os.fdopen(said)
-        socket.send_fds(forker, [json.dumps(job).encode()], [theirs.fileno(), their_out, their_said])
-        theirs.close()
-        os.close(their_out)
-        os.close(their_said)
-        self.pid = int(self._reply.recv(32))
-        self.returncode: int | None = None
-
-    def send_signal(self, number: int) -> None:
-        os.kill(self.pid, number)
-
-    def kill(self) -> None:
-        with suppress(ProcessLookupError):
-            self.send_signal(signal.SIGKILL)
-
-    def wait(self, timeout: float | None = None) -> int:
-        if self.returncode is None:
-            self._reply.settimeout(timeout)
-            self.returncode = int(self._reply.recv(32))
-        return self.returncode
-
-    def communicate(self, timeout: float | None = None) -> tuple[str, str]:
-        """What it has still to say; a few lines, which a pipe holds."""
-        self.wait(timeout)
-        return self.stdout.read(), self.stderr.read()
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
-        if kind is not None and self.returncode is None:
-            self.kill()
-        self.wait()
-        for each in (self.stdout, self.stderr, self._reply):
-            each.close()
-
-
-@pytest.fixture(scope="session")
-def forker() -> Iterator[socket.socket]:
-    """A process that has loaded the command and forks one for each job."""
-    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    words = [sys.executable, "-W", "error", str(Path(__file__).with_name("forker.py")), str(theirs.fileno())]
-    with subprocess.Popen(words, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL):
-        theirs.close()
-        yield ours
-        ours.close()
-
-
 @pytest.fixture
-def capturing(scene_folder: Path, forker: socket.socket) -> Callable[..., Capturing]:
+def capturing(scene_folder: Path, forker: socket.socket) -> Callable[..., Forked]:
     """Starts `ringpose capture` of a small simulated scene with the lasers at a URI; returns the process."""
 
     def start(
         lasers: str, *words: str, before: str = "", first: tuple[str, ...] = ("capture", "--output", "s")
-    ) -> Capturing:
+    ) -> Forked:
         command = [*first, "--camera", "sim:scene.yaml", "--lasers", lasers, *words]
         job = {"before": before, "words": command, "folder": str(scene_folder), "environment": {**os.environ}}
-        return Capturing(forker, job)
+        return Forked(forker, job)
 
     return start
 

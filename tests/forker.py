@@ -17,10 +17,12 @@ import ringpose.capture.lasers.guarded
 import ringpose.cli.capture
 import ringpose.cli.live
 import ringpose.cli.pose
+import ringpose.cli.simulate_serve
 import ringpose.cli.sources
 import ringpose.files.scenes
 import ringpose.files.sessions
 import ringpose.simulate.pipeline
+import ringpose.simulate.serve.stand_in
 from ringpose.cli.main import run
 
 LOADED = (scipy, ringpose)

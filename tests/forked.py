@@ -1,0 +1,48 @@
+"""Commands that are forked from a process which has loaded what they import."""
+
+import json
+import os
+import signal
+import socket
+from contextlib import AbstractContextManager, suppress
+from typing import Any
+
+
+class Forked(AbstractContextManager["Forked"]):
+    """The real command, forked from a process that has loaded what it imports; used like a `subprocess.Popen`."""
+
+    def __init__(self, forker: socket.socket, job: dict[str, Any]) -> None:
+        self._reply, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        (out, their_out), (said, their_said) = os.pipe(), os.pipe()
+        self.stdout, self.stderr = os.fdopen(out), os.fdopen(said)
+        socket.send_fds(forker, [json.dumps(job).encode()], [theirs.fileno(), their_out, their_said])
+        theirs.close()
+        os.close(their_out)
+        os.close(their_said)
+        self.pid = int(self._reply.recv(32))
+        self.returncode: int | None = None
+
+    def send_signal(self, number: int) -> None:
+        os.kill(self.pid, number)
+
+    def kill(self) -> None:
+        with suppress(ProcessLookupError):
+            self.send_signal(signal.SIGKILL)
+
+    def wait(self, timeout: float | None = None) -> int:
+        if self.returncode is None:
+            self._reply.settimeout(timeout)
+            self.returncode = int(self._reply.recv(32))
+        return self.returncode
+
+    def communicate(self, timeout: float | None = None) -> tuple[str, str]:
+        """What it has still to say; a few lines, which a pipe holds."""
+        self.wait(timeout)
+        return self.stdout.read(), self.stderr.read()
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        if kind is not None and self.returncode is None:
+            self.kill()
+        self.wait()
+        for each in (self.stdout, self.stderr, self._reply):
+            each.close()
