@@ -20,6 +20,7 @@ from ringpose.calibrate.circle_centers import circle_centers
 from ringpose.calibrate.circle_failures import circle_failure
 from ringpose.calibrate.marker_sides import corners_from_sides
 from ringpose.calibrate.markers import Markers, find_markers, marker_count, marker_dictionary, markers_of
+from ringpose.errors import DataError
 from ringpose.types.arrays import Array, Float64, Int64, UInt, UInt8
 from ringpose.types.board import Board, BoardView
 
@@ -37,7 +38,11 @@ def find_board(image: UInt[Array, "row column"], board: Board, name: str) -> Boa
     small = too_small(grey)
     if small is not None:
         return small
-    seen = _marker_view(grey, board) if marker_count(board) else _pattern_view(grey, board)
+    try:
+        seen = _marker_view(grey, board) if marker_count(board) else _pattern_view(grey, board)
+    except cv2.error as error:
+        found = f"OpenCV fails on its {grey.shape[1]} x {grey.shape[0]} pixels: {' '.join(str(error.err).split())}"
+        raise DataError(name, found, "give a smaller image") from error
     if isinstance(seen, NoBoard):
         return unusable(grey, seen) or seen
     return BoardView(

@@ -48,7 +48,8 @@ def fitted_plane(name: str, points: Sequence[Points], method: PlanesMethod) -> F
     rms_m = _rms(every @ normal - distance_m)
     if rms_m > LARGEST_SCATTER * extent_m(every):
         found = f"the points of its {seen} views lie on no common plane (rms {1e3 * rms_m:.1f} mm)"
-        raise DataError(_place(name), found, "see with --overlay whether these stripes are the laser's")
+        remedy = "see with --overlay whether these stripes are the laser's, and none are exchanged in one of the shots"
+        raise DataError(_place(name), found, remedy)
     return FittedPlane(normal, distance_m, spread)
 
 

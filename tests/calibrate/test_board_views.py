@@ -9,6 +9,7 @@ from drawn_boards import BOARDS, CHARUCO, CHESSBOARD, FOUR, GRID
 
 from ringpose.calibrate.board_points import corner_points, marker_corners
 from ringpose.calibrate.board_views import find_board
+from ringpose.errors import DataError
 from ringpose.types.board import Board
 
 LEGACY = replace(CHARUCO, legacy_pattern=True)
@@ -128,3 +129,14 @@ def test_noise_does_not_push_the_corners_of_markers_outwards(rng, drawn_board, p
         outward.append(np.sum(error * away, axis=2) / np.linalg.norm(away, axis=2))
 
     assert abs(np.median(outward)) < 0.012
+
+
+def test_an_image_that_opencv_fails_on_is_bad_data_and_no_bug(monkeypatch):
+    def failing(*_, **__):
+        return cv2.cvtColor(np.zeros((2, 2), np.uint8), cv2.COLOR_BGR2GRAY)  # one channel where three are needed
+
+    monkeypatch.setattr(cv2, "findCirclesGrid", failing)
+    circles = Board(kind="asymmetric_circles", squares_x=4, squares_y=11, spacing_m=0.02)
+
+    with pytest.raises(DataError, match=r"vast: OpenCV fails on its 640 x 480 pixels: .*; give a smaller image"):
+        find_board(np.zeros((480, 640), np.uint8), circles, "vast")
