@@ -46,8 +46,7 @@ CUT_OFF_PX = 6.0
 """An end so close to the left or right border is where the image ends, not the face."""
 
 CUT_OFF_ROWS_PX = 10.0
-"""The same for the upper and lower border, where a stripe is not measured once its section is not whole: sections have
-a sigma of 4 px at most, and their filters with them 6.5."""
+"""The same for the upper and lower border, where no stripe is measured whose section is not whole: 6.5 px at most."""
 
 LEAST_SPILT = 5
 """A track with fewer centres on its line beyond its ends has nothing to be joined to."""
@@ -113,7 +112,6 @@ TRACK_PRICE = 3.0
 CLEAR_MARGIN = {3: 4.0, 2: 4.0, 1: math.inf}
 """Two labellings whose scores differ by less are both possible, by number of tracks; nothing checks that of a single
 one: where stripes cross, what seems to be unseen is not, so that any other possible label is one too many."""
-
 
 CONFIRMED = 3
 """Fewer tracks on one plane may be there by chance, so that it matters what else they may be."""
