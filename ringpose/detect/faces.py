@@ -147,10 +147,10 @@ def ring_face(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], 
     unlabelled = sum(1 << laser for laser in lasers)
     every, found = ring_faces(tracks, unlabelled, _planes(rig), _rules(rig))
     groups: list[Group | None] = list(found)
-    best = _most_convincing(groups)
+    best = most_convincing(groups)
     while best is not None and not _alike(every[list(best.tracks)], best.lasers, rig):
         groups = [None if group is best else group for group in groups]
-        best = _most_convincing(groups)
+        best = most_convincing(groups)
     if best is None:
         return None
     chosen = every[list(best.tracks)]
@@ -163,15 +163,18 @@ def ring_face(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], 
     )
 
 
-def _most_convincing(groups: Sequence[Group | None]) -> Group | None:
+def most_convincing(groups: Sequence[Group | None]) -> Group | None:
     """The largest group, unless a smaller one says more; None if none convinces.
 
     Nothing confirms a single track. Two are confirmed by one plane, and three by one plane and two circles, which
     is hardly ever so by chance: what three have less in score than other two may be the price of a broken track.
+    Two beside a more convincing one are pieces of the body behind it.
     """
     one, two, three = (
         group if group is not None and group.score > CONVINCING_SCORE[len(group.tracks)] else None for group in groups
     )
+    if one is not None and two is not None and not set(one.tracks) < set(two.tracks) and two.score < 2 * one.score:
+        two = None
     if two is None or three is None:
         return three or two or one
     among = set(zip(two.lasers, two.tracks, strict=True)) < set(zip(three.lasers, three.tracks, strict=True))

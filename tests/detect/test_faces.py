@@ -5,8 +5,9 @@ import pytest
 
 from ringpose.bench.stripe_images import Kind, stripe_image, stripe_rig
 from ringpose.detect.consistency import checked
-from ringpose.detect.faces import may_be_the_body, ring_face
+from ringpose.detect.faces import may_be_the_body, most_convincing, ring_face
 from ringpose.geometry.rays import undistorted_pixels
+from ringpose.kernels.faces import Group
 from ringpose.kernels.ring import TRACK_COLUMNS, Ends
 from ringpose.types.break_points import BreakPointFlag
 from ringpose.types.stripes import UNLABELLED
@@ -61,6 +62,16 @@ def test_a_piece_much_shorter_than_the_other_stripes_is_of_another_surface(share
     face = ring_face(tracks, ALL, RIG)
 
     assert face is None or len(face.lasers) < 3
+
+
+@pytest.mark.parametrize(
+    ("pair", "score", "chosen"), [((5, 19), 12.4, (17,)), ((5, 19), 19.5, (5, 19)), ((17, 19), 12.4, (17, 19))]
+)
+def test_two_pieces_less_like_a_face_than_another_are_the_body_behind_it(pair, score, chosen):
+    one = Group((0,), (17,), 9.5, -np.inf)
+    two = Group((0, 1), pair, score, -np.inf)
+
+    assert most_convincing((one, two, None)).tracks == chosen
 
 
 @pytest.mark.parametrize("seed", range(4))
