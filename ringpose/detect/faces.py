@@ -184,7 +184,7 @@ def most_convincing(groups: Sequence[Group | None]) -> Group | None:
 def _alike(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig: Rig) -> bool:
     """Whether stripes may cross one band: none of them, but those that leave the image, much shorter than another."""
     rows = tracks.tolist()
-    lengths_m = [_length_m(row, laser, rig) for row, laser in zip(rows, lasers, strict=True)]
+    lengths_m = [math.dist(*_points_m(row, laser, rig)) for row, laser in zip(rows, lasers, strict=True)]
     whole_m = [length_m for row, length_m in zip(rows, lengths_m, strict=True) if not row[CLIPPED]]
     return not whole_m or max(lengths_m) < LONGEST_TO_SHORTEST * min(whole_m)
 
@@ -201,7 +201,7 @@ def may_be_the_body(
         for other in lasers if row[LASER] == UNLABELLED else ():
             low, high = _depths_m(row, other, rig)
             farther = other != laser and low > max(nearest, BODY_RANGE_M[0]) and high < BODY_RANGE_M[1]
-            if farther and high > farthest and _length_m(row, other, rig) > FACE_LENGTH_M[1]:
+            if farther and high > farthest and math.dist(*_points_m(row, other, rig)) > FACE_LENGTH_M[1]:
                 return True
     return False
 
@@ -222,10 +222,6 @@ def _depths_m(row: Sequence[float], laser: int, rig: Rig) -> tuple[float, float]
     """Depths of a track's nearer and farther end; one behind the camera has a negative one."""
     start, end = (depth for _, _, depth in _points_m(row, laser, rig))
     return min(start, end), max(start, end)
-
-
-def _length_m(row: Sequence[float], laser: int, rig: Rig) -> float:
-    return math.dist(*_points_m(row, laser, rig))
 
 
 @lru_cache(maxsize=4)
