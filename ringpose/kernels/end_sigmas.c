@@ -11,6 +11,9 @@ enum { LAGS = 5 };
 #define ROOT_OF_TWO 1.4142135623730951
 #define ROOT_OF_TWO_PI 2.5066282746310002
 
+/* Share of speckle's grains that the optics resolve. */
+#define RESOLVED 0.25
+
 /* Columns, in widths, by which an edge moves if the level differs by so much of itself from what it seems to be: half
    of it over the slope at half of it. */
 #define LEVEL_TO_POSITION (0.5 * ROOT_OF_TWO_PI)
@@ -74,10 +77,11 @@ static void fill_influence(const Columns *columns, const Shapes *shapes, int has
 
 /* How much light two columns share that grains vary by, over what they would on the face. Of grains that the optics
    resolve each column shows what it shows of the stripe; of finer ones, which they average, the edge leaves fewer to
-   both. No image tells which they are. */
+   both. No image tells which they are; grains before a lens of f/8 are as wide as a pixel, finer than most blurs. */
 static double shared_light(const Columns *columns, const Shapes *shapes, int i, int lag) {
     double resolved = shapes->shown[i] * shapes->shown[i - lag];
-    return 0.5 * (resolved + shapes->fine[2 * i - lag] * columns->room[FULL][i] * columns->room[FULL][i - lag]);
+    double averaged = shapes->fine[2 * i - lag] * columns->room[FULL][i] * columns->room[FULL][i - lag];
+    return RESOLVED * resolved + (1 - RESOLVED) * averaged;
 }
 
 /* Variance by speckle; that of neighbours is alike: a Gaussian, `likeness` to the power of their distance's square. */

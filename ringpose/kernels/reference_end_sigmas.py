@@ -11,6 +11,7 @@ from ringpose.types.arrays import Array, Float64
 
 LAGS = 5
 MISFIT_WIDTHS = 3
+RESOLVED = 0.25
 STEPS = np.linspace(-4.0, 4.0, 801)
 NORMAL_CDF = np.array([0.5 * (1 + math.erf(step / math.sqrt(2))) for step in STEPS])
 
@@ -69,12 +70,13 @@ def _column_noise(
 
 
 def _speckle(columns: Columns, edge: Edge, seen: tuple[Array, Array], likeness: float) -> float:
-    """Variance by speckle of one: half as if grains were resolved, half as if they were finer than the blur."""
+    """Variance by speckle of one: a share as if grains were resolved, the rest as if they were finer than the blur."""
     shown, influence = seen
     apart = np.round(np.abs(columns.along[:, None] - columns.along))
     middle = (columns.along[:, None] + columns.along) / 2
     fine = lit_share(math.sqrt(2) * (edge.position - middle) / edge.width)
-    shared = 0.5 * (np.outer(shown, shown) + fine * np.outer(columns.room[-1], columns.room[-1]))
+    averaged = fine * np.outer(columns.room[-1], columns.room[-1])
+    shared = RESOLVED * np.outer(shown, shown) + (1 - RESOLVED) * averaged
     alike = np.where(apart <= LAGS, likeness ** (apart**2), 0.0)
     return float(influence @ (alike * shared) @ influence)
 
