@@ -28,15 +28,14 @@ static int open_shapes(PyObject *arguments, Py_buffer view[], const Shape shape[
         int open = open_array(object, &view[i], shape[i].name, shape[i].format, shape[i].size, shape[i].axes, writable);
         if (open && (shape[i].row == 0 || view[i].shape[shape[i].axes - 1] == shape[i].row)) continue;
         if (open) PyErr_Format(PyExc_ValueError, "%s: must be %d", shape[i].name, shape[i].row);
-        if (open) i++;
-        while (i > 0) PyBuffer_Release(&view[--i]);
+        close_arrays(view, (int)i + open);
         return 0;
     }
     return 1;
 }
 
 static PyObject *released(PyObject *result, Py_buffer view[], int count) {
-    for (int i = 0; i < count; i++) PyBuffer_Release(&view[i]);
+    close_arrays(view, count);
     return result;
 }
 

@@ -106,7 +106,7 @@ static PyObject *faces(PyObject *module, PyObject *arguments) {
         !read_rules(rules_object, &rules) || !open_arrays(o, view, description, 2))
         return NULL;
     PyObject *result = faces_of(view, unlabelled, &rules);
-    for (int i = 0; i < 2; i++) PyBuffer_Release(&view[i]);
+    close_arrays(view, 2);
     return result;
 }
 

@@ -49,37 +49,17 @@ static PyObject *differentiate(const Py_buffer view[2], int constrained, double 
     return result;
 }
 
-/* Arrays of a call as they must be. */
-typedef struct {
-    const char *name, *formats;
-    int axes;
-} Expected;
-
-static void close_all(Py_buffer *view, int opened) {
-    while (opened > 0) PyBuffer_Release(&view[--opened]);
-}
-
-/* All of them or, with a Python exception, none; all elements are of 8 bytes. */
-static int open_all(PyObject *const *object, const Expected *expected, int count, Py_buffer *view) {
-    for (int i = 0; i < count; i++)
-        if (!open_array(object[i], &view[i], expected[i].name, expected[i].formats, 8, expected[i].axes, 0)) {
-            close_all(view, i);
-            return 0;
-        }
-    return 1;
-}
-
 static PyObject *forms(PyObject *module, PyObject *arguments) {
     (void)module;
-    static const Expected expected[2] = {{"points", "d", 3}, {"edges", "ql", 1}};
+    static const Description description[2] = {{"points", "d", 3}, {"edges", "ql", 1}};
     PyObject *o[2];
     int constrained;
     double singular_below;
     Py_buffer view[2];
     if (!PyArg_ParseTuple(arguments, "OOpd", &o[0], &o[1], &constrained, &singular_below)) return NULL;
-    if (!open_all(o, expected, 2, view)) return NULL;
+    if (!open_arrays(o, view, description, 2)) return NULL;
     PyObject *result = solve(view, constrained, singular_below);
-    close_all(view, 2);
+    close_arrays(view, 2);
     return result;
 }
 
@@ -97,15 +77,15 @@ static PyObject *plane(PyObject *module, PyObject *points) {
 
 static PyObject *derivatives(PyObject *module, PyObject *arguments) {
     (void)module;
-    static const Expected expected[2] = {{"points", "d", 2}, {"edges", "ql", 1}};
+    static const Description description[2] = {{"points", "d", 2}, {"edges", "ql", 1}};
     PyObject *o[2];
     int constrained;
     double singular_below, step;
     Py_buffer view[2];
     if (!PyArg_ParseTuple(arguments, "OOpdd", &o[0], &o[1], &constrained, &singular_below, &step)) return NULL;
-    if (!open_all(o, expected, 2, view)) return NULL;
+    if (!open_arrays(o, view, description, 2)) return NULL;
     PyObject *result = differentiate(view, constrained, singular_below, step);
-    close_all(view, 2);
+    close_arrays(view, 2);
     return result;
 }
 
@@ -138,7 +118,7 @@ static PyObject *misfit_of(const Py_buffer view[9], double offset_m) {
 
 static PyObject *misfit(PyObject *module, PyObject *arguments) {
     (void)module;
-    static const Expected expected[9] = {
+    static const Description description[9] = {
         {"points", "d", 2}, {"edges", "ql", 1},  {"normals", "d", 2}, {"positions", "d", 2},   {"normal", "d", 1},
         {"center", "d", 1}, {"radii", "d", 1}, {"matrix", "d", 2},  {"coefficients", "d", 1},
     };
@@ -148,9 +128,9 @@ static PyObject *misfit(PyObject *module, PyObject *arguments) {
     if (!PyArg_ParseTuple(arguments, "OOOOOOOOOd", &o[0], &o[1], &o[2], &o[3], &o[4], &o[5], &o[6], &o[7], &o[8],
                           &offset_m))
         return NULL;
-    if (!open_all(o, expected, 9, view)) return NULL;
+    if (!open_arrays(o, view, description, 9)) return NULL;
     PyObject *result = misfit_of(view, offset_m);
-    close_all(view, 9);
+    close_arrays(view, 9);
     return result;
 }
 
@@ -174,15 +154,15 @@ static PyObject *spread_of(const Py_buffer view[5]) {
 
 static PyObject *spread(PyObject *module, PyObject *arguments) {
     (void)module;
-    static const Expected expected[5] = {
+    static const Description description[5] = {
         {"points", "d", 2}, {"normals", "d", 2}, {"covariances", "d", 3}, {"matrix", "d", 2}, {"coefficients", "d", 1},
     };
     PyObject *o[5];
     Py_buffer view[5];
     if (!PyArg_ParseTuple(arguments, "OOOOO", &o[0], &o[1], &o[2], &o[3], &o[4])) return NULL;
-    if (!open_all(o, expected, 5, view)) return NULL;
+    if (!open_arrays(o, view, description, 5)) return NULL;
     PyObject *result = spread_of(view);
-    close_all(view, 5);
+    close_arrays(view, 5);
     return result;
 }
 
@@ -208,15 +188,15 @@ static PyObject *rows_of(const Py_buffer view[5]) {
 
 static PyObject *rows(PyObject *module, PyObject *arguments) {
     (void)module;
-    static const Expected expected[5] = {
+    static const Description description[5] = {
         {"state", "d", 1}, {"rays", "d", 2}, {"light", "d", 2}, {"whitening", "d", 2}, {"points", "d", 2},
     };
     PyObject *o[5];
     Py_buffer view[5];
     if (!PyArg_ParseTuple(arguments, "OOOOO", &o[0], &o[1], &o[2], &o[3], &o[4])) return NULL;
-    if (!open_all(o, expected, 5, view)) return NULL;
+    if (!open_arrays(o, view, description, 5)) return NULL;
     PyObject *result = rows_of(view);
-    close_all(view, 5);
+    close_arrays(view, 5);
     return result;
 }
 

@@ -82,7 +82,7 @@ static PyObject *tracks(PyObject *module, PyObject *arguments) {
         !read_numbers(rules_object, "rules", rule, RULES) || !open_arrays(o, view, description, 4))
         return NULL;
     result = tracks_of(view, &lens, rule);
-    for (int i = 0; i < 4; i++) PyBuffer_Release(&view[i]);
+    close_arrays(view, 4);
     return result;
 }
 
@@ -146,7 +146,7 @@ static PyObject *arcs(PyObject *module, PyObject *arguments) {
         !read_numbers(lens_object, "lens", (double *)&lens, NUMBERS(Lens)) || !open_arrays(o, view, description, 3))
         return NULL;
     result = arcs_of(view, &lens, circle_sigma, exact);
-    for (int i = 0; i < 3; i++) PyBuffer_Release(&view[i]);
+    close_arrays(view, 3);
     return result;
 }
 
@@ -250,7 +250,7 @@ static PyObject *marks(PyObject *module, PyObject *arguments) {
         !open_arrays(o, view, description, 7))
         return NULL;
     result = marks_of(view, lasers, &rules);
-    for (int i = 0; i < 7; i++) PyBuffer_Release(&view[i]);
+    close_arrays(view, 7);
     return result;
 }
 

@@ -89,7 +89,7 @@ static PyObject *search(PyObject *module, PyObject *arguments) {
         result = searched(view, first, last);
     else
         PyErr_SetString(PyExc_ValueError, "search: arrays do not fit together");
-    for (int i = 0; i < ARRAYS; i++) PyBuffer_Release(&view[i]);
+    close_arrays(view, ARRAYS);
     return result;
 }
 
@@ -134,7 +134,7 @@ static PyObject *start(PyObject *module, PyObject *arguments) {
         result = started(view);
     else
         PyErr_SetString(PyExc_ValueError, "start: arrays do not fit together");
-    for (int i = 0; i < START_ARRAYS; i++) PyBuffer_Release(&view[i]);
+    close_arrays(view, START_ARRAYS);
     return result;
 }
 

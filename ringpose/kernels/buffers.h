@@ -34,12 +34,16 @@ typedef struct {
     int axes;
 } Description;
 
+static inline void close_arrays(Py_buffer view[], int count) {
+    for (int i = 0; i < count; i++) PyBuffer_Release(&view[i]);
+}
+
 static inline int open_arrays(PyObject *const object[], Py_buffer view[], const Description description[], int count) {
     for (int i = 0; i < count; i++) {
         const Description *d = &description[i];
         int size = d->format[0] == 'i' ? 4 : 8, fill = d->name[0] == '>';
         if (open_array(object[i], &view[i], d->name + fill, d->format, size, d->axes, fill)) continue;
-        while (i > 0) PyBuffer_Release(&view[--i]);
+        close_arrays(view, i);
         return 0;
     }
     return 1;
