@@ -7,7 +7,7 @@ import numpy as np
 from ringpose.detect.tracks import lens
 from ringpose.geometry.planes import nearest_plane, towards_camera
 from ringpose.geometry.rays import intersect, rays, undistorted_rays
-from ringpose.kernels.ring import TRACK_COLUMNS, ArcFit, Ends, arc_fit
+from ringpose.kernels.ring import LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START, ArcFit, Ends, arc_fit
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.break_points import BreakPointFlag
 from ringpose.types.rig import Rig
@@ -35,10 +35,6 @@ IN_FRONT_M = 0.005
 
 BESIDE_PX = 40.0
 """How far from an end a stripe on what hides it begins."""
-
-LASER, X_START, X_END, MIDDLE_X, MIDDLE_Y, SLOPE = (
-    TRACK_COLUMNS.index(name) for name in ("laser", "x_start", "x_end", "middle_x", "middle_y", "slope")
-)
 
 Tracks = Float64[Array, "track column=11"]
 """Columns as in `TRACK_COLUMNS`."""

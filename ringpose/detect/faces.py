@@ -18,7 +18,7 @@ import numpy as np
 from ringpose.detect.tracks import LEAST_COLUMNS, TAKEN_BY_THE_FIT, lens
 from ringpose.geometry.rays import undistorted_rays
 from ringpose.kernels.faces import CandidateRules, FaceRules, Group, RingRules, UnionRules, ring_faces
-from ringpose.kernels.ring import TRACK_COLUMNS
+from ringpose.kernels.ring import CLIPPED, LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
 from ringpose.types.rig import Rig
@@ -122,10 +122,6 @@ LONGEST_TO_SHORTEST = 2.5
 BODY_RANGE_M = (0.15, 1.5)
 """Where the body behind a ring is looked for."""
 
-LASER, X_START, X_END, MIDDLE_X, MIDDLE_Y, SLOPE, CLIPPED = (
-    TRACK_COLUMNS.index(name) for name in ("laser", "x_start", "x_end", "middle_x", "middle_y", "slope", "clipped")
-)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Face:
@@ -145,7 +141,7 @@ def ring_face(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], 
     `lasers` are those that an unlabelled track may belong to.
     """
     unlabelled = sum(1 << laser for laser in lasers)
-    every, found = ring_faces(tracks, unlabelled, _planes(rig), _rules(rig))
+    every, found = ring_faces(tracks, unlabelled, planes_per_m(rig), _rules(rig))
     groups: list[Group | None] = list(found)
     best = most_convincing(groups)
     while best is not None and not _alike(every[list(best.tracks)], best.lasers, rig):
@@ -226,12 +222,12 @@ def _depths_m(row: Sequence[float], laser: int, rig: Rig) -> tuple[float, float]
 
 @lru_cache(maxsize=4)
 def _plane_numbers(rig: Rig) -> list[list[float]]:
-    numbers: list[list[float]] = _planes(rig).tolist()
+    numbers: list[list[float]] = planes_per_m(rig).tolist()
     return numbers
 
 
 @lru_cache(maxsize=4)
-def _planes(rig: Rig) -> Float64[Array, "laser xyz=3"]:
+def planes_per_m(rig: Rig) -> Float64[Array, "laser xyz=3"]:
     """The light planes as m / d: 1/z = (m / d) . (x, y, 1) on them."""
     planes: Float64[Array, "laser xyz=3"] = rig.lasers.normal / rig.lasers.distance_m[:, None]
     return planes

@@ -14,7 +14,7 @@ from ringpose.detect.stripe_centers import find_stripes
 from ringpose.detect.stripe_segments import stripes_between_segments
 from ringpose.detect.stripe_source import StripeSource
 from ringpose.detect.tracks import straight_tracks
-from ringpose.kernels.ring import TRACK_COLUMNS
+from ringpose.kernels.ring import LASER
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.break_points import BreakPoints, Detection, NoBreakPoints
 from ringpose.types.frame import Shot
@@ -130,7 +130,7 @@ def _masks_contradicted(face: Face | None, tracks: Float64[Array, "track column=
     if face is not None and len(face.lasers) > 2:
         return False
     unlabelled = tracks.copy()
-    unlabelled[:, TRACK_COLUMNS.index("laser")] = UNLABELLED
+    unlabelled[:, LASER] = UNLABELLED
     other = ring_face(unlabelled, range(len(rig.lasers.names)), rig)
     return other is not None and len(other.lasers) > 2
 

@@ -9,7 +9,7 @@ from functools import lru_cache
 from ringpose.detect.frames import LaserImage
 from ringpose.detect.tracks import lens
 from ringpose.kernels import ring
-from ringpose.kernels.ring import TRACK_COLUMNS, EndRules
+from ringpose.kernels.ring import MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START, EndRules
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
 
@@ -57,7 +57,7 @@ BLUNT_GAIN = 3.0
 believed: no lens blurs more along the stripe than across it, so that an edge has a chamfer or is worn round."""
 
 
-LINE = [TRACK_COLUMNS.index(name) for name in ("middle_x", "middle_y", "slope", "x_start", "x_end")]
+LINE = [MIDDLE_X, MIDDLE_Y, SLOPE, X_START, X_END]
 
 
 def stripe_ends(

@@ -6,12 +6,21 @@ import numpy as np
 
 from ringpose.kernels.faces import CandidateRules, FaceRules, Faces, RingRules, UnionRules
 from ringpose.kernels.reference_groups import Pool, best_groups
-from ringpose.kernels.ring import TRACK_COLUMNS
-from ringpose.types.arrays import Array, Bool, Float64
-
-LASER, COUNT, X_START, X_END, MIDDLE_X, MIDDLE_Y, SLOPE, SCATTER, CORRELATION, CLIPPED, SPILT = range(
-    len(TRACK_COLUMNS)
+from ringpose.kernels.ring import (
+    CENTERS,
+    CLIPPED,
+    CORRELATION,
+    LASER,
+    MIDDLE_X,
+    MIDDLE_Y,
+    SCATTER,
+    SLOPE,
+    SPILT,
+    TRACK_COLUMNS,
+    X_END,
+    X_START,
 )
+from ringpose.types.arrays import Array, Bool, Float64
 
 Tracks = Float64[Array, "track column=11"]
 Track = Float64[Array, "column=11"]
@@ -56,7 +65,7 @@ def _length(track: Track) -> float:
 
 def _sigma(track: Track, x: float, rules: UnionRules) -> float:
     """Standard deviation of the line's ordinate."""
-    columns = max(track[COUNT] / track[CORRELATION] - rules.taken_by_fit, rules.least_columns)
+    columns = max(track[CENTERS] / track[CORRELATION] - rules.taken_by_fit, rules.least_columns)
     spread = max(_length(track), 1.0) / math.sqrt(12)
     return float(track[SCATTER] / math.sqrt(columns) * math.hypot(1.0, (x - track[MIDDLE_X]) / spread))
 
@@ -64,18 +73,18 @@ def _sigma(track: Track, x: float, rules: UnionRules) -> float:
 def _union(first: Track, second: Track) -> Track:
     """One track of both: the line and the scatter that all their centres together have."""
     parts = np.stack([first, second], axis=1)
-    weight = parts[COUNT] / parts[COUNT].sum()
+    weight = parts[CENTERS] / parts[CENTERS].sum()
     middle_x, middle_y = weight @ parts[MIDDLE_X], weight @ parts[MIDDLE_Y]
     dx, dy = parts[MIDDLE_X] - middle_x, parts[MIDDLE_Y] - middle_y
     own = np.maximum(parts[X_END] - parts[X_START], 1.0) ** 2 / 12
     xx, xy = weight @ (own + dx**2), weight @ (own * parts[SLOPE] + dx * dy)
     yy = weight @ (own * parts[SLOPE] ** 2 + parts[SCATTER] ** 2 + dy**2)
     both = first.copy()
-    both[COUNT], both[X_END] = parts[COUNT].sum(), second[X_END]
+    both[CENTERS], both[X_END] = parts[CENTERS].sum(), second[X_END]
     both[[MIDDLE_X, MIDDLE_Y, SLOPE]] = middle_x, middle_y, xy / xx
     both[SCATTER] = math.sqrt(max(yy - xy**2 / xx, 0.0))
     both[CORRELATION] = parts[CORRELATION].max()
-    both[SPILT] = np.maximum(parts[SPILT] - parts[COUNT, ::-1], 0.0).sum()
+    both[SPILT] = np.maximum(parts[SPILT] - parts[CENTERS, ::-1], 0.0).sum()
     return both
 
 
@@ -146,13 +155,13 @@ def _meet_another(
 
 def _spilt_costs(tracks: Tracks, rules: CandidateRules) -> Float64[Array, "track"]:
     """What centres on the tracks' lines beyond them cost."""
-    costs: Float64[Array, "track"] = rules.spill_cost * tracks[:, SPILT] / (tracks[:, SPILT] + tracks[:, COUNT])
+    costs: Float64[Array, "track"] = rules.spill_cost * tracks[:, SPILT] / (tracks[:, SPILT] + tracks[:, CENTERS])
     return costs
 
 
 def _merits(tracks: Tracks, rules: CandidateRules) -> Float64[Array, "track"]:
     """How much tracks look like a flat metal face: long for their scatter, and nothing on their line beyond."""
-    straight = 2 * np.log(np.minimum(tracks[:, COUNT], rules.enough_columns))
+    straight = 2 * np.log(np.minimum(tracks[:, CENTERS], rules.enough_columns))
     rough = 0.5 * (tracks[:, SCATTER] / rules.usual_scatter_px) ** 2
     merits: Float64[Array, "track"] = (
         straight - rough - _spilt_costs(tracks, rules) - rules.clipped_cost * tracks[:, CLIPPED]

@@ -4,7 +4,18 @@ import math
 
 import numpy as np
 
-from ringpose.kernels.ring import Ends, MarkRules
+from ringpose.kernels.ring import (
+    CENTERS,
+    CORRELATION,
+    MIDDLE_X,
+    MIDDLE_Y,
+    SCATTER,
+    SLOPE,
+    X_END,
+    X_START,
+    Ends,
+    MarkRules,
+)
 from ringpose.types.arrays import Array, Float64
 
 
@@ -17,8 +28,8 @@ def marked_ends(
 ) -> Ends:
     """Twin of `ringpose.kernels.ring.marked_ends`."""
     x, y, slope, sigma = np.moveaxis(found[..., :4], -1, 0)
-    straight_x = tracks[:, 2:4]
-    straight_y = tracks[:, [5]] + tracks[:, [6]] * (straight_x - tracks[:, [4]])
+    straight_x = tracks[:, [X_START, X_END]]
+    straight_y = tracks[:, [MIDDLE_Y]] + tracks[:, [SLOPE]] * (straight_x - tracks[:, [MIDDLE_X]])
     across = _line_sigmas(tracks, x, found, rules)
     xx, xy, yy = sigma**2, sigma**2 * slope, sigma**2 * slope**2 + across**2
     with np.errstate(invalid="ignore"):
@@ -46,15 +57,16 @@ def _line_sigmas(
     What lies beneath a stripe and shifts its peak by a share of itself shifts its centre by that share of its sigma.
     """
     section = found[:, 0, 7]
-    count, correlation, scatter, length = tracks[:, 1], tracks[:, 8], tracks[:, 7], tracks[:, 3] - tracks[:, 2]
+    count, correlation, scatter = (tracks[:, each] for each in (CENTERS, CORRELATION, SCATTER))
+    length = tracks[:, X_END] - tracks[:, X_START]
     facets = np.maximum(count / (rules.facet_sigmas * section), 1.0)
     beneath = np.nan_to_num(section * np.sqrt(found[:, 0, 9] / facets))
     columns = np.maximum(count / correlation - rules.taken_by_fit, rules.least_columns)
     middle = np.maximum(scatter / np.sqrt(columns), beneath)
-    away = (x - tracks[:, [4]]) / (np.maximum(length, 1.0) / math.sqrt(12))[:, None]
+    away = (x - tracks[:, [MIDDLE_X]]) / (np.maximum(length, 1.0) / math.sqrt(12))[:, None]
     with np.errstate(invalid="ignore"):
         clipped = (found[..., 5] > rules.saturated_share).any(axis=1)
-    rows_crossed = np.maximum(np.abs(tracks[:, 6]) * length, 1.0)
+    rows_crossed = np.maximum(np.abs(tracks[:, SLOPE]) * length, 1.0)
     shared = np.where(clipped, rules.clipped_phase / section / rows_crossed, 0.0)
     sigmas: Float64[Array, "track end=2"] = np.hypot(middle[:, None] * np.hypot(1.0, away), shared[:, None])
     return sigmas

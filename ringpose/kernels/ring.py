@@ -86,6 +86,10 @@ TRACK_COLUMNS = (
 """What `straight_tracks` says of each track; `spilt`: centres on its line between 2 px and the track's length
 (at most 100 px) + 40 px beyond its ends."""
 
+LASER, CENTERS, X_START, X_END, MIDDLE_X, MIDDLE_Y, SLOPE, SCATTER, CORRELATION, CLIPPED, SPILT = range(
+    len(TRACK_COLUMNS)
+)
+
 
 def straight_tracks(
     position_px: Float64[Array, "center xy=2"],

@@ -7,7 +7,7 @@ from drawn_scene import DrawnScene, drawn_rig, true_break_points
 from ringpose.geometry.rays import undistorted_pixels
 from ringpose.kernels import _faces, reference_faces
 from ringpose.kernels.faces import CandidateRules, FaceRules, RingRules, UnionRules, ring_faces
-from ringpose.kernels.ring import TRACK_COLUMNS
+from ringpose.kernels.ring import SPILT, TRACK_COLUMNS
 
 RULES = FaceRules(
     UnionRules(
@@ -205,7 +205,6 @@ def stripes_of_nearly_parallel_planes(depth_m):
     return light, tracks_between(ends[:, 0], ends[:, 1])
 
 
-SPILT = TRACK_COLUMNS.index("spilt")
 WIDE = {"focal_x": 960.0, "focal_y": 960.0, "principal_x": 799.5, "principal_y": 599.5}
 
 
