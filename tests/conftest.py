@@ -48,6 +48,21 @@ def shared_data(request: pytest.FixtureRequest) -> Path:
 
 
 @pytest.fixture(scope="session")
+def rig_of_rendered_boards(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file of a rig that the commands calibrate from the rendered boards (calib_b)."""
+    from ringpose.cli.main import main
+
+    boards = shared_data / "rendered" / "calib_b"
+    folder = tmp_path_factory.mktemp("rendered_boards")
+    camera, rig = str(folder / "camera.yaml"), folder / "rig.yaml"
+    board = ["--board", str(boards / "camera_board.yaml")]
+    main(["calibrate-camera", str(boards / "camera"), *board, "--output", camera])
+    board = ["--board", str(boards / "plane_board.yaml")]
+    main(["calibrate-planes", str(boards / "planes"), *board, "--camera", camera, "--output", str(rig)])
+    return rig
+
+
+@pytest.fixture(scope="session")
 def carried_data() -> Path:
     """The few rendered shots and board views that the project carries (tests/data/README.md)."""
     return CARRIED_DATA

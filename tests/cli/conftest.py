@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from plane_views import copy_views
 
 WIDTH, HEIGHT, FOCAL = 640, 480, 500.0
 CENTER = np.array([0.58, 0.02, 0.9])
@@ -80,6 +81,14 @@ def detections(tmp_path: Path) -> Path:
     file = tmp_path / "detections.jsonl"
     file.write_text(line("a") + line("b") + line("c"))
     return file
+
+
+@pytest.fixture
+def plane_folder(carried_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder with the true camera and the carried views of the four-marker board, all lasers on."""
+    monkeypatch.chdir(tmp_path)
+    copy_views(carried_data, tmp_path)
+    return tmp_path
 
 
 @pytest.fixture

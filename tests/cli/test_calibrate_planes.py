@@ -5,26 +5,18 @@ import re
 import cv2
 import numpy as np
 import pytest
-from plane_views import ORDER, calibrate, calibrated, copy_views, written
+from plane_views import ORDER, calibrate, calibrated, written
 
 
-@pytest.fixture
-def folder(carried_data, tmp_path, monkeypatch):
-    """A working folder with the true camera and the carried views of the four-marker board, all lasers on."""
-    monkeypatch.chdir(tmp_path)
-    copy_views(carried_data, tmp_path)
-    return tmp_path
-
-
-def test_all_lasers_on_and_no_order_is_refused_with_the_remedy(folder, capsys):
+def test_all_lasers_on_and_no_order_is_refused_with_the_remedy(plane_folder, capsys):
     status = calibrate("planes")
 
     assert status == 65
     assert "give --laser-order" in capsys.readouterr().err
-    assert not (folder / "rig.yaml").exists()
+    assert not (plane_folder / "rig.yaml").exists()
 
 
-def test_one_shot_is_one_line_and_is_refused(folder, capsys):
+def test_one_shot_is_one_line_and_is_refused(plane_folder, capsys):
     status = calibrate("planes/pln_B_01.npz", *ORDER)
 
     assert status == 65
@@ -33,7 +25,7 @@ def test_one_shot_is_one_line_and_is_refused(folder, capsys):
     assert "add a view of the board 50 mm or more nearer or farther than 0.5" in said
 
 
-def test_a_shot_without_a_board_is_named_and_the_rest_goes_on(folder, capsys):
+def test_a_shot_without_a_board_is_named_and_the_rest_goes_on(plane_folder, capsys):
     with np.load("planes/pln_B_01.npz") as shot:
         np.savez("planes/dark.npz", **{**shot, "images": np.zeros_like(shot["images"])})
 
@@ -41,10 +33,10 @@ def test_a_shot_without_a_board_is_named_and_the_rest_goes_on(folder, capsys):
 
     assert status == 3
     assert "ringpose: dark: no board: too dark" in capsys.readouterr().err
-    assert written(folder)["quality"]["without_board"][0]["name"] == "dark"
+    assert written(plane_folder)["quality"]["without_board"][0]["name"] == "dark"
 
 
-def test_a_shot_without_stripes_is_named_in_the_summary(folder, capsys):
+def test_a_shot_without_stripes_is_named_in_the_summary(plane_folder, capsys):
     with np.load("planes/pln_B_01.npz") as shot:
         np.savez("planes/unlit.npz", **{**shot, "images": shot["images"][[0, 0]]})
 
@@ -54,24 +46,24 @@ def test_a_shot_without_stripes_is_named_in_the_summary(folder, capsys):
     assert "unlit: no stripe of left, middle, right" in capsys.readouterr().err
 
 
-def test_a_wrong_order_is_wrong_usage(folder, capsys):
+def test_a_wrong_order_is_wrong_usage(plane_folder, capsys):
     assert calibrate("planes", "--laser-order", "up,middle,down") == 2
 
 
-def test_names_with_a_full_stop_are_wrong_usage(folder, capsys):
+def test_names_with_a_full_stop_are_wrong_usage(plane_folder, capsys):
     assert calibrate("planes", "--laser-names", "a.b,c,d") == 2
 
 
-def test_too_few_names_name_the_shot_that_has_more_lasers(folder, capsys):
+def test_too_few_names_name_the_shot_that_has_more_lasers(plane_folder, capsys):
     status = calibrate("planes", "--laser-names", "left,right")
 
     assert status == 65
     assert "a frame names laser 3, there are 2 (left, right)" in capsys.readouterr().err
 
 
-def test_the_camera_of_another_size_is_refused(folder, capsys):
-    text = (folder / "camera.yaml").read_text().replace("image_width: 1600", "image_width: 1280")
-    (folder / "camera.yaml").write_text(text)
+def test_the_camera_of_another_size_is_refused(plane_folder, capsys):
+    text = (plane_folder / "camera.yaml").read_text().replace("image_width: 1600", "image_width: 1280")
+    (plane_folder / "camera.yaml").write_text(text)
 
     status = calibrate("planes", *ORDER)
 
@@ -79,23 +71,23 @@ def test_the_camera_of_another_size_is_refused(folder, capsys):
     assert "1600 x 1200 pixels, the camera has 1280 x 1200" in capsys.readouterr().err
 
 
-def test_the_papers_method_needs_markers(folder, capsys):
-    (folder / "plane_board.yaml").write_text("{kind: chessboard, squares_x: 8, squares_y: 6, square_m: 0.02}")
+def test_the_papers_method_needs_markers(plane_folder, capsys):
+    (plane_folder / "plane_board.yaml").write_text("{kind: chessboard, squares_x: 8, squares_y: 6, square_m: 0.02}")
 
     assert calibrate("planes", *ORDER, "--method", "paper") == 2
 
 
-def test_angles_that_are_none_are_wrong_usage(folder, capsys):
+def test_angles_that_are_none_are_wrong_usage(plane_folder, capsys):
     assert calibrate("planes", *ORDER, "--expected-angles", "ten") == 2
 
 
-def test_a_camera_without_covariance_cannot_be_freed(folder, capsys):
+def test_a_camera_without_covariance_cannot_be_freed(plane_folder, capsys):
     assert calibrate("planes", *ORDER, "--free-camera") == 2
     assert "has no covariance" in capsys.readouterr().err
 
 
-def test_the_papers_method_needs_a_board_of_markers_alone(folder, capsys):
-    (folder / "plane_board.yaml").write_text(
+def test_the_papers_method_needs_a_board_of_markers_alone(plane_folder, capsys):
+    (plane_folder / "plane_board.yaml").write_text(
         "{kind: charuco, squares_x: 8, squares_y: 6, square_m: 0.02, marker_m: 0.01, dictionary: DICT_4X4_50}"
     )
 
@@ -103,7 +95,7 @@ def test_the_papers_method_needs_a_board_of_markers_alone(folder, capsys):
 
 
 @pytest.mark.parametrize("missing", ["--output", "--camera", "INPUT"])
-def test_what_is_missing_is_named(missing, folder, capsys):
+def test_what_is_missing_is_named(missing, plane_folder, capsys):
     words = {"--output": "rig.yaml", "--camera": "camera.yaml", "INPUT": "planes"}
     given = [part for name, value in words.items() if name != missing for part in (name, value) if part != "INPUT"]
 
@@ -111,7 +103,7 @@ def test_what_is_missing_is_named(missing, folder, capsys):
     assert f"{missing}: is missing" in capsys.readouterr().err
 
 
-def test_a_stripe_too_weak_or_swamped_or_blurred_says_so(folder, capsys):
+def test_a_stripe_too_weak_or_swamped_or_blurred_says_so(plane_folder, capsys):
     with np.load("planes/pln_B_01.npz") as shot:
         dark, lit = shot["images"]
         np.savez("planes/weak.npz", **{**shot, "images": np.stack([dark, np.maximum(dark, lit // 60)])})
@@ -137,20 +129,20 @@ def test_a_stripe_too_weak_or_swamped_or_blurred_says_so(folder, capsys):
         ("nan,10", "'nan,10' are not all from 0 to 180; give degrees, as 10,10"),
     ],
 )
-def test_expected_angles_that_no_lasers_have_are_refused(angles, finding, folder, capsys):
+def test_expected_angles_that_no_lasers_have_are_refused(angles, finding, plane_folder, capsys):
     status = calibrate("planes", *ORDER, "--expected-angles", angles)
 
     assert status == 2
     assert capsys.readouterr().err == f"ringpose: --expected-angles: {finding}\n"
-    assert not (folder / "rig.yaml").exists()
+    assert not (plane_folder / "rig.yaml").exists()
 
 
-def test_a_board_that_the_lasers_channel_does_not_show_is_found_in_the_luminance(folder, capsys):
+def test_a_board_that_the_lasers_channel_does_not_show_is_found_in_the_luminance(plane_folder, capsys):
     for name in ("pln_B_01", "pln_B_03", "pln_B_05"):
         dark, lit = np.load(f"planes/{name}.npz")["images"]
         red = np.where(lit > dark + 12, lit, 40).astype(np.uint8)
         cv2.imwrite(f"planes/{name}.png", np.dstack([dark, dark, red]))
-        (folder / "planes" / f"{name}.npz").unlink()
+        (plane_folder / "planes" / f"{name}.npz").unlink()
 
     calibrate("planes", *ORDER, "--laser-names", "left,middle,right", "--channel", "r", "--verbose")
 

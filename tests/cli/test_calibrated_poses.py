@@ -21,16 +21,11 @@ def errors_by_distance(shots, truth, rig) -> dict:
 
 
 @pytest.fixture(scope="module")
-def benched(shared_data, tmp_path_factory):
+def benched(shared_data, rig_of_rendered_boards, tmp_path_factory):
     """The rendered shots with the rig that the rendered boards give, and with the true one."""
-    rendered = shared_data / "rendered"
-    boards, shots = rendered / "calib_b", rendered / "rig_b"
+    shots = shared_data / "rendered" / "rig_b"
+    rigs = {"estimated": rig_of_rendered_boards, "true": shots / "rig.yaml"}
     with contextlib.chdir(tmp_path_factory.mktemp("benched")):
-        camera = ["calibrate-camera", str(boards / "camera"), "--board", str(boards / "camera_board.yaml")]
-        main([*camera, "--output", "camera.yaml"])
-        planes = ["calibrate-planes", str(boards / "planes"), "--board", str(boards / "plane_board.yaml")]
-        main([*planes, "--camera", "camera.yaml", "--output", "rig.yaml"])
-        rigs = {"estimated": "rig.yaml", "true": shots / "rig.yaml"}
         return {name: errors_by_distance(shots / "shots", shots / "truth.jsonl", rig) for name, rig in rigs.items()}
 
 

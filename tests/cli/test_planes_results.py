@@ -21,14 +21,6 @@ TRUE_NORMALS = np.array(
 )
 
 
-@pytest.fixture
-def folder(carried_data, tmp_path, monkeypatch):
-    """A working folder with the true camera and the carried views of the four-marker board, all lasers on."""
-    monkeypatch.chdir(tmp_path)
-    copy_views(carried_data, tmp_path)
-    return tmp_path
-
-
 @dataclass(frozen=True)
 class Run:
     """One calibration: where it was written, and what was said."""
@@ -61,10 +53,10 @@ def test_carried_views_give_the_true_planes_by_the_most_likely_too(run):
 
 
 @pytest.mark.parametrize(("method", "angle_deg"), [("total-least-squares", 0.02), ("paper", 0.1)])
-def test_carried_views_give_the_true_planes(method, angle_deg, folder):
+def test_carried_views_give_the_true_planes(method, angle_deg, plane_folder):
     status = calibrate("planes", *ORDER, "--method", method)
 
-    found = written(folder)
+    found = written(plane_folder)
     assert status == 0
     assert [laser["name"] for laser in found["lasers"]] == ["left", "middle", "right"]
     assert worst_angle_deg(found) < angle_deg
@@ -72,11 +64,11 @@ def test_carried_views_give_the_true_planes(method, angle_deg, folder):
 
 
 @pytest.mark.slow
-def test_switched_frames_need_no_order(shared_data, folder):
+def test_switched_frames_need_no_order(shared_data, plane_folder):
     status = calibrate(str(shared_data / "rendered" / "calib_b" / "planes"))
 
     assert status == 0
-    assert worst_angle_deg(written(folder)) < 0.01
+    assert worst_angle_deg(written(plane_folder)) < 0.01
 
 
 def test_the_file_says_how_good_it_is_and_where_it_comes_from(run):

@@ -6,20 +6,12 @@ import re
 import numpy as np
 import pytest
 import yaml
-from plane_views import ORDER, calibrate, calibrated, copy_views
+from plane_views import ORDER, calibrate, calibrated
 
 from ringpose.cli.main import main
 
 
-@pytest.fixture
-def folder(carried_data, tmp_path, monkeypatch):
-    """A working folder with the true camera and the carried views of the four-marker board, all lasers on."""
-    monkeypatch.chdir(tmp_path)
-    copy_views(carried_data, tmp_path)
-    return tmp_path
-
-
-def test_a_rig_that_holds_is_confirmed_by_one_view(folder, capsys):
+def test_a_rig_that_holds_is_confirmed_by_one_view(plane_folder, capsys):
     status = calibrated("--check", "camera.yaml", "planes/pln_B_01.npz")
 
     assert status == 0
@@ -27,10 +19,10 @@ def test_a_rig_that_holds_is_confirmed_by_one_view(folder, capsys):
     assert " mm beside its plane (limit 0.0" in said
 
 
-def test_a_rig_that_was_bumped_does_not_hold(folder, capsys):
-    rig = yaml.safe_load((folder / "camera.yaml").read_text())
+def test_a_rig_that_was_bumped_does_not_hold(plane_folder, capsys):
+    rig = yaml.safe_load((plane_folder / "camera.yaml").read_text())
     rig["lasers"][1]["distance_m"] += 0.001
-    (folder / "camera.yaml").write_text(yaml.safe_dump(rig))
+    (plane_folder / "camera.yaml").write_text(yaml.safe_dump(rig))
 
     status = calibrated("--check", "camera.yaml", "planes/pln_B_01.npz")
 
@@ -39,11 +31,11 @@ def test_a_rig_that_was_bumped_does_not_hold(folder, capsys):
     assert abs(float(beside[1])) == pytest.approx(1.0, abs=0.02)
 
 
-def test_lasers_that_were_swapped_are_called_so(folder, capsys):
-    rig = yaml.safe_load((folder / "camera.yaml").read_text())
-    (folder / "camera.yaml").write_text(yaml.safe_dump(rig | {"lasers": rig["lasers"][::-1]}))
+def test_lasers_that_were_swapped_are_called_so(plane_folder, capsys):
+    rig = yaml.safe_load((plane_folder / "camera.yaml").read_text())
+    (plane_folder / "camera.yaml").write_text(yaml.safe_dump(rig | {"lasers": rig["lasers"][::-1]}))
 
-    status = calibrated("--check", "camera.yaml", *one_by_one(folder))
+    status = calibrated("--check", "camera.yaml", *one_by_one(plane_folder))
 
     assert status == 3
     said = capsys.readouterr().err
@@ -51,7 +43,7 @@ def test_lasers_that_were_swapped_are_called_so(folder, capsys):
     assert re.search(r"left: .* does not hold, it lies on the plane of right: are they swapped\?", said)
 
 
-def one_by_one(folder) -> list[str]:
+def one_by_one(plane_folder) -> list[str]:
     """A shot whose first and last laser are on alone: strips of the picture with all of them."""
     with np.load("planes/pln_B_01.npz") as shot:
         dark, lit = shot["images"]
@@ -65,7 +57,7 @@ def one_by_one(folder) -> list[str]:
     return ["switched.npz"]
 
 
-def test_a_view_without_stripes_confirms_no_rig(folder, capsys):
+def test_a_view_without_stripes_confirms_no_rig(plane_folder, capsys):
     with np.load("planes/pln_B_01.npz") as shot:
         np.savez("unlit.npz", **{**shot, "images": shot["images"][[0, 0]]})
 
@@ -75,7 +67,7 @@ def test_a_view_without_stripes_confirms_no_rig(folder, capsys):
     assert "no stripe on the board, not checked" in capsys.readouterr().err
 
 
-def test_check_refuses_what_it_would_leave_aside(folder, capsys):
+def test_check_refuses_what_it_would_leave_aside(plane_folder, capsys):
     status = calibrate("planes", "--check", "camera.yaml")
 
     assert status == 2
@@ -84,21 +76,21 @@ def test_check_refuses_what_it_would_leave_aside(folder, capsys):
     )
 
 
-def test_the_mount_becomes_part_of_the_rig(folder):
+def test_the_mount_becomes_part_of_the_rig(plane_folder):
     from ringpose.files.rigs import read_rig
 
-    (folder / "mount.yaml").write_text(
+    (plane_folder / "mount.yaml").write_text(
         "mount: {tool_from_camera: [[0, -1, 0, 0.1], [1, 0, 0, 0], [0, 0, 1, 0.05], [0, 0, 0, 1]]}"
     )
 
     calibrate("planes", *ORDER, "--mount", "mount.yaml")
 
-    tool_from_camera = read_rig(folder / "rig.yaml").tool_from_camera
+    tool_from_camera = read_rig(plane_folder / "rig.yaml").tool_from_camera
     assert tool_from_camera[:3, 3] == pytest.approx([0.1, 0.0, 0.05])
 
 
-def test_poses_in_the_tools_frame_are_those_in_the_cameras_moved(folder, carried_data, capsys):
-    (folder / "mount.yaml").write_text(
+def test_poses_in_the_tools_frame_are_those_in_the_cameras_moved(plane_folder, carried_data, capsys):
+    (plane_folder / "mount.yaml").write_text(
         "mount: {tool_from_camera: [[0, -1, 0, 0.1], [1, 0, 0, 0], [0, 0, 1, 0.05], [0, 0, 0, 1]]}"
     )
     calibrate("planes", *ORDER, "--mount", "mount.yaml")
@@ -114,7 +106,7 @@ def test_poses_in_the_tools_frame_are_those_in_the_cameras_moved(folder, carried
     assert tool["normal"] == pytest.approx([-camera["normal"][1], camera["normal"][0], camera["normal"][2]], abs=1e-12)
 
 
-def test_a_file_without_a_mount_is_no_mount(folder, capsys):
+def test_a_file_without_a_mount_is_no_mount(plane_folder, capsys):
     status = calibrate("planes", *ORDER, "--mount", "camera.yaml")
 
     assert status == 65
