@@ -77,6 +77,15 @@ class Fit(NamedTuple):
         return left
 
 
+class Task(NamedTuple):
+    """What a ring is to explain, and by which rig it was seen."""
+
+    measured: Measurements
+    sighted: Sighted
+    rig: Rig
+    errors: RigErrors | None
+
+
 def fitted(measured: Measurements, rig: Rig, before: Beforehand, errors: RigErrors | None) -> Fit | None:
     """The most likely ring; None if the search ends nowhere.
 
@@ -85,19 +94,19 @@ def fitted(measured: Measurements, rig: Rig, before: Beforehand, errors: RigErro
     far from the ring they lead astray.
     """
     before = before._replace(one_edge=before.radii is None and _edges_seen(measured) == 1)
-    sighted = measured.sighted(rig.lasers)
-    start = starting_state(measured, sighted, before)
+    task = Task(measured, measured.sighted(rig.lasers), rig, errors)
+    start = starting_state(measured, task.sighted, before)
     if start is not None and len(measured.edges.edge) and len(measured.lines.laser) < STRIPES_OF_A_PLANE:
-        held = _search(start, measured, sighted, rig, before._replace(weak_about=start), errors)
+        held = _search(start, task, before._replace(weak_about=start))
         start = start if held is None else held.state
-    fit = None if start is None else _search(start, measured, sighted, rig, before, errors)
+    fit = None if start is None else _search(start, task, before)
     if start is not None and (fit is None or _leaves_open(fit)):
-        fit = _search(start, measured, sighted, rig, before._replace(weak_about=start), errors)
+        fit = _search(start, task, before._replace(weak_about=start))
     if fit is not None and fit.state.curvature < 0 and _unsure_of_side(measured, before):
         turned = fit.state._replace(
             outward=-fit.state.outward, curvature=-fit.state.curvature, shift_m=-fit.state.shift_m
         )
-        fit = _search(turned, measured, sighted, rig, before, errors) or fit
+        fit = _search(turned, task, before) or fit
     return fit
 
 
@@ -117,29 +126,16 @@ def _edges_seen(measured: Measurements) -> int:
     return len({*measured.points.edge.tolist(), *measured.edges.edge.tolist()})
 
 
-def _search(
-    state: RingState,
-    measured: Measurements,
-    sighted: Sighted,
-    rig: Rig,
-    before: Beforehand,
-    errors: RigErrors | None,
-) -> Fit | None:
+def _search(state: RingState, task: Task, before: Beforehand) -> Fit | None:
     """The kernel's search for what nearly every shot is made of, steps in here for the rest."""
-    if before.weak_about is None and not before.one_edge and not bool(measured.points.alone.any()):
-        return kernel_search(state, measured, sighted, rig, before, errors)
-    return search_in_steps(state, measured, sighted, rig, before, errors)
+    if before.weak_about is None and not before.one_edge and not bool(task.measured.points.alone.any()):
+        return kernel_search(state, task, before)
+    return search_in_steps(state, task, before)
 
 
-def kernel_search(
-    state: RingState,
-    measured: Measurements,
-    sighted: Sighted,
-    rig: Rig,
-    before: Beforehand,
-    errors: RigErrors | None,
-) -> Fit | None:
+def kernel_search(state: RingState, task: Task, before: Beforehand) -> Fit | None:
     """Of stripes, break points on them, visible edges and known radii; common errors enter after the first step."""
+    measured, sighted, rig, errors = task
     sought = _sought(measured, sighted, before)
     first = 0 if errors is None and not len(sought.edges) else 1
     common, left, numbers = None, None, state.numbers
@@ -178,15 +174,9 @@ def _state_of(numbers: Float64[Array, "9"]) -> RingState:
     return RingState(numbers[:3], numbers[3:6], *numbers[6:].tolist())
 
 
-def search_in_steps(
-    state: RingState,
-    measured: Measurements,
-    sighted: Sighted,
-    rig: Rig,
-    before: Beforehand,
-    errors: RigErrors | None,
-) -> Fit | None:
+def search_in_steps(state: RingState, task: Task, before: Beforehand) -> Fit | None:
     """All that `residual_rows` knows, one step after the other."""
+    measured, sighted, rig, errors = task
     robust = _robust_rows(measured)
     common: ByRig | None = None
     left = None

@@ -7,7 +7,7 @@ import pytest
 
 from ringpose.kernels import _search
 from ringpose.kernels.ring_search import Sought, started
-from ringpose.pose.likelihood import kernel_search, search_in_steps
+from ringpose.pose.likelihood import Task, kernel_search, search_in_steps
 from ringpose.pose.measurements import measurements_of
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.pose.residual_rows import Beforehand
@@ -45,7 +45,7 @@ def test_both_searches_end_at_the_same_ring(noisy, calibrated, radii):
     sighted, before, errors = measured.sighted(rig.lasers), Beforehand(radii), rig_errors(rig)
     start = starting_state(measured, sighted, before)
 
-    fits = [search(start, measured, sighted, rig, before, errors) for search in (kernel_search, search_in_steps)]
+    fits = [search(start, Task(measured, sighted, rig, errors), before) for search in (kernel_search, search_in_steps)]
 
     for name in ("residual", "weight", "normal_matrix", "inverse"):
         found, twin = (getattr(fit, name) for fit in fits)
