@@ -3,7 +3,6 @@
 import cv2
 import numpy as np
 
-from ringpose.calibrate.intrinsics import projection_jacobians
 from ringpose.geometry.rotations import angle_between, rotation_vector
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose, BoardView
@@ -48,16 +47,6 @@ def marker_average_pose(view: BoardView, camera: Camera) -> BoardPose:
 def residuals(view: BoardView, pose: BoardPose, camera: Camera) -> Float64[Array, "corner xy=2"]:
     """Measured minus projected corners, in pixels."""
     return view.points_px - _projected(view.points_board_m, pose.rotation, pose.translation_m, camera)
-
-
-def pose_covariance(
-    view: BoardView, pose: BoardPose, camera: Camera, sigma_px: float
-) -> Float64[Array, "pose=6 pose=6"]:
-    """Covariance of the rotation vector and translation for corners that err by `sigma_px` in each coordinate."""
-    by_pose, _ = projection_jacobians(view.points_board_m, pose, camera)
-    jacobian = by_pose.reshape(-1, 6)
-    covariance: Float64[Array, "pose=6 pose=6"] = sigma_px**2 * np.linalg.inv(jacobian.T @ jacobian)
-    return covariance
 
 
 def moved_pose(pose: BoardPose, step: Float64[Array, "pose=6"]) -> BoardPose:

@@ -47,14 +47,8 @@ def ellipse_offsets(
     conics[:, 2, 2] = np.sum(centers_m**2, axis=1) - radius_m**2
     seen = inverse.T @ conics @ inverse
     middles = np.linalg.solve(seen[:, :2, :2], -seen[:, :2, 2:])[..., 0]
-    offsets: Float64[Array, "corner xy=2"] = middles - _mapped(centers_m, homography)
+    offsets: Float64[Array, "corner xy=2"] = middles - cv2.perspectiveTransform(centers_m[None], homography)[0]
     return offsets
-
-
-def _mapped(places: Float64[Array, "n xy=2"], homography: Float64[Array, "3 3"]) -> Float64[Array, "n xy=2"]:
-    seen = places @ homography[:, :2].T + homography[:, 2]
-    mapped: Float64[Array, "n xy=2"] = seen[:, :2] / seen[:, 2:]
-    return mapped
 
 
 def _radius_m(

@@ -44,11 +44,6 @@ def center_sigma_px(points_px: Float64[Array, "n xy=2"], length: float) -> float
     return float(np.sqrt(length * (residual @ residual) / left))
 
 
-def scatter_px(points_px: Float64[Array, "n xy=2"]) -> float:
-    """Standard deviation of the centres across their stripe."""
-    return float(_residual_px(points_px)[1].std())
-
-
 def shared_length(stripes_px: Sequence[Float64[Array, "_ xy=2"]]) -> float:
     """Number of neighbours that count as one, from the products of neighbouring residuals of many stripes.
 
