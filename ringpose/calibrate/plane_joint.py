@@ -16,7 +16,7 @@ from ringpose.calibrate.intrinsics import camera_with, parameter_names, paramete
 from ringpose.calibrate.stripe_errors import center_sigma_px, shared_length, stripe_bend
 from ringpose.calibrate.stripe_residuals import stripe_rows
 from ringpose.errors import DataError
-from ringpose.geometry.rays import rays
+from ringpose.geometry.rays import rays, undistorted_pixels
 from ringpose.geometry.rotations import tilted
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose
@@ -93,12 +93,15 @@ class JointFit(NamedTuple):
 
 
 def joint_data(views: Sequence[StripeView], camera: Camera, corner_px: float, free_camera: bool = False) -> JointData:
-    """The views with the errors that they show themselves."""
-    shared = shared_length([px for view in views for px in view.stripes_px])
+    """The views with the errors that they show themselves, stripes in them made straight: no smooth line of few terms
+    follows what a lens bends from side to side of the image, and what is left would pass for likeness of neighbours.
+    """
+    straight = [[undistorted_pixels(px, camera) for px in view.stripes_px] for view in views]
+    shared = shared_length([px for view in straight for px in view])
     return JointData(
         views=tuple(views),
         corner_px=max(corner_px, LEAST_SIGMA_PX),
-        center_px=tuple(np.array([_center_px(px, shared) for px in view.stripes_px]) for view in views),
+        center_px=tuple(np.array([_center_px(px, shared) for px in view]) for view in straight),
         rays=tuple(tuple(rays(px, camera) for px in view.stripes_px) for view in views),
         camera=camera,
         free_camera=free_camera,

@@ -13,7 +13,7 @@ from ringpose.calibrate.plane_points import triangulated
 from ringpose.calibrate.stripe_errors import center_sigma_px, shared_length, stripe_bend
 from ringpose.calibrate.stripe_labels import labelled_by_planes
 from ringpose.calibrate.stripe_residuals import StripeRows, stripe_rows
-from ringpose.geometry.rays import rays
+from ringpose.geometry.rays import rays, undistorted_pixels
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.calibration import StripeView
@@ -142,7 +142,8 @@ def _laser_check(stripe: int, laser: int, view: StripeView, board: _Standing, ri
     offset_m = places @ rows.residual_px
     variance = _variance(places @ _by_rig(rows, view.board, board.pose, rig), _rig_covariance(rig, laser))
     variance += _variance(places @ rows.by_pose, board.covariance)
-    line_variance = center_sigma_px(points_px, shared_length(view.stripes_px)) ** 2 / len(points_px)
+    straight = [undistorted_pixels(px, rig.camera) for px in view.stripes_px]
+    line_variance = center_sigma_px(straight[stripe], shared_length(straight)) ** 2 / len(points_px)
     variance += _variance(places @ _unit_bends(points_px).T, line_variance * np.eye(2))
     limit_m = SIGMAS * np.sqrt(variance) + FLATNESS_M
     worst = int(np.argmax(np.abs(offset_m) / limit_m))

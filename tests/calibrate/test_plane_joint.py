@@ -1,0 +1,42 @@
+"""What the joint fit takes for the errors of stripes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ringpose.calibrate.plane_joint import joint_data
+
+NOISE_PX = 0.03
+
+
+def distorted_px(straight_px: np.ndarray, camera) -> np.ndarray:
+    """Radial distortion, written out."""
+    focal, principal = camera.camera_matrix[[0, 1], [0, 1]], camera.camera_matrix[:2, 2]
+    x = (straight_px - principal) / focal
+    r2 = np.sum(x**2, axis=1, keepdims=True)
+    k1, k2, _, _, k3 = camera.distortion_coefficients
+    return x * (1 + k1 * r2 + k2 * r2**2 + k3 * r2**3) * focal + principal
+
+
+@pytest.fixture
+def wide_camera(true_camera):
+    return replace(true_camera, distortion_coefficients=np.array([-0.3, 0.4, 0.0, 0.0, 0.3]))
+
+
+@pytest.fixture
+def independent_view(stripe_views, wide_camera, rng):
+    """A view with lines across the image, above and below its middle, whose centres err independently."""
+    turn, place = np.eye(3), np.array([-0.15, -0.12, 0.5])
+    (view,) = stripe_views([(turn, place)], rng)
+    abscissa = np.arange(100.0, 1500.0)
+    lines = [np.column_stack([abscissa, 0.05 * abscissa + offset]) for offset in (150.0, 500.0, 1000.0)]
+    noise = [NOISE_PX * rng.standard_normal((len(abscissa), 1)) * [[0.0, 1.0]] for _ in lines]
+    seen = [distorted_px(line, wide_camera) + own for line, own in zip(lines, noise, strict=True)]
+    return replace(view, stripes_px=tuple(seen))
+
+
+def test_what_the_lens_bends_is_not_taken_for_likeness_of_neighbours(independent_view, wide_camera):
+    data = joint_data([independent_view], wide_camera, corner_px=0.02)
+
+    assert data.center_px[0] == pytest.approx(NOISE_PX, rel=0.15)
