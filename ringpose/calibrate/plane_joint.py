@@ -93,8 +93,10 @@ class JointFit(NamedTuple):
 
 
 def joint_data(views: Sequence[StripeView], camera: Camera, corner_px: float, free_camera: bool = False) -> JointData:
-    """The views with the errors that they show themselves, stripes in them made straight: no smooth line of few terms
-    follows what a lens bends from side to side of the image, and what is left would pass for likeness of neighbours.
+    """The views with the errors that they show themselves.
+
+    Stripes tell theirs made straight: no smooth line of few terms follows what a lens bends from side to side of the
+    image, and what is left would pass for likeness of neighbours.
     """
     straight = [[undistorted_pixels(px, camera) for px in view.stripes_px] for view in views]
     shared = shared_length([px for view in straight for px in view])
