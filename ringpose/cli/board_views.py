@@ -17,8 +17,8 @@ from ringpose.files.atomic import make_folder
 from ringpose.files.images import write_image
 from ringpose.files.inputs import Input
 from ringpose.files.inputs import inputs as named
-from ringpose.files.shots import SHOT_SUFFIXES
-from ringpose.files.sources import shot_named
+from ringpose.files.shots import SHOT_SUFFIXES, read_shot
+from ringpose.files.sources import file_named
 from ringpose.types.arrays import Array, UInt
 from ringpose.types.board import Board, BoardView
 from ringpose.types.frame import Shot
@@ -47,7 +47,7 @@ class BoardImages:
 
     def read(self, item: Input) -> tuple[Shot, BoardView] | None:
         """The shot that an input names with its view of the board; None, and remembered, if it shows none."""
-        shot = shot_named(item, None, self.channel)
+        shot = read_shot(file_named(item), self.channel)
         self._check_size(shot)
         self._refuse_known(shot)
         image = board_image(shot)
@@ -92,7 +92,7 @@ class BoardImages:
         found = find_board(image, self.board, name)
         if not (isinstance(found, NoBoard) and self.channel and self.luminance_too):
             return found
-        besides = find_board(board_image(shot_named(item, None, None)), self.board, name)
+        besides = find_board(board_image(read_shot(file_named(item))), self.board, name)
         return found if isinstance(besides, NoBoard) else besides
 
     def _refuse_known(self, shot: Shot) -> None:

@@ -16,9 +16,10 @@ from ringpose.capture.lasers.uncontrolled import UncontrolledLasers, refuse_swit
 from ringpose.capture.pace import paced
 from ringpose.capture.uri import CAMERAS, LASERS, scheme_and_rest, schemes
 from ringpose.cli.batch import Batch
-from ringpose.errors import DataError, NoInputError, UsageError
-from ringpose.files.inputs import STDIN, Input, Problem, Record, inputs
+from ringpose.errors import NoInputError, UsageError
+from ringpose.files.inputs import STDIN, Input, Problem, inputs
 from ringpose.files.shots import SHOT_SUFFIXES, read_shot
+from ringpose.files.sources import file_named
 from ringpose.types.frame import Shot
 from ringpose.types.sequence import Step, steps_of, written_sequence
 from ringpose.types.session import Capture
@@ -245,10 +246,9 @@ def _recorded_shots(items: Iterable[Input], wanted: Wanted, batch: Batch, read_f
     recording = Recording(wanted.steps)
     for item in items:
         with batch.item():
-            if isinstance(item, Record):
-                raise DataError(item.place, "is a record", "the name of a shot or image is wanted")
-            shot = recording.taken(read_shot(item, wanted.channel))
-            read_from(item)
+            path = file_named(item)
+            shot = recording.taken(read_shot(path, wanted.channel))
+            read_from(path)
             if shot is not None:
                 yield shot
     with batch.item():

@@ -68,10 +68,10 @@ class Archive:
             raise self.problem(key, f"has shape {found or 'of one value'}, must have {wanted or 'one value'}")
         return array
 
-    def numbers(self, key: str, shape: tuple[int | None, ...], allow_nan: bool = False) -> Array:
+    def numbers(self, key: str, shape: tuple[int | None, ...]) -> Array:
         """An array of finite numbers, float64."""
         array = self.array(key, "fiu", shape).astype(np.float64)
-        if finding := unusable(array, allow_nan):
+        if finding := unusable(array, allow_nan=False):
             raise self.problem(key, finding)
         return array
 

@@ -79,11 +79,6 @@ def write_detection(path: Path, detection: Detection, *, force: bool = False, in
     write_archive(path, arrays, force=force)
 
 
-def read_detection(path: Path) -> Detection:
-    """The detection in an NPZ file."""
-    return detection_in(Archive(path))
-
-
 def detection_in(archive: Archive) -> Detection:
     """The detection in an open archive."""
     record: dict[str, Any] = {}

@@ -20,7 +20,7 @@ FARTHEST = {"position_px": 1, "face_start_px": 10, "face_end_px": 10}
 """How many of its sizes beside the image a place may lie; without distortion a wide image is wider."""
 
 
-def read_source(item: Input, rig: Rig, channel: str | None = None) -> Shot | Detection:
+def read_source(item: Input, rig: Rig, channel: str | None) -> Shot | Detection:
     """The detection or the shot that an input is, if it fits the rig."""
     if isinstance(item, Record):
         return _fitting(detection_of(item.values, item.place), rig, item.place)
@@ -30,11 +30,6 @@ def read_source(item: Input, rig: Rig, channel: str | None = None) -> Shot | Det
     if is_detection(archive):
         return _fitting(detection_in(archive), rig, str(item))
     return shot_of(archive, rig)
-
-
-def shot_named(item: Input, rig: Rig | None, channel: str | None = None) -> Shot:
-    """The shot that an input names; a record is none."""
-    return read_shot(file_named(item), channel, rig)
 
 
 def file_named(item: Input) -> Path:

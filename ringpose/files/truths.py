@@ -1,12 +1,12 @@
 """truth.jsonl: what is really there, one line a shot."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal, cast
 
 import numpy as np
 
-from ringpose.files import atomic, records
+from ringpose.files import records
 from ringpose.files.bytes import read_bytes
 from ringpose.files.fields import Fields, kind
 from ringpose.types.arrays import Array, Float64
@@ -36,13 +36,6 @@ def read_truths(path: Path) -> Iterator[Truth]:
             raise Fields(place, record).problem("shot", f"{truth.shot!r} stands twice")
         shots.add(truth.shot)
         yield truth
-
-
-def write_truths(path: Path, truths: Iterable[Truth], *, force: bool = False) -> None:
-    """Write truth.jsonl."""
-    with atomic.replacing(path, force) as stream:
-        for truth in truths:
-            stream.write(records.line_of(truth_record(truth)).encode())
 
 
 def truth_of(fields: Fields) -> Truth:

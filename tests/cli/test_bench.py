@@ -13,7 +13,7 @@ import pytest
 from ringpose.cli.main import main
 from ringpose.files.poses import pose_record
 from ringpose.files.records import line_of
-from ringpose.files.truths import write_truths
+from ringpose.files.truths import truth_record
 from ringpose.types.pose_line import PoseLine
 from ringpose.types.ring_pose import RingPose
 from ringpose.types.truth import Truth
@@ -69,12 +69,14 @@ def write_poses(path: Path, **offsets_m: float | None) -> Path:
     return path
 
 
+def write_truths(*truths: Truth) -> None:
+    Path("truth.jsonl").write_text("".join(line_of(truth_record(each)) for each in truths))
+
+
 @pytest.fixture
 def poses() -> str:
     """Two shots at half a metre, off by 3 and 4 mm, one at a metre without a pose."""
-    write_truths(
-        Path("truth.jsonl"), [truth("a", distance_m=0.5), truth("b", distance_m=0.5), truth("c", distance_m=1.0)]
-    )
+    write_truths(truth("a", distance_m=0.5), truth("b", distance_m=0.5), truth("c", distance_m=1.0))
     return str(write_poses(Path("poses.jsonl"), a=0.003, b=-0.004, c=None))
 
 
@@ -190,7 +192,7 @@ def test_a_limit_that_is_missed_is_status_3(poses, capsys, words, status, compla
 
 
 def test_groups_may_be_chosen(poses, capsys):
-    write_truths(Path("truth.jsonl"), [truth(s, ring="R597", light=s) for s in "abc"], force=True)
+    write_truths(*(truth(s, ring="R597", light=s) for s in "abc"))
 
     _, report = report_of(capsys, poses, "--by", "light,ring")
 

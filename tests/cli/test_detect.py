@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from ringpose.cli.main import main
-from ringpose.files.detections import read_detection
+from ringpose.files.archives import Archive
+from ringpose.files.detections import detection_in
 from ringpose.types.break_points import NoBreakPoints
 
 
@@ -55,7 +56,7 @@ def test_folder_takes_one_archive_a_shot_and_names_it(rig, picture, tmp_path, ca
 
     names = capsys.readouterr().out.splitlines()
     assert names == [str(tmp_path / "out" / "a.npz"), str(tmp_path / "out" / "b.npz")]
-    assert [read_detection(tmp_path / "out" / name).shot for name in ("a.npz", "b.npz")] == ["a", "b"]
+    assert [detection_in(Archive(tmp_path / "out" / name)).shot for name in ("a.npz", "b.npz")] == ["a", "b"]
 
 
 def test_archive_says_where_it_came_from(rig, picture, tmp_path):
@@ -89,7 +90,7 @@ def test_two_shots_of_one_name_do_not_replace_each_other(picture, tmp_path, caps
     assert main(words) == 65
 
     assert "an earlier shot has this name" in capsys.readouterr().err
-    rows = read_detection(tmp_path / "out" / "a.npz").segments.start_px[:, 1]
+    rows = detection_in(Archive(tmp_path / "out" / "a.npz")).segments.start_px[:, 1]
     assert np.abs(rows - 100).min() < 3
 
 

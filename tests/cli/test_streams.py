@@ -12,7 +12,8 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.files.detections import read_detection
+from ringpose.files.archives import Archive
+from ringpose.files.detections import detection_in
 
 DEADLINE_S = 60
 
@@ -213,7 +214,7 @@ def test_full_disk_in_a_batch_leaves_what_was_finished(started, picture, tmp_pat
     assert (process.returncode, out) == (74, f"{tmp_path}/out/a.npz\n")
     assert said.startswith(f"ringpose: {tmp_path}/out/b.npz: writing broke off: ")
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["a.npz"]
-    assert read_detection(tmp_path / "out" / "a.npz").shot == "a"
+    assert detection_in(Archive(tmp_path / "out" / "a.npz")).shot == "a"
 
 
 def test_progress_goes_to_a_terminal_and_leaves_the_records_alone(started, rig, detections):

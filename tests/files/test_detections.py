@@ -6,7 +6,8 @@ import pytest
 
 from ringpose.errors import DataError
 from ringpose.files import records
-from ringpose.files.detections import detection_of, detection_record, read_detection, write_detection
+from ringpose.files.archives import Archive
+from ringpose.files.detections import detection_in, detection_of, detection_record, write_detection
 from ringpose.types.break_points import BreakPoints, Detection, NoBreakPoints, RingEdgePoints
 from ringpose.types.segments import Segments
 from ringpose.types.stripes import Stripes
@@ -69,7 +70,7 @@ def through_json(detection, full=True):
 
 def through_file(detection, folder):
     write_detection(folder / "a.npz", detection)
-    return read_detection(folder / "a.npz")
+    return detection_in(Archive(folder / "a.npz"))
 
 
 @pytest.fixture(params=["json", "npz"])

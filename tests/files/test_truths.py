@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from ringpose.errors import DataError, NoInputError
-from ringpose.files.truths import read_truths, write_truths
+from ringpose.files import records
+from ringpose.files.truths import read_truths, truth_record
 from ringpose.types.truth import Truth
 
 LINE = {
@@ -39,7 +40,8 @@ def test_truths_are_read_as_they_were_written(tmp_path, rng):
         shot="a", expect="pose", center_m=rng.normal(size=3), normal=np.array([0, 0, -1.0]), break_points_px=points
     )
 
-    write_truths(tmp_path / "truth.jsonl", [before, Truth(shot="b", expect="no_target")])
+    lines = [records.line_of(truth_record(each)) for each in (before, Truth(shot="b", expect="no_target"))]
+    (tmp_path / "truth.jsonl").write_text("".join(lines))
     after, empty = read_truths(tmp_path / "truth.jsonl")
 
     np.testing.assert_array_equal(after.center_m, before.center_m)

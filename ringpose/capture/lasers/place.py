@@ -23,16 +23,16 @@ LaserFactory: TypeAlias = Callable[[DeviceUri, LaserPlace], LaserDriver]
 """What an entry point of the group `ringpose.lasers` names."""
 
 
-def channels(uri: DeviceUri, place: LaserPlace, key: str = "ch") -> tuple[str, ...]:
+def channels(uri: DeviceUri, place: LaserPlace) -> tuple[str, ...]:
     """The channel of each laser, in the rig's order: `ch=1,2,3`, or by name `ch=left:1,right:3,middle:2`."""
-    words = [word.strip() for word in uri.parameters.get(key, "").split(",")]
+    words = [word.strip() for word in uri.parameters.get("ch", "").split(",")]
     if not all(words):
-        raise uri.problem(f"does not say which channels feed the lasers ({key}=)", f"write it as ?{key}=1,2,3")
+        raise uri.problem("does not say which channels feed the lasers (ch=)", "write it as ?ch=1,2,3")
     named = dict(word.partition(":")[::2] for word in words)
     by_name = any(":" in word for word in words)
     chosen = _by_name(uri, place, named, len(words)) if by_name else tuple(words)
     if len(set(chosen)) < len(chosen):
-        raise uri.problem(f"names a channel twice ({key}=)")
+        raise uri.problem("names a channel twice (ch=)")
     if len(chosen) > MOST_LASERS:
         raise uri.problem(f"has {len(chosen)} channels; a mask has room for {MOST_LASERS} lasers")
     if place.names is not None and len(chosen) != len(place.names):

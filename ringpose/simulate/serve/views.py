@@ -5,7 +5,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from itertools import pairwise
 from types import TracebackType
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 
@@ -20,8 +20,6 @@ from ringpose.types.scene import BoardSet, Scene, Sensor
 
 Move = Literal["pause", "time", "never"]
 """When the next view comes: in a pause between the frames, after a time, or not at all."""
-
-MOVES = get_args(Move)
 
 _SLICES = 8
 """Of an exposure, for a laser that grows brighter during it."""
