@@ -55,12 +55,12 @@ class DeviceUri:
         if not math.isfinite(value):
             raise self.problem(f'{key} is "{self.parameters[key]}", must be a number')
         if not least <= value <= most:
-            raise self.problem(f'{key} is "{self.parameters[key]}"', f"it takes {least:g} to {most:g}")
+            raise self.problem(f'{key} is "{self.parameters[key]}"', f"it takes {least:.15g} to {most:.15g}")
         return value
 
-    def whole(self, key: str, default: int, most: int) -> int:
+    def whole(self, key: str, default: int, most: int, least: int = 0) -> int:
         """A parameter that counts something."""
-        value = self.number(key, default, 0, most)
+        value = self.number(key, default, least, most)
         if not value.is_integer():
             raise self.problem(f'{key} is "{self.parameters[key]}", must be a whole number')
         return int(value)

@@ -24,6 +24,12 @@ _HEXADECIMAL = re.compile(r"[0-9a-fA-F]{1,4}")
 
 READ_BACK = ("yes", "no", "try")
 
+WAITS_S = (0.01, 3600.0)
+"""Shortest and longest of the times that a URI may set."""
+
+PULSES_S = (0.1, 3276.7)
+"""What a Modbus relay can count, in tenths of a second."""
+
 
 def lcus(uri: DeviceUri, place: LaserPlace) -> GuardedLasers:
     """LCUS-1/2/4/8: `lcus:/dev/ttyUSB0?ch=1,2,3`; one that is silent when it is asked what is on is not asked again."""
@@ -38,17 +44,14 @@ def numato(uri: DeviceUri, place: LaserPlace) -> GuardedLasers:
 def modbus(uri: DeviceUri, place: LaserPlace) -> GuardedLasers:
     """Modbus-RTU: `modbus:/dev/ttyUSB0?ch=0,1,2&unit=1&pulse=2`; clones may need `base=1` or `on=0100`."""
     parameters: dict[str, str | int] = {
-        "unit": _whole(uri, "unit", 1, 255, least=1),
-        "first": _whole(uri, "base", 0, 1),
+        "unit": uri.whole("unit", 1, most=255, least=1),
+        "first": uri.whole("base", 0, most=1),
         "on_value": _hexadecimal(uri, "on", 0xFF00),
     }
     settings = _settings(uri, place, parameters, ("unit", "base", "on", "pulse"))
     if "pulse" not in uri.parameters:
         return GuardedLasers(settings)
-    pulse_s = _seconds(uri, "pulse", 0.0)
-    if not 0.1 <= pulse_s <= 3276.7:
-        raise uri.problem("pulse must lie between 0.1 and 3276.7 s")
-    return GuardedLasers(replace(settings, pulse_s=pulse_s))
+    return GuardedLasers(replace(settings, pulse_s=uri.number("pulse", 0.0, *PULSES_S)))
 
 
 def ascii_lines(uri: DeviceUri, place: LaserPlace) -> GuardedLasers:
@@ -77,15 +80,15 @@ def _settings(
         scheme=uri.scheme,
         port=uri.place,
         relays=_relays(uri, place, codec_parameters),
-        baud=_whole(uri, "baud", 9600, 4_000_000, least=1),
+        baud=uri.whole("baud", 9600, most=4_000_000, least=1),
         codec_parameters=codec_parameters,
         read_back=_choice(uri, "read_back", READ_BACK, read_back),
-        repeat_s=_seconds(uri, "repeat", 0.0) if "repeat" in uri.parameters else None,
-        opening_s=_seconds(uri, "opening", 2.0 if uri.scheme == "ascii" else 0.0, least=0.0),
-        heartbeat_s=_seconds(uri, "heartbeat", 1.0),
-        longest_on_s=_seconds(uri, "longest_on", 5.0),
+        repeat_s=uri.number("repeat", 0.0, *WAITS_S) if "repeat" in uri.parameters else None,
+        opening_s=uri.number("opening", 2.0 if uri.scheme == "ascii" else 0.0, 0.0, WAITS_S[1]),
+        heartbeat_s=uri.number("heartbeat", 1.0, *WAITS_S),
+        longest_on_s=uri.number("longest_on", 5.0, *WAITS_S),
         interlock=_choice(uri, "interlock", INTERLOCKS, ""),
-        rated_operations=_whole(uri, "rated", RATED_OPERATIONS, 10**12),
+        rated_operations=uri.whole("rated", RATED_OPERATIONS, most=10**12),
     )
 
 
@@ -100,25 +103,11 @@ def _relays(uri: DeviceUri, place: LaserPlace, codec_parameters: Mapping[str, st
     return tuple(chosen)
 
 
-def _whole(uri: DeviceUri, key: str, default: int, most: int, least: int = 0) -> int:
-    value = uri.number(key, default)
-    if not value.is_integer() or not least <= value <= most:
-        raise uri.problem(f"{key} must be a whole number from {least} to {most}")
-    return int(value)
-
-
 def _hexadecimal(uri: DeviceUri, key: str, default: int) -> int:
     written = uri.parameters.get(key, f"{default:04x}")
     if not _HEXADECIMAL.fullmatch(written) or not int(written, 16):
         raise uri.problem(f'{key} is "{written}", must be four hexadecimal digits and not 0, such as FF00')
     return int(written, 16)
-
-
-def _seconds(uri: DeviceUri, key: str, default: float, least: float = 0.01) -> float:
-    value = uri.number(key, default)
-    if not least <= value <= 3600.0:
-        raise uri.problem(f"{key} must lie between {least:g} and 3600 s")
-    return value
 
 
 def _choice(uri: DeviceUri, key: str, choices: tuple[str, ...], default: str) -> str:
