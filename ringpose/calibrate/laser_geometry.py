@@ -1,10 +1,12 @@
 """How the light planes lie to one another: what the maker of the lasers said can be held against it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, permutations
 
 import numpy as np
 
+from ringpose.calibrate.laser_names import THREE
 from ringpose.geometry.rotations import angle_between, tilt_basis
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.calibration import PlanesCalibration
@@ -27,6 +29,32 @@ class PlaneAngle:
 def plane_angles(calibration: PlanesCalibration) -> list[PlaneAngle]:
     """Of neighbours, in the order of the lasers; none with one laser."""
     return [_angle(calibration, first, first + 1) for first, _ in pairwise(range(len(calibration.lasers)))]
+
+
+def middle_outside_rad(calibration: PlanesCalibration) -> float | None:
+    """By how much the plane that is called middle lies outside those called left and right; None without such names.
+
+    The plane between two others makes a smaller angle with each than they make with each other.
+    """
+    planes = dict(zip(calibration.planes.names, calibration.planes.normal, strict=True))
+    if set(planes) != set(THREE):
+        return None
+    left, middle, right = (planes[name] for name in THREE)
+    inner = max(float(angle_between(left, middle)), float(angle_between(middle, right)))
+    return max(inner - float(angle_between(left, right)), 0.0)
+
+
+def order_with_angles(
+    calibration: PlanesCalibration, expected_rad: Sequence[float], tolerance_rad: float
+) -> tuple[str, ...] | None:
+    """Another order of the lasers whose neighbours have the expected angles; None if none has, or the own one has."""
+    normals = calibration.planes.normal
+    angles = np.array([[float(angle_between(own, other)) for other in normals] for own in normals])
+    for way in permutations(range(len(normals))):
+        found = np.array([angles[pair] for pair in pairwise(way)])
+        if np.all(np.abs(found - np.array(expected_rad)) < tolerance_rad):
+            return tuple(calibration.planes.names[laser] for laser in way) if way != tuple(sorted(way)) else None
+    return None
 
 
 def common_line_gap_m(angles: list[PlaneAngle]) -> float:

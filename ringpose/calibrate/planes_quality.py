@@ -53,7 +53,9 @@ def planes_quality(assessment: PlanesAssessment) -> Mapping[str, Any]:
             for pose in calibration.poses
         ],
         "paper": _paper(assessment),
-        "remarks": [{"name": name, "reason": reason} for name, reason in calibration.remarks],
+        "remarks": [
+            {"name": name, "reason": reason} for name, reason in (*calibration.exchanged, *calibration.remarks)
+        ],
         "without_board": [{"name": name, "reason": reason} for name, reason in assessment.without_board],
     }
     return {"quality": {key: value for key, value in quality.items() if value is not None}}

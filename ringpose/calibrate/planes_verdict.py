@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ringpose.calibrate.laser_fit import LARGEST_CONDITION
-from ringpose.calibrate.laser_geometry import plane_angles
+from ringpose.calibrate.laser_geometry import middle_outside_rad, order_with_angles, plane_angles
 from ringpose.calibrate.plane_uncertainty import depth_uncertainty
 from ringpose.types.calibration import LaserCalibration, PlanesCalibration
 from ringpose.types.verdict import Finding, Verdict
@@ -46,6 +46,7 @@ def planes_verdict(
     for laser in calibration.lasers:
         findings += [_views(laser), _condition(laser), _held_out(laser), _disagreement(laser)]
     findings += _depths(calibration) + _angles(calibration, expected_angles_rad)
+    findings.append(_middle(calibration))
     return Verdict(findings=tuple(finding for finding in findings if finding is not None))
 
 
@@ -155,6 +156,12 @@ def _depths(calibration: PlanesCalibration) -> list[Finding]:
 
 
 def _angles(calibration: PlanesCalibration, expected_rad: Sequence[float]) -> list[Finding]:
+    if not expected_rad:
+        return []
+    other = order_with_angles(calibration, expected_rad, ANGLE_TOLERANCE_RAD)
+    advice = "see with --overlay whether each stripe belongs to its laser, and how the lasers are mounted"
+    if other is not None:
+        advice = f"the angles fit the order {', '.join(other)}: see whether lasers are exchanged in all shots"
     return [
         Finding(
             place=f"{angle.first} to {angle.second}",
@@ -162,7 +169,21 @@ def _angles(calibration: PlanesCalibration, expected_rad: Sequence[float]) -> li
             value=abs(angle.angle_rad - expected),
             good_limit=ANGLE_TOLERANCE_RAD,
             redo_limit=5 * ANGLE_TOLERANCE_RAD,
-            advice="see with --overlay whether each stripe belongs to its laser, and how the lasers are mounted",
+            advice=advice,
         )
         for angle, expected in zip(plane_angles(calibration), expected_rad, strict=False)
     ]
+
+
+def _middle(calibration: PlanesCalibration) -> Finding | None:
+    outside_rad = middle_outside_rad(calibration)
+    if outside_rad is None:
+        return None
+    return Finding(
+        name="middle_outside_rad",
+        value=outside_rad,
+        good_limit=ANGLE_TOLERANCE_RAD,
+        redo_limit=float("inf"),
+        advice="middle is not between left and right: see whether lasers are exchanged in all shots, "
+        "or give their names in the order of their numbers (--laser-names)",
+    )

@@ -8,7 +8,9 @@ import numpy as np
 from ringpose.calibrate.laser_fit import LARGEST_CONDITION, Points, outlying_views
 from ringpose.calibrate.plane_fits import condition, robust_plane
 from ringpose.calibrate.plane_points import triangulated
-from ringpose.calibrate.stripe_labels import labelled_by_order, labelled_by_planes
+from ringpose.calibrate.stripe_exchanges import exchanged_lasers
+from ringpose.calibrate.stripe_labels import labelled_by_order, labelled_by_planes, refuse_other_order
+from ringpose.calibrate.unlit_lasers import refuse_unlit
 from ringpose.errors import DataError
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose
@@ -45,6 +47,11 @@ class StripeEvidence:
             for view, pose in zip(self.views, self.poses, strict=True)
         ]
 
+    def only(self, kept: Sequence[int]) -> "StripeEvidence":
+        """The same of some of the views."""
+        views = tuple(self.views[index] for index in kept)
+        return replace(self, views=views, poses=tuple(self.poses[index] for index in kept))
+
     def without_stripe(self, laser: int, view: int) -> "StripeEvidence":
         """The same without one laser's stripe in one view."""
         nothing = (np.empty((0, 2)),)
@@ -59,10 +66,11 @@ def stripe_evidence(
     camera: Camera,
     names: tuple[str, ...],
     order: tuple[int, ...] | None,
-) -> tuple[StripeEvidence, list[Remark]]:
+) -> tuple[StripeEvidence, list[Remark], list[Remark]]:
     """The views whose boards fit, their stripes given to lasers, stray stripes left out; and what to remark on them.
 
-    `poses` are those of each board: the likelier one, and the mirrored one where the corners cannot tell.
+    `poses` are those of each board: the likelier one, and the mirrored one where the corners cannot tell. Last come
+    the views that were left out because their frames name the wrong lasers.
     """
     kept, remarks = _good_boards(views, [each[0] for each in poses])
     evidence = StripeEvidence(
@@ -71,11 +79,21 @@ def stripe_evidence(
         poses=tuple(poses[index][0] for index in kept),
         camera=camera,
     )
-    evidence = _labelled(evidence, order)
-    evidence = _unmirrored(evidence, [poses[index] for index in kept])
+    refuse_unlit(evidence.views, names)
+    wrong = _exchanged(evidence)
+    right = [index for index in range(len(kept)) if index not in wrong]
+    exchanged = [(evidence.views[index].board.name, sentence) for index, sentence in wrong.items()]
+    evidence = _labelled(evidence.only(right), order)
+    evidence = _unmirrored(evidence, [poses[kept[index]] for index in right])
     remarks += _missing(evidence)
     evidence, outlying = _agreeing(evidence)
-    return evidence, remarks + outlying
+    return evidence, remarks + outlying, exchanged
+
+
+def _exchanged(evidence: StripeEvidence) -> dict[int, str]:
+    """The views whose frames name other lasers than those of most, and what is wrong with them."""
+    points = [evidence.points(laser) for laser in range(len(evidence.names))]
+    return exchanged_lasers(points, evidence.names, [view.board.name for view in evidence.views])
 
 
 def _good_boards(views: Sequence[StripeView], poses: Sequence[BoardPose]) -> tuple[list[int], list[Remark]]:
@@ -96,6 +114,8 @@ def _good_boards(views: Sequence[StripeView], poses: Sequence[BoardPose]) -> tup
 
 def _labelled(evidence: StripeEvidence, order: tuple[int, ...] | None) -> StripeEvidence:
     """All stripes given to lasers: by the order, or by the planes of the labelled stripes."""
+    if order is not None:
+        refuse_other_order(evidence.views, order, evidence.names)
     if not any(view.unlabelled_px for view in evidence.views):
         return evidence
     if order is not None:

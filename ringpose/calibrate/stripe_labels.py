@@ -6,6 +6,7 @@ from itertools import permutations
 
 import numpy as np
 
+from ringpose.errors import DataError
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.calibration import StripeView
 
@@ -19,6 +20,35 @@ def labelled_by_order(view: StripeView, order: Sequence[int]) -> StripeView:
         return view
     by_laser = dict(zip(order, view.unlabelled_px, strict=True))
     return _with_labels(view, by_laser)
+
+
+def refuse_other_order(views: Sequence[StripeView], order: Sequence[int], names: Sequence[str]) -> None:
+    """Refuse an order that frames with single lasers contradict."""
+    for view in views:
+        seen = _order_seen(view)
+        if seen != [laser for laser in order if laser in seen]:
+            said = ", ".join(names[laser] for laser in seen)
+            found = (
+                f"{','.join(names[laser] for laser in order)} is not how {view.board.name} has them, where frames with "
+            )
+            found += f"single lasers on say {said}"
+            raise DataError("--laser-order", found, "give that order, or see whether the lasers are exchanged")
+
+
+def _order_seen(view: StripeView) -> list[int]:
+    """The labelled lasers by where their stripes cross the image's middle, down it or, upright, to the right."""
+    stripes = {laser: px for laser, px in enumerate(view.stripes_px) if len(px) > 1}
+    if len(stripes) < 2:
+        return []
+    every = np.concatenate(list(stripes.values()))
+    spread = np.mean([np.ptp(px, axis=0) for px in stripes.values()], axis=0)
+    along = int(np.argmax(spread))
+    middle = float(every[:, along].mean())
+    place = {
+        laser: float(np.polynomial.Polynomial.fit(px[:, along], px[:, 1 - along], 1)(middle))
+        for laser, px in stripes.items()
+    }
+    return sorted(place, key=lambda laser: place[laser])
 
 
 def labelled_by_planes(

@@ -13,6 +13,7 @@ from ringpose.calibrate.board_surface import BoardSurface
 from ringpose.detect.stripe_centers import find_stripes
 from ringpose.geometry.rays import undistorted_pixels
 from ringpose.types.arrays import Array, Bool, Float64, UInt
+from ringpose.types.sequence import MOST_LASERS
 from ringpose.types.stripes import Stripes
 
 NEAR_PX = 1.5
@@ -64,6 +65,18 @@ def stripe_lines(
             return lines
         found = found or lines
     return found
+
+
+def stripes_seen(
+    image: UInt[Array, "row column"], dark: UInt[Array, "row column"] | None, surface: BoardSurface
+) -> int:
+    """How many lines about as bright as the brightest a frame shows, where nobody knows how many lasers are on."""
+    counts = []
+    for shrinking in (SHRINKINGS[0], SHRINKINGS[-1]):
+        lines = _lines_at_scale(image, dark, surface, MOST_LASERS, shrinking)
+        brightest = max((line.light for line in lines), default=0.0)
+        counts.append(sum(line.light > RIVAL_SHARE * brightest for line in lines))
+    return min((count for count in counts if count), default=0)
 
 
 def _lines_at_scale(

@@ -29,11 +29,13 @@ def stripe_view(
     labelled: dict[int, Float64[Array, "_ xy=2"]] = {}
     unlabelled: tuple[Float64[Array, "_ xy=2"], ...] = ()
     remarks: list[str] = []
+    most = 0
     for frame in sorted(shot.frames, key=lambda frame: (frame.lasers & every).bit_count()):
         on = [laser for laser in range(lasers) if frame.lasers >> laser & 1]
         if not on or all(laser in labelled for laser in on):
             continue
         stripes, remark = _stripes(frame, dark, surface, on, shot.saturation_dn)
+        most = max(most, len(stripes))
         if remark:
             remarks += [] if remarks and len(on) > 1 else [remark]
         elif len(on) == 1:
@@ -45,6 +47,8 @@ def stripe_view(
         stripes_px=tuple(labelled.get(laser, _NOTHING) for laser in range(lasers)),
         unlabelled_px=unlabelled,
         remarks=tuple(remarks),
+        lit=frozenset(laser for laser in range(lasers) if (shot.lasers >> laser & 1).any()),
+        most_stripes=most,
     )
 
 
@@ -53,7 +57,8 @@ def _stripes(
 ) -> tuple[tuple[Float64[Array, "_ xy=2"], ...], str]:
     """The frame's stripes in their order across the image, and why they are not as many as lasers are on."""
     lines = stripe_lines(frame.image, dark, surface, len(on))
-    if len(lines) != len(on):
-        return (), stripe_failure(frame.image, dark, surface, len(lines), on, saturation_dn)
     lines.sort(key=lambda line: line.position_px)
-    return tuple(line.points_px for line in lines), ""
+    stripes = tuple(line.points_px for line in lines)
+    if len(lines) != len(on):
+        return stripes, stripe_failure(frame.image, dark, surface, len(lines), on, saturation_dn)
+    return stripes, ""

@@ -130,9 +130,19 @@ def _calibrate(shots: list[str], reading: _Reading, writing: _Writing, method: P
     batch.met(NO_POSE if stripes.without_stripe else 0)
     with batch.item():
         assessment = _assessment(stripes, method, free_camera, writing.expected_rad)
+        _say_exchanged(assessment, batch)
         _write(assessment, tool_from_camera, writing, [reading.board, *stripes.images.paths], reading.force)
         batch.met(say_verdict(assessment.verdict, planes_summary(assessment), quiet=reading.quiet))
     batch.finish()
+
+
+def _say_exchanged(assessment: "PlanesAssessment", batch: "Batch") -> None:
+    """The shots that are left out because their frames name the wrong lasers, as any bad shot."""
+    from ringpose.errors import DataError
+
+    for shot, found in assessment.calibration.exchanged:
+        with batch.item():
+            raise DataError(shot, found, "left out: see how its lasers were switched, and take it again")
 
 
 def _assessment(
@@ -151,6 +161,7 @@ def _assessment(
     try:
         calibration = calibrated(stripes.views, stripes.camera, model)
     except DataError as error:
+        stripes.say_remarks()
         raise DataError(error.place, error.found, "".join(Verdict(findings=board).advice) or error.remedy) from error
     return PlanesAssessment(
         calibration=calibration,

@@ -3,18 +3,24 @@
 from dataclasses import replace
 from itertools import pairwise
 
+from ringpose.calibrate.board_image import dark_image
 from ringpose.calibrate.board_overlay import stripe_overlay
-from ringpose.calibrate.laser_names import laser_names, laser_order
+from ringpose.calibrate.board_pose import board_pose
+from ringpose.calibrate.board_surface import board_surface
+from ringpose.calibrate.laser_names import laser_names, laser_order, lasers_named
 from ringpose.calibrate.planes import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes_method import PlanesMethod
+from ringpose.calibrate.stripe_lines import stripes_seen
 from ringpose.calibrate.stripe_views import stripe_view
+from ringpose.cli import messages
 from ringpose.cli.board_views import BoardImages
 from ringpose.errors import DataError, UsageError
 from ringpose.files.images import write_image
 from ringpose.files.inputs import Input
+from ringpose.types.board import BoardView
 from ringpose.types.calibration import PlanesCalibration, StripeView
 from ringpose.types.camera import Camera
-from ringpose.types.frame import ALL_LASERS, Shot
+from ringpose.types.frame import Shot
 
 MARKER_BOARDS = ("four_markers", "aruco_grid")
 """Boards whose corners are those of markers, which the paper's method takes one by one."""
@@ -42,7 +48,7 @@ class StripeImages:
         if read is None:
             return
         shot, view = read
-        self._check(shot)
+        self._check(shot, view)
         seen = stripe_view(shot, view, self.images.board, self.camera, len(self.names), self.surround_m)
         self.views.append(seen)
         found = sum(len(px) > 0 for px in (*seen.stripes_px, *seen.unlabelled_px))
@@ -80,14 +86,30 @@ class StripeImages:
         except DataError:
             return None
 
-    def _check(self, shot: Shot) -> None:
+    def say_remarks(self) -> None:
+        """What each shot is missing, and why: where no plane comes of them, that is the reason."""
+        for view in self.views:
+            for remark in view.remarks:
+                messages.say(f"{view.board.name}: {remark}")
+
+    def _refuse_unnamed(self, shot: Shot, view: BoardView) -> None:
+        """All images of a set say as little of their lasers: it is said once, with what the first shows."""
+        surface = board_surface(shot, self.images.board, board_pose(view, self.camera), self.camera, self.surround_m)
+        number = stripes_seen(shot.images.max(axis=0), dark_image(shot), surface)
+        stripes = f"{number} stripe{'s' * (number != 1)}" if number else "no stripe"
+        found = f"{shot.name} does not say how many lasers are on; its board shows {stripes}"
+        raise UsageError("--laser-names", found, "give one name for each laser that there is, seen or not")
+
+    def _check(self, shot: Shot, view: BoardView) -> None:
         size = (shot.images.shape[2], shot.images.shape[1])
         wanted = (self.camera.image_width, self.camera.image_height)
         if size != wanted:
             found = f"{size[0]} x {size[1]} pixels, the camera has {wanted[0]} x {wanted[1]}"
             raise DataError(shot.name, found, "give the camera that took the shots")
-        self.names = self.names or laser_names(self.given[0], shot)
-        highest = max((int(mask) for mask in shot.lasers if mask != ALL_LASERS), default=0).bit_length()
+        highest = lasers_named(shot)
+        if not (self.names or self.given[0] or highest):
+            self._refuse_unnamed(shot, view)
+        self.names = self.names or laser_names(self.given[0], highest)
         if highest > len(self.names):
             found = f"a frame names laser {highest}, there are {len(self.names)} ({', '.join(self.names)})"
             raise DataError(shot.name, found, "give all names with --laser-names")

@@ -23,6 +23,10 @@ class StripeView:
     """Stripes whose lasers were on together, in their order down the image (to the right, if they stand upright)."""
     remarks: tuple[str, ...] = ()
     """What is missing, and why."""
+    lit: frozenset[int] = frozenset()
+    """Lasers that were on in a frame, as the shot's masks have it."""
+    most_stripes: int = 0
+    """The most stripes on the board that a frame shows."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -86,5 +90,7 @@ class PlanesCalibration:
     poses: tuple[BoardPose, ...]
     remarks: tuple[tuple[str, str], ...] = ()
     """What was left out or is missing: the view's name, and why."""
+    exchanged: tuple[tuple[str, str], ...] = ()
+    """Shots that were left out because their frames name the wrong lasers, and which."""
     excess: float = 1.0
     """Factor by which variances of corners and stripes were widened, because the views disagree by more."""

@@ -131,3 +131,34 @@ def test_a_stripe_out_of_the_image_has_no_depth(good, true_camera):
     found = depth_uncertainty(true_camera, good.planes, good.covariance, (0.05,))
 
     assert np.isnan(found.worst_m).all()
+
+
+def renamed(calibration, way):
+    """The calibration as it is where the lasers are exchanged in all shots."""
+    planes = calibration.planes
+    order = list(way)
+    return replace(
+        calibration,
+        planes=replace(planes, normal=planes.normal[order], distance_m=planes.distance_m[order]),
+        lasers=tuple(
+            replace(calibration.lasers[laser], name=name) for laser, name in zip(order, planes.names, strict=True)
+        ),
+    )
+
+
+@pytest.mark.parametrize("way", [(1, 0, 2), (0, 2, 1), (1, 2, 0), (2, 0, 1)])
+def test_a_middle_plane_that_is_not_between_the_others_is_told(way, good):
+    verdict = planes_verdict(renamed(good, way))
+
+    assert "middle_outside_rad" in {finding.name for finding in verdict.findings if finding.grade != Grade.GOOD}
+    assert any(advice.startswith("middle is not between left and right") for advice in verdict.advice)
+
+
+def test_expected_angles_that_fit_another_order_name_it(good):
+    verdict = planes_verdict(renamed(good, (1, 0, 2)), expected_angles_rad=[0.18, 0.17])
+
+    assert any(advice.startswith("the angles fit the order middle, left, right") for advice in verdict.advice)
+
+
+def test_left_and_right_exchanged_in_all_shots_cannot_be_told_by_the_names(good):
+    assert planes_verdict(renamed(good, (2, 1, 0))).grade is Grade.GOOD

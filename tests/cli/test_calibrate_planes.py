@@ -7,6 +7,27 @@ import numpy as np
 import pytest
 from plane_views import ORDER, calibrate, calibrated, written
 
+ROWS = ((550, 1200), (230, 550), (0, 230))
+"""Between which rows the carried views have the stripes of left, middle and right."""
+
+
+@pytest.fixture
+def switched_shots(plane_folder):
+    """The carried views as if the lasers had been on one after the other."""
+    for file in sorted((plane_folder / "planes").glob("*.npz")):
+        dark, lit = np.load(file)["images"]
+        row = np.arange(len(lit))[:, None]
+        frames = [dark, *(np.where((row >= first) & (row < last), lit, dark) for first, last in ROWS)]
+        masks = np.array([0, 1, 2, 4], np.uint8)
+        np.savez(file, images=np.stack(frames), lasers=masks, stamp_s=np.arange(4) / 10, exposure_s=np.full(4, 0.01))
+
+
+def exchange(file, masks):
+    """Give the lit frames of a shot other masks."""
+    with np.load(file) as shot:
+        parts = {**shot, "lasers": np.array([0, *masks], np.uint8)}
+    np.savez(file, **parts)
+
 
 def test_all_lasers_on_and_no_order_is_refused_with_the_remedy(plane_folder, capsys):
     status = calibrate("planes")
@@ -148,3 +169,52 @@ def test_a_board_that_the_lasers_channel_does_not_show_is_found_in_the_luminance
 
     assert "no board" not in (said := capsys.readouterr().err)
     assert "pln_B_01: 16 corners, 3 stripes" in said
+
+
+def test_a_shot_with_exchanged_lasers_is_named_and_the_rest_is_used(plane_folder, switched_shots, capsys):
+    exchange("planes/pln_B_03.npz", [2, 1, 4])
+
+    status = calibrate("planes")
+
+    said = capsys.readouterr().err
+    assert status == 65
+    assert "ringpose: pln_B_03: left and middle are exchanged against the other shots" in said
+    assert "left out: see how its lasers were switched, and take it again" in said
+    assert [view["name"] for view in written(plane_folder)["quality"]["boards"]] == ["pln_B_01", "pln_B_05"]
+
+
+def test_an_exchange_is_said_though_quiet_is_asked_for(plane_folder, switched_shots, capsys):
+    exchange("planes/pln_B_03.npz", [2, 1, 4])
+
+    calibrate("planes", "--quiet")
+
+    assert "pln_B_03: left and middle are exchanged" in capsys.readouterr().err
+
+
+def test_a_laser_that_is_never_lit_is_named_with_what_each_shot_showed(plane_folder, switched_shots, capsys):
+    for name in ("pln_B_01", "pln_B_03", "pln_B_05"):
+        with np.load(f"planes/{name}.npz") as shot:
+            parts = dict(shot)
+        parts["images"][3] = parts["images"][0]
+        np.savez(f"planes/{name}.npz", **parts)
+
+    status = calibrate("planes")
+
+    said = capsys.readouterr().err
+    assert status == 65
+    assert 'laser "right": no stripe on the board in any of the 3 shots whose frames have it on' in said
+    assert "pln_B_01: 0 stripes on the board where laser 3 is on: too dark" in said
+
+
+def test_images_whose_lasers_nobody_names_are_refused_once_with_the_stripes_seen(plane_folder, capsys):
+    for name in ("pln_B_01", "pln_B_03"):
+        cv2.imwrite(f"planes/{name}.png", np.load(f"planes/{name}.npz")["images"][1])
+    for file in (plane_folder / "planes").glob("*.npz"):
+        file.unlink()
+
+    status = calibrate("planes")
+
+    said = capsys.readouterr().err
+    assert status == 2
+    assert said.count("\n") == 1
+    assert "--laser-names: pln_B_01 does not say how many lasers are on; its board shows 3 stripes; give one" in said

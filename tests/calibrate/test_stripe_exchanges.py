@@ -1,0 +1,129 @@
+"""Shots whose frames name the wrong lasers: named, left out, and not imagined where all is well."""
+
+from dataclasses import replace
+from itertools import permutations
+
+import numpy as np
+import pytest
+
+from ringpose.calibrate.planes import PlanesModel, calibrate_planes
+from ringpose.errors import DataError
+from ringpose.types.calibration import StripeView
+
+NAMES = ("left", "middle", "right")
+MODEL = PlanesModel(names=NAMES)
+NOTHING = np.empty((0, 2))
+EXCHANGES = [way for way in permutations(range(3)) if way != (0, 1, 2)]
+
+
+def exchanged(view: StripeView, way: tuple[int, ...]) -> StripeView:
+    """The view with each laser's stripe under the name of another."""
+    return replace(view, stripes_px=tuple(view.stripes_px[laser] for laser in way))
+
+
+@pytest.fixture
+def good(rng, stripe_views, true_poses):
+    """Six shots with errors of corners and stripes."""
+    return stripe_views(true_poses(rng, 6), rng, 0.05, 0.05)
+
+
+@pytest.mark.parametrize("way", EXCHANGES)
+@pytest.mark.parametrize("place", [0, 3])
+def test_the_shot_with_exchanged_lasers_is_named(place, way, good, true_camera):
+    views = [exchanged(view, way) if index == place else view for index, view in enumerate(good)]
+
+    found = calibrate_planes(views, true_camera, MODEL)
+
+    assert [name for name, _ in found.exchanged] == [f"v{place}"]
+
+
+@pytest.mark.parametrize("way", [(1, 0, 2), (2, 1, 0), (0, 2, 1)])
+def test_both_lasers_of_an_exchange_are_named(way, good, true_camera):
+    first, second = (NAMES[laser] for laser in range(3) if way[laser] != laser)
+
+    found = calibrate_planes([exchanged(good[0], way), *good[1:]], true_camera, MODEL)
+
+    assert found.exchanged[0][1].startswith(f"{first} and {second} are exchanged against the other shots")
+
+
+def test_lasers_that_are_passed_round_say_whose_stripe_each_shows(good, true_camera):
+    found = calibrate_planes([exchanged(good[0], (1, 2, 0)), *good[1:]], true_camera, MODEL)
+
+    assert "left shows the stripe of middle, middle shows the stripe of right" in found.exchanged[0][1]
+
+
+def test_the_planes_are_those_of_the_other_shots(good, true_camera):
+    found = calibrate_planes([exchanged(good[0], (1, 0, 2)), *good[1:]], true_camera, MODEL)
+
+    others = calibrate_planes(good[1:], true_camera, MODEL)
+    np.testing.assert_array_equal(found.planes.normal, others.planes.normal)
+
+
+def test_two_exchanged_shots_of_six_are_both_named(good, true_camera):
+    views = [exchanged(good[0], (1, 0, 2)), *good[1:4], exchanged(good[4], (1, 2, 0)), good[5]]
+
+    found = calibrate_planes(views, true_camera, MODEL)
+
+    assert [name for name, _ in found.exchanged] == ["v0", "v4"]
+
+
+def test_as_many_shots_of_one_kind_as_of_the_other_are_refused_with_both_kinds(good, true_camera):
+    views = [exchanged(view, (1, 0, 2)) if index < 3 else view for index, view in enumerate(good)]
+
+    with pytest.raises(DataError, match=r"v., v., v.: left and middle are exchanged against v., v., v.: as many"):
+        calibrate_planes(views, true_camera, MODEL)
+
+
+def test_a_shot_that_shows_two_of_three_is_judged_by_these(good, true_camera):
+    half = replace(good[2], stripes_px=(good[2].stripes_px[1], good[2].stripes_px[0], NOTHING))
+
+    found = calibrate_planes([*good[:2], half, *good[3:]], true_camera, MODEL)
+
+    assert [name for name, _ in found.exchanged] == ["v2"]
+
+
+@pytest.mark.parametrize("number", [2, 3, 6])
+def test_good_shots_are_not_suspected(number, good, true_camera):
+    assert calibrate_planes(good[:number], true_camera, MODEL).exchanged == ()
+
+
+@pytest.mark.parametrize("depths_m", [(0.45, 0.55), (0.4, 0.45, 0.5, 0.6)])
+def test_parallel_boards_are_not_suspected(depths_m, rng, stripe_views, true_camera):
+    facing = [(np.eye(3), np.array([-0.15, -0.12, depth])) for depth in depths_m]
+
+    found = calibrate_planes(stripe_views(facing, rng, 0.05, 0.05), true_camera, MODEL)
+
+    assert found.exchanged == ()
+
+
+def test_a_stripe_beside_all_planes_is_no_exchange(good, true_camera):
+    stray = replace(good[1], stripes_px=(good[1].stripes_px[0] + [0.0, 40.0], *good[1].stripes_px[1:]))
+
+    found = calibrate_planes([good[0], stray, *good[2:]], true_camera, MODEL)
+
+    assert found.exchanged == ()
+
+
+def test_six_lasers_are_searched_too(good, true_camera):
+    names = tuple("abcdef")
+    views = [replace(view, stripes_px=tuple(px + 12.0 * k for k in (0, 1) for px in view.stripes_px)) for view in good]
+    views[2] = exchanged(views[2], (0, 4, 2, 3, 1, 5))
+
+    found = calibrate_planes(views, true_camera, PlanesModel(names=names))
+
+    assert [(name, reason[:19]) for name, reason in found.exchanged] == [("v2", "b and e are exchang")]
+
+
+def test_lasers_that_are_exchanged_in_all_shots_cannot_be_told(good, true_camera):
+    found = calibrate_planes([exchanged(view, (2, 1, 0)) for view in good], true_camera, MODEL)
+
+    assert found.exchanged == ()
+
+
+def test_an_order_that_single_frames_contradict_is_refused(good, true_camera):
+    with pytest.raises(DataError, match=r"left,middle,right is not how v0 has them, .* say right, middle, left"):
+        calibrate_planes(good, true_camera, replace(MODEL, order=(0, 1, 2)))
+
+
+def test_an_order_that_single_frames_confirm_is_taken(good, true_camera):
+    assert len(calibrate_planes(good, true_camera, replace(MODEL, order=(2, 1, 0))).lasers) == 3
