@@ -11,9 +11,6 @@ from ringpose.types.frame import full_scale_dn
 STEPS_PER_DN = 128
 """Units of the kernels' magnitude in one grey value per pixel: 16 of the smoothing, 8 of the Sobel weights."""
 
-MARGIN = 4
-"""Outermost pixels in which no anchor lies: those without a gradient, and those beside them."""
-
 LARGEST_STEPS = 32767
 """More than any 8-bit pattern gives."""
 

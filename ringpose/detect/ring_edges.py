@@ -98,12 +98,6 @@ def edge_image(shot: Shot, stripes: Stripes) -> EdgeImage:
     return EdgeImage(image=image, saturation_dn=shot.saturation_dn, lit=lit)
 
 
-def ring_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> RingEdgePoints | None:
-    """Points of the ring's edges, named as the break points name them; None where none was seen."""
-    found = found_edges(break_points, frame, rig)
-    return None if found is None else found.points
-
-
 def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundEdges | None:
     """Points of the ring's edges, and how sure the edges' names are; None where no edge was seen."""
     evidence = stripe_evidence(break_points, rig)

@@ -6,7 +6,7 @@ import numpy as np
 
 from ringpose import kernels
 from ringpose.detect.chains import Chains, edge_chains
-from ringpose.detect.gradient import MARGIN, Gradient, image_gradient, in_sixteen_bits
+from ringpose.detect.gradient import Gradient, image_gradient, in_sixteen_bits
 from ringpose.detect.segment_method import SegmentMethod
 from ringpose.types.arrays import Array, Int32, UInt
 from ringpose.types.segments import Segments
@@ -48,32 +48,17 @@ def find_segments(
     image: UInt[Array, "row column"],
     parameters: SegmentParameters = SegmentParameters(),
     method: SegmentMethod = SegmentMethod.REFINED,
-    rows: tuple[int, int] | None = None,
     saturation_dn: int | None = None,
 ) -> Segments:
     """Straight edges of the image; thresholds mean grey values of 8 bits whatever the image has.
 
     How many bits that are follows from the grey value at which a pixel is full; without it the image is asked, and a
     dim one may be taken for that of a narrower camera.
-
-    Of an image of which only the `rows` from the first to before the second number matter, no others are looked at.
     """
     narrowed, bits = in_sixteen_bits(image, saturation_dn)
-    first, end = band(rows, len(image))
-    if first >= end:
-        return Segments(start_px=np.zeros((0, 2)), end_px=np.zeros((0, 2)), support=np.zeros(0, np.int64))
-    gradient = image_gradient(narrowed[first:end], parameters.upper_gradient_dn, bits)
+    gradient = image_gradient(narrowed, parameters.upper_gradient_dn, bits)
     chains = edge_chains(gradient, parameters.lower_gradient_dn, parameters.shortest_px)
-    found = chords(chains, parameters) if method is SegmentMethod.LENGTH else refined(gradient, chains, parameters)
-    offset = np.array([0.0, first])
-    return Segments(start_px=found.start_px + offset, end_px=found.end_px + offset, support=found.support)
-
-
-def band(rows: tuple[int, int] | None, height: int) -> tuple[int, int]:
-    """First row to look at, and the one behind the last: the rows that matter and the margin that they need."""
-    if rows is None:
-        return 0, height
-    return max(0, rows[0] - MARGIN), min(height, rows[1] + MARGIN) if rows[0] < rows[1] else 0
+    return chords(chains, parameters) if method is SegmentMethod.LENGTH else refined(gradient, chains, parameters)
 
 
 def chords(chains: Chains, parameters: SegmentParameters) -> Segments:

@@ -4,8 +4,6 @@ Stripes run roughly along the image rows. In each column a stripe is a ridge: th
 Gaussian-smoothed grey values has a minimum there, and the zero of the first derivative next to it is the centre.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ringpose.detect.stripe_filters import stripe_filters
@@ -24,30 +22,28 @@ the cube of the filter's sigma (0.31), at the least favourable place in the grid
 WINDOW_PIXELS = 2 * kernel.CELL * kernel.BLOCK
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StripeParameters:
-    """What counts as a stripe."""
+FILTER_SIGMA_PX = 2.5
+"""Smoothing along the column to find stripes: those up to twice as wide are found, and flat-topped, saturated ones up
+to 40 px; close ones are told apart if they are some 2.5 of these sigmas apart. To measure them, each piece gets the
+filter that suits it."""
 
-    filter_sigma_px: float = 2.5
-    """Smoothing along the column to find stripes, 0.7 to 8 px: stripes up to twice as wide are found, and flat-topped,
-    saturated ones up to 40 px; close ones are told apart if they are some 2.5 of these sigmas apart.
-    To measure them, each piece gets the filter that suits it."""
-    threshold_sigmas: float = 6.0
-    """A piece must have `minimum_columns` that stand out of the local noise of the response by this factor,"""
-    continue_sigmas: float = 4.0
-    """and goes on where they stand out by this one."""
-    minimum_peak_dn: float = 3.0
-    """And all are this bright above their surroundings, where a pixel is full at 255."""
-    gap_columns: int = 2
-    """Columns that may be missing inside a piece."""
-    minimum_columns: int = 8
-    """Shorter pieces are dropped: noise links over a few columns by chance."""
+BEGIN_SIGMAS, CONTINUE_SIGMAS = 6.0, 4.0
+"""A piece must have `LEAST_COLUMNS` that stand out of the local noise of the response by the first factor, and goes on
+where they stand out by the second."""
+
+LEAST_PEAK_DN = 3.0
+"""And all are this bright above their surroundings, where a pixel is full at 255."""
+
+GAP_COLUMNS = 2
+"""Columns that may be missing inside a piece."""
+
+LEAST_COLUMNS = 8
+"""Shorter pieces are dropped: noise links over a few columns by chance."""
 
 
 def find_stripes(
     image: UInt[Array, "row column"],
     dark: UInt[Array, "row column"] | None = None,
-    parameters: StripeParameters = StripeParameters(),
     bands: Int32[Array, "band side=4"] | None = None,
     saturation_dn: int | None = None,
 ) -> Stripes:
@@ -57,18 +53,17 @@ def find_stripes(
     the search: first column, the one after the last, and likewise the rows. `saturation_dn` is the grey value at which
     a pixel is full; if it is not known, the image must tell.
     """
-    sigma = parameters.filter_sigma_px
     full_dn = full_scale_dn(image) if saturation_dn is None else saturation_dn
-    minimum_peak_dn = parameters.minimum_peak_dn * full_dn / 255
+    least_peak_dn = LEAST_PEAK_DN * full_dn / 255
     rules = kernel.StripeRules(
-        begin_sigmas=parameters.threshold_sigmas,
-        continue_sigmas=parameters.continue_sigmas,
-        least_response=minimum_peak_dn * STRIPE_SIGMA_PX / (sigma**2 + STRIPE_SIGMA_PX**2) ** 1.5,
-        coarse_per_response=COARSE_SHARE * sigma**3 * WINDOW_PIXELS,
-        gap=parameters.gap_columns,
-        shortest=parameters.minimum_columns,
+        begin_sigmas=BEGIN_SIGMAS,
+        continue_sigmas=CONTINUE_SIGMAS,
+        least_response=least_peak_dn * STRIPE_SIGMA_PX / (FILTER_SIGMA_PX**2 + STRIPE_SIGMA_PX**2) ** 1.5,
+        coarse_per_response=COARSE_SHARE * FILTER_SIGMA_PX**3 * WINDOW_PIXELS,
+        gap=GAP_COLUMNS,
+        shortest=LEAST_COLUMNS,
     )
-    found = kernel.stripes(image, dark, bands, stripe_filters(sigma), rules)
+    found = kernel.stripes(image, dark, bands, stripe_filters(FILTER_SIGMA_PX), rules)
     pieces = int(found.piece[-1]) + 1 if len(found.piece) else 0
     return Stripes(
         position_px=found.position_px,

@@ -59,13 +59,6 @@ def project(points: Float64[Array, "*shape xyz=3"], camera: Camera) -> Float64[A
     return np.asarray(pixels, dtype=np.float64).reshape(*points.shape[:-1], 2)
 
 
-def project_undistorted(points: Float64[Array, "*shape xyz=3"], camera: Camera) -> Float64[Array, "*shape xy=2"]:
-    """Pixels in the image of the same camera without distortion; NaN for points at or behind the camera."""
-    focal, principal = _focal_and_principal(camera)
-    depth = np.where(points[..., 2:] > 0, points[..., 2:], np.nan)
-    return points[..., :2] / depth * focal + principal
-
-
 def intersect(
     directions: Float64[Array, "*shape xyz=3"],
     normal: Float64[Array, "*#shape xyz=3"],

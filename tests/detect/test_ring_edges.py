@@ -11,7 +11,7 @@ from true_edges import edge_errors_px
 
 from ringpose.detect.edge_search import EdgeImage
 from ringpose.detect.pipeline import detect
-from ringpose.detect.ring_edges import found_edges, named_by_curvature, ring_edges
+from ringpose.detect.ring_edges import found_edges, named_by_curvature
 from ringpose.files.rigs import read_rig
 from ringpose.files.shots import read_shot
 from ringpose.types.break_points import BreakPointFlag, BreakPoints, RingEdgePoints
@@ -114,9 +114,10 @@ def off_edge_px(points: RingEdgePoints, scene: DrawnScene, rig: Rig) -> np.ndarr
     return (here - np.array(RADII_M)[points.edge]) / (behind - before)
 
 
-def seen_edges(points: RingEdgePoints | None) -> RingEdgePoints:
-    assert points is not None
-    return points
+def seen_edges(ends: BreakPoints, frame: EdgeImage, rig: Rig) -> RingEdgePoints:
+    found = found_edges(ends, frame, rig)
+    assert found is not None
+    return found.points
 
 
 @pytest.mark.parametrize("lasers", ["wide", "narrow"])
@@ -125,7 +126,7 @@ def test_points_lie_on_the_true_edges_within_a_twentieth_of_a_pixel(rig, rng, la
     rig = rig if lasers == "wide" else narrow(rig)
     scene = DrawnScene(center_m=(0.58, 0.02, depth_m))
 
-    points = seen_edges(ring_edges(measured(scene, rig, rng), lit(picture(scene, rig, Surroundings(), rng)), rig))
+    points = seen_edges(measured(scene, rig, rng), lit(picture(scene, rig, Surroundings(), rng)), rig)
 
     error_px = off_edge_px(points, scene, rig)
     assert abs(np.median(error_px)) < 0.025
@@ -137,7 +138,7 @@ def test_both_edges_are_followed_through_the_whole_image(rig, rng, lasers):
     rig = rig if lasers == "wide" else narrow(rig)
     scene = DrawnScene()
 
-    points = seen_edges(ring_edges(measured(scene, rig, rng), lit(picture(scene, rig, Surroundings(), rng)), rig))
+    points = seen_edges(measured(scene, rig, rng), lit(picture(scene, rig, Surroundings(), rng)), rig)
 
     rows = [points.position_px[points.edge == edge, 1] for edge in (0, 1)]
     assert all(each.min() < 25 and each.max() > 1175 for each in rows)
@@ -148,7 +149,7 @@ def test_sigmas_explain_the_errors_beside_clutter(rig, rng, clutter_dn):
     scene = DrawnScene()
     around = Surroundings(outside_dn=80.0, clutter_dn=clutter_dn)
 
-    points = seen_edges(ring_edges(measured(scene, rig, rng), lit(picture(scene, rig, around, rng)), rig))
+    points = seen_edges(measured(scene, rig, rng), lit(picture(scene, rig, around, rng)), rig)
 
     squares = (off_edge_px(points, scene, rig) / points.sigma_px) ** 2
     assert 0.4 < np.mean(squares) < 1.5
@@ -160,7 +161,7 @@ def test_blur_of_the_lens_moves_edges_by_less_than_a_twentyfifth_of_a_pixel(rig,
     scene = DrawnScene()
     image = picture(scene, rig, Surroundings(blur_px=blur_px), rng)
 
-    points = seen_edges(ring_edges(measured(scene, rig, rng), lit(image), rig))
+    points = seen_edges(measured(scene, rig, rng), lit(image), rig)
 
     assert abs(np.mean(off_edge_px(points, scene, rig))) < 0.04
 
@@ -168,7 +169,7 @@ def test_blur_of_the_lens_moves_edges_by_less_than_a_twentyfifth_of_a_pixel(rig,
 def test_normals_lead_off_the_face(rig, rng):
     scene = DrawnScene()
 
-    points = seen_edges(ring_edges(measured(scene, rig, rng), lit(picture(scene, rig, Surroundings(), rng)), rig))
+    points = seen_edges(measured(scene, rig, rng), lit(picture(scene, rig, Surroundings(), rng)), rig)
 
     step_m = radius_m(scene, rig, *(points.position_px + points.normal).T) - np.array(RADII_M)[points.edge]
     assert np.all(np.sign(step_m) == np.where(points.edge == 0, -1, 1))
@@ -179,7 +180,7 @@ def test_an_edge_without_contrast_is_absent(rig, rng):
     scene = DrawnScene()
     around = Surroundings(inside_dn=60.0)
 
-    points = seen_edges(ring_edges(measured(scene, rig, rng), lit(picture(scene, rig, around, rng)), rig))
+    points = seen_edges(measured(scene, rig, rng), lit(picture(scene, rig, around, rng)), rig)
 
     assert np.mean(points.edge == 0) < 0.05
 
@@ -189,13 +190,13 @@ def test_an_even_image_shows_no_edges(rig, rng, level_dn):
     scene = DrawnScene()
     even = Surroundings(face_dn=level_dn, inside_dn=level_dn, outside_dn=level_dn)
 
-    assert ring_edges(measured(scene, rig, rng), lit(picture(scene, rig, even, rng)), rig) is None
+    assert found_edges(measured(scene, rig, rng), lit(picture(scene, rig, even, rng)), rig) is None
 
 
 def test_noise_alone_shows_no_edges(rig, rng):
     image = rng.integers(0, 256, (1200, 1600)).astype(np.uint8)
 
-    assert ring_edges(measured(DrawnScene(), rig, rng), lit(image), rig) is None
+    assert found_edges(measured(DrawnScene(), rig, rng), lit(image), rig) is None
 
 
 def test_a_wall_below_the_edge_is_not_taken_for_it(rig, rng):
@@ -204,7 +205,7 @@ def test_a_wall_below_the_edge_is_not_taken_for_it(rig, rng):
     image = picture(scene, rig, Surroundings(inside_dn=60.0), rng)
     image[(all_radii_m(wall, rig) < RADII_M[0]) & (all_radii_m(scene, rig) < RADII_M[0])] = 20
 
-    points = seen_edges(ring_edges(measured(scene, rig, rng), lit(image), rig))
+    points = seen_edges(measured(scene, rig, rng), lit(image), rig)
 
     error_px = off_edge_px(points, scene, rig)
     assert np.mean(np.abs(error_px) > 0.5) < 0.02
@@ -217,7 +218,7 @@ def test_a_bar_across_the_ring_gives_no_points_off_the_edges(rig, rng):
     image[650:800] = 90
     image[650:800, ::7] = 20
 
-    points = seen_edges(ring_edges(measured(scene, rig, rng), lit(image), rig))
+    points = seen_edges(measured(scene, rig, rng), lit(image), rig)
 
     assert np.abs(off_edge_px(points, scene, rig) / points.sigma_px).max() < 6
     assert np.count_nonzero((points.position_px[:, 1] > 655) & (points.position_px[:, 1] < 795)) < 3
@@ -227,7 +228,7 @@ def test_saturation_beyond_the_edge_is_left_out(rig, rng):
     scene = DrawnScene()
     around = Surroundings(outside_dn=400.0)
 
-    points = seen_edges(ring_edges(measured(scene, rig, rng), lit(picture(scene, rig, around, rng)), rig))
+    points = seen_edges(measured(scene, rig, rng), lit(picture(scene, rig, around, rng)), rig)
 
     assert not np.any(points.edge == 1)
 
@@ -243,7 +244,7 @@ def test_two_stripes_lead_to_the_edges_too(rig, rng):
         face_end_px=np.where(in_view[:, :1], both.face_end_px, np.nan),
     )
 
-    points = seen_edges(ring_edges(seen, lit(picture(scene, rig, Surroundings(), rng)), rig))
+    points = seen_edges(seen, lit(picture(scene, rig, Surroundings(), rng)), rig)
 
     assert np.abs(off_edge_px(points, scene, rig)).max() < 0.3
 
@@ -260,7 +261,7 @@ def test_a_single_stripe_leads_to_the_edges_too(rig, rng, laser):
         face_end_px=np.where(only[:, None], both.face_end_px, np.nan),
     )
 
-    points = seen_edges(ring_edges(seen, lit(picture(scene, rig, Surroundings(), rng)), rig))
+    points = seen_edges(seen, lit(picture(scene, rig, Surroundings(), rng)), rig)
 
     assert np.abs(off_edge_px(points, scene, rig)).max() < 0.3
     assert np.ptp(points.position_px[:, 1]) > 1100
@@ -270,7 +271,7 @@ def test_no_stripe_leads_nowhere(rig, rng):
     scene = DrawnScene()
     nothing = replace(measured(scene, rig, rng), position_px=np.full((3, 2, 2), np.nan))
 
-    assert ring_edges(nothing, lit(picture(scene, rig, Surroundings(), rng)), rig) is None
+    assert found_edges(nothing, lit(picture(scene, rig, Surroundings(), rng)), rig) is None
 
 
 def test_images_of_twelve_bits_give_the_same_edges(rig, rng):
@@ -278,8 +279,8 @@ def test_images_of_twelve_bits_give_the_same_edges(rig, rng):
     ends = measured(scene, rig, rng)
     image = picture(scene, rig, Surroundings(), rng)
 
-    eight = seen_edges(ring_edges(ends, lit(image), rig))
-    twelve = seen_edges(ring_edges(ends, EdgeImage(image=image.astype(np.uint16) * 16, saturation_dn=4095), rig))
+    eight = seen_edges(ends, lit(image), rig)
+    twelve = seen_edges(ends, EdgeImage(image=image.astype(np.uint16) * 16, saturation_dn=4095), rig)
 
     assert abs(len(twelve.edge) - len(eight.edge)) <= 4
     np.testing.assert_allclose(off_edge_px(twelve, scene, rig).std(), off_edge_px(eight, scene, rig).std(), atol=0.01)
@@ -334,7 +335,8 @@ def test_a_rendered_shot_with_all_lasers_on_shows_its_edges(carried_data):
 
     detection = detect(read_shot(carried_data / "rig_b" / "shots" / "B_z0500_p01_normal.npz"), rig)
 
-    points = seen_edges(detection.ring_edges)
+    points = detection.ring_edges
+    assert points is not None
     error_px = edge_errors_px(points, truth, rig)
     assert len(error_px) > 100
     assert 1.4826 * np.median(np.abs(error_px)) < 0.3
@@ -355,6 +357,6 @@ def test_contradictory_break_points_give_no_exception(rig, rng):
     true = measured(DrawnScene(), rig, rng)
     for_all = rng.uniform(-50, [1650, 1250], (20, 3, 2, 2))
 
-    for_each = [ring_edges(replace(true, position_px=position), frame, rig) for position in for_all]
+    for_each = [found_edges(replace(true, position_px=position), frame, rig) for position in for_all]
 
-    assert all(points is None or np.isfinite(points.position_px).all() for points in for_each)
+    assert all(found is None or np.isfinite(found.points.position_px).all() for found in for_each)

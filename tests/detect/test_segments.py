@@ -273,33 +273,6 @@ def test_joining_leaves_a_third_of_the_fragments_of_a_speckled_stripe(rng):
     assert 3 * len(joined.support) < len(alone.support)
 
 
-def test_rows_that_matter_give_the_segments_in_them(rng):
-    image = np.vstack([speckled_stripe(rng), np.zeros((60, 400), np.uint8), speckled_stripe(rng)])
-
-    segments = find_segments(image, rows=(0, 110))
-
-    ends_px = np.concatenate([segments.start_px, segments.end_px])
-    assert len(ends_px) > 0
-    assert (ends_px[:, 1] < 110).all()
-
-
-@pytest.mark.parametrize("offset_px", [0, 3, 40])
-def test_rows_that_matter_do_not_move_a_segment(offset_px):
-    image, normal = half_plane(np.pi / 2, 1.3)
-
-    segments = find_segments(image, rows=(offset_px, 80))
-
-    assert len(segments.support) > 0
-    assert abs(distances_px(segments, normal, 1.3)).max() < 0.05
-
-
-@pytest.mark.parametrize("rows", [(50, 50), (80, 20), (-30, -10), (200, 300), (0, 3)])
-def test_rows_without_pixels_give_no_segments(rows):
-    image, _ = half_plane(0.3, 0.2)
-
-    assert not len(find_segments(image, rows=rows).support)
-
-
 @pytest.mark.parametrize("bits", [10, 12, 16])
 def test_a_dim_image_of_more_bits_has_the_segments_of_eight(bits):
     eight, _ = half_plane(0.4, 0.3)

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ringpose.geometry.rays import intersect, project, project_undistorted, rays, undistort, undistorted_pixels
+from ringpose.geometry.rays import intersect, project, rays, undistort, undistorted_pixels
 from ringpose.types.camera import Camera
 
 DISTORTIONS = {
@@ -57,17 +57,9 @@ def test_undistorted_pixels_are_those_of_the_camera_without_distortion(camera, x
     np.testing.assert_allclose(found, [1781.3 * x + 803.7, 1780.6 * y + 596.2], rtol=0, atol=1e-9)
 
 
-@given(x=X, y=Y, depth=st.floats(0.1, 3.0))
-def test_projection_without_distortion_is_the_pinholes(camera, x, y, depth):
-    found = project_undistorted(depth * np.array([x, y, 1.0]), camera)
-
-    np.testing.assert_allclose(found, [1781.3 * x + 803.7, 1780.6 * y + 596.2], rtol=0, atol=1e-9)
-
-
 @pytest.mark.parametrize("depth", [0.0, -1.0, np.nan])
-@pytest.mark.parametrize("projection", [project, project_undistorted])
-def test_what_is_not_before_the_camera_has_no_pixel(camera, projection, depth):
-    assert np.isnan(projection(np.array([0.1, 0.1, depth]), camera)).all()
+def test_what_is_not_before_the_camera_has_no_pixel(camera, depth):
+    assert np.isnan(project(np.array([0.1, 0.1, depth]), camera)).all()
 
 
 @pytest.mark.parametrize("shape", [(2,), (0, 2), (3, 2, 2)])
