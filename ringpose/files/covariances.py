@@ -7,7 +7,7 @@ import numpy as np
 
 from ringpose.files.fields import Fields, hint
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.covariance import ParameterCovariance
+from ringpose.types.covariance import CAMERA_PARAMETERS, PLANE_PARAMETERS, ParameterCovariance
 
 _KEYS = ("parameters", "data")
 
@@ -17,12 +17,12 @@ _NEGATIVE = -1e-9
 
 def camera_parameters(coefficients: int) -> tuple[str, ...]:
     """Names of a camera's parameters, for so many distortion coefficients."""
-    return ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")[: 4 + coefficients]
+    return CAMERA_PARAMETERS[: 4 + coefficients]
 
 
 def laser_parameters(names: Sequence[str]) -> tuple[str, ...]:
     """Names of the light planes' parameters."""
-    return tuple(f"{name}.{what}" for name in names for what in ("tilt_1", "tilt_2", "distance"))
+    return tuple(f"{name}.{what}" for name in names for what in PLANE_PARAMETERS)
 
 
 def covariance_of(fields: Fields, known: Sequence[str]) -> ParameterCovariance:

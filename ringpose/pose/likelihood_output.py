@@ -20,7 +20,7 @@ STRAIGHTEST = 1e-4
 
 
 class Quantities(NamedTuple):
-    """What a state says, and the derivatives (…, 7) of it."""
+    """What a state says, and its derivatives by the state."""
 
     center_m: Float64[Array, "3"]
     radius_m: Float64[Array, "2"]

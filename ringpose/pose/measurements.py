@@ -12,7 +12,6 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from ringpose.errors import DataError
 from ringpose.geometry.rays import undistort
 from ringpose.pose.edge_errors import ERRORS, common_errors_px
 from ringpose.types.arrays import Array, Bool, Float64, Int64
@@ -60,16 +59,27 @@ class Sighted(NamedTuple):
 
     rays: Float64[Array, "sight xyz=3"]
     """As measured."""
-    light_normal: Float64[Array, "sight xyz=3"]
-    light_distance_m: Float64[Array, "sight"]
+    light: Float64[Array, "sight 4"]
+    """Normal and distance of the light planes."""
     whitening: Float64[Array, "end end"]
     """Of the lines' ordinates."""
-    edge_sign: Float64[Array, "point"]
-    """-1 for the inner edge, +1 for the outer."""
-    light: Float64[Array, "sight 4"]
-    """Normal and distance in one."""
     edge_sign_and_sigma: Float64[Array, "point 2"]
-    """With the standard deviation of the abscissa."""
+    """-1 for the inner edge, +1 for the outer, and the standard deviation of the abscissa."""
+
+    @property
+    def light_normal(self) -> Float64[Array, "sight xyz=3"]:
+        """Of the light planes."""
+        return self.light[:, :3]
+
+    @property
+    def light_distance_m(self) -> Float64[Array, "sight"]:
+        """Of the light planes."""
+        return self.light[:, 3]
+
+    @property
+    def edge_sign(self) -> Float64[Array, "point"]:
+        """-1 for the inner edge, +1 for the outer."""
+        return self.edge_sign_and_sigma[:, 0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -108,7 +118,7 @@ class Measurements:
         light[:, :3], light[:, 3] = planes.normal[laser], planes.distance_m[laser]
         signed = np.empty((len(self.points.edge), 2))
         signed[:, 0], signed[:, 1] = 2.0 * self.points.edge - 1.0, self.points.sigma_x
-        return Sighted(rays, light[:, :3], light[:, 3], whitening, signed[:, 0], light, signed)
+        return Sighted(rays, light, whitening, signed)
 
     def with_points(self, keep: Bool[Array, "point"]) -> "Measurements":
         """With these break points only."""
@@ -130,11 +140,6 @@ class Measurements:
 
 def measurements_of(break_points: BreakPoints, rig: Rig, ring_edges: RingEdgePoints | None = None) -> Measurements:
     """The measurements of a detection."""
-    lasers, known = len(break_points.position_px), len(rig.lasers.normal)
-    if lasers != known:
-        raise DataError(
-            "break points", f"they are of {lasers} lasers, the rig has {known}", "use the rig that took the shots"
-        )
     lines = _lines(break_points, rig.camera)
     laser, edge = np.nonzero(break_points.seen)
     covariance_px2 = break_points.covariance_px2[laser, edge]
@@ -144,7 +149,7 @@ def measurements_of(break_points: BreakPoints, rig: Rig, ring_edges: RingEdgePoi
         covariance_px2[unknown] = NOMINAL_SIGMA_PX**2 * np.eye(2)
     xy = undistort(break_points.position_px[laser, edge], rig.camera)
     by_pixel = rays_by_pixel(xy, rig.camera)
-    has_line = np.zeros(lasers, dtype=bool)
+    has_line = np.zeros(len(break_points.position_px), dtype=bool)
     has_line[lines.laser] = True
     covariance = by_pixel @ (covariance_px2 + LEAST_SIGMA_PX**2 * np.eye(2)) @ by_pixel.swapaxes(1, 2)
     points = Points(

@@ -79,10 +79,10 @@ def pose_flags(form: ClosedForm, covariance: PoseCovariance | None) -> PoseFlag:
     smallest_m = min(radius_m for radius_m in radii_m if not math.isnan(radius_m))
     if abs(form.normal[0] @ form.center_m[0] - form.offset_m[0]) > OFF_PLANE * smallest_m:
         flags |= PoseFlag.CENTER_WEAK
-    return flags if covariance is None else flags | weak_flags(covariance, WEAK_SD * smallest_m)
+    return flags if covariance is None else flags | _weak_flags(covariance, WEAK_SD * smallest_m)
 
 
-def weak_flags(covariance: PoseCovariance, limit_m: float) -> PoseFlag:
+def _weak_flags(covariance: PoseCovariance, limit_m: float) -> PoseFlag:
     """Which of centre and radii have a standard deviation over the limit."""
     flags = PoseFlag(0)
     if spreads_beyond(covariance.center_m2, limit_m):

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ringpose.errors import DataError
 from ringpose.kernels.forms import ClosedForm, constrained_form, differentiated, paper_form
 from ringpose.pose.method import Method as Method
 from ringpose.pose.most_likely import most_likely_pose
@@ -34,6 +35,10 @@ def estimate_pose(
     Its covariances are None if a seen break point's covariance is NaN. `known` is the ring's size or a catalogue of
     rings of which it may be one; the paper's methods have no use for it, nor for visible edges.
     """
+    lasers, known_lasers = len(break_points.position_px), len(rig.lasers.names)
+    if lasers != known_lasers:
+        found = f"they are of {lasers} lasers, the rig has {known_lasers}"
+        raise DataError("break points", found, "use the rig that took the shots")
     if method is Method.ML:
         return most_likely_pose(break_points, rig, ring_edges, known)
     return closed_form_pose(break_points, rig, method)

@@ -5,21 +5,14 @@ All derivatives are of P = t r, t = d / (m . r) (ringpose-method(7), section 1),
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
-from ringpose.errors import DataError
-from ringpose.geometry.rotations import tilt_basis
 from ringpose.kernels.misfit import spread_m2
+from ringpose.pose.measurements import pixels_by_ray_and_camera
+from ringpose.pose.rig_errors import rig_errors
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.camera import Camera
 from ringpose.types.rig import Rig
-
-CAMERA_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-"""In the order of the columns that OpenCV differentiates by."""
-
-_OPENCV_TRANSLATION, _OPENCV_INTRINSICS = 3, 6
-"""Columns of cv2.projectPoints' Jacobian: rotation 3, translation 3, then focal lengths and the rest."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -45,11 +38,13 @@ def point_covariance(
     own = spread_m2(points, light_normal, covariance_px2, rig.camera)
     if rig.covariance is None:
         return own
-    jacobians = point_jacobians(points, light_normal, rig.camera)
-    by_rig = np.stack(
-        [_by_parameter(name, points, laser, rig, jacobians).ravel() for name in rig.covariance.parameters], axis=-1
-    )
-    total: Float64[Array, "coordinate coordinate"] = own + by_rig @ rig.covariance.data @ by_rig.T
+    errors = rig_errors(rig)
+    if errors is None:
+        return np.full_like(own, np.nan)
+    by_camera = point_jacobians(points, light_normal, rig.camera).by_camera @ errors.camera
+    by_planes = points_by_plane(points, light_normal, errors.basis[laser]) @ errors.lasers[laser]
+    by_rig = (by_camera + by_planes).reshape(len(own), -1)
+    total: Float64[Array, "coordinate coordinate"] = own + by_rig @ by_rig.T
     return total
 
 
@@ -60,46 +55,17 @@ def point_jacobians(
     ray = points / points[:, 2:]
     cosine = np.sum(light_normal * ray, axis=-1)[:, None, None]
     by_ray = points[:, 2, None, None] * (np.eye(3) - ray[:, :, None] * light_normal[:, None, :] / cosine)[:, :, :2]
-    zero = np.zeros(3)
-    _, jacobian = cv2.projectPoints(ray, zero, zero, camera.camera_matrix, camera.distortion_coefficients)
-    pixel_by = np.asarray(jacobian, dtype=np.float64).reshape(len(points), 2, -1)
-    ray_by_pixel = np.linalg.inv(pixel_by[:, :, _OPENCV_TRANSLATION : _OPENCV_TRANSLATION + 2])
-    by_pixel = by_ray @ ray_by_pixel
-    return PointJacobians(by_pixel=by_pixel, by_camera=-by_pixel @ pixel_by[:, :, _OPENCV_INTRINSICS:])
+    pixel_by_ray, pixel_by_camera = pixels_by_ray_and_camera(ray[:, :2], camera)
+    by_pixel = by_ray @ np.linalg.inv(pixel_by_ray)
+    return PointJacobians(by_pixel=by_pixel, by_camera=-by_pixel @ pixel_by_camera)
 
 
-def _by_parameter(
-    name: str,
-    points: Float64[Array, "n xyz=3"],
-    laser: Int64[Array, "n"],
-    rig: Rig,
-    jacobians: PointJacobians,
-) -> Float64[Array, "n xyz=3"]:
-    if name in CAMERA_PARAMETERS[: jacobians.by_camera.shape[-1]]:
-        return jacobians.by_camera[:, :, CAMERA_PARAMETERS.index(name)]
-    of, _, parameter = name.rpartition(".")
-    if of not in rig.lasers.names or parameter not in ("tilt_1", "tilt_2", "distance"):
-        raise DataError(
-            "the rig's covariance",
-            f"it names {name!r}, which is no parameter of this rig",
-            "run ringpose calibrate-planes",
-        )
-    number = rig.lasers.names.index(of)
-    moved = plane_derivative(points, rig.lasers.normal[number], parameter)
-    return np.where((laser == number)[:, None], moved, 0.0)
-
-
-def plane_derivative(
-    points: Float64[Array, "n xyz=3"], light_normal: Float64[Array, "3"], parameter: str
-) -> Float64[Array, "n xyz=3"]:
-    """dP/dtilt_k = -P (e_k . r) / (m . r) and dP/ddistance = r / (m . r), for points of one light plane."""
+def points_by_plane(
+    points: Float64[Array, "n xyz=3"], light_normal: Float64[Array, "n xyz=3"], basis: Float64[Array, "n 2 xyz=3"]
+) -> Float64[Array, "n xyz=3 parameter=3"]:
+    """dP/dtilt_k = -P (e_k . r) / (m . r) and dP/ddistance = r / (m . r), each point by its own light plane."""
     ray = points / points[:, 2:]
-    along = ray if parameter == "distance" else -points * (ray @ _tilt_axis(light_normal, parameter))[:, None]
-    derivative: Float64[Array, "n xyz=3"] = along / (ray @ light_normal)[:, None]
+    by_tilts = -points[:, :, None] * (basis @ ray[:, :, None]).swapaxes(1, 2)
+    along = np.concatenate([by_tilts, ray[:, :, None]], axis=2)
+    derivative: Float64[Array, "n xyz=3 parameter=3"] = along / np.sum(light_normal * ray, axis=-1)[:, None, None]
     return derivative
-
-
-def _tilt_axis(normal: Float64[Array, "3"], parameter: str) -> Float64[Array, "3"]:
-    first, second = tilt_basis(normal)
-    axis: Float64[Array, "3"] = second if parameter == "tilt_2" else first
-    return axis

@@ -16,12 +16,8 @@ from ringpose.pose.measurements import Measurements, Sighted, pixels_by_ray_and_
 from ringpose.pose.residual_rows import Rows
 from ringpose.pose.ring_model import RingState, Sights
 from ringpose.types.arrays import Array, Float64, Int64
+from ringpose.types.covariance import CAMERA_PARAMETERS, PLANE_PARAMETERS
 from ringpose.types.rig import Rig
-
-CAMERA_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-"""In the order of the columns that OpenCV differentiates by."""
-
-PLANE_PARAMETERS = ("tilt_1", "tilt_2", "distance")
 
 _NEGLIGIBLE = 1e-12
 """Share of the correlations' largest eigenvalue under which a direction of correlated parameters counts as known."""
@@ -32,9 +28,9 @@ class RigErrors:
     """The square root of the rig's covariance by places."""
 
     camera: Float64[Array, "camera error"]
-    """Rows in OpenCV's order; zeros for what is not in the covariance."""
+    """Rows as in `CAMERA_PARAMETERS`; zeros for what is not in the covariance."""
     lasers: Float64[Array, "laser plane=3 error"]
-    """By tilt_1, tilt_2 and distance."""
+    """Rows as in `PLANE_PARAMETERS`."""
     basis: Float64[Array, "laser 2 3"]
 
 

@@ -1,6 +1,5 @@
 """Break points in the image -> points in space (ringpose-method(7), section 1)."""
 
-from ringpose.errors import DataError
 from ringpose.geometry.rays import intersect, rays
 from ringpose.types.break_points import BreakPoints
 from ringpose.types.rig import Rig
@@ -12,11 +11,6 @@ def triangulated(break_points: BreakPoints, rig: Rig) -> RingPoints:
 
     NaN where a break point was not seen, and where its ray runs along the plane or meets it behind the camera.
     """
-    lasers, known = len(break_points.position_px), len(rig.lasers.normal)
-    if lasers != known:
-        raise DataError(
-            "break points", f"they are of {lasers} lasers, the rig has {known}", "use the rig that took the shots"
-        )
     directions = rays(break_points.position_px, rig.camera)
     position = intersect(directions, rig.lasers.normal[:, None], rig.lasers.distance_m[:, None])
     return RingPoints(position_m=position)

@@ -6,13 +6,19 @@ import numpy as np
 
 from ringpose.types.arrays import Array, Float64
 
+CAMERA_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+"""In the order in which OpenCV differentiates by them; a camera without the last coefficients has the first ones."""
+
+PLANE_PARAMETERS = ("tilt_1", "tilt_2", "distance")
+"""Of each light plane."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ParameterCovariance:
     """Joint covariance of named parameters; pixels, radians, metres.
 
-    Names: `fx fy cx cy k1 k2 p1 p2 k3 ...` of the camera, `<laser>.tilt_1 <laser>.tilt_2 <laser>.distance`
-    of each light plane (tilt basis: `ringpose.geometry.rotations.tilt_basis`).
+    Names: `CAMERA_PARAMETERS`, and `<laser>.tilt_1 <laser>.tilt_2 <laser>.distance` of each light plane (tilt basis:
+    `ringpose.geometry.rotations.tilt_basis`).
     """
 
     parameters: tuple[str, ...]

@@ -24,7 +24,7 @@ def some_sights(rng, lines=3, points=6):
     light = np.column_stack([normal / np.linalg.norm(normal, axis=1)[:, None], rng.uniform(-0.1, -0.03, count)])
     whitening = np.kron(np.eye(lines), np.ones((2, 2))) * rng.uniform(100.0, 200.0, (2 * lines, 2 * lines))
     signed = np.column_stack([rng.choice([-1.0, 1.0], points), rng.uniform(1e-4, 2e-4, points)])
-    return Sighted(rays, light[:, :3], light[:, 3], whitening, signed[:, 0], light, signed)
+    return Sighted(rays, light, whitening, signed)
 
 
 @pytest.fixture

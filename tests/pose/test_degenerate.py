@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ringpose.errors import DataError
-from ringpose.pose.pipeline import FORMS
+from ringpose.pose import pipeline
+from ringpose.pose.pipeline import FORMS, Method
 from ringpose.pose.pipeline import closed_form_pose as estimate_pose
 from ringpose.types.ring_pose import NoPose, PoseFlag, RingPose
 
@@ -183,7 +184,8 @@ def test_points_on_a_line_in_space_lie_on_a_line(scene, break_points_at, method)
     assert estimate_pose(break_points_at(both_edges), scene.rig, method) is NoPose.COLLINEAR
 
 
-def test_break_points_of_another_rig_are_bad_data(scene):
+@pytest.mark.parametrize("method", Method)
+def test_break_points_of_another_rig_are_bad_data(scene, method):
     one_laser = replace(
         scene.rig.lasers,
         names=("middle",),
@@ -193,7 +195,7 @@ def test_break_points_of_another_rig_are_bad_data(scene):
     )
 
     with pytest.raises(DataError, match="3 lasers, the rig has 1"):
-        estimate_pose(scene.break_points(), replace(scene.rig, lasers=one_laser))
+        pipeline.estimate_pose(scene.break_points(), replace(scene.rig, lasers=one_laser), method)
 
 
 @BOTH_METHODS

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringpose.pose.point_covariance import CAMERA_PARAMETERS, plane_derivative, point_covariance, point_jacobians
+from ringpose.pose.point_covariance import point_covariance, point_jacobians, points_by_plane
 from ringpose.pose.triangulate import triangulated
+from ringpose.types.covariance import CAMERA_PARAMETERS, PLANE_PARAMETERS
 
 LASER = np.repeat([0, 1, 2], 2)
 RATIONAL = np.array([-0.105, 0.118, 0.00055, -0.0004, 0.02, 0.01, -0.02, 0.005])
@@ -63,13 +64,14 @@ def test_points_move_with_the_camera(scene, name):
 
 
 @CAMERAS
-@pytest.mark.parametrize("parameter", ["tilt_1", "tilt_2", "distance"])
+@pytest.mark.parametrize("parameter", PLANE_PARAMETERS)
 def test_points_move_with_their_light_plane(scene, parameter):
     step = 1e-6
     normal, distance_m = scene.rig.lasers.normal[0], scene.rig.lasers.distance_m[0]
     first = np.cross([0.0, 0.0, 1.0], normal)
     first /= np.linalg.norm(first)
-    axis = {"tilt_1": first, "tilt_2": np.cross(normal, first), "distance": np.zeros(3)}[parameter]
+    basis = np.stack([first, np.cross(normal, first)])
+    axis = {"tilt_1": basis[0], "tilt_2": basis[1], "distance": np.zeros(3)}[parameter]
 
     moved = []
     for sign in (1, -1):
@@ -82,7 +84,8 @@ def test_points_move_with_their_light_plane(scene, parameter):
         moved.append(points_of(scene, replace(scene.rig, lasers=lasers))[:2])
 
     assert distance_m != 0
-    analytic = plane_derivative(points_of(scene)[:2], normal, parameter)
+    found = points_by_plane(points_of(scene)[:2], np.stack([normal] * 2), np.stack([basis] * 2))
+    analytic = found[:, :, PLANE_PARAMETERS.index(parameter)]
     np.testing.assert_allclose(analytic, (moved[0] - moved[1]) / (2 * step), rtol=1e-5, atol=1e-8)
 
 
