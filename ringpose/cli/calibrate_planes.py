@@ -118,7 +118,7 @@ def _calibrate(shots: list[str], reading: _Reading, writing: _Writing, method: P
     from ringpose.cli.batch import Batch
     from ringpose.cli.calibration_outputs import refuse_existing_outputs, say_verdict
     from ringpose.errors import NO_POSE
-    from ringpose.files.cameras import read_camera
+    from ringpose.files.camera_formats import read_camera
     from ringpose.files.rigs import read_mount
 
     refuse_existing_outputs(writing.output, writing.report, reading.force)

@@ -16,7 +16,6 @@ Format = Annotated[CameraFormat, typer.Option("--format", help="The program that
 @app.command("convert-camera")
 def convert_camera(camera: CameraInput, output: OutputFile, form: Format, force: Force = False) -> None:
     """Write a camera in the format of another program, or one of another program as camera.yaml."""
-    from ringpose.files.camera_formats import write_camera_as
-    from ringpose.files.cameras import read_camera
+    from ringpose.files.camera_formats import read_camera, write_camera_as
 
     write_camera_as(output, read_camera(camera), form, camera, force=force)

@@ -1,4 +1,4 @@
-"""Cameras: the project's own camera.yaml and rig.yaml, and those of other programs."""
+"""Cameras with the keys of ROS camera_info, as they stand in camera.yaml and rig.yaml."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -7,14 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from ringpose.errors import DataError
-from ringpose.files import atomic, kalibr, matlab, opencv_storage
-from ringpose.files.bytes import read_bytes
+from ringpose.files import atomic
 from ringpose.files.camera_matrices import checked_matrix
 from ringpose.files.covariances import camera_parameters, covariance_values, read_covariance
 from ringpose.files.fields import Fields
 from ringpose.files.provenance import provenance
-from ringpose.files.yaml import parsed, write_yaml
+from ringpose.files.yaml import write_yaml
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import DISTORTION_COEFFICIENTS, Camera
 
@@ -36,29 +34,6 @@ CAMERA_KEYS = (
 FILE_KEYS = ("ringpose", "provenance", "standard_deviations", "quality", *CAMERA_KEYS)
 
 _MATRIX_KEYS = ("rows", "cols", "data")
-
-
-def read_camera(path: Path) -> Camera:
-    """The camera of a camera.yaml or rig.yaml, or of a file of ROS, OpenCV, Kalibr or MATLAB, told by its content."""
-    text, file = read_bytes(path), str(path)
-    if opencv_storage.is_storage(text):
-        return opencv_storage.camera_of(text, file, path.stem)
-    if matlab.is_mat(text):
-        return matlab.camera_of_mat(text, file, path.stem)
-    if matlab.is_script(text):
-        return matlab.camera_of_script(text, file, path.stem)
-    values = parsed(text, file)
-    if kalibr.is_camchain(values):
-        return kalibr.camera_of(values, file)
-    schema = str(values.get("ringpose", "")) if isinstance(values, Mapping) else ""
-    if schema.startswith("rig/"):
-        return camera_of(Fields(file, values).fields("camera", CAMERA_KEYS))
-    if not schema:
-        said = {"camera_name": path.stem, "distortion_model": "plumb_bob"} | _ros_mapping(values, file)
-        foreign = Fields(file, said)
-        foreign.known = CAMERA_KEYS
-        return camera_of(foreign)
-    return camera_of(Fields(file, values, FILE_KEYS), schema=schema)
 
 
 def write_camera(
@@ -125,26 +100,3 @@ def _matrix(fields: Fields, key: str, shape: tuple[int | None, int | None]) -> F
         if wanted is not None and found != wanted:
             raise entry.problem(name, f"is {found}, must be {wanted}")
     return entry.vector("data", rows * columns)
-
-
-def _ros_mapping(values: object, file: str) -> dict[str, Any]:
-    """The keys of camera_info files, also from a message, as `rostopic echo` and `ros2 topic echo` print it."""
-    if isinstance(values, Mapping) and ("K" in values or "k" in values):
-        values = _of_message({str(key).lower(): value for key, value in values.items()}, file)
-    if not isinstance(values, Mapping) or "camera_matrix" not in values:
-        raise DataError(
-            file, "is no camera", "give a camera.yaml, rig.yaml, or a file of ROS, OpenCV, Kalibr or MATLAB"
-        )
-    return dict(values)
-
-
-def _of_message(message: dict[str, Any], file: str) -> dict[str, Any]:
-    fields = Fields(file, message)
-    coefficients = fields.array("d", (None,))
-    return {
-        "image_width": fields.raw("width"),
-        "image_height": fields.raw("height"),
-        "distortion_model": fields.raw("distortion_model"),
-        "camera_matrix": {"rows": 3, "cols": 3, "data": fields.raw("k")},
-        "distortion_coefficients": {"rows": 1, "cols": len(coefficients), "data": coefficients.tolist()},
-    }

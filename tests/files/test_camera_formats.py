@@ -11,8 +11,7 @@ import yaml
 
 from ringpose.errors import DataError
 from ringpose.files.camera_format import CameraFormat
-from ringpose.files.camera_formats import write_camera_as
-from ringpose.files.cameras import read_camera
+from ringpose.files.camera_formats import read_camera, write_camera_as
 from ringpose.files.mat_file import mat_variables
 from ringpose.types.camera import Camera
 from ringpose.types.covariance import ParameterCovariance

@@ -3,7 +3,8 @@ import numpy as np
 import pytest
 
 from ringpose.errors import DataError
-from ringpose.files.cameras import read_camera, write_camera
+from ringpose.files.camera_formats import read_camera
+from ringpose.files.cameras import write_camera
 from ringpose.types.camera import Camera
 from ringpose.types.covariance import ParameterCovariance
 
