@@ -11,7 +11,6 @@ from ringpose.detect.faces import CONFIRMED, Face, ring_face
 from ringpose.detect.frames import LaserImage, laser_images
 from ringpose.detect.ring_edges import shown_edges
 from ringpose.detect.stripe_centers import find_stripes
-from ringpose.detect.stripe_segments import stripes_between_segments
 from ringpose.detect.stripe_source import StripeSource
 from ringpose.detect.tracks import straight_tracks
 from ringpose.kernels.ring import LASER
@@ -82,15 +81,22 @@ def _lost(found: BreakPoints | NoBreakPoints, predicted: BreakPoints | None) -> 
 
 def _all_stripes(images: list[LaserImage], source: StripeSource) -> tuple[Stripes, Segments | None]:
     """The stripes of all frames in one record, and the segments if they are made from those."""
-    stripes, segments = [], []
-    for image in images:
-        if source is StripeSource.SEGMENTS:
-            part, edges = stripes_between_segments(image.lit, image.dark)
-            segments.append(edges)
-        else:
-            part = find_stripes(image.lit, image.dark, saturation_dn=image.threshold_scale_dn)
-        stripes.append(_labelled(part, image))
-    return joined_stripes(stripes), _joined_segments(segments) if segments else None
+    if source is StripeSource.SEGMENTS:
+        return _stripes_between_segments(images)
+    parts = [
+        _labelled(find_stripes(image.lit, image.dark, saturation_dn=image.threshold_scale_dn), image)
+        for image in images
+    ]
+    return joined_stripes(parts), None
+
+
+def _stripes_between_segments(images: list[LaserImage]) -> tuple[Stripes, Segments]:
+    """The same the paper's way; other shots need no line detector, which is imported here."""
+    from ringpose.detect.stripe_segments import stripes_between_segments
+
+    found = [stripes_between_segments(image.lit, image.dark) for image in images]
+    stripes = [_labelled(part, image) for (part, _), image in zip(found, images, strict=True)]
+    return joined_stripes(stripes), _joined_segments([segments for _, segments in found])
 
 
 def _labelled(stripes: Stripes, image: LaserImage) -> Stripes:

@@ -9,9 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ringpose.errors import DataError
+from ringpose.pose.closed_form import FORMS
+from ringpose.pose.closed_form import closed_form_pose as estimate_pose
+from ringpose.pose.method import Method
 from ringpose.pose.most_likely import most_likely_pose
-from ringpose.pose.pipeline import FORMS, Method
-from ringpose.pose.pipeline import closed_form_pose as estimate_pose
 from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.ring_pose import PoseFlag
 

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from ringpose.kernels.forms import LARGEST_DAMPING, SINGULAR_BELOW, constrained_form, paper_form
 from ringpose.kernels.reference_forms import damped_center
-from ringpose.pose.pipeline import FORMS
-from ringpose.pose.pipeline import closed_form_pose as estimate_pose
+from ringpose.pose.closed_form import FORMS
+from ringpose.pose.closed_form import closed_form_pose as estimate_pose
 from ringpose.types.ring_pose import PoseFlag
 
 BOTH_FORMS = pytest.mark.parametrize("form", [paper_form, constrained_form])

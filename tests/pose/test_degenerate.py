@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 
 from ringpose.errors import DataError
 from ringpose.pose import pipeline
-from ringpose.pose.pipeline import FORMS, Method
-from ringpose.pose.pipeline import closed_form_pose as estimate_pose
+from ringpose.pose.closed_form import FORMS
+from ringpose.pose.closed_form import closed_form_pose as estimate_pose
+from ringpose.pose.method import Method
 from ringpose.types.ring_pose import NoPose, PoseFlag, RingPose
 
 BOTH_METHODS = pytest.mark.parametrize("method", list(FORMS))

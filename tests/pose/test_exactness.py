@@ -5,8 +5,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from ringpose.pose.pipeline import FORMS
-from ringpose.pose.pipeline import closed_form_pose as estimate_pose
+from ringpose.pose.closed_form import FORMS
+from ringpose.pose.closed_form import closed_form_pose as estimate_pose
 from ringpose.types.ring_pose import PoseFlag
 
 POSES = st.fixed_dictionaries(

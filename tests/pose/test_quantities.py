@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ringpose.pose.pipeline import FORMS, Method
-from ringpose.pose.pipeline import closed_form_pose as estimate_pose
+from ringpose.pose.closed_form import FORMS
+from ringpose.pose.closed_form import closed_form_pose as estimate_pose
+from ringpose.pose.method import Method
 
 BOTH_METHODS = pytest.mark.parametrize("method", list(FORMS))
 

@@ -9,8 +9,9 @@ import yaml
 
 from ringpose.detect.pipeline import detect
 from ringpose.files.shots import read_shot
-from ringpose.pose.pipeline import FORMS, Method
-from ringpose.pose.pipeline import closed_form_pose as estimate_pose
+from ringpose.pose.closed_form import FORMS
+from ringpose.pose.closed_form import closed_form_pose as estimate_pose
+from ringpose.pose.method import Method
 from ringpose.pose.pipeline import estimate_pose as most_likely_pose
 from ringpose.types.camera import Camera
 from ringpose.types.laser_planes import LaserPlanes

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ringpose.kernels.forms import constrained_form, paper_form
-from ringpose.pose.pipeline import FORMS
-from ringpose.pose.pipeline import closed_form_pose as estimate_pose
+from ringpose.pose.closed_form import FORMS
+from ringpose.pose.closed_form import closed_form_pose as estimate_pose
 
 BOTH_METHODS = pytest.mark.parametrize("method", list(FORMS))
 EDGES = np.array([0, 1, 0, 1, 0, 1])
