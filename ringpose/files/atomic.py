@@ -3,7 +3,6 @@
 import errno
 import os
 import stat
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,6 +19,8 @@ def replacing(path: Path, force: bool) -> Iterator[IO[bytes]]:
 
     A symbolic link stays: what it points to is replaced.
     """
+    import tempfile  # here, because commands that only read import this module too
+
     refuse_existing(path, force)
     try:
         target = path.resolve()

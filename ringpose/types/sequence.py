@@ -5,9 +5,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from ringpose.errors import UsageError
-
-MOST_LASERS = 8
-"""A mask is one byte."""
+from ringpose.types.laser_planes import MOST_LASERS
 
 _STEP = re.compile(r"[1-9][0-9]{0,3}(\+[1-9][0-9]{0,3})*")
 

@@ -6,7 +6,8 @@ from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.capture.lasers.place import LaserPlace
 from ringpose.capture.uri import DeviceUri
 from ringpose.errors import UsageError
-from ringpose.types.sequence import MOST_LASERS, Step
+from ringpose.types.laser_planes import MOST_LASERS
+from ringpose.types.sequence import Step
 
 
 class UncontrolledLasers(LaserDriver):
