@@ -2,7 +2,7 @@
 
 from ringpose.errors import UsageError
 from ringpose.types.frame import ALL_LASERS, Shot
-from ringpose.types.laser_planes import MOST_LASERS
+from ringpose.types.sequence import MOST_LASERS
 
 THREE = ("left", "middle", "right")
 

@@ -13,7 +13,7 @@ from ringpose.calibrate.board_surface import BoardSurface
 from ringpose.detect.stripe_centers import find_stripes
 from ringpose.geometry.rays import undistorted_pixels
 from ringpose.types.arrays import Array, Bool, Float64, UInt
-from ringpose.types.laser_planes import MOST_LASERS
+from ringpose.types.sequence import MOST_LASERS
 from ringpose.types.stripes import Stripes
 
 NEAR_PX = 1.5

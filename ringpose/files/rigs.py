@@ -17,8 +17,9 @@ from ringpose.files.fields import ROUNDED, Fields
 from ringpose.files.provenance import provenance
 from ringpose.files.yaml import parsed, write_yaml
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.laser_planes import MOST_LASERS, LaserPlanes
+from ringpose.types.laser_planes import LaserPlanes
 from ringpose.types.rig import Rig
+from ringpose.types.sequence import MOST_LASERS
 
 SCHEMA = "rig/1"
 

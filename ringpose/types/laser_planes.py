@@ -4,9 +4,6 @@ from dataclasses import dataclass
 
 from ringpose.types.arrays import Array, Float64
 
-MOST_LASERS = 8
-"""A mask is one byte."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LaserPlanes:

@@ -5,7 +5,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from ringpose.errors import UsageError
-from ringpose.types.laser_planes import MOST_LASERS
+
+MOST_LASERS = 8
+"""A mask is one byte."""
 
 _STEP = re.compile(r"[1-9][0-9]{0,3}(\+[1-9][0-9]{0,3})*")
 

@@ -5,8 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ringpose.errors import UsageError
-from ringpose.types.laser_planes import MOST_LASERS
-from ringpose.types.sequence import Step, parsed_sequence, steps_of, written_sequence
+from ringpose.types.sequence import MOST_LASERS, Step, parsed_sequence, steps_of, written_sequence
 
 numbers = st.sets(st.integers(1, MOST_LASERS), min_size=1)
 

@@ -9,8 +9,7 @@ import numpy as np
 from ringpose.errors import DataError
 from ringpose.types.arrays import Array, Int64, UInt8
 from ringpose.types.frame import ALL_LASERS, Shot
-from ringpose.types.laser_planes import MOST_LASERS
-from ringpose.types.sequence import Step
+from ringpose.types.sequence import MOST_LASERS, Step
 
 PerFrame = TypeVar("PerFrame", bound=Array)
 

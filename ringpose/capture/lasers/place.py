@@ -6,7 +6,7 @@ from typing import TypeAlias
 
 from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.capture.uri import DeviceUri
-from ringpose.types.laser_planes import MOST_LASERS
+from ringpose.types.sequence import MOST_LASERS
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -6,8 +6,7 @@ from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.capture.lasers.place import LaserPlace
 from ringpose.capture.uri import DeviceUri
 from ringpose.errors import UsageError
-from ringpose.types.laser_planes import MOST_LASERS
-from ringpose.types.sequence import Step
+from ringpose.types.sequence import MOST_LASERS, Step
 
 
 class UncontrolledLasers(LaserDriver):
