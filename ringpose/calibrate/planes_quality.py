@@ -8,6 +8,7 @@ import numpy as np
 
 from ringpose.calibrate.laser_geometry import common_line_gap_m, plane_angles
 from ringpose.calibrate.plane_uncertainty import depth_uncertainty
+from ringpose.calibrate.ring_uncertainty import RADII_M, ring_center_sd_m
 from ringpose.calibrate.verdict_text import verdict_lines, verdict_values
 from ringpose.geometry.rotations import angle_between
 from ringpose.types.calibration import LaserCalibration, PlanesCalibration
@@ -48,13 +49,14 @@ def planes_quality(assessment: PlanesAssessment) -> Mapping[str, Any]:
         "lasers": [_laser_quality(laser) for laser in calibration.lasers],
         "angles": _angles(calibration),
         "depth_sd_m": _depths(calibration),
+        "ring_center_sd_m": _ring_centers(calibration),
         "boards": [
             {"name": pose.name, "rms_px": pose.residual_rms_px, "distance_m": float(pose.translation_m[2])}
             for pose in calibration.poses
         ],
         "paper": _paper(assessment),
         "remarks": [
-            {"name": name, "reason": reason} for name, reason in (*calibration.exchanged, *calibration.remarks)
+            {"name": name, "reason": reason} for name, reason in (*calibration.contradicting, *calibration.remarks)
         ],
         "without_board": [{"name": name, "reason": reason} for name, reason in assessment.without_board],
     }
@@ -72,7 +74,7 @@ def planes_summary(assessment: PlanesAssessment) -> list[str]:
     for angle in plane_angles(calibration):
         sd = f" ± {np.degrees(angle.sd_rad):.4f}" if np.isfinite(angle.sd_rad) else ""
         lines.append(f"{angle.first} to {angle.second}: {np.degrees(angle.angle_rad):.3f}{sd} deg")
-    lines += _depth_lines(calibration)
+    lines += _depth_lines(calibration) + _ring_lines(calibration)
     for entry in _paper(assessment) or []:
         lines.append(
             f"{entry['name']}: by the paper's method held out {1e6 * entry['held_out_rms_m']:.0f} um, "
@@ -145,6 +147,24 @@ def _depth_lines(calibration: PlanesCalibration) -> list[str]:
             said = ", ".join(f"{1e3 * sd:.2f} mm at {z:g} m" for z, sd in known)
             lines.append(f"{entry['name']}: depths are known to {said} (one sigma)")
     return lines
+
+
+def _ring_centers(calibration: PlanesCalibration) -> dict[str, Any] | None:
+    """Of a ring by this calibration alone, along the camera's axes; NaN where its edges miss a stripe."""
+    if calibration.covariance is None:
+        return None
+    camera, lasers, covariance = calibration.camera, calibration.planes, calibration.covariance
+    sd = [ring_center_sd_m(camera, lasers, covariance, distance_m).tolist() for distance_m in DEPTHS_M]
+    return {"radii_m": list(RADII_M), "distances_m": list(DEPTHS_M), "sd_m": sd}
+
+
+def _ring_lines(calibration: PlanesCalibration) -> list[str]:
+    found = _ring_centers(calibration)
+    if found is None:
+        return []
+    known = [(z, max(sd)) for z, sd in zip(found["distances_m"], found["sd_m"], strict=True) if np.isfinite(sd).all()]
+    said = ", ".join(f"{1e3 * sd:.2f} mm at {z:g} m" for z, sd in known)
+    return [f"by this calibration a ring's centre (radius {RADII_M[1]:g} m) is known to {said}"] if known else []
 
 
 def _paper(assessment: PlanesAssessment) -> list[dict[str, Any]] | None:

@@ -7,7 +7,9 @@ import numpy as np
 from ringpose.calibrate.laser_fit import LARGEST_CONDITION
 from ringpose.calibrate.laser_geometry import middle_outside_rad, order_with_angles, plane_angles
 from ringpose.calibrate.plane_uncertainty import depth_uncertainty
+from ringpose.calibrate.ring_uncertainty import of_camera, ring_center_sd_m, stripes_apart_m
 from ringpose.types.calibration import LaserCalibration, PlanesCalibration
+from ringpose.types.laser_planes import LaserPlanes
 from ringpose.types.verdict import Finding, Verdict
 
 FEW_VIEWS, FEWEST_VIEWS = 5.0, 2.0
@@ -25,6 +27,10 @@ GOOD_EXCESS, BAD_EXCESS = 3.0, 100.0
 GOOD_DEPTH_SHARE, BAD_DEPTH_SHARE = 1e-3, 1e-2
 """Standard deviation of depths over depth, at the farthest board."""
 
+GOOD_CENTER_SHARE, BAD_CENTER_SHARE = 1e-3, 1e-2
+"""Standard deviation of a ring's centre by this calibration, over its distance: the errors of a shot at 0.5 m are
+five times as large."""
+
 GOOD_RANGE, BAD_RANGE = 1.4, 1.05
 """Farthest over nearest board: planes hold where they were measured, and beyond by as much again."""
 
@@ -36,28 +42,33 @@ ANGLE_TOLERANCE_RAD = float(np.radians(1.0))
 
 
 def planes_verdict(
-    calibration: PlanesCalibration, expected_angles_rad: Sequence[float] = (), board: Sequence[Finding] = ()
+    calibration: PlanesCalibration,
+    expected_angles_rad: Sequence[float] = (),
+    board: Sequence[Finding] = (),
+    working_distance_m: float | None = None,
 ) -> Verdict:
     """Good, can be improved, or redo; the expected angles are those of neighbouring lasers, in their order.
 
-    `board` is what the images say against the sizes in the board file.
+    `board` is what the images say against the sizes in the board file. Poses are judged at the working distance, or
+    where the farthest board was.
     """
     findings = [*board, _boards(calibration), _distances(calibration), _excess(calibration)]
     for laser in calibration.lasers:
         findings += [_views(laser), _condition(laser), _held_out(laser), _disagreement(laser)]
     findings += _depths(calibration) + _angles(calibration, expected_angles_rad)
-    findings.append(_middle(calibration))
+    findings += [_center(calibration, working_distance_m), _middle(calibration)]
     return Verdict(findings=tuple(finding for finding in findings if finding is not None))
 
 
 def _boards(calibration: PlanesCalibration) -> Finding:
-    return Finding(
-        name="board_rms_px",
-        value=float(np.median([pose.residual_rms_px for pose in calibration.poses])),
-        good_limit=GOOD_BOARD_PX,
-        redo_limit=BAD_BOARD_PX,
-        advice="see with --overlay whether the corners are sharp; measure the board's sizes; check the camera file",
-    )
+    rms_px = float(np.median([pose.residual_rms_px for pose in calibration.poses]))
+    advice = "see with --overlay whether the corners are sharp; measure the board's sizes; check the camera file"
+    if rms_px > BAD_BOARD_PX:
+        advice = (
+            f"the corners miss the boards by {rms_px:.1f} px: the camera file is another camera's, its lens was turned, "
+            "the board's sizes are others, or the board is bent; calibrate the camera anew"
+        )
+    return Finding(name="board_rms_px", value=rms_px, good_limit=GOOD_BOARD_PX, redo_limit=BAD_BOARD_PX, advice=advice)
 
 
 def _distances(calibration: PlanesCalibration) -> Finding:
@@ -153,6 +164,37 @@ def _depths(calibration: PlanesCalibration) -> list[Finding]:
         for laser, sd in zip(calibration.lasers, found.worst_m[:, 0].tolist(), strict=True)
         if np.isfinite(sd)
     ]
+
+
+def _center(calibration: PlanesCalibration, working_distance_m: float | None) -> Finding | None:
+    """Of a ring, which the stripes may all miss: nothing is said then."""
+    if calibration.covariance is None:
+        return None
+    distance_m = working_distance_m or _range_m(calibration)[1]
+    camera, lasers, covariance = calibration.camera, calibration.planes, calibration.covariance
+    sd = float(ring_center_sd_m(camera, lasers, covariance, distance_m).max())
+    if not np.isfinite(sd):
+        return None
+    by_camera = float(ring_center_sd_m(camera, lasers, of_camera(covariance), distance_m).max())
+    good = GOOD_CENTER_SHARE * distance_m
+    remedy = "calibrate the camera with more views" if by_camera > good else _views_at(distance_m, lasers)
+    return Finding(
+        place=f"at {distance_m:.2f} m",
+        name="ring_center_sd_m",
+        value=sd,
+        good_limit=good,
+        redo_limit=BAD_CENTER_SHARE * distance_m,
+        advice=f"poses {distance_m:.2f} m away will be off by {1e3 * sd:.1f} mm from this calibration alone: {remedy}",
+    )
+
+
+def _views_at(distance_m: float, lasers: LaserPlanes) -> str:
+    """Two a laser leave at 1 m two fifths of what eight boards 0.4 to 0.55 m away do."""
+    return (
+        f"add six views of the board about {distance_m:.2f} m away, tilted by 10 to 25 degrees, "
+        "the stripe of each laser across two of them "
+        f"(the outermost are {stripes_apart_m(lasers, distance_m):.2f} m apart there)"
+    )
 
 
 def _angles(calibration: PlanesCalibration, expected_rad: Sequence[float]) -> list[Finding]:

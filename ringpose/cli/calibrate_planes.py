@@ -37,6 +37,16 @@ ExpectedAngles = Annotated[
     str | None,
     typer.Option("--expected-angles", metavar="DEGREES", help="Between neighbouring lasers, comma between, as 10,10."),
 ]
+WorkingDistance = Annotated[
+    float | None,
+    typer.Option(
+        "--working-distance",
+        metavar="METRES",
+        min=0.05,
+        callback=finite,
+        help="Where rings will be measured: judged there.",
+    ),
+]
 Mount = Annotated[
     Path | None, typer.Option("--mount", metavar="FILE", help="Where the camera is mounted: tool_from_camera.")
 ]
@@ -73,6 +83,7 @@ class _Writing(NamedTuple):
     mount: Path | None
     report: Path | None
     expected_rad: list[float]
+    working_m: float | None
 
 
 @app.command("calibrate-planes", cls=CommandWithModes)
@@ -86,6 +97,7 @@ def calibrate_planes(
     laser_names: LaserNames = None,
     laser_order: LaserOrder = None,
     expected_angles: ExpectedAngles = None,
+    working_distance: WorkingDistance = None,
     mount: Mount = None,
     check: Check = None,
     print_board: PrintBoard = None,
@@ -109,7 +121,9 @@ def calibrate_planes(
         _check(shots, check, reading)
         return
     angles_rad = _angles_rad(expected_angles)
-    writing = _Writing(given(output, "--output"), given(camera, "--camera"), mount, report, angles_rad)
+    writing = _Writing(
+        given(output, "--output"), given(camera, "--camera"), mount, report, angles_rad, working_distance
+    )
     _calibrate(shots, reading, writing, method, free_camera)
 
 
@@ -117,7 +131,7 @@ def _calibrate(shots: list[str], reading: _Reading, writing: _Writing, method: P
     from ringpose.calibrate.planes_quality import planes_summary
     from ringpose.cli.batch import Batch
     from ringpose.cli.calibration_outputs import refuse_existing_outputs, say_verdict
-    from ringpose.errors import NO_POSE
+    from ringpose.errors import NO_POSE, DataError
     from ringpose.files.camera_formats import read_camera
     from ringpose.files.rigs import read_mount
 
@@ -128,25 +142,28 @@ def _calibrate(shots: list[str], reading: _Reading, writing: _Writing, method: P
     stripes.require_method(method, free_camera)
     _read(shots, reading, stripes, batch)
     batch.met(NO_POSE if stripes.without_stripe else 0)
+    if not stripes.views and batch.status:
+        batch.met(DataError.status)
+        batch.finish()
     with batch.item():
-        assessment = _assessment(stripes, method, free_camera, writing.expected_rad)
-        _say_exchanged(assessment, batch)
+        assessment = _assessment(stripes, method, free_camera, writing)
+        _say_contradicting(assessment, batch)
         _write(assessment, tool_from_camera, writing, [reading.board, *stripes.images.paths], reading.force)
         batch.met(say_verdict(assessment.verdict, planes_summary(assessment), quiet=reading.quiet))
     batch.finish()
 
 
-def _say_exchanged(assessment: "PlanesAssessment", batch: "Batch") -> None:
-    """The shots that are left out because their frames name the wrong lasers, as any bad shot."""
+def _say_contradicting(assessment: "PlanesAssessment", batch: "Batch") -> None:
+    """The shots that are left out because they contradict the others, as any bad shot."""
     from ringpose.errors import DataError
 
-    for shot, found in assessment.calibration.exchanged:
+    for shot, found in assessment.calibration.contradicting:
         with batch.item():
-            raise DataError(shot, found, "left out: see how its lasers were switched, and take it again")
+            raise DataError(shot, found)
 
 
 def _assessment(
-    stripes: "StripeImages", method: PlanesMethod, free_camera: bool, expected_rad: list[float]
+    stripes: "StripeImages", method: PlanesMethod, free_camera: bool, writing: _Writing
 ) -> "PlanesAssessment":
     from ringpose.calibrate.board_layout import marker_size_findings
     from ringpose.calibrate.planes import calibrate_planes as calibrated
@@ -156,7 +173,7 @@ def _assessment(
     from ringpose.types.verdict import Verdict
 
     model = stripes.model(method, free_camera)
-    stripes.require_angles(len(expected_rad))
+    stripes.require_angles(len(writing.expected_rad))
     board = marker_size_findings([view.board for view in stripes.views])
     try:
         calibration = calibrated(stripes.views, stripes.camera, model)
@@ -165,7 +182,7 @@ def _assessment(
         raise DataError(error.place, error.found, "".join(Verdict(findings=board).advice) or error.remedy) from error
     return PlanesAssessment(
         calibration=calibration,
-        verdict=planes_verdict(calibration, expected_rad, board),
+        verdict=planes_verdict(calibration, writing.expected_rad, board, writing.working_m),
         paper=stripes.by_the_paper(model),
         without_board=stripes.images.without_board,
     )

@@ -179,7 +179,7 @@ def test_a_shot_with_exchanged_lasers_is_named_and_the_rest_is_used(plane_folder
     said = capsys.readouterr().err
     assert status == 65
     assert "ringpose: pln_B_03: left and middle are exchanged against the other shots" in said
-    assert "left out: see how its lasers were switched, and take it again" in said
+    assert "; left out: see how its lasers were switched" in said
     assert [view["name"] for view in written(plane_folder)["quality"]["boards"]] == ["pln_B_01", "pln_B_05"]
 
 
@@ -218,3 +218,17 @@ def test_images_whose_lasers_nobody_names_are_refused_once_with_the_stripes_seen
     assert status == 2
     assert said.count("\n") == 1
     assert "--laser-names: pln_B_01 does not say how many lasers are on; its board shows 3 stripes; give one" in said
+
+
+def test_the_working_distance_is_where_poses_are_judged(plane_folder, capsys):
+    calibrate("planes", *ORDER, "--working-distance", "1.0")
+
+    assert re.search(r"poses 1\.00 m away will be off by \d+\.\d mm from this calibration", capsys.readouterr().err)
+    findings = written(plane_folder)["quality"]["verdict"]["findings"]
+    assert "at 1.00 m" in [finding["place"] for finding in findings if finding["name"] == "ring_center_sd_m"]
+
+
+@pytest.mark.parametrize("distance", ["0", "nan", "-1"])
+def test_a_working_distance_that_is_none_is_wrong_usage(distance, plane_folder, capsys):
+    assert calibrate("planes", *ORDER, "--working-distance", distance) == 2
+    assert "--working-distance" in capsys.readouterr().err

@@ -1,0 +1,83 @@
+"""What a calibration's covariance means for the centre of a ring, against drawn rigs."""
+
+import numpy as np
+import pytest
+
+from ringpose.calibrate.ring_uncertainty import of_camera, ring_center_sd_m, stripes_apart_m
+from ringpose.types.covariance import ParameterCovariance
+from ringpose.types.laser_planes import LaserPlanes
+
+NAMES = ("left", "middle", "right")
+RADII_M = np.array([0.567, 0.597])
+NORMALS = np.array([[0.0, np.cos(a), -np.sin(a)] for a in (0.18, 0.0, -0.17)])
+DISTANCES_M = np.array([-0.039, -0.070, -0.040])
+PLANES = tuple(f"{name}.{what}" for name in NAMES for what in ("tilt_1", "tilt_2", "distance"))
+SD = np.tile([1e-5, 3e-5, 1.5e-5], 3)
+DRAWS = 400
+
+
+@pytest.fixture
+def lasers() -> LaserPlanes:
+    return LaserPlanes(names=NAMES, normal=NORMALS, distance_m=DISTANCES_M, projector_m=np.full((3, 3), np.nan))
+
+
+def planes_covariance(sd: np.ndarray = SD) -> ParameterCovariance:
+    return ParameterCovariance(parameters=PLANES, data=np.diag(sd**2))
+
+
+def break_points_m(depth_m: float) -> np.ndarray:
+    """Where the planes, which run along x, cut a ring that faces the camera: inner and outer edge of each in turn."""
+    y = (DISTANCES_M - NORMALS[:, 2] * depth_m) / NORMALS[:, 1]
+    side = np.sqrt(RADII_M**2 - (y[:, None] - np.median(y)) ** 2)
+    x = RADII_M.mean() - side
+    return np.stack([x, np.repeat(y[:, None], 2, axis=1), np.full((3, 2), depth_m)], axis=-1)
+
+
+def seen_center_m(points: np.ndarray, wrong: np.ndarray) -> np.ndarray:
+    """The centre as planes see it that are off by tilts about z and x and by distance: two circles in their plane."""
+    normal = NORMALS - wrong[:, :1] * [1.0, 0.0, 0.0]
+    normal[:, 1:] += wrong[:, 1:2] * np.stack([-NORMALS[:, 2], NORMALS[:, 1]], axis=1)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    share = (DISTANCES_M + wrong[:, 2])[:, None] / np.einsum("lex,lx->le", points, normal)
+    seen = (share[..., None] * points).reshape(-1, 3)
+    middle = seen.mean(axis=0)
+    first, second, _ = np.linalg.svd(seen - middle, full_matrices=False)[2]
+    flat = (seen - middle) @ np.stack([first, second]).T
+    design = np.column_stack([2 * flat, np.tile(np.eye(2), (3, 1))])
+    found = np.linalg.lstsq(design, np.sum(flat**2, axis=1), rcond=None)[0]
+    return middle + found[0] * first + found[1] * second
+
+
+@pytest.mark.parametrize("depth_m", [0.5, 1.0])
+def test_a_ring_s_centre_errs_by_as_much_as_told(depth_m, rng, lasers, true_camera):
+    points = break_points_m(depth_m)
+    drawn = np.array([seen_center_m(points, (SD * rng.standard_normal(9)).reshape(3, 3)) for _ in range(DRAWS)])
+
+    told = ring_center_sd_m(true_camera, lasers, planes_covariance(), depth_m)
+
+    assert told == pytest.approx(np.std(drawn, axis=0), rel=0.15)
+
+
+def test_of_a_ring_that_not_all_stripes_cross_in_the_image_nothing_is_told(lasers, true_camera):
+    assert np.isnan(ring_center_sd_m(true_camera, lasers, planes_covariance(), 0.1)).all()
+
+
+def test_the_camera_s_share_is_what_the_planes_follow_it_by(rng):
+    camera = np.diag([0.1, 0.2, 1e-4]) ** 2
+    follow = rng.standard_normal((9, 3)) * [1e-4, 1e-4, 0.1]
+    cross = follow @ camera
+    data = np.block([[camera, cross.T], [cross, np.diag(SD**2) + cross @ follow.T]])
+
+    found = of_camera(ParameterCovariance(parameters=("fx", "fy", "k1", *PLANES), data=data)).data
+
+    assert found[3:, 3:] == pytest.approx(cross @ follow.T, rel=1e-6, abs=1e-18)
+
+
+def test_of_planes_alone_the_camera_s_share_is_nothing():
+    assert not of_camera(planes_covariance()).data.any()
+
+
+def test_stripes_on_a_wall_lie_apart_as_their_planes_do(lasers):
+    points = break_points_m(0.8)
+
+    assert stripes_apart_m(lasers, 0.8) == pytest.approx(np.ptp(points[..., 1]), rel=1e-9)
