@@ -12,11 +12,9 @@ from ringpose.cli.device_options import AllowUnseen, Count, Duration, Exposure, 
 from ringpose.cli.options import ImageChannel, OptionalRigFile, Quiet, Verbose
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from ringpose.cli.batch import Batch
+    from ringpose.cli.sources import Source
     from ringpose.files.sessions import Existing, SessionWriter
-    from ringpose.types.frame import Shot
 
 CameraUri = Annotated[
     str,
@@ -57,18 +55,15 @@ def capture(
     quiet: Quiet = False,
 ) -> None:
     """Take shots into a session folder: one frame for each step of the sequence, all lasers off in the end."""
-    from ringpose.cli import messages
     from ringpose.cli.batch import Batch
     from ringpose.cli.sources import Wanted, source_of
     from ringpose.errors import UsageError
     from ringpose.files.sessions import SessionWriter, folder_of_now
-    from ringpose.types.sequence import parsed_sequence
 
-    steps = None if sequence is None else parsed_sequence(sequence)
     wanted = Wanted(
         camera=camera,
         lasers=lasers,
-        steps=steps,
+        steps=sequence,
         exposure_s=exposure,
         settle_s=settle,
         allow_unseen=allow_unseen,
@@ -87,14 +82,7 @@ def capture(
         raise UsageError("--output", "a session is a folder, not a stream", "name a folder; its shots' names stream")
     if folder.resolve() in source.folders:
         raise UsageError("--output", f"{folder} is where the shots are read from", "choose another folder")
-    writer = SessionWriter(folder, source.capture, existing)
-    with ExitStack() as stack:
-        for part in (writer, *source.devices):
-            stack.enter_context(part)
-        writer.name_camera(source.camera_name())
-        for line in source.warnings():
-            messages.say(line)
-        _write(source.shots(writer.read_from, writer.names), writer, batch, verbose, quiet)
+    _take(source, SessionWriter(folder, source.capture, existing), batch, verbose, quiet)
     batch.finish()
 
 
@@ -114,14 +102,20 @@ def _existing(force: bool, append: bool) -> "Existing":
     return "replace" if force else "refuse"
 
 
-def _write(shots: "Iterator[Shot]", writer: "SessionWriter", batch: "Batch", verbose: bool, quiet: bool) -> None:
+def _take(source: "Source", writer: "SessionWriter", batch: "Batch", verbose: bool, quiet: bool) -> None:
     """Every shot as it comes; its name goes out when its file is whole."""
     from ringpose.cli import messages
     from ringpose.cli.progress import counted
     from ringpose.files import records
 
-    for shot in counted(shots, "shots", quiet):
-        with batch.item():
-            records.write_name(writer.add(shot))
-            if verbose:
-                messages.say(f"{shot.name}: {len(shot.lasers)} frames")
+    with ExitStack() as stack:
+        for part in (writer, *source.devices):
+            stack.enter_context(part)
+        writer.name_camera(source.camera_name())
+        for line in source.warnings():
+            messages.say(line)
+        for shot in counted(source.shots(writer.read_from, writer.names), "shots", quiet):
+            with batch.item():
+                records.write_name(writer.add(shot))
+                if verbose:
+                    messages.say(f"{shot.name}: {len(shot.lasers)} frames")

@@ -1,11 +1,14 @@
 """Options of the commands that take shots from devices."""
 
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from ringpose.cli.options import finite
 from ringpose.errors import UsageError
+
+if TYPE_CHECKING:
+    from ringpose.types.sequence import Step
 
 LONGEST_SETTLE_S = 10.0
 
@@ -25,6 +28,13 @@ def settle_time(text: str) -> float | Literal["auto"]:
     return settle_s
 
 
+def steps(text: str) -> "tuple[Step, ...]":
+    """The steps of a sequence."""
+    from ringpose.types.sequence import parsed_sequence
+
+    return parsed_sequence(text)
+
+
 LasersUri = Annotated[
     str | None,
     typer.Option(
@@ -32,8 +42,13 @@ LasersUri = Annotated[
     ),
 ]
 Steps = Annotated[
-    str | None,
-    typer.Option("--sequence", metavar="STEPS", help="What is lit, frame by frame: off,1,2,3,off or off,all or 1+2."),
+    Any,
+    typer.Option(
+        "--sequence",
+        metavar="STEPS",
+        parser=steps,
+        help="What is lit, frame by frame: off,1,2,3,off or off,all or 1+2.",
+    ),
 ]
 Exposure = Annotated[
     float | None, typer.Option("--exposure", metavar="S", min=1e-9, callback=finite, help="Exposure of each frame.")

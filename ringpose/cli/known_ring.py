@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.errors import UsageError
+from ringpose.pose.method import Method
 
 if TYPE_CHECKING:
     from ringpose.types.ring import KnownRadii, Ring
@@ -53,14 +54,11 @@ class SaidOfRing:
     ring: str | None = None
     rings: Path | None = None
 
-    @property
-    def nothing(self) -> bool:
-        """Whether none was given."""
-        return self == SaidOfRing()
 
-
-def known_ring(said: SaidOfRing) -> "KnownRadii | Sequence[Ring] | None":
+def known_ring(said: SaidOfRing, method: Method) -> "KnownRadii | Sequence[Ring] | None":
     """The radii, or the catalogue of which it may be one; None if nothing was said."""
+    if method is not Method.ML and said != SaidOfRing():
+        raise UsageError("--method", f"{method.value} has no use for what is known of the ring", "use --method ml")
     _refuse_contradictions(said)
     if said.ring is not None:
         return _of_catalogue(said.ring, said.rings)

@@ -1,7 +1,7 @@
 """`ringpose pose`: detections, shots or images -> one pose line each."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
 from time import perf_counter
@@ -14,12 +14,12 @@ from ringpose.cli.device_options import AllowUnseen, Count, Duration, Exposure, 
 from ringpose.cli.known_ring import RadiusInner, RadiusOuter, RadiusSd, RingName, RingsFile, SaidOfRing
 from ringpose.cli.live import newest_shots, refuse_both
 from ringpose.cli.options import ImageChannel, OptionalInputs, PoseFrame, PoseMethod, Quiet, RigFile, Verbose
-from ringpose.errors import UsageError
 from ringpose.pose.method import Method
 
 if TYPE_CHECKING:
     from ringpose.capture.newest import LiveShot
     from ringpose.cli.batch import Batch
+    from ringpose.cli.rig_watch import RigWatch
     from ringpose.cli.sources import Wanted
     from ringpose.types.break_points import Detection
     from ringpose.types.frame import Shot
@@ -57,37 +57,31 @@ def pose(
     quiet: Quiet = False,
 ) -> None:
     """Compute the pose of the ring: one JSON record a shot on stdout."""
-    from ringpose.cli import messages
     from ringpose.cli.batch import Batch
     from ringpose.cli.known_ring import known_ring
-    from ringpose.cli.progress import counted
-    from ringpose.cli.rig_watch import RigWatch, remarks_on
-    from ringpose.errors import NO_POSE
-    from ringpose.files import records
-    from ringpose.files.poses import pose_record
+    from ringpose.cli.rig_watch import RigWatch
     from ringpose.files.rigs import read_rig, require_mount
-    from ringpose.types.sequence import parsed_sequence
 
     refuse_both(inputs, camera, lasers)
     said = SaidOfRing(
         radius_outer_m=radius_outer, radius_inner_m=radius_inner, radius_sd_m=radius_sd, ring=ring, rings=rings
     )
-    if method is not Method.ML and not said.nothing:
-        raise UsageError("--method", f"{method.value} has no use for what is known of the ring", "use --method ml")
-    known = known_ring(said)
+    known = known_ring(said, method)
     rig_of_shots = read_rig(rig)
     if frame is PoseFrame.TOOL:
         require_mount(rig_of_shots, rig)
-    batch, watch = Batch(), RigWatch(rig_of_shots.lasers.names, method)
+    batch = Batch()
     measure = partial(pose_line, rig=rig_of_shots, method=method, frame=frame, known=known)
-    wanted = None
-    if camera is not None:
+    lines: AbstractContextManager[Iterator[PoseLine]]
+    if camera is None:
+        lines = nullcontext(_recorded_lines(inputs or [], rig_of_shots, channel, batch, measure))
+    else:
         from ringpose.cli.sources import Wanted
 
         wanted = Wanted(
             camera=camera,
             lasers=lasers,
-            steps=None if sequence is None else parsed_sequence(sequence),
+            steps=sequence,
             exposure_s=exposure,
             settle_s=settle,
             allow_unseen=allow_unseen,
@@ -95,46 +89,20 @@ def pose(
             count=count,
             duration_s=duration,
         )
-    with _lines(wanted, batch, measure, (inputs or [], rig_of_shots, channel)) as lines:
-        for line in counted(lines, "shots", quiet):
-            watched = watch.watched(line)
-            records.write(pose_record(watched))
-            if verbose:
-                messages.say(f"{line.shot}: {remarks_on(watched)}")
-            if line.pose is None:
-                batch.met(NO_POSE)
+        lines = _live_lines(wanted, rig_of_shots, batch, measure)
+    with lines as each:
+        _write(each, RigWatch(rig_of_shots.lasers.names, method), batch, verbose, quiet)
     batch.finish()
 
 
-@contextmanager
-def _lines(
-    wanted: "Wanted | None",
-    batch: "Batch",
-    measure: "Callable[[Shot | Detection], PoseLine]",
-    recorded: "tuple[list[str], Rig, str | None]",
-) -> "Iterator[Iterator[PoseLine]]":
-    """Pose lines of a live camera, or of inputs that the user names; what is bad among them is the batch's business."""
-    from ringpose.cli import messages
-    from ringpose.files.shots import fitting_shot
-
-    if wanted is None:
-        yield _recorded_lines(batch, measure, *recorded)
-        return
-    _, rig, _ = recorded
-    with newest_shots(wanted, batch, messages.say) as newest:
-        import ringpose.detect.pipeline  # here, while the first shot is taken, it costs no time
-        import ringpose.pose.pipeline  # noqa: F401
-
-        yield _live_lines(newest, lambda shot: measure(fitting_shot(shot, rig, wanted.camera)))
-
-
 def _recorded_lines(
-    batch: "Batch",
-    measure: "Callable[[Shot | Detection], PoseLine]",
     inputs: list[str],
     rig: "Rig",
     channel: str | None,
+    batch: "Batch",
+    measure: "Callable[[Shot | Detection], PoseLine]",
 ) -> "Iterator[PoseLine]":
+    """Pose lines of what the user names; what is bad among it is the batch's business."""
     from ringpose.files.inputs import inputs as named
     from ringpose.files.sources import SUFFIXES, read_source
 
@@ -143,11 +111,41 @@ def _recorded_lines(
             yield measure(read_source(item, rig, channel))
 
 
-def _live_lines(newest: "Iterator[LiveShot]", measure: "Callable[[Shot], PoseLine]") -> "Iterator[PoseLine]":
-    """What is wrong with one live shot is wrong with all that follow."""
-    for live in newest:
-        line = measure(live.shot)
-        yield replace(line, dropped=live.dropped, latency_s=perf_counter() - live.taken_s)
+@contextmanager
+def _live_lines(
+    wanted: "Wanted", rig: "Rig", batch: "Batch", measure: "Callable[[Shot | Detection], PoseLine]"
+) -> "Iterator[Iterator[PoseLine]]":
+    """Pose lines of a camera; what is wrong with one live shot is wrong with all that follow."""
+    from ringpose.cli import messages
+    from ringpose.files.shots import fitting_shot
+
+    def line_of(live: "LiveShot") -> "PoseLine":
+        line = measure(fitting_shot(live.shot, rig, wanted.camera))
+        return replace(line, dropped=live.dropped, latency_s=perf_counter() - live.taken_s)
+
+    with newest_shots(wanted, batch, messages.say) as newest:
+        import ringpose.detect.pipeline  # here, while the first shot is taken, it costs no time
+        import ringpose.pose.pipeline  # noqa: F401
+
+        yield map(line_of, newest)
+
+
+def _write(lines: "Iterator[PoseLine]", watch: "RigWatch", batch: "Batch", verbose: bool, quiet: bool) -> None:
+    """Every line as it comes, with the lasers' health."""
+    from ringpose.cli import messages
+    from ringpose.cli.progress import counted
+    from ringpose.cli.rig_watch import remarks_on
+    from ringpose.errors import NO_POSE
+    from ringpose.files import records
+    from ringpose.files.poses import pose_record
+
+    for line in counted(lines, "shots", quiet):
+        watched = watch.watched(line)
+        records.write(pose_record(watched))
+        if verbose:
+            messages.say(f"{line.shot}: {remarks_on(watched)}")
+        if line.pose is None:
+            batch.met(NO_POSE)
 
 
 def pose_line(
