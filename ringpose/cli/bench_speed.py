@@ -1,7 +1,9 @@
 """`ringpose bench speed`: what it takes and how fine it is on this machine, beside the limits."""
 
+import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -79,21 +81,27 @@ def _starts(folder: Path) -> dict[str, Callable[[], object]]:
     write_shot(shot, shot_of(image))
     record.write_text(line_of(detection_record(detect(shot_of(image), image.rig), full=False)))
     pose = ["-c", COMMAND, "pose", "--rig", str(rig)]
+    started = partial(_first_line, bytecode=folder)
     return {
-        "import numpy, cv2": lambda: _first_line(["-c", "import numpy, cv2"]),
-        "ringpose pose --help": lambda: _first_line(["-c", COMMAND, "pose", "--help"]),
-        "first pose line of a detection": lambda: _first_line([*pose, str(record)]),
-        "first pose line of a shot": lambda: _first_line([*pose, str(shot)]),
+        "import numpy, cv2": lambda: started(["-c", "import numpy, cv2"]),
+        "ringpose pose --help": lambda: started(["-c", COMMAND, "pose", "--help"]),
+        "first pose line of a detection": lambda: started([*pose, str(record)]),
+        "first pose line of a shot": lambda: started([*pose, str(shot)]),
     }
 
 
-def _first_line(words: Sequence[str]) -> str:
-    """Run Python until it says something, or ends."""
+def _first_line(words: Sequence[str], bytecode: Path) -> str:
+    """Run Python until it says something, or ends; it has its byte code there from the second time on.
+
+    In the place of an installation that is edited it may be out of date, or nobody may write it.
+    """
     from subprocess import PIPE, Popen
 
     from ringpose.errors import InputOutputError
 
-    with Popen([sys.executable, *words], stdout=PIPE, text=True) as process:  # noqa: S603 (words of our own)
+    environment = os.environ | {"PYTHONPYCACHEPREFIX": str(bytecode), "PYTHONDONTWRITEBYTECODE": ""}
+    command = [sys.executable, *words]
+    with Popen(command, stdout=PIPE, text=True, env=environment) as process:  # noqa: S603 (words of our own)
         line = process.stdout.readline() if process.stdout else ""
         if line:
             process.kill()
