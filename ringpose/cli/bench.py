@@ -9,7 +9,7 @@ import typer
 from ringpose.cli.app import app
 from ringpose.cli.bench_detectors import detectors
 from ringpose.cli.bench_speed import speed
-from ringpose.cli.options import STDOUT, Force, OptionalRigFile, PoseFrame, Quiet, finite
+from ringpose.cli.options import STDOUT, Force, JsonFile, OptionalRigFile, PoseFrame, Quiet, finite
 from ringpose.pose.method import Method
 
 if TYPE_CHECKING:
@@ -36,9 +36,6 @@ By = Annotated[
 ]
 Methods = Annotated[
     list[Method] | None, typer.Option("--method", help="Of data sets, may be given again; all methods if not given.")
-]
-JsonFile = Annotated[
-    str | None, typer.Option("--json", metavar="FILE", help="All figures as JSON; - instead of tables.")
 ]
 CsvFile = Annotated[str | None, typer.Option("--csv", metavar="FILE", help="A row a shot as CSV; - instead of tables.")]
 MaxCenter = Annotated[

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ringpose.cli.options import STDOUT, Force, ImageChannel, Quiet
+from ringpose.cli.options import STDOUT, Force, ImageChannel, JsonFile, Quiet
 
 if TYPE_CHECKING:
     from ringpose.bench.detectors import DetectorLine, KnownImage
@@ -32,9 +32,6 @@ LinesTruth = Annotated[
 LinesOrigin = Annotated[
     int,
     typer.Option("--lines-origin", metavar="N", min=0, max=1, help="What these call the first pixel; MATLAB says 1."),
-]
-JsonFile = Annotated[
-    str | None, typer.Option("--json", metavar="FILE", help="All figures as JSON; - instead of tables.")
 ]
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ringpose.cli.options import STDOUT, Force, PoseFrame
+from ringpose.cli.options import STDOUT, Force, JsonFile, PoseFrame
 from ringpose.pose.method import Method
 
 if TYPE_CHECKING:
@@ -24,7 +24,6 @@ Seeds = Annotated[
     int, typer.Option("--seeds", metavar="N", min=1, help="Synthetic images of each kind for the accuracy.")
 ]
 Rounds = Annotated[int, typer.Option("--rounds", metavar="N", min=1, help="Turns in which each time is taken.")]
-JsonFile = Annotated[str | None, typer.Option("--json", metavar="FILE", help="All of it as JSON; - instead of text.")]
 
 
 def speed(seeds: Seeds = 40, rounds: Rounds = 11, json: JsonFile = None, force: Force = False) -> None:

@@ -8,7 +8,7 @@ import typer
 from ringpose.cli.app import app
 from ringpose.cli.board_print import OptionalInputs, OptionalOutput, PrintBoard, given
 from ringpose.cli.modes import CommandWithModes
-from ringpose.cli.options import BoardFile, BoardOverlay, Force, ImageChannel, Quiet, Report, Verbose
+from ringpose.cli.options import BoardFile, Force, ImageChannel, Overlay, Quiet, Report, Verbose
 from ringpose.types.distortion_model import DistortionModel
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def calibrate_camera(
     distances: Distances = "0.2,0.5,1",
     camera_name: CameraName = "camera",
     print_board: PrintBoard = None,
-    overlay: BoardOverlay = None,
+    overlay: Overlay = None,
     report: Report = None,
     channel: ImageChannel = None,
     force: Force = False,

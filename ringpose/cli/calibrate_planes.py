@@ -9,7 +9,7 @@ from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.cli.app import app
 from ringpose.cli.board_print import OptionalInputs, OptionalOutput, PrintBoard, given
 from ringpose.cli.modes import CommandWithModes
-from ringpose.cli.options import BoardFile, BoardOverlay, Force, ImageChannel, Quiet, Report, Verbose, finite
+from ringpose.cli.options import BoardFile, Force, ImageChannel, Overlay, Quiet, Report, Verbose, finite
 
 if TYPE_CHECKING:
     from ringpose.calibrate.planes_quality import PlanesAssessment
@@ -102,7 +102,7 @@ def calibrate_planes(
     check: Check = None,
     print_board: PrintBoard = None,
     surround: Surround = 0.0,
-    overlay: BoardOverlay = None,
+    overlay: Overlay = None,
     report: Report = None,
     channel: ImageChannel = None,
     force: Force = False,

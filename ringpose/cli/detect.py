@@ -1,12 +1,11 @@
 """`ringpose detect`: images or shots -> break points."""
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ringpose.cli.app import app
-from ringpose.cli.options import Force, ImageChannel, Inputs, OptionalRigFile, Quiet, Verbose
+from ringpose.cli.options import Force, ImageChannel, Inputs, OptionalRigFile, Overlay, Quiet, Verbose
 from ringpose.detect.segment_method import SegmentMethod
 from ringpose.detect.stripe_source import StripeSource
 
@@ -17,9 +16,6 @@ if TYPE_CHECKING:
 
 Output = Annotated[
     str, typer.Option("--output", "-o", metavar="DIR", help="Write one NPZ a shot into this folder; - writes records.")
-]
-Overlay = Annotated[
-    Path | None, typer.Option("--overlay", metavar="DIR", help="Draw what was found into PNG files in this folder.")
 ]
 SegmentsOnly = Annotated[
     bool, typer.Option("--segments-only", help="Find straight segments in any image; no rig is needed.")

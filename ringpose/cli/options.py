@@ -40,13 +40,16 @@ OptionalInputs = Annotated[
 RigFile = Annotated[Path, typer.Option("--rig", metavar="FILE", help="The calibrated rig (rig.yaml).")]
 OptionalRigFile = Annotated[Path | None, typer.Option("--rig", metavar="FILE", help="The calibrated rig (rig.yaml).")]
 BoardFile = Annotated[Path, typer.Option("--board", metavar="FILE", help="The board file: its kind and its sizes.")]
-BoardOverlay = Annotated[
+Overlay = Annotated[
     Path | None, typer.Option("--overlay", metavar="DIR", help="Draw what was found into PNG files in this folder.")
 ]
 Report = Annotated[
     Path | None, typer.Option("--report", metavar="FILE", help="Write an HTML page with pictures (needs matplotlib).")
 ]
 OutputFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Where the result is written.")]
+JsonFile = Annotated[
+    str | None, typer.Option("--json", metavar="FILE", help="All figures as JSON; - instead of tables.")
+]
 Force = Annotated[bool, typer.Option("--force", help="Replace output that exists already.")]
 ImageChannel = Annotated[
     Channel | None, typer.Option("--channel", help="Read this channel of colour images; else their luminance.")
