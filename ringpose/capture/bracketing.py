@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringpose.types.arrays import Array, Float32, Float64, UInt, UInt16
-from ringpose.types.frame import Shot
+from ringpose.types.frame import Shot, shot_with_frames
 
 FULL_SHARE = 0.98
 """From this share of the full grey value on a pixel counts as full: its response bends below the last code."""
@@ -35,10 +35,6 @@ THINNED = 3
 
 USUAL_FULL_E = 10_000.0
 """Electrons that fill a pixel of a common sensor, where the brackets do not tell the noise."""
-
-_PER_FRAME = (
-    "lasers", "stamp_s", "exposure_s", "device_stamp_s", "gain_db", "frame_id", "seen_lasers", "read_lasers",
-)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,7 +93,6 @@ def merged_brackets(shot: Shot) -> Shot:
     scale = Scale(unit_s=unit_s, pedestal_dn=float(np.ceil(pedestal)), full_dn=full_dn, top_dn=int(highest * unit_s))
     images = np.stack([_merged(shot, group, noise, scale) for group in groups])
     usual = max(1, int((full_dn - noise.black_dn) * unit_s / max(exposures_s)))
-    chosen = {name: getattr(shot, name)[longest] for name in _PER_FRAME if getattr(shot, name) is not None}
     merged = {
         "exposures_s": [[exposures_s[frame] for frame in group] for group in groups],
         "scale_s": unit_s,
@@ -106,12 +101,8 @@ def merged_brackets(shot: Shot) -> Shot:
         "dark_variance_dn2": noise.dark_variance_dn2,
         "gain_dn_per_e": noise.gain_dn_per_e,
     }
-    return replace(
-        shot,
-        images=images,
-        meta={**shot.meta, "saturation_dn": scale.top_dn, "usual_full_dn": usual, "merged": merged},
-        **chosen,
-    )
+    meta = {**shot.meta, "saturation_dn": scale.top_dn, "usual_full_dn": usual, "merged": merged}
+    return replace(shot_with_frames(shot, longest), images=images, meta=meta)
 
 
 def pixel_noise(shot: Shot, groups: Sequence[Sequence[int]]) -> PixelNoise:

@@ -1,7 +1,7 @@
 """What a camera delivers: one frame, and the shot that several frames of one moment make up."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,10 @@ from ringpose.types.arrays import Array, Float64, Int64, UInt, UInt8
 ALL_LASERS = 255
 """Mask of an image that is read without a rig: all lasers on, however many there are."""
 
+PER_FRAME = (
+    "lasers", "stamp_s", "exposure_s", "device_stamp_s", "gain_db", "frame_id", "seen_lasers", "read_lasers",
+)  # fmt: skip
+"""What a shot knows of each of its frames beside the image."""
 
 USUAL_BITS = (8, 10, 12, 14)
 """Of cameras whose grey values lie in the lower bits of 16."""
@@ -87,6 +91,12 @@ class Shot:
         """The full value of the longest exposure, if several were merged."""
         usual = self.meta.get("usual_full_dn")
         return None if usual is None else int(usual)
+
+
+def shot_with_frames(shot: Shot, chosen: Int64[Array, "chosen"]) -> Shot:
+    """The shot with some of its frames, in the order in which they are named."""
+    known = {name: getattr(shot, name) for name in ("images", *PER_FRAME)}
+    return replace(shot, **{name: values[chosen] for name, values in known.items() if values is not None})
 
 
 def full_scale_dn(images: UInt[Array, "*shape"]) -> int:

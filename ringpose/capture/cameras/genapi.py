@@ -37,7 +37,7 @@ class GenApiCamera(LockStepCamera):
         try:
             self._set_value(node, value)
         except Exception as error:  # GenApi's own classes of errors differ from wrapper to wrapper
-            raise DeviceError(self.uri.text, f"{feature} cannot be set to {value}: {_first_line(error)}") from error
+            raise DeviceError(self.uri.text, f"{feature} cannot be set to {value}: {first_line(error)}") from error
         if feature == "Gain":
             self._gain_db = self._number("Gain")
 
@@ -86,5 +86,6 @@ class GenApiCamera(LockStepCamera):
         """The node of this name that can be used now; None if there is none."""
 
 
-def _first_line(error: Exception) -> str:
-    return (str(error).strip() or type(error).__name__).splitlines()[0]
+def first_line(error: Exception, otherwise: str = "") -> str:
+    """What an error of a wrapper says, as far as it fits a message; something else if it says nothing."""
+    return (str(error).strip() or otherwise or type(error).__name__).splitlines()[0]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ringpose.capture.cameras.genapi import GenApiCamera
+from ringpose.capture.cameras.genapi import GenApiCamera, first_line
 from ringpose.capture.cameras.lock_step import Grab, LockStepCamera, mid_stamp_s
 from ringpose.errors import DeviceError
 
@@ -46,7 +46,7 @@ class GenTlCamera(GenApiCamera):
             self._harvester.update()
             self._acquirer = self._harvester.create({"serial_number": serial} if serial else 0)
         except Exception as error:
-            found = (str(error).strip() or "no such camera").splitlines()[0]
+            found = first_line(error, "no such camera")
             raise DeviceError(self.uri.text, found, "check its cable, its power, and what else uses it") from error
         if self._node("TriggerSoftware") is None:
             raise DeviceError(self.uri.text, "the camera has no software trigger", "take another camera")
@@ -65,8 +65,7 @@ class GenTlCamera(GenApiCamera):
             stamp_s = mid_stamp_s(before_s)
             buffer = self._acquirer.try_fetch(timeout=limit_s)
         except Exception as error:
-            found = (str(error).strip() or type(error).__name__).splitlines()[0]
-            raise DeviceError(self.uri.text, found, "check its cable and its power") from error
+            raise DeviceError(self.uri.text, first_line(error), "check its cable and its power") from error
         if buffer is None:
             return Grab(stamp_s=stamp_s)
         try:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ringpose.capture.cameras.genapi import GenApiCamera
+from ringpose.capture.cameras.genapi import GenApiCamera, first_line
 from ringpose.capture.cameras.lock_step import Grab, mid_stamp_s
 from ringpose.errors import DeviceError
 
@@ -41,7 +41,7 @@ class PylonCamera(GenApiCamera):
             self._camera.Open()
         except Exception as error:
             self._camera = None
-            raise DeviceError(self.uri.text, _reason(error), "close what else uses the camera") from error
+            raise DeviceError(self.uri.text, first_line(error), "close what else uses the camera") from error
         self._set_up()
 
     def _start(self) -> None:
@@ -59,7 +59,7 @@ class PylonCamera(GenApiCamera):
             stamp_s = mid_stamp_s(before_s)
             result = camera.RetrieveResult(limit_ms, pylon.TimeoutHandling_Return)
         except Exception as error:
-            raise DeviceError(self.uri.text, _reason(error), "check its cable and its power") from error
+            raise DeviceError(self.uri.text, first_line(error), "check its cable and its power") from error
         if not result or not result.IsValid():
             return Grab(stamp_s=stamp_s)
         try:
@@ -111,7 +111,3 @@ def _pypylon(text: str) -> Any:
         return pypylon()
     except ImportError as error:
         raise DeviceError(text, "needs pypylon, which is not installed", EXTRA) from error
-
-
-def _reason(error: Exception) -> str:
-    return (str(error).strip() or type(error).__name__).splitlines()[0]

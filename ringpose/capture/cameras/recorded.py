@@ -1,17 +1,13 @@
 """`files:`: shots and images taken earlier, as if they were taken now."""
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import TypeVar
 
 import numpy as np
 
 from ringpose.errors import DataError
-from ringpose.types.arrays import Array, Int64, UInt8
-from ringpose.types.frame import ALL_LASERS, Shot
+from ringpose.types.arrays import Array, UInt8
+from ringpose.types.frame import ALL_LASERS, Shot, shot_with_frames
 from ringpose.types.sequence import MOST_LASERS, Step
-
-PerFrame = TypeVar("PerFrame", bound=Array)
 
 
 class Recording:
@@ -49,18 +45,7 @@ def frames_of_steps(shot: Shot, steps: Sequence[Step]) -> Shot:
     count = int(np.bitwise_or.reduce(shot.lasers)).bit_length()
     masks = [_mask(step, count) for step in steps]
     chosen = np.array([_frame(shot, steps, masks, place) for place in range(len(steps))], dtype=np.int64)
-    return replace(
-        shot,
-        images=shot.images[chosen],
-        lasers=shot.lasers[chosen],
-        stamp_s=shot.stamp_s[chosen],
-        exposure_s=shot.exposure_s[chosen],
-        device_stamp_s=_of(shot.device_stamp_s, chosen),
-        gain_db=_of(shot.gain_db, chosen),
-        frame_id=_of(shot.frame_id, chosen),
-        seen_lasers=_of(shot.seen_lasers, chosen),
-        read_lasers=_of(shot.read_lasers, chosen),
-    )
+    return shot_with_frames(shot, chosen)
 
 
 def shot_of_images(images: Sequence[Shot], steps: Sequence[Step]) -> Shot:
@@ -103,7 +88,3 @@ def _names(lasers: UInt8[Array, "frame"]) -> str:
     """Masks in the words of a sequence."""
     lit = [[str(bit + 1) for bit in range(MOST_LASERS) if mask >> bit & 1] for mask in lasers.tolist()]
     return ",".join("+".join(numbers) or "off" for numbers in lit)
-
-
-def _of(values: PerFrame | None, chosen: Int64[Array, "step"]) -> PerFrame | None:
-    return None if values is None else values[chosen]  # type: ignore[return-value]
