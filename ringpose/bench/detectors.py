@@ -7,10 +7,10 @@ from functools import partial
 
 import numpy as np
 
-from ringpose.bench.detectors_break_points import break_point_errors, joined_break_points
+from ringpose.bench.detectors_break_points import break_point_errors
 from ringpose.bench.detectors_lines import length_px, length_recalled_px
-from ringpose.bench.detectors_spread import mean, median, rms, robust_sd
-from ringpose.bench.detectors_stripes import COVERED, joined, stripe_errors
+from ringpose.bench.detectors_spread import joined, mean, median, rms, robust_sd
+from ringpose.bench.detectors_stripes import COVERED, stripe_errors
 from ringpose.bench.speed_times import median_times_s, one_core
 from ringpose.bench.stripe_images import StripeImage
 from ringpose.detect.peers import GIVES_CENTERS, DetectorName, detector
@@ -140,7 +140,7 @@ def _length_recall(found: Sequence[Segments], images: Sequence[KnownImage]) -> d
 
 def _chain_line(images: Sequence[StripeImage], times: dict[str, float]) -> DetectorLine:
     found = [detect(shot_of(image), image.rig, edges=False) for image in images]
-    errors = joined_break_points([break_point_errors(each, image) for each, image in zip(found, images, strict=True)])
+    errors = joined([break_point_errors(each, image) for each, image in zip(found, images, strict=True)])
     wrong = (errors.flags == 0) & (np.hypot(errors.along_px, errors.across_px) > WRONG_PX)
     return DetectorLine(
         detector=CHAIN,

@@ -91,29 +91,6 @@ def break_point_errors(detection: Detection, image: StripeImage) -> BreakPointEr
     )
 
 
-def joined_centers(parts: list[CenterErrors]) -> CenterErrors:
-    """The errors in several images as one record."""
-    return CenterErrors(
-        error_px=np.concatenate([part.error_px for part in parts]),
-        sigma_px=np.concatenate([part.sigma_px for part in parts]),
-        bound_px=np.concatenate([part.bound_px for part in parts]),
-    )
-
-
-def joined_break_points(parts: list[BreakPointErrors]) -> BreakPointErrors:
-    """The errors in several images as one record."""
-    return BreakPointErrors(
-        expected=sum(part.expected for part in parts),
-        along_px=np.concatenate([part.along_px for part in parts]),
-        across_px=np.concatenate([part.across_px for part in parts]),
-        along_sigma_px=np.concatenate([part.along_sigma_px for part in parts]),
-        across_sigma_px=np.concatenate([part.across_sigma_px for part in parts]),
-        nees=np.concatenate([part.nees for part in parts]),
-        bound_px=np.concatenate([part.bound_px for part in parts]),
-        flags=np.concatenate([part.flags for part in parts]),
-    )
-
-
 def _mostly(near: Bool[Array, "center"], piece: Int64[Array, "center"]) -> Bool[Array, "center"]:
     """Which centres are of a piece that is near by more than half."""
     share = np.bincount(piece, near) / np.maximum(np.bincount(piece), 1)

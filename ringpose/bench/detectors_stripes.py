@@ -58,17 +58,6 @@ def stripe_errors(segments: Segments, image: StripeImage, centers: bool) -> Stri
     )
 
 
-def joined(parts: list[StripeErrors]) -> StripeErrors:
-    """The errors in several images as one record."""
-    return StripeErrors(
-        coverage=np.concatenate([part.coverage for part in parts]),
-        segments=np.concatenate([part.segments for part in parts]),
-        center_px=np.concatenate([part.center_px for part in parts]),
-        short_px=np.concatenate([part.short_px for part in parts]),
-        false=sum(part.false for part in parts),
-    )
-
-
 class _PieceLine:
     """The straight centre line of a piece."""
 

@@ -11,10 +11,8 @@ from ringpose.bench.detectors_break_points import (
     CenterErrors,
     break_point_errors,
     center_errors,
-    joined_break_points,
-    joined_centers,
 )
-from ringpose.bench.detectors_spread import mean, median, rms, robust_sd
+from ringpose.bench.detectors_spread import joined, mean, median, rms, robust_sd
 from ringpose.bench.speed_gates import Gate
 from ringpose.bench.stripe_images import Kind, StripeImage, stripe_image
 from ringpose.detect.pipeline import detect
@@ -44,8 +42,8 @@ def accuracy_gates(
     for kind in Kind:
         errors = [_errors(image, find) for image in (stripe_image(kind, seed) for seed in range(seeds))]
         if kind in SIGMA_LIMITS_PX:
-            centers += _center_gates(kind, joined_centers([of_centers for of_centers, _ in errors]))
-        ends += _gates_of_kind(kind, joined_break_points([of_ends for _, of_ends in errors]))
+            centers += _center_gates(kind, joined([of_centers for of_centers, _ in errors]))
+        ends += _gates_of_kind(kind, joined([of_ends for _, of_ends in errors]))
     return centers, ends
 
 

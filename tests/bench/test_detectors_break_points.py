@@ -9,9 +9,8 @@ from ringpose.bench.detectors_bounds import column_bound_px, end_bound_px
 from ringpose.bench.detectors_break_points import (
     break_point_errors,
     center_errors,
-    joined_break_points,
-    joined_centers,
 )
+from ringpose.bench.detectors_spread import joined
 from ringpose.bench.speed import exact_break_points
 from ringpose.bench.stripe_images import Kind, stripe_image, stripe_rig, true_row
 from ringpose.types.break_points import BreakPointFlag, Detection, NoBreakPoints
@@ -103,7 +102,7 @@ def test_images_add_up(image, outwards):
         break_point_errors(each, image) for each in (moved(image, 0.1 * outwards), detection(NoBreakPoints.NO_RING))
     ]
 
-    both = joined_break_points(parts)
+    both = joined(parts)
 
     assert (both.expected, len(both.along_px), len(both.nees)) == (12, 6, 6)
 
@@ -149,4 +148,4 @@ def test_ridges_that_are_no_stripe_have_no_error(image, stranger):
 def test_centers_of_images_add_up(image):
     part = center_errors(centers(image, 2), image)
 
-    assert len(joined_centers([part, part]).error_px) == 2 * len(part.error_px)
+    assert len(joined([part, part]).error_px) == 2 * len(part.error_px)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from ringpose.bench.detectors_stripes import COVERED, joined, stripe_errors
+from ringpose.bench.detectors_spread import joined
+from ringpose.bench.detectors_stripes import COVERED, stripe_errors
 from ringpose.bench.stripe_images import StripeImage, stripe_rig
 from ringpose.types.segments import Segments
 

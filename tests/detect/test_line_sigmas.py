@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from ringpose.bench.detectors import shot_of
-from ringpose.bench.detectors_break_points import break_point_errors, joined_break_points
+from ringpose.bench.detectors_break_points import break_point_errors
+from ringpose.bench.detectors_spread import joined
 from ringpose.bench.stripe_images import Kind, stripe_image
 from ringpose.detect.pipeline import detect
 
@@ -13,9 +14,7 @@ from ringpose.detect.pipeline import detect
 def test_lines_through_clipped_stripes_are_as_far_off_as_they_say() -> None:
     images = [stripe_image(Kind.SATURATED, seed) for seed in range(100, 125)]
 
-    errors = joined_break_points(
-        [break_point_errors(detect(shot_of(image), image.rig, edges=False), image) for image in images]
-    )
+    errors = joined([break_point_errors(detect(shot_of(image), image.rig, edges=False), image) for image in images])
 
     assert 0.7 < np.mean((errors.across_px / errors.across_sigma_px) ** 2) < 1.3
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from ringpose.bench.detectors_break_points import center_errors, joined_centers
+from ringpose.bench.detectors_break_points import center_errors
+from ringpose.bench.detectors_spread import joined
 from ringpose.bench.stripe_images import Kind, stripe_image
 from ringpose.detect.stripe_centers import find_stripes
 
@@ -112,7 +113,7 @@ def test_tiny_images_have_no_stripe(shape):
 def test_squared_errors_of_columns_average_one_in_their_sigmas(kind):
     images = [stripe_image(kind, seed) for seed in range(2)]
 
-    errors = joined_centers([center_errors(find_stripes(image.image), image) for image in images])
+    errors = joined([center_errors(find_stripes(image.image), image) for image in images])
 
     assert len(errors.error_px) > 9000
     assert 0.8 < np.mean((errors.error_px / errors.sigma_px) ** 2) < 1.25
