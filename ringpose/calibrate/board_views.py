@@ -51,6 +51,7 @@ def find_board(image: UInt[Array, "row column"], board: Board, name: str) -> Boa
         points_board_m=corner_points(board)[seen.ids],
         points_px=seen.points_px,
         likeness=seen.likeness,
+        circle_radius_m=seen.circle_radius_m,
         marker_size_ratio=None if seen.layout is None else seen.layout.size_ratio,
     )
 
@@ -75,6 +76,7 @@ class _Seen:
     layout: MarkerLayout | None = None
     likeness: float = 0.0
     """Of the errors of a marker's corners."""
+    circle_radius_m: float = 0.0
 
 
 def _pattern_view(grey: UInt8[Array, "row column"], board: Board) -> _Seen | NoBoard:
@@ -82,11 +84,14 @@ def _pattern_view(grey: UInt8[Array, "row column"], board: Board) -> _Seen | NoB
     columns, rows = board.squares_x or 0, board.squares_y or 0
     if board.kind == "chessboard":
         corners = chessboard_corners(grey, columns - 1, rows - 1)
-    else:
-        corners = circle_centers(grey, corner_points(board), columns, rows)
-    if corners is None:
-        return pattern_failure(grey, board) if board.kind == "chessboard" else circle_failure(grey, board)
-    return _Seen(ids=np.arange(len(corners), dtype=np.int64), points_px=corners)
+        return pattern_failure(grey, board) if corners is None else _all_seen(corners)
+    circles = circle_centers(grey, corner_points(board), columns, rows)
+    return circle_failure(grey, board) if circles is None else _all_seen(*circles)
+
+
+def _all_seen(corners_px: Float64[Array, "corner xy=2"], circle_radius_m: float = 0.0) -> _Seen:
+    ids = np.arange(len(corners_px), dtype=np.int64)
+    return _Seen(ids=ids, points_px=corners_px, circle_radius_m=circle_radius_m)
 
 
 def _marker_view(grey: UInt8[Array, "row column"], board: Board) -> _Seen | NoBoard:

@@ -7,11 +7,24 @@ import numpy as np
 
 from ringpose.calibrate.board_pose import board_pose, residuals
 from ringpose.calibrate.camera_model import PLUMB_BOB, CameraModel
-from ringpose.calibrate.camera_outliers import LARGEST_VIEW_SHARE, outlying_corners, outlying_view, view_reason
-from ringpose.calibrate.camera_solution import blank_camera, camera_solution, corners_of, undetermined
-from ringpose.calibrate.intrinsics import covariance_of_free, intrinsic_information, parameter_names
+from ringpose.calibrate.camera_outliers import (
+    LARGEST_VIEW_SHARE,
+    outlying_corners,
+    outlying_view,
+    view_reason,
+    whole_markers,
+)
+from ringpose.calibrate.camera_solution import (
+    CameraSolution,
+    blank_camera,
+    camera_solution,
+    corners_of,
+    undetermined,
+)
+from ringpose.calibrate.intrinsics import covariance_of_free, parameter_names
+from ringpose.calibrate.lens_bends import without_bends
 from ringpose.types.arrays import Array, Bool
-from ringpose.types.board import BoardPose, BoardView
+from ringpose.types.board import BoardView
 from ringpose.types.camera import Camera
 from ringpose.types.camera_calibration import CameraCalibration, CameraView
 from ringpose.types.covariance import ParameterCovariance
@@ -53,7 +66,8 @@ def _without_bad_views(views: Sequence[BoardView], blank: Camera, model: CameraM
     used = list(range(len(views)))
     rejected: dict[int, str] = {}
     while True:
-        camera, poses = camera_solution([views[index] for index in used], blank, model)
+        camera = camera_solution([views[index] for index in used], blank, model).camera
+        poses = [board_pose(views[index], camera) for index in used]
         worst = None if model.keep_all else outlying_view(poses)
         if worst is None or len(rejected) + 1 > LARGEST_VIEW_SHARE * len(views):
             return camera, rejected
@@ -68,17 +82,18 @@ def _without_bad_corners(
     for _ in range(0 if model.keep_all else _ROUNDS):
         kept = [corners_of(view, ~out) for view, out in zip(views, left_out, strict=True)]
         poses = [board_pose(view, camera) for view in kept]
-        found = outlying_corners([residuals(view, pose, camera) for view, pose in zip(views, poses, strict=True)])
+        errors = [residuals(view, pose, camera) for view, pose in zip(views, poses, strict=True)]
+        found = [whole_markers(*one) for one in zip(views, outlying_corners(errors), strict=True)]
         if all(np.array_equal(*pair) for pair in zip(found, left_out, strict=True)):
             break
         left_out = found
-        camera, _ = camera_solution(
-            [corners_of(view, ~out) for view, out in zip(views, left_out, strict=True)], camera, model
-        )
+        kept = [corners_of(view, ~out) for view, out in zip(views, left_out, strict=True)]
+        camera = camera_solution(kept, camera, model).camera
     return camera, left_out
 
 
 def _camera_view(view: BoardView, left_out: Bool[Array, "corner"], camera: Camera, rejected: str) -> CameraView:
+    view = without_bends(view, camera)
     pose = board_pose(corners_of(view, ~left_out), camera)
     return CameraView(
         name=view.name,
@@ -95,28 +110,22 @@ def _calibration(
     boards: Sequence[BoardView], views: Sequence[CameraView], camera: Camera, model: CameraModel
 ) -> CameraCalibration:
     """The calibration with its covariance and what each view says."""
-    used = [
-        (corners_of(board, ~view.left_out), view.pose, view.residual_px[~view.left_out])
-        for board, view in zip(boards, views, strict=True)
-        if not view.rejected
-    ]
-    squares = sum(float(np.sum(error**2)) for _, _, error in used)
-    corners = sum(len(error) for _, _, error in used)
-    sigma_px = float(np.sqrt(squares / max(2 * corners - 6 * len(used) - int(model.free.sum()), 1)))
-    covariance = _covariance([board for board, _, _ in used], [pose for _, pose, _ in used], camera, model, sigma_px)
+    pairs = [(board, view) for board, view in zip(boards, views, strict=True) if not view.rejected]
+    solution = camera_solution([corners_of(board, ~view.left_out) for board, view in pairs], camera, model)
+    errors = [view.residual_px[~view.left_out] for _, view in pairs]
+    covariance = _covariance(solution, model)
     return CameraCalibration(
-        camera=replace(camera, covariance=covariance),
-        rms_px=float(np.sqrt(squares / corners)),
-        sigma_px=sigma_px,
+        camera=replace(solution.camera, covariance=covariance),
+        rms_px=float(np.sqrt(np.mean(np.sum(np.concatenate(errors) ** 2, axis=1)))),
+        sigma_px=solution.sigma_px,
         views=tuple(views),
     )
 
 
-def _covariance(
-    views: list[BoardView], poses: list[BoardPose], camera: Camera, model: CameraModel, sigma_px: float
-) -> ParameterCovariance:
+def _covariance(solution: CameraSolution, model: CameraModel) -> ParameterCovariance:
+    camera = solution.camera
     try:
-        data = covariance_of_free(intrinsic_information(views, poses, camera), model.free, sigma_px)
+        data = covariance_of_free(solution.parts.sum(axis=0), model.free)
     except np.linalg.LinAlgError as error:
         raise undetermined("the views determine the parameters in more than one way") from error
     focal, sd = camera.camera_matrix[0, 0], float(np.sqrt(max(data[0, 0], 0.0)))

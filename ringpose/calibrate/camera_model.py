@@ -19,7 +19,7 @@ class CameraModel:
     zero_tangential: bool = False
     """Hold p1 and p2 at zero."""
     keep_all: bool = False
-    """Leave out no view and no corner, however bad."""
+    """Leave out no view and no corner, however bad, and take all for equally exact."""
 
     @property
     def flags(self) -> int:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ringpose.types.arrays import Array, Bool, Float64
-from ringpose.types.board import BoardPose
+from ringpose.types.board import BoardPose, BoardView
 
 VIEW_FACTOR = 2.5
 """A view is rejected if its rms is this many times the median of the views'. Good sets stay below 1.5."""
@@ -47,3 +47,10 @@ def outlying_corners(errors: Sequence[Float64[Array, "_ xy=2"]]) -> list[Bool[Ar
     allowed = int(LARGEST_CORNER_SHARE * len(lengths))
     limit = max(CORNER_SIGMAS * sigma_px, FLOOR_PX, float(np.sort(lengths)[len(lengths) - allowed - 1]))
     return [np.asarray(np.linalg.norm(error, axis=1) > limit) for error in errors]
+
+
+def whole_markers(view: BoardView, left_out: Bool[Array, "corner"]) -> Bool[Array, "corner"]:
+    """The same, and with a corner between a marker's sides the marker's other three: sides have two ends."""
+    if view.likeness == 0:
+        return left_out
+    return np.repeat(left_out.reshape(-1, 4).any(axis=1), 4)

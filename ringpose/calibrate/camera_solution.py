@@ -1,15 +1,20 @@
 """Intrinsic parameters by least squares over given corners, none of them doubted (ringpose-method(7), section 7)."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from ringpose.calibrate.board_pose import board_pose
+from ringpose.calibrate.board_pose import board_pose, moved_pose
 from ringpose.calibrate.camera_model import CameraModel
+from ringpose.calibrate.intrinsics import camera_with, covariance_of_free, damped_step, parameters_of
+from ringpose.calibrate.lens_bends import without_bends
+from ringpose.calibrate.view_equations import ViewEquations, view_equations
+from ringpose.calibrate.view_variances import moderated_variances
 from ringpose.errors import DataError
-from ringpose.types.arrays import Array, Bool
+from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.camera import DISTORTION_COEFFICIENTS, Camera
 
@@ -17,6 +22,27 @@ MINIMUM_VIEWS = 3
 """Two views of a plane give four equations for the four parameters of the pinhole, and none to check them by."""
 
 _CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
+_REWEIGHTINGS = 2
+_STEPS = 10
+_DAMPINGS = (0.0, 1e-6, 1e-4, 1e-2)
+_SETTLED = 1e-6
+"""Squared, in standard deviations: a step of less changes nothing."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraSolution:
+    """A camera, the board's poses, and how exact the corners are."""
+
+    camera: Camera
+    poses: tuple[BoardPose, ...]
+    view_sigma_px: Float64[Array, "view"]
+    """Standard deviation of one coordinate of a corner, by view."""
+    sigma_px: float
+    """The same of all views."""
+    parts: Float64[Array, "view parameter parameter"]
+    """Information of each view about the camera's parameters, its pose marginalised out."""
+    scores: Float64[Array, "view parameter"]
+    """Each view's part of the right side of the normal equations; those of all views cancel."""
 
 
 def blank_camera(camera_name: str, image_width: int, image_height: int, model: CameraModel) -> Camera:
@@ -31,13 +57,25 @@ def blank_camera(camera_name: str, image_width: int, image_height: int, model: C
     )
 
 
-def camera_solution(views: Sequence[BoardView], start: Camera, model: CameraModel) -> tuple[Camera, list[BoardPose]]:
-    """OpenCV's bundle adjustment, then the poses once more at full precision (it takes corners in single precision).
+def camera_solution(views: Sequence[BoardView], start: Camera, model: CameraModel) -> CameraSolution:
+    """The camera and the board's poses that make the corners likeliest.
 
-    It starts from the camera given, or, if that is blank, from the homographies of the views.
+    Each view counts by its own standard deviation, and a marker's corners by what their errors have in common.
+    It starts from the camera given, or, if that is blank, from OpenCV's bundle adjustment, which takes all corners for
+    equally exact and independent.
     """
     require_views(len(views))
-    known = start.camera_matrix[0, 0] > 1
+    camera = start if start.camera_matrix[0, 0] > 1 else _equal_corners(views, start, model)
+    sigma_px = np.ones(len(views))
+    for _ in range(1 + _REWEIGHTINGS):
+        seen = [without_bends(view, camera) for view in views]
+        solution = _settled(seen, camera, model, sigma_px)
+        camera, sigma_px = solution.camera, solution.view_sigma_px
+    return _settled([without_bends(view, camera) for view in views], camera, model, sigma_px)
+
+
+def _equal_corners(views: Sequence[BoardView], start: Camera, model: CameraModel) -> Camera:
+    """OpenCV's bundle adjustment, from the homographies of the views; it takes corners in single precision."""
     try:
         _, matrix, coefficients, _, _ = cv2.calibrateCamera(
             [view.points_board_m.astype(np.float32) for view in views],
@@ -45,12 +83,12 @@ def camera_solution(views: Sequence[BoardView], start: Camera, model: CameraMode
             (start.image_width, start.image_height),
             start.camera_matrix.copy(),
             start.distortion_coefficients.copy(),
-            flags=model.flags | (cv2.CALIB_USE_INTRINSIC_GUESS if known else 0),
+            flags=model.flags,
             criteria=_CRITERIA,
         )
     except cv2.error as error:
         raise undetermined("the equations have no solution") from error
-    camera = replace(
+    return replace(
         start,
         camera_matrix=np.asarray(matrix, dtype=np.float64),
         distortion_coefficients=np.asarray(coefficients, dtype=np.float64).ravel()[
@@ -58,7 +96,76 @@ def camera_solution(views: Sequence[BoardView], start: Camera, model: CameraMode
         ],
         covariance=None,
     )
-    return camera, [board_pose(view, camera) for view in views]
+
+
+def _settled(
+    views: Sequence[BoardView], camera: Camera, model: CameraModel, sigma_px: Float64[Array, "view"]
+) -> CameraSolution:
+    """Gauss-Newton's steps until they are small against what noise does."""
+    state = _state(views, [board_pose(view, camera) for view in views], camera, sigma_px)
+    for _ in range(_STEPS):
+        information, score = state.parts.sum(axis=0), state.scores.sum(axis=0)
+        expected = score @ damped_step(information, score, model.free, 0.0)
+        lower = (_moved(state, views, model, sigma_px, damping) for damping in _DAMPINGS) if expected > _SETTLED else ()
+        better = next((other for other in lower if other.cost < state.cost), None)
+        if better is None:
+            break
+        state = better
+    return _solution(state, model, sigma_px)
+
+
+class _State(NamedTuple):
+    """Camera and poses, and the equations there."""
+
+    camera: Camera
+    poses: list[BoardPose]
+    equations: list[ViewEquations]
+    parts: Float64[Array, "view parameter parameter"]
+    scores: Float64[Array, "view parameter"]
+    cost: float
+
+
+def _state(
+    views: Sequence[BoardView], poses: list[BoardPose], camera: Camera, sigma_px: Float64[Array, "view"]
+) -> _State:
+    several = zip(views, poses, sigma_px.tolist(), strict=True)
+    equations = [view_equations(view, pose, camera, sigma) for view, pose, sigma in several]
+    alone = [one.without_pose() for one in equations]
+    return _State(
+        camera=camera,
+        poses=poses,
+        equations=equations,
+        parts=np.array([by_camera.T @ by_camera for by_camera, _ in alone]),
+        scores=np.array([by_camera.T @ residual for by_camera, residual in alone]),
+        cost=sum(float(one.residual @ one.residual) for one in equations),
+    )
+
+
+def _moved(
+    state: _State, views: Sequence[BoardView], model: CameraModel, sigma_px: Float64[Array, "view"], damping: float
+) -> _State:
+    step = damped_step(state.parts.sum(axis=0), state.scores.sum(axis=0), model.free, damping)
+    poses = [moved_pose(pose, one.pose_step(step)) for pose, one in zip(state.poses, state.equations, strict=True)]
+    return _state(views, poses, camera_with(parameters_of(state.camera) + step, state.camera), sigma_px)
+
+
+def _solution(state: _State, model: CameraModel, sigma_px: Float64[Array, "view"]) -> CameraSolution:
+    """With the standard deviations that the residuals ask for."""
+    covariance = covariance_of_free(state.parts.sum(axis=0), model.free)
+    taken = np.einsum("ij,vji->v", covariance, state.parts)
+    squares = np.array([one.residual @ one.residual for one in state.equations]) * sigma_px**2
+    freedom = np.array([float(len(one.residual)) for one in state.equations]) - 6 - taken
+    freedom = np.maximum(freedom, 1.0)
+    common = squares.sum() / freedom.sum()
+    variances = np.full(len(freedom), common) if model.keep_all else moderated_variances(squares, freedom)
+    return CameraSolution(
+        camera=state.camera,
+        poses=tuple(state.poses),
+        view_sigma_px=np.sqrt(variances),
+        sigma_px=float(np.sqrt(common)),
+        parts=state.parts,
+        scores=state.scores,
+    )
 
 
 def corners_of(view: BoardView, used: Bool[Array, "corner"]) -> BoardView:

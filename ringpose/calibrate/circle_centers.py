@@ -4,26 +4,47 @@ A tilted circle is seen as an ellipse whose middle is not where the circle's cen
 larger. The difference grows with the square of the radius, which is measured by the dark area.
 """
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 
+from ringpose.calibrate.circle_middles import levelled_middles
 from ringpose.types.arrays import Array, Float64, UInt8
+
+_ROUNDS = 2
 
 LOWEST_CONTRAST_DN = 10.0
 """Below this a circle's area tells nothing."""
 
 
+class CircleCenters(NamedTuple):
+    """Where circles' centres are seen."""
+
+    points_px: Float64[Array, "corner xy=2"]
+    radius_m: float
+    """Of all circles; zero if it cannot be told."""
+
+
 def circle_centers(
     grey: UInt8[Array, "row column"], points_m: Float64[Array, "corner xyz=3"], columns: int, rows: int
-) -> Float64[Array, "corner xy=2"] | None:
+) -> CircleCenters | None:
     """Where the circles' centres are seen, whose places on the board are given; None if not all are found."""
     middles_px = circle_middles(grey, columns, rows)
     if middles_px is None:
         return None
-    image_from_board, _ = cv2.findHomography(points_m[:, :2], middles_px)
-    homography = np.asarray(image_from_board, dtype=np.float64)
+    homography = _homography(points_m, middles_px)
     radius_m = _radius_m(grey, middles_px, points_m[:, :2], homography)
-    return middles_px - ellipse_offsets(points_m[:, :2], radius_m, homography)
+    for _ in range(_ROUNDS if radius_m else 0):
+        middles_px = levelled_middles(grey, middles_px, circle_conics(points_m[:, :2], radius_m, homography))
+        homography = _homography(points_m, middles_px)
+    return CircleCenters(middles_px - ellipse_offsets(points_m[:, :2], radius_m, homography), radius_m)
+
+
+def _homography(
+    points_m: Float64[Array, "corner xyz=3"], middles_px: Float64[Array, "corner xy=2"]
+) -> Float64[Array, "3 3"]:
+    return np.asarray(cv2.findHomography(points_m[:, :2], middles_px)[0], dtype=np.float64)
 
 
 def circle_middles(grey: UInt8[Array, "row column"], columns: int, rows: int) -> Float64[Array, "corner xy=2"] | None:
@@ -36,19 +57,29 @@ def circle_middles(grey: UInt8[Array, "row column"], columns: int, rows: int) ->
 def ellipse_offsets(
     centers_m: Float64[Array, "corner xy=2"], radius_m: float, homography: Float64[Array, "3 3"]
 ) -> Float64[Array, "corner xy=2"]:
-    """Middle of the ellipse less the image of the centre, for circles on a plane.
+    """Middle of the ellipse less the image of the centre, for circles on a plane."""
+    middles = _conic_middles(circle_conics(centers_m, radius_m, homography))
+    offsets: Float64[Array, "corner xy=2"] = middles - cv2.perspectiveTransform(centers_m[None], homography)[0]
+    return offsets
 
-    A circle's conic C becomes H^-T C H^-1, and a conic's middle is the pole of the line at infinity.
-    """
+
+def circle_conics(
+    centers_m: Float64[Array, "corner xy=2"], radius_m: float, homography: Float64[Array, "3 3"]
+) -> Float64[Array, "corner 3 3"]:
+    """The circles' conics in the image: C becomes H^-T C H^-1."""
     inverse = np.linalg.inv(homography)
     conics = np.zeros((len(centers_m), 3, 3))
     conics[:, 0, 0] = conics[:, 1, 1] = 1.0
     conics[:, :2, 2] = conics[:, 2, :2] = -centers_m
     conics[:, 2, 2] = np.sum(centers_m**2, axis=1) - radius_m**2
-    seen = inverse.T @ conics @ inverse
-    middles = np.linalg.solve(seen[:, :2, :2], -seen[:, :2, 2:])[..., 0]
-    offsets: Float64[Array, "corner xy=2"] = middles - cv2.perspectiveTransform(centers_m[None], homography)[0]
-    return offsets
+    seen: Float64[Array, "corner 3 3"] = inverse.T @ conics @ inverse
+    return seen
+
+
+def _conic_middles(conics: Float64[Array, "corner 3 3"]) -> Float64[Array, "corner xy=2"]:
+    """A conic's middle is the pole of the line at infinity."""
+    middles: Float64[Array, "corner xy=2"] = np.linalg.solve(conics[:, :2, :2], -conics[:, :2, 2:])[..., 0]
+    return middles
 
 
 def _radius_m(

@@ -1,28 +1,32 @@
 """How much a camera hangs on which views were taken (ringpose-method(7), section 7)."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from ringpose.calibrate.board_pose import board_pose, residuals
+from ringpose.calibrate.board_pose import board_pose
 from ringpose.calibrate.camera_model import CameraModel
-from ringpose.calibrate.camera_solution import MINIMUM_VIEWS, camera_solution, corners_of
+from ringpose.calibrate.camera_solution import MINIMUM_VIEWS, CameraSolution, camera_solution, corners_of
 from ringpose.calibrate.intrinsics import (
     camera_with,
     covariance_of_free,
-    intrinsic_information,
-    intrinsic_score,
+    parameter_names,
     parameters_of,
 )
-from ringpose.calibrate.projection_map import displacement_px
+from ringpose.calibrate.projection_map import displacement_px, projection_sigma_px
 from ringpose.errors import DataError
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardView
 from ringpose.types.camera import Camera
 from ringpose.types.camera_calibration import CameraCalibration, CrossValidation, ImageMap, LeftOutView
+from ringpose.types.covariance import ParameterCovariance
 
 MOST_SOLVED = 20
 """With more views than this, leaving one out is computed by one step; solving anew takes a second for each of 60."""
+
+
+_EXACT_PX = 1e-6
 
 
 def used_views(calibration: CameraCalibration, boards: Sequence[BoardView]) -> list[BoardView]:
@@ -38,7 +42,7 @@ def cross_validation(used: Sequence[BoardView], camera: Camera, model: CameraMod
     return CrossValidation(
         split_half_px=_split_half_px(used, camera, model, where),
         left_out=tuple(_left_out(*one) for one in zip(used, without_one, shifts, strict=False)),
-        jackknife_px=_jackknife_px(shifts, where),
+        jackknife_px=_jackknife_px(shifts, camera_solution(used, camera, model), model, where),
     )
 
 
@@ -53,17 +57,13 @@ def cameras_without_one(used: Sequence[BoardView], camera: Camera, model: Camera
 
 def cameras_one_step_away(used: Sequence[BoardView], camera: Camera, model: CameraModel) -> list[Camera]:
     """The same by one Gauss-Newton step from the camera of all views: of many views, one changes little."""
-    poses = [board_pose(view, camera) for view in used]
-    pairs = list(zip(used, poses, strict=True))
-    parts = [intrinsic_information([view], [pose], camera) for view, pose in pairs]
-    scores = [intrinsic_score(view, pose, camera, residuals(view, pose, camera)) for view, pose in pairs]
-    whole, sum_of_scores = np.sum(parts, axis=0), np.sum(scores, axis=0)
-    parameters = parameters_of(camera)
+    whole = camera_solution(used, camera, model)
+    information, score = whole.parts.sum(axis=0), whole.scores.sum(axis=0)
     steps = [
-        covariance_of_free(whole - part, model.free, 1.0) @ (sum_of_scores - score)
-        for part, score in zip(parts, scores, strict=True)
+        covariance_of_free(information - part, model.free) @ (score - own)
+        for part, own in zip(whole.parts, whole.scores, strict=True)
     ]
-    return [camera_with(parameters + step, camera) for step in steps]
+    return [camera_with(parameters_of(whole.camera) + step, camera) for step in steps]
 
 
 def held_out_rms_px(view: BoardView, others: Camera | None) -> float:
@@ -84,14 +84,29 @@ def _unknown(where: ImageMap) -> Float64[Array, "map_row map_column"]:
 
 
 def _jackknife_px(
-    shifts: Sequence[Float64[Array, "map_row map_column"]], where: ImageMap
+    shifts: Sequence[Float64[Array, "map_row map_column"]], whole: CameraSolution, model: CameraModel, where: ImageMap
 ) -> Float64[Array, "map_row map_column"]:
-    """Views are independent of each other even where their corners are not: variance (n - 1) / n sum of squares."""
+    """The projection uncertainty times the shifts, over what noise would make them.
+
+    Views are independent of each other even where their corners are not. A camera of fewer views is that of all and an
+    independent error more, so that noise shifts it by the difference of the covariances.
+    """
     if not shifts:
         return _unknown(where)
-    share = (len(shifts) - 1) / len(shifts)
-    jackknife: Float64[Array, "map_row map_column"] = np.sqrt(share * np.sum(np.square(shifts), axis=0))
+    information = whole.parts.sum(axis=0)
+    covariance = covariance_of_free(information, model.free)
+    others = [covariance_of_free(information - part, model.free) - covariance for part in whole.parts]
+    expected = [projection_sigma_px(_known_to(whole.camera, other), where) for other in others]
+    ratio = np.sum(np.square(shifts), axis=0) / np.maximum(np.sum(np.square(expected), axis=0), _EXACT_PX**2)
+    jackknife: Float64[Array, "map_row map_column"] = np.sqrt(ratio) * projection_sigma_px(
+        _known_to(whole.camera, covariance), where
+    )
     return jackknife
+
+
+def _known_to(camera: Camera, covariance: Float64[Array, "parameter parameter"]) -> Camera:
+    names = parameter_names(camera.distortion_model)
+    return replace(camera, covariance=ParameterCovariance(parameters=names, data=covariance))
 
 
 def _split_half_px(
@@ -107,6 +122,6 @@ def _split_half_px(
 
 def _camera(views: Sequence[BoardView], start: Camera, model: CameraModel) -> Camera | None:
     try:
-        return camera_solution(views, start, model)[0]
+        return camera_solution(views, start, model).camera
     except DataError:
         return None

@@ -28,7 +28,7 @@ def model_comparison(
     """
     other_model = replace(model, distortion_model=_other(model.distortion_model))
     blank = blank_camera(camera.camera_name, camera.image_width, camera.image_height, other_model)
-    other, _ = camera_solution(used, blank, other_model)
+    other = camera_solution(used, blank, other_model).camera
     return ModelComparison(
         fits=(_fit(used, camera, model), _fit(used, other, other_model)),
         difference_px=displacement_px(camera, other, where),

@@ -5,7 +5,7 @@ import numpy as np
 
 from ringpose.geometry.rotations import rotation_vector
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.board import BoardPose, BoardView
+from ringpose.types.board import BoardPose
 from ringpose.types.camera import DISTORTION_COEFFICIENTS, Camera
 
 FOCAL_AND_PRINCIPAL = ("fx", "fy", "cx", "cy")
@@ -54,40 +54,21 @@ def projection_jacobians(
     return both[..., :6], both[..., 6 : 6 + parameters]
 
 
-def intrinsic_information(
-    views: list[BoardView], poses: list[BoardPose], camera: Camera
-) -> Float64[Array, "parameter parameter"]:
-    """Normal matrix of the intrinsic parameters for corners of unit variance, the poses marginalised out.
-
-    Views share no pose, so the Schur complement is a sum: J_c^T J_c - J_c^T J_p (J_p^T J_p)^-1 J_p^T J_c.
-    """
-    parameters = 4 + len(camera.distortion_coefficients)
-    information = np.zeros((parameters, parameters))
-    for view, pose in zip(views, poses, strict=True):
-        rest = _beyond_pose(view, pose, camera)
-        information += rest.T @ rest
-    return information
-
-
-def intrinsic_score(
-    view: BoardView, pose: BoardPose, camera: Camera, residual_px: Float64[Array, "corner xy=2"]
+def damped_step(
+    information: Float64[Array, "parameter parameter"],
+    score: Float64[Array, "parameter"],
+    free: Float64[Array, "parameter"],
+    damping: float,
 ) -> Float64[Array, "parameter"]:
-    """One view's part of the right side of the normal equations; those of all views cancel at the solution."""
-    score: Float64[Array, "parameter"] = _beyond_pose(view, pose, camera).T @ residual_px.ravel()
-    return score
-
-
-def _beyond_pose(view: BoardView, pose: BoardPose, camera: Camera) -> Float64[Array, "row parameter"]:
-    """Derivatives by the intrinsic parameters, less what the pose can take up."""
-    both = projection_jacobians(view.points_board_m, pose, camera)
-    by_pose, by_camera = (j.reshape(-1, j.shape[-1]) for j in both)
-    orthogonal, _ = np.linalg.qr(by_pose)
-    rest: Float64[Array, "row parameter"] = by_camera - orthogonal @ (orthogonal.T @ by_camera)
-    return rest
+    """Step of the free parameters, shortened where the information tells little (Levenberg and Marquardt)."""
+    step: Float64[Array, "parameter"] = (
+        covariance_of_free(information * (1 + damping * np.eye(len(free))), free) @ score
+    )
+    return step
 
 
 def covariance_of_free(
-    information: Float64[Array, "parameter parameter"], free: Float64[Array, "parameter"], sigma_px: float
+    information: Float64[Array, "parameter parameter"], free: Float64[Array, "parameter"]
 ) -> Float64[Array, "parameter parameter"]:
     """Covariance of the parameters that are free (1); those held fixed (0) have none."""
     index = np.flatnonzero(free)
@@ -96,5 +77,5 @@ def covariance_of_free(
     covariance = np.zeros_like(information)
     size, axes = np.linalg.eigh(inner)
     size = np.maximum(size, SMALLEST_SHARE * size[-1])
-    covariance[np.ix_(index, index)] = sigma_px**2 * (axes / size @ axes.T) / np.outer(scale, scale)
+    covariance[np.ix_(index, index)] = (axes / size @ axes.T) / np.outer(scale, scale)
     return covariance

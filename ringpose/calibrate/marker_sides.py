@@ -37,6 +37,11 @@ _ROUNDS = 4
 
 _STEPS = np.arange(-1.0, 1.0 + 1e-9, 0.125)
 _OUTLIER = 4.0 * 1.4826
+_FLANK = 0.8125
+"""Middle of the outer quarter of the steps to either side."""
+
+_UNEVEN = 0.1
+"""Share of the contrast by which flanks may miss a plane."""
 
 
 class SideCorners(NamedTuple):
@@ -52,7 +57,8 @@ def corners_from_sides(image: UInt8[Array, "row column"], corners: Float64[Array
     lengths = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
     if lengths.min() < SHORTEST_SIDE_PX:
         return SideCorners(corners, 0.0)
-    sides = [_side(image, corners[i], corners[(i + 1) % 4]) for i in range(4)]
+    light = _light(image, corners)
+    sides = [_side(image, corners[i], corners[(i + 1) % 4], light) for i in range(4)]
     refined = corners.copy()
     for i in range(4):
         before, after = sides[i - 1], sides[i]
@@ -96,14 +102,63 @@ def _straight(start: Float64[Array, "2"], end: Float64[Array, "2"]) -> _Side:
     return _Side(start=start, along=along, normal=normal, length=length, coefficients=np.zeros(3))
 
 
-def _side(image: UInt8[Array, "row column"], start: Float64[Array, "2"], end: Float64[Array, "2"]) -> _Side | None:
+class _Light(NamedTuple):
+    """How brightness changes over a marker, in grey levels per pixel."""
+
+    dark: Float64[Array, "xy=2"]
+    """Within its border."""
+    bright: Float64[Array, "xy=2"]
+    """On the paper around it."""
+
+
+def _light(image: UInt8[Array, "row column"], corners: Float64[Array, "corner=4 xy=2"]) -> _Light:
+    """By the flanks of the four sides: those of one side are too narrow to tell a slope.
+
+    Where the light falls by a two-thousandth a pixel, a level taken 3 px from the edge draws the edge 0.002 px aside,
+    the same way all over the image.
+    """
+    sides = [_straight(corners[i], corners[(i + 1) % 4]) for i in range(4)]
+    reach = _reach(min(side.length for side in sides))
+    flanks = np.array([[_flank(image, side, end * _FLANK * reach) for end in (-1.0, 1.0)] for side in sides])
+    middles = (corners + np.roll(corners, -1, axis=0)) / 2
+    design = np.column_stack([np.ones(4), middles - middles.mean(axis=0)])
+    planes = np.linalg.lstsq(design, flanks)[0]
+    uneven = np.abs(design @ planes - flanks).max(axis=0) > _UNEVEN * np.ptp(planes[0])
+    dark, bright = np.where(uneven, 0.0, planes[1:]).T
+    return _Light(dark=dark, bright=bright)
+
+
+def _flank(image: UInt8[Array, "row column"], side: _Side, across: float) -> float:
+    """Grey beside a side, so far outside it: the median, as something may lie in front of the board."""
+    t = np.linspace(LARGEST_MARGIN, 1.0 - LARGEST_MARGIN, int(side.length)) * side.length
+    return float(np.median(_grey(image, side.points(t, np.full(len(t), across))[None])))
+
+
+def _reach(length: float) -> float:
+    return min(REACH_PX, 0.5 * length / CELLS)
+
+
+def _grey(image: UInt8[Array, "row column"], places: Float64[Array, "k n xy=2"]) -> Float64[Array, "k n"]:
+    grey = cv2.remap(
+        image,
+        np.ascontiguousarray(places[..., 0], dtype=np.float32),
+        np.ascontiguousarray(places[..., 1], dtype=np.float32),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    return np.asarray(grey, dtype=np.float64)
+
+
+def _side(
+    image: UInt8[Array, "row column"], start: Float64[Array, "2"], end: Float64[Array, "2"], light: _Light
+) -> _Side | None:
     """The side between two corners, drawn through its edge; None where too little of the edge is seen."""
     side = _straight(start, end)
-    reach = min(REACH_PX, 0.5 * side.length / CELLS)
+    reach = _reach(side.length)
     left_out, blur_px = LARGEST_MARGIN, reach
     for _ in range(_ROUNDS):
         t = np.linspace(left_out, 1.0 - left_out, int((1.0 - 2.0 * left_out) * side.length)) * side.length
-        offset, blur_px = _edge_offset(image, side, t, reach, blur_px)
+        offset, blur_px = _edge_offset(image, side, t, reach, blur_px, light)
         fitted = _robust_parabola(t, np.polynomial.polynomial.polyval(t, side.coefficients) + offset)
         if fitted is None:
             return None
@@ -113,7 +168,12 @@ def _side(image: UInt8[Array, "row column"], start: Float64[Array, "2"], end: Fl
 
 
 def _edge_offset(
-    image: UInt8[Array, "row column"], side: _Side, t: Float64[Array, "n"], reach: float, blur_px: float
+    image: UInt8[Array, "row column"],
+    side: _Side,
+    t: Float64[Array, "n"],
+    reach: float,
+    blur_px: float,
+    light: _Light,
 ) -> tuple[Float64[Array, "n"], float]:
     """How far outside the side its edge lies, NaN where there is none; and how blurred it is.
 
@@ -121,21 +181,17 @@ def _edge_offset(
     """
     across = reach * _STEPS
     places = side.points(t, np.broadcast_to(across[:, None], (len(across), len(t))))
-    grey = cv2.remap(
-        image,
-        np.ascontiguousarray(places[..., 0], dtype=np.float32),
-        np.ascontiguousarray(places[..., 1], dtype=np.float32),
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REPLICATE,
-    )
-    seen = np.asarray(grey, dtype=np.float64)
+    seen = _grey(image, places)
     ends = len(across) // 4
     dark, bright = _level(t, seen[:ends].mean(axis=0)), _level(t, seen[-ends:].mean(axis=0))
     rise = bright - dark
     there = (rise > 0) & (seen[-ends:].mean(axis=0) - seen[:ends].mean(axis=0) > 0.5 * rise)
     if not there.any():
         return np.full(len(t), np.nan), blur_px
-    share = (seen - dark) / np.where(there, rise, 1.0)
+    within, beyond = (float(slope @ side.normal) for slope in light)
+    below = dark + within * (across - across[:ends].mean())[:, None]
+    above = bright + beyond * (across - across[-ends:].mean())[:, None]
+    share = (seen - below) / np.where(there, above - below, 1.0)
     steep = np.exp(-0.5 * (across / blur_px) ** 2)
     model = ndtr(across / blur_px)
     scale = blur_px * np.sqrt(2 * np.pi)

@@ -53,6 +53,8 @@ class BoardView:
     points_px: Float64[Array, "corner xy=2"]
     likeness: float = 0.0
     """Correlation of the errors that a marker's side has at its two ends, where corners are where sides meet."""
+    circle_radius_m: float = 0.0
+    """Of circles whose centres these are; zero if that is not known, and of other corners."""
     marker_size_ratio: tuple[float, float] | None = None
     """Width and height of the markers over `marker_m`, by their distances from one another; None if they tell none."""
 

@@ -98,8 +98,8 @@ class CrossValidation:
     left_out: tuple[LeftOutView, ...]
     """Empty if there are too few views to leave one out."""
     jackknife_px: Float64[Array, "map_row map_column"]
-    """Projection uncertainty from the displacements by leaving out each view, whatever the errors of its corners have
-    in common; NaN without them."""
+    """Projection uncertainty times the displacements by leaving out each view, over those that noise would make:
+    whatever the errors of a view's corners have in common; NaN without them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

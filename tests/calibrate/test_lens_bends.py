@@ -1,0 +1,107 @@
+"""What a lens does to sides and circles, by formulas written out here."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ringpose.calibrate.corner_likeness import likeness_of_ends
+from ringpose.calibrate.lens_bends import end_of_likeness, without_bends
+from ringpose.types.board import BoardView
+
+CORNERS_M = np.array([[0.0, 0, 0], [0.08, 0, 0], [0.08, 0.08, 0], [0, 0.08, 0]])
+PLACES_M = np.array([[0.06, 0.02, 0.5], [0.01, 0.09, 0.5], [-0.19, -0.15, 0.5]])
+LEFT_OUT = 0.05
+
+
+@pytest.fixture
+def bent_camera(true_camera):
+    return replace(true_camera, distortion_coefficients=np.array([-0.2, 0.3, 0.0, 0.0, 0.0]))
+
+
+def bent_px(points_m: np.ndarray, camera) -> np.ndarray:
+    flat = points_m[..., :2] / points_m[..., 2:]
+    squared = np.sum(flat**2, axis=-1, keepdims=True)
+    k1, k2 = camera.distortion_coefficients[:2]
+    matrix = camera.camera_matrix
+    return flat * (1 + k1 * squared + k2 * squared**2) * [matrix[0, 0], matrix[1, 1]] + matrix[:2, 2]
+
+
+def drawn_corner(marker_m: np.ndarray, corner: int, camera) -> np.ndarray:
+    """Where parabolas through the inner part of both sides meet, by two functions of one coordinate."""
+    share = np.linspace(LEFT_OUT, 1 - LEFT_OUT, 400)[:, None]
+    corner_m, beside_m, below_m = marker_m[[corner, corner ^ 1, 3 - corner]]
+    level, upright = (bent_px(corner_m + share * (other - corner_m), camera) for other in (beside_m, below_m))
+    middle = bent_px(corner_m, camera)
+    flat = np.polynomial.Polynomial.fit(level[:, 0], level[:, 1], 2)
+    steep = np.polynomial.Polynomial.fit(upright[:, 1], upright[:, 0], 2)
+    x, y = middle
+    for _ in range(20):
+        x, y = steep(y), flat(x)
+    return np.array([x, y])
+
+
+@pytest.fixture
+def drawn_markers(bent_camera):
+    """Three markers that face the camera, their corners as parabolas give them, and where they are."""
+    places = (PLACES_M[:, None] + CORNERS_M).reshape(-1, 4, 3)
+    found = [drawn_corner(marker, corner, bent_camera) for marker in places for corner in range(4)]
+    points_m = places.reshape(-1, 3) - [0, 0, 0.5]
+    view = BoardView(
+        name="v",
+        ids=np.arange(12),
+        points_board_m=points_m,
+        points_px=np.array(found),
+        likeness=likeness_of_ends(LEFT_OUT),
+    )
+    return view, bent_px(places.reshape(-1, 3), bent_camera)
+
+
+def test_corners_of_bent_sides_come_to_where_they_are(drawn_markers, bent_camera):
+    view, true_px = drawn_markers
+
+    moved = without_bends(view, bent_camera)
+
+    before, after = (np.linalg.norm(one.points_px - true_px, axis=1).max() for one in (view, moved))
+    assert before > 0.03
+    assert after < 0.1 * before
+
+
+def test_centres_of_bent_circles_come_to_where_they_are(bent_camera):
+    columns, rows = np.meshgrid(np.arange(-3, 4), np.arange(-2, 3))
+    centers_m = 0.05 * np.stack([columns.ravel(), rows.ravel(), 0 * rows.ravel()], axis=1).astype(np.float64)
+    radius_m = 0.015 * np.sqrt((np.arange(40) + 0.5) / 40)[:, None]
+    angle = 2 * np.pi * np.arange(60) / 60
+    disc = np.stack([radius_m * np.cos(angle), radius_m * np.sin(angle), 0 * radius_m + 0 * angle], -1).reshape(-1, 3)
+    apart = np.array([0.0, 0.0, 0.5])
+    inner = bent_px(centers_m[:, None] + disc + apart, bent_camera)
+    step = 1e-6
+    moved = [bent_px(centers_m[:, None] + disc + apart + step * np.eye(3)[axis], bent_camera) for axis in (0, 1)]
+    one, other = ((place - inner) / step for place in moved)
+    area = np.abs(one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0])[..., None]
+    middles_px = (inner * area).sum(axis=1) / area.sum(axis=1)
+    view = BoardView(
+        name="v",
+        ids=np.arange(len(centers_m)),
+        points_board_m=centers_m,
+        points_px=middles_px,
+        circle_radius_m=0.015,
+    )
+
+    found = without_bends(view, bent_camera)
+
+    true_px = bent_px(centers_m + apart, bent_camera)
+    before, after = (np.linalg.norm(one.points_px - true_px, axis=1).max() for one in (view, found))
+    assert before > 0.1
+    assert after < 0.05 * before
+
+
+def test_corners_of_a_chessboard_stay(drawn_markers, bent_camera):
+    view = replace(drawn_markers[0], likeness=0.0)
+
+    assert without_bends(view, bent_camera) is view
+
+
+@pytest.mark.parametrize("left_out", [0.0, 0.02, 0.1])
+def test_how_much_of_a_side_was_drawn_follows_from_how_alike_its_ends_err(left_out):
+    assert end_of_likeness(likeness_of_ends(left_out)) == pytest.approx(1 / (1 - 2 * left_out))
