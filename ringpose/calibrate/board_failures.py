@@ -9,7 +9,7 @@ import numpy as np
 from ringpose.calibrate.board_points import marker_corners
 from ringpose.calibrate.chessboard import largest_grid
 from ringpose.calibrate.chessboard_extent import Extent, chessboard_extent
-from ringpose.calibrate.markers import Markers
+from ringpose.calibrate.markers import Markers, find_markers, marker_dictionary
 from ringpose.types.arrays import Array, Float64, UInt8
 from ringpose.types.board import Board
 
@@ -25,6 +25,13 @@ BRIGHT_SHARE = 0.5
 BLURRED_PX = 4.0
 """Standard deviation of the steepest edges above which an image is called blurred: sharp photographs have 0.8 to 2."""
 
+_FAMILIES = tuple(
+    (name, int(getattr(cv2.aruco, name)))
+    for name in ("DICT_4X4_250", "DICT_5X5_250", "DICT_6X6_250", "DICT_7X7_250", "DICT_APRILTAG_36h11")
+)
+_FEWEST_MARKERS = 3
+"""Of a family that nobody asked for: a pattern may pass for one or two."""
+
 _SMOOTHING_PX = 1.0
 _STEEPEST = 99.9
 _DARK_TO_BRIGHT = (2, 98)
@@ -38,6 +45,7 @@ class BoardFailure(Enum):
     SATURATED = "overexposed"
     FEW_MARKERS = "too few of the board's markers found"
     OTHER_MARKERS = "markers found, but not those of this board; is it the right board file"
+    MIRRORED = "the image is mirrored: its mirror image shows the board's markers; turn the camera's flip off"
     OTHER_LAYOUT = "the markers do not lie as on the board of the board file"
     FEW_CORNERS = "too few of the board's corners found"
     CUT_OFF = "the board is cut off by the image's rim"
@@ -102,6 +110,9 @@ def pattern_failure(grey: UInt8[Array, "row column"], board: Board) -> NoBoard:
     grid = largest_grid(grey)
     if grid is not None:
         return _partial(grey, grid, board, width_px)
+    other = markers_of_others(grey)
+    if other:
+        return NoBoard(failure=BoardFailure.OTHER_MARKERS, found=other)
     failure = BoardFailure.BLURRED if BLURRED_PX < width_px < np.inf else BoardFailure.NOT_WHOLE
     return NoBoard(failure=failure, found=_measured(width_px))
 
@@ -121,11 +132,26 @@ def marker_failure(grey: UInt8[Array, "row column"], board: Board, markers: Mark
             failure=BoardFailure.FEW_MARKERS, found=f"{len(own.ids)} of {wanted}{where}", points_px=points_px
         )
     if len(markers.ids):
-        numbers = ", ".join(str(number) for number in markers.ids[:6])
-        return NoBoard(failure=BoardFailure.OTHER_MARKERS, found=f"numbers {numbers}")
+        return NoBoard(failure=BoardFailure.OTHER_MARKERS, found=f"numbers {_numbers(markers)}")
+    if len(find_markers(np.ascontiguousarray(grey[:, ::-1]), marker_dictionary(board)).ids):
+        return NoBoard(failure=BoardFailure.MIRRORED)
+    other = markers_of_others(grey)
+    if other:
+        return NoBoard(failure=BoardFailure.OTHER_MARKERS, found=other)
     width_px = edge_width_px(grey)
     blurred = f", {_measured(width_px)}" + ": blurred" * bool(np.isfinite(width_px)) if width_px > BLURRED_PX else ""
     return NoBoard(failure=BoardFailure.FEW_MARKERS, found=f"0 of {wanted}{blurred}")
+
+
+def _numbers(markers: Markers) -> str:
+    return ", ".join(str(number) for number in markers.ids[:6])
+
+
+def markers_of_others(grey: UInt8[Array, "row column"]) -> str:
+    """The largest family of OpenCV's markers that an image shows, with numbers; empty if fewer than three are seen."""
+    families = [(name, find_markers(grey, cv2.aruco.getPredefinedDictionary(number))) for name, number in _FAMILIES]
+    name, markers = max(families, key=lambda family: len(family[1].ids))
+    return f"{name}, numbers {_numbers(markers)}" if len(markers.ids) >= _FEWEST_MARKERS else ""
 
 
 def _partial(

@@ -8,6 +8,7 @@ import numpy as np
 from ringpose.calibrate.plane_fits import condition, extent_m, light_plane, robust_plane
 from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.errors import DataError
+from ringpose.geometry.planes import nearest_plane
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.calibration import LaserCalibration, LaserView
 
@@ -87,19 +88,26 @@ def laser_calibration(
     )
 
 
-def outlying_views(points: Sequence[Points]) -> dict[int, str]:
-    """Views that lie beside the plane of the others, with how far; none where fewer than three views are left."""
+def outlying_views(points: Sequence[Points]) -> dict[int, float]:
+    """Views that lie beside the plane of the others, with how far (m, rms); none where fewer than three are left."""
     seen = [index for index, own in enumerate(points) if len(own)]
     if len(seen) < 4:
         return {}
     every = np.concatenate([points[index] for index in seen])
-    normal, distance_m, weights = robust_plane(every)
+    normal, distance_m, weights = robust_plane(every, _start_plane([points[index] for index in seen]))
     by_view = np.split(weights, np.cumsum([len(points[index]) for index in seen])[:-1])
     return {
-        index: f"{1e3 * _rms(points[index] @ normal - distance_m):.2f} mm beside the plane of the other views"
+        index: _rms(points[index] @ normal - distance_m)
         for index, weight in zip(seen, by_view, strict=True)
         if weight.mean() < LEAST_MEAN_WEIGHT
     }
+
+
+def _start_plane(views: Sequence[Points]) -> tuple[Float64[Array, "3"], float]:
+    """The plane of all views but one that half of the views lie nearest to; of all, a stray one draws it aside."""
+    others = [np.concatenate([*views[:index], *views[index + 1 :]]) for index in range(len(views))]
+    planes = [nearest_plane(every)[:2] for every in others]
+    return min(planes, key=lambda plane: float(np.median([_rms(own @ plane[0] - plane[1]) for own in views])))
 
 
 def _another_view(points: Float64[Array, "n xyz=3"]) -> str:

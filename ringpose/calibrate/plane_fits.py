@@ -23,11 +23,14 @@ def light_plane(
 
 
 def robust_plane(
-    points: Float64[Array, "n xyz=3"],
+    points: Float64[Array, "n xyz=3"], start: tuple[Float64[Array, "3"], float] | None = None
 ) -> tuple[Float64[Array, "3"], float, Float64[Array, "n"]]:
-    """Unit normal, distance and weights of the plane nearest to most points: total least squares, re-weighted."""
+    """Unit normal, distance and weights of the plane nearest to most points: total least squares, re-weighted.
+
+    It starts from the plane nearest to all, or from another.
+    """
     weights = np.ones(len(points))
-    normal, distance_m, _ = nearest_plane(points)
+    normal, distance_m = nearest_plane(points)[:2] if start is None else start
     for _ in range(_ITERATIONS):
         residual = points @ normal - distance_m
         scale = max(1.4826 * float(np.median(np.abs(residual))), _SMALLEST_SCALE_M)

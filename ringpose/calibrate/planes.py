@@ -34,7 +34,7 @@ class PlanesModel:
 def calibrate_planes(views: Sequence[StripeView], camera: Camera, model: PlanesModel) -> PlanesCalibration:
     """The light planes in the camera frame, with what each view says about each of them."""
     poses = [_poses(view, camera, model.method) for view in views]
-    evidence, remarks, exchanged = stripe_evidence(views, poses, camera, model.names, model.order)
+    evidence, remarks, contradicting = stripe_evidence(views, poses, camera, model.names, model.order)
     solution = _solution(evidence, model)
     lasers = tuple(_laser(laser, evidence, solution) for laser in range(len(model.names)))
     return PlanesCalibration(
@@ -45,7 +45,7 @@ def calibrate_planes(views: Sequence[StripeView], camera: Camera, model: PlanesM
         lasers=lasers,
         poses=solution.poses,
         remarks=tuple(remarks),
-        exchanged=tuple(exchanged),
+        contradicting=tuple(contradicting),
         excess=solution.excess,
     )
 

@@ -65,7 +65,7 @@ def _boards(calibration: PlanesCalibration) -> Finding:
     advice = "see with --overlay whether the corners are sharp; measure the board's sizes; check the camera file"
     if rms_px > BAD_BOARD_PX:
         advice = (
-            f"the corners miss the boards by {rms_px:.1f} px: the camera file is another camera's, its lens was turned, "
+            f"the corners miss the boards by {rms_px:.1f} px: the camera file is another camera's, its lens moved, "
             "the board's sizes are others, or the board is bent; calibrate the camera anew"
         )
     return Finding(name="board_rms_px", value=rms_px, good_limit=GOOD_BOARD_PX, redo_limit=BAD_BOARD_PX, advice=advice)

@@ -23,6 +23,9 @@ OUTLIER_FACTOR = 4.0
 OUTLIER_FLOOR_PX = 0.5
 """... if its rms is above this."""
 
+LARGEST_USUAL_PX = 5.0
+"""If corners of most views miss their boards by more, camera or board are others: a focal length 10 % off makes 2."""
+
 Remark = tuple[str, str]
 """A view's name, and what is to be said of it."""
 
@@ -70,7 +73,7 @@ def stripe_evidence(
     """The views whose boards fit, their stripes given to lasers, stray stripes left out; and what to remark on them.
 
     `poses` are those of each board: the likelier one, and the mirrored one where the corners cannot tell. Last come
-    the views that were left out because their frames name the wrong lasers.
+    the views that were left out because they contradict the others.
     """
     kept, remarks = _good_boards(views, [each[0] for each in poses])
     evidence = StripeEvidence(
@@ -82,12 +85,12 @@ def stripe_evidence(
     refuse_unlit(evidence.views, names)
     wrong = _exchanged(evidence)
     right = [index for index in range(len(kept)) if index not in wrong]
-    exchanged = [(evidence.views[index].board.name, sentence) for index, sentence in wrong.items()]
+    contradicting = [(evidence.views[index].board.name, sentence) for index, sentence in wrong.items()]
     evidence = _labelled(evidence.only(right), order)
     evidence = _unmirrored(evidence, [poses[kept[index]] for index in right])
     remarks += _missing(evidence)
-    evidence, outlying = _agreeing(evidence)
-    return evidence, remarks + outlying, exchanged
+    evidence, outlying, stray = _agreeing(evidence)
+    return evidence, remarks + outlying, contradicting + stray
 
 
 def _exchanged(evidence: StripeEvidence) -> dict[int, str]:
@@ -103,6 +106,10 @@ def _good_boards(views: Sequence[StripeView], poses: Sequence[BoardPose]) -> tup
         raise DataError("calibrate-planes", "no view of the board", remedy)
     rms = np.array([pose.residual_rms_px for pose in poses])
     usual = float(np.median(rms))
+    if usual > LARGEST_USUAL_PX:
+        found = f"the corners miss the boards by {usual:.1f} px rms (median of {len(rms)} views)"
+        remedy = "give the file of the camera that took these shots, its lens unturned; measure the board's sizes"
+        raise DataError("calibrate-planes", found, remedy)
     good = rms <= max(OUTLIER_FACTOR * usual, OUTLIER_FLOOR_PX)
     remarks = [
         (pose.name, f"left out: its corners miss the board by {pose.residual_rms_px:.2f} px rms, usual is {usual:.2f}")
@@ -180,14 +187,34 @@ def _misfit_m2(view: StripeView, pose: BoardPose, camera: Camera, planes: Sequen
     return total
 
 
-def _agreeing(evidence: StripeEvidence) -> tuple[StripeEvidence, list[Remark]]:
-    """The views without those stripes that lie beside their laser's plane, and which these are."""
-    remarks = []
-    for laser, name in enumerate(evidence.names):
-        for index, reason in outlying_views(evidence.points(laser)).items():
+def _agreeing(evidence: StripeEvidence) -> tuple[StripeEvidence, list[Remark], list[Remark]]:
+    """The views without those stripes that lie beside their laser's plane; which these are; and whole views that do."""
+    outlying = [outlying_views(evidence.points(laser)) for laser in range(len(evidence.names))]
+    remarks, stray = [], []
+    for index, view in enumerate(evidence.views):
+        seen = [laser for laser, px in enumerate(view.stripes_px) if len(px)]
+        off = [laser for laser in seen if index in outlying[laser]]
+        for laser in off:
             evidence = evidence.without_stripe(laser, index)
-            remarks.append((evidence.views[index].board.name, f"stripe of {name} left out: {reason}"))
-    return evidence, remarks
+        if len(off) == len(seen) > 1:
+            far_m = max(outlying[laser][index] for laser in off)
+            stray.append((view.board.name, f"its stripes lie up to {1e3 * far_m:.3g} mm {_STRAY}"))
+            continue
+        remarks += [
+            (view.board.name, f"stripe of {evidence.names[laser]} left out: {_beside(outlying[laser][index])}")
+            for laser in off
+        ]
+    return evidence, remarks, stray
+
+
+_STRAY = (
+    "beside the planes of the other shots; left out: was the camera or a laser moved, the image turned, "
+    "or is it another rig's?"
+)
+
+
+def _beside(distance_m: float) -> str:
+    return f"{1e3 * distance_m:.2f} mm beside the plane of the other views"
 
 
 def _missing(evidence: StripeEvidence) -> list[Remark]:

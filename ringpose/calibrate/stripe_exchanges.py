@@ -193,7 +193,7 @@ def _sentence(
     own_m, other_m = _beside_m(lies_on, ends, planes)
     return (
         f"{_exchange(lies_on, lasers)} against the other shots: stripes lie {1e3 * own_m:.3g} mm from their own "
-        f"planes, {1e3 * other_m:.2g} mm from the others'"
+        f"planes, {1e3 * other_m:.2g} mm from the others'; left out: see how its lasers were switched"
     )
 
 

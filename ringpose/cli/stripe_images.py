@@ -4,6 +4,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 from ringpose.calibrate.board_image import dark_image
+from ringpose.calibrate.board_motion import STILL_PX, board_shift_px
 from ringpose.calibrate.board_overlay import stripe_overlay
 from ringpose.calibrate.board_pose import board_pose
 from ringpose.calibrate.board_surface import board_surface
@@ -49,6 +50,10 @@ class StripeImages:
             return
         shot, view = read
         self._check(shot, view)
+        shift_px = board_shift_px(shot, view, self.images.board)
+        if shift_px > STILL_PX:
+            moved = f"the board, or the camera, moved by {shift_px:.1f} px between its frames"
+            raise DataError(shot.name, moved, "left out: hold it still until all frames are taken")
         seen = stripe_view(shot, view, self.images.board, self.camera, len(self.names), self.surround_m)
         self.views.append(seen)
         found = sum(len(px) > 0 for px in (*seen.stripes_px, *seen.unlabelled_px))

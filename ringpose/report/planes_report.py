@@ -22,7 +22,7 @@ def planes_report(assessment: PlanesAssessment) -> str:
     pictures = [_by_distance(calibration), _along_stripes(calibration)]
     if calibration.covariance is not None:
         pictures.append(_depths(calibration))
-    left_out = [list(entry) for entry in (*assessment.without_board, *calibration.exchanged, *calibration.remarks)]
+    left_out = [list(entry) for entry in (*assessment.without_board, *calibration.contradicting, *calibration.remarks)]
     sections = [
         verdict_section(assessment.verdict),
         Section(title="Summary", text=planes_summary(assessment)),

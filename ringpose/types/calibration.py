@@ -90,7 +90,7 @@ class PlanesCalibration:
     poses: tuple[BoardPose, ...]
     remarks: tuple[tuple[str, str], ...] = ()
     """What was left out or is missing: the view's name, and why."""
-    exchanged: tuple[tuple[str, str], ...] = ()
-    """Shots that were left out because their frames name the wrong lasers, and which."""
+    contradicting: tuple[tuple[str, str], ...] = ()
+    """Shots that were left out because they contradict the others, and how: lasers exchanged, images turned."""
     excess: float = 1.0
     """Factor by which variances of corners and stripes were widened, because the views disagree by more."""

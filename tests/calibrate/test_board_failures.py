@@ -168,3 +168,18 @@ def test_markers_of_another_grid_tell_which_it_is(drawn_board):
     assert found.value == (
         "the markers do not lie as on the board of the board file (but as with squares_x: 4, squares_y: 3)"
     )
+
+
+@pytest.mark.parametrize("board", [FOUR, CHARUCO], ids=lambda board: board.kind)
+def test_a_mirrored_image_of_markers_is_told(board, drawn_board):
+    found = find_board(np.ascontiguousarray(drawn_board(board)[:, ::-1]), board, "mirrored")
+
+    assert found.failure is BoardFailure.MIRRORED
+
+
+@pytest.mark.parametrize("board", [replace(FOUR, dictionary="DICT_7X7_50"), CHESSBOARD], ids=lambda board: board.kind)
+def test_markers_of_another_family_are_named(board, drawn_board):
+    found = find_board(drawn_board(GRID), board, "family")
+
+    assert found.failure is BoardFailure.OTHER_MARKERS
+    assert found.found.startswith(GRID.dictionary[:8])

@@ -34,7 +34,7 @@ def test_the_shot_with_exchanged_lasers_is_named(place, way, good, true_camera):
 
     found = calibrate_planes(views, true_camera, MODEL)
 
-    assert [name for name, _ in found.exchanged] == [f"v{place}"]
+    assert [name for name, _ in found.contradicting] == [f"v{place}"]
 
 
 @pytest.mark.parametrize("way", [(1, 0, 2), (2, 1, 0), (0, 2, 1)])
@@ -43,13 +43,13 @@ def test_both_lasers_of_an_exchange_are_named(way, good, true_camera):
 
     found = calibrate_planes([exchanged(good[0], way), *good[1:]], true_camera, MODEL)
 
-    assert found.exchanged[0][1].startswith(f"{first} and {second} are exchanged against the other shots")
+    assert found.contradicting[0][1].startswith(f"{first} and {second} are exchanged against the other shots")
 
 
 def test_lasers_that_are_passed_round_say_whose_stripe_each_shows(good, true_camera):
     found = calibrate_planes([exchanged(good[0], (1, 2, 0)), *good[1:]], true_camera, MODEL)
 
-    assert "left shows the stripe of middle, middle shows the stripe of right" in found.exchanged[0][1]
+    assert "left shows the stripe of middle, middle shows the stripe of right" in found.contradicting[0][1]
 
 
 def test_the_planes_are_those_of_the_other_shots(good, true_camera):
@@ -64,7 +64,7 @@ def test_two_exchanged_shots_of_six_are_both_named(good, true_camera):
 
     found = calibrate_planes(views, true_camera, MODEL)
 
-    assert [name for name, _ in found.exchanged] == ["v0", "v4"]
+    assert [name for name, _ in found.contradicting] == ["v0", "v4"]
 
 
 def test_as_many_shots_of_one_kind_as_of_the_other_are_refused_with_both_kinds(good, true_camera):
@@ -79,12 +79,12 @@ def test_a_shot_that_shows_two_of_three_is_judged_by_these(good, true_camera):
 
     found = calibrate_planes([*good[:2], half, *good[3:]], true_camera, MODEL)
 
-    assert [name for name, _ in found.exchanged] == ["v2"]
+    assert [name for name, _ in found.contradicting] == ["v2"]
 
 
 @pytest.mark.parametrize("number", [2, 3, 6])
 def test_good_shots_are_not_suspected(number, good, true_camera):
-    assert calibrate_planes(good[:number], true_camera, MODEL).exchanged == ()
+    assert calibrate_planes(good[:number], true_camera, MODEL).contradicting == ()
 
 
 @pytest.mark.parametrize("depths_m", [(0.45, 0.55), (0.4, 0.45, 0.5, 0.6)])
@@ -93,7 +93,7 @@ def test_parallel_boards_are_not_suspected(depths_m, rng, stripe_views, true_cam
 
     found = calibrate_planes(stripe_views(facing, rng, 0.05, 0.05), true_camera, MODEL)
 
-    assert found.exchanged == ()
+    assert found.contradicting == ()
 
 
 def test_a_stripe_beside_all_planes_is_no_exchange(good, true_camera):
@@ -101,7 +101,7 @@ def test_a_stripe_beside_all_planes_is_no_exchange(good, true_camera):
 
     found = calibrate_planes([good[0], stray, *good[2:]], true_camera, MODEL)
 
-    assert found.exchanged == ()
+    assert found.contradicting == ()
 
 
 def test_six_lasers_are_searched_too(good, true_camera):
@@ -111,13 +111,13 @@ def test_six_lasers_are_searched_too(good, true_camera):
 
     found = calibrate_planes(views, true_camera, PlanesModel(names=names))
 
-    assert [(name, reason[:19]) for name, reason in found.exchanged] == [("v2", "b and e are exchang")]
+    assert [(name, reason[:19]) for name, reason in found.contradicting] == [("v2", "b and e are exchang")]
 
 
 def test_lasers_that_are_exchanged_in_all_shots_cannot_be_told(good, true_camera):
     found = calibrate_planes([exchanged(view, (2, 1, 0)) for view in good], true_camera, MODEL)
 
-    assert found.exchanged == ()
+    assert found.contradicting == ()
 
 
 def test_an_order_that_single_frames_contradict_is_refused(good, true_camera):
@@ -127,3 +127,31 @@ def test_an_order_that_single_frames_contradict_is_refused(good, true_camera):
 
 def test_an_order_that_single_frames_confirm_is_taken(good, true_camera):
     assert len(calibrate_planes(good, true_camera, replace(MODEL, order=(2, 1, 0))).lasers) == 3
+
+
+def test_a_shot_whose_stripes_lie_on_no_plane_is_named_and_left_out(good, true_camera):
+    aside = replace(good[3], stripes_px=tuple(px + np.array([0.0, 90.0]) for px in good[3].stripes_px))
+
+    found = calibrate_planes([*good[:3], aside, *good[4:]], true_camera, MODEL)
+
+    assert found.contradicting[0][0] == "v3"
+    assert (
+        "beside the planes of the other shots; left out: was the camera or a laser moved" in found.contradicting[0][1]
+    )
+
+
+def test_one_stray_stripe_of_four_is_named(good, true_camera):
+    stray = replace(good[1], stripes_px=(good[1].stripes_px[0] + [0.0, 40.0], *good[1].stripes_px[1:]))
+
+    found = calibrate_planes([good[0], stray, *good[2:4]], true_camera, MODEL)
+
+    assert [(name, reason[:23]) for name, reason in found.remarks] == [("v1", "stripe of left left out")]
+
+
+def test_corners_that_miss_all_boards_ask_for_the_right_camera(good, true_camera):
+    other = replace(true_camera, camera_matrix=true_camera.camera_matrix * [[1.8, 1, 1], [1, 1.8, 1], [1, 1, 1]])
+
+    with pytest.raises(
+        DataError, match=r"corners miss the boards by .* give the file of the camera that took these shots"
+    ):
+        calibrate_planes(good, other, MODEL)

@@ -128,7 +128,8 @@ def test_a_stripe_too_weak_or_swamped_or_blurred_says_so(plane_folder, capsys):
     with np.load("planes/pln_B_01.npz") as shot:
         dark, lit = shot["images"]
         np.savez("planes/weak.npz", **{**shot, "images": np.stack([dark, np.maximum(dark, lit // 60)])})
-        spread = cv2.GaussianBlur(lit, (0, 0), 20)  # full width at half its height: 2.355 times this, and the stripe's
+        light = cv2.subtract(lit, dark)
+        spread = cv2.add(dark, cv2.GaussianBlur(light, (0, 0), 20))  # full width at half its height: 2.355 times this
         np.savez("planes/blurred.npz", **{**shot, "images": np.stack([dark, spread])})
         flooded = np.full_like(lit, 255)
         np.savez("planes/full.npz", **{**shot, "images": np.stack([dark, flooded])})

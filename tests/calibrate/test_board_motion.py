@@ -1,0 +1,59 @@
+"""A board that moves between the frames of a shot."""
+
+import numpy as np
+import pytest
+from drawn_boards import FOUR
+
+from ringpose.calibrate.board_motion import STILL_PX, board_shift_px
+from ringpose.calibrate.board_views import find_board
+from ringpose.types.frame import Shot
+
+
+def shot_of(*images: np.ndarray) -> Shot:
+    number = len(images)
+    lasers = np.array([0, *([1] * (number - 1))], np.uint8)
+    return Shot(
+        name="s",
+        images=np.stack(images),
+        lasers=lasers,
+        stamp_s=np.arange(number) / 10,
+        exposure_s=np.full(number, 0.01),
+    )
+
+
+@pytest.fixture
+def face(drawn_board) -> np.ndarray:
+    """The board in the middle of a larger image."""
+    return np.pad(drawn_board(FOUR), 60, constant_values=90)
+
+
+@pytest.mark.parametrize("pixels", [3, 11, 45])
+def test_a_board_that_moved_tells_by_how_much(pixels, face):
+    shot = shot_of(face, face, np.roll(face, pixels, axis=1))
+
+    assert board_shift_px(shot, find_board(face, FOUR, "s"), FOUR) == pytest.approx(pixels, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    "change", [lambda lit: lit * 0.4 + 5, lambda lit: lit * 1.5 + 40, lambda lit: np.full_like(lit, 255.0)]
+)
+def test_other_light_is_no_motion(change, face, rng):
+    noise = rng.normal(0, 2, face.shape)
+    lit = np.rint(np.clip(change(face.astype(float)) + noise, 0, 255)).astype(np.uint8)
+
+    shift_px = board_shift_px(shot_of(face, lit), find_board(face, FOUR, "s"), FOUR)
+
+    assert not shift_px > STILL_PX
+
+
+def test_a_stripe_across_a_corner_is_no_motion(face):
+    view = find_board(face, FOUR, "s")
+    lit = face.copy()
+    row = round(float(view.points_px[0, 1]))
+    lit[row - 3 : row + 4] = 255
+
+    assert board_shift_px(shot_of(face, lit), view, FOUR) < STILL_PX
+
+
+def test_a_single_frame_tells_nothing(face):
+    assert np.isnan(board_shift_px(shot_of(face), find_board(face, FOUR, "s"), FOUR))
