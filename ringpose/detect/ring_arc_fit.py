@@ -42,6 +42,8 @@ OUTLIER_SIGMAS = 3.0
 
 
 RULES = FitRules(
+    rounds=2,
+    outlier_sigmas=OUTLIER_SIGMAS,
     tilt_sigma_rad=TILT_SIGMA_RAD,
     turn_sigma_rad=TURN_SIGMA_RAD,
     curvature_sigma=CURVATURE_SIGMA,
@@ -117,11 +119,11 @@ def _facing(
 
 
 def fitted_arcs(
-    arcs: RingArcs, evidence: StripeEvidence, edges: Sights, rounds: int, outlier_sigmas: float = OUTLIER_SIGMAS
+    arcs: RingArcs, evidence: StripeEvidence, edges: Sights, rules: FitRules = RULES
 ) -> tuple[RingArcs, Float64[Array, "state=7 state=7"]]:
     """The arcs after some rounds of Gauss-Newton from `arcs`, and the covariance of their state."""
     sights = Sights(*(np.concatenate(both) for both in zip(evidence.ends, edges, strict=True)))
-    return kernels.fitted_arcs(arcs, evidence.plane, sights, evidence.start.axes, RULES, rounds, outlier_sigmas)
+    return kernels.fitted_arcs(arcs, evidence.plane, sights, evidence.start.axes, rules)
 
 
 def possible(arcs: RingArcs) -> bool:

@@ -23,7 +23,7 @@ from ringpose.detect.edge_search import (
 from ringpose.detect.edge_start import sights_beside_stripe
 from ringpose.detect.edge_steps import ALONG_PX, Profiles, edge_profiles, edge_steps
 from ringpose.detect.edge_trace import chosen, edge_trace
-from ringpose.detect.ring_arc_fit import NO_SIGHTS, StripeEvidence, fitted_arcs, possible, stripe_evidence
+from ringpose.detect.ring_arc_fit import NO_SIGHTS, RULES, StripeEvidence, fitted_arcs, possible, stripe_evidence
 from ringpose.geometry.ring_arcs import STATE, RingArcs
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.break_points import BreakPointFlag, BreakPoints, RingEdgePoints
@@ -110,7 +110,7 @@ def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundE
     trace = clear_of_stripes(frame, edge_trace(arcs, covariance, rig, ALONG_PX, PREDICTED_SIGMA_PX))
     profiles = edge_profiles(frame.image, trace.place_px, trace.normal, REACH_PX, frame.saturation_dn)
     steps = edge_steps(profiles, REACH_PX, blur_px(profiles))
-    arcs, covariance = fitted_arcs(arcs, evidence, step_sights(trace, steps), 2)
+    arcs, covariance = fitted_arcs(arcs, evidence, step_sights(trace, steps))
     clear = clear_steps(steps)
     points = ring_edge_points(arcs, chosen(trace, clear), steps.offset_px[clear], steps.sigma_px[clear])
     side_sigmas = arcs.curvature / float(np.sqrt(covariance[CURVATURE, CURVATURE]))
@@ -140,9 +140,10 @@ def followed_arcs(
     evidence: StripeEvidence, frame: EdgeImage, rig: Rig
 ) -> tuple[RingArcs, Float64[Array, "state=7 state=7"]] | None:
     """The ring's edges as far as they can be followed from the stripes, and their covariance; None if not at all."""
-    arcs, covariance = fitted_arcs(evidence.start, evidence, NO_SIGHTS, 5, np.inf)
+    arcs, covariance = fitted_arcs(evidence.start, evidence, NO_SIGHTS, RULES._replace(rounds=5, outlier_sigmas=np.inf))
     if covariance[TURN, TURN] > TURN_SIGMA_RAD**2:
-        arcs, covariance = fitted_arcs(arcs, evidence, sights_beside_stripe(arcs, frame, rig), 4)
+        beside = sights_beside_stripe(arcs, frame, rig)
+        arcs, covariance = fitted_arcs(arcs, evidence, beside, RULES._replace(rounds=4))
     reached_px = 0.0
     for _ in range(ROUNDS):
         if not possible(arcs):
@@ -158,7 +159,7 @@ def followed_arcs(
         sights = step_sights(trace, steps_beside(frame, trace, reach_px))
         if len(sights.side) < LEAST_SHARE * len(trace.side):
             return None
-        arcs, covariance = fitted_arcs(arcs, evidence, sights, 2)
+        arcs, covariance = fitted_arcs(arcs, evidence, sights)
     return arcs, covariance
 
 

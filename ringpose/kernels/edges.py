@@ -78,14 +78,20 @@ class Templates(NamedTuple):
 
 
 class FitRules(NamedTuple):
-    """What holds the arcs where the evidence leaves them open: priors, and the limits of a round's step."""
+    """How long arcs are fitted, what counts less, and what holds them where the evidence leaves them open."""
 
+    rounds: int
+    """Of Gauss and Newton's steps."""
+    outlier_sigmas: float
+    """The weight of a sight falls as the fourth power of its distance beyond."""
     tilt_sigma_rad: float
+    """Of priors, from here on; the tilts' and the turn's stand about given axes."""
     turn_sigma_rad: float
     curvature_sigma: float
     half_band_m: float
     half_band_sigma_m: float
     longest_step: tuple[float, ...]
+    """Of a round."""
 
 
 class PlanePoints(NamedTuple):
@@ -160,15 +166,12 @@ def fitted_arcs(
     sights: Sights,
     reference: Float64[Array, "3 xyz=3"],
     rules: FitRules,
-    rounds: int,
-    outlier_sigmas: float,
 ) -> tuple[RingArcs, Float64[Array, "state=7 state=7"]]:
     """The arcs after some rounds of Gauss-Newton, and the covariance of their state; NaN where nothing holds them.
 
-    The tilts' and the turn's priors stand about the axes of `reference`. The weight of a sight falls as the fourth
-    power of its distance beyond `outlier_sigmas`.
+    The tilts' and the turn's priors stand about the axes of `reference`.
     """
-    numbers = np.array([rounds, outlier_sigmas, *rules[:-1], *rules.longest_step], dtype=np.float64)
+    numbers = np.array([*rules[:-1], *rules.longest_step], dtype=np.float64)
     point, plane_sigma, ray, side, sigma = (np.ascontiguousarray(each) for each in (*plane, *sights))
     held = reference.ravel()
     found = np.frombuffer(

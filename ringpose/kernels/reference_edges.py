@@ -129,15 +129,13 @@ def fitted_arcs(
     sights: Sights,
     reference: Float64[Array, "3 xyz=3"],
     rules: FitRules,
-    rounds: int,
-    outlier_sigmas: float,
 ) -> tuple[RingArcs, Float64[Array, "state=7 state=7"]]:
     """Twin of `ringpose.kernels.edges.fitted_arcs`."""
     information = np.eye(7)
-    for _ in range(rounds):
+    for _ in range(rules.rounds):
         beyond, rows = off_face_m(arcs, sights.ray, sights.side)
         residual = beyond / sights.sigma_m
-        weight = (1 + (residual / outlier_sigmas) ** 2) ** -2
+        weight = (1 + (residual / rules.outlier_sigmas) ** 2) ** -2
         rows /= sights.sigma_m[:, None]
         weighted = rows * weight[:, None]
         fixed_rows, fixed_residual = _plane_and_priors(arcs, plane, reference, rules)

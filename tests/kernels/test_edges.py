@@ -129,10 +129,10 @@ def seen(rng) -> tuple[PlanePoints, Sights]:
 @pytest.mark.parametrize("rounds", [1, 5])
 def test_fitted_arcs_equal_their_twin(rng, outlier_sigmas, rounds):
     plane, sights = seen(rng)
+    rules = FIT_RULES._replace(rounds=rounds, outlier_sigmas=outlier_sigmas)
 
     (ours, covariance_ours), (twin, covariance_twin) = (
-        module.fitted_arcs(arcs(), plane, sights, arcs().axes, FIT_RULES, rounds, outlier_sigmas)
-        for module in (edges, reference_edges)
+        module.fitted_arcs(arcs(), plane, sights, arcs().axes, rules) for module in (edges, reference_edges)
     )
 
     np.testing.assert_allclose(
@@ -147,7 +147,7 @@ def test_fitted_arcs_equal_their_twin(rng, outlier_sigmas, rounds):
 def test_contradictions_leave_no_number():
     plane, sights = PlanePoints(np.full((1, 3), np.nan), np.ones(1)), Sights(np.zeros((0, 3)), np.zeros(0), np.zeros(0))
 
-    _, known = edges.fitted_arcs(arcs(), plane, sights, arcs().axes, FIT_RULES, 2, 3.0)
+    _, known = edges.fitted_arcs(arcs(), plane, sights, arcs().axes, FIT_RULES)
 
     assert np.isnan(known).all()
 
