@@ -145,9 +145,6 @@ def _calibrate(shots: list[str], reading: _Reading, writing: _Writing, method: P
     if not stripes.views and batch.status:
         batch.met(DataError.status)
         batch.finish()
-    if not stripes.views and batch.status:
-        batch.met(DataError.status)
-        batch.finish()
     with batch.item():
         assessment = _assessment(stripes, method, free_camera, writing)
         _say_contradicting(assessment, batch)

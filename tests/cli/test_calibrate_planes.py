@@ -128,8 +128,9 @@ def test_a_stripe_too_weak_or_swamped_or_blurred_says_so(plane_folder, capsys):
     with np.load("planes/pln_B_01.npz") as shot:
         dark, lit = shot["images"]
         np.savez("planes/weak.npz", **{**shot, "images": np.stack([dark, np.maximum(dark, lit // 60)])})
-        light = cv2.subtract(lit, dark)
-        spread = cv2.add(dark, cv2.GaussianBlur(light, (0, 0), 20))  # full width at half its height: 2.355 times this
+        row, column = np.indices(dark.shape)
+        glow = 100 * np.exp(-((row - 450) ** 2 + (column - 800) ** 2) / (2 * 60**2))  # 141 px wide at half its height
+        spread = cv2.add(dark, glow.astype(np.uint8))
         np.savez("planes/blurred.npz", **{**shot, "images": np.stack([dark, spread])})
         flooded = np.full_like(lit, 255)
         np.savez("planes/full.npz", **{**shot, "images": np.stack([dark, flooded])})
@@ -140,7 +141,7 @@ def test_a_stripe_too_weak_or_swamped_or_blurred_says_so(plane_folder, capsys):
     assert "weak: no stripe of left, middle, right: 0 stripes on the board where 3 lasers are on: too dark" in said
     assert "of the board is saturated" in said
     width_px = re.search(r"blurred: .* where 3 lasers are on: blurred, or not the lasers' light: (\d+) px wide", said)
-    assert 30 < float(width_px[1]) < 60
+    assert float(width_px[1]) == pytest.approx(141, abs=15)
 
 
 @pytest.mark.parametrize(
