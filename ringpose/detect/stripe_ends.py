@@ -1,7 +1,8 @@
 """Where stripes on the face end: an edge blurred by the optics, fitted to the stripe's brightness along itself.
 
 Along the stripe the brightness falls from the face's level to what lies beyond (nothing, the weak continuation
-on a wall, a leak of the stripe on the body behind) as an error function; speckle multiplies it.
+on a wall, a leak of the stripe on the body behind) as an error function; speckle multiplies it (ringpose-method(7),
+section 3; its equations are in the kernel's twins `reference_ends`, `reference_end_levels` and `reference_end_sigmas`).
 """
 
 from functools import lru_cache

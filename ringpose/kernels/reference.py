@@ -1,4 +1,7 @@
-"""The kernels again, written to be read: the oracle of `ringpose.kernels`, equal to it bit for bit."""
+"""The line detector's kernels again (ringpose-method(7), section 2), written to be read.
+
+The oracle of `ringpose.kernels`, equal to it bit for bit.
+"""
 
 import math
 from itertools import pairwise

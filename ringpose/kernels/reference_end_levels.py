@@ -1,4 +1,7 @@
-"""Readable NumPy twin of what a stripe's brightness about its ends varies by: oracle of the kernel's tests."""
+"""Readable NumPy twin of what a stripe's brightness about its ends varies by: oracle of the kernel's tests.
+
+N, S and C^2 of ringpose-method(7), section 3, are `Levels.noise`, `Levels.shot` and `Levels.speckle`.
+"""
 
 import math
 from dataclasses import dataclass

@@ -1,4 +1,7 @@
-"""Readable NumPy twin of how well the end of a stripe is known: part of the oracle of the ends' kernel."""
+"""Readable NumPy twin of how well the end of a stripe is known: part of the oracle of the ends' kernel.
+
+The u^T V u of ringpose-method(7), section 3: `_influence` is u, `_column_noise` and `_speckle` are the parts of V.
+"""
 
 import math
 

@@ -1,4 +1,7 @@
-"""Readable NumPy twin of how wide the edges of an image are: part of the oracle of the ends' kernel."""
+"""Readable NumPy twin of how wide the edges of an image are (ringpose-method(7), section 3).
+
+Part of the oracle of the ends' kernel.
+"""
 
 import math
 from dataclasses import dataclass

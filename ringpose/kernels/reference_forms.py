@@ -1,4 +1,7 @@
-"""Readable NumPy twin of the kernel that solves the paper's closed forms: the oracle of its tests."""
+"""Readable NumPy twin of the kernel that solves the paper's closed forms (ringpose-method(7), section 4).
+
+The oracle of its tests.
+"""
 
 import numpy as np
 

@@ -1,4 +1,7 @@
-"""Readable NumPy twin of `stripe_centers.c` and `stripe_columns.c`: from linked ridges to sub-pixel centres."""
+"""Readable NumPy twin of `stripe_centers.c` and `stripe_columns.c`: from linked ridges to sub-pixel centres.
+
+Filters, widths and borders are those of ringpose-method(7), section 3; `_stepped` is Newton's step.
+"""
 
 import math
 from collections.abc import Sequence

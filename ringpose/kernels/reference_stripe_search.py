@@ -1,4 +1,7 @@
-"""Readable NumPy twin of `stripe_noise.c` and `stripe_search.c`: how noisy an image is, and where ridges may be."""
+"""Readable NumPy twin of `stripe_noise.c` and `stripe_search.c`: how noisy an image is, and where ridges may be.
+
+See ringpose-method(7), section 3.
+"""
 
 import numpy as np
 

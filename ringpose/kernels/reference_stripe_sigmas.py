@@ -1,6 +1,7 @@
 """Readable NumPy twin of `stripe_sigmas.c`: what differences between the centres of a piece say of their sigmas.
 
-Second differences do not see where a straight piece runs. Near ones show speckle, far ones what surrounds it.
+Second differences do not see where a straight piece runs. Near ones show speckle, far ones what surrounds it
+(ringpose-method(7), section 3).
 """
 
 from collections.abc import Sequence

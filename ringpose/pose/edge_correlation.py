@@ -1,7 +1,7 @@
 """How many independent measurements the points of a visible edge are.
 
 Neighbours on an edge see the same shade, the same facet of the foil behind, the same speckle: what they err alike no
-number of them averages.
+number of them averages (ringpose-method(7), section 5).
 """
 
 from dataclasses import replace

@@ -2,7 +2,7 @@
 
 A point's place errs mostly by what lies beside the edge: the foil behind it, a wall, a shadow that runs towards it.
 That goes on for a while, so a part of each error is that of the neighbours too, by exp(-distance / length). Such
-errors are a sum of independent waves (the Karhunen-Loeve series of this covariance).
+errors are a sum of independent waves (the Karhunen-Loeve series of this covariance; ringpose-method(7), section 5).
 """
 
 import math

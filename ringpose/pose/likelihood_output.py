@@ -1,4 +1,4 @@
-"""From the fitted state to centre, radii and grasp point, with their covariances."""
+"""From the fitted state to centre, radii and grasp point, with their covariances (ringpose-method(7), section 5)."""
 
 from collections.abc import Sequence
 from math import hypot, sqrt
@@ -30,7 +30,7 @@ class Quantities(NamedTuple):
 
 
 def quantities(fit: Fit) -> Quantities:
-    """Centre c = o + (s - 1/k) u, radii 1/k -+ band/2, grasp point o + s u (ringpose-method(7), section 5).
+    """Centre c = o + (s - 1/k) u, radii 1/k -+ band/2, grasp point o + s u.
 
     The mean of the break points o lies in the direction u from the centre by construction, so the grasp point is the
     mid-band point there, whatever the centre's distance.

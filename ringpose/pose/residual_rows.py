@@ -1,7 +1,8 @@
 """All residuals of a shot in one column, each divided by its standard deviation, with their derivatives.
 
-Order: lines, break points along their lines, break points across where no line is known, visible edges, then
-what is known beforehand.
+Order: lines (a of ringpose-method(7), section 5), break points along their lines (b), break points across where no
+line is known, visible edges (c), then what is known beforehand (d; and what rings are like, where a shot leaves that
+open).
 """
 
 from typing import NamedTuple

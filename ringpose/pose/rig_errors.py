@@ -1,7 +1,8 @@
 """How errors that many residuals have in common move them.
 
 Light planes and camera are known with a joint covariance. Its square root says how independent unit errors move the
-parameters; each of them is an unknown of the fit beside the ring, held to zero by its own unit.
+parameters; each of them is an unknown of the fit beside the ring, held to zero by its own unit (ringpose-method(7),
+section 5: the rig's covariance, carried over to first order).
 """
 
 from dataclasses import dataclass

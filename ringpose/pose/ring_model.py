@@ -105,7 +105,7 @@ def moved(state: RingState, step: Float64[Array, "7"]) -> RingState:
 
 
 def sights_of(state: RingState, sighted: Sighted) -> Sights:
-    """A ray that meets ring and light plane at one depth has (m - d q) . r = 0: the stripe's line in the image."""
+    """Residual a: a ray that meets ring and light plane at one depth has (m - d q) . r = 0, the stripe's line there."""
     image_line = sighted.light_normal - sighted.light_distance_m[:, None] * state.plane
     steepness = image_line[:, 1]
     slope = image_line[:, 0] / -steepness
@@ -128,7 +128,7 @@ def origin_of(state: RingState, rays: Float64[Array, "point 3"], y_by_plane: Flo
 def arc_parts(
     state: RingState, rays: Float64[Array, "n 3"], edge_sign: Float64[Array, "n"], origin: Origin
 ) -> ArcParts:
-    """Distances e = |P - c| - R from the mid-band circle, in a form that is regular at curvature 0 (a straight band).
+    """Residual b: distances e = |P - c| - R from the mid-band circle, in a form that is regular at curvature 0.
 
     With x, y along and across `outward` from the band's middle: e = (2 x + k (x^2 + y^2)) / (h + 1),
     h = hypot(1 + k x, k y) = 1 + k e. The derivatives are for fixed rays.
@@ -166,7 +166,7 @@ class EdgeParts(NamedTuple):
 
 
 def edge_parts(state: RingState, edges: Edges, origin: Origin) -> EdgeParts:
-    """Distance of visible edge points from their circle, in standard deviations, with its derivatives."""
+    """Residual c: distance of visible edge points from their circle, in standard deviations, with its derivatives."""
     arcs = arc_parts(state, edges.ray, 2.0 * edges.edge - 1.0, origin)
     scale = 1.0 / np.maximum(np.abs((arcs.by_ray * edges.step).sum(axis=1)), np.finfo(float).tiny)
     return EdgeParts(scale * arcs.distance_m, scale[:, None] * arcs.by_state, scale[:, None] * arcs.by_ray)
