@@ -1,13 +1,13 @@
 """`ringpose simulate serve`: stand-ins for camera and relay board, looking at a scene."""
 
 from contextlib import contextmanager
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ringpose.cli.options import finite
+from ringpose.simulate.serve.choices import Move, Relay, Show
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -16,41 +16,15 @@ if TYPE_CHECKING:
     from typing import Any
 
 
-class RelayKind(StrEnum):
-    """A board, or none."""
-
-    LCUS = "lcus"
-    NUMATO = "numato"
-    MODBUS = "modbus"
-    ASCII = "ascii"
-    NONE = "none"
-
-
-class Shown(StrEnum):
-    """What stands before the camera."""
-
-    RING = "ring"
-    CAMERA_BOARD = "camera-board"
-    PLANE_BOARD = "plane-board"
-
-
-class MoveWhen(StrEnum):
-    """When the next view comes."""
-
-    PAUSE = "pause"
-    TIME = "time"
-    NEVER = "never"
-
-
 SceneOption = Annotated[Path, typer.Option("--scene", metavar="SCENE", help="The scene (scene.yaml).")]
 Address = Annotated[str, typer.Option("--camera", metavar="ADDRESS", help="Where the camera listens: 127.x.y.z.")]
 RelayOption = Annotated[
-    RelayKind,
+    Relay,
     typer.Option("--relay", help="The relay board; none leaves the lasers to the camera's output lines."),
 ]
-ShowOption = Annotated[Shown, typer.Option("--show", help="What stands there.")]
+ShowOption = Annotated[Show, typer.Option("--show", help="What stands there.")]
 MoveOption = Annotated[
-    MoveWhen,
+    Move,
     typer.Option("--move", help="When the next view comes: in a pause between frames, after a time, or never."),
 ]
 After = Annotated[
@@ -74,9 +48,9 @@ Overwrite = Annotated[bool, typer.Option("--force", help="Replace a log that exi
 def serve(
     scene: SceneOption,
     camera: Address = "127.0.0.1",
-    relay: RelayOption = RelayKind.NONE,
-    show: ShowOption = Shown.RING,
-    move: MoveOption = MoveWhen.PAUSE,
+    relay: RelayOption = Relay.NONE,
+    show: ShowOption = Show.RING,
+    move: MoveOption = Move.PAUSE,
     after: After = 1.0,
     warm_up: WarmUp = 0.0,
     fault: FaultTexts = None,
@@ -92,9 +66,9 @@ def serve(
     read = read_scene(scene)
     setup = Setup(
         address=_loopback(camera),
-        relay=relay.value,
-        show=show.value,
-        move=move.value,
+        relay=relay,
+        show=show,
+        move=move,
         after_s=after,
         warm_up_s=warm_up,
         faults=parsed_faults(fault or (), len(read.rig.lasers.names)),

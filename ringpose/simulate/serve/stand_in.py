@@ -4,17 +4,18 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Any, Literal
+from typing import Any
 
 from ringpose.errors import DataError
 from ringpose.simulate.exposure import view_exposure_s
 from ringpose.simulate.pipeline import ring_stand
+from ringpose.simulate.serve.choices import Move, Relay, Show
 from ringpose.simulate.serve.contacts import Contacts
 from ringpose.simulate.serve.device import ServedCamera
 from ringpose.simulate.serve.faults import Faults
 from ringpose.simulate.serve.registers import Identity
 from ringpose.simulate.serve.relays import ServedRelays
-from ringpose.simulate.serve.views import Move, MovingViews, SceneExposures, board_moving_views, ring_moving_views
+from ringpose.simulate.serve.views import MovingViews, SceneExposures, board_moving_views, ring_moving_views
 from ringpose.simulate.trajectory import ring_views
 from ringpose.types.scene import BoardSet, Scene
 from ringpose.wire.ascii_relays import AsciiCodec
@@ -23,18 +24,13 @@ from ringpose.wire.modbus import ModbusCodec
 from ringpose.wire.numato import NumatoCodec
 from ringpose.wire.relay_codec import RelayCodec
 
-Relay = Literal["lcus", "numato", "modbus", "ascii", "none"]
-"""The board; `none` leaves the lasers to the camera's output lines."""
-
-Show = Literal["ring", "camera-board", "plane-board"]
-
 _ON, _OFF, _READ = "R{n} ON", "R{n} OFF", "R?"
 
-_CODECS: Mapping[str, Callable[[], RelayCodec]] = {
-    "lcus": LcusCodec,
-    "numato": NumatoCodec,
-    "modbus": ModbusCodec,
-    "ascii": lambda: AsciiCodec(on=_ON, off=_OFF, read=_READ),
+_CODECS: Mapping[Relay, Callable[[], RelayCodec]] = {
+    Relay.LCUS: LcusCodec,
+    Relay.NUMATO: NumatoCodec,
+    Relay.MODBUS: ModbusCodec,
+    Relay.ASCII: lambda: AsciiCodec(on=_ON, off=_OFF, read=_READ),
 }
 
 _ASCII_PARAMETERS = "&on=R{n}%20ON&off=R{n}%20OFF&read=R?"
@@ -45,9 +41,9 @@ class Setup:
     """What is served, and how it behaves."""
 
     address: str = "127.0.0.1"
-    relay: Relay = "none"
-    show: Show = "ring"
-    move: Move = "pause"
+    relay: Relay = Relay.NONE
+    show: Show = Show.RING
+    move: Move = Move.PAUSE
     after_s: float = 1.0
     """Length of the pause, or of the time, after which the next view comes."""
     warm_up_s: float = 0.0
@@ -93,7 +89,7 @@ class StandIn:
         camera = f"aravis://{self._setup.address}"
         if self._relays is None:
             return {"camera": camera, "lasers": "line:" + ",".join(f"Line{k + 1}" for k in range(self._lasers))}
-        extra = _ASCII_PARAMETERS if self._setup.relay == "ascii" else ""
+        extra = _ASCII_PARAMETERS if self._setup.relay is Relay.ASCII else ""
         return {
             "camera": camera,
             "lasers": f"{self._setup.relay}:{self._relays.port}?ch={self._relays.channels}{extra}",
@@ -111,9 +107,9 @@ class StandIn:
 
     def _boards(self) -> BoardSet | None:
         show, scene = self._setup.show, self._scene
-        if show == "ring":
+        if show is Show.RING:
             return None
-        boards = scene.camera_boards if show == "camera-board" else scene.plane_boards
+        boards = scene.camera_boards if show is Show.CAMERA_BOARD else scene.plane_boards
         if boards is None:
             raise DataError("the scene", f"has no {show}", "give it one under boards")
         return boards
@@ -144,6 +140,6 @@ class StandIn:
 
 
 def _relays(setup: Setup, lasers: int) -> ServedRelays | None:
-    if setup.relay == "none":
+    if setup.relay is Relay.NONE:
         return None
     return ServedRelays(_CODECS[setup.relay](), tuple(range(lasers)), setup.faults.contacts)

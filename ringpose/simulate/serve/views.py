@@ -12,14 +12,12 @@ import numpy as np
 from ringpose.simulate.board_places import board_places
 from ringpose.simulate.pipeline import board_stage, ring_stage
 from ringpose.simulate.sensor import digitised
+from ringpose.simulate.serve.choices import Move
 from ringpose.simulate.serve.contacts import Contacts
 from ringpose.simulate.stage import Stage
 from ringpose.simulate.trajectory import ring_views
 from ringpose.types.arrays import Array, Float32, Float64, UInt
 from ringpose.types.scene import BoardSet, Scene, Sensor
-
-Move = Literal["pause", "time", "never"]
-"""When the next view comes: in a pause between the frames, after a time, or not at all."""
 
 _SLICES = 8
 """Of an exposure, for a laser that grows brighter during it."""
@@ -43,7 +41,7 @@ class MovingViews:
 
     def at(self, now_s: float) -> tuple[str, Stage]:
         """Name and stage of the view that an exposure beginning now (monotonic clock) looks at."""
-        since_s = self._looked_s if self._move == "pause" else self._shown_s
+        since_s = self._looked_s if self._move is Move.PAUSE else self._shown_s
         due = since_s is not None and now_s - since_s >= self._after_s
         if due and self._next is not None and self._next.done():
             self._number, self._now = self._number + 1, self._next.result()
@@ -58,7 +56,7 @@ class MovingViews:
         self._worker.shutdown(wait=True, cancel_futures=True)
 
     def _prepare(self) -> None:
-        there = self._number + 1 < len(self.names) and self._move != "never"
+        there = self._number + 1 < len(self.names) and self._move is not Move.NEVER
         self._next = self._worker.submit(self._stage, self._number + 1) if there else None
 
 

@@ -13,6 +13,7 @@ from ringpose.capture.cameras import aravis, network
 from ringpose.capture.cameras.aravis import AravisCamera
 from ringpose.capture.uri import DeviceUri
 from ringpose.errors import DeviceError, UsageError
+from ringpose.simulate.serve.choices import Move
 from ringpose.simulate.serve.device import CameraFaults, ServedCamera
 from ringpose.simulate.serve.faults import parsed_faults
 from ringpose.simulate.serve.registers import Identity
@@ -29,7 +30,7 @@ def serve(tmp_path, loopback_address):
 
     def started_stand_in(*faults: str, **setup) -> StandIn:
         scene = small_scene(tmp_path)
-        whole = Setup(address=loopback_address, move="never", faults=parsed_faults(faults, 3), **setup)
+        whole = Setup(address=loopback_address, move=Move.NEVER, faults=parsed_faults(faults, 3), **setup)
         started.append(StandIn(scene, whole).__enter__())
         return started[-1]
 

@@ -7,6 +7,7 @@ import pytest
 from other_client import Port
 from served_scene import small_scene
 
+from ringpose.simulate.serve.choices import Move
 from ringpose.simulate.serve.stand_in import Setup, StandIn
 
 
@@ -17,7 +18,7 @@ def notes():
 
 @pytest.fixture
 def served(tmp_path, loopback_address, notes):
-    with StandIn(small_scene(tmp_path), Setup(address=loopback_address, move="never"), notes.append) as stand_in:
+    with StandIn(small_scene(tmp_path), Setup(address=loopback_address, move=Move.NEVER), notes.append) as stand_in:
         yield stand_in
 
 

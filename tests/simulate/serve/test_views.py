@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from served_scene import small_scene
 
+from ringpose.simulate.serve.choices import Move
 from ringpose.simulate.serve.contacts import ContactFaults, Contacts
 from ringpose.simulate.serve.views import MovingViews, SceneExposures, ring_moving_views
 from ringpose.simulate.stage import Stage
@@ -19,7 +20,7 @@ def scene(tmp_path):
 
 
 def exposures(scene, contacts: Contacts, warm_up_s: float = 0.0) -> SceneExposures:
-    return SceneExposures(ring_moving_views(scene, "never", 0.0), scene.sensor, contacts, warm_up_s)
+    return SceneExposures(ring_moving_views(scene, Move.NEVER, 0.0), scene.sensor, contacts, warm_up_s)
 
 
 @pytest.mark.parametrize(
@@ -83,12 +84,12 @@ def shown(move, after_s: float, looks_s) -> list[str]:
 
 
 def test_the_next_view_comes_in_a_pause():
-    assert shown("pause", 0.3, [0.0, 0.2, 0.4, 0.8, 0.9, 1.5, 9.0]) == ["a", "a", "a", "b", "b", "c", "c"]
+    assert shown(Move.PAUSE, 0.3, [0.0, 0.2, 0.4, 0.8, 0.9, 1.5, 9.0]) == ["a", "a", "a", "b", "b", "c", "c"]
 
 
 def test_the_next_view_comes_after_a_time():
-    assert shown("time", 0.3, [0.0, 0.2, 0.4, 0.5, 0.8]) == ["a", "a", "b", "b", "c"]
+    assert shown(Move.TIME, 0.3, [0.0, 0.2, 0.4, 0.5, 0.8]) == ["a", "a", "b", "b", "c"]
 
 
 def test_a_view_may_stay():
-    assert shown("never", 0.0, [0.0, 5.0]) == ["a", "a"]
+    assert shown(Move.NEVER, 0.0, [0.0, 5.0]) == ["a", "a"]
