@@ -1,9 +1,8 @@
 """What the user says about the ring's size."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -44,8 +43,7 @@ RingName = Annotated[
 RingsFile = Annotated[Path | None, typer.Option("--rings", metavar="FILE", help="A catalogue of your own, for --ring.")]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SaidOfRing:
+class SaidOfRing(NamedTuple):
     """The options as given."""
 
     radius_outer_m: float | None = None

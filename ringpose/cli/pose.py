@@ -156,7 +156,6 @@ def pose_line(
     known: "KnownRadii | Sequence[Ring] | None" = None,
 ) -> "PoseLine":
     """The pose of one shot, or the reason why it has none, and how long that took."""
-    from ringpose.pose.other_frame import pose_in_frame
     from ringpose.pose.pipeline import estimate_pose
     from ringpose.types.break_points import BreakPoints, Detection, NoBreakPoints
     from ringpose.types.pose_line import PoseLine
@@ -169,6 +168,8 @@ def pose_line(
         estimate_pose(points, rig, method, detection.ring_edges, known) if isinstance(points, BreakPoints) else points
     )
     if isinstance(result, RingPose) and frame is PoseFrame.TOOL and rig.tool_from_camera is not None:
+        from ringpose.pose.other_frame import pose_in_frame
+
         result = pose_in_frame(result, rig.tool_from_camera)
     return PoseLine(
         shot=detection.shot,
