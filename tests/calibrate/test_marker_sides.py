@@ -33,6 +33,32 @@ def test_corners_stay_where_they_are_under_light_that_falls_off(slope, lit_squar
     assert np.abs(found.points_px - CORNERS_PX).max() < 0.01
 
 
+def shoulders(across: np.ndarray) -> np.ndarray:
+    """A rise that no error function follows: an eighth of the light a pixel aside, to either side."""
+    return 0.75 * ndtr(across / 0.45) + 0.125 * (ndtr((across - 1) / 0.45) + ndtr((across + 1) / 0.45))
+
+
+@pytest.mark.parametrize("tilt", [0.003, -0.006, 0.02])
+@pytest.mark.parametrize("place", [0.0, 0.25, 0.4])
+def test_sides_along_rows_are_drawn_where_they_are_however_lens_and_pixels_blur(tilt, place):
+    """Half a pixel from end to end, so that a side crosses no more than two rows."""
+    turn = np.array([[np.cos(tilt), -np.sin(tilt)], [np.sin(tilt), np.cos(tilt)]])
+    middle = np.array([90.3, 91.1]) + place
+    corners = np.array([[-60.0, -52.0], [60.0, -52.0], [60.0, 52.0], [-60.0, 52.0]])
+    row, column = np.indices((180, 180), dtype=np.float64)
+    on_board = (np.stack([column, row], axis=-1) - middle) @ turn
+    inside = [
+        shoulders(half - on_board[..., axis]) * shoulders(half + on_board[..., axis])
+        for axis, half in enumerate((60.0, 52.0))
+    ]
+    image = np.rint(210 - 190 * inside[0] * inside[1]).astype(np.uint8)
+    true = corners @ turn.T + middle
+
+    found = corners_from_sides(image, true + 0.4)
+
+    assert np.abs(found.points_px - true).max() < 0.015
+
+
 def test_sides_share_their_errors_more_the_more_of_them_was_left_out(lit_square):
     found = corners_from_sides(lit_square((0.0, 0.0)), CORNERS_PX + 0.4)
 
