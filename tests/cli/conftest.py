@@ -2,6 +2,8 @@
 
 import json
 import math
+import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -12,7 +14,9 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from forked import Forked
 from plane_views import copy_views
+from served_scene import small_scene
 
 WIDTH, HEIGHT, FOCAL = 640, 480, 500.0
 CENTER = np.array([0.58, 0.02, 0.9])
@@ -116,3 +120,25 @@ def started() -> Callable[..., "subprocess.Popen[str]"]:
         return subprocess.Popen(words, **({"stdin": pipe, "stdout": pipe, "stderr": pipe, "text": True} | options))
 
     return start
+
+
+@pytest.fixture
+def serve(tmp_path, monkeypatch, loopback_address, forker):
+    """Start `ringpose simulate serve` and return its URIs."""
+    monkeypatch.chdir(tmp_path)
+    processes = []
+
+    def started(*options: str, scene: str = "scene.yaml") -> dict[str, str]:
+        if not Path(scene).exists():
+            small_scene(tmp_path)
+        words = ["simulate", "serve", "--scene", scene, "--camera", loopback_address, "--log", "log.jsonl", *options]
+        job = {"before": "", "words": words, "folder": str(tmp_path), "environment": {**os.environ}}
+        process = Forked(forker, job)
+        processes.append(process)
+        return json.loads(process.stdout.readline())
+
+    yield started
+    for process in processes:
+        with process:
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(20) == 143

@@ -1,9 +1,7 @@
 """Shots and poses over the network and a serial line, from stand-ins that run in a process of their own."""
 
 import json
-import os
 import resource
-import signal
 import subprocess
 import sys
 import time
@@ -11,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from forked import Forked
 from other_client import Port
 from served_scene import small_scene
 from small_rig import SMALL_RIG
@@ -25,28 +22,6 @@ from ringpose.wire import gige_registers as bootstrap
 pytestmark = pytest.mark.usefixtures("_aravis")
 
 COMMAND = "import sys; from ringpose.cli.main import run; run()"
-
-
-@pytest.fixture
-def serve(tmp_path, monkeypatch, loopback_address, forker):
-    """Start `ringpose simulate serve` and return its URIs."""
-    monkeypatch.chdir(tmp_path)
-    processes = []
-
-    def started(*options: str, scene: str = "scene.yaml") -> dict[str, str]:
-        if not Path(scene).exists():
-            small_scene(tmp_path)
-        words = ["simulate", "serve", "--scene", scene, "--camera", loopback_address, "--log", "log.jsonl", *options]
-        job = {"before": "", "words": words, "folder": str(tmp_path), "environment": {**os.environ}}
-        process = Forked(forker, job)
-        processes.append(process)
-        return json.loads(process.stdout.readline())
-
-    yield started
-    for process in processes:
-        with process:
-            process.send_signal(signal.SIGTERM)
-            assert process.wait(20) == 143
 
 
 def capture(uris: dict[str, str], *options: str) -> int:
@@ -288,63 +263,6 @@ def test_a_killed_capture_leaves_lasers_at_lines_to_the_cameras_heartbeat(serve,
     last = notes_of_log()[-1]
     assert status == 0
     assert (last["laser_shares"] == [0.0, 0.0, 0.0]) is goes_dark
-
-
-def findings(capsys) -> dict[str, dict[str, str]]:
-    return {found["check"]: found for found in map(json.loads, capsys.readouterr().out.splitlines())}
-
-
-@pytest.mark.slow
-def test_a_dry_walk_finds_nothing_wrong_with_good_devices(serve, capsys):
-    uris = serve("--relay", "lcus", "--fault", "operate=0.02", "--move", "never")
-
-    devices = ["--camera", uris["camera"], "--lasers", uris["lasers"], "--exposure", "0.0005"]
-    status = main(["capture", "--test", *devices])
-
-    found = findings(capsys)
-    assert status == 0
-    assert found["verdict"]["verdict"] == "ok"
-    assert {"laser 1", "laser 2", "laser 3", "exposure, laser 2", "frames"} <= set(found)
-    settle_s = float(found["settle"]["found"].split("--settle ")[1].split()[0])
-    assert 0.02 < settle_s < 0.3
-
-
-@pytest.mark.slow
-def test_a_dry_walk_finds_the_laser_that_is_dark(serve, capsys):
-    uris = serve("--fault", "dark:2", "--move", "never")
-
-    status = main(["capture", "--test", "--camera", uris["camera"], "--lasers", uris["lasers"]])
-
-    found = findings(capsys)
-    assert status == 3
-    assert [name for name, finding in found.items() if finding["verdict"] == "fault"] == ["laser 2", "verdict"]
-    assert "look whether it shines" in found["laser 2"]["remedy"]
-
-
-@pytest.mark.slow
-def test_a_dry_walk_ends_at_a_laser_that_stays_on(serve, capsys):
-    uris = serve("--relay", "modbus", "--fault", "stuck:2", "--move", "never")
-
-    status = main(["capture", "--test", "--camera", uris["camera"], "--lasers", uris["lasers"]])
-
-    assert status == 70
-    assert "laser 2: is seen after it was switched off; cut the power" in capsys.readouterr().err
-
-
-def test_recorded_shots_are_not_tested(capsys, example_folder):
-    assert main(["capture", "--test", "--camera", f"files:{example_folder}/shots"]) == 2
-
-
-def test_cameras_are_listed_by_their_uris(serve, capsys, loopback_address):
-    serve()
-
-    status = main(["capture", "--list"])
-
-    listed = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    found = [record for record in listed if record.get("address") == loopback_address]
-    assert status == 0
-    assert [record["kind"] for record in found] == ["camera"]
-    assert found[0]["uri"].startswith("aravis:ringpose-Stand-in-RP")
 
 
 def test_live_shots_that_the_rig_does_not_fit_end_the_measurement(serve, capsys):

@@ -1,0 +1,72 @@
+"""`ringpose bench` on data set folders, which it detects and poses itself."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from ringpose.cli.main import main
+
+
+@pytest.fixture(autouse=True)
+def _in_an_empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def data_set(carried_data) -> Path:
+    """Two shots of the carried data."""
+    folder = Path("data_set")
+    (folder / "shots").mkdir(parents=True)
+    shutil.copy(carried_data / "rig_b" / "rig.yaml", folder)
+    lines = (carried_data / "rig_b" / "truth.jsonl").read_text().splitlines(keepends=True)
+    wanted = [line for line in lines if json.loads(line)["shot"] in ("B_z0500_p01_dim", "V03_occl_B500_dim")]
+    (folder / "truth.jsonl").write_text("".join(wanted))
+    for line in wanted:
+        shutil.copy(carried_data / "rig_b" / "shots" / f"{json.loads(line)['shot']}.npz", folder / "shots")
+    return folder
+
+
+def test_a_data_set_is_measured_by_every_method(data_set, capsys):
+    status = main(["bench", str(data_set), "--json", "-"])
+
+    report = json.loads(capsys.readouterr().out)
+    assert status == 0
+    assert {(shot["method"], shot["shot"], shot["outcome"] == "partial") for shot in report["shots"]} == {
+        ("ml", "B_z0500_p01_dim", False),
+        ("ml", "V03_occl_B500_dim", True),
+        ("paper", "B_z0500_p01_dim", False),
+        ("paper", "V03_occl_B500_dim", True),
+        ("paper-constrained", "B_z0500_p01_dim", False),
+        ("paper-constrained", "V03_occl_B500_dim", True),
+    }
+
+
+def test_one_method_may_be_chosen(data_set, capsys):
+    main(["bench", str(data_set), "--method", "paper", "--json", "-"])
+
+    assert {shot["method"] for shot in json.loads(capsys.readouterr().out)["shots"]} == {"paper"}
+
+
+def test_a_shot_that_the_data_set_lacks_is_named_and_lost(data_set, capsys):
+    (data_set / "shots" / "B_z0500_p01_dim.npz").unlink()
+
+    status = main(["bench", str(data_set), "--method", "paper", "--json", "-"])
+
+    streams = capsys.readouterr()
+    assert status == 66
+    assert "B_z0500_p01_dim.npz: does not exist" in streams.err
+    assert [shot["outcome"] for shot in json.loads(streams.out)["shots"]] == ["lost", "partial"]
+
+
+def test_with_another_rig_the_poses_are_worse(data_set, capsys):
+    rig = (data_set / "rig.yaml").read_text()
+    Path("other.yaml").write_text(rig.replace("-0.070047993855", "-0.0705"))
+
+    figures = []
+    for words in ([], ["--rig", "other.yaml"]):
+        main(["bench", str(data_set), "--method", "paper-constrained", "--json", "-", *words])
+        figures.append(json.loads(capsys.readouterr().out)["groups"][-1]["errors"]["grasp_m"]["rmse"])
+
+    assert figures[1] > 2 * figures[0]

@@ -1,0 +1,99 @@
+"""A ring's face between two surfaces, drawn from formulas, and how far found edges lie from the true ones."""
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from drawn_scene import RADII_M, DrawnScene, line_of, true_break_points
+
+from ringpose.detect.edge_search import EdgeImage
+from ringpose.types.break_points import BreakPoints, RingEdgePoints
+from ringpose.types.rig import Rig
+
+END_SIGMA_PX = 0.3
+LINE_SIGMA_PX = 0.03
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What there is to see beside the ring's face, in grey values."""
+
+    face_dn: float = 60.0
+    inside_dn: float = 30.0
+    outside_dn: float = 100.0
+    clutter_dn: float = 0.0
+    noise_dn: float = 1.0
+    blur_px: float = 0.8
+
+
+def narrow(rig: Rig) -> Rig:
+    """The same with the lasers a degree and a half apart, as in the paper's virtual rig."""
+    tilt = np.deg2rad([1.5, 0.0, -1.5])
+    normal = np.stack([np.zeros(3), np.cos(tilt), np.sin(tilt)], axis=-1)
+    return replace(rig, lasers=replace(rig.lasers, normal=normal, distance_m=np.full(3, -0.1)))
+
+
+def radius_m(scene: DrawnScene, rig: Rig, x_px: np.ndarray, y_px: np.ndarray) -> np.ndarray:
+    """Distance from the ring's centre at which the ray of a pixel meets its plane."""
+    matrix = rig.camera.camera_matrix
+    x, y = (x_px - matrix[0, 2]) / matrix[0, 0], (y_px - matrix[1, 2]) / matrix[1, 1]
+    normal = np.array(scene.normal) / np.linalg.norm(scene.normal)
+    depth = float(normal @ np.array(scene.center_m)) / (normal[0] * x + normal[1] * y + normal[2])
+    offsets = [depth * x - scene.center_m[0], depth * y - scene.center_m[1], depth - scene.center_m[2]]
+    return np.sqrt(sum(each**2 for each in offsets))
+
+
+def all_radii_m(scene: DrawnScene, rig: Rig) -> np.ndarray:
+    return radius_m(scene, rig, np.arange(1600.0), np.arange(1200.0)[:, None])
+
+
+def picture(scene: DrawnScene, rig: Rig, around: Surroundings, rng: np.random.Generator) -> np.ndarray:
+    """The face between two surfaces of even or uneven brightness, its edges covering pixels in part."""
+    radius = all_radii_m(scene, rig)
+    width = np.hypot(*np.gradient(radius))
+    inside = np.clip((RADII_M[0] - radius) / width + 0.5, 0, 1)
+    outside = np.clip((radius - RADII_M[1]) / width + 0.5, 0, 1)
+    uneven = cv2.GaussianBlur(rng.normal(size=radius.shape), (0, 0), 3.0)
+    uneven *= around.clutter_dn / uneven.std()
+    image = around.face_dn * (1 - inside - outside)
+    image += inside * (around.inside_dn + uneven) + outside * (around.outside_dn + uneven)
+    image = cv2.GaussianBlur(image, (0, 0), around.blur_px) + rng.normal(0, around.noise_dn, radius.shape)
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+def lit(image: np.ndarray) -> EdgeImage:
+    return EdgeImage(image=image, saturation_dn=255)
+
+
+def measured(scene: DrawnScene, rig: Rig, rng: np.random.Generator) -> BreakPoints:
+    """Break points as a detector would give them: off by their sigma, between perfect lines."""
+    truth = true_break_points(scene, rig)
+    count = len(truth)
+    normal = np.array(scene.normal) / np.linalg.norm(scene.normal)
+    distance = float(normal @ np.array(scene.center_m))
+    slopes = []
+    for laser in range(count):
+        point, direction = line_of(rig, laser, normal, distance)
+        ends = np.stack([point, point + 1e-3 * direction]) @ rig.camera.camera_matrix.T
+        run = np.diff(ends[:, :2] / ends[:, 2:], axis=0)[0]
+        slopes.append(run[1] / run[0])
+    shift = rng.normal(0, END_SIGMA_PX, (count, 2))
+    position = truth + np.stack([shift, shift * np.array(slopes)[:, None]], axis=-1)
+    covariance = np.broadcast_to(np.diag([END_SIGMA_PX**2, 0.1 * END_SIGMA_PX**2]), (count, 2, 2, 2)).copy()
+    return BreakPoints(
+        position_px=position,
+        covariance_px2=covariance,
+        flags=np.zeros((count, 2), dtype=np.int64),
+        face_start_px=truth[:, 1],
+        face_end_px=truth[:, 0],
+        face_sigma_px=np.full((count, 2), LINE_SIGMA_PX),
+        labelled=True,
+    )
+
+
+def off_edge_px(points: RingEdgePoints, scene: DrawnScene, rig: Rig) -> np.ndarray:
+    """Signed distance of the points from the true edge along their normals: radius over its change for a pixel."""
+    here, before, behind = (
+        radius_m(scene, rig, *(points.position_px + step * points.normal).T) for step in (0.0, -0.5, 0.5)
+    )
+    return (here - np.array(RADII_M)[points.edge]) / (behind - before)
