@@ -45,7 +45,8 @@ def side_samples(
     if seen.sum() < MINIMUM_SAMPLES:
         return None
     t, across, grey, inside, outside = (each[seen] for each in (t, across, grey, inside, outside))
-    falls = [float(slope @ side.normal) * across for slope in light]
+    in_image = np.where(np.isfinite(across), across, 0.0)
+    falls = [float(slope @ side.normal) * in_image for slope in light]
     levels = [_mean(grey - fall, flank) for fall, flank in zip(falls, (inside, outside), strict=True)]
     dark, bright = (smooth_level(t, level)[:, None] + fall for level, fall in zip(levels, falls, strict=True))
     rise = np.median(bright - dark, axis=1)

@@ -63,3 +63,11 @@ def test_sides_share_their_errors_more_the_more_of_them_was_left_out(lit_square)
     found = corners_from_sides(lit_square((0.0, 0.0)), CORNERS_PX + 0.4)
 
     assert 0.3 < found.likeness < 0.5
+
+
+@pytest.mark.parametrize("cut", [30, 34])
+def test_corners_stay_where_they_are_beside_the_image_s_border(cut, lit_square):
+    """The paper outside a side is in the image for 9 and for 5 of the pixels that are looked at, light falling off."""
+    found = corners_from_sides(lit_square((0.002, 0.0))[cut:], CORNERS_PX - [0.0, cut] + 0.4)
+
+    assert np.abs(found.points_px - CORNERS_PX + [0.0, cut]).max() < 0.02
