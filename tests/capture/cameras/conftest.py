@@ -1,0 +1,38 @@
+"""A served camera, and the driver that looks at it."""
+
+import pytest
+from served_scene import small_scene
+
+from ringpose.capture.cameras.aravis import AravisCamera
+from ringpose.capture.uri import DeviceUri
+from ringpose.simulate.serve.choices import Move
+from ringpose.simulate.serve.faults import parsed_faults
+from ringpose.simulate.serve.stand_in import Setup, StandIn
+
+
+@pytest.fixture
+def serve(tmp_path, loopback_address):
+    """Start a stand-in with faults."""
+    started = []
+
+    def started_stand_in(*faults: str, **setup) -> StandIn:
+        scene = small_scene(tmp_path)
+        whole = Setup(address=loopback_address, move=Move.NEVER, faults=parsed_faults(faults, 3), **setup)
+        started.append(StandIn(scene, whole).__enter__())
+        return started[-1]
+
+    yield started_stand_in
+    for each in started:
+        each.__exit__(None, None, None)
+
+
+@pytest.fixture
+def camera(loopback_address):
+    """A driver with parameters, by the camera's address."""
+
+    def driver(place: str = loopback_address, **parameters: str) -> AravisCamera:
+        return AravisCamera(
+            DeviceUri(text=f"aravis:{place}", option="--camera", scheme="aravis", place=place, parameters=parameters)
+        )
+
+    return driver
