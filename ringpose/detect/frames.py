@@ -60,6 +60,13 @@ def laser_images(shot: Shot, count: int) -> list[LaserImage]:
     return images
 
 
+def most_lit_image(shot: Shot) -> UInt[Array, "row column"]:
+    """The first of the images with the most lasers on."""
+    on = [mask.bit_count() for mask in shot.lasers.tolist()]
+    image: UInt[Array, "row column"] = shot.images[int(np.argmax(on))]
+    return image
+
+
 def _dark(shot: Shot, number: int, also_on: int) -> UInt[Array, "row column"] | None:
     """The frame nearest in time with exactly the lasers on that were on besides the new ones; None without one."""
     same = [each for each, mask in enumerate(shot.lasers.tolist()) if mask == also_on]

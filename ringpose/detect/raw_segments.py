@@ -1,10 +1,8 @@
 """The segments of a photograph, of which nothing else is known."""
 
-import numpy as np
-
+from ringpose.detect.frames import most_lit_image
 from ringpose.detect.segment_method import SegmentMethod
 from ringpose.detect.segments import find_segments
-from ringpose.types.arrays import Array, UInt
 from ringpose.types.break_points import Detection, NoBreakPoints
 from ringpose.types.frame import Shot
 
@@ -17,10 +15,3 @@ def segments_only(shot: Shot, method: SegmentMethod = SegmentMethod.REFINED) -> 
         break_points=NoBreakPoints.NOT_SOUGHT,
         segments=find_segments(most_lit_image(shot), method=method, saturation_dn=shot.saturation_dn),
     )
-
-
-def most_lit_image(shot: Shot) -> UInt[Array, "row column"]:
-    """The first of the images with the most lasers on."""
-    on = [mask.bit_count() for mask in shot.lasers.tolist()]
-    image: UInt[Array, "row column"] = shot.images[int(np.argmax(on))]
-    return image

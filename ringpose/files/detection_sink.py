@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from ringpose.detect.overlay import overlay
-from ringpose.detect.raw_segments import most_lit_image
+from ringpose.detect.frames import most_lit_image
 from ringpose.errors import DataError
 from ringpose.files import atomic, records
 from ringpose.files.detections import detection_record, write_detection
@@ -27,6 +26,8 @@ class DetectionSink:
         """The picture first: a detection that is announced is complete."""
         self._check_name(shot.name)
         if self.overlays is not None:
+            from ringpose.detect.overlay import overlay  # seldom asked for
+
             picture = overlay(most_lit_image(shot), detection)
             write_image(self.overlays / f"{shot.name}.png", picture, force=self.force)
         if self.folder is None:
