@@ -44,12 +44,13 @@ setup(
         kernels(
             "_ring",
             (
-                *("arcs", "end_fits", "end_levels", "end_sigmas", "end_widths", "ends", "flat_ends", "lens"),
-                *("marks", "profile", "sections", "track_lines", "track_spills", "tracks"),
+                *("arcs", "end_fits", "end_levels", "end_places", "end_sigmas", "end_widths", "ends", "flat_ends"),
+                *("lens", "marks", "profile", "sections", "track_lines", "track_spills", "tracks"),
             ),
             (
-                *("arcs", "buffers", "drafts", "end_fits", "end_levels", "end_sigmas", "end_widths", "ends", "kernels"),
-                *("marks", "minimum", "normal_cdf", "profile", "sections", "select", "track_line", "tracks"),
+                *("arcs", "buffers", "drafts", "end_fits", "end_levels", "end_places", "end_sigmas", "end_widths"),
+                *("ends", "kernels", "marks", "minimum", "normal_cdf", "profile", "sections", "select"),
+                *("track_line", "tracks"),
             ),
         ),
         kernels(

@@ -8,7 +8,7 @@ import numpy as np
 from ringpose.detect.consistency import checked
 from ringpose.detect.faces import Face
 from ringpose.detect.frames import LaserImage
-from ringpose.detect.stripe_ends import SATURATED_SHARE, stripe_ends
+from ringpose.detect.stripe_ends import FACET_SIGMAS, SATURATED_SHARE, stripe_ends
 from ringpose.detect.tracks import BORDER_PX, LEAST_COLUMNS, TAKEN_BY_THE_FIT
 from ringpose.kernels.ring import Ends, MarkRules, marked_ends
 from ringpose.types.arrays import Array, Float64
@@ -33,11 +33,6 @@ its phase (Euler and Maclaurin). A stripe of 1.65 times the largest value is cli
 filters weigh the corners by 0.85 of the flanks. All columns err alike where a track stays within a row of pixels; over
 the rows that it crosses the error averages out.
 """
-
-
-FACET_SIGMAS = 6.0
-"""Columns over which what lies beneath a stripe is alike, in sigmas of its section: what is finer than the section is
-wide averages out across it. The line follows what is coarser, so that its centres show little of that."""
 
 
 def break_points(
@@ -94,7 +89,7 @@ def mark_rules(image_width: int) -> MarkRules:
         kink_level=KINK_LEVEL,
         unclear_px=UNCLEAR_PX,
         clipped_phase=CLIPPED_PHASE,
-        facet_sigmas=FACET_SIGMAS,
+        facet_sigmas=FACET_SIGMAS,  # the line follows what is coarser, so that its centres show little of that
         taken_by_fit=TAKEN_BY_THE_FIT,
         least_columns=LEAST_COLUMNS,
         saturated_flag=BreakPointFlag.SATURATED,

@@ -31,6 +31,10 @@ LINE_SIGMA_PX = 0.1
 END_SIGMA_PX = 0.4
 """What calibration and the material may add to the sigma of a break point."""
 
+MOST_END_SIGMA_PX = 1.5
+"""Ends that may as well lie elsewhere are first taken to lie where they seem to: the edges that are looked for there
+tell if they do, and two ends predict an edge well enough for that."""
+
 POSSIBLE = ((0.03, 5.0), (0.001, 0.1), (0.1, 1.1), (-1.0, 10.0))
 """Limits of depth and half band in metres, of the normal's cosine with the view, of the curvature in 1/m."""
 
@@ -83,6 +87,7 @@ def stripe_evidence(break_points: BreakPoints, rig: Rig) -> StripeEvidence | Non
         return None
     line_sigma_px = np.hypot(break_points.face_sigma_px[lasers], LINE_SIGMA_PX)
     end_sigma_px = np.hypot(np.sqrt(break_points.covariance_px2[seen][:, 0, 0]), END_SIGMA_PX)
+    end_sigma_px = np.minimum(end_sigma_px, MOST_END_SIGMA_PX)
     return StripeEvidence(
         plane=PlanePoints(
             point=plane_point.reshape(-1, 3),

@@ -47,6 +47,10 @@ SATURATED_SHARE = 0.2
 TEXTURE_FACTOR = 1.5
 """Error of a column's peak over what its section leaves unexplained, where crinkled foil lies beneath: 1.4 to 1.75."""
 
+FACET_SIGMAS = 6.0
+"""Columns over which what lies beneath a stripe is alike, in sigmas of its section: what is finer than the section is
+wide averages out across it."""
+
 NEAR_COLUMNS = 9.0
 """Columns beyond the edge in which the level should be the fitted one; farther out the body's stripe may begin."""
 
@@ -82,6 +86,7 @@ def _rules(saturation_dn: int) -> EndRules:
         least_noise=LEAST_NOISE,
         shape_sigma=SHAPE_SIGMA,
         texture_factor=TEXTURE_FACTOR,
+        facet_sigmas=FACET_SIGMAS,
         near_columns=NEAR_COLUMNS,
         width_spread=WIDTH_SPREAD,
         blunt_gain=BLUNT_GAIN,

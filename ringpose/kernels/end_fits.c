@@ -153,13 +153,13 @@ static double cost_at(const Search *search, double position, double *outside) {
 }
 
 /* Where the edge lies to half a column: the best of whole columns, and the halves beside it. */
-static double coarse_position(const Search *search) {
+static double coarse_position(const Search *search, double *first) {
     double least = INFINITY, best = 0, ignored;
-    for (int k = -12; k <= 6; k++) {
-        double cost = cost_at(search, k, &ignored);
-        if (!(cost < least)) continue;
-        least = cost;
-        best = k;
+    for (int k = 0; k < PLACES; k++) {
+        first[k] = cost_at(search, FIRST_PLACE + k, &ignored);
+        if (!(first[k] < least)) continue;
+        least = first[k];
+        best = FIRST_PLACE + k;
     }
     double before = cost_at(search, best - 0.5, &ignored), after = cost_at(search, best + 0.5, &ignored);
     if (before < least && !(after < before)) return best - 0.5;
@@ -193,10 +193,17 @@ static int descend(const Search *search, double start, int k, EdgeFit *fit, int 
 void fit_edge(const Columns *columns, double sigma, EdgeFit *fit) {
     Running running;
     run(columns, &running);
-    double start = coarse_position(&(Search){columns, &running, 0.8 * sigma});
+    double start = coarse_position(&(Search){columns, &running, 0.8 * sigma}, fit->first);
     int middle = descend(&(Search){columns, &running, WIDTH[MIDDLE] * sigma}, start, FINE / 2, fit, MIDDLE);
     for (int s = MIDDLE - 1, k = middle; s >= 0; s--)
         k = descend(&(Search){columns, &running, WIDTH[s] * sigma}, start, k, fit, s);
     for (int s = MIDDLE + 1, k = middle; s < WIDTHS; s++)
         k = descend(&(Search){columns, &running, WIDTH[s] * sigma}, start, k, fit, s);
+}
+
+void edge_costs(const Columns *columns, double width, const double *position, int count, double *cost) {
+    Running running;
+    double ignored;
+    run(columns, &running);
+    for (int k = 0; k < count; k++) cost[k] = edge_cost(columns, &running, position[k], width, &ignored);
 }

@@ -85,6 +85,7 @@ int gather_columns(const Profile *profile, ptrdiff_t near, int outward, const En
     }
     columns->count = count;
     columns->clipped = profile->clipped;
+    columns->facet = exp(-2 / (rules->facet_sigmas * profile->sigma));
     if (inner < 4 || outer < 3 || !measure_face(columns, rules)) return 0;
     measure_noise(columns, rough, profile->gain, rules);
     return 1;

@@ -11,6 +11,7 @@ typedef struct {
     int count, clipped; /* clipped: saturation leaves some column less than all of the stripe */
     double along[MOST_COLUMNS], amplitude[MOST_COLUMNS], texture[MOST_COLUMNS], room[ROOMS][MOST_COLUMNS];
     unsigned char saturated[MOST_COLUMNS];
+    double facet;                 /* how alike what lies beneath neighbouring columns is */
     double level;                 /* of the face's stripe */
     double scatter, step;         /* relative variance of its columns, and half that of their differences */
     double within, beyond;        /* variance by pixels' noise in the stripe and beyond the end */

@@ -98,15 +98,23 @@ static double speckle_noise(const Columns *columns, const Shapes *shapes, const 
     return columns->speckle * fmax(alike, 0);
 }
 
-/* Variance by what each column varies by itself, and what lies beneath, all alike. */
-static double column_noise(const Columns *columns, const Shapes *shapes, const double *influence) {
-    double alone = 0, beneath = 0;
+/* Variance by what each column varies by itself, and what lies beneath, so much alike in neighbours. */
+static double column_noise(const Columns *columns, const Shapes *shapes, const double *influence, double facet) {
+    double alone = 0, beneath = 0, before = 0;
     for (int i = 0; i < columns->count; i++) {
-        double own = columns->noise + columns->texture[i] + columns->shot * shapes->shown[i];
-        alone += influence[i] * influence[i] * own;
-        beneath += fabs(influence[i]) * sqrt(columns->texture[i]);
+        double here = fabs(influence[i]) * sqrt(columns->texture[i]);
+        alone += influence[i] * influence[i] * (columns->noise + columns->shot * shapes->shown[i]);
+        beneath += here * (here + 2 * before);
+        before = facet * (before + here);
     }
-    return alone + beneath * beneath;
+    return alone + beneath;
+}
+
+/* What lies beneath is alike in the few columns of an edge; what differs between them adds to that. */
+static double texture_noise(const Columns *columns, const double *influence) {
+    double sum = 0;
+    for (int i = 0; i < columns->count; i++) sum += influence[i] * influence[i] * columns->texture[i];
+    return sum;
 }
 
 /* Relative variance of the levels on both sides of an edge that neighbours share beyond grains of speckle: what lies
@@ -135,13 +143,26 @@ static double misfit(const Columns *columns, const Shapes *shapes, const Edge *e
     return count > 2 ? fmax(square / (count - 2) - 1, 1) : 1;
 }
 
+void show_edge(const Columns *columns, const Edge *edge, double *shown) {
+    for (int i = 0; i < columns->count; i++)
+        shown[i] = share_shown(columns, i, normal_cdf((edge->position - columns->along[i]) / edge->width));
+}
+
+double light_noise(const Columns *columns, const Edge *edge, const double *influence, double likeness) {
+    Shapes shapes;
+    fill_shapes(columns, edge, &shapes);
+    return column_noise(columns, &shapes, influence, columns->facet) +
+           speckle_noise(columns, &shapes, influence, likeness);
+}
+
 double edge_variance(const Columns *columns, const Edge *edge, double likeness, double information,
                      const EndRules *rules) {
     Shapes shapes;
-    double influence[MOST_COLUMNS], shift = LEVEL_TO_POSITION * edge->width;
+    double influence[MOST_COLUMNS] = {0}, shift = LEVEL_TO_POSITION * edge->width;
     fill_shapes(columns, edge, &shapes);
     fill_influence(columns, &shapes, edge->outside > 0, influence);
-    double seen = column_noise(columns, &shapes, influence) + speckle_noise(columns, &shapes, influence, likeness);
+    double seen = column_noise(columns, &shapes, influence, 1) + texture_noise(columns, influence) +
+                  speckle_noise(columns, &shapes, influence, likeness);
     return seen * misfit(columns, &shapes, edge) + slow_levels(columns, edge, rules) * shift * shift +
            edge->per_width * edge->per_width / information + rules->shape_sigma * rules->shape_sigma;
 }

@@ -9,4 +9,10 @@
 double edge_variance(const Columns *columns, const Edge *edge, double likeness, double information,
                      const EndRules *rules);
 
+/* How much of the stripe each column shows before an edge. */
+void show_edge(const Columns *columns, const Edge *edge, double *shown);
+
+/* Variance of the columns' light, summed with an influence, before an edge. */
+double light_noise(const Columns *columns, const Edge *edge, const double *influence, double likeness);
+
 #endif

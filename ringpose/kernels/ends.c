@@ -4,6 +4,7 @@
 #include <math.h>
 #include <stdlib.h>
 
+#include "end_places.h"
 #include "end_sigmas.h"
 
 /* One end in the making. */
@@ -55,6 +56,7 @@ static double settle(const Draft *draft, double sigma, int blunt, const Usual *u
         *edge = (Edge){draft->fit.position[k], WIDTH[k] * sigma, draft->fit.outside[k], 0};
     }
     double variance = edge_variance(&draft->columns, edge, usual->likeness, width.information, rules);
+    variance = variance_over_places(&draft->columns, &draft->fit, edge, variance, usual->likeness);
     return blunt ? variance + edge->width * edge->width : variance;
 }
 

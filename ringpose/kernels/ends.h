@@ -15,7 +15,7 @@ typedef struct {
 
 typedef struct {
     double saturation, beyond_columns, inside_columns, outside_columns, flank_sigmas, flanks_share, undimmed_level,
-        least_headroom, least_noise, shape_sigma, texture_factor, near_columns, width_spread, blunt_gain;
+        least_headroom, least_noise, shape_sigma, texture_factor, facet_sigmas, near_columns, width_spread, blunt_gain;
 } EndRules;
 
 typedef struct {

@@ -28,6 +28,8 @@ class Columns:
     room: Float64[Array, "lit=3 n"]
     clipped: bool
     texture: Float64[Array, "n"]
+    facet: float
+    """How alike what lies beneath neighbouring columns is."""
     saturated: Float64[Array, "n"]
     level: float
     """Of the face's stripe."""
@@ -62,7 +64,7 @@ class Levels:
         return self.speckle / (self.speckle + self.shot + self.least)
 
 
-def columns_about(profile: Profile, near_x: float, outward: int, rules: EndRules) -> Columns | None:
+def columns_about(profile: Profile, near_x: float, outward: int, sigma: float, rules: EndRules) -> Columns | None:
     """What an end is fitted to; None if that is too little or dark."""
     along = (profile.x - near_x) * outward
     used = np.flatnonzero((along > -rules.inside_columns) & (along < rules.outside_columns))[::outward]
@@ -83,6 +85,7 @@ def columns_about(profile: Profile, near_x: float, outward: int, rules: EndRules
         room=room,
         clipped=profile.clipped,
         texture=profile.texture[used],
+        facet=math.exp(-2 / (rules.facet_sigmas * sigma)),
         saturated=profile.saturated[used].astype(np.float64),
         level=level,
         scatter=scatter,

@@ -36,8 +36,8 @@ def edge_variance(
     weight = 1 / variance_of(columns, levels, shown)
     shapes = [slope * _growth(columns, lit), shown, beyond][: 3 if edge.outside > 0 else 2]
     influence = _influence(np.stack(shapes), weight)
-    seen = _column_noise(columns, levels, shown, influence)
-    seen += levels.speckle * max(_speckle(columns, edge, (shown, influence), likeness), 0.0)
+    seen = light_noise(columns, levels, edge, influence, (likeness, 1.0))
+    seen += float(np.sum(influence**2 * columns.texture))
     off = columns.amplitude - columns.level * (shown + edge.outside * beyond)
     near = np.abs(columns.along - edge.position) <= MISFIT_WIDTHS * edge.width + 1
     count = int(near.sum())
@@ -63,13 +63,20 @@ def _influence(shapes: Float64[Array, "parameter n"], weight: Float64[Array, "n"
     return influence
 
 
-def _column_noise(
-    columns: Columns, levels: Levels, shown: Float64[Array, "n"], influence: Float64[Array, "n"]
+def light_noise(
+    columns: Columns, levels: Levels, edge: Edge, influence: Float64[Array, "n"], alike: tuple[float, float]
 ) -> float:
-    """Variance by what each column varies by itself, and what lies beneath, all alike."""
-    own = levels.noise + columns.texture + levels.shot * shown
-    beneath = float(np.sum(np.abs(influence) * np.sqrt(columns.texture)))
-    return float(np.sum(influence**2 * own)) + beneath**2
+    """Variance of the columns' light, summed with an influence, before an edge.
+
+    Speckle and what lies beneath are so much alike in neighbouring columns.
+    """
+    likeness, facet = alike
+    shown = share_shown(columns, lit_share((edge.position - columns.along) / edge.width))
+    speckle = levels.speckle * max(_speckle(columns, edge, (shown, influence), likeness), 0.0)
+    alone = float(np.sum(influence**2 * (levels.noise + levels.shot * shown)))
+    beneath = np.abs(influence) * np.sqrt(columns.texture)
+    apart = np.abs(columns.along[:, None] - columns.along)
+    return alone + float(beneath @ facet**apart @ beneath) + speckle
 
 
 def _speckle(columns: Columns, edge: Edge, seen: tuple[Array, Array], likeness: float) -> float:

@@ -26,6 +26,8 @@ class Fit:
     cost: Float64[Array, "width"]
     position: Float64[Array, "width"]
     outside: Float64[Array, "width"]
+    first: Float64[Array, "place"]
+    """Costs of the first search."""
 
 
 class Width(NamedTuple):

@@ -14,6 +14,7 @@ from ringpose.kernels.reference_end_levels import (
     share_shown,
     variance_of,
 )
+from ringpose.kernels.reference_end_places import PLACES, open_steps, variance_over_places
 from ringpose.kernels.reference_end_sigmas import edge_variance, lit_share
 from ringpose.kernels.reference_end_widths import (
     SHARP,
@@ -39,7 +40,6 @@ from ringpose.kernels.ring import EndRules, Lens
 from ringpose.types.arrays import Array, Float64
 
 MIDDLE = 3
-COARSE = np.arange(-12, 7) * 1.0
 FINE = np.arange(-10, 11) * 0.15
 
 
@@ -77,7 +77,7 @@ def stripe_ends(
         profile = profile_along(lit, dark, line, sigma, rules)
         for side, (near_x, outward) in enumerate(((face[0], -1), (face[-1], 1))):
             near = reached_x(profile, float(near_x), outward, rules)
-            columns = columns_about(profile, near, outward, rules)
+            columns = columns_about(profile, near, outward, sigma, rules)
             ends[number, side, 7], ends[number, side, 9] = sigma, profile.beneath
             if columns is not None:
                 drafts.append(Draft((number, side), line, near, sigma, columns))
@@ -92,19 +92,19 @@ def stripe_ends(
 def _fit(draft: Draft, levels: Levels) -> Fit:
     """A coarse search at one width, then all widths around what it found, each from where the last one ended."""
     columns, sigma = draft.columns, draft.sigma
-    start = _coarse_position(columns, levels, 0.8 * sigma)
+    first = np.array([_cost(columns, levels, at, 0.8 * sigma)[0] for at in PLACES])
+    start = _coarse_position(columns, levels, 0.8 * sigma, float(PLACES[int(np.argmin(first))]))
     costs, positions, outsides = (np.empty(len(WIDTHS)) for _ in range(3))
     steps = dict.fromkeys(range(len(WIDTHS)), len(FINE) // 2)
     for s in (MIDDLE, *range(MIDDLE - 1, -1, -1), *range(MIDDLE + 1, len(WIDTHS))):
         from_step = steps[s + (s < MIDDLE) - (s > MIDDLE)]
         found = _descended(columns, levels, WIDTHS[s] * sigma, start, from_step)
         costs[s], positions[s], outsides[s], steps[s] = found
-    return Fit(cost=costs, position=positions, outside=outsides)
+    return Fit(cost=costs, position=positions, outside=outsides, first=first)
 
 
-def _coarse_position(columns: Columns, levels: Levels, width: float) -> float:
+def _coarse_position(columns: Columns, levels: Levels, width: float, best: float) -> float:
     """Where the edge lies to half a column: the best of whole columns, and the halves beside it."""
-    best = COARSE[int(np.argmin([_cost(columns, levels, at, width)[0] for at in COARSE]))]
     beside = best + np.array([0.0, -0.5, 0.5])
     return float(beside[int(np.argmin([_cost(columns, levels, at, width)[0] for at in beside]))])
 
@@ -133,6 +133,13 @@ def _cost(columns: Columns, levels: Levels, position: float, width: float) -> tu
     return float(0.5 * np.sum(residual**2 / variance + np.log(variance))), beyond / within
 
 
+def _excess(columns: Columns, levels: Levels, edge: Edge, fit: Fit) -> dict[float, float]:
+    """Minus log likelihoods of an edge elsewhere over that of its place, by steps from it."""
+    here = _cost(columns, levels, edge.position, edge.width)[0]
+    steps = open_steps(edge, fit.first).tolist()
+    return {step: _cost(columns, levels, edge.position + step, edge.width)[0] - here for step in steps}
+
+
 def _usual(drafts: list[Draft], levels: list[Levels], fits: list[Fit], likeness: float, rules: EndRules) -> Usual:
     """What all ends of an image say of their blur."""
     if not drafts:
@@ -153,6 +160,7 @@ def _end(draft: Draft, levels: Levels, fit: Fit, usual: Usual, rules: EndRules) 
     if blunt:
         edge = Edge(float(fit.position[k]), float(WIDTHS[k] * sigma), float(fit.outside[k]), 0.0)
     square = edge_variance(columns, levels, edge, usual.likeness, width.information, rules)
+    square = variance_over_places(columns, levels, edge, square, usual.likeness, _excess(columns, levels, edge, fit))
     if blunt:
         square += edge.width**2
     last = columns.saturated[(columns.along > edge.position - 6) & (columns.along < edge.position)]

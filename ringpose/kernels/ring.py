@@ -54,6 +54,8 @@ class EndRules(NamedTuple):
     """Columns by which an edge's position depends on how its blur is modelled."""
     texture_factor: float
     """What a column's section leaves unexplained, times this, is what it errs by."""
+    facet_sigmas: float
+    """Columns over which what lies beneath a stripe is alike, in sigmas of its section."""
     near_columns: float
     """Columns beyond the edge in which the level there must be the one that was fitted."""
     width_spread: float

@@ -1,6 +1,7 @@
 """Break points on shots that this project did not make."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from ringpose.detect.pipeline import detect
 from ringpose.files.rigs import read_rig
 from ringpose.files.shots import read_shot
 from ringpose.types.break_points import BreakPointFlag, BreakPoints, NoBreakPoints
+from ringpose.types.frame import Shot
 
 FOLDERS = ["rig_a", "rig_b", "variants_a", "variants_b"]
 
@@ -75,3 +77,41 @@ def test_gross_errors_carry_a_flag(errors):
     unsaid = [row for row in errors["rows"] if row[0] != "chamfer" and abs(row[1]) > 1.5 and not row[4] & said]
 
     assert unsaid == []
+
+
+def _all_on(shot: Shot) -> Shot:
+    one = [int(np.argmax(shot.lasers))]
+    parts = {name: getattr(shot, name)[one] for name in ("images", "lasers", "stamp_s", "exposure_s")}
+    return replace(shot, **parts)
+
+
+@pytest.fixture(scope="module")
+def single_errors(shared_data):
+    """The same rows where nothing but the frame with all lasers is known."""
+    rows: list = []
+    for folder in FOLDERS:
+        root = shared_data / "rendered" / folder
+        rig = read_rig(root / "rig.yaml")
+        for line in (root / "truth.jsonl").read_text().splitlines():
+            truth = json.loads(line)
+            shot = _all_on(read_shot(root / "shots" / f"{truth['shot']}.npz"))
+            found = detect(shot, rig).break_points
+            if isinstance(found, BreakPoints):
+                _compare(truth, found, rows, [], [])
+    return rows
+
+
+def test_without_a_dark_frame_no_end_is_off_unless_it_is_said(single_errors):
+    unsaid = [row for row in single_errors if not row[4] & ~int(BreakPointFlag.SATURATED)]
+
+    assert [row for row in unsaid if abs(row[1]) > min(1.5, 5 * row[3])] == []
+
+
+def test_without_a_dark_frame_squared_errors_of_what_is_not_flagged_are_those_told(single_errors):
+    clear = np.array([row[1] / row[3] for row in single_errors if row[4] == 0])
+
+    assert 0.8 < np.mean(clear**2) < 1.25
+
+
+def test_without_a_dark_frame_nearly_all_ends_are_found(single_errors):
+    assert len(single_errors) > 230

@@ -21,6 +21,7 @@ RULES = EndRules(
     least_noise=0.01,
     shape_sigma=0.005,
     texture_factor=1.5,
+    facet_sigmas=6.0,
     near_columns=9.0,
     width_spread=0.1,
     blunt_gain=3.0,
@@ -178,3 +179,31 @@ def test_a_step_of_the_light_beneath_moves_an_end_by_no_more_than_its_sigmas(rng
 
     assert abs(found[0, 1, 0] - 199.6) < 3 * found[0, 1, 3]
     assert found[0, 1, 3] < 1.0
+
+
+FARTHER = 7.0
+"""Columns by which half of the stripe goes on."""
+
+
+def two_ends(rng):
+    """A stripe of which half ends at 199.6 and half `FARTHER` columns on, and facets beneath both ends."""
+    near, far = drawn(100.3, 199.6, ambient=0.0, peak=75.0), drawn(100.3, 199.6 + FARTHER, ambient=0.0, peak=75.0)
+    facets = np.kron(rng.normal(0, 45.0, (60, 80)), np.ones((2, 4)))
+    return image(near + far + 40 + facets * (np.arange(320) > 197), rng, 1.5)
+
+
+def test_where_an_end_may_as_well_lie_elsewhere_both_places_are_within_three_sigmas(rng):
+    found = np.array([stripe_ends(two_ends(rng), None, LINE, STRAIGHT, RULES)[0, 1] for _ in range(100)])
+
+    off = np.abs(found[:, :1] - [199.6, 199.6 + FARTHER]) / found[:, [SIGMA]]
+    assert np.mean(off.max(axis=1) < 3) > 0.55
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_two_ends_of_one_stripe_equal_the_twin(seed):
+    lit = two_ends(np.random.default_rng(seed))
+
+    found = stripe_ends(lit, None, LINE, STRAIGHT, RULES)
+    expected = reference_ends.stripe_ends(lit, None, LINE, STRAIGHT, RULES)
+
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-4)
