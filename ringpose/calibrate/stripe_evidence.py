@@ -218,11 +218,25 @@ def _beside(distance_m: float) -> str:
 
 
 def _missing(evidence: StripeEvidence) -> list[Remark]:
-    """What the views do not show."""
+    """What the views do not show, but for lasers whose light passes beside the board."""
+    planes = _planes_of(evidence, range(len(evidence.views)))
     remarks = []
-    for view in evidence.views:
-        missing = [name for name, px in zip(evidence.names, view.stripes_px, strict=True) if not len(px)]
+    for view, pose in zip(evidence.views, evidence.poses, strict=True):
+        missing = [
+            name
+            for name, px, plane in zip(evidence.names, view.stripes_px, planes, strict=True)
+            if not len(px) and not _passes_beside(view, pose, plane)
+        ]
         if missing:
             found = "; ".join(view.remarks) or "none on the board"
             remarks.append((view.board.name, f"no stripe of {', '.join(missing)}: {found}"))
     return remarks
+
+
+def _passes_beside(view: StripeView, pose: BoardPose, plane: Plane | None) -> bool:
+    """Whether a light plane is known and all corners of the board lie on one side of it."""
+    if plane is None:
+        return False
+    normal, distance_m = plane
+    height_m = (view.board.points_board_m @ pose.rotation.T + pose.translation_m) @ normal - distance_m
+    return bool(height_m.min() > 0 or height_m.max() < 0)

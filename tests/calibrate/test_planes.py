@@ -289,3 +289,19 @@ def camera_covariance() -> ParameterCovariance:
     sigma = np.array([0.15, 0.15, 0.2, 0.2, 4e-4, 2e-3, 2e-5, 2e-5, 0.0])
     names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
     return ParameterCovariance(parameters=names, data=np.diag(sigma**2))
+
+
+@pytest.mark.parametrize(("rise_m", "said"), [(0.0, ["seen"]), (0.2, [])], ids=["across the board", "beside it"])
+def test_a_stripe_that_is_not_seen_is_said_only_if_its_light_crosses_the_board(
+    rise_m, said, rng, stripe_views, true_poses, true_camera
+):
+    """Risen by 0.2 m the board is out of the reach of the left laser, at the bottom of the image."""
+    views = stripe_views(true_poses(rng, 4), rng)
+    turn, place = true_poses(rng, 1)[0]
+    (seen,) = stripe_views([(turn, place - [0.0, rise_m, 0.0])], rng)
+    crossing = seen.stripes_px[1:] if not rise_m else (NOTHING, NOTHING)
+    without = replace(seen, board=replace(seen.board, name="seen"), stripes_px=(NOTHING, *crossing))
+
+    calibration = calibrate_planes([*views, without], true_camera, MODEL)
+
+    assert [name for name, remark in calibration.remarks if "left" in remark] == said
