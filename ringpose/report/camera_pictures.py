@@ -3,12 +3,20 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, NullFormatter
 
+from ringpose.calibrate.camera_outliers import FLOOR_PX, VIEW_FACTOR
 from ringpose.report.canvas import canvas, png_of
 from ringpose.report.page import Picture
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
 from ringpose.types.camera_calibration import CameraAssessment, CameraCalibration, ModelComparison
+
+WORST_PX = 1.0
+"""What a good camera's projection errs by, and what leaving out one view moves it by, at most."""
+
+LEAST_PX = 1e-3
+"""Less says nothing: no corner is found so well."""
 
 ARROW_SHARE = 0.03
 """Length of the arrow of an rms residual, in image widths."""
@@ -44,24 +52,29 @@ def coverage_picture(calibration: CameraCalibration, assessment: CameraAssessmen
     figure = canvas(10, 4.6)
     image, places = figure.subplots(1, 2, width_ratios=(2.2, 1))
     extent = _extent(calibration.camera)
-    image.imshow(np.log1p(covered.corners), extent=extent, cmap="Greens", origin="upper", aspect="equal")
+    most = float(np.log1p(max(covered.corners.max(), 1)))
+    image.imshow(np.log1p(covered.corners), extent=extent, cmap="Greens", origin="upper", vmin=0, vmax=1.5 * most)
     for view in calibration.used:
-        image.plot(*view.points_px[~view.left_out].T, ".", markersize=2)
+        image.plot(*view.points_px[~view.left_out].T, ".", markersize=1.5, color="0.35", alpha=0.5)
     for (row, column), count in np.ndenumerate(covered.corners):
         rows, columns = covered.corners.shape
         x = (column + 0.5) * calibration.camera.image_width / columns
         y = (row + 0.5) * calibration.camera.image_height / rows
-        color = "#a00" if count == 0 else "#333" if count**2 < covered.corners.max() else "w"
-        image.text(x, y, str(count), ha="center", va="center", color=color, fontsize=8)
+        color = "#c00" if count == 0 else "k"
+        image.text(x, y, str(count), ha="center", va="center", color=color, fontsize=10, weight="bold")
     _image_axes(image, calibration.camera)
     image.set_title("corners in each cell")
+    places.axvspan(20, 40, color="tab:green", alpha=0.1, label="good tilts")
     places.plot(np.degrees(covered.tilt_rad), covered.distance_m, "o")
+    places.legend(loc="lower right")
     places.set_xlabel("tilt of the board (degrees)")
     places.set_ylabel("distance (m)")
     places.set_xlim(left=0)
     places.set_ylim(bottom=0)
     return _picture(
-        figure, "Good views fill every cell, tilt the board by 20 to 40 degrees to all sides, and differ in distance."
+        figure,
+        "Grey points are corners, numbers count them, red where there are none. "
+        "Good views fill every cell, tilt the board by 20 to 40 degrees to all sides, and differ in distance.",
     )
 
 
@@ -70,7 +83,7 @@ def uncertainty_map(calibration: CameraCalibration, assessment: CameraAssessment
     figure = canvas(10, 4.2)
     left, right = figure.subplots(1, 2)
     _map(figure, left, assessment.sigma_px, calibration.camera)
-    left.set_title("projection uncertainty (px)")
+    left.set_title("projection uncertainty (px, one sigma)")
     if np.isfinite(assessment.validation.split_half_px).all():
         _map(figure, right, assessment.validation.split_half_px, calibration.camera)
     else:
@@ -79,7 +92,8 @@ def uncertainty_map(calibration: CameraCalibration, assessment: CameraAssessment
     return _picture(
         figure,
         "Rms displacement of what the camera sees at each pixel, the camera frame turned so that it is least in the "
-        "middle. The right picture may be twice the left one: each half has half of the views.",
+        "middle. A good camera has less than 1 px everywhere: a red line is drawn where it has more. "
+        "The right picture may be twice the left one: each half has half of the views.",
     )
 
 
@@ -94,9 +108,13 @@ def view_picture(calibration: CameraCalibration, assessment: CameraAssessment) -
     number = {view.name: index for index, view in enumerate(views)}
     held = assessment.validation.left_out
     rms.plot([number[view.name] for view in held], [view.rms_px for view in held], "k_", label="left out")
+    rms.axhline(_limit_px(calibration), color="#d62728", linestyle="--", linewidth=1, label="rejected above")
     rms.set_ylabel("rms (px)")
-    rms.legend()
+    rms.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False)
     shift.bar([number[view.name] for view in held], [view.shift_px for view in held])
+    if max((view.shift_px for view in held), default=0.0) > 0.3 * WORST_PX:
+        shift.axhline(WORST_PX, color="#d62728", linestyle="--", linewidth=1, label="good below")
+        shift.legend()
     shift.set_ylabel("displacement without the view (px)")
     for axes in (rms, shift):
         axes.set_xticks(place, [view.name for view in views], rotation=90, fontsize=7)
@@ -114,20 +132,35 @@ def comparison_picture(calibration: CameraCalibration, comparison: ModelComparis
     return _picture(figure, "Where the corners end, the models may part: neither knows the lens there.")
 
 
+def _limit_px(calibration: CameraCalibration) -> float:
+    """Above which a view is rejected."""
+    usual = float(np.median([view.pose.residual_rms_px for view in calibration.used]))
+    return max(VIEW_FACTOR * usual, FLOOR_PX)
+
+
 _IN_PIXELS = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.0015}
 
 
 def _map(figure: Figure, axes: Axes, values: Float64[Array, "map_row map_column"], camera: Camera) -> None:
     shown = axes.imshow(
-        np.maximum(values, 1e-6), extent=_extent(camera), origin="upper", norm="log", interpolation="bilinear"
+        np.maximum(values, LEAST_PX), extent=_extent(camera), origin="upper", norm="log", interpolation="bilinear"
     )
+    values = np.maximum(values, LEAST_PX)
     levels = np.unique(np.quantile(values, (0.25, 0.5, 0.75, 0.9)))
     x = np.linspace(0, camera.image_width - 1, values.shape[1])
     y = np.linspace(0, camera.image_height - 1, values.shape[0])
     if len(levels) > 1:
         axes.clabel(axes.contour(x, y, values, levels=levels, colors="w", linewidths=0.8), fmt="%.2g", fontsize=8)
-    figure.colorbar(shown, ax=axes, shrink=0.8)
+    if values.min() < WORST_PX < values.max():
+        axes.contour(x, y, values, levels=[WORST_PX], colors="#d62728", linewidths=2)
+    bar = figure.colorbar(shown, ax=axes, shrink=0.8, format=FuncFormatter(_plain))
+    bar.ax.yaxis.set_minor_formatter(NullFormatter())
+    bar.ax.set_ylabel("px")
     _image_axes(axes, camera)
+
+
+def _plain(value: float, _: object) -> str:
+    return f"{value:g}"
 
 
 def _extent(camera: Camera) -> tuple[float, float, float, float]:
@@ -139,6 +172,8 @@ def _image_axes(axes: Axes, camera: Camera) -> None:
     axes.set_xlim(left, right)
     axes.set_ylim(bottom, top)
     axes.set_aspect("equal")
+    axes.set_xlabel("x (px)")
+    axes.set_ylabel("y (px)")
 
 
 def _picture(figure: Figure, caption: str) -> Picture:

@@ -42,7 +42,7 @@ def camera_report(
 def _parameters(calibration: CameraCalibration) -> Section:
     camera, deviations = calibration.camera, calibration.standard_deviations
     rows = [
-        [name, f"{value:.6g}", f"{deviation:.2g}"]
+        [_with_unit(name), f"{value:.6g}", f"{deviation:.2g}" if deviation else "held"]
         for (name, deviation), value in zip(deviations.items(), parameters_of(camera).tolist(), strict=True)
     ]
     return Section(
@@ -53,6 +53,10 @@ def _parameters(calibration: CameraCalibration) -> Section:
         ],
         table=Table(headings=("parameter", "value", "standard deviation"), rows=rows),
     )
+
+
+def _with_unit(parameter: str) -> str:
+    return f"{parameter} (px)" if parameter in ("fx", "fy", "cx", "cy") else parameter
 
 
 def _uncertainty(calibration: CameraCalibration, assessment: CameraAssessment) -> Section:

@@ -30,6 +30,8 @@ class Section:
     title: str
     text: Sequence[str] = ()
     """Paragraphs."""
+    points: Sequence[str] = ()
+    """Of a list, in their order."""
     table: Table | None = None
     pictures: Sequence[Picture] = ()
 
@@ -53,7 +55,7 @@ table { border-collapse: collapse; }
 td, th { padding: .15em .8em; text-align: right; border-bottom: 1px solid #e4e4e4; }
 td:first-child, th:first-child { text-align: left; } th { font-weight: 600; }
 .good { color: #17692c; } .can-be-improved { color: #9a6700; } .redo { color: #b3261e; }
-figure { margin: 1em 0; } img { max-width: 100%; } figcaption { color: #555; }
+ol { padding-left: 1.4em; } figure { margin: 1em 0; } img { max-width: 100%; } figcaption { color: #555; }
 </style>
 </head>
 <body>
@@ -67,9 +69,15 @@ $body
 def _section(section: Section) -> str:
     parts = [f"<h2>{escape(section.title)}</h2>"]
     parts += [f"<p>{escape(paragraph)}</p>" for paragraph in section.text]
+    parts += [_list(section.points)] if section.points else []
     parts += [_table(section.table)] if section.table is not None else []
     parts += [_figure(picture) for picture in section.pictures]
     return "\n".join(parts)
+
+
+def _list(points: Sequence[str]) -> str:
+    items = "\n".join(f"<li>{escape(point)}</li>" for point in points)
+    return f"<ol>\n{items}\n</ol>"
 
 
 def _table(table: Table) -> str:

@@ -1,9 +1,11 @@
 """The page that `ringpose calibrate-planes --report` writes."""
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from ringpose.calibrate.plane_uncertainty import depth_uncertainty
 from ringpose.calibrate.planes_quality import PlanesAssessment, planes_summary
+from ringpose.calibrate.planes_verdict import GOOD_DEPTH_SHARE, GOOD_SHARE
 from ringpose.report.canvas import canvas, png_of
 from ringpose.report.page import Picture, Section, Table, page
 from ringpose.report.verdict_section import verdict_section
@@ -11,6 +13,9 @@ from ringpose.types.calibration import LaserCalibration, PlanesCalibration
 
 _BIN_SHARE = 0.04
 """Residuals along a stripe are averaged over this share of the image's width."""
+
+_FEWEST = 5
+"""Centres in a bin; the mean of fewer is noise."""
 
 _DEPTHS = 25
 """Distances at which the uncertainty is drawn."""
@@ -65,8 +70,9 @@ def _by_distance(calibration: PlanesCalibration) -> Picture:
         held_out = [1e6 * float(np.mean(view.held_out_m)) for view in laser.views]
         axis.plot(middle, held_out, "o", color="tab:red", label="mean of a view, held out")
         axis.axhline(0, color="black", linewidth=0.6)
+        _limits(axis, 1e6 * GOOD_SHARE * float(np.mean(middle)), "good limit of the held-out rms")
         axis.set_ylabel(f"{laser.name}: residual (um)")
-    axes[0].legend(loc="upper left")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     axes[-1].set_xlabel("distance (m)")
     caption = "Distances of the stripe centres from their light plane, against depth; a trend means a wrong camera."
     return Picture(png=png_of(figure), caption=caption)
@@ -75,15 +81,25 @@ def _by_distance(calibration: PlanesCalibration) -> Picture:
 def _along_stripes(calibration: PlanesCalibration) -> Picture:
     figure = canvas(10, 3.2 * len(calibration.lasers))
     axes = figure.subplots(len(calibration.lasers), 1, sharex=True, squeeze=False)[:, 0]
+    shots = list(dict.fromkeys(view.name for laser in calibration.lasers for view in laser.views))
+    styles = {name: (f"C{index % 10}", "-" if index < 10 else "--") for index, name in enumerate(shots)}
     for axis, laser in zip(axes, calibration.lasers, strict=True):
         for view, (place, mean) in zip(laser.views, _averages(laser), strict=True):
-            axis.plot(place, 1e6 * mean, "-", linewidth=1, label=view.name)
+            color, stroke = styles[view.name]
+            axis.plot(place, 1e6 * mean, stroke, linewidth=1, label=view.name, color=color)
         axis.axhline(0, color="black", linewidth=0.6)
         axis.set_ylabel(f"{laser.name}: residual (um)")
-    axes[0].legend(loc="upper left", fontsize=6, ncols=4)
+    lines = {str(line.get_label()): line for axis in axes for line in axis.get_lines()}
+    figure.legend([lines[name] for name in shots], shots, loc="outside upper center", fontsize=8, ncols=6)
     axes[-1].set_xlabel("direction along the stripe (tangent of the angle from the optical axis)")
     caption = "The same along the stripes, averaged; curves that bend alike mean a wrong distortion or a bent board."
     return Picture(png=png_of(figure), caption=caption)
+
+
+def _limits(axis: Axes, limit: float, label: str) -> None:
+    """Dashed lines at either side of nought."""
+    for sign in (1, -1):
+        axis.axhline(sign * limit, color="tab:red", linestyle="--", linewidth=1, label=label if sign > 0 else None)
 
 
 def _averages(laser: LaserCalibration) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -93,7 +109,8 @@ def _averages(laser: LaserCalibration) -> list[tuple[np.ndarray, np.ndarray]]:
     for view in laser.views:
         place = view.points[:, along] / view.points[:, 2]
         bins = np.round(place / _BIN_SHARE).astype(int)
-        kept = np.unique(bins)
+        every, count = np.unique(bins, return_counts=True)
+        kept = every[count >= _FEWEST]
         mean = np.array([view.residual_m[bins == each].mean() for each in kept])
         found.append((kept * _BIN_SHARE, mean))
     return found
@@ -109,9 +126,11 @@ def _depths(calibration: PlanesCalibration) -> Picture:
     axis = figure.subplots()
     for laser, worst in zip(calibration.lasers, found.worst_m, strict=True):
         axis.plot(distances_m, 1e3 * worst, label=laser.name)
+    axis.plot(distances_m, 1e3 * GOOD_DEPTH_SHARE * np.array(distances_m), "--", color="tab:red", label="good limit")
     axis.axvspan(min(seen), max(seen), color="tab:green", alpha=0.1, label="boards")
     axis.set_xlabel("distance (m)")
     axis.set_ylabel("standard deviation of depth (mm)")
     axis.legend()
+    axis.set_ylim(bottom=0)
     caption = "What the covariance of camera and planes means for depths: the worst place along each stripe."
     return Picture(png=png_of(figure), caption=caption)

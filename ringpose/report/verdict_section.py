@@ -8,7 +8,7 @@ def verdict_section(verdict: Verdict) -> Section:
     """Grade, advice, and every number beside its limits."""
     return Section(
         title=f"Verdict: {verdict.grade}",
-        text=verdict.advice,
+        points=verdict.advice,
         table=Table(
             headings=("quantity", "value", "good limit", "redo limit", "grade"),
             rows=[_row(finding) for finding in verdict.findings],

@@ -69,7 +69,7 @@ def test_a_verdict_shows_each_number_with_its_limits():
     section = verdict_section(Verdict(findings=(finding,)))
 
     assert section.title == "Verdict: can be improved"
-    assert section.text == ("tilt the board",)
+    assert section.points == ("tilt the board",)
     assert section.table.rows == [["left tilt_deg", "5", "20", "none", "can be improved"]]
 
 
@@ -78,3 +78,9 @@ def test_a_missing_matplotlib_is_said_with_its_remedy(monkeypatch):
 
     with pytest.raises(UsageError, match=r"matplotlib is not installed; pip install 'ringpose\[report\]'"):
         require_matplotlib()
+
+
+def test_points_are_a_list_in_their_order():
+    html = page("t", [Section(title="s", points=["first <a>", "second"])])
+
+    assert "<ol>\n<li>first &lt;a&gt;</li>\n<li>second</li>\n</ol>" in html
