@@ -5,6 +5,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from ringpose.calibrate.image_reduction import in_full_image, reduced, reductions
 from ringpose.calibrate.levelled_corners import levelled_corners
 from ringpose.types.arrays import Array, Float64, UInt8
 
@@ -37,13 +38,17 @@ def chessboard_corners(
     image: UInt8[Array, "row column"], columns: int, rows: int
 ) -> Float64[Array, "corner xy=2"] | None:
     """The inner corners, row by row from the top left, refined to sub-pixel; None if not all of them are found."""
-    for grid in (_sector_based(image, columns, rows), _classic(image, columns, rows)):
-        if grid is not None:
-            half_window_px = WINDOW_PER_SQUARE * shortest_side(grid)
-            refined = refined_corners(image, grid.reshape(-1, 2), half_window_px).reshape(rows, columns, 2)
-            if irregularity(refined) < LARGEST_IRREGULARITY:
-                levelled = levelled_corners(image, refined, whole_window(half_window_px))
-                return _in_board_order(image, levelled).reshape(-1, 2)
+    for reduction in reductions(image.shape):
+        small = reduced(image, reduction)
+        for finder in (_sector_based, _classic):
+            found = finder(small, columns, rows)
+            if found is not None:
+                grid = in_full_image(found, reduction)
+                half_window_px = WINDOW_PER_SQUARE * shortest_side(grid)
+                refined = refined_corners(image, grid.reshape(-1, 2), half_window_px).reshape(rows, columns, 2)
+                if irregularity(refined) < LARGEST_IRREGULARITY:
+                    levelled = levelled_corners(image, refined, whole_window(half_window_px))
+                    return _in_board_order(image, levelled).reshape(-1, 2)
     return None
 
 
@@ -73,7 +78,10 @@ def _classic(
 
 def largest_grid(image: UInt8[Array, "row column"]) -> Float64[Array, "corner_row corner_column xy=2"] | None:
     """The largest regular chessboard of any size that the image shows, to tell why the one looked for is not found."""
-    grids = [grid for size in _SEEDS for draw in _DRAWS for grid in [_grown(image, size, draw)] if grid is not None]
+    reduction = next(iter(reductions(image.shape)))
+    small = reduced(image, reduction)
+    grown = [_grown(small, size, draw) for size in _SEEDS for draw in _DRAWS]
+    grids = [in_full_image(grid, reduction) for grid in grown if grid is not None]
     regular = [grid for grid in grids if irregularity(grid) < LARGEST_IRREGULARITY]
     return max(regular, key=lambda grid: grid.size, default=None)
 
