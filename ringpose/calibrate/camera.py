@@ -23,6 +23,7 @@ from ringpose.calibrate.camera_solution import (
 )
 from ringpose.calibrate.intrinsics import covariance_of_free, parameter_names
 from ringpose.calibrate.lens_bends import without_bends
+from ringpose.calibrate.view_reasons import view_explanation
 from ringpose.types.arrays import Array, Bool
 from ringpose.types.board import BoardView
 from ringpose.types.camera import Camera
@@ -54,8 +55,9 @@ def calibrate_camera(
     masks = [
         np.zeros(len(view.ids), dtype=bool) if index in rejected else next(found) for index, view in enumerate(views)
     ]
+    reasons = _reasons(views, used, rejected, camera)
     judged = [
-        _camera_view(view, mask, camera, rejected.get(index, ""))
+        _camera_view(view, mask, camera, reasons.get(index, ""))
         for index, (view, mask) in enumerate(zip(views, masks, strict=True))
     ]
     return _calibration(views, judged, camera, model)
@@ -72,6 +74,15 @@ def _without_bad_views(views: Sequence[BoardView], blank: Camera, model: CameraM
         if worst is None or len(rejected) + 1 > LARGEST_VIEW_SHARE * len(views):
             return camera, rejected
         rejected[used.pop(worst)] = view_reason(poses, worst)
+
+
+def _reasons(
+    views: Sequence[BoardView], used: Sequence[BoardView], rejected: dict[int, str], camera: Camera
+) -> dict[int, str]:
+    """Why views were rejected, and what would make them fit."""
+    usual_px = float(np.median([board_pose(view, camera).residual_rms_px for view in used]))
+    why = {index: view_explanation(views[index], camera, usual_px) for index in rejected}
+    return {index: "; ".join(filter(None, (finding, why[index]))) for index, finding in rejected.items()}
 
 
 def _without_bad_corners(

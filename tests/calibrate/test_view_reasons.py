@@ -1,0 +1,85 @@
+"""Views of another camera, and views with something in front, named for what they are."""
+
+import re
+
+import numpy as np
+import pytest
+
+from ringpose.calibrate.board_points import corner_points
+from ringpose.calibrate.camera import calibrate_camera
+from ringpose.types.board import Board, BoardView
+
+CHESSBOARD = Board(kind="chessboard", squares_x=12, squares_y=10, square_m=0.025)
+POINTS = corner_points(CHESSBOARD)
+NOISE_PX = 0.03
+
+
+@pytest.fixture
+def views(rng, board_view, true_poses):
+    def made(number: int) -> list[BoardView]:
+        return [
+            board_view(POINTS, pose, f"v{index}", NOISE_PX * rng.standard_normal((len(POINTS), 2)))
+            for index, pose in enumerate(true_poses(rng, number))
+        ]
+
+    return made
+
+
+def changed(view: BoardView, points_px: np.ndarray) -> BoardView:
+    return BoardView(name=view.name, ids=view.ids, points_board_m=view.points_board_m, points_px=points_px)
+
+
+def rejected(views: list[BoardView]) -> dict[str, str]:
+    return {view.name: view.rejected for view in calibrate_camera(views, 1600, 1200).views if view.rejected}
+
+
+def test_a_view_of_another_camera_is_named_with_its_focal_length(views):
+    boards = views(10)
+    boards[4] = changed(boards[4], [800.0, 600.0] + 1.02 * (boards[4].points_px - [800.0, 600.0]))
+
+    found = rejected(boards)
+
+    assert list(found) == ["v4"]
+    assert re.search(r"focal length (1\.[89]|2\.[01]) % longer", found["v4"])
+    assert "another camera, zoom or focus" in found["v4"]
+
+
+def test_an_image_turned_by_half_a_turn_is_named_with_its_principal_point(views):
+    boards = views(10)
+    boards[4] = changed(boards[4], [1599.0, 1199.0] - boards[4].points_px)
+
+    found = rejected(boards)
+
+    assert list(found) == ["v4"]
+    assert "turned by half a turn" in found["v4"]
+
+
+def test_a_board_turned_by_half_a_turn_is_as_good_as_any(views, board_view, rng):
+    turn = np.diag([-1.0, -1.0, 1.0])
+    rolled = board_view(POINTS, (turn, np.array([0.15, 0.12, 0.5])), "rolled", NOISE_PX)
+
+    assert rejected([*views(10), rolled]) == {}
+
+
+def test_a_shadow_over_part_of_a_view_is_named_with_its_place(views, rng):
+    boards = views(10)
+    moved = boards[4].points_px.copy()
+    moved[:12] += rng.normal(0.0, 2.0, (12, 2))
+    boards[4] = changed(boards[4], moved)
+    middle = boards[4].points_px[:12].mean(axis=0)
+
+    reason = rejected(boards)["v4"]
+
+    x, y = (float(word) for word in reason.split("pixel (")[1].split(")")[0].split(","))
+    assert np.hypot(*(middle - [x, y])) < 200
+
+
+def test_views_of_two_cameras_mixed_are_told_apart(views):
+    boards = views(15)
+    for index in (0, 4, 8, 12):
+        boards[index] = changed(boards[index], [800.0, 600.0] + 1.02 * (boards[index].points_px - [800.0, 600.0]))
+
+    found = rejected(boards)
+
+    assert sorted(found) == ["v0", "v12", "v4", "v8"]
+    assert all(re.search(r"focal length (1\.[789]|2\.[0123]) % longer", reason) for reason in found.values())
