@@ -57,8 +57,9 @@ def variance_excess(data: JointData, fit: JointFit) -> float:
     three for each plane.
     """
     camera = fit.state.camera
-    poses = [likeliest_pose(view.board, camera)[0] for view in data.views]
-    alone = sum(corner_chi2(view, pose, camera, data.corner_px) for view, pose in zip(data.views, poses, strict=True))
+    boards = [(view, likeliest_pose(view.board, camera)[0]) for view in data.views]
+    sigmas = data.corner_px.tolist()
+    alone = sum(corner_chi2(*board, camera, sigma) for board, sigma in zip(boards, sigmas, strict=True))
     lasers = range(len(fit.state.distance_m))
     numbers = sum(_numbers(data, laser) for laser in lasers)
     grown = fit.chi2 - alone

@@ -12,6 +12,7 @@ import numpy as np
 
 from ringpose.calibrate.board_pose import moved_pose, residuals
 from ringpose.calibrate.corner_likeness import by_independent_errors, corner_residuals
+from ringpose.calibrate.corner_sigmas import LEAST_SIGMA_PX
 from ringpose.calibrate.intrinsics import camera_with, parameter_names, parameters_of, projection_jacobians
 from ringpose.calibrate.stripe_errors import center_sigma_px, shared_length, stripe_bend
 from ringpose.calibrate.stripe_residuals import stripe_rows
@@ -25,9 +26,6 @@ from ringpose.types.camera import Camera
 
 ROBUST_SIGMAS = 3.0
 """Residuals beyond so many standard deviations pull no harder than these (Huber): 0.3 % of normal errors."""
-
-LEAST_SIGMA_PX = 0.002
-"""Nothing in an image is known better."""
 
 _ITERATIONS = 50
 _CONVERGED = 1e-4
@@ -50,7 +48,7 @@ class JointData:
     """What is measured, with its errors."""
 
     views: tuple[StripeView, ...]
-    corner_px: float
+    corner_px: Float64[Array, "view"]
     """Standard deviation of one coordinate of a corner."""
     center_px: tuple[Float64[Array, "laser"], ...]
     """By view: of a stripe centre, its likeness to its neighbours allowed for; NaN where there is none."""
@@ -65,6 +63,7 @@ class JointData:
         return replace(
             self,
             views=self.views[:left_out] + self.views[left_out + 1 :],
+            corner_px=np.delete(self.corner_px, left_out),
             center_px=self.center_px[:left_out] + self.center_px[left_out + 1 :],
             rays=self.rays[:left_out] + self.rays[left_out + 1 :],
         )
@@ -92,7 +91,9 @@ class JointFit(NamedTuple):
     """Corners and stripe lines, each by its standard deviation, squared and summed; robust."""
 
 
-def joint_data(views: Sequence[StripeView], camera: Camera, corner_px: float, free_camera: bool = False) -> JointData:
+def joint_data(
+    views: Sequence[StripeView], camera: Camera, corner_px: Float64[Array, "view"], free_camera: bool = False
+) -> JointData:
     """The views with the errors that they show themselves.
 
     Stripes tell theirs made straight: no smooth line of few terms follows what a lens bends from side to side of the
@@ -102,7 +103,7 @@ def joint_data(views: Sequence[StripeView], camera: Camera, corner_px: float, fr
     shared = shared_length([px for view in straight for px in view])
     return JointData(
         views=tuple(views),
-        corner_px=max(corner_px, LEAST_SIGMA_PX),
+        corner_px=np.maximum(corner_px, LEAST_SIGMA_PX),
         center_px=tuple(np.array([_center_px(px, shared) for px in view]) for view in straight),
         rays=tuple(tuple(rays(px, camera) for px in view.stripes_px) for view in views),
         camera=camera,
@@ -145,14 +146,6 @@ def prior_information(camera: Camera) -> Float64[Array, "parameter parameter"]:
     return information
 
 
-def corner_sigma_px(views: Sequence[StripeView], poses: Sequence[BoardPose], camera: Camera) -> float:
-    """Standard deviation of one coordinate of a corner, from the residuals of all views; strays count as three."""
-    errors = [corner_residuals(view.board, pose, camera) for view, pose in zip(views, poses, strict=True)]
-    every = np.abs(np.concatenate(errors))
-    limited = np.minimum(every, ROBUST_SIGMAS * 1.4826 * float(np.median(every)))
-    return float(np.sqrt(np.sum(limited**2) / max(every.size - 6 * len(errors), 1)))
-
-
 class _Equations(NamedTuple):
     """Normal equations of the shared parameters, and what gives the poses their steps."""
 
@@ -191,7 +184,7 @@ def _view_rows(
     by_pose, by_camera = projection_jacobians(view.board.points_board_m, pose, state.camera)
     error = residuals(view.board, pose, state.camera).reshape(-1, 1)
     every = np.hstack([-by_pose.reshape(-1, 6), error, -by_camera.reshape(len(error), -1)])
-    every = by_independent_errors(every, view.board) / data.corner_px
+    every = by_independent_errors(every, view.board) / data.corner_px[index]
     corners = np.hstack([np.zeros((len(error), planes)), every[:, 7:]])
     rows = [(every[:, :6], corners, every[:, 6])]
     for laser, directions in enumerate(_rays(data, state, index)):
@@ -265,7 +258,7 @@ def _chi2(data: JointData, state: JointState) -> float:
     """Corners, and of each stripe its line's shift and turn."""
     total = 0.0
     for index, (view, pose) in enumerate(zip(data.views, state.poses, strict=True)):
-        total += corner_chi2(view, pose, state.camera, data.corner_px)
+        total += corner_chi2(view, pose, state.camera, float(data.corner_px[index]))
         for laser, directions in enumerate(_rays(data, state, index)):
             if len(directions):
                 rows = stripe_rows(directions, pose, state.normal[laser], float(state.distance_m[laser]), state.camera)

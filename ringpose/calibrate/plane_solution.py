@@ -7,15 +7,15 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.calibrate.board_pose import board_pose
+from ringpose.calibrate.corner_sigmas import corner_sigmas_px, with_shared_errors
 from ringpose.calibrate.laser_fit import FittedPlane, Points, determined_without, fitted_plane, plane_without
 from ringpose.calibrate.plane_covariance import laser_disagreements, planes_covariance, variance_excess
 from ringpose.calibrate.plane_fits import downward
 from ringpose.calibrate.plane_joint import (
-    LEAST_SIGMA_PX,
     JointData,
     JointFit,
     JointState,
-    corner_sigma_px,
+    free_parameters,
     joint_data,
     joint_fit,
 )
@@ -84,16 +84,19 @@ def joint_solution(evidence: StripeEvidence, free_camera: bool) -> PlaneSolution
 
 def _fit(evidence: StripeEvidence, start: Sequence[FittedPlane], free_camera: bool) -> tuple[JointData, JointFit]:
     """The fit with the corners' errors as the fit has them: stray corners, which it resists, bend single boards."""
-    usual_px = corner_sigma_px(evidence.views, evidence.poses, evidence.camera)
-    data = joint_data(evidence.views, evidence.camera, usual_px, free_camera)
+    corner_px = corner_sigmas_px(evidence.views, evidence.poses, evidence.camera)
+    data = joint_data(evidence.views, evidence.camera, corner_px, free_camera)
     fit = joint_fit(data, _state(start, evidence.poses, evidence.camera))
     for _ in range(_SIGMA_ROUNDS):
-        corner_px = max(corner_sigma_px(evidence.views, fit.state.poses, fit.state.camera), LEAST_SIGMA_PX)
-        if corner_px > _SETTLED * data.corner_px:
+        corner_px = corner_sigmas_px(evidence.views, fit.state.poses, fit.state.camera)
+        if np.all(corner_px > _SETTLED * data.corner_px):
             break
         data = replace(data, corner_px=corner_px)
         fit = joint_fit(data, fit.state)
-    return data, fit
+    taken = int(free_parameters(evidence.camera).sum()) if free_camera else 0
+    wider = with_shared_errors(data.corner_px, evidence.views, fit.state.poses, fit.state.camera, taken)
+    data = replace(data, corner_px=wider)
+    return data, joint_fit(data, fit.state)
 
 
 def _state(planes: Sequence[FittedPlane], poses: Sequence[BoardPose], camera: Camera) -> JointState:

@@ -1,12 +1,13 @@
 """Light planes from views of a board with stripes (ringpose-method(7), section 6)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ringpose.calibrate.board_pose import board_poses, marker_average_pose
 from ringpose.calibrate.laser_fit import laser_calibration
+from ringpose.calibrate.lens_bends import without_bends
 from ringpose.calibrate.plane_points import triangulated
 from ringpose.calibrate.plane_solution import PlaneSolution, joint_solution, separate_solution
 from ringpose.calibrate.planes_method import PlanesMethod
@@ -33,6 +34,7 @@ class PlanesModel:
 
 def calibrate_planes(views: Sequence[StripeView], camera: Camera, model: PlanesModel) -> PlanesCalibration:
     """The light planes in the camera frame, with what each view says about each of them."""
+    views = [replace(view, board=without_bends(view.board, camera)) for view in views]
     poses = [_poses(view, camera, model.method) for view in views]
     evidence, remarks, contradicting = stripe_evidence(views, poses, camera, model.names, model.order)
     solution = _solution(evidence, model)

@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.calibrate.corner_likeness import by_independent_errors, likeliest_pose
+from ringpose.calibrate.corner_sigmas import LEAST_SIGMA_PX, corner_sigma_px
 from ringpose.calibrate.intrinsics import parameter_names, projection_jacobians
 from ringpose.calibrate.plane_covariance import PLANE_PARAMETERS
-from ringpose.calibrate.plane_joint import LEAST_SIGMA_PX, corner_sigma_px
 from ringpose.calibrate.plane_points import triangulated
 from ringpose.calibrate.stripe_errors import center_sigma_px, shared_length, stripe_bend
 from ringpose.calibrate.stripe_labels import labelled_by_planes

@@ -37,6 +37,6 @@ def independent_view(stripe_views, wide_camera, rng):
 
 
 def test_what_the_lens_bends_is_not_taken_for_likeness_of_neighbours(independent_view, wide_camera):
-    data = joint_data([independent_view], wide_camera, corner_px=0.02)
+    data = joint_data([independent_view], wide_camera, corner_px=np.array([0.02]))
 
     assert data.center_px[0] == pytest.approx(NOISE_PX, rel=0.15)

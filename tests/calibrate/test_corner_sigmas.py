@@ -1,0 +1,59 @@
+"""Standard deviations of boards' corners by view, and of what views have in common."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ringpose.calibrate.board_pose import board_pose
+from ringpose.calibrate.corner_sigmas import corner_sigmas_px, with_shared_errors
+from ringpose.types.calibration import StripeView
+
+SIGMA_PX = 0.02
+EXACT_VIEWS, POOR_VIEWS = 5, 4
+
+
+def with_errors(view: StripeView, errors_px: np.ndarray) -> StripeView:
+    return replace(view, board=replace(view.board, points_px=view.board.points_px + errors_px))
+
+
+def poses_of(views, camera):
+    return [board_pose(view.board, camera) for view in views]
+
+
+@pytest.fixture
+def views(rng, stripe_views, true_poses) -> list[StripeView]:
+    """Exact."""
+    return stripe_views(true_poses(rng, EXACT_VIEWS + POOR_VIEWS), rng)
+
+
+def test_views_that_err_more_are_said_to(rng, views, true_camera):
+    sizes = SIGMA_PX * np.repeat([1.0, 4.0], [EXACT_VIEWS, POOR_VIEWS])
+    seen = [with_errors(view, size * rng.standard_normal((16, 2))) for view, size in zip(views, sizes, strict=True)]
+
+    sigmas = corner_sigmas_px(seen, poses_of(seen, true_camera), true_camera)
+
+    assert sigmas[:EXACT_VIEWS].mean() == pytest.approx(SIGMA_PX, rel=0.2)
+    assert sigmas[EXACT_VIEWS:].mean() == pytest.approx(4 * SIGMA_PX, rel=0.2)
+
+
+def test_views_that_err_alike_are_given_one_standard_deviation(rng, views, true_camera):
+    seen = [with_errors(view, SIGMA_PX * rng.standard_normal((16, 2))) for view in views]
+
+    sigmas = corner_sigmas_px(seen, poses_of(seen, true_camera), true_camera)
+
+    assert np.ptp(sigmas) < 0.25 * sigmas.mean()
+    assert sigmas.mean() == pytest.approx(SIGMA_PX, rel=0.15)
+
+
+@pytest.mark.parametrize(("share", "least", "most"), [(0.0, 1.0, 1.4), (1.0, 1.9, 2.6)])
+def test_errors_that_all_views_share_do_not_grow_fewer_with_their_number(share, least, most, rng, views, true_camera):
+    """Of half the variance each, the mean of nine views varies by 5.5 times what independent errors of 2 would."""
+    common = share * SIGMA_PX * rng.standard_normal((16, 2))
+    seen = [with_errors(view, common + SIGMA_PX * rng.standard_normal((16, 2))) for view in views]
+    poses = poses_of(seen, true_camera)
+    sigmas = corner_sigmas_px(seen, poses, true_camera)
+
+    wider = with_shared_errors(sigmas, seen, poses, true_camera, taken=0)
+
+    assert least < wider.mean() / sigmas.mean() < most
