@@ -21,6 +21,9 @@ LARGEST_SIZE_ERROR = 0.03
 
 REDO_SIZE_ERROR = 0.1
 
+CORNER_ERROR_PX = 0.5
+"""By which OpenCV's refinement may draw a corner into its marker: small ones, blurred, are 1 px too narrow."""
+
 _FEWEST = 4
 _MOST_SQUARES = 40
 
@@ -32,7 +35,7 @@ class MarkerLayout:
     misfit: float
     """Median distance of a middle from where the board has it, in markers' sides."""
     size_ratio: tuple[float, float]
-    """Median width and height of the markers over those of the board."""
+    """Median width and height of the markers over those of the board; 1 where that is no more than corners err."""
 
 
 def marker_layout(board: Board, markers: Markers) -> MarkerLayout | None:
@@ -52,8 +55,15 @@ def marker_layout(board: Board, markers: Markers) -> MarkerLayout | None:
     height = np.linalg.norm(corners[:, [3, 2]] - corners[:, [0, 1]], axis=-1) / side
     return MarkerLayout(
         misfit=float(np.median(np.linalg.norm(found - middle, axis=-1))) / side,
-        size_ratio=(float(np.median(width)), float(np.median(height))),
+        size_ratio=(_told(width, markers), _told(height, markers)),
     )
+
+
+def _told(ratios: Float64[Array, "marker side=2"], markers: Markers) -> float:
+    """Their median, as far as it is beyond what the corners' own errors make of such small markers."""
+    side_px = np.median(np.linalg.norm(np.diff(markers.corners_px, axis=1), axis=-1))
+    ratio = float(np.median(ratios))
+    return ratio if abs(ratio - 1) * side_px > 2 * CORNER_ERROR_PX else 1.0
 
 
 def _middles(corners: Float64[Array, "marker corner=4 xy=2"]) -> Float64[Array, "marker xy=2"]:

@@ -2,11 +2,14 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from drawn_boards import CHARUCO, CHESSBOARD, FOUR, GRID
 
-from ringpose.calibrate.board_layout import marker_size_findings
+from ringpose.calibrate.board_layout import marker_layout, marker_size_findings
+from ringpose.calibrate.board_points import marker_corners
 from ringpose.calibrate.board_views import find_board
+from ringpose.calibrate.markers import Markers
 from ringpose.types.verdict import Grade
 
 MARKED = {"charuco": CHARUCO, "four_markers": FOUR, "aruco_grid": GRID}
@@ -44,3 +47,15 @@ def test_a_width_that_is_wrong_makes_the_markers_too_wide_alone(drawn_board):
 
 def test_a_board_without_markers_says_nothing_of_them(drawn_board):
     assert marker_size_findings([find_board(drawn_board(CHESSBOARD), CHESSBOARD, "chessboard")]) == ()
+
+
+@pytest.mark.parametrize(("side_px", "told"), [(27.0, 1.0), (270.0, 1.0), (27.0, 0.9), (270.0, 0.97)])
+def test_sizes_are_told_beyond_what_corners_err(side_px, told):
+    """Corners of small markers are found up to half a pixel inside them: that is no wrong size."""
+    place = marker_corners(GRID)[..., :2]
+    middle = place.mean(axis=1, keepdims=True)
+    share = told if told < 1 else 1 - 0.9 / side_px
+    corners_px = 50 + (middle + share * (place - middle)) * side_px / GRID.marker_m
+    seen = Markers(ids=np.arange(len(place)), corners_px=corners_px)
+
+    assert marker_layout(GRID, seen).size_ratio == pytest.approx((told, told), abs=1e-6)
