@@ -49,7 +49,11 @@ def calibrate_camera(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Estimate the camera's intrinsic parameters from images of a board."""
+    """Estimate the camera's intrinsic parameters from images of a board.
+
+    Ten to fifteen images are good: the board flat, tilted by 20 to 40 degrees to different sides, near and far, its
+    corners in every part of the image. No board yet: --print-board board.pdf --board board.yaml.
+    """
     if print_board is not None:
         from ringpose.cli.board_print import print_board as printed
 

@@ -109,7 +109,11 @@ def calibrate_planes(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Estimate the light planes from shots of a board that the stripes cross."""
+    """Estimate the light planes from shots of a board that the stripes cross.
+
+    Six to ten shots are good, the board nearer and farther, each with a frame for every laser alone, as ringpose
+    capture takes them with --sequence off,1,2,3,off. No board yet: --print-board board.pdf --board board.yaml.
+    """
     if print_board is not None:
         from ringpose.cli.board_print import print_board as printed
 

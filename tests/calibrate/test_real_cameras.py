@@ -88,6 +88,37 @@ def test_etnas_cameras_are_within_a_sigma_of_the_reference(folder, reference, rm
     assert camera_verdict(calibration, assessment, len(paths)).grade is not Grade.GOOD
 
 
+def bent_board(seen_px: Sequence[np.ndarray], flat_m: np.ndarray) -> np.ndarray:
+    """The board's shape that makes the views agree best, one for all of them (OpenCV's `calibrateCameraRO`)."""
+    pixels = [np.asarray(px, np.float32) for px in seen_px]
+    places = [flat_m.astype(np.float32)] * len(pixels)
+    found = cv2.calibrateCameraRO(places, pixels, (1280, 1024), 6, None, None, flags=cv2.CALIB_FIX_K3)
+    (shape,) = (part for part in found[1:] if isinstance(part, np.ndarray) and part.size == 3 * len(flat_m))
+    return np.asarray(shape, dtype=np.float32).reshape(-1, 3)
+
+
+def rms_px(seen_px: Sequence[np.ndarray], board_m: np.ndarray) -> float:
+    """Of a camera calibrated with a board of this shape."""
+    pixels = [np.asarray(px, np.float32) for px in seen_px]
+    start = np.array([[2420.0, 0, 650], [0, 2420, 520], [0, 0, 1]])
+    flags = cv2.CALIB_FIX_K3 | cv2.CALIB_USE_INTRINSIC_GUESS
+    places = [board_m.astype(np.float32)] * len(pixels)
+    return float(cv2.calibrateCamera(places, pixels, (1280, 1024), start, np.zeros(5), flags=flags)[0])
+
+
+@pytest.mark.slow
+def test_etnas_views_disagree_because_the_board_is_bent(shared_data):
+    """The shape that every other view asks for explains the views between, which it does not come from."""
+    paths = sorted((shared_data / "real" / "etna_laser_robot" / "calib3").glob("*.png"))
+    views = [find_board(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), ETNA, path.stem) for path in paths]
+    flat_m, seen_px = views[0].points_board_m, [view.points_px for view in views]
+
+    shape_m = bent_board(seen_px[::2], flat_m)
+
+    assert rms_px(seen_px[1::2], flat_m) > 0.55
+    assert rms_px(seen_px[1::2], shape_m) < 0.3
+
+
 @pytest.mark.slow
 def test_ubas_camera_is_within_three_sigmas_of_the_published_one(shared_data):
     folder = shared_data / "real" / "uba_laser_plane"
