@@ -7,6 +7,9 @@ from ringpose.errors import CannotCreateError, DataError
 from ringpose.files.rigs import read_rig, require_mount, usual_board_px, write_rig
 from ringpose.types.covariance import ParameterCovariance
 
+MIRROR = [[1, 0, 0, 0.1], [0, 1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]]
+"""Turns the z axis over alone: what comes of a left-handed frame."""
+
 
 def test_good_rig_is_read_with_its_hash(rig_file):
     file = rig_file()
@@ -78,6 +81,8 @@ def test_rounded_normal_is_made_unit_length(rig_file):
         ("lasers", [], "lasers: has 0 lasers, must have 1 to 8"),
         ("mount.tool_from_camera.0.0", 0.5, "mount.tool_from_camera: its left upper 3 x 3 numbers are no rotation"),
         ("mount.tool_from_camera.0.1", 1, "mount.tool_from_camera: its left upper 3 x 3 numbers are no rotation"),
+        ("mount.tool_from_camera", MIRROR, "mount.tool_from_camera: its left upper 3 x 3 numbers are no rotation"),
+        ("mount.tool_from_camera.2.3", -5.5, "mount.tool_from_camera: is -5.5; metres belong here"),
         ("mount.tool_from_camera.3.3", 2, "mount.tool_from_camera: must end with the row [0, 0, 0, 1]"),
         ("camera.image_width", 0, "camera.image_width: is 0, must be at least 1"),
         ("camera.camera_matrix.data.0", -700, "camera.camera_matrix: has a focal length that is not positive"),
