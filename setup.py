@@ -65,6 +65,7 @@ setup(
                 "stripe_ridges",
                 "stripe_search",
                 "stripe_sigmas",
+                "stripe_weights",
             ),
             ("buffers", "kernels", "stripe_columns", "stripes"),
         ),

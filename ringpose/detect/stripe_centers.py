@@ -1,7 +1,8 @@
 """Centres of the laser stripes, column by column (ringpose-method(7), section 3).
 
 Stripes run roughly along the image rows. In each column a stripe is a ridge: the second derivative of the
-Gaussian-smoothed grey values has a minimum there, and the zero of the first derivative next to it is the centre.
+Gaussian-smoothed grey values has a minimum there, and the zero of the first derivative next to it is the centre; of a
+speckled stripe, it is what its flanks say.
 """
 
 import numpy as np

@@ -35,9 +35,6 @@ PIECE_DIFFERENCES = 6.0
 VARIANCES = 6.0
 """A second difference has six times the variance of a centre."""
 
-CLUTTERED = 8.0
-"""An excess above this comes from speckle, clutter or bends rather than from the sensor."""
-
 Column = Float64[Array, "n"]
 
 
@@ -62,8 +59,16 @@ class Scatter(NamedTuple):
 
 def scatter(y: Column, variance: Column) -> Scatter:
     """By near differences, unless far ones show much more."""
-    near, far = _scatter_at(y, variance, NEAR_LAG), _scatter_at(y, variance, FAR_LAG)
+    near, far = scatter_at(y, variance, NEAR_LAG), scatter_at(y, variance, FAR_LAG)
     return far if far.excess() > BACKGROUND * near.excess() else near
+
+
+def scatter_at(y: Column, variance: Column, lag: int) -> Scatter:
+    """Of the differences of centres so far apart, or as far as fits."""
+    near = _fitting(lag, len(y))
+    explained = (variance[: -2 * near] + variance[2 * near :]) + 4 * variance[near:-near] if near else np.empty(0)
+    ratio = _differences(y, near) ** 2 / explained
+    return Scatter(_clipped_mean(ratio) * len(ratio), len(ratio), lag)
 
 
 def scatter_variance(y: Column, of: Scatter) -> float:
@@ -96,14 +101,6 @@ def raised(y: Column, variance: Column, of: Scatter, usual: float) -> Column:
         near = squares[max(i - lag - SURROUNDINGS, 0) : max(i - lag + SURROUNDINGS + 1, 0)]
         around[i] = (near.sum() + PIECE_DIFFERENCES * piece) / (len(near) + PIECE_DIFFERENCES)
     return np.maximum(variance, around)
-
-
-def _scatter_at(y: Column, variance: Column, lag: int) -> Scatter:
-    """Of the differences of centres so far apart, or as far as fits."""
-    near = _fitting(lag, len(y))
-    explained = (variance[: -2 * near] + variance[2 * near :]) + 4 * variance[near:-near] if near else np.empty(0)
-    ratio = _differences(y, near) ** 2 / explained
-    return Scatter(_clipped_mean(ratio) * len(ratio), len(ratio), lag)
 
 
 def _fitting(lag: int, count: int) -> int:

@@ -21,9 +21,13 @@
 /* Sigma of the flanks of a flat top. */
 #define FLANK_PX 1.5
 
-/* Another filter, so many narrower or wider, is tried on pieces of so many columns, and taken if it leaves less than
-   that share of the variance. */
-enum { LEAST_TRIED = 40, OTHER_FILTER = 3 };
+/* An excess above these comes from clutter or bends, or from speckle; shot noise of bright stripes makes up to 9. */
+#define CLUTTERED 8.0
+#define SPECKLED 10.0
+
+/* A filter so many narrower is tried on pieces of so many columns then, weights for speckle on pieces of so many; they
+   are taken if they leave less than that share of the variance. */
+enum { NARROWER = 3, LEAST_CLUTTERED = 24, LEAST_SPECKLED = 14 };
 #define BETTER 0.95
 
 /* Nor may it lose more than one column in so many. */
@@ -106,27 +110,34 @@ static void append_columns(const Columns *columns, int64_t number, Centers *cent
     centers->count += columns->count;
 }
 
-/* Measures a piece with the filter that suits its width, and if more than the sensor's noise spoils that, with another
-   one: surroundings ask for a narrower one, speckle for a wider one. Returns the better of the two. */
-static Columns *measure_piece(Job *job, const int32_t *order, size_t count, Scatter *best) {
+/* Whether hardly any column is lost. */
+static int keeps(const Columns *columns, const Columns *other) {
+    size_t lost = columns->count > other->count ? columns->count - other->count : 0;
+    return LOST_ONE_IN * lost <= columns->count;
+}
+
+/* Measures a piece with the filter that suits its width. If its surroundings spoil that, a narrower one is tried; if
+   speckle does, centres by weights that suit that. What scatters them less is taken. */
+static const Columns *measure_piece(Job *job, const int32_t *order, size_t count, Scatter *of, Scatter *first) {
     double width;
     size_t filter = suited_filter(job, order, count, &width);
     Columns *columns = job->columns, *other = columns + 1;
-    Scatter of = measure_piece_with(job, filter, width, order, count, columns);
-    if (excess(of, 1) > CLUTTERED && width > 0 && count >= LEAST_TRIED) {
-        ptrdiff_t trial = (ptrdiff_t)filter + (of.background ? -OTHER_FILTER : OTHER_FILTER);
-        ptrdiff_t last = (ptrdiff_t)job->filter_count - 1;
-        trial = trial < 1 ? 1 : trial > last ? last : trial;
-        Scatter tried = measure_piece_with(job, (size_t)trial, width, order, count, other);
-        size_t lost = columns->count > other->count ? columns->count - other->count : 0;
-        int better = scatter_variance(other, tried) < BETTER * scatter_variance(columns, of);
-        if (better && LOST_ONE_IN * lost <= columns->count) {
-            columns = other;
-            of = tried;
+    *of = *first = measure_piece_with(job, filter, width, order, count, columns);
+    if (width == 0 || count < LEAST_SPECKLED || excess(*of, 1) < CLUTTERED) return columns;
+    if (of->background && count >= LEAST_CLUTTERED) {
+        size_t narrower = filter > NARROWER ? filter - NARROWER : 1;
+        Scatter tried = measure_piece_with(job, narrower, width, order, count, other);
+        if (keeps(columns, other) && scatter_variance(other, tried) < BETTER * scatter_variance(columns, *of)) {
+            *of = tried;
+            return other;
         }
     }
-    *best = of;
-    return columns;
+    if (excess(*of, 1) < SPECKLED) return columns;
+    Measure how = measure_with(job, filter, width);
+    Scatter tried = weigh_columns(&how, *of, columns, other);
+    if (!keeps(columns, other) || excess(tried, 1) >= BETTER * excess(*of, 1)) return columns;
+    *of = scatter(other);
+    return other;
 }
 
 /* ---- pieces ---- */
@@ -171,10 +182,10 @@ static int64_t measure_pieces(Job *job, const List *pieces, const int32_t *order
     for (size_t i = 0; i < pieces->used; i++) {
         if (end[i] < 0) continue;
         size_t count = (size_t)piece[i].columns;
-        Scatter of;
-        const Columns *columns = measure_piece(job, order + ((size_t)end[i] - count), count, &of);
+        PieceScatter *own = measured + number;
+        const Columns *columns = measure_piece(job, order + ((size_t)end[i] - count), count, &own->of, &own->first);
         if (columns->count < job->rules->shortest) continue;
-        measured[number] = (PieceScatter){of, columns->count};
+        own->columns = columns->count;
         append_columns(columns, number++, centers);
     }
     return number;
@@ -195,7 +206,7 @@ static void find_sigmas(Columns *columns, const PieceScatter *measured, size_t c
         columns->count = measured[i].columns;
         memcpy(columns->variance, sigma, columns->count * sizeof *sigma);
         for (size_t j = 0; j < columns->count; j++, y += 2) columns->y[j] = *y;
-        raise_variances(columns, measured[i].of, usual);
+        raise_variances(columns, measured[i].of, usual * excess(measured[i].of, 1) / excess(measured[i].first, 1));
         take_roots(columns->variance, columns->count, sigma);
         sigma += columns->count;
     }

@@ -1,4 +1,4 @@
-/* Sub-pixel centres of one piece; twin: reference_stripe_centers.measured. */
+/* Sub-pixel centres of one piece; twin: reference_stripe_columns.measured. */
 #include "stripe_columns.h"
 
 #include <math.h>
@@ -15,7 +15,7 @@ enum { ROUNDS = 2 };
    are taken as the outermost one. From here on by less than a hundredth of the stripe's sigma. */
 #define WHOLE_SPREADS 1.5
 
-/* Rows that are differentiated together. */
+/* Rows that are worked on together. */
 enum { MOST_ROWS = 6 };
 
 void *allocate_columns(Columns *columns, size_t count) {
@@ -50,8 +50,7 @@ static void differentiate(const Measure *how, ptrdiff_t row, size_t x, size_t ro
     differentiate_pixels(how->filter, rows * BLOCK, how->patch);
 }
 
-/* How many columns from one on lie so close that they are differentiated together; the first and last row. */
-static size_t neighbours(const Columns *columns, size_t first, int32_t *top, int32_t *bottom) {
+size_t neighbours(const Columns *columns, size_t first, int32_t *top, int32_t *bottom) {
     const int32_t *row = columns->row + first, *x = columns->x + first;
     size_t count = columns->count - first, i = 1;
     *top = *bottom = row[0];

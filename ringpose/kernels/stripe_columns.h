@@ -37,6 +37,9 @@ void take_ridges(const Ridge *ridges, const int32_t *order, size_t count, Column
    are dropped. */
 void measure_columns(const Measure *how, Columns *columns);
 
+/* How many columns from one on lie so close that their rows are worked on together; the first and last row. */
+size_t neighbours(const Columns *columns, size_t first, int32_t *top, int32_t *bottom);
+
 /* What second differences between centres show: near ones, unless far ones show much more. */
 typedef struct {
     double sum;     /* of their squares over what the sensor's noise explains */
@@ -47,22 +50,26 @@ typedef struct {
 
 Scatter scatter(Columns *columns);
 
+/* The same of centres that far apart. */
+Scatter scatter_at(Columns *columns, size_t lag);
+
 /* Mean of those squares, together with a few that are as expected. */
 double excess(Scatter of, double expected);
 
 /* Variance of a centre that those differences show. */
 double scatter_variance(Columns *columns, Scatter of);
 
-/* An excess above this comes from speckle, clutter or bends rather than from the sensor. */
-#define CLUTTERED 8.0
+/* Centres anew, from those that the filter found, where speckle scatters them so: by weights that suit each column.
+   Columns that show none near by are dropped. Returns how they scatter, over what noise explains of the former. */
+Scatter weigh_columns(const Measure *how, Scatter of, Columns *columns, Columns *weighed);
 
-/* A piece that is measured. */
+/* A piece that is measured: its scatter, and that by the filter that suited its width. */
 typedef struct {
-    Scatter of;
+    Scatter of, first;
     size_t columns;
 } PieceScatter;
 
-/* The excess that half the differences of all pieces keep below; sorts them. 1 without any. */
+/* The excess of the latter that half the differences of all pieces keep below; sorts them. 1 without any. */
 double usual_excess(PieceScatter *pieces, size_t count);
 
 /* Raises the variances to what the differences around each column show; where there are few, to what those of the piece

@@ -80,7 +80,7 @@ double excess(Scatter of, double expected) {
     return (EXPECTED_DIFFERENCES * expected + of.sum) / (EXPECTED_DIFFERENCES + (double)of.count);
 }
 
-static Scatter scatter_at(Columns *columns, size_t lag) {
+Scatter scatter_at(Columns *columns, size_t lag) {
     size_t near = fitting(lag, columns), count = differences(columns, near);
     compare_differences(columns, near, count);
     return (Scatter){clipped_mean(columns->ratio, count) * (double)count, count, lag, lag == FAR_LAG};
@@ -100,17 +100,17 @@ double scatter_variance(Columns *columns, Scatter of) {
 /* ---- all pieces ---- */
 
 static int by_excess(const void *first, const void *second) {
-    double a = excess(((const PieceScatter *)first)->of, 1), b = excess(((const PieceScatter *)second)->of, 1);
+    double a = excess(((const PieceScatter *)first)->first, 1), b = excess(((const PieceScatter *)second)->first, 1);
     return (a > b) - (a < b);
 }
 
 double usual_excess(PieceScatter *pieces, size_t count) {
     double all = 0, seen = 0, usual = 1;
-    for (size_t i = 0; i < count; i++) all += (double)pieces[i].of.count;
+    for (size_t i = 0; i < count; i++) all += (double)pieces[i].first.count;
     qsort(pieces, count, sizeof *pieces, by_excess);
     for (size_t i = 0; i < count && 2 * seen < all; i++) {
-        usual = excess(pieces[i].of, 1);
-        seen += (double)pieces[i].of.count;
+        usual = excess(pieces[i].first, 1);
+        seen += (double)pieces[i].first.count;
     }
     return usual;
 }

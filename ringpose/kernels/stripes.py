@@ -60,8 +60,8 @@ def stripes(
 
     `dark` is subtracted. `bands` give the first column of each band, the one after the last, and likewise its rows; all
     else is left out, in blocks of 4 x 16 pixels. Each piece is measured with the filter that suits its width, or with
-    another one if speckle or its surroundings ask for it; sigmas are those of the sensor's noise, raised to what
-    differences between the centres of a piece show.
+    a narrower one or by its flanks if its surroundings or speckle ask for it; sigmas are those of the sensor's noise,
+    raised to what differences between the centres of a piece show.
     """
     lit = np.ascontiguousarray(image)
     black = None if dark is None else np.ascontiguousarray(dark)

@@ -108,6 +108,37 @@ def test_flat_tops_equal_the_twin(width, rng):
     assert_equal_to_twin(image.astype(np.uint8), least=190)
 
 
+def speckled(sigma, rng):
+    """A stripe that leaves the image at its top, grows faint towards the right, and in which pixels scatter."""
+    apart = np.arange(100)[:, None] - np.linspace(70, -5, 500)
+    light = np.geomspace(200, 5, 500) * np.exp(-0.5 * (apart / sigma) ** 2)
+    return np.clip(light * (1 + 0.2 * rng.standard_normal(light.shape)) + rng.normal(20, 1, light.shape), 0, 255)
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("sigma", [0.6, 1.0, 1.5, 3.0])
+def test_speckled_stripes_equal_the_twin(sigma, bits, rng):
+    image = (speckled(sigma, rng) * 2 ** (bits - 8)).astype(np.uint8 if bits == 8 else np.uint16)
+
+    assert_equal_to_twin(image, least=300)
+
+
+@pytest.mark.parametrize("sigma", [0.8, 2.0])
+def test_speckled_stripes_before_a_dark_frame_equal_the_twin(sigma, rng):
+    dark = rng.integers(10, 14, (100, 500), np.uint8)
+
+    assert_equal_to_twin(speckled(sigma, rng).astype(np.uint8), dark, least=300)
+
+
+@pytest.mark.parametrize("ridge_sigma", [4.0, 8.0])
+def test_wide_speckled_stripes_equal_the_twin(ridge_sigma, rng):
+    rows = np.arange(200)[:, None] - np.linspace(110, 90, 300)
+    light = 120 * np.exp(-0.5 * (rows / (1.5 * ridge_sigma)) ** 2)
+    image = np.clip(light * (1 + 0.2 * rng.standard_normal(light.shape)) + rng.normal(20, 1, light.shape), 0, 255)
+
+    assert_equal_to_twin(image.astype(np.uint8), filters=stripe_filters(ridge_sigma))
+
+
 @pytest.mark.parametrize("value", [0, 100, 255])
 @pytest.mark.parametrize("shape", [(1, 1), (1, 50), (2, 50), (3, 3), (50, 1), (4, 16), (128, 64)])
 def test_images_of_one_value_have_no_stripe_and_nor_has_the_twin(shape, value):
