@@ -21,8 +21,9 @@ LARGEST_SIZE_ERROR = 0.03
 
 REDO_SIZE_ERROR = 0.1
 
-CORNER_ERROR_PX = 0.5
-"""By which OpenCV's refinement may draw a corner into its marker: small ones, blurred, are 1 px too narrow."""
+CORNER_ERROR_PX = 1.0
+"""By which a corner may lie inside its marker: unrefined ones of blurred markers 40 px wide make these 1.3 px too
+narrow."""
 
 _FEWEST = 4
 _MOST_SQUARES = 40
