@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ringpose.calibrate.board_bow import bow_finding
 from ringpose.calibrate.board_layout import marker_size_findings
 from ringpose.calibrate.camera_model import CameraModel
 from ringpose.calibrate.coverage import coverage
@@ -47,7 +48,7 @@ def camera_assessment(
         disagreement=float(np.median(validation.jackknife_px) / max(np.median(sigma_px), EXACT_PX)),
         distances_m=tuple(distances_m),
         comparison=model_comparison(used, calibration.camera, model, where) if compare else None,
-        board=marker_size_findings(boards),
+        board=(*marker_size_findings(boards), bow_finding(used, calibration.camera, model)),
     )
 
 

@@ -23,14 +23,14 @@ _MOST = 7
 def view_explanation(view: BoardView, camera: Camera, usual_px: float) -> str:
     """What would make a view fit whose rms is larger than the usual one; empty if nothing simple does."""
     limit_px = FITS * usual_px
-    if board_pose(_turned(view, camera), camera).residual_rms_px < limit_px:
-        return "it fits if its image is turned by half a turn: turn the camera back, or the image"
-    other = _own_camera(view, camera)
-    rms_px = board_pose(view, other).residual_rms_px
-    if rms_px < limit_px:
-        return (
-            f"{_difference(other, camera)} it would be {rms_px:.2f} px: another camera, zoom or focus, or a cut image"
-        )
+    turned_px = board_pose(_turned(view, camera), camera).residual_rms_px
+    for unknowns in (1, 3):
+        other = _own_camera(view, camera, unknowns)
+        rms_px = board_pose(view, other).residual_rms_px
+        if rms_px < min(limit_px, turned_px):
+            return f"{_difference(other, camera)} it would be {rms_px:.2f} px: another camera, zoom or focus, or cut"
+        if turned_px < limit_px:
+            return "it fits if its image is turned by half a turn: turn the camera back, or the image"
     lengths = _errors_beside_most(view, camera)
     return _where_off(view, lengths) if np.median(lengths) < limit_px else ""
 
@@ -45,7 +45,8 @@ def _difference(other: Camera, camera: Camera) -> str:
     longer = float(other.camera_matrix[0, 0] / camera.camera_matrix[0, 0]) - 1.0
     moved_px = np.linalg.norm(other.camera_matrix[:2, 2] - camera.camera_matrix[:2, 2])
     word = "longer" if longer > 0 else "shorter"
-    return f"with a focal length {abs(100 * longer):.1f} % {word} and a principal point {moved_px:.1f} px off"
+    beside = f" and a principal point {moved_px:.1f} px off" if moved_px > 0 else ""
+    return f"with a focal length {abs(100 * longer):.1f} % {word}{beside}"
 
 
 def _errors_beside_most(view: BoardView, camera: Camera) -> Float64[Array, "corner"]:
@@ -58,12 +59,13 @@ def _errors_beside_most(view: BoardView, camera: Camera) -> Float64[Array, "corn
     return lengths
 
 
-def _own_camera(view: BoardView, camera: Camera) -> Camera:
-    """The camera with the focal length and the principal point that this view alone asks for."""
+def _own_camera(view: BoardView, camera: Camera, unknowns: int) -> Camera:
+    """The camera with the focal length, or with it and the principal point, that this view alone asks for."""
     found = camera
     directions = np.zeros((len(parameters_of(camera)), 3))
     directions[:2, 0] = parameters_of(camera)[:2]
     directions[2, 1] = directions[3, 2] = 1.0
+    directions = directions[:, :unknowns]
     for _ in range(_STEPS):
         by_camera, residual = view_equations(view, board_pose(view, found), found, 1.0).without_pose()
         step = np.linalg.lstsq(by_camera @ directions, residual)[0]
