@@ -24,6 +24,12 @@ GOOD_SHARE, BAD_SHARE = 2e-4, 2e-3
 GOOD_EXCESS, BAD_EXCESS = 3.0, 100.0
 """A sheet that is flat to 0.1 mm may be 3; at 100 the covariance is no more than a guess."""
 
+STRAY_FACTOR = 2.0
+"""A view whose stripes lie so many times further from the planes of the others than is usual is named."""
+
+EXACT_M = 1e-6
+"""Nearer to planes nothing is told apart."""
+
 GOOD_DEPTH_SHARE, BAD_DEPTH_SHARE = 1e-3, 1e-2
 """Standard deviation of depths over depth, at the farthest board."""
 
@@ -91,8 +97,22 @@ def _excess(calibration: PlanesCalibration) -> Finding | None:
         value=float(calibration.excess),
         good_limit=GOOD_EXCESS,
         redo_limit=BAD_EXCESS,
-        advice="the views disagree: see that the board is flat and its sizes are measured; calibrate the camera anew",
+        advice=f"the views disagree{_stray_view(calibration)}: see that the board is flat, stood still in each shot "
+        "and has the sizes in its file; calibrate the camera anew",
     )
+
+
+def _stray_view(calibration: PlanesCalibration) -> str:
+    """The view whose stripes lie further beside the planes of the others than twice what is usual."""
+    shares: dict[str, float] = {}
+    for laser in calibration.lasers:
+        known = [view for view in laser.views if np.isfinite(view.held_out_rms_m)]
+        usual_m = float(np.median([view.held_out_rms_m for view in known])) if known else 0.0
+        for view in known:
+            share = view.held_out_rms_m / max(usual_m, EXACT_M)
+            shares[view.name] = max(share, shares.get(view.name, 0.0))
+    worst = max(shares, key=lambda name: shares[name], default="")
+    return f", {worst} most of all" if shares.get(worst, 0.0) > STRAY_FACTOR else ""
 
 
 def _views(laser: LaserCalibration) -> Finding:

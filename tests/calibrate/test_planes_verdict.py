@@ -62,6 +62,18 @@ def test_points_scattered_by_a_millimetre_are_to_be_done_anew(rng, stripe_views,
     assert planes_verdict(calibrate_planes(views, true_camera, MODEL)).grade is Grade.REDO
 
 
+def test_a_view_whose_board_moved_by_a_fifth_of_a_millimetre_is_named(rng, stripe_views, true_poses, true_camera):
+    """Too little to be left out: all its stripes lie 0.4 px aside, and the views disagree."""
+    views = stripe_views(true_poses(rng, 8), rng, 0.02, 0.1)
+    views[2] = replace(views[2], stripes_px=tuple(px + np.array([0.0, 0.4]) for px in views[2].stripes_px))
+
+    calibration = calibrate_planes(views, true_camera, MODEL)
+
+    (excess,) = (finding for finding in planes_verdict(calibration).findings if finding.name == "variance_excess")
+    assert excess.grade is not Grade.GOOD
+    assert "the views disagree, v2 most of all" in excess.advice
+
+
 def test_lasers_at_other_angles_than_expected_are_named(good):
     expected = np.radians([10.3, 14.0]).tolist()
 
