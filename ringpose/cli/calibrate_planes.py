@@ -153,6 +153,8 @@ def _calibrate(shots: list[str], reading: _Reading, writing: _Writing, method: P
         assessment = _assessment(stripes, method, free_camera, writing)
         _say_contradicting(assessment, batch)
         _write(assessment, tool_from_camera, writing, [reading.board, *stripes.images.paths], reading.force)
+        if not reading.quiet:
+            stripes.say_number()
         batch.met(say_verdict(assessment.verdict, planes_summary(assessment), quiet=reading.quiet))
     batch.finish()
 

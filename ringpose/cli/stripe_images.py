@@ -8,7 +8,7 @@ from ringpose.calibrate.board_motion import STILL_PX, board_shift_px
 from ringpose.calibrate.board_overlay import stripe_overlay
 from ringpose.calibrate.board_pose import board_pose
 from ringpose.calibrate.board_surface import board_surface
-from ringpose.calibrate.laser_names import laser_names, laser_order, lasers_named
+from ringpose.calibrate.laser_names import THREE, laser_names, laser_order, lasers_named
 from ringpose.calibrate.planes import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.calibrate.stripe_lines import stripes_seen
@@ -90,6 +90,12 @@ class StripeImages:
             return calibrate_planes(self.views, self.camera, replace(model, method=PlanesMethod.PAPER))
         except DataError:
             return None
+
+    def say_number(self) -> None:
+        """How many lasers there are, where that is few and only the masks say so: a third may be dark or unwired."""
+        if self.given[0] is None and 0 < len(self.names) < len(THREE):
+            number = f"{len(self.names)} laser{'s' * (len(self.names) > 1)}"
+            messages.say(f"{number} by the shots' masks ({', '.join(self.names)}); of more, give all --laser-names")
 
     def say_remarks(self) -> None:
         """What each shot is missing, and why: where no plane comes of them, that is the reason."""

@@ -234,3 +234,26 @@ def test_the_working_distance_is_where_poses_are_judged(plane_folder, capsys):
 def test_a_working_distance_that_is_none_is_wrong_usage(distance, plane_folder, capsys):
     assert calibrate("planes", *ORDER, "--working-distance", distance) == 2
     assert "--working-distance" in capsys.readouterr().err
+
+
+def test_a_shot_in_which_the_board_moved_is_named_and_the_rest_is_used(plane_folder, capsys):
+    with np.load("planes/pln_B_03.npz") as shot:
+        dark, lit = shot["images"]
+        np.savez("planes/moved.npz", **{**shot, "images": np.stack([dark, np.roll(lit, 3, axis=1)])})
+
+    status = calibrate("planes", *ORDER)
+
+    assert status == 65
+    assert "moved: the board, or the camera, moved by 3.0 px between its frames; left out" in capsys.readouterr().err
+    assert len(written(plane_folder)["quality"]["boards"]) == 3
+
+
+def test_fewer_lasers_than_three_are_counted_for_the_reader(plane_folder, switched_shots, capsys):
+    for file in sorted((plane_folder / "planes").glob("*.npz")):
+        with np.load(file) as shot:
+            parts = {key: values[:3] for key, values in shot.items()}
+        np.savez(file, **parts)
+
+    calibrate("planes")
+
+    assert "2 lasers by the shots' masks (laser_1, laser_2); of more, give all --laser-names" in capsys.readouterr().err
