@@ -66,7 +66,7 @@ def with_shared_errors(
 def _shared_factor(
     sigmas_px: Float64[Array, "view"],
     views: Sequence[StripeView],
-    errors: Sequence[Float64[Array, "coordinate"]],
+    errors: Sequence[Float64[Array, "_"]],
     taken: int,
 ) -> float:
     """Variance of corners' means over the views, over what errors of single views make it; never below one."""
@@ -86,9 +86,7 @@ def _most_corners(views: Sequence[StripeView]) -> int:
     return 1 + max(int(view.board.ids.max()) for view in views)
 
 
-def _residuals(
-    views: Sequence[StripeView], poses: Sequence[BoardPose], camera: Camera
-) -> list[Float64[Array, "coordinate"]]:
+def _residuals(views: Sequence[StripeView], poses: Sequence[BoardPose], camera: Camera) -> list[Float64[Array, "_"]]:
     return [corner_residuals(view.board, pose, camera) for view, pose in zip(views, poses, strict=True)]
 
 

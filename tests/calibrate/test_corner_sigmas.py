@@ -57,3 +57,16 @@ def test_errors_that_all_views_share_do_not_grow_fewer_with_their_number(share, 
     wider = with_shared_errors(sigmas, seen, poses, true_camera, taken=0)
 
     assert least < wider.mean() / sigmas.mean() < most
+
+
+def test_views_may_show_different_numbers_of_corners(rng, views, true_camera):
+    """A corner that one view alone shows says nothing of what views share."""
+    seen = [with_errors(view, SIGMA_PX * rng.standard_normal((16, 2))) for view in views]
+    board = seen[0].board
+    fewer = replace(board, ids=board.ids[:8], points_board_m=board.points_board_m[:8], points_px=board.points_px[:8])
+    seen[0] = replace(seen[0], board=fewer)
+    poses = poses_of(seen, true_camera)
+
+    wider = with_shared_errors(corner_sigmas_px(seen, poses, true_camera), seen, poses, true_camera, taken=0)
+
+    assert wider.mean() == pytest.approx(SIGMA_PX, rel=0.4)
