@@ -67,6 +67,9 @@ ONE_STRIPE = 2
 """Points of the plane on a single stripe: how the face is tilted about it is seen by how both edges run. One edge alone
 leaves that to its bends of tenths of a pixel, which foil beside it makes as well."""
 
+LEAST_OF_BOTH = 8
+"""Points of either edge that show how it runs; foil beside the ring makes one or two."""
+
 TURN_SIGMA_RAD = 0.2
 """Where the stripes leave the direction of the edges as open as this, the image is asked first."""
 
@@ -114,7 +117,9 @@ def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundE
     clear = clear_steps(steps)
     points = ring_edge_points(arcs, chosen(trace, clear), steps.offset_px[clear], steps.sigma_px[clear])
     side_sigmas = arcs.curvature / float(np.sqrt(covariance[CURVATURE, CURVATURE]))
-    if points is None or (len(evidence.plane.point) == ONE_STRIPE and len(np.unique(points.edge)) == 1):
+    if points is None or (
+        len(evidence.plane.point) == ONE_STRIPE and np.bincount(points.edge, minlength=2).min() < LEAST_OF_BOTH
+    ):
         return None
     return FoundEdges(points, side_sigmas)
 
