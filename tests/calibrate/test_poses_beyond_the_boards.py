@@ -108,7 +108,7 @@ def test_poses_beyond_the_boards_err_more_by_no_more_than_the_rig_says(near_exce
 
 @pytest.mark.slow
 def test_such_boards_hold_poses_at_one_metre_to_two_millimetres(near_excess_mm):
-    """Speckle leaves 0.13 px in a stripe's centre: seen 0.41 to 0.55 m away and carried on to 1 m, millimetres."""
+    """Speckle leaves 0.09 px in a stripe's centre: seen 0.41 to 0.55 m away and carried on to 1 m, millimetres."""
     _, drawn = near_excess_mm
 
     assert 1.0 < np.std(drawn) < 3.0
@@ -116,10 +116,11 @@ def test_such_boards_hold_poses_at_one_metre_to_two_millimetres(near_excess_mm):
 
 
 @pytest.mark.slow
-def test_six_boards_as_advised_bring_poses_at_one_metre_to_less_than_half_of_that(
+def test_six_boards_as_advised_hold_poses_at_one_metre_to_a_millimetre(
     excess_mm, near_excess_mm, rig_of_advised_boards
 ):
+    """What is left is the camera's."""
     estimated, drawn = excess_mm(rig_of_advised_boards)
 
-    assert np.std(drawn) < 0.5 * np.std(near_excess_mm[1])
-    assert abs(estimated) < 1.5
+    assert np.std(drawn) < min(1.0, 0.7 * np.std(near_excess_mm[1]))
+    assert abs(estimated) < 1.0
