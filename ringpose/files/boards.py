@@ -30,6 +30,9 @@ FEWEST = {"charuco": 2, "chessboard": 4, "four_markers": 1, "aruco_grid": 1, "as
 MOST_SQUARES = 200
 """A board of more squares a side is a slip; looking for it would take hours."""
 
+_SHORTEST_M = 1e-6
+"""No camera sees less of a board; numbers near the smallest that there are round to nothing."""
+
 
 def read_board(path: Path) -> Board:
     """The board in a board file, with the markers of a dictionary file that it names."""
@@ -82,6 +85,8 @@ def _length(fields: Fields, key: str) -> float:
     length = fields.length_m(key)
     if length < 0 or (length == 0 and key != "margin_m"):
         raise fields.problem(key, f"is {length:g}, must be positive")
+    if 0 < length < _SHORTEST_M:
+        raise fields.problem(key, f"is {length:g}; no board is so fine", "metres belong here")
     return length
 
 

@@ -1,8 +1,11 @@
 """A whole file's bytes."""
 
+import errno
 from pathlib import Path
 
 from ringpose.errors import InputOutputError, NoInputError
+
+_NOT_OPENED = {errno.ELOOP, errno.ENAMETOOLONG, errno.ENXIO, errno.ENODEV}
 
 
 def read_bytes(path: Path) -> bytes:
@@ -18,5 +21,7 @@ def read_bytes(path: Path) -> bytes:
     except ValueError:
         raise NoInputError(repr(str(path)), "is no name that a file can have") from None
     except OSError as error:
-        reason = error.strerror or str(error)
-        raise InputOutputError(str(path), f"reading broke off: {reason.lower()}") from error
+        reason = (error.strerror or str(error)).lower()
+        if error.errno in _NOT_OPENED:
+            raise NoInputError(str(path), f"cannot be opened: {reason}") from None
+        raise InputOutputError(str(path), f"reading broke off: {reason}") from error

@@ -19,6 +19,9 @@ IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg")
 CHANNELS = {"b": 0, "g": 1, "r": 2}
 """OpenCV's order."""
 
+_LONGEST_SIDE = 1_000_000
+"""Pixels: libpng's own limit."""
+
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
 
 
@@ -31,8 +34,7 @@ def read_image(path: Path, channel: str | None = None) -> UInt[Array, "row colum
     finding = _damage(encoded)
     if finding:
         raise DataError(str(path), finding)
-    with _silent():
-        decoded: Any = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_UNCHANGED) if encoded else None
+    decoded = _decoded(encoded, path) if encoded else None
     if decoded is None:
         raise DataError(str(path), "is no image that can be read, or is cut short", "PNG, TIFF, BMP or JPEG is wanted")
     if decoded.dtype not in (np.uint8, np.uint16):
@@ -45,6 +47,15 @@ def write_image(path: Path, image: UInt[Array, "row column *color"], *, force: b
     encoded = cv2.imencode(".png", image)[1]
     with atomic.replacing(path, force) as stream:
         stream.write(encoded.tobytes())
+
+
+def _decoded(encoded: bytes, path: Path) -> Any:
+    """Pixels, or None; OpenCV refuses sizes that it holds to be impossible by an exception."""
+    with _silent():
+        try:
+            return cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_UNCHANGED)
+        except cv2.error:
+            raise DataError(str(path), "is no image that can be read: it is too large, or says so") from None
 
 
 def _grey(decoded: Any, channel: str | None) -> UInt[Array, "row column"]:
@@ -75,10 +86,18 @@ def _png_damage(encoded: bytes) -> str:
         name = encoded[start + 4 : start + 8]
         if zlib.crc32(encoded[start + 4 : end - 4]) != int.from_bytes(encoded[end - 4 : end], "big"):
             return f"is a damaged PNG image: chunk {name.decode('latin-1')!r} fails its check"
+        if name == b"IHDR" and not _possible_size(encoded[start + 8 : start + 16]):
+            return "is a damaged PNG image, or too large: its size cannot be read"
         if name == b"IEND":
             return ""
         start = end
     return "is a PNG image that is cut short"
+
+
+def _possible_size(header: bytes) -> bool:
+    """Whether PNG's decoder takes the columns and rows that a header names: of others it writes on stderr."""
+    columns, rows = int.from_bytes(header[:4], "big"), int.from_bytes(header[4:], "big")
+    return 0 < columns <= _LONGEST_SIDE and 0 < rows <= _LONGEST_SIDE
 
 
 @contextmanager

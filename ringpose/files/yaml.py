@@ -60,6 +60,13 @@ class _Dumper(yaml.SafeDumper):
     """Quotes every text that YAML 1.1 or 1.2 would take for something else."""
 
 
+def _text(dumper: _Dumper, text: str) -> yaml.ScalarNode:
+    """A file's name may have bytes that are no UTF-8; as PyYAML escapes them no YAML can be read again."""
+    return dumper.represent_str(text.encode(errors="backslashreplace").decode())
+
+
+_Dumper.add_representer(str, _text)
+
 for _name, _pattern, _first in _RESOLVERS:
     for _class in (_Loader, _Dumper):
         _class.add_implicit_resolver(_TAG + _name, re.compile(f"^(?:{_pattern})$"), list(_first))

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from ringpose.calibrate.camera_outliers import FLOOR_PX, VIEW_FACTOR
-from ringpose.report.canvas import canvas, png_of
+from ringpose.report.canvas import canvas, drawn, png_of
 from ringpose.report.page import Picture
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
@@ -117,7 +117,7 @@ def view_picture(calibration: CameraCalibration, assessment: CameraAssessment) -
         shift.legend()
     shift.set_ylabel("displacement without the view (px)")
     for axes in (rms, shift):
-        axes.set_xticks(place, [view.name for view in views], rotation=90, fontsize=7)
+        axes.set_xticks(place, [drawn(view.name) for view in views], rotation=90, fontsize=7)
     return _picture(
         figure, "Red views were rejected. A view that moves the result much stands alone: add others like it."
     )

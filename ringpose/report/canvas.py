@@ -1,6 +1,7 @@
 """What matplotlib (extra `report`) draws on; modules of pictures are imported only where a report is asked for."""
 
 import io
+import warnings
 
 from matplotlib.figure import Figure
 
@@ -15,5 +16,13 @@ def canvas(width_in: int | float, height_in: int | float) -> Figure:
 def png_of(figure: Figure) -> bytes:
     """The figure as a PNG file."""
     stream = io.BytesIO()
-    figure.savefig(stream, format="png", metadata={"Software": None})
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing")  # a name's letters that the font lacks are drawn as boxes
+        figure.savefig(stream, format="png", metadata={"Software": None})
     return stream.getvalue()
+
+
+def drawn(name: str) -> str:
+    """A name as a label that shows it: no formula between dollars, no byte that is no letter, in every legend."""
+    shown = name.encode(errors="backslashreplace").decode().replace("$", r"\$")
+    return f" {shown}" if shown.startswith("_") else shown

@@ -6,7 +6,7 @@ from matplotlib.axes import Axes
 from ringpose.calibrate.plane_uncertainty import depth_uncertainty
 from ringpose.calibrate.planes_quality import PlanesAssessment, planes_summary
 from ringpose.calibrate.planes_verdict import GOOD_DEPTH_SHARE, GOOD_SHARE
-from ringpose.report.canvas import canvas, png_of
+from ringpose.report.canvas import canvas, drawn, png_of
 from ringpose.report.page import Picture, Section, Table, page
 from ringpose.report.verdict_section import verdict_section
 from ringpose.types.calibration import LaserCalibration, PlanesCalibration
@@ -71,7 +71,7 @@ def _by_distance(calibration: PlanesCalibration) -> Picture:
         axis.plot(middle, held_out, "o", color="tab:red", label="mean of a view, held out")
         axis.axhline(0, color="black", linewidth=0.6)
         _limits(axis, 1e6 * GOOD_SHARE * float(np.mean(middle)), "good limit of the held-out rms")
-        axis.set_ylabel(f"{laser.name}: residual (um)")
+        axis.set_ylabel(f"{drawn(laser.name)}: residual (um)")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     axes[-1].set_xlabel("distance (m)")
     caption = "Distances of the stripe centres from their light plane, against depth; a trend means a wrong camera."
@@ -81,14 +81,14 @@ def _by_distance(calibration: PlanesCalibration) -> Picture:
 def _along_stripes(calibration: PlanesCalibration) -> Picture:
     figure = canvas(10, 3.2 * len(calibration.lasers))
     axes = figure.subplots(len(calibration.lasers), 1, sharex=True, squeeze=False)[:, 0]
-    shots = list(dict.fromkeys(view.name for laser in calibration.lasers for view in laser.views))
+    shots = list(dict.fromkeys(drawn(view.name) for laser in calibration.lasers for view in laser.views))
     styles = {name: (f"C{index % 10}", "-" if index < 10 else "--") for index, name in enumerate(shots)}
     for axis, laser in zip(axes, calibration.lasers, strict=True):
         for view, (place, mean) in zip(laser.views, _averages(laser), strict=True):
-            color, stroke = styles[view.name]
-            axis.plot(place, 1e6 * mean, stroke, linewidth=1, label=view.name, color=color)
+            color, stroke = styles[drawn(view.name)]
+            axis.plot(place, 1e6 * mean, stroke, linewidth=1, label=drawn(view.name), color=color)
         axis.axhline(0, color="black", linewidth=0.6)
-        axis.set_ylabel(f"{laser.name}: residual (um)")
+        axis.set_ylabel(f"{drawn(laser.name)}: residual (um)")
     lines = {str(line.get_label()): line for axis in axes for line in axis.get_lines()}
     figure.legend([lines[name] for name in shots], shots, loc="outside upper center", fontsize=8, ncols=6)
     axes[-1].set_xlabel("direction along the stripe (tangent of the angle from the optical axis)")
@@ -125,7 +125,7 @@ def _depths(calibration: PlanesCalibration) -> Picture:
     figure = canvas(10, 4)
     axis = figure.subplots()
     for laser, worst in zip(calibration.lasers, found.worst_m, strict=True):
-        axis.plot(distances_m, 1e3 * worst, label=laser.name)
+        axis.plot(distances_m, 1e3 * worst, label=drawn(laser.name))
     axis.plot(distances_m, 1e3 * GOOD_DEPTH_SHARE * np.array(distances_m), "--", color="tab:red", label="good limit")
     axis.axvspan(min(seen), max(seen), color="tab:green", alpha=0.1, label="boards")
     axis.set_xlabel("distance (m)")

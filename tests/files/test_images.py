@@ -1,3 +1,6 @@
+import struct
+import zlib
+
 import cv2
 import numpy as np
 import pytest
@@ -97,3 +100,29 @@ def test_picture_is_written_once(tmp_path, rng):
 
     with pytest.raises(CannotCreateError):
         write_image(tmp_path / "a.png", grey(rng))
+
+
+def png_of_size(columns: int, rows: int) -> bytes:
+    def chunk(name: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+
+    header = struct.pack(">IIBBBBB", columns, rows, 8, 0, 0, 0, 0)
+    data = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(bytes(100))) + chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + data
+
+
+@pytest.mark.parametrize("size", [(100_000, 100_000), (2**20 + 1, 5), (2**31 - 1, 1), (0, 5), (5, 0)])
+def test_an_impossible_size_is_one_error_and_nothing_on_stderr(tmp_path, capfd, size):
+    (tmp_path / "a.png").write_bytes(png_of_size(*size))
+
+    with pytest.raises(DataError, match="too large"):
+        read_image(tmp_path / "a.png")
+
+    assert capfd.readouterr().err == ""
+
+
+def test_a_link_to_itself_is_no_input(tmp_path):
+    (tmp_path / "a.png").symlink_to("a.png")
+
+    with pytest.raises(NoInputError, match="cannot be opened: too many levels of symbolic links"):
+        read_image(tmp_path / "a.png")

@@ -86,3 +86,10 @@ def test_what_is_written_is_read_by_other_readers_of_yaml(tmp_path_factory, valu
         write_yaml(stream, values)
 
     assert yaml.safe_load(file.read_bytes()) == values
+
+
+def test_names_of_files_with_bytes_that_are_no_letters_are_read_again(tmp_path):
+    with (tmp_path / "x.yaml").open("wb") as stream:
+        write_yaml(stream, {"caf\udce9": "caf\udce9.png"})
+
+    assert read_yaml(tmp_path / "x.yaml").text(r"caf\udce9") == r"caf\udce9.png"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ringpose.errors import UsageError
-from ringpose.report.canvas import canvas, png_of
+from ringpose.report.canvas import canvas, drawn, png_of
 from ringpose.report.page import Picture, Section, Table, page
 from ringpose.report.requirement import require_matplotlib
 from ringpose.report.verdict_section import verdict_section
@@ -45,10 +45,10 @@ def test_texts_are_shown_as_they_are():
 
 
 def test_a_picture_is_inside_the_page():
-    drawn = canvas(2, 1)
-    drawn.subplots().plot([0, 1])
+    figure = canvas(2, 1)
+    figure.subplots().plot([0, 1])
 
-    html = page("t", [Section(title="s", pictures=[Picture(png=png_of(drawn), caption="a line")])])
+    html = page("t", [Section(title="s", pictures=[Picture(png=png_of(figure), caption="a line")])])
 
     data = re.search(r'src="data:image/png;base64,([^"]+)"', html)
     assert data
@@ -84,3 +84,16 @@ def test_points_are_a_list_in_their_order():
     html = page("t", [Section(title="s", points=["first <a>", "second"])])
 
     assert "<ol>\n<li>first &lt;a&gt;</li>\n<li>second</li>\n</ol>" in html
+
+
+@pytest.mark.parametrize("name", ["caf\udce9", "$x", "$\\frac$", "_hidden", "日本", "two\nlines"])
+def test_names_of_any_letters_are_drawn_and_in_the_legend(name):
+    figure = canvas(3, 2)
+    axes = figure.subplots()
+    axes.plot([0, 1], label=drawn(name))
+    axes.set_xticks([0], [drawn(name)])
+
+    legend = figure.legend()
+    png_of(figure)
+
+    assert len(legend.get_texts()) == 1
