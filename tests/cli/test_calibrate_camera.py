@@ -167,7 +167,7 @@ def test_the_wrong_board_file_says_so_for_each_image(folder, capsys):
     status = calibrate("views")
 
     assert status == 65
-    assert "markers found (0 of 44)" in capsys.readouterr().err
+    assert "not those of this board; is it the right board file (DICT_5X5_250, numbers 0" in capsys.readouterr().err
     assert not (folder / "camera.yaml").exists()
 
 
