@@ -7,17 +7,15 @@ from ringpose.geometry.rotations import rotation_vector
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose
 from ringpose.types.camera import DISTORTION_COEFFICIENTS, Camera
+from ringpose.types.covariance import camera_parameters
 
-FOCAL_AND_PRINCIPAL = ("fx", "fy", "cx", "cy")
 SMALLEST_SHARE = 1e-14
 """Of the largest eigenvalue: smaller ones are rounding, which makes variances negative."""
-
-COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
 
 def parameter_names(distortion_model: str) -> tuple[str, ...]:
     """Names of the intrinsic parameters, in the order of their vector."""
-    return FOCAL_AND_PRINCIPAL + COEFFICIENTS[: DISTORTION_COEFFICIENTS[distortion_model]]
+    return camera_parameters(DISTORTION_COEFFICIENTS[distortion_model])
 
 
 def parameters_of(camera: Camera) -> Float64[Array, "parameter"]:

@@ -10,6 +10,7 @@ from ringpose.calibrate.laser_names import THREE
 from ringpose.geometry.rotations import angle_between, tilt_basis
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.calibration import PlanesCalibration
+from ringpose.types.covariance import laser_parameters
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -84,7 +85,7 @@ def _angle_sd_rad(calibration: PlanesCalibration, first: int, second: int) -> fl
     covariance = calibration.covariance
     if covariance is None:
         return float("nan")
-    names = [f"{calibration.lasers[laser].name}.tilt_{tilt}" for laser in (first, second) for tilt in (1, 2)]
+    names = [name for laser in (first, second) for name in laser_parameters([calibration.lasers[laser].name])[:2]]
     places = [covariance.parameters.index(name) for name in names]
     own, other = calibration.planes.normal[[first, second]]
     jacobian = np.concatenate([-_towards(own, other), -_towards(other, own)])

@@ -19,19 +19,17 @@ from ringpose.calibrate.plane_joint import (
 )
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
-from ringpose.types.covariance import ParameterCovariance
+from ringpose.types.covariance import PLANE_PARAMETERS, ParameterCovariance, laser_parameters
 
 SIGNIFICANCE = 3.0
 """Standard deviations by which the sum of squares must exceed its mean (chi-squared) to be more than chance."""
-
-PLANE_PARAMETERS = ("tilt_1", "tilt_2", "distance")
 
 
 def planes_covariance(
     names: tuple[str, ...], fit: JointFit, given: Camera, excess: float, free_camera: bool
 ) -> ParameterCovariance:
     """Covariance of the camera's parameters (if the camera has one) and of each plane's two tilts and distance."""
-    planes = tuple(f"{name}.{what}" for name in names for what in PLANE_PARAMETERS)
+    planes = laser_parameters(names)
     if given.covariance is None:
         count = len(planes)
         return ParameterCovariance(parameters=planes, data=excess * inverse_of_scaled(fit.information[:count, :count]))

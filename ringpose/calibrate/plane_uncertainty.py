@@ -9,7 +9,7 @@ from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.measurements import pixels_by_ray_and_camera
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
-from ringpose.types.covariance import ParameterCovariance
+from ringpose.types.covariance import CAMERA_PARAMETERS, ParameterCovariance, laser_parameters
 from ringpose.types.laser_planes import LaserPlanes
 
 COLUMNS = 9
@@ -94,8 +94,7 @@ def _in_order(
     parameters: tuple[str, ...],
     laser: str,
 ) -> Float64[Array, "n parameter"]:
-    own = {f"{laser}.{what}": by_plane[:, index] for index, what in enumerate(("tilt_1", "tilt_2", "distance"))}
-    intrinsic = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-    own |= dict(zip(intrinsic, by_camera.T, strict=False))
+    own = dict(zip(laser_parameters([laser]), by_plane.T, strict=True))
+    own |= dict(zip(CAMERA_PARAMETERS, by_camera.T, strict=False))
     zero = np.zeros(len(by_plane))
     return np.column_stack([own.get(name, zero) for name in parameters])

@@ -8,7 +8,6 @@ import numpy as np
 from ringpose.calibrate.corner_likeness import by_independent_errors, likeliest_pose
 from ringpose.calibrate.corner_sigmas import LEAST_SIGMA_PX, corner_sigma_px
 from ringpose.calibrate.intrinsics import parameter_names, projection_jacobians
-from ringpose.calibrate.plane_covariance import PLANE_PARAMETERS
 from ringpose.calibrate.plane_points import triangulated
 from ringpose.calibrate.stripe_errors import center_sigma_px, shared_length, stripe_bend
 from ringpose.calibrate.stripe_labels import labelled_by_planes
@@ -17,6 +16,7 @@ from ringpose.geometry.rays import rays, undistorted_pixels
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.calibration import StripeView
+from ringpose.types.covariance import laser_parameters
 from ringpose.types.rig import Rig
 
 SIGMAS = 3.0
@@ -175,8 +175,7 @@ def _by_rig(rows: StripeRows, view: BoardView, pose: BoardPose, rig: Rig) -> Flo
 
 def _rig_covariance(rig: Rig, laser: int) -> Float64[Array, "parameter parameter"]:
     """Of the camera and one light plane; zero where the rig knows none."""
-    names = parameter_names(rig.camera.distortion_model)
-    names += tuple(f"{rig.lasers.names[laser]}.{what}" for what in PLANE_PARAMETERS)
+    names = parameter_names(rig.camera.distortion_model) + laser_parameters([rig.lasers.names[laser]])
     covariance = np.zeros((len(names), len(names)))
     if rig.covariance is not None:
         known = [index for index, name in enumerate(names) if name in rig.covariance.parameters]

@@ -9,12 +9,13 @@ import numpy as np
 
 from ringpose.files import atomic
 from ringpose.files.camera_matrices import checked_matrix
-from ringpose.files.covariances import camera_parameters, covariance_values, read_covariance
+from ringpose.files.covariances import covariance_values, read_covariance
 from ringpose.files.fields import Fields
 from ringpose.files.provenance import provenance
 from ringpose.files.yaml import write_yaml
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import DISTORTION_COEFFICIENTS, Camera
+from ringpose.types.covariance import camera_parameters
 
 SCHEMA = "camera/1"
 

@@ -7,22 +7,12 @@ import numpy as np
 
 from ringpose.files.fields import Fields, hint
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.covariance import CAMERA_PARAMETERS, PLANE_PARAMETERS, ParameterCovariance
+from ringpose.types.covariance import ParameterCovariance
 
 _KEYS = ("parameters", "data")
 
 _NEGATIVE = -1e-9
 """An eigenvalue of the correlation matrix below this is no rounding error."""
-
-
-def camera_parameters(coefficients: int) -> tuple[str, ...]:
-    """Names of a camera's parameters, for so many distortion coefficients."""
-    return CAMERA_PARAMETERS[: 4 + coefficients]
-
-
-def laser_parameters(names: Sequence[str]) -> tuple[str, ...]:
-    """Names of the light planes' parameters."""
-    return tuple(f"{name}.{what}" for name in names for what in PLANE_PARAMETERS)
 
 
 def covariance_of(fields: Fields, known: Sequence[str]) -> ParameterCovariance:

@@ -12,11 +12,12 @@ from ringpose.errors import DataError
 from ringpose.files import atomic
 from ringpose.files.bytes import read_bytes
 from ringpose.files.cameras import CAMERA_KEYS, camera_of, camera_values
-from ringpose.files.covariances import camera_parameters, covariance_values, laser_parameters, read_covariance
+from ringpose.files.covariances import covariance_values, read_covariance
 from ringpose.files.fields import ROUNDED, Fields
 from ringpose.files.provenance import provenance
 from ringpose.files.yaml import parsed, write_yaml
 from ringpose.types.arrays import Array, Float64
+from ringpose.types.covariance import camera_parameters, laser_parameters
 from ringpose.types.laser_planes import LaserPlanes
 from ringpose.types.rig import Rig
 from ringpose.types.sequence import MOST_LASERS

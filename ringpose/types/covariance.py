@@ -1,5 +1,6 @@
 """Joint covariance of named parameters."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,16 @@ CAMERA_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4",
 
 PLANE_PARAMETERS = ("tilt_1", "tilt_2", "distance")
 """Of each light plane."""
+
+
+def camera_parameters(coefficients: int) -> tuple[str, ...]:
+    """Names of a camera's parameters, for so many distortion coefficients."""
+    return CAMERA_PARAMETERS[: 4 + coefficients]
+
+
+def laser_parameters(names: Sequence[str]) -> tuple[str, ...]:
+    """Names of the light planes' parameters, those of each laser in turn."""
+    return tuple(f"{name}.{what}" for name in names for what in PLANE_PARAMETERS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
