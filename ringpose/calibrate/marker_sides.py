@@ -13,8 +13,8 @@ from scipy.special import ndtr
 from ringpose.calibrate.corner_likeness import likeness_of_ends
 from ringpose.calibrate.edge_profile import EdgeProfile, normal_profile, seen_profile
 from ringpose.calibrate.side_curves import LARGEST_MARGIN, Side, meeting_point, robust_parabola, straight_side
-from ringpose.calibrate.side_light import Light, marker_light, reach_px
-from ringpose.calibrate.side_samples import SideSamples, side_samples
+from ringpose.calibrate.side_light import LARGEST_REACH_PX, REACH_PX, Light, marker_light, reach_px
+from ringpose.calibrate.side_samples import FLANK_BLURS, SideSamples, side_samples
 from ringpose.types.arrays import Array, Float64, UInt8
 
 SHORTEST_SIDE_PX = 24.0
@@ -70,11 +70,26 @@ def _opposite_sides(
     image: UInt8[Array, "row column"], corners: Float64[Array, "corner=4 xy=2"], first: int, light: Light
 ) -> list[Side | None]:
     """Two sides drawn through their edges, which are blurred alike; None for one of which too little is seen."""
-    sides: list[Side | None] = [straight_side(corners[i], corners[(i + 1) % 4]) for i in (first, first + 2)]
-    reach = min(reach_px(side.length) for side in sides if side is not None)
+    chords = [straight_side(corners[i], corners[(i + 1) % 4]) for i in (first, first + 2)]
+    for farthest_px in (REACH_PX, LARGEST_REACH_PX):
+        reach = min(reach_px(side.length, farthest_px) for side in chords)
+        sides, blur_px = _sides_within(image, chords, light, reach)
+        if FLANK_BLURS * blur_px < reach:
+            break
+    return sides
+
+
+def _sides_within(
+    image: UInt8[Array, "row column"], chords: list[Side], light: Light, reach: float
+) -> tuple[list[Side | None], float]:
+    """The sides by what lies so near, and the blur of their edges."""
+    sides: list[Side | None] = list(chords)
     profile, left_out = normal_profile(reach), LARGEST_MARGIN
     for turn in range(_ROUNDS):
-        seen = [None if side is None else side_samples(image, side, left_out, light, profile.blur_px) for side in sides]
+        seen = [
+            None if side is None else side_samples(image, side, (left_out, reach), light, profile.blur_px)
+            for side in sides
+        ]
         sides = [
             None if side is None or samples is None else _redrawn(side, samples, profile, left_out)
             for side, samples in zip(sides, seen, strict=True)
@@ -85,7 +100,7 @@ def _opposite_sides(
         profile = _profile(left, reach, normal=turn < _NORMAL_ROUNDS)
         shortest = min(side.length for side in sides if side is not None)
         left_out = min(CLEAR_BLURS * profile.blur_px / shortest, LARGEST_MARGIN)
-    return sides
+    return sides, profile.blur_px
 
 
 def _redrawn(side: Side, samples: SideSamples, profile: EdgeProfile, left_out: float) -> Side | None:

@@ -9,7 +9,10 @@ from ringpose.calibrate.side_curves import LARGEST_MARGIN, Side, straight_side
 from ringpose.types.arrays import Array, Float64, UInt8
 
 REACH_PX = 5.0
-"""How far across a side is looked for the edge, and at most half a cell of the marker's black border."""
+"""How far across a side is looked for the edge, and at most half a cell of the marker's black border ..."""
+
+LARGEST_REACH_PX = 8.0
+"""... and how far where the edge is so blurred that less tells neither dark nor bright."""
 
 CELLS = 6
 """Cells across the smallest dictionaries' markers, border included; a border cell is no larger than this share."""
@@ -49,9 +52,9 @@ def marker_light(image: UInt8[Array, "row column"], corners: Float64[Array, "cor
     return Light(dark=dark, bright=bright)
 
 
-def reach_px(length: float) -> float:
+def reach_px(length: float, farthest_px: float = REACH_PX) -> float:
     """How far across a side of this length is looked."""
-    return min(REACH_PX, 0.5 * length / CELLS)
+    return min(farthest_px, 0.5 * length / CELLS)
 
 
 def smooth_level(t: Float64[Array, "n"], grey: Float64[Array, "n"]) -> Float64[Array, "n"]:

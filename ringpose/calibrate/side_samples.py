@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.calibrate.side_curves import MINIMUM_SAMPLES, Side
-from ringpose.calibrate.side_light import Light, reach_px, smooth_level
+from ringpose.calibrate.side_light import Light, smooth_level
 from ringpose.types.arrays import Array, Bool, Float64, UInt8
 
 FLANK_BLURS, LEAST_FLANK, LARGEST_FLANK = 3.0, 0.3, 0.6
@@ -34,10 +34,10 @@ class SideSamples(NamedTuple):
 
 
 def side_samples(
-    image: UInt8[Array, "row column"], side: Side, left_out: float, light: Light, blur_px: float
+    image: UInt8[Array, "row column"], side: Side, extent: tuple[float, float], light: Light, blur_px: float
 ) -> SideSamples | None:
-    """Of a side less this share at its ends; None where too little of its edge is seen."""
-    reach = reach_px(side.length)
+    """Of a side less a share at its ends, and so far across it; None where too little of its edge is seen."""
+    left_out, reach = extent
     clear_px = float(np.clip(FLANK_BLURS * blur_px, LEAST_FLANK * reach, LARGEST_FLANK * reach))
     t, across, grey = _pixels(image, side, left_out, reach)
     inside, outside = ((sign * across >= clear_px) & (np.abs(across) <= reach) for sign in (-1.0, 1.0))

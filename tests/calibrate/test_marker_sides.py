@@ -71,3 +71,24 @@ def test_corners_stay_where_they_are_beside_the_image_s_border(cut, lit_square):
     found = corners_from_sides(lit_square((0.002, 0.0))[cut:], CORNERS_PX - [0.0, cut] + 0.4)
 
     assert np.abs(found.points_px - CORNERS_PX + [0.0, cut]).max() < 0.02
+
+
+@pytest.mark.parametrize("radius_px", [3.0, 4.0])
+def test_corners_are_found_where_a_lens_out_of_focus_spreads_each_point_over_a_disc(radius_px):
+    """Seven or nine pixels wide: a rise that ends farther out than sharp edges are looked at."""
+    row, column = np.indices((180, 180), dtype=np.float64)
+    turn = np.array([[np.cos(0.1), -np.sin(0.1)], [np.sin(0.1), np.cos(0.1)]])
+    on_board = (np.stack([column, row], axis=-1) - 90.2) @ turn
+    square = [disc_share(55.0 - on_board, radius_px), disc_share(on_board + 55.0, radius_px)]
+    image = 170 - 140 * np.prod(square, axis=(0, -1))
+    true = 55.0 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) @ turn.T + 90.2
+
+    found = corners_from_sides(np.rint(image).astype(np.uint8), true + 0.4)
+
+    assert np.abs(found.points_px - true).max() < 0.02
+
+
+def disc_share(across: np.ndarray, radius: float) -> np.ndarray:
+    """Share of a disc on the bright side of a straight edge so far within."""
+    place = np.clip(across / radius, -1.0, 1.0)
+    return 0.5 + (place * np.sqrt(1.0 - place**2) + np.arcsin(place)) / np.pi
