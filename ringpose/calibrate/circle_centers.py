@@ -14,6 +14,12 @@ from ringpose.types.arrays import Array, Float64, UInt8
 
 _ROUNDS = 2
 
+DIM_DN, BRIGHT_DN = 110.0, 200.0
+"""Paper darker than this is made so bright that circles are looked for at several levels between it and their ink."""
+
+WHITE_PERCENT = 98
+"""Of the pixels are darker than the brightest paper."""
+
 LOWEST_CONTRAST_DN = 10.0
 """Below this a circle's area tells nothing."""
 
@@ -50,8 +56,16 @@ def _homography(
 def circle_middles(grey: UInt8[Array, "row column"], columns: int, rows: int) -> Float64[Array, "corner xy=2"] | None:
     """The middles of the ellipses that the image shows; None if not all are found."""
     flags = cv2.CALIB_CB_ASYMMETRIC_GRID | cv2.CALIB_CB_CLUSTERING
-    found, middles = cv2.findCirclesGrid(grey, (columns, rows), flags=flags)
+    found, middles = cv2.findCirclesGrid(brightened(grey), (columns, rows), flags=flags)
     return np.asarray(middles, dtype=np.float64).reshape(-1, 2) if found else None
+
+
+def brightened(grey: UInt8[Array, "row column"]) -> UInt8[Array, "row column"]:
+    """A dark image as bright as others are: OpenCV looks for circles at levels of 50 grey values and more alone."""
+    white = float(np.percentile(grey, WHITE_PERCENT))
+    if not 0 < white < DIM_DN:
+        return grey
+    return np.rint(np.minimum(grey * (BRIGHT_DN / white), 255.0)).astype(np.uint8)
 
 
 def ellipse_offsets(

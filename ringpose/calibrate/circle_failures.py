@@ -8,7 +8,7 @@ import numpy as np
 
 from ringpose.calibrate.board_failures import BLURRED_PX, BoardFailure, NoBoard, edge_width_px
 from ringpose.calibrate.board_points import corner_points
-from ringpose.calibrate.circle_centers import circle_middles
+from ringpose.calibrate.circle_centers import brightened, circle_middles
 from ringpose.types.arrays import Array, Float64, UInt8
 from ringpose.types.board import Board
 
@@ -38,7 +38,7 @@ def circle_failure(grey: UInt8[Array, "row column"], board: Board) -> NoBoard:
 
 def _circles_seen(grey: UInt8[Array, "row column"]) -> Float64[Array, "circle xy=2"]:
     """Middles of the dark round spots, the same ones that OpenCV's finder of grids begins with."""
-    spots = cv2.SimpleBlobDetector.create().detect(grey)
+    spots = cv2.SimpleBlobDetector.create().detect(brightened(grey))
     return np.array([spot.pt for spot in spots], dtype=np.float64).reshape(-1, 2)
 
 

@@ -47,3 +47,12 @@ def test_centres_of_tilted_circles_are_not_the_middles_of_their_ellipses(radius_
 
     assert np.median(middles) > 0.08
     assert np.median(found) < 0.2 * np.median(middles)
+
+
+def test_circles_are_found_in_an_image_a_quarter_as_bright(tilted_circles):
+    image, centers_px = tilted_circles(0.006)
+    dim = np.rint(image * 0.25).astype(np.uint8)
+
+    found = np.linalg.norm(find_board(dim, BOARD, "dim").points_px - centers_px, axis=1)
+
+    assert np.median(found) < 0.03
