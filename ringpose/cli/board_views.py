@@ -13,7 +13,7 @@ from ringpose.cli import messages
 from ringpose.cli.batch import Batch
 from ringpose.cli.progress import counted
 from ringpose.errors import NO_POSE, DataError
-from ringpose.files.atomic import make_folder
+from ringpose.files.atomic import make_folder, refuse_inputs
 from ringpose.files.images import write_image
 from ringpose.files.inputs import Input
 from ringpose.files.inputs import inputs as named
@@ -34,6 +34,8 @@ class BoardImages:
         self.overlay = None if overlay is None else make_folder(overlay)
         self.channel = channel
         self.force = force
+        self.outputs: tuple[Path | None, ...] = ()
+        """What the command will write: never one of its inputs."""
         self.luminance_too = False
         """Look for the board in a colour image's luminance where its channel, that of a laser, shows none."""
         self.views: list[BoardView] = []
@@ -47,6 +49,8 @@ class BoardImages:
 
     def read(self, item: Input) -> tuple[Shot, BoardView] | None:
         """The shot that an input names with its view of the board; None, and remembered, if it shows none."""
+        if isinstance(item, Path):
+            refuse_inputs((*self.outputs, self.overlay and self.overlay / f"{item.stem}.png"), [item])
         shot = read_shot(file_named(item), self.channel)
         self._check_size(shot)
         self._refuse_known(shot)

@@ -67,12 +67,13 @@ def calibrate_camera(
     from ringpose.files.boards import read_board
 
     writing = _Writing(given(output, "--output"), report, force, quiet)
-    refuse_existing_outputs(writing.output, report, force)
+    refuse_existing_outputs(writing.output, report, force, [board])
     model = CameraModel(
         distortion_model=distortion_model.value, fix_k3=fix_k3, zero_tangential=zero_tangential, keep_all=keep_all
     )
     asked = _Asked(model, _distances_m(distances), compare, camera_name)
     images = BoardImages(read_board(board), overlay, channel=channel, force=force)
+    images.outputs = (writing.output, report)
     batch = Batch()
     images.read_each(given(inputs, "INPUT"), batch, quiet=quiet, verbose=verbose)
     with batch.item():

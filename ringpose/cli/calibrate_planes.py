@@ -139,10 +139,12 @@ def _calibrate(shots: list[str], reading: _Reading, writing: _Writing, method: P
     from ringpose.files.camera_formats import read_camera
     from ringpose.files.rigs import read_mount
 
-    refuse_existing_outputs(writing.output, writing.report, reading.force)
+    files = [reading.board, writing.camera, *([writing.mount] if writing.mount else [])]
+    refuse_existing_outputs(writing.output, writing.report, reading.force, files)
     tool_from_camera = None if writing.mount is None else read_mount(writing.mount)
     batch = Batch()
     stripes = _stripe_images(reading, read_camera(writing.camera))
+    stripes.images.outputs = (writing.output, writing.report)
     stripes.require_method(method, free_camera)
     _read(shots, reading, stripes, batch)
     batch.met(NO_POSE if stripes.without_stripe else 0)

@@ -1,6 +1,6 @@
 """What the calibrating commands write and say."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -8,12 +8,13 @@ if TYPE_CHECKING:
     from ringpose.types.verdict import Verdict
 
 
-def refuse_existing_outputs(output: Path, report: Path | None, force: bool) -> None:
-    """Before long work: refuse what exists already, and a report that nothing can draw."""
+def refuse_existing_outputs(output: Path, report: Path | None, force: bool, read: Iterable[Path]) -> None:
+    """Before long work: refuse what exists already or is read, and a report that nothing can draw."""
     from ringpose.errors import UsageError
-    from ringpose.files.atomic import refuse_existing
+    from ringpose.files.atomic import refuse_existing, refuse_inputs
     from ringpose.report.requirement import require_matplotlib
 
+    refuse_inputs((output, report), read)
     refuse_existing(output, force)
     if report is not None:
         if report.resolve() == output.resolve():

@@ -3,7 +3,7 @@
 import errno
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
@@ -58,6 +58,15 @@ def refuse_existing(path: Path, force: bool) -> None:
         raise output_error(path, error) from error
     if not force:
         raise CannotCreateError(str(path), "exists already", "add --force to replace it")
+
+
+def refuse_inputs(outputs: Iterable[Path | None], read: Iterable[Path]) -> None:
+    """Refuse outputs that are read as well, by whatever name: no wish to replace them means that."""
+    there = [output for output in outputs if output is not None and output.exists()]
+    for file in read:
+        for output in there:
+            if file.exists() and output.samefile(file):
+                raise CannotCreateError(str(output), "is an input, too", "choose another output")
 
 
 def make_folder(path: Path) -> Path:

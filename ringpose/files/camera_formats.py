@@ -1,5 +1,6 @@
 """Cameras in files: the project's own, and those of other programs, read and written."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,9 @@ from ringpose.files.fields import Fields
 from ringpose.files.yaml import parsed, write_yaml
 from ringpose.types.camera import Camera
 
+_MESSAGE_END = re.compile(rb"\n---\s*\Z")
+"""The line that `ros2 topic echo` prints behind each message, where nothing follows."""
+
 
 def read_camera(path: Path) -> Camera:
     """The camera of a camera.yaml or rig.yaml, or of a file of ROS, OpenCV, Kalibr or MATLAB, told by its content."""
@@ -26,7 +30,7 @@ def read_camera(path: Path) -> Camera:
         return matlab.camera_of_mat(text, file, path.stem)
     if matlab.is_script(text):
         return matlab.camera_of_script(text, file, path.stem)
-    values = parsed(text, file)
+    values = parsed(_MESSAGE_END.sub(b"\n", text), file)
     if kalibr.is_camchain(values):
         return kalibr.camera_of(values, file)
     schema = str(values.get("ringpose", "")) if isinstance(values, Mapping) else ""

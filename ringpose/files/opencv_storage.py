@@ -1,4 +1,4 @@
-"""Cameras in OpenCV's FileStorage format, YAML or XML."""
+"""Cameras in OpenCV's FileStorage format: YAML or XML, and JSON, which is read only."""
 
 from typing import Any
 
@@ -12,12 +12,12 @@ from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
 
 _MATRIX, _COEFFICIENTS = "camera_matrix", "distortion_coefficients"
-_MATRIX_KEYS = ("rows", "cols", "sizes", "dt", "data")
+_MATRIX_KEYS = ("rows", "cols", "sizes", "dt", "data", "type_id")
 
 
 def is_storage(text: bytes) -> bool:
-    """Whether a file is one that OpenCV's FileStorage wrote: its XML, its own YAML header, or its matrices."""
-    return text.startswith((b"%YAML:", b"<?xml", b"<opencv_storage")) or b"!!opencv-" in text
+    """Whether OpenCV's FileStorage wrote a file: its XML, its own YAML header, or its matrices, in YAML or JSON."""
+    return text.startswith((b"%YAML:", b"<?xml", b"<opencv_storage")) or b"!!opencv-" in text or b'"opencv-' in text
 
 
 def camera_of(text: bytes, file: str, name: str) -> Camera:
@@ -27,6 +27,8 @@ def camera_of(text: bytes, file: str, name: str) -> Camera:
         raise DataError(file, f"has no {_MATRIX}", "give a file with one camera, as OpenCV's calibration sample writes")
     if not (fields.has("image_width") and fields.has("image_height")):
         raise DataError(file, "does not say the size of the image", "add image_width: and image_height: to it")
+    if fields.has("fisheye_model") and fields.number("fisheye_model") != 0:
+        raise fields.problem("fisheye_model", "is set", "calibrate with plumb_bob or rational_polynomial")
     coefficients = _trimmed(fields, _storage_matrix(fields, _COEFFICIENTS, 1).ravel())
     return Camera(
         camera_name=name,
@@ -102,7 +104,7 @@ def _xml_values(text: bytes, file: str) -> dict[str, Any]:
             matrix = storage.getNode(key).mat()
             if matrix is not None:
                 values[key] = {"rows": len(matrix), "cols": matrix.size // len(matrix), "data": matrix.ravel().tolist()}
-        for key in ("image_width", "image_height"):
+        for key in ("image_width", "image_height", "fisheye_model"):
             if not storage.getNode(key).empty():
                 values[key] = int(storage.getNode(key).real())
     except (cv2.error, UnicodeDecodeError, SystemError):

@@ -89,11 +89,12 @@ def test_ros_finds_the_matrices_of_a_stereo_pair(tmp_path):
 
 
 @pytest.mark.parametrize("letters", ["K D", "k d"])
-def test_a_ros_message_is_read(tmp_path, letters):
+@pytest.mark.parametrize("end", ["", "---\n"])
+def test_a_ros_message_is_read(tmp_path, letters, end):
     matrix, coefficients = letters.split()
     message = {"height": 480, "width": 640, "distortion_model": "plumb_bob", "header": {"frame_id": "camera"}}
     message |= {matrix: MATRIX.ravel().tolist(), coefficients: PLUMB_BOB.tolist()}
-    (tmp_path / "m.yaml").write_text(yaml.safe_dump(message))
+    (tmp_path / "m.yaml").write_text(yaml.safe_dump(message) + end)
 
     after = read_camera(tmp_path / "m.yaml")
 
@@ -267,3 +268,45 @@ def test_the_toolbox_of_a_real_set_is_read(shared_data):
     )
     assert after.distortion_coefficients[:2] == pytest.approx([0.0981042148, -0.182481427])
     assert (after.image_width, after.image_height) == (1152, 768)
+
+
+def stored(path, coefficients: np.ndarray, **numbers: int):
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for key, number in {"image_width": 640, "image_height": 480, **numbers}.items():
+        storage.write(key, number)
+    storage.write("camera_matrix", MATRIX)
+    storage.write("distortion_coefficients", coefficients[:, None])
+    storage.release()
+    return path
+
+
+@pytest.mark.parametrize("coefficients", [PLUMB_BOB, RATIONAL], ids=["plumb_bob", "rational"])
+@pytest.mark.parametrize("name", ["c.json", "c.yml", "c.xml"])
+def test_what_opencv_stores_is_read(tmp_path, name, coefficients):
+    after = read_camera(stored(tmp_path / name, coefficients))
+
+    np.testing.assert_array_equal(after.camera_matrix, MATRIX)
+    np.testing.assert_array_equal(after.distortion_coefficients, coefficients)
+
+
+@pytest.mark.parametrize("name", ["c.json", "c.yml", "c.xml"])
+def test_a_fisheye_camera_of_opencv_is_refused(tmp_path, name):
+    path = stored(tmp_path / name, np.array([0.1, 0.2, 0.3, 0.4]), fisheye_model=1)
+
+    with pytest.raises(DataError, match="fisheye_model: is set; calibrate with plumb_bob or rational_polynomial"):
+        read_camera(path)
+
+
+@pytest.mark.parametrize(
+    ("values", "finding"),
+    [
+        ({"width": 640, "k": [8.0, 0, 4, 0, 8, 3, 0, 0, 1]}, "has a focal length of 8 pixels; pixels belong here"),
+        ({"width": 10**30, "k": MATRIX.ravel().tolist()}, "image_width: is 1e\\+30, must be at least 1 and at most"),
+    ],
+)
+def test_sizes_that_no_camera_has_are_refused(tmp_path, values, finding):
+    message = {"height": 480, "distortion_model": "plumb_bob", "d": PLUMB_BOB.tolist()} | values
+    (tmp_path / "m.yaml").write_text(yaml.safe_dump(message))
+
+    with pytest.raises(DataError, match=finding):
+        read_camera(tmp_path / "m.yaml")

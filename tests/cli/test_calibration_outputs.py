@@ -1,0 +1,59 @@
+"""What the calibrating commands write never takes the place of what they read, not even with --force."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from ringpose.cli.main import main
+
+CAMERA = ("calibrate-camera", "views", "--board", "camera_board.yaml", "--force")
+PLANES = (
+    "calibrate-planes",
+    "planes",
+    "--board",
+    "plane_board.yaml",
+    "--camera",
+    "camera.yaml",
+    "--laser-names",
+    "a,b,c",
+    "--force",
+)
+IMAGE = "views/cam_B_00.png"
+
+
+@pytest.fixture
+def folder(plane_folder, carried_data):
+    """A working folder with views for both commands, and a link to one of them."""
+    (plane_folder / "views").mkdir()
+    shutil.copy(carried_data / "calib_b" / "camera" / "cam_B_00.png", plane_folder / "views")
+    shutil.copy(carried_data / "calib_b" / "camera_board.yaml", plane_folder)
+    (plane_folder / "link.png").symlink_to(IMAGE)
+    return plane_folder
+
+
+@pytest.mark.parametrize(
+    ("words", "output", "kept"),
+    [
+        ((*CAMERA, "--output", "camera_board.yaml"), "camera_board.yaml", "camera_board.yaml"),
+        ((*CAMERA, "--output", IMAGE), IMAGE, IMAGE),
+        ((*CAMERA, "--output", "link.png"), "link.png", IMAGE),
+        ((*CAMERA, "--output", "c.yaml", "--overlay", "views"), IMAGE, IMAGE),
+        ((*PLANES, "--output", "camera.yaml"), "camera.yaml", "camera.yaml"),
+        ((*PLANES, "--output", "plane_board.yaml"), "plane_board.yaml", "plane_board.yaml"),
+        ((*PLANES, "--output", "r.yaml", "--mount", "m.yaml", "--report", "m.yaml"), "m.yaml", "m.yaml"),
+        ((*PLANES, "--output", "planes/pln_B_01.npz"), "planes/pln_B_01.npz", "planes/pln_B_01.npz"),
+        (
+            ("convert-camera", "camera.yaml", "--format", "ros", "-o", "camera.yaml", "--force"),
+            *2 * ["camera.yaml"],
+        ),
+    ],
+)
+def test_an_output_that_is_an_input_is_refused(folder, capsys, words, output, kept):
+    (folder / "m.yaml").write_text("mount: {}")
+    before = Path(kept).read_bytes()
+
+    status = main(words)
+
+    assert (status, capsys.readouterr().err) == (73, f"ringpose: {output}: is an input, too; choose another output\n")
+    assert Path(kept).read_bytes() == before
