@@ -31,6 +31,9 @@ WHITE_PER_GAP = 0.9
 """Half-window on a ChArUco board, in widths of the white rim around its markers: a window that reaches a marker
 is five times worse (0.02 -> 0.1 px)."""
 
+_NEAR_PX = 9
+"""Side of the square around a corner whose pixels its place is told by, the nearest ones."""
+
 
 def find_board(image: UInt[Array, "row column"], board: Board, name: str) -> BoardView | NoBoard:
     """The corners of the board that the image shows, in pixels and in the board frame, or the reason for none."""
@@ -52,6 +55,7 @@ def find_board(image: UInt[Array, "row column"], board: Board, name: str) -> Boa
         points_px=seen.points_px,
         likeness=seen.likeness,
         circle_radius_m=seen.circle_radius_m,
+        saturated_share=_saturated_share(grey, seen.points_px),
         marker_size_ratio=None if seen.layout is None else seen.layout.size_ratio,
     )
 
@@ -62,6 +66,13 @@ def grey_8_bit(image: UInt[Array, "row column"]) -> UInt8[Array, "row column"]:
         return np.ascontiguousarray(image)
     scale = 255.0 / max(int(image.max(initial=0)), 1)
     return np.rint(image * scale).astype(np.uint8)
+
+
+def _saturated_share(grey: UInt8[Array, "row column"], points_px: Float64[Array, "corner xy=2"]) -> float:
+    """Of the corners, those with a saturated pixel near them."""
+    near = cv2.dilate((grey == 255).astype(np.uint8), np.ones((_NEAR_PX, _NEAR_PX), dtype=np.uint8))
+    column, row = np.clip(np.rint(points_px).astype(np.int64), 0, np.array(grey.shape[::-1]) - 1).T
+    return float(np.mean(near[row, column]))
 
 
 _Corners = tuple[Int64[Array, "corner"], Float64[Array, "corner xy=2"]]

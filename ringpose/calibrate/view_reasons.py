@@ -15,6 +15,9 @@ from ringpose.types.camera import Camera
 FITS = 2.0
 """A view is explained by what brings its rms below this many times the usual one."""
 
+MOSTLY_SATURATED = 0.5
+"""Share of a view's corners with saturated pixels beside them, above which that is why it does not fit."""
+
 _STEPS = 3
 _MOST = 7
 """Tenths of the corners that are taken for good."""
@@ -31,6 +34,9 @@ def view_explanation(view: BoardView, camera: Camera, usual_px: float) -> str:
             return f"{_difference(other, camera)} it would be {rms_px:.2f} px: another camera, zoom or focus, or cut"
         if turned_px < limit_px:
             return "it fits if its image is turned by half a turn: turn the camera back, or the image"
+    if view.saturated_share > MOSTLY_SATURATED:
+        share = f"{100 * view.saturated_share:.0f} %"
+        return f"white is saturated beside {share} of its corners, which draws them aside: expose it for less"
     lengths = _errors_beside_most(view, camera)
     return _where_off(view, lengths) if np.median(lengths) < limit_px else ""
 

@@ -55,6 +55,8 @@ class BoardView:
     """Correlation of the errors that a marker's side has at its two ends, where corners are where sides meet."""
     circle_radius_m: float = 0.0
     """Of circles whose centres these are; zero if that is not known, and of other corners."""
+    saturated_share: float = 0.0
+    """Of the corners, those with saturated pixels beside them: dark squares and markers look smaller there."""
     marker_size_ratio: tuple[float, float] | None = None
     """Width and height of the markers over `marker_m`, by their distances from one another; None if they tell none."""
 

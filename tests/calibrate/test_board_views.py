@@ -140,3 +140,10 @@ def test_an_image_that_opencv_fails_on_is_bad_data_and_no_bug(monkeypatch):
 
     with pytest.raises(DataError, match=r"vast: OpenCV fails on its 640 x 480 pixels: .*; give a smaller image"):
         find_board(np.zeros((480, 640), np.uint8), circles, "vast")
+
+
+@pytest.mark.parametrize(("gain", "share"), [(1.0, 0.0), (2.0, 1.0)])
+def test_corners_beside_saturated_paper_are_counted(gain, share, drawn_board):
+    image = np.minimum(gain * drawn_board(FOUR), 255.0).astype(np.uint8)
+
+    assert find_board(image, FOUR, "exposed").saturated_share == share

@@ -1,6 +1,7 @@
 """Views of another camera, and views with something in front, named for what they are."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -83,3 +84,14 @@ def test_views_of_two_cameras_mixed_are_told_apart(views):
 
     assert sorted(found) == ["v0", "v12", "v4", "v8"]
     assert all(re.search(r"focal length (1\.[789]|2\.[0123]) % longer", reason) for reason in found.values())
+
+
+def test_an_overexposed_view_is_named_with_the_share_of_its_corners(views, rng):
+    boards = views(10)
+    drawn_aside = boards[4].points_px + rng.choice([-0.5, 0.5], (len(POINTS), 2))
+    boards[4] = replace(boards[4], points_px=drawn_aside, saturated_share=0.9)
+
+    found = rejected(boards)
+
+    assert list(found) == ["v4"]
+    assert "white is saturated beside 90 % of its corners" in found["v4"]
