@@ -11,7 +11,7 @@ from ringpose.calibrate.camera_model import CameraModel
 from ringpose.calibrate.coverage import coverage
 from ringpose.calibrate.cross_validation import cross_validation, used_views
 from ringpose.calibrate.distortion_models import model_comparison
-from ringpose.calibrate.projection_map import image_map, projection_sigma_px
+from ringpose.calibrate.projection_map import image_map, known_lens, projection_sigma_px
 from ringpose.types.board import BoardView
 from ringpose.types.camera_calibration import CameraAssessment, CameraCalibration
 
@@ -39,13 +39,15 @@ def camera_assessment(
     """
     where, used = image_map(calibration.camera), used_views(calibration, boards)
     validation = cross_validation(used, calibration.camera, model, where)
-    sigma_px = projection_sigma_px(calibration.camera, where)
+    corners_px = np.concatenate([view.points_px[~view.left_out] for view in calibration.used])
+    known = known_lens(calibration.camera, corners_px, where)
+    sigma_px = np.where(known, projection_sigma_px(calibration.camera, where), np.nan)
     return CameraAssessment(
         coverage=coverage(calibration, boards),
         image_map=where,
         sigma_px=sigma_px,
         validation=validation,
-        disagreement=float(np.median(validation.jackknife_px) / max(np.median(sigma_px), EXACT_PX)),
+        disagreement=float(np.median(validation.jackknife_px[known]) / max(np.median(sigma_px[known]), EXACT_PX)),
         distances_m=tuple(distances_m),
         comparison=model_comparison(used, calibration.camera, model, where) if compare else None,
         board=(*marker_size_findings(boards), bow_finding(used, calibration.camera, model)),

@@ -63,7 +63,7 @@ def camera_summary(calibration: CameraCalibration, assessment: CameraAssessment,
 def projection_sigma_m(calibration: CameraCalibration, assessment: CameraAssessment) -> list[float]:
     """Median projection uncertainty over the image, across the line of sight, at each of the distances."""
     matrix = calibration.camera.camera_matrix
-    angle = float(np.median(assessment.sigma_px)) / float(np.sqrt(matrix[0, 0] * matrix[1, 1]))
+    angle = float(np.median(assessment.known_sigma_px)) / float(np.sqrt(matrix[0, 0] * matrix[1, 1]))
     return [angle * distance_m for distance_m in assessment.distances_m]
 
 
@@ -101,12 +101,16 @@ def _parameter_lines(calibration: CameraCalibration) -> list[str]:
 
 
 def _projection_line(calibration: CameraCalibration, assessment: CameraAssessment) -> str:
-    sigma_px = assessment.sigma_px
+    sigma_px = assessment.known_sigma_px
+    share = assessment.unknown_share
+    unknown = f", not known in {100 * share:.0f} % of the image" if share else ""
     millimetres = ", ".join(
         f"{1e3 * sigma_m:.3f} mm at {distance_m:g} m"
         for sigma_m, distance_m in zip(projection_sigma_m(calibration, assessment), assessment.distances_m, strict=True)
     )
-    return f"projection ± {np.median(sigma_px):.3f} px (median), {np.max(sigma_px):.3f} px (worst): {millimetres}"
+    return (
+        f"projection ± {np.median(sigma_px):.3f} px (median), {np.max(sigma_px):.3f} px (worst){unknown}: {millimetres}"
+    )
 
 
 def _coverage_values(covered: Coverage) -> dict[str, Any]:
@@ -122,8 +126,9 @@ def _coverage_values(covered: Coverage) -> dict[str, Any]:
 
 def _projection_values(calibration: CameraCalibration, assessment: CameraAssessment) -> dict[str, Any]:
     return {
-        "sigma_px": float(np.median(assessment.sigma_px)),
-        "sigma_worst_px": float(np.max(assessment.sigma_px)),
+        "sigma_px": float(np.median(assessment.known_sigma_px)),
+        "sigma_worst_px": float(np.max(assessment.known_sigma_px)),
+        "unknown_share": assessment.unknown_share,
         "distances_m": list(assessment.distances_m),
         "sigma_m": projection_sigma_m(calibration, assessment),
     }

@@ -125,7 +125,7 @@ def _placing_findings(covered: Coverage) -> list[Finding]:
 
 def _uncertainty_findings(calibration: CameraCalibration, assessment: CameraAssessment) -> list[Finding]:
     sigma_px, where = assessment.sigma_px, assessment.image_map.points_px
-    x, y = where[np.unravel_index(int(np.argmax(sigma_px)), sigma_px.shape)]
+    x, y = where[np.unravel_index(int(np.nanargmax(sigma_px)), sigma_px.shape)]
     other_way = ", or hold k3 (--fix-k3)" if calibration.standard_deviations["k3"] else ""
     return [
         Finding(
@@ -137,17 +137,25 @@ def _uncertainty_findings(calibration: CameraCalibration, assessment: CameraAsse
         ),
         Finding(
             name="projection_sigma_px",
-            value=float(np.median(sigma_px)),
+            value=float(np.nanmedian(sigma_px)),
             good_limit=0.3,
             redo_limit=5.0,
             advice="the projection is uncertain: add views, tilted to different sides, in every part of the image",
         ),
         Finding(
             name="projection_sigma_worst_px",
-            value=float(np.max(sigma_px)),
+            value=float(np.nanmax(sigma_px)),
             good_limit=1.0,
             redo_limit=inf,
             advice=f"the projection is most uncertain near pixel ({x:.0f}, {y:.0f}): bring the board there{other_way}",
+        ),
+        Finding(
+            name="projection_unknown_share",
+            value=assessment.unknown_share,
+            good_limit=0.05,
+            redo_limit=inf,
+            advice="beyond the outermost corners nothing is known of this distortion model, whatever the covariance "
+            "says: bring the board to the image's corners, or use --distortion-model plumb_bob",
         ),
     ]
 

@@ -9,9 +9,10 @@ import cv2
 import numpy as np
 
 from ringpose.geometry.rays import project, rays
-from ringpose.types.arrays import Array, Float64
+from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.camera import Camera
 from ringpose.types.camera_calibration import ImageMap
+from ringpose.types.distortion_model import DistortionModel
 
 MAP_COLUMNS = 17
 """Points along a row of the map; enough for what distortion does between them."""
@@ -58,6 +59,22 @@ def projection_sigma_px(camera: Camera, where: ImageMap) -> Float64[Array, "map_
     variance = np.einsum("pci,ij,pcj->p", remaining, camera.covariance.data, remaining)
     sigma: Float64[Array, "map_row map_column"] = np.sqrt(np.maximum(variance, 0.0)).reshape(where.points_px.shape[:2])
     return sigma
+
+
+def known_lens(
+    camera: Camera, corners_px: Float64[Array, "corner xy=2"], where: ImageMap
+) -> Bool[Array, "map_row map_column"]:
+    """Where the covariance tells how far the projection is off.
+
+    A quotient of polynomials that is known along a radius may be anything beyond it: there the rational model is known
+    only as far from the principal point as the corners reach. Polynomials alone hold beyond.
+    """
+    if camera.distortion_model != DistortionModel.RATIONAL_POLYNOMIAL:
+        return np.ones(where.points_px.shape[:2], dtype=bool)
+    middle, focal = camera.camera_matrix[:2, 2], np.diag(camera.camera_matrix)[:2]
+    radius, reached = (np.linalg.norm((points - middle) / focal, axis=-1) for points in (where.points_px, corners_px))
+    known: Bool[Array, "map_row map_column"] = radius <= max(float(reached.max()), float(radius.min()))
+    return known
 
 
 def _least_turn(

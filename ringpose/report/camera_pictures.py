@@ -93,6 +93,7 @@ def uncertainty_map(calibration: CameraCalibration, assessment: CameraAssessment
         figure,
         "Rms displacement of what the camera sees at each pixel, the camera frame turned so that it is least in the "
         "middle. A good camera has less than 1 px everywhere: a red line is drawn where it has more. "
+        "Where it is white, no corner tells of the lens. "
         "The right picture may be twice the left one: each half has half of the views.",
     )
 
@@ -146,12 +147,12 @@ def _map(figure: Figure, axes: Axes, values: Float64[Array, "map_row map_column"
         np.maximum(values, LEAST_PX), extent=_extent(camera), origin="upper", norm="log", interpolation="bilinear"
     )
     values = np.maximum(values, LEAST_PX)
-    levels = np.unique(np.quantile(values, (0.25, 0.5, 0.75, 0.9)))
+    levels = np.unique(np.nanquantile(values, (0.25, 0.5, 0.75, 0.9)))
     x = np.linspace(0, camera.image_width - 1, values.shape[1])
     y = np.linspace(0, camera.image_height - 1, values.shape[0])
     if len(levels) > 1:
         axes.clabel(axes.contour(x, y, values, levels=levels, colors="w", linewidths=0.8), fmt="%.2g", fontsize=8)
-    if values.min() < WORST_PX < values.max():
+    if np.nanmin(values) < WORST_PX < np.nanmax(values):
         axes.contour(x, y, values, levels=[WORST_PX], colors="#d62728", linewidths=2)
     bar = figure.colorbar(shown, ax=axes, shrink=0.8, format=FuncFormatter(_plain))
     bar.ax.yaxis.set_minor_formatter(NullFormatter())

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.board import BoardPose
 from ringpose.types.camera import Camera
@@ -129,7 +131,8 @@ class CameraAssessment:
     coverage: Coverage
     image_map: ImageMap
     sigma_px: Float64[Array, "map_row map_column"]
-    """Projection uncertainty: rms length of the displacement that the covariance allows."""
+    """Projection uncertainty: rms length of the displacement that the covariance allows; NaN where no corner tells of
+    the lens."""
     validation: CrossValidation
     disagreement: float
     """Projection uncertainty from leaving out views over that from the corners' noise, medians over the image: 1 where
@@ -139,3 +142,14 @@ class CameraAssessment:
     comparison: ModelComparison | None = None
     board: tuple[Finding, ...] = ()
     """What the images say against the sizes in the board file."""
+
+    @property
+    def known_sigma_px(self) -> Float64[Array, "map_point"]:
+        """The projection uncertainty where it is known."""
+        known: Float64[Array, "map_point"] = self.sigma_px[~np.isnan(self.sigma_px)]
+        return known
+
+    @property
+    def unknown_share(self) -> float:
+        """Of the image in which the projection uncertainty is not known."""
+        return 1.0 - self.known_sigma_px.size / self.sigma_px.size

@@ -1,0 +1,105 @@
+"""Where a camera's covariance tells what the lens does, on a wide rational lens written out here."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from ringpose.calibrate.board_points import corner_points
+from ringpose.calibrate.camera import calibrate_camera
+from ringpose.calibrate.camera_assessment import camera_assessment
+from ringpose.calibrate.camera_model import CameraModel
+from ringpose.calibrate.camera_quality import camera_quality, camera_summary
+from ringpose.calibrate.camera_verdict import camera_verdict
+from ringpose.calibrate.projection_map import displacement_px, image_map, known_lens, projection_sigma_px
+from ringpose.types.board import Board, BoardView
+from ringpose.types.camera import Camera
+
+MODEL = CameraModel(distortion_model="rational_polynomial")
+POINTS_M = corner_points(Board(kind="chessboard", squares_x=12, squares_y=9, square_m=0.025))
+NOISE_PX = 0.03
+CAMERA = Camera(
+    camera_name="wide",
+    image_width=800,
+    image_height=600,
+    camera_matrix=np.array([[600.0, 0.0, 402.3], [0.0, 599.5, 297.6], [0.0, 0.0, 1.0]]),
+    distortion_model="rational_polynomial",
+    distortion_coefficients=np.array([0.9, 0.15, 0.0004, -0.0003, 0.01, 1.3, 0.4, 0.05]),
+)
+
+
+def rational_px(points: np.ndarray) -> np.ndarray:
+    x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
+    r2 = x * x + y * y
+    radial = (1 + 0.9 * r2 + 0.15 * r2**2 + 0.01 * r2**3) / (1 + 1.3 * r2 + 0.4 * r2**2 + 0.05 * r2**3)
+    u = x * radial + 2 * 0.0004 * x * y - 0.0003 * (r2 + 2 * x * x)
+    v = y * radial + 0.0004 * (r2 + 2 * y * y) - 2 * 0.0003 * x * y
+    return np.stack([600.0 * u + 402.3, 599.5 * v + 297.6], axis=1)
+
+
+@pytest.fixture
+def middle_views(rng):
+    """Makes views of boards in the middle of the image, with noise."""
+
+    def views(number: int) -> list[BoardView]:
+        made = []
+        for index in range(number):
+            turn = np.asarray(cv2.Rodrigues(rng.uniform([-0.5, -0.5, -0.3], [0.5, 0.5, 0.3]))[0])
+            depth_m = rng.uniform(0.3, 0.5)
+            place = np.array([*rng.uniform(-0.15, 0.15, 2) * depth_m, depth_m])
+            points_px = rational_px((POINTS_M - POINTS_M.mean(axis=0)) @ turn.T + place)
+            seen = ((points_px > 2) & (points_px < [797, 597])).all(axis=1)
+            noisy = points_px[seen] + NOISE_PX * rng.standard_normal((int(seen.sum()), 2))
+            made.append(
+                BoardView(name=f"v{index}", ids=np.flatnonzero(seen), points_board_m=POINTS_M[seen], points_px=noisy)
+            )
+        return made
+
+    return views
+
+
+@pytest.mark.slow
+def test_a_rational_lens_errs_as_told_where_it_is_known(middle_views):
+    ratios = []
+    for _ in range(6):
+        boards = middle_views(10)
+        found = calibrate_camera(boards, 800, 600, MODEL).camera
+        where = image_map(found)
+        known = known_lens(found, np.concatenate([view.points_px for view in boards]), where)
+        squares = (displacement_px(found, CAMERA, where) / projection_sigma_px(found, where)) ** 2
+        ratios.append(np.mean(squares[known]))
+
+    assert 0.4 < np.mean(ratios) < 1.8
+
+
+def test_what_is_not_known_of_a_lens_is_said(middle_views):
+    boards = middle_views(10)
+    found = calibrate_camera(boards, 800, 600, MODEL)
+    assessed = camera_assessment(found, boards, MODEL)
+    verdict = camera_verdict(found, assessed, 10)
+
+    projection = camera_quality(found, assessed, verdict)["quality"]["projection"]
+    lines = "\n".join(camera_summary(found, assessed, verdict))
+
+    assert projection["unknown_share"] > 0.05
+    assert np.isfinite(projection["sigma_worst_px"])
+    assert f"not known in {100 * projection['unknown_share']:.0f} % of the image" in lines
+    assert any("bring the board to the image's corners" in sentence for sentence in verdict.advice)
+
+
+def test_a_rational_lens_is_known_as_far_from_its_middle_as_corners_reach():
+    camera = replace(CAMERA, camera_matrix=np.array([[600.0, 0.0, 400.0], [0.0, 600.0, 300.0], [0.0, 0.0, 1.0]]))
+    where = image_map(camera)
+
+    known = known_lens(camera, np.array([[390.0, 290.0], [400.0, 520.0]]), where)
+
+    assert np.array_equal(known, np.hypot(where.points_px[..., 0] - 400, where.points_px[..., 1] - 300) <= 220)
+
+
+def test_polynomials_alone_are_known_everywhere(middle_views):
+    boards = middle_views(5)
+
+    assessed = camera_assessment(calibrate_camera(boards, 800, 600), boards, CameraModel())
+
+    assert assessed.unknown_share == 0
