@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ringpose.calibrate.normal_spread import normal_spread
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose, BoardView
 
@@ -21,8 +22,6 @@ CORNER_SIGMAS = 5.0
 
 LARGEST_CORNER_SHARE = 0.05
 """More corners than this are never left out, so that a bad lens model is not hidden by its own victims."""
-
-_NORMAL_MEDIAN = 1.4826
 
 
 def outlying_view(poses: Sequence[BoardPose]) -> int | None:
@@ -42,7 +41,7 @@ def view_reason(poses: Sequence[BoardPose], worst: int) -> str:
 def outlying_corners(errors: Sequence[Float64[Array, "_ xy=2"]]) -> list[Bool[Array, "_"]]:
     """Which corners of each view are too far off, by the spread of the bulk of all views' corners."""
     every = np.concatenate(errors)
-    sigma_px = _NORMAL_MEDIAN * float(np.median(np.abs(every)))
+    sigma_px = normal_spread(every)
     lengths = np.linalg.norm(every, axis=1)
     allowed = int(LARGEST_CORNER_SHARE * len(lengths))
     limit = max(CORNER_SIGMAS * sigma_px, FLOOR_PX, float(np.sort(lengths)[len(lengths) - allowed - 1]))

@@ -8,6 +8,7 @@ and paper, both linear functions of place, and an ellipse with a blurred edge is
 import numpy as np
 from scipy.special import ndtr
 
+from ringpose.calibrate.edge_profile import LEAST_BLUR_PX
 from ringpose.types.arrays import Array, Bool, Float64, UInt8
 
 BAND_PX = 4.0
@@ -15,8 +16,6 @@ BAND_PX = 4.0
 
 RIM_PX = 4.0
 """Width of the paper around it that tells the level of the light."""
-
-LEAST_BLUR_PX = 0.4
 
 FEWEST = 20
 """Pixels of paper, below which its level is not known; ink needs as many for a level that is not even."""

@@ -55,12 +55,27 @@ def likeness_of_ends(left_out: float) -> float:
     return (even - odd) / (even + odd)
 
 
+def end_of_likeness(likeness: float) -> float:
+    """Where a side ends, if it was drawn from -1 to 1 and its errors at both ends have this correlation.
+
+    With u the square of it, the even and odd parts of the variance are 1 + 5/4 (3 u - 1)^2 and 3 u.
+    """
+    share = 3.0 * (1.0 + likeness) / (1.0 - likeness)
+    squared = np.roots([11.25, -7.5 - share, 2.25])
+    return float(np.sqrt(max(squared.real.max(), 1.0)))
+
+
+def side_normals(corners: Float64[Array, "marker corner=4 xy=2"]) -> Float64[Array, "marker side=4 xy=2"]:
+    """Unit normals of markers' sides, outwards: corners run clockwise."""
+    along = np.roll(corners, -1, axis=1) - corners
+    along /= np.linalg.norm(along, axis=-1, keepdims=True)
+    return np.stack([along[..., 1], -along[..., 0]], axis=-1)
+
+
 def _error_root(view: BoardView) -> Float64[Array, "marker coordinate=8 coordinate=8"]:
     """Root of the correlations of the eight coordinates that the ends of a marker's four sides give."""
     corners = view.points_px.reshape(-1, 4, 2)
-    along = np.roll(corners, -1, axis=1) - corners
-    along /= np.linalg.norm(along, axis=-1, keepdims=True)
-    normals = np.stack([along[..., 1], -along[..., 0]], axis=-1)
+    normals = side_normals(corners)
     meeting = np.linalg.inv(np.stack([normals, np.roll(normals, 1, axis=1)], axis=-2))
     by_ends = np.zeros((len(corners), 8, 8))
     for corner in range(4):

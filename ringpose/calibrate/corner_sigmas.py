@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ringpose.calibrate.corner_likeness import corner_residuals, likeliest_pose
+from ringpose.calibrate.normal_spread import normal_spread
 from ringpose.calibrate.view_variances import moderated_variances
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose
@@ -12,13 +13,10 @@ from ringpose.types.calibration import StripeView
 from ringpose.types.camera import Camera
 
 LEAST_SIGMA_PX = 0.002
-"""Nothing in an image is known better."""
+"""Nothing in an image is known better, neither a corner of one view nor what it errs in all views alike."""
 
 STRAY_SIGMAS = 3.0
 """Residuals beyond so many standard deviations count as so many."""
-
-SHARED_PX = 0.002
-"""What errors of a corner are in all views alike, as nothing in an image is known better."""
 
 _POSE = 6
 
@@ -27,15 +25,15 @@ def corner_sigma_px(views: Sequence[StripeView], poses: Sequence[BoardPose], cam
     """Standard deviation of one coordinate of a corner, from the residuals of all views; strays count as three."""
     errors = _residuals(views, poses, camera)
     every = np.abs(np.concatenate(errors))
-    limit = STRAY_SIGMAS * _scale(every)
+    limit = STRAY_SIGMAS * normal_spread(every)
     return float(np.sqrt(np.sum(np.minimum(every, limit) ** 2) / max(every.size - _POSE * len(errors), 1)))
 
 
 def corner_sigmas_px(views: Sequence[StripeView], poses: Sequence[BoardPose], camera: Camera) -> Float64[Array, "view"]:
     """The same for each view: of its own residuals, drawn to the common one as far as its own are few."""
     errors = _residuals(views, poses, camera)
-    common = _scale(np.concatenate(errors))
-    limits = [STRAY_SIGMAS * max(common, _scale(own)) for own in errors]
+    common = normal_spread(np.concatenate(errors))
+    limits = [STRAY_SIGMAS * max(common, normal_spread(own)) for own in errors]
     squares = [float(np.sum(np.minimum(np.abs(own), limit) ** 2)) for own, limit in zip(errors, limits, strict=True)]
     freedom = np.array([max(own.size - _POSE, 1) for own in errors], dtype=np.float64)
     sigmas: Float64[Array, "view"] = np.sqrt(moderated_variances(np.array(squares), freedom))
@@ -59,7 +57,7 @@ def with_shared_errors(
     alone = [likeliest_pose(view.board, camera)[0] for view in views]
     errors = [_residuals(views, each, camera) for each in (poses, alone)]
     factor = min(_shared_factor(sigmas_px, views, own, taken) for own in errors)
-    wider: Float64[Array, "view"] = np.sqrt(factor * sigmas_px**2 + len(views) * SHARED_PX**2)
+    wider: Float64[Array, "view"] = np.sqrt(factor * sigmas_px**2 + len(views) * LEAST_SIGMA_PX**2)
     return wider
 
 
@@ -88,8 +86,3 @@ def _most_corners(views: Sequence[StripeView]) -> int:
 
 def _residuals(views: Sequence[StripeView], poses: Sequence[BoardPose], camera: Camera) -> list[Float64[Array, "_"]]:
     return [corner_residuals(view.board, pose, camera) for view, pose in zip(views, poses, strict=True)]
-
-
-def _scale(residual: Float64[Array, "n"]) -> float:
-    """Standard deviation of normal errors with this median."""
-    return 1.4826 * float(np.median(np.abs(residual)))

@@ -10,13 +10,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
+from ringpose.calibrate.normal_spread import normal_spread
 from ringpose.types.arrays import Array, Float64
 
 KNOT_PX = 0.5
 """Distance of the knots of the cubic spline that is added to the error function."""
 
 RIDGE = 1.0
-"""Samples that would have to say so for the spline to be half what it is: none are where pixels leave gaps."""
+"""Samples of no rise but the error function's that each weight of the spline is held by, where pixels leave gaps."""
+
+LEAST_BLUR_PX = 0.4
+"""Standard deviation of the sharpest edges: pixels blur by 0.29, lenses by as much."""
 
 ROBUST_SIGMAS = 3.0
 """Samples beyond so many standard deviations pull no harder: something lies in front of the board."""
@@ -64,8 +68,8 @@ def seen_profile(
     for _ in range(_ROUNDS):
         weighed = basis * trust[:, None]
         weights = np.linalg.solve(weighed.T @ basis + RIDGE * np.eye(len(weights)), weighed.T @ missed)
-        left = np.abs(missed - basis @ weights)
-        trust = np.minimum(1.0, ROBUST_SIGMAS * 1.4826 * float(np.median(left)) / np.maximum(left, 1e-12))
+        left = missed - basis @ weights
+        trust = np.minimum(1.0, ROBUST_SIGMAS * normal_spread(left) / np.maximum(np.abs(left), 1e-12))
     return _tabled(blur_px, weights)
 
 

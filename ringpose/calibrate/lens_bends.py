@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from ringpose.calibrate.board_pose import board_pose
+from ringpose.calibrate.corner_likeness import end_of_likeness, side_normals
 from ringpose.geometry.rays import project
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardView
@@ -62,21 +63,11 @@ def _unbent_corners(
     """Where parabolas would meet if they followed the sides."""
     along, beyond = _missed_at_ends(places_m.reshape(-1, 4, 3), camera, end_of_likeness(view.likeness))
     corners = view.points_px.reshape(-1, 4, 2)
-    normals = _normals(corners)
+    normals = side_normals(corners)
     sides = np.stack([normals, np.roll(normals, 1, axis=1)], axis=-2)
     missed = np.stack([along, np.roll(beyond, 1, axis=1)], axis=-1)
     moved: Float64[Array, "corner xy=2"] = (corners - np.linalg.solve(sides, missed[..., None])[..., 0]).reshape(-1, 2)
     return moved
-
-
-def end_of_likeness(likeness: float) -> float:
-    """Where a side ends, if it was drawn from -1 to 1 and its errors at both ends have this correlation.
-
-    With u the square of it, the even and odd parts of the variance are 1 + 5/4 (3 u - 1)^2 and 3 u.
-    """
-    share = 3.0 * (1.0 + likeness) / (1.0 - likeness)
-    squared = np.roots([11.25, -7.5 - share, 2.25])
-    return float(np.sqrt(max(squared.real.max(), 1.0)))
 
 
 def _missed_at_ends(
@@ -88,16 +79,9 @@ def _missed_at_ends(
     start, stop = places_m[..., None, :], np.roll(places_m, -1, axis=1)[..., None, :]
     pixels = project(((1.0 - share[:, None]) * start + share[:, None] * stop).reshape(-1, 3), camera)
     curve = pixels.reshape(*places_m.shape[:2], -1, 2)
-    across = np.einsum("msnk,msk->msn", curve - curve[:, :, :1], _normals(curve[:, :, 0]))
+    across = np.einsum("msnk,msk->msn", curve - curve[:, :, :1], side_normals(curve[:, :, 0]))
     powers = np.vander(drawn, 3)
     parabola = np.linalg.lstsq(powers, across[..., 1:-1].reshape(-1, _SAMPLES).T)[0]
     at_ends = (np.vander(np.array([-end, end]), 3) @ parabola).T.reshape(*places_m.shape[:2], 2)
     missed = at_ends - across[..., [0, -1]]
     return missed[..., 0], missed[..., 1]
-
-
-def _normals(corners: Float64[Array, "marker corner=4 xy=2"]) -> Float64[Array, "marker side=4 xy=2"]:
-    """Unit normals of the sides, outwards: corners run clockwise."""
-    along = np.roll(corners, -1, axis=1) - corners
-    along /= np.linalg.norm(along, axis=-1, keepdims=True)
-    return np.stack([along[..., 1], -along[..., 0]], axis=-1)

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from ringpose.calibrate.corner_likeness import likeness_of_ends
-from ringpose.calibrate.edge_profile import EdgeProfile, normal_profile, seen_profile
+from ringpose.calibrate.edge_profile import LEAST_BLUR_PX, EdgeProfile, normal_profile, seen_profile
 from ringpose.calibrate.side_curves import LARGEST_MARGIN, Side, meeting_point, robust_parabola, straight_side
 from ringpose.calibrate.side_light import LARGEST_REACH_PX, REACH_PX, Light, marker_light, reach_px
 from ringpose.calibrate.side_samples import FLANK_BLURS, SideSamples, side_samples
@@ -24,14 +24,11 @@ CLEAR_BLURS = 4.0
 """So many standard deviations of its blur are left out at a side's ends, at most a tenth: nearer, the corner is
 rounded."""
 
-LEAST_BLUR_PX = 0.4
-
 LARGEST_STEP_PX = 2.0
 """Further from where it was found a corner is not moved."""
 
 _NORMAL_ROUNDS, _ROUNDS = 2, 5
 """Rounds of error functions, until sides are nearly where they stay, and all of them."""
-
 
 _BLUR_ROUNDS = 3
 
@@ -105,8 +102,9 @@ def _sides_within(
 
 def _redrawn(side: Side, samples: SideSamples, profile: EdgeProfile, left_out: float) -> Side | None:
     """The side through its edge: each line of pixels tells how far outside it lies, weighed by steepness."""
-    steep = np.where(samples.used, profile.steepness(np.where(samples.used, samples.across, 0.0)), 0.0)
-    missed = np.where(samples.used, profile.share(np.where(samples.used, samples.across, 0.0)) - samples.share, 0.0)
+    across = np.where(samples.used, samples.across, 0.0)
+    steep = np.where(samples.used, profile.steepness(across), 0.0)
+    missed = np.where(samples.used, profile.share(across) - samples.share, 0.0)
     told = np.sum(steep**2, axis=1)
     offset = np.where(told > 0, np.sum(steep * missed, axis=1) / np.where(told > 0, told, 1.0), np.nan)
     coefficients = robust_parabola(samples.t, side.offset(samples.t) + offset)

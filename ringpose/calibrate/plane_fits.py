@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ringpose.calibrate.normal_spread import normal_spread
 from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.geometry.planes import nearest_plane
 from ringpose.types.arrays import Array, Float64
@@ -33,7 +34,7 @@ def robust_plane(
     normal, distance_m = nearest_plane(points)[:2] if start is None else start
     for _ in range(_ITERATIONS):
         residual = points @ normal - distance_m
-        scale = max(1.4826 * float(np.median(np.abs(residual))), _SMALLEST_SCALE_M)
+        scale = max(normal_spread(residual), _SMALLEST_SCALE_M)
         moved = np.clip(1 - (residual / (_TUKEY * scale)) ** 2, 0.0, None) ** 2
         normal, distance_m, _ = nearest_plane(points, moved)
         if np.abs(moved - weights).max() < 1e-6:

@@ -14,6 +14,7 @@ from ringpose.calibrate.board_pose import moved_pose, residuals
 from ringpose.calibrate.corner_likeness import by_independent_errors, corner_residuals
 from ringpose.calibrate.corner_sigmas import LEAST_SIGMA_PX
 from ringpose.calibrate.intrinsics import camera_with, parameter_names, parameters_of, projection_jacobians
+from ringpose.calibrate.normal_spread import normal_spread
 from ringpose.calibrate.stripe_errors import center_sigma_px, shared_length, stripe_bend
 from ringpose.calibrate.stripe_residuals import stripe_rows
 from ringpose.errors import DataError
@@ -212,7 +213,7 @@ def _rays(data: JointData, state: JointState, index: int) -> tuple[Float64[Array
 
 def _huber(residual: Float64[Array, "n"]) -> Float64[Array, "n"]:
     """Weights; a stripe that lies aside as a whole has a scatter as large, and loses no single centres."""
-    scale = max(1.0, 1.4826 * float(np.median(np.abs(residual))))
+    scale = max(1.0, normal_spread(residual))
     weight: Float64[Array, "n"] = np.minimum(1.0, ROBUST_SIGMAS * scale / np.maximum(np.abs(residual), 1e-12))
     return weight
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ringpose.calibrate.normal_spread import normal_spread
 from ringpose.types.arrays import Array, Float64
 
 LARGEST_MARGIN = 0.1
@@ -11,7 +12,7 @@ LARGEST_MARGIN = 0.1
 
 MINIMUM_SAMPLES = 8
 
-_OUTLIER = 4.0 * 1.4826
+_OUTLIER_SIGMAS = 4.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -66,7 +67,7 @@ def robust_parabola(t: Float64[Array, "n"], offset: Float64[Array, "n"]) -> Floa
             return None
         coefficients = np.polynomial.polynomial.polyfit(t[used], offset[used], 2)
         residual = offset - np.polynomial.polynomial.polyval(t, coefficients)
-        limit = max(_OUTLIER * float(np.median(np.abs(residual[used]))), 1e-6)
+        limit = max(_OUTLIER_SIGMAS * normal_spread(residual[used]), 1e-6)
         used = np.isfinite(offset) & (np.abs(np.nan_to_num(residual, nan=np.inf)) < limit)
     return coefficients
 

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from ringpose.calibrate.normal_spread import normal_spread
 from ringpose.calibrate.side_curves import LARGEST_MARGIN, Side, straight_side
 from ringpose.types.arrays import Array, Float64, UInt8
 
@@ -23,7 +24,7 @@ _FLANK = 0.65
 _UNEVEN = 0.1
 """Share of the contrast by which flanks may miss a plane."""
 
-_OUTLIER = 4.0 * 1.4826
+_OUTLIER_SIGMAS = 4.0
 
 
 class Light(NamedTuple):
@@ -64,7 +65,7 @@ def smooth_level(t: Float64[Array, "n"], grey: Float64[Array, "n"]) -> Float64[A
     for _ in range(3):
         line = np.polynomial.polynomial.polyfit(run[used], grey[used], 2)
         residual = np.abs(grey - np.polynomial.polynomial.polyval(run, line))
-        used = residual <= max(_OUTLIER * float(np.median(residual)), 1e-6)
+        used = residual <= max(_OUTLIER_SIGMAS * normal_spread(residual), 1e-6)
     level: Float64[Array, "n"] = np.polynomial.polynomial.polyval(run, line)
     return level
 

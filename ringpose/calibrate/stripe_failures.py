@@ -5,6 +5,7 @@ import numpy as np
 
 from ringpose.calibrate.board_points import outline_m
 from ringpose.calibrate.board_surface import BoardSurface
+from ringpose.calibrate.normal_spread import normal_spread
 from ringpose.geometry.rays import project
 from ringpose.types.arrays import Array, Bool, Float64, UInt
 
@@ -42,7 +43,7 @@ def stripe_failure(
         return f"{said}: {100 * full:.0f} % of the board is saturated"
     lit = image[board].astype(np.float64) - (0.0 if dark is None else dark[board])
     background = float(np.median(lit))
-    noise = max(1.4826 * float(np.median(np.abs(lit - background))), 1.0)
+    noise = max(normal_spread(lit - background), 1.0)
     brightest = float(np.percentile(lit, 99.8)) - background
     width_px = 0.0 if dark is None else _width_px(image, dark, board, background + brightest / 2)
     if brightest > FAINT_SIGMAS and width_px > WIDEST_PX:

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from ringpose.calibrate.board_surface import BoardSurface
+from ringpose.calibrate.normal_spread import normal_spread
 from ringpose.detect.stripe_centers import find_stripes
 from ringpose.geometry.rays import undistorted_pixels
 from ringpose.types.arrays import Array, Bool, Float64, UInt
@@ -159,6 +160,6 @@ def _clean(points: Float64[Array, "n xy=2"], on_line: Bool[Array, "n"]) -> Bool[
     for _ in range(3):
         line = np.polynomial.polynomial.polyfit(points[used, 0], points[used, 1], 1)
         residual = np.abs(points[:, 1] - np.polynomial.polynomial.polyval(points[:, 0], line))
-        limit = OUTLIER_SIGMAS * 1.4826 * float(np.median(residual[used]))
+        limit = OUTLIER_SIGMAS * normal_spread(residual[used])
         used = on_line & (residual <= max(limit, 1e-6))
     return used

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringpose.calibrate.corner_likeness import by_independent_errors, likeness_of_ends
+from ringpose.calibrate.corner_likeness import by_independent_errors, end_of_likeness, likeness_of_ends
 from ringpose.types.board import BoardView
 
 SQUARE = np.array([[0.0, 0.0], [100.0, 0.0], [100.0, 100.0], [0.0, 100.0]])
@@ -17,6 +17,11 @@ def test_ends_of_parabolas_through_noise_err_as_alike_as_said(left_out, rng):
     ends = np.polynomial.polynomial.polyval(np.array([0.0, 1.0]), fitted)
 
     assert np.corrcoef(ends.T)[0, 1] == pytest.approx(likeness_of_ends(left_out), abs=0.05)
+
+
+@pytest.mark.parametrize("left_out", [0.0, 0.02, 0.1])
+def test_how_much_of_a_side_was_drawn_follows_from_how_alike_its_ends_err(left_out):
+    assert end_of_likeness(likeness_of_ends(left_out)) == pytest.approx(1 / (1 - 2 * left_out))
 
 
 def view(corners_px: np.ndarray, likeness: float) -> BoardView:

@@ -48,7 +48,7 @@ def test_views_that_err_alike_are_given_one_standard_deviation(rng, views, true_
 
 @pytest.mark.parametrize(("share", "least", "most"), [(0.0, 1.0, 1.4), (1.0, 1.9, 2.6)])
 def test_errors_that_all_views_share_do_not_grow_fewer_with_their_number(share, least, most, rng, views, true_camera):
-    """Of half the variance each, the mean of nine views varies by 5.5 times what independent errors of 2 would."""
+    """Of half the variance each, the mean of nine views varies by 5 times what independent errors of both would."""
     common = share * SIGMA_PX * rng.standard_normal((16, 2))
     seen = [with_errors(view, common + SIGMA_PX * rng.standard_normal((16, 2))) for view in views]
     poses = poses_of(seen, true_camera)

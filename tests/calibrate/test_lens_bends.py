@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ringpose.calibrate.corner_likeness import likeness_of_ends
-from ringpose.calibrate.lens_bends import end_of_likeness, without_bends
+from ringpose.calibrate.lens_bends import without_bends
 from ringpose.types.board import BoardView
 
 CORNERS_M = np.array([[0.0, 0, 0], [0.08, 0, 0], [0.08, 0.08, 0], [0, 0.08, 0]])
@@ -100,8 +100,3 @@ def test_corners_of_a_chessboard_stay(drawn_markers, bent_camera):
     view = replace(drawn_markers[0], likeness=0.0)
 
     assert without_bends(view, bent_camera) is view
-
-
-@pytest.mark.parametrize("left_out", [0.0, 0.02, 0.1])
-def test_how_much_of_a_side_was_drawn_follows_from_how_alike_its_ends_err(left_out):
-    assert end_of_likeness(likeness_of_ends(left_out)) == pytest.approx(1 / (1 - 2 * left_out))

@@ -2,17 +2,14 @@
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from ringpose.calibrate.board_pose import board_pose
 from ringpose.calibrate.planes import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.errors import DataError
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.types.board import BoardPose
 from ringpose.types.covariance import ParameterCovariance
 
 NAMES = ("left", "middle", "right")
@@ -90,17 +87,6 @@ def test_a_stripe_beside_its_plane_is_left_out_by_name(rng, stripe_views, true_p
 
     assert [(name, reason[:23]) for name, reason in found.remarks] == [("v2", "stripe of left left out")]
     assert np.abs(errors(found, true_planes)).max() < 1e-3
-
-
-def test_a_board_that_does_not_fit_is_left_out_by_name(rng, stripe_views, true_poses, true_camera):
-    views = stripe_views(true_poses(rng, 6), rng, 0.02, 0.05)
-    bent = replace(views[1].board, points_px=views[1].board.points_px + rng.normal(0, 3, (16, 2)))
-    views[1] = replace(views[1], board=bent)
-
-    found = calibrate_planes(views, true_camera, MODEL)
-
-    assert [name for name, _ in found.remarks] == ["v1"]
-    assert len(found.poses) == 5
 
 
 def unlabelled(view, order):
@@ -221,42 +207,6 @@ def test_stripes_mend_boards_of_which_a_corner_is_wrong(rng, stripe_views, true_
     assert np.linalg.norm(errors(joint, true_planes)) < 0.6 * np.linalg.norm(errors(separate, true_planes))
 
 
-def test_stripes_turn_a_board_back_that_its_corners_see_mirrored(
-    rng, board_view, stripe_views, true_poses, true_planes, true_camera
-):
-    """The corners of a small board lie between those of its pose and of the mirrored one, nearer to the latter."""
-    small = 0.02 * np.stack(np.meshgrid([0, 1, 2], [0, 1, 2], [0.0]), axis=-1).reshape(-1, 3) + [0.13, 0.1, 0]
-    views = stripe_views(true_poses(rng, 6), rng, 0.01, 0.05)
-    turn = cv2.Rodrigues(np.array([0.25, 0.3, 0.0]))[0]
-    place = np.array([0.0, 0.0, 0.7]) - turn @ [0.15, 0.12, 0.0]
-    doubtful = stripe_views([(turn, place)], rng, 0.0, 0.05)[0]
-    seen = board_view(small, (turn, place), "doubtful")
-    mirrored = next(pose for pose in both_minima(seen, true_camera) if np.abs(pose.rotation - turn).max() > 0.1)
-    other = board_view(small, (mirrored.rotation, mirrored.translation_m), "doubtful")
-    seen = replace(seen, points_px=0.47 * seen.points_px + 0.53 * other.points_px)
-    views.append(replace(doubtful, board=seen))
-
-    found = calibrate_planes(views, true_camera, MODEL)
-
-    assert np.abs(board_pose(seen, true_camera).rotation - turn).max() > 0.1
-    assert found.poses[-1].name == "doubtful"
-    assert np.abs(found.poses[-1].rotation - turn).max() < 0.1
-
-
-def both_minima(view, camera) -> list[BoardPose]:
-    _, vectors, places, _ = cv2.solvePnPGeneric(
-        view.points_board_m,
-        view.points_px,
-        camera.camera_matrix,
-        camera.distortion_coefficients,
-        flags=cv2.SOLVEPNP_IPPE,
-    )
-    return [
-        BoardPose(name="", rotation=cv2.Rodrigues(v)[0], translation_m=t.ravel(), residual_rms_px=0.0)
-        for v, t in zip(vectors, places, strict=True)
-    ]
-
-
 def test_a_bent_board_widens_the_covariance(rng, stripe_views, true_poses, true_camera):
     poses = true_poses(rng, 6)
     flat = stripe_views(poses, rng, 0.02, 0.05)
@@ -289,19 +239,3 @@ def camera_covariance() -> ParameterCovariance:
     sigma = np.array([0.15, 0.15, 0.2, 0.2, 4e-4, 2e-3, 2e-5, 2e-5, 0.0])
     names = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
     return ParameterCovariance(parameters=names, data=np.diag(sigma**2))
-
-
-@pytest.mark.parametrize(("rise_m", "said"), [(0.0, ["seen"]), (0.2, [])], ids=["across the board", "beside it"])
-def test_a_stripe_that_is_not_seen_is_said_only_if_its_light_crosses_the_board(
-    rise_m, said, rng, stripe_views, true_poses, true_camera
-):
-    """Risen by 0.2 m the board is out of the reach of the left laser, at the bottom of the image."""
-    views = stripe_views(true_poses(rng, 4), rng)
-    turn, place = true_poses(rng, 1)[0]
-    (seen,) = stripe_views([(turn, place - [0.0, rise_m, 0.0])], rng)
-    crossing = seen.stripes_px[1:] if not rise_m else (NOTHING, NOTHING)
-    without = replace(seen, board=replace(seen.board, name="seen"), stripes_px=(NOTHING, *crossing))
-
-    calibration = calibrate_planes([*views, without], true_camera, MODEL)
-
-    assert [name for name, remark in calibration.remarks if "left" in remark] == said
