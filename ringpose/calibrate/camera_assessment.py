@@ -11,6 +11,7 @@ from ringpose.calibrate.camera_model import CameraModel
 from ringpose.calibrate.coverage import coverage
 from ringpose.calibrate.cross_validation import cross_validation, used_views
 from ringpose.calibrate.distortion_models import model_comparison
+from ringpose.calibrate.other_camera import other_camera_finding
 from ringpose.calibrate.projection_map import image_map, known_lens, projection_sigma_px
 from ringpose.types.board import BoardView
 from ringpose.types.camera_calibration import CameraAssessment, CameraCalibration
@@ -50,7 +51,11 @@ def camera_assessment(
         disagreement=float(np.median(validation.jackknife_px[known]) / max(np.median(sigma_px[known]), EXACT_PX)),
         distances_m=tuple(distances_m),
         comparison=model_comparison(used, calibration.camera, model, where) if compare else None,
-        board=(*marker_size_findings(boards), bow_finding(used, calibration.camera, model)),
+        board=(
+            other_camera_finding(calibration, boards),
+            *marker_size_findings(boards),
+            bow_finding(used, calibration.camera, model),
+        ),
     )
 
 

@@ -1,5 +1,6 @@
 """Why a view does not fit the camera of the others, as far as its corners tell."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,9 +27,9 @@ _MOST = 7
 def view_explanation(view: BoardView, camera: Camera, usual_px: float) -> str:
     """What would make a view fit whose rms is larger than the usual one; empty if nothing simple does."""
     limit_px = FITS * usual_px
-    turned_px = board_pose(_turned(view, camera), camera).residual_rms_px
+    turned_px = board_pose(turned(view, camera), camera).residual_rms_px
     for unknowns in (1, 3):
-        other = _own_camera(view, camera, unknowns)
+        other = camera_of([view], camera, unknowns)
         rms_px = board_pose(view, other).residual_rms_px
         if rms_px < min(limit_px, turned_px):
             return f"{_difference(other, camera)} it would be {rms_px:.2f} px: another camera, zoom or focus, or cut"
@@ -41,7 +42,7 @@ def view_explanation(view: BoardView, camera: Camera, usual_px: float) -> str:
     return _where_off(view, lengths) if np.median(lengths) < limit_px else ""
 
 
-def _turned(view: BoardView, camera: Camera) -> BoardView:
+def turned(view: BoardView, camera: Camera) -> BoardView:
     """The view as a camera sees it that hangs upside down."""
     last = np.array([camera.image_width - 1.0, camera.image_height - 1.0])
     return replace(view, points_px=last - view.points_px)
@@ -65,15 +66,16 @@ def _errors_beside_most(view: BoardView, camera: Camera) -> Float64[Array, "corn
     return lengths
 
 
-def _own_camera(view: BoardView, camera: Camera, unknowns: int) -> Camera:
-    """The camera with the focal length, or with it and the principal point, that this view alone asks for."""
+def camera_of(views: Sequence[BoardView], camera: Camera, unknowns: int) -> Camera:
+    """The camera with the focal length, or with it and the principal point, that these views alone ask for."""
     found = camera
     directions = np.zeros((len(parameters_of(camera)), 3))
     directions[:2, 0] = parameters_of(camera)[:2]
     directions[2, 1] = directions[3, 2] = 1.0
     directions = directions[:, :unknowns]
     for _ in range(_STEPS):
-        by_camera, residual = view_equations(view, board_pose(view, found), found, 1.0).without_pose()
+        rows = [view_equations(view, board_pose(view, found), found, 1.0).without_pose() for view in views]
+        by_camera, residual = (np.concatenate(parts) for parts in zip(*rows, strict=True))
         step = np.linalg.lstsq(by_camera @ directions, residual)[0]
         if not np.abs(step[0]) < 0.5:
             return camera

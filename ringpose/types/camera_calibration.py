@@ -141,7 +141,7 @@ class CameraAssessment:
     """At which the projection uncertainty is given in metres."""
     comparison: ModelComparison | None = None
     board: tuple[Finding, ...] = ()
-    """What the images say against the sizes in the board file."""
+    """What the images say against one another and the sizes in the board file."""
 
     @property
     def known_sigma_px(self) -> Float64[Array, "map_point"]:
