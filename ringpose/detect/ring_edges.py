@@ -68,7 +68,8 @@ ONE_STRIPE = 2
 leaves that to its bends of tenths of a pixel, which foil beside it makes as well."""
 
 LEAST_OF_BOTH = 8
-"""Points of either edge that show how it runs; foil beside the ring makes one or two."""
+"""Points of either edge that show how it runs. One alone lies on the edge and says nothing of its direction, which the
+other edge's bends would then have to tell."""
 
 TURN_SIGMA_RAD = 0.2
 """Where the stripes leave the direction of the edges as open as this, the image is asked first."""

@@ -61,6 +61,7 @@ def find_stripes(
         continue_sigmas=CONTINUE_SIGMAS,
         least_response=least_peak_dn * STRIPE_SIGMA_PX / (FILTER_SIGMA_PX**2 + STRIPE_SIGMA_PX**2) ** 1.5,
         coarse_per_response=COARSE_SHARE * FILTER_SIGMA_PX**3 * WINDOW_PIXELS,
+        full_dn=full_dn,
         gap=GAP_COLUMNS,
         shortest=LEAST_COLUMNS,
     )

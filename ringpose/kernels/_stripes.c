@@ -197,8 +197,9 @@ static PyObject *stripes(PyObject *module, PyObject *arguments) {
     PyObject *image, *dark, *bands, *taps, *figures, *result = NULL;
     StripeRules rules;
     long gap, shortest;
-    if (!PyArg_ParseTuple(arguments, "OOOOO(ffffll)", &image, &dark, &bands, &taps, &figures, &rules.begin_sigmas,
-                          &rules.continue_sigmas, &rules.least_response, &rules.coarse_per_response, &gap, &shortest))
+    if (!PyArg_ParseTuple(arguments, "OOOOO(fffffll)", &image, &dark, &bands, &taps, &figures, &rules.begin_sigmas,
+                          &rules.continue_sigmas, &rules.least_response, &rules.coarse_per_response, &rules.full, &gap,
+                          &shortest))
         return NULL;
     if (!rules_fit(&rules, gap, shortest)) return NULL;
     rules.gap = (size_t)gap;

@@ -6,6 +6,6 @@ def stripes(
     bands: Array | None,
     taps: Array,
     figures: Array,
-    rules: tuple[float, float, float, float, int, int],
+    rules: tuple[float, float, float, float, float, int, int],
     /,
 ) -> tuple[bytearray, bytearray, bytearray, bytearray]: ...

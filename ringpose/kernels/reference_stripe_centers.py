@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.kernels.reference_stripe_columns import Columns, Measure, measured
-from ringpose.kernels.reference_stripe_links import Ridge
+from ringpose.kernels.reference_stripe_links import Ridge, is_kept
 from ringpose.kernels.reference_stripe_patches import Filter, Pixels
 from ringpose.kernels.reference_stripe_sigmas import Scatter, raised, scatter, scatter_variance, usual_excess
 from ringpose.kernels.reference_stripe_weights import weighed
 from ringpose.kernels.stripes import Centers, StripeRules
-from ringpose.types.arrays import Array, Float64
+from ringpose.types.arrays import Array, Bool, Float64
 
 FILTER_PER_WIDTH, FILTER_PER_HALF_WIDTH = 1.3, 0.82
 """Filter over stripe: a little wider than matched; the same for a flat top, over its half width."""
@@ -36,6 +36,22 @@ BETTER, LOST_ONE_IN = 0.95, 10
 """They are taken if they leave less than that share of the variance and lose no more than one column in so many."""
 
 
+OTHERS_FROM, OTHERS_TO, FAINT_SHARE, CROWDED_ONE_IN = 3.0, 8.0, 0.05, 10
+"""Ridges so far from one of a stripe, in its widths, are others, whose light bends what lies beneath it, unless it is
+less than that share: where one of so many columns has such a neighbour, speckle is not weighed."""
+
+FULL_WIDTHS, FULL_ONE_IN = 0.75, 3
+"""Nor where one of so many columns is full on both sides of its middle, at that share of a width: of a skewed section
+that is cut off the flanks alone say less of the middle than the filter does."""
+
+
+class Light(NamedTuple):
+    """An image without ambient light, and where it is saturated."""
+
+    pixels: Pixels
+    full: Bool[Array, "row column"]
+
+
 class MeasuredPiece(NamedTuple):
     """A piece's centres, how they scatter, and how they did with the filter that suited the piece's width."""
 
@@ -44,11 +60,12 @@ class MeasuredPiece(NamedTuple):
     first: Scatter
 
 
-def centers(
-    pixels: Pixels, pieces: Sequence[Sequence[Ridge]], filters: Sequence[Filter], rules: StripeRules
-) -> Centers:
-    """Centres and their sigmas, of all pieces that keep enough columns."""
-    every = [_measured_piece(pixels, piece, filters) for piece in pieces]
+def centers(light: Light, pieces: Sequence[Sequence[Ridge]], filters: Sequence[Filter], rules: StripeRules) -> Centers:
+    """Centres and their sigmas, of all pieces that are long and strong enough and keep enough columns."""
+    columns: dict[int, list[Ridge]] = {}
+    for ridge in (ridge for piece in pieces for ridge in piece):
+        columns.setdefault(ridge.x, []).append(ridge)
+    every = [_measured_piece(light, piece, columns, filters) for piece in pieces if is_kept(piece, rules)]
     kept = [piece for piece in every if len(piece.columns.x) >= rules.shortest]
     usual = usual_excess([piece.first for piece in kept])
     variance = np.concatenate([np.empty(0), *(_raised(piece, usual) for piece in kept)])
@@ -69,13 +86,15 @@ def _raised(piece: MeasuredPiece, usual: float) -> Float64[Array, "n"]:
     return raised(piece.columns.y, piece.columns.variance, piece.of, own)
 
 
-def _measured_piece(pixels: Pixels, piece: Sequence[Ridge], filters: Sequence[Filter]) -> MeasuredPiece:
+def _measured_piece(
+    light: Light, piece: Sequence[Ridge], ridges: dict[int, list[Ridge]], filters: Sequence[Filter]
+) -> MeasuredPiece:
     """With the filter that suits the piece's width.
 
     If its surroundings spoil that, a narrower one is tried; if speckle does, centres by weights that suit that. What
     scatters them less is taken.
     """
-    number, width = suited_filter(piece, filters)
+    pixels, (number, width) = light.pixels, suited_filter(piece, filters)
     columns, of = _measured_with(pixels, piece, filters, number, width)
     if not width or len(piece) < LEAST_SPECKLED or of.excess() < CLUTTERED:
         return MeasuredPiece(columns, of, of)
@@ -84,12 +103,26 @@ def _measured_piece(pixels: Pixels, piece: Sequence[Ridge], filters: Sequence[Fi
         better = scatter_variance(other.y, tried) < BETTER * scatter_variance(columns.y, of)
         if better and _keeps(columns, other):
             return MeasuredPiece(other, tried, of)
-    if of.excess() < SPECKLED:
+    if of.excess() < SPECKLED or not _shows_flanks(light, piece, ridges, width):
         return MeasuredPiece(columns, of, of)
     other, left = weighed(pixels, columns, of, _measure(filters, number, width))
     if left.excess() < BETTER * of.excess() and _keeps(columns, other):
         return MeasuredPiece(other, scatter(other.y, other.variance), of)
     return MeasuredPiece(columns, of, of)
+
+
+def _shows_flanks(light: Light, piece: Sequence[Ridge], ridges: dict[int, list[Ridge]], width: float) -> bool:
+    """Whether a piece's flanks are those of a stripe alone that is not saturated."""
+    others = sum(any(_is_other(ridge, each, width) for each in ridges[ridge.x]) for ridge in piece)
+    rows = int(FULL_WIDTHS * width + 0.5) * np.array([-1, 1])
+    full = sum(bool(light.full[np.clip(ridge.row + rows, 0, len(light.full) - 1), ridge.x].all()) for ridge in piece)
+    return CROWDED_ONE_IN * others <= len(piece) and FULL_ONE_IN * full <= len(piece)
+
+
+def _is_other(own: Ridge, other: Ridge, width: float) -> bool:
+    """Whether a ridge of the column lies near one, and is no grain of it."""
+    bright = other.response > np.float32(FAINT_SHARE) * own.response
+    return bool(bright and OTHERS_FROM * width < abs(other.y - own.y) <= OTHERS_TO * width)
 
 
 def _keeps(columns: Columns, other: Columns) -> bool:

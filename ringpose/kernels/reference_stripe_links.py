@@ -75,7 +75,7 @@ class Track:
 
 
 def pieces(pixels: Pixels, ridges: Sequence[list[Ridge]], filter_: Filter, rules: StripeRules) -> list[list[Ridge]]:
-    """The pieces that are long and strong enough, in the order in which they begin (by column, then row)."""
+    """All pieces, in the order in which they begin (by column, then row)."""
     tracks: list[Track] = []
     begun: list[list[Ridge]] = []
     for column in ridges:
@@ -92,7 +92,7 @@ def pieces(pixels: Pixels, ridges: Sequence[list[Ridge]], filter_: Filter, rules
                 tracks.append(Track(expected=ridge.y, ridges=[ridge]))
                 begun.append(tracks[-1].ridges)
         tracks.sort(key=lambda each: each.expected)
-    return [each for each in begun if is_kept(each, rules)]
+    return begun
 
 
 def is_kept(piece: Sequence[Ridge], rules: StripeRules) -> bool:

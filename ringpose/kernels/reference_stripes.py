@@ -6,7 +6,7 @@ along the columns, centres, and what the differences between centres say of thei
 
 import numpy as np
 
-from ringpose.kernels.reference_stripe_centers import centers
+from ringpose.kernels.reference_stripe_centers import Light, centers
 from ringpose.kernels.reference_stripe_links import Ridge, pieces
 from ringpose.kernels.reference_stripe_patches import Filter, Pixels, bend, pixels_of, sections, split_filters
 from ringpose.kernels.reference_stripe_search import enough, noise_figures, searched
@@ -25,7 +25,7 @@ def stripes(
     pixels, every = pixels_of(image, dark), split_filters(filters)
     noise = noise_figures(pixels, every[0])
     found = ridges(pixels, searched(image, dark, bands, noise, rules), noise, every[0], rules)
-    return centers(pixels, pieces(pixels, found, every[0], rules), every, rules)
+    return centers(Light(pixels, image >= rules.full_dn), pieces(pixels, found, every[0], rules), every, rules)
 
 
 def ridges(

@@ -30,6 +30,19 @@
 enum { NARROWER = 3, LEAST_CLUTTERED = 24, LEAST_SPECKLED = 14 };
 #define BETTER 0.95
 
+/* Ridges so far from one of a stripe, in its widths, and no farther are others: nearer ones are its grains. Their light
+   bends what lies beneath the stripe, unless it is less than that share; where one of so many columns has such a
+   neighbour, speckle is not weighed. */
+#define OTHERS_FROM 3.0
+#define OTHERS_TO 8.0
+#define FAINT_SHARE 0.05f
+enum { CROWDED_ONE_IN = 10 };
+
+/* Nor where one of so many columns is full on both sides of its middle, at that share of a width: of a skewed section
+   that is cut off the flanks alone say less of the middle than the filter does. */
+#define FULL_WIDTHS 0.75
+enum { FULL_ONE_IN = 3 };
+
 /* Nor may it lose more than one column in so many. */
 enum { LOST_ONE_IN = 10 };
 
@@ -39,6 +52,7 @@ typedef struct {
     size_t filter_count;
     const StripeRules *rules;
     const Ridge *ridges;
+    size_t ridge_count;
     Patch *patch;
     Columns columns[2];
 } Job;
@@ -110,6 +124,38 @@ static void append_columns(const Columns *columns, int64_t number, Centers *cent
     centers->count += columns->count;
 }
 
+/* Whether another ridge of the column lies near one, above it (-1) or below it (1). */
+static int has_other(const Job *job, size_t number, ptrdiff_t side, double width) {
+    const Ridge *own = job->ridges + number;
+    for (size_t i = number + (size_t)side; i < job->ridge_count && job->ridges[i].x == own->x; i += (size_t)side) {
+        double apart = fabsf(job->ridges[i].y - own->y);
+        if (apart > OTHERS_TO * width) return 0;
+        if (apart > OTHERS_FROM * width && job->ridges[i].response > FAINT_SHARE * own->response) return 1;
+    }
+    return 0;
+}
+
+/* Whether a ridge is full on both sides of its middle. */
+static int is_full(const Job *job, const Ridge *ridge, double width) {
+    const StripeImage *image = job->image;
+    ptrdiff_t rows = (ptrdiff_t)(FULL_WIDTHS * width + 0.5);
+    size_t above = clamped(ridge->row - rows, image->height), below = clamped(ridge->row + rows, image->height);
+    size_t x = (size_t)ridge->x;
+    return lit_at(image, above * image->width + x) >= job->rules->full &&
+           lit_at(image, below * image->width + x) >= job->rules->full;
+}
+
+/* Whether a piece's flanks are those of a stripe alone that is not saturated. */
+static int shows_flanks(const Job *job, const int32_t *order, size_t count, double width) {
+    size_t others = 0, full = 0;
+    for (size_t i = 0; i < count; i++) {
+        size_t number = (size_t)order[i];
+        others += has_other(job, number, -1, width) || has_other(job, number, 1, width);
+        full += (size_t)is_full(job, job->ridges + number, width);
+    }
+    return CROWDED_ONE_IN * others <= count && FULL_ONE_IN * full <= count;
+}
+
 /* Whether hardly any column is lost. */
 static int keeps(const Columns *columns, const Columns *other) {
     size_t lost = columns->count > other->count ? columns->count - other->count : 0;
@@ -132,7 +178,7 @@ static const Columns *measure_piece(Job *job, const int32_t *order, size_t count
             return other;
         }
     }
-    if (excess(*of, 1) < SPECKLED) return columns;
+    if (excess(*of, 1) < SPECKLED || !shows_flanks(job, order, count, width)) return columns;
     Measure how = measure_with(job, filter, width);
     Scatter tried = weigh_columns(&how, *of, columns, other);
     if (!keeps(columns, other) || excess(tried, 1) >= BETTER * excess(*of, 1)) return columns;
@@ -215,7 +261,7 @@ static void find_sigmas(Columns *columns, const PieceScatter *measured, size_t c
 int find_centers(const StripeImage *image, const Filter *filters, size_t filter_count, const StripeRules *rules,
                  const List *ridges, const List *pieces, Centers *centers) {
     Patch patch;
-    Job job = {image, filters, filter_count, rules, ridges->data, &patch, {{0}, {0}}};
+    Job job = {image, filters, filter_count, rules, ridges->data, ridges->used, &patch, {{0}, {0}}};
     size_t room = pieces->used + 1;
     int32_t *end = malloc(room * sizeof *end);
     int32_t *order = end ? ridges_by_piece(rules, ridges, pieces, end) : NULL;

@@ -31,6 +31,7 @@ typedef struct {
     float begin_sigmas, continue_sigmas; /* response over its noise: of a piece's best columns, and of any */
     float least_response;
     float coarse_per_response; /* what the coarse search sees of a ridge with a response of 1 */
+    float full;                /* grey value of a saturated pixel */
     size_t gap, shortest;      /* columns */
 } StripeRules;
 
@@ -113,6 +114,10 @@ static inline size_t clamped(ptrdiff_t index, size_t size) {
 /* Whether rows of a block lie within the image. */
 static inline int is_inside(const StripeImage *image, ptrdiff_t row, size_t column, size_t rows) {
     return row >= 0 && (size_t)row + rows <= image->height && column + BLOCK <= image->width;
+}
+
+static inline float lit_at(const StripeImage *image, size_t index) {
+    return image->wide ? ((const uint16_t *)image->lit)[index] : ((const uint8_t *)image->lit)[index];
 }
 
 static inline float pixel_at(const StripeImage *image, size_t index) {

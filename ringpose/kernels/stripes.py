@@ -34,6 +34,8 @@ class StripeRules(NamedTuple):
     """And a ridge answers that much at least."""
     coarse_per_response: float
     """Sum over a window of 8 x 16 pixels, its surroundings subtracted, for a ridge that answers 1."""
+    full_dn: float
+    """Grey value of a saturated pixel: what speckle leaves of such a stripe says less than its shape."""
     gap: int
     """Columns that may be missing inside a piece."""
     shortest: int

@@ -183,6 +183,34 @@ def test_skewed_sections_and_halos_hardly_draw_the_centres_of_speckled_stripes(s
     assert abs(error_px.mean()) < 0.05
 
 
+@pytest.mark.parametrize("apart", [5.5, 6.0, 7.0, 8.0, 9.0])
+@pytest.mark.parametrize("sigma", [1.5, 2.5])
+def test_another_stripe_beside_a_speckled_one_hardly_draws_its_centres(sigma, apart, rng):
+    """Twice as wide a filter is drawn by 0.2 px, the weights alone by 0.3; the filter is by 0.05 at 5.5 widths."""
+    truth = 30 + np.linspace(-2, 2, 3000)
+
+    stripes = find_stripes(
+        speckled(lambda off: gaussian(sigma)(off) + gaussian(sigma)(off - apart * sigma), truth, rng)
+    )
+
+    error_px = stripes.position_px[:, 1] - truth[stripes.position_px[:, 0].astype(int)]
+    own = abs(error_px) < 3
+    assert own.sum() > 2900
+    assert abs(error_px[own].mean()) < 0.06
+
+
+@pytest.mark.parametrize("times", [3.0, 3.6])
+def test_skewed_sections_that_saturate_hardly_draw_the_centres_of_speckled_stripes(times, rng):
+    """By their flanks they are drawn by 0.09 and 0.12 px."""
+    truth = 40 + np.linspace(-2, 2, 3000)
+
+    stripes = find_stripes(speckled(lambda off: times * skewed(off), truth, rng))
+
+    error_px = stripes.position_px[:, 1] - truth[stripes.position_px[:, 0].astype(int)]
+    assert len(error_px) > 2980
+    assert abs(error_px.mean()) < 0.05
+
+
 def test_light_that_grows_beneath_a_speckled_stripe_does_not_draw_its_centres(rng):
     truth = 40 + np.linspace(-2, 2, 3000)
 

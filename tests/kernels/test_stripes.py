@@ -10,7 +10,13 @@ from ringpose.kernels.stripes import Filters, StripeRules, stripes
 
 FILTERS = stripe_filters(2.5)
 RULES = StripeRules(
-    begin_sigmas=6.0, continue_sigmas=4.0, least_response=0.18, coarse_per_response=540.0, gap=2, shortest=8
+    begin_sigmas=6.0,
+    continue_sigmas=4.0,
+    least_response=0.18,
+    coarse_per_response=540.0,
+    full_dn=255.0,
+    gap=2,
+    shortest=8,
 )
 WEAK_RULES = RULES._replace(begin_sigmas=1.5, continue_sigmas=1.0, least_response=0.01, coarse_per_response=0.0)
 """Under these noise is full of pieces."""
@@ -128,6 +134,26 @@ def test_speckled_stripes_before_a_dark_frame_equal_the_twin(sigma, rng):
     dark = rng.integers(10, 14, (100, 500), np.uint8)
 
     assert_equal_to_twin(speckled(sigma, rng).astype(np.uint8), dark, least=300)
+
+
+@pytest.mark.parametrize("share", [0.02, 0.1, 1.0])
+@pytest.mark.parametrize("apart_px", [6, 9, 14, 20])
+def test_speckled_stripes_beside_others_equal_the_twin(apart_px, share, rng):
+    light = np.clip(speckled(1.5, rng) - 20, 0, 255)
+    image = np.clip(light + share * np.roll(light, apart_px, axis=0) + 20, 0, 255)
+
+    assert_equal_to_twin(image.astype(np.uint8), least=300)
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("full_dn", [80, 120, 200])
+def test_saturated_speckled_stripes_equal_the_twin(full_dn, bits, rng):
+    dark = rng.integers(0, 5, (100, 500)) * 2 ** (bits - 8)
+    image = np.minimum(speckled(1.5, rng) * 2 ** (bits - 8), full_dn * 2 ** (bits - 8))
+    rules = RULES._replace(full_dn=full_dn * 2.0 ** (bits - 8))
+    dtype = np.uint8 if bits == 8 else np.uint16
+
+    assert_equal_to_twin(image.astype(dtype), dark.astype(dtype), rules=rules, least=300)
 
 
 @pytest.mark.parametrize("ridge_sigma", [4.0, 8.0])
