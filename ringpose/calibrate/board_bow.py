@@ -23,8 +23,11 @@ FLAT_SIGMAS = 5.0
 """Root of chi-squared of the bow's three numbers: of flat boards it is 1.5, hardly ever 4."""
 
 
-def bow_finding(used: Sequence[BoardView], camera: Camera, model: CameraModel) -> Finding:
-    """How surely the board is bowed: one step from a flat one, camera and poses free."""
+def bow_finding(used: Sequence[BoardView], camera: Camera, model: CameraModel, widening: float = 1.0) -> Finding:
+    """How surely the board is bowed: one step from a flat one, camera and poses free.
+
+    Errors of views are larger than their residuals say by the factor `widening`.
+    """
     solution = camera_solution(used, camera, model)
     several = zip(used, solution.poses, solution.view_sigma_px.tolist(), strict=True)
     rows = [_rows(without_bends(view, solution.camera), pose, solution.camera, sigma) for view, pose, sigma in several]
@@ -38,7 +41,7 @@ def bow_finding(used: Sequence[BoardView], camera: Camera, model: CameraModel) -
     height_m = float(np.ptp(_shapes(_places(used)) @ (bow / scale[-3:])))
     return Finding(
         name="bow_sigmas",
-        value=surely,
+        value=surely / widening,
         good_limit=FLAT_SIGMAS,
         redo_limit=np.inf,
         advice=f"the board is not flat, by about {1e3 * height_m:.2f} mm: fix it to glass or a plate",

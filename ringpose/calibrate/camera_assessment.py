@@ -43,18 +43,19 @@ def camera_assessment(
     corners_px = np.concatenate([view.points_px[~view.left_out] for view in calibration.used])
     known = known_lens(calibration.camera, corners_px, where)
     sigma_px = np.where(known, projection_sigma_px(calibration.camera, where), np.nan)
+    disagreement = float(np.median(validation.jackknife_px[known]) / max(np.median(sigma_px[known]), EXACT_PX))
     return CameraAssessment(
         coverage=coverage(calibration, boards),
         image_map=where,
         sigma_px=sigma_px,
         validation=validation,
-        disagreement=float(np.median(validation.jackknife_px[known]) / max(np.median(sigma_px[known]), EXACT_PX)),
+        disagreement=disagreement,
         distances_m=tuple(distances_m),
         comparison=model_comparison(used, calibration.camera, model, where) if compare else None,
         board=(
             other_camera_finding(calibration, boards),
             *marker_size_findings(boards),
-            bow_finding(used, calibration.camera, model),
+            bow_finding(used, calibration.camera, model, _widening(disagreement, len(used))),
         ),
     )
 
@@ -66,10 +67,13 @@ def widened(calibration: CameraCalibration, assessment: CameraAssessment) -> tup
     show them, and each corner counts as if it were independent. Views are.
     """
     covariance = calibration.camera.covariance
-    if covariance is None or not assessment.disagreement > 1 + CHANCE / np.sqrt(len(calibration.used) - 1):
+    widening = _widening(assessment.disagreement, len(calibration.used))
+    if covariance is None or widening == 1:
         return calibration, assessment
-    wider = replace(covariance, data=assessment.disagreement**2 * covariance.data)
-    camera = replace(calibration.camera, covariance=wider)
-    return replace(calibration, camera=camera), replace(
-        assessment, sigma_px=assessment.disagreement * assessment.sigma_px
-    )
+    camera = replace(calibration.camera, covariance=replace(covariance, data=widening**2 * covariance.data))
+    return replace(calibration, camera=camera), replace(assessment, sigma_px=widening * assessment.sigma_px)
+
+
+def _widening(disagreement: float, views: int) -> float:
+    """Factor of the standard deviations; one where views disagree by chance, or are too few to tell."""
+    return disagreement if disagreement > 1 + CHANCE / np.sqrt(views - 1) else 1.0
