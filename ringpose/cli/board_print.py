@@ -10,11 +10,13 @@ OptionalInputs = Annotated[
     typer.Argument(metavar="INPUT...", help="Files or folders; - reads names from stdin, one a line."),
 ]
 OptionalOutput = Annotated[
-    Path | None, typer.Option("--output", "-o", metavar="FILE", help="Where the result is written.")
+    Path | None, typer.Option("--output", "-o", readable=False, metavar="FILE", help="Where the result is written.")
 ]
 PrintBoard = Annotated[
     Path | None,
-    typer.Option("--print-board", metavar="FILE", help="Only draw the board at true scale: .pdf, .svg or .png."),
+    typer.Option(
+        "--print-board", readable=False, metavar="FILE", help="Only draw the board at true scale: .pdf, .svg or .png."
+    ),
 ]
 
 

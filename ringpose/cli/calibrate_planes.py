@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from ringpose.types.camera import Camera
 
 CameraFile = Annotated[
-    Path | None, typer.Option("--camera", metavar="FILE", help="The calibrated camera (camera.yaml).")
+    Path | None, typer.Option("--camera", readable=False, metavar="FILE", help="The calibrated camera (camera.yaml).")
 ]
 MethodName = Annotated[PlanesMethod, typer.Option("--method", help="How the light planes are estimated.")]
 FreeCamera = Annotated[
@@ -48,10 +48,12 @@ WorkingDistance = Annotated[
     ),
 ]
 Mount = Annotated[
-    Path | None, typer.Option("--mount", metavar="FILE", help="Where the camera is mounted: tool_from_camera.")
+    Path | None,
+    typer.Option("--mount", readable=False, metavar="FILE", help="Where the camera is mounted: tool_from_camera."),
 ]
 Check = Annotated[
-    Path | None, typer.Option("--check", metavar="RIG", help="Only see whether this rig agrees with the shots.")
+    Path | None,
+    typer.Option("--check", readable=False, metavar="RIG", help="Only see whether this rig agrees with the shots."),
 ]
 Surround = Annotated[
     float,

@@ -9,7 +9,9 @@ from ringpose.cli.app import app
 from ringpose.cli.options import Force, OutputFile
 from ringpose.files.camera_format import CameraFormat
 
-CameraInput = Annotated[Path, typer.Argument(metavar="CAMERA", help="A camera or rig, in any of the formats.")]
+CameraInput = Annotated[
+    Path, typer.Argument(readable=False, metavar="CAMERA", help="A camera or rig, in any of the formats.")
+]
 Format = Annotated[CameraFormat, typer.Option("--format", help="The program that is to read it.")]
 
 

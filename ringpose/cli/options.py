@@ -37,16 +37,27 @@ OptionalInputs = Annotated[
     list[str] | None,
     typer.Argument(metavar="INPUT...", help="Files or folders; - reads names or records from stdin, one a line."),
 ]
-RigFile = Annotated[Path, typer.Option("--rig", metavar="FILE", help="The calibrated rig (rig.yaml).")]
-OptionalRigFile = Annotated[Path | None, typer.Option("--rig", metavar="FILE", help="The calibrated rig (rig.yaml).")]
-BoardFile = Annotated[Path, typer.Option("--board", metavar="FILE", help="The board file: its kind and its sizes.")]
+# readable=False: reading finds out whether a file is shut off, with its own exit status; typer calls it wrong usage.
+RigFile = Annotated[Path, typer.Option("--rig", readable=False, metavar="FILE", help="The calibrated rig (rig.yaml).")]
+OptionalRigFile = Annotated[
+    Path | None, typer.Option("--rig", readable=False, metavar="FILE", help="The calibrated rig (rig.yaml).")
+]
+BoardFile = Annotated[
+    Path, typer.Option("--board", readable=False, metavar="FILE", help="The board file: its kind and its sizes.")
+]
 Overlay = Annotated[
-    Path | None, typer.Option("--overlay", metavar="DIR", help="Draw what was found into PNG files in this folder.")
+    Path | None,
+    typer.Option("--overlay", readable=False, metavar="DIR", help="Draw what was found into PNG files in this folder."),
 ]
 Report = Annotated[
-    Path | None, typer.Option("--report", metavar="FILE", help="Write an HTML page with pictures (needs matplotlib).")
+    Path | None,
+    typer.Option(
+        "--report", readable=False, metavar="FILE", help="Write an HTML page with pictures (needs matplotlib)."
+    ),
 ]
-OutputFile = Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Where the result is written.")]
+OutputFile = Annotated[
+    Path, typer.Option("--output", "-o", readable=False, metavar="FILE", help="Where the result is written.")
+]
 JsonFile = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="All figures as JSON; - instead of tables.")
 ]

@@ -62,11 +62,10 @@ def refuse_existing(path: Path, force: bool) -> None:
 
 def refuse_inputs(outputs: Iterable[Path | None], read: Iterable[Path]) -> None:
     """Refuse outputs that are read as well, by whatever name: no wish to replace them means that."""
-    there = [output for output in outputs if output is not None and output.exists()]
-    for file in read:
-        for output in there:
-            if file.exists() and output.samefile(file):
-                raise CannotCreateError(str(output), "is an input, too", "choose another output")
+    there = {_identity(output): output for output in outputs if output is not None}
+    for identity in map(_identity, read):
+        if identity is not None and identity in there:
+            raise CannotCreateError(str(there[identity]), "is an input, too", "choose another output")
 
 
 def make_folder(path: Path) -> Path:
@@ -84,6 +83,15 @@ def output_error(path: Path | str, error: OSError) -> RingposeError:
     if error.errno in _FULL:
         return InputOutputError(str(path), f"writing broke off: {reason}", "free space and run again")
     return CannotCreateError(str(path), f"cannot be written: {reason}", "choose another output")
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """What a file is, whatever its name; None if it is not there, or cannot be seen."""
+    try:
+        found = path.stat()
+    except (OSError, ValueError):
+        return None
+    return found.st_dev, found.st_ino
 
 
 def _umask() -> int:

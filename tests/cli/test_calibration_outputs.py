@@ -1,5 +1,6 @@
 """What the calibrating commands write never takes the place of what they read, not even with --force."""
 
+import os
 import shutil
 from pathlib import Path
 
@@ -57,3 +58,24 @@ def test_an_output_that_is_an_input_is_refused(folder, capsys, words, output, ke
 
     assert (status, capsys.readouterr().err) == (73, f"ringpose: {output}: is an input, too; choose another output\n")
     assert Path(kept).read_bytes() == before
+
+
+def test_an_output_whose_name_no_file_can_have_cannot_be_created(folder, capsys):
+    name = 300 * "a"
+
+    status = main([*CAMERA, "--output", name])
+
+    assert (status, capsys.readouterr().err.count("\n")) == (73, 1)
+
+
+def test_an_input_that_is_shut_off_cannot_be_opened(folder, capsys, monkeypatch):
+    def refuse(file: Path) -> bytes:
+        raise PermissionError(f"{file} is shut off")
+
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    monkeypatch.setattr(Path, "read_bytes", refuse)
+
+    status = main([*CAMERA, "--output", "c.yaml"])
+
+    finding = "ringpose: camera_board.yaml: cannot be opened: permission denied\n"
+    assert (status, capsys.readouterr().err) == (66, finding)
