@@ -23,6 +23,9 @@ WHITE_PERCENT = 98
 LOWEST_CONTRAST_DN = 10.0
 """Below this a circle's area tells nothing."""
 
+_SHARES = (-0.5, 1.5)
+"""What a pixel may be of ink, with its noise: cut off at 0, paper would be part of the circle."""
+
 
 class CircleCenters(NamedTuple):
     """Where circles' centres are seen."""
@@ -77,6 +80,13 @@ def ellipse_offsets(
     return offsets
 
 
+def seen_offsets(
+    points_m: Float64[Array, "corner xyz=3"], points_px: Float64[Array, "corner xy=2"], radius_m: float
+) -> Float64[Array, "corner xy=2"]:
+    """The same for circles that are seen in these places, as if nothing but perspective had put them there."""
+    return ellipse_offsets(points_m[:, :2], radius_m, _homography(points_m, points_px))
+
+
 def circle_conics(
     centers_m: Float64[Array, "corner xy=2"], radius_m: float, homography: Float64[Array, "3 3"]
 ) -> Float64[Array, "corner 3 3"]:
@@ -128,5 +138,5 @@ def _dark_area(grey: UInt8[Array, "row column"], middle: Float64[Array, "xy=2"],
     if not len(rim) or not len(heart) or np.median(rim) - np.median(heart) < LOWEST_CONTRAST_DN:
         return float("nan")
     bright, dark = float(np.median(rim)), float(np.median(heart))
-    share = np.clip((bright - patch) / (bright - dark), 0.0, 1.0)
+    share = np.clip((bright - patch) / (bright - dark), *_SHARES)
     return float(share[away <= reach].sum())

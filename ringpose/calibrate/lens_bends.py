@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from ringpose.calibrate.board_pose import board_pose
+from ringpose.calibrate.circle_centers import seen_offsets
 from ringpose.calibrate.corner_likeness import end_of_likeness, side_normals
 from ringpose.geometry.rays import project
 from ringpose.types.arrays import Array, Float64
@@ -27,22 +28,21 @@ def without_bends(view: BoardView, camera: Camera) -> BoardView:
     pose = board_pose(view, camera)
     places_m = view.points_board_m @ pose.rotation.T + pose.translation_m
     if view.circle_radius_m:
-        moved = view.points_px - _circle_bends(places_m, view.circle_radius_m * pose.rotation[:, :2], camera)
+        middles_px = view.points_px + seen_offsets(view.points_board_m, view.points_px, view.circle_radius_m)
+        moved = middles_px - _circle_offsets(places_m, view.circle_radius_m * pose.rotation[:, :2], camera)
     else:
         moved = _unbent_corners(places_m, view, camera)
     return replace(view, points_px=moved)
 
 
-def _circle_bends(
+def _circle_offsets(
     places_m: Float64[Array, "corner xyz=3"], axes_m: Float64[Array, "xyz=3 axis=2"], camera: Camera
 ) -> Float64[Array, "corner xy=2"]:
-    """Middle of what is seen of a circle less where its centre is seen, beyond what a pinhole makes of both."""
+    """Middle of what is seen of a circle less where its centre is seen."""
     angle = 2 * np.pi * np.arange(_SAMPLES) / _SAMPLES
     rims_m = places_m[:, None] + np.stack([np.cos(angle), np.sin(angle)], axis=-1) @ axes_m.T
-    pinhole = replace(camera, distortion_coefficients=np.zeros_like(camera.distortion_coefficients))
-    bent, straight = (_centroids(project(rims_m, one)) - project(places_m, one) for one in (camera, pinhole))
-    bends: Float64[Array, "corner xy=2"] = bent - straight
-    return bends
+    offsets: Float64[Array, "corner xy=2"] = _centroids(project(rims_m, camera)) - project(places_m, camera)
+    return offsets
 
 
 def _centroids(outlines: Float64[Array, "corner point xy=2"]) -> Float64[Array, "corner xy=2"]:

@@ -56,3 +56,13 @@ def test_circles_are_found_in_an_image_a_quarter_as_bright(tilted_circles):
     found = np.linalg.norm(find_board(dim, BOARD, "dim").points_px - centers_px, axis=1)
 
     assert np.median(found) < 0.03
+
+
+def test_noise_makes_circles_no_larger(rng, tilted_circles):
+    """Paper's noise to one side only, over three times a circle's area, would be a hundredth of its radius."""
+    image, _ = tilted_circles(0.006)
+    noisy = np.clip(np.rint(image + 6 * rng.standard_normal(image.shape)), 0, 255).astype(np.uint8)
+
+    radius_m = find_board(noisy, BOARD, "noisy").circle_radius_m
+
+    assert abs(radius_m - find_board(image, BOARD, "clean").circle_radius_m) < 0.003 * 0.006
