@@ -85,7 +85,7 @@ def unusable(grey: UInt8[Array, "row column"], seen: NoBoard) -> NoBoard | None:
     """
     bright = float(np.percentile(grey, 99))
     if bright < DARK_DN:
-        return NoBoard(failure=BoardFailure.TOO_DARK, found=f"99 % of the pixels are below {bright:.0f} of 255")
+        return NoBoard(failure=BoardFailure.TOO_DARK, found=f"99 % of the pixels are at most {bright:.0f} of 255")
     full = float(np.mean(grey == 255))
     if full > BRIGHT_SHARE and not len(seen.points_px):
         return NoBoard(failure=BoardFailure.SATURATED, found=f"{100 * full:.0f} % of the pixels are saturated")

@@ -27,9 +27,13 @@ def print_board(path: Path, board_file: Path, usual: str, *, force: bool, quiet:
     """
     from ringpose.calibrate.board_drawing import A4_BOARDS, board_drawing
     from ringpose.cli import messages
-    from ringpose.files.board_prints import write_board_print
+    from ringpose.files.atomic import refuse_existing, refuse_inputs
+    from ringpose.files.board_prints import require_format, write_board_print
     from ringpose.files.boards import read_board, write_board
 
+    require_format(path)
+    refuse_inputs([path], [board_file])
+    refuse_existing(path, force)
     if not board_file.exists():
         write_board(board_file, A4_BOARDS[usual])
     drawing = board_drawing(read_board(board_file))

@@ -95,7 +95,8 @@ class StripeImages:
         """How many lasers there are, where that is few and only the masks say so: a third may be dark or unwired."""
         if self.given[0] is None and 0 < len(self.names) < len(THREE):
             number = f"{len(self.names)} laser{'s' * (len(self.names) > 1)}"
-            messages.say(f"{number} by the shots' masks ({', '.join(self.names)}); of more, give all --laser-names")
+            names = ", ".join(self.names)
+            messages.say(f"{number} by the shots' masks ({names}); if there are more, name all (--laser-names)")
 
     def say_remarks(self) -> None:
         """What each shot is missing, and why: where no plane comes of them, that is the reason."""
@@ -123,4 +124,4 @@ class StripeImages:
         self.names = self.names or laser_names(self.given[0], highest)
         if highest > len(self.names):
             found = f"a frame names laser {highest}, there are {len(self.names)} ({', '.join(self.names)})"
-            raise DataError(shot.name, found, "give all names with --laser-names")
+            raise DataError(shot.name, found, "give all names with --laser-names, or shots of these lasers")

@@ -32,11 +32,15 @@ _CAP = 0.72
 
 def write_board_print(path: Path, drawing: BoardDrawing, *, force: bool = False) -> None:
     """The drawing in the format that the file's suffix names."""
-    made = _FORMATS.get(path.suffix.lower())
-    if made is None:
-        raise UsageError("--print-board", f"{path.name} is no .pdf, .svg or .png", "name the file accordingly")
+    require_format(path)
     with atomic.replacing(path, force) as stream:
-        stream.write(made(drawing))
+        stream.write(_FORMATS[path.suffix.lower()](drawing))
+
+
+def require_format(path: Path) -> None:
+    """Refuse a file whose suffix names no format."""
+    if path.suffix.lower() not in _FORMATS:
+        raise UsageError("--print-board", f"{path.name} is no .pdf, .svg or .png", "name the file accordingly")
 
 
 def pdf(drawing: BoardDrawing) -> bytes:

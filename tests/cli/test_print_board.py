@@ -37,3 +37,25 @@ def test_printing_refuses_what_it_would_leave_aside(command, folder, capsys):
         "ringpose: --print-board: only draws the board; leave out the inputs, --output\n"
     )
     assert list(folder.iterdir()) == []
+
+
+@pytest.mark.parametrize(("page", "refused"), [("page.txt", 2), ("missing/page.pdf", 73), ("there.pdf", 73)])
+def test_no_board_is_written_for_a_page_that_is_refused(page, refused, folder):
+    (folder / "there.pdf").touch()
+
+    status = main(["calibrate-planes", "--print-board", page, "--board", "new_board.yaml"])
+
+    assert (status, [file.name for file in folder.iterdir()]) == (refused, ["there.pdf"])
+
+
+def test_a_page_in_the_place_of_its_board_file_is_refused(folder, capsys):
+    text = "{kind: chessboard, squares_x: 9, squares_y: 6, square_m: 0.02}"
+    (folder / "board.svg").write_text(text)
+
+    status = main(["calibrate-camera", "--print-board", "board.svg", "--board", "board.svg", "--force"])
+
+    assert (status, capsys.readouterr().err) == (
+        73,
+        "ringpose: board.svg: is an input, too; choose another output\n",
+    )
+    assert (folder / "board.svg").read_text() == text
