@@ -18,6 +18,7 @@ from ringpose.types.camera_calibration import (
     ModelComparison,
     ModelFit,
 )
+from ringpose.types.covariance import CAMERA_PARAMETERS
 from ringpose.types.verdict import Verdict
 
 
@@ -95,7 +96,7 @@ def _corner_line(view: CameraView) -> str:
 def _parameter_lines(calibration: CameraCalibration) -> list[str]:
     camera, deviations = calibration.camera, calibration.standard_deviations
     values = dict(zip(deviations, parameters_of(camera).tolist(), strict=True))
-    pinhole = ", ".join(f"{name} {values[name]:.2f} ± {deviations[name]:.2f}" for name in ("fx", "fy", "cx", "cy"))
+    pinhole = ", ".join(f"{name} {values[name]:.2f} ± {deviations[name]:.2f}" for name in CAMERA_PARAMETERS[:4])
     bend = ", ".join(f"{name} {values[name]:.5f} ± {deviations[name]:.5f}" for name in list(values)[4:])
     return [f"{pinhole} px ({camera.image_width} x {camera.image_height})", f"{camera.distortion_model}: {bend}"]
 

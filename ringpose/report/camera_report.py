@@ -16,6 +16,7 @@ from ringpose.report.camera_pictures import (
 from ringpose.report.page import Section, Table, page
 from ringpose.report.verdict_section import verdict_section
 from ringpose.types.camera_calibration import CameraAssessment, CameraCalibration, CameraView, ModelComparison
+from ringpose.types.covariance import CAMERA_PARAMETERS
 from ringpose.types.verdict import Verdict
 
 
@@ -56,7 +57,7 @@ def _parameters(calibration: CameraCalibration) -> Section:
 
 
 def _with_unit(parameter: str) -> str:
-    return f"{parameter} (px)" if parameter in ("fx", "fy", "cx", "cy") else parameter
+    return f"{parameter} (px)" if parameter in CAMERA_PARAMETERS[:4] else parameter
 
 
 def _uncertainty(calibration: CameraCalibration, assessment: CameraAssessment) -> Section:

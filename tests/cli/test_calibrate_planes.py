@@ -256,4 +256,5 @@ def test_fewer_lasers_than_three_are_counted_for_the_reader(plane_folder, switch
 
     calibrate("planes")
 
-    assert "2 lasers by the shots' masks (laser_1, laser_2); of more, give all --laser-names" in capsys.readouterr().err
+    said = "2 lasers by the shots' masks (laser_1, laser_2); if there are more, name all (--laser-names)"
+    assert said in capsys.readouterr().err
