@@ -11,6 +11,8 @@ _NOT_OPENED = {errno.ELOOP, errno.ENAMETOOLONG, errno.ENXIO, errno.ENODEV}
 def read_bytes(path: Path) -> bytes:
     """The bytes of an input file; one that is missing or shut off is no input."""
     try:
+        if path.is_char_device():  # /dev/zero never ends
+            raise NoInputError(str(path), "is a device, must be a file")
         return path.read_bytes()
     except (FileNotFoundError, NotADirectoryError):
         raise NoInputError(str(path), "does not exist") from None

@@ -1,5 +1,6 @@
 import struct
 import zlib
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -88,6 +89,11 @@ def test_pixels_that_are_no_grey_values_are_refused(tmp_path, rng):
 
     with pytest.raises(DataError, match="pixels of type float32"):
         read_image(tmp_path / "a.tif")
+
+
+def test_a_device_without_end_is_no_input():
+    with pytest.raises(NoInputError, match="is a device, must be a file"):
+        read_image(Path("/dev/zero"))
 
 
 def test_missing_image_is_no_input(tmp_path):
