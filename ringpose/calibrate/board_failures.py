@@ -25,12 +25,15 @@ BRIGHT_SHARE = 0.5
 BLURRED_PX = 4.0
 """Standard deviation of the steepest edges above which an image is called blurred: sharp photographs have 0.8 to 2."""
 
+SHARP_PX, BLURRED_CELLS = 2.0, 1 / 3
+"""Markers whose edges are wider than the first, and than this share of their cells, are too blurred to be read."""
+
 _FAMILIES = tuple(
     (name, int(getattr(cv2.aruco, name)))
     for name in ("DICT_4X4_250", "DICT_5X5_250", "DICT_6X6_250", "DICT_7X7_250", "DICT_APRILTAG_36h11")
 )
 _FEWEST_MARKERS = 3
-"""Of a family that nobody asked for: a pattern may pass for one or two."""
+"""Of a family that nobody asked for, or of mirrored ones: a pattern, or blur, may pass for one or two."""
 
 _SMOOTHING_PX = 1.0
 _STEEPEST = 99.9
@@ -133,7 +136,7 @@ def marker_failure(grey: UInt8[Array, "row column"], board: Board, markers: Mark
         )
     if len(markers.ids):
         return NoBoard(failure=BoardFailure.OTHER_MARKERS, found=f"numbers {_numbers(markers)}")
-    if len(find_markers(np.ascontiguousarray(grey[:, ::-1]), marker_dictionary(board)).ids):
+    if len(find_markers(np.ascontiguousarray(grey[:, ::-1]), marker_dictionary(board)).ids) >= _FEWEST_MARKERS:
         return NoBoard(failure=BoardFailure.MIRRORED)
     other = markers_of_others(grey)
     if other:
@@ -141,6 +144,26 @@ def marker_failure(grey: UInt8[Array, "row column"], board: Board, markers: Mark
     width_px = edge_width_px(grey)
     blurred = f", {_measured(width_px)}" + ": blurred" * bool(np.isfinite(width_px)) if width_px > BLURRED_PX else ""
     return NoBoard(failure=BoardFailure.FEW_MARKERS, found=f"0 of {wanted}{blurred}")
+
+
+def charuco_failure(grey: UInt8[Array, "row column"], board: Board, corners: int, own: Markers) -> NoBoard:
+    """Why too few corners are seen between a board's markers: their cells tell how wide edges may be."""
+    points_px = own.corners_px.reshape(-1, 2)
+    found = f"{corners} corners, {len(own.ids)} of {len(marker_corners(board))} markers"
+    sides_px = np.linalg.norm(np.roll(own.corners_px, 1, axis=1) - own.corners_px, axis=-1)
+    cell_px = float(np.median(sides_px)) / (marker_dictionary(board).markerSize + 2)
+    width_px = float(np.median([edge_width_px(_around(grey, corners_px)) for corners_px in own.corners_px]))
+    failure = BoardFailure.FEW_CORNERS
+    if SHARP_PX < width_px < np.inf and width_px > BLURRED_CELLS * cell_px:
+        failure = BoardFailure.BLURRED
+        found = f"{_measured(width_px)}, the markers' cells {cell_px:.1f} px; {found}"
+    return NoBoard(failure=failure, found=found, points_px=points_px)
+
+
+def _around(grey: UInt8[Array, "row column"], corners_px: Float64[Array, "corner=4 xy=2"]) -> UInt8[Array, "_ _"]:
+    """The upright rectangle that holds a marker."""
+    (left, top), (right, bottom) = np.floor(corners_px.min(axis=0)), np.ceil(corners_px.max(axis=0))
+    return grey[max(int(top), 0) : int(bottom) + 1, max(int(left), 0) : int(right) + 1]
 
 
 def _numbers(markers: Markers) -> str:

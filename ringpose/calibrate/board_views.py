@@ -8,6 +8,7 @@ import numpy as np
 from ringpose.calibrate.board_failures import (
     BoardFailure,
     NoBoard,
+    charuco_failure,
     marker_failure,
     pattern_failure,
     too_small,
@@ -120,8 +121,7 @@ def _marker_view(grey: UInt8[Array, "row column"], board: Board) -> _Seen | NoBo
     if len(ids) >= MINIMUM_CORNERS:
         return _Seen(ids=ids, points_px=corners, layout=marker_layout(board, own), likeness=likeness)
     if board.kind == "charuco" and len(own.ids):
-        found = f"{len(ids)} corners, {len(own.ids)} of {len(marker_corners(board))} markers"
-        return NoBoard(failure=BoardFailure.FEW_CORNERS, found=found, points_px=own.corners_px.reshape(-1, 2))
+        return charuco_failure(grey, board, len(ids), own)
     return marker_failure(grey, board, markers, own)
 
 

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from drawn_boards import BOARDS, CHARUCO, CHESSBOARD, FOUR, GRID
 
-from ringpose.calibrate.board_failures import BoardFailure, NoBoard, edge_width_px
+from ringpose.calibrate.board_failures import BoardFailure, NoBoard, charuco_failure, edge_width_px
 from ringpose.calibrate.board_views import find_board
+from ringpose.calibrate.markers import find_markers, marker_dictionary
 
 
 @pytest.mark.parametrize("board", BOARDS.values(), ids=BOARDS)
@@ -66,6 +67,25 @@ def test_an_image_too_blurred_is_called_so_with_its_measure(drawn_board):
 
     assert found.failure is BoardFailure.BLURRED
     assert "px wide" in found.found
+
+
+@pytest.mark.parametrize(("blur_px", "reason"), [(2.5, BoardFailure.BLURRED), (0.7, BoardFailure.FEW_CORNERS)])
+def test_markers_tell_whether_blur_leaves_no_corners_between_them(blur_px, reason, drawn_board):
+    """Their cells are 4.6 pixels."""
+    image = drawn_board(CHARUCO)
+    markers = find_markers(image, marker_dictionary(CHARUCO))
+
+    found = charuco_failure(cv2.GaussianBlur(image, (0, 0), blur_px), CHARUCO, 3, markers)
+
+    assert found.failure is reason
+    assert found.found.endswith("3 corners, 24 of 24 markers")
+
+
+def test_blurred_markers_are_not_called_mirrored(drawn_board):
+    found = find_board(cv2.GaussianBlur(drawn_board(CHARUCO), (0, 0), 4.5), CHARUCO, "blurred")
+
+    assert found.failure is BoardFailure.FEW_MARKERS
+    assert found.found.endswith(": blurred")
 
 
 @pytest.mark.parametrize("sigma_px", [2.0, 4.0, 8.0])
