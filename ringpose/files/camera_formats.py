@@ -13,9 +13,11 @@ from ringpose.files import atomic, kalibr, matlab, opencv_storage
 from ringpose.files.bytes import read_bytes
 from ringpose.files.camera_format import CameraFormat
 from ringpose.files.cameras import CAMERA_KEYS, FILE_KEYS, camera_of, camera_values, write_camera
+from ringpose.files.covariances import read_covariance
 from ringpose.files.fields import Fields
 from ringpose.files.yaml import parsed, write_yaml
 from ringpose.types.camera import Camera
+from ringpose.types.covariance import CAMERA_PARAMETERS, ParameterCovariance
 
 _MESSAGE_END = re.compile(rb"\n---\s*\Z")
 """The line that `ros2 topic echo` prints behind each message, where nothing follows."""
@@ -35,7 +37,7 @@ def read_camera(path: Path) -> Camera:
         return kalibr.camera_of(values, file)
     schema = str(values.get("ringpose", "")) if isinstance(values, Mapping) else ""
     if schema.startswith("rig/"):
-        return camera_of(Fields(file, values).fields("camera", CAMERA_KEYS))
+        return _camera_of_rig(Fields(file, values))
     if not schema:
         said = {"camera_name": path.stem, "distortion_model": "plumb_bob"} | _ros_mapping(values, file)
         foreign = Fields(file, said)
@@ -55,6 +57,20 @@ def write_camera_as(path: Path, camera: Camera, form: CameraFormat, source: Path
             stream.write(content)
         else:
             write_yaml(stream, content)
+
+
+def _camera_of_rig(fields: Fields) -> Camera:
+    """With its part of the joint covariance of camera and planes."""
+    camera = camera_of(fields.fields("camera", CAMERA_KEYS))
+    if camera.covariance is not None or not fields.has("covariance"):
+        return camera
+    names = fields.fields("covariance").texts("parameters")
+    joint = read_covariance(fields, names)
+    own = [index for index, name in enumerate(names) if name in CAMERA_PARAMETERS]
+    if joint is None or not own:
+        return camera
+    part = ParameterCovariance(parameters=tuple(names[index] for index in own), data=joint.data[np.ix_(own, own)])
+    return replace(camera, covariance=part)
 
 
 def _content(path: Path, camera: Camera, form: CameraFormat) -> bytes | dict[str, Any]:

@@ -12,6 +12,7 @@ import yaml
 from ringpose.errors import DataError
 from ringpose.files.camera_format import CameraFormat
 from ringpose.files.camera_formats import read_camera, write_camera_as
+from ringpose.files.cameras import write_camera
 from ringpose.files.mat_file import mat_variables
 from ringpose.types.camera import Camera
 from ringpose.types.covariance import ParameterCovariance
@@ -310,3 +311,18 @@ def test_sizes_that_no_camera_has_are_refused(tmp_path, values, finding):
 
     with pytest.raises(DataError, match=finding):
         read_camera(tmp_path / "m.yaml")
+
+
+def test_the_camera_of_a_rig_has_its_part_of_the_joint_covariance(tmp_path):
+    write_camera(tmp_path / "c.yaml", camera())
+    values = yaml.safe_load((tmp_path / "c.yaml").read_text())
+    joint = np.diag([100.0, *np.arange(1.0, 10.0) ** 2])
+    names = ["left.distance", *values["covariance"]["parameters"]]
+    del values["covariance"], values["ringpose"], values["provenance"]
+    rig = {"ringpose": "rig/1", "camera": values, "covariance": {"parameters": names, "data": joint.tolist()}}
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(rig))
+
+    covariance = read_camera(tmp_path / "rig.yaml").covariance
+
+    assert covariance.parameters == tuple(names[1:])
+    np.testing.assert_array_equal(covariance.data, joint[1:, 1:])
