@@ -68,7 +68,11 @@ static void fill_influence(const Columns *columns, const Shapes *shapes, int has
         oo = 1;
     }
     double block = fmax(ii * oo - io * io, LEAST_INFORMATION * ii * oo);
-    double inside = (pi * oo - po * io) / block, outside = has_beyond ? (po * ii - pi * io) / block : 0;
+    double inside = 0, outside = 0; /* where all is saturated nothing shows a level */
+    if (block > 0) {
+        inside = (pi * oo - po * io) / block;
+        outside = has_beyond ? (po * ii - pi * io) / block : 0;
+    }
     double information = fmax(pp - inside * pi - outside * po, LEAST_INFORMATION);
     for (int k = 0; k < columns->count; k++)
         influence[k] = shapes->weight[k] *

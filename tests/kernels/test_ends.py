@@ -207,3 +207,12 @@ def test_two_ends_of_one_stripe_equal_the_twin(seed):
     expected = reference_ends.stripe_ends(lit, None, LINE, STRAIGHT, RULES)
 
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-4)
+
+
+def test_ends_where_all_is_saturated_have_a_sigma_that_says_so():
+    lit = image(drawn(100.3, 199.6, ambient=40.0))
+
+    found = stripe_ends(lit, None, LINE, STRAIGHT, RULES._replace(saturation_dn=30.0))[0]
+
+    assert np.all(np.isfinite(found[:, 0]))
+    assert np.all(found[:, SIGMA] > 3.0)
