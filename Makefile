@@ -4,7 +4,7 @@ PYTEST_FLAGS ?=
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 $(PYTEST_FLAGS)
+PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist worksteal $(PYTEST_FLAGS)
 KERNELS := $(wildcard ringpose/kernels/*.c ringpose/kernels/*.h)
 
 .PHONY: help demo bench-speed test test-slow check lint types layers man clean

@@ -126,6 +126,7 @@ def test_every_command_has_an_example(name):
     assert examples_of(COMMAND_PAGES[name]) != []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "page", [page for page in PAGES if ".Sh EXAMPLES" in page.read_text()], ids=lambda page: page.name
 )

@@ -49,7 +49,8 @@ def stripe_failure(
     if brightest > FAINT_SIGMAS and width_px > WIDEST_PX:
         return f"{said}: blurred, or not the lasers' light: {width_px:.0f} px wide at half its height"
     if brightest < FAINT_SIGMAS * noise:
-        return f"{said}: too dark, nothing stands out by more than {brightest:.0f} of {saturation_dn} grey values"
+        most = f"nothing stands out by more than {brightest:.0f} of {saturation_dn} grey values"
+        return f"{said}: too dark, or beside the board: {most}"
     return f"{said}: missing or cut off, though something is {brightest:.0f} grey values bright"
 
 

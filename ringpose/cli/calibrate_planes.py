@@ -189,7 +189,8 @@ def _assessment(
         calibration = calibrated(stripes.views, stripes.camera, model)
     except DataError as error:
         stripes.say_remarks()
-        raise DataError(error.place, error.found, "".join(Verdict(findings=board).advice) or error.remedy) from error
+        remedies = [*Verdict(findings=board).advice, *([error.remedy] if error.remedy else [])]
+        raise DataError(error.place, error.found, "; ".join(remedies)) from error
     return PlanesAssessment(
         calibration=calibration,
         verdict=planes_verdict(calibration, writing.expected_rad, board, writing.working_m),
