@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ringpose.calibrate.camera_model import CameraModel
-from ringpose.calibrate.camera_solution import camera_solution
+from ringpose.calibrate.camera_solution import CameraSolution
 from ringpose.calibrate.corner_likeness import by_independent_errors
 from ringpose.calibrate.intrinsics import projection_jacobians
 from ringpose.calibrate.lens_bends import without_bends
@@ -23,12 +23,13 @@ FLAT_SIGMAS = 5.0
 """Root of chi-squared of the bow's three numbers: of flat boards it is 1.5, hardly ever 4."""
 
 
-def bow_finding(used: Sequence[BoardView], camera: Camera, model: CameraModel, widening: float = 1.0) -> Finding:
+def bow_finding(
+    used: Sequence[BoardView], solution: CameraSolution, model: CameraModel, widening: float = 1.0
+) -> Finding:
     """How surely the board is bowed: one step from a flat one, camera and poses free.
 
     Errors of views are larger than their residuals say by the factor `widening`.
     """
-    solution = camera_solution(used, camera, model)
     several = zip(used, solution.poses, solution.view_sigma_px.tolist(), strict=True)
     rows = [_rows(without_bends(view, solution.camera), pose, solution.camera, sigma) for view, pose, sigma in several]
     by_all, residual = (np.concatenate(parts) for parts in zip(*rows, strict=True))

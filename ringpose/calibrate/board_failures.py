@@ -117,10 +117,11 @@ def pattern_failure(grey: UInt8[Array, "row column"], board: Board) -> NoBoard:
     if other:
         return NoBoard(failure=BoardFailure.OTHER_MARKERS, found=other)
     failure = BoardFailure.BLURRED if BLURRED_PX < width_px < np.inf else BoardFailure.NOT_WHOLE
-    return NoBoard(failure=failure, found=_measured(width_px))
+    return NoBoard(failure=failure, found=edge_width_in_words(width_px))
 
 
-def _measured(width_px: float) -> str:
+def edge_width_in_words(width_px: float) -> str:
+    """What was measured of the edges."""
     return f"edges are {width_px:.1f} px wide" if np.isfinite(width_px) else "nothing has contrast"
 
 
@@ -142,7 +143,9 @@ def marker_failure(grey: UInt8[Array, "row column"], board: Board, markers: Mark
     if other:
         return NoBoard(failure=BoardFailure.OTHER_MARKERS, found=other)
     width_px = edge_width_px(grey)
-    blurred = f", {_measured(width_px)}" + ": blurred" * bool(np.isfinite(width_px)) if width_px > BLURRED_PX else ""
+    blurred = ""
+    if width_px > BLURRED_PX:
+        blurred = f", {edge_width_in_words(width_px)}" + ": blurred" * bool(np.isfinite(width_px))
     return NoBoard(failure=BoardFailure.FEW_MARKERS, found=f"0 of {wanted}{blurred}")
 
 
@@ -156,7 +159,7 @@ def charuco_failure(grey: UInt8[Array, "row column"], board: Board, corners: int
     failure = BoardFailure.FEW_CORNERS
     if SHARP_PX < width_px < np.inf and width_px > BLURRED_CELLS * cell_px:
         failure = BoardFailure.BLURRED
-        found = f"{_measured(width_px)}, the markers' cells {cell_px:.1f} px; {found}"
+        found = f"{edge_width_in_words(width_px)}, the markers' cells {cell_px:.1f} px; {found}"
     return NoBoard(failure=failure, found=found, points_px=points_px)
 
 
@@ -188,7 +191,7 @@ def _partial(
     wanted = (board.squares_x or 0, board.squares_y or 0)
     rows, columns = sorted(grid.shape[:2])
     few, many = sorted(wanted)
-    found = f"{columns} x {rows} of {many - 1} x {few - 1} inner corners, {_measured(width_px)}"
+    found = f"{columns} x {rows} of {many - 1} x {few - 1} inner corners, {edge_width_in_words(width_px)}"
     failure = _partial_failure(extent, wanted, blurred=bool(width_px > BLURRED_PX))
     if failure is BoardFailure.OTHER_SIZE:
         fewer, more = sorted(extent.squares)

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 
 from ringpose.calibrate.board_views import find_board, grey_8_bit
+from ringpose.calibrate.image_patch import patch_around
 from ringpose.types.arrays import Array, Float64, UInt, UInt8
 from ringpose.types.board import Board, BoardView
 from ringpose.types.frame import Shot
@@ -53,8 +54,8 @@ def _followed(
 ) -> Float64[Array, "xy=2"] | None:
     """How far the surroundings of one corner have moved; None if they are not found, or leave the image."""
     column, row = np.rint(corner).astype(int).tolist()
-    patch = _around(start, column, row, _HALF_PATCH_PX)
-    search = _around(image, column, row, _HALF_PATCH_PX + _REACH_PX)
+    patch = patch_around(start, column, row, _HALF_PATCH_PX)
+    search = patch_around(image, column, row, _HALF_PATCH_PX + _REACH_PX)
     if patch is None or search is None or patch.std() < 1.0 or search.std() < 1.0:
         return None
     likeness = np.asarray(cv2.matchTemplate(search, patch, cv2.TM_CCOEFF_NORMED), dtype=np.float64)
@@ -63,11 +64,6 @@ def _followed(
         return None
     across, down = (likeness[y, x - 1 : x + 2], likeness[y - 1 : y + 2, x])
     return np.array([x + _vertex(across), y + _vertex(down)]) - _REACH_PX
-
-
-def _around(image: UInt8[Array, "row column"], column: int, row: int, half: int) -> UInt8[Array, "_ _"] | None:
-    inside = half <= row < image.shape[0] - half and half <= column < image.shape[1] - half
-    return image[row - half : row + half + 1, column - half : column + half + 1] if inside else None
 
 
 def _vertex(values: Float64[Array, "3"]) -> float:

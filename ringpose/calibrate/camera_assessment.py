@@ -8,6 +8,7 @@ import numpy as np
 from ringpose.calibrate.board_bow import bow_finding
 from ringpose.calibrate.board_layout import marker_size_findings
 from ringpose.calibrate.camera_model import CameraModel
+from ringpose.calibrate.camera_solution import camera_solution
 from ringpose.calibrate.coverage import coverage
 from ringpose.calibrate.cross_validation import cross_validation, used_views
 from ringpose.calibrate.distortion_models import model_comparison
@@ -39,7 +40,8 @@ def camera_assessment(
     The boards are those of all views, in their order.
     """
     where, used = image_map(calibration.camera), used_views(calibration, boards)
-    validation = cross_validation(used, calibration.camera, model, where)
+    whole = camera_solution(used, calibration.camera, model)
+    validation = cross_validation(used, whole, model, where)
     corners_px = np.concatenate([view.points_px[~view.left_out] for view in calibration.used])
     known = known_lens(calibration.camera, corners_px, where)
     sigma_px = np.where(known, projection_sigma_px(calibration.camera, where), np.nan)
@@ -51,11 +53,11 @@ def camera_assessment(
         validation=validation,
         disagreement=disagreement,
         distances_m=tuple(distances_m),
-        comparison=model_comparison(used, calibration.camera, model, where) if compare else None,
+        comparison=model_comparison(used, whole, model, where) if compare else None,
         board=(
             other_camera_finding(calibration, boards),
             *marker_size_findings(boards),
-            bow_finding(used, calibration.camera, model, _widening(disagreement, len(used))),
+            bow_finding(used, whole, model, _widening(disagreement, len(used))),
         ),
     )
 

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from ringpose.calibrate.circle_middles import levelled_middles
+from ringpose.calibrate.image_patch import grey_around
 from ringpose.types.arrays import Array, Float64, UInt8
 
 _ROUNDS = 2
@@ -126,13 +127,11 @@ def _radius_m(
 
 def _dark_area(grey: UInt8[Array, "row column"], middle: Float64[Array, "xy=2"], reach: float) -> float:
     """Pixels that are dark about a circle's middle, parts counted; NaN at the image's rim and without contrast."""
-    column, row = np.rint(middle).astype(np.int64).tolist()
-    half = int(reach)
-    if not (half <= column < grey.shape[1] - half and half <= row < grey.shape[0] - half):
+    around = grey_around(grey, middle, int(reach))
+    if around is None:
         return float("nan")
-    patch = grey[row - half : row + half + 1, column - half : column + half + 1].astype(np.float64)
-    down, right = np.indices(patch.shape)
-    away = np.hypot(right + column - half - middle[0], down + row - half - middle[1])
+    patch, offset = around
+    away = np.hypot(offset[..., 0], offset[..., 1])
     rim = patch[(away > reach - 2.0) & (away <= reach)]
     heart = patch[away < 2.0]
     if not len(rim) or not len(heart) or np.median(rim) - np.median(heart) < LOWEST_CONTRAST_DN:

@@ -6,7 +6,13 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ringpose.calibrate.board_failures import BLURRED_PX, BoardFailure, NoBoard, edge_width_px
+from ringpose.calibrate.board_failures import (
+    BLURRED_PX,
+    BoardFailure,
+    NoBoard,
+    edge_width_in_words,
+    edge_width_px,
+)
 from ringpose.calibrate.board_points import corner_points
 from ringpose.calibrate.circle_centers import brightened, circle_middles
 from ringpose.types.arrays import Array, Float64, UInt8
@@ -24,7 +30,7 @@ def circle_failure(grey: UInt8[Array, "row column"], board: Board) -> NoBoard:
     middles_px, width_px = _circles_seen(grey), edge_width_px(grey)
     columns, rows = board.squares_x or 0, board.squares_y or 0
     found = f"{len(middles_px)} circles are seen, the board has {columns} x {rows} = {columns * rows}"
-    found += f", edges are {width_px:.1f} px wide" if np.isfinite(width_px) else ", nothing has contrast"
+    found += f", {edge_width_in_words(width_px)}"
     failure = BoardFailure.NOT_WHOLE
     other = _other_grid(grey, board, len(middles_px))
     if other is not None:

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from ringpose.calibrate.edge_profile import LEAST_BLUR_PX
+from ringpose.calibrate.image_patch import grey_around
 from ringpose.types.arrays import Array, Bool, Float64, UInt8
 
 BAND_PX = 4.0
@@ -39,12 +40,10 @@ def _middle(
 ) -> Float64[Array, "xy=2"] | None:
     shape, extent = _shape(conic)
     half = int(np.ceil(extent + BAND_PX + RIM_PX))
-    column, row = np.rint(middle).astype(np.int64).tolist()
-    if not (half <= column < grey.shape[1] - half and half <= row < grey.shape[0] - half):
+    around = grey_around(grey, middle, half)
+    if around is None:
         return None
-    patch = grey[row - half : row + half + 1, column - half : column + half + 1].astype(np.float64)
-    down, right = np.indices(patch.shape)
-    offset = np.stack([right + column - half - middle[0], down + row - half - middle[1]], axis=-1)
+    patch, offset = around
     outside = _outside_px(offset, shape)
     share = _dark_share(patch, offset, outside)
     if share is None:

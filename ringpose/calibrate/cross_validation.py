@@ -35,35 +35,36 @@ def used_views(calibration: CameraCalibration, boards: Sequence[BoardView]) -> l
     return [corners_of(board, ~view.left_out) for view, board in pairs if not view.rejected]
 
 
-def cross_validation(used: Sequence[BoardView], camera: Camera, model: CameraModel, where: ImageMap) -> CrossValidation:
+def cross_validation(
+    used: Sequence[BoardView], whole: CameraSolution, model: CameraModel, where: ImageMap
+) -> CrossValidation:
     """Calibrations of half the views and of all but one, beside that of all."""
-    without_one = cameras_without_one(used, camera, model)
-    shifts = [_shift_px(camera, other, where) for other in without_one]
+    without_one = cameras_without_one(used, whole, model)
+    shifts = [_shift_px(whole.camera, other, where) for other in without_one]
     return CrossValidation(
-        split_half_px=_split_half_px(used, camera, model, where),
+        split_half_px=_split_half_px(used, whole.camera, model, where),
         left_out=tuple(_left_out(*one) for one in zip(used, without_one, shifts, strict=False)),
-        jackknife_px=_jackknife_px(shifts, camera_solution(used, camera, model), model, where),
+        jackknife_px=_jackknife_px(shifts, whole, model, where),
     )
 
 
-def cameras_without_one(used: Sequence[BoardView], camera: Camera, model: CameraModel) -> list[Camera | None]:
+def cameras_without_one(used: Sequence[BoardView], whole: CameraSolution, model: CameraModel) -> list[Camera | None]:
     """The camera of all views but one, for each view; empty if there are too few."""
     if len(used) <= MINIMUM_VIEWS:
         return []
     if len(used) > MOST_SOLVED:
-        return list(cameras_one_step_away(used, camera, model))
-    return [_camera([*used[:index], *used[index + 1 :]], camera, model) for index in range(len(used))]
+        return list(cameras_one_step_away(whole, model))
+    return [_camera([*used[:index], *used[index + 1 :]], whole.camera, model) for index in range(len(used))]
 
 
-def cameras_one_step_away(used: Sequence[BoardView], camera: Camera, model: CameraModel) -> list[Camera]:
+def cameras_one_step_away(whole: CameraSolution, model: CameraModel) -> list[Camera]:
     """The same by one Gauss-Newton step from the camera of all views: of many views, one changes little."""
-    whole = camera_solution(used, camera, model)
     information, score = whole.parts.sum(axis=0), whole.scores.sum(axis=0)
     steps = [
         covariance_of_free(information - part, model.free) @ (score - own)
         for part, own in zip(whole.parts, whole.scores, strict=True)
     ]
-    return [camera_with(parameters_of(whole.camera) + step, camera) for step in steps]
+    return [camera_with(parameters_of(whole.camera) + step, whole.camera) for step in steps]
 
 
 def held_out_rms_px(view: BoardView, others: Camera | None) -> float:

@@ -1,12 +1,14 @@
-"""Large images made smaller, in which OpenCV's finder of chessboards looks first: its time grows faster than they do.
+"""Images made smaller, and places in them.
 
-The corners are refined in the image as it was taken, so nothing is lost but squares too small to be found.
+OpenCV's finder of chessboards looks in small images first: its time grows faster than they do. The corners are refined
+in the image as it was taken, so nothing is lost but squares too small to be found. Stripes that are too broad for their
+finder become as narrow as it wants them.
 """
 
 import cv2
 import numpy as np
 
-from ringpose.types.arrays import Array, Float64, UInt8
+from ringpose.types.arrays import Array, Float64, UInt
 
 LONGER_SIDE_PX = 2000
 """An image is made smaller by whole numbers until its longer side is below one and a half times this."""
@@ -25,15 +27,18 @@ def reductions(shape: tuple[int, ...]) -> list[int]:
     return halved
 
 
-def reduced(image: UInt8[Array, "row column"], reduction: int) -> UInt8[Array, "small_row small_column"]:
+def reduced(image: UInt[Array, "row column"], reduction: int) -> UInt[Array, "small_row small_column"]:
     """Each pixel the mean of so many by so many; what is left over at the right and below is cut off."""
     if reduction == 1:
         return image
     rows, columns = (size // reduction for size in image.shape)
-    whole = image[: rows * reduction, : columns * reduction]
-    return cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA).astype(np.uint8, copy=False)
+    whole = np.ascontiguousarray(image[: rows * reduction, : columns * reduction])
+    small: UInt[Array, "small_row small_column"] = np.asarray(
+        cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA)
+    )
+    return small
 
 
 def in_full_image(places_px: Float64[Array, "*shape xy=2"], reduction: int) -> Float64[Array, "*shape xy=2"]:
     """Places of a reduced image in the whole one; pixel centres have whole numbers in both."""
-    return (places_px + 0.5) * reduction - 0.5
+    return reduction * places_px + (reduction - 1) / 2

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ringpose.calibrate.board_pose import board_pose
-from ringpose.calibrate.camera_solution import corners_of
-from ringpose.calibrate.view_reasons import FITS, camera_of, turned
+from ringpose.calibrate.cross_validation import used_views
+from ringpose.calibrate.view_reasons import FITS, camera_of, focal_difference, focal_share, turned
 from ringpose.types.board import BoardView
 from ringpose.types.camera import Camera
 from ringpose.types.camera_calibration import CameraCalibration
@@ -28,22 +28,20 @@ def other_camera_finding(calibration: CameraCalibration, boards: Sequence[BoardV
     It is sought by the rejected views alone; views that were used belong to it too if they fit it better.
     """
     camera = calibration.camera
-    pairs = list(zip(calibration.views, boards, strict=True))
-    used = [corners_of(board, ~view.left_out) for view, board in pairs if not view.rejected]
-    rejected = [board for view, board in pairs if view.rejected]
+    used = used_views(calibration, boards)
+    rejected = [board for view, board in zip(calibration.views, boards, strict=True) if view.rejected]
     usual_px = float(np.median([_rms_px(board, camera) for board in used]))
     members, other = _other_camera(rejected, camera, FITS * usual_px)
     names = {board.name for board in (*members, *_better(used, camera, other, usual_px))}
     names = names if len(names) > 1 else set()
-    longer = float(other.camera_matrix[0, 0] / camera.camera_matrix[0, 0]) - 1.0
     listed = ", ".join(view.name for view in calibration.views if view.name in names)
     return Finding(
         name="other_camera_share",
         value=len(names) / len(boards),
         good_limit=0.0,
         redo_limit=REDO_SHARE,
-        advice=f"views {listed} look like another camera's, or another zoom's: focal length {abs(100 * longer):.1f} % "
-        f"{'longer' if longer > 0 else 'shorter'}; calibrate each by itself",
+        advice=f"views {listed} look like another camera's, or another zoom's: "
+        f"focal length {focal_difference(other, camera)}; calibrate each by itself",
     )
 
 
@@ -58,7 +56,7 @@ def _other_camera(rejected: Sequence[BoardView], camera: Camera, limit_px: float
         return [], camera
     other = camera_of(group, camera, 3 if len(group) > 1 else 1)
     members = [one for one in seen if _rms_px(one, other) < limit_px]
-    apart = abs(float(other.camera_matrix[0, 0] / camera.camera_matrix[0, 0]) - 1.0) > LEAST_SHARE
+    apart = abs(focal_share(other, camera)) > LEAST_SHARE
     return (members, other) if members and apart else ([], camera)
 
 

@@ -11,6 +11,7 @@ from itertools import combinations
 import numpy as np
 
 from ringpose.errors import DataError
+from ringpose.geometry.planes import nearest_plane
 from ringpose.types.arrays import Array, Float64, Int64
 
 DECISION = 3.0
@@ -110,9 +111,8 @@ def _planes(ends: Float64[Array, "laser end xyz=3"]) -> Planes:
 def _plane(points: Float64[Array, "end xyz=3"]) -> Float64[Array, "4"]:
     if len(points) < 3:
         return np.full(4, np.nan)
-    middle = points.mean(axis=0)
-    normal = np.linalg.svd(points - middle)[2][-1]
-    return np.append(normal, normal @ middle)
+    normal, distance_m, _ = nearest_plane(points)
+    return np.append(normal, distance_m)
 
 
 def _fitted(ends: Ends, labels: Labels, planes: Planes) -> Planes:

@@ -6,10 +6,10 @@ the one that carries the most light first; what lies beside the board's plane, a
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from ringpose.calibrate.board_surface import BoardSurface
+from ringpose.calibrate.image_reduction import in_full_image, reduced
 from ringpose.calibrate.normal_spread import normal_spread
 from ringpose.detect.stripe_centers import find_stripes
 from ringpose.geometry.rays import undistorted_pixels
@@ -88,24 +88,13 @@ def _lines_at_scale(
     shrinking: int,
 ) -> list[StripeLine]:
     """The lines, and one more if it rivals them: all lying, or all upright."""
-    small, small_dark = _shrunk(image, shrinking), None if dark is None else _shrunk(dark, shrinking)
+    small, small_dark = reduced(image, shrinking), None if dark is None else reduced(dark, shrinking)
     lying = _lines(find_stripes(small, small_dark), surface, lasers + 1, shrinking, upright=False)
     turned = find_stripes(_turned(small), None if small_dark is None else _turned(small_dark))
     upright = _lines(turned, surface, lasers + 1, shrinking, upright=True)
     best = max(lying, upright, key=lambda lines: sum(line.light for line in lines[:lasers]))
     rivals = [line for line in best[lasers:] if line.light > RIVAL_SHARE * best[lasers - 1].light]
     return best[:lasers] + rivals
-
-
-def _shrunk(image: UInt[Array, "row column"], factor: int) -> UInt[Array, "small_row small_column"]:
-    if factor == 1:
-        return image
-    rows, columns = (size // factor for size in image.shape)
-    whole = np.ascontiguousarray(image[: rows * factor, : columns * factor])
-    small: UInt[Array, "small_row small_column"] = np.asarray(
-        cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA)
-    )
-    return small
 
 
 def _turned(image: UInt[Array, "row column"]) -> UInt[Array, "column row"]:
@@ -115,7 +104,7 @@ def _turned(image: UInt[Array, "row column"]) -> UInt[Array, "column row"]:
 
 def _lines(stripes: Stripes, surface: BoardSurface, most: int, shrinking: int, upright: bool) -> list[StripeLine]:
     """The lines among the stripe centres of a frame that was shrunk, and turned if they are upright."""
-    centers_px = shrinking * stripes.position_px + (shrinking - 1) / 2
+    centers_px = in_full_image(stripes.position_px, shrinking)
     points_px = centers_px[:, ::-1].copy() if upright else centers_px
     usable = surface.usable(points_px)
     points_px, peak = points_px[usable], stripes.peak_dn[usable]

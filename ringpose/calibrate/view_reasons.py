@@ -48,12 +48,21 @@ def turned(view: BoardView, camera: Camera) -> BoardView:
     return replace(view, points_px=last - view.points_px)
 
 
+def focal_share(other: Camera, camera: Camera) -> float:
+    """By how much of it another camera's focal length is longer."""
+    return float(other.camera_matrix[0, 0] / camera.camera_matrix[0, 0]) - 1.0
+
+
+def focal_difference(other: Camera, camera: Camera) -> str:
+    """The same in words."""
+    longer = focal_share(other, camera)
+    return f"{abs(100 * longer):.1f} % {'longer' if longer > 0 else 'shorter'}"
+
+
 def _difference(other: Camera, camera: Camera) -> str:
-    longer = float(other.camera_matrix[0, 0] / camera.camera_matrix[0, 0]) - 1.0
     moved_px = np.linalg.norm(other.camera_matrix[:2, 2] - camera.camera_matrix[:2, 2])
-    word = "longer" if longer > 0 else "shorter"
     beside = f" and a principal point {moved_px:.1f} px off" if moved_px > 0 else ""
-    return f"with a focal length {abs(100 * longer):.1f} % {word}{beside}"
+    return f"with a focal length {focal_difference(other, camera)}{beside}"
 
 
 def _errors_beside_most(view: BoardView, camera: Camera) -> Float64[Array, "corner"]:

@@ -13,6 +13,7 @@ from ringpose.calibrate.camera import calibrate_camera
 from ringpose.calibrate.camera_assessment import camera_assessment, widened
 from ringpose.calibrate.camera_model import PLUMB_BOB
 from ringpose.calibrate.camera_quality import camera_quality, camera_summary, projection_sigma_m
+from ringpose.calibrate.camera_solution import camera_solution
 from ringpose.calibrate.camera_verdict import camera_verdict
 from ringpose.calibrate.cross_validation import cameras_one_step_away, cameras_without_one
 from ringpose.calibrate.projection_map import displacement_px, image_map, projection_sigma_px
@@ -256,8 +257,9 @@ def test_one_step_leaves_out_a_view_nearly_as_solving_anew_does(views):
     found = calibrate_camera(boards, 1600, 1200).camera
     where = image_map(found)
 
-    stepped = cameras_one_step_away(boards, found, PLUMB_BOB)
-    solved = cameras_without_one(boards, found, PLUMB_BOB)
+    whole = camera_solution(boards, found, PLUMB_BOB)
+    stepped = cameras_one_step_away(whole, PLUMB_BOB)
+    solved = cameras_without_one(boards, whole, PLUMB_BOB)
 
     apart_px = [np.median(displacement_px(*pair, where)) for pair in zip(stepped, solved, strict=True)]
     moved_px = [np.median(displacement_px(found, camera, where)) for camera in solved]
