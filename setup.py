@@ -29,7 +29,9 @@ setup(
             ("buffers", "forms", "kernels", "misfit", "ring_rows", "singular", "tracks"),
         ),
         kernels(
-            "_search", ("ring_rows", "ring_search", "ring_start"), ("buffers", "ring_rows", "ring_search", "ring_start")
+            "_search",
+            ("ring_rows", "ring_search", "ring_start"),
+            ("buffers", "ring_rows", "ring_search", "ring_start", "triangle"),
         ),
         kernels(
             "_edges",
@@ -67,7 +69,7 @@ setup(
                 "stripe_sigmas",
                 "stripe_weights",
             ),
-            ("buffers", "kernels", "stripe_columns", "stripes"),
+            ("buffers", "kernels", "stripe_columns", "stripes", "triangle"),
         ),
     ],
     options={"bdist_wheel": {"py_limited_api": "cp311"}},

@@ -4,6 +4,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "triangle.h"
+
 enum { SHIFT = 3, TURN = 4, CURVATURE = 5, BAND = 6 };
 
 static double inner(const double a[3], const double b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
@@ -39,36 +41,6 @@ static void weigh(const double *residual, const Evidence *evidence, double huber
     for (int i = 0; i < search->rows; i++) {
         double size = i >= first && i < end ? fabs(residual[i]) : 0;
         search->weight[i] = size > huber ? huber / size : 1;
-    }
-}
-
-/* The triangle L of L L^T = a, in a's lower half; 0 if there is none. */
-static int factorised(double *a, int n) {
-    for (int j = 0; j < n; j++) {
-        for (int k = 0; k < j; k++)
-            for (int i = j; i < n; i++) a[i * n + j] -= a[i * n + k] * a[j * n + k];
-        if (!(a[j * n + j] > 0) || isinf(a[j * n + j])) return 0;
-        double root = sqrt(a[j * n + j]);
-        for (int i = j; i < n; i++) a[i * n + j] /= root;
-    }
-    return 1;
-}
-
-/* L x = b, for `count` columns of b, in place. */
-static void solve_lower(const double *l, int n, double *b, int count) {
-    for (int i = 0; i < n; i++) {
-        for (int k = 0; k < i; k++)
-            for (int c = 0; c < count; c++) b[i * count + c] -= l[i * n + k] * b[k * count + c];
-        for (int c = 0; c < count; c++) b[i * count + c] /= l[i * n + i];
-    }
-}
-
-/* L^T x = b. */
-static void solve_upper(const double *l, int n, double *b, int count) {
-    for (int i = n; i-- > 0;) {
-        for (int k = i + 1; k < n; k++)
-            for (int c = 0; c < count; c++) b[i * count + c] -= l[k * n + i] * b[k * count + c];
-        for (int c = 0; c < count; c++) b[i * count + c] /= l[i * n + i];
     }
 }
 

@@ -5,6 +5,8 @@
 
 #include <math.h>
 
+#include "triangle.h"
+
 /* What is fitted to the rows about a centre: what lies beneath the stripe (a constant and a slope), how bright it is,
    and how far it lies off. The last two are wanted. */
 enum { CONSTANT, SLOPE, BRIGHTNESS, OFFSET, SHAPES };
@@ -44,27 +46,11 @@ typedef struct {
 
 static double phase_offset(size_t phase) { return ((double)phase + 0.5) / PHASES - 0.5; }
 
-/* Lower triangle of the root of symmetric, positive equations. */
-static void take_root(double equation[SHAPES][SHAPES]) {
-    for (size_t i = 0; i < SHAPES; i++)
-        for (size_t j = 0; j <= i; j++) {
-            double sum = equation[i][j];
-            for (size_t k = 0; k < j; k++) sum -= equation[i][k] * equation[j][k];
-            equation[i][j] = i == j ? sqrt(sum) : sum / equation[j][j];
-        }
-}
-
-/* A row of the inverse of what they are the root of. */
-static void invert_row(double root[SHAPES][SHAPES], size_t row, double *inverse) {
-    for (size_t i = 0; i < SHAPES; i++) {
-        double sum = i == row;
-        for (size_t k = 0; k < i; k++) sum -= root[i][k] * inverse[k];
-        inverse[i] = sum / root[i][i];
-    }
-    for (size_t i = SHAPES; i-- > 0;) {
-        for (size_t k = i + 1; k < SHAPES; k++) inverse[i] -= root[k][i] * inverse[k];
-        inverse[i] /= root[i][i];
-    }
+/* A row of the inverse of the equations whose triangle this is. */
+static void invert_row(double triangle[SHAPES][SHAPES], size_t row, double inverse[SHAPES]) {
+    for (size_t i = 0; i < SHAPES; i++) inverse[i] = i == row;
+    solve_lower(triangle[0], SHAPES, inverse, 1);
+    solve_upper(triangle[0], SHAPES, inverse, 1);
 }
 
 /* What is fitted, each row weighed, for a stripe that lies off the middle row; and the equations. */
@@ -93,7 +79,7 @@ static void find_weights(double width, double speckle, size_t reach, Weights *we
     for (size_t j = 0, mirrored = PHASES - 1; j < mirrored; j++, mirrored--) {
         double equation[SHAPES][SHAPES] = {{0}};
         shape_rows(width, speckle, phase_offset(j), reach, shape, equation);
-        take_root(equation);
+        factorised(equation[0], SHAPES);
         invert_row(equation, BRIGHTNESS, brightness);
         invert_row(equation, OFFSET, offset);
         for (size_t k = 0; k <= last; k++) {
