@@ -6,9 +6,6 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from ringpose.cli.app import app
-from ringpose.cli.bench_detectors import detectors
-from ringpose.cli.bench_speed import speed
 from ringpose.cli.options import STDOUT, Force, JsonFile, OptionalRigFile, PoseFrame, Quiet, finite
 from ringpose.pose.method import Method
 
@@ -60,7 +57,6 @@ MaxMissed = Annotated[
 MaxWrong = Annotated[int | None, typer.Option("--max-wrong", metavar="N", min=0, help="Limit on wrong poses.")]
 
 
-@app.command()
 def bench(
     inputs: PosesOrFolders,
     truth: TruthFile = None,
@@ -246,7 +242,3 @@ def _write(
         write_result(targets.json, records.line_of(noted), force=targets.force)
     if targets.csv is not None:
         write_result(targets.csv, csv_text(csv_rows(scores)), force=targets.force)
-
-
-app.command("bench detectors")(detectors)
-app.command("bench speed")(speed)
