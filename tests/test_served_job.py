@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringpose.bench.errors import distance_to_circle_m
+from ringpose.bench.pose_errors import distance_to_circle_m
 from ringpose.cli.main import main
 from ringpose.files.truths import read_truths
 from ringpose.geometry.rotations import angle_between

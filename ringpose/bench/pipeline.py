@@ -1,12 +1,27 @@
-"""(answers, truth) -> one score a shot and method."""
+"""(answers, truth) -> one score a shot and method, and how the two were matched."""
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-from ringpose.bench.answer import Answer
-from ringpose.bench.score import Score, score
+from ringpose.bench.score import Answer, Score, score
 from ringpose.types.camera import Camera
 from ringpose.types.truth import Truth
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Matching:
+    """Which pose lines belong to which truths."""
+
+    truths: int
+    matched: int
+    """Shots of the truth that have a line."""
+    without_truth: tuple[str, ...]
+    """Shots that have a line but no truth, each once."""
+    repeated: tuple[str, ...]
+    """Shots with more than one line of one method; the last line is scored."""
+    unsorted: bool
+    """Whether the shots are in another order than in the truth; this changes no figure."""
 
 
 def scores(answers: Iterable[Answer], truths: Sequence[Truth], camera: Camera | None) -> list[Score]:
@@ -19,21 +34,19 @@ def scores(answers: Iterable[Answer], truths: Sequence[Truth], camera: Camera | 
     ]
 
 
-def without_truth(answers: Iterable[Answer], truths: Iterable[Truth]) -> list[str]:
-    """Shots that were answered though no truth is known of them, in their order, each once."""
-    known = {truth.shot for truth in truths}
-    return list(dict.fromkeys(answer.shot for answer in answers if answer.shot not in known))
-
-
-def answered_twice(answers: Iterable[Answer]) -> list[str]:
-    """Shots with more than one line of one method; the last line is the one that is scored."""
-    seen: set[tuple[str, str]] = set()
-    twice: dict[str, None] = {}
-    for answer in answers:
-        if (answer.method, answer.shot) in seen:
-            twice[answer.shot] = None
-        seen.add((answer.method, answer.shot))
-    return list(twice)
+def matching(answers: Sequence[Answer], truths: Iterable[Truth]) -> Matching:
+    """How pose lines and truths were matched by the names of their shots."""
+    place = {truth.shot: number for number, truth in enumerate(truths)}
+    lines = Counter((answer.method, answer.shot) for answer in answers)
+    shots = list(dict.fromkeys(answer.shot for answer in answers))
+    places = [place[shot] for shot in shots if shot in place]
+    return Matching(
+        truths=len(place),
+        matched=len(places),
+        without_truth=tuple(shot for shot in shots if shot not in place),
+        repeated=tuple(dict.fromkeys(shot for (_, shot), count in lines.items() if count > 1)),
+        unsorted=places != sorted(places),
+    )
 
 
 def _by_method(answers: Iterable[Answer]) -> Mapping[str, Mapping[str, Answer]]:

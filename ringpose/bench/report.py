@@ -1,19 +1,36 @@
 """Summaries and scores as plain values, for JSON and CSV; metres and radians."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from ringpose.bench.score import QUANTITIES, Score
+from ringpose.bench.pipeline import Matching
+from ringpose.bench.score import QUANTITIES, Judgement, Score
 from ringpose.bench.summary import Summary
 
-SCHEMA = "bench/1"
+SCHEMA = "bench/2"
 
 
-def report(summaries: Sequence[Summary], scores: Sequence[Score], missed: Sequence[str]) -> dict[str, Any]:
-    """All of it: `groups` (an empty `group` is all shots), `shots`, and the sentences about missed limits."""
+ASSUMPTIONS: Mapping[str, Any] = {"still": True, "ring_tolerance_m": 0.0, "rig_stability": 0.0}
+"""Those of pose records of version /1: image noise and the calibration's covariance only."""
+
+
+def report(
+    summaries: Sequence[Summary],
+    scores: Sequence[Score],
+    missed: Sequence[str],
+    matched: Matching | None,
+    truths: Iterable[str],
+) -> dict[str, Any]:
+    """All of it: `groups` (an empty `group` is all shots), `shots`, and the sentences about missed limits.
+
+    `matched` is None where the poses were computed here; `truths` are SHA-256 of the truth files.
+    """
     return {
         "ringpose": SCHEMA,
+        "assumptions": dict(ASSUMPTIONS),
+        "truths": sorted(truths),
+        "matching": None if matched is None else asdict(matched),
         "groups": [_group_record(line) for line in summaries],
         "shots": [_shot_record(score) for score in scores],
         "missed": list(missed),
@@ -21,12 +38,14 @@ def report(summaries: Sequence[Summary], scores: Sequence[Score], missed: Sequen
 
 
 def csv_rows(scores: Sequence[Score]) -> Iterator[Sequence[str | float | int | bool]]:
-    """A heading, then one row a shot and method; what cannot be compared is empty."""
+    """A heading, then one row a shot and method; what cannot be compared is empty, wrong quantities share a cell."""
     names = list(dict.fromkeys(name for score in scores for name in score.groups))
-    yield ["shot", "method", "outcome", *names, *QUANTITIES]
+    yield ["shot", "method", "outcome", *names, *QUANTITIES, "status", "wrong", "latency_s"]
     for score in scores:
         groups = [score.groups.get(name, "") for name in names]
-        yield [score.shot, score.method, score.outcome, *groups, *(score.errors.get(name, "") for name in QUANTITIES)]
+        errors = [score.errors.get(name, "") for name in QUANTITIES]
+        latency = "" if score.latency_s is None else score.latency_s
+        yield [score.shot, score.method, score.outcome, *groups, *errors, score.status, " ".join(score.wrong), latency]
 
 
 def _group_record(line: Summary) -> Mapping[str, Any]:
@@ -37,6 +56,19 @@ def _group_record(line: Summary) -> Mapping[str, Any]:
         "outcomes": {str(outcome): count for outcome, count in line.outcomes.items()},
         "errors": {name: asdict(spread) for name, spread in line.errors.items()},
         "nees": dict(line.nees),
+        "targets": line.targets,
+        "available": line.available,
+        "quantities": {
+            name: {str(judgement): count for judgement, count in counts.items()}
+            for name, counts in line.wrong.counts.items()
+        },
+        "wrong": {
+            "count": line.wrong.count(Judgement.WRONG),
+            "judged": line.wrong.judged,
+            "allowed": line.wrong.allowed,
+            "gross": line.wrong.gross,
+            "none_wrong": line.wrong.none_wrong,
+        },
     }
 
 
@@ -47,4 +79,11 @@ def _shot_record(score: Score) -> Mapping[str, Any]:
         "outcome": str(score.outcome),
         "groups": dict(score.groups),
         "errors": dict(score.errors),
+        "status": score.status,
+        "has_target": score.has_target,
+        "judgements": {name: str(judgement) for name, judgement in score.judgements.items()},
+        "distances": dict(score.distances),
+        "gross": list(score.gross),
+        "latency_s": score.latency_s,
+        "rig": score.rig or None,
     }

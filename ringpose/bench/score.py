@@ -1,26 +1,82 @@
-"""One answer against one truth: an outcome and the errors."""
+"""One answer against one truth: its errors, and a judgement of each quantity that it reports."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 
-from ringpose.bench.answer import Answer
-from ringpose.bench.arc import outside_arc
-from ringpose.bench.errors import distance_to_circle_m, mahalanobis_squared, tilt_error_rad
+from ringpose.bench.pose_errors import (
+    circle_error,
+    distance_to_circle_m,
+    mahalanobis_squared,
+    mid_radius_m,
+    misses_band,
+    tilt_error_rad,
+    truth_at,
+)
+from ringpose.errors import DataError
 from ringpose.geometry.rotations import angle_between
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
+from ringpose.types.pose_frame import PoseFrame
+from ringpose.types.pose_line import PoseLine
 from ringpose.types.ring_pose import PoseFlag, RingPose
 from ringpose.types.truth import Truth
 
 WRONG_SIGMAS = 5.0
-"""A centre farther off than this, in its own standard deviations and without a flag, is a wrong pose."""
+"""A quantity farther from the truth than this (Mahalanobis distance), and without a flag that names it, is wrong."""
 
-CENTER_FLAGS = PoseFlag.CENTER_WEAK | PoseFlag.DAMPED
-"""What warns of the centre."""
+GROSS_SIGMAS = 6.0
+"""Chance explains a few quantities beyond `WRONG_SIGMAS` among very many, but none beyond this."""
+
+JUDGED = MappingProxyType({"center": 3, "normal": 2, "grasp": 2, "radius_inner": 1, "radius_outer": 1})
+"""The quantities that are judged, with their degrees of freedom; the grasp point's are along the normal and radial."""
+
+_ALL = PoseFlag.INCONSISTENT | PoseFlag.RELABELLED
+FLAGS_NAMING: Mapping[str, PoseFlag] = MappingProxyType(
+    {
+        "center": _ALL | PoseFlag.CENTER_WEAK | PoseFlag.SIDE_UNKNOWN | PoseFlag.RADIUS_DISAGREES | PoseFlag.DAMPED,
+        "normal": _ALL | PoseFlag.NORMAL_WEAK,
+        "grasp": _ALL,
+        "radius_inner": _ALL | PoseFlag.RADIUS_WEAK | PoseFlag.RADIUS_DISAGREES,
+        "radius_outer": _ALL | PoseFlag.RADIUS_WEAK | PoseFlag.RADIUS_DISAGREES,
+    }
+)
+"""The flags of record /1 that warn of a quantity; `relabelled` is what record /2 calls `assignment_ambiguous`."""
+
+QUANTITIES = (
+    "center_x_m",
+    "center_y_m",
+    "center_z_m",
+    "center_m",
+    "normal_rad",
+    "radius_inner_m",
+    "radius_outer_m",
+    "grasp_m",
+    "center_nees",
+    "normal_nees",
+)
+"""Errors: centre along the camera's axes and as a vector, angle of the normal, radii, distance of the grasp point from
+the true mid-band circle; normalised squared errors (NEES), by degree of freedom."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Answer:
+    """What one method answered about one shot: a pose in the camera frame, or None."""
+
+    shot: str
+    method: str
+    """Empty where a line without a pose does not name it."""
+    pose: RingPose | None
+    stamp_s: float = math.nan
+    """NaN where it is not known."""
+    latency_s: float = math.nan
+    rig: str = ""
+    """SHA-256 of the rig file, empty where it is not known."""
 
 
 class Outcome(StrEnum):
@@ -37,9 +93,20 @@ class Outcome(StrEnum):
     NO_TARGET = "no_target"
     """Nothing there, and no pose."""
     WRONG = "wrong"
-    """A pose of nothing, a centre that is off by more than it admits, a grasp point where nothing was measured."""
+    """A pose with at least one wrong quantity."""
     LOST = "lost"
     """No line at all."""
+
+
+class Judgement(StrEnum):
+    """What a reported quantity is, beside the truth."""
+
+    CORRECT = "correct"
+    WRONG = "wrong"
+    FLAGGED = "flagged"
+    """A flag of the line names it: not judged."""
+    NO_COVARIANCE = "no_covariance"
+    """Nothing says how far off it may be: not judged."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,105 +116,179 @@ class Score:
     shot: str
     method: str
     outcome: Outcome
+    status: Literal["ok", "degraded", "none", "lost"]
+    """That of the pose line; `lost` where there is none."""
+    has_target: bool = True
+    """Whether there is a ring to be seen."""
     groups: Mapping[str, str | float | int | bool] = field(default_factory=dict)
     errors: Mapping[str, float] = field(default_factory=dict)
-    """By the names of `QUANTITIES`; what cannot be compared is not there."""
+    """By the names of `QUANTITIES`; what cannot be compared is missing."""
+    judgements: Mapping[str, Judgement] = field(default_factory=dict)
+    """By the names of `JUDGED`; what the pose does not report is missing."""
+    distances: Mapping[str, float] = field(default_factory=dict)
+    """Mahalanobis distances from the truth by the names of `JUDGED`; without a covariance there is none."""
+    gross: tuple[str, ...] = ()
+    """Wrong quantities that chance does not explain: beyond `GROSS_SIGMAS`, a grasp point off the band or outside the
+    arc, a pose of nothing."""
+    latency_s: float | None = None
+    rig: str = ""
+
+    @property
+    def wrong(self) -> tuple[str, ...]:
+        """The quantities that are wrong."""
+        return tuple(name for name, found in self.judgements.items() if found is Judgement.WRONG)
 
 
-QUANTITIES = (
-    "center_x_m",
-    "center_y_m",
-    "center_z_m",
-    "center_m",
-    "normal_rad",
-    "radius_inner_m",
-    "radius_outer_m",
-    "grasp_m",
-    "center_nees",
-    "normal_nees",
-)
-"""Errors: centre along the camera's axes and as a vector, angle of the normal, radii, distance of the grasp point from
-the true mid-band circle; squared error in standard deviations, by degree of freedom."""
-
-
-def score(truth: Truth, answer: Answer | None, method: str, camera: Camera | None) -> Score:
-    """An answer (None for a shot without a line) against the truth; without the camera the arc goes unchecked."""
-    errors = {} if answer is None or answer.pose is None else _errors(truth, answer.pose)
-    return Score(
-        shot=truth.shot,
-        method=method,
-        outcome=_outcome(truth, answer, errors, camera),
-        groups=truth.groups,
-        errors=errors,
+def answer_of(line: PoseLine, place: str) -> Answer:
+    """The answer that a pose line is; truth is known in the camera frame only."""
+    if line.pose is not None and line.frame is not PoseFrame.CAMERA:
+        raise DataError(place, f"is in the {line.frame} frame", "give poses in the camera frame")
+    return Answer(
+        shot=line.shot,
+        method=line.pose.method if line.pose else "",
+        pose=line.pose,
+        stamp_s=line.stamp_s,
+        latency_s=line.latency_s,
+        rig=line.rig,
     )
 
 
-def _outcome(truth: Truth, answer: Answer | None, errors: Mapping[str, float], camera: Camera | None) -> Outcome:
+def score(truth: Truth, answer: Answer | None, method: str, camera: Camera | None) -> Score:
+    """An answer (None for a shot without a line) against the truth; without the camera the arc is not checked."""
+    has_target = truth.expect != "no_target"
     if answer is None:
-        return Outcome.LOST
-    if answer.pose is None:
+        return Score(
+            shot=truth.shot,
+            method=method,
+            outcome=Outcome.LOST,
+            status="lost",
+            has_target=has_target,
+            groups=truth.groups,
+        )
+    pose, known = answer.pose, truth_at(truth, answer.stamp_s)
+    distances = {} if pose is None else _distances(known, pose)
+    found = {} if pose is None else dict(_judgements(known, pose, distances, camera))
+    judgements = {name: judgement for name, (judgement, _) in found.items()}
+    return Score(
+        shot=truth.shot,
+        method=method,
+        outcome=_outcome(truth, pose, Judgement.WRONG in judgements.values()),
+        status="none" if pose is None else "degraded" if pose.flags else "ok",
+        has_target=has_target,
+        groups=truth.groups,
+        errors={} if pose is None else _errors(known, pose, distances),
+        judgements=judgements,
+        distances=distances,
+        gross=tuple(name for name, (_, gross) in found.items() if gross),
+        latency_s=answer.latency_s if math.isfinite(answer.latency_s) else None,
+        rig=answer.rig,
+    )
+
+
+def _outcome(truth: Truth, pose: RingPose | None, wrong: bool) -> Outcome:
+    if pose is None:
         return {"pose": Outcome.MISSED, "partial": Outcome.PARTIAL_NONE, "no_target": Outcome.NO_TARGET}[truth.expect]
-    if _is_wrong(truth, answer.pose, errors, camera):
+    if wrong or truth.expect == "no_target":
         return Outcome.WRONG
     if truth.expect == "partial":
         return Outcome.PARTIAL
-    return Outcome.DEGRADED if answer.pose.flags else Outcome.OK
+    return Outcome.DEGRADED if pose.flags else Outcome.OK
 
 
-def _is_wrong(truth: Truth, pose: RingPose, errors: Mapping[str, float], camera: Camera | None) -> bool:
-    if truth.expect == "no_target":
-        return True
-    if errors.get("center_nees", 0.0) * 3 > WRONG_SIGMAS**2 and not pose.flags & CENTER_FLAGS:
-        return True
-    return camera is not None and _known(pose.grasp_m) and outside_arc(pose.grasp_m, truth, camera)
+def _judgements(
+    truth: Truth, pose: RingPose, distances: Mapping[str, float], camera: Camera | None
+) -> Iterator[tuple[str, tuple[Judgement, bool]]]:
+    """Each reported quantity with its judgement, and whether it is wrong beyond what chance explains."""
+    for name in _reported(pose):
+        if truth.expect != "no_target" and not _has_truth(truth, name):
+            continue
+        if pose.flags & FLAGS_NAMING[name]:
+            yield name, (Judgement.FLAGGED, False)
+        elif truth.expect == "no_target" or (name == "grasp" and misses_band(pose.grasp_m, truth, camera)):
+            yield name, (Judgement.WRONG, True)
+        elif name in distances:
+            wrong = distances[name] > WRONG_SIGMAS
+            yield name, (Judgement.WRONG if wrong else Judgement.CORRECT, distances[name] > GROSS_SIGMAS)
+        elif name == "grasp":
+            yield name, (Judgement.CORRECT, False)
+        else:
+            yield name, (Judgement.NO_COVARIANCE, False)
 
 
-def _errors(truth: Truth, pose: RingPose) -> dict[str, float]:
-    if truth.expect == "no_target":
+def _reported(pose: RingPose) -> list[str]:
+    values: Mapping[str, Float64[Array, "3"] | float] = {
+        "center": pose.center_m,
+        "normal": pose.normal,
+        "grasp": pose.grasp_m,
+        "radius_inner": pose.radius_inner_m,
+        "radius_outer": pose.radius_outer_m,
+    }
+    return [name for name, value in values.items() if np.isfinite(value).all()]
+
+
+def _has_truth(truth: Truth, name: str) -> bool:
+    if truth.center_m is None or truth.normal is None:
+        return False
+    if name == "grasp":
+        return mid_radius_m(truth) is not None
+    return {"radius_inner": truth.radius_inner_m, "radius_outer": truth.radius_outer_m}.get(name, 0.0) is not None
+
+
+def _distances(truth: Truth, pose: RingPose) -> dict[str, float]:
+    """Mahalanobis distances of the reported quantities from the truth, of those that have a covariance."""
+    if truth.center_m is None or truth.normal is None:
         return {}
-    errors = {**_normal_errors(truth, pose), **_grasp_errors(truth, pose)}
-    if truth.expect == "pose":
-        errors |= {**_center_errors(truth, pose), **_radius_errors(truth, pose)}
-    return errors
+    reported = _reported(pose)
+    return {
+        name: math.sqrt(mahalanobis_squared(error, covariance))
+        for name, error, covariance in _deviations(truth, pose, truth.center_m, truth.normal)
+        if name in reported and covariance is not None and np.isfinite(covariance).all() and np.isfinite(error).all()
+    }
 
 
-def _center_errors(truth: Truth, pose: RingPose) -> dict[str, float]:
-    if truth.center_m is None or not _known(pose.center_m):
+def _deviations(
+    truth: Truth, pose: RingPose, center_m: Float64[Array, "3"], normal: Float64[Array, "3"]
+) -> Iterator[tuple[str, Float64[Array, "n"], Float64[Array, "n n"] | None]]:
+    """Each quantity's error with its covariance, in the coordinates in which it is judged; NaN where it is unknown."""
+    yield "center", pose.center_m - center_m, pose.covariance_center_m2
+    full = np.full((7, 7), np.nan) if pose.covariance is None else pose.covariance
+    if np.isfinite(pose.normal).all():
+        yield "normal", tilt_error_rad(pose.normal, normal), full[:2, :2]
+    for row, (name, error_m) in enumerate(_radius_errors(truth, pose).items(), start=5):
+        yield name, np.array([error_m]), full[row : row + 1, row : row + 1]
+    radius_m = mid_radius_m(truth)
+    if pose.covariance_grasp_m2 is not None and radius_m is not None:
+        axes, beside_m = circle_error(pose.grasp_m, center_m, normal, radius_m)
+        yield "grasp", beside_m, axes @ pose.covariance_grasp_m2 @ axes.T
+
+
+def _errors(truth: Truth, pose: RingPose, distances: Mapping[str, float]) -> dict[str, float]:
+    """Errors by the names of `QUANTITIES`; a partial shot determines normal and grasp point only."""
+    if truth.center_m is None or truth.normal is None or truth.expect == "no_target":
         return {}
-    error = pose.center_m - truth.center_m
-    errors = {f"center_{axis}_m": float(part) for axis, part in zip("xyz", error, strict=True)}
-    errors["center_m"] = float(np.linalg.norm(error))
-    if pose.covariance_center_m2 is not None:
-        errors["center_nees"] = mahalanobis_squared(error, pose.covariance_center_m2) / 3
-    return errors
-
-
-def _normal_errors(truth: Truth, pose: RingPose) -> dict[str, float]:
-    if truth.normal is None or not _known(pose.normal):
-        return {}
-    errors = {"normal_rad": float(angle_between(pose.normal[None], truth.normal[None])[0])}
-    if pose.covariance is not None:
-        tilt_rad = tilt_error_rad(pose.normal, truth.normal)
-        errors["normal_nees"] = mahalanobis_squared(tilt_rad, pose.covariance[:2, :2]) / 2
-    return errors
+    reported, errors = _reported(pose), {}
+    if "normal" in reported:
+        errors["normal_rad"] = float(angle_between(pose.normal[None], truth.normal[None])[0])
+    if "normal" in distances:
+        errors["normal_nees"] = distances["normal"] ** 2 / JUDGED["normal"]
+    if "grasp" in reported and (radius_m := mid_radius_m(truth)) is not None:
+        errors["grasp_m"] = distance_to_circle_m(pose.grasp_m, truth.center_m, truth.normal, radius_m)
+    if truth.expect == "partial":
+        return errors
+    if "center" in reported:
+        error_m = pose.center_m - truth.center_m
+        errors |= {f"center_{axis}_m": float(part) for axis, part in zip("xyz", error_m, strict=True)}
+        errors["center_m"] = float(np.linalg.norm(error_m))
+    if "center" in distances:
+        errors["center_nees"] = distances["center"] ** 2 / JUDGED["center"]
+    radii = {f"{name}_m": error_m for name, error_m in _radius_errors(truth, pose).items()}
+    return errors | {name: error_m for name, error_m in radii.items() if math.isfinite(error_m)}
 
 
 def _radius_errors(truth: Truth, pose: RingPose) -> dict[str, float]:
+    """Inner and outer, in the order of the covariance; NaN where the pose or the truth has none."""
     pairs = {
-        "radius_inner_m": (pose.radius_inner_m, truth.radius_inner_m),
-        "radius_outer_m": (pose.radius_outer_m, truth.radius_outer_m),
+        "radius_inner": (pose.radius_inner_m, truth.radius_inner_m),
+        "radius_outer": (pose.radius_outer_m, truth.radius_outer_m),
     }
-    return {name: said - true for name, (said, true) in pairs.items() if true is not None and math.isfinite(said)}
-
-
-def _grasp_errors(truth: Truth, pose: RingPose) -> dict[str, float]:
-    if truth.center_m is None or truth.normal is None or not _known(pose.grasp_m):
-        return {}
-    if truth.radius_inner_m is None or truth.radius_outer_m is None:
-        return {}
-    middle_m = (truth.radius_inner_m + truth.radius_outer_m) / 2
-    return {"grasp_m": distance_to_circle_m(pose.grasp_m, truth.center_m, truth.normal, middle_m)}
-
-
-def _known(vector: Float64[Array, "3"]) -> bool:
-    return bool(np.isfinite(vector).all())
+    return {name: math.nan if true is None else reported - true for name, (reported, true) in pairs.items()}

@@ -3,7 +3,8 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 
-from ringpose.bench.score import Outcome
+from ringpose.bench.pipeline import Matching
+from ringpose.bench.score import JUDGED, Judgement, Outcome
 from ringpose.bench.summary import ABSENT, Spread, Summary
 
 OUTCOMES = {
@@ -32,16 +33,25 @@ COLUMNS = {
 }
 """Heading and factor of each quantity."""
 
+WRONG_HEADINGS = dict(zip(JUDGED, ("center", "normal", "grasp", "r_in", "r_out"), strict=True))
+
 NEES = {"center_nees": "center NEES", "normal_nees": "normal NEES"}
 
 
-def table(summaries: Sequence[Summary], by: Sequence[str]) -> str:
-    """Three blocks: what became of the shots, the errors' RMSE with NEES, their median and maximum."""
+def table(summaries: Sequence[Summary], by: Sequence[str], matched: Matching | None = None) -> str:
+    """Four blocks: what became of the shots, their wrong quantities, the errors' RMSE with NEES, median and maximum.
+
+    Then a sentence for each method with its verdict, and one about pose lines and truths that do not match.
+    """
     blocks = [
         _block("shots", summaries, by, _counts),
         _block("errors, root mean square", summaries, by, _rmse),
         _block("errors, median and maximum", summaries, by, _median_and_max),
+        _block("wrong quantities of those judged", summaries, by, _wrong),
+        "\n".join(_verdict(line) for line in summaries if not line.group),
     ]
+    if matched is not None:
+        blocks.append(_matched(matched))
     return "\n\n".join(blocks) + "\n"
 
 
@@ -74,6 +84,42 @@ def _group_cells(line: Summary, by: Sequence[str]) -> list[str]:
 def _counts(line: Summary) -> Mapping[str, str]:
     counted = {heading: str(line.outcomes[outcome]) for outcome, heading in OUTCOMES.items()}
     return {"shots": str(line.shots), **counted}
+
+
+def _wrong(line: Summary) -> Mapping[str, str]:
+    """Each quantity as wrong/judged; then their sum, what chance allows, and what was not judged."""
+    cells = {
+        WRONG_HEADINGS[name]: f"{counts[Judgement.WRONG]}/{counts[Judgement.WRONG] + counts[Judgement.CORRECT]}"
+        for name, counts in line.wrong.counts.items()
+    }
+    return {
+        "available": f"{line.available}/{line.targets}",
+        **cells,
+        "wrong": f"{line.wrong.count(Judgement.WRONG)}/{line.wrong.judged}",
+        "allowed": str(line.wrong.allowed),
+        "gross": str(line.wrong.gross),
+        "flagged": str(line.wrong.count(Judgement.FLAGGED)),
+        "no cov.": str(line.wrong.count(Judgement.NO_COVARIANCE)),
+        "verdict": "none wrong" if line.wrong.none_wrong else "WRONG",
+    }
+
+
+def _verdict(line: Summary) -> str:
+    wrong = line.wrong
+    verdict = "none wrong" if wrong.none_wrong else "WRONG"
+    return (
+        f"{line.method or ABSENT}: {verdict}: {wrong.count(Judgement.WRONG)} of {wrong.judged} quantities are wrong, "
+        f"{wrong.allowed} allowed by chance (99 %), {wrong.gross} of them gross; "
+        f"{line.available} of {line.targets} shots are available (ok)"
+    )
+
+
+def _matched(matched: Matching) -> str:
+    parts = [f"{matched.matched} of {matched.truths} shots of the truth matched"]
+    parts += [f"{len(matched.without_truth)} without truth"] if matched.without_truth else []
+    parts += [f"{len(matched.repeated)} repeated"] if matched.repeated else []
+    parts += ["in another order"] if matched.unsorted else []
+    return ", ".join(parts)
 
 
 def _rmse(line: Summary) -> Mapping[str, str]:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 
-from ringpose.bench.score import Outcome
+from ringpose.bench.score import Judgement, Outcome
 from ringpose.bench.summary import Summary
 
 
@@ -21,12 +21,6 @@ def error_limits(
     return {name: value * unit for name, (value, unit) in wanted.items() if value is not None}
 
 
-def count_limits(missed: int | None, wrong: int | None) -> dict[tuple[Outcome, ...], int]:
-    """Limits on the number of shots without a pose that should have one, and of wrong poses; None is no limit."""
-    wanted = {(Outcome.MISSED, Outcome.LOST): missed, (Outcome.WRONG,): wrong}
-    return {outcomes: limit for outcomes, limit in wanted.items() if limit is not None}
-
-
 def missed_error_limits(summaries: Sequence[Summary], limits: Mapping[str, float]) -> list[str]:
     """A sentence for each limit on an RMSE that a group exceeds, and for each that no group could be held to."""
     sentences = []
@@ -42,14 +36,19 @@ def missed_error_limits(summaries: Sequence[Summary], limits: Mapping[str, float
     return sentences
 
 
-def missed_count_limits(summaries: Sequence[Summary], limits: Mapping[tuple[Outcome, ...], int]) -> list[str]:
-    """A sentence for each method with more shots of some outcomes than allowed, all groups together."""
-    return [
-        f"{' and '.join(outcomes)}: {count} shots of {_group(line)} exceed {limit}"
-        for outcomes, limit in limits.items()
-        for line in summaries
-        if not line.group and (count := sum(line.outcomes[outcome] for outcome in outcomes)) > limit
-    ]
+def missed_count_limits(summaries: Sequence[Summary], missed: int | None, wrong: int | None) -> list[str]:
+    """A sentence for each method with more shots missed or lost, or more wrong quantities, than allowed in all."""
+    sentences = []
+    for line in summaries:
+        if line.group:
+            continue
+        lost = line.outcomes[Outcome.MISSED] + line.outcomes[Outcome.LOST]
+        if missed is not None and lost > missed:
+            sentences.append(f"missed and lost: {lost} shots of {_group(line)} exceed {missed}")
+        off = line.wrong.count(Judgement.WRONG)
+        if wrong is not None and off > wrong:
+            sentences.append(f"wrong: {off} quantities of {_group(line)} exceed {wrong}")
+    return sentences
 
 
 def _group(line: Summary) -> str:

@@ -1,6 +1,9 @@
 """What a command is given to read: files, folders, or `-`, each yielded as soon as it is named."""
 
+import gzip
+import io
 import sys
+import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,6 +15,11 @@ from ringpose.files.bytes import read_bytes
 STDIN = "-"
 
 RECORDS_SUFFIX = ".jsonl"
+
+COMPRESSED_SUFFIX = ".jsonl.gz"
+
+MAX_LINE_BYTES = 64_000_000
+"""Of a compressed file of records; those of detections with all stripes have a megabyte."""
 
 LONGEST_NAME = 1024
 """Half a record is longer."""
@@ -31,9 +39,9 @@ Problem = DataError | NoInputError
 def inputs(arguments: Iterable[str | Path], suffixes: Iterable[str]) -> Iterator[Input | Problem]:
     """The inputs in the order in which they are named; of a folder its files with these suffixes, by name.
 
-    A `.jsonl` file, where that is a wanted suffix, stands for its records. `-` stands for what stdin names, one a
-    line, read as it comes: a name (file or folder), or a JSON record. What cannot be an input is yielded as the
-    error that says so, for the caller's batch to report and go on.
+    A `.jsonl` or `.jsonl.gz` file, where that is a wanted suffix, stands for its records. `-` stands for what stdin
+    names, one a line, read as it comes: a name (file or folder), or a JSON record. What cannot be an input is yielded
+    as the error that says so, for the caller's batch to report and go on.
     """
     wanted = tuple(suffixes)
     for argument in arguments:
@@ -59,21 +67,40 @@ def _named_on_stdin(suffixes: tuple[str, ...]) -> Iterator[Input | Problem]:
 
 def _opened(path: Path, suffixes: tuple[str, ...]) -> Iterator[Input | Problem]:
     for item in _paths(path, suffixes):
-        if isinstance(item, Path) and item.suffix.lower() == RECORDS_SUFFIX and RECORDS_SUFFIX in suffixes:
+        if isinstance(item, Path) and RECORDS_SUFFIX in suffixes and holds_records(item):
             yield from _records_in(item)
         else:
             yield item
 
 
+def holds_records(path: Path) -> bool:
+    """Whether the name is that of a file of records, `.jsonl` or `.jsonl.gz`."""
+    return path.name.lower().endswith((RECORDS_SUFFIX, COMPRESSED_SUFFIX))
+
+
 def _records_in(path: Path) -> Iterator[Record | Problem]:
     try:
-        lines = read_bytes(path).splitlines()
-    except NoInputError as problem:
+        for number, line in enumerate(_lines(path), start=1):
+            if line.strip():
+                yield _record(line, f"{path}:{number}")
+    except (NoInputError, DataError) as problem:
         yield problem
+
+
+def _lines(path: Path) -> Iterator[bytes]:
+    """The lines of a file; those of a compressed one are decompressed as they are read."""
+    data = read_bytes(path)
+    if not path.name.lower().endswith(COMPRESSED_SUFFIX):
+        yield from data.splitlines()
         return
-    for number, line in enumerate(lines, start=1):
-        if line.strip():
-            yield _record(line, f"{path}:{number}")
+    try:
+        with gzip.open(io.BytesIO(data)) as stream:
+            while line := stream.readline(MAX_LINE_BYTES):
+                if len(line) == MAX_LINE_BYTES:
+                    raise DataError(str(path), f"has a line of {MAX_LINE_BYTES} bytes or more, which is not a record")
+                yield line
+    except (OSError, EOFError, zlib.error) as error:
+        raise DataError(str(path), f"cannot be decompressed: {str(error).lower()}") from None
 
 
 def _record(line: str | bytes, place: str) -> Record | DataError:

@@ -125,9 +125,9 @@ def _pose_of(fields: Fields, flags: PoseFlag) -> RingPose:
         method=fields.text("method"),
         condition=_number(fields, "condition", missing=math.inf),
         residual_rms_px=_number(fields, "residual_rms_px"),
-        covariance=_matrix(covariance, "full", 7),
-        covariance_center_m2=_matrix(covariance, "center", 3),
-        covariance_grasp_m2=_matrix(covariance, "grasp", 3),
+        covariance=_covariance(covariance, "full", 7),
+        covariance_center_m2=_covariance(covariance, "center", 3),
+        covariance_grasp_m2=_covariance(covariance, "grasp", 3),
         flags=flags,
         ring_posterior=_posterior(fields) if fields.has("ring_posterior") else None,
     )
@@ -160,5 +160,14 @@ def _vector(fields: Fields, key: str) -> Float64[Array, "xyz=3"]:
     return fields.vector(key, 3) if fields.has(key) else np.full(3, np.nan)
 
 
-def _matrix(fields: Fields | None, key: str, size: int) -> Float64[Array, "n n"] | None:
-    return fields.array(key, (size, size), allow_nan=True) if fields is not None and fields.has(key) else None
+def _covariance(fields: Fields | None, key: str, size: int) -> Float64[Array, "n n"] | None:
+    """A covariance; null is allowed only in `full`, in whole rows and columns of what is not determined."""
+    if fields is None or not fields.has(key):
+        return None
+    matrix = fields.array(key, (size, size), allow_nan=True)
+    unknown = np.isnan(np.diagonal(matrix))
+    if (np.isnan(matrix) != (unknown[:, None] | unknown)).any() or (key != "full" and unknown.any()):
+        raise fields.problem(key, "has a null among numbers", "give the output of ringpose pose unchanged")
+    if (np.diagonal(matrix)[~unknown] < 0).any():
+        raise fields.problem(key, "has a negative variance", "give the output of ringpose pose unchanged")
+    return matrix

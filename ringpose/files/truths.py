@@ -22,6 +22,9 @@ _KEYS = (
     "break_points_px",
     "expect",
     "groups",
+    "stamp_s",
+    "velocity_m_s",
+    "angular_velocity_rad_s",
 )
 _EXPECT = ("pose", "partial", "no_target")
 
@@ -48,12 +51,22 @@ def truth_of(fields: Fields) -> Truth:
         radius_inner_m=fields.length_m("radius_inner_m") if fields.has("radius_inner_m") else None,
         radius_outer_m=fields.length_m("radius_outer_m") if fields.has("radius_outer_m") else None,
         break_points_px=_break_points(fields) if fields.has("break_points_px") else None,
+        stamp_s=fields.number("stamp_s") if fields.has("stamp_s") else None,
+        velocity_m_s=fields.vector("velocity_m_s", 3) if fields.has("velocity_m_s") else None,
+        angular_velocity_rad_s=fields.vector("angular_velocity_rad_s", 3)
+        if fields.has("angular_velocity_rad_s")
+        else None,
         groups=_groups(fields.fields("groups")) if fields.has("groups") else {},
     )
 
 
 def truth_record(truth: Truth) -> dict[str, Any]:
     """What `truth_of` reads; a break point that is not seen is null."""
+    motion = {
+        "stamp_s": truth.stamp_s,
+        "velocity_m_s": truth.velocity_m_s,
+        "angular_velocity_rad_s": truth.angular_velocity_rad_s,
+    }
     return {
         "shot": truth.shot,
         "center_m": truth.center_m,
@@ -63,6 +76,7 @@ def truth_record(truth: Truth) -> dict[str, Any]:
         "break_points_px": None if truth.break_points_px is None else _points_or_null(truth.break_points_px),
         "expect": truth.expect,
         "groups": dict(truth.groups),
+        **{name: value for name, value in motion.items() if value is not None},
     }
 
 

@@ -18,4 +18,10 @@ class Truth:
     radius_inner_m: float | None = None
     radius_outer_m: float | None = None
     break_points_px: Float64[Array, "laser edge=2 xy=2"] | None = None
+    stamp_s: float | None = None
+    """When centre and normal hold, of a target that moves."""
+    velocity_m_s: Float64[Array, "xyz=3"] | None = None
+    """Of the ring's centre, in the camera frame."""
+    angular_velocity_rad_s: Float64[Array, "xyz=3"] | None = None
+    """In the camera frame."""
     groups: Mapping[str, str | float | int | bool] = field(default_factory=dict)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ringpose.bench.answer import Answer
+from ringpose.bench.score import Answer
 from ringpose.types.camera import Camera
 from ringpose.types.ring_pose import RingPose
 from ringpose.types.truth import Truth

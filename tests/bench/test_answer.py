@@ -2,7 +2,7 @@
 
 import pytest
 
-from ringpose.bench.answer import answer_of
+from ringpose.bench.score import answer_of
 from ringpose.errors import DataError
 from ringpose.types.pose_frame import PoseFrame
 from ringpose.types.pose_line import PoseLine

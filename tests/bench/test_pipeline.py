@@ -1,8 +1,7 @@
 """Answers joined with truths."""
 
-from ringpose.bench.answer import Answer
-from ringpose.bench.pipeline import answered_twice, scores, without_truth
-from ringpose.bench.score import Outcome
+from ringpose.bench.pipeline import matching, scores
+from ringpose.bench.score import Answer, Outcome
 
 
 def outcomes(found):
@@ -45,10 +44,22 @@ def test_no_answer_at_all_leaves_every_shot_lost(truth_of):
 def test_answers_without_a_truth_are_named_once(truth_of, answer_of):
     answers = [answer_of(shot="z"), answer_of(), answer_of(shot="z", method="other"), answer_of(shot="y")]
 
-    assert without_truth(answers, [truth_of()]) == ["z", "y"]
+    found = matching(answers, [truth_of()])
+
+    assert (found.matched, found.truths, found.without_truth) == (1, 1, ("z", "y"))
 
 
-def test_a_shot_answered_twice_by_one_method_is_named(answer_of):
+def test_a_shot_answered_twice_by_one_method_is_repeated(truth_of, answer_of):
     answers = [answer_of(), answer_of(method="other"), answer_of(shot="b"), answer_of()]
 
-    assert answered_twice(answers) == ["a"]
+    assert matching(answers, [truth_of(), truth_of(shot="b")]).repeated == ("a",)
+
+
+def test_answers_in_another_order_than_the_truth_are_matched_all_the_same(truth_of, answer_of):
+    truths = [truth_of(shot=name) for name in "abc"]
+    answers = [answer_of(shot="c"), answer_of(shot="a")]
+
+    found = matching(answers, truths)
+
+    assert (found.matched, found.truths, found.unsorted) == (2, 3, True)
+    assert not matching(answers[::-1], truths).unsorted

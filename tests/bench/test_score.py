@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from ringpose.bench.answer import Answer
-from ringpose.bench.score import QUANTITIES, Outcome, score
+from ringpose.bench.score import QUANTITIES, Answer, Outcome, score
 from ringpose.geometry.rotations import tilted
 from ringpose.types.ring_pose import PoseFlag
 from ringpose.types.truth import Truth

@@ -13,6 +13,7 @@ def scored(
         shot=shot,
         method=method,
         outcome=Outcome.MISSED if error_m is None else Outcome.OK,
+        status="none" if error_m is None else "ok",
         groups=groups,
         errors={} if error_m is None else {"center_x_m": error_m},
     )
@@ -66,8 +67,8 @@ def test_a_quantity_that_nobody_gave_is_not_there():
 
 
 def test_nees_is_a_mean_not_a_root():
-    one = Score(shot="a", method="ml", outcome=Outcome.OK, errors={"center_nees": 0.5})
-    two = Score(shot="b", method="ml", outcome=Outcome.OK, errors={"center_nees": 1.7})
+    one = Score(shot="a", method="ml", outcome=Outcome.OK, status="ok", errors={"center_nees": 0.5})
+    two = Score(shot="b", method="ml", outcome=Outcome.OK, status="ok", errors={"center_nees": 1.7})
 
     (line,) = summaries([one, two], [])
 

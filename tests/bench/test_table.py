@@ -8,8 +8,8 @@ from ringpose.bench.table import aligned, table
 def scores() -> list[Score]:
     near = {"center_m": 0.0123456, "normal_rad": 0.0174533, "grasp_m": 0.00012345, "center_nees": 1.25}
     return [
-        Score(shot="a", method="paper", outcome=Outcome.OK, groups={"distance_m": 0.5}, errors=near),
-        Score(shot="b", method="paper", outcome=Outcome.MISSED, groups={"distance_m": 1}),
+        Score(shot="a", method="paper", outcome=Outcome.OK, status="ok", groups={"distance_m": 0.5}, errors=near),
+        Score(shot="b", method="paper", outcome=Outcome.MISSED, status="none", groups={"distance_m": 1}),
     ]
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from ringpose.bench.score import Outcome, Score
 from ringpose.bench.summary import summaries
-from ringpose.bench.thresholds import count_limits, error_limits, missed_count_limits, missed_error_limits
+from ringpose.bench.thresholds import error_limits, missed_count_limits, missed_error_limits
 
 
 def scored(light: str, grasp_m: float | None) -> Score:
@@ -14,6 +14,7 @@ def scored(light: str, grasp_m: float | None) -> Score:
         shot=light,
         method="paper",
         outcome=Outcome.MISSED if grasp_m is None else Outcome.OK,
+        status="none" if grasp_m is None else "ok",
         groups={"light": light},
         errors={} if grasp_m is None else {"grasp_m": grasp_m},
     )
@@ -37,13 +38,13 @@ def test_a_limit_on_what_nobody_gave_is_missed():
 
 
 def test_too_many_misses_are_counted_over_all_groups():
-    assert missed_count_limits(LINES, count_limits(missed=0, wrong=None)) == [
+    assert missed_count_limits(LINES, missed=0, wrong=None) == [
         "missed and lost: 1 shots of all shots (paper) exceed 0"
     ]
 
 
 def test_as_many_misses_as_allowed_are_allowed():
-    assert missed_count_limits(LINES, {(Outcome.MISSED,): 1}) == []
+    assert missed_count_limits(LINES, missed=1, wrong=0) == []
 
 
 def test_limits_are_said_in_millimetres_and_degrees_and_kept_in_metres_and_radians():

@@ -145,7 +145,9 @@ def test_a_line_without_a_truth_is_named(poses, capsys):
     status = main(["bench", poses, "--truth", "truth.jsonl"])
 
     assert status == 65
-    assert capsys.readouterr().err.startswith("ringpose: stranger: has a pose line but no truth in truth.jsonl")
+    assert capsys.readouterr().err.startswith(
+        "ringpose: poses.jsonl: 1 shots have a pose line but no truth in truth.jsonl (the first is stranger)"
+    )
 
 
 def test_a_bad_line_is_named_and_the_rest_is_scored(poses, capsys):
@@ -160,13 +162,15 @@ def test_a_bad_line_is_named_and_the_rest_is_scored(poses, capsys):
     assert len(json.loads(streams.out)["shots"]) == 3
 
 
-def test_a_shot_with_two_lines_is_named(poses, capsys):
+def test_shots_with_two_lines_are_one_message(poses, capsys):
     Path(poses).write_text(Path(poses).read_text() * 2)
 
     status = main(["bench", poses, "--truth", "truth.jsonl"])
 
-    assert status == 65
-    assert "a: has more than one pose line of one method" in capsys.readouterr().err
+    streams = capsys.readouterr()
+    assert (status, len(streams.err.splitlines())) == (65, 1)
+    assert "3 of 3 shots of the truth matched, 3 repeated" in streams.out
+    assert "poses.jsonl: 3 shots have more than one pose line of one method" in streams.err
 
 
 @pytest.mark.parametrize(

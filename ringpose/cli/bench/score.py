@@ -1,6 +1,7 @@
 """`ringpose bench`: poses and truth -> tables of errors."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
@@ -10,15 +11,13 @@ from ringpose.cli.options import STDOUT, Force, JsonFile, OptionalRigFile, PoseF
 from ringpose.pose.method import Method
 
 if TYPE_CHECKING:
-    from ringpose.bench.answer import Answer
-    from ringpose.bench.score import Outcome, Score
+    from ringpose.bench.pipeline import Matching
+    from ringpose.bench.score import Answer, Score
     from ringpose.bench.summary import Summary
     from ringpose.cli.batch import Batch
     from ringpose.types.camera import Camera
     from ringpose.types.rig import Rig
     from ringpose.types.truth import Truth
-
-    Limits = tuple[dict[str, float], dict[tuple[Outcome, ...], int]]
 
 DEFAULT_GROUPS = ("distance_m", "light")
 
@@ -26,7 +25,10 @@ PosesOrFolders = Annotated[
     list[str],
     typer.Argument(metavar="INPUT...", help="With --truth pose lines (- for stdin); without it data set folders."),
 ]
-TruthFile = Annotated[Path | None, typer.Option("--truth", metavar="FILE", help="What is really there (truth.jsonl).")]
+TruthFiles = Annotated[
+    list[Path] | None,
+    typer.Option("--truth", metavar="FILE", help="What is really there (truth.jsonl); may be given again."),
+]
 By = Annotated[
     str | None,
     typer.Option("--by", metavar="GROUPS", help="Groups of the truth, by commas; distance_m,light if not given."),
@@ -54,12 +56,12 @@ MaxGrasp = Annotated[
 MaxMissed = Annotated[
     int | None, typer.Option("--max-missed", metavar="N", min=0, help="Limit on shots missed or lost.")
 ]
-MaxWrong = Annotated[int | None, typer.Option("--max-wrong", metavar="N", min=0, help="Limit on wrong poses.")]
+MaxWrong = Annotated[int | None, typer.Option("--max-wrong", metavar="N", min=0, help="Limit on wrong quantities.")]
 
 
 def bench(
     inputs: PosesOrFolders,
-    truth: TruthFile = None,
+    truth: TruthFiles = None,
     rig: OptionalRigFile = None,
     by: By = None,
     method: Methods = None,
@@ -75,29 +77,28 @@ def bench(
     quiet: Quiet = False,
 ) -> None:
     """Compare poses with the truth: errors by group, failures counted; status 3 if a limit is missed."""
-    from ringpose.bench.thresholds import count_limits, error_limits
+    from ringpose.bench.thresholds import error_limits
     from ringpose.cli.batch import Batch
     from ringpose.errors import UsageError
 
     if json == csv == STDOUT:
         raise UsageError("", "--json - and --csv - both want standard output", "write one of them into a file")
-    if truth is not None and method:
+    if truth and method:
         raise UsageError("--method", "pose lines have been computed already", "leave it out")
     batch = Batch()
-    scores = (
-        _scores_of_folders(inputs, rig, method or list(Method), batch, quiet)
-        if truth is None
-        else _scores_of_lines(inputs, truth, rig, batch)
-    )
-    limits = (
-        error_limits(max_center_mm, max_normal_deg, max_radius_mm, max_grasp_mm),
-        count_limits(max_missed, max_wrong),
-    )
+    matched: Matching | None = None
+    if truth:
+        scores, matched = scores_of_lines(inputs, truth, rig, batch)
+    else:
+        scores = _scores_of_folders(inputs, rig, method or list(Method), batch, quiet)
+        truth = [Path(folder) / "truth.jsonl" for folder in inputs]
+    limits = error_limits(max_center_mm, max_normal_deg, max_radius_mm, max_grasp_mm)
     if not scores:
         batch.finish()
-    names = _names(scores, by)
-    lines, missed = _judged(scores, names, limits, batch)
-    _write(_Targets(json, csv, force, _files(inputs, truth, rig)), scores, lines, missed, names)
+    names = group_names(scores, by)
+    lines, missed = _judged(scores, names, limits, (max_missed, max_wrong), batch)
+    targets = _Targets(json, csv, force, _files(inputs, truth, rig), [path for path in truth if path.is_file()])
+    _write(targets, scores, lines, missed, names, matched)
     batch.finish()
 
 
@@ -106,33 +107,62 @@ class _Targets(NamedTuple):
     csv: str | None
     force: bool
     inputs: list[Path]
+    truths: list[Path]
 
 
-def _scores_of_lines(inputs: list[str], truth: Path, rig: Path | None, batch: "Batch") -> "list[Score]":
-    """Pose lines against one truth file; the rig beside it tells which arc the stripes span."""
-    from ringpose.bench.answer import answer_of
-    from ringpose.bench.pipeline import answered_twice, scores, without_truth
+def scores_of_lines(
+    inputs: list[str], truth_files: list[Path], rig: Path | None, batch: "Batch"
+) -> "tuple[list[Score], Matching]":
+    """Pose lines against their truths; a rig beside a truth file gives the arc that the stripes span."""
+    from ringpose.bench.pipeline import matching, scores
+    from ringpose.errors import DataError
+
+    sets = [(_truths(file), _camera(rig or file.with_name("rig.yaml"), rig is not None)) for file in truth_files]
+    truths = [truth for of_set, _ in sets for truth in of_set]
+    if twice := _first_repeated([truth.shot for truth in truths]):
+        raise DataError(twice, "stands in two truth files", "give data sets whose shots have different names")
+    answers = _answers_in(inputs, truths, batch)
+    matched = matching(answers, truths)
+    place, files = ", ".join(inputs), ", ".join(map(str, truth_files))
+    if matched.without_truth:
+        with batch.item():
+            found = f"{len(matched.without_truth)} shots have a pose line but no truth in {files}"
+            raise DataError(
+                place, f"{found} (the first is {matched.without_truth[0]})", "give their truth with --truth"
+            )
+    if matched.repeated:
+        with batch.item():
+            found = f"{len(matched.repeated)} shots have more than one pose line of one method"
+            raise DataError(
+                place, f"{found} (the first is {matched.repeated[0]}); the last line counts", "bench each run alone"
+            )
+    return [each for of_set, camera in sets for each in scores(answers, of_set, camera)], matched
+
+
+def _answers_in(inputs: list[str], truths: "list[Truth]", batch: "Batch") -> "list[Answer]":
+    """The pose lines of the inputs; each line that cannot be compared is named on stderr."""
+    from ringpose.bench.pose_errors import truth_at
+    from ringpose.bench.score import answer_of
     from ringpose.errors import DataError
     from ringpose.files.inputs import RECORDS_SUFFIX, Record
     from ringpose.files.inputs import inputs as named
     from ringpose.files.poses import pose_line_of
 
-    truths, camera = _truths(truth), _camera(rig or truth.with_name("rig.yaml"), rig is not None)
+    by_shot = {truth.shot: truth for truth in truths}
     answers = []
     for item in batch.good(named(inputs, (RECORDS_SUFFIX,))):
         with batch.item():
             if not isinstance(item, Record):
                 raise DataError(str(item), "holds no pose lines", "give the .jsonl output of ringpose pose")
-            answers.append(answer_of(pose_line_of(item.values, item.place), item.place))
-    for shot in without_truth(answers, truths):
-        with batch.item():
-            raise DataError(shot, f"has a pose line but no truth in {truth}", "give the truth of these shots")
-    for shot in answered_twice(answers):
-        with batch.item():
-            raise DataError(
-                shot, "has more than one pose line of one method; the last one counts", "bench each run alone"
-            )
-    return scores(answers, truths, camera)
+            answer = answer_of(pose_line_of(item.values, item.place), item.place)
+            if answer.shot in by_shot:
+                truth_at(by_shot[answer.shot], answer.stamp_s)  # refuses stamps of another clock
+            answers.append(answer)
+    return answers
+
+
+def _first_repeated(names: list[str]) -> str | None:
+    return next((name for number, name in enumerate(names) if name in names[:number]), None)
 
 
 def _truths(file: Path) -> "list[Truth]":
@@ -145,11 +175,11 @@ def _truths(file: Path) -> "list[Truth]":
     return truths
 
 
-def _files(inputs: list[str], truth: Path | None, rig: Path | None) -> list[Path]:
+def _files(inputs: list[str], truths: list[Path], rig: Path | None) -> list[Path]:
     """The files whose hashes go into the report; of a data set its rig and truth."""
     named = [Path(name) for name in inputs if name != STDOUT]
-    of_sets = [folder / file for folder in named if folder.is_dir() for file in ("rig.yaml", "truth.jsonl")]
-    every = [truth, rig, *named, *of_sets]
+    of_sets = [folder / "rig.yaml" for folder in named if folder.is_dir()]
+    every = [*truths, rig, *named, *of_sets]
     return [path for path in every if path is not None and path.is_file()]
 
 
@@ -183,7 +213,7 @@ def _scores_of_folders(
 def _answers(
     shots: Path, truths: "list[Truth]", rig: "Rig", methods: list[Method], batch: "Batch", quiet: bool
 ) -> "Iterator[Answer]":
-    from ringpose.bench.answer import Answer
+    from ringpose.bench.score import answer_of
     from ringpose.cli.pose import pose_line
     from ringpose.cli.progress import counted
     from ringpose.detect.pipeline import detect
@@ -194,27 +224,31 @@ def _answers(
             detection = detect(read_shot(shots / f"{truth.shot}.npz", rig=rig), rig)
             for method in methods:
                 line = pose_line(detection, rig, method, PoseFrame.CAMERA)
-                yield Answer(shot=truth.shot, method=method.value, pose=line.pose)
+                yield replace(answer_of(line, truth.shot), method=method.value)
 
 
 def _judged(
-    scores: "list[Score]", names: list[str], limits: "Limits", batch: "Batch"
+    scores: "list[Score]",
+    names: list[str],
+    limits: dict[str, float],
+    counts: tuple[int | None, int | None],
+    batch: "Batch",
 ) -> "tuple[list[Summary], list[str]]":
-    """The groups, and a sentence for each limit that they miss."""
+    """The groups, and a sentence for each limit that they miss; counts are limits on missed shots, wrong quantities."""
     from ringpose.bench.summary import summaries
     from ringpose.bench.thresholds import missed_count_limits, missed_error_limits
     from ringpose.cli import messages
     from ringpose.errors import NO_POSE
 
     lines = summaries(scores, names)
-    missed = [*missed_error_limits(lines, limits[0]), *missed_count_limits(lines, limits[1])]
+    missed = [*missed_error_limits(lines, limits), *missed_count_limits(lines, *counts)]
     for sentence in missed:
         messages.say(sentence)
         batch.met(NO_POSE)
     return lines, missed
 
 
-def _names(scores: "list[Score]", by: str | None) -> list[str]:
+def group_names(scores: "list[Score]", by: str | None) -> list[str]:
     """The groups wished for; without a wish those of distance and light that there are."""
     from ringpose.bench.summary import unknown_groups
     from ringpose.errors import UsageError
@@ -227,18 +261,25 @@ def _names(scores: "list[Score]", by: str | None) -> list[str]:
 
 
 def _write(
-    targets: _Targets, scores: "list[Score]", lines: "list[Summary]", missed: list[str], names: list[str]
+    targets: _Targets,
+    scores: "list[Score]",
+    lines: "list[Summary]",
+    missed: list[str],
+    names: list[str],
+    matched: "Matching | None",
 ) -> None:
     from ringpose.bench.report import csv_rows, report
     from ringpose.bench.table import table
     from ringpose.files import records
-    from ringpose.files.provenance import provenance
+    from ringpose.files.provenance import provenance, sha256
     from ringpose.files.tables import csv_text, write_result
 
     if STDOUT not in (targets.json, targets.csv):
-        records.write_text(table(lines, names))
+        records.write_text(table(lines, names, matched))
     if targets.json is not None:
-        noted = {**report(lines, scores, missed), "provenance": provenance(targets.inputs)}
-        write_result(targets.json, records.line_of(noted), force=targets.force)
+        made = report(lines, scores, missed, matched, map(sha256, targets.truths))
+        write_result(
+            targets.json, records.line_of({**made, "provenance": provenance(targets.inputs)}), force=targets.force
+        )
     if targets.csv is not None:
         write_result(targets.csv, csv_text(csv_rows(scores)), force=targets.force)

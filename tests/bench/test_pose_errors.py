@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ringpose.bench.errors import distance_to_circle_m, mahalanobis_squared, tilt_error_rad
+from ringpose.bench.pose_errors import distance_to_circle_m, mahalanobis_squared, tilt_error_rad
 from ringpose.geometry.rotations import tilted
 
 ORIGIN = np.zeros(3)

@@ -1,0 +1,141 @@
+"""A comparison of two results, as text and as plain values for JSON."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from ringpose.bench.compare import COMPARED, Pair, Row, Verdict, testable_shots
+from ringpose.bench.summary import ABSENT
+from ringpose.bench.table import COLUMNS, aligned
+
+SCHEMA = "bench_compare/1"
+
+UNITS: Mapping[str, tuple[str, float]] = {
+    **{name: COLUMNS[name] for name in ("center_m", "normal_rad", "grasp_m", "radius_inner_m", "radius_outer_m")},
+    "center_typical_m": ("typical center mm", 1e3),
+    "normal_typical_rad": ("typical normal deg", COLUMNS["normal_rad"][1]),
+    "grasp_typical_m": ("typical grasp mm", 1e3),
+    "center_nees": ("center NEES", 1.0),
+    "normal_nees": ("normal NEES", 1.0),
+    "available": ("available %", 100.0),
+    "no_pose": ("no pose %", 100.0),
+    "wrong": ("wrong / shot", 1.0),
+    "latency_s": ("time ms", 1e3),
+}
+"""Heading and factor of each compared quantity."""
+
+MAX_NAMED = 10
+"""Newly wrong quantities that are named in the text."""
+
+
+def nothing_changed(rows: Sequence[Row]) -> bool:
+    """Whether no judged score of any shot changed."""
+    return all(row.verdict is Verdict.SAME for row in rows if COMPARED[row.quantity].judged)
+
+
+def newly_wrong(paired: Sequence[tuple[str, Sequence[Pair]]]) -> list[tuple[str, str, str]]:
+    """Method, shot and quantity where B is wrong and A is not."""
+    return [
+        (method, a.shot, name)
+        for method, members in paired
+        for a, b in members
+        for name in b.wrong
+        if name not in a.wrong
+    ]
+
+
+def comparison_text(
+    rows: Sequence[Row], paired: Sequence[tuple[str, Sequence[Pair]]], by: Sequence[str], tolerance: float, matched: str
+) -> str:
+    """One line if nothing changed; else a table of the rows that changed, what is newly wrong, and the verdicts."""
+    judged = [row for row in rows if COMPARED[row.quantity].judged]
+    if nothing_changed(rows):
+        shots = len({a.shot for _, members in paired for a, _ in members})
+        return f"nothing changed: {shots} shots, {len({row.quantity for row in judged})} quantities ({matched})\n"
+    heading = [
+        "method",
+        *by,
+        "quantity",
+        "shots",
+        "A",
+        "B",
+        "difference",
+        "95 % interval",
+        "p",
+        "verdict",
+        "needs shots",
+    ]
+    changed = [row for row in rows if row.verdict is not Verdict.SAME]
+    shown = [row for row in changed if testable_shots(row.changed)]
+    cells = [_cells(row, by) for row in shown]
+    lines = ["B beside A; a positive difference is worse", *aligned([heading, *cells], left=2 + len(by)), ""]
+    if len(shown) < len(changed):
+        lines.append(f"{len(changed) - len(shown)} more rows cannot tell, with fewer than 6 shots that changed")
+    wrong = newly_wrong(paired)
+    if wrong:
+        named = "; ".join(f"{shot} {name} ({method})" for method, shot, name in wrong[:MAX_NAMED])
+        lines.append(f"newly wrong: {len(wrong)} quantities: {named}{'; ...' if len(wrong) > MAX_NAMED else ''}")
+    counts = Counter(row.verdict for row in judged)
+    beyond = sum(row.beyond_tolerance for row in judged)
+    lines.append(
+        f"{counts[Verdict.WORSE]} rows worse ({beyond} beyond the tolerance of {tolerance:g}), "
+        f"{counts[Verdict.BETTER]} better, {counts[Verdict.CANNOT_TELL]} cannot tell, {counts[Verdict.SAME]} the same; "
+        f"{matched}"
+    )
+    return "\n".join(lines) + "\n"
+
+
+def _cells(row: Row, by: Sequence[str]) -> list[str]:
+    heading, factor = UNITS[row.quantity]
+    low_high = ABSENT if row.interval is None else " .. ".join(f"{end * factor:+.3g}" for end in row.interval)
+    group = [str(row.group.get(name, ABSENT)) if row.group else "all" for name in by]
+    return [
+        row.method or ABSENT,
+        *group,
+        heading,
+        str(row.shots),
+        f"{row.a * factor:.3g}",
+        f"{row.b * factor:.3g}",
+        f"{row.difference * factor:+.3g}",
+        low_high,
+        f"{row.p_adjusted:.2g}",
+        _verdict(row),
+        ABSENT if row.shots_needed is None else str(row.shots_needed),
+    ]
+
+
+def _verdict(row: Row) -> str:
+    if row.verdict is not Verdict.WORSE or row.beyond_tolerance:
+        return str(row.verdict)
+    return "worse (tolerated)" if COMPARED[row.quantity].judged else "worse (not judged)"
+
+
+def worse_sentences(rows: Sequence[Row]) -> Iterator[str]:
+    """A sentence for each row that is worse beyond the tolerance."""
+    for row in rows:
+        if row.beyond_tolerance:
+            group = ", ".join(f"{name} {value}" for name, value in row.group.items()) or "all shots"
+            method = f" ({row.method})" if row.method else ""
+            change = "" if row.change is None or not COMPARED[row.quantity].relative else f", {row.change:+.1%}"
+            yield f"worse: {row.quantity} of {group}{method}: {row.a:.4g} -> {row.b:.4g}{change}"
+
+
+def comparison_record(
+    rows: Sequence[Row],
+    paired: Sequence[tuple[str, Sequence[Pair]]],
+    tolerance: float,
+    matched: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Everything in metres, radians, seconds and shares."""
+    return {
+        "ringpose": SCHEMA,
+        "tolerance": tolerance,
+        "matched": dict(matched),
+        "changed": not nothing_changed(rows),
+        "worse": sum(row.beyond_tolerance for row in rows),
+        "rows": [{**asdict(row), "verdict": str(row.verdict)} for row in rows],
+        "newly_wrong": [
+            {"method": method, "shot": shot, "quantity": name} for method, shot, name in newly_wrong(paired)
+        ],
+    }

@@ -1,0 +1,205 @@
+"""`ringpose bench compare`: two results on the same shots -> what became better or worse."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, cast
+
+import typer
+
+from ringpose.cli.bench.score import By, TruthFiles, group_names, scores_of_lines
+from ringpose.cli.options import STDOUT, Force, JsonFile, OptionalRigFile, finite
+
+if TYPE_CHECKING:
+    from ringpose.bench.compare import Pair
+    from ringpose.bench.score import Score
+    from ringpose.cli.batch import Batch
+    from ringpose.files.fields import Fields
+
+ResultA = Annotated[
+    str, typer.Argument(metavar="A", help="The older result: pose records, with --truth, or a table of bench --json.")
+]
+ResultB = Annotated[str, typer.Argument(metavar="B", help="The newer result, of the same shots.")]
+Tolerance = Annotated[
+    float,
+    typer.Option(
+        "--tolerance", metavar="SHARE", min=0, callback=finite, help="What is worse by no more than this is no failure."
+    ),
+]
+TwoMethods = Annotated[
+    str | None,
+    typer.Option("--methods", metavar="A,B", help="Compare this method of A with that of B, where they have several."),
+]
+OtherRig = Annotated[bool, typer.Option("--allow-other-rig", help="Compare poses that were computed with two rigs.")]
+
+
+def compare(
+    a: ResultA,
+    b: ResultB,
+    truth: TruthFiles = None,
+    rig: OptionalRigFile = None,
+    by: By = None,
+    methods: TwoMethods = None,
+    tolerance: Tolerance = 0.02,
+    allow_other_rig: OtherRig = False,
+    json: JsonFile = None,
+    force: Force = False,
+) -> None:
+    """Compare two results shot by shot: better, worse or cannot tell; status 3 if something is worse."""
+    from ringpose.bench.compare import compare as rows_of
+    from ringpose.bench.compare import pairs
+    from ringpose.bench.compare_report import comparison_record, comparison_text, worse_sentences
+    from ringpose.cli import messages
+    from ringpose.cli.batch import Batch
+    from ringpose.errors import NO_POSE, UsageError
+    from ringpose.files import records
+    from ringpose.files.provenance import provenance
+    from ringpose.files.tables import write_result
+
+    if a == b == STDOUT:
+        raise UsageError("", "both results want standard input", "write one of them into a file")
+    batch = Batch()
+    result_a, result_b = (_read(name, truth, rig, batch) for name in (a, b))
+    _require_same_conditions(result_a, result_b)
+    paired = pairs(*_of_methods(result_a, result_b, methods))
+    _require_pairs(result_a, result_b, paired, allow_other_rig)
+    names = group_names(result_a.scores, by)
+    rows = rows_of(paired, names, tolerance)
+    matched = _matched(result_a, result_b, paired)
+    words = f"{matched['both']} of {matched['shots']} shots matched"
+    if json != STDOUT:
+        records.write_text(comparison_text(rows, paired, names, tolerance, words))
+    if json is not None:
+        files = [Path(name) for name in (a, b) if name != STDOUT] + (truth or []) + ([rig] if rig else [])
+        made = comparison_record(rows, paired, tolerance, matched)
+        write_result(json, records.line_of({**made, "provenance": provenance(files)}), force=force)
+    complaints = list(worse_sentences(rows))
+    if lost := matched["only_a"]:
+        complaints.append(f"{b}: {len(lost)} shots have no line that have one in {a} (the first is {lost[0]})")
+    for sentence in complaints:
+        messages.say(sentence)
+        batch.met(NO_POSE)
+    batch.finish()
+
+
+class _Result(NamedTuple):
+    name: str
+    scores: "list[Score]"
+    truths: list[str]
+    """SHA-256 of the truth files."""
+    assumptions: Mapping[str, Any]
+
+
+def _read(name: str, truths: list[Path] | None, rig: Path | None, batch: "Batch") -> _Result:
+    """Pose records scored against their truth, or a table that holds the scores."""
+    from ringpose.bench.report import ASSUMPTIONS
+    from ringpose.errors import UsageError
+    from ringpose.files.inputs import holds_records
+    from ringpose.files.provenance import sha256
+
+    if name != STDOUT and not holds_records(Path(name)):
+        return _read_table(name)
+    if not truths:
+        raise UsageError("", f"{name} holds pose records, which need a truth", "give --truth FILE")
+    scores, _ = scores_of_lines([name], truths, rig, batch)
+    return _Result(name, scores, sorted(map(sha256, truths)), ASSUMPTIONS)
+
+
+def _read_table(name: str) -> _Result:
+    from ringpose.bench.report import SCHEMA
+    from ringpose.errors import DataError
+    from ringpose.files.bytes import read_bytes
+    from ringpose.files.fields import Fields
+    from ringpose.files.records import record_of
+
+    fields = Fields(name, record_of(read_bytes(Path(name)), name))
+    schema = fields.values.get("ringpose")
+    if schema != SCHEMA:
+        found = f"is a {schema!r} file" if schema else "is not a table of ringpose bench"
+        raise DataError(
+            name, f"{found}, must be {SCHEMA!r}", "give the output of bench --json, or pose records (.jsonl)"
+        )
+    scores = [_score_of(shot) for shot in fields.each("shots")]
+    return _Result(name, scores, list(fields.texts("truths")), fields.fields("assumptions").values)
+
+
+def _score_of(fields: "Fields") -> "Score":
+    from ringpose.bench.score import Judgement, Outcome, Score
+
+    def numbers(key: str) -> dict[str, float]:
+        part = fields.fields(key)
+        return {name: part.number(name) for name in part.values}
+
+    judgements = fields.fields("judgements")
+    return Score(
+        shot=fields.text("shot"),
+        method=str(fields.values.get("method") or ""),
+        outcome=Outcome(fields.choice("outcome", tuple(Outcome))),
+        status=cast(
+            Literal["ok", "degraded", "none", "lost"], fields.choice("status", ("ok", "degraded", "none", "lost"))
+        ),
+        has_target=fields.boolean("has_target"),
+        groups=dict(fields.fields("groups").values),
+        errors=numbers("errors"),
+        judgements={name: Judgement(judgements.choice(name, tuple(Judgement))) for name in map(str, judgements.values)},
+        distances=numbers("distances"),
+        gross=fields.texts("gross"),
+        latency_s=fields.number("latency_s", least=0) if fields.has("latency_s") else None,
+        rig=fields.text("rig") if fields.has("rig") else "",
+    )
+
+
+def _require_same_conditions(a: _Result, b: _Result) -> None:
+    """Refuse results whose differences another truth or other assumptions would make."""
+    from ringpose.errors import DataError
+
+    if a.truths and b.truths and a.truths != b.truths:
+        raise DataError(b.name, f"was scored against another truth than {a.name}", "score both against one truth")
+    if a.assumptions != b.assumptions:
+        raise DataError(b.name, f"was computed under other assumptions than {a.name}", "compute both under the same")
+
+
+def _of_methods(a: _Result, b: _Result, methods: str | None) -> "tuple[list[Score], list[Score]]":
+    """The scores to compare: all, or those of one method of each."""
+    from ringpose.errors import UsageError
+
+    if methods is None:
+        return a.scores, b.scores
+    words = [word.strip() for word in methods.split(",")]
+    if len(words) != 2:
+        raise UsageError("--methods", f"{methods!r} is not two methods", "such as paper-constrained,ml")
+    chosen = []
+    for result, method in zip((a, b), words, strict=True):
+        chosen.append([score for score in result.scores if score.method == method])
+        if not chosen[-1]:
+            known = ", ".join(sorted({score.method for score in result.scores}))
+            raise UsageError("--methods", f"{result.name} has no method {method!r}", f"it has {known}")
+    return chosen[0], chosen[1]
+
+
+def _require_pairs(
+    a: _Result, b: _Result, paired: "Sequence[tuple[str, Sequence[Pair]]]", allow_other_rig: bool
+) -> None:
+    from ringpose.errors import DataError
+
+    members = [pair for _, of_method in paired for pair in of_method]
+    if not members:
+        raise DataError(b.name, f"has no shot and method in common with {a.name}", "give results of the same shots")
+    other = [one.shot for one, two in members if one.rig and two.rig and one.rig != two.rig]
+    if other and not allow_other_rig:
+        raise DataError(
+            b.name,
+            f"was computed with another rig than {a.name} in {len(other)} shots (the first is {other[0]})",
+            "use one rig.yaml, or --allow-other-rig to compare rigs",
+        )
+
+
+def _matched(a: _Result, b: _Result, paired: "Sequence[tuple[str, Sequence[Pair]]]") -> dict[str, Any]:
+    """Shots that both results have a line for, of all shots of the truth; and those that only one has."""
+    lines_a, lines_b = ({score.shot for score in result.scores if score.status != "lost"} for result in (a, b))
+    shots = dict.fromkeys(score.shot for score in (*a.scores, *b.scores))
+    return {
+        "shots": len(shots),
+        "both": len(lines_a & lines_b),
+        "only_a": [shot for shot in shots if shot in lines_a - lines_b],
+        "only_b": [shot for shot in shots if shot in lines_b - lines_a],
+    }
