@@ -5,8 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ringpose.bench.pose_errors import distance_to_circle_m, mahalanobis_squared, tilt_error_rad
+from ringpose.bench.pose_errors import circle_error, distance_to_circle_m, mahalanobis_squared, tilt_error_rad, truth_at
+from ringpose.errors import DataError
 from ringpose.geometry.rotations import tilted
+from ringpose.types.truth import Truth
 
 ORIGIN = np.zeros(3)
 Z = np.array([0.0, 0.0, 1.0])
@@ -70,3 +72,20 @@ def test_tilts_lead_from_the_answer_to_the_truth(tilt_1, tilt_2):
     tilt_rad = tilt_error_rad(normal, truth)
 
     np.testing.assert_allclose(tilt_rad, [tilt_1, tilt_2], atol=1e-12)
+
+
+def test_a_point_beside_a_circle_is_off_along_the_normal_and_radially():
+    axes, error_m = circle_error(np.array([0.0, 2.5, 0.2]), ORIGIN, Z, 2.0)
+
+    np.testing.assert_allclose(axes, [[0, 0, 1], [0, 1, 0]], atol=1e-15)
+    np.testing.assert_allclose(error_m, [0.2, 0.5], atol=1e-15)
+
+
+def test_a_moving_truth_refuses_stamps_of_another_clock():
+    truth = Truth(
+        shot="a", expect="pose", center_m=ORIGIN, normal=-Z, stamp_s=100.0, velocity_m_s=np.array([0.1, 0, 0])
+    )
+
+    with pytest.raises(DataError, match=r"a: is stamped 900 s after its truth"):
+        truth_at(truth, 1000.0)
+    assert truth_at(truth, np.nan) is truth

@@ -1,9 +1,11 @@
 """One answer against one truth."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from ringpose.bench.score import QUANTITIES, Answer, Outcome, score
+from ringpose.bench.score import JUDGED, QUANTITIES, Answer, Judgement, Outcome, score
 from ringpose.geometry.rotations import tilted
 from ringpose.types.ring_pose import PoseFlag
 from ringpose.types.truth import Truth
@@ -117,13 +119,156 @@ def test_the_normals_covariance_gives_its_nees(truth_of, answer_of):
     assert errors["normal_nees"] == pytest.approx((1 + 4) / 2)
 
 
-def test_a_partial_shot_is_scored_on_normal_and_grasp_alone(truth_of, answer_of):
+def test_errors_of_a_partial_shot_are_those_of_normal_and_grasp_alone(truth_of, answer_of):
+    result = score(truth_of(expect="partial"), answer_of(center_m=np.zeros(3)), "paper", None)
+
+    assert result.outcome is Outcome.PARTIAL
+    assert set(result.errors) == {"normal_rad", "grasp_m"}
+
+
+def test_a_center_that_a_partial_shot_reports_is_judged(truth_of, answer_of):
     answer = answer_of(center_m=np.zeros(3), covariance_center_m2=SMALL)
 
     result = score(truth_of(expect="partial"), answer, "paper", None)
 
-    assert result.outcome is Outcome.PARTIAL
-    assert set(result.errors) == {"normal_rad", "grasp_m"}
+    assert (result.outcome, result.wrong) == (Outcome.WRONG, ("center",))
+
+
+SIGMAS = np.array([0.002, 0.002, 0.001, 0.001, 0.001, 0.003, 0.004])
+"""Of a covariance: tilts in radians, the rest in metres."""
+
+
+def off_by(sigmas: float, name: str, truth: Truth) -> dict:
+    """Changes of the true pose that put one quantity off by so many standard deviations, with all covariances."""
+    changes = {
+        "center": {"center_m": truth.center_m + np.array([0, 0, sigmas * 0.001])},
+        "normal": {"normal": tilted(truth.normal, np.array([sigmas * 0.002, 0.0]))},
+        "grasp along the normal": {"grasp_m": truth.center_m + np.array([0.45, 0, sigmas * 0.0005])},
+        "grasp radially": {"grasp_m": truth.center_m + np.array([0.45 + sigmas * 0.0005, 0, 0])},
+        "grasp along the band": {"grasp_m": truth.center_m + np.array([0.45 * np.cos(0.05), 0.45 * np.sin(0.05), 0])},
+        "radius_inner": {"radius_inner_m": 0.4 - sigmas * 0.003},
+        "radius_outer": {"radius_outer_m": 0.5 + sigmas * 0.004},
+    }[name]
+    covariances = {
+        "covariance": np.diag(SIGMAS**2),
+        "covariance_center_m2": SMALL,
+        "covariance_grasp_m2": SMALL / 4,
+    }
+    return {**covariances, **changes}
+
+
+NAMED = ["center", "normal", "grasp along the normal", "grasp radially", "radius_inner", "radius_outer"]
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_a_quantity_is_wrong_from_five_standard_deviations_and_grossly_from_six(truth_of, answer_of, name):
+    truth, quantity = truth_of(), name.split()[0]
+
+    correct, wrong, gross = (score(truth, answer_of(**off_by(s, name, truth)), "ml", None) for s in (4.9, 5.1, 6.1))
+
+    assert correct.distances[quantity] == pytest.approx(4.9, rel=1e-3)
+    assert set(correct.judgements.values()) == {Judgement.CORRECT}
+    assert (wrong.wrong, wrong.gross) == ((quantity,), ())
+    assert (gross.wrong, gross.gross) == ((quantity,), (quantity,))
+
+
+def test_where_along_the_band_the_grasp_point_lies_is_not_judged(truth_of, answer_of):
+    result = score(truth_of(), answer_of(**off_by(9.0, "grasp along the band", truth_of())), "ml", None)
+
+    assert result.wrong == ()
+    assert result.distances["grasp"] < 1e-9
+
+
+EXCUSES = [
+    (PoseFlag.CENTER_WEAK, {"center"}),
+    (PoseFlag.SIDE_UNKNOWN, {"center"}),
+    (PoseFlag.DAMPED, {"center"}),
+    (PoseFlag.NORMAL_WEAK, {"normal"}),
+    (PoseFlag.RADIUS_WEAK, {"radius_inner", "radius_outer"}),
+    (PoseFlag.RADIUS_DISAGREES, {"center", "radius_inner", "radius_outer"}),
+    (PoseFlag.INCONSISTENT, set(JUDGED)),
+    (PoseFlag.RELABELLED, set(JUDGED)),
+    (PoseFlag.POINT_LEFT_OUT, set()),
+    (PoseFlag.STRIPE_LEFT_OUT, set()),
+]
+
+
+@pytest.mark.parametrize(("flag", "named"), EXCUSES)
+def test_a_flag_excuses_the_quantities_that_it_names_and_no_other(truth_of, answer_of, flag, named):
+    truth = truth_of()
+    changes = {key: value for name in NAMED for key, value in off_by(9.0, name, truth).items() if "cov" not in key}
+    covariances = {key: value for key, value in off_by(0.0, "center", truth).items() if "cov" in key}
+
+    result = score(truth, answer_of(**covariances, **changes, flags=flag), "ml", None)
+
+    assert set(result.wrong) == set(JUDGED) - named
+    assert {name for name, found in result.judgements.items() if found is Judgement.FLAGGED} == named
+
+
+def test_every_flag_has_been_considered():
+    assert {flag for flag, _ in EXCUSES} == set(PoseFlag)
+
+
+def test_a_quantity_without_a_covariance_is_not_judged_but_the_grasp_point_is(truth_of, answer_of):
+    judgements = score(truth_of(), answer_of(center_m=np.zeros(3)), "paper", None).judgements
+
+    assert judgements.pop("grasp") is Judgement.CORRECT
+    assert set(judgements.values()) == {Judgement.NO_COVARIANCE}
+
+
+def test_a_quantity_whose_row_of_the_covariance_is_unknown_is_not_judged(truth_of, answer_of):
+    covariance = np.diag(SIGMAS**2)
+    covariance[5, :] = covariance[:, 5] = np.nan
+
+    judgements = score(truth_of(), answer_of(covariance=covariance), "ml", None).judgements
+
+    assert judgements["radius_inner"] is Judgement.NO_COVARIANCE
+    assert judgements["radius_outer"] is judgements["normal"] is Judgement.CORRECT
+
+
+@pytest.mark.parametrize(("off_m", "judgement"), [(0.0549, Judgement.CORRECT), (0.0551, Judgement.WRONG)])
+def test_a_grasp_point_5_mm_beside_the_band_is_wrong_whatever_its_covariance(truth_of, answer_of, off_m, judgement):
+    answer = answer_of(grasp_m=truth_of().center_m + np.array([0.45 + off_m, 0, 0]), covariance_grasp_m2=np.eye(3))
+
+    result = score(truth_of(), answer, "ml", None)
+
+    assert result.judgements["grasp"] is judgement
+    assert result.gross == (("grasp",) if judgement is Judgement.WRONG else ())
+
+
+def test_every_quantity_of_a_pose_of_nothing_is_wrong_unless_a_flag_names_it(answer_of):
+    unflagged = score(NOTHING, answer_of(), "paper", None)
+    flagged = score(NOTHING, answer_of(flags=PoseFlag.RADIUS_WEAK), "paper", None)
+
+    assert set(unflagged.gross) == set(unflagged.wrong) == set(JUDGED)
+    assert set(flagged.wrong) == {"center", "normal", "grasp"}
+
+
+def test_a_normal_that_is_turned_over_is_wrong(truth_of, answer_of):
+    covariance = np.diag(SIGMAS**2)
+
+    results = [
+        score(truth_of(), answer_of(normal=normal, covariance=covariance), "ml", None)
+        for normal in (-truth_of().normal, np.array([1.0, 0.0, 0.0]))
+    ]
+
+    assert [result.gross for result in results] == [("normal",), ("normal",)]
+
+
+def test_a_moving_target_is_scored_where_it_was_when_the_shot_was_stamped(truth_of, answer_of):
+    truth = truth_of(
+        stamp_s=100.0,
+        velocity_m_s=np.array([0.05, 0.0, -0.02]),
+        angular_velocity_rad_s=np.array([0.0, 0.1, 3.0]),
+    )
+    there = truth.center_m + 0.1 * truth.velocity_m_s
+    turned = np.array([-np.sin(0.01), 0.0, -np.cos(0.01)])
+    answer = replace(answer_of(center_m=there, normal=turned), stamp_s=100.1)
+
+    errors = score(truth, answer, "ml", None).errors
+
+    assert errors["center_m"] < 1e-12
+    assert errors["normal_rad"] < 1e-12
 
 
 HALF_BAND_RAD = 0.1 / 0.9

@@ -1,9 +1,10 @@
 """Groups of scores."""
 
 import pytest
+from scipy import stats
 
-from ringpose.bench.score import Outcome, Score
-from ringpose.bench.summary import ABSENT, spread, summaries, unknown_groups
+from ringpose.bench.score import JUDGED, Judgement, Outcome, Score
+from ringpose.bench.summary import ABSENT, Wrong, spread, summaries, unknown_groups
 
 
 def scored(
@@ -77,3 +78,60 @@ def test_nees_is_a_mean_not_a_root():
 
 def test_a_group_that_no_truth_names_is_unknown():
     assert unknown_groups([scored("a", light="dim"), scored("b", ring="R597")], ["light", "lihgt", "ring"]) == ["lihgt"]
+
+
+def judged(name: str, correct: int, wrong: int, gross: int = 0) -> list[Score]:
+    of = Judgement
+    common = {"method": "ml", "outcome": Outcome.OK, "status": "ok"}
+    return (
+        [Score(shot=f"c{n}", judgements={name: of.CORRECT}, **common) for n in range(correct)]
+        + [Score(shot=f"w{n}", judgements={name: of.WRONG}, **common) for n in range(wrong)]
+        + [Score(shot=f"g{n}", judgements={name: of.WRONG}, gross=(name,), **common) for n in range(gross)]
+    )
+
+
+def test_quantities_are_counted_by_name_and_judgement():
+    (line,) = summaries([*judged("center", 3, 1, 1), *judged("grasp", 2, 0)], [])
+
+    assert (line.wrong.counts["center"][Judgement.WRONG], line.wrong.judged, line.wrong.gross) == (2, 7, 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "n", "allowed"),
+    [
+        ("center", 600, 0),
+        ("center", 700, 1),
+        ("center", 100_000, 5),
+        ("radius_inner", 17_000, 0),
+        ("normal", 100_000, 2),
+    ],
+)
+def test_the_allowance_is_the_binomials_99_percent(name, n, allowed):
+    chance = stats.chi2.sf(25, {"center": 3, "normal": 2, "radius_inner": 1}[name])
+    counts = {judged_name: dict.fromkeys(Judgement, 0) for judged_name in JUDGED}
+    counts[name][Judgement.CORRECT] = n
+
+    assert Wrong(counts=counts, gross=0).allowed == allowed == stats.binom.ppf(0.99, n, chance)
+
+
+def test_none_is_wrong_if_chance_allows_it_and_none_is_gross():
+    verdicts = [
+        summaries(judged("center", 1000, wrong, gross), [])[0].wrong.none_wrong
+        for wrong, gross in [(0, 0), (1, 0), (2, 0), (0, 1)]
+    ]
+
+    assert verdicts == [True, True, False, False]
+
+
+def test_availability_is_the_share_of_the_shots_with_a_ring_that_are_ok():
+    common = {"method": "ml", "outcome": Outcome.OK}
+    shots = [
+        Score(shot="a", status="ok", **common),
+        Score(shot="b", status="degraded", **common),
+        Score(shot="c", status="none", **common),
+        Score(shot="d", status="none", has_target=False, **common),
+    ]
+
+    (line,) = summaries(shots, [])
+
+    assert (line.available, line.targets) == (1, 3)

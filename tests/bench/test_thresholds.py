@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from ringpose.bench.score import Outcome, Score
+from ringpose.bench.score import Judgement, Outcome, Score
 from ringpose.bench.summary import summaries
 from ringpose.bench.thresholds import error_limits, missed_count_limits, missed_error_limits
 
@@ -55,3 +55,16 @@ def test_limits_are_said_in_millimetres_and_degrees_and_kept_in_metres_and_radia
 
 def test_a_limit_on_radii_holds_for_both_edges():
     assert set(error_limits(None, None, 1.0, None)) == {"radius_inner_m", "radius_outer_m"}
+
+
+def test_too_many_wrong_quantities_are_counted_over_all_groups():
+    wrong = [
+        Score(
+            shot=shot, method="ml", outcome=Outcome.WRONG, status="ok", judgements=dict.fromkeys(names, Judgement.WRONG)
+        )
+        for shot, names in {"a": ("center", "normal"), "b": ("grasp",)}.items()
+    ]
+    lines = summaries(wrong, [])
+
+    assert missed_count_limits(lines, missed=None, wrong=3) == []
+    assert missed_count_limits(lines, missed=None, wrong=2) == ["wrong: 3 quantities of all shots (ml) exceed 2"]

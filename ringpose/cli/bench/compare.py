@@ -92,7 +92,7 @@ class _Result(NamedTuple):
 def _read(name: str, truths: list[Path] | None, rig: Path | None, batch: "Batch") -> _Result:
     """Pose records scored against their truth, or a table that holds the scores."""
     from ringpose.bench.report import ASSUMPTIONS
-    from ringpose.errors import UsageError
+    from ringpose.errors import DataError, UsageError
     from ringpose.files.inputs import holds_records
     from ringpose.files.provenance import sha256
 
@@ -101,6 +101,8 @@ def _read(name: str, truths: list[Path] | None, rig: Path | None, batch: "Batch"
     if not truths:
         raise UsageError("", f"{name} holds pose records, which need a truth", "give --truth FILE")
     scores, _ = scores_of_lines([name], truths, rig, batch)
+    if all(score.status == "lost" for score in scores):
+        raise DataError(name, "has no pose line of a shot of the truth", "give poses of the same data set")
     return _Result(name, scores, sorted(map(sha256, truths)), ASSUMPTIONS)
 
 

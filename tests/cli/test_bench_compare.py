@@ -1,0 +1,258 @@
+"""`ringpose bench compare`: exit statuses, the one line of no change, and what is refused."""
+
+import gzip
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ringpose.cli.main import main
+from ringpose.files.poses import pose_record
+from ringpose.files.records import line_of
+from ringpose.files.truths import truth_record
+from ringpose.types.pose_line import PoseLine
+from ringpose.types.ring_pose import PoseFlag, RingPose
+from ringpose.types.truth import Truth
+
+CENTER_M = np.array([0.1, -0.2, 1.0])
+NORMAL = np.array([0.0, 0.0, -1.0])
+SHOTS = 16
+NO_FLAG = PoseFlag(0)
+
+
+@pytest.fixture(autouse=True)
+def _in_an_empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def write_truth(name: str = "truth.jsonl", **changes) -> None:
+    values = {"center_m": CENTER_M, "normal": NORMAL, "radius_inner_m": 0.4, "radius_outer_m": 0.5} | changes
+    truths = [Truth(shot=f"s{n}", expect="pose", groups={"distance_m": n % 2}, **values) for n in range(SHOTS)]
+    Path(name).write_text("".join(line_of(truth_record(truth)) for truth in truths))
+
+
+def line(shot: str, error_m: float = 0.0, method: str = "ml", rig: str = "r1", flags=NO_FLAG) -> PoseLine:
+    """The true pose, but for its centre and grasp point, with standard deviations of 1 mm."""
+    pose = RingPose(
+        center_m=CENTER_M + np.array([0.0, 0.0, error_m]),
+        normal=NORMAL,
+        radius_inner_m=0.4,
+        radius_outer_m=0.5,
+        grasp_m=CENTER_M + np.array([0.45, 0.0, error_m]),
+        method=method,
+        condition=1.0,
+        residual_rms_px=0.1,
+        covariance=np.eye(7) * 1e-6,
+        covariance_center_m2=np.eye(3) * 1e-6,
+        covariance_grasp_m2=np.eye(3) * 1e-6,
+        flags=flags,
+    )
+    return PoseLine(shot=shot, stamp_s=0.0, pose=pose, rig=rig, latency_s=0.01)
+
+
+def write_lines(name: str, lines) -> str:
+    text = "".join(line_of(pose_record(each)) for each in lines).encode()
+    Path(name).write_bytes(gzip.compress(text, mtime=0) if name.endswith(".gz") else text)
+    return name
+
+
+@pytest.fixture
+def results(rng) -> dict[str, str]:
+    """The true poses, errors whose NEES is 1, those grown by half, and those of another method."""
+    write_truth()
+    errors_m = 0.001 * np.sqrt(3) * rng.permutation(np.linspace(-1.6, 1.6, SHOTS))
+    shots = [f"s{n}" for n in range(SHOTS)]
+    return {
+        "true": write_lines("true.jsonl", [line(shot) for shot in shots]),
+        "a": write_lines("a.jsonl", [line(shot, e) for shot, e in zip(shots, errors_m, strict=True)]),
+        "grown": write_lines("grown.jsonl", [line(shot, 1.5 * e) for shot, e in zip(shots, errors_m, strict=True)]),
+        "other": write_lines("o.jsonl", [line(s, 2 * e, "paper") for s, e in zip(shots, errors_m, strict=True)]),
+    }
+
+
+TRUTH = ("--truth", "truth.jsonl")
+ALL = (*TRUTH, "--by", "")
+
+
+def test_the_truth_as_estimate_has_no_error_and_nothing_wrong(results, capsys):
+    status = main(["bench", results["true"], *TRUTH, "--json", "-"])
+
+    everything = json.loads(capsys.readouterr().out)["groups"][-1]
+    assert status == 0
+    assert max(spread["max"] for spread in everything["errors"].values()) < 1e-12
+    assert max(everything["nees"].values()) < 1e-12
+    assert everything["wrong"] == {"count": 0, "judged": 5 * SHOTS, "allowed": 0, "gross": 0, "none_wrong": True}
+    assert (everything["available"], everything["targets"]) == (SHOTS, SHOTS)
+
+
+def test_an_estimate_that_is_shifted_by_7_mm_scores_7_mm_and_is_wrong_in_what_was_shifted(results, capsys):
+    write_lines("off.jsonl", [line(f"s{n}", 0.007) for n in range(SHOTS)])
+
+    main(["bench", "off.jsonl", *TRUTH, "--json", "-"])
+
+    everything = json.loads(capsys.readouterr().out)["groups"][-1]
+    wrong = {name: counts["wrong"] for name, counts in everything["quantities"].items()}
+    assert everything["errors"]["center_m"]["rmse"] == pytest.approx(0.007)
+    assert everything["errors"]["center_m"]["max"] == pytest.approx(0.007)
+    assert wrong == {"center": SHOTS, "normal": 0, "grasp": SHOTS, "radius_inner": 0, "radius_outer": 0}
+
+
+def test_too_many_wrong_quantities_are_status_3(results, capsys):
+    lines = [line(f"s{n}", 0.007, flags=PoseFlag.CENTER_WEAK if n else NO_FLAG) for n in range(SHOTS)]
+    write_lines("off.jsonl", lines)
+
+    statuses = [main(["bench", "off.jsonl", *TRUTH, "--max-wrong", limit]) for limit in (str(SHOTS + 1), str(SHOTS))]
+
+    assert statuses == [0, 3]
+    assert f"{SHOTS + 1} quantities" in capsys.readouterr().err
+
+
+def test_the_same_run_twice_is_one_line_and_status_0(results, capsys):
+    status = main(["bench", "compare", results["a"], results["a"], *TRUTH])
+
+    streams = capsys.readouterr()
+    assert (status, streams.err) == (0, "")
+    assert streams.out.startswith(f"nothing changed: {SHOTS} shots, 13 quantities ({SHOTS} of {SHOTS} shots matched)")
+    assert streams.out.count("\n") == 1
+
+
+def test_worse_errors_are_status_3_and_named(results, capsys):
+    status = main(["bench", "compare", results["a"], results["grown"], *ALL])
+
+    streams = capsys.readouterr()
+    assert status == 3
+    assert "worse: center_m of all shots (ml): " in streams.err
+    assert "+50.0%" in streams.err
+    assert any(row.split()[:3] == ["ml", "center", "mm"] and "worse" in row for row in streams.out.splitlines())
+
+
+@pytest.mark.parametrize(("words", "status"), [(["--tolerance", "0.6"], 3), (["--tolerance", "10"], 0)])
+def test_what_is_worse_within_the_tolerance_is_no_failure(results, capsys, words, status):
+    """The NEES grows by more, from 1 to 2.25, than the errors do."""
+    assert main(["bench", "compare", results["a"], results["grown"], *ALL, *words]) == status
+
+
+def test_better_errors_are_status_0(results, capsys):
+    status = main(["bench", "compare", results["other"], results["a"], *ALL])
+
+    assert status == 0
+    assert "paper -> ml" in capsys.readouterr().out
+
+
+def test_tables_and_compressed_records_give_the_same_rows_as_records(results, capsys):
+    for name in ("a", "grown"):
+        main(["bench", results[name], *TRUTH, "--json", f"{name}.json", "--by", ""])
+    Path("a.jsonl.gz").write_bytes(gzip.compress(Path("a.jsonl").read_bytes()))
+    capsys.readouterr()
+
+    rows = []
+    for words in (
+        ["a.jsonl", "grown.jsonl", *ALL],
+        ["a.json", "grown.json", "--by", ""],
+        ["a.jsonl.gz", "grown.json", *ALL],
+    ):
+        assert main(["bench", "compare", *words, "--json", "-"]) == 3
+        rows.append(json.loads(capsys.readouterr().out)["rows"])
+
+    assert rows[0] == rows[1] == rows[2]
+
+
+def test_a_shot_that_b_lost_is_named_and_status_3(results, capsys):
+    lines = Path(results["a"]).read_text().splitlines(keepends=True)
+    Path("short.jsonl").write_text("".join(lines[:-1]))
+
+    status = main(["bench", "compare", results["a"], "short.jsonl", *TRUTH])
+
+    streams = capsys.readouterr()
+    assert status == 3
+    assert f"{SHOTS - 1} of {SHOTS} shots matched" in streams.out
+    assert "short.jsonl: 1 shots have no line" in streams.err
+    assert f"s{SHOTS - 1}" in streams.err
+
+
+def test_two_truth_files_stand_for_the_shots_of_both(results, capsys):
+    lines = Path("truth.jsonl").read_text().splitlines(keepends=True)
+    Path("one.jsonl").write_text("".join(lines[:10]))
+    Path("two.jsonl").write_text("".join(lines[10:]))
+
+    status = main(["bench", "compare", results["a"], results["a"], "--truth", "one.jsonl", "--truth", "two.jsonl"])
+
+    assert (status, f"{SHOTS} of {SHOTS} shots matched" in capsys.readouterr().out) == (0, True)
+
+
+def test_one_method_of_a_table_is_compared_with_another(results, capsys):
+    both = Path(results["a"]).read_text() + Path(results["other"]).read_text()
+    Path("both.jsonl").write_text(both)
+
+    status = main(["bench", "compare", "both.jsonl", "both.jsonl", *ALL, "--methods", "ml,paper"])
+
+    assert status == 3
+    assert "ml -> paper" in capsys.readouterr().out
+
+
+@pytest.fixture(scope="module")
+def refused(tmp_path_factory) -> Path:
+    """A folder with results that cannot be compared."""
+    folder = tmp_path_factory.mktemp("refused")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        write_truth()
+        write_truth("elsewhere.jsonl", radius_inner_m=0.41)
+        write_lines("a.jsonl", [line(f"s{n}") for n in range(SHOTS)])
+        write_lines("rig.jsonl", [line(f"s{n}", rig="r2") for n in range(SHOTS)])
+        for name in ("truth", "elsewhere"):
+            main(["bench", "a.jsonl", "--truth", f"{name}.jsonl", "--json", f"{name}.json", "--by", ""])
+        Path("moving.json").write_text(Path("truth.json").read_text().replace('"still": true', '"still": false'))
+        Path("record.json").write_text(Path("truth.jsonl").read_text().splitlines()[0])
+        Path("none.jsonl").write_text("")
+        Path("broken.jsonl.gz").write_bytes(gzip.compress(Path("a.jsonl").read_bytes())[:30])
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "complaint"),
+    [
+        (["a.jsonl", "rig.jsonl"], 2, "--truth"),
+        (["-", "-", *TRUTH], 2, "standard input"),
+        (["a.jsonl", "nowhere.json", *TRUTH], 66, "nowhere.json"),
+        (["a.jsonl", "record.json", *TRUTH], 65, "record.json"),
+        (["truth.json", "elsewhere.json"], 65, "another truth"),
+        (["truth.json", "moving.json"], 65, "assumptions"),
+        (["a.jsonl", "rig.jsonl", *TRUTH], 65, "another rig"),
+        (["a.jsonl", "a.jsonl", *TRUTH, "--methods", "ml"], 2, "--methods"),
+        (["a.jsonl", "a.jsonl", *TRUTH, "--methods", "ml,magic"], 2, "magic"),
+        (["a.jsonl", "a.jsonl", *TRUTH, *TRUTH], 65, "two truth files"),
+        (["a.jsonl", "none.jsonl", *TRUTH], 65, "none.jsonl"),
+        (["a.jsonl", "broken.jsonl.gz", *TRUTH], 65, "broken.jsonl.gz"),
+        (["truth.json", "truth.json", "--by", "colour"], 2, "colour"),
+    ],
+)
+def test_what_cannot_be_compared_is_named(refused, monkeypatch, capsys, words, status, complaint):
+    monkeypatch.chdir(refused)
+
+    ended = main(["bench", "compare", *words])
+
+    streams = capsys.readouterr()
+    assert (ended, streams.out) == (status, "")
+    assert complaint in streams.err
+
+
+def test_poses_by_two_rigs_are_compared_on_request(results, capsys):
+    write_lines("rig.jsonl", [line(f"s{n}", rig="r2") for n in range(SHOTS)])
+
+    assert main(["bench", "compare", results["true"], "rig.jsonl", *ALL, "--allow-other-rig"]) == 0
+
+
+@pytest.mark.parametrize("matrix", ["full", "center", "grasp"])
+def test_a_null_inside_a_covariance_is_one_line_and_the_rest_is_scored(results, capsys, matrix):
+    records = [json.loads(each) for each in Path(results["a"]).read_text().splitlines()]
+    records[3]["pose"]["covariance"][matrix][0][1] = None
+    Path("null.jsonl").write_text("".join(json.dumps(record) + "\n" for record in records))
+
+    status = main(["bench", "null.jsonl", *TRUTH])
+
+    streams = capsys.readouterr()
+    assert (status, len(streams.err.splitlines())) == (65, 1)
+    assert f"null.jsonl:4: pose.covariance.{matrix}" in streams.err
+    assert f"{SHOTS - 1} of {SHOTS} shots of the truth matched" in streams.out
