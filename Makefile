@@ -7,11 +7,13 @@ STAMP := $(VENV)/.installed
 PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist worksteal $(PYTEST_FLAGS)
 KERNELS := $(wildcard ringpose/kernels/*.c ringpose/kernels/*.h)
 
-.PHONY: help demo bench-speed structure test test-slow check lint types layers man clean
+.PHONY: help demo bench-speed compare-baseline baseline structure test test-slow check lint types layers man clean
 
 help:
 	@echo "make demo         the main job on simulated shots: calibration, detection, poses, printed and drawn"
 	@echo "make bench-speed  what detection and pose take, and how fine they are, beside their limits"
+	@echo "make compare-baseline  poses of the rendered data sets beside those of the baseline; status 3 if worse"
+	@echo "make baseline     make today's poses of the rendered data sets the baseline"
 	@echo "make test         the fast tests (make test-slow: the Monte-Carlo and whole-data-set ones)"
 	@echo "make structure    modules and lines by folder; modules that one shot and one calibration pass through"
 	@echo "make check        lint, types, layers, man pages"
@@ -30,6 +32,12 @@ bench-speed: $(STAMP)
 
 structure: $(STAMP)
 	$(BIN)/python tests/benchmarks/structure.py
+
+compare-baseline: $(STAMP)
+	$(BIN)/python tests/benchmarks/compare_baseline.py
+
+baseline: $(STAMP)
+	$(BIN)/python tests/benchmarks/compare_baseline.py --renew
 
 test: $(STAMP)
 	$(PYTEST) -m "not slow"
