@@ -9,7 +9,8 @@ it does not matter which of its two scores belongs to which result, so each of t
 likely as the one that was seen. This makes the rate of false alarms exact at any number of shots, also at the ten of
 a group, where an inverted bootstrap distribution is too narrow. Benjamini-Hochberg then corrects for the number of
 rows; rows in which so few shots changed that no exchange could be significant do not count (Tarone 1990, Gilbert
-2005). The bootstrap interval shows how large a difference is; it decides nothing.
+2005). The bootstrap interval shows how large a difference is. It decides only for NEES, whose badness falls and rises
+with the mean: there the exchange test shows that something changed, and the interval whether for better or worse.
 """
 
 import math
@@ -74,6 +75,8 @@ class Quantity:
     """Whether the tolerance is a share of A's badness; otherwise it is a difference of badness."""
     judged: bool = True
     """Whether a worse row is a failure."""
+    monotone: bool = True
+    """Whether badness always grows with the mean score; otherwise the interval has to exclude zero as well."""
 
 
 def _squared_error(name: str) -> Quantity:
@@ -94,7 +97,7 @@ def _nees(name: str) -> Quantity:
     def score(shot: Score) -> float | None:
         return shot.errors.get(name)
 
-    return Quantity(score=score, figure=_itself, badness=_log_ratio_to_1, relative=False)
+    return Quantity(score=score, figure=_itself, badness=_log_ratio_to_1, relative=False, monotone=False)
 
 
 def _root(mean: Any) -> Any:
@@ -327,7 +330,9 @@ def _row(sample: _Sample, p_value: float, adjusted: float, rows: int, tolerance:
     quantity, a, b = COMPARED[sample.name], sample.a, sample.b
     badness_a, badness_b = float(quantity.badness(a.mean())), float(quantity.badness(b.mean()))
     difference, scale = badness_b - badness_a, badness_a if quantity.relative else 1.0
-    verdict = _verdict(bool((a != b).any()), adjusted, difference)
+    interval = bootstrap_interval(a, b, quantity.badness, resamples) if resamples and len(a) > 1 else None
+    directed = quantity.monotone or interval is None or interval[0] > 0 or interval[1] < 0
+    verdict = _verdict(bool((a != b).any()), adjusted if directed else 1.0, difference)
     change = difference / scale if scale > 0 else 0.0 if difference == 0 else None
     spread = shot_spread(a, b, quantity.badness)
     return Row(
@@ -340,7 +345,7 @@ def _row(sample: _Sample, p_value: float, adjusted: float, rows: int, tolerance:
         b=float(quantity.figure(b.mean())),
         difference=difference,
         change=change,
-        interval=bootstrap_interval(a, b, quantity.badness, resamples) if resamples and len(a) > 1 else None,
+        interval=interval,
         p_value=p_value,
         p_adjusted=adjusted,
         verdict=verdict,

@@ -113,7 +113,6 @@ def test_errors_that_grew_by_10_percent_are_worse_beyond_2_percent_and_not_beyon
     assert (center.verdict, center.beyond_tolerance) == (Verdict.WORSE, True)
     assert center.change == pytest.approx(0.1, abs=0.04)
     assert center.interval[0] < center.difference < center.interval[1]
-    assert row_of(rows, "center_nees").verdict is Verdict.WORSE
     assert row_of(tolerant, "center_m").verdict is Verdict.WORSE
     assert not row_of(tolerant, "center_m").beyond_tolerance
     assert row_of(compare(pairs(b, a), [], 0.02, resamples=0), "center_m").verdict is Verdict.BETTER
@@ -228,3 +227,22 @@ def test_quantities_that_only_b_has_wrong_are_named():
     b = [scored("a", wrong=("center", "normal")), scored("b", wrong=("grasp",))]
 
     assert newly_wrong(pairs(a, b)) == [("ml", "a", "normal"), ("ml", "b", "grasp")]
+
+
+def test_nees_far_above_one_is_worse(rng):
+    shared = rng.normal(size=(400, 8))
+    a, b = result(rng, 400, shared=shared), result(rng, 400, scale=1.4, shared=shared)
+
+    assert row_of(compare(pairs(a, b), [], 0.02), "center_nees").verdict is Verdict.WORSE
+
+
+def test_nees_that_passes_from_below_one_to_above_is_neither_better_nor_worse():
+    rng = np.random.default_rng(7)
+    common = rng.chisquare(3, size=300)
+    common /= common.mean()
+    before = [scored(str(n), center_nees=float(0.87 * common[n])) for n in range(300)]
+    after = [scored(str(n), center_nees=float(1.08 * common[n])) for n in range(300)]
+
+    (row,) = [row for row in compare(pairs(before, after), [], 0.02) if row.quantity == "center_nees"]
+
+    assert (row.verdict, row.p_value < 0.001) == (Verdict.CANNOT_TELL, True)
