@@ -1,5 +1,6 @@
 """Break points: the ends of the face's tracks refined in the image, their edges named, and what lies between them."""
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 
@@ -8,11 +9,12 @@ import numpy as np
 from ringpose.detect.consistency import checked
 from ringpose.detect.faces import Face
 from ringpose.detect.frames import LaserImage
-from ringpose.detect.stripe_ends import FACET_SIGMAS, SATURATED_SHARE, stripe_ends
+from ringpose.detect.stripe_ends import FACET_SIGMAS, INSIDE_COLUMNS, OUTSIDE_COLUMNS, SATURATED_SHARE, stripe_ends
 from ringpose.detect.tracks import BORDER_PX, LEAST_COLUMNS, TAKEN_BY_THE_FIT
 from ringpose.kernels.ring import Ends, MarkRules, marked_ends
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.break_points import BreakPointFlag, BreakPoints
+from ringpose.types.break_points import MAX_OFFSET, BreakPointFlag, BreakPoints, outside_image
+from ringpose.types.camera import Camera
 from ringpose.types.rig import Rig
 
 KINK_LEVEL = 0.25
@@ -20,6 +22,10 @@ KINK_LEVEL = 0.25
 
 UNCLEAR_PX = 0.75
 """Ends with a greater sigma are flagged: two of them are the 1.5 px that no end may be off without a flag."""
+
+MAX_END_SIGMA_PX = (INSIDE_COLUMNS + OUTSIDE_COLUMNS) / math.sqrt(12)
+"""An end that may lie anywhere among the columns that it is fitted to has this sigma (uniform distribution, 10.4 px).
+Where a fit gives more, as beside a glint that saturates all of them, the image shows no end there."""
 
 CLEAR_ENDS = 2
 """Of stripes that end on a ring, so many are known to `UNCLEAR_PX` even before bright foil; of five faces among foil
@@ -43,8 +49,8 @@ def break_points(
     saturation_dn: int,
 ) -> BreakPoints:
     """The break points of a face among all tracks; `images` are the frames that show the lasers."""
-    ends = _ends(face, images, rig, saturation_dn)
-    ends, right_is_inner, clear = checked(_edges_alike(ends), tracks, rig)
+    ends = _measured(_edges_alike(_ends(face, images, rig, saturation_dn)), rig.camera)
+    ends, right_is_inner, clear = checked(ends, tracks, rig)
     order = slice(None, None, -1) if right_is_inner else slice(None)
     flags = ends.flags[:, order].copy()
     if not clear:
@@ -116,3 +122,20 @@ def _edges_alike(ends: Ends) -> Ends:
         least = covariance[blunt[:, side], side, 0, 0].min()
         covariance[laser, side] *= max(least / covariance[laser, side, 0, 0], 1.0)
     return ends._replace(flags=flags, covariance_px2=covariance)
+
+
+def _measured(ends: Ends, camera: Camera) -> Ends:
+    """The ends and lines without those that the image does not determine; such an end is flagged as unclear."""
+    size = camera.image_width, camera.image_height
+    sigma_px = np.sqrt(np.maximum(ends.covariance_px2[..., 0, 0], ends.covariance_px2[..., 1, 1]))
+    placed = ~np.isnan(ends.position_px).any(axis=-1)
+    known = placed & (sigma_px <= MAX_END_SIGMA_PX) & ~outside_image(ends.position_px, MAX_OFFSET["position_px"], *size)
+    outside = outside_image(ends.straight_px, MAX_OFFSET["face_start_px"], *size)
+    straight = ((ends.straight_sigma_px <= MAX_END_SIGMA_PX) & ~outside).all(axis=1)
+    return Ends(
+        position_px=np.where(known[..., None], ends.position_px, np.nan),
+        covariance_px2=np.where(known[..., None, None], ends.covariance_px2, np.nan),
+        flags=ends.flags | np.where(placed & ~known, int(BreakPointFlag.UNCLEAR), 0),
+        straight_px=np.where(straight[:, None, None], ends.straight_px, np.nan),
+        straight_sigma_px=np.where(straight[:, None], ends.straight_sigma_px, np.nan),
+    )

@@ -128,7 +128,7 @@ def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundE
 def named_by_curvature(break_points: BreakPoints, found: FoundEdges) -> tuple[BreakPoints, RingEdgePoints]:
     """Break points and edge points with their edges' names set right, if the break points left them open."""
     unknown = int(BreakPointFlag.EDGE_UNKNOWN)
-    if not np.any(break_points.flags & unknown) or abs(found.side_sigmas) < SIDE_SIGMAS:
+    if not np.any(break_points.flags & unknown) or not abs(found.side_sigmas) >= SIDE_SIGMAS:
         return break_points, found.points
     named = replace(break_points, flags=break_points.flags & ~unknown)
     if found.side_sigmas > 0:

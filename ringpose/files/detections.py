@@ -12,7 +12,7 @@ from ringpose.files.archives import Archive, write_archive
 from ringpose.files.fields import ROUNDED, Fields
 from ringpose.files.provenance import provenance
 from ringpose.types.arrays import EDGES, Array, Float64, Int64
-from ringpose.types.break_points import BreakPoints, Detection, NoBreakPoints, RingEdgePoints
+from ringpose.types.break_points import MAX_SIGMA_PX, BreakPoints, Detection, NoBreakPoints, RingEdgePoints
 from ringpose.types.segments import Segments
 from ringpose.types.stripes import Stripes
 
@@ -27,9 +27,6 @@ _STRIPES = ("position_px", "sigma_px", "peak_dn", "piece", "laser")
 _SEGMENTS = ("start_px", "end_px", "support")
 _PARTS = {"break_points": _POINTS, "ring_edges": _RING_EDGES, "stripes": _STRIPES, "segments": _SEGMENTS}
 _KEYS = ("schema", "shot", "stamp_s", "reason", *_PARTS)
-
-LARGEST_SIGMA_PX = 1e4
-"""What is known worse than an image is large is not known."""
 
 LARGEST_INTEGER = 2**31
 
@@ -111,14 +108,14 @@ def _reason(fields: Fields) -> NoBreakPoints:
 
 
 def _break_points(fields: Fields) -> BreakPoints:
-    position = fields.array("position_px", (None, 2, 2), allow_nan=True)
+    position = _points(fields, "position_px", (None, 2, 2))
     lasers = len(position)
     return BreakPoints(
         position_px=position,
         covariance_px2=_covariances(fields, "covariance_px2", (lasers, 2, 2, 2)),
         flags=_integers(fields, "flags", (lasers, 2)),
-        face_start_px=fields.array("face_start_px", (lasers, 2), allow_nan=True),
-        face_end_px=fields.array("face_end_px", (lasers, 2), allow_nan=True),
+        face_start_px=_points(fields, "face_start_px", (lasers, 2)),
+        face_end_px=_points(fields, "face_end_px", (lasers, 2)),
         face_sigma_px=_sigmas(fields, "face_sigma_px", (lasers, 2), allow_nan=True),
         labelled=fields.boolean("labelled"),
     )
@@ -129,9 +126,12 @@ def _ring_edges(fields: Fields) -> RingEdgePoints:
     edge = _integers(fields, "edge", (len(position),))
     if len(edge) and not 0 <= edge.min() <= edge.max() < len(EDGES):
         raise fields.problem("edge", "names an edge that is neither 0 (inner) nor 1 (outer)")
+    normal = fields.array("normal", (len(position), 2))
+    if not normal.any(axis=1).all():
+        raise fields.problem("normal", "has a vector of length 0, must be 1")
     return RingEdgePoints(
         position_px=position,
-        normal=fields.array("normal", (len(position), 2)),
+        normal=normal,
         sigma_px=_sigmas(fields, "sigma_px", (len(position),)),
         edge=edge,
     )
@@ -159,6 +159,15 @@ def _segments(fields: Fields) -> Segments:
         end_px=fields.array("end_px", (len(start), 2)),
         support=_integers(fields, "support", (len(start),)),
     )
+
+
+def _points(fields: Fields, key: str, shape: tuple[int | None, ...]) -> Float64[Array, "... xy=2"]:
+    """Points in pixels; one that was not seen is null in both coordinates, not in one."""
+    points = fields.array(key, shape, allow_nan=True)
+    missing = np.isnan(points)
+    if np.any(missing.any(axis=-1) != missing.all(axis=-1)):
+        raise fields.problem(key, "has a point of which one coordinate is null")
+    return points
 
 
 def _integers(fields: Fields, key: str, shape: tuple[int | None, ...]) -> Int64[Array, "..."]:
@@ -189,7 +198,5 @@ def _covariances(fields: Fields, key: str, shape: tuple[int | None, ...]) -> Flo
 def _check_sigmas(fields: Fields, key: str, sigmas: Float64[Array, "..."]) -> None:
     if np.any(sigmas < 0):
         raise fields.problem(key, "has a standard deviation below 0")
-    if np.any(sigmas > LARGEST_SIGMA_PX):
-        raise fields.problem(
-            key, f"has a standard deviation over {LARGEST_SIGMA_PX:g} px", "write null if it is unknown"
-        )
+    if np.any(sigmas > MAX_SIGMA_PX):
+        raise fields.problem(key, f"has a standard deviation over {MAX_SIGMA_PX:g} px", "write null if it is unknown")

@@ -2,22 +2,17 @@
 
 from pathlib import Path
 
-import numpy as np
-
 from ringpose.errors import DataError
 from ringpose.files.archives import Archive
 from ringpose.files.detections import detection_in, detection_of, is_detection
 from ringpose.files.inputs import RECORDS_SUFFIX, Input, Record
 from ringpose.files.shots import SHOT_SUFFIXES, read_shot, shot_of
-from ringpose.types.break_points import BreakPoints, Detection
+from ringpose.types.break_points import MAX_OFFSET, BreakPoints, Detection, outside_image
 from ringpose.types.camera import Camera
 from ringpose.types.frame import Shot
 from ringpose.types.rig import Rig
 
 SUFFIXES = (RECORDS_SUFFIX, *SHOT_SUFFIXES)
-
-FARTHEST = {"position_px": 1, "face_start_px": 10, "face_end_px": 10}
-"""How many of its sizes beside the image a place may lie; without distortion a wide image is wider."""
 
 
 def read_source(item: Input, rig: Rig, channel: str | None) -> Shot | Detection:
@@ -50,10 +45,10 @@ def _fitting(detection: Detection, rig: Rig, place: str) -> Detection:
 
 def _check_places(detection: Detection, camera: Camera, place: str) -> None:
     """Refuse what lies farther beside the image than a lens bends."""
-    size = np.array([camera.image_width, camera.image_height])
+    width, height = camera.image_width, camera.image_height
     for part, found in (("break_points", detection.break_points), ("ring_edges", detection.ring_edges)):
-        for key, farthest in FARTHEST.items():
-            at = getattr(found, key, size)
-            if np.any((at < -farthest * size) | (at > (1 + farthest) * size)):
-                where = f"lies beyond the image of {size[0]} x {size[1]} pixels that the rig's camera has"
+        for key, max_offset in MAX_OFFSET.items():
+            position_px = getattr(found, key, None)
+            if position_px is not None and outside_image(position_px, max_offset, width, height).any():
+                where = f"lies beyond the image of {width} x {height} pixels that the rig's camera has"
                 raise DataError(f"{place}: {part}.{key}", where, "give the rig with which they were detected")

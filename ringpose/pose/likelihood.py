@@ -127,10 +127,13 @@ def _edges_seen(measured: Measurements) -> int:
 
 
 def _search(state: RingState, task: Task, before: Beforehand) -> Fit | None:
-    """The kernel's search for what nearly every shot is made of, steps in here for the rest."""
-    if before.weak_about is None and not before.one_edge and not bool(task.measured.points.alone.any()):
-        return kernel_search(state, task, before)
-    return search_in_steps(state, task, before)
+    """The kernel's search for what nearly every shot is made of, steps in here for the rest.
+
+    None also where rounding leaves a variance that is not positive: the normal matrix is then numerically singular.
+    """
+    in_kernel = before.weak_about is None and not before.one_edge and not bool(task.measured.points.alone.any())
+    fit = (kernel_search if in_kernel else search_in_steps)(state, task, before)
+    return fit if fit is not None and all(variance > 0 for variance in fit.inverse.diagonal().tolist()) else None
 
 
 def kernel_search(state: RingState, task: Task, before: Beforehand) -> Fit | None:
@@ -197,7 +200,10 @@ def search_in_steps(state: RingState, task: Task, before: Beforehand) -> Fit | N
         if common is not None and rig_step is not None:
             left = left + common.rows @ rig_step
         state = moved(state, step)
-    inverse = np.linalg.inv(normal_matrix + _RIDGE)
+    try:
+        inverse = np.linalg.inv(normal_matrix + _RIDGE)
+    except np.linalg.LinAlgError:
+        return None
     by_rig, mean_by_rig = (None, None) if common is None else common
     return Fit(
         state, rows, weight, by_rig, mean_by_rig, rig_step, before.weak_about is not None, normal_matrix, inverse

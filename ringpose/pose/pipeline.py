@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from ringpose.errors import DataError
 from ringpose.pose.method import Method as Method
 from ringpose.pose.most_likely import most_likely_pose
@@ -27,8 +29,12 @@ def estimate_pose(
     if lasers != known_lasers:
         found = f"they are of {lasers} lasers, the rig has {known_lasers}"
         raise DataError("break points", found, "use the rig that took the shots")
-    if method is Method.ML:
-        return most_likely_pose(break_points, rig, ring_edges, known)
-    from ringpose.pose.closed_form import closed_form_pose  # its modules are not wanted otherwise
+    try:
+        with np.errstate(all="ignore"):  # what is not finite is looked for in the solution
+            if method is Method.ML:
+                return most_likely_pose(break_points, rig, ring_edges, known)
+            from ringpose.pose.closed_form import closed_form_pose  # its modules are not wanted otherwise
 
-    return closed_form_pose(break_points, rig, method)
+            return closed_form_pose(break_points, rig, method)
+    except np.linalg.LinAlgError:
+        return NoPose.SINGULAR

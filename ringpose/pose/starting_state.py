@@ -29,7 +29,10 @@ def starting_state(measured: Measurements, sighted: Sighted, before: Beforehand)
 
 def state_with_points_alone(measured: Measurements, sighted: Sighted, before: Beforehand) -> RingState | None:
     """The same where ends of stripes without a line tell of the plane, too."""
-    plane = _plane(measured, sighted)
+    try:
+        plane = _plane(measured, sighted)
+    except np.linalg.LinAlgError:
+        return None
     state = RingState(plane, np.array([1.0, 0.0, 0.0]), 0.0, LIKELY_CURVATURE, 0.0)
     sights = sights_of(state, sighted)
     depth_m = 1.0 / (sights.rays @ plane)

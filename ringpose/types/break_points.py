@@ -9,6 +9,14 @@ from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.segments import Segments
 from ringpose.types.stripes import Stripes
 
+MAX_SIGMA_PX = 1e4
+"""Largest standard deviation of a detection, in pixels: what is known worse than an image is large is not measured.
+The detector writes no larger one, and readers refuse it."""
+
+MAX_OFFSET = {"position_px": 1.0, "face_start_px": 10.0, "face_end_px": 10.0}
+"""How far beside the image a measured point may lie, in image sizes: lens distortion removed, a wide image is wider.
+The detector writes no point beyond, and readers refuse it."""
+
 
 class BreakPointFlag(IntFlag):
     """What makes a break point less than a clean end of a clean stripe."""
@@ -25,7 +33,8 @@ class BreakPointFlag(IntFlag):
     BLUNT = 32
     """The stripe fades over more columns than optics blur: the sharp edge lies somewhere in a chamfer."""
     UNCLEAR = 64
-    """Noise, a glint or foil about the end leaves its place open: its sigma is over 0.75 px, a chamfer aside."""
+    """Noise, a glint or foil about the end leaves its place open: its sigma is over 0.75 px, a chamfer aside.
+    An end that is not measured at all, its columns being saturated, say, has this flag and no position."""
 
 
 class NoBreakPoints(Enum):
@@ -77,6 +86,15 @@ class RingEdgePoints:
     """Standard deviation along that normal."""
     edge: Int64[Array, "point"]
     """0 for the inner edge, 1 for the outer (order of `EDGES`)."""
+
+
+def outside_image(
+    position_px: Float64[Array, "*shape xy=2"], max_offset: float, image_width: int, image_height: int
+) -> Bool[Array, "*shape"]:
+    """Which points lie more than `max_offset` image sizes beside the image; NaN does not."""
+    size_px = np.array([image_width, image_height], dtype=np.float64)
+    outside = (position_px < -max_offset * size_px) | (position_px > (1 + max_offset) * size_px)
+    return np.asarray(outside.any(axis=-1))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -107,6 +107,15 @@ def test_edge_that_is_neither_inner_nor_outer_is_an_error(rng):
         detection_of(record, "x")
 
 
+def test_edge_normal_without_a_direction_is_an_error(rng):
+    before = Detection(shot="a", stamp_s=0.0, break_points=break_points(rng), ring_edges=ring_edges(rng))
+    record = records.record_of(records.line_of(detection_record(before)), "x")
+    record["ring_edges"]["normal"][3] = [0, 0]
+
+    with pytest.raises(DataError, match="ring_edges.normal"):
+        detection_of(record, "x")
+
+
 def test_nothing_found_is_read_as_nothing(there_and_back):
     nothing = Segments(start_px=np.empty((0, 2)), end_px=np.empty((0, 2)), support=np.empty(0, np.int64))
     before = Detection(shot="a", stamp_s=math.nan, break_points=NoBreakPoints.NO_STRIPE, segments=nothing)
@@ -173,6 +182,13 @@ def changed_record(rng, part, key, value):
         ("break_points", "covariance_px2", [[[[1, 0], [0.1, 1]]] * 2] * 3, "break_points.covariance_px2: has a matri"),
         ("break_points", "covariance_px2", [[[[-1, 0], [0, 1]]] * 2] * 3, "break_points.covariance_px2: has a matrix"),
         ("break_points", "covariance_px2", [[[[1e9, 0], [0, 1]]] * 2] * 3, "break_points.covariance_px2: has a stand"),
+        (
+            "break_points",
+            "position_px",
+            [[[1, None], [1, 2]]] * 3,
+            "break_points.position_px: has a point of which one coordinate is null",
+        ),
+        ("break_points", "face_end_px", [[None, 2]] * 3, "break_points.face_end_px: has a point of which one coordina"),
         ("break_points", "labelled", 1, "break_points.labelled: is 1, must be true or false"),
         ("stripes", "piece", [9] * 50, "stripes.piece: names a piece beyond the 4 that there are"),
         ("stripes", "sigma_px", [1.0], "stripes.sigma_px: has 1 numbers, must have 50"),
