@@ -1,109 +1,200 @@
 #!/usr/bin/env python3
-"""A robot's controller that listens to `ringpose pose`, in the standard library alone.
+"""A robot's controller that reads the poses of `ringpose pose`, with the standard library only.
 
-    ringpose pose shots --rig rig.yaml | python3 examples/controller.py
+    ringpose pose --camera URI --lasers URI --rig rig.yaml | python3 examples/controller.py
+    ringpose pose shots --rig rig.yaml | python3 examples/controller.py --replay
 
-It never waits for a pose: a thread keeps the newest line, the control loop goes on at its own pace and takes what
-is there. Of a pose it trusts what the covariance says is good: the grasp point and the normal may be well known
-where the ring's centre is not. A line without a pose, one that is not good enough, or none for too long: hold.
+A thread reads the lines, so that the control loop never waits for a pose. A shot leads to a motion only if it is new
+(its stamp against the clock and against the shots before), in the frame that the robot expects, without a flag that
+concerns the grasp point or the normal, and if the covariance of both is small enough; any other shot leads to a hold.
+Lines that are not whole pose records, and shots that arrive after a newer one, are reported on stderr and ignored.
+Silence for longer than `--patience`, and the end of the stream, lead to a hold, too.
 """
 
 import argparse
 import json
 import math
+import os
 import sys
 import threading
 import time
 
+SCHEMA = "ringpose/pose/1"
+HOLD_FLAGS = {"grasp_weak", "normal_weak", "inconsistent", "assignment_ambiguous"}  # other flags concern other numbers
 
-class NewestLine:
-    """The last line of a stream, and how many were never looked at."""
+
+class Lines:
+    """Lines of a stream, read by a thread of their own."""
 
     def __init__(self, stream):
         self._lock = threading.Lock()
-        self._line = None
-        self._skipped = 0
+        self._lines = []
         self.ended = threading.Event()
         threading.Thread(target=self._read, args=(stream,), daemon=True).start()
 
     def take(self):
-        """The newest line that was not taken yet (None if there is none), and the number of those before it."""
+        """The lines that came since the last call, as (line number, text)."""
         with self._lock:
-            line, skipped = self._line, self._skipped
-            self._line, self._skipped = None, 0
-        return line, skipped
+            lines, self._lines = self._lines, []
+        return lines
 
     def _read(self, stream):
-        for line in stream:
-            with self._lock:
-                self._skipped += self._line is not None
-                self._line = line
-        self.ended.set()
+        try:
+            for number, line in enumerate(stream, start=1):
+                with self._lock:
+                    self._lines.append((number, line))
+        finally:
+            self.ended.set()
 
 
-def standard_deviations(covariance):
-    """Of the grasp point in metres and of the normal in radians, each in its worst direction at most."""
-    grasp_m = math.sqrt(sum(covariance["grasp"][i][i] for i in range(3)))
-    tilt_rad = math.sqrt(sum(covariance["full"][i][i] for i in range(2)))
-    return grasp_m, tilt_rad
+def check(holds, message):
+    if not holds:
+        raise ValueError(message)
+
+
+def check_keys(mapping, keys, name):
+    """Keys that this controller does not know are allowed."""
+    check(isinstance(mapping, dict), f"{name} is not a JSON object")
+    missing = ", ".join(key for key in keys if key not in mapping)
+    check(not missing, f"{name} has no {missing}")
+
+
+def is_number(value):
+    """Whether this is a finite number (no stamp or length is anywhere near 1e12)."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and -1e12 < value < 1e12
+
+
+def is_vector(value):
+    return isinstance(value, list) and len(value) == 3 and all(map(is_number, value))
 
 
 def record_in(line):
-    """The record on a line; None if it is none that this controller knows, or half of one."""
+    """The pose record on a line, its keys and types checked; a ValueError says what is wrong with it."""
     try:
         record = json.loads(line)
-    except ValueError:
-        return None
-    return record if isinstance(record, dict) and record.get("schema") == "ringpose/pose/1" else None
-
-
-def command(record, limits):
-    """What the robot is told after one pose line."""
+    except RecursionError:
+        raise ValueError("nested too deep") from None
+    check_keys(record, ["schema"], "the line")
+    check(record["schema"] == SCHEMA, f"schema is {record['schema']!r:.40}, not {SCHEMA}")
+    check_keys(record, ["shot", "stamp_s", "frame", "status", "reason", "flags", "pose"], "the record")
+    check(is_number(record["stamp_s"]), f"stamp_s is {record['stamp_s']!r:.20}, not a number")
+    check(isinstance(record["flags"], list), "flags is not a list")
     pose = record["pose"]
-    if pose is None:
-        return {"do": "hold", "why": record["reason"]}
-    if pose["grasp_m"] is None or pose["normal"] is None:
-        return {"do": "hold", "why": ", ".join(record["flags"])}
-    if any(figure is not None and figure > limits.health for figure in record.get("laser_health", {}).values()):
-        return {"do": "hold", "why": "a light plane or the camera has moved"}
-    if "inconsistent" in record["flags"]:
-        return {"do": "hold", "why": record["reason"]}
-    if pose["covariance"] is None:
-        return {"do": "hold", "why": "nothing is known of the errors"}
-    grasp_m, tilt_rad = standard_deviations(pose["covariance"])
-    if grasp_m > limits.grasp_m or tilt_rad > limits.tilt_rad:
-        return {"do": "hold", "why": f"not sure enough: {1000 * grasp_m:.2f} mm, {math.degrees(tilt_rad):.2f} degrees"}
-    to_m = [round(part, 5) for part in pose["grasp_m"]]
-    approach = [round(-part, 5) for part in pose["normal"]]
-    return {"do": "move", "to_m": to_m, "along": approach, "sd_m": round(grasp_m, 6)}
+    if pose is not None:
+        check_keys(pose, ["grasp_m", "normal", "covariance"], "pose")
+        for key in ("grasp_m", "normal"):
+            check(pose[key] is None or is_vector(pose[key]), f"{key} is not a vector of three numbers")
+        if pose["covariance"] is not None:
+            check_keys(pose["covariance"], ["full", "grasp"], "covariance")
+    return record
+
+
+def standard_deviations(covariance):
+    """Of the grasp point in metres and of the normal in radians (upper bounds over all directions); None if unknown."""
+    try:
+        grasp = [covariance["grasp"][i][i] for i in range(3)]
+        tilt = [covariance["full"][i][i] for i in range(2)]
+    except (TypeError, KeyError, IndexError):  # null where something is not determined
+        return None
+    if not all(is_number(variance) and variance >= 0 for variance in grasp + tilt):
+        return None
+    return math.sqrt(sum(grasp)), math.sqrt(sum(tilt))
+
+
+def obstacle(record, limits, now_s):
+    """Why the robot must not move by this record; None if it may."""
+    pose, age_s = record["pose"], now_s - record["stamp_s"]
+    if not limits.replay and not -limits.max_age <= age_s <= limits.max_age:
+        return f"the shot is {age_s:.3g} s old"
+    if record["frame"] != limits.frame:
+        return f"the pose is in the frame {record['frame']!r:.20}, not {limits.frame}"
+    if pose is None or record["status"] not in ("ok", "degraded"):
+        return record["reason"] or f"status is {record['status']!r:.20}"
+    flags = [str(flag) for flag in record["flags"]]
+    if pose["grasp_m"] is None or pose["normal"] is None or HOLD_FLAGS.intersection(flags):
+        return record["reason"] or ", ".join(flags) or "grasp point or normal is not determined"
+    health = record.get("laser_health")
+    health = health.values() if isinstance(health, dict) else []
+    if any(isinstance(figure, int | float) and figure > limits.health for figure in health):
+        return "a light plane or the camera has moved"
+    known = standard_deviations(pose["covariance"])
+    if known is None:
+        return "the covariance is not known"
+    if not (known[0] <= limits.grasp_m and known[1] <= limits.tilt_rad):
+        return f"not accurate enough: {1000 * known[0]:.2f} mm, {math.degrees(known[1]):.2f} degrees"
+    return None
+
+
+def command(record, limits, now_s):
+    """What the robot is to do after one record."""
+    why = obstacle(record, limits, now_s)
+    if why is not None:
+        return {"do": "hold", "why": why}
+    to_m = [round(part, 5) for part in record["pose"]["grasp_m"]]
+    approach = [round(-part, 5) for part in record["pose"]["normal"]]
+    grasp_sd_m, _ = standard_deviations(record["pose"]["covariance"])
+    return {"do": "move", "to_m": to_m, "along": approach, "frame": record["frame"], "sd_m": round(grasp_sd_m, 6)}
+
+
+def newest_in(lines, newest_s, limits):
+    """The newest whole record among lines (None without one), its stamp, and how many older ones it replaces."""
+    record, skipped = None, 0
+    for number, line in lines:
+        try:
+            candidate = record_in(line)
+            stamp_s = candidate["stamp_s"]
+            if not limits.replay and stamp_s < newest_s:
+                raise ValueError(f"shot {candidate['shot']!r:.40} is {newest_s - stamp_s:.3g} s older than one before")
+        except ValueError as problem:
+            print(f"controller: line {number}: {problem}; ignored".replace("\n", " "), file=sys.stderr, flush=True)
+            continue
+        skipped += record is not None
+        record = candidate
+        if stamp_s <= time.time() + limits.max_age:  # one in the future must not outdate all that follow
+            newest_s = stamp_s
+    return record, newest_s, skipped
+
+
+def control(stream, limits):
+    """Print one command for each round of the loop in which there is something new."""
+    lines, newest_s = Lines(stream), -math.inf
+    heard_s, silent = time.monotonic(), False
+    while True:
+        last_round = lines.ended.is_set()
+        record, newest_s, skipped = newest_in(lines.take(), newest_s, limits)
+        if record is not None:
+            said = {"shot": record["shot"], "skipped": skipped, **command(record, limits, time.time())}
+            print(json.dumps(said), flush=True)
+            heard_s, silent = time.monotonic(), False
+        elif not silent and time.monotonic() - heard_s > limits.patience:
+            print(json.dumps({"do": "hold", "why": f"no pose for {limits.patience} s"}), flush=True)
+            silent = True
+        if last_round:
+            print(json.dumps({"do": "hold", "why": "the stream has ended"}), flush=True)
+            return
+        time.sleep(limits.period)
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--frame", choices=["camera", "tool", "base"], default="camera", help="of the robot's target")
+    parser.add_argument("--max-age", type=float, default=1.0, help="seconds between a shot and its use, at most")
+    parser.add_argument("--replay", action="store_true", help="recorded shots: obey them as they come, however old")
     parser.add_argument("--period", type=float, default=0.02, help="of the control loop, in seconds")
-    parser.add_argument("--patience", type=float, default=0.5, help="hold after so many seconds without a line")
+    parser.add_argument("--patience", type=float, default=0.5, help="hold after so many seconds without a pose record")
     parser.add_argument("--grasp-m", type=float, default=0.002, help="standard deviation that is good enough")
     parser.add_argument("--tilt-rad", type=float, default=0.05, help="standard deviation that is good enough")
     parser.add_argument("--health", type=float, default=3.0, help="laser_health from which the rig is not trusted")
     limits = parser.parse_args()
-
-    newest, heard_s, told_of_silence = NewestLine(sys.stdin), time.monotonic(), False
-    while True:
-        last_round = newest.ended.is_set()
-        line, skipped = newest.take()
-        if line is not None:
-            record = record_in(line)
-            told = {"shot": None, "skipped": skipped, "do": "hold", "why": "a line that is no pose line"}
-            if record is not None:
-                told = {"shot": record["shot"], "skipped": skipped, **command(record, limits)}
-            print(json.dumps(told), flush=True)
-            heard_s, told_of_silence = time.monotonic(), False
-        elif not told_of_silence and time.monotonic() - heard_s > limits.patience:
-            print(json.dumps({"do": "hold", "why": f"no pose for {limits.patience} s"}), flush=True)
-            told_of_silence = True
-        if last_round:
-            return
-        time.sleep(limits.period)
+    sys.stdin.reconfigure(encoding="utf-8", errors="replace")
+    try:
+        control(sys.stdin, limits)
+        status = 0
+    except BrokenPipeError:  # nobody reads the commands any more
+        status = 141
+    except KeyboardInterrupt:
+        status = 130
+    os._exit(status)  # the thread may still wait for a line; every command has been flushed
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ ringpose capture --camera "files:$sim/shots" --output "$out/session" --force |
     ringpose detect - --rig "$out/rig.yaml" --overlay "$out/overlay" --force |
     ringpose pose - --rig "$out/rig.yaml" |
     tee "$out/poses.jsonl" |
-    python3 "$here/controller.py"
+    python3 "$here/controller.py" --replay
 
 say "The poses are compared with the truth"
 ringpose bench "$out/poses.jsonl" --truth "$sim/truth.jsonl" --by distance_m

@@ -13,7 +13,7 @@ ringpose capture --camera "files:$data/shots" --output "$out/session" --force |
     ringpose detect - --rig "$data/rig.yaml" --overlay "$out/overlay" --force |
     ringpose pose - --rig "$data/rig.yaml" |
     tee "$out/poses.jsonl" |
-    python3 "$here/controller.py"
+    python3 "$here/controller.py" --replay
 
 echo
 echo "How far it is from the truth:"

@@ -1,16 +1,21 @@
 """Every example runs as it stands."""
 
+import argparse
 import json
+import math
 import os
+import runpy
+import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
-SESSIONS = sorted(path for path in EXAMPLES.glob("*.sh") if path.name != "demo.sh")
+SESSIONS = sorted(path for path in EXAMPLES.glob("*.sh") if path.name not in ("demo.sh", "real-shots.sh"))
 ENVIRONMENT = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
 
 
@@ -27,9 +32,12 @@ def test_a_shell_session_runs_to_its_end(script, tmp_path):
     assert done.returncode == 0, done.stderr
 
 
-def test_real_shots_draw_an_overlay_for_each_shot(tmp_path, carried_data):
-    run_session(EXAMPLES / "real-shots.sh", tmp_path)
+def test_real_shots_move_the_robot_and_draw_an_overlay_for_each_shot(tmp_path, carried_data):
+    done = run_session(EXAMPLES / "real-shots.sh", tmp_path)
 
+    assert done.returncode == 0, done.stderr
+    assert '"do": "move"' in done.stdout
+    assert "controller:" not in done.stderr
     shots = {path.stem for path in (carried_data / "rig_b" / "shots").iterdir()}
     assert {path.stem for path in (tmp_path / "out" / "overlay").glob("*.png")} == shots
 
@@ -48,18 +56,29 @@ def test_the_demo_measures_and_draws_every_shot(tmp_path):
     assert sum(line["pose"] is not None for line in lines) > len(shots) / 2
 
 
-@pytest.fixture
-def controller():
-    """Starts the example controller, which ends when its input does."""
+class Controller(NamedTuple):
+    """What the example controller said, its last hold ("the stream has ended") aside."""
 
-    def start(*words: str) -> subprocess.Popen[str]:
-        program = [sys.executable, "-W", "error", EXAMPLES / "controller.py", *words]
-        return subprocess.Popen(program, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-
-    return start
+    commands: list[dict]
+    messages: list[str]
 
 
-def pose_line(shot: str, grasp_sd_m: float = 1e-4, tilt_sd_rad: float = 1e-3) -> str:
+def started(*words: str, **options) -> "subprocess.Popen[str]":
+    pipe = subprocess.PIPE
+    program = [sys.executable, "-W", "error", EXAMPLES / "controller.py", *words]
+    return subprocess.Popen(program, **({"stdin": pipe, "stdout": pipe, "stderr": pipe, "text": True} | options))
+
+
+def controlled(lines: str, *words: str) -> Controller:
+    """The controller's answer to a stream that ends."""
+    process = started(*words)
+    out, said = process.communicate(lines, timeout=30)
+    *commands, last = [json.loads(line) for line in out.splitlines()]
+    assert (process.returncode, last) == (0, {"do": "hold", "why": "the stream has ended"})
+    return Controller(commands, said.splitlines())
+
+
+def pose_record(shot: str = "a", grasp_sd_m: float = 1e-4, tilt_sd_rad: float = 1e-3, **changes) -> dict:
     full = [[(tilt_sd_rad**2 / 2 if row == column else 0.0) for column in range(7)] for row in range(7)]
     grasp = [[(grasp_sd_m**2 / 3 if row == column else 0.0) for column in range(3)] for row in range(3)]
     pose = {
@@ -67,82 +86,207 @@ def pose_line(shot: str, grasp_sd_m: float = 1e-4, tilt_sd_rad: float = 1e-3) ->
         "grasp_m": [0.1, 0.2, 0.5],
         "covariance": {"full": full, "center": None, "grasp": grasp},
     }
-    return json.dumps({"schema": "ringpose/pose/1", "shot": shot, "flags": [], "reason": None, "pose": pose}) + "\n"
+    record = {
+        "schema": "ringpose/pose/1",
+        "shot": shot,
+        "stamp_s": time.time(),
+        "frame": "camera",
+        "status": "ok",
+        "reason": None,
+        "flags": [],
+        "pose": pose,
+    }
+    return record | changes
 
 
-def told(process: subprocess.Popen[str], lines: str) -> list[dict]:
-    out, _ = process.communicate(lines, timeout=30)
-    return [json.loads(line) for line in out.splitlines()]
+def line_of(record: object) -> str:
+    return json.dumps(record) + "\n"
 
 
-def test_the_controller_moves_to_a_grasp_point_that_is_well_known(controller):
-    (command,) = told(controller(), pose_line("a"))
+@pytest.mark.parametrize("more", [{}, {"status": "degraded", "flags": ["center_weak", "new_flag"], "new_key": {}}])
+def test_the_controller_moves_to_a_grasp_point_that_is_well_known(more):
+    (command,), messages = controlled(line_of(pose_record(**more)))
 
     assert (command["do"], command["to_m"], command["along"]) == ("move", [0.1, 0.2, 0.5], [-0.0, -0.6, 0.8])
+    assert messages == []
 
 
-@pytest.mark.parametrize("bad", [{"grasp_sd_m": 0.003}, {"tilt_sd_rad": 0.06}])
-def test_the_controller_holds_when_the_pose_is_not_sure_enough(controller, bad):
-    (command,) = told(controller(), pose_line("a", **bad))
-
-    assert command["do"] == "hold"
+def without_normal() -> dict:
+    record = pose_record(status="degraded", flags=["normal_weak"])
+    return record | {"pose": record["pose"] | {"normal": None}}
 
 
-def test_the_controller_holds_without_a_pose_and_says_why(controller):
-    record = json.loads(pose_line("a")) | {"reason": "the image is dark", "pose": None}
-
-    (command,) = told(controller(), json.dumps(record) + "\n")
-
-    assert (command["do"], command["why"]) == ("hold", "the image is dark")
+def with_covariance(covariance: object) -> dict:
+    record = pose_record()
+    return record | {"pose": record["pose"] | {"covariance": covariance}}
 
 
-def test_the_controller_holds_where_the_normal_is_not_known(controller):
-    record = json.loads(pose_line("a"))
-    record["pose"]["normal"] = None
-    record["flags"] = ["normal_weak"]
-
-    (command,) = told(controller(), json.dumps(record) + "\n")
-
-    assert (command["do"], command["why"]) == ("hold", "normal_weak")
-
-
-@pytest.mark.parametrize("line", ["junk\n", pose_line("a")[:200], "[]\n", pose_line("a").replace("pose/1", "pose/2")])
-def test_the_controller_holds_where_a_line_is_no_pose_line(controller, line):
-    (command,) = told(controller(), line)
-
-    assert (command["do"], command["why"]) == ("hold", "a line that is no pose line")
-
-
-def test_the_controller_holds_where_nobody_knows_what_is_wrong(controller):
-    record = json.loads(pose_line("a")) | {"flags": ["inconsistent"], "reason": "no single part is to blame"}
-
-    (command,) = told(controller(), json.dumps(record) + "\n")
-
-    assert (command["do"], command["why"]) == ("hold", "no single part is to blame")
+HELD = {
+    "grasp point uncertain": (lambda: pose_record(grasp_sd_m=0.003), "accurate"),
+    "normal uncertain": (lambda: pose_record(tilt_sd_rad=0.06), "accurate"),
+    "no pose": (lambda: pose_record(status="none", reason="the image is dark", pose=None), "the image is dark"),
+    "status none": (lambda: pose_record(status="none"), "status"),
+    "no normal": (without_normal, "normal_weak"),
+    "contradiction": (lambda: pose_record(flags=["inconsistent"], reason="no single part"), "no single part"),
+    "weak normal": (lambda: pose_record(flags=["normal_weak"]), "normal_weak"),
+    "rig has changed": (lambda: pose_record(laser_health={"left": 0.4, "right": None, "middle": 7.5}), "moved"),
+    "other frame": (lambda: pose_record(frame="tool"), "frame"),
+    "old": (lambda: pose_record(stamp_s=time.time() - 5), "old"),
+    "from the future": (lambda: pose_record(stamp_s=time.time() + 50), "old"),
+    "no covariance": (lambda: with_covariance(None), "covariance"),
+    "null variance": (lambda: with_covariance({"full": [[None] * 7] * 7, "grasp": [[1e-8] * 3] * 3}), "covariance"),
+    "negative variance": (lambda: with_covariance({"full": [[1e-8] * 7] * 7, "grasp": [[-1.0] * 3] * 3}), "covariance"),
+    "short covariance": (lambda: with_covariance({"full": [], "grasp": [[1e-8] * 3] * 3}), "covariance"),
+}
 
 
-def test_the_controller_holds_when_the_rig_has_changed(controller):
-    record = json.loads(pose_line("a")) | {"laser_health": {"left": 0.4, "middle": 7.5, "right": None}}
+@pytest.mark.parametrize("case", HELD)
+def test_the_controller_holds_where_a_shot_is_not_to_be_obeyed(case):
+    make, why = HELD[case]
+    example = runpy.run_path(str(EXAMPLES / "controller.py"))
+    limits = argparse.Namespace(frame="camera", max_age=1.0, replay=False, grasp_m=0.002, tilt_rad=0.05, health=3.0)
 
-    (command,) = told(controller(), json.dumps(record) + "\n")
+    command = example["command"](example["record_in"](json.dumps(make())), limits, time.time())
 
     assert command["do"] == "hold"
+    assert why in command["why"]
 
 
-def test_the_controller_takes_the_newest_line_and_counts_those_it_skipped(controller):
-    commands = told(controller("--period", "0.5"), "".join(pose_line(str(number)) for number in range(100)))
+BROKEN = [
+    "junk",
+    "[]",
+    json.dumps(pose_record())[:200],
+    "[" * 100_000,
+    "\udcff",
+    *(json.dumps({key: value for key, value in pose_record().items() if key != left}) for left in pose_record()),
+    *(
+        json.dumps(pose_record(**change))
+        for change in (
+            {"schema": "ringpose/pose/9"},
+            {"schema": ["ringpose/pose/1"]},
+            {"stamp_s": None},
+            {"stamp_s": 10**400},
+            {"stamp_s": math.inf},
+            {"stamp_s": True},
+            {"flags": "ok"},
+            {"pose": []},
+            {"pose": {}},
+            {"pose": {"grasp_m": [1, 2], "normal": None, "covariance": None}},
+            {"pose": {"grasp_m": [1, 2, "3"], "normal": None, "covariance": None}},
+            {"pose": {"grasp_m": [1, 2, 3], "normal": [0, 0, math.nan], "covariance": None}},
+            {"pose": {"grasp_m": [1, 2, 3], "normal": [0, 0, -1], "covariance": {}}},
+        )
+    ),
+]
+
+
+def test_the_controller_reports_each_line_that_is_no_whole_record_and_goes_on():
+    lines = [line.encode("utf-8", "surrogateescape").decode("utf-8", "replace") + "\n" for line in BROKEN]
+
+    commands, messages = controlled("".join(lines) + line_of(pose_record("last")), "--period", "0.2")
+
+    assert [(command["shot"], command["do"]) for command in commands] == [("last", "move")]
+    assert len(messages) == len(BROKEN)
+    for number, message in enumerate(messages, start=1):
+        assert message.startswith(f"controller: line {number}: ")
+
+
+def test_the_controller_names_the_keys_that_a_record_lacks():
+    record = pose_record()
+    del record["frame"], record["flags"]
+
+    _, (message,) = controlled(line_of(record))
+
+    assert "frame, flags" in message
+
+
+def test_the_controller_reads_bytes_that_are_no_text():
+    process = started(text=False)
+    out, said = process.communicate(b"\xff\xfe\n" + line_of(pose_record("last")).encode(), timeout=30)
+
+    assert process.returncode == 0
+    assert json.loads(out.splitlines()[0])["shot"] == "last"
+    assert said.count(b"\n") == 1
+
+
+def test_the_controller_obeys_no_shot_that_arrives_after_a_newer_one():
+    now_s = time.time()
+    with started("--patience", "20") as process:
+        for number, age_s in enumerate((0.1, 0.3, 0.0)):
+            process.stdin.write(line_of(pose_record(f"s{number}", stamp_s=now_s - age_s)))
+            process.stdin.flush()
+            said = process.stderr.readline() if number == 1 else process.stdout.readline()
+            assert f"s{number}" in said
+        process.stdin.close()
+        rest = process.stdout.read()
+
+    assert [json.loads(line)["why"] for line in rest.splitlines()] == ["the stream has ended"]
+
+
+def test_a_stamp_from_the_future_does_not_outdate_the_shots_that_follow():
+    with started("--patience", "20") as process:
+        for number, ahead_s in enumerate((1000.0, 0.0)):
+            process.stdin.write(line_of(pose_record(f"s{number}", stamp_s=time.time() + ahead_s)))
+            process.stdin.flush()
+            command = json.loads(process.stdout.readline())
+        process.stdin.close()
+
+    assert (command["shot"], command["do"]) == ("s1", "move")
+
+
+def test_the_controller_replays_old_shots_in_the_order_in_which_they_come():
+    lines = [line_of(pose_record(str(number), stamp_s=2000.0 - number)) for number in range(3)]
+
+    with started("--replay", "--patience", "20") as process:
+        commands = []
+        for line in lines:
+            process.stdin.write(line)
+            process.stdin.flush()
+            commands.append(json.loads(process.stdout.readline()))
+        process.stdin.close()
+
+    assert [(command["shot"], command["do"]) for command in commands] == [("0", "move"), ("1", "move"), ("2", "move")]
+
+
+def test_the_controller_uses_the_frame_that_it_was_started_for():
+    commands, _ = controlled(line_of(pose_record(frame="tool")), "--frame", "tool")
+
+    assert [(command["do"], command["frame"]) for command in commands] == [("move", "tool")]
+
+
+def test_the_controller_takes_the_newest_line_and_counts_those_it_skipped():
+    commands, _ = controlled("".join(line_of(pose_record(str(number))) for number in range(100)), "--period", "0.5")
 
     assert commands[-1]["shot"] == "99"
     assert len(commands) + sum(command["skipped"] for command in commands) == 100
 
 
-def test_the_controller_does_not_wait_for_a_pose(controller):
-    with controller("--patience", "0.1") as process:
-        assert process.stdout is not None
-        assert process.stdin is not None
+def test_the_controller_does_not_wait_for_a_pose():
+    with started("--patience", "0.1") as process:
         began_s = time.monotonic()
         first = json.loads(process.stdout.readline())
         process.stdin.close()
 
     assert first == {"do": "hold", "why": "no pose for 0.1 s"}
     assert time.monotonic() - began_s < 10
+
+
+def test_the_controller_ends_quietly_when_nobody_reads_its_commands():
+    with started("--patience", "20") as process:
+        process.stdout.close()
+        process.stdin.write(line_of(pose_record()))
+        process.stdin.flush()
+        process.wait(30)
+        said = process.stderr.read()
+
+    assert (process.returncode, said) == (141, "")
+
+
+def test_the_controller_ends_quietly_when_it_is_interrupted():
+    with started("--patience", "0.05") as process:
+        process.stdout.readline()
+        process.send_signal(signal.SIGINT)
+        process.wait(30)
+        said = process.stderr.read()
+
+    assert (process.returncode, said) == (130, "")
