@@ -128,10 +128,11 @@ def _measured(ends: Ends, camera: Camera) -> Ends:
     """The ends and lines without those that the image does not determine; such an end is flagged as unclear."""
     size = camera.image_width, camera.image_height
     sigma_px = np.sqrt(np.maximum(ends.covariance_px2[..., 0, 0], ends.covariance_px2[..., 1, 1]))
-    placed = ~np.isnan(ends.position_px).any(axis=-1)
-    known = placed & (sigma_px <= MAX_END_SIGMA_PX) & ~outside_image(ends.position_px, MAX_OFFSET["position_px"], *size)
+    placed = np.isfinite(ends.position_px.sum(axis=-1))
+    outside = outside_image(ends.position_px, MAX_OFFSET["position_px"], *size)
+    known = placed & (sigma_px <= MAX_END_SIGMA_PX) & ~outside
     outside = outside_image(ends.straight_px, MAX_OFFSET["face_start_px"], *size)
-    straight = ((ends.straight_sigma_px <= MAX_END_SIGMA_PX) & ~outside).all(axis=1)
+    straight = np.logical_and(*((ends.straight_sigma_px <= MAX_END_SIGMA_PX) & ~outside).T)
     return Ends(
         position_px=np.where(known[..., None], ends.position_px, np.nan),
         covariance_px2=np.where(known[..., None, None], ends.covariance_px2, np.nan),

@@ -92,6 +92,7 @@ def _beside_something_nearer(ends: Ends, laser: int, side: int, tracks: Tracks, 
     seen = ~np.isnan(ends.position_px[..., 0])
     planes = np.repeat(_planes(rig), 2, axis=0)[seen.ravel()]
     points = intersect(rays(ends.position_px[seen], rig.camera), planes[:, :3], planes[:, 3])
+    points = points[np.isfinite(points).all(axis=1)]
     towards = towards_camera(nearest_plane(points)[0], points.mean(axis=0))
     own = np.isin(tracks[:, LASER], [laser, UNLABELLED])
     near_x = tracks[:, X_END if side == 0 else X_START]

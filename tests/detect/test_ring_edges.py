@@ -20,7 +20,7 @@ from true_edges import edge_errors_px
 
 from ringpose.detect.edge_search import EdgeImage
 from ringpose.detect.pipeline import detect
-from ringpose.detect.ring_edges import found_edges, named_by_curvature
+from ringpose.detect.ring_edges import FoundEdges, found_edges, named_by_curvature
 from ringpose.files.rigs import read_rig
 from ringpose.files.shots import read_shot
 from ringpose.types.break_points import BreakPointFlag, BreakPoints, RingEdgePoints
@@ -238,6 +238,15 @@ def test_edges_with_open_names_are_named_by_their_curvature(rig, rng):
     np.testing.assert_array_equal(named.position_px, ends.position_px)
     assert not np.any(named.flags)
     assert np.abs(off_edge_px(points, scene, rig)).max() < 0.5
+
+
+def test_a_curvature_without_a_standard_deviation_names_no_edge(rig, rng):
+    ends = named_wrong(measured(DrawnScene(), rig, rng))
+    point = RingEdgePoints(
+        position_px=np.zeros((1, 2)), normal=np.array([[1.0, 0.0]]), sigma_px=np.ones(1), edge=np.zeros(1, np.int64)
+    )
+
+    assert named_by_curvature(ends, FoundEdges(point, np.nan)) == (ends, point)
 
 
 def test_names_that_are_known_stay(rig, rng):

@@ -112,7 +112,7 @@ def test_edge_normal_without_a_direction_is_an_error(rng):
     record = records.record_of(records.line_of(detection_record(before)), "x")
     record["ring_edges"]["normal"][3] = [0, 0]
 
-    with pytest.raises(DataError, match="ring_edges.normal"):
+    with pytest.raises(DataError, match=r"ring_edges\.normal"):
         detection_of(record, "x")
 
 
