@@ -1,8 +1,6 @@
 """Images: PNG, TIFF, BMP, JPEG as arrays of grey values."""
 
 import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +10,7 @@ import numpy as np
 from ringpose.errors import DataError
 from ringpose.files import atomic
 from ringpose.files.bytes import read_bytes
+from ringpose.opencv_log import silent_opencv
 from ringpose.types.arrays import Array, UInt
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg")
@@ -51,7 +50,7 @@ def write_image(path: Path, image: UInt[Array, "row column *color"], *, force: b
 
 def _decoded(encoded: bytes, path: Path) -> Any:
     """Pixels, or None; OpenCV refuses sizes that it holds to be impossible by an exception."""
-    with _silent():
+    with silent_opencv():
         try:
             return cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_UNCHANGED)
         except cv2.error:
@@ -98,14 +97,3 @@ def _possible_size(header: bytes) -> bool:
     """Whether PNG's decoder takes the columns and rows that a header names: of others it writes on stderr."""
     columns, rows = int.from_bytes(header[:4], "big"), int.from_bytes(header[4:], "big")
     return 0 < columns <= _LONGEST_SIDE and 0 < rows <= _LONGEST_SIDE
-
-
-@contextmanager
-def _silent() -> Iterator[None]:
-    """OpenCV writes no log while the block runs."""
-    logging: Any = cv2.utils.logging
-    level = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
-    try:
-        yield
-    finally:
-        logging.setLogLevel(level)

@@ -14,6 +14,7 @@ import numpy as np
 from ringpose.capture.cameras.lock_step import MOST_SKIPPED, Grab, LockStepCamera
 from ringpose.capture.uri import DeviceUri
 from ringpose.errors import DeviceError
+from ringpose.opencv_log import silent_opencv
 from ringpose.types.arrays import Array, UInt8
 
 FLUSHED = 2
@@ -101,12 +102,8 @@ _PROPERTIES = {"ExposureTime": cv2.CAP_PROP_EXPOSURE, "Gain": cv2.CAP_PROP_GAIN}
 
 def _opened(place: str) -> Any:
     """OpenCV's capture, which writes no log of its own if there is no such device."""
-    logging: Any = cv2.utils.logging
-    level = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
-    try:
+    with silent_opencv():
         return cv2.VideoCapture(place, cv2.CAP_V4L2 if place.startswith("/dev/") else cv2.CAP_ANY)
-    finally:
-        logging.setLogLevel(level)
 
 
 def _grey(image: UInt8[Array, "row column *channel"]) -> UInt8[Array, "row column"]:
