@@ -1,10 +1,12 @@
 """NPZ archives: named arrays, never a pickled object."""
 
 import io
+import math
 import zipfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,32 +16,48 @@ from ringpose.files.bytes import read_bytes
 from ringpose.files.fields import FREE_PREFIX, hint, unusable
 from ringpose.types.arrays import Array
 
+MAX_BYTES = 2**26
+"""Of all arrays of an archive but its images; a detection of 12 megapixels with eight stripes has 2 % of it."""
+
+_HEADER_BYTES = 2**14
+"""No header of an array is longer: NumPy itself reads 10,000 bytes at most."""
+
 _ZIP = b"PK"
 _REMEDY = "copy it anew, or write it with numpy.savez, of arrays without objects"
 _KEYS = "what a shot has stands in ringpose-conventions(7), a detection in ringpose-records(5)"
 _KINDS = {"f": "floating point", "i": "integers", "u": "unsigned integers", "U": "a text", "b": "true or false"}
 
 
+class Member(NamedTuple):
+    """One array of an archive, as its header declares it."""
+
+    info: zipfile.ZipInfo
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]
+
+
 class Archive:
-    """The arrays of one NPZ file, each checked when it is asked for."""
+    """The arrays of one NPZ file, each checked and decompressed when it is asked for."""
 
     def __init__(self, path: Path) -> None:
         encoded = read_bytes(path)
         self.path = path
+        self._bytes_left = MAX_BYTES
         if not encoded.startswith(_ZIP):
             raise DataError(str(path), "is no NPZ archive", "give one that numpy.savez or ringpose wrote")
-        try:
-            with np.load(io.BytesIO(encoded), allow_pickle=False) as archive:
-                self.arrays: dict[str, Array] = {key: archive[key] for key in archive.files}
-        except Exception as error:  # whatever the parsers of a broken zip, zlib stream or header raise
-            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise DataError(str(path), f"is a broken or foreign NPZ archive: {reason}", _REMEDY) from error
-        for key, array in self.arrays.items():
-            if not isinstance(array, np.ndarray):
-                raise self.problem(key, "is no array", _REMEDY)
+        with self._broken():
+            self._zip = zipfile.ZipFile(io.BytesIO(encoded))
+            self._members = {info.filename.removesuffix(".npy"): self._member(info) for info in self._zip.infolist()}
+        if len(self._members) < len(self._zip.infolist()):
+            raise DataError(str(path), "has two arrays of one name", _REMEDY)
 
     def __contains__(self, key: str) -> bool:
-        return key in self.arrays
+        return key in self._members
+
+    @property
+    def keys(self) -> Iterable[str]:
+        """Names of the arrays."""
+        return self._members.keys()
 
     def problem(self, key: str, found: str, remedy: str = "") -> DataError:
         """The error of this key, to be raised."""
@@ -48,25 +66,78 @@ class Archive:
     def refuse_unknown(self, known: Iterable[str]) -> None:
         """No key but the known ones, and those that are the user's own."""
         known = tuple(known)
-        for key in self.arrays:
+        for key in self._members:
             if key not in known and not key.startswith(FREE_PREFIX):
                 raise DataError(
                     str(self.path), f"unknown key {key!r}", hint(key, known) or f"begin your own with {FREE_PREFIX}"
                 )
 
-    def array(self, key: str, kinds: str, shape: tuple[int | None, ...]) -> Array:
-        """An array whose type is of one of the kinds (letters of NumPy) and whose shape is this; None is any length."""
-        if key not in self.arrays:
-            raise DataError(str(self.path), f"has no key {key!r}", hint(key, self.arrays) or _KEYS)
-        array = self.arrays[key]
-        if array.dtype.kind not in kinds:
+    def declared(self, key: str, kinds: str, shape: tuple[int | None, ...]) -> tuple[np.dtype[Any], tuple[int, ...]]:
+        """Type and shape of an array, before it is decompressed.
+
+        The type must be of one of the kinds (letters of NumPy), the shape must be this; None is any length.
+        """
+        if key not in self._members:
+            raise DataError(str(self.path), f"has no key {key!r}", hint(key, self._members) or _KEYS)
+        member = self._members[key]
+        if member.dtype.kind not in kinds:
             wanted = " or ".join(_KINDS[kind] for kind in kinds)
-            raise self.problem(key, f"has type {array.dtype}, must be {wanted}")
-        if array.ndim != len(shape) or any(w not in (None, n) for w, n in zip(shape, array.shape, strict=True)):
+            raise self.problem(key, f"has type {member.dtype}, must be {wanted}")
+        lengths = member.shape
+        if len(lengths) != len(shape) or any(w not in (None, n) for w, n in zip(shape, lengths, strict=True)):
             wanted = " x ".join("n" if length is None else str(length) for length in shape)
-            found = " x ".join(map(str, array.shape))
+            found = " x ".join(map(str, lengths))
             raise self.problem(key, f"has shape {found or 'of one value'}, must have {wanted or 'one value'}")
-        return array
+        return member.dtype, lengths
+
+    def array(self, key: str, kinds: str, shape: tuple[int | None, ...]) -> Array:
+        """An array whose type and shape are checked as `declared` does; all of them together have `MAX_BYTES`."""
+        self.declared(key, kinds, shape)
+        return self.value(key)
+
+    def value(self, key: str) -> Array:
+        """An array of whatever type and shape; all of them together have `MAX_BYTES`."""
+        member = self._members[key]
+        self._bytes_left -= max(member.dtype.itemsize, 1) * math.prod(member.shape)
+        if self._bytes_left < 0:
+            found = f"declares {' x '.join(map(str, member.shape))} values of type {member.dtype}"
+            raise self.problem(key, f"{found}: more than {MAX_BYTES >> 20} MiB in all", _REMEDY)
+        return self.loaded(key)
+
+    def loaded(self, key: str) -> Array:
+        """An array whose declared size the caller has checked."""
+        with self._broken(), self._zip.open(self._members[key].info) as stream:
+            array: Array = np.lib.format.read_array(stream, allow_pickle=False)
+            return array
+
+    def _member(self, info: zipfile.ZipInfo) -> Member:
+        """What the header of an array declares; no more than the header is decompressed.
+
+        Methods other than deflation, which NumPy does not write, Python's zipfile decompresses without a bound.
+        """
+        if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise ValueError(f"{info.filename} is compressed by a method that is not deflation")
+        with self._zip.open(info) as stream:
+            header = io.BytesIO(stream.read(_HEADER_BYTES))
+        version = np.lib.format.read_magic(header)
+        read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}.get(version)
+        if read is None:
+            raise ValueError(f"{info.filename} has version {version} of the format")
+        shape, _, dtype = read(header)
+        if dtype.hasobject:
+            raise ValueError(f"{info.filename} holds pickled objects, which are never loaded")
+        if min(shape, default=0) < 0 or info.file_size != header.tell() + math.prod(shape) * dtype.itemsize:
+            raise ValueError(f"{info.filename} has {info.file_size} bytes, which is not what its header declares")
+        return Member(info, dtype, shape)
+
+    @contextmanager
+    def _broken(self) -> Iterator[None]:
+        """Whatever the parsers of a broken zip, zlib stream or header raise is one error."""
+        try:
+            yield
+        except Exception as error:
+            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise DataError(str(self.path), f"is a broken or foreign NPZ archive: {reason}", _REMEDY) from error
 
     def numbers(self, key: str, shape: tuple[int | None, ...]) -> Array:
         """An array of finite numbers, float64."""

@@ -3,7 +3,10 @@
 import errno
 from pathlib import Path
 
-from ringpose.errors import InputOutputError, NoInputError
+from ringpose.errors import DataError, InputOutputError, NoInputError
+
+MAX_BYTES = 2**31
+"""Four times what the largest shot has, uncompressed."""
 
 _NOT_OPENED = {errno.ELOOP, errno.ENAMETOOLONG, errno.ENXIO, errno.ENODEV}
 
@@ -11,8 +14,7 @@ _NOT_OPENED = {errno.ELOOP, errno.ENAMETOOLONG, errno.ENXIO, errno.ENODEV}
 def read_bytes(path: Path) -> bytes:
     """The bytes of an input file; one that is missing or shut off is no input."""
     try:
-        if path.is_char_device():  # /dev/zero never ends
-            raise NoInputError(str(path), "is a device, must be a file")
+        _check_length(path)
         return path.read_bytes()
     except (FileNotFoundError, NotADirectoryError):
         raise NoInputError(str(path), "does not exist") from None
@@ -27,3 +29,10 @@ def read_bytes(path: Path) -> bytes:
         if error.errno in _NOT_OPENED:
             raise NoInputError(str(path), f"cannot be opened: {reason}") from None
         raise InputOutputError(str(path), f"reading broke off: {reason}") from error
+
+
+def _check_length(path: Path) -> None:
+    if path.is_char_device():  # /dev/zero never ends
+        raise NoInputError(str(path), "is a device, must be a file")
+    if path.stat().st_size > MAX_BYTES:
+        raise DataError(str(path), f"has more than {MAX_BYTES >> 30} GiB", "split it")

@@ -9,7 +9,7 @@ import numpy as np
 
 from ringpose.files import records
 from ringpose.files.archives import Archive, write_archive
-from ringpose.files.fields import ROUNDED, Fields
+from ringpose.files.fields import FREE_PREFIX, ROUNDED, Fields
 from ringpose.files.provenance import provenance
 from ringpose.types.arrays import EDGES, Array, Float64, Int64
 from ringpose.types.break_points import MAX_SIGMA_PX, BreakPoints, Detection, NoBreakPoints, RingEdgePoints
@@ -79,14 +79,15 @@ def write_detection(path: Path, detection: Detection, *, force: bool = False, in
 def detection_in(archive: Archive) -> Detection:
     """The detection in an open archive."""
     record: dict[str, Any] = {}
-    for key, array in archive.arrays.items():
-        if key == PROVENANCE:
+    for key in archive.keys:
+        if key == PROVENANCE or key.startswith(FREE_PREFIX):
             continue
+        value = archive.value(key).tolist()
         part, _, name = key.partition(".")
         if name and part in _PARTS:
-            record.setdefault(part, {})[name] = array.tolist()
+            record.setdefault(part, {})[name] = value
         else:
-            record[key] = array.tolist()
+            record[key] = value
     return detection_of(record, str(archive.path))
 
 

@@ -1,6 +1,11 @@
-"""Images: PNG, TIFF, BMP, JPEG as arrays of grey values."""
+"""Images: PNG, TIFF, BMP, JPEG, PGM as arrays of grey values."""
 
+import os
+import struct
+import threading
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -10,35 +15,56 @@ import numpy as np
 from ringpose.errors import DataError
 from ringpose.files import atomic
 from ringpose.files.bytes import read_bytes
+from ringpose.files.image_headers import ImageHeader, image_header
 from ringpose.opencv_log import silent_opencv
 from ringpose.types.arrays import Array, UInt
+from ringpose.types.camera import Camera
 
-IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg")
+IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg", ".pgm")
 
 CHANNELS = {"b": 0, "g": 1, "r": 2}
 """OpenCV's order."""
 
-_LONGEST_SIDE = 1_000_000
-"""Pixels: libpng's own limit."""
+MAX_SHOT_PIXELS = 256_000_000
+"""In all frames of a shot together."""
 
-_PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
+_REMEDY = "give an intact PNG, TIFF, BMP, JPEG or binary PGM image"
+
+_STDERR = 2
+
+_stderr_lock = threading.Lock()
 
 
-def read_image(path: Path, channel: str | None = None) -> UInt[Array, "row column"]:
+def read_image(path: Path, channel: str | None = None, camera: Camera | None = None) -> UInt[Array, "row column"]:
     """Grey values, 8 or 16 bits; colour becomes its luminance, or the one channel (`r`, `g` or `b`) that is asked for.
 
-    What the file says of its orientation is not followed: a pixel stays where the sensor had it.
+    The size that the header declares must be the camera's, where one is given, and within `MAX_SHOT_PIXELS`; it is
+    checked before the pixels are decoded. The orientation that the file declares is ignored: a pixel stays where the
+    sensor had it.
     """
     encoded = read_bytes(path)
-    finding = _damage(encoded)
-    if finding:
-        raise DataError(str(path), finding)
-    decoded = _decoded(encoded, path) if encoded else None
-    if decoded is None:
-        raise DataError(str(path), "is no image that can be read, or is cut short", "PNG, TIFF, BMP or JPEG is wanted")
+    header = _checked_header(encoded, path, camera)
+    if header.format == "PGM":
+        return _pgm_pixels(encoded, header, path)
+    if finding := _damage(encoded, header.format):
+        raise DataError(str(path), finding, _REMEDY)
+    decoded = _decoded(encoded, path)
+    if decoded.shape[:2] != (header.height, header.width):
+        found = f"declares {header.width} x {header.height} pixels, has {decoded.shape[1]} x {decoded.shape[0]}"
+        raise DataError(str(path), found, _REMEDY)
     if decoded.dtype not in (np.uint8, np.uint16):
         raise DataError(str(path), f"has pixels of type {decoded.dtype}", "8 or 16 bits without sign are wanted")
     return _grey(decoded, channel)
+
+
+def check_shot_size(place: str, frames: int, width: int, height: int, camera: Camera | None) -> None:
+    """Refuse a shot that is too large to be read, or not of the rig's camera; `place` is where it comes from."""
+    if camera is not None and (width, height) != (camera.image_width, camera.image_height):
+        found = f"{width} x {height} pixels, the rig's camera has {camera.image_width} x {camera.image_height}"
+        raise DataError(place, found, "give the rig that took the shot")
+    if frames * width * height > MAX_SHOT_PIXELS:
+        found = f"declares {frames} x {width} x {height} pixels, must have at most {MAX_SHOT_PIXELS / 1e6:g} million"
+        raise DataError(place, found, "give fewer frames, or crop them")
 
 
 def write_image(path: Path, image: UInt[Array, "row column *color"], *, force: bool = False) -> None:
@@ -48,13 +74,66 @@ def write_image(path: Path, image: UInt[Array, "row column *color"], *, force: b
         stream.write(encoded.tobytes())
 
 
+def _checked_header(encoded: bytes, path: Path, camera: Camera | None) -> ImageHeader:
+    try:
+        header = image_header(encoded)
+    except (struct.error, ValueError):
+        raise DataError(str(path), "is an image whose header is damaged or cut short", _REMEDY) from None
+    if header is None:
+        raise DataError(str(path), "is no image of a known format", _REMEDY)
+    if min(header.width, header.height) < 1:
+        raise DataError(str(path), f"declares {header.width} x {header.height} pixels", _REMEDY)
+    check_shot_size(str(path), 1, header.width, header.height, camera)
+    return header
+
+
+def _pgm_pixels(encoded: bytes, header: ImageHeader, path: Path) -> UInt[Array, "row column"]:
+    """Grey values as they are; from 256 grey values on they have two bytes, the higher first."""
+    if not 1 <= header.maximum <= 65535:
+        raise DataError(str(path), f"has the largest grey value {header.maximum}, must be 1 to 65535", _REMEDY)
+    stored = np.dtype(np.uint8 if header.maximum < 256 else ">u2")
+    pixels = header.width * header.height
+    if len(encoded) - header.data_start < pixels * stored.itemsize:
+        raise DataError(str(path), "is a PGM image that is cut short", _REMEDY)
+    grey = np.frombuffer(encoded, stored, pixels, header.data_start).reshape(header.height, header.width)
+    return grey.astype(stored.newbyteorder("="))
+
+
 def _decoded(encoded: bytes, path: Path) -> Any:
-    """Pixels, or None; OpenCV refuses sizes that it holds to be impossible by an exception."""
-    with silent_opencv():
+    """Pixels; what a codec reports as damage is an error, even where it goes on with pixels that it made up."""
+    messages = bytearray()
+    with silent_opencv(), _caught_stderr(messages):
         try:
-            return cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_UNCHANGED)
+            decoded = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_UNCHANGED)
         except cv2.error:
-            raise DataError(str(path), "is no image that can be read: it is too large, or says so") from None
+            decoded = None
+    reports = [line for line in messages.decode(errors="replace").splitlines() if not line.startswith(_HARMLESS)]
+    if decoded is None or reports:
+        reason = f": {reports[0]}" if reports else ""
+        raise DataError(str(path), f"is an image that is damaged or cut short{reason}", _REMEDY)
+    return decoded
+
+
+_HARMLESS = ("libpng warning", "Warning: unknown JFIF revision number", "Invalid SOS parameters")
+"""Reports that do not concern the pixels: of colour profiles, texts, versions."""
+
+
+@contextmanager
+def _caught_stderr(messages: bytearray) -> Iterator[None]:
+    """What the process writes on stderr while the block runs is appended to the messages.
+
+    libpng and libjpeg write there by themselves; OpenCV has no setting against it.
+    """
+    with _stderr_lock, os.fdopen(os.memfd_create("stderr"), "w+b") as caught:
+        saved = os.dup(_STDERR)
+        try:
+            os.dup2(caught.fileno(), _STDERR)
+            yield
+        finally:
+            os.dup2(saved, _STDERR)
+            os.close(saved)
+            caught.seek(0)
+            messages += caught.read()
 
 
 def _grey(decoded: Any, channel: str | None) -> UInt[Array, "row column"]:
@@ -67,17 +146,17 @@ def _grey(decoded: Any, channel: str | None) -> UInt[Array, "row column"]:
     return np.ascontiguousarray(grey)
 
 
-def _damage(encoded: bytes) -> str:
-    """What is wrong with a file that its decoder would report on stderr by itself, or pass over."""
-    if encoded.startswith(_PNG):
+def _damage(encoded: bytes, image_format: str) -> str:
+    """Damage that a decoder would pass over."""
+    if image_format == "PNG":
         return _png_damage(encoded)
-    if encoded.startswith(_JPEG) and encoded.find(b"\xff\xd9", encoded.find(b"\xff\xda")) < 0:
+    if image_format == "JPEG" and encoded.find(b"\xff\xd9", encoded.find(b"\xff\xda")) < 0:
         return "is a JPEG image that is cut short"
     return ""
 
 
 def _png_damage(encoded: bytes) -> str:
-    start = len(_PNG)
+    start = len(b"\x89PNG\r\n\x1a\n")
     while start + 12 <= len(encoded):
         end = start + 12 + int.from_bytes(encoded[start : start + 4], "big")
         if end > len(encoded):
@@ -85,15 +164,7 @@ def _png_damage(encoded: bytes) -> str:
         name = encoded[start + 4 : start + 8]
         if zlib.crc32(encoded[start + 4 : end - 4]) != int.from_bytes(encoded[end - 4 : end], "big"):
             return f"is a damaged PNG image: chunk {name.decode('latin-1')!r} fails its check"
-        if name == b"IHDR" and not _possible_size(encoded[start + 8 : start + 16]):
-            return "is a damaged PNG image, or too large: its size cannot be read"
         if name == b"IEND":
             return ""
         start = end
     return "is a PNG image that is cut short"
-
-
-def _possible_size(header: bytes) -> bool:
-    """Whether PNG's decoder takes the columns and rows that a header names: of others it writes on stderr."""
-    columns, rows = int.from_bytes(header[:4], "big"), int.from_bytes(header[4:], "big")
-    return 0 < columns <= _LONGEST_SIDE and 0 < rows <= _LONGEST_SIDE

@@ -1,5 +1,6 @@
 """Shots: one NPZ a shot, or a plain image as a shot of one frame."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +10,8 @@ from ringpose.errors import DataError, NoInputError
 from ringpose.files import records
 from ringpose.files.archives import Archive, write_archive
 from ringpose.files.fields import Fields
-from ringpose.files.images import IMAGE_SUFFIXES, read_image
-from ringpose.types.arrays import Array, Float64, UInt8
+from ringpose.files.images import IMAGE_SUFFIXES, check_shot_size, read_image
+from ringpose.types.arrays import Array, Float64, UInt, UInt8
 from ringpose.types.frame import ALL_LASERS, Shot
 from ringpose.types.rig import Rig
 
@@ -32,7 +33,7 @@ def read_shot(path: Path, channel: str | None = None, rig: Rig | None = None) ->
     """
     if path.suffix.lower() == ".npz":
         return shot_of(Archive(path), rig)
-    image = read_image(path, channel)
+    image = read_image(path, channel, None if rig is None else rig.camera)
     lasers = ALL_LASERS if rig is None else (1 << len(rig.lasers.names)) - 1
     shot = Shot(
         name=path.stem,
@@ -49,13 +50,11 @@ def shot_of(archive: Archive, rig: Rig | None = None) -> Shot:
     if "schema" in archive:
         raise DataError(str(archive.path), "is a detection", "a shot is wanted")
     archive.refuse_unknown(_KEYS)
-    images = archive.array("images", "u", (None, None, None))
-    if images.dtype.itemsize > 2 or images.size == 0:
-        raise archive.problem("images", f"has type {images.dtype} and {images.size} pixels, must be 8 or 16 bits")
+    images = _images(archive, rig)
     frames = len(images)
     shot = Shot(
         name=archive.path.stem,
-        images=images.astype(images.dtype.newbyteorder("="), copy=False),
+        images=images,
         lasers=_masks(archive, "lasers", frames),
         stamp_s=_times(archive, "stamp_s", frames),
         exposure_s=_times(archive, "exposure_s", frames),
@@ -79,11 +78,19 @@ def fitting_shot(shot: Shot, rig: Rig, place: str) -> Shot:
         if mask >> lasers:
             found = f"frame {frame} names laser {mask.bit_length()}, the rig has {lasers}"
             raise DataError(f"{place}: lasers", found, "give the rig that took the shot")
-    height, width = shot.images.shape[1:]
-    if (width, height) != (rig.camera.image_width, rig.camera.image_height):
-        found = f"{width} x {height} pixels, the rig's camera has {rig.camera.image_width} x {rig.camera.image_height}"
-        raise DataError(place, found, "give the rig that took the shot")
+    frames, height, width = shot.images.shape
+    check_shot_size(place, frames, width, height, rig.camera)
     return shot
+
+
+def _images(archive: Archive, rig: Rig | None) -> UInt[Array, "frame row column"]:
+    """The images; type and size that the archive declares are checked before anything of that size is allocated."""
+    dtype, shape = archive.declared("images", "u", (None, None, None))
+    if dtype.itemsize > 2 or 0 in shape:
+        raise archive.problem("images", f"has type {dtype} and {math.prod(shape)} pixels, must be 8 or 16 bits")
+    frames, height, width = shape
+    check_shot_size(str(archive.path), frames, width, height, None if rig is None else rig.camera)
+    return archive.loaded("images").astype(dtype.newbyteorder("="), copy=False)
 
 
 def _masks(archive: Archive, key: str, frames: int) -> UInt8[Array, "frame"]:

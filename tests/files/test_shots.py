@@ -112,7 +112,7 @@ def test_pickled_objects_are_never_run(tmp_path, rng, monkeypatch):
     file = tmp_path / "a.npz"
     np.savez(file, allow_pickle=True, **arrays(rng), meta=np.array([_Bomb()], dtype=object))
 
-    with pytest.raises(DataError, match="allow_pickle"):
+    with pytest.raises(DataError, match="pickle"):
         read_shot(file)
 
     assert not (tmp_path / "should-never-exist").exists()

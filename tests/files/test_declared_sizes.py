@@ -1,0 +1,256 @@
+"""What a file declares is checked before anything of that size is decompressed."""
+
+import io
+import struct
+import subprocess
+import sys
+import tracemalloc
+import zipfile
+import zlib
+
+import cv2
+import numpy as np
+import pytest
+
+from ringpose.cli.main import main
+from ringpose.errors import DataError
+from ringpose.files.archives import Archive
+from ringpose.files.image_headers import image_header
+from ringpose.files.images import read_image
+from ringpose.files.rigs import read_rig
+from ringpose.files.shots import read_shot
+
+SIDE = 30_000
+"""900 million pixels."""
+
+
+def png(width: int, height: int) -> bytes:
+    def chunk(name: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+
+    header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    return (
+        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(bytes(99))) + chunk(b"IEND", b"")
+    )
+
+
+def jpeg(width: int, height: int) -> bytes:
+    """A JPEG image of 8 x 8 pixels with another size in its frame header."""
+    encoded = bytearray(cv2.imencode(".jpg", np.zeros((8, 8), np.uint8))[1].tobytes())
+    at = encoded.index(b"\xff\xc0") + 5
+    encoded[at : at + 4] = struct.pack(">HH", height, width)
+    return bytes(encoded)
+
+
+def bmp(width: int, height: int) -> bytes:
+    return struct.pack("<2sIHHIIiiHH", b"BM", 2000, 0, 0, 1078, 40, width, height, 1, 8) + bytes(24 + 1024 + 900)
+
+
+def tiff(image, order: str = "<", big: bool = False, changes=()) -> bytes:
+    """An uncompressed grey TIFF or BigTIFF of one strip, tag by tag as the specifications have them."""
+    height, width = image.shape
+    start = (16 if big else 8) + image.size
+    tags = {256: width, 257: height, 258: 8, 259: 1, 262: 1, 273: start - image.size, 277: 1, 278: height}
+    tags |= {279: image.size} | dict(changes)
+    entry = order + ("HHQQ" if big else "HHII")
+    entries = b"".join(struct.pack(entry, tag, 16 if big else 4, 1, tags[tag]) for tag in sorted(tags))
+    mark = b"II" if order == "<" else b"MM"
+    head = struct.pack(order + ("HHHQ" if big else "HI"), *((43, 8, 0) if big else (42,)), start)
+    count = struct.pack(order + ("Q" if big else "H"), len(tags))
+    return mark + head + image.tobytes() + count + entries + bytes(8 if big else 4)
+
+
+def npz(shape: tuple[int, ...], stored: int = 100, key: str = "images", descr: str = "|u1") -> bytes:
+    """An archive with one array, whose header declares another size than is stored."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive, archive.open(f"{key}.npy", "w") as member:
+        np.lib.format.write_array_header_1_0(member, {"descr": descr, "fortran_order": False, "shape": shape})
+        member.write(bytes(stored))
+    return file.getvalue()
+
+
+SMALL = np.arange(96, dtype=np.uint8).reshape(8, 12)
+
+TOO_LARGE = {
+    "a.png": png(SIDE, SIDE),
+    "a.jpg": jpeg(SIDE, SIDE),
+    "a.bmp": bmp(SIDE, -SIDE),
+    "a.tif": tiff(SMALL, changes={256: SIDE, 257: SIDE, 278: SIDE}.items()),
+    "big.tif": tiff(SMALL, big=True, changes={256: SIDE, 257: SIDE, 278: SIDE}.items()),
+    "tiled.tif": tiff(SMALL, changes={322: SIDE, 323: SIDE}.items()),
+    "a.pgm": f"P5 {SIDE} {SIDE} 255\n".encode(),
+}
+
+READ_WITH_LITTLE_MEMORY = """
+import resource, sys
+from pathlib import Path
+from ringpose.errors import DataError
+from ringpose.files.shots import read_shot
+
+used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (used + 2**27, used + 2**27))
+for name in sys.argv[1:]:
+    try:
+        read_shot(Path(name))
+    except DataError as error:
+        print(error)
+"""
+
+
+def test_images_that_declare_too_many_pixels_are_refused_within_128_mib(tmp_path):
+    for name, content in TOO_LARGE.items():
+        (tmp_path / name).write_bytes(content)
+    words = [sys.executable, "-c", READ_WITH_LITTLE_MEMORY, *TOO_LARGE]
+
+    ended = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True)
+
+    lines = dict(line.split(": ", 1) for line in ended.stdout.splitlines())
+    assert list(lines) == list(TOO_LARGE)
+    assert all("256 million" in line for name, line in lines.items() if name != "tiled.tif")
+    assert "header" in lines["tiled.tif"]
+    assert ended.stderr == ""
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".tif", ".pgm"])
+@pytest.mark.parametrize("shape", [(1, 7), (48, 64), (5, 300, 3)])
+def test_header_declares_the_size_that_is_decoded(suffix, shape):
+    if suffix == ".pgm":
+        shape = shape[:2]
+    encoded = cv2.imencode(suffix, np.zeros(shape, np.uint8))[1].tobytes()
+
+    header = image_header(encoded)
+
+    assert (header.height, header.width) == shape[:2]
+
+
+def test_header_of_a_progressive_jpeg_with_restarts_is_read():
+    options = [cv2.IMWRITE_JPEG_PROGRESSIVE, 1, cv2.IMWRITE_JPEG_RST_INTERVAL, 1]
+
+    header = image_header(cv2.imencode(".jpg", np.zeros((24, 40), np.uint8), options)[1].tobytes())
+
+    assert (header.width, header.height) == (40, 24)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("big", [False, True])
+def test_tiff_of_either_byte_order_is_read(tmp_path, order, big):
+    (tmp_path / "a.tif").write_bytes(tiff(SMALL, order, big))
+
+    np.testing.assert_array_equal(read_image(tmp_path / "a.tif"), SMALL)
+
+
+def test_image_of_another_size_than_the_rigs_is_refused_before_it_is_decoded(tmp_path, rig_file, monkeypatch):
+    (tmp_path / "a.png").write_bytes(png(10_000, 10_000))
+    monkeypatch.setattr(cv2, "imdecode", None)
+
+    with pytest.raises(DataError, match="10000 x 10000 pixels, the rig's camera has 640 x 480"):
+        read_shot(tmp_path / "a.png", rig=read_rig(rig_file()))
+
+
+def peak_of_refusal(read, *arguments, **options) -> tuple[str, int]:
+    """What the error says, and the bytes that were allocated at most."""
+    tracemalloc.start()
+    try:
+        with pytest.raises(DataError) as caught:
+            read(*arguments, **options)
+        return str(caught.value), tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def with_file_size(archive: bytes, size: int) -> bytes:
+    """The archive, whose directory declares another uncompressed size for its one member."""
+    changed = bytearray(archive)
+    struct.pack_into("<I", changed, changed.rindex(b"PK\x01\x02") + 24, size)
+    return bytes(changed)
+
+
+HEADER_BYTES = 128
+"""Of each array here."""
+
+LYING = {
+    "more pixels than a shot may have": (npz((3, 10_000, 9_000)), 3 * 90_000_000, "256 million"),
+    "more frames than a shot may have": (npz((10**12, 1, 1)), 2**32 - 1 - HEADER_BYTES, "not what its header declares"),
+    "a negative length": (npz((-1, -10, 10)), 100, "not what its header declares"),
+    "less than is stored": (npz((1, 10, 10), 2**22), 100, "CRC"),
+    "less than its directory declares": (npz((1, 10, 10), 2**22), 2**22, "not what its header declares"),
+}
+
+
+@pytest.mark.parametrize(("archive", "size", "finding"), LYING.values(), ids=LYING)
+def test_archive_that_declares_what_it_does_not_have_is_refused_within_2_mb(tmp_path, archive, size, finding):
+    (tmp_path / "a.npz").write_bytes(with_file_size(archive, HEADER_BYTES + size))
+
+    message, peak = peak_of_refusal(read_shot, tmp_path / "a.npz")
+
+    assert finding in message
+    assert peak < 2e6
+
+
+def test_shot_of_another_size_than_the_rigs_is_refused_before_it_is_decompressed(tmp_path, rig_file):
+    (tmp_path / "a.npz").write_bytes(with_file_size(npz((1, 10_000, 9_000)), HEADER_BYTES + 90_000_000))
+    rig = read_rig(rig_file())
+
+    message, peak = peak_of_refusal(read_shot, tmp_path / "a.npz", rig=rig)
+
+    assert "9000 x 10000 pixels, the rig's camera has 640 x 480" in message
+    assert peak < 2e6
+
+
+@pytest.mark.parametrize(
+    ("key", "descr", "shape", "size"),
+    [
+        ("stripes.position_px", "<f8", (2**22 + 1, 2), (2**22 + 1) * 16),
+        ("meta", f"<U{2**24 + 1}", (), 4 * (2**24 + 1)),
+        ("segments.support", "<U0", (2**40,), 0),
+    ],
+    ids=["numbers", "text", "values without bytes"],
+)
+def test_arrays_that_are_no_images_have_64_mib_together(tmp_path, key, descr, shape, size):
+    (tmp_path / "a.npz").write_bytes(with_file_size(npz(shape, 0, key, descr), HEADER_BYTES + size))
+
+    message, peak = peak_of_refusal(lambda: Archive(tmp_path / "a.npz").value(key))
+
+    assert message.startswith(f"{tmp_path / 'a.npz'}: {key}: ")
+    assert "64 MiB" in message
+    assert peak < 2e6
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_methods_that_are_decompressed_without_a_bound_are_refused(tmp_path, method):
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", method) as archive:
+        archive.writestr("images.npy", bytes(2**22))
+
+    message, peak = peak_of_refusal(read_shot, tmp_path / "a.npz")
+
+    assert "deflation" in message
+    assert peak < 2e6
+
+
+def test_header_that_never_ends_is_refused(tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("images.npy", b"\x93NUMPY\x02\x00" + struct.pack("<I", 2**22) + b" " * 2**22)
+
+    message, peak = peak_of_refusal(read_shot, tmp_path / "a.npz")
+
+    assert "NPZ archive" in message
+    assert peak < 2e6
+
+
+def test_a_file_of_more_than_2_gib_is_not_read(tmp_path):
+    with (tmp_path / "a.npz").open("wb") as stream:
+        stream.truncate(2**31 + 1)
+
+    message, peak = peak_of_refusal(read_shot, tmp_path / "a.npz")
+
+    assert "2 GiB" in message
+    assert peak < 2e6
+
+
+def test_command_reports_a_shot_that_is_too_large(tmp_path, capsys):
+    (tmp_path / "a.npz").write_bytes(with_file_size(npz((10, 10_000, 10_000)), HEADER_BYTES + 10**9))
+
+    status = main(["detect", str(tmp_path / "a.npz"), "--segments-only"])
+
+    assert status == 65
+    assert f"{tmp_path / 'a.npz'}: " in capsys.readouterr().err
