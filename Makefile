@@ -4,10 +4,12 @@ PYTEST_FLAGS ?=
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+LOWEST := .venv-lowest
 PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist worksteal $(PYTEST_FLAGS)
 KERNELS := $(wildcard ringpose/kernels/*.c ringpose/kernels/*.h)
 
-.PHONY: help demo bench-speed compare-baseline baseline structure test test-slow check lint types layers man clean
+.PHONY: help demo bench-speed compare-baseline baseline structure test test-slow test-lowest \
+  check lint types layers man clean
 
 help:
 	@echo "make demo         the main job on simulated shots: calibration, detection, poses, printed and drawn"
@@ -15,6 +17,7 @@ help:
 	@echo "make compare-baseline  poses of the rendered data sets beside those of the baseline; status 3 if worse"
 	@echo "make baseline     make today's poses of the rendered data sets the baseline"
 	@echo "make test         the fast tests (make test-slow: the Monte-Carlo and whole-data-set ones)"
+	@echo "make test-lowest  the main job and all file formats with the lowest versions that pyproject.toml admits"
 	@echo "make structure    modules and lines by folder; modules that one shot and one calibration pass through"
 	@echo "make check        lint, types, layers, man pages"
 
@@ -45,6 +48,20 @@ test: $(STAMP)
 test-slow: $(STAMP)
 	$(PYTEST) -m slow
 
+# uv alone resolves to the lowest versions; those for which there is no wheel for this Python are passed over. The test
+# tools come second, so that they cannot raise what they share with ringpose.
+$(LOWEST)/.installed: pyproject.toml setup.py $(KERNELS)
+	$(PYTHON) -m venv --clear $(LOWEST)
+	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check 'uv>=0.5'
+	$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct --only-binary :all: \
+	  --editable .
+	$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python beartype hypothesis pytest
+	touch $@
+
+test-lowest: $(LOWEST)/.installed
+	$(LOWEST)/bin/python -m pytest -m "not slow" $(PYTEST_FLAGS) tests/test_main_job.py tests/files/test_images.py \
+	  tests/files/test_shots.py tests/files/test_declared_sizes.py
+
 check: lint types layers man
 
 lint: $(STAMP)
@@ -63,4 +80,4 @@ man:
 	else echo "make man: mandoc is missing (apt install mandoc): manual not linted" >&2; fi
 
 clean:
-	rm -rf $(VENV) build dist demo calibrate real-shots *.egg-info ringpose/kernels/*.so
+	rm -rf $(VENV) $(LOWEST) build dist demo calibrate real-shots *.egg-info ringpose/kernels/*.so

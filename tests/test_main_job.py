@@ -3,9 +3,13 @@
 import json
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from ringpose.cli.main import main
+
+FORMATS = (".bmp", ".jpg", ".pgm", ".png", ".tif")
 
 SETS = ("rig_a", "rig_b", "variants_a", "variants_b")
 
@@ -64,6 +68,24 @@ def test_no_carried_shot_is_lost_on_its_way(carried_data, capsys, monkeypatch, t
 
     assert [line["shot"] for line in lines] == sorted(path.stem for path in shots.iterdir())
     assert [line["shot"] for line in lines if line["pose"] is None] == []
+
+
+def test_images_of_every_format_give_the_pose_of_their_shot(carried_data, capsys):
+    with np.load(carried_data / "rig_b" / "shots" / "B_z0500_p00_dim.npz") as shot:
+        lit = shot["images"][-1]
+    for suffix in FORMATS:
+        Path(suffix[1:]).with_suffix(suffix).write_bytes(cv2.imencode(suffix, lit)[1].tobytes())
+    truths = map(json.loads, (carried_data / "rig_b" / "truth.jsonl").read_text().splitlines())
+    truth = next(truth for truth in truths if truth["shot"] == "B_z0500_p00_dim")
+
+    status = main(["pose", ".", "--rig", str(carried_data / "rig_b" / "rig.yaml")])
+
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert status == 0
+    assert sorted(line["shot"] for line in lines) == sorted(suffix[1:] for suffix in FORMATS)
+    for line in lines:
+        assert np.linalg.norm(np.cross(line["pose"]["normal"], truth["normal"])) < 0.01
+        assert abs(np.dot(np.subtract(line["pose"]["grasp_m"], truth["center_m"]), truth["normal"])) < 0.001
 
 
 @pytest.mark.parametrize("method", ["ml", "paper", "paper-constrained"])
