@@ -19,6 +19,9 @@ NEWER_HEADER = b"MATLAB 7.3 MAT-file"
 LARGEST_BYTES = 2**26
 """No variable of a calibration is larger, however well it is compressed."""
 
+LARGEST_ARRAY_BYTES = 2**16
+"""No array of a camera is larger; others, such as the toolbox's images, are left out."""
+
 _HEADER_BYTES = 128
 _MATRIX, _COMPRESSED = 14, 15
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
@@ -28,7 +31,10 @@ _FLAG_BYTES = 8
 
 
 def mat_variables(content: bytes, file: str) -> dict[str, Any]:
-    """Variables by name: arrays of numbers, and structures of one element as mappings; all others are left out."""
+    """Variables by name: arrays of numbers, and structures of one element as mappings.
+
+    All others are left out, and so are arrays of more than `LARGEST_ARRAY_BYTES`.
+    """
     order = {b"IM": "<", b"MI": ">"}.get(content[126:128])
     if order is None or content.startswith(NEWER_HEADER):
         raise _damaged(file)
@@ -75,7 +81,10 @@ def _matrix(body: bytes, order: str) -> tuple[str, Any]:
     kind = struct.unpack(order + "I", flags[:4])[0] & 0xFF
     dimensions = [int(length) for length in _numbers(*shape, order)]
     if kind in _NUMBER_CLASSES:
-        return name, _numbers(*next(parts), order).reshape(dimensions, order="F")
+        numbers = next(parts)
+        if len(numbers[1]) > LARGEST_ARRAY_BYTES:
+            return name, None
+        return name, _numbers(*numbers, order).reshape(dimensions, order="F")
     if kind == _STRUCT_CLASS and np.prod(dimensions) == 1:
         return name, _structure(parts, order)
     return name, None

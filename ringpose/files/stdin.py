@@ -6,10 +6,13 @@ import select
 import sys
 from collections.abc import Iterator
 
-from ringpose.errors import InputOutputError
+from ringpose.errors import DataError, InputOutputError
 
 PATIENCE_S = 0.2
 """A signal that arrives just before a read begins does not wake it: Python notices it only between two waits."""
+
+MAX_LINE_BYTES = 2**25
+"""A record with all stripes of 1600 x 1200 pixels has 1 % of it."""
 
 _CHUNK = 1 << 16
 
@@ -21,13 +24,17 @@ def lines() -> Iterator[str]:
     except (AttributeError, io.UnsupportedOperation):  # a stand-in without a file behind it
         yield from sys.stdin
         return
-    rest = b""
+    rest = bytearray()
     while chunk := _chunk(descriptor):
-        *whole, rest = (rest + chunk).split(b"\n")
+        *whole, end = chunk.split(b"\n")
         for line in whole:
-            yield _text(line + b"\n")
+            yield _text(bytes(rest) + line + b"\n")
+            rest.clear()
+        rest += end
+        if len(rest) > MAX_LINE_BYTES:
+            raise DataError("standard input", f"has a line of more than {MAX_LINE_BYTES >> 20} MiB", "end each record")
     if rest:
-        yield _text(rest)
+        yield _text(bytes(rest))
 
 
 def _chunk(descriptor: int) -> bytes:

@@ -13,6 +13,9 @@ from ringpose.files.bytes import read_bytes
 from ringpose.files.fields import Fields
 from ringpose.files.plain import plain
 
+MAX_VALUES = 1_000_000
+"""Of one document."""
+
 _TAG = "tag:yaml.org,2002:"
 _RESOLVERS = [
     ("bool", r"true|True|TRUE|false|False|FALSE", "tTfF"),
@@ -38,6 +41,22 @@ class _Loader(Composer, yaml.CSafeLoader):
     def __init__(self, text: bytes) -> None:
         yaml.CSafeLoader.__init__(self, text)
         Composer.__init__(self)
+        self._values = 0
+        self._values_within: dict[int, int] = {}
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        """The next node; what an alias stands for counts as if it were written out, lest aliases of aliases explode."""
+        event: Any = self.peek_event()
+        before = self._values
+        node = super().compose_node(parent, index)
+        is_alias = isinstance(event, yaml.AliasEvent)
+        self._values += self._values_within.get(id(node), 0) if is_alias else 1
+        if self._values > MAX_VALUES:
+            found = f"more than {MAX_VALUES} values, aliases written out"
+            raise yaml.composer.ComposerError(None, None, found, event.start_mark)
+        if not is_alias:
+            self._values_within[id(node)] = self._values - before
+        return node
 
 
 def _mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:

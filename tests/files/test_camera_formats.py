@@ -239,6 +239,13 @@ def test_numbers_of_every_kind_are_those_that_scipy_wrote(rng, kind, compressed)
     assert found["x"].item() == 7.0
 
 
+def test_large_arrays_of_mat_files_are_left_out():
+    stream = io.BytesIO()
+    scipy.io.savemat(stream, {"image": np.zeros((300, 300)), "fc": [1.0, 2.0]}, do_compression=True)
+
+    assert list(mat_variables(stream.getvalue(), "c.mat")) == ["fc"]
+
+
 def test_damaged_mat_files_are_refused_in_one_line(tmp_path):
     whole = written(tmp_path, "matlab", "c.mat").read_bytes()
     damage, refused = random.Random(7), 0

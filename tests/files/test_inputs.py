@@ -3,6 +3,7 @@ import io
 import pytest
 
 from ringpose.errors import DataError, NoInputError
+from ringpose.files import stdin
 from ringpose.files.inputs import Record, inputs
 
 
@@ -88,3 +89,22 @@ def test_missing_file_of_records_is_a_problem_not_a_crash(tmp_path, suffixes):
     (found,) = inputs([tmp_path / "d.jsonl"], suffixes)
 
     assert isinstance(found, NoInputError) == bool(suffixes)
+
+
+def test_line_that_never_ends_is_refused(tmp_path, monkeypatch):
+    with (tmp_path / "endless").open("wb") as stream:
+        stream.truncate(2**30)
+
+    with (tmp_path / "endless").open() as stream:
+        monkeypatch.setattr("sys.stdin", stream)
+        with pytest.raises(DataError, match=r"standard input: .* 32 MiB"):
+            list(inputs(["-"], ()))
+
+
+def test_lines_longer_than_what_is_read_at_once_are_whole(tmp_path, monkeypatch):
+    names = ["a" * 200_000, "b", "", "c" * 70_000]
+    (tmp_path / "names").write_text("\n".join(names))
+
+    with (tmp_path / "names").open() as stream:
+        monkeypatch.setattr("sys.stdin", stream)
+        assert "".join(stdin.lines()) == "\n".join(names)

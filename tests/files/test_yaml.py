@@ -93,3 +93,24 @@ def test_names_of_files_with_bytes_that_are_no_letters_are_read_again(tmp_path):
         write_yaml(stream, {"caf\udce9": "caf\udce9.png"})
 
     assert read_yaml(tmp_path / "x.yaml").text(r"caf\udce9") == r"caf\udce9.png"
+
+
+def aliases(levels: int) -> str:
+    """A list of ten, a list of ten of these, and so on."""
+    lists = [f"a{level}: &a{level} [{', '.join([f'*a{level - 1}'] * 10)}]\n" for level in range(1, levels)]
+    return "a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]\n" + "".join(lists)
+
+
+def test_aliases_stand_for_what_they_name():
+    assert parsed(aliases(2).encode(), "x.yaml")["a1"] == [[1] * 10] * 10
+
+
+@pytest.mark.parametrize("levels", [6, 30])
+def test_aliases_that_stand_for_more_than_a_million_values_are_refused(levels):
+    with pytest.raises(DataError, match=r"x\.yaml:\d+: .*aliases"):
+        parsed(aliases(levels).encode(), "x.yaml")
+
+
+def test_an_alias_within_what_it_names_is_refused():
+    with pytest.raises(DataError, match="recursive"):
+        parsed(b"a: &a [1, *a]", "x.yaml")
