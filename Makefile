@@ -60,7 +60,7 @@ $(LOWEST)/.installed: pyproject.toml setup.py $(KERNELS)
 
 test-lowest: $(LOWEST)/.installed
 	$(LOWEST)/bin/python -m pytest -m "not slow" $(PYTEST_FLAGS) tests/test_main_job.py tests/files/test_images.py \
-	  tests/files/test_shots.py tests/files/test_declared_sizes.py
+	  tests/files/test_shots.py tests/files/test_declared_sizes.py tests/cli/test_print_board.py
 
 check: lint types layers man
 
