@@ -18,6 +18,9 @@ _MODES = {
 }
 
 
+_NONE: tuple[Any, ...] = (None, (), [])
+
+
 class CommandWithModes(TyperCommand):
     """A command that refuses options beside a mode rather than leave them aside without a word."""
 
@@ -33,9 +36,13 @@ class CommandWithModes(TyperCommand):
 
 
 def _given(ctx: Any) -> dict[str, str]:
-    """What the command line gives, by its name in the code: the option as it is written, or the inputs."""
+    """What the command line gives, by its name in the code: the option as it is written, or the inputs.
+
+    Typer 0.26.0 to 0.26.6 name the command line as the source of inputs that are not there.
+    """
     return {
         parameter.name: max(parameter.opts, key=len) if parameter.param_type_name == "option" else "the inputs"
         for parameter in ctx.command.params
         if ctx.get_parameter_source(parameter.name).name == "COMMANDLINE"
+        and ctx.params.get(parameter.name) not in _NONE
     }

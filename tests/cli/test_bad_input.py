@@ -45,7 +45,7 @@ def empty_folder(folder, picture):
 
 BAD = {
     "truncated image": (broken_image, 65, "cut short"),
-    "wrong format": (wrong_format, 65, "is no image that can be read"),
+    "wrong format": (wrong_format, 65, "is no image"),
     "empty file": (empty_file, 65, "is no NPZ archive"),
     "missing file": (lambda folder, picture: folder / "bad.npz", 66, "does not exist"),
     "empty folder": (empty_folder, 66, "holds no file that ends with"),
