@@ -15,6 +15,7 @@ from ringpose.types.arrays import Array, Float64
 from ringpose.types.rig import Rig
 from ringpose.types.scene import (
     MATERIALS,
+    Beacon,
     Body,
     Foil,
     LaserLight,
@@ -34,7 +35,10 @@ _PARTS = ("ring", "body", "lasers", "lights", "lens", "sensor", "speckle", "sequ
 _KEYS = ("ringpose", "rig", "seed", *_NUMBERS, *_PARTS)
 _RING_KEYS = ("profile_m", "radius_inner_m", "radius_outer_m", "height_m", "face", "wall")
 
-_DIVISORS = ("f_number", "quantum_efficiency", "overall_system_gain_dn_per_e", "saturation_capacity_e", "fan_rad")
+_DIVISORS = (
+    "f_number", "quantum_efficiency", "overall_system_gain_dn_per_e", "saturation_capacity_e", "fan_rad",
+    "on_s", "off_s",
+)  # fmt: skip
 _SHARES = ("diffuse", "specular", "roughness", "transmission", "quantum_efficiency")
 _LEAST = 1e-6
 """Of numbers that must not be zero."""
@@ -136,7 +140,7 @@ def _lights(fields: Fields) -> dict[str, Light]:
 
 
 def _light(named: Fields, name: str) -> Light:
-    keys = ("ambient_w_m2", "sun_w_m2", "sun_direction")
+    keys = ("ambient_w_m2", "sun_w_m2", "sun_direction", "beacon")
     light = Fields(named.file, named.values[name] or {}, keys, named.path + "." + name)
     values: dict[str, Any] = {key: light.number(key, least=0) for key in keys[:2] if light.has(key)}
     if light.has("sun_direction"):
@@ -144,6 +148,8 @@ def _light(named: Fields, name: str) -> Light:
         if not direction.any():
             raise light.problem("sun_direction", "has length 0")
         values["sun_direction"] = direction
+    if light.has("beacon"):
+        values["beacon"] = _numbers(light, "beacon", Beacon)
     return Light(name=name, **values)
 
 

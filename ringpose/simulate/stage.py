@@ -1,6 +1,6 @@
 """One view of a scene, cast once and ready to be lit and exposed as often as wanted."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -12,7 +12,7 @@ from ringpose.simulate.sensor import digitised, electrons_per_radiance
 from ringpose.simulate.speckle import speckle_pattern
 from ringpose.types.arrays import Array, Float32
 from ringpose.types.frame import Frame
-from ringpose.types.scene import Scene, Sensor
+from ringpose.types.scene import Beacon, Light, Scene, Sensor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -24,19 +24,29 @@ class Stage:
     laser: Float32[Array, "laser row column"]
     generator: np.random.Generator = field(repr=False)
     """Draws each exposure's noise anew."""
+    beacon: Beacon | None = None
+    beacon_light: Float32[Array, "row column"] | None = None
+    """By the beacon, while it is on."""
 
     def frame(self, lasers: int, exposure_s: float, stamp_s: float) -> Frame:
         """One exposure while the lasers of the mask are on."""
-        image = digitised(self.electrons(lasers, exposure_s), self.sensor, self.generator)
+        image = digitised(self.electrons(lasers, exposure_s, stamp_s), self.sensor, self.generator)
         return Frame(image=image, lasers=lasers, stamp_s=stamp_s, exposure_s=exposure_s)
 
-    def electrons(self, lasers: int, exposure_s: float) -> Float32[Array, "row column"]:
+    def electrons(self, lasers: int, exposure_s: float, began_s: float = 0.0) -> Float32[Array, "row column"]:
         """Electrons expected in one exposure."""
-        rate = self.ambient.copy()
+        rate = self.ambient_during(began_s, exposure_s)
         for number, stripe in enumerate(self.laser):
             if lasers >> number & 1:
                 rate += stripe
         return rate * np.float32(exposure_s)
+
+    def ambient_during(self, began_s: float, exposure_s: float) -> Float32[Array, "row column"]:
+        """Electrons a second by all light but the lasers', the mean over an exposure."""
+        rate = self.ambient.copy()
+        if self.beacon is not None and self.beacon_light is not None:
+            rate += np.float32(self.beacon.share_on(began_s, exposure_s)) * self.beacon_light
+        return rate
 
 
 def staged(scene: Scene, stand: Stand, seed: tuple[int, ...]) -> Stage:
@@ -44,12 +54,21 @@ def staged(scene: Scene, stand: Stand, seed: tuple[int, ...]) -> Stage:
     generator = np.random.default_rng(seed)
     radiance = layers(stand, pixel_rays(scene.rig.camera))
     scale = np.float32(electrons_per_radiance(scene.sensor, scene.lens))
+    beacon = stand.light.beacon
     return Stage(
         sensor=scene.sensor,
         ambient=_blurred(scale * radiance.ambient, scene.lens.blur_px),
         laser=np.stack([_stripe(scene, scale * layer, generator) for layer in radiance.laser]),
         generator=generator,
+        beacon=beacon,
+        beacon_light=None if beacon is None else scale * _beacon_layer(scene, stand, beacon),
     )
+
+
+def _beacon_layer(scene: Scene, stand: Stand, beacon: Beacon) -> Float32[Array, "row column"]:
+    """Radiance by the beacon alone, while it is on, seen through the lens."""
+    alone = replace(stand, light=Light(name="beacon", ambient_w_m2=beacon.ambient_w_m2), lasers=())
+    return _blurred(layers(alone, pixel_rays(scene.rig.camera)).ambient, scene.lens.blur_px)
 
 
 def _stripe(

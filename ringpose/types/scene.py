@@ -106,6 +106,28 @@ class LaserLight:
     """Full angle of the fan, around the direction in the plane nearest to the optical axis."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Beacon:
+    """A lamp that goes on and off."""
+
+    ambient_w_m2: float
+    """Irradiance while it is on, spread like a laboratory's light."""
+    on_s: float
+    off_s: float
+    phase_s: float = 0.0
+    """A time at which it goes on, on the clock of the frames' stamps."""
+
+    def share_on(self, begin_s: float, duration_s: float) -> float:
+        """Share of an interval in which it is on."""
+        begin_s = (begin_s - self.phase_s) % (self.on_s + self.off_s)
+        return (self._on_before(begin_s + duration_s) - self._on_before(begin_s)) / duration_s
+
+    def _on_before(self, time_s: float) -> float:
+        """Time for which it was on since the phase, at a time that counts from there."""
+        cycles, rest_s = divmod(time_s, self.on_s + self.off_s)
+        return cycles * self.on_s + min(rest_s, self.on_s)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Light:
     """Everything that shines but the lasers."""
@@ -117,6 +139,7 @@ class Light:
     """Irradiance across the sun's rays."""
     sun_direction: Float64[Array, "xyz=3"] = field(default_factory=lambda: np.array([-0.66, -0.33, -0.67]))
     """Towards the sun, camera frame."""
+    beacon: Beacon | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

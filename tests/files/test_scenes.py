@@ -10,7 +10,7 @@ import yaml
 from ringpose.errors import DataError, NoInputError
 from ringpose.files.scenes import read_scene
 from ringpose.types.ring_pose import RingPose
-from ringpose.types.scene import MATERIALS
+from ringpose.types.scene import MATERIALS, Beacon
 
 BOARD = {
     "kind": "charuco",
@@ -104,6 +104,13 @@ def test_without_foil_the_body_is_flat(scene_of):
     assert scene_of(("body.foil", None)).body.foil is None
 
 
+def test_a_light_may_have_a_beacon(scene_of):
+    scene = scene_of(("lights.sun.beacon", {"ambient_w_m2": 8, "on_s": 0.5, "off_s": 0.25}))
+
+    assert scene.lights["sun"].beacon == Beacon(ambient_w_m2=8.0, on_s=0.5, off_s=0.25, phase_s=0.0)
+    assert scene.lights["dim"].beacon is None
+
+
 def test_a_sequence_is_masks(scene_of):
     assert scene_of(("sequence", "off,1,2,1+2,all")).sequence == (0, 1, 2, 3, 3)
 
@@ -151,6 +158,8 @@ def test_written_and_generated_views_stand_apart(scene_of):
         ("body.foil.rms_m", 0, "must be positive"),
         ("lights.sun.sun_direction", [0, 0, 0], "has length 0"),
         ("lights.sun.sun_w_m2", -1, "must be at least 0"),
+        ("lights.sun.beacon", {"ambient_w_m2": 8, "on_s": 0.5, "off_s": 0}, "must be at least"),
+        ("lights.sun.beacon", {"ambient_w_m2": 8, "on_s": 0.5}, "off_s"),
         ("sensor", {"bits": 10}, "is 10, must be 8 or 12"),
         ("sensor", {"saturation_capacity": 1000}, "did you mean 'saturation_capacity_e'?"),
         ("lens", {"f_number": 0}, "lens.f_number: is 0, must be at least 1e-06"),

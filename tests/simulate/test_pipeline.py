@@ -7,7 +7,7 @@ from ringpose.geometry.rays import rays
 from ringpose.simulate.pipeline import SceneFrames, ring_stand, simulate
 from ringpose.simulate.stage import staged
 from ringpose.simulate.trajectory import ring_views
-from ringpose.types.scene import Approach
+from ringpose.types.scene import Approach, Beacon, Light
 
 
 def images_of(scene, **options):
@@ -61,6 +61,27 @@ def test_lasers_add_up(scene, view):
     alone = [stage.electrons(mask, 0.001) for mask in (1, 2, 4)]
 
     np.testing.assert_allclose(stage.electrons(7, 0.001), sum(alone), rtol=1e-5, atol=1e-3)
+
+
+def test_a_beacon_adds_its_light_while_it_is_on(scene, view):
+    beacon = Beacon(ambient_w_m2=3.0, on_s=0.3, off_s=0.6, phase_s=10.0)
+    lights = {
+        "blinking": Light(name="blinking", ambient_w_m2=5.0, beacon=beacon),
+        "low": Light(name="low", ambient_w_m2=5.0),
+        "high": Light(name="high", ambient_w_m2=8.0),
+    }
+    stands = [ring_stand(replace(scene, lights=lights), replace(view, light=light)) for light in lights]
+    blinking, low, high = (staged(scene, stand, (1,)) for stand in stands)
+
+    for began_s, share in ((10.05, 1.0), (10.295, 0.5), (10.4, 0.0), (10.895, 0.5), (10.05 - 1e4 * 0.9, 1.0)):
+        expected = (1 - share) * low.electrons(7, 0.01) + share * high.electrons(7, 0.01)
+        np.testing.assert_allclose(blinking.electrons(7, 0.01, began_s), expected, rtol=2e-3, atol=1e-3)
+
+
+def test_a_beacon_may_go_on_and_off_several_times_in_an_exposure():
+    beacon = Beacon(ambient_w_m2=3.0, on_s=0.02, off_s=0.03)
+
+    assert beacon.share_on(0.01, 0.12) == pytest.approx((0.01 + 0.02 + 0.02) / 0.12)
 
 
 def test_light_grows_with_exposure(scene, view):

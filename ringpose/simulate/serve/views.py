@@ -85,7 +85,7 @@ class SceneExposures:
         name, stage = self._views.at(began_s)
         shares = self.laser_shares(began_s, exposure_s)
         sensor = _set_sensor(self._sensor, gain_db, bits)
-        image = digitised(_electrons(stage, exposure_s, shares), sensor, self._generator)
+        image = digitised(_electrons(stage, began_s, exposure_s, shares), sensor, self._generator)
         return image, {"view": name, "laser_shares": shares.tolist()}
 
     def laser_shares(self, began_s: float, exposure_s: float) -> Float64[Array, "laser"]:
@@ -120,8 +120,10 @@ def board_moving_views(scene: Scene, boards: BoardSet, move: Move, after_s: floa
     return MovingViews(names, lambda k: board_stage(scene, boards, places[k], k), move, after_s)
 
 
-def _electrons(stage: Stage, exposure_s: float, shares: Float64[Array, "laser"]) -> Float32[Array, "row column"]:
-    rate = stage.ambient.copy()
+def _electrons(
+    stage: Stage, began_s: float, exposure_s: float, shares: Float64[Array, "laser"]
+) -> Float32[Array, "row column"]:
+    rate = stage.ambient_during(began_s, exposure_s)
     for share, stripe in zip(shares.tolist(), stage.laser, strict=True):
         if share:
             rate += np.float32(share) * stripe

@@ -2,6 +2,7 @@
 
 import math
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from ringpose.simulate.serve.choices import Move
 from ringpose.simulate.serve.contacts import ContactFaults, Contacts
 from ringpose.simulate.serve.views import MovingViews, SceneExposures, ring_moving_views
 from ringpose.simulate.stage import Stage
-from ringpose.types.scene import Sensor
+from ringpose.types.scene import Beacon, Light, Sensor
 
 
 @pytest.fixture
@@ -58,6 +59,16 @@ def test_grey_values_follow_exposure_and_gain(scene):
 
     assert longer / short == pytest.approx(4.0, rel=0.05)
     assert amplified / short == pytest.approx(2.0, rel=0.05)
+
+
+def test_a_beacon_shines_into_the_exposures_of_its_time(scene):
+    light = Light(name="dim", ambient_w_m2=0.3, beacon=Beacon(ambient_w_m2=8.0, on_s=0.45, off_s=0.45, phase_s=2.0))
+    lit = replace(scene, lights={"dim": light})
+
+    with exposures(lit, Contacts(3)) as seen:
+        on, off = (seen.image(began_s, 0.0004, 0.0, 12)[0].mean() - 16 * 2.0 for began_s in (2.1, 2.5))
+
+    assert on / off == pytest.approx(8.3 / 0.3, rel=0.1)
 
 
 def test_twelve_bits_hold_sixteen_times_the_grey_value(scene):
