@@ -101,9 +101,10 @@ class _Taker:
     def shot(self, name: str) -> Shot:
         """A shot in which nothing is wrong, after up to three attempts."""
         problem, doubts = DeviceError("lasers", "no shot could be taken"), 0
-        for _ in range(TRIES):
+        for attempt in range(TRIES):
             try:
-                self._arm()
+                if attempt == 0:  # a camera that was lost has been armed anew when it was opened again
+                    self._arm()
                 self._settle()
                 shot = self._taken(name, self._settle_after_s(doubts))
             except LasersWentOff as error:

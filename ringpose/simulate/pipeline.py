@@ -115,6 +115,8 @@ class SceneFrames:
         self.scene = scene
         self.views = ring_views(scene)
         self._moment = -1
+        self._stamp_s = -np.inf
+        """When the next exposure can begin, at the earliest."""
 
     def __call__(self, moment: int, lasers: int, exposure_s: float | None = None) -> Frame:
         """The frame of one moment while the lasers of the mask are on; without exposure, the scene's own."""
@@ -129,7 +131,7 @@ class SceneFrames:
         stand = ring_stand(self.scene, self.views[min(moment, len(self.views) - 1)])
         self._stage = staged(self.scene, stand, (_SHOTS, self.scene.seed, moment))
         self._exposure_s = view_exposure_s(self.scene, stand)
-        self._stamp_s = self.scene.start_s + moment * self.scene.period_s
+        self._stamp_s = max(self._stamp_s, self.scene.start_s + moment * self.scene.period_s)
         self._moment = moment
 
 

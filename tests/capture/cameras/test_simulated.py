@@ -5,6 +5,7 @@ import pytest
 
 from ringpose.capture.cameras.driver import CameraDescription
 from ringpose.capture.cameras.simulated import SimulatedCamera
+from ringpose.capture.lasers.driver import LasersWentOff
 from ringpose.capture.lasers.simulated import SimulatedLasers
 from ringpose.capture.lasers.uncontrolled import UncontrolledLasers, refuse_switching
 from ringpose.capture.pipeline import Procedure, captured_shots
@@ -23,6 +24,25 @@ def scene_frame(moment: int, lasers: int, exposure_s: float | None) -> Frame:
 
 def test_each_shot_is_the_next_moment_of_the_scene():
     lasers = SimulatedLasers(3)
+    camera = SimulatedCamera(DESCRIPTION, scene_frame, lasers)
+
+    with camera, lasers:
+        shots = list(captured_shots(camera, lasers, Procedure(steps=parsed_sequence("off,1,all")), ["a", "b"]))
+
+    assert [shot.images[:, 0, 0].tolist() for shot in shots] == [[0, 1, 7], [10, 11, 17]]
+
+
+def test_a_shot_that_is_taken_again_shows_the_same_moment():
+    class WentOff(SimulatedLasers):
+        failures = 1
+
+        def set_mask(self, lasers: int) -> None:
+            super().set_mask(lasers)
+            if lasers and self.failures:
+                self.failures -= 1
+                raise LasersWentOff("lasers", "went off")
+
+    lasers = WentOff(3)
     camera = SimulatedCamera(DESCRIPTION, scene_frame, lasers)
 
     with camera, lasers:
