@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from time import perf_counter
 from types import TracebackType
 
+from ringpose.capture.ambient import lost_attempts_dn
 from ringpose.types.frame import Shot
 
 
@@ -15,7 +16,7 @@ class LiveShot:
 
     shot: Shot
     dropped: int
-    """Shots that were taken after the one before and that nobody saw."""
+    """Shots that were taken after the one before and that nobody saw, or that changing ambient light spoiled."""
     taken_s: float
     """When it was complete (`time.perf_counter`)."""
 
@@ -77,6 +78,7 @@ class NewestShots:
 
     def _put(self, shot: Shot) -> None:
         with self._changed:
-            self._dropped = self._dropped + 1 if self._waiting is not None else 0
+            unseen = self._dropped + 1 if self._waiting is not None else 0
+            self._dropped = unseen + len(lost_attempts_dn(shot.meta))
             self._waiting = LiveShot(shot=shot, dropped=self._dropped, taken_s=perf_counter())
             self._changed.notify()

@@ -6,12 +6,21 @@ from typing import Any
 
 import numpy as np
 
+from ringpose.capture.ambient import LOST_SHARE_OF_FULL, AmbientChange, ambient_change, same_ambient_light
 from ringpose.capture.bracketing import merged_brackets, on_the_scale_of
 from ringpose.capture.cameras.driver import CameraDriver
 from ringpose.capture.lasers.driver import LaserDriver, LasersWentOff
-from ringpose.capture.seen import STRIPE_IN_THE_DARK, LitPlaces, seen_lasers, shows_stripe
+from ringpose.capture.seen import (
+    STRIPE_IN_THE_DARK,
+    LitPlaces,
+    broad_light_dn,
+    lasers_out_of_turn,
+    seen_lasers,
+    shows_stripe,
+)
 from ringpose.capture.settling import measured_settle_s
 from ringpose.errors import DeviceError, LaserSafetyError, UsageError
+from ringpose.types.arrays import Array, UInt
 from ringpose.types.frame import Frame, Shot
 from ringpose.types.sequence import Step
 
@@ -21,11 +30,24 @@ TRIES = 3
 DARK_CHECK_S = 0.2
 """After everything was switched off: long enough for any relay, whatever the settling time that was believed in."""
 
+DARK_CHECKS = 4
+"""Looks for a laser while all are off and ambient light changes, which may outshine it in some of them."""
+
 LEAST_SETTLE_S = 0.02
 """Of a second attempt after lasers that followed too late."""
 
 SHARE_OF_LIMIT = 0.8
 """Of the time for which the guard lets a laser be on, what settling may take beside the exposure."""
+
+MAX_LOST = 10
+"""Attempts at one shot that changing ambient light may spoil before the capture ends."""
+
+AWAITED_CHANGES = (0, 1, 2)
+"""Changes of the light to wait for before another attempt: none, as most lamps then stay as they are for a while; the
+next one, if a shot takes most of that time; the one after that, if the lamp flashes."""
+
+MAX_STEADY_S = 1.0
+"""Light that has not changed for so long is not waited for."""
 
 RECONNECT_TRIES = 5
 
@@ -80,6 +102,22 @@ class _Unseen(DeviceError):
         super().__init__("lasers", f"{_names(lasers)} commanded but not seen, {TRIES} times", remedy)
 
 
+class _AmbientChanged(DeviceError):
+    """Ambient light changed while a shot was taken; that is no reason to wait longer for the lasers."""
+
+    def __init__(self, changes: Sequence[AmbientChange], unseen: int = 0) -> None:
+        self.changes = changes
+        largest = max(changes, key=lambda change: abs(change.size_dn))
+        size = f"by up to {abs(largest.size_dn):.0f} dn ({100 * largest.share_of_full:.0f} % of the full grey value)"
+        found = f"changed within each of {len(changes)} shots in a row, {size}"
+        if unseen:
+            found += f", and {_names(unseen)} not seen in any of them"
+        remedy = "shield the scene, or take shorter shots (--sequence off,all; lasers at line:)"
+        if all(change.only_with_lasers for change in changes):
+            remedy += "; if it is stray light of the lasers, expose shorter"
+        super().__init__("ambient light", found, remedy)
+
+
 class _CameraLost(Exception):
     """The camera, not the lasers' board, has failed."""
 
@@ -99,31 +137,60 @@ class _Taker:
         self._places: dict[int, LitPlaces] = {}
 
     def shot(self, name: str) -> Shot:
-        """A shot in which nothing is wrong, after up to three attempts."""
-        problem, doubts = DeviceError("lasers", "no shot could be taken"), 0
-        for attempt in range(TRIES):
+        """A shot in which nothing is wrong, after up to three attempts and those that changing ambient light spoils."""
+        problem, failures, doubts = DeviceError("lasers", "no shot could be taken"), 0, 0
+        lost: list[AmbientChange] = []
+        while failures < TRIES and len(lost) < MAX_LOST:
             try:
-                if attempt == 0:  # a camera that was lost has been armed anew when it was opened again
+                if not failures and not lost:  # a camera that was lost has been armed when it was opened again
                     self._arm()
                 self._settle()
+                self._await_changes(AWAITED_CHANGES[(len(lost) - 1) % len(AWAITED_CHANGES)] if lost else 0)
                 shot = self._taken(name, self._settle_after_s(doubts))
             except LasersWentOff as error:
                 self._lasers.set_mask(0)
-                problem = error
+                problem, failures = error, failures + 1
                 continue
             except _CameraLost as error:
                 self._lasers.set_mask(0)
-                problem = self._reconnected(error)
+                problem, failures = self._reconnected(error), failures + 1
                 continue
             checked, doubt = self._checked(shot)
             if doubt is None:
                 self._learn(doubts)
-                return checked
-            problem, doubts = doubt, doubts + 1
-        if isinstance(problem, _Unseen) and shows_stripe(self._dark_frame().image):
-            found = f"{_names(problem.lasers)} not seen to go on or off, and a stripe shows while all are off"
-            raise LaserSafetyError("lasers", found, STRIPE_IN_THE_DARK)
+                return _after_lost(checked, lost)
+            if isinstance(doubt, _AmbientChanged):
+                lost += doubt.changes
+                problem = _AmbientChanged(lost, self._unseen_after_change(shot, len(lost)))
+            else:
+                problem, failures, doubts = doubt, failures + 1, doubts + 1
+        if isinstance(problem, _Unseen):
+            self._refuse_stripe(problem.lasers, self._dark_frame().image)
         raise problem
+
+    def _unseen_after_change(self, shot: Shot, lost: int) -> int:
+        """The lasers of a lost shot that have never been seen; one that burns in frames of others is a safety fault."""
+        same_light = same_ambient_light(shot.images, shot.usual_full_dn)
+        self._places, suspects = lasers_out_of_turn(shot, self._places, same_light)
+        for _ in range(DARK_CHECKS if suspects else 0):
+            image = self._dark_image(shot)
+            self._refuse_laser_light([laser for laser, found in suspects.items() if found.stand_out_in(image)])
+        unseen = int(np.bitwise_or.reduce(shot.lasers)) & ~sum(1 << laser for laser in self._places)
+        if unseen and self._procedure.must_see and lost in (TRIES, MAX_LOST):
+            always = np.minimum.reduce([*shot.images, self._dark_image(shot)])
+            self._refuse_stripe(unseen, always)
+        return unseen
+
+    def _await_changes(self, count: int) -> None:
+        """Let ambient light change so many times, while all lasers are off; a shot that begins then has most time."""
+        full_dn = self._camera.describe().saturation_dn
+        before = self._frame(0, None) if count else None
+        steady_since_s = 0.0 if before is None else before.stamp_s
+        while count and before is not None and before.stamp_s - steady_since_s < MAX_STEADY_S:
+            frame = self._frame(0, None)
+            if not same_ambient_light(np.stack([before.image, frame.image]), full_dn).all():
+                count, steady_since_s = count - 1, frame.stamp_s
+            before = frame
 
     def _settle_after_s(self, doubts: int) -> float:
         """Settling time after so many attempts in doubt: twice as long each time, within what the guard allows."""
@@ -203,14 +270,23 @@ class _Taker:
         seen, places = seen_lasers(shot)
         if seen is None:
             return shot, None
-        stuck = {laser: self._places[laser] for laser in self._places if laser not in places}
-        self._places |= places
         extra = int(np.bitwise_or.reduce(seen & ~shot.lasers))
         missing = int(np.bitwise_or.reduce(shot.lasers & ~seen))
+        is_wrong = bool(extra or (missing and self._procedure.must_see))
+        change = ambient_change(shot)
+        if change is not None and (is_wrong or change.share_of_full > LOST_SHARE_OF_FULL):
+            return shot, _AmbientChanged([change])
+        stuck = {laser: self._places[laser] for laser in self._places if laser not in places}
+        self._places |= places
         suspects = {laser: found for laser, found in (places | stuck).items() if (extra | missing) >> laser & 1}
         if suspects:
             self._refuse_light(suspects, shot)
-        checked = replace(shot, seen_lasers=seen)
+        noted = {} if change is None else {"ambient_change_dn": change.size_dn}
+        checked = replace(shot, seen_lasers=seen, meta={**shot.meta, **noted})
+        broad_dn = broad_light_dn(shot, seen, places)
+        if broad_dn:
+            share = broad_dn / shot.usual_full_dn
+            return shot, _AmbientChanged([AmbientChange(size_dn=broad_dn, share_of_full=share)])
         if extra:
             return checked, DeviceError("lasers", f"{_names(extra)} seen in frames of others", "raise --settle")
         if missing and self._procedure.must_see:
@@ -227,11 +303,25 @@ class _Taker:
 
     def _refuse_light(self, suspects: dict[int, LitPlaces], shot: Shot) -> None:
         """With everything off for long enough no place of these lasers may be lit."""
-        frame = self._dark_frame()
-        image = on_the_scale_of(frame.image, frame.exposure_s, shot)
-        lit = [laser for laser, found in suspects.items() if found.are_lit_in(image) and found.stand_out_in(image)]
+        image = self._dark_image(shot)
+        self._refuse_laser_light(
+            [laser for laser, found in suspects.items() if found.are_lit_in(image) and found.stand_out_in(image)]
+        )
+
+    def _refuse_laser_light(self, lit: Sequence[int]) -> None:
         if lit:
             raise LaserSafetyError("lasers", f"{_names_of(lit)} seen while all are off", "cut the power")
+
+    def _refuse_stripe(self, lasers: int, image: UInt[Array, "row column"]) -> None:
+        """Of lasers that make no difference no stripe may show while all are off."""
+        if shows_stripe(image):
+            found = f"{_names(lasers)} not seen to go on or off, and a stripe shows while all are off"
+            raise LaserSafetyError("lasers", found, STRIPE_IN_THE_DARK)
+
+    def _dark_image(self, shot: Shot) -> UInt[Array, "row column"]:
+        """With everything off for long enough, on the scale of a shot."""
+        frame = self._dark_frame()
+        return on_the_scale_of(frame.image, frame.exposure_s, shot)
 
     def _dark_frame(self) -> Frame:
         self._lasers.set_mask(0)
@@ -260,6 +350,14 @@ def _shot(name: str, frames: Sequence[Frame], read_masks: Sequence[int | None], 
         read_lasers=np.array(reported, dtype=np.uint8) if len(reported) == len(frames) else None,
         meta={**meta, **_mishaps(frames)},
     )
+
+
+def _after_lost(shot: Shot, lost: Sequence[AmbientChange]) -> Shot:
+    """The shot, with the attempts at it that changing ambient light spoiled; see `lost_attempts_dn`."""
+    if not lost:
+        return shot
+    sizes_dn = [change.size_dn for change in lost]
+    return replace(shot, meta={**shot.meta, "attempts_lost": {"ambient_changed": sizes_dn}})
 
 
 def _mishaps(frames: Sequence[Frame]) -> Mapping[str, Any]:

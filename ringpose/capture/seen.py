@@ -5,14 +5,14 @@ if most of those places are bright there too; motion of the target or ambient li
 """
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from ringpose.detect.stripe_centers import find_stripes
-from ringpose.types.arrays import Array, Float32, Int64, UInt, UInt8
+from ringpose.types.arrays import Array, Bool, Float32, Int64, UInt, UInt8
 from ringpose.types.frame import Shot
 
 LEAST_SHARE_OF_FULL = 0.02
@@ -67,10 +67,24 @@ class LitPlaces:
 
         Brighter ambient light lifts what is near as well; a laser's line is narrow.
         """
+        return bool((self._line_dn(image) > AS_BRIGHT * self.contrast_dn).mean() > MOST_PLACES)
+
+    def share_of_line(self, image: Image) -> float:
+        """Of the light that another image has at these places more than the dark frame, the share that is a line's."""
+        rise_dn = (image.ravel()[self.pixel].astype(np.float32) - self.dark_dn).clip(0, None)
+        return float(self._line_dn(image).clip(0, rise_dn).sum() / max(rise_dn.sum(), 1.0))
+
+    def _line_dn(self, image: Image) -> Float32[Array, "n"]:
+        """How much brighter the places are than their surroundings, which edges, texture and noise are not.
+
+        The less of two differences: from the narrowest surface around, which an edge has not, and from the mean
+        around, which texture and noise exceed in no more than half of the places.
+        """
         size = max(image.shape[1] // WIDEST_LINE, 15)
         lines = cv2.morphologyEx(image, cv2.MORPH_TOPHAT, np.ones((size, size), dtype=np.uint8))
-        bright = lines.ravel()[self.pixel] > AS_BRIGHT * self.contrast_dn
-        return bool(bright.mean() > MOST_PLACES)
+        detail = image - cv2.blur(image.astype(np.float32), (2 * size + 1, 2 * size + 1))
+        line_dn: Float32[Array, "n"] = np.minimum(lines.ravel()[self.pixel], detail.ravel()[self.pixel])
+        return line_dn
 
     def share_of_light(self, image: Image) -> float:
         """How bright the places are in another image, 1 as in the one they were found in."""
@@ -112,6 +126,45 @@ def places_lit(image: Image, without: Sequence[Image], saturation_dn: int) -> Li
     doubtful = _brighter_places(image, darkest, darkest, saturation_dn)
     stays = doubtful is not None and any(doubtful.are_lit_in(other) for other in without)
     return doubtful if stays else None
+
+
+def broad_light_dn(shot: Shot, seen: UInt8[Array, "frame"], places: Mapping[int, LitPlaces]) -> float:
+    """Grey value of light that only seems to be that of lasers in frames of others; 0 if a line of any of them shows.
+
+    A lamp that lights a part of the image in a laser's own frame and in others gives the laser places that are lit in
+    those, too.
+    """
+    rises_dn = []
+    for image, extra in zip(shot.images, (seen & ~shot.lasers).tolist(), strict=True):
+        for laser in (laser for laser in places if extra >> laser & 1):
+            if places[laser].share_of_line(image) > AS_BRIGHT:
+                return 0.0
+            rises_dn.append(places[laser].share_of_light(image) * float(places[laser].contrast_dn.mean()))
+    return max(rises_dn, default=0.0)
+
+
+def lasers_out_of_turn(
+    shot: Shot, known: Mapping[int, LitPlaces], same_light: Bool[Array, "frame frame"]
+) -> tuple[dict[int, LitPlaces], dict[int, LitPlaces]]:
+    """The places of the lasers of a shot whose ambient light changes, and those that may shine in frames of others.
+
+    A laser's own frame is compared only with frames of the same ambient light, so that nothing else has places; one
+    that has none in this shot keeps those that are known from earlier shots.
+    """
+    places = dict(known)
+    for frame in np.flatnonzero([int(mask).bit_count() == 1 for mask in shot.lasers]):
+        others = np.flatnonzero(same_light[frame] & ((shot.lasers & shot.lasers[frame]) == 0))
+        without = [shot.images[other] for other in others]
+        found = places_lit(shot.images[frame], without, shot.saturation_dn) if without else None
+        if found is not None:
+            places[int(shot.lasers[frame]).bit_length() - 1] = found
+    frames = list(zip(shot.images, shot.lasers.tolist(), strict=True))
+    suspects = {
+        laser: found
+        for laser, found in places.items()
+        if any(found.stand_out_in(image) for image, mask in frames if not mask >> laser & 1)
+    }
+    return places, suspects
 
 
 def shows_stripe(image: Image) -> bool:

@@ -104,6 +104,7 @@ def _existing(force: bool, append: bool) -> "Existing":
 
 def _take(source: "Source", writer: "SessionWriter", batch: "Batch", verbose: bool, quiet: bool) -> None:
     """Every shot as it comes; its name goes out when its file is whole."""
+    from ringpose.capture.ambient import lost_attempts_dn
     from ringpose.cli import messages
     from ringpose.cli.progress import counted
     from ringpose.files import records
@@ -114,8 +115,23 @@ def _take(source: "Source", writer: "SessionWriter", batch: "Batch", verbose: bo
         writer.name_camera(source.camera_name())
         for line in source.warnings():
             messages.say(line)
+        lost_dn: list[float] = []
+        stack.callback(_report_lost, lost_dn)
         for shot in counted(source.shots(writer.read_from, writer.names), "shots", quiet):
+            lost_now_dn = lost_attempts_dn(shot.meta) if source.devices else []
+            lost_dn += lost_now_dn
             with batch.item():
                 records.write_name(writer.add(shot))
                 if verbose:
-                    messages.say(f"{shot.name}: {len(shot.lasers)} frames")
+                    again = f", {len(lost_now_dn)} attempts lost: ambient light changed" if lost_now_dn else ""
+                    messages.say(f"{shot.name}: {len(shot.lasers)} frames{again}")
+
+
+def _report_lost(lost_dn: list[float]) -> None:
+    """How many shots had to be taken again."""
+    from ringpose.cli import messages
+
+    if lost_dn:
+        shots = "1 shot was" if len(lost_dn) == 1 else f"{len(lost_dn)} shots were"
+        size = f"by up to {max(map(abs, lost_dn)):.0f} dn"
+        messages.say(f"ambient light: {shots} lost and taken again: it changed within them {size}")

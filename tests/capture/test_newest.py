@@ -1,6 +1,7 @@
 """The newest shot wins, and the others are counted."""
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -43,6 +44,15 @@ class Bursts:
             self.wanted.release()
         for _ in range(count):
             self.taken.acquire()
+
+
+def test_shots_that_changing_light_spoiled_are_counted_as_dropped():
+    spoiled = replace(shot("a"), meta={"attempts_lost": {"ambient_changed": [30.0, -29.0]}})
+
+    with NewestShots(iter([spoiled])) as newest:
+        (live,) = newest
+
+    assert live.dropped == 2
 
 
 def test_who_keeps_up_misses_nothing():

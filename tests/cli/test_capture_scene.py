@@ -89,3 +89,37 @@ def test_lasers_that_nothing_switches_are_on(scene):
     assert status == 0
     assert shot.lasers.tolist() == [7]
     assert shot.images.max() > 100
+
+
+BLINKING_SCENE = SMALL_SCENE.replace("off,all", "off,1,2,3,off").replace(
+    "trajectory", "sensor: {pixel_m: 18.0e-6}\nlights: {dim: {beacon: {ambient_w_m2: 8.0, ON_AND_OFF}}}\ntrajectory"
+)
+
+
+def test_shots_that_a_beacon_spoils_are_taken_again_and_counted(scene, capsys):
+    """The beacon changes 5 ms after the beginning of each shot, of which one lasts for 12 ms."""
+    scene.write_text(BLINKING_SCENE.replace("ON_AND_OFF", "on_s: 0.05, off_s: 0.05, phase_s: 1767225600.005"))
+
+    status = main(["capture", "--camera", f"sim:{scene}", "--output", "s", "--exposure", "0.0005"])
+
+    names, said = capsys.readouterr()
+    shots = [read_shot(Path(name)) for name in names.splitlines()]
+    assert status == 0
+    assert [shot.name for shot in shots] == ["z0500_p00_dim", "z0500_p01_dim", "z0500_p02_dim"]
+    assert "ambient light: 3 shots were lost" in said
+    assert "settle" not in said
+    for shot in shots:
+        assert len(shot.meta["attempts_lost"]["ambient_changed"]) == 1
+        assert abs(float(shot.images[0].mean()) - float(shot.images[-1].mean())) < 0.5
+
+
+def test_light_that_changes_in_every_shot_ends_the_capture_with_one_line(scene, capsys):
+    scene.write_text(BLINKING_SCENE.replace("ON_AND_OFF", "on_s: 0.006, off_s: 0.006"))
+
+    status = main(["capture", "--camera", f"sim:{scene}", "--output", "s", "--exposure", "0.0005"])
+
+    names, said = capsys.readouterr()
+    assert (status, names) == (69, "")
+    assert said.count("\n") == 1
+    assert "ambient light: changed within each of 10 shots" in said
+    assert "settle" not in said

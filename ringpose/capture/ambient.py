@@ -1,0 +1,116 @@
+"""Ambient light that changes between the frames of one shot.
+
+Lasers draw lines, motion displaces edges and noise has no extent: none of them moves the median, over a block of
+pixels much wider than a line, of the difference between two frames. A lamp that goes on or off moves it in many
+blocks, and in all of them the same way.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from ringpose.types.arrays import Array, Bool, Float32, UInt
+from ringpose.types.frame import Shot
+
+BLOCKS = 8
+"""Blocks along each side of an image."""
+
+MIN_BLOCK_PX = 12
+"""In smaller blocks a line may cover half of the pixels."""
+
+SAMPLES = 24
+"""Pixels along each side of a block whose differences are taken, at least half of that."""
+
+MIN_SHARE_OF_IMAGE = 0.1
+"""Share of the blocks that a change of ambient light reaches at least,"""
+
+MIN_SHARE_OF_FULL = 0.02
+"""by this share of the full grey value, the same as for a place that a laser lights,"""
+
+LOST_SHARE_OF_FULL = 0.05
+"""A shot is of no use from this change on; from the lesser one on if its lasers are not seen as they were switched."""
+
+MIN_SIGMAS = 6.0
+"""and by so many standard deviations of a block's median."""
+
+MAX_OPPOSITE = 0.5
+"""Motion brightens some blocks and darkens others; of a lamp's change the opposite one has less than this share."""
+
+MEDIAN_SIGMA = 1.2533 * 1.4826
+"""Standard deviation of the median of n normal differences, times sqrt(n), for each unit of their median deviation."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AmbientChange:
+    """The largest change of ambient light in a shot, against its first frame without lasers."""
+
+    size_dn: float
+    """Grey value by which at least a tenth of the image became brighter, or darker if it is negative."""
+    share_of_full: float
+    """The same as a share of the full grey value."""
+    only_with_lasers: bool = False
+    """Whether frames without lasers do not show it, so that it could also be the lasers' own stray light."""
+
+
+def ambient_change(shot: Shot) -> AmbientChange | None:
+    """The change of ambient light within a shot; None if there is none that is beyond noise and lines.
+
+    Needs a frame without lasers to compare the others with, and an image of at least 96 x 96 pixels.
+    """
+    dark_frames = np.flatnonzero(shot.lasers == 0)
+    if not len(dark_frames) or not _is_large_enough(shot.images):
+        return None
+    blocks, full_dn = _sampled_blocks(shot.images), shot.usual_full_dn
+    sizes_dn = np.array([_broad_change_dn(frame - blocks[dark_frames[0]], full_dn) for frame in blocks])
+    in_dark = np.abs(sizes_dn[dark_frames])
+    largest = int(dark_frames[np.argmax(in_dark)]) if in_dark.any() else int(np.argmax(np.abs(sizes_dn)))
+    if sizes_dn[largest] == 0.0:
+        return None
+    return AmbientChange(
+        size_dn=float(sizes_dn[largest]),
+        share_of_full=float(abs(sizes_dn[largest])) / full_dn,
+        only_with_lasers=not in_dark.any(),
+    )
+
+
+def same_ambient_light(images: UInt[Array, "frame row column"], full_dn: int) -> Bool[Array, "frame frame"]:
+    """Which images were taken in the same ambient light, as far as they are large enough to tell."""
+    same = np.ones((len(images), len(images)), dtype=np.bool_)
+    if _is_large_enough(images):
+        blocks = _sampled_blocks(images)
+        for one, other in combinations(range(len(images)), 2):
+            same[one, other] = same[other, one] = _broad_change_dn(blocks[one] - blocks[other], full_dn) == 0.0
+    return same
+
+
+def lost_attempts_dn(meta: Mapping[str, Any]) -> list[float]:
+    """Of the attempts at a shot that were lost because ambient light changed, each change in grey values."""
+    return list(meta.get("attempts_lost", {}).get("ambient_changed", ()))
+
+
+def _is_large_enough(images: UInt[Array, "frame row column"]) -> bool:
+    return bool(min(images.shape[1:]) >= BLOCKS * MIN_BLOCK_PX)
+
+
+def _sampled_blocks(images: UInt[Array, "frame row column"]) -> Float32[Array, "frame block pixel"]:
+    """Some of the pixels of each block."""
+    height, width = (side // BLOCKS for side in images.shape[1:])
+    step_y, step_x = max(1, height // SAMPLES), max(1, width // SAMPLES)
+    cropped = images[:, : BLOCKS * height, : BLOCKS * width]
+    parts = cropped.reshape(-1, BLOCKS, height, BLOCKS, width)[:, :, ::step_y, :, ::step_x]
+    blocks: Float32[Array, "frame block pixel"] = parts.swapaxes(2, 3).reshape(len(cropped), BLOCKS**2, -1)
+    return blocks.astype(np.float32)
+
+
+def _broad_change_dn(difference_dn: Float32[Array, "block pixel"], full_dn: int) -> float:
+    """By how much at least a tenth of the blocks became brighter or darker; 0 within noise, or with as many of both."""
+    level_dn = np.median(difference_dn, axis=1)
+    deviation_dn = np.median(np.abs(difference_dn - level_dn[:, None]), axis=1)
+    sigma_dn = MEDIAN_SIGMA * float(np.quantile(deviation_dn, 1 - MIN_SHARE_OF_IMAGE)) / difference_dn.shape[1] ** 0.5
+    darker_dn, brighter_dn = np.quantile(level_dn, [MIN_SHARE_OF_IMAGE, 1 - MIN_SHARE_OF_IMAGE]).tolist()
+    size_dn, opposite_dn = (brighter_dn, -darker_dn) if brighter_dn >= -darker_dn else (darker_dn, brighter_dn)
+    limit_dn = max(MIN_SHARE_OF_FULL * full_dn, MIN_SIGMAS * sigma_dn)
+    return float(size_dn) if abs(size_dn) > limit_dn and opposite_dn < MAX_OPPOSITE * abs(size_dn) else 0.0
