@@ -113,8 +113,6 @@ def _take(source: "Source", writer: "SessionWriter", batch: "Batch", verbose: bo
         for part in (writer, *source.devices):
             stack.enter_context(part)
         writer.name_camera(source.camera_name())
-        for line in source.warnings():
-            messages.say(line)
         lost_dn: list[float] = []
         stack.callback(_report_lost, lost_dn)
         for shot in counted(source.shots(writer.read_from, writer.names), "shots", quiet):

@@ -1,6 +1,6 @@
 """Shots from devices, as they are taken, for a command that measures them."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
@@ -27,7 +27,7 @@ def refuse_both(inputs: list[str] | None, camera: str | None, lasers: str | None
 
 
 @contextmanager
-def newest_shots(wanted: "Wanted", batch: "Batch", say: Callable[[str], None]) -> "Iterator[Iterator[LiveShot]]":
+def newest_shots(wanted: "Wanted", batch: "Batch") -> "Iterator[Iterator[LiveShot]]":
     """The newest shot each time; when the block ends the lasers are off and the devices closed."""
     from ringpose.capture.newest import NewestShots
     from ringpose.cli.sources import source_of
@@ -36,8 +36,6 @@ def newest_shots(wanted: "Wanted", batch: "Batch", say: Callable[[str], None]) -
     with ExitStack() as stack:
         for device in source.devices:
             stack.enter_context(device)
-        for line in source.warnings():
-            say(line)
         shots = source.shots(_unread, ())
         yield stack.enter_context(NewestShots(shots, source.abort))
 

@@ -116,14 +116,13 @@ def _live_lines(
     wanted: "Wanted", rig: "Rig", batch: "Batch", measure: "Callable[[Shot | Detection], PoseLine]"
 ) -> "Iterator[Iterator[PoseLine]]":
     """Pose lines of a camera; what is wrong with one live shot is wrong with all that follow."""
-    from ringpose.cli import messages
     from ringpose.files.shots import fitting_shot
 
     def line_of(live: "LiveShot") -> "PoseLine":
         line = measure(fitting_shot(live.shot, rig, wanted.camera))
         return replace(line, dropped=live.dropped, latency_s=perf_counter() - live.taken_s)
 
-    with newest_shots(wanted, batch, messages.say) as newest:
+    with newest_shots(wanted, batch) as newest:
         import ringpose.detect.pipeline  # here, while the first shot is taken, it costs no time
         import ringpose.pose.pipeline  # noqa: F401
 

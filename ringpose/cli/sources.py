@@ -61,8 +61,6 @@ class Source:
     """Where recorded shots lie, as far as it is known before they are read."""
     devices: tuple[AbstractContextManager[None], ...] = ()
     """To be entered, in this order, while shots are taken."""
-    warnings: Callable[[], tuple[str, ...]] = tuple
-    """What the user should know about the devices, once they are entered."""
     abort: Callable[[], None] | None = None
     """Switches the lasers off although another thread takes shots."""
     camera_name: Callable[[], str | None] = lambda: None
@@ -186,7 +184,6 @@ def _of_devices(
         capture=capture,
         shots=shots,
         devices=(camera, lasers),
-        warnings=lasers.warnings,
         abort=lasers.abort,
         camera_name=lambda: camera.describe().name,
     )

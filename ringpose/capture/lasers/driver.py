@@ -53,10 +53,6 @@ class LaserDriver(Device, Protocol):
         """
         return
 
-    def warnings(self) -> tuple[str, ...]:
-        """What the user should know about the device, which is open."""
-        return ()
-
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:

@@ -8,7 +8,6 @@ import os
 import select
 import signal
 import sys
-from collections.abc import Callable
 from contextlib import suppress
 
 from ringpose.capture.lasers.guard_rules import Danger, GuardRules
@@ -16,7 +15,6 @@ from ringpose.capture.lasers.owner import Owner
 from ringpose.capture.lasers.relay_board import RelayBoard
 from ringpose.capture.lasers.relay_settings import RelaySettings, settings_of_line
 from ringpose.capture.lasers.serial_port import SerialPort
-from ringpose.capture.lasers.wear import Wear
 from ringpose.errors import DeviceError
 
 ORDERS, ANSWERS = 0, 1
@@ -55,25 +53,21 @@ def _guarded(settings: RelaySettings, port: SerialPort, owner: Owner, wake: int)
 
 def _served(settings: RelaySettings, port: SerialPort, owner: Owner, ends: tuple[int, int]) -> int:
     board = RelayBoard(settings, port)
-    wear = Wear(settings.port, settings.relays)
     select.select(ends, [], [], settings.opening_s)
     board.all_off()
     try:
-        _say(f"0 ok {','.join(map(str, wear.earlier))}\n")
+        _say("0 ok\n")
         port.interrupting = ends
         rules = GuardRules(board, settings, (owner.danger, *_interlock(settings, port)))
-        _serve(rules, port, ends, lambda: None if board.lit else wear.note(board.operations))
+        _serve(rules, port, ends)
     finally:
         port.interrupting = ()
-        try:
-            board.all_off()
-        finally:
-            wear.note(board.operations, at_least=1)
+        board.all_off()
     return 0
 
 
-def _serve(rules: GuardRules, port: SerialPort, ends: tuple[int, int], at_rest: Callable[[], None]) -> None:
-    """Until the owner, its orders or the port end, or a signal comes; `at_rest` is called after orders."""
+def _serve(rules: GuardRules, port: SerialPort, ends: tuple[int, int]) -> None:
+    """Until the owner, its orders or the port end, or a signal comes."""
     poll = select.poll()
     for number in (ORDERS, *ends):
         poll.register(number, select.POLLIN)
@@ -94,7 +88,6 @@ def _serve(rules: GuardRules, port: SerialPort, ends: tuple[int, int], at_rest: 
             *lines, pending = (pending + received).split(b"\n")
             for line in lines:
                 _say(rules.obey(line.decode()))
-            at_rest()
 
 
 def _interlock(settings: RelaySettings, port: SerialPort) -> tuple[Danger, ...]:

@@ -17,7 +17,6 @@ from ringpose.capture.lasers.guard_end import GuardEnd
 from ringpose.capture.lasers.relay_board import RelayBoard
 from ringpose.capture.lasers.relay_settings import RelaySettings
 from ringpose.capture.lasers.serial_port import SerialPort
-from ringpose.capture.lasers.wear import WORN
 from ringpose.errors import DeviceError, LaserSafetyError
 
 ANSWER_LIMIT_S = 2.0
@@ -45,7 +44,6 @@ class GuardedLasers(LaserDriver):
         self._faulty = threading.Event()
         self._number = 0
         self._received = b""
-        self._worn: tuple[str, ...] = ()
 
     @property
     def count(self) -> int:
@@ -72,13 +70,8 @@ class GuardedLasers(LaserDriver):
         _keep_no_core()
         self._guard = _started(self.settings)
         self._end = GuardEnd(self._guard.pid, self._guard_ended)
-        counted = self._answer(0, OPENING_LIMIT_S + self.settings.opening_s)
-        self._worn = _worn(self.settings, counted)
+        self._answer(0, OPENING_LIMIT_S + self.settings.opening_s)
         self._guarding = True
-
-    def warnings(self) -> tuple[str, ...]:
-        """Relays that have come near the end of their rated life."""
-        return self._worn
 
     def set_mask(self, lasers: int) -> None:
         """Light exactly these: what has to go off goes off before what has to come on."""
@@ -230,17 +223,6 @@ def _switch_off(settings: RelaySettings) -> None:
         RelayBoard(settings, port).all_off()
     finally:
         port.close()
-
-
-def _worn(settings: RelaySettings, counted: str) -> tuple[str, ...]:
-    rated = settings.rated_operations
-    operations = [int(number) for number in counted.split(",")]
-    first = settings.codec.first
-    return tuple(
-        f"{settings.port}: relay {relay + first} has switched {number} times; its kind lasts for about {rated}"
-        for relay, number in zip(settings.relays, operations, strict=True)
-        if rated and number >= WORN * rated
-    )
 
 
 def _keep_no_core() -> None:

@@ -32,8 +32,6 @@ class RelayBoard:
     def __init__(self, settings: RelaySettings, port: SerialPort) -> None:
         self.lit = 0
         """Commanded last: bit i is laser i."""
-        self.operations = [0] * len(settings.relays)
-        """How often each laser was switched on."""
         self._settings = settings
         self._codec = settings.codec
         self._port = port
@@ -45,7 +43,6 @@ class RelayBoard:
         self.lit &= lasers
         for laser in _members(lasers & ~self.lit):
             self.lit |= 1 << laser
-            self.operations[laser] += 1
             _insisted(partial(self._on, laser))
 
     def repeat(self) -> None:

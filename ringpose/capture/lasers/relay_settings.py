@@ -12,9 +12,6 @@ from ringpose.wire.relay_codec import RelayCodec
 
 CODECS = {"lcus": LcusCodec, "numato": NumatoCodec, "modbus": ModbusCodec, "ascii": AsciiCodec}
 
-RATED_OPERATIONS = 100_000
-"""Electrical life of the common SRD relay at its rated load."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RelaySettings:
@@ -39,8 +36,6 @@ class RelaySettings:
     """Off if a laser is on for longer than this."""
     interlock: str = ""
     """The input that must be closed: `cts`, `dsr`, or none."""
-    rated_operations: int = RATED_OPERATIONS
-    """0 for contacts that do not wear."""
 
     @property
     def codec(self) -> RelayCodec:

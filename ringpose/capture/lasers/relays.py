@@ -9,10 +9,10 @@ from dataclasses import replace
 
 from ringpose.capture.lasers.guarded import GuardedLasers
 from ringpose.capture.lasers.place import LaserPlace, channels
-from ringpose.capture.lasers.relay_settings import CODECS, RATED_OPERATIONS, RelaySettings
+from ringpose.capture.lasers.relay_settings import CODECS, RelaySettings
 from ringpose.capture.uri import DeviceUri
 
-COMMON = ("ch", "baud", "read_back", "heartbeat", "longest_on", "repeat", "interlock", "rated", "opening")
+COMMON = ("ch", "baud", "read_back", "heartbeat", "longest_on", "repeat", "interlock", "opening")
 
 INTERLOCKS = ("", "cts", "dsr")
 
@@ -88,7 +88,6 @@ def _settings(
         heartbeat_s=uri.number("heartbeat", 1.0, *WAITS_S),
         longest_on_s=uri.number("longest_on", 5.0, *WAITS_S),
         interlock=_choice(uri, "interlock", INTERLOCKS, ""),
-        rated_operations=uri.whole("rated", RATED_OPERATIONS, most=10**12),
     )
 
 

@@ -66,9 +66,8 @@ relays.GuardedLasers = Unguarded
 
 
 @pytest.fixture
-def board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
-    """Serves a board by its scheme; `uri` is what capture is given. Wear is counted in the test's own folder."""
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+def board() -> Callable[..., Any]:
+    """Serves a board by its scheme; `uri` is what capture is given."""
 
     @contextmanager
     def served(scheme: str, faults: ContactFaults | None = None) -> Iterator[tuple[ServedRelays, str]]:

@@ -73,18 +73,6 @@ def test_a_pulled_cable_ends_the_capture_with_its_finished_shots(board, capturin
     assert read_shot(tmp_path / first).seen_lasers is not None
 
 
-def test_a_worn_relay_is_named_on_standard_error(board, capturing):
-    with board("lcus") as (_, uri):
-        for _ in range(2):
-            with capturing(f"{uri}&rated=4", "--settle", "0.01", "--count", "4", "--force") as process:
-                _, said = process.communicate(timeout=60)
-
-    assert process.returncode == 0
-    assert [line.split(": ", 2)[2] for line in said.splitlines()] == [
-        f"relay {number} has switched 4 times; its kind lasts for about 4" for number in (1, 2, 3)
-    ]
-
-
 def test_a_full_disk_leaves_the_lasers_off_and_the_finished_shots(board, capturing, tmp_path):
     with board("lcus") as (relays, uri), capturing(uri, "--settle", "0.05", before=FULL_AFTER_A_SHOT) as process:
         names, said = process.communicate(timeout=60)

@@ -202,8 +202,7 @@ def test_what_does_not_show_cannot_be_measured(shots_of):
 
 
 @pytest.mark.parametrize("count", [1, 2, 5, 8])
-def test_any_number_of_lasers_is_captured_one_after_the_other(tmp_path, monkeypatch, rng, count):
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+def test_any_number_of_lasers_is_captured_one_after_the_other(rng, count):
     with ServedRelays(LcusCodec(), relays=range(count)) as relays:
         uri = device_uri(f"lcus:{relays.port}?ch={relays.channels}", "--lasers", LASERS)
         lasers = driver(LASERS, "lcus")(uri, LaserPlace(names=tuple(f"l{number}" for number in range(count))))

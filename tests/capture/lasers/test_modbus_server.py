@@ -38,9 +38,8 @@ asyncio.run(serve())
 
 
 @pytest.fixture
-def line(tmp_path, monkeypatch):
+def line():
     """Two terminals that are the ends of one serial line."""
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     (left, left_end), (right, right_end) = os.openpty(), os.openpty()
     stopped, stop = os.pipe()
 
