@@ -7,12 +7,11 @@ from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, cast, get_args
+from typing import TYPE_CHECKING, Any, Literal, cast, get_args
 
 from ringpose.errors import CannotCreateError, DataError, RingposeError
 from ringpose.files.atomic import make_folder, output_error, replacing
 from ringpose.files.fields import Fields
-from ringpose.files.locks import FolderLock
 from ringpose.files.provenance import provenance, sha256
 from ringpose.files.shots import write_shot
 from ringpose.files.yaml import read_yaml, write_yaml
@@ -20,9 +19,15 @@ from ringpose.types.frame import Shot
 from ringpose.types.sequence import MOST_LASERS
 from ringpose.types.session import Capture, CaptureState, Session
 
+if TYPE_CHECKING:
+    from filelock import BaseFileLock
+
 SCHEMA = "session/1"
 
 FILE = "session.yaml"
+
+LOCK = ".lock"
+"""Held while a capture writes into the folder."""
 
 ASIDE = ".*.part"
 """What a process that was killed while it wrote a file leaves behind."""
@@ -83,17 +88,16 @@ class SessionWriter:
         self._shots: list[str] = []
         self._inputs: dict[str, str] = {}
         self._has_begun = False
-        self._lock: FolderLock | None = None
 
     def __enter__(self) -> None:
         is_free = self._is_free()
         if not is_free:
             self._refuse()
-        self._lock = FolderLock(make_folder(self.folder))
+        self._lock = _locked(make_folder(self.folder))
         try:
             self._take_over(is_free)
         except BaseException:
-            self._lock.release()
+            self._unlock()
             raise
         self._capture = replace(self._capture, provenance=provenance([]))
 
@@ -107,12 +111,11 @@ class SessionWriter:
             elif self._has_begun:
                 with suppress(RingposeError):  # what has ended the capture is worth more than why it cannot be noted
                     self._write("stopped")
-            else:
-                with suppress(OSError):  # a session, or files of the user's
-                    self.folder.rmdir()
         finally:
-            if self._lock is not None:
-                self._lock.release()
+            self._unlock()
+            if not self._has_begun:
+                with suppress(OSError):  # not empty: an earlier session, or files of the user's
+                    self.folder.rmdir()
 
     def add(self, shot: Shot) -> Path:
         """Write a shot and return the path of its file; a name that the session has already is bad data."""
@@ -174,14 +177,37 @@ class SessionWriter:
     def _is_free(self) -> bool:
         """Whether the folder is not there yet, or empty."""
         try:
-            return not self.folder.exists() or (self.folder.is_dir() and not any(self.folder.iterdir()))
+            return not self.folder.exists() or (
+                self.folder.is_dir() and all(path.name == LOCK for path in self.folder.iterdir())
+            )
         except OSError as error:
             raise output_error(self.folder, error) from error
+
+    def _unlock(self) -> None:
+        """Remove the lock file before the lock is released: whoever opened it meanwhile notices and opens it anew."""
+        with suppress(OSError):
+            (self.folder / LOCK).unlink()
+        self._lock.release()
 
     def _write(self, state: CaptureState) -> None:
         noted = {**self._capture.provenance, "inputs": self._inputs}
         current = replace(self._capture, state=state, shots=tuple(self._shots), provenance=noted)
         write_session(self.folder, Session(captures=(*self._earlier, current)))
+
+
+def _locked(folder: Path) -> "BaseFileLock":
+    """The lock of a folder; the kernel releases it when the process ends, even if it is killed."""
+    from filelock import FileLock, Timeout
+
+    lock = FileLock(folder / LOCK, blocking=False, thread_local=False)
+    try:
+        lock.acquire()
+    except Timeout as error:
+        found = "another capture is writing into it"
+        raise CannotCreateError(str(folder), found, "end that first, or choose another output") from error
+    except OSError:  # a file system without locks; if the folder is read-only, the writer reports that next
+        pass
+    return lock
 
 
 def _closed(capture: Capture, unlisted: Iterable[str]) -> Capture:

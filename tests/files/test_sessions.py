@@ -1,5 +1,9 @@
 """Session folders, however they end."""
 
+import errno
+import signal
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -210,6 +214,33 @@ def test_two_captures_do_not_write_into_one_folder(tmp_path, existing):
         (tmp_path / "s" / "session.yaml").touch()
         with pytest.raises(CannotCreateError, match="another capture is writing into it"):
             writer.__enter__()
+
+
+def test_a_capture_that_was_killed_leaves_no_lock_behind(tmp_path):
+    killed = """
+import os, signal
+from pathlib import Path
+from ringpose.files.sessions import SessionWriter
+from ringpose.types.session import Capture
+SessionWriter(Path("s"), Capture(camera="files:x", lasers="none:")).__enter__()
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+    assert subprocess.run([sys.executable, "-c", killed], cwd=tmp_path).returncode == -signal.SIGKILL
+
+    written(tmp_path / "s", "a")
+
+    assert sorted(path.name for path in (tmp_path / "s").iterdir()) == ["a.npz", "session.yaml"]
+
+
+def test_a_file_system_without_locks_takes_a_session_all_the_same(tmp_path, monkeypatch):
+    def no_locks(*_):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", no_locks)
+
+    written(tmp_path / "s", "a")
+
+    assert read_session(tmp_path / "s").shots == ("a",)
 
 
 def test_what_ended_a_capture_is_said_though_the_disk_is_full_by_then(tmp_path, monkeypatch):
