@@ -1,14 +1,14 @@
 """Cameras in files: the project's own, and those of other programs, read and written."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ringpose.errors import DataError
+from ringpose.errors import DataError, UsageError
 from ringpose.files import atomic, kalibr, matlab, opencv_storage
 from ringpose.files.bytes import read_bytes
 from ringpose.files.camera_format import CameraFormat
@@ -25,25 +25,9 @@ _MESSAGE_END = re.compile(rb"\n---\s*\Z")
 
 def read_camera(path: Path) -> Camera:
     """The camera of a camera.yaml or rig.yaml, or of a file of ROS, OpenCV, Kalibr or MATLAB, told by its content."""
-    text, file = read_bytes(path), str(path)
-    if opencv_storage.is_storage(text):
-        return opencv_storage.camera_of(text, file, path.stem)
-    if matlab.is_mat(text):
-        return matlab.camera_of_mat(text, file, path.stem)
-    if matlab.is_script(text):
-        return matlab.camera_of_script(text, file, path.stem)
-    values = parsed(_MESSAGE_END.sub(b"\n", text), file)
-    if kalibr.is_camchain(values):
-        return kalibr.camera_of(values, file)
-    schema = str(values.get("ringpose", "")) if isinstance(values, Mapping) else ""
-    if schema.startswith("rig/"):
-        return _camera_of_rig(Fields(file, values))
-    if not schema:
-        said = {"camera_name": path.stem, "distortion_model": "plumb_bob"} | _ros_mapping(values, file)
-        foreign = Fields(file, said)
-        foreign.known = CAMERA_KEYS
-        return camera_of(foreign)
-    return camera_of(Fields(file, values, FILE_KEYS), schema=schema)
+    file = str(path)
+    form, values = _opened(read_bytes(path), file)
+    return _READERS[form](values, file, path.stem)
 
 
 def write_camera_as(path: Path, camera: Camera, form: CameraFormat, source: Path, *, force: bool = False) -> None:
@@ -57,6 +41,54 @@ def write_camera_as(path: Path, camera: Camera, form: CameraFormat, source: Path
             stream.write(content)
         else:
             write_yaml(stream, content)
+
+
+def _opened(content: bytes, file: str) -> tuple[CameraFormat, Any]:
+    """The format of a file, by its first bytes or its keys, and the values in it."""
+    if matlab.is_mat(content):
+        return CameraFormat.MATLAB, matlab.mat_variables(content, file)
+    if opencv_storage.is_storage(content):
+        return CameraFormat.OPENCV, opencv_storage.storage_values(content, file)
+    values = parsed(_MESSAGE_END.sub(b"\n", content), file)
+    keys = set(values) if isinstance(values, Mapping) else set()
+    for form, signs in _SIGNS.items():
+        if keys & signs:
+            return form, values
+    raise DataError(file, "is no camera", "give a camera.yaml, rig.yaml, or a file of ROS, OpenCV, Kalibr or MATLAB")
+
+
+_SIGNS = {
+    CameraFormat.RINGPOSE: {"ringpose"},
+    CameraFormat.KALIBR: {kalibr.NAME},
+    CameraFormat.ROS: {"camera_matrix", "K", "k"},
+}
+"""Top-level keys of which a YAML file of each format has one."""
+
+
+def _own_camera(values: Mapping[str, Any], file: str, name: str) -> Camera:
+    schema = str(values["ringpose"])
+    if schema.startswith("rig/"):
+        return _camera_of_rig(Fields(file, values))
+    return camera_of(Fields(file, values, FILE_KEYS), schema=schema)
+
+
+def _ros_camera(values: Mapping[str, Any], file: str, name: str) -> Camera:
+    """From camera_info files, and from a message as `rostopic echo` and `ros2 topic echo` print it."""
+    if "camera_matrix" not in values:
+        values = _of_message({str(key).lower(): value for key, value in values.items()}, file)
+    fields = Fields(file, {"camera_name": name, "distortion_model": "plumb_bob", **values})
+    fields.known = CAMERA_KEYS
+    return camera_of(fields)
+
+
+_READERS: dict[CameraFormat, Callable[[Any, str, str], Camera]] = {
+    CameraFormat.RINGPOSE: _own_camera,
+    CameraFormat.ROS: _ros_camera,
+    CameraFormat.OPENCV: opencv_storage.camera_of,
+    CameraFormat.KALIBR: kalibr.camera_of,
+    CameraFormat.MATLAB: matlab.camera_of,
+}
+"""From the values in a file, its name for messages, and a name for a camera that has none."""
 
 
 def _camera_of_rig(fields: Fields) -> Camera:
@@ -76,12 +108,13 @@ def _camera_of_rig(fields: Fields) -> Camera:
 def _content(path: Path, camera: Camera, form: CameraFormat) -> bytes | dict[str, Any]:
     """Bytes, or what is written as YAML."""
     if form is CameraFormat.OPENCV:
-        xml = path.suffix.lower() == ".xml"
-        return opencv_storage.xml_text(camera) if xml else opencv_storage.yaml_text(camera)
+        return opencv_storage.storage_text(camera, path.suffix)
     if form is CameraFormat.KALIBR:
         return kalibr.camera_values(camera)
     if form is CameraFormat.MATLAB:
-        return matlab.mat(camera) if path.suffix.lower() == ".mat" else matlab.script(camera).encode()
+        if path.suffix.lower() != ".mat":
+            raise UsageError("--output", f"{path.name} is not a .mat file", "name it so: MATLAB reads no other")
+        return matlab.mat(camera)
     return _ros_values(camera)
 
 
@@ -92,17 +125,6 @@ def _ros_values(camera: Camera) -> dict[str, Any]:
         "rectification_matrix": {"rows": 3, "cols": 3, "data": np.eye(3).ravel()},
         "projection_matrix": {"rows": 3, "cols": 4, "data": np.column_stack([matrix, np.zeros(3)]).ravel()},
     }
-
-
-def _ros_mapping(values: object, file: str) -> dict[str, Any]:
-    """The keys of camera_info files, also from a message, as `rostopic echo` and `ros2 topic echo` print it."""
-    if isinstance(values, Mapping) and ("K" in values or "k" in values):
-        values = _of_message({str(key).lower(): value for key, value in values.items()}, file)
-    if not isinstance(values, Mapping) or "camera_matrix" not in values:
-        raise DataError(
-            file, "is no camera", "give a camera.yaml, rig.yaml, or a file of ROS, OpenCV, Kalibr or MATLAB"
-        )
-    return dict(values)
 
 
 def _of_message(message: dict[str, Any], file: str) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from ringpose.files.bytes import read_bytes
 from ringpose.files.fields import Fields
-from ringpose.files.yaml import parsed
+from ringpose.files.opencv_storage import storage_values
 
 OPENCV_PREFIX = "DICT_"
 """Names of OpenCV's own dictionaries begin so; any other name is that of a file."""
@@ -15,9 +15,7 @@ MOST_MARKERS = 1024
 
 def read_dictionary(path: Path) -> tuple[str, ...]:
     """Each marker's bits, row by row."""
-    text = read_bytes(path)
-    body = text.partition(b"\n")[2] if text.startswith(b"%YAML:") else text  # OpenCV 4's header is no YAML
-    fields = Fields(str(path), parsed(body, str(path)))
+    fields = Fields(str(path), storage_values(read_bytes(path), str(path)))
     side = fields.integer("markersize", least=3, most=10)
     count = fields.integer("nmarkers", least=1, most=MOST_MARKERS)
     return tuple(_bits(fields, f"marker_{number}", side) for number in range(count))

@@ -1,5 +1,6 @@
 """Cameras in Kalibr's camchain files."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -17,12 +18,7 @@ _LENGTHS = {"radtan": 4, "none": 0}
 """Kalibr's distortion models that are OpenCV's too, with the number of their coefficients: k1, k2, p1, p2."""
 
 
-def is_camchain(values: object) -> bool:
-    """Whether a YAML document is a camchain: mappings under cam0, cam1, ..."""
-    return isinstance(values, dict) and isinstance(values.get(NAME), dict)
-
-
-def camera_of(values: dict[str, Any], file: str) -> Camera:
+def camera_of(values: Mapping[str, Any], file: str, name: str) -> Camera:
     """The camera of a chain of one."""
     if len(values) > 1:
         raise DataError(file, f"has {len(values)} cameras", "keep the one that is meant, under cam0")

@@ -1,10 +1,13 @@
-"""Cameras of MATLAB: the camera calibration toolbox's Calib_Results (.m, .mat), and `toStruct` of cameraParameters.
+"""Cameras of MATLAB in .mat files: Calib_Results of the camera calibration toolbox, `toStruct` of cameraParameters.
 
 The toolbox counts pixels from 0, as ringpose does; cameraParameters count from 1.
 """
 
 import io
-import re
+import json
+import os
+import subprocess
+import sys
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,61 +16,64 @@ import numpy as np
 from ringpose.errors import DataError
 from ringpose.files.camera_matrices import checked_matrix
 from ringpose.files.fields import Fields
-from ringpose.files.mat_file import HEADER, NEWER_HEADER, mat_variables
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
 
-_REMEDY = "give a Calib_Results file, or toStruct(cameraParameters) saved as .mat"
-_ASSIGNED = re.compile(r"^\s*(\w+)\s*=\s*\[?([^\]\n%]*?)\]?\s*;[ \t\r]*(?:%.*)?$", re.MULTILINE)
+MAX_BYTES = 2**26
+"""No .mat file of a calibration is larger."""
+
+_VERSION_5, _VERSION_7_3 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
+_REMEDY = "give a Calib_Results.mat, or toStruct(cameraParameters) saved as .mat with -v7"
 _TOOLBOX = ("fc", "cc", "kc", "nx", "ny")
 _STRUCT = ("ImageSize", "RadialDistortion", "TangentialDistortion")
+
+_LOAD = """
+import io, json, resource, sys
+from scipy.io import loadmat
+
+resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+resource.setrlimit(resource.RLIMIT_AS, (2**31, 2**31))
+values = loadmat(io.BytesIO(sys.stdin.buffer.read()), simplify_cells=True)
+json.dump(values, sys.stdout, default=lambda value: value.tolist() if hasattr(value, "tolist") else None)
+"""
+"""SciPy's reader crashes on damaged files (1.17: a segmentation fault for one of 50 files with three wrong bytes), or
+allocates what a wrong size asks for; therefore it runs in a process of its own, with limited memory and time."""
+
+_LIMIT_S = 60.0
 
 
 def is_mat(content: bytes) -> bool:
     """Whether a file is a .mat file; one of version 7.3 is HDF5 inside."""
-    return content.startswith((HEADER, NEWER_HEADER))
+    return content.startswith((_VERSION_5, _VERSION_7_3))
 
 
-def is_script(content: bytes) -> bool:
-    """Whether a file is the toolbox's Calib_Results.m."""
-    return re.search(rb"^\s*fc\s*=\s*\[", content, re.MULTILINE) is not None
+def mat_variables(content: bytes, file: str) -> dict[str, Any]:
+    """Variables of a .mat file of version 5 to 7.2 by name: numbers, nested lists, mappings for structures."""
+    if content.startswith(_VERSION_7_3):
+        raise DataError(file, "is a .mat file of version 7.3, must be of version 5 to 7.2", "save it anew with -v7")
+    if len(content) > MAX_BYTES:
+        raise DataError(file, f"has {len(content)} bytes, a camera has at most {MAX_BYTES}", _REMEDY)
+    words, environment = [sys.executable, "-P", "-c", _LOAD], {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+    try:
+        loaded = subprocess.run(  # noqa: S603 (no word comes from outside)
+            words, input=content, capture_output=True, timeout=_LIMIT_S, check=True, env=environment
+        )
+        values = json.loads(loaded.stdout)
+    except (subprocess.CalledProcessError, subprocess.TimeoutExpired, ValueError):
+        raise DataError(file, "is not a valid .mat file of version 5 to 7.2", "save it anew with -v7") from None
+    return dict(values)
 
 
-def camera_of_mat(content: bytes, file: str, name: str) -> Camera:
-    """The camera in a .mat file."""
-    values = mat_variables(content, file)
+def camera_of(values: Mapping[str, Any], file: str, name: str) -> Camera:
+    """The camera among the variables of a .mat file."""
     for candidate in (values, *(value for value in values.values() if isinstance(value, dict))):
         if all(key in candidate for key in _STRUCT):
             return _camera_of_struct(candidate, file, name)
     return _camera_of_toolbox(values, file, name)
 
 
-def camera_of_script(content: bytes, file: str, name: str) -> Camera:
-    """The camera in a Calib_Results.m."""
-    try:
-        found = _ASSIGNED.findall(content.decode("utf-8", errors="replace"))
-        values = {
-            key: np.array([float(word) for word in re.split(r"[;,\s]+", text.strip()) if word])
-            for key, text in found
-            if key in (*_TOOLBOX, "alpha_c")
-        }
-    except ValueError:
-        raise DataError(file, "has something other than numbers in fc, cc, kc, nx or ny", _REMEDY) from None
-    return _camera_of_toolbox(values, file, name)
-
-
-def script(camera: Camera) -> str:
-    """A Calib_Results.m; uncertainties as the toolbox gives them, three standard deviations."""
-    lines = ["% Intrinsic camera parameters, as the camera calibration toolbox for MATLAB writes them"]
-    values = _toolbox_values(camera)
-    lines += [
-        f"{key} = [ {' ; '.join(repr(float(item)) for item in np.ravel(value))} ];" for key, value in values.items()
-    ]
-    return "\n".join(lines) + "\n"
-
-
 def mat(camera: Camera) -> bytes:
-    """A Calib_Results.mat."""
+    """A Calib_Results.mat; uncertainties as the toolbox gives them, three standard deviations."""
     from scipy.io import savemat
 
     stream: Any = io.BytesIO()
@@ -90,13 +96,13 @@ def _camera_of_toolbox(values: Mapping[str, Any], file: str, name: str) -> Camer
 
 def _camera_of_struct(values: Mapping[str, Any], file: str, name: str) -> Camera:
     """MATLAB's first pixel is 1, OpenCV's 0; its IntrinsicMatrix is transposed, K is not."""
-    if "K" in values:
-        matrix = _numbers(values["K"], file, "K")
-    elif "IntrinsicMatrix" in values:
-        matrix = _numbers(np.transpose(values["IntrinsicMatrix"]), file, "IntrinsicMatrix")
-    else:
+    key = "K" if "K" in values else "IntrinsicMatrix"
+    if key not in values:
         raise DataError(file, "has neither K nor IntrinsicMatrix", _REMEDY)
-    fx, skew, cx, _, fy, cy = _of_length(matrix, 9, file, "the camera matrix")[:6].tolist()
+    matrix = _of_length(_numbers(values[key], file, key), 9, file, key).reshape(3, 3)
+    if key == "IntrinsicMatrix":
+        matrix = matrix.T
+    fx, skew, cx, _, fy, cy = matrix.ravel()[:6].tolist()
     if skew:
         raise DataError(file, f"has a skew of {skew:g}", "calibrate without")
     radial, tangential = (_numbers(values[key], file, key) for key in _STRUCT[1:])
