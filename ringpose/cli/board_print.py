@@ -14,9 +14,7 @@ OptionalOutput = Annotated[
 ]
 PrintBoard = Annotated[
     Path | None,
-    typer.Option(
-        "--print-board", readable=False, metavar="FILE", help="Only draw the board at true scale: .pdf, .svg or .png."
-    ),
+    typer.Option("--print-board", readable=False, metavar="FILE", help="Only draw the board at true scale, as PDF."),
 ]
 
 
@@ -28,10 +26,10 @@ def print_board(path: Path, board_file: Path, usual: str, *, force: bool, quiet:
     from ringpose.calibrate.board_drawing import A4_BOARDS, board_drawing
     from ringpose.cli import messages
     from ringpose.files.atomic import refuse_existing, refuse_inputs
-    from ringpose.files.board_prints import require_format, write_board_print
+    from ringpose.files.board_prints import require_pdf, write_board_print
     from ringpose.files.boards import read_board, write_board
 
-    require_format(path)
+    require_pdf(path)
     refuse_inputs([path], [board_file])
     refuse_existing(path, force)
     if not board_file.exists():
