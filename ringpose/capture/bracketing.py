@@ -1,65 +1,40 @@
 """Frames of several exposures -> frames on one scale, several of the same lasers merged into one of high dynamic range.
 
 A pixel collects `black + rate * exposure`. Of the exposures in which it is not full, each gives its rate with the
-variance `(dark + gain * signal) / exposure^2`; their mean, weighted by the inverse of these, is the best estimate.
-Black level, dark noise and gain are estimated from the brackets themselves: two exposures of one scene differ by
-noise alone.
+variance `(dark + gain * signal) / exposure^2` (EMVA 1288); merged is their mean, weighted by the inverse of these.
+The black level is estimated from the brackets, because a wrong one would be a step where the longest exposure is full.
+Dark noise and gain are constants: the optimum is flat, and for true gains of a quarter to twice as much and dark noise
+of 0.4 to 3.2 of 255 grey values the variance of the mean is at most 9 % larger than with the sensor's own.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from ringpose.types.arrays import Array, Float32, Float64, UInt, UInt16
+from ringpose.types.arrays import Array, Bool, Float32, UInt, UInt16
 from ringpose.types.frame import Shot, shot_with_frames
 
 FULL_SHARE = 0.98
 """From this share of the full grey value on a pixel counts as full: its response bends below the last code."""
 
-MOST_DN = 65000
+MAX_DN = 65000
 """Grey value of pixels that are full in every exposure."""
 
-LEAST_VARIANCE_DN2 = 1 / 12
-"""Of rounding to whole grey values."""
+FULL_WELL_E, DARK_NOISE_E = 10_000.0, 40.0
+"""Electrons that fill a pixel, and the standard deviation of a dark one's: between common sensors and noisy ones."""
 
-LEVELS = 24
-"""Bins of grey values from which the noise is read."""
+ROUNDING_DN2 = 1 / 12
+"""Variance of rounding to whole grey values."""
 
-LEAST_IN_LEVEL = 100
+PEDESTAL_SHARE = 1 / 32
+"""Of the full grey value, what is added to dark pixels, so that their noise is not cut off at zero."""
 
-PEDESTAL_SIGMAS = 6.0
+MIN_PIXELS = 100
+"""Not full in either exposure, from which the black level is estimated."""
 
 THINNED = 3
-"""Every so many-th row and column tell the noise."""
-
-USUAL_FULL_E = 10_000.0
-"""Electrons that fill a pixel of a common sensor, where the brackets do not tell the noise."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PixelNoise:
-    """Grey value of a dark pixel, and the variance `dark_variance_dn2 + gain_dn_per_e * signal` of a grey value."""
-
-    black_dn: float
-    dark_variance_dn2: float
-    gain_dn_per_e: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Scale:
-    """Grey values that a merged frame has: `pedestal_dn + rate * unit_s`."""
-
-    unit_s: float
-    pedestal_dn: float
-    """So that noise of dark pixels is not cut off."""
-    full_dn: float
-    """A pixel of a frame as taken is full from here on."""
-    top_dn: int
-    """Value of what is full in every exposure."""
-
-
-Image = Float32[Array, "row column"]
+"""Every so many-th row and column is used for it."""
 
 
 def exposed_groups(masks: Sequence[int], exposures_s: Sequence[float]) -> tuple[tuple[int, ...], ...]:
@@ -77,139 +52,69 @@ def exposed_groups(masks: Sequence[int], exposures_s: Sequence[float]) -> tuple[
 def merged_brackets(shot: Shot) -> Shot:
     """The shot with all its frames on the scale of its longest exposure, one for each group of exposures.
 
-    A shot of one exposure stays as it is. Grey values become 16-bit ones above a pedestal; a pixel that is full
-    wherever it was exposed has the value `saturation_dn`.
+    A shot of one exposure stays as it is. Grey values become 16-bit ones, `pedestal_dn + rate * scale_s`; a pixel that
+    is full wherever it was exposed has the value `saturation_dn`.
     """
     exposures_s = shot.exposure_s.tolist()
     if len(set(exposures_s)) == 1:
         return shot
     groups = exposed_groups(shot.lasers.tolist(), exposures_s)
-    noise = pixel_noise(shot, groups)
-    full_dn = FULL_SHARE * shot.saturation_dn
-    highest = (full_dn - noise.black_dn) / min(exposures_s)
-    unit_s = min(max(exposures_s), MOST_DN / highest)
     longest = np.array([max(group, key=lambda frame: exposures_s[frame]) for group in groups])
-    pedestal = PEDESTAL_SIGMAS * noise.dark_variance_dn2**0.5 * unit_s / float(shot.exposure_s[longest].min())
-    scale = Scale(unit_s=unit_s, pedestal_dn=float(np.ceil(pedestal)), full_dn=full_dn, top_dn=int(highest * unit_s))
-    images = np.stack([_merged(shot, group, noise, scale) for group in groups])
-    usual = max(1, int((full_dn - noise.black_dn) * unit_s / max(exposures_s)))
+    full_dn, black_dn = FULL_SHARE * shot.saturation_dn, black_level_dn(shot, max(groups, key=len))
+    max_rate = (full_dn - black_dn) / min(exposures_s)
+    scale_s = min(max(exposures_s), MAX_DN / max_rate)
+    pedestal_dn = float(np.ceil(PEDESTAL_SHARE * shot.saturation_dn * scale_s / shot.exposure_s[longest].min()))
+    top_dn = int(max_rate * scale_s)
+    images = np.zeros((len(groups), *shot.images.shape[1:]), dtype=np.uint16)
+    for image, group in zip(images, groups, strict=True):
+        rate, never = _mean_rate(shot, group, black_dn)
+        image[:] = np.rint((pedestal_dn + rate * np.float32(scale_s)).clip(0, top_dn))
+        image[never] = top_dn
     merged = {
         "exposures_s": [[exposures_s[frame] for frame in group] for group in groups],
-        "scale_s": unit_s,
-        "pedestal_dn": scale.pedestal_dn,
-        "black_dn": noise.black_dn,
-        "dark_variance_dn2": noise.dark_variance_dn2,
-        "gain_dn_per_e": noise.gain_dn_per_e,
+        "scale_s": scale_s,
+        "pedestal_dn": pedestal_dn,
+        "black_dn": black_dn,
     }
-    meta = {**shot.meta, "saturation_dn": scale.top_dn, "usual_full_dn": usual, "merged": merged}
+    usual = max(1, int((full_dn - black_dn) * scale_s / max(exposures_s)))
+    meta = {**shot.meta, "saturation_dn": top_dn, "usual_full_dn": usual, "merged": merged}
     return replace(shot_with_frames(shot, longest), images=images, meta=meta)
 
 
-def pixel_noise(shot: Shot, groups: Sequence[Sequence[int]]) -> PixelNoise:
-    """Black level and noise, from the longest and the shortest exposure of the first group of several.
+def black_level_dn(shot: Shot, group: Sequence[int]) -> float:
+    """From the shortest and the longest exposure of a group: the grey value at which they give the same rate.
 
-    Of the difference `(short - black) / q - (long - black)`, q the ratio of the exposures, the variance is
-    `dark (1/q^2 + 1) + gain signal (1/q + 1)`: a straight line over the signal.
+    The mean over pixels without the 2 % at either end, where something moved; 0 if too few pixels are not full.
     """
-    group = max(groups, key=len)
-    if len(group) == 1:
-        return _usual_noise(0.0, shot.saturation_dn)
     short, long = (chosen(group, key=lambda frame: shot.exposure_s[frame]) for chosen in (min, max))
-    thinned = shot.images[:, ::THINNED, ::THINNED]
+    dim, bright = shot.images[short, ::THINNED, ::THINNED], shot.images[long, ::THINNED, ::THINNED]
+    usable = bright < FULL_SHARE * shot.saturation_dn
+    if short == long or np.count_nonzero(usable) < MIN_PIXELS:
+        return 0.0
     ratio = float(shot.exposure_s[short] / shot.exposure_s[long])
-    return _noise_of_pair(thinned[short], thinned[long], ratio, shot.saturation_dn)
+    blacks = np.sort((dim[usable] - ratio * bright[usable]) / (1 - ratio))
+    rim = len(blacks) // 50
+    return max(0.0, float(blacks[rim : len(blacks) - rim].mean()))
 
 
-def _noise_of_pair(
-    short: UInt[Array, "row column"], long: UInt[Array, "row column"], ratio: float, saturation_dn: int
-) -> PixelNoise:
-    usable = long < FULL_SHARE * saturation_dn
-    if np.count_nonzero(usable) < LEAST_IN_LEVEL:
-        return _usual_noise(0.0, saturation_dn)
-    dim, bright = short[usable].astype(np.float64), long[usable].astype(np.float64)
-    black_dn = max(0.0, _mean_of_most(dim - ratio * bright) / (1 - ratio))
-    signal_dn = bright - black_dn
-    levels = _levels(signal_dn, (dim - black_dn) / ratio - signal_dn)
-    if len(levels) < 2:
-        return _usual_noise(black_dn, saturation_dn)
-    weight = np.array([count**0.5 / max(spread, LEAST_VARIANCE_DN2) for _, spread, count in levels])
-    spreads = np.array([spread for _, spread, _ in levels])
-    terms = np.array([[1 / ratio**2 + 1, max(signal, 0.0) * (1 / ratio + 1)] for signal, _, _ in levels])
-    dark_variance, gain = np.linalg.lstsq(terms * weight[:, None], spreads * weight, rcond=None)[0]
-    return PixelNoise(
-        black_dn=black_dn,
-        dark_variance_dn2=max(float(dark_variance), LEAST_VARIANCE_DN2),
-        gain_dn_per_e=max(float(gain), 0.0),
-    )
+def _mean_rate(
+    shot: Shot, group: Sequence[int], black_dn: float
+) -> tuple[Float32[Array, "row column"], Bool[Array, "row column"]]:
+    """Grey values a second, and where they are unknown: pixels that are full in every exposure of the group."""
+    frames = [(shot.images[frame], np.float32(shot.exposure_s[frame])) for frame in group]
+    usable = [image < FULL_SHARE * shot.saturation_dn for image, _ in frames]
+    rates = [(image - np.float32(black_dn)) / exposure_s for image, exposure_s in frames]
+    gain = np.float32(shot.saturation_dn / FULL_WELL_E)
+    dark_variance = np.float32((gain * DARK_NOISE_E) ** 2 + ROUNDING_DN2)
 
+    def mean(weights: Sequence[np.float32 | Float32[Array, "row column"]]) -> Float32[Array, "row column"]:
+        counted = [weight * is_usable for weight, is_usable in zip(weights, usable, strict=True)]
+        total = sum(weight * rate for weight, rate in zip(counted, rates, strict=True))
+        return np.asarray(total / np.maximum(sum(counted), np.float32(1e-30)), dtype=np.float32)
 
-def _levels(signal_dn: Float64[Array, "n"], difference_dn: Float64[Array, "n"]) -> list[tuple[float, float, int]]:
-    """Mean signal, variance of the difference and number of pixels in bins of equal width that have enough."""
-    edges = np.linspace(signal_dn.min(), signal_dn.max() + 1e-9, LEVELS + 1)
-    level = np.digitize(signal_dn, edges) - 1
-    inside = [level == number for number in range(LEVELS)]
-    return [
-        (float(signal_dn[chosen].mean()), _variance_of_most(difference_dn[chosen]), int(np.count_nonzero(chosen)))
-        for chosen in inside
-        if np.count_nonzero(chosen) >= LEAST_IN_LEVEL
-    ]
-
-
-def _usual_noise(black_dn: float, saturation_dn: int) -> PixelNoise:
-    """Of a sensor of 10000 electrons, where the brackets say nothing."""
-    return PixelNoise(
-        black_dn=black_dn, dark_variance_dn2=LEAST_VARIANCE_DN2, gain_dn_per_e=saturation_dn / USUAL_FULL_E
-    )
-
-
-def _merged(shot: Shot, group: Sequence[int], noise: PixelNoise, scale: Scale) -> UInt16[Array, "row column"]:
-    images = [shot.images[frame].astype(np.float32) for frame in group]
-    exposures_s = [float(shot.exposure_s[frame]) for frame in group]
-    first = np.maximum(_rate(images, exposures_s, exposures_s, noise, scale), 0)
-    weights = [_weight(first, exposure_s, noise) for exposure_s in exposures_s]
-    rate = _rate(images, exposures_s, weights, noise, scale)
-    never = np.logical_and.reduce([image >= scale.full_dn for image in images])
-    grey = np.where(never, np.float32(scale.top_dn), scale.pedestal_dn + rate * np.float32(scale.unit_s))
-    merged: UInt16[Array, "row column"] = np.rint(grey.clip(0, scale.top_dn)).astype(np.uint16)
-    return merged
-
-
-def _weight(rate: Image, exposure_s: float, noise: PixelNoise) -> Image:
-    """Inverse of the variance of the rate that an exposure gives."""
-    signal_dn = rate * np.float32(exposure_s)
-    variance_dn2 = np.float32(noise.dark_variance_dn2) + np.float32(noise.gain_dn_per_e) * signal_dn
-    weight: Image = np.float32(exposure_s**2) / variance_dn2
-    return weight
-
-
-def _rate(
-    images: Sequence[Image],
-    exposures_s: Sequence[float],
-    weights: Sequence[float | Image],
-    noise: PixelNoise,
-    scale: Scale,
-) -> Image:
-    """Mean of the rates of the exposures in which a pixel is not full; 0 where it is in all."""
-    total = np.zeros_like(images[0])
-    weight_sum = np.zeros_like(images[0])
-    for image, exposure_s, weight in zip(images, exposures_s, weights, strict=True):
-        counted = np.where(image < scale.full_dn, weight, 0.0).astype(np.float32)
-        total += counted * ((image - np.float32(noise.black_dn)) / np.float32(exposure_s))
-        weight_sum += counted
-    rate: Image = total / np.maximum(weight_sum, np.float32(1e-30))
-    return rate
-
-
-def _mean_of_most(values: Float64[Array, "n"]) -> float:
-    low, high = np.quantile(values, [0.02, 0.98])
-    return float(values[(values >= low) & (values <= high)].mean())
-
-
-def _variance_of_most(values: Float64[Array, "n"]) -> float:
-    """Variance about the mean, without what lies beyond four of its roots."""
-    for _ in range(3):
-        values = values[np.abs(values - values.mean()) <= 4 * values.std() + 1e-9]
-    return float(values.var())
+    first = np.maximum(mean([exposure_s for _, exposure_s in frames]), 0)
+    weights = [exposure_s**2 / (dark_variance + gain * first * exposure_s) for _, exposure_s in frames]
+    return mean(weights), ~np.logical_or.reduce(usable)
 
 
 def on_the_scale_of(image: UInt[Array, "row column"], exposure_s: float, shot: Shot) -> UInt[Array, "row column"]:
