@@ -5,11 +5,13 @@ weighed by how much the views really differ: moderated variances (Smyth 2004), c
 """
 
 import numpy as np
+from scipy.optimize import brentq
 from scipy.special import digamma, polygamma
 
 from ringpose.types.arrays import Array, Float64
 
-_ROUNDS = 30
+_MIN_SPREAD = 1e-9
+"""Variance of the logarithms of the views' variances below which the views do not differ."""
 
 
 def moderated_variances(squares: Float64[Array, "view"], freedom: Float64[Array, "view"]) -> Float64[Array, "view"]:
@@ -29,19 +31,8 @@ def _prior(log_variance: Float64[Array, "view"], freedom: Float64[Array, "view"]
         return float("inf"), float("nan")
     unbiased = log_variance - digamma(freedom / 2) + np.log(freedom / 2)
     spread = float(np.var(unbiased, ddof=1) - np.mean(polygamma(1, freedom / 2)))
-    if spread <= 0:
+    if spread < _MIN_SPREAD:
         return float("inf"), float("nan")
-    prior = 2 * _inverse_trigamma(spread)
+    bracket = (1 / spread, 1 / spread + 1)  # 1/x < trigamma(x) < 1/x + 1/x^2
+    prior = 2 * float(brentq(lambda x: polygamma(1, x) - spread, *bracket))
     return prior, float(np.exp(unbiased.mean() + digamma(prior / 2) - np.log(prior / 2)))
-
-
-def _inverse_trigamma(value: float) -> float:
-    """Newton's steps on 1 / trigamma, which is nearly straight."""
-    x = 0.5 + 1.0 / value
-    for _ in range(_ROUNDS):
-        trigamma = float(polygamma(1, x))
-        step = trigamma * (1 - trigamma / value) / float(polygamma(2, x))
-        x += step
-        if abs(step) < 1e-10 * x:
-            break
-    return x
