@@ -11,8 +11,8 @@ def kernels(name: str, parts: tuple[str, ...], headers: tuple[str, ...]) -> Exte
         depends=[f"ringpose/kernels/{header}.h" for header in headers],
         define_macros=[("Py_LIMITED_API", "0x030B0000")],
         py_limited_api=True,
-        # No fused multiply-add: the kernels equal their Python twins to the last bit. Nobody asks for floating-point
-        # traps or errno, without which loops with roots and choices become vectors.
+        # No fused multiply-add: the same numbers on every machine. Nobody asks for floating-point traps or errno,
+        # without which loops with roots and choices become vectors.
         extra_compile_args=[
             *("-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math"),
             *("-Wall", "-Wextra"),

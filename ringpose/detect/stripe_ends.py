@@ -2,7 +2,7 @@
 
 Along the stripe the brightness falls from the face's level to what lies beyond (nothing, the weak continuation
 on a wall, a leak of the stripe on the body behind) as an error function; speckle multiplies it (ringpose-method(7),
-section 3; its equations are in the kernel's twins `reference_ends`, `reference_end_levels` and `reference_end_sigmas`).
+section 3).
 """
 
 from functools import lru_cache

@@ -1,7 +1,6 @@
-"""The hot loops in C, behind typed functions; each has a readable twin in `ringpose.kernels.reference`.
+"""The hot loops in C, behind typed functions.
 
-The twins are the oracle of the tests, not a fallback: they are some hundred times slower, and a silent
-fallback would hide that from whoever wonders about it.
+There is no fallback in Python: it would be some hundred times slower, and silently so.
 """
 
 import numpy as np

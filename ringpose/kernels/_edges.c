@@ -1,4 +1,4 @@
-/* The Python side of the kernels that follow the ring's edges; arguments are checked here. Twin: reference_edges.py. */
+/* The Python side of the kernels that follow the ring's edges; arguments are checked here. */
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 

@@ -1,4 +1,4 @@
-/* The Python side of the kernels that look for the ring's face; arguments are checked here. Twin: reference_faces.py. */
+/* The Python side of the kernels that look for the ring's face; arguments are checked here. */
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 

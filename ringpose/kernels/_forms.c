@@ -1,5 +1,4 @@
-/* The Python side of what solves for the ring; arguments are checked here. Twins: reference_forms.py, and what the rows
-   are made of in ringpose/pose/ring_model.py. */
+/* The Python side of what solves for the ring; arguments are checked here. */
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 

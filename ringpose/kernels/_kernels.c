@@ -1,7 +1,6 @@
 /* The Python side of the kernels: arguments are checked here, and the GIL is released around the work.
 
-   Every array arrives through the buffer protocol; results of unknown length leave as bytes. Each function has a
-   readable NumPy twin in ringpose/kernels/reference.py. */
+   Every array arrives through the buffer protocol; results of unknown length leave as bytes. */
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 

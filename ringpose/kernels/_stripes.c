@@ -1,4 +1,4 @@
-/* The Python side of the stripe kernel; arguments are checked here. Twin: reference_stripes.py. */
+/* The Python side of the stripe kernel; arguments are checked here. */
 #define PY_SSIZE_T_CLEAN
 #include <Python.h>
 

@@ -1,4 +1,4 @@
-/* Two short arcs about one centre; twin: reference_ring.py. */
+/* Two short arcs about one centre. */
 #include "arcs.h"
 
 #include <math.h>

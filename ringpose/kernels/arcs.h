@@ -1,4 +1,4 @@
-/* Two short arcs about one centre through points in a plane. No Python in here. Twin: reference_ring.py. */
+/* Two short arcs about one centre through points in a plane. No Python in here. */
 #ifndef RINGPOSE_ARCS_H
 #define RINGPOSE_ARCS_H
 

@@ -1,4 +1,4 @@
-/* Which tracks may be the ring's face, and under which laser. Twin: reference_faces.py. */
+/* Which tracks may be the ring's face, and under which laser. */
 #include <math.h>
 
 #include "faces.h"

@@ -1,4 +1,4 @@
-/* The edge walk; twin: reference.chains.
+/* The edge walk.
 
    A pixel that belongs to a chain has its magnitude negated while the walks last; a wall of the most negative one
    stands around the pixels that have a gradient. All is set right again at the end. */

@@ -1,4 +1,4 @@
-/* The paper's closed form, read literally, and the same inside the ring's plane; see reference_forms.py. */
+/* The paper's closed form, read literally, and the same inside the ring's plane. */
 #include <math.h>
 
 #include "forms.h"

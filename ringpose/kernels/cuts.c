@@ -1,4 +1,4 @@
-/* Cuts chains into straight pieces: the length condition and the direction shares; twin: reference.cuts. */
+/* Cuts chains into straight pieces: the length condition and the direction shares. */
 #include "kernels.h"
 
 #include <math.h>

@@ -1,4 +1,4 @@
-/* The ring's edges as arcs in a plane; twin: geometry/ring_arcs.py. */
+/* The ring's edges as arcs in a plane. */
 #include "edges.h"
 
 #include <math.h>

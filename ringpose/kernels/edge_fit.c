@@ -1,5 +1,4 @@
-/* The arcs that explain break points, the stripes' lines, and edge points, by robust least squares; twin:
-   reference_edges.py. */
+/* The arcs that explain break points, the stripes' lines, and edge points, by robust least squares. */
 #include "edges.h"
 
 #include <math.h>

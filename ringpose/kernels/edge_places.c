@@ -1,4 +1,4 @@
-/* Where the image should show the ring's edges, and how well that is known; twin: reference_edges.py. */
+/* Where the image should show the ring's edges, and how well that is known. */
 #include "edges.h"
 
 #include <math.h>

@@ -1,4 +1,4 @@
-/* Where, near predicted places of an edge, brightness steps, to a fraction of a pixel; twin: reference_edges.py. */
+/* Where, near predicted places of an edge, brightness steps, to a fraction of a pixel. */
 #include "edges.h"
 #include "kernels.h"
 

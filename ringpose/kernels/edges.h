@@ -1,5 +1,5 @@
 /* The ring's two edges as arcs in a plane, where an image should show them, and the steps of brightness that it shows
-   there. No Python in here. Twin: reference_edges.py. */
+   there. No Python in here. */
 #ifndef RINGPOSE_EDGES_H
 #define RINGPOSE_EDGES_H
 

@@ -1,4 +1,4 @@
-"""The kernels that follow a ring's edges, behind typed functions; their twins: `ringpose.kernels.reference_edges`."""
+"""The kernels that follow a ring's edges, behind typed functions."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-/* Edges fitted to the brightness of a stripe about its end. Twin: reference_ends.py. */
+/* Edges fitted to the brightness of a stripe about its end. */
 #include "end_fits.h"
 
 #include <math.h>

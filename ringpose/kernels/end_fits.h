@@ -1,4 +1,4 @@
-/* Edges fitted to the brightness of a stripe about its end. No Python in here. Twin: reference_ends.py. */
+/* Edges fitted to the brightness of a stripe about its end. No Python in here. */
 #ifndef RINGPOSE_END_FITS_H
 #define RINGPOSE_END_FITS_H
 

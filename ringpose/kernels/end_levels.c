@@ -1,4 +1,4 @@
-/* What a stripe's brightness about its ends varies by. Twin: reference_end_levels.py. */
+/* What a stripe's brightness about its ends varies by. */
 #include "end_levels.h"
 
 #include <math.h>

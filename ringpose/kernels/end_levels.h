@@ -1,4 +1,5 @@
-/* What a stripe's brightness about its ends varies by. No Python in here. Twin: reference_end_levels.py. */
+/* What a stripe's brightness about its ends varies by. N, S and C^2 of ringpose-method(7), section 3, are `noise`,
+   `shot` and `speckle`. No Python in here. */
 #ifndef RINGPOSE_END_LEVELS_H
 #define RINGPOSE_END_LEVELS_H
 

@@ -1,4 +1,4 @@
-/* Other places where a stripe may end, and what they add to its variance. Twin: reference_end_places.py. */
+/* Other places where a stripe may end, and what they add to its variance. */
 #include "end_places.h"
 
 #include <math.h>

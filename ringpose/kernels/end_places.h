@@ -1,4 +1,4 @@
-/* Other places where a stripe may end. No Python in here. Twin: reference_end_places.py. */
+/* Other places where a stripe may end. No Python in here. */
 #ifndef RINGPOSE_END_PLACES_H
 #define RINGPOSE_END_PLACES_H
 

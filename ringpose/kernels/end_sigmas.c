@@ -1,4 +1,5 @@
-/* How well the end of a stripe is known. Twin: reference_end_sigmas.py. */
+/* How well the end of a stripe is known: the u^T V u of ringpose-method(7), section 3. fill_influence gives u,
+   light_noise adds the parts of V. */
 #include "end_sigmas.h"
 
 #include <math.h>

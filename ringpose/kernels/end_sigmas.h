@@ -1,4 +1,4 @@
-/* How well the end of a stripe is known. No Python in here. Twin: reference_end_sigmas.py. */
+/* How well the end of a stripe is known. No Python in here. */
 #ifndef RINGPOSE_END_SIGMAS_H
 #define RINGPOSE_END_SIGMAS_H
 

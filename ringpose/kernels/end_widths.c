@@ -1,4 +1,4 @@
-/* How wide the edges of an image are. Twin: reference_end_widths.py. */
+/* How wide the edges of an image are. */
 #include "end_widths.h"
 
 #include <math.h>

@@ -1,4 +1,4 @@
-/* How wide the edges of an image are. No Python in here. Twin: reference_end_widths.py. */
+/* How wide the edges of an image are. No Python in here. */
 #ifndef RINGPOSE_END_WIDTHS_H
 #define RINGPOSE_END_WIDTHS_H
 

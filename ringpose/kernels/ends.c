@@ -1,4 +1,4 @@
-/* Where stripes end: the edges that fit best, of one blur, and how well they are known. Twin: reference_ends.py. */
+/* Where stripes end: the edges that fit best, of one blur, and how well they are known. */
 #include "ends.h"
 
 #include <math.h>

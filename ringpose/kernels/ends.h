@@ -1,4 +1,4 @@
-/* Where stripes end. No Python in here. Twin: reference_ends.py. */
+/* Where stripes end. No Python in here. */
 #ifndef RINGPOSE_ENDS_H
 #define RINGPOSE_ENDS_H
 

@@ -1,4 +1,4 @@
-"""The kernel that looks for the ring's face among tracks, behind a typed function; its twin: `reference_faces`."""
+"""The kernel that looks for the ring's face among tracks, behind a typed function."""
 
 import math
 from typing import NamedTuple

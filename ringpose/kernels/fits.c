@@ -1,4 +1,4 @@
-/* One least-squares line for each straight piece, through sub-pixel positions of its edge; twin: reference.fits. */
+/* One least-squares line for each straight piece, through sub-pixel positions of its edge. */
 #include "kernels.h"
 
 #include <stdlib.h>

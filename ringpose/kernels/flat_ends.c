@@ -1,4 +1,4 @@
-/* Ends of stripes in the plane nearest to them. Twin: reference_ring.flat_ends. */
+/* Ends of stripes in the plane nearest to them. */
 #include "arcs.h"
 
 #include <math.h>

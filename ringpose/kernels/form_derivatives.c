@@ -1,4 +1,4 @@
-/* How the closed forms move with their points; see reference_derivatives.py. */
+/* How the closed forms move with their points. */
 #include <math.h>
 #include <string.h>
 

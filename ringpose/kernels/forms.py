@@ -1,4 +1,4 @@
-"""The paper's two closed forms (ringpose-method(7), section 4) behind typed functions; twins in `reference_forms`.
+"""The paper's two closed forms (ringpose-method(7), section 4) behind typed functions.
 
 Points come in batches, so that one call serves a pose and all the small displacements that its covariance asks for.
 Within a batch all points stand on the same edges.
@@ -84,7 +84,7 @@ def nearest_plane(points_m: Float64[Array, "n xyz=3"]) -> tuple[Float64[Array, "
 def differentiated(
     points_m: Float64[Array, "point xyz=3"], edges: Int64[Array, "point"], constrained: bool
 ) -> Differentiated:
-    """One of the two closed forms, and its derivatives by central differences; twin in `reference_derivatives`."""
+    """One of the two closed forms, and its derivatives by central differences."""
     found = _forms.derivatives(
         np.ascontiguousarray(points_m), np.ascontiguousarray(edges), constrained, SINGULAR_BELOW, STEP
     )

@@ -1,4 +1,4 @@
-/* Smoothing, gradient and anchors in one pass over the rows; twin: reference.gradient.
+/* Smoothing, gradient and anchors in one pass over the rows.
 
    A smoothed value is 16 grey values, so that a dim edge keeps its shape; a Sobel difference of those is
    128 grey values a pixel. 8-bit images keep every sum within 16 bits: 255 * 16 * 16 = 65280 unsigned,

@@ -1,4 +1,4 @@
-/* Which tracks lie on one planar ring: every choice of one track a laser is scored. Twin: reference_ring.py. */
+/* Which tracks lie on one planar ring: every choice of one track a laser is scored. */
 #include "faces.h"
 
 #include <math.h>

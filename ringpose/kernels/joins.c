@@ -1,4 +1,4 @@
-/* Lines that continue one another become one; twin: reference.joins.
+/* Lines that continue one another become one.
 
    Ends are looked up in square cells, half as wide as the square that a tip can reach. */
 #include "kernels.h"

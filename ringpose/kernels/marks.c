@@ -1,4 +1,4 @@
-/* Covariances and flags of the ends of the ring's face. Twin: reference_marks.py. */
+/* Covariances and flags of the ends of the ring's face. */
 #include "marks.h"
 
 #include <math.h>

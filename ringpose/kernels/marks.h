@@ -1,4 +1,4 @@
-/* What is said of the ends of the ring's face in the end. No Python in here. Twin: reference_marks.py. */
+/* What is said of the ends of the ring's face in the end. No Python in here. */
 #ifndef RINGPOSE_MARKS_H
 #define RINGPOSE_MARKS_H
 

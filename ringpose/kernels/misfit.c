@@ -1,4 +1,4 @@
-/* Break points as a pose predicts them; see reference_misfit.py. */
+/* Break points as a pose predicts them. */
 #include "misfit.h"
 
 #include <math.h>

@@ -1,4 +1,4 @@
-"""How far a pose's break points lie from those that were seen, behind a typed function; twin in `reference_misfit`."""
+"""How far a pose's break points lie from those that were seen, behind a typed function."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-/* The brightness of a stripe along its line, column by column. Twin: reference_profile.py. */
+/* The brightness of a stripe along its line, column by column. */
 #include "profile.h"
 
 #include <math.h>

@@ -1,4 +1,4 @@
-/* The brightness of a stripe along its line. No Python in here. Twin: reference_profile.py. */
+/* The brightness of a stripe along its line. No Python in here. */
 #ifndef RINGPOSE_PROFILE_H
 #define RINGPOSE_PROFILE_H
 

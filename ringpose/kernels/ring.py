@@ -1,7 +1,4 @@
-"""The kernels that make tracks of stripes and find their ends, behind typed functions.
-
-Twins: `reference_tracks`, `reference_ends`, `reference_marks`, `reference_ring`.
-"""
+"""The kernels that make tracks of stripes and find their ends, behind typed functions."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-/* The rows of the most likely ring; equations and names are those of ringpose/pose/ring_model.py, its twin. */
+/* The rows of the most likely ring; equations and names are those of ringpose/pose/ring_model.py. */
 #include "ring_rows.h"
 
 #include <float.h>

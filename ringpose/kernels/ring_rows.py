@@ -1,4 +1,4 @@
-"""What a ring predicts of stripes and break points, behind a typed function; twin: `ringpose.pose.ring_model`."""
+"""What a ring predicts of stripes and break points, behind a typed function."""
 
 from typing import NamedTuple
 
@@ -9,7 +9,7 @@ from ringpose.types.arrays import Array, Float64
 
 
 class Predicted(NamedTuple):
-    """Residuals in standard deviations, and what they were made of; the names are those of the twin."""
+    """Residuals in standard deviations, and what they were made of; names as in `ringpose.pose.ring_model`."""
 
     residual: Float64[Array, "row"]
     """Of the lines' ends, then of the break points along their lines."""

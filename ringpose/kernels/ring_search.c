@@ -1,4 +1,4 @@
-/* The most likely ring of stripes and break points; twin: the steps of ringpose/pose/likelihood.py. */
+/* The most likely ring of stripes and break points. */
 #include "ring_search.h"
 
 #include <math.h>

@@ -1,7 +1,7 @@
 """Gauss and Newton's steps to the most likely ring of stripes and break points, behind a typed function.
 
-Its twin is the search in `ringpose.pose.likelihood`, which also knows what is rarer: points without a line, and
-shots that leave something open.
+The search in `ringpose.pose.likelihood` also covers what is rarer: points without a line, and shots that leave
+something open.
 """
 
 from typing import NamedTuple
@@ -60,8 +60,7 @@ def started(
 ) -> Started | None:
     """The plane of stripes, and where out is on it; None if there is none before the camera.
 
-    The arguments are as in `Sought`; `middle_x` is the middle of each point's stripe. Its twin is
-    `ringpose.pose.starting_state`.
+    The arguments are as in `Sought`; `middle_x` is the middle of each point's stripe.
     """
     found = np.frombuffer(_search.start(rays, light, whitening, points, middle_x), dtype=np.float64)
     return Started(found[:3], found[3:6], found[6:]) if len(found) else None

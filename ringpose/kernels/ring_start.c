@@ -1,4 +1,4 @@
-/* Where the search for the most likely ring begins; twin: ringpose/pose/starting_state.py. */
+/* Where the search for the most likely ring begins. */
 #include "ring_start.h"
 
 #include <math.h>

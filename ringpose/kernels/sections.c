@@ -1,4 +1,4 @@
-/* Cross-sections of a stripe: their width, and how bright each is. Twin: reference_profile.py. */
+/* Cross-sections of a stripe: their width, and how bright each is. */
 #include "sections.h"
 
 #include <math.h>

@@ -1,4 +1,4 @@
-/* Cross-sections of a stripe. No Python in here. Twin: reference_profile.py. */
+/* Cross-sections of a stripe. No Python in here. */
 #ifndef RINGPOSE_SECTIONS_H
 #define RINGPOSE_SECTIONS_H
 

@@ -1,4 +1,4 @@
-/* From covariances of break points to those of points in their light planes; twin: pose/point_covariance.py. */
+/* From covariances of break points to those of points in their light planes. */
 #include "misfit.h"
 
 /* dP/dpixel of P = t r: t (1 - r m^T / (m . r)), then what a pixel is of the ray, through the lens. */

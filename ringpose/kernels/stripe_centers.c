@@ -1,4 +1,4 @@
-/* From linked ridges to centres with standard deviations; twin: reference_stripe_centers.py. */
+/* From linked ridges to centres with standard deviations. */
 #include "stripe_columns.h"
 
 #include <math.h>

@@ -1,4 +1,4 @@
-/* Sub-pixel centres of one piece; twin: reference_stripe_columns.measured. */
+/* Sub-pixel centres of one piece. */
 #include "stripe_columns.h"
 
 #include <math.h>

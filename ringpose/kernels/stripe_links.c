@@ -1,4 +1,4 @@
-/* Ridges of neighbouring columns joined into pieces; twin: reference_stripe_links.py. */
+/* Ridges of neighbouring columns joined into pieces. */
 #include "stripes.h"
 
 #include <math.h>

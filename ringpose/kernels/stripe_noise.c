@@ -1,4 +1,4 @@
-/* Noise of the second derivative, clutter included; twin: reference_stripe_search.noise_figures.
+/* Noise of the second derivative, clutter included.
 
    An area is so tall that stripes fill the lesser part of it; a low one of a few samples down it is free of them. */
 #include "stripes.h"

@@ -1,4 +1,4 @@
-/* Small patches of the image, differentiated down the columns; twin: reference_stripe_patches.py. */
+/* Small patches of the image, differentiated down the columns. */
 #include "stripes.h"
 
 #include <string.h>

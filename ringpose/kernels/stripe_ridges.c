@@ -1,4 +1,4 @@
-/* Ridges of the smoothed image, column by column; twin: reference_stripes.ridges. */
+/* Ridges of the smoothed image, column by column. */
 #include "stripes.h"
 
 #include <stdlib.h>

@@ -1,4 +1,4 @@
-/* Where ridges may be, from sums over cells of 4 x 16 pixels; twin: reference_stripe_search.py.
+/* Where ridges may be, from sums over cells of 4 x 16 pixels.
 
    Most of a frame is dark, and whole numbers tell so quickly. Two cells below each other are a window; it holds what
    is brighter than the cells above and below it, from which it is one cell apart. */

@@ -1,4 +1,4 @@
-/* What differences between the centres of a piece say of their standard deviations; twin: reference_stripe_sigmas.py.
+/* What differences between the centres of a piece say of their standard deviations.
 
    Second differences do not see where a straight piece runs. Near ones show speckle, far ones what surrounds it. */
 #include "stripe_columns.h"

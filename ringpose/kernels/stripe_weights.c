@@ -1,4 +1,4 @@
-/* Centres of speckled stripes, whose light scatters by a share of itself; twin: reference_stripe_weights.py.
+/* Centres of speckled stripes, whose light scatters by a share of itself.
 
    Least squares, each row weighed by the inverse of its light's variance: the flanks say most. */
 #include "stripe_columns.h"

@@ -1,4 +1,4 @@
-"""The kernel that finds stripe centres, behind a typed function; twins in `reference_stripes`."""
+"""The kernel that finds stripe centres, behind a typed function."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-/* Lines through the centres of tracks, and how far neighbours err alike. Twin: reference_tracks.py. */
+/* Lines through the centres of tracks, and how far neighbours err alike. */
 #include "drafts.h"
 
 #include <math.h>

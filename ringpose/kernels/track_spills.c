@@ -1,4 +1,4 @@
-/* Centres on a track's line beyond its ends. Twin: reference_tracks.py. */
+/* Centres on a track's line beyond its ends. */
 #include "drafts.h"
 
 #include <math.h>

@@ -1,4 +1,4 @@
-/* Straight tracks: pieces cut at their kinks, joined across gaps. Twin: reference_tracks.py. */
+/* Straight tracks: pieces cut at their kinks, joined across gaps. */
 #include "drafts.h"
 
 #include <math.h>

@@ -1,4 +1,4 @@
-/* Straight tracks among stripe centres. No Python in here. Twin: reference_tracks.py. */
+/* Straight tracks among stripe centres. No Python in here. */
 #ifndef RINGPOSE_TRACKS_H
 #define RINGPOSE_TRACKS_H
 

@@ -1,5 +1,5 @@
-/* Tracks that may be one: pieces of a stripe that speckle, a glint or a bracket broke, on lines that could be the same.
-   Twin: reference_faces.py. */
+/* Tracks that may be one: pieces of a stripe that speckle, a glint or a bracket broke, on lines that could be the
+   same. */
 #include <math.h>
 
 #include "faces.h"

@@ -1,26 +1,25 @@
-"""The kernels that follow a ring's edges equal their readable twins."""
+"""The kernels that follow a ring's edges, against OpenCV's projection, SciPy's interpolation and true arcs."""
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.ndimage import map_coordinates, uniform_filter1d
 
-from ringpose.detect.edge_steps import _templates
 from ringpose.detect.ring_arc_fit import RULES as FIT_RULES
-from ringpose.geometry.ring_arcs import RingArcs, arc_points, moved
-from ringpose.kernels import _edges, edges, reference_edges
-from ringpose.kernels.edges import PlaceRules, PlanePoints, ProfileRules, Sights, StepRules
+from ringpose.geometry.ring_arcs import RingArcs, arc_points, moved, off_face_m
+from ringpose.kernels import _edges, edges
+from ringpose.kernels.edges import PlaceRules, PlanePoints, ProfileRules, Sights
 from ringpose.kernels.ring import Lens
 
 LENS = Lens(1778.0, 1781.0, 790.0, 611.0, -0.12, 0.05, 4e-4, -3e-4, 0.01)
 RATIONAL = LENS._replace(k4=0.02, k5=-0.01, k6=0.004)
 PLACES = PlaceRules(1600.0, 1200.0, 12.0, 1.3, 2.0, 8.0, 0.3, 3.0, 1.3, 1e-4)
 PROFILES = ProfileRules(2.0, 5.0, 3.0, 4.0, 0.3, 9.0, 255.0)
-STEPS = StepRules(1e-9, 3.0, 0.25, 9.0)
-TEMPLATES = _templates(2, 0.9)
 
 steps_of_state = arrays(np.float64, 7, elements=st.floats(-1, 1)).map(
     lambda part: part * [0.4, 0.4, 0.2, 0.1, 0.7, 3.0, 0.01]
@@ -43,14 +42,62 @@ def covariance(sigma: float) -> np.ndarray:
     return sigma**2 * half @ half.T
 
 
-@pytest.mark.parametrize("lens", [LENS, RATIONAL])
-@given(step=steps_of_state, sigma=st.sampled_from([0.0, 1e-4, 1e-3]))
-def test_places_equal_their_twin(lens, step, sigma):
-    ours, twin = (
-        module.edge_places(arcs(step), covariance(sigma), lens, PLACES) for module in (edges, reference_edges)
-    )
+def imaged(points, lens):
+    """OpenCV's pixels of points in the camera's frame."""
+    matrix = np.array([[lens.fx, 0, lens.cx], [0, lens.fy, lens.cy], [0, 0, 1]])
+    if not len(points):
+        return np.empty((0, 2))
+    return cv2.projectPoints(np.ascontiguousarray(points), np.zeros(3), np.zeros(3), matrix, np.array(lens[4:12]))[
+        0
+    ].reshape(-1, 2)
 
-    np.testing.assert_allclose(ours, twin, rtol=1e-7, atol=1e-7)
+
+@pytest.mark.parametrize("lens", [LENS, RATIONAL])
+@given(step=steps_of_state)
+def test_places_lie_on_the_edges_where_opencv_sees_them(lens, step):
+    ring = arcs(step)
+
+    found = edges.edge_places(ring, covariance(0.0), lens, PLACES)
+
+    point, outward, side, place, normal, metres = np.split(found[:, :12], [3, 6, 7, 9, 11], axis=1)
+    center = ring.origin + ring.axes[0] / ring.curvature
+    radius = 1 / ring.curvature - side[:, 0] * ring.half_band_m
+    np.testing.assert_allclose((point - ring.origin) @ ring.axes[2], 0, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(point - center, axis=1), np.abs(radius), atol=1e-9)
+    np.testing.assert_allclose(outward * radius[:, None] * -side, point - center, atol=1e-9)
+    np.testing.assert_allclose(place, imaged(point, lens), atol=1e-6)
+    off_face = (imaged(point + 1e-4 * outward, lens) - place) / 1e-4
+    np.testing.assert_allclose(np.sum(normal * off_face, axis=1) * metres[:, 0], 1.0, rtol=1e-3)
+    along = imaged(point + 1e-4 * np.cross(ring.axes[2], outward), lens) - place
+    np.testing.assert_allclose(np.sum(normal * along, axis=1), 0.0, atol=1e-4)
+
+
+def test_places_begin_at_the_origin_and_are_as_far_apart_as_asked_for():
+    found = edges.edge_places(arcs(), covariance(0.0), LENS, PLACES)
+
+    for side in (1.0, -1.0):
+        own = found[found[:, 6] == side]
+        np.testing.assert_array_equal(np.diff(own[:, 12]), 1.0)
+        at_origin = own[own[:, 12] == 0][0]
+        np.testing.assert_allclose(at_origin[:3], arcs().origin + side * 0.015 * arcs().axes[0], atol=1e-12)
+        steps = np.linalg.norm(np.diff(own[:, 7:9], axis=0), axis=1)
+        assert steps == pytest.approx(12.0, rel=0.1)
+
+
+@pytest.mark.parametrize("parameter", range(7))
+def test_there_are_no_places_where_the_edge_is_predicted_worse_than_asked_for(parameter):
+    known = np.zeros((7, 7))
+    known[parameter, parameter] = (0.003, 0.003, 0.02, 3e-4, 0.004, 0.1, 3e-4)[parameter] ** 2
+
+    found = edges.edge_places(arcs(), known, LENS, PLACES)
+
+    everywhere = edges.edge_places(arcs(), covariance(0.0), LENS, PLACES)
+    step = np.zeros(7)
+    step[parameter] = 1e-3 * np.sqrt(known[parameter, parameter])
+    angle = everywhere[:, 12] * PLACES.spacing_px * arcs().origin[2] / LENS.fx
+    there, _ = arc_points(moved(arcs(), step), angle, everywhere[:, 6])
+    beyond = np.sum((imaged(there, LENS) - everywhere[:, 7:9]) * everywhere[:, 9:11], axis=1)
+    assert abs(len(found) - np.sum(np.abs(beyond) * 1e3 < PLACES.sigma_px)) <= 4
 
 
 def test_a_straight_ring_has_places_on_both_edges():
@@ -58,7 +105,8 @@ def test_a_straight_ring_has_places_on_both_edges():
 
     found = edges.edge_places(straight, covariance(0.0), LENS, PLACES)
 
-    np.testing.assert_allclose(found, reference_edges.edge_places(straight, covariance(0.0), LENS, PLACES), atol=1e-7)
+    across = (found[:, :3] - straight.origin) @ straight.axes[0]
+    np.testing.assert_allclose(across, 0.015 * found[:, 6], atol=1e-12)
     assert set(found[:, 6]) == {1.0, -1.0}
 
 
@@ -74,21 +122,30 @@ def test_a_ring_behind_the_camera_has_no_places():
     assert len(edges.edge_places(behind, covariance(0.0), LENS, PLACES)) == 0
 
 
-def profiles_of(module, image, rng):
-    """Profiles at places inside, on and beyond the border of an image."""
-    place = rng.uniform(-3, 44, (30, 2))
-    angle = rng.uniform(0, 2 * np.pi, 30)
-    return module.edge_profiles(image, place, np.stack([np.cos(angle), np.sin(angle)], axis=-1), PROFILES)
-
-
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-@pytest.mark.parametrize("part", [0, 1, 2])
-def test_profiles_equal_their_twin(dtype, part):
-    image = np.random.default_rng(3).integers(0, 257, (37, 41)).clip(0, np.iinfo(np.uint8).max).astype(dtype)
+def test_profiles_are_means_of_scipys_bilinear_interpolation(dtype, rng):
+    image = rng.integers(0, 250, (37, 41)).astype(dtype)
+    image[10:14, 20:24] = 255
+    place, angle = rng.uniform(-3, 44, (30, 2)), rng.uniform(0, 2 * np.pi, 30)
+    normal = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
-    ours, twin = (profiles_of(module, image, np.random.default_rng(4))[part] for module in (edges, reference_edges))
+    value, saturated, noise_dn = edges.edge_profiles(image, place, normal, PROFILES)
 
-    np.testing.assert_allclose(ours, twin, rtol=1e-9, atol=1e-9)
+    across, along = np.arange(-7.0, 6.0), np.arange(4) - 1.5
+    tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=-1)
+    at = (
+        place[:, None, None] + across[:, None] * normal[:, None, None] + (along[:, None] * tangent[:, None])[:, :, None]
+    )
+    sampled = map_coordinates(image.astype(float), np.moveaxis(at[..., ::-1], -1, 0), order=1, mode="nearest")
+    mean = sampled.mean(axis=1)
+    surface = mean[:, :5]
+    np.testing.assert_allclose(
+        value * noise_dn[:, None], mean - surface.mean(axis=1, keepdims=True), rtol=1e-9, atol=1e-9
+    )
+    np.testing.assert_array_equal(saturated, sampled.max(axis=1) >= 254.5)
+    inner = slice(4, -4)
+    variance = uniform_filter1d(np.var(surface, axis=1, ddof=1), 9) + 0.3**2 / 4
+    np.testing.assert_allclose(noise_dn[inner], np.sqrt(variance)[inner], rtol=1e-9)
 
 
 @pytest.mark.parametrize("normal", [np.nan, np.inf, 1e9])
@@ -102,46 +159,62 @@ def test_places_and_normals_that_are_none_read_nothing_beyond_the_image(place, n
     assert not saturated.any()
 
 
-@given(st.integers(0, 1000))
-def test_steps_equal_their_twin(seed):
-    rng = np.random.default_rng(seed)
-    value = rng.normal(size=(20, 13)) + rng.uniform(0, 9) * (TEMPLATES.across_px > rng.uniform(-2, 2))
-    saturated, noise_dn = rng.uniform(size=value.shape) < 0.02, rng.uniform(0.5, 3, 20)
-
-    ours, twin = (
-        module.edge_steps(value, saturated, noise_dn, TEMPLATES, STEPS) for module in (edges, reference_edges)
-    )
-
-    np.testing.assert_allclose(ours, twin, rtol=1e-9, atol=1e-9)
+TRUE = [0.05, -0.03, 0.004, 0.003, 0.02, 0.1, 0.001]
+"""Step from where the ring is taken to be to where it is."""
 
 
-def seen(rng) -> tuple[PlanePoints, Sights]:
-    """A plane and sights of a ring that is not quite where it is taken to be."""
-    true = arcs([0.05, -0.03, 0.004, 0.003, 0.02, 0.1, 0.001])
+def seen(rng, noise=0.0) -> tuple[PlanePoints, Sights]:
+    """A plane and rays to both edges of a ring that is not quite where it is taken to be."""
+    true = arcs(TRUE)
     side = np.repeat([1.0, -1.0], 40)
-    ray, _ = arc_points(true, np.tile(np.linspace(-0.2, 0.2, 40), 2), side)
-    ray[3] += 0.02
-    point = true.origin + rng.uniform(-0.1, 0.1, (6, 2)) @ true.axes[:2]
-    return PlanePoints(point, np.full(6, 1e-4)), Sights(ray + rng.normal(0, 1e-4, ray.shape), side, np.full(80, 2e-4))
+    point, outward = arc_points(true, np.tile(np.linspace(-0.2, 0.2, 40), 2), side)
+    point += noise * rng.normal(size=(80, 1)) * outward
+    on_plane = true.origin + rng.uniform(-0.1, 0.1, (6, 2)) @ true.axes[:2]
+    on_plane += noise * rng.normal(size=(6, 1)) * true.axes[2]
+    return PlanePoints(on_plane, np.full(6, noise or 1e-4)), Sights(point, side, np.full(80, noise or 1e-4))
 
 
-@pytest.mark.parametrize("outlier_sigmas", [3.0, np.inf])
-@pytest.mark.parametrize("rounds", [1, 5])
-def test_fitted_arcs_equal_their_twin(rng, outlier_sigmas, rounds):
+def numbers_of(ring):
+    return np.array([*ring.origin, *ring.axes.ravel(), ring.curvature, ring.half_band_m])
+
+
+@pytest.mark.parametrize("wrong_px", [0, 40])
+def test_exact_edges_lead_to_the_true_ring_even_with_an_outlier(rng, wrong_px):
     plane, sights = seen(rng)
-    rules = FIT_RULES._replace(rounds=rounds, outlier_sigmas=outlier_sigmas)
+    sights.ray[3, 0] += wrong_px / 1780 * 0.5
 
-    (ours, covariance_ours), (twin, covariance_twin) = (
-        module.fitted_arcs(arcs(), plane, sights, arcs().axes, rules) for module in (edges, reference_edges)
-    )
+    found, _ = edges.fitted_arcs(arcs(), plane, sights, arcs().axes, FIT_RULES._replace(rounds=20))
 
-    np.testing.assert_allclose(
-        [*ours.origin, *ours.axes.ravel(), ours.curvature, ours.half_band_m],
-        [*twin.origin, *twin.axes.ravel(), twin.curvature, twin.half_band_m],
-        rtol=1e-8,
-        atol=1e-9,
-    )
-    np.testing.assert_allclose(covariance_ours, covariance_twin, rtol=1e-6, atol=1e-14)
+    beyond, _ = off_face_m(found, seen(rng)[1].ray, sights.side)
+    np.testing.assert_allclose(beyond, 0, atol=2e-5)
+    np.testing.assert_allclose((plane.point - found.origin) @ found.axes[2], 0, atol=2e-5)
+    assert found.curvature == pytest.approx(1.8, abs=0.05)
+
+
+def test_edges_without_outlier_weights_are_fitted_by_least_squares(rng):
+    plane, sights = seen(rng, 1e-4)
+    rules = FIT_RULES._replace(rounds=30, outlier_sigmas=np.inf)
+
+    found, covariance = edges.fitted_arcs(arcs(), plane, sights, arcs().axes, rules)
+
+    def cost(step):
+        ring = moved(found, step)
+        to_edges = off_face_m(ring, sights.ray, sights.side)[0] / sights.sigma_m
+        off_plane = (plane.point - ring.origin) @ ring.axes[2] / plane.sigma_m
+        tilts = ring.axes[2] @ arcs().axes[:2].T / rules.tilt_sigma_rad
+        turn = ring.axes[0] @ arcs().axes[1] / rules.turn_sigma_rad
+        band = (ring.half_band_m - rules.half_band_m) / rules.half_band_sigma_m
+        return np.sum(
+            np.concatenate([to_edges, off_plane, tilts, [turn, ring.curvature / rules.curvature_sigma, band]]) ** 2
+        )
+
+    sd = np.sqrt(np.diag(covariance))
+    least = cost(np.zeros(7))
+    for number in range(7):
+        up, down = (cost(sign * 0.1 * sd[number] * np.eye(7)[number]) - least for sign in (1, -1))
+        conditional = 1 / np.linalg.inv(covariance)[number, number]
+        assert up + down == pytest.approx(2 * 0.01 * sd[number] ** 2 / conditional, rel=1e-2)
+        assert abs(up - down) < 0.02 * (up + down)
 
 
 def test_contradictions_leave_no_number():

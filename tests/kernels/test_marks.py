@@ -1,9 +1,9 @@
-"""The kernel that says how well ends are known equals its twin."""
+"""The kernel that says how well ends are known, against the errors of least-squares lines."""
 
 import numpy as np
 import pytest
 
-from ringpose.kernels import _ring, reference_marks
+from ringpose.kernels import _ring
 from ringpose.kernels.ring import MarkRules, marked_ends
 
 RULES = MarkRules(
@@ -57,19 +57,50 @@ def found_ends(rng, count):
     return ends
 
 
-def assert_equal(found, expected):
-    for each, other in zip(found, expected, strict=True):
-        np.testing.assert_allclose(each, other, rtol=1e-12)
+def clean_ends(count):
+    """Ends at columns 300 and 500 on a horizontal line, of stripes with nothing beneath them."""
+    ends = np.zeros((count, 2, 10))
+    ends[:, 0], ends[:, 1] = ([x, 200.0, 0.0, 0.1, 0.0, 0.0, 1.0, 2.0, 0.0, 0.0] for x in (300.0, 500.0))
+    return ends
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_marks_equal_the_twin(seed):
-    rng = np.random.default_rng(seed)
-    drawn, lasers = (tracks(rng, 5), found_ends(rng, 5)), tuple(rng.permutation(8)[:5].tolist())
+@pytest.mark.parametrize(("columns", "alike"), [(200, 1.0), (200, 2.0), (60, 3.0)])
+def test_ordinates_err_like_those_of_a_least_squares_line(columns, alike):
+    """Of so many centres, of which each few that err alike count as one, and five numbers are taken by the fit."""
+    scatter, length = 0.3, 200.0
+    track = np.array([[-1.0, columns, 300.0, 500.0, 400.0, 200.0, 0.0, scatter, alike, 0.0, 0.0]])
 
-    found = marked_ends(*drawn, lasers, 8, RULES)
+    found = marked_ends(track, clean_ends(1), (0,), 1, RULES)
 
-    assert_equal(found, reference_marks.marked_ends(*drawn, lasers, 8, RULES))
+    x = np.linspace(-length / 2, length / 2, 10_001)
+    middle = scatter / np.sqrt(columns / alike - 5)
+    expected = middle * np.sqrt(1 + (length / 2) ** 2 / np.mean(x**2))
+    np.testing.assert_allclose(found.straight_sigma_px, expected, rtol=1e-3)
+    np.testing.assert_allclose(found.straight_px[0], [[300, 200], [500, 200]])
+    np.testing.assert_allclose(found.position_px[0], [[300, 200], [500, 200]])
+
+
+def test_what_lies_beneath_a_stripe_makes_its_line_no_better_than_that():
+    track = np.array([[-1.0, 200.0, 300.0, 500.0, 400.0, 200.0, 0.0, 1e-6, 1.0, 0.0, 0.0]])
+    ends = clean_ends(1)
+    ends[..., 9] = 0.04
+
+    found = marked_ends(track, ends, (0,), 1, RULES)
+
+    shift = 2.0 * 0.2 / np.sqrt(200 / (RULES.facet_sigmas * 2.0))
+    np.testing.assert_allclose(found.straight_sigma_px, 2.0 * shift, rtol=1e-6)
+
+
+def test_ends_belong_to_the_lasers_of_their_tracks(rng):
+    drawn, ends = tracks(rng, 5), found_ends(rng, 5)
+    lasers = tuple(rng.permutation(8)[:5].tolist())
+
+    found = marked_ends(drawn, ends, lasers, 8, RULES)
+
+    for number, laser in enumerate(lasers):
+        alone = marked_ends(drawn[[number]], ends[[number]], (0,), 1, RULES)
+        for each, own in zip(found, alone, strict=True):
+            np.testing.assert_array_equal(each[laser], own[0])
 
 
 def test_an_end_errs_along_its_line_by_its_own_sigma_and_across_by_the_lines(rng):

@@ -1,4 +1,4 @@
-"""The kernel that fits arcs to the ends of stripes equals its twin."""
+"""The kernel that fits arcs to the ends of stripes, against NumPy's least squares and true rings."""
 
 import math
 
@@ -7,7 +7,8 @@ import pytest
 from drawn_scene import DrawnScene, drawn_rig, true_break_points
 
 from ringpose.detect.tracks import lens
-from ringpose.kernels import _ring, reference_ring
+from ringpose.geometry.rays import intersect, rays
+from ringpose.kernels import _ring
 from ringpose.kernels.ring import arc_fit
 
 
@@ -20,19 +21,74 @@ def seen_ring(rng, tilt):
     return pixels, rng.uniform(0.05, 0.3, (3, 2, 1, 1)) ** 2 * np.eye(2), planes, lens(rig.camera)
 
 
-@pytest.mark.parametrize("hidden", [[], [(1, 0)], [(0, 1), (2, 0)]], ids=["all", "one hidden", "two hidden"])
+def flat_ends(position_px, planes):
+    """Ends in the plane nearest to them, in metres, with x along the image's rows; which arc; metres a pixel."""
+    laser, arc = np.nonzero(~np.isnan(position_px[..., 0]))
+    camera = drawn_rig().camera
+    points = intersect(rays(position_px[laser, arc], camera), planes[laser, :3], planes[laser, 3])
+    normal = np.linalg.svd(points - points.mean(axis=0))[2][2]
+    along = np.cross([0.0, 1.0, 0.0], normal)
+    along *= np.sign(along[0]) / np.linalg.norm(along)
+    axes = np.stack([along, np.cross(normal, along)], axis=-1)
+    return (points - points.mean(axis=0)) @ axes, arc, points[:, 2] / camera.camera_matrix[0, 0]
+
+
+def least_squares_arcs(flat, arc):
+    """Distances off the arcs a (x^2 + y^2) + x + b y + c_arc = 0 of least squares along x, and one over the radius."""
+    x, y = flat.T
+    rows = np.column_stack([x**2 + y**2, y, arc == 0, arc == 1])
+    a, b, *c = np.linalg.lstsq(rows, -x)[0]
+    gradient = np.hypot(2 * a * x + 1, 2 * a * y + b)
+    return (rows @ [a, b, *c] + x) / gradient, -2 * a / np.sqrt(1 + b**2 - 2 * a * sum(c))
+
+
+@pytest.mark.parametrize("hidden", [[], [(1, 0)]], ids=["all", "one hidden"])
 @pytest.mark.parametrize("tilt", [-0.3, 0.0, 0.2])
-@pytest.mark.parametrize("seed", range(8))
-def test_arc_fits_equal_the_twin(seed, tilt, hidden):
-    position, *others = seen_ring(np.random.default_rng(seed), tilt)
+def test_cost_and_curvature_are_those_of_least_squares(rng, tilt, hidden):
+    position, covariance, planes, optics = seen_ring(rng, tilt)
     for each in hidden:
         position[each] = np.nan
 
-    found, expected = arc_fit(position, *others, 0.5, 4), reference_ring.arc_fit(position, *others, 0.5, 4)
+    found = arc_fit(position, covariance, planes, optics, 0.5, 4)
 
-    assert found.seen == expected.seen
-    np.testing.assert_allclose(found.cost_without, expected.cost_without, rtol=1e-4, atol=1e-9)
-    np.testing.assert_allclose(found[1:2] + found[3:], expected[1:2] + expected[3:], rtol=1e-4, atol=1e-9)
+    flat, arc, metres = flat_ends(position, planes)
+    off, curvature = least_squares_arcs(flat, arc)
+    sigma = metres * np.hypot(np.sqrt(covariance[..., 0, 0][~np.isnan(position[..., 0])]), 0.5)
+    assert found.seen == (int(np.sum(arc == 0)), int(np.sum(arc == 1)))
+    assert found.curvature == pytest.approx(curvature, rel=1e-4)
+    assert found.cost == pytest.approx(0.5 * np.sum((off / sigma) ** 2), rel=1e-4)
+
+
+def test_an_exact_ring_costs_nothing_until_an_end_is_moved(rng):
+    rig = drawn_rig()
+    position = true_break_points(DrawnScene(), rig)
+    covariance, planes = (
+        np.tile(0.01 * np.eye(2), (3, 2, 1, 1)),
+        np.column_stack([rig.lasers.normal, rig.lasers.distance_m]),
+    )
+    moved = position.copy()
+    moved[1, 0, 0] += 8.0
+
+    exact, wrong = (arc_fit(each, covariance, planes, lens(rig.camera), 0.5, 4) for each in (position, moved))
+
+    assert exact.cost < 1e-3
+    assert wrong.cost > 20
+    assert np.argmin(wrong.cost_without) == 2
+    assert wrong.cost_without[2] < 1e-3
+
+
+def test_curvatures_scatter_as_their_sigma_says(rng):
+    rig = drawn_rig()
+    position = true_break_points(DrawnScene(), rig)
+    others = (np.tile(0.04 * np.eye(2), (3, 2, 1, 1)), np.column_stack([rig.lasers.normal, rig.lasers.distance_m]))
+    others = (*others, lens(rig.camera), 0.5, 4)
+
+    noise = np.zeros((200, *position.shape))
+    noise[..., 0] = rng.normal(0, 0.2, noise.shape[:-1])
+    found = [arc_fit(position + each, *others) for each in noise]
+
+    scatter = np.std([each.curvature for each in found])
+    assert scatter == pytest.approx(np.mean([each.curvature_sigma for each in found]), rel=0.15)
 
 
 def test_a_ring_whose_centre_lies_to_the_right_bends_to_the_right(rng):
