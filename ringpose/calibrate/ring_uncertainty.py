@@ -8,7 +8,7 @@ import numpy as np
 
 from ringpose.geometry.rays import project
 from ringpose.kernels.forms import differentiated
-from ringpose.pose.point_covariance import point_covariance
+from ringpose.pose.triangulation import point_covariance
 from ringpose.pose.uncertainty import pose_covariance
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.camera import Camera

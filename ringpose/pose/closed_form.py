@@ -5,9 +5,9 @@ import numpy as np
 from ringpose.kernels.forms import ClosedForm, constrained_form, differentiated, paper_form
 from ringpose.pose.closed_form_doubts import pose_flags, why_undetermined, why_unusable
 from ringpose.pose.method import Method
-from ringpose.pose.point_covariance import point_covariance
 from ringpose.pose.residuals import prediction_rms_px
 from ringpose.pose.triangulate import triangulated
+from ringpose.pose.triangulation import point_covariance
 from ringpose.pose.uncertainty import PoseCovariance, pose_covariance
 from ringpose.types.break_points import BreakPoints
 from ringpose.types.rig import Rig

@@ -6,7 +6,7 @@ from scipy.linalg import block_diag
 
 from ringpose.kernels import _forms, misfit
 from ringpose.kernels.forms import constrained_form
-from ringpose.pose.point_covariance import point_jacobians
+from ringpose.pose.triangulation import point_jacobians
 from ringpose.types.camera import Camera
 
 COEFFICIENTS = {
