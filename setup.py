@@ -23,11 +23,7 @@ def kernels(name: str, parts: tuple[str, ...], headers: tuple[str, ...]) -> Exte
 setup(
     ext_modules=[
         kernels("_kernels", ("chains", "cuts", "fits", "gradient", "joins", "lists"), ("buffers", "kernels")),
-        kernels(
-            "_forms",
-            ("closed_forms", "form_derivatives", "lens", "misfit", "ring_rows", "singular", "spread"),
-            ("buffers", "forms", "kernels", "misfit", "ring_rows", "singular", "tracks"),
-        ),
+        kernels("_forms", ("ring_rows",), ("buffers", "ring_rows")),
         kernels(
             "_search",
             ("ring_rows", "ring_search", "ring_start"),

@@ -7,9 +7,9 @@ nearer than the one between them it seems tilted, by a multiple of that.
 import numpy as np
 
 from ringpose.geometry.rays import project
-from ringpose.kernels.forms import differentiated
+from ringpose.pose.closed_form import differentiated, pose_covariance
+from ringpose.pose.method import Method
 from ringpose.pose.triangulation import point_covariance
-from ringpose.pose.uncertainty import pose_covariance
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.camera import Camera
 from ringpose.types.covariance import ParameterCovariance
@@ -36,7 +36,7 @@ def ring_center_sd_m(
         return np.full(3, np.nan)
     rig = Rig(camera=camera, lasers=lasers, covariance=covariance)
     by_rig = point_covariance(points, np.zeros((len(points), 2, 2)), laser, rig)
-    _, jacobian = differentiated(points, edges, constrained=True)
+    _, jacobian = differentiated(points, edges, Method.PAPER_CONSTRAINED)
     deviation: Float64[Array, "xyz=3"] = np.sqrt(np.diag(pose_covariance(jacobian, by_rig).center_m2).clip(0))
     return deviation
 

@@ -29,5 +29,6 @@ def damped_solution(
     left, singular, right = np.linalg.svd(matrix, full_matrices=False)
     square = singular**2 + (damping[:, None] * singular[:, :1]) ** 2
     gain = np.divide(singular, square, out=np.zeros_like(singular), where=square > 0)
-    solution: Float64[Array, "batch column"] = np.einsum("brk,br,bk,bkc->bc", left, target, gain, right)
+    along_axes = (target[:, None] @ left)[:, 0] * gain
+    solution: Float64[Array, "batch column"] = (along_axes[:, None] @ right)[:, 0]
     return solution

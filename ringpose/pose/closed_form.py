@@ -1,21 +1,97 @@
-"""Methods `paper` and `paper-constrained`: the closed form with its covariance (method(7), section 4)."""
+"""Methods `paper` and `paper-constrained`: the paper's closed form with its covariance (method(7), section 4).
+
+Points come in batches, so that one call solves a pose and all the small displacements that its derivatives need.
+Within a batch all points lie on the same edges.
+"""
+
+import math
+from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.kernels.forms import ClosedForm, constrained_form, differentiated, paper_form
-from ringpose.pose.closed_form_doubts import pose_flags, why_undetermined, why_unusable
+from ringpose.geometry.circles import arc_crossings, arc_equations, nearest_crossing
+from ringpose.geometry.least_squares import damped_solution, inverse_condition
+from ringpose.geometry.planes import nearest_plane
+from ringpose.geometry.rays import GRAZING, project
+from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.method import Method
-from ringpose.pose.residuals import prediction_rms_px
-from ringpose.pose.triangulate import triangulated
-from ringpose.pose.triangulation import point_covariance
-from ringpose.pose.uncertainty import PoseCovariance, pose_covariance
+from ringpose.pose.observability import (
+    EDGE_ON_BELOW,
+    TILT_SD_LIMIT_RAD,
+    WEAK_SD,
+    spreads_beyond,
+    standard_deviation,
+)
+from ringpose.pose.triangulation import point_covariance, triangulated
+from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
 from ringpose.types.break_points import BreakPoints
 from ringpose.types.rig import Rig
 from ringpose.types.ring_points import RingPoints
-from ringpose.types.ring_pose import NoPose, RingPose
+from ringpose.types.ring_pose import NoPose, PoseFlag, RingPose
 
-FORMS = {Method.PAPER: paper_form, Method.PAPER_CONSTRAINED: constrained_form}
-"""The closed form of each method."""
+MILLIMETRES = 1000.0
+"""In a metre."""
+
+SINGULAR_BELOW = 1e-3
+"""q0: where smallest over largest singular value of the centre's equations falls below it, they are damped.
+
+Three points with spacing a on a ring of radius R give about a / (2 R): the narrowest rig (1.5 degrees between
+lasers, 0.2 m away) sees the largest ring of the launcher manuals (1.3 m) at 2e-3 and stays exact. Damped are points
+on a straighter arc than any ring's, and stripes that nearly coincide (light planes that cross, at 0.19 m in the
+paper's physical rig).
+"""
+
+MAX_DAMPING = SINGULAR_BELOW
+"""lambda_max, in units of the largest singular value.
+
+Equal to q0, so that the weakest direction keeps the share (q / q0)^2 of its undamped step from the mean of
+the points: all of it at q0, nothing where the equations are singular.
+"""
+
+STEP = 1e-6
+"""Of the central differences, in units of the points' largest distance from their mean.
+
+Small against the arc's height even for points that are nearly in line (1e-3 of their extent), large against
+rounding (1e-16 of their distance).
+"""
+
+MIN_LASERS_ON_AN_EDGE = 3
+"""A circle needs three points; the other edge then adds what it has."""
+
+COLLINEAR_BELOW = 1e-6
+"""Second over first singular value of the centred points; three points 10 mm apart on a 1.3 m ring have 2e-3."""
+
+OFF_PLANE = 0.01
+"""Distance of the centre from the ring's plane, in radii, from which it is flagged as weak.
+
+Method `paper` hardly enforces the plane: its centre then slides along the normal by decimetres, which a first-order
+covariance does not show; in-plane methods are not affected.
+"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ClosedForm:
+    """Solutions of a batch of points; lengths in metres, camera frame."""
+
+    normal: Float64[Array, "batch xyz=3"]
+    offset_m: Float64[Array, "batch"]
+    """The ring's plane is `normal . point = offset_m`."""
+    center_m: Float64[Array, "batch xyz=3"]
+    radius_m: Float64[Array, "batch edge=2"]
+    grasp_m: Float64[Array, "batch xyz=3"]
+    condition: Float64[Array, "batch"]
+    damped: Bool[Array, "batch"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PoseCovariance:
+    """Covariances of one pose; NaN where the quantity itself is NaN."""
+
+    parameters: Float64[Array, "7 7"]
+    """Of tilt_1, tilt_2, offset_m, center_1_m, center_2_m, radius_inner_m, radius_outer_m."""
+    center_m2: Float64[Array, "3 3"]
+    grasp_m2: Float64[Array, "3 3"]
 
 
 def closed_form_pose(
@@ -26,18 +102,12 @@ def closed_form_pose(
     undetermined = why_undetermined(points, break_points)
     if undetermined is not None:
         return undetermined
-
     form, covariance = form_and_covariance(points, break_points, rig, method)
-    residual = prediction_rms_px(form, points, break_points, rig)
-    unusable = why_unusable(residual, covariance)
-    if unusable is not None:
-        return unusable
-
-    return ring_pose(form, covariance, residual, method)
-
-
-def ring_pose(form: ClosedForm, covariance: PoseCovariance | None, residual_rms_px: float, method: Method) -> RingPose:
-    """The record of a batch of one."""
+    residual_rms_px = prediction_rms_px(form, points, break_points, rig)
+    if covariance is not None and standard_deviation(covariance.parameters[:2, :2]) > TILT_SD_LIMIT_RAD:
+        return NoPose.COLLINEAR
+    if not math.isfinite(residual_rms_px):
+        return NoPose.NOT_FINITE
     radius_inner_m, radius_outer_m = form.radius_m[0].tolist()
     return RingPose(
         center_m=form.center_m[0],
@@ -55,6 +125,26 @@ def ring_pose(form: ClosedForm, covariance: PoseCovariance | None, residual_rms_
     )
 
 
+def why_undetermined(points: RingPoints, break_points: BreakPoints) -> NoPose | None:
+    """Reason why these points determine no pose, or None.
+
+    A break point that cannot be triangulated rejects the whole shot: it shows that a label is wrong, and a pose from
+    the others would look right and be wrong.
+    """
+    seen = points.seen
+    if (break_points.seen & ~seen).any():
+        return NoPose.UNTRIANGULATED
+    if max(map(sum, zip(*seen.tolist(), strict=True)), default=0) < MIN_LASERS_ON_AN_EDGE:
+        return NoPose.TOO_FEW_BREAK_POINTS
+    positions = points.position_m[seen]
+    _, distance_m, singular_values = nearest_plane(positions)
+    if singular_values[1] <= COLLINEAR_BELOW * singular_values[0]:
+        return NoPose.COLLINEAR
+    if abs(distance_m) < EDGE_ON_BELOW * float(np.linalg.norm(positions.mean(axis=0))):
+        return NoPose.EDGE_ON
+    return None
+
+
 def form_and_covariance(
     points: RingPoints, break_points: BreakPoints, rig: Rig, method: Method
 ) -> tuple[ClosedForm, PoseCovariance | None]:
@@ -69,5 +159,225 @@ def form_and_covariance(
     )
     if covariance_m2 is None or not np.isfinite(covariance_m2).all():
         return FORMS[method](positions[None], edges), None
-    form, jacobian = differentiated(positions, edges, constrained=method is Method.PAPER_CONSTRAINED)
+    form, jacobian = differentiated(positions, edges, method)
     return form, pose_covariance(jacobian, covariance_m2)
+
+
+def pose_covariance(
+    jacobian: Float64[Array, "13 coordinate"], covariance_m2: Float64[Array, "coordinate coordinate"]
+) -> PoseCovariance:
+    """Covariance J Sigma J^T of a solution at points whose joint covariance is given, to first order.
+
+    First order is enough while the centre's standard deviation is a few percent of the radius. Beyond that (flag
+    CENTER_WEAK) the centre's distribution is skew: it is the arc's height that is measured, the centre's
+    distance goes with its inverse, and the true centre may lie many of these standard deviations away.
+    """
+    joint = jacobian @ covariance_m2 @ jacobian.T
+    return PoseCovariance(parameters=joint[:7, :7], center_m2=joint[7:10, 7:10], grasp_m2=joint[10:, 10:])
+
+
+def prediction_rms_px(form: ClosedForm, points: RingPoints, break_points: BreakPoints, rig: Rig) -> float:
+    """Root mean square distance between seen and predicted break points, in (distorted) pixels.
+
+    The predicted point is where ring plane, light plane and the sphere of the edge's radius about the centre meet (the
+    ring's circle itself where the centre lies in the plane); where the light plane misses the sphere, the line's
+    point nearest to the centre. NaN if that does not exist in front of the camera. `form` is a batch of one.
+    """
+    laser, edge = np.nonzero(points.seen)
+    normal, light_normal, seen_m = form.normal[0], rig.lasers.normal[laser], points.position_m[laser, edge]
+
+    # each point moved within its light plane, the shortest way, onto the ring's plane
+    uphill = normal - (light_normal @ normal)[:, None] * light_normal
+    step_m = (form.offset_m[0] - seen_m @ normal) / _nan_if_grazing(uphill @ normal)
+    on_both_m = seen_m + step_m[:, None] * uphill
+
+    direction = np.cross(normal, light_normal)
+    direction /= _nan_if_grazing(np.linalg.norm(direction, axis=1))[:, None]
+    predicted_m = nearest_crossing(on_both_m, direction, form.center_m[0], form.radius_m[0, edge])
+    difference_px = project(predicted_m, rig.camera) - break_points.position_px[laser, edge]
+    return math.sqrt(float(np.sum(difference_px**2)) / len(difference_px))
+
+
+def _nan_if_grazing(length: Float64[Array, "n"]) -> Float64[Array, "n"]:
+    return np.where(length > GRAZING, length, np.nan)
+
+
+def pose_flags(form: ClosedForm, covariance: PoseCovariance | None) -> PoseFlag:
+    """Flags of a pose (a batch of one); the centre of damped equations is weak, whatever its covariance is."""
+    radii_m = form.radius_m[0]
+    smallest_m = float(np.nanmin(radii_m))
+    flags = PoseFlag(0)
+    if form.damped[0]:
+        flags |= PoseFlag.DAMPED | PoseFlag.CENTER_WEAK | PoseFlag.RADIUS_WEAK
+    if np.isnan(radii_m).any():
+        flags |= PoseFlag.RADIUS_WEAK
+    if abs(form.normal[0] @ form.center_m[0] - form.offset_m[0]) > OFF_PLANE * smallest_m:
+        flags |= PoseFlag.CENTER_WEAK
+    if covariance is not None and spreads_beyond(covariance.center_m2, WEAK_SD * smallest_m):
+        flags |= PoseFlag.CENTER_WEAK
+    if covariance is not None and bool((np.diag(covariance.parameters)[5:] > (WEAK_SD * smallest_m) ** 2).any()):
+        flags |= PoseFlag.RADIUS_WEAK
+    return flags
+
+
+def paper_form(points_m: Float64[Array, "batch point xyz=3"], edges: Int64[Array, "point"]) -> ClosedForm:
+    """Method `paper`, read literally: plane, centre, radii and the mean of the points as the grasp point.
+
+    It works in millimetres, as the paper does: the plane row, of size 1e-3, then hardly counts beside rows of size 1e2,
+    so the centre is free to leave the ring's plane: exact on true points, decimetres off along the normal with the
+    noise of any real image. Kept as a baseline.
+    """
+    points = MILLIMETRES * points_m
+    mean = points.mean(axis=1)
+    plane = damped_solution(points, np.ones(points.shape[:2]), np.zeros(len(points)))  # P . n = 1, Eq. (4.1)
+    length = np.linalg.norm(plane, axis=-1)
+
+    # K R = M with R measured from the mean of the points, Eq. (4.3): equal distances, then n . R = 1
+    rows, targets = equal_distance_rows(points - mean[:, None], edges)
+    plane_target = 1.0 - np.sum(plane * mean, axis=-1)
+    step, quotient = damped_center(
+        np.concatenate([rows, plane[:, None]], axis=1), np.concatenate([targets, plane_target[:, None]], axis=1)
+    )
+    center = mean + step
+    return ClosedForm(
+        normal=_facing(plane / length[:, None], mean),
+        offset_m=-1.0 / length / MILLIMETRES,
+        center_m=center / MILLIMETRES,
+        radius_m=mean_radii(points, edges, center) / MILLIMETRES,
+        grasp_m=mean / MILLIMETRES,
+        condition=1.0 / np.maximum(quotient, np.finfo(float).tiny),
+        damped=quotient < SINGULAR_BELOW,
+    )
+
+
+def constrained_form(points_m: Float64[Array, "batch point xyz=3"], edges: Int64[Array, "point"]) -> ClosedForm:
+    """Method `paper-constrained`: the same equations in the ring's plane; radii, and the mid-band grasp point.
+
+    The plane is the nearest one to the points. The paper scales it to P . n = 1, which fails for a plane through the
+    camera; the smallest singular vector of the centred points does not.
+    """
+    mean = points_m.mean(axis=1)
+    from_mean = points_m - mean[:, None]
+    axes = np.linalg.svd(from_mean)[2]
+    normal, in_plane = _facing(axes[:, 2], mean), axes[:, :2]
+    rows, targets = equal_distance_rows(from_mean, edges)
+    step, quotient = damped_center(rows @ in_plane.swapaxes(1, 2), targets)  # Eq. (4.3) in the plane's coordinates
+    center = mean + np.einsum("bk,bkx->bx", step, in_plane)
+    return ClosedForm(
+        normal=normal,
+        offset_m=np.sum(normal * mean, axis=-1),
+        center_m=center,
+        radius_m=mean_radii(points_m, edges, center),
+        grasp_m=mid_band_point(points_m, edges, normal),
+        condition=1.0 / np.maximum(quotient, np.finfo(float).tiny),
+        damped=quotient < SINGULAR_BELOW,
+    )
+
+
+FORMS = {Method.PAPER: paper_form, Method.PAPER_CONSTRAINED: constrained_form}
+"""The closed form of each method."""
+
+
+def equal_distance_rows(
+    points: Float64[Array, "batch point xyz=3"], edges: Int64[Array, "point"]
+) -> tuple[Float64[Array, "batch row xyz=3"], Float64[Array, "batch row"]]:
+    """Rows 2 (P_m - P_l) . R = |P_m|^2 - |P_l|^2: R is as far from P_m as from the edge's first point P_l, Eq. (4.2).
+
+    An edge seen by k lasers gives k - 1 rows.
+    """
+    on_edge = [np.flatnonzero(edges == edge) for edge in range(len(EDGES))]
+    first = np.concatenate([np.repeat(numbers[:1], max(len(numbers) - 1, 0)) for numbers in on_edge])
+    other = np.concatenate([numbers[1:] for numbers in on_edge])
+    square = np.sum(points**2, axis=-1)
+    return 2.0 * (points[:, other] - points[:, first]), square[:, other] - square[:, first]
+
+
+def damped_center(
+    rows: Float64[Array, "batch row column"], targets: Float64[Array, "batch row"]
+) -> tuple[Float64[Array, "batch column"], Float64[Array, "batch"]]:
+    """Damped least-squares solution of the centre's equations, measured from the mean of the points, and their q.
+
+    lambda^2 = lambda_max^2 (1 - (q / q0)^2) below q0, none above, Eq. (4.4): a well-conditioned case stays exact, a
+    singular one stays finite.
+    """
+    quotient = inverse_condition(rows)
+    share = np.minimum(quotient / SINGULAR_BELOW, 1.0)
+    return damped_solution(rows, targets, MAX_DAMPING * np.sqrt(1.0 - share**2)), quotient
+
+
+def mean_radii(
+    points: Float64[Array, "batch point xyz=3"], edges: Int64[Array, "point"], center: Float64[Array, "batch xyz=3"]
+) -> Float64[Array, "batch edge=2"]:
+    """Mean distance of each edge's points from the centre, Eq. (4.5); NaN for an edge that was not seen."""
+    distance = np.linalg.norm(points - center[:, None], axis=-1)
+    unseen = np.full(len(points), np.nan)
+    radii = [distance[:, edges == e].mean(axis=-1) if (edges == e).any() else unseen for e in range(len(EDGES))]
+    return np.stack(radii, axis=-1)
+
+
+def mid_band_point(
+    points: Float64[Array, "batch point xyz=3"],
+    edges: Int64[Array, "point"],
+    normal: Float64[Array, "batch xyz=3"],
+) -> Float64[Array, "batch xyz=3"]:
+    """Grasp point c + (r_i + r_o)/2 e, with e in the plane from the centre towards the mean of the points (section 5).
+
+    Not computed from the centre, which may be weak: the equations above prefer small circles, and within their noise
+    put it among the points. Two arcs that may also be straight give the same point, regularly.
+    NaN if an edge was not seen: the middle of the band is then not known.
+    """
+    if len(set(edges.tolist())) < len(EDGES):
+        return np.full_like(normal, np.nan)
+    mean = points.mean(axis=1)
+    between = points[:, edges == 1].mean(axis=1) - points[:, edges == 0].mean(axis=1)
+    x_axis = between - np.sum(between * normal, axis=-1, keepdims=True) * normal
+    length = np.linalg.norm(x_axis, axis=-1, keepdims=True)
+    x_axis /= np.where(length > 0, length, np.nan)
+    axes = np.stack([x_axis, np.cross(normal, x_axis)], axis=1)
+    arcs = arc_equations((points - mean[:, None]) @ axes.swapaxes(1, 2), edges)
+    outward = (axes[:, 0] + arcs.lean * axes[:, 1]) / np.hypot(1.0, arcs.lean)
+    grasp: Float64[Array, "batch xyz=3"] = mean + arc_crossings(arcs).mean(axis=-1, keepdims=True) * outward
+    return grasp
+
+
+def _facing(
+    normal: Float64[Array, "batch xyz=3"], point: Float64[Array, "batch xyz=3"]
+) -> Float64[Array, "batch xyz=3"]:
+    """Each normal or its opposite, whichever points from `point` towards the camera's centre."""
+    away = np.sum(normal * point, axis=-1, keepdims=True) > 0
+    return np.where(away, -normal, normal)
+
+
+class Differentiated(NamedTuple):
+    """A solution and its derivatives."""
+
+    form: ClosedForm
+    """A batch of one."""
+    jacobian: Float64[Array, "13 coordinate"]
+    """Of the seven parameters, the centre and the grasp point by the points' coordinates x1 y1 z1 x2 ..."""
+
+
+def differentiated(
+    points_m: Float64[Array, "point xyz=3"], edges: Int64[Array, "point"], method: Method
+) -> Differentiated:
+    """The closed form's solution at these points, and its derivatives by central differences."""
+    count = points_m.size
+    step_m = STEP * float(np.linalg.norm(points_m - points_m.mean(axis=0), axis=1).max())
+    displacement = step_m * np.concatenate([np.eye(count), -np.eye(count), np.zeros((1, count))])
+    form = FORMS[method](points_m + displacement.reshape(-1, *points_m.shape), edges)
+    values = _solution_values(form, form.normal[-1])
+    solution = ClosedForm(**{field.name: getattr(form, field.name)[-1:] for field in fields(ClosedForm)})
+    return Differentiated(solution, (values[:count] - values[count:-1]).T / (2.0 * step_m))
+
+
+def _solution_values(form: ClosedForm, normal: Float64[Array, "3"]) -> Float64[Array, "batch 13"]:
+    """The seven parameters about a given unit normal, then the centre and the grasp point.
+
+    The tilts are those of `geometry.rotations.tilted`; center_1 and center_2 are the centre's coordinates along
+    the two vectors of that normal's tilt basis, which is fixed while the ring tilts.
+    """
+    basis = tilt_basis(normal)
+    tilt = form.normal @ basis.T / (form.normal @ normal)[:, None]
+    return np.concatenate(
+        [tilt, form.offset_m[:, None], form.center_m @ basis.T, form.radius_m, form.center_m, form.grasp_m], axis=-1
+    )

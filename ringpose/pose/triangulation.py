@@ -1,18 +1,59 @@
-"""Joint covariance of the triangulated points: of the break points in the image, and of the rig.
+"""Break points in the image -> points in space with their joint covariance (ringpose-method(7), section 1).
 
-All derivatives are of P = t r, t = d / (m . r) (ringpose-method(7), section 1), and of the distortion at r.
+A point is P = t r, t = d / (m . r), with the ray r and the light plane m . P = d. Its covariance is that of the break
+point in the image and of the rig.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from ringpose.kernels.misfit import spread_m2
+from ringpose.geometry.rays import intersect, rays
 from ringpose.pose.measurements import pixels_by_ray_and_camera
 from ringpose.pose.rig_errors import rig_errors
 from ringpose.types.arrays import Array, Float64, Int64
+from ringpose.types.break_points import BreakPoints
 from ringpose.types.camera import Camera
 from ringpose.types.rig import Rig
+from ringpose.types.ring_points import RingPoints
+
+
+def triangulated(break_points: BreakPoints, rig: Rig) -> RingPoints:
+    """Where the ray through each break point meets its laser's plane.
+
+    NaN where a break point was not seen, and where its ray runs along the plane or meets it behind the camera.
+    """
+    directions = rays(break_points.position_px, rig.camera)
+    position = intersect(directions, rig.lasers.normal[:, None], rig.lasers.distance_m[:, None])
+    return RingPoints(position_m=position)
+
+
+def point_covariance(
+    points: Float64[Array, "n xyz=3"],
+    covariance_px2: Float64[Array, "n xy=2 xy=2"],
+    laser: Int64[Array, "n"],
+    rig: Rig,
+) -> Float64[Array, "coordinate coordinate"]:
+    """Covariance of the 3 n coordinates x1 y1 z1 x2 ..., to first order; NaN if that of a break point is.
+
+    The errors of break points are independent of each other; those of the rig, where its covariance is known, are
+    common to all.
+    """
+    light_normal = rig.lasers.normal[laser]
+    jacobians = point_jacobians(points, light_normal, rig.camera)
+    own = np.zeros((len(points), 3, len(points), 3))
+    each = np.arange(len(points))
+    own[each, :, each] = jacobians.by_pixel @ covariance_px2 @ jacobians.by_pixel.swapaxes(1, 2)
+    total = own.reshape(points.size, points.size)
+    if rig.covariance is None:
+        return total
+    errors = rig_errors(rig)
+    if errors is None:
+        return np.full_like(total, np.nan)
+    by_planes = points_by_plane(points, light_normal, errors.basis[laser]) @ errors.lasers[laser]
+    by_rig = (jacobians.by_camera @ errors.camera + by_planes).reshape(points.size, -1)
+    total += by_rig @ by_rig.T
+    return total
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -22,30 +63,6 @@ class PointJacobians:
     by_pixel: Float64[Array, "n xyz=3 xy=2"]
     by_camera: Float64[Array, "n xyz=3 parameter"]
     """In the order of `CAMERA_PARAMETERS`, as many as the camera has."""
-
-
-def point_covariance(
-    points: Float64[Array, "n xyz=3"],
-    covariance_px2: Float64[Array, "n xy=2 xy=2"],
-    laser: Int64[Array, "n"],
-    rig: Rig,
-) -> Float64[Array, "coordinate coordinate"]:
-    """Covariance of the 3 n coordinates x1 y1 z1 x2 ..., to first order; NaN if a break point's is.
-
-    The errors of break points are independent of each other; the rig's, where the rig tells them, are common to all.
-    """
-    light_normal = rig.lasers.normal[laser]
-    own = spread_m2(points, light_normal, covariance_px2, rig.camera)
-    if rig.covariance is None:
-        return own
-    errors = rig_errors(rig)
-    if errors is None:
-        return np.full_like(own, np.nan)
-    by_camera = point_jacobians(points, light_normal, rig.camera).by_camera @ errors.camera
-    by_planes = points_by_plane(points, light_normal, errors.basis[laser]) @ errors.lasers[laser]
-    by_rig = (by_camera + by_planes).reshape(len(own), -1)
-    total: Float64[Array, "coordinate coordinate"] = own + by_rig @ by_rig.T
-    return total
 
 
 def point_jacobians(

@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ringpose.kernels.forms import LARGEST_DAMPING, SINGULAR_BELOW, constrained_form, paper_form
-from ringpose.pose.closed_form import FORMS
+from ringpose.pose.closed_form import FORMS, MAX_DAMPING, SINGULAR_BELOW, constrained_form, damped_center, paper_form
 from ringpose.pose.closed_form import closed_form_pose as estimate_pose
 from ringpose.types.ring_pose import PoseFlag
 
@@ -49,8 +48,29 @@ def test_the_center_of_a_line_is_among_its_points(form):
     assert np.linalg.norm(center - points[0].mean(axis=0)) < 0.005
 
 
+def test_damping_sets_in_without_a_jump():
+    quotients = SINGULAR_BELOW * np.array([1 - 1e-9, 1 + 1e-9])
+    angle = np.arctan(quotients)
+    rows = np.stack([np.stack([np.cos(angle), np.sin(angle)], -1), np.stack([np.cos(angle), -np.sin(angle)], -1)], 1)
+
+    centers, _ = damped_center(rows, np.array([[1.0, 0.5], [1.0, 0.5]]))
+
+    np.testing.assert_allclose(centers[0], centers[1], rtol=1e-7)
+
+
+@given(share=st.floats(0.01, 0.99))
+def test_the_weakest_direction_keeps_the_square_of_its_share(share):
+    angle = np.arctan(share * SINGULAR_BELOW)
+    rows = np.array([[[np.cos(angle), np.sin(angle)], [np.cos(angle), -np.sin(angle)]]])
+    undamped = 1.0 / (2.0 * np.sin(angle))
+
+    center, _ = damped_center(rows, np.array([[0.5, -0.5]]))
+
+    assert center[0, 1] == pytest.approx(share**2 * undamped, rel=1e-5)
+
+
 def test_the_largest_damping_is_the_threshold():
-    assert LARGEST_DAMPING == SINGULAR_BELOW
+    assert MAX_DAMPING == SINGULAR_BELOW
 
 
 @pytest.mark.parametrize("method", list(FORMS))

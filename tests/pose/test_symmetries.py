@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ringpose.kernels.forms import constrained_form, paper_form
-from ringpose.pose.closed_form import FORMS
+from ringpose.pose.closed_form import FORMS, constrained_form, paper_form
 from ringpose.pose.closed_form import closed_form_pose as estimate_pose
 
 BOTH_METHODS = pytest.mark.parametrize("method", list(FORMS))

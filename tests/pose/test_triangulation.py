@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringpose.pose.triangulate import triangulated
-from ringpose.pose.triangulation import point_covariance, point_jacobians, points_by_plane
+from ringpose.pose.triangulation import point_covariance, point_jacobians, points_by_plane, triangulated
 from ringpose.types.covariance import CAMERA_PARAMETERS, PLANE_PARAMETERS
 
 LASER = np.repeat([0, 1, 2], 2)
