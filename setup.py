@@ -23,12 +23,6 @@ def kernels(name: str, parts: tuple[str, ...], headers: tuple[str, ...]) -> Exte
 setup(
     ext_modules=[
         kernels("_kernels", ("chains", "cuts", "fits", "gradient", "joins", "lists"), ("buffers", "kernels")),
-        kernels("_forms", ("ring_rows",), ("buffers", "ring_rows")),
-        kernels(
-            "_search",
-            ("ring_rows", "ring_search", "ring_start"),
-            ("buffers", "ring_rows", "ring_search", "ring_start", "triangle"),
-        ),
         kernels(
             "_edges",
             ("edge_arcs", "edge_fit", "edge_places", "edge_steps", "lens"),

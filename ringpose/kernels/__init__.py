@@ -10,10 +10,8 @@ from ringpose.types.arrays import Array, Float64, Int16, Int32, Int64, UInt8, UI
 try:
     from ringpose.kernels import _edges as _edges
     from ringpose.kernels import _faces as _faces
-    from ringpose.kernels import _forms as _forms
     from ringpose.kernels import _kernels
     from ringpose.kernels import _ring as _ring
-    from ringpose.kernels import _search as _search
     from ringpose.kernels import _stripes as _stripes
 except ImportError as error:
     raise ImportError(

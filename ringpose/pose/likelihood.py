@@ -9,10 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.kernels.ring_search import SearchRules, Sought, searched
 from ringpose.pose.measurements import Measurements, Sighted
-from ringpose.pose.residual_rows import Beforehand, Rows, rows_of, rows_of_prediction
-from ringpose.pose.rig_errors import ByRig, RigErrors, rows_by_common_errors, rows_by_edge_errors
+from ringpose.pose.residual_rows import Beforehand, Rows, rows_of
+from ringpose.pose.rig_errors import ByRig, RigErrors, rows_by_common_errors
 from ringpose.pose.ring_model import CURVATURE, PARAMETERS, TURN, RingState, moved
 from ringpose.pose.starting_state import starting_state
 from ringpose.types.arrays import Array, Float64
@@ -39,13 +38,6 @@ LEAST_DEPTH_M, MOST_DEPTH_M = 1e-3, 1e3
 
 STEEPEST_CURVATURE = 20.0
 """One over metres: a search that leaves these bounds has failed."""
-
-
-_RULES = SearchRules(HUBER_SIGMAS, STEP_SIGMAS, RIDGE, LEAST_DEPTH_M, MOST_DEPTH_M, STEEPEST_CURVATURE)
-
-_NO_RADII = np.full((2, 2), np.nan)
-
-_NO_EDGES = np.empty((0, 3))
 
 
 class Fit(NamedTuple):
@@ -93,6 +85,11 @@ def fitted(measured: Measurements, rig: Rig, before: Beforehand, errors: RigErro
     second search, so that it cannot spoil the rest. Where visible edges close such a gap, the search begins from that:
     far from the ring they lead astray.
     """
+    with np.errstate(all="ignore"):  # a search that leaves all bounds ends in `_plausible`
+        return _fitted(measured, rig, before, errors)
+
+
+def _fitted(measured: Measurements, rig: Rig, before: Beforehand, errors: RigErrors | None) -> Fit | None:
     before = before._replace(one_edge=before.radii is None and _edges_seen(measured) == 1)
     task = Task(measured, measured.sighted(rig.lasers), rig, errors)
     start = starting_state(measured, task.sighted, before)
@@ -127,66 +124,16 @@ def _edges_seen(measured: Measurements) -> int:
 
 
 def _search(state: RingState, task: Task, before: Beforehand) -> Fit | None:
-    """The kernel's search for what nearly every shot is made of, steps in here for the rest.
-
-    None also where rounding leaves a variance that is not positive: the normal matrix is then numerically singular.
-    """
-    in_kernel = before.weak_about is None and not before.one_edge and not bool(task.measured.points.alone.any())
-    fit = (kernel_search if in_kernel else search_in_steps)(state, task, before)
-    return fit if fit is not None and all(variance > 0 for variance in fit.inverse.diagonal().tolist()) else None
-
-
-def kernel_search(state: RingState, task: Task, before: Beforehand) -> Fit | None:
-    """Of stripes, break points on them, visible edges and known radii; common errors enter after the first step."""
-    measured, sighted, rig, errors = task
-    sought = _sought(measured, sighted, before)
-    first = 0 if errors is None and not len(sought.edges) else 1
-    common, left, numbers = None, None, state.numbers
-    if first:
-        start = searched(numbers, sought, _RULES, (0, first))
-        if start.failed:
-            return None
-        numbers, left = start.state, start.left
-        there = _state_of(numbers)
-        common = (
-            rows_by_edge_errors(measured, sought.rows, len(sighted.rays))
-            if errors is None
-            else rows_by_common_errors(there, rows_of(there, measured, sighted, before), measured, sighted, errors, rig)
-        )
-    found = searched(numbers, sought, _RULES, (first, MOST_STEPS), None if common is None else common.rows, left)
-    if found.failed:
-        return None
-    rows = rows_of_prediction(found.prediction, len(sighted.whitening), found.residual, found.by_state)
-    by_rig, mean_by_rig = (None, None) if common is None else common
-    step = None if common is None else found.error_step
-    return Fit(
-        _state_of(found.state), rows, found.weight, by_rig, mean_by_rig, step, False, found.normal_matrix, found.inverse
-    )
-
-
-def _sought(measured: Measurements, sighted: Sighted, before: Beforehand) -> Sought:
-    edges = _NO_EDGES
-    if len(measured.edges.edge):
-        edges = np.column_stack([2.0 * measured.edges.edge - 1.0, measured.edges.step])
-    radii = _NO_RADII if before.radii is None else np.array([before.radii.radius_m, before.radii.sd_m])
-    rays = measured.edges.ray
-    return Sought(sighted.rays, sighted.light, sighted.whitening, sighted.edge_sign_and_sigma, rays, edges, radii)
-
-
-def _state_of(numbers: Float64[Array, "9"]) -> RingState:
-    return RingState(numbers[:3], numbers[3:6], *numbers[6:].tolist())
-
-
-def search_in_steps(state: RingState, task: Task, before: Beforehand) -> Fit | None:
-    """All that `residual_rows` knows, one step after the other."""
+    """Gauss-Newton steps from a state; None if they lead to no ring. Common errors enter after the first step."""
     measured, sighted, rig, errors = task
     robust = _robust_rows(measured)
     common: ByRig | None = None
     left = None
     for number in range(MOST_STEPS):
-        rows = rows_of(state, measured, sighted, before)
+        rows = rows_of(state, measured, sighted, before)  # r and J, whitened: residuals a to d
         if number == 1:  # they hardly change from here
             common = rows_by_common_errors(state, rows, measured, sighted, errors, rig)
+        # weights by what the last step is expected to leave: at its start wrong ends hide among large residuals
         weight = _weights(rows.residual if left is None else left, robust)
         try:
             normal_matrix, step, rig_step = _step(rows, weight, None if common is None else common.rows)
@@ -194,15 +141,14 @@ def search_in_steps(state: RingState, task: Task, before: Beforehand) -> Fit | N
             return None
         if not _plausible(state, step):
             return None
-        if number and step @ normal_matrix @ step < STEP_SIGMAS**2:
+        if number and step @ normal_matrix @ step < STEP_SIGMAS**2:  # squared Mahalanobis length
             break
         left = rows.residual + rows.by_state @ step
         if common is not None and rig_step is not None:
             left = left + common.rows @ rig_step
         state = moved(state, step)
-    try:
-        inverse = np.linalg.inv(normal_matrix + _RIDGE)
-    except np.linalg.LinAlgError:
+    inverse = _inverse(normal_matrix)
+    if inverse is None:
         return None
     by_rig, mean_by_rig = (None, None) if common is None else common
     return Fit(
@@ -210,10 +156,23 @@ def search_in_steps(state: RingState, task: Task, before: Beforehand) -> Fit | N
     )
 
 
+def _inverse(normal_matrix: Float64[Array, "7 7"]) -> Float64[Array, "7 7"] | None:
+    """None where the normal matrix is numerically singular: rounding then leaves a variance that is not positive."""
+    try:
+        inverse = np.linalg.inv(normal_matrix + _RIDGE)
+    except np.linalg.LinAlgError:
+        return None
+    return inverse if bool((inverse.diagonal() > 0).all()) else None
+
+
 def _step(
     rows: Rows, weight: Float64[Array, "row"], by_rig: Float64[Array, "row error"] | None
 ) -> tuple[Float64[Array, "7 7"], Float64[Array, "7"], Float64[Array, "error"] | None]:
-    """Normal matrix with the rig's errors eliminated, the ring's step, and the rig's errors after it."""
+    """Normal matrix with the rig's errors eliminated, the ring's step, and the rig's errors after it.
+
+    With J by the ring and B by unit errors of the rig: S = J^T W J - J^T W B (1 + B^T W B)^-1 B^T W J, the Schur
+    complement, and S step = -(J^T W r - J^T W B (1 + B^T W B)^-1 B^T W r).
+    """
     weighted = rows.by_state.T * weight
     normal_matrix, gradient = weighted @ rows.by_state, weighted @ rows.residual
     if by_rig is None:

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.kernels.ring_rows import Predicted, predicted
 from ringpose.pose.measurements import Measurements, Points, Sighted
 from ringpose.pose.ring_model import (
     BAND,
@@ -22,7 +21,10 @@ from ringpose.pose.ring_model import (
     Origin,
     RingState,
     Sights,
+    arc_parts,
     edge_parts,
+    origin_of,
+    sights_of,
 )
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.ring import KnownRadii
@@ -40,6 +42,9 @@ TILT_SD_RAD = 0.6
 LIKELY_BAND_M, BAND_SD_M = 0.03, 0.03
 """Where only one edge was seen: as wide as the bands in launcher manuals, or twice that, or very narrow."""
 
+
+MIN_RATE = 1e-12
+"""A distance from the circle that changes by less than this with the abscissa does not depend on it."""
 
 _NONE = np.empty(0)
 
@@ -100,47 +105,44 @@ _NOTHING_ACROSS = AcrossScale(np.empty(0, dtype=np.int64), _NONE, _NONE)
 
 def rows_of(state: RingState, measured: Measurements, sighted: Sighted, before: Beforehand) -> Rows:
     """The residuals of a state; `sighted` are the same measurements with their light planes."""
-    own = predicted(state.numbers, sighted.rays, sighted.light, sighted.whitening, sighted.edge_sign_and_sigma)
-    ends, origin = len(sighted.whitening), Origin(own.origin_m, own.origin_by_plane, own.origin_by_ray)
-    parts = [(own.residual, own.by_state)]
-    across = _across_scale(measured.points, own.slope[ends:], own.by_x)
+    ends = len(sighted.whitening)
+    sights = sights_of(state, sighted)
+    y_by_plane = sights.y_by_plane[ends:]
+
+    # a: whitened distances of the lines' ends from the predicted lines
+    lines = np.zeros((ends, PARAMETERS))
+    lines[:, PLANE] = -sighted.whitening @ sights.y_by_plane[:ends]
+    parts = [(sighted.whitening @ (sighted.rays[:ends, 1] - sights.rays[:ends, 1]), lines)]
+
+    # b: distances of the break points from their circles, along the predicted lines
+    origin = origin_of(state, sights.rays[ends:], y_by_plane)
+    arcs = arc_parts(state, sights.rays[ends:], sighted.edge_sign, origin)
+    arcs.by_state[:, PLANE] += arcs.by_ray[:, 1:] * y_by_plane
+    by_x = arcs.by_ray[:, 0] + sights.slope[ends:] * arcs.by_ray[:, 1]
+    by_x = np.where(np.abs(by_x) < MIN_RATE, MIN_RATE, by_x)
+    along_scale = 1.0 / (np.abs(by_x) * sighted.edge_sign_and_sigma[:, 1])
+    parts.append((along_scale * arcs.distance_m, along_scale[:, None] * arcs.by_state))
+
+    across = _across_scale(measured.points, sights.slope[ends:], by_x)
     if len(across.which):
-        parts.append(_across_rows(measured.points, across, own, ends))
+        above = measured.points.y - sights.rays[ends:, 1]
+        parts.append(_across_rows(across, above, y_by_plane, arcs))
     visible = edge_parts(state, measured.edges, origin) if len(measured.edges.edge) else None
     if visible is not None:
         parts.append((visible.residual, visible.by_state))
     if not before.nothing:
         parts.append(_known(state, before))
-    residual, by_state = parts[0] if len(parts) == 1 else (np.concatenate(each) for each in zip(*parts, strict=True))
-    return rows_of_prediction(own, ends, residual, by_state)._replace(edges=visible, across=across)
-
-
-def rows_of_prediction(
-    own: Predicted, ends: int, residual: Float64[Array, "row"], by_state: Float64[Array, "row 7"]
-) -> Rows:
-    """The same where the kernel has made all residuals: of stripes, break points with a line, and radii."""
-    return Rows(
-        residual=residual,
-        by_state=by_state,
-        ends=ends,
-        sights=Sights(own.rays, own.slope, own.steepness, own.y_by_plane),
-        arcs=ArcParts(own.distance_m, own.distance_by_state, own.by_ray),
-        origin=Origin(own.origin_m, own.origin_by_plane, own.origin_by_ray),
-        edges=None,
-        by_x=own.by_x,
-        along_scale=own.along_scale,
-        across=_NOTHING_ACROSS,
-    )
+    residual, by_state = (np.concatenate(each) for each in zip(*parts, strict=True))
+    return Rows(residual, by_state, ends, sights, arcs, origin, visible, by_x, along_scale, across)
 
 
 def _across_rows(
-    points: Points, across: AcrossScale, own: Predicted, ends: int
+    across: AcrossScale, above: Float64[Array, "point"], y_by_plane: Float64[Array, "point 3"], arcs: ArcParts
 ) -> tuple[Float64[Array, "alone"], Float64[Array, "alone 7"]]:
     which = across.which
-    above = points.y[which] - own.rays[ends:][which, 1]
-    derivative = -across.share[:, None] * own.distance_by_state[which]
-    derivative[:, PLANE] -= own.y_by_plane[ends:][which]
-    return across.scale * (above - across.share * own.distance_m[which]), across.scale[:, None] * derivative
+    derivative = -across.share[:, None] * arcs.by_state[which]
+    derivative[:, PLANE] -= y_by_plane[which]
+    return across.scale * (above[which] - across.share * arcs.distance_m[which]), across.scale[:, None] * derivative
 
 
 def _across_scale(points: Points, slope: Float64[Array, "point"], by_x: Float64[Array, "point"]) -> AcrossScale:

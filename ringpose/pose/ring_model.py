@@ -115,7 +115,7 @@ def sights_of(state: RingState, sighted: Sighted) -> Sights:
 
 
 def origin_of(state: RingState, rays: Float64[Array, "point 3"], y_by_plane: Float64[Array, "point 3"]) -> Origin:
-    """The point of the plane on the mean ray of the break points; the kernel works it out, and this is its oracle."""
+    """The point of the plane on the mean ray of the break points."""
     share = 1.0 / len(rays)
     ray = share * rays.sum(axis=0)
     depth_m = 1.0 / float(ray @ state.plane)

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from ringpose.kernels.ring_search import started
 from ringpose.pose.measurements import Measurements, Sighted
 from ringpose.pose.residual_rows import LIKELY_BAND_M, LIKELY_CURVATURE, Beforehand
 from ringpose.pose.ring_model import RingState, Sights, cross, sights_of
@@ -16,28 +15,16 @@ def starting_state(measured: Measurements, sighted: Sighted, before: Beforehand)
     """The plane of the stripes, and a likely ring on it; None if there is none before the camera."""
     if not len(measured.points.x):
         return None
-    if bool(measured.points.alone.any()):
-        return state_with_points_alone(measured, sighted, before)
-    start = started(
-        sighted.rays, sighted.light, sighted.whitening, sighted.edge_sign_and_sigma, measured.points.middle_x
-    )
-    if start is None:
-        return None
-    curvature, band_m = _likely_size(measured, start.along_m, before)
-    return RingState(start.plane, start.outward, 0.0, curvature, band_m)
-
-
-def state_with_points_alone(measured: Measurements, sighted: Sighted, before: Beforehand) -> RingState | None:
-    """The same where ends of stripes without a line tell of the plane, too."""
     try:
         plane = _plane(measured, sighted)
     except np.linalg.LinAlgError:
         return None
     state = RingState(plane, np.array([1.0, 0.0, 0.0]), 0.0, LIKELY_CURVATURE, 0.0)
     sights = sights_of(state, sighted)
-    depth_m = 1.0 / (sights.rays @ plane)
-    if not bool((depth_m > 0).all()):
+    inverse_depth = sights.rays @ plane
+    if not bool((inverse_depth > 0).all()):
         return None
+    depth_m = 1.0 / inverse_depth
     ends = len(sighted.whitening)
     outward = _outward(state, measured, sighted, _along_stripes(sights, depth_m, plane)[ends:], depth_m[ends:])
     along = depth_m[ends:] * (sights.rays[ends:] @ outward)

@@ -10,7 +10,7 @@ import pytest
 from ringpose import kernels
 
 
-@pytest.mark.parametrize("name", ["_edges", "_faces", "_forms", "_kernels", "_ring", "_search", "_stripes"])
+@pytest.mark.parametrize("name", ["_edges", "_faces", "_kernels", "_ring", "_stripes"])
 def test_missing_kernels_are_an_import_error_that_says_what_to_do(name, monkeypatch):
     monkeypatch.delitem(sys.modules, "ringpose.kernels")
     monkeypatch.setitem(sys.modules, f"ringpose.kernels.{name}", None)

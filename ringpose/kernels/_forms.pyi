@@ -1,3 +1,0 @@
-from ringpose.types.arrays import Array
-
-def rows(state: Array, rays: Array, light: Array, whitening: Array, points: Array, /) -> bytes: ...

@@ -1,0 +1,110 @@
+"""The search for the most likely ring ends where the robust cost is least, and in no case in an exception."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ringpose.pose.likelihood import HUBER_SIGMAS, fitted
+from ringpose.pose.measurements import measurements_of
+from ringpose.pose.pipeline import estimate_pose
+from ringpose.pose.residual_rows import Beforehand, rows_of
+from ringpose.pose.rig_errors import rig_errors
+from ringpose.pose.ring_model import moved
+from ringpose.pose.starting_state import starting_state
+from ringpose.types.covariance import ParameterCovariance
+from ringpose.types.ring import KnownRadii
+from ringpose.types.ring_pose import NoPose, RingPose
+
+INNER_ONLY = KnownRadii(radius_m=np.array([0.567, np.nan]), sd_m=np.full(2, 1e-4))
+BOTH = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.full(2, 1e-4))
+PARAMETERS = ("fx", "fy", "cx", "cy", "left.tilt_1", "middle.distance", "right.tilt_2")
+SD = np.array([0.3, 0.3, 0.2, 0.2, 2e-4, 5e-5, 2e-4])
+
+
+def with_covariance(rig):
+    return replace(rig, covariance=ParameterCovariance(parameters=PARAMETERS, data=np.diag(SD**2)))
+
+
+@pytest.fixture
+def noisy(scene_of, face_points, rng):
+    """Measurements of a noisy shot with wrong ends, which robust weights count less."""
+    scene = scene_of("B", distance_m=0.5)
+    points = face_points(scene, 0.3, 0.01, rng)
+    points.position_px[:, 0, 0] += 1.0, -1.5, 2.5
+    return scene.rig, measurements_of(points, scene.rig)
+
+
+def huber_cost(residual, weight):
+    """Sum over residuals, of which those that a robust weight may count less grow linearly beyond the limit."""
+    size = np.abs(residual)
+    beyond = (size > HUBER_SIGMAS) & (weight < 1)
+    return np.sum(np.where(beyond, HUBER_SIGMAS * (2 * size - HUBER_SIGMAS), size**2))
+
+
+@pytest.mark.parametrize("calibrated", [False, True], ids=["rig exact", "rig with its covariance"])
+@pytest.mark.parametrize("radii", [None, INNER_ONLY, BOTH], ids=["radii unknown", "one radius", "both radii"])
+def test_the_search_ends_where_the_robust_cost_is_least(noisy, calibrated, radii):
+    rig, measured = noisy
+    rig = with_covariance(rig) if calibrated else rig
+    sighted, before = measured.sighted(rig.lasers), Beforehand(radii)
+
+    fit = fitted(measured, rig, before, rig_errors(rig))
+
+    def cost(step):
+        rows = rows_of(moved(fit.state, step), measured, sighted, before)
+        residual = rows.residual.copy()  # a break point's noise, in metres along its circle, is that at the solution
+        residual[rows.ends : rows.ends + len(rows.by_x)] *= fit.rows.along_scale / rows.along_scale
+        if fit.by_rig is None:
+            return huber_cost(residual, fit.weight)
+        return huber_cost(residual + fit.by_rig @ fit.rig_step, fit.weight) + fit.rig_step @ fit.rig_step
+
+    assert fit.weight.min() < 1.0
+    variance, axes = np.linalg.eigh(fit.inverse)
+    least = cost(np.zeros(7))
+    for sd, axis in zip(np.sqrt(variance), axes.T, strict=True):
+        up, down = (cost(sign * 0.3 * sd * axis) - least for sign in (1, -1))
+        assert up + down > 0
+        assert abs(up - down) < 0.3 * (up + down)
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+@pytest.mark.parametrize("ends_seen", [True, False])
+def test_the_search_begins_on_the_rings_plane_and_with_out_on_the_right_side(scene_of, face_points, side, ends_seen):
+    scene = scene_of("B", distance_m=0.5, side=side)
+    measured = measurements_of(face_points(scene, 0.3, 0.01), scene.rig)
+    if not ends_seen:
+        measured = replace(measured, points=replace(measured.points, x=measured.points.middle_x.copy()))
+
+    start = starting_state(measured, measured.sighted(scene.rig.lasers), Beforehand())
+
+    np.testing.assert_allclose(start.normal, scene.ring.normal, atol=1e-3)
+    assert 1 / np.linalg.norm(start.plane) == pytest.approx(-scene.ring.normal @ scene.ring.center_m, rel=1e-3)
+    if ends_seen:
+        assert start.outward @ (scene.points_m.mean(axis=(0, 1)) - scene.ring.center_m) > 0.4
+
+
+def test_a_plane_behind_the_camera_is_no_start(noisy):
+    rig, measured = noisy
+    sighted = measured.sighted(rig.lasers)
+    behind = sighted._replace(light=sighted.light * [1.0, 1.0, 1.0, -1.0])
+
+    assert starting_state(measured, behind, Beforehand()) is None
+
+
+def test_points_at_the_end_of_the_world_are_left_out_or_no_ring(scene_of, face_points):
+    scene = scene_of("B", distance_m=0.5)
+    points = face_points(scene, 0.3, 0.01)
+    points.position_px[0, 0] = 1e7, -1e7
+
+    assert isinstance(estimate_pose(points, scene.rig), RingPose | NoPose)
+
+
+def test_points_without_lines_that_are_known_impossibly_well_end_the_search_without_a_crash(scene_of, rng):
+    scene = scene_of("B", distance_m=0.5)
+    position = scene.position_px + 20.0 * rng.normal(size=scene.position_px.shape)
+    points = replace(
+        scene.break_points(1e-15), position_px=position, covariance_px2=np.tile(1e-30 * np.eye(2), (3, 2, 1, 1))
+    )
+
+    assert isinstance(estimate_pose(points, scene.rig), RingPose | NoPose)
