@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 LOWEST := .venv-lowest
 PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist worksteal $(PYTEST_FLAGS)
-KERNELS := $(wildcard ringpose/kernels/*.c ringpose/kernels/*.h)
+KERNELS := $(wildcard ringpose/kernels/*.[ch] ringpose/kernels/*/*.[ch])
 
 .PHONY: help demo bench-speed compare-baseline baseline structure test test-slow test-lowest \
   check lint types layers man clean

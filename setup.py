@@ -1,14 +1,19 @@
 """The C kernels: everything else about the package stands in pyproject.toml."""
 
+from pathlib import Path
+
 from setuptools import Extension, setup
 
+KERNELS = Path("ringpose/kernels")
 
-def kernels(name: str, parts: tuple[str, ...], headers: tuple[str, ...]) -> Extension:
+
+def kernels(name: str, parts: tuple[str, ...], headers: tuple[str, ...] = ()) -> Extension:
     """One extension module of `ringpose.kernels` through the stable ABI."""
     return Extension(
         f"ringpose.kernels.{name}",
-        sources=[f"ringpose/kernels/{part}.c" for part in (name, *parts)],
-        depends=[f"ringpose/kernels/{header}.h" for header in headers],
+        sources=[str(next(KERNELS.rglob(f"{part}.c"))) for part in (name, *parts)],
+        include_dirs=[str(KERNELS), *(str(each) for each in KERNELS.iterdir() if each.is_dir())],
+        depends=[str(each) for each in KERNELS.rglob("*.h")],
         define_macros=[("Py_LIMITED_API", "0x030B0000")],
         py_limited_api=True,
         # No fused multiply-add: the same numbers on every machine. Nobody asks for floating-point traps or errno,
@@ -59,7 +64,7 @@ setup(
                 "stripe_sigmas",
                 "stripe_weights",
             ),
-            ("buffers", "kernels", "stripe_columns", "stripes", "triangle"),
+            ("buffers", "kernels", "stripe_columns", "stripes", "cholesky"),
         ),
     ],
     options={"bdist_wheel": {"py_limited_api": "cp311"}},

@@ -161,7 +161,7 @@ def test_a_dark_frame_unlike_the_lit_one_is_refused(dark, error):
 
 
 def test_the_table_of_the_header_is_the_normal_distribution():
-    numbers = (Path(__file__).parents[2] / "ringpose/kernels/normal_cdf.h").read_text().split("{")[1].split("}")[0]
+    numbers = (Path(__file__).parents[2] / "ringpose/kernels/ends/normal_cdf.h").read_text().split("{")[1].split("}")[0]
 
     assert [float(each) for each in numbers.split(",")] == normal_cdf_table()
 

@@ -1,6 +1,6 @@
 /* Symmetric, positive equations by their triangle (Cholesky); matrices by rows, of n rows and columns. */
-#ifndef RINGPOSE_TRIANGLE_H
-#define RINGPOSE_TRIANGLE_H
+#ifndef RINGPOSE_CHOLESKY_H
+#define RINGPOSE_CHOLESKY_H
 
 #include <math.h>
 

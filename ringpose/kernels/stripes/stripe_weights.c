@@ -5,7 +5,7 @@
 
 #include <math.h>
 
-#include "triangle.h"
+#include "cholesky.h"
 
 /* What is fitted to the rows about a centre: what lies beneath the stripe (a constant and a slope), how bright it is,
    and how far it lies off. The last two are wanted. */
