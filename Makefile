@@ -21,7 +21,7 @@ help:
 	@echo "make structure    modules and lines by folder; modules that one shot and one calibration pass through"
 	@echo "make check        lint, types, layers, man pages"
 
-$(STAMP): pyproject.toml setup.py $(KERNELS)
+$(STAMP): pyproject.toml $(KERNELS)
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
 	$(BIN)/python -m compileall -q ringpose  # as pip does for packages that are not editable

@@ -4,7 +4,7 @@ import numpy as np
 from drawn_scene import DrawnScene, drawn_rig, true_break_points
 
 from ringpose.geometry.rays import undistorted_pixels
-from ringpose.kernels.faces import CandidateRules, FaceRules, RingRules, UnionRules
+from ringpose.kernels.lines import CandidateRules, FaceRules, RingRules, UnionRules
 
 RULES = FaceRules(
     UnionRules(

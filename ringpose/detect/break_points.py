@@ -11,7 +11,7 @@ from ringpose.detect.faces import Face
 from ringpose.detect.frames import LaserImage
 from ringpose.detect.stripe_ends import FACET_SIGMAS, INSIDE_COLUMNS, OUTSIDE_COLUMNS, SATURATED_SHARE, stripe_ends
 from ringpose.detect.tracks import BORDER_PX, LEAST_COLUMNS, TAKEN_BY_THE_FIT
-from ringpose.kernels.ring import Ends, MarkRules, marked_ends
+from ringpose.kernels.ends import Ends, MarkRules, marked_ends
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.break_points import MAX_OFFSET, BreakPointFlag, BreakPoints, outside_image
 from ringpose.types.camera import Camera

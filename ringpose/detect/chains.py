@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from ringpose import kernels
 from ringpose.detect.gradient import Gradient, magnitude_steps
+from ringpose.kernels import segments as kernels
 from ringpose.types.arrays import Array, Int32
 
 

@@ -7,7 +7,8 @@ import numpy as np
 from ringpose.detect.tracks import lens
 from ringpose.geometry.planes import nearest_plane, towards_camera
 from ringpose.geometry.rays import intersect, rays, undistorted_rays
-from ringpose.kernels.ring import LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START, ArcFit, Ends, arc_fit
+from ringpose.kernels.ends import Ends
+from ringpose.kernels.lines import LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START, ArcFit, arc_fit
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.break_points import BreakPointFlag
 from ringpose.types.rig import Rig

@@ -4,7 +4,7 @@ import numpy as np
 
 from ringpose.detect.faces import planes_per_m
 from ringpose.detect.tracks import lens
-from ringpose.kernels.ring import CENTERS, LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
+from ringpose.kernels.lines import CENTERS, LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.rig import Rig
 from ringpose.types.stripes import UNLABELLED

@@ -17,8 +17,21 @@ import numpy as np
 
 from ringpose.detect.tracks import LEAST_COLUMNS, TAKEN_BY_THE_FIT, lens
 from ringpose.geometry.rays import undistorted_rays
-from ringpose.kernels.faces import CandidateRules, FaceRules, Group, RingRules, UnionRules, ring_faces
-from ringpose.kernels.ring import CLIPPED, LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
+from ringpose.kernels.lines import (
+    CLIPPED,
+    LASER,
+    MIDDLE_X,
+    MIDDLE_Y,
+    SLOPE,
+    X_END,
+    X_START,
+    CandidateRules,
+    FaceRules,
+    Group,
+    RingRules,
+    UnionRules,
+    ring_faces,
+)
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
 from ringpose.types.rig import Rig

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ringpose import kernels
+from ringpose.kernels import segments as kernels
 from ringpose.types.arrays import Array, Int16, Int32, UInt, UInt8, UInt16
 from ringpose.types.frame import full_scale_dn
 

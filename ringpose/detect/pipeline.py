@@ -13,7 +13,7 @@ from ringpose.detect.ring_edges import shown_edges
 from ringpose.detect.stripe_centers import find_stripes
 from ringpose.detect.stripe_source import StripeSource
 from ringpose.detect.tracks import straight_tracks
-from ringpose.kernels.ring import LASER
+from ringpose.kernels.lines import LASER
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.break_points import BreakPoints, Detection, NoBreakPoints
 from ringpose.types.frame import Shot

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ringpose import kernels
 from ringpose.detect.chains import Chains, edge_chains
 from ringpose.detect.gradient import Gradient, image_gradient, in_sixteen_bits
 from ringpose.detect.segment_method import SegmentMethod
+from ringpose.kernels import segments as kernels
 from ringpose.types.arrays import Array, Int32, UInt
 from ringpose.types.segments import Segments
 

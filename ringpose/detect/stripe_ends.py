@@ -9,8 +9,9 @@ from functools import lru_cache
 
 from ringpose.detect.frames import LaserImage
 from ringpose.detect.tracks import lens
-from ringpose.kernels import ring
-from ringpose.kernels.ring import MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START, EndRules
+from ringpose.kernels import ends as kernels
+from ringpose.kernels.ends import EndRules
+from ringpose.kernels.lines import MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
 
@@ -69,7 +70,7 @@ def stripe_ends(
     tracks: Float64[Array, "track column=11"], image: LaserImage, camera: Camera, saturation_dn: int
 ) -> Float64[Array, "track end=2 column=10"]:
     """The left and right end of each track in the image that shows its stripe, as the kernel tells them."""
-    return ring.stripe_ends(image.lit, image.dark, tracks[:, LINE], lens(camera), _rules(saturation_dn))
+    return kernels.stripe_ends(image.lit, image.dark, tracks[:, LINE], lens(camera), _rules(saturation_dn))
 
 
 @lru_cache(maxsize=4)

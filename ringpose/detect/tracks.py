@@ -6,8 +6,8 @@ a wall or a foil behind it adds tracks of other directions or places.
 
 from functools import lru_cache
 
-from ringpose.kernels import ring
-from ringpose.kernels.ring import Lens, TrackRules
+from ringpose.kernels import lines as kernels
+from ringpose.kernels.lines import Lens, TrackRules
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
 from ringpose.types.stripes import Stripes
@@ -44,7 +44,7 @@ LONGEST_CORRELATION = 40
 def straight_tracks(stripes: Stripes, camera: Camera) -> Float64[Array, "track column=11"]:
     """The straight tracks among the stripes, in undistorted pixels; columns as in `TRACK_COLUMNS`."""
     optics, rules = lens(camera), _rules(camera.image_width)
-    return ring.straight_tracks(stripes.position_px, stripes.sigma_px, stripes.piece, stripes.laser, optics, rules)
+    return kernels.straight_tracks(stripes.position_px, stripes.sigma_px, stripes.piece, stripes.laser, optics, rules)
 
 
 @lru_cache(maxsize=4)

@@ -1,5 +1,8 @@
 from ringpose.types.arrays import Array
 
+_Numbers = tuple[float, ...]
+_Group = tuple[tuple[int, ...], tuple[int, ...], float, float]
+
 def gradient(image: Array, bits: int, upper: int, magnitude: Array, /) -> tuple[bytes, bytes]: ...
 def chains(
     magnitude: Array, anchors: Array, orientation: Array, lower: int, shortest: int, /
@@ -11,3 +14,52 @@ def fits(magnitude: Array, pixels: Array, pieces: Array, trim: int, /) -> tuple[
 def joins(
     lines: Array, moments: Array, pieces: Array, gap: float, aside: float, shortest: int, /
 ) -> tuple[bytes, bytes]: ...
+def stripes(
+    image: Array, dark: Array | None, bands: Array | None, taps: Array, filters: Array, rules: _Numbers, /
+) -> tuple[bytearray, bytearray, bytearray, bytearray]: ...
+def tracks(position: Array, sigma: Array, piece: Array, laser: Array, lens: _Numbers, rules: _Numbers, /) -> bytes: ...
+def faces(
+    tracks: Array, unlabelled: int, planes: Array, unions: _Numbers, candidates: _Numbers, ring: _Numbers, /
+) -> tuple[bytes, tuple[_Group, _Group, _Group]]: ...
+def arcs(
+    position: Array, covariance: Array, planes: Array, lens: _Numbers, circle_sigma: float, exact: int, /
+) -> tuple[tuple[int, int], float, _Numbers, float, float]: ...
+def ends(lit: Array, dark: Array | None, lines: Array, lens: _Numbers, rules: _Numbers, /) -> bytes: ...
+def marks(
+    tracks: Array,
+    ends: Array,
+    lasers: Array,
+    rules: _Numbers,
+    position: Array,
+    covariance: Array,
+    flags: Array,
+    straight: Array,
+    sigma: Array,
+    /,
+) -> None: ...
+def edge_places(arcs: Array, covariance: Array, lens: _Numbers, rules: _Numbers, /) -> bytes: ...
+def edge_profiles(
+    image: Array, place: Array, normal: Array, rules: _Numbers, value: Array, saturated: Array, noise: Array, /
+) -> None: ...
+def edge_steps(
+    value: Array,
+    saturated: Array,
+    noise: Array,
+    across: Array,
+    place: Array,
+    unit: Array,
+    table: Array,
+    rules: _Numbers,
+    /,
+) -> bytes: ...
+def edge_fit(
+    arcs: Array,
+    plane_point: Array,
+    plane_sigma: Array,
+    reference: Array,
+    ray: Array,
+    side: Array,
+    sigma: Array,
+    rules: _Numbers,
+    /,
+) -> bytes: ...

@@ -1,5 +1,5 @@
 /* From distorted pixels to those of the same camera without distortion, by Newton's method. */
-#include "tracks.h"
+#include "lens.h"
 
 #include <math.h>
 

@@ -7,8 +7,8 @@ from ringpose.bench.stripe_images import Kind, stripe_image, stripe_rig
 from ringpose.detect.consistency import checked
 from ringpose.detect.faces import may_be_the_body, most_convincing, ring_face
 from ringpose.geometry.rays import undistorted_pixels
-from ringpose.kernels.faces import Group
-from ringpose.kernels.ring import TRACK_COLUMNS, Ends
+from ringpose.kernels.ends import Ends
+from ringpose.kernels.lines import TRACK_COLUMNS, Group
 from ringpose.types.break_points import BreakPointFlag
 from ringpose.types.stripes import UNLABELLED
 

@@ -6,7 +6,7 @@ import pytest
 
 from ringpose.detect.break_points import mark_rules
 from ringpose.detect.tracks import straight_tracks
-from ringpose.kernels.ring import marked_ends
+from ringpose.kernels.ends import marked_ends
 from ringpose.types.camera import Camera
 from ringpose.types.stripes import Stripes
 

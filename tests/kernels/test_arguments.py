@@ -16,29 +16,189 @@ PIECES = np.array([[0, 5]], np.int32)
 FAR_CORNERS = np.array([[-(2**31), 2**31 - 1], [2**31 - 1, -(2**31)]] * 3, np.int32)
 
 
+MASK = np.zeros((5, 9), np.bool_)
+LENS = (900.0, 900.0, 400.0, 300.0, *[0.0] * 8)
+TRACKS = np.zeros((2, 11))
+ARCS = np.array([0.0, 0.0, 0.5, 0, 1, 0, 1, 0, 0, 0, 0, -1, 1.7, 0.015])
+
+
+def numbers(*shape):
+    return np.ones(shape)
+
+
+CALLS = {
+    "gradient": (IMAGE, 8, 100, MAGNITUDE),
+    "chains": (MAGNITUDE, ANCHORS, ORIENTATION, 1, 2),
+    "cuts": (PIXELS, STARTS, 1.0, 0.7, 8, 12),
+    "fits": (MAGNITUDE, PIXELS, PIECES, 0),
+    "joins": (np.zeros((1, 4)), np.zeros((1, 6)), PIECES, 8.0, 1.5, 1),
+    "stripes": (
+        IMAGE,
+        IMAGE,
+        np.zeros((1, 4), np.int32),
+        np.ones((2, 2, 5), np.float32),
+        numbers(2, 4),
+        (6.0, 4.0, 0.2, 5.0, 255.0, 2.0, 8.0),
+    ),
+    "tracks": (
+        numbers(3, 2),
+        numbers(3),
+        np.zeros(3, np.int64),
+        np.zeros(1, np.int64),
+        LENS,
+        (0.6, 0.5, 1.5, 2.5, 3.0, 10.0, 800.0, 40.0),
+    ),
+    "faces": (TRACKS, 7, numbers(3, 3), (1.0,) * 8, (1.0,) * 13, (1.0,) * 19),
+    "arcs": (numbers(3, 2, 2), numbers(3, 2, 2, 2), numbers(3, 4), LENS, 0.5, 4),
+    "ends": (IMAGE, IMAGE, numbers(2, 5), LENS, (1.0,) * 15),
+    "marks": (
+        TRACKS,
+        numbers(2, 2, 10),
+        np.arange(2),
+        (1.0,) * 14,
+        numbers(3, 2, 2),
+        numbers(3, 2, 2, 2),
+        np.zeros((3, 2), np.int64),
+        numbers(3, 2, 2),
+        numbers(3, 2),
+    ),
+    "edge_places": (ARCS, np.zeros((7, 7)), LENS, (100.0, 90.0, 12.0, 1.3, 2.0, 8.0, 0.3, 3.0, 1.3, 1e-4, 10.0)),
+    "edge_profiles": (
+        IMAGE,
+        numbers(5, 2),
+        numbers(5, 2),
+        (2.0, 2.0, 2.0, 4.0, 0.3, 9.0, 255.0),
+        numbers(5, 9),
+        MASK.copy(),
+        numbers(5),
+    ),
+    "edge_steps": (
+        numbers(5, 9),
+        MASK,
+        numbers(5),
+        numbers(9),
+        numbers(4),
+        numbers(4),
+        numbers(3, 9, 4),
+        (1e-9, 3.0, 0.25, 9.0),
+    ),
+    "edge_fit": (
+        ARCS,
+        numbers(2, 3),
+        numbers(2),
+        np.eye(3),
+        numbers(4, 3),
+        numbers(4),
+        numbers(4),
+        (2.0, 3.0, *[1.0] * 12),
+    ),
+}
+"""Arguments that each kernel takes."""
+
+ARRAYS = [(name, i) for name, call in CALLS.items() for i, each in enumerate(call) if isinstance(each, np.ndarray)]
+TUPLES = [(name, i) for name, call in CALLS.items() for i, each in enumerate(call) if isinstance(each, tuple)]
+FILLED = [("gradient", 3), ("chains", 0), *(("marks", i) for i in range(4, 9)), *(("edge_profiles", i) for i in (4, 5))]
+
+
+def call(name, i, changed):
+    arguments = [each.copy() if isinstance(each, np.ndarray) else each for each in CALLS[name]]
+    arguments[i] = changed
+    return getattr(_kernels, name)(*arguments)
+
+
 def read_only(array):
-    """A copy that nobody may write to."""
+    """A copy that must not be written to."""
     copy = array.copy()
     copy.flags.writeable = False
     return copy
 
 
-@pytest.mark.parametrize("image", [None, 3, [[1, 2]], IMAGE.astype(np.uint16), IMAGE.astype(np.int8)])
-def test_an_image_of_another_type_is_a_type_error(image):
+@pytest.mark.parametrize("name", CALLS)
+def test_fitting_arguments_are_taken_and_others_in_number_are_not(name):
+    call(name, 0, CALLS[name][0])
+
+    with pytest.raises(TypeError, match=f"takes {len(CALLS[name])} arguments"):
+        getattr(_kernels, name)(*CALLS[name][:-1])
+
+
+@pytest.mark.parametrize(("name", "i"), ARRAYS)
+@pytest.mark.parametrize("other", [np.complex128, np.uint32, "S3", None])
+def test_an_array_of_another_type_is_a_type_error(name, i, other):
     with pytest.raises(TypeError):
-        _kernels.gradient(image, 8, 100, MAGNITUDE)
+        call(name, i, np.zeros(CALLS[name][i].shape, other) if other else [1, 2])
 
 
-@pytest.mark.parametrize("image", [IMAGE[:, ::2], IMAGE.T, IMAGE[0], IMAGE[None], IMAGE[:0], IMAGE[:-1]])
-def test_an_image_of_another_shape_or_layout_is_a_value_error(image):
-    with pytest.raises(ValueError, match="image"):
-        _kernels.gradient(image, 8, 100, MAGNITUDE)
+@pytest.mark.parametrize(("name", "i"), ARRAYS)
+def test_an_array_of_other_axes_or_layout_is_a_value_error(name, i):
+    array = CALLS[name][i]
+    strided = np.repeat(array, 2, axis=-1)[..., ::2]
+
+    for changed in (array[None], array[0], strided):
+        if changed.shape != array.shape or not changed.flags.c_contiguous:
+            with pytest.raises(ValueError, match=r"axes|contiguous"):
+                call(name, i, changed)
 
 
-@pytest.mark.parametrize("magnitude", [read_only(MAGNITUDE), np.zeros((16, 18), np.int16)[::2, ::2]])
-def test_a_magnitude_that_cannot_be_filled_is_a_value_error(magnitude):
-    with pytest.raises(ValueError, match="magnitude"):
-        _kernels.gradient(IMAGE, 8, 100, magnitude)
+@pytest.mark.parametrize(("name", "i"), ARRAYS)
+def test_extents_that_do_not_fit_the_other_arrays_are_a_value_error(name, i):
+    array, refused = CALLS[name][i], 0
+    for axis in range(array.ndim):
+        try:
+            call(name, i, np.ascontiguousarray(np.concatenate([array, array], axis=axis)))
+        except ValueError:
+            refused += 1
+
+    free = {("cuts", 0), ("cuts", 1), ("fits", 1), ("fits", 2), ("ends", 2), ("stripes", 2), ("stripes", 3)}
+    free |= {("faces", 0), ("faces", 2), ("tracks", 3), ("fits", 0), ("chains", 0), ("edge_profiles", 0)}
+    assert refused == array.ndim or (name, i) in free
+
+
+@pytest.mark.parametrize(("name", "i"), TUPLES)
+def test_rules_of_another_length_or_not_numbers_are_refused(name, i):
+    for changed in (CALLS[name][i][:-1], list(CALLS[name][i]), 3.0):
+        with pytest.raises(ValueError, match="must be a tuple"):
+            call(name, i, changed)
+    with pytest.raises(TypeError):
+        call(name, i, ("x", *CALLS[name][i][1:]))
+
+
+@pytest.mark.parametrize(("name", "i"), FILLED)
+def test_an_array_that_cannot_be_filled_is_a_value_error(name, i):
+    with pytest.raises(ValueError, match="writable"):
+        call(name, i, read_only(CALLS[name][i]))
+
+
+@pytest.mark.parametrize(("name", "i"), [("stripes", 0), ("ends", 0), ("edge_profiles", 0), ("gradient", 0)])
+@pytest.mark.parametrize("shape", [(0, 9), (8, 0)])
+def test_an_image_without_pixels_is_a_value_error(name, i, shape):
+    with pytest.raises(ValueError, match=r"2\^31|extent"):
+        call(name, i, np.zeros(shape, np.uint8))
+
+
+@pytest.mark.parametrize("name", ["stripes", "ends"])
+def test_a_dark_frame_of_another_depth_is_refused(name):
+    with pytest.raises((TypeError, ValueError), match="dark"):
+        call(name, 1, IMAGE.astype(np.uint16))
+
+
+@pytest.mark.parametrize(("figure", "value"), [(0, 0.0), (0, np.nan), (1, 0.0), (1, 41.0), (1, np.nan), (2, -1.0)])
+def test_filters_out_of_range_are_a_value_error(figure, value):
+    figures = numbers(2, 4)
+    figures[1, figure] = value
+
+    with pytest.raises(ValueError, match="filters"):
+        call("stripes", 4, figures)
+
+
+@pytest.mark.parametrize(
+    ("number", "value"), [(0, -1.0), (1, np.nan), (2, 0.0), (3, -1.0), (5, -1.0), (5, 1001.0), (6, 0.0)]
+)
+def test_rules_of_stripes_out_of_range_are_a_value_error(number, value):
+    rules = list(CALLS["stripes"][5])
+    rules[number] = value
+
+    with pytest.raises(ValueError, match="rules"):
+        call("stripes", 5, tuple(rules))
 
 
 @pytest.mark.parametrize("upper", [0, -1, 32768, 10**9])
@@ -75,11 +235,6 @@ def test_an_anchor_outside_the_image_or_on_its_margin_is_a_value_error(anchor):
 def test_an_anchor_on_a_negative_magnitude_is_a_value_error():
     with pytest.raises(ValueError, match="a negative one"):
         _kernels.chains(np.full((8, 9), -5, np.int16), ANCHORS, ORIENTATION, 1, 2)
-
-
-def test_anchors_without_orientation_are_a_value_error():
-    with pytest.raises(ValueError, match="orientation"):
-        _kernels.chains(MAGNITUDE.copy(), ANCHORS, ORIENTATION[:0], 1, 2)
 
 
 @pytest.mark.parametrize("limits", [(0, 2), (32768, 2), (1, 0)])
@@ -135,12 +290,6 @@ def test_a_piece_outside_the_pixels_is_a_value_error(piece):
         _kernels.fits(MAGNITUDE, PIXELS, np.array([piece], np.int32), 0)
 
 
-@pytest.mark.parametrize("pixels", [PIXELS[:, :1].copy(), np.zeros((6, 3), np.int32)])
-def test_pixels_that_are_no_pairs_are_a_value_error(pixels):
-    with pytest.raises(ValueError, match="pixels: must be pairs"):
-        _kernels.fits(MAGNITUDE, pixels, PIECES, 0)
-
-
 LINES = np.zeros((1, 4))
 MOMENTS = np.zeros((1, 6))
 
@@ -149,15 +298,6 @@ MOMENTS = np.zeros((1, 6))
 def test_joining_rules_out_of_range_are_a_value_error(rules):
     with pytest.raises(ValueError, match="gap, aside"):
         _kernels.joins(LINES, MOMENTS, PIECES, *rules, 1)
-
-
-@pytest.mark.parametrize(
-    ("lines", "moments", "pieces"),
-    [(LINES[:, :2].copy(), MOMENTS, PIECES), (LINES, MOMENTS[:, :5].copy(), PIECES), (LINES, MOMENTS, PIECES[:0])],
-)
-def test_joining_tables_of_other_shapes_is_a_value_error(lines, moments, pieces):
-    with pytest.raises(ValueError, match="equal lengths"):
-        _kernels.joins(lines, moments, pieces, 8.0, 1.5, 1)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300, -1e300])

@@ -12,9 +12,9 @@ from scipy.ndimage import map_coordinates, uniform_filter1d
 
 from ringpose.detect.ring_arc_fit import RULES as FIT_RULES
 from ringpose.geometry.ring_arcs import RingArcs, arc_points, moved, off_face_m
-from ringpose.kernels import _edges, edges
+from ringpose.kernels import edges
 from ringpose.kernels.edges import PlaceRules, PlanePoints, ProfileRules, Sights
-from ringpose.kernels.ring import Lens
+from ringpose.kernels.lines import Lens
 
 LENS = Lens(1778.0, 1781.0, 790.0, 611.0, -0.12, 0.05, 4e-4, -3e-4, 0.01)
 RATIONAL = LENS._replace(k4=0.02, k5=-0.01, k6=0.004)
@@ -223,18 +223,3 @@ def test_contradictions_leave_no_number():
     _, known = edges.fitted_arcs(arcs(), plane, sights, arcs().axes, FIT_RULES)
 
     assert np.isnan(known).all()
-
-
-@pytest.mark.parametrize("name", ["places", "profiles", "steps", "fit"])
-def test_wrong_arguments_are_refused(name):
-    with pytest.raises(TypeError, match="takes"):
-        getattr(_edges, name)()
-
-
-def test_arrays_that_do_not_fit_together_are_refused():
-    value, saturated, noise = np.empty((3, 13)), np.empty((3, 13), np.bool_), np.empty(3)
-
-    with pytest.raises(ValueError, match="normal: must be as many as the others"):
-        _edges.profiles(
-            np.zeros((9, 9), np.uint8), np.zeros((3, 2)), np.zeros((2, 2)), np.array(PROFILES), value, saturated, noise
-        )

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.kernels import _ring
-from ringpose.kernels.ring import EndRules, Lens, stripe_ends
+from ringpose.kernels.ends import EndRules, stripe_ends
+from ringpose.kernels.lines import Lens
 
 RULES = EndRules(
     saturation_dn=255.0,
@@ -148,16 +148,6 @@ def test_wild_lines_have_no_end(value):
     wild = np.array([[150.0, value, 0.0, 100.0, 200.0], [150.0, 60.0, 0.0, 100.0, value]])
 
     assert stripe_ends(image(drawn(100, 200)), None, wild, STRAIGHT, RULES).shape == (2, 2, 10)
-
-
-@pytest.mark.parametrize(
-    ("dark", "error"),
-    [(np.zeros((10, 10), np.uint8), ValueError), (np.zeros((120, 320), np.uint16), TypeError)],
-    ids=["size", "type"],
-)
-def test_a_dark_frame_unlike_the_lit_one_is_refused(dark, error):
-    with pytest.raises(error, match=r"dark|fit together"):
-        _ring.ends(image(drawn(100, 200)), dark, LINE, STRAIGHT, RULES)
 
 
 def test_the_table_of_the_header_is_the_normal_distribution():

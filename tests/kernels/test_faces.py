@@ -5,9 +5,7 @@ import pytest
 from crowded_tracks import ANY, RULES, crowd, planes, rules_of, tracks_between, true_ends, with_rules
 from drawn_scene import drawn_rig
 
-from ringpose.kernels import _faces
-from ringpose.kernels.faces import ring_faces
-from ringpose.kernels.ring import SPILT, TRACK_COLUMNS
+from ringpose.kernels.lines import SPILT, TRACK_COLUMNS, ring_faces
 
 
 def exact_score(tracks, rules):
@@ -185,15 +183,6 @@ def test_a_laser_beyond_the_rig_is_refused(rng, laser):
 def test_rules_out_of_range_are_a_value_error(rng, wrong):
     with pytest.raises(ValueError, match="rule"):
         ring_faces(crowd(rng, 4), ANY, planes(), with_rules(**wrong))
-
-
-@pytest.mark.parametrize("changed", [0, 1])
-def test_faces_of_arrays_that_do_not_fit_together_are_a_value_error(rng, changed):
-    arrays = [crowd(rng, 4), planes()]
-    arrays[changed] = np.ascontiguousarray(arrays[changed][:, :-1])
-
-    with pytest.raises(ValueError, match="do not fit together"):
-        _faces.faces(arrays[0], ANY, arrays[1], RULES)
 
 
 @pytest.mark.parametrize("name", ["unions", "candidates", "ring"])

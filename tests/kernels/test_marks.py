@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from ringpose.kernels import _ring
-from ringpose.kernels.ring import MarkRules, marked_ends
+from ringpose.kernels.ends import MarkRules, marked_ends
 
 RULES = MarkRules(
     image_width=800.0,
@@ -138,13 +137,3 @@ def test_lasers_without_a_track_have_no_end(rng):
 def test_lasers_that_are_not_of_the_rig_or_not_one_a_track_are_a_value_error(rng, lasers):
     with pytest.raises(ValueError, match="lasers"):
         marked_ends(tracks(rng, 1), found_ends(rng, 1), lasers, 3, RULES)
-
-
-@pytest.mark.parametrize("changed", range(7))
-def test_marks_of_arrays_that_do_not_fit_together_are_a_value_error(rng, changed):
-    arrays = [tracks(rng, 2), found_ends(rng, 2), np.empty((3, 2, 2)), np.empty((3, 2, 2, 2))]
-    arrays += [np.empty((3, 2), np.int64), np.empty((3, 2, 2)), np.empty((3, 2))]
-    arrays[changed] = np.ascontiguousarray(arrays[changed][..., :1])
-
-    with pytest.raises(ValueError, match="do not fit together"):
-        _ring.marks(*arrays[:2], (0, 1), RULES, *arrays[2:])

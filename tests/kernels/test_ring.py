@@ -8,8 +8,7 @@ from drawn_scene import DrawnScene, drawn_rig, true_break_points
 
 from ringpose.detect.tracks import lens
 from ringpose.geometry.rays import intersect, rays
-from ringpose.kernels import _ring
-from ringpose.kernels.ring import arc_fit
+from ringpose.kernels.lines import arc_fit
 
 
 def seen_ring(rng, tilt):
@@ -105,15 +104,6 @@ def test_arcs_through_four_ends_err_by_the_circles_too(rng):
     alone, with_circles = (arc_fit(position, *others, 0.5, exact).curvature_sigma for exact in (3, 4))
 
     assert with_circles > 1.5 * alone
-
-
-@pytest.mark.parametrize("changed", range(4))
-def test_arcs_of_arrays_that_do_not_fit_together_are_a_value_error(changed, rng):
-    arrays = [*seen_ring(rng, 0.1)]
-    arrays[changed] = arrays[changed][:-1]
-
-    with pytest.raises(ValueError, match=r"arcs|lens"):
-        _ring.arcs(*arrays, 0.5, 4)
 
 
 def test_ends_whose_rays_miss_their_planes_give_no_cost_that_compares(rng):

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from ringpose import kernels
+from ringpose.kernels import segments as kernels
 
 BINOMIAL = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16
 ROUNDING = 8

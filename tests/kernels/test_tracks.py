@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.kernels.ring import TRACK_COLUMNS, Lens, TrackRules, straight_tracks
+from ringpose.kernels.lines import TRACK_COLUMNS, Lens, TrackRules, straight_tracks
 
 RULES = TrackRules(
     kink_px=0.6,

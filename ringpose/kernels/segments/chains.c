@@ -2,7 +2,7 @@
 
    A pixel that belongs to a chain has its magnitude negated while the walks last; a wall of the most negative one
    stands around the pixels that have a gradient. All is set right again at the end. */
-#include "kernels.h"
+#include "segments.h"
 
 #include <stdlib.h>
 #include <string.h>

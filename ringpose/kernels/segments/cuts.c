@@ -1,5 +1,5 @@
 /* Cuts chains into straight pieces: the length condition and the direction shares. */
-#include "kernels.h"
+#include "segments.h"
 
 #include <math.h>
 #include <stdlib.h>

@@ -1,5 +1,5 @@
 /* One least-squares line for each straight piece, through sub-pixel positions of its edge. */
-#include "kernels.h"
+#include "segments.h"
 
 #include <stdlib.h>
 

@@ -4,7 +4,7 @@
    128 grey values a pixel. 8-bit images keep every sum within 16 bits: 255 * 16 * 16 = 65280 unsigned,
    4 * 4080 = 16320 for one difference, 22440 for the magnitude. Wider images are summed in 32 bits and
    shifted to the same scale: at most 4095 smoothed, 22523 in magnitude. */
-#include "kernels.h"
+#include "segments.h"
 
 #include <stdlib.h>
 #include <string.h>

@@ -1,7 +1,7 @@
 /* Lines that continue one another become one.
 
    Ends are looked up in square cells, half as wide as the square that a tip can reach. */
-#include "kernels.h"
+#include "segments.h"
 
 #include <math.h>
 #include <stdlib.h>

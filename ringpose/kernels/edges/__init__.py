@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.geometry.ring_arcs import RingArcs
-from ringpose.kernels import _edges
-from ringpose.kernels.ring import Lens
+from ringpose.kernels import _kernels
+from ringpose.kernels.lines import Lens
 from ringpose.types.arrays import Array, Bool, Float64, UInt
 
 
@@ -119,8 +119,7 @@ def edge_places(
     Columns: the point (3), the unit vector off the face (3), the side (1 inner, -1 outer), the place in pixels (2),
     the edge's unit normal there, off the face (2), metres a pixel along it, and the place's number along the edge.
     """
-    known, camera, wanted = (np.array(each, dtype=np.float64) for each in (covariance, lens, rules))
-    found = _edges.places(_numbers_of(arcs), known, camera, wanted)
+    found = _kernels.edge_places(_numbers_of(arcs), np.ascontiguousarray(covariance), lens, rules)
     return np.frombuffer(found, dtype=np.float64).reshape(-1, 13)
 
 
@@ -138,7 +137,7 @@ def edge_profiles(
     value, noise = np.empty((len(place_px), samples)), np.empty(len(place_px))
     saturated = np.empty(value.shape, dtype=np.bool_)
     image, place_px, normal = (np.ascontiguousarray(each) for each in (image, place_px, normal))
-    _edges.profiles(image, place_px, normal, np.array(rules, dtype=np.float64), value, saturated, noise)
+    _kernels.edge_profiles(image, place_px, normal, rules, value, saturated, noise)
     return value, saturated, noise
 
 
@@ -153,10 +152,11 @@ def edge_steps(
 
     The offset and its sigma are in pixels; the cost is the sum of squares that the step leaves unexplained.
     """
-    table = np.concatenate([templates.weight, templates.level, templates.step])
+    table = np.stack([templates.weight, templates.level, templates.step])
     value, saturated, noise_dn = (np.ascontiguousarray(each) for each in (value, saturated, noise_dn))
-    numbers = (templates.across_px, templates.place_px, templates.unit, table, np.array(rules, dtype=np.float64))
-    found = _edges.steps(value, saturated, noise_dn, *numbers)
+    found = _kernels.edge_steps(
+        value, saturated, noise_dn, templates.across_px, templates.place_px, templates.unit, table, rules
+    )
     return np.frombuffer(found, dtype=np.float64).reshape(-1, 5)
 
 
@@ -171,11 +171,11 @@ def fitted_arcs(
 
     The tilts' and the turn's priors stand about the axes of `reference`.
     """
-    numbers = np.array([*rules[:-1], *rules.longest_step], dtype=np.float64)
+    numbers = (*rules[:-1], *rules.longest_step)
     point, plane_sigma, ray, side, sigma = (np.ascontiguousarray(each) for each in (*plane, *sights))
-    held = reference.ravel()
+    axes = np.ascontiguousarray(reference)
     found = np.frombuffer(
-        _edges.fit(_numbers_of(arcs), point, plane_sigma, held, ray, side, sigma, numbers), dtype=np.float64
+        _kernels.edge_fit(_numbers_of(arcs), point, plane_sigma, axes, ray, side, sigma, numbers), dtype=np.float64
     )
     fitted = RingArcs(
         origin=found[:3], axes=found[3:12].reshape(3, 3), curvature=float(found[12]), half_band_m=float(found[13])

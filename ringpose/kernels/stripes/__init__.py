@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.kernels import _stripes
+from ringpose.kernels import _kernels
 from ringpose.types.arrays import Array, Float32, Float64, Int32, Int64, UInt
 
 BLOCK = 16
@@ -68,7 +68,7 @@ def stripes(
     lit = np.ascontiguousarray(image)
     black = None if dark is None else np.ascontiguousarray(dark)
     where = None if bands is None else np.ascontiguousarray(bands)
-    position, sigma, peak, piece = _stripes.stripes(lit, black, where, filters.taps, filters.figures, rules)
+    position, sigma, peak, piece = _kernels.stripes(lit, black, where, filters.taps, filters.figures, rules)
     return Centers(
         position_px=np.frombuffer(position, np.float64).reshape(-1, 2),
         sigma_px=np.frombuffer(sigma, np.float64),

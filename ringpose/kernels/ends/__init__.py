@@ -1,30 +1,12 @@
-"""The kernels that make tracks of stripes and find their ends, behind typed functions."""
+"""Where stripes end, and how well that is known."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.kernels import _ring
+from ringpose.kernels import _kernels
+from ringpose.kernels.lines import Lens
 from ringpose.types.arrays import Array, Float64, Int64, UInt
-
-
-class TrackRules(NamedTuple):
-    """What cuts, joins and judges tracks."""
-
-    kink_px: float
-    """A piece that leaves its chord by more than this (and one and a half sigmas of its centres) is cut there."""
-    joined_px: float
-    """Tracks whose lines meet this closely across a gap (and two of their sigmas) are one."""
-    short_series: float
-    """Factor on a correlation length found in the residuals of a fitted line."""
-    on_line_px: float
-    """Centres so close to a track's line count as on it."""
-    border_px: float
-    """A track with an end so close to the image's left or right border is clipped."""
-    minimum_columns: float
-    image_width: float
-    longest_lag: float
-    """Columns over which errors of neighbouring centres are looked at for likeness."""
 
 
 class EndRules(NamedTuple):
@@ -61,53 +43,6 @@ class EndRules(NamedTuple):
     """Gain in log likelihood by widths beyond that of the stripe's section, of all ends, above which ends are blunt."""
 
 
-class Lens(NamedTuple):
-    """OpenCV's pinhole and distortion."""
-
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    k1: float
-    k2: float
-    p1: float
-    p2: float
-    k3: float
-    k4: float = 0.0
-    k5: float = 0.0
-    k6: float = 0.0
-
-
-TRACK_COLUMNS = (
-    "laser", "centers", "x_start", "x_end", "middle_x", "middle_y",
-    "slope", "scatter", "correlation", "clipped", "spilt",
-)  # fmt: skip
-"""What `straight_tracks` says of each track; `spilt`: centres on its line between 2 px and the track's length
-(at most 100 px) + 40 px beyond its ends."""
-
-LASER, CENTERS, X_START, X_END, MIDDLE_X, MIDDLE_Y, SLOPE, SCATTER, CORRELATION, CLIPPED, SPILT = range(
-    len(TRACK_COLUMNS)
-)
-
-
-def straight_tracks(
-    position_px: Float64[Array, "center xy=2"],
-    sigma_px: Float64[Array, "center"],
-    piece: Int64[Array, "center"],
-    laser: Int64[Array, "piece"],
-    lens: Lens,
-    rules: TrackRules,
-) -> Float64[Array, "track column=11"]:
-    """Straight lines y = middle_y + slope (x - middle_x) through stripe centres, in undistorted pixels.
-
-    Pieces are cut at their kinks (Ramer's method on running medians of seven) and joined across gaps; each line is a
-    least-squares fit, a second one without outliers. Centres are sorted by piece, then column.
-    """
-    position, sigma = np.ascontiguousarray(position_px), np.ascontiguousarray(sigma_px)
-    found = _ring.tracks(position, sigma, piece, laser, lens, rules)
-    return np.frombuffer(found, dtype=np.float64).reshape(-1, len(TRACK_COLUMNS))
-
-
 def stripe_ends(
     lit: UInt[Array, "row column"],
     dark: UInt[Array, "row column"] | None,
@@ -126,7 +61,7 @@ def stripe_ends(
     where no edge fits.
     """
     black = None if dark is None else np.ascontiguousarray(dark)
-    found = _ring.ends(np.ascontiguousarray(lit), black, np.ascontiguousarray(lines), lens, rules)
+    found = _kernels.ends(np.ascontiguousarray(lit), black, np.ascontiguousarray(lines), lens, rules)
     return np.frombuffer(found, dtype=np.float64).reshape(-1, 2, 10)
 
 
@@ -186,37 +121,15 @@ def marked_ends(
     both = (lasers, 2)
     position, covariance, flags = np.empty((*both, 2)), np.empty((*both, 2, 2)), np.empty(both, np.int64)
     straight, sigma = np.empty((*both, 2)), np.empty(both)
-    _ring.marks(np.ascontiguousarray(tracks), found, track_lasers, rules, position, covariance, flags, straight, sigma)
+    _kernels.marks(
+        np.ascontiguousarray(tracks),
+        np.ascontiguousarray(found),
+        np.array(track_lasers, dtype=np.int64),
+        rules,
+        position,
+        covariance,
+        flags,
+        straight,
+        sigma,
+    )
     return Ends(position, covariance, flags, straight, sigma)
-
-
-class ArcFit(NamedTuple):
-    """How well points fit two arcs about one centre."""
-
-    seen: tuple[int, int]
-    """Points on either arc."""
-    cost: float
-    """Squared sigmas over two of all points."""
-    cost_without: tuple[float, ...]
-    """The same with each point left out, laser by laser, left and right; infinite where there is none."""
-    curvature: float
-    """One over the radius; positive if the centre lies on the side of positive x."""
-    curvature_sigma: float
-
-
-def arc_fit(
-    position_px: Float64[Array, "laser end=2 xy=2"],
-    covariance_px2: Float64[Array, "laser end=2 xy=2 xy=2"],
-    planes: Float64[Array, "laser normal_and_distance=4"],
-    lens: Lens,
-    circle_sigma_px: float,
-    fitted_exactly: int,
-) -> ArcFit:
-    """How well the ends of stripes fit two arcs about one centre, one through the left ends, one through the right.
-
-    In the plane nearest to them, arcs a (x^2 + y^2) + x + b y + c_arc = 0 are fitted by least squares along x, which
-    runs along the image's rows. Costs count distances in the points' sigmas along x and `circle_sigma_px` together;
-    the curvature's sigma follows from moving each point by the former, or by both where all points are no more than
-    `fitted_exactly`. Ends that are NaN are none.
-    """
-    return ArcFit(*_ring.arcs(position_px, covariance_px2, planes, lens, circle_sigma_px, fitted_exactly))

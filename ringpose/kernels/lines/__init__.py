@@ -1,13 +1,78 @@
-"""The kernel that looks for the ring's face among tracks, behind a typed function."""
+"""Straight tracks through stripe centres, which of them lie on the ring, and arcs through their ends."""
 
 import math
 from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.kernels import _faces
-from ringpose.kernels.ring import TRACK_COLUMNS
-from ringpose.types.arrays import Array, Float64
+from ringpose.kernels import _kernels
+from ringpose.types.arrays import Array, Float64, Int64
+
+
+class Lens(NamedTuple):
+    """OpenCV's pinhole and distortion."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    k1: float
+    k2: float
+    p1: float
+    p2: float
+    k3: float
+    k4: float = 0.0
+    k5: float = 0.0
+    k6: float = 0.0
+
+
+class TrackRules(NamedTuple):
+    """What cuts, joins and judges tracks."""
+
+    kink_px: float
+    """A piece that leaves its chord by more than this (and one and a half sigmas of its centres) is cut there."""
+    joined_px: float
+    """Tracks whose lines meet this closely across a gap (and two of their sigmas) are one."""
+    short_series: float
+    """Factor on a correlation length found in the residuals of a fitted line."""
+    on_line_px: float
+    """Centres so close to a track's line count as on it."""
+    border_px: float
+    """A track with an end so close to the image's left or right border is clipped."""
+    minimum_columns: float
+    image_width: float
+    longest_lag: float
+    """Columns over which errors of neighbouring centres are looked at for likeness."""
+
+
+TRACK_COLUMNS = (
+    "laser", "centers", "x_start", "x_end", "middle_x", "middle_y",
+    "slope", "scatter", "correlation", "clipped", "spilt",
+)  # fmt: skip
+"""What `straight_tracks` says of each track; `spilt`: centres on its line between 2 px and the track's length
+(at most 100 px) + 40 px beyond its ends."""
+
+LASER, CENTERS, X_START, X_END, MIDDLE_X, MIDDLE_Y, SLOPE, SCATTER, CORRELATION, CLIPPED, SPILT = range(
+    len(TRACK_COLUMNS)
+)
+
+
+def straight_tracks(
+    position_px: Float64[Array, "center xy=2"],
+    sigma_px: Float64[Array, "center"],
+    piece: Int64[Array, "center"],
+    laser: Int64[Array, "piece"],
+    lens: Lens,
+    rules: TrackRules,
+) -> Float64[Array, "track column=11"]:
+    """Straight lines y = middle_y + slope (x - middle_x) through stripe centres, in undistorted pixels.
+
+    Pieces are cut at their kinks (Ramer's method on running medians of seven) and joined across gaps; each line is a
+    least-squares fit, a second one without outliers. Centres are sorted by piece, then column.
+    """
+    position, sigma = np.ascontiguousarray(position_px), np.ascontiguousarray(sigma_px)
+    found = _kernels.tracks(position, sigma, piece, laser, lens, rules)
+    return np.frombuffer(found, dtype=np.float64).reshape(-1, len(TRACK_COLUMNS))
 
 
 class UnionRules(NamedTuple):
@@ -136,6 +201,41 @@ def ring_faces(
     score is the sum of the merits less the costs of plane, circles, unseen lasers, and tilt (half the square of tilt
     over 0.5 rad).
     """
-    every, (one, two, three) = _faces.faces(tracks, unlabelled, planes, rules)
+    every, (one, two, three) = _kernels.faces(
+        np.ascontiguousarray(tracks), unlabelled, np.ascontiguousarray(planes), *rules
+    )
     groups = Group(*one), Group(*two), Group(*three)
     return Faces(np.frombuffer(every, np.float64).reshape(-1, len(TRACK_COLUMNS)), groups)
+
+
+class ArcFit(NamedTuple):
+    """How well points fit two arcs about one centre."""
+
+    seen: tuple[int, int]
+    """Points on either arc."""
+    cost: float
+    """Squared sigmas over two of all points."""
+    cost_without: tuple[float, ...]
+    """The same with each point left out, laser by laser, left and right; infinite where there is none."""
+    curvature: float
+    """One over the radius; positive if the centre lies on the side of positive x."""
+    curvature_sigma: float
+
+
+def arc_fit(
+    position_px: Float64[Array, "laser end=2 xy=2"],
+    covariance_px2: Float64[Array, "laser end=2 xy=2 xy=2"],
+    planes: Float64[Array, "laser normal_and_distance=4"],
+    lens: Lens,
+    circle_sigma_px: float,
+    fitted_exactly: int,
+) -> ArcFit:
+    """How well the ends of stripes fit two arcs about one centre, one through the left ends, one through the right.
+
+    In the plane nearest to them, arcs a (x^2 + y^2) + x + b y + c_arc = 0 are fitted by least squares along x, which
+    runs along the image's rows. Costs count distances in the points' sigmas along x and `circle_sigma_px` together;
+    the curvature's sigma follows from moving each point by the former, or by both where all points are no more than
+    `fitted_exactly`. Ends that are NaN are none.
+    """
+    position, covariance, light = (np.ascontiguousarray(each) for each in (position_px, covariance_px2, planes))
+    return ArcFit(*_kernels.arcs(position, covariance, light, lens, circle_sigma_px, fitted_exactly))

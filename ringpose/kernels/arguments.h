@@ -1,0 +1,65 @@
+/* Arguments of the kernels: opened, and checked against a table, in this one place. */
+#ifndef RINGPOSE_ARGUMENTS_H
+#define RINGPOSE_ARGUMENTS_H
+
+#define PY_SSIZE_T_CLEAN
+#include <Python.h>
+
+#include "kernels.h"
+
+enum { MAX_ARGUMENTS = 10, MAX_AXES = 4, MAX_NUMBERS = 20 };
+
+/* Extents of an array that are not numbers: any, or whatever it is, the same wherever the letter stands in a call. */
+enum { ANY = -1, N = -2, M = -3, K = -4 };
+
+/* What an argument must be. A name that begins with '>' is that of an array which the kernel fills, one with '?' may be
+   None. Types: 'd' float64, 'f' float32, 'q' int64, 'i' int32, 'h' int16, 'B' uint8, '?' bool, 'I' an image (uint8 or
+   uint16): contiguous arrays of that many axes; 'T' a tuple of extent[0] numbers, 'R' a number, 'L' an integer from
+   extent[0] to extent[1]. */
+typedef struct {
+    const char *name;
+    char type;
+    int extent[MAX_AXES];
+} Parameter;
+
+typedef struct {
+    int count;
+    Py_buffer view[MAX_ARGUMENTS];             /* `obj` is NULL for what is not an array */
+    double number[MAX_ARGUMENTS][MAX_NUMBERS]; /* of tuples; of a scalar the first */
+} Arguments;
+
+/* 0 and a Python exception if one of them does not fit. */
+int open_arguments(PyObject *tuple, const Parameter *parameter, size_t count, Arguments *arguments);
+#define OPEN(tuple, parameter, arguments) \
+    open_arguments(tuple, parameter, sizeof(parameter) / sizeof *(parameter), arguments)
+
+/* Releases them and returns the result. */
+PyObject *close_arguments(Arguments *arguments, PyObject *result);
+
+/* Whether it is true; a ValueError if not. */
+int require(int condition, const char *message);
+
+/* A list as bytes, or MemoryError if it was not done; releases it. */
+PyObject *list_bytes(int done, List *list);
+
+/* As many doubles of a struct as it has. */
+#define NUMBERS(type) ((int)(sizeof(type) / sizeof(double)))
+
+/* The kernels' Python functions. */
+PyObject *call_gradient(PyObject *module, PyObject *tuple);
+PyObject *call_chains(PyObject *module, PyObject *tuple);
+PyObject *call_cuts(PyObject *module, PyObject *tuple);
+PyObject *call_fits(PyObject *module, PyObject *tuple);
+PyObject *call_joins(PyObject *module, PyObject *tuple);
+PyObject *call_stripes(PyObject *module, PyObject *tuple);
+PyObject *call_tracks(PyObject *module, PyObject *tuple);
+PyObject *call_faces(PyObject *module, PyObject *tuple);
+PyObject *call_arcs(PyObject *module, PyObject *tuple);
+PyObject *call_ends(PyObject *module, PyObject *tuple);
+PyObject *call_marks(PyObject *module, PyObject *tuple);
+PyObject *call_edge_places(PyObject *module, PyObject *tuple);
+PyObject *call_edge_profiles(PyObject *module, PyObject *tuple);
+PyObject *call_edge_steps(PyObject *module, PyObject *tuple);
+PyObject *call_edge_fit(PyObject *module, PyObject *tuple);
+
+#endif

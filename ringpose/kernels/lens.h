@@ -1,0 +1,21 @@
+/* OpenCV's camera model. No Python in here. */
+#ifndef RINGPOSE_LENS_H
+#define RINGPOSE_LENS_H
+
+#include <stddef.h>
+
+typedef struct {
+    double fx, fy, cx, cy;
+    double k1, k2, p1, p2, k3, k4, k5, k6; /* OpenCV's distortion; k4 to k6 are 0 for plumb_bob */
+} Lens;
+
+/* Distorted to undistorted pixels, n of them, in place; `x` and `y` run along stripes. */
+void undistort(const Lens *lens, double *x, double *y, size_t n);
+
+/* One undistorted pixel to where the lens shows it, in place. */
+void distort_pixel(const Lens *lens, double *x, double *y);
+
+/* Derivatives of the distortion at a normalised point: dx/dx, dx/dy (as dy/dx), dy/dy. */
+void distortion_slope(const Lens *lens, double x, double y, double slope[3]);
+
+#endif

@@ -1,0 +1,153 @@
+/* The Python side of stripe centres. */
+#include <stdlib.h>
+
+#include "arguments.h"
+#include "stripes.h"
+
+/* Figures of a filter: sigma, taps on one side, response of either derivative to white noise. */
+enum { FIGURES = 4 };
+
+/* Columns that may be missing in a piece. */
+enum { MAX_GAP = 1000 };
+
+static int filters_fit(const Py_buffer *taps, const Py_buffer *figures) {
+    int fit = figures->shape[0] >= 2;
+    const double *figure = figures->buf;
+    for (Py_ssize_t i = 0; fit && i < figures->shape[0]; i++, figure += FIGURES)
+        fit = figure[0] > 0 && figure[0] <= MOST_REACH && figure[1] >= 1 && figure[1] < (double)taps->shape[2] &&
+              figure[1] <= MOST_REACH && figure[2] > 0 && figure[3] > 0;
+    return require(fit, "filters: figures and taps do not fit together");
+}
+
+static int rules_fit(const StripeRules *rules, double gap, double shortest) {
+    return require(rules->begin_sigmas >= 0 && rules->continue_sigmas >= 0 && rules->least_response > 0 &&
+                       rules->coarse_per_response >= 0 && gap >= 0 && gap <= MAX_GAP && shortest >= 1 &&
+                       shortest <= INT32_MAX,
+                   "rules: a number is out of range");
+}
+
+static Filter *filters_of(const Py_buffer *taps, const Py_buffer *figures) {
+    size_t count = (size_t)figures->shape[0], most = (size_t)taps->shape[2];
+    Filter *filters = malloc(count * sizeof *filters);
+    const float *tap = taps->buf;
+    const double *figure = figures->buf;
+    for (size_t i = 0; filters && i < count; i++, tap += 2 * most, figure += FIGURES)
+        filters[i] = (Filter){tap, tap + most, (size_t)figure[1], figure[0], figure[2], figure[3]};
+    return filters;
+}
+
+/* Lists as large as the last images needed them: asking the system anew for every image takes a fifth of its time.
+   Whoever holds the interpreter's lock may take them. */
+typedef struct {
+    List runs, found, ridges, pieces;
+} Lists;
+
+#define NO_LISTS                                                                                                   \
+    {{NULL, 0, 0, sizeof(Run)}, {NULL, 0, 0, sizeof(Ridge)}, {NULL, 0, 0, sizeof(Ridge)},                          \
+     {NULL, 0, 0, sizeof(StripePiece)}}
+static const Lists no_lists = NO_LISTS;
+static Lists idle_lists = NO_LISTS;
+
+/* Longer lists than these bytes are not kept. */
+enum { LONGEST_KEPT = 1 << 21 };
+
+static Lists take_lists(void) {
+    Lists lists = idle_lists;
+    idle_lists = no_lists;
+    return lists;
+}
+
+static void give_lists_back(Lists *lists) {
+    List *list[] = {&lists->runs, &lists->found, &lists->ridges, &lists->pieces};
+    int taken = idle_lists.ridges.data != NULL;
+    for (size_t i = 0; i < 4; i++) {
+        list[i]->used = 0;
+        if (taken || list[i]->capacity * list[i]->item > LONGEST_KEPT) release(list[i]);
+    }
+    if (!taken) idle_lists = *lists;
+}
+
+/* Ridges and the pieces that they make up. */
+static int find_pieces(const StripeImage *image, const Filter *filter, const StripeRules *rules, const Bands *bands,
+                       Lists *lists) {
+    Noise noise = {.image = image, .filter = filter, .blocks = (image->width + BLOCK - 1) / BLOCK};
+    noise.areas_across = (noise.blocks + NOISE_BLOCKS - 1) / NOISE_BLOCKS;
+    size_t areas = (image->height + NOISE_ROWS - 1) / NOISE_ROWS * noise.areas_across;
+    noise.figure = malloc(areas * sizeof *noise.figure);
+    int done = noise.figure != NULL;
+    for (size_t i = 0; done && i < areas; i++) noise.figure[i] = -1;
+    done = done && find_runs(&noise, rules, bands, &lists->runs) &&
+           find_ridges(&noise, rules, &lists->runs, &lists->found, &lists->ridges) &&
+           link_ridges(image, filter, rules, &lists->ridges, &lists->pieces);
+    free(noise.figure);
+    return done;
+}
+
+/* Arrays of `count` positions, sigmas, peaks and pieces. */
+static PyObject *new_arrays(size_t count) {
+    PyObject *result = PyTuple_New(4);
+    for (Py_ssize_t i = 0; result && i < 4; i++) {
+        PyObject *array = PyByteArray_FromStringAndSize(NULL, (Py_ssize_t)((i == 0 ? 16 : 8) * count));
+        if (array == NULL || PyTuple_SetItem(result, i, array) < 0) {
+            Py_DECREF(result);
+            return NULL;
+        }
+    }
+    return result;
+}
+
+static void *array_data(PyObject *arrays, Py_ssize_t i) { return PyByteArray_AsString(PyTuple_GetItem(arrays, i)); }
+
+static int shorten(PyObject *arrays, size_t count) {
+    for (Py_ssize_t i = 0; i < 4; i++)
+        if (PyByteArray_Resize(PyTuple_GetItem(arrays, i), (Py_ssize_t)((i == 0 ? 16 : 8) * count)) < 0) return 0;
+    return 1;
+}
+
+static PyObject *centers_of(const StripeImage *image, const Filter *filters, size_t filter_count,
+                            const StripeRules *rules, const Lists *lists) {
+    size_t most = kept_ridges(rules, &lists->pieces);
+    PyObject *arrays = new_arrays(most);
+    if (arrays == NULL) return NULL;
+    Centers centers = {array_data(arrays, 0), array_data(arrays, 1), array_data(arrays, 2), array_data(arrays, 3), 0};
+    int done;
+    Py_BEGIN_ALLOW_THREADS
+    done = find_centers(image, filters, filter_count, rules, &lists->ridges, &lists->pieces, &centers);
+    Py_END_ALLOW_THREADS
+    if (!done) PyErr_NoMemory();
+    if (done && (centers.count == most || shorten(arrays, centers.count))) return arrays;
+    Py_DECREF(arrays);
+    return NULL;
+}
+
+PyObject *call_stripes(PyObject *module, PyObject *tuple) {
+    (void)module;
+    static const Parameter parameter[] = {{"image", 'I', {N, M}},      {"?dark", 'I', {N, M}},
+                                          {"?bands", 'i', {ANY, SIDES}}, {"taps", 'f', {K, 2, ANY}},
+                                          {"filters", 'd', {K, FIGURES}}, {"rules", 'T', {7}}};
+    Arguments a;
+    if (!OPEN(tuple, parameter, &a)) return NULL;
+    const Py_buffer *lit = &a.view[0], *dark = a.view[1].obj ? &a.view[1] : NULL, *sides = &a.view[2];
+    const double *rule = a.number[5];
+    StripeRules rules = {(float)rule[0], (float)rule[1], (float)rule[2], (float)rule[3], (float)rule[4], 0, 0};
+    if (!require(!dark || dark->itemsize == lit->itemsize, "dark: must have the type and the shape of the image") ||
+        !filters_fit(&a.view[3], &a.view[4]) || !rules_fit(&rules, rule[5], rule[6]))
+        return close_arguments(&a, NULL);
+    rules.gap = (size_t)rule[5];
+    rules.shortest = (size_t)rule[6];
+    StripeImage image = {lit->buf, dark ? dark->buf : NULL, (size_t)lit->shape[0], (size_t)lit->shape[1],
+                         lit->itemsize == 2};
+    Bands bands = {NULL, 0};
+    if (sides->obj) bands = (Bands){sides->buf, (size_t)sides->shape[0]};
+    Lists lists = take_lists();
+    Filter *filters = filters_of(&a.view[3], &a.view[4]);
+    int done;
+    Py_BEGIN_ALLOW_THREADS
+    done = filters && find_pieces(&image, filters, &rules, &bands, &lists);
+    Py_END_ALLOW_THREADS
+    PyObject *result =
+        done ? centers_of(&image, filters, (size_t)a.view[4].shape[0], &rules, &lists) : PyErr_NoMemory();
+    give_lists_back(&lists);
+    free(filters);
+    return close_arguments(&a, result);
+}
