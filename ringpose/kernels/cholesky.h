@@ -34,4 +34,10 @@ static void solve_upper(const double *l, int n, double *b, int count) {
     }
 }
 
+/* L L^T x = b. */
+static inline void solve(const double *l, int n, double *b, int count) {
+    solve_lower(l, n, b, count);
+    solve_upper(l, n, b, count);
+}
+
 #endif

@@ -1,6 +1,7 @@
 /* The extension module: the kernels' Python functions. Each takes arrays by the buffer protocol and releases the GIL
    around long work; results of unknown length leave as bytes. */
 #include "arguments.h"
+#include "normal_cdf.h"
 
 static PyMethodDef methods[] = {
     {"gradient", call_gradient, METH_VARARGS, "gradient(image, bits, upper, magnitude) -> (anchors, orientation)"},
@@ -30,4 +31,7 @@ static PyMethodDef methods[] = {
 
 static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, "_kernels", NULL, -1, methods, NULL, NULL, NULL, NULL};
 
-PyMODINIT_FUNC PyInit__kernels(void) { return PyModule_Create(&definition); }
+PyMODINIT_FUNC PyInit__kernels(void) {
+    fill_normal_cdf();
+    return PyModule_Create(&definition);
+}

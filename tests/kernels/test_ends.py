@@ -1,7 +1,6 @@
 """Ends of stripes: the kernel finds the ends that were drawn, and its sigmas are those of the errors."""
 
 import math
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -31,11 +30,6 @@ STRAIGHT = Lens(900.0, 900.0, 160.0, 60.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 BENT = Lens(300.0, 300.0, 160.0, 60.0, -0.1, 0.02, 0.001, -0.001, 0.0)
 SIGMA = 3
 LINE = np.array([[150.0, 60.31, 0.02, 100.0, 200.0]])
-
-
-def normal_cdf_table():
-    """How ringpose/kernels/normal_cdf.h was made."""
-    return [0.5 * (1 + math.erf((-4 + 8 * step / 800) / math.sqrt(2))) for step in range(801)]
 
 
 def drawn(start, end, *, peak=150.0, sigma=1.6, blur=1.0, ambient=10.0):
@@ -148,12 +142,6 @@ def test_wild_lines_have_no_end(value):
     wild = np.array([[150.0, value, 0.0, 100.0, 200.0], [150.0, 60.0, 0.0, 100.0, value]])
 
     assert stripe_ends(image(drawn(100, 200)), None, wild, STRAIGHT, RULES).shape == (2, 2, 10)
-
-
-def test_the_table_of_the_header_is_the_normal_distribution():
-    numbers = (Path(__file__).parents[2] / "ringpose/kernels/ends/normal_cdf.h").read_text().split("{")[1].split("}")[0]
-
-    assert [float(each) for each in numbers.split(",")] == normal_cdf_table()
 
 
 @pytest.mark.parametrize(("blur", "blunt"), [(0.6, 0.0), (1.2, 0.0), (3.0, 1.0)])

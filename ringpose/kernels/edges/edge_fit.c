@@ -4,8 +4,10 @@
 #include <math.h>
 #include <string.h>
 
+#include "cholesky.h"
+
 typedef struct {
-    double matrix[STATE][STATE], side[STATE]; /* the upper triangle */
+    double matrix[STATE][STATE], side[STATE]; /* the lower triangle */
 } Equations;
 
 static double dot(const double a[AXES], const double b[AXES]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
@@ -13,7 +15,7 @@ static double dot(const double a[AXES], const double b[AXES]) { return a[0] * b[
 static void add_row(Equations *equations, const double row[STATE], double residual, double weight) {
     for (int i = 0; i < STATE; i++) {
         const double weighted = weight * row[i];
-        for (int j = i; j < STATE; j++) equations->matrix[i][j] += weighted * row[j];
+        for (int j = 0; j <= i; j++) equations->matrix[i][j] += weighted * row[j];
         equations->side[i] += weighted * residual;
     }
 }
@@ -55,33 +57,6 @@ static void add_priors(const Evidence *evidence, const FitRules *rules, const Ri
     add_row(equations, band, (arcs->half_band - rules->half_band) / rules->half_band_sigma, 1);
 }
 
-/* The triangle L of L L^T = the matrix, in its lower half; NaN if it has none. */
-static void factorise(Equations *equations) {
-    double(*a)[STATE] = equations->matrix;
-    for (int i = 0; i < STATE; i++)
-        for (int j = 0; j <= i; j++) {
-            double sum = a[j][i];
-            for (int k = 0; k < j; k++) sum -= a[i][k] * a[j][k];
-            if (i == j)
-                a[i][i] = sqrt(sum > 0 ? sum : NAN);
-            else
-                a[i][j] = sum / a[j][j];
-        }
-}
-
-/* L x = b, then L^T x = that, in place. */
-static void solve(const Equations *equations, double x[STATE]) {
-    const double(*a)[STATE] = equations->matrix;
-    for (int i = 0; i < STATE; i++) {
-        for (int k = 0; k < i; k++) x[i] -= a[i][k] * x[k];
-        x[i] /= a[i][i];
-    }
-    for (int i = STATE; i-- > 0;) {
-        for (int k = i + 1; k < STATE; k++) x[i] -= a[k][i] * x[k];
-        x[i] /= a[i][i];
-    }
-}
-
 /* Cayley's transform of a turn, which keeps the axes at right angles. */
 static void turn_axes(const double turn[AXES], RingArcs *arcs) {
     const double x = turn[0], y = turn[1], z = turn[2], part = 1 / (1 + (x * x + y * y + z * z) / 4);
@@ -112,8 +87,8 @@ void fit_ring_arcs(const Evidence *evidence, const FitRules *rules, RingArcs *ar
         add_sights(evidence, rules->outlier_sigmas, arcs, &equations);
         add_plane(evidence, arcs, &equations);
         add_priors(evidence, rules, arcs, &equations);
-        factorise(&equations);
-        solve(&equations, equations.side);
+        if (!factorised(equations.matrix[0], STATE)) equations.matrix[0][0] = NAN; /* and so will be all solutions */
+        solve(equations.matrix[0], STATE, equations.side, 1);
         for (int i = 0; i < STATE; i++) {
             const double step = -equations.side[i], most = rules->longest[i];
             equations.side[i] = step > most ? most : step < -most ? -most : step;
@@ -124,6 +99,6 @@ void fit_ring_arcs(const Evidence *evidence, const FitRules *rules, RingArcs *ar
         double *row = covariance + STATE * i;
         memset(row, 0, STATE * sizeof *row);
         row[i] = 1;
-        solve(&equations, row);
+        solve(equations.matrix[0], STATE, row, 1);
     }
 }

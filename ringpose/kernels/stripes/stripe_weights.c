@@ -49,8 +49,7 @@ static double phase_offset(size_t phase) { return ((double)phase + 0.5) / PHASES
 /* A row of the inverse of the equations whose triangle this is. */
 static void invert_row(double triangle[SHAPES][SHAPES], size_t row, double inverse[SHAPES]) {
     for (size_t i = 0; i < SHAPES; i++) inverse[i] = i == row;
-    solve_lower(triangle[0], SHAPES, inverse, 1);
-    solve_upper(triangle[0], SHAPES, inverse, 1);
+    solve(triangle[0], SHAPES, inverse, 1);
 }
 
 /* What is fitted, each row weighed, for a stripe that lies off the middle row; and the equations. */
