@@ -81,6 +81,16 @@ def test_pieces_of_any_walk_are_no_longer_than_their_chords_by_more_than_the_dev
         assert (length - chord <= 0.5 + 1e-9).all()
 
 
+@pytest.mark.parametrize(("deviation_px", "last"), [(1.3, 40), (1.5, 41)])
+def test_a_roof_is_cut_at_its_ridge_as_soon_as_it_is_longer_than_its_chord_by_the_deviation(deviation_px, last):
+    """40 steps up and one down along diagonals: hypot(41, 41) - hypot(41, 39) = 1.40."""
+    walk = [(k, min(k, 80 - k)) for k in range(42)]
+
+    pieces = kernels.cuts(np.array(walk, np.int32), np.array([0, 42], np.int32), deviation_px, 9.0, 50, 4)
+
+    assert pieces[0].tolist() == [0, last]
+
+
 def ridge(slope, offset, upright):
     """A magnitude whose crest is a line, its pixels nearest to that, and the crests in each column (or row)."""
     along = np.arange(5, 75)
