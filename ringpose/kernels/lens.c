@@ -50,7 +50,6 @@ static inline void step_all(const Lens *lens, int rational, Chunk *chunk) {
     }
 }
 
-VECTOR_LOOP
 static void step(const Lens *lens, int rational, Chunk *chunk) {
     if (rational)
         step_all(lens, 1, chunk);
@@ -58,7 +57,6 @@ static void step(const Lens *lens, int rational, Chunk *chunk) {
         step_all(lens, 0, chunk);
 }
 
-VECTOR_LOOP
 static int all_close(const Chunk *chunk) {
     int far = 0;
     for (size_t i = 0; i < CHUNK; i++) far |= chunk->move[i] > CLOSE;
@@ -66,7 +64,6 @@ static int all_close(const Chunk *chunk) {
 }
 
 /* Fills a chunk; points that are missing are like its last one. */
-VECTOR_LOOP
 static void take(const Lens *lens, const double *restrict x, const double *restrict y, size_t n, double shift_x,
                  double shift_y, Chunk *restrict chunk) {
     double per_x = 1 / lens->fx, per_y = 1 / lens->fy;

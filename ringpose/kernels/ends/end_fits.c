@@ -81,7 +81,6 @@ static double logarithm(const double *variance, int n) {
     return sum + log(product);
 }
 
-VECTOR_LOOP
 static void add_weighted(Weighted *columns, int n, Sums *sums) {
     Doubles inside = {0}, both = {0}, outside = {0}, in_value = {0}, out_value = {0}, square = {0};
     sums->logarithm += logarithm(columns->variance, n);

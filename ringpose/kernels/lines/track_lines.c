@@ -23,7 +23,6 @@ static size_t gather(const Draft *draft, const double *from, double *to) {
 }
 
 /* Sum of products of values that lie so far apart. */
-VECTOR_LOOP
 static double likeness_at(const double *value, size_t n, size_t lag) {
     const double *other = value + lag;
     double sum[PARTS] = {0};
@@ -59,7 +58,6 @@ typedef struct {
     Doubles count, x, y, xx, xy;
 } Sums;
 
-VECTOR_LOOP
 static void add_inliers(const double *x, const double *y, const double *residual, size_t n, double limit, size_t origin,
                         Sums *sums) {
     double origin_x = x[origin], origin_y = y[origin];
@@ -89,7 +87,6 @@ static void add_inliers(const double *x, const double *y, const double *residual
 static double total(const Doubles *part) { return ((*part)[0] + (*part)[1]) + ((*part)[2] + (*part)[3]); }
 
 /* Distances from a track's line. */
-VECTOR_LOOP
 static void find_residuals(const Track *track, const double *restrict x, const double *restrict y, size_t n,
                            double *restrict residual) {
     double middle_x = track->middle_x, middle_y = track->middle_y, slope = track->slope;

@@ -39,7 +39,6 @@ static int sort_by_column(const Work *work, ByColumn *sorted) {
 }
 
 /* How many centres lie on a track's line between two columns. */
-VECTOR_LOOP
 static double on_line(const Track *track, double from, double to, const ByColumn *sorted, const Work *work) {
     const double *restrict x = sorted->x, *restrict y = sorted->y, *restrict laser = sorted->laser;
     double own = track->laser, middle_x = track->middle_x, middle_y = track->middle_y, slope = track->slope;

@@ -237,7 +237,6 @@ static int64_t measure_pieces(Job *job, const List *pieces, const int32_t *order
     return number;
 }
 
-VECTOR_LOOP
 static void take_roots(const double *restrict variance, size_t count, double *restrict sigma) {
     for (size_t i = 0; i < count; i++) sigma[i] = sqrt(variance[i]);
 }

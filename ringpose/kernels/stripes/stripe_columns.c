@@ -79,7 +79,6 @@ static void differentiate_all(const Measure *how, Columns *columns) {
 /* From the pixel to the zero of the first derivative of a Gaussian ridge: 2 t / (1 + sqrt(1 + 4 t^2 / S^2)), where t is
    Newton's step, as a quotient of polynomials that is within 1e-4 px. No ridge: a variance of nothing. Returns how many
    columns are not so easily done. */
-VECTOR_LOOP
 static int64_t step_to_centers(const Measure *how, size_t from, size_t to, Columns *columns) {
     const int32_t *restrict row = columns->row;
     const float *restrict slope = columns->slope, *restrict bend = columns->bend, *restrict noise = columns->noise;

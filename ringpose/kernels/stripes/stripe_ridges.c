@@ -5,7 +5,6 @@
 #include <string.h>
 
 /* 1 where the response is at least so strong and strongest in its column. */
-VECTOR_LOOP
 static void mark_ridges(const float *restrict response, float least, size_t count, uint8_t *restrict ridge) {
     const float *restrict above = response - BLOCK, *restrict below = response + BLOCK;
     for (size_t i = 0; i < count; i++)

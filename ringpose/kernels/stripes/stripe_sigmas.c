@@ -41,7 +41,6 @@ static size_t fitting(size_t lag, const Columns *columns) {
 }
 
 /* Squares of second differences over what the sensor's noise explains. */
-VECTOR_LOOP
 static void compare_differences(Columns *columns, size_t lag, size_t count) {
     const double *restrict y = columns->y, *restrict variance = columns->variance;
     double *restrict ratio = columns->ratio;
@@ -52,7 +51,6 @@ static void compare_differences(Columns *columns, size_t lag, size_t count) {
 }
 
 /* Squares of second differences as variances of centres. */
-VECTOR_LOOP
 static void square_differences(Columns *columns, size_t lag, size_t count) {
     const double *restrict y = columns->y;
     double *restrict square = columns->square;
@@ -125,7 +123,6 @@ static double piece_variance(Columns *columns, Scatter of, double usual) {
 }
 
 /* Variances that sums of squares around the columns show; `from` and `to` say where those begin and end. */
-VECTOR_LOOP
 static void raise_between(const double *restrict from, const double *restrict to, double piece, size_t count,
                           double *restrict variance) {
     double squares = 2 * SURROUNDINGS + 1 + PIECE_DIFFERENCES, all = PIECE_DIFFERENCES * piece;

@@ -94,7 +94,6 @@ static void find_weights(double width, double speckle, size_t reach, Weights *we
 /* ---- centres ---- */
 
 /* A product of rows and their weights. */
-VECTOR_LOOP
 static double weighed_sum(const double *restrict weight, const double *restrict row, size_t rows) {
     double sum[PARTS] = {0};
     for (size_t k = 0; k < rows; k += PARTS)
