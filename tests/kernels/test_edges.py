@@ -192,22 +192,23 @@ def test_exact_edges_lead_to_the_true_ring_even_with_an_outlier(rng, wrong_px):
     assert found.curvature == pytest.approx(1.8, abs=0.05)
 
 
-TIGHT = {"tilt_sigma_rad": 1e-3, "turn_sigma_rad": 1e-3, "curvature_sigma": 0.1, "half_band_sigma_m": 1e-5}
+TIGHT = {"turn_sigma_rad": 2e-3, "half_band_sigma_m": 1e-4}
 
 
 @pytest.mark.parametrize("priors", [{}, TIGHT], ids=["weak priors", "tight priors"])
 def test_edges_without_outlier_weights_are_fitted_by_least_squares(rng, priors):
     plane, sights = seen(rng, 1e-4)
     rules = FIT_RULES._replace(rounds=50, outlier_sigmas=np.inf, **priors)
+    turned = moved(arcs(TRUE), np.array([0, 0, 0, 0, 0.02, 0, 0])).axes
 
-    found, covariance = edges.fitted_arcs(arcs(), plane, sights, arcs().axes, rules)
+    found, covariance = edges.fitted_arcs(arcs(), plane, sights, turned, rules)
 
     def cost(step):
         ring = moved(found, step)
         to_edges = off_face_m(ring, sights.ray, sights.side)[0] / sights.sigma_m
         off_plane = (plane.point - ring.origin) @ ring.axes[2] / plane.sigma_m
-        tilts = ring.axes[2] @ arcs().axes[:2].T / rules.tilt_sigma_rad
-        turn = ring.axes[0] @ arcs().axes[1] / rules.turn_sigma_rad
+        tilts = ring.axes[2] @ turned[:2].T / rules.tilt_sigma_rad
+        turn = ring.axes[0] @ turned[1] / rules.turn_sigma_rad
         band = (ring.half_band_m - rules.half_band_m) / rules.half_band_sigma_m
         return np.sum(
             np.concatenate([to_edges, off_plane, tilts, [turn, ring.curvature / rules.curvature_sigma, band]]) ** 2
@@ -219,7 +220,7 @@ def test_edges_without_outlier_weights_are_fitted_by_least_squares(rng, priors):
         up, down = (cost(sign * 0.1 * sd[number] * np.eye(7)[number]) - least for sign in (1, -1))
         conditional = 1 / np.linalg.inv(covariance)[number, number]
         assert up + down == pytest.approx(2 * 0.01 * sd[number] ** 2 / conditional, rel=0.1)
-        assert abs(up - down) < 0.02 * (up + down)
+        assert abs(up - down) < 0.05 * (up + down)
 
 
 def test_contradictions_leave_no_number():
