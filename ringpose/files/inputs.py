@@ -18,9 +18,6 @@ RECORDS_SUFFIX = ".jsonl"
 
 COMPRESSED_SUFFIX = ".jsonl.gz"
 
-MAX_LINE_BYTES = 64_000_000
-"""Of a compressed file of records; those of detections with all stripes have a megabyte."""
-
 LONGEST_NAME = 1024
 """Half a record is longer."""
 
@@ -95,9 +92,11 @@ def _lines(path: Path) -> Iterator[bytes]:
         return
     try:
         with gzip.open(io.BytesIO(data)) as stream:
-            while line := stream.readline(MAX_LINE_BYTES):
-                if len(line) == MAX_LINE_BYTES:
-                    raise DataError(str(path), f"has a line of {MAX_LINE_BYTES} bytes or more, which is not a record")
+            while line := stream.readline(stdin.MAX_LINE_BYTES):
+                if len(line) == stdin.MAX_LINE_BYTES:
+                    raise DataError(
+                        str(path), f"has a line of {stdin.MAX_LINE_BYTES} bytes or more, which is not a record"
+                    )
                 yield line
     except (OSError, EOFError, zlib.error) as error:
         raise DataError(str(path), f"cannot be decompressed: {str(error).lower()}") from None
