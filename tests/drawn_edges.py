@@ -7,7 +7,7 @@ import numpy as np
 from drawn_scene import RADII_M, DrawnScene, line_of, true_break_points
 
 from ringpose.detect.edge_search import EdgeImage
-from ringpose.types.break_points import BreakPoints, RingEdgePoints
+from ringpose.types.detection import BreakPoints, RingEdgePoints
 from ringpose.types.rig import Rig
 
 END_SIGMA_PX = 0.3

@@ -8,8 +8,7 @@ import numpy as np
 
 from ringpose.types.camera import Camera
 from ringpose.types.frame import Shot
-from ringpose.types.laser_planes import LaserPlanes
-from ringpose.types.rig import Rig
+from ringpose.types.rig import LaserPlanes, Rig
 
 RADII_M = (0.567, 0.597)
 BODY_BEHIND_M = 0.06

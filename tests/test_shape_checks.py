@@ -7,7 +7,7 @@ from jaxtyping import TypeCheckError
 
 from ringpose.geometry.rotations import tilted
 from ringpose.types.covariance import ParameterCovariance
-from ringpose.types.laser_planes import LaserPlanes
+from ringpose.types.rig import LaserPlanes
 
 UP = np.array([0.0, 0.0, 1.0])
 

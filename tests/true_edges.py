@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from ringpose.types.break_points import RingEdgePoints
+from ringpose.types.detection import RingEdgePoints
 from ringpose.types.rig import Rig
 
 

@@ -7,8 +7,7 @@ import numpy as np
 from ringpose.bench.detectors_bounds import column_bound_px, end_bound_px
 from ringpose.bench.stripe_images import StripeImage, true_row
 from ringpose.types.arrays import Array, Bool, Float64, Int64
-from ringpose.types.break_points import BreakPoints, Detection
-from ringpose.types.stripes import Stripes
+from ringpose.types.detection import BreakPoints, Detection, Stripes
 
 NEAR_PX = 2.0
 """A centre nearer to a true row than this belongs to it; it is eight sigmas of strong speckle."""

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from ringpose.types.arrays import Array, Bool, Float64
-from ringpose.types.segments import Segments
+from ringpose.types.detection import Segments
 
 LARGEST_ANGLE_RAD = math.radians(5)
 """A segment that is turned farther against a line does not lie along it."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from ringpose.bench.stripe_images import StripeImage
 from ringpose.types.arrays import Array, Bool, Float64
-from ringpose.types.segments import Segments
+from ringpose.types.detection import Segments
 
 COVERED = 0.8
 """A piece is recalled if a segment on it crosses more than this share of its columns."""

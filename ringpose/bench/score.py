@@ -22,9 +22,8 @@ from ringpose.errors import DataError
 from ringpose.geometry.rotations import angle_between
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
-from ringpose.types.pose_frame import PoseFrame
-from ringpose.types.pose_line import PoseLine
-from ringpose.types.ring_pose import PoseFlag, RingPose
+from ringpose.types.options import PoseFrame
+from ringpose.types.pose import PoseFlag, PoseLine, RingPose
 from ringpose.types.truth import Truth
 
 WRONG_SIGMAS = 5.0

@@ -20,10 +20,10 @@ from ringpose.detect.peers import DetectorName, detector
 from ringpose.detect.pipeline import detect
 from ringpose.detect.stripe_centers import find_stripes
 from ringpose.geometry.rays import undistorted_pixels
-from ringpose.pose.method import Method
 from ringpose.pose.pipeline import estimate_pose
-from ringpose.types.break_points import BreakPoints
+from ringpose.types.detection import BreakPoints
 from ringpose.types.frame import Shot
+from ringpose.types.options import Method
 from ringpose.types.rig import Rig
 
 PEER = "x EdgeDrawing"

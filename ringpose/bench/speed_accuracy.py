@@ -18,7 +18,7 @@ from ringpose.bench.stripe_images import Kind, StripeImage, stripe_image
 from ringpose.detect.pipeline import detect
 from ringpose.detect.stripe_centers import find_stripes
 from ringpose.types.arrays import Array, Bool, Float64
-from ringpose.types.break_points import BreakPointFlag, Detection
+from ringpose.types.detection import BreakPointFlag, Detection
 
 CLEAN = (Kind.DARK, Kind.DIM)
 """Kinds whose noise is that of the sensor alone: the bound holds for them."""

@@ -26,8 +26,8 @@ from ringpose.calibrate.lens_bends import without_bends
 from ringpose.calibrate.view_reasons import view_explanation
 from ringpose.types.arrays import Array, Bool
 from ringpose.types.board import BoardView
+from ringpose.types.calibration import CameraCalibration, CameraView
 from ringpose.types.camera import Camera
-from ringpose.types.camera_calibration import CameraCalibration, CameraView
 from ringpose.types.covariance import ParameterCovariance
 
 LARGEST_FOCAL_SHARE = 0.1

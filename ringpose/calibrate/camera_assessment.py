@@ -15,7 +15,7 @@ from ringpose.calibrate.distortion_models import model_comparison
 from ringpose.calibrate.other_camera import other_camera_finding
 from ringpose.calibrate.projection_map import image_map, known_lens, projection_sigma_px
 from ringpose.types.board import BoardView
-from ringpose.types.camera_calibration import CameraAssessment, CameraCalibration
+from ringpose.types.calibration import CameraAssessment, CameraCalibration
 
 CHANCE = 2.5
 """A disagreement below 1 + this / sqrt(views - 1) is chance: of 80 sets of 8 and 15 views whose errors were noise

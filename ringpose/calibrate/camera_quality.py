@@ -9,7 +9,7 @@ from ringpose.calibrate.camera_outliers import CORNER_SIGMAS
 from ringpose.calibrate.coverage import board_tilt_rad
 from ringpose.calibrate.intrinsics import parameters_of
 from ringpose.calibrate.verdict_text import verdict_lines, verdict_values
-from ringpose.types.camera_calibration import (
+from ringpose.types.calibration import (
     CameraAssessment,
     CameraCalibration,
     CameraView,

@@ -10,7 +10,7 @@ from math import degrees, inf, radians
 import numpy as np
 
 from ringpose.calibrate.coverage import different_poses
-from ringpose.types.camera_calibration import (
+from ringpose.types.calibration import (
     CameraAssessment,
     CameraCalibration,
     Coverage,

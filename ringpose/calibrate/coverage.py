@@ -7,8 +7,8 @@ import numpy as np
 from ringpose.geometry.rotations import angle_between, rotation_vector
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose, BoardView
+from ringpose.types.calibration import CameraCalibration, Coverage
 from ringpose.types.camera import Camera
-from ringpose.types.camera_calibration import CameraCalibration, Coverage
 
 CELL_COLUMNS = 8
 """Cells across the image; as many down as make them nearly square."""

@@ -18,8 +18,8 @@ from ringpose.calibrate.projection_map import displacement_px, projection_sigma_
 from ringpose.errors import DataError
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardView
+from ringpose.types.calibration import CameraCalibration, CrossValidation, ImageMap, LeftOutView
 from ringpose.types.camera import Camera
-from ringpose.types.camera_calibration import CameraCalibration, CrossValidation, ImageMap, LeftOutView
 from ringpose.types.covariance import ParameterCovariance
 
 MOST_SOLVED = 20

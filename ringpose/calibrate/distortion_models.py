@@ -11,8 +11,8 @@ from ringpose.calibrate.camera_solution import CameraSolution, blank_camera, cam
 from ringpose.calibrate.cross_validation import cameras_without_one, held_out_rms_px
 from ringpose.calibrate.projection_map import displacement_px
 from ringpose.types.board import BoardView
+from ringpose.types.calibration import ImageMap, ModelComparison, ModelFit
 from ringpose.types.camera import DISTORTION_COEFFICIENTS
-from ringpose.types.camera_calibration import ImageMap, ModelComparison, ModelFit
 
 
 def model_comparison(

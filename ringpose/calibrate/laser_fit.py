@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.calibrate.plane_fits import condition, extent_m, light_plane, robust_plane
-from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.errors import DataError
 from ringpose.geometry.planes import nearest_plane
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.calibration import LaserCalibration, LaserView
+from ringpose.types.options import PlanesMethod
 
 LARGEST_CONDITION = 50.0
 """Points this many times longer than wide lie on a line: views 100 mm long must differ by 2 mm across it."""

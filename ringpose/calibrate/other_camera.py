@@ -8,8 +8,8 @@ from ringpose.calibrate.board_pose import board_pose
 from ringpose.calibrate.cross_validation import used_views
 from ringpose.calibrate.view_reasons import FITS, camera_of, focal_difference, focal_share, turned
 from ringpose.types.board import BoardView
+from ringpose.types.calibration import CameraCalibration
 from ringpose.types.camera import Camera
-from ringpose.types.camera_calibration import CameraCalibration
 from ringpose.types.verdict import Finding
 
 REDO_SHARE = 0.2

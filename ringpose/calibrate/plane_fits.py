@@ -3,9 +3,9 @@
 import numpy as np
 
 from ringpose.calibrate.normal_spread import normal_spread
-from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.geometry.planes import nearest_plane
 from ringpose.types.arrays import Array, Float64
+from ringpose.types.options import PlanesMethod
 
 _TUKEY = 4.685
 """Tukey's constant: 95 % efficient on normal errors."""

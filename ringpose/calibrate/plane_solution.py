@@ -19,11 +19,11 @@ from ringpose.calibrate.plane_joint import (
     joint_data,
     joint_fit,
 )
-from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.calibrate.stripe_evidence import StripeEvidence
 from ringpose.types.board import BoardPose
 from ringpose.types.camera import Camera
 from ringpose.types.covariance import ParameterCovariance
+from ringpose.types.options import PlanesMethod
 
 HeldOut = Sequence[Sequence[FittedPlane | None]]
 """By laser and view: the plane of the other views; None where they determine none."""

@@ -10,7 +10,7 @@ from ringpose.pose.measurements import pixels_by_ray_and_camera
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
 from ringpose.types.covariance import CAMERA_PARAMETERS, ParameterCovariance, laser_parameters
-from ringpose.types.laser_planes import LaserPlanes
+from ringpose.types.rig import LaserPlanes
 
 COLUMNS = 9
 """Places along each stripe at which the depth is judged."""

@@ -10,13 +10,13 @@ from ringpose.calibrate.laser_fit import laser_calibration
 from ringpose.calibrate.lens_bends import without_bends
 from ringpose.calibrate.plane_points import triangulated
 from ringpose.calibrate.plane_solution import PlaneSolution, joint_solution, separate_solution
-from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.calibrate.stripe_evidence import StripeEvidence, stripe_evidence
 from ringpose.errors import DataError
 from ringpose.types.board import BoardPose
 from ringpose.types.calibration import LaserCalibration, LaserView, PlanesCalibration, StripeView
 from ringpose.types.camera import Camera
-from ringpose.types.laser_planes import LaserPlanes
+from ringpose.types.options import PlanesMethod
+from ringpose.types.rig import LaserPlanes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

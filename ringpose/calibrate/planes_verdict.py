@@ -9,7 +9,7 @@ from ringpose.calibrate.laser_geometry import middle_outside_rad, order_with_ang
 from ringpose.calibrate.plane_uncertainty import depth_uncertainty
 from ringpose.calibrate.ring_uncertainty import of_camera, ring_center_sd_m, stripes_apart_m
 from ringpose.types.calibration import LaserCalibration, PlanesCalibration
-from ringpose.types.laser_planes import LaserPlanes
+from ringpose.types.rig import LaserPlanes
 from ringpose.types.verdict import Finding, Verdict
 
 FEW_VIEWS, FEWEST_VIEWS = 5.0, 2.0

@@ -10,9 +10,9 @@ import numpy as np
 
 from ringpose.geometry.rays import project, rays
 from ringpose.types.arrays import Array, Bool, Float64
+from ringpose.types.calibration import ImageMap
 from ringpose.types.camera import Camera
-from ringpose.types.camera_calibration import ImageMap
-from ringpose.types.distortion_model import DistortionModel
+from ringpose.types.options import DistortionModel
 
 MAP_COLUMNS = 17
 """Points along a row of the map; enough for what distortion does between them."""

@@ -8,13 +8,12 @@ import numpy as np
 
 from ringpose.geometry.rays import project
 from ringpose.pose.closed_form import differentiated, pose_covariance
-from ringpose.pose.method import Method
 from ringpose.pose.triangulation import point_covariance
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.camera import Camera
 from ringpose.types.covariance import ParameterCovariance
-from ringpose.types.laser_planes import LaserPlanes
-from ringpose.types.rig import Rig
+from ringpose.types.options import Method
+from ringpose.types.rig import LaserPlanes, Rig
 
 RADII_M = (0.567, 0.597)
 """Of the ring whose centre is judged: the smaller of the paper's two."""

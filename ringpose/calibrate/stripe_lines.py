@@ -14,8 +14,8 @@ from ringpose.calibrate.normal_spread import normal_spread
 from ringpose.detect.stripe_centers import find_stripes
 from ringpose.geometry.rays import undistorted_pixels
 from ringpose.types.arrays import Array, Bool, Float64, UInt
+from ringpose.types.detection import Stripes
 from ringpose.types.sequence import MOST_LASERS
-from ringpose.types.stripes import Stripes
 
 NEAR_PX = 1.5
 """Centres within this distance of a line belong to it, before its own scatter is known."""

@@ -9,12 +9,12 @@ from ringpose.cli.app import app
 from ringpose.cli.board_print import OptionalInputs, OptionalOutput, PrintBoard, given
 from ringpose.cli.modes import CommandWithModes
 from ringpose.cli.options import BoardFile, Force, ImageChannel, Overlay, Quiet, Report, Verbose
-from ringpose.types.distortion_model import DistortionModel
+from ringpose.types.options import DistortionModel
 
 if TYPE_CHECKING:
     from ringpose.calibrate.camera_model import CameraModel
     from ringpose.cli.board_views import BoardImages
-    from ringpose.types.camera_calibration import CameraAssessment, CameraCalibration
+    from ringpose.types.calibration import CameraAssessment, CameraCalibration
     from ringpose.types.verdict import Verdict
 
 

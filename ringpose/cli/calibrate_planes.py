@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.cli.app import app
 from ringpose.cli.board_print import OptionalInputs, OptionalOutput, PrintBoard, given
 from ringpose.cli.modes import CommandWithModes
 from ringpose.cli.options import BoardFile, Force, ImageChannel, Overlay, Quiet, Report, Verbose, finite
+from ringpose.types.options import PlanesMethod
 
 if TYPE_CHECKING:
     from ringpose.calibrate.planes_quality import PlanesAssessment

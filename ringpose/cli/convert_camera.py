@@ -7,7 +7,7 @@ import typer
 
 from ringpose.cli.app import app
 from ringpose.cli.options import Force, OutputFile
-from ringpose.files.camera_format import CameraFormat
+from ringpose.types.options import CameraFormat
 
 CameraInput = Annotated[
     Path, typer.Argument(readable=False, metavar="CAMERA", help="A camera or rig, in any of the formats.")

@@ -6,11 +6,10 @@ import typer
 
 from ringpose.cli.app import app
 from ringpose.cli.options import Force, ImageChannel, Inputs, OptionalRigFile, Overlay, Quiet, Verbose
-from ringpose.detect.segment_method import SegmentMethod
-from ringpose.detect.stripe_source import StripeSource
+from ringpose.types.options import SegmentMethod, StripeSource
 
 if TYPE_CHECKING:
-    from ringpose.types.break_points import Detection
+    from ringpose.types.detection import Detection
     from ringpose.types.frame import Shot
     from ringpose.types.rig import Rig
 
@@ -91,7 +90,7 @@ def segments_of(shot: "Shot", method: SegmentMethod) -> "Detection":
 def detection_of(shot: "Shot", rig: "Rig", source: StripeSource, last: "Detection | None") -> "Detection":
     """What is found in a shot, near what was found last if that is given."""
     from ringpose.detect.pipeline import detect as detected
-    from ringpose.types.break_points import BreakPoints
+    from ringpose.types.detection import BreakPoints
 
     predicted = last.break_points if last is not None and isinstance(last.break_points, BreakPoints) else None
     return detected(shot, rig, source, predicted=predicted)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from ringpose.errors import UsageError
-from ringpose.pose.method import Method
+from ringpose.types.options import Method
 
 if TYPE_CHECKING:
     from ringpose.types.ring import KnownRadii, Ring

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from ringpose.pose.method import Method
-from ringpose.types.pose_frame import PoseFrame as PoseFrame
+from ringpose.types.options import Method
+from ringpose.types.options import PoseFrame as PoseFrame
 
 STDOUT = "-"
 

@@ -14,16 +14,16 @@ from ringpose.cli.device_options import AllowUnseen, Count, Duration, Exposure, 
 from ringpose.cli.known_ring import RadiusInner, RadiusOuter, RadiusSd, RingName, RingsFile, SaidOfRing
 from ringpose.cli.live import newest_shots, refuse_both
 from ringpose.cli.options import ImageChannel, OptionalInputs, PoseFrame, PoseMethod, Quiet, RigFile, Verbose
-from ringpose.pose.method import Method
+from ringpose.types.options import Method
 
 if TYPE_CHECKING:
     from ringpose.capture.newest import LiveShot
     from ringpose.cli.batch import Batch
     from ringpose.cli.rig_watch import RigWatch
     from ringpose.cli.sources import Wanted
-    from ringpose.types.break_points import Detection
+    from ringpose.types.detection import Detection
     from ringpose.types.frame import Shot
-    from ringpose.types.pose_line import PoseLine
+    from ringpose.types.pose import PoseLine
     from ringpose.types.rig import Rig
     from ringpose.types.ring import KnownRadii, Ring
 
@@ -156,9 +156,8 @@ def pose_line(
 ) -> "PoseLine":
     """The pose of one shot, or the reason why it has none, and how long that took."""
     from ringpose.pose.pipeline import estimate_pose
-    from ringpose.types.break_points import BreakPoints, Detection, NoBreakPoints
-    from ringpose.types.pose_line import PoseLine
-    from ringpose.types.ring_pose import NoPose, RingPose
+    from ringpose.types.detection import BreakPoints, Detection, NoBreakPoints
+    from ringpose.types.pose import NoPose, PoseLine, RingPose
 
     start_s = perf_counter()
     detection = source if isinstance(source, Detection) else _detected(source, rig)

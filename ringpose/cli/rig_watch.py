@@ -5,9 +5,8 @@ from dataclasses import replace
 from ringpose.cli import messages
 from ringpose.pose.advice import advice
 from ringpose.pose.health import drift_warning, health_after, new_health
-from ringpose.pose.method import Method
-from ringpose.types.pose_line import PoseLine
-from ringpose.types.ring_pose import PoseFlag
+from ringpose.types.options import Method
+from ringpose.types.pose import PoseFlag, PoseLine
 
 
 class RigWatch:

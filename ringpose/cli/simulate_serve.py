@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli.options import finite
-from ringpose.simulate.serve.choices import Move, Relay, Show
+from ringpose.types.options import Move, Relay, Show
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

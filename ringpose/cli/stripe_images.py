@@ -10,7 +10,6 @@ from ringpose.calibrate.board_pose import board_pose
 from ringpose.calibrate.board_surface import board_surface
 from ringpose.calibrate.laser_names import THREE, laser_names, laser_order, lasers_named
 from ringpose.calibrate.planes import PlanesModel, calibrate_planes
-from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.calibrate.stripe_lines import stripes_seen
 from ringpose.calibrate.stripe_views import stripe_view
 from ringpose.cli import messages
@@ -22,6 +21,7 @@ from ringpose.types.board import BoardView
 from ringpose.types.calibration import PlanesCalibration, StripeView
 from ringpose.types.camera import Camera
 from ringpose.types.frame import Shot
+from ringpose.types.options import PlanesMethod
 
 MARKER_BOARDS = ("four_markers", "aruco_grid")
 """Boards whose corners are those of markers, which the paper's method takes one by one."""

@@ -7,8 +7,8 @@ import numpy as np
 
 from ringpose.geometry.rays import project, undistorted_rays
 from ringpose.types.arrays import Array, Int32
-from ringpose.types.break_points import BreakPoints
 from ringpose.types.camera import Camera
+from ringpose.types.detection import BreakPoints
 
 BAND_PX = 24
 """Rows above and below a predicted stripe that are searched: 15 mm at 1 m in the time between two frames."""

@@ -13,8 +13,8 @@ from ringpose.detect.stripe_ends import FACET_SIGMAS, INSIDE_COLUMNS, OUTSIDE_CO
 from ringpose.detect.tracks import BORDER_PX, LEAST_COLUMNS, TAKEN_BY_THE_FIT
 from ringpose.kernels.ends import Ends, MarkRules, marked_ends
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.break_points import MAX_OFFSET, BreakPointFlag, BreakPoints, outside_image
 from ringpose.types.camera import Camera
+from ringpose.types.detection import MAX_OFFSET, BreakPointFlag, BreakPoints, outside_image
 from ringpose.types.rig import Rig
 
 KINK_LEVEL = 0.25

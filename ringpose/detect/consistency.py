@@ -10,9 +10,8 @@ from ringpose.geometry.rays import intersect, rays, undistorted_rays
 from ringpose.kernels.ends import Ends
 from ringpose.kernels.lines import LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START, ArcFit, arc_fit
 from ringpose.types.arrays import Array, Float64, Int64
-from ringpose.types.break_points import BreakPointFlag
+from ringpose.types.detection import UNLABELLED, BreakPointFlag
 from ringpose.types.rig import Rig
-from ringpose.types.stripes import UNLABELLED
 
 CIRCLE_SIGMA_PX = 0.5
 """How far a refined end may lie from its circle besides its own sigma: calibration, an edge's chamfer."""

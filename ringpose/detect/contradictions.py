@@ -6,8 +6,8 @@ from ringpose.detect.faces import planes_per_m
 from ringpose.detect.tracks import lens
 from ringpose.kernels.lines import CENTERS, LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
 from ringpose.types.arrays import Array, Bool, Float64
+from ringpose.types.detection import UNLABELLED
 from ringpose.types.rig import Rig
-from ringpose.types.stripes import UNLABELLED
 
 POSSIBLE_PER_M = (-1 / 3, 20.0)
 """One over the depth of what a camera sees: from 5 cm to beyond the horizon, by what calibration and noise may add."""

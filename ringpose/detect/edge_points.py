@@ -7,7 +7,7 @@ import numpy as np
 from ringpose.detect.edge_trace import EdgeTrace, beyond_px
 from ringpose.geometry.ring_arcs import RingArcs
 from ringpose.types.arrays import Array, Bool, Float64, Int64
-from ringpose.types.break_points import RingEdgePoints
+from ringpose.types.detection import RingEdgePoints
 
 BLUR_SIGMA_PX = 0.03
 """By how much a step's place depends on the assumed shape of its blur."""

@@ -34,8 +34,8 @@ from ringpose.kernels.lines import (
 )
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
+from ringpose.types.detection import UNLABELLED
 from ringpose.types.rig import Rig
-from ringpose.types.stripes import UNLABELLED
 
 DEPTH_RANGE_M = (0.05, 3.0)
 """Where a ring can be: wider on both sides than the 0.2 to 1 m that the method is made for."""

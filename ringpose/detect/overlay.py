@@ -5,9 +5,15 @@ import numpy as np
 
 from ringpose.detect.gradient import eight_bit
 from ringpose.types.arrays import EDGES, Array, Float64, Int64, UInt, UInt8
-from ringpose.types.break_points import BreakPointFlag, BreakPoints, Detection, RingEdgePoints
-from ringpose.types.segments import Segments
-from ringpose.types.stripes import UNLABELLED, Stripes
+from ringpose.types.detection import (
+    UNLABELLED,
+    BreakPointFlag,
+    BreakPoints,
+    Detection,
+    RingEdgePoints,
+    Segments,
+    Stripes,
+)
 
 Color = tuple[int, int, int]
 

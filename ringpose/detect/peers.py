@@ -11,12 +11,11 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ringpose.detect.segment_method import SegmentMethod
 from ringpose.detect.segments import SegmentParameters, find_segments
 from ringpose.detect.stripe_centers import find_stripes
 from ringpose.types.arrays import Array, Float64, UInt8
-from ringpose.types.segments import Segments
-from ringpose.types.stripes import Stripes
+from ringpose.types.detection import Segments, Stripes
+from ringpose.types.options import SegmentMethod
 
 Detector = Callable[[UInt8[Array, "row column"]], Segments]
 

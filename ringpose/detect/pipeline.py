@@ -11,15 +11,21 @@ from ringpose.detect.faces import CONFIRMED, Face, ring_face
 from ringpose.detect.frames import LaserImage, laser_images
 from ringpose.detect.ring_edges import shown_edges
 from ringpose.detect.stripe_centers import find_stripes
-from ringpose.detect.stripe_source import StripeSource
 from ringpose.detect.tracks import straight_tracks
 from ringpose.kernels.lines import LASER
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.break_points import BreakPoints, Detection, NoBreakPoints
+from ringpose.types.detection import (
+    UNLABELLED,
+    BreakPoints,
+    Detection,
+    NoBreakPoints,
+    Segments,
+    Stripes,
+    joined_stripes,
+)
 from ringpose.types.frame import Shot
+from ringpose.types.options import StripeSource
 from ringpose.types.rig import Rig
-from ringpose.types.segments import Segments
-from ringpose.types.stripes import UNLABELLED, Stripes, joined_stripes
 
 DARK_SHARE = 8 / 255
 """A frame whose brightest pixels stay below this share of saturation shows nothing at all."""

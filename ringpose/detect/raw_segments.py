@@ -1,10 +1,10 @@
 """The segments of a photograph, of which nothing else is known."""
 
 from ringpose.detect.frames import most_lit_image
-from ringpose.detect.segment_method import SegmentMethod
 from ringpose.detect.segments import find_segments
-from ringpose.types.break_points import Detection, NoBreakPoints
+from ringpose.types.detection import Detection, NoBreakPoints
 from ringpose.types.frame import Shot
+from ringpose.types.options import SegmentMethod
 
 
 def segments_only(shot: Shot, method: SegmentMethod = SegmentMethod.REFINED) -> Detection:

@@ -10,7 +10,7 @@ from ringpose.geometry.ring_arcs import RingArcs
 from ringpose.kernels import edges as kernels
 from ringpose.kernels.edges import FitRules, PlanePoints, Sights
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.break_points import BreakPoints
+from ringpose.types.detection import BreakPoints
 from ringpose.types.rig import Rig
 
 TILT_SIGMA_RAD = 0.4

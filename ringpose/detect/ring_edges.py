@@ -26,10 +26,9 @@ from ringpose.detect.edge_trace import chosen, edge_trace
 from ringpose.detect.ring_arc_fit import NO_SIGHTS, RULES, StripeEvidence, fitted_arcs, possible, stripe_evidence
 from ringpose.geometry.ring_arcs import STATE, RingArcs
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.break_points import BreakPointFlag, BreakPoints, RingEdgePoints
+from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints, Stripes
 from ringpose.types.frame import Shot
 from ringpose.types.rig import Rig
-from ringpose.types.stripes import Stripes
 
 ROUNDS = 10
 """Most rounds of following the edges; each carries about twice as far."""

@@ -6,10 +6,10 @@ import numpy as np
 
 from ringpose.detect.chains import Chains, edge_chains
 from ringpose.detect.gradient import Gradient, image_gradient, in_sixteen_bits
-from ringpose.detect.segment_method import SegmentMethod
 from ringpose.kernels import segments as kernels
 from ringpose.types.arrays import Array, Int32, UInt
-from ringpose.types.segments import Segments
+from ringpose.types.detection import Segments
+from ringpose.types.options import SegmentMethod
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

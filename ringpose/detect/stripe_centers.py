@@ -10,8 +10,8 @@ import numpy as np
 from ringpose.detect.stripe_filters import stripe_filters
 from ringpose.kernels import stripes as kernel
 from ringpose.types.arrays import Array, Int32, UInt
+from ringpose.types.detection import UNLABELLED, Stripes
 from ringpose.types.frame import full_scale_dn
-from ringpose.types.stripes import UNLABELLED, Stripes
 
 STRIPE_SIGMA_PX = 1.6
 """Typical stripe, by which a peak is turned into the response of the ridge filter."""

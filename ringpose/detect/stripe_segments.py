@@ -2,11 +2,10 @@
 
 import numpy as np
 
-from ringpose.detect.segment_method import SegmentMethod
 from ringpose.detect.segments import find_segments
 from ringpose.types.arrays import Array, Bool, Float64, Int64, UInt
-from ringpose.types.segments import Segments
-from ringpose.types.stripes import UNLABELLED, Stripes
+from ringpose.types.detection import UNLABELLED, Segments, Stripes
+from ringpose.types.options import SegmentMethod
 
 WIDTH_PX = (1.5, 14.0)
 """Distance of the two edges of a stripe."""

@@ -10,7 +10,7 @@ from ringpose.kernels import lines as kernels
 from ringpose.kernels.lines import Lens, TrackRules
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
-from ringpose.types.stripes import Stripes
+from ringpose.types.detection import Stripes
 
 MINIMUM_COLUMNS = 10
 """A shorter track says nothing about direction; 20 mm of ring at 1 m are twice as many."""

@@ -7,7 +7,7 @@ from ringpose.errors import DataError
 from ringpose.files import atomic, records
 from ringpose.files.detections import detection_record, write_detection
 from ringpose.files.images import write_image
-from ringpose.types.break_points import Detection
+from ringpose.types.detection import Detection
 from ringpose.types.frame import Shot
 
 

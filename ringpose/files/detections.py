@@ -12,9 +12,15 @@ from ringpose.files.archives import Archive, write_archive
 from ringpose.files.fields import FREE_PREFIX, ROUNDED, Fields
 from ringpose.files.provenance import provenance
 from ringpose.types.arrays import EDGES, Array, Float64, Int64
-from ringpose.types.break_points import MAX_SIGMA_PX, BreakPoints, Detection, NoBreakPoints, RingEdgePoints
-from ringpose.types.segments import Segments
-from ringpose.types.stripes import Stripes
+from ringpose.types.detection import (
+    MAX_SIGMA_PX,
+    BreakPoints,
+    Detection,
+    NoBreakPoints,
+    RingEdgePoints,
+    Segments,
+    Stripes,
+)
 
 SCHEMA = "ringpose/detection/1"
 

@@ -8,9 +8,8 @@ import numpy as np
 
 from ringpose.files.fields import Fields
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.pose_frame import PoseFrame
-from ringpose.types.pose_line import PoseLine
-from ringpose.types.ring_pose import PoseFlag, RingPose
+from ringpose.types.options import PoseFrame
+from ringpose.types.pose import PoseFlag, PoseLine, RingPose
 
 SCHEMA = "ringpose/pose/1"
 

@@ -18,8 +18,7 @@ from ringpose.files.provenance import provenance
 from ringpose.files.yaml import parsed, write_yaml
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.covariance import camera_parameters, laser_parameters
-from ringpose.types.laser_planes import LaserPlanes
-from ringpose.types.rig import Rig
+from ringpose.types.rig import LaserPlanes, Rig
 from ringpose.types.sequence import MOST_LASERS
 
 SCHEMA = "rig/1"

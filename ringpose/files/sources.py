@@ -7,8 +7,8 @@ from ringpose.files.archives import Archive
 from ringpose.files.detections import detection_in, detection_of, is_detection
 from ringpose.files.inputs import RECORDS_SUFFIX, Input, Record
 from ringpose.files.shots import SHOT_SUFFIXES, read_shot, shot_of
-from ringpose.types.break_points import MAX_OFFSET, BreakPoints, Detection, outside_image
 from ringpose.types.camera import Camera
+from ringpose.types.detection import MAX_OFFSET, BreakPoints, Detection, outside_image
 from ringpose.types.frame import Shot
 from ringpose.types.rig import Rig
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from ringpose.pose.observability import standard_deviation
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.ring_pose import PoseFlag, RingPose
+from ringpose.types.pose import PoseFlag, RingPose
 
 RADIUS_SD_M = 0.0005
 """How well a radius that is looked up is known."""

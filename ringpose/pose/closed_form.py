@@ -15,7 +15,6 @@ from ringpose.geometry.least_squares import damped_solution, inverse_condition
 from ringpose.geometry.planes import nearest_plane
 from ringpose.geometry.rays import GRAZING, project
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.pose.method import Method
 from ringpose.pose.observability import (
     EDGE_ON_BELOW,
     TILT_SD_LIMIT_RAD,
@@ -25,10 +24,10 @@ from ringpose.pose.observability import (
 )
 from ringpose.pose.triangulation import point_covariance, triangulated
 from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
-from ringpose.types.break_points import BreakPoints
+from ringpose.types.detection import BreakPoints
+from ringpose.types.options import Method
+from ringpose.types.pose import NoPose, PoseFlag, RingPoints, RingPose
 from ringpose.types.rig import Rig
-from ringpose.types.ring_points import RingPoints
-from ringpose.types.ring_pose import NoPose, PoseFlag, RingPose
 
 MILLIMETRES = 1000.0
 """In a metre."""

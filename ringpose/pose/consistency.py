@@ -21,8 +21,8 @@ from ringpose.pose.residual_rows import Beforehand
 from ringpose.pose.rig_errors import RigErrors
 from ringpose.pose.ring_model import CURVATURE, PARAMETERS
 from ringpose.types.arrays import EDGES, Array, Float64
+from ringpose.types.pose import PoseFlag
 from ringpose.types.rig import Rig
-from ringpose.types.ring_pose import PoseFlag
 
 ALARM_SIGMAS = 3.7
 """One shot in ten thousand is beyond it by chance."""

@@ -6,7 +6,7 @@ from ringpose.pose.likelihood import Fit
 from ringpose.pose.measurements import Measurements
 from ringpose.pose.rig_errors import light_plane_bases
 from ringpose.pose.ring_model import PARAMETERS
-from ringpose.types.plane_evidence import PlaneEvidence
+from ringpose.types.pose import PlaneEvidence
 from ringpose.types.rig import Rig
 
 

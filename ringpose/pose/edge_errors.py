@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.break_points import RingEdgePoints
+from ringpose.types.detection import RingEdgePoints
 
 ROUNDED_PX = 0.05
 """What a whole edge errs alike: where the half brightness lies on a rounded corner."""

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringpose.types.arrays import Array, Float64, Int64
-from ringpose.types.plane_evidence import PlaneEvidence
+from ringpose.types.pose import PlaneEvidence
 
 FORGETTING = 0.98
 """Share of what is known that is left after the next shot: about fifty shots count."""

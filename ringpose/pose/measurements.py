@@ -15,10 +15,9 @@ import numpy as np
 from ringpose.geometry.rays import undistort
 from ringpose.pose.edge_errors import ERRORS, common_errors_px
 from ringpose.types.arrays import Array, Bool, Float64, Int64
-from ringpose.types.break_points import BreakPoints, RingEdgePoints
 from ringpose.types.camera import Camera
-from ringpose.types.laser_planes import LaserPlanes
-from ringpose.types.rig import Rig
+from ringpose.types.detection import BreakPoints, RingEdgePoints
+from ringpose.types.rig import LaserPlanes, Rig
 
 NOMINAL_SIGMA_PX = 0.3
 """Of a break point that comes without a covariance: it weighs the points against each other and is told nobody."""

@@ -27,10 +27,10 @@ from ringpose.pose.rig_errors import rig_errors
 from ringpose.pose.ring_model import CURVATURE
 from ringpose.pose.told import determined, told_pose, weak_flags
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.break_points import BreakPointFlag, BreakPoints, RingEdgePoints
+from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints
+from ringpose.types.pose import NoPose, PoseFlag, RingPose
 from ringpose.types.rig import Rig
 from ringpose.types.ring import KnownRadii, Ring
-from ringpose.types.ring_pose import NoPose, PoseFlag, RingPose
 
 DOUBTS = PoseFlag.RELABELLED | PoseFlag.STRIPE_LEFT_OUT | PoseFlag.RADIUS_DISAGREES
 """A shot that had to be mended says nothing about the rig."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.ring_pose import RingPose
+from ringpose.types.pose import RingPose
 
 
 def pose_in_frame(pose: RingPose, frame_from_camera: Float64[Array, "4 4"]) -> RingPose:

@@ -5,12 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from ringpose.errors import DataError
-from ringpose.pose.method import Method as Method
 from ringpose.pose.most_likely import most_likely_pose
-from ringpose.types.break_points import BreakPoints, RingEdgePoints
+from ringpose.types.detection import BreakPoints, RingEdgePoints
+from ringpose.types.options import Method as Method
+from ringpose.types.pose import NoPose, RingPose
 from ringpose.types.rig import Rig
 from ringpose.types.ring import KnownRadii, Ring
-from ringpose.types.ring_pose import NoPose, RingPose
 
 
 def estimate_pose(

@@ -8,10 +8,10 @@ import numpy as np
 from ringpose.pose.consistency import Explanation
 from ringpose.pose.likelihood import Fit
 from ringpose.pose.likelihood_output import BEND, CENTER, GRASP, TILTS, WIDTH, Quantities
-from ringpose.pose.method import Method
 from ringpose.pose.observability import TILT_SD_LIMIT_RAD, WEAK_SD, spreads_beyond, standard_deviation
 from ringpose.types.arrays import Array, Bool, Float64
-from ringpose.types.ring_pose import PoseFlag, RingPose
+from ringpose.types.options import Method
+from ringpose.types.pose import PoseFlag, RingPose
 
 UNKNOWN_FROM = 0.5
 """Standard deviation of the curvature, as a share of it, from which the centre is not determined at all: one over a

@@ -12,10 +12,10 @@ from ringpose.geometry.rays import intersect, rays
 from ringpose.pose.measurements import pixels_by_ray_and_camera
 from ringpose.pose.rig_errors import rig_errors
 from ringpose.types.arrays import Array, Float64, Int64
-from ringpose.types.break_points import BreakPoints
 from ringpose.types.camera import Camera
+from ringpose.types.detection import BreakPoints
+from ringpose.types.pose import RingPoints
 from ringpose.types.rig import Rig
-from ringpose.types.ring_points import RingPoints
 
 
 def triangulated(break_points: BreakPoints, rig: Rig) -> RingPoints:

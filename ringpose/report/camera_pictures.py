@@ -9,8 +9,8 @@ from ringpose.calibrate.camera_outliers import FLOOR_PX, VIEW_FACTOR
 from ringpose.report.canvas import canvas, drawn, png_of
 from ringpose.report.page import Picture
 from ringpose.types.arrays import Array, Float64
+from ringpose.types.calibration import CameraAssessment, CameraCalibration, ModelComparison
 from ringpose.types.camera import Camera
-from ringpose.types.camera_calibration import CameraAssessment, CameraCalibration, ModelComparison
 
 WORST_PX = 1.0
 """What a good camera's projection errs by, and what leaving out one view moves it by, at most."""

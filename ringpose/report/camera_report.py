@@ -15,7 +15,7 @@ from ringpose.report.camera_pictures import (
 )
 from ringpose.report.page import Section, Table, page
 from ringpose.report.verdict_section import verdict_section
-from ringpose.types.camera_calibration import CameraAssessment, CameraCalibration, CameraView, ModelComparison
+from ringpose.types.calibration import CameraAssessment, CameraCalibration, CameraView, ModelComparison
 from ringpose.types.covariance import CAMERA_PARAMETERS
 from ringpose.types.verdict import Verdict
 

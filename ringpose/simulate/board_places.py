@@ -6,7 +6,7 @@ from ringpose.calibrate.board_points import outline_m
 from ringpose.simulate.trajectory import picture_ray
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board
-from ringpose.types.laser_planes import LaserPlanes
+from ringpose.types.rig import LaserPlanes
 from ringpose.types.scene import BoardApproach, BoardPlace, BoardSet, Scene
 
 

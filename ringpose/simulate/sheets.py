@@ -6,7 +6,7 @@ import numpy as np
 
 from ringpose.simulate.placement import Placement
 from ringpose.types.arrays import Array, Bool, Float64
-from ringpose.types.laser_planes import LaserPlanes
+from ringpose.types.rig import LaserPlanes
 from ringpose.types.scene import LaserLight
 
 REACH_SIGMAS = 4.5

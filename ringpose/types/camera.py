@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.covariance import ParameterCovariance
-from ringpose.types.distortion_model import DistortionModel
+from ringpose.types.options import DistortionModel
 
 DISTORTION_COEFFICIENTS = {DistortionModel.PLUMB_BOB.value: 5, DistortionModel.RATIONAL_POLYNOMIAL.value: 8}
 """The distortion models of ROS that OpenCV computes, with the number of their coefficients."""

@@ -1,4 +1,7 @@
-"""The rig: camera, light planes, what is known of their errors, and how it is mounted."""
+"""The rig: camera, light planes, what is known of their errors, and how it is mounted.
+
+The light planes.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -7,7 +10,17 @@ from typing import Any
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
 from ringpose.types.covariance import ParameterCovariance
-from ringpose.types.laser_planes import LaserPlanes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LaserPlanes:
+    """The light planes, each `normal @ point = distance_m`, in the camera frame."""
+
+    names: tuple[str, ...]
+    normal: Float64[Array, "laser xyz=3"]
+    distance_m: Float64[Array, "laser"]
+    projector_m: Float64[Array, "laser xyz=3"]
+    """Where the light comes from; NaN where it is not known."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -8,7 +8,7 @@ import pytest
 
 from ringpose.bench.score import Answer
 from ringpose.types.camera import Camera
-from ringpose.types.ring_pose import RingPose
+from ringpose.types.pose import RingPose
 from ringpose.types.truth import Truth
 
 CENTER_M = np.array([0.1, -0.2, 1.0])

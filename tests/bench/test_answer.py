@@ -4,8 +4,8 @@ import pytest
 
 from ringpose.bench.score import answer_of
 from ringpose.errors import DataError
-from ringpose.types.pose_frame import PoseFrame
-from ringpose.types.pose_line import PoseLine
+from ringpose.types.options import PoseFrame
+from ringpose.types.pose import PoseLine
 
 
 def test_a_line_with_a_pose_names_its_method(pose_of):

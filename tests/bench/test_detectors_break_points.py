@@ -13,8 +13,7 @@ from ringpose.bench.detectors_break_points import (
 from ringpose.bench.detectors_spread import joined
 from ringpose.bench.speed import exact_break_points
 from ringpose.bench.stripe_images import Kind, stripe_image, stripe_rig, true_row
-from ringpose.types.break_points import BreakPointFlag, Detection, NoBreakPoints
-from ringpose.types.stripes import UNLABELLED, Stripes
+from ringpose.types.detection import UNLABELLED, BreakPointFlag, Detection, NoBreakPoints, Stripes
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ringpose.bench.detectors_lines import length_px, length_recalled_px
-from ringpose.types.segments import Segments
+from ringpose.types.detection import Segments
 
 LINES_PX = np.array([[(10.0, 20.0), (110.0, 20.0)], [(30.0, 40.0), (30.0, 240.0)]])
 """100 px along a row and 200 px along a column."""

@@ -6,7 +6,7 @@ import pytest
 from ringpose.bench.detectors_spread import joined
 from ringpose.bench.detectors_stripes import COVERED, stripe_errors
 from ringpose.bench.stripe_images import StripeImage, stripe_rig
-from ringpose.types.segments import Segments
+from ringpose.types.detection import Segments
 
 SIGMA_PX = 2.5
 SLOPE = 0.05

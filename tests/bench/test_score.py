@@ -7,7 +7,7 @@ import pytest
 
 from ringpose.bench.score import JUDGED, QUANTITIES, Answer, Judgement, Outcome, score
 from ringpose.geometry.rotations import tilted
-from ringpose.types.ring_pose import PoseFlag
+from ringpose.types.pose import PoseFlag
 from ringpose.types.truth import Truth
 
 NOTHING = Truth(shot="a", expect="no_target")

@@ -12,10 +12,10 @@ from ringpose.bench.speed_accuracy import accuracy_gates
 from ringpose.bench.speed_gates import Gate, GateSection, Verdict, section_record, section_text
 from ringpose.bench.speed_times import median_times_s, one_core
 from ringpose.bench.stripe_images import Kind, stripe_image, stripe_rig
-from ringpose.pose.method import Method
 from ringpose.pose.pipeline import estimate_pose
-from ringpose.types.break_points import Detection
-from ringpose.types.ring_pose import RingPose
+from ringpose.types.detection import Detection
+from ringpose.types.options import Method
+from ringpose.types.pose import RingPose
 
 
 class Clock:

@@ -5,7 +5,7 @@ import pytest
 
 from ringpose.calibrate.coverage import coverage
 from ringpose.types.board import BoardPose, BoardView
-from ringpose.types.camera_calibration import CameraCalibration, CameraView
+from ringpose.types.calibration import CameraCalibration, CameraView
 
 
 @pytest.fixture

@@ -7,10 +7,10 @@ import pytest
 from scipy.stats import chi2
 
 from ringpose.calibrate.planes import PlanesModel, calibrate_planes
-from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.errors import DataError
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.covariance import ParameterCovariance
+from ringpose.types.options import PlanesMethod
 
 NAMES = ("left", "middle", "right")
 MODEL = PlanesModel(names=NAMES)

@@ -12,7 +12,7 @@ from ringpose.calibrate.planes_verdict import planes_verdict
 from ringpose.geometry.rays import project, rays
 from ringpose.geometry.rotations import tilted
 from ringpose.types.covariance import ParameterCovariance
-from ringpose.types.laser_planes import LaserPlanes
+from ringpose.types.rig import LaserPlanes
 from ringpose.types.verdict import Grade
 
 MODEL = PlanesModel(names=("left", "middle", "right"))

@@ -15,7 +15,7 @@ from ringpose.calibrate.camera_model import CameraModel
 from ringpose.calibrate.camera_verdict import camera_verdict
 from ringpose.calibrate.intrinsics import parameters_of
 from ringpose.types.board import Board, BoardView
-from ringpose.types.camera_calibration import CameraAssessment, CameraCalibration
+from ringpose.types.calibration import CameraAssessment, CameraCalibration
 from ringpose.types.verdict import Grade
 
 K2 = CameraModel(fix_k3=True)

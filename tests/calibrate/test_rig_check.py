@@ -9,8 +9,7 @@ from ringpose.calibrate.planes import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes_quality import calibrated_rig
 from ringpose.calibrate.rig_check import FLATNESS_M, rig_check, rig_check_lines
 from ringpose.geometry.rotations import tilted
-from ringpose.types.laser_planes import LaserPlanes
-from ringpose.types.rig import Rig
+from ringpose.types.rig import LaserPlanes, Rig
 
 NAMES = ("left", "middle", "right")
 

@@ -5,7 +5,7 @@ import pytest
 
 from ringpose.calibrate.ring_uncertainty import of_camera, ring_center_sd_m, stripes_apart_m
 from ringpose.types.covariance import ParameterCovariance
-from ringpose.types.laser_planes import LaserPlanes
+from ringpose.types.rig import LaserPlanes
 
 NAMES = ("left", "middle", "right")
 RADII_M = np.array([0.567, 0.597])

@@ -13,13 +13,13 @@ from ringpose.calibrate.board_views import find_board
 from ringpose.calibrate.camera import calibrate_camera
 from ringpose.calibrate.camera_model import CameraModel
 from ringpose.calibrate.planes import PlanesModel, calibrate_planes
-from ringpose.calibrate.planes_method import PlanesMethod
 from ringpose.calibrate.stripe_views import stripe_view
 from ringpose.geometry.rotations import angle_between
 from ringpose.types.board import Board
 from ringpose.types.calibration import PlanesCalibration
 from ringpose.types.camera import Camera
 from ringpose.types.frame import Shot
+from ringpose.types.options import PlanesMethod
 
 RENDERED = (
     np.array(

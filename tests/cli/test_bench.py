@@ -13,8 +13,7 @@ from ringpose.cli.main import main
 from ringpose.files.poses import pose_record
 from ringpose.files.records import line_of
 from ringpose.files.truths import truth_record
-from ringpose.types.pose_line import PoseLine
-from ringpose.types.ring_pose import RingPose
+from ringpose.types.pose import PoseLine, RingPose
 from ringpose.types.truth import Truth
 
 CENTER_M = np.array([0.1, -0.2, 1.0])

@@ -9,7 +9,7 @@ import pytest
 from ringpose.cli.main import main
 from ringpose.files.archives import Archive
 from ringpose.files.detections import detection_in
-from ringpose.types.break_points import NoBreakPoints
+from ringpose.types.detection import NoBreakPoints
 
 
 def test_segments_of_any_photograph_need_no_rig(picture, capsys):

@@ -21,10 +21,9 @@ from ringpose.files.poses import pose_line_of, pose_record
 from ringpose.files.rigs import read_rig
 from ringpose.files.shots import write_shot
 from ringpose.files.sources import read_source
-from ringpose.pose.method import Method
-from ringpose.types.break_points import MAX_SIGMA_PX, BreakPointFlag, BreakPoints
-from ringpose.types.pose_frame import PoseFrame
-from ringpose.types.ring_pose import NoPose
+from ringpose.types.detection import MAX_SIGMA_PX, BreakPointFlag, BreakPoints
+from ringpose.types.options import Method, PoseFrame
+from ringpose.types.pose import NoPose
 
 SCENE, DRAWN_RIG = DrawnScene(), drawn_rig()
 ENDS_PX = true_break_points(SCENE, DRAWN_RIG)

@@ -6,7 +6,7 @@ from drawn_scene import DrawnScene, light
 
 from ringpose.detect.pipeline import detect
 from ringpose.detect.stripe_centers import find_stripes
-from ringpose.types.break_points import BreakPoints
+from ringpose.types.detection import BreakPoints
 from ringpose.types.frame import Shot
 
 BRIGHT = (150.0, 170.0, 140.0)

@@ -10,7 +10,7 @@ from ringpose.detect.break_points import ends_clear
 from ringpose.detect.pipeline import detect
 from ringpose.files.rigs import read_rig
 from ringpose.files.shots import read_shot
-from ringpose.types.break_points import BreakPointFlag, BreakPoints, NoBreakPoints
+from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
 
 
 def found_ends(seen: int, unclear: int) -> BreakPoints:

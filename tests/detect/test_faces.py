@@ -9,8 +9,7 @@ from ringpose.detect.faces import may_be_the_body, most_convincing, ring_face
 from ringpose.geometry.rays import undistorted_pixels
 from ringpose.kernels.ends import Ends
 from ringpose.kernels.lines import TRACK_COLUMNS, Group
-from ringpose.types.break_points import BreakPointFlag
-from ringpose.types.stripes import UNLABELLED
+from ringpose.types.detection import UNLABELLED, BreakPointFlag
 
 RIG = stripe_rig()
 ALL = (0, 1, 2)

@@ -2,9 +2,16 @@ import numpy as np
 import pytest
 
 from ringpose.detect.overlay import COLORS, EDGE_COLORS, SEGMENT_COLOR, UNLABELLED_COLOR, overlay
-from ringpose.types.break_points import BreakPointFlag, BreakPoints, Detection, NoBreakPoints, RingEdgePoints
-from ringpose.types.segments import Segments
-from ringpose.types.stripes import UNLABELLED, Stripes
+from ringpose.types.detection import (
+    UNLABELLED,
+    BreakPointFlag,
+    BreakPoints,
+    Detection,
+    NoBreakPoints,
+    RingEdgePoints,
+    Segments,
+    Stripes,
+)
 
 
 def empty(size=(200, 300), dtype=np.uint8):

@@ -5,7 +5,7 @@ import pytest
 from scipy.special import ndtr
 
 from ringpose.detect.peers import GIVES_CENTERS, DetectorName, detector, segments_of, stripe_segments
-from ringpose.types.stripes import UNLABELLED, Stripes
+from ringpose.types.detection import UNLABELLED, Stripes
 
 EDGE_DETECTORS = [name for name in DetectorName if name not in GIVES_CENTERS]
 ALONG_X, ALONG_Y = (0.03, 1.0), (1.0, -0.04)

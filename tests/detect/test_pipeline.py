@@ -5,9 +5,9 @@ import pytest
 from drawn_scene import DrawnScene, draw_shot, true_break_points
 
 from ringpose.detect.pipeline import detect
-from ringpose.detect.stripe_source import StripeSource
-from ringpose.types.break_points import BreakPointFlag, BreakPoints, NoBreakPoints
+from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
 from ringpose.types.frame import Shot
+from ringpose.types.options import StripeSource
 from ringpose.types.rig import Rig
 
 SWITCHED = [0, 1, 2, 4]

@@ -9,7 +9,7 @@ import pytest
 from ringpose.detect.pipeline import detect
 from ringpose.files.rigs import read_rig
 from ringpose.files.shots import read_shot
-from ringpose.types.break_points import BreakPointFlag, BreakPoints, NoBreakPoints
+from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
 from ringpose.types.frame import Shot
 
 FOLDERS = ["rig_a", "rig_b", "variants_a", "variants_b"]

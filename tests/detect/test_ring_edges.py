@@ -23,7 +23,7 @@ from ringpose.detect.pipeline import detect
 from ringpose.detect.ring_edges import FoundEdges, found_edges, named_by_curvature
 from ringpose.files.rigs import read_rig
 from ringpose.files.shots import read_shot
-from ringpose.types.break_points import BreakPointFlag, BreakPoints, RingEdgePoints
+from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints
 from ringpose.types.rig import Rig
 
 

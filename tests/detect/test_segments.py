@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from scipy.special import ndtr
 
 from ringpose.detect.chains import Chains
-from ringpose.detect.segment_method import SegmentMethod
 from ringpose.detect.segments import SegmentParameters, find_segments, straight_pieces
+from ringpose.types.options import SegmentMethod
 
 RIGHT, DOWN, UP, RISING, FALLING = (1, 0), (0, 1), (0, -1), (1, -1), (1, 1)
 SHARES_OFF = 3.0

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.detect.segment_method import SegmentMethod
 from ringpose.detect.segments import find_segments
+from ringpose.types.options import SegmentMethod
 
 
 def recalled_px(truth, segments, distances_px, angle_rad):

@@ -7,11 +7,10 @@ import pytest
 
 from ringpose.detect.pipeline import detect
 from ringpose.simulate.pipeline import simulate
-from ringpose.types.break_points import BreakPointFlag, BreakPoints, NoBreakPoints
 from ringpose.types.camera import Camera
+from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
 from ringpose.types.frame import Shot
-from ringpose.types.laser_planes import LaserPlanes
-from ringpose.types.rig import Rig
+from ringpose.types.rig import LaserPlanes, Rig
 from ringpose.types.scene import Body, Light, RingShape, RingView, Scene, Sensor
 
 PITCH_RAD = np.radians([10.0, 0.0, -10.0])

@@ -8,7 +8,7 @@ from ringpose.detect.break_points import mark_rules
 from ringpose.detect.tracks import straight_tracks
 from ringpose.kernels.ends import marked_ends
 from ringpose.types.camera import Camera
-from ringpose.types.stripes import Stripes
+from ringpose.types.detection import Stripes
 
 CAMERA = Camera(
     camera_name="plain",

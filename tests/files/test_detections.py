@@ -8,9 +8,7 @@ from ringpose.errors import DataError
 from ringpose.files import records
 from ringpose.files.archives import Archive
 from ringpose.files.detections import detection_in, detection_of, detection_record, write_detection
-from ringpose.types.break_points import BreakPoints, Detection, NoBreakPoints, RingEdgePoints
-from ringpose.types.segments import Segments
-from ringpose.types.stripes import Stripes
+from ringpose.types.detection import BreakPoints, Detection, NoBreakPoints, RingEdgePoints, Segments, Stripes
 
 
 def break_points(rng, lasers=3):

@@ -10,9 +10,8 @@ import pytest
 from ringpose.errors import DataError
 from ringpose.files import records
 from ringpose.files.poses import pose_line_of, pose_record
-from ringpose.types.pose_frame import PoseFrame
-from ringpose.types.pose_line import PoseLine
-from ringpose.types.ring_pose import PoseFlag, RingPose
+from ringpose.types.options import PoseFrame
+from ringpose.types.pose import PoseFlag, PoseLine, RingPose
 
 SCHEMA = json.loads(files("ringpose.files").joinpath("pose.schema.json").read_text())
 

@@ -9,7 +9,7 @@ import yaml
 
 from ringpose.errors import DataError, NoInputError
 from ringpose.files.scenes import read_scene
-from ringpose.types.ring_pose import RingPose
+from ringpose.types.pose import RingPose
 from ringpose.types.scene import MATERIALS, Beacon
 
 BOARD = {

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ringpose.pose.pipeline import estimate_pose
+from ringpose.types.pose import PoseFlag
 from ringpose.types.ring import KnownRadii
-from ringpose.types.ring_pose import PoseFlag
 
 KNOWN = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.array([2e-4, 2e-4]))
 OTHER = KnownRadii(radius_m=np.array([0.64, 0.67]), sd_m=np.array([2e-4, 2e-4]))

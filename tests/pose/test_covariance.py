@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from ringpose.errors import DataError
 from ringpose.pose.closed_form import FORMS
 from ringpose.pose.closed_form import closed_form_pose as estimate_pose
-from ringpose.pose.method import Method
 from ringpose.pose.most_likely import most_likely_pose
 from ringpose.types.covariance import ParameterCovariance
-from ringpose.types.ring_pose import PoseFlag
+from ringpose.types.options import Method
+from ringpose.types.pose import PoseFlag
 
 CAMERA = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 PLANES = tuple(f"{laser}.{what}" for laser in ("left", "middle", "right") for what in ("tilt_1", "tilt_2", "distance"))

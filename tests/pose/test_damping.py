@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from ringpose.pose.closed_form import FORMS, MAX_DAMPING, SINGULAR_BELOW, constrained_form, damped_center, paper_form
 from ringpose.pose.closed_form import closed_form_pose as estimate_pose
-from ringpose.types.ring_pose import PoseFlag
+from ringpose.types.pose import PoseFlag
 
 BOTH_FORMS = pytest.mark.parametrize("form", [paper_form, constrained_form])
 EDGES = np.array([0, 1, 0, 1, 0, 1])

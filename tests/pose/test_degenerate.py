@@ -12,8 +12,8 @@ from ringpose.errors import DataError
 from ringpose.pose import pipeline
 from ringpose.pose.closed_form import FORMS
 from ringpose.pose.closed_form import closed_form_pose as estimate_pose
-from ringpose.pose.method import Method
-from ringpose.types.ring_pose import NoPose, PoseFlag, RingPose
+from ringpose.types.options import Method
+from ringpose.types.pose import NoPose, PoseFlag, RingPose
 
 BOTH_METHODS = pytest.mark.parametrize("method", list(FORMS))
 WITH_AND_WITHOUT_COVARIANCE = pytest.mark.parametrize("sigma_px", [np.nan, 0.3])

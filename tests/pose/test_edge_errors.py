@@ -7,7 +7,7 @@ import pytest
 
 from ringpose.pose.edge_errors import ALIKE_PX, common_errors_px, waves
 from ringpose.pose.pipeline import estimate_pose
-from ringpose.types.ring_pose import PoseFlag
+from ringpose.types.pose import PoseFlag
 
 ALONG_PX = np.linspace(-300.0, 900.0, 101)
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from ringpose.pose.closed_form import FORMS
 from ringpose.pose.closed_form import closed_form_pose as estimate_pose
-from ringpose.types.ring_pose import PoseFlag
+from ringpose.types.pose import PoseFlag
 
 POSES = st.fixed_dictionaries(
     {

@@ -8,7 +8,7 @@ import pytest
 from ringpose.geometry.rotations import tilted
 from ringpose.pose.health import DRIFTED_FROM, drift_warning, health_after, new_health
 from ringpose.pose.pipeline import estimate_pose
-from ringpose.types.ring_pose import NoPose
+from ringpose.types.pose import NoPose
 
 FIFTH_OF_A_DEGREE = np.radians(0.2)
 

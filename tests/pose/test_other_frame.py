@@ -4,7 +4,7 @@ import pytest
 
 from ringpose.geometry.rotations import tilted
 from ringpose.pose.other_frame import pose_in_frame
-from ringpose.types.ring_pose import RingPose
+from ringpose.types.pose import RingPose
 
 
 def rigid(rng):

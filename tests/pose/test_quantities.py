@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from ringpose.pose.closed_form import FORMS
 from ringpose.pose.closed_form import closed_form_pose as estimate_pose
-from ringpose.pose.method import Method
+from ringpose.types.options import Method
 
 BOTH_METHODS = pytest.mark.parametrize("method", list(FORMS))
 

@@ -11,12 +11,11 @@ from ringpose.detect.pipeline import detect
 from ringpose.files.shots import read_shot
 from ringpose.pose.closed_form import FORMS
 from ringpose.pose.closed_form import closed_form_pose as estimate_pose
-from ringpose.pose.method import Method
 from ringpose.pose.pipeline import estimate_pose as most_likely_pose
 from ringpose.types.camera import Camera
-from ringpose.types.laser_planes import LaserPlanes
-from ringpose.types.rig import Rig
-from ringpose.types.ring_pose import NoPose
+from ringpose.types.options import Method
+from ringpose.types.pose import NoPose
+from ringpose.types.rig import LaserPlanes, Rig
 
 BOTH_METHODS = pytest.mark.parametrize("method", list(FORMS))
 FOLDERS = pytest.mark.parametrize("folder", ["rig_a", "rig_b", "variants_a", "variants_b"])

@@ -13,8 +13,8 @@ from ringpose.pose.rig_errors import rig_errors
 from ringpose.pose.ring_model import moved
 from ringpose.pose.starting_state import starting_state
 from ringpose.types.covariance import ParameterCovariance
+from ringpose.types.pose import NoPose, RingPose
 from ringpose.types.ring import KnownRadii
-from ringpose.types.ring_pose import NoPose, RingPose
 
 INNER_ONLY = KnownRadii(radius_m=np.array([0.567, np.nan]), sd_m=np.full(2, 1e-4))
 BOTH = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.full(2, 1e-4))

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from ringpose.types.camera import Camera
-from ringpose.types.laser_planes import LaserPlanes
-from ringpose.types.rig import Rig
+from ringpose.types.rig import LaserPlanes, Rig
 from ringpose.types.scene import Body, LaserLight, Lens, Light, RingShape, RingView, Scene, Sensor, Speckle
 
 

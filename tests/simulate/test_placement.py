@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from ringpose.geometry.rotations import facing_normal
 from ringpose.simulate.placement import Placement, ring_rotation
-from ringpose.types.ring_pose import RingPose
+from ringpose.types.pose import RingPose
 
 PLACEMENT = Placement(rotation=ring_rotation(facing_normal(0.2, -0.3), 0.4), translation_m=np.array([0.1, 0.2, 0.5]))
 

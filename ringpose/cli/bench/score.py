@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from ringpose.cli.options import STDOUT, Force, JsonFile, OptionalRigFile, PoseFrame, Quiet, finite
-from ringpose.pose.method import Method
+from ringpose.types.options import Method
 
 if TYPE_CHECKING:
     from ringpose.bench.pipeline import Matching

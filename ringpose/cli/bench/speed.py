@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli.options import STDOUT, Force, JsonFile, PoseFrame
-from ringpose.pose.method import Method
+from ringpose.types.options import Method
 
 if TYPE_CHECKING:
     from ringpose.bench.speed_gates import GateSection

@@ -12,11 +12,11 @@ import numpy as np
 from ringpose.simulate.board_places import board_places
 from ringpose.simulate.pipeline import board_stage, ring_stage
 from ringpose.simulate.sensor import digitised
-from ringpose.simulate.serve.choices import Move
 from ringpose.simulate.serve.contacts import Contacts
 from ringpose.simulate.stage import Stage
 from ringpose.simulate.trajectory import ring_views
 from ringpose.types.arrays import Array, Float32, Float64, UInt
+from ringpose.types.options import Move
 from ringpose.types.scene import BoardSet, Scene, Sensor
 
 _SLICES = 8

@@ -7,8 +7,8 @@ import pytest
 from other_client import Port
 from served_scene import small_scene
 
-from ringpose.simulate.serve.choices import Move
 from ringpose.simulate.serve.stand_in import Setup, StandIn
+from ringpose.types.options import Move
 
 
 @pytest.fixture

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from served_scene import small_scene
 
-from ringpose.simulate.serve.choices import Move
 from ringpose.simulate.serve.contacts import ContactFaults, Contacts
 from ringpose.simulate.serve.views import MovingViews, SceneExposures, ring_moving_views
 from ringpose.simulate.stage import Stage
+from ringpose.types.options import Move
 from ringpose.types.scene import Beacon, Light, Sensor
 
 

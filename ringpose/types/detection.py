@@ -1,13 +1,17 @@
-"""Where the stripes on the ring's face end."""
+"""Where the stripes on the ring's face end.
 
+The laser stripes' centres, column by column.
+
+Straight line segments in an image.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum, IntFlag
 
 import numpy as np
 
 from ringpose.types.arrays import Array, Bool, Float64, Int64
-from ringpose.types.segments import Segments
-from ringpose.types.stripes import Stripes
 
 MAX_SIGMA_PX = 1e4
 """Largest standard deviation of a detection, in pixels: what is known worse than an image is large is not measured.
@@ -98,6 +102,30 @@ def outside_image(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Stripes:
+    """Sub-pixel centres of the stripes of one shot, in (distorted) pixels, sorted by piece, then column."""
+
+    position_px: Float64[Array, "center xy=2"]
+    sigma_px: Float64[Array, "center"]
+    """Standard deviation along the column."""
+    peak_dn: Float64[Array, "center"]
+    piece: Int64[Array, "center"]
+    """Number of the piece, from 0: centres linked along x without a gap or a jump."""
+    laser: Int64[Array, "piece"]
+    """Laser of each piece, or `UNLABELLED`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Segments:
+    """Line segments of one image, in (distorted) pixels."""
+
+    start_px: Float64[Array, "segment xy=2"]
+    end_px: Float64[Array, "segment xy=2"]
+    support: Int64[Array, "segment"]
+    """Number of edge pixels that the segment stands for."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Detection:
     """All that was found in one shot."""
 
@@ -122,3 +150,21 @@ class Detection:
         if isinstance(self.break_points, NoBreakPoints):
             return str(self.break_points.value)
         return f"{int(self.break_points.seen.sum())} break points"
+
+
+UNLABELLED = -1
+"""Laser of a stripe piece whose laser is not known."""
+
+
+def joined_stripes(parts: Sequence[Stripes]) -> Stripes:
+    """Stripes of several frames or windows in one record, their pieces numbered on."""
+    if len(parts) == 1:
+        return parts[0]
+    before = np.cumsum([0, *(len(part.laser) for part in parts[:-1])])
+    return Stripes(
+        position_px=np.concatenate([part.position_px for part in parts]),
+        sigma_px=np.concatenate([part.sigma_px for part in parts]),
+        peak_dn=np.concatenate([part.peak_dn for part in parts]),
+        piece=np.concatenate([part.piece + start for part, start in zip(parts, before, strict=True)]),
+        laser=np.concatenate([part.laser for part in parts]),
+    )

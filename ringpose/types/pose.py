@@ -1,13 +1,22 @@
-"""The answer: where the ring is, or why nobody knows."""
+"""The answer: where the ring is, or why nobody knows.
 
+What is said about one shot in the end.
+
+The break points in space.
+
+What one shot says about errors of the light planes.
+"""
+
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum, IntFlag
+from typing import Literal
 
 import numpy as np
 
-from ringpose.types.arrays import Array, Float64
-from ringpose.types.plane_evidence import PlaneEvidence
+from ringpose.types.arrays import Array, Bool, Float64
+from ringpose.types.options import PoseFrame
 
 
 class NoPose(Enum):
@@ -43,6 +52,19 @@ class PoseFlag(IntFlag):
     """The ring that was seen has not the radii that were said; they were left out."""
     INCONSISTENT = 512
     """What was seen disagrees with one ring by more than its errors; the covariance is widened accordingly."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlaneEvidence:
+    """Whether each light plane, if it alone had moved, would explain what its stripe leaves over.
+
+    Sums over shots add up. A plane's most likely error (tilt_1, tilt_2, distance) is information^-1 score, and
+    score^T information^-1 score is the square of that error in its standard deviations.
+    """
+
+    score: Float64[Array, "laser parameter=3"]
+    information: Float64[Array, "laser parameter=3 parameter=3"]
+    """Zero for a laser that nothing checks: two stripes alone agree with every plane."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -92,3 +114,53 @@ class RingPose:
     def yaw_rad(self) -> float:
         """The paper's yaw: atan2(w_x, w_z) of w = -normal (method(7), section 4)."""
         return float(np.arctan2(-self.normal[0], -self.normal[2]))
+
+
+Status = Literal["ok", "degraded", "none"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PoseLine:
+    """The pose of one shot, or the reason why it has none, with where it came from."""
+
+    shot: str
+    stamp_s: float
+    pose: RingPose | None
+    reason: str | None = None
+    """Why there is no pose; of a pose what contradicts it, None if nothing does."""
+    frame: PoseFrame = PoseFrame.CAMERA
+    """The frame of the pose's vectors."""
+    laser_health: Mapping[str, float] = field(default_factory=dict)
+    """A figure for each laser; empty where it was not measured."""
+    dropped: int = 0
+    """Shots that were lost between the one before and this one."""
+    latency_s: float = math.nan
+    """From the shot in memory to its pose; NaN where it was not measured."""
+    rig: str = ""
+    """SHA-256 of the rig file."""
+
+    @property
+    def status(self) -> Status:
+        """`ok`, `degraded` (a pose with flags) or `none`."""
+        if self.pose is None:
+            return "none"
+        return "degraded" if self.pose.flags else "ok"
+
+    @property
+    def flags(self) -> tuple[str, ...]:
+        """Names of the pose's flags, in lower case."""
+        flags = PoseFlag(0) if self.pose is None else self.pose.flags
+        return tuple(str(flag.name).lower() for flag in PoseFlag if flag in flags)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RingPoints:
+    """Points on the two edges of the ring's face, in the camera frame; NaN where one was not seen."""
+
+    position_m: Float64[Array, "laser edge=2 xyz=3"]
+
+    @property
+    def seen(self) -> Bool[Array, "laser edge=2"]:
+        """Which of them were seen."""
+        seen: Bool[Array, "laser edge=2"] = ~(self.position_m != self.position_m).any(axis=-1)
+        return seen
