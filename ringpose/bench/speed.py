@@ -18,7 +18,7 @@ from ringpose.bench.speed_times import median_times_s, one_core
 from ringpose.bench.stripe_images import Kind, StripeImage, stripe_image, switched_frames
 from ringpose.detect.peers import DetectorName, detector
 from ringpose.detect.pipeline import detect
-from ringpose.detect.stripe_centers import find_stripes
+from ringpose.detect.stripes import find_stripes
 from ringpose.geometry.rays import undistorted_pixels
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.types.detection import BreakPoints

@@ -16,7 +16,7 @@ from ringpose.bench.detectors_spread import joined, mean, median, rms, robust_sd
 from ringpose.bench.speed_gates import Gate
 from ringpose.bench.stripe_images import Kind, StripeImage, stripe_image
 from ringpose.detect.pipeline import detect
-from ringpose.detect.stripe_centers import find_stripes
+from ringpose.detect.stripes import find_stripes
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.detection import BreakPointFlag, Detection
 

@@ -11,7 +11,7 @@ import numpy as np
 from ringpose.calibrate.board_surface import BoardSurface
 from ringpose.calibrate.image_reduction import in_full_image, reduced
 from ringpose.calibrate.normal_spread import normal_spread
-from ringpose.detect.stripe_centers import find_stripes
+from ringpose.detect.stripes import find_stripes
 from ringpose.geometry.rays import undistorted_pixels
 from ringpose.types.arrays import Array, Bool, Float64, UInt
 from ringpose.types.detection import Stripes

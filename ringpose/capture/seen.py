@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ringpose.detect.stripe_centers import find_stripes
+from ringpose.detect.stripes import find_stripes
 from ringpose.types.arrays import Array, Bool, Float32, Int64, UInt, UInt8
 from ringpose.types.frame import Shot
 

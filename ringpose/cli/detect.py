@@ -82,7 +82,7 @@ def detect(
 
 def segments_of(shot: "Shot", method: SegmentMethod) -> "Detection":
     """The straight segments of a shot, and nothing else."""
-    from ringpose.detect.raw_segments import segments_only
+    from ringpose.detect.line_segments import segments_only
 
     return segments_only(shot, method)
 

@@ -15,7 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ringpose.detect.tracks import LEAST_COLUMNS, TAKEN_BY_THE_FIT, lens
+from ringpose.detect.stripes import MIN_SEGMENT_COLUMNS, TAKEN_BY_THE_FIT, lens
 from ringpose.geometry.rays import undistorted_rays
 from ringpose.kernels.lines import (
     CLIPPED,
@@ -256,7 +256,7 @@ def _rules(rig: Rig) -> FaceRules:
         farthest_px=FARTHEST_PX,
         rounds=ROUNDS,
         taken_by_fit=TAKEN_BY_THE_FIT,
-        least_columns=LEAST_COLUMNS,
+        least_columns=MIN_SEGMENT_COLUMNS,
     )
     candidates = CandidateRules(
         nearest_m=DEPTH_RANGE_M[0],

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from ringpose.detect.gradient import eight_bit
+from ringpose.detect.line_segments import eight_bit
 from ringpose.types.arrays import EDGES, Array, Float64, Int64, UInt, UInt8
 from ringpose.types.detection import (
     UNLABELLED,

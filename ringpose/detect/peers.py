@@ -11,8 +11,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ringpose.detect.segments import SegmentParameters, find_segments
-from ringpose.detect.stripe_centers import find_stripes
+from ringpose.detect.line_segments import SegmentParameters, find_segments
+from ringpose.detect.stripes import find_stripes
 from ringpose.types.arrays import Array, Float64, UInt8
 from ringpose.types.detection import Segments, Stripes
 from ringpose.types.options import SegmentMethod

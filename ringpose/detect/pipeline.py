@@ -1,19 +1,25 @@
-"""Shot -> break points, in the order of ringpose-method(7), section 3."""
+"""Shot -> break points, in the order of ringpose-method(7), section 3.
 
+Whether stripes can be where the rig says: images upside down, mirrored or of another camera are none of its own.
+
+Where to look for stripes whose places are predicted: a window about each, instead of the whole frame.
+"""
+
+import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from ringpose.detect.bands import predicted_bands
 from ringpose.detect.break_points import break_points, ends_clear
-from ringpose.detect.contradictions import lie_nowhere
-from ringpose.detect.faces import CONFIRMED, Face, ring_face
+from ringpose.detect.faces import CONFIRMED, Face, planes_per_m, ring_face
 from ringpose.detect.frames import LaserImage, laser_images
 from ringpose.detect.ring_edges import shown_edges
-from ringpose.detect.stripe_centers import find_stripes
-from ringpose.detect.tracks import straight_tracks
-from ringpose.kernels.lines import LASER
-from ringpose.types.arrays import Array, Float64
+from ringpose.detect.stripes import find_stripes, lens, straight_tracks
+from ringpose.geometry.rays import project, undistorted_rays
+from ringpose.kernels.lines import CENTERS, LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
+from ringpose.types.arrays import Array, Bool, Float64, Int32
+from ringpose.types.camera import Camera
 from ringpose.types.detection import (
     UNLABELLED,
     BreakPoints,
@@ -98,7 +104,7 @@ def _all_stripes(images: list[LaserImage], source: StripeSource) -> tuple[Stripe
 
 def _stripes_between_segments(images: list[LaserImage]) -> tuple[Stripes, Segments]:
     """The same the paper's way; other shots need no line detector, which is imported here."""
-    from ringpose.detect.stripe_segments import stripes_between_segments
+    from ringpose.detect.line_segments import stripes_between_segments
 
     found = [stripes_between_segments(image.lit, image.dark) for image in images]
     stripes = [_labelled(part, image) for (part, _), image in zip(found, images, strict=True)]
@@ -153,3 +159,70 @@ def _why_no_stripe(images: list[LaserImage]) -> NoBreakPoints:
     if all(np.median(image.lit) >= image.saturation_dn for image in images):
         return NoBreakPoints.IMAGE_SATURATED
     return NoBreakPoints.NO_STRIPE
+
+
+POSSIBLE_PER_M = (-1 / 3, 20.0)
+"""One over the depth of what a camera sees: from 5 cm to beyond the horizon, by what calibration and noise may add."""
+
+LONG_COLUMNS = 30
+"""Shorter tracks may be reflections, or a facet's."""
+
+MOST = 0.5
+"""Share of the long tracks' columns that must be possible; in 81 rendered shots all of them are, turned upside down at
+most two thirds."""
+
+
+def lie_nowhere(tracks: Float64[Array, "track column=11"], rig: Rig) -> bool:
+    """Whether most of what is straight lies behind the camera or in its lens, whichever laser drew it."""
+    long = tracks[tracks[:, CENTERS] >= LONG_COLUMNS]
+    possible = _possible(long, rig)
+    drawn = long[:, [LASER]] == np.arange(possible.shape[1])
+    anywhere = (possible & (drawn | (long[:, [LASER]] == UNLABELLED))).any(axis=1)
+    return float(long[anywhere, CENTERS].sum()) < MOST * float(long[:, CENTERS].sum())
+
+
+def _possible(tracks: Float64[Array, "track column=11"], rig: Rig) -> Bool[Array, "track laser"]:
+    """Whether some of a track can lie before the camera if that laser drew it."""
+    optics = lens(rig.camera)
+    x_px = tracks[:, [X_START, X_END]]
+    y_px = tracks[:, [MIDDLE_Y]] + tracks[:, [SLOPE]] * (x_px - tracks[:, [MIDDLE_X]])
+    rays = np.stack([(x_px - optics.cx) / optics.fx, (y_px - optics.cy) / optics.fy, np.ones_like(x_px)], axis=-1)
+    per_m = rays @ planes_per_m(rig).T
+    possible: Bool[Array, "track laser"] = (per_m.max(axis=1) > POSSIBLE_PER_M[0]) & (
+        per_m.min(axis=1) < POSSIBLE_PER_M[1]
+    )
+    return possible
+
+
+BAND_PX = 24
+"""Rows above and below a predicted stripe that are searched: 15 mm at 1 m in the time between two frames."""
+
+BESIDE_PX = 60
+"""Columns beyond a predicted stripe's ends that are searched: motion, and the ends' own surroundings."""
+
+
+def predicted_bands(
+    predicted: BreakPoints, lasers: Sequence[int], camera: Camera
+) -> Int32[Array, "band side=4"] | None:
+    """Windows about the predicted stripes of some lasers, as bands for `find_stripes`; None if none is predicted.
+
+    Left and right column, top and bottom row; right and bottom are the first that are not searched.
+    """
+    starts, stops = predicted.face_start_px.tolist(), predicted.face_end_px.tolist()
+    pairs = [[starts[laser], stops[laser]] for laser in lasers]
+    ends = [pair for pair in pairs if math.isfinite(sum(map(sum, pair)))]
+    if not ends:
+        return None
+    shown = project(undistorted_rays(np.array(ends), camera), camera).tolist()
+    bands = []
+    for (x, y), (other_x, other_y) in shown:
+        left, right = _searched(x, other_x, BESIDE_PX, camera.image_width)
+        top, bottom = _searched(y, other_y, BAND_PX, camera.image_height)
+        bands.append((left, right, top, bottom))
+    return np.array(bands, dtype=np.int32)
+
+
+def _searched(one: float, other: float, beyond: int, size: int) -> tuple[int, int]:
+    """The first and the one after the last of a row or a column of pixels, with some beyond both."""
+    first, last = (one, other) if one < other else (other, one)
+    return min(max(int(first) - beyond, 0), size), min(max(int(last) + beyond + 1, 0), size)

@@ -2,6 +2,10 @@
 
 Stripes close together hardly tell the ring's curvature: the search begins where the edges are predicted to a
 pixel, and what is found there predicts them farther on, until the image ends or the edge is lost.
+
+The direction of the ring's edges at a single stripe, which its two ends leave open.
+
+Single steps of brightness -> independent points of the ring's edges, with sigmas that explain their scatter.
 """
 
 import math
@@ -10,22 +14,27 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.detect.edge_points import ring_edge_points
 from ringpose.detect.edge_search import (
+    ALONG_PX,
     BLUR_PX,
     EdgeImage,
+    EdgeTrace,
+    Profiles,
+    beyond_px,
+    chosen,
     clear_of_stripes,
     clear_steps,
+    edge_profiles,
+    edge_steps,
+    edge_trace,
     lit_cells,
     step_sights,
     steps_beside,
 )
-from ringpose.detect.edge_start import sights_beside_stripe
-from ringpose.detect.edge_steps import ALONG_PX, Profiles, edge_profiles, edge_steps
-from ringpose.detect.edge_trace import chosen, edge_trace
 from ringpose.detect.ring_arc_fit import NO_SIGHTS, RULES, StripeEvidence, fitted_arcs, possible, stripe_evidence
-from ringpose.geometry.ring_arcs import STATE, RingArcs
-from ringpose.types.arrays import Array, Float64
+from ringpose.geometry.ring_arcs import STATE, RingArcs, moved
+from ringpose.kernels.edges import Sights
+from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints, Stripes
 from ringpose.types.frame import Shot
 from ringpose.types.rig import Rig
@@ -189,3 +198,177 @@ def _middle(values: Float64[Array, "n"]) -> float:
     """The median, in a tenth of the time that NumPy's takes for so few."""
     ascending = np.sort(values)
     return float(ascending[(len(values) - 1) // 2] + ascending[len(values) // 2]) / 2
+
+
+TURNS_RAD = np.linspace(-0.75, 0.75, 51)
+"""Angles between the stripe's normal on the face and the edges that are tried."""
+
+NEAREST, FARTHEST = 2, 9
+"""Places that are looked at to both sides on each edge ..."""
+
+SPACING_PX = 6.0
+"""... this far apart: so near the stripe that edges look straight."""
+
+START_REACH_PX = 2
+"""How far from a tried edge its steps may lie."""
+
+START_TURN = np.eye(len(STATE))[STATE.index("turn_rad")]
+
+LEAST_STEPS = 5
+"""So many places must show a step ..."""
+
+DISTINCT, SIMILAR = 2, 6
+"""... so many times more than in any other direction that is not among the next few."""
+
+
+def sights_beside_stripe(arcs: RingArcs, frame: EdgeImage, rig: Rig) -> Sights:
+    """Steps along the two straight edges through a stripe's ends that the image shows best; none if it shows none."""
+    tables = [_places(moved(arcs, turn * START_TURN), rig).table for turn in TURNS_RAD]
+    table = np.concatenate(tables)
+    table[:, -1] = np.repeat(np.arange(len(tables)), [len(each) for each in tables])
+    trace = clear_of_stripes(frame, EdgeTrace(table))
+
+    clear = clear_steps(steps_beside(frame, trace, START_REACH_PX))
+    shown = np.bincount(trace.number.astype(np.int64), clear, minlength=len(tables))
+    best = int(np.argmax(shown))
+    elsewhere = np.delete(shown, slice(max(best - SIMILAR, 0), best + SIMILAR + 1))
+    if shown[best] < max(LEAST_STEPS, DISTINCT * elsewhere.max()):
+        return NO_SIGHTS
+    trace = chosen(trace, trace.number == best)
+    return step_sights(trace, steps_beside(frame, trace, START_REACH_PX))
+
+
+def _places(arcs: RingArcs, rig: Rig) -> EdgeTrace:
+    """The places on both edges of these arcs, as if they were known."""
+    trace = edge_trace(arcs, np.zeros((len(STATE), len(STATE))), rig, SPACING_PX, np.inf, FARTHEST)
+    return chosen(trace, np.abs(trace.number) >= NEAREST)
+
+
+BLUR_SIGMA_PX = 0.03
+"""By how much a step's place depends on the assumed shape of its blur."""
+
+GROUP = 3
+"""Neighbouring steps that make one point: 12 px, which a facet of crinkled foil hardly exceeds."""
+
+STRETCH = 15
+"""Neighbouring steps, or points, whose scatter tells the size of their errors."""
+
+SHARED = 6
+"""So many of them, as large as the edge's are on average, are added: a few that agree by chance say little."""
+
+OUTLIER_SIGMAS = 3.5
+"""What lies off the ring by more is none of it, and counts in the scatter as if it were so far off."""
+
+DISPLACED_PX = 0.4
+"""A stretch this far off as a whole is the rim of a wall, a chamfer, a shadow."""
+
+FARTHEST_PX = 1.5
+"""Nor is a step this far off, whatever its neighbours scatter."""
+
+POINT_SIGMA_PX = 0.5
+"""A point that is known worse is of no use."""
+
+MINIMUM_POINTS = 12
+"""Fewer points cannot tell an edge from a chance."""
+
+
+class _Points(NamedTuple):
+    number: Float64[Array, "n"]
+    side: Float64[Array, "n"]
+    position_px: Float64[Array, "n xy=2"]
+    normal: Float64[Array, "n xy=2"]
+    off_px: Float64[Array, "n"]
+    """From the edge of the ring that explains all of them."""
+    sigma_px: Float64[Array, "n"]
+
+
+def ring_edge_points(
+    arcs: RingArcs, trace: EdgeTrace, offset_px: Float64[Array, "n"], sigma_px: Float64[Array, "n"]
+) -> RingEdgePoints | None:
+    """Points of the ring near `arcs` from the steps found beside the places of a trace; None for too few.
+
+    A step's own sigma tells how it compares with its neighbours; what they all are worth (facets of foil, walls
+    and shadows beside the edge) shows in their scatter about the ring.
+    """
+    position = trace.place_px + offset_px[:, None] * trace.normal
+    off_px = beyond_px(arcs, trace, offset_px)
+    steps = _Points(trace.number, trace.side, position, trace.normal, off_px, np.hypot(sigma_px, BLUR_SIGMA_PX))
+    steps = _chosen(steps, ~_displaced(steps))
+    steps = _without_outliers(steps._replace(sigma_px=steps.sigma_px * _scale(steps)))
+    points = _grouped(steps)
+    points = points._replace(sigma_px=np.hypot(points.sigma_px, BLUR_SIGMA_PX))
+    points = _without_outliers(points._replace(sigma_px=points.sigma_px * np.maximum(_scale(points), 1.0)))
+    known = points.sigma_px < POINT_SIGMA_PX
+    if np.count_nonzero(known) < MINIMUM_POINTS:
+        return None
+    return RingEdgePoints(
+        position_px=points.position_px[known],
+        normal=points.normal[known],
+        sigma_px=points.sigma_px[known],
+        edge=(points.side[known] < 0).astype(np.int64),
+    )
+
+
+def _without_outliers(points: _Points) -> _Points:
+    kept = np.abs(points.off_px) < np.minimum(OUTLIER_SIGMAS * points.sigma_px, FARTHEST_PX)
+    return _chosen(points, kept)
+
+
+def _chosen(points: _Points, which: Bool[Array, "n"]) -> _Points:
+    return _Points(*(part[which] for part in points))
+
+
+def _grouped(steps: _Points) -> _Points:
+    """Weighted means of neighbouring steps, along the inner edge first."""
+    key = np.floor(steps.number / GROUP)
+    begins = np.append(True, (np.diff(key) != 0) | (np.diff(steps.side) != 0))[: len(key)]
+    group = np.cumsum(begins) - 1
+    weight = steps.sigma_px**-2
+    total = np.bincount(group, weight)
+
+    def mean(values: Float64[Array, "n"]) -> Float64[Array, "m"]:
+        return np.bincount(group, weight * values) / total
+
+    number, side, off_px = mean(steps.number), mean(steps.side), mean(steps.off_px)
+    position = np.stack([mean(steps.position_px[:, axis]) for axis in (0, 1)], axis=-1)
+    normal = np.stack([mean(steps.normal[:, axis]) for axis in (0, 1)], axis=-1)
+    normal /= np.hypot(*normal.T)[:, None]
+    return _Points(number, side, position, normal, off_px, total**-0.5)
+
+
+def _scale(points: _Points) -> Float64[Array, "n"]:
+    """Root mean square of the deviations in sigmas, over a stretch of the same edge."""
+    scale = np.ones(len(points.side))
+    deviation = np.abs(points.off_px / points.sigma_px)
+    for here in _edges(points):
+        near = _stretches(deviation[here])
+        middle = np.sort(near, axis=-1)[:, near.shape[1] // 2, None]
+        near = np.minimum(near, OUTLIER_SIGMAS * 1.4826 * middle)
+        squares = np.einsum("ij,ij->i", near, near)
+        scale[here] = np.sqrt((squares + SHARED * squares.mean() / near.shape[1]) / (near.shape[1] + SHARED))
+    return np.maximum(scale, 1e-3)
+
+
+def _displaced(points: _Points) -> Bool[Array, "n"]:
+    """Whether a stretch is off the ring as a whole, much the same everywhere: another edge beside it."""
+    displaced = np.zeros(len(points.side), dtype=bool)
+    for here in _edges(points):
+        near = _stretches(points.off_px[here])
+        middle = near.mean(axis=-1)
+        variance = np.einsum("ij,ij->i", near, near) / near.shape[1] - middle**2
+        displaced[here] = (np.abs(middle) > DISPLACED_PX) & (middle**2 > variance)
+    return displaced
+
+
+def _edges(points: _Points) -> list[Int64[Array, "m"]]:
+    """Indices of the points on the inner and on the outer edge, if there are enough for a stretch."""
+    edges = [np.flatnonzero(points.side == side) for side in (1.0, -1.0)]
+    return [here for here in edges if len(here) >= 2]
+
+
+def _stretches(values: Float64[Array, "n"]) -> Float64[Array, "n near"]:
+    """The values of each one's neighbours, mirrored at the ends."""
+    half = min(STRETCH, len(values)) // 2
+    mirrored = np.concatenate([values[half - 1 :: -1], values, values[: -half - 1 : -1]])
+    near: Float64[Array, "n near"] = mirrored[np.arange(len(values))[:, None] + np.arange(2 * half + 1)]
+    return near

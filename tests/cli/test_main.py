@@ -79,7 +79,12 @@ def test_help_imports_nothing_heavy(started, command):
 RENDERED = Path(__file__).parents[1] / "data" / "rig_b"
 NEEDLESS = (
     *("scipy", "rich", "jaxtyping", "pydantic", "asyncio", "unittest", "numpy.ma", "importlib.metadata", "tempfile"),
-    *("ringpose.detect.segments", "ringpose.pose.closed_form", "ringpose.pose.other_frame", "ringpose.files.matlab"),
+    *(
+        "ringpose.detect.line_segments",
+        "ringpose.pose.closed_form",
+        "ringpose.pose.other_frame",
+        "ringpose.files.matlab",
+    ),
 )
 
 

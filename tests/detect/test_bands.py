@@ -4,8 +4,8 @@ import numpy as np
 
 from ringpose.bench.speed import exact_break_points, moved
 from ringpose.bench.stripe_images import Kind, stripe_image
-from ringpose.detect.bands import BAND_PX, BESIDE_PX, predicted_bands
-from ringpose.detect.stripe_centers import find_stripes
+from ringpose.detect.pipeline import BAND_PX, BESIDE_PX, predicted_bands
+from ringpose.detect.stripes import find_stripes
 
 IMAGE = stripe_image(Kind.DARK, 0)
 

@@ -5,7 +5,7 @@ import pytest
 from drawn_scene import DrawnScene, light
 
 from ringpose.detect.pipeline import detect
-from ringpose.detect.stripe_centers import find_stripes
+from ringpose.detect.stripes import find_stripes
 from ringpose.types.detection import BreakPoints
 from ringpose.types.frame import Shot
 

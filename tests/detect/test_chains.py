@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from ringpose.detect.chains import edge_chains
-from ringpose.detect.gradient import Gradient, image_gradient
+from ringpose.detect.line_segments import Gradient, edge_chains, image_gradient
 
 RIGHT, DOWN = 0, 2
 MARGIN = 4

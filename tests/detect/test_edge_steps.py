@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from ringpose.detect.edge_steps import edge_profiles, edge_steps
+from ringpose.detect.edge_search import edge_profiles, edge_steps
 
 COUNT = 40
 

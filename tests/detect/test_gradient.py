@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ringpose.detect.gradient import (
+from ringpose.detect.line_segments import (
     LARGEST_STEPS,
     STEPS_PER_DN,
     eight_bit,

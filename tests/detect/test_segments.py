@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import ndtr
 
-from ringpose.detect.chains import Chains
-from ringpose.detect.segments import SegmentParameters, find_segments, straight_pieces
+from ringpose.detect.line_segments import Chains, SegmentParameters, find_segments, straight_pieces
 from ringpose.types.options import SegmentMethod
 
 RIGHT, DOWN, UP, RISING, FALLING = (1, 0), (0, 1), (0, -1), (1, -1), (1, 1)

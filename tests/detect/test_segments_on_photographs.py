@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.detect.segments import find_segments
+from ringpose.detect.line_segments import find_segments
 from ringpose.types.options import SegmentMethod
 
 

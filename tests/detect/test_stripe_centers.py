@@ -6,7 +6,7 @@ import pytest
 from ringpose.bench.detectors_break_points import center_errors
 from ringpose.bench.detectors_spread import joined
 from ringpose.bench.stripe_images import Kind, stripe_image
-from ringpose.detect.stripe_centers import find_stripes
+from ringpose.detect.stripes import find_stripes
 
 CONTRAST, SPECKLED_PEAK, SPECKLED_NOISE = 0.2, 120.0, 1.5
 

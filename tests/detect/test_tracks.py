@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from ringpose.detect.break_points import mark_rules
-from ringpose.detect.tracks import straight_tracks
+from ringpose.detect.stripes import straight_tracks
 from ringpose.kernels.ends import marked_ends
 from ringpose.types.camera import Camera
 from ringpose.types.detection import Stripes

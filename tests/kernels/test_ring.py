@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from drawn_scene import DrawnScene, drawn_rig, true_break_points
 
-from ringpose.detect.tracks import lens
+from ringpose.detect.stripes import lens
 from ringpose.geometry.rays import intersect, rays
 from ringpose.kernels.lines import arc_fit
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 
 from ringpose.bench.stripe_images import Kind, stripe_rig, switched_frames
-from ringpose.detect.stripe_filters import stripe_filters
+from ringpose.detect.stripes import stripe_filters
 from ringpose.kernels import _kernels
 from ringpose.kernels.stripes import Filters, StripeRules, stripes
 

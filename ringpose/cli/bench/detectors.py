@@ -84,7 +84,7 @@ def _photographs(
 ) -> "dict[str, list[KnownImage]]":
     """The images by size: what differs in size is not one group."""
     from ringpose.bench.detectors import KnownImage
-    from ringpose.detect.gradient import eight_bit
+    from ringpose.detect.line_segments import eight_bit
     from ringpose.files.images import IMAGE_SUFFIXES, read_image
     from ringpose.files.inputs import inputs
     from ringpose.files.lines import lines_beside, read_lines
