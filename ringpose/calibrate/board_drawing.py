@@ -6,7 +6,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ringpose.calibrate.board_points import corner_points, is_white, marker_corners, outline_m
+from ringpose.calibrate.boards.layout import corner_points, is_white, marker_corners, outline_m
 from ringpose.calibrate.markers import marker_dictionary
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board

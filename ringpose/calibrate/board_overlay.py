@@ -6,8 +6,8 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from ringpose.calibrate.board_failures import NoBoard
-from ringpose.calibrate.board_views import grey_8_bit
+from ringpose.calibrate.boards.diagnostics import NoBoard
+from ringpose.calibrate.boards.views import grey_8_bit
 from ringpose.types.arrays import Array, UInt, UInt8
 from ringpose.types.board import BoardView
 from ringpose.types.calibration import StripeView

@@ -6,24 +6,23 @@ from dataclasses import replace
 import numpy as np
 
 from ringpose.calibrate.board_pose import board_pose, residuals
-from ringpose.calibrate.camera_model import PLUMB_BOB, CameraModel
-from ringpose.calibrate.camera_outliers import (
-    LARGEST_VIEW_SHARE,
-    outlying_corners,
-    outlying_view,
-    view_reason,
-    whole_markers,
-)
-from ringpose.calibrate.camera_solution import (
+from ringpose.calibrate.camera.bundle_adjustment import (
     CameraSolution,
     blank_camera,
     camera_solution,
     corners_of,
     undetermined,
 )
-from ringpose.calibrate.intrinsics import covariance_of_free, parameter_names
+from ringpose.calibrate.camera.outliers import (
+    LARGEST_VIEW_SHARE,
+    outlying_corners,
+    outlying_view,
+    view_explanation,
+    view_reason,
+    whole_markers,
+)
+from ringpose.calibrate.camera.parameters import PLUMB_BOB, CameraModel, covariance_of_free, parameter_names
 from ringpose.calibrate.lens_bends import without_bends
-from ringpose.calibrate.view_reasons import view_explanation
 from ringpose.types.arrays import Array, Bool
 from ringpose.types.board import BoardView
 from ringpose.types.calibration import CameraCalibration, CameraView

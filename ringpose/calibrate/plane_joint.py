@@ -11,12 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.calibrate.board_pose import moved_pose, residuals
-from ringpose.calibrate.corner_likeness import by_independent_errors, corner_residuals
-from ringpose.calibrate.corner_sigmas import LEAST_SIGMA_PX
-from ringpose.calibrate.intrinsics import camera_with, parameter_names, parameters_of, projection_jacobians
+from ringpose.calibrate.boards.corner_errors import LEAST_SIGMA_PX, by_independent_errors, corner_residuals
+from ringpose.calibrate.camera.parameters import camera_with, parameter_names, parameters_of, projection_jacobians
 from ringpose.calibrate.normal_spread import normal_spread
-from ringpose.calibrate.stripe_errors import center_sigma_px, shared_length, stripe_bend
-from ringpose.calibrate.stripe_residuals import stripe_rows
+from ringpose.calibrate.planes.stripe_errors import center_sigma_px, shared_length, stripe_bend, stripe_rows
 from ringpose.errors import DataError
 from ringpose.geometry.rays import rays, undistorted_pixels
 from ringpose.geometry.rotations import tilted

@@ -4,10 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ringpose.calibrate.laser_fit import LARGEST_CONDITION
-from ringpose.calibrate.laser_geometry import middle_outside_rad, order_with_angles, plane_angles
-from ringpose.calibrate.plane_uncertainty import depth_uncertainty
-from ringpose.calibrate.ring_uncertainty import of_camera, ring_center_sd_m, stripes_apart_m
+from ringpose.calibrate.planes.covariance import depth_uncertainty, of_camera, ring_center_sd_m, stripes_apart_m
+from ringpose.calibrate.planes.plane_fit import LARGEST_CONDITION
+from ringpose.calibrate.planes.quality import middle_outside_rad, order_with_angles, plane_angles
 from ringpose.types.calibration import LaserCalibration, PlanesCalibration
 from ringpose.types.rig import LaserPlanes
 from ringpose.types.verdict import Finding, Verdict

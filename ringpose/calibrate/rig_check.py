@@ -5,13 +5,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.calibrate.corner_likeness import by_independent_errors, likeliest_pose
-from ringpose.calibrate.corner_sigmas import LEAST_SIGMA_PX, corner_sigma_px
-from ringpose.calibrate.intrinsics import parameter_names, projection_jacobians
-from ringpose.calibrate.plane_points import triangulated
-from ringpose.calibrate.stripe_errors import center_sigma_px, shared_length, stripe_bend
-from ringpose.calibrate.stripe_labels import labelled_by_planes
-from ringpose.calibrate.stripe_residuals import StripeRows, stripe_rows
+from ringpose.calibrate.boards.corner_errors import (
+    LEAST_SIGMA_PX,
+    by_independent_errors,
+    corner_sigma_px,
+    likeliest_pose,
+)
+from ringpose.calibrate.camera.parameters import parameter_names, projection_jacobians
+from ringpose.calibrate.planes.board_surface import triangulated
+from ringpose.calibrate.planes.labels import labelled_by_planes
+from ringpose.calibrate.planes.stripe_errors import StripeRows, center_sigma_px, shared_length, stripe_bend, stripe_rows
 from ringpose.geometry.rays import rays, undistorted_pixels
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose, BoardView

@@ -4,10 +4,9 @@ from collections.abc import Callable, Sequence
 from hashlib import sha256
 from pathlib import Path
 
-from ringpose.calibrate.board_failures import NoBoard
-from ringpose.calibrate.board_image import board_image
 from ringpose.calibrate.board_overlay import board_overlay
-from ringpose.calibrate.board_views import find_board
+from ringpose.calibrate.boards.diagnostics import NoBoard
+from ringpose.calibrate.boards.views import board_image, find_board
 from ringpose.calibrate.markers import marker_dictionary
 from ringpose.cli import messages
 from ringpose.cli.batch import Batch

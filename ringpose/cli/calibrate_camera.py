@@ -12,7 +12,7 @@ from ringpose.cli.options import BoardFile, Force, ImageChannel, Overlay, Quiet,
 from ringpose.types.options import DistortionModel
 
 if TYPE_CHECKING:
-    from ringpose.calibrate.camera_model import CameraModel
+    from ringpose.calibrate.camera.parameters import CameraModel
     from ringpose.cli.board_views import BoardImages
     from ringpose.types.calibration import CameraAssessment, CameraCalibration
     from ringpose.types.verdict import Verdict
@@ -60,7 +60,7 @@ def calibrate_camera(
         printed(print_board, board, "charuco", force=force, quiet=quiet)
         return
 
-    from ringpose.calibrate.camera_model import CameraModel
+    from ringpose.calibrate.camera.parameters import CameraModel
     from ringpose.cli.batch import Batch
     from ringpose.cli.board_views import BoardImages
     from ringpose.cli.calibration_outputs import refuse_existing_outputs
@@ -102,9 +102,8 @@ class _Writing(NamedTuple):
 def _calibrate(images: "BoardImages", asked: _Asked, writing: _Writing, board: Path) -> int:
     """The exit status that the verdict asks for."""
     from ringpose.calibrate.camera import calibrate_camera as calibrated
-    from ringpose.calibrate.camera_assessment import camera_assessment, widened
-    from ringpose.calibrate.camera_quality import camera_summary
-    from ringpose.calibrate.camera_verdict import camera_verdict
+    from ringpose.calibrate.camera.assessment import camera_assessment, widened
+    from ringpose.calibrate.camera.quality import camera_summary, camera_verdict
     from ringpose.cli.calibration_outputs import say_verdict
 
     found = calibrated(images.views, images.width, images.height, asked.model, asked.camera_name)
@@ -122,7 +121,7 @@ def _write(
     writing: _Writing,
     read: list[Path],
 ) -> None:
-    from ringpose.calibrate.camera_quality import camera_quality
+    from ringpose.calibrate.camera.quality import camera_quality
     from ringpose.files.cameras import write_camera
     from ringpose.files.pages import write_page
 

@@ -12,7 +12,7 @@ from ringpose.cli.options import BoardFile, Force, ImageChannel, Overlay, Quiet,
 from ringpose.types.options import PlanesMethod
 
 if TYPE_CHECKING:
-    from ringpose.calibrate.planes_quality import PlanesAssessment
+    from ringpose.calibrate.planes.quality import PlanesAssessment
     from ringpose.cli.batch import Batch
     from ringpose.cli.stripe_images import StripeImages
     from ringpose.types.arrays import Array, Float64
@@ -134,7 +134,7 @@ def calibrate_planes(
 
 
 def _calibrate(shots: list[str], reading: _Reading, writing: _Writing, method: PlanesMethod, free_camera: bool) -> None:
-    from ringpose.calibrate.planes_quality import planes_summary
+    from ringpose.calibrate.planes.quality import planes_summary
     from ringpose.cli.batch import Batch
     from ringpose.cli.calibration_outputs import refuse_existing_outputs, say_verdict
     from ringpose.errors import NO_POSE, DataError
@@ -175,9 +175,9 @@ def _say_contradicting(assessment: "PlanesAssessment", batch: "Batch") -> None:
 def _assessment(
     stripes: "StripeImages", method: PlanesMethod, free_camera: bool, writing: _Writing
 ) -> "PlanesAssessment":
-    from ringpose.calibrate.board_layout import marker_size_findings
-    from ringpose.calibrate.planes import calibrate_planes as calibrated
-    from ringpose.calibrate.planes_quality import PlanesAssessment
+    from ringpose.calibrate.boards.layout import marker_size_findings
+    from ringpose.calibrate.planes.pipeline import calibrate_planes as calibrated
+    from ringpose.calibrate.planes.quality import PlanesAssessment
     from ringpose.calibrate.planes_verdict import planes_verdict
     from ringpose.errors import DataError
     from ringpose.types.verdict import Verdict
@@ -208,7 +208,7 @@ def _write(
 ) -> None:
     from dataclasses import replace
 
-    from ringpose.calibrate.planes_quality import calibrated_rig, planes_quality
+    from ringpose.calibrate.planes.quality import calibrated_rig, planes_quality
     from ringpose.files.pages import write_page
     from ringpose.files.rigs import write_rig
 

@@ -3,15 +3,14 @@
 from dataclasses import replace
 from itertools import pairwise
 
-from ringpose.calibrate.board_image import dark_image
 from ringpose.calibrate.board_motion import STILL_PX, board_shift_px
 from ringpose.calibrate.board_overlay import stripe_overlay
 from ringpose.calibrate.board_pose import board_pose
-from ringpose.calibrate.board_surface import board_surface
-from ringpose.calibrate.laser_names import THREE, laser_names, laser_order, lasers_named
-from ringpose.calibrate.planes import PlanesModel, calibrate_planes
-from ringpose.calibrate.stripe_lines import stripes_seen
-from ringpose.calibrate.stripe_views import stripe_view
+from ringpose.calibrate.boards.views import dark_image
+from ringpose.calibrate.planes.board_surface import board_surface
+from ringpose.calibrate.planes.labels import THREE, laser_names, laser_order, lasers_named
+from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
+from ringpose.calibrate.planes.stripes import stripe_view, stripes_seen
 from ringpose.cli import messages
 from ringpose.cli.board_views import BoardImages
 from ringpose.errors import DataError, UsageError

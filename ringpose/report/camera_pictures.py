@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from ringpose.calibrate.camera_outliers import FLOOR_PX, VIEW_FACTOR
+from ringpose.calibrate.camera.outliers import FLOOR_PX, VIEW_FACTOR
 from ringpose.report.canvas import canvas, drawn, png_of
 from ringpose.report.page import Picture
 from ringpose.types.arrays import Array, Float64

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ringpose.calibrate.camera_quality import projection_sigma_m
-from ringpose.calibrate.intrinsics import parameters_of
+from ringpose.calibrate.camera.parameters import parameters_of
+from ringpose.calibrate.camera.quality import projection_sigma_m
 from ringpose.report.camera_pictures import (
     comparison_picture,
     coverage_picture,

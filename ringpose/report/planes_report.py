@@ -3,8 +3,8 @@
 import numpy as np
 from matplotlib.axes import Axes
 
-from ringpose.calibrate.plane_uncertainty import depth_uncertainty
-from ringpose.calibrate.planes_quality import PlanesAssessment, planes_summary
+from ringpose.calibrate.planes.covariance import depth_uncertainty
+from ringpose.calibrate.planes.quality import PlanesAssessment, planes_summary
 from ringpose.calibrate.planes_verdict import GOOD_DEPTH_SHARE, GOOD_SHARE
 from ringpose.report.canvas import canvas, drawn, png_of
 from ringpose.report.page import Picture, Section, Table, page

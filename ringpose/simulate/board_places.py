@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ringpose.calibrate.board_points import outline_m
+from ringpose.calibrate.boards.layout import outline_m
 from ringpose.simulate.trajectory import picture_ray
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board

@@ -6,7 +6,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ringpose.calibrate.board_points import is_white, marker_corners, outline_m
+from ringpose.calibrate.boards.layout import is_white, marker_corners, outline_m
 from ringpose.calibrate.markers import marker_dictionary
 from ringpose.simulate.target import EMPTY
 from ringpose.types.arrays import Array, Bool, Float64, Int8, UInt8

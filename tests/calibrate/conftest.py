@@ -93,7 +93,7 @@ def board_view() -> Callable[..., BoardView]:
 @pytest.fixture(scope="session")
 def stripe_views(board_view, plane_board) -> Callable[..., list[StripeView]]:
     """Makes views of the four-marker board with three stripes, with noise of corners and stripes in pixels."""
-    from ringpose.calibrate.board_points import corner_points
+    from ringpose.calibrate.boards.layout import corner_points
 
     points_m = corner_points(plane_board)
 

@@ -5,12 +5,11 @@ from dataclasses import replace
 
 import pytest
 
-from ringpose.calibrate.board_bow import FLAT_SIGMAS, bow_finding
-from ringpose.calibrate.board_points import corner_points
+from ringpose.calibrate.boards.layout import corner_points
 from ringpose.calibrate.camera import calibrate_camera
-from ringpose.calibrate.camera_assessment import camera_assessment
-from ringpose.calibrate.camera_model import PLUMB_BOB
-from ringpose.calibrate.camera_solution import CameraSolution, camera_solution
+from ringpose.calibrate.camera.assessment import FLAT_SIGMAS, bow_finding, camera_assessment
+from ringpose.calibrate.camera.bundle_adjustment import CameraSolution, camera_solution
+from ringpose.calibrate.camera.parameters import PLUMB_BOB
 from ringpose.types.board import Board, BoardView
 
 POINTS = corner_points(Board(kind="chessboard", squares_x=12, squares_y=10, square_m=0.025))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ringpose.calibrate.board_drawing import A4_BOARDS, RIM_M, board_drawing
-from ringpose.calibrate.board_points import outline_m
+from ringpose.calibrate.boards.layout import outline_m
 from ringpose.types.board import Board
 
 CHESSBOARD = Board(kind="chessboard", squares_x=9, squares_y=6, square_m=0.04)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from drawn_boards import BOARDS, CHARUCO, CHESSBOARD, FOUR, GRID
 
-from ringpose.calibrate.board_failures import BoardFailure, NoBoard, charuco_failure, edge_width_px
-from ringpose.calibrate.board_views import find_board
+from ringpose.calibrate.boards.diagnostics import BoardFailure, NoBoard, charuco_failure, edge_width_px
+from ringpose.calibrate.boards.views import find_board
 from ringpose.calibrate.markers import find_markers, marker_dictionary
 
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from drawn_boards import CHARUCO, CHESSBOARD, FOUR, GRID
 
-from ringpose.calibrate.board_layout import marker_layout, marker_size_findings
-from ringpose.calibrate.board_points import marker_corners
-from ringpose.calibrate.board_views import find_board
+from ringpose.calibrate.boards.layout import marker_corners, marker_layout, marker_size_findings
+from ringpose.calibrate.boards.views import find_board
 from ringpose.calibrate.markers import Markers
 from ringpose.types.verdict import Grade
 

@@ -5,7 +5,7 @@ import pytest
 from drawn_boards import FOUR
 
 from ringpose.calibrate.board_motion import STILL_PX, board_shift_px
-from ringpose.calibrate.board_views import find_board
+from ringpose.calibrate.boards.views import find_board
 from ringpose.types.frame import Shot
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from drawn_boards import CHARUCO, CHESSBOARD, FOUR
 
-from ringpose.calibrate.board_failures import NoBoard
-from ringpose.calibrate.board_views import find_board
-from ringpose.calibrate.circle_centers import circle_middles
+from ringpose.calibrate.boards.circles import circle_middles
+from ringpose.calibrate.boards.diagnostics import NoBoard
+from ringpose.calibrate.boards.views import find_board
 from ringpose.files.dictionaries import read_dictionary
 from ringpose.types.board import Board
 

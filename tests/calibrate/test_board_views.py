@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from drawn_boards import BOARDS, CHARUCO, CHESSBOARD, FOUR, GRID
 
-from ringpose.calibrate.board_points import corner_points, marker_corners
-from ringpose.calibrate.board_views import find_board
+from ringpose.calibrate.boards.layout import corner_points, marker_corners
+from ringpose.calibrate.boards.views import find_board
 from ringpose.errors import DataError
 from ringpose.types.board import Board
 

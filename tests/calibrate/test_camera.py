@@ -6,12 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.calibrate.board_failures import NoBoard
-from ringpose.calibrate.board_points import corner_points
-from ringpose.calibrate.board_views import find_board
+from ringpose.calibrate.boards.diagnostics import NoBoard
+from ringpose.calibrate.boards.layout import corner_points
+from ringpose.calibrate.boards.views import find_board
 from ringpose.calibrate.camera import calibrate_camera
-from ringpose.calibrate.camera_model import CameraModel
-from ringpose.calibrate.intrinsics import parameters_of
+from ringpose.calibrate.camera.parameters import CameraModel, parameters_of
 from ringpose.errors import DataError
 from ringpose.types.board import Board, BoardView
 

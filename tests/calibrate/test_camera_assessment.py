@@ -8,15 +8,19 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.calibrate.board_points import corner_points
+from ringpose.calibrate.boards.layout import corner_points
 from ringpose.calibrate.camera import calibrate_camera
-from ringpose.calibrate.camera_assessment import camera_assessment, widened
-from ringpose.calibrate.camera_model import PLUMB_BOB
-from ringpose.calibrate.camera_quality import camera_quality, camera_summary, projection_sigma_m
-from ringpose.calibrate.camera_solution import camera_solution
-from ringpose.calibrate.camera_verdict import camera_verdict
-from ringpose.calibrate.cross_validation import cameras_one_step_away, cameras_without_one
-from ringpose.calibrate.projection_map import displacement_px, image_map, projection_sigma_px
+from ringpose.calibrate.camera.assessment import camera_assessment, widened
+from ringpose.calibrate.camera.bundle_adjustment import camera_solution
+from ringpose.calibrate.camera.parameters import PLUMB_BOB
+from ringpose.calibrate.camera.quality import camera_quality, camera_summary, camera_verdict, projection_sigma_m
+from ringpose.calibrate.camera.validation import (
+    cameras_one_step_away,
+    cameras_without_one,
+    displacement_px,
+    image_map,
+    projection_sigma_px,
+)
 from ringpose.types.board import Board, BoardView
 from ringpose.types.verdict import Grade, Verdict
 

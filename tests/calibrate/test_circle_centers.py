@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.calibrate.board_points import corner_points
-from ringpose.calibrate.board_views import find_board
-from ringpose.calibrate.circle_centers import circle_middles
+from ringpose.calibrate.boards.circles import circle_middles
+from ringpose.calibrate.boards.layout import corner_points
+from ringpose.calibrate.boards.views import find_board
 from ringpose.types.board import Board
 
 BOARD = Board(kind="asymmetric_circles", squares_x=4, squares_y=7, spacing_m=0.02)

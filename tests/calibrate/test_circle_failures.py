@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.calibrate.board_failures import BoardFailure
-from ringpose.calibrate.board_views import find_board
+from ringpose.calibrate.boards.diagnostics import BoardFailure
+from ringpose.calibrate.boards.views import find_board
 from ringpose.types.board import Board
 
 BOARD = Board(kind="asymmetric_circles", squares_x=4, squares_y=11, spacing_m=0.02)

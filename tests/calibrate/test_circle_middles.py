@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from ringpose.calibrate.circle_middles import levelled_middles
+from ringpose.calibrate.boards.circles import levelled_middles
 
 MIDDLE_PX = np.array([40.37, 38.81])
 BLUR_PX = 1.1

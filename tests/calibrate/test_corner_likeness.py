@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringpose.calibrate.corner_likeness import by_independent_errors, end_of_likeness, likeness_of_ends
+from ringpose.calibrate.boards.corner_errors import by_independent_errors, end_of_likeness, likeness_of_ends
 from ringpose.types.board import BoardView
 
 SQUARE = np.array([[0.0, 0.0], [100.0, 0.0], [100.0, 100.0], [0.0, 100.0]])

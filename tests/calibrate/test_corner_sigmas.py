@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ringpose.calibrate.board_pose import board_pose
-from ringpose.calibrate.corner_sigmas import corner_sigmas_px, with_shared_errors
+from ringpose.calibrate.boards.corner_errors import corner_sigmas_px, with_shared_errors
 from ringpose.types.calibration import StripeView
 
 SIGMA_PX = 0.02

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringpose.calibrate.coverage import coverage
+from ringpose.calibrate.camera.assessment import coverage
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.calibration import CameraCalibration, CameraView
 

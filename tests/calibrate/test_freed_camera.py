@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringpose.calibrate.intrinsics import parameters_of
+from ringpose.calibrate.camera.parameters import parameters_of
 from ringpose.cli.main import main
 from ringpose.files.rigs import read_rig
 from ringpose.geometry.rotations import tilt_basis

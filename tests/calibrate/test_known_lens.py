@@ -6,13 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.calibrate.board_points import corner_points
+from ringpose.calibrate.boards.layout import corner_points
 from ringpose.calibrate.camera import calibrate_camera
-from ringpose.calibrate.camera_assessment import camera_assessment
-from ringpose.calibrate.camera_model import CameraModel
-from ringpose.calibrate.camera_quality import camera_quality, camera_summary
-from ringpose.calibrate.camera_verdict import camera_verdict
-from ringpose.calibrate.projection_map import displacement_px, image_map, known_lens, projection_sigma_px
+from ringpose.calibrate.camera.assessment import camera_assessment
+from ringpose.calibrate.camera.parameters import CameraModel
+from ringpose.calibrate.camera.quality import camera_quality, camera_summary, camera_verdict
+from ringpose.calibrate.camera.validation import displacement_px, image_map, known_lens, projection_sigma_px
 from ringpose.types.board import Board, BoardView
 from ringpose.types.camera import Camera
 

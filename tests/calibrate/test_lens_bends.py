@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.calibrate.circle_centers import seen_offsets
-from ringpose.calibrate.corner_likeness import likeness_of_ends
+from ringpose.calibrate.boards.circles import seen_offsets
+from ringpose.calibrate.boards.corner_errors import likeness_of_ends
 from ringpose.calibrate.lens_bends import without_bends
 from ringpose.types.board import BoardView
 

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from ringpose.calibrate.board_points import corner_points
-from ringpose.calibrate.chessboard import refined_corners
-from ringpose.calibrate.levelled_corners import levelled_corners
+from ringpose.calibrate.boards.chessboard import levelled_corners, refined_corners
+from ringpose.calibrate.boards.layout import corner_points
 from ringpose.types.board import Board
 
 BOARD = Board(kind="chessboard", squares_x=8, squares_y=7, square_m=0.02)

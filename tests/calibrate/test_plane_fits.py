@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringpose.calibrate.plane_fits import paper_plane, robust_plane
+from ringpose.calibrate.planes.plane_fit import paper_plane, robust_plane
 
 
 def test_the_papers_plane_and_the_nearest_plane_agree_on_exact_points(rng):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from ringpose.calibrate.planes import PlanesModel, calibrate_planes
+from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.errors import DataError
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.covariance import ParameterCovariance

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from ringpose.calibrate.board_views import find_board
-from ringpose.calibrate.planes import PlanesModel, calibrate_planes
-from ringpose.calibrate.stripe_views import stripe_view
+from ringpose.calibrate.boards.views import find_board
+from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
+from ringpose.calibrate.planes.stripes import stripe_view
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.board import Board
 from ringpose.types.camera import Camera

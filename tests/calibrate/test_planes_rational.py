@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from ringpose.calibrate.board_points import corner_points
-from ringpose.calibrate.intrinsics import camera_with, parameters_of
-from ringpose.calibrate.planes import PlanesModel, calibrate_planes
-from ringpose.calibrate.planes_quality import calibrated_rig
+from ringpose.calibrate.boards.layout import corner_points
+from ringpose.calibrate.camera.parameters import camera_with, parameters_of
+from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
+from ringpose.calibrate.planes.quality import calibrated_rig
 from ringpose.files.rigs import read_rig, write_rig
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.board import BoardView

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.calibrate.intrinsics import camera_with, parameters_of
+from ringpose.calibrate.camera.parameters import camera_with, parameters_of
 from ringpose.cli.main import main
 from ringpose.detect.pipeline import detect
 from ringpose.files.boards import read_board

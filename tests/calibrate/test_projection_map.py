@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringpose.calibrate.projection_map import displacement_px, image_map
+from ringpose.calibrate.camera.validation import displacement_px, image_map
 
 
 def test_a_turned_camera_frame_displaces_nothing(true_camera):

@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 import scipy.io
 
-from ringpose.calibrate.board_failures import NoBoard
-from ringpose.calibrate.board_views import find_board
+from ringpose.calibrate.boards.diagnostics import NoBoard
+from ringpose.calibrate.boards.views import find_board
 from ringpose.calibrate.camera import calibrate_camera
-from ringpose.calibrate.camera_assessment import camera_assessment, widened
-from ringpose.calibrate.camera_model import CameraModel
-from ringpose.calibrate.camera_verdict import camera_verdict
-from ringpose.calibrate.intrinsics import parameters_of
+from ringpose.calibrate.camera.assessment import camera_assessment, widened
+from ringpose.calibrate.camera.parameters import CameraModel, parameters_of
+from ringpose.calibrate.camera.quality import camera_verdict
 from ringpose.types.board import Board, BoardView
 from ringpose.types.calibration import CameraAssessment, CameraCalibration
 from ringpose.types.verdict import Grade

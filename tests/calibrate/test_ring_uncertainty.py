@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringpose.calibrate.ring_uncertainty import of_camera, ring_center_sd_m, stripes_apart_m
+from ringpose.calibrate.planes.covariance import of_camera, ring_center_sd_m, stripes_apart_m
 from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.rig import LaserPlanes
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ringpose.calibrate.board_pose import board_pose
-from ringpose.calibrate.planes import PlanesModel, calibrate_planes
+from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.types.board import BoardPose
 
 MODEL = PlanesModel(names=("left", "middle", "right"))

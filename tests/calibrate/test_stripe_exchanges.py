@@ -6,7 +6,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from ringpose.calibrate.planes import PlanesModel, calibrate_planes
+from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.errors import DataError
 from ringpose.types.calibration import StripeView
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from ringpose.calibrate.board_pose import moved_pose
-from ringpose.calibrate.intrinsics import camera_with, parameters_of
-from ringpose.calibrate.stripe_residuals import stripe_rows
+from ringpose.calibrate.camera.parameters import camera_with, parameters_of
+from ringpose.calibrate.planes.stripe_errors import stripe_rows
 from ringpose.geometry.rays import rays
 from ringpose.geometry.rotations import tilted
 from ringpose.types.board import BoardPose

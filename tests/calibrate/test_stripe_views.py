@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 import scipy.io
 
-from ringpose.calibrate.board_image import board_image
-from ringpose.calibrate.board_views import find_board
+from ringpose.calibrate.boards.views import board_image, find_board
 from ringpose.calibrate.camera import calibrate_camera
-from ringpose.calibrate.camera_model import CameraModel
-from ringpose.calibrate.planes import PlanesModel, calibrate_planes
-from ringpose.calibrate.stripe_views import stripe_view
+from ringpose.calibrate.camera.parameters import CameraModel
+from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
+from ringpose.calibrate.planes.stripes import stripe_view
 from ringpose.geometry.rotations import angle_between
 from ringpose.types.board import Board
 from ringpose.types.calibration import PlanesCalibration

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringpose.calibrate.planes import PlanesModel, calibrate_planes
+from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.errors import DataError
 
 MODEL = PlanesModel(names=("left", "middle", "right"))

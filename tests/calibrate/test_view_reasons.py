@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringpose.calibrate.board_points import corner_points
+from ringpose.calibrate.boards.layout import corner_points
 from ringpose.calibrate.camera import calibrate_camera
-from ringpose.calibrate.other_camera import other_camera_finding
+from ringpose.calibrate.camera.outliers import other_camera_finding
 from ringpose.types.board import Board, BoardView
 from ringpose.types.verdict import Grade
 

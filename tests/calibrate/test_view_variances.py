@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringpose.calibrate.view_variances import moderated_variances
+from ringpose.calibrate.boards.corner_errors import moderated_variances
 
 FREEDOM = np.full(60, 26.0)
 

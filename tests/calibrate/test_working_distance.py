@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.calibrate.planes import PlanesModel, calibrate_planes
+from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes_verdict import planes_verdict
 from ringpose.types.verdict import Grade
 

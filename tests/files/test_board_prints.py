@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ringpose.calibrate.board_drawing import A4_BOARDS, board_drawing
-from ringpose.calibrate.board_views import find_board
+from ringpose.calibrate.boards.views import find_board
 from ringpose.errors import UsageError
 from ringpose.files.board_prints import pdf, write_board_print
 from ringpose.types.board import Board, BoardView

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.calibrate.board_points import corner_points
-from ringpose.calibrate.board_views import find_board
+from ringpose.calibrate.boards.layout import corner_points
+from ringpose.calibrate.boards.views import find_board
 from ringpose.geometry.rays import project
 from ringpose.simulate.board_places import board_places, middle_of_board_m
 from ringpose.simulate.board_target import board_target

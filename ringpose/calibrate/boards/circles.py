@@ -1,0 +1,254 @@
+"""Centres of the circles of an asymmetric grid in an image (ringpose-method(7), section 7).
+
+A tilted circle is seen as an ellipse whose middle is not where the circle's centre is seen: its near half is seen
+larger. The difference grows with the square of the radius, which is measured by the dark area.
+
+Middles of dark ellipses where the light is uneven (ringpose-method(7), section 7).
+
+A threshold cuts deeper into a circle on the side where there is less light: where it falls by a thousandth a pixel,
+OpenCV's middles of circles are 0.01 px aside. Here each pixel's share of ink is measured between the levels of ink
+and paper, both linear functions of place, and an ellipse with a blurred edge is moved and widened until it has these.
+"""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from scipy.special import ndtr
+
+from ringpose.calibrate.boards.image_patch import grey_around
+from ringpose.calibrate.edge_profile import LEAST_BLUR_PX
+from ringpose.types.arrays import Array, Bool, Float64, UInt8
+
+_ROUNDS = 2
+
+DIM_DN, BRIGHT_DN = 110.0, 200.0
+"""Paper darker than this is made so bright that circles are looked for at several levels between it and their ink."""
+
+WHITE_PERCENT = 98
+"""Of the pixels are darker than the brightest paper."""
+
+LOWEST_CONTRAST_DN = 10.0
+"""Below this a circle's area tells nothing."""
+
+_SHARES = (-0.5, 1.5)
+"""What a pixel may be of ink, with its noise: cut off at 0, paper would be part of the circle."""
+
+
+class CircleCenters(NamedTuple):
+    """Where circles' centres are seen."""
+
+    points_px: Float64[Array, "corner xy=2"]
+    radius_m: float
+    """Of all circles; zero if it cannot be told."""
+
+
+def circle_centers(
+    grey: UInt8[Array, "row column"], points_m: Float64[Array, "corner xyz=3"], columns: int, rows: int
+) -> CircleCenters | None:
+    """Where the circles' centres are seen, whose places on the board are given; None if not all are found."""
+    middles_px = circle_middles(grey, columns, rows)
+    if middles_px is None:
+        return None
+    homography = _homography(points_m, middles_px)
+    radius_m = _radius_m(grey, middles_px, points_m[:, :2], homography)
+    for _ in range(_ROUNDS if radius_m else 0):
+        middles_px = levelled_middles(grey, middles_px, circle_conics(points_m[:, :2], radius_m, homography))
+        homography = _homography(points_m, middles_px)
+    return CircleCenters(middles_px - ellipse_offsets(points_m[:, :2], radius_m, homography), radius_m)
+
+
+def _homography(
+    points_m: Float64[Array, "corner xyz=3"], middles_px: Float64[Array, "corner xy=2"]
+) -> Float64[Array, "3 3"]:
+    return np.asarray(cv2.findHomography(points_m[:, :2], middles_px)[0], dtype=np.float64)
+
+
+def circle_middles(grey: UInt8[Array, "row column"], columns: int, rows: int) -> Float64[Array, "corner xy=2"] | None:
+    """The middles of the ellipses that the image shows; None if not all are found."""
+    flags = cv2.CALIB_CB_ASYMMETRIC_GRID | cv2.CALIB_CB_CLUSTERING
+    found, middles = cv2.findCirclesGrid(brightened(grey), (columns, rows), flags=flags)
+    return np.asarray(middles, dtype=np.float64).reshape(-1, 2) if found else None
+
+
+def brightened(grey: UInt8[Array, "row column"]) -> UInt8[Array, "row column"]:
+    """A dark image as bright as others are: OpenCV looks for circles at levels of 50 grey values and more alone."""
+    white = float(np.percentile(grey, WHITE_PERCENT))
+    if not 0 < white < DIM_DN:
+        return grey
+    return np.rint(np.minimum(grey * (BRIGHT_DN / white), 255.0)).astype(np.uint8)
+
+
+def ellipse_offsets(
+    centers_m: Float64[Array, "corner xy=2"], radius_m: float, homography: Float64[Array, "3 3"]
+) -> Float64[Array, "corner xy=2"]:
+    """Middle of the ellipse less the image of the centre, for circles on a plane."""
+    middles = _conic_middles(circle_conics(centers_m, radius_m, homography))
+    offsets: Float64[Array, "corner xy=2"] = middles - cv2.perspectiveTransform(centers_m[None], homography)[0]
+    return offsets
+
+
+def seen_offsets(
+    points_m: Float64[Array, "corner xyz=3"], points_px: Float64[Array, "corner xy=2"], radius_m: float
+) -> Float64[Array, "corner xy=2"]:
+    """The same for circles that are seen in these places, as if nothing but perspective had put them there."""
+    return ellipse_offsets(points_m[:, :2], radius_m, _homography(points_m, points_px))
+
+
+def circle_conics(
+    centers_m: Float64[Array, "corner xy=2"], radius_m: float, homography: Float64[Array, "3 3"]
+) -> Float64[Array, "corner 3 3"]:
+    """The circles' conics in the image: C becomes H^-T C H^-1."""
+    inverse = np.linalg.inv(homography)
+    conics = np.zeros((len(centers_m), 3, 3))
+    conics[:, 0, 0] = conics[:, 1, 1] = 1.0
+    conics[:, :2, 2] = conics[:, 2, :2] = -centers_m
+    conics[:, 2, 2] = np.sum(centers_m**2, axis=1) - radius_m**2
+    seen: Float64[Array, "corner 3 3"] = inverse.T @ conics @ inverse
+    return seen
+
+
+def _conic_middles(conics: Float64[Array, "corner 3 3"]) -> Float64[Array, "corner xy=2"]:
+    """A conic's middle is the pole of the line at infinity."""
+    middles: Float64[Array, "corner xy=2"] = np.linalg.solve(conics[:, :2, :2], -conics[:, :2, 2:])[..., 0]
+    return middles
+
+
+def _radius_m(
+    grey: UInt8[Array, "row column"],
+    middles_px: Float64[Array, "corner xy=2"],
+    centers_m: Float64[Array, "corner xy=2"],
+    homography: Float64[Array, "3 3"],
+) -> float:
+    """The circles' common radius, by the dark area of each and the scale there; zero where no area can be told."""
+    distance = np.linalg.norm(middles_px[:, None] - middles_px, axis=-1)
+    np.fill_diagonal(distance, np.inf)
+    areas_px = np.array(
+        [_dark_area(grey, middle, 0.5 * float(near)) for middle, near in zip(middles_px, distance.min(1), strict=True)]
+    )
+    weight = centers_m @ homography[2, :2] + homography[2, 2]
+    scale = abs(float(np.linalg.det(homography))) / np.abs(weight) ** 3
+    told = np.isfinite(areas_px)
+    return float(np.sqrt(np.median(areas_px[told] / scale[told]) / np.pi)) if told.any() else 0.0
+
+
+def _dark_area(grey: UInt8[Array, "row column"], middle: Float64[Array, "xy=2"], reach: float) -> float:
+    """Pixels that are dark about a circle's middle, parts counted; NaN at the image's rim and without contrast."""
+    around = grey_around(grey, middle, int(reach))
+    if around is None:
+        return float("nan")
+    patch, offset = around
+    away = np.hypot(offset[..., 0], offset[..., 1])
+    rim = patch[(away > reach - 2.0) & (away <= reach)]
+    heart = patch[away < 2.0]
+    if not len(rim) or not len(heart) or np.median(rim) - np.median(heart) < LOWEST_CONTRAST_DN:
+        return float("nan")
+    bright, dark = float(np.median(rim)), float(np.median(heart))
+    share = np.clip((bright - patch) / (bright - dark), *_SHARES)
+    return float(share[away <= reach].sum())
+
+
+BAND_PX = 4.0
+"""Half width of the band about the ellipse in which a blurred edge has its mixture of ink and paper."""
+
+RIM_PX = 4.0
+"""Width of the paper around it that tells the level of the light."""
+
+FEWEST = 20
+"""Pixels of paper, below which its level is not known; ink needs as many for a level that is not even."""
+
+
+def levelled_middles(
+    grey: UInt8[Array, "row column"],
+    middles_px: Float64[Array, "circle xy=2"],
+    conics: Float64[Array, "circle 3 3"],
+) -> Float64[Array, "circle xy=2"]:
+    """The middles by the ink's edges; one that cannot be told keeps its place.
+
+    Each ellipse has the size and shape of its conic, wherever that lies, and the middle that is given.
+    """
+    found = [_middle(grey, *one) for one in zip(middles_px, conics, strict=True)]
+    return np.array([start if one is None else one for start, one in zip(middles_px, found, strict=True)])
+
+
+def _middle(
+    grey: UInt8[Array, "row column"], middle: Float64[Array, "xy=2"], conic: Float64[Array, "3 3"]
+) -> Float64[Array, "xy=2"] | None:
+    shape, extent = _shape(conic)
+    half = int(np.ceil(extent + BAND_PX + RIM_PX))
+    around = grey_around(grey, middle, half)
+    if around is None:
+        return None
+    patch, offset = around
+    outside = _outside_px(offset, shape)
+    share = _dark_share(patch, offset, outside)
+    if share is None:
+        return None
+    step = _step(share, outside, offset @ shape)
+    return middle + step if np.linalg.norm(step) < BAND_PX / 2 else None
+
+
+def _step(
+    share: Float64[Array, "row column"],
+    outside: Float64[Array, "row column"],
+    slope: Float64[Array, "row column xy=2"],
+) -> Float64[Array, "xy=2"]:
+    """What moves the ellipse to the shares in the band, its size free; the blur is that of the shares."""
+    band = np.abs(outside) <= BAND_PX
+    far, seen = outside[band], share[band]
+    blur_px = max(np.sqrt(np.pi / 2) * 2 * BAND_PX * float(np.mean(np.abs(seen - (far < 0)))), LEAST_BLUR_PX)
+    steep = np.exp(-0.5 * (far / blur_px) ** 2) / (blur_px * np.sqrt(2 * np.pi))
+    normal = slope[band] / np.linalg.norm(slope[band], axis=-1, keepdims=True)
+    design = steep[:, None] * np.column_stack([normal, np.ones(len(far))])
+    step: Float64[Array, "xy=2"] = np.linalg.lstsq(design, seen - ndtr(-far / blur_px))[0][:2]
+    return step
+
+
+def _shape(conic: Float64[Array, "3 3"]) -> tuple[Float64[Array, "2 2"], float]:
+    """Matrix A of the ellipse x^T A x = 1 about its middle, and its longer half axis."""
+    middle = np.append(np.linalg.solve(conic[:2, :2], -conic[:2, 2]), 1.0)
+    shape: Float64[Array, "2 2"] = conic[:2, :2] / -(middle @ conic @ middle)
+    return shape, float(1.0 / np.sqrt(np.linalg.eigvalsh(shape)[0]))
+
+
+def _outside_px(
+    offset: Float64[Array, "row column xy=2"], shape: Float64[Array, "2 2"]
+) -> Float64[Array, "row column"]:
+    """Distance from the ellipse, negative within: exact on the axes and near the ellipse."""
+    mapped = offset @ shape
+    size = np.sqrt(np.sum(mapped * offset, axis=-1))
+    steep = np.maximum(np.linalg.norm(mapped, axis=-1), 1e-9)
+    outside: Float64[Array, "row column"] = (size - 1.0) * size / steep
+    return outside
+
+
+def _dark_share(
+    patch: Float64[Array, "row column"],
+    offset: Float64[Array, "row column xy=2"],
+    outside: Float64[Array, "row column"],
+) -> Float64[Array, "row column"] | None:
+    """1 where there is ink, 0 where there is paper, measured in the band; None where the paper is not seen."""
+    paper, ink = (outside > BAND_PX) & (outside < BAND_PX + RIM_PX), outside < -BAND_PX
+    if paper.sum() < FEWEST:
+        return None
+    bright = _level(patch, offset, paper)
+    dark = _level(patch, offset, ink) if ink.sum() >= FEWEST else np.full(patch.shape, _darkest(patch, outside))
+    if (bright - dark).min() <= 0:
+        return None
+    share = (bright - patch) / (bright - dark)
+    return np.where(outside > BAND_PX, 0.0, np.where(ink, 1.0, share))
+
+
+def _darkest(patch: Float64[Array, "row column"], outside: Float64[Array, "row column"]) -> float:
+    """Grey in the middle of a small circle."""
+    return float(np.median(patch[outside <= np.partition(outside.ravel(), 4)[4]]))
+
+
+def _level(
+    patch: Float64[Array, "row column"], offset: Float64[Array, "row column xy=2"], used: Bool[Array, "row column"]
+) -> Float64[Array, "row column"]:
+    """Brightness as a linear function of place, over the whole patch."""
+    design = np.concatenate([np.ones((*patch.shape, 1)), offset], axis=-1)
+    rows = design[used]
+    plane: Float64[Array, "row column"] = design @ np.linalg.solve(rows.T @ rows, rows.T @ patch[used])
+    return plane

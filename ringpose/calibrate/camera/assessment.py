@@ -1,0 +1,240 @@
+"""Everything that a camera calibration is judged by, in one call.
+
+Whether a board that is taken for flat is bowed (ringpose-method(7), section 7).
+
+A bow is the same in every view: the views agree on a wrong camera, and nothing else tells. One of 0.1 mm over a sheet
+of A4 moves the focal length by 3 to 10 of its standard deviations.
+
+Where in the image the corners lie, and how the boards stood.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ringpose.calibrate.boards.corner_errors import by_independent_errors
+from ringpose.calibrate.boards.layout import marker_size_findings
+from ringpose.calibrate.camera.bundle_adjustment import CameraSolution, ViewEquations, camera_solution, view_equations
+from ringpose.calibrate.camera.outliers import other_camera_finding
+from ringpose.calibrate.camera.parameters import CameraModel, projection_jacobians
+from ringpose.calibrate.camera.validation import (
+    cross_validation,
+    image_map,
+    known_lens,
+    model_comparison,
+    projection_sigma_px,
+    used_views,
+)
+from ringpose.calibrate.lens_bends import without_bends
+from ringpose.geometry.rotations import angle_between, rotation_vector
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.board import BoardPose, BoardView
+from ringpose.types.calibration import CameraAssessment, CameraCalibration, Coverage
+from ringpose.types.camera import Camera
+from ringpose.types.verdict import Finding
+
+CHANCE = 2.5
+"""A disagreement below 1 + this / sqrt(views - 1) is chance: of 80 sets of 8 and 15 views whose errors were noise
+alone, one came above it."""
+
+EXACT_PX = 1e-4
+"""Less than this no camera is known to: corners are taken in single precision."""
+
+DISTANCES_M = (0.2, 0.5, 1.0)
+"""Where the projection uncertainty is given in metres, if nothing else is asked for."""
+
+
+def camera_assessment(
+    calibration: CameraCalibration,
+    boards: Sequence[BoardView],
+    model: CameraModel,
+    distances_m: Sequence[float] = DISTANCES_M,
+    compare: bool = False,
+) -> CameraAssessment:
+    """Coverage, uncertainty over the image, cross-validation; on request the other distortion model.
+
+    The boards are those of all views, in their order.
+    """
+    where, used = image_map(calibration.camera), used_views(calibration, boards)
+    whole = camera_solution(used, calibration.camera, model)
+    validation = cross_validation(used, whole, model, where)
+    corners_px = np.concatenate([view.points_px[~view.left_out] for view in calibration.used])
+    known = known_lens(calibration.camera, corners_px, where)
+    sigma_px = np.where(known, projection_sigma_px(calibration.camera, where), np.nan)
+    disagreement = float(np.median(validation.jackknife_px[known]) / max(np.median(sigma_px[known]), EXACT_PX))
+    return CameraAssessment(
+        coverage=coverage(calibration, boards),
+        image_map=where,
+        sigma_px=sigma_px,
+        validation=validation,
+        disagreement=disagreement,
+        distances_m=tuple(distances_m),
+        comparison=model_comparison(used, whole, model, where) if compare else None,
+        board=(
+            other_camera_finding(calibration, boards),
+            *marker_size_findings(boards),
+            bow_finding(used, whole, model, _widening(disagreement, len(used))),
+        ),
+    )
+
+
+def widened(calibration: CameraCalibration, assessment: CameraAssessment) -> tuple[CameraCalibration, CameraAssessment]:
+    """Both with the covariance that the differences of the views ask for, where noise does not explain them.
+
+    A board that is bent, moves or glares makes errors that the corners of a view have in common; the residuals do not
+    show them, and each corner counts as if it were independent. Views are.
+    """
+    covariance = calibration.camera.covariance
+    widening = _widening(assessment.disagreement, len(calibration.used))
+    if covariance is None or widening == 1:
+        return calibration, assessment
+    camera = replace(calibration.camera, covariance=replace(covariance, data=widening**2 * covariance.data))
+    return replace(calibration, camera=camera), replace(assessment, sigma_px=widening * assessment.sigma_px)
+
+
+def _widening(disagreement: float, views: int) -> float:
+    """Factor of the standard deviations; one where views disagree by chance, or are too few to tell."""
+    return disagreement if disagreement > 1 + CHANCE / np.sqrt(views - 1) else 1.0
+
+
+FLAT_SIGMAS = 5.0
+"""Root of chi-squared of the bow's three numbers: of flat boards it is 1.5, hardly ever 4."""
+
+
+def bow_finding(
+    used: Sequence[BoardView], solution: CameraSolution, model: CameraModel, widening: float = 1.0
+) -> Finding:
+    """How surely the board is bowed: one step from a flat one, camera and poses free.
+
+    Errors of views are larger than their residuals say by the factor `widening`.
+    """
+    several = zip(used, solution.poses, solution.view_sigma_px.tolist(), strict=True)
+    rows = [_rows(without_bends(view, solution.camera), pose, solution.camera, sigma) for view, pose, sigma in several]
+    by_all, residual = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+    free = np.flatnonzero(np.append(model.free, np.ones(3)))
+    scale = np.maximum(np.linalg.norm(by_all[:, free], axis=0), 1e-300)
+    by_free = by_all[:, free] / scale
+    covariance = np.linalg.pinv(by_free.T @ by_free, hermitian=True)
+    bow = (covariance @ by_free.T @ residual)[-3:]
+    surely = float(np.sqrt(max(bow @ np.linalg.pinv(covariance[-3:, -3:], hermitian=True) @ bow, 0.0)))
+    height_m = float(np.ptp(_shapes(_places(used)) @ (bow / scale[-3:])))
+    return Finding(
+        name="bow_sigmas",
+        value=surely / widening,
+        good_limit=FLAT_SIGMAS,
+        redo_limit=np.inf,
+        advice=f"the board is not flat, by about {1e3 * height_m:.2f} mm: fix it to glass or a plate",
+    )
+
+
+def _rows(
+    view: BoardView, pose: BoardPose, camera: Camera, sigma_px: float
+) -> tuple[Float64[Array, "row column"], Float64[Array, "row"]]:
+    """Derivatives by the camera and by the bow, and residuals, less what the pose can take up."""
+    equations = view_equations(view, pose, camera, sigma_px)
+    by_pose, _ = projection_jacobians(view.points_board_m, pose, camera)
+    by_height = by_pose[..., 3:] @ pose.rotation[:, 2]
+    by_bow = (by_height[..., None] * _shapes(view.points_board_m)[:, None]).reshape(-1, 3)
+    by_bow = by_independent_errors(by_bow, view) / sigma_px
+    both = np.concatenate([equations.by_camera, by_bow], axis=1)
+    return ViewEquations(by_pose=equations.by_pose, by_camera=both, residual=equations.residual).without_pose()
+
+
+def _shapes(points_m: Float64[Array, "corner xyz=3"]) -> Float64[Array, "corner shape=3"]:
+    """Heights of surfaces of the second order; planes are the pose's."""
+    x, y = points_m[:, 0], points_m[:, 1]
+    return np.stack([x**2, x * y, y**2], axis=1)
+
+
+def _places(used: Sequence[BoardView]) -> Float64[Array, "corner xyz=3"]:
+    """All corners seen, about their middle."""
+    points = np.concatenate([view.points_board_m for view in used])
+    places: Float64[Array, "corner xyz=3"] = points - (points.min(axis=0) + points.max(axis=0)) / 2
+    return places
+
+
+CELL_COLUMNS = 8
+"""Cells across the image; as many down as make them nearly square."""
+
+BARE_SHARE = 1 / 3
+"""A ninth of the image is bare if no more of its cells have corners: a strip along one side."""
+
+SAME_RAD = np.radians(2.0)
+"""Boards that are turned by less against each other ..."""
+
+SAME_SHARE = 0.02
+"""... and lie nearer together than this share of their distance are one view, taken again."""
+
+_REGIONS = (("upper left", "top", "upper right"), ("left", "middle", "right"), ("lower left", "bottom", "lower right"))
+
+
+def coverage(calibration: CameraCalibration, boards: Sequence[BoardView]) -> Coverage:
+    """What the views that were used cover; the boards are those of all views, in their order."""
+    camera = calibration.camera
+    pairs = zip(calibration.views, boards, strict=True)
+    used = [(view, board) for view, board in pairs if not view.rejected]
+    points_px = np.concatenate([view.points_px[~view.left_out] for view, _ in used])
+    middles = [board_middle(board, view.pose) for view, board in used]
+    return Coverage(
+        corners=_counts(points_px, camera, (_cell_rows(camera), CELL_COLUMNS)).astype(np.int64),
+        bare_regions=_bare_regions(points_px, camera),
+        tilt_rad=tuple(board_tilt_rad(view.pose) for view, _ in used),
+        tilt_spread_rad=_tilt_spread([view.pose for view, _ in used]),
+        distance_m=tuple(float(np.linalg.norm(middle)) for middle in middles),
+    )
+
+
+def board_middle(board: BoardView, pose: BoardPose) -> Float64[Array, "xyz=3"]:
+    """The middle of the corners seen, in the camera frame."""
+    middle: Float64[Array, "xyz=3"] = pose.rotation @ board.points_board_m.mean(axis=0) + pose.translation_m
+    return middle
+
+
+def board_tilt_rad(pose: BoardPose) -> float:
+    """Angle between board and image; where it is zero, no perspective tells the focal length, wherever the board is."""
+    return float(angle_between(pose.rotation[:, 2], np.array([0.0, 0.0, 1.0])))
+
+
+def different_poses(poses: Sequence[BoardPose]) -> int:
+    """How many of the poses differ from all before them: a board that was not moved says the same thing again."""
+    found: list[BoardPose] = []
+    for pose in poses:
+        if not any(_alike(pose, other) for other in found):
+            found.append(pose)
+    return len(found)
+
+
+def _alike(pose: BoardPose, other: BoardPose) -> bool:
+    turn = np.linalg.norm(rotation_vector(pose.rotation.T @ other.rotation))
+    way_m = np.linalg.norm(pose.translation_m - other.translation_m)
+    return bool(turn < SAME_RAD and way_m < SAME_SHARE * np.linalg.norm(pose.translation_m))
+
+
+def _tilt_spread(poses: Sequence[BoardPose]) -> tuple[float, float]:
+    normals = np.array([pose.rotation[:2, 2] for pose in poses])
+    if len(normals) < 2:
+        return 0.0, 0.0
+    across, along = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(normals.T)), 0.0)).tolist()
+    return along, across
+
+
+def _cell_rows(camera: Camera) -> int:
+    return max(round(CELL_COLUMNS * camera.image_height / camera.image_width), 1)
+
+
+def _counts(
+    points_px: Float64[Array, "n xy=2"], camera: Camera, shape: tuple[int, int]
+) -> Float64[Array, "cell_row cell_column"]:
+    rows, columns = shape
+    edges = [(-0.5, camera.image_height - 0.5), (-0.5, camera.image_width - 0.5)]
+    counts, _, _ = np.histogram2d(points_px[:, 1], points_px[:, 0], bins=(rows, columns), range=edges)
+    found: Float64[Array, "cell_row cell_column"] = counts
+    return found
+
+
+def _bare_regions(points_px: Float64[Array, "n xy=2"], camera: Camera) -> tuple[str, ...]:
+    """Each ninth of the image is divided into nine cells again."""
+    seen = _counts(points_px, camera, (9, 9)) > 0
+    share = seen.reshape(3, 3, 3, 3).mean(axis=(1, 3))
+    return tuple(_REGIONS[row][column] for row, column in zip(*np.nonzero(share <= BARE_SHARE), strict=True))

@@ -1,0 +1,116 @@
+"""The intrinsic parameters as a vector, and their covariance with the board's poses marginalised out.
+
+Which of a camera's parameters are estimated.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ringpose.geometry.rotations import rotation_vector
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.board import BoardPose
+from ringpose.types.camera import DISTORTION_COEFFICIENTS, Camera
+from ringpose.types.covariance import camera_parameters
+
+SMALLEST_SHARE = 1e-14
+"""Of the largest eigenvalue: smaller ones are rounding, which makes variances negative."""
+
+
+def parameter_names(distortion_model: str) -> tuple[str, ...]:
+    """Names of the intrinsic parameters, in the order of their vector."""
+    return camera_parameters(DISTORTION_COEFFICIENTS[distortion_model])
+
+
+def parameters_of(camera: Camera) -> Float64[Array, "parameter"]:
+    """The vector of a camera's intrinsic parameters."""
+    matrix = camera.camera_matrix
+    return np.array(
+        [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *camera.distortion_coefficients], dtype=np.float64
+    )
+
+
+def camera_with(parameters: Float64[Array, "parameter"], camera: Camera) -> Camera:
+    """The camera with other intrinsic parameters, and without covariance."""
+    fx, fy, cx, cy = parameters[:4]
+    return Camera(
+        camera_name=camera.camera_name,
+        image_width=camera.image_width,
+        image_height=camera.image_height,
+        camera_matrix=np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]),
+        distortion_model=camera.distortion_model,
+        distortion_coefficients=parameters[4:].copy(),
+    )
+
+
+def projection_jacobians(
+    points: Float64[Array, "corner xyz=3"], pose: BoardPose, camera: Camera
+) -> tuple[Float64[Array, "corner xy=2 pose=6"], Float64[Array, "corner xy=2 parameter"]]:
+    """Derivatives of the corners' pixels by the pose (rotation vector, translation) and by the intrinsic parameters."""
+    _, jacobian = cv2.projectPoints(
+        points, rotation_vector(pose.rotation), pose.translation_m, camera.camera_matrix, camera.distortion_coefficients
+    )
+    both = np.asarray(jacobian, dtype=np.float64)
+    parameters = 4 + len(camera.distortion_coefficients)
+    both = both.reshape(len(points), 2, -1)
+    return both[..., :6], both[..., 6 : 6 + parameters]
+
+
+def damped_step(
+    information: Float64[Array, "parameter parameter"],
+    score: Float64[Array, "parameter"],
+    free: Float64[Array, "parameter"],
+    damping: float,
+) -> Float64[Array, "parameter"]:
+    """Step of the free parameters, shortened where the information tells little (Levenberg and Marquardt)."""
+    step: Float64[Array, "parameter"] = (
+        covariance_of_free(information * (1 + damping * np.eye(len(free))), free) @ score
+    )
+    return step
+
+
+def covariance_of_free(
+    information: Float64[Array, "parameter parameter"], free: Float64[Array, "parameter"]
+) -> Float64[Array, "parameter parameter"]:
+    """Covariance of the parameters that are free (1); those held fixed (0) have none."""
+    index = np.flatnonzero(free)
+    scale = np.sqrt(np.diag(information)[index])
+    inner = information[np.ix_(index, index)] / np.outer(scale, scale)
+    covariance = np.zeros_like(information)
+    size, axes = np.linalg.eigh(inner)
+    size = np.maximum(size, SMALLEST_SHARE * size[-1])
+    covariance[np.ix_(index, index)] = (axes / size @ axes.T) / np.outer(scale, scale)
+    return covariance
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CameraModel:
+    """Distortion model and what is held."""
+
+    distortion_model: str = "plumb_bob"
+    fix_k3: bool = False
+    """Hold k3 at zero: few views, or little distortion, do not determine it."""
+    zero_tangential: bool = False
+    """Hold p1 and p2 at zero."""
+    keep_all: bool = False
+    """Leave out no view and no corner, however bad, and take all for equally exact."""
+
+    @property
+    def flags(self) -> int:
+        """OpenCV's."""
+        flags = cv2.CALIB_RATIONAL_MODEL if self.distortion_model == "rational_polynomial" else 0
+        flags |= cv2.CALIB_FIX_K3 if self.fix_k3 else 0
+        flags |= cv2.CALIB_ZERO_TANGENT_DIST if self.zero_tangential else 0
+        return int(flags)
+
+    @property
+    def free(self) -> Float64[Array, "parameter"]:
+        """1 for each parameter that is estimated, 0 for each that is held."""
+        held = {"k3"} if self.fix_k3 else set()
+        held |= {"p1", "p2"} if self.zero_tangential else set()
+        return np.array([float(name not in held) for name in parameter_names(self.distortion_model)])
+
+
+PLUMB_BOB = CameraModel()
+"""All parameters of the usual model."""

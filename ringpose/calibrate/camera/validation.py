@@ -1,0 +1,275 @@
+"""How much a camera hangs on which views were taken (ringpose-method(7), section 7).
+
+The same views under two distortion models.
+
+Two cameras compared over the image, and how far one may be from the truth there (ringpose-method(7), section 7).
+
+Turning the camera frame moves all pixels alike, as a shift of the principal point does, and harms nothing that is
+calibrated with the same camera. So the turn that makes the displacements in the middle of the image least is taken
+away first: in the corners, where no board may have been, distortion that nobody knows would turn the frame instead.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from ringpose.calibrate.board_pose import board_pose
+from ringpose.calibrate.camera.bundle_adjustment import (
+    MINIMUM_VIEWS,
+    CameraSolution,
+    blank_camera,
+    camera_solution,
+    corners_of,
+)
+from ringpose.calibrate.camera.parameters import (
+    CameraModel,
+    camera_with,
+    covariance_of_free,
+    parameter_names,
+    parameters_of,
+)
+from ringpose.errors import DataError
+from ringpose.geometry.rays import project, rays
+from ringpose.types.arrays import Array, Bool, Float64
+from ringpose.types.board import BoardView
+from ringpose.types.calibration import (
+    CameraCalibration,
+    CrossValidation,
+    ImageMap,
+    LeftOutView,
+    ModelComparison,
+    ModelFit,
+)
+from ringpose.types.camera import DISTORTION_COEFFICIENTS, Camera
+from ringpose.types.covariance import ParameterCovariance
+from ringpose.types.options import DistortionModel
+
+MOST_SOLVED = 20
+"""With more views than this, leaving one out is computed by one step; solving anew takes a second for each of 60."""
+
+_EXACT_PX = 1e-6
+
+
+def used_views(calibration: CameraCalibration, boards: Sequence[BoardView]) -> list[BoardView]:
+    """The corners that a calibration used; the boards are those of all views, in their order."""
+    pairs = zip(calibration.views, boards, strict=True)
+    return [corners_of(board, ~view.left_out) for view, board in pairs if not view.rejected]
+
+
+def cross_validation(
+    used: Sequence[BoardView], whole: CameraSolution, model: CameraModel, where: ImageMap
+) -> CrossValidation:
+    """Calibrations of half the views and of all but one, beside that of all."""
+    without_one = cameras_without_one(used, whole, model)
+    shifts = [_shift_px(whole.camera, other, where) for other in without_one]
+    return CrossValidation(
+        split_half_px=_split_half_px(used, whole.camera, model, where),
+        left_out=tuple(_left_out(*one) for one in zip(used, without_one, shifts, strict=False)),
+        jackknife_px=_jackknife_px(shifts, whole, model, where),
+    )
+
+
+def cameras_without_one(used: Sequence[BoardView], whole: CameraSolution, model: CameraModel) -> list[Camera | None]:
+    """The camera of all views but one, for each view; empty if there are too few."""
+    if len(used) <= MINIMUM_VIEWS:
+        return []
+    if len(used) > MOST_SOLVED:
+        return list(cameras_one_step_away(whole, model))
+    return [_camera([*used[:index], *used[index + 1 :]], whole.camera, model) for index in range(len(used))]
+
+
+def cameras_one_step_away(whole: CameraSolution, model: CameraModel) -> list[Camera]:
+    """The same by one Gauss-Newton step from the camera of all views: of many views, one changes little."""
+    information, score = whole.parts.sum(axis=0), whole.scores.sum(axis=0)
+    steps = [
+        covariance_of_free(information - part, model.free) @ (score - own)
+        for part, own in zip(whole.parts, whole.scores, strict=True)
+    ]
+    return [camera_with(parameters_of(whole.camera) + step, whole.camera) for step in steps]
+
+
+def held_out_rms_px(view: BoardView, others: Camera | None) -> float:
+    """Of a view's corners under the camera of the other views, its pose alone fitted."""
+    return float("nan") if others is None else board_pose(view, others).residual_rms_px
+
+
+def _left_out(view: BoardView, others: Camera | None, shift_px: Float64[Array, "map_row map_column"]) -> LeftOutView:
+    return LeftOutView(name=view.name, shift_px=float(np.median(shift_px)), rms_px=held_out_rms_px(view, others))
+
+
+def _shift_px(camera: Camera, other: Camera | None, where: ImageMap) -> Float64[Array, "map_row map_column"]:
+    return _unknown(where) if other is None else displacement_px(camera, other, where)
+
+
+def _unknown(where: ImageMap) -> Float64[Array, "map_row map_column"]:
+    return np.full(where.points_px.shape[:2], np.nan)
+
+
+def _jackknife_px(
+    shifts: Sequence[Float64[Array, "map_row map_column"]], whole: CameraSolution, model: CameraModel, where: ImageMap
+) -> Float64[Array, "map_row map_column"]:
+    """The projection uncertainty times the shifts, over what noise would make them.
+
+    Views are independent of each other even where their corners are not. A camera of fewer views is that of all and an
+    independent error more, so that noise shifts it by the difference of the covariances.
+    """
+    if not shifts:
+        return _unknown(where)
+    information = whole.parts.sum(axis=0)
+    covariance = covariance_of_free(information, model.free)
+    others = [covariance_of_free(information - part, model.free) - covariance for part in whole.parts]
+    expected = [projection_sigma_px(_known_to(whole.camera, other), where) for other in others]
+    ratio = np.sum(np.square(shifts), axis=0) / np.maximum(np.sum(np.square(expected), axis=0), _EXACT_PX**2)
+    jackknife: Float64[Array, "map_row map_column"] = np.sqrt(ratio) * projection_sigma_px(
+        _known_to(whole.camera, covariance), where
+    )
+    return jackknife
+
+
+def _known_to(camera: Camera, covariance: Float64[Array, "parameter parameter"]) -> Camera:
+    names = parameter_names(camera.distortion_model)
+    return replace(camera, covariance=ParameterCovariance(parameters=names, data=covariance))
+
+
+def _split_half_px(
+    used: Sequence[BoardView], camera: Camera, model: CameraModel, where: ImageMap
+) -> Float64[Array, "map_row map_column"]:
+    """Every other view against the rest: neighbours in a series are alike."""
+    halves = [_camera(used[first::2], camera, model) for first in (0, 1)]
+    one, other = halves
+    if one is None or other is None:
+        return _unknown(where)
+    return displacement_px(one, other, where)
+
+
+def _camera(views: Sequence[BoardView], start: Camera, model: CameraModel) -> Camera | None:
+    try:
+        return camera_solution(views, start, model).camera
+    except DataError:
+        return None
+
+
+def model_comparison(
+    used: Sequence[BoardView], whole: CameraSolution, model: CameraModel, where: ImageMap
+) -> ModelComparison:
+    """The camera found beside that of the other model.
+
+    More coefficients always lower the rms. Whether they describe the lens or the noise, views tell that the camera was
+    calibrated without: only if their rms falls too is the larger model the better one.
+    """
+    other_model = replace(model, distortion_model=_other(model.distortion_model))
+    camera = whole.camera
+    blank = blank_camera(camera.camera_name, camera.image_width, camera.image_height, other_model)
+    other = camera_solution(used, blank, other_model)
+    return ModelComparison(
+        fits=(_fit(used, whole, model), _fit(used, other, other_model)),
+        difference_px=displacement_px(camera, other.camera, where),
+    )
+
+
+def _other(distortion_model: str) -> str:
+    return next(name for name in DISTORTION_COEFFICIENTS if name != distortion_model)
+
+
+def _fit(used: Sequence[BoardView], whole: CameraSolution, model: CameraModel) -> ModelFit:
+    without_one = cameras_without_one(used, whole, model) or [None] * len(used)
+    held_out = [held_out_rms_px(view, others) for view, others in zip(used, without_one, strict=True)]
+    return ModelFit(
+        distortion_model=model.distortion_model,
+        parameters=int(model.free.sum()),
+        rms_px=_pooled_px([board_pose(view, whole.camera).residual_rms_px for view in used], used),
+        held_out_rms_px=_pooled_px(held_out, used),
+    )
+
+
+def _pooled_px(rms_px: Sequence[float], views: Sequence[BoardView]) -> float:
+    """Rms over all corners, from that of each view."""
+    return float(np.sqrt(np.average(np.square(rms_px), weights=[len(view.ids) for view in views])))
+
+
+MAP_COLUMNS = 17
+"""Points along a row of the map; enough for what distortion does between them."""
+
+MIDDLE_SHARE = 0.7
+"""Of width and height of the image, in which the turn is fitted."""
+
+_TURNS = 3
+
+
+def image_map(camera: Camera) -> ImageMap:
+    """Points from edge to edge of the image, about as far apart down as across."""
+    width, height = camera.image_width - 1.0, camera.image_height - 1.0
+    rows = max(round((MAP_COLUMNS - 1) * height / max(width, 1.0)) + 1, 2)
+    row, column = np.meshgrid(np.linspace(0, height, rows), np.linspace(0, width, MAP_COLUMNS), indexing="ij")
+    return ImageMap(points_px=np.stack([column, row], axis=-1))
+
+
+def displacement_px(one: Camera, other: Camera, where: ImageMap) -> Float64[Array, "map_row map_column"]:
+    """How far from each pixel of the one camera the other sees what is seen there; NaN if it does not see it."""
+    seen = rays(where.points_px, one).reshape(-1, 3)
+    offset_px = _offset(seen, other, where)
+    for _ in range(_TURNS):
+        if not np.isfinite(offset_px).all():
+            break
+        _, by_turn = _derivatives(seen, other)
+        step = _least_turn(by_turn, -offset_px[..., None], where)[:, 0]
+        seen = seen @ np.asarray(cv2.Rodrigues(step)[0], dtype=np.float64).T
+        offset_px = _offset(seen, other, where)
+    length: Float64[Array, "map_row map_column"] = np.linalg.norm(offset_px, axis=-1).reshape(where.points_px.shape[:2])
+    return length
+
+
+def _offset(directions: Float64[Array, "n xyz=3"], camera: Camera, where: ImageMap) -> Float64[Array, "n xy=2"]:
+    return project(directions, camera) - where.points_px.reshape(-1, 2)
+
+
+def projection_sigma_px(camera: Camera, where: ImageMap) -> Float64[Array, "map_row map_column"]:
+    """Rms length of the displacement from the true camera, from the covariance of the intrinsic parameters."""
+    if camera.covariance is None:
+        return np.full(where.points_px.shape[:2], np.nan)
+    by_parameter, by_turn = _derivatives(rays(where.points_px, camera).reshape(-1, 3), camera)
+    remaining = by_parameter - by_turn @ _least_turn(by_turn, by_parameter, where)
+    variance = np.einsum("pci,ij,pcj->p", remaining, camera.covariance.data, remaining)
+    sigma: Float64[Array, "map_row map_column"] = np.sqrt(np.maximum(variance, 0.0)).reshape(where.points_px.shape[:2])
+    return sigma
+
+
+def known_lens(
+    camera: Camera, corners_px: Float64[Array, "corner xy=2"], where: ImageMap
+) -> Bool[Array, "map_row map_column"]:
+    """Where the covariance tells how far the projection is off.
+
+    A quotient of polynomials that is known along a radius may be anything beyond it: there the rational model is known
+    only as far from the principal point as the corners reach. Polynomials alone hold beyond.
+    """
+    if camera.distortion_model != DistortionModel.RATIONAL_POLYNOMIAL:
+        return np.ones(where.points_px.shape[:2], dtype=bool)
+    middle, focal = camera.camera_matrix[:2, 2], np.diag(camera.camera_matrix)[:2]
+    radius, reached = (np.linalg.norm((points - middle) / focal, axis=-1) for points in (where.points_px, corners_px))
+    known: Bool[Array, "map_row map_column"] = radius <= max(float(reached.max()), float(radius.min()))
+    return known
+
+
+def _least_turn(
+    by_turn: Float64[Array, "n xy=2 turn=3"], offset_px: Float64[Array, "n xy=2 column"], where: ImageMap
+) -> Float64[Array, "turn=3 column"]:
+    """The turn that moves the middle of the image most nearly by the offsets, for each column of them."""
+    rows, columns = where.points_px.shape[:2]
+    row, column = (np.abs(np.linspace(-1, 1, count)) <= MIDDLE_SHARE for count in (rows, columns))
+    used = np.outer(row, column).ravel()
+    turn: Float64[Array, "turn=3 column"] = np.linalg.lstsq(
+        by_turn[used].reshape(-1, 3), offset_px[used].reshape(-1, offset_px.shape[-1])
+    )[0]
+    return turn
+
+
+def _derivatives(
+    directions: Float64[Array, "n xyz=3"], camera: Camera
+) -> tuple[Float64[Array, "n xy=2 parameter"], Float64[Array, "n xy=2 turn=3"]]:
+    """Of the pixels, by the intrinsic parameters and by a small turn of the camera frame."""
+    origin = np.zeros(3)
+    jacobian = cv2.projectPoints(directions, origin, origin, camera.camera_matrix, camera.distortion_coefficients)[1]
+    both = np.asarray(jacobian, dtype=np.float64).reshape(len(directions), 2, -1)
+    return both[..., 6 : 10 + len(camera.distortion_coefficients)], both[..., :3]

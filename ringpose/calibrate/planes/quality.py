@@ -1,0 +1,307 @@
+"""What a calibration of the light planes is worth, for the file and for the reader.
+
+How the light planes lie to one another: what the maker of the lasers said can be held against it.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise, permutations
+from typing import Any
+
+import numpy as np
+
+from ringpose.calibrate.planes.covariance import RADII_M, depth_uncertainty, ring_center_sd_m
+from ringpose.calibrate.planes.labels import THREE
+from ringpose.calibrate.verdict_text import verdict_lines, verdict_values
+from ringpose.geometry.rotations import angle_between, tilt_basis
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.calibration import LaserCalibration, PlanesCalibration
+from ringpose.types.covariance import laser_parameters
+from ringpose.types.rig import Rig
+from ringpose.types.verdict import Verdict
+
+DEPTHS_M = (0.2, 0.3, 0.5, 1.0)
+"""Where the uncertainty of depths is given."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlanesAssessment:
+    """The light planes with all that they are judged by."""
+
+    calibration: PlanesCalibration
+    verdict: Verdict
+    paper: PlanesCalibration | None = None
+    """The same views by the paper's method; None where it cannot be applied."""
+    without_board: Sequence[tuple[str, str]] = ()
+    """Images that show no board, and why."""
+
+
+def calibrated_rig(calibration: PlanesCalibration) -> Rig:
+    """The rig of camera and light planes; the joint covariance, where there is one, holds the camera's too."""
+    joint = calibration.covariance is not None
+    own = replace(calibration.camera, covariance=None) if joint else calibration.camera
+    return Rig(camera=own, lasers=calibration.planes, covariance=calibration.covariance)
+
+
+def planes_quality(assessment: PlanesAssessment) -> Mapping[str, Any]:
+    """The key `quality` of rig.yaml."""
+    calibration = assessment.calibration
+    quality = {
+        "verdict": verdict_values(assessment.verdict),
+        "method": calibration.method,
+        "standard_deviations": _standard_deviations(calibration),
+        "variance_excess": float(calibration.excess),
+        "lasers": [_laser_quality(laser) for laser in calibration.lasers],
+        "angles": _angles(calibration),
+        "depth_sd_m": _depths(calibration),
+        "ring_center_sd_m": _ring_centers(calibration),
+        "boards": [
+            {"name": pose.name, "rms_px": pose.residual_rms_px, "distance_m": float(pose.translation_m[2])}
+            for pose in calibration.poses
+        ],
+        "paper": _paper(assessment),
+        "remarks": [
+            {"name": name, "reason": reason} for name, reason in (*calibration.contradicting, *calibration.remarks)
+        ],
+        "without_board": [{"name": name, "reason": reason} for name, reason in assessment.without_board],
+    }
+    return {"quality": {key: value for key, value in quality.items() if value is not None}}
+
+
+def planes_summary(assessment: PlanesAssessment) -> list[str]:
+    """The same in lines to read."""
+    calibration = assessment.calibration
+    lines = [f"{name}: {reason}" for name, reason in calibration.remarks]
+    deviations = _standard_deviations(calibration)
+    for laser in calibration.lasers:
+        lines.append(_laser_line(laser, deviations))
+        lines += _by_distance(laser)
+    for angle in plane_angles(calibration):
+        sd = f" ± {np.degrees(angle.sd_rad):.4f}" if np.isfinite(angle.sd_rad) else ""
+        lines.append(f"{angle.first} to {angle.second}: {np.degrees(angle.angle_rad):.3f}{sd} deg")
+    lines += _depth_lines(calibration) + _ring_lines(calibration)
+    for entry in _paper(assessment) or []:
+        lines.append(
+            f"{entry['name']}: by the paper's method held out {1e6 * entry['held_out_rms_m']:.0f} um, "
+            f"{np.degrees(entry['angle_rad']):.4f} deg and {1e6 * entry['offset_m']:.0f} um away"
+        )
+    return lines + verdict_lines(assessment.verdict)
+
+
+def _laser_line(laser: LaserCalibration, deviations: Mapping[str, float]) -> str:
+    points = sum(len(view.points) for view in laser.views)
+    line = f"{laser.name}: {points} points of {len(laser.views)} views, rms {1e6 * laser.rms_m:.0f} um"
+    if np.isfinite(laser.held_out_rms_m):
+        line += f", held out {1e6 * laser.held_out_rms_m:.0f} um"
+    else:
+        line += ", held out unknown (a third view would tell)"
+    if deviations:
+        tilt = np.degrees(max(deviations[f"{laser.name}.tilt_1"], deviations[f"{laser.name}.tilt_2"]))
+        line += f", tilt ± {tilt:.4f} deg, distance ± {1e6 * deviations[f'{laser.name}.distance']:.0f} um"
+    return line
+
+
+def _by_distance(laser: LaserCalibration) -> list[str]:
+    """Held-out errors of a laser's nearest and farthest view."""
+    views = sorted((view for view in laser.views if np.isfinite(view.held_out_rms_m)), key=lambda view: view.distance_m)
+    if len(views) < 2:
+        return []
+    ends = ", ".join(
+        f"{1e6 * v.held_out_rms_m:.0f} um at {v.distance_m:.2f} m ({v.name})" for v in (views[0], views[-1])
+    )
+    return [f"{laser.name}: held out {ends}"]
+
+
+def _angles(calibration: PlanesCalibration) -> dict[str, Any] | None:
+    """Between neighbouring light planes, and how far the lines that they share lie apart."""
+    angles = plane_angles(calibration)
+    if not angles:
+        return None
+    return {
+        "neighbours": [
+            {
+                "lasers": [angle.first, angle.second],
+                "angle_rad": angle.angle_rad,
+                "sd_rad": angle.sd_rad,
+                "line_point_m": angle.line_point_m,
+                "line_direction": angle.line_direction,
+            }
+            for angle in angles
+        ],
+        "common_line_gap_m": common_line_gap_m(angles),
+    }
+
+
+def _depths(calibration: PlanesCalibration) -> dict[str, Any] | None:
+    """Worst standard deviation of depths along each stripe, by distance; NaN where it is out of the image."""
+    if calibration.covariance is None:
+        return None
+    found = depth_uncertainty(calibration.camera, calibration.planes, calibration.covariance, DEPTHS_M)
+    rows = zip(calibration.planes.names, found.worst_m.tolist(), strict=True)
+    return {"distances_m": list(DEPTHS_M), "lasers": [{"name": name, "depth_sd_m": row} for name, row in rows]}
+
+
+def _depth_lines(calibration: PlanesCalibration) -> list[str]:
+    depths = _depths(calibration)
+    if depths is None:
+        return []
+    lines = []
+    for entry in depths["lasers"]:
+        known = [(z, sd) for z, sd in zip(depths["distances_m"], entry["depth_sd_m"], strict=True) if np.isfinite(sd)]
+        if known:
+            said = ", ".join(f"{1e3 * sd:.2f} mm at {z:g} m" for z, sd in known)
+            lines.append(f"{entry['name']}: depths are known to {said} (one sigma)")
+    return lines
+
+
+def _ring_centers(calibration: PlanesCalibration) -> dict[str, Any] | None:
+    """Of a ring by this calibration alone, along the camera's axes; NaN where its edges miss a stripe."""
+    if calibration.covariance is None:
+        return None
+    camera, lasers, covariance = calibration.camera, calibration.planes, calibration.covariance
+    sd = [ring_center_sd_m(camera, lasers, covariance, distance_m).tolist() for distance_m in DEPTHS_M]
+    return {"radii_m": list(RADII_M), "distances_m": list(DEPTHS_M), "sd_m": sd}
+
+
+def _ring_lines(calibration: PlanesCalibration) -> list[str]:
+    found = _ring_centers(calibration)
+    if found is None:
+        return []
+    known = [(z, max(sd)) for z, sd in zip(found["distances_m"], found["sd_m"], strict=True) if np.isfinite(sd).all()]
+    said = ", ".join(f"{1e3 * sd:.2f} mm at {z:g} m" for z, sd in known)
+    return [f"by this calibration a ring's centre (radius {RADII_M[1]:g} m) is known to {said}"] if known else []
+
+
+def _paper(assessment: PlanesAssessment) -> list[dict[str, Any]] | None:
+    """The planes by the paper's method beside these."""
+    if assessment.paper is None:
+        return None
+    return [
+        {
+            "name": own.name,
+            "rms_m": other.rms_m,
+            "held_out_rms_m": other.held_out_rms_m,
+            "angle_rad": float(angle_between(own.normal, other.normal)),
+            "offset_m": _offset_m(own, other),
+        }
+        for own, other in zip(assessment.calibration.lasers, assessment.paper.lasers, strict=True)
+    ]
+
+
+def _offset_m(own: LaserCalibration, other: LaserCalibration) -> float:
+    """Distance of the middle of the points from the other plane."""
+    middle = np.concatenate([view.points for view in own.views]).mean(axis=0)
+    return abs(float(middle @ other.normal - other.distance_m))
+
+
+def _standard_deviations(calibration: PlanesCalibration) -> dict[str, float]:
+    """Of the light planes' parameters."""
+    covariance = calibration.covariance
+    every = {} if covariance is None else covariance.standard_deviations
+    return {name: value for name, value in every.items() if "." in name}
+
+
+def _laser_quality(laser: LaserCalibration) -> dict[str, Any]:
+    return {
+        "name": laser.name,
+        "rms_m": laser.rms_m,
+        "held_out_rms_m": laser.held_out_rms_m,
+        "condition": laser.condition,
+        "disagreement": float(laser.disagreement),
+        "views": [
+            {
+                "name": view.name,
+                "points": len(view.points),
+                "distance_m": view.distance_m,
+                "rms_m": view.rms_m,
+                "held_out_rms_m": view.held_out_rms_m,
+            }
+            for view in laser.views
+        ],
+    }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PlaneAngle:
+    """The angle between two neighbouring light planes, and the line that they share."""
+
+    first: str
+    second: str
+    angle_rad: float
+    sd_rad: float
+    """NaN where there is no covariance."""
+    line_point_m: Float64[Array, "xyz=3"]
+    """The point of their common line that is nearest to the camera; one projector stands on all such lines."""
+    line_direction: Float64[Array, "xyz=3"]
+
+
+def plane_angles(calibration: PlanesCalibration) -> list[PlaneAngle]:
+    """Of neighbours, in the order of the lasers; none with one laser."""
+    return [_angle(calibration, first, first + 1) for first, _ in pairwise(range(len(calibration.lasers)))]
+
+
+def middle_outside_rad(calibration: PlanesCalibration) -> float | None:
+    """By how much the plane that is called middle lies outside those called left and right; None without such names.
+
+    The plane between two others makes a smaller angle with each than they make with each other.
+    """
+    planes = dict(zip(calibration.planes.names, calibration.planes.normal, strict=True))
+    if set(planes) != set(THREE):
+        return None
+    left, middle, right = (planes[name] for name in THREE)
+    inner = max(float(angle_between(left, middle)), float(angle_between(middle, right)))
+    return max(inner - float(angle_between(left, right)), 0.0)
+
+
+def order_with_angles(
+    calibration: PlanesCalibration, expected_rad: Sequence[float], tolerance_rad: float
+) -> tuple[str, ...] | None:
+    """Another order of the lasers whose neighbours have the expected angles; None if none has, or the own one has."""
+    normals = calibration.planes.normal
+    angles = np.array([[float(angle_between(own, other)) for other in normals] for own in normals])
+    for way in permutations(range(len(normals))):
+        found = np.array([angles[pair] for pair in pairwise(way)])
+        if np.all(np.abs(found - np.array(expected_rad)) < tolerance_rad):
+            return tuple(calibration.planes.names[laser] for laser in way) if way != tuple(sorted(way)) else None
+    return None
+
+
+def common_line_gap_m(angles: list[PlaneAngle]) -> float:
+    """Largest distance between neighbouring planes' lines, at their points nearest to the camera; NaN for one line."""
+    points = [angle.line_point_m for angle in angles]
+    return max((float(np.linalg.norm(after - before)) for before, after in pairwise(points)), default=float("nan"))
+
+
+def _angle(calibration: PlanesCalibration, first: int, second: int) -> PlaneAngle:
+    normals, distances_m = calibration.planes.normal, calibration.planes.distance_m
+    pair = normals[[first, second]]
+    direction = np.cross(*pair)
+    length = float(np.linalg.norm(direction))
+    point, *_ = np.linalg.lstsq(pair, distances_m[[first, second]], rcond=1e-9)
+    return PlaneAngle(
+        first=calibration.lasers[first].name,
+        second=calibration.lasers[second].name,
+        angle_rad=float(angle_between(pair[0], pair[1])),
+        sd_rad=_angle_sd_rad(calibration, first, second),
+        line_point_m=point,
+        line_direction=direction / length if length > 0 else np.full(3, np.nan),
+    )
+
+
+def _angle_sd_rad(calibration: PlanesCalibration, first: int, second: int) -> float:
+    """To first order: each normal's tilt towards the other changes the angle by as much."""
+    covariance = calibration.covariance
+    if covariance is None:
+        return float("nan")
+    names = [name for laser in (first, second) for name in laser_parameters([calibration.lasers[laser].name])[:2]]
+    places = [covariance.parameters.index(name) for name in names]
+    own, other = calibration.planes.normal[[first, second]]
+    jacobian = np.concatenate([-_towards(own, other), -_towards(other, own)])
+    return float(np.sqrt(max(jacobian @ covariance.data[np.ix_(places, places)] @ jacobian, 0.0)))
+
+
+def _towards(normal: Float64[Array, "xyz=3"], other: Float64[Array, "xyz=3"]) -> Float64[Array, "2"]:
+    """Direction in the tilt basis of `normal` that leads to the other normal; zero if they are one."""
+    leaning = tilt_basis(normal) @ other
+    length = float(np.linalg.norm(leaning))
+    return leaning / length if length > 0 else leaning

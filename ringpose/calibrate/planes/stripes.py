@@ -1,0 +1,283 @@
+"""A shot of the board -> its view with the stripes, labelled where the frames say which laser was on.
+
+The stripes' straight lines among all ridges of one frame.
+
+On a plane a light plane draws a straight line, in the undistorted image too. Lines are found one after the other,
+the one that carries the most light first; what lies beside the board's plane, and texture, fits none.
+
+Why a frame does not show as many stripes on the board as lasers are on.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from ringpose.calibrate.board_pose import board_pose
+from ringpose.calibrate.boards.image_patch import in_full_image, reduced
+from ringpose.calibrate.boards.layout import outline_m
+from ringpose.calibrate.boards.views import dark_image
+from ringpose.calibrate.normal_spread import normal_spread
+from ringpose.calibrate.planes.board_surface import BoardSurface, board_surface
+from ringpose.detect.stripes import find_stripes
+from ringpose.geometry.rays import project, undistorted_pixels
+from ringpose.types.arrays import Array, Bool, Float64, UInt
+from ringpose.types.board import Board, BoardView
+from ringpose.types.calibration import StripeView
+from ringpose.types.camera import Camera
+from ringpose.types.detection import Stripes
+from ringpose.types.frame import Frame, Shot
+from ringpose.types.sequence import MOST_LASERS
+
+_NOTHING = np.empty((0, 2))
+
+
+def stripe_view(
+    shot: Shot, view: BoardView, board: Board, camera: Camera, lasers: int, surround_m: float = 0.0
+) -> StripeView:
+    """The stripes that each frame shows on the board's plane.
+
+    Frames with one laser on say which it is. Those with several are used for what no such frame shows.
+    """
+    surface = board_surface(shot, board, board_pose(view, camera), camera, surround_m)
+    dark = dark_image(shot)
+    every = (1 << lasers) - 1
+    labelled: dict[int, Float64[Array, "_ xy=2"]] = {}
+    unlabelled: tuple[Float64[Array, "_ xy=2"], ...] = ()
+    remarks: list[str] = []
+    most = 0
+    for frame in sorted(shot.frames, key=lambda frame: (frame.lasers & every).bit_count()):
+        on = [laser for laser in range(lasers) if frame.lasers >> laser & 1]
+        if not on or all(laser in labelled for laser in on):
+            continue
+        stripes, remark = _stripes(frame, dark, surface, on, shot.saturation_dn)
+        most = max(most, len(stripes))
+        if remark:
+            remarks += [] if remarks and len(on) > 1 else [remark]
+        elif len(on) == 1:
+            labelled[on[0]] = stripes[0]
+        elif len(on) == lasers and not unlabelled:
+            unlabelled = stripes
+    return StripeView(
+        board=view,
+        stripes_px=tuple(labelled.get(laser, _NOTHING) for laser in range(lasers)),
+        unlabelled_px=unlabelled,
+        remarks=tuple(remarks),
+        lit=frozenset(laser for laser in range(lasers) if (shot.lasers >> laser & 1).any()),
+        most_stripes=most,
+    )
+
+
+def _stripes(
+    frame: Frame, dark: np.ndarray | None, surface: BoardSurface, on: list[int], saturation_dn: int
+) -> tuple[tuple[Float64[Array, "_ xy=2"], ...], str]:
+    """The frame's stripes in their order across the image, and why they are not as many as lasers are on."""
+    lines = stripe_lines(frame.image, dark, surface, len(on))
+    lines.sort(key=lambda line: line.position_px)
+    stripes = tuple(line.points_px for line in lines)
+    if len(lines) != len(on):
+        return stripes, stripe_failure(frame.image, dark, surface, len(lines), on, saturation_dn)
+    return stripes, ""
+
+
+NEAR_PX = 1.5
+"""Centres within this distance of a line belong to it, before its own scatter is known."""
+
+TRIALS = 300
+"""Random pairs tried for each line: with a fifth of the light on the line, all miss it once in 200 000 frames."""
+
+MINIMUM_CENTERS = 40
+"""Fewer centres on one line are texture or dust."""
+
+RIVAL_SHARE = 0.5
+"""A line more than the lasers that are on, with this share of the weakest one's light, makes the frame ambiguous."""
+
+OUTLIER_SIGMAS = 3.5
+
+SHRINKINGS = (1, 2, 4)
+"""Factors by which a frame is made smaller until its stripes are as narrow as the stripe finder wants them: a stripe
+that is saturated or out of focus has two ridges, its shoulders, where it is 15 px wide, and one where it is 4."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StripeLine:
+    """Centres of one stripe on the board."""
+
+    points_px: Float64[Array, "n xy=2"]
+    light: float
+    """Sum of the peaks."""
+    upright: bool
+    """True if it runs along the columns rather than along the rows."""
+
+    @property
+    def position_px(self) -> float:
+        """Mean position across: down the image, or to the right for an upright stripe."""
+        return float(self.points_px[:, 0 if self.upright else 1].mean())
+
+
+def stripe_lines(
+    image: UInt[Array, "row column"],
+    dark: UInt[Array, "row column"] | None,
+    surface: BoardSurface,
+    lasers: int,
+) -> list[StripeLine]:
+    """One line for each laser that is on, brightest first; fewer or more if the frame does not show as many."""
+    found: list[StripeLine] = []
+    for shrinking in SHRINKINGS:
+        lines = _lines_at_scale(image, dark, surface, lasers, shrinking)
+        if len(lines) == lasers:
+            return lines
+        found = found or lines
+    return found
+
+
+def stripes_seen(
+    image: UInt[Array, "row column"], dark: UInt[Array, "row column"] | None, surface: BoardSurface
+) -> int:
+    """How many lines about as bright as the brightest a frame shows, where nobody knows how many lasers are on."""
+    counts = []
+    for shrinking in (SHRINKINGS[0], SHRINKINGS[-1]):
+        lines = _lines_at_scale(image, dark, surface, MOST_LASERS, shrinking)
+        brightest = max((line.light for line in lines), default=0.0)
+        counts.append(sum(line.light > RIVAL_SHARE * brightest for line in lines))
+    return min((count for count in counts if count), default=0)
+
+
+def _lines_at_scale(
+    image: UInt[Array, "row column"],
+    dark: UInt[Array, "row column"] | None,
+    surface: BoardSurface,
+    lasers: int,
+    shrinking: int,
+) -> list[StripeLine]:
+    """The lines, and one more if it rivals them: all lying, or all upright."""
+    small, small_dark = reduced(image, shrinking), None if dark is None else reduced(dark, shrinking)
+    lying = _lines(find_stripes(small, small_dark), surface, lasers + 1, shrinking, upright=False)
+    turned = find_stripes(_turned(small), None if small_dark is None else _turned(small_dark))
+    upright = _lines(turned, surface, lasers + 1, shrinking, upright=True)
+    best = max(lying, upright, key=lambda lines: sum(line.light for line in lines[:lasers]))
+    rivals = [line for line in best[lasers:] if line.light > RIVAL_SHARE * best[lasers - 1].light]
+    return best[:lasers] + rivals
+
+
+def _turned(image: UInt[Array, "row column"]) -> UInt[Array, "column row"]:
+    turned: UInt[Array, "column row"] = np.ascontiguousarray(image.T)
+    return turned
+
+
+def _lines(stripes: Stripes, surface: BoardSurface, most: int, shrinking: int, upright: bool) -> list[StripeLine]:
+    """The lines among the stripe centres of a frame that was shrunk, and turned if they are upright."""
+    centers_px = in_full_image(stripes.position_px, shrinking)
+    points_px = centers_px[:, ::-1].copy() if upright else centers_px
+    usable = surface.usable(points_px)
+    points_px, peak = points_px[usable], stripes.peak_dn[usable]
+    straight = undistorted_pixels(points_px, surface.camera) / shrinking
+    straight = straight[:, ::-1].copy() if upright else straight
+    lines: list[StripeLine] = []
+    rng = np.random.default_rng(0)
+    while len(lines) < most and len(points_px) >= MINIMUM_CENTERS:
+        on_line = _on_brightest_line(straight, peak, rng)
+        if on_line.sum() < MINIMUM_CENTERS:
+            break
+        clean = on_line & _clean(straight, on_line)
+        lines.append(StripeLine(points_px=points_px[clean], light=float(peak[clean].sum()), upright=upright))
+        rest = ~on_line
+        points_px, peak, straight = points_px[rest], peak[rest], straight[rest]
+    return lines
+
+
+def _on_brightest_line(
+    points: Float64[Array, "n xy=2"], peak: Float64[Array, "n"], rng: np.random.Generator
+) -> Bool[Array, "n"]:
+    """Centres near the lying line y = a + b x that carries the most light."""
+    pairs = rng.choice(len(points), size=(TRIALS, 2), p=peak / peak.sum())
+    first, second = points[pairs[:, 0]], points[pairs[:, 1]]
+    run = second[:, 0] - first[:, 0]
+    apart = np.abs(run) > MINIMUM_CENTERS
+    slope = (second[apart, 1] - first[apart, 1]) / run[apart]
+    lying = np.abs(slope) < 1.0
+    best = np.zeros(len(points), dtype=bool)
+    most = 0.0
+    for start, gradient in zip(first[apart][lying], slope[lying], strict=True):
+        near = np.abs(points[:, 1] - start[1] - gradient * (points[:, 0] - start[0])) < NEAR_PX
+        light = float(peak[near].sum())
+        if light > most:
+            best, most = near, light
+    return best
+
+
+def _clean(points: Float64[Array, "n xy=2"], on_line: Bool[Array, "n"]) -> Bool[Array, "n"]:
+    """Those of a line's centres that lie within its own scatter of its least-squares fit."""
+    used = on_line
+    for _ in range(3):
+        line = np.polynomial.polynomial.polyfit(points[used, 0], points[used, 1], 1)
+        residual = np.abs(points[:, 1] - np.polynomial.polynomial.polyval(points[:, 0], line))
+        limit = OUTLIER_SIGMAS * normal_spread(residual[used])
+        used = on_line & (residual <= max(limit, 1e-6))
+    return used
+
+
+FAINT_SIGMAS = 8.0
+"""A board on which nothing stands out by so many standard deviations of its noise shows no laser at all."""
+
+FULL_SHARE = 0.02
+"""Of a board's pixels; more of them full are no stripe's, which covers 1 % of it."""
+
+WIDEST_PX = 25.0
+"""Full width at half its height that a stripe has at most: a quarter of the size is the least that is searched."""
+
+_SMOOTHING_PX = 2.0
+
+
+def stripe_failure(
+    image: UInt[Array, "row column"],
+    dark: UInt[Array, "row column"] | None,
+    surface: BoardSurface,
+    found: int,
+    on: list[int],
+    saturation_dn: int,
+) -> str:
+    """The reason in words, with what was measured; `found` stripes where the lasers `on` are on."""
+    lasers = f"{len(on)} lasers are on" if len(on) > 1 else f"laser {on[0] + 1} is on"
+    if found > len(on):
+        return f"more stripes on the board where {lasers}: reflections, or another light?"
+    said = f"{found} stripe{'s' * (found != 1)} on the board where {lasers}"
+    board = _on_board(surface, image.shape)
+    if not board.any():
+        return f"{said}: the board is out of the image"
+    full = float(np.mean(image[board] >= saturation_dn))
+    if full > FULL_SHARE:
+        return f"{said}: {100 * full:.0f} % of the board is saturated"
+    lit = image[board].astype(np.float64) - (0.0 if dark is None else dark[board])
+    background = float(np.median(lit))
+    noise = max(normal_spread(lit - background), 1.0)
+    brightest = float(np.percentile(lit, 99.8)) - background
+    width_px = 0.0 if dark is None else _width_px(image, dark, board, background + brightest / 2)
+    if brightest > FAINT_SIGMAS and width_px > WIDEST_PX:
+        return f"{said}: blurred, or not the lasers' light: {width_px:.0f} px wide at half its height"
+    if brightest < FAINT_SIGMAS * noise:
+        most = f"nothing stands out by more than {brightest:.0f} of {saturation_dn} grey values"
+        return f"{said}: too dark, or beside the board: {most}"
+    return f"{said}: missing or cut off, though something is {brightest:.0f} grey values bright"
+
+
+def _width_px(
+    image: UInt[Array, "row column"], dark: UInt[Array, "row column"], board: Bool[Array, "row column"], half_dn: float
+) -> float:
+    """Width, where it is largest, of what the lasers make brighter than this."""
+    lit = cv2.GaussianBlur(image.astype(np.float32) - dark, (0, 0), _SMOOTHING_PX)
+    bright = ((lit > half_dn) & board).astype(np.uint8)
+    return 2.0 * float(cv2.distanceTransform(bright, cv2.DIST_L2, 5).max())
+
+
+def _on_board(surface: BoardSurface, shape: tuple[int, ...]) -> Bool[Array, "row column"]:
+    """The pixels of the board's printed face."""
+    width, height = outline_m(surface.board)
+    corners = np.array([[0.0, 0.0, 0.0], [width, 0.0, 0.0], [width, height, 0.0], [0.0, height, 0.0]])
+    pixels: Float64[Array, "4 2"] = project(
+        corners @ surface.pose.rotation.T + surface.pose.translation_m, surface.camera
+    )
+    mask = np.zeros(shape, dtype=np.uint8)
+    if np.isfinite(pixels).all():
+        cv2.fillConvexPoly(mask, np.rint(pixels).astype(np.int32), 1)
+    return mask.astype(bool)
