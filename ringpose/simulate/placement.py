@@ -1,10 +1,25 @@
-"""Where a target stands before the camera."""
+"""Where a target stands before the camera.
 
+Where the ring stands, view by view: as the scene says, or drawn at random within its limits.
+
+Where the boards stand: as the scene says, or drawn at random within its limits.
+"""
+
+from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
+from ringpose.calibrate.boards.layout import outline_m
+from ringpose.errors import DataError
+from ringpose.geometry.rays import rays
+from ringpose.geometry.rotations import facing_normal
 from ringpose.types.arrays import Array, Float64
+from ringpose.types.board import Board
+from ringpose.types.camera import Camera
+from ringpose.types.rig import LaserPlanes
+from ringpose.types.scene import Approach, BoardApproach, BoardPlace, BoardSet, RingView, Scene
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -40,3 +55,98 @@ def ring_rotation(normal: Float64[Array, "3"], roll_rad: float) -> Float64[Array
     y = np.cross(z, x)
     cosine, sine = np.cos(roll_rad), np.sin(roll_rad)
     return np.stack([cosine * x + sine * y, cosine * y - sine * x, z], axis=1)
+
+
+def ring_views(scene: Scene) -> tuple[RingView, ...]:
+    """All views of a scene: the written ones, then the drawn ones."""
+    drawn = [view for approach in scene.approaches for view in _drawn_views(scene, approach)]
+    views = (*scene.views, *drawn)
+    names = Counter(view.name for view in views)
+    if len(names) < len(views):
+        found = f"two views are called {names.most_common(1)[0][0]!r}"
+        raise DataError("the scene's trajectory", found, "give each generated set a name of its own")
+    return views
+
+
+def _drawn_views(scene: Scene, approach: Approach) -> Iterator[RingView]:
+    """Distance by distance, pose by pose, light by light."""
+    generator = np.random.default_rng([scene.seed, approach.seed])
+    for distance_m in approach.distances_m:
+        for number in range(approach.count):
+            normal, center_m = _drawn_pose(scene, approach, distance_m, generator)
+            for light in approach.lights:
+                yield RingView(
+                    name=f"{approach.name}{1000 * distance_m:04.0f}_p{number:02d}_{light}",
+                    center_m=center_m,
+                    normal=normal,
+                    light=light,
+                    groups={"distance_m": distance_m},
+                )
+
+
+def _drawn_pose(
+    scene: Scene, approach: Approach, distance_m: float, generator: np.random.Generator
+) -> tuple[Float64[Array, "3"], Float64[Array, "3"]]:
+    """Normal and centre: a point in the middle of the ring's band lies near the optical axis at that depth."""
+    pitch_rad, yaw_rad = generator.uniform(-1, 1, 2) * approach.tilt_rad
+    normal = facing_normal(pitch_rad, yaw_rad)
+    side, clock_rad = generator.choice([-1.0, 1.0]), generator.uniform(-1, 1) * approach.clock_rad
+    seen = distance_m * picture_ray(scene.rig.camera, approach.offset * generator.uniform(-1, 1, 2))
+    axes = ring_rotation(normal, 0.0)
+    outward = side * (np.cos(clock_rad) * axes[:, 0] + np.sin(clock_rad) * axes[:, 1])
+    return normal, seen - (scene.ring.radius_inner_m + scene.ring.radius_outer_m) / 2 * outward
+
+
+def picture_ray(camera: Camera, offset: Float64[Array, "xy=2"]) -> Float64[Array, "xyz=3"]:
+    """The ray through the picture's middle, moved by shares of its width and height."""
+    size = np.array([camera.image_width, camera.image_height], dtype=np.float64)
+    return rays((size - 1) / 2 + offset * size, camera)
+
+
+def board_places(scene: Scene, boards: BoardSet) -> tuple[BoardPlace, ...]:
+    """All places of a board: the written ones, then the drawn ones."""
+    if boards.approach is None:
+        return boards.places
+    generator = np.random.default_rng([scene.seed, boards.approach.seed, boards.approach.count])
+    drawn = [_drawn_place(scene, boards, boards.approach, k, generator) for k in range(boards.approach.count)]
+    return (*boards.places, *drawn)
+
+
+def _drawn_place(
+    scene: Scene, boards: BoardSet, approach: BoardApproach, number: int, generator: np.random.Generator
+) -> BoardPlace:
+    """The board's middle at a depth between the limits, leaning and turned; with lasers on, where stripes are."""
+    depth_m = float(generator.uniform(*approach.distances_m))
+    middle = depth_m * picture_ray(scene.rig.camera, approach.offset * generator.uniform(-1, 1, 2))
+    if any(boards.sequence):
+        middle[:2] += _middle_of_stripes_m(scene.rig.lasers, depth_m)
+    lean_x, lean_y = generator.uniform(-1, 1, 2) * approach.tilt_rad
+    rotation = _about(2, generator.uniform(-1, 1) * approach.turn_rad) @ _about(1, lean_y) @ _about(0, lean_x)
+    return BoardPlace(
+        name=f"board_{number:02d}", rotation=rotation, translation_m=middle - rotation @ middle_of_board_m(boards.board)
+    )
+
+
+def middle_of_board_m(board: Board) -> Float64[Array, "xyz=3"]:
+    """The middle of the board in its own frame."""
+    width_m, height_m = outline_m(board)
+    return np.array([width_m / 2, height_m / 2, 0.0])
+
+
+def _middle_of_stripes_m(planes: LaserPlanes, depth_m: float) -> Float64[Array, "xy=2"]:
+    """Mean, over the lasers, of the stripe's point nearest to the optical axis at a depth."""
+    across = planes.normal[:, :2]
+    rest_m = planes.distance_m - planes.normal[:, 2] * depth_m
+    nearest: Float64[Array, "laser xy=2"] = across * (rest_m / (across**2).sum(axis=1))[:, None]
+    middle: Float64[Array, "xy=2"] = nearest.mean(axis=0)
+    return middle
+
+
+def _about(axis: int, angle_rad: float) -> Float64[Array, "3 3"]:
+    """Rotation about one of the axes."""
+    first, second = (axis + 1) % 3, (axis + 2) % 3
+    rotation = np.eye(3)
+    rotation[first, first] = rotation[second, second] = np.cos(angle_rad)
+    rotation[second, first] = np.sin(angle_rad)
+    rotation[first, second] = -np.sin(angle_rad)
+    return rotation

@@ -8,7 +8,7 @@ from drawn_camera import DrawnCamera
 from ringpose.capture.dry_run import dry_run
 from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.errors import LaserSafetyError
-from ringpose.simulate.serve.contacts import ContactFaults, Contacts
+from ringpose.simulate.serve.relays import ContactFaults, Contacts
 
 
 class ContactLasers(LaserDriver):

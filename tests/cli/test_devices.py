@@ -16,7 +16,7 @@ from small_rig import SMALL_RIG
 from ringpose.cli.main import main
 from ringpose.files.sessions import read_session
 from ringpose.files.shots import read_shot
-from ringpose.simulate.serve import features
+from ringpose.simulate.serve import genicam as features
 from ringpose.wire import gige_registers as bootstrap
 
 pytestmark = pytest.mark.usefixtures("_aravis")

@@ -4,7 +4,7 @@ from itertools import islice
 
 import pytest
 
-from ringpose.simulate.in_order import in_order
+from ringpose.simulate.pipeline import in_order
 
 
 @pytest.mark.parametrize("jobs", [1, 2, 3])

@@ -5,8 +5,8 @@ import pytest
 
 from ringpose.geometry.rays import rays
 from ringpose.simulate.pipeline import SceneFrames, ring_stand, simulate
-from ringpose.simulate.stage import staged
-from ringpose.simulate.trajectory import ring_views
+from ringpose.simulate.placement import ring_views
+from ringpose.simulate.renderer import staged
 from ringpose.types.scene import Approach, Beacon, Light
 
 

@@ -1,7 +1,7 @@
 import numpy as np
 
 from ringpose.geometry.rays import rays
-from ringpose.simulate.pixel_rays import SAMPLES, centre_directions, pixel_rays, sample_directions
+from ringpose.simulate.renderer import SAMPLES, centre_directions, pixel_rays, sample_directions
 
 
 def test_rays_through_centres_are_those_of_the_lens(small_rig):

@@ -6,8 +6,7 @@ from scipy.stats import norm
 
 from ringpose.geometry.rays import intersect, project, rays
 from ringpose.simulate.pipeline import ring_stand
-from ringpose.simulate.pixel_rays import pixel_rays
-from ringpose.simulate.render import layers
+from ringpose.simulate.renderer import layers, pixel_rays
 from ringpose.types.scene import MATERIALS, Body, Foil, LaserLight, Light, RingShape
 
 

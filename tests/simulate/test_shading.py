@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from ringpose.simulate.shading import laboratory_radiance, reflectance_per_sr, surfaces
+from ringpose.simulate.lighting import laboratory_radiance, reflectance_per_sr, surfaces
 from ringpose.types.scene import MATERIALS, Material
 
 UP = np.array([[0.0], [0.0], [1.0]])

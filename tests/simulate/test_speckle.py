@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from ringpose.simulate.speckle import speckle_pattern
+from ringpose.simulate.renderer import speckle_pattern
 from ringpose.types.scene import Speckle
 
 

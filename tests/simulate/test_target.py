@@ -1,7 +1,6 @@
 import numpy as np
 
-from ringpose.simulate.foil import relief
-from ringpose.simulate.target import EMPTY, ring_target
+from ringpose.simulate.target import EMPTY, relief, ring_target
 from ringpose.types.scene import Body, Foil
 
 SIZE_M = np.array([2.0, 1.5, 1.0])

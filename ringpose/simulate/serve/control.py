@@ -7,8 +7,8 @@ import struct
 from collections.abc import Callable
 from typing import Protocol, runtime_checkable
 
-from ringpose.simulate.serve import features
-from ringpose.simulate.serve.registers import BOUNDED, Registers
+from ringpose.simulate.serve import genicam as features
+from ringpose.simulate.serve.genicam import BOUNDED, Registers
 from ringpose.wire import gige_registers as bootstrap
 from ringpose.wire.gvcp import Answer, Command, Request, Status, resend_range, written_payload
 

@@ -15,9 +15,9 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import numpy as np
 
 from ringpose.errors import DeviceError
-from ringpose.simulate.serve import features
+from ringpose.simulate.serve import genicam as features
 from ringpose.simulate.serve.control import Client, Control
-from ringpose.simulate.serve.registers import TICKS_PER_S, Identity, Registers
+from ringpose.simulate.serve.genicam import TICKS_PER_S, Identity, Registers
 from ringpose.simulate.serve.stream import Stream
 from ringpose.types.arrays import Array, UInt
 from ringpose.wire import gige_registers as bootstrap

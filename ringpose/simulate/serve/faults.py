@@ -5,8 +5,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from ringpose.errors import UsageError
-from ringpose.simulate.serve.contacts import ContactFaults
 from ringpose.simulate.serve.device import CameraFaults
+from ringpose.simulate.serve.relays import ContactFaults
 
 _LASER_FAULTS = ("stuck", "welded", "dark", "late")
 

@@ -9,13 +9,12 @@ from typing import Any
 from ringpose.errors import DataError
 from ringpose.simulate.exposure import view_exposure_s
 from ringpose.simulate.pipeline import ring_stand
-from ringpose.simulate.serve.contacts import Contacts
+from ringpose.simulate.placement import ring_views
 from ringpose.simulate.serve.device import ServedCamera
 from ringpose.simulate.serve.faults import Faults
-from ringpose.simulate.serve.registers import Identity
-from ringpose.simulate.serve.relays import ServedRelays
+from ringpose.simulate.serve.genicam import Identity
+from ringpose.simulate.serve.relays import Contacts, ServedRelays
 from ringpose.simulate.serve.views import MovingViews, SceneExposures, board_moving_views, ring_moving_views
-from ringpose.simulate.trajectory import ring_views
 from ringpose.types.options import Move, Relay, Show
 from ringpose.types.scene import BoardSet, Scene
 from ringpose.wire.ascii_relays import AsciiCodec

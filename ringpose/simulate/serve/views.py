@@ -9,12 +9,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ringpose.simulate.board_places import board_places
 from ringpose.simulate.pipeline import board_stage, ring_stage
+from ringpose.simulate.placement import board_places, ring_views
+from ringpose.simulate.renderer import Stage
 from ringpose.simulate.sensor import digitised
-from ringpose.simulate.serve.contacts import Contacts
-from ringpose.simulate.stage import Stage
-from ringpose.simulate.trajectory import ring_views
+from ringpose.simulate.serve.relays import Contacts
 from ringpose.types.arrays import Array, Float32, Float64, UInt
 from ringpose.types.options import Move
 from ringpose.types.scene import BoardSet, Scene, Sensor

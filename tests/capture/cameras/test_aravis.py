@@ -11,7 +11,7 @@ import pytest
 from ringpose.capture.cameras.aravis import AravisCamera
 from ringpose.errors import DeviceError
 from ringpose.simulate.serve.device import CameraFaults, ServedCamera
-from ringpose.simulate.serve.registers import Identity
+from ringpose.simulate.serve.genicam import Identity
 from ringpose.wire.gvsp import StreamedFrame
 
 pytestmark = pytest.mark.usefixtures("_aravis")

@@ -12,8 +12,7 @@ import pytest
 from forked import Forked
 from small_rig import SMALL_RIG
 
-from ringpose.simulate.serve.contacts import ContactFaults
-from ringpose.simulate.serve.relays import ServedRelays
+from ringpose.simulate.serve.relays import ContactFaults, ServedRelays
 from ringpose.wire.ascii_relays import AsciiCodec
 from ringpose.wire.lcus import LcusCodec
 from ringpose.wire.modbus import ModbusCodec

@@ -12,7 +12,7 @@ from guarded_lasers import lasers_at, lit
 
 from ringpose.capture.lasers.driver import LasersWentOff
 from ringpose.errors import DeviceError, LaserSafetyError
-from ringpose.simulate.serve.contacts import ContactFaults
+from ringpose.simulate.serve.relays import ContactFaults
 
 ALL_SCHEMES = ["lcus", "numato", "modbus", "ascii"]
 

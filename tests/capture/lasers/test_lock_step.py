@@ -8,8 +8,7 @@ from ringpose.capture.lasers.place import LaserPlace
 from ringpose.capture.pipeline import Procedure, captured_shots
 from ringpose.capture.uri import LASERS, device_uri, driver
 from ringpose.errors import DeviceError, LaserSafetyError
-from ringpose.simulate.serve.contacts import ContactFaults
-from ringpose.simulate.serve.relays import ServedRelays
+from ringpose.simulate.serve.relays import ContactFaults, ServedRelays
 from ringpose.types.sequence import parsed_sequence
 from ringpose.wire.lcus import LcusCodec
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ringpose.simulate.serve import features
+from ringpose.simulate.serve import genicam as features
 from ringpose.simulate.serve.control import Control
-from ringpose.simulate.serve.registers import Identity, Registers
+from ringpose.simulate.serve.genicam import Identity, Registers
 from ringpose.wire import gige_registers as bootstrap
 from ringpose.wire.gvcp import Answer, Command, Request, Status
 

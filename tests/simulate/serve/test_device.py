@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from other_client import HEADER, Port
 
-from ringpose.simulate.serve import features
+from ringpose.simulate.serve import genicam as features
 from ringpose.simulate.serve.device import CameraFaults, ServedCamera
-from ringpose.simulate.serve.registers import Identity
+from ringpose.simulate.serve.genicam import Identity
 from ringpose.wire import gige_registers as bootstrap
 
 

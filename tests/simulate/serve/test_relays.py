@@ -8,8 +8,7 @@ from contextlib import suppress
 
 import pytest
 
-from ringpose.simulate.serve.contacts import ContactFaults, Contacts
-from ringpose.simulate.serve.relays import ServedRelays
+from ringpose.simulate.serve.relays import ContactFaults, Contacts, ServedRelays
 from ringpose.wire.ascii_relays import AsciiCodec
 from ringpose.wire.lcus import LcusCodec
 from ringpose.wire.modbus import ModbusCodec, crc

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from served_scene import small_scene
 
-from ringpose.simulate.serve.contacts import ContactFaults, Contacts
+from ringpose.simulate.renderer import Stage
+from ringpose.simulate.serve.relays import ContactFaults, Contacts
 from ringpose.simulate.serve.views import MovingViews, SceneExposures, ring_moving_views
-from ringpose.simulate.stage import Stage
 from ringpose.types.options import Move
 from ringpose.types.scene import Beacon, Light, Sensor
 
