@@ -13,7 +13,7 @@ import sys
 import scipy.interpolate
 import scipy.optimize
 
-import ringpose.capture.lasers.guarded
+import ringpose.capture.lasers.watchdog
 import ringpose.cli.capture
 import ringpose.cli.live
 import ringpose.cli.pose

@@ -2,8 +2,8 @@
 
 import time
 
-from ringpose.capture.lasers.guarded import GuardedLasers
-from ringpose.capture.lasers.place import LaserPlace
+from ringpose.capture.lasers.driver import LaserPlace
+from ringpose.capture.lasers.watchdog import GuardedLasers
 from ringpose.capture.uri import LASERS, device_uri, driver
 
 

@@ -2,6 +2,8 @@
 
 Which schemes there are, entry points say: the groups `ringpose.cameras` and `ringpose.lasers`, each entry named by its
 scheme. An installed package may add its own; nothing is imported before it is asked for by name.
+
+What every device has in common.
 """
 
 import difflib
@@ -9,7 +11,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import entry_points
-from typing import Any
+from types import TracebackType
+from typing import Any, Protocol, runtime_checkable
 from urllib.parse import parse_qsl
 
 from ringpose.errors import UsageError
@@ -97,3 +100,26 @@ def scheme_and_rest(uri: str, option: str, schemes: Sequence[str]) -> tuple[str,
         remedy = f"did you mean {near[0]}:{rest}?" if near else f"it begins with one of {known}"
         raise UsageError(option, f'"{uri}" names no device', remedy)
     return scheme, rest
+
+
+@runtime_checkable
+class Device(Protocol):
+    """Something that is taken and let go of; a driver derives from this and gains the `with` block that ends closed."""
+
+    def open(self) -> None:
+        """Take the device; a `DeviceError` says what is in the way."""
+
+    def close(self) -> None:
+        """Let go of the device; closing twice does nothing."""
+
+    def __enter__(self) -> None:
+        try:
+            self.open()
+        except BaseException:
+            self.close()
+            raise
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -9,7 +9,7 @@ from ringpose.errors import UsageError
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from ringpose.capture.newest import LiveShot
+    from ringpose.capture.latest_frame import LiveShot
     from ringpose.cli.batch import Batch
     from ringpose.cli.sources import Wanted
 
@@ -29,7 +29,7 @@ def refuse_both(inputs: list[str] | None, camera: str | None, lasers: str | None
 @contextmanager
 def newest_shots(wanted: "Wanted", batch: "Batch") -> "Iterator[Iterator[LiveShot]]":
     """The newest shot each time; when the block ends the lasers are off and the devices closed."""
-    from ringpose.capture.newest import NewestShots
+    from ringpose.capture.latest_frame import NewestShots
     from ringpose.cli.sources import source_of
 
     source = source_of(wanted, batch)

@@ -17,7 +17,7 @@ from ringpose.cli.options import ImageChannel, OptionalInputs, PoseFrame, PoseMe
 from ringpose.types.options import Method
 
 if TYPE_CHECKING:
-    from ringpose.capture.newest import LiveShot
+    from ringpose.capture.latest_frame import LiveShot
     from ringpose.cli.batch import Batch
     from ringpose.cli.rig_watch import RigWatch
     from ringpose.cli.sources import Wanted

@@ -13,7 +13,7 @@ from ringpose.capture.cameras.recorded import Recording
 from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.capture.lasers.simulated import SimulatedLasers
 from ringpose.capture.lasers.uncontrolled import UncontrolledLasers, refuse_switching
-from ringpose.capture.pace import paced
+from ringpose.capture.latest_frame import paced
 from ringpose.capture.uri import CAMERAS, LASERS, scheme_and_rest, schemes
 from ringpose.cli.batch import Batch
 from ringpose.errors import NoInputError, UsageError
@@ -142,7 +142,7 @@ def _taken(wanted: Wanted) -> Source:
 
 
 def _lasers(wanted: Wanted, camera: CameraDriver | None) -> LaserDriver:
-    from ringpose.capture.lasers.place import LaserPlace
+    from ringpose.capture.lasers.driver import LaserPlace
     from ringpose.capture.uri import device_uri, driver
 
     uri = device_uri("none:" if wanted.lasers is None else wanted.lasers, "--lasers", LASERS)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringpose.capture.newest import NewestShots
+from ringpose.capture.latest_frame import NewestShots
 from ringpose.errors import DeviceError
 from ringpose.types.frame import Shot
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from ringpose.capture import pace
+from ringpose.capture import latest_frame as pace
 
 
 class Clock:

@@ -3,25 +3,30 @@
 aravis:                        the first camera that is found
 aravis:Vendor-Model-Serial     by its name in `ringpose capture --list`
 aravis://192.168.0.5           by its address, without a search
+
+What this computer's network has to give for a camera on it.
 """
 
 import ctypes
+import errno
+import ipaddress
+import socket
 import threading
 import time
 from contextlib import suppress
 from ctypes import byref, c_double, c_int64, c_size_t
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ringpose.capture.cameras.aravis_library import PACKAGE, Aravis, AravisError, library
-from ringpose.capture.cameras.feature_names import spellings
 from ringpose.capture.cameras.genapi import TRIGGERED
-from ringpose.capture.cameras.lock_step import Grab, LockStepCamera, mid_stamp_s
-from ringpose.capture.cameras.network import MORE_BUFFER, SOCKET_BUFFER_BYTES, check_route, granted_bytes
+from ringpose.capture.cameras.triggered import Grab, LockStepCamera, mid_stamp_s, spellings
 from ringpose.capture.uri import DeviceUri
 from ringpose.errors import DeviceError
 from ringpose.types.arrays import Array, UInt
+from ringpose.wire.gvcp import PORT
 from ringpose.wire.gvsp import blocks_between
 
 BUFFERS = 4
@@ -294,3 +299,34 @@ class AravisCamera(LockStepCamera):
 
 
 _NOT_FOUND = "see ringpose capture --list; check its cable, its power, and this computer's address in its network"
+
+SOCKET_BUFFER_BYTES = 8 << 20
+"""Wanted for a stream's socket; the kernel grants no more than net.core.rmem_max."""
+
+MORE_BUFFER = f"let the kernel buffer more: sysctl -w net.core.rmem_max={SOCKET_BUFFER_BYTES}"
+
+_RMEM_MAX = Path("/proc/sys/net/core/rmem_max")
+
+
+def granted_bytes() -> int | None:
+    """The largest socket buffer that the kernel grants; None where it does not say."""
+    try:
+        return int(_RMEM_MAX.read_text())
+    except (OSError, ValueError):
+        return None
+
+
+def check_route(place: str, text: str) -> None:
+    """An address that cannot be reached is better said at once; what is no address has no route."""
+    try:
+        address = str(ipaddress.IPv4Address(place))
+    except ValueError:
+        return
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect((address, PORT))
+        except OSError as error:
+            if error.errno not in (errno.ENETUNREACH, errno.EHOSTUNREACH, errno.EACCES):
+                raise
+            remedy = "give this computer an address in the camera's network"
+            raise DeviceError(text, f"there is no route to {address}", remedy) from error

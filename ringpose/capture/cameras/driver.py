@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from ringpose.capture.device import Device
+from ringpose.capture.uri import Device
 from ringpose.types.frame import Frame
 
 

@@ -3,8 +3,7 @@
 from abc import abstractmethod
 from typing import Any
 
-from ringpose.capture.cameras.feature_names import spellings
-from ringpose.capture.cameras.lock_step import LockStepCamera
+from ringpose.capture.cameras.triggered import LockStepCamera, spellings
 from ringpose.errors import DeviceError
 
 TRIGGERED = (

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ringpose.capture.cameras.genapi import GenApiCamera, first_line
-from ringpose.capture.cameras.lock_step import Grab, mid_stamp_s
+from ringpose.capture.cameras.triggered import Grab, mid_stamp_s
 from ringpose.errors import DeviceError
 
 EXTRA = "pip install ringpose[pylon]"

@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ringpose.capture.cameras.lock_step import MOST_SKIPPED, Grab, LockStepCamera
+from ringpose.capture.cameras.triggered import MOST_SKIPPED, Grab, LockStepCamera
 from ringpose.capture.uri import DeviceUri
 from ringpose.errors import DeviceError
 from ringpose.opencv_log import silent_opencv

@@ -7,8 +7,7 @@ before anything else at the end. For people near the beam, a board with a timed 
 
 from typing import Protocol, runtime_checkable
 
-from ringpose.capture.lasers.driver import LaserDriver
-from ringpose.capture.lasers.place import LaserPlace, channels
+from ringpose.capture.lasers.driver import LaserDriver, LaserPlace, channels
 from ringpose.capture.uri import DeviceUri
 
 

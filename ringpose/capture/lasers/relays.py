@@ -7,9 +7,9 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 
-from ringpose.capture.lasers.guarded import GuardedLasers
-from ringpose.capture.lasers.place import LaserPlace, channels
-from ringpose.capture.lasers.relay_settings import CODECS, RelaySettings
+from ringpose.capture.lasers.driver import LaserPlace, channels
+from ringpose.capture.lasers.relay_board import CODECS, RelaySettings
+from ringpose.capture.lasers.watchdog import GuardedLasers
 from ringpose.capture.uri import DeviceUri
 
 COMMON = ("ch", "baud", "read_back", "heartbeat", "longest_on", "repeat", "interlock", "opening")

@@ -1,7 +1,6 @@
 """`sim:`: lasers of a simulated scene; the simulated camera looks at what is lit here."""
 
-from ringpose.capture.lasers.driver import LaserDriver
-from ringpose.capture.lasers.place import LaserPlace
+from ringpose.capture.lasers.driver import LaserDriver, LaserPlace
 from ringpose.capture.uri import DeviceUri
 
 

@@ -2,8 +2,7 @@
 
 from collections.abc import Iterable
 
-from ringpose.capture.lasers.driver import LaserDriver
-from ringpose.capture.lasers.place import LaserPlace
+from ringpose.capture.lasers.driver import LaserDriver, LaserPlace
 from ringpose.capture.uri import DeviceUri
 from ringpose.errors import UsageError
 from ringpose.types.sequence import MOST_LASERS, Step

@@ -4,7 +4,8 @@ import socket
 
 import pytest
 
-from ringpose.capture.cameras import aravis, network
+from ringpose.capture.cameras import aravis
+from ringpose.capture.cameras import aravis as network
 from ringpose.errors import DeviceError, UsageError
 
 pytestmark = pytest.mark.usefixtures("_aravis")

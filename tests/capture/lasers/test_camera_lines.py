@@ -3,7 +3,7 @@
 import pytest
 
 from ringpose.capture.lasers.camera_lines import LineLasers
-from ringpose.capture.lasers.place import LaserPlace
+from ringpose.capture.lasers.driver import LaserPlace
 from ringpose.capture.uri import LASERS, device_uri, driver
 from ringpose.errors import DeviceError, LaserSafetyError, UsageError
 

@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from ringpose.capture.lasers.guard_rules import GuardRules
-from ringpose.capture.lasers.relay_board import RelayBoard
-from ringpose.capture.lasers.relay_settings import RelaySettings, settings_of_line
+from ringpose.capture.lasers.relay_board import RelayBoard, RelaySettings, settings_of_line
+from ringpose.capture.lasers.watchdog_process import GuardRules
 from ringpose.errors import DeviceError
 
 SETTINGS = RelaySettings(scheme="lcus", port="port", relays=(0, 1, 2), heartbeat_s=1.0, longest_on_s=5.0)

@@ -125,7 +125,8 @@ GUARD_AT_A_DOOR = """
 import sys
 sys.path[:] = sys.argv[3].split({{separator!r}})
 from pathlib import Path
-from ringpose.capture.lasers import guard_process, serial_port
+from ringpose.capture.lasers import watchdog_process as guard_process
+from ringpose.capture.lasers import serial_port
 serial_port.SerialPort.is_closed_contact = lambda port, name: name == "{name}" and Path("{door}").exists()
 sys.exit(guard_process.run(int(sys.argv[1]), sys.argv[2]))
 """
@@ -136,7 +137,7 @@ sys.exit(guard_process.run(int(sys.argv[1]), sys.argv[2]))
 def test_lasers_go_off_when_the_door_opens_and_stay_off(board, time_until, monkeypatch, tmp_path, name):
     door = tmp_path / "closed"
     door.touch()
-    monkeypatch.setattr("ringpose.capture.lasers.guarded._START", GUARD_AT_A_DOOR.format(name=name, door=door))
+    monkeypatch.setattr("ringpose.capture.lasers.watchdog._START", GUARD_AT_A_DOOR.format(name=name, door=door))
     with board("lcus") as (relays, uri):
         lasers = lasers_at(f"{uri}&interlock={name}")
         with lasers:
@@ -156,8 +157,8 @@ def test_lasers_go_off_when_the_door_opens_and_stay_off(board, time_until, monke
 
 def test_a_timed_pulse_ends_even_if_capture_and_guard_are_killed_together(board, time_until):
     program = (
-        "import os, signal, sys, time; from ringpose.capture.lasers.guarded import GuardedLasers; "
-        "from ringpose.capture.lasers.relay_settings import settings_of_line; "
+        "import os, signal, sys, time; from ringpose.capture.lasers.watchdog import GuardedLasers; "
+        "from ringpose.capture.lasers.relay_board import settings_of_line; "
         "lasers = GuardedLasers(settings_of_line(sys.argv[1])); lasers.open(); lasers.set_mask(7); "
         "print(lasers.guard_pid, flush=True); time.sleep(60)"
     )
@@ -177,8 +178,8 @@ def test_a_timed_pulse_ends_even_if_capture_and_guard_are_killed_together(board,
 
 def test_a_child_that_outlives_the_capture_does_not_keep_the_lasers_on(board, time_until):
     program = (
-        "import os, sys, time; from ringpose.capture.lasers.guarded import GuardedLasers; "
-        "from ringpose.capture.lasers.relay_settings import settings_of_line; "
+        "import os, sys, time; from ringpose.capture.lasers.watchdog import GuardedLasers; "
+        "from ringpose.capture.lasers.relay_board import settings_of_line; "
         "lasers = GuardedLasers(settings_of_line(sys.argv[1])); lasers.open(); lasers.set_mask(7); "
         "os.fork() or time.sleep(3); print('lit', flush=True); time.sleep(60)"
     )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from drawn_camera import DrawnCamera
 
-from ringpose.capture.lasers.place import LaserPlace
+from ringpose.capture.lasers.driver import LaserPlace
 from ringpose.capture.pipeline import Procedure, captured_shots
 from ringpose.capture.uri import LASERS, device_uri, driver
 from ringpose.errors import DeviceError, LaserSafetyError
@@ -82,7 +82,7 @@ def test_a_laser_that_is_hidden_now_and_then_does_not_make_the_capture_slower(bo
 
 
 def test_lasers_are_waited_for_no_longer_than_the_guard_allows(shots_of, monkeypatch):
-    monkeypatch.setattr("ringpose.capture.lasers.guarded.GuardedLasers.longest_on_s", 0.3)
+    monkeypatch.setattr("ringpose.capture.lasers.watchdog.GuardedLasers.longest_on_s", 0.3)
 
     (shot,), _ = shots_of(procedure("off,1", settle_s=0.13), ContactFaults(late_s={0: 0.14}))
 

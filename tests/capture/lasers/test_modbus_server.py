@@ -9,7 +9,7 @@ import tty
 
 import pytest
 
-from ringpose.capture.lasers.place import LaserPlace
+from ringpose.capture.lasers.driver import LaserPlace
 from ringpose.capture.uri import LASERS, device_uri, driver
 from ringpose.errors import DeviceError
 

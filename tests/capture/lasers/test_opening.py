@@ -37,7 +37,7 @@ def test_a_crash_writes_no_core_before_the_lasers_go_off(board):
 def test_a_guard_that_dies_while_it_opens_is_replaced(board, monkeypatch):
     with board("lcus") as (relays, uri):
         relays.contacts.command(1, True, time.monotonic())
-        monkeypatch.setattr("ringpose.capture.lasers.guarded._START", "import os; os._exit(1)  # {separator}")
+        monkeypatch.setattr("ringpose.capture.lasers.watchdog._START", "import os; os._exit(1)  # {separator}")
         lasers = lasers_at(uri)
         with pytest.raises(DeviceError, match="the guard of the lasers ended; they were switched off without it"):
             lasers.open()

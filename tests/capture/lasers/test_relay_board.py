@@ -2,8 +2,7 @@
 
 import pytest
 
-from ringpose.capture.lasers.relay_board import RelayBoard
-from ringpose.capture.lasers.relay_settings import RelaySettings
+from ringpose.capture.lasers.relay_board import RelayBoard, RelaySettings
 from ringpose.capture.lasers.serial_port import SerialPort
 from ringpose.errors import DeviceError
 

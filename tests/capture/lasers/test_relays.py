@@ -2,7 +2,7 @@
 
 import pytest
 
-from ringpose.capture.lasers.place import LaserPlace
+from ringpose.capture.lasers.driver import LaserPlace
 from ringpose.capture.uri import LASERS, device_uri, driver
 
 RIG = ("left", "middle", "right")

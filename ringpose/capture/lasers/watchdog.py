@@ -1,4 +1,7 @@
-"""Relays behind a guard: the process that captures tells the guard, the guard alone touches the port."""
+"""Relays behind a guard: the process that captures tells the guard, the guard alone touches the port.
+
+Notices when the guard itself ends or is stopped.
+"""
 
 import os
 import resource
@@ -8,14 +11,13 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 import ringpose
 from ringpose.capture.lasers.driver import LaserDriver, LasersWentOff
-from ringpose.capture.lasers.guard_end import GuardEnd
-from ringpose.capture.lasers.relay_board import RelayBoard
-from ringpose.capture.lasers.relay_settings import RelaySettings
+from ringpose.capture.lasers.relay_board import RelayBoard, RelaySettings
 from ringpose.capture.lasers.serial_port import SerialPort
 from ringpose.errors import DeviceError, LaserSafetyError
 
@@ -28,7 +30,7 @@ ENDING_LIMIT_S = 3.0
 
 _START = (
     "import sys; sys.path[:] = sys.argv[3].split({separator!r}); "
-    "from ringpose.capture.lasers.guard_process import run; sys.exit(run(int(sys.argv[1]), sys.argv[2]))"
+    "from ringpose.capture.lasers.watchdog_process import run; sys.exit(run(int(sys.argv[1]), sys.argv[2]))"
 )
 
 
@@ -233,3 +235,23 @@ def _keep_no_core() -> None:
     _, hard = resource.getrlimit(resource.RLIMIT_CORE)
     if hard != 0:
         resource.setrlimit(resource.RLIMIT_CORE, (1, hard))
+
+
+class GuardEnd:
+    """Waits, in a thread, for the end of a child process, and acts at once; a stopped one is as bad as a dead one."""
+
+    def __init__(self, pid: int, act: Callable[[int], None]) -> None:
+        self._pid = pid
+        self._act = act
+        self.has_come = threading.Event()
+        """Set when the child has ended and everything was done about it."""
+        self._thread = threading.Thread(target=self._watch, name="guard-end", daemon=True)
+        self._thread.start()
+
+    def _watch(self) -> None:
+        with suppress(ChildProcessError):  # if it was waited for elsewhere it has ended
+            os.waitid(os.P_PID, self._pid, os.WEXITED | os.WSTOPPED | os.WNOWAIT)
+        try:
+            self._act(self._pid)
+        finally:
+            self.has_come.set()

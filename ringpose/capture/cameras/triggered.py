@@ -1,4 +1,7 @@
-"""What every triggered camera does alike: expose, wait for that one frame, try again if it came broken."""
+"""What every triggered camera does alike: expose, wait for that one frame, try again if it came broken.
+
+Features by their names in the Standard Features Naming Convention, and what older cameras call them.
+"""
 
 import time
 from abc import abstractmethod
@@ -6,7 +9,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from ringpose.capture.cameras.driver import CameraDescription, CameraDriver
-from ringpose.capture.cameras.feature_names import SATURATION_DN
 from ringpose.capture.uri import DeviceUri
 from ringpose.errors import DeviceError
 from ringpose.types.arrays import Array, UInt
@@ -205,3 +207,20 @@ def _line_number(line: str, uri: DeviceUri) -> int:
     if number == line or not number.isascii() or not number.isdigit():
         raise DeviceError(uri.text, f'has no output line "{line}"', "lines are called Line1, Line2, ...")
     return int(number)
+
+
+ALIASES = {
+    "ExposureTime": ("ExposureTime", "ExposureTimeAbs"),
+    "Gain": ("Gain", "GainAbs", "GainRaw"),
+    "AcquisitionFrameRate": ("AcquisitionFrameRate", "AcquisitionFrameRateAbs"),
+    "UserOutputValueAll": ("UserOutputValueAll", "UserOutputValueAllRaw"),
+    "DeviceTemperature": ("DeviceTemperature", "DeviceTemperatureAbs", "TemperatureAbs"),
+}
+
+SATURATION_DN = {"Mono8": 255, "Mono10": 1023, "Mono12": 4095, "Mono14": 16383, "Mono16": 65535}
+"""The last grey value of the pixel formats that a driver can be asked for."""
+
+
+def spellings(feature: str) -> tuple[str, ...]:
+    """Under which names a feature may be found, the standard one first."""
+    return ALIASES.get(feature, (feature,))
