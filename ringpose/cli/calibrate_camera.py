@@ -122,8 +122,8 @@ def _write(
     read: list[Path],
 ) -> None:
     from ringpose.calibrate.camera.quality import camera_quality
-    from ringpose.files.cameras import write_camera
-    from ringpose.files.pages import write_page
+    from ringpose.files.cameras.ros import write_camera
+    from ringpose.files.io import write_page
 
     quality = camera_quality(calibration, assessment, verdict, images.without_board)
     write_camera(writing.output, calibration.camera, extra=quality, force=writing.force, inputs=read)

@@ -209,7 +209,7 @@ def _write(
     from dataclasses import replace
 
     from ringpose.calibrate.planes.quality import calibrated_rig, planes_quality
-    from ringpose.files.pages import write_page
+    from ringpose.files.io import write_page
     from ringpose.files.rigs import write_rig
 
     rig = replace(calibrated_rig(assessment.calibration), tool_from_camera=tool_from_camera)

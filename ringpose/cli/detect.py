@@ -52,7 +52,7 @@ def detect(
     from ringpose.cli.batch import Batch
     from ringpose.cli.progress import counted
     from ringpose.errors import NO_POSE, UsageError
-    from ringpose.files.detection_sink import DetectionSink
+    from ringpose.files.detections import DetectionSink
     from ringpose.files.inputs import inputs as named
     from ringpose.files.rigs import read_rig
     from ringpose.files.shots import SHOT_SUFFIXES, read_shot

@@ -1,4 +1,7 @@
-"""Board files: the kind of a calibration board and its sizes in metres."""
+"""Board files: the kind of a calibration board and its sizes in metres.
+
+Dictionaries of markers, as OpenCV's FileStorage has them.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -6,13 +9,16 @@ from typing import Any, cast, get_args
 
 from ringpose.errors import DataError
 from ringpose.files import atomic
-from ringpose.files.dictionaries import OPENCV_PREFIX, read_dictionary
 from ringpose.files.fields import Fields
+from ringpose.files.io import read_bytes
+from ringpose.files.opencv_storage import storage_values
 from ringpose.files.yaml import read_yaml, write_yaml
 from ringpose.types.board import Board, BoardKind
 
 _COUNTS = ("squares_x", "squares_y")
+
 _LENGTHS = ("square_m", "square_y_m", "marker_m", "gap_m", "spacing_m", "width_m", "height_m", "margin_m")
+
 _KEYS = ("ringpose", "kind", *_COUNTS, *_LENGTHS, "dictionary", "legacy_pattern", "order")
 
 NEEDED = {
@@ -99,3 +105,25 @@ def _check_fit(fields: Fields, sizes: dict[str, Any]) -> None:
         taken = 2 * (sizes.get("marker_m", 0) + sizes.get("margin_m", 0))
         if taken > min(sizes["width_m"], sizes["height_m"]):
             raise fields.problem("marker_m", "two markers and their margins are wider than the board")
+
+
+OPENCV_PREFIX = "DICT_"
+"""Names of OpenCV's own dictionaries begin so; any other name is that of a file."""
+
+MOST_MARKERS = 1024
+"""OpenCV's largest dictionary has as many."""
+
+
+def read_dictionary(path: Path) -> tuple[str, ...]:
+    """Each marker's bits, row by row."""
+    fields = Fields(str(path), storage_values(read_bytes(path), str(path)))
+    side = fields.integer("markersize", least=3, most=10)
+    count = fields.integer("nmarkers", least=1, most=MOST_MARKERS)
+    return tuple(_bits(fields, f"marker_{number}", side) for number in range(count))
+
+
+def _bits(fields: Fields, key: str, side: int) -> str:
+    bits = fields.text(key)
+    if set(bits) - {"0", "1"} or len(bits) != side**2:
+        raise fields.problem(key, f"must be {side} x {side} times 0 or 1")
+    return bits

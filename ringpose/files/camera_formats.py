@@ -10,10 +10,9 @@ import numpy as np
 
 from ringpose.errors import DataError, UsageError
 from ringpose.files import atomic, kalibr, matlab, opencv_storage
-from ringpose.files.bytes import read_bytes
-from ringpose.files.cameras import CAMERA_KEYS, FILE_KEYS, camera_of, camera_values, write_camera
-from ringpose.files.covariances import read_covariance
+from ringpose.files.cameras.ros import CAMERA_KEYS, FILE_KEYS, camera_of, camera_values, read_covariance, write_camera
 from ringpose.files.fields import Fields
+from ringpose.files.io import read_bytes
 from ringpose.files.yaml import parsed, write_yaml
 from ringpose.types.camera import Camera
 from ringpose.types.covariance import CAMERA_PARAMETERS, ParameterCovariance

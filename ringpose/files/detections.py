@@ -1,4 +1,7 @@
-"""Detections: one NPZ a shot or one JSON record, with the same names in both."""
+"""Detections: one NPZ a shot or one JSON record, with the same names in both.
+
+Where detections go: records on stdout or NPZ files in a folder, and pictures in another.
+"""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -7,9 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from ringpose.files import records
+from ringpose.detect.frames import most_lit_image
+from ringpose.errors import DataError
+from ringpose.files import atomic, records
 from ringpose.files.archives import Archive, write_archive
 from ringpose.files.fields import FREE_PREFIX, ROUNDED, Fields
+from ringpose.files.images import write_image
 from ringpose.files.provenance import provenance
 from ringpose.types.arrays import EDGES, Array, Float64, Int64
 from ringpose.types.detection import (
@@ -21,6 +27,7 @@ from ringpose.types.detection import (
     Segments,
     Stripes,
 )
+from ringpose.types.frame import Shot
 
 SCHEMA = "ringpose/detection/1"
 
@@ -28,10 +35,15 @@ PROVENANCE = "provenance"
 """Key of an NPZ file: a JSON text."""
 
 _POINTS = ("position_px", "covariance_px2", "flags", "face_start_px", "face_end_px", "face_sigma_px", "labelled")
+
 _RING_EDGES = ("position_px", "normal", "sigma_px", "edge")
+
 _STRIPES = ("position_px", "sigma_px", "peak_dn", "piece", "laser")
+
 _SEGMENTS = ("start_px", "end_px", "support")
+
 _PARTS = {"break_points": _POINTS, "ring_edges": _RING_EDGES, "stripes": _STRIPES, "segments": _SEGMENTS}
+
 _KEYS = ("schema", "shot", "stamp_s", "reason", *_PARTS)
 
 LARGEST_INTEGER = 2**31
@@ -207,3 +219,36 @@ def _check_sigmas(fields: Fields, key: str, sigmas: Float64[Array, "..."]) -> No
         raise fields.problem(key, "has a standard deviation below 0")
     if np.any(sigmas > MAX_SIGMA_PX):
         raise fields.problem(key, f"has a standard deviation over {MAX_SIGMA_PX:g} px", "write null if it is unknown")
+
+
+class DetectionSink:
+    """Writes each detection as soon as it is there; of two shots with one name the second is refused."""
+
+    def __init__(self, output: str, overlays: Path | None, *, rig: Path | None, full: bool, force: bool) -> None:
+        self.folder = None if output == records.STDOUT else atomic.make_folder(Path(output))
+        self.overlays = None if overlays is None else atomic.make_folder(overlays)
+        self.rig = rig
+        self.full = full
+        self.force = force
+        self.names: set[str] = set()
+
+    def write(self, shot: Shot, detection: Detection, source: Path) -> None:
+        """The picture first: a detection that is announced is complete."""
+        self._check_name(shot.name)
+        if self.overlays is not None:
+            from ringpose.detect.overlay import overlay  # seldom asked for
+
+            picture = overlay(most_lit_image(shot), detection)
+            write_image(self.overlays / f"{shot.name}.png", picture, force=self.force)
+        if self.folder is None:
+            records.write(detection_record(detection, self.full))
+        else:
+            path = self.folder / f"{shot.name}.npz"
+            inputs = [source] if self.rig is None else [source, self.rig]
+            write_detection(path, detection, force=self.force, inputs=inputs)
+            records.write_name(path)
+
+    def _check_name(self, name: str) -> None:
+        if name in self.names and not (self.folder is None and self.overlays is None):
+            raise DataError(name, "an earlier shot has this name, its files would be replaced", "rename one of them")
+        self.names.add(name)

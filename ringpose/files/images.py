@@ -14,8 +14,8 @@ import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.files import atomic
-from ringpose.files.bytes import read_bytes
 from ringpose.files.image_headers import ImageHeader, image_header
+from ringpose.files.io import read_bytes
 from ringpose.opencv_log import silent_opencv
 from ringpose.types.arrays import Array, UInt
 from ringpose.types.camera import Camera

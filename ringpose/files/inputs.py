@@ -1,16 +1,21 @@
-"""What a command is given to read: files, folders, or `-`, each yielded as soon as it is named."""
+"""What a command is given to read: files, folders, or `-`, each yielded as soon as it is named.
+
+Lines of stdin as they come.
+"""
 
 import gzip
 import io
+import os
+import select
 import sys
 import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ringpose.errors import DataError, NoInputError
-from ringpose.files import records, stdin
-from ringpose.files.bytes import read_bytes
+from ringpose.errors import DataError, InputOutputError, NoInputError
+from ringpose.files import records
+from ringpose.files.io import read_bytes
 
 STDIN = "-"
 
@@ -30,6 +35,7 @@ class Record(NamedTuple):
 
 
 Input = Path | Record
+
 Problem = DataError | NoInputError
 
 
@@ -54,7 +60,7 @@ def _named_on_stdin(suffixes: tuple[str, ...]) -> Iterator[Input | Problem]:
     if sys.stdin is None:
         yield NoInputError("standard input", "is closed")
         return
-    for number, line in enumerate(stdin.lines(), start=1):
+    for number, line in enumerate(lines(), start=1):
         text = line.strip()
         if text.startswith("{"):
             yield _record(text, f"standard input:{number}")
@@ -92,11 +98,9 @@ def _lines(path: Path) -> Iterator[bytes]:
         return
     try:
         with gzip.open(io.BytesIO(data)) as stream:
-            while line := stream.readline(stdin.MAX_LINE_BYTES):
-                if len(line) == stdin.MAX_LINE_BYTES:
-                    raise DataError(
-                        str(path), f"has a line of {stdin.MAX_LINE_BYTES} bytes or more, which is not a record"
-                    )
+            while line := stream.readline(MAX_LINE_BYTES):
+                if len(line) == MAX_LINE_BYTES:
+                    raise DataError(str(path), f"has a line of {MAX_LINE_BYTES} bytes or more, which is not a record")
                 yield line
     except (OSError, EOFError, zlib.error) as error:
         raise DataError(str(path), f"cannot be decompressed: {str(error).lower()}") from None
@@ -128,3 +132,46 @@ def _shown(path: Path) -> str:
 
 def _wanted(path: Path, suffixes: tuple[str, ...]) -> bool:
     return path.suffix.lower() in suffixes and not path.name.startswith(".")
+
+
+PATIENCE_S = 0.2
+"""A signal that arrives just before a read begins does not wake it: Python notices it only between two waits."""
+
+MAX_LINE_BYTES = 2**25
+"""A record with all stripes of 1600 x 1200 pixels has 1 % of it."""
+
+_CHUNK = 1 << 16
+
+
+def lines() -> Iterator[str]:
+    """Each line as soon as it is whole, and the last one even if it is not; bytes that are no UTF-8 are kept."""
+    try:
+        descriptor = sys.stdin.fileno()
+    except (AttributeError, io.UnsupportedOperation):  # a stand-in without a file behind it
+        yield from sys.stdin
+        return
+    rest = bytearray()
+    while chunk := _chunk(descriptor):
+        *whole, end = chunk.split(b"\n")
+        for line in whole:
+            yield _text(bytes(rest) + line + b"\n")
+            rest.clear()
+        rest += end
+        if len(rest) > MAX_LINE_BYTES:
+            raise DataError("standard input", f"has a line of more than {MAX_LINE_BYTES >> 20} MiB", "end each record")
+    if rest:
+        yield _text(bytes(rest))
+
+
+def _chunk(descriptor: int) -> bytes:
+    try:
+        while not select.select([descriptor], [], [], PATIENCE_S)[0]:
+            pass
+        return os.read(descriptor, _CHUNK)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise InputOutputError("standard input", f"reading broke off: {reason}") from error
+
+
+def _text(line: bytes) -> str:
+    return line.decode("utf-8", "surrogateescape")

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ringpose.errors import DataError, NoInputError
-from ringpose.files.bytes import read_bytes
+from ringpose.files.io import read_bytes
 from ringpose.types.arrays import Array, Float64
 
 

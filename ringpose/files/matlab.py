@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ringpose.errors import DataError
-from ringpose.files.camera_matrices import checked_matrix
+from ringpose.files.cameras.ros import checked_matrix
 from ringpose.files.fields import Fields
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ringpose.errors import DataError
-from ringpose.files.camera_matrices import checked_matrix
+from ringpose.files.cameras.ros import checked_matrix
 from ringpose.files.fields import Fields
 from ringpose.files.yaml import parsed
 from ringpose.types.arrays import Array, Float64

@@ -1,14 +1,20 @@
-"""Records: one JSON object a line. The one place that writes to stdout."""
+"""Records: one JSON object a line. The one place that writes to stdout.
+
+What YAML and JSON can say: numbers, texts, lists, mappings; null where a number is not finite.
+"""
 
 import json
+import math
 import signal
 import sys
 from collections.abc import Iterable, Iterator, Mapping
+from enum import Enum
 from pathlib import Path
 from typing import IO, Any
 
+import numpy as np
+
 from ringpose.errors import DataError, InputOutputError, SignalReceived
-from ringpose.files.plain import plain
 
 STDOUT = "-"
 """How standard output is named where a file could be."""
@@ -78,3 +84,22 @@ def _mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         names = [name for name, _ in pairs]
         raise ValueError(f"the key {next(n for n in names if names.count(n) > 1)!r} stands twice")
     return record
+
+
+def plain(value: Any) -> Any:
+    """The value without arrays, NumPy scalars, tuples, paths; NaN and infinity become None."""
+    if isinstance(value, np.ndarray | np.generic):
+        return _finite(value.tolist()) if np.issubdtype(value.dtype, np.floating) else value.tolist()
+    if isinstance(value, Mapping):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, Enum):
+        return plain(value.value)
+    return _finite(value) if isinstance(value, float) else str(value) if isinstance(value, Path) else value
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_finite(item) for item in value]
+    return value if math.isfinite(value) else None

@@ -11,7 +11,7 @@ from drawn_boards import CHARUCO, CHESSBOARD, FOUR
 from ringpose.calibrate.boards.circles import circle_middles
 from ringpose.calibrate.boards.diagnostics import NoBoard
 from ringpose.calibrate.boards.views import find_board
-from ringpose.files.dictionaries import read_dictionary
+from ringpose.files.boards import read_dictionary
 from ringpose.types.board import Board
 
 

@@ -11,7 +11,7 @@ import yaml
 from ringpose.errors import DataError, UsageError
 from ringpose.files import matlab
 from ringpose.files.camera_formats import read_camera, write_camera_as
-from ringpose.files.cameras import write_camera
+from ringpose.files.cameras.ros import write_camera
 from ringpose.types.camera import Camera
 from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.options import CameraFormat

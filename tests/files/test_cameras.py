@@ -4,7 +4,7 @@ import pytest
 
 from ringpose.errors import DataError
 from ringpose.files.camera_formats import read_camera
-from ringpose.files.cameras import write_camera
+from ringpose.files.cameras.ros import write_camera
 from ringpose.types.camera import Camera
 from ringpose.types.covariance import ParameterCovariance
 

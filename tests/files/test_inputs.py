@@ -3,7 +3,7 @@ import io
 import pytest
 
 from ringpose.errors import DataError, NoInputError
-from ringpose.files import stdin
+from ringpose.files import inputs as stdin
 from ringpose.files.inputs import Record, inputs
 
 

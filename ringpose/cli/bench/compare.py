@@ -52,8 +52,8 @@ def compare(
     from ringpose.cli.batch import Batch
     from ringpose.errors import NO_POSE, UsageError
     from ringpose.files import records
+    from ringpose.files.io import write_result
     from ringpose.files.provenance import provenance
-    from ringpose.files.tables import write_result
 
     if a == b == STDOUT:
         raise UsageError("", "both results want standard input", "write one of them into a file")
@@ -109,8 +109,8 @@ def _read(name: str, truths: list[Path] | None, rig: Path | None, batch: "Batch"
 def _read_table(name: str) -> _Result:
     from ringpose.bench.report import SCHEMA
     from ringpose.errors import DataError
-    from ringpose.files.bytes import read_bytes
     from ringpose.files.fields import Fields
+    from ringpose.files.io import read_bytes
     from ringpose.files.records import record_of
 
     fields = Fields(name, record_of(read_bytes(Path(name)), name))

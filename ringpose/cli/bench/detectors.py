@@ -54,8 +54,8 @@ def detectors(
     from ringpose.cli.progress import counted
     from ringpose.errors import UsageError
     from ringpose.files import records
+    from ringpose.files.io import write_result
     from ringpose.files.provenance import provenance
-    from ringpose.files.tables import write_result
 
     if lines_truth is not None and not images:
         raise UsageError("--lines-truth", "belongs to images, and none is given")

@@ -271,8 +271,8 @@ def _write(
     from ringpose.bench.report import csv_rows, report
     from ringpose.bench.table import table
     from ringpose.files import records
+    from ringpose.files.io import csv_text, write_result
     from ringpose.files.provenance import provenance, sha256
-    from ringpose.files.tables import csv_text, write_result
 
     if STDOUT not in (targets.json, targets.csv):
         records.write_text(table(lines, names, matched))

@@ -30,8 +30,8 @@ def speed(seeds: Seeds = 40, rounds: Rounds = 11, json: JsonFile = None, force: 
     """Measure what detection and pose take and how fine they are, each beside the limit it is meant to keep."""
     from ringpose.bench.speed_gates import section_record, section_text
     from ringpose.files import records
+    from ringpose.files.io import write_result
     from ringpose.files.provenance import provenance
-    from ringpose.files.tables import write_result
 
     measured: list[GateSection] = []
     for section in _sections(seeds, rounds):
