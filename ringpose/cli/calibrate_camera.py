@@ -128,7 +128,7 @@ def _write(
     quality = camera_quality(calibration, assessment, verdict, images.without_board)
     write_camera(writing.output, calibration.camera, extra=quality, force=writing.force, inputs=read)
     if writing.report is not None:
-        from ringpose.report.camera_report import camera_report
+        from ringpose.report.camera import camera_report
 
         page = camera_report(calibration, assessment, verdict, images.without_board)
         write_page(writing.report, page, force=writing.force)

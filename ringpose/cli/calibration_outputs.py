@@ -12,7 +12,7 @@ def refuse_existing_outputs(output: Path, report: Path | None, force: bool, read
     """Before long work: refuse what exists already or is read, and a report that nothing can draw."""
     from ringpose.errors import UsageError
     from ringpose.files.atomic import refuse_existing, refuse_inputs
-    from ringpose.report.requirement import require_matplotlib
+    from ringpose.report.page import require_matplotlib
 
     refuse_inputs((output, report), read)
     refuse_existing(output, force)

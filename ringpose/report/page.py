@@ -1,10 +1,25 @@
-"""One self-contained HTML page: sections of text, tables and pictures, nothing loaded from elsewhere."""
+"""One self-contained HTML page: sections of text, tables and pictures, nothing loaded from elsewhere.
+
+What a report needs beyond the usual dependencies.
+
+A verdict as a section of the page.
+
+What matplotlib (extra `report`) draws on; modules of pictures are imported only where a report is asked for.
+"""
 
 import base64
+import io
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
+from importlib.util import find_spec
 from string import Template
+
+from matplotlib.figure import Figure
+
+from ringpose.errors import UsageError
+from ringpose.types.verdict import Finding, Verdict
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -100,3 +115,53 @@ def _figure(picture: Picture) -> str:
     return (
         f'<figure><img alt="{caption}" src="data:image/png;base64,{data}"><figcaption>{caption}</figcaption></figure>'
     )
+
+
+def require_matplotlib() -> None:
+    """Refuse a report before any work is done for it, if nothing can draw it."""
+    if find_spec("matplotlib") is None:
+        raise UsageError("--report", "matplotlib is not installed", "pip install 'ringpose[report]'")
+
+
+def verdict_section(verdict: Verdict) -> Section:
+    """Grade, advice, and every number beside its limits."""
+    return Section(
+        title=f"Verdict: {verdict.grade}",
+        points=verdict.advice,
+        table=Table(
+            headings=("quantity", "value", "good limit", "redo limit", "grade"),
+            rows=[_row(finding) for finding in verdict.findings],
+        ),
+    )
+
+
+def _row(finding: Finding) -> list[str]:
+    limits = (finding.value, finding.good_limit, finding.redo_limit)
+    return [f"{finding.place} {finding.name}".strip(), *map(_number, limits), str(finding.grade)]
+
+
+def _number(value: float) -> str:
+    return f"{value:.4g}" if abs(value) < float("inf") else "none"
+
+
+DOTS_PER_INCH = 110
+
+
+def canvas(width_in: int | float, height_in: int | float) -> Figure:
+    """An empty figure of so many inches, of no global state."""
+    return Figure(figsize=(width_in, height_in), dpi=DOTS_PER_INCH, layout="constrained")
+
+
+def png_of(figure: Figure) -> bytes:
+    """The figure as a PNG file."""
+    stream = io.BytesIO()
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing")  # a name's letters that the font lacks are drawn as boxes
+        figure.savefig(stream, format="png", metadata={"Software": None})
+    return stream.getvalue()
+
+
+def drawn(name: str) -> str:
+    """A name as a label that shows it: no formula between dollars, no byte that is no letter, in every legend."""
+    shown = name.encode(errors="backslashreplace").decode().replace("$", r"\$")
+    return f" {shown}" if shown.startswith("_") else shown

@@ -9,10 +9,17 @@ import numpy as np
 import pytest
 
 from ringpose.errors import UsageError
-from ringpose.report.canvas import canvas, drawn, png_of
-from ringpose.report.page import Picture, Section, Table, page
-from ringpose.report.requirement import require_matplotlib
-from ringpose.report.verdict_section import verdict_section
+from ringpose.report.page import (
+    Picture,
+    Section,
+    Table,
+    canvas,
+    drawn,
+    page,
+    png_of,
+    require_matplotlib,
+    verdict_section,
+)
 from ringpose.types.verdict import Finding, Verdict
 
 
@@ -74,7 +81,7 @@ def test_a_verdict_shows_each_number_with_its_limits():
 
 
 def test_a_missing_matplotlib_is_said_with_its_remedy(monkeypatch):
-    monkeypatch.setattr("ringpose.report.requirement.find_spec", lambda name: None)
+    monkeypatch.setattr("ringpose.report.page.find_spec", lambda name: None)
 
     with pytest.raises(UsageError, match=r"matplotlib is not installed; pip install 'ringpose\[report\]'"):
         require_matplotlib()
