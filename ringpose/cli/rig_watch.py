@@ -3,8 +3,7 @@
 from dataclasses import replace
 
 from ringpose.cli import messages
-from ringpose.pose.advice import advice
-from ringpose.pose.health import drift_warning, health_after, new_health
+from ringpose.pose.drift import advice, drift_warning, health_after, new_health
 from ringpose.types.options import Method
 from ringpose.types.pose import PoseFlag, PoseLine
 

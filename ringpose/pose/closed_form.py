@@ -15,7 +15,7 @@ from ringpose.geometry.least_squares import damped_solution, inverse_condition
 from ringpose.geometry.planes import nearest_plane
 from ringpose.geometry.rays import GRAZING, project
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.pose.observability import (
+from ringpose.pose.covariance import (
     EDGE_ON_BELOW,
     TILT_SD_LIMIT_RAD,
     WEAK_SD,

@@ -13,13 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.pose.edge_correlation import loosened
-from ringpose.pose.edge_errors import ERRORS
-from ringpose.pose.likelihood import Fit, fitted
-from ringpose.pose.measurements import Measurements
-from ringpose.pose.residual_rows import Beforehand
+from ringpose.pose.measurements import ERRORS, Measurements, loosened
+from ringpose.pose.residuals import CURVATURE, PARAMETERS, Beforehand
 from ringpose.pose.rig_errors import RigErrors
-from ringpose.pose.ring_model import CURVATURE, PARAMETERS
+from ringpose.pose.solver import Fit, fitted
 from ringpose.types.arrays import EDGES, Array, Float64
 from ringpose.types.pose import PoseFlag
 from ringpose.types.rig import Rig

@@ -2,8 +2,20 @@
 
 Normalised coordinates are those of rays (x, y, 1). Stripes run roughly along x, as the detector reads them: a line is
 measured by its ordinates, a break point by its abscissa.
+
+What the points of a visible edge err alike, as errors that are unknowns beside the ring.
+
+A point's place errs mostly by what lies beside the edge: the foil behind it, a wall, a shadow that runs towards it.
+That goes on for a while, so a part of each error is that of the neighbours too, by exp(-distance / length). Such
+errors are a sum of independent waves (the Karhunen-Loeve series of this covariance; ringpose-method(7), section 5).
+
+How many independent measurements the points of a visible edge are.
+
+Neighbours on an edge see the same shade, the same facet of the foil behind, the same speckle: what they err alike no
+number of them averages (ringpose-method(7), section 5).
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from math import sqrt
@@ -13,7 +25,6 @@ import cv2
 import numpy as np
 
 from ringpose.geometry.rays import undistort
-from ringpose.pose.edge_errors import ERRORS, common_errors_px
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.camera import Camera
 from ringpose.types.detection import BreakPoints, RingEdgePoints
@@ -241,3 +252,102 @@ def _edges(ring_edges: RingEdgePoints | None, camera: Camera) -> Edges:
         step=(rays_by_pixel(xy, camera) @ step_px[:, :, None])[:, :, 0],
         common=common_errors_px(ring_edges) / sigma_px,
     )
+
+
+ROUNDED_PX = 0.05
+"""What a whole edge errs alike: where the half brightness lies on a rounded corner."""
+
+ALIKE_SHARE = 0.4
+"""Of a point's standard deviation, what it shares with its neighbours; the most likely one for 60 edges of rendered
+rings before foil, walls and shadows, of which an error in pixels that is alike for all edges explains far less."""
+
+ALIKE_PX = 150.0
+"""Length along the edge over which that persists, from the same edges (100 and 200 are nearly as likely)."""
+
+WAVES = 8
+"""Shorter ones weigh less than the points' own errors."""
+
+ERRORS = 2 * (1 + WAVES)
+"""Common errors of a shot: of each edge."""
+
+
+def common_errors_px(edges: RingEdgePoints) -> Float64[Array, "visible error"]:
+    """What each unit error does to the points of its edge, along their normals; 0 for those of the other edge."""
+    errors = np.zeros((len(edges.edge), 2, 1 + WAVES))
+    for edge in (0, 1):
+        own = np.flatnonzero(edges.edge == edge)
+        if len(own):
+            errors[own, edge, 0] = ROUNDED_PX
+            along_px = _along_px(edges.position_px[own], edges.normal[own])
+            errors[own, edge, 1:] = ALIKE_SHARE * edges.sigma_px[own, None] * waves(along_px)
+    return errors.reshape(len(errors), ERRORS)
+
+
+def waves(along_px: Float64[Array, "n"]) -> Float64[Array, "n wave"]:
+    """The longest waves of a series of variance one that is alike over `ALIKE_PX`, cosines and sines by turns."""
+    first, last = float(along_px.min()), float(along_px.max())
+    half_px = max(0.5 * (last - first), 1.0)
+    phase = _phases(half_px / ALIKE_PX)
+    sign = np.where(np.arange(WAVES) % 2, -1.0, 1.0)
+    size = np.sqrt(2.0 * half_px / ALIKE_PX / ((half_px / ALIKE_PX) ** 2 + phase**2))
+    size /= np.sqrt(1.0 + sign * np.sin(2.0 * phase) / (2.0 * phase))
+    angle = ((along_px - 0.5 * (first + last)) / half_px)[:, None] * phase
+    scaled: Float64[Array, "n wave"] = size * np.where(sign > 0, np.cos(angle), np.sin(angle))
+    return scaled
+
+
+def _phases(lengths: float) -> Float64[Array, "wave"]:
+    """Phase of each wave at the end of an edge: the solution of p = k pi/2 + atan(lengths / p), by Newton's steps.
+
+    Each starts on that side from which it does not overshoot.
+    """
+    quarter = 0.5 * np.pi * np.arange(WAVES)
+    phase: Float64[Array, "wave"] = np.maximum(quarter, math.sqrt(lengths / (1.0 + lengths)))
+    for _ in range(6):
+        off = phase - quarter - np.arctan(lengths / phase)
+        phase = phase - off / (1.0 + lengths / (phase**2 + lengths**2))
+    return phase
+
+
+def _along_px(position_px: Float64[Array, "n xy=2"], normal: Float64[Array, "n xy=2"]) -> Float64[Array, "n"]:
+    across_x, across_y = normal.sum(axis=0)
+    size = math.hypot(across_x, across_y) or 1.0
+    along_px: Float64[Array, "n"] = (position_px[:, 1] * across_x - position_px[:, 0] * across_y) / size
+    return along_px
+
+
+SHORT_SERIES = 1.5
+"""A circle fitted to a short series takes part of its likeness away: what is found is so much too small."""
+
+LONGEST_SHARE = 3
+"""Likeness is looked for up to this part of an edge's points; fewer pairs say nothing."""
+
+
+def loosened(edges: Edges, residual: Float64[Array, "visible"]) -> Edges:
+    """Each edge's points with their standard deviations raised, so that together they weigh what they know.
+
+    `residual` is what a fit of all leaves, in standard deviations.
+    """
+    factor = np.ones(len(residual))
+    for edge in (0, 1):
+        own = np.flatnonzero(edges.edge == edge)
+        if len(own) > LONGEST_SHARE:
+            along = edges.ray[own, :2] - edges.ray[own, :2].mean(axis=0)
+            direction = np.linalg.svd(along, full_matrices=False)[2][0]
+            factor[own] = np.sqrt(excess(residual[own][np.argsort(along @ direction)]))
+    return replace(edges, step=edges.step * factor[:, None], common=edges.common / factor[:, None])
+
+
+def excess(series: Float64[Array, "n"]) -> float:
+    """Variance of the mean of a series, in that of as many independent numbers of variance one; at least 1.
+
+    The variance, and twice the autocovariance as far as it stays positive (Geyer's initial sequence).
+    """
+    inside = np.clip(series, -3.0, 3.0)
+    variance = total = float(inside @ inside) / len(inside)
+    for lag in range(1, len(inside) // LONGEST_SHARE):
+        likeness = float(inside[lag:] @ inside[:-lag]) / len(inside)
+        if likeness <= 0:
+            break
+        total += 2.0 * likeness
+    return max(1.0, SHORT_SERIES * total if total > variance else variance)

@@ -9,23 +9,24 @@ import numpy as np
 from ringpose.geometry.rays import GRAZING
 from ringpose.pose.catalogue import likely_ring, ring_posterior
 from ringpose.pose.consistency import Explanation, explained, freedom, own_cost, swapped
-from ringpose.pose.deviations import plane_evidence
-from ringpose.pose.likelihood import Fit
-from ringpose.pose.likelihood_output import (
+from ringpose.pose.covariance import (
     BEND,
+    EDGE_ON_BELOW,
     Quantities,
     bow_m,
     covariance_of,
+    determined,
     quantities,
     spread_of,
+    told_pose,
+    weak_flags,
     with_second_order,
 )
+from ringpose.pose.drift import plane_evidence
 from ringpose.pose.measurements import Measurements, measurements_of
-from ringpose.pose.observability import EDGE_ON_BELOW
-from ringpose.pose.residual_rows import Beforehand
+from ringpose.pose.residuals import CURVATURE, Beforehand
 from ringpose.pose.rig_errors import rig_errors
-from ringpose.pose.ring_model import CURVATURE
-from ringpose.pose.told import determined, told_pose, weak_flags
+from ringpose.pose.solver import Fit
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints
 from ringpose.types.pose import NoPose, PoseFlag, RingPose

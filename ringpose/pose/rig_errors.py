@@ -14,8 +14,7 @@ import numpy as np
 from ringpose.errors import DataError
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.measurements import Measurements, Sighted, pixels_by_ray_and_camera
-from ringpose.pose.residual_rows import Rows
-from ringpose.pose.ring_model import RingState, Sights
+from ringpose.pose.residuals import RingState, Rows, Sights
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.covariance import CAMERA_PARAMETERS, PLANE_PARAMETERS
 from ringpose.types.rig import Rig

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringpose.pose.edge_errors import ALIKE_PX, common_errors_px, waves
+from ringpose.pose.measurements import ALIKE_PX, common_errors_px, waves
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.types.pose import PoseFlag
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ringpose.geometry.rotations import tilted
-from ringpose.pose.health import DRIFTED_FROM, drift_warning, health_after, new_health
+from ringpose.pose.drift import DRIFTED_FROM, drift_warning, health_after, new_health
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.types.pose import NoPose
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from ringpose.pose.measurements import measurements_of
-from ringpose.pose.residual_rows import Beforehand, rows_of
-from ringpose.pose.ring_model import RingState, moved
+from ringpose.pose.residuals import Beforehand, RingState, moved, rows_of
 from ringpose.types.ring import KnownRadii
 
 STEP = 1e-6

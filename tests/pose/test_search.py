@@ -5,13 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringpose.pose.likelihood import HUBER_SIGMAS, fitted
 from ringpose.pose.measurements import measurements_of
 from ringpose.pose.pipeline import estimate_pose
-from ringpose.pose.residual_rows import Beforehand, rows_of
+from ringpose.pose.residuals import Beforehand, moved, rows_of
 from ringpose.pose.rig_errors import rig_errors
-from ringpose.pose.ring_model import moved
-from ringpose.pose.starting_state import starting_state
+from ringpose.pose.solver import HUBER_SIGMAS, fitted, starting_state
 from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.pose import NoPose, RingPose
 from ringpose.types.ring import KnownRadii

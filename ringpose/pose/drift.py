@@ -2,14 +2,24 @@
 
 Noise leaves something else each time; a light plane that has moved leaves what its error would, always. With three
 stripes a single shot hardly tells which plane it is; shots of different poses do.
+
+What each stripe leaves over, as evidence for an error of its light plane.
+
+What would make a pose better, in words.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ringpose.pose.covariance import standard_deviation
+from ringpose.pose.measurements import Measurements
+from ringpose.pose.residuals import PARAMETERS
+from ringpose.pose.rig_errors import light_plane_bases
+from ringpose.pose.solver import Fit
 from ringpose.types.arrays import Array, Float64, Int64
-from ringpose.types.pose import PlaneEvidence
+from ringpose.types.pose import PlaneEvidence, PoseFlag, RingPose
+from ringpose.types.rig import Rig
 
 FORGETTING = 0.98
 """Share of what is known that is left after the next shot: about fifty shots count."""
@@ -113,3 +123,68 @@ def _where(health: RigHealth, known: Int64[Array, "n"], names: tuple[str, ...]) 
     if bool((squares[known[known != worst]] + CLEARLY < squares[worst]).all()):
         return f"the light plane of laser {names[worst]} has moved, or the camera: its stripe is off by {off}"
     return f"the stripes disagree by {off}: a light plane or the camera has moved"
+
+
+def plane_evidence(fit: Fit, measured: Measurements, rig: Rig) -> PlaneEvidence:
+    """Score and information of each light plane's tilts and distance.
+
+    With S the covariance of a line (1, in standard deviations, and what the rig's known errors add), C = S - J N^-1 J^T
+    that of its residual and D the residual's derivative by the plane: score D^T S^-1 residual, information
+    D^T S^-1 C S^-1 D.
+    """
+    lasers, count = len(rig.lasers.names), len(measured.lines.laser)
+    score, information = np.zeros((lasers, 3)), np.zeros((lasers, 3, 3))
+    if fit.weak or not count:
+        return PlaneEvidence(score=score, information=information)
+    inverse = fit.inverse
+    by_state = fit.rows.by_state[: 2 * count].reshape(count, 2, PARAMETERS)
+    left = np.eye(2) - by_state @ inverse @ by_state.swapaxes(1, 2)
+    basis = light_plane_bases(rig)[measured.lines.laser]
+    rays = fit.rows.sights.rays[: 2 * count].reshape(count, 2, 3)
+    steepness = fit.rows.sights.steepness[: 2 * count : 2, None, None]
+    by_plane = np.concatenate([rays @ basis.swapaxes(1, 2), -(rays @ fit.state.plane)[:, :, None]], axis=-1)
+    weighted = measured.lines.whitening @ by_plane / steepness
+    if fit.by_rig is not None:
+        by_rig = fit.by_rig[: 2 * count].reshape(count, 2, -1)
+        more = by_rig @ by_rig.swapaxes(1, 2)
+        left, weighted = left + more, np.linalg.solve(np.eye(2) + more, weighted)
+    score[measured.lines.laser] = (weighted * fit.rows.residual[: 2 * count].reshape(count, 2, 1)).sum(axis=1)
+    information[measured.lines.laser] = weighted.swapaxes(1, 2) @ left @ weighted
+    return PlaneEvidence(score=score, information=information)
+
+
+RADIUS_SD_M = 0.0005
+"""How well a radius that is looked up is known."""
+
+
+def advice(pose: RingPose) -> str:
+    """Which measurement would help most, and by how much; empty if nothing is weak."""
+    if PoseFlag.NORMAL_WEAK in pose.flags:
+        return "one stripe leaves the tilt about it open; bring a second one onto the ring, or step back"
+    if PoseFlag.SIDE_UNKNOWN in pose.flags:
+        return (
+            "the centre may lie on either side; lasers farther apart or a longer distance would tell inner from outer"
+        )
+    if PoseFlag.CENTER_WEAK not in pose.flags:
+        return ""
+    if pose.covariance_center_m2 is None or pose.covariance is None:
+        return "the centre is not determined; the ring's radius (--radius-outer, --ring) or visible edges would give it"
+    now_mm, then_mm = (
+        1000.0 * standard_deviation(each)
+        for each in (pose.covariance_center_m2, center_with_radius(pose.covariance, pose))
+    )
+    help_ = "the ring's radius (--radius-outer, --ring) or visible edges would make it"
+    if then_mm > 0.5 * now_mm:
+        help_ = "only stripes farther apart on the face would help much; with the radius it is"
+    return f"the centre is known to {now_mm:.1f} mm; {help_} {then_mm:.1f} mm"
+
+
+def center_with_radius(covariance: Float64[Array, "7 7"], pose: RingPose) -> Float64[Array, "2 2"]:
+    """Covariance of the centre in the ring's plane if the outer radius (the inner, if that was not seen) were known.
+
+    Conditioning of a Gaussian on one of its parts.
+    """
+    radius = 6 if np.isfinite(pose.radius_outer_m) else 5
+    own, mixed = covariance[3:5, 3:5], covariance[3:5, radius]
+    conditioned: Float64[Array, "2 2"] = own - np.outer(mixed, mixed) / (covariance[radius, radius] + RADIUS_SD_M**2)
+    return conditioned
