@@ -15,7 +15,6 @@ import scipy.optimize
 
 import ringpose.capture.lasers.watchdog
 import ringpose.cli.capture
-import ringpose.cli.live
 import ringpose.cli.pose
 import ringpose.cli.simulate_serve
 import ringpose.cli.sources

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from ringpose.cli.app import app
-from ringpose.cli.board_print import OptionalInputs, OptionalOutput, PrintBoard, given
-from ringpose.cli.modes import CommandWithModes
+from ringpose.cli.calibrate.outputs import CommandWithModes, OptionalInputs, OptionalOutput, PrintBoard, given
 from ringpose.cli.options import BoardFile, Force, ImageChannel, Overlay, Quiet, Report, Verbose
 from ringpose.types.options import DistortionModel
 
@@ -55,7 +54,7 @@ def calibrate_camera(
     corners in every part of the image. No board yet: --print-board board.pdf --board board.yaml.
     """
     if print_board is not None:
-        from ringpose.cli.board_print import print_board as printed
+        from ringpose.cli.calibrate.outputs import print_board as printed
 
         printed(print_board, board, "charuco", force=force, quiet=quiet)
         return
@@ -63,7 +62,7 @@ def calibrate_camera(
     from ringpose.calibrate.camera.parameters import CameraModel
     from ringpose.cli.batch import Batch
     from ringpose.cli.board_views import BoardImages
-    from ringpose.cli.calibration_outputs import refuse_existing_outputs
+    from ringpose.cli.calibrate.outputs import refuse_existing_outputs
     from ringpose.files.boards import read_board
 
     writing = _Writing(given(output, "--output"), report, force, quiet)
@@ -104,7 +103,7 @@ def _calibrate(images: "BoardImages", asked: _Asked, writing: _Writing, board: P
     from ringpose.calibrate.camera import calibrate_camera as calibrated
     from ringpose.calibrate.camera.assessment import camera_assessment, widened
     from ringpose.calibrate.camera.quality import camera_summary, camera_verdict
-    from ringpose.cli.calibration_outputs import say_verdict
+    from ringpose.cli.calibrate.outputs import say_verdict
 
     found = calibrated(images.views, images.width, images.height, asked.model, asked.camera_name)
     result = widened(found, camera_assessment(found, images.views, asked.model, asked.distances_m, asked.compare))

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from ringpose.cli.app import app
-from ringpose.cli.board_print import OptionalInputs, OptionalOutput, PrintBoard, given
-from ringpose.cli.modes import CommandWithModes
+from ringpose.cli.calibrate.outputs import CommandWithModes, OptionalInputs, OptionalOutput, PrintBoard, given
 from ringpose.cli.options import BoardFile, Force, ImageChannel, Overlay, Quiet, Report, Verbose, finite
 from ringpose.types.options import PlanesMethod
 
@@ -117,7 +116,7 @@ def calibrate_planes(
     capture takes them with --sequence off,1,2,3,off. No board yet: --print-board board.pdf --board board.yaml.
     """
     if print_board is not None:
-        from ringpose.cli.board_print import print_board as printed
+        from ringpose.cli.calibrate.outputs import print_board as printed
 
         printed(print_board, board, "four_markers", force=force, quiet=quiet)
         return
@@ -136,7 +135,7 @@ def calibrate_planes(
 def _calibrate(shots: list[str], reading: _Reading, writing: _Writing, method: PlanesMethod, free_camera: bool) -> None:
     from ringpose.calibrate.planes.quality import planes_summary
     from ringpose.cli.batch import Batch
-    from ringpose.cli.calibration_outputs import refuse_existing_outputs, say_verdict
+    from ringpose.cli.calibrate.outputs import refuse_existing_outputs, say_verdict
     from ringpose.errors import NO_POSE, DataError
     from ringpose.files.camera_formats import read_camera
     from ringpose.files.rigs import read_mount

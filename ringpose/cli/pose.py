@@ -1,7 +1,10 @@
-"""`ringpose pose`: detections, shots or images -> one pose line each."""
+"""`ringpose pose`: detections, shots or images -> one pose line each.
+
+Shots from devices, as they are taken, for a command that measures them.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import replace
 from functools import partial
 from time import perf_counter
@@ -12,11 +15,13 @@ import typer
 from ringpose.cli.app import app
 from ringpose.cli.device_options import AllowUnseen, Count, Duration, Exposure, LasersUri, Settle, Steps
 from ringpose.cli.known_ring import RadiusInner, RadiusOuter, RadiusSd, RingName, RingsFile, SaidOfRing
-from ringpose.cli.live import newest_shots, refuse_both
 from ringpose.cli.options import ImageChannel, OptionalInputs, PoseFrame, PoseMethod, Quiet, RigFile, Verbose
+from ringpose.errors import UsageError
 from ringpose.types.options import Method
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from ringpose.capture.latest_frame import LiveShot
     from ringpose.cli.batch import Batch
     from ringpose.cli.rig_watch import RigWatch
@@ -27,9 +32,11 @@ if TYPE_CHECKING:
     from ringpose.types.rig import Rig
     from ringpose.types.ring import KnownRadii, Ring
 
+
 LiveCamera = Annotated[
     str | None, typer.Option("--camera", metavar="URI", help="Measure what this camera sees, see ringpose-capture(1).")
 ]
+
 Frame = Annotated[PoseFrame, typer.Option("--frame", help="Frame of the vectors; tool needs the rig's mount.")]
 
 
@@ -185,3 +192,33 @@ def _detected(shot: "Shot", rig: "Rig") -> "Detection":
     from ringpose.detect.pipeline import detect
 
     return detect(shot, rig)
+
+
+def refuse_both(inputs: list[str] | None, camera: str | None, lasers: str | None) -> None:
+    """Shots come from files or from a camera."""
+    if not inputs and camera is None:
+        raise UsageError("", "there is nothing to measure", "name an INPUT, or give --camera and --lasers")
+    if inputs and camera is not None:
+        raise UsageError("--camera", f"and the input {inputs[0]} exclude each other", "leave one of them out")
+    if lasers is not None and camera is None:
+        raise UsageError("--lasers", "is of no use without --camera")
+    if camera is not None and camera.startswith("files:"):
+        raise UsageError("--camera", "what is recorded is not live", f"name {camera[6:]} as INPUT")
+
+
+@contextmanager
+def newest_shots(wanted: "Wanted", batch: "Batch") -> "Iterator[Iterator[LiveShot]]":
+    """The newest shot each time; when the block ends the lasers are off and the devices closed."""
+    from ringpose.capture.latest_frame import NewestShots
+    from ringpose.cli.sources import source_of
+
+    source = source_of(wanted, batch)
+    with ExitStack() as stack:
+        for device in source.devices:
+            stack.enter_context(device)
+        shots = source.shots(_unread, ())
+        yield stack.enter_context(NewestShots(shots, source.abort))
+
+
+def _unread(path: "Path") -> None:
+    """Nobody asks from which files live shots come."""

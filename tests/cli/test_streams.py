@@ -139,7 +139,7 @@ def test_clean_up_is_not_broken_off_by_further_signals(started):
 
 LATE_SIGNAL = """
 import os, signal
-from ringpose.cli import interrupts
+from ringpose.cli import main as interrupts
 quiet = interrupts.ignore_signals
 def pelted():
     interrupts.ignore_signals = quiet

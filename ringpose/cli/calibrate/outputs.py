@@ -1,0 +1,138 @@
+"""What the calibrating commands write and say.
+
+`--print-board` of the calibrating commands: a board file -> a page to print.
+
+Options that turn a command into another one, which would leave most of the others aside.
+"""
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+import typer
+from typer.core import TyperCommand
+
+if TYPE_CHECKING:
+    from ringpose.types.verdict import Verdict
+
+
+def refuse_existing_outputs(output: Path, report: Path | None, force: bool, read: Iterable[Path]) -> None:
+    """Before long work: refuse what exists already or is read, and a report that nothing can draw."""
+    from ringpose.errors import UsageError
+    from ringpose.files.atomic import refuse_existing, refuse_inputs
+    from ringpose.report.page import require_matplotlib
+
+    refuse_inputs((output, report), read)
+    refuse_existing(output, force)
+    if report is not None:
+        if report.resolve() == output.resolve():
+            raise UsageError("--report", f"{report} is the output, too", "give each its own file")
+        require_matplotlib()
+        refuse_existing(report, force)
+
+
+def say_verdict(verdict: "Verdict", summary: Sequence[str], *, quiet: bool) -> int:
+    """The summary on stderr, of which no wish for quiet hides that all is to be done again; the exit status."""
+    from ringpose.calibrate.verdict_text import verdict_lines
+    from ringpose.cli import messages
+    from ringpose.errors import NO_POSE
+    from ringpose.types.verdict import Grade
+
+    bad = verdict.grade is Grade.REDO
+    for line in verdict_lines(verdict)[:bad] if quiet else summary:
+        messages.say(line)
+    return NO_POSE if bad else 0
+
+
+OptionalInputs = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="INPUT...", help="Files or folders; - reads names from stdin, one a line."),
+]
+
+OptionalOutput = Annotated[
+    Path | None, typer.Option("--output", "-o", readable=False, metavar="FILE", help="Where the result is written.")
+]
+
+PrintBoard = Annotated[
+    Path | None,
+    typer.Option("--print-board", readable=False, metavar="FILE", help="Only draw the board at true scale, as PDF."),
+]
+
+
+def print_board(path: Path, board_file: Path, usual: str, *, force: bool, quiet: bool) -> None:
+    """Draw the board of a board file; where there is no such file, one that fits A4 is written first.
+
+    `usual` is the kind of that board.
+    """
+    from ringpose.calibrate.board_drawing import A4_BOARDS, board_drawing
+    from ringpose.cli import messages
+    from ringpose.files.atomic import refuse_existing, refuse_inputs
+    from ringpose.files.board_prints import require_pdf, write_board_print
+    from ringpose.files.boards import read_board, write_board
+
+    require_pdf(path)
+    refuse_inputs([path], [board_file])
+    refuse_existing(path, force)
+    if not board_file.exists():
+        write_board(board_file, A4_BOARDS[usual])
+    drawing = board_drawing(read_board(board_file))
+    write_board_print(path, drawing, force=force)
+    if not quiet:
+        size = f"{1e3 * drawing.width_m:.0f} x {1e3 * drawing.height_m:.0f} mm"
+        messages.say(f"{path}: page {drawing.page}, {size}: print at 100 %, on a flat sheet")
+        messages.say(f"{board_file}: correct the sizes by what the printed rulers measure")
+
+
+_Given = TypeVar("_Given")
+
+
+def given(value: _Given | None, name: str) -> _Given:
+    """What a command cannot do without unless it only prints a board."""
+    from ringpose.errors import UsageError
+
+    if not value:
+        raise UsageError(name, "is missing")
+    return value
+
+
+PRINTING = frozenset(("print_board", "board", "force", "verbose", "quiet"))
+"""What goes together with `--print-board`."""
+
+CHECKING = frozenset(
+    ("check", "inputs", "board", "laser_order", "surround", "overlay", "channel", "force", "verbose", "quiet")
+)
+"""What goes together with `--check`."""
+
+_MODES = {
+    "print_board": ("--print-board", "only draws the board", PRINTING),
+    "check": ("--check", "only compares, with the rig's own camera", CHECKING),
+}
+
+_NONE: tuple[Any, ...] = (None, (), [])
+
+
+class CommandWithModes(TyperCommand):
+    """A command that refuses options beside a mode rather than leave them aside without a word."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command."""
+        from ringpose.errors import UsageError
+
+        for mode, (name, found, welcome) in _MODES.items():
+            others = [words for key, words in _given(ctx).items() if key not in welcome]
+            if ctx.params.get(mode) is not None and others:
+                raise UsageError(name, found, f"leave out {', '.join(others)}")
+        return super().invoke(ctx)
+
+
+def _given(ctx: Any) -> dict[str, str]:
+    """What the command line gives, by its name in the code: the option as it is written, or the inputs.
+
+    Typer 0.26.0 to 0.26.6 name the command line as the source of inputs that are not there.
+    """
+    return {
+        parameter.name: max(parameter.opts, key=len) if parameter.param_type_name == "option" else "the inputs"
+        for parameter in ctx.command.params
+        if ctx.get_parameter_source(parameter.name).name == "COMMANDLINE"
+        and ctx.params.get(parameter.name) not in _NONE
+    }
