@@ -6,7 +6,7 @@ import numpy as np
 
 from ringpose.capture.cameras.driver import CameraDescription, CameraDriver
 from ringpose.errors import DeviceError
-from ringpose.types.frame import Frame
+from ringpose.types.image import Frame
 
 HEIGHT, WIDTH = 130, 200
 

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from ringpose.types.camera import Camera
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 from ringpose.types.rig import LaserPlanes, Rig
 
 RADII_M = (0.567, 0.597)

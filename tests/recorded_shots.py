@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from ringpose.files.shots import write_shot
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 
 
 def recorded(folder: Path, name: str, masks: tuple[int, ...] = (0, 1, 2, 4, 7)) -> Path:

@@ -17,7 +17,7 @@ from ringpose.detect.peers import GIVES_CENTERS, DetectorName, detector
 from ringpose.detect.pipeline import detect
 from ringpose.types.arrays import Array, Float64, UInt8
 from ringpose.types.detection import BreakPoints, Segments
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 
 CHAIN = "ringpose detect"
 """From the image to break points, without the ring's edges between them; only where the rig is known."""

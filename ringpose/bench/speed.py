@@ -22,7 +22,7 @@ from ringpose.detect.stripes import find_stripes
 from ringpose.geometry.rays import undistorted_pixels
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.types.detection import BreakPoints
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 from ringpose.types.options import Method
 from ringpose.types.rig import Rig
 

@@ -7,7 +7,7 @@ from ringpose.calibrate.boards.image_patch import patch_around
 from ringpose.calibrate.boards.views import find_board, grey_8_bit
 from ringpose.types.arrays import Array, Float64, UInt, UInt8
 from ringpose.types.board import Board, BoardView
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 
 STILL_PX = 0.3
 """Corners that move by less between frames may be a stripe across them, or warm air: of rendered boards they move by

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ringpose.types.arrays import Array, Bool, Float32, UInt
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 
 BLOCKS = 8
 """Blocks along each side of an image."""

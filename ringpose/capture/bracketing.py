@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from ringpose.types.arrays import Array, Bool, Float32, UInt, UInt16
-from ringpose.types.frame import Shot, shot_with_frames
+from ringpose.types.image import Shot, shot_with_frames
 
 FULL_SHARE = 0.98
 """From this share of the full grey value on a pixel counts as full: its response bends below the last code."""

@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import TypeVar
 
 from ringpose.capture.ambient import lost_attempts_dn
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -25,7 +25,7 @@ from ringpose.capture.seen import (
 )
 from ringpose.errors import DeviceError, LaserSafetyError, UsageError
 from ringpose.types.arrays import Array, UInt
-from ringpose.types.frame import Frame, Shot
+from ringpose.types.image import Frame, Shot
 from ringpose.types.sequence import Step
 
 TRIES = 3

@@ -13,7 +13,7 @@ import numpy as np
 
 from ringpose.detect.stripes import find_stripes
 from ringpose.types.arrays import Array, Bool, Float32, Int64, UInt, UInt8
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 
 LEAST_SHARE_OF_FULL = 0.02
 """A place is lit if it is brighter by this share of the full grey value,"""

@@ -20,7 +20,7 @@ from ringpose.files.shots import SHOT_SUFFIXES, read_shot
 from ringpose.files.sources import file_named
 from ringpose.types.arrays import Array, UInt
 from ringpose.types.board import Board, BoardView
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 
 
 class BoardImages:

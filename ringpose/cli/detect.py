@@ -10,7 +10,7 @@ from ringpose.types.options import SegmentMethod, StripeSource
 
 if TYPE_CHECKING:
     from ringpose.types.detection import Detection
-    from ringpose.types.frame import Shot
+    from ringpose.types.image import Shot
     from ringpose.types.rig import Rig
 
 Output = Annotated[

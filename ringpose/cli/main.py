@@ -17,7 +17,16 @@ from typing import Any
 from ringpose.cli import messages
 from ringpose.errors import CLOSED_PIPE, RingposeError, SignalReceived, UsageError
 
-COMMANDS = ("capture", "calibrate.camera", "calibrate.planes", "convert_camera", "detect", "pose", "simulate.render", "bench")
+COMMANDS = (
+    "capture",
+    "calibrate.camera",
+    "calibrate.planes",
+    "convert_camera",
+    "detect",
+    "pose",
+    "simulate.render",
+    "bench",
+)
 """Modules of the subcommands, in the order of the help."""
 
 GARBAGE_FROM = 100_000

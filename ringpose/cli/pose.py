@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from ringpose.cli.rig_watch import RigWatch
     from ringpose.cli.sources import Wanted
     from ringpose.types.detection import Detection
-    from ringpose.types.frame import Shot
+    from ringpose.types.image import Shot
     from ringpose.types.pose import PoseLine
     from ringpose.types.rig import Rig
     from ringpose.types.ring import KnownRadii, Ring
@@ -173,7 +173,7 @@ def pose_line(
         estimate_pose(points, rig, method, detection.ring_edges, known) if isinstance(points, BreakPoints) else points
     )
     if isinstance(result, RingPose) and frame is PoseFrame.TOOL and rig.tool_from_camera is not None:
-        from ringpose.pose.other_frame import pose_in_frame
+        from ringpose.pose.transform import pose_in_frame
 
         result = pose_in_frame(result, rig.tool_from_camera)
     return PoseLine(

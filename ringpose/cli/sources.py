@@ -20,7 +20,7 @@ from ringpose.errors import NoInputError, UsageError
 from ringpose.files.inputs import STDIN, Input, Problem, inputs
 from ringpose.files.shots import SHOT_SUFFIXES, read_shot
 from ringpose.files.sources import file_named
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 from ringpose.types.sequence import Step, steps_of, written_sequence
 from ringpose.types.session import Capture
 

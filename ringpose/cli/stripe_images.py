@@ -19,7 +19,7 @@ from ringpose.files.inputs import Input
 from ringpose.types.board import BoardView
 from ringpose.types.calibration import PlanesCalibration, StripeView
 from ringpose.types.camera import Camera
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 from ringpose.types.options import PlanesMethod
 
 MARKER_BOARDS = ("four_markers", "aruco_grid")

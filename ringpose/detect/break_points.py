@@ -15,8 +15,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from ringpose.detect.faces import Face
-from ringpose.detect.frames import LaserImage
+from ringpose.detect.difference_images import LaserImage
+from ringpose.detect.rim import Face
 from ringpose.detect.stripes import BORDER_PX, MIN_SEGMENT_COLUMNS, TAKEN_BY_THE_FIT, lens
 from ringpose.geometry.planes import nearest_plane, towards_camera
 from ringpose.geometry.rays import intersect, rays, undistorted_rays

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ringpose.detect.frames import most_lit_image
+from ringpose.detect.difference_images import most_lit_image
 from ringpose.kernels import segments as kernels
 from ringpose.types.arrays import Array, Bool, Float64, Int16, Int32, Int64, UInt, UInt8, UInt16
 from ringpose.types.detection import UNLABELLED, Detection, NoBreakPoints, Segments, Stripes
-from ringpose.types.frame import Shot, full_scale_dn
+from ringpose.types.image import Shot, full_scale_dn
 from ringpose.types.options import SegmentMethod
 
 

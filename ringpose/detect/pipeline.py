@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from ringpose.detect.break_points import break_points, ends_clear
-from ringpose.detect.faces import CONFIRMED, Face, planes_per_m, ring_face
-from ringpose.detect.frames import LaserImage, laser_images
+from ringpose.detect.difference_images import LaserImage, laser_images
+from ringpose.detect.rim import CONFIRMED, Face, planes_per_m, ring_face
 from ringpose.detect.ring_edges import shown_edges
 from ringpose.detect.stripes import find_stripes, lens, straight_tracks
 from ringpose.geometry.rays import project, undistorted_rays
@@ -29,7 +29,7 @@ from ringpose.types.detection import (
     Stripes,
     joined_stripes,
 )
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 from ringpose.types.options import StripeSource
 from ringpose.types.rig import Rig
 

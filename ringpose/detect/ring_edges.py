@@ -36,7 +36,7 @@ from ringpose.geometry.ring_arcs import STATE, RingArcs, moved
 from ringpose.kernels.edges import Sights
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints, Stripes
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 from ringpose.types.rig import Rig
 
 ROUNDS = 10

@@ -24,7 +24,7 @@ from ringpose.kernels.stripes import Filters
 from ringpose.types.arrays import Array, Float64, Int32, UInt
 from ringpose.types.camera import Camera
 from ringpose.types.detection import UNLABELLED, Stripes
-from ringpose.types.frame import full_scale_dn
+from ringpose.types.image import full_scale_dn
 
 STRIPE_SIGMA_PX = 1.6
 """Typical stripe, by which a peak is turned into the response of the ridge filter."""

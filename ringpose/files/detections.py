@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ringpose.detect.frames import most_lit_image
+from ringpose.detect.difference_images import most_lit_image
 from ringpose.errors import DataError
 from ringpose.files import atomic, records
 from ringpose.files.archives import Archive, write_archive
@@ -27,7 +27,7 @@ from ringpose.types.detection import (
     Segments,
     Stripes,
 )
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 
 SCHEMA = "ringpose/detection/1"
 

@@ -15,7 +15,7 @@ from ringpose.files.fields import Fields
 from ringpose.files.provenance import provenance, sha256
 from ringpose.files.shots import write_shot
 from ringpose.files.yaml import read_yaml, write_yaml
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 from ringpose.types.sequence import MOST_LASERS
 from ringpose.types.session import Capture, CaptureState, Session
 

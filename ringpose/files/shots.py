@@ -12,7 +12,7 @@ from ringpose.files.archives import Archive, write_archive
 from ringpose.files.fields import Fields
 from ringpose.files.images import IMAGE_SUFFIXES, check_shot_size, read_image
 from ringpose.types.arrays import Array, Float64, UInt, UInt8
-from ringpose.types.frame import ALL_LASERS, Shot
+from ringpose.types.image import ALL_LASERS, Shot
 from ringpose.types.rig import Rig
 
 SHOT_SUFFIXES = (".npz", *IMAGE_SUFFIXES)

@@ -13,7 +13,7 @@ from ringpose.files.rigs import write_rig
 from ringpose.files.shots import write_shot
 from ringpose.files.truths import truth_record
 from ringpose.types.board import Board
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 from ringpose.types.rig import Rig
 from ringpose.types.scene import BoardPlace
 from ringpose.types.truth import Truth

@@ -9,7 +9,7 @@ from ringpose.files.inputs import RECORDS_SUFFIX, Input, Record
 from ringpose.files.shots import SHOT_SUFFIXES, read_shot, shot_of
 from ringpose.types.camera import Camera
 from ringpose.types.detection import MAX_OFFSET, BreakPoints, Detection, outside_image
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 from ringpose.types.rig import Rig
 
 SUFFIXES = (RECORDS_SUFFIX, *SHOT_SUFFIXES)

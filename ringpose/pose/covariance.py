@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.pose.consistency import Explanation
 from ringpose.pose.measurements import Measurements
+from ringpose.pose.outlier_rejection import Explanation
 from ringpose.pose.residuals import BAND, CURVATURE, PARAMETERS, PLANE, SHIFT, TURN, cross
 from ringpose.pose.solver import Fit
 from ringpose.types.arrays import Array, Bool, Float64

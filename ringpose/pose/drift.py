@@ -14,8 +14,8 @@ import numpy as np
 
 from ringpose.pose.covariance import standard_deviation
 from ringpose.pose.measurements import Measurements
+from ringpose.pose.nuisance import light_plane_bases
 from ringpose.pose.residuals import PARAMETERS
-from ringpose.pose.rig_errors import light_plane_bases
 from ringpose.pose.solver import Fit
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.pose import PlaneEvidence, PoseFlag, RingPose

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ringpose.errors import DataError
-from ringpose.pose.most_likely import most_likely_pose
+from ringpose.pose.maximum_likelihood import most_likely_pose
 from ringpose.types.detection import BreakPoints, RingEdgePoints
 from ringpose.types.options import Method as Method
 from ringpose.types.pose import NoPose, RingPose

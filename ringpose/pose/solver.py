@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.pose.measurements import Measurements, Sighted
+from ringpose.pose.nuisance import ByRig, RigErrors, rows_by_common_errors
 from ringpose.pose.residuals import (
     CURVATURE,
     LIKELY_BAND_M,
@@ -27,7 +28,6 @@ from ringpose.pose.residuals import (
     rows_of,
     sights_of,
 )
-from ringpose.pose.rig_errors import ByRig, RigErrors, rows_by_common_errors
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.rig import Rig
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ringpose.geometry.rays import intersect, rays
 from ringpose.pose.measurements import pixels_by_ray_and_camera
-from ringpose.pose.rig_errors import rig_errors
+from ringpose.pose.nuisance import rig_errors
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.camera import Camera
 from ringpose.types.detection import BreakPoints

@@ -22,7 +22,7 @@ from ringpose.simulate.renderer import Stage, staged
 from ringpose.simulate.sensor import saturation_dn
 from ringpose.simulate.sheets import sheets
 from ringpose.simulate.target import EmptySpace, Target, ring_target
-from ringpose.types.frame import Frame, Shot
+from ringpose.types.image import Frame, Shot
 from ringpose.types.scene import BoardPlace, BoardSet, Light, RingView, Scene
 from ringpose.types.truth import Truth
 

@@ -25,7 +25,7 @@ from ringpose.simulate.sheets import half_thickness_m, in_sheet
 from ringpose.simulate.target import EMPTY
 from ringpose.types.arrays import Array, Float32, Float64, Int64, UInt8, UInt16
 from ringpose.types.camera import Camera
-from ringpose.types.frame import Frame
+from ringpose.types.image import Frame
 from ringpose.types.scene import Beacon, Light, Scene, Sensor, Speckle
 
 

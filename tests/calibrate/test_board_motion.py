@@ -6,7 +6,7 @@ from drawn_boards import FOUR
 
 from ringpose.calibrate.board_motion import STILL_PX, board_shift_px
 from ringpose.calibrate.boards.views import find_board
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 
 
 def shot_of(*images: np.ndarray) -> Shot:

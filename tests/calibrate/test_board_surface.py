@@ -6,7 +6,7 @@ import pytest
 from ringpose.calibrate.planes.board_surface import BoardSurface, board_surface
 from ringpose.geometry.rays import project
 from ringpose.types.board import Board, BoardPose
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from ringpose.calibrate.planes.stripes import stripe_view
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.board import Board
 from ringpose.types.camera import Camera
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 
 MODEL = PlanesModel(names=("left", "middle", "right"), order=(2, 1, 0))
 FOCAL_PX, MIDDLE_PX = (889.0, 888.5), (402.3, 297.6)

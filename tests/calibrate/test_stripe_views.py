@@ -17,7 +17,7 @@ from ringpose.geometry.rotations import angle_between
 from ringpose.types.board import Board
 from ringpose.types.calibration import PlanesCalibration
 from ringpose.types.camera import Camera
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 from ringpose.types.options import PlanesMethod
 
 RENDERED = (

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from ringpose.capture.ambient import ambient_change, same_ambient_light
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 
 HEIGHT, WIDTH = 120, 160
 

@@ -5,7 +5,7 @@ import pytest
 
 from ringpose.capture.bracketing import exposed_groups, merged_brackets, on_the_scale_of
 from ringpose.detect.stripes import find_stripes
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 
 BLACK_DN, DARK_DN, GAIN = 5.0, 1.2, 0.04
 

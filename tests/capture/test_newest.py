@@ -8,7 +8,7 @@ import pytest
 
 from ringpose.capture.latest_frame import NewestShots
 from ringpose.errors import DeviceError
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 
 
 def shot(name: str) -> Shot:

@@ -9,7 +9,7 @@ from ringpose.capture.cameras.driver import CameraDescription, CameraDriver
 from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.capture.pipeline import Procedure, captured_shots
 from ringpose.errors import DeviceError, LaserSafetyError, SignalReceived, UsageError
-from ringpose.types.frame import Frame
+from ringpose.types.image import Frame
 from ringpose.types.sequence import parsed_sequence
 
 

@@ -12,7 +12,7 @@ from ringpose.cli.main import main
 from ringpose.files.images import write_image
 from ringpose.files.sessions import read_session
 from ringpose.files.shots import read_shot
-from ringpose.types.frame import ALL_LASERS
+from ringpose.types.image import ALL_LASERS
 
 
 @pytest.fixture(autouse=True)

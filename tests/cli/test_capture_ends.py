@@ -14,7 +14,7 @@ from recorded_shots import recorded
 
 from ringpose.files.sessions import read_session
 from ringpose.files.shots import write_shot
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 
 
 @pytest.fixture(autouse=True)

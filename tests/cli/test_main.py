@@ -82,7 +82,7 @@ NEEDLESS = (
     *(
         "ringpose.detect.line_segments",
         "ringpose.pose.closed_form",
-        "ringpose.pose.other_frame",
+        "ringpose.pose.transform",
         "ringpose.files.matlab",
     ),
 )

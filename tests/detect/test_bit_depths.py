@@ -7,7 +7,7 @@ from drawn_scene import DrawnScene, light
 from ringpose.detect.pipeline import detect
 from ringpose.detect.stripes import find_stripes
 from ringpose.types.detection import BreakPoints
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 
 BRIGHT = (150.0, 170.0, 140.0)
 DIM = (14.0, 16.0, 15.0)

@@ -5,7 +5,7 @@ import pytest
 
 from ringpose.bench.stripe_images import Kind, stripe_image, stripe_rig
 from ringpose.detect.break_points import checked
-from ringpose.detect.faces import may_be_the_body, most_convincing, ring_face
+from ringpose.detect.rim import may_be_the_body, most_convincing, ring_face
 from ringpose.geometry.rays import undistorted_pixels
 from ringpose.kernels.ends import Ends
 from ringpose.kernels.lines import TRACK_COLUMNS, Group

@@ -6,7 +6,7 @@ from drawn_scene import DrawnScene, draw_shot, true_break_points
 
 from ringpose.detect.pipeline import detect
 from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 from ringpose.types.options import StripeSource
 from ringpose.types.rig import Rig
 

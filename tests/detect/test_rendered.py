@@ -10,7 +10,7 @@ from ringpose.detect.pipeline import detect
 from ringpose.files.rigs import read_rig
 from ringpose.files.shots import read_shot
 from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 
 FOLDERS = ["rig_a", "rig_b", "variants_a", "variants_b"]
 

@@ -9,7 +9,7 @@ from ringpose.detect.pipeline import detect
 from ringpose.simulate.pipeline import simulate
 from ringpose.types.camera import Camera
 from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 from ringpose.types.rig import LaserPlanes, Rig
 from ringpose.types.scene import Body, Light, RingShape, RingView, Scene, Sensor
 

@@ -19,7 +19,7 @@ from ringpose.files.poses import pose_line_of
 from ringpose.files.rigs import read_rig
 from ringpose.files.shots import read_shot, write_shot
 from ringpose.files.truths import read_truths
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 
 ODD = st.sampled_from(
     [

@@ -13,7 +13,7 @@ import yaml
 from ringpose.errors import CannotCreateError, DataError, InputOutputError, LaserSafetyError, SignalReceived
 from ringpose.files.sessions import SessionWriter, read_session, write_session
 from ringpose.files.shots import read_shot
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 from ringpose.types.session import Capture, Session
 
 CAPTURE = Capture(camera="sim:scene.yaml", lasers="sim:", sequence="off,1,off", laser_count=3)

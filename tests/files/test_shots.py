@@ -10,7 +10,7 @@ import pytest
 from ringpose.errors import CannotCreateError, DataError, NoInputError
 from ringpose.files.rigs import read_rig
 from ringpose.files.shots import read_shot, write_shot
-from ringpose.types.frame import ALL_LASERS, Shot
+from ringpose.types.image import ALL_LASERS, Shot
 
 
 def arrays(rng, frames=3, size=(480, 640)):

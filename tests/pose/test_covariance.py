@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from ringpose.errors import DataError
 from ringpose.pose.closed_form import FORMS
 from ringpose.pose.closed_form import closed_form_pose as estimate_pose
-from ringpose.pose.most_likely import most_likely_pose
+from ringpose.pose.maximum_likelihood import most_likely_pose
 from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.options import Method
 from ringpose.types.pose import PoseFlag

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from ringpose.geometry.rotations import tilted
-from ringpose.pose.other_frame import pose_in_frame
+from ringpose.pose.transform import pose_in_frame
 from ringpose.types.pose import RingPose
 
 

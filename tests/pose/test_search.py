@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from ringpose.pose.measurements import measurements_of
+from ringpose.pose.nuisance import rig_errors
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.pose.residuals import Beforehand, moved, rows_of
-from ringpose.pose.rig_errors import rig_errors
 from ringpose.pose.solver import HUBER_SIGMAS, fitted, starting_state
 from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.pose import NoPose, RingPose

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringpose.types.frame import Shot, full_scale_dn
+from ringpose.types.image import Shot, full_scale_dn
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ from ringpose.calibrate.markers import Markers, find_markers, marker_count, mark
 from ringpose.errors import DataError
 from ringpose.types.arrays import Array, Float64, Int64, UInt, UInt8
 from ringpose.types.board import Board, BoardView
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 
 MINIMUM_CORNERS = 6
 """A view with fewer corners says too little: four fix a pose, and six leave something to judge it by."""

@@ -13,7 +13,7 @@ from ringpose.geometry.rays import intersect, project, rays
 from ringpose.types.arrays import Array, Bool, Float64, UInt
 from ringpose.types.board import Board, BoardPose
 from ringpose.types.camera import Camera
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 
 PRINT_MARGIN_PX = 5.0
 """Distance from an edge between black and white within which a stripe's profile is lopsided: three stripe sigmas."""

@@ -19,7 +19,7 @@ from ringpose.errors import DataError, UsageError
 from ringpose.geometry.planes import nearest_plane
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.calibration import StripeView
-from ringpose.types.frame import ALL_LASERS, Shot
+from ringpose.types.image import ALL_LASERS, Shot
 from ringpose.types.sequence import MOST_LASERS
 
 DECISION = 3.0

@@ -26,7 +26,7 @@ from ringpose.types.board import Board, BoardView
 from ringpose.types.calibration import StripeView
 from ringpose.types.camera import Camera
 from ringpose.types.detection import Stripes
-from ringpose.types.frame import Frame, Shot
+from ringpose.types.image import Frame, Shot
 from ringpose.types.sequence import MOST_LASERS
 
 _NOTHING = np.empty((0, 2))

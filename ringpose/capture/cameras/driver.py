@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from ringpose.capture.uri import Device
-from ringpose.types.frame import Frame
+from ringpose.types.image import Frame
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

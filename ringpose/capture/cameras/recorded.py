@@ -6,7 +6,7 @@ import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.types.arrays import Array, UInt8
-from ringpose.types.frame import ALL_LASERS, Shot, shot_with_frames
+from ringpose.types.image import ALL_LASERS, Shot, shot_with_frames
 from ringpose.types.sequence import MOST_LASERS, Step
 
 

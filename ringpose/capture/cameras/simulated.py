@@ -5,7 +5,7 @@ from typing import Protocol, runtime_checkable
 from ringpose.capture.cameras.driver import CameraDescription, CameraDriver
 from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.errors import DeviceError
-from ringpose.types.frame import Frame
+from ringpose.types.image import Frame
 
 
 @runtime_checkable

@@ -12,7 +12,7 @@ from ringpose.capture.cameras.driver import CameraDescription, CameraDriver
 from ringpose.capture.uri import DeviceUri
 from ringpose.errors import DeviceError
 from ringpose.types.arrays import Array, UInt
-from ringpose.types.frame import Frame
+from ringpose.types.image import Frame
 
 TRIES = 3
 """Triggers for one frame: the first one after a pause, or one with lost packets, may be in vain."""

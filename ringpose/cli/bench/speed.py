@@ -14,7 +14,7 @@ from ringpose.types.options import Method
 
 if TYPE_CHECKING:
     from ringpose.bench.speed_gates import GateSection
-    from ringpose.types.frame import Shot
+    from ringpose.types.image import Shot
     from ringpose.types.rig import Rig
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from ringpose.capture.cameras.recorded import Recording, frames_of_steps
 from ringpose.errors import DataError
-from ringpose.types.frame import ALL_LASERS, Shot
+from ringpose.types.image import ALL_LASERS, Shot
 from ringpose.types.sequence import parsed_sequence
 
 

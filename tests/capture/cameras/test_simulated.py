@@ -10,7 +10,7 @@ from ringpose.capture.lasers.simulated import SimulatedLasers
 from ringpose.capture.lasers.uncontrolled import UncontrolledLasers, refuse_switching
 from ringpose.capture.pipeline import Procedure, captured_shots
 from ringpose.errors import UsageError
-from ringpose.types.frame import Frame
+from ringpose.types.image import Frame
 from ringpose.types.sequence import parsed_sequence
 
 DESCRIPTION = CameraDescription(name="scene", image_width=3, image_height=2, saturation_dn=255)

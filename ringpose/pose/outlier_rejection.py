@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.pose.measurements import ERRORS, Measurements, loosened
+from ringpose.pose.nuisance import RigErrors
 from ringpose.pose.residuals import CURVATURE, PARAMETERS, Beforehand
-from ringpose.pose.rig_errors import RigErrors
 from ringpose.pose.solver import Fit, fitted
 from ringpose.types.arrays import EDGES, Array, Float64
 from ringpose.types.pose import PoseFlag

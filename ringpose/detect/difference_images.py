@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ringpose.types.arrays import Array, Float64, UInt
-from ringpose.types.frame import Shot
+from ringpose.types.image import Shot
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

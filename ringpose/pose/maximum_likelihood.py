@@ -8,7 +8,6 @@ import numpy as np
 
 from ringpose.geometry.rays import GRAZING
 from ringpose.pose.catalogue import likely_ring, ring_posterior
-from ringpose.pose.consistency import Explanation, explained, freedom, own_cost, swapped
 from ringpose.pose.covariance import (
     BEND,
     EDGE_ON_BELOW,
@@ -24,8 +23,9 @@ from ringpose.pose.covariance import (
 )
 from ringpose.pose.drift import plane_evidence
 from ringpose.pose.measurements import Measurements, measurements_of
+from ringpose.pose.nuisance import rig_errors
+from ringpose.pose.outlier_rejection import Explanation, explained, freedom, own_cost, swapped
 from ringpose.pose.residuals import CURVATURE, Beforehand
-from ringpose.pose.rig_errors import rig_errors
 from ringpose.pose.solver import Fit
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints
