@@ -4,10 +4,10 @@ from collections.abc import Callable, Sequence
 from hashlib import sha256
 from pathlib import Path
 
-from ringpose.calibrate.board_overlay import board_overlay
 from ringpose.calibrate.boards.diagnostics import NoBoard
+from ringpose.calibrate.boards.markers import marker_dictionary
+from ringpose.calibrate.boards.overlay import board_overlay
 from ringpose.calibrate.boards.views import board_image, find_board
-from ringpose.calibrate.markers import marker_dictionary
 from ringpose.cli import messages
 from ringpose.cli.batch import Batch
 from ringpose.cli.progress import counted

@@ -100,8 +100,8 @@ class _Writing(NamedTuple):
 
 def _calibrate(images: "BoardImages", asked: _Asked, writing: _Writing, board: Path) -> int:
     """The exit status that the verdict asks for."""
-    from ringpose.calibrate.camera import calibrate_camera as calibrated
     from ringpose.calibrate.camera.assessment import camera_assessment, widened
+    from ringpose.calibrate.camera.pipeline import calibrate_camera as calibrated
     from ringpose.calibrate.camera.quality import camera_summary, camera_verdict
     from ringpose.cli.calibrate.outputs import say_verdict
 

@@ -175,9 +175,9 @@ def _assessment(
     stripes: "StripeImages", method: PlanesMethod, free_camera: bool, writing: _Writing
 ) -> "PlanesAssessment":
     from ringpose.calibrate.boards.layout import marker_size_findings
+    from ringpose.calibrate.planes.acceptance import planes_verdict
     from ringpose.calibrate.planes.pipeline import calibrate_planes as calibrated
     from ringpose.calibrate.planes.quality import PlanesAssessment
-    from ringpose.calibrate.planes_verdict import planes_verdict
     from ringpose.errors import DataError
     from ringpose.types.verdict import Verdict
 
@@ -221,7 +221,7 @@ def _write(
 
 
 def _check(shots: list[str], rig_file: Path, reading: _Reading) -> None:
-    from ringpose.calibrate.rig_check import rig_check, rig_check_lines
+    from ringpose.calibrate.planes.check import rig_check, rig_check_lines
     from ringpose.cli import messages
     from ringpose.cli.batch import Batch
     from ringpose.errors import NO_POSE

@@ -3,9 +3,9 @@
 from dataclasses import replace
 from itertools import pairwise
 
-from ringpose.calibrate.board_motion import STILL_PX, board_shift_px
-from ringpose.calibrate.board_overlay import stripe_overlay
-from ringpose.calibrate.board_pose import board_pose
+from ringpose.calibrate.boards.motion import STILL_PX, board_shift_px
+from ringpose.calibrate.boards.overlay import stripe_overlay
+from ringpose.calibrate.boards.pose import board_pose
 from ringpose.calibrate.boards.views import dark_image
 from ringpose.calibrate.planes.board_surface import board_surface
 from ringpose.calibrate.planes.labels import THREE, laser_names, laser_order, lasers_named

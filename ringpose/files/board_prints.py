@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from ringpose.calibrate.board_drawing import BoardDrawing
+from ringpose.calibrate.boards.drawing import BoardDrawing
 from ringpose.errors import UsageError
 from ringpose.files import atomic
 

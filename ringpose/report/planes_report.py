@@ -3,9 +3,9 @@
 import numpy as np
 from matplotlib.axes import Axes
 
+from ringpose.calibrate.planes.acceptance import GOOD_DEPTH_SHARE, GOOD_SHARE
 from ringpose.calibrate.planes.covariance import depth_uncertainty
 from ringpose.calibrate.planes.quality import PlanesAssessment, planes_summary
-from ringpose.calibrate.planes_verdict import GOOD_DEPTH_SHARE, GOOD_SHARE
 from ringpose.report.page import Picture, Section, Table, canvas, drawn, page, png_of, verdict_section
 from ringpose.types.calibration import LaserCalibration, PlanesCalibration
 

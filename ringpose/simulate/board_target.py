@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from ringpose.calibrate.boards.layout import is_white, marker_corners, outline_m
-from ringpose.calibrate.markers import marker_dictionary
+from ringpose.calibrate.boards.markers import marker_dictionary
 from ringpose.simulate.target import EMPTY
 from ringpose.types.arrays import Array, Bool, Float64, Int8, UInt8
 from ringpose.types.board import Board

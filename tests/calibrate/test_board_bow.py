@@ -6,10 +6,10 @@ from dataclasses import replace
 import pytest
 
 from ringpose.calibrate.boards.layout import corner_points
-from ringpose.calibrate.camera import calibrate_camera
 from ringpose.calibrate.camera.assessment import FLAT_SIGMAS, bow_finding, camera_assessment
 from ringpose.calibrate.camera.bundle_adjustment import CameraSolution, camera_solution
 from ringpose.calibrate.camera.parameters import PLUMB_BOB
+from ringpose.calibrate.camera.pipeline import calibrate_camera
 from ringpose.types.board import Board, BoardView
 
 POINTS = corner_points(Board(kind="chessboard", squares_x=12, squares_y=10, square_m=0.025))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringpose.calibrate.board_drawing import A4_BOARDS, RIM_M, board_drawing
+from ringpose.calibrate.boards.drawing import A4_BOARDS, RIM_M, board_drawing
 from ringpose.calibrate.boards.layout import outline_m
 from ringpose.types.board import Board
 

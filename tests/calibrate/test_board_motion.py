@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from drawn_boards import FOUR
 
-from ringpose.calibrate.board_motion import STILL_PX, board_shift_px
+from ringpose.calibrate.boards.motion import STILL_PX, board_shift_px
 from ringpose.calibrate.boards.views import find_board
 from ringpose.types.image import Shot
 

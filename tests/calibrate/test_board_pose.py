@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from ringpose.calibrate.board_pose import board_pose, marker_average_pose, moved_pose
 from ringpose.calibrate.boards.corner_errors import likeliest_pose
 from ringpose.calibrate.boards.layout import corner_points
+from ringpose.calibrate.boards.pose import board_pose, marker_average_pose, moved_pose
 
 
 @pytest.mark.parametrize("pose_of", [board_pose, marker_average_pose])

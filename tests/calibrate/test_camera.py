@@ -9,8 +9,8 @@ import pytest
 from ringpose.calibrate.boards.diagnostics import NoBoard
 from ringpose.calibrate.boards.layout import corner_points
 from ringpose.calibrate.boards.views import find_board
-from ringpose.calibrate.camera import calibrate_camera
 from ringpose.calibrate.camera.parameters import CameraModel, parameters_of
+from ringpose.calibrate.camera.pipeline import calibrate_camera
 from ringpose.errors import DataError
 from ringpose.types.board import Board, BoardView
 

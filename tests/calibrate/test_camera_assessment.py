@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from ringpose.calibrate.boards.layout import corner_points
-from ringpose.calibrate.camera import calibrate_camera
 from ringpose.calibrate.camera.assessment import camera_assessment, widened
 from ringpose.calibrate.camera.bundle_adjustment import camera_solution
 from ringpose.calibrate.camera.parameters import PLUMB_BOB
+from ringpose.calibrate.camera.pipeline import calibrate_camera
 from ringpose.calibrate.camera.quality import camera_quality, camera_summary, camera_verdict, projection_sigma_m
 from ringpose.calibrate.camera.validation import (
     cameras_one_step_away,

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringpose.calibrate.board_pose import board_pose
 from ringpose.calibrate.boards.corner_errors import corner_sigmas_px, with_shared_errors
+from ringpose.calibrate.boards.pose import board_pose
 from ringpose.types.calibration import StripeView
 
 SIGMA_PX = 0.02

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from ringpose.calibrate.boards.layout import corner_points
-from ringpose.calibrate.camera import calibrate_camera
 from ringpose.calibrate.camera.assessment import camera_assessment
 from ringpose.calibrate.camera.parameters import CameraModel
+from ringpose.calibrate.camera.pipeline import calibrate_camera
 from ringpose.calibrate.camera.quality import camera_quality, camera_summary, camera_verdict
 from ringpose.calibrate.camera.validation import displacement_px, image_map, known_lens, projection_sigma_px
 from ringpose.types.board import Board, BoardView

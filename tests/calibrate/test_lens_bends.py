@@ -8,7 +8,7 @@ import pytest
 
 from ringpose.calibrate.boards.circles import seen_offsets
 from ringpose.calibrate.boards.corner_errors import likeness_of_ends
-from ringpose.calibrate.lens_bends import without_bends
+from ringpose.calibrate.camera.distortion_bias import without_bends
 from ringpose.types.board import BoardView
 
 CORNERS_M = np.array([[0.0, 0, 0], [0.08, 0, 0], [0.08, 0.08, 0], [0, 0.08, 0]])

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringpose.calibrate.plane_joint import joint_data
+from ringpose.calibrate.planes.joint_adjustment import joint_data
 
 NOISE_PX = 0.03
 

@@ -9,9 +9,9 @@ import scipy.io
 
 from ringpose.calibrate.boards.diagnostics import NoBoard
 from ringpose.calibrate.boards.views import find_board
-from ringpose.calibrate.camera import calibrate_camera
 from ringpose.calibrate.camera.assessment import camera_assessment, widened
 from ringpose.calibrate.camera.parameters import CameraModel, parameters_of
+from ringpose.calibrate.camera.pipeline import calibrate_camera
 from ringpose.calibrate.camera.quality import camera_verdict
 from ringpose.types.board import Board, BoardView
 from ringpose.types.calibration import CameraAssessment, CameraCalibration

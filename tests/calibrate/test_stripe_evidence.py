@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.calibrate.board_pose import board_pose
+from ringpose.calibrate.boards.pose import board_pose
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.types.board import BoardPose
 

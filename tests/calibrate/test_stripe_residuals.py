@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.calibrate.board_pose import moved_pose
+from ringpose.calibrate.boards.pose import moved_pose
 from ringpose.calibrate.camera.parameters import camera_with, parameters_of
 from ringpose.calibrate.planes.stripe_errors import stripe_rows
 from ringpose.geometry.rays import rays

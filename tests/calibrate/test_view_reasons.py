@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from ringpose.calibrate.boards.layout import corner_points
-from ringpose.calibrate.camera import calibrate_camera
 from ringpose.calibrate.camera.outliers import other_camera_finding
+from ringpose.calibrate.camera.pipeline import calibrate_camera
 from ringpose.types.board import Board, BoardView
 from ringpose.types.verdict import Grade
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.calibrate.board_drawing import A4_BOARDS, board_drawing
+from ringpose.calibrate.boards.drawing import A4_BOARDS, board_drawing
 from ringpose.calibrate.boards.views import find_board
 from ringpose.errors import UsageError
 from ringpose.files.board_prints import pdf, write_board_print

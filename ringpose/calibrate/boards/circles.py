@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 from scipy.special import ndtr
 
+from ringpose.calibrate.boards.edge_profile import LEAST_BLUR_PX
 from ringpose.calibrate.boards.image_patch import grey_around
-from ringpose.calibrate.edge_profile import LEAST_BLUR_PX
 from ringpose.types.arrays import Array, Bool, Float64, UInt8
 
 _ROUNDS = 2

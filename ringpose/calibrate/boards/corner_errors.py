@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import digamma, polygamma
 
-from ringpose.calibrate.board_pose import board_pose, moved_pose, residuals
+from ringpose.calibrate.boards.pose import board_pose, moved_pose, residuals
 from ringpose.calibrate.camera.parameters import projection_jacobians
 from ringpose.calibrate.normal_spread import normal_spread
 from ringpose.types.arrays import Array, Float64

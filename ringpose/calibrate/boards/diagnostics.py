@@ -15,7 +15,7 @@ import numpy as np
 from ringpose.calibrate.boards.chessboard import largest_grid
 from ringpose.calibrate.boards.circles import brightened, circle_middles
 from ringpose.calibrate.boards.layout import corner_points, marker_corners
-from ringpose.calibrate.markers import Markers, find_markers, marker_dictionary
+from ringpose.calibrate.boards.markers import Markers, find_markers, marker_dictionary
 from ringpose.types.arrays import Array, Bool, Float64, UInt8
 from ringpose.types.board import Board
 

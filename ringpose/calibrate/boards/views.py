@@ -22,7 +22,7 @@ from ringpose.calibrate.boards.diagnostics import (
 )
 from ringpose.calibrate.boards.layout import MarkerLayout, corner_points, marker_corners, marker_layout, other_layout
 from ringpose.calibrate.boards.marker_edges import corners_from_sides
-from ringpose.calibrate.markers import Markers, find_markers, marker_count, marker_dictionary, markers_of
+from ringpose.calibrate.boards.markers import Markers, find_markers, marker_count, marker_dictionary, markers_of
 from ringpose.errors import DataError
 from ringpose.types.arrays import Array, Float64, Int64, UInt, UInt8
 from ringpose.types.board import Board, BoardView

@@ -16,6 +16,7 @@ import numpy as np
 from ringpose.calibrate.boards.corner_errors import by_independent_errors
 from ringpose.calibrate.boards.layout import marker_size_findings
 from ringpose.calibrate.camera.bundle_adjustment import CameraSolution, ViewEquations, camera_solution, view_equations
+from ringpose.calibrate.camera.distortion_bias import without_bends
 from ringpose.calibrate.camera.outliers import other_camera_finding
 from ringpose.calibrate.camera.parameters import CameraModel, projection_jacobians
 from ringpose.calibrate.camera.validation import (
@@ -26,7 +27,6 @@ from ringpose.calibrate.camera.validation import (
     projection_sigma_px,
     used_views,
 )
-from ringpose.calibrate.lens_bends import without_bends
 from ringpose.geometry.rotations import angle_between, rotation_vector
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose, BoardView

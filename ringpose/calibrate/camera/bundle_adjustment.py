@@ -13,8 +13,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from ringpose.calibrate.board_pose import board_pose, moved_pose, residuals
 from ringpose.calibrate.boards.corner_errors import by_independent_errors, moderated_variances
+from ringpose.calibrate.boards.pose import board_pose, moved_pose, residuals
+from ringpose.calibrate.camera.distortion_bias import without_bends
 from ringpose.calibrate.camera.parameters import (
     CameraModel,
     camera_with,
@@ -23,7 +24,6 @@ from ringpose.calibrate.camera.parameters import (
     parameters_of,
     projection_jacobians,
 )
-from ringpose.calibrate.lens_bends import without_bends
 from ringpose.errors import DataError
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose, BoardView

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ringpose.calibrate.board_pose import board_pose, residuals
+from ringpose.calibrate.boards.pose import board_pose, residuals
 from ringpose.calibrate.camera.bundle_adjustment import corners_of, view_equations
 from ringpose.calibrate.camera.parameters import camera_with, parameters_of
 from ringpose.calibrate.camera.validation import used_views

@@ -15,7 +15,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from ringpose.calibrate.board_pose import board_pose
+from ringpose.calibrate.boards.pose import board_pose
 from ringpose.calibrate.camera.bundle_adjustment import (
     MINIMUM_VIEWS,
     CameraSolution,

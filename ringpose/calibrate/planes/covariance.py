@@ -18,7 +18,7 @@ import numpy as np
 
 from ringpose.calibrate.boards.corner_errors import likeliest_pose
 from ringpose.calibrate.camera.parameters import parameter_names
-from ringpose.calibrate.plane_joint import (
+from ringpose.calibrate.planes.joint_adjustment import (
     JointData,
     JointFit,
     corner_chi2,

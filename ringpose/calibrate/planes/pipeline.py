@@ -9,10 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.calibrate.board_pose import board_pose, board_poses, marker_average_pose
 from ringpose.calibrate.boards.corner_errors import corner_sigmas_px, with_shared_errors
-from ringpose.calibrate.lens_bends import without_bends
-from ringpose.calibrate.plane_joint import (
+from ringpose.calibrate.boards.pose import board_pose, board_poses, marker_average_pose
+from ringpose.calibrate.camera.distortion_bias import without_bends
+from ringpose.calibrate.planes.board_surface import triangulated
+from ringpose.calibrate.planes.covariance import laser_disagreements, planes_covariance, variance_excess
+from ringpose.calibrate.planes.evidence import StripeEvidence, stripe_evidence
+from ringpose.calibrate.planes.joint_adjustment import (
     JointData,
     JointFit,
     JointState,
@@ -20,9 +23,6 @@ from ringpose.calibrate.plane_joint import (
     joint_data,
     joint_fit,
 )
-from ringpose.calibrate.planes.board_surface import triangulated
-from ringpose.calibrate.planes.covariance import laser_disagreements, planes_covariance, variance_excess
-from ringpose.calibrate.planes.evidence import StripeEvidence, stripe_evidence
 from ringpose.calibrate.planes.plane_fit import (
     FittedPlane,
     Points,

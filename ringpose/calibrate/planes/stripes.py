@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from ringpose.calibrate.board_pose import board_pose
 from ringpose.calibrate.boards.image_patch import in_full_image, reduced
 from ringpose.calibrate.boards.layout import outline_m
+from ringpose.calibrate.boards.pose import board_pose
 from ringpose.calibrate.boards.views import dark_image
 from ringpose.calibrate.normal_spread import normal_spread
 from ringpose.calibrate.planes.board_surface import BoardSurface, board_surface

@@ -64,7 +64,7 @@ def print_board(path: Path, board_file: Path, usual: str, *, force: bool, quiet:
 
     `usual` is the kind of that board.
     """
-    from ringpose.calibrate.board_drawing import A4_BOARDS, board_drawing
+    from ringpose.calibrate.boards.drawing import A4_BOARDS, board_drawing
     from ringpose.cli import messages
     from ringpose.files.atomic import refuse_existing, refuse_inputs
     from ringpose.files.board_prints import require_pdf, write_board_print

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ringpose.calibrate.board_pose import board_pose, residuals
+from ringpose.calibrate.boards.pose import board_pose, residuals
 from ringpose.calibrate.camera.bundle_adjustment import (
     CameraSolution,
     blank_camera,
@@ -13,6 +13,7 @@ from ringpose.calibrate.camera.bundle_adjustment import (
     corners_of,
     undetermined,
 )
+from ringpose.calibrate.camera.distortion_bias import without_bends
 from ringpose.calibrate.camera.outliers import (
     LARGEST_VIEW_SHARE,
     outlying_corners,
@@ -22,7 +23,6 @@ from ringpose.calibrate.camera.outliers import (
     whole_markers,
 )
 from ringpose.calibrate.camera.parameters import PLUMB_BOB, CameraModel, covariance_of_free, parameter_names
-from ringpose.calibrate.lens_bends import without_bends
 from ringpose.types.arrays import Array, Bool
 from ringpose.types.board import BoardView
 from ringpose.types.calibration import CameraCalibration, CameraView

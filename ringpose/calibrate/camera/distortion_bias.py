@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ringpose.calibrate.board_pose import board_pose
 from ringpose.calibrate.boards.circles import seen_offsets
 from ringpose.calibrate.boards.corner_errors import end_of_likeness, side_normals
+from ringpose.calibrate.boards.pose import board_pose
 from ringpose.geometry.rays import project
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardView
