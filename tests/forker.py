@@ -21,7 +21,7 @@ import ringpose.cli.sources
 import ringpose.files.scenes
 import ringpose.files.sessions
 import ringpose.simulate.pipeline
-import ringpose.simulate.serve.stand_in
+import ringpose.simulate.serve.virtual_device
 from ringpose.cli.main import run
 
 LOADED = (scipy, ringpose)

@@ -12,7 +12,7 @@ from ringpose.cli.main import main
 from ringpose.files.shots import read_shot
 from ringpose.simulate.serve.faults import Faults
 from ringpose.simulate.serve.relays import ContactFaults
-from ringpose.simulate.serve.stand_in import Setup, StandIn
+from ringpose.simulate.serve.virtual_device import Setup, StandIn
 from ringpose.types.options import Move, Relay
 from ringpose.types.scene import Beacon, Light
 

@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 
 from ringpose.capture.ambient import LOST_SHARE_OF_FULL, AmbientChange, ambient_change, same_ambient_light
-from ringpose.capture.bracketing import merged_brackets, on_the_scale_of
 from ringpose.capture.cameras.driver import CameraDriver
-from ringpose.capture.lasers.driver import LaserDriver, LasersWentOff
-from ringpose.capture.seen import (
+from ringpose.capture.hdr import merged_brackets, on_the_scale_of
+from ringpose.capture.laser_check import (
     STRIPE_IN_THE_DARK,
     LitPlaces,
     broad_light_dn,
@@ -23,6 +22,7 @@ from ringpose.capture.seen import (
     seen_lasers,
     shows_stripe,
 )
+from ringpose.capture.lasers.driver import LaserDriver, LasersWentOff
 from ringpose.errors import DeviceError, LaserSafetyError, UsageError
 from ringpose.types.arrays import Array, UInt
 from ringpose.types.image import Frame, Shot

@@ -137,7 +137,7 @@ def _calibrate(shots: list[str], reading: _Reading, writing: _Writing, method: P
     from ringpose.cli.batch import Batch
     from ringpose.cli.calibrate.outputs import refuse_existing_outputs, say_verdict
     from ringpose.errors import NO_POSE, DataError
-    from ringpose.files.camera_formats import read_camera
+    from ringpose.files.cameras.formats import read_camera
     from ringpose.files.rigs import read_mount
 
     files = [reading.board, writing.camera, *([writing.mount] if writing.mount else [])]
@@ -215,7 +215,7 @@ def _write(
     files = [writing.camera, *([writing.mount] if writing.mount else []), *read]
     write_rig(writing.output, rig, extra=planes_quality(assessment), force=force, inputs=files)
     if writing.report is not None:
-        from ringpose.report.planes_report import planes_report
+        from ringpose.report.planes import planes_report
 
         write_page(writing.report, planes_report(assessment), force=force)
 

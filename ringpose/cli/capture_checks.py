@@ -16,7 +16,7 @@ def list_devices(wanted: bool) -> bool:
     if not wanted:
         return wanted
 
-    from ringpose.capture import inventory
+    from ringpose.capture import device_discovery as inventory
     from ringpose.cli import messages
     from ringpose.files import records
 
@@ -33,8 +33,8 @@ def check_devices(wanted: "Wanted", batch: "Batch") -> None:
     from dataclasses import asdict
 
     from ringpose.capture.cameras.driver import CameraDriver
-    from ringpose.capture.dry_run import dry_run
     from ringpose.capture.lasers.driver import LaserDriver
+    from ringpose.capture.self_test import dry_run
     from ringpose.cli.sources import source_of
     from ringpose.files import records
 

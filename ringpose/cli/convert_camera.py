@@ -19,7 +19,7 @@ Format = Annotated[CameraFormat, typer.Option("--format", help="The program that
 def convert_camera(camera: CameraInput, output: OutputFile, form: Format, force: Force = False) -> None:
     """Write a camera in the format of another program, or one of another program as camera.yaml."""
     from ringpose.files.atomic import refuse_inputs
-    from ringpose.files.camera_formats import read_camera, write_camera_as
+    from ringpose.files.cameras.formats import read_camera, write_camera_as
 
     refuse_inputs([output], [camera])
     write_camera_as(output, read_camera(camera), form, camera, force=force)

@@ -96,8 +96,8 @@ def _in_metres(value: float) -> str:
 
 
 def _of_catalogue(name: str, path: Path | None) -> "KnownRadii | Sequence[Ring]":
-    from ringpose.files.fields import hint
     from ringpose.files.rings import SHIPPED, read_rings
+    from ringpose.files.schema import hint
 
     rings = read_rings(path or SHIPPED)
     if name == AUTO:

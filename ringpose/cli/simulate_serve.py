@@ -61,7 +61,7 @@ def serve(
     from ringpose.files import records
     from ringpose.files.scenes import read_scene
     from ringpose.simulate.serve.faults import parsed_faults
-    from ringpose.simulate.serve.stand_in import Setup, StandIn
+    from ringpose.simulate.serve.virtual_device import Setup, StandIn
 
     read = read_scene(scene)
     setup = Setup(

@@ -9,9 +9,9 @@ from typing import Any, cast, get_args
 
 from ringpose.errors import DataError
 from ringpose.files import atomic
-from ringpose.files.fields import Fields
+from ringpose.files.cameras.opencv import storage_values
 from ringpose.files.io import read_bytes
-from ringpose.files.opencv_storage import storage_values
+from ringpose.files.schema import Fields
 from ringpose.files.yaml import read_yaml, write_yaml
 from ringpose.types.board import Board, BoardKind
 

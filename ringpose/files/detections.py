@@ -13,10 +13,10 @@ import numpy as np
 from ringpose.detect.difference_images import most_lit_image
 from ringpose.errors import DataError
 from ringpose.files import atomic, records
-from ringpose.files.archives import Archive, write_archive
-from ringpose.files.fields import FREE_PREFIX, ROUNDED, Fields
 from ringpose.files.images import write_image
+from ringpose.files.npz import Archive, write_archive
 from ringpose.files.provenance import provenance
+from ringpose.files.schema import FREE_PREFIX, ROUNDED, Fields
 from ringpose.types.arrays import EDGES, Array, Float64, Int64
 from ringpose.types.detection import (
     MAX_SIGMA_PX,

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ringpose.files.fields import Fields
+from ringpose.files.schema import Fields
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.options import PoseFrame
 from ringpose.types.pose import PoseFlag, PoseLine, RingPose

@@ -11,9 +11,9 @@ import numpy as np
 from ringpose.errors import DataError
 from ringpose.files import atomic
 from ringpose.files.cameras.ros import CAMERA_KEYS, camera_of, camera_values, covariance_values, read_covariance
-from ringpose.files.fields import ROUNDED, Fields
 from ringpose.files.io import read_bytes
 from ringpose.files.provenance import provenance
+from ringpose.files.schema import ROUNDED, Fields
 from ringpose.files.yaml import parsed, write_yaml
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.covariance import camera_parameters, laser_parameters

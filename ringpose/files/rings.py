@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from ringpose.files.fields import Fields
+from ringpose.files.schema import Fields
 from ringpose.files.yaml import read_yaml
 from ringpose.types.ring import Ring
 

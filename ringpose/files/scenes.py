@@ -13,8 +13,8 @@ import numpy as np
 
 from ringpose.errors import DataError, UsageError
 from ringpose.files.boards import board_of
-from ringpose.files.fields import Fields
 from ringpose.files.rigs import read_rig
+from ringpose.files.schema import Fields
 from ringpose.files.yaml import read_yaml
 from ringpose.geometry.rotations import facing_normal
 from ringpose.types.arrays import Array, Float64

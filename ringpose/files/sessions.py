@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, Literal, cast, get_args
 
 from ringpose.errors import CannotCreateError, DataError, RingposeError
 from ringpose.files.atomic import make_folder, output_error, replacing
-from ringpose.files.fields import Fields
 from ringpose.files.provenance import provenance, sha256
+from ringpose.files.schema import Fields
 from ringpose.files.shots import write_shot
 from ringpose.files.yaml import read_yaml, write_yaml
 from ringpose.types.image import Shot

@@ -8,9 +8,9 @@ import numpy as np
 
 from ringpose.errors import DataError, NoInputError
 from ringpose.files import records
-from ringpose.files.archives import Archive, write_archive
-from ringpose.files.fields import Fields
 from ringpose.files.images import IMAGE_SUFFIXES, check_shot_size, read_image
+from ringpose.files.npz import Archive, write_archive
+from ringpose.files.schema import Fields
 from ringpose.types.arrays import Array, Float64, UInt, UInt8
 from ringpose.types.image import ALL_LASERS, Shot
 from ringpose.types.rig import Rig

@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from ringpose.errors import DataError
-from ringpose.files.archives import Archive
 from ringpose.files.detections import detection_in, detection_of, is_detection
 from ringpose.files.inputs import RECORDS_SUFFIX, Input, Record
+from ringpose.files.npz import Archive
 from ringpose.files.shots import SHOT_SUFFIXES, read_shot, shot_of
 from ringpose.types.camera import Camera
 from ringpose.types.detection import MAX_OFFSET, BreakPoints, Detection, outside_image

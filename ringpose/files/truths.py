@@ -7,8 +7,8 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from ringpose.files import records
-from ringpose.files.fields import Fields, kind
 from ringpose.files.io import read_bytes
+from ringpose.files.schema import Fields, kind
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.truth import Truth
 

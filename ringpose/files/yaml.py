@@ -9,9 +9,9 @@ import yaml
 from yaml.composer import Composer
 
 from ringpose.errors import DataError
-from ringpose.files.fields import Fields
 from ringpose.files.io import read_bytes
 from ringpose.files.records import plain
+from ringpose.files.schema import Fields
 
 MAX_VALUES = 1_000_000
 """Of one document."""

@@ -7,8 +7,8 @@ points. A break point is true only if the camera sees it and the laser reaches i
 import numpy as np
 
 from ringpose.geometry.rays import project
+from ringpose.simulate.laser_planes import in_fan
 from ringpose.simulate.lighting import Stand
-from ringpose.simulate.sheets import in_fan
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.camera import Camera
 from ringpose.types.scene import RingShape

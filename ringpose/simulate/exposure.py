@@ -6,10 +6,10 @@ import numpy as np
 
 from ringpose.geometry.rays import project
 from ringpose.simulate.break_points import crossings, in_picture
+from ringpose.simulate.laser_planes import half_thickness_m
 from ringpose.simulate.lighting import Hits, Stand, laser_radiance
 from ringpose.simulate.renderer import pixel_rays
 from ringpose.simulate.sensor import electrons_per_radiance
-from ringpose.simulate.sheets import half_thickness_m
 from ringpose.simulate.target import ring_target
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.scene import Scene

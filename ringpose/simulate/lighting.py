@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ringpose.simulate.laser_planes import Sheets, in_sheet, irradiance_w_m2
 from ringpose.simulate.placement import Placement
-from ringpose.simulate.sheets import Sheets, in_sheet, irradiance_w_m2
 from ringpose.simulate.target import Target
 from ringpose.types.arrays import Array, Bool, Float64, Int8, Int64
 from ringpose.types.scene import Light, Material

@@ -16,11 +16,11 @@ import numpy as np
 from ringpose.simulate.board_target import board_target
 from ringpose.simulate.break_points import true_break_points_px
 from ringpose.simulate.exposure import view_exposure_s
+from ringpose.simulate.laser_planes import sheets
 from ringpose.simulate.lighting import Stand
 from ringpose.simulate.placement import Placement, board_places, ring_rotation, ring_views
 from ringpose.simulate.renderer import Stage, staged
 from ringpose.simulate.sensor import saturation_dn
-from ringpose.simulate.sheets import sheets
 from ringpose.simulate.target import EmptySpace, Target, ring_target
 from ringpose.types.image import Frame, Shot
 from ringpose.types.scene import BoardPlace, BoardSet, Light, RingView, Scene

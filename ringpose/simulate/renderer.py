@@ -19,9 +19,9 @@ import cv2
 import numpy as np
 
 from ringpose.geometry.rays import undistort
+from ringpose.simulate.laser_planes import half_thickness_m, in_sheet
 from ringpose.simulate.lighting import Hits, Stand, ambient_radiance, laser_radiance, settled_hits
 from ringpose.simulate.sensor import digitised, electrons_per_radiance
-from ringpose.simulate.sheets import half_thickness_m, in_sheet
 from ringpose.simulate.target import EMPTY
 from ringpose.types.arrays import Array, Float32, Float64, Int64, UInt8, UInt16
 from ringpose.types.camera import Camera

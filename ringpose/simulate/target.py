@@ -13,7 +13,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from ringpose.simulate import revolution
+from ringpose.simulate import surface_of_revolution as revolution
 from ringpose.types.arrays import Array, Bool, Complex64, Float32, Float64, Int8, Int64
 from ringpose.types.scene import MATERIALS, Body, Foil, Material, RingShape
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringpose.capture.bracketing import exposed_groups, merged_brackets, on_the_scale_of
+from ringpose.capture.hdr import exposed_groups, merged_brackets, on_the_scale_of
 from ringpose.detect.stripes import find_stripes
 from ringpose.types.image import Shot
 

@@ -5,8 +5,8 @@ import time
 import pytest
 from drawn_camera import DrawnCamera
 
-from ringpose.capture.dry_run import dry_run
 from ringpose.capture.lasers.driver import LaserDriver
+from ringpose.capture.self_test import dry_run
 from ringpose.errors import LaserSafetyError
 from ringpose.simulate.serve.relays import ContactFaults, Contacts
 
@@ -31,7 +31,7 @@ class ContactLasers(LaserDriver):
 @pytest.fixture
 def walked(rng, monkeypatch):
     """The findings before lasers with these faults."""
-    monkeypatch.setattr("ringpose.capture.dry_run.LONGEST_SETTLE_S", 0.05)
+    monkeypatch.setattr("ringpose.capture.self_test.LONGEST_SETTLE_S", 0.05)
 
     def findings(**faults):
         contacts = Contacts(3, ContactFaults(**faults))

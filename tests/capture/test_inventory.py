@@ -2,7 +2,7 @@
 
 import serial.tools.list_ports
 
-from ringpose.capture import inventory
+from ringpose.capture import device_discovery as inventory
 
 
 class Port:

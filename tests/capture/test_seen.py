@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringpose.capture.seen import LitPlaces, places_lit
+from ringpose.capture.laser_check import LitPlaces, places_lit
 from ringpose.types.arrays import Array, Float64, UInt8
 
 ROW = 60

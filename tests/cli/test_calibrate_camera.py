@@ -114,7 +114,7 @@ def test_the_file_says_how_good_it_is_and_where_it_comes_from(folder):
 
 
 def test_the_camera_is_read_back_with_its_covariance(folder):
-    from ringpose.files.camera_formats import read_camera
+    from ringpose.files.cameras.formats import read_camera
 
     calibrate("views", "--camera-name", "wide", "--fix-k3")
 

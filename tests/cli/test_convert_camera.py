@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ringpose.cli.main import main
-from ringpose.files.camera_formats import read_camera
+from ringpose.files.cameras.formats import read_camera
 
 
 @pytest.fixture

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from ringpose.cli.main import main
-from ringpose.files.archives import Archive
 from ringpose.files.detections import detection_in
+from ringpose.files.npz import Archive
 from ringpose.types.detection import NoBreakPoints
 
 

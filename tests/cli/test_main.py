@@ -83,7 +83,7 @@ NEEDLESS = (
         "ringpose.detect.line_segments",
         "ringpose.pose.closed_form",
         "ringpose.pose.transform",
-        "ringpose.files.matlab",
+        "ringpose.files.cameras.matlab",
     ),
 )
 

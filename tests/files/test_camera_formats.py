@@ -9,8 +9,8 @@ import scipy.io
 import yaml
 
 from ringpose.errors import DataError, UsageError
-from ringpose.files import matlab
-from ringpose.files.camera_formats import read_camera, write_camera_as
+from ringpose.files.cameras import matlab
+from ringpose.files.cameras.formats import read_camera, write_camera_as
 from ringpose.files.cameras.ros import write_camera
 from ringpose.types.camera import Camera
 from ringpose.types.covariance import ParameterCovariance

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from ringpose.errors import DataError
-from ringpose.files.camera_formats import read_camera
+from ringpose.files.cameras.formats import read_camera
 from ringpose.files.cameras.ros import write_camera
 from ringpose.types.camera import Camera
 from ringpose.types.covariance import ParameterCovariance

@@ -14,9 +14,9 @@ import pytest
 
 from ringpose.cli.main import main
 from ringpose.errors import DataError
-from ringpose.files.archives import Archive
 from ringpose.files.image_headers import image_header
 from ringpose.files.images import read_image
+from ringpose.files.npz import Archive
 from ringpose.files.rigs import read_rig
 from ringpose.files.shots import read_shot
 

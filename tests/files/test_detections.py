@@ -6,8 +6,8 @@ import pytest
 
 from ringpose.errors import DataError
 from ringpose.files import records
-from ringpose.files.archives import Archive
 from ringpose.files.detections import detection_in, detection_of, detection_record, write_detection
+from ringpose.files.npz import Archive
 from ringpose.types.detection import BreakPoints, Detection, NoBreakPoints, RingEdgePoints, Segments, Stripes
 
 

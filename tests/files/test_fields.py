@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ringpose.errors import DataError
-from ringpose.files.fields import Fields
+from ringpose.files.schema import Fields
 
 
 def fields(**values):

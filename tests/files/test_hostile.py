@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from ringpose.errors import DataError
 from ringpose.files import records
 from ringpose.files.boards import read_board
-from ringpose.files.camera_formats import read_camera
+from ringpose.files.cameras.formats import read_camera
 from ringpose.files.detections import detection_of
 from ringpose.files.poses import pose_line_of
 from ringpose.files.rigs import read_rig

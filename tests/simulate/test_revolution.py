@@ -3,7 +3,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from ringpose.simulate.revolution import blocked, first_hits, normals
+from ringpose.simulate.surface_of_revolution import blocked, first_hits, normals
 
 PROFILES = {
     "annulus with walls": [[0.567, 0.0], [0.567, 0.06], [0.597, 0.06], [0.597, 0.0]],

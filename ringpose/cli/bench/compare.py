@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from ringpose.bench.compare import Pair
     from ringpose.bench.score import Score
     from ringpose.cli.batch import Batch
-    from ringpose.files.fields import Fields
+    from ringpose.files.schema import Fields
 
 ResultA = Annotated[
     str, typer.Argument(metavar="A", help="The older result: pose records, with --truth, or a table of bench --json.")
@@ -109,9 +109,9 @@ def _read(name: str, truths: list[Path] | None, rig: Path | None, batch: "Batch"
 def _read_table(name: str) -> _Result:
     from ringpose.bench.report import SCHEMA
     from ringpose.errors import DataError
-    from ringpose.files.fields import Fields
     from ringpose.files.io import read_bytes
     from ringpose.files.records import record_of
+    from ringpose.files.schema import Fields
 
     fields = Fields(name, record_of(read_bytes(Path(name)), name))
     schema = fields.values.get("ringpose")

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from ringpose.files import atomic
-from ringpose.files.fields import Fields, hint
 from ringpose.files.provenance import provenance
+from ringpose.files.schema import Fields, hint
 from ringpose.files.yaml import write_yaml
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import DISTORTION_COEFFICIENTS, Camera

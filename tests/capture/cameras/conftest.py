@@ -6,7 +6,7 @@ from served_scene import small_scene
 from ringpose.capture.cameras.aravis import AravisCamera
 from ringpose.capture.uri import DeviceUri
 from ringpose.simulate.serve.faults import parsed_faults
-from ringpose.simulate.serve.stand_in import Setup, StandIn
+from ringpose.simulate.serve.virtual_device import Setup, StandIn
 from ringpose.types.options import Move
 
 

@@ -7,7 +7,7 @@ import pytest
 from other_client import Port
 from served_scene import small_scene
 
-from ringpose.simulate.serve.stand_in import Setup, StandIn
+from ringpose.simulate.serve.virtual_device import Setup, StandIn
 from ringpose.types.options import Move
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.files.cameras.ros import checked_matrix
-from ringpose.files.fields import Fields
+from ringpose.files.schema import Fields
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
 

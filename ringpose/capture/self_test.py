@@ -8,9 +8,9 @@ from typing import Literal
 import numpy as np
 
 from ringpose.capture.cameras.driver import CameraDriver
+from ringpose.capture.laser_check import STRIPE_IN_THE_DARK, Image, LitPlaces, places_lit, shows_stripe
 from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.capture.lasers.uncontrolled import UncontrolledLasers
-from ringpose.capture.seen import STRIPE_IN_THE_DARK, Image, LitPlaces, places_lit, shows_stripe
 from ringpose.errors import LaserSafetyError
 
 Verdict = Literal["ok", "warning", "fault"]

@@ -12,8 +12,8 @@ import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.files import atomic
-from ringpose.files.fields import FREE_PREFIX, hint, unusable
 from ringpose.files.io import read_bytes
+from ringpose.files.schema import FREE_PREFIX, hint, unusable
 from ringpose.types.arrays import Array
 
 MAX_BYTES = 2**26
