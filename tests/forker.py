@@ -14,10 +14,10 @@ import scipy.interpolate
 import scipy.optimize
 
 import ringpose.capture.lasers.watchdog
+import ringpose.cli.acquisition
 import ringpose.cli.capture
 import ringpose.cli.pose
-import ringpose.cli.simulate_serve
-import ringpose.cli.sources
+import ringpose.cli.simulate.serve
 import ringpose.files.scenes
 import ringpose.files.sessions
 import ringpose.simulate.pipeline

@@ -16,13 +16,13 @@ from ringpose.cli.main import COMMANDS
 
 MANUAL = Path(__file__).parents[1] / "man"
 PAGES = sorted(MANUAL.glob("*.[1-9]"))
-COMMAND_PAGES = {name.replace("_", "-"): MANUAL / f"ringpose-{name.replace('_', '-')}.1" for name in COMMANDS}
+COMMAND_PAGES = {name: MANUAL / f"ringpose-{name}.1" for name in COMMANDS}
 ESCAPES = {r"\&": "", r"\-": "-", r"\e": "\\", r"\(dq": '"', r"\(aq": "'"}
 
 
 def options_of_command(name: str) -> set[str]:
     """What the command line takes, with and without a second spelling; with it commands of two words."""
-    for module in COMMANDS:
+    for module in COMMANDS.values():
         import_module(f"ringpose.cli.{module}")
     group = typer.main.get_command(app)
     every = group.commands.items()

@@ -12,8 +12,8 @@ from ringpose.cli.device_options import AllowUnseen, Count, Duration, Exposure, 
 from ringpose.cli.options import ImageChannel, OptionalRigFile, Quiet, Verbose
 
 if TYPE_CHECKING:
+    from ringpose.cli.acquisition import Source
     from ringpose.cli.batch import Batch
-    from ringpose.cli.sources import Source
     from ringpose.files.sessions import Existing, SessionWriter
 
 CameraUri = Annotated[
@@ -55,8 +55,8 @@ def capture(
     quiet: Quiet = False,
 ) -> None:
     """Take shots into a session folder: one frame for each step of the sequence, all lasers off in the end."""
+    from ringpose.cli.acquisition import Wanted, source_of
     from ringpose.cli.batch import Batch
-    from ringpose.cli.sources import Wanted, source_of
     from ringpose.errors import UsageError
     from ringpose.files.sessions import SessionWriter, folder_of_now
 

@@ -7,8 +7,8 @@ import typer
 from ringpose.errors import NO_POSE, UsageError
 
 if TYPE_CHECKING:
+    from ringpose.cli.acquisition import Wanted
     from ringpose.cli.batch import Batch
-    from ringpose.cli.sources import Wanted
 
 
 def list_devices(wanted: bool) -> bool:
@@ -35,7 +35,7 @@ def check_devices(wanted: "Wanted", batch: "Batch") -> None:
     from ringpose.capture.cameras.driver import CameraDriver
     from ringpose.capture.lasers.driver import LaserDriver
     from ringpose.capture.self_test import dry_run
-    from ringpose.cli.sources import source_of
+    from ringpose.cli.acquisition import source_of
     from ringpose.files import records
 
     devices = source_of(wanted, batch).devices

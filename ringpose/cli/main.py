@@ -17,17 +17,17 @@ from typing import Any
 from ringpose.cli import messages
 from ringpose.errors import CLOSED_PIPE, RingposeError, SignalReceived, UsageError
 
-COMMANDS = (
-    "capture",
-    "calibrate.camera",
-    "calibrate.planes",
-    "convert_camera",
-    "detect",
-    "pose",
-    "simulate.render",
-    "bench",
-)
-"""Modules of the subcommands, in the order of the help."""
+COMMANDS = {
+    "capture": "capture",
+    "calibrate-camera": "calibrate.camera",
+    "calibrate-planes": "calibrate.planes",
+    "convert-camera": "convert_camera",
+    "detect": "detect",
+    "pose": "pose",
+    "simulate": "simulate.render",
+    "bench": "bench",
+}
+"""Subcommands in the order of the help, with their modules."""
 
 GARBAGE_FROM = 100_000
 """New objects from which Python looks for garbage among them. A start makes 40 000, all for good: looking through them
@@ -84,9 +84,9 @@ def _command(arguments: list[str]) -> int:
 
     from ringpose.cli.app import app
 
-    named = [name for name in COMMANDS if [name.replace("_", "-")] == arguments[:1]]
+    named = [name for name in COMMANDS if [name] == arguments[:1]]
     for name in named or COMMANDS:
-        import_module(f"ringpose.cli.{name}")
+        import_module(f"ringpose.cli.{COMMANDS[name]}")
     wrong_words: Any = typer.BadParameter.__mro__[1]  # UsageError of the click inside typer, which has no public name
     try:
         return int(app(arguments, prog_name="ringpose", standalone_mode=False) or 0)

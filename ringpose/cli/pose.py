@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from ringpose.capture.latest_frame import LiveShot
+    from ringpose.cli.acquisition import Wanted
     from ringpose.cli.batch import Batch
     from ringpose.cli.rig_watch import RigWatch
-    from ringpose.cli.sources import Wanted
     from ringpose.types.detection import Detection
     from ringpose.types.image import Shot
     from ringpose.types.pose import PoseLine
@@ -83,7 +83,7 @@ def pose(
     if camera is None:
         lines = nullcontext(_recorded_lines(inputs or [], rig_of_shots, channel, batch, measure))
     else:
-        from ringpose.cli.sources import Wanted
+        from ringpose.cli.acquisition import Wanted
 
         wanted = Wanted(
             camera=camera,
@@ -210,7 +210,7 @@ def refuse_both(inputs: list[str] | None, camera: str | None, lasers: str | None
 def newest_shots(wanted: "Wanted", batch: "Batch") -> "Iterator[Iterator[LiveShot]]":
     """The newest shot each time; when the block ends the lasers are off and the devices closed."""
     from ringpose.capture.latest_frame import NewestShots
-    from ringpose.cli.sources import source_of
+    from ringpose.cli.acquisition import source_of
 
     source = source_of(wanted, batch)
     with ExitStack() as stack:

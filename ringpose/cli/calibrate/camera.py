@@ -12,7 +12,7 @@ from ringpose.types.options import DistortionModel
 
 if TYPE_CHECKING:
     from ringpose.calibrate.camera.parameters import CameraModel
-    from ringpose.cli.board_views import BoardImages
+    from ringpose.cli.calibrate.board_views import BoardImages
     from ringpose.types.calibration import CameraAssessment, CameraCalibration
     from ringpose.types.verdict import Verdict
 
@@ -61,7 +61,7 @@ def calibrate_camera(
 
     from ringpose.calibrate.camera.parameters import CameraModel
     from ringpose.cli.batch import Batch
-    from ringpose.cli.board_views import BoardImages
+    from ringpose.cli.calibrate.board_views import BoardImages
     from ringpose.cli.calibrate.outputs import refuse_existing_outputs
     from ringpose.files.boards import read_board
 

@@ -12,7 +12,7 @@ from ringpose.calibrate.planes.labels import THREE, laser_names, laser_order, la
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes.stripes import stripe_view, stripes_seen
 from ringpose.cli import messages
-from ringpose.cli.board_views import BoardImages
+from ringpose.cli.calibrate.board_views import BoardImages
 from ringpose.errors import DataError, UsageError
 from ringpose.files.images import write_image
 from ringpose.files.inputs import Input

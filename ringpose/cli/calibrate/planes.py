@@ -13,7 +13,7 @@ from ringpose.types.options import PlanesMethod
 if TYPE_CHECKING:
     from ringpose.calibrate.planes.quality import PlanesAssessment
     from ringpose.cli.batch import Batch
-    from ringpose.cli.stripe_images import StripeImages
+    from ringpose.cli.calibrate.stripe_images import StripeImages
     from ringpose.types.arrays import Array, Float64
     from ringpose.types.camera import Camera
 
@@ -243,8 +243,8 @@ def _check(shots: list[str], rig_file: Path, reading: _Reading) -> None:
 
 def _stripe_images(reading: _Reading, camera: "Camera") -> "StripeImages":
     """Nothing read yet but the board."""
-    from ringpose.cli.board_views import BoardImages
-    from ringpose.cli.stripe_images import StripeImages
+    from ringpose.cli.calibrate.board_views import BoardImages
+    from ringpose.cli.calibrate.stripe_images import StripeImages
     from ringpose.files.boards import read_board
 
     images = BoardImages(read_board(reading.board), reading.overlay, channel=reading.channel, force=reading.force)

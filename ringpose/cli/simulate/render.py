@@ -7,7 +7,7 @@ import typer
 
 from ringpose.cli.app import app
 from ringpose.cli.options import Force, Quiet, Verbose
-from ringpose.cli.simulate_serve import serve
+from ringpose.cli.simulate.serve import serve
 
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="The scene (scene.yaml).")]
 OutputFolder = Annotated[
