@@ -20,7 +20,7 @@ from scipy.special import digamma, polygamma
 
 from ringpose.calibrate.boards.pose import board_pose, moved_pose, residuals
 from ringpose.calibrate.camera.parameters import projection_jacobians
-from ringpose.calibrate.normal_spread import normal_spread
+from ringpose.geometry.robust import normal_spread
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.calibration import StripeView

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from ringpose.calibrate.normal_spread import normal_spread
+from ringpose.geometry.robust import normal_spread
 from ringpose.types.arrays import Array, Float64
 
 KNOT_PX = 0.5

@@ -21,7 +21,7 @@ from scipy.special import ndtr
 
 from ringpose.calibrate.boards.corner_errors import likeness_of_ends
 from ringpose.calibrate.boards.edge_profile import LEAST_BLUR_PX, EdgeProfile, normal_profile, seen_profile
-from ringpose.calibrate.normal_spread import normal_spread
+from ringpose.geometry.robust import normal_spread
 from ringpose.types.arrays import Array, Bool, Float64, UInt8
 
 SHORTEST_SIDE_PX = 24.0

@@ -14,7 +14,7 @@ from ringpose.calibrate.boards.pose import board_pose, residuals
 from ringpose.calibrate.camera.bundle_adjustment import corners_of, view_equations
 from ringpose.calibrate.camera.parameters import camera_with, parameters_of
 from ringpose.calibrate.camera.validation import used_views
-from ringpose.calibrate.normal_spread import normal_spread
+from ringpose.geometry.robust import normal_spread
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.calibration import CameraCalibration

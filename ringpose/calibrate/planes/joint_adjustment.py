@@ -13,10 +13,10 @@ import numpy as np
 from ringpose.calibrate.boards.corner_errors import LEAST_SIGMA_PX, by_independent_errors, corner_residuals
 from ringpose.calibrate.boards.pose import moved_pose, residuals
 from ringpose.calibrate.camera.parameters import camera_with, parameter_names, parameters_of, projection_jacobians
-from ringpose.calibrate.normal_spread import normal_spread
 from ringpose.calibrate.planes.stripe_errors import center_sigma_px, shared_length, stripe_bend, stripe_rows
 from ringpose.errors import DataError
 from ringpose.geometry.rays import rays, undistorted_pixels
+from ringpose.geometry.robust import normal_spread
 from ringpose.geometry.rotations import tilted
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.calibrate.normal_spread import normal_spread
 from ringpose.errors import DataError
 from ringpose.geometry.planes import nearest_plane
+from ringpose.geometry.robust import normal_spread
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.calibration import LaserCalibration, LaserView
 from ringpose.types.options import PlanesMethod

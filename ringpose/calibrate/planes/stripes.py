@@ -17,10 +17,10 @@ from ringpose.calibrate.boards.image_patch import in_full_image, reduced
 from ringpose.calibrate.boards.layout import outline_m
 from ringpose.calibrate.boards.pose import board_pose
 from ringpose.calibrate.boards.views import dark_image
-from ringpose.calibrate.normal_spread import normal_spread
 from ringpose.calibrate.planes.board_surface import BoardSurface, board_surface
 from ringpose.detect.stripes import find_stripes
 from ringpose.geometry.rays import project, undistorted_pixels
+from ringpose.geometry.robust import normal_spread
 from ringpose.types.arrays import Array, Bool, Float64, UInt
 from ringpose.types.board import Board, BoardView
 from ringpose.types.calibration import StripeView
