@@ -4,20 +4,20 @@ import numpy as np
 from drawn_scene import DrawnScene, drawn_rig, true_break_points
 
 from ringpose.geometry.rays import undistorted_pixels
-from ringpose.kernels.lines import CandidateRules, FaceRules, RingRules, UnionRules
+from ringpose.kernels.lines import CandidateParams, FaceParams, RingParams, UnionParams
 
-RULES = FaceRules(
-    UnionRules(
-        least_spilt=5.0,
+RULES = FaceParams(
+    UnionParams(
+        min_spilt=5.0,
         longest_gap=0.5,
         apart_px=1.0,
         apart_sigmas=3.0,
         farthest_px=6.0,
         rounds=2.0,
         taken_by_fit=5.0,
-        least_columns=0.5,
+        min_columns=0.5,
     ),
-    CandidateRules(
+    CandidateParams(
         nearest_m=0.05,
         farthest_m=3.0,
         shortest_m=0.003,
@@ -32,7 +32,7 @@ RULES = FaceRules(
         union_cost=3.0,
         most=20.0,
     ),
-    RingRules(
+    RingParams(
         focal_x=1781.0,
         focal_y=1780.0,
         principal_x=803.0,
@@ -56,7 +56,7 @@ ANY = 0b111
 def with_rules(**changed):
     """The rules with some changed."""
     parts = [part._replace(**{k: v for k, v in changed.items() if k in part._fields}) for part in RULES]
-    return FaceRules(*parts)
+    return FaceParams(*parts)
 
 
 def rules_of(rig):

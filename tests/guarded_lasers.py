@@ -3,15 +3,15 @@
 import time
 
 from ringpose.capture.lasers.driver import LaserPlace
-from ringpose.capture.lasers.watchdog import GuardedLasers
+from ringpose.capture.lasers.watchdog import WatchdogLasers
 from ringpose.capture.uri import LASERS, device_uri, driver
 
 
-def lasers_at(uri: str) -> GuardedLasers:
+def lasers_at(uri: str) -> WatchdogLasers:
     """As the command makes them."""
     parts = device_uri(uri, "--lasers", LASERS)
     made = driver(LASERS, parts.scheme)(parts, LaserPlace())
-    assert isinstance(made, GuardedLasers)
+    assert isinstance(made, WatchdogLasers)
     return made
 
 

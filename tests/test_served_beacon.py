@@ -10,10 +10,10 @@ from served_scene import small_scene
 
 from ringpose.cli.main import main
 from ringpose.files.shots import read_shot
-from ringpose.simulate.serve.faults import Faults
-from ringpose.simulate.serve.relays import ContactFaults
-from ringpose.simulate.serve.virtual_device import Setup, StandIn
-from ringpose.types.options import Move, Relay
+from ringpose.simulate.serve.faults import InjectedFaults
+from ringpose.simulate.serve.relays import RelayFaults
+from ringpose.simulate.serve.virtual_device import Setup, VirtualDevice
+from ringpose.types.options import AdvancePolicy, Relay
 from ringpose.types.scene import Beacon, Light
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("_aravis")]
@@ -31,8 +31,10 @@ def beacon_before(tmp_path, monkeypatch, loopback_address):
     def served(half_period_s, phase_s, contacts=None):
         beacon = Beacon(ambient_w_m2=8.0, on_s=half_period_s, off_s=half_period_s, phase_s=phase_s)
         lit = replace(scene, lights={"dim": Light(name="dim", ambient_w_m2=0.5, beacon=beacon)})
-        faults = Faults(contacts=contacts or ContactFaults())
-        return StandIn(lit, Setup(address=loopback_address, relay=Relay.LCUS, move=Move.NEVER, faults=faults))
+        faults = InjectedFaults(contacts=contacts or RelayFaults())
+        return VirtualDevice(
+            lit, Setup(address=loopback_address, relay=Relay.LCUS, move=AdvancePolicy.NEVER, faults=faults)
+        )
 
     return served
 
@@ -73,7 +75,7 @@ def test_poses_go_on_and_what_was_lost_is_counted(beacon_before, capfd, half_per
 @pytest.mark.parametrize("fault", ["stuck", "welded"])
 @pytest.mark.parametrize("half_period_s", [0.45, 1.0])
 def test_a_laser_that_burns_beside_a_beacon_is_a_safety_fault(beacon_before, capfd, fault, half_period_s):
-    contacts = ContactFaults(**{fault: frozenset({1})})
+    contacts = RelayFaults(**{fault: frozenset({1})})
     with beacon_before(half_period_s, 0.1, contacts) as served:
         status = main(["capture", *devices(served), *SHOTS, "--settle", "0.03", "--count", "5", "--output", "s"])
 

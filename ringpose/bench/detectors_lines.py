@@ -7,7 +7,7 @@ import numpy as np
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.detection import Segments
 
-LARGEST_ANGLE_RAD = math.radians(5)
+MAX_ANGLE_RAD = math.radians(5)
 """A segment that is turned farther against a line does not lie along it."""
 
 BEYOND_PX = 1.0
@@ -49,7 +49,7 @@ def _near(points: Float64[Array, "point xy=2"], segments: Segments, distance_px:
 def _parallel(along: Float64[Array, "xy=2"], segments: Segments) -> Bool[Array, "segment"]:
     direction, length = _directions(segments)
     sine = (direction[:, 0] * along[1] - direction[:, 1] * along[0]) / max(float(np.linalg.norm(along)), 1e-9)
-    parallel: Bool[Array, "segment"] = (np.abs(sine) <= math.sin(LARGEST_ANGLE_RAD)) & (length > 0)
+    parallel: Bool[Array, "segment"] = (np.abs(sine) <= math.sin(MAX_ANGLE_RAD)) & (length > 0)
     return parallel
 
 

@@ -16,7 +16,7 @@ from ringpose.types.detection import Segments
 COVERED = 0.8
 """A piece is recalled if a segment on it crosses more than this share of its columns."""
 
-LARGEST_ANGLE_RAD = math.radians(10)
+MAX_ANGLE_RAD = math.radians(10)
 """A segment that is turned farther against a piece does not belong to it; short ones waver."""
 
 REACH_SIGMAS, REACH_PX = 2.0, 2.0
@@ -78,7 +78,7 @@ class _PieceLine:
         middle = (left + right) / 2
         beside = (self.first - BEYOND_PX <= middle[:, 0]) & (middle[:, 0] <= self.last + BEYOND_PX)
         near = np.abs(middle[:, 1] - self.rows(middle[:, 0])) <= self.reach_px
-        belongs: Bool[Array, "n"] = (np.abs(turned) <= LARGEST_ANGLE_RAD) & beside & near
+        belongs: Bool[Array, "n"] = (np.abs(turned) <= MAX_ANGLE_RAD) & beside & near
         return belongs
 
 

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from ringpose.types.verdict import Finding, Grade, Verdict
+from ringpose.types.verdict import Check, Grade, Verdict
 
 
 def verdict_values(verdict: Verdict) -> dict[str, Any]:
@@ -21,19 +21,19 @@ def verdict_lines(verdict: Verdict) -> list[str]:
     return [f"verdict: {verdict.grade}: {reasons}", *(f"advice: {sentence}" for sentence in verdict.advice)]
 
 
-def finding_text(finding: Finding) -> str:
+def finding_text(finding: Check) -> str:
     """`left held_out_rms_m 0.0004 (limit 0.0002)`."""
     place = f"{finding.place} " if finding.place else ""
     value = "unknown" if finding.value != finding.value else f"{finding.value:.4g}"
-    return f"{place}{finding.name} {value} (limit {finding.good_limit:.4g})"
+    return f"{place}{finding.name} {value} (limit {finding.pass_limit:.4g})"
 
 
-def _finding_values(finding: Finding) -> dict[str, Any]:
+def _finding_values(finding: Check) -> dict[str, Any]:
     values: dict[str, Any] = {"place": finding.place} if finding.place else {}
     return values | {
         "name": finding.name,
         "value": finding.value,
-        "good_limit": finding.good_limit,
-        "redo_limit": finding.redo_limit,
+        "good_limit": finding.pass_limit,
+        "redo_limit": finding.fail_limit,
         "grade": str(finding.grade),
     }

@@ -15,28 +15,28 @@ from ringpose.detect.stripes import find_stripes
 from ringpose.types.arrays import Array, Bool, Float32, Int64, UInt, UInt8
 from ringpose.types.image import Shot
 
-LEAST_SHARE_OF_FULL = 0.02
+MIN_SHARE_OF_FULL = 0.02
 """A place is lit if it is brighter by this share of the full grey value,"""
 
-LEAST_SIGMAS = 8.0
+MIN_SIGMAS = 8.0
 """and by so many sigmas of the noise."""
 
-LEAST_PIXELS = 25
+MIN_PIXELS = 25
 """Fewer lit places are glints or noise."""
 
-MOST_OF_IMAGE = 0.2
+MAX_SHARE_OF_IMAGE = 0.2
 """More of them are no stripe: the ambient light has changed."""
 
 AS_BRIGHT = 0.5
 """A place is lit by the same laser again if it has this share of its contrast,"""
 
-MOST_PLACES = 0.7
+MAX_PLACES = 0.7
 """and the laser is seen if this share of its places is."""
 
-WIDEST_LINE = 25
+MAX_LINE_WIDTH = 25
 """Part of an image's width that no line of light is as wide as."""
 
-LEAST_STRIPE = 0.1
+MIN_STRIPE = 0.1
 """Share of the columns of an image in which a laser's stripe shows at least, if it shines on anything at all."""
 
 STRIPE_IN_THE_DARK = "cut the power; a line that stays then is no laser's"
@@ -60,14 +60,14 @@ class LitPlaces:
         """Whether the same laser lights another image."""
         grey = image.ravel()[self.pixel].astype(np.float32)
         bright = grey - self.dark_dn > AS_BRIGHT * self.contrast_dn
-        return bool(bright.mean() > MOST_PLACES)
+        return bool(bright.mean() > MAX_PLACES)
 
     def stand_out_in(self, image: Image) -> bool:
         """Whether the same laser lights another image that may be lit otherwise, too: the places, but not what is near.
 
         Brighter ambient light lifts what is near as well; a laser's line is narrow.
         """
-        return bool((self._line_dn(image) > AS_BRIGHT * self.contrast_dn).mean() > MOST_PLACES)
+        return bool((self._line_dn(image) > AS_BRIGHT * self.contrast_dn).mean() > MAX_PLACES)
 
     def share_of_line(self, image: Image) -> float:
         """Of the light that another image has at these places more than the dark frame, the share that is a line's."""
@@ -80,7 +80,7 @@ class LitPlaces:
         The less of two differences: from the narrowest surface around, which an edge has not, and from the mean
         around, which texture and noise exceed in no more than half of the places.
         """
-        size = max(image.shape[1] // WIDEST_LINE, 15)
+        size = max(image.shape[1] // MAX_LINE_WIDTH, 15)
         lines = cv2.morphologyEx(image, cv2.MORPH_TOPHAT, np.ones((size, size), dtype=np.uint8))
         detail = image - cv2.blur(image.astype(np.float32), (2 * size + 1, 2 * size + 1))
         line_dn: Float32[Array, "n"] = np.minimum(lines.ravel()[self.pixel], detail.ravel()[self.pixel])
@@ -171,15 +171,15 @@ def shows_stripe(image: Image) -> bool:
     """Whether a picture without lasers shows something like a stripe: a bright line across a good part of it."""
     stripes = find_stripes(image)
     columns = np.unique(np.rint(stripes.position_px[:, 0]))
-    return bool(len(columns) >= LEAST_STRIPE * image.shape[1])
+    return bool(len(columns) >= MIN_STRIPE * image.shape[1])
 
 
 def _brighter_places(image: Image, than: Image, dark: Image, saturation_dn: int) -> LitPlaces | None:
     sample = image[::SAMPLED, ::SAMPLED].astype(np.float32) - than[::SAMPLED, ::SAMPLED]
     sigma_dn = 1.4826 * float(np.median(np.abs(sample)))
-    least = max(LEAST_SHARE_OF_FULL * saturation_dn, LEAST_SIGMAS * sigma_dn)
+    least = max(MIN_SHARE_OF_FULL * saturation_dn, MIN_SIGMAS * sigma_dn)
     pixel = np.flatnonzero(cv2.subtract(image, than) > least)
-    if not LEAST_PIXELS <= len(pixel) <= MOST_OF_IMAGE * image.size:
+    if not MIN_PIXELS <= len(pixel) <= MAX_SHARE_OF_IMAGE * image.size:
         return None
     dark_dn = dark.ravel()[pixel].astype(np.float32)
     return LitPlaces(pixel=pixel, contrast_dn=image.ravel()[pixel] - dark_dn, dark_dn=dark_dn)

@@ -37,7 +37,7 @@ DARK_CHECK_S = 0.2
 DARK_CHECKS = 4
 """Looks for a laser while all are off and ambient light changes, which may outshine it in some of them."""
 
-LEAST_SETTLE_S = 0.02
+MIN_SETTLE_S = 0.02
 """Of a second attempt after lasers that followed too late."""
 
 SHARE_OF_LIMIT = 0.8
@@ -90,10 +90,10 @@ def captured_shots(
 
 def _refuse_exposures(camera: CameraDriver, procedure: Procedure) -> None:
     bounds_us = camera.bounds("ExposureTime") if procedure.exposures_s else None
-    least_s, most_s = (0.0, np.inf) if bounds_us is None else (1e-6 * bound for bound in bounds_us)
+    min_s, max_s = (0.0, np.inf) if bounds_us is None else (1e-6 * bound for bound in bounds_us)
     for exposure_s in procedure.exposures_s:
-        if not least_s <= exposure_s * (1 + 1e-9) or not exposure_s * (1 - 1e-9) <= most_s:
-            found = f"the camera cannot expose for {exposure_s:g} s; it takes {least_s:g} to {most_s:g} s"
+        if not min_s <= exposure_s * (1 + 1e-9) or not exposure_s * (1 - 1e-9) <= max_s:
+            found = f"the camera cannot expose for {exposure_s:g} s; it takes {min_s:g} to {max_s:g} s"
             raise UsageError("--exposure, --sequence", found)
 
 
@@ -200,7 +200,7 @@ class _Taker:
         """Settling time after so many attempts in doubt: twice as long each time, within what the guard allows."""
         if not doubts:
             return self._settle_s
-        longer_s = (1 << doubts - 1) * max(2 * self._settle_s, LEAST_SETTLE_S)
+        longer_s = (1 << doubts - 1) * max(2 * self._settle_s, MIN_SETTLE_S)
         limit_s = self._lasers.longest_on_s
         if limit_s is None:
             return longer_s
@@ -380,7 +380,7 @@ def _names_of(lasers: Iterable[int]) -> str:
     return f"laser {numbers[0]} was" if len(numbers) == 1 else f"lasers {', '.join(numbers)} were"
 
 
-LONGEST_S = 0.3
+MAX_DURATION_S = 0.3
 """No relay and no laser takes longer."""
 
 STEADY = 0.95
@@ -397,12 +397,12 @@ def measured_settle_s(camera: CameraDriver, lasers: LaserDriver, exposure_s: flo
     """
     saturation_dn = camera.describe().saturation_dn
     lasers.set_mask(0)
-    lasers.wait(LONGEST_S)
+    lasers.wait(MAX_DURATION_S)
     dark = camera.trigger(0, exposure_s).image
     times_s = []
     for laser in range(lasers.count):
         lasers.set_mask(1 << laser)
-        lasers.wait(LONGEST_S)
+        lasers.wait(MAX_DURATION_S)
         places = places_lit(camera.trigger(1 << laser, exposure_s).image, [dark], saturation_dn)
         if places is not None:
             times_s += [_steady_after_s(camera, lasers, mask, places, exposure_s) for mask in (0, 1 << laser)]
@@ -420,7 +420,7 @@ def _steady_after_s(
     began_s = time.monotonic()
     steady_s = triggered_s = 0.0
     was_steady = False
-    while triggered_s < LONGEST_S:
+    while triggered_s < MAX_DURATION_S:
         triggered_s = time.monotonic() - began_s
         share = places.share_of_light(camera.trigger(mask, exposure_s).image)
         is_steady = share >= STEADY if mask else share <= 1 - STEADY

@@ -32,7 +32,7 @@ ReadFrom = Callable[[Path], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Wanted:
+class CaptureRequest:
     """What the user asks for; None leaves it to the device or the recording."""
 
     camera: str
@@ -43,7 +43,7 @@ class Wanted:
     rate_hz: float | None = None
     duration_s: float | None = None
     settle_s: float | Literal["auto"] | None = None
-    allow_unseen: bool = False
+    allow_missing: bool = False
     """Whether a shot counts in which a laser that was commanded does not show."""
     channel: str | None = None
     laser_names: tuple[str, ...] | None = None
@@ -67,7 +67,7 @@ class Source:
     """What the camera calls itself, once it is entered."""
 
 
-def source_of(wanted: Wanted, batch: Batch) -> Source:
+def source_of(wanted: CaptureRequest, batch: Batch) -> Source:
     """The source that the URIs name; bad shots of a recording are the batch's business."""
     scheme, rest = scheme_and_rest(wanted.camera, "--camera", schemes(CAMERAS))
     if scheme == "files":
@@ -75,7 +75,7 @@ def source_of(wanted: Wanted, batch: Batch) -> Source:
     return _simulated(Path(rest), wanted) if scheme == "sim" else _taken(wanted)
 
 
-def _recorded(pattern: str, wanted: Wanted, batch: Batch) -> Source:
+def _recorded(pattern: str, wanted: CaptureRequest, batch: Batch) -> Source:
     if wanted.lasers is not None:
         scheme_and_rest(wanted.lasers, "--lasers", schemes(LASERS))
     if wanted.lasers not in (None, "none:"):
@@ -96,7 +96,7 @@ def _recorded(pattern: str, wanted: Wanted, batch: Batch) -> Source:
     )
 
 
-def _simulated(scene_file: Path, wanted: Wanted) -> Source:
+def _simulated(scene_file: Path, wanted: CaptureRequest) -> Source:
     """The scene's own camera; every shot is the next of its views."""
     from ringpose.capture.cameras.driver import CameraDescription
     from ringpose.capture.cameras.simulated import SimulatedCamera
@@ -130,7 +130,7 @@ def _simulated(scene_file: Path, wanted: Wanted) -> Source:
     return _of_devices(replace(wanted, steps=steps), camera, lasers, names, scene_file)
 
 
-def _taken(wanted: Wanted) -> Source:
+def _taken(wanted: CaptureRequest) -> Source:
     """A camera, and what switches its lasers; without a wish each laser in turn between two frames without any."""
     from ringpose.capture.uri import device_uri, driver
 
@@ -141,7 +141,7 @@ def _taken(wanted: Wanted) -> Source:
     return _of_devices(replace(wanted, steps=steps), camera, lasers, lambda _: names_by_time(), None)
 
 
-def _lasers(wanted: Wanted, camera: CameraDriver | None) -> LaserDriver:
+def _lasers(wanted: CaptureRequest, camera: CameraDriver | None) -> LaserDriver:
     from ringpose.capture.lasers.driver import LaserPlace
     from ringpose.capture.uri import device_uri, driver
 
@@ -151,7 +151,7 @@ def _lasers(wanted: Wanted, camera: CameraDriver | None) -> LaserDriver:
 
 
 def _of_devices(
-    wanted: Wanted,
+    wanted: CaptureRequest,
     camera: CameraDriver,
     lasers: LaserDriver,
     names: Callable[[Container[str]], Iterator[str]],
@@ -169,7 +169,7 @@ def _of_devices(
         steps=steps,
         exposure_s=wanted.exposure_s,
         settle_s=_settle_s(wanted, lasers),
-        must_see=not isinstance(lasers, UncontrolledLasers | SimulatedLasers) and not wanted.allow_unseen,
+        must_see=not isinstance(lasers, UncontrolledLasers | SimulatedLasers) and not wanted.allow_missing,
     )
     _refuse_long_light(procedure, lasers)
 
@@ -198,7 +198,7 @@ def _refuse_long_light(procedure: "Procedure", lasers: LaserDriver) -> None:
         raise UsageError("--exposure", found, "raise heartbeat= and longest_on= in --lasers")
 
 
-def _settle_s(wanted: Wanted, lasers: LaserDriver) -> float | None:
+def _settle_s(wanted: CaptureRequest, lasers: LaserDriver) -> float | None:
     """None if it is to be measured."""
     if wanted.settle_s == "auto":
         return None
@@ -239,7 +239,9 @@ def _folders(items: Iterable[Input | None]) -> frozenset[Path]:
     return frozenset(path if path.is_dir() else path.parent for path in paths)
 
 
-def _recorded_shots(items: Iterable[Input], wanted: Wanted, batch: Batch, read_from: ReadFrom) -> Iterator[Shot]:
+def _recorded_shots(
+    items: Iterable[Input], wanted: CaptureRequest, batch: Batch, read_from: ReadFrom
+) -> Iterator[Shot]:
     recording = Recording(wanted.steps)
     for item in items:
         with batch.item():
@@ -252,7 +254,7 @@ def _recorded_shots(items: Iterable[Input], wanted: Wanted, batch: Batch, read_f
         recording.end()
 
 
-def _capture(wanted: Wanted, lasers: str) -> Capture:
+def _capture(wanted: CaptureRequest, lasers: str) -> Capture:
     return Capture(
         camera=wanted.camera,
         lasers=lasers if wanted.lasers is None else wanted.lasers,

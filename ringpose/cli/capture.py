@@ -40,7 +40,7 @@ def capture(
     sequence: Steps = None,
     exposure: Exposure = None,
     settle: Settle = None,
-    allow_unseen: AllowUnseen = False,
+    allow_missing: AllowUnseen = False,
     rig: OptionalRigFile = None,
     count: Count = None,
     rate: Rate = None,
@@ -55,18 +55,18 @@ def capture(
     quiet: Quiet = False,
 ) -> None:
     """Take shots into a session folder: one frame for each step of the sequence, all lasers off in the end."""
-    from ringpose.cli.acquisition import Wanted, source_of
+    from ringpose.cli.acquisition import CaptureRequest, source_of
     from ringpose.cli.batch import Batch
     from ringpose.errors import UsageError
     from ringpose.files.sessions import SessionWriter, folder_of_now
 
-    wanted = Wanted(
+    wanted = CaptureRequest(
         camera=camera,
         lasers=lasers,
         steps=sequence,
         exposure_s=exposure,
         settle_s=settle,
-        allow_unseen=allow_unseen,
+        allow_missing=allow_missing,
         laser_names=_laser_names(rig),
         count=count,
         rate_hz=rate,

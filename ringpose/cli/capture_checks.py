@@ -7,7 +7,7 @@ import typer
 from ringpose.errors import NO_POSE, UsageError
 
 if TYPE_CHECKING:
-    from ringpose.cli.acquisition import Wanted
+    from ringpose.cli.acquisition import CaptureRequest
     from ringpose.cli.batch import Batch
 
 
@@ -27,7 +27,7 @@ def list_devices(wanted: bool) -> bool:
     raise typer.Exit
 
 
-def check_devices(wanted: "Wanted", batch: "Batch") -> None:
+def check_devices(wanted: "CaptureRequest", batch: "Batch") -> None:
     """One record a finding on stdout, the verdict last; ends the command."""
     from contextlib import ExitStack
     from dataclasses import asdict

@@ -10,9 +10,9 @@ from ringpose.errors import UsageError
 if TYPE_CHECKING:
     from ringpose.types.sequence import Step
 
-LONGEST_SETTLE_S = 10.0
+MAX_SETTLE_S = 10.0
 
-MOST_SHOTS = 10**9
+MAX_SHOTS = 10**9
 
 
 def settle_time(text: str) -> float | Literal["auto"]:
@@ -23,8 +23,8 @@ def settle_time(text: str) -> float | Literal["auto"]:
         settle_s = float(text)
     except ValueError:
         settle_s = -1.0
-    if not 0 <= settle_s <= LONGEST_SETTLE_S:
-        raise UsageError("--settle", f'"{text}"', f"it is auto, or seconds from 0 to {LONGEST_SETTLE_S:g}")
+    if not 0 <= settle_s <= MAX_SETTLE_S:
+        raise UsageError("--settle", f'"{text}"', f"it is auto, or seconds from 0 to {MAX_SETTLE_S:g}")
     return settle_s
 
 
@@ -54,7 +54,7 @@ Exposure = Annotated[
     float | None, typer.Option("--exposure", metavar="S", min=1e-9, callback=finite, help="Exposure of each frame.")
 ]
 Count = Annotated[
-    int | None, typer.Option("--count", metavar="N", min=1, max=MOST_SHOTS, help="Shots to take, at most.")
+    int | None, typer.Option("--count", metavar="N", min=1, max=MAX_SHOTS, help="Shots to take, at most.")
 ]
 Rate = Annotated[
     float | None, typer.Option("--rate", metavar="HZ", min=1e-3, callback=finite, help="Shots a second, at most.")

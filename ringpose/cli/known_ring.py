@@ -18,13 +18,13 @@ AUTO = "auto"
 DEFAULT_SD_M = 0.0005
 """Standard deviation of a radius that was said: edges are chamfered or rounded by about as much."""
 
-LARGEST_M = 5.0
+MAX_LENGTH_M = 5.0
 """No ring has a larger radius."""
 
-LEAST_SD_M = 1e-6
+MIN_SD_M = 1e-6
 """Nobody measures a ring so well; less only spoils the arithmetic."""
 
-LARGEST_SD = 0.2
+MAX_SD = 0.2
 """Share of the radius; who knows less of it knows nothing."""
 
 RadiusOuter = Annotated[
@@ -43,7 +43,7 @@ RingName = Annotated[
 RingsFile = Annotated[Path | None, typer.Option("--rings", metavar="FILE", help="A catalogue of your own, for --ring.")]
 
 
-class SaidOfRing(NamedTuple):
+class RingOptions(NamedTuple):
     """The options as given."""
 
     radius_outer_m: float | None = None
@@ -53,9 +53,9 @@ class SaidOfRing(NamedTuple):
     rings: Path | None = None
 
 
-def known_ring(said: SaidOfRing, method: Method) -> "KnownRadii | Sequence[Ring] | None":
+def known_ring(said: RingOptions, method: Method) -> "KnownRadii | Sequence[Ring] | None":
     """The radii, or the catalogue of which it may be one; None if nothing was said."""
-    if method is not Method.ML and said != SaidOfRing():
+    if method is not Method.ML and said != RingOptions():
         raise UsageError("--method", f"{method.value} has no use for what is known of the ring", "use --method ml")
     _refuse_contradictions(said)
     if said.ring is not None:
@@ -71,7 +71,7 @@ def known_ring(said: SaidOfRing, method: Method) -> "KnownRadii | Sequence[Ring]
     return KnownRadii(radius_m=np.array(radii), sd_m=np.full(2, sd_m))
 
 
-def _refuse_contradictions(said: SaidOfRing) -> None:
+def _refuse_contradictions(said: RingOptions) -> None:
     radii = (said.radius_outer_m, said.radius_inner_m)
     if said.rings is not None and said.ring is None:
         raise UsageError("--rings", "a catalogue needs --ring", "give --ring NAME or --ring auto")
@@ -80,10 +80,10 @@ def _refuse_contradictions(said: SaidOfRing) -> None:
     if said.radius_sd_m is not None and radii == (None, None):
         raise UsageError("--radius-sd", "there is no radius", "give --radius-outer or --radius-inner")
     for option, radius_m in zip(("--radius-outer", "--radius-inner"), radii, strict=True):
-        if radius_m is not None and not 0 < radius_m < LARGEST_M:
+        if radius_m is not None and not 0 < radius_m < MAX_LENGTH_M:
             raise UsageError(option, f"{radius_m:g} is no radius in metres that a ring has", _in_metres(radius_m))
-    smallest_m = min((radius_m for radius_m in radii if radius_m is not None), default=LARGEST_M)
-    if said.radius_sd_m is not None and not LEAST_SD_M <= said.radius_sd_m < LARGEST_SD * smallest_m:
+    smallest_m = min((radius_m for radius_m in radii if radius_m is not None), default=MAX_LENGTH_M)
+    if said.radius_sd_m is not None and not MIN_SD_M <= said.radius_sd_m < MAX_SD * smallest_m:
         found = f"{said.radius_sd_m:g} is no standard deviation in metres of a radius that is known"
         raise UsageError("--radius-sd", found, _in_metres(said.radius_sd_m))
     if None not in radii and not radii[1] < radii[0]:  # type: ignore[operator]
@@ -92,7 +92,7 @@ def _refuse_contradictions(said: SaidOfRing) -> None:
 
 def _in_metres(value: float) -> str:
     """What somebody who thinks in millimetres should have given."""
-    return f"give metres: {value / 1000:g}" if 0 < value < 1000 * LARGEST_M else "give metres"
+    return f"give metres: {value / 1000:g}" if 0 < value < 1000 * MAX_LENGTH_M else "give metres"
 
 
 def _of_catalogue(name: str, path: Path | None) -> "KnownRadii | Sequence[Ring]":

@@ -14,7 +14,7 @@ import typer
 
 from ringpose.cli.app import app
 from ringpose.cli.device_options import AllowUnseen, Count, Duration, Exposure, LasersUri, Settle, Steps
-from ringpose.cli.known_ring import RadiusInner, RadiusOuter, RadiusSd, RingName, RingsFile, SaidOfRing
+from ringpose.cli.known_ring import RadiusInner, RadiusOuter, RadiusSd, RingName, RingOptions, RingsFile
 from ringpose.cli.options import ImageChannel, OptionalInputs, PoseFrame, PoseMethod, Quiet, RigFile, Verbose
 from ringpose.errors import UsageError
 from ringpose.types.options import Method
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from ringpose.capture.latest_frame import LiveShot
-    from ringpose.cli.acquisition import Wanted
+    from ringpose.cli.acquisition import CaptureRequest
     from ringpose.cli.batch import Batch
-    from ringpose.cli.rig_watch import RigWatch
+    from ringpose.cli.rig_watch import DriftMonitor
     from ringpose.types.detection import Detection
     from ringpose.types.image import Shot
     from ringpose.types.pose import PoseLine
@@ -57,7 +57,7 @@ def pose(
     sequence: Steps = None,
     exposure: Exposure = None,
     settle: Settle = None,
-    allow_unseen: AllowUnseen = False,
+    allow_missing: AllowUnseen = False,
     count: Count = None,
     duration: Duration = None,
     verbose: Verbose = False,
@@ -66,11 +66,11 @@ def pose(
     """Compute the pose of the ring: one JSON record a shot on stdout."""
     from ringpose.cli.batch import Batch
     from ringpose.cli.known_ring import known_ring
-    from ringpose.cli.rig_watch import RigWatch
+    from ringpose.cli.rig_watch import DriftMonitor
     from ringpose.files.rigs import read_rig, require_mount
 
     refuse_both(inputs, camera, lasers)
-    said = SaidOfRing(
+    said = RingOptions(
         radius_outer_m=radius_outer, radius_inner_m=radius_inner, radius_sd_m=radius_sd, ring=ring, rings=rings
     )
     known = known_ring(said, method)
@@ -83,22 +83,22 @@ def pose(
     if camera is None:
         lines = nullcontext(_recorded_lines(inputs or [], rig_of_shots, channel, batch, measure))
     else:
-        from ringpose.cli.acquisition import Wanted
+        from ringpose.cli.acquisition import CaptureRequest
 
-        wanted = Wanted(
+        wanted = CaptureRequest(
             camera=camera,
             lasers=lasers,
             steps=sequence,
             exposure_s=exposure,
             settle_s=settle,
-            allow_unseen=allow_unseen,
+            allow_missing=allow_missing,
             laser_names=rig_of_shots.lasers.names,
             count=count,
             duration_s=duration,
         )
         lines = _live_lines(wanted, rig_of_shots, batch, measure)
     with lines as each:
-        _write(each, RigWatch(rig_of_shots.lasers.names, method), batch, verbose, quiet)
+        _write(each, DriftMonitor(rig_of_shots.lasers.names, method), batch, verbose, quiet)
     batch.finish()
 
 
@@ -120,7 +120,7 @@ def _recorded_lines(
 
 @contextmanager
 def _live_lines(
-    wanted: "Wanted", rig: "Rig", batch: "Batch", measure: "Callable[[Shot | Detection], PoseLine]"
+    wanted: "CaptureRequest", rig: "Rig", batch: "Batch", measure: "Callable[[Shot | Detection], PoseLine]"
 ) -> "Iterator[Iterator[PoseLine]]":
     """Pose lines of a camera; what is wrong with one live shot is wrong with all that follow."""
     from ringpose.files.shots import fitting_shot
@@ -136,7 +136,7 @@ def _live_lines(
         yield map(line_of, newest)
 
 
-def _write(lines: "Iterator[PoseLine]", watch: "RigWatch", batch: "Batch", verbose: bool, quiet: bool) -> None:
+def _write(lines: "Iterator[PoseLine]", watch: "DriftMonitor", batch: "Batch", verbose: bool, quiet: bool) -> None:
     """Every line as it comes, with the lasers' health."""
     from ringpose.cli import messages
     from ringpose.cli.progress import counted
@@ -207,7 +207,7 @@ def refuse_both(inputs: list[str] | None, camera: str | None, lasers: str | None
 
 
 @contextmanager
-def newest_shots(wanted: "Wanted", batch: "Batch") -> "Iterator[Iterator[LiveShot]]":
+def newest_shots(wanted: "CaptureRequest", batch: "Batch") -> "Iterator[Iterator[LiveShot]]":
     """The newest shot each time; when the block ends the lasers are off and the devices closed."""
     from ringpose.capture.latest_frame import NewestShots
     from ringpose.cli.acquisition import source_of

@@ -8,7 +8,7 @@ from ringpose.types.options import Method
 from ringpose.types.pose import PoseFlag, PoseLine
 
 
-class RigWatch:
+class DriftMonitor:
     """Carries the lasers' health from line to line, and warns once of each drift."""
 
     def __init__(self, names: tuple[str, ...], method: Method) -> None:

@@ -21,7 +21,7 @@ from ringpose.detect.stripes import BORDER_PX, MIN_SEGMENT_COLUMNS, TAKEN_BY_THE
 from ringpose.geometry.planes import nearest_plane, towards_camera
 from ringpose.geometry.rays import intersect, rays, undistorted_rays
 from ringpose.kernels import ends as kernels
-from ringpose.kernels.ends import EndRules, Ends, MarkRules, marked_ends
+from ringpose.kernels.ends import EndParams, Ends, MarkParams, marked_ends
 from ringpose.kernels.lines import LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START, ArcFit, arc_fit
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.camera import Camera
@@ -103,9 +103,9 @@ def _ends(face: Face, images: Sequence[LaserImage], rig: Rig, saturation_dn: int
 
 
 @lru_cache(maxsize=4)
-def mark_rules(image_width: int) -> MarkRules:
+def mark_rules(image_width: int) -> MarkParams:
     """What ends in images of that width are held against."""
-    return MarkRules(
+    return MarkParams(
         image_width=image_width,
         border_px=BORDER_PX,
         saturated_share=SATURATED_SHARE,
@@ -114,7 +114,7 @@ def mark_rules(image_width: int) -> MarkRules:
         clipped_phase=CLIPPED_PHASE,
         facet_sigmas=FACET_SIGMAS,  # the line follows what is coarser, so that its centres show little of that
         taken_by_fit=TAKEN_BY_THE_FIT,
-        least_columns=MIN_SEGMENT_COLUMNS,
+        min_columns=MIN_SEGMENT_COLUMNS,
         saturated_flag=BreakPointFlag.SATURATED,
         kink_flag=BreakPointFlag.KINK,
         clipped_flag=BreakPointFlag.CLIPPED,
@@ -171,10 +171,10 @@ FLANKS_SHARE = 0.6
 UNDIMMED_LEVEL = 0.6
 """Share of the face's level above which a stripe still goes on; a wall beyond a kink has less."""
 
-LEAST_HEADROOM = 0.05
+MIN_HEADROOM = 0.05
 """Columns that saturation leaves less of than this say nothing about the stripe's level."""
 
-LEAST_NOISE = 0.01
+MIN_NOISE = 0.01
 """No column weighs as if it had less noise than this share of the stripe's level: glare and the tails of the blur."""
 
 SHAPE_SIGMA = 0.005
@@ -211,8 +211,8 @@ def stripe_ends(
 
 
 @lru_cache(maxsize=4)
-def _rules(saturation_dn: int) -> EndRules:
-    return EndRules(
+def _rules(saturation_dn: int) -> EndParams:
+    return EndParams(
         saturation_dn=saturation_dn,
         beyond_columns=BEYOND_COLUMNS,
         inside_columns=INSIDE_COLUMNS,
@@ -220,8 +220,8 @@ def _rules(saturation_dn: int) -> EndRules:
         flank_sigmas=FLANK_SIGMAS,
         flanks_share=FLANKS_SHARE,
         undimmed_level=UNDIMMED_LEVEL,
-        least_headroom=LEAST_HEADROOM,
-        least_noise=LEAST_NOISE,
+        min_headroom=MIN_HEADROOM,
+        min_noise=MIN_NOISE,
         shape_sigma=SHAPE_SIGMA,
         texture_factor=TEXTURE_FACTOR,
         facet_sigmas=FACET_SIGMAS,
@@ -234,7 +234,7 @@ def _rules(saturation_dn: int) -> EndRules:
 CIRCLE_SIGMA_PX = 0.5
 """How far a refined end may lie from its circle besides its own sigma: calibration, an edge's chamfer."""
 
-OCCLUDED_COST = 12.0
+OCCLUDED_PENALTY = 12.0
 """Drop in squared sigmas over two that calls one end of six occluded: below 1e-5 by chance, six ends tried."""
 
 FITTED_EXACTLY = 4
@@ -267,7 +267,7 @@ def checked(ends: Ends, tracks: Tracks, rig: Rig) -> tuple[Ends, bool, bool]:
     fit = arc_fit(ends.position_px, ends.covariance_px2, planes, optics, CIRCLE_SIGMA_PX, FITTED_EXACTLY)
     if sum(fit.seen) < FITTED_EXACTLY or 0 in fit.seen:
         return ends, False, False
-    if sum(fit.seen) >= 6 and fit.cost - min(fit.cost_without) > OCCLUDED_COST:
+    if sum(fit.seen) >= 6 and fit.cost - min(fit.cost_without) > OCCLUDED_PENALTY:
         return checked(_without_hidden(ends, fit, tracks, rig), tracks, rig)
     return ends, fit.curvature > 0, abs(fit.curvature) > SIDE_SIGMAS * fit.curvature_sigma
 

@@ -60,7 +60,7 @@ def laser_images(shot: Shot, count: int) -> list[LaserImage]:
     return images
 
 
-def most_lit_image(shot: Shot) -> UInt[Array, "row column"]:
+def brightest_image(shot: Shot) -> UInt[Array, "row column"]:
     """The first of the images with the most lasers on."""
     on = [mask.bit_count() for mask in shot.lasers.tolist()]
     image: UInt[Array, "row column"] = shot.images[int(np.argmax(on))]

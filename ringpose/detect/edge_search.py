@@ -20,7 +20,7 @@ import numpy as np
 from ringpose.detect.stripes import lens
 from ringpose.geometry.ring_arcs import RingArcs, off_face_m
 from ringpose.kernels import edges as kernels
-from ringpose.kernels.edges import PlaceRules, ProfileRules, Sights, StepRules, Templates
+from ringpose.kernels.edges import PlaceParams, ProfileParams, Sights, StepParams, Templates
 from ringpose.types.arrays import Array, Bool, Float64, UInt, UInt8
 from ringpose.types.rig import Rig
 
@@ -39,7 +39,7 @@ STEP_DN = 2.0
 CLUTTER = 2.5
 """Steps are trusted as if their sigmas were so many times larger: what lies beyond the edge is no even ground."""
 
-LEAST_SIGMA_PX = 0.1
+MIN_SIGMA_PX = 0.1
 """No single step is trusted more than this."""
 
 CELL_PX, CELLS = 4, 2
@@ -137,16 +137,16 @@ def steps_beside(frame: EdgeImage, trace: EdgeTrace, reach_px: int) -> EdgeSteps
     return edge_steps(profiles, reach_px, BLUR_PX)
 
 
-def clear_steps(steps: EdgeSteps) -> Bool[Array, "n"]:
+def unoccluded_steps(steps: EdgeSteps) -> Bool[Array, "n"]:
     """Which steps are more than noise."""
     known = np.isfinite(steps.offset_px) & (steps.sigma_px < STEP_SIGMA_PX)
     return known & (steps.height > STEP_SIGMAS) & (steps.height_dn > STEP_DN)
 
 
-def step_sights(trace: EdgeTrace, steps: EdgeSteps) -> Sights:
+def edge_observations(trace: EdgeTrace, steps: EdgeSteps) -> Sights:
     """The clear ones among the steps as evidence for the ring."""
-    clear = clear_steps(steps)
-    sigma_px = CLUTTER * np.hypot(steps.sigma_px[clear], LEAST_SIGMA_PX)
+    clear = unoccluded_steps(steps)
+    sigma_px = CLUTTER * np.hypot(steps.sigma_px[clear], MIN_SIGMA_PX)
     return sights_at(chosen(trace, clear), steps.offset_px[clear], sigma_px)
 
 
@@ -195,13 +195,13 @@ def edge_profiles(
     saturation_dn: int,
 ) -> Profiles:
     """Mean brightness across each predicted place, over `ALONG_PX` of edge; the normals point off the surface."""
-    rules = ProfileRules(reach_px, INSIDE_PX, OUTSIDE_PX, ALONG_PX, NOISE_DN, POOLED, saturation_dn)
+    rules = ProfileParams(reach_px, INSIDE_PX, OUTSIDE_PX, ALONG_PX, NOISE_DN, POOLED, saturation_dn)
     return Profiles(*kernels.edge_profiles(image, place_px, normal, rules))
 
 
 def edge_steps(profiles: Profiles, reach_px: int, blur_px: float) -> EdgeSteps:
     """The likeliest place of a step of this blur (sigma) in each profile, within `reach_px` of the predicted one."""
-    rules = StepRules(FLAT, TOUCHED_PX, PLACES, POOLED)
+    rules = StepParams(FLAT, TOUCHED_PX, PLACES, POOLED)
     return EdgeSteps(*kernels.edge_steps(*profiles, _templates(reach_px, blur_px), rules).T)
 
 
@@ -261,7 +261,7 @@ def edge_trace(
 
     There are at most `farthest` to both sides of the arcs' origin.
     """
-    rules = PlaceRules(
+    rules = PlaceParams(
         image_width=rig.camera.image_width,
         image_height=rig.camera.image_height,
         spacing_px=spacing_px,

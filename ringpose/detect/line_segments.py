@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ringpose.detect.difference_images import most_lit_image
+from ringpose.detect.difference_images import brightest_image
 from ringpose.kernels import segments as kernels
 from ringpose.types.arrays import Array, Bool, Float64, Int16, Int32, Int64, UInt, UInt8, UInt16
 from ringpose.types.detection import UNLABELLED, Detection, NoBreakPoints, Segments, Stripes
@@ -132,7 +132,7 @@ def edge_chains(gradient: Gradient, lower_dn: float, shortest: int) -> Chains:
 STEPS_PER_DN = 128
 """Units of the kernels' magnitude in one grey value per pixel: 16 of the smoothing, 8 of the Sobel weights."""
 
-LARGEST_STEPS = 32767
+MAX_STEPS = 32767
 """More than any 8-bit pattern gives."""
 
 
@@ -148,8 +148,8 @@ def image_gradient(
 
 
 def magnitude_steps(gradient_dn: float) -> int:
-    """Grey values per pixel in the kernels' unit: 1 to `LARGEST_STEPS`."""
-    return round(min(max(1.0, STEPS_PER_DN * gradient_dn), LARGEST_STEPS))
+    """Grey values per pixel in the kernels' unit: 1 to `MAX_STEPS`."""
+    return round(min(max(1.0, STEPS_PER_DN * gradient_dn), MAX_STEPS))
 
 
 def in_sixteen_bits(
@@ -185,7 +185,7 @@ def segments_only(shot: Shot, method: SegmentMethod = SegmentMethod.REFINED) -> 
         shot=shot.name,
         stamp_s=shot.measured_at_s,
         break_points=NoBreakPoints.NOT_SOUGHT,
-        segments=find_segments(most_lit_image(shot), method=method, saturation_dn=shot.saturation_dn),
+        segments=find_segments(brightest_image(shot), method=method, saturation_dn=shot.saturation_dn),
     )
 
 

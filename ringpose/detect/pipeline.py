@@ -14,8 +14,8 @@ import numpy as np
 from ringpose.detect.break_points import break_points, ends_clear
 from ringpose.detect.difference_images import LaserImage, laser_images
 from ringpose.detect.rim import CONFIRMED, Face, planes_per_m, ring_face
-from ringpose.detect.ring_edges import shown_edges
-from ringpose.detect.stripes import find_stripes, lens, straight_tracks
+from ringpose.detect.ring_edges import detect_ring_edges
+from ringpose.detect.stripes import find_stripes, lens, stripe_line_segments
 from ringpose.geometry.rays import project, undistorted_rays
 from ringpose.kernels.lines import CENTERS, LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
 from ringpose.types.arrays import Array, Bool, Float64, Int32
@@ -60,7 +60,7 @@ def detect(
         stripes, segments = _all_stripes(images, source)
         found = _found(stripes, images, rig)
     if isinstance(found, BreakPoints) and (edges or not ends_clear(found)) and source is StripeSource.CENTERS:
-        found, ring_edges = shown_edges(found, shot, stripes, rig)
+        found, ring_edges = detect_ring_edges(found, shot, stripes, rig)
     if isinstance(found, BreakPoints) and ring_edges is None and not ends_clear(found):
         found = NoBreakPoints.NO_RING
     return Detection(
@@ -129,12 +129,12 @@ def _found(stripes: Stripes, images: list[LaserImage], rig: Rig) -> BreakPoints 
     """The break points among the stripes, or why there are none."""
     if not len(stripes.piece):
         return _why_no_stripe(images)
-    tracks = straight_tracks(stripes, rig.camera)
+    tracks = stripe_line_segments(stripes, rig.camera)
     unlabelled = [laser for image in images if not image.labelled for laser in image.lasers]
     face = ring_face(tracks, unlabelled, rig)
     if not unlabelled and _masks_contradicted(face, tracks, rig):
         return NoBreakPoints.CONTRADICTED_MASKS
-    if (face is None or len(face.lasers) < CONFIRMED) and lie_nowhere(tracks, rig):
+    if (face is None or len(face.lasers) < CONFIRMED) and stripes_behind_camera(tracks, rig):
         return NoBreakPoints.CONTRADICTED_RIG
     if face is None:
         return NoBreakPoints.NO_RING
@@ -167,18 +167,18 @@ POSSIBLE_PER_M = (-1 / 3, 20.0)
 LONG_COLUMNS = 30
 """Shorter tracks may be reflections, or a facet's."""
 
-MOST = 0.5
+MAX_COUNT = 0.5
 """Share of the long tracks' columns that must be possible; in 81 rendered shots all of them are, turned upside down at
 most two thirds."""
 
 
-def lie_nowhere(tracks: Float64[Array, "track column=11"], rig: Rig) -> bool:
+def stripes_behind_camera(tracks: Float64[Array, "track column=11"], rig: Rig) -> bool:
     """Whether most of what is straight lies behind the camera or in its lens, whichever laser drew it."""
     long = tracks[tracks[:, CENTERS] >= LONG_COLUMNS]
     possible = _possible(long, rig)
     drawn = long[:, [LASER]] == np.arange(possible.shape[1])
     anywhere = (possible & (drawn | (long[:, [LASER]] == UNLABELLED))).any(axis=1)
-    return float(long[anywhere, CENTERS].sum()) < MOST * float(long[:, CENTERS].sum())
+    return float(long[anywhere, CENTERS].sum()) < MAX_COUNT * float(long[:, CENTERS].sum())
 
 
 def _possible(tracks: Float64[Array, "track column=11"], rig: Rig) -> Bool[Array, "track laser"]:

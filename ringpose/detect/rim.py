@@ -25,11 +25,11 @@ from ringpose.kernels.lines import (
     SLOPE,
     X_END,
     X_START,
-    CandidateRules,
-    FaceRules,
+    CandidateParams,
+    FaceParams,
     Group,
-    RingRules,
-    UnionRules,
+    RingParams,
+    UnionParams,
     ring_faces,
 )
 from ringpose.types.arrays import Array, Float64
@@ -61,16 +61,16 @@ CUT_OFF_PX = 6.0
 CUT_OFF_ROWS_PX = 10.0
 """The same for the upper and lower border, where no stripe is measured whose section is not whole: 6.5 px at most."""
 
-LEAST_SPILT = 5
+MIN_SPILT = 5
 """A track with fewer centres on its line beyond its ends has nothing to be joined to."""
 
-LONGEST_GAP = 0.5
+MAX_GAP = 0.5
 """A gap of more than this share of both pieces together is no interruption."""
 
 APART_PX, APART_SIGMAS = 1.0, 3.0
 """How far apart the lines may be in the middle of the gap: facets behind a stripe, and their own errors."""
 
-FARTHEST_PX = 6.0
+MAX_DISTANCE_PX = 6.0
 """Lines farther apart than this are not compared any further."""
 
 ROUNDS = 2
@@ -91,23 +91,23 @@ PLANE_LIMIT = 8.0
 CIRCLE_LIMIT = 6.0
 """Squared sigmas over two above which ends do not lie on two circles, for each laser."""
 
-DROPPED_END_COST = 6.0
+DROPPED_END_PENALTY = 6.0
 """What it costs (in squared sigmas over two) to call one of six ends occluded: once in four hundred by chance."""
 
-UNSEEN_COST = 6.0
+UNSEEN_PENALTY = 6.0
 """What it costs that a laser's stripe is not seen where the face would show it: occluded, or not this face."""
 
-SPILL_COST = 15.0
+SPILL_PENALTY = 15.0
 """What it costs if all of a stripe's centres on a track's line lie beyond the track: a face ends with its track."""
 
-COINCIDENCE_COST, BEHIND_M = 3.0, (0.01, 0.3)
+COINCIDENCE_PENALTY, BEHIND_M = 3.0, (0.01, 0.3)
 """The same, at most, where they may be another laser's on the body so far behind: nearly parallel light planes draw its
 stripes so close to one another that one in five faces has another's on its line."""
 
-UNION_COST = 3.0
+UNION_PENALTY = 3.0
 """What it costs that a track is put together: the body's stripes, broken by shadows and glints, gain by it as well."""
 
-CLIPPED_COST = 4.0
+CLIPPED_PENALTY = 4.0
 """What it costs that a track leaves the image: there is no seeing whether it would have ended."""
 
 USUAL_SCATTER_PX = 0.3
@@ -119,7 +119,7 @@ ENOUGH_COLUMNS = 120
 CONVINCING_SCORE = {3: 9.0, 2: 12.0, 1: 6.0}
 """Scores that tracks on foil hardly ever reach by chance, by number of tracks; two tracks are checked by little."""
 
-TRACK_PRICE = 3.0
+TRACK_PENALTY = 3.0
 """What another track must add to the score: a piece of foil that happens to lie in the plane adds less."""
 
 CLEAR_MARGIN = {3: 4.0, 2: 4.0, 1: math.inf}
@@ -129,7 +129,7 @@ one: where stripes cross, what seems to be unseen is not, so that any other poss
 CONFIRMED = 3
 """Fewer tracks on one plane may be there by chance, so that it matters what else they may be."""
 
-LONGEST_TO_SHORTEST = 2.5
+MAX_TO_SHORTEST = 2.5
 """Stripes cross a band at 45 degrees or more, one may be hidden by half; pieces of foil have any length."""
 
 BODY_RANGE_M = (0.15, 1.5)
@@ -156,10 +156,10 @@ def ring_face(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], 
     unlabelled = sum(1 << laser for laser in lasers)
     every, found = ring_faces(tracks, unlabelled, planes_per_m(rig), _rules(rig))
     groups: list[Group | None] = list(found)
-    best = most_convincing(groups)
+    best = best_hypothesis(groups)
     while best is not None and not _alike(every[list(best.tracks)], best.lasers, rig):
         groups = [None if group is best else group for group in groups]
-        best = most_convincing(groups)
+        best = best_hypothesis(groups)
     if best is None:
         return None
     chosen = every[list(best.tracks)]
@@ -168,11 +168,11 @@ def ring_face(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], 
         tracks=chosen,
         score=best.score,
         ambiguous=best.rival > best.score - CLEAR_MARGIN[len(best.tracks)]
-        or (len(best.tracks) < CONFIRMED and may_be_the_body(chosen, best.lasers, lasers, rig)),
+        or (len(best.tracks) < CONFIRMED and may_be_background(chosen, best.lasers, lasers, rig)),
     )
 
 
-def most_convincing(groups: Sequence[Group | None]) -> Group | None:
+def best_hypothesis(groups: Sequence[Group | None]) -> Group | None:
     """The largest group, unless a smaller one says more; None if none convinces.
 
     Nothing confirms a single track. Two are confirmed by one plane, and three by one plane and two circles, which
@@ -187,7 +187,7 @@ def most_convincing(groups: Sequence[Group | None]) -> Group | None:
     if two is None or three is None:
         return three or two or one
     among = set(zip(two.lasers, two.tracks, strict=True)) < set(zip(three.lasers, three.tracks, strict=True))
-    return three if three.score > two.score + (TRACK_PRICE if among else -TRACK_PRICE) else two
+    return three if three.score > two.score + (TRACK_PENALTY if among else -TRACK_PENALTY) else two
 
 
 def _alike(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig: Rig) -> bool:
@@ -195,10 +195,10 @@ def _alike(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig
     rows = tracks.tolist()
     lengths_m = [math.dist(*_points_m(row, laser, rig)) for row, laser in zip(rows, lasers, strict=True)]
     whole_m = [length_m for row, length_m in zip(rows, lengths_m, strict=True) if not row[CLIPPED]]
-    return not whole_m or max(lengths_m) < LONGEST_TO_SHORTEST * min(whole_m)
+    return not whole_m or max(lengths_m) < MAX_TO_SHORTEST * min(whole_m)
 
 
-def may_be_the_body(
+def may_be_background(
     tracks: Float64[Array, "track column=11"], own: Sequence[int], lasers: Sequence[int], rig: Rig
 ) -> bool:
     """Whether some track would be a stripe on the body behind the ring if it belonged to another of these lasers.
@@ -247,36 +247,36 @@ def planes_per_m(rig: Rig) -> Float64[Array, "laser xyz=3"]:
 
 
 @lru_cache(maxsize=4)
-def _rules(rig: Rig) -> FaceRules:
-    unions = UnionRules(
-        least_spilt=LEAST_SPILT,
-        longest_gap=LONGEST_GAP,
+def _rules(rig: Rig) -> FaceParams:
+    unions = UnionParams(
+        min_spilt=MIN_SPILT,
+        longest_gap=MAX_GAP,
         apart_px=APART_PX,
         apart_sigmas=APART_SIGMAS,
-        farthest_px=FARTHEST_PX,
+        farthest_px=MAX_DISTANCE_PX,
         rounds=ROUNDS,
         taken_by_fit=TAKEN_BY_THE_FIT,
-        least_columns=MIN_SEGMENT_COLUMNS,
+        min_columns=MIN_SEGMENT_COLUMNS,
     )
-    candidates = CandidateRules(
+    candidates = CandidateParams(
         nearest_m=DEPTH_RANGE_M[0],
         farthest_m=DEPTH_RANGE_M[1],
         shortest_m=FACE_LENGTH_M[0],
         longest_m=FACE_LENGTH_M[1],
         usual_scatter_px=USUAL_SCATTER_PX,
         enough_columns=ENOUGH_COLUMNS,
-        spill_cost=SPILL_COST,
-        coincidence_cost=COINCIDENCE_COST,
+        spill_cost=SPILL_PENALTY,
+        coincidence_cost=COINCIDENCE_PENALTY,
         behind_least_m=BEHIND_M[0],
         behind_most_m=BEHIND_M[1],
-        clipped_cost=CLIPPED_COST,
-        union_cost=UNION_COST,
+        clipped_cost=CLIPPED_PENALTY,
+        union_cost=UNION_PENALTY,
         most=CANDIDATES,
     )
-    return FaceRules(unions, candidates, _ring_rules(rig.camera))
+    return FaceParams(unions, candidates, _ring_rules(rig.camera))
 
 
-def _ring_rules(camera: Camera) -> RingRules:
+def _ring_rules(camera: Camera) -> RingParams:
     matrix = camera.camera_matrix
     rows = np.linspace(0.0, camera.image_height - 1.0, 9)
     inside = (CUT_OFF_PX, camera.image_width - 1 - CUT_OFF_PX)
@@ -284,7 +284,7 @@ def _ring_rules(camera: Camera) -> RingRules:
     columns = np.linspace(0.0, camera.image_width - 1.0, 9)
     above = (CUT_OFF_ROWS_PX, camera.image_height - 1 - CUT_OFF_ROWS_PX)
     top, bottom = (undistorted_rays(np.stack([columns, np.full(9, y)], axis=-1), camera)[:, 1] for y in above)
-    return RingRules(
+    return RingParams(
         focal_x=matrix[0, 0],
         focal_y=matrix[1, 1],
         principal_x=matrix[0, 2],
@@ -295,8 +295,8 @@ def _ring_rules(camera: Camera) -> RingRules:
         across_sigma_px=ACROSS_SIGMA_PX,
         plane_limit=PLANE_LIMIT,
         circle_limit=CIRCLE_LIMIT,
-        dropped_end_cost=DROPPED_END_COST,
-        unseen_cost=UNSEEN_COST,
+        dropped_end_cost=DROPPED_END_PENALTY,
+        unseen_cost=UNSEEN_PENALTY,
         maximum_tilt_rad=MAXIMUM_TILT_RAD,
         minimum_radius_m=MINIMUM_RADIUS_M,
         minimum_band_m=MINIMUM_BAND_M,

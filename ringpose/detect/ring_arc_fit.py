@@ -8,7 +8,7 @@ from ringpose.geometry.planes import towards_camera
 from ringpose.geometry.rays import intersect, rays, undistorted_rays
 from ringpose.geometry.ring_arcs import RingArcs
 from ringpose.kernels import edges as kernels
-from ringpose.kernels.edges import FitRules, PlanePoints, Sights
+from ringpose.kernels.edges import FitParams, PlanePoints, Sights
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.detection import BreakPoints
 from ringpose.types.rig import Rig
@@ -31,21 +31,21 @@ LINE_SIGMA_PX = 0.1
 END_SIGMA_PX = 0.4
 """What calibration and the material may add to the sigma of a break point."""
 
-MOST_END_SIGMA_PX = 1.5
+MAX_END_SIGMA_PX = 1.5
 """Ends that may as well lie elsewhere are first taken to lie where they seem to: the edges that are looked for there
 tell if they do, and two ends predict an edge well enough for that."""
 
 POSSIBLE = ((0.03, 5.0), (0.001, 0.1), (0.1, 1.1), (-1.0, 10.0))
 """Limits of depth and half band in metres, of the normal's cosine with the view, of the curvature in 1/m."""
 
-LONGEST_STEP = (0.5, 0.5, 0.2, 0.2, 0.5, 3.0, 0.02)
+MAX_STEP = (0.5, 0.5, 0.2, 0.2, 0.5, 3.0, 0.02)
 """Largest change of each number of the state in one round, beyond which derivatives mean nothing."""
 
 OUTLIER_SIGMAS = 3.0
 """Where a sight begins to count less; its weight falls as the fourth power beyond."""
 
 
-RULES = FitRules(
+RULES = FitParams(
     rounds=2,
     outlier_sigmas=OUTLIER_SIGMAS,
     tilt_sigma_rad=TILT_SIGMA_RAD,
@@ -53,7 +53,7 @@ RULES = FitRules(
     curvature_sigma=CURVATURE_SIGMA,
     half_band_m=HALF_BAND_M[0],
     half_band_sigma_m=HALF_BAND_M[1],
-    longest_step=LONGEST_STEP,
+    longest_step=MAX_STEP,
 )
 
 NO_SIGHTS = Sights(np.zeros((0, 3)), np.zeros(0), np.zeros(0))
@@ -87,7 +87,7 @@ def stripe_evidence(break_points: BreakPoints, rig: Rig) -> StripeEvidence | Non
         return None
     line_sigma_px = np.hypot(break_points.face_sigma_px[lasers], LINE_SIGMA_PX)
     end_sigma_px = np.hypot(np.sqrt(break_points.covariance_px2[seen][:, 0, 0]), END_SIGMA_PX)
-    end_sigma_px = np.minimum(end_sigma_px, MOST_END_SIGMA_PX)
+    end_sigma_px = np.minimum(end_sigma_px, MAX_END_SIGMA_PX)
     return StripeEvidence(
         plane=PlanePoints(
             point=plane_point.reshape(-1, 3),
@@ -124,7 +124,7 @@ def _facing(
 
 
 def fitted_arcs(
-    arcs: RingArcs, evidence: StripeEvidence, edges: Sights, rules: FitRules = RULES
+    arcs: RingArcs, evidence: StripeEvidence, edges: Sights, rules: FitParams = RULES
 ) -> tuple[RingArcs, Float64[Array, "state=7 state=7"]]:
     """The arcs after some rounds of Gauss-Newton from `arcs`, and the covariance of their state."""
     sights = Sights(*(np.concatenate(both) for both in zip(evidence.ends, edges, strict=True)))

@@ -23,13 +23,13 @@ from ringpose.detect.edge_search import (
     beyond_px,
     chosen,
     clear_of_stripes,
-    clear_steps,
+    edge_observations,
     edge_profiles,
     edge_steps,
     edge_trace,
     lit_cells,
-    step_sights,
     steps_beside,
+    unoccluded_steps,
 )
 from ringpose.detect.ring_arc_fit import NO_SIGHTS, RULES, StripeEvidence, fitted_arcs, possible, stripe_evidence
 from ringpose.geometry.ring_arcs import STATE, RingArcs, moved
@@ -66,7 +66,7 @@ BLUR_SPANS = (0.4, 0.2, 0.07)
 BLUR_STEPS = 60
 """So many of the clearest steps tell the blur."""
 
-LEAST_SHARE = 0.05
+MIN_SHARE = 0.05
 """Where fewer of the predicted places show a step there is no edge to follow."""
 
 CURVATURE, TURN = STATE.index("curvature"), STATE.index("turn_rad")
@@ -75,7 +75,7 @@ ONE_STRIPE = 2
 """Points of the plane on a single stripe: how the face is tilted about it is seen by how both edges run. One edge alone
 leaves that to its bends of tenths of a pixel, which foil beside it makes as well."""
 
-LEAST_OF_BOTH = 8
+MIN_OF_BOTH = 8
 """Points of either edge that show how it runs. One alone lies on the edge and says nothing of its direction, which the
 other edge's bends would then have to tell."""
 
@@ -94,7 +94,7 @@ class FoundEdges(NamedTuple):
     """Curvature over its standard deviation; negative if inner and outer edge have each other's name."""
 
 
-def shown_edges(
+def detect_ring_edges(
     break_points: BreakPoints, shot: Shot, stripes: Stripes, rig: Rig
 ) -> tuple[BreakPoints, RingEdgePoints | None]:
     """The edges in the frame of a shot that shows them best, and the break points, their edges named by it if open."""
@@ -115,19 +115,19 @@ def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundE
     evidence = stripe_evidence(break_points, rig)
     if evidence is None:
         return None
-    followed = followed_arcs(evidence, frame, rig)
+    followed = tracked_arcs(evidence, frame, rig)
     if followed is None:
         return None
     arcs, covariance = followed
     trace = clear_of_stripes(frame, edge_trace(arcs, covariance, rig, ALONG_PX, PREDICTED_SIGMA_PX))
     profiles = edge_profiles(frame.image, trace.place_px, trace.normal, REACH_PX, frame.saturation_dn)
     steps = edge_steps(profiles, REACH_PX, blur_px(profiles))
-    arcs, covariance = fitted_arcs(arcs, evidence, step_sights(trace, steps))
-    clear = clear_steps(steps)
+    arcs, covariance = fitted_arcs(arcs, evidence, edge_observations(trace, steps))
+    clear = unoccluded_steps(steps)
     points = ring_edge_points(arcs, chosen(trace, clear), steps.offset_px[clear], steps.sigma_px[clear])
     side_sigmas = arcs.curvature / float(np.sqrt(covariance[CURVATURE, CURVATURE]))
     if points is None or (
-        len(evidence.plane.point) == ONE_STRIPE and np.bincount(points.edge, minlength=2).min() < LEAST_OF_BOTH
+        len(evidence.plane.point) == ONE_STRIPE and np.bincount(points.edge, minlength=2).min() < MIN_OF_BOTH
     ):
         return None
     return FoundEdges(points, side_sigmas)
@@ -150,13 +150,13 @@ def named_by_curvature(break_points: BreakPoints, found: FoundEdges) -> tuple[Br
     return swapped, replace(found.points, edge=1 - found.points.edge)
 
 
-def followed_arcs(
+def tracked_arcs(
     evidence: StripeEvidence, frame: EdgeImage, rig: Rig
 ) -> tuple[RingArcs, Float64[Array, "state=7 state=7"]] | None:
     """The ring's edges as far as they can be followed from the stripes, and their covariance; None if not at all."""
     arcs, covariance = fitted_arcs(evidence.start, evidence, NO_SIGHTS, RULES._replace(rounds=5, outlier_sigmas=np.inf))
     if covariance[TURN, TURN] > TURN_SIGMA_RAD**2:
-        beside = sights_beside_stripe(arcs, frame, rig)
+        beside = edges_beside_stripe(arcs, frame, rig)
         arcs, covariance = fitted_arcs(arcs, evidence, beside, RULES._replace(rounds=4))
     reached_px = 0.0
     for _ in range(ROUNDS):
@@ -170,8 +170,8 @@ def followed_arcs(
             break
         reached_px = len(trace.side) * spacing_px
         trace = clear_of_stripes(frame, trace)
-        sights = step_sights(trace, steps_beside(frame, trace, reach_px))
-        if len(sights.side) < LEAST_SHARE * len(trace.side):
+        sights = edge_observations(trace, steps_beside(frame, trace, reach_px))
+        if len(sights.side) < MIN_SHARE * len(trace.side):
             return None
         arcs, covariance = fitted_arcs(arcs, evidence, sights)
     return arcs, covariance
@@ -203,7 +203,7 @@ def _middle(values: Float64[Array, "n"]) -> float:
 TURNS_RAD = np.linspace(-0.75, 0.75, 51)
 """Angles between the stripe's normal on the face and the edges that are tried."""
 
-NEAREST, FARTHEST = 2, 9
+MIN_DISTANCE, MAX_DISTANCE = 2, 9
 """Places that are looked at to both sides on each edge ..."""
 
 SPACING_PX = 6.0
@@ -214,34 +214,34 @@ START_REACH_PX = 2
 
 START_TURN = np.eye(len(STATE))[STATE.index("turn_rad")]
 
-LEAST_STEPS = 5
+MIN_STEPS = 5
 """So many places must show a step ..."""
 
 DISTINCT, SIMILAR = 2, 6
 """... so many times more than in any other direction that is not among the next few."""
 
 
-def sights_beside_stripe(arcs: RingArcs, frame: EdgeImage, rig: Rig) -> Sights:
+def edges_beside_stripe(arcs: RingArcs, frame: EdgeImage, rig: Rig) -> Sights:
     """Steps along the two straight edges through a stripe's ends that the image shows best; none if it shows none."""
     tables = [_places(moved(arcs, turn * START_TURN), rig).table for turn in TURNS_RAD]
     table = np.concatenate(tables)
     table[:, -1] = np.repeat(np.arange(len(tables)), [len(each) for each in tables])
     trace = clear_of_stripes(frame, EdgeTrace(table))
 
-    clear = clear_steps(steps_beside(frame, trace, START_REACH_PX))
+    clear = unoccluded_steps(steps_beside(frame, trace, START_REACH_PX))
     shown = np.bincount(trace.number.astype(np.int64), clear, minlength=len(tables))
     best = int(np.argmax(shown))
     elsewhere = np.delete(shown, slice(max(best - SIMILAR, 0), best + SIMILAR + 1))
-    if shown[best] < max(LEAST_STEPS, DISTINCT * elsewhere.max()):
+    if shown[best] < max(MIN_STEPS, DISTINCT * elsewhere.max()):
         return NO_SIGHTS
     trace = chosen(trace, trace.number == best)
-    return step_sights(trace, steps_beside(frame, trace, START_REACH_PX))
+    return edge_observations(trace, steps_beside(frame, trace, START_REACH_PX))
 
 
 def _places(arcs: RingArcs, rig: Rig) -> EdgeTrace:
     """The places on both edges of these arcs, as if they were known."""
-    trace = edge_trace(arcs, np.zeros((len(STATE), len(STATE))), rig, SPACING_PX, np.inf, FARTHEST)
-    return chosen(trace, np.abs(trace.number) >= NEAREST)
+    trace = edge_trace(arcs, np.zeros((len(STATE), len(STATE))), rig, SPACING_PX, np.inf, MAX_DISTANCE)
+    return chosen(trace, np.abs(trace.number) >= MIN_DISTANCE)
 
 
 BLUR_SIGMA_PX = 0.03
@@ -262,7 +262,7 @@ OUTLIER_SIGMAS = 3.5
 DISPLACED_PX = 0.4
 """A stretch this far off as a whole is the rim of a wall, a chamfer, a shadow."""
 
-FARTHEST_PX = 1.5
+MAX_DISTANCE_PX = 1.5
 """Nor is a step this far off, whatever its neighbours scatter."""
 
 POINT_SIGMA_PX = 0.5
@@ -310,7 +310,7 @@ def ring_edge_points(
 
 
 def _without_outliers(points: _Points) -> _Points:
-    kept = np.abs(points.off_px) < np.minimum(OUTLIER_SIGMAS * points.sigma_px, FARTHEST_PX)
+    kept = np.abs(points.off_px) < np.minimum(OUTLIER_SIGMAS * points.sigma_px, MAX_DISTANCE_PX)
     return _chosen(points, kept)
 
 

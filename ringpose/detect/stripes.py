@@ -19,7 +19,7 @@ import numpy as np
 
 from ringpose.kernels import lines as kernels
 from ringpose.kernels import stripes as kernel
-from ringpose.kernels.lines import Lens, TrackRules
+from ringpose.kernels.lines import Lens, TrackParams
 from ringpose.kernels.stripes import Filters
 from ringpose.types.arrays import Array, Float64, Int32, UInt
 from ringpose.types.camera import Camera
@@ -41,16 +41,16 @@ to 40 px; close ones are told apart if they are some 2.5 of these sigmas apart. 
 filter that suits it."""
 
 BEGIN_SIGMAS, CONTINUE_SIGMAS = 6.0, 4.0
-"""A piece must have `LEAST_COLUMNS` that stand out of the local noise of the response by the first factor, and goes on
+"""A piece must have `MIN_COLUMNS` that stand out of the local noise of the response by the first factor, and goes on
 where they stand out by the second."""
 
-LEAST_PEAK_DN = 3.0
+MIN_PEAK_DN = 3.0
 """And all are this bright above their surroundings, where a pixel is full at 255."""
 
 GAP_COLUMNS = 2
 """Columns that may be missing inside a piece."""
 
-LEAST_COLUMNS = 8
+MIN_COLUMNS = 8
 """Shorter pieces are dropped: noise links over a few columns by chance."""
 
 
@@ -67,15 +67,15 @@ def find_stripes(
     a pixel is full; if it is not known, the image must tell.
     """
     full_dn = full_scale_dn(image) if saturation_dn is None else saturation_dn
-    least_peak_dn = LEAST_PEAK_DN * full_dn / 255
-    rules = kernel.StripeRules(
+    min_peak_dn = MIN_PEAK_DN * full_dn / 255
+    rules = kernel.StripeParams(
         begin_sigmas=BEGIN_SIGMAS,
         continue_sigmas=CONTINUE_SIGMAS,
-        least_response=least_peak_dn * STRIPE_SIGMA_PX / (FILTER_SIGMA_PX**2 + STRIPE_SIGMA_PX**2) ** 1.5,
+        min_response=min_peak_dn * STRIPE_SIGMA_PX / (FILTER_SIGMA_PX**2 + STRIPE_SIGMA_PX**2) ** 1.5,
         coarse_per_response=COARSE_SHARE * FILTER_SIGMA_PX**3 * WINDOW_PIXELS,
         full_dn=full_dn,
         gap=GAP_COLUMNS,
-        shortest=LEAST_COLUMNS,
+        shortest=MIN_COLUMNS,
     )
     found = kernel.stripes(image, dark, bands, stripe_filters(FILTER_SIGMA_PX), rules)
     pieces = int(found.piece[-1]) + 1 if len(found.piece) else 0
@@ -156,19 +156,21 @@ The line takes up part of what neighbours err alike, which then shows neither in
 columns and grains of 4 px, as 30 mm at 1 m before a wide lens, one line in ten was off by three sigmas.
 """
 
-LONGEST_CORRELATION = 40
+MAX_CORRELATION = 40
 """Columns over which errors of neighbouring centres are looked at for likeness: a facet of crinkled foil."""
 
 
-def straight_tracks(stripes: Stripes, camera: Camera) -> Float64[Array, "track column=11"]:
+def stripe_line_segments(stripes: Stripes, camera: Camera) -> Float64[Array, "track column=11"]:
     """The straight tracks among the stripes, in undistorted pixels; columns as in `TRACK_COLUMNS`."""
     optics, rules = lens(camera), _rules(camera.image_width)
-    return kernels.straight_tracks(stripes.position_px, stripes.sigma_px, stripes.piece, stripes.laser, optics, rules)
+    return kernels.stripe_line_segments(
+        stripes.position_px, stripes.sigma_px, stripes.piece, stripes.laser, optics, rules
+    )
 
 
 @lru_cache(maxsize=4)
-def _rules(image_width: int) -> TrackRules:
-    return TrackRules(
+def _rules(image_width: int) -> TrackParams:
+    return TrackParams(
         kink_px=KINK_PX,
         joined_px=JOINED_PX,
         short_series=SHORT_SERIES,
@@ -176,7 +178,7 @@ def _rules(image_width: int) -> TrackRules:
         border_px=BORDER_PX,
         minimum_columns=MINIMUM_COLUMNS,
         image_width=image_width,
-        longest_lag=LONGEST_CORRELATION,
+        longest_lag=MAX_CORRELATION,
     )
 
 

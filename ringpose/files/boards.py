@@ -30,13 +30,13 @@ NEEDED = {
 }
 """What each kind of board cannot do without."""
 
-FEWEST = {"charuco": 2, "chessboard": 4, "four_markers": 1, "aruco_grid": 1, "asymmetric_circles": 2}
+MIN_COUNT = {"charuco": 2, "chessboard": 4, "four_markers": 1, "aruco_grid": 1, "asymmetric_circles": 2}
 """Squares, markers or circles a side that a board must have to be one."""
 
-MOST_SQUARES = 200
+MAX_SQUARES = 200
 """A board of more squares a side is a slip; looking for it would take hours."""
 
-_SHORTEST_M = 1e-6
+_MIN_LENGTH_M = 1e-6
 """No camera sees less of a board; numbers near the smallest that there are round to nothing."""
 
 
@@ -63,7 +63,7 @@ def board_of(fields: Fields) -> Board:
     if fields.has("ringpose") and fields.text("ringpose") != "board/1":
         raise fields.problem("ringpose", f"is {fields.text('ringpose')!r}, must be 'board/1'")
     sizes: dict[str, Any] = {
-        key: fields.integer(key, least=FEWEST[kind], most=MOST_SQUARES) for key in _COUNTS if fields.has(key)
+        key: fields.integer(key, least=MIN_COUNT[kind], most=MAX_SQUARES) for key in _COUNTS if fields.has(key)
     }
     sizes |= {key: _length(fields, key) for key in _LENGTHS if fields.has(key)}
     sizes |= {key: fields.text(key) for key in ("dictionary", "order") if fields.has(key)}
@@ -91,7 +91,7 @@ def _length(fields: Fields, key: str) -> float:
     length = fields.length_m(key)
     if length < 0 or (length == 0 and key != "margin_m"):
         raise fields.problem(key, f"is {length:g}, must be positive")
-    if 0 < length < _SHORTEST_M:
+    if 0 < length < _MIN_LENGTH_M:
         raise fields.problem(key, f"is {length:g}; no board is so fine", "metres belong here")
     return length
 
@@ -110,7 +110,7 @@ def _check_fit(fields: Fields, sizes: dict[str, Any]) -> None:
 OPENCV_PREFIX = "DICT_"
 """Names of OpenCV's own dictionaries begin so; any other name is that of a file."""
 
-MOST_MARKERS = 1024
+MAX_MARKERS = 1024
 """OpenCV's largest dictionary has as many."""
 
 
@@ -118,7 +118,7 @@ def read_dictionary(path: Path) -> tuple[str, ...]:
     """Each marker's bits, row by row."""
     fields = Fields(str(path), storage_values(read_bytes(path), str(path)))
     side = fields.integer("markersize", least=3, most=10)
-    count = fields.integer("nmarkers", least=1, most=MOST_MARKERS)
+    count = fields.integer("nmarkers", least=1, most=MAX_MARKERS)
     return tuple(_bits(fields, f"marker_{number}", side) for number in range(count))
 
 

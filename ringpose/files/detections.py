@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ringpose.detect.difference_images import most_lit_image
+from ringpose.detect.difference_images import brightest_image
 from ringpose.errors import DataError
 from ringpose.files import atomic, records
 from ringpose.files.images import write_image
@@ -46,7 +46,7 @@ _PARTS = {"break_points": _POINTS, "ring_edges": _RING_EDGES, "stripes": _STRIPE
 
 _KEYS = ("schema", "shot", "stamp_s", "reason", *_PARTS)
 
-LARGEST_INTEGER = 2**31
+MAX_INTEGER = 2**31
 
 
 def detection_record(detection: Detection, full: bool = True) -> dict[str, Any]:
@@ -191,7 +191,7 @@ def _points(fields: Fields, key: str, shape: tuple[int | None, ...]) -> Float64[
 
 def _integers(fields: Fields, key: str, shape: tuple[int | None, ...]) -> Int64[Array, "..."]:
     numbers = fields.array(key, shape)
-    if np.any(numbers != np.round(numbers)) or np.abs(numbers).max(initial=0.0) > LARGEST_INTEGER:
+    if np.any(numbers != np.round(numbers)) or np.abs(numbers).max(initial=0.0) > MAX_INTEGER:
         raise fields.problem(key, "has a number that is not whole")
     return numbers.astype(np.int64)
 
@@ -238,7 +238,7 @@ class DetectionSink:
         if self.overlays is not None:
             from ringpose.detect.overlay import overlay  # seldom asked for
 
-            picture = overlay(most_lit_image(shot), detection)
+            picture = overlay(brightest_image(shot), detection)
             write_image(self.overlays / f"{shot.name}.png", picture, force=self.force)
         if self.folder is None:
             records.write(detection_record(detection, self.full))

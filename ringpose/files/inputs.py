@@ -23,7 +23,7 @@ RECORDS_SUFFIX = ".jsonl"
 
 COMPRESSED_SUFFIX = ".jsonl.gz"
 
-LONGEST_NAME = 1024
+MAX_NAME = 1024
 """Half a record is longer."""
 
 
@@ -127,7 +127,7 @@ def _paths(path: Path, suffixes: tuple[str, ...]) -> Iterator[Path | NoInputErro
 def _shown(path: Path) -> str:
     """The name, of a line that is none only how it begins."""
     name = str(path)
-    return name if len(name) <= LONGEST_NAME else f"{name[:60]}..."
+    return name if len(name) <= MAX_NAME else f"{name[:60]}..."
 
 
 def _wanted(path: Path, suffixes: tuple[str, ...]) -> bool:

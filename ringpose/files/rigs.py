@@ -18,11 +18,11 @@ from ringpose.files.yaml import parsed, write_yaml
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.covariance import camera_parameters, laser_parameters
 from ringpose.types.rig import LaserPlanes, Rig
-from ringpose.types.sequence import MOST_LASERS
+from ringpose.types.sequence import MAX_LASERS
 
 SCHEMA = "rig/1"
 
-NEAREST_M = 1e-6
+MIN_DISTANCE_M = 1e-6
 """A light plane that is nearer to the camera's centre goes through it."""
 
 _KEYS = ("ringpose", "provenance", "camera", "lasers", "covariance", "mount", "quality")
@@ -109,8 +109,8 @@ def rig_values(rig: Rig) -> dict[str, Any]:
 
 def _lasers(fields: Fields) -> LaserPlanes:
     entries = list(fields.each("lasers", _LASER_KEYS))
-    if not 1 <= len(entries) <= MOST_LASERS:
-        raise fields.problem("lasers", f"has {len(entries)} lasers, must have 1 to {MOST_LASERS}")
+    if not 1 <= len(entries) <= MAX_LASERS:
+        raise fields.problem("lasers", f"has {len(entries)} lasers, must have 1 to {MAX_LASERS}")
     names = tuple(_name(entry) for entry in entries)
     for number, entry in enumerate(entries):
         if names[number] in names[:number]:
@@ -135,7 +135,7 @@ def _name(entry: Fields) -> str:
 
 def _distance_m(entry: Fields) -> float:
     distance_m = entry.length_m("distance_m")
-    if abs(distance_m) < NEAREST_M:
+    if abs(distance_m) < MIN_DISTANCE_M:
         raise entry.problem("distance_m", f"is {distance_m:g}: the camera is in this plane and sees no depth along it")
     return distance_m
 

@@ -58,7 +58,7 @@ _DIVISORS = (
 
 _SHARES = ("diffuse", "specular", "roughness", "transmission", "quantum_efficiency")
 
-_LEAST = 1e-6
+_MIN_VALUE = 1e-6
 """Of numbers that must not be zero."""
 
 _Record = TypeVar("_Record")
@@ -189,7 +189,7 @@ def _number(fields: Fields, key: str) -> float | int:
         return bits
     if key.endswith("_m"):
         return _positive_m(fields, key)
-    return fields.number(key, least=_LEAST if key in _DIVISORS else 0.0, most=1.0 if key in _SHARES else np.inf)
+    return fields.number(key, least=_MIN_VALUE if key in _DIVISORS else 0.0, most=1.0 if key in _SHARES else np.inf)
 
 
 def _positive_m(fields: Fields, key: str) -> float:

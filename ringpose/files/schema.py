@@ -13,13 +13,13 @@ from ringpose.types.arrays import Array, Float64
 FREE_PREFIX = "x_"
 """Keys that begin so are the user's own: never read, never refused."""
 
-LARGEST = 1e30
+MAX_VALUE = 1e30
 """No number in a file of ours is larger; squares of larger ones would not be finite."""
 
 ROUNDED = 1e-6
 """How far from 1 a length, or from a rotation a matrix, may be and still count as rounded."""
 
-LONGEST_M = 5.0
+MAX_LENGTH_M = 5.0
 """No length of a rig or board is longer; a larger number is in millimetres."""
 
 SIGNS = {
@@ -149,7 +149,7 @@ class Fields:
     def check_metres(self, key: str, lengths: Float64[Array, "n"]) -> None:
         """Refuse lengths that only make sense in millimetres."""
         longest = float(lengths[np.argmax(np.abs(lengths))])
-        if abs(longest) > LONGEST_M:
+        if abs(longest) > MAX_LENGTH_M:
             raise self.problem(key, f"is {longest:g}", "metres belong here; this looks like millimetres")
 
     def fields(self, key: str, known: Iterable[str] | None = None) -> "Fields":
@@ -190,8 +190,8 @@ class Fields:
     def _check_range(self, key: str, value: int | float, bounds: tuple[int | float, int | float]) -> None:
         if value != value or abs(value) == math.inf:
             raise self.problem(key, f"is {value}, must be finite")
-        if abs(value) > LARGEST:
-            raise self.problem(key, f"is larger than {LARGEST:g}")
+        if abs(value) > MAX_VALUE:
+            raise self.problem(key, f"is larger than {MAX_VALUE:g}")
         if not bounds[0] <= value <= bounds[1]:
             most = f" and at most {bounds[1]:g}" if bounds[1] < math.inf else ""
             least = f"at least {bounds[0]:g}" if bounds[0] > -math.inf else ""
@@ -207,8 +207,8 @@ def unusable(array: Float64[Array, "..."], allow_nan: bool) -> str:
     """What is wrong with the numbers of an array; nothing if they are fit to compute with."""
     if np.isinf(array).any() or (np.isnan(array).any() and not allow_nan):
         return "has a number that is not finite"
-    if array.size and np.nanmax(np.abs(array), initial=0.0) > LARGEST:
-        return f"has a number larger than {LARGEST:g}"
+    if array.size and np.nanmax(np.abs(array), initial=0.0) > MAX_VALUE:
+        return f"has a number larger than {MAX_VALUE:g}"
     return ""
 
 

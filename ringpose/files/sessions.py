@@ -16,7 +16,7 @@ from ringpose.files.schema import Fields
 from ringpose.files.shots import write_shot
 from ringpose.files.yaml import read_yaml, write_yaml
 from ringpose.types.image import Shot
-from ringpose.types.sequence import MOST_LASERS
+from ringpose.types.sequence import MAX_LASERS
 from ringpose.types.session import Capture, CaptureState, Session
 
 if TYPE_CHECKING:
@@ -220,7 +220,7 @@ def _capture(fields: Fields) -> Capture:
         camera=fields.text("camera"),
         camera_name=fields.text("camera_name") if fields.has("camera_name") else None,
         lasers=fields.text("lasers"),
-        laser_count=fields.integer("laser_count", least=1, most=MOST_LASERS) if fields.has("laser_count") else None,
+        laser_count=fields.integer("laser_count", least=1, most=MAX_LASERS) if fields.has("laser_count") else None,
         laser_names=fields.texts("laser_names") if fields.has("laser_names") else None,
         sequence=fields.text("sequence") if fields.has("sequence") else None,
         exposure_s=fields.number("exposure_s", least=0) if fields.has("exposure_s") else None,

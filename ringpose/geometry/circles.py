@@ -57,7 +57,7 @@ def arc_crossings(arcs: ArcEquations) -> Float64[Array, "*batch arc=2"]:
 
     The root of bend t^2 + s t + level = 0, s = sqrt(1 + lean^2), in the form that has no hole at bend = 0.
     """
-    steepness = np.hypot(1.0, arcs.lean)
-    root = np.sqrt(np.maximum(steepness**2 - 4.0 * arcs.bend * arcs.level, 0.0))
-    crossings: Float64[Array, "*batch arc=2"] = -2.0 * arcs.level / (steepness + root)
+    denominator = np.hypot(1.0, arcs.lean)
+    root = np.sqrt(np.maximum(denominator**2 - 4.0 * arcs.bend * arcs.level, 0.0))
+    crossings: Float64[Array, "*batch arc=2"] = -2.0 * arcs.level / (denominator + root)
     return crossings

@@ -50,8 +50,8 @@ def off_face_m(
 ) -> tuple[Float64[Array, "n"], Float64[Array, "n state=7"]]:
     """How far beyond its edge (out of the face) each ray meets the ring's plane, and the derivatives by the state."""
     across, along, normal = arcs.axes
-    steepness = rays @ normal
-    scale = (arcs.origin @ normal) / steepness
+    denominator = rays @ normal
+    scale = (arcs.origin @ normal) / denominator
     offset = rays * scale[:, None] - arcs.origin
     x, y = offset @ across, offset @ along
 
@@ -61,7 +61,7 @@ def off_face_m(
     height = (2 * x - bend * (x**2 + y**2)) / (1 + to_center)
     by_bend = (-(x**2 + y**2) + height * (slope_x * x + slope_y * y)) / (1 + to_center)
 
-    by_lift = (slope_x * (rays @ across) + slope_y * (rays @ along)) / steepness
+    by_lift = (slope_x * (rays @ across) + slope_y * (rays @ along)) / denominator
     derivatives = np.stack(
         [-x * by_lift, -y * by_lift, by_lift, -slope_x, slope_x * y - slope_y * x, by_bend, -side], axis=-1
     )

@@ -8,6 +8,6 @@ _OF_MEDIAN = 1.4826
 """Standard deviation of normal errors over the median of their absolute values."""
 
 
-def normal_spread(errors: Float64[Array, "*shape"]) -> float:
+def robust_std(errors: Float64[Array, "*shape"]) -> float:
     """Standard deviation of the normal errors that have this median of absolute values: strays hardly change it."""
     return _OF_MEDIAN * float(np.median(np.abs(errors)))

@@ -14,7 +14,7 @@ import numpy as np
 
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.measurements import Measurements
-from ringpose.pose.outlier_rejection import Explanation
+from ringpose.pose.outlier_rejection import Hypothesis
 from ringpose.pose.residuals import BAND, CURVATURE, PARAMETERS, PLANE, SHIFT, TURN, cross
 from ringpose.pose.solver import Fit
 from ringpose.types.arrays import Array, Bool, Float64
@@ -173,7 +173,7 @@ class Determined(NamedTuple):
     radius: Bool[Array, "edge=2"]
 
 
-def determined(best: Explanation, joint: Float64[Array, "15 15"], sure_of_side: bool) -> Determined:
+def determined(best: Hypothesis, joint: Float64[Array, "15 15"], sure_of_side: bool) -> Determined:
     """What is known: of the normal by its tilts, of centre and radii by the curvature, of the grasp point by itself."""
     fit = best.fit
     normal = standard_deviation(joint[TILTS, TILTS]) <= TILT_SD_LIMIT_RAD
@@ -189,7 +189,7 @@ def determined(best: Explanation, joint: Float64[Array, "15 15"], sure_of_side: 
     )
 
 
-def told_pose(fit: Fit, found: Quantities, joint: Float64[Array, "15 15"] | None, known: Determined) -> RingPose:
+def reported_pose(fit: Fit, found: Quantities, joint: Float64[Array, "15 15"] | None, known: Determined) -> RingPose:
     """The pose with NaN for what is not known; without covariances where there is none."""
     unknown = np.full(3, np.nan)
     radius_inner_m, radius_outer_m = np.where(known.radius, found.radius_m, np.nan).tolist()
@@ -208,7 +208,9 @@ def told_pose(fit: Fit, found: Quantities, joint: Float64[Array, "15 15"] | None
     )
 
 
-def weak_flags(fit: Fit, found: Quantities, joint: Float64[Array, "15 15"], known: Determined, bow: float) -> PoseFlag:
+def poorly_determined_flags(
+    fit: Fit, found: Quantities, joint: Float64[Array, "15 15"], known: Determined, bow: float
+) -> PoseFlag:
     """What is not determined, worse than `WEAK_SD`, or told by no Gaussian."""
     limit_m = WEAK_SD * min(map(abs, found.radius_m.tolist()))
     flags = PoseFlag(0) if known.normal else PoseFlag.NORMAL_WEAK

@@ -141,9 +141,9 @@ def plane_evidence(fit: Fit, measured: Measurements, rig: Rig) -> PlaneEvidence:
     left = np.eye(2) - by_state @ inverse @ by_state.swapaxes(1, 2)
     basis = light_plane_bases(rig)[measured.lines.laser]
     rays = fit.rows.sights.rays[: 2 * count].reshape(count, 2, 3)
-    steepness = fit.rows.sights.steepness[: 2 * count : 2, None, None]
+    denominator = fit.rows.sights.denominator[: 2 * count : 2, None, None]
     by_plane = np.concatenate([rays @ basis.swapaxes(1, 2), -(rays @ fit.state.plane)[:, :, None]], axis=-1)
-    weighted = measured.lines.whitening @ by_plane / steepness
+    weighted = measured.lines.whitening @ by_plane / denominator
     if fit.by_rig is not None:
         by_rig = fit.by_rig[: 2 * count].reshape(count, 2, -1)
         more = by_rig @ by_rig.swapaxes(1, 2)

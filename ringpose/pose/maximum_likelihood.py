@@ -15,17 +15,17 @@ from ringpose.pose.covariance import (
     bow_m,
     covariance_of,
     determined,
+    poorly_determined_flags,
     quantities,
+    reported_pose,
     spread_of,
-    told_pose,
-    weak_flags,
     with_second_order,
 )
 from ringpose.pose.drift import plane_evidence
 from ringpose.pose.measurements import Measurements, measurements_of
 from ringpose.pose.nuisance import rig_errors
-from ringpose.pose.outlier_rejection import Explanation, explained, freedom, own_cost, swapped
-from ringpose.pose.residuals import CURVATURE, Beforehand
+from ringpose.pose.outlier_rejection import Hypothesis, chi2, explained, freedom, swapped
+from ringpose.pose.residuals import CURVATURE, Prior
 from ringpose.pose.solver import Fit
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints
@@ -56,7 +56,7 @@ def most_likely_pose(
     if impossible is not None:
         return impossible
     radii = known if isinstance(known, KnownRadii) else None
-    best, sure_of_side = _on_the_better_side(break_points, measured, rig, Beforehand(radii))
+    best, sure_of_side = _on_the_better_side(break_points, measured, rig, Prior(radii))
     if best is None:
         return _why_nothing_fits(measured, rig)
     if known is None or isinstance(known, KnownRadii):
@@ -64,13 +64,13 @@ def most_likely_pose(
     posterior = _posterior(best, known)
     ring = likely_ring(posterior, known)
     if ring is not None:
-        with_radii = _on_the_better_side(break_points, measured, rig, Beforehand(ring.known_radii))
+        with_radii = _on_the_better_side(break_points, measured, rig, Prior(ring.known_radii))
         best, sure_of_side = (with_radii[0] or best), with_radii[1]
     pose = _pose(best, rig, sure_of_side)
     return pose if isinstance(pose, NoPose) else replace(pose, ring_posterior=posterior)
 
 
-def _posterior(best: Explanation, rings: Sequence[Ring]) -> Mapping[str, float]:
+def _posterior(best: Hypothesis, rings: Sequence[Ring]) -> Mapping[str, float]:
     fit = best.fit
     joint = covariance_of(fit, quantities(fit), best.measured)
     return ring_posterior(abs(fit.state.curvature), fit.state.band_m, joint[BEND:, BEND:], rings)
@@ -96,8 +96,8 @@ def _why_nothing_fits(measured: Measurements, rig: Rig) -> NoPose:
 
 
 def _on_the_better_side(
-    break_points: BreakPoints, measured: Measurements, rig: Rig, before: Beforehand
-) -> tuple[Explanation | None, bool]:
+    break_points: BreakPoints, measured: Measurements, rig: Rig, before: Prior
+) -> tuple[Hypothesis | None, bool]:
     """The best explanation and whether its side is sure: guessed edges are tried both ways round."""
     errors, labelled = rig_errors(rig), break_points.labelled
     best = explained(measured, rig, before, errors, labelled)
@@ -111,13 +111,13 @@ def _on_the_better_side(
     return first, _side_score(second) - _side_score(first) > SIDE_MARGIN
 
 
-def _side_score(explanation: Explanation) -> float:
+def _side_score(explanation: Hypothesis) -> float:
     """Its score; a curvature below zero says by how many of its standard deviations it is on the wrong side."""
     fit = explanation.fit
     return explanation.score + min(fit.state.curvature, 0.0) ** 2 / float(fit.inverse[CURVATURE, CURVATURE])
 
 
-def _pose(best: Explanation, rig: Rig, sure_of_side: bool) -> RingPose | NoPose:
+def _pose(best: Hypothesis, rig: Rig, sure_of_side: bool) -> RingPose | NoPose:
     fit = best.fit
     found = quantities(fit)
     joint = _joint_covariance(best, found)
@@ -131,23 +131,23 @@ def _pose(best: Explanation, rig: Rig, sure_of_side: bool) -> RingPose | NoPose:
     known = determined(best, joint, sure_of_side)
     if not known.grasp and not known.normal:
         return NoPose.COLLINEAR if len(set(best.measured.points.laser.tolist())) > 1 else NoPose.UNDETERMINED
-    pose = told_pose(fit, found, joint if best.measured.sure else None, known)
+    pose = reported_pose(fit, found, joint if best.measured.sure else None, known)
     side = PoseFlag(0) if sure_of_side else PoseFlag.SIDE_UNKNOWN
     return replace(
         pose,
         residual_rms_px=_residual_rms_px(fit, best.measured, rig),
-        flags=best.flag | weak_flags(fit, found, joint, known, bow) | side,
+        flags=best.flag | poorly_determined_flags(fit, found, joint, known, bow) | side,
         remark=best.remark,
         plane_evidence=None if best.flag & DOUBTS else plane_evidence(fit, best.measured, rig),
     )
 
 
-def _joint_covariance(best: Explanation, found: Quantities) -> Float64[Array, "15 15"]:
+def _joint_covariance(best: Hypothesis, found: Quantities) -> Float64[Array, "15 15"]:
     """That of the fit; of one that contradicts itself as much more as its residuals say and its rivals are apart."""
     fit = best.fit
     joint = covariance_of(fit, found, best.measured)
     if best.flag & PoseFlag.INCONSISTENT:
-        joint = joint * max(own_cost(fit, best.measured) / freedom(fit, best.measured, best.before), 1.0)
+        joint = joint * max(chi2(fit, best.measured) / freedom(fit, best.measured, best.before), 1.0)
         joint += spread_of(best.rivals, fit, found)
     return joint
 

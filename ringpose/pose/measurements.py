@@ -33,7 +33,7 @@ from ringpose.types.rig import LaserPlanes, Rig
 NOMINAL_SIGMA_PX = 0.3
 """Of a break point that comes without a covariance: it weighs the points against each other and is told nobody."""
 
-LEAST_SIGMA_PX = 1e-4
+MIN_SIGMA_PX = 1e-4
 """Of anything measured: nobody knows an image better, and what is less drowns the rest in rounding."""
 
 
@@ -64,7 +64,7 @@ class Points:
     """Whether no line of its stripe is known: its ordinate then counts; else the line knows it better."""
 
 
-class Sighted(NamedTuple):
+class Observations(NamedTuple):
     """The lines' ends and the break points, with their light planes: what the predicted stripes are compared at."""
 
     rays: Float64[Array, "sight xyz=3"]
@@ -114,7 +114,7 @@ class Measurements:
     sure: bool
     """Whether every break point came with its covariance."""
 
-    def sighted(self, planes: LaserPlanes) -> Sighted:
+    def sighted(self, planes: LaserPlanes) -> Observations:
         """Ends and break points in one."""
         laser = np.concatenate([np.repeat(self.lines.laser, 2), self.points.laser])
         rays = np.ones((len(laser), 3))
@@ -128,7 +128,7 @@ class Measurements:
         light[:, :3], light[:, 3] = planes.normal[laser], planes.distance_m[laser]
         signed = np.empty((len(self.points.edge), 2))
         signed[:, 0], signed[:, 1] = 2.0 * self.points.edge - 1.0, self.points.sigma_x
-        return Sighted(rays, light, whitening, signed)
+        return Observations(rays, light, whitening, signed)
 
     def with_points(self, keep: Bool[Array, "point"]) -> "Measurements":
         """With these break points only."""
@@ -161,7 +161,7 @@ def measurements_of(break_points: BreakPoints, rig: Rig, ring_edges: RingEdgePoi
     by_pixel = rays_by_pixel(xy, rig.camera)
     has_line = np.zeros(len(break_points.position_px), dtype=bool)
     has_line[lines.laser] = True
-    covariance = by_pixel @ (covariance_px2 + LEAST_SIGMA_PX**2 * np.eye(2)) @ by_pixel.swapaxes(1, 2)
+    covariance = by_pixel @ (covariance_px2 + MIN_SIGMA_PX**2 * np.eye(2)) @ by_pixel.swapaxes(1, 2)
     points = Points(
         laser=laser,
         edge=edge,
@@ -226,7 +226,7 @@ def _lines(break_points: BreakPoints, camera: Camera) -> Lines:
     ends = np.stack([break_points.face_start_px, break_points.face_end_px], axis=1)
     laser = np.flatnonzero(np.isfinite(ends.sum(axis=(1, 2)) + break_points.face_sigma_px.sum(axis=1)))
     matrix = camera.camera_matrix
-    sigma = np.maximum(break_points.face_sigma_px[laser], LEAST_SIGMA_PX) / matrix[1, 1]
+    sigma = np.maximum(break_points.face_sigma_px[laser], MIN_SIGMA_PX) / matrix[1, 1]
     whitening = np.zeros((len(laser), 2, 2))
     for block, sds in zip(whitening, sigma.tolist(), strict=True):
         block[0, 0], block[1, 0], block[1, 1] = line_whitening(*sds)
@@ -244,7 +244,7 @@ def _edges(ring_edges: RingEdgePoints | None, camera: Camera) -> Edges:
             edge=np.empty(0, dtype=np.int64), ray=np.empty((0, 3)), step=np.empty((0, 2)), common=np.empty((0, ERRORS))
         )
     xy = undistort(ring_edges.position_px, camera)
-    sigma_px = np.maximum(ring_edges.sigma_px, LEAST_SIGMA_PX)[:, None]
+    sigma_px = np.maximum(ring_edges.sigma_px, MIN_SIGMA_PX)[:, None]
     step_px = ring_edges.normal * sigma_px
     return Edges(
         edge=ring_edges.edge,
@@ -319,11 +319,11 @@ def _along_px(position_px: Float64[Array, "n xy=2"], normal: Float64[Array, "n x
 SHORT_SERIES = 1.5
 """A circle fitted to a short series takes part of its likeness away: what is found is so much too small."""
 
-LONGEST_SHARE = 3
+MAX_SHARE_OF_LENGTH = 3
 """Likeness is looked for up to this part of an edge's points; fewer pairs say nothing."""
 
 
-def loosened(edges: Edges, residual: Float64[Array, "visible"]) -> Edges:
+def inflate_sigma(edges: Edges, residual: Float64[Array, "visible"]) -> Edges:
     """Each edge's points with their standard deviations raised, so that together they weigh what they know.
 
     `residual` is what a fit of all leaves, in standard deviations.
@@ -331,7 +331,7 @@ def loosened(edges: Edges, residual: Float64[Array, "visible"]) -> Edges:
     factor = np.ones(len(residual))
     for edge in (0, 1):
         own = np.flatnonzero(edges.edge == edge)
-        if len(own) > LONGEST_SHARE:
+        if len(own) > MAX_SHARE_OF_LENGTH:
             along = edges.ray[own, :2] - edges.ray[own, :2].mean(axis=0)
             direction = np.linalg.svd(along, full_matrices=False)[2][0]
             factor[own] = np.sqrt(excess(residual[own][np.argsort(along @ direction)]))
@@ -345,7 +345,7 @@ def excess(series: Float64[Array, "n"]) -> float:
     """
     inside = np.clip(series, -3.0, 3.0)
     variance = total = float(inside @ inside) / len(inside)
-    for lag in range(1, len(inside) // LONGEST_SHARE):
+    for lag in range(1, len(inside) // MAX_SHARE_OF_LENGTH):
         likeness = float(inside[lag:] @ inside[:-lag]) / len(inside)
         if likeness <= 0:
             break

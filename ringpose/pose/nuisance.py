@@ -13,7 +13,7 @@ import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.pose.measurements import Measurements, Sighted, pixels_by_ray_and_camera
+from ringpose.pose.measurements import Measurements, Observations, pixels_by_ray_and_camera
 from ringpose.pose.residuals import RingState, Rows, Sights
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.covariance import CAMERA_PARAMETERS, PLANE_PARAMETERS
@@ -83,7 +83,7 @@ class ByRig(NamedTuple):
 
 
 def rows_by_common_errors(
-    state: RingState, rows: Rows, measured: Measurements, sighted: Sighted, errors: RigErrors | None, rig: Rig
+    state: RingState, rows: Rows, measured: Measurements, sighted: Observations, errors: RigErrors | None, rig: Rig
 ) -> ByRig | None:
     """How what many residuals have in common moves them: a wrong rig, a wrong place or lean of a whole visible edge.
 
@@ -106,7 +106,7 @@ def rows_by_edge_errors(measured: Measurements, count: int, first: int) -> ByRig
 
 
 def rows_by_rig(
-    state: RingState, rows: Rows, measured: Measurements, sighted: Sighted, errors: RigErrors, rig: Rig
+    state: RingState, rows: Rows, measured: Measurements, sighted: Observations, errors: RigErrors, rig: Rig
 ) -> ByRig:
     """How a wrong rig moves the residuals."""
     ends = rows.ends
@@ -143,5 +143,5 @@ def _ordinate_shift(
 ) -> Float64[Array, "sight error"]:
     """How the predicted ordinate moves with the light plane, at constant abscissa: -(dm - dd q) . r / (m - d q)_y."""
     along = (errors.basis[laser] @ sights.rays[:, :, None])[:, :, 0]
-    by_plane = np.column_stack([-along, sights.rays @ state.plane]) / sights.steepness[:, None]
+    by_plane = np.column_stack([-along, sights.rays @ state.plane]) / sights.denominator[:, None]
     return (by_plane[:, None] @ errors.lasers[laser])[:, 0]

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.pose.measurements import Edges, Measurements, Points, Sighted
+from ringpose.pose.measurements import Edges, Measurements, Observations, Points
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.ring import KnownRadii
 
@@ -70,11 +70,11 @@ class RingState(NamedTuple):
         return cross(self.normal, self.outward)
 
 
-class Beforehand(NamedTuple):
+class Prior(NamedTuple):
     """What is known before the measurement."""
 
     radii: KnownRadii | None = None
-    weak_about: RingState | None = None
+    regularize_about: RingState | None = None
     """The start of a search in which what the shot leaves open is held to what rings are like."""
     one_edge: bool = False
     """Whether only one edge was seen."""
@@ -82,7 +82,7 @@ class Beforehand(NamedTuple):
     @property
     def nothing(self) -> bool:
         """Whether that is all."""
-        return self.radii is None and self.weak_about is None and not self.one_edge
+        return self.radii is None and self.regularize_about is None and not self.one_edge
 
 
 class Sights(NamedTuple):
@@ -90,7 +90,7 @@ class Sights(NamedTuple):
 
     rays: Float64[Array, "sight 3"]
     slope: Float64[Array, "sight"]
-    steepness: Float64[Array, "sight"]
+    denominator: Float64[Array, "sight"]
     """(m - d q)_y, by which all derivatives of the ordinates are divided."""
     y_by_plane: Float64[Array, "sight 3"]
     """Derivative of the predicted ordinate by the ring's plane."""
@@ -161,7 +161,7 @@ class AcrossScale(NamedTuple):
 _NOTHING_ACROSS = AcrossScale(np.empty(0, dtype=np.int64), _NONE, _NONE)
 
 
-def rows_of(state: RingState, measured: Measurements, sighted: Sighted, before: Beforehand) -> Rows:
+def rows_of(state: RingState, measured: Measurements, sighted: Observations, before: Prior) -> Rows:
     """The residuals of a state; `sighted` are the same measurements with their light planes."""
     ends = len(sighted.whitening)
     sights = sights_of(state, sighted)
@@ -215,13 +215,13 @@ def _across_scale(points: Points, slope: Float64[Array, "point"], by_x: Float64[
     return AcrossScale(which, with_x / xx / by_x[which], 1.0 / np.sqrt(np.maximum(left, 1e-12 * xx)))
 
 
-def _known(state: RingState, before: Beforehand) -> tuple[Float64[Array, "row"], Float64[Array, "row 7"]]:
+def _known(state: RingState, before: Prior) -> tuple[Float64[Array, "row"], Float64[Array, "row 7"]]:
     residual: list[float] = []
     rows: list[tuple[dict[int, float], float]] = []
     if before.radii is not None:
         rows += _radius_rows(state, before.radii)
-    if before.weak_about is not None:
-        rows += _weak_rows(state, before.weak_about)
+    if before.regularize_about is not None:
+        rows += _weak_rows(state, before.regularize_about)
     if before.one_edge:
         rows.append(({BAND: 1.0 / BAND_SD_M}, (state.band_m - LIKELY_BAND_M) / BAND_SD_M))
     derivative = np.zeros((len(rows), PARAMETERS))
@@ -284,14 +284,14 @@ def moved(state: RingState, step: Float64[Array, "7"]) -> RingState:
     )
 
 
-def sights_of(state: RingState, sighted: Sighted) -> Sights:
+def sights_of(state: RingState, sighted: Observations) -> Sights:
     """Residual a: a ray that meets ring and light plane at one depth has (m - d q) . r = 0, the stripe's line there."""
     image_line = sighted.light_normal - sighted.light_distance_m[:, None] * state.plane
-    steepness = image_line[:, 1]
-    slope = image_line[:, 0] / -steepness
+    denominator = image_line[:, 1]
+    slope = image_line[:, 0] / -denominator
     rays = sighted.rays.copy()
-    rays[:, 1] = slope * sighted.rays[:, 0] - image_line[:, 2] / steepness
-    return Sights(rays, slope, steepness, (sighted.light_distance_m / steepness)[:, None] * rays)
+    rays[:, 1] = slope * sighted.rays[:, 0] - image_line[:, 2] / denominator
+    return Sights(rays, slope, denominator, (sighted.light_distance_m / denominator)[:, None] * rays)
 
 
 def origin_of(state: RingState, rays: Float64[Array, "point 3"], y_by_plane: Float64[Array, "point 3"]) -> Origin:

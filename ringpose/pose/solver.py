@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.pose.measurements import Measurements, Sighted
+from ringpose.pose.measurements import Measurements, Observations
 from ringpose.pose.nuisance import ByRig, RigErrors, rows_by_common_errors
 from ringpose.pose.residuals import (
     CURVATURE,
@@ -19,7 +19,7 @@ from ringpose.pose.residuals import (
     LIKELY_CURVATURE,
     PARAMETERS,
     TURN,
-    Beforehand,
+    Prior,
     RingState,
     Rows,
     Sights,
@@ -34,7 +34,7 @@ from ringpose.types.rig import Rig
 HUBER_SIGMAS = 3.0
 """From here a break point's or a visible edge's residual counts linearly; 0.3 % of honest ones are beyond."""
 
-MOST_STEPS = 15
+MAX_STEPS = 15
 
 STRIPES_OF_A_PLANE = 2
 """Fewer leave the tilt about the stripe to the edges."""
@@ -47,7 +47,7 @@ RIDGE = 1e-7
 
 _RIDGE = RIDGE * np.eye(PARAMETERS)
 
-LEAST_DEPTH_M, MOST_DEPTH_M = 1e-3, 1e3
+MIN_DEPTH_M, MAX_DEPTH_M = 1e-3, 1e3
 """A plane outside is none."""
 
 STEEPEST_CURVATURE = 20.0
@@ -87,12 +87,12 @@ class Task(NamedTuple):
     """What a ring is to explain, and by which rig it was seen."""
 
     measured: Measurements
-    sighted: Sighted
+    sighted: Observations
     rig: Rig
     errors: RigErrors | None
 
 
-def fitted(measured: Measurements, rig: Rig, before: Beforehand, errors: RigErrors | None) -> Fit | None:
+def fitted(measured: Measurements, rig: Rig, before: Prior, errors: RigErrors | None) -> Fit | None:
     """The most likely ring; None if the search ends nowhere.
 
     What the shot leaves open (one stripe: the tilt about it; two: the curvature) is held to what rings are like in a
@@ -103,16 +103,16 @@ def fitted(measured: Measurements, rig: Rig, before: Beforehand, errors: RigErro
         return _fitted(measured, rig, before, errors)
 
 
-def _fitted(measured: Measurements, rig: Rig, before: Beforehand, errors: RigErrors | None) -> Fit | None:
+def _fitted(measured: Measurements, rig: Rig, before: Prior, errors: RigErrors | None) -> Fit | None:
     before = before._replace(one_edge=before.radii is None and _edges_seen(measured) == 1)
     task = Task(measured, measured.sighted(rig.lasers), rig, errors)
     start = starting_state(measured, task.sighted, before)
     if start is not None and len(measured.edges.edge) and len(measured.lines.laser) < STRIPES_OF_A_PLANE:
-        held = _search(start, task, before._replace(weak_about=start))
+        held = _search(start, task, before._replace(regularize_about=start))
         start = start if held is None else held.state
     fit = None if start is None else _search(start, task, before)
     if start is not None and (fit is None or _leaves_open(fit)):
-        fit = _search(start, task, before._replace(weak_about=start))
+        fit = _search(start, task, before._replace(regularize_about=start))
     if fit is not None and fit.state.curvature < 0 and _unsure_of_side(measured, before):
         turned = fit.state._replace(
             outward=-fit.state.outward, curvature=-fit.state.curvature, shift_m=-fit.state.shift_m
@@ -128,7 +128,7 @@ def _leaves_open(fit: Fit) -> bool:
     return bool(max(tilt_squared, variance[TURN]) > 0.25 or variance[CURVATURE] > 1.0)
 
 
-def _unsure_of_side(measured: Measurements, before: Beforehand) -> bool:
+def _unsure_of_side(measured: Measurements, before: Prior) -> bool:
     """Whether a single edge, without a line on the face beside it, leaves open which of its sides is out."""
     return before.one_edge and bool(measured.points.alone.all())
 
@@ -137,13 +137,13 @@ def _edges_seen(measured: Measurements) -> int:
     return len({*measured.points.edge.tolist(), *measured.edges.edge.tolist()})
 
 
-def _search(state: RingState, task: Task, before: Beforehand) -> Fit | None:
+def _search(state: RingState, task: Task, before: Prior) -> Fit | None:
     """Gauss-Newton steps from a state; None if they lead to no ring. Common errors enter after the first step."""
     measured, sighted, rig, errors = task
     robust = _robust_rows(measured)
     common: ByRig | None = None
     left = None
-    for number in range(MOST_STEPS):
+    for number in range(MAX_STEPS):
         rows = rows_of(state, measured, sighted, before)  # r and J, whitened: residuals a to d
         if number == 1:  # they hardly change from here
             common = rows_by_common_errors(state, rows, measured, sighted, errors, rig)
@@ -166,7 +166,7 @@ def _search(state: RingState, task: Task, before: Beforehand) -> Fit | None:
         return None
     by_rig, mean_by_rig = (None, None) if common is None else common
     return Fit(
-        state, rows, weight, by_rig, mean_by_rig, rig_step, before.weak_about is not None, normal_matrix, inverse
+        state, rows, weight, by_rig, mean_by_rig, rig_step, before.regularize_about is not None, normal_matrix, inverse
     )
 
 
@@ -222,16 +222,16 @@ def _plausible(state: RingState, step: Float64[Array, "7"]) -> bool:
     curvature = abs(state.curvature + float(step[CURVATURE]))
     return (
         all(map(isfinite, step.tolist()))
-        and 1 / MOST_DEPTH_M < depth < 1 / LEAST_DEPTH_M
+        and 1 / MAX_DEPTH_M < depth < 1 / MIN_DEPTH_M
         and (curvature < STEEPEST_CURVATURE)
     )
 
 
-SHORTEST_M = 1e-9
+MIN_LENGTH_M = 1e-9
 """A direction of less than this is none."""
 
 
-def starting_state(measured: Measurements, sighted: Sighted, before: Beforehand) -> RingState | None:
+def starting_state(measured: Measurements, sighted: Observations, before: Prior) -> RingState | None:
     """The plane of the stripes, and a likely ring on it; None if there is none before the camera."""
     if not len(measured.points.x):
         return None
@@ -252,7 +252,7 @@ def starting_state(measured: Measurements, sighted: Sighted, before: Beforehand)
     return RingState(plane, outward, 0.0, curvature, band_m)
 
 
-def _likely_size(measured: Measurements, along_m: Float64[Array, "point"], before: Beforehand) -> tuple[float, float]:
+def _likely_size(measured: Measurements, along_m: Float64[Array, "point"], before: Prior) -> tuple[float, float]:
     """Curvature and width of the band."""
     by_edge: tuple[list[float], list[float]] = ([], [])
     for edge, along in zip(measured.points.edge.tolist(), along_m.tolist(), strict=True):
@@ -266,7 +266,7 @@ def _likely_size(measured: Measurements, along_m: Float64[Array, "point"], befor
     return 1.0 / float(np.nanmean(before.radii.radius_m)), outer_m - inner_m if whole else band_m
 
 
-def _plane(measured: Measurements, sighted: Sighted) -> Float64[Array, "3"]:
+def _plane(measured: Measurements, sighted: Observations) -> Float64[Array, "3"]:
     """The q that fits the stripes: (m . r - d q . r) / (m - d q)_y is linear in q but for its weak denominator."""
     ends, count = len(sighted.whitening), len(sighted.rays)
     whitening = np.zeros((count, count))
@@ -276,11 +276,11 @@ def _plane(measured: Measurements, sighted: Sighted) -> Float64[Array, "3"]:
     cosine = (sighted.light_normal * sighted.rays).sum(axis=1)
     plane = np.array([0.0, 0.0, float((cosine / sighted.light_distance_m).sum()) / count])
     for _ in range(2):
-        steepness = sighted.light_normal[:, 1] - sighted.light_distance_m * plane[1]
-        rows = whitening @ ((sighted.light_distance_m / steepness)[:, None] * sighted.rays)
+        denominator = sighted.light_normal[:, 1] - sighted.light_distance_m * plane[1]
+        rows = whitening @ ((sighted.light_distance_m / denominator)[:, None] * sighted.rays)
         matrix = rows.T @ rows
         matrix[[0, 1], [0, 1]] += 1.0 / plane[2] ** 2  # one stripe alone: a face that looks at the camera
-        plane = np.linalg.solve(matrix, rows.T @ (whitening @ (cosine / steepness)))
+        plane = np.linalg.solve(matrix, rows.T @ (whitening @ (cosine / denominator)))
     return plane
 
 
@@ -299,17 +299,17 @@ def _along_stripes(
 def _outward(
     state: RingState,
     measured: Measurements,
-    sighted: Sighted,
+    sighted: Observations,
     by_x: Float64[Array, "point 3"],
     depth_m: Float64[Array, "point"],
 ) -> Float64[Array, "3"]:
     """From inner towards outer ends, seen from the middles of their stripes."""
     points = measured.points
     direction = (sighted.edge_sign * (points.x - points.middle_x)) @ by_x
-    if float(direction @ direction) < SHORTEST_M**2:
+    if float(direction @ direction) < MIN_LENGTH_M**2:
         ends = sighted.rays[[-1, -len(points.x)]] * depth_m[[-1, 0], None]
         direction = cross(state.normal, ends[0] - ends[1])
-    if float(direction @ direction) < SHORTEST_M**2:
+    if float(direction @ direction) < MIN_LENGTH_M**2:
         direction = by_x[0]
     direction = direction - (direction @ state.normal) * state.normal
     unit: Float64[Array, "3"] = direction / np.sqrt(direction @ direction)

@@ -117,7 +117,7 @@ def _comparison(calibration: CameraCalibration, comparison: ModelComparison) -> 
 WORST_PX = 1.0
 """What a good camera's projection errs by, and what leaving out one view moves it by, at most."""
 
-LEAST_PX = 1e-3
+MIN_SIZE_PX = 1e-3
 """Less says nothing: no corner is found so well."""
 
 ARROW_SHARE = 0.03
@@ -246,9 +246,9 @@ _IN_PIXELS = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.0015
 
 def _map(figure: Figure, axes: Axes, values: Float64[Array, "map_row map_column"], camera: Camera) -> None:
     shown = axes.imshow(
-        np.maximum(values, LEAST_PX), extent=_extent(camera), origin="upper", norm="log", interpolation="bilinear"
+        np.maximum(values, MIN_SIZE_PX), extent=_extent(camera), origin="upper", norm="log", interpolation="bilinear"
     )
-    values = np.maximum(values, LEAST_PX)
+    values = np.maximum(values, MIN_SIZE_PX)
     levels = np.unique(np.nanquantile(values, (0.25, 0.5, 0.75, 0.9)))
     x = np.linspace(0, camera.image_width - 1, values.shape[1])
     y = np.linspace(0, camera.image_height - 1, values.shape[0])

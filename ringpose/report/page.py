@@ -19,7 +19,7 @@ from string import Template
 from matplotlib.figure import Figure
 
 from ringpose.errors import UsageError
-from ringpose.types.verdict import Finding, Verdict
+from ringpose.types.verdict import Check, Verdict
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -135,8 +135,8 @@ def verdict_section(verdict: Verdict) -> Section:
     )
 
 
-def _row(finding: Finding) -> list[str]:
-    limits = (finding.value, finding.good_limit, finding.redo_limit)
+def _row(finding: Check) -> list[str]:
+    limits = (finding.value, finding.pass_limit, finding.fail_limit)
     return [f"{finding.place} {finding.name}".strip(), *map(_number, limits), str(finding.grade)]
 
 

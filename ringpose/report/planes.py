@@ -12,7 +12,7 @@ from ringpose.types.calibration import LaserCalibration, PlanesCalibration
 _BIN_SHARE = 0.04
 """Residuals along a stripe are averaged over this share of the image's width."""
 
-_FEWEST = 5
+_MIN_COUNT = 5
 """Centres in a bin; the mean of fewer is noise."""
 
 _DEPTHS = 25
@@ -108,7 +108,7 @@ def _averages(laser: LaserCalibration) -> list[tuple[np.ndarray, np.ndarray]]:
         place = view.points[:, along] / view.points[:, 2]
         bins = np.round(place / _BIN_SHARE).astype(int)
         every, count = np.unique(bins, return_counts=True)
-        kept = every[count >= _FEWEST]
+        kept = every[count >= _MIN_COUNT]
         mean = np.array([view.residual_m[bins == each].mean() for each in kept])
         found.append((kept * _BIN_SHARE, mean))
     return found

@@ -7,14 +7,14 @@ import numpy as np
 from ringpose.geometry.rays import project
 from ringpose.simulate.break_points import crossings, in_picture
 from ringpose.simulate.laser_planes import half_thickness_m
-from ringpose.simulate.lighting import Hits, Stand, laser_radiance
+from ringpose.simulate.lighting import Intersections, Stand, laser_radiance
 from ringpose.simulate.renderer import pixel_rays
 from ringpose.simulate.sensor import electrons_per_radiance
 from ringpose.simulate.target import ring_target
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.scene import Scene
 
-SHORTEST_S, LONGEST_S = 2e-5, 0.1
+MIN_DURATION_S, MAX_DURATION_S = 2e-5, 0.1
 """What common cameras expose."""
 
 
@@ -32,7 +32,7 @@ def view_exposure_s(scene: Scene, stand: Stand) -> float:
         return scene.exposure_s
     rate_e = brightest * electrons_per_radiance(scene.sensor, scene.lens)
     wanted_e = (scene.stripe_dn - scene.sensor.black_level_dn) / scene.sensor.overall_system_gain_dn_per_e
-    return float(np.clip(np.round(wanted_e / rate_e, 6), SHORTEST_S, LONGEST_S))
+    return float(np.clip(np.round(wanted_e / rate_e, 6), MIN_DURATION_S, MAX_DURATION_S))
 
 
 def _stripe_radiances(scene: Scene, stand: Stand) -> Float64[Array, "crossing"]:
@@ -46,7 +46,7 @@ def _stripe_radiances(scene: Scene, stand: Stand) -> Float64[Array, "crossing"]:
 
 def _peak(scene: Scene, stand: Stand, laser: int, point: Float64[Array, "3"]) -> float:
     to_eye = stand.placement.eye_m - point
-    hits = Hits(
+    hits = Intersections(
         surface=np.array([scene.ring.face_piece], dtype=np.int8),
         point=point[:, None],
         normal=np.array([[0.0], [0.0], [1.0]]),

@@ -43,7 +43,7 @@ class Stand:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Hits:
+class Intersections:
     """Points that rays met, in the target frame."""
 
     surface: Int8[Array, "hit"]
@@ -52,9 +52,9 @@ class Hits:
     """Unit normals of the side that is seen."""
     to_eye: Float64[Array, "xyz=3 hit"]
 
-    def at(self, which: Int64[Array, "chosen"]) -> "Hits":
+    def at(self, which: Int64[Array, "chosen"]) -> "Intersections":
         """Some of the hits."""
-        return Hits(
+        return Intersections(
             surface=self.surface[which],
             point=self.point[:, which],
             normal=self.normal[:, which],
@@ -67,13 +67,13 @@ def settled_hits(
     direction: Float64[Array, "xyz=3 hit"],
     parameter: Float64[Array, "hit"],
     surface: Int8[Array, "hit"],
-) -> Hits:
+) -> Intersections:
     """The hits of rays on the surfaces with their fine relief."""
     point, normal = stand.target.settled(stand.placement.eye_m, direction, parameter, surface)
-    return Hits(surface=surface, point=point, normal=normal, to_eye=-_unit(direction))
+    return Intersections(surface=surface, point=point, normal=normal, to_eye=-_unit(direction))
 
 
-def ambient_radiance(stand: Stand, hits: Hits) -> tuple[Float64[Array, "hit"], Bool[Array, "hit"]]:
+def ambient_radiance(stand: Stand, hits: Intersections) -> tuple[Float64[Array, "hit"], Bool[Array, "hit"]]:
     """Radiance by laboratory and sun, and which points lie in a shadow that the sun casts."""
     light = stand.light
     radiance, shadowed = np.zeros(len(hits.surface)), np.zeros(len(hits.surface), dtype=np.bool_)
@@ -90,7 +90,7 @@ def ambient_radiance(stand: Stand, hits: Hits) -> tuple[Float64[Array, "hit"], B
     return radiance, shadowed
 
 
-def laser_radiance(stand: Stand, hits: Hits, laser: int) -> tuple[Float64[Array, "hit"], Bool[Array, "hit"]]:
+def laser_radiance(stand: Stand, hits: Intersections, laser: int) -> tuple[Float64[Array, "hit"], Bool[Array, "hit"]]:
     """Radiance by one laser's sheet, and which of its points lie in the shadow that the target casts in it."""
     radiance, shadowed = np.zeros(len(hits.surface)), np.zeros(len(hits.surface), dtype=np.bool_)
     reached = np.flatnonzero(in_sheet(stand.sheets, laser, hits.point))
@@ -105,7 +105,7 @@ def laser_radiance(stand: Stand, hits: Hits, laser: int) -> tuple[Float64[Array,
 
 
 def _reflected(
-    stand: Stand, hits: Hits, lit: Int64[Array, "lit"], to_light: Float64[Array, "xyz=3 lit"]
+    stand: Stand, hits: Intersections, lit: Int64[Array, "lit"], to_light: Float64[Array, "xyz=3 lit"]
 ) -> Float64[Array, "lit"]:
     """Radiance for each W/m2 across the light's direction."""
     normal, material = hits.normal[:, lit], surfaces(stand.target.materials, hits.surface[lit])

@@ -19,7 +19,7 @@ from ringpose.simulate.exposure import view_exposure_s
 from ringpose.simulate.laser_planes import sheets
 from ringpose.simulate.lighting import Stand
 from ringpose.simulate.placement import Placement, board_places, ring_rotation, ring_views
-from ringpose.simulate.renderer import Stage, staged
+from ringpose.simulate.renderer import RenderedView, staged
 from ringpose.simulate.sensor import saturation_dn
 from ringpose.simulate.target import EmptySpace, Target, ring_target
 from ringpose.types.image import Frame, Shot
@@ -65,12 +65,12 @@ def simulated_board(
     return _exposed(scene, place.name, stage, boards.sequence, boards.exposure_s, number), place
 
 
-def ring_stage(scene: Scene, view: RingView, number: int) -> Stage:
+def ring_stage(scene: Scene, view: RingView, number: int) -> RenderedView:
     """A view of the ring in which any laser may be lit."""
     return staged(scene, ring_stand(scene, view), (_SHOTS, scene.seed, number))
 
 
-def board_stage(scene: Scene, boards: BoardSet, place: BoardPlace, number: int) -> Stage:
+def board_stage(scene: Scene, boards: BoardSet, place: BoardPlace, number: int) -> RenderedView:
     """A view of a board in which any laser may be lit."""
     return staged(scene, _board_stand(scene, boards, place, (255,)), _board_seed(scene, boards, number))
 
@@ -155,7 +155,9 @@ def _board_seed(scene: Scene, boards: BoardSet, number: int) -> tuple[int, ...]:
     return (_BOARDS, scene.seed, len(boards.sequence), number)
 
 
-def _exposed(scene: Scene, name: str, stage: Stage, sequence: tuple[int, ...], exposure_s: float, number: int) -> Shot:
+def _exposed(
+    scene: Scene, name: str, stage: RenderedView, sequence: tuple[int, ...], exposure_s: float, number: int
+) -> Shot:
     """The frames of one moment as a shot."""
     stamps_s = scene.start_s + number * scene.period_s + np.arange(len(sequence)) * (exposure_s + READOUT_S)
     frames = [stage.frame(mask, exposure_s, float(stamp)) for mask, stamp in zip(sequence, stamps_s, strict=True)]

@@ -20,7 +20,7 @@ import numpy as np
 
 from ringpose.geometry.rays import undistort
 from ringpose.simulate.laser_planes import half_thickness_m, in_sheet
-from ringpose.simulate.lighting import Hits, Stand, ambient_radiance, laser_radiance, settled_hits
+from ringpose.simulate.lighting import Intersections, Stand, ambient_radiance, laser_radiance, settled_hits
 from ringpose.simulate.sensor import digitised, electrons_per_radiance
 from ringpose.simulate.target import EMPTY
 from ringpose.types.arrays import Array, Float32, Float64, Int64, UInt8, UInt16
@@ -30,7 +30,7 @@ from ringpose.types.scene import Beacon, Light, Scene, Sensor, Speckle
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Stage:
+class RenderedView:
     """Electrons a second in each pixel by each source of light, and the sensor that collects them."""
 
     sensor: Sensor
@@ -63,13 +63,13 @@ class Stage:
         return rate
 
 
-def staged(scene: Scene, stand: Stand, seed: tuple[int, ...]) -> Stage:
+def staged(scene: Scene, stand: Stand, seed: tuple[int, ...]) -> RenderedView:
     """A target in its place, seen through the scene's lens; the seed fixes speckle and noise."""
     generator = np.random.default_rng(seed)
     radiance = layers(stand, pixel_rays(scene.rig.camera))
     scale = np.float32(electrons_per_radiance(scene.sensor, scene.lens))
     beacon = stand.light.beacon
-    return Stage(
+    return RenderedView(
         sensor=scene.sensor,
         ambient=_blurred(scale * radiance.ambient, scene.lens.blur_px),
         laser=np.stack([_stripe(scene, scale * layer, generator) for layer in radiance.laser]),
@@ -188,7 +188,7 @@ def _to_refine(
 
 def _cast(
     stand: Stand, direction: Float64[Array, "xyz=3 ray"], angle_per_px: float
-) -> tuple[Int64[Array, "hit"], Hits, Float64[Array, "hit"]]:
+) -> tuple[Int64[Array, "hit"], Intersections, Float64[Array, "hit"]]:
     """The rays that meet something, where, and what a pixel covers there.
 
     If only lasers shine, only what is near a sheet counts: four pixels, so that the neighbours of a stripe are known.

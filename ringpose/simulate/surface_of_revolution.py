@@ -10,7 +10,7 @@ import numpy as np
 
 from ringpose.types.arrays import Array, Bool, Float64, Int8, Int64
 
-NEAREST = 1e-6
+MIN_DISTANCE = 1e-6
 """Hits nearer than this share of a ray's vector are the surface that the ray starts from."""
 
 
@@ -22,7 +22,7 @@ def first_hits(
 ) -> tuple[Float64[Array, "ray"], Int8[Array, "ray"]]:
     """Parameter t of the first point origin + t direction on the surface, and its piece; inf and -1 without one.
 
-    Only hits with NEAREST < t < most count.
+    Only hits with MIN_DISTANCE < t < most count.
     """
     parameter = np.full(direction.shape[1], np.inf)
     piece = np.full(direction.shape[1], -1, dtype=np.int8)
@@ -86,7 +86,7 @@ def _annulus_hits(
 ) -> Float64[Array, "ray"]:
     parameter = (height - origin[2]) / direction[2]
     square = (origin[0] + parameter * direction[0]) ** 2 + (origin[1] + parameter * direction[1]) ** 2
-    hit = (parameter > NEAREST) & (square >= radii[0] ** 2) & (square <= radii[1] ** 2)
+    hit = (parameter > MIN_DISTANCE) & (square >= radii[0] ** 2) & (square <= radii[1] ** 2)
     return np.where(hit, parameter, np.inf)
 
 
@@ -108,7 +108,7 @@ def _cone_hits(
     best = np.full(direction.shape[1], np.inf)
     for parameter in (root / square, rest / root):
         height = z + parameter * dz
-        hit = (parameter > NEAREST) & (height >= lowest) & (height <= highest)
+        hit = (parameter > MIN_DISTANCE) & (height >= lowest) & (height <= highest)
         hit &= radius + slope * parameter * dz >= 0
         best = np.where(hit & (parameter < best), parameter, best)
     return best

@@ -54,7 +54,7 @@ class Target(Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Relief:
+class HeightField:
     """Height and slopes on a periodic grid over the body's front face, row by row."""
 
     texel_m: float
@@ -92,7 +92,7 @@ class RingTarget:
     materials: tuple[Material, ...]
     pieces: int
     """Number of the ring's pieces; the front face is the next surface."""
-    foil: Relief | None
+    foil: HeightField | None
 
     @property
     def relief_m(self) -> float:
@@ -203,7 +203,7 @@ def _box_hits(
 
 
 def _on_foil(
-    foil: Relief,
+    foil: HeightField,
     eye: Float64[Array, "xyz=3"],
     direction: Float64[Array, "xyz=3 ray"],
     flat: Float64[Array, "ray"],
@@ -229,7 +229,7 @@ _OCTAVES = 3
 
 
 @functools.lru_cache(maxsize=4)
-def relief(foil: Foil) -> Relief:
+def relief(foil: Foil) -> HeightField:
     """The height field of a foil: ridged noise, finer and lower octave by octave.
 
     Folding smooth noise at zero gives the sharp creases between smooth facets that crinkled foil has.
@@ -241,7 +241,7 @@ def relief(foil: Foil) -> Relief:
     height *= foil.rms_m / height.std()
     slopes = [(np.roll(height, -1, axis) - np.roll(height, 1, axis)) / (2 * texel_m) for axis in (1, 0)]
     slope = (slopes[0] + 1j * slopes[1]).astype(np.complex64)
-    return Relief(texel_m=texel_m, height_m=height.astype(np.float32).ravel(), slope=slope.ravel())
+    return HeightField(texel_m=texel_m, height_m=height.astype(np.float32).ravel(), slope=slope.ravel())
 
 
 def _ridges(generator: np.random.Generator, crinkles: int) -> Float64[Array, "row column"]:

@@ -13,7 +13,7 @@ from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.camera import Camera
 from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.rig import LaserPlanes
-from ringpose.types.verdict import Finding
+from ringpose.types.verdict import Check
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -29,7 +29,7 @@ class StripeView:
     """What is missing, and why."""
     lit: frozenset[int] = frozenset()
     """Lasers that were on in a frame, as the shot's masks have it."""
-    most_stripes: int = 0
+    max_stripes: int = 0
     """The most stripes on the board that a frame shows."""
 
 
@@ -230,7 +230,7 @@ class CameraAssessment:
     distances_m: tuple[float, ...]
     """At which the projection uncertainty is given in metres."""
     comparison: ModelComparison | None = None
-    board: tuple[Finding, ...] = ()
+    board: tuple[Check, ...] = ()
     """What the images say against one another and the sizes in the board file."""
 
     @property

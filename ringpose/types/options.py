@@ -75,7 +75,7 @@ class Relay(StrEnum):
     """Leaves the lasers to the camera's output lines."""
 
 
-class Show(StrEnum):
+class ServedTarget(StrEnum):
     """What stands before the camera."""
 
     RING = "ring"
@@ -83,7 +83,7 @@ class Show(StrEnum):
     PLANE_BOARD = "plane-board"
 
 
-class Move(StrEnum):
+class AdvancePolicy(StrEnum):
     """When the next view comes."""
 
     PAUSE = "pause"

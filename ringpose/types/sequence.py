@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from ringpose.errors import UsageError
 
-MOST_LASERS = 8
+MAX_LASERS = 8
 """A mask is one byte."""
 
 _STEP = re.compile(r"[1-9][0-9]{0,3}(\+[1-9][0-9]{0,3})*")
@@ -70,7 +70,7 @@ def steps_of(masks: Iterable[int], count: int) -> tuple[Step, ...]:
 def _step_of(mask: int, count: int) -> Step:
     if mask == (1 << count) - 1:
         return Step("all")
-    numbers = [str(bit + 1) for bit in range(MOST_LASERS) if mask >> bit & 1]
+    numbers = [str(bit + 1) for bit in range(MAX_LASERS) if mask >> bit & 1]
     return Step("+".join(numbers) or "off")
 
 
@@ -93,6 +93,6 @@ def _parsed_step(word: str, place: int) -> Step:
     numbers = word.split("+")
     if len(set(numbers)) < len(numbers):
         raise UsageError("--sequence", f'step {place}, "{word}", names a laser twice')
-    if max(map(int, numbers)) > MOST_LASERS:
-        raise UsageError("--sequence", f'step {place}, "{word}", names a laser beyond the {MOST_LASERS} of a mask')
+    if max(map(int, numbers)) > MAX_LASERS:
+        raise UsageError("--sequence", f'step {place}, "{word}", names a laser beyond the {MAX_LASERS} of a mask')
     return Step(word)

@@ -17,16 +17,16 @@ _FROM_GOOD_TO_BAD = tuple(Grade)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
+class Check:
     """One number and its limits; whether more is better or worse, the order of the limits says."""
 
     name: str
     """The quantity as it is spelt in files, with its unit: `rms_px`."""
     value: float
     """NaN if it is not known: that can be improved."""
-    good_limit: float
+    pass_limit: float
     """Good up to here (or from here on, if it is the larger of the two limits)."""
-    redo_limit: float
+    fail_limit: float
     """To be done anew beyond here; infinite if this number alone never asks for that."""
     advice: str = ""
     """What would make the number better, in words; empty if there is nothing to say."""
@@ -38,17 +38,17 @@ class Finding:
         """What this number alone says."""
         if math.isnan(self.value):
             return Grade.IMPROVABLE
-        sign = 1.0 if self.redo_limit >= self.good_limit else -1.0
-        if sign * self.value <= sign * self.good_limit:
+        sign = 1.0 if self.fail_limit >= self.pass_limit else -1.0
+        if sign * self.value <= sign * self.pass_limit:
             return Grade.GOOD
-        return Grade.REDO if sign * self.value > sign * self.redo_limit else Grade.IMPROVABLE
+        return Grade.REDO if sign * self.value > sign * self.fail_limit else Grade.IMPROVABLE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
     """All findings; the worst one is the grade of the whole."""
 
-    findings: tuple[Finding, ...]
+    findings: tuple[Check, ...]
 
     @property
     def grade(self) -> Grade:

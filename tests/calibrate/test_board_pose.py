@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringpose.calibrate.boards.corner_errors import likeliest_pose
+from ringpose.calibrate.boards.corner_errors import maximum_likelihood_pose
 from ringpose.calibrate.boards.layout import corner_points
 from ringpose.calibrate.boards.pose import board_pose, marker_average_pose, moved_pose
 
@@ -48,7 +48,7 @@ def test_errors_of_poses_have_the_covariance_that_is_reported(rng, board_view, t
     runs, sigma_px = 200, 0.1
     points = corner_points(plane_board)
     (pose,) = true_poses(rng, 1)
-    exact, unit = likeliest_pose(board_view(points, pose), true_camera)
+    exact, unit = maximum_likelihood_pose(board_view(points, pose), true_camera)
     expected = sigma_px**2 * unit
 
     normalised = []

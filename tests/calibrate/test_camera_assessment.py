@@ -248,7 +248,7 @@ def test_the_manual_lists_every_limit(views):
 
     listed = re.findall(r"^\.It (\w+) Ta (\S+) Ta (\S+)$", page, re.MULTILINE)
 
-    limits = [(finding.name, finding.good_limit, finding.redo_limit) for finding in verdict.findings]
+    limits = [(finding.name, finding.pass_limit, finding.fail_limit) for finding in verdict.findings]
     assert [name for name, _, _ in listed] == [name for name, _, _ in limits]
     assert [float(good) for _, good, _ in listed] == pytest.approx([good for _, good, _ in limits], rel=0.03)
     assert [redo if redo == "none" else float(redo) for _, _, redo in listed] == [

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringpose.calibrate.boards.corner_errors import by_independent_errors, end_of_likeness, likeness_of_ends
+from ringpose.calibrate.boards.corner_errors import endpoint_correlation, endpoint_for_correlation, whiten
 from ringpose.types.board import BoardView
 
 SQUARE = np.array([[0.0, 0.0], [100.0, 0.0], [100.0, 100.0], [0.0, 100.0]])
@@ -16,12 +16,12 @@ def test_ends_of_parabolas_through_noise_err_as_alike_as_said(left_out, rng):
 
     ends = np.polynomial.polynomial.polyval(np.array([0.0, 1.0]), fitted)
 
-    assert np.corrcoef(ends.T)[0, 1] == pytest.approx(likeness_of_ends(left_out), abs=0.05)
+    assert np.corrcoef(ends.T)[0, 1] == pytest.approx(endpoint_correlation(left_out), abs=0.05)
 
 
 @pytest.mark.parametrize("left_out", [0.0, 0.02, 0.1])
 def test_how_much_of_a_side_was_drawn_follows_from_how_alike_its_ends_err(left_out):
-    assert end_of_likeness(likeness_of_ends(left_out)) == pytest.approx(1 / (1 - 2 * left_out))
+    assert endpoint_for_correlation(endpoint_correlation(left_out)) == pytest.approx(1 / (1 - 2 * left_out))
 
 
 def view(corners_px: np.ndarray, likeness: float) -> BoardView:
@@ -56,7 +56,7 @@ def test_corners_where_moved_sides_meet_become_independent(lean, rng):
         met = [meeting(starts[side - 1], ends[side - 1], starts[side], ends[side]) for side in range(4)]
         errors.append((np.array(met) - corners).ravel() / 1e-3)
 
-    independent = by_independent_errors(np.array(errors).T, view(corners, 0.5))
+    independent = whiten(np.array(errors).T, view(corners, 0.5))
 
     assert np.cov(independent) == pytest.approx(np.eye(8), abs=0.16)
 
@@ -64,4 +64,4 @@ def test_corners_where_moved_sides_meet_become_independent(lean, rng):
 def test_corners_that_were_found_one_by_one_stay_as_they_are(rng):
     rows = rng.standard_normal((8, 3))
 
-    assert by_independent_errors(rows, view(SQUARE, 0.0)) is rows
+    assert whiten(rows, view(SQUARE, 0.0)) is rows

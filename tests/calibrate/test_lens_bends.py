@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from ringpose.calibrate.boards.circles import seen_offsets
-from ringpose.calibrate.boards.corner_errors import likeness_of_ends
-from ringpose.calibrate.camera.distortion_bias import without_bends
+from ringpose.calibrate.boards.corner_errors import endpoint_correlation
+from ringpose.calibrate.camera.distortion_bias import without_distortion_bias
 from ringpose.types.board import BoardView
 
 CORNERS_M = np.array([[0.0, 0, 0], [0.08, 0, 0], [0.08, 0.08, 0], [0, 0.08, 0]])
@@ -54,7 +54,7 @@ def drawn_markers(bent_camera):
         ids=np.arange(12),
         points_board_m=points_m,
         points_px=np.array(found),
-        likeness=likeness_of_ends(LEFT_OUT),
+        likeness=endpoint_correlation(LEFT_OUT),
     )
     return view, bent_px(places.reshape(-1, 3), bent_camera)
 
@@ -62,7 +62,7 @@ def drawn_markers(bent_camera):
 def test_corners_of_bent_sides_come_to_where_they_are(drawn_markers, bent_camera):
     view, true_px = drawn_markers
 
-    moved = without_bends(view, bent_camera)
+    moved = without_distortion_bias(view, bent_camera)
 
     before, after = (np.linalg.norm(one.points_px - true_px, axis=1).max() for one in (view, moved))
     assert before > 0.03
@@ -93,7 +93,7 @@ def test_centres_of_bent_circles_come_to_where_they_are(tilt, bent_camera):
         circle_radius_m=0.015,
     )
 
-    found = without_bends(view, bent_camera)
+    found = without_distortion_bias(view, bent_camera)
 
     true_px = bent_px(centers_m @ turn.T + apart, bent_camera)
     before, after = (np.linalg.norm(one.points_px - true_px, axis=1).max() for one in (view, found))
@@ -104,4 +104,4 @@ def test_centres_of_bent_circles_come_to_where_they_are(tilt, bent_camera):
 def test_corners_of_a_chessboard_stay(drawn_markers, bent_camera):
     view = replace(drawn_markers[0], likeness=0.0)
 
-    assert without_bends(view, bent_camera) is view
+    assert without_distortion_bias(view, bent_camera) is view

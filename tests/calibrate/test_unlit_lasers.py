@@ -36,7 +36,7 @@ def test_a_laser_that_is_named_and_never_on_is_told_apart(rng, stripe_views, tru
 
 def test_fewer_stripes_than_lasers_in_every_frame_say_how_many(rng, stripe_views, true_poses, true_camera):
     views = [
-        replace(view, stripes_px=(NOTHING,) * 3, most_stripes=2, lit=frozenset({0, 1, 2}))
+        replace(view, stripes_px=(NOTHING,) * 3, max_stripes=2, lit=frozenset({0, 1, 2}))
         for view in stripe_views(true_poses(rng, 4), rng)
     ]
 

@@ -1,12 +1,12 @@
 """Verdicts in files and in lines."""
 
 from ringpose.calibrate.verdict_text import verdict_lines, verdict_values
-from ringpose.types.verdict import Finding, Verdict
+from ringpose.types.verdict import Check, Verdict
 
-POOR = Finding(
-    name="held_out_rms_m", value=4e-4, good_limit=2e-4, redo_limit=1e-3, advice="add a view at 1 m", place="left"
+POOR = Check(
+    name="held_out_rms_m", value=4e-4, pass_limit=2e-4, fail_limit=1e-3, advice="add a view at 1 m", place="left"
 )
-GOOD = Finding(name="rms_px", value=0.1, good_limit=0.3, redo_limit=1.0, advice="focus")
+GOOD = Check(name="rms_px", value=0.1, pass_limit=0.3, fail_limit=1.0, advice="focus")
 
 
 def test_lines_name_the_number_that_is_not_good_and_the_advice():

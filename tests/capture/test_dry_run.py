@@ -8,13 +8,13 @@ from drawn_camera import DrawnCamera
 from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.capture.self_test import dry_run
 from ringpose.errors import LaserSafetyError
-from ringpose.simulate.serve.relays import ContactFaults, Contacts
+from ringpose.simulate.serve.relays import RelayContacts, RelayFaults
 
 
 class ContactLasers(LaserDriver):
     count = 3
 
-    def __init__(self, contacts: Contacts) -> None:
+    def __init__(self, contacts: RelayContacts) -> None:
         self.contacts = contacts
 
     def set_mask(self, lasers: int) -> None:
@@ -31,10 +31,10 @@ class ContactLasers(LaserDriver):
 @pytest.fixture
 def walked(rng, monkeypatch):
     """The findings before lasers with these faults."""
-    monkeypatch.setattr("ringpose.capture.self_test.LONGEST_SETTLE_S", 0.05)
+    monkeypatch.setattr("ringpose.capture.self_test.MAX_SETTLE_S", 0.05)
 
     def findings(**faults):
-        contacts = Contacts(3, ContactFaults(**faults))
+        contacts = RelayContacts(3, RelayFaults(**faults))
         camera, lasers = DrawnCamera(contacts, rng, brightness_dn=100.0), ContactLasers(contacts)
         with camera, lasers:
             return {finding.check: finding for finding in dry_run(camera, lasers, 0.005)}

@@ -5,7 +5,7 @@ import pytest
 
 from ringpose.bench.stripe_images import Kind, stripe_image, stripe_rig
 from ringpose.detect.break_points import checked
-from ringpose.detect.rim import may_be_the_body, most_convincing, ring_face
+from ringpose.detect.rim import best_hypothesis, may_be_background, ring_face
 from ringpose.geometry.rays import undistorted_pixels
 from ringpose.kernels.ends import Ends
 from ringpose.kernels.lines import TRACK_COLUMNS, Group
@@ -70,14 +70,14 @@ def test_two_pieces_less_like_a_face_than_another_are_the_body_behind_it(pair, s
     one = Group((0,), (17,), 9.5, -np.inf)
     two = Group((0, 1), pair, score, -np.inf)
 
-    assert most_convincing((one, two, None)).tracks == chosen
+    assert best_hypothesis((one, two, None)).tracks == chosen
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_stripe_on_the_body_is_no_face_of_a_nearer_laser(seed):
     tracks = np.array([row(*body_ends(seed, 2))])
 
-    assert may_be_the_body(tracks, (0,), ALL, RIG)
+    assert may_be_background(tracks, (0,), ALL, RIG)
 
 
 @pytest.mark.parametrize("laser", ALL)
@@ -85,13 +85,13 @@ def test_a_stripe_on_the_body_is_no_face_of_a_nearer_laser(seed):
 def test_a_stripe_on_the_face_is_not_taken_for_the_bodys(seed, laser):
     tracks = np.array([row(*face_ends(seed)[laser])])
 
-    assert not may_be_the_body(tracks, (laser,), ALL, RIG)
+    assert not may_be_background(tracks, (laser,), ALL, RIG)
 
 
 def test_a_labelled_stripe_is_no_other_lasers():
     tracks = np.array([row(*body_ends(0, 2), laser=0)])
 
-    assert not may_be_the_body(tracks, (0,), ALL, RIG)
+    assert not may_be_background(tracks, (0,), ALL, RIG)
 
 
 def ends_with_one_wrong(seed, by_px):

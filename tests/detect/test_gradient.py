@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ringpose.detect.line_segments import (
-    LARGEST_STEPS,
+    MAX_STEPS,
     STEPS_PER_DN,
     eight_bit,
     image_gradient,
@@ -71,10 +71,10 @@ def test_moving_the_image_moves_its_gradient(shift_x, shift_y):
 def test_the_steepest_pattern_stays_within_sixteen_bits():
     magnitude = image_gradient(np.where(ROW + COLUMN > 26, 255, 0).astype(np.uint8), 5.0).magnitude
 
-    assert 10_000 < magnitude.max() < LARGEST_STEPS
+    assert 10_000 < magnitude.max() < MAX_STEPS
 
 
-@pytest.mark.parametrize(("gradient_dn", "steps"), [(0.0, 1), (1.0, 128), (3.0, 384), (1e9, LARGEST_STEPS)])
+@pytest.mark.parametrize(("gradient_dn", "steps"), [(0.0, 1), (1.0, 128), (3.0, 384), (1e9, MAX_STEPS)])
 def test_thresholds_become_whole_steps(gradient_dn, steps):
     assert magnitude_steps(gradient_dn) == steps
 

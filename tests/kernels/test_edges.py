@@ -13,13 +13,13 @@ from scipy.ndimage import map_coordinates, uniform_filter1d
 from ringpose.detect.ring_arc_fit import RULES as FIT_RULES
 from ringpose.geometry.ring_arcs import RingArcs, arc_points, moved, off_face_m
 from ringpose.kernels import edges
-from ringpose.kernels.edges import PlaceRules, PlanePoints, ProfileRules, Sights
+from ringpose.kernels.edges import PlaceParams, PlanePoints, ProfileParams, Sights
 from ringpose.kernels.lines import Lens
 
 LENS = Lens(1778.0, 1781.0, 790.0, 611.0, -0.12, 0.05, 4e-4, -3e-4, 0.01)
 RATIONAL = LENS._replace(k4=0.02, k5=-0.01, k6=0.004)
-PLACES = PlaceRules(1600.0, 1200.0, 12.0, 1.3, 2.0, 8.0, 0.3, 3.0, 1.3, 1e-4)
-PROFILES = ProfileRules(2.0, 5.0, 3.0, 4.0, 0.3, 9.0, 255.0)
+PLACES = PlaceParams(1600.0, 1200.0, 12.0, 1.3, 2.0, 8.0, 0.3, 3.0, 1.3, 1e-4)
+PROFILES = ProfileParams(2.0, 5.0, 3.0, 4.0, 0.3, 9.0, 255.0)
 
 steps_of_state = arrays(np.float64, 7, elements=st.floats(-1, 1)).map(
     lambda part: part * [0.4, 0.4, 0.2, 0.1, 0.7, 3.0, 0.01]

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.kernels.ends import EndRules, stripe_ends
+from ringpose.kernels.ends import EndParams, stripe_ends
 from ringpose.kernels.lines import Lens
 
-RULES = EndRules(
+RULES = EndParams(
     saturation_dn=255.0,
     beyond_columns=40.0,
     inside_columns=24.0,
@@ -17,8 +17,8 @@ RULES = EndRules(
     flank_sigmas=3.0,
     flanks_share=0.6,
     undimmed_level=0.6,
-    least_headroom=0.05,
-    least_noise=0.01,
+    min_headroom=0.05,
+    min_noise=0.01,
     shape_sigma=0.005,
     texture_factor=1.5,
     facet_sigmas=6.0,

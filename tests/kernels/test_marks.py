@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from ringpose.kernels.ends import MarkRules, marked_ends
+from ringpose.kernels.ends import MarkParams, marked_ends
 
-RULES = MarkRules(
+RULES = MarkParams(
     image_width=800.0,
     border_px=3.0,
     saturated_share=0.2,
@@ -14,7 +14,7 @@ RULES = MarkRules(
     clipped_phase=0.022,
     facet_sigmas=6.0,
     taken_by_fit=5.0,
-    least_columns=0.5,
+    min_columns=0.5,
     saturated_flag=1.0,
     kink_flag=2.0,
     clipped_flag=4.0,

@@ -7,19 +7,19 @@ from scipy.ndimage import gaussian_filter1d
 from ringpose.bench.stripe_images import Kind, stripe_rig, switched_frames
 from ringpose.detect.stripes import stripe_filters
 from ringpose.kernels import _kernels
-from ringpose.kernels.stripes import Filters, StripeRules, stripes
+from ringpose.kernels.stripes import Filters, StripeParams, stripes
 
 FILTERS = stripe_filters(2.5)
-RULES = StripeRules(
+RULES = StripeParams(
     begin_sigmas=6.0,
     continue_sigmas=4.0,
-    least_response=0.18,
+    min_response=0.18,
     coarse_per_response=540.0,
     full_dn=255.0,
     gap=2,
     shortest=8,
 )
-WEAK_RULES = RULES._replace(begin_sigmas=1.5, continue_sigmas=1.0, least_response=0.01, coarse_per_response=0.0)
+WEAK_RULES = RULES._replace(begin_sigmas=1.5, continue_sigmas=1.0, min_response=0.01, coarse_per_response=0.0)
 """Under these noise is full of pieces."""
 
 SEVENTH_RIG = stripe_rig(1 / 3.5)
@@ -97,7 +97,7 @@ def test_centres_before_a_dark_frame_are_those_of_the_difference(dtype, rng):
 @pytest.mark.parametrize("kind", [Kind.DARK, Kind.FOIL, Kind.SPECKLE])
 def test_sixteen_bits_of_the_same_light_give_the_same_centres(kind):
     image = switched_frames(kind, 1, SEVENTH_RIG)[0].image
-    wide = RULES._replace(full_dn=255.0 * 257, least_response=RULES.least_response * 257)
+    wide = RULES._replace(full_dn=255.0 * 257, min_response=RULES.min_response * 257)
 
     eight, sixteen = (
         stripes(image, None, None, FILTERS, RULES),
@@ -239,7 +239,7 @@ def test_a_single_filter_is_a_value_error():
     [
         ("begin_sigmas", -1.0),
         ("continue_sigmas", np.nan),
-        ("least_response", 0.0),
+        ("min_response", 0.0),
         ("coarse_per_response", -1.0),
         ("gap", -1),
         ("gap", 1001),

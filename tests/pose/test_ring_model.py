@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ringpose.pose.measurements import measurements_of
-from ringpose.pose.residuals import Beforehand, RingState, moved, rows_of
+from ringpose.pose.residuals import Prior, RingState, moved, rows_of
 from ringpose.types.ring import KnownRadii
 
 STEP = 1e-6
@@ -37,13 +37,11 @@ def unscaled(rows, points):
 def test_rows_of_stripes_and_points_have_the_derivatives_of_central_differences(measured, rng, parameter):
     scene, shot = measured
     state, count = some_state(scene, rng), len(shot.points.x)
-    rows = rows_of(state, shot, shot.sighted(scene.rig.lasers), Beforehand())
+    rows = rows_of(state, shot, shot.sighted(scene.rig.lasers), Prior())
 
     forward, backward = (
         unscaled(
-            rows_of(
-                moved(state, sign * STEP * np.eye(7)[parameter]), shot, shot.sighted(scene.rig.lasers), Beforehand()
-            ),
+            rows_of(moved(state, sign * STEP * np.eye(7)[parameter]), shot, shot.sighted(scene.rig.lasers), Prior()),
             count,
         )
         for sign in (1, -1)
@@ -58,7 +56,7 @@ def test_rows_of_stripes_and_points_have_the_derivatives_of_central_differences(
 @pytest.mark.parametrize("parameter", range(7))
 def test_known_radii_have_the_derivatives_of_central_differences(measured, rng, parameter):
     scene, shot = measured
-    state, before = some_state(scene, rng), Beforehand(RADII)
+    state, before = some_state(scene, rng), Prior(RADII)
     rows = rows_of(state, shot, shot.sighted(scene.rig.lasers), before)
 
     forward, backward = (

@@ -8,7 +8,7 @@ import pytest
 from ringpose.pose.measurements import measurements_of
 from ringpose.pose.nuisance import rig_errors
 from ringpose.pose.pipeline import estimate_pose
-from ringpose.pose.residuals import Beforehand, moved, rows_of
+from ringpose.pose.residuals import Prior, moved, rows_of
 from ringpose.pose.solver import HUBER_SIGMAS, fitted, starting_state
 from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.pose import NoPose, RingPose
@@ -45,7 +45,7 @@ def huber_cost(residual, weight):
 def test_the_search_ends_where_the_robust_cost_is_least(noisy, calibrated, radii):
     rig, measured = noisy
     rig = with_covariance(rig) if calibrated else rig
-    sighted, before = measured.sighted(rig.lasers), Beforehand(radii)
+    sighted, before = measured.sighted(rig.lasers), Prior(radii)
 
     fit = fitted(measured, rig, before, rig_errors(rig))
 
@@ -74,7 +74,7 @@ def test_the_search_begins_on_the_rings_plane_and_with_out_on_the_right_side(sce
     if not ends_seen:
         measured = replace(measured, points=replace(measured.points, x=measured.points.middle_x.copy()))
 
-    start = starting_state(measured, measured.sighted(scene.rig.lasers), Beforehand())
+    start = starting_state(measured, measured.sighted(scene.rig.lasers), Prior())
 
     np.testing.assert_allclose(start.normal, scene.ring.normal, atol=1e-3)
     assert 1 / np.linalg.norm(start.plane) == pytest.approx(-scene.ring.normal @ scene.ring.center_m, rel=1e-3)
@@ -87,7 +87,7 @@ def test_a_plane_behind_the_camera_is_no_start(noisy):
     sighted = measured.sighted(rig.lasers)
     behind = sighted._replace(light=sighted.light * [1.0, 1.0, 1.0, -1.0])
 
-    assert starting_state(measured, behind, Beforehand()) is None
+    assert starting_state(measured, behind, Prior()) is None
 
 
 def test_points_at_the_end_of_the_world_are_left_out_or_no_ring(scene_of, face_points):

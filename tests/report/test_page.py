@@ -20,7 +20,7 @@ from ringpose.report.page import (
     require_matplotlib,
     verdict_section,
 )
-from ringpose.types.verdict import Finding, Verdict
+from ringpose.types.verdict import Check, Verdict
 
 
 class Tags(HTMLParser):
@@ -69,8 +69,8 @@ def test_the_page_loads_nothing_from_elsewhere():
 
 
 def test_a_verdict_shows_each_number_with_its_limits():
-    finding = Finding(
-        name="tilt_deg", value=5.0, good_limit=20.0, redo_limit=-np.inf, advice="tilt the board", place="left"
+    finding = Check(
+        name="tilt_deg", value=5.0, pass_limit=20.0, fail_limit=-np.inf, advice="tilt the board", place="left"
     )
 
     section = verdict_section(Verdict(findings=(finding,)))

@@ -5,9 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ringpose.errors import UsageError
-from ringpose.types.sequence import MOST_LASERS, Step, parsed_sequence, steps_of, written_sequence
+from ringpose.types.sequence import MAX_LASERS, Step, parsed_sequence, steps_of, written_sequence
 
-numbers = st.sets(st.integers(1, MOST_LASERS), min_size=1)
+numbers = st.sets(st.integers(1, MAX_LASERS), min_size=1)
 
 
 def test_the_default_sequence_lights_one_laser_after_the_other():
@@ -24,7 +24,7 @@ def test_all_is_every_laser_of_the_rig():
 def test_joined_numbers_set_just_their_bits(wanted):
     (step,) = parsed_sequence("+".join(map(str, sorted(wanted))))
 
-    assert {bit + 1 for bit in range(MOST_LASERS) if step.mask(MOST_LASERS) >> bit & 1} == wanted
+    assert {bit + 1 for bit in range(MAX_LASERS) if step.mask(MAX_LASERS) >> bit & 1} == wanted
 
 
 def test_spaces_around_the_commas_do_no_harm():

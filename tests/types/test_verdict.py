@@ -4,11 +4,11 @@ import math
 
 import pytest
 
-from ringpose.types.verdict import Finding, Grade, Verdict
+from ringpose.types.verdict import Check, Grade, Verdict
 
 
-def finding(value: float, good: float = 1.0, redo: float = 2.0, advice: str = "") -> Finding:
-    return Finding(name="rms_px", value=value, good_limit=good, redo_limit=redo, advice=advice)
+def finding(value: float, good: float = 1.0, redo: float = 2.0, advice: str = "") -> Check:
+    return Check(name="rms_px", value=value, pass_limit=good, fail_limit=redo, advice=advice)
 
 
 @pytest.mark.parametrize(

@@ -25,10 +25,10 @@ WINDOW_PER_SQUARE = 0.25
 A window that reaches into the next corner ruins the result: with 11 px there the rms doubles from 0.20 to 0.41 px.
 """
 
-LARGEST_WINDOW_PX = 11
+MAX_WINDOW_PX = 11
 """A wider one gains nothing on large squares, and takes in the board's neighbourhood at its rim."""
 
-LARGEST_IRREGULARITY = 0.2
+MAX_IRREGULARITY = 0.2
 """Third differences of a grid, in squares: on photographs they stay below 0.15; beside a glaring stripe the
 sector-based finder puts a whole column 0.2 squares off, which makes them 0.6 to 1.2."""
 
@@ -53,7 +53,7 @@ def chessboard_corners(
                 grid = in_full_image(found, reduction)
                 half_window_px = WINDOW_PER_SQUARE * shortest_side(grid)
                 refined = refined_corners(image, grid.reshape(-1, 2), half_window_px).reshape(rows, columns, 2)
-                if irregularity(refined) < LARGEST_IRREGULARITY:
+                if irregularity(refined) < MAX_IRREGULARITY:
                     levelled = levelled_corners(image, refined, whole_window(half_window_px))
                     return _in_board_order(image, levelled).reshape(-1, 2)
     return None
@@ -89,7 +89,7 @@ def largest_grid(image: UInt8[Array, "row column"]) -> Float64[Array, "corner_ro
     small = reduced(image, reduction)
     grown = [_grown(small, size, draw) for size in _SEEDS for draw in _DRAWS]
     grids = [in_full_image(grid, reduction) for grid in grown if grid is not None]
-    regular = [grid for grid in grids if irregularity(grid) < LARGEST_IRREGULARITY]
+    regular = [grid for grid in grids if irregularity(grid) < MAX_IRREGULARITY]
     return max(regular, key=lambda grid: grid.size, default=None)
 
 
@@ -116,7 +116,7 @@ def shortest_side(grid: Float64[Array, "corner_row corner_column xy=2"]) -> floa
 
 def whole_window(half_window_px: float) -> int:
     """A half-window in whole pixels, within what makes sense."""
-    return int(np.clip(half_window_px, 2, LARGEST_WINDOW_PX))
+    return int(np.clip(half_window_px, 2, MAX_WINDOW_PX))
 
 
 def refined_corners(

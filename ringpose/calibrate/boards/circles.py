@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from scipy.special import ndtr
 
-from ringpose.calibrate.boards.edge_profile import LEAST_BLUR_PX
+from ringpose.calibrate.boards.edge_profile import MIN_BLUR_PX
 from ringpose.calibrate.boards.image_patch import grey_around
 from ringpose.types.arrays import Array, Bool, Float64, UInt8
 
@@ -154,7 +154,7 @@ BAND_PX = 4.0
 RIM_PX = 4.0
 """Width of the paper around it that tells the level of the light."""
 
-FEWEST = 20
+MIN_COUNT = 20
 """Pixels of paper, below which its level is not known; ink needs as many for a level that is not even."""
 
 
@@ -196,7 +196,7 @@ def _step(
     """What moves the ellipse to the shares in the band, its size free; the blur is that of the shares."""
     band = np.abs(outside) <= BAND_PX
     far, seen = outside[band], share[band]
-    blur_px = max(np.sqrt(np.pi / 2) * 2 * BAND_PX * float(np.mean(np.abs(seen - (far < 0)))), LEAST_BLUR_PX)
+    blur_px = max(np.sqrt(np.pi / 2) * 2 * BAND_PX * float(np.mean(np.abs(seen - (far < 0)))), MIN_BLUR_PX)
     steep = np.exp(-0.5 * (far / blur_px) ** 2) / (blur_px * np.sqrt(2 * np.pi))
     normal = slope[band] / np.linalg.norm(slope[band], axis=-1, keepdims=True)
     design = steep[:, None] * np.column_stack([normal, np.ones(len(far))])
@@ -229,10 +229,10 @@ def _dark_share(
 ) -> Float64[Array, "row column"] | None:
     """1 where there is ink, 0 where there is paper, measured in the band; None where the paper is not seen."""
     paper, ink = (outside > BAND_PX) & (outside < BAND_PX + RIM_PX), outside < -BAND_PX
-    if paper.sum() < FEWEST:
+    if paper.sum() < MIN_COUNT:
         return None
     bright = _level(patch, offset, paper)
-    dark = _level(patch, offset, ink) if ink.sum() >= FEWEST else np.full(patch.shape, _darkest(patch, outside))
+    dark = _level(patch, offset, ink) if ink.sum() >= MIN_COUNT else np.full(patch.shape, _darkest(patch, outside))
     if (bright - dark).min() <= 0:
         return None
     share = (bright - patch) / (bright - dark)

@@ -20,16 +20,14 @@ from scipy.special import digamma, polygamma
 
 from ringpose.calibrate.boards.pose import board_pose, moved_pose, residuals
 from ringpose.calibrate.camera.parameters import projection_jacobians
-from ringpose.geometry.robust import normal_spread
+from ringpose.geometry.robust import robust_std
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.calibration import StripeView
 from ringpose.types.camera import Camera
 
 
-def by_independent_errors(
-    rows: Float64[Array, "coordinate *column"], view: BoardView
-) -> Float64[Array, "coordinate *column"]:
+def whiten(rows: Float64[Array, "coordinate *column"], view: BoardView) -> Float64[Array, "coordinate *column"]:
     """Rows of a view's corner coordinates (x and y of each in turn) turned into as many of independent errors.
 
     Their mean square stays that of a coordinate. Corners that err alike are those of whole markers.
@@ -42,21 +40,21 @@ def by_independent_errors(
 
 def corner_residuals(view: BoardView, pose: BoardPose, camera: Camera) -> Float64[Array, "coordinate"]:
     """Of a view's corners in pixels, x and y of each in turn, changed to as many of independent errors."""
-    return by_independent_errors(residuals(view, pose, camera).ravel(), view)
+    return whiten(residuals(view, pose, camera).ravel(), view)
 
 
-def likeliest_pose(view: BoardView, camera: Camera) -> tuple[BoardPose, Float64[Array, "pose=6 pose=6"]]:
+def maximum_likelihood_pose(view: BoardView, camera: Camera) -> tuple[BoardPose, Float64[Array, "pose=6 pose=6"]]:
     """The board's pose by corners that err alike, and its covariance for errors of one pixel in each coordinate."""
     pose = board_pose(view, camera)
     by_pose, _ = projection_jacobians(view.points_board_m, pose, camera)
-    rows = by_independent_errors(by_pose.reshape(-1, 6), view)
+    rows = whiten(by_pose.reshape(-1, 6), view)
     covariance: Float64[Array, "pose=6 pose=6"] = np.linalg.inv(rows.T @ rows)
     if view.likeness:
         pose = moved_pose(pose, covariance @ rows.T @ corner_residuals(view, pose, camera))
     return pose, covariance
 
 
-def likeness_of_ends(left_out: float) -> float:
+def endpoint_correlation(left_out: float) -> float:
     """Correlation of a parabola's errors at a side's two ends, if it was drawn without this share of the side at each.
 
     Over places -1 to 1 its level, slope and bend have independent errors in the Legendre polynomials 1, 3^1/2 x and
@@ -68,7 +66,7 @@ def likeness_of_ends(left_out: float) -> float:
     return (even - odd) / (even + odd)
 
 
-def end_of_likeness(likeness: float) -> float:
+def endpoint_for_correlation(likeness: float) -> float:
     """Where a side ends, if it was drawn from -1 to 1 and its errors at both ends have this correlation.
 
     With u the square of it, the even and odd parts of the variance are 1 + 5/4 (3 u - 1)^2 and 3 u.
@@ -126,7 +124,7 @@ def _prior(log_variance: Float64[Array, "view"], freedom: Float64[Array, "view"]
     return prior, float(np.exp(unbiased.mean() + digamma(prior / 2) - np.log(prior / 2)))
 
 
-LEAST_SIGMA_PX = 0.002
+MIN_SIGMA_PX = 0.002
 """Nothing in an image is known better, neither a corner of one view nor what it errs in all views alike."""
 
 STRAY_SIGMAS = 3.0
@@ -139,19 +137,19 @@ def corner_sigma_px(views: Sequence[StripeView], poses: Sequence[BoardPose], cam
     """Standard deviation of one coordinate of a corner, from the residuals of all views; strays count as three."""
     errors = _residuals(views, poses, camera)
     every = np.abs(np.concatenate(errors))
-    limit = STRAY_SIGMAS * normal_spread(every)
+    limit = STRAY_SIGMAS * robust_std(every)
     return float(np.sqrt(np.sum(np.minimum(every, limit) ** 2) / max(every.size - _POSE * len(errors), 1)))
 
 
 def corner_sigmas_px(views: Sequence[StripeView], poses: Sequence[BoardPose], camera: Camera) -> Float64[Array, "view"]:
     """The same for each view: of its own residuals, drawn to the common one as far as its own are few."""
     errors = _residuals(views, poses, camera)
-    common = normal_spread(np.concatenate(errors))
-    limits = [STRAY_SIGMAS * max(common, normal_spread(own)) for own in errors]
+    common = robust_std(np.concatenate(errors))
+    limits = [STRAY_SIGMAS * max(common, robust_std(own)) for own in errors]
     squares = [float(np.sum(np.minimum(np.abs(own), limit) ** 2)) for own, limit in zip(errors, limits, strict=True)]
     freedom = np.array([max(own.size - _POSE, 1) for own in errors], dtype=np.float64)
     sigmas: Float64[Array, "view"] = np.sqrt(moderated_variances(np.array(squares), freedom))
-    return np.maximum(sigmas, LEAST_SIGMA_PX)
+    return np.maximum(sigmas, MIN_SIGMA_PX)
 
 
 def with_shared_errors(
@@ -168,10 +166,10 @@ def with_shared_errors(
     that disagree move corners alike, too, and so do stray corners where stripes do not hold their board: what counts
     is seen of boards at the given poses and of those where their corners alone have them.
     """
-    alone = [likeliest_pose(view.board, camera)[0] for view in views]
+    alone = [maximum_likelihood_pose(view.board, camera)[0] for view in views]
     errors = [_residuals(views, each, camera) for each in (poses, alone)]
     factor = min(_shared_factor(sigmas_px, views, own, taken) for own in errors)
-    wider: Float64[Array, "view"] = np.sqrt(factor * sigmas_px**2 + len(views) * LEAST_SIGMA_PX**2)
+    wider: Float64[Array, "view"] = np.sqrt(factor * sigmas_px**2 + len(views) * MIN_SIGMA_PX**2)
     return wider
 
 

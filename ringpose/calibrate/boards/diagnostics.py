@@ -19,7 +19,7 @@ from ringpose.calibrate.boards.markers import Markers, find_markers, marker_dict
 from ringpose.types.arrays import Array, Bool, Float64, UInt8
 from ringpose.types.board import Board
 
-SMALLEST_PX = 32
+MIN_SIZE_PX = 32
 """Sides of an image in which no board is looked for; OpenCV's finder fails below 15."""
 
 DARK_DN = 25.0
@@ -39,7 +39,7 @@ _FAMILIES = tuple(
     for name in ("DICT_4X4_250", "DICT_5X5_250", "DICT_6X6_250", "DICT_7X7_250", "DICT_APRILTAG_36h11")
 )
 
-_FEWEST_MARKERS = 3
+_MIN_MARKERS = 3
 """Of a family that nobody asked for, or of mirrored ones: a pattern, or blur, may pass for one or two."""
 
 _SMOOTHING_PX = 1.0
@@ -85,7 +85,7 @@ class NoBoard:
 
 def too_small(grey: UInt8[Array, "row column"]) -> NoBoard | None:
     """Said of an image in which no board has room."""
-    if min(grey.shape) >= SMALLEST_PX:
+    if min(grey.shape) >= MIN_SIZE_PX:
         return None
     return NoBoard(failure=BoardFailure.TOO_SMALL, found=f"{grey.shape[1]} x {grey.shape[0]} pixels")
 
@@ -146,7 +146,7 @@ def marker_failure(grey: UInt8[Array, "row column"], board: Board, markers: Mark
         )
     if len(markers.ids):
         return NoBoard(failure=BoardFailure.OTHER_MARKERS, found=f"numbers {_numbers(markers)}")
-    if len(find_markers(np.ascontiguousarray(grey[:, ::-1]), marker_dictionary(board)).ids) >= _FEWEST_MARKERS:
+    if len(find_markers(np.ascontiguousarray(grey[:, ::-1]), marker_dictionary(board)).ids) >= _MIN_MARKERS:
         return NoBoard(failure=BoardFailure.MIRRORED)
     other = markers_of_others(grey)
     if other:
@@ -186,7 +186,7 @@ def markers_of_others(grey: UInt8[Array, "row column"]) -> str:
     """The largest family of OpenCV's markers that an image shows, with numbers; empty if fewer than three are seen."""
     families = [(name, find_markers(grey, cv2.aruco.getPredefinedDictionary(number))) for name, number in _FAMILIES]
     name, markers = max(families, key=lambda family: len(family[1].ids))
-    return f"{name}, numbers {_numbers(markers)}" if len(markers.ids) >= _FEWEST_MARKERS else ""
+    return f"{name}, numbers {_numbers(markers)}" if len(markers.ids) >= _MIN_MARKERS else ""
 
 
 def _partial(
@@ -258,10 +258,10 @@ def _outside(own: Markers, board: Board, shape: tuple[int, int]) -> int:
     return int(np.sum(~inside.all(axis=(1, 2))))
 
 
-SMALLEST_GRID = 2
+MIN_GRID = 2
 """Circles along a side of the grids that are tried."""
 
-LARGEST_MISFIT = 0.2
+MAX_MISFIT = 0.2
 """Of circles in the places of another grid, rms in spacings: a lens bends less, wrong rows lie a half or more aside."""
 
 
@@ -290,7 +290,7 @@ def _circles_seen(grey: UInt8[Array, "row column"]) -> Float64[Array, "circle xy
 
 def _other_grid(grey: UInt8[Array, "row column"], board: Board, number: int) -> tuple[int, int] | None:
     """Columns and rows of a grid of so many circles that the image shows; None if there is none."""
-    for columns in range(SMALLEST_GRID, number // SMALLEST_GRID + 1):
+    for columns in range(MIN_GRID, number // MIN_GRID + 1):
         rows, left = divmod(number, columns)
         if left or (columns, rows) == (board.squares_x, board.squares_y):
             continue
@@ -307,7 +307,7 @@ def _lie_as_on(middles_px: Float64[Array, "circle xy=2"], board: Board) -> bool:
     if homography is None:
         return False
     mapped = cv2.perspectiveTransform(middles_px.reshape(1, -1, 2), homography).reshape(-1, 2)
-    return bool(np.sqrt(np.mean(np.sum((mapped - places) ** 2, axis=1))) < LARGEST_MISFIT * (board.spacing_m or 1.0))
+    return bool(np.sqrt(np.mean(np.sum((mapped - places) ** 2, axis=1))) < MAX_MISFIT * (board.spacing_m or 1.0))
 
 
 GOES_ON = 0.5
@@ -319,7 +319,7 @@ SURELY = 0.8
 COVERED_ROWS = 2
 """so many rows may be covered."""
 
-_MOST_ROWS = 20
+_MAX_ROWS = 20
 
 _SMOOTHING = 0.15
 """Of a square's side."""
@@ -360,8 +360,8 @@ def _side(smooth: Float64[Array, "row column"], grid: Float64[Array, "corner_row
     own = [_contrast(smooth, homography, column, rows) for column in range(columns - 1)]
     sign = np.sign(own[-1]) / max(float(np.median(np.abs(own))), 1.0)
     first = columns - 1
-    outside = (row for row in range(_MOST_ROWS) if not _inside(smooth.shape, homography, first + row, rows))
-    inside = next(outside, _MOST_ROWS)
+    outside = (row for row in range(_MAX_ROWS) if not _inside(smooth.shape, homography, first + row, rows))
+    inside = next(outside, _MAX_ROWS)
     last = 0  # the last corners are corners of a first row, whatever it looks like
     for row in range(1, inside):
         step = sign * (-1) ** (row + 1) * _contrast(smooth, homography, first + row, rows)

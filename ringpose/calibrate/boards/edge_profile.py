@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from ringpose.geometry.robust import normal_spread
+from ringpose.geometry.robust import robust_std
 from ringpose.types.arrays import Array, Float64
 
 KNOT_PX = 0.5
@@ -19,7 +19,7 @@ KNOT_PX = 0.5
 RIDGE = 1.0
 """Samples of no rise but the error function's that each weight of the spline is held by, where pixels leave gaps."""
 
-LEAST_BLUR_PX = 0.4
+MIN_BLUR_PX = 0.4
 """Standard deviation of the sharpest edges: pixels blur by 0.29, lenses by as much."""
 
 ROBUST_SIGMAS = 3.0
@@ -48,7 +48,7 @@ class EdgeProfile:
         """At distances in pixels, positive where it is bright."""
         return _interpolated(across, self.shares)
 
-    def steepness(self, across: Float64[Array, "*shape"]) -> Float64[Array, "*shape"]:
+    def denominator(self, across: Float64[Array, "*shape"]) -> Float64[Array, "*shape"]:
         """Derivative of the share, per pixel."""
         return _interpolated(across, self.steepnesses)
 
@@ -69,7 +69,7 @@ def seen_profile(
         weighed = basis * trust[:, None]
         weights = np.linalg.solve(weighed.T @ basis + RIDGE * np.eye(len(weights)), weighed.T @ missed)
         left = missed - basis @ weights
-        trust = np.minimum(1.0, ROBUST_SIGMAS * normal_spread(left) / np.maximum(np.abs(left), 1e-12))
+        trust = np.minimum(1.0, ROBUST_SIGMAS * robust_std(left) / np.maximum(np.abs(left), 1e-12))
     return _tabled(blur_px, weights)
 
 

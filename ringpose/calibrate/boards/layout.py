@@ -16,7 +16,7 @@ import numpy as np
 from ringpose.calibrate.boards.markers import Markers
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board, BoardView
-from ringpose.types.verdict import Finding
+from ringpose.types.verdict import Check
 
 _FIRST = np.array([1.0, 1.0, 0.0])
 """Place of the first corner or circle, in squares or spacings."""
@@ -106,10 +106,10 @@ def _lattice(columns: int, rows: int) -> Float64[Array, "point xyz=3"]:
     return np.stack([column.ravel(), row.ravel(), np.zeros(row.size)], axis=1).astype(np.float64)
 
 
-LARGEST_MISFIT = 0.25
+MAX_MISFIT = 0.25
 """Of the markers' middles from their places, in markers' sides; 0.02 through a lens, above 1 on another board."""
 
-LARGEST_SIZE_ERROR = 0.03
+MAX_SIZE_ERROR = 0.03
 """Of the markers' size by their distances: unrefined corners make them 0.01 too small."""
 
 REDO_SIZE_ERROR = 0.1
@@ -118,9 +118,9 @@ CORNER_ERROR_PX = 1.0
 """By which a corner may lie inside its marker: unrefined ones of blurred markers 40 px wide make these 1.3 px too
 narrow."""
 
-_FEWEST = 4
+_MIN_COUNT = 4
 
-_MOST_SQUARES = 40
+_MAX_SQUARES = 40
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,7 +137,7 @@ def marker_layout(board: Board, markers: Markers) -> MarkerLayout | None:
     """How the board's own markers lie; None if they are too few, or in one line."""
     place = marker_corners(board)[markers.ids][..., :2]
     middle = place.mean(axis=1)
-    if len(middle) < _FEWEST or np.linalg.matrix_rank(middle - middle.mean(axis=0), tol=1e-6) < 2:
+    if len(middle) < _MIN_COUNT or np.linalg.matrix_rank(middle - middle.mean(axis=0), tol=1e-6) < 2:
         return None
     seen_px = _middles(markers.corners_px)
     homography: Any = cv2.findHomography(seen_px, middle)[0]
@@ -174,11 +174,11 @@ def _middles(corners: Float64[Array, "marker corner=4 xy=2"]) -> Float64[Array, 
 def other_layout(board: Board, markers: Markers) -> str | None:
     """What is to be said where the markers lie otherwise than on the board: the numbers of squares that would fit."""
     layout = marker_layout(board, markers)
-    if layout is None or layout.misfit < LARGEST_MISFIT:
+    if layout is None or layout.misfit < MAX_MISFIT:
         return None
     for other in _others(board, int(markers.ids.max())):
         found = marker_layout(other, markers)
-        if found is not None and found.misfit < LARGEST_MISFIT:
+        if found is not None and found.misfit < MAX_MISFIT:
             legacy = f", legacy_pattern: {str(other.legacy_pattern).lower()}" * (other.kind == "charuco")
             return f"but as with squares_x: {other.squares_x}, squares_y: {other.squares_y}{legacy}"
     return "nor with any other squares_x"
@@ -189,7 +189,7 @@ def _others(board: Board, last: int) -> Iterator[Board]:
     if not board.squares_x or not board.squares_y:
         return
     swapped = (board.squares_y, board.squares_x)
-    counts = [(board.squares_x, board.squares_y), swapped, *((x, board.squares_y) for x in range(2, _MOST_SQUARES))]
+    counts = [(board.squares_x, board.squares_y), swapped, *((x, board.squares_y) for x in range(2, _MAX_SQUARES))]
     for squares_x, squares_y in counts:
         for legacy in (board.legacy_pattern, not board.legacy_pattern) if board.kind == "charuco" else (False,):
             other = replace(board, squares_x=squares_x, squares_y=squares_y, legacy_pattern=legacy)
@@ -197,17 +197,17 @@ def _others(board: Board, last: int) -> Iterator[Board]:
                 yield other
 
 
-def marker_size_findings(views: Sequence[BoardView]) -> tuple[Finding, ...]:
+def marker_size_findings(views: Sequence[BoardView]) -> tuple[Check, ...]:
     """Whether the markers are as large as the board file says, beside their distances; nothing on other boards."""
     ratios = [view.marker_size_ratio for view in views if view.marker_size_ratio is not None]
     if not ratios:
         return ()
     width, height = np.median(ratios, axis=0).tolist()
-    finding = Finding(
+    finding = Check(
         name="marker_size_error",
         value=max(abs(width - 1), abs(height - 1)),
-        good_limit=LARGEST_SIZE_ERROR,
-        redo_limit=REDO_SIZE_ERROR,
+        pass_limit=MAX_SIZE_ERROR,
+        fail_limit=REDO_SIZE_ERROR,
         advice=f"by their distances the markers are {width:.2f} times as wide and {height:.2f} times as high as "
         "marker_m says: measure the print, a size in the board file is wrong",
     )

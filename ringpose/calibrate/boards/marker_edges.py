@@ -19,19 +19,19 @@ import cv2
 import numpy as np
 from scipy.special import ndtr
 
-from ringpose.calibrate.boards.corner_errors import likeness_of_ends
-from ringpose.calibrate.boards.edge_profile import LEAST_BLUR_PX, EdgeProfile, normal_profile, seen_profile
-from ringpose.geometry.robust import normal_spread
+from ringpose.calibrate.boards.corner_errors import endpoint_correlation
+from ringpose.calibrate.boards.edge_profile import MIN_BLUR_PX, EdgeProfile, normal_profile, seen_profile
+from ringpose.geometry.robust import robust_std
 from ringpose.types.arrays import Array, Bool, Float64, UInt8
 
-SHORTEST_SIDE_PX = 24.0
+MIN_SIDE_PX = 24.0
 """Below this a side has too few clean samples."""
 
 CLEAR_BLURS = 4.0
 """So many standard deviations of its blur are left out at a side's ends, at most a tenth: nearer, the corner is
 rounded."""
 
-LARGEST_STEP_PX = 2.0
+MAX_STEP_PX = 2.0
 """Further from where it was found a corner is not moved."""
 
 _NORMAL_ROUNDS, _ROUNDS = 2, 5
@@ -39,7 +39,7 @@ _NORMAL_ROUNDS, _ROUNDS = 2, 5
 
 _BLUR_ROUNDS = 3
 
-_LARGEST_MISS = 0.2
+_MAX_MISS = 0.2
 """Share of the rise beyond which something lies in front of the edge."""
 
 
@@ -54,7 +54,7 @@ class SideCorners(NamedTuple):
 def corners_from_sides(image: UInt8[Array, "row column"], corners: Float64[Array, "corner=4 xy=2"]) -> SideCorners:
     """The corners where the marker's sides meet; a corner that the sides do not confirm stays as given."""
     lengths = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
-    if lengths.min() < SHORTEST_SIDE_PX:
+    if lengths.min() < MIN_SIDE_PX:
         return SideCorners(corners, 0.0)
     light = marker_light(image, corners)
     opposite = [_opposite_sides(image, corners, first, light) for first in (0, 1)]
@@ -64,9 +64,9 @@ def corners_from_sides(image: UInt8[Array, "row column"], corners: Float64[Array
         before, after = sides[i - 1], sides[i]
         if before is not None and after is not None:
             meeting = meeting_point(before, after, corners[i])
-            if np.linalg.norm(meeting - corners[i]) < LARGEST_STEP_PX:
+            if np.linalg.norm(meeting - corners[i]) < MAX_STEP_PX:
                 refined[i] = meeting
-    likeness = [likeness_of_ends(side.left_out) for side in sides if side is not None]
+    likeness = [endpoint_correlation(side.left_out) for side in sides if side is not None]
     return SideCorners(refined, float(np.mean(likeness)) if len(likeness) == 4 else 0.0)
 
 
@@ -79,7 +79,7 @@ class Light(NamedTuple):
     """On the paper around it."""
 
 
-LARGEST_MARGIN = 0.1
+MAX_MARGIN = 0.1
 """Share of a side at its ends that is left out at most."""
 
 
@@ -93,7 +93,7 @@ class Side:
     """Outwards: corners run clockwise."""
     length: float
     coefficients: Float64[Array, "3"]
-    left_out: float = LARGEST_MARGIN
+    left_out: float = MAX_MARGIN
     """Share of the side that was left out at each of its ends."""
 
     def points(self, t: Float64[Array, "n"], across: Float64[Array, "*k n"]) -> Float64[Array, "*k n 2"]:
@@ -123,7 +123,7 @@ def _opposite_sides(
 ) -> list[Side | None]:
     """Two sides drawn through their edges, which are blurred alike; None for one of which too little is seen."""
     chords = [straight_side(corners[i], corners[(i + 1) % 4]) for i in (first, first + 2)]
-    for farthest_px in (REACH_PX, LARGEST_REACH_PX):
+    for farthest_px in (REACH_PX, MAX_REACH_PX):
         reach = min(reach_px(side.length, farthest_px) for side in chords)
         sides, blur_px = _sides_within(image, chords, light, reach)
         if FLANK_BLURS * blur_px < reach:
@@ -136,7 +136,7 @@ def _sides_within(
 ) -> tuple[list[Side | None], float]:
     """The sides by what lies so near, and the blur of their edges."""
     sides: list[Side | None] = list(chords)
-    profile, left_out = normal_profile(reach), LARGEST_MARGIN
+    profile, left_out = normal_profile(reach), MAX_MARGIN
     for turn in range(_ROUNDS):
         seen = [
             None if side is None else side_samples(image, side, (left_out, reach), light, profile.blur_px)
@@ -151,7 +151,7 @@ def _sides_within(
             break
         profile = _profile(left, reach, normal=turn < _NORMAL_ROUNDS)
         shortest = min(side.length for side in sides if side is not None)
-        left_out = min(CLEAR_BLURS * profile.blur_px / shortest, LARGEST_MARGIN)
+        left_out = min(CLEAR_BLURS * profile.blur_px / shortest, MAX_MARGIN)
     return sides, profile.blur_px
 
 
@@ -171,9 +171,9 @@ class SideSamples(NamedTuple):
 
 
 def _redrawn(side: Side, samples: SideSamples, profile: EdgeProfile, left_out: float) -> Side | None:
-    """The side through its edge: each line of pixels tells how far outside it lies, weighed by steepness."""
+    """The side through its edge: each line of pixels tells how far outside it lies, weighted by gradient."""
     across = np.where(samples.used, samples.across, 0.0)
-    steep = np.where(samples.used, profile.steepness(across), 0.0)
+    steep = np.where(samples.used, profile.denominator(across), 0.0)
     missed = np.where(samples.used, profile.share(across) - samples.share, 0.0)
     told = np.sum(steep**2, axis=1)
     offset = np.where(told > 0, np.sum(steep * missed, axis=1) / np.where(told > 0, told, 1.0), np.nan)
@@ -199,23 +199,23 @@ def _blur_px(samples: SideSamples, reach: float) -> float:
     """
     across, share = samples.across[samples.used], samples.share[samples.used]
     beside = np.abs(share - np.heaviside(across, 0.5)).sum() * samples.spacing
-    blur = float(np.clip(np.sqrt(np.pi / 2) * beside / samples.used.any(axis=1).sum(), LEAST_BLUR_PX, reach))
+    blur = float(np.clip(np.sqrt(np.pi / 2) * beside / samples.used.any(axis=1).sum(), MIN_BLUR_PX, reach))
     aside = 0.0
     for _ in range(_BLUR_ROUNDS):
         place = (across - aside) / blur
         steep = np.exp(-0.5 * place**2) / (np.sqrt(2 * np.pi) * blur)
         design = np.column_stack([-steep, -place * steep])
-        missed = np.clip(share - ndtr(place), -_LARGEST_MISS, _LARGEST_MISS)
+        missed = np.clip(share - ndtr(place), -_MAX_MISS, _MAX_MISS)
         step = np.linalg.lstsq(design.T @ design, design.T @ missed)[0]
         aside += float(step[0])
-        blur = float(np.clip(blur + step[1], LEAST_BLUR_PX, reach))
+        blur = float(np.clip(blur + step[1], MIN_BLUR_PX, reach))
     return blur
 
 
-FLANK_BLURS, LEAST_FLANK, LARGEST_FLANK = 3.0, 0.3, 0.6
+FLANK_BLURS, MIN_FLANK, MAX_FLANK = 3.0, 0.3, 0.6
 """Pixels beyond so many standard deviations of the blur tell dark and bright; between these shares of the reach."""
 
-LEAST_RISE = 0.5
+MIN_RISE = 0.5
 """Share of the rise that a line of pixels shows at least where there is an edge."""
 
 
@@ -224,7 +224,7 @@ def side_samples(
 ) -> SideSamples | None:
     """Of a side less a share at its ends, and so far across it; None where too little of its edge is seen."""
     left_out, reach = extent
-    clear_px = float(np.clip(FLANK_BLURS * blur_px, LEAST_FLANK * reach, LARGEST_FLANK * reach))
+    clear_px = float(np.clip(FLANK_BLURS * blur_px, MIN_FLANK * reach, MAX_FLANK * reach))
     t, across, grey = _pixels(image, side, left_out, reach)
     inside, outside = ((sign * across >= clear_px) & (np.abs(across) <= reach) for sign in (-1.0, 1.0))
     seen = inside.any(axis=1) & outside.any(axis=1)
@@ -236,7 +236,7 @@ def side_samples(
     levels = [_mean(grey - fall, flank) for fall, flank in zip(falls, (inside, outside), strict=True)]
     dark, bright = (smooth_level(t, level)[:, None] + fall for level, fall in zip(levels, falls, strict=True))
     rise = np.median(bright - dark, axis=1)
-    there = (rise > 0) & (levels[1] - levels[0] > LEAST_RISE * rise)
+    there = (rise > 0) & (levels[1] - levels[0] > MIN_RISE * rise)
     if there.sum() < MINIMUM_SAMPLES:
         return None
     share = (grey - dark) / np.where(there[:, None], bright - dark, 1.0)
@@ -279,7 +279,7 @@ def _mean(grey: Float64[Array, "line pixel"], flank: Bool[Array, "line pixel"]) 
 REACH_PX = 5.0
 """How far across a side is looked for the edge, and at most half a cell of the marker's black border ..."""
 
-LARGEST_REACH_PX = 8.0
+MAX_REACH_PX = 8.0
 """... and how far where the edge is so blurred that less tells neither dark nor bright."""
 
 CELLS = 6
@@ -323,14 +323,14 @@ def smooth_level(t: Float64[Array, "n"], grey: Float64[Array, "n"]) -> Float64[A
     for _ in range(3):
         line = np.polynomial.polynomial.polyfit(run[used], grey[used], 2)
         residual = np.abs(grey - np.polynomial.polynomial.polyval(run, line))
-        used = residual <= max(_LIGHT_OUTLIER_SIGMAS * normal_spread(residual), 1e-6)
+        used = residual <= max(_LIGHT_OUTLIER_SIGMAS * robust_std(residual), 1e-6)
     level: Float64[Array, "n"] = np.polynomial.polynomial.polyval(run, line)
     return level
 
 
 def _flank(image: UInt8[Array, "row column"], side: Side, across: float) -> float:
     """Grey beside a side, so far outside it: the median, as something may lie in front of the board."""
-    t = np.linspace(LARGEST_MARGIN, 1.0 - LARGEST_MARGIN, int(side.length)) * side.length
+    t = np.linspace(MAX_MARGIN, 1.0 - MAX_MARGIN, int(side.length)) * side.length
     places = side.points(t, np.full(len(t), across)).astype(np.float32)
     grey = cv2.remap(image, places[None, :, 0], places[None, :, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return float(np.median(np.asarray(grey, dtype=np.float64)))
@@ -358,7 +358,7 @@ def robust_parabola(t: Float64[Array, "n"], offset: Float64[Array, "n"]) -> Floa
             return None
         coefficients = np.polynomial.polynomial.polyfit(t[used], offset[used], 2)
         residual = offset - np.polynomial.polynomial.polyval(t, coefficients)
-        limit = max(_OUTLIER_SIGMAS * normal_spread(residual[used]), 1e-6)
+        limit = max(_OUTLIER_SIGMAS * robust_std(residual[used]), 1e-6)
         used = np.isfinite(offset) & (np.abs(np.nan_to_num(residual, nan=np.inf)) < limit)
     return coefficients
 

@@ -13,10 +13,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ringpose.calibrate.boards.corner_errors import by_independent_errors
+from ringpose.calibrate.boards.corner_errors import whiten
 from ringpose.calibrate.boards.layout import marker_size_findings
 from ringpose.calibrate.camera.bundle_adjustment import CameraSolution, ViewEquations, camera_solution, view_equations
-from ringpose.calibrate.camera.distortion_bias import without_bends
+from ringpose.calibrate.camera.distortion_bias import without_distortion_bias
 from ringpose.calibrate.camera.outliers import other_camera_finding
 from ringpose.calibrate.camera.parameters import CameraModel, projection_jacobians
 from ringpose.calibrate.camera.validation import (
@@ -32,7 +32,7 @@ from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.calibration import CameraAssessment, CameraCalibration, Coverage
 from ringpose.types.camera import Camera
-from ringpose.types.verdict import Finding
+from ringpose.types.verdict import Check
 
 CHANCE = 2.5
 """A disagreement below 1 + this / sqrt(views - 1) is chance: of 80 sets of 8 and 15 views whose errors were noise
@@ -104,13 +104,16 @@ FLAT_SIGMAS = 5.0
 
 def bow_finding(
     used: Sequence[BoardView], solution: CameraSolution, model: CameraModel, widening: float = 1.0
-) -> Finding:
+) -> Check:
     """How surely the board is bowed: one step from a flat one, camera and poses free.
 
     Errors of views are larger than their residuals say by the factor `widening`.
     """
     several = zip(used, solution.poses, solution.view_sigma_px.tolist(), strict=True)
-    rows = [_rows(without_bends(view, solution.camera), pose, solution.camera, sigma) for view, pose, sigma in several]
+    rows = [
+        _rows(without_distortion_bias(view, solution.camera), pose, solution.camera, sigma)
+        for view, pose, sigma in several
+    ]
     by_all, residual = (np.concatenate(parts) for parts in zip(*rows, strict=True))
     free = np.flatnonzero(np.append(model.free, np.ones(3)))
     scale = np.maximum(np.linalg.norm(by_all[:, free], axis=0), 1e-300)
@@ -119,11 +122,11 @@ def bow_finding(
     bow = (covariance @ by_free.T @ residual)[-3:]
     surely = float(np.sqrt(max(bow @ np.linalg.pinv(covariance[-3:, -3:], hermitian=True) @ bow, 0.0)))
     height_m = float(np.ptp(_shapes(_places(used)) @ (bow / scale[-3:])))
-    return Finding(
+    return Check(
         name="bow_sigmas",
         value=surely / widening,
-        good_limit=FLAT_SIGMAS,
-        redo_limit=np.inf,
+        pass_limit=FLAT_SIGMAS,
+        fail_limit=np.inf,
         advice=f"the board is not flat, by about {1e3 * height_m:.2f} mm: fix it to glass or a plate",
     )
 
@@ -136,7 +139,7 @@ def _rows(
     by_pose, _ = projection_jacobians(view.points_board_m, pose, camera)
     by_height = by_pose[..., 3:] @ pose.rotation[:, 2]
     by_bow = (by_height[..., None] * _shapes(view.points_board_m)[:, None]).reshape(-1, 3)
-    by_bow = by_independent_errors(by_bow, view) / sigma_px
+    by_bow = whiten(by_bow, view) / sigma_px
     both = np.concatenate([equations.by_camera, by_bow], axis=1)
     return ViewEquations(by_pose=equations.by_pose, by_camera=both, residual=equations.residual).without_pose()
 

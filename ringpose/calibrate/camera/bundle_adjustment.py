@@ -13,9 +13,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from ringpose.calibrate.boards.corner_errors import by_independent_errors, moderated_variances
+from ringpose.calibrate.boards.corner_errors import moderated_variances, whiten
 from ringpose.calibrate.boards.pose import board_pose, moved_pose, residuals
-from ringpose.calibrate.camera.distortion_bias import without_bends
+from ringpose.calibrate.camera.distortion_bias import without_distortion_bias
 from ringpose.calibrate.camera.parameters import (
     CameraModel,
     camera_with,
@@ -83,10 +83,10 @@ def camera_solution(views: Sequence[BoardView], start: Camera, model: CameraMode
     camera = start if start.camera_matrix[0, 0] > 1 else _equal_corners(views, start, model)
     sigma_px = np.ones(len(views))
     for _ in range(1 + _REWEIGHTINGS):
-        seen = [without_bends(view, camera) for view in views]
+        seen = [without_distortion_bias(view, camera) for view in views]
         solution = _settled(seen, camera, model, sigma_px)
         camera, sigma_px = solution.camera, solution.view_sigma_px
-    return _settled([without_bends(view, camera) for view in views], camera, model, sigma_px)
+    return _settled([without_distortion_bias(view, camera) for view in views], camera, model, sigma_px)
 
 
 def _equal_corners(views: Sequence[BoardView], start: Camera, model: CameraModel) -> Camera:
@@ -229,5 +229,5 @@ def view_equations(view: BoardView, pose: BoardPose, camera: Camera, sigma_px: f
     by_pose, by_camera = projection_jacobians(view.points_board_m, pose, camera)
     residual_px = residuals(view, pose, camera)[..., None]
     rows = np.concatenate([by_pose, by_camera, residual_px], axis=-1).reshape(2 * len(by_pose), -1)
-    rows = by_independent_errors(rows, view) / sigma_px
+    rows = whiten(rows, view) / sigma_px
     return ViewEquations(by_pose=rows[:, :6], by_camera=rows[:, 6:-1], residual=rows[:, -1])

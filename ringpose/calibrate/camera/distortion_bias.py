@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from ringpose.calibrate.boards.circles import seen_offsets
-from ringpose.calibrate.boards.corner_errors import end_of_likeness, side_normals
+from ringpose.calibrate.boards.corner_errors import endpoint_for_correlation, side_normals
 from ringpose.calibrate.boards.pose import board_pose
 from ringpose.geometry.rays import project
 from ringpose.types.arrays import Array, Float64
@@ -21,7 +21,7 @@ from ringpose.types.camera import Camera
 _SAMPLES = 33
 
 
-def without_bends(view: BoardView, camera: Camera) -> BoardView:
+def without_distortion_bias(view: BoardView, camera: Camera) -> BoardView:
     """The view with its corners where they would be if the lens bent nothing near them; others stay as they are."""
     if not view.circle_radius_m and not view.likeness:
         return view
@@ -61,7 +61,7 @@ def _unbent_corners(
     places_m: Float64[Array, "corner xyz=3"], view: BoardView, camera: Camera
 ) -> Float64[Array, "corner xy=2"]:
     """Where parabolas would meet if they followed the sides."""
-    along, beyond = _missed_at_ends(places_m.reshape(-1, 4, 3), camera, end_of_likeness(view.likeness))
+    along, beyond = _missed_at_ends(places_m.reshape(-1, 4, 3), camera, endpoint_for_correlation(view.likeness))
     corners = view.points_px.reshape(-1, 4, 2)
     normals = side_normals(corners)
     sides = np.stack([normals, np.roll(normals, 1, axis=1)], axis=-2)

@@ -14,12 +14,12 @@ from ringpose.calibrate.boards.pose import board_pose, residuals
 from ringpose.calibrate.camera.bundle_adjustment import corners_of, view_equations
 from ringpose.calibrate.camera.parameters import camera_with, parameters_of
 from ringpose.calibrate.camera.validation import used_views
-from ringpose.geometry.robust import normal_spread
+from ringpose.geometry.robust import robust_std
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.calibration import CameraCalibration
 from ringpose.types.camera import Camera
-from ringpose.types.verdict import Finding
+from ringpose.types.verdict import Check
 
 VIEW_FACTOR = 2.5
 """A view is rejected if its rms is this many times the median of the views'. Good sets stay below 1.5."""
@@ -27,13 +27,13 @@ VIEW_FACTOR = 2.5
 FLOOR_PX = 0.05
 """No view and no corner below this is rejected: that is the corner finders' own accuracy."""
 
-LARGEST_VIEW_SHARE = 1 / 3
+MAX_VIEW_SHARE = 1 / 3
 """If more views than this disagree, nobody knows which are the bad ones."""
 
 CORNER_SIGMAS = 5.0
 """A corner is left out if it is so many standard deviations off; of normal errors four in a million are."""
 
-LARGEST_CORNER_SHARE = 0.05
+MAX_CORNER_SHARE = 0.05
 """More corners than this are never left out, so that a bad lens model is not hidden by its own victims."""
 
 
@@ -54,9 +54,9 @@ def view_reason(poses: Sequence[BoardPose], worst: int) -> str:
 def outlying_corners(errors: Sequence[Float64[Array, "_ xy=2"]]) -> list[Bool[Array, "_"]]:
     """Which corners of each view are too far off, by the spread of the bulk of all views' corners."""
     every = np.concatenate(errors)
-    sigma_px = normal_spread(every)
+    sigma_px = robust_std(every)
     lengths = np.linalg.norm(every, axis=1)
-    allowed = int(LARGEST_CORNER_SHARE * len(lengths))
+    allowed = int(MAX_CORNER_SHARE * len(lengths))
     limit = max(CORNER_SIGMAS * sigma_px, FLOOR_PX, float(np.sort(lengths)[len(lengths) - allowed - 1]))
     return [np.asarray(np.linalg.norm(error, axis=1) > limit) for error in errors]
 
@@ -71,7 +71,7 @@ def whole_markers(view: BoardView, left_out: Bool[Array, "corner"]) -> Bool[Arra
 REDO_SHARE = 0.2
 """Of the views: with more of another camera nobody knows which one is wanted."""
 
-LEAST_SHARE = 0.002
+MIN_SHARE = 0.002
 """A focal length that differs by less is no other camera's."""
 
 _HALF = 0.5
@@ -79,7 +79,7 @@ _HALF = 0.5
 _SIGMAS = 5.0
 
 
-def other_camera_finding(calibration: CameraCalibration, boards: Sequence[BoardView]) -> Finding:
+def other_camera_finding(calibration: CameraCalibration, boards: Sequence[BoardView]) -> Check:
     """The share of the views that one other camera explains; the boards are those of all views, in their order.
 
     It is sought by the rejected views alone; views that were used belong to it too if they fit it better.
@@ -92,11 +92,11 @@ def other_camera_finding(calibration: CameraCalibration, boards: Sequence[BoardV
     names = {board.name for board in (*members, *_better(used, camera, other, usual_px))}
     names = names if len(names) > 1 else set()
     listed = ", ".join(view.name for view in calibration.views if view.name in names)
-    return Finding(
+    return Check(
         name="other_camera_share",
         value=len(names) / len(boards),
-        good_limit=0.0,
-        redo_limit=REDO_SHARE,
+        pass_limit=0.0,
+        fail_limit=REDO_SHARE,
         advice=f"views {listed} look like another camera's, or another zoom's: "
         f"focal length {focal_difference(other, camera)}; calibrate each by itself",
     )
@@ -113,7 +113,7 @@ def _other_camera(rejected: Sequence[BoardView], camera: Camera, limit_px: float
         return [], camera
     other = camera_of(group, camera, 3 if len(group) > 1 else 1)
     members = [one for one in seen if _rms_px(one, other) < limit_px]
-    apart = abs(focal_share(other, camera)) > LEAST_SHARE
+    apart = abs(focal_share(other, camera)) > MIN_SHARE
     return (members, other) if members and apart else ([], camera)
 
 
@@ -135,7 +135,7 @@ MOSTLY_SATURATED = 0.5
 
 _STEPS = 3
 
-_MOST = 7
+_MAX_COUNT = 7
 """Tenths of the corners that are taken for good."""
 
 
@@ -186,7 +186,7 @@ def _errors_beside_most(view: BoardView, camera: Camera) -> Float64[Array, "corn
     for _ in range(_STEPS):
         pose = board_pose(corners_of(replace(view, likeness=0.0), used), camera)
         lengths: Float64[Array, "corner"] = np.linalg.norm(residuals(view, pose, camera), axis=1)
-        used = lengths <= np.partition(lengths, _MOST * len(lengths) // 10)[_MOST * len(lengths) // 10]
+        used = lengths <= np.partition(lengths, _MAX_COUNT * len(lengths) // 10)[_MAX_COUNT * len(lengths) // 10]
     return lengths
 
 

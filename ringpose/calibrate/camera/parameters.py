@@ -14,7 +14,7 @@ from ringpose.types.board import BoardPose
 from ringpose.types.camera import DISTORTION_COEFFICIENTS, Camera
 from ringpose.types.covariance import camera_parameters
 
-SMALLEST_SHARE = 1e-14
+MIN_SHARE = 1e-14
 """Of the largest eigenvalue: smaller ones are rounding, which makes variances negative."""
 
 
@@ -79,7 +79,7 @@ def covariance_of_free(
     inner = information[np.ix_(index, index)] / np.outer(scale, scale)
     covariance = np.zeros_like(information)
     size, axes = np.linalg.eigh(inner)
-    size = np.maximum(size, SMALLEST_SHARE * size[-1])
+    size = np.maximum(size, MIN_SHARE * size[-1])
     covariance[np.ix_(index, index)] = (axes / size @ axes.T) / np.outer(scale, scale)
     return covariance
 

@@ -13,9 +13,9 @@ from ringpose.calibrate.camera.bundle_adjustment import (
     corners_of,
     undetermined,
 )
-from ringpose.calibrate.camera.distortion_bias import without_bends
+from ringpose.calibrate.camera.distortion_bias import without_distortion_bias
 from ringpose.calibrate.camera.outliers import (
-    LARGEST_VIEW_SHARE,
+    MAX_VIEW_SHARE,
     outlying_corners,
     outlying_view,
     view_explanation,
@@ -29,7 +29,7 @@ from ringpose.types.calibration import CameraCalibration, CameraView
 from ringpose.types.camera import Camera
 from ringpose.types.covariance import ParameterCovariance
 
-LARGEST_FOCAL_SHARE = 0.1
+MAX_FOCAL_SHARE = 0.1
 """A standard deviation of the focal length above this share of it means that the views do not determine it."""
 
 _ROUNDS = 5
@@ -70,7 +70,7 @@ def _without_bad_views(views: Sequence[BoardView], blank: Camera, model: CameraM
         camera = camera_solution([views[index] for index in used], blank, model).camera
         poses = [board_pose(views[index], camera) for index in used]
         worst = None if model.keep_all else outlying_view(poses)
-        if worst is None or len(rejected) + 1 > LARGEST_VIEW_SHARE * len(views):
+        if worst is None or len(rejected) + 1 > MAX_VIEW_SHARE * len(views):
             return camera, rejected
         rejected[used.pop(worst)] = view_reason(poses, worst)
 
@@ -103,7 +103,7 @@ def _without_bad_corners(
 
 
 def _camera_view(view: BoardView, left_out: Bool[Array, "corner"], camera: Camera, rejected: str) -> CameraView:
-    view = without_bends(view, camera)
+    view = without_distortion_bias(view, camera)
     pose = board_pose(corners_of(view, ~left_out), camera)
     return CameraView(
         name=view.name,
@@ -139,6 +139,6 @@ def _covariance(solution: CameraSolution, model: CameraModel) -> ParameterCovari
     except np.linalg.LinAlgError as error:
         raise undetermined("the views determine the parameters in more than one way") from error
     focal, sd = camera.camera_matrix[0, 0], float(np.sqrt(max(data[0, 0], 0.0)))
-    if not np.isfinite(sd) or sd > LARGEST_FOCAL_SHARE * focal:
+    if not np.isfinite(sd) or sd > MAX_FOCAL_SHARE * focal:
         raise undetermined(f"the views leave the focal length open: {focal:.0f} px with standard deviation {sd:.0f} px")
     return ParameterCovariance(parameters=parameter_names(camera.distortion_model), data=data)

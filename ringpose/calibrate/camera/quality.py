@@ -27,7 +27,7 @@ from ringpose.types.calibration import (
     ModelFit,
 )
 from ringpose.types.covariance import CAMERA_PARAMETERS
-from ringpose.types.verdict import Finding, Verdict
+from ringpose.types.verdict import Check, Verdict
 
 
 def camera_quality(
@@ -203,29 +203,29 @@ def camera_verdict(calibration: CameraCalibration, assessment: CameraAssessment,
     )
 
 
-def _view_findings(calibration: CameraCalibration, images: int) -> list[Finding]:
+def _view_findings(calibration: CameraCalibration, images: int) -> list[Check]:
     used, different = len(calibration.used), different_poses([view.pose for view in calibration.used])
     loudest = max(calibration.used, key=lambda view: view.pose.residual_rms_px)
     return [
-        Finding(
+        Check(
             name="views_used",
             value=float(different),
-            good_limit=10.0,
-            redo_limit=4.0,
+            pass_limit=10.0,
+            fail_limit=4.0,
             advice=_more_views(used, different),
         ),
-        Finding(
+        Check(
             name="images_used_share",
             value=used / max(images, used),
-            good_limit=0.8,
-            redo_limit=0.5,
+            pass_limit=0.8,
+            fail_limit=0.5,
             advice="many images were of no use: the reasons stand beside their names",
         ),
-        Finding(
+        Check(
             name="corner_sigma_px",
             value=calibration.sigma_px,
-            good_limit=0.3,
-            redo_limit=1.5,
+            pass_limit=0.3,
+            fail_limit=1.5,
             advice=f"the corners are inexact ({loudest.name} most): focus, more light, a flat board held still",
         ),
     ]
@@ -237,129 +237,129 @@ def _more_views(used: int, different: int) -> str:
     return f"only {used} views were used: take ten or more"
 
 
-def _coverage_findings(covered: Coverage) -> list[Finding]:
+def _coverage_findings(covered: Coverage) -> list[Check]:
     return [
-        Finding(
+        Check(
             name="coverage_share",
             value=covered.share,
-            good_limit=0.6,
-            redo_limit=0.25,
+            pass_limit=0.6,
+            fail_limit=0.25,
             advice="the corners cover little of the image: bring the board to its rims, or nearer",
         ),
-        Finding(
+        Check(
             name="bare_regions",
             value=float(len(covered.bare_regions)),
-            good_limit=0.0,
-            redo_limit=6.0,
+            pass_limit=0.0,
+            fail_limit=6.0,
             advice=f"hardly any corners in the {_listed(covered.bare_regions)}: add a view with the board there",
         ),
     ]
 
 
-def _placing_findings(covered: Coverage) -> list[Finding]:
+def _placing_findings(covered: Coverage) -> list[Check]:
     largest, distances = max(covered.tilt_rad), covered.distance_m
     return [
-        Finding(
+        Check(
             name="largest_tilt_rad",
             value=largest,
-            good_limit=radians(20),
-            redo_limit=FRONTAL_RAD,
+            pass_limit=radians(20),
+            fail_limit=FRONTAL_RAD,
             advice=f"all boards are within {degrees(largest):.0f} degrees of frontal: tilt the board by 20 to 40",
         ),
-        Finding(
+        Check(
             name="tilt_spread_across_rad",
             value=covered.tilt_spread_rad[1],
-            good_limit=radians(4),
-            redo_limit=-inf,
+            pass_limit=radians(4),
+            fail_limit=-inf,
             advice="the boards are tilted about one axis only: tilt the board the other way too",
         ),
-        Finding(
+        Check(
             name="distance_ratio",
             value=max(distances) / min(distances),
-            good_limit=1.2,
-            redo_limit=-inf,
+            pass_limit=1.2,
+            fail_limit=-inf,
             advice=f"one distance only ({np.mean(distances):.2f} m): add views nearer and farther",
         ),
     ]
 
 
-def _uncertainty_findings(calibration: CameraCalibration, assessment: CameraAssessment) -> list[Finding]:
+def _uncertainty_findings(calibration: CameraCalibration, assessment: CameraAssessment) -> list[Check]:
     sigma_px, where = assessment.sigma_px, assessment.image_map.points_px
     x, y = where[np.unravel_index(int(np.nanargmax(sigma_px)), sigma_px.shape)]
     other_way = ", or hold k3 (--fix-k3)" if calibration.standard_deviations["k3"] else ""
     return [
-        Finding(
+        Check(
             name="focal_sigma_share",
             value=calibration.standard_deviations["fx"] / float(calibration.camera.camera_matrix[0, 0]),
-            good_limit=0.002,
-            redo_limit=0.02,
+            pass_limit=0.002,
+            fail_limit=0.02,
             advice="the focal length is uncertain: tilt the board more, and take it nearer and farther",
         ),
-        Finding(
+        Check(
             name="projection_sigma_px",
             value=float(np.nanmedian(sigma_px)),
-            good_limit=0.3,
-            redo_limit=5.0,
+            pass_limit=0.3,
+            fail_limit=5.0,
             advice="the projection is uncertain: add views, tilted to different sides, in every part of the image",
         ),
-        Finding(
+        Check(
             name="projection_sigma_worst_px",
             value=float(np.nanmax(sigma_px)),
-            good_limit=1.0,
-            redo_limit=inf,
+            pass_limit=1.0,
+            fail_limit=inf,
             advice=f"the projection is most uncertain near pixel ({x:.0f}, {y:.0f}): bring the board there{other_way}",
         ),
-        Finding(
+        Check(
             name="projection_unknown_share",
             value=assessment.unknown_share,
-            good_limit=0.05,
-            redo_limit=inf,
+            pass_limit=0.05,
+            fail_limit=inf,
             advice="beyond the outermost corners nothing is known of this distortion model, whatever the covariance "
             "says: bring the board to the image's corners, or use --distortion-model plumb_bob",
         ),
     ]
 
 
-def _validation_findings(assessment: CameraAssessment) -> list[Finding]:
+def _validation_findings(assessment: CameraAssessment) -> list[Check]:
     worst = _worst(assessment.validation.left_out)
     halves_px = float(np.median(assessment.validation.split_half_px))
     return [
-        Finding(
+        Check(
             name="view_disagreement",
             value=assessment.disagreement,
-            good_limit=2.5,
-            redo_limit=15.0,
+            pass_limit=2.5,
+            fail_limit=15.0,
             advice=_if_known(assessment.disagreement, _DISAGREEMENT),
         ),
-        Finding(
+        Check(
             name="leave_one_out_px",
             value=worst.shift_px,
-            good_limit=1.0,
-            redo_limit=inf,
+            pass_limit=1.0,
+            fail_limit=inf,
             place=worst.name,
             advice=_if_known(worst.shift_px, f"the result hangs on {worst.name}: add views like it, or leave it out"),
         ),
-        Finding(
+        Check(
             name="split_half_px",
             value=halves_px,
-            good_limit=1.0,
-            redo_limit=inf,
+            pass_limit=1.0,
+            fail_limit=inf,
             advice=_if_known(halves_px, "half of the views give another camera than the rest: add views of every kind"),
         ),
     ]
 
 
-def _model_findings(comparison: ModelComparison | None) -> list[Finding]:
+def _model_findings(comparison: ModelComparison | None) -> list[Check]:
     if comparison is None:
         return []
     own, other = comparison.fits
     ratio = own.held_out_rms_px / other.held_out_rms_px
     return [
-        Finding(
+        Check(
             name="held_out_ratio",
             value=ratio,
-            good_limit=1.05,
-            redo_limit=inf,
+            pass_limit=1.05,
+            fail_limit=inf,
             advice=_if_known(
                 ratio, f"views left out fit another model better: use --distortion-model {other.distortion_model}"
             ),

@@ -46,7 +46,7 @@ from ringpose.types.camera import DISTORTION_COEFFICIENTS, Camera
 from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.options import DistortionModel
 
-MOST_SOLVED = 20
+MAX_SOLVED = 20
 """With more views than this, leaving one out is computed by one step; solving anew takes a second for each of 60."""
 
 _EXACT_PX = 1e-6
@@ -75,7 +75,7 @@ def cameras_without_one(used: Sequence[BoardView], whole: CameraSolution, model:
     """The camera of all views but one, for each view; empty if there are too few."""
     if len(used) <= MINIMUM_VIEWS:
         return []
-    if len(used) > MOST_SOLVED:
+    if len(used) > MAX_SOLVED:
         return list(cameras_one_step_away(whole, model))
     return [_camera([*used[:index], *used[index + 1 :]], whole.camera, model) for index in range(len(used))]
 

@@ -5,13 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from ringpose.calibrate.planes.covariance import depth_uncertainty, of_camera, ring_center_sd_m, stripes_apart_m
-from ringpose.calibrate.planes.plane_fit import LARGEST_CONDITION
+from ringpose.calibrate.planes.plane_fit import MAX_CONDITION
 from ringpose.calibrate.planes.quality import middle_outside_rad, order_with_angles, plane_angles
 from ringpose.types.calibration import LaserCalibration, PlanesCalibration
 from ringpose.types.rig import LaserPlanes
-from ringpose.types.verdict import Finding, Verdict
+from ringpose.types.verdict import Check, Verdict
 
-FEW_VIEWS, FEWEST_VIEWS = 5.0, 2.0
+FEW_VIEWS, MIN_VIEWS = 5.0, 2.0
 """Two views determine a plane and leave nothing to judge it by; with five, one that is wrong stands out."""
 
 GOOD_CONDITION = 10.0
@@ -49,7 +49,7 @@ ANGLE_TOLERANCE_RAD = float(np.radians(1.0))
 def planes_verdict(
     calibration: PlanesCalibration,
     expected_angles_rad: Sequence[float] = (),
-    board: Sequence[Finding] = (),
+    board: Sequence[Check] = (),
     working_distance_m: float | None = None,
 ) -> Verdict:
     """Good, can be improved, or redo; the expected angles are those of neighbouring lasers, in their order.
@@ -65,7 +65,7 @@ def planes_verdict(
     return Verdict(findings=tuple(finding for finding in findings if finding is not None))
 
 
-def _boards(calibration: PlanesCalibration) -> Finding:
+def _boards(calibration: PlanesCalibration) -> Check:
     rms_px = float(np.median([pose.residual_rms_px for pose in calibration.poses]))
     advice = "see with --overlay whether the corners are sharp; measure the board's sizes; check the camera file"
     if rms_px > BAD_BOARD_PX:
@@ -73,13 +73,13 @@ def _boards(calibration: PlanesCalibration) -> Finding:
             f"the corners miss the boards by {rms_px:.1f} px: the camera file is another camera's, its lens moved, "
             "the board's sizes are others, or the board is bent; calibrate the camera anew"
         )
-    return Finding(name="board_rms_px", value=rms_px, good_limit=GOOD_BOARD_PX, redo_limit=BAD_BOARD_PX, advice=advice)
+    return Check(name="board_rms_px", value=rms_px, pass_limit=GOOD_BOARD_PX, fail_limit=BAD_BOARD_PX, advice=advice)
 
 
-def _distances(calibration: PlanesCalibration) -> Finding:
+def _distances(calibration: PlanesCalibration) -> Check:
     near, far = _range_m(calibration)
     advice = f"add views of the board nearer than {near / 1.2:.2f} m and farther than {1.2 * far:.2f} m"
-    return Finding(name="distance_ratio", value=far / near, good_limit=GOOD_RANGE, redo_limit=BAD_RANGE, advice=advice)
+    return Check(name="distance_ratio", value=far / near, pass_limit=GOOD_RANGE, fail_limit=BAD_RANGE, advice=advice)
 
 
 def _range_m(calibration: PlanesCalibration) -> tuple[float, float]:
@@ -88,14 +88,14 @@ def _range_m(calibration: PlanesCalibration) -> tuple[float, float]:
     return min(every), max(every)
 
 
-def _excess(calibration: PlanesCalibration) -> Finding | None:
+def _excess(calibration: PlanesCalibration) -> Check | None:
     if calibration.covariance is None:
         return None
-    return Finding(
+    return Check(
         name="variance_excess",
         value=float(calibration.excess),
-        good_limit=GOOD_EXCESS,
-        redo_limit=BAD_EXCESS,
+        pass_limit=GOOD_EXCESS,
+        fail_limit=BAD_EXCESS,
         advice=f"the views disagree{_stray_view(calibration)}: see that the board is flat, stood still in each shot "
         "and has the sizes in its file; calibrate the camera anew",
     )
@@ -114,70 +114,70 @@ def _stray_view(calibration: PlanesCalibration) -> str:
     return f", {worst} most of all" if shares.get(worst, 0.0) > STRAY_FACTOR else ""
 
 
-def _views(laser: LaserCalibration) -> Finding:
-    return Finding(
+def _views(laser: LaserCalibration) -> Check:
+    return Check(
         place=laser.name,
         name="views",
         value=float(len(laser.views)),
-        good_limit=FEW_VIEWS,
-        redo_limit=FEWEST_VIEWS,
+        pass_limit=FEW_VIEWS,
+        fail_limit=MIN_VIEWS,
         advice=f"add views that show the stripe of {laser.name}: six to ten are good",
     )
 
 
-def _condition(laser: LaserCalibration) -> Finding:
+def _condition(laser: LaserCalibration) -> Check:
     middle_m = float(np.mean([view.distance_m for view in laser.views]))
-    return Finding(
+    return Check(
         place=laser.name,
         name="condition",
         value=laser.condition,
-        good_limit=GOOD_CONDITION,
-        redo_limit=LARGEST_CONDITION,
+        pass_limit=GOOD_CONDITION,
+        fail_limit=MAX_CONDITION,
         advice=f"add a view of the board 100 mm or more nearer or farther than {middle_m:.2f} m",
     )
 
 
-def _held_out(laser: LaserCalibration) -> Finding:
+def _held_out(laser: LaserCalibration) -> Check:
     middle_m = float(np.mean([view.distance_m for view in laser.views]))
     worst = max(laser.views, key=lambda view: np.nan_to_num(view.held_out_rms_m))
-    return Finding(
+    return Check(
         place=laser.name,
         name="held_out_rms_m",
         value=laser.held_out_rms_m,
-        good_limit=GOOD_SHARE * middle_m,
-        redo_limit=BAD_SHARE * middle_m,
+        pass_limit=GOOD_SHARE * middle_m,
+        fail_limit=BAD_SHARE * middle_m,
         advice=f"see with --overlay whether the stripe of {laser.name} is sharp and unsaturated, in {worst.name} first"
         if np.isfinite(laser.held_out_rms_m)
         else "a third view would tell the error of the others",
     )
 
 
-def _disagreement(laser: LaserCalibration) -> Finding | None:
+def _disagreement(laser: LaserCalibration) -> Check | None:
     numbers = 2 * len(laser.views) - 3
     if not np.isfinite(laser.disagreement):
         return None
-    return Finding(
+    return Check(
         place=laser.name,
         name="disagreement",
         value=float(laser.disagreement),
-        good_limit=GOOD_EXCESS + 3.0 * float(np.sqrt(2 / numbers)),
-        redo_limit=BAD_EXCESS,
+        pass_limit=GOOD_EXCESS + 3.0 * float(np.sqrt(2 / numbers)),
+        fail_limit=BAD_EXCESS,
         advice=f"the stripes of {laser.name} disagree with boards and other lasers: see whether they are its own",
     )
 
 
-def _depths(calibration: PlanesCalibration) -> list[Finding]:
+def _depths(calibration: PlanesCalibration) -> list[Check]:
     if calibration.covariance is None:
         return []
     near, far = _range_m(calibration)
     found = depth_uncertainty(calibration.camera, calibration.planes, calibration.covariance, (far,))
     return [
-        Finding(
+        Check(
             place=f"{laser.name} at {far:.2f} m",
             name="depth_sd_m",
             value=sd,
-            good_limit=GOOD_DEPTH_SHARE * far,
-            redo_limit=BAD_DEPTH_SHARE * far,
+            pass_limit=GOOD_DEPTH_SHARE * far,
+            fail_limit=BAD_DEPTH_SHARE * far,
             advice=f"add views at {far:.2f} m and {near:.2f} m, the stripe of {laser.name} over the whole image",
         )
         for laser, sd in zip(calibration.lasers, found.worst_m[:, 0].tolist(), strict=True)
@@ -185,7 +185,7 @@ def _depths(calibration: PlanesCalibration) -> list[Finding]:
     ]
 
 
-def _center(calibration: PlanesCalibration, working_distance_m: float | None) -> Finding | None:
+def _center(calibration: PlanesCalibration, working_distance_m: float | None) -> Check | None:
     """Of a ring, which the stripes may all miss: nothing is said then."""
     if calibration.covariance is None:
         return None
@@ -197,12 +197,12 @@ def _center(calibration: PlanesCalibration, working_distance_m: float | None) ->
     by_camera = float(ring_center_sd_m(camera, lasers, of_camera(covariance), distance_m).max())
     good = GOOD_CENTER_SHARE * distance_m
     remedy = "calibrate the camera with more views" if by_camera > good else _views_at(distance_m, lasers)
-    return Finding(
+    return Check(
         place=f"at {distance_m:.2f} m",
         name="ring_center_sd_m",
         value=sd,
-        good_limit=good,
-        redo_limit=BAD_CENTER_SHARE * distance_m,
+        pass_limit=good,
+        fail_limit=BAD_CENTER_SHARE * distance_m,
         advice=f"poses {distance_m:.2f} m away will be off by {1e3 * sd:.1f} mm from this calibration alone: {remedy}",
     )
 
@@ -216,7 +216,7 @@ def _views_at(distance_m: float, lasers: LaserPlanes) -> str:
     )
 
 
-def _angles(calibration: PlanesCalibration, expected_rad: Sequence[float]) -> list[Finding]:
+def _angles(calibration: PlanesCalibration, expected_rad: Sequence[float]) -> list[Check]:
     if not expected_rad:
         return []
     other = order_with_angles(calibration, expected_rad, ANGLE_TOLERANCE_RAD)
@@ -224,27 +224,27 @@ def _angles(calibration: PlanesCalibration, expected_rad: Sequence[float]) -> li
     if other is not None:
         advice = f"the angles fit the order {', '.join(other)}: see whether lasers are exchanged in all shots"
     return [
-        Finding(
+        Check(
             place=f"{angle.first} to {angle.second}",
             name="angle_error_rad",
             value=abs(angle.angle_rad - expected),
-            good_limit=ANGLE_TOLERANCE_RAD,
-            redo_limit=5 * ANGLE_TOLERANCE_RAD,
+            pass_limit=ANGLE_TOLERANCE_RAD,
+            fail_limit=5 * ANGLE_TOLERANCE_RAD,
             advice=advice,
         )
         for angle, expected in zip(plane_angles(calibration), expected_rad, strict=False)
     ]
 
 
-def _middle(calibration: PlanesCalibration) -> Finding | None:
+def _middle(calibration: PlanesCalibration) -> Check | None:
     outside_rad = middle_outside_rad(calibration)
     if outside_rad is None:
         return None
-    return Finding(
+    return Check(
         name="middle_outside_rad",
         value=outside_rad,
-        good_limit=ANGLE_TOLERANCE_RAD,
-        redo_limit=float("inf"),
+        pass_limit=ANGLE_TOLERANCE_RAD,
+        fail_limit=float("inf"),
         advice="middle is not between left and right: see whether lasers are exchanged in all shots, "
         "or give their names in the order of their numbers (--laser-names)",
     )

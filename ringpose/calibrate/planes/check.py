@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.calibrate.boards.corner_errors import (
-    LEAST_SIGMA_PX,
-    by_independent_errors,
+    MIN_SIGMA_PX,
     corner_sigma_px,
-    likeliest_pose,
+    maximum_likelihood_pose,
+    whiten,
 )
 from ringpose.calibrate.camera.parameters import parameter_names, projection_jacobians
 from ringpose.calibrate.planes.board_surface import triangulated
@@ -28,10 +28,10 @@ SIGMAS = 3.0
 FLATNESS_M = 5e-5
 """... and by this, which boards are not flat to."""
 
-LARGEST_BOARD_PX = 0.5
+MAX_BOARD_PX = 0.5
 """Corners further than this (rms) from where the camera has the board mean another camera, lens or board ..."""
 
-LEAST_BOARD_PX = 0.1
+MIN_BOARD_PX = 0.1
 """... as do those further than this and than ..."""
 
 USUAL_FACTOR = 5.0
@@ -105,8 +105,8 @@ def rig_check_lines(check: RigCheck) -> list[str]:
 
 def _board_limit_px(usual_px: float | None) -> float:
     if usual_px is None:
-        return LARGEST_BOARD_PX
-    return min(max(USUAL_FACTOR * usual_px, LEAST_BOARD_PX), LARGEST_BOARD_PX)
+        return MAX_BOARD_PX
+    return min(max(USUAL_FACTOR * usual_px, MIN_BOARD_PX), MAX_BOARD_PX)
 
 
 def _judgement(holds: bool) -> str:
@@ -120,8 +120,8 @@ class _Standing(NamedTuple):
 
 def _standing(view: StripeView, rig: Rig) -> _Standing:
     """Where the view's corners have the board."""
-    pose, unit = likeliest_pose(view.board, rig.camera)
-    corner_px = max(corner_sigma_px([view], [pose], rig.camera), LEAST_SIGMA_PX)
+    pose, unit = maximum_likelihood_pose(view.board, rig.camera)
+    corner_px = max(corner_sigma_px([view], [pose], rig.camera), MIN_SIGMA_PX)
     return _Standing(pose, corner_px**2 * unit)
 
 
@@ -170,8 +170,8 @@ def _line_places(points_px: Float64[Array, "n xy=2"]) -> Float64[Array, "place=3
 def _by_rig(rows: StripeRows, view: BoardView, pose: BoardPose, rig: Rig) -> Float64[Array, "n parameter"]:
     """Derivatives by the camera, which the board's pose follows, and by the light plane."""
     by_pose, by_camera = projection_jacobians(view.points_board_m, pose, rig.camera)
-    by_pose = by_independent_errors(by_pose.reshape(-1, 6), view)
-    by_camera = by_independent_errors(by_camera.reshape(len(by_pose), -1), view)
+    by_pose = whiten(by_pose.reshape(-1, 6), view)
+    by_camera = whiten(by_camera.reshape(len(by_pose), -1), view)
     follow, *_ = np.linalg.lstsq(by_pose, -by_camera, rcond=None)
     return np.hstack([rows.by_camera + rows.by_pose @ follow, rows.by_plane])
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ringpose.calibrate.boards.corner_errors import likeliest_pose
+from ringpose.calibrate.boards.corner_errors import maximum_likelihood_pose
 from ringpose.calibrate.camera.parameters import parameter_names
 from ringpose.calibrate.planes.joint_adjustment import (
     JointData,
@@ -71,7 +71,7 @@ def variance_excess(data: JointData, fit: JointFit) -> float:
     three for each plane.
     """
     camera = fit.state.camera
-    boards = [(view, likeliest_pose(view.board, camera)[0]) for view in data.views]
+    boards = [(view, maximum_likelihood_pose(view.board, camera)[0]) for view in data.views]
     sigmas = data.corner_px.tolist()
     alone = sum(corner_chi2(*board, camera, sigma) for board, sigma in zip(boards, sigmas, strict=True))
     lasers = range(len(fit.state.distance_m))

@@ -10,7 +10,7 @@ import numpy as np
 
 from ringpose.calibrate.planes.board_surface import triangulated
 from ringpose.calibrate.planes.labels import exchanged_lasers, labelled_by_order, labelled_by_planes, refuse_other_order
-from ringpose.calibrate.planes.plane_fit import LARGEST_CONDITION, Points, condition, outlying_views, robust_plane
+from ringpose.calibrate.planes.plane_fit import MAX_CONDITION, Points, condition, outlying_views, robust_plane
 from ringpose.errors import DataError
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose
@@ -23,7 +23,7 @@ OUTLIER_FACTOR = 4.0
 OUTLIER_FLOOR_PX = 0.5
 """... if its rms is above this."""
 
-LARGEST_USUAL_PX = 5.0
+MAX_USUAL_PX = 5.0
 """If corners of most views miss their boards by more, camera or board are others: a focal length 10 % off makes 2."""
 
 Remark = tuple[str, str]
@@ -106,7 +106,7 @@ def _good_boards(views: Sequence[StripeView], poses: Sequence[BoardPose]) -> tup
         raise DataError("calibrate-planes", "no view of the board", remedy)
     rms = np.array([pose.residual_rms_px for pose in poses])
     usual = float(np.median(rms))
-    if usual > LARGEST_USUAL_PX:
+    if usual > MAX_USUAL_PX:
         found = f"the corners miss the boards by {usual:.1f} px rms (median of {len(rms)} views)"
         remedy = "give the file of the camera that took these shots, its lens unturned; measure the board's sizes"
         raise DataError("calibrate-planes", found, remedy)
@@ -141,7 +141,7 @@ def _preliminary_planes(evidence: StripeEvidence) -> list[Plane]:
     for laser, name in enumerate(evidence.names):
         points = np.concatenate(evidence.points(laser))
         normal, distance_m, weights = robust_plane(points) if len(points) else (np.zeros(3), 0.0, np.zeros(0))
-        if not len(points) or condition(points, weights) > LARGEST_CONDITION:
+        if not len(points) or condition(points, weights) > MAX_CONDITION:
             raise DataError(
                 f'laser "{name}"',
                 "which stripe is its is not known: too few shots have a frame with it alone on",
@@ -170,7 +170,7 @@ def _planes_of(evidence: StripeEvidence, chosen: Sequence[int]) -> list[Plane | 
     for laser in range(len(evidence.names)):
         points = evidence.points(laser)
         every = np.concatenate([points[index] for index in chosen])
-        if len(every) < 3 or condition(every, np.ones(len(every))) > LARGEST_CONDITION:
+        if len(every) < 3 or condition(every, np.ones(len(every))) > MAX_CONDITION:
             planes.append(None)
         else:
             planes.append(robust_plane(every)[:2])
@@ -263,7 +263,7 @@ def refuse_unlit(views: Sequence[StripeView], names: Sequence[str]) -> None:
 
 def _nothing_told(views: Sequence[StripeView], names: Sequence[str]) -> tuple[str, str]:
     """Finding and remedy where no stripe could be given to a laser."""
-    most, several = max((view.most_stripes for view in views), default=0), len(names)
+    most, several = max((view.max_stripes for view in views), default=0), len(names)
     if 0 < most < several:
         lasers = ", ".join(names)
         found = f"no frame shows more than {most} stripe{'s' * (most > 1)} on the board, there are {several} lasers"

@@ -10,13 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.calibrate.boards.corner_errors import LEAST_SIGMA_PX, by_independent_errors, corner_residuals
+from ringpose.calibrate.boards.corner_errors import MIN_SIGMA_PX, corner_residuals, whiten
 from ringpose.calibrate.boards.pose import moved_pose, residuals
 from ringpose.calibrate.camera.parameters import camera_with, parameter_names, parameters_of, projection_jacobians
 from ringpose.calibrate.planes.stripe_errors import center_sigma_px, shared_length, stripe_bend, stripe_rows
 from ringpose.errors import DataError
 from ringpose.geometry.rays import rays, undistorted_pixels
-from ringpose.geometry.robust import normal_spread
+from ringpose.geometry.robust import robust_std
 from ringpose.geometry.rotations import tilted
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose
@@ -102,7 +102,7 @@ def joint_data(
     shared = shared_length([px for view in straight for px in view])
     return JointData(
         views=tuple(views),
-        corner_px=np.maximum(corner_px, LEAST_SIGMA_PX),
+        corner_px=np.maximum(corner_px, MIN_SIGMA_PX),
         center_px=tuple(np.array([_center_px(px, shared) for px in view]) for view in straight),
         rays=tuple(tuple(rays(px, camera) for px in view.stripes_px) for view in views),
         camera=camera,
@@ -183,7 +183,7 @@ def _view_rows(
     by_pose, by_camera = projection_jacobians(view.board.points_board_m, pose, state.camera)
     error = residuals(view.board, pose, state.camera).reshape(-1, 1)
     every = np.hstack([-by_pose.reshape(-1, 6), error, -by_camera.reshape(len(error), -1)])
-    every = by_independent_errors(every, view.board) / data.corner_px[index]
+    every = whiten(every, view.board) / data.corner_px[index]
     corners = np.hstack([np.zeros((len(error), planes)), every[:, 7:]])
     rows = [(every[:, :6], corners, every[:, 6])]
     for laser, directions in enumerate(_rays(data, state, index)):
@@ -211,7 +211,7 @@ def _rays(data: JointData, state: JointState, index: int) -> tuple[Float64[Array
 
 def _huber(residual: Float64[Array, "n"]) -> Float64[Array, "n"]:
     """Weights; a stripe that lies aside as a whole has a scatter as large, and loses no single centres."""
-    scale = max(1.0, normal_spread(residual))
+    scale = max(1.0, robust_std(residual))
     weight: Float64[Array, "n"] = np.minimum(1.0, ROBUST_SIGMAS * scale / np.maximum(np.abs(residual), 1e-12))
     return weight
 
@@ -278,4 +278,4 @@ def _center_px(points_px: Float64[Array, "n xy=2"], shared: float) -> float:
     """By the correlation length of all stripes."""
     if not len(points_px):
         return float("nan")
-    return max(center_sigma_px(points_px, shared), LEAST_SIGMA_PX)
+    return max(center_sigma_px(points_px, shared), MIN_SIGMA_PX)

@@ -20,7 +20,7 @@ from ringpose.geometry.planes import nearest_plane
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.calibration import StripeView
 from ringpose.types.image import ALL_LASERS, Shot
-from ringpose.types.sequence import MOST_LASERS
+from ringpose.types.sequence import MAX_LASERS
 
 DECISION = 3.0
 """An assignment is taken if its rms distance from the planes is this many times smaller than the next one's."""
@@ -96,10 +96,10 @@ def _with_labels(view: StripeView, by_laser: Mapping[int, Float64[Array, "_ xy=2
 EXCHANGE_DECISION = 3.0
 """Other labels are believed where stripes lie this many times nearer to their planes than by their own labels ..."""
 
-LEAST_GAIN_M = 5e-4
+MIN_GAIN_M = 5e-4
 """... and are this far from those: bent boards tear stripes of good shots by less."""
 
-FARTHEST_M = 5e-3
+MAX_DISTANCE_M = 5e-3
 """A stripe beside all planes by more than this counts no further: it may be no laser's."""
 
 _ANCHORS, _PARTNERS, _ROUNDS = 3, 4, 2
@@ -196,7 +196,7 @@ def _plane(points: Float64[Array, "end xyz=3"]) -> Float64[Array, "4"]:
 
 def _fitted(ends: Ends, labels: Labels, planes: Planes) -> Planes:
     """Through the stripes that lie near them."""
-    near = _squares(ends, planes) < FARTHEST_M**2
+    near = _squares(ends, planes) < MAX_DISTANCE_M**2
     found = []
     for plane in range(len(planes)):
         own = ends[(labels == plane) & near[..., plane]].reshape(-1, 3)
@@ -228,7 +228,7 @@ def _price(ends: Ends, labels: Labels, planes: Planes) -> float:
     seen = labels >= 0
     squares = np.take_along_axis(_squares(ends, planes), np.maximum(labels, 0)[..., None], axis=-1)[..., 0]
     unusual = int(np.sum(seen & (labels != np.array(_usual_ways(labels)[0]))))
-    return float(np.minimum(squares, FARTHEST_M**2)[seen].sum()) + unusual * LEAST_GAIN_M**2
+    return float(np.minimum(squares, MAX_DISTANCE_M**2)[seen].sum()) + unusual * MIN_GAIN_M**2
 
 
 def _usual_ways(labels: Labels) -> list[tuple[int, ...]]:
@@ -254,7 +254,7 @@ def _lies_on(
     if not moved:
         return {}
     own_m, other_m = _beside_m(moved, ends, planes)
-    return moved if own_m > max(EXCHANGE_DECISION * other_m, LEAST_GAIN_M) else {}
+    return moved if own_m > max(EXCHANGE_DECISION * other_m, MIN_GAIN_M) else {}
 
 
 def _beside_m(
@@ -311,7 +311,7 @@ def laser_names(given: str | None, number: int) -> tuple[str, ...]:
     if given is None:
         return THREE if number == len(THREE) else tuple(f"laser_{i + 1}" for i in range(number))
     names = tuple(name.strip() for name in given.split(","))
-    if not all(names) or len(set(names)) < len(names) or any("." in name for name in names) or len(names) > MOST_LASERS:
+    if not all(names) or len(set(names)) < len(names) or any("." in name for name in names) or len(names) > MAX_LASERS:
         raise UsageError("--laser-names", f"{given!r} are no names", "give one to eight different ones, as left,right")
     return names
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ringpose.calibrate.boards.corner_errors import corner_sigmas_px, with_shared_errors
 from ringpose.calibrate.boards.pose import board_pose, board_poses, marker_average_pose
-from ringpose.calibrate.camera.distortion_bias import without_bends
+from ringpose.calibrate.camera.distortion_bias import without_distortion_bias
 from ringpose.calibrate.planes.board_surface import triangulated
 from ringpose.calibrate.planes.covariance import laser_disagreements, planes_covariance, variance_excess
 from ringpose.calibrate.planes.evidence import StripeEvidence, stripe_evidence
@@ -56,7 +56,7 @@ class PlanesModel:
 
 def calibrate_planes(views: Sequence[StripeView], camera: Camera, model: PlanesModel) -> PlanesCalibration:
     """The light planes in the camera frame, with what each view says about each of them."""
-    views = [replace(view, board=without_bends(view.board, camera)) for view in views]
+    views = [replace(view, board=without_distortion_bias(view.board, camera)) for view in views]
     poses = [_poses(view, camera, model.method) for view in views]
     evidence, remarks, contradicting = stripe_evidence(views, poses, camera, model.names, model.order)
     solution = _solution(evidence, model)

@@ -10,18 +10,18 @@ import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.geometry.planes import nearest_plane
-from ringpose.geometry.robust import normal_spread
+from ringpose.geometry.robust import robust_std
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.calibration import LaserCalibration, LaserView
 from ringpose.types.options import PlanesMethod
 
-LARGEST_CONDITION = 50.0
+MAX_CONDITION = 50.0
 """Points this many times longer than wide lie on a line: views 100 mm long must differ by 2 mm across it."""
 
-LEAST_MEAN_WEIGHT = 0.1
+MIN_MEAN_WEIGHT = 0.1
 """A view whose points get less weight than this on average lies beside the plane of the others."""
 
-LARGEST_SCATTER = 0.02
+MAX_SCATTER = 0.02
 """Root mean square distance from the plane, as a share of the points' extent, above which they are not its stripe."""
 
 Points = Float64[Array, "_ xyz=3"]
@@ -54,12 +54,12 @@ def fitted_plane(name: str, points: Sequence[Points], method: PlanesMethod) -> F
     every = np.concatenate(points)
     normal, distance_m, weights = light_plane(every, method)
     spread = condition(every, weights)
-    if spread > LARGEST_CONDITION:
+    if spread > MAX_CONDITION:
         lying = "its one view lie" if seen == 1 else f"its {seen} views lie"
         found = f"the points of {lying} on one line (condition {spread:.0f}), which determines no plane"
         raise DataError(_place(name), found, _another_view(every))
     rms_m = _rms(every @ normal - distance_m)
-    if rms_m > LARGEST_SCATTER * extent_m(every):
+    if rms_m > MAX_SCATTER * extent_m(every):
         found = f"the points of its {seen} views lie on no common plane (rms {1e3 * rms_m:.1f} mm)"
         remedy = "see with --overlay whether these stripes are the laser's, and none are exchanged in one of the shots"
         raise DataError(_place(name), found, remedy)
@@ -78,7 +78,7 @@ def plane_without(points: Sequence[Points], left_out: int, method: PlanesMethod)
 def determined_without(points: Sequence[Points], left_out: int) -> bool:
     """Whether the other views determine the plane."""
     every = np.concatenate([*(own for index, own in enumerate(points) if index != left_out), np.empty((0, 3))])
-    return len(every) > 2 and condition(every, np.ones(len(every))) < LARGEST_CONDITION
+    return len(every) > 2 and condition(every, np.ones(len(every))) < MAX_CONDITION
 
 
 def laser_calibration(
@@ -111,7 +111,7 @@ def outlying_views(points: Sequence[Points]) -> dict[int, float]:
     return {
         index: _rms(points[index] @ normal - distance_m)
         for index, weight in zip(seen, by_view, strict=True)
-        if weight.mean() < LEAST_MEAN_WEIGHT
+        if weight.mean() < MIN_MEAN_WEIGHT
     }
 
 
@@ -139,7 +139,7 @@ _TUKEY = 4.685
 
 _ITERATIONS = 20
 
-_SMALLEST_SCALE_M = 1e-9
+_MIN_SCALE_M = 1e-9
 """Scale below which points are exact, so that rounding is not taken for outliers."""
 
 
@@ -161,7 +161,7 @@ def robust_plane(
     normal, distance_m = nearest_plane(points)[:2] if start is None else start
     for _ in range(_ITERATIONS):
         residual = points @ normal - distance_m
-        scale = max(normal_spread(residual), _SMALLEST_SCALE_M)
+        scale = max(robust_std(residual), _MIN_SCALE_M)
         moved = np.clip(1 - (residual / (_TUKEY * scale)) ** 2, 0.0, None) ** 2
         normal, distance_m, _ = nearest_plane(points, moved)
         if np.abs(moved - weights).max() < 1e-6:

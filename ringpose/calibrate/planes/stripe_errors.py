@@ -18,7 +18,7 @@ from ringpose.types.camera import Camera
 REACH_PX = 16
 """Neighbours up to here may be alike; those nearer than half of it count in full. Speckle reaches a quarter."""
 
-SHORTEST = 96
+MIN_LENGTH = 96
 """Fewer centres tell nothing: the line through them takes what they have in common."""
 
 ENOUGH = 480.0
@@ -62,7 +62,7 @@ def shared_length(stripes_px: Sequence[Float64[Array, "_ xy=2"]]) -> float:
     """
     products, centers = 0.0, 0.0
     for points_px in stripes_px:
-        if len(points_px) < SHORTEST:
+        if len(points_px) < MIN_LENGTH:
             continue
         run, residual = _residual_px(points_px)
         share, taken = _likeness(run, residual)
@@ -123,9 +123,9 @@ def stripe_rows(
     d(n . P) = q n_b . dc_b + q (c_b - P) . dn_b + D / (n_b . r) (n - q n_b) . dr.
     """
     board_normal = pose.rotation[:, 2]
-    steepness = rays @ board_normal
-    share = (rays @ normal) / steepness
-    depth = float(board_normal @ pose.translation_m) / steepness
+    denominator = rays @ board_normal
+    share = (rays @ normal) / denominator
+    depth = float(board_normal @ pose.translation_m) / denominator
     points = depth[:, None] * rays
     by_ray = (depth[:, None] * (normal - share[:, None] * board_normal))[:, :2]
     pixel_by_ray, pixel_by_camera = pixels_by_ray_and_camera(rays[:, :2], camera)

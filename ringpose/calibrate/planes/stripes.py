@@ -20,14 +20,14 @@ from ringpose.calibrate.boards.views import dark_image
 from ringpose.calibrate.planes.board_surface import BoardSurface, board_surface
 from ringpose.detect.stripes import find_stripes
 from ringpose.geometry.rays import project, undistorted_pixels
-from ringpose.geometry.robust import normal_spread
+from ringpose.geometry.robust import robust_std
 from ringpose.types.arrays import Array, Bool, Float64, UInt
 from ringpose.types.board import Board, BoardView
 from ringpose.types.calibration import StripeView
 from ringpose.types.camera import Camera
 from ringpose.types.detection import Stripes
 from ringpose.types.image import Frame, Shot
-from ringpose.types.sequence import MOST_LASERS
+from ringpose.types.sequence import MAX_LASERS
 
 _NOTHING = np.empty((0, 2))
 
@@ -64,7 +64,7 @@ def stripe_view(
         unlabelled_px=unlabelled,
         remarks=tuple(remarks),
         lit=frozenset(laser for laser in range(lasers) if (shot.lasers >> laser & 1).any()),
-        most_stripes=most,
+        max_stripes=most,
     )
 
 
@@ -137,7 +137,7 @@ def stripes_seen(
     """How many lines about as bright as the brightest a frame shows, where nobody knows how many lasers are on."""
     counts = []
     for shrinking in (SHRINKINGS[0], SHRINKINGS[-1]):
-        lines = _lines_at_scale(image, dark, surface, MOST_LASERS, shrinking)
+        lines = _lines_at_scale(image, dark, surface, MAX_LASERS, shrinking)
         brightest = max((line.light for line in lines), default=0.0)
         counts.append(sum(line.light > RIVAL_SHARE * brightest for line in lines))
     return min((count for count in counts if count), default=0)
@@ -212,7 +212,7 @@ def _clean(points: Float64[Array, "n xy=2"], on_line: Bool[Array, "n"]) -> Bool[
     for _ in range(3):
         line = np.polynomial.polynomial.polyfit(points[used, 0], points[used, 1], 1)
         residual = np.abs(points[:, 1] - np.polynomial.polynomial.polyval(points[:, 0], line))
-        limit = OUTLIER_SIGMAS * normal_spread(residual[used])
+        limit = OUTLIER_SIGMAS * robust_std(residual[used])
         used = on_line & (residual <= max(limit, 1e-6))
     return used
 
@@ -223,7 +223,7 @@ FAINT_SIGMAS = 8.0
 FULL_SHARE = 0.02
 """Of a board's pixels; more of them full are no stripe's, which covers 1 % of it."""
 
-WIDEST_PX = 25.0
+MAX_WIDTH_PX = 25.0
 """Full width at half its height that a stripe has at most: a quarter of the size is the least that is searched."""
 
 _SMOOTHING_PX = 2.0
@@ -250,10 +250,10 @@ def stripe_failure(
         return f"{said}: {100 * full:.0f} % of the board is saturated"
     lit = image[board].astype(np.float64) - (0.0 if dark is None else dark[board])
     background = float(np.median(lit))
-    noise = max(normal_spread(lit - background), 1.0)
+    noise = max(robust_std(lit - background), 1.0)
     brightest = float(np.percentile(lit, 99.8)) - background
     width_px = 0.0 if dark is None else _width_px(image, dark, board, background + brightest / 2)
-    if brightest > FAINT_SIGMAS and width_px > WIDEST_PX:
+    if brightest > FAINT_SIGMAS and width_px > MAX_WIDTH_PX:
         return f"{said}: blurred, or not the lasers' light: {width_px:.0f} px wide at half its height"
     if brightest < FAINT_SIGMAS * noise:
         most = f"nothing stands out by more than {brightest:.0f} of {saturation_dn} grey values"

@@ -22,7 +22,7 @@ import numpy as np
 
 from ringpose.capture.cameras.aravis_library import PACKAGE, Aravis, AravisError, library
 from ringpose.capture.cameras.genapi import TRIGGERED
-from ringpose.capture.cameras.triggered import Grab, LockStepCamera, mid_stamp_s, spellings
+from ringpose.capture.cameras.triggered import FrameGrab, SoftwareTriggeredCamera, mid_stamp_s, spellings
 from ringpose.capture.uri import DeviceUri
 from ringpose.errors import DeviceError
 from ringpose.types.arrays import Array, UInt
@@ -31,7 +31,7 @@ from ringpose.wire.gvsp import blocks_between
 
 BUFFERS = 4
 
-MOST_PACKET_BYTES = 65535
+MAX_PACKET_BYTES = 65535
 """That a packet of a network can have; the camera says how many its own may."""
 
 _SUCCESS = 0
@@ -47,14 +47,14 @@ _INCOMPLETE = (2, 3, 4)
 """Timeout, missing packets, wrong packet (`ArvBufferStatus`): the frame came, but not all of it."""
 
 
-class AravisCamera(LockStepCamera):
+class AravisCamera(SoftwareTriggeredCamera):
     """A camera that libaravis can drive; beside the common ones the URI may say `packet` (bytes)."""
 
-    PARAMETERS = (*LockStepCamera.PARAMETERS, "packet")
+    PARAMETERS = (*SoftwareTriggeredCamera.PARAMETERS, "packet")
 
     def __init__(self, uri: DeviceUri) -> None:
         super().__init__(uri)
-        self._packet_bytes = uri.whole("packet", 0, MOST_PACKET_BYTES)
+        self._packet_bytes = uri.whole("packet", 0, MAX_PACKET_BYTES)
         self._camera = self._device = self._stream = 0
         self._acquiring = self._is_lost = False
         self._letting_go: threading.Thread | None = None
@@ -184,27 +184,27 @@ class AravisCamera(LockStepCamera):
         self._call_camera("arv_camera_stop_acquisition")
         self._drain()
 
-    def _grab(self, limit_s: float) -> Grab:
+    def _grab(self, limit_s: float) -> FrameGrab:
         self._drain()
         before_s = time.time()
         self._call("arv_device_execute_command", b"TriggerSoftware")
         stamp_s = mid_stamp_s(before_s)
         buffer = self._aravis.arv_stream_timeout_pop_buffer(self._stream, int(1e6 * limit_s))
         if not buffer:
-            return Grab(stamp_s=stamp_s)
+            return FrameGrab(stamp_s=stamp_s)
         try:
             return self._grabbed(buffer, stamp_s)
         finally:
             self._aravis.arv_stream_push_buffer(self._stream, buffer)
 
-    def _grabbed(self, buffer: int, stamp_s: float) -> Grab:
+    def _grabbed(self, buffer: int, stamp_s: float) -> FrameGrab:
         aravis = self._aravis
         status, frame_id = aravis.arv_buffer_get_status(buffer), int(aravis.arv_buffer_get_frame_id(buffer))
         if status != _SUCCESS:
             problem = "packets got lost" if status in _INCOMPLETE else f"a frame was bad (status {status})"
-            return Grab(stamp_s=stamp_s, problem=problem, frame_id=frame_id, is_late=status not in _INCOMPLETE)
+            return FrameGrab(stamp_s=stamp_s, problem=problem, frame_id=frame_id, is_late=status not in _INCOMPLETE)
         ticks_ns = int(aravis.arv_buffer_get_timestamp(buffer))
-        return Grab(
+        return FrameGrab(
             stamp_s=stamp_s,
             image=self._image(buffer),
             problem="a frame was smaller than it said",

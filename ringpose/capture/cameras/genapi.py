@@ -3,7 +3,7 @@
 from abc import abstractmethod
 from typing import Any
 
-from ringpose.capture.cameras.triggered import LockStepCamera, spellings
+from ringpose.capture.cameras.triggered import SoftwareTriggeredCamera, spellings
 from ringpose.errors import DeviceError
 
 TRIGGERED = (
@@ -15,7 +15,7 @@ TRIGGERED = (
 """Single frames by software trigger."""
 
 
-class GenApiCamera(LockStepCamera):
+class GenApiCamera(SoftwareTriggeredCamera):
     """Features as nodes with a value and, where they are numbers, limits; what a driver adds is below."""
 
     def bounds(self, feature: str) -> tuple[float, float] | None:

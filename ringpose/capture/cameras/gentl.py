@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ringpose.capture.cameras.genapi import GenApiCamera, first_line
-from ringpose.capture.cameras.triggered import Grab, LockStepCamera, mid_stamp_s
+from ringpose.capture.cameras.triggered import FrameGrab, SoftwareTriggeredCamera, mid_stamp_s
 from ringpose.errors import DeviceError
 
 EXTRA = "pip install ringpose[gentl]"
@@ -20,7 +20,7 @@ EXTRA = "pip install ringpose[gentl]"
 class GenTlCamera(GenApiCamera):
     """A camera that harvesters can drive; it must know software triggers."""
 
-    PARAMETERS = (*LockStepCamera.PARAMETERS, "serial")
+    PARAMETERS = (*SoftwareTriggeredCamera.PARAMETERS, "serial")
 
     _harvester: Any = None
     _acquirer: Any = None
@@ -58,7 +58,7 @@ class GenTlCamera(GenApiCamera):
     def _stop(self) -> None:
         self._acquirer.stop()
 
-    def _grab(self, limit_s: float) -> Grab:
+    def _grab(self, limit_s: float) -> FrameGrab:
         before_s = time.time()
         try:
             self._acquirer.remote_device.node_map.TriggerSoftware.execute()
@@ -67,7 +67,7 @@ class GenTlCamera(GenApiCamera):
         except Exception as error:
             raise DeviceError(self.uri.text, first_line(error), "check its cable and its power") from error
         if buffer is None:
-            return Grab(stamp_s=stamp_s)
+            return FrameGrab(stamp_s=stamp_s)
         try:
             return _grabbed(buffer, stamp_s)
         finally:
@@ -78,13 +78,13 @@ class GenTlCamera(GenApiCamera):
         return getattr(nodes, name, None) if nodes.has_node(name) else None
 
 
-def _grabbed(buffer: Any, stamp_s: float) -> Grab:
+def _grabbed(buffer: Any, stamp_s: float) -> FrameGrab:
     if not buffer.is_complete():
-        return Grab(stamp_s=stamp_s, problem="packets got lost", frame_id=int(buffer.frame_id), is_late=False)
+        return FrameGrab(stamp_s=stamp_s, problem="packets got lost", frame_id=int(buffer.frame_id), is_late=False)
     component = buffer.payload.components[0]
     data = np.array(component.data).reshape(int(component.height), int(component.width))
     ticks_ns = int(buffer.timestamp_ns or 0)
-    return Grab(
+    return FrameGrab(
         stamp_s=stamp_s,
         image=data,
         device_stamp_s=1e-9 * ticks_ns if ticks_ns else None,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ringpose.capture.cameras.genapi import GenApiCamera, first_line
-from ringpose.capture.cameras.triggered import Grab, mid_stamp_s
+from ringpose.capture.cameras.triggered import FrameGrab, mid_stamp_s
 from ringpose.errors import DeviceError
 
 EXTRA = "pip install ringpose[pylon]"
@@ -50,7 +50,7 @@ class PylonCamera(GenApiCamera):
     def _stop(self) -> None:
         self._camera.StopGrabbing()
 
-    def _grab(self, limit_s: float) -> Grab:
+    def _grab(self, limit_s: float) -> FrameGrab:
         pylon, camera, limit_ms = self._pylon, self._camera, int(1e3 * limit_s)
         try:
             camera.WaitForFrameTriggerReady(limit_ms, pylon.TimeoutHandling_ThrowException)
@@ -61,18 +61,18 @@ class PylonCamera(GenApiCamera):
         except Exception as error:
             raise DeviceError(self.uri.text, first_line(error), "check its cable and its power") from error
         if not result or not result.IsValid():
-            return Grab(stamp_s=stamp_s)
+            return FrameGrab(stamp_s=stamp_s)
         try:
             return self._grabbed(result, stamp_s)
         finally:
             result.Release()
 
-    def _grabbed(self, result: Any, stamp_s: float) -> Grab:
+    def _grabbed(self, result: Any, stamp_s: float) -> FrameGrab:
         number = int(result.BlockID)
         if not result.GrabSucceeded():
             problem = f"a frame was bad ({result.ErrorDescription or hex(result.ErrorCode)})"
-            return Grab(stamp_s=stamp_s, problem=problem, frame_id=number, is_late=False)
-        return Grab(
+            return FrameGrab(stamp_s=stamp_s, problem=problem, frame_id=number, is_late=False)
+        return FrameGrab(
             stamp_s=stamp_s,
             image=np.array(result.Array),
             device_stamp_s=1e-9 * result.TimeStamp if result.TimeStamp else None,

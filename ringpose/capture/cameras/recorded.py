@@ -7,7 +7,7 @@ import numpy as np
 from ringpose.errors import DataError
 from ringpose.types.arrays import Array, UInt8
 from ringpose.types.image import ALL_LASERS, Shot, shot_with_frames
-from ringpose.types.sequence import MOST_LASERS, Step
+from ringpose.types.sequence import MAX_LASERS, Step
 
 
 class Recording:
@@ -57,7 +57,7 @@ def shot_of_images(images: Sequence[Shot], steps: Sequence[Step]) -> Shot:
     return Shot(
         name=first.name,
         images=np.concatenate([image.images for image in images]),
-        lasers=np.array([ALL_LASERS if step.text == "all" else step.mask(MOST_LASERS) for step in steps], np.uint8),
+        lasers=np.array([ALL_LASERS if step.text == "all" else step.mask(MAX_LASERS) for step in steps], np.uint8),
         stamp_s=np.concatenate([image.stamp_s for image in images]),
         exposure_s=np.concatenate([image.exposure_s for image in images]),
         meta={**first.meta, "images": [image.name for image in images]},
@@ -72,7 +72,7 @@ def _mask(step: Step, count: int) -> int:
     """The mask of a step; `all` is every laser that the shot knows, and none of them is no mask at all."""
     if step.text == "all":
         return step.mask(count) or -1
-    return step.mask(MOST_LASERS)
+    return step.mask(MAX_LASERS)
 
 
 def _frame(shot: Shot, steps: Sequence[Step], masks: Sequence[int], place: int) -> int:
@@ -86,5 +86,5 @@ def _frame(shot: Shot, steps: Sequence[Step], masks: Sequence[int], place: int) 
 
 def _names(lasers: UInt8[Array, "frame"]) -> str:
     """Masks in the words of a sequence."""
-    lit = [[str(bit + 1) for bit in range(MOST_LASERS) if mask >> bit & 1] for mask in lasers.tolist()]
+    lit = [[str(bit + 1) for bit in range(MAX_LASERS) if mask >> bit & 1] for mask in lasers.tolist()]
     return ",".join("+".join(numbers) or "off" for numbers in lit)

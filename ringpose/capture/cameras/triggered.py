@@ -20,12 +20,12 @@ TRIES = 3
 ANSWER_LIMIT_S = 2.0
 """How long a frame may take beyond its exposure."""
 
-MOST_SKIPPED = 1000
+MAX_SKIPPED = 1000
 """Frames that may be thrown away before one that counts."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Grab:
+class FrameGrab:
     """What came of one trigger."""
 
     stamp_s: float
@@ -39,7 +39,7 @@ class Grab:
     """Whether a frame may still be on its way, so that the next one could be taken for another."""
 
 
-class LockStepCamera(CameraDriver):
+class SoftwareTriggeredCamera(CameraDriver):
     """A camera that is told each exposure and triggered once for each frame; what a driver adds is below.
 
     Its URI may say `format` (Mono8 or Mono12), `gain` (dB), `timeout` (s) and `skip`: how many frames to throw away
@@ -55,7 +55,7 @@ class LockStepCamera(CameraDriver):
         """Frames that were lost since it was opened, by its own count."""
         self._pixel_format = uri.parameters.get("format", "")
         self._timeout_s = uri.number("timeout", ANSWER_LIMIT_S, 0.01, 3600.0)
-        self._skip = uri.whole("skip", 0, MOST_SKIPPED)
+        self._skip = uri.whole("skip", 0, MAX_SKIPPED)
         self._wanted_gain_db = uri.number("gain", 0.0) if "gain" in uri.parameters else None
         self._gain_db: float | None = None
         self._ready_lines: set[str] = set()
@@ -181,7 +181,7 @@ class LockStepCamera(CameraDriver):
         """End that."""
 
     @abstractmethod
-    def _grab(self, limit_s: float) -> Grab:
+    def _grab(self, limit_s: float) -> FrameGrab:
         """Trigger once, and wait for the frame that comes of it."""
 
     @abstractmethod

@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ringpose.capture.cameras.triggered import MOST_SKIPPED, Grab, LockStepCamera
+from ringpose.capture.cameras.triggered import MAX_SKIPPED, FrameGrab, SoftwareTriggeredCamera
 from ringpose.capture.uri import DeviceUri
 from ringpose.errors import DeviceError
 from ringpose.opencv_log import silent_opencv
@@ -26,16 +26,16 @@ _EXPOSURE_UNIT_S = 1e-4
 """Of V4L2_CID_EXPOSURE_ABSOLUTE."""
 
 
-class V4l2Camera(LockStepCamera):
+class V4l2Camera(SoftwareTriggeredCamera):
     """A camera that OpenCV can read; its name may also be a numbered image sequence, such as `frames/%03d.png`."""
 
-    PARAMETERS = (*LockStepCamera.PARAMETERS, "flush")
+    PARAMETERS = (*SoftwareTriggeredCamera.PARAMETERS, "flush")
 
     _capture: Any = None
 
     def __init__(self, uri: DeviceUri) -> None:
         super().__init__(uri)
-        self._flushed = uri.whole("flush", FLUSHED, MOST_SKIPPED)
+        self._flushed = uri.whole("flush", FLUSHED, MAX_SKIPPED)
 
     def bounds(self, feature: str) -> tuple[float, float] | None:
         """The kernel knows them, OpenCV does not tell them."""
@@ -74,12 +74,12 @@ class V4l2Camera(LockStepCamera):
     def _stop(self) -> None:
         """It runs on."""
 
-    def _grab(self, limit_s: float) -> Grab:
+    def _grab(self, limit_s: float) -> FrameGrab:
         for _ in range(self._flushed):
             self._capture.grab()
         stamp_s = time.time()
         is_there, image = self._capture.read()
-        return Grab(stamp_s=stamp_s, image=_grey(image) if is_there else None, is_late=False)
+        return FrameGrab(stamp_s=stamp_s, image=_grey(image) if is_there else None, is_late=False)
 
     def _number(self, feature: str) -> float | None:
         """What can be asked for; zero is how OpenCV says that it cannot."""

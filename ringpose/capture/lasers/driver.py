@@ -11,7 +11,7 @@ from typing import Protocol, TypeAlias, runtime_checkable
 
 from ringpose.capture.uri import Device, DeviceUri
 from ringpose.errors import DeviceError, LaserSafetyError
-from ringpose.types.sequence import MOST_LASERS
+from ringpose.types.sequence import MAX_LASERS
 
 
 class LasersWentOff(DeviceError):
@@ -106,8 +106,8 @@ def channels(uri: DeviceUri, place: LaserPlace) -> tuple[str, ...]:
     chosen = _by_name(uri, place, named, len(words)) if by_name else tuple(words)
     if len(set(chosen)) < len(chosen):
         raise uri.problem("names a channel twice (ch=)")
-    if len(chosen) > MOST_LASERS:
-        raise uri.problem(f"has {len(chosen)} channels; a mask has room for {MOST_LASERS} lasers")
+    if len(chosen) > MAX_LASERS:
+        raise uri.problem(f"has {len(chosen)} channels; a mask has room for {MAX_LASERS} lasers")
     if place.names is not None and len(chosen) != len(place.names):
         raise uri.problem(f"has {len(chosen)} channels for the {len(place.names)} lasers of the rig")
     return chosen

@@ -9,14 +9,14 @@ from dataclasses import replace
 
 from ringpose.capture.lasers.driver import LaserPlace, channels
 from ringpose.capture.lasers.relay_board import CODECS, RelaySettings
-from ringpose.capture.lasers.watchdog import GuardedLasers
+from ringpose.capture.lasers.watchdog import WatchdogLasers
 from ringpose.capture.uri import DeviceUri
 
 COMMON = ("ch", "baud", "read_back", "heartbeat", "longest_on", "repeat", "interlock", "opening")
 
 INTERLOCKS = ("", "cts", "dsr")
 
-MOST_RELAYS = 32
+MAX_RELAYS = 32
 
 _NUMBER = re.compile(r"[0-9]{1,4}")
 
@@ -31,17 +31,17 @@ PULSES_S = (0.1, 3276.7)
 """What a Modbus relay can count, in tenths of a second."""
 
 
-def lcus(uri: DeviceUri, place: LaserPlace) -> GuardedLasers:
+def lcus(uri: DeviceUri, place: LaserPlace) -> WatchdogLasers:
     """LCUS-1/2/4/8: `lcus:/dev/ttyUSB0?ch=1,2,3`; one that is silent when it is asked what is on is not asked again."""
-    return GuardedLasers(_settings(uri, place, {}, read_back="try"))
+    return WatchdogLasers(_settings(uri, place, {}, read_back="try"))
 
 
-def numato(uri: DeviceUri, place: LaserPlace) -> GuardedLasers:
+def numato(uri: DeviceUri, place: LaserPlace) -> WatchdogLasers:
     """Numato: `numato:/dev/ttyACM0?ch=0,1,2`."""
-    return GuardedLasers(_settings(uri, place, {}))
+    return WatchdogLasers(_settings(uri, place, {}))
 
 
-def modbus(uri: DeviceUri, place: LaserPlace) -> GuardedLasers:
+def modbus(uri: DeviceUri, place: LaserPlace) -> WatchdogLasers:
     """Modbus-RTU: `modbus:/dev/ttyUSB0?ch=0,1,2&unit=1&pulse=2`; clones may need `base=1` or `on=0100`."""
     parameters: dict[str, str | int] = {
         "unit": uri.whole("unit", 1, most=255, least=1),
@@ -50,11 +50,11 @@ def modbus(uri: DeviceUri, place: LaserPlace) -> GuardedLasers:
     }
     settings = _settings(uri, place, parameters, ("unit", "base", "on", "pulse"))
     if "pulse" not in uri.parameters:
-        return GuardedLasers(settings)
-    return GuardedLasers(replace(settings, pulse_s=uri.number("pulse", 0.0, *PULSES_S)))
+        return WatchdogLasers(settings)
+    return WatchdogLasers(replace(settings, pulse_s=uri.number("pulse", 0.0, *PULSES_S)))
 
 
-def ascii_lines(uri: DeviceUri, place: LaserPlace) -> GuardedLasers:
+def ascii_lines(uri: DeviceUri, place: LaserPlace) -> WatchdogLasers:
     """Lines of text: `ascii:/dev/ttyACM0?ch=1,2,3&on=R{n}%20ON&off=R{n}%20OFF&read=R?&ok=OK`."""
     templates = {"on": uri.parameters.get("on", ""), "off": uri.parameters.get("off", "")}
     for key, template in templates.items():
@@ -63,7 +63,7 @@ def ascii_lines(uri: DeviceUri, place: LaserPlace) -> GuardedLasers:
     if templates["on"] == templates["off"]:
         raise uri.problem("says the same for on= and off=", "off= must be what switches a relay off")
     more = {"read": uri.parameters.get("read", ""), "acknowledged_by": uri.parameters.get("ok", "")}
-    return GuardedLasers(_settings(uri, place, {**templates, **more}, ("on", "off", "read", "ok")))
+    return WatchdogLasers(_settings(uri, place, {**templates, **more}, ("on", "off", "read", "ok")))
 
 
 def _settings(
@@ -96,8 +96,8 @@ def _relays(uri: DeviceUri, place: LaserPlace, codec_parameters: Mapping[str, st
     first = CODECS[uri.scheme](**codec_parameters).first
     chosen = []
     for number in channels(uri, place):
-        if not _NUMBER.fullmatch(number) or not first <= int(number) < first + MOST_RELAYS:
-            raise uri.problem(f'ch= has "{number}"', f"relays have numbers from {first} to {first + MOST_RELAYS - 1}")
+        if not _NUMBER.fullmatch(number) or not first <= int(number) < first + MAX_RELAYS:
+            raise uri.problem(f'ch= has "{number}"', f"relays have numbers from {first} to {first + MAX_RELAYS - 1}")
         chosen.append(int(number) - first)
     return tuple(chosen)
 

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from ringpose.capture.lasers.driver import LaserDriver, LaserPlace
 from ringpose.capture.uri import DeviceUri
 from ringpose.errors import UsageError
-from ringpose.types.sequence import MOST_LASERS, Step
+from ringpose.types.sequence import MAX_LASERS, Step
 
 
 class UncontrolledLasers(LaserDriver):
@@ -37,7 +37,7 @@ def none(uri: DeviceUri, place: LaserPlace) -> UncontrolledLasers:
     """As many as the rig has; without a rig as many as a mask has room for."""
     if uri.place or uri.parameters:
         raise uri.problem("has words after its colon", "leave them out")
-    return UncontrolledLasers(MOST_LASERS if place.names is None else len(place.names))
+    return UncontrolledLasers(MAX_LASERS if place.names is None else len(place.names))
 
 
 def refuse_switching(steps: Iterable[Step]) -> None:

@@ -34,13 +34,13 @@ _START = (
 )
 
 
-class GuardedLasers(LaserDriver):
+class WatchdogLasers(LaserDriver):
     """If the guard ends unasked, this process takes the port itself, switches off, and captures no more."""
 
     def __init__(self, settings: RelaySettings) -> None:
         self.settings = settings
         self._guard: subprocess.Popen[bytes] | None = None
-        self._end: GuardEnd | None = None
+        self._end: WatchdogConnection | None = None
         self._guarding = False
         self._fault: DeviceError | LaserSafetyError | None = None
         self._faulty = threading.Event()
@@ -71,7 +71,7 @@ class GuardedLasers(LaserDriver):
         """Start the guard, which takes the port and switches everything off."""
         _keep_no_core()
         self._guard = _started(self.settings)
-        self._end = GuardEnd(self._guard.pid, self._guard_ended)
+        self._end = WatchdogConnection(self._guard.pid, self._guard_ended)
         self._answer(0, OPENING_LIMIT_S + self.settings.opening_s)
         self._guarding = True
 
@@ -237,7 +237,7 @@ def _keep_no_core() -> None:
         resource.setrlimit(resource.RLIMIT_CORE, (1, hard))
 
 
-class GuardEnd:
+class WatchdogConnection:
     """Waits, in a thread, for the end of a child process, and acts at once; a stopped one is as bad as a dead one."""
 
     def __init__(self, pid: int, act: Callable[[int], None]) -> None:

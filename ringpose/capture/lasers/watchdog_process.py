@@ -21,7 +21,7 @@ from ringpose.capture.lasers.relay_board import RelayBoard, RelaySettings, setti
 from ringpose.capture.lasers.serial_port import SerialPort
 from ringpose.errors import DeviceError
 
-ORDERS, ANSWERS = 0, 1
+COMMANDS, ANSWERS = 0, 1
 """File descriptors."""
 
 ENDING = (
@@ -39,7 +39,7 @@ def run(owner: int, line: str) -> int:
     wake = _woken_by_signals()
     port = SerialPort(settings.port, settings.baud)
     try:
-        return _guarded(settings, port, Owner(owner), wake)
+        return _guarded(settings, port, ParentProcess(owner), wake)
     except (DeviceError, OSError) as error:
         found = f"{error.found}; {error.remedy}" if isinstance(error, DeviceError) else str(error)
         with suppress(OSError):
@@ -47,7 +47,7 @@ def run(owner: int, line: str) -> int:
         return 1
 
 
-class Owner:
+class ParentProcess:
     """The parent of this process."""
 
     def __init__(self, pid: int) -> None:
@@ -68,7 +68,7 @@ class Owner:
         return "the capture was stopped" if fields[0].decode() in STOPPED else ""
 
 
-def _guarded(settings: RelaySettings, port: SerialPort, owner: Owner, wake: int) -> int:
+def _guarded(settings: RelaySettings, port: SerialPort, owner: ParentProcess, wake: int) -> int:
     port.open()
     try:
         return _served(settings, port, owner, (owner.end, wake))
@@ -76,14 +76,14 @@ def _guarded(settings: RelaySettings, port: SerialPort, owner: Owner, wake: int)
         port.close()
 
 
-def _served(settings: RelaySettings, port: SerialPort, owner: Owner, ends: tuple[int, int]) -> int:
+def _served(settings: RelaySettings, port: SerialPort, owner: ParentProcess, ends: tuple[int, int]) -> int:
     board = RelayBoard(settings, port)
     select.select(ends, [], [], settings.opening_s)
     board.all_off()
     try:
         _say("0 ok\n")
         port.interrupting = ends
-        rules = GuardRules(board, settings, (owner.danger, *_interlock(settings, port)))
+        rules = WatchdogParams(board, settings, (owner.danger, *_interlock(settings, port)))
         _serve(rules, port, ends)
     finally:
         port.interrupting = ()
@@ -91,11 +91,11 @@ def _served(settings: RelaySettings, port: SerialPort, owner: Owner, ends: tuple
     return 0
 
 
-Danger: TypeAlias = Callable[[], str]
+Fault: TypeAlias = Callable[[], str]
 """Says why no laser may be on now; nothing if there is no reason."""
 
 
-class GuardRules:
+class WatchdogParams:
     """Obeys one line at a time, and between them watches heartbeat, on-time and other dangers.
 
     Lines are `NUMBER set MASK`, `NUMBER read` and `NUMBER off`; answers are `NUMBER ok MASK`, `NUMBER ok -` where the
@@ -107,7 +107,7 @@ class GuardRules:
         self,
         board: RelayBoard,
         settings: RelaySettings,
-        dangers: Sequence[Danger] = (),
+        dangers: Sequence[Fault] = (),
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._board = board
@@ -188,10 +188,10 @@ class GuardRules:
         return next((reason for danger in self._dangers if (reason := danger())), "")
 
 
-def _serve(rules: GuardRules, port: SerialPort, ends: tuple[int, int]) -> None:
+def _serve(rules: WatchdogParams, port: SerialPort, ends: tuple[int, int]) -> None:
     """Until the owner, its orders or the port end, or a signal comes."""
     poll = select.poll()
-    for number in (ORDERS, *ends):
+    for number in (COMMANDS, *ends):
         poll.register(number, select.POLLIN)
     poll.register(port.fileno, 0)
     pending = b""
@@ -203,8 +203,8 @@ def _serve(rules: GuardRules, port: SerialPort, ends: tuple[int, int]) -> None:
         if port.fileno in ready:
             raise DeviceError(port.name, "hung up", "check cable and power")
         rules.watch()
-        if ORDERS in ready:
-            received = os.read(ORDERS, 4096)
+        if COMMANDS in ready:
+            received = os.read(COMMANDS, 4096)
             if not received:
                 return
             *lines, pending = (pending + received).split(b"\n")
@@ -212,7 +212,7 @@ def _serve(rules: GuardRules, port: SerialPort, ends: tuple[int, int]) -> None:
                 _say(rules.obey(line.decode()))
 
 
-def _interlock(settings: RelaySettings, port: SerialPort) -> tuple[Danger, ...]:
+def _interlock(settings: RelaySettings, port: SerialPort) -> tuple[Fault, ...]:
     if not settings.interlock:
         return ()
     return (lambda: "" if port.is_closed_contact(settings.interlock) else "the interlock is open",)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli.options import finite
-from ringpose.types.options import Move, Relay, Show
+from ringpose.types.options import AdvancePolicy, Relay, ServedTarget
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -22,9 +22,9 @@ RelayOption = Annotated[
     Relay,
     typer.Option("--relay", help="The relay board; none leaves the lasers to the camera's output lines."),
 ]
-ShowOption = Annotated[Show, typer.Option("--show", help="What stands there.")]
+ShowOption = Annotated[ServedTarget, typer.Option("--show", help="What stands there.")]
 MoveOption = Annotated[
-    Move,
+    AdvancePolicy,
     typer.Option("--move", help="When the next view comes: in a pause between frames, after a time, or never."),
 ]
 After = Annotated[
@@ -49,8 +49,8 @@ def serve(
     scene: SceneOption,
     camera: Address = "127.0.0.1",
     relay: RelayOption = Relay.NONE,
-    show: ShowOption = Show.RING,
-    move: MoveOption = Move.PAUSE,
+    show: ShowOption = ServedTarget.RING,
+    move: MoveOption = AdvancePolicy.PAUSE,
     after: After = 1.0,
     warm_up: WarmUp = 0.0,
     fault: FaultTexts = None,
@@ -61,7 +61,7 @@ def serve(
     from ringpose.files import records
     from ringpose.files.scenes import read_scene
     from ringpose.simulate.serve.faults import parsed_faults
-    from ringpose.simulate.serve.virtual_device import Setup, StandIn
+    from ringpose.simulate.serve.virtual_device import Setup, VirtualDevice
 
     read = read_scene(scene)
     setup = Setup(
@@ -73,7 +73,7 @@ def serve(
         warm_up_s=warm_up,
         faults=parsed_faults(fault or (), len(read.rig.lasers.names)),
     )
-    with _noted(log, force) as noted, _failures_of_threads() as failures, StandIn(read, setup, noted) as served:
+    with _noted(log, force) as noted, _failures_of_threads() as failures, VirtualDevice(read, setup, noted) as served:
         records.write(served.uris)
         raise failures.get()
 

@@ -106,10 +106,10 @@ def _matrix(fields: Fields, key: str, shape: tuple[int | None, int | None]) -> F
     return entry.vector("data", rows * columns)
 
 
-MOST_PIXELS = 100_000
+MAX_PIXELS = 100_000
 """Columns or rows that no camera has."""
 
-SHORTEST_FOCAL_LENGTH = 0.05
+MIN_FOCAL_LENGTH = 0.05
 """Of the image's width: a lens that sees 169 degrees, which no pinhole camera does."""
 
 
@@ -119,8 +119,8 @@ def checked_matrix(fields: Fields, matrix: Float64[Array, "3 3"]) -> Float64[Arr
         raise fields.problem("camera_matrix", "must have the form [fx, 0, cx, 0, fy, cy, 0, 0, 1]")
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
         raise fields.problem("camera_matrix", "has a focal length that is not positive")
-    size = np.array([fields.integer(key, least=1, most=MOST_PIXELS) for key in ("image_width", "image_height")])
-    if np.any(np.diag(matrix)[:2] < SHORTEST_FOCAL_LENGTH * size):
+    size = np.array([fields.integer(key, least=1, most=MAX_PIXELS) for key in ("image_width", "image_height")])
+    if np.any(np.diag(matrix)[:2] < MIN_FOCAL_LENGTH * size):
         shortest = min(matrix[0, 0], matrix[1, 1])
         raise fields.problem(
             "camera_matrix", f"has a focal length of {shortest:g} pixels", "pixels belong here, not mm"

@@ -10,7 +10,7 @@ from ringpose.kernels.lines import Lens
 from ringpose.types.arrays import Array, Bool, Float64, UInt
 
 
-class PlaceRules(NamedTuple):
+class PlaceParams(NamedTuple):
     """Where places of the edges are wanted."""
 
     image_width: float
@@ -35,7 +35,7 @@ class PlaceRules(NamedTuple):
     """Places to both sides of the origin."""
 
 
-class ProfileRules(NamedTuple):
+class ProfileParams(NamedTuple):
     """How brightness across an edge is sampled; every pixel from `reach_px` + `inside_px` inside the place on."""
 
     reach_px: float
@@ -51,7 +51,7 @@ class ProfileRules(NamedTuple):
     saturation_dn: float
 
 
-class StepRules(NamedTuple):
+class StepParams(NamedTuple):
     """How the step in a profile is placed."""
 
     flat: float
@@ -77,7 +77,7 @@ class Templates(NamedTuple):
     """Size of a step of one in `step`."""
 
 
-class FitRules(NamedTuple):
+class FitParams(NamedTuple):
     """How long arcs are fitted, what counts less, and what holds them where the evidence leaves them open."""
 
     rounds: int
@@ -112,7 +112,7 @@ class Sights(NamedTuple):
 
 
 def edge_places(
-    arcs: RingArcs, covariance: Float64[Array, "state=7 state=7"], lens: Lens, rules: PlaceRules
+    arcs: RingArcs, covariance: Float64[Array, "state=7 state=7"], lens: Lens, rules: PlaceParams
 ) -> Float64[Array, "n column=13"]:
     """Places along the inner edge, then along the outer, where the image should show them.
 
@@ -127,7 +127,7 @@ def edge_profiles(
     image: UInt[Array, "row column"],
     place_px: Float64[Array, "n xy=2"],
     normal: Float64[Array, "n xy=2"],
-    rules: ProfileRules,
+    rules: ProfileParams,
 ) -> tuple[Float64[Array, "n sample"], Bool[Array, "n sample"], Float64[Array, "n"]]:
     """Mean brightness across each place, above the surface's and in units of its noise; saturation; that noise.
 
@@ -146,7 +146,7 @@ def edge_steps(
     saturated: Bool[Array, "n sample"],
     noise_dn: Float64[Array, "n"],
     templates: Templates,
-    rules: StepRules,
+    rules: StepParams,
 ) -> Float64[Array, "n column=5"]:
     """The likeliest step in each profile: offset (NaN for none), sigma, height in sigmas, height in grey values, cost.
 
@@ -165,7 +165,7 @@ def fitted_arcs(
     plane: PlanePoints,
     sights: Sights,
     reference: Float64[Array, "3 xyz=3"],
-    rules: FitRules,
+    rules: FitParams,
 ) -> tuple[RingArcs, Float64[Array, "state=7 state=7"]]:
     """The arcs after some rounds of Gauss-Newton, and the covariance of their state; NaN where nothing holds them.
 

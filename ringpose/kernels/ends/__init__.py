@@ -9,7 +9,7 @@ from ringpose.kernels.lines import Lens
 from ringpose.types.arrays import Array, Float64, Int64, UInt
 
 
-class EndRules(NamedTuple):
+class EndParams(NamedTuple):
     """What finds the end of a stripe."""
 
     saturation_dn: float
@@ -25,9 +25,9 @@ class EndRules(NamedTuple):
     """Share of columns with a saturated pixel above which a stripe is read by its flanks."""
     undimmed_level: float
     """Share of the face's level above which the stripe still goes on."""
-    least_headroom: float
+    min_headroom: float
     """Columns that saturation leaves less of than this say nothing about the stripe's level."""
-    least_noise: float
+    min_noise: float
     """No column weighs as if it had less noise than this share of the stripe's level: glare, the blur's tails."""
     shape_sigma: float
     """Columns by which an edge's position depends on how its blur is modelled."""
@@ -48,7 +48,7 @@ def stripe_ends(
     dark: UInt[Array, "row column"] | None,
     lines: Float64[Array, "track column=5"],
     lens: Lens,
-    rules: EndRules,
+    rules: EndParams,
 ) -> Float64[Array, "track end=2 column=10"]:
     """Left and right end of the stripe on each line, to a fraction of a column.
 
@@ -65,7 +65,7 @@ def stripe_ends(
     return np.frombuffer(found, dtype=np.float64).reshape(-1, 2, 10)
 
 
-class MarkRules(NamedTuple):
+class MarkParams(NamedTuple):
     """What an end is held against, and the flags for it."""
 
     image_width: float
@@ -83,7 +83,7 @@ class MarkRules(NamedTuple):
     """Columns over which what lies beneath a stripe is alike, in sigmas of its section."""
     taken_by_fit: float
     """Independent columns that a line's fit takes,"""
-    least_columns: float
+    min_columns: float
     """and the least that are left."""
     saturated_flag: float
     kink_flag: float
@@ -110,11 +110,11 @@ def marked_ends(
     found: Float64[Array, "track end=2 column=10"],
     track_lasers: tuple[int, ...],
     lasers: int,
-    rules: MarkRules,
+    rules: MarkParams,
 ) -> Ends:
     """The ends of tracks, each of another one of so many lasers, with covariances and flags.
 
-    `tracks` and `found` are what `straight_tracks` and `stripe_ends` say of them. An end errs along its line by its
+    `tracks` and `found` are the results of `stripe_line_segments` and `stripe_ends`. An end errs along its line by its
     own sigma, and with the line across: by the scatter of the track's centres, columns that err alike counted once,
     and by what these share and do not show.
     """

@@ -26,7 +26,7 @@ class Lens(NamedTuple):
     k6: float = 0.0
 
 
-class TrackRules(NamedTuple):
+class TrackParams(NamedTuple):
     """What cuts, joins and judges tracks."""
 
     kink_px: float
@@ -49,7 +49,7 @@ TRACK_COLUMNS = (
     "laser", "centers", "x_start", "x_end", "middle_x", "middle_y",
     "slope", "scatter", "correlation", "clipped", "spilt",
 )  # fmt: skip
-"""What `straight_tracks` says of each track; `spilt`: centres on its line between 2 px and the track's length
+"""What `stripe_line_segments` says of each track; `spilt`: centres on its line between 2 px and the track's length
 (at most 100 px) + 40 px beyond its ends."""
 
 LASER, CENTERS, X_START, X_END, MIDDLE_X, MIDDLE_Y, SLOPE, SCATTER, CORRELATION, CLIPPED, SPILT = range(
@@ -57,13 +57,13 @@ LASER, CENTERS, X_START, X_END, MIDDLE_X, MIDDLE_Y, SLOPE, SCATTER, CORRELATION,
 )
 
 
-def straight_tracks(
+def stripe_line_segments(
     position_px: Float64[Array, "center xy=2"],
     sigma_px: Float64[Array, "center"],
     piece: Int64[Array, "center"],
     laser: Int64[Array, "piece"],
     lens: Lens,
-    rules: TrackRules,
+    rules: TrackParams,
 ) -> Float64[Array, "track column=11"]:
     """Straight lines y = middle_y + slope (x - middle_x) through stripe centres, in undistorted pixels.
 
@@ -75,10 +75,10 @@ def straight_tracks(
     return np.frombuffer(found, dtype=np.float64).reshape(-1, len(TRACK_COLUMNS))
 
 
-class UnionRules(NamedTuple):
+class UnionParams(NamedTuple):
     """Which tracks may be pieces of one stripe, and are tried as one beside themselves."""
 
-    least_spilt: float
+    min_spilt: float
     """A track with fewer centres on its line beyond its ends has nothing to be joined to."""
     longest_gap: float
     """Longest gap, as a share of both tracks together."""
@@ -92,11 +92,11 @@ class UnionRules(NamedTuple):
     """Each joins what the one before has joined to one more track."""
     taken_by_fit: float
     """Independent columns that a line's fit takes,"""
-    least_columns: float
+    min_columns: float
     """and the least that are left."""
 
 
-class CandidateRules(NamedTuple):
+class CandidateParams(NamedTuple):
     """Which tracks may be the face, and which of them are tried for each laser."""
 
     nearest_m: float
@@ -124,7 +124,7 @@ class CandidateRules(NamedTuple):
     """Tracks of the greatest merit that are tried for each laser."""
 
 
-class RingRules(NamedTuple):
+class RingParams(NamedTuple):
     """What groups of tracks are held against; costs are squared sigmas over two."""
 
     focal_x: float
@@ -159,12 +159,12 @@ class RingRules(NamedTuple):
     """... this are cut off by the image's border and on no circle."""
 
 
-class FaceRules(NamedTuple):
+class FaceParams(NamedTuple):
     """What a face is held against."""
 
-    unions: UnionRules
-    candidates: CandidateRules
-    ring: RingRules
+    unions: UnionParams
+    candidates: CandidateParams
+    ring: RingParams
 
 
 class Group(NamedTuple):
@@ -192,7 +192,7 @@ def ring_faces(
     tracks: Float64[Array, "track column=11"],
     unlabelled: int,
     planes: Float64[Array, "laser xyz=3"],
-    rules: FaceRules,
+    rules: FaceParams,
 ) -> Faces:
     """The best groups of one, two and three tracks, each under a laser of its own, that one planar ring explains.
 

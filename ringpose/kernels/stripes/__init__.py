@@ -23,14 +23,14 @@ class Filters(NamedTuple):
     """Sigma, taps on one side, and how each derivative answers white noise of 1."""
 
 
-class StripeRules(NamedTuple):
+class StripeParams(NamedTuple):
     """What counts as a stripe."""
 
     begin_sigmas: float
     """A piece has enough columns that stand out of the noise so far,"""
     continue_sigmas: float
     """and others that stand out so far; the noise is that of the ridge filter's response."""
-    least_response: float
+    min_response: float
     """And a ridge answers that much at least."""
     coarse_per_response: float
     """Sum over a window of 8 x 16 pixels, its surroundings subtracted, for a ridge that answers 1."""
@@ -56,7 +56,7 @@ def stripes(
     dark: UInt[Array, "row column"] | None,
     bands: Int32[Array, "band side=4"] | None,
     filters: Filters,
-    rules: StripeRules,
+    rules: StripeParams,
 ) -> Centers:
     """Sub-pixel centres of ridges, column by column, linked into pieces; 8 or 16 bits a pixel.
 

@@ -15,10 +15,10 @@ from ringpose.wire.gvcp import Answer, Command, Request, Status, resend_range, w
 Client = tuple[str, int]
 """Address and port."""
 
-LEAST_HEARTBEAT_MS = 500
+MIN_HEARTBEAT_MS = 500
 """However short a timeout the client asks for."""
 
-MOST_READ = 536
+MAX_READ = 536
 """Bytes that one answer holds."""
 
 
@@ -88,7 +88,7 @@ class Control:
 
     def expire(self, now_s: float) -> None:
         """Give up a client that has not been heard for the time of its heartbeat."""
-        timeout_ms = max(self.registers[bootstrap.HEARTBEAT_TIMEOUT], LEAST_HEARTBEAT_MS)
+        timeout_ms = max(self.registers[bootstrap.HEARTBEAT_TIMEOUT], MIN_HEARTBEAT_MS)
         if self._client is not None and now_s - self._heard_s > 1e-3 * timeout_ms:
             self._release()
 
@@ -119,7 +119,7 @@ class Control:
         if len(request.words) < 2:
             return Status.INVALID_PARAMETER, b""
         address, size = request.words[0], request.words[1] & 0xFFFF
-        if size > MOST_READ:
+        if size > MAX_READ:
             return Status.INVALID_PARAMETER, b""
         data = self.registers.read(address, size)
         if data is None:

@@ -24,9 +24,9 @@ from ringpose.wire import gige_registers as bootstrap
 from ringpose.wire.gvcp import PORT, answer_bytes, request_in
 from ringpose.wire.gvsp import UDP_OVERHEAD, Leader, PixelFormat, StreamedFrame, block_after, piece_size
 
-LARGEST_PACKET = 16260
+MAX_PACKET = 16260
 
-SMALLEST_PACKET = 576
+MIN_PACKET = 576
 
 _LOOK_S = 0.05
 """How often a thread that waits looks whether it is to go on."""
@@ -229,14 +229,14 @@ class ServedCamera:
             width=image.shape[1],
             height=image.shape[0],
         )
-        packet_size = min(self.registers[bootstrap.STREAM_PACKET_SIZE] & bootstrap.PACKET_SIZE_MASK, LARGEST_PACKET)
+        packet_size = min(self.registers[bootstrap.STREAM_PACKET_SIZE] & bootstrap.PACKET_SIZE_MASK, MAX_PACKET)
         data = memoryview(image.astype("<u2" if bits > 8 else np.uint8, copy=False).tobytes())
         if self._noted is not None:
             self._noted({"frame_id": self._block, "began_s": began_s, "exposure_s": exposure_s, **note})
         self._frames += 1
         self.stream.send(
             StreamedFrame(
-                block=self._block, leader=leader, data=data, piece_size=piece_size(max(packet_size, SMALLEST_PACKET))
+                block=self._block, leader=leader, data=data, piece_size=piece_size(max(packet_size, MIN_PACKET))
             )
         )
 

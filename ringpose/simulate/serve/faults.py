@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from ringpose.errors import UsageError
 from ringpose.simulate.serve.device import CameraFaults
-from ringpose.simulate.serve.relays import ContactFaults
+from ringpose.simulate.serve.relays import RelayFaults
 
 _LASER_FAULTS = ("stuck", "welded", "dark", "late")
 
@@ -18,11 +18,11 @@ FAULTS = ("loss", "no-resend", "dead-camera", "keeps-lines", "unplug", "operate"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Faults:
+class InjectedFaults:
     """Everything that goes wrong, part by part."""
 
     camera: CameraFaults = CameraFaults()
-    contacts: ContactFaults = field(default_factory=ContactFaults)
+    contacts: RelayFaults = field(default_factory=RelayFaults)
     unplug_after: int | None = None
     """Frames after which the relay board's cable is pulled."""
 
@@ -36,19 +36,19 @@ class _Fault:
     value: float
 
 
-def parsed_faults(texts: Iterable[str], lasers: int) -> Faults:
+def parsed_faults(texts: Iterable[str], lasers: int) -> InjectedFaults:
     """The faults that are asked for; those of a laser name it by its number from 1."""
     faults = [_parsed(text, lasers) for text in texts]
     values = {fault.name: fault.value for fault in faults}
     lasers_of = {name: frozenset(fault.laser for fault in faults if fault.name == name) for name in _LASER_FAULTS}
-    return Faults(
+    return InjectedFaults(
         camera=CameraFaults(
             loss=values.get("loss", 0.0),
             resends="no-resend" not in values,
             dies_after=_count(values, "dead-camera"),
             keeps_lines="keeps-lines" in values,
         ),
-        contacts=ContactFaults(
+        contacts=RelayFaults(
             operate_s=values.get("operate", 0.0),
             release_s=values.get("release", 0.0),
             stuck=lasers_of["stuck"],

@@ -20,12 +20,12 @@ from ringpose.wire.relay_codec import Command, Pulse, Read, RelayCodec, SwitchRo
 ALL_RELAYS = 8
 """Of the boards that are stood in for."""
 
-_LONGEST_COMMAND = 64
+_MAX_COMMAND = 64
 """Bytes; what goes on for longer without a command's end is noise."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ContactFaults:
+class RelayFaults:
     """What is wrong with the lasers of a board, by their place in the rig."""
 
     operate_s: float = 0.0
@@ -53,11 +53,11 @@ class ServedRelays:
         self,
         codec: RelayCodec,
         relays: Sequence[int] = (0, 1, 2),
-        faults: ContactFaults | None = None,
+        faults: RelayFaults | None = None,
         changed: Callable[[int], None] | None = None,
     ) -> None:
         self.relays = tuple(relays)
-        self.contacts = Contacts(len(self.relays), faults)
+        self.contacts = RelayContacts(len(self.relays), faults)
         self.port = ""
         """The terminal to open, once served."""
         self._codec = codec
@@ -108,7 +108,7 @@ class ServedRelays:
             if self._stop_read in ready:
                 return
             commands, pending = self._codec.commands(pending + os.read(self._master, 4096))
-            pending = pending[-_LONGEST_COMMAND:]
+            pending = pending[-_MAX_COMMAND:]
             for command in filter(_is_for_the_board, commands):
                 self._carry_out(command)
 
@@ -149,11 +149,11 @@ KEPT = 1000
 """Changes that each contact remembers."""
 
 
-class Contacts:
+class RelayContacts:
     """The contacts of all lasers over time (monotonic clock, s)."""
 
-    def __init__(self, lasers: int, faults: ContactFaults | None = None) -> None:
-        self.faults = faults or ContactFaults()
+    def __init__(self, lasers: int, faults: RelayFaults | None = None) -> None:
+        self.faults = faults or RelayFaults()
         self._lock = threading.Lock()
         self._pulse_end_s: dict[int, float] = {}
         self._changes: list[list[tuple[float, bool]]] = [

@@ -11,11 +11,11 @@ import numpy as np
 
 from ringpose.simulate.pipeline import board_stage, ring_stage
 from ringpose.simulate.placement import board_places, ring_views
-from ringpose.simulate.renderer import Stage
+from ringpose.simulate.renderer import RenderedView
 from ringpose.simulate.sensor import digitised
-from ringpose.simulate.serve.relays import Contacts
+from ringpose.simulate.serve.relays import RelayContacts
 from ringpose.types.arrays import Array, Float32, Float64, UInt
-from ringpose.types.options import Move
+from ringpose.types.options import AdvancePolicy
 from ringpose.types.scene import BoardSet, Scene, Sensor
 
 _SLICES = 8
@@ -25,22 +25,24 @@ _SLICES = 8
 class MovingViews:
     """The views in their order; the next one is prepared while the camera looks at one, and comes when it is ready."""
 
-    def __init__(self, names: Sequence[str], stage: Callable[[int], Stage], move: Move, after_s: float) -> None:
+    def __init__(
+        self, names: Sequence[str], stage: Callable[[int], RenderedView], move: AdvancePolicy, after_s: float
+    ) -> None:
         self.names = tuple(names)
         self._stage = stage
         self._move = move
         self._after_s = after_s
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="views")
         self._number = 0
-        self._now: Stage = stage(0)
-        self._next: Future[Stage] | None = None
+        self._now: RenderedView = stage(0)
+        self._next: Future[RenderedView] | None = None
         self._shown_s: float | None = None
         self._looked_s: float | None = None
         self._prepare()
 
-    def at(self, now_s: float) -> tuple[str, Stage]:
+    def at(self, now_s: float) -> tuple[str, RenderedView]:
         """Name and stage of the view that an exposure beginning now (monotonic clock) looks at."""
-        since_s = self._looked_s if self._move is Move.PAUSE else self._shown_s
+        since_s = self._looked_s if self._move is AdvancePolicy.PAUSE else self._shown_s
         due = since_s is not None and now_s - since_s >= self._after_s
         if due and self._next is not None and self._next.done():
             self._number, self._now = self._number + 1, self._next.result()
@@ -55,14 +57,14 @@ class MovingViews:
         self._worker.shutdown(wait=True, cancel_futures=True)
 
     def _prepare(self) -> None:
-        there = self._number + 1 < len(self.names) and self._move is not Move.NEVER
+        there = self._number + 1 < len(self.names) and self._move is not AdvancePolicy.NEVER
         self._next = self._worker.submit(self._stage, self._number + 1) if there else None
 
 
 class SceneExposures:
     """Exposures of a scene's views by the lasers that truly shine, for as long as they shine."""
 
-    def __init__(self, views: MovingViews, sensor: Sensor, contacts: Contacts, warm_up_s: float = 0.0) -> None:
+    def __init__(self, views: MovingViews, sensor: Sensor, contacts: RelayContacts, warm_up_s: float = 0.0) -> None:
         self._views = views
         self._sensor = sensor
         self._contacts = contacts
@@ -106,13 +108,13 @@ class SceneExposures:
         return warmth
 
 
-def ring_moving_views(scene: Scene, move: Move, after_s: float) -> MovingViews:
+def ring_moving_views(scene: Scene, move: AdvancePolicy, after_s: float) -> MovingViews:
     """The ring as the scene's trajectory has it."""
     views = ring_views(scene)
     return MovingViews([view.name for view in views], lambda k: ring_stage(scene, views[k], k), move, after_s)
 
 
-def board_moving_views(scene: Scene, boards: BoardSet, move: Move, after_s: float) -> MovingViews:
+def board_moving_views(scene: Scene, boards: BoardSet, move: AdvancePolicy, after_s: float) -> MovingViews:
     """A calibration board in the places that the scene has for it."""
     places = board_places(scene, boards)
     names = [place.name for place in places]
@@ -120,7 +122,7 @@ def board_moving_views(scene: Scene, boards: BoardSet, move: Move, after_s: floa
 
 
 def _electrons(
-    stage: Stage, began_s: float, exposure_s: float, shares: Float64[Array, "laser"]
+    stage: RenderedView, began_s: float, exposure_s: float, shares: Float64[Array, "laser"]
 ) -> Float32[Array, "row column"]:
     rate = stage.ambient_during(began_s, exposure_s)
     for share, stripe in zip(shares.tolist(), stage.laser, strict=True):

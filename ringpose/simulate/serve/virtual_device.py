@@ -11,11 +11,11 @@ from ringpose.simulate.exposure import view_exposure_s
 from ringpose.simulate.pipeline import ring_stand
 from ringpose.simulate.placement import ring_views
 from ringpose.simulate.serve.device import ServedCamera
-from ringpose.simulate.serve.faults import Faults
+from ringpose.simulate.serve.faults import InjectedFaults
 from ringpose.simulate.serve.genicam import Identity
-from ringpose.simulate.serve.relays import Contacts, ServedRelays
+from ringpose.simulate.serve.relays import RelayContacts, ServedRelays
 from ringpose.simulate.serve.views import MovingViews, SceneExposures, board_moving_views, ring_moving_views
-from ringpose.types.options import Move, Relay, Show
+from ringpose.types.options import AdvancePolicy, Relay, ServedTarget
 from ringpose.types.scene import BoardSet, Scene
 from ringpose.wire.ascii_relays import AsciiCodec
 from ringpose.wire.lcus import LcusCodec
@@ -41,16 +41,16 @@ class Setup:
 
     address: str = "127.0.0.1"
     relay: Relay = Relay.NONE
-    show: Show = Show.RING
-    move: Move = Move.PAUSE
+    show: ServedTarget = ServedTarget.RING
+    move: AdvancePolicy = AdvancePolicy.PAUSE
     after_s: float = 1.0
     """Length of the pause, or of the time, after which the next view comes."""
     warm_up_s: float = 0.0
     """Time in which a laser comes to 63 % of its power."""
-    faults: Faults = field(default_factory=Faults)
+    faults: InjectedFaults = field(default_factory=InjectedFaults)
 
 
-class StandIn:
+class VirtualDevice:
     """Serves while its block lasts."""
 
     def __init__(self, scene: Scene, setup: Setup, noted: Callable[[Mapping[str, Any]], None] | None = None) -> None:
@@ -61,11 +61,11 @@ class StandIn:
         self._lasers = len(scene.rig.lasers.names)
         self._relays = _relays(setup, self._lasers)
         self._contacts = (
-            Contacts(self._lasers, setup.faults.contacts) if self._relays is None else self._relays.contacts
+            RelayContacts(self._lasers, setup.faults.contacts) if self._relays is None else self._relays.contacts
         )
         self._stack = ExitStack()
 
-    def __enter__(self) -> "StandIn":
+    def __enter__(self) -> "VirtualDevice":
         with ExitStack() as stack:
             exposures = stack.enter_context(self._exposures())
             if self._relays is not None:
@@ -106,9 +106,9 @@ class StandIn:
 
     def _boards(self) -> BoardSet | None:
         show, scene = self._setup.show, self._scene
-        if show is Show.RING:
+        if show is ServedTarget.RING:
             return None
-        boards = scene.camera_boards if show is Show.CAMERA_BOARD else scene.plane_boards
+        boards = scene.camera_boards if show is ServedTarget.CAMERA_BOARD else scene.plane_boards
         if boards is None:
             raise DataError("the scene", f"has no {show}", "give it one under boards")
         return boards

@@ -6,8 +6,8 @@ from served_scene import small_scene
 from ringpose.capture.cameras.aravis import AravisCamera
 from ringpose.capture.uri import DeviceUri
 from ringpose.simulate.serve.faults import parsed_faults
-from ringpose.simulate.serve.virtual_device import Setup, StandIn
-from ringpose.types.options import Move
+from ringpose.simulate.serve.virtual_device import Setup, VirtualDevice
+from ringpose.types.options import AdvancePolicy
 
 
 @pytest.fixture
@@ -15,10 +15,10 @@ def serve(tmp_path, loopback_address):
     """Start a stand-in with faults."""
     started = []
 
-    def started_stand_in(*faults: str, **setup) -> StandIn:
+    def started_stand_in(*faults: str, **setup) -> VirtualDevice:
         scene = small_scene(tmp_path)
-        whole = Setup(address=loopback_address, move=Move.NEVER, faults=parsed_faults(faults, 3), **setup)
-        started.append(StandIn(scene, whole).__enter__())
+        whole = Setup(address=loopback_address, move=AdvancePolicy.NEVER, faults=parsed_faults(faults, 3), **setup)
+        started.append(VirtualDevice(scene, whole).__enter__())
         return started[-1]
 
     yield started_stand_in

@@ -12,7 +12,7 @@ import pytest
 from forked import Forked
 from small_rig import SMALL_RIG
 
-from ringpose.simulate.serve.relays import ContactFaults, ServedRelays
+from ringpose.simulate.serve.relays import RelayFaults, ServedRelays
 from ringpose.wire.ascii_relays import AsciiCodec
 from ringpose.wire.lcus import LcusCodec
 from ringpose.wire.modbus import ModbusCodec
@@ -59,7 +59,7 @@ class Unguarded(LaserDriver):
     def close(self):
         self.port.close()
 
-relays.GuardedLasers = Unguarded
+relays.WatchdogLasers = Unguarded
 """
 """Put before the command: it opens the port itself, as it would without the guard."""
 
@@ -69,7 +69,7 @@ def board() -> Callable[..., Any]:
     """Serves a board by its scheme; `uri` is what capture is given."""
 
     @contextmanager
-    def served(scheme: str, faults: ContactFaults | None = None) -> Iterator[tuple[ServedRelays, str]]:
+    def served(scheme: str, faults: RelayFaults | None = None) -> Iterator[tuple[ServedRelays, str]]:
         codec, uri = BOARDS[scheme]
         with ServedRelays(codec, faults=faults) as relays:
             yield relays, uri.format(port=relays.port)

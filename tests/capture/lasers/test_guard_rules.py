@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from ringpose.capture.lasers.relay_board import RelayBoard, RelaySettings, settings_of_line
-from ringpose.capture.lasers.watchdog_process import GuardRules
+from ringpose.capture.lasers.watchdog_process import WatchdogParams
 from ringpose.errors import DeviceError
 
 SETTINGS = RelaySettings(scheme="lcus", port="port", relays=(0, 1, 2), heartbeat_s=1.0, longest_on_s=5.0)
@@ -43,7 +43,7 @@ def clock():
 
 
 def rules(board, clock, dangers=(), **changes):
-    return GuardRules(board, replace(SETTINGS, **changes), dangers, clock)
+    return WatchdogParams(board, replace(SETTINGS, **changes), dangers, clock)
 
 
 def test_orders_are_answered_by_their_number(clock):

@@ -12,7 +12,7 @@ from guarded_lasers import lasers_at, lit
 
 from ringpose.capture.lasers.driver import LasersWentOff
 from ringpose.errors import DeviceError, LaserSafetyError
-from ringpose.simulate.serve.relays import ContactFaults
+from ringpose.simulate.serve.relays import RelayFaults
 
 ALL_SCHEMES = ["lcus", "numato", "modbus", "ascii"]
 
@@ -157,9 +157,9 @@ def test_lasers_go_off_when_the_door_opens_and_stay_off(board, time_until, monke
 
 def test_a_timed_pulse_ends_even_if_capture_and_guard_are_killed_together(board, time_until):
     program = (
-        "import os, signal, sys, time; from ringpose.capture.lasers.watchdog import GuardedLasers; "
+        "import os, signal, sys, time; from ringpose.capture.lasers.watchdog import WatchdogLasers; "
         "from ringpose.capture.lasers.relay_board import settings_of_line; "
-        "lasers = GuardedLasers(settings_of_line(sys.argv[1])); lasers.open(); lasers.set_mask(7); "
+        "lasers = WatchdogLasers(settings_of_line(sys.argv[1])); lasers.open(); lasers.set_mask(7); "
         "print(lasers.guard_pid, flush=True); time.sleep(60)"
     )
     with board("modbus") as (relays, uri):
@@ -178,9 +178,9 @@ def test_a_timed_pulse_ends_even_if_capture_and_guard_are_killed_together(board,
 
 def test_a_child_that_outlives_the_capture_does_not_keep_the_lasers_on(board, time_until):
     program = (
-        "import os, sys, time; from ringpose.capture.lasers.watchdog import GuardedLasers; "
+        "import os, sys, time; from ringpose.capture.lasers.watchdog import WatchdogLasers; "
         "from ringpose.capture.lasers.relay_board import settings_of_line; "
-        "lasers = GuardedLasers(settings_of_line(sys.argv[1])); lasers.open(); lasers.set_mask(7); "
+        "lasers = WatchdogLasers(settings_of_line(sys.argv[1])); lasers.open(); lasers.set_mask(7); "
         "os.fork() or time.sleep(3); print('lit', flush=True); time.sleep(60)"
     )
     with board("lcus") as (relays, uri):
@@ -197,7 +197,7 @@ def test_a_child_that_outlives_the_capture_does_not_keep_the_lasers_on(board, ti
 
 
 def test_a_stuck_contact_is_not_seen_by_a_board_that_reports_its_coils(board):
-    with board("lcus", ContactFaults(stuck=frozenset({1}))) as (relays, uri):
+    with board("lcus", RelayFaults(stuck=frozenset({1}))) as (relays, uri):
         lasers = lasers_at(uri)
         with lasers:
             lasers.set_mask(0b010)

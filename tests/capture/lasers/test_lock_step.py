@@ -8,7 +8,7 @@ from ringpose.capture.lasers.driver import LaserPlace
 from ringpose.capture.pipeline import Procedure, captured_shots
 from ringpose.capture.uri import LASERS, device_uri, driver
 from ringpose.errors import DeviceError, LaserSafetyError
-from ringpose.simulate.serve.relays import ContactFaults, ServedRelays
+from ringpose.simulate.serve.relays import RelayFaults, ServedRelays
 from ringpose.types.sequence import parsed_sequence
 from ringpose.wire.lcus import LcusCodec
 
@@ -59,7 +59,7 @@ def test_without_a_dark_frame_nobody_knows_what_is_seen(shots_of, sequence):
 
 
 def test_relays_that_follow_late_are_waited_for(shots_of):
-    late = ContactFaults(operate_s=0.008, release_s=0.008)
+    late = RelayFaults(operate_s=0.008, release_s=0.008)
 
     shots, camera = shots_of(procedure(settle_s=0.0), late, names="abc")
 
@@ -82,15 +82,15 @@ def test_a_laser_that_is_hidden_now_and_then_does_not_make_the_capture_slower(bo
 
 
 def test_lasers_are_waited_for_no_longer_than_the_guard_allows(shots_of, monkeypatch):
-    monkeypatch.setattr("ringpose.capture.lasers.watchdog.GuardedLasers.longest_on_s", 0.3)
+    monkeypatch.setattr("ringpose.capture.lasers.watchdog.WatchdogLasers.longest_on_s", 0.3)
 
-    (shot,), _ = shots_of(procedure("off,1", settle_s=0.13), ContactFaults(late_s={0: 0.14}))
+    (shot,), _ = shots_of(procedure("off,1", settle_s=0.13), RelayFaults(late_s={0: 0.14}))
 
     assert shot.meta["settle_s"] == pytest.approx(0.24)
 
 
 def test_every_image_shows_the_lasers_of_its_mask_and_no_other(shots_of):
-    late = ContactFaults(operate_s=0.01, release_s=0.01, late_s={1: 0.02})
+    late = RelayFaults(operate_s=0.01, release_s=0.01, late_s={1: 0.02})
 
     shots, _ = shots_of(procedure(settle_s=0.0), late, names=list("abcdef"))
 
@@ -101,11 +101,11 @@ def test_every_image_shows_the_lasers_of_its_mask_and_no_other(shots_of):
 
 def test_a_laser_that_stays_dark_is_an_error_after_three_attempts(shots_of):
     with pytest.raises(DeviceError, match="laser 2 was commanded but not seen, 3 times; does it shine"):
-        shots_of(procedure(), ContactFaults(dead=frozenset({1})))
+        shots_of(procedure(), RelayFaults(dead=frozenset({1})))
 
 
 def test_a_laser_that_stays_dark_may_be_allowed_to(shots_of):
-    (shot,), _ = shots_of(procedure(must_see=False), ContactFaults(dead=frozenset({1})))
+    (shot,), _ = shots_of(procedure(must_see=False), RelayFaults(dead=frozenset({1})))
 
     assert shot.seen_lasers.tolist() == [0, 1, 0, 4, 0]
 
@@ -114,7 +114,7 @@ def test_a_laser_that_stays_dark_may_be_allowed_to(shots_of):
 @pytest.mark.parametrize("must_see", [True, False])
 def test_a_welded_contact_is_a_safety_fault_though_the_board_reports_it_open(shots_of, scheme, must_see):
     with pytest.raises(LaserSafetyError, match="laser 2 was seen while all are off; cut the power"):
-        shots_of(procedure(must_see=must_see), ContactFaults(stuck=frozenset({1})), scheme=scheme)
+        shots_of(procedure(must_see=must_see), RelayFaults(stuck=frozenset({1})), scheme=scheme)
 
 
 def test_a_contact_that_welds_between_two_shots_is_a_safety_fault(board, rng):
@@ -125,7 +125,7 @@ def test_a_contact_that_welds_between_two_shots_is_a_safety_fault(board, rng):
         with camera, lasers:
             shots = captured_shots(camera, lasers, procedure(), ["a", "b"])
             next(shots)
-            relays.contacts.faults = ContactFaults(stuck=frozenset({2}))
+            relays.contacts.faults = RelayFaults(stuck=frozenset({2}))
             relays.contacts.command(2, True, 0.0)
 
             with pytest.raises(LaserSafetyError, match="laser 3 was seen while all are off"):
@@ -134,7 +134,7 @@ def test_a_contact_that_welds_between_two_shots_is_a_safety_fault(board, rng):
 
 def test_a_laser_that_burns_from_the_beginning_is_a_safety_fault(shots_of):
     with pytest.raises(LaserSafetyError, match="laser 1 was not seen to go on or off, and a stripe shows"):
-        shots_of(procedure(), ContactFaults(welded=frozenset({0})))
+        shots_of(procedure(), RelayFaults(welded=frozenset({0})))
 
 
 @pytest.mark.parametrize("frame", [2, 4, 7])
@@ -187,7 +187,7 @@ SLOW = pytest.mark.slow
 def test_the_settling_time_is_measured_once(shots_of, delay_s):
     how = procedure(settle_s=None)
 
-    shots, _ = shots_of(how, ContactFaults(operate_s=delay_s / 2, release_s=delay_s), names="ab")
+    shots, _ = shots_of(how, RelayFaults(operate_s=delay_s / 2, release_s=delay_s), names="ab")
 
     settle_s = shots[0].meta["settle_s"]
     assert delay_s < settle_s < 1.25 * (delay_s + 0.05)
@@ -197,7 +197,7 @@ def test_the_settling_time_is_measured_once(shots_of, delay_s):
 
 def test_what_does_not_show_cannot_be_measured(shots_of):
     with pytest.raises(DeviceError, match="no laser shows in the image"):
-        shots_of(procedure(settle_s=None), ContactFaults(dead=frozenset({0, 1, 2})))
+        shots_of(procedure(settle_s=None), RelayFaults(dead=frozenset({0, 1, 2})))
 
 
 @pytest.mark.parametrize("count", [1, 2, 5, 8])

@@ -7,8 +7,8 @@ import pytest
 from other_client import Port
 from served_scene import small_scene
 
-from ringpose.simulate.serve.virtual_device import Setup, StandIn
-from ringpose.types.options import Move
+from ringpose.simulate.serve.virtual_device import Setup, VirtualDevice
+from ringpose.types.options import AdvancePolicy
 
 
 @pytest.fixture
@@ -18,7 +18,9 @@ def notes():
 
 @pytest.fixture
 def served(tmp_path, loopback_address, notes):
-    with StandIn(small_scene(tmp_path), Setup(address=loopback_address, move=Move.NEVER), notes.append) as stand_in:
+    with VirtualDevice(
+        small_scene(tmp_path), Setup(address=loopback_address, move=AdvancePolicy.NEVER), notes.append
+    ) as stand_in:
         yield stand_in
 
 

@@ -8,7 +8,7 @@ from contextlib import suppress
 
 import pytest
 
-from ringpose.simulate.serve.relays import ContactFaults, Contacts, ServedRelays
+from ringpose.simulate.serve.relays import RelayContacts, RelayFaults, ServedRelays
 from ringpose.wire.ascii_relays import AsciiCodec
 from ringpose.wire.lcus import LcusCodec
 from ringpose.wire.modbus import ModbusCodec, crc
@@ -135,17 +135,17 @@ def test_a_board_ends_though_nobody_reads_its_answers(name):
 @pytest.mark.parametrize(
     ("faults", "masks"),
     [
-        (ContactFaults(), [0, 1, 1, 0, 0]),
-        (ContactFaults(operate_s=0.25), [0, 0, 1, 0, 0]),
-        (ContactFaults(release_s=0.25), [0, 1, 1, 1, 0]),
-        (ContactFaults(late_s={0: 0.25}), [0, 0, 1, 1, 0]),
-        (ContactFaults(stuck=frozenset({0})), [0, 1, 1, 1, 1]),
-        (ContactFaults(welded=frozenset({0})), [1, 1, 1, 1, 1]),
-        (ContactFaults(dead=frozenset({0})), [0, 0, 0, 0, 0]),
+        (RelayFaults(), [0, 1, 1, 0, 0]),
+        (RelayFaults(operate_s=0.25), [0, 0, 1, 0, 0]),
+        (RelayFaults(release_s=0.25), [0, 1, 1, 1, 0]),
+        (RelayFaults(late_s={0: 0.25}), [0, 0, 1, 1, 0]),
+        (RelayFaults(stuck=frozenset({0})), [0, 1, 1, 1, 1]),
+        (RelayFaults(welded=frozenset({0})), [1, 1, 1, 1, 1]),
+        (RelayFaults(dead=frozenset({0})), [0, 0, 0, 0, 0]),
     ],
 )
 def test_contacts_follow_their_coils_as_their_faults_let_them(faults, masks):
-    contacts = Contacts(1, faults)
+    contacts = RelayContacts(1, faults)
 
     contacts.command(0, True, 1.0)
     contacts.command(0, False, 2.0)
@@ -154,7 +154,7 @@ def test_contacts_follow_their_coils_as_their_faults_let_them(faults, masks):
 
 
 def test_the_share_of_an_exposure_in_which_a_laser_shines():
-    contacts = Contacts(2)
+    contacts = RelayContacts(2)
 
     contacts.command(1, True, 10.0)
     contacts.command(1, False, 10.5)

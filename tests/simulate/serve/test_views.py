@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from served_scene import small_scene
 
-from ringpose.simulate.renderer import Stage
-from ringpose.simulate.serve.relays import ContactFaults, Contacts
+from ringpose.simulate.renderer import RenderedView
+from ringpose.simulate.serve.relays import RelayContacts, RelayFaults
 from ringpose.simulate.serve.views import MovingViews, SceneExposures, ring_moving_views
-from ringpose.types.options import Move
+from ringpose.types.options import AdvancePolicy
 from ringpose.types.scene import Beacon, Light, Sensor
 
 
@@ -20,8 +20,8 @@ def scene(tmp_path):
     return small_scene(tmp_path)
 
 
-def exposures(scene, contacts: Contacts, warm_up_s: float = 0.0) -> SceneExposures:
-    return SceneExposures(ring_moving_views(scene, Move.NEVER, 0.0), scene.sensor, contacts, warm_up_s)
+def exposures(scene, contacts: RelayContacts, warm_up_s: float = 0.0) -> SceneExposures:
+    return SceneExposures(ring_moving_views(scene, AdvancePolicy.NEVER, 0.0), scene.sensor, contacts, warm_up_s)
 
 
 @pytest.mark.parametrize(
@@ -30,7 +30,7 @@ def exposures(scene, contacts: Contacts, warm_up_s: float = 0.0) -> SceneExposur
     ids=["on", "too late", "half", "a quarter", "never"],
 )
 def test_a_laser_shines_into_an_exposure_as_long_as_it_is_on(scene, on_s, off_s, share):
-    contacts = Contacts(3)
+    contacts = RelayContacts(3)
     contacts.command(1, True, on_s)
     contacts.command(1, False, off_s)
 
@@ -41,7 +41,7 @@ def test_a_laser_shines_into_an_exposure_as_long_as_it_is_on(scene, on_s, off_s,
 
 
 def test_a_cold_laser_grows_brighter_as_it_warms_up(scene):
-    contacts = Contacts(3)
+    contacts = RelayContacts(3)
     contacts.command(0, True, 1.0)
 
     with exposures(scene, contacts, warm_up_s=0.03) as seen:
@@ -51,7 +51,7 @@ def test_a_cold_laser_grows_brighter_as_it_warms_up(scene):
 
 
 def test_grey_values_follow_exposure_and_gain(scene):
-    with exposures(scene, Contacts(3)) as seen:
+    with exposures(scene, RelayContacts(3)) as seen:
         short, longer, amplified = (
             float(seen.image(0.0, exposure_s, gain_db, 12)[0].mean()) - 16 * scene.sensor.black_level_dn
             for exposure_s, gain_db in ((0.002, 0.0), (0.008, 0.0), (0.002, 6.0206))
@@ -65,23 +65,23 @@ def test_a_beacon_shines_into_the_exposures_of_its_time(scene):
     light = Light(name="dim", ambient_w_m2=0.3, beacon=Beacon(ambient_w_m2=8.0, on_s=0.45, off_s=0.45, phase_s=2.0))
     lit = replace(scene, lights={"dim": light})
 
-    with exposures(lit, Contacts(3)) as seen:
+    with exposures(lit, RelayContacts(3)) as seen:
         on, off = (seen.image(began_s, 0.0004, 0.0, 12)[0].mean() - 16 * 2.0 for began_s in (2.1, 2.5))
 
     assert on / off == pytest.approx(8.3 / 0.3, rel=0.1)
 
 
 def test_twelve_bits_hold_sixteen_times_the_grey_value(scene):
-    with exposures(scene, Contacts(3, ContactFaults(welded=frozenset({1})))) as seen:
+    with exposures(scene, RelayContacts(3, RelayFaults(welded=frozenset({1})))) as seen:
         coarse, fine = (seen.image(0.0, 0.005, 0.0, bits)[0] for bits in (8, 12))
 
     assert (coarse.dtype, fine.dtype) == (np.uint8, np.uint16)
     assert fine.mean() / coarse.mean() == pytest.approx(16.0, rel=0.01)
 
 
-def stage(number: int) -> Stage:
+def stage(number: int) -> RenderedView:
     layer = np.full((1, 1), number, dtype=np.float32)
-    return Stage(sensor=Sensor(), ambient=layer, laser=layer[None], generator=np.random.default_rng(0))
+    return RenderedView(sensor=Sensor(), ambient=layer, laser=layer[None], generator=np.random.default_rng(0))
 
 
 def shown(move, after_s: float, looks_s) -> list[str]:
@@ -95,12 +95,12 @@ def shown(move, after_s: float, looks_s) -> list[str]:
 
 
 def test_the_next_view_comes_in_a_pause():
-    assert shown(Move.PAUSE, 0.3, [0.0, 0.2, 0.4, 0.8, 0.9, 1.5, 9.0]) == ["a", "a", "a", "b", "b", "c", "c"]
+    assert shown(AdvancePolicy.PAUSE, 0.3, [0.0, 0.2, 0.4, 0.8, 0.9, 1.5, 9.0]) == ["a", "a", "a", "b", "b", "c", "c"]
 
 
 def test_the_next_view_comes_after_a_time():
-    assert shown(Move.TIME, 0.3, [0.0, 0.2, 0.4, 0.5, 0.8]) == ["a", "a", "b", "b", "c"]
+    assert shown(AdvancePolicy.TIME, 0.3, [0.0, 0.2, 0.4, 0.5, 0.8]) == ["a", "a", "b", "b", "c"]
 
 
 def test_a_view_may_stay():
-    assert shown(Move.NEVER, 0.0, [0.0, 5.0]) == ["a", "a"]
+    assert shown(AdvancePolicy.NEVER, 0.0, [0.0, 5.0]) == ["a", "a"]
