@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ringpose.geometry.robust import huber_weights
 from ringpose.pose.measurements import Measurements, Observations
 from ringpose.pose.nuisance import ByRig, RigErrors, rows_by_common_errors
 from ringpose.pose.residuals import (
@@ -212,8 +213,7 @@ def _robust_rows(measured: Measurements) -> slice:
 
 def _weights(residual: Float64[Array, "row"], robust: slice) -> Float64[Array, "row"]:
     weight = np.ones(len(residual))
-    size = np.abs(residual[robust])
-    weight[robust] = HUBER_SIGMAS / np.maximum(size, HUBER_SIGMAS)
+    weight[robust] = huber_weights(residual[robust], HUBER_SIGMAS)
     return weight
 
 

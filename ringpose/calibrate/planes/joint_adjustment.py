@@ -16,7 +16,7 @@ from ringpose.calibrate.camera.parameters import camera_with, parameter_names, p
 from ringpose.calibrate.planes.stripe_errors import center_sigma_px, shared_length, stripe_bend, stripe_rows
 from ringpose.errors import DataError
 from ringpose.geometry.rays import rays, undistorted_pixels
-from ringpose.geometry.robust import robust_std
+from ringpose.geometry.robust import huber_weights, robust_std
 from ringpose.geometry.rotations import tilted
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose
@@ -211,9 +211,7 @@ def _rays(data: JointData, state: JointState, index: int) -> tuple[Float64[Array
 
 def _huber(residual: Float64[Array, "n"]) -> Float64[Array, "n"]:
     """Weights; a stripe that lies aside as a whole has a scatter as large, and loses no single centres."""
-    scale = max(1.0, robust_std(residual))
-    weight: Float64[Array, "n"] = np.minimum(1.0, ROBUST_SIGMAS * scale / np.maximum(np.abs(residual), 1e-12))
-    return weight
+    return huber_weights(residual, ROBUST_SIGMAS * max(1.0, robust_std(residual)))
 
 
 def _shared_step(

@@ -244,7 +244,7 @@ def test_the_manual_lists_every_limit(views):
     boards = [replace(view, marker_size_ratio=(1.0, 1.0)) for view in views(8)]
     found = calibrate_camera(boards, 1600, 1200)
     verdict = camera_verdict(found, camera_assessment(found, boards, PLUMB_BOB), 8)
-    page = (Path(__file__).parents[2] / "man" / "ringpose-calibrate-camera.1").read_text()
+    page = (Path(__file__).parents[3] / "man" / "ringpose-calibrate-camera.1").read_text()
 
     listed = re.findall(r"^\.It (\w+) Ta (\S+) Ta (\S+)$", page, re.MULTILINE)
 
