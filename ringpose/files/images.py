@@ -1,11 +1,12 @@
 """Images: PNG, TIFF, BMP, JPEG, PGM as arrays of grey values."""
 
 import os
+import re
 import struct
 import threading
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -101,39 +102,63 @@ def _pgm_pixels(encoded: bytes, header: ImageHeader, path: Path) -> UInt[Array, 
 
 def _decoded(encoded: bytes, path: Path) -> Any:
     """Pixels; what a codec reports as damage is an error, even where it goes on with pixels that it made up."""
-    messages = bytearray()
-    with silent_opencv(), _caught_stderr(messages):
+    with silent_opencv(), _codec_reports() as reports:
         try:
             decoded = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_UNCHANGED)
         except cv2.error:
             decoded = None
-    reports = [line for line in messages.decode(errors="replace").splitlines() if not line.startswith(_HARMLESS)]
-    if decoded is None or reports:
-        reason = f": {reports[0]}" if reports else ""
+    damage = [report for report in reports if _DAMAGE.match(report)]
+    if decoded is None or (damage and not (len(damage) == 1 and _is_padding(encoded, damage[0]))):
+        reason = f": {damage[0].decode(errors='replace')}" if damage else ""
         raise DataError(str(path), f"is an image that is damaged or cut short{reason}", _REMEDY)
     return decoded
 
 
-_HARMLESS = ("libpng warning", "Warning: unknown JFIF revision number", "Invalid SOS parameters")
-"""Reports that do not concern the pixels: of colour profiles, texts, versions."""
+_DAMAGE = re.compile(rb"libpng error|Corrupt JPEG data(?!: bad ICC)|Premature end of JPEG|Inconsistent progression")
+"""Reports that concern the pixels; others are of colour profiles, texts, versions (libpng's pngerror.c, libjpeg's
+jerror.h)."""
+
+_REPORT = re.compile(
+    rb"(?:libpng (?:error|warning): |Corrupt JPEG data: |Premature end of JPEG |Inconsistent progression |"
+    rb"Invalid SOS parameters |Unknown Adobe color |Warning: unknown JFIF )[^\n\x1b]*\n?"
+)
+"""What libpng and libjpeg write."""
+
+_EXTRANEOUS = re.compile(rb"Corrupt JPEG data: (\d+) extraneous bytes before marker 0xd9")
+
+
+def _is_padding(encoded: bytes, report: bytes) -> bool:
+    """Whether a report is of bytes of one value between the last pixels and the end marker.
+
+    Webcams pad the frames of motion JPEG so. Other bytes there may be pixels that were moved by damage before them.
+    """
+    found = _EXTRANEOUS.match(report)
+    end = encoded.find(b"\xff\xd9", encoded.find(b"\xff\xda"))
+    return found is not None and len(set(encoded[max(0, end - int(found[1])) : end].rstrip(b"\xff"))) <= 1
 
 
 @contextmanager
-def _caught_stderr(messages: bytearray) -> Iterator[None]:
-    """What the process writes on stderr while the block runs is appended to the messages.
+def _codec_reports() -> Iterator[list[bytes]]:
+    """What libpng and libjpeg write on stderr while the block runs, a line each, once it has ended.
 
-    libpng and libjpeg write there by themselves; OpenCV has no setting against it.
+    They write there by themselves; OpenCV has no setting against it. What other threads write there meanwhile, such as
+    progress, is passed on afterwards.
     """
+    reports: list[bytes] = []
     with _stderr_lock, os.fdopen(os.memfd_create("stderr"), "w+b") as caught:
         saved = os.dup(_STDERR)
         try:
             os.dup2(caught.fileno(), _STDERR)
-            yield
+            yield reports
         finally:
             os.dup2(saved, _STDERR)
             os.close(saved)
             caught.seek(0)
-            messages += caught.read()
+            written = caught.read()
+            reports += [report.strip() for report in _REPORT.findall(written)]
+            if others := _REPORT.sub(b"", written):
+                with suppress(OSError):
+                    os.write(_STDERR, others)
 
 
 def _grey(decoded: Any, channel: str | None) -> UInt[Array, "row column"]:

@@ -1,4 +1,6 @@
+import os
 import struct
+import threading
 import zlib
 from pathlib import Path
 
@@ -130,6 +132,49 @@ def test_damaged_jpeg_is_refused_although_it_can_be_decoded(tmp_path, rng, capfd
         read_image(tmp_path / "a.jpg")
 
     assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("padding", [bytes(16), b"\x7f" * 16, b"\xff" * 16, bytes(9) + b"\xff" * 9])
+def test_jpeg_with_padding_before_its_end_marker_is_read(tmp_path, rng, capfd, padding):
+    """As webcams write the frames of motion JPEG."""
+    whole = encoded(".jpg", grey(rng))
+    (tmp_path / "a.jpg").write_bytes(whole[:-2] + padding + b"\xff\xd9")
+
+    read = read_image(tmp_path / "a.jpg")
+
+    np.testing.assert_array_equal(read, cv2.imdecode(np.frombuffer(whole, np.uint8), cv2.IMREAD_UNCHANGED))
+    assert capfd.readouterr().err == ""
+
+
+def test_jpeg_with_pixels_that_are_left_over_is_refused(tmp_path, rng):
+    """A packet that was stored twice moves all pixels after it, and the last ones remain before the end marker."""
+    whole = encoded(".jpg", grey(rng))
+    middle = len(whole) // 2
+    (tmp_path / "a.jpg").write_bytes(whole[:middle] + whole[middle - 200 : middle] + whole[middle:])
+
+    with pytest.raises(DataError, match="damaged"):
+        read_image(tmp_path / "a.jpg")
+
+
+def test_what_other_threads_write_meanwhile_is_passed_on_and_is_not_damage(tmp_path, rng, capfd):
+    (tmp_path / "a.png").write_bytes(encoded(".png", rng.integers(0, 256, (800, 800), dtype=np.uint8)))
+    written, stop = [], threading.Event()
+
+    def show_progress() -> None:
+        while not stop.is_set():
+            written.append(b"\x1b[2K3 shots\n")
+            os.write(2, written[-1])
+
+    thread = threading.Thread(target=show_progress)
+    thread.start()
+    try:
+        for _ in range(10):
+            read_image(tmp_path / "a.png")
+    finally:
+        stop.set()
+        thread.join()
+
+    assert capfd.readouterr().err.encode() == b"".join(written)
 
 
 def test_log_of_opencv_is_what_it_was_after_an_image_was_read(tmp_path, rng, capfd):
