@@ -20,6 +20,8 @@ import threading
 import time
 
 SCHEMA = "ringpose/pose/1"
+MAX_DISTANCE_M = 5.0  # a ring is never measured from farther away; a larger number is in millimetres
+MAX_ROUNDING = 1e-3  # of the length of a unit vector
 HOLD_FLAGS = {"grasp_weak", "normal_weak", "inconsistent", "assignment_ambiguous"}  # other flags concern other numbers
 
 
@@ -78,12 +80,20 @@ def record_in(line):
     check(record["schema"] == SCHEMA, f"schema is {record['schema']!r:.40}, not {SCHEMA}")
     check_keys(record, ["shot", "stamp_s", "frame", "status", "reason", "flags", "pose"], "the record")
     check(is_number(record["stamp_s"]), f"stamp_s is {record['stamp_s']!r:.20}, not a number")
-    check(isinstance(record["flags"], list), "flags is not a list")
+    check(isinstance(record["shot"], str), "shot is not a text")
+    flags, health = record["flags"], record.get("laser_health") or {}
+    check(isinstance(flags, list) and all(isinstance(flag, str) for flag in flags), "flags is not a list of texts")
+    check(isinstance(health, dict), "laser_health is not a JSON object")
+    check(all(figure is None or is_number(figure) for figure in health.values()), "laser_health has no numbers")
     pose = record["pose"]
     if pose is not None:
         check_keys(pose, ["grasp_m", "normal", "covariance"], "pose")
         for key in ("grasp_m", "normal"):
             check(pose[key] is None or is_vector(pose[key]), f"{key} is not a vector of three numbers")
+        if pose["normal"] is not None:
+            check(abs(math.hypot(*pose["normal"]) - 1) < MAX_ROUNDING, "normal has not length 1")
+        if pose["grasp_m"] is not None and record["frame"] == "camera":
+            check(math.hypot(*pose["grasp_m"]) < MAX_DISTANCE_M, f"grasp_m is not within {MAX_DISTANCE_M} m")
         if pose["covariance"] is not None:
             check_keys(pose["covariance"], ["full", "grasp"], "covariance")
     return record
@@ -110,12 +120,10 @@ def obstacle(record, limits, now_s):
         return f"the pose is in the frame {record['frame']!r:.20}, not {limits.frame}"
     if pose is None or record["status"] not in ("ok", "degraded"):
         return record["reason"] or f"status is {record['status']!r:.20}"
-    flags = [str(flag) for flag in record["flags"]]
-    if pose["grasp_m"] is None or pose["normal"] is None or HOLD_FLAGS.intersection(flags):
-        return record["reason"] or ", ".join(flags) or "grasp point or normal is not determined"
-    health = record.get("laser_health")
-    health = health.values() if isinstance(health, dict) else []
-    if any(isinstance(figure, int | float) and figure > limits.health for figure in health):
+    if pose["grasp_m"] is None or pose["normal"] is None or HOLD_FLAGS.intersection(record["flags"]):
+        return record["reason"] or ", ".join(record["flags"]) or "grasp point or normal is not determined"
+    health = (record.get("laser_health") or {}).values()
+    if any(figure is not None and figure > limits.health for figure in health):
         return "a light plane or the camera has moved"
     known = standard_deviations(pose["covariance"])
     if known is None:
