@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ringpose.files.covariances import checked_covariance
 from ringpose.files.schema import Fields
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.options import PoseFrame
@@ -117,7 +118,7 @@ def _pose_of(fields: Fields, flags: PoseFlag) -> RingPose:
     covariance = fields.fields("covariance", _COVARIANCE_KEYS) if fields.has("covariance") else None
     return RingPose(
         center_m=_vector(fields, "center_m"),
-        normal=_vector(fields, "normal"),
+        normal=fields.unit_vector("normal") if fields.has("normal") else np.full(3, np.nan),
         radius_inner_m=_number(fields, "radius_inner_m"),
         radius_outer_m=_number(fields, "radius_outer_m"),
         grasp_m=_vector(fields, "grasp_m"),
@@ -137,7 +138,7 @@ def _flags(fields: Fields) -> PoseFlag:
     known = {str(flag.name).lower(): flag for flag in PoseFlag}
     for name in fields.texts("flags"):
         if name not in known:
-            raise fields.problem("flags", f"unknown flag {name!r}")
+            raise fields.problem("flags", f"unknown flag {name!r}", "give the output of this version of ringpose pose")
         flags |= known[name]
     return flags
 
@@ -167,6 +168,6 @@ def _covariance(fields: Fields | None, key: str, size: int) -> Float64[Array, "n
     unknown = np.isnan(np.diagonal(matrix))
     if (np.isnan(matrix) != (unknown[:, None] | unknown)).any() or (key != "full" and unknown.any()):
         raise fields.problem(key, "has a null among numbers", "give the output of ringpose pose unchanged")
-    if (np.diagonal(matrix)[~unknown] < 0).any():
-        raise fields.problem(key, "has a negative variance", "give the output of ringpose pose unchanged")
+    known = np.ix_(~unknown, ~unknown)
+    matrix[known] = checked_covariance(fields, key, matrix[known])
     return matrix

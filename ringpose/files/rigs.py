@@ -10,7 +10,8 @@ import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.files import atomic
-from ringpose.files.cameras.ros import CAMERA_KEYS, camera_of, camera_values, covariance_values, read_covariance
+from ringpose.files.cameras.ros import CAMERA_KEYS, camera_of, camera_values
+from ringpose.files.covariances import covariance_values, read_covariance
 from ringpose.files.io import read_bytes
 from ringpose.files.provenance import provenance
 from ringpose.files.schema import ROUNDED, Fields

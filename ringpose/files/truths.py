@@ -46,7 +46,7 @@ def truth_of(fields: Fields) -> Truth:
     return Truth(
         shot=fields.text("shot"),
         expect=cast(Literal["pose", "partial", "no_target"], fields.choice("expect", _EXPECT)),
-        center_m=fields.vector("center_m", 3) if fields.has("center_m") else None,
+        center_m=fields.point_m("center_m") if fields.has("center_m") else None,
         normal=fields.unit_vector("normal") if fields.has("normal") else None,
         radius_inner_m=fields.length_m("radius_inner_m") if fields.has("radius_inner_m") else None,
         radius_outer_m=fields.length_m("radius_outer_m") if fields.has("radius_outer_m") else None,

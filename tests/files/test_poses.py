@@ -169,3 +169,27 @@ def test_impossible_line_is_refused_with_its_place(pose, key, value, finding):
         pose_line_of(record(line(pose)) | {key: value}, "x:1")
 
     assert str(caught.value).startswith(f"x:1: {finding}")
+
+
+@pytest.mark.parametrize("normal", [[0.0, 0.0, 0.0], [0.0, 0.0, 5.0]])
+def test_a_normal_that_has_not_length_1_is_refused(pose, normal):
+    values = record(line(pose))
+
+    with pytest.raises(DataError, match=r"x:1: pose\.normal: .*must be 1"):
+        pose_line_of(values | {"pose": values["pose"] | {"normal": normal}}, "x:1")
+
+
+@pytest.mark.parametrize(
+    ("center", "finding"),
+    [
+        ([[1, 5, 0], [0, 1, 0], [0, 0, 1]], "symmetric"),
+        ([[1, 5, 0], [5, 1, 0], [0, 0, 1]], "semidefinite"),
+        ([[-1, 0, 0], [0, 1, 0], [0, 0, 1]], "negative variance"),
+    ],
+)
+def test_a_covariance_that_no_errors_have_is_refused(pose, center, finding):
+    values = record(line(pose))
+    values["pose"]["covariance"]["center"] = center
+
+    with pytest.raises(DataError, match=rf"x:1: pose\.covariance\.center: .*{finding}"):
+        pose_line_of(values, "x:1")

@@ -57,6 +57,7 @@ def test_truths_are_read_as_they_were_written(tmp_path, rng):
         ("radius_outer_m", 597, "radius_outer_m: is 597; metres belong here"),
         ("break_points_px", [[[1, 2]]], "break_points_px: has 1 x 1 x 2 numbers, must have n x 2 x 2"),
         ("centre_m", [0, 0, 0], "unknown key 'centre_m'; did you mean 'center_m'?"),
+        ("center_m", [100, 200, 500], "center_m: is 500; metres belong here; this looks like millimetres"),
     ],
 )
 def test_impossible_truth_is_refused_with_its_line(tmp_path, key, value, finding):

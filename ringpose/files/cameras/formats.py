@@ -12,7 +12,8 @@ from ringpose.errors import DataError, UsageError
 from ringpose.files import atomic
 from ringpose.files.cameras import kalibr, matlab
 from ringpose.files.cameras import opencv as opencv_storage
-from ringpose.files.cameras.ros import CAMERA_KEYS, FILE_KEYS, camera_of, camera_values, read_covariance, write_camera
+from ringpose.files.cameras.ros import CAMERA_KEYS, FILE_KEYS, camera_of, camera_values, write_camera
+from ringpose.files.covariances import read_covariance
 from ringpose.files.io import read_bytes
 from ringpose.files.schema import Fields
 from ringpose.files.yaml import parsed, write_yaml

@@ -1,11 +1,9 @@
 """Cameras with the keys of ROS camera_info, as they stand in camera.yaml and rig.yaml.
 
 What a pinhole camera's matrix can be.
-
-The `covariance` entry of camera.yaml and rig.yaml: joint over named parameters.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -13,12 +11,13 @@ from typing import Any
 import numpy as np
 
 from ringpose.files import atomic
+from ringpose.files.covariances import covariance_values, read_covariance
 from ringpose.files.provenance import provenance
-from ringpose.files.schema import Fields, hint
+from ringpose.files.schema import Fields
 from ringpose.files.yaml import write_yaml
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import DISTORTION_COEFFICIENTS, Camera
-from ringpose.types.covariance import ParameterCovariance, camera_parameters
+from ringpose.types.covariance import camera_parameters
 
 SCHEMA = "camera/1"
 
@@ -130,42 +129,3 @@ def checked_matrix(fields: Fields, matrix: Float64[Array, "3 3"]) -> Float64[Arr
         raise fields.problem("camera_matrix", f"has its principal point at {center}, far outside the image")
     return matrix
 
-
-_KEYS = ("parameters", "data")
-
-_NEGATIVE = -1e-9
-"""An eigenvalue of the correlation matrix below this is no rounding error."""
-
-
-def covariance_of(fields: Fields, known: Sequence[str]) -> ParameterCovariance:
-    """The covariance in a mapping, its parameters being among the known ones."""
-    names = fields.texts("parameters")
-    for name in names:
-        if name not in known:
-            raise fields.problem("parameters", f"unknown parameter {name!r}", hint(name, known))
-    if len(set(names)) != len(names):
-        raise fields.problem("parameters", "a parameter stands twice")
-    return ParameterCovariance(parameters=names, data=_checked(fields, fields.array("data", (len(names), len(names)))))
-
-
-def covariance_values(covariance: ParameterCovariance) -> dict[str, Any]:
-    """What `covariance_of` reads."""
-    return {"parameters": list(covariance.parameters), "data": covariance.data}
-
-
-def read_covariance(parent: Fields, known: Sequence[str]) -> ParameterCovariance | None:
-    """The optional key `covariance` of a camera or rig."""
-    return covariance_of(parent.fields("covariance", _KEYS), known) if parent.has("covariance") else None
-
-
-def _checked(fields: Fields, data: Float64[Array, "n n"]) -> Float64[Array, "n n"]:
-    variance = np.diag(data)
-    if (variance < 0).any():
-        raise fields.problem("data", "has a negative variance on its diagonal")
-    sigma = np.sqrt(np.where(variance > 0, variance, 1.0))
-    correlation = data / np.outer(sigma, sigma)
-    if np.abs(correlation - correlation.T).max(initial=0.0) > -_NEGATIVE:
-        raise fields.problem("data", "is not symmetric")
-    if len(data) and np.linalg.eigvalsh(correlation).min() < _NEGATIVE * len(data):
-        raise fields.problem("data", "is not positive semidefinite: no errors have this covariance")
-    return (data + data.T) / 2
