@@ -38,14 +38,17 @@ JUDGED = MappingProxyType({"center": 3, "normal": 2, "grasp": 2, "radius_inner":
 _ALL = PoseFlag.INCONSISTENT | PoseFlag.RELABELLED
 FLAGS_NAMING: Mapping[str, PoseFlag] = MappingProxyType(
     {
-        "center": _ALL | PoseFlag.CENTER_WEAK | PoseFlag.SIDE_UNKNOWN | PoseFlag.RADIUS_DISAGREES | PoseFlag.DAMPED,
+        "center": _ALL | PoseFlag.CENTER_WEAK | PoseFlag.SIDE_UNKNOWN | PoseFlag.RADIUS_DISAGREES,
         "normal": _ALL | PoseFlag.NORMAL_WEAK,
         "grasp": _ALL,
         "radius_inner": _ALL | PoseFlag.RADIUS_WEAK | PoseFlag.RADIUS_DISAGREES,
         "radius_outer": _ALL | PoseFlag.RADIUS_WEAK | PoseFlag.RADIUS_DISAGREES,
     }
 )
-"""The flags of record /1 that warn of a quantity; `relabelled` is what record /2 calls `assignment_ambiguous`."""
+"""The flags of record /1 that warn of a quantity; `relabelled` is what record /2 calls `assignment_ambiguous`.
+
+`damped` names none by itself: the closed form sets `center_weak` and `radius_weak` beside it.
+"""
 
 QUANTITIES = (
     "center_x_m",
@@ -187,7 +190,7 @@ def score(truth: Truth, answer: Answer | None, method: str, camera: Camera | Non
 def _outcome(truth: Truth, pose: RingPose | None, wrong: bool) -> Outcome:
     if pose is None:
         return {"pose": Outcome.MISSED, "partial": Outcome.PARTIAL_NONE, "no_target": Outcome.NO_TARGET}[truth.expect]
-    if wrong or truth.expect == "no_target":
+    if wrong:
         return Outcome.WRONG
     if truth.expect == "partial":
         return Outcome.PARTIAL

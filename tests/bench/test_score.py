@@ -182,7 +182,7 @@ def test_where_along_the_band_the_grasp_point_lies_is_not_judged(truth_of, answe
 EXCUSES = [
     (PoseFlag.CENTER_WEAK, {"center"}),
     (PoseFlag.SIDE_UNKNOWN, {"center"}),
-    (PoseFlag.DAMPED, {"center"}),
+    (PoseFlag.DAMPED, set()),
     (PoseFlag.NORMAL_WEAK, {"normal"}),
     (PoseFlag.RADIUS_WEAK, {"radius_inner", "radius_outer"}),
     (PoseFlag.RADIUS_DISAGREES, {"center", "radius_inner", "radius_outer"}),
@@ -242,6 +242,12 @@ def test_every_quantity_of_a_pose_of_nothing_is_wrong_unless_a_flag_names_it(ans
 
     assert set(unflagged.gross) == set(unflagged.wrong) == set(JUDGED)
     assert set(flagged.wrong) == {"center", "normal", "grasp"}
+
+
+def test_a_pose_of_nothing_whose_every_quantity_is_flagged_is_degraded(answer_of):
+    result = score(NOTHING, answer_of(flags=PoseFlag.INCONSISTENT), "paper", None)
+
+    assert (result.outcome, result.wrong) == (Outcome.DEGRADED, ())
 
 
 def test_a_normal_that_is_turned_over_is_wrong(truth_of, answer_of):
