@@ -6,7 +6,8 @@ from dataclasses import asdict
 from typing import Any
 
 from ringpose.bench.compare import COMPARED, Pair, Row, Verdict, testable_shots
-from ringpose.bench.summary import ABSENT
+from ringpose.bench.score import Judgement
+from ringpose.bench.summary import ABSENT, Wrong, wrong_quantities
 from ringpose.bench.table import COLUMNS, aligned
 
 SCHEMA = "bench_compare/1"
@@ -26,7 +27,7 @@ UNITS: Mapping[str, tuple[str, float]] = {
 """Heading and factor of each compared quantity."""
 
 MAX_NAMED = 10
-"""Newly wrong quantities that are named in the text."""
+"""Newly wrong quantities, and shots newly without a pose, that are named in the text."""
 
 
 def nothing_changed(rows: Sequence[Row]) -> bool:
@@ -43,6 +44,30 @@ def newly_wrong(paired: Sequence[tuple[str, Sequence[Pair]]]) -> list[tuple[str,
         for name in b.wrong
         if name not in a.wrong
     ]
+
+
+def newly_without_pose(paired: Sequence[tuple[str, Sequence[Pair]]]) -> list[tuple[str, str]]:
+    """Method and shot with a ring of which A has a pose and B does not."""
+    without = ("none", "lost")
+    return [
+        (method, a.shot)
+        for method, members in paired
+        for a, b in members
+        if a.has_target and a.status not in without and b.status in without
+    ]
+
+
+def no_longer_correct(paired: Sequence[tuple[str, Sequence[Pair]]]) -> list[tuple[str, Wrong]]:
+    """Methods by which A has none wrong, no more than chance allows, and B has; with the judgements of B.
+
+    This verdict does not compare means, so one wrong quantity can change it; two results with correct covariances
+    differ so in less than 1 % of comparisons.
+    """
+    judged = [
+        (method, wrong_quantities([a for a, _ in members]), wrong_quantities([b for _, b in members]))
+        for method, members in paired
+    ]
+    return [(method, b) for method, a, b in judged if a.none_wrong and not b.none_wrong]
 
 
 def comparison_text(
@@ -69,13 +94,12 @@ def comparison_text(
     changed = [row for row in rows if row.verdict is not Verdict.SAME]
     shown = [row for row in changed if testable_shots(row.changed)]
     cells = [_cells(row, by) for row in shown]
-    lines = ["B beside A; a positive difference is worse", *aligned([heading, *cells], left=2 + len(by)), ""]
+    lines = ["B beside A; a positive difference is worse"]
+    lines += [*aligned([heading, *cells], left=2 + len(by)), ""] if cells else []
     if len(shown) < len(changed):
         lines.append(f"{len(changed) - len(shown)} more rows cannot tell, with fewer than 6 shots that changed")
-    wrong = newly_wrong(paired)
-    if wrong:
-        named = "; ".join(f"{shot} {name} ({method})" for method, shot, name in wrong[:MAX_NAMED])
-        lines.append(f"newly wrong: {len(wrong)} quantities: {named}{'; ...' if len(wrong) > MAX_NAMED else ''}")
+    lines += _named("newly wrong", [f"{shot} {name} ({method})" for method, shot, name in newly_wrong(paired)])
+    lines += _named("newly without a pose", [f"{shot} ({method})" for method, shot in newly_without_pose(paired)])
     counts = Counter(row.verdict for row in judged)
     beyond = sum(row.beyond_tolerance for row in judged)
     lines.append(
@@ -84,6 +108,12 @@ def comparison_text(
         f"{matched}"
     )
     return "\n".join(lines) + "\n"
+
+
+def _named(finding: str, places: Sequence[str]) -> list[str]:
+    """A line with the first places at which something was found, none if there are none."""
+    named = "; ".join([*places[:MAX_NAMED], *(["..."] if len(places) > MAX_NAMED else [])])
+    return [f"{finding}: {len(places)}: {named}"] if places else []
 
 
 def _cells(row: Row, by: Sequence[str]) -> list[str]:
@@ -111,14 +141,18 @@ def _verdict(row: Row) -> str:
     return "worse (tolerated)" if COMPARED[row.quantity].judged else "worse (not judged)"
 
 
-def worse_sentences(rows: Sequence[Row]) -> Iterator[str]:
-    """A sentence for each row that is worse beyond the tolerance."""
+def worse_sentences(rows: Sequence[Row], paired: Sequence[tuple[str, Sequence[Pair]]]) -> Iterator[str]:
+    """A sentence for each row that is worse beyond the tolerance, and each method that newly has something wrong."""
     for row in rows:
         if row.beyond_tolerance:
             group = ", ".join(f"{name} {value}" for name, value in row.group.items()) or "all shots"
             method = f" ({row.method})" if row.method else ""
             change = "" if row.change is None or not COMPARED[row.quantity].relative else f", {row.change:+.1%}"
             yield f"worse: {row.quantity} of {group}{method}: {row.a:.4g} -> {row.b:.4g}{change}"
+    for name, wrong in no_longer_correct(paired):
+        count = f"{wrong.count(Judgement.WRONG)} of {wrong.judged} quantities wrong"
+        method = f" ({name})" if name else ""
+        yield f"worse: none wrong -> {count}{method}: {wrong.allowed} allowed by chance, {wrong.gross} gross"
 
 
 def comparison_record(
@@ -138,4 +172,6 @@ def comparison_record(
         "newly_wrong": [
             {"method": method, "shot": shot, "quantity": name} for method, shot, name in newly_wrong(paired)
         ],
+        "newly_without_pose": [{"method": method, "shot": shot} for method, shot in newly_without_pose(paired)],
+        "no_longer_correct": [method for method, _ in no_longer_correct(paired)],
     }

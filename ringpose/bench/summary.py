@@ -130,13 +130,14 @@ def _summary(method: str, group: Mapping[str, str | float | int | bool], scores:
         outcomes={outcome: outcomes[outcome] for outcome in Outcome},
         targets=sum(score.has_target for score in scores),
         available=sum(score.has_target and score.status == "ok" for score in scores),
-        wrong=_wrong(scores),
+        wrong=wrong_quantities(scores),
         errors={name: spread(all_) for name, all_ in errors.items() if all_ and not name.endswith("_nees")},
         nees={name: float(np.mean(all_)) for name, all_ in errors.items() if all_ and name.endswith("_nees")},
     )
 
 
-def _wrong(scores: Sequence[Score]) -> Wrong:
+def wrong_quantities(scores: Sequence[Score]) -> Wrong:
+    """The judgements of all reported quantities, counted."""
     counts = {name: Counter(s.judgements[name] for s in scores if name in s.judgements) for name in JUDGED}
     return Wrong(
         counts={name: {judgement: counted[judgement] for judgement in Judgement} for name, counted in counts.items()},

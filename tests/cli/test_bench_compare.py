@@ -126,9 +126,40 @@ def test_worse_errors_are_status_3_and_named(results, capsys):
     assert any(row.split()[:3] == ["ml", "center", "mm"] and "worse" in row for row in streams.out.splitlines())
 
 
-@pytest.mark.parametrize(("words", "status"), [(["--tolerance", "0.4"], 3), (["--tolerance", "0.6"], 0)])
+@pytest.mark.parametrize(("words", "status"), [(["--tolerance", "0.6"], 0), (["--tolerance", "0.4"], 3)])
 def test_errors_half_as_large_again_fail_unless_the_tolerance_is_larger(results, words, status):
     assert main(["bench", "compare", results["a"], results["grown"], *ALL, *words]) == status
+
+
+def test_one_quantity_that_is_grossly_wrong_is_status_3_where_none_was_wrong(results, capsys):
+    lines = [line(f"s{n}", 0.007 if n == 3 else 0.0) for n in range(SHOTS)]
+
+    status = main(["bench", "compare", results["true"], write_lines("off.jsonl", lines), *ALL, "--json", "c.json"])
+
+    streams = capsys.readouterr()
+    assert status == 3
+    assert f"none wrong -> 2 of {5 * SHOTS} quantities wrong (ml)" in streams.err
+    assert "newly wrong: 2: s3 center (ml); s3 grasp (ml)" in streams.out
+    assert json.loads(Path("c.json").read_text())["no_longer_correct"] == ["ml"]
+
+
+def test_one_more_wrong_quantity_among_wrong_ones_cannot_tell(results, capsys):
+    before, after = (
+        write_lines(f"{wrong}.jsonl", [line(f"s{n}", 0.007 if n < wrong else 0.0) for n in range(SHOTS)])
+        for wrong in (3, 4)
+    )
+
+    assert main(["bench", "compare", before, after, *ALL]) == 0
+    assert "newly wrong: 2: s3 center" in capsys.readouterr().out
+
+
+def test_shots_that_lose_their_pose_are_named(results, capsys):
+    lines = [line(f"s{n}") if n != 3 else PoseLine(shot="s3", stamp_s=0.0, pose=None, reason="x") for n in range(SHOTS)]
+
+    status = main(["bench", "compare", results["true"], write_lines("none.jsonl", lines), *ALL])
+
+    assert status == 0
+    assert "newly without a pose: 1: s3 (ml)" in capsys.readouterr().out
 
 
 def test_better_errors_are_status_0(results, capsys):

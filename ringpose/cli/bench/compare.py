@@ -72,7 +72,7 @@ def compare(
         files = [Path(name) for name in (a, b) if name != STDOUT] + (truth or []) + ([rig] if rig else [])
         made = comparison_record(rows, paired, tolerance, matched)
         write_result(json, records.line_of({**made, "provenance": provenance(files)}), force=force)
-    complaints = list(worse_sentences(rows))
+    complaints = list(worse_sentences(rows, paired))
     if lost := matched["only_a"]:
         complaints.append(f"{b}: {len(lost)} shots have no line that have one in {a} (the first is {lost[0]})")
     for sentence in complaints:
