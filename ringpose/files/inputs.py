@@ -23,6 +23,9 @@ RECORDS_SUFFIX = ".jsonl"
 
 COMPRESSED_SUFFIX = ".jsonl.gz"
 
+_GZIP = b"\x1f\x8b"
+"""Signature (RFC 1952)."""
+
 MAX_NAME = 1024
 """Half a record is longer."""
 
@@ -91,16 +94,17 @@ def _records_in(path: Path) -> Iterator[Record | Problem]:
 
 
 def _lines(path: Path) -> Iterator[bytes]:
-    """The lines of a file; those of a compressed one are decompressed as they are read."""
+    """The lines of a file; those of a compressed one, whatever its name, are decompressed as they are read."""
     data = read_bytes(path)
-    if not path.name.lower().endswith(COMPRESSED_SUFFIX):
+    if not path.name.lower().endswith(COMPRESSED_SUFFIX) and not data.startswith(_GZIP):
         yield from data.splitlines()
         return
     try:
         with gzip.open(io.BytesIO(data)) as stream:
             while line := stream.readline(MAX_LINE_BYTES):
                 if len(line) == MAX_LINE_BYTES:
-                    raise DataError(str(path), f"has a line of {MAX_LINE_BYTES} bytes or more, which is not a record")
+                    found = f"has a line of {MAX_LINE_BYTES >> 20} MiB or more"
+                    raise DataError(str(path), found, "end each record")
                 yield line
     except (OSError, EOFError, zlib.error) as error:
         raise DataError(str(path), f"cannot be decompressed: {str(error).lower()}") from None

@@ -1,3 +1,4 @@
+import gzip
 import io
 
 import pytest
@@ -89,6 +90,13 @@ def test_missing_file_of_records_is_a_problem_not_a_crash(tmp_path, suffixes):
     (found,) = inputs([tmp_path / "d.jsonl"], suffixes)
 
     assert isinstance(found, NoInputError) == bool(suffixes)
+
+
+@pytest.mark.parametrize("name", ["d.jsonl", "d.jsonl.gz"])
+def test_compressed_records_are_read_whatever_their_name(tmp_path, name):
+    (tmp_path / name).write_bytes(gzip.compress(b'{"shot": "a"}\n'))
+
+    assert list(inputs([tmp_path / name], (".jsonl",))) == [Record(f"{tmp_path / name}:1", {"shot": "a"})]
 
 
 def test_line_that_never_ends_is_refused(tmp_path, monkeypatch):
