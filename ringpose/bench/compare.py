@@ -25,7 +25,7 @@ import numpy as np
 
 from ringpose.bench.score import Score
 from ringpose.bench.summary import group_key, sortable
-from ringpose.types.arrays import Array, Bool, Float64, Int8
+from ringpose.types.arrays import Array, Bool, Float64, UInt8
 
 FALSE_DISCOVERY_RATE = 0.05
 """Of the rows that are called better or worse at most this share is so by chance, on average."""
@@ -306,24 +306,25 @@ def exchange_p_value(
     """
     changed = (b - a)[a != b]
     few = len(changed) <= MAX_EXHAUSTIVE
-    exchanged = _every_exchange(len(changed)) if few else _random_exchanges(len(changed), exchanges)
-    moved = np.concatenate([part @ changed for part in np.array_split(exchanged, len(exchanged) // 1000 + 1)]) / len(a)
+    packed = _every_exchange(len(changed)) if few else _random_exchanges(len(changed), exchanges)
+    parts = np.array_split(packed, len(packed) // 1000 + 1)
+    moved = np.concatenate([np.unpackbits(part, axis=1, count=len(changed)) @ changed for part in parts]) / len(a)
     differences = np.abs(badness(b.mean() - moved) - badness(a.mean() + moved))
     observed = float(np.abs(badness(b.mean()) - badness(a.mean())))
     as_large = np.count_nonzero(differences >= observed * (1 - 1e-9) - MIN_ERROR**2)
     return as_large / len(differences) if few else (as_large + 1) / (len(differences) + 1)
 
 
-def _every_exchange(shots: int) -> Int8[Array, "exchange shot"]:
-    """Which shots are exchanged, in each of the 2^n ways."""
+def _every_exchange(shots: int) -> UInt8[Array, "exchange byte"]:
+    """Which shots are exchanged, a bit each, in each of the 2^n ways."""
     ways = (np.arange(2**shots)[:, None] >> np.arange(shots)) & 1
-    return ways.astype(np.int8)
+    return np.packbits(ways.astype(np.uint8), axis=1)
 
 
 @lru_cache(maxsize=16)
-def _random_exchanges(shots: int, exchanges: int) -> Int8[Array, "exchange shot"]:
-    """Rows of one number of shots are exchanged alike; drawing takes longer than all the rest."""
-    return np.random.default_rng(SEED).integers(0, 2, size=(exchanges, shots), dtype=np.int8)
+def _random_exchanges(shots: int, exchanges: int) -> UInt8[Array, "exchange byte"]:
+    """Rows of one number of shots are exchanged alike; a bit for each shot, 25 MB of 20,000 shots."""
+    return np.random.default_rng(SEED).integers(0, 256, size=(exchanges, -(-shots // 8)), dtype=np.uint8)
 
 
 def _row(sample: _Sample, p_value: float, adjusted: float, rows: int, tolerance: float, resamples: int) -> Row:

@@ -1,5 +1,6 @@
 """`ringpose bench`: poses and truth -> tables of errors."""
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -162,7 +163,7 @@ def _answers_in(inputs: list[str], truths: "list[Truth]", batch: "Batch") -> "li
 
 
 def _first_repeated(names: list[str]) -> str | None:
-    return next((name for number, name in enumerate(names) if name in names[:number]), None)
+    return next((name for name, count in Counter(names).items() if count > 1), None)
 
 
 def _truths(file: Path) -> "list[Truth]":
