@@ -176,9 +176,9 @@ def _rules(image_width: int) -> TrackParams:
         short_series=SHORT_SERIES,
         on_line_px=ON_LINE_PX,
         border_px=BORDER_PX,
-        minimum_columns=MINIMUM_COLUMNS,
+        min_columns=MINIMUM_COLUMNS,
         image_width=image_width,
-        longest_lag=MAX_CORRELATION,
+        max_lag=MAX_CORRELATION,
     )
 
 

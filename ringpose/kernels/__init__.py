@@ -1,7 +1,7 @@
-"""The hot loops in C, by stage: each folder has its sources and typed functions that call them.
+"""The hot loops in C, by stage: each folder contains the C sources and the typed functions that call them.
 
-The arguments are checked against a table in `arguments.c`. There is no fallback in Python: it would be some hundred
-times slower, and silently so.
+The arguments are validated in one place, `arguments.c`. There is no fallback in Python: it would be about a hundred
+times slower without any notice.
 """
 
 try:

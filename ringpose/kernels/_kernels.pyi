@@ -15,21 +15,21 @@ def joins(
     lines: Array, moments: Array, pieces: Array, gap: float, aside: float, shortest: int, /
 ) -> tuple[bytes, bytes]: ...
 def stripes(
-    image: Array, dark: Array | None, bands: Array | None, taps: Array, filters: Array, rules: _Numbers, /
+    image: Array, dark: Array | None, bands: Array | None, taps: Array, filters: Array, params: _Numbers, /
 ) -> tuple[bytearray, bytearray, bytearray, bytearray]: ...
-def tracks(position: Array, sigma: Array, piece: Array, laser: Array, lens: _Numbers, rules: _Numbers, /) -> bytes: ...
+def tracks(position: Array, sigma: Array, piece: Array, laser: Array, lens: _Numbers, params: _Numbers, /) -> bytes: ...
 def faces(
     tracks: Array, unlabelled: int, planes: Array, unions: _Numbers, candidates: _Numbers, ring: _Numbers, /
 ) -> tuple[bytes, tuple[_Group, _Group, _Group]]: ...
 def arcs(
     position: Array, covariance: Array, planes: Array, lens: _Numbers, circle_sigma: float, exact: int, /
 ) -> tuple[tuple[int, int], float, _Numbers, float, float]: ...
-def ends(lit: Array, dark: Array | None, lines: Array, lens: _Numbers, rules: _Numbers, /) -> bytes: ...
+def ends(lit: Array, dark: Array | None, lines: Array, lens: _Numbers, params: _Numbers, /) -> bytes: ...
 def marks(
     tracks: Array,
     ends: Array,
     lasers: Array,
-    rules: _Numbers,
+    params: _Numbers,
     position: Array,
     covariance: Array,
     flags: Array,
@@ -37,9 +37,9 @@ def marks(
     sigma: Array,
     /,
 ) -> None: ...
-def edge_places(arcs: Array, covariance: Array, lens: _Numbers, rules: _Numbers, /) -> bytes: ...
+def edge_places(arcs: Array, covariance: Array, lens: _Numbers, params: _Numbers, /) -> bytes: ...
 def edge_profiles(
-    image: Array, place: Array, normal: Array, rules: _Numbers, value: Array, saturated: Array, noise: Array, /
+    image: Array, place: Array, normal: Array, params: _Numbers, value: Array, saturated: Array, noise: Array, /
 ) -> None: ...
 def edge_steps(
     value: Array,
@@ -49,7 +49,7 @@ def edge_steps(
     place: Array,
     unit: Array,
     table: Array,
-    rules: _Numbers,
+    params: _Numbers,
     /,
 ) -> bytes: ...
 def edge_fit(
@@ -60,6 +60,6 @@ def edge_fit(
     ray: Array,
     side: Array,
     sigma: Array,
-    rules: _Numbers,
+    params: _Numbers,
     /,
 ) -> bytes: ...

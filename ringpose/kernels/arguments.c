@@ -1,4 +1,4 @@
-/* Arguments of the kernels: opened, and checked against a table, in this one place. */
+/* Validation of the kernels' arguments against a table. */
 #include "arguments.h"
 
 #include <string.h>
@@ -28,7 +28,7 @@ static int has_elements(const Py_buffer *view, const Parameter *parameter, const
     return 0;
 }
 
-/* `named` are the named extents as far as they are known from other arguments. */
+/* `named`: values of the named extents N, M and K, -1 until an argument determines them. */
 static int has_extents(const Py_buffer *view, const Parameter *parameter, const char *name, Py_ssize_t named[3]) {
     int axes = 0;
     while (axes < MAX_AXES && parameter->extent[axes]) axes++;
@@ -83,11 +83,11 @@ static int read_tuple(PyObject *object, const Parameter *parameter, double *numb
 }
 
 static int read_integer(PyObject *object, const Parameter *parameter, double *number) {
-    const long value = PyLong_AsLong(object), least = parameter->extent[0], most = parameter->extent[1];
+    const long value = PyLong_AsLong(object), minimum = parameter->extent[0], maximum = parameter->extent[1];
     if (value == -1 && PyErr_Occurred()) return 0;
     *number = (double)value;
-    if (value >= least && value <= most) return 1;
-    PyErr_Format(PyExc_ValueError, "%s: is %ld, must be %ld to %ld", parameter->name, value, least, most);
+    if (value >= minimum && value <= maximum) return 1;
+    PyErr_Format(PyExc_ValueError, "%s: is %ld, must be %ld to %ld", parameter->name, value, minimum, maximum);
     return 0;
 }
 

@@ -1,4 +1,4 @@
-/* Arguments of the kernels: opened, and checked against a table, in this one place. */
+/* Validation of the kernels' arguments against a table. */
 #ifndef RINGPOSE_ARGUMENTS_H
 #define RINGPOSE_ARGUMENTS_H
 
@@ -36,13 +36,13 @@ int open_arguments(PyObject *tuple, const Parameter *parameter, size_t count, Ar
 /* Releases them and returns the result. */
 PyObject *close_arguments(Arguments *arguments, PyObject *result);
 
-/* Whether it is true; a ValueError if not. */
+/* Sets a ValueError if the condition is false; returns the condition. */
 int require(int condition, const char *message);
 
 /* A list as bytes, or MemoryError if it was not done; releases it. */
 PyObject *list_bytes(int done, List *list);
 
-/* As many doubles of a struct as it has. */
+/* Number of doubles in a struct of doubles. */
 #define NUMBERS(type) ((int)(sizeof(type) / sizeof(double)))
 
 /* The kernels' Python functions. */

@@ -4,7 +4,7 @@
 
 #include <math.h>
 
-/* The triangle L of L L^T = a, in a's lower half; 0 if there is none. */
+/* The factor L of a = L L^T, in the lower triangle of a; 0 if a is not positive definite. */
 static int factorised(double *a, int n) {
     for (int j = 0; j < n; j++) {
         for (int k = 0; k < j; k++)

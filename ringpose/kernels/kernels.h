@@ -1,11 +1,12 @@
-/* What the kernels share: growing lists, and the compiler's help. No Python in here. */
+/* Growing lists, and vectorised loops. */
 #ifndef RINGPOSE_KERNELS_H
 #define RINGPOSE_KERNELS_H
 
 #include <stddef.h>
 #include <stdint.h>
+#include <stdlib.h>
 
-/* Two versions of a vector loop in one portable library; the loader takes the one that the processor can do. */
+/* Compiles a loop twice, with and without AVX2; the loader selects the version that the processor supports. */
 #if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && defined(__GLIBC__) && !defined(RINGPOSE_PORTABLE)
 #define VECTOR_LOOP __attribute__((target_clones("avx2", "default")))
 #else
@@ -19,7 +20,24 @@ typedef struct {
 } List;
 
 /* Room for `extra` more entries; 0 if there is no memory. */
-int reserve(List *list, size_t extra);
-void release(List *list);
+static inline int reserve(List *list, size_t extra) {
+    if (extra <= list->capacity - list->used) return 1;
+    if (extra > SIZE_MAX / 4 / list->item - list->used) return 0;
+    size_t capacity = 2 * (list->used + extra);
+    void *data = realloc(list->data, capacity * list->item);
+    if (data == NULL) return 0;
+    list->data = data;
+    list->capacity = capacity;
+    return 1;
+}
+
+static inline void release(List *list) {
+    free(list->data);
+    list->data = NULL;
+    list->used = list->capacity = 0;
+}
+
+/* Fills the table of the normal distribution function; called once, when the module is loaded. */
+void fill_normal_cdf(void);
 
 #endif

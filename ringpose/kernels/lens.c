@@ -1,11 +1,11 @@
-/* From distorted pixels to those of the same camera without distortion, by Newton's method. */
+/* OpenCV's distortion model and its inverse by Newton's method. */
 #include "lens.h"
 
 #include <math.h>
 
 #include "kernels.h"
 
-enum { MOST_STEPS = 20, CHUNK = 64 };
+enum { MAX_STEPS = 20, CHUNK = 64 };
 #define CLOSE 1e-5 /* normalised; Newton's next step would move by its square: 1e-7 px */
 
 /* OpenCV's distortion of (x, y) and its derivatives: dx/dx, dx/dy, dy/dy (the mixed ones are equal). */
@@ -27,7 +27,7 @@ static inline void distort(const Lens *lens, int rational, double x, double y, d
 
 static int is_rational(const Lens *lens) { return lens->k4 != 0 || lens->k5 != 0 || lens->k6 != 0; }
 
-/* Points that are undistorted together: where they are seen, where they would be, and how far they moved last. */
+/* Points that are undistorted together: distorted and undistorted normalised coordinates, and the last step. */
 typedef struct {
     double goal_x[CHUNK], goal_y[CHUNK], u[CHUNK], v[CHUNK], move[CHUNK];
 } Chunk;
@@ -63,7 +63,7 @@ static int all_close(const Chunk *chunk) {
     return !far;
 }
 
-/* Fills a chunk; points that are missing are like its last one. */
+/* Fills a chunk; the last point is repeated. */
 static void take(const Lens *lens, const double *restrict x, const double *restrict y, size_t n, double shift_x,
                  double shift_y, Chunk *restrict chunk) {
     double per_x = 1 / lens->fx, per_y = 1 / lens->fy;
@@ -83,14 +83,14 @@ static void take(const Lens *lens, const double *restrict x, const double *restr
 }
 
 void undistort(const Lens *lens, double *x, double *y, size_t n) {
-    /* Neighbours on a stripe are shifted alike: a chunk begins with the shift of the point before. */
+    /* Neighbouring points have similar distortion: a chunk starts with the shift of the point before. */
     double shift_x = 0, shift_y = 0;
     int rational = is_rational(lens);
     Chunk chunk;
     for (size_t first = 0; first < n; first += CHUNK) {
         size_t count = n - first < CHUNK ? n - first : CHUNK;
         take(lens, x + first, y + first, count, shift_x, shift_y, &chunk);
-        for (int i = 0; i < MOST_STEPS; i++) {
+        for (int i = 0; i < MAX_STEPS; i++) {
             step(lens, rational, &chunk);
             if (all_close(&chunk)) break;
         }

@@ -1,4 +1,4 @@
-/* OpenCV's camera model. No Python in here. */
+/* OpenCV's camera model. */
 #ifndef RINGPOSE_LENS_H
 #define RINGPOSE_LENS_H
 
@@ -12,7 +12,7 @@ typedef struct {
 /* Distorted to undistorted pixels, n of them, in place; `x` and `y` run along stripes. */
 void undistort(const Lens *lens, double *x, double *y, size_t n);
 
-/* One undistorted pixel to where the lens shows it, in place. */
+/* Distorts one pixel in place. */
 void distort_pixel(const Lens *lens, double *x, double *y);
 
 /* Derivatives of the distortion at a normalised point: dx/dx, dx/dy (as dy/dx), dy/dy. */

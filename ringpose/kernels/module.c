@@ -1,7 +1,6 @@
 /* The extension module: the kernels' Python functions. Each takes arrays by the buffer protocol and releases the GIL
    around long work; results of unknown length leave as bytes. */
 #include "arguments.h"
-#include "normal_cdf.h"
 
 static PyMethodDef methods[] = {
     {"gradient", call_gradient, METH_VARARGS, "gradient(image, bits, upper, magnitude) -> (anchors, orientation)"},
@@ -10,22 +9,22 @@ static PyMethodDef methods[] = {
     {"fits", call_fits, METH_VARARGS, "fits(magnitude, pixels, pieces, trim) -> (lines, moments)"},
     {"joins", call_joins, METH_VARARGS, "joins(lines, moments, pieces, gap, aside, shortest) -> (lines, support)"},
     {"stripes", call_stripes, METH_VARARGS,
-     "stripes(image, dark, bands, taps, filters, rules) -> (position, sigma, peak, piece)"},
-    {"tracks", call_tracks, METH_VARARGS, "tracks(position, sigma, piece, laser, lens, rules) -> tracks"},
+     "stripes(image, dark, bands, taps, filters, params) -> (position, sigma, peak, piece)"},
+    {"tracks", call_tracks, METH_VARARGS, "tracks(position, sigma, piece, laser, lens, params) -> tracks"},
     {"faces", call_faces, METH_VARARGS,
      "faces(tracks, unlabelled, planes, unions, candidates, ring) -> (tracks, groups of one, two and three)"},
     {"arcs", call_arcs, METH_VARARGS,
      "arcs(position, covariance, planes, lens, circle_sigma, exact) -> (seen, cost, without, curvature, sigma)"},
-    {"ends", call_ends, METH_VARARGS, "ends(lit, dark, lines, lens, rules) -> ends"},
+    {"ends", call_ends, METH_VARARGS, "ends(lit, dark, lines, lens, params) -> ends"},
     {"marks", call_marks, METH_VARARGS,
-     "marks(tracks, ends, lasers, rules, position, covariance, flags, straight, sigma): fills the last five"},
-    {"edge_places", call_edge_places, METH_VARARGS, "edge_places(arcs, covariance, lens, rules) -> places"},
+     "marks(tracks, ends, lasers, params, position, covariance, flags, straight, sigma): fills the last five"},
+    {"edge_places", call_edge_places, METH_VARARGS, "edge_places(arcs, covariance, lens, params) -> places"},
     {"edge_profiles", call_edge_profiles, METH_VARARGS,
-     "edge_profiles(image, place, normal, rules, value, saturated, noise): fills the last three"},
+     "edge_profiles(image, place, normal, params, value, saturated, noise): fills the last three"},
     {"edge_steps", call_edge_steps, METH_VARARGS,
-     "edge_steps(value, saturated, noise, across, place, unit, table, rules) -> steps"},
+     "edge_steps(value, saturated, noise, across, place, unit, table, params) -> steps"},
     {"edge_fit", call_edge_fit, METH_VARARGS,
-     "edge_fit(arcs, plane_point, plane_sigma, reference, ray, side, sigma, rules) -> arcs and covariance"},
+     "edge_fit(arcs, plane_point, plane_sigma, reference, ray, side, sigma, params) -> arcs and covariance"},
     {NULL, NULL, 0, NULL},
 };
 

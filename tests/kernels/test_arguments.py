@@ -154,7 +154,7 @@ def test_extents_that_do_not_fit_the_other_arrays_are_a_value_error(name, i):
 
 
 @pytest.mark.parametrize(("name", "i"), TUPLES)
-def test_rules_of_another_length_or_not_numbers_are_refused(name, i):
+def test_parameters_of_another_length_or_not_numbers_are_rejected(name, i):
     for changed in (CALLS[name][i][:-1], list(CALLS[name][i]), 3.0):
         with pytest.raises(ValueError, match="must be a tuple"):
             call(name, i, changed)
@@ -176,7 +176,7 @@ def test_an_image_without_pixels_is_a_value_error(name, i, shape):
 
 
 @pytest.mark.parametrize("name", ["stripes", "ends"])
-def test_a_dark_frame_of_another_depth_is_refused(name):
+def test_a_dark_frame_of_another_depth_is_rejected(name):
     with pytest.raises((TypeError, ValueError), match="dark"):
         call(name, 1, IMAGE.astype(np.uint16))
 
@@ -193,12 +193,12 @@ def test_filters_out_of_range_are_a_value_error(figure, value):
 @pytest.mark.parametrize(
     ("number", "value"), [(0, -1.0), (1, np.nan), (2, 0.0), (3, -1.0), (5, -1.0), (5, 1001.0), (6, 0.0)]
 )
-def test_rules_of_stripes_out_of_range_are_a_value_error(number, value):
-    rules = list(CALLS["stripes"][5])
-    rules[number] = value
+def test_parameters_of_stripes_out_of_range_are_a_value_error(number, value):
+    params = list(CALLS["stripes"][5])
+    params[number] = value
 
-    with pytest.raises(ValueError, match="rules"):
-        call("stripes", 5, tuple(rules))
+    with pytest.raises(ValueError, match="params"):
+        call("stripes", 5, tuple(params))
 
 
 @pytest.mark.parametrize("upper", [0, -1, 32768, 10**9])
@@ -259,10 +259,10 @@ def test_starts_that_do_not_ascend_within_the_pixels_are_a_value_error(starts):
         _kernels.cuts(PIXELS, np.array(starts, np.int32), 1.0, 0.7, 8, 12)
 
 
-@pytest.mark.parametrize("rules", [(1, 12), (8, 1), (2**31, 12)])
-def test_cut_rules_out_of_range_are_a_value_error(rules):
+@pytest.mark.parametrize("params", [(1, 12), (8, 1), (2**31, 12)])
+def test_cut_parameters_out_of_range_are_a_value_error(params):
     with pytest.raises(ValueError, match="must be"):
-        _kernels.cuts(PIXELS, STARTS, 1.0, 0.7, *rules)
+        _kernels.cuts(PIXELS, STARTS, 1.0, 0.7, *params)
 
 
 @pytest.mark.parametrize("deviation", [-1.0, 0.0, float("nan"), float("inf")])
@@ -294,10 +294,10 @@ LINES = np.zeros((1, 4))
 MOMENTS = np.zeros((1, 6))
 
 
-@pytest.mark.parametrize("rules", [(-1.0, 1.0), (1.0, 0.0), (np.nan, 1.0), (1.0, np.nan), (np.inf, 1.0), (1.0, 1e7)])
-def test_joining_rules_out_of_range_are_a_value_error(rules):
+@pytest.mark.parametrize("params", [(-1.0, 1.0), (1.0, 0.0), (np.nan, 1.0), (1.0, np.nan), (np.inf, 1.0), (1.0, 1e7)])
+def test_joining_parameters_out_of_range_are_a_value_error(params):
     with pytest.raises(ValueError, match="gap, aside"):
-        _kernels.joins(LINES, MOMENTS, PIECES, *rules, 1)
+        _kernels.joins(LINES, MOMENTS, PIECES, *params, 1)
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300, -1e300])

@@ -198,20 +198,20 @@ TIGHT = {"turn_sigma_rad": 2e-3, "half_band_sigma_m": 1e-4}
 @pytest.mark.parametrize("priors", [{}, TIGHT], ids=["weak priors", "tight priors"])
 def test_edges_without_outlier_weights_are_fitted_by_least_squares(rng, priors):
     plane, sights = seen(rng, 1e-4)
-    rules = FIT_RULES._replace(rounds=50, outlier_sigmas=np.inf, **priors)
+    params = FIT_RULES._replace(rounds=50, outlier_sigmas=np.inf, **priors)
     turned = moved(arcs(TRUE), np.array([0, 0, 0, 0, 0.02, 0, 0])).axes
 
-    found, covariance = edges.fitted_arcs(arcs(), plane, sights, turned, rules)
+    found, covariance = edges.fitted_arcs(arcs(), plane, sights, turned, params)
 
     def cost(step):
         ring = moved(found, step)
         to_edges = off_face_m(ring, sights.ray, sights.side)[0] / sights.sigma_m
         off_plane = (plane.point - ring.origin) @ ring.axes[2] / plane.sigma_m
-        tilts = ring.axes[2] @ turned[:2].T / rules.tilt_sigma_rad
-        turn = ring.axes[0] @ turned[1] / rules.turn_sigma_rad
-        band = (ring.half_band_m - rules.half_band_m) / rules.half_band_sigma_m
+        tilts = ring.axes[2] @ turned[:2].T / params.tilt_sigma_rad
+        turn = ring.axes[0] @ turned[1] / params.turn_sigma_rad
+        band = (ring.half_band_m - params.half_band_m) / params.half_band_sigma_m
         return np.sum(
-            np.concatenate([to_edges, off_plane, tilts, [turn, ring.curvature / rules.curvature_sigma, band]]) ** 2
+            np.concatenate([to_edges, off_plane, tilts, [turn, ring.curvature / params.curvature_sigma, band]]) ** 2
         )
 
     sd = np.sqrt(np.diag(covariance))

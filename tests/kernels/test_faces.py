@@ -5,21 +5,21 @@ import pytest
 from crowded_tracks import ANY, RULES, crowd, planes, rules_of, tracks_between, true_ends, with_rules
 from drawn_scene import drawn_rig
 
-from ringpose.kernels.lines import SPILT, TRACK_COLUMNS, ring_faces
+from ringpose.kernels.lines import BEYOND_ENDS, TRACK_COLUMNS, ring_faces
 
 
-def exact_score(tracks, rules):
-    return ring_faces(tracks, ANY, planes(), rules).groups[2].score
+def exact_score(tracks, params):
+    return ring_faces(tracks, ANY, planes(), params).groups[2].score
 
 
 def test_an_end_beyond_the_border_may_lie_off_the_circles(rng):
-    rules, ends = with_rules(**rules_of(drawn_rig())), true_ends(rng)
+    params, ends = with_rules(**rules_of(drawn_rig())), true_ends(rng)
     moved = ends.copy()
     moved[:, 0] += 0.03 * (ends[:, 1] - ends[:, 0]) * np.array([[1.0], [-1.0], [2.0]])
-    left_x = (moved[:, 0, 0].max() - rules.ring.principal_x) / rules.ring.focal_x + 1e-3
-    cut = rules._replace(ring=rules.ring._replace(left_x=float(left_x)))
+    left_x = (moved[:, 0, 0].max() - params.ring.principal_x) / params.ring.focal_x + 1e-3
+    cut = params._replace(ring=params.ring._replace(left_x=float(left_x)))
 
-    exact = exact_score(tracks_between(ends[:, 0], ends[:, 1]), rules)
+    exact = exact_score(tracks_between(ends[:, 0], ends[:, 1]), params)
     found = exact_score(tracks_between(moved[:, 0], moved[:, 1]), cut)
 
     assert found == pytest.approx(exact, abs=0.01)
@@ -36,10 +36,10 @@ def test_the_true_ring_wins_under_its_true_labels(rng):
 
 @pytest.mark.parametrize("seed", range(8))
 def test_more_tracks_never_lower_the_best_score(seed):
-    tracks, rules = crowd(np.random.default_rng(seed), 9), with_rules(**rules_of(drawn_rig()))
-    rules = rules._replace(candidates=rules.candidates._replace(most=100.0))
+    tracks, params = crowd(np.random.default_rng(seed), 9), with_rules(**rules_of(drawn_rig()))
+    params = params._replace(candidates=params.candidates._replace(most=100.0))
 
-    scores = [exact_score(tracks[:count], rules) for count in (4, 7, 10, len(tracks))]
+    scores = [exact_score(tracks[:count], params) for count in (4, 7, 10, len(tracks))]
 
     assert np.isfinite(scores[0])
     assert (np.diff(scores) >= 0).all()
@@ -48,10 +48,10 @@ def test_more_tracks_never_lower_the_best_score(seed):
 @pytest.mark.parametrize("seed", range(8))
 def test_tracks_in_another_order_give_the_same_groups(seed):
     rng = np.random.default_rng(seed)
-    tracks, rules = crowd(rng, 9), with_rules(**rules_of(drawn_rig()))
+    tracks, params = crowd(rng, 9), with_rules(**rules_of(drawn_rig()))
     order = rng.permutation(len(tracks))
 
-    found, other = (ring_faces(each, ANY, planes(), rules) for each in (tracks, tracks[order]))
+    found, other = (ring_faces(each, ANY, planes(), params) for each in (tracks, tracks[order]))
 
     for here, there in zip(found.groups, other.groups, strict=True):
         assert here.score == pytest.approx(there.score, abs=1e-6)
@@ -90,7 +90,7 @@ def test_other_lasers_stripes_on_the_body_that_happen_to_lie_on_a_stripes_line_a
     """At half a metre the next laser's stripe on a body 60 mm behind runs where this one's on the ring does."""
     light, tracks = stripes_of_nearly_parallel_planes(0.5)
     alone = ring_faces(tracks, ANY, light, with_rules(**WIDE)).groups[2].score
-    tracks[1:, SPILT] = 3 * 40.0
+    tracks[1:, BEYOND_ENDS] = 3 * 40.0
     tracks[:, 0] = np.where([lasers == ANY] * 3, -1.0, [0, 1, 2])
 
     found = ring_faces(tracks, lasers, light, with_rules(**WIDE)).groups[2]
@@ -101,11 +101,11 @@ def test_other_lasers_stripes_on_the_body_that_happen_to_lie_on_a_stripes_line_a
 
 def test_what_lies_on_the_line_of_the_nearest_of_parallel_stripes_can_be_no_other_lasers():
     light, tracks = stripes_of_nearly_parallel_planes(0.5)
-    tracks[0, SPILT] = 3 * 40.0
+    tracks[0, BEYOND_ENDS] = 3 * 40.0
 
     found = ring_faces(tracks, ANY, light, with_rules(**WIDE)).groups[2]
 
-    tracks[0, SPILT] = 0.0
+    tracks[0, BEYOND_ENDS] = 0.0
     assert ring_faces(tracks, ANY, light, with_rules(**WIDE)).groups[2].score - found.score == pytest.approx(0.75 * 15)
 
 
@@ -171,7 +171,7 @@ def test_no_tracks_give_no_group():
 
 
 @pytest.mark.parametrize("laser", [3.0, -2.0, np.nan])
-def test_a_laser_beyond_the_rig_is_refused(rng, laser):
+def test_a_laser_beyond_the_rig_is_rejected(rng, laser):
     tracks = crowd(rng, 4)
     tracks[2, 0] = laser
 
@@ -180,13 +180,13 @@ def test_a_laser_beyond_the_rig_is_refused(rng, laser):
 
 
 @pytest.mark.parametrize("wrong", [{"most": 0.0}, {"most": 1e9}, {"most": np.nan}, {"rounds": 100.0}])
-def test_rules_out_of_range_are_a_value_error(rng, wrong):
-    with pytest.raises(ValueError, match="rule"):
+def test_parameters_out_of_range_are_a_value_error(rng, wrong):
+    with pytest.raises(ValueError, match="params"):
         ring_faces(crowd(rng, 4), ANY, planes(), with_rules(**wrong))
 
 
 @pytest.mark.parametrize("name", ["unions", "candidates", "ring"])
-def test_rules_of_another_length_are_a_value_error(rng, name):
+def test_parameters_of_another_length_are_a_value_error(rng, name):
     wrong = RULES._replace(**{name: getattr(RULES, name)[:-1]})
 
     with pytest.raises(ValueError, match=name):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringpose.kernels.ends import MarkParams, marked_ends
+from ringpose.kernels.ends import MarkParams, flagged_ends
 
 RULES = MarkParams(
     image_width=800.0,
@@ -13,7 +13,7 @@ RULES = MarkParams(
     unclear_px=0.75,
     clipped_phase=0.022,
     facet_sigmas=6.0,
-    taken_by_fit=5.0,
+    fit_dof=5.0,
     min_columns=0.5,
     saturated_flag=1.0,
     kink_flag=2.0,
@@ -69,7 +69,7 @@ def test_ordinates_err_like_those_of_a_least_squares_line(columns, alike):
     scatter, length = 0.3, 200.0
     track = np.array([[-1.0, columns, 300.0, 500.0, 400.0, 200.0, 0.0, scatter, alike, 0.0, 0.0]])
 
-    found = marked_ends(track, clean_ends(1), (0,), 1, RULES)
+    found = flagged_ends(track, clean_ends(1), (0,), 1, RULES)
 
     x = np.linspace(-length / 2, length / 2, 10_001)
     middle = scatter / np.sqrt(columns / alike - 5)
@@ -84,7 +84,7 @@ def test_what_lies_beneath_a_stripe_makes_its_line_no_better_than_that():
     ends = clean_ends(1)
     ends[..., 9] = 0.04
 
-    found = marked_ends(track, ends, (0,), 1, RULES)
+    found = flagged_ends(track, ends, (0,), 1, RULES)
 
     shift = 2.0 * 0.2 / np.sqrt(200 / (RULES.facet_sigmas * 2.0))
     np.testing.assert_allclose(found.straight_sigma_px, 2.0 * shift, rtol=1e-6)
@@ -94,10 +94,10 @@ def test_ends_belong_to_the_lasers_of_their_tracks(rng):
     drawn, ends = tracks(rng, 5), found_ends(rng, 5)
     lasers = tuple(rng.permutation(8)[:5].tolist())
 
-    found = marked_ends(drawn, ends, lasers, 8, RULES)
+    found = flagged_ends(drawn, ends, lasers, 8, RULES)
 
     for number, laser in enumerate(lasers):
-        alone = marked_ends(drawn[[number]], ends[[number]], (0,), 1, RULES)
+        alone = flagged_ends(drawn[[number]], ends[[number]], (0,), 1, RULES)
         for each, own in zip(found, alone, strict=True):
             np.testing.assert_array_equal(each[laser], own[0])
 
@@ -106,7 +106,7 @@ def test_an_end_errs_along_its_line_by_its_own_sigma_and_across_by_the_lines(rng
     drawn, ends = tracks(rng, 1), found_ends(rng, 1)
     ends[0, 1] = [drawn[0, 3], 300.0, 0.5, 0.2, 0.0, 0.0, 1.0, 2.0, 0.0, 0.0]
 
-    marks = marked_ends(drawn, ends, (0,), 1, RULES)
+    marks = flagged_ends(drawn, ends, (0,), 1, RULES)
 
     covariance, across = marks.covariance_px2[0, 1], np.array([-0.5, 1.0])
     assert covariance[0, 0] == pytest.approx(0.2**2)
@@ -123,11 +123,11 @@ def test_flags_say_what_an_end_is(rng, column, value, flag):
     ends[0, 0] = [400.0, 300.0, 0.0, 0.2, 0.0, 0.0, 1.0, 2.0, 0.0, 0.0]
     ends[0, 0, column] = value
 
-    assert marked_ends(tracks(rng, 1), ends, (0,), 1, RULES).flags[0, 0] == flag
+    assert flagged_ends(tracks(rng, 1), ends, (0,), 1, RULES).flags[0, 0] == flag
 
 
 def test_lasers_without_a_track_have_no_end(rng):
-    ends = marked_ends(tracks(rng, 1), found_ends(rng, 1), (1,), 3, RULES)
+    ends = flagged_ends(tracks(rng, 1), found_ends(rng, 1), (1,), 3, RULES)
 
     assert all(np.isnan(each[[0, 2]]).all() for each in (*ends[:2], *ends[3:]))
     assert not ends.flags[[0, 2]].any()
@@ -136,4 +136,4 @@ def test_lasers_without_a_track_have_no_end(rng):
 @pytest.mark.parametrize("lasers", [(3,), (-1,), (), (0, 1)])
 def test_lasers_that_are_not_of_the_rig_or_not_one_a_track_are_a_value_error(rng, lasers):
     with pytest.raises(ValueError, match="lasers"):
-        marked_ends(tracks(rng, 1), found_ends(rng, 1), lasers, 3, RULES)
+        flagged_ends(tracks(rng, 1), found_ends(rng, 1), lasers, 3, RULES)

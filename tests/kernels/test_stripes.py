@@ -203,7 +203,7 @@ def test_an_image_may_be_a_view_of_another(part):
 
 def call(**changed):
     arguments = {"image": IMAGE, "dark": None, "bands": None, "taps": FILTERS.taps, "filters": FILTERS.figures}
-    return _kernels.stripes(*(arguments | {"rules": RULES} | changed).values())
+    return _kernels.stripes(*(arguments | {"params": RULES} | changed).values())
 
 
 @pytest.mark.parametrize("rows", [(-(2**31), 2**31 - 1), (2**31 - 1, -(2**31)), (59, 60), (-9, 0), (60, 99)])
@@ -246,6 +246,6 @@ def test_a_single_filter_is_a_value_error():
         ("shortest", 0),
     ],
 )
-def test_rules_out_of_range_are_a_value_error(name, value):
-    with pytest.raises(ValueError, match="rules"):
-        call(rules=RULES._replace(**{name: value}))
+def test_parameters_out_of_range_are_a_value_error(name, value):
+    with pytest.raises(ValueError, match="params"):
+        call(params=RULES._replace(**{name: value}))

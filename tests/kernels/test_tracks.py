@@ -12,9 +12,9 @@ RULES = TrackParams(
     short_series=1.5,
     on_line_px=2.5,
     border_px=3.0,
-    minimum_columns=10,
+    min_columns=10,
     image_width=800,
-    longest_lag=40,
+    max_lag=40,
 )
 STRAIGHT = Lens(900.0, 900.0, 400.0, 300.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 BENT = Lens(900.0, 905.0, 400.0, 300.0, -0.2, 0.1, 0.001, -0.002, 0.03, 0.01, 0.002, 0.0)
@@ -30,11 +30,9 @@ def columns(rows, name):
     return rows[:, TRACK_COLUMNS.index(name)]
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"minimum_columns": 3}, {"image_width": 0}, {"longest_lag": -1}, {"kink_px": np.nan}]
-)
-def test_rules_out_of_range_are_a_value_error(wrong):
-    with pytest.raises(ValueError, match="rule"):
+@pytest.mark.parametrize("wrong", [{"min_columns": 3}, {"image_width": 0}, {"max_lag": -1}, {"kink_px": np.nan}])
+def test_parameters_out_of_range_are_a_value_error(wrong):
+    with pytest.raises(ValueError, match="params"):
         stripe_line_segments(*line(np.arange(100, 300), np.zeros(200)), STRAIGHT, RULES._replace(**wrong))
 
 
@@ -154,7 +152,7 @@ def test_no_centres_give_no_tracks():
     [(np.array([1, 0]), 1.0), (np.array([0, 5]), 1.0), (np.array([0, 0]), np.nan)],
     ids=["descending", "beyond", "not a number"],
 )
-def test_centres_out_of_order_are_refused(piece, position):
+def test_centres_out_of_order_are_rejected(piece, position):
     with pytest.raises(ValueError, match="centers"):
         stripe_line_segments(
             np.full((2, 2), position), np.ones(2), piece.astype(np.int64), np.zeros(2, np.int64), STRAIGHT, RULES

@@ -128,4 +128,3 @@ def checked_matrix(fields: Fields, matrix: Float64[Array, "3 3"]) -> Float64[Arr
         center = f"({matrix[0, 2]:g}, {matrix[1, 2]:g})"
         raise fields.problem("camera_matrix", f"has its principal point at {center}, far outside the image")
     return matrix
-

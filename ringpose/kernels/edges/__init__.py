@@ -1,4 +1,8 @@
-"""The kernels that follow a ring's edges, behind typed functions."""
+"""Prediction, measurement and fit of a ring's two edges (ringpose-method(7), section 4).
+
+The sources are ring_arcs.c (the arcs, their prediction in the image, their fit) and edge_steps.c (intensity profiles
+and the steps in them).
+"""
 
 from typing import NamedTuple
 
@@ -11,87 +15,87 @@ from ringpose.types.arrays import Array, Bool, Float64, UInt
 
 
 class PlaceParams(NamedTuple):
-    """Where places of the edges are wanted."""
+    """Where points of the edges are predicted."""
 
     image_width: float
     image_height: float
     spacing_px: float
-    """Distance between places, at the arcs' origin."""
+    """Distance between neighbouring points, at the arcs' origin."""
     sigma_px: float
-    """There is no place where the edge is predicted worse than this."""
+    """Points with a larger predicted sigma across the edge are left out."""
     half_turn_rad: float
-    """Most of the ring to both sides of the origin."""
+    """Largest angle on the ring to both sides of the origin."""
     margin_px: float
-    """There is no place so close to the image's border."""
+    """Points closer than this to the image border are left out."""
     wider: float
-    """Share of the image's size by which distortion may shift what is near its border."""
+    """Upper bound of the distortion at the image border, as a share of the image size."""
     oblique: float
-    """Most by which foreshortening and depth shrink an error across the edge in the image."""
+    """Upper bound of the factor by which foreshortening and depth reduce an error across the edge in the image."""
     detour: float
-    """Length of an arc from the origin to the farthest corner of the image, over the distance."""
+    """Upper bound of the length of an arc from the origin to the farthest image corner, divided by their distance."""
     nudge_m: float
-    """Step off the face that tells metres a pixel."""
+    """Step of the numerical derivative for metres per pixel."""
     farthest: float = 1e5
-    """Places to both sides of the origin."""
+    """Largest number of points to each side of the origin."""
 
 
 class ProfileParams(NamedTuple):
-    """How brightness across an edge is sampled; every pixel from `reach_px` + `inside_px` inside the place on."""
+    """Sampling of intensity profiles across an edge, every pixel from `reach_px` + `inside_px` inside the point on."""
 
     reach_px: float
     inside_px: float
-    """Samples that tell the surface's brightness and noise."""
+    """Samples from which the intensity and noise of the surface are estimated."""
     outside_px: float
     along_px: float
-    """Samples along the edge that are averaged."""
+    """Number of samples along the edge that are averaged."""
     noise_dn: float
-    """Least noise of a sample."""
+    """Lower bound of the noise of a sample."""
     pooled: float
-    """Neighbouring profiles whose noise is taken together."""
+    """Neighbouring profiles over which the noise variance is averaged."""
     saturation_dn: float
 
 
 class StepParams(NamedTuple):
-    """How the step in a profile is placed."""
+    """Parameters of the step fit in a profile."""
 
     flat: float
-    """A sum of squares that bends less than this has no minimum."""
+    """Smallest second difference of the cost at a minimum."""
     touched_px: float
-    """Saturation this close to the edge hides how bright it is beyond."""
+    """A profile with a saturated sample closer than this to the step is rejected."""
     spacing_px: float
-    """Of the places tried."""
+    """Distance between the step positions that are tried."""
     pooled: float
-    """Neighbouring profiles whose misfit is taken together."""
+    """Neighbouring profiles over which the residual variance is averaged."""
 
 
 class Templates(NamedTuple):
-    """All about steps that does not depend on the image, for each place of the edge."""
+    """Step templates, which do not depend on the image, for each position of the step."""
 
     across_px: Float64[Array, "sample"]
     place_px: Float64[Array, "place"]
     weight: Float64[Array, "sample place"]
     level: Float64[Array, "sample place"]
-    """Orthonormal to `step` under the weights."""
+    """Constant part; orthonormal to `step` under the weights."""
     step: Float64[Array, "sample place"]
     unit: Float64[Array, "place"]
-    """Size of a step of one in `step`."""
+    """Coefficient of `step` for a step of height 1."""
 
 
 class FitParams(NamedTuple):
-    """How long arcs are fitted, what counts less, and what holds them where the evidence leaves them open."""
+    """Iterations, robust weights and priors of the fit of arcs."""
 
     rounds: int
-    """Of Gauss and Newton's steps."""
+    """Number of Gauss-Newton iterations."""
     outlier_sigmas: float
-    """The weight of a sight falls as the fourth power of its distance beyond."""
+    """Scale s of the weight 1 / (1 + (r / s)^2)^2 of an observation with residual r."""
     tilt_sigma_rad: float
-    """Of priors, from here on; the tilts' and the turn's stand about given axes."""
+    """Priors, from here on; those of tilts and in-plane rotation refer to given axes."""
     turn_sigma_rad: float
     curvature_sigma: float
     half_band_m: float
     half_band_sigma_m: float
-    longest_step: tuple[float, ...]
-    """Of a round."""
+    max_step: tuple[float, ...]
+    """Largest step of each component of the state in one iteration."""
 
 
 class PlanePoints(NamedTuple):
@@ -102,7 +106,7 @@ class PlanePoints(NamedTuple):
 
 
 class Sights(NamedTuple):
-    """Rays that should meet an edge."""
+    """Observed edge points: viewing rays that should intersect an edge."""
 
     ray: Float64[Array, "n xyz=3"]
     side: Float64[Array, "n"]
@@ -112,14 +116,15 @@ class Sights(NamedTuple):
 
 
 def edge_places(
-    arcs: RingArcs, covariance: Float64[Array, "state=7 state=7"], lens: Lens, rules: PlaceParams
+    arcs: RingArcs, covariance: Float64[Array, "state=7 state=7"], lens: Lens, params: PlaceParams
 ) -> Float64[Array, "n column=13"]:
-    """Places along the inner edge, then along the outer, where the image should show them.
+    """Predicted points of the inner edge, then of the outer edge, in the image.
 
-    Columns: the point (3), the unit vector off the face (3), the side (1 inner, -1 outer), the place in pixels (2),
-    the edge's unit normal there, off the face (2), metres a pixel along it, and the place's number along the edge.
+    Columns: the point (3, camera frame, m), the unit vector away from the rim (3), the side (1 inner, -1 outer), the
+    distorted pixel position (2), the edge's unit normal there, away from the rim (2), metres per pixel along it, and
+    the number of the point along the edge.
     """
-    found = _kernels.edge_places(_numbers_of(arcs), np.ascontiguousarray(covariance), lens, rules)
+    found = _kernels.edge_places(_numbers_of(arcs), np.ascontiguousarray(covariance), lens, params)
     return np.frombuffer(found, dtype=np.float64).reshape(-1, 13)
 
 
@@ -127,17 +132,17 @@ def edge_profiles(
     image: UInt[Array, "row column"],
     place_px: Float64[Array, "n xy=2"],
     normal: Float64[Array, "n xy=2"],
-    rules: ProfileParams,
+    params: ProfileParams,
 ) -> tuple[Float64[Array, "n sample"], Bool[Array, "n sample"], Float64[Array, "n"]]:
-    """Mean brightness across each place, above the surface's and in units of its noise; saturation; that noise.
+    """Intensity profiles across the edge less that of the surface, in units of its noise; saturation; that noise.
 
-    Between pixels grey values are interpolated; a sample is saturated if one of those averaged is.
+    Grey values are interpolated bilinearly; a sample is saturated if one of the averaged values is.
     """
-    samples = int(2 * rules.reach_px + rules.inside_px + rules.outside_px) + 1
+    samples = int(2 * params.reach_px + params.inside_px + params.outside_px) + 1
     value, noise = np.empty((len(place_px), samples)), np.empty(len(place_px))
     saturated = np.empty(value.shape, dtype=np.bool_)
     image, place_px, normal = (np.ascontiguousarray(each) for each in (image, place_px, normal))
-    _kernels.edge_profiles(image, place_px, normal, rules, value, saturated, noise)
+    _kernels.edge_profiles(image, place_px, normal, params, value, saturated, noise)
     return value, saturated, noise
 
 
@@ -146,16 +151,16 @@ def edge_steps(
     saturated: Bool[Array, "n sample"],
     noise_dn: Float64[Array, "n"],
     templates: Templates,
-    rules: StepParams,
+    params: StepParams,
 ) -> Float64[Array, "n column=5"]:
-    """The likeliest step in each profile: offset (NaN for none), sigma, height in sigmas, height in grey values, cost.
+    """Most likely step in each profile: offset (NaN if none), sigma, height in sigmas, height in grey values, cost.
 
-    The offset and its sigma are in pixels; the cost is the sum of squares that the step leaves unexplained.
+    The offset and its sigma are in pixels; the cost is the sum of squared residuals.
     """
     table = np.stack([templates.weight, templates.level, templates.step])
     value, saturated, noise_dn = (np.ascontiguousarray(each) for each in (value, saturated, noise_dn))
     found = _kernels.edge_steps(
-        value, saturated, noise_dn, templates.across_px, templates.place_px, templates.unit, table, rules
+        value, saturated, noise_dn, templates.across_px, templates.place_px, templates.unit, table, params
     )
     return np.frombuffer(found, dtype=np.float64).reshape(-1, 5)
 
@@ -165,13 +170,14 @@ def fitted_arcs(
     plane: PlanePoints,
     sights: Sights,
     reference: Float64[Array, "3 xyz=3"],
-    rules: FitParams,
+    params: FitParams,
 ) -> tuple[RingArcs, Float64[Array, "state=7 state=7"]]:
-    """The arcs after some rounds of Gauss-Newton, and the covariance of their state; NaN where nothing holds them.
+    """The arcs after `params.rounds` Gauss-Newton iterations, and the covariance of their state; NaN if it is singular.
 
-    The tilts' and the turn's priors stand about the axes of `reference`.
+    The state is tilt about two axes, offset along the normal, radial offset, in-plane rotation, curvature, half width.
+    The priors of tilts and in-plane rotation refer to the axes of `reference`.
     """
-    numbers = (*rules[:-1], *rules.longest_step)
+    numbers = (*params[:-1], *params.max_step)
     point, plane_sigma, ray, side, sigma = (np.ascontiguousarray(each) for each in (*plane, *sights))
     axes = np.ascontiguousarray(reference)
     found = np.frombuffer(

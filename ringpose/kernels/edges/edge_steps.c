@@ -1,21 +1,57 @@
-/* Where, near predicted places of an edge, brightness steps, to a fraction of a pixel. */
-#include "edges.h"
-#include "kernels.h"
+/* Sub-pixel position of the intensity step near predicted places of an edge: profiles across the edge, and the template
+   of a blurred step fitted at every offset. */
+#include "arguments.h"
 
 #include <math.h>
+#include <stddef.h>
+#include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
 
-/* What is known of all samples of a profile; the compiler makes loops of their own for them. */
+#include "kernels.h"
+
+typedef struct {
+    const void *data;
+    size_t height, width;
+    double right, bottom; /* column and row of the last pixel */
+    int wide;             /* uint16_t instead of uint8_t */
+} EdgePicture;
+
+typedef struct {
+    double reach, inside, outside, along; /* pixels */
+    double noise, pooled, saturation;
+} ProfileParams;
+
+typedef struct {
+    double *value, *noise;
+    uint8_t *saturated;
+    size_t count, samples;
+} Profiles;
+
+/* Independent of the image: rows of samples, columns of step positions. */
+typedef struct {
+    const double *across, *place, *unit, *weight, *level, *step;
+    size_t places;
+} Templates;
+
+typedef struct {
+    double flat, touched, spacing, pooled;
+} StepParams;
+
+typedef struct {
+    double offset, sigma, height, height_dn, cost;
+} EdgeStep;
+
+/* Properties of all samples of a profile; the compiler specialises the loops for them. */
 typedef struct {
     int wide;  /* elements of 16 bits */
     int inner; /* none lies at the image's border or beyond */
 } Kind;
 
-/* What is no number becomes 0. */
-static double clamped(double value, double most) { return !(value > 0) ? 0 : value > most ? most : value; }
+/* NaN becomes 0. */
+static double clamped(double value, double maximum) { return !(value > 0) ? 0 : value > maximum ? maximum : value; }
 
-/* Grey value between the pixels; those of the border go on beyond it. */
+/* Bilinear interpolation; the border is replicated. */
 static inline double between(const EdgePicture *picture, const Kind kind, double x, double y) {
     const size_t width = picture->width;
     if (!kind.inner) {
@@ -53,14 +89,14 @@ static int pool(double *values, size_t count, size_t window) {
     return 1;
 }
 
-/* One profile's mean values, and which samples hide their brightness. */
+/* Mean values of one profile, and which samples are saturated. */
 static inline void take_samples(const EdgePicture *picture, const Kind kind, const double place[2],
-                                const double normal[2], const ProfileRules *rules, double *value, uint8_t *saturated,
+                                const double normal[2], const ProfileParams *params, double *value, uint8_t *saturated,
                                 size_t samples) {
-    const int along = (int)rules->along;
-    const double hiding = rules->saturation - 0.5;
+    const int along = (int)params->along;
+    const double hiding = params->saturation - 0.5;
     for (size_t s = 0; s < samples; s++) {
-        const double across = (double)s - rules->reach - rules->inside;
+        const double across = (double)s - params->reach - params->inside;
         const double x = place[0] + across * normal[0], y = place[1] + across * normal[1];
         double sum = 0;
         int hidden = 0;
@@ -77,16 +113,16 @@ static inline void take_samples(const EdgePicture *picture, const Kind kind, con
 
 VECTOR_LOOP
 static void take_profile(const EdgePicture *picture, const double place[2], const double normal[2],
-                         const ProfileRules *rules, double *value, uint8_t *saturated, size_t samples) {
-    const double reach = rules->reach + rules->inside + rules->outside + rules->along;
+                         const ProfileParams *params, double *value, uint8_t *saturated, size_t samples) {
+    const double reach = params->reach + params->inside + params->outside + params->along;
     const int inner = place[0] > reach && place[0] < picture->right - reach && place[1] > reach &&
                       place[1] < picture->bottom - reach && fabs(normal[0]) < 1.01 && fabs(normal[1]) < 1.01;
     if (picture->wide)
-        take_samples(picture, (Kind){1, 0}, place, normal, rules, value, saturated, samples);
+        take_samples(picture, (Kind){1, 0}, place, normal, params, value, saturated, samples);
     else if (inner)
-        take_samples(picture, (Kind){0, 1}, place, normal, rules, value, saturated, samples);
+        take_samples(picture, (Kind){0, 1}, place, normal, params, value, saturated, samples);
     else
-        take_samples(picture, (Kind){0, 0}, place, normal, rules, value, saturated, samples);
+        take_samples(picture, (Kind){0, 0}, place, normal, params, value, saturated, samples);
 }
 
 /* Subtracts the mean of the first values from all; returns the variance of the first ones. */
@@ -99,28 +135,29 @@ static double level(double *value, size_t samples, size_t surface) {
     return square / (double)(surface - 1);
 }
 
-int edge_profiles(const EdgePicture *picture, const double *place, const double *normal, const ProfileRules *rules,
+/* Mean intensity across each place, less that of the surface, in units of its noise. 0 if there is no memory. */
+static int edge_profiles(const EdgePicture *picture, const double *place, const double *normal, const ProfileParams *params,
                   Profiles *profiles) {
     const size_t samples = profiles->samples;
     for (size_t i = 0; i < profiles->count; i++) {
         double *value = profiles->value + i * samples;
-        take_profile(picture, place + 2 * i, normal + 2 * i, rules, value, profiles->saturated + i * samples, samples);
-        profiles->noise[i] = level(value, samples, (size_t)rules->inside);
+        take_profile(picture, place + 2 * i, normal + 2 * i, params, value, profiles->saturated + i * samples, samples);
+        profiles->noise[i] = level(value, samples, (size_t)params->inside);
     }
-    if (!pool(profiles->noise, profiles->count, (size_t)rules->pooled)) return 0;
+    if (!pool(profiles->noise, profiles->count, (size_t)params->pooled)) return 0;
     for (size_t i = 0; i < profiles->count; i++) {
-        profiles->noise[i] = sqrt(profiles->noise[i] + rules->noise * rules->noise / rules->along);
+        profiles->noise[i] = sqrt(profiles->noise[i] + params->noise * params->noise / params->along);
         for (size_t s = 0; s < samples; s++) profiles->value[i * samples + s] /= profiles->noise[i];
     }
     return 1;
 }
 
-/* GNU C's vectors: places of the edge that are summed for together, in registers. */
+/* GNU C vectors: step positions whose sums are accumulated together, in registers. */
 enum { BLOCK = 4 };
 typedef double Doubles __attribute__((vector_size(8 * BLOCK), aligned(8), may_alias));
 #define DOUBLES(address) (*(Doubles *)(address))
 
-/* Sums over the samples of a profile for every place of the edge: what remains unexplained, and the step's height. */
+/* Weighted least squares for every step position: residual sum of squares, and height of the step. */
 VECTOR_LOOP
 static void project(const double *value, size_t samples, const Templates *templates, double *cost, double *height) {
     const size_t places = templates->places;
@@ -155,8 +192,9 @@ static int is_touched(const Profiles *profiles, size_t i, const Templates *templ
     return 0;
 }
 
-/* The likeliest place; its sigma is still the square root of the curvature, its cost that of a profile. */
-static EdgeStep likeliest(const Profiles *profiles, size_t i, const Templates *templates, const StepRules *rules,
+/* Step of lowest cost with parabolic interpolation; sigma from the curvature of the cost, not yet scaled by the
+   residual variance. */
+static EdgeStep most_likely_step(const Profiles *profiles, size_t i, const Templates *templates, const StepParams *params,
                           double *scratch) {
     const size_t places = templates->places;
     double *cost = scratch, *height = scratch + places;
@@ -165,30 +203,83 @@ static EdgeStep likeliest(const Profiles *profiles, size_t i, const Templates *t
     for (size_t p = 1; p < places; p++)
         if (cost[p] < cost[best]) best = p;
     best = best < 1 ? 1 : best > places - 2 ? places - 2 : best;
-    const double left = cost[best - 1], least = cost[best], right = cost[best + 1], bend = left - 2 * least + right;
-    const int found = bend > rules->flat && least <= left && least <= right;
-    const double shift = found ? (left - right) / (2 * bend) * rules->spacing : 0;
+    const double left = cost[best - 1], minimum = cost[best], right = cost[best + 1], curvature = left - 2 * minimum + right;
+    const int found = curvature > params->flat && minimum <= left && minimum <= right;
+    const double shift = found ? (left - right) / (2 * curvature) * params->spacing : 0;
     const double offset = templates->place[best] + shift, size = fabs(height[best]);
-    const int hidden = !found || is_touched(profiles, i, templates, offset, rules->touched);
-    return (EdgeStep){hidden ? NAN : offset, rules->spacing * sqrt(2 / (found ? bend : 1)), size,
-                      size * profiles->noise[i] / templates->unit[best], least};
+    const int hidden = !found || is_touched(profiles, i, templates, offset, params->touched);
+    return (EdgeStep){hidden ? NAN : offset, params->spacing * sqrt(2 / (found ? curvature : 1)), size,
+                      size * profiles->noise[i] / templates->unit[best], minimum};
 }
 
-int edge_steps(const Profiles *profiles, const Templates *templates, const StepRules *rules, EdgeStep *steps) {
+static int edge_steps(const Profiles *profiles, const Templates *templates, const StepParams *params, EdgeStep *steps) {
     const size_t count = profiles->count;
     double *scratch = malloc((2 * templates->places + count + 1) * sizeof *scratch);
     if (scratch == NULL) return 0;
-    double *misfit = scratch + 2 * templates->places;
+    double *excess_cost = scratch + 2 * templates->places;
     for (size_t i = 0; i < count; i++) {
-        steps[i] = likeliest(profiles, i, templates, rules, scratch);
-        misfit[i] = steps[i].cost / (double)(profiles->samples - 3);
+        steps[i] = most_likely_step(profiles, i, templates, params, scratch);
+        excess_cost[i] = steps[i].cost / (double)(profiles->samples - 3);
     }
-    const int done = pool(misfit, count, (size_t)rules->pooled);
+    const int done = pool(excess_cost, count, (size_t)params->pooled);
     for (size_t i = 0; done && i < count; i++) {
-        const double excess = sqrt(fmax(misfit[i], 1));
+        const double excess = sqrt(fmax(excess_cost[i], 1));
         steps[i].sigma *= excess;
         steps[i].height /= excess;
     }
     free(scratch);
     return done;
+}
+
+PyObject *call_edge_profiles(PyObject *module, PyObject *tuple) {
+    (void)module;
+    static const Parameter parameter[] = {{"image", 'I', {ANY, ANY}},
+                                          {"place", 'd', {N, 2}},
+                                          {"normal", 'd', {N, 2}},
+                                          {"params", 'T', {NUMBERS(ProfileParams)}},
+                                          {">value", 'd', {N, M}},
+                                          {">saturated", '?', {N, M}},
+                                          {">noise", 'd', {N}}};
+    Arguments a;
+    if (!OPEN(tuple, parameter, &a)) return NULL;
+    const Py_buffer *image = &a.view[0], *value = &a.view[4];
+    const ProfileParams *params = (const ProfileParams *)a.number[3];
+    if (!require(params->inside >= 2 && (double)value->shape[1] >= params->inside,
+                 "value: must have more samples than lie inside"))
+        return close_arguments(&a, NULL);
+    Profiles profiles = {value->buf, a.view[6].buf, a.view[5].buf, (size_t)value->shape[0], (size_t)value->shape[1]};
+    const double right = (double)image->shape[1] - 1, bottom = (double)image->shape[0] - 1;
+    const EdgePicture picture = {image->buf, (size_t)image->shape[0], (size_t)image->shape[1], right, bottom,
+                                 image->itemsize == 2};
+    int done;
+    Py_BEGIN_ALLOW_THREADS
+    done = edge_profiles(&picture, a.view[1].buf, a.view[2].buf, params, &profiles);
+    Py_END_ALLOW_THREADS
+    return close_arguments(&a, done ? Py_BuildValue("") : PyErr_NoMemory());
+}
+
+PyObject *call_edge_steps(PyObject *module, PyObject *tuple) {
+    (void)module;
+    static const Parameter parameter[] = {{"value", 'd', {N, M}},  {"saturated", '?', {N, M}}, {"noise", 'd', {N}},
+                                          {"across", 'd', {M}},    {"place", 'd', {K}},        {"unit", 'd', {K}},
+                                          {"table", 'd', {3, M, K}}, {"params", 'T', {NUMBERS(StepParams)}}};
+    Arguments a;
+    if (!OPEN(tuple, parameter, &a)) return NULL;
+    const size_t count = (size_t)a.view[0].shape[0], samples = (size_t)a.view[0].shape[1];
+    const size_t places = (size_t)a.view[4].shape[0];
+    if (!require(samples > 3 && places > 2, "table: must have more than 3 samples and 2 places"))
+        return close_arguments(&a, NULL);
+    const double *table = a.view[6].buf;
+    Profiles profiles = {a.view[0].buf, a.view[2].buf, a.view[1].buf, count, samples};
+    const Templates templates = {a.view[3].buf, a.view[4].buf, a.view[5].buf, table, table + samples * places,
+                                 table + 2 * samples * places, places};
+    EdgeStep *step = malloc((count + 1) * sizeof *step);
+    int done;
+    Py_BEGIN_ALLOW_THREADS
+    done = step && edge_steps(&profiles, &templates, (const StepParams *)a.number[7], step);
+    Py_END_ALLOW_THREADS
+    PyObject *result = done ? PyBytes_FromStringAndSize((const char *)step, (Py_ssize_t)(count * sizeof *step))
+                            : PyErr_NoMemory();
+    free(step);
+    return close_arguments(&a, result);
 }

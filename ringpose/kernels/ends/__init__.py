@@ -1,4 +1,8 @@
-"""Where stripes end, and how well that is known."""
+"""Stripe endpoints: position, covariance and flags (ringpose-method(7), section 3).
+
+The sources are profile.c (intensity along the stripe), end_noise.c (noise model), end_edges.c (edge fit), end_sigmas.c
+(variance of the fitted edge) and ends.c (all of it, covariances and flags).
+"""
 
 from typing import NamedTuple
 
@@ -10,37 +14,38 @@ from ringpose.types.arrays import Array, Float64, Int64, UInt
 
 
 class EndParams(NamedTuple):
-    """What finds the end of a stripe."""
+    """Parameters of the endpoint search. The face is the part of the stripe on the ring's rim."""
 
     saturation_dn: float
     beyond_columns: float
-    """Columns beyond a track in which its end is looked for."""
+    """Columns beyond a track in which its end is searched."""
     inside_columns: float
-    """Columns of the face that set its level before the edge."""
+    """Columns of the face from which the level inside the edge is estimated."""
     outside_columns: float
-    """Columns beyond the edge that set the level there."""
+    """Columns beyond the edge from which the level outside is estimated."""
     flank_sigmas: float
-    """Rows on both sides of the line that are looked at, in sigmas of the stripe."""
+    """Rows on both sides of the line that are evaluated, in sigmas of the cross-section."""
     flanks_share: float
-    """Share of columns with a saturated pixel above which a stripe is read by its flanks."""
+    """Share of columns with a saturated pixel above which the amplitude is measured on the flanks only."""
     undimmed_level: float
-    """Share of the face's level above which the stripe still goes on."""
+    """The stripe continues while its level stays above this share of the face's level."""
     min_headroom: float
-    """Columns that saturation leaves less of than this say nothing about the stripe's level."""
+    """Smallest visible share by which the amplitude of a saturated column is divided."""
     min_noise: float
-    """No column weighs as if it had less noise than this share of the stripe's level: glare, the blur's tails."""
+    """Lower bound of a column's noise, as a share of the stripe's level: glare, tails of the blur."""
     shape_sigma: float
-    """Columns by which an edge's position depends on how its blur is modelled."""
+    """Standard deviation, in columns, of the position due to the model of the blur."""
     texture_factor: float
-    """What a column's section leaves unexplained, times this, is what it errs by."""
+    """Factor from the residual of a column's cross-section to the error of its amplitude."""
     facet_sigmas: float
-    """Columns over which what lies beneath a stripe is alike, in sigmas of its section."""
+    """Correlation length of the background texture, in sigmas of the cross-section."""
     near_columns: float
-    """Columns beyond the edge in which the level there must be the one that was fitted."""
+    """Columns beyond the edge in which the level is compared with the fitted one."""
     width_spread: float
-    """Relative standard deviation of an edge's width about that of all edges."""
+    """Relative standard deviation of the widths of edges in one image."""
     blunt_gain: float
-    """Gain in log likelihood by widths beyond that of the stripe's section, of all ends, above which ends are blunt."""
+    """Gain in log likelihood, summed over all ends, by widths larger than the cross-section's, above which ends are
+    blunt (rounded or chamfered)."""
 
 
 def stripe_ends(
@@ -48,43 +53,43 @@ def stripe_ends(
     dark: UInt[Array, "row column"] | None,
     lines: Float64[Array, "track column=5"],
     lens: Lens,
-    rules: EndParams,
+    params: EndParams,
 ) -> Float64[Array, "track end=2 column=10"]:
     """Left and right end of the stripe on each line, to a fraction of a column.
 
-    Lines are middle_x, middle_y, slope, x_start, x_end in undistorted pixels. The stripe's brightness along its line
-    (the Gaussian section that fits each column best) is compared with a level inside, a level outside, and an error
-    function between; the most likely position, width and levels win, widths near that which suits all ends best.
-    Columns of the result: x, y and slope of the line there (distorted pixels), sigma along x, the level outside as a
-    share of that inside, the share of saturated columns at the end, the edge's width, the sigma of the stripe's
-    section, whether the edge is blunt, and the relative variance of the peaks by what lies beneath the stripe; NaN
+    Lines are middle_x, middle_y, slope, x_start, x_end in undistorted pixels. `dark` is the same view with the lasers
+    off. The amplitude of the Gaussian cross-section in each column is modelled as a level inside, a level outside and
+    an error function between; position, width and levels are estimated by maximum likelihood, with the pooled width of
+    all ends as a prior. Columns of the result: x, y and slope of the line there (distorted pixels), sigma along x, the
+    level outside as a share of that inside, the share of saturated columns at the end, the edge's width, the sigma of
+    the cross-section, whether the edge is blunt, and the relative variance of the amplitudes due to the background; NaN
     where no edge fits.
     """
     black = None if dark is None else np.ascontiguousarray(dark)
-    found = _kernels.ends(np.ascontiguousarray(lit), black, np.ascontiguousarray(lines), lens, rules)
+    found = _kernels.ends(np.ascontiguousarray(lit), black, np.ascontiguousarray(lines), lens, params)
     return np.frombuffer(found, dtype=np.float64).reshape(-1, 2, 10)
 
 
 class MarkParams(NamedTuple):
-    """What an end is held against, and the flags for it."""
+    """Limits and values of the endpoint flags."""
 
     image_width: float
     border_px: float
-    """An end so close to the image's left or right border is none."""
+    """An end closer than this to the image's left or right border is truncated."""
     saturated_share: float
-    """Share of the last columns with a saturated pixel above which an end is saturated."""
+    """Share of the last columns with a saturated pixel above which an end is flagged as saturated."""
     kink_level: float
-    """A level beyond the edge of this share of the face's is a kink."""
+    """An end is a kink (a bend of the surface) if the level outside exceeds this share of the level inside."""
     unclear_px: float
-    """Ends with a greater sigma are unclear."""
+    """Ends with a larger sigma are flagged as unclear."""
     clipped_phase: float
-    """Error of a saturated stripe's centre, times the sigma of its section in pixels."""
+    """Error of a saturated stripe's centre, in pixels, times the sigma of its cross-section."""
     facet_sigmas: float
-    """Columns over which what lies beneath a stripe is alike, in sigmas of its section."""
-    taken_by_fit: float
-    """Independent columns that a line's fit takes,"""
+    """Correlation length of the background texture, in sigmas of the cross-section."""
+    fit_dof: float
+    """Degrees of freedom that the line fit takes from the number of independent columns,"""
     min_columns: float
-    """and the least that are left."""
+    """and the smallest number that is left."""
     saturated_flag: float
     kink_flag: float
     clipped_flag: float
@@ -93,30 +98,30 @@ class MarkParams(NamedTuple):
 
 
 class Ends(NamedTuple):
-    """The ends of stripes on the ring's face, left then right; NaN where none was seen."""
+    """The ends of the stripes on the ring's rim, left, then right; NaN where none was found."""
 
     position_px: Float64[Array, "laser end=2 xy=2"]
-    """Distorted."""
+    """In the distorted image."""
     covariance_px2: Float64[Array, "laser end=2 xy=2 xy=2"]
     flags: Int64[Array, "laser end=2"]
     straight_px: Float64[Array, "laser end=2 xy=2"]
-    """The tracks' own ends, undistorted."""
+    """The tracks' own ends, in the undistorted image."""
     straight_sigma_px: Float64[Array, "laser end=2"]
-    """Of the tracks' ordinates there."""
+    """Of the ordinates of the tracks' lines there."""
 
 
-def marked_ends(
+def flagged_ends(
     tracks: Float64[Array, "track column=11"],
     found: Float64[Array, "track end=2 column=10"],
     track_lasers: tuple[int, ...],
     lasers: int,
-    rules: MarkParams,
+    params: MarkParams,
 ) -> Ends:
-    """The ends of tracks, each of another one of so many lasers, with covariances and flags.
+    """The ends of tracks, each of a different laser, with covariances and flags.
 
-    `tracks` and `found` are the results of `stripe_line_segments` and `stripe_ends`. An end errs along its line by its
-    own sigma, and with the line across: by the scatter of the track's centres, columns that err alike counted once,
-    and by what these share and do not show.
+    `tracks` and `found` are the results of `stripe_line_segments` and `stripe_ends`. The error along the line is that
+    of the edge; the error across is that of the line: the scatter of the track's centres, divided by the root of the
+    number of independent columns, and errors that all its centres share (background, saturation).
     """
     both = (lasers, 2)
     position, covariance, flags = np.empty((*both, 2)), np.empty((*both, 2, 2)), np.empty(both, np.int64)
@@ -125,7 +130,7 @@ def marked_ends(
         np.ascontiguousarray(tracks),
         np.ascontiguousarray(found),
         np.array(track_lasers, dtype=np.int64),
-        rules,
+        params,
         position,
         covariance,
         flags,

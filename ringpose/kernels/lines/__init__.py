@@ -1,4 +1,8 @@
-"""Straight tracks through stripe centres, which of them lie on the ring, and arcs through their ends."""
+"""Line segments through stripe centres (tracks), the hypothesis test for the ring's rim, and arcs through endpoints.
+
+The sources are tracks.c (segmentation and line fits), rim.c (which segments lie on the rim of one planar ring) and
+arcs.c (two concentric arcs through the segments' endpoints).
+"""
 
 import math
 from typing import NamedTuple
@@ -10,7 +14,7 @@ from ringpose.types.arrays import Array, Float64, Int64
 
 
 class Lens(NamedTuple):
-    """OpenCV's pinhole and distortion."""
+    """Pinhole camera and distortion coefficients, named as in OpenCV."""
 
     fx: float
     fy: float
@@ -27,32 +31,32 @@ class Lens(NamedTuple):
 
 
 class TrackParams(NamedTuple):
-    """What cuts, joins and judges tracks."""
+    """Parameters of the segmentation of stripe centres into straight tracks."""
 
     kink_px: float
-    """A piece that leaves its chord by more than this (and one and a half sigmas of its centres) is cut there."""
+    """A piece is split where it deviates from its chord by more than this plus 1.5 sigmas of its centres."""
     joined_px: float
-    """Tracks whose lines meet this closely across a gap (and two of their sigmas) are one."""
+    """Tracks are joined if their lines differ by less than this, plus two of their sigmas, in the middle of the gap."""
     short_series: float
-    """Factor on a correlation length found in the residuals of a fitted line."""
+    """Bias correction: factor on the correlation length of residuals, which a line fit reduces in short series."""
     on_line_px: float
-    """Centres so close to a track's line count as on it."""
+    """A centre belongs to a line if it is closer to it than this."""
     border_px: float
-    """A track with an end so close to the image's left or right border is clipped."""
-    minimum_columns: float
+    """A track that ends closer than this to the image's left or right border is clipped."""
+    min_columns: float
     image_width: float
-    longest_lag: float
-    """Columns over which errors of neighbouring centres are looked at for likeness."""
+    max_lag: float
+    """Largest lag, in columns, of the autocorrelation of residuals."""
 
 
 TRACK_COLUMNS = (
     "laser", "centers", "x_start", "x_end", "middle_x", "middle_y",
-    "slope", "scatter", "correlation", "clipped", "spilt",
+    "slope", "scatter", "correlation", "clipped", "beyond_ends",
 )  # fmt: skip
-"""What `stripe_line_segments` says of each track; `spilt`: centres on its line between 2 px and the track's length
-(at most 100 px) + 40 px beyond its ends."""
+"""Columns of the result of `stripe_line_segments`; `beyond_ends` counts the centres on the track's line that lie
+between 2 px and the track's length (at most 100 px) + 40 px beyond its ends."""
 
-LASER, CENTERS, X_START, X_END, MIDDLE_X, MIDDLE_Y, SLOPE, SCATTER, CORRELATION, CLIPPED, SPILT = range(
+LASER, CENTERS, X_START, X_END, MIDDLE_X, MIDDLE_Y, SLOPE, SCATTER, CORRELATION, CLIPPED, BEYOND_ENDS = range(
     len(TRACK_COLUMNS)
 )
 
@@ -63,69 +67,70 @@ def stripe_line_segments(
     piece: Int64[Array, "center"],
     laser: Int64[Array, "piece"],
     lens: Lens,
-    rules: TrackParams,
+    params: TrackParams,
 ) -> Float64[Array, "track column=11"]:
     """Straight lines y = middle_y + slope (x - middle_x) through stripe centres, in undistorted pixels.
 
-    Pieces are cut at their kinks (Ramer's method on running medians of seven) and joined across gaps; each line is a
-    least-squares fit, a second one without outliers. Centres are sorted by piece, then column.
+    Pieces are split at their kinks (Ramer-Douglas-Peucker on running medians of seven) and joined across gaps. Each
+    line is fitted twice by least squares, the second time without outliers. Centres must be sorted by piece, then
+    column.
     """
     position, sigma = np.ascontiguousarray(position_px), np.ascontiguousarray(sigma_px)
-    found = _kernels.tracks(position, sigma, piece, laser, lens, rules)
+    found = _kernels.tracks(position, sigma, piece, laser, lens, params)
     return np.frombuffer(found, dtype=np.float64).reshape(-1, len(TRACK_COLUMNS))
 
 
 class UnionParams(NamedTuple):
-    """Which tracks may be pieces of one stripe, and are tried as one beside themselves."""
+    """Conditions under which tracks on a common line are also tried as one merged track."""
 
-    min_spilt: float
-    """A track with fewer centres on its line beyond its ends has nothing to be joined to."""
-    longest_gap: float
-    """Longest gap, as a share of both tracks together."""
-    apart_px: float
-    """How far apart the lines may be in the middle of the gap,"""
-    apart_sigmas: float
-    """and how many of their sigmas more."""
-    farthest_px: float
-    """Lines farther apart are none, whatever their sigmas."""
+    min_beyond_ends: float
+    """Fewest centres on a track's line beyond its ends; with fewer there is nothing to merge it with."""
+    max_gap: float
+    """Longest gap, as a share of the length of both tracks together."""
+    separation_px: float
+    """Largest distance of the two lines in the middle of the gap,"""
+    separation_sigmas: float
+    """to which this many of its sigmas are added."""
+    max_separation_px: float
+    """Limit of that distance, whatever the sigmas."""
     rounds: float
-    """Each joins what the one before has joined to one more track."""
-    taken_by_fit: float
-    """Independent columns that a line's fit takes,"""
+    """Number of merging rounds; each adds one more track."""
+    fit_dof: float
+    """Degrees of freedom that the line fit takes from the number of independent columns,"""
     min_columns: float
-    """and the least that are left."""
+    """and the smallest number that is left."""
 
 
 class CandidateParams(NamedTuple):
-    """Which tracks may be the face, and which of them are tried for each laser."""
+    """Which tracks are candidates for the rim, and how they are ranked for each laser."""
 
-    nearest_m: float
-    farthest_m: float
-    """Depth of a face."""
-    shortest_m: float
-    longest_m: float
-    """Length of a stripe on it."""
-    usual_scatter_px: float
-    """Half its square over two is what a track's merit loses for its scatter; it gains twice the logarithm of ..."""
-    enough_columns: float
-    """... its columns, but no more than for these."""
-    spill_cost: float
-    """What it costs if all centres on a track's line lie beyond the track, but no more than ..."""
-    coincidence_cost: float
-    """... this if another laser's stripe would lie there on a body behind the face, by ..."""
-    behind_least_m: float
-    behind_most_m: float
-    """... so much in depth."""
-    clipped_cost: float
-    """What it costs that a track leaves the image."""
-    union_cost: float
-    """What it costs that a track is put together."""
+    min_depth_m: float
+    max_depth_m: float
+    """Depth range of the rim."""
+    min_length_m: float
+    max_length_m: float
+    """Length range of a stripe on it."""
+    typical_scatter_px: float
+    """The merit of a track is 2 log(columns) - (scatter / typical_scatter)^2 / 2, less the penalties below."""
+    max_counted_columns: float
+    """Columns beyond this number do not increase the merit."""
+    spill_penalty: float
+    """Penalty if all centres on the line lie beyond the ends of the track, proportional to their share."""
+    coincidence_penalty: float
+    """Limit of that penalty if the centres may belong to another laser's stripe on the body behind the rim, at ..."""
+    min_behind_m: float
+    max_behind_m: float
+    """... a distance in this range behind it."""
+    clipped_penalty: float
+    """Penalty of a track that is truncated by the image border."""
+    union_penalty: float
+    """Penalty of a merged track."""
     most: float
-    """Tracks of the greatest merit that are tried for each laser."""
+    """Largest number of candidates for each laser."""
 
 
 class RingParams(NamedTuple):
-    """What groups of tracks are held against; costs are squared sigmas over two."""
+    """Ring model that groups of tracks are tested against; costs and penalties are chi-square / 2."""
 
     focal_x: float
     focal_y: float
@@ -133,34 +138,34 @@ class RingParams(NamedTuple):
     principal_y: float
     image_height: float
     border_px: float
-    """Closer to the upper or lower border a stripe may well be missed."""
+    """A stripe closer than this to the upper or lower border may be missed without penalty."""
     along_sigma_px: float
-    """How far a track's end may lie from its circle."""
+    """Sigma of the distance of a track's end from its circle."""
     across_sigma_px: float
-    """How far a track may lie from the plane's line."""
+    """Sigma of the distance of a track from the line in which the plane cuts the light plane."""
     plane_limit: float
-    """Cost above which tracks do not lie on one plane, for each track."""
+    """Largest cost of a common plane, for each track."""
     circle_limit: float
-    """Cost above which ends do not lie on two circles, for each track."""
-    dropped_end_cost: float
-    """What it costs to call one of six ends occluded."""
-    unseen_cost: float
-    """What it costs that a laser's stripe is not seen where the plane would show it."""
-    maximum_tilt_rad: float
-    minimum_radius_m: float
-    minimum_band_m: float
+    """Largest cost of two concentric circles, for each track."""
+    dropped_end_penalty: float
+    """Penalty of treating one of six ends as occluded."""
+    unseen_penalty: float
+    """Penalty of each laser whose stripe is missing where the plane predicts it."""
+    max_tilt_rad: float
+    min_radius_m: float
+    min_band_m: float
     left_x: float = -math.inf
-    """Ends beyond this normalised x, or ..."""
+    """Ends to the left of this normalised x, ..."""
     right_x: float = math.inf
-    """... this, or ..."""
+    """... to the right of this, ..."""
     top_y: float = -math.inf
-    """... beyond this normalised y, or ..."""
+    """... above this normalised y or ..."""
     bottom_y: float = math.inf
-    """... this are cut off by the image's border and on no circle."""
+    """... below this are truncated by the image border and not used for the circles."""
 
 
 class FaceParams(NamedTuple):
-    """What a face is held against."""
+    """Parameters of the search for the rim."""
 
     unions: UnionParams
     candidates: CandidateParams
@@ -168,55 +173,55 @@ class FaceParams(NamedTuple):
 
 
 class Group(NamedTuple):
-    """The best group of a size: a track for each of some lasers."""
+    """The best hypothesis with a given number of lasers: one track for each of them."""
 
     lasers: tuple[int, ...]
     tracks: tuple[int, ...]
-    """Numbers."""
+    """Indices of the tracks."""
     score: float
-    """Minus infinity if no group is possible."""
+    """Log likelihood up to a constant; minus infinity if no group is possible."""
     rival: float
-    """Best score of the same tracks under other lasers."""
+    """Best score of the same tracks with another assignment to lasers."""
 
 
 class Faces(NamedTuple):
-    """What may be the ring's face."""
+    """Hypotheses for the rim of the ring."""
 
     tracks: Float64[Array, "n column=11"]
-    """The given ones, and then those that were put together of them."""
+    """The given tracks, followed by the merged ones."""
     groups: tuple[Group, Group, Group]
-    """Of one, two and three tracks."""
+    """The best groups of one, two and three tracks."""
 
 
 def ring_faces(
     tracks: Float64[Array, "track column=11"],
     unlabelled: int,
     planes: Float64[Array, "laser xyz=3"],
-    rules: FaceParams,
+    params: FaceParams,
 ) -> Faces:
-    """The best groups of one, two and three tracks, each under a laser of its own, that one planar ring explains.
+    """The best groups of one, two and three tracks, each of a different laser, that lie on the rim of one planar ring.
 
-    `unlabelled` is the mask of the lasers that tracks without a laser may belong to. `planes` are the light planes as
-    m / d, so that 1/z = (m / d) . (x, y, 1) on them. Pieces of a line that may be one are tried as one, too. The
-    score is the sum of the merits less the costs of plane, circles, unseen lasers, and tilt (half the square of tilt
-    over 0.5 rad).
+    `unlabelled` is the bit mask of the lasers that tracks without a laser may belong to. `planes` are the light planes
+    as normal / distance, so that 1/z = (normal / distance) . (x, y, 1) on them. Collinear tracks are tried as one, too.
+    The score is the sum of the merits less the costs of plane and circles, the penalties of missing lasers, and a tilt
+    prior of sigma 0.5 rad.
     """
     every, (one, two, three) = _kernels.faces(
-        np.ascontiguousarray(tracks), unlabelled, np.ascontiguousarray(planes), *rules
+        np.ascontiguousarray(tracks), unlabelled, np.ascontiguousarray(planes), *params
     )
     groups = Group(*one), Group(*two), Group(*three)
     return Faces(np.frombuffer(every, np.float64).reshape(-1, len(TRACK_COLUMNS)), groups)
 
 
 class ArcFit(NamedTuple):
-    """How well points fit two arcs about one centre."""
+    """Two concentric arcs fitted to points."""
 
     seen: tuple[int, int]
-    """Points on either arc."""
+    """Number of points on each arc."""
     cost: float
-    """Squared sigmas over two of all points."""
+    """Half the chi-square of all points."""
     cost_without: tuple[float, ...]
-    """The same with each point left out, laser by laser, left and right; infinite where there is none."""
+    """The same with each point left out, for each laser left, then right; infinite where there is no point."""
     curvature: float
     """One over the radius; positive if the centre lies on the side of positive x."""
     curvature_sigma: float
@@ -230,12 +235,12 @@ def arc_fit(
     circle_sigma_px: float,
     fitted_exactly: int,
 ) -> ArcFit:
-    """How well the ends of stripes fit two arcs about one centre, one through the left ends, one through the right.
+    """Two concentric arcs fitted to the ends of stripes, one to the left ends and one to the right ends.
 
-    In the plane nearest to them, arcs a (x^2 + y^2) + x + b y + c_arc = 0 are fitted by least squares along x, which
-    runs along the image's rows. Costs count distances in the points' sigmas along x and `circle_sigma_px` together;
-    the curvature's sigma follows from moving each point by the former, or by both where all points are no more than
-    `fitted_exactly`. Ends that are NaN are none.
+    In the best-fitting plane of the ends, arcs a (x^2 + y^2) + x + b y + c_arc = 0 are fitted by least squares along x,
+    the direction of the image rows. The variance of a distance is that of the point along x plus `circle_sigma_px`
+    squared. The sigma of the curvature is propagated from the former alone, or from both if there are at most
+    `fitted_exactly` points. Ends that are NaN are ignored.
     """
     position, covariance, light = (np.ascontiguousarray(each) for each in (position_px, covariance_px2, planes))
     return ArcFit(*_kernels.arcs(position, covariance, light, lens, circle_sigma_px, fitted_exactly))

@@ -1,10 +1,10 @@
-/* Two short arcs about one centre through points in a plane. No Python in here. */
+/* Two short arcs about one centre through points in a plane. */
 #ifndef RINGPOSE_ARCS_H
 #define RINGPOSE_ARCS_H
 
 #include "tracks.h"
 
-enum { MOST_ENDS = 64 };
+enum { MAX_ENDS = 64 };
 
 typedef struct {
     double x, y;
@@ -20,8 +20,8 @@ typedef struct {
 /* 0 if an arc has no point. */
 int fit_arcs(const End *end, int ends, Arcs *arcs);
 
-/* The same, but straight where that would be of a smaller radius than this: the arcs of two stripes go through any four
-   ends, and where these lie square, the least error bends them at will. */
+/* The same, but straight lines if the radius would be smaller than `radius`: two arcs pass through any four ends, and
+   if these form a square, the radius is not determined. */
 int fit_wide_arcs(const End *end, int ends, double radius, Arcs *arcs);
 
 /* Distance of a point from its arc, positive towards positive x. */
@@ -32,11 +32,6 @@ double arcs_curvature(const Arcs *arcs);
 
 double arcs_band(const Arcs *arcs);
 
-/* Puts points seen in the image, each on a light plane (normal, distance), into the plane nearest to all, with x along
-   the image's rows; `sigma` becomes what a pixel is worth there, in metres. */
-void flatten_ends(const double *position, const double *planes, const Lens *lens, End *end, int count);
 
-/* Cost of all ends, of all but each, the curvature, and its sigma by differences. */
-void arc_costs(End *end, int ends, double *result);
 
 #endif

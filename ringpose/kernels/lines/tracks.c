@@ -1,18 +1,233 @@
-/* Straight tracks: pieces cut at their kinks, joined across gaps. */
-#include "drafts.h"
+/* Straight tracks: pieces of stripe centres are split at their kinks and joined across gaps; lines are fitted to them,
+   with the correlation length of the residuals; and centres on a line beyond its ends are counted. */
+#include "arguments.h"
 
 #include <math.h>
+#include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "select.h"
-#include "track_line.h"
+#include "kernels.h"
+#include "median.h"
+#include "tracks.h"
 
-/* Values of a running median. */
+typedef struct {
+    double kink, joined;      /* px */
+    double short_series;      /* factor */
+    double count_on_line, border;   /* px */
+    size_t min_columns, max_lag;
+    double width;             /* of the image */
+} TrackParams;
+
+typedef struct {
+    size_t n, pieces;
+    const double *column; /* distorted */
+    const double *x, *y;  /* undistorted */
+    const double *sigma;
+    const int64_t *piece, *laser; /* of each centre; of each piece */
+} Centers;
+
+/* Largest number of runs of neighbouring centres in one track. */
+enum { BLOCKS = 8 };
+
+/* A track and its runs of centres, in ascending x. */
+typedef struct {
+    Track track;
+    size_t first[BLOCKS], last[BLOCKS], blocks; /* last is one beyond */
+} Draft;
+
+typedef struct {
+    const Centers *centers;
+    const TrackParams *params;
+    double *x, *y, *residual, *scratch; /* room for all centres */
+} Work;
+
+/* Partial sums, as a vector register holds them. */
+enum { PARTS = 4 };
+
+/* Copies the centres of all runs into one array; returns their number. */
+static size_t gather(const Draft *draft, const double *from, double *to) {
+    size_t n = 0;
+    for (size_t b = 0; b < draft->blocks; b++) {
+        size_t length = draft->last[b] - draft->first[b];
+        memcpy(to + n, from + draft->first[b], length * sizeof *to);
+        n += length;
+    }
+    return n;
+}
+
+/* Sum of value[i] value[i + lag]. */
+static double sum_of_lagged_products(const double *value, size_t n, size_t lag) {
+    const double *other = value + lag;
+    double sum[PARTS] = {0};
+    size_t pairs = n - lag, i = 0;
+    for (; i + PARTS <= pairs; i += PARTS)
+        for (size_t j = 0; j < PARTS; j++) sum[j] += value[i + j] * other[i + j];
+    for (; i < pairs; i++) sum[0] += value[i] * other[i];
+    return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
+/* Integrated autocorrelation, 1 + 2 sum_l rho(l) up to the first lag at which it is not positive, corrected for the
+   bias of short series. */
+static double correlation_columns(double *residual, size_t n, const TrackParams *params) {
+    double mean = 0, columns = 1;
+    for (size_t i = 0; i < n; i++) mean += residual[i];
+    mean /= (double)n;
+    for (size_t i = 0; i < n; i++) residual[i] -= mean;
+    double variance = fmax(sum_of_lagged_products(residual, n, 0), 1e-12);
+    for (size_t lag = 1; lag < params->max_lag && lag < n / 3; lag++) {
+        double correlation = sum_of_lagged_products(residual, n, lag) / variance;
+        if (!(correlation > 0)) break;
+        columns += 2 * correlation;
+    }
+    return params->short_series * columns;
+}
+
+/* GNU C vectors: compilers do not reorder floating-point sums by themselves. */
+typedef double Doubles __attribute__((vector_size(8 * PARTS), aligned(8), may_alias));
+typedef int64_t Masks __attribute__((vector_size(8 * PARTS), aligned(8), may_alias));
+#define DOUBLES(address) (*(const Doubles *)(address))
+
+/* Moments about an origin of the centres whose residual is below a limit. */
+typedef struct {
+    Doubles count, x, y, xx, xy;
+} Sums;
+
+static void add_inliers(const double *x, const double *y, const double *residual, size_t n, double limit, size_t origin,
+                        Sums *sums) {
+    double origin_x = x[origin], origin_y = y[origin];
+    const Doubles one = {1, 1, 1, 1};
+    Sums s = {{0}, {0}, {0}, {0}, {0}};
+    size_t whole = n - n % PARTS;
+    for (size_t i = 0; i < whole; i += PARTS) {
+        Doubles weight = (Doubles)((DOUBLES(residual + i) < limit) & (Masks)one);
+        Doubles dx = DOUBLES(x + i) - origin_x, dy = DOUBLES(y + i) - origin_y, weighted = weight * dx;
+        s.count += weight;
+        s.x += weighted;
+        s.y += weight * dy;
+        s.xx += weighted * dx;
+        s.xy += weighted * dy;
+    }
+    for (size_t i = whole; i < n; i++) {
+        double weight = residual[i] < limit ? 1 : 0, dx = x[i] - origin_x, dy = y[i] - origin_y;
+        s.count[0] += weight;
+        s.x[0] += weight * dx;
+        s.y[0] += weight * dy;
+        s.xx[0] += weight * dx * dx;
+        s.xy[0] += weight * dx * dy;
+    }
+    *sums = s;
+}
+
+static double total(const Doubles *part) { return ((*part)[0] + (*part)[1]) + ((*part)[2] + (*part)[3]); }
+
+/* Distances from a track's line. */
+static void find_residuals(const Track *track, const double *restrict x, const double *restrict y, size_t n,
+                           double *restrict residual) {
+    double middle_x = track->middle_x, middle_y = track->middle_y, slope = track->slope;
+    for (size_t i = 0; i < n; i++) residual[i] = fabs(y[i] - middle_y - slope * (x[i] - middle_x));
+}
+
+/* The line through a draft's centres, by two rounds of least squares, the second without outliers. */
+static void fit_line(Draft *draft, const Work *work) {
+    Track *track = &draft->track;
+    double *x = work->x, *y = work->y, *r = work->residual, limit = INFINITY;
+    size_t n = gather(draft, work->centers->x, x);
+    gather(draft, work->centers->y, y);
+    memset(r, 0, n * sizeof *r);
+    for (int round = 0; round < 2; round++) {
+        Sums sums;
+        add_inliers(x, y, r, n, limit, n / 2, &sums);
+        double count = total(&sums.count), sum_x = total(&sums.x), sum_y = total(&sums.y);
+        track->slope = (total(&sums.xy) - sum_x * sum_y / count) / (total(&sums.xx) - sum_x * sum_x / count);
+        track->middle_x = x[n / 2] + sum_x / count;
+        track->middle_y = y[n / 2] + sum_y / count;
+        find_residuals(track, x, y, n, r);
+        memcpy(work->scratch, r, n * sizeof *r);
+        track->scatter = fmax(1.4826 * median(work->scratch, n), 0.01);
+        limit = 3 * track->scatter;
+    }
+    size_t inliers = 0;
+    for (size_t i = 0; i < n; i++) {
+        work->scratch[inliers] = y[i] - track->middle_y - track->slope * (x[i] - track->middle_x);
+        inliers += r[i] < limit;
+    }
+    track->correlation = correlation_columns(work->scratch, inliers, work->params);
+    track->count = (double)n;
+    track->x_start = x[0];
+    track->x_end = x[n - 1];
+    double left = work->centers->column[draft->first[0]];
+    double right = work->centers->column[draft->last[draft->blocks - 1] - 1];
+    double border = work->params->border, width = work->params->width;
+    track->clipped = left < border || left > width - 1 - border || right < border || right > width - 1 - border;
+}
+
+/* Centres by column: those of column c are start[c] to start[c + 1]. */
+typedef struct {
+    double *x, *y, *laser;
+    int32_t *start;
+    size_t columns;
+} ByColumn;
+
+static size_t column_of(double x, const Work *work) {
+    double width = work->params->width;
+    return (size_t)(x < 0 ? 0 : x < width ? x : width);
+}
+
+static int sort_by_column(const Work *work, ByColumn *sorted) {
+    const Centers *c = work->centers;
+    sorted->columns = (size_t)work->params->width + 1;
+    sorted->x = malloc(3 * c->n * sizeof(double) + 1);
+    sorted->start = calloc(sorted->columns + 2, sizeof(int32_t));
+    if (sorted->x == NULL || sorted->start == NULL) return 0;
+    sorted->y = sorted->x + c->n;
+    sorted->laser = sorted->y + c->n;
+    int32_t *next = sorted->start + 1; /* one ahead: index of the next centre of a column */
+    for (size_t i = 0; i < c->n; i++) next[column_of(c->x[i], work) + 1]++;
+    for (size_t column = 0; column < sorted->columns; column++) next[column + 1] += next[column];
+    for (size_t i = 0; i < c->n; i++) {
+        size_t at = (size_t)next[column_of(c->x[i], work)]++;
+        sorted->x[at] = c->x[i];
+        sorted->y[at] = c->y[i];
+        sorted->laser[at] = (double)c->laser[c->piece[i]];
+    }
+    return 1;
+}
+
+/* Number of centres on a track's line between two columns. */
+static double count_on_line(const Track *track, double from, double to, const ByColumn *sorted, const Work *work) {
+    const double *restrict x = sorted->x, *restrict y = sorted->y, *restrict laser = sorted->laser;
+    double own = track->laser, middle_x = track->middle_x, middle_y = track->middle_y, slope = track->slope;
+    double limit = work->params->count_on_line;
+    size_t first = (size_t)sorted->start[column_of(from, work)];
+    size_t end = (size_t)sorted->start[column_of(to, work) + 1];
+    int count = 0;
+    for (size_t i = first; i < end; i++)
+        count += (x[i] > from) & (x[i] < to) & ((own < 0) | (laser[i] == own)) &
+                 (fabs(y[i] - (middle_y + slope * (x[i] - middle_x))) < limit);
+    return count;
+}
+
+/* Counts, for every track, the centres on its line beyond its ends. 0 if there is no memory. */
+static int count_beyond_ends(Draft *drafts, size_t count, const Work *work) {
+    ByColumn sorted = {0};
+    int done = sort_by_column(work, &sorted);
+    for (size_t t = 0; done && t < count; t++) {
+        Track *track = &drafts[t].track;
+        double length = track->x_end - track->x_start, reach = (length < 100 ? length : 100) + 40;
+        track->beyond_ends = count_on_line(track, track->x_start - reach, track->x_start - 2, &sorted, work) +
+                       count_on_line(track, track->x_end + 2, track->x_end + reach, &sorted, work);
+    }
+    free(sorted.x);
+    free(sorted.start);
+    return done;
+}
+
+/* Length of the running median. */
 enum { SMOOTHED = 7 };
 
-/* Columns over which the speckle of two centres has become independent, and differences that tell a scatter. */
-enum { LAG = 4, LEAST_DIFFERENCES = 8 };
+/* Lag at which the speckle of two centres is independent, and fewest differences for an estimate of the scatter. */
+enum { LAG = 4, MIN_DIFFERENCES = 8 };
 
 typedef struct {
     Draft *data;
@@ -46,7 +261,7 @@ static double smoothed(const double *y, ptrdiff_t n, ptrdiff_t i) {
     return window[SMOOTHED / 2];
 }
 
-/* The chord of a run's smoothed ends. */
+/* Chord between the smoothed ends of a run. */
 typedef struct {
     double x, y, slope;
 } Chord;
@@ -58,69 +273,68 @@ static Chord chord_of(const double *x, const double *y, ptrdiff_t n) {
 
 static double chord_y(const Chord *chord, double x) { return chord->y + chord->slope * (x - chord->x); }
 
-/* How far the smoothed run can be from its chord: a median is no farther than the farthest of its values. */
-static double farthest_possible(const Chord *chord, const double *x, const double *y, ptrdiff_t n) {
-    double most = 0, lean = 0;
+/* Upper bound of the distance of the smoothed run from its chord: that of the farthest value. */
+static double max_possible_distance(const Chord *chord, const double *x, const double *y, ptrdiff_t n) {
+    double maximum = 0, max_step = 0;
     for (ptrdiff_t i = 0; i < n; i++) {
         double off = fabs(y[i] - chord_y(chord, x[i])), step = i ? x[i] - x[i - 1] : 0;
-        most = off > most ? off : most;
-        lean = step > lean ? step : lean;
+        maximum = off > maximum ? off : maximum;
+        max_step = step > max_step ? step : max_step;
     }
-    return most + fabs(chord->slope) * lean * (SMOOTHED / 2);
+    return maximum + fabs(chord->slope) * max_step * (SMOOTHED / 2);
 }
 
-/* Where the smoothed run is farthest from its chord, if by more than is allowed: else -1. Only where a value near by
-   is that far need a median be looked for. */
-static ptrdiff_t farthest_place(const Chord *chord, const double *x, const double *y, ptrdiff_t n, double allowed,
+/* Index at which the smoothed run is farthest from its chord, or -1 if by no more than `allowed`. Medians are computed
+   only near values that are that far away. */
+static ptrdiff_t farthest_index(const Chord *chord, const double *x, const double *y, ptrdiff_t n, double allowed,
                                 double slack) {
     ptrdiff_t where = -1, half = SMOOTHED / 2, next = 0;
-    double most = allowed;
+    double maximum = allowed;
     for (ptrdiff_t j = 0; j < n; j++) {
         if (fabs(y[j] - chord_y(chord, x[j])) + slack <= allowed) continue;
         for (ptrdiff_t i = j - half > next ? j - half : next; i <= j + half && i < n; i++) {
             double bend = fabs(smoothed(y, n, i) - chord_y(chord, x[i]));
             next = i + 1;
-            if (bend <= most) continue;
-            most = bend;
+            if (bend <= maximum) continue;
+            maximum = bend;
             where = i;
         }
     }
     return where;
 }
 
-/* Standard deviation of a run's centres as the median of their second differences has it, which few jumps do not raise;
-   infinite if there are too few. */
+/* Robust standard deviation of a run's centres, from the median of second differences; infinite if there are too few. */
 static double scatter_of(const double *y, size_t n, double *scratch) {
     size_t count = n > 2 * LAG ? n - 2 * LAG : 0;
-    if (count < LEAST_DIFFERENCES) return INFINITY;
+    if (count < MIN_DIFFERENCES) return INFINITY;
     for (size_t i = 0; i < count; i++) scratch[i] = fabs(y[i] + y[i + 2 * LAG] - 2 * y[i + LAG]);
     return 1.4826 * median(scratch, count) / sqrt(6);
 }
 
-/* Where a run is to be cut: where it is farthest from its chord, if that is far; else -1.
+/* Index at which a run is split, or -1 if it is straight.
 
-   `sigma`: the least that was said of the runs that it was cut from; what its own sigmas and scatter say is taken into
-   account. A jump raises the sigmas of all the piece, which must not hide it. */
-static ptrdiff_t kink_of(size_t first, size_t n, const Work *work, double *sigma) {
+   `sigma` is the smallest estimate so far, including those of the longer runs that contained this one: a jump raises
+   the sigmas of the whole piece, which must not hide it. */
+static ptrdiff_t kink_index(size_t first, size_t n, const Work *work, double *sigma) {
     const double *x = work->centers->x + first, *y = work->centers->y + first;
     Chord chord = chord_of(x, y, (ptrdiff_t)n);
-    double most = farthest_possible(&chord, x, y, (ptrdiff_t)n);
-    if (most <= work->rules->kink) return -1;
+    double maximum = max_possible_distance(&chord, x, y, (ptrdiff_t)n);
+    if (maximum <= work->params->kink) return -1;
     memcpy(work->scratch, work->centers->sigma + first, n * sizeof(double));
     *sigma = fmin(*sigma, median(work->scratch, n));
     *sigma = fmin(*sigma, scatter_of(y, n, work->scratch));
-    double allowed = work->rules->kink + 1.5 * *sigma, lean = 0;
-    if (most <= allowed) return -1;
-    for (size_t i = 1; i < n; i++) lean = x[i] - x[i - 1] > lean ? x[i] - x[i - 1] : lean;
-    double slack = fabs(chord.slope) * lean * (SMOOTHED / 2);
-    return farthest_place(&chord, x, y, (ptrdiff_t)n, allowed, slack);
+    double allowed = work->params->kink + 1.5 * *sigma, max_step = 0;
+    if (maximum <= allowed) return -1;
+    for (size_t i = 1; i < n; i++) max_step = x[i] - x[i - 1] > max_step ? x[i] - x[i - 1] : max_step;
+    double slack = fabs(chord.slope) * max_step * (SMOOTHED / 2);
+    return farthest_index(&chord, x, y, (ptrdiff_t)n, allowed, slack);
 }
 
-/* Cuts a piece where it is farthest from its chord (Ramer), as long as that is far. */
+/* Splits a piece recursively where it is farthest from its chord (Ramer-Douglas-Peucker). */
 static int cut(size_t first, size_t last, double sigma, double laser, const Work *work, Drafts *drafts) {
     size_t n = last - first;
-    if (n < work->rules->minimum) return 1;
-    ptrdiff_t where = kink_of(first, n, work, &sigma);
+    if (n < work->params->min_columns) return 1;
+    ptrdiff_t where = kink_index(first, n, work, &sigma);
     if (where >= 0) {
         size_t at = (size_t)(where < 1 ? 1 : where > (ptrdiff_t)n - 1 ? (ptrdiff_t)n - 1 : where);
         return cut(first, first + at, sigma, laser, work, drafts) && cut(first + at, last, sigma, laser, work, drafts);
@@ -133,15 +347,15 @@ static int cut(size_t first, size_t last, double sigma, double laser, const Work
 
 static double sigma_at(const Track *track, double x) { return line_sigma(track, x, middle_sigma(track, 0, 2)); }
 
-/* Whether the second track lies on the first one's line, not too far beyond its end. */
-static int continues(const Track *first, const Track *second, const TrackRules *rules) {
+/* True if the second track continues the line of the first after a short gap. */
+static int continues(const Track *first, const Track *second, const TrackParams *params) {
     double gap = second->x_start - first->x_end;
     double length = first->x_end - first->x_start, other = second->x_end - second->x_start;
     if (first->laser != second->laser || !(gap >= 0) || gap > fmax(12, 0.5 * fmin(length, other))) return 0;
     double middle = (first->x_end + second->x_start) / 2;
     double apart = fabs(line_y(first, middle) - line_y(second, middle));
     double turned = fabs(first->slope - second->slope) * fmin(fmin(length, other), fmax(length, other) / 2) / 2;
-    double allowed = rules->joined + 2 * hypot(sigma_at(first, middle), sigma_at(second, middle));
+    double allowed = params->joined + 2 * hypot(sigma_at(first, middle), sigma_at(second, middle));
     return fmax(apart, turned) < allowed;
 }
 
@@ -151,7 +365,7 @@ static int by_start(const void *first, const void *second) {
     return (a->first[0] > b->first[0]) - (a->first[0] < b->first[0]);
 }
 
-/* Makes one track of those that continue each other; tracks that went into another have no blocks left. */
+/* Joins tracks that continue each other; tracks that were joined to another one keep no blocks. */
 static int join(Drafts *drafts, const Work *work) {
     if (drafts->used) qsort(drafts->data, drafts->used, sizeof *drafts->data, by_start);
     Drafts joined = {NULL, 0, 0};
@@ -160,7 +374,7 @@ static int join(Drafts *drafts, const Work *work) {
         for (size_t j = joined.used; j-- > 0;) {
             Draft *partner = &joined.data[j];
             if (!partner->blocks || partner->blocks + draft.blocks > BLOCKS) continue;
-            if (!continues(&partner->track, &draft.track, work->rules)) continue;
+            if (!continues(&partner->track, &draft.track, work->params)) continue;
             Draft both = *partner;
             both.first[both.blocks] = draft.first[0];
             both.last[both.blocks++] = draft.last[0];
@@ -179,10 +393,10 @@ static int join(Drafts *drafts, const Work *work) {
     return 1;
 }
 
-Track *straight_tracks(const Centers *centers, const TrackRules *rules, size_t *count) {
+static Track *find_segments(const Centers *centers, const TrackParams *params, size_t *count) {
     size_t n = centers->n ? centers->n : 1;
     double *memory = malloc(4 * n * sizeof *memory);
-    Work work = {centers, rules, memory, memory + n, memory + 2 * n, memory + 3 * n};
+    Work work = {centers, params, memory, memory + n, memory + 2 * n, memory + 3 * n};
     Drafts drafts = {NULL, 0, 0};
     Track *tracks = NULL;
     int done = memory != NULL;
@@ -190,7 +404,7 @@ Track *straight_tracks(const Centers *centers, const TrackRules *rules, size_t *
         for (last = first + 1; last < centers->n && centers->piece[last] == centers->piece[first];) last++;
         done = cut(first, last, INFINITY, (double)centers->laser[centers->piece[first]], &work, &drafts);
     }
-    if (done && join(&drafts, &work) && count_spilt(drafts.data, drafts.used, &work)) {
+    if (done && join(&drafts, &work) && count_beyond_ends(drafts.data, drafts.used, &work)) {
         tracks = malloc((drafts.used ? drafts.used : 1) * sizeof *tracks);
         *count = 0;
         for (size_t i = 0; tracks && i < drafts.used; i++)
@@ -199,4 +413,63 @@ Track *straight_tracks(const Centers *centers, const TrackRules *rules, size_t *
     free(drafts.data);
     free(memory);
     return tracks;
+}
+
+/* True if all centres are finite, their pieces ascend from 0, and every piece has a laser. */
+static int centers_in_order(const Py_buffer view[4]) {
+    const double(*at)[2] = view[0].buf, *sigma = view[1].buf;
+    const int64_t *piece = view[2].buf;
+    for (Py_ssize_t i = 0; i < view[0].shape[0]; i++) {
+        int in_order = piece[i] >= (i ? piece[i - 1] : 0) && piece[i] < view[3].shape[0];
+        if (in_order && isfinite(at[i][0]) && isfinite(at[i][1]) && isfinite(sigma[i])) continue;
+        PyErr_Format(PyExc_ValueError, "centers: number %zd is not finite, or its piece is out of order", i);
+        return 0;
+    }
+    return 1;
+}
+
+enum { TRACK_PARAMS = 8, MIN_COLUMNS = 4 };
+
+/* A piece must be at least as long as half the window of the running median. */
+static int track_params_fit(const double rule[TRACK_PARAMS]) {
+    int fit = rule[5] >= MIN_COLUMNS && rule[6] >= 1 && rule[6] < 1e6 && rule[7] >= 0;
+    for (int i = 0; i < TRACK_PARAMS; i++) fit = fit && isfinite(rule[i]);
+    return require(fit, "params: a parameter of the tracks is out of range");
+}
+
+static Track *find_tracks(const Py_buffer view[4], const Lens *lens, const double rule[TRACK_PARAMS], size_t *count) {
+    const size_t n = (size_t)view[0].shape[0];
+    const double(*at)[2] = view[0].buf;
+    double *column = malloc((n ? 3 * n : 1) * sizeof *column);
+    if (column == NULL) return NULL;
+    double *x = column + n, *y = x + n;
+    for (size_t i = 0; i < n; i++) {
+        column[i] = x[i] = at[i][0];
+        y[i] = at[i][1];
+    }
+    undistort(lens, x, y, n);
+    Centers centers = {n, (size_t)view[3].shape[0], column, x, y, view[1].buf, view[2].buf, view[3].buf};
+    TrackParams params = {rule[0], rule[1], rule[2], rule[3], rule[4], (size_t)rule[5], (size_t)rule[7], rule[6]};
+    Track *track = find_segments(&centers, &params, count);
+    free(column);
+    return track;
+}
+
+PyObject *call_tracks(PyObject *module, PyObject *tuple) {
+    (void)module;
+    static const Parameter parameter[] = {{"position", 'd', {N, 2}}, {"sigma", 'd', {N}},
+                                          {"piece", 'q', {N}},       {"laser", 'q', {ANY}},
+                                          {"lens", 'T', {NUMBERS(Lens)}}, {"params", 'T', {TRACK_PARAMS}}};
+    Arguments a;
+    if (!OPEN(tuple, parameter, &a)) return NULL;
+    if (!track_params_fit(a.number[5]) || !centers_in_order(a.view)) return close_arguments(&a, NULL);
+    Track *track;
+    size_t count = 0;
+    Py_BEGIN_ALLOW_THREADS
+    track = find_tracks(a.view, (const Lens *)a.number[4], a.number[5], &count);
+    Py_END_ALLOW_THREADS
+    PyObject *result =
+        track ? PyBytes_FromStringAndSize((const char *)track, (Py_ssize_t)(count * sizeof *track)) : PyErr_NoMemory();
+    free(track);
+    return close_arguments(&a, result);
 }

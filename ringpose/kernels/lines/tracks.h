@@ -1,33 +1,30 @@
-/* Straight tracks among stripe centres. No Python in here. */
+/* Straight stripe segments (tracks) and their lines. */
 #ifndef RINGPOSE_TRACKS_H
 #define RINGPOSE_TRACKS_H
 
+#include <math.h>
 #include <stddef.h>
 #include <stdint.h>
 
 #include "lens.h"
 
 typedef struct {
-    double kink, joined;      /* px */
-    double short_series;      /* factor */
-    double on_line, border;   /* px */
-    size_t minimum, longest_lag;
-    double width;             /* of the image */
-} TrackRules;
-
-typedef struct {
-    double laser, count, x_start, x_end, middle_x, middle_y, slope, scatter, correlation, clipped, spilt;
+    double laser, count, x_start, x_end, middle_x, middle_y, slope, scatter, correlation, clipped, beyond_ends;
 } Track;
 
-typedef struct {
-    size_t n, pieces;
-    const double *column; /* distorted */
-    const double *x, *y;  /* undistorted */
-    const double *sigma;
-    const int64_t *piece, *laser; /* of each centre; of each piece */
-} Centers;
+static inline double line_y(const Track *track, double x) {
+    return track->middle_y + track->slope * (x - track->middle_x);
+}
 
-/* The tracks, `*count` of them, from malloc; NULL if there is no memory. */
-Track *straight_tracks(const Centers *centers, const TrackRules *rules, size_t *count);
+/* Standard deviation of the ordinate at x, given that of the track's middle. */
+static inline double line_sigma(const Track *track, double x, double middle_sigma) {
+    double spread = fmax(track->x_end - track->x_start, 1) / sqrt(12);
+    return middle_sigma * hypot(1, (x - track->middle_x) / spread);
+}
+
+/* Standard deviation of the middle: scatter / sqrt(independent columns - degrees of freedom of the fit). */
+static inline double middle_sigma(const Track *track, double fit_dof, double min_columns) {
+    return track->scatter / sqrt(fmax(track->count / track->correlation - fit_dof, min_columns));
+}
 
 #endif

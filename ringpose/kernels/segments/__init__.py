@@ -1,4 +1,8 @@
-"""The line detector of the paper: gradient, edge chains, straight pieces and lines (ringpose-method(7), section 2)."""
+"""The line detector of the paper (ringpose-method(7), section 2).
+
+The sources are gradient.c (gradient and anchors), chains.c (edge chains and their straight pieces) and segments.c (line
+fits and collinear lines).
+"""
 
 import numpy as np
 
@@ -9,16 +13,15 @@ from ringpose.types.arrays import Array, Float64, Int16, Int32, Int64, UInt8, UI
 def gradient(
     image: UInt8[Array, "row column"] | UInt16[Array, "row column"], upper: int, bits: int = 8
 ) -> tuple[Int16[Array, "row column"], Int32[Array, "anchor"], UInt8[Array, "anchor"]]:
-    """Gradient magnitude, its maxima, and how the edge runs through each.
+    """Gradient magnitude, anchors (its local maxima), and the orientation of the edge at each anchor.
 
     The image is smoothed with the binomial 1 4 6 4 1 (sigma 1 px); then Sobel. The magnitude is max + 3/8 min of the
     two absolute components (7 % from the Euclidean one), in units of 1/128 grey value per pixel. It is 0 on the
-    outermost three pixels, whose gradient needs pixels outside: a border made up there would bend the edges.
+    outermost three pixels, whose gradient needs pixels outside the image: extrapolation would bend the edges there.
     Anchors are maxima of at least `upper` (same unit): along the row in every eighth row, if the edge is nearer to
     upright, else down the column in every eighth column. They come as `row * width + column` in ascending order; their
-    orientation is 0 for an edge along x, 1 down to the right, 2 along y, 3 down to the left.
-    Images of 16-bit elements have values of `bits` bits, 9 to 16, which count as `bits` - 8 binary digits after the
-    point.
+    orientation is 0 for an edge along x, 1 down to the right, 2 along y, 3 down to the left. Images of 16-bit elements
+    have values of `bits` bits, 9 to 16, and are scaled to 8 bits with `bits` - 8 fractional bits.
     """
     magnitude = np.empty(image.shape, np.int16)
     anchors, orientation = _kernels.gradient(np.ascontiguousarray(image), bits, upper, magnitude)
@@ -32,13 +35,13 @@ def chains(
     lower: int,
     shortest: int,
 ) -> tuple[Int32[Array, "pixel xy=2"], Int32[Array, "start"]]:
-    """Edge chains, one pixel wide: their pixels, and where each chain starts among them (last entry: the end).
+    """Edge chains, one pixel wide: their pixels, and the index of the first pixel of each chain (last entry: the end).
 
     From each anchor, the strongest first, two walks in opposite directions; a walk goes to the largest magnitude of
     the three pixels ahead (straight on, if equal; then left) and stops below `lower`, on another chain, or where one
     of the three is among the image's outermost three pixels; anchors must not lie there. Chains of fewer than
-    `shortest` pixels are dropped, and yet no other chain may cross them.
-    The magnitude serves as scratch memory meanwhile and is as before on return: no other thread may use it.
+    `shortest` pixels are dropped, but no other chain may cross them.
+    The magnitude serves as scratch memory and is restored on return: no other thread may use it in the meantime.
     """
     pixels, starts = _kernels.chains(magnitude, anchors, orientation, lower, shortest)
     return np.frombuffer(pixels, np.int32).reshape(-1, 2), np.frombuffer(starts, np.int32)
@@ -63,13 +66,13 @@ def fits(
     pieces: Int32[Array, "piece end=2"],
     trim: int,
 ) -> tuple[Float64[Array, "piece end=2 xy=2"], Float64[Array, "piece moment=6"]]:
-    """Ends of the least-squares line through the sub-pixel crests of the magnitude along each piece.
+    """Ends of the least-squares line through the sub-pixel maxima of the magnitude along each piece.
 
-    A crest is the vertex of the parabola through three magnitudes across the piece's longer side, down a column or
+    A maximum is the vertex of the parabola through three magnitudes across the piece's longer side, down a column or
     along a row. `trim` pixels at both ends, but never more than a quarter of the piece, are rounded corners and
     stay out.
-    The line ends where the piece's end pixels stand along its longer side; without two crests it is the chord.
-    The moments are the sums over the crests of 1, x, y, x x, x y and y y.
+    The line ends at the end pixels of the piece, projected along its longer side; with fewer than two maxima it is the
+    chord. The moments are the sums over the maxima of 1, x, y, x x, x y and y y.
     """
     lines, moments = _kernels.fits(magnitude, pixels, pieces, trim)
     return np.frombuffer(lines).reshape(-1, 2, 2), np.frombuffer(moments).reshape(-1, 6)
@@ -83,12 +86,12 @@ def joins(
     aside_px: float,
     shortest: int,
 ) -> tuple[Float64[Array, "line end=2 xy=2"], Int64[Array, "line"]]:
-    """Lines of which none continues another, and how many pixels each rests on.
+    """Lines after joining those that continue each other, and the number of supporting pixels of each.
 
     From the first line to the last, each of at least `shortest` pixels takes the nearest line beyond its end, at
     most `gap_px` ahead and 2 `aside_px` beside or behind, and again from the new end, as long as all ends of both lie
-    within `aside_px` (measured along x or y) of the least-squares line through the crests of both; then beyond its
-    start. Shorter ones that no other took are dropped.
+    within `aside_px` (measured along x or y) of the least-squares line through the maxima of both; then beyond its
+    start. Shorter lines that were not joined to another are dropped.
     """
     flat = np.ascontiguousarray(lines).reshape(-1, 4)
     joined, support = _kernels.joins(flat, moments, pieces, gap_px, aside_px, shortest)

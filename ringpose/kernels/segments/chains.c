@@ -1,11 +1,28 @@
-/* The edge walk.
+/* Edge chains by walks from anchors (Edge Drawing), and their straight pieces by the length condition and the direction
+   shares (ringpose-method(7), section 2).
 
-   A pixel that belongs to a chain has its magnitude negated while the walks last; a wall of the most negative one
-   stands around the pixels that have a gradient. All is set right again at the end. */
-#include "segments.h"
+   The magnitude of a pixel that belongs to a chain is negated during the walks; pixels of the most negative magnitude
+   surround the region that has a gradient. Both are restored at the end. */
+#include "arguments.h"
 
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
+
+#include "segments.h"
+
+typedef struct {
+    int16_t *magnitude;
+    size_t height, width;
+    int lower; /* an edge has at least this magnitude */
+} EdgeArea;
+
+typedef struct {
+    double max_deviation;    /* of estimated length from chord, pixels */
+    double share_change; /* L1 difference of direction shares */
+    size_t window;       /* steps */
+    size_t min_pixels;     /* pixels */
+} CutParams;
 
 /* Clockwise as seen, because y points down: right, down right, down, down left, left, up left, up, up right. */
 static const int STEP_X[8] = {1, 1, 0, -1, -1, -1, 0, 1};
@@ -13,8 +30,8 @@ static const int STEP_Y[8] = {0, 1, 1, 1, 0, -1, -1, -1};
 
 enum { MAGNITUDES = INT16_MAX + 1, WALL = INT16_MIN };
 
-/* What is soon needed is fetched into the cache: the surroundings of the anchor that comes so many later, in no
-   spatial order, and the pixel so many steps straight ahead of a walk. */
+/* Prefetching: the surroundings of the anchor this many later, as anchors are in no spatial order, and the pixel this
+   many steps ahead of a walk. */
 enum { ANCHORS_AHEAD = 8, STEPS_AHEAD = 3 };
 #if defined(__GNUC__)
 #define FETCH(address) __builtin_prefetch(address, 1)
@@ -27,7 +44,7 @@ typedef struct {
     uint32_t orientation;
 } Anchor;
 
-/* Where the next step of a walk may go. */
+/* Candidates for the next step of a walk. */
 typedef struct Way Way;
 struct Way {
     ptrdiff_t straight, left, right;
@@ -106,7 +123,7 @@ static void fetch_around(const EdgeArea *area, int32_t index) {
 }
 
 /* All chains; `path` gets every pixel taken, of short ones too. */
-static int take_chains(const EdgeArea *area, const Way *way, const List *sorted, size_t shortest, List *path,
+static int take_chains(const EdgeArea *area, const Way *way, const List *sorted, size_t min_pixels, List *path,
                        List *pixels, List *starts) {
     const Anchor *anchor = sorted->data;
     for (size_t i = 0; i < sorted->used; i++) {
@@ -120,7 +137,7 @@ static int take_chains(const EdgeArea *area, const Way *way, const List *sorted,
         if (!walk(area, at, way + anchor[i].orientation, path) || !reserve(path, 1)) return 0;
         ((int32_t *)path->data)[path->used++] = at;
         size_t count = path->used - first;
-        if (count < shortest) continue;
+        if (count < min_pixels) continue;
         if (!add_chain((int32_t *)path->data + first, back, count, area->width, pixels, starts)) return 0;
     }
     if (!reserve(starts, 1)) return 0;
@@ -158,8 +175,8 @@ static int16_t *make_wall(const EdgeArea *area) {
     return wall;
 }
 
-int walk_chains(const EdgeArea *area, const int32_t *anchor, const uint8_t *orientation, size_t anchors,
-                size_t shortest, List *pixels, List *starts) {
+static int walk_chains(const EdgeArea *area, const int32_t *anchor, const uint8_t *orientation, size_t anchors,
+                size_t min_pixels, List *pixels, List *starts) {
     static const int turn_left = 7, turn_right = 1;
     Way way[8];
     ptrdiff_t step[8];
@@ -173,7 +190,7 @@ int walk_chains(const EdgeArea *area, const int32_t *anchor, const uint8_t *orie
     int done = wall != NULL && sort_anchors(area, anchor, orientation, anchors, &sorted);
     if (done) {
         swap_wall(area, wall);
-        done = take_chains(area, way, &sorted, shortest, &path, pixels, starts);
+        done = take_chains(area, way, &sorted, min_pixels, &path, pixels, starts);
         restore(area, &path);
         swap_wall(area, wall);
     }
@@ -181,4 +198,143 @@ int walk_chains(const EdgeArea *area, const int32_t *anchor, const uint8_t *orie
     release(&sorted);
     release(&path);
     return done;
+}
+
+/* Counts of steps; all others are oblique. */
+typedef struct {
+    int64_t horizontal, vertical;
+} Steps;
+
+static Steps step_between(Pixel from, Pixel to) {
+    const int horizontal = from.y == to.y;
+    return (Steps){horizontal, !horizontal & (from.x == to.x)};
+}
+
+/* True if the estimated length exceeds the chord by more than the deviation. Their difference is that of the squares
+   by their sum, and the sum is at least that of the longer sides: mostly this spares the roots. */
+static int exceeds(Steps steps, int64_t all, Pixel from, Pixel to, double max_deviation) {
+    const double wide = (double)(all - steps.vertical), high = (double)(all - steps.horizontal);
+    const double dx = fabs((double)to.x - from.x), dy = fabs((double)to.y - from.y);
+    const double length = wide * wide + high * high, chord = dx * dx + dy * dy;
+    const double sides = (wide > high ? wide : high) + (dx > dy ? dx : dy);
+    if (length - chord <= max_deviation * sides && max_deviation >= 0) return 0;
+    return sqrt(length) - sqrt(chord) > max_deviation;
+}
+
+/* The pixel that lies farthest from the chord, the first such; at least one step on, so that cutting ends. */
+static size_t farthest(const Pixel *pixel, size_t first, size_t last) {
+    double dx = (double)pixel[last].x - pixel[first].x, dy = (double)pixel[last].y - pixel[first].y, maximum = 0;
+    size_t at = first + 1;
+    for (size_t k = first + 1; k < last; k++) {
+        double x = (double)pixel[k].x - pixel[first].x, y = (double)pixel[k].y - pixel[first].y;
+        double off = fabs(dx * y - dy * x);
+        if (off > maximum) {
+            maximum = off;
+            at = k;
+        }
+    }
+    return at;
+}
+
+/* Last pixel of the straight piece that begins at `first`; `end` is one past the chain. */
+static size_t piece_end(const Pixel *pixel, size_t first, size_t end, CutParams params) {
+    Steps steps = {0, 0}, head = {0, 0}, window = {0, 0};
+    const double maximum = params.share_change * (double)params.window;
+    for (size_t k = first + 1; k < end; k++) {
+        const Steps now = step_between(pixel[k - 1], pixel[k]);
+        steps.horizontal += now.horizontal;
+        steps.vertical += now.vertical;
+        if (exceeds(steps, (int64_t)(k - first), pixel[first], pixel[k], params.max_deviation))
+            return farthest(pixel, first, k);
+        if (k - first <= params.window) {
+            head = window = steps;
+            continue;
+        }
+        const Steps old = step_between(pixel[k - params.window - 1], pixel[k - params.window]);
+        window.horizontal += now.horizontal - old.horizontal;
+        window.vertical += now.vertical - old.vertical;
+        const int64_t horizontal = window.horizontal - head.horizontal, vertical = window.vertical - head.vertical;
+        const int64_t change = llabs(horizontal) + llabs(vertical) + llabs(horizontal + vertical);
+        if ((double)change > maximum) return k - params.window / 2;
+    }
+    return end - 1;
+}
+
+static int cut_chains(const Pixel *pixels, const int32_t *starts, size_t chains, CutParams params, List *pieces) {
+    for (size_t i = 0; i < chains; i++) {
+        size_t first = (size_t)starts[i], end = (size_t)starts[i + 1];
+        while (end - first >= params.min_pixels) {
+            size_t last = piece_end(pixels, first, end, params);
+            if (last - first + 1 >= params.min_pixels) {
+                if (!reserve(pieces, 1)) return 0;
+                ((Piece *)pieces->data)[pieces->used++] = (Piece){(int32_t)first, (int32_t)last};
+            }
+            first = last;
+            if (last + 1 == end) break;
+        }
+    }
+    return 1;
+}
+
+/* True if every anchor is among the pixels that have a gradient. */
+static int anchors_inside(const Py_buffer *magnitude, const Py_buffer *index) {
+    const int32_t *anchor = index->buf;
+    const int16_t *value = magnitude->buf;
+    const uint32_t width = (uint32_t)magnitude->shape[1], height = (uint32_t)magnitude->shape[0];
+    const uint32_t wide = width > 2 * MARGIN ? width - 2 * MARGIN : 0;
+    const uint32_t high = height > 2 * MARGIN ? height - 2 * MARGIN : 0;
+    for (Py_ssize_t i = 0; i < index->shape[0]; i++) {
+        const uint32_t at = (uint32_t)anchor[i];
+        if (at % width - MARGIN < wide && at / width - MARGIN < high && value[at] >= 0) continue;
+        PyErr_Format(PyExc_ValueError, "anchors: number %zd has no gradient or a negative one", i);
+        return 0;
+    }
+    return 1;
+}
+
+PyObject *call_chains(PyObject *module, PyObject *tuple) {
+    (void)module;
+    static const Parameter parameter[] = {{">magnitude", 'h', {ANY, ANY}},
+                                          {"anchors", 'i', {N}},
+                                          {"orientation", 'B', {N}},
+                                          {"lower", 'L', {1, INT16_MAX}},
+                                          {"shortest", 'L', {1, INT32_MAX}}};
+    Arguments a;
+    if (!OPEN(tuple, parameter, &a)) return NULL;
+    if (!anchors_inside(&a.view[0], &a.view[1])) return close_arguments(&a, NULL);
+    const size_t anchors = (size_t)a.view[1].shape[0], min_pixels = (size_t)a.number[4][0];
+    if (!anchors)
+        return close_arguments(&a, Py_BuildValue("(y#y#)", "", (Py_ssize_t)0, "\0\0\0\0", (Py_ssize_t)4));
+    const EdgeArea area = {a.view[0].buf, (size_t)a.view[0].shape[0], (size_t)a.view[0].shape[1], (int)a.number[3][0]};
+    List pixels = {NULL, 0, 0, sizeof(Pixel)}, starts = {NULL, 0, 0, sizeof(int32_t)};
+    int done;
+    Py_BEGIN_ALLOW_THREADS
+    done = walk_chains(&area, a.view[1].buf, a.view[2].buf, anchors, min_pixels, &pixels, &starts);
+    Py_END_ALLOW_THREADS
+    return close_arguments(&a, Py_BuildValue("(NN)", list_bytes(done, &pixels), list_bytes(done, &starts)));
+}
+
+static int starts_ascend(const Py_buffer *starts, Py_ssize_t pixels) {
+    const int32_t *start = starts->buf;
+    Py_ssize_t count = starts->shape[0];
+    int ascend = count > 0 && start[0] >= 0 && start[count - 1] <= pixels && pixels <= INT32_MAX;
+    for (Py_ssize_t i = 1; ascend && i < count; i++) ascend = start[i - 1] <= start[i];
+    return require(ascend, "starts: must ascend from 0 or more to at most the number of pixels");
+}
+
+PyObject *call_cuts(PyObject *module, PyObject *tuple) {
+    (void)module;
+    static const Parameter parameter[] = {{"pixels", 'i', {ANY, 2}},       {"starts", 'i', {ANY}},
+                                          {"deviation", 'R', {0}},         {"share_change", 'R', {0}},
+                                          {"window", 'L', {2, INT32_MAX}}, {"shortest", 'L', {2, INT32_MAX}}};
+    Arguments a;
+    if (!OPEN(tuple, parameter, &a)) return NULL;
+    if (!starts_ascend(&a.view[1], a.view[0].shape[0])) return close_arguments(&a, NULL);
+    const CutParams params = {a.number[2][0], a.number[3][0], (size_t)a.number[4][0], (size_t)a.number[5][0]};
+    List pieces = {NULL, 0, 0, sizeof(Piece)};
+    int done;
+    Py_BEGIN_ALLOW_THREADS
+    done = cut_chains(a.view[0].buf, a.view[1].buf, (size_t)a.view[1].shape[0] - 1, params, &pieces);
+    Py_END_ALLOW_THREADS
+    return close_arguments(&a, list_bytes(done, &pieces));
 }

@@ -4,10 +4,23 @@
    128 grey values a pixel. 8-bit images keep every sum within 16 bits: 255 * 16 * 16 = 65280 unsigned,
    4 * 4080 = 16320 for one difference, 22440 for the magnitude. Wider images are summed in 32 bits and
    shifted to the same scale: at most 4095 smoothed, 22523 in magnitude. */
-#include "segments.h"
+#include "arguments.h"
 
 #include <stdlib.h>
 #include <string.h>
+
+#include "segments.h"
+
+typedef struct {
+    const void *data; /* uint8_t if bits is 8, uint16_t if it is more */
+    size_t height, width;
+    int bits;
+} Image;
+
+typedef struct {
+    List index;       /* int32_t: row * width + column */
+    List orientation; /* uint8_t: 0 to 3, the walking direction along the edge */
+} Anchors;
 
 /* Pixels of a row that are looked at together. */
 enum { BLOCK = 128 };
@@ -25,7 +38,7 @@ typedef struct {
     int16_t *smooth[SMOOTH];
     int16_t *along, *across;
     uint8_t *is_anchor;
-    int16_t *least; /* magnitude of an anchor in each column; none has NO_ANCHORS */
+    int16_t *minimum; /* magnitude of an anchor in each column; none has NO_ANCHORS */
 } Rows;
 
 /* Elements beside each row that are worked on as if they were part of it: so vectors need not begin within a row, which
@@ -46,8 +59,8 @@ static int allocate_rows(Rows *rows, size_t width, int16_t upper) {
     rows->along = row + 6 * step;
     rows->across = row + 7 * step;
     rows->is_anchor = (uint8_t *)(row + 8 * step);
-    rows->least = row + 9 * step;
-    for (size_t x = 0; x < width; x++) rows->least[x] = x % ANCHOR_SPACING == 0 ? upper : NO_ANCHORS;
+    rows->minimum = row + 9 * step;
+    for (size_t x = 0; x < width; x++) rows->minimum[x] = x % ANCHOR_SPACING == 0 ? upper : NO_ANCHORS;
     return 1;
 }
 
@@ -114,16 +127,16 @@ static void gradient_row(const Rows *rows, size_t row, size_t width, int16_t *re
         int16_t dx = (int16_t)(along[x + 1] - along_before[x]);
         int16_t dy = (int16_t)(across_before[x] + 2 * across[x] + across[x + 1]);
         int16_t ax = size_of(dx), ay = size_of(dy);
-        int16_t most = ax > ay ? ax : ay, least = ax > ay ? ay : ax;
-        magnitude[x] = (int16_t)(most + ((uint16_t)(3 * least) >> 3));
+        int16_t maximum = ax > ay ? ax : ay, minimum = ax > ay ? ay : ax;
+        magnitude[x] = (int16_t)(maximum + ((uint16_t)(3 * minimum) >> 3));
     }
 }
 
 VECTOR_LOOP
 static int16_t strongest(const int16_t *magnitude, size_t from, size_t to) {
-    int16_t most = 0;
-    for (size_t x = from; x < to; x++) most = magnitude[x] > most ? magnitude[x] : most;
-    return most;
+    int16_t maximum = 0;
+    for (size_t x = from; x < to; x++) maximum = magnitude[x] > maximum ? magnitude[x] : maximum;
+    return maximum;
 }
 
 /* 1 where the magnitude is a maximum down the column or along the row; of two equal ones the earlier in raster
@@ -131,10 +144,10 @@ static int16_t strongest(const int16_t *magnitude, size_t from, size_t to) {
 VECTOR_LOOP
 static void mark_maxima(const Rows *rows, const int16_t *restrict here, size_t width, size_t from, size_t to,
                         int16_t upper) {
-    const int16_t *restrict up = here - width, *restrict down = here + width, *restrict least = rows->least;
+    const int16_t *restrict up = here - width, *restrict down = here + width, *restrict minimum = rows->minimum;
     uint8_t *restrict is_anchor = rows->is_anchor;
     for (size_t x = from; x < to; x++) {
-        int flat = (here[x] >= least[x]) & (here[x] > up[x]) & (here[x] >= down[x]);
+        int flat = (here[x] >= minimum[x]) & (here[x] > up[x]) & (here[x] >= down[x]);
         int upright = (here[x] >= upper) & (here[x] > *(here + x - 1)) & (here[x] >= here[x + 1]);
         is_anchor[x] = (uint8_t)(flat | upright);
     }
@@ -143,17 +156,17 @@ static void mark_maxima(const Rows *rows, const int16_t *restrict here, size_t w
 /* The same in rows in which upright edges have no anchors. */
 VECTOR_LOOP
 static void mark_flat_maxima(const Rows *rows, const int16_t *restrict here, size_t width, size_t from, size_t to) {
-    const int16_t *restrict up = here - width, *restrict down = here + width, *restrict least = rows->least;
+    const int16_t *restrict up = here - width, *restrict down = here + width, *restrict minimum = rows->minimum;
     uint8_t *restrict is_anchor = rows->is_anchor;
     for (size_t x = from; x < to; x++)
-        is_anchor[x] = (here[x] >= least[x]) & (here[x] > up[x]) & (here[x] >= down[x]);
+        is_anchor[x] = (here[x] >= minimum[x]) & (here[x] > up[x]) & (here[x] >= down[x]);
 }
 
 /* 0: edge along x, 2: along y, 1: down to the right, 3: down to the left. No branches: they would be guessed wrongly. */
 static uint8_t orientation(int gx, int gy) {
     const int ax = abs(gx), ay = abs(gy), upright = ax > ay;
-    const int most = upright ? ax : ay, least = upright ? ay : ax;
-    const int oblique = -(2 * least >= most), left = 1 + 2 * ((gx ^ gy) >= 0);
+    const int maximum = upright ? ax : ay, minimum = upright ? ay : ax;
+    const int oblique = -(2 * minimum >= maximum), left = 1 + 2 * ((gx ^ gy) >= 0);
     return (uint8_t)((left & oblique) | ((2 * upright) & ~oblique));
 }
 
@@ -171,7 +184,7 @@ static void keep_anchors(const Rows *rows, const int16_t *here, size_t row, size
         int gx = (up[b] + 2 * level[b] + down[b]) - (up[a] + 2 * level[a] + down[a]);
         int gy = (down[a] - up[a]) + 2 * (down[x] - up[x]) + (down[b] - up[b]);
         int upright = (here[x] > here[a]) & (here[x] >= here[b]) & crosses;
-        int flat = (here[x] >= rows->least[x]) & (here[x] > *(here + x - width)) & (here[x] >= here[x + width]);
+        int flat = (here[x] >= rows->minimum[x]) & (here[x] > *(here + x - width)) & (here[x] >= here[x + width]);
         index[n] = index[i];
         turn[n] = orientation(gx, gy);
         n += (size_t)(abs(gx) > abs(gy) ? upright : flat);
@@ -217,7 +230,7 @@ static int find_anchors(const Rows *rows, const int16_t *magnitude, size_t row, 
     return 1;
 }
 
-int find_gradient(const Image *image, int upper, int16_t *magnitude, Anchors *anchors) {
+static int find_gradient(const Image *image, int upper, int16_t *magnitude, Anchors *anchors) {
     const size_t height = image->height, width = image->width, margin = MARGIN, rim = margin * width;
     if (height <= 2 * margin || width <= 2 * margin) {
         memset(magnitude, 0, height * width * sizeof *magnitude);
@@ -240,4 +253,26 @@ int find_gradient(const Image *image, int upper, int16_t *magnitude, Anchors *an
     }
     free(rows.memory);
     return done;
+}
+
+PyObject *call_gradient(PyObject *module, PyObject *tuple) {
+    (void)module;
+    static const Parameter parameter[] = {
+        {"image", 'I', {N, M}}, {"bits", 'L', {8, 16}}, {"upper", 'L', {1, INT16_MAX}}, {">magnitude", 'h', {N, M}}};
+    Arguments a;
+    if (!OPEN(tuple, parameter, &a)) return NULL;
+    const Py_buffer *image = &a.view[0];
+    const int bits = (int)a.number[1][0];
+    if (image->itemsize != (bits > 8 ? 2 : 1)) {
+        PyErr_Format(PyExc_TypeError, "image: elements of %zd bytes do not hold %d bits", image->itemsize, bits);
+        return close_arguments(&a, NULL);
+    }
+    const Image data = {image->buf, (size_t)image->shape[0], (size_t)image->shape[1], bits};
+    Anchors anchors = {{NULL, 0, 0, sizeof(int32_t)}, {NULL, 0, 0, sizeof(uint8_t)}};
+    int done;
+    Py_BEGIN_ALLOW_THREADS
+    done = find_gradient(&data, (int)a.number[2][0], a.view[3].buf, &anchors);
+    Py_END_ALLOW_THREADS
+    PyObject *result = Py_BuildValue("(NN)", list_bytes(done, &anchors.index), list_bytes(done, &anchors.orientation));
+    return close_arguments(&a, result);
 }

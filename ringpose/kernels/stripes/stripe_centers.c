@@ -1,9 +1,352 @@
-/* From linked ridges to centres with standard deviations. */
-#include "stripe_columns.h"
+/* Sub-pixel centres with variances of linked ridges: zero of the first derivative of a matched Gaussian filter; on
+   speckled stripes, whose noise is proportional to the light, weighted least squares, in which the flanks have the
+   largest weight. */
+#include "cholesky.h"
+#include "stripes.h"
 
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
+
+/* A filter for a stripe of that width (sigma), or for a flat top (0). */
+typedef struct {
+    const StripeImage *image;
+    Patch *patch;
+    const Filter *filter;
+    double width, inverse_spread; /* inverse_spread: 1 / sigma^2 of the response; 0 for a flat top */
+    double peak_per_response, sigma_per_noise;
+    double whole; /* distance from the upper or lower border from which on the stripe is complete */
+} Measure;
+
+/* A centre farther than this from its pixel is looked for again from the pixel nearest to it. */
+#define NEAR_PX 1.0
+enum { ROUNDS = 2 };
+
+/* A centre farther than this from its ridge is rejected. */
+#define STRAYED_PX 2.5
+
+/* Distance from the upper or lower border, in sigmas of the response, from which on replicating the outermost row
+   biases a centre by less than 0.01 sigma of the stripe. */
+#define WHOLE_SPREADS 1.5
+
+/* Rows that are worked on together. */
+enum { MAX_ROWS = 6 };
+
+/* Memory for so many columns; NULL if there is none. */
+static void *allocate_columns(Columns *columns, size_t count) {
+    size_t n = count + PARTS;
+    double *value = malloc(n * (5 * sizeof(double) + 5 * sizeof(float) + 2 * sizeof(int32_t)));
+    if (value == NULL) return NULL;
+    double **doubles[] = {&columns->y, &columns->variance, &columns->peak, &columns->square, &columns->ratio};
+    float **floats[] = {&columns->ridge_y, &columns->half_width, &columns->noise, &columns->slope, &columns->curvature};
+    for (size_t i = 0; i < 5; i++) *doubles[i] = value + i * n;
+    for (size_t i = 0; i < 5; i++) *floats[i] = (float *)(void *)(value + 5 * n) + i * n;
+    columns->x = (int32_t *)(void *)(columns->curvature + n);
+    columns->row = columns->x + n;
+    return value;
+}
+
+static void take_ridges(const Ridge *ridges, const int32_t *order, size_t count, Columns *columns) {
+    columns->count = count;
+    for (size_t i = 0; i < count; i++) {
+        const Ridge *ridge = ridges + order[i];
+        columns->x[i] = ridge->x;
+        columns->row[i] = ridge->row;
+        columns->ridge_y[i] = ridge->y;
+        columns->noise[i] = ridge->noise;
+        columns->half_width[i] = ridge->curvature < 0 ? -ridge->curvature : 0;
+    }
+}
+
+/* Both derivatives in rows of 16 columns. */
+static void differentiate(const Measure *how, ptrdiff_t row, size_t x, size_t rows) {
+    size_t reach = how->filter->reach;
+    load_pixels(how->image, row - (ptrdiff_t)reach, x, rows + 2 * reach, how->patch);
+    differentiate_pixels(how->filter, rows * BLOCK, how->patch);
+}
+
+/* How many columns from one on lie so close that their rows are worked on together; the first and last row. */
+static size_t neighbours(const Columns *columns, size_t first, int32_t *top, int32_t *bottom) {
+    const int32_t *row = columns->row + first, *x = columns->x + first;
+    size_t count = columns->count - first, i = 1;
+    *top = *bottom = row[0];
+    for (; i < count && x[i] < x[0] + BLOCK; i++) {
+        int32_t above = row[i] < *top ? row[i] : *top, below = row[i] > *bottom ? row[i] : *bottom;
+        if (below - above >= MAX_ROWS) break;
+        *top = above;
+        *bottom = below;
+    }
+    return i;
+}
+
+static void differentiate_all(const Measure *how, Columns *columns) {
+    for (size_t first = 0, close; first < columns->count; first += close) {
+        int32_t top, bottom, left = columns->x[first];
+        close = neighbours(columns, first, &top, &bottom);
+        differentiate(how, top, (size_t)left, (size_t)(bottom - top + 1));
+        for (size_t i = first; i < first + close; i++) {
+            int32_t at = (columns->row[i] - top) * BLOCK + (columns->x[i] - left);
+            columns->slope[i] = how->patch->slope[at];
+            columns->curvature[i] = how->patch->curvature[at];
+        }
+    }
+}
+
+/* Step from the pixel to the zero of the first derivative of a Gaussian ridge: 2 t / (1 + sqrt(1 + 4 t^2 / S^2)), where
+   t is the Newton step, approximated by a rational function to 1e-4 px. The variance is 0 if there is no ridge. Returns
+   the number of columns that need a second look. */
+static int64_t newton_steps(const Measure *how, size_t from, size_t to, Columns *columns) {
+    const int32_t *restrict row = columns->row;
+    const float *restrict slope = columns->slope, *restrict curvature = columns->curvature, *restrict noise = columns->noise;
+    double *restrict y = columns->y, *restrict variance = columns->variance, *restrict peak = columns->peak;
+    double inverse_spread = how->inverse_spread, per_noise = how->sigma_per_noise;
+    double per_response = how->peak_per_response, top = how->whole, bottom = (double)how->image->height - 1 - top;
+    int64_t irregular = 0;
+    for (size_t i = from; i < to; i++) {
+        double second = curvature[i], sharpness = second < 0 ? -second : 1;
+        double newton = slope[i] / sharpness, q = newton * newton * inverse_spread;
+        double step = newton * (1 + 3 * q + q * q) / (1 + 4 * q + 3 * q * q);
+        double peak_value = sharpness * (1 + 1.5 * step * step * inverse_spread);
+        double sigma = per_noise * noise[i] / peak_value;
+        y[i] = row[i] + step;
+        variance[i] = second < 0 ? sigma * sigma : 0;
+        peak[i] = peak_value * per_response;
+        irregular += (second >= 0) | (step > NEAR_PX) | (step < -NEAR_PX) | (y[i] < top) | (y[i] > bottom);
+    }
+    return irregular;
+}
+
+/* Moves on to the pixels nearest to a centre. */
+static void step_again(const Measure *how, size_t i, Columns *columns) {
+    for (int round = 0; round < ROUNDS && fabs(columns->y[i] - columns->row[i]) > NEAR_PX; round++) {
+        double nearest = floor(columns->y[i] + 0.5), last = (double)(how->image->height - 1);
+        columns->row[i] = (int32_t)(nearest < 0 ? 0 : nearest < last ? nearest : last);
+        differentiate(how, columns->row[i], (size_t)columns->x[i], 1);
+        columns->slope[i] = how->patch->slope[0];
+        columns->curvature[i] = how->patch->curvature[0];
+        newton_steps(how, i, i + 1, columns);
+        if (columns->variance[i] == 0) return;
+    }
+}
+
+/* Those rows. */
+static double complete_from(const Filter *filter, double width) { return WHOLE_SPREADS * hypot(filter->sigma, width); }
+
+/* True if a column has a complete stripe near its ridge. */
+static int is_center(const Measure *how, size_t i, const Columns *columns) {
+    double y = columns->y[i], bottom = (double)how->image->height - 1 - how->whole;
+    double deviation = fabs(y - columns->ridge_y[i]);
+    return columns->variance[i] > 0 && deviation < STRAYED_PX + columns->half_width[i] && y >= how->whole && y <= bottom;
+}
+
+/* The centres, with the variances that the sensor's noise explains; columns in which the filter sees no ridge near by
+   are dropped. */
+static void measure_columns(const Measure *how, Columns *columns) {
+    size_t kept = 0;
+    differentiate_all(how, columns);
+    if (!newton_steps(how, 0, columns->count, columns)) return;
+    for (size_t i = 0; i < columns->count; i++) {
+        if (columns->variance[i] == 0) continue;
+        if (fabs(columns->y[i] - columns->row[i]) > NEAR_PX) step_again(how, i, columns);
+        if (!is_center(how, i, columns)) continue;
+        columns->x[kept] = columns->x[i];
+        columns->y[kept] = columns->y[i];
+        columns->variance[kept] = columns->variance[i];
+        columns->peak[kept++] = columns->peak[i];
+    }
+    columns->count = kept;
+}
+
+/* Unknowns of the fit to the rows about a centre: background (constant and slope), amplitude and offset. */
+enum { CONSTANT, SLOPE, BRIGHTNESS, OFFSET, SHAPES };
+
+/* Rows on either side, in widths of the stripe; the outer ones determine the background. */
+#define REACH_PER_WIDTH 5.0
+
+/* Largest ratio of speckle to noise in the weights: with larger ones faint rows, and so a skewed section, would
+   dominate. There are weights for this ratio, a half, a quarter and an eighth of it. */
+#define MAX_SPECKLE 12.0
+enum { LEVELS = 4 };
+
+/* Weights are tabulated for this many positions of the centre within its pixel. */
+enum { PHASES = 8 };
+
+/* Largest step in pixels; a centre whose last step reaches it is rejected. After a first step below SHORT_STEP there is
+   no second one. SPARE_ROWS more rows are loaded. */
+#define MAX_STEP 0.75
+#define SHORT_STEP 0.125
+enum { SPARE_ROWS = 1 };
+
+/* Distance from the upper or lower border, in widths, from which on the missing rows do not matter. */
+#define WHOLE_WIDTHS 3.0
+
+/* Rows at most, as vectors take them. */
+enum { ROWS = (2 * MAX_REACH + PARTS) / PARTS * PARTS };
+
+/* Linear estimators for the rows from `reach` above a centre's pixel on: amplitude, and amplitude times offset. Padded
+   with 0. */
+typedef struct {
+    size_t reach; /* 0: not yet known */
+    double brightness[PHASES][ROWS], offset[PHASES][ROWS];
+    double square; /* sum of the squares of the latter */
+} Weights;
+
+/* ---- weights ---- */
+
+static double phase_offset(size_t phase) { return ((double)phase + 0.5) / PHASES - 0.5; }
+
+/* A row of the inverse of the equations whose triangle this is. */
+static void invert_row(double triangle[SHAPES][SHAPES], size_t row, double inverse[SHAPES]) {
+    for (size_t i = 0; i < SHAPES; i++) inverse[i] = i == row;
+    solve(triangle[0], SHAPES, inverse, 1);
+}
+
+/* Weighted design matrix of a stripe with an offset from the middle row, and the normal equations. */
+static void shape_rows(double width, double speckle, double offset, size_t reach, double shape[][SHAPES],
+                       double equation[SHAPES][SHAPES]) {
+    for (size_t k = 0; k <= 2 * reach; k++) {
+        double off = (double)k - (double)reach - offset, u = off / width, light = exp(-0.5 * u * u);
+        double of[SHAPES] = {1, off / (double)reach, light, light * u / width};
+        double grains = speckle * light, weight = 1 / (1 + grains * grains);
+        for (size_t i = 0; i < SHAPES; i++) {
+            shape[k][i] = weight * of[i];
+            for (size_t j = 0; j <= i; j++) equation[i][j] += shape[k][i] * of[j];
+        }
+    }
+}
+
+static double product(const double *inverse, const double *shape) {
+    return (inverse[0] * shape[0] + inverse[1] * shape[1]) + (inverse[2] * shape[2] + inverse[3] * shape[3]);
+}
+
+/* Half of the places mirror the others. */
+static void find_weights(double width, double speckle, size_t reach, Weights *weights) {
+    double shape[2 * MAX_REACH + 1][SHAPES], brightness[SHAPES], offset[SHAPES];
+    size_t last = 2 * reach;
+    *weights = (Weights){.reach = reach};
+    for (size_t j = 0, mirrored = PHASES - 1; j < mirrored; j++, mirrored--) {
+        double equation[SHAPES][SHAPES] = {{0}};
+        shape_rows(width, speckle, phase_offset(j), reach, shape, equation);
+        factorised(equation[0], SHAPES);
+        invert_row(equation, BRIGHTNESS, brightness);
+        invert_row(equation, OFFSET, offset);
+        for (size_t k = 0; k <= last; k++) {
+            double off = product(offset, shape[k]);
+            weights->offset[j][k] = off;
+            weights->offset[mirrored][last - k] = -off;
+            weights->brightness[j][k] = weights->brightness[mirrored][last - k] = product(brightness, shape[k]);
+            weights->square += off * off / (PHASES / 2);
+        }
+    }
+}
+
+/* ---- centres ---- */
+
+/* A product of rows and their weights. */
+static double weighted_sum(const double *restrict weight, const double *restrict row, size_t rows) {
+    double sum[PARTS] = {0};
+    for (size_t k = 0; k < rows; k += PARTS)
+        for (size_t j = 0; j < PARTS; j++) sum[j] += weight[k + j] * row[k + j];
+    return (sum[0] + sum[1]) + (sum[2] + sum[3]);
+}
+
+/* How far off the centre is that the rows from a pixel on show, at most LONGEST_STEP; that if they show no stripe. */
+static double step_from(const Weights *weights, size_t phase, const float *pixel) {
+    double row[ROWS];
+    size_t rows = 2 * weights->reach + 1;
+    for (size_t k = 0; k < rows; k++) row[k] = pixel[k * BLOCK];
+    for (size_t k = rows; k % PARTS; k++) row[k] = 0;
+    double light = weighted_sum(weights->brightness[phase], row, rows);
+    double step = light > 0 ? weighted_sum(weights->offset[phase], row, rows) / light : MAX_STEP;
+    return step < -MAX_STEP ? -MAX_STEP : step < MAX_STEP ? step : MAX_STEP;
+}
+
+/* Moves to the centre near y, in pixels whose first row is `top`. Returns by how much. */
+static double step_to_center(const Weights *weights, const float *pixel, ptrdiff_t top, double *y) {
+    double row = floor(*y + 0.5), place = (*y - row + 0.5) * PHASES;
+    size_t phase = place < 1 ? 0 : place < PHASES ? (size_t)place : PHASES - 1;
+    double step = step_from(weights, phase, pixel + ((ptrdiff_t)row - (ptrdiff_t)weights->reach - top) * BLOCK);
+    *y = row + phase_offset(phase) + step;
+    return fabs(step);
+}
+
+/* That centre; no number if there is none. */
+static double weighted_center(const Weights *weights, const float *pixel, ptrdiff_t top, double y) {
+    double step = step_to_center(weights, pixel, top, &y);
+    if (step > SHORT_STEP) step = step_to_center(weights, pixel, top, &y);
+    return step < MAX_STEP ? y : NAN;
+}
+
+/* State of the speckle-weighted fit of one piece. */
+typedef struct {
+    const Measure *how;
+    size_t reach;
+    ptrdiff_t top;        /* first row of the pixels */
+    double most_speckled; /* variance that noise makes of a centre whose stripe has MOST_SPECKLE */
+    Weights weights[LEVELS];
+} Weigher;
+
+/* Variance of a centre at which speckle over noise is MAX_SPECKLE: the excess is (speckle / noise)^2 times the filter's
+   response to speckle over that to white noise. */
+static double most_speckled(const Measure *how, Scatter of, const Columns *columns) {
+    double width = how->width * how->width, share = width / (width + how->filter->sigma * how->filter->sigma);
+    double precision = 0, square = (excess(of, 1) - 1) / (share * sqrt(share));
+    for (size_t i = 0; i < columns->count; i++) precision += 1 / columns->variance[i];
+    return square * (double)columns->count / (precision * MAX_SPECKLE * MAX_SPECKLE);
+}
+
+/* The weights for a column in which noise makes that variance. */
+static const Weights *weights_of(Weigher *weigher, double variance) {
+    double square = variance / weigher->most_speckled;
+    size_t level = square < 2 ? 0 : square < 8 ? 1 : square < 32 ? 2 : LEVELS - 1;
+    Weights *weights = weigher->weights + level;
+    if (weights->reach == 0)
+        find_weights(weigher->how->width, MAX_SPECKLE / (double)(1 << level), weigher->reach, weights);
+    return weights;
+}
+
+/* Columns whose pixels lie in the patch, from the one on that lies leftmost. */
+static void weight_neighbours(Weigher *weigher, const Columns *columns, size_t first, size_t count, Columns *weighted) {
+    double whole = WHOLE_WIDTHS * weigher->how->width, last = (double)weigher->how->image->height - 1 - whole;
+    for (size_t i = first; i < first + count; i++) {
+        const float *pixel = weigher->how->patch->pixel + (columns->x[i] - columns->x[first]);
+        const Weights *weights = weights_of(weigher, columns->variance[i]);
+        double y = weighted_center(weights, pixel, weigher->top, columns->y[i]);
+        if (!(y >= whole && y <= last)) continue;
+        weighted->x[weighted->count] = columns->x[i];
+        weighted->y[weighted->count] = y;
+        weighted->variance[weighted->count] = columns->variance[i];
+        weighted->peak[weighted->count++] = columns->peak[i];
+    }
+}
+
+/* From the filter's variances to those of the weights. */
+static void turn_variances(Weigher *weigher, Columns *weighted) {
+    double norm = weigher->how->filter->slope_norm * weigher->how->peak_per_response;
+    for (size_t i = 0; i < weighted->count; i++)
+        weighted->variance[i] *= weights_of(weigher, weighted->variance[i])->square / (norm * norm);
+}
+
+/* Centres anew, from those that the filter found, where speckle scatters them so: by weights that suit each column.
+   Columns that show none near by are dropped. Returns how they scatter, over what noise explains of the former. */
+static Scatter speckle_weighted_centers(const Measure *how, Scatter of, Columns *columns, Columns *weighted) {
+    Weigher weigher = {.how = how, .most_speckled = most_speckled(how, of, columns)};
+    size_t reach = (size_t)ceil(REACH_PER_WIDTH * how->width);
+    weigher.reach = reach < MAX_REACH ? reach : MAX_REACH;
+    weighted->count = 0;
+    for (size_t i = 0; i < columns->count; i++) columns->row[i] = (int32_t)floor(columns->y[i] + 0.5);
+    for (size_t first = 0, close; first < columns->count; first += close) {
+        int32_t top, bottom;
+        close = neighbours(columns, first, &top, &bottom);
+        weigher.top = top - (ptrdiff_t)weigher.reach - SPARE_ROWS;
+        size_t rows = (size_t)(bottom - top) + 1 + 2 * (weigher.reach + SPARE_ROWS);
+        load_pixels(how->image, weigher.top, (size_t)columns->x[first], rows, how->patch);
+        weight_neighbours(&weigher, columns, first, close, weighted);
+    }
+    Scatter left = scatter_at(weighted, of.lag);
+    turn_variances(&weigher, weighted);
+    return left;
+}
 
 /* Filter over stripe: a little wider than matched costs 5 % in white noise, and speckle asks for more. */
 #define FILTER_PER_WIDTH 1.3
@@ -15,19 +358,19 @@
 #define FLAT_PEAK_PER_RESPONSE 2.162
 
 /* Narrowest stripe sigma believed, and the widest, in sigmas of the ridge filter. */
-#define NARROWEST_PX 0.7
-#define WIDEST 2.0
+#define MIN_WIDTH_PX 0.7
+#define MAX_WIDTH 2.0
 
 /* Sigma of the flanks of a flat top. */
 #define FLANK_PX 1.5
 
-/* An excess above these comes from clutter or bends, or from speckle; shot noise of bright stripes makes up to 9. */
+/* An excess above these is due to clutter or bends, or to speckle; shot noise of bright stripes causes up to 9. */
 #define CLUTTERED 8.0
 #define SPECKLED 10.0
 
-/* A filter so many narrower is tried on pieces of so many columns then, weights for speckle on pieces of so many; they
-   are taken if they leave less than that share of the variance. */
-enum { NARROWER = 3, LEAST_CLUTTERED = 24, LEAST_SPECKLED = 14 };
+/* Then a filter narrower by this many, or speckle weights, are tried on pieces of at least this many columns, and
+   accepted if the variance falls below this share. */
+enum { NARROWER = 3, MIN_CLUTTERED_COLUMNS = 24, MIN_SPECKLED_COLUMNS = 14 };
 #define BETTER 0.95
 
 /* Ridges so far from one of a stripe, in its widths, and no farther are others: nearer ones are its grains. Their light
@@ -50,14 +393,14 @@ typedef struct {
     const StripeImage *image;
     const Filter *filters; /* the first is that of the ridges */
     size_t filter_count;
-    const StripeRules *rules;
+    const StripeParams *params;
     const Ridge *ridges;
     size_t ridge_count;
     Patch *patch;
     Columns columns[2];
 } Job;
 
-/* Square of the sigma of the response from how sharply it falls off at its crest, over the phases of the pixel. */
+/* Squared sigma of the response from the relative curvature at its peak, averaged over sub-pixel positions. */
 static double response_spread(double sharpness) {
     double b = 3 + 0.125 * sharpness, root = b * b - 7.5 * sharpness;
     return 3.75 / (b - sqrt(root > 0 ? root : 0));
@@ -76,29 +419,29 @@ static Measure measure_with(const Job *job, size_t filter, double width) {
     double sigma = how.filter->sigma, spread = sigma * sigma + width * width;
     how.inverse_spread = width > 0 ? 1 / spread : 0;
     how.peak_per_response = width > 0 ? spread * sqrt(spread) / width : FLAT_PEAK_PER_RESPONSE * sigma * sigma;
-    how.whole = whole_from(how.filter, width);
+    how.whole = complete_from(how.filter, width);
     how.sigma_per_noise = how.filter->slope_norm / job->filters[0].bend_norm;
     return how;
 }
 
-/* The filter that suits the width of a piece: that of its ridges together, or of its flat tops if it has many. */
+/* Filter matched to the mean width of a piece's ridges, or of its flat tops if there are many. */
 static size_t suited_filter(const Job *job, const int32_t *order, size_t count, double *width) {
-    double response = 0, bend = 0, half_width = 0, own = job->filters[0].sigma;
+    double response = 0, curvature = 0, half_width = 0, own = job->filters[0].sigma;
     size_t flat = 0;
     for (size_t i = 0; i < count; i++) {
         const Ridge *ridge = job->ridges + order[i];
         response += ridge->response;
-        bend += ridge->bend > 0 ? ridge->bend : 0;
-        half_width -= ridge->bend < 0 ? ridge->bend : 0;
-        flat += ridge->bend < 0;
+        curvature += ridge->curvature > 0 ? ridge->curvature : 0;
+        half_width -= ridge->curvature < 0 ? ridge->curvature : 0;
+        flat += ridge->curvature < 0;
     }
     if (3 * flat > count) {
         *width = 0;
         double half = half_width / (double)flat + sqrt(own * own + FLANK_PX * FLANK_PX);
         return nearest_filter(job, FILTER_PER_HALF_WIDTH * half);
     }
-    *width = sqrt(fmax(response_spread(bend / response) - own * own, NARROWEST_PX * NARROWEST_PX));
-    *width = fmin(*width, WIDEST * own);
+    *width = sqrt(fmax(response_spread(curvature / response) - own * own, MIN_WIDTH_PX * MIN_WIDTH_PX));
+    *width = fmin(*width, MAX_WIDTH * own);
     return nearest_filter(job, FILTER_PER_WIDTH * *width);
 }
 
@@ -124,7 +467,7 @@ static void append_columns(const Columns *columns, int64_t number, Centers *cent
     centers->count += columns->count;
 }
 
-/* Whether another ridge of the column lies near one, above it (-1) or below it (1). */
+/* True if another ridge of the column is near, above (-1) or below (1). */
 static int has_other(const Job *job, size_t number, ptrdiff_t side, double width) {
     const Ridge *own = job->ridges + number;
     for (size_t i = number + (size_t)side; i < job->ridge_count && job->ridges[i].x == own->x; i += (size_t)side) {
@@ -135,77 +478,77 @@ static int has_other(const Job *job, size_t number, ptrdiff_t side, double width
     return 0;
 }
 
-/* Whether a ridge is full on both sides of its middle. */
-static int is_full(const Job *job, const Ridge *ridge, double width) {
+/* True if a ridge is full on both sides of its middle. */
+static int is_saturated_beside(const Job *job, const Ridge *ridge, double width) {
     const StripeImage *image = job->image;
     ptrdiff_t rows = (ptrdiff_t)(FULL_WIDTHS * width + 0.5);
     size_t above = clamped(ridge->row - rows, image->height), below = clamped(ridge->row + rows, image->height);
     size_t x = (size_t)ridge->x;
-    return lit_at(image, above * image->width + x) >= job->rules->full &&
-           lit_at(image, below * image->width + x) >= job->rules->full;
+    return lit_at(image, above * image->width + x) >= job->params->full &&
+           lit_at(image, below * image->width + x) >= job->params->full;
 }
 
-/* Whether a piece's flanks are those of a stripe alone that is not saturated. */
+/* True if the flanks of a piece are neither disturbed by other ridges nor saturated. */
 static int shows_flanks(const Job *job, const int32_t *order, size_t count, double width) {
     size_t others = 0, full = 0;
     for (size_t i = 0; i < count; i++) {
         size_t number = (size_t)order[i];
         others += has_other(job, number, -1, width) || has_other(job, number, 1, width);
-        full += (size_t)is_full(job, job->ridges + number, width);
+        full += (size_t)is_saturated_beside(job, job->ridges + number, width);
     }
     return CROWDED_ONE_IN * others <= count && FULL_ONE_IN * full <= count;
 }
 
-/* Whether hardly any column is lost. */
-static int keeps(const Columns *columns, const Columns *other) {
+/* True if hardly any column is lost. */
+static int keeps_columns(const Columns *columns, const Columns *other) {
     size_t lost = columns->count > other->count ? columns->count - other->count : 0;
     return LOST_ONE_IN * lost <= columns->count;
 }
 
-/* Measures a piece with the filter that suits its width. If its surroundings spoil that, a narrower one is tried; if
-   speckle does, centres by weights that suit that. What scatters them less is taken. */
+/* Measures a piece with the filter matched to its width; if the background disturbs it, with a narrower one; if speckle
+   does, by weighted least squares. The alternative is accepted if the centres scatter less. */
 static const Columns *measure_piece(Job *job, const int32_t *order, size_t count, Scatter *of, Scatter *first) {
     double width;
     size_t filter = suited_filter(job, order, count, &width);
     Columns *columns = job->columns, *other = columns + 1;
     *of = *first = measure_piece_with(job, filter, width, order, count, columns);
-    if (width == 0 || count < LEAST_SPECKLED || excess(*of, 1) < CLUTTERED) return columns;
-    if (of->background && count >= LEAST_CLUTTERED) {
+    if (width == 0 || count < MIN_SPECKLED_COLUMNS || excess(*of, 1) < CLUTTERED) return columns;
+    if (of->background && count >= MIN_CLUTTERED_COLUMNS) {
         size_t narrower = filter > NARROWER ? filter - NARROWER : 1;
         Scatter tried = measure_piece_with(job, narrower, width, order, count, other);
-        if (keeps(columns, other) && scatter_variance(other, tried) < BETTER * scatter_variance(columns, *of)) {
+        if (keeps_columns(columns, other) && scatter_variance(other, tried) < BETTER * scatter_variance(columns, *of)) {
             *of = tried;
             return other;
         }
     }
     if (excess(*of, 1) < SPECKLED || !shows_flanks(job, order, count, width)) return columns;
     Measure how = measure_with(job, filter, width);
-    Scatter tried = weigh_columns(&how, *of, columns, other);
-    if (!keeps(columns, other) || excess(tried, 1) >= BETTER * excess(*of, 1)) return columns;
+    Scatter tried = speckle_weighted_centers(&how, *of, columns, other);
+    if (!keeps_columns(columns, other) || excess(tried, 1) >= BETTER * excess(*of, 1)) return columns;
     *of = scatter(other);
     return other;
 }
 
 /* ---- pieces ---- */
 
-static int is_kept(const StripePiece *piece, const StripeRules *rules) {
-    return (size_t)piece->columns >= rules->shortest && (size_t)piece->strong_columns >= rules->shortest;
+static int is_kept(const StripePiece *piece, const StripeParams *params) {
+    return (size_t)piece->columns >= params->shortest && (size_t)piece->strong_columns >= params->shortest;
 }
 
-size_t kept_ridges(const StripeRules *rules, const List *pieces) {
+size_t kept_ridges(const StripeParams *params, const List *pieces) {
     const StripePiece *piece = pieces->data;
     size_t total = 0;
-    for (size_t i = 0; i < pieces->used; i++) total += is_kept(piece + i, rules) ? (size_t)piece[i].columns : 0;
+    for (size_t i = 0; i < pieces->used; i++) total += is_kept(piece + i, params) ? (size_t)piece[i].columns : 0;
     return total;
 }
 
 /* Numbers of the ridges, piece after piece, and where each piece that is kept ends; of the others -1. */
-static int32_t *ridges_by_piece(const StripeRules *rules, const List *ridges, const List *pieces, int32_t *end) {
+static int32_t *ridges_by_piece(const StripeParams *params, const List *ridges, const List *pieces, int32_t *end) {
     const StripePiece *piece = pieces->data;
     const Ridge *ridge = ridges->data;
     int32_t total = 0;
     for (size_t i = 0; i < pieces->used; i++) {
-        end[i] = is_kept(piece + i, rules) ? total : -1;
+        end[i] = is_kept(piece + i, params) ? total : -1;
         total += end[i] < 0 ? 0 : piece[i].columns;
     }
     int32_t *order = malloc(((size_t)total + 1) * sizeof *order);
@@ -230,14 +573,14 @@ static int64_t measure_pieces(Job *job, const List *pieces, const int32_t *order
         size_t count = (size_t)piece[i].columns;
         PieceScatter *own = measured + number;
         const Columns *columns = measure_piece(job, order + ((size_t)end[i] - count), count, &own->of, &own->first);
-        if (columns->count < job->rules->shortest) continue;
+        if (columns->count < job->params->shortest) continue;
         own->columns = columns->count;
         append_columns(columns, number++, centers);
     }
     return number;
 }
 
-static void take_roots(const double *restrict variance, size_t count, double *restrict sigma) {
+static void take_square_roots(const double *restrict variance, size_t count, double *restrict sigma) {
     for (size_t i = 0; i < count; i++) sigma[i] = sqrt(variance[i]);
 }
 
@@ -245,25 +588,25 @@ static void take_roots(const double *restrict variance, size_t count, double *re
 static void find_sigmas(Columns *columns, const PieceScatter *measured, size_t count, PieceScatter *sorted,
                         Centers *centers) {
     memcpy(sorted, measured, count * sizeof *sorted);
-    double usual = usual_excess(sorted, count);
+    double pooled = pooled_excess(sorted, count);
     double *sigma = centers->sigma, *y = centers->position + 1;
     for (size_t i = 0; i < count; i++) {
         columns->count = measured[i].columns;
         memcpy(columns->variance, sigma, columns->count * sizeof *sigma);
         for (size_t j = 0; j < columns->count; j++, y += 2) columns->y[j] = *y;
-        raise_variances(columns, measured[i].of, usual * excess(measured[i].of, 1) / excess(measured[i].first, 1));
-        take_roots(columns->variance, columns->count, sigma);
+        raise_variances(columns, measured[i].of, pooled * excess(measured[i].of, 1) / excess(measured[i].first, 1));
+        take_square_roots(columns->variance, columns->count, sigma);
         sigma += columns->count;
     }
 }
 
-int find_centers(const StripeImage *image, const Filter *filters, size_t filter_count, const StripeRules *rules,
+int find_centers(const StripeImage *image, const Filter *filters, size_t filter_count, const StripeParams *params,
                  const List *ridges, const List *pieces, Centers *centers) {
     Patch patch;
-    Job job = {image, filters, filter_count, rules, ridges->data, ridges->used, &patch, {{0}, {0}}};
+    Job job = {image, filters, filter_count, params, ridges->data, ridges->used, &patch, {{0}, {0}}};
     size_t room = pieces->used + 1;
     int32_t *end = malloc(room * sizeof *end);
-    int32_t *order = end ? ridges_by_piece(rules, ridges, pieces, end) : NULL;
+    int32_t *order = end ? ridges_by_piece(params, ridges, pieces, end) : NULL;
     PieceScatter *measured = malloc(2 * room * sizeof *measured);
     void *memory[2];
     for (int i = 0; i < 2; i++) memory[i] = allocate_columns(job.columns + i, longest_piece(pieces));

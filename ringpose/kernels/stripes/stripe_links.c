@@ -1,38 +1,39 @@
-/* Ridges of neighbouring columns joined into pieces. */
+/* Ridges of neighbouring columns are linked into pieces by a tracking filter: position and slope are predicted, the
+   nearest ridge updates them. */
 #include "stripes.h"
 
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-/* A ridge may lie so many times farther from where its piece is expected than the piece's ridges do on average, within
-   limits in pixels: speckle makes ridges jump, and so does an edge between two surfaces. */
+/* Gate: largest distance from the prediction, over the mean distance of the piece's ridges, within limits in pixels.
+   Speckle makes ridges jump, and so does an edge between two surfaces. */
 #define STEP 5.0f
-#define LEAST_STEP_PX 1.25f
-#define MOST_STEP_PX 2.0f
+#define MIN_STEP_PX 1.25f
+#define MAX_STEP_PX 2.0f
 #define NEXT_PX 1.0f
 
-/* What that average is taken for at first, and the share of each further column in it. */
-#define FIRST_UNREST_PX 0.25f
-#define UNREST_SHARE 0.125f
+/* Initial value of that mean, and the weight of each further column. */
+#define FIRST_SCATTER_PX 0.25f
+#define SCATTER_SHARE 0.125f
 
-/* A piece's course is a line fitted to all its columns at first, later to about so many. */
+/* The prediction is a line fitted to all columns at first, later to about this many. */
 enum { COURSE_COLUMNS = 8 };
 
-/* Two ridges of a column so far apart may be the shoulders of a flat top. */
-enum { CLOSEST_SHOULDERS = 5, FARTHEST_SHOULDERS = 40 };
+/* Distance of two ridges in a column that may be the shoulders of a flat top. */
+enum { MIN_SHOULDER_ROWS = 5, MAX_SHOULDER_ROWS = 40 };
 
-/* Between shoulders the signal keeps this share of theirs. */
+/* Between shoulders the signal stays above this share of theirs. */
 #define PLATEAU_SHARE 0.8f
 
 typedef struct {
-    float y, expected, slope, unrest, distance; /* y: of the last ridge */
+    float y, expected, slope, scatter, distance; /* y: of the last ridge */
     int32_t nearest, missing, columns, strong_columns, piece;
 } Track;
 
-/* Pieces that may go on, from the top; `spare` has as much room. */
+/* Open pieces, from the top; `spare` has the same capacity. */
 typedef struct {
-    const StripeRules *rules;
+    const StripeParams *params;
     Track *tracks, *spare;
     size_t count, capacity;
     List *pieces;
@@ -40,7 +41,7 @@ typedef struct {
 
 /* ---- flat tops ---- */
 
-/* Whether the signal between two ridges of a column stays near their own height. */
+/* True if the signal between two ridges of a column stays near their own height. */
 static int is_plateau(const StripeImage *image, ptrdiff_t outside, const Ridge *a, const Ridge *b) {
     if (a->response > 2 * b->response || b->response > 2 * a->response) return 0;
     size_t x = (size_t)a->x, width = image->width;
@@ -48,10 +49,10 @@ static int is_plateau(const StripeImage *image, ptrdiff_t outside, const Ridge *
     float above = pixel_at(image, clamped(a->row - outside, image->height) * width + x);
     float below = pixel_at(image, clamped(b->row + outside, image->height) * width + x);
     float base = above > below ? above : below, level = high < other ? high : other;
-    float least = base + PLATEAU_SHARE * (level - base);
+    float minimum = base + PLATEAU_SHARE * (level - base);
     if (level <= base) return 0;
     for (int32_t row = a->row + 1; row < b->row; row++)
-        if (pixel_at(image, (size_t)row * width + x) < least) return 0;
+        if (pixel_at(image, (size_t)row * width + x) < minimum) return 0;
     return 1;
 }
 
@@ -61,10 +62,10 @@ static size_t join_shoulders(const StripeImage *image, ptrdiff_t outside, Ridge 
     for (size_t i = 0; i < count; i++) {
         Ridge here = ridge[i];
         int32_t apart = i + 1 < count ? ridge[i + 1].row - here.row : 0;
-        if (apart >= CLOSEST_SHOULDERS && apart <= FARTHEST_SHOULDERS &&
+        if (apart >= MIN_SHOULDER_ROWS && apart <= MAX_SHOULDER_ROWS &&
             is_plateau(image, outside, &here, ridge + i + 1)) {
             i++;
-            here.bend = -0.5f * (ridge[i].y - here.y);
+            here.curvature = -0.5f * (ridge[i].y - here.y);
             here.y = 0.5f * (ridge[i].y + here.y);
             here.row = (int32_t)(here.y + 0.5f);
         }
@@ -77,14 +78,14 @@ static size_t join_shoulders(const StripeImage *image, ptrdiff_t outside, Ridge 
 
 static float distance(float a, float b) { return fabsf(a - b); }
 
-/* Whether a ridge lies near where the piece is expected, or right beside its last one: a stripe may bend. */
+/* True if a ridge is within the gate, or next to the last one: a stripe may bend. */
 static int is_next(const Track *track, float y, float apart) {
-    float step = STEP * track->unrest;
-    step = step < LEAST_STEP_PX ? LEAST_STEP_PX : step > MOST_STEP_PX ? MOST_STEP_PX : step;
+    float step = STEP * track->scatter;
+    step = step < MIN_STEP_PX ? MIN_STEP_PX : step > MAX_STEP_PX ? MAX_STEP_PX : step;
     return apart <= step || (track->missing == 0 && distance(track->y, y) <= NEXT_PX);
 }
 
-/* Each ridge asks the nearest piece; a piece takes the nearest that asks, of equals the upper. */
+/* Each ridge proposes to the nearest piece; a piece accepts the nearest one, the upper one if equal. */
 static void match(Course *course, const Ridge *ridge, size_t count) {
     if (course->count == 0) return;
     Track *track = course->tracks, *last = track + course->count - 1;
@@ -101,17 +102,17 @@ static void match(Course *course, const Ridge *ridge, size_t count) {
     }
 }
 
-/* A line through the columns so far, then one that forgets. */
-static void follow(Track *track, Ridge *ridge, const StripeRules *rules) {
+/* Recursive line fit: gains of the growing window, then of an exponential one. */
+static void follow(Track *track, Ridge *ridge, const StripeParams *params) {
     static const float gain[COURSE_COLUMNS + 1] = {0, 1, 1, 5 / 6.f, 7 / 10.f, 3 / 5.f, 11 / 21.f, 13 / 28.f, 5 / 12.f};
     static const float slope_gain[COURSE_COLUMNS + 1] = {0, .3f, .3f, .3f, .3f, 1 / 5.f, 1 / 7.f, 3 / 28.f, 1 / 12.f};
     float off = ridge->y - track->expected;
     int32_t n = ++track->columns < COURSE_COLUMNS ? track->columns : COURSE_COLUMNS;
     track->slope += track->missing ? off * slope_gain[n] / (float)(track->missing + 1) : off * slope_gain[n];
     track->expected += off * gain[n] + track->slope;
-    track->unrest += UNREST_SHARE * (distance(off, 0) - track->unrest);
+    track->scatter += SCATTER_SHARE * (distance(off, 0) - track->scatter);
     track->y = ridge->y;
-    track->strong_columns += ridge->response >= rules->begin_sigmas * ridge->noise;
+    track->strong_columns += ridge->response >= params->begin_sigmas * ridge->noise;
     track->missing = 0;
     track->nearest = -1;
     ridge->piece = track->piece;
@@ -121,18 +122,18 @@ static void end_piece(const Course *course, const Track *track) {
     ((StripePiece *)course->pieces->data)[track->piece] = (StripePiece){track->columns, track->strong_columns};
 }
 
-/* Moves all pieces on by a column: with the ridge that each took, or without, or ends it. A piece's first columns may
-   not have gaps as long as themselves: noise begins many pieces. Returns how many ridges were taken. */
+/* Advances all pieces by a column: update, prediction only, or end. A gap ends a piece that is shorter than the gap,
+   because noise starts many pieces. Returns the number of accepted ridges. */
 static size_t advance(Course *course, Ridge *ridge) {
     size_t kept = 0, taken = 0;
     Track *track = course->tracks;
     for (size_t i = 0; i < course->count; i++) {
         if (track[i].nearest >= 0) {
-            follow(track + i, ridge + track[i].nearest, course->rules);
+            follow(track + i, ridge + track[i].nearest, course->params);
             taken++;
         } else {
             track[i].expected += track[i].slope;
-            if (++track[i].missing > (int32_t)course->rules->gap || track[i].missing >= track[i].columns) {
+            if (++track[i].missing > (int32_t)course->params->gap || track[i].missing >= track[i].columns) {
                 end_piece(course, track + i);
                 continue;
             }
@@ -159,7 +160,7 @@ static int reserve_tracks(Course *course, size_t count) {
     return 1;
 }
 
-/* Begins pieces with the ridges that no piece took, and puts them among the others. */
+/* Starts pieces with the remaining ridges and merges them into the sorted list. */
 static int begin_pieces(Course *course, Ridge *ridge, size_t count) {
     if (!reserve(course->pieces, count) || !reserve_tracks(course, course->count + count)) return 0;
     Track *spare = course->spare;
@@ -168,8 +169,8 @@ static int begin_pieces(Course *course, Ridge *ridge, size_t count) {
         if (ridge[i].piece >= 0) continue;
         while (t < course->count && course->tracks[t].expected <= ridge[i].y) spare[all++] = course->tracks[t++];
         ridge[i].piece = (int32_t)course->pieces->used++;
-        int strong = ridge[i].response >= course->rules->begin_sigmas * ridge[i].noise;
-        spare[all++] = (Track){ridge[i].y, ridge[i].y, 0, FIRST_UNREST_PX, 0, -1, 0, 1, strong, ridge[i].piece};
+        int strong = ridge[i].response >= course->params->begin_sigmas * ridge[i].noise;
+        spare[all++] = (Track){ridge[i].y, ridge[i].y, 0, FIRST_SCATTER_PX, 0, -1, 0, 1, strong, ridge[i].piece};
     }
     while (t < course->count) spare[all++] = course->tracks[t++];
     course->spare = course->tracks;
@@ -198,8 +199,8 @@ static int link_columns(const StripeImage *image, ptrdiff_t outside, Course *cou
     return 1;
 }
 
-int link_ridges(const StripeImage *image, const Filter *filter, const StripeRules *rules, List *ridges, List *pieces) {
-    Course course = {.rules = rules, .pieces = pieces};
+int link_ridges(const StripeImage *image, const Filter *filter, const StripeParams *params, List *ridges, List *pieces) {
+    Course course = {.params = params, .pieces = pieces};
     int done = link_columns(image, (ptrdiff_t)(3 * filter->sigma + 0.5), &course, ridges);
     free(course.tracks);
     free(course.spare);

@@ -3,8 +3,8 @@
 
 #include <string.h>
 
-/* GNU C's vectors keep sums in registers: the compilers do not see that they may, in loops over 16 columns. Vectors that
-   the processor does not have are slow: there is a version for each size, and the right one is taken at run time. */
+/* GNU C vectors keep the sums over 16 columns in registers, which compilers do not do by themselves. There is a version
+   for each vector size; the one that the processor supports is selected at run time. */
 typedef float FourFloats __attribute__((vector_size(16), aligned(4), may_alias));
 typedef float EightFloats __attribute__((vector_size(32), aligned(4), may_alias));
 #if defined(__x86_64__) && !defined(RINGPOSE_PORTABLE)
@@ -16,7 +16,7 @@ typedef float EightFloats __attribute__((vector_size(32), aligned(4), may_alias)
 #endif
 
 /* Rows of a block in whole numbers. */
-enum { MOST_ROWS = CHUNK + 2 + 2 * MOST_REACH };
+enum { MAX_ROWS = CHUNK + 2 + 2 * MAX_REACH };
 
 #define NUMBERS(name, Pixel, value)                                                                                \
     VECTOR_LOOP                                                                                                    \
@@ -40,7 +40,7 @@ static void gather_16(const uint16_t *restrict pixels, size_t width, size_t rows
 }
 
 static void load_8(const uint8_t *lit, const uint8_t *dark, size_t width, size_t rows, float *out) {
-    uint8_t pixels[2][MOST_ROWS * BLOCK];
+    uint8_t pixels[2][MAX_ROWS * BLOCK];
     gather_8(lit, width, rows, pixels[0]);
     if (dark) {
         gather_8(dark, width, rows, pixels[1]);
@@ -51,7 +51,7 @@ static void load_8(const uint8_t *lit, const uint8_t *dark, size_t width, size_t
 }
 
 static void load_16(const uint16_t *lit, const uint16_t *dark, size_t width, size_t rows, float *out) {
-    uint16_t pixels[2][MOST_ROWS * BLOCK];
+    uint16_t pixels[2][MAX_ROWS * BLOCK];
     gather_16(lit, width, rows, pixels[0]);
     if (dark) {
         gather_16(dark, width, rows, pixels[1]);
@@ -86,7 +86,7 @@ void load_pixels(const StripeImage *image, ptrdiff_t row, size_t column, size_t 
 #define BEND(name, Floats)                                                                                         \
     static void name(const Filter *filter, size_t count, Patch *patch) {                                           \
         const size_t lanes = sizeof(Floats) / sizeof(float);                                                       \
-        const float *tap = filter->bend, *middle = patch->pixel + filter->reach * BLOCK;                           \
+        const float *tap = filter->curvature, *middle = patch->pixel + filter->reach * BLOCK;                           \
         for (size_t i = 0; i < count; i += i % BLOCK + lanes < BLOCK ? lanes : BLOCK + lanes) {                    \
             const float *top = middle + i, *bottom = top + BLOCK;                                                  \
             Floats above = *(const Floats *)top, below = *(const Floats *)bottom;                                  \
@@ -100,25 +100,25 @@ void load_pixels(const StripeImage *image, ptrdiff_t row, size_t column, size_t 
                 above = next_above;                                                                                \
                 below = next_below;                                                                                \
             }                                                                                                      \
-            *(Floats *)(patch->bend + i) = one;                                                                    \
-            *(Floats *)(patch->bend + i + BLOCK) = two;                                                            \
+            *(Floats *)(patch->curvature + i) = one;                                                                    \
+            *(Floats *)(patch->curvature + i + BLOCK) = two;                                                            \
         }                                                                                                          \
     }
 
 #define DIFFERENTIATE(name, Floats)                                                                                \
     static void name(const Filter *filter, size_t count, Patch *patch) {                                           \
-        const float *even = filter->bend, *odd = filter->slope, *middle = patch->pixel + filter->reach * BLOCK;    \
+        const float *even = filter->curvature, *irregular = filter->slope, *middle = patch->pixel + filter->reach * BLOCK;    \
         for (size_t i = 0; i < count; i += sizeof(Floats) / sizeof(float)) {                                       \
             const float *up = middle + i, *down = up;                                                              \
-            Floats bend = even[0] * *(const Floats *)up, slope = {0};                                              \
+            Floats curvature = even[0] * *(const Floats *)up, slope = {0};                                              \
             for (size_t k = 1; k <= filter->reach; k++) {                                                          \
                 up -= BLOCK;                                                                                       \
                 down += BLOCK;                                                                                     \
                 Floats above = *(const Floats *)up, below = *(const Floats *)down;                                 \
-                bend += even[k] * (above + below);                                                                 \
-                slope += odd[k] * (below - above);                                                                 \
+                curvature += even[k] * (above + below);                                                                 \
+                slope += irregular[k] * (below - above);                                                                 \
             }                                                                                                      \
-            *(Floats *)(patch->bend + i) = bend;                                                                   \
+            *(Floats *)(patch->curvature + i) = curvature;                                                                   \
             *(Floats *)(patch->slope + i) = slope;                                                                 \
         }                                                                                                          \
     }

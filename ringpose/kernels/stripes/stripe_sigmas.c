@@ -1,46 +1,45 @@
-/* What differences between the centres of a piece say of their standard deviations.
-
-   Second differences do not see where a straight piece runs. Near ones show speckle, far ones what surrounds it. */
-#include "stripe_columns.h"
+/* Standard deviations of centres from second differences, which are independent of position and slope of a straight
+   piece. At a near lag they show speckle, at a far lag the background. */
+#include "stripes.h"
 
 #include <math.h>
 #include <stdlib.h>
 
-/* Columns over which the speckle of two centres has become independent (grains of about 3 px), and a background (facets
-   of a foil). */
+/* Lags at which the speckle of two centres is independent (grains of about 3 px), and the background (facets of a
+   foil). */
 enum { NEAR_LAG = 4, FAR_LAG = 40 };
 
-/* Far centres differ by so much more than near ones where the surroundings of a stripe spoil it. */
+/* The background disturbs a stripe if the far excess is larger than the near one by this factor. */
 #define BACKGROUND 1.75
 
-/* What is expected of a piece counts as much as so many differences. */
+/* Weight of the expected variance of a piece, as a number of differences. */
 #define EXPECTED_DIFFERENCES 4.0
 
-/* And what the frame's pieces show as so many, on a scale of ratios: short pieces show little. */
+/* Weight of the pooled variance of the frame, as a number of differences, for the logarithm of the variance. */
 #define FRAME_DIFFERENCES 8.0
 
-/* Squares count up to this many times their mean. */
-#define LARGEST_SQUARE 25.0
+/* Squares are clipped at this multiple of their mean. */
+#define MAX_SQUARE 25.0
 enum { ROUNDS = 3 };
 
-/* Differences on either side that are a column's surroundings, and as how many those of all the piece count. */
+/* Window of differences on either side of a column, and the weight of the whole piece as a number of differences. */
 enum { SURROUNDINGS = 10 };
 #define PIECE_DIFFERENCES 6.0
 
 /* A second difference has six times the variance of a centre. */
 #define VARIANCES 6.0
 
-/* How many centres have a neighbour at that distance on both sides. */
+/* Number of second differences at a lag. */
 static size_t differences(const Columns *columns, size_t lag) {
     return lag > 0 ? columns->count - 2 * lag : 0;
 }
 
-/* A short piece has to do with nearer neighbours. */
-static size_t fitting(size_t lag, const Columns *columns) {
+/* The lag, reduced for short pieces. */
+static size_t feasible_lag(size_t lag, const Columns *columns) {
     return 4 * lag < columns->count ? lag : columns->count / 4;
 }
 
-/* Squares of second differences over what the sensor's noise explains. */
+/* Squares of second differences over the variance expected from sensor noise. */
 static void compare_differences(Columns *columns, size_t lag, size_t count) {
     const double *restrict y = columns->y, *restrict variance = columns->variance;
     double *restrict ratio = columns->ratio;
@@ -69,7 +68,7 @@ static double clipped_mean(double *value, size_t count) {
         for (size_t i = 0; i < count; i += PARTS)
             for (size_t j = 0; j < PARTS; j++) sum[j] += value[i + j] < limit ? value[i + j] : limit;
         mean = ((sum[0] + sum[1]) + (sum[2] + sum[3])) / (double)count;
-        limit = LARGEST_SQUARE * mean;
+        limit = MAX_SQUARE * mean;
     }
     return mean;
 }
@@ -79,7 +78,7 @@ double excess(Scatter of, double expected) {
 }
 
 Scatter scatter_at(Columns *columns, size_t lag) {
-    size_t near = fitting(lag, columns), count = differences(columns, near);
+    size_t near = feasible_lag(lag, columns), count = differences(columns, near);
     compare_differences(columns, near, count);
     return (Scatter){clipped_mean(columns->ratio, count) * (double)count, count, lag, lag == FAR_LAG};
 }
@@ -90,7 +89,7 @@ Scatter scatter(Columns *columns) {
 }
 
 double scatter_variance(Columns *columns, Scatter of) {
-    size_t lag = fitting(of.lag, columns), count = differences(columns, lag);
+    size_t lag = feasible_lag(of.lag, columns), count = differences(columns, lag);
     square_differences(columns, lag, count);
     return clipped_mean(columns->square, count);
 }
@@ -102,27 +101,27 @@ static int by_excess(const void *first, const void *second) {
     return (a > b) - (a < b);
 }
 
-double usual_excess(PieceScatter *pieces, size_t count) {
-    double all = 0, seen = 0, usual = 1;
+double pooled_excess(PieceScatter *pieces, size_t count) {
+    double all = 0, counted = 0, pooled = 1;
     for (size_t i = 0; i < count; i++) all += (double)pieces[i].first.count;
     qsort(pieces, count, sizeof *pieces, by_excess);
-    for (size_t i = 0; i < count && 2 * seen < all; i++) {
-        usual = excess(pieces[i].first, 1);
-        seen += (double)pieces[i].first.count;
+    for (size_t i = 0; i < count && 2 * counted < all; i++) {
+        pooled = excess(pieces[i].first, 1);
+        counted += (double)pieces[i].first.count;
     }
-    return usual;
+    return pooled;
 }
 
-/* Variance of a piece's centres: what they show themselves, and what is usual. */
-static double piece_variance(Columns *columns, Scatter of, double usual) {
+/* Variance of a piece's centres: its own estimate and the pooled one, weighted geometric mean. */
+static double piece_variance(Columns *columns, Scatter of, double pooled) {
     double expected = 0, count = (double)of.count, share = FRAME_DIFFERENCES / (FRAME_DIFFERENCES + count);
     for (size_t i = 0; i < columns->count; i++) expected += columns->variance[i];
-    expected *= usual / (double)columns->count;
+    expected *= pooled / (double)columns->count;
     double shown = EXPECTED_DIFFERENCES * expected + count * scatter_variance(columns, of);
     return pow(expected, share) * pow(shown / (EXPECTED_DIFFERENCES + count), 1 - share);
 }
 
-/* Variances that sums of squares around the columns show; `from` and `to` say where those begin and end. */
+/* Raises variances to the mean square in the window of each column; cumulative sums at its start and end are given. */
 static void raise_between(const double *restrict from, const double *restrict to, double piece, size_t count,
                           double *restrict variance) {
     double squares = 2 * SURROUNDINGS + 1 + PIECE_DIFFERENCES, all = PIECE_DIFFERENCES * piece;
@@ -142,9 +141,9 @@ static void raise_one(const double *sum, size_t i, size_t lag, size_t count, dou
     variance[i] = fmax(variance[i], near / ((double)(to - from) + PIECE_DIFFERENCES));
 }
 
-void raise_variances(Columns *columns, Scatter of, double usual) {
-    size_t lag = fitting(of.lag, columns), count = differences(columns, lag);
-    double piece = piece_variance(columns, of, usual), limit = LARGEST_SQUARE * piece, *sum = columns->ratio;
+void raise_variances(Columns *columns, Scatter of, double pooled) {
+    size_t lag = feasible_lag(of.lag, columns), count = differences(columns, lag);
+    double piece = piece_variance(columns, of, pooled), limit = MAX_SQUARE * piece, *sum = columns->ratio;
     sum[0] = 0;
     for (size_t i = 0; i < count; i++)
         sum[i + 1] = sum[i] + (columns->square[i] < limit ? columns->square[i] : limit);

@@ -1,28 +1,32 @@
-/* Edges fitted to the brightness of a stripe about its end. */
-#include "end_fits.h"
+/* Maximum-likelihood fit of an edge, level inside + level outside + error function, to the amplitudes about a stripe's
+   end, and the width that the edges of an image have in common. */
+#include "ends.h"
+#include "kernels.h"
 
 #include <math.h>
 #include <string.h>
 
-#include "minimum.h"
-#include "kernels.h"
-#include "normal_cdf.h"
+double NORMAL_CDF[CDF_STEPS + 1];
 
-/* Sums are kept in so many parts, as vectors do it. */
+void fill_normal_cdf(void) {
+    for (int i = 0; i <= CDF_STEPS; i++) NORMAL_CDF[i] = 0.5 * (1 + erf((-4 + 8.0 * i / CDF_STEPS) / sqrt(2)));
+}
+
+/* Partial sums, as a vector register holds them. */
 enum { PARTS = 4 };
 
-/* Steps of the fine search, its step in columns, and the width that it begins with. */
+/* Steps of the fine search, index of the width that it begins with, and step in columns. */
 enum { FINE = 21, MIDDLE = 3 };
 #define FINE_STEP 0.15
 
-/* What the columns add to the equations for the two levels, and to the likelihood. */
+/* Sums over columns for the normal equations of the two levels and for the likelihood. */
 typedef struct {
     double inside, both, outside, in_value, out_value, square, logarithm;
 } Sums;
 
-/* Sums over the columns up to each one, if all lay inside the edge, and if all lay outside. */
+/* Cumulative sums over the columns, with all of them inside the edge, and with all of them outside. */
 typedef struct {
-    Sums in[MOST_COLUMNS + 1], out[MOST_COLUMNS + 1];
+    Sums in[MAX_COLUMNS + 1], out[MAX_COLUMNS + 1];
 } Running;
 
 static void add(Sums *sums, double in, double out, double value, double variance) {
@@ -47,7 +51,7 @@ static void add_range(Sums *sums, const Sums *from, const Sums *to) {
 static void run(const Columns *columns, Running *running) {
     memset(running, 0, sizeof *running);
     for (int i = 0; i < columns->count; i++) {
-        double head = columns->room[FULL][i], value = columns->amplitude[i];
+        double head = columns->headroom[FULL][i], value = columns->amplitude[i];
         running->in[i + 1] = running->in[i];
         running->out[i + 1] = running->out[i];
         add(&running->in[i + 1], head, 0, value, column_variance(columns, i, head));
@@ -57,19 +61,19 @@ static void run(const Columns *columns, Running *running) {
     }
 }
 
-/* Columns in which an edge lies: their shares of both levels, and what is seen there. */
+/* Columns within four widths of the edge: their shares of both levels, amplitude and variance. */
 typedef struct {
-    double in[MOST_COLUMNS + PARTS], out[MOST_COLUMNS + PARTS], value[MOST_COLUMNS + PARTS],
-        variance[MOST_COLUMNS + PARTS];
+    double in[MAX_COLUMNS + PARTS], out[MAX_COLUMNS + PARTS], value[MAX_COLUMNS + PARTS],
+        variance[MAX_COLUMNS + PARTS];
 } Weighted;
 
-/* GNU C's vectors: the compilers do not see that sums may be kept in parts. */
+/* GNU C vectors: compilers do not reorder floating-point sums by themselves. */
 typedef double Doubles __attribute__((vector_size(8 * PARTS), aligned(8), may_alias));
 #define DOUBLES(address) (*(const Doubles *)(address))
 
 static inline double total(Doubles part) { return (part[0] + part[1]) + (part[2] + part[3]); }
 
-/* Adds the logarithms of variances, as few as their product's range allows. */
+/* Sum of the logarithms of variances; products are accumulated as far as their range allows. */
 static double logarithm(const double *variance, int n) {
     double product = 1, sum = 0;
     for (int i = 0; i < n; i++) {
@@ -106,8 +110,8 @@ static void add_weighted(Weighted *columns, int n, Sums *sums) {
     sums->square += total(square);
 }
 
-/* Minus log likelihood of an edge with its best levels, and the outside level's share of the inside. Columns ascend
-   in `along`; more than four widths from the edge they lie wholly on one side. */
+/* Negative log likelihood of an edge, maximised over its two levels, and the ratio of the levels. Columns ascend in
+   `along`; those more than four widths from the edge lie entirely on one side. */
 static double edge_cost(const Columns *columns, const Running *running, double position, double width,
                         double *outside) {
     Sums sums = {0};
@@ -140,7 +144,7 @@ static double edge_cost(const Columns *columns, const Running *running, double p
     return 0.5 * (square + sums.logarithm);
 }
 
-/* A search for one end at one width. */
+/* Search for an end with edges of one width. */
 typedef struct {
     const Columns *columns;
     const Running *running;
@@ -151,25 +155,25 @@ static double cost_at(const Search *search, double position, double *outside) {
     return edge_cost(search->columns, search->running, position, search->width, outside);
 }
 
-/* Where the edge lies to half a column: the best of whole columns, and the halves beside it. */
+/* Position to half a column: the best integer column, then the half columns next to it. */
 static double coarse_position(const Search *search, double *first) {
-    double least = INFINITY, best = 0, ignored;
+    double minimum = INFINITY, best = 0, ignored;
     for (int k = 0; k < PLACES; k++) {
         first[k] = cost_at(search, FIRST_PLACE + k, &ignored);
-        if (!(first[k] < least)) continue;
-        least = first[k];
+        if (!(first[k] < minimum)) continue;
+        minimum = first[k];
         best = FIRST_PLACE + k;
     }
     double before = cost_at(search, best - 0.5, &ignored), after = cost_at(search, best + 0.5, &ignored);
-    if (before < least && !(after < before)) return best - 0.5;
-    return after < least ? best + 0.5 : best;
+    if (before < minimum && !(after < before)) return best - 0.5;
+    return after < minimum ? best + 0.5 : best;
 }
 
 static void try_step(const Search *search, double start, int k, double *cost, double *level) {
     if (isnan(cost[k])) cost[k] = cost_at(search, start + (k - FINE / 2) * FINE_STEP, &level[k]);
 }
 
-/* Downhill in fine steps about `start` from step `k`, then a parabola; returns the lowest step. */
+/* Descent in fine steps about `start` from step `k`, then parabolic interpolation; returns the step of lowest cost. */
 static int descend(const Search *search, double start, int k, EdgeFit *fit, int s) {
     double cost[FINE], level[FINE];
     for (int j = 0; j < FINE; j++) cost[j] = NAN;
@@ -188,7 +192,7 @@ static int descend(const Search *search, double start, int k, EdgeFit *fit, int 
     return k;
 }
 
-/* The middle width first, then from each to its neighbour, whose edge hardly lies elsewhere. */
+/* The middle width first; each other width starts at the position found for its neighbour. */
 void fit_edge(const Columns *columns, double sigma, EdgeFit *fit) {
     Running running;
     run(columns, &running);
@@ -205,4 +209,88 @@ void edge_costs(const Columns *columns, double width, const double *position, in
     double ignored;
     run(columns, &running);
     for (int k = 0; k < count; k++) cost[k] = edge_cost(columns, &running, position[k], width, &ignored);
+}
+
+#define MIN_INFORMATION 1e-3
+
+enum { ROUNDS = 2 };
+
+/* Index of the middle one of three sharp widths about index k. */
+static int inner_width(int k) { return k < 1 ? 1 : k > SHARP_WIDTHS - 2 ? SHARP_WIDTHS - 2 : k; }
+
+static int argmin_sharp(const double *cost) {
+    int k = 0;
+    for (int s = 1; s < SHARP_WIDTHS; s++)
+        if (cost[s] < cost[k]) k = s;
+    return k;
+}
+
+EdgeWidth blur_width(const Columns *columns, const EdgeFit *fit, double sigma, double correlation) {
+    int best = argmin_sharp(fit->cost), k = inner_width(best);
+    const double *w = &WIDTH[k], *cost = &fit->cost[k];
+    double before = (cost[0] - cost[-1]) / (w[0] - w[-1]), after = (cost[1] - cost[0]) / (w[1] - w[0]);
+    double curvature = (after - before) / (w[1] - w[-1]);
+    if (!(curvature > 0)) return (EdgeWidth){log(WIDTH[best] * sigma), MIN_INFORMATION};
+    double width = fmin(fmax(0.5 * (w[-1] + w[0]) - 0.5 * before / curvature, w[-1]), w[1]);
+    double correlation_length = correlation_length_for_width(columns, correlation, width * sigma);
+    return (EdgeWidth){log(width * sigma), fmax(2 * curvature * width * width / correlation_length, MIN_INFORMATION)};
+}
+
+/* Weight of an end's width in the pooled one, with the spread of widths between ends. */
+static double weight_of(const EdgeWidth *width, const EndParams *params) {
+    return 1 / (1 / width->information + params->width_spread * params->width_spread);
+}
+
+/* Lower weighted median. */
+static double middle_width(const EdgeWidth *width, size_t ends, const EndParams *params) {
+    double all = 0, middle = INFINITY;
+    for (size_t i = 0; i < ends; i++) all += weight_of(&width[i], params);
+    for (size_t i = 0; i < ends; i++) {
+        double below = 0;
+        for (size_t j = 0; j < ends; j++)
+            if (width[j].logarithm <= width[i].logarithm) below += weight_of(&width[j], params);
+        if (below >= 0.5 * all && width[i].logarithm < middle) middle = width[i].logarithm;
+    }
+    return middle;
+}
+
+EdgeWidth pooled_width(const EdgeWidth *width, size_t ends, const EndParams *params) {
+    EdgeWidth common = {middle_width(width, ends, params), 0};
+    for (int round = 0; round < ROUNDS; round++) {
+        double sum = 0, weights = 0;
+        for (size_t i = 0; i < ends; i++) {
+            double weight = weight_of(&width[i], params), away = width[i].logarithm - common.logarithm;
+            weight /= 1 + 0.25 * weight * away * away; /* Cauchy weight */
+            sum += weight * width[i].logarithm;
+            weights += weight;
+        }
+        common = (EdgeWidth){sum / weights, weights};
+    }
+    return common;
+}
+
+EdgeWidth combined_width(const EdgeWidth *own, const EdgeWidth *common, const EndParams *params) {
+    double others = 1 / (1 / common->information + params->width_spread * params->width_spread);
+    double all = own->information + others;
+    return (EdgeWidth){(own->logarithm * own->information + common->logarithm * others) / all, all};
+}
+
+/* Lagrange interpolation over the three nearest trial widths. */
+Edge edge_of_width(const EdgeFit *fit, double sigma, double width) {
+    double at = fmin(fmax(width / sigma, WIDTH[0]), WIDTH[SHARP_WIDTHS - 1]);
+    int k = 0;
+    for (int s = 1; s < SHARP_WIDTHS; s++)
+        if (at * at > WIDTH[s - 1] * WIDTH[s]) k = s;
+    k = inner_width(k);
+    const double *w = &WIDTH[k], *position = &fit->position[k];
+    double a = at - w[-1], b = at - w[0], c = at - w[1];
+    double first = position[-1] / ((w[-1] - w[0]) * (w[-1] - w[1]));
+    double second = position[0] / ((w[0] - w[-1]) * (w[0] - w[1]));
+    double third = position[1] / ((w[1] - w[-1]) * (w[1] - w[0]));
+    int low = at < w[0] ? -1 : 0;
+    double share = (at - w[low]) / (w[low + 1] - w[low]);
+    const double *outside = &fit->outside[k];
+    return (Edge){first * b * c + second * a * c + third * a * b, at * sigma,
+                  outside[low] + (outside[low + 1] - outside[low]) * share,
+                  (first * (b + c) + second * (a + c) + third * (a + b)) * at};
 }

@@ -14,25 +14,25 @@ static int filters_fit(const Py_buffer *taps, const Py_buffer *figures) {
     int fit = figures->shape[0] >= 2;
     const double *figure = figures->buf;
     for (Py_ssize_t i = 0; fit && i < figures->shape[0]; i++, figure += FIGURES)
-        fit = figure[0] > 0 && figure[0] <= MOST_REACH && figure[1] >= 1 && figure[1] < (double)taps->shape[2] &&
-              figure[1] <= MOST_REACH && figure[2] > 0 && figure[3] > 0;
+        fit = figure[0] > 0 && figure[0] <= MAX_REACH && figure[1] >= 1 && figure[1] < (double)taps->shape[2] &&
+              figure[1] <= MAX_REACH && figure[2] > 0 && figure[3] > 0;
     return require(fit, "filters: figures and taps do not fit together");
 }
 
-static int rules_fit(const StripeRules *rules, double gap, double shortest) {
-    return require(rules->begin_sigmas >= 0 && rules->continue_sigmas >= 0 && rules->least_response > 0 &&
-                       rules->coarse_per_response >= 0 && gap >= 0 && gap <= MAX_GAP && shortest >= 1 &&
+static int params_fit(const StripeParams *params, double gap, double shortest) {
+    return require(params->begin_sigmas >= 0 && params->continue_sigmas >= 0 && params->min_response > 0 &&
+                       params->coarse_per_response >= 0 && gap >= 0 && gap <= MAX_GAP && shortest >= 1 &&
                        shortest <= INT32_MAX,
-                   "rules: a number is out of range");
+                   "params: a number is out of range");
 }
 
 static Filter *filters_of(const Py_buffer *taps, const Py_buffer *figures) {
-    size_t count = (size_t)figures->shape[0], most = (size_t)taps->shape[2];
+    size_t count = (size_t)figures->shape[0], maximum = (size_t)taps->shape[2];
     Filter *filters = malloc(count * sizeof *filters);
     const float *tap = taps->buf;
     const double *figure = figures->buf;
-    for (size_t i = 0; filters && i < count; i++, tap += 2 * most, figure += FIGURES)
-        filters[i] = (Filter){tap, tap + most, (size_t)figure[1], figure[0], figure[2], figure[3]};
+    for (size_t i = 0; filters && i < count; i++, tap += 2 * maximum, figure += FIGURES)
+        filters[i] = (Filter){tap, tap + maximum, (size_t)figure[1], figure[0], figure[2], figure[3]};
     return filters;
 }
 
@@ -49,7 +49,7 @@ static const Lists no_lists = NO_LISTS;
 static Lists idle_lists = NO_LISTS;
 
 /* Longer lists than these bytes are not kept. */
-enum { LONGEST_KEPT = 1 << 21 };
+enum { MAX_KEPT_BYTES = 1 << 21 };
 
 static Lists take_lists(void) {
     Lists lists = idle_lists;
@@ -62,13 +62,13 @@ static void give_lists_back(Lists *lists) {
     int taken = idle_lists.ridges.data != NULL;
     for (size_t i = 0; i < 4; i++) {
         list[i]->used = 0;
-        if (taken || list[i]->capacity * list[i]->item > LONGEST_KEPT) release(list[i]);
+        if (taken || list[i]->capacity * list[i]->item > MAX_KEPT_BYTES) release(list[i]);
     }
     if (!taken) idle_lists = *lists;
 }
 
 /* Ridges and the pieces that they make up. */
-static int find_pieces(const StripeImage *image, const Filter *filter, const StripeRules *rules, const Bands *bands,
+static int find_pieces(const StripeImage *image, const Filter *filter, const StripeParams *params, const Bands *bands,
                        Lists *lists) {
     Noise noise = {.image = image, .filter = filter, .blocks = (image->width + BLOCK - 1) / BLOCK};
     noise.areas_across = (noise.blocks + NOISE_BLOCKS - 1) / NOISE_BLOCKS;
@@ -76,9 +76,9 @@ static int find_pieces(const StripeImage *image, const Filter *filter, const Str
     noise.figure = malloc(areas * sizeof *noise.figure);
     int done = noise.figure != NULL;
     for (size_t i = 0; done && i < areas; i++) noise.figure[i] = -1;
-    done = done && find_runs(&noise, rules, bands, &lists->runs) &&
-           find_ridges(&noise, rules, &lists->runs, &lists->found, &lists->ridges) &&
-           link_ridges(image, filter, rules, &lists->ridges, &lists->pieces);
+    done = done && find_runs(&noise, params, bands, &lists->runs) &&
+           find_ridges(&noise, params, &lists->runs, &lists->found, &lists->ridges) &&
+           link_ridges(image, filter, params, &lists->ridges, &lists->pieces);
     free(noise.figure);
     return done;
 }
@@ -105,17 +105,17 @@ static int shorten(PyObject *arrays, size_t count) {
 }
 
 static PyObject *centers_of(const StripeImage *image, const Filter *filters, size_t filter_count,
-                            const StripeRules *rules, const Lists *lists) {
-    size_t most = kept_ridges(rules, &lists->pieces);
-    PyObject *arrays = new_arrays(most);
+                            const StripeParams *params, const Lists *lists) {
+    size_t maximum = kept_ridges(params, &lists->pieces);
+    PyObject *arrays = new_arrays(maximum);
     if (arrays == NULL) return NULL;
     Centers centers = {array_data(arrays, 0), array_data(arrays, 1), array_data(arrays, 2), array_data(arrays, 3), 0};
     int done;
     Py_BEGIN_ALLOW_THREADS
-    done = find_centers(image, filters, filter_count, rules, &lists->ridges, &lists->pieces, &centers);
+    done = find_centers(image, filters, filter_count, params, &lists->ridges, &lists->pieces, &centers);
     Py_END_ALLOW_THREADS
     if (!done) PyErr_NoMemory();
-    if (done && (centers.count == most || shorten(arrays, centers.count))) return arrays;
+    if (done && (centers.count == maximum || shorten(arrays, centers.count))) return arrays;
     Py_DECREF(arrays);
     return NULL;
 }
@@ -124,17 +124,17 @@ PyObject *call_stripes(PyObject *module, PyObject *tuple) {
     (void)module;
     static const Parameter parameter[] = {{"image", 'I', {N, M}},      {"?dark", 'I', {N, M}},
                                           {"?bands", 'i', {ANY, SIDES}}, {"taps", 'f', {K, 2, ANY}},
-                                          {"filters", 'd', {K, FIGURES}}, {"rules", 'T', {7}}};
+                                          {"filters", 'd', {K, FIGURES}}, {"params", 'T', {7}}};
     Arguments a;
     if (!OPEN(tuple, parameter, &a)) return NULL;
     const Py_buffer *lit = &a.view[0], *dark = a.view[1].obj ? &a.view[1] : NULL, *sides = &a.view[2];
     const double *rule = a.number[5];
-    StripeRules rules = {(float)rule[0], (float)rule[1], (float)rule[2], (float)rule[3], (float)rule[4], 0, 0};
+    StripeParams params = {(float)rule[0], (float)rule[1], (float)rule[2], (float)rule[3], (float)rule[4], 0, 0};
     if (!require(!dark || dark->itemsize == lit->itemsize, "dark: must have the type and the shape of the image") ||
-        !filters_fit(&a.view[3], &a.view[4]) || !rules_fit(&rules, rule[5], rule[6]))
+        !filters_fit(&a.view[3], &a.view[4]) || !params_fit(&params, rule[5], rule[6]))
         return close_arguments(&a, NULL);
-    rules.gap = (size_t)rule[5];
-    rules.shortest = (size_t)rule[6];
+    params.gap = (size_t)rule[5];
+    params.shortest = (size_t)rule[6];
     StripeImage image = {lit->buf, dark ? dark->buf : NULL, (size_t)lit->shape[0], (size_t)lit->shape[1],
                          lit->itemsize == 2};
     Bands bands = {NULL, 0};
@@ -143,10 +143,10 @@ PyObject *call_stripes(PyObject *module, PyObject *tuple) {
     Filter *filters = filters_of(&a.view[3], &a.view[4]);
     int done;
     Py_BEGIN_ALLOW_THREADS
-    done = filters && find_pieces(&image, filters, &rules, &bands, &lists);
+    done = filters && find_pieces(&image, filters, &params, &bands, &lists);
     Py_END_ALLOW_THREADS
     PyObject *result =
-        done ? centers_of(&image, filters, (size_t)a.view[4].shape[0], &rules, &lists) : PyErr_NoMemory();
+        done ? centers_of(&image, filters, (size_t)a.view[4].shape[0], &params, &lists) : PyErr_NoMemory();
     give_lists_back(&lists);
     free(filters);
     return close_arguments(&a, result);

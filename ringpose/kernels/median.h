@@ -1,6 +1,6 @@
 /* The median by selection. */
-#ifndef RINGPOSE_SELECT_H
-#define RINGPOSE_SELECT_H
+#ifndef RINGPOSE_MEDIAN_H
+#define RINGPOSE_MEDIAN_H
 
 #include <stddef.h>
 
@@ -15,7 +15,7 @@ static void sort_few(double *value, size_t n) {
     }
 }
 
-/* Puts the values below a pivot first (or those up to it), without branches; returns how many they are. */
+/* Partition without branches: values below a pivot (or up to it) first; returns their number. */
 static size_t below(double *value, size_t n, double pivot, int equal_too) {
     size_t count = 0;
     for (size_t i = 0; i < n; i++) {
@@ -51,16 +51,16 @@ static double kth(double *value, size_t n, size_t k) {
     return value[k];
 }
 
-/* Of many values, so many tell about where the median lies: between those of these ranks. */
-enum { MANY = 256, TOO_MANY = 2048, TELLING = 41, LOWER = 13, UPPER = 27 };
+/* For MIN_SAMPLED to MAX_SAMPLED values the median is bracketed by two order statistics of a sample. */
+enum { MIN_SAMPLED = 256, MAX_SAMPLED = 2048, SAMPLES = 41, LOWER = 13, UPPER = 27 };
 
-/* Copies values about the median, in one pass without branches, and tells how many are smaller than those; 0 if the
-   median is not sure to be among them. */
+/* Copies the values within the bracket, in one pass without branches, and counts the smaller ones; 0 if the median is
+   not certainly among them. */
 static size_t near_median(const double *value, size_t n, double *near, size_t *smaller) {
-    double some[TELLING];
+    double some[SAMPLES];
     size_t inside = 0, fewer = 0;
-    for (size_t i = 0; i < TELLING; i++) some[i] = value[i * n / TELLING];
-    sort_few(some, TELLING);
+    for (size_t i = 0; i < SAMPLES; i++) some[i] = value[i * n / SAMPLES];
+    sort_few(some, SAMPLES);
     double low = some[LOWER], high = some[UPPER];
     for (size_t i = 0; i < n; i++) {
         near[inside] = value[i];
@@ -73,9 +73,9 @@ static size_t near_median(const double *value, size_t n, double *near, size_t *s
 
 /* NumPy's median of n > 0 values without NaN, which are reordered. */
 static double median(double *value, size_t n) {
-    double near[TOO_MANY];
+    double near[MAX_SAMPLED];
     size_t smaller = 0, middle = n / 2, count = n;
-    size_t found = n < MANY || n > TOO_MANY ? 0 : near_median(value, n, near, &smaller);
+    size_t found = n < MIN_SAMPLED || n > MAX_SAMPLED ? 0 : near_median(value, n, near, &smaller);
     if (found) {
         value = near;
         count = found;

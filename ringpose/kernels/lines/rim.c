@@ -1,0 +1,515 @@
+/* Which tracks lie on the rim of one planar ring. Collinear tracks are merged (pieces of a stripe that speckle, a glint
+   or a bracket interrupts), candidates are ranked for each laser, and every group of one track for each of up to three
+   lasers is scored: merits less the costs of a common plane, two concentric circles, missing stripes and tilt. */
+#include "arguments.h"
+
+#include <math.h>
+#include <stddef.h>
+#include <stdlib.h>
+#include <string.h>
+#include <stdint.h>
+
+#include "arcs.h"
+#include "kernels.h"
+#include "tracks.h"
+
+typedef struct {
+    double min_beyond_ends, max_gap;
+    double separation, separation_sigmas, max_depth; /* px, 1, px */
+    double rounds, fit_dof, min_columns;
+} UnionParams;
+
+typedef struct {
+    double min_depth, max_depth, min_length, max_length; /* m */
+    double typical_scatter, max_counted_columns;
+    double spill_penalty, coincidence_penalty, min_behind, max_behind; /* 1, 1, m, m */
+    double clipped_penalty, union_penalty;
+    double maximum;
+} CandidateParams;
+
+typedef struct {
+    double focal_x, focal_y, principal_x, principal_y, height; /* px */
+    double border, along_sigma, across_sigma;                  /* px */
+    double plane_limit, circle_limit, dropped_end_penalty, unseen_penalty;     /* squared sigmas over two */
+    double tilt;                                               /* radians */
+    double min_radius, min_band;                       /* metres */
+    double left, right;                                        /* normalised x beyond which an end is cut off, */
+    double top, bottom;                                        /* and y */
+} RingParams;
+
+typedef struct {
+    UnionParams unions;
+    CandidateParams candidates;
+    RingParams ring;
+} FaceParams;
+
+/* A track with a hypothetical laser. */
+typedef struct {
+    int32_t track, laser;
+    double x[2], y[2];       /* normalised image coordinates of its start and end */
+    double inverse_depth[2]; /* 1/z there, 1/m */
+    double merit;
+    double coincidence_bonus; /* what a group of three adds to the merit */
+    double normal_matrix[6], right_side[3], square; /* of the weighted plane equations: upper triangle, sums */
+} Candidate;
+
+typedef struct {
+    int lasers;
+    uint32_t unlabelled;      /* mask of the lasers that unlabelled tracks may belong to */
+    const double (*plane)[3]; /* m / d of each light plane: 1/z = (m / d) . (x, y, 1) */
+    const FaceParams *params;
+} Scene;
+
+enum { MAX_MEMBERS = 3 };
+
+typedef struct {
+    int32_t index[MAX_MEMBERS];
+    double score, runner_up; /* runner_up: best score of the same tracks with another assignment to lasers; minus infinity if none */
+} Best;
+
+/* True if the second track, to the right, may lie on the line of the first. */
+static int may_continue(const Track *first, const Track *second, const UnionParams *params) {
+    double gap = second->x_start - first->x_end;
+    double lengths = first->x_end - first->x_start + second->x_end - second->x_start;
+    if (first->laser != second->laser || !(gap > 0 && gap <= params->max_gap * lengths)) return 0;
+    double middle = first->x_end + gap / 2, separation = fabs(line_y(first, middle) - line_y(second, middle));
+    if (!(separation < params->max_depth)) return 0;
+    double sigma = hypot(line_sigma(first, middle, middle_sigma(first, params->fit_dof, params->min_columns)),
+                         line_sigma(second, middle, middle_sigma(second, params->fit_dof, params->min_columns)));
+    return separation < params->separation + params->separation_sigmas * sigma;
+}
+
+/* The merged track: line and scatter of all centres together, from the moments of both. */
+static Track united(const Track *first, const Track *second) {
+    const Track *part[2] = {first, second};
+    double count = first->count + second->count, xx = 0, xy = 0, yy = 0;
+    double middle_x = (first->count * first->middle_x + second->count * second->middle_x) / count;
+    double middle_y = (first->count * first->middle_y + second->count * second->middle_y) / count;
+    for (int i = 0; i < 2; i++) {
+        const Track *p = part[i];
+        double dx = p->middle_x - middle_x, dy = p->middle_y - middle_y, length = fmax(p->x_end - p->x_start, 1);
+        double own = length * length / 12;
+        xx += p->count * (own + dx * dx);
+        xy += p->count * (own * p->slope + dx * dy);
+        yy += p->count * (own * p->slope * p->slope + p->scatter * p->scatter + dy * dy);
+    }
+    Track both = *first;
+    both.count = count;
+    both.x_end = second->x_end;
+    both.middle_x = middle_x;
+    both.middle_y = middle_y;
+    both.slope = xy / xx;
+    both.scatter = sqrt(fmax(yy - both.slope * xy, 0) / count);
+    both.correlation = fmax(first->correlation, second->correlation);
+    both.beyond_ends = fmax(first->beyond_ends - second->count, 0) + fmax(second->beyond_ends - first->count, 0);
+    return both;
+}
+
+static int add(List *list, const Track *track) {
+    if (!reserve(list, 1)) return 0;
+    ((Track *)list->data)[list->used++] = *track;
+    return 1;
+}
+
+/* Merges one track with each of those that continue it. */
+static int unite(Track left, const List *pieces, const UnionParams *params, List *unions) {
+    const Track *piece = pieces->data;
+    for (size_t j = 0; j < pieces->used; j++) {
+        if (!may_continue(&left, &piece[j], params)) continue;
+        Track both = united(&left, &piece[j]);
+        if (!add(unions, &both)) return 0;
+    }
+    return 1;
+}
+
+/* Appends merged tracks, two by two in several rounds, to the list. 0 if there is no memory. */
+static int unite_collinear(const Track *track, size_t count, const UnionParams *params, List *unions) {
+    List pieces = {NULL, 0, 0, sizeof *track};
+    size_t first = unions->used;
+    int done = 1;
+    for (size_t i = 0; done && i < count; i++)
+        if (track[i].beyond_ends >= params->min_beyond_ends && !track[i].clipped) done = add(&pieces, &track[i]);
+    const Track *piece = pieces.data;
+    for (size_t i = 0; done && i < pieces.used; i++) done = unite(piece[i], &pieces, params, unions);
+    for (size_t round = 1; done && round < (size_t)params->rounds; round++) {
+        size_t last = unions->used;
+        for (; done && first < last; first++) done = unite(((Track *)unions->data)[first], &pieces, params, unions);
+    }
+    release(&pieces);
+    return done;
+}
+
+/* The ends in normalised image coordinates. */
+static void place(const Track *track, const RingParams *ring, Candidate *candidate) {
+    double end[2] = {track->x_start, track->x_end};
+    for (int side = 0; side < 2; side++) {
+        candidate->x[side] = (end[side] - ring->principal_x) / ring->focal_x;
+        candidate->y[side] = (line_y(track, end[side]) - ring->principal_y) / ring->focal_y;
+    }
+}
+
+/* True if the track, on that light plane, is within the depth range and has the length of a stripe on the rim; fills in
+   the inverse depths, 1/z = light . (x, y, 1). */
+static int possible(const double light[3], const CandidateParams *params, Candidate *candidate) {
+    double point[2][3], length = 0;
+    for (int side = 0; side < 2; side++) {
+        double x = candidate->x[side], y = candidate->y[side], w = light[0] * x + light[1] * y + light[2];
+        if (!(w > 1 / params->max_depth && w < 1 / params->min_depth)) return 0;
+        candidate->inverse_depth[side] = w;
+        point[side][0] = x * (1 / w);
+        point[side][1] = y * (1 / w);
+        point[side][2] = 1 / w;
+    }
+    for (int k = 0; k < 3; k++) length += (point[1][k] - point[0][k]) * (point[1][k] - point[0][k]);
+    return length > params->min_length * params->min_length && length < params->max_length * params->max_length;
+}
+
+/* True if centres on an unlabelled track's line may be another laser's stripe on the body behind. */
+static int may_be_other_laser(const Track *track, const Candidate *candidate, const Scene *scene) {
+    const CandidateParams *params = &scene->params->candidates;
+    double x = (candidate->x[0] + candidate->x[1]) / 2, y = (candidate->y[0] + candidate->y[1]) / 2;
+    double depth = 2 / (candidate->inverse_depth[0] + candidate->inverse_depth[1]);
+    for (int laser = 0; track->laser < 0 && laser < scene->lasers; laser++) {
+        const double *light = scene->plane[laser];
+        double behind = 1 / (light[0] * x + light[1] * y + light[2]) - depth;
+        if (laser != candidate->laser && scene->unlabelled >> laser & 1 && behind > params->min_behind &&
+            behind < params->max_behind)
+            return 1;
+    }
+    return 0;
+}
+
+/* Merit of a track: long, little scatter, no centres on its line beyond its ends. If those may be another laser's, a
+   group of three gets back what exceeds the penalty of such a coincidence. */
+static void rate(const Track *track, int is_union, const Scene *scene, Candidate *candidate) {
+    const CandidateParams *params = &scene->params->candidates;
+    double share = track->beyond_ends / (track->beyond_ends + track->count), residual_variance = track->scatter / params->typical_scatter;
+    double straight = 2 * log(fmin(track->count, params->max_counted_columns)) - 0.5 * residual_variance * residual_variance;
+    double beyond_ends = params->spill_penalty * share, excess = beyond_ends - params->coincidence_penalty;
+    candidate->merit = straight - beyond_ends - params->clipped_penalty * track->clipped - params->union_penalty * is_union;
+    candidate->coincidence_bonus = excess > 0 && may_be_other_laser(track, candidate, scene) ? excess : 0;
+}
+
+/* Contribution of the ends to the normal equations of a plane, 1/z = p . (x, y, 1); the weight is the inverse variance
+   of the inverse depth, propagated from a pixel error across the track. */
+static void complete(const double light[3], const RingParams *ring, Candidate *candidate) {
+    double sigma = fmax(ring->across_sigma * fabs(light[1]) / ring->focal_y, 1e-12), weight = 1 / (sigma * sigma);
+    for (int side = 0; side < 2; side++) {
+        double x = candidate->x[side], y = candidate->y[side], w = candidate->inverse_depth[side];
+        double product[6] = {x * x, x * y, x, y * y, y, 1};
+        for (int k = 0; k < 6; k++) candidate->normal_matrix[k] += weight * product[k];
+        candidate->right_side[0] += weight * x * w;
+        candidate->right_side[1] += weight * y * w;
+        candidate->right_side[2] += weight * w;
+        candidate->square += weight * w * w;
+    }
+}
+
+/* Inserts a candidate into the list of its laser, sorted by merit, of at most `maximum`; returns the new length. */
+static int rank(const Candidate *candidate, Candidate *own, int count, int maximum) {
+    int at = count < maximum ? count : maximum;
+    double at_best = candidate->merit + candidate->coincidence_bonus;
+    for (; at > 0 && at_best > own[at - 1].merit + own[at - 1].coincidence_bonus; at--)
+        if (at < maximum) own[at] = own[at - 1];
+    if (at < maximum) own[at] = *candidate;
+    return count < maximum ? count + 1 : maximum;
+}
+
+/* The best tracks for each laser, sorted by laser; `all` holds rules->candidates.most of each. Returns how many. */
+static int find_candidates(const Track *track, size_t count, size_t unions, const Scene *scene, Candidate *all) {
+    const FaceParams *params = scene->params;
+    int found = 0;
+    for (int laser = 0; laser < scene->lasers; laser++) {
+        int own = 0;
+        for (size_t i = 0; i < count; i++) {
+            int allowed = track[i].laser < 0 ? scene->unlabelled >> laser & 1 : track[i].laser == laser;
+            Candidate candidate = {.track = (int32_t)i, .laser = laser};
+            if (!allowed) continue;
+            place(&track[i], &params->ring, &candidate);
+            if (!possible(scene->plane[laser], &params->candidates, &candidate)) continue;
+            rate(&track[i], i >= count - unions, scene, &candidate);
+            own = rank(&candidate, all + found, own, (int)params->candidates.maximum);
+        }
+        for (int i = 0; i < own; i++) complete(scene->plane[laser], &params->ring, &all[found + i]);
+        found += own;
+    }
+    return found;
+}
+
+/* Solves the symmetric 3 x 3 system a x = b; 0 if a is singular. */
+static int solve3(const double a[6], const double b[3], double x[3]) {
+    double c00 = a[3] * a[5] - a[4] * a[4], c01 = a[2] * a[4] - a[1] * a[5], c02 = a[1] * a[4] - a[2] * a[3];
+    double determinant = a[0] * c00 + a[1] * c01 + a[2] * c02;
+    if (!(fabs(determinant) > 1e-14 * a[0] * a[3] * a[5])) return 0;
+    double c11 = a[0] * a[5] - a[2] * a[2], c12 = a[1] * a[2] - a[0] * a[4], c22 = a[0] * a[3] - a[1] * a[1];
+    x[0] = (c00 * b[0] + c01 * b[1] + c02 * b[2]) / determinant;
+    x[1] = (c01 * b[0] + c11 * b[1] + c12 * b[2]) / determinant;
+    x[2] = (c02 * b[0] + c12 * b[1] + c22 * b[2]) / determinant;
+    return 1;
+}
+
+/* Half the chi-square of the best plane 1/z = p . (x, y, 1) through the tracks' ends; for a single track the plane that
+   faces the camera. */
+static double plane_cost(const Candidate *const member[], int size, double plane[3]) {
+    double a[6] = {0}, b[3] = {0}, square = 0;
+    for (int i = 0; i < size; i++) {
+        for (int k = 0; k < 6; k++) a[k] += member[i]->normal_matrix[k];
+        for (int k = 0; k < 3; k++) b[k] += member[i]->right_side[k];
+        square += member[i]->square;
+    }
+    if (size == 1) {
+        plane[0] = plane[1] = 0;
+        plane[2] = 0.5 * (member[0]->inverse_depth[0] + member[0]->inverse_depth[1]);
+        return 0;
+    }
+    if (!solve3(a, b, plane)) return INFINITY;
+    double cost = 0.5 * (square - plane[0] * b[0] - plane[1] * b[1] - plane[2] * b[2]);
+    return cost > 0 ? cost : 0;
+}
+
+/* Lasers outside the group whose stripe on the plane the image would show at normalised x. */
+static int count_unseen_lasers(const Candidate *const member[], int size, const double plane[3], const Scene *scene) {
+    const RingParams *params = &scene->params->ring;
+    double x = 0;
+    int unseen_penalty = 0;
+    for (int i = 0; i < size; i++) x += (member[i]->x[0] + member[i]->x[1]) / (2 * size);
+    for (int laser = 0; laser < scene->lasers; laser++) {
+        int in_group = 0;
+        for (int i = 0; i < size; i++) in_group |= member[i]->laser == laser;
+        const double *light = scene->plane[laser];
+        double y = -((plane[0] - light[0]) * x + plane[2] - light[2]) / (plane[1] - light[1]);
+        double row = y * params->focal_y + params->principal_y;
+        unseen_penalty += !in_group && row > params->border && row < params->height - params->border;
+    }
+    return unseen_penalty;
+}
+
+/* Half the chi-square of two concentric arcs through the used ends; infinite if the rim is too narrow. */
+static double arcs_cost(const End *end, int ends, double sigma, const RingParams *params) {
+    Arcs arcs;
+    double cost = 0;
+    int fitted = fit_wide_arcs(end, ends, params->min_radius, &arcs);
+    if (!fitted) return 0; /* all ends of one edge are truncated by the border: nothing to test */
+    for (int k = 0; k < ends; k++)
+        if (end[k].used) {
+            double outside = outside_arc(&arcs, &end[k]) / sigma;
+            cost += 0.5 * outside * outside;
+        }
+    return arcs_band(&arcs) < params->min_band ? INFINITY : cost;
+}
+
+/* Coordinates of a group's ends in their plane, x along the stripes; ends truncated by the border are marked as unused.
+   Returns the mean depth. */
+static double flat_ends(const Candidate *const member[], int size, const double plane[3], const RingParams *params,
+                        End *end) {
+    double point[2 * MAX_MEMBERS][3], middle[3] = {0}, along[3] = {0};
+    for (int i = 0; i < size; i++)
+        for (int side = 0; side < 2; side++) {
+            double depth = 1 / member[i]->inverse_depth[side], *p = point[2 * i + side];
+            p[0] = member[i]->x[side] * depth;
+            p[1] = member[i]->y[side] * depth;
+            p[2] = depth;
+            for (int k = 0; k < 3; k++) {
+                middle[k] += p[k] / (2 * size);
+                along[k] += side ? p[k] : -p[k];
+            }
+        }
+    double length = sqrt(plane[0] * plane[0] + plane[1] * plane[1] + plane[2] * plane[2]);
+    double n[3] = {plane[0] / length, plane[1] / length, plane[2] / length};
+    double off = along[0] * n[0] + along[1] * n[1] + along[2] * n[2];
+    for (int k = 0; k < 3; k++) along[k] -= off * n[k];
+    length = sqrt(along[0] * along[0] + along[1] * along[1] + along[2] * along[2]);
+    for (int k = 0; k < 3; k++) along[k] /= length;
+    double across[3] = {n[1] * along[2] - n[2] * along[1], n[2] * along[0] - n[0] * along[2],
+                        n[0] * along[1] - n[1] * along[0]};
+    for (int e = 0; e < 2 * size; e++) {
+        double d[3] = {point[e][0] - middle[0], point[e][1] - middle[1], point[e][2] - middle[2]};
+        double x = member[e / 2]->x[e % 2], y = member[e / 2]->y[e % 2];
+        end[e] = (End){d[0] * along[0] + d[1] * along[1] + d[2] * along[2],
+                       d[0] * across[0] + d[1] * across[1] + d[2] * across[2], e % 2,
+                       !(x < params->left || x > params->right || y < params->top || y > params->bottom), 0, 0};
+    }
+    return middle[2];
+}
+
+static double circle_cost(const Candidate *const member[], int size, const double plane[3], const Scene *scene) {
+    End end[2 * MAX_MEMBERS] = {{0}};
+    const RingParams *params = &scene->params->ring;
+    double sigma = params->along_sigma * flat_ends(member, size, plane, params, end) / params->focal_x;
+    double best = arcs_cost(end, 2 * size, sigma, params);
+    if (size < 3 || best < params->dropped_end_penalty) return best;
+    for (int e = 0; e < 2 * size; e++) {
+        if (!end[e].used) continue;
+        end[e].used = 0;
+        best = fmin(best, arcs_cost(end, 2 * size, sigma, params) + params->dropped_end_penalty);
+        end[e].used = 1;
+    }
+    return best;
+}
+
+/* Score of a group; minus infinity if it is impossible or not above `minimum`. */
+static double group_score(const Candidate *const member[], int size, const Scene *scene, double minimum) {
+    const RingParams *params = &scene->params->ring;
+    double plane[3] = {0}, merit = 0;
+    for (int i = 0; i < size; i++) merit += member[i]->merit + (size == MAX_MEMBERS ? member[i]->coincidence_bonus : 0);
+    if (!(merit > minimum)) return -INFINITY;
+    double cost = plane_cost(member, size, plane);
+    if (!(cost < params->plane_limit * size && merit - cost > minimum)) return -INFINITY;
+    double tilt = size == 1 ? 0 : atan2(hypot(plane[0], plane[1]), fabs(plane[2]));
+    if (tilt > params->tilt) return -INFINITY;
+    double oblique = 0.5 * (tilt / 0.5) * (tilt / 0.5);
+    if (!(merit - cost - oblique > minimum)) return -INFINITY;
+    if (size > 1) {
+        double circle = circle_cost(member, size, plane, scene);
+        if (!(circle < params->circle_limit * size)) return -INFINITY;
+        cost += circle;
+    }
+    cost += params->unseen_penalty * count_unseen_lasers(member, size, plane, scene);
+    return merit - cost - oblique;
+}
+
+static int is_among(int32_t track, const Best *winner, const Candidate *all, int size) {
+    int found = 0;
+    for (int i = 0; i < size; i++) found |= track == all[winner->index[i]].track;
+    return found;
+}
+
+typedef struct {
+    const Candidate *all;
+    int count, size;
+    const Scene *scene;
+    const Best *winner; /* in the search for the runner-up: the same tracks, other lasers */
+    Best *best;
+    double *runner_up;
+} Search;
+
+static void visit(Search *search, const Candidate *const member[], const int32_t *index) {
+    double minimum = search->winner ? *search->runner_up : search->best->score;
+    double score = group_score(member, search->size, search->scene, minimum);
+    if (search->winner) {
+        int itself = 1;
+        for (int i = 0; i < search->size; i++) itself &= index[i] == search->winner->index[i];
+        if (!itself) *search->runner_up = fmax(*search->runner_up, score);
+    } else if (score > search->best->score) {
+        search->best->score = score;
+        for (int i = 0; i < search->size; i++) search->best->index[i] = index[i];
+    }
+}
+
+/* True if the first tracks of a group may lie on one plane; further tracks never lower the cost. */
+static int on_one_plane(const Candidate *const member[], int count, const Search *search) {
+    double plane[3], limit = search->scene->params->ring.plane_limit * search->size;
+    return count < 2 || plane_cost(member, count, plane) < limit;
+}
+
+/* Enumerates the groups of one size with ascending lasers and distinct tracks. */
+static void descend(Search *search, int depth, const Candidate **member, int32_t *index) {
+    if (depth == search->size) {
+        visit(search, member, index);
+        return;
+    }
+    for (int c = depth ? index[depth - 1] + 1 : 0; c < search->count; c++) {
+        const Candidate *next = &search->all[c];
+        int fits = depth == 0 || next->laser > member[depth - 1]->laser;
+        for (int i = 0; i < depth; i++) fits &= next->track != member[i]->track;
+        if (!fits || (search->winner && !is_among(next->track, search->winner, search->all, search->size))) continue;
+        member[depth] = next;
+        index[depth] = c;
+        if (depth + 1 == search->size || on_one_plane(member, depth + 1, search)) descend(search, depth + 1, member, index);
+    }
+}
+
+/* Candidates must be sorted by laser. */
+static Best best_group(const Candidate *all, int count, int size, const Scene *scene) {
+    Best best = {{-1, -1, -1}, -INFINITY, -INFINITY};
+    const Candidate *member[MAX_MEMBERS] = {NULL};
+    int32_t index[MAX_MEMBERS] = {0};
+    Search search = {all, count, size, scene, NULL, &best, NULL};
+    descend(&search, 0, member, index);
+    if (best.score > -INFINITY) {
+        Best winner = best;
+        search.winner = &winner;
+        search.runner_up = &best.runner_up;
+        descend(&search, 0, member, index);
+    }
+    return best;
+}
+
+enum { MAX_LASERS = 32, MAX_CANDIDATES = 1000, MAX_ROUNDS = 10 };
+
+static int check_lasers(const Track *track, Py_ssize_t tracks, Py_ssize_t lasers) {
+    for (Py_ssize_t i = 0; i < tracks; i++) {
+        if (track[i].laser >= -1 && track[i].laser < (double)lasers) continue;
+        PyErr_Format(PyExc_ValueError, "tracks: number %zd is of a laser that is not of the rig", i);
+        return 0;
+    }
+    return 1;
+}
+
+/* The tracks, then unions of them; and the best groups of all. */
+typedef struct {
+    List tracks;
+    Candidate *candidate;
+    Best best[MAX_MEMBERS];
+} Found;
+
+/* 0 if there is no memory. */
+static int find(const Track *track, size_t count, const Scene *scene, Found *found) {
+    List *all = &found->tracks;
+    size_t room = (size_t)scene->lasers * (size_t)scene->params->candidates.maximum;
+    found->candidate = malloc((room ? room : 1) * sizeof *found->candidate);
+    if (found->candidate == NULL || !reserve(all, count + 1)) return 0;
+    if (count) memcpy(all->data, track, count * sizeof *track);
+    all->used = count;
+    if (!unite_collinear(track, count, &scene->params->unions, all)) return 0;
+    int candidates = find_candidates(all->data, all->used, all->used - count, scene, found->candidate);
+    for (int size = 1; size <= MAX_MEMBERS; size++)
+        found->best[size - 1] = best_group(found->candidate, candidates, size, scene);
+    return 1;
+}
+
+/* Lasers and indices of a group's tracks, its score, and that of the runner-up. */
+static PyObject *group(const Found *found, int size) {
+    const Best *best = &found->best[size - 1];
+    PyObject *lasers = PyTuple_New(size), *tracks = PyTuple_New(size);
+    for (int i = 0; lasers && tracks && i < size; i++) {
+        const Candidate *candidate = best->index[0] < 0 ? NULL : &found->candidate[best->index[i]];
+        PyTuple_SetItem(lasers, i, PyLong_FromLong(candidate ? candidate->laser : -1));
+        PyTuple_SetItem(tracks, i, PyLong_FromLong(candidate ? candidate->track : -1));
+    }
+    return Py_BuildValue("(NNdd)", lasers, tracks, best->score, best->runner_up);
+}
+
+PyObject *call_faces(PyObject *module, PyObject *tuple) {
+    (void)module;
+    static const Parameter parameter[] = {{"tracks", 'd', {ANY, NUMBERS(Track)}},
+                                          {"unlabelled", 'L', {0, INT32_MAX}},
+                                          {"planes", 'd', {ANY, 3}},
+                                          {"unions", 'T', {NUMBERS(UnionParams)}},
+                                          {"candidates", 'T', {NUMBERS(CandidateParams)}},
+                                          {"ring", 'T', {NUMBERS(RingParams)}}};
+    Arguments a;
+    if (!OPEN(tuple, parameter, &a)) return NULL;
+    FaceParams params;
+    memcpy(&params.unions, a.number[3], sizeof params.unions);
+    memcpy(&params.candidates, a.number[4], sizeof params.candidates);
+    memcpy(&params.ring, a.number[5], sizeof params.ring);
+    const Py_ssize_t tracks = a.view[0].shape[0], lasers = a.view[2].shape[0];
+    if (!require(lasers <= MAX_LASERS && tracks <= INT32_MAX / 2, "planes, tracks: there are too many") ||
+        !require(params.candidates.maximum >= 1 && params.candidates.maximum <= MAX_CANDIDATES && params.unions.rounds >= 0 &&
+                     params.unions.rounds <= MAX_ROUNDS,
+                 "params: a parameter of the rim search is out of range") ||
+        !check_lasers(a.view[0].buf, tracks, lasers))
+        return close_arguments(&a, NULL);
+    Scene scene = {(int)lasers, (unsigned)a.number[1][0], (const double(*)[3])a.view[2].buf, &params};
+    Found found = {.tracks = {NULL, 0, 0, sizeof(Track)}};
+    int done;
+    Py_BEGIN_ALLOW_THREADS
+    done = find(a.view[0].buf, (size_t)tracks, &scene, &found);
+    Py_END_ALLOW_THREADS
+    PyObject *bytes = list_bytes(done, &found.tracks);
+    PyObject *result =
+        bytes ? Py_BuildValue("(N(NNN))", bytes, group(&found, 1), group(&found, 2), group(&found, 3)) : NULL;
+    free(found.candidate);
+    return close_arguments(&a, result);
+}
