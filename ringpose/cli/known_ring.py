@@ -1,4 +1,4 @@
-"""What the user says about the ring's size."""
+"""The options of `ringpose pose` that give the ring's radii."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,19 +13,19 @@ if TYPE_CHECKING:
     from ringpose.types.ring import KnownRadii, Ring
 
 AUTO = "auto"
-"""The name that leaves the choice to the shots."""
+"""Value of --ring for which each shot selects the ring of the catalogue."""
 
 DEFAULT_SD_M = 0.0005
-"""Standard deviation of a radius that was said: edges are chamfered or rounded by about as much."""
+"""Default standard deviation of a given radius: edges are chamfered or rounded by about as much."""
 
 MAX_LENGTH_M = 5.0
-"""No ring has a larger radius."""
+"""Upper bound of a radius; larger values are probably millimetres."""
 
 MIN_SD_M = 1e-6
-"""Nobody measures a ring so well; less only spoils the arithmetic."""
+"""Lower bound of its standard deviation: smaller ones make the normal equations ill-conditioned."""
 
 MAX_SD = 0.2
-"""Share of the radius; who knows less of it knows nothing."""
+"""Upper bound of its standard deviation, relative to the radius."""
 
 RadiusOuter = Annotated[
     float | None, typer.Option("--radius-outer", metavar="M", help="Radius of the outer edge in metres, if known.")
@@ -35,7 +35,7 @@ RadiusInner = Annotated[
 ]
 RadiusSd = Annotated[
     float | None,
-    typer.Option("--radius-sd", metavar="M", help="Standard deviation of the radii that were said; 0.0005 if not."),
+    typer.Option("--radius-sd", metavar="M", help="Standard deviation of the given radii; default: 0.0005."),
 ]
 RingName = Annotated[
     str | None, typer.Option("--ring", metavar="NAME", help="A ring of the catalogue; auto: whichever fits.")
@@ -44,7 +44,7 @@ RingsFile = Annotated[Path | None, typer.Option("--rings", metavar="FILE", help=
 
 
 class RingOptions(NamedTuple):
-    """The options as given."""
+    """The options as given; None where they are not."""
 
     radius_outer_m: float | None = None
     radius_inner_m: float | None = None
@@ -53,45 +53,45 @@ class RingOptions(NamedTuple):
     rings: Path | None = None
 
 
-def known_ring(said: RingOptions, method: Method) -> "KnownRadii | Sequence[Ring] | None":
-    """The radii, or the catalogue of which it may be one; None if nothing was said."""
-    if method is not Method.ML and said != RingOptions():
-        raise UsageError("--method", f"{method.value} has no use for what is known of the ring", "use --method ml")
-    _refuse_contradictions(said)
-    if said.ring is not None:
-        return _of_catalogue(said.ring, said.rings)
-    if said.radius_outer_m is None and said.radius_inner_m is None:
+def known_ring(options: RingOptions, method: Method) -> "KnownRadii | Sequence[Ring] | None":
+    """The radii, or the catalogue that the ring belongs to; None if no option is given."""
+    if method is not Method.ML and options != RingOptions():
+        raise UsageError("--method", f"{method.value} does not use the ring's radii", "use --method ml")
+    _check(options)
+    if options.ring is not None:
+        return _of_catalogue(options.ring, options.rings)
+    if options.radius_outer_m is None and options.radius_inner_m is None:
         return None
     import numpy as np
 
     from ringpose.types.ring import KnownRadii
 
-    radii = [np.nan if radius_m is None else radius_m for radius_m in (said.radius_inner_m, said.radius_outer_m)]
-    sd_m = DEFAULT_SD_M if said.radius_sd_m is None else said.radius_sd_m
+    radii = [np.nan if radius_m is None else radius_m for radius_m in (options.radius_inner_m, options.radius_outer_m)]
+    sd_m = DEFAULT_SD_M if options.radius_sd_m is None else options.radius_sd_m
     return KnownRadii(radius_m=np.array(radii), sd_m=np.full(2, sd_m))
 
 
-def _refuse_contradictions(said: RingOptions) -> None:
-    radii = (said.radius_outer_m, said.radius_inner_m)
-    if said.rings is not None and said.ring is None:
+def _check(options: RingOptions) -> None:
+    radii = (options.radius_outer_m, options.radius_inner_m)
+    if options.rings is not None and options.ring is None:
         raise UsageError("--rings", "a catalogue needs --ring", "give --ring NAME or --ring auto")
-    if said.ring is not None and radii != (None, None):
-        raise UsageError("--ring", "the catalogue says the radii", "leave out --radius-outer and --radius-inner")
-    if said.radius_sd_m is not None and radii == (None, None):
-        raise UsageError("--radius-sd", "there is no radius", "give --radius-outer or --radius-inner")
+    if options.ring is not None and radii != (None, None):
+        raise UsageError("--ring", "the catalogue gives the radii", "leave out --radius-outer and --radius-inner")
+    if options.radius_sd_m is not None and radii == (None, None):
+        raise UsageError("--radius-sd", "needs a radius", "give --radius-outer or --radius-inner")
     for option, radius_m in zip(("--radius-outer", "--radius-inner"), radii, strict=True):
         if radius_m is not None and not 0 < radius_m < MAX_LENGTH_M:
-            raise UsageError(option, f"{radius_m:g} is no radius in metres that a ring has", _in_metres(radius_m))
+            raise UsageError(option, f"{radius_m:g} is not the radius of a ring in metres", _in_metres(radius_m))
     smallest_m = min((radius_m for radius_m in radii if radius_m is not None), default=MAX_LENGTH_M)
-    if said.radius_sd_m is not None and not MIN_SD_M <= said.radius_sd_m < MAX_SD * smallest_m:
-        found = f"{said.radius_sd_m:g} is no standard deviation in metres of a radius that is known"
-        raise UsageError("--radius-sd", found, _in_metres(said.radius_sd_m))
+    if options.radius_sd_m is not None and not MIN_SD_M <= options.radius_sd_m < MAX_SD * smallest_m:
+        found = f"{options.radius_sd_m:g} is not a plausible standard deviation of a radius in metres"
+        raise UsageError("--radius-sd", found, _in_metres(options.radius_sd_m))
     if None not in radii and not radii[1] < radii[0]:  # type: ignore[operator]
         raise UsageError("--radius-inner", "is not smaller than --radius-outer", "exchange them")
 
 
 def _in_metres(value: float) -> str:
-    """What somebody who thinks in millimetres should have given."""
+    """The remedy for a value that is probably in millimetres."""
     return f"give metres: {value / 1000:g}" if 0 < value < 1000 * MAX_LENGTH_M else "give metres"
 
 

@@ -19,7 +19,7 @@ from ringpose.pose.covariance import (
     EDGE_ON_BELOW,
     TILT_SD_LIMIT_RAD,
     WEAK_SD,
-    spreads_beyond,
+    exceeds_sd,
     standard_deviation,
 )
 from ringpose.pose.triangulation import point_covariance, triangulated
@@ -30,7 +30,7 @@ from ringpose.types.pose import NoPose, PoseFlag, RingPoints, RingPose
 from ringpose.types.rig import Rig
 
 MILLIMETRES = 1000.0
-"""In a metre."""
+"""Per metre."""
 
 SINGULAR_BELOW = 1e-3
 """q0: where smallest over largest singular value of the centre's equations falls below it, they are damped.
@@ -51,12 +51,12 @@ the points: all of it at q0, nothing where the equations are singular.
 STEP = 1e-6
 """Of the central differences, in units of the points' largest distance from their mean.
 
-Small against the arc's height even for points that are nearly in line (1e-3 of their extent), large against
-rounding (1e-16 of their distance).
+Small against the arc's height even of nearly collinear points (1e-3 of their extent), large against rounding
+(1e-16 of their distance).
 """
 
 MIN_LASERS_ON_AN_EDGE = 3
-"""A circle needs three points; the other edge then adds what it has."""
+"""A circle needs three points on one edge; the other edge may have fewer."""
 
 COLLINEAR_BELOW = 1e-6
 """Second over first singular value of the centred points; three points 10 mm apart on a 1.3 m ring have 2e-3."""
@@ -64,14 +64,14 @@ COLLINEAR_BELOW = 1e-6
 OFF_PLANE = 0.01
 """Distance of the centre from the ring's plane, in radii, from which it is flagged as weak.
 
-Method `paper` hardly enforces the plane: its centre then slides along the normal by decimetres, which a first-order
-covariance does not show; in-plane methods are not affected.
+Method `paper` hardly enforces the plane, so that noise moves its centre along the normal by decimetres, which a
+first-order covariance does not show; in-plane methods are not affected.
 """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ClosedForm:
-    """Solutions of a batch of points; lengths in metres, camera frame."""
+    """Solutions for a batch of point sets; lengths in metres, camera frame."""
 
     normal: Float64[Array, "batch xyz=3"]
     offset_m: Float64[Array, "batch"]
@@ -125,10 +125,10 @@ def closed_form_pose(
 
 
 def why_undetermined(points: RingPoints, break_points: BreakPoints) -> NoPose | None:
-    """Reason why these points determine no pose, or None.
+    """The reason why these points determine no pose; None if they do.
 
-    A break point that cannot be triangulated rejects the whole shot: it shows that a label is wrong, and a pose from
-    the others would look right and be wrong.
+    A break point that cannot be triangulated rejects the whole shot: its laser is wrong, and the pose of the others
+    would be wrong without any sign of it.
     """
     seen = points.seen
     if (break_points.seen & ~seen).any():
@@ -168,15 +168,15 @@ def pose_covariance(
     """Covariance J Sigma J^T of a solution at points whose joint covariance is given, to first order.
 
     First order is enough while the centre's standard deviation is a few percent of the radius. Beyond that (flag
-    CENTER_WEAK) the centre's distribution is skew: it is the arc's height that is measured, the centre's
-    distance goes with its inverse, and the true centre may lie many of these standard deviations away.
+    CENTER_WEAK) the centre's distribution is skew: the arc's height is measured, the centre's distance is
+    proportional to its inverse, and the true centre may lie many of these standard deviations away.
     """
     joint = jacobian @ covariance_m2 @ jacobian.T
     return PoseCovariance(parameters=joint[:7, :7], center_m2=joint[7:10, 7:10], grasp_m2=joint[10:, 10:])
 
 
 def prediction_rms_px(form: ClosedForm, points: RingPoints, break_points: BreakPoints, rig: Rig) -> float:
-    """Root mean square distance between seen and predicted break points, in (distorted) pixels.
+    """Root mean square distance between seen and predicted break points, in pixels (with distortion).
 
     The predicted point is where ring plane, light plane and the sphere of the edge's radius about the centre meet (the
     ring's circle itself where the centre lies in the plane); where the light plane misses the sphere, the line's
@@ -202,7 +202,7 @@ def _nan_if_grazing(length: Float64[Array, "n"]) -> Float64[Array, "n"]:
 
 
 def pose_flags(form: ClosedForm, covariance: PoseCovariance | None) -> PoseFlag:
-    """Flags of a pose (a batch of one); the centre of damped equations is weak, whatever its covariance is."""
+    """Flags of a pose (a batch of one); the centre of damped equations is weak, independently of its covariance."""
     radii_m = form.radius_m[0]
     smallest_m = float(np.nanmin(radii_m))
     flags = PoseFlag(0)
@@ -212,7 +212,7 @@ def pose_flags(form: ClosedForm, covariance: PoseCovariance | None) -> PoseFlag:
         flags |= PoseFlag.RADIUS_WEAK
     if abs(form.normal[0] @ form.center_m[0] - form.offset_m[0]) > OFF_PLANE * smallest_m:
         flags |= PoseFlag.CENTER_WEAK
-    if covariance is not None and spreads_beyond(covariance.center_m2, WEAK_SD * smallest_m):
+    if covariance is not None and exceeds_sd(covariance.center_m2, WEAK_SD * smallest_m):
         flags |= PoseFlag.CENTER_WEAK
     if covariance is not None and bool((np.diag(covariance.parameters)[5:] > (WEAK_SD * smallest_m) ** 2).any()):
         flags |= PoseFlag.RADIUS_WEAK
@@ -222,9 +222,9 @@ def pose_flags(form: ClosedForm, covariance: PoseCovariance | None) -> PoseFlag:
 def paper_form(points_m: Float64[Array, "batch point xyz=3"], edges: Int64[Array, "point"]) -> ClosedForm:
     """Method `paper`, read literally: plane, centre, radii and the mean of the points as the grasp point.
 
-    It works in millimetres, as the paper does: the plane row, of size 1e-3, then hardly counts beside rows of size 1e2,
-    so the centre is free to leave the ring's plane: exact on true points, decimetres off along the normal with the
-    noise of any real image. Kept as a baseline.
+    In millimetres, as in the paper: the row of the plane, of size 1e-3, then has hardly any weight beside rows of size
+    1e2, so that the centre leaves the ring's plane: exact on exact points, decimetres off along the normal with the
+    noise of a real image. Kept as a baseline.
     """
     points = MILLIMETRES * points_m
     mean = points.mean(axis=1)
@@ -321,9 +321,8 @@ def mid_band_point(
 ) -> Float64[Array, "batch xyz=3"]:
     """Grasp point c + (r_i + r_o)/2 e, with e in the plane from the centre towards the mean of the points (section 5).
 
-    Not computed from the centre, which may be weak: the equations above prefer small circles, and within their noise
-    put it among the points. Two arcs that may also be straight give the same point, regularly.
-    NaN if an edge was not seen: the middle of the band is then not known.
+    It is not computed from the centre, which may be weak: Eq. (4.2) is biased towards small circles, whose centre lies
+    among the points. Two arcs of any curvature, 0 included, give the same point. NaN if an edge was not seen.
     """
     if len(set(edges.tolist())) < len(EDGES):
         return np.full_like(normal, np.nan)
@@ -342,24 +341,24 @@ def mid_band_point(
 def _facing(
     normal: Float64[Array, "batch xyz=3"], point: Float64[Array, "batch xyz=3"]
 ) -> Float64[Array, "batch xyz=3"]:
-    """Each normal or its opposite, whichever points from `point` towards the camera's centre."""
+    """The normals with the sign for which they point from `point` towards the camera's centre."""
     away = np.sum(normal * point, axis=-1, keepdims=True) > 0
     return np.where(away, -normal, normal)
 
 
 class Differentiated(NamedTuple):
-    """A solution and its derivatives."""
+    """A solution and its Jacobian."""
 
     form: ClosedForm
     """A batch of one."""
     jacobian: Float64[Array, "13 coordinate"]
-    """Of the seven parameters, the centre and the grasp point by the points' coordinates x1 y1 z1 x2 ..."""
+    """Of the seven parameters, the centre and the grasp point with respect to x1 y1 z1 x2 ... of the points."""
 
 
 def differentiated(
     points_m: Float64[Array, "point xyz=3"], edges: Int64[Array, "point"], method: Method
 ) -> Differentiated:
-    """The closed form's solution at these points, and its derivatives by central differences."""
+    """The closed form's solution at these points, and its Jacobian by central differences."""
     count = points_m.size
     step_m = STEP * float(np.linalg.norm(points_m - points_m.mean(axis=0), axis=1).max())
     displacement = step_m * np.concatenate([np.eye(count), -np.eye(count), np.zeros((1, count))])

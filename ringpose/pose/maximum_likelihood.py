@@ -1,4 +1,4 @@
-"""Method `ml`: the most likely ring with its covariance, and what of it is determined (method(7), section 5)."""
+"""Method `ml`: the maximum-likelihood ring with its covariance (ringpose-method(7), section 5)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -9,24 +9,30 @@ import numpy as np
 from ringpose.geometry.rays import GRAZING
 from ringpose.pose.catalogue import likely_ring, ring_posterior
 from ringpose.pose.covariance import (
-    BEND,
+    CURVATURE_OUT,
     EDGE_ON_BELOW,
     Quantities,
-    bow_m,
-    covariance_of,
+    covariance_of_competing,
     determined,
+    joint_covariance,
     poorly_determined_flags,
     quantities,
     reported_pose,
-    spread_of,
+    second_order_bias_m,
     with_second_order,
 )
 from ringpose.pose.drift import plane_evidence
 from ringpose.pose.measurements import Measurements, measurements_of
 from ringpose.pose.nuisance import rig_errors
-from ringpose.pose.outlier_rejection import Hypothesis, chi2, explained, freedom, swapped
+from ringpose.pose.outlier_rejection import (
+    Hypothesis,
+    chi2,
+    degrees_of_freedom,
+    reject_outliers,
+    with_edges_exchanged,
+)
 from ringpose.pose.residuals import CURVATURE, Prior
-from ringpose.pose.solver import Fit
+from ringpose.pose.solver import Estimate
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints
 from ringpose.types.pose import NoPose, PoseFlag, RingPose
@@ -34,10 +40,10 @@ from ringpose.types.rig import Rig
 from ringpose.types.ring import KnownRadii, Ring
 
 DOUBTS = PoseFlag.RELABELLED | PoseFlag.STRIPE_LEFT_OUT | PoseFlag.RADIUS_DISAGREES
-"""A shot that had to be mended says nothing about the rig."""
+"""Shots with one of these flags contribute no evidence about the rig."""
 
 SIDE_MARGIN = 9.0
-"""By how much, in squared standard deviations, the better of two sides for the centre must fit: 3 sigma."""
+"""Margin in chi-squared from which the better of two sides for the centre counts as known: 3 sigma."""
 
 
 def most_likely_pose(
@@ -46,47 +52,55 @@ def most_likely_pose(
     ring_edges: RingEdgePoints | None = None,
     known: KnownRadii | Sequence[Ring] | None = None,
 ) -> RingPose | NoPose:
-    """The most likely pose, or the reason why there is none; covariances are None if a break point's is NaN.
+    """The pose, or the reason why there is none; covariances are None if the covariance of a break point is NaN.
 
-    Of a catalogue the ring that it is by all likelihood lends its radii; if it may be several, or none of these, the
-    radii stay unknown.
+    The radii of a catalogue's ring are used if the shot identifies it with high probability.
     """
     measured = measurements_of(break_points, rig, ring_edges)
-    impossible = _why_impossible(measured)
-    if impossible is not None:
-        return impossible
+    if not len(measured.points.x):
+        return NoPose.TOO_FEW_BREAK_POINTS
+    if not bool(np.isfinite(measured.points.x + measured.points.y).all()):
+        return NoPose.UNTRIANGULATED
     radii = known if isinstance(known, KnownRadii) else None
-    best, sure_of_side = _on_the_better_side(break_points, measured, rig, Prior(radii))
+    best, side_known = _better_side(break_points, measured, rig, Prior(radii))
     if best is None:
-        return _why_nothing_fits(measured, rig)
+        return _why_no_estimate(measured, rig)
     if known is None or isinstance(known, KnownRadii):
-        return _pose(best, rig, sure_of_side)
+        return _pose(best, rig, side_known)
     posterior = _posterior(best, known)
     ring = likely_ring(posterior, known)
     if ring is not None:
-        with_radii = _on_the_better_side(break_points, measured, rig, Prior(ring.known_radii))
-        best, sure_of_side = (with_radii[0] or best), with_radii[1]
-    pose = _pose(best, rig, sure_of_side)
+        with_radii, side_known = _better_side(break_points, measured, rig, Prior(ring.known_radii))
+        best = with_radii or best
+    pose = _pose(best, rig, side_known)
     return pose if isinstance(pose, NoPose) else replace(pose, ring_posterior=posterior)
 
 
-def _posterior(best: Hypothesis, rings: Sequence[Ring]) -> Mapping[str, float]:
-    fit = best.fit
-    joint = covariance_of(fit, quantities(fit), best.measured)
-    return ring_posterior(abs(fit.state.curvature), fit.state.band_m, joint[BEND:, BEND:], rings)
+def _better_side(
+    break_points: BreakPoints, measured: Measurements, rig: Rig, prior: Prior
+) -> tuple[Hypothesis | None, bool]:
+    """The best hypothesis, and whether the centre's side is known: edges that were guessed are tried both ways."""
+    errors, labelled = rig_errors(rig), break_points.labelled
+    best = reject_outliers(measured, rig, prior, errors, labelled)
+    guessed = bool((break_points.flags[break_points.seen] & int(BreakPointFlag.EDGE_UNKNOWN)).any())
+    if not guessed:
+        return best, True
+    other = reject_outliers(with_edges_exchanged(measured), rig, prior, errors, labelled)
+    if best is None or other is None:
+        return best or other, True
+    first, second = sorted((best, other), key=_side_score)
+    return first, _side_score(second) - _side_score(first) > SIDE_MARGIN
 
 
-def _why_impossible(measured: Measurements) -> NoPose | None:
-    """Why these points determine nothing: none was seen, or one where no ray goes."""
-    points = measured.points
-    if not len(points.x):
-        return NoPose.TOO_FEW_BREAK_POINTS
-    if not bool(np.isfinite(points.x + points.y).all()):
-        return NoPose.UNTRIANGULATED
-    return None
+def _side_score(hypothesis: Hypothesis) -> float:
+    """Penalised chi-squared, and that of a negative curvature, which puts the centre on the wrong side."""
+    estimate = hypothesis.estimate
+    variance = float(estimate.inverse[CURVATURE, CURVATURE])
+    return hypothesis.score + min(estimate.state.curvature, 0.0) ** 2 / variance
 
 
-def _why_nothing_fits(measured: Measurements, rig: Rig) -> NoPose:
+def _why_no_estimate(measured: Measurements, rig: Rig) -> NoPose:
+    """Whether a ray runs along its light plane, or meets it behind the camera."""
     points = measured.points
     rays = np.stack([points.x, points.y, np.ones_like(points.x)], axis=-1)
     cosine = (rays * rig.lasers.normal[points.laser]).sum(axis=1)
@@ -95,66 +109,52 @@ def _why_nothing_fits(measured: Measurements, rig: Rig) -> NoPose:
     return NoPose.UNTRIANGULATED if bool((grazing | behind).any()) else NoPose.NOT_FINITE
 
 
-def _on_the_better_side(
-    break_points: BreakPoints, measured: Measurements, rig: Rig, before: Prior
-) -> tuple[Hypothesis | None, bool]:
-    """The best explanation and whether its side is sure: guessed edges are tried both ways round."""
-    errors, labelled = rig_errors(rig), break_points.labelled
-    best = explained(measured, rig, before, errors, labelled)
-    guessed = bool((break_points.flags[break_points.seen] & int(BreakPointFlag.EDGE_UNKNOWN)).any())
-    if not guessed:
-        return best, True
-    other = explained(swapped(measured), rig, before, errors, labelled)
-    if best is None or other is None:
-        return best or other, True
-    first, second = sorted((best, other), key=_side_score)
-    return first, _side_score(second) - _side_score(first) > SIDE_MARGIN
+def _posterior(best: Hypothesis, rings: Sequence[Ring]) -> Mapping[str, float]:
+    estimate = best.estimate
+    covariance = joint_covariance(estimate, quantities(estimate), best.measured)[CURVATURE_OUT:, CURVATURE_OUT:]
+    return ring_posterior(abs(estimate.state.curvature), estimate.state.band_m, covariance, rings)
 
 
-def _side_score(explanation: Hypothesis) -> float:
-    """Its score; a curvature below zero says by how many of its standard deviations it is on the wrong side."""
-    fit = explanation.fit
-    return explanation.score + min(fit.state.curvature, 0.0) ** 2 / float(fit.inverse[CURVATURE, CURVATURE])
-
-
-def _pose(best: Hypothesis, rig: Rig, sure_of_side: bool) -> RingPose | NoPose:
-    fit = best.fit
-    found = quantities(fit)
-    joint = _joint_covariance(best, found)
-    if not bool(np.isfinite(joint).all()):
+def _pose(best: Hypothesis, rig: Rig, side_known: bool) -> RingPose | NoPose:
+    """The pose of the best hypothesis, with everything that is not determined set to NaN and flagged."""
+    estimate = best.estimate
+    found = quantities(estimate)
+    covariance = _covariance(best, found)
+    if not bool(np.isfinite(covariance).all()):
         return NoPose.NOT_FINITE
-    bow = bow_m(joint, fit)
-    joint = with_second_order(joint, bow, fit)
-    position = fit.rows.origin.position_m
-    if abs(float(position @ fit.state.normal)) < EDGE_ON_BELOW * sqrt(float(position @ position)):
+    bias_m = second_order_bias_m(covariance, estimate)
+    covariance = with_second_order(covariance, bias_m, estimate)
+    position_m = estimate.residuals.origin.position_m
+    if abs(float(position_m @ estimate.state.normal)) < EDGE_ON_BELOW * sqrt(float(position_m @ position_m)):
         return NoPose.EDGE_ON
-    known = determined(best, joint, sure_of_side)
-    if not known.grasp and not known.normal:
+    reported = determined(best, covariance, side_known)
+    if not reported.grasp and not reported.normal:
         return NoPose.COLLINEAR if len(set(best.measured.points.laser.tolist())) > 1 else NoPose.UNDETERMINED
-    pose = reported_pose(fit, found, joint if best.measured.sure else None, known)
-    side = PoseFlag(0) if sure_of_side else PoseFlag.SIDE_UNKNOWN
+    pose = reported_pose(estimate, found, covariance if best.measured.has_covariances else None, reported)
+    side = PoseFlag(0) if side_known else PoseFlag.SIDE_UNKNOWN
     return replace(
         pose,
-        residual_rms_px=_residual_rms_px(fit, best.measured, rig),
-        flags=best.flag | poorly_determined_flags(fit, found, joint, known, bow) | side,
+        residual_rms_px=_residual_rms_px(estimate, best.measured, rig),
+        flags=best.flag | poorly_determined_flags(estimate, found, covariance, reported, bias_m) | side,
         remark=best.remark,
-        plane_evidence=None if best.flag & DOUBTS else plane_evidence(fit, best.measured, rig),
+        plane_evidence=None if best.flag & DOUBTS else plane_evidence(estimate, best.measured, rig),
     )
 
 
-def _joint_covariance(best: Hypothesis, found: Quantities) -> Float64[Array, "15 15"]:
-    """That of the fit; of one that contradicts itself as much more as its residuals say and its rivals are apart."""
-    fit = best.fit
-    joint = covariance_of(fit, found, best.measured)
+def _covariance(best: Hypothesis, found: Quantities) -> Float64[Array, "15 15"]:
+    """Joint covariance; of an inconsistent shot times its reduced chi-squared, plus that of the competing fits."""
+    estimate = best.estimate
+    covariance = joint_covariance(estimate, found, best.measured)
     if best.flag & PoseFlag.INCONSISTENT:
-        joint = joint * max(chi2(fit, best.measured) / freedom(fit, best.measured, best.before), 1.0)
-        joint += spread_of(best.rivals, fit, found)
-    return joint
+        dof = degrees_of_freedom(estimate, best.measured, best.prior)
+        covariance = covariance * max(chi2(estimate, best.measured) / dof, 1.0)
+        covariance += covariance_of_competing(best.competing, estimate, found)
+    return covariance
 
 
-def _residual_rms_px(fit: Fit, measured: Measurements, rig: Rig) -> float:
-    """Distance of the break points from those that the pose predicts: along their lines, and from these."""
-    points, rows, matrix = measured.points, fit.rows, rig.camera.camera_matrix
-    along = rows.arcs.distance_m / rows.by_x * matrix[0, 0]
-    across = (points.y - rows.y) * matrix[1, 1]
-    return sqrt(float(((1.0 + rows.slope**2) * along**2 + across**2).sum()) / len(along))
+def _residual_rms_px(estimate: Estimate, measured: Measurements, rig: Rig) -> float:
+    """Root mean square distance of the break points from the predicted ones: along their lines, and across."""
+    points, residuals, matrix = measured.points, estimate.residuals, rig.camera.camera_matrix
+    along_px = residuals.circles.distance / residuals.distance_wrt_x * matrix[0, 0]
+    across_px = (points.y - residuals.y) * matrix[1, 1]
+    return sqrt(float(((1.0 + residuals.slope**2) * along_px**2 + across_px**2).sum()) / len(along_px))

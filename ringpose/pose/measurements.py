@@ -1,18 +1,12 @@
-"""What the likelihood is made of: stripe lines, break points and ring edges in normalised undistorted coordinates.
+"""Measurements of one shot in normalised undistorted coordinates: lines, break points, ring edges.
 
-Normalised coordinates are those of rays (x, y, 1). Stripes run roughly along x, as the detector reads them: a line is
-measured by its ordinates, a break point by its abscissa.
+Normalised coordinates are those of rays (x, y, 1). Stripes run roughly along x: a line is measured by its ordinates, a
+break point by its abscissa.
 
-What the points of a visible edge err alike, as errors that are unknowns beside the ring.
-
-A point's place errs mostly by what lies beside the edge: the foil behind it, a wall, a shadow that runs towards it.
-That goes on for a while, so a part of each error is that of the neighbours too, by exp(-distance / length). Such
-errors are a sum of independent waves (the Karhunen-Loeve series of this covariance; ringpose-method(7), section 5).
-
-How many independent measurements the points of a visible edge are.
-
-Neighbours on an edge see the same shade, the same facet of the foil behind, the same speckle: what they err alike no
-number of them averages (ringpose-method(7), section 5).
+The errors of neighbouring points of a visible edge are correlated, as they come from what lies beside the edge: the
+foil behind it, a wall, a shadow (ringpose-method(7), section 5). The correlation exp(-distance / length) is represented
+by the first terms of its Karhunen-Loeve series, which are nuisance parameters of the fit (`Edges.common`). What
+correlation remains in the residuals raises the points' standard deviations (`inflate_sigma`).
 """
 
 import math
@@ -31,15 +25,37 @@ from ringpose.types.detection import BreakPoints, RingEdgePoints
 from ringpose.types.rig import LaserPlanes, Rig
 
 NOMINAL_SIGMA_PX = 0.3
-"""Of a break point that comes without a covariance: it weighs the points against each other and is told nobody."""
+"""Of a break point without a covariance; it only weights the points against each other and is not reported."""
 
 MIN_SIGMA_PX = 1e-4
-"""Of anything measured: nobody knows an image better, and what is less drowns the rest in rounding."""
+"""Lower bound of all standard deviations: smaller ones would make the normal equations ill-conditioned."""
+
+ROUNDED_PX = 0.05
+"""Standard deviation of the common displacement of an edge: half the brightness on a rounded corner."""
+
+CORRELATED_SHARE = 0.4
+"""Share of a point's standard deviation that is correlated with its neighbours; maximum-likelihood estimate from 60
+edges of rendered rings before foil, walls and shadows, which a constant error in pixels explains far worse."""
+
+CORRELATION_LENGTH_PX = 150.0
+"""Correlation length along the edge, estimated from the same edges (100 and 200 are nearly as likely)."""
+
+TERMS = 8
+"""Terms of the series; further ones have less variance than the points' independent errors."""
+
+ERRORS = 2 * (1 + TERMS)
+"""Number of common errors of a shot: one displacement and the terms of the series, for each edge."""
+
+SHORT_SERIES = 1.5
+"""Factor on the autocorrelation time: a circle fitted to a short series removes part of the correlation."""
+
+MAX_SHARE_OF_LENGTH = 3
+"""Largest lag as a fraction 1 / 3 of the number of points; longer lags have too few pairs."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Lines:
-    """The stripes' lines on the ring's face, by their ordinates at the two ends."""
+    """Lines of the stripes on the ring's face, given by the ordinates at their two ends."""
 
     laser: Int64[Array, "line"]
     x: Float64[Array, "line end=2"]
@@ -59,37 +75,23 @@ class Points:
     covariance: Float64[Array, "point xy=2 xy=2"]
     sigma_x: Float64[Array, "point"]
     middle_x: Float64[Array, "point"]
-    """Of the stripe that it is an end of."""
-    alone: Bool[Array, "point"]
-    """Whether no line of its stripe is known: its ordinate then counts; else the line knows it better."""
+    """Abscissa of the middle of the point's stripe."""
+    isolated: Bool[Array, "point"]
+    """Whether its stripe has no line, so that the ordinate of the point is used too."""
 
 
 class Observations(NamedTuple):
-    """The lines' ends and the break points, with their light planes: what the predicted stripes are compared at."""
+    """Rays of the lines' ends, then of the break points, with the light planes of their lasers."""
 
-    rays: Float64[Array, "sight xyz=3"]
-    """As measured."""
-    light: Float64[Array, "sight 4"]
-    """Normal and distance of the light planes."""
+    rays: Float64[Array, "sample xyz=3"]
+    light_normal: Float64[Array, "sample xyz=3"]
+    light_distance_m: Float64[Array, "sample"]
     whitening: Float64[Array, "end end"]
-    """Of the lines' ordinates."""
-    edge_sign_and_sigma: Float64[Array, "point 2"]
-    """-1 for the inner edge, +1 for the outer, and the standard deviation of the abscissa."""
-
-    @property
-    def light_normal(self) -> Float64[Array, "sight xyz=3"]:
-        """Of the light planes."""
-        return self.light[:, :3]
-
-    @property
-    def light_distance_m(self) -> Float64[Array, "sight"]:
-        """Of the light planes."""
-        return self.light[:, 3]
-
-    @property
-    def edge_sign(self) -> Float64[Array, "point"]:
-        """-1 for the inner edge, +1 for the outer."""
-        return self.edge_sign_and_sigma[:, 0]
+    """Block-diagonal, of the lines' ordinates."""
+    edge_sign: Float64[Array, "point"]
+    """-1 for the inner edge, +1 for the outer."""
+    sigma_x: Float64[Array, "point"]
+    """Standard deviations of the break points' abscissae."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -101,7 +103,7 @@ class Edges:
     step: Float64[Array, "visible xy=2"]
     """Displacement by one standard deviation, along the edge's normal in the image."""
     common: Float64[Array, "visible error"]
-    """What unit errors that an edge's points have in common do, in the points' standard deviations."""
+    """Derivatives with respect to the common errors (unit variance), in the points' standard deviations."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -111,11 +113,11 @@ class Measurements:
     lines: Lines
     points: Points
     edges: Edges
-    sure: bool
-    """Whether every break point came with its covariance."""
+    has_covariances: bool
+    """Whether every break point has a covariance; otherwise the pose is reported without."""
 
-    def sighted(self, planes: LaserPlanes) -> Observations:
-        """Ends and break points in one."""
+    def observations(self, planes: LaserPlanes) -> Observations:
+        """Ends of the lines and break points in one array, with the light planes of their lasers."""
         laser = np.concatenate([np.repeat(self.lines.laser, 2), self.points.laser])
         rays = np.ones((len(laser), 3))
         ends = 2 * len(self.lines.laser)
@@ -124,44 +126,47 @@ class Measurements:
         whitening = np.zeros((ends, ends))
         for number, block in enumerate(self.lines.whitening):
             whitening[2 * number : 2 * number + 2, 2 * number : 2 * number + 2] = block
-        light = np.empty((len(laser), 4))
-        light[:, :3], light[:, 3] = planes.normal[laser], planes.distance_m[laser]
-        signed = np.empty((len(self.points.edge), 2))
-        signed[:, 0], signed[:, 1] = 2.0 * self.points.edge - 1.0, self.points.sigma_x
-        return Observations(rays, light, whitening, signed)
+        return Observations(
+            rays=rays,
+            light_normal=planes.normal[laser],
+            light_distance_m=planes.distance_m[laser],
+            whitening=whitening,
+            edge_sign=2.0 * self.points.edge - 1.0,
+            sigma_x=self.points.sigma_x,
+        )
 
     def with_points(self, keep: Bool[Array, "point"]) -> "Measurements":
-        """With these break points only."""
+        """The measurements with these break points only."""
         points = {each.name: getattr(self.points, each.name)[keep] for each in fields(Points)}
         return replace(self, points=Points(**points))
 
     def without_laser(self, laser: int) -> "Measurements":
-        """Without a laser's line and break points."""
+        """The measurements without a laser's line and break points."""
         keep = self.lines.laser != laser
         lines = {each.name: getattr(self.lines, each.name)[keep] for each in fields(Lines)}
         return replace(self.with_points(self.points.laser != laser), lines=Lines(**lines))
 
     def relabelled(self, laser_of: Mapping[int, int]) -> "Measurements":
-        """With stripes given to other lasers."""
+        """The measurements with stripes assigned to other lasers."""
         lines = np.array([laser_of[laser] for laser in self.lines.laser.tolist()], dtype=np.int64)
         points = np.array([laser_of[laser] for laser in self.points.laser.tolist()], dtype=np.int64)
         return replace(self, lines=replace(self.lines, laser=lines), points=replace(self.points, laser=points))
 
 
 def measurements_of(break_points: BreakPoints, rig: Rig, ring_edges: RingEdgePoints | None = None) -> Measurements:
-    """The measurements of a detection."""
+    """The measurements of a detection; NaN where a point cannot be undistorted."""
     lines = _lines(break_points, rig.camera)
     laser, edge = np.nonzero(break_points.seen)
     covariance_px2 = break_points.covariance_px2[laser, edge]
-    sure = bool(np.isfinite(covariance_px2).all())
-    if not sure:
+    has_covariances = bool(np.isfinite(covariance_px2).all())
+    if not has_covariances:
         unknown = ~np.isfinite(covariance_px2).all(axis=(1, 2))
         covariance_px2[unknown] = NOMINAL_SIGMA_PX**2 * np.eye(2)
     xy = undistort(break_points.position_px[laser, edge], rig.camera)
-    by_pixel = rays_by_pixel(xy, rig.camera)
+    ray_wrt_pixel = rays_wrt_pixel(xy, rig.camera)
     has_line = np.zeros(len(break_points.position_px), dtype=bool)
     has_line[lines.laser] = True
-    covariance = by_pixel @ (covariance_px2 + MIN_SIGMA_PX**2 * np.eye(2)) @ by_pixel.swapaxes(1, 2)
+    covariance = ray_wrt_pixel @ (covariance_px2 + MIN_SIGMA_PX**2 * np.eye(2)) @ ray_wrt_pixel.swapaxes(1, 2)
     points = Points(
         laser=laser,
         edge=edge,
@@ -170,56 +175,11 @@ def measurements_of(break_points: BreakPoints, rig: Rig, ring_edges: RingEdgePoi
         covariance=covariance,
         sigma_x=np.sqrt(covariance[:, 0, 0]),
         middle_x=_middles(laser, xy[:, 0], lines),
-        alone=~has_line[laser],
+        isolated=~has_line[laser],
     )
-    return Measurements(lines=lines, points=points, edges=_edges(ring_edges, rig.camera), sure=sure)
-
-
-def line_whitening(start_sd: float, end_sd: float) -> tuple[float, float, float]:
-    """Inverse Cholesky factor (11, 21, 22) of the joint covariance of a fitted line's ordinates at its two ends.
-
-    An ordinate at the share t of the line's length has the variance s^2 (1 + 12 (t - a)^2), for centres spread
-    evenly over the length; a, where the line is known best, follows from the two given ones (1/2 if they are
-    equal), and the covariance of the two ends is s^2 (1 - 12 a (1 - a)). Ends of which one is known more than
-    sqrt(13) times as well err together as those for which a lies at that end.
-    """
-    start, end = start_sd * start_sd, end_sd * end_sd
-    bend, lean, level = 12.0 * (end - start), 24.0 * start, end - 13.0 * start
-    # the root that stays finite as the sigmas become equal
-    best = -2.0 * level / (lean + sqrt(max(lean * lean - 4.0 * bend * level, 0.0)))
-    best = min(max(best, 0.0), 1.0)
-    together = 1.0 - 12.0 * best * (1.0 - best)
-    correlation = together / sqrt((1.0 + 12.0 * best * best) * (1.0 + 12.0 * (1.0 - best) ** 2))
-    left = sqrt(1.0 - correlation * correlation)
-    return 1.0 / start_sd, -correlation / (start_sd * left), 1.0 / (end_sd * left)
-
-
-def rays_by_pixel(xy: Float64[Array, "n xy=2"], camera: Camera) -> Float64[Array, "n 2 2"]:
-    """Derivatives of the normalised coordinates by the distorted pixel."""
-    by_ray, _ = pixels_by_ray_and_camera(xy, camera)
-    inverse: Float64[Array, "n 2 2"] = np.linalg.inv(by_ray)
-    return inverse
-
-
-def pixels_by_ray_and_camera(
-    xy: Float64[Array, "n xy=2"], camera: Camera
-) -> tuple[Float64[Array, "n 2 2"], Float64[Array, "n 2 parameter"]]:
-    """Derivatives of the distorted pixel by the normalised coordinates, and by fx, fy, cx, cy, k1, k2, ..."""
-    if not len(xy):
-        return np.empty((0, 2, 2)), np.empty((0, 2, 4 + len(camera.distortion_coefficients)))
-    rays = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
-    zero = np.zeros(3)
-    _, jacobian = cv2.projectPoints(rays, zero, zero, camera.camera_matrix, camera.distortion_coefficients)
-    by = np.asarray(jacobian, dtype=np.float64).reshape(len(xy), 2, -1)
-    return by[:, :, 3:5], by[:, :, 6:]  # after rotation 3: translation 3, of which two move the ray
-
-
-def _middles(laser: Int64[Array, "point"], x: Float64[Array, "point"], lines: Lines) -> Float64[Array, "point"]:
-    """Middle of each point's stripe: of its line, or of its own ends."""
-    middle = {number: sum(ends) / 2 for number, ends in zip(lines.laser.tolist(), lines.x.tolist(), strict=True)}
-    for number in set(laser.tolist()) - middle.keys():
-        middle[number] = float(x[laser == number].mean())
-    return np.array([middle[number] for number in laser.tolist()], dtype=np.float64)
+    return Measurements(
+        lines=lines, points=points, edges=_edges(ring_edges, rig.camera), has_covariances=has_covariances
+    )
 
 
 def _lines(break_points: BreakPoints, camera: Camera) -> Lines:
@@ -238,6 +198,53 @@ def _lines(break_points: BreakPoints, camera: Camera) -> Lines:
     )
 
 
+def line_whitening(start_sd: float, end_sd: float) -> tuple[float, float, float]:
+    """Inverse Cholesky factor (11, 21, 22) of the joint covariance of a fitted line's ordinates at its two ends.
+
+    An ordinate at the share t of the line's length has the variance s^2 (1 + 12 (t - a)^2), for centres spread
+    evenly over the length; a, where this variance is smallest, follows from the two given ones (1/2 if they are
+    equal), and the covariance of the two ends is s^2 (1 - 12 a (1 - a)). If the ratio of the two exceeds sqrt(13),
+    a is set to the end with the smaller one.
+    """
+    start, end = start_sd * start_sd, end_sd * end_sd
+    # (end - start) 12 a^2 + 24 start a + end - 13 start = 0; the root that stays finite for equal sigmas
+    quadratic, linear, constant = 12.0 * (end - start), 24.0 * start, end - 13.0 * start
+    a = -2.0 * constant / (linear + sqrt(max(linear * linear - 4.0 * quadratic * constant, 0.0)))
+    a = min(max(a, 0.0), 1.0)
+    covariance = 1.0 - 12.0 * a * (1.0 - a)
+    correlation = covariance / sqrt((1.0 + 12.0 * a * a) * (1.0 + 12.0 * (1.0 - a) ** 2))
+    sine = sqrt(1.0 - correlation * correlation)
+    return 1.0 / start_sd, -correlation / (start_sd * sine), 1.0 / (end_sd * sine)
+
+
+def _middles(laser: Int64[Array, "point"], x: Float64[Array, "point"], lines: Lines) -> Float64[Array, "point"]:
+    """Middle of each point's stripe: of its line, or else of its break points."""
+    middle = {number: sum(ends) / 2 for number, ends in zip(lines.laser.tolist(), lines.x.tolist(), strict=True)}
+    for number in set(laser.tolist()) - middle.keys():
+        middle[number] = float(x[laser == number].mean())
+    return np.array([middle[number] for number in laser.tolist()], dtype=np.float64)
+
+
+def rays_wrt_pixel(xy: Float64[Array, "n xy=2"], camera: Camera) -> Float64[Array, "n 2 2"]:
+    """Derivatives of the normalised coordinates with respect to the distorted pixel."""
+    pixel_wrt_ray, _ = pixels_wrt_ray_and_camera(xy, camera)
+    inverse: Float64[Array, "n 2 2"] = np.linalg.inv(pixel_wrt_ray)
+    return inverse
+
+
+def pixels_wrt_ray_and_camera(
+    xy: Float64[Array, "n xy=2"], camera: Camera
+) -> tuple[Float64[Array, "n 2 2"], Float64[Array, "n 2 parameter"]]:
+    """Derivatives of the distorted pixel with respect to the ray (x, y, 1), and to fx, fy, cx, cy, k1, k2, ..."""
+    if not len(xy):
+        return np.empty((0, 2, 2)), np.empty((0, 2, 4 + len(camera.distortion_coefficients)))
+    rays = np.concatenate([xy, np.ones((len(xy), 1))], axis=1)
+    zero = np.zeros(3)
+    _, jacobian = cv2.projectPoints(rays, zero, zero, camera.camera_matrix, camera.distortion_coefficients)
+    columns = np.asarray(jacobian, dtype=np.float64).reshape(len(xy), 2, -1)
+    return columns[:, :, 3:5], columns[:, :, 6:]  # 0 to 2 rotation, 3 and 4 translation in x and y, from 6 the camera
+
+
 def _edges(ring_edges: RingEdgePoints | None, camera: Camera) -> Edges:
     if ring_edges is None or not len(ring_edges.edge):
         return Edges(
@@ -249,105 +256,80 @@ def _edges(ring_edges: RingEdgePoints | None, camera: Camera) -> Edges:
     return Edges(
         edge=ring_edges.edge,
         ray=np.concatenate([xy, np.ones((len(xy), 1))], axis=1),
-        step=(rays_by_pixel(xy, camera) @ step_px[:, :, None])[:, :, 0],
+        step=(rays_wrt_pixel(xy, camera) @ step_px[:, :, None])[:, :, 0],
         common=common_errors_px(ring_edges) / sigma_px,
     )
 
 
-ROUNDED_PX = 0.05
-"""What a whole edge errs alike: where the half brightness lies on a rounded corner."""
-
-ALIKE_SHARE = 0.4
-"""Of a point's standard deviation, what it shares with its neighbours; the most likely one for 60 edges of rendered
-rings before foil, walls and shadows, of which an error in pixels that is alike for all edges explains far less."""
-
-ALIKE_PX = 150.0
-"""Length along the edge over which that persists, from the same edges (100 and 200 are nearly as likely)."""
-
-WAVES = 8
-"""Shorter ones weigh less than the points' own errors."""
-
-ERRORS = 2 * (1 + WAVES)
-"""Common errors of a shot: of each edge."""
-
-
 def common_errors_px(edges: RingEdgePoints) -> Float64[Array, "visible error"]:
-    """What each unit error does to the points of its edge, along their normals; 0 for those of the other edge."""
-    errors = np.zeros((len(edges.edge), 2, 1 + WAVES))
+    """Displacement of each point along its normal by common errors of unit variance; 0 for those of the other edge."""
+    errors = np.zeros((len(edges.edge), 2, 1 + TERMS))
     for edge in (0, 1):
-        own = np.flatnonzero(edges.edge == edge)
-        if len(own):
-            errors[own, edge, 0] = ROUNDED_PX
-            along_px = _along_px(edges.position_px[own], edges.normal[own])
-            errors[own, edge, 1:] = ALIKE_SHARE * edges.sigma_px[own, None] * waves(along_px)
+        members = np.flatnonzero(edges.edge == edge)
+        if len(members):
+            errors[members, edge, 0] = ROUNDED_PX
+            along_px = _along_px(edges.position_px[members], edges.normal[members])
+            errors[members, edge, 1:] = (
+                CORRELATED_SHARE * edges.sigma_px[members, None] * karhunen_loeve_terms(along_px)
+            )
     return errors.reshape(len(errors), ERRORS)
 
 
-def waves(along_px: Float64[Array, "n"]) -> Float64[Array, "n wave"]:
-    """The longest waves of a series of variance one that is alike over `ALIKE_PX`, cosines and sines by turns."""
+def karhunen_loeve_terms(along_px: Float64[Array, "n"]) -> Float64[Array, "n term"]:
+    """Square root of the covariance exp(-distance / `CORRELATION_LENGTH_PX`): its largest eigenfunctions.
+
+    sqrt(variance) cos(phase t) and sin(phase t) in turn, t from -1 to 1 along the edge (Ghanem and Spanos 1991, 2.3).
+    """
     first, last = float(along_px.min()), float(along_px.max())
     half_px = max(0.5 * (last - first), 1.0)
-    phase = _phases(half_px / ALIKE_PX)
-    sign = np.where(np.arange(WAVES) % 2, -1.0, 1.0)
-    size = np.sqrt(2.0 * half_px / ALIKE_PX / ((half_px / ALIKE_PX) ** 2 + phase**2))
-    size /= np.sqrt(1.0 + sign * np.sin(2.0 * phase) / (2.0 * phase))
-    angle = ((along_px - 0.5 * (first + last)) / half_px)[:, None] * phase
-    scaled: Float64[Array, "n wave"] = size * np.where(sign > 0, np.cos(angle), np.sin(angle))
-    return scaled
-
-
-def _phases(lengths: float) -> Float64[Array, "wave"]:
-    """Phase of each wave at the end of an edge: the solution of p = k pi/2 + atan(lengths / p), by Newton's steps.
-
-    Each starts on that side from which it does not overshoot.
-    """
-    quarter = 0.5 * np.pi * np.arange(WAVES)
-    phase: Float64[Array, "wave"] = np.maximum(quarter, math.sqrt(lengths / (1.0 + lengths)))
+    lengths = half_px / CORRELATION_LENGTH_PX
+    # phase p of each term at the end of the edge: p = k pi/2 + atan(lengths / p), by Newton's method from above
+    quarter = 0.5 * np.pi * np.arange(TERMS)
+    phase: Float64[Array, "term"] = np.maximum(quarter, math.sqrt(lengths / (1.0 + lengths)))
     for _ in range(6):
-        off = phase - quarter - np.arctan(lengths / phase)
-        phase = phase - off / (1.0 + lengths / (phase**2 + lengths**2))
-    return phase
+        error = phase - quarter - np.arctan(lengths / phase)
+        phase = phase - error / (1.0 + lengths / (phase**2 + lengths**2))
+    sign = np.where(np.arange(TERMS) % 2, -1.0, 1.0)
+    amplitude = np.sqrt(2.0 * lengths / (lengths**2 + phase**2))
+    amplitude /= np.sqrt(1.0 + sign * np.sin(2.0 * phase) / (2.0 * phase))
+    angle = ((along_px - 0.5 * (first + last)) / half_px)[:, None] * phase
+    terms: Float64[Array, "n term"] = amplitude * np.where(sign > 0, np.cos(angle), np.sin(angle))
+    return terms
 
 
 def _along_px(position_px: Float64[Array, "n xy=2"], normal: Float64[Array, "n xy=2"]) -> Float64[Array, "n"]:
-    across_x, across_y = normal.sum(axis=0)
-    size = math.hypot(across_x, across_y) or 1.0
-    along_px: Float64[Array, "n"] = (position_px[:, 1] * across_x - position_px[:, 0] * across_y) / size
+    """Positions along the edge: perpendicular to the mean normal of its points."""
+    normal_x, normal_y = normal.sum(axis=0)
+    length = math.hypot(normal_x, normal_y) or 1.0
+    along_px: Float64[Array, "n"] = (position_px[:, 1] * normal_x - position_px[:, 0] * normal_y) / length
     return along_px
 
 
-SHORT_SERIES = 1.5
-"""A circle fitted to a short series takes part of its likeness away: what is found is so much too small."""
-
-MAX_SHARE_OF_LENGTH = 3
-"""Likeness is looked for up to this part of an edge's points; fewer pairs say nothing."""
-
-
 def inflate_sigma(edges: Edges, residual: Float64[Array, "visible"]) -> Edges:
-    """Each edge's points with their standard deviations raised, so that together they weigh what they know.
+    """The edges with standard deviations raised by the root of their integrated autocorrelation time.
 
-    `residual` is what a fit of all leaves, in standard deviations.
+    `residual`: of a fit to all measurements, in standard deviations.
     """
     factor = np.ones(len(residual))
     for edge in (0, 1):
-        own = np.flatnonzero(edges.edge == edge)
-        if len(own) > MAX_SHARE_OF_LENGTH:
-            along = edges.ray[own, :2] - edges.ray[own, :2].mean(axis=0)
+        members = np.flatnonzero(edges.edge == edge)
+        if len(members) > MAX_SHARE_OF_LENGTH:
+            along = edges.ray[members, :2] - edges.ray[members, :2].mean(axis=0)
             direction = np.linalg.svd(along, full_matrices=False)[2][0]
-            factor[own] = np.sqrt(excess(residual[own][np.argsort(along @ direction)]))
+            factor[members] = np.sqrt(integrated_autocorrelation_time(residual[members][np.argsort(along @ direction)]))
     return replace(edges, step=edges.step * factor[:, None], common=edges.common / factor[:, None])
 
 
-def excess(series: Float64[Array, "n"]) -> float:
-    """Variance of the mean of a series, in that of as many independent numbers of variance one; at least 1.
+def integrated_autocorrelation_time(series: Float64[Array, "n"]) -> float:
+    """Variance of the mean of a series over that of as many independent numbers of variance one; at least 1.
 
-    The variance, and twice the autocovariance as far as it stays positive (Geyer's initial sequence).
+    The variance plus twice the autocovariances up to the first one that is not positive (Geyer's initial sequence).
     """
-    inside = np.clip(series, -3.0, 3.0)
-    variance = total = float(inside @ inside) / len(inside)
-    for lag in range(1, len(inside) // MAX_SHARE_OF_LENGTH):
-        likeness = float(inside[lag:] @ inside[:-lag]) / len(inside)
-        if likeness <= 0:
+    clipped = np.clip(series, -3.0, 3.0)
+    variance = total = float(clipped @ clipped) / len(clipped)
+    for lag in range(1, len(clipped) // MAX_SHARE_OF_LENGTH):
+        autocovariance = float(clipped[lag:] @ clipped[:-lag]) / len(clipped)
+        if autocovariance <= 0:
             break
-        total += 2.0 * likeness
+        total += 2.0 * autocovariance
     return max(1.0, SHORT_SERIES * total if total > variance else variance)

@@ -1,8 +1,8 @@
-"""How errors that many residuals have in common move them.
+"""Nuisance parameters: errors that many residuals have in common (ringpose-method(7), section 5).
 
-Light planes and camera are known with a joint covariance. Its square root says how independent unit errors move the
-parameters; each of them is an unknown of the fit beside the ring, held to zero by its own unit (ringpose-method(7),
-section 5: the rig's covariance, carried over to first order).
+Light planes and camera are known with a joint covariance. The columns of its square root are independent errors of unit
+variance; each one is a parameter of the fit beside the ring, with the prior N(0, 1). The common errors of the points of
+a visible edge (`Edges.common`) are treated in the same way.
 """
 
 from dataclasses import dataclass
@@ -13,19 +13,19 @@ import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.pose.measurements import Measurements, Observations, pixels_by_ray_and_camera
-from ringpose.pose.residuals import RingState, Rows, Sights
+from ringpose.pose.measurements import Measurements, Observations, pixels_wrt_ray_and_camera
+from ringpose.pose.residuals import Residuals, RingState, StripePrediction
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.covariance import CAMERA_PARAMETERS, PLANE_PARAMETERS
 from ringpose.types.rig import Rig
 
 _NEGLIGIBLE = 1e-12
-"""Share of the correlations' largest eigenvalue under which a direction of correlated parameters counts as known."""
+"""Share of the correlation matrix's largest eigenvalue below which a combination of parameters counts as exact."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RigErrors:
-    """The square root of the rig's covariance by places."""
+    """The square root of the rig's covariance, by camera and laser."""
 
     camera: Float64[Array, "camera error"]
     """Rows as in `CAMERA_PARAMETERS`; zeros for what is not in the covariance."""
@@ -36,22 +36,22 @@ class RigErrors:
 
 @lru_cache(maxsize=8)
 def rig_errors(rig: Rig) -> RigErrors | None:
-    """None if nothing is known of them."""
+    """The errors of the rig's calibration; None if the rig has no covariance, or not a finite one."""
     if rig.covariance is None or not np.isfinite(rig.covariance.data).all():
         return None
     root = _root(rig.covariance.data)
     camera = np.zeros((4 + len(rig.camera.distortion_coefficients), root.shape[1]))
     lasers = np.zeros((len(rig.lasers.names), len(PLANE_PARAMETERS), root.shape[1]))
     for name, row in zip(rig.covariance.parameters, root, strict=True):
-        laser, _, what = name.rpartition(".")
+        laser, _, parameter = name.rpartition(".")
         if name in CAMERA_PARAMETERS[: len(camera)]:
             camera[CAMERA_PARAMETERS.index(name)] = row
-        elif laser in rig.lasers.names and what in PLANE_PARAMETERS:
-            lasers[rig.lasers.names.index(laser), PLANE_PARAMETERS.index(what)] = row
+        elif laser in rig.lasers.names and parameter in PLANE_PARAMETERS:
+            lasers[rig.lasers.names.index(laser), PLANE_PARAMETERS.index(parameter)] = row
         else:
             raise DataError(
                 "the rig's covariance",
-                f"it names {name!r}, which is no parameter of this rig",
+                f"it names {name!r}, which is not a parameter of this rig",
                 "run ringpose calibrate-planes",
             )
     return RigErrors(camera=camera, lasers=lasers, basis=light_plane_bases(rig))
@@ -64,7 +64,7 @@ def light_plane_bases(rig: Rig) -> Float64[Array, "laser 2 3"]:
 
 
 def _root(covariance: Float64[Array, "n n"]) -> Float64[Array, "n error"]:
-    """R with R R^T the covariance; parameters are first brought to one scale: pixels beside microradians."""
+    """R with R R^T the covariance, of correlations first: the parameters are pixels and microradians."""
     deviation = np.sqrt(np.diag(covariance))
     scale = np.where(deviation > 0, deviation, 1.0)
     variance, axes = np.linalg.eigh(covariance / scale[:, None] / scale)
@@ -73,75 +73,85 @@ def _root(covariance: Float64[Array, "n n"]) -> Float64[Array, "n error"]:
     return root
 
 
-class ByRig(NamedTuple):
-    """Derivatives by unit errors that residuals have in common, most of them the rig's."""
+class NuisanceJacobian(NamedTuple):
+    """B: derivatives with respect to common errors of unit variance, the rig's first, then the visible edges'."""
 
-    rows: Float64[Array, "row error"]
-    """Of the residuals; zero for what is known beforehand."""
+    residual: Float64[Array, "row error"]
+    """Of the residuals; 0 for the prior."""
     mean: Float64[Array, "error"]
-    """Of the mean of the break points, along the band."""
+    """Of the mean of the break points, along the band, in metres."""
+
+    def information(self, weights: Float64[Array, "row"]) -> Float64[Array, "error error"]:
+        """1 + B^T W B: information of prior and weighted residuals on the common errors."""
+        information: Float64[Array, "error error"] = (self.residual.T * weights) @ self.residual
+        information.flat[:: len(information) + 1] += 1.0
+        return information
 
 
-def rows_by_common_errors(
-    state: RingState, rows: Rows, measured: Measurements, sighted: Observations, errors: RigErrors | None, rig: Rig
-) -> ByRig | None:
-    """How what many residuals have in common moves them: a wrong rig, a wrong place or lean of a whole visible edge.
+def nuisance_jacobian(
+    state: RingState,
+    residuals: Residuals,
+    measured: Measurements,
+    observations: Observations,
+    errors: RigErrors | None,
+    rig: Rig,
+) -> NuisanceJacobian | None:
+    """The derivatives with respect to the rig's errors and those of visible edges; None if there are neither."""
+    of_rig = None if errors is None else rig_jacobian(state, residuals, measured, observations, errors, rig)
+    if residuals.edges is None:
+        return of_rig
+    first = residuals.ends + len(residuals.distance_wrt_x) + len(residuals.ordinates.which)
+    of_edges = np.zeros((len(residuals.residual), measured.edges.common.shape[1]))
+    of_edges[first : first + len(measured.edges.edge)] = measured.edges.common
+    if of_rig is None:
+        return NuisanceJacobian(of_edges, np.zeros(of_edges.shape[1]))
+    return NuisanceJacobian(
+        np.column_stack([of_rig.residual, of_edges]), np.append(of_rig.mean, np.zeros(of_edges.shape[1]))
+    )
 
-    None if there is nothing of that.
-    """
-    found = None if errors is None else rows_by_rig(state, rows, measured, sighted, errors, rig)
-    if rows.edges is None:
-        return found
-    alike = rows_by_edge_errors(measured, len(rows.residual), rows.ends + len(rows.by_x) + len(rows.across.which))
-    if found is None:
-        return alike
-    return ByRig(np.column_stack([found.rows, alike.rows]), np.append(found.mean, alike.mean))
 
-
-def rows_by_edge_errors(measured: Measurements, count: int, first: int) -> ByRig:
-    """How what the points of a visible edge err alike moves so many residuals, of which theirs begin at `first`."""
-    common = np.zeros((count, measured.edges.common.shape[1]))
-    common[first : first + len(measured.edges.edge)] = measured.edges.common
-    return ByRig(common, np.zeros(common.shape[1]))
-
-
-def rows_by_rig(
-    state: RingState, rows: Rows, measured: Measurements, sighted: Observations, errors: RigErrors, rig: Rig
-) -> ByRig:
-    """How a wrong rig moves the residuals."""
-    ends = rows.ends
+def rig_jacobian(
+    state: RingState,
+    residuals: Residuals,
+    measured: Measurements,
+    observations: Observations,
+    errors: RigErrors,
+    rig: Rig,
+) -> NuisanceJacobian:
+    """The derivatives with respect to the rig's errors: camera errors move the rays, plane errors the predictions."""
+    ends = residuals.ends
     laser = np.concatenate([np.repeat(measured.lines.laser, 2), measured.points.laser])
-    shift = _ray_shift(sighted.rays[:, :2], errors, rig)
-    predicted = _ordinate_shift(rows.sights, laser, state, errors)
-    above = shift[:, 1] - rows.sights.slope[:, None] * shift[:, 0] - predicted
-    tips, y_shift = shift[ends:, 0], predicted[ends:]
-    distance = rows.arcs.by_ray[:, 1:] * y_shift + rows.by_x[:, None] * tips
-    parts = [sighted.whitening @ above[:ends], rows.along_scale[:, None] * distance]
+    ray = _ray_wrt_camera(observations.rays[:, :2], errors, rig)
+    ordinate = _ordinate_wrt_planes(residuals.stripes, laser, state, errors)
+    above = ray[:, 1] - residuals.stripes.slope[:, None] * ray[:, 0] - ordinate
+    x, y = ray[ends:, 0], ordinate[ends:]
+    distance = residuals.circles.wrt_ray[:, 1:] * y + residuals.distance_wrt_x[:, None] * x
+    blocks = [observations.whitening @ above[:ends], residuals.distance_scale[:, None] * distance]
 
-    which, share, scale = rows.across
+    which, share, scale = residuals.ordinates
     if len(which):
-        parts.append(scale[:, None] * (above[ends:][which] - share[:, None] * distance[which]))
-    if rows.edges is not None:
-        seen = _ray_shift(measured.edges.ray[:, :2], errors, rig)
-        parts.append((rows.edges.by_ray[:, :, None] * seen).sum(axis=1))
-    parts.append(np.zeros((len(rows.residual) - sum(map(len, parts)), parts[0].shape[-1])))
-    mean = np.stack([tips.sum(axis=0), (y_shift + rows.slope[:, None] * tips).sum(axis=0)]) / len(tips)
-    return ByRig(np.concatenate(parts), state.along @ rows.origin.by_ray @ mean)
+        blocks.append(scale[:, None] * (above[ends:][which] - share[:, None] * distance[which]))
+    if residuals.edges is not None:
+        edge_ray = _ray_wrt_camera(measured.edges.ray[:, :2], errors, rig)
+        blocks.append((residuals.edges.wrt_ray[:, :, None] * edge_ray).sum(axis=1))
+    blocks.append(np.zeros((len(residuals.residual) - sum(map(len, blocks)), blocks[0].shape[-1])))  # the prior
+    mean_ray = np.stack([x.sum(axis=0), (y + residuals.slope[:, None] * x).sum(axis=0)]) / len(x)
+    return NuisanceJacobian(np.concatenate(blocks), state.tangent @ residuals.origin.wrt_ray @ mean_ray)
 
 
-def _ray_shift(xy: Float64[Array, "n xy=2"], errors: RigErrors, rig: Rig) -> Float64[Array, "n 2 error"]:
-    """How normalised coordinates of fixed pixels move with the camera's parameters."""
+def _ray_wrt_camera(xy: Float64[Array, "n xy=2"], errors: RigErrors, rig: Rig) -> Float64[Array, "n 2 error"]:
+    """Derivatives of the normalised coordinates of fixed pixels with respect to the camera's errors."""
     if not errors.camera.any():
         return np.zeros((len(xy), 2, errors.camera.shape[1]))
-    by_ray, by_camera = pixels_by_ray_and_camera(xy, rig.camera)
-    shift: Float64[Array, "n 2 error"] = -np.linalg.inv(by_ray) @ (by_camera @ errors.camera)
-    return shift
+    pixel_wrt_ray, pixel_wrt_camera = pixels_wrt_ray_and_camera(xy, rig.camera)
+    derivative: Float64[Array, "n 2 error"] = -np.linalg.inv(pixel_wrt_ray) @ (pixel_wrt_camera @ errors.camera)
+    return derivative
 
 
-def _ordinate_shift(
-    sights: Sights, laser: Int64[Array, "sight"], state: RingState, errors: RigErrors
-) -> Float64[Array, "sight error"]:
-    """How the predicted ordinate moves with the light plane, at constant abscissa: -(dm - dd q) . r / (m - d q)_y."""
-    along = (errors.basis[laser] @ sights.rays[:, :, None])[:, :, 0]
-    by_plane = np.column_stack([-along, sights.rays @ state.plane]) / sights.denominator[:, None]
-    return (by_plane[:, None] @ errors.lasers[laser])[:, 0]
+def _ordinate_wrt_planes(
+    stripes: StripePrediction, laser: Int64[Array, "sample"], state: RingState, errors: RigErrors
+) -> Float64[Array, "sample error"]:
+    """Derivatives of the predicted ordinates with respect to the planes' errors: -(dm - dd q) . r / (m - d q)_y."""
+    along = (errors.basis[laser] @ stripes.rays[:, :, None])[:, :, 0]
+    y_wrt_plane = np.column_stack([-along, stripes.rays @ state.plane]) / stripes.denominator[:, None]
+    return (y_wrt_plane[:, None] @ errors.lasers[laser])[:, 0]

@@ -1,4 +1,4 @@
-"""Break points -> pose of the ring: the paper's closed form and the most likely ring, method(7) sections 4 and 5."""
+"""Break points -> pose of the ring: closed form or maximum likelihood (ringpose-method(7), sections 4 and 5)."""
 
 from collections.abc import Sequence
 
@@ -22,18 +22,18 @@ def estimate_pose(
 ) -> RingPose | NoPose:
     """Pose of the ring in the camera frame, or the reason why there is none.
 
-    Its covariances are None if a seen break point's covariance is NaN. `known` is the ring's size or a catalogue of
-    rings of which it may be one; the paper's methods have no use for it, nor for visible edges.
+    Its covariances are None if a seen break point's covariance is NaN. `known` are the ring's radii, or a
+    catalogue that it may belong to; the paper's methods use neither it nor visible edges.
     """
     lasers, known_lasers = len(break_points.position_px), len(rig.lasers.names)
     if lasers != known_lasers:
         found = f"they are of {lasers} lasers, the rig has {known_lasers}"
         raise DataError("break points", found, "use the rig that took the shots")
     try:
-        with np.errstate(all="ignore"):  # what is not finite is looked for in the solution
+        with np.errstate(all="ignore"):  # solutions are checked for finite values
             if method is Method.ML:
                 return most_likely_pose(break_points, rig, ring_edges, known)
-            from ringpose.pose.closed_form import closed_form_pose  # its modules are not wanted otherwise
+            from ringpose.pose.closed_form import closed_form_pose  # not imported by method `ml`
 
             return closed_form_pose(break_points, rig, method)
     except np.linalg.LinAlgError:

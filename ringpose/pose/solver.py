@@ -1,11 +1,10 @@
-"""The most likely ring: Gauss-Newton on the rows of method(7), section 5, robust against ends at the wrong place.
+"""Maximum-likelihood ring by Gauss-Newton with Huber weights (ringpose-method(7), section 5).
 
-No start from the paper's closed form is needed: on the plane the inverse depth is linear in the image, so the lines
-give the plane at once, and in this state every ring is within a few steps of a likely one.
-
-Where the search for the most likely ring begins.
+The paper's closed form is not needed as a start: on the plane the inverse depth is linear in the image, so the lines
+give the plane at once, and in the state of `residuals` every ring is within a few steps of its estimate.
 """
 
+from functools import partial
 from math import hypot, isfinite
 from typing import NamedTuple
 
@@ -13,166 +12,144 @@ import numpy as np
 
 from ringpose.geometry.robust import huber_weights
 from ringpose.pose.measurements import Measurements, Observations
-from ringpose.pose.nuisance import ByRig, RigErrors, rows_by_common_errors
+from ringpose.pose.nuisance import NuisanceJacobian, RigErrors, nuisance_jacobian
 from ringpose.pose.residuals import (
     CURVATURE,
-    LIKELY_BAND_M,
-    LIKELY_CURVATURE,
+    EXPECTED_BAND_M,
+    EXPECTED_CURVATURE,
     PARAMETERS,
     TURN,
     Prior,
+    Residuals,
     RingState,
-    Rows,
-    Sights,
     cross,
-    moved,
-    rows_of,
-    sights_of,
+    predict_stripes,
+    ring_residuals,
 )
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.rig import Rig
 
 HUBER_SIGMAS = 3.0
-"""From here a break point's or a visible edge's residual counts linearly; 0.3 % of honest ones are beyond."""
+"""Beyond it the residuals of break points and visible edges count linearly; 0.3 % of Gaussian ones are beyond."""
 
-MAX_STEPS = 15
+MAX_ITERATIONS = 15
+
+MIN_STEP_SIGMAS = 1e-4
+"""The iteration has converged when a step is shorter than this, in standard deviations."""
 
 STRIPES_OF_A_PLANE = 2
-"""Fewer leave the tilt about the stripe to the edges."""
-
-STEP_SIGMAS = 1e-4
-"""A step of less than this in standard deviations is the last."""
+"""With fewer stripes the tilt about the stripe is determined by the edges only."""
 
 RIDGE = 1e-7
-"""Added to the normal matrix (metres, radians, one over metres), so that what is not determined stays put."""
+"""Added to the diagonal of the normal matrix (m, rad, 1/m), so that undetermined parameters keep their values."""
 
 _RIDGE = RIDGE * np.eye(PARAMETERS)
 
 MIN_DEPTH_M, MAX_DEPTH_M = 1e-3, 1e3
-"""A plane outside is none."""
+"""Bounds of the plane's distance; beyond them the iteration has diverged."""
 
-STEEPEST_CURVATURE = 20.0
-"""One over metres: a search that leaves these bounds has failed."""
+MAX_CURVATURE = 20.0
+"""Bound in 1/m; beyond it the iteration has diverged."""
+
+MIN_LENGTH_M = 1e-9
+"""A shorter vector has no direction."""
 
 
-class Fit(NamedTuple):
-    """A solution and what it rests on."""
+class Estimate(NamedTuple):
+    """A maximum-likelihood ring, and the linearised problem at the solution."""
 
     state: RingState
-    rows: Rows
-    weight: Float64[Array, "row"]
+    residuals: Residuals
+    weights: Float64[Array, "row"]
     """Of the robust loss: 1 for a residual within `HUBER_SIGMAS`."""
-    by_rig: Float64[Array, "row error"] | None
-    """Derivatives by unit errors of the rig; None where they are not known."""
-    mean_by_rig: Float64[Array, "error"] | None
-    """The same of the mean of the break points, along the band."""
-    rig_step: Float64[Array, "error"] | None
-    """The rig's most likely errors, in their standard deviations."""
-    weak: bool
-    """Whether what the shot leaves open was held to what rings are like."""
+    nuisance: NuisanceJacobian | None
+    """None without common errors."""
+    nuisance_step: Float64[Array, "error"] | None
+    """The estimated common errors, in their standard deviations; the rig's come first."""
+    regularized: bool
+    """Whether parameters that the shot leaves open were held by weak priors."""
     normal_matrix: Float64[Array, "7 7"]
-    """Inverse covariance of the state if no residual is beyond the robust limit; the rig's errors are in it."""
+    """Inverse covariance of the state if no residual exceeds the robust limit; common errors are marginalised."""
     inverse: Float64[Array, "7 7"]
-    """Of that, what is not determined at all held by `RIDGE`."""
+    """Of the normal matrix with `RIDGE`."""
 
     @property
-    def residual(self) -> Float64[Array, "row"]:
-        """What the ring and the rig's most likely errors leave, in standard deviations."""
-        if self.by_rig is None or self.rig_step is None:
-            return self.rows.residual
-        left: Float64[Array, "row"] = self.rows.residual + self.by_rig @ self.rig_step
-        return left
+    def remaining(self) -> Float64[Array, "row"]:
+        """Residuals after the ring and the estimated common errors, in standard deviations."""
+        if self.nuisance is None or self.nuisance_step is None:
+            return self.residuals.residual
+        remaining: Float64[Array, "row"] = self.residuals.residual + self.nuisance.residual @ self.nuisance_step
+        return remaining
 
 
-class Task(NamedTuple):
-    """What a ring is to explain, and by which rig it was seen."""
+def estimate_ring(measured: Measurements, rig: Rig, prior: Prior, errors: RigErrors | None) -> Estimate | None:
+    """The maximum-likelihood ring; None if the iteration diverges.
 
-    measured: Measurements
-    sighted: Observations
-    rig: Rig
-    errors: RigErrors | None
-
-
-def fitted(measured: Measurements, rig: Rig, before: Prior, errors: RigErrors | None) -> Fit | None:
-    """The most likely ring; None if the search ends nowhere.
-
-    What the shot leaves open (one stripe: the tilt about it; two: the curvature) is held to what rings are like in a
-    second search, so that it cannot spoil the rest. Where visible edges close such a gap, the search begins from that:
-    far from the ring they lead astray.
+    Parameters that the shot leaves open (with one stripe the tilt about it, with two the curvature) are held by weak
+    priors in a second run, so that they do not degrade the others. If visible edges close such a gap, the regularised
+    solution is the start: far from the ring, edges lead to wrong minima.
     """
-    with np.errstate(all="ignore"):  # a search that leaves all bounds ends in `_plausible`
-        return _fitted(measured, rig, before, errors)
+    edges_seen = {*measured.points.edge.tolist(), *measured.edges.edge.tolist()}
+    prior = prior._replace(single_edge=prior.radii is None and len(edges_seen) == 1)
+    observations = measured.observations(rig.lasers)
+    solve = partial(_gauss_newton, measured, observations, rig, errors)
+    with np.errstate(all="ignore"):  # a diverging iteration ends in `_plausible`
+        start = initial_guess(measured, observations, prior)
+        if start is None:
+            return None
+        if len(measured.edges.edge) and len(measured.lines.laser) < STRIPES_OF_A_PLANE:
+            regularized = solve(start, prior._replace(regularize_about=start))
+            start = start if regularized is None else regularized.state
+        estimate = solve(start, prior)
+        if estimate is None or _is_poorly_determined(estimate):
+            estimate = solve(start, prior._replace(regularize_about=start))
+        # one edge without a line on the face beside it leaves open on which side the centre is: try the other one
+        side_open = prior.single_edge and bool(measured.points.isolated.all())
+        if estimate is not None and estimate.state.curvature < 0 and side_open:
+            state = estimate.state
+            turned = state._replace(outward=-state.outward, curvature=-state.curvature, shift_m=-state.shift_m)
+            estimate = solve(turned, prior) or estimate
+    return estimate
 
 
-def _fitted(measured: Measurements, rig: Rig, before: Prior, errors: RigErrors | None) -> Fit | None:
-    before = before._replace(one_edge=before.radii is None and _edges_seen(measured) == 1)
-    task = Task(measured, measured.sighted(rig.lasers), rig, errors)
-    start = starting_state(measured, task.sighted, before)
-    if start is not None and len(measured.edges.edge) and len(measured.lines.laser) < STRIPES_OF_A_PLANE:
-        held = _search(start, task, before._replace(regularize_about=start))
-        start = start if held is None else held.state
-    fit = None if start is None else _search(start, task, before)
-    if start is not None and (fit is None or _leaves_open(fit)):
-        fit = _search(start, task, before._replace(regularize_about=start))
-    if fit is not None and fit.state.curvature < 0 and _unsure_of_side(measured, before):
-        turned = fit.state._replace(
-            outward=-fit.state.outward, curvature=-fit.state.curvature, shift_m=-fit.state.shift_m
-        )
-        fit = _search(turned, task, before) or fit
-    return fit
-
-
-def _leaves_open(fit: Fit) -> bool:
-    """Whether something is known worse from the shot than beforehand."""
-    variance = fit.inverse.diagonal().tolist()
-    tilt_squared = max(variance[:2]) / float(fit.state.plane @ fit.state.plane)
-    return bool(max(tilt_squared, variance[TURN]) > 0.25 or variance[CURVATURE] > 1.0)
-
-
-def _unsure_of_side(measured: Measurements, before: Prior) -> bool:
-    """Whether a single edge, without a line on the face beside it, leaves open which of its sides is out."""
-    return before.one_edge and bool(measured.points.alone.all())
-
-
-def _edges_seen(measured: Measurements) -> int:
-    return len({*measured.points.edge.tolist(), *measured.edges.edge.tolist()})
-
-
-def _search(state: RingState, task: Task, before: Prior) -> Fit | None:
-    """Gauss-Newton steps from a state; None if they lead to no ring. Common errors enter after the first step."""
-    measured, sighted, rig, errors = task
-    robust = _robust_rows(measured)
-    common: ByRig | None = None
-    left = None
-    for number in range(MAX_STEPS):
-        rows = rows_of(state, measured, sighted, before)  # r and J, whitened: residuals a to d
-        if number == 1:  # they hardly change from here
-            common = rows_by_common_errors(state, rows, measured, sighted, errors, rig)
-        # weights by what the last step is expected to leave: at its start wrong ends hide among large residuals
-        weight = _weights(rows.residual if left is None else left, robust)
+def _gauss_newton(
+    measured: Measurements,
+    observations: Observations,
+    rig: Rig,
+    errors: RigErrors | None,
+    state: RingState,
+    prior: Prior,
+) -> Estimate | None:
+    """Iteratively reweighted Gauss-Newton from a state; None if it diverges."""
+    nuisance: NuisanceJacobian | None = None
+    predicted = None
+    for iteration in range(MAX_ITERATIONS):
+        residuals = ring_residuals(state, measured, observations, prior)  # r and J, whitened
+        if iteration == 1:  # near the solution; B hardly changes from here
+            nuisance = nuisance_jacobian(state, residuals, measured, observations, errors, rig)
+        # weights from the residuals that the last step predicts: before it, outliers hide among large residuals
+        weights = _robust_weights(residuals.residual if predicted is None else predicted, measured)
         try:
-            normal_matrix, step, rig_step = _step(rows, weight, None if common is None else common.rows)
+            normal_matrix, step, nuisance_step = solve_normal_equations(residuals, weights, nuisance)
         except np.linalg.LinAlgError:
             return None
         if not _plausible(state, step):
             return None
-        if number and step @ normal_matrix @ step < STEP_SIGMAS**2:  # squared Mahalanobis length
+        if iteration and step @ normal_matrix @ step < MIN_STEP_SIGMAS**2:  # squared Mahalanobis length
             break
-        left = rows.residual + rows.by_state @ step
-        if common is not None and rig_step is not None:
-            left = left + common.rows @ rig_step
-        state = moved(state, step)
+        predicted = residuals.residual + residuals.jacobian @ step
+        if nuisance is not None and nuisance_step is not None:
+            predicted = predicted + nuisance.residual @ nuisance_step
+        state = state.retract(step)
     inverse = _inverse(normal_matrix)
     if inverse is None:
         return None
-    by_rig, mean_by_rig = (None, None) if common is None else common
-    return Fit(
-        state, rows, weight, by_rig, mean_by_rig, rig_step, before.regularize_about is not None, normal_matrix, inverse
-    )
+    regularized = prior.regularize_about is not None
+    return Estimate(state, residuals, weights, nuisance, nuisance_step, regularized, normal_matrix, inverse)
 
 
 def _inverse(normal_matrix: Float64[Array, "7 7"]) -> Float64[Array, "7 7"] | None:
-    """None where the normal matrix is numerically singular: rounding then leaves a variance that is not positive."""
+    """The covariance; None if the matrix is singular, where rounding may leave variances that are not positive."""
     try:
         inverse = np.linalg.inv(normal_matrix + _RIDGE)
     except np.linalg.LinAlgError:
@@ -180,137 +157,122 @@ def _inverse(normal_matrix: Float64[Array, "7 7"]) -> Float64[Array, "7 7"] | No
     return inverse if bool((inverse.diagonal() > 0).all()) else None
 
 
-def _step(
-    rows: Rows, weight: Float64[Array, "row"], by_rig: Float64[Array, "row error"] | None
+def solve_normal_equations(
+    residuals: Residuals, weights: Float64[Array, "row"], nuisance: NuisanceJacobian | None
 ) -> tuple[Float64[Array, "7 7"], Float64[Array, "7"], Float64[Array, "error"] | None]:
-    """Normal matrix with the rig's errors eliminated, the ring's step, and the rig's errors after it.
+    """The normal matrix with the common errors marginalised, the ring's step, and the common errors after it.
 
-    With J by the ring and B by unit errors of the rig: S = J^T W J - J^T W B (1 + B^T W B)^-1 B^T W J, the Schur
-    complement, and S step = -(J^T W r - J^T W B (1 + B^T W B)^-1 B^T W r).
+    With residuals r, Jacobian J, weights W and the derivatives B with respect to the common errors (unit variance),
+    the Schur complement of [J B]^T W [J B] + diag(0, 1): S = J^T W J - J^T W B (1 + B^T W B)^-1 B^T W J, and
+    S step = -(J^T W r - J^T W B (1 + B^T W B)^-1 B^T W r).
     """
-    weighted = rows.by_state.T * weight
-    normal_matrix, gradient = weighted @ rows.by_state, weighted @ rows.residual
-    if by_rig is None:
+    weighted = residuals.jacobian.T * weights  # J^T W
+    normal_matrix, gradient = weighted @ residuals.jacobian, weighted @ residuals.residual
+    if nuisance is None:
         return normal_matrix, -np.linalg.solve(normal_matrix + _RIDGE, gradient), None
-    weighted_by_rig = by_rig.T * weight
-    own = weighted_by_rig @ by_rig
-    own.flat[:: len(own) + 1] += 1.0
-    mixed = np.empty((len(own), PARAMETERS + 1))
-    mixed[:, :-1], mixed[:, -1] = weighted_by_rig @ rows.by_state, weighted_by_rig @ rows.residual
-    from_ring = np.linalg.solve(own, mixed)
-    eliminated = mixed[:, :-1].T @ from_ring
+    weighted_nuisance = nuisance.residual.T * weights  # B^T W
+    cross_information = np.empty((len(weighted_nuisance), PARAMETERS + 1))  # B^T W [J r]
+    cross_information[:, :-1] = weighted_nuisance @ residuals.jacobian
+    cross_information[:, -1] = weighted_nuisance @ residuals.residual
+    solution = np.linalg.solve(nuisance.information(weights), cross_information)
+    eliminated = cross_information[:, :-1].T @ solution
     normal_matrix = normal_matrix - eliminated[:, :-1]
     step = -np.linalg.solve(normal_matrix + _RIDGE, gradient - eliminated[:, -1])
-    return normal_matrix, step, -from_ring[:, -1] - from_ring[:, :-1] @ step
+    return normal_matrix, step, -solution[:, -1] - solution[:, :-1] @ step
 
 
-def _robust_rows(measured: Measurements) -> slice:
-    """Break points and visible edges; lines are fitted robustly before, and have no third end to check them."""
+def _robust_weights(residual: Float64[Array, "row"], measured: Measurements) -> Float64[Array, "row"]:
+    """Huber weights of break points and visible edges; 1 for lines, which are robust fits, and for the prior."""
     first = 2 * len(measured.lines.laser)
-    count = len(measured.points.laser) + int(measured.points.alone.sum()) + len(measured.edges.edge)
-    return slice(first, first + count)
-
-
-def _weights(residual: Float64[Array, "row"], robust: slice) -> Float64[Array, "row"]:
-    weight = np.ones(len(residual))
-    weight[robust] = huber_weights(residual[robust], HUBER_SIGMAS)
-    return weight
+    count = len(measured.points.laser) + int(measured.points.isolated.sum()) + len(measured.edges.edge)
+    weights = np.ones(len(residual))
+    weights[first : first + count] = huber_weights(residual[first : first + count], HUBER_SIGMAS)
+    return weights
 
 
 def _plausible(state: RingState, step: Float64[Array, "7"]) -> bool:
     depth = hypot(*(state.plane + step[:3]).tolist())
     curvature = abs(state.curvature + float(step[CURVATURE]))
-    return (
-        all(map(isfinite, step.tolist()))
-        and 1 / MAX_DEPTH_M < depth < 1 / MIN_DEPTH_M
-        and (curvature < STEEPEST_CURVATURE)
-    )
+    return all(map(isfinite, step.tolist())) and 1 / MAX_DEPTH_M < depth < 1 / MIN_DEPTH_M and curvature < MAX_CURVATURE
 
 
-MIN_LENGTH_M = 1e-9
-"""A direction of less than this is none."""
+def _is_poorly_determined(estimate: Estimate) -> bool:
+    """Whether tilt, turn or curvature have a larger variance than the weak prior would give them."""
+    variance = estimate.inverse.diagonal().tolist()
+    tilt_variance = max(variance[:2]) / float(estimate.state.plane @ estimate.state.plane)
+    return bool(max(tilt_variance, variance[TURN]) > 0.25 or variance[CURVATURE] > 1.0)
 
 
-def starting_state(measured: Measurements, sighted: Observations, before: Prior) -> RingState | None:
-    """The plane of the stripes, and a likely ring on it; None if there is none before the camera."""
+def initial_guess(measured: Measurements, observations: Observations, prior: Prior) -> RingState | None:
+    """The plane of the stripes, and a ring of typical size on it; None if the plane is not in front of the camera."""
     if not len(measured.points.x):
         return None
     try:
-        plane = _plane(measured, sighted)
+        plane = _plane_of_stripes(measured, observations)
     except np.linalg.LinAlgError:
         return None
-    state = RingState(plane, np.array([1.0, 0.0, 0.0]), 0.0, LIKELY_CURVATURE, 0.0)
-    sights = sights_of(state, sighted)
-    inverse_depth = sights.rays @ plane
+    state = RingState(plane, np.array([1.0, 0.0, 0.0]), 0.0, EXPECTED_CURVATURE, 0.0)
+    stripes = predict_stripes(state, observations)
+    inverse_depth = stripes.rays @ plane
     if not bool((inverse_depth > 0).all()):
         return None
-    depth_m = 1.0 / inverse_depth
-    ends = len(sighted.whitening)
-    outward = _outward(state, measured, sighted, _along_stripes(sights, depth_m, plane)[ends:], depth_m[ends:])
-    along = depth_m[ends:] * (sights.rays[ends:] @ outward)
-    curvature, band_m = _likely_size(measured, along, before)
+    ends = len(observations.whitening)
+    rays, slope, depth_m = stripes.rays[ends:], stripes.slope[ends:], 1.0 / inverse_depth[ends:]
+    # dP/dx of the break points along their stripes, for P = depth r
+    rate = depth_m * (plane[0] + slope * plane[1])
+    ray_wrt_x = -rate[:, None] * rays
+    ray_wrt_x[:, 0] += 1.0
+    ray_wrt_x[:, 1] += slope
+    outward = _outward_direction(state, measured, observations, depth_m[:, None] * ray_wrt_x, depth_m)
+    curvature, band_m = _expected_size(measured, depth_m * (rays @ outward), prior)
     return RingState(plane, outward, 0.0, curvature, band_m)
 
 
-def _likely_size(measured: Measurements, along_m: Float64[Array, "point"], before: Prior) -> tuple[float, float]:
-    """Curvature and width of the band."""
-    by_edge: tuple[list[float], list[float]] = ([], [])
-    for edge, along in zip(measured.points.edge.tolist(), along_m.tolist(), strict=True):
-        by_edge[edge].append(along)
-    inner, outer = by_edge
-    band_m = sum(outer) / len(outer) - sum(inner) / len(inner) if inner and outer else LIKELY_BAND_M
-    if before.radii is None or not np.isfinite(before.radii.radius_m).any():
-        return LIKELY_CURVATURE, band_m
-    inner_m, outer_m = before.radii.radius_m.tolist()
-    whole = np.isfinite(outer_m - inner_m)
-    return 1.0 / float(np.nanmean(before.radii.radius_m)), outer_m - inner_m if whole else band_m
-
-
-def _plane(measured: Measurements, sighted: Observations) -> Float64[Array, "3"]:
-    """The q that fits the stripes: (m . r - d q . r) / (m - d q)_y is linear in q but for its weak denominator."""
-    ends, count = len(sighted.whitening), len(sighted.rays)
+def _plane_of_stripes(measured: Measurements, observations: Observations) -> Float64[Array, "3"]:
+    """The plane q that fits the stripes: (m . r - d q . r) / (m - d q)_y = 0, linear in q for a fixed denominator."""
+    ends, count = len(observations.whitening), len(observations.rays)
     whitening = np.zeros((count, count))
-    whitening[:ends, :ends] = sighted.whitening
-    alone = ends + np.flatnonzero(measured.points.alone)
-    whitening[alone, alone] = 1.0 / np.sqrt(measured.points.covariance[alone - ends, 1, 1])
-    cosine = (sighted.light_normal * sighted.rays).sum(axis=1)
-    plane = np.array([0.0, 0.0, float((cosine / sighted.light_distance_m).sum()) / count])
+    whitening[:ends, :ends] = observations.whitening
+    isolated = ends + np.flatnonzero(measured.points.isolated)
+    whitening[isolated, isolated] = 1.0 / np.sqrt(measured.points.covariance[isolated - ends, 1, 1])
+    distance_m = observations.light_distance_m
+    cosine = (observations.light_normal * observations.rays).sum(axis=1)  # m . r
+    plane = np.array([0.0, 0.0, float((cosine / distance_m).sum()) / count])
     for _ in range(2):
-        denominator = sighted.light_normal[:, 1] - sighted.light_distance_m * plane[1]
-        rows = whitening @ ((sighted.light_distance_m / denominator)[:, None] * sighted.rays)
+        denominator = observations.light_normal[:, 1] - distance_m * plane[1]
+        rows = whitening @ ((distance_m / denominator)[:, None] * observations.rays)
         matrix = rows.T @ rows
-        matrix[[0, 1], [0, 1]] += 1.0 / plane[2] ** 2  # one stripe alone: a face that looks at the camera
+        matrix[[0, 1], [0, 1]] += 1.0 / plane[2] ** 2  # with a single stripe: a plane that faces the camera
         plane = np.linalg.solve(matrix, rows.T @ (whitening @ (cosine / denominator)))
     return plane
 
 
-def _along_stripes(
-    sights: Sights, depth_m: Float64[Array, "sight"], plane: Float64[Array, "3"]
-) -> Float64[Array, "sight 3"]:
-    """How points of the plane move when they go along their stripes in the image."""
-    rate = depth_m * (plane[0] + sights.slope * plane[1])
-    moved = -rate[:, None] * sights.rays
-    moved[:, 0] += 1.0
-    moved[:, 1] += sights.slope
-    along: Float64[Array, "sight 3"] = depth_m[:, None] * moved
-    return along
-
-
-def _outward(
+def _outward_direction(
     state: RingState,
     measured: Measurements,
-    sighted: Observations,
-    by_x: Float64[Array, "point 3"],
+    observations: Observations,
+    point_wrt_x: Float64[Array, "point 3"],
     depth_m: Float64[Array, "point"],
 ) -> Float64[Array, "3"]:
-    """From inner towards outer ends, seen from the middles of their stripes."""
+    """Mean direction from inner towards outer ends, seen from the middles of their stripes."""
     points = measured.points
-    direction = (sighted.edge_sign * (points.x - points.middle_x)) @ by_x
-    if float(direction @ direction) < MIN_LENGTH_M**2:
-        ends = sighted.rays[[-1, -len(points.x)]] * depth_m[[-1, 0], None]
+    direction = (observations.edge_sign * (points.x - points.middle_x)) @ point_wrt_x
+    if float(direction @ direction) < MIN_LENGTH_M**2:  # no stripe has a length: across the row of break points
+        ends = observations.rays[[-1, -len(points.x)]] * depth_m[[-1, 0], None]
         direction = cross(state.normal, ends[0] - ends[1])
-    if float(direction @ direction) < MIN_LENGTH_M**2:
-        direction = by_x[0]
+    if float(direction @ direction) < MIN_LENGTH_M**2:  # a single point: along its stripe
+        direction = point_wrt_x[0]
     direction = direction - (direction @ state.normal) * state.normal
     unit: Float64[Array, "3"] = direction / np.sqrt(direction @ direction)
     return unit
+
+
+def _expected_size(measured: Measurements, outward_m: Float64[Array, "point"], prior: Prior) -> tuple[float, float]:
+    """Curvature and width of the band: of the prior, else of a typical ring and of the seen ends."""
+    inner, outer = (outward_m[measured.points.edge == edge].tolist() for edge in range(2))
+    band_m = sum(outer) / len(outer) - sum(inner) / len(inner) if inner and outer else EXPECTED_BAND_M
+    if prior.radii is None or not np.isfinite(prior.radii.radius_m).any():
+        return EXPECTED_CURVATURE, band_m
+    inner_m, outer_m = prior.radii.radius_m.tolist()
+    both_known = np.isfinite(outer_m - inner_m)
+    return 1.0 / float(np.nanmean(prior.radii.radius_m)), outer_m - inner_m if both_known else band_m

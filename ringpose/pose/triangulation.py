@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ringpose.geometry.rays import intersect, rays
-from ringpose.pose.measurements import pixels_by_ray_and_camera
+from ringpose.pose.measurements import pixels_wrt_ray_and_camera
 from ringpose.pose.nuisance import rig_errors
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.camera import Camera
@@ -19,9 +19,9 @@ from ringpose.types.rig import Rig
 
 
 def triangulated(break_points: BreakPoints, rig: Rig) -> RingPoints:
-    """Where the ray through each break point meets its laser's plane.
+    """Intersections of the rays of the break points with their light planes.
 
-    NaN where a break point was not seen, and where its ray runs along the plane or meets it behind the camera.
+    NaN where a break point was not seen, and where its ray is parallel to the plane or meets it behind the camera.
     """
     directions = rays(break_points.position_px, rig.camera)
     position = intersect(directions, rig.lasers.normal[:, None], rig.lasers.distance_m[:, None])
@@ -41,27 +41,27 @@ def point_covariance(
     """
     light_normal = rig.lasers.normal[laser]
     jacobians = point_jacobians(points, light_normal, rig.camera)
-    own = np.zeros((len(points), 3, len(points), 3))
+    independent = np.zeros((len(points), 3, len(points), 3))
     each = np.arange(len(points))
-    own[each, :, each] = jacobians.by_pixel @ covariance_px2 @ jacobians.by_pixel.swapaxes(1, 2)
-    total = own.reshape(points.size, points.size)
+    independent[each, :, each] = jacobians.wrt_pixel @ covariance_px2 @ jacobians.wrt_pixel.swapaxes(1, 2)
+    total = independent.reshape(points.size, points.size)
     if rig.covariance is None:
         return total
     errors = rig_errors(rig)
     if errors is None:
         return np.full_like(total, np.nan)
-    by_planes = points_by_plane(points, light_normal, errors.basis[laser]) @ errors.lasers[laser]
-    by_rig = (jacobians.by_camera @ errors.camera + by_planes).reshape(points.size, -1)
-    total += by_rig @ by_rig.T
+    wrt_planes = points_wrt_plane(points, light_normal, errors.basis[laser]) @ errors.lasers[laser]
+    wrt_rig = (jacobians.wrt_camera @ errors.camera + wrt_planes).reshape(points.size, -1)
+    total += wrt_rig @ wrt_rig.T
     return total
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PointJacobians:
-    """Derivatives of points in space, each seen by one laser, by their pixels and by the camera's parameters."""
+    """Derivatives of points in space with respect to their pixels and to the camera's parameters."""
 
-    by_pixel: Float64[Array, "n xyz=3 xy=2"]
-    by_camera: Float64[Array, "n xyz=3 parameter"]
+    wrt_pixel: Float64[Array, "n xyz=3 xy=2"]
+    wrt_camera: Float64[Array, "n xyz=3 parameter"]
     """In the order of `CAMERA_PARAMETERS`, as many as the camera has."""
 
 
@@ -71,18 +71,18 @@ def point_jacobians(
     """dP/dr = t (1 - r m^T / (m . r)), chained with dr/dpixel and dr/dparameter of the distortion."""
     ray = points / points[:, 2:]
     cosine = np.sum(light_normal * ray, axis=-1)[:, None, None]
-    by_ray = points[:, 2, None, None] * (np.eye(3) - ray[:, :, None] * light_normal[:, None, :] / cosine)[:, :, :2]
-    pixel_by_ray, pixel_by_camera = pixels_by_ray_and_camera(ray[:, :2], camera)
-    by_pixel = by_ray @ np.linalg.inv(pixel_by_ray)
-    return PointJacobians(by_pixel=by_pixel, by_camera=-by_pixel @ pixel_by_camera)
+    wrt_ray = points[:, 2, None, None] * (np.eye(3) - ray[:, :, None] * light_normal[:, None, :] / cosine)[:, :, :2]
+    pixel_wrt_ray, pixel_wrt_camera = pixels_wrt_ray_and_camera(ray[:, :2], camera)
+    wrt_pixel = wrt_ray @ np.linalg.inv(pixel_wrt_ray)
+    return PointJacobians(wrt_pixel=wrt_pixel, wrt_camera=-wrt_pixel @ pixel_wrt_camera)
 
 
-def points_by_plane(
+def points_wrt_plane(
     points: Float64[Array, "n xyz=3"], light_normal: Float64[Array, "n xyz=3"], basis: Float64[Array, "n 2 xyz=3"]
 ) -> Float64[Array, "n xyz=3 parameter=3"]:
     """dP/dtilt_k = -P (e_k . r) / (m . r) and dP/ddistance = r / (m . r), each point by its own light plane."""
     ray = points / points[:, 2:]
-    by_tilts = -points[:, :, None] * (basis @ ray[:, :, None]).swapaxes(1, 2)
-    along = np.concatenate([by_tilts, ray[:, :, None]], axis=2)
+    wrt_tilts = -points[:, :, None] * (basis @ ray[:, :, None]).swapaxes(1, 2)
+    along = np.concatenate([wrt_tilts, ray[:, :, None]], axis=2)
     derivative: Float64[Array, "n xyz=3 parameter=3"] = along / np.sum(light_normal * ray, axis=-1)[:, None, None]
     return derivative

@@ -11,7 +11,6 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from ringpose.cli.main import main
-from ringpose.cli.pose import pose_line
 from ringpose.detect.break_points import MAX_END_SIGMA_PX
 from ringpose.detect.pipeline import detect
 from ringpose.files import records
@@ -21,6 +20,7 @@ from ringpose.files.poses import pose_line_of, pose_record
 from ringpose.files.rigs import read_rig
 from ringpose.files.shots import write_shot
 from ringpose.files.sources import read_source
+from ringpose.pose.record import pose_line
 from ringpose.types.detection import MAX_SIGMA_PX, BreakPointFlag, BreakPoints
 from ringpose.types.options import Method, PoseFrame
 from ringpose.types.pose import NoPose

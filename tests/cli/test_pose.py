@@ -148,16 +148,22 @@ def test_missing_rig_is_no_input(detections, tmp_path, capsys):
     ("words", "finding"),
     [
         (["--rings", "rings.yaml"], "--rings: a catalogue needs --ring"),
-        (["--ring", "auto", "--radius-outer", "0.6"], "--ring: the catalogue says the radii"),
-        (["--radius-sd", "0.001"], "--radius-sd: there is no radius"),
-        (["--radius-outer", "597"], "--radius-outer: 597 is no radius in metres that a ring has; give metres: 0.597"),
-        (["--radius-outer", "nan"], "--radius-outer: nan is no radius in metres"),
-        (["--radius-outer", "0.597", "--radius-inner", "567"], "--radius-inner: 567 is no radius in metres"),
+        (["--ring", "auto", "--radius-outer", "0.6"], "--ring: the catalogue gives the radii"),
+        (["--radius-sd", "0.001"], "--radius-sd: needs a radius"),
+        (["--radius-outer", "597"], "--radius-outer: 597 is not the radius of a ring in metres; give metres: 0.597"),
+        (["--radius-outer", "nan"], "--radius-outer: nan is not the radius of a ring in metres"),
+        (
+            ["--radius-outer", "0.597", "--radius-inner", "567"],
+            "--radius-inner: 567 is not the radius of a ring in metres",
+        ),
         (["--radius-outer", "0.597", "--radius-sd", "0.5"], "give metres: 0.0005"),
-        (["--radius-outer", "0.597", "--radius-sd", "1e-300"], "--radius-sd: 1e-300 is no standard deviation"),
+        (
+            ["--radius-outer", "0.597", "--radius-sd", "1e-300"],
+            "--radius-sd: 1e-300 is not a plausible standard deviation",
+        ),
         (["--radius-outer", "0.5", "--radius-inner", "0.6"], "--radius-inner: is not smaller"),
         (["--ring", "nominal-1195"], "did you mean 'nominal-1194'?"),
-        (["--method", "paper", "--radius-outer", "0.6"], "paper has no use for what is known of the ring"),
+        (["--method", "paper", "--radius-outer", "0.6"], "paper does not use the ring's radii"),
     ],
 )
 def test_what_cannot_be_known_of_a_ring_is_wrong_usage(rig, detections, capsys, words, finding):

@@ -1,4 +1,4 @@
-"""Errors are at the Cramer-Rao bound, which is computed from the rings of `conftest.py` by differences alone."""
+"""Errors are at the Cramer-Rao bound, which is computed from the rings of `conftest.py` by finite differences."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Which ring of a catalogue it is."""
+"""Identification of a ring by a catalogue."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The covariance of a pose, proved by sampling and by what it must obey."""
+"""The covariance of a pose, checked by sampling and by its invariances."""
 
 from dataclasses import replace
 

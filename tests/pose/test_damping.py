@@ -1,4 +1,4 @@
-"""Near-singular equations stay finite and near the points; well-conditioned ones are left alone."""
+"""Near-singular equations stay finite and near the points; well-conditioned ones are not damped."""
 
 import cv2
 import numpy as np

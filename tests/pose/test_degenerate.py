@@ -1,4 +1,4 @@
-"""What cannot be solved is a reason, never an exception or a warning."""
+"""Unsolvable cases give a reason, never an exception or a warning."""
 
 from dataclasses import replace
 

@@ -1,11 +1,11 @@
-"""Errors that neighbours on a visible edge share are alike over a length, and are unknowns beside the ring."""
+"""Errors of neighbours on a visible edge are correlated over a length, and are nuisance parameters."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from ringpose.pose.measurements import ALIKE_PX, common_errors_px, waves
+from ringpose.pose.measurements import CORRELATION_LENGTH_PX, common_errors_px, karhunen_loeve_terms
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.types.pose import PoseFlag
 
@@ -16,16 +16,16 @@ ALONG_PX = np.linspace(-300.0, 900.0, 101)
 def test_errors_of_an_edge_are_those_of_a_series_that_is_alike_over_a_length(length_px):
     along_px = np.linspace(0.0, length_px, 41)
 
-    found = waves(along_px)
+    found = karhunen_loeve_terms(along_px)
 
-    alike = np.exp(-np.abs(along_px[:, None] - along_px) / ALIKE_PX)
+    alike = np.exp(-np.abs(along_px[:, None] - along_px) / CORRELATION_LENGTH_PX)
     np.testing.assert_allclose(found @ found.T, alike, rtol=0, atol=0.15)
 
 
 def test_means_over_a_long_edge_err_as_those_of_such_a_series():
-    found = waves(ALONG_PX).mean(axis=0)
+    found = karhunen_loeve_terms(ALONG_PX).mean(axis=0)
 
-    alike = np.exp(-np.abs(ALONG_PX[:, None] - ALONG_PX) / ALIKE_PX)
+    alike = np.exp(-np.abs(ALONG_PX[:, None] - ALONG_PX) / CORRELATION_LENGTH_PX)
     assert found @ found == pytest.approx(alike.mean(), rel=0.02)
 
 
@@ -56,7 +56,7 @@ def test_poses_from_edges_that_err_alike_scatter_as_told(scene_of, face_points, 
     scene = scene_of("B", distance_m=0.5)
     edges = visible_edges(scene, 120, 0.2)
     along_px = edges.position_px[:60, 1]
-    alike = 0.16 * np.exp(-np.abs(along_px[:, None] - along_px) / ALIKE_PX) + 0.84 * np.eye(60)
+    alike = 0.16 * np.exp(-np.abs(along_px[:, None] - along_px) / CORRELATION_LENGTH_PX) + 0.84 * np.eye(60)
     root = 0.2 * np.linalg.cholesky(alike)
     squares = []
     for _ in range(60):

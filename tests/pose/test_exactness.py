@@ -1,4 +1,4 @@
-"""No noise in, exact out, at random poses."""
+"""Without noise the poses are exact, at random poses."""
 
 import numpy as np
 import pytest

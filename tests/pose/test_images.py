@@ -1,11 +1,11 @@
-"""The covariance is true on drawn images too, speckle and all, where the detector tells the errors."""
+"""The covariance is consistent on drawn images with speckle, where the detector gives the covariance."""
 
 import numpy as np
 import pytest
 from drawn_scene import RADII_M, DrawnScene, draw_shot, drawn_rig
 
 from ringpose.detect.pipeline import detect
-from ringpose.pose.measurements import excess
+from ringpose.pose.measurements import integrated_autocorrelation_time
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.types.ring import KnownRadii
 
@@ -47,11 +47,11 @@ def test_errors_on_drawn_images_are_those_that_are_told(rng, known, speckle):
 
 
 def test_independent_residuals_are_as_many_as_they_are(rng):
-    assert np.median([excess(rng.normal(size=200)) for _ in range(50)]) < 2.5
+    assert np.median([integrated_autocorrelation_time(rng.normal(size=200)) for _ in range(50)]) < 2.5
 
 
 @pytest.mark.parametrize("alike", [4, 10])
 def test_residuals_that_err_alike_count_once(rng, alike):
     series = [np.repeat(rng.normal(size=400 // alike), alike) for _ in range(50)]
 
-    assert alike < np.median([excess(each) for each in series]) < 3 * alike
+    assert alike < np.median([integrated_autocorrelation_time(each) for each in series]) < 3 * alike

@@ -1,4 +1,4 @@
-"""What the likelihood is told of a stripe's line."""
+"""The covariance of a stripe's line at its ends."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Angles, grasp point, normal and residual against constructions of their own."""
+"""Angles, grasp point, normal and residual against independent constructions."""
 
 import cv2
 import numpy as np

@@ -1,4 +1,4 @@
-"""The covariance is true on simulated images, from the light in the scene to the pose."""
+"""The covariance is consistent on simulated images, from the light in the scene to the pose."""
 
 from dataclasses import replace
 from pathlib import Path

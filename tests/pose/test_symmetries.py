@@ -1,4 +1,4 @@
-"""Moving the scene moves the answer."""
+"""Moving the scene moves the pose."""
 
 from dataclasses import replace
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringpose.pose.triangulation import point_covariance, point_jacobians, points_by_plane, triangulated
+from ringpose.pose.triangulation import point_covariance, point_jacobians, points_wrt_plane, triangulated
 from ringpose.types.covariance import CAMERA_PARAMETERS, PLANE_PARAMETERS
 
 LASER = np.repeat([0, 1, 2], 2)
@@ -45,7 +45,7 @@ def test_points_move_with_their_pixels(scene, axis):
 
     numeric = (points_of(scene, offset_px=step_px) - points_of(scene, offset_px=-step_px)) / 2e-3
 
-    np.testing.assert_allclose(jacobians.by_pixel[:, :, axis], numeric, rtol=1e-5, atol=1e-10)
+    np.testing.assert_allclose(jacobians.wrt_pixel[:, :, axis], numeric, rtol=1e-5, atol=1e-10)
 
 
 @pytest.mark.parametrize(
@@ -58,7 +58,7 @@ def test_points_move_with_the_camera(scene, name):
 
     there, back = (points_of(scene, moved_camera(scene.rig, name, sign * step)) for sign in (1, -1))
 
-    analytic = jacobians.by_camera[:, :, CAMERA_PARAMETERS.index(name)]
+    analytic = jacobians.wrt_camera[:, :, CAMERA_PARAMETERS.index(name)]
     np.testing.assert_allclose(analytic, (there - back) / (2 * step), rtol=1e-4, atol=1e-8)
 
 
@@ -83,7 +83,7 @@ def test_points_move_with_their_light_plane(scene, parameter):
         moved.append(points_of(scene, replace(scene.rig, lasers=lasers))[:2])
 
     assert distance_m != 0
-    found = points_by_plane(points_of(scene)[:2], np.stack([normal] * 2), np.stack([basis] * 2))
+    found = points_wrt_plane(points_of(scene)[:2], np.stack([normal] * 2), np.stack([basis] * 2))
     analytic = found[:, :, PLANE_PARAMETERS.index(parameter)]
     np.testing.assert_allclose(analytic, (moved[0] - moved[1]) / (2 * step), rtol=1e-5, atol=1e-8)
 

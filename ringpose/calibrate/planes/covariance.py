@@ -29,7 +29,7 @@ from ringpose.calibrate.planes.joint_adjustment import (
 from ringpose.geometry.rays import intersect, project, rays
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.closed_form import differentiated, pose_covariance
-from ringpose.pose.measurements import pixels_by_ray_and_camera
+from ringpose.pose.measurements import pixels_wrt_ray_and_camera
 from ringpose.pose.triangulation import point_covariance
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.camera import Camera
@@ -191,7 +191,7 @@ def _depth_jacobian(
     points = intersect(directions, normal, np.array(float(distance_m)))
     cosine = directions @ normal
     by_plane = np.column_stack([-(points @ tilt_basis(normal).T), np.ones(len(points))]) / cosine[:, None]
-    by_ray, by_camera = pixels_by_ray_and_camera(directions[:, :2], camera)
+    by_ray, by_camera = pixels_wrt_ray_and_camera(directions[:, :2], camera)
     ray_by_camera = -np.linalg.solve(by_ray, by_camera)
     depth_by_camera = -(points[:, 2] / cosine)[:, None] * np.einsum("i,nip->np", normal[:2], ray_by_camera)
     return _in_order(depth_by_camera, by_plane, parameters, lasers.names[laser])

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from ringpose.geometry.rotations import rotation_vector, tilt_basis
-from ringpose.pose.measurements import pixels_by_ray_and_camera
+from ringpose.pose.measurements import pixels_wrt_ray_and_camera
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose
 from ringpose.types.camera import Camera
@@ -128,7 +128,7 @@ def stripe_rows(
     depth = float(board_normal @ pose.translation_m) / denominator
     points = depth[:, None] * rays
     by_ray = (depth[:, None] * (normal - share[:, None] * board_normal))[:, :2]
-    pixel_by_ray, pixel_by_camera = pixels_by_ray_and_camera(rays[:, :2], camera)
+    pixel_by_ray, pixel_by_camera = pixels_wrt_ray_and_camera(rays[:, :2], camera)
     by_pixel = np.linalg.solve(pixel_by_ray.transpose(0, 2, 1), by_ray[:, :, None])[:, :, 0]
     metres_per_pixel = np.linalg.norm(by_pixel, axis=1)
 

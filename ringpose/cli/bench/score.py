@@ -215,10 +215,10 @@ def _answers(
     shots: Path, truths: "list[Truth]", rig: "Rig", methods: list[Method], batch: "Batch", quiet: bool
 ) -> "Iterator[Answer]":
     from ringpose.bench.score import answer_of
-    from ringpose.cli.pose import pose_line
     from ringpose.cli.progress import counted
     from ringpose.detect.pipeline import detect
     from ringpose.files.shots import read_shot
+    from ringpose.pose.record import pose_line
 
     for truth in counted(truths, "shots", quiet):
         with batch.item():

@@ -57,9 +57,9 @@ def _sections(seeds: int, rounds: int) -> "Iterator[GateSection]":
 
 def _pose_stream(shot: "Shot", rig: "Rig") -> str:
     """What `ringpose pose` writes about a shot."""
-    from ringpose.cli.pose import pose_line
     from ringpose.files.poses import pose_record
     from ringpose.files.records import line_of
+    from ringpose.pose.record import pose_line
 
     return line_of(pose_record(pose_line(shot, rig, Method.ML, PoseFrame.CAMERA)))
 

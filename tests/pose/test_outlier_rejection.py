@@ -1,4 +1,4 @@
-"""One thing is wrong: found, named, left out; the rest gives the pose."""
+"""A single outlier is found, named and rejected; the rest gives the pose."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""A light plane that has moved is told from noise."""
+"""A light plane that has moved is distinguished from noise."""
 
 from dataclasses import replace
 

@@ -1,10 +1,10 @@
-"""The derivatives of every residual, against central differences."""
+"""Jacobians of all residuals, against central differences."""
 
 import numpy as np
 import pytest
 
 from ringpose.pose.measurements import measurements_of
-from ringpose.pose.residuals import Prior, RingState, moved, rows_of
+from ringpose.pose.residuals import Prior, RingState, ring_residuals
 from ringpose.types.ring import KnownRadii
 
 STEP = 1e-6
@@ -26,29 +26,26 @@ def some_state(scene, rng):
     return RingState(plane, outward / np.linalg.norm(outward), 0.002, 1.4, 0.033)
 
 
-def unscaled(rows, points):
+def unscaled(residuals, points):
     """The rows in units that do not change with the state: the noise of a break point's distance does."""
-    residual = rows.residual.copy()
-    residual[rows.ends : rows.ends + points] /= rows.along_scale
-    return residual[: rows.ends + points]
+    residual = residuals.residual.copy()
+    residual[residuals.ends : residuals.ends + points] /= residuals.distance_scale
+    return residual[: residuals.ends + points]
 
 
 @pytest.mark.parametrize("parameter", range(7))
 def test_rows_of_stripes_and_points_have_the_derivatives_of_central_differences(measured, rng, parameter):
     scene, shot = measured
     state, count = some_state(scene, rng), len(shot.points.x)
-    rows = rows_of(state, shot, shot.sighted(scene.rig.lasers), Prior())
+    observations, step = shot.observations(scene.rig.lasers), STEP * np.eye(7)[parameter]
+    residuals = ring_residuals(state, shot, observations, Prior())
 
     forward, backward = (
-        unscaled(
-            rows_of(moved(state, sign * STEP * np.eye(7)[parameter]), shot, shot.sighted(scene.rig.lasers), Prior()),
-            count,
-        )
-        for sign in (1, -1)
+        unscaled(ring_residuals(state.retract(sign * step), shot, observations, Prior()), count) for sign in (1, -1)
     )
 
-    derivative = rows.by_state[: len(forward), parameter].copy()
-    derivative[rows.ends :] /= rows.along_scale
+    derivative = residuals.jacobian[: len(forward), parameter].copy()
+    derivative[residuals.ends :] /= residuals.distance_scale
     scale = max(1e-3, np.abs(derivative).max())
     np.testing.assert_allclose(derivative / scale, (forward - backward) / (2 * STEP) / scale, rtol=0, atol=1e-6)
 
@@ -56,14 +53,14 @@ def test_rows_of_stripes_and_points_have_the_derivatives_of_central_differences(
 @pytest.mark.parametrize("parameter", range(7))
 def test_known_radii_have_the_derivatives_of_central_differences(measured, rng, parameter):
     scene, shot = measured
-    state, before = some_state(scene, rng), Prior(RADII)
-    rows = rows_of(state, shot, shot.sighted(scene.rig.lasers), before)
+    state, prior = some_state(scene, rng), Prior(RADII)
+    residuals = ring_residuals(state, shot, shot.observations(scene.rig.lasers), prior)
 
     forward, backward = (
-        rows_of(
-            moved(state, sign * STEP * np.eye(7)[parameter]), shot, shot.sighted(scene.rig.lasers), before
+        ring_residuals(
+            state.retract(sign * STEP * np.eye(7)[parameter]), shot, shot.observations(scene.rig.lasers), prior
         ).residual[-2:]
         for sign in (1, -1)
     )
 
-    np.testing.assert_allclose(rows.by_state[-2:, parameter], (forward - backward) / (2 * STEP), rtol=0, atol=1e-4)
+    np.testing.assert_allclose(residuals.jacobian[-2:, parameter], (forward - backward) / (2 * STEP), rtol=0, atol=1e-4)

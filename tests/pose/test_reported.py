@@ -1,4 +1,4 @@
-"""What of a fit is told: nothing that is not determined, and a warning where no Gaussian tells it."""
+"""Undetermined quantities are not reported, and those that are not Gaussian are flagged."""
 
 from dataclasses import replace
 

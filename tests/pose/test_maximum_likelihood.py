@@ -1,4 +1,4 @@
-"""Method `ml`: exact without noise, at the bound with it, true to its covariance, whole or in part."""
+"""Method `ml`: exact without noise, efficient and consistent with it, for complete and partial data."""
 
 from dataclasses import replace
 

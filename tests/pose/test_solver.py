@@ -1,4 +1,4 @@
-"""The search for the most likely ring ends where the robust cost is least, and in no case in an exception."""
+"""Gauss-Newton ends at the minimum of the robust cost, and never in an exception."""
 
 from dataclasses import replace
 
@@ -8,8 +8,8 @@ import pytest
 from ringpose.pose.measurements import measurements_of
 from ringpose.pose.nuisance import rig_errors
 from ringpose.pose.pipeline import estimate_pose
-from ringpose.pose.residuals import Prior, moved, rows_of
-from ringpose.pose.solver import HUBER_SIGMAS, fitted, starting_state
+from ringpose.pose.residuals import Prior, ring_residuals
+from ringpose.pose.solver import HUBER_SIGMAS, estimate_ring, initial_guess
 from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.pose import NoPose, RingPose
 from ringpose.types.ring import KnownRadii
@@ -45,20 +45,23 @@ def huber_cost(residual, weight):
 def test_the_search_ends_where_the_robust_cost_is_least(noisy, calibrated, radii):
     rig, measured = noisy
     rig = with_covariance(rig) if calibrated else rig
-    sighted, before = measured.sighted(rig.lasers), Prior(radii)
+    observations, prior = measured.observations(rig.lasers), Prior(radii)
 
-    fit = fitted(measured, rig, before, rig_errors(rig))
+    estimate = estimate_ring(measured, rig, prior, rig_errors(rig))
 
     def cost(step):
-        rows = rows_of(moved(fit.state, step), measured, sighted, before)
-        residual = rows.residual.copy()  # a break point's noise, in metres along its circle, is that at the solution
-        residual[rows.ends : rows.ends + len(rows.by_x)] *= fit.rows.along_scale / rows.along_scale
-        if fit.by_rig is None:
-            return huber_cost(residual, fit.weight)
-        return huber_cost(residual + fit.by_rig @ fit.rig_step, fit.weight) + fit.rig_step @ fit.rig_step
+        residuals = ring_residuals(estimate.state.retract(step), measured, observations, prior)
+        residual = residuals.residual.copy()
+        points = slice(residuals.ends, residuals.ends + len(residuals.distance_wrt_x))
+        # in metres along its circle, the noise of a break point is that at the solution
+        residual[points] *= estimate.residuals.distance_scale / residuals.distance_scale
+        if estimate.nuisance is None:
+            return huber_cost(residual, estimate.weights)
+        errors = estimate.nuisance_step
+        return huber_cost(residual + estimate.nuisance.residual @ errors, estimate.weights) + errors @ errors
 
-    assert fit.weight.min() < 1.0
-    variance, axes = np.linalg.eigh(fit.inverse)
+    assert estimate.weights.min() < 1.0
+    variance, axes = np.linalg.eigh(estimate.inverse)
     least = cost(np.zeros(7))
     for sd, axis in zip(np.sqrt(variance), axes.T, strict=True):
         up, down = (cost(sign * 0.3 * sd * axis) - least for sign in (1, -1))
@@ -74,7 +77,7 @@ def test_the_search_begins_on_the_rings_plane_and_with_out_on_the_right_side(sce
     if not ends_seen:
         measured = replace(measured, points=replace(measured.points, x=measured.points.middle_x.copy()))
 
-    start = starting_state(measured, measured.sighted(scene.rig.lasers), Prior())
+    start = initial_guess(measured, measured.observations(scene.rig.lasers), Prior())
 
     np.testing.assert_allclose(start.normal, scene.ring.normal, atol=1e-3)
     assert 1 / np.linalg.norm(start.plane) == pytest.approx(-scene.ring.normal @ scene.ring.center_m, rel=1e-3)
@@ -84,10 +87,10 @@ def test_the_search_begins_on_the_rings_plane_and_with_out_on_the_right_side(sce
 
 def test_a_plane_behind_the_camera_is_no_start(noisy):
     rig, measured = noisy
-    sighted = measured.sighted(rig.lasers)
-    behind = sighted._replace(light=sighted.light * [1.0, 1.0, 1.0, -1.0])
+    observations = measured.observations(rig.lasers)
+    behind = observations._replace(light_distance_m=-observations.light_distance_m)
 
-    assert starting_state(measured, behind, Prior()) is None
+    assert initial_guess(measured, behind, Prior()) is None
 
 
 def test_points_at_the_end_of_the_world_are_left_out_or_no_ring(scene_of, face_points):

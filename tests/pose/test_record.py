@@ -1,0 +1,61 @@
+"""From a shot or a detection to its pose line, and what is reported about it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drawn_scene import DrawnScene, draw_shot, drawn_rig
+
+from ringpose.detect.pipeline import detect
+from ringpose.pose.drift import SHOTS_NEEDED, DriftMonitor
+from ringpose.pose.record import pose_line, remarks_on
+from ringpose.types.options import Method
+from ringpose.types.pose import PoseFlag
+
+
+@pytest.fixture(scope="module")
+def shot():
+    return draw_shot(DrawnScene(), drawn_rig(), [0, 1, 2, 4], np.random.default_rng(1))
+
+
+def test_a_shot_and_its_detection_give_the_same_pose_line(shot):
+    rig = drawn_rig()
+
+    of_shot, of_detection = pose_line(shot, rig), pose_line(detect(shot, rig), rig)
+
+    np.testing.assert_array_equal(of_shot.pose.center_m, of_detection.pose.center_m)
+    assert of_shot.latency_s > 0
+    assert (of_shot.shot, of_shot.stamp_s, of_shot.flags) == (shot.name, of_detection.stamp_s, of_detection.flags)
+
+
+def test_a_dark_shot_gives_a_line_with_the_reason(shot):
+    line = pose_line(replace(shot, images=np.zeros_like(shot.images)), drawn_rig())
+
+    assert line.pose is None
+    assert line.status == "none"
+    assert remarks_on(line) == line.reason
+
+
+def test_a_weak_center_is_remarked_with_the_measurement_that_would_help(shot):
+    line = pose_line(shot, drawn_rig())
+    weak = replace(line, pose=replace(line.pose, flags=PoseFlag.CENTER_WEAK))
+
+    assert "the centre is known to" in remarks_on(weak)
+
+
+def test_a_drift_is_warned_of_once(shot):
+    rig = drawn_rig()
+    line = pose_line(shot, rig)
+    contradicted = replace(line, pose=replace(line.pose, plane_evidence=None))
+    monitor = DriftMonitor(rig.lasers.names, Method.ML)
+
+    warnings = [monitor.update(contradicted)[1] for _ in range(2 * int(SHOTS_NEEDED))]
+
+    assert sum(warning is not None for warning in warnings) == 1
+
+
+def test_every_line_of_a_stream_has_the_health_of_each_laser(shot):
+    rig = drawn_rig()
+    line, _ = DriftMonitor(rig.lasers.names, Method.ML).update(pose_line(shot, rig))
+
+    assert set(line.laser_health) == set(rig.lasers.names)
