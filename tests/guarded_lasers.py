@@ -1,8 +1,8 @@
-"""Relays behind a guard, as the command makes them of a URI."""
+"""Relays behind a watchdog, as the command makes them of a URI."""
 
 import time
 
-from ringpose.capture.lasers.driver import LaserPlace
+from ringpose.capture.lasers.driver import LaserContext
 from ringpose.capture.lasers.watchdog import WatchdogLasers
 from ringpose.capture.uri import LASERS, device_uri, driver
 
@@ -10,7 +10,7 @@ from ringpose.capture.uri import LASERS, device_uri, driver
 def lasers_at(uri: str) -> WatchdogLasers:
     """As the command makes them."""
     parts = device_uri(uri, "--lasers", LASERS)
-    made = driver(LASERS, parts.scheme)(parts, LaserPlace())
+    made = driver(LASERS, parts.scheme)(parts, LaserContext())
     assert isinstance(made, WatchdogLasers)
     return made
 

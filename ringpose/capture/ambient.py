@@ -1,8 +1,8 @@
 """Ambient light that changes between the frames of one shot.
 
-Lasers draw lines, motion displaces edges and noise has no extent: none of them moves the median, over a block of
-pixels much wider than a line, of the difference between two frames. A lamp that goes on or off moves it in many
-blocks, and in all of them the same way.
+The image is divided into blocks much wider than a laser line, and the median of the difference between two frames is
+taken in each. Laser lines, displaced edges and noise do not change this median. A lamp that goes on or off changes it
+in many blocks, with the same sign in all of them.
 """
 
 from collections.abc import Mapping
@@ -19,28 +19,28 @@ BLOCKS = 8
 """Blocks along each side of an image."""
 
 MIN_BLOCK_PX = 12
-"""In smaller blocks a line may cover half of the pixels."""
+"""Minimum side of a block: in a smaller one, a line may cover half of the pixels."""
 
 SAMPLES = 24
-"""Pixels along each side of a block whose differences are taken, at least half of that."""
+"""Target for the number of pixels sampled along each side of a block."""
 
 MIN_SHARE_OF_IMAGE = 0.1
-"""Share of the blocks that a change of ambient light reaches at least,"""
+"""Minimum share of the blocks that a change of ambient light reaches,"""
 
 MIN_SHARE_OF_FULL = 0.02
-"""by this share of the full grey value, the same as for a place that a laser lights,"""
+"""minimum size of the change, as a share of the full grey value (the same as for a pixel lit by a laser),"""
 
 LOST_SHARE_OF_FULL = 0.05
-"""A shot is of no use from this change on; from the lesser one on if its lasers are not seen as they were switched."""
+"""A change above this share makes a shot useless; if its lasers are not seen as commanded, any change does."""
 
 MIN_SIGMAS = 6.0
-"""and by so many standard deviations of a block's median."""
+"""and in standard deviations of a block's median."""
 
 MAX_OPPOSITE = 0.5
-"""Motion brightens some blocks and darkens others; of a lamp's change the opposite one has less than this share."""
+"""Maximum ratio of the change of opposite sign: motion brightens some blocks and darkens others, a lamp does not."""
 
 MEDIAN_SIGMA = 1.2533 * 1.4826
-"""Standard deviation of the median of n normal differences, times sqrt(n), for each unit of their median deviation."""
+"""sqrt(pi / 2) * 1.4826: sd of the median of n normal samples, times sqrt(n), divided by their MAD."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,17 +48,17 @@ class AmbientChange:
     """The largest change of ambient light in a shot, against its first frame without lasers."""
 
     size_dn: float
-    """Grey value by which at least a tenth of the image became brighter, or darker if it is negative."""
+    """Change of the grey value in at least a tenth of the image; negative if it became darker."""
     share_of_full: float
     """The same as a share of the full grey value."""
     only_with_lasers: bool = False
-    """Whether frames without lasers do not show it, so that it could also be the lasers' own stray light."""
+    """Whether only frames with lasers show it, so that it may also be stray light of the lasers."""
 
 
 def ambient_change(shot: Shot) -> AmbientChange | None:
-    """The change of ambient light within a shot; None if there is none that is beyond noise and lines.
+    """The largest significant change of ambient light within a shot; None if there is none.
 
-    Needs a frame without lasers to compare the others with, and an image of at least 96 x 96 pixels.
+    It can be found only in a shot with a frame without lasers, and in images of at least 96 x 96 pixels.
     """
     dark_frames = np.flatnonzero(shot.lasers == 0)
     if not len(dark_frames) or not _is_large_enough(shot.images):
@@ -77,7 +77,7 @@ def ambient_change(shot: Shot) -> AmbientChange | None:
 
 
 def same_ambient_light(images: UInt[Array, "frame row column"], full_dn: int) -> Bool[Array, "frame frame"]:
-    """Which images were taken in the same ambient light, as far as they are large enough to tell."""
+    """Which pairs of images were taken in the same ambient light; all if the images are too small to compare."""
     same = np.ones((len(images), len(images)), dtype=np.bool_)
     if _is_large_enough(images):
         blocks = _sampled_blocks(images)
@@ -87,7 +87,7 @@ def same_ambient_light(images: UInt[Array, "frame row column"], full_dn: int) ->
 
 
 def lost_attempts_dn(meta: Mapping[str, Any]) -> list[float]:
-    """Of the attempts at a shot that were lost because ambient light changed, each change in grey values."""
+    """The changes in grey value of the attempts at a shot that were lost to changing ambient light."""
     return list(meta.get("attempts_lost", {}).get("ambient_changed", ()))
 
 
@@ -96,7 +96,7 @@ def _is_large_enough(images: UInt[Array, "frame row column"]) -> bool:
 
 
 def _sampled_blocks(images: UInt[Array, "frame row column"]) -> Float32[Array, "frame block pixel"]:
-    """Some of the pixels of each block."""
+    """A regular sample of the pixels of each block."""
     height, width = (side // BLOCKS for side in images.shape[1:])
     step_y, step_x = max(1, height // SAMPLES), max(1, width // SAMPLES)
     cropped = images[:, : BLOCKS * height, : BLOCKS * width]
@@ -106,7 +106,7 @@ def _sampled_blocks(images: UInt[Array, "frame row column"]) -> Float32[Array, "
 
 
 def _broad_change_dn(difference_dn: Float32[Array, "block pixel"], full_dn: int) -> float:
-    """By how much at least a tenth of the blocks became brighter or darker; 0 within noise, or with as many of both."""
+    """The change that at least a tenth of the blocks has; 0 within noise, or if similarly many change the other way."""
     level_dn = np.median(difference_dn, axis=1)
     deviation_dn = np.median(np.abs(difference_dn - level_dn[:, None]), axis=1)
     sigma_dn = MEDIAN_SIGMA * float(np.quantile(deviation_dn, 1 - MIN_SHARE_OF_IMAGE)) / difference_dn.shape[1] ** 0.5

@@ -1,4 +1,4 @@
-"""What is plugged in, by names that stay: nothing is opened, and nothing is sent to a serial port."""
+"""Connected cameras and serial ports, by persistent names; no device is opened and nothing is sent to a port."""
 
 import importlib.util
 from collections.abc import Iterator
@@ -14,21 +14,21 @@ _BY_ID = Path("/dev/serial/by-id")
 
 
 def cameras() -> Iterator[dict[str, Any]]:
-    """Cameras that the installed drivers find, each with its URI."""
+    """Cameras found by the installed drivers, each with its URI."""
     yield from _aravis_cameras()
     yield from _pylon_cameras()
     yield from _video_devices(_VIDEO)
 
 
 def remarks() -> tuple[str, ...]:
-    """What was not looked for, and why."""
+    """What was not searched for, and why."""
     if library() is None:
-        return (f"aravis: no cameras are looked for: libaravis is not installed; apt install {PACKAGE}",)
+        return (f"aravis: no search for cameras: libaravis is not installed; apt install {PACKAGE}",)
     return ()
 
 
 def serial_ports() -> Iterator[dict[str, Any]]:
-    """Serial ports of USB devices; what hangs on them only the user knows."""
+    """Serial ports of USB devices; the connected board cannot be detected without sending to it."""
     from serial.tools import list_ports
 
     names = _stable_names(_BY_ID)
@@ -45,7 +45,7 @@ def serial_ports() -> Iterator[dict[str, Any]]:
 
 
 def _stable_names(by_id: Path) -> dict[str, str]:
-    """Names that do not depend on the order of plugging in."""
+    """Persistent names by device name; they do not depend on the order of plugging in."""
     links = sorted(by_id.iterdir()) if by_id.is_dir() else []
     return {str(link.resolve()): str(link) for link in links}
 
@@ -56,7 +56,7 @@ def _aravis_cameras() -> Iterator[dict[str, Any]]:
         return
     aravis.arv_update_device_list()
     for number in range(aravis.arv_get_n_devices()):
-        said = {
+        properties = {
             "uri": f"aravis:{_text(aravis.arv_get_device_id(number))}",
             "address": _text(aravis.arv_get_device_address(number)),
             "vendor": _text(aravis.arv_get_device_vendor(number)),
@@ -64,7 +64,7 @@ def _aravis_cameras() -> Iterator[dict[str, Any]]:
             "serial": _text(aravis.arv_get_device_serial_nbr(number)),
             "protocol": _text(aravis.arv_get_device_protocol(number)),
         }
-        yield {"kind": "camera", **{key: value for key, value in said.items() if value}}
+        yield {"kind": "camera", **{key: value for key, value in properties.items() if value}}
 
 
 def _pylon_cameras() -> Iterator[dict[str, Any]]:

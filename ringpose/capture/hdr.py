@@ -1,10 +1,10 @@
-"""Frames of several exposures -> frames on one scale, several of the same lasers merged into one of high dynamic range.
+"""Exposure brackets -> one frame of high dynamic range for each group of exposures, all frames on one scale.
 
-A pixel collects `black + rate * exposure`. Of the exposures in which it is not full, each gives its rate with the
-variance `(dark + gain * signal) / exposure^2` (EMVA 1288); merged is their mean, weighted by the inverse of these.
-The black level is estimated from the brackets, because a wrong one would be a step where the longest exposure is full.
-Dark noise and gain are constants: the optimum is flat, and for true gains of a quarter to twice as much and dark noise
-of 0.4 to 3.2 of 255 grey values the variance of the mean is at most 9 % larger than with the sensor's own.
+The grey value of a pixel is `black + rate * exposure`. Each exposure that is not saturated gives an estimate of the
+rate with the variance `(dark + gain * signal) / exposure^2` (EMVA 1288); the result is their inverse-variance weighted
+mean. The black level is estimated from the brackets, because a wrong one would cause a step where the longest exposure
+saturates. Dark noise and gain are constants, because the optimum is flat: for true gains of a quarter to twice the
+constant and dark noise of 0.4 to 3.2 of 255 grey values, the variance is at most 9 % above that with the true values.
 """
 
 from collections.abc import Sequence
@@ -16,29 +16,29 @@ from ringpose.types.arrays import Array, Bool, Float32, UInt, UInt16
 from ringpose.types.image import Shot, shot_with_frames
 
 FULL_SHARE = 0.98
-"""From this share of the full grey value on a pixel counts as full: its response bends below the last code."""
+"""Share of the full grey value from which a pixel counts as saturated: its response is not linear above."""
 
 MAX_DN = 65000
-"""Grey value of pixels that are full in every exposure."""
+"""Upper limit for the grey value of pixels that are saturated in every exposure."""
 
 FULL_WELL_E, DARK_NOISE_E = 10_000.0, 40.0
-"""Electrons that fill a pixel, and the standard deviation of a dark one's: between common sensors and noisy ones."""
+"""Full-well capacity and dark noise in electrons, between those of common and of noisy sensors."""
 
 ROUNDING_DN2 = 1 / 12
-"""Variance of rounding to whole grey values."""
+"""Quantisation variance of whole grey values."""
 
 PEDESTAL_SHARE = 1 / 32
-"""Of the full grey value, what is added to dark pixels, so that their noise is not cut off at zero."""
+"""Offset as a share of the full grey value, so that the noise of dark pixels is not cut off at zero."""
 
 MIN_PIXELS = 100
-"""Not full in either exposure, from which the black level is estimated."""
+"""Minimum number of unsaturated pixels to estimate the black level from."""
 
 THINNED = 3
-"""Every so many-th row and column is used for it."""
+"""The black level is estimated from every THINNED-th row and column."""
 
 
-def exposed_groups(masks: Sequence[int], exposures_s: Sequence[float]) -> tuple[tuple[int, ...], ...]:
-    """Frames that belong together: neighbours of the same lasers, each with an exposure of its own."""
+def exposure_groups(masks: Sequence[int], exposures_s: Sequence[float]) -> tuple[tuple[int, ...], ...]:
+    """Frames to merge: consecutive ones of the same lasers with different exposures."""
     groups: list[list[int]] = []
     for frame, mask in enumerate(masks):
         last = groups[-1] if groups else []
@@ -50,15 +50,15 @@ def exposed_groups(masks: Sequence[int], exposures_s: Sequence[float]) -> tuple[
 
 
 def merged_brackets(shot: Shot) -> Shot:
-    """The shot with all its frames on the scale of its longest exposure, one for each group of exposures.
+    """The shot with one frame for each group of exposures, all on the scale of its longest exposure.
 
-    A shot of one exposure stays as it is. Grey values become 16-bit ones, `pedestal_dn + rate * scale_s`; a pixel that
-    is full wherever it was exposed has the value `saturation_dn`.
+    A shot of one exposure is returned unchanged. Grey values become 16-bit ones, `pedestal_dn + rate * scale_s`; a
+    pixel that is saturated in every exposure has the value `saturation_dn`.
     """
     exposures_s = shot.exposure_s.tolist()
     if len(set(exposures_s)) == 1:
         return shot
-    groups = exposed_groups(shot.lasers.tolist(), exposures_s)
+    groups = exposure_groups(shot.lasers.tolist(), exposures_s)
     longest = np.array([max(group, key=lambda frame: exposures_s[frame]) for group in groups])
     full_dn, black_dn = FULL_SHARE * shot.saturation_dn, black_level_dn(shot, max(groups, key=len))
     max_rate = (full_dn - black_dn) / min(exposures_s)
@@ -67,9 +67,9 @@ def merged_brackets(shot: Shot) -> Shot:
     top_dn = int(max_rate * scale_s)
     images = np.zeros((len(groups), *shot.images.shape[1:]), dtype=np.uint16)
     for image, group in zip(images, groups, strict=True):
-        rate, never = _mean_rate(shot, group, black_dn)
+        rate, is_unknown = _mean_rate(shot, group, black_dn)
         image[:] = np.rint((pedestal_dn + rate * np.float32(scale_s)).clip(0, top_dn))
-        image[never] = top_dn
+        image[is_unknown] = top_dn
     merged = {
         "exposures_s": [[exposures_s[frame] for frame in group] for group in groups],
         "scale_s": scale_s,
@@ -82,9 +82,9 @@ def merged_brackets(shot: Shot) -> Shot:
 
 
 def black_level_dn(shot: Shot, group: Sequence[int]) -> float:
-    """From the shortest and the longest exposure of a group: the grey value at which they give the same rate.
+    """The black level with which the shortest and the longest exposure of a group give the same rate.
 
-    The mean over pixels without the 2 % at either end, where something moved; 0 if too few pixels are not full.
+    It is the mean over pixels without the 2 % at either end, where something moved; 0 with too few unsaturated pixels.
     """
     short, long = (chosen(group, key=lambda frame: shot.exposure_s[frame]) for chosen in (min, max))
     dim, bright = shot.images[short, ::THINNED, ::THINNED], shot.images[long, ::THINNED, ::THINNED]
@@ -100,7 +100,7 @@ def black_level_dn(shot: Shot, group: Sequence[int]) -> float:
 def _mean_rate(
     shot: Shot, group: Sequence[int], black_dn: float
 ) -> tuple[Float32[Array, "row column"], Bool[Array, "row column"]]:
-    """Grey values a second, and where they are unknown: pixels that are full in every exposure of the group."""
+    """Grey values per second, and where they are unknown because every exposure of the group is saturated."""
     frames = [(shot.images[frame], np.float32(shot.exposure_s[frame])) for frame in group]
     usable = [image < FULL_SHARE * shot.saturation_dn for image, _ in frames]
     rates = [(image - np.float32(black_dn)) / exposure_s for image, exposure_s in frames]
@@ -117,8 +117,8 @@ def _mean_rate(
     return mean(weights), ~np.logical_or.reduce(usable)
 
 
-def on_the_scale_of(image: UInt[Array, "row column"], exposure_s: float, shot: Shot) -> UInt[Array, "row column"]:
-    """A frame as taken, with the grey values that a merged shot has; as it is beside one that was not merged."""
+def scaled_like(image: UInt[Array, "row column"], exposure_s: float, shot: Shot) -> UInt[Array, "row column"]:
+    """A raw frame on the grey-value scale of a merged shot; unchanged if the shot was not merged."""
     merged = shot.meta.get("merged")
     if merged is None:
         return image

@@ -1,7 +1,4 @@
-"""Shots taken in the background, of which the newest counts: who is late misses some instead of falling behind.
-
-When the next shot is due.
-"""
+"""Background acquisition with a one-element queue (a slow consumer skips shots), and pacing of shots."""
 
 import threading
 import time
@@ -17,19 +14,19 @@ from ringpose.types.image import Shot
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LiveShot:
-    """A shot, and what is to be known of how it came."""
+    """A shot with its acquisition data."""
 
     shot: Shot
     dropped: int
-    """Shots that were taken after the one before and that nobody saw, or that changing ambient light spoiled."""
+    """Number of shots since the previous one that were skipped, or lost to changing ambient light."""
     taken_s: float
-    """When it was complete (`time.perf_counter`)."""
+    """Time of its completion (`time.perf_counter`)."""
 
 
 class NewestShots:
-    """Takes shots in a thread while the block lasts, and hands out the newest; at most one waits.
+    """Takes shots in a thread while the `with` block lasts, and yields the newest one; at most one waits.
 
-    What goes wrong while shots are taken is raised where they are handed out.
+    Exceptions of that thread are raised where the shots are consumed.
     """
 
     def __init__(self, shots: Iterator[Shot], abort: Callable[[], None] | None = None) -> None:
@@ -44,19 +41,19 @@ class NewestShots:
 
     def __enter__(self) -> Iterator[LiveShot]:
         self._thread.start()
-        return self._handed_out()
+        return self._live_shots()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Break off the shot that is being taken, if `abort` can; otherwise let it come to its end."""
+        """End the thread; `abort`, if given, interrupts the shot that is being taken."""
         with self._changed:
             was_taking, self._ended = not self._ended, True
         if was_taking and self._abort is not None:
             self._abort()
         self._thread.join()
 
-    def _handed_out(self) -> Iterator[LiveShot]:
+    def _live_shots(self) -> Iterator[LiveShot]:
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._waiting is not None or self._ended)
@@ -74,7 +71,7 @@ class NewestShots:
                 if shot is None:
                     break
                 self._put(shot)
-        except BaseException as failure:  # raised again where the shots are wanted
+        except BaseException as failure:  # raised again where the shots are consumed
             self._failure = failure
         finally:
             with self._changed:
@@ -83,8 +80,8 @@ class NewestShots:
 
     def _put(self, shot: Shot) -> None:
         with self._changed:
-            unseen = self._dropped + 1 if self._waiting is not None else 0
-            self._dropped = unseen + len(lost_attempts_dn(shot.meta))
+            skipped = self._dropped + 1 if self._waiting is not None else 0
+            self._dropped = skipped + len(lost_attempts_dn(shot.meta))
             self._waiting = LiveShot(shot=shot, dropped=self._dropped, taken_s=perf_counter())
             self._changed.notify()
 
@@ -98,9 +95,9 @@ def paced(
     duration_s: float | None = None,
     wait: Callable[[float], None] | None = None,
 ) -> Iterator[Item]:
-    """The items, none before its time: item k not before k / rate after the first; a late one delays no other.
+    """Yields item k not before k / rate_hz after the first one; a late item does not delay later ones.
 
-    Without a rate they come as they are asked for. None comes later than `duration_s` after the first.
+    Without a rate, items are yielded without waiting. The last one comes at most `duration_s` after the first.
     """
     began_s: float | None = None
     for number, item in enumerate(items):

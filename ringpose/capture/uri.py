@@ -1,9 +1,7 @@
-"""Devices by name: `files:shots`, `sim:scene.yaml`, `aravis://192.168.0.5?format=Mono12`, `lcus:/dev/ttyUSB0?ch=1,2,3`.
+"""Device URIs, such as `aravis://192.168.0.5?format=Mono12` or `lcus:/dev/ttyUSB0?ch=1,2,3`, and their drivers.
 
-Which schemes there are, entry points say: the groups `ringpose.cameras` and `ringpose.lasers`, each entry named by its
-scheme. An installed package may add its own; nothing is imported before it is asked for by name.
-
-What every device has in common.
+Drivers are registered as entry points of the groups `ringpose.cameras` and `ringpose.lasers`, named by their scheme;
+an installed package can add its own. A driver is imported only when a URI uses it. `Device` is what all drivers share.
 """
 
 import difflib
@@ -24,23 +22,23 @@ LASERS = "ringpose.lasers"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeviceUri:
-    """A device's URI in its parts: `scheme:place?key=value&key=value`."""
+    """The parts of a device URI: `scheme:address?key=value&key=value`."""
 
     text: str
     """As the user wrote it."""
     option: str
-    """The option that it was given with."""
+    """The command-line option, for messages."""
     scheme: str
-    place: str
-    """Between the colon (and slashes) and the question mark."""
+    address: str
+    """The part between the colon (and slashes) and the question mark."""
     parameters: Mapping[str, str]
 
     def problem(self, found: str, remedy: str = "") -> UsageError:
-        """What is wrong with it, for the user."""
+        """The error to raise for this URI."""
         return UsageError(f"{self.option} {self.text}", found, remedy)
 
-    def refuse_unknown(self, known: Sequence[str]) -> None:
-        """Only these parameters may be given."""
+    def reject_unknown(self, known: Sequence[str]) -> None:
+        """Reject all parameters but these."""
         for key in self.parameters:
             if key not in known:
                 near = difflib.get_close_matches(key, known, n=1)
@@ -48,7 +46,7 @@ class DeviceUri:
                 raise self.problem(f'has no parameter "{key}"', remedy)
 
     def number(
-        self, key: str, default: int | float, least: int | float = -math.inf, most: int | float = math.inf
+        self, key: str, default: int | float, minimum: int | float = -math.inf, maximum: int | float = math.inf
     ) -> float:
         """A parameter that is a number within these bounds."""
         try:
@@ -57,42 +55,43 @@ class DeviceUri:
             value = math.nan
         if not math.isfinite(value):
             raise self.problem(f'{key} is "{self.parameters[key]}", must be a number')
-        if not least <= value <= most:
-            raise self.problem(f'{key} is "{self.parameters[key]}"', f"it takes {least:.15g} to {most:.15g}")
+        if not minimum <= value <= maximum:
+            raise self.problem(f'{key} is "{self.parameters[key]}"', f"it takes {minimum:.15g} to {maximum:.15g}")
         return value
 
-    def whole(self, key: str, default: int, most: int, least: int = 0) -> int:
-        """A parameter that counts something."""
-        value = self.number(key, default, least, most)
+    def whole(self, key: str, default: int, maximum: int, minimum: int = 0) -> int:
+        """A parameter that is an integer within these bounds."""
+        value = self.number(key, default, minimum, maximum)
         if not value.is_integer():
             raise self.problem(f'{key} is "{self.parameters[key]}", must be a whole number')
         return int(value)
 
 
 def schemes(group: str) -> tuple[str, ...]:
-    """The names under which drivers are registered."""
+    """The schemes for which drivers are registered."""
     return tuple(sorted({entry.name for entry in entry_points(group=group)}))
 
 
 def driver(group: str, scheme: str) -> Any:
-    """What is registered under a name, imported now: it makes a driver of a `DeviceUri`."""
+    """The registered factory of a scheme, imported now: it makes a driver from a `DeviceUri`."""
     return next(iter(entry_points(group=group, name=scheme))).load()
 
 
 def device_uri(text: str, option: str, group: str) -> DeviceUri:
-    """The URI in its parts; its scheme must be one of those registered."""
+    """The parts of a URI; its scheme must be registered."""
     scheme, rest = scheme_and_rest(text, option, schemes(group))
-    place, _, query = rest.removeprefix("//").partition("?")
+    address, _, query = rest.removeprefix("//").partition("?")
     pairs = parse_qsl(query, keep_blank_values=True)
-    uri = DeviceUri(text=text, option=option, scheme=scheme, place=place, parameters=dict(pairs))
-    twice = next((key for key in uri.parameters if [each for each, _ in pairs].count(key) > 1), None)
+    uri = DeviceUri(text=text, option=option, scheme=scheme, address=address, parameters=dict(pairs))
+    keys = [key for key, _ in pairs]
+    twice = next((key for key in keys if keys.count(key) > 1), None)
     if twice is not None:
         raise uri.problem(f"gives {twice}= twice")
     return uri
 
 
 def scheme_and_rest(uri: str, option: str, schemes: Sequence[str]) -> tuple[str, str]:
-    """What stands before and after the first colon; the scheme must be one of those known."""
+    """The parts before and after the first colon; the scheme must be one of `schemes`."""
     scheme, colon, rest = uri.partition(":")
     if not colon or scheme not in schemes:
         near = difflib.get_close_matches(scheme, schemes, n=1)
@@ -104,13 +103,13 @@ def scheme_and_rest(uri: str, option: str, schemes: Sequence[str]) -> tuple[str,
 
 @runtime_checkable
 class Device(Protocol):
-    """Something that is taken and let go of; a driver derives from this and gains the `with` block that ends closed."""
+    """A device that is opened and closed; a driver that derives from this is a context manager."""
 
     def open(self) -> None:
-        """Take the device; a `DeviceError` says what is in the way."""
+        """Open the device; raises `DeviceError` if that fails."""
 
     def close(self) -> None:
-        """Let go of the device; closing twice does nothing."""
+        """Close the device; closing it twice does nothing."""
 
     def __enter__(self) -> None:
         try:

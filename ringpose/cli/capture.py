@@ -1,4 +1,4 @@
-"""`ringpose capture`: devices or recordings -> a session folder, its shots' names on stdout."""
+"""`ringpose capture`: devices or recordings -> a session folder; the names of the shots go to stdout."""
 
 from contextlib import ExitStack
 from pathlib import Path
@@ -12,7 +12,7 @@ from ringpose.cli.device_options import AllowUnseen, Count, Duration, Exposure, 
 from ringpose.cli.options import ImageChannel, OptionalRigFile, Quiet, Verbose
 
 if TYPE_CHECKING:
-    from ringpose.cli.acquisition import Source
+    from ringpose.capture.source import Source
     from ringpose.cli.batch import Batch
     from ringpose.files.sessions import Existing, SessionWriter
 
@@ -54,13 +54,14 @@ def capture(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Take shots into a session folder: one frame for each step of the sequence, all lasers off in the end."""
-    from ringpose.cli.acquisition import CaptureRequest, source_of
+    """Take shots into a session folder: one frame for each step of the sequence; all lasers are off at the end."""
+    from ringpose.capture.source import CaptureRequest
+    from ringpose.cli.acquisition import source_of
     from ringpose.cli.batch import Batch
     from ringpose.errors import UsageError
     from ringpose.files.sessions import SessionWriter, folder_of_now
 
-    wanted = CaptureRequest(
+    request = CaptureRequest(
         camera=camera,
         lasers=lasers,
         steps=sequence,
@@ -75,11 +76,11 @@ def capture(
     )
     existing, batch = _existing(force, append), Batch()
     if test:
-        check_devices(wanted, batch)
-    source = source_of(wanted, batch)
+        check_devices(request, batch)
+    source = source_of(request, batch)
     folder = output or folder_of_now()
     if str(folder) == "-":
-        raise UsageError("--output", "a session is a folder, not a stream", "name a folder; its shots' names stream")
+        raise UsageError("--output", "a session is a folder, not a stream", "name a folder")
     if folder.resolve() in source.folders:
         raise UsageError("--output", f"{folder} is where the shots are read from", "choose another folder")
     _take(source, SessionWriter(folder, source.capture, existing), batch, verbose, quiet)
@@ -103,7 +104,7 @@ def _existing(force: bool, append: bool) -> "Existing":
 
 
 def _take(source: "Source", writer: "SessionWriter", batch: "Batch", verbose: bool, quiet: bool) -> None:
-    """Every shot as it comes; its name goes out when its file is whole."""
+    """Write each shot when it is taken, and its name to stdout when its file is complete."""
     from ringpose.capture.ambient import lost_attempts_dn
     from ringpose.cli import messages
     from ringpose.cli.progress import counted
@@ -126,10 +127,10 @@ def _take(source: "Source", writer: "SessionWriter", batch: "Batch", verbose: bo
 
 
 def _report_lost(lost_dn: list[float]) -> None:
-    """How many shots had to be taken again."""
+    """Report the number of shots that were repeated because ambient light changed."""
     from ringpose.cli import messages
 
     if lost_dn:
         shots = "1 shot was" if len(lost_dn) == 1 else f"{len(lost_dn)} shots were"
         size = f"by up to {max(map(abs, lost_dn)):.0f} dn"
-        messages.say(f"ambient light: {shots} lost and taken again: it changed within them {size}")
+        messages.say(f"ambient light: {shots} lost and repeated: it changed within them {size}")

@@ -1,4 +1,4 @@
-"""`ringpose capture --list` and `ringpose capture --test`: what is there, and whether it works."""
+"""`ringpose capture --list` and `ringpose capture --test`: list the devices, and test them."""
 
 from typing import TYPE_CHECKING
 
@@ -7,51 +7,42 @@ import typer
 from ringpose.errors import NO_POSE, UsageError
 
 if TYPE_CHECKING:
-    from ringpose.cli.acquisition import CaptureRequest
+    from ringpose.capture.source import CaptureRequest
     from ringpose.cli.batch import Batch
 
 
-def list_devices(wanted: bool) -> bool:
-    """One record a camera and a serial port on stdout; ends the command."""
-    if not wanted:
-        return wanted
+def list_devices(is_requested: bool) -> bool:
+    """Write one record for each camera and serial port to stdout; ends the command."""
+    if not is_requested:
+        return is_requested
 
-    from ringpose.capture import device_discovery as inventory
+    from ringpose.capture import device_discovery
     from ringpose.cli import messages
     from ringpose.files import records
 
-    for line in inventory.remarks():
+    for line in device_discovery.remarks():
         messages.say(line)
-    for found in (*inventory.cameras(), *inventory.serial_ports()):
+    for found in (*device_discovery.cameras(), *device_discovery.serial_ports()):
         records.write(found)
     raise typer.Exit
 
 
-def check_devices(wanted: "CaptureRequest", batch: "Batch") -> None:
-    """One record a finding on stdout, the verdict last; ends the command."""
-    from contextlib import ExitStack
+def check_devices(request: "CaptureRequest", batch: "Batch") -> None:
+    """Write one record for each check to stdout, the overall verdict last; ends the command."""
     from dataclasses import asdict
 
-    from ringpose.capture.cameras.driver import CameraDriver
-    from ringpose.capture.lasers.driver import LaserDriver
-    from ringpose.capture.self_test import dry_run
+    from ringpose.capture.self_test import opened_devices, run_self_test, summary
     from ringpose.cli.acquisition import source_of
     from ringpose.files import records
 
-    devices = source_of(wanted, batch).devices
-    if len(devices) != 2:
+    source = source_of(request, batch)
+    if not source.devices:
         raise UsageError("--test", "what is recorded cannot be tested", "give --camera and --lasers of devices")
-    verdicts = []
-    with ExitStack() as stack:
-        for device in devices:
-            stack.enter_context(device)
-        camera, lasers = devices
-        if not isinstance(camera, CameraDriver) or not isinstance(lasers, LaserDriver):
-            raise TypeError("devices are a camera and its lasers")
-        for finding in dry_run(camera, lasers, wanted.exposure_s):
-            verdicts.append(finding.verdict)
-            records.write({key: value for key, value in asdict(finding).items() if value})
-    worst = next(verdict for verdict in ("fault", "warning", "ok") if verdict in verdicts)
-    counts = ", ".join(f"{verdicts.count(verdict)} {verdict}" for verdict in ("ok", "warning", "fault"))
-    records.write({"check": "verdict", "verdict": worst, "found": counts})
-    raise typer.Exit(NO_POSE if worst == "fault" else 0)
+    checks = []
+    with opened_devices(source) as (camera, lasers):
+        for check in run_self_test(camera, lasers, request.exposure_s):
+            checks.append(check)
+            records.write({key: value for key, value in asdict(check).items() if value})
+    overall = summary(checks)
+    records.write({key: value for key, value in asdict(overall).items() if value})
+    raise typer.Exit(NO_POSE if overall.verdict == "fault" else 0)

@@ -1,4 +1,4 @@
-"""Boards that take lines of text, such as an Arduino with a sketch of one's own: the lines are templates."""
+"""Boards controlled by lines of text, such as an Arduino with a custom sketch: the lines are templates."""
 
 import re
 from dataclasses import dataclass
@@ -12,21 +12,21 @@ _OFF_WORDS = frozenset({"0", "off", "low", "false"})
 
 @dataclass(frozen=True, slots=True)
 class AsciiCodec:
-    """`{n}` in a template stands for the relay's number."""
+    """Templates of the lines; `{n}` stands for the number of the relay."""
 
     on: str
     off: str
     read: str = ""
-    """Asks for the mask of all relays, answered by a number (bit 0 the first relay); empty if the board cannot say."""
+    """Reads all relays; the answer is their mask (bit 0: the first relay). Empty if the board does not report them."""
     acknowledged_by: str = ""
-    """The line that follows each command; empty if none does."""
+    """The line that acknowledges each command; empty if there is none."""
     end: str = "\n"
     first: int = 1
     switches_rows: bool = False
 
     @property
     def reports(self) -> bool:
-        """Whether it can say what is on."""
+        """Whether the board can report which relays are on."""
         return bool(self.read)
 
     def request(self, command: Command) -> bytes:
@@ -34,16 +34,16 @@ class AsciiCodec:
         if isinstance(command, Read):
             return (self.read + self.end).encode()
         if not isinstance(command, Switch):
-            raise WireError("a board of text lines is told one relay at a time")
+            raise WireError("a board controlled by text lines switches one relay at a time")
         template = self.on if command.on else self.off
         return (template.replace("{n}", str(command.relay + self.first)) + self.end).encode()
 
     def is_whole(self, command: Command, received: bytes) -> bool:
-        """A line, if one is to come at all."""
+        """A complete line, if an answer is expected."""
         return received.endswith(b"\n") if isinstance(command, Read) or self.acknowledged_by else True
 
     def lit(self, command: Command, received: bytes) -> int:
-        """The mask that the last line says."""
+        """The mask in the last line."""
         lines = received.decode("ascii", "replace").split("\n")
         line = lines[-2].strip() if len(lines) > 1 else ""
         if isinstance(command, Read):
@@ -53,7 +53,7 @@ class AsciiCodec:
         return 0
 
     def commands(self, received: bytes) -> tuple[list[Command], bytes]:
-        """Whole lines that fit a template."""
+        """Complete lines that match a template."""
         end = self.end.encode()
         *lines, rest = received.split(end)
         found = [self._command(line.decode("ascii", "replace")) for line in lines]
@@ -81,4 +81,4 @@ class AsciiCodec:
         try:
             return int(word, 0) & ((1 << count) - 1)
         except ValueError:
-            raise WireError(f'answered "{line}" to the question what is on') from None
+            raise WireError(f'answered "{line}" when the relays were read') from None

@@ -1,6 +1,6 @@
-"""Bootstrap registers that every GigE Vision device has: where they lie and what their bits say.
+"""Bootstrap registers of GigE Vision devices: addresses, and the meaning of their bits.
 
-Addresses as Aravis' `arvgvcpprivate.h` has them; numbers are big-endian, texts end with a zero byte.
+Addresses as in `arvgvcpprivate.h` of Aravis; numbers are big-endian, texts end with a zero byte.
 """
 
 VERSION = 0x0000
@@ -18,7 +18,7 @@ MANUFACTURER_INFO = 0x00A8
 SERIAL_NUMBER = 0x00D8
 USER_DEFINED_NAME = 0x00E8
 DISCOVERY_SIZE = 0x00F8
-"""What a discovery is answered with: the first bytes of the register space."""
+"""Size of the answer to a discovery: the first bytes of the register space."""
 
 XML_URL = 0x0200
 NETWORK_INTERFACES = 0x0600
@@ -46,7 +46,7 @@ TEXTS = {
     USER_DEFINED_NAME: 16,
     XML_URL: 512,
 }
-"""Registers that hold text, with their size in bytes."""
+"""Text registers, with their size in bytes."""
 
 BIG_ENDIAN_UTF8 = 0x80000001
 """Device mode."""
@@ -60,4 +60,4 @@ EXCLUSIVE, CONTROL = 1 << 0, 1 << 1
 
 PACKET_SIZE_MASK = 0xFFFF
 FIRE_TEST_PACKET = 1 << 31
-"""Of `STREAM_PACKET_SIZE`: send one packet of that size, to see whether the network carries it."""
+"""Bits of `STREAM_PACKET_SIZE`; the second sends one packet of that size, to test whether the network carries it."""

@@ -1,7 +1,7 @@
-"""GVCP: the control messages of GigE Vision cameras: requests from bytes, answers as bytes.
+"""GVCP, the control protocol of GigE Vision cameras, on the camera's side: decodes requests and encodes answers.
 
 A message is a header of four 16-bit numbers, big-endian, and a payload. A request begins with 0x42 and its flags, an
-answer with its status; both end with the request's number. Field by field as in Aravis' `arvgvcpprivate.h`.
+answer with its status; both end with the number of the request. Fields as in `arvgvcpprivate.h` of Aravis.
 """
 
 import struct
@@ -17,7 +17,7 @@ _ANSWER = struct.Struct(">HHHH")
 
 
 class Command(IntEnum):
-    """What is asked; an answer has the next number."""
+    """Commands; the code of the answer is one higher."""
 
     DISCOVERY = 0x0002
     RESEND = 0x0040
@@ -28,7 +28,7 @@ class Command(IntEnum):
 
 
 class Status(IntEnum):
-    """How an answer begins."""
+    """Status codes of answers."""
 
     SUCCESS = 0x0000
     NOT_IMPLEMENTED = 0x8001
@@ -45,13 +45,13 @@ class Request:
 
     command: int
     number: int
-    """Of the request, 1 to 65535; its answer has the same."""
+    """Request number, 1 to 65535; the answer repeats it."""
     payload: bytes = b""
     answer_wanted: bool = True
 
     @property
     def words(self) -> tuple[int, ...]:
-        """The payload as 32-bit numbers; what is left over at the end is dropped."""
+        """The payload as 32-bit numbers, without remaining bytes at its end."""
         return tuple(word for (word,) in struct.iter_unpack(">I", self.payload[: len(self.payload) // 4 * 4]))
 
 
@@ -67,7 +67,7 @@ class Answer:
 
 
 def request_in(datagram: bytes) -> Request | None:
-    """The request in a datagram; None if it is none, or not whole."""
+    """The request in a datagram; None if it is not a complete request."""
     if len(datagram) < _HEADER.size:
         return None
     key, flags, command, size, number = _HEADER.unpack_from(datagram)
@@ -84,7 +84,7 @@ def answer_bytes(answer: Answer) -> bytes:
 
 
 def written_payload(count: int) -> bytes:
-    """How a write is answered: registers, or bytes, that were written."""
+    """The payload of the answer to a write: the number of registers, or bytes, written."""
     return struct.pack(">HH", 0, count)
 
 

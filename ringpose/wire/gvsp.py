@@ -1,7 +1,7 @@
-"""GVSP: a camera's frames as datagrams: a leader, the image in pieces, a trailer.
+"""GVSP, the stream protocol of GigE Vision cameras: a frame as datagrams: leader, payload packets, trailer.
 
-Each datagram begins with a status, the frame's number (16 bits, 0 never), the kind of packet and the packet's number,
-which is 0 for the leader. Field by field as in Aravis' `arvgvspprivate.h`.
+Each datagram begins with a status, the number of the frame (16 bits, never 0), the kind of packet and the number of the
+packet, which is 0 for the leader. Fields as in `arvgvspprivate.h` of Aravis.
 """
 
 import struct
@@ -11,7 +11,7 @@ from enum import IntEnum
 HEADER_SIZE = 8
 
 UDP_OVERHEAD = 28
-"""IP and UDP headers, which a stream's packet size counts too."""
+"""Bytes of the IP and UDP headers, which are included in the packet size of a stream."""
 
 PAYLOAD_OVERHEAD = UDP_OVERHEAD + HEADER_SIZE
 
@@ -22,7 +22,7 @@ _IMAGE = 0x0001
 
 
 class Kind(IntEnum):
-    """What a packet carries."""
+    """Kinds of packets."""
 
     LEADER = 1
     TRAILER = 2
@@ -34,17 +34,17 @@ class PixelFormat(IntEnum):
 
     MONO8 = 0x01080001
     MONO12 = 0x01100005
-    """The lower twelve of sixteen bits, little-endian."""
+    """Twelve bits in the lower part of sixteen, little-endian."""
 
     @property
     def bytes_per_pixel(self) -> int:
-        """Eight bits, or twelve in sixteen."""
+        """Bytes of a pixel, from the size field of the format."""
         return (self.value >> 16 & 0xFF) // 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Leader:
-    """What is said of a frame before it comes."""
+    """Metadata of a frame, sent before its image."""
 
     stamp_ticks: int
     pixel_format: int
@@ -54,7 +54,7 @@ class Leader:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StreamedFrame:
-    """A frame in its datagrams, each made when it is asked for: once to send it, and again if it got lost."""
+    """A frame as datagrams, each encoded when it is sent or sent again."""
 
     block: int
     leader: Leader
@@ -68,7 +68,7 @@ class StreamedFrame:
         return 2 + -(-len(self.data) // self.piece_size)
 
     def datagram(self, number: int) -> bytes:
-        """The packet of a number."""
+        """The packet with this number."""
         if number == 0:
             return _HEADER.pack(0, self.block, Kind.LEADER << 24) + self._leader_payload()
         if number == self.packets - 1:
@@ -89,11 +89,11 @@ def piece_size(packet_size: int) -> int:
 
 
 def block_after(block: int) -> int:
-    """Number of the next frame: 0 is left out."""
+    """Number of the next frame; 0 is skipped."""
     return block % 0xFFFF + 1
 
 
 def blocks_between(last: int, block: int) -> int:
-    """Frames that were lost between two that came; none before one that came late, or twice."""
+    """Number of frames lost between two received ones; 0 if the second is late or repeated."""
     lost = (block - last - 1) % 0xFFFF
     return lost if lost < 0x8000 else 0

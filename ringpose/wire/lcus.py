@@ -1,4 +1,4 @@
-"""LCUS-1/2/4/8 boards (CH340, 9600 baud): `A0 number state sum`, no answer; `FF` asks for the states as text."""
+"""LCUS-1/2/4/8 boards (CH340, 9600 baud): `A0 number state sum` without an answer; `FF` reads the states as text."""
 
 import re
 from dataclasses import dataclass
@@ -7,23 +7,23 @@ from ringpose.wire.relay_codec import Command, Pulse, Read, Switch, WireError, r
 
 START = 0xA0
 
-ASK = 0xFF
+READ = 0xFF
 
 _LINE = re.compile(rb"CH(\d+) ?: ?(ON|OFF) ?\r\n")
 
 
 @dataclass(frozen=True, slots=True)
 class LcusCodec:
-    """A board of as many relays as the driver uses, or more."""
+    """A board with at least as many relays as the driver uses."""
 
     first: int = 1
     reports: bool = True
     switches_rows: bool = True
 
     def request(self, command: Command) -> bytes:
-        """Four bytes for each relay, all in one go."""
+        """Four bytes for each relay, in one write."""
         if isinstance(command, Read):
-            return bytes([ASK])
+            return bytes([READ])
         if isinstance(command, Pulse):
             raise WireError("an LCUS board has no timed pulse")
         on, off = row_of(command)
@@ -31,7 +31,7 @@ class LcusCodec:
         return b"".join(_frame(relay + self.first, on >> relay & 1) for relay in numbers)
 
     def is_whole(self, command: Command, received: bytes) -> bool:
-        """Lines for all relays that were asked about; some boards answer one raw byte a relay instead."""
+        """Lines for all relays that are read; some boards answer with one raw byte for each relay instead."""
         if not isinstance(command, Read):
             return True
         return self._raw(command, received) or set(range(command.count)) <= set(self._states(received))
@@ -44,28 +44,28 @@ class LcusCodec:
             return sum(1 << relay for relay in range(command.count) if received[relay])
         states = self._states(received)
         if not set(range(command.count)) <= set(states):
-            raise WireError(f"answered {received!r} to the question what is on")
+            raise WireError(f"answered {received!r} when the relays were read")
         return sum(1 << relay for relay in range(command.count) if states[relay])
 
     def commands(self, received: bytes) -> tuple[list[Command], bytes]:
-        """Frames with a right sum, and questions; anything else is skipped, byte by byte."""
+        """Frames with a valid sum, and reads; other bytes are skipped one by one."""
         found: list[Command] = []
-        place = 0
-        while place < len(received):
-            frame = received[place : place + 4]
+        position = 0
+        while position < len(received):
+            frame = received[position : position + 4]
             if frame[0] == START and len(frame) < 4:
                 break
             if frame[0] == START and frame == _frame(frame[1], frame[2]) and frame[1] >= self.first:
                 found.append(Switch(frame[1] - self.first, bool(frame[2])))
-                place += 4
+                position += 4
                 continue
-            if frame[0] == ASK:
+            if frame[0] == READ:
                 found.append(Read(0))
-            place += 1
-        return found, received[place:]
+            position += 1
+        return found, received[position:]
 
     def answer(self, command: Command, lit: int, relays: int) -> bytes:
-        """Lines as the CH340 boards write them; nothing after a switch."""
+        """Lines as written by boards with a CH340; a switch has no answer."""
         if not isinstance(command, Read):
             return b""
         return b"".join(

@@ -1,6 +1,6 @@
-"""Modbus-RTU relay boards (Waveshare, LC-tech): coils by functions 01, 05 and 0F, and the timed pulse of Waveshare's.
+"""Modbus-RTU relay boards (Waveshare, LC-tech): coils by functions 01, 05 and 0F, and the timed pulse of Waveshare.
 
-The pulse is function 05 at address 0200h + relay with the time in tenths of a second: the board itself switches off.
+The pulse is function 05 at address 0200h + relay with the time in tenths of a second: the board switches off by itself.
 """
 
 from dataclasses import dataclass
@@ -14,15 +14,15 @@ FLASH_ON = 0x0200
 
 PULSE_STEP_S = 0.1
 
-_REFUSED = 0x80
-"""Added to the function by a board that refuses."""
+_EXCEPTION = 0x80
+"""Bit set in the function code of an exception response."""
 
-_REFUSALS = {1: "it does not know this function", 2: "it has no such relay", 3: "it does not take this value"}
+_REASONS = {1: "illegal function", 2: "illegal address: the board has no such relay", 3: "illegal value"}
 
 
 @dataclass(frozen=True, slots=True)
 class ModbusCodec:
-    """A board by its unit number; clones count their relays from another base or take another value for on."""
+    """A board with a unit number; clones may count relays from another base, or use another value for on."""
 
     unit: int = 1
     first: int = 0
@@ -44,20 +44,20 @@ class ModbusCodec:
         return self._frame(WRITE_COIL, _words(self.first + command.relay, self.on_value if command.on else 0))
 
     def is_whole(self, command: Command, received: bytes) -> bool:
-        """By the length that the function has; a refusal has five bytes."""
+        """Checked by the length of the function's response; an exception response has five bytes."""
         if len(received) < 5:
             return False
-        if received[1] & _REFUSED:
+        if received[1] & _EXCEPTION:
             return True
         return len(received) >= (5 + (command.count + 7) // 8 if isinstance(command, Read) else 8)
 
     def lit(self, command: Command, received: bytes) -> int:
-        """The coils that are on; writing is acknowledged by the beginning of the request."""
+        """The coils that are on; the response to a write repeats the start of the request."""
         if len(received) < 5 or crc(received[:-2]) != received[-2:]:
-            raise WireError(f"answered {received.hex(' ')}, which is no whole frame")
+            raise WireError(f"answered {received.hex(' ')}, which is not a valid frame")
         request = self.request(command)
-        if received[1] & _REFUSED:
-            reason = _REFUSALS.get(received[2], f"exception {received[2]}")
+        if received[1] & _EXCEPTION:
+            reason = _REASONS.get(received[2], f"exception {received[2]}")
             raise WireError(f"refused {request.hex(' ')}: {reason}")
         same = 2 if isinstance(command, Read) else 6
         if received[:same] != request[:same]:
@@ -67,22 +67,22 @@ class ModbusCodec:
         return int.from_bytes(received[3:-2], "little") & ((1 << command.count) - 1)
 
     def commands(self, received: bytes) -> tuple[list[Command], bytes]:
-        """Frames for this unit; what is none is skipped, byte by byte."""
+        """Frames for this unit; other bytes are skipped one by one."""
         found: list[Command] = []
-        place = 0
-        while len(received) - place >= 8:
-            length = 9 + received[place + 6] if received[place + 1] == WRITE_COILS else 8
-            frame = received[place : place + length]
+        position = 0
+        while len(received) - position >= 8:
+            length = 9 + received[position + 6] if received[position + 1] == WRITE_COILS else 8
+            frame = received[position : position + length]
             if frame[0] == self.unit and len(frame) < length and length < 16:
                 break
             command = self._command(frame)
             if command is not None:
                 found.append(command)
-            place += length if command is not None else 1
-        return found, received[place:]
+            position += length if command is not None else 1
+        return found, received[position:]
 
     def answer(self, command: Command, lit: int, relays: int) -> bytes:
-        """The echo, or the states of the coils that were asked for."""
+        """The echo of a write, or the states of the coils that are read."""
         if isinstance(command, Read):
             values = (lit & ((1 << command.count) - 1)).to_bytes((command.count + 7) // 8, "little")
             return self._frame(READ_COILS, bytes([len(values)]) + values)
@@ -109,7 +109,7 @@ class ModbusCodec:
 
 
 def crc(body: bytes) -> bytes:
-    """Modbus' checksum: CRC-16 with the reflected polynomial A001h, low byte first."""
+    """The Modbus checksum: CRC-16 with the reflected polynomial A001h, low byte first."""
     value = 0xFFFF
     for byte in body:
         value ^= byte

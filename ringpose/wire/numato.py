@@ -1,4 +1,4 @@
-"""Numato boards (CDC-ACM, any baud): text commands ended by a carriage return, echoed, then a prompt `>`."""
+"""Numato boards (CDC-ACM, any baud): text commands, ended by a carriage return, are echoed; a prompt `>` follows."""
 
 import re
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from ringpose.wire.relay_codec import Command, Read, Switch, WireError
 
 _DIGITS = "0123456789ABCDEFGHIJKLMNOPQRSTUV"
-"""How the board names its relays."""
+"""Names of the relays."""
 
 _COMMAND = re.compile(r"relay (on|off) ([0-9A-V])|relay (readall)")
 
@@ -15,7 +15,7 @@ _STATES = re.compile(rb"relay readall[\r\n]+([0-9a-fA-F]+)[\r\n]+>")
 
 @dataclass(frozen=True, slots=True)
 class NumatoCodec:
-    """Echo and prompt come whether or not a relay has moved: only reading back tells."""
+    """Echo and prompt do not confirm that a relay has switched; only reading the states does."""
 
     first: int = 0
     reports: bool = True
@@ -26,26 +26,26 @@ class NumatoCodec:
         if isinstance(command, Read):
             return b"relay readall\r"
         if not isinstance(command, Switch):
-            raise WireError("a Numato board is told one relay at a time")
+            raise WireError("a Numato board switches one relay at a time")
         return f"relay {'on' if command.on else 'off'} {_DIGITS[command.relay]}\r".encode()
 
     def is_whole(self, command: Command, received: bytes) -> bool:
-        """Until the prompt after the echo."""
+        """Checks for the prompt after the echo."""
         return received.rstrip().endswith(b">") and self._echo(command) in received
 
     def lit(self, command: Command, received: bytes) -> int:
-        """The relays that are on, written as a hexadecimal number."""
+        """The relays that are on, sent as a hexadecimal number."""
         if not isinstance(command, Read):
             if self._echo(command) not in received:
                 raise WireError(f'answered {received!r} to "{self._echo(command).decode()}"')
             return 0
         states = _STATES.search(received)
         if states is None:
-            raise WireError(f"answered {received!r} to the question what is on")
+            raise WireError(f"answered {received!r} when the relays were read")
         return int(states[1], 16) & ((1 << command.count) - 1)
 
     def commands(self, received: bytes) -> tuple[list[Command], bytes]:
-        """Whole lines that are a command; a board only prompts again after any other."""
+        """Complete lines that are a command; after any other line, a board only repeats its prompt."""
         *lines, rest = received.replace(b"\n", b"").split(b"\r")
         found: list[Command] = []
         for line in lines:
@@ -56,7 +56,7 @@ class NumatoCodec:
         return found, rest
 
     def answer(self, command: Command, lit: int, relays: int) -> bytes:
-        """The echo, the states if asked for, the prompt."""
+        """The echo, the states if they are read, and the prompt."""
         states = f"{lit:0{max(1, relays // 4)}x}\n\r".encode() if isinstance(command, Read) else b""
         return self._echo(command) + b"\n\r" + states + b">"
 

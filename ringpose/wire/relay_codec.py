@@ -1,8 +1,8 @@
-"""What relay boards are told and answer, whichever bytes they want it in.
+"""Commands for relay boards, and the interface of the codecs that translate them to the bytes of a protocol.
 
-A codec maps commands to bytes for the driver and bytes to commands for the stand-in. Relays are counted from 0 here;
-`first` is the number that the board itself gives to relay 0. Bit i of `lit` is relay i. No module of this kind
-imports anything heavy: the guard starts with them.
+A codec encodes commands for the driver and decodes them for the virtual device. Relays are counted from 0; `first` is
+the number of relay 0 in the protocol. Bit i of `lit` is relay i. Codecs are imported by the watchdog process and import
+no heavy package themselves.
 """
 
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from typing import Protocol, TypeAlias, runtime_checkable
 
 
 class WireError(Exception):
-    """Bytes that say nothing, or refuse."""
+    """A command or answer that the protocol does not allow, or a command rejected by the board."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +23,7 @@ class Switch:
 
 @dataclass(frozen=True, slots=True)
 class SwitchRow:
-    """`count` neighbouring relays at once: bit i of `lit` is relay `first` + i."""
+    """`count` adjacent relays at once: bit i of `lit` is relay `first` + i."""
 
     first: int
     count: int
@@ -40,7 +40,7 @@ class Pulse:
 
 @dataclass(frozen=True, slots=True)
 class Read:
-    """The question which of the relays 0 ... count - 1 are on."""
+    """Read which of the relays 0 ... count - 1 are on."""
 
     count: int
 
@@ -50,38 +50,38 @@ Command: TypeAlias = Switch | SwitchRow | Pulse | Read
 
 @runtime_checkable
 class RelayCodec(Protocol):
-    """The bytes of one kind of board."""
+    """The protocol of one kind of board."""
 
     @property
     def first(self) -> int:
-        """The number that the board gives to relay 0."""
+        """The number of relay 0 in the protocol."""
 
     @property
     def reports(self) -> bool:
-        """Whether it can say what is on."""
+        """Whether the board can report which relays are on."""
 
     @property
     def switches_rows(self) -> bool:
-        """Whether it knows `SwitchRow`."""
+        """Whether the protocol has `SwitchRow`."""
 
     def request(self, command: Command) -> bytes:
-        """The command in bytes."""
+        """The bytes of a command."""
 
     def is_whole(self, command: Command, received: bytes) -> bool:
-        """Whether the answer to a command has come completely; at once where there is none."""
+        """Whether the answer to a command is complete; always true for a command without an answer."""
 
     def lit(self, command: Command, received: bytes) -> int:
-        """What a whole answer says: for `Read` the relays that are on; 0 otherwise. A refusal is a `WireError`."""
+        """The relays that an answer to `Read` reports on; 0 for other commands. A rejection raises `WireError`."""
 
     def commands(self, received: bytes) -> tuple[list[Command], bytes]:
-        """For the stand-in: the commands in what was received, and the bytes of one that is still incomplete."""
+        """For the virtual device: the received commands, and the remaining bytes of an incomplete one."""
 
     def answer(self, command: Command, lit: int, relays: int) -> bytes:
-        """For the stand-in: what a board of so many relays says to a command; `lit` is what is on by then."""
+        """For the virtual device: the answer of a board with `relays` relays; `lit` are on after the command."""
 
 
 def row_of(command: Command) -> tuple[int, int]:
-    """Which relays a command switches on, and which off, as masks."""
+    """The masks of the relays that a command switches on and off."""
     if isinstance(command, Read):
         return 0, 0
     if isinstance(command, SwitchRow):

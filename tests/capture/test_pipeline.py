@@ -1,4 +1,4 @@
-"""Lock step of camera and lasers, on drivers that write down what they are told."""
+"""The sequence of camera and lasers, with drivers that record their calls."""
 
 from itertools import count
 

@@ -39,7 +39,7 @@ def test_a_camera_is_no_laser():
 def test_a_device_uri_has_a_place_and_parameters():
     uri = device_uri("files:///dev/serial/by-id/a?ch=1,2&note=a%20b", "--camera", CAMERAS)
 
-    assert uri.place == "/dev/serial/by-id/a"
+    assert uri.address == "/dev/serial/by-id/a"
     assert uri.parameters == {"ch": "1,2", "note": "a b"}
 
 
@@ -47,7 +47,7 @@ def test_a_misspelt_parameter_is_wrong_usage_with_the_right_one():
     uri = device_uri("sim:scene.yaml?formt=Mono12", "--camera", CAMERAS)
 
     with pytest.raises(UsageError, match='no parameter "formt"; did you mean format'):
-        uri.refuse_unknown(("format", "gain"))
+        uri.reject_unknown(("format", "gain"))
 
 
 def test_a_parameter_that_must_be_a_number_is_checked():

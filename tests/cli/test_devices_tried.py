@@ -37,7 +37,7 @@ def test_a_dry_walk_finds_the_laser_that_is_dark(serve, capsys):
     found = findings(capsys)
     assert status == 3
     assert [name for name, finding in found.items() if finding["verdict"] == "fault"] == ["laser 2", "verdict"]
-    assert "look whether it shines" in found["laser 2"]["remedy"]
+    assert "check that it shines" in found["laser 2"]["remedy"]
 
 
 @pytest.mark.slow

@@ -82,9 +82,9 @@ def test_answers_are_understood(codec, command, answer, lit):
 @pytest.mark.parametrize(
     ("codec", "command", "answer", "complaint"),
     [
-        (MODBUS, Read(8), bytes.fromhex("01 01 01 05 91 8C"), "no whole frame"),
+        (MODBUS, Read(8), bytes.fromhex("01 01 01 05 91 8C"), "not a valid frame"),
         (MODBUS, Switch(0, True), bytes.fromhex("01 05 00 01 FF 00 DD FA"), "answered"),
-        (MODBUS, Pulse(0, 0.7), bytes.fromhex("01 85 03 02 91"), "it does not take this value"),
+        (MODBUS, Pulse(0, 0.7), bytes.fromhex("01 85 03 02 91"), "illegal value"),
         (NUMATO, Switch(0, True), b"relay on 1\n\r>", "answered"),
         (NUMATO, Read(3), b"relay readall\n\r>", "answered"),
         (LCUS, Read(3), b"CH1: ON \r\n", "answered"),

@@ -1,10 +1,8 @@
 """`aravis:`: GigE Vision and USB3 Vision cameras through libaravis.
 
-aravis:                        the first camera that is found
+aravis:                        the first camera found
 aravis:Vendor-Model-Serial     by its name in `ringpose capture --list`
 aravis://192.168.0.5           by its address, without a search
-
-What this computer's network has to give for a camera on it.
 """
 
 import ctypes
@@ -32,23 +30,23 @@ from ringpose.wire.gvsp import blocks_between
 BUFFERS = 4
 
 MAX_PACKET_BYTES = 65535
-"""That a packet of a network can have; the camera says how many its own may."""
+"""Maximum of an IP packet; cameras have lower limits."""
 
 _SUCCESS = 0
 
 _NO_PACKET_SOCKET = 1
-"""`ARV_GV_STREAM_OPTION_PACKET_SOCKET_DISABLED`: for root the library reads packet sockets, which hear all traffic
-until their filter is set; a stranger's packet, taken for a frame's, then asks for gigabytes and ends the process."""
+"""`ARV_GV_STREAM_OPTION_PACKET_SOCKET_DISABLED`: run by root, the library reads packet sockets, which receive all
+traffic until their filter is set; an unrelated packet taken for a frame's then requests gigabytes: the process ends."""
 
 _DENIED = ("access-denied", "controller privilege")
-"""In the library's messages; its numbers of errors differ from version to version."""
+"""Parts of the library's messages; its error codes differ between versions."""
 
 _INCOMPLETE = (2, 3, 4)
-"""Timeout, missing packets, wrong packet (`ArvBufferStatus`): the frame came, but not all of it."""
+"""Timeout, missing packets, wrong packet (`ArvBufferStatus`): only part of the frame arrived."""
 
 
 class AravisCamera(SoftwareTriggeredCamera):
-    """A camera that libaravis can drive; beside the common ones the URI may say `packet` (bytes)."""
+    """A camera driven by libaravis; its URI has the additional parameter `packet` (bytes)."""
 
     PARAMETERS = (*SoftwareTriggeredCamera.PARAMETERS, "packet")
 
@@ -57,7 +55,7 @@ class AravisCamera(SoftwareTriggeredCamera):
         self._packet_bytes = uri.whole("packet", 0, MAX_PACKET_BYTES)
         self._camera = self._device = self._stream = 0
         self._acquiring = self._is_lost = False
-        self._letting_go: threading.Thread | None = None
+        self._closing: threading.Thread | None = None
         self._names: dict[str, str] = {}
 
     @property
@@ -70,20 +68,20 @@ class AravisCamera(SoftwareTriggeredCamera):
         return found
 
     def close(self) -> None:
-        """Stop, and give the camera back; for one that is lost this goes on in the background, where it takes 10 s."""
+        """Stop and close the camera; closing a lost one takes 10 s and continues in the background."""
         if self._acquiring:
-            with suppress(AravisError):  # it may be gone already
+            with suppress(AravisError):  # the connection may be lost already
                 self._aravis.call("arv_camera_stop_acquisition", self._camera)
         instances = [instance for instance in (self._stream, self._camera) if instance]
         self._camera = self._device = self._stream = 0
         self._acquiring = False
-        letting_go = threading.Thread(target=self._let_go, args=(instances,), daemon=True)
-        letting_go.start()
+        closing = threading.Thread(target=self._release, args=(instances,), daemon=True)
+        closing.start()
         if not self._is_lost:
-            letting_go.join()
-        self._letting_go = letting_go
+            closing.join()
+        self._closing = closing
 
-    def _let_go(self, instances: list[int]) -> None:
+    def _release(self, instances: list[int]) -> None:
         for instance in instances:
             self._aravis.g_object_unref(instance)
 
@@ -93,11 +91,11 @@ class AravisCamera(SoftwareTriggeredCamera):
         if name is None:
             return None
         kind = self._aravis.kind(self._device, name)
-        least, most = (c_double(), c_double()) if kind == "float" else (c_int64(), c_int64())
+        minimum, maximum = (c_double(), c_double()) if kind == "float" else (c_int64(), c_int64())
         if kind == "boolean":
             return 0.0, 1.0
-        self._call(f"arv_device_get_{kind}_feature_bounds", name.encode(), byref(least), byref(most))
-        return float(least.value), float(most.value)
+        self._call(f"arv_device_get_{kind}_feature_bounds", name.encode(), byref(minimum), byref(maximum))
+        return float(minimum.value), float(maximum.value)
 
     def set(self, feature: str, value: int | float | str) -> None:
         """See `CameraDriver`."""
@@ -107,7 +105,7 @@ class AravisCamera(SoftwareTriggeredCamera):
         try:
             self._set(name, value)
         except AravisError as error:
-            remedy = self._possible(name, value)
+            remedy = self._valid_values(name, value)
             if not remedy:
                 raise self._error(error) from error
             found = f"{feature} cannot be {value if isinstance(value, str) else f'{value:g}'}"
@@ -115,8 +113,8 @@ class AravisCamera(SoftwareTriggeredCamera):
         if feature == "Gain":
             self._gain_db = self._number("Gain")
 
-    def _possible(self, name: str, value: int | float | str) -> str:
-        """What a feature takes, for the user; nothing if the value is one of that."""
+    def _valid_values(self, name: str, value: int | float | str) -> str:
+        """The valid values of a feature, for the user; empty if `value` is one of them."""
         if isinstance(value, str):
             choices = self._aravis.choices(self._device, name)
             return "" if not choices or value in choices else f"it takes {', '.join(choices)}"
@@ -126,7 +124,7 @@ class AravisCamera(SoftwareTriggeredCamera):
         return f"it takes {limits[0]:g} to {limits[1]:g}"
 
     def warnings(self) -> tuple[str, ...]:
-        """A socket buffer that holds less than a frame."""
+        """Warns if the socket buffer is smaller than a frame."""
         granted = granted_bytes()
         if not self._aravis.arv_camera_is_gv_device(self._camera) or granted is None:
             return ()
@@ -137,13 +135,13 @@ class AravisCamera(SoftwareTriggeredCamera):
 
     def _connect(self) -> None:
         self.close()
-        if self._letting_go is not None:
-            self._letting_go.join()
+        if self._closing is not None:
+            self._closing.join()
         self._is_lost = False
-        place = self.uri.place
-        check_route(place, self.uri.text)
+        address = self.uri.address
+        check_route(address, self.uri.text)
         try:
-            self._camera = self._aravis.call("arv_camera_new", place.encode() or None) or 0
+            self._camera = self._aravis.call("arv_camera_new", address.encode() or None) or 0
         except AravisError as error:
             raise DeviceError(self.uri.text, f"no such camera: {error.message}", _NOT_FOUND) from error
         if not self._camera:
@@ -152,7 +150,7 @@ class AravisCamera(SoftwareTriggeredCamera):
         self._names = {}
         is_network_camera = self._aravis.arv_camera_is_gv_device(self._camera)
         if is_network_camera and not self._aravis.arv_gv_device_is_controller(self._device):
-            raise self._in_other_hands()
+            raise self._controlled_elsewhere()
         self._aravis.arv_device_set_range_check_policy(self._device, 1)
         if is_network_camera and self._packet_bytes:
             self.set("GevSCPSPacketSize", self._packet_bytes)
@@ -207,13 +205,13 @@ class AravisCamera(SoftwareTriggeredCamera):
         return FrameGrab(
             stamp_s=stamp_s,
             image=self._image(buffer),
-            problem="a frame was smaller than it said",
+            problem="a frame was smaller than declared",
             device_stamp_s=1e-9 * ticks_ns if ticks_ns else None,
             frame_id=frame_id,
         )
 
     def _image(self, buffer: int) -> UInt[Array, "row column"] | None:
-        """The picture; None if there are fewer bytes than it would have."""
+        """The image; None if the buffer has too few bytes."""
         aravis, size = self._aravis, c_size_t()
         width, height = aravis.arv_buffer_get_image_width(buffer), aravis.arv_buffer_get_image_height(buffer)
         data = aravis.arv_buffer_get_data(buffer, byref(size))
@@ -226,7 +224,7 @@ class AravisCamera(SoftwareTriggeredCamera):
         return image
 
     def _drain(self) -> None:
-        """Frames that nobody waits for any more."""
+        """Discard late frames."""
         while buffer := self._aravis.arv_stream_try_pop_buffer(self._stream):
             self._aravis.arv_stream_push_buffer(self._stream, buffer)
 
@@ -260,12 +258,12 @@ class AravisCamera(SoftwareTriggeredCamera):
         return str((self._call("arv_device_get_string_feature_value", feature.encode()) or b"").decode())
 
     def _name(self, feature: str) -> str | None:
-        """What this camera calls a feature."""
+        """The camera's name of a feature; None if it does not have it."""
         if feature not in self._names:
-            there = [
+            found = [
                 name for name in spellings(feature) if self._aravis.arv_device_get_feature(self._device, name.encode())
             ]
-            self._names[feature] = there[0] if there else ""
+            self._names[feature] = found[0] if found else ""
         return self._names[feature] or None
 
     def _set(self, name: str, value: int | float | str) -> None:
@@ -287,21 +285,21 @@ class AravisCamera(SoftwareTriggeredCamera):
 
     def _error(self, error: AravisError) -> DeviceError:
         if any(words in error.message.lower() for words in _DENIED):
-            return self._in_other_hands()
+            return self._controlled_elsewhere()
         if "timeout" in error.message.lower():
             self._acquiring, self._is_lost = False, True
             return DeviceError(self.uri.text, "does not answer any more", "check its cable and its power")
         return DeviceError(self.uri.text, error.message)
 
-    def _in_other_hands(self) -> DeviceError:
-        remedy = "close that one, or wait 3 s if it died"
+    def _controlled_elsewhere(self) -> DeviceError:
+        remedy = "close that one, or wait 3 s if it crashed"
         return DeviceError(self.uri.text, "is controlled by another program", remedy)
 
 
 _NOT_FOUND = "see ringpose capture --list; check its cable, its power, and this computer's address in its network"
 
 SOCKET_BUFFER_BYTES = 8 << 20
-"""Wanted for a stream's socket; the kernel grants no more than net.core.rmem_max."""
+"""Requested for a stream's socket; the kernel grants at most net.core.rmem_max."""
 
 MORE_BUFFER = f"let the kernel buffer more: sysctl -w net.core.rmem_max={SOCKET_BUFFER_BYTES}"
 
@@ -309,17 +307,17 @@ _RMEM_MAX = Path("/proc/sys/net/core/rmem_max")
 
 
 def granted_bytes() -> int | None:
-    """The largest socket buffer that the kernel grants; None where it does not say."""
+    """The maximum socket buffer that the kernel grants; None if it is unknown."""
     try:
         return int(_RMEM_MAX.read_text())
     except (OSError, ValueError):
         return None
 
 
-def check_route(place: str, text: str) -> None:
-    """An address that cannot be reached is better said at once; what is no address has no route."""
+def check_route(host: str, text: str) -> None:
+    """Raise `DeviceError` if there is no route to an IP address, which the library would report late and unclearly."""
     try:
-        address = str(ipaddress.IPv4Address(place))
+        address = str(ipaddress.IPv4Address(host))
     except ValueError:
         return
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:

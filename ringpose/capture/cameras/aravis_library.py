@@ -1,7 +1,7 @@
-"""libaravis through ctypes: as much of it as a driver needs, its errors as exceptions.
+"""libaravis through ctypes: the functions that the driver needs, with errors as exceptions.
 
-Both binary interfaces are spoken: 0.8 (Debian 12, Ubuntu 22.04 and later) and 0.10 (0.9 and later), which differ for us
-in one argument of `arv_camera_create_stream`.
+Two binary interfaces are supported, 0.8 (Debian 12, Ubuntu 22.04 and later) and 0.10 (0.9 and later); in the functions
+used here, they differ in one argument of `arv_camera_create_stream`.
 """
 
 import ctypes
@@ -12,13 +12,13 @@ from typing import Any
 SONAMES = ("libaravis-0.8.so.0", "libaravis-0.10.so.0")
 
 PACKAGE = "libaravis-0.8-0"
-"""Where Debian and Ubuntu have it."""
+"""The package of Debian and Ubuntu."""
 
 _G_TYPE_INT = 6 << 2
 
 
 class AravisError(Exception):
-    """What the library has to say."""
+    """An error reported by the library."""
 
     def __init__(self, message: str) -> None:
         self.message = " ".join(message.split())
@@ -62,7 +62,7 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_stream_try_pop_buffer": (c_void_p, (c_void_p,)),
     "arv_stream_timeout_pop_buffer": (c_void_p, (c_void_p, c_uint64)),
 }
-"""Functions without an error: result, arguments."""
+"""Functions that cannot fail: result type, argument types."""
 
 _FALLIBLE: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_camera_new": (c_void_p, (c_char_p,)),
@@ -85,11 +85,11 @@ _FALLIBLE: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_device_get_float_feature_value": (c_double, (c_void_p, c_char_p)),
     "arv_device_get_float_feature_bounds": (None, (c_void_p, c_char_p, POINTER(c_double), POINTER(c_double))),
 }
-"""Functions whose last argument, added here, takes an error."""
+"""Functions that can fail; `call` appends the argument for the error."""
 
 
 class Aravis:
-    """The library; functions by their own names, those that can fail through `call`."""
+    """The library; functions are attributes with their C names, and those that can fail are called by `call`."""
 
     def __init__(self, library: ctypes.CDLL) -> None:
         self._library = library
@@ -112,7 +112,7 @@ class Aravis:
         return getattr(self._library, name)
 
     def call(self, name: str, *arguments: Any) -> Any:
-        """The result of a function that can fail; its failure is an `AravisError`."""
+        """The result of a function that can fail; raises `AravisError` if it does."""
         error = POINTER(_GError)()
         result = getattr(self._library, name)(*arguments, byref(error))
         if error:
@@ -127,14 +127,14 @@ class Aravis:
         return int(self.call("arv_camera_create_stream", camera, *extra) or 0)
 
     def set_int_property(self, instance: int, name: str, value: int) -> None:
-        """An int or enum property of a GObject; not by `g_object_set`, whose variable arguments ctypes cannot pass."""
-        held = _GValue()
-        self._library.g_value_init(byref(held), _G_TYPE_INT)
-        self._library.g_value_set_int(byref(held), value)
-        self._library.g_object_set_property(instance, name.encode(), byref(held))
+        """Set an int or enum property of a GObject; ctypes cannot pass the variable arguments of `g_object_set`."""
+        wrapped = _GValue()
+        self._library.g_value_init(byref(wrapped), _G_TYPE_INT)
+        self._library.g_value_set_int(byref(wrapped), value)
+        self._library.g_object_set_property(instance, name.encode(), byref(wrapped))
 
     def kind(self, device: int, feature: str) -> str:
-        """`float`, `boolean` or `integer`, as the names of the functions have it that get or set a feature."""
+        """`float`, `boolean` or `integer`, as in the names of the functions that get or set a feature."""
         node = self._library.arv_device_get_feature(device, feature.encode())
         for kind in ("float", "boolean"):
             if self._library.g_type_check_instance_is_a(node, getattr(self._library, f"arv_gc_{kind}_get_type")()):
@@ -142,7 +142,7 @@ class Aravis:
         return "integer"
 
     def choices(self, device: int, feature: str) -> tuple[str, ...]:
-        """What an enumeration can be set to; nothing if it is none, or cannot be asked any more."""
+        """The values of an enumeration; empty if the feature is not one, or if the camera does not answer."""
         count = c_uint()
         name = "arv_device_dup_available_enumeration_feature_values_as_strings"
         try:
@@ -164,7 +164,7 @@ class Aravis:
 
 @functools.cache
 def library() -> Aravis | None:
-    """The library that is installed; None if there is none."""
+    """The installed library; None if it is not installed."""
     for soname in SONAMES:
         try:
             return Aravis(ctypes.CDLL(soname))

@@ -1,4 +1,4 @@
-"""What drivers have in common that reach a camera through GenApi's nodes, whoever wraps them."""
+"""Common part of the drivers that access a camera through GenApi nodes."""
 
 from abc import abstractmethod
 from typing import Any
@@ -12,17 +12,17 @@ TRIGGERED = (
     ("TriggerMode", "On"),
     ("TriggerSource", "Software"),
 )
-"""Single frames by software trigger."""
+"""Feature values for single frames by software trigger, in the order of setting."""
 
 
 class GenApiCamera(SoftwareTriggeredCamera):
-    """Features as nodes with a value and, where they are numbers, limits; what a driver adds is below."""
+    """Features as nodes that have a value and, if numeric, limits; a driver implements the abstract methods."""
 
     def bounds(self, feature: str) -> tuple[float, float] | None:
         """See `CameraDriver`."""
         node = self._node_of(feature)
-        least, most = self._limits(node)
-        return None if least is None or most is None else (float(least), float(most))
+        minimum, maximum = self._limits(node)
+        return None if minimum is None or maximum is None else (float(minimum), float(maximum))
 
     def set(self, feature: str, value: int | float | str) -> None:
         """See `CameraDriver`."""
@@ -35,13 +35,13 @@ class GenApiCamera(SoftwareTriggeredCamera):
             raise DeviceError(self.uri.text, found, f"it takes {limits[0]:g} to {limits[1]:g}")
         try:
             self._set_value(node, value)
-        except Exception as error:  # GenApi's own classes of errors differ from wrapper to wrapper
+        except Exception as error:  # each wrapper of GenApi has its own error classes
             raise DeviceError(self.uri.text, f"{feature} cannot be set to {value}: {first_line(error)}") from error
         if feature == "Gain":
             self._gain_db = self._number("Gain")
 
     def _set_up(self) -> None:
-        """Single frames by software trigger, as far as the camera has it."""
+        """Set single frames by software trigger, as far as the camera has these features."""
         for feature, value in TRIGGERED:
             if self._node_of(feature) is not None:
                 self.set(feature, value)
@@ -63,7 +63,7 @@ class GenApiCamera(SoftwareTriggeredCamera):
         return "" if node is None else str(self._value(node))
 
     def _node_of(self, feature: str) -> Any:
-        """The node of a feature under any of its names; None if there is none."""
+        """The node of a feature under any of its names; None if the camera does not have it."""
         for name in spellings(feature):
             node = self._node(name)
             if node is not None:
@@ -71,7 +71,7 @@ class GenApiCamera(SoftwareTriggeredCamera):
         return None
 
     def _limits(self, node: Any) -> tuple[Any, Any]:
-        """Least and greatest value; None where it is no number."""
+        """Minimum and maximum; None if the feature is not numeric."""
         return getattr(node, "min", None), getattr(node, "max", None)
 
     def _value(self, node: Any) -> Any:
@@ -82,9 +82,9 @@ class GenApiCamera(SoftwareTriggeredCamera):
 
     @abstractmethod
     def _node(self, name: str) -> Any:
-        """The node of this name that can be used now; None if there is none."""
+        """The node of this name if it is available now; None otherwise."""
 
 
 def first_line(error: Exception, otherwise: str = "") -> str:
-    """What an error of a wrapper says, as far as it fits a message; something else if it says nothing."""
+    """The first line of an error's message; `otherwise`, or the error's class, if it is empty."""
     return (str(error).strip() or otherwise or type(error).__name__).splitlines()[0]

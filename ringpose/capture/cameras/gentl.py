@@ -1,6 +1,6 @@
-"""`gentl:`: any camera whose maker has a GenTL producer, through harvesters, `pip install ringpose[gentl]`.
+"""`gentl:`: any camera whose manufacturer provides a GenTL producer, through harvesters (ringpose[gentl]).
 
-gentl:/opt/maker/producer.cti                  the first camera that the producer finds
+gentl:/opt/maker/producer.cti                  the first camera found by the producer
 gentl:/opt/maker/producer.cti?serial=12345     by its serial number
 """
 
@@ -18,7 +18,7 @@ EXTRA = "pip install ringpose[gentl]"
 
 
 class GenTlCamera(GenApiCamera):
-    """A camera that harvesters can drive; it must know software triggers."""
+    """A camera driven by harvesters; it must support software triggers."""
 
     PARAMETERS = (*SoftwareTriggeredCamera.PARAMETERS, "serial")
 
@@ -26,7 +26,7 @@ class GenTlCamera(GenApiCamera):
     _acquirer: Any = None
 
     def close(self) -> None:
-        """Stop, and give the camera back."""
+        """Close the camera and the producer."""
         acquirer, self._acquirer = self._acquirer, None
         harvester, self._harvester = self._harvester, None
         if acquirer is not None:
@@ -36,10 +36,12 @@ class GenTlCamera(GenApiCamera):
 
     def _connect(self) -> None:
         self.close()
-        producer = Path(self.uri.place)
+        producer = Path(self.uri.address)
         self._harvester = _harvester(self.uri.text)
         if not producer.is_file():
-            raise DeviceError(self.uri.text, f'there is no GenTL producer "{producer}"', "name the maker's .cti file")
+            raise DeviceError(
+                self.uri.text, f'there is no GenTL producer "{producer}"', "give the manufacturer's .cti file"
+            )
         serial = self.uri.parameters.get("serial")
         try:
             self._harvester.add_file(str(producer))
@@ -47,9 +49,11 @@ class GenTlCamera(GenApiCamera):
             self._acquirer = self._harvester.create({"serial_number": serial} if serial else 0)
         except Exception as error:
             found = first_line(error, "no such camera")
-            raise DeviceError(self.uri.text, found, "check its cable, its power, and what else uses it") from error
+            raise DeviceError(
+                self.uri.text, found, "check its cable, its power, and other programs that use it"
+            ) from error
         if self._node("TriggerSoftware") is None:
-            raise DeviceError(self.uri.text, "the camera has no software trigger", "take another camera")
+            raise DeviceError(self.uri.text, "the camera has no software trigger", "use another camera")
         self._set_up()
 
     def _start(self) -> None:

@@ -1,6 +1,6 @@
 """`pylon:`: Basler cameras through pypylon, `pip install ringpose[pylon]`.
 
-pylon:              the first camera that is found
+pylon:              the first camera found
 pylon:12345678      by its serial number
 """
 
@@ -24,7 +24,7 @@ class PylonCamera(GenApiCamera):
     _pylon: Any = None
 
     def close(self) -> None:
-        """Stop, and give the camera back."""
+        """Close the camera."""
         camera, self._camera = self._camera, None
         if camera is not None:
             camera.Close()
@@ -33,7 +33,7 @@ class PylonCamera(GenApiCamera):
         self.close()
         self._pylon = _pypylon(self.uri.text)
         factory = self._pylon.TlFactory.GetInstance()
-        found = [info for info in factory.EnumerateDevices() if self.uri.place in ("", info.GetSerialNumber())]
+        found = [info for info in factory.EnumerateDevices() if self.uri.address in ("", info.GetSerialNumber())]
         if not found:
             raise DeviceError(self.uri.text, "no such camera", "see ringpose capture --list")
         try:
@@ -41,7 +41,7 @@ class PylonCamera(GenApiCamera):
             self._camera.Open()
         except Exception as error:
             self._camera = None
-            raise DeviceError(self.uri.text, first_line(error), "close what else uses the camera") from error
+            raise DeviceError(self.uri.text, first_line(error), "close other programs that use the camera") from error
         self._set_up()
 
     def _start(self) -> None:
@@ -100,7 +100,7 @@ def _is_readable(node: Any) -> bool:
 
 
 def pypylon() -> Any:
-    """Basler's module, imported without its warnings: where they are errors, its C part crashes."""
+    """Basler's module, imported with warnings ignored: its C part crashes if they are raised as errors."""
     with warnings.catch_warnings(action="ignore"):
         from pypylon import pylon
     return pylon

@@ -1,4 +1,4 @@
-"""`files:`: shots and images taken earlier, as if they were taken now."""
+"""`files:`: recorded shots and images, rearranged to the steps of a sequence."""
 
 from collections.abc import Sequence
 
@@ -11,10 +11,10 @@ from ringpose.types.sequence import MAX_LASERS, Step
 
 
 class Recording:
-    """Takes what was recorded, one by one, and gives it back by the steps of a sequence.
+    """Converts recorded shots and images, one by one, to shots with the steps of a sequence.
 
-    A shot keeps its name and gives its frames with the masks of the steps. Plain images know no masks: as many
-    consecutive ones as there are steps make a shot under the name of the first. Without steps all stays as it is.
+    Of a shot, the frames with the masks of the steps are selected; it keeps its name. Plain images have no masks: as
+    many consecutive ones as there are steps form a shot with the name of the first one. Without steps nothing changes.
     """
 
     def __init__(self, steps: Sequence[Step] | None) -> None:
@@ -22,7 +22,7 @@ class Recording:
         self._images: list[Shot] = []
 
     def taken(self, shot: Shot) -> Shot | None:
-        """The next shot; None while images are still to come. A `DataError` concerns this one alone."""
+        """The next shot; None if more images are needed for it. A `DataError` concerns this input only."""
         if self._steps is None:
             return shot
         if not _is_image(shot):
@@ -34,26 +34,30 @@ class Recording:
         return shot_of_images(images, self._steps)
 
     def end(self) -> None:
-        """Images left over, too few for a shot, are bad data."""
+        """Check that no images are left over that are too few for a shot."""
         if self._images:
             found = f"{len(self._images)} of {len(self._steps or ())} images for a last shot"
             raise DataError(self._images[0].name, found, "check --sequence")
 
 
 def frames_of_steps(shot: Shot, steps: Sequence[Step]) -> Shot:
-    """The frames with the masks of the steps, in their order; a step met again takes the next such frame."""
+    """The frames with the masks of the steps, in their order; a repeated step takes the next frame with its mask."""
     count = int(np.bitwise_or.reduce(shot.lasers)).bit_length()
     masks = [_mask(step, count) for step in steps]
-    chosen = np.array([_frame(shot, steps, masks, place) for place in range(len(steps))], dtype=np.int64)
+    chosen = np.array([_frame(shot, steps, masks, number) for number in range(len(steps))], dtype=np.int64)
     return shot_with_frames(shot, chosen)
 
 
 def shot_of_images(images: Sequence[Shot], steps: Sequence[Step]) -> Shot:
-    """One shot of plain images, one a step, all of one size and depth."""
+    """One shot of plain images, one for each step, all of the same size and bit depth."""
     first = images[0]
     for image in images:
         if image.images.shape != first.images.shape or image.images.dtype != first.images.dtype:
-            raise DataError(image.name, f"differs from {first.name} in size or depth", "one shot is of one camera")
+            raise DataError(
+                image.name,
+                f"differs from {first.name} in size or depth",
+                "all images of a shot must come from one camera",
+            )
     return Shot(
         name=first.name,
         images=np.concatenate([image.images for image in images]),
@@ -69,22 +73,24 @@ def _is_image(shot: Shot) -> bool:
 
 
 def _mask(step: Step, count: int) -> int:
-    """The mask of a step; `all` is every laser that the shot knows, and none of them is no mask at all."""
+    """The mask of a step; `all` means the lasers that occur in the shot, or without any -1, which matches no frame."""
     if step.text == "all":
         return step.mask(count) or -1
     return step.mask(MAX_LASERS)
 
 
-def _frame(shot: Shot, steps: Sequence[Step], masks: Sequence[int], place: int) -> int:
-    there = np.flatnonzero(shot.lasers.astype(np.int64) == masks[place])
-    earlier = list(masks[:place]).count(masks[place])
-    if earlier >= len(there):
-        found = "no frame" if not len(there) else f"only {len(there)} of {earlier + 1} frames"
-        raise DataError(shot.name, f"{found} with lasers {steps[place].text}; its frames: {_names(shot.lasers)}")
-    return int(there[earlier])
+def _frame(shot: Shot, steps: Sequence[Step], masks: Sequence[int], number: int) -> int:
+    matching = np.flatnonzero(shot.lasers.astype(np.int64) == masks[number])
+    earlier = list(masks[:number]).count(masks[number])
+    if earlier >= len(matching):
+        found = "no frame" if not len(matching) else f"only {len(matching)} of {earlier + 1} frames"
+        raise DataError(
+            shot.name, f"{found} with lasers {steps[number].text}; its frames: {_written_masks(shot.lasers)}"
+        )
+    return int(matching[earlier])
 
 
-def _names(lasers: UInt8[Array, "frame"]) -> str:
-    """Masks in the words of a sequence."""
+def _written_masks(lasers: UInt8[Array, "frame"]) -> str:
+    """Masks in the syntax of a sequence."""
     lit = [[str(bit + 1) for bit in range(MAX_LASERS) if mask >> bit & 1] for mask in lasers.tolist()]
     return ",".join("+".join(numbers) or "off" for numbers in lit)

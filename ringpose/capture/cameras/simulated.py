@@ -1,4 +1,4 @@
-"""`sim:`: a camera that looks at a simulated scene, in this process."""
+"""`sim:`: the camera of a simulated scene, rendered in this process."""
 
 from typing import Protocol, runtime_checkable
 
@@ -10,14 +10,14 @@ from ringpose.types.image import Frame
 
 @runtime_checkable
 class SceneFrame(Protocol):
-    """The scene at one of its moments, as its camera sees it."""
+    """Renders a frame of the scene."""
 
     def __call__(self, moment: int, lasers: int, exposure_s: float | None) -> Frame:
-        """The frame of moment `moment` (from 0) while the lasers of the mask are on."""
+        """The frame of view `moment` (from 0) while the lasers of the mask are on."""
 
 
 class SimulatedCamera(CameraDriver):
-    """Every arming is the next moment of the scene; the image shows the lasers that are really on."""
+    """Each `arm` advances to the scene's next view; images show the lasers that are actually on."""
 
     def __init__(self, description: CameraDescription, scene_frame: SceneFrame, lasers: LaserDriver) -> None:
         self._description = description
@@ -27,11 +27,11 @@ class SimulatedCamera(CameraDriver):
         self._exposure_s: float | None = None
 
     def open(self) -> None:
-        """Stand before the scene's first moment."""
+        """Start before the scene's first view."""
         self._moment = -1
 
     def skip(self) -> None:
-        """Pass over the scene's next moment."""
+        """Skip the scene's next view."""
         self._moment += 1
 
     def describe(self) -> CameraDescription:
@@ -39,24 +39,24 @@ class SimulatedCamera(CameraDriver):
         return self._description
 
     def arm(self, exposure_s: float | None) -> None:
-        """Let the scene move on to its next moment."""
+        """Advance to the scene's next view."""
         self._moment += 1
         self._exposure_s = exposure_s
 
     def bounds(self, feature: str) -> tuple[float, float] | None:
-        """The scene's camera takes any setting."""
+        """No limits: the simulated camera accepts any value."""
         return None
 
     def set(self, feature: str, value: int | float | str) -> None:
-        """The scene file alone says how its camera is set."""
+        """Rejected: the settings of the camera are defined in the scene file."""
         raise DeviceError("sim:", f"{feature} cannot be set to {value}", "change the scene file")
 
     def trigger(self, lasers: int, exposure_s: float | None = None) -> Frame:
-        """A frame of this moment; lasers that cannot say what is on are taken as commanded."""
+        """A frame of this view; lasers whose driver does not report its state are rendered as commanded."""
         lit = self._lasers.read_mask()
         exposed_s = self._exposure_s if exposure_s is None else exposure_s
         frame = self._scene_frame(self._moment, lasers if lit is None else lit, exposed_s)
         return Frame(image=frame.image, lasers=lasers, stamp_s=frame.stamp_s, exposure_s=frame.exposure_s)
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Nothing to close."""

@@ -1,6 +1,6 @@
-"""What every triggered camera does alike: expose, wait for that one frame, try again if it came broken.
+"""Base class of software-triggered cameras: set the exposure, trigger, wait for the frame, repeat if it is damaged.
 
-Features by their names in the Standard Features Naming Convention, and what older cameras call them.
+Features are named by the Standard Features Naming Convention (SFNC), with the names of older cameras as aliases.
 """
 
 import time
@@ -15,18 +15,18 @@ from ringpose.types.arrays import Array, UInt
 from ringpose.types.image import Frame
 
 TRIES = 3
-"""Triggers for one frame: the first one after a pause, or one with lost packets, may be in vain."""
+"""Triggers for one frame: the first one after a pause may be ignored, and packets may get lost."""
 
-ANSWER_LIMIT_S = 2.0
-"""How long a frame may take beyond its exposure."""
+TIMEOUT_S = 2.0
+"""Default time that a frame may take beyond its exposure."""
 
 MAX_SKIPPED = 1000
-"""Frames that may be thrown away before one that counts."""
+"""Maximum number of frames to discard before one that is used."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FrameGrab:
-    """What came of one trigger."""
+    """The result of one trigger."""
 
     stamp_s: float
     """Host clock (Unix epoch, UTC) at the trigger."""
@@ -36,25 +36,25 @@ class FrameGrab:
     device_stamp_s: float | None = None
     frame_id: int | None = None
     is_late: bool = True
-    """Whether a frame may still be on its way, so that the next one could be taken for another."""
+    """Whether a frame may still arrive, which could be mistaken for the next one."""
 
 
 class SoftwareTriggeredCamera(CameraDriver):
-    """A camera that is told each exposure and triggered once for each frame; what a driver adds is below.
+    """A camera that is triggered once for each frame; a driver implements the abstract methods.
 
-    Its URI may say `format` (Mono8 or Mono12), `gain` (dB), `timeout` (s) and `skip`: how many frames to throw away
-    after a change of the exposure, for cameras that apply it late.
+    Parameters of its URI are `format` (Mono8 or Mono12), `gain` (dB), `timeout` (s) and `skip`: the number of frames to
+    discard after a change of the exposure, for cameras that apply it late.
     """
 
     PARAMETERS: tuple[str, ...] = ("format", "gain", "timeout", "skip")
 
     def __init__(self, uri: DeviceUri) -> None:
-        uri.refuse_unknown(self.PARAMETERS)
+        uri.reject_unknown(self.PARAMETERS)
         self.uri = uri
         self.dropped = 0
-        """Frames that were lost since it was opened, by its own count."""
+        """Number of frames lost since opening, by the camera's frame numbers."""
         self._pixel_format = uri.parameters.get("format", "")
-        self._timeout_s = uri.number("timeout", ANSWER_LIMIT_S, 0.01, 3600.0)
+        self._timeout_s = uri.number("timeout", TIMEOUT_S, 0.01, 3600.0)
         self._skip = uri.whole("skip", 0, MAX_SKIPPED)
         self._wanted_gain_db = uri.number("gain", 0.0) if "gain" in uri.parameters else None
         self._gain_db: float | None = None
@@ -63,16 +63,16 @@ class SoftwareTriggeredCamera(CameraDriver):
         self._last_id: int | None = None
         self._own_exposure_s = self._exposure_s = self._armed_s = 0.0
         if self._pixel_format and self._pixel_format not in SATURATION_DN:
-            raise uri.problem(f'format "{self._pixel_format}" is not known', f"say one of {', '.join(SATURATION_DN)}")
+            raise uri.problem(f'format "{self._pixel_format}" is not known', f"use one of {', '.join(SATURATION_DN)}")
 
     def open(self) -> None:
-        """Take the camera and set it to single frames by software trigger."""
+        """Open the camera and set it to single frames by software trigger."""
         self.dropped, self._last_id, self._ready_lines, self._description = 0, None, set(), None
         self._connect()
         if self._pixel_format:
             self.set("PixelFormat", self._pixel_format)
         if self._format() not in SATURATION_DN:
-            remedy = "ask for ?format=Mono8 or, where the camera has it, Mono12"
+            remedy = "use ?format=Mono8 or, if the camera has it, Mono12"
             raise DeviceError(self.uri.text, f"sends pixels in the format {self._format()}", remedy)
         if self._wanted_gain_db is not None:
             self.set("Gain", self._wanted_gain_db)
@@ -82,12 +82,12 @@ class SoftwareTriggeredCamera(CameraDriver):
         self._start()
 
     def arm(self, exposure_s: float | None) -> None:
-        """Set the exposure of the frames to come."""
+        """Set the exposure of the next frames."""
         self._armed_s = self._own_exposure_s if exposure_s is None else exposure_s
         self._expose_for(self._armed_s)
 
     def trigger(self, lasers: int, exposure_s: float | None = None) -> Frame:
-        """A whole frame, if need be in several attempts."""
+        """A complete frame, after up to `TRIES` triggers."""
         self._expose_for(self._armed_s if exposure_s is None else exposure_s)
         dropped_before = self.dropped
         for attempt in range(1, TRIES + 1):
@@ -110,12 +110,12 @@ class SoftwareTriggeredCamera(CameraDriver):
         raise DeviceError(self.uri.text, f"{grab.problem}, {TRIES} times in a row", self._loss_remedy())
 
     def set_output(self, line: str, high: bool) -> None:
-        """Set an output line by its SFNC name (`Line1`); output k, low before it is, becomes the source of line k."""
+        """Set an output line by its SFNC name (`Line1`); user output k is set low, then made the source of line k."""
         number = _line_number(line, self.uri)
         if line not in self._ready_lines:
             self._set_user_output(number, False)
             self.set("LineSelector", line)
-            with suppress(DeviceError):  # the lines of some cameras are outputs for ever
+            with suppress(DeviceError):  # on some cameras the direction of the lines is fixed
                 self.set("LineMode", "Output")
             self.set("LineSource", f"UserOutput{number}")
             self._ready_lines.add(line)
@@ -132,7 +132,7 @@ class SoftwareTriggeredCamera(CameraDriver):
         self.set("UserOutputValue", high)
 
     def describe(self) -> CameraDescription:
-        """Which camera it is, as it was when it was opened."""
+        """Properties of the camera, read once after opening."""
         if self._description is None:
             name, width, height = self._identity()
             self._description = CameraDescription(
@@ -149,7 +149,7 @@ class SoftwareTriggeredCamera(CameraDriver):
             self._count(self._grab(exposure_s + self._timeout_s).frame_id)
 
     def _count(self, frame_id: int | None) -> None:
-        """Count the frames that are missing between two numbers."""
+        """Count the frames lost since the previous frame number."""
         if frame_id is None:
             return
         if self._last_id is not None:
@@ -157,7 +157,7 @@ class SoftwareTriggeredCamera(CameraDriver):
         self._last_id = frame_id
 
     def _restart(self) -> None:
-        """Let no late frame be taken for the next one; a camera may number its frames anew."""
+        """Restart acquisition, so that a late frame is not mistaken for the next one; frame numbers may restart."""
         self._stop()
         self._last_id = None
         self._start()
@@ -170,7 +170,7 @@ class SoftwareTriggeredCamera(CameraDriver):
 
     @abstractmethod
     def _connect(self) -> None:
-        """Take the camera."""
+        """Open the camera."""
 
     @abstractmethod
     def _start(self) -> None:
@@ -178,19 +178,19 @@ class SoftwareTriggeredCamera(CameraDriver):
 
     @abstractmethod
     def _stop(self) -> None:
-        """End that."""
+        """Stop waiting for software triggers."""
 
     @abstractmethod
     def _grab(self, limit_s: float) -> FrameGrab:
-        """Trigger once, and wait for the frame that comes of it."""
+        """Trigger once, and wait for the frame."""
 
     @abstractmethod
     def _number(self, feature: str) -> float | None:
-        """The present value of a numeric feature; None if there is none."""
+        """The current value of a numeric feature; None if the camera does not have it."""
 
     @abstractmethod
     def _format(self) -> str:
-        """The present pixel format."""
+        """The current pixel format."""
 
     @abstractmethod
     def _identity(self) -> tuple[str, int, int]:
@@ -198,14 +198,14 @@ class SoftwareTriggeredCamera(CameraDriver):
 
 
 def mid_stamp_s(before_s: float) -> float:
-    """The middle between a time and now, host clock: when a command that was answered meanwhile took effect."""
+    """The mean of a time and now (host clock): estimated time at which a command sent in between took effect."""
     return (before_s + time.time()) / 2
 
 
 def _line_number(line: str, uri: DeviceUri) -> int:
     number = line.removeprefix("Line")
     if number == line or not number.isascii() or not number.isdigit():
-        raise DeviceError(uri.text, f'has no output line "{line}"', "lines are called Line1, Line2, ...")
+        raise DeviceError(uri.text, f'has no output line "{line}"', "lines are named Line1, Line2, ...")
     return int(number)
 
 
@@ -218,9 +218,9 @@ ALIASES = {
 }
 
 SATURATION_DN = {"Mono8": 255, "Mono10": 1023, "Mono12": 4095, "Mono14": 16383, "Mono16": 65535}
-"""The last grey value of the pixel formats that a driver can be asked for."""
+"""Maximum grey value of the supported pixel formats."""
 
 
 def spellings(feature: str) -> tuple[str, ...]:
-    """Under which names a feature may be found, the standard one first."""
+    """Names of a feature, the standard one first."""
     return ALIASES.get(feature, (feature,))

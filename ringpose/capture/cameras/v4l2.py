@@ -1,8 +1,8 @@
 """`v4l2:`: webcams and other cameras of the kernel, through OpenCV: `v4l2:/dev/video0?flush=2`.
 
-Such a camera runs freely and knows no trigger. A frame that began before the lasers were switched is worth nothing, so
-as many frames as `flush` says (2 if it does not) are thrown away before each one that counts. Exposure control
-depends on the driver. For measurements take a camera with a trigger.
+Such a camera is free-running, without a trigger. A frame that began before the lasers were switched is useless, so
+`flush` frames (default 2) are discarded before each frame. Exposure control depends on the driver. For measurements,
+use a camera with a trigger.
 """
 
 import time
@@ -23,7 +23,7 @@ _MANUAL = 1.0
 """V4L2_EXPOSURE_MANUAL."""
 
 _EXPOSURE_UNIT_S = 1e-4
-"""Of V4L2_CID_EXPOSURE_ABSOLUTE."""
+"""Unit of V4L2_CID_EXPOSURE_ABSOLUTE."""
 
 
 class V4l2Camera(SoftwareTriggeredCamera):
@@ -38,11 +38,11 @@ class V4l2Camera(SoftwareTriggeredCamera):
         self._flushed = uri.whole("flush", FLUSHED, MAX_SKIPPED)
 
     def bounds(self, feature: str) -> tuple[float, float] | None:
-        """The kernel knows them, OpenCV does not tell them."""
+        """Unknown: OpenCV does not report the limits."""
         return None
 
     def set(self, feature: str, value: int | float | str) -> None:
-        """Exposure and gain; what the camera does not take is an error."""
+        """Set exposure or gain; raises `DeviceError` if the camera rejects the value."""
         if feature == "PixelFormat" and value == "Mono8":
             return
         if feature not in _PROPERTIES or isinstance(value, str):
@@ -55,24 +55,24 @@ class V4l2Camera(SoftwareTriggeredCamera):
             raise DeviceError(self.uri.text, f"does not take {feature} {value:g}", remedy)
 
     def close(self) -> None:
-        """Let go of the device."""
+        """Close the device."""
         capture, self._capture = self._capture, None
         if capture is not None:
             capture.release()
 
     def _connect(self) -> None:
         self.close()
-        self._capture = _opened(self.uri.place)
+        self._capture = _opened(self.uri.address)
         if not self._capture.isOpened():
-            remedy = "see ringpose capture --list; your user may have to be of the group video"
+            remedy = "see ringpose capture --list; your user may have to be in the group video"
             raise DeviceError(self.uri.text, "cannot be opened", remedy)
         self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
 
     def _start(self) -> None:
-        """It runs already."""
+        """Nothing to do: the camera is free-running."""
 
     def _stop(self) -> None:
-        """It runs on."""
+        """Nothing to do: the camera is free-running."""
 
     def _grab(self, limit_s: float) -> FrameGrab:
         for _ in range(self._flushed):
@@ -82,7 +82,7 @@ class V4l2Camera(SoftwareTriggeredCamera):
         return FrameGrab(stamp_s=stamp_s, image=_grey(image) if is_there else None, is_late=False)
 
     def _number(self, feature: str) -> float | None:
-        """What can be asked for; zero is how OpenCV says that it cannot."""
+        """The value of a feature; OpenCV reports 0 if it cannot read it."""
         if feature not in _PROPERTIES:
             return None
         value = float(self._capture.get(_PROPERTIES[feature]))
@@ -94,16 +94,16 @@ class V4l2Camera(SoftwareTriggeredCamera):
     def _identity(self) -> tuple[str, int, int]:
         sizes = (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
         width, height = (int(self._capture.get(size)) for size in sizes)
-        return self.uri.place, width, height
+        return self.uri.address, width, height
 
 
 _PROPERTIES = {"ExposureTime": cv2.CAP_PROP_EXPOSURE, "Gain": cv2.CAP_PROP_GAIN}
 
 
-def _opened(place: str) -> Any:
-    """OpenCV's capture, which writes no log of its own if there is no such device."""
+def _opened(address: str) -> Any:
+    """OpenCV's capture, without log output if the device does not exist."""
     with silent_opencv():
-        return cv2.VideoCapture(place, cv2.CAP_V4L2 if place.startswith("/dev/") else cv2.CAP_ANY)
+        return cv2.VideoCapture(address, cv2.CAP_V4L2 if address.startswith("/dev/") else cv2.CAP_ANY)
 
 
 def _grey(image: UInt8[Array, "row column *channel"]) -> UInt8[Array, "row column"]:

@@ -1,25 +1,26 @@
-"""`line:`: lasers at the camera's own output lines, the fastest way to switch them, without relays that wear.
+"""`line:`: lasers at the camera's own output lines: they switch fastest, and no relays wear out.
 
-The camera is opened once, so no guard can stand by: if this process is killed, the outputs stay as they are until the
-camera misses its owner's heartbeat, and what it does then depends on its make (some hold them). Outputs go low
-before anything else at the end. For people near the beam, a board with a timed pulse or a relay is the safer choice.
+A camera can be opened by one process only, so there is no watchdog: if this process is killed, the outputs stay as
+they are until the camera detects the missing heartbeat; what it does then depends on its model (some hold them). At the
+end of a capture the outputs go low first. Near people, a board with a timed pulse or a relay is the safer choice.
 """
 
+from dataclasses import replace
 from typing import Protocol, runtime_checkable
 
-from ringpose.capture.lasers.driver import LaserDriver, LaserPlace, channels
+from ringpose.capture.lasers.driver import LaserContext, LaserDriver, channels
 from ringpose.capture.uri import DeviceUri
 
 
 @runtime_checkable
 class OutputLines(Protocol):
-    """A camera whose output lines a program sets."""
+    """A camera whose output lines can be set."""
 
     def set_output(self, line: str, high: bool) -> None:
-        """Set a line by its SFNC name (`Line1`); a `DeviceError` says if it cannot be."""
+        """Set a line by its SFNC name (`Line1`); raises `DeviceError` if it cannot be set."""
 
     def output(self, line: str) -> bool | None:
-        """Whether a line is high; None if the camera cannot say."""
+        """Whether a line is high; None if the camera does not report it."""
 
 
 class LineLasers(LaserDriver):
@@ -31,38 +32,34 @@ class LineLasers(LaserDriver):
 
     @property
     def count(self) -> int:
-        """One laser a line."""
+        """One laser for each line."""
         return len(self._lines)
 
     def open(self) -> None:
-        """The camera is open already: every line low."""
+        """Set every line low; the camera is open already."""
         self.set_mask(0)
 
     def set_mask(self, lasers: int) -> None:
-        """Light exactly these: what has to go off goes off before what has to come on."""
+        """Light exactly these; lasers that go off are switched before those that come on."""
         for on in (False, True):
             for number, line in enumerate(self._lines):
                 if bool(lasers >> number & 1) is on:
                     self._camera.set_output(line, on)
 
     def read_mask(self) -> int | None:
-        """The lines that are high."""
+        """The mask of the lines that are high."""
         states = [self._camera.output(line) for line in self._lines]
         if None in states:
             return None
         return sum(1 << number for number, high in enumerate(states) if high)
 
     def close(self) -> None:
-        """The camera's own driver lets go of it."""
+        """Nothing to do: the driver of the camera closes it."""
 
 
-def line(uri: DeviceUri, place: LaserPlace) -> LineLasers:
+def line(uri: DeviceUri, context: LaserContext) -> LineLasers:
     """`line:Line1,Line2,Line3`, in the rig's order, or by name `line:left:Line1,...`."""
-    uri.refuse_unknown(())
-    if not isinstance(place.camera, OutputLines):
-        raise uri.problem("goes with a camera that has output lines only")
-    return LineLasers(place.camera, channels(_as_channels(uri), place))
-
-
-def _as_channels(uri: DeviceUri) -> DeviceUri:
-    return DeviceUri(text=uri.text, option=uri.option, scheme=uri.scheme, place=uri.place, parameters={"ch": uri.place})
+    uri.reject_unknown(())
+    if not isinstance(context.camera, OutputLines):
+        raise uri.problem("needs a camera that has output lines")
+    return LineLasers(context.camera, channels(replace(uri, parameters={"ch": uri.address}), context))

@@ -1,7 +1,4 @@
-"""What capture asks of a laser driver.
-
-What a laser driver may have to know of its surroundings.
-"""
+"""The interface of laser drivers, and what their factories receive."""
 
 import time
 from collections.abc import Callable
@@ -15,14 +12,14 @@ from ringpose.types.sequence import MAX_LASERS
 
 
 class LasersWentOff(DeviceError):
-    """Nobody was told to: what was taken since then shows too little light, and may be taken again."""
+    """Lasers went off without a command; frames taken since then lack light, and the shot can be repeated."""
 
 
 @runtime_checkable
 class LaserDriver(Device, Protocol):
-    """Lasers that a program switches; the `with` block ends with all of them off.
+    """Lasers that can be switched; the `with` block ends with all of them off.
 
-    Masks are those of the shots: bit i is laser i of the rig.
+    In masks, bit i is laser i of the rig.
     """
 
     @property
@@ -31,31 +28,31 @@ class LaserDriver(Device, Protocol):
 
     @property
     def settle_s(self) -> float:
-        """From switching until the light is steady, if nobody measures it."""
+        """Default time from switching until the light is steady."""
         return 0.0
 
     @property
     def longest_on_s(self) -> float | None:
-        """How long a laser may be on for one frame; None for ever."""
+        """Maximum time for which a laser may be on for one frame; None if it is not limited."""
         return None
 
     def open(self) -> None:
-        """Take the device and switch everything off; a `DeviceError` says what is in the way."""
+        """Open the device and switch everything off; raises `DeviceError` if that fails."""
 
     def set_mask(self, lasers: int) -> None:
-        """Light exactly these: what has to go off goes off before what has to come on."""
+        """Light exactly these; lasers that go off are switched before those that come on."""
 
     def read_mask(self) -> int | None:
-        """What the board reports to be on; None if it cannot say."""
+        """The mask that the board reports; None if it cannot report."""
 
     def wait(self, duration_s: float) -> None:
-        """Let time pass; a driver that notices the loss of its device meanwhile raises at once."""
+        """Let time pass; raises at once if the driver detects meanwhile that its device is lost."""
         time.sleep(duration_s)
 
     def abort(self) -> None:
-        """All off at once, said by another thread than the one that switches, which then fails and ends.
+        """Switch all off at once, called by another thread than the one that switches; commands of that one then fail.
 
-        Lasers that only one thread can reach burn to the end of their shot.
+        By default nothing happens: the lasers stay on until the end of their shot.
         """
         return
 
@@ -64,7 +61,7 @@ class LaserDriver(Device, Protocol):
     ) -> None:
         try:
             self._switch_off()
-        except BaseException:  # a second signal must not leave a laser burning
+        except BaseException:  # a second signal must not leave a laser on
             self._switch_off()
             raise
         finally:
@@ -83,39 +80,39 @@ class LaserDriver(Device, Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LaserPlace:
-    """The rig that the lasers belong to, and the camera that looks at them."""
+class LaserContext:
+    """The rig that the lasers belong to, and the camera that captures them."""
 
     names: tuple[str, ...] | None = None
-    """Of the rig's lasers, in its order; None where no rig is given."""
+    """Names of the rig's lasers, in its order; None if no rig is given."""
     camera: object | None = None
-    """The camera's driver, which may also have output lines; None for a simulated one, made after its lasers."""
+    """The camera's driver, which may have output lines; None for a simulated one, which is created after its lasers."""
 
 
-LaserFactory: TypeAlias = Callable[[DeviceUri, LaserPlace], LaserDriver]
-"""What an entry point of the group `ringpose.lasers` names."""
+LaserFactory: TypeAlias = Callable[[DeviceUri, LaserContext], LaserDriver]
+"""The type of the entry points of the group `ringpose.lasers`."""
 
 
-def channels(uri: DeviceUri, place: LaserPlace) -> tuple[str, ...]:
+def channels(uri: DeviceUri, context: LaserContext) -> tuple[str, ...]:
     """The channel of each laser, in the rig's order: `ch=1,2,3`, or by name `ch=left:1,right:3,middle:2`."""
     words = [word.strip() for word in uri.parameters.get("ch", "").split(",")]
     if not all(words):
-        raise uri.problem("does not say which channels feed the lasers (ch=)", "write it as ?ch=1,2,3")
+        raise uri.problem("lacks the channels of the lasers (ch=)", "write it as ?ch=1,2,3")
     named = dict(word.partition(":")[::2] for word in words)
     by_name = any(":" in word for word in words)
-    chosen = _by_name(uri, place, named, len(words)) if by_name else tuple(words)
+    chosen = _by_name(uri, context, named, len(words)) if by_name else tuple(words)
     if len(set(chosen)) < len(chosen):
         raise uri.problem("names a channel twice (ch=)")
     if len(chosen) > MAX_LASERS:
-        raise uri.problem(f"has {len(chosen)} channels; a mask has room for {MAX_LASERS} lasers")
-    if place.names is not None and len(chosen) != len(place.names):
-        raise uri.problem(f"has {len(chosen)} channels for the {len(place.names)} lasers of the rig")
+        raise uri.problem(f"has {len(chosen)} channels; at most {MAX_LASERS} lasers are possible")
+    if context.names is not None and len(chosen) != len(context.names):
+        raise uri.problem(f"has {len(chosen)} channels for the {len(context.names)} lasers of the rig")
     return chosen
 
 
-def _by_name(uri: DeviceUri, place: LaserPlace, named: dict[str, str], count: int) -> tuple[str, ...]:
-    if place.names is None:
-        raise uri.problem("names lasers, but there is no rig that says their order", "add --rig FILE")
-    if set(named) != set(place.names) or count != len(place.names) or not all(named.values()):
-        raise uri.problem(f"must name each of the rig's lasers once: {', '.join(place.names)}")
-    return tuple(named[name] for name in place.names)
+def _by_name(uri: DeviceUri, context: LaserContext, named: dict[str, str], count: int) -> tuple[str, ...]:
+    if context.names is None:
+        raise uri.problem("names lasers, but their order is unknown without a rig", "add --rig FILE")
+    if set(named) != set(context.names) or count != len(context.names) or not all(named.values()):
+        raise uri.problem(f"must name each of the rig's lasers once: {', '.join(context.names)}")
+    return tuple(named[name] for name in context.names)

@@ -1,6 +1,7 @@
-"""Lasers as relays of a board: laser i is the relay `settings.relays[i]`. Runs in the guard; nothing heavy here.
+"""A relay board that switches the lasers: laser i is the relay `settings.relays[i]`.
 
-How a relay board is spoken to and guarded: what the URI says, handed to the guard as one line of JSON.
+The settings come from the URI and are passed to the watchdog process as one line of JSON. The board is driven in that
+process, so this module imports no heavy package.
 """
 
 import json
@@ -24,19 +25,19 @@ Answer = TypeVar("Answer")
 ANSWER_LIMIT_S = 0.25
 
 TRIES = 3
-"""Attempts to switch, or to be understood at all."""
+"""Attempts at one command."""
 
 PAUSE_S = 0.02
-"""Between two attempts."""
+"""Pause between two attempts to switch everything off."""
 
 
-class _Silent(DeviceError):
-    """Not one byte."""
+class _NoAnswer(DeviceError):
+    """The board has not sent a single byte."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RelaySettings:
-    """One board: its port, its bytes, which of its relays (from 0) feed the lasers, and when the guard steps in."""
+    """One board: its port, its protocol, its relays (from 0) that feed the lasers, and the limits of the watchdog."""
 
     scheme: str
     port: str
@@ -44,65 +45,65 @@ class RelaySettings:
     baud: int = 9600
     codec_parameters: Mapping[str, str | int] = field(default_factory=dict)
     read_back: str = "yes"
-    """`yes`; `no`; or `try`: unless the board is silent when it is first asked."""
+    """Whether to read the state of the relays: `yes`, `no`, or `try`: no longer if the board does not answer once."""
     pulse_s: float | None = None
-    """Light by the board's own timed pulse of this length."""
+    """Switch on by the board's timed pulse of this length; None to switch on until switched off."""
     repeat_s: float | None = None
-    """Say again what is on, for a board that switches off when it hears nothing."""
+    """Interval of repeating what is on, for a board with its own watchdog."""
     opening_s: float = 0.0
-    """Wait after opening: an Arduino starts anew."""
+    """Wait after opening the port: an Arduino restarts."""
     heartbeat_s: float = 1.0
-    """Off if nothing was heard for this long while a laser is on."""
+    """Switch off after this long without a command while a laser is on."""
     longest_on_s: float = 5.0
-    """Off if a laser is on for longer than this."""
+    """Switch off if a laser is on for this long."""
     interlock: str = ""
-    """The input that must be closed: `cts`, `dsr`, or none."""
+    """The input that must be asserted: `cts`, `dsr`, or empty for none."""
 
     @property
     def codec(self) -> RelayCodec:
-        """The bytes of the board."""
+        """The protocol of the board."""
         codec: RelayCodec = CODECS[self.scheme](**self.codec_parameters)
         return codec
 
     @property
     def on_limit_s(self) -> float:
-        """How long a laser stays on at most: the guard's limit, or the board's own pulse if nothing prolongs it."""
+        """Maximum time on: the limit of the watchdog, or the board's pulse unless it is repeated."""
         pulse_ends = self.pulse_s is not None and self.repeat_s is None
         return min(self.longest_on_s, self.pulse_s) if pulse_ends and self.pulse_s else self.longest_on_s
 
     def line(self) -> str:
-        """All of it in one line."""
+        """The settings as one line of JSON."""
         return json.dumps(asdict(self))
 
 
 class RelayBoard:
-    """A board on a port that is open already."""
+    """A board at a port that is open already."""
 
     def __init__(self, settings: RelaySettings, port: SerialPort) -> None:
         self.lit = 0
-        """Commanded last: bit i is laser i."""
+        """The mask commanded last: bit i is laser i."""
         self._settings = settings
         self._codec = settings.codec
         self._port = port
         self._reads = settings.read_back if self._codec.reports else "no"
 
     def set_mask(self, lasers: int) -> None:
-        """Light exactly these: what has to go off goes off before what has to come on."""
-        _insisted(lambda: self._off(self.lit & ~lasers))
+        """Light exactly these; lasers that go off are switched before those that come on."""
+        _retried(lambda: self._off(self.lit & ~lasers))
         self.lit &= lasers
         for laser in _members(lasers & ~self.lit):
             self.lit |= 1 << laser
-            _insisted(partial(self._on, laser))
+            _retried(partial(self._on, laser))
 
     def repeat(self) -> None:
-        """Say again what is on."""
+        """Repeat the commands for what is on."""
         for laser in _members(self.lit):
             self._on(laser)
 
     def all_off(self) -> None:
-        """Every laser off, whatever was commanded before, in up to three attempts.
+        """Switch every laser off, whatever was commanded before, in up to three attempts.
 
-        A board that cannot say whether it has understood is told twice.
+        A board that cannot report its state receives the command twice.
         """
         problems: list[DeviceError] = []
         for attempt in range(TRIES):
@@ -122,20 +123,21 @@ class RelayBoard:
         raise problems[-1]
 
     def read_mask(self) -> int | None:
-        """What the board reports to be on; None if it cannot say."""
-        return _insisted(lambda: self._read_mask(self.lit))
+        """The mask that the board reports; None if it cannot report."""
+        return _retried(lambda: self._read_mask(self.lit))
 
     def _read_mask(self, expected: int) -> int | None:
-        """An answer that is not as expected is asked for again: the first one can be stale."""
+        """The reported mask; read again if it is not as expected, because the first answer may be stale."""
         if self._reads == "no":
             return None
         reported = self._reported()
         return self._reported() if reported not in (expected, None) else reported
 
     def _reported(self) -> int | None:
+        """The reported mask; with `read_back=try`, the first read decides whether later ones are made."""
         try:
             relays = self._exchange(Read(max(self._settings.relays) + 1))
-        except _Silent:
+        except _NoAnswer:
             if self._reads != "try":
                 raise
             self._reads = "no"
@@ -148,7 +150,7 @@ class RelayBoard:
         self._exchange(Switch(relay, True) if pulse_s is None else Pulse(relay, pulse_s))
 
     def _off(self, lasers: int) -> None:
-        """Each is tried, even if another fails."""
+        """Switch lasers off; each relay is commanded even if another one fails."""
         problems = []
         for command in self._off_commands(lasers):
             try:
@@ -159,6 +161,7 @@ class RelayBoard:
             raise problems[0]
 
     def _off_commands(self, lasers: int) -> list[Command]:
+        """One command for adjacent relays if the board can switch them together; otherwise one for each."""
         relays = sorted(self._settings.relays[laser] for laser in _members(lasers))
         is_row = len(relays) > 1 and relays[-1] - relays[0] == len(relays) - 1
         if is_row and self._codec.switches_rows:
@@ -172,18 +175,18 @@ class RelayBoard:
         if not self._codec.is_whole(command, received):
             remedy = "check the board, its scheme in --lasers, its power"
             if not received:
-                raise _Silent(self._port.name, "does not answer", remedy)
-            raise DeviceError(self._port.name, f"gives no whole answer ({received!r})", remedy)
+                raise _NoAnswer(self._port.name, "does not answer", remedy)
+            raise DeviceError(self._port.name, f"sends an incomplete answer ({received!r})", remedy)
         try:
             return self._codec.lit(command, received)
         except WireError as error:
             raise DeviceError(self._port.name, str(error), "check that --lasers names the right board") from error
 
 
-def _insisted(act: Callable[[], Answer]) -> Answer:
-    """What an act gives that may fail for a byte that was lost on a long line, and does no harm if it is repeated."""
+def _retried(act: Callable[[], Answer]) -> Answer:
+    """The result of an act, repeated if it fails, for example because a byte was lost on a long line."""
     for _ in range(TRIES - 1):
-        with suppress(DeviceError):  # no pause: somebody's end may be why no answer was waited for
+        with suppress(DeviceError):  # no pause: the wait for an answer may have ended because a process ends
             return act()
     return act()
 
@@ -196,6 +199,6 @@ CODECS = {"lcus": LcusCodec, "numato": NumatoCodec, "modbus": ModbusCodec, "asci
 
 
 def settings_of_line(line: str) -> RelaySettings:
-    """What `line` wrote."""
+    """The settings that `RelaySettings.line` has written."""
     values = json.loads(line)
     return RelaySettings(**{**values, "relays": tuple(values["relays"])})

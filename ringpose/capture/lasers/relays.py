@@ -1,13 +1,13 @@
-"""`lcus:`, `numato:`, `modbus:`, `ascii:`: relay boards at a serial port, each behind a guard.
+"""`lcus:`, `numato:`, `modbus:`, `ascii:`: URIs of relay boards at a serial port -> lasers behind a watchdog.
 
-Nothing is ever sent to a port to find out what hangs on it: bytes that one board ignores light lasers on another.
+No port is ever probed to detect its board: bytes that one board ignores switch lasers on at another.
 """
 
 import re
 from collections.abc import Mapping
 from dataclasses import replace
 
-from ringpose.capture.lasers.driver import LaserPlace, channels
+from ringpose.capture.lasers.driver import LaserContext, channels
 from ringpose.capture.lasers.relay_board import CODECS, RelaySettings
 from ringpose.capture.lasers.watchdog import WatchdogLasers
 from ringpose.capture.uri import DeviceUri
@@ -25,62 +25,62 @@ _HEXADECIMAL = re.compile(r"[0-9a-fA-F]{1,4}")
 READ_BACK = ("yes", "no", "try")
 
 WAITS_S = (0.01, 3600.0)
-"""Shortest and longest of the times that a URI may set."""
+"""Minimum and maximum of the times that a URI may set."""
 
 PULSES_S = (0.1, 3276.7)
-"""What a Modbus relay can count, in tenths of a second."""
+"""Range of the timed pulse of a Modbus relay, which counts tenths of a second."""
 
 
-def lcus(uri: DeviceUri, place: LaserPlace) -> WatchdogLasers:
-    """LCUS-1/2/4/8: `lcus:/dev/ttyUSB0?ch=1,2,3`; one that is silent when it is asked what is on is not asked again."""
-    return WatchdogLasers(_settings(uri, place, {}, read_back="try"))
+def lcus(uri: DeviceUri, context: LaserContext) -> WatchdogLasers:
+    """LCUS-1/2/4/8: `lcus:/dev/ttyUSB0?ch=1,2,3`; a board that does not report its state is asked only once."""
+    return WatchdogLasers(_settings(uri, context, {}, read_back="try"))
 
 
-def numato(uri: DeviceUri, place: LaserPlace) -> WatchdogLasers:
+def numato(uri: DeviceUri, context: LaserContext) -> WatchdogLasers:
     """Numato: `numato:/dev/ttyACM0?ch=0,1,2`."""
-    return WatchdogLasers(_settings(uri, place, {}))
+    return WatchdogLasers(_settings(uri, context, {}))
 
 
-def modbus(uri: DeviceUri, place: LaserPlace) -> WatchdogLasers:
+def modbus(uri: DeviceUri, context: LaserContext) -> WatchdogLasers:
     """Modbus-RTU: `modbus:/dev/ttyUSB0?ch=0,1,2&unit=1&pulse=2`; clones may need `base=1` or `on=0100`."""
     parameters: dict[str, str | int] = {
-        "unit": uri.whole("unit", 1, most=255, least=1),
-        "first": uri.whole("base", 0, most=1),
+        "unit": uri.whole("unit", 1, maximum=255, minimum=1),
+        "first": uri.whole("base", 0, maximum=1),
         "on_value": _hexadecimal(uri, "on", 0xFF00),
     }
-    settings = _settings(uri, place, parameters, ("unit", "base", "on", "pulse"))
+    settings = _settings(uri, context, parameters, ("unit", "base", "on", "pulse"))
     if "pulse" not in uri.parameters:
         return WatchdogLasers(settings)
     return WatchdogLasers(replace(settings, pulse_s=uri.number("pulse", 0.0, *PULSES_S)))
 
 
-def ascii_lines(uri: DeviceUri, place: LaserPlace) -> WatchdogLasers:
+def ascii_lines(uri: DeviceUri, context: LaserContext) -> WatchdogLasers:
     """Lines of text: `ascii:/dev/ttyACM0?ch=1,2,3&on=R{n}%20ON&off=R{n}%20OFF&read=R?&ok=OK`."""
     templates = {"on": uri.parameters.get("on", ""), "off": uri.parameters.get("off", "")}
     for key, template in templates.items():
         if "{n}" not in template:
             raise uri.problem(f"{key}= must be a line with {{n}} for the number of the relay", f"such as {key}=R{{n}}")
     if templates["on"] == templates["off"]:
-        raise uri.problem("says the same for on= and off=", "off= must be what switches a relay off")
+        raise uri.problem("has the same line for on= and off=", "off= must be the line that switches a relay off")
     more = {"read": uri.parameters.get("read", ""), "acknowledged_by": uri.parameters.get("ok", "")}
-    return WatchdogLasers(_settings(uri, place, {**templates, **more}, ("on", "off", "read", "ok")))
+    return WatchdogLasers(_settings(uri, context, {**templates, **more}, ("on", "off", "read", "ok")))
 
 
 def _settings(
     uri: DeviceUri,
-    place: LaserPlace,
+    context: LaserContext,
     codec_parameters: Mapping[str, str | int],
     more: tuple[str, ...] = (),
     read_back: str = "yes",
 ) -> RelaySettings:
-    uri.refuse_unknown((*COMMON, *more))
-    if not uri.place:
+    uri.reject_unknown((*COMMON, *more))
+    if not uri.address:
         raise uri.problem("names no port", f"write it as {uri.scheme}:/dev/serial/by-id/...?ch=1,2,3")
     return RelaySettings(
         scheme=uri.scheme,
-        port=uri.place,
-        relays=_relays(uri, place, codec_parameters),
-        baud=uri.whole("baud", 9600, most=4_000_000, least=1),
+        port=uri.address,
+        relays=_relays(uri, context, codec_parameters),
+        baud=uri.whole("baud", 9600, maximum=4_000_000, minimum=1),
         codec_parameters=codec_parameters,
         read_back=_choice(uri, "read_back", READ_BACK, read_back),
         repeat_s=uri.number("repeat", 0.0, *WAITS_S) if "repeat" in uri.parameters else None,
@@ -91,11 +91,11 @@ def _settings(
     )
 
 
-def _relays(uri: DeviceUri, place: LaserPlace, codec_parameters: Mapping[str, str | int]) -> tuple[int, ...]:
-    """The relays from 0; the URI has the board's own numbers."""
+def _relays(uri: DeviceUri, context: LaserContext, codec_parameters: Mapping[str, str | int]) -> tuple[int, ...]:
+    """Relay numbers from 0; the URI uses the numbers of the board."""
     first = CODECS[uri.scheme](**codec_parameters).first
     chosen = []
-    for number in channels(uri, place):
+    for number in channels(uri, context):
         if not _NUMBER.fullmatch(number) or not first <= int(number) < first + MAX_RELAYS:
             raise uri.problem(f'ch= has "{number}"', f"relays have numbers from {first} to {first + MAX_RELAYS - 1}")
         chosen.append(int(number) - first)

@@ -1,4 +1,4 @@
-"""A serial port that one process owns; whatever goes wrong with it is a `DeviceError`."""
+"""A serial port, opened exclusively; all its errors are raised as `DeviceError`."""
 
 import errno
 import os
@@ -19,27 +19,27 @@ REMEDIES = {
     errno.EACCES: "you may need to be in the group dialout: sudo usermod -aG dialout $USER, then log in again",
     errno.EAGAIN: "another program uses it; end that first",
     errno.EBUSY: "another program uses it; end that first",
-    errno.ENOTTY: "it is no serial port",
+    errno.ENOTTY: "it is not a serial port",
 }
 
 
 class SerialPort:
-    """Opened for itself alone. While it waits for an answer it also watches `interrupting` for the end of somebody."""
+    """An exclusive serial port whose wait for an answer can be interrupted."""
 
     def __init__(self, name: str, baud: int) -> None:
         self.name = name
         self.interrupting: Sequence[int] = ()
-        """File descriptors; as soon as one becomes readable no answer is waited for any more."""
+        """File descriptors; when one becomes readable, waiting for an answer ends."""
         self._baud = baud
         self._serial: serial.Serial | None = None
 
     def open(self) -> None:
-        """Take the port."""
+        """Open the port."""
         with self._mapped():
             self._serial = serial.Serial(self.name, self._baud, timeout=0, write_timeout=WRITE_LIMIT_S, exclusive=True)
 
     def close(self) -> None:
-        """Let go of it; closing twice does nothing."""
+        """Close the port; closing it twice does nothing."""
         port, self._serial = self._serial, None
         if port is not None:
             with self._mapped():
@@ -47,22 +47,22 @@ class SerialPort:
 
     @property
     def fileno(self) -> int:
-        """To be polled for a hang-up."""
+        """The file descriptor, to poll for a hang-up."""
         return int(self._opened.fileno())
 
-    def exchange(self, request: bytes, is_whole: Callable[[bytes], bool], limit_s: float) -> bytes:
-        """Write, then read until the answer is whole; what has come by the limit if it never is."""
+    def exchange(self, request: bytes, is_complete: Callable[[bytes], bool], limit_s: float) -> bytes:
+        """Write, then read until the answer is complete or the time limit is reached; returns what was received."""
         port = self._opened
         with self._mapped():
             port.reset_input_buffer()
             port.write(request)
         received, ends_s = b"", time.monotonic() + limit_s
-        while not is_whole(received) and self._readable(ends_s - time.monotonic()):
+        while not is_complete(received) and self._readable(ends_s - time.monotonic()):
             with self._mapped():
                 received += port.read(4096)
         return received
 
-    def is_closed_contact(self, name: str) -> bool:
+    def is_contact_closed(self, name: str) -> bool:
         """Whether the input `cts` or `dsr` is asserted."""
         with self._mapped():
             return bool(getattr(self._opened, name))
@@ -85,24 +85,19 @@ class SerialPort:
 
     @contextmanager
     def _mapped(self) -> Iterator[None]:
-        """Termios' own error is no OSError, and pyserial's has no number where a cable was pulled."""
+        """Convert errors: that of termios is not an OSError, and pyserial's has no errno if a cable was pulled."""
         try:
             yield
         except (OSError, termios.error, ValueError) as error:
             number = _number(error)
             remedy = REMEDIES.get(number or 0, "check cable and power")
-            raise DeviceError(self.name, _words(error, number), remedy) from error
+            found = f"failed: {error}" if number is None else f"cannot be used: {os.strerror(number).lower()}"
+            raise DeviceError(self.name, found, remedy) from error
 
 
 def _number(error: BaseException | None) -> int | None:
-    """The system's number of an error; some of pyserial's have it only in what caused them."""
+    """The errno of an error; for some of pyserial's, only their cause has one."""
     if error is None:
         return None
     number = next((part for part in error.args if isinstance(part, int)), None)
     return _number(error.__context__) if number is None else number
-
-
-def _words(error: Exception, number: int | None) -> str:
-    if number is None:
-        return f"failed: {error}"
-    return f"cannot be used: {os.strerror(number).lower()}"

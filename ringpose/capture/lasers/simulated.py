@@ -1,11 +1,11 @@
-"""`sim:`: lasers of a simulated scene; the simulated camera looks at what is lit here."""
+"""`sim:`: lasers of a simulated scene; the simulated camera reads from here which are on."""
 
-from ringpose.capture.lasers.driver import LaserDriver, LaserPlace
+from ringpose.capture.lasers.driver import LaserContext, LaserDriver
 from ringpose.capture.uri import DeviceUri
 
 
 class SimulatedLasers(LaserDriver):
-    """Off until it is opened and after it is closed."""
+    """Lasers that exist as a mask only; off before opening and after closing."""
 
     def __init__(self, count: int) -> None:
         self._count = count
@@ -25,7 +25,7 @@ class SimulatedLasers(LaserDriver):
         self._lit = lasers
 
     def read_mask(self) -> int | None:
-        """What is lit."""
+        """The mask of the lasers that are on."""
         return self._lit
 
     def close(self) -> None:
@@ -33,10 +33,10 @@ class SimulatedLasers(LaserDriver):
         self._lit = 0
 
 
-def sim(uri: DeviceUri, place: LaserPlace) -> SimulatedLasers:
+def sim(uri: DeviceUri, context: LaserContext) -> SimulatedLasers:
     """The lasers of the simulated scene."""
-    if uri.place or uri.parameters:
+    if uri.address or uri.parameters:
         raise uri.problem("has words after its colon", "leave them out")
-    if place.names is None or place.camera is not None:
-        raise uri.problem("goes with a simulated camera only")
-    return SimulatedLasers(len(place.names))
+    if context.names is None or context.camera is not None:
+        raise uri.problem("needs a simulated camera")
+    return SimulatedLasers(len(context.names))

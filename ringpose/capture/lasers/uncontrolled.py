@@ -1,15 +1,15 @@
-"""`none:`: lasers that burn all the time, or that somebody else switches."""
+"""`none:`: lasers that are always on, or switched by something else."""
 
 from collections.abc import Iterable
 
-from ringpose.capture.lasers.driver import LaserDriver, LaserPlace
+from ringpose.capture.lasers.driver import LaserContext, LaserDriver
 from ringpose.capture.uri import DeviceUri
 from ringpose.errors import UsageError
 from ringpose.types.sequence import MAX_LASERS, Step
 
 
 class UncontrolledLasers(LaserDriver):
-    """Taken as all on, always; switching them off is the user's own business."""
+    """Assumed to be on all the time; the user must switch them off."""
 
     def __init__(self, count: int) -> None:
         self._count = count
@@ -20,30 +20,30 @@ class UncontrolledLasers(LaserDriver):
         return self._count
 
     def open(self) -> None:
-        """Nothing to take."""
+        """Nothing to open."""
 
     def set_mask(self, lasers: int) -> None:
-        """Nothing to switch: `refuse_switching` has seen to it that only the step `all` is asked for."""
+        """Nothing to switch; `reject_switching` ensures that a sequence has the step `all` only."""
 
     def read_mask(self) -> int | None:
-        """Nobody knows."""
+        """Unknown."""
         return None
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Nothing to close."""
 
 
-def none(uri: DeviceUri, place: LaserPlace) -> UncontrolledLasers:
-    """As many as the rig has; without a rig as many as a mask has room for."""
-    if uri.place or uri.parameters:
+def none(uri: DeviceUri, context: LaserContext) -> UncontrolledLasers:
+    """As many lasers as the rig has; without a rig, as many as a mask can hold."""
+    if uri.address or uri.parameters:
         raise uri.problem("has words after its colon", "leave them out")
-    return UncontrolledLasers(MAX_LASERS if place.names is None else len(place.names))
+    return UncontrolledLasers(MAX_LASERS if context.names is None else len(context.names))
 
 
-def refuse_switching(steps: Iterable[Step]) -> None:
-    """A sequence for lasers that nothing switches may have the step `all` only."""
+def reject_switching(steps: Iterable[Step]) -> None:
+    """A sequence for lasers that are not switched may have the step `all` only."""
     for step in steps:
         if step.text != "all":
             raise UsageError(
-                "--lasers none:", f'nothing switches the lasers for step "{step.text}"', "say --sequence all"
+                "--lasers none:", f'nothing switches the lasers for step "{step.text}"', "use --sequence all"
             )

@@ -1,6 +1,7 @@
-"""Relays behind a guard: the process that captures tells the guard, the guard alone touches the port.
+"""Relay lasers behind a watchdog process: the capture sends commands to the watchdog, which alone owns the serial port.
 
-Notices when the guard itself ends or is stopped.
+The watchdog (`watchdog_process`) switches the lasers off whatever happens to the capture. This module starts it, sends
+it commands, and takes over the port if the watchdog itself ends or is stopped.
 """
 
 import os
@@ -21,12 +22,15 @@ from ringpose.capture.lasers.relay_board import RelayBoard, RelaySettings
 from ringpose.capture.lasers.serial_port import SerialPort
 from ringpose.errors import DeviceError, LaserSafetyError
 
-ANSWER_LIMIT_S = 2.0
-"""The guard answers within milliseconds, or after three attempts at a board that does not."""
+REPLY_LIMIT_S = 2.0
+"""The watchdog replies within milliseconds, or after three attempts at a board that does not."""
 
 OPENING_LIMIT_S = 10.0
 
 ENDING_LIMIT_S = 3.0
+
+TAKE_OVER_LIMIT_S = 1.0
+"""How long to try to open the port that a dead watchdog may still hold."""
 
 _START = (
     "import sys; sys.path[:] = sys.argv[3].split({separator!r}); "
@@ -35,58 +39,59 @@ _START = (
 
 
 class WatchdogLasers(LaserDriver):
-    """If the guard ends unasked, this process takes the port itself, switches off, and captures no more."""
+    """If the watchdog ends unexpectedly, this process opens the port itself, switches off, and every command fails."""
 
     def __init__(self, settings: RelaySettings) -> None:
         self.settings = settings
-        self._guard: subprocess.Popen[bytes] | None = None
-        self._end: WatchdogConnection | None = None
-        self._guarding = False
+        self._watchdog: subprocess.Popen[bytes] | None = None
+        self._monitor: ChildMonitor | None = None
+        self._in_service = False
+        """From the first reply until `close`: an end of the watchdog in this time is unexpected."""
         self._fault: DeviceError | LaserSafetyError | None = None
-        self._faulty = threading.Event()
+        self._has_fault = threading.Event()
         self._number = 0
         self._received = b""
 
     @property
     def count(self) -> int:
-        """One laser a relay."""
+        """One laser for each relay."""
         return len(self.settings.relays)
 
     @property
     def settle_s(self) -> float:
-        """Relays close within 10 ms; the rest is for their bouncing and the laser's own start."""
+        """Relays close within 10 ms; the rest covers contact bounce and the start of the laser."""
         return 0.05
 
     @property
     def longest_on_s(self) -> float:
-        """Until the guard steps in, which is told nothing while a frame is exposed."""
+        """Time until the watchdog switches off; it receives no command while a frame is exposed."""
         return min(self.settings.heartbeat_s, self.settings.on_limit_s)
 
     @property
-    def guard_pid(self) -> int:
-        """Process number of the guard; 0 while there is none."""
-        return 0 if self._guard is None else self._guard.pid
+    def watchdog_pid(self) -> int:
+        """Process id of the watchdog; 0 while there is none."""
+        return 0 if self._watchdog is None else self._watchdog.pid
 
     def open(self) -> None:
-        """Start the guard, which takes the port and switches everything off."""
-        _keep_no_core()
-        self._guard = _started(self.settings)
-        self._end = WatchdogConnection(self._guard.pid, self._guard_ended)
-        self._answer(0, OPENING_LIMIT_S + self.settings.opening_s)
-        self._guarding = True
+        """Start the watchdog, which opens the port and switches everything off."""
+        _disable_core_dumps()
+        self._watchdog = _started(self.settings)
+        self._monitor = ChildMonitor(self._watchdog.pid, self._watchdog_ended)
+        self._reply(0, OPENING_LIMIT_S + self.settings.opening_s)
+        self._in_service = True
 
     def set_mask(self, lasers: int) -> None:
-        """Light exactly these: what has to go off goes off before what has to come on."""
+        """Light exactly these; lasers that go off are switched before those that come on."""
         try:
-            self._order(f"set {lasers}")
+            self._send(f"set {lasers}")
         except DeviceError:
             if lasers or self._fault is None:
-                raise  # otherwise they were switched off when the guard ended
+                raise  # after a fault, "all off" has been done already when the watchdog ended
 
     def read_mask(self) -> int | None:
-        """What the board reports to be on; None if it cannot say."""
+        """The mask that the board reports; None if it cannot report."""
         try:
-            reported = self._order("read")
+            reported = self._send("read")
         except DeviceError:
             if self._fault is None:
                 raise
@@ -94,75 +99,72 @@ class WatchdogLasers(LaserDriver):
         return None if reported == "-" else int(reported)
 
     def wait(self, duration_s: float) -> None:
-        """Let time pass, but not if the guard or the port is lost meanwhile."""
-        if self._faulty.wait(duration_s) and self._fault is not None:
+        """Let time pass; raises at once if the watchdog or the port is lost meanwhile."""
+        if self._has_fault.wait(duration_s) and self._fault is not None:
             raise self._fault
 
     def abort(self) -> None:
-        """Let the guard switch off and end; nothing can be lit after it."""
-        guard = self._guard
-        if guard is not None and self._guarding:
+        """Make the watchdog switch off and end; no laser can be lit after that."""
+        watchdog = self._watchdog
+        if watchdog is not None and self._in_service:
             with suppress(ProcessLookupError):
-                os.kill(guard.pid, signal.SIGTERM)
+                os.kill(watchdog.pid, signal.SIGTERM)
 
     def close(self) -> None:
-        """Send the guard home; it switches off once more."""
-        self._guarding = False
-        guard, self._guard = self._guard, None
-        if guard is None:
+        """End the watchdog by closing its input; it switches off once more."""
+        self._in_service = False
+        watchdog, self._watchdog = self._watchdog, None
+        if watchdog is None:
             return
         with suppress(OSError):
-            guard.stdin.close()  # type: ignore[union-attr]
+            watchdog.stdin.close()  # type: ignore[union-attr]
         try:
-            guard.wait(ENDING_LIMIT_S)
+            watchdog.wait(ENDING_LIMIT_S)
         except subprocess.TimeoutExpired:
-            guard.kill()
-            guard.wait()
+            watchdog.kill()
+            watchdog.wait()
         finally:
-            guard.stdout.close()  # type: ignore[union-attr]
+            watchdog.stdout.close()  # type: ignore[union-attr]
 
-    def _order(self, order: str) -> str:
+    def _send(self, command: str) -> str:
+        """Send a command; returns the reply."""
         if self._fault is not None:
             raise self._fault
-        if self._guard is None:
+        if self._watchdog is None:
             raise DeviceError(self.settings.port, "is not open")
         self._number += 1
         try:
-            os.write(self._guard.stdin.fileno(), f"{self._number} {order}\n".encode())  # type: ignore[union-attr]
+            os.write(self._watchdog.stdin.fileno(), f"{self._number} {command}\n".encode())  # type: ignore[union-attr]
         except OSError:
             raise self._lost() from None
-        return self._answer(self._number, ANSWER_LIMIT_S)
+        return self._reply(self._number, REPLY_LIMIT_S)
 
-    def _answer(self, number: int, limit_s: float) -> str:
-        """The answer to an order; those to earlier ones, whose wait a signal broke off, are passed over."""
+    def _reply(self, number: int, limit_s: float) -> str:
+        """The reply to a command; replies to earlier ones, whose wait a signal interrupted, are skipped."""
         ends_s = time.monotonic() + limit_s
         while True:
-            said, _, words = self._line(ends_s).partition(" ")
+            replied, _, words = self._line(ends_s).partition(" ")
             kind, _, rest = words.partition(" ")
-            if kind == "err" and said in (str(number), "0"):
-                raise self._problem(said, rest)
-            if said == str(number):
+            if kind == "err" and replied == "0" and self._number:
+                raise self._lost()  # number 0 after the start: the watchdog reports why it ends
+            if kind == "err" and replied in (str(number), "0"):
+                raise DeviceError(self.settings.port, rest)
+            if replied == str(number):
                 break
         if kind == "off":
-            raise LasersWentOff(self.settings.port, f"the guard switched the lasers off: {rest}")
+            raise LasersWentOff(self.settings.port, f"the watchdog switched the lasers off: {rest}")
         return rest
-
-    def _problem(self, said: str, words: str) -> DeviceError | LaserSafetyError:
-        """A refusal; one that was no answer (0) is the guard's last word."""
-        if said == "0" and self._number:
-            return self._lost()
-        return DeviceError(self.settings.port, words)
 
     def _line(self, ends_s: float) -> str:
         while b"\n" not in self._received:
-            guard = self._guard
-            if guard is None or guard.stdout is None:
+            watchdog = self._watchdog
+            if watchdog is None or watchdog.stdout is None:
                 raise self._lost()
-            ready, _, _ = select.select([guard.stdout], [], [], max(0.0, ends_s - time.monotonic()))
+            ready, _, _ = select.select([watchdog.stdout], [], [], max(0.0, ends_s - time.monotonic()))
             if not ready:
-                os.kill(guard.pid, signal.SIGKILL)  # it is ours until `close` has waited for it
+                os.kill(watchdog.pid, signal.SIGKILL)  # the id stays valid until `close` has waited for the process
                 raise self._lost()
-            received = os.read(guard.stdout.fileno(), 4096)
+            received = os.read(watchdog.stdout.fileno(), 4096)
             if not received:
                 raise self._lost()
             self._received += received
@@ -170,35 +172,55 @@ class WatchdogLasers(LaserDriver):
         return line.decode()
 
     def _lost(self) -> DeviceError | LaserSafetyError:
-        """Why there is no guard any more, once everything was done about it."""
-        if self._end is not None:
-            self._end.has_come.wait(ENDING_LIMIT_S + self.settings.opening_s)
+        """The fault that ended the watchdog, once the lasers have been switched off or cannot be."""
+        if self._monitor is not None:
+            self._monitor.has_ended.wait(ENDING_LIMIT_S + self.settings.opening_s)
         return self._fault or self._taken_over()
 
-    def _guard_ended(self, pid: int) -> None:
-        """In the thread that waits for it: take the port and switch off."""
-        if not self._guarding:
+    def _watchdog_ended(self, pid: int) -> None:
+        """Called in the monitor's thread: take over the port and switch off."""
+        if not self._in_service:
             return
         with suppress(ProcessLookupError):
             os.kill(pid, signal.SIGKILL)  # it may only have been stopped
         self._taken_over()
-        self._faulty.set()
+        self._has_fault.set()
 
     def _taken_over(self) -> DeviceError | LaserSafetyError:
-        """Switch off without a guard; what there is to be said about it."""
+        """Switch off without a watchdog; returns the fault to report."""
         try:
             _switch_off(self.settings)
         except DeviceError as error:
-            found = f"guard and port are lost, the lasers may be on: {error.found}"
+            found = f"watchdog and port are lost, the lasers may be on: {error.found}"
             self._fault = LaserSafetyError(self.settings.port, found, "cut the power")
         else:
-            found = "the guard of the lasers ended; they were switched off without it"
+            found = "the watchdog of the lasers ended; they were switched off without it"
             self._fault = DeviceError(self.settings.port, found)
         return self._fault
 
 
+class ChildMonitor:
+    """Waits, in a thread, for the end of a child process and then calls `on_end`; a stopped child counts as ended."""
+
+    def __init__(self, pid: int, on_end: Callable[[int], None]) -> None:
+        self._pid = pid
+        self._on_end = on_end
+        self.has_ended = threading.Event()
+        """Set when the child has ended and `on_end` has returned."""
+        self._thread = threading.Thread(target=self._watch, name="watchdog-monitor", daemon=True)
+        self._thread.start()
+
+    def _watch(self) -> None:
+        with suppress(ChildProcessError):  # raised if another thread has waited for it: it has ended
+            os.waitid(os.P_PID, self._pid, os.WEXITED | os.WSTOPPED | os.WNOWAIT)
+        try:
+            self._on_end(self._pid)
+        finally:
+            self.has_ended.set()
+
+
 def _started(settings: RelaySettings) -> "subprocess.Popen[bytes]":
-    """A fresh interpreter in a session of its own, which finds what this one finds and loads nothing else."""
+    """The watchdog: a new interpreter in its own session, with the module search path of this one."""
     paths = os.pathsep.join([*sys.path, str(Path(ringpose.__file__).parents[1])])
     start = _START.format(separator=os.pathsep)
     words = [sys.executable, "-I", "-S", "-c", start, str(os.getpid()), settings.line(), paths]
@@ -207,18 +229,19 @@ def _started(settings: RelaySettings) -> "subprocess.Popen[bytes]":
 
 
 def _switch_off(settings: RelaySettings) -> None:
+    """Open the port and switch all lasers off."""
     port = SerialPort(settings.port, settings.baud)
-    ends_s = time.monotonic() + 1.0
+    ends_s = time.monotonic() + TAKE_OVER_LIMIT_S
     while True:
         try:
             port.open()
             break
-        except DeviceError:  # the dead guard's hold of the port takes a moment to end
+        except DeviceError:  # the kernel needs a moment to release the port of a killed watchdog
             if time.monotonic() > ends_s or not Path(settings.port).exists():
                 raise
             time.sleep(0.005)
     try:
-        if settings.opening_s:  # a board that starts anew when its port is opened may not listen yet
+        if settings.opening_s:  # a board that restarts when its port is opened may not listen yet: try before and after
             with suppress(DeviceError):
                 RelayBoard(settings, port).all_off()
             time.sleep(settings.opening_s)
@@ -227,31 +250,11 @@ def _switch_off(settings: RelaySettings) -> None:
         port.close()
 
 
-def _keep_no_core() -> None:
-    """A crash must end this process at once: while a core is written its pipes stay open.
+def _disable_core_dumps() -> None:
+    """Let a crash end this process at once: its pipes stay open, and the lasers on, while a core is written.
 
     A limit of one byte, unlike none, also keeps the kernel from piping the core to a program (core(5)).
     """
     _, hard = resource.getrlimit(resource.RLIMIT_CORE)
     if hard != 0:
         resource.setrlimit(resource.RLIMIT_CORE, (1, hard))
-
-
-class WatchdogConnection:
-    """Waits, in a thread, for the end of a child process, and acts at once; a stopped one is as bad as a dead one."""
-
-    def __init__(self, pid: int, act: Callable[[int], None]) -> None:
-        self._pid = pid
-        self._act = act
-        self.has_come = threading.Event()
-        """Set when the child has ended and everything was done about it."""
-        self._thread = threading.Thread(target=self._watch, name="guard-end", daemon=True)
-        self._thread.start()
-
-    def _watch(self) -> None:
-        with suppress(ChildProcessError):  # if it was waited for elsewhere it has ended
-            os.waitid(os.P_PID, self._pid, os.WEXITED | os.WSTOPPED | os.WNOWAIT)
-        try:
-            self._act(self._pid)
-        finally:
-            self.has_come.set()

@@ -32,7 +32,7 @@ def camera(loopback_address):
 
     def driver(place: str = loopback_address, **parameters: str) -> AravisCamera:
         return AravisCamera(
-            DeviceUri(text=f"aravis:{place}", option="--camera", scheme="aravis", place=place, parameters=parameters)
+            DeviceUri(text=f"aravis:{place}", option="--camera", scheme="aravis", address=place, parameters=parameters)
         )
 
     return driver

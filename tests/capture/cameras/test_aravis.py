@@ -131,7 +131,7 @@ def test_pixels_that_are_not_grey_are_refused(serve, camera, monkeypatch):
     serve()
     monkeypatch.setattr(AravisCamera, "_format", lambda self: "BayerRG8")
 
-    with pytest.raises(DeviceError, match=r"sends pixels in the format BayerRG8; ask for \?format=Mono8"):
+    with pytest.raises(DeviceError, match=r"sends pixels in the format BayerRG8; use \?format=Mono8"):
         camera().open()
 
 
@@ -144,7 +144,7 @@ def test_a_frame_that_claims_to_be_larger_than_it_is_is_not_read(serve, camera, 
         lambda frame: claimed(replace(frame, leader=replace(frame.leader, width=40000, height=40000))),
     )
 
-    with (opened := camera(timeout="0.5")), pytest.raises(DeviceError, match="a frame was smaller than it said"):
+    with (opened := camera(timeout="0.5")), pytest.raises(DeviceError, match="a frame was smaller than declared"):
         opened.trigger(0)
 
 

@@ -104,7 +104,7 @@ def test_a_misspelt_parameter_is_wrong_usage(camera):
 
 
 def test_an_unknown_format_is_wrong_usage(camera):
-    with pytest.raises(UsageError, match='format "RGB8" is not known; say one of Mono8'):
+    with pytest.raises(UsageError, match='format "RGB8" is not known; use one of Mono8'):
         camera(format="RGB8")
 
 

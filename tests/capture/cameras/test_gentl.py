@@ -70,7 +70,7 @@ class Nodes:
 
 
 class Acquirer:
-    """A camera: every second frame is incomplete if it is told so."""
+    """A camera; every second frame is incomplete if requested."""
 
     def __init__(self, broken: tuple[int, ...] = ()) -> None:
         self.remote_device = SimpleNamespace(node_map=Nodes())
@@ -106,7 +106,7 @@ def harvested(monkeypatch, tmp_path):
         monkeypatch.setitem(sys.modules, "harvesters", SimpleNamespace())
         monkeypatch.setitem(sys.modules, "harvesters.core", SimpleNamespace(Harvester=lambda: harvester))
         uri = DeviceUri(
-            text="gentl:", option="--camera", scheme="gentl", place=str(producer), parameters=dict(parameters)
+            text="gentl:", option="--camera", scheme="gentl", address=str(producer), parameters=dict(parameters)
         )
         return GenTlCamera(uri)
 
@@ -133,7 +133,7 @@ def test_pixels_that_are_not_grey_are_refused(harvested):
     acquirer = Acquirer()
     acquirer.remote_device.node_map.PixelFormat.value = "RGBa8"
 
-    with pytest.raises(DeviceError, match=r"sends pixels in the format RGBa8; ask for \?format=Mono8"):
+    with pytest.raises(DeviceError, match=r"sends pixels in the format RGBa8; use \?format=Mono8"):
         harvested(acquirer).open()
 
 
@@ -160,7 +160,7 @@ def test_what_a_feature_does_not_take_is_refused_with_its_bounds(harvested):
 def test_a_missing_producer_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "harvesters", SimpleNamespace())
     monkeypatch.setitem(sys.modules, "harvesters.core", SimpleNamespace(Harvester=lambda: SimpleNamespace(reset=bool)))
-    uri = DeviceUri(text="gentl:/no.cti", option="--camera", scheme="gentl", place="/no.cti", parameters={})
+    uri = DeviceUri(text="gentl:/no.cti", option="--camera", scheme="gentl", address="/no.cti", parameters={})
     camera = GenTlCamera(uri)
 
     with pytest.raises(DeviceError, match=r'there is no GenTL producer "/no\.cti"'):
@@ -169,7 +169,7 @@ def test_a_missing_producer_is_named(monkeypatch):
 
 def test_a_missing_package_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "harvesters", None)
-    camera = GenTlCamera(DeviceUri(text="gentl:", option="--camera", scheme="gentl", place="", parameters={}))
+    camera = GenTlCamera(DeviceUri(text="gentl:", option="--camera", scheme="gentl", address="", parameters={}))
 
     with pytest.raises(DeviceError, match=r"needs harvesters.*pip install ringpose\[gentl\]"):
         camera.open()

@@ -18,7 +18,7 @@ def emulated():
 
     def driver(place: str = "", **parameters: str) -> PylonCamera:
         return PylonCamera(
-            DeviceUri(text=f"pylon:{place}", option="--camera", scheme="pylon", place=place, parameters=parameters)
+            DeviceUri(text=f"pylon:{place}", option="--camera", scheme="pylon", address=place, parameters=parameters)
         )
 
     return driver
@@ -71,7 +71,7 @@ def test_an_absent_camera_says_so(emulated):
 
 def test_a_missing_package_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "pypylon", None)
-    camera = PylonCamera(DeviceUri(text="pylon:", option="--camera", scheme="pylon", place="", parameters={}))
+    camera = PylonCamera(DeviceUri(text="pylon:", option="--camera", scheme="pylon", address="", parameters={}))
 
     with pytest.raises(DeviceError, match=r"needs pypylon.*pip install ringpose\[pylon\]"):
         camera.open()

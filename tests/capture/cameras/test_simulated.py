@@ -7,7 +7,7 @@ from ringpose.capture.cameras.driver import CameraDescription
 from ringpose.capture.cameras.simulated import SimulatedCamera
 from ringpose.capture.lasers.driver import LasersWentOff
 from ringpose.capture.lasers.simulated import SimulatedLasers
-from ringpose.capture.lasers.uncontrolled import UncontrolledLasers, refuse_switching
+from ringpose.capture.lasers.uncontrolled import UncontrolledLasers, reject_switching
 from ringpose.capture.pipeline import Procedure, captured_shots
 from ringpose.errors import UsageError
 from ringpose.types.image import Frame
@@ -76,4 +76,4 @@ def test_lasers_that_nothing_switches_are_on_in_every_image():
 
 def test_lasers_that_nothing_switches_cannot_go_off():
     with pytest.raises(UsageError, match='step "off"'):
-        refuse_switching(parsed_sequence("off,all"))
+        reject_switching(parsed_sequence("off,all"))

@@ -11,7 +11,7 @@ from ringpose.errors import DeviceError, UsageError
 
 def camera(place: str, **parameters: str) -> V4l2Camera:
     return V4l2Camera(
-        DeviceUri(text=f"v4l2:{place}", option="--camera", scheme="v4l2", place=place, parameters=parameters)
+        DeviceUri(text=f"v4l2:{place}", option="--camera", scheme="v4l2", address=place, parameters=parameters)
     )
 
 

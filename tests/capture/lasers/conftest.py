@@ -38,13 +38,13 @@ trajectory:
 - generate: {count: 40, distances_m: [0.5], tilt_rad: 0.05}
 """
 
-UNGUARDED = """
+WITHOUT_WATCHDOG = """
 import ringpose.capture.lasers.relays as relays
 from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.capture.lasers.relay_board import RelayBoard
 from ringpose.capture.lasers.serial_port import SerialPort
 
-class Unguarded(LaserDriver):
+class Unwatched(LaserDriver):
     count, settle_s = 3, 0.0
     def __init__(self, settings):
         self.port = SerialPort(settings.port, settings.baud)
@@ -59,9 +59,9 @@ class Unguarded(LaserDriver):
     def close(self):
         self.port.close()
 
-relays.WatchdogLasers = Unguarded
+relays.WatchdogLasers = Unwatched
 """
-"""Put before the command: it opens the port itself, as it would without the guard."""
+"""Put before the command: it opens the port itself, as it would without the watchdog."""
 
 
 @pytest.fixture
@@ -101,9 +101,9 @@ def capturing(scene_folder: Path, forker: socket.socket) -> Callable[..., Forked
 
 
 @pytest.fixture
-def unguarded() -> str:
-    """Code that takes the guard away."""
-    return UNGUARDED
+def without_watchdog() -> str:
+    """Code that removes the watchdog."""
+    return WITHOUT_WATCHDOG
 
 
 def waited(condition: Callable[[], bool], limit_s: float) -> float:

@@ -3,7 +3,7 @@
 import pytest
 
 from ringpose.capture.lasers.camera_lines import LineLasers
-from ringpose.capture.lasers.driver import LaserPlace
+from ringpose.capture.lasers.driver import LaserContext
 from ringpose.capture.uri import LASERS, device_uri, driver
 from ringpose.errors import DeviceError, LaserSafetyError, UsageError
 
@@ -27,7 +27,7 @@ class NotedLines:
 
 def line_lasers(camera, text="line:Line2,Line4,Line1", names=None) -> LineLasers:
     uri = device_uri(text, "--lasers", LASERS)
-    lasers = driver(LASERS, "line")(uri, LaserPlace(names=names, camera=camera))
+    lasers = driver(LASERS, "line")(uri, LaserContext(names=names, camera=camera))
     assert isinstance(lasers, LineLasers)
     return lasers
 
@@ -76,5 +76,5 @@ def test_a_line_given_twice_is_wrong_usage():
 
 
 def test_a_camera_without_output_lines_has_none():
-    with pytest.raises(UsageError, match="goes with a camera that has output lines only"):
+    with pytest.raises(UsageError, match="needs a camera that has output lines"):
         line_lasers(object())

@@ -1,4 +1,4 @@
-"""Whatever ends the real command, the lasers go off: each board, each signal; and without the guard they do not."""
+"""Whatever ends the real command, the lasers go off: each board, each signal; and without the watchdog they do not."""
 
 import signal
 import time
@@ -26,7 +26,7 @@ def lit(relays):
 
 
 def fastest(measured, tries=3):
-    """The first time within the limit, or the least: a busy machine may be late, a guard may not."""
+    """The first time within the limit, or the least: a busy machine may be late, a watchdog may not."""
     times_s = []
     while len(times_s) < tries and min(times_s, default=OFF_WITHIN_S) >= OFF_WITHIN_S:
         times_s.append(measured())
@@ -61,8 +61,8 @@ def test_the_lasers_of_a_suspended_capture_go_off_and_it_goes_on_where_it_was(bo
         with board(scheme) as (relays, uri), capturing(uri, *BURN, "--count", "2", "--force") as process:
             off_s = off_time(relays, process, signal.SIGSTOP, time_until)
             process.send_signal(signal.SIGCONT)
-            names, said = process.communicate()
-        assert (process.returncode, names.count("\n"), said) == (0, 2, "")
+            names, message = process.communicate()
+        assert (process.returncode, names.count("\n"), message) == (0, 2, "")
         return off_s
 
     assert fastest(measured) < OFF_WITHIN_S
@@ -93,8 +93,8 @@ def test_the_lasers_are_off_within_50_ms_whatever_ends_a_live_measurement(board,
     "number",
     [signal.SIGKILL, *(pytest.param(each, marks=pytest.mark.slow) for each in (signal.SIGSEGV, signal.SIGSTOP))],
 )
-def test_without_the_guard_the_lasers_burn_on(board, capturing, time_until, unguarded, number):
-    with board("lcus") as (relays, uri), capturing(uri, *BURN, before=unguarded) as process:
+def test_without_the_watchdog_the_lasers_burn_on(board, capturing, time_until, without_watchdog, number):
+    with board("lcus") as (relays, uri), capturing(uri, *BURN, before=without_watchdog) as process:
         assert time_until(lambda: lit(relays), 30.0) < 30.0
         process.send_signal(number)
         off_s = time_until(lambda: not lit(relays), 2 * HEARTBEAT_S)

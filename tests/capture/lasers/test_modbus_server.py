@@ -9,7 +9,7 @@ import tty
 
 import pytest
 
-from ringpose.capture.lasers.driver import LaserPlace
+from ringpose.capture.lasers.driver import LaserContext
 from ringpose.capture.uri import LASERS, device_uri, driver
 from ringpose.errors import DeviceError
 
@@ -75,7 +75,7 @@ def server(line):
 
 def modbus_at(port, words=""):
     parts = device_uri(f"modbus:{port}?ch=0,1,2{words}", "--lasers", LASERS)
-    return driver(LASERS, "modbus")(parts, LaserPlace())
+    return driver(LASERS, "modbus")(parts, LaserContext())
 
 
 def test_a_standard_server_understands_every_mask(line, server):
@@ -93,9 +93,9 @@ def test_a_standard_server_understands_every_mask(line, server):
     assert noted[2:6] == ["5 0 0 [1]", "1 0 3 []", "5 0 0 [0]", "5 1 0 [1]"]
 
 
-def test_a_standard_server_refuses_the_timed_pulse_and_that_is_said(line, server):
+def test_a_standard_server_rejects_the_timed_pulse_and_that_is_reported(line, server):
     lasers = modbus_at(line[0], "&pulse=0.7")
-    with lasers, pytest.raises(DeviceError, match="refused 01 05 02 00 00 07 8d b0: it"):
+    with lasers, pytest.raises(DeviceError, match="refused 01 05 02 00 00 07 8d b0: illegal"):
         lasers.set_mask(0b001)
 
 

@@ -1,4 +1,4 @@
-"""A guard takes the port of its board, or says why not."""
+"""A watchdog opens the port of its board, or reports why it cannot."""
 
 import os
 import resource
@@ -34,12 +34,12 @@ def test_a_crash_writes_no_core_before_the_lasers_go_off(board):
     assert hard == before[1]
 
 
-def test_a_guard_that_dies_while_it_opens_is_replaced(board, monkeypatch):
+def test_a_watchdog_that_dies_while_it_opens_is_replaced(board, monkeypatch):
     with board("lcus") as (relays, uri):
         relays.contacts.command(1, True, time.monotonic())
         monkeypatch.setattr("ringpose.capture.lasers.watchdog._START", "import os; os._exit(1)  # {separator}")
         lasers = lasers_at(uri)
-        with pytest.raises(DeviceError, match="the guard of the lasers ended; they were switched off without it"):
+        with pytest.raises(DeviceError, match="the watchdog of the lasers ended; they were switched off without it"):
             lasers.open()
         lasers.close()
 
@@ -71,7 +71,7 @@ def test_a_port_that_is_not_there_says_where_to_look():
 def test_a_file_that_is_no_port_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
 
-    with pytest.raises(DeviceError, match="it is no serial port"), lasers_at(f"lcus:{tmp_path}/file?ch=1"):
+    with pytest.raises(DeviceError, match="it is not a serial port"), lasers_at(f"lcus:{tmp_path}/file?ch=1"):
         pass
 
 

@@ -1,4 +1,4 @@
-"""A board told over a port that notes every byte and answers as it is set to."""
+"""A relay board at a port that records every byte and sends given answers."""
 
 import pytest
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from ringpose.capture.lasers.driver import LaserPlace
+from ringpose.capture.lasers.driver import LaserContext
 from ringpose.capture.uri import LASERS, device_uri, driver
 
 RIG = ("left", "middle", "right")
@@ -10,7 +10,7 @@ RIG = ("left", "middle", "right")
 
 def settings_of(text, names=None):
     uri = device_uri(text, "--lasers", LASERS)
-    return driver(LASERS, uri.scheme)(uri, LaserPlace(names=names)).settings
+    return driver(LASERS, uri.scheme)(uri, LaserContext(names=names)).settings
 
 
 @pytest.mark.parametrize(

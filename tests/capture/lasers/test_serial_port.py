@@ -51,7 +51,7 @@ def test_every_kind_of_error_is_one(error, words):
 @pytest.mark.parametrize("closed", [True, False])
 @pytest.mark.parametrize("name", ["cts", "dsr"])
 def test_inputs_tell_whether_the_interlock_is_closed(name, closed):
-    assert port_with(FakeSerial(**{name: closed})).is_closed_contact(name) is closed
+    assert port_with(FakeSerial(**{name: closed})).is_contact_closed(name) is closed
 
 
 def test_a_port_without_such_inputs_is_no_closed_interlock():
@@ -60,7 +60,7 @@ def test_a_port_without_such_inputs_is_no_closed_interlock():
     port.open()
 
     with pytest.raises(DeviceError, match="cannot be used"):
-        port.is_closed_contact("cts")
+        port.is_contact_closed("cts")
 
     port.close()
     os.close(master)

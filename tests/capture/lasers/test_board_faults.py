@@ -1,4 +1,4 @@
-"""What the real command does when its guard or its cable is lost."""
+"""What the real command does when its watchdog or its cable is lost."""
 
 import os
 import signal
@@ -25,7 +25,7 @@ threading.Thread(target=fill, daemon=True).start()
 """Put before the command: once a shot is there, no file may grow beyond 3 kB."""
 
 
-def guard_of(process) -> int:
+def watchdog_of(process) -> int:
     (child,) = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
     return int(child)
 
@@ -38,18 +38,20 @@ def lit(relays):
 @pytest.mark.parametrize(
     "scheme", ["lcus", *(pytest.param(scheme, marks=pytest.mark.slow) for scheme in ("numato", "modbus", "ascii"))]
 )
-def test_a_capture_whose_guard_is_killed_switches_off_and_ends(board, capturing, time_until, tmp_path, scheme, number):
+def test_a_capture_whose_watchdog_is_killed_switches_off_and_ends(
+    board, capturing, time_until, tmp_path, scheme, number
+):
     with board(scheme) as (relays, uri), capturing(uri, *SLOW) as process:
         first = process.stdout.readline().strip()
         assert time_until(lambda: lit(relays), 10.0) < 10.0
-        os.kill(guard_of(process), number)
+        os.kill(watchdog_of(process), number)
         off_s = time_until(lambda: not lit(relays), 2.0)
-        _, said = process.communicate(timeout=30)
+        _, message = process.communicate(timeout=30)
 
     assert off_s < 0.05
     assert not lit(relays)
     assert process.returncode == 69
-    assert said.endswith("the guard of the lasers ended; they were switched off without it\n")
+    assert message.endswith("the watchdog of the lasers ended; they were switched off without it\n")
     capture = read_session(tmp_path / "s").captures[0]
     assert (capture.state, f"s/{capture.shots[0]}.npz") == ("stopped", first)
 
@@ -62,12 +64,12 @@ def test_a_pulled_cable_ends_the_capture_with_its_finished_shots(board, capturin
             assert time_until(lambda: lit(relays), 10.0) < 10.0
         relays.unplug()
         noticed_s = time_until(lambda: read_session(tmp_path / "s").captures[0].state == "stopped", 5.0)
-        _, said = process.communicate(timeout=30)
+        _, message = process.communicate(timeout=30)
 
     assert noticed_s < 0.5
     assert process.returncode == 70
-    assert said.count("\n") == 1
-    assert "guard and port are lost, the lasers may be on" in said
+    assert message.count("\n") == 1
+    assert "watchdog and port are lost, the lasers may be on" in message
     capture = read_session(tmp_path / "s").captures[0]
     assert f"s/{capture.shots[0]}.npz" == first
     assert read_shot(tmp_path / first).seen_lasers is not None
@@ -75,10 +77,10 @@ def test_a_pulled_cable_ends_the_capture_with_its_finished_shots(board, capturin
 
 def test_a_full_disk_leaves_the_lasers_off_and_the_finished_shots(board, capturing, tmp_path):
     with board("lcus") as (relays, uri), capturing(uri, "--settle", "0.05", before=FULL_AFTER_A_SHOT) as process:
-        names, said = process.communicate(timeout=60)
+        names, message = process.communicate(timeout=60)
 
     assert process.returncode == 74
-    assert "writing broke off" in said
+    assert "writing broke off" in message
     assert not lit(relays)
     finished = read_session(tmp_path / "s").shots
     assert len(finished) >= 1
@@ -90,7 +92,7 @@ def test_a_full_disk_leaves_the_lasers_off_and_the_finished_shots(board, capturi
     ("lasers", "status", "complaint"),
     [
         ("lcus:/dev/ttyNone?ch=1,2,3", 69, "/dev/ttyNone: cannot be used: no such file or directory; see ls"),
-        ("lcus:/dev/ttyNone", 2, "does not say which channels feed the lasers"),
+        ("lcus:/dev/ttyNone", 2, "lacks the channels of the lasers"),
         ("lcus:?ch=1", 2, "names no port"),
         ("lcus:/dev/ttyNone?ch=0,1,2", 2, 'ch= has "0"; relays have numbers from 1'),
         ("lcus:/dev/ttyNone?ch=1,1,2", 2, "names a channel twice"),
@@ -113,28 +115,28 @@ def test_a_full_disk_leaves_the_lasers_off_and_the_finished_shots(board, capturi
         ("lcus:/dev/ttyNone?ch=1,2,3&baud=inf", 2, "baud "),
         ("lcus:/dev/ttyNone?ch=1,2," + 5000 * "3", 2, "relays have numbers from 1 to 32"),
         ("ascii:/dev/ttyNone?ch=1,2,3&on=R1&off=R{n}", 2, "on= must be a line with {n}"),
-        ("ascii:/dev/ttyNone?ch=1,2,3&on=R{n}&off=R{n}", 2, "says the same for on= and off="),
+        ("ascii:/dev/ttyNone?ch=1,2,3&on=R{n}&off=R{n}", 2, "has the same line for on= and off="),
         ("lcus:/dev/ttyNone?ch=1,2,3&ch=3,2,1", 2, "gives ch= twice"),
         ("", 2, '"" names no device'),
-        ("line:Line1,Line2,Line3", 2, "goes with a camera that has output lines only"),
+        ("line:Line1,Line2,Line3", 2, "needs a camera that has output lines"),
         ("relay:/dev/ttyNone", 2, "names no device; it begins with one of ascii:, lcus:"),
     ],
 )
 def test_lasers_that_cannot_be_had_are_one_line(scene_folder, capsys, lasers, status, complaint):
     ended = main(["capture", "--camera", f"sim:{scene_folder}/scene.yaml", "--lasers", lasers, "--output", "s"])
 
-    said = capsys.readouterr().err
+    message = capsys.readouterr().err
     assert ended == status
-    assert said.count("\n") == 1
-    assert complaint in said
+    assert message.count("\n") == 1
+    assert complaint in message
     assert not Path("s").exists()
 
 
 @pytest.mark.parametrize("words", [("--exposure", "1"), ("--sequence", "off,1@960ms"), ("--settle", "1")])
-def test_a_frame_that_lasts_longer_than_the_guard_waits_is_wrong_usage(scene_folder, capsys, words):
+def test_a_frame_that_lasts_longer_than_the_watchdog_waits_is_wrong_usage(scene_folder, capsys, words):
     lasers = "lcus:/dev/ttyNone?ch=1,2,3"
 
     ended = main(["capture", "--camera", f"sim:{scene_folder}/scene.yaml", "--lasers", lasers, *words])
 
     assert ended == 2
-    assert "the guard of the lasers allows 1 s; raise heartbeat= and longest_on=" in capsys.readouterr().err
+    assert "the watchdog of the lasers allows 1 s; raise heartbeat= and longest_on=" in capsys.readouterr().err

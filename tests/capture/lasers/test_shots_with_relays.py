@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from drawn_camera import DrawnCamera
 
-from ringpose.capture.lasers.driver import LaserPlace
+from ringpose.capture.lasers.driver import LaserContext
 from ringpose.capture.pipeline import Procedure, captured_shots
 from ringpose.capture.uri import LASERS, device_uri, driver
 from ringpose.errors import DeviceError, LaserSafetyError
@@ -26,7 +26,7 @@ def shots_of(board, rng):
     def taken(how, faults=None, names=("a",), scheme="lcus", **camera_words):
         with board(scheme, faults) as (relays, uri):
             parts = device_uri(uri, "--lasers", LASERS)
-            lasers = driver(LASERS, parts.scheme)(parts, LaserPlace())
+            lasers = driver(LASERS, parts.scheme)(parts, LaserContext())
             camera = DrawnCamera(relays.contacts, rng, **camera_words)
             with camera, lasers:
                 shots = list(captured_shots(camera, lasers, how, names))
@@ -52,7 +52,7 @@ def test_several_lasers_at_once_are_seen(shots_of, sequence):
 
 
 @pytest.mark.parametrize("sequence", ["all", "1,2,3"])
-def test_without_a_dark_frame_nobody_knows_what_is_seen(shots_of, sequence):
+def test_without_a_dark_frame_no_lasers_are_reported_as_seen(shots_of, sequence):
     (shot,), _ = shots_of(procedure(sequence))
 
     assert shot.seen_lasers is None
@@ -70,7 +70,7 @@ def test_relays_that_follow_late_are_waited_for(shots_of):
 def test_a_laser_that_is_hidden_now_and_then_does_not_make_the_capture_slower(board, rng):
     with board("lcus") as (relays, uri):
         parts = device_uri(uri, "--lasers", LASERS)
-        lasers = driver(LASERS, parts.scheme)(parts, LaserPlace())
+        lasers = driver(LASERS, parts.scheme)(parts, LaserContext())
         camera = DrawnCamera(relays.contacts, rng)
         settles_s = []
         with camera, lasers:
@@ -81,7 +81,7 @@ def test_a_laser_that_is_hidden_now_and_then_does_not_make_the_capture_slower(bo
     assert settles_s == [0.01, 0.02, 0.01, 0.02, 0.01]
 
 
-def test_lasers_are_waited_for_no_longer_than_the_guard_allows(shots_of, monkeypatch):
+def test_lasers_are_waited_for_no_longer_than_the_watchdog_allows(shots_of, monkeypatch):
     monkeypatch.setattr("ringpose.capture.lasers.watchdog.WatchdogLasers.longest_on_s", 0.3)
 
     (shot,), _ = shots_of(procedure("off,1", settle_s=0.13), RelayFaults(late_s={0: 0.14}))
@@ -120,7 +120,7 @@ def test_a_welded_contact_is_a_safety_fault_though_the_board_reports_it_open(sho
 def test_a_contact_that_welds_between_two_shots_is_a_safety_fault(board, rng):
     with board("lcus") as (relays, uri):
         parts = device_uri(uri, "--lasers", LASERS)
-        lasers = driver(LASERS, parts.scheme)(parts, LaserPlace())
+        lasers = driver(LASERS, parts.scheme)(parts, LaserContext())
         camera = DrawnCamera(relays.contacts, rng)
         with camera, lasers:
             shots = captured_shots(camera, lasers, procedure(), ["a", "b"])
@@ -149,7 +149,7 @@ def test_a_camera_that_comes_back_loses_no_shot(shots_of, frame):
 def test_a_camera_that_is_lost_between_two_shots_loses_none(board, rng):
     with board("lcus") as (relays, uri):
         parts = device_uri(uri, "--lasers", LASERS)
-        lasers = driver(LASERS, parts.scheme)(parts, LaserPlace())
+        lasers = driver(LASERS, parts.scheme)(parts, LaserContext())
         camera, taken = DrawnCamera(relays.contacts, rng), []
         with camera, lasers:
             for shot in captured_shots(camera, lasers, procedure(), "ab"):
@@ -163,7 +163,7 @@ def test_a_camera_that_stays_away_ends_the_capture_with_the_lasers_off(board, rn
     monkeypatch.setattr("ringpose.capture.pipeline.RECONNECT_S", 0.01)
     with board("lcus") as (relays, uri):
         parts = device_uri(uri, "--lasers", LASERS)
-        lasers = driver(LASERS, parts.scheme)(parts, LaserPlace())
+        lasers = driver(LASERS, parts.scheme)(parts, LaserContext())
         camera = DrawnCamera(relays.contacts, rng, lost=[3], reopens=False)
         with pytest.raises(DeviceError, match="is gone"), camera, lasers:
             list(captured_shots(camera, lasers, procedure(), ["a"]))
@@ -204,7 +204,7 @@ def test_what_does_not_show_cannot_be_measured(shots_of):
 def test_any_number_of_lasers_is_captured_one_after_the_other(rng, count):
     with ServedRelays(LcusCodec(), relays=range(count)) as relays:
         uri = device_uri(f"lcus:{relays.port}?ch={relays.channels}", "--lasers", LASERS)
-        lasers = driver(LASERS, "lcus")(uri, LaserPlace(names=tuple(f"l{number}" for number in range(count))))
+        lasers = driver(LASERS, "lcus")(uri, LaserContext(names=tuple(f"l{number}" for number in range(count))))
         camera = DrawnCamera(relays.contacts, rng)
         sequence = ",".join(["off", *(str(number + 1) for number in range(count)), "all", "off"])
         with camera, lasers:

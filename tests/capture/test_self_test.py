@@ -1,4 +1,4 @@
-"""A dry walk through a drawn camera and lasers at contacts that may be broken."""
+"""Self-test of a camera that draws its images and of lasers at contacts that may be broken."""
 
 import time
 
@@ -6,7 +6,7 @@ import pytest
 from drawn_camera import DrawnCamera
 
 from ringpose.capture.lasers.driver import LaserDriver
-from ringpose.capture.self_test import dry_run
+from ringpose.capture.self_test import run_self_test
 from ringpose.errors import LaserSafetyError
 from ringpose.simulate.serve.relays import RelayContacts, RelayFaults
 
@@ -37,7 +37,7 @@ def walked(rng, monkeypatch):
         contacts = RelayContacts(3, RelayFaults(**faults))
         camera, lasers = DrawnCamera(contacts, rng, brightness_dn=100.0), ContactLasers(contacts)
         with camera, lasers:
-            return {finding.check: finding for finding in dry_run(camera, lasers, 0.005)}
+            return {finding.check: finding for finding in run_self_test(camera, lasers, 0.005)}
 
     return findings
 

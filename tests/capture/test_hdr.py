@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringpose.capture.hdr import exposed_groups, merged_brackets, on_the_scale_of
+from ringpose.capture.hdr import exposure_groups, merged_brackets, scaled_like
 from ringpose.detect.stripes import find_stripes
 from ringpose.types.image import Shot
 
@@ -103,7 +103,7 @@ def test_shots_of_one_exposure_stay_as_they_are(rng, ramp):
 def test_a_later_frame_is_brought_onto_the_scale(rng, ramp):
     shot = merged_brackets(bracketed(ramp, [0.001, 0.008], rng))
 
-    scaled = on_the_scale_of(exposed(ramp, 0.004, rng), 0.004, shot)
+    scaled = scaled_like(exposed(ramp, 0.004, rng), 0.004, shot)
 
     assert np.abs(scaled[:, :250].mean() / shot.images[0][:, :250].mean() - 1) < 0.02
 
@@ -117,7 +117,7 @@ def test_a_later_frame_is_brought_onto_the_scale(rng, ramp):
     ],
 )
 def test_neighbours_of_the_same_lasers_and_other_exposures_belong_together(masks, exposures_s, groups):
-    assert exposed_groups(masks, exposures_s) == groups
+    assert exposure_groups(masks, exposures_s) == groups
 
 
 def test_a_stripe_that_only_the_longest_exposure_shows_is_found_beside_one_that_only_the_shortest_does(rng):

@@ -1,4 +1,4 @@
-"""The driver and its guard, in the same process as the board's stand-in."""
+"""The driver and its watchdog, in the same process as the board's stand-in."""
 
 import os
 import signal
@@ -17,21 +17,21 @@ from ringpose.simulate.serve.relays import RelayFaults
 ALL_SCHEMES = ["lcus", "numato", "modbus", "ascii"]
 
 
-def off_after_signal(uri: str, relays, time_until, number: int, said: str) -> float:
-    """Seconds from a signal to the guard until all lasers are off; the next command says what happened."""
+def off_after_signal(uri: str, relays, time_until, number: int, message: str) -> float:
+    """Seconds from a signal to the watchdog until all lasers are off; the next command says what happened."""
     lasers = lasers_at(uri)
     with lasers:
         lasers.set_mask(0b111)
         assert time_until(lambda: lit(relays) == 0b111, 1.0) < 1.0
-        os.kill(lasers.guard_pid, number)
+        os.kill(lasers.watchdog_pid, number)
         off_s: float = time_until(lambda: not lit(relays), 2.0)
-        with pytest.raises(DeviceError, match=said):
+        with pytest.raises(DeviceError, match=message):
             lasers.set_mask(0b001)
     return off_s
 
 
 @pytest.mark.parametrize("scheme", ALL_SCHEMES)
-def test_every_board_lights_what_it_is_told_and_says_so(board, scheme):
+def test_every_board_lights_and_reports_what_is_commanded(board, scheme):
     with board(scheme) as (relays, uri):
         lasers, seen = lasers_at(uri), []
         with lasers:
@@ -43,10 +43,14 @@ def test_every_board_lights_what_it_is_told_and_says_so(board, scheme):
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP, signal.SIGSEGV])
-def test_a_guard_that_dies_or_stops_is_replaced_at_once(board, time_until, number):
+def test_a_watchdog_that_dies_or_stops_is_replaced_at_once(board, time_until, number):
     with board("lcus") as (relays, uri):
         off_s = off_after_signal(
-            uri, relays, time_until, number, said="the guard of the lasers ended; they were switched off without it"
+            uri,
+            relays,
+            time_until,
+            number,
+            message="the watchdog of the lasers ended; they were switched off without it",
         )
 
     assert off_s < 0.05
@@ -56,18 +60,18 @@ def test_a_guard_that_dies_or_stops_is_replaced_at_once(board, time_until, numbe
 @pytest.mark.parametrize(
     "number", [signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1, signal.SIGALRM, signal.SIGXCPU]
 )
-def test_a_guard_that_is_told_to_end_switches_off_first(board, time_until, number):
+def test_a_watchdog_that_receives_an_ending_signal_switches_off_first(board, time_until, number):
     with board("lcus") as (relays, uri):
-        off_s = off_after_signal(uri, relays, time_until, number, said="the guard of the lasers ended")
+        off_s = off_after_signal(uri, relays, time_until, number, message="the watchdog of the lasers ended")
 
     assert off_s < 0.05
 
 
-def test_an_interrupt_meant_for_the_capture_leaves_the_guard_alone(board, time_until):
+def test_an_interrupt_meant_for_the_capture_leaves_the_watchdog_alone(board, time_until):
     with board("lcus") as (relays, uri):
         lasers = lasers_at(uri)
         with lasers:
-            os.kill(lasers.guard_pid, signal.SIGINT)
+            os.kill(lasers.watchdog_pid, signal.SIGINT)
             lasers.set_mask(0b100)
             on_s = time_until(lambda: lit(relays) == 0b100, 1.0)
 
@@ -81,7 +85,7 @@ def test_a_pulled_cable_is_noticed_within_100_ms_and_is_a_safety_fault(board):
         lasers.set_mask(0b001)
         relays.unplug()
         began_s = time.monotonic()
-        with pytest.raises(LaserSafetyError, match="guard and port are lost, the lasers may be on"):
+        with pytest.raises(LaserSafetyError, match="watchdog and port are lost, the lasers may be on"):
             lasers.wait(5.0)
         noticed_s = time.monotonic() - began_s
         lasers.close()
@@ -89,14 +93,14 @@ def test_a_pulled_cable_is_noticed_within_100_ms_and_is_a_safety_fault(board):
     assert noticed_s < 0.1
 
 
-def test_lasers_that_nobody_speaks_of_any_more_go_off_and_can_be_lit_again(board, time_until):
+def test_lasers_without_commands_go_off_and_can_be_lit_again(board, time_until):
     with board("lcus") as (relays, uri):
         lasers = lasers_at(uri + "&heartbeat=0.2")
         with lasers:
             lasers.set_mask(0b001)
             time.sleep(0.3)
             forgotten = lit(relays)
-            with pytest.raises(LasersWentOff, match=r"nothing was heard for 0\.2 s; raise heartbeat="):
+            with pytest.raises(LasersWentOff, match=r"no command came for 0\.2 s; raise heartbeat="):
                 lasers.set_mask(0b010)
             still_off = lit(relays)
             lasers.set_mask(0)
@@ -107,7 +111,7 @@ def test_lasers_that_nobody_speaks_of_any_more_go_off_and_can_be_lit_again(board
     assert again_s < 0.15
 
 
-def test_a_laser_that_is_on_for_too_long_goes_off_though_somebody_speaks(board, time_until):
+def test_a_laser_that_is_on_for_too_long_goes_off_despite_commands(board, time_until):
     with board("lcus") as (relays, uri):
         lasers = lasers_at(uri + "&longest_on=0.3")
         with lasers:
@@ -121,23 +125,23 @@ def test_a_laser_that_is_on_for_too_long_goes_off_though_somebody_speaks(board, 
     assert off_s < 0.3
 
 
-GUARD_AT_A_DOOR = """
+WATCHDOG_AT_A_DOOR = """
 import sys
 sys.path[:] = sys.argv[3].split({{separator!r}})
 from pathlib import Path
-from ringpose.capture.lasers import watchdog_process as guard_process
+from ringpose.capture.lasers import watchdog_process
 from ringpose.capture.lasers import serial_port
-serial_port.SerialPort.is_closed_contact = lambda port, name: name == "{name}" and Path("{door}").exists()
-sys.exit(guard_process.run(int(sys.argv[1]), sys.argv[2]))
+serial_port.SerialPort.is_contact_closed = lambda port, name: name == "{name}" and Path("{door}").exists()
+sys.exit(watchdog_process.run(int(sys.argv[1]), sys.argv[2]))
 """
-"""Starts the guard at a port that has an input, which no pseudo-terminal has."""
+"""Starts the watchdog at a port that has an input, which no pseudo-terminal has."""
 
 
 @pytest.mark.parametrize("name", ["cts", "dsr"])
 def test_lasers_go_off_when_the_door_opens_and_stay_off(board, time_until, monkeypatch, tmp_path, name):
     door = tmp_path / "closed"
     door.touch()
-    monkeypatch.setattr("ringpose.capture.lasers.watchdog._START", GUARD_AT_A_DOOR.format(name=name, door=door))
+    monkeypatch.setattr("ringpose.capture.lasers.watchdog._START", WATCHDOG_AT_A_DOOR.format(name=name, door=door))
     with board("lcus") as (relays, uri):
         lasers = lasers_at(f"{uri}&interlock={name}")
         with lasers:
@@ -155,20 +159,20 @@ def test_lasers_go_off_when_the_door_opens_and_stay_off(board, time_until, monke
     assert off_s < 0.05
 
 
-def test_a_timed_pulse_ends_even_if_capture_and_guard_are_killed_together(board, time_until):
+def test_a_timed_pulse_ends_even_if_capture_and_watchdog_are_killed_together(board, time_until):
     program = (
         "import os, signal, sys, time; from ringpose.capture.lasers.watchdog import WatchdogLasers; "
         "from ringpose.capture.lasers.relay_board import settings_of_line; "
         "lasers = WatchdogLasers(settings_of_line(sys.argv[1])); lasers.open(); lasers.set_mask(7); "
-        "print(lasers.guard_pid, flush=True); time.sleep(60)"
+        "print(lasers.watchdog_pid, flush=True); time.sleep(60)"
     )
     with board("modbus") as (relays, uri):
         line = lasers_at(uri + "&pulse=0.5").settings.line()
         with subprocess.Popen([sys.executable, "-c", program, line], stdout=subprocess.PIPE, text=True) as process:
-            guard = int(process.stdout.readline())
-            os.kill(guard, signal.SIGSTOP)
+            watchdog = int(process.stdout.readline())
+            os.kill(watchdog, signal.SIGSTOP)
             process.kill()
-            os.kill(guard, signal.SIGKILL)
+            os.kill(watchdog, signal.SIGKILL)
             burning = lit(relays)
             off_s = time_until(lambda: not lit(relays), 3.0)
 

@@ -1,11 +1,11 @@
-"""When the guard steps in, on a clock and a board made for it."""
+"""When the watchdog steps in, on a clock and a board made for it."""
 
 from dataclasses import replace
 
 import pytest
 
 from ringpose.capture.lasers.relay_board import RelayBoard, RelaySettings, settings_of_line
-from ringpose.capture.lasers.watchdog_process import WatchdogParams
+from ringpose.capture.lasers.watchdog_process import Watchdog
 from ringpose.errors import DeviceError
 
 SETTINGS = RelaySettings(scheme="lcus", port="port", relays=(0, 1, 2), heartbeat_s=1.0, longest_on_s=5.0)
@@ -42,55 +42,55 @@ def clock():
     return Clock()
 
 
-def rules(board, clock, dangers=(), **changes):
-    return WatchdogParams(board, replace(SETTINGS, **changes), dangers, clock)
+def watchdog_of(board, clock, faults=(), **changes):
+    return Watchdog(board, replace(SETTINGS, **changes), faults, clock)
 
 
 def test_orders_are_answered_by_their_number(clock):
-    guard = rules(NotedBoard(), clock)
+    watchdog = watchdog_of(NotedBoard(), clock)
 
-    assert [guard.obey(line) for line in ("1 set 5", "2 read", "3 off", "4 read")] == [
+    assert [watchdog.execute(line) for line in ("1 set 5", "2 read", "3 off", "4 read")] == [
         "1 ok 5\n", "2 ok 5\n", "3 ok 0\n", "4 ok 0\n",
     ]  # fmt: skip
 
 
 def test_a_board_that_fails_is_an_answer(clock):
-    assert rules(NotedBoard(fails=True), clock).obey("7 set 1") == "7 err does not answer; look\n"
+    assert watchdog_of(NotedBoard(fails=True), clock).execute("7 set 1") == "7 err does not answer; look\n"
 
 
 @pytest.mark.parametrize(("silent_s", "lit"), [(0.9, 1), (1.0, 0)])
 def test_silence_ends_the_light(clock, silent_s, lit):
     board = NotedBoard()
-    guard = rules(board, clock)
-    guard.obey("1 set 1")
+    watchdog = watchdog_of(board, clock)
+    watchdog.execute("1 set 1")
 
     clock.now_s += silent_s
-    guard.watch()
+    watchdog.check()
 
     assert board.lit == lit
 
 
 def test_silence_with_all_off_does_not_matter(clock):
     board = NotedBoard()
-    guard = rules(board, clock)
+    watchdog = watchdog_of(board, clock)
 
     clock.now_s += 1000.0
-    guard.watch()
+    watchdog.check()
 
-    assert guard.wait_s() is None
+    assert watchdog.wait_s() is None
     assert board.offs == 0
 
 
 def test_a_laser_that_stays_on_through_orders_has_its_time_from_when_it_came_on(clock):
     board = NotedBoard()
-    guard = rules(board, clock)
-    guard.obey("1 set 1")
+    watchdog = watchdog_of(board, clock)
+    watchdog.execute("1 set 1")
     for number, mask in enumerate((3, 1, 5, 1, 3, 1), start=2):
         clock.now_s += 0.8
-        guard.obey(f"{number} set {mask}")
+        watchdog.execute(f"{number} set {mask}")
 
     clock.now_s += 0.21
-    answer = guard.obey("9 set 1")
+    answer = watchdog.execute("9 set 1")
 
     assert answer == "9 off a laser was on for 5 s; raise longest_on= (and pulse=) if it has to be\n"
     assert board.lit == 0
@@ -98,10 +98,10 @@ def test_a_laser_that_stays_on_through_orders_has_its_time_from_when_it_came_on(
 
 def test_another_laser_has_its_own_time(clock):
     board = NotedBoard()
-    guard = rules(board, clock)
+    watchdog = watchdog_of(board, clock)
     for number in range(20):
         clock.now_s += 0.8
-        guard.obey(f"{number} set {1 << number % 3}")
+        watchdog.execute(f"{number} set {1 << number % 3}")
 
     assert board.lit
 
@@ -115,12 +115,12 @@ def test_a_pulse_bounds_the_time_unless_it_is_repeated(repeat_s):
 
 def test_what_is_on_is_said_again_for_boards_with_a_watchdog(clock):
     board = NotedBoard()
-    guard = rules(board, clock, repeat_s=0.2)
-    guard.obey("1 set 1")
+    watchdog = watchdog_of(board, clock, repeat_s=0.2)
+    watchdog.execute("1 set 1")
 
     for _ in range(4):
-        clock.now_s += guard.wait_s() or 0.0
-        guard.watch()
+        clock.now_s += watchdog.wait_s() or 0.0
+        watchdog.check()
 
     assert board.repeats == 4
     assert clock.now_s == pytest.approx(100.8)
@@ -129,24 +129,24 @@ def test_what_is_on_is_said_again_for_boards_with_a_watchdog(clock):
 def test_nothing_is_lit_while_there_is_danger(clock):
     board = NotedBoard()
 
-    assert rules(board, clock, [lambda: "the interlock is open"]).obey("1 set 1") == (
+    assert watchdog_of(board, clock, [lambda: "the interlock is open"]).execute("1 set 1") == (
         "1 err stay off: the interlock is open\n"
     )
     assert board.lit == 0
 
 
 def test_danger_ends_the_light_within_10_ms(clock):
-    board, danger = NotedBoard(), [""]
-    guard = rules(board, clock, [lambda: "", lambda: danger[0]])
-    guard.obey("1 set 1")
+    board, fault = NotedBoard(), [""]
+    watchdog = watchdog_of(board, clock, [lambda: "", lambda: fault[0]])
+    watchdog.execute("1 set 1")
 
-    danger[0] = "the interlock is open"
-    waited_s = guard.wait_s()
-    guard.watch()
+    fault[0] = "the interlock is open"
+    waited_s = watchdog.wait_s()
+    watchdog.check()
 
     assert waited_s == pytest.approx(0.01)
     assert board.lit == 0
-    assert guard.obey("2 set 1") == "2 off the interlock is open\n"
+    assert watchdog.execute("2 set 1") == "2 off the interlock is open\n"
 
 
 def test_settings_survive_their_line():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringpose.capture.laser_check import LitPlaces, places_lit
+from ringpose.capture.laser_check import LitPixels, lit_pixels
 from ringpose.types.arrays import Array, Float64, UInt8
 
 ROW = 60
@@ -23,9 +23,9 @@ def line_dn():
 
 
 @pytest.fixture
-def places(line_dn, rng) -> LitPlaces:
+def places(line_dn, rng) -> LitPixels:
     dark_dn = np.full(line_dn.shape, 5.0)
-    found = places_lit(pictured(dark_dn + line_dn, rng), [pictured(dark_dn, rng)], 255)
+    found = lit_pixels(pictured(dark_dn + line_dn, rng), [pictured(dark_dn, rng)], 255)
     assert found is not None
     return found
 

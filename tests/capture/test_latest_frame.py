@@ -22,7 +22,7 @@ def shot(name: str) -> Shot:
 
 
 class Bursts:
-    """Takes as many shots at once as it is told to; then waits to be told again."""
+    """Takes the requested number of shots at once, then waits for the next request."""
 
     def __init__(self) -> None:
         self.wanted = threading.Semaphore(0)

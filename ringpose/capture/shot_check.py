@@ -1,0 +1,165 @@
+"""Checks of a shot before it is kept: lasers seen as commanded, constant ambient light, no laser on when off.
+
+A check has one of three results: the shot is good; it has a problem that another attempt may remove (a `DeviceError`);
+or a laser is on that should be off, which ends the capture at once (a `LaserSafetyError`).
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ringpose.capture.ambient import LOST_SHARE_OF_FULL, AmbientChange, ambient_change, same_ambient_light
+from ringpose.capture.cameras.driver import CameraDriver
+from ringpose.capture.hdr import scaled_like
+from ringpose.capture.laser_check import (
+    STRIPE_REMEDY,
+    LitPixels,
+    diffuse_light_dn,
+    lasers_out_of_sequence,
+    seen_lasers,
+    shows_stripe,
+)
+from ringpose.capture.lasers.driver import LaserDriver
+from ringpose.errors import DeviceError, LaserSafetyError
+from ringpose.types.arrays import Array, UInt
+from ringpose.types.image import Frame, Shot
+
+TRIES = 3
+"""Attempts at one shot with a problem of camera or lasers before the capture ends with that problem."""
+
+MAX_LOST = 10
+"""Attempts at one shot that may be lost to changing ambient light before the capture ends."""
+
+DARK_CHECK_S = 0.2
+"""Wait after switching everything off before a laser that is still seen counts as a fault: enough for any relay."""
+
+DARK_CHECKS = 4
+"""Dark frames to search for a laser while ambient light changes, which may outshine it in some of them."""
+
+
+class MissingLasers(DeviceError):
+    """Lasers that were commanded but are not seen in any frame."""
+
+    def __init__(self, lasers: int) -> None:
+        self.lasers = lasers
+        remedy = "does it shine, on the target? wait longer (--settle), or expose longer (--exposure)"
+        super().__init__("lasers", f"{laser_list(lasers)} commanded but not seen, {TRIES} times", remedy)
+
+
+class AmbientLightChanged(DeviceError):
+    """Ambient light changed while a shot was taken; a longer settling time would not help."""
+
+    def __init__(self, changes: Sequence[AmbientChange], missing: int = 0) -> None:
+        self.changes = changes
+        largest = max(changes, key=lambda change: abs(change.size_dn))
+        size = f"by up to {abs(largest.size_dn):.0f} dn ({100 * largest.share_of_full:.0f} % of the full grey value)"
+        found = f"changed within each of {len(changes)} shots in a row, {size}"
+        if missing:
+            found += f", and {laser_list(missing)} not seen in any of them"
+        remedy = "shield the scene, or take shorter shots (--sequence off,all; lasers at line:)"
+        if all(change.only_with_lasers for change in changes):
+            remedy += "; if it is stray light of the lasers, expose shorter"
+        super().__init__("ambient light", found, remedy)
+
+
+class ShotChecker:
+    """Checks the shots of one capture; remembers which pixels each laser lit in the last shot that showed it."""
+
+    def __init__(self, camera: CameraDriver, lasers: LaserDriver, *, must_see: bool) -> None:
+        self._camera = camera
+        self._lasers = lasers
+        self._must_see = must_see
+        self._pixels: dict[int, LitPixels] = {}
+
+    def checked(self, shot: Shot) -> tuple[Shot, DeviceError | None]:
+        """The shot with the masks seen in its images, and the problem that another attempt may remove."""
+        reported = 0 if shot.read_lasers is None else int(np.bitwise_or.reduce(shot.read_lasers & ~shot.lasers))
+        if reported:
+            self._check_reported_off()
+            return shot, DeviceError("lasers", f"{laser_list(reported)} reported on in frames of others")
+        seen, pixels = seen_lasers(shot)
+        if seen is None:
+            return shot, None
+        extra = int(np.bitwise_or.reduce(seen & ~shot.lasers))
+        missing = int(np.bitwise_or.reduce(shot.lasers & ~seen))
+        is_wrong = bool(extra or (missing and self._must_see))
+        change = ambient_change(shot)
+        if change is not None and (is_wrong or change.share_of_full > LOST_SHARE_OF_FULL):
+            return shot, AmbientLightChanged([change])
+        # A laser that is always on makes no difference between frames: use where an earlier shot has seen it.
+        remembered = {laser: self._pixels[laser] for laser in self._pixels if laser not in pixels}
+        self._pixels |= pixels
+        suspects = {laser: lit for laser, lit in (pixels | remembered).items() if (extra | missing) >> laser & 1}
+        if suspects:
+            image = self._dark_image(shot)
+            _reject_lit(k for k, lit in suspects.items() if lit.are_lit_in(image) and lit.stand_out_in(image))
+        diffuse_dn = diffuse_light_dn(shot, seen, pixels)
+        if diffuse_dn:
+            share = diffuse_dn / shot.usual_full_dn
+            return shot, AmbientLightChanged([AmbientChange(size_dn=diffuse_dn, share_of_full=share)])
+        kept_change = {} if change is None else {"ambient_change_dn": change.size_dn}
+        checked = replace(shot, seen_lasers=seen, meta={**shot.meta, **kept_change})
+        if extra:
+            return checked, DeviceError("lasers", f"{laser_list(extra)} seen in frames of others", "raise --settle")
+        if missing and self._must_see:
+            return checked, MissingLasers(missing)
+        return checked, None
+
+    def never_seen(self, shot: Shot, lost_attempts: int) -> int:
+        """The mask of lasers of a lost shot that were never seen; one lit in frames of others is a safety fault."""
+        same_light = same_ambient_light(shot.images, shot.usual_full_dn)
+        self._pixels, suspects = lasers_out_of_sequence(shot, self._pixels, same_light)
+        for _ in range(DARK_CHECKS if suspects else 0):
+            image = self._dark_image(shot)
+            _reject_lit(laser for laser, lit in suspects.items() if lit.stand_out_in(image))
+        never_seen = int(np.bitwise_or.reduce(shot.lasers)) & ~sum(1 << laser for laser in self._pixels)
+        if never_seen and self._must_see and lost_attempts in (TRIES, MAX_LOST):
+            # A stripe that is present in every frame, dark ones included, stays in the minimum over all of them.
+            _reject_stripe(never_seen, np.minimum.reduce([*shot.images, self._dark_image(shot)]))
+        return never_seen
+
+    def reject_stripe_in_dark(self, missing: int) -> None:
+        """Raise a safety fault if a stripe shows with all lasers off while the lasers of the mask are missing."""
+        _reject_stripe(missing, self._dark_frame().image)
+
+    def _check_reported_off(self) -> None:
+        """Raise a safety fault if the board still reports a laser on after all have been off for long enough."""
+        self._lasers.set_mask(0)
+        self._lasers.wait(DARK_CHECK_S)
+        reported = self._lasers.read_mask()
+        if reported:
+            raise LaserSafetyError("lasers", f"{laser_list(reported)} reported on while all are off", "cut the power")
+
+    def _dark_image(self, shot: Shot) -> UInt[Array, "row column"]:
+        """An image with all lasers off, on the grey-value scale of a shot."""
+        frame = self._dark_frame()
+        return scaled_like(frame.image, frame.exposure_s, shot)
+
+    def _dark_frame(self) -> Frame:
+        self._lasers.set_mask(0)
+        self._lasers.wait(DARK_CHECK_S)
+        try:
+            return self._camera.trigger(0, None)
+        except DeviceError as error:
+            found = f"may be on, and the camera that was to check them failed: {error}"
+            raise LaserSafetyError("lasers", found, "cut the power") from error
+
+
+def laser_list(mask: int) -> str:
+    """Subject and verb of a message, lasers counted from 1: `laser 2 was`, `lasers 1, 3 were`."""
+    numbers = [str(laser + 1) for laser in range(mask.bit_length()) if mask >> laser & 1]
+    return f"laser {numbers[0]} was" if len(numbers) == 1 else f"lasers {', '.join(numbers)} were"
+
+
+def _reject_lit(lasers: Iterable[int]) -> None:
+    mask = sum(1 << laser for laser in lasers)
+    if mask:
+        raise LaserSafetyError("lasers", f"{laser_list(mask)} seen while all are off", "cut the power")
+
+
+def _reject_stripe(missing: int, dark_image: UInt[Array, "row column"]) -> None:
+    """Lasers are missing and a stripe shows in the dark image: one of them may be on all the time."""
+    if shows_stripe(dark_image):
+        found = f"{laser_list(missing)} not seen to go on or off, and a stripe shows while all are off"
+        raise LaserSafetyError("lasers", found, STRIPE_REMEDY)

@@ -1,0 +1,146 @@
+"""What to capture, and where shots come from: a camera and what switches its lasers -> a source of shots.
+
+Recorded shots and simulated scenes are read from files, which this layer does not do; `cli.acquisition` makes their
+sources with `device_source` and `capture_record`.
+"""
+
+from collections.abc import Callable, Container, Iterator
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from itertools import count, islice
+from pathlib import Path
+from typing import Literal
+
+from ringpose.capture.cameras.driver import CameraDriver
+from ringpose.capture.lasers.driver import LaserContext, LaserDriver
+from ringpose.capture.lasers.simulated import SimulatedLasers
+from ringpose.capture.lasers.uncontrolled import UncontrolledLasers, reject_switching
+from ringpose.capture.latest_frame import paced
+from ringpose.capture.uri import CAMERAS, LASERS, device_uri, driver
+from ringpose.errors import UsageError
+from ringpose.types.image import Shot
+from ringpose.types.sequence import Step, written_sequence
+from ringpose.types.session import Capture
+
+OnRead = Callable[[Path], None]
+"""Called with each file that is read."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CaptureRequest:
+    """What the user asks for; None leaves it to the device or the recording."""
+
+    camera: str
+    """URI."""
+    lasers: str | None = None
+    """URI."""
+    steps: tuple[Step, ...] | None = None
+    exposure_s: float | None = None
+    count: int | None = None
+    rate_hz: float | None = None
+    duration_s: float | None = None
+    settle_s: float | Literal["auto"] | None = None
+    allow_missing: bool = False
+    """Whether to keep a shot in which a commanded laser is not seen."""
+    channel: str | None = None
+    laser_names: tuple[str, ...] | None = None
+    """Of the rig's lasers; None where no rig is given."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Source:
+    """Where shots come from."""
+
+    capture: Capture
+    shots: Callable[[OnRead, Container[str]], Iterator[Shot]]
+    """Takes the shots; those of a scene continue after the names that exist already."""
+    folders: frozenset[Path] = frozenset()
+    """Folders of recorded shots, as far as they are known before reading."""
+    devices: tuple[AbstractContextManager[None], ...] = ()
+    """To be entered, in this order, while shots are taken."""
+    abort: Callable[[], None] | None = None
+    """Switches the lasers off, also while another thread takes shots."""
+    camera_name: Callable[[], str | None] = lambda: None
+    """The name that the camera reports, once it is entered."""
+
+
+def camera_source(request: CaptureRequest) -> Source:
+    """The source of a real camera; by default, each laser is lit in turn between two dark frames."""
+    uri = device_uri(request.camera, "--camera", CAMERAS)
+    camera = driver(CAMERAS, uri.scheme)(uri)
+    lasers = laser_driver(request, camera)
+    steps = request.steps
+    if not steps and isinstance(lasers, UncontrolledLasers):
+        steps = (Step("all"),)
+    elif not steps:
+        steps = (Step("off"), *(Step(str(number + 1)) for number in range(lasers.count)), Step("off"))
+    return device_source(replace(request, steps=steps), camera, lasers, lambda _: names_by_time())
+
+
+def laser_driver(request: CaptureRequest, camera: CameraDriver | None) -> LaserDriver:
+    """The driver of the lasers' URI, `none:` if there is none; `camera` may switch them by its output lines."""
+    uri = device_uri("none:" if request.lasers is None else request.lasers, "--lasers", LASERS)
+    lasers: LaserDriver = driver(LASERS, uri.scheme)(uri, LaserContext(names=request.laser_names, camera=camera))
+    return lasers
+
+
+def device_source(
+    request: CaptureRequest,
+    camera: CameraDriver,
+    lasers: LaserDriver,
+    names: Callable[[Container[str]], Iterator[str]],
+    scene_file: Path | None = None,
+) -> Source:
+    """Shots by the steps of the request, under the names that `names` yields besides the existing ones."""
+    from ringpose.capture.pipeline import Procedure, captured_shots
+
+    steps = request.steps or ()
+    if isinstance(lasers, UncontrolledLasers):
+        reject_switching(steps)
+    for step in steps:
+        step.mask(lasers.count)  # rejects lasers that the rig does not have
+    settle_s = lasers.settle_s if request.settle_s is None else request.settle_s
+    procedure = Procedure(
+        steps=steps,
+        exposure_s=request.exposure_s,
+        settle_s=None if settle_s == "auto" else settle_s,
+        must_see=not isinstance(lasers, UncontrolledLasers | SimulatedLasers) and not request.allow_missing,
+    )
+    # A frame that lasts longer than the watchdog waits would show lasers going off.
+    on_s = (procedure.settle_s or 0.0) + max(step.exposure_s or procedure.exposure_s or 0.0 for step in steps)
+    if lasers.longest_on_s is not None and on_s >= lasers.longest_on_s:
+        found = f"a laser would be on for {on_s:g} s, and the watchdog of the lasers allows {lasers.longest_on_s:g} s"
+        raise UsageError("--exposure", found, "raise heartbeat= and longest_on= in --lasers")
+
+    def shots(on_read: OnRead, existing: Container[str]) -> Iterator[Shot]:
+        if scene_file is not None:
+            on_read(scene_file)
+        due = paced(islice(names(existing), request.count), request.rate_hz, request.duration_s, lasers.wait)
+        return captured_shots(camera, lasers, procedure, due)
+
+    return Source(
+        capture=replace(capture_record(request), laser_count=lasers.count, laser_names=request.laser_names),
+        shots=shots,
+        devices=(camera, lasers),
+        abort=lasers.abort,
+        camera_name=lambda: camera.describe().name,
+    )
+
+
+def capture_record(request: CaptureRequest) -> Capture:
+    """The entry of the session file, as far as it follows from the request."""
+    return Capture(
+        camera=request.camera,
+        lasers="none:" if request.lasers is None else request.lasers,
+        sequence=None if request.steps is None else written_sequence(request.steps),
+        exposure_s=request.exposure_s,
+        rate_hz=request.rate_hz,
+    )
+
+
+def names_by_time() -> Iterator[str]:
+    """`20260101T000000Z_000001`, counted from 1: the names of two runs differ."""
+    began = f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
+    for number in count(1):
+        yield f"{began}_{number:06d}"
