@@ -14,7 +14,7 @@ static PyMethodDef methods[] = {
     {"faces", call_faces, METH_VARARGS,
      "faces(tracks, unlabelled, planes, unions, candidates, ring) -> (tracks, groups of one, two and three)"},
     {"arcs", call_arcs, METH_VARARGS,
-     "arcs(position, covariance, planes, lens, circle_sigma, exact) -> (seen, cost, without, curvature, sigma)"},
+     "arcs(position, covariance, planes, lens, circle_sigma, exact) -> (points, cost, without, curvature, sigma)"},
     {"ends", call_ends, METH_VARARGS, "ends(lit, dark, lines, lens, params) -> ends"},
     {"marks", call_marks, METH_VARARGS,
      "marks(tracks, ends, lasers, params, position, covariance, flags, straight, sigma): fills the last five"},

@@ -136,7 +136,8 @@ static double level(double *value, size_t samples, size_t surface) {
 }
 
 /* Mean intensity across each place, less that of the surface, in units of its noise. 0 if there is no memory. */
-static int edge_profiles(const EdgePicture *picture, const double *place, const double *normal, const ProfileParams *params,
+static int edge_profiles(const EdgePicture *picture, const double *place, const double *normal,
+                         const ProfileParams *params,
                   Profiles *profiles) {
     const size_t samples = profiles->samples;
     for (size_t i = 0; i < profiles->count; i++) {
@@ -194,8 +195,8 @@ static int is_touched(const Profiles *profiles, size_t i, const Templates *templ
 
 /* Step of lowest cost with parabolic interpolation; sigma from the curvature of the cost, not yet scaled by the
    residual variance. */
-static EdgeStep most_likely_step(const Profiles *profiles, size_t i, const Templates *templates, const StepParams *params,
-                          double *scratch) {
+static EdgeStep most_likely_step(const Profiles *profiles, size_t i, const Templates *templates,
+                                 const StepParams *params, double *scratch) {
     const size_t places = templates->places;
     double *cost = scratch, *height = scratch + places;
     project(profiles->value + i * profiles->samples, profiles->samples, templates, cost, height);
@@ -203,7 +204,8 @@ static EdgeStep most_likely_step(const Profiles *profiles, size_t i, const Templ
     for (size_t p = 1; p < places; p++)
         if (cost[p] < cost[best]) best = p;
     best = best < 1 ? 1 : best > places - 2 ? places - 2 : best;
-    const double left = cost[best - 1], minimum = cost[best], right = cost[best + 1], curvature = left - 2 * minimum + right;
+    const double left = cost[best - 1], minimum = cost[best], right = cost[best + 1];
+    const double curvature = left - 2 * minimum + right;
     const int found = curvature > params->flat && minimum <= left && minimum <= right;
     const double shift = found ? (left - right) / (2 * curvature) * params->spacing : 0;
     const double offset = templates->place[best] + shift, size = fabs(height[best]);

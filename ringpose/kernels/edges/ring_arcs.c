@@ -21,7 +21,7 @@ typedef struct {
     double width, height;       /* of the image */
     double spacing, sigma;      /* pixels between places; largest predicted sigma */
     double half_turn;           /* radians to both sides */
-    double margin, wider;       /* distance from the image border; bound of the distortion as a share of the image size */
+    double margin, wider;       /* distance from the image border; bound of the distortion, share of the image size */
     double oblique, detour, nudge;
     double max_count; /* place to both sides of the arcs' origin */
 } PlaceParams;
@@ -188,7 +188,8 @@ static void add_row(Equations *equations, const double row[STATE], double residu
     }
 }
 
-static void add_observations(const Evidence *evidence, double outlier_sigmas, const RingArcs *arcs, Equations *equations) {
+static void add_observations(const Evidence *evidence, double outlier_sigmas, const RingArcs *arcs,
+                             Equations *equations) {
     for (size_t k = 0; k < evidence->observations; k++) {
         double row[STATE];
         const double per = 1 / evidence->sigma[k];

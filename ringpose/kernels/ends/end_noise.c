@@ -62,7 +62,8 @@ static void measure_noise(Columns *columns, const double *residual_variance, dou
         if (along > 1 && along <= params->near_columns) near[nears++] = residual_variance[i];
         if (along > 2 && !(columns->texture[i] > 0)) beyond[clear++] = columns->amplitude[i];
     }
-    columns->beyond = fmax(gain * low_residual_variance(near, nears), MIN_RELATIVE_NOISE * columns->level * columns->level);
+    columns->beyond =
+        fmax(gain * low_residual_variance(near, nears), MIN_RELATIVE_NOISE * columns->level * columns->level);
     columns->within = gain * median(within, faces);
     double spread = clear < 4 ? 0 : median_deviation(beyond, clear);
     columns->clutter = spread * spread;

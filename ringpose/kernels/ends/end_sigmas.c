@@ -34,7 +34,8 @@ typedef struct {
 static double growth(const Columns *columns, int i, double illuminated) {
     if (!columns->clipped) return 1;
     double faint = columns->headroom[FAINT][i], half = columns->headroom[HALF][i], full = columns->headroom[FULL][i];
-    double grows = illuminated < 0.5 ? faint + 4 * (half - faint) * illuminated : 2 * half - full + 4 * (full - half) * illuminated;
+    double grows = illuminated < 0.5 ? faint + 4 * (half - faint) * illuminated
+                                     : 2 * half - full + 4 * (full - half) * illuminated;
     return fmax(grows, 0);
 }
 
@@ -91,7 +92,8 @@ static double shared_light(const Columns *columns, const Shapes *shapes, int i, 
 }
 
 /* Variance due to speckle, with a Gaussian autocorrelation: correlation^(lag^2). */
-static double speckle_variance(const Columns *columns, const Shapes *shapes, const double *influence, double correlation) {
+static double speckle_variance(const Columns *columns, const Shapes *shapes, const double *influence,
+                               double correlation) {
     double sum = 0, fall = correlation, square = correlation * correlation, by = 1;
     for (int lag = 0; lag <= LAGS; lag++) {
         double product = 0;
@@ -105,7 +107,7 @@ static double speckle_variance(const Columns *columns, const Shapes *shapes, con
 }
 
 /* Variance due to independent noise of each column, and to background texture with correlation facet^lag. */
-static double column_variances_sum(const Columns *columns, const Shapes *shapes, const double *influence, double facet) {
+static double column_variance_sum(const Columns *columns, const Shapes *shapes, const double *influence, double facet) {
     double alone = 0, background = 0, before = 0;
     for (int i = 0; i < columns->count; i++) {
         double here = fabs(influence[i]) * sqrt(columns->texture[i]);
@@ -155,24 +157,24 @@ static void show_edge(const Columns *columns, const Edge *edge, double *shown) {
 }
 
 /* Variance of the sum of the columns' amplitudes, each times its influence. */
-static double intensity_variance(const Columns *columns, const Edge *edge, const double *influence, double correlation) {
+static double intensity_variance(const Columns *columns, const Edge *edge, const double *influence,
+                                 double correlation) {
     Shapes shapes;
     fill_shapes(columns, edge, &shapes);
-    return column_variances_sum(columns, &shapes, influence, columns->facet) +
+    return column_variance_sum(columns, &shapes, influence, columns->facet) +
            speckle_variance(columns, &shapes, influence, correlation);
 }
 
-/* Variance of an edge's position along the columns; speckle of neighbours is alike by `correlation`, the edge's width
-   (logarithm) known with `information`. */
+/* u^T V u, and the contributions of background, width and blur model. */
 double edge_variance(const Columns *columns, const Edge *edge, double correlation, double information,
                      const EndParams *params) {
     Shapes shapes;
     double influence[MAX_COLUMNS] = {0}, shift = LEVEL_TO_POSITION * edge->width;
     fill_shapes(columns, edge, &shapes);
     fill_influence(columns, &shapes, edge->outside > 0, influence);
-    double seen = column_variances_sum(columns, &shapes, influence, 1) + texture_variance(columns, influence) +
+    double variance = column_variance_sum(columns, &shapes, influence, 1) + texture_variance(columns, influence) +
                   speckle_variance(columns, &shapes, influence, correlation);
-    return seen * misfit(columns, &shapes, edge) + slow_level_variance(columns, edge, params) * shift * shift +
+    return variance * misfit(columns, &shapes, edge) + slow_level_variance(columns, edge, params) * shift * shift +
            edge->per_width * edge->per_width / information + params->shape_sigma * params->shape_sigma;
 }
 

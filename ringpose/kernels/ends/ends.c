@@ -161,7 +161,8 @@ static HiddenErrors hidden_errors(const Track *track, const StripeEnd end[2], co
     int clipped = end[0].saturated > params->saturated_share || end[1].saturated > params->saturated_share;
     double rows = fmax(fabs(track->slope) * (track->x_end - track->x_start), 1);
     if (isnan(section)) return (HiddenErrors){0, 0};
-    return (HiddenErrors){section * sqrt(end[0].background / fmax(facets, 1)), clipped ? params->clipped_phase / section / rows : 0};
+    return (HiddenErrors){section * sqrt(end[0].background / fmax(facets, 1)),
+                          clipped ? params->clipped_phase / section / rows : 0};
 }
 
 /* Sigma of the middle of the edge; that of a blunt edge includes its width. */
@@ -196,19 +197,20 @@ static void place(const StripeEnd *end, double across, double position[2], doubl
     covariance[3] = along * end->slope * end->slope + across * across;
 }
 
-static void mark_ends(const Track *track, const StripeEnd end[2], ptrdiff_t laser, const MarkParams *params, Marks *marks) {
-    HiddenErrors unseen = hidden_errors(track, end, params);
-    double middle = fmax(middle_sigma(track, params->fit_dof, params->min_columns), unseen.background);
+static void mark_ends(const Track *track, const StripeEnd end[2], ptrdiff_t laser, const MarkParams *params,
+                      Marks *marks) {
+    HiddenErrors hidden = hidden_errors(track, end, params);
+    double middle = fmax(middle_sigma(track, params->fit_dof, params->min_columns), hidden.background);
     for (int side = 0; side < 2; side++) {
         ptrdiff_t k = 2 * laser + side;
         double x = side ? track->x_end : track->x_start;
         int inside = end[side].x >= params->border && end[side].x <= params->width - 1 - params->border;
-        double across = hypot(line_sigma(track, end[side].x, middle), unseen.shared);
+        double across = hypot(line_sigma(track, end[side].x, middle), hidden.shared);
         if (inside) place(&end[side], across, marks->position + 2 * k, marks->covariance + 4 * k);
         marks->flags[k] = (int64_t)(inside ? flags_of(&end[side], params) : params->clipped);
         marks->track_end[2 * k] = x;
         marks->track_end[2 * k + 1] = line_y(track, x);
-        marks->straight_sigma[k] = hypot(line_sigma(track, x, middle), unseen.shared);
+        marks->straight_sigma[k] = hypot(line_sigma(track, x, middle), hidden.shared);
     }
 }
 
@@ -226,7 +228,8 @@ PyObject *call_ends(PyObject *module, PyObject *tuple) {
         PyErr_SetString(PyExc_TypeError, "dark: must be of the same type as lit");
         return close_arguments(&a, NULL);
     }
-    Images images = {laser_on->buf, laser_off ? laser_off->buf : NULL, laser_on->shape[0], laser_on->shape[1], laser_on->itemsize == 2};
+    Images images = {laser_on->buf, laser_off ? laser_off->buf : NULL, laser_on->shape[0],
+                     laser_on->shape[1], laser_on->itemsize == 2};
     const size_t lines = (size_t)a.view[2].shape[0], bytes = 2 * lines * sizeof(StripeEnd);
     StripeEnd *end = malloc(bytes ? bytes : 1);
     int done = 0;

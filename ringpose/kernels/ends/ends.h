@@ -37,7 +37,8 @@ enum { FAINT, HALF, FULL, LIGHT_LEVELS };
 /* The stripe in the columns first, first + 1, ... */
 typedef struct {
     ptrdiff_t first, count, face_first, face_last; /* face: indices, inclusive */
-    double *y, *amplitude, *headroom[LIGHT_LEVELS], *residual_variance, *texture, *scratch; /* residual_variance: of the fitted cross-section */
+    double *y, *amplitude, *headroom[LIGHT_LEVELS], *texture, *scratch;
+    double *residual_variance; /* of the fitted cross-section */
     unsigned char *saturated;
     int clipped;        /* in some column a part of the stripe is saturated */
     double sigma, gain; /* of the cross-section; variance of the amplitude over that of a pixel */

@@ -23,7 +23,7 @@ typedef struct {
 } Parts;
 
 typedef struct {
-    double value, residual_variance, gain; /* amplitude, residual variance, variance of the amplitude over that of a pixel */
+    double value, residual_variance, gain; /* amplitude; gain: variance of the amplitude over that of a pixel */
 } Peak;
 
 /* A pixel of either image. */
@@ -98,7 +98,8 @@ static double section_cost(const int *offset, const double *value, int rows, dou
 
 /* Sigma of the cross-section in columns first, first + 1, ... with the line at y: the Gaussian nearest to its medians,
    where not saturated. */
-static double section_sigma(const Images *images, const double *y, ptrdiff_t first, ptrdiff_t count, double saturation) {
+static double section_sigma(const Images *images, const double *y, ptrdiff_t first, ptrdiff_t count,
+                            double saturation) {
     double bright[ROWS], value[ROWS], cost[SIGMAS];
     int offset[ROWS];
     if (!median_section(images, y, first, count, bright, value)) return 1.5;
@@ -271,7 +272,8 @@ static inline void fit_peaks(const Sections *sections, int rows, const Parts *pa
 
 /* The same peaks of so many columns first, first + 1, ... with the line at y, in what the lasers add. */
 VECTOR_LOOP
-static void fitted_peaks(const Images *images, const double *y, ptrdiff_t first, double sigma, int reach, const Parts *parts,
+static void fitted_peaks(const Images *images, const double *y, ptrdiff_t first, double sigma, int reach,
+                         const Parts *parts,
                   Peak peak[TOGETHER]) {
     Sections sections;
     Doubles found[3];
@@ -375,7 +377,7 @@ static double mark_saturation(Profile *profile, ptrdiff_t i, const Section *sect
     return widest;
 }
 
-double low_residual_variance(double *residual_variance, size_t n) { return LOW_TO_MEAN * kth(residual_variance, n, (n - 1) / 4); }
+double low_residual_variance(double *variance, size_t n) { return LOW_TO_MEAN * kth(variance, n, (n - 1) / 4); }
 
 /* Residual variance beyond the ends of the face, where the stripe is dark: the smaller of both sides. */
 static double unlit_residual_variance(Profile *profile) {
@@ -385,7 +387,8 @@ static double unlit_residual_variance(Profile *profile) {
         size_t found = 0;
         for (ptrdiff_t i = first[side]; i <= first[side] + NEAR_LAST - NEAR_FIRST; i++)
             if (i >= 0 && i < profile->count) profile->scratch[found++] = profile->residual_variance[i];
-        if (found > (NEAR_LAST - NEAR_FIRST) / 2) minimum = fmin(minimum, low_residual_variance(profile->scratch, found));
+        if (found > (NEAR_LAST - NEAR_FIRST) / 2)
+            minimum = fmin(minimum, low_residual_variance(profile->scratch, found));
     }
     if (isfinite(minimum)) return minimum;
     size_t n = (size_t)profile->count;
@@ -397,7 +400,8 @@ static double unlit_residual_variance(Profile *profile) {
    stripe itself (median over the face); beyond four times that it counts as certain and enters `background`. */
 static void fill_texture(Profile *profile, double expected, const EndParams *params) {
     size_t n = (size_t)profile->count, face = (size_t)(profile->face_last - profile->face_first + 1);
-    double white = unlit_residual_variance(profile), factor = params->texture_factor * params->texture_factor, background = 0;
+    double white = unlit_residual_variance(profile), factor = params->texture_factor * params->texture_factor;
+    double background = 0;
     for (size_t k = 0; k < face; k++) {
         size_t i = (size_t)profile->face_first + k;
         double peak = fmax(profile->amplitude[i], 1);

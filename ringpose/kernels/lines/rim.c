@@ -64,7 +64,7 @@ enum { MAX_MEMBERS = 3 };
 
 typedef struct {
     int32_t index[MAX_MEMBERS];
-    double score, runner_up; /* runner_up: best score of the same tracks with another assignment to lasers; minus infinity if none */
+    double score, runner_up; /* runner_up: best score of the same tracks with other lasers; minus infinity if none */
 } Best;
 
 /* True if the second track, to the right, may lie on the line of the first. */
@@ -183,10 +183,12 @@ static int may_be_other_laser(const Track *track, const Candidate *candidate, co
    group of three gets back what exceeds the penalty of such a coincidence. */
 static void rate(const Track *track, int is_union, const Scene *scene, Candidate *candidate) {
     const CandidateParams *params = &scene->params->candidates;
-    double share = track->beyond_ends / (track->beyond_ends + track->count), residual_variance = track->scatter / params->typical_scatter;
-    double straight = 2 * log(fmin(track->count, params->max_counted_columns)) - 0.5 * residual_variance * residual_variance;
+    double share = track->beyond_ends / (track->beyond_ends + track->count);
+    double scatter = track->scatter / params->typical_scatter;
+    double straight = 2 * log(fmin(track->count, params->max_counted_columns)) - 0.5 * scatter * scatter;
     double beyond_ends = params->spill_penalty * share, excess = beyond_ends - params->coincidence_penalty;
-    candidate->merit = straight - beyond_ends - params->clipped_penalty * track->clipped - params->union_penalty * is_union;
+    candidate->merit = straight - beyond_ends - params->clipped_penalty * track->clipped -
+                       params->union_penalty * is_union;
     candidate->coincidence_bonus = excess > 0 && may_be_other_laser(track, candidate, scene) ? excess : 0;
 }
 
@@ -415,7 +417,8 @@ static void descend(Search *search, int depth, const Candidate **member, int32_t
         if (!fits || (search->winner && !is_among(next->track, search->winner, search->all, search->size))) continue;
         member[depth] = next;
         index[depth] = c;
-        if (depth + 1 == search->size || on_one_plane(member, depth + 1, search)) descend(search, depth + 1, member, index);
+        if (depth + 1 == search->size || on_one_plane(member, depth + 1, search))
+            descend(search, depth + 1, member, index);
     }
 }
 
@@ -496,7 +499,8 @@ PyObject *call_faces(PyObject *module, PyObject *tuple) {
     memcpy(&params.ring, a.number[5], sizeof params.ring);
     const Py_ssize_t tracks = a.view[0].shape[0], lasers = a.view[2].shape[0];
     if (!require(lasers <= MAX_LASERS && tracks <= INT32_MAX / 2, "planes, tracks: there are too many") ||
-        !require(params.candidates.maximum >= 1 && params.candidates.maximum <= MAX_CANDIDATES && params.unions.rounds >= 0 &&
+        !require(params.candidates.maximum >= 1 && params.candidates.maximum <= MAX_CANDIDATES &&
+                     params.unions.rounds >= 0 &&
                      params.unions.rounds <= MAX_ROUNDS,
                  "params: a parameter of the rim search is out of range") ||
         !check_lasers(a.view[0].buf, tracks, lasers))

@@ -162,7 +162,7 @@ static void mark_flat_maxima(const Rows *rows, const int16_t *restrict here, siz
         is_anchor[x] = (here[x] >= minimum[x]) & (here[x] > up[x]) & (here[x] >= down[x]);
 }
 
-/* 0: edge along x, 2: along y, 1: down to the right, 3: down to the left. No branches: they would be guessed wrongly. */
+/* 0: edge along x, 2: along y, 1: down to the right, 3: down to the left. Branches would be mispredicted. */
 static uint8_t orientation(int gx, int gy) {
     const int ax = abs(gx), ay = abs(gy), upright = ax > ay;
     const int maximum = upright ? ax : ay, minimum = upright ? ay : ax;
@@ -193,7 +193,7 @@ static void keep_anchors(const Rows *rows, const int16_t *here, size_t row, size
 }
 
 /* Appends the maxima among `from` to `to` of a row; groups of eight without one, most of them, are skipped, and in the
-   others each pixel is written, to be kept or overwritten: branches would be guessed wrongly. */
+   others each pixel is written, to be kept or overwritten: branches would be mispredicted. */
 static void append_maxima(const Rows *rows, size_t row, size_t width, size_t from, size_t to, Anchors *anchors) {
     int32_t *index = anchors->index.data;
     const int32_t start = (int32_t)(row * width);

@@ -97,7 +97,8 @@ static void differentiate_all(const Measure *how, Columns *columns) {
    the number of columns that need a second look. */
 static int64_t newton_steps(const Measure *how, size_t from, size_t to, Columns *columns) {
     const int32_t *restrict row = columns->row;
-    const float *restrict slope = columns->slope, *restrict curvature = columns->curvature, *restrict noise = columns->noise;
+    const float *restrict slope = columns->slope, *restrict curvature = columns->curvature;
+    const float *restrict noise = columns->noise;
     double *restrict y = columns->y, *restrict variance = columns->variance, *restrict peak = columns->peak;
     double inverse_spread = how->inverse_spread, per_noise = how->sigma_per_noise;
     double per_response = how->peak_per_response, top = how->whole, bottom = (double)how->image->height - 1 - top;
@@ -136,7 +137,8 @@ static double complete_from(const Filter *filter, double width) { return WHOLE_S
 static int is_center(const Measure *how, size_t i, const Columns *columns) {
     double y = columns->y[i], bottom = (double)how->image->height - 1 - how->whole;
     double deviation = fabs(y - columns->ridge_y[i]);
-    return columns->variance[i] > 0 && deviation < STRAYED_PX + columns->half_width[i] && y >= how->whole && y <= bottom;
+    return columns->variance[i] > 0 && deviation < STRAYED_PX + columns->half_width[i] && y >= how->whole &&
+           y <= bottom;
 }
 
 /* The centres, with the variances that the sensor's noise explains; columns in which the filter sees no ridge near by
@@ -373,20 +375,20 @@ static Scatter speckle_weighted_centers(const Measure *how, Scatter of, Columns 
 enum { NARROWER = 3, MIN_CLUTTERED_COLUMNS = 24, MIN_SPECKLED_COLUMNS = 14 };
 #define BETTER 0.95
 
-/* Ridges so far from one of a stripe, in its widths, and no farther are others: nearer ones are its grains. Their light
-   bends what lies beneath the stripe, unless it is less than that share; where one of so many columns has such a
-   neighbour, speckle is not weighed. */
+/* Ridges at a distance in this range, in widths of the stripe, belong to something else; nearer ones are its speckle. They
+   distort the background of the stripe unless they are fainter than FAINT_SHARE of it. Speckle weights are not used if one
+   of CROWDED_ONE_IN columns has such a neighbour. */
 #define OTHERS_FROM 3.0
 #define OTHERS_TO 8.0
 #define FAINT_SHARE 0.05f
 enum { CROWDED_ONE_IN = 10 };
 
-/* Nor where one of so many columns is full on both sides of its middle, at that share of a width: of a skewed section
-   that is cut off the flanks alone say less of the middle than the filter does. */
+/* Nor if one of FULL_ONE_IN columns is saturated on both sides of its middle, at this share of a width: the flanks of a
+   clipped, skewed section determine its middle less well than the filter does. */
 #define FULL_WIDTHS 0.75
 enum { FULL_ONE_IN = 3 };
 
-/* Nor may it lose more than one column in so many. */
+/* Largest share of columns, one in LOST_ONE_IN, that an alternative may lose. */
 enum { LOST_ONE_IN = 10 };
 
 typedef struct {

@@ -199,7 +199,8 @@ static int link_columns(const StripeImage *image, ptrdiff_t outside, Course *cou
     return 1;
 }
 
-int link_ridges(const StripeImage *image, const Filter *filter, const StripeParams *params, List *ridges, List *pieces) {
+int link_ridges(const StripeImage *image, const Filter *filter, const StripeParams *params, List *ridges,
+                List *pieces) {
     Course course = {.params = params, .pieces = pieces};
     int done = link_columns(image, (ptrdiff_t)(3 * filter->sigma + 0.5), &course, ridges);
     free(course.tracks);

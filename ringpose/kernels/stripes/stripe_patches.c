@@ -86,7 +86,7 @@ void load_pixels(const StripeImage *image, ptrdiff_t row, size_t column, size_t 
 #define BEND(name, Floats)                                                                                         \
     static void name(const Filter *filter, size_t count, Patch *patch) {                                           \
         const size_t lanes = sizeof(Floats) / sizeof(float);                                                       \
-        const float *tap = filter->curvature, *middle = patch->pixel + filter->reach * BLOCK;                           \
+        const float *tap = filter->curvature, *middle = patch->pixel + filter->reach * BLOCK;                      \
         for (size_t i = 0; i < count; i += i % BLOCK + lanes < BLOCK ? lanes : BLOCK + lanes) {                    \
             const float *top = middle + i, *bottom = top + BLOCK;                                                  \
             Floats above = *(const Floats *)top, below = *(const Floats *)bottom;                                  \
@@ -100,25 +100,26 @@ void load_pixels(const StripeImage *image, ptrdiff_t row, size_t column, size_t 
                 above = next_above;                                                                                \
                 below = next_below;                                                                                \
             }                                                                                                      \
-            *(Floats *)(patch->curvature + i) = one;                                                                    \
-            *(Floats *)(patch->curvature + i + BLOCK) = two;                                                            \
+            *(Floats *)(patch->curvature + i) = one;                                                               \
+            *(Floats *)(patch->curvature + i + BLOCK) = two;                                                       \
         }                                                                                                          \
     }
 
 #define DIFFERENTIATE(name, Floats)                                                                                \
     static void name(const Filter *filter, size_t count, Patch *patch) {                                           \
-        const float *even = filter->curvature, *irregular = filter->slope, *middle = patch->pixel + filter->reach * BLOCK;    \
+        const float *even = filter->curvature, *odd = filter->slope;                                               \
+        const float *middle = patch->pixel + filter->reach * BLOCK;                                                \
         for (size_t i = 0; i < count; i += sizeof(Floats) / sizeof(float)) {                                       \
             const float *up = middle + i, *down = up;                                                              \
-            Floats curvature = even[0] * *(const Floats *)up, slope = {0};                                              \
+            Floats curvature = even[0] * *(const Floats *)up, slope = {0};                                         \
             for (size_t k = 1; k <= filter->reach; k++) {                                                          \
                 up -= BLOCK;                                                                                       \
                 down += BLOCK;                                                                                     \
                 Floats above = *(const Floats *)up, below = *(const Floats *)down;                                 \
-                curvature += even[k] * (above + below);                                                                 \
-                slope += irregular[k] * (below - above);                                                                 \
+                curvature += even[k] * (above + below);                                                            \
+                slope += odd[k] * (below - above);                                                                 \
             }                                                                                                      \
-            *(Floats *)(patch->curvature + i) = curvature;                                                                   \
+            *(Floats *)(patch->curvature + i) = curvature;                                                         \
             *(Floats *)(patch->slope + i) = slope;                                                                 \
         }                                                                                                          \
     }

@@ -87,7 +87,8 @@ static void sample(const Noise *noise, size_t row, size_t block, size_t first, f
     }
     bend_folded(noise->filter, folded, curvature);
     for (size_t i = 0; i < PIXELS / COLUMNS; i++, curvature += COLUMNS)
-        value[i] = ((fabsf(curvature[0]) + fabsf(curvature[1])) + (fabsf(curvature[2]) + fabsf(curvature[3]))) / COLUMNS;
+        value[i] = ((fabsf(curvature[0]) + fabsf(curvature[1])) +
+                    (fabsf(curvature[2]) + fabsf(curvature[3]))) / COLUMNS;
 }
 
 /* The sample of rank RANK. Counting smaller samples needs no branches. */
