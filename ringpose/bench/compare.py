@@ -1,16 +1,16 @@
-"""Two results on the same shots -> paired differences with intervals, p-values and verdicts.
+"""Comparison of two results on the same shots: paired differences with confidence intervals, p-values and verdicts.
 
-Every compared figure is a function of a mean over shots, such as the RMSE, the root of the mean squared error. Its
-*badness* is zero at best and grows as the result gets worse; the difference of two results is that of their badness,
-so that a positive difference is always worse.
+Each compared statistic is a function of a mean over shots, such as the RMSE, the root of the mean squared error. Its
+loss is zero at best and increases as the result gets worse; the difference between two results is that of their
+losses, so that a positive difference is always worse.
 
-The p-value is that of the exchange test (paired permutation test): if both results are equally good, then in each shot
-it does not matter which of its two scores belongs to which result, so each of the 2^n ways of exchanging them is as
-likely as the one that was seen. This makes the rate of false alarms exact at any number of shots, also at the ten of
-a group, where an inverted bootstrap distribution is too narrow. Benjamini-Hochberg then corrects for the number of
-rows; rows in which so few shots changed that no exchange could be significant do not count (Tarone 1990, Gilbert
-2005). The bootstrap interval shows how large a difference is. It decides only for NEES, whose badness falls and rises
-with the mean: there the exchange test shows that something changed, and the interval whether for better or worse.
+The p-value is that of the paired permutation test: if both results are equally good, the two scores of each shot can be
+exchanged, so that each of the 2^n ways of exchanging them is as likely as the observed one. The rate of false alarms is
+therefore exact for any number of shots, also for the ten of a group, where an inverted bootstrap distribution is too
+narrow. Benjamini-Hochberg then corrects for the number of
+rows; rows in which so few shots changed that no permutation could be significant do not count (Tarone 1990, Gilbert
+2005). The bootstrap interval shows how large a difference is. It decides only for NEES, whose loss falls and rises
+with the mean: there the permutation test shows that something changed, and the interval whether it is better or worse.
 """
 
 import math
@@ -28,23 +28,23 @@ from ringpose.bench.summary import group_key, sortable
 from ringpose.types.arrays import Array, Bool, Float64, UInt8
 
 FALSE_DISCOVERY_RATE = 0.05
-"""Of the rows that are called better or worse at most this share is so by chance, on average."""
+"""Maximum expected share of false positives among the rows that are reported as better or worse."""
 
 CONFIDENCE = 0.95
 POWER = 0.8
-"""Probability with which the number of shots that is stated as needed would show the difference."""
+"""Probability that the stated number of needed shots shows the difference."""
 
-EXCHANGES = 9999
-"""Random exchanges for the p-value where there are too many to try them all."""
+PERMUTATIONS = 9999
+"""Random permutations for the p-value if there are too many to evaluate all."""
 
 MAX_EXHAUSTIVE = 12
-"""Shots with differences up to which all exchanges are tried."""
+"""Maximum number of changed shots for which all permutations are evaluated."""
 
 RESAMPLES = 1999
-"""Of the bootstrap."""
+"""Resamples of the bootstrap."""
 
 ROUNDING = 1e-6
-"""Differences of a shot's score below this share of the mean score are rounding: nothing changed."""
+"""Differences of a score below this share of the mean score are rounding errors and count as unchanged."""
 
 MIN_ERROR = 1e-12
 """Smaller errors are zero (metres, radians)."""
@@ -53,7 +53,7 @@ SEED = 20240613
 
 
 class Verdict(StrEnum):
-    """What a row says about B, beside A."""
+    """Result of comparing B with A in one row."""
 
     BETTER = "better"
     WORSE = "worse"
@@ -64,40 +64,40 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Quantity:
-    """What is compared: a score for each shot, and the figure and badness of their mean."""
+    """A compared quantity: the score of each shot, and the printed statistic and the loss of their mean."""
 
     score: Callable[[Score], float | None]
-    """None where a shot has none."""
+    """None if a shot has none."""
     figure: Callable[[Any], Any]
-    """What is shown of a mean score; scalars or arrays."""
-    badness: Callable[[Any], Any]
+    """The statistic that is printed, of a mean score; scalars or arrays."""
+    loss: Callable[[Any], Any]
     relative: bool = True
-    """Whether the tolerance is a share of A's badness; otherwise it is a difference of badness."""
+    """Whether the tolerance is a share of A's loss; otherwise it is a difference of loss."""
     judged: bool = True
     """Whether a worse row is a failure."""
     monotone: bool = True
-    """Whether badness always grows with the mean score; otherwise the interval has to exclude zero as well."""
+    """Whether the loss always increases with the mean score; otherwise the interval must exclude zero as well."""
 
 
 def _squared_error(name: str) -> Quantity:
     def score(shot: Score) -> float | None:
         return shot.errors[name] ** 2 if name in shot.errors else None
 
-    return Quantity(score=score, figure=_root, badness=_root)
+    return Quantity(score=score, figure=_root, loss=_root)
 
 
 def _typical_error(name: str) -> Quantity:
     def score(shot: Score) -> float | None:
         return math.log(max(shot.errors[name], MIN_ERROR)) if name in shot.errors else None
 
-    return Quantity(score=score, figure=np.exp, badness=np.exp)
+    return Quantity(score=score, figure=np.exp, loss=np.exp)
 
 
 def _nees(name: str) -> Quantity:
     def score(shot: Score) -> float | None:
         return shot.errors.get(name)
 
-    return Quantity(score=score, figure=_itself, badness=_log_ratio_to_1, relative=False, monotone=False)
+    return Quantity(score=score, figure=_itself, loss=_log_ratio_to_1, relative=False, monotone=False)
 
 
 def _root(mean: Any) -> Any:
@@ -109,7 +109,7 @@ def _itself(mean: Any) -> Any:
 
 
 def _log_ratio_to_1(mean: Any) -> Any:
-    """A NEES of 2 is as bad as one of 1/2; one of less than a millionth, as of an exact pose, counts as that."""
+    """|ln NEES|: 2 is as bad as 1/2. Values below one millionth, as of exact poses, count as that."""
     return np.abs(np.log(np.maximum(mean, 1e-6)))
 
 
@@ -127,37 +127,36 @@ COMPARED: Mapping[str, Quantity] = {
     "available": Quantity(
         score=lambda shot: float(shot.status == "ok") if shot.has_target else None,
         figure=_itself,
-        badness=lambda mean: 1.0 - mean,
+        loss=lambda mean: 1.0 - mean,
         relative=False,
     ),
     "no_pose": Quantity(
         score=lambda shot: float(shot.status in ("none", "lost")) if shot.has_target else None,
         figure=_itself,
-        badness=_itself,
+        loss=_itself,
         relative=False,
     ),
     "wrong": Quantity(
         score=lambda shot: float(len(shot.wrong)) if shot.judgements else None,
         figure=_itself,
-        badness=_itself,
+        loss=_itself,
         relative=False,
     ),
     "latency_s": Quantity(
         score=lambda shot: math.log(shot.latency_s) if shot.latency_s else None,
         figure=np.exp,
-        badness=np.exp,
+        loss=np.exp,
         judged=False,
     ),
 }
-"""RMSE of the errors, which the largest decide; their geometric mean, which all shots decide alike, near and far;
-mean NEES, by how far its logarithm is from 0; share of the shots with a ring whose status is ok,
-and of those without a pose; wrong quantities a shot; geometric mean of the time, which only one run on one machine can
-compare."""
+"""RMSE of the errors, which the largest errors dominate; their geometric mean, to which all shots contribute equally;
+mean NEES; shares of the shots with a ring whose status is ok, and of those without a pose; wrong quantities per shot;
+geometric mean of the latency, which is comparable only within one run on one machine."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """One quantity in one group of shots: A beside B, paired by shot."""
+    """One quantity in one group of shots: A and B, paired by shot."""
 
     method: str
     """`a -> b` where the methods differ."""
@@ -165,36 +164,35 @@ class Row:
     """Empty for all shots."""
     quantity: str
     shots: int
-    """Those in which both results have this quantity."""
+    """Shots in which both results have this quantity."""
     changed: int
-    """Of these the ones in which it is not the same."""
+    """Those of them in which it differs."""
     a: float
     b: float
-    """The figures, in metres, radians, seconds, shares."""
+    """The statistics, in metres, radians, seconds, shares."""
     difference: float
-    """Badness of B less that of A: positive is worse."""
+    """Loss of B minus that of A: positive is worse."""
     change: float | None
-    """The difference that the tolerance applies to: as a share of A's badness (None where that is zero and B's is
-    not), or as it is."""
+    """The difference to which the tolerance applies: a share of A's loss (None if only that is zero), or as it is."""
     interval: tuple[float, float] | None
-    """95 % of the difference, None for a single shot."""
+    """95 % confidence interval of the difference, None for a single shot."""
     p_value: float
     p_adjusted: float
     verdict: Verdict
     spread: float
     """Standard deviation of one shot's contribution to the difference."""
     shots_needed: int | None
-    """Of `cannot tell`: shots that would show the tolerance, or the observed difference if that is larger; None where
-    the shots say nothing about that."""
+    """For `cannot tell`: number of shots that would show the tolerance, or the observed difference if that is larger;
+    None if it cannot be estimated."""
     beyond_tolerance: bool
-    """Worse by more than the tolerance, in a quantity that is judged."""
+    """Whether a judged quantity is worse by more than the tolerance."""
 
 
 Pair = tuple[Score, Score]
 
 
 def pairs(scores_a: Sequence[Score], scores_b: Sequence[Score]) -> list[tuple[str, list[Pair]]]:
-    """Scores of the same shots by method, in the order of A, without shots that both results lost.
+    """Scores of the same shots by method, in the order of A, without shots that are `lost` in both results.
 
     If each result has one method and they differ, these two are compared; otherwise methods that only one result has
     are left out.
@@ -225,8 +223,8 @@ def compare(
 ) -> list[Row]:
     """A row for each method, group (and all shots) and quantity that two results have in common.
 
-    `tolerance` is a share of A's badness, or of quantities without a scale (NEES as the logarithm, shares of shots,
-    wrong quantities a shot) the difference itself. With `resamples` 0 the rows have no intervals.
+    `tolerance` is a share of A's loss; for quantities without a scale (logarithm of NEES, shares of shots, wrong
+    quantities per shot) it is a difference. With `resamples` 0 the rows have no intervals.
     """
     samples = [
         _Sample(method=method, group=group, name=name, a=scores[0], b=scores[1])
@@ -238,7 +236,7 @@ def compare(
     rows: list[Row] = []
     for decides in (True, False):
         family = [sample for sample in samples if COMPARED[sample.name].judged is decides]
-        p_values = np.array([exchange_p_value(sample.a, sample.b, COMPARED[sample.name].badness) for sample in family])
+        p_values = np.array([permutation_p_value(sample.a, sample.b, COMPARED[sample.name].loss) for sample in family])
         testable = np.array([testable_shots(int(np.sum(sample.a != sample.b))) for sample in family], dtype=bool)
         adjusted = _adjusted(p_values, testable)
         rows += [
@@ -270,7 +268,7 @@ def _groups(
 
 
 def paired_scores(members: Iterable[Pair], quantity: Quantity) -> tuple[Float64[Array, "n"], Float64[Array, "n"]]:
-    """The scores of A and B in the shots in which both have one; differences that are rounding are removed."""
+    """The scores of A and B in the shots in which both have one, without differences that are rounding errors."""
     found = [(quantity.score(a), quantity.score(b)) for a, b in members]
     both = np.array([pair for pair in found if None not in pair], dtype=np.float64).reshape(-1, 2)
     a, b = both[:, 0], both[:, 1]
@@ -279,14 +277,14 @@ def paired_scores(members: Iterable[Pair], quantity: Quantity) -> tuple[Float64[
 
 
 def testable_shots(changed: int) -> bool:
-    """Whether so many shots that changed can give a significant p-value: the least there is is 2^(1 - changed)."""
+    """Whether this number of changed shots can be significant: the smallest possible p-value is 2^(1 - changed)."""
     return 2.0 ** (1 - changed) <= FALSE_DISCOVERY_RATE
 
 
 def _adjusted(p_values: Float64[Array, "row"], testable: Bool[Array, "row"]) -> Float64[Array, "row"]:
-    """Benjamini-Hochberg's p-values, 1 in rows that cannot be significant.
+    """P-values after the Benjamini-Hochberg correction, 1 in rows that cannot be significant.
 
-    Rows that share shots depend on each other positively, which the procedure allows.
+    Rows with the same shots are positively dependent, for which the procedure is valid.
     """
     from scipy.stats import false_discovery_control
 
@@ -296,46 +294,49 @@ def _adjusted(p_values: Float64[Array, "row"], testable: Bool[Array, "row"]) -> 
     return adjusted
 
 
-def exchange_p_value(
-    a: Float64[Array, "n"], b: Float64[Array, "n"], badness: Callable[[Any], Any], exchanges: int = EXCHANGES
+def permutation_p_value(
+    a: Float64[Array, "n"], b: Float64[Array, "n"], loss: Callable[[Any], Any], permutations: int = PERMUTATIONS
 ) -> float:
-    """Two-sided p-value of the difference in badness under exchange of A and B within shots (paired permutation test).
+    """Two-sided p-value of the difference in loss by the paired permutation test: A and B are exchanged within shots.
 
-    All exchanges are tried where few shots differ; otherwise random ones, with the one that was seen counted among
-    them, so that the p-value is never too small.
+    All permutations are evaluated if few shots differ; otherwise random ones and the observed one, so that the p-value
+    is never too small.
     """
     changed = (b - a)[a != b]
     few = len(changed) <= MAX_EXHAUSTIVE
-    packed = _every_exchange(len(changed)) if few else _random_exchanges(len(changed), exchanges)
+    packed = _all_permutations(len(changed)) if few else _random_permutations(len(changed), permutations)
     parts = np.array_split(packed, len(packed) // 1000 + 1)
     moved = np.concatenate([np.unpackbits(part, axis=1, count=len(changed)) @ changed for part in parts]) / len(a)
-    differences = np.abs(badness(b.mean() - moved) - badness(a.mean() + moved))
-    observed = float(np.abs(badness(b.mean()) - badness(a.mean())))
+    differences = np.abs(loss(b.mean() - moved) - loss(a.mean() + moved))
+    observed = float(np.abs(loss(b.mean()) - loss(a.mean())))
     as_large = np.count_nonzero(differences >= observed * (1 - 1e-9) - MIN_ERROR**2)
     return as_large / len(differences) if few else (as_large + 1) / (len(differences) + 1)
 
 
-def _every_exchange(shots: int) -> UInt8[Array, "exchange byte"]:
-    """Which shots are exchanged, a bit each, in each of the 2^n ways."""
+def _all_permutations(shots: int) -> UInt8[Array, "permutation byte"]:
+    """Which shots are exchanged in each of the 2^n permutations, one bit per shot."""
     ways = (np.arange(2**shots)[:, None] >> np.arange(shots)) & 1
     return np.packbits(ways.astype(np.uint8), axis=1)
 
 
 @lru_cache(maxsize=16)
-def _random_exchanges(shots: int, exchanges: int) -> UInt8[Array, "exchange byte"]:
-    """Rows of one number of shots are exchanged alike; a bit for each shot, 25 MB of 20,000 shots."""
-    return np.random.default_rng(SEED).integers(0, 256, size=(exchanges, -(-shots // 8)), dtype=np.uint8)
+def _random_permutations(shots: int, permutations: int) -> UInt8[Array, "permutation byte"]:
+    """Which shots are exchanged in random permutations, one bit per shot: 25 MB for 20,000 shots.
+
+    Rows with the same number of shots use the same permutations.
+    """
+    return np.random.default_rng(SEED).integers(0, 256, size=(permutations, -(-shots // 8)), dtype=np.uint8)
 
 
 def _row(sample: _Sample, p_value: float, adjusted: float, rows: int, tolerance: float, resamples: int) -> Row:
     quantity, a, b = COMPARED[sample.name], sample.a, sample.b
-    badness_a, badness_b = float(quantity.badness(a.mean())), float(quantity.badness(b.mean()))
-    difference, scale = badness_b - badness_a, badness_a if quantity.relative else 1.0
-    interval = bootstrap_interval(a, b, quantity.badness, resamples) if resamples and len(a) > 1 else None
+    loss_a, loss_b = float(quantity.loss(a.mean())), float(quantity.loss(b.mean()))
+    difference, scale = loss_b - loss_a, loss_a if quantity.relative else 1.0
+    interval = bootstrap_interval(a, b, quantity.loss, resamples) if resamples and len(a) > 1 else None
     directed = quantity.monotone or interval is None or interval[0] > 0 or interval[1] < 0
     verdict = _verdict(bool((a != b).any()), adjusted if directed else 1.0, difference)
     change = difference / scale if scale > 0 else 0.0 if difference == 0 else None
-    spread = shot_spread(a, b, quantity.badness)
+    spread = shot_spread(a, b, quantity.loss)
     return Row(
         method=sample.method,
         group=sample.group,
@@ -367,11 +368,11 @@ def _verdict(changed: bool, p_adjusted: float, difference: float) -> Verdict:
 
 
 def bootstrap_interval(
-    a: Float64[Array, "n"], b: Float64[Array, "n"], badness: Callable[[Any], Any], resamples: int
+    a: Float64[Array, "n"], b: Float64[Array, "n"], loss: Callable[[Any], Any], resamples: int
 ) -> tuple[float, float]:
-    """95 % bootstrap interval of the difference in badness, resampling shots: BCa, or percentiles where that fails.
+    """95 % bootstrap interval of the difference in loss, resampling shots: BCa, or percentiles if that fails.
 
-    BCa has no value where the scores are degenerate: all differences alike, or all resamples on one side.
+    BCa is undefined if all differences are equal, or if all resamples lie on one side.
     """
     from scipy.stats import bootstrap
 
@@ -379,7 +380,7 @@ def bootstrap_interval(
         return 0.0, 0.0
 
     def difference(a: Float64[Array, "*shape n"], b: Float64[Array, "*shape n"], axis: int = -1) -> Any:
-        return badness(b.mean(axis=axis)) - badness(a.mean(axis=axis))
+        return loss(b.mean(axis=axis)) - loss(a.mean(axis=axis))
 
     for method in ("BCa", "percentile"):
         with warnings.catch_warnings(), np.errstate(all="ignore"):
@@ -401,23 +402,23 @@ def bootstrap_interval(
     return low, high
 
 
-def shot_spread(a: Float64[Array, "n"], b: Float64[Array, "n"], badness: Callable[[Any], Any]) -> float:
-    """Standard deviation of what one shot contributes to the difference in badness (the jackknife's pseudo-values).
+def shot_spread(a: Float64[Array, "n"], b: Float64[Array, "n"], loss: Callable[[Any], Any]) -> float:
+    """Standard deviation of the contribution of one shot to the difference in loss (jackknife pseudo-values).
 
     Divided by the root of the number of shots it is the standard error of the difference.
     """
     n = len(a)
     if n < 2:
         return 0.0
-    left_out = badness((b.sum() - b) / (n - 1)) - badness((a.sum() - a) / (n - 1))
+    left_out = loss((b.sum() - b) / (n - 1)) - loss((a.sum() - a) / (n - 1))
     return float((n - 1) * np.std(left_out, ddof=1))
 
 
 def shots_needed(spread: float, difference: float, rows: int) -> int | None:
-    """Shots that show a difference with 80 % probability among so many rows; None if the spread is zero or unknown.
+    """Number of shots that show a difference with 80 % probability among this number of rows; None if undetermined.
 
-    n = ((z(1 - q / 2) + z(0.8)) spread / difference)^2 with q = 0.05 / rows, which is on the safe side of
-    Benjamini-Hochberg; and no fewer than let an exchange test reach q at all, 2^(1 - n) <= q.
+    n = ((z(1 - q / 2) + z(0.8)) spread / difference)^2 with q = 0.05 / rows, which is conservative
+    relative to Benjamini-Hochberg; at least as many as a permutation test needs to reach q, 2^(1 - n) <= q.
     """
     from scipy.special import ndtri
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from ringpose.bench.compare import COMPARED, Pair, Row, Verdict, testable_shots
 from ringpose.bench.score import Judgement
-from ringpose.bench.summary import ABSENT, Wrong, wrong_quantities
+from ringpose.bench.summary import ABSENT, WrongQuantities, wrong_quantities
 from ringpose.bench.table import COLUMNS, aligned
 
 SCHEMA = "bench_compare/1"
@@ -27,7 +27,7 @@ UNITS: Mapping[str, tuple[str, float]] = {
 """Heading and factor of each compared quantity."""
 
 MAX_NAMED = 10
-"""Newly wrong quantities, and shots newly without a pose, that are named in the text."""
+"""Maximum number of newly wrong quantities, and of shots newly without a pose, that the text names."""
 
 
 def nothing_changed(rows: Sequence[Row]) -> bool:
@@ -36,7 +36,7 @@ def nothing_changed(rows: Sequence[Row]) -> bool:
 
 
 def newly_wrong(paired: Sequence[tuple[str, Sequence[Pair]]]) -> list[tuple[str, str, str]]:
-    """Method, shot and quantity where B is wrong and A is not."""
+    """Method, shot and quantity of those that are wrong in B and not in A."""
     return [
         (method, a.shot, name)
         for method, members in paired
@@ -47,7 +47,7 @@ def newly_wrong(paired: Sequence[tuple[str, Sequence[Pair]]]) -> list[tuple[str,
 
 
 def newly_without_pose(paired: Sequence[tuple[str, Sequence[Pair]]]) -> list[tuple[str, str]]:
-    """Method and shot with a ring of which A has a pose and B does not."""
+    """Method and shot of those with a ring for which A has a pose and B has none."""
     without = ("none", "lost")
     return [
         (method, a.shot)
@@ -57,11 +57,11 @@ def newly_without_pose(paired: Sequence[tuple[str, Sequence[Pair]]]) -> list[tup
     ]
 
 
-def no_longer_correct(paired: Sequence[tuple[str, Sequence[Pair]]]) -> list[tuple[str, Wrong]]:
-    """Methods by which A has none wrong, no more than chance allows, and B has; with the judgements of B.
+def no_longer_correct(paired: Sequence[tuple[str, Sequence[Pair]]]) -> list[tuple[str, WrongQuantities]]:
+    """Methods whose verdict is `none wrong` in A and `WRONG` in B, with the judgements of B.
 
-    This verdict does not compare means, so one wrong quantity can change it; two results with correct covariances
-    differ so in less than 1 % of comparisons.
+    This verdict does not compare means, so that one wrong quantity can change it; if all covariances are correct, it
+    changes in less than 1 % of comparisons.
     """
     judged = [
         (method, wrong_quantities([a for a, _ in members]), wrong_quantities([b for _, b in members]))
@@ -73,7 +73,7 @@ def no_longer_correct(paired: Sequence[tuple[str, Sequence[Pair]]]) -> list[tupl
 def comparison_text(
     rows: Sequence[Row], paired: Sequence[tuple[str, Sequence[Pair]]], by: Sequence[str], tolerance: float, matched: str
 ) -> str:
-    """One line if nothing changed; else a table of the rows that changed, what is newly wrong, and the verdicts."""
+    """One line if nothing changed; else a table of the changed rows, the newly wrong quantities, and the verdicts."""
     judged = [row for row in rows if COMPARED[row.quantity].judged]
     if nothing_changed(rows):
         shots = len({a.shot for _, members in paired for a, _ in members})
@@ -110,10 +110,10 @@ def comparison_text(
     return "\n".join(lines) + "\n"
 
 
-def _named(finding: str, places: Sequence[str]) -> list[str]:
-    """A line with the first places at which something was found, none if there are none."""
-    named = "; ".join([*places[:MAX_NAMED], *(["..."] if len(places) > MAX_NAMED else [])])
-    return [f"{finding}: {len(places)}: {named}"] if places else []
+def _named(title: str, findings: Sequence[str]) -> list[str]:
+    """A line with the number of findings and the first of them; none if there are none."""
+    named = "; ".join([*findings[:MAX_NAMED], *(["..."] if len(findings) > MAX_NAMED else [])])
+    return [f"{title}: {len(findings)}: {named}"] if findings else []
 
 
 def _cells(row: Row, by: Sequence[str]) -> list[str]:
@@ -142,7 +142,7 @@ def _verdict(row: Row) -> str:
 
 
 def worse_sentences(rows: Sequence[Row], paired: Sequence[tuple[str, Sequence[Pair]]]) -> Iterator[str]:
-    """A sentence for each row that is worse beyond the tolerance, and each method that newly has something wrong."""
+    """A message for each row that is worse by more than the tolerance, and each method that is no longer correct."""
     for row in rows:
         if row.beyond_tolerance:
             group = ", ".join(f"{name} {value}" for name, value in row.group.items()) or "all shots"
@@ -161,7 +161,7 @@ def comparison_record(
     tolerance: float,
     matched: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Everything in metres, radians, seconds and shares."""
+    """The comparison as plain values in metres, radians, seconds and shares."""
     return {
         "ringpose": SCHEMA,
         "tolerance": tolerance,

@@ -1,4 +1,4 @@
-"""How far an estimate is from the truth: pure functions, camera frame, metres and radians."""
+"""Errors of an estimated ring pose relative to the truth, in the camera frame, metres and radians."""
 
 import math
 from dataclasses import replace
@@ -13,20 +13,20 @@ from ringpose.types.camera import Camera
 from ringpose.types.truth import Truth
 
 MAX_BAND_DISTANCE_M = 0.005
-"""A grasp point farther than this from the ring's band is wrong, whatever its covariance."""
+"""A grasp point farther than this from the rim is wrong, whatever its covariance."""
 
 MAX_PROPAGATION_S = 1.0
-"""No shot takes longer; a larger difference of stamps means that pose and truth were stamped by different clocks."""
+"""Longer than any shot; a larger difference of time stamps means that pose and truth used different clocks."""
 
 MAX_TILT = 1e3
-"""The tangent of 89.94 degrees, where that of a tilt error ends."""
+"""Upper limit of the tangent of a tilt error: that of 89.94 degrees."""
 
 
 def truth_at(truth: Truth, stamp_s: float) -> Truth:
-    """The truth moved from its own stamp to that of a pose, with constant velocities (camera frame).
+    """The truth propagated from its own time stamp to that of a pose, with constant velocities (camera frame).
 
-    A truth without a stamp or velocities holds for the whole shot. Raises DataError where the stamps are more than
-    `MAX_PROPAGATION_S` apart.
+    A truth without time stamp or velocities is returned as it is. Raises DataError if the time stamps differ by more
+    than `MAX_PROPAGATION_S`.
     """
     moving = truth.velocity_m_s is not None or truth.angular_velocity_rad_s is not None
     if truth.stamp_s is None or not moving or truth.center_m is None or truth.normal is None:
@@ -42,7 +42,7 @@ def truth_at(truth: Truth, stamp_s: float) -> Truth:
         )
     velocity_m_s = np.zeros(3) if truth.velocity_m_s is None else truth.velocity_m_s
     rates_rad_s = np.zeros(3) if truth.angular_velocity_rad_s is None else truth.angular_velocity_rad_s
-    across_rad = elapsed_s * np.cross(rates_rad_s, truth.normal)  # the spin about the normal does not move it
+    across_rad = elapsed_s * np.cross(rates_rad_s, truth.normal)  # rotation about the normal has no effect
     angle_rad = float(np.linalg.norm(across_rad))
     turned = math.cos(angle_rad) * truth.normal + np.sinc(angle_rad / math.pi) * across_rad
     return replace(truth, center_m=truth.center_m + elapsed_s * velocity_m_s, normal=turned)
@@ -51,14 +51,14 @@ def truth_at(truth: Truth, stamp_s: float) -> Truth:
 def distance_to_circle_m(
     point_m: Float64[Array, "3"], center_m: Float64[Array, "3"], normal: Float64[Array, "3"], radius_m: float
 ) -> float:
-    """Distance of a point from a circle in space: how far beside the ring a gripper would close there."""
+    """Distance of a point from a circle in space."""
     return float(np.hypot(*circle_error(point_m, center_m, normal, radius_m)[1]))
 
 
 def circle_error(
     point_m: Float64[Array, "3"], center_m: Float64[Array, "3"], normal: Float64[Array, "3"], radius_m: float
 ) -> tuple[Float64[Array, "2 xyz=3"], Float64[Array, "2"]]:
-    """The directions along the normal and radial at a point, and its distances from a circle along them."""
+    """The normal and the radial direction at a point, and its signed distances from a circle along them."""
     from_center_m = point_m - center_m
     height_m = normal @ from_center_m
     outwards_m = from_center_m - height_m * normal
@@ -68,9 +68,9 @@ def circle_error(
 
 
 def mahalanobis_squared(error: Float64[Array, "n"], covariance: Float64[Array, "n n"]) -> float:
-    """Squared length of an error in standard deviations; a direction without variance counts as 1e-12 of the largest.
+    """Squared Mahalanobis length of an error; variances are at least 1e-12 of the largest.
 
-    Divided by n and averaged over many shots this is the NEES, which is 1 where the covariance is correct.
+    Divided by n and averaged over many shots this is the NEES, which is 1 if the covariance is correct.
     """
     variance, axes = np.linalg.eigh(covariance)
     floor = max(float(variance[-1]) * 1e-12, 1e-30)
@@ -78,9 +78,9 @@ def mahalanobis_squared(error: Float64[Array, "n"], covariance: Float64[Array, "
 
 
 def tilt_error_rad(normal: Float64[Array, "3"], true_normal: Float64[Array, "3"]) -> Float64[Array, "2"]:
-    """The tilts t1, t2 that turn the answer's normal into the true one, in the answer's own tilt basis.
+    """The tilts t1, t2 that rotate the estimated normal into the true one, in the tilt basis of the estimate.
 
-    They are tangents; a true normal that is 90 degrees away or more counts as `MAX_TILT`.
+    They are tangents, limited to `MAX_TILT`, which is also used for angles of 90 degrees or more.
     """
     sine, cosine = tilt_basis(normal) @ true_normal, float(normal @ true_normal)
     length = float(np.linalg.norm(sine))
@@ -92,14 +92,14 @@ def tilt_error_rad(normal: Float64[Array, "3"], true_normal: Float64[Array, "3"]
 
 
 def mid_radius_m(truth: Truth) -> float | None:
-    """Radius of the circle in the middle of the band, None where the truth has not both radii."""
+    """Mean of both radii, None unless the truth has both."""
     if truth.radius_inner_m is None or truth.radius_outer_m is None:
         return None
     return (truth.radius_inner_m + truth.radius_outer_m) / 2
 
 
 def misses_band(grasp_m: Float64[Array, "3"], truth: Truth, camera: Camera | None) -> bool:
-    """Whether a gripper that closes at the grasp point misses the ring, or holds a part where nothing was measured."""
+    """Whether a grasp point is off the rim, or outside the arc in which break points were visible."""
     if truth.center_m is None or truth.normal is None:
         return False
     if truth.radius_outer_m is not None and (radius_m := mid_radius_m(truth)) is not None:
@@ -113,7 +113,7 @@ def misses_band(grasp_m: Float64[Array, "3"], truth: Truth, camera: Camera | Non
 def outside_arc(grasp_m: Float64[Array, "3"], truth: Truth, camera: Camera) -> bool:
     """Whether a grasp point lies outside the arc between the outermost true break points.
 
-    Half the width of the band is granted at each end: a lone stripe across the ring spans next to nothing.
+    The arc is extended by half the width of the rim at each end, because that of a single stripe is very short.
     """
     if truth.center_m is None or truth.normal is None or truth.break_points_px is None:
         return False
@@ -123,8 +123,8 @@ def outside_arc(grasp_m: Float64[Array, "3"], truth: Truth, camera: Camera) -> b
     middle = (points - truth.center_m).mean(axis=0)
     angles = _angles_rad(points - truth.center_m, middle, truth.normal)
     grasp = _angles_rad((grasp_m - truth.center_m)[None], middle, truth.normal)[0]
-    granted_rad = _half_band_rad(truth)
-    return not angles.min() - granted_rad <= grasp <= angles.max() + granted_rad
+    margin_rad = _half_rim_width_rad(truth)
+    return not angles.min() - margin_rad <= grasp <= angles.max() + margin_rad
 
 
 def _points_on_ring(
@@ -133,7 +133,7 @@ def _points_on_ring(
     normal: Float64[Array, "3"],
     camera: Camera,
 ) -> Float64[Array, "point xyz=3"]:
-    """Where the rays through the break points that are seen meet the ring's plane."""
+    """Intersections of the rays through the visible break points with the plane of the ring."""
     seen = break_points_px[~np.isnan(break_points_px[..., 0])]
     points = intersect(rays(seen, camera), normal, np.asarray(normal @ center_m))
     return points[~np.isnan(points[:, 0])]
@@ -142,13 +142,14 @@ def _points_on_ring(
 def _angles_rad(
     directions: Float64[Array, "n xyz=3"], reference: Float64[Array, "3"], normal: Float64[Array, "3"]
 ) -> Float64[Array, "n"]:
-    """Angles about the ring's axis from a reference direction, between -pi and pi."""
+    """Angles about the axis of the ring from a reference direction, between -pi and pi."""
     across = np.vstack([directions, reference]) @ tilt_basis(normal).T
     angles = np.arctan2(across[:, 1], across[:, 0])
     turned: Float64[Array, "n"] = np.angle(np.exp(1j * (angles[:-1] - angles[-1])))
     return turned
 
 
-def _half_band_rad(truth: Truth) -> float:
+def _half_rim_width_rad(truth: Truth) -> float:
+    """Half the width of the rim as an angle at the mean radius."""
     inner_m, outer_m = truth.radius_inner_m or 0.0, truth.radius_outer_m or 0.0
     return (outer_m - inner_m) / (outer_m + inner_m) if outer_m > 0 else 0.0

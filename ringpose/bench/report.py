@@ -1,18 +1,17 @@
-"""Summaries and scores as plain values, for JSON and CSV; metres and radians."""
+"""Summaries and scores as plain values for JSON and CSV, in metres and radians."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from ringpose.bench.pipeline import Matching
-from ringpose.bench.score import QUANTITIES, Judgement, Score
+from ringpose.bench.score import QUANTITIES, Judgement, Matching, Score
 from ringpose.bench.summary import Summary
 
 SCHEMA = "bench/2"
 
 
 ASSUMPTIONS: Mapping[str, Any] = {"still": True, "ring_tolerance_m": 0.0, "rig_stability": 0.0}
-"""Those of pose records of version /1: image noise and the calibration's covariance only."""
+"""Assumptions of pose records of version /1: image noise and the covariance of the calibration only."""
 
 
 def report(
@@ -22,9 +21,9 @@ def report(
     matched: Matching | None,
     truths: Iterable[str],
 ) -> dict[str, Any]:
-    """All of it: `groups` (an empty `group` is all shots), `shots`, and the sentences about missed limits.
+    """The report: `groups` (an empty `group` is all shots), `shots`, and the messages about exceeded limits.
 
-    `matched` is None where the poses were computed here; `truths` are SHA-256 of the truth files.
+    `matched` is None if the poses were computed by this run; `truths` are the SHA-256 of the truth files.
     """
     return {
         "ringpose": SCHEMA,
@@ -38,7 +37,7 @@ def report(
 
 
 def csv_rows(scores: Sequence[Score]) -> Iterator[Sequence[str | float | int | bool]]:
-    """A heading, then one row a shot and method; what cannot be compared is empty, wrong quantities share a cell."""
+    """A heading, then a row for each shot and method; missing errors are empty, wrong quantities share a cell."""
     names = list(dict.fromkeys(name for score in scores for name in score.groups))
     yield ["shot", "method", "outcome", *names, *QUANTITIES, "status", "wrong", "latency_s"]
     for score in scores:

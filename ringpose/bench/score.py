@@ -1,8 +1,9 @@
-"""One answer against one truth: its errors, and a judgement of each quantity that it reports."""
+"""Pose estimates compared with the truth: errors, and a judgement of each quantity that a pose reports."""
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from types import MappingProxyType
 from typing import Literal
@@ -30,13 +31,13 @@ WRONG_SIGMAS = 5.0
 """A quantity farther from the truth than this (Mahalanobis distance), and without a flag that names it, is wrong."""
 
 GROSS_SIGMAS = 6.0
-"""Chance explains a few quantities beyond `WRONG_SIGMAS` among very many, but none beyond this."""
+"""Among very many quantities a few exceed `WRONG_SIGMAS` by chance; none exceeds this."""
 
 JUDGED = MappingProxyType({"center": 3, "normal": 2, "grasp": 2, "radius_inner": 1, "radius_outer": 1})
 """The quantities that are judged, with their degrees of freedom; the grasp point's are along the normal and radial."""
 
 _ALL = PoseFlag.INCONSISTENT | PoseFlag.RELABELLED
-FLAGS_NAMING: Mapping[str, PoseFlag] = MappingProxyType(
+FLAGS_OF_QUANTITY: Mapping[str, PoseFlag] = MappingProxyType(
     {
         "center": _ALL | PoseFlag.CENTER_WEAK | PoseFlag.SIDE_UNKNOWN | PoseFlag.RADIUS_DISAGREES,
         "normal": _ALL | PoseFlag.NORMAL_WEAK,
@@ -45,9 +46,9 @@ FLAGS_NAMING: Mapping[str, PoseFlag] = MappingProxyType(
         "radius_outer": _ALL | PoseFlag.RADIUS_WEAK | PoseFlag.RADIUS_DISAGREES,
     }
 )
-"""The flags of record /1 that warn of a quantity; `relabelled` is what record /2 calls `assignment_ambiguous`.
+"""The flags of record /1 that apply to each quantity; record /2 calls `relabelled` `assignment_ambiguous`.
 
-`damped` names none by itself: the closed form sets `center_weak` and `radius_weak` beside it.
+`damped` applies to none by itself: the closed form sets `center_weak` and `radius_weak` together with it.
 """
 
 QUANTITIES = (
@@ -67,85 +68,101 @@ the true mid-band circle; normalised squared errors (NEES), by degree of freedom
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Answer:
-    """What one method answered about one shot: a pose in the camera frame, or None."""
+class PoseEstimate:
+    """The result of one method for one shot: a pose in the camera frame, or None."""
 
     shot: str
     method: str
-    """Empty where a line without a pose does not name it."""
+    """Empty if a record without a pose does not contain it."""
     pose: RingPose | None
     stamp_s: float = math.nan
-    """NaN where it is not known."""
+    """NaN if unknown."""
     latency_s: float = math.nan
     rig: str = ""
-    """SHA-256 of the rig file, empty where it is not known."""
+    """SHA-256 of the rig file, empty if unknown."""
 
 
 class Outcome(StrEnum):
-    """What became of a shot."""
+    """The outcome of a shot."""
 
     OK = "ok"
     DEGRADED = "degraded"
     """A pose with a flag."""
     MISSED = "missed"
-    """No pose where six break points are to be had."""
+    """No pose although six break points are visible."""
     PARTIAL = "partial"
-    """Fewer break points are to be had: normal and grasp point are scored, and no pose is no miss."""
+    """A pose from fewer visible break points: only the normal and the grasp point are scored."""
     PARTIAL_NONE = "partial_none"
+    """No pose with fewer visible break points, which does not count as missed."""
     NO_TARGET = "no_target"
-    """Nothing there, and no pose."""
+    """No pose, and no ring in the image."""
     WRONG = "wrong"
     """A pose with at least one wrong quantity."""
     LOST = "lost"
-    """No line at all."""
+    """No pose record for this shot."""
 
 
 class Judgement(StrEnum):
-    """What a reported quantity is, beside the truth."""
+    """The result of comparing a reported quantity with the truth."""
 
     CORRECT = "correct"
     WRONG = "wrong"
     FLAGGED = "flagged"
-    """A flag of the line names it: not judged."""
+    """Not judged, because a flag of the record applies to it."""
     NO_COVARIANCE = "no_covariance"
-    """Nothing says how far off it may be: not judged."""
+    """Not judged, because it is reported without a covariance."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Score:
-    """One shot, one method."""
+    """The comparison of one shot with the truth, for one method."""
 
     shot: str
     method: str
     outcome: Outcome
     status: Literal["ok", "degraded", "none", "lost"]
-    """That of the pose line; `lost` where there is none."""
+    """That of the pose record; `lost` if there is none."""
     has_target: bool = True
-    """Whether there is a ring to be seen."""
+    """Whether a ring is visible."""
     groups: Mapping[str, str | float | int | bool] = field(default_factory=dict)
     errors: Mapping[str, float] = field(default_factory=dict)
-    """By the names of `QUANTITIES`; what cannot be compared is missing."""
+    """By the names of `QUANTITIES`, without those that cannot be compared."""
     judgements: Mapping[str, Judgement] = field(default_factory=dict)
-    """By the names of `JUDGED`; what the pose does not report is missing."""
+    """By the names of `JUDGED`, without those that the pose does not report."""
     distances: Mapping[str, float] = field(default_factory=dict)
-    """Mahalanobis distances from the truth by the names of `JUDGED`; without a covariance there is none."""
+    """Mahalanobis distances from the truth by the names of `JUDGED`, of the quantities with a covariance."""
     gross: tuple[str, ...] = ()
-    """Wrong quantities that chance does not explain: beyond `GROSS_SIGMAS`, a grasp point off the band or outside the
-    arc, a pose of nothing."""
+    """Wrong quantities that cannot be explained by chance: beyond `GROSS_SIGMAS`, a grasp point off the rim or outside
+    the arc, a pose where there is no ring."""
     latency_s: float | None = None
     rig: str = ""
 
     @property
     def wrong(self) -> tuple[str, ...]:
-        """The quantities that are wrong."""
+        """Names of the wrong quantities."""
         return tuple(name for name, found in self.judgements.items() if found is Judgement.WRONG)
 
 
-def answer_of(line: PoseLine, place: str) -> Answer:
-    """The answer that a pose line is; truth is known in the camera frame only."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Matching:
+    """The assignment of pose records to truths by the names of their shots."""
+
+    truths: int
+    matched: int
+    """Shots of the truth that have a record."""
+    without_truth: tuple[str, ...]
+    """Shots that have a record but no truth, each once."""
+    repeated: tuple[str, ...]
+    """Shots with more than one record of one method, of which the last is scored."""
+    unsorted: bool
+    """Whether the shots are in a different order than in the truth, which has no effect on the scores."""
+
+
+def estimate_of(line: PoseLine, place: str) -> PoseEstimate:
+    """The estimate in a pose record; DataError unless it is in the camera frame, like the truth."""
     if line.pose is not None and line.frame is not PoseFrame.CAMERA:
         raise DataError(place, f"is in the {line.frame} frame", "give poses in the camera frame")
-    return Answer(
+    return PoseEstimate(
         shot=line.shot,
         method=line.pose.method if line.pose else "",
         pose=line.pose,
@@ -155,10 +172,46 @@ def answer_of(line: PoseLine, place: str) -> Answer:
     )
 
 
-def score(truth: Truth, answer: Answer | None, method: str, camera: Camera | None) -> Score:
-    """An answer (None for a shot without a line) against the truth; without the camera the arc is not checked."""
+def scores(estimates: Iterable[PoseEstimate], truths: Sequence[Truth], camera: Camera | None) -> list[Score]:
+    """A score for each method and shot of the truth, in the order of the truth; a shot without a record is `lost`."""
+    by_method = _by_method(estimates)
+    return [
+        score(truth, by_shot.get(truth.shot), method, camera)
+        for method, by_shot in by_method.items()
+        for truth in truths
+    ]
+
+
+def matching(estimates: Sequence[PoseEstimate], truths: Iterable[Truth]) -> Matching:
+    """How pose records and truths match."""
+    place = {truth.shot: number for number, truth in enumerate(truths)}
+    lines = Counter((estimate.method, estimate.shot) for estimate in estimates)
+    shots = list(dict.fromkeys(estimate.shot for estimate in estimates))
+    places = [place[shot] for shot in shots if shot in place]
+    return Matching(
+        truths=len(place),
+        matched=len(places),
+        without_truth=tuple(shot for shot in shots if shot not in place),
+        repeated=tuple(dict.fromkeys(shot for (_, shot), count in lines.items() if count > 1)),
+        unsorted=places != sorted(places),
+    )
+
+
+def _by_method(estimates: Iterable[PoseEstimate]) -> Mapping[str, Mapping[str, PoseEstimate]]:
+    """The estimates of each method by shot; a record without a method counts for all methods."""
+    every = list(estimates)
+    methods = list(dict.fromkeys(estimate.method for estimate in every if estimate.method)) or [""]
+    table: dict[str, dict[str, PoseEstimate]] = {method: {} for method in methods}
+    for estimate in every:
+        for method in [estimate.method] if estimate.method else methods:
+            table[method][estimate.shot] = replace(estimate, method=method)
+    return table
+
+
+def score(truth: Truth, estimate: PoseEstimate | None, method: str, camera: Camera | None) -> Score:
+    """Score of an estimate (None for a shot without a record); without the camera the arc is not checked."""
     has_target = truth.expect != "no_target"
-    if answer is None:
+    if estimate is None:
         return Score(
             shot=truth.shot,
             method=method,
@@ -167,9 +220,9 @@ def score(truth: Truth, answer: Answer | None, method: str, camera: Camera | Non
             has_target=has_target,
             groups=truth.groups,
         )
-    pose, known = answer.pose, truth_at(truth, answer.stamp_s)
-    distances = {} if pose is None else _distances(known, pose)
-    found = {} if pose is None else dict(_judgements(known, pose, distances, camera))
+    pose, truth_now = estimate.pose, truth_at(truth, estimate.stamp_s)
+    distances = {} if pose is None else _distances(truth_now, pose)
+    found = {} if pose is None else dict(_judgements(truth_now, pose, distances, camera))
     judgements = {name: judgement for name, (judgement, _) in found.items()}
     return Score(
         shot=truth.shot,
@@ -178,12 +231,12 @@ def score(truth: Truth, answer: Answer | None, method: str, camera: Camera | Non
         status="none" if pose is None else "degraded" if pose.flags else "ok",
         has_target=has_target,
         groups=truth.groups,
-        errors={} if pose is None else _errors(known, pose, distances),
+        errors={} if pose is None else _errors(truth_now, pose, distances),
         judgements=judgements,
         distances=distances,
         gross=tuple(name for name, (_, gross) in found.items() if gross),
-        latency_s=answer.latency_s if math.isfinite(answer.latency_s) else None,
-        rig=answer.rig,
+        latency_s=estimate.latency_s if math.isfinite(estimate.latency_s) else None,
+        rig=estimate.rig,
     )
 
 
@@ -200,11 +253,11 @@ def _outcome(truth: Truth, pose: RingPose | None, wrong: bool) -> Outcome:
 def _judgements(
     truth: Truth, pose: RingPose, distances: Mapping[str, float], camera: Camera | None
 ) -> Iterator[tuple[str, tuple[Judgement, bool]]]:
-    """Each reported quantity with its judgement, and whether it is wrong beyond what chance explains."""
+    """Each reported quantity with its judgement, and whether its error is gross."""
     for name in _reported(pose):
         if truth.expect != "no_target" and not _has_truth(truth, name):
             continue
-        if pose.flags & FLAGS_NAMING[name]:
+        if pose.flags & FLAGS_OF_QUANTITY[name]:
             yield name, (Judgement.FLAGGED, False)
         elif truth.expect == "no_target" or (name == "grasp" and misses_band(pose.grasp_m, truth, camera)):
             yield name, (Judgement.WRONG, True)
@@ -237,7 +290,7 @@ def _has_truth(truth: Truth, name: str) -> bool:
 
 
 def _distances(truth: Truth, pose: RingPose) -> dict[str, float]:
-    """Mahalanobis distances of the reported quantities from the truth, of those that have a covariance."""
+    """Mahalanobis distances from the truth of the reported quantities that have a covariance."""
     if truth.center_m is None or truth.normal is None:
         return {}
     reported = _reported(pose)
@@ -251,7 +304,7 @@ def _distances(truth: Truth, pose: RingPose) -> dict[str, float]:
 def _deviations(
     truth: Truth, pose: RingPose, center_m: Float64[Array, "3"], normal: Float64[Array, "3"]
 ) -> Iterator[tuple[str, Float64[Array, "n"], Float64[Array, "n n"] | None]]:
-    """Each quantity's error with its covariance, in the coordinates in which it is judged; NaN where it is unknown."""
+    """Error and covariance of each quantity, in the coordinates in which it is judged; NaN if unknown."""
     yield "center", pose.center_m - center_m, pose.covariance_center_m2
     full = np.full((7, 7), np.nan) if pose.covariance is None else pose.covariance
     if np.isfinite(pose.normal).all():
@@ -265,7 +318,7 @@ def _deviations(
 
 
 def _errors(truth: Truth, pose: RingPose, distances: Mapping[str, float]) -> dict[str, float]:
-    """Errors by the names of `QUANTITIES`; a partial shot determines normal and grasp point only."""
+    """Errors by the names of `QUANTITIES`; in a partial shot only those of normal and grasp point."""
     if truth.center_m is None or truth.normal is None or truth.expect == "no_target":
         return {}
     reported, errors = _reported(pose), {}
@@ -288,7 +341,7 @@ def _errors(truth: Truth, pose: RingPose, distances: Mapping[str, float]) -> dic
 
 
 def _radius_errors(truth: Truth, pose: RingPose) -> dict[str, float]:
-    """Inner and outer, in the order of the covariance; NaN where the pose or the truth has none."""
+    """Errors of the inner and the outer radius, in the order of the covariance; NaN if either value is missing."""
     pairs = {
         "radius_inner": (pose.radius_inner_m, truth.radius_inner_m),
         "radius_outer": (pose.radius_outer_m, truth.radius_outer_m),

@@ -1,4 +1,4 @@
-"""Scores -> one line a group: how many of each outcome, how large the errors, how many quantities are wrong."""
+"""Statistics of the scores of each group of shots: outcomes, errors, wrong quantities."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -11,48 +11,46 @@ from ringpose.bench.score import JUDGED, QUANTITIES, WRONG_SIGMAS, Judgement, Ou
 GroupKey = tuple[str | float | int | bool, ...]
 
 ABSENT = "-"
-"""Stands for a group that a shot's truth does not name."""
+"""Printed for a missing value, and the group of a shot whose truth does not contain it."""
 
 ALLOWANCE = 0.99
-"""Share of runs with correct covariances that have no more wrong quantities than allowed."""
+"""Probability of at most the allowed number of wrong quantities if all covariances are correct."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Spread:
-    """The size of many errors."""
+class ErrorStatistics:
+    """Statistics of the absolute values of errors."""
 
     count: int
     rmse: float
     median: float
-    """Of the sizes."""
     max: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Wrong:
-    """The reported quantities of a group of shots, each judged by itself, by the names of `JUDGED`."""
+class WrongQuantities:
+    """Judgements of the reported quantities of a group of shots, by the names of `JUDGED`."""
 
     counts: Mapping[str, Mapping[Judgement, int]]
     gross: int
-    """Wrong ones that chance does not explain: beyond 6 standard deviations, a grasp point off the ring, a pose of
-    nothing."""
+    """Wrong quantities that cannot be explained by chance (`Score.gross`)."""
 
     def count(self, judgement: Judgement) -> int:
-        """How many quantities were judged so."""
+        """Number of quantities with a judgement."""
         return sum(counts[judgement] for counts in self.counts.values())
 
     @property
     def judged(self) -> int:
-        """Quantities that were judged: those with a covariance (of grasp points also those without) and no flag."""
+        """Number of judged quantities: those without a flag and with a covariance (grasp points also without)."""
         return self.count(Judgement.CORRECT) + self.count(Judgement.WRONG)
 
     @property
     def allowed(self) -> int:
-        """So many wrong quantities or fewer come by chance, in 99 % of such runs, where all covariances are correct.
+        """Maximum number of wrong quantities in 99 % of runs if all covariances are correct.
 
-        Each of n quantities with k degrees of freedom is wrong by chance with the probability that chi-squared of k
-        degrees of freedom exceeds 25: 5.7e-7, 3.7e-6 and 1.5e-5 for 1, 2 and 3. The sum of these binomial counts is
-        nearly Poisson, and this is its 99 % quantile.
+        A quantity with k degrees of freedom is wrong by chance with the probability that chi-squared with k degrees of
+        freedom exceeds 25: 5.7e-7, 3.7e-6 and 1.5e-5 for k = 1, 2 and 3. The sum of these binomial counts is nearly
+        Poisson-distributed; this is the 99 % quantile.
         """
         from scipy.special import chdtrc, pdtr
 
@@ -67,7 +65,7 @@ class Wrong:
 
     @property
     def none_wrong(self) -> bool:
-        """No more wrong ones than chance allows, and none beyond 6 standard deviations."""
+        """Whether there are at most the allowed wrong quantities, and no gross one."""
         return self.gross == 0 and self.count(Judgement.WRONG) <= self.allowed
 
 
@@ -83,16 +81,16 @@ class Summary:
     targets: int
     """Shots in which there is a ring."""
     available: int
-    """Of these the ones whose status is `ok`."""
-    wrong: Wrong
-    errors: Mapping[str, Spread]
+    """Those of them whose status is `ok`."""
+    wrong: WrongQuantities
+    errors: Mapping[str, ErrorStatistics]
     """By the names of `QUANTITIES`; for the two NEES see `nees`."""
     nees: Mapping[str, float]
-    """Mean NEES of centre and normal by degree of freedom, 1 where the covariance is honest."""
+    """Mean NEES of centre and normal divided by the degrees of freedom; 1 if the covariance is correct."""
 
 
 def summaries(scores: Sequence[Score], by: Sequence[str]) -> list[Summary]:
-    """One for each method and group, sorted, and last for each method one for all its shots."""
+    """For each method a summary of each group, sorted, and last one of all its shots."""
     lines = []
     for method in dict.fromkeys(score.method for score in scores):
         own = [score for score in scores if score.method == method]
@@ -104,15 +102,15 @@ def summaries(scores: Sequence[Score], by: Sequence[str]) -> list[Summary]:
 
 
 def unknown_groups(scores: Sequence[Score], by: Sequence[str]) -> list[str]:
-    """Names that no shot's truth has a group of."""
+    """Names that are not a group of any shot."""
     known = {name for score in scores for name in score.groups}
     return [name for name in by if name not in known]
 
 
-def spread(errors: Iterable[float]) -> Spread:
-    """Root mean square, median and maximum of the sizes of at least one error."""
+def error_statistics(errors: Iterable[float]) -> ErrorStatistics:
+    """Statistics of at least one error."""
     sizes = np.abs(np.array(list(errors), dtype=np.float64))
-    return Spread(
+    return ErrorStatistics(
         count=len(sizes),
         rmse=float(np.sqrt(np.mean(sizes**2))),
         median=float(np.median(sizes)),
@@ -131,15 +129,15 @@ def _summary(method: str, group: Mapping[str, str | float | int | bool], scores:
         targets=sum(score.has_target for score in scores),
         available=sum(score.has_target and score.status == "ok" for score in scores),
         wrong=wrong_quantities(scores),
-        errors={name: spread(all_) for name, all_ in errors.items() if all_ and not name.endswith("_nees")},
+        errors={name: error_statistics(all_) for name, all_ in errors.items() if all_ and not name.endswith("_nees")},
         nees={name: float(np.mean(all_)) for name, all_ in errors.items() if all_ and name.endswith("_nees")},
     )
 
 
-def wrong_quantities(scores: Sequence[Score]) -> Wrong:
-    """The judgements of all reported quantities, counted."""
+def wrong_quantities(scores: Sequence[Score]) -> WrongQuantities:
+    """Counts of the judgements of all reported quantities."""
     counts = {name: Counter(s.judgements[name] for s in scores if name in s.judgements) for name in JUDGED}
-    return Wrong(
+    return WrongQuantities(
         counts={name: {judgement: counted[judgement] for judgement in Judgement} for name, counted in counts.items()},
         gross=sum(len(score.gross) for score in scores),
     )
@@ -150,7 +148,7 @@ def _members(scores: Iterable[Score], by: Sequence[str], key: GroupKey) -> list[
 
 
 def group_key(score: Score, by: Sequence[str]) -> GroupKey:
-    """The group of a shot, by the names of groups in its truth."""
+    """Values of the named groups of a shot."""
     return tuple(_scalar(score.groups.get(name, ABSENT)) for name in by)
 
 
@@ -159,5 +157,5 @@ def _scalar(value: object) -> str | float | int | bool:
 
 
 def sortable(key: GroupKey) -> tuple[tuple[bool, float, str], ...]:
-    """Numbers by size, before texts by letter."""
+    """Sort key: numbers by value, then texts alphabetically."""
     return tuple((isinstance(part, str), 0.0 if isinstance(part, str) else float(part), str(part)) for part in key)

@@ -3,9 +3,8 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 
-from ringpose.bench.pipeline import Matching
-from ringpose.bench.score import JUDGED, Judgement, Outcome
-from ringpose.bench.summary import ABSENT, Spread, Summary
+from ringpose.bench.score import JUDGED, Judgement, Matching, Outcome
+from ringpose.bench.summary import ABSENT, ErrorStatistics, Summary
 
 OUTCOMES = {
     Outcome.OK: "ok",
@@ -39,9 +38,9 @@ NEES = {"center_nees": "center NEES", "normal_nees": "normal NEES"}
 
 
 def table(summaries: Sequence[Summary], by: Sequence[str], matched: Matching | None = None) -> str:
-    """Four blocks: what became of the shots, their wrong quantities, the errors' RMSE with NEES, median and maximum.
+    """Tables of outcomes, RMSE and NEES, median and maximum errors, and wrong quantities.
 
-    Then a sentence for each method with its verdict, and one about pose lines and truths that do not match.
+    They are followed by the verdict of each method, and by the number of pose records and truths that match.
     """
     blocks = [
         _block("shots", summaries, by, _counts),
@@ -65,7 +64,7 @@ def _block(
 
 
 def aligned(rows: Sequence[Sequence[str]], left: int) -> list[str]:
-    """Rows of cells as lines; the first `left` columns flush left, the others flush right."""
+    """Rows of cells as lines; the first `left` columns are left-aligned, the others right-aligned."""
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     return [
         "  ".join(
@@ -87,7 +86,7 @@ def _counts(line: Summary) -> Mapping[str, str]:
 
 
 def _wrong(line: Summary) -> Mapping[str, str]:
-    """Each quantity as wrong/judged; then their sum, what chance allows, and what was not judged."""
+    """Wrong/judged for each quantity and in total, the number allowed by chance, and those not judged."""
     cells = {
         WRONG_HEADINGS[name]: f"{counts[Judgement.WRONG]}/{counts[Judgement.WRONG] + counts[Judgement.CORRECT]}"
         for name, counts in line.wrong.counts.items()
@@ -124,7 +123,7 @@ def _matched(matched: Matching) -> str:
 
 def _rmse(line: Summary) -> Mapping[str, str]:
     errors = {
-        heading: _number(line.errors.get(name), factor, lambda spread: spread.rmse)
+        heading: _number(line.errors.get(name), factor, lambda errors: errors.rmse)
         for name, (heading, factor) in COLUMNS.items()
     }
     nees = {heading: f"{line.nees[name]:.3g}" if name in line.nees else ABSENT for name, heading in NEES.items()}
@@ -135,16 +134,16 @@ def _median_and_max(line: Summary) -> Mapping[str, str]:
     cells = {}
     for name in ("center_m", "normal_rad", "radius_inner_m", "radius_outer_m", "grasp_m"):
         heading, factor = COLUMNS[name]
-        cells[heading] = _number(line.errors.get(name), factor, lambda spread: spread.median)
-        cells[f"{heading.split()[0]} max"] = _number(line.errors.get(name), factor, lambda spread: spread.max)
+        cells[heading] = _number(line.errors.get(name), factor, lambda errors: errors.median)
+        cells[f"{heading.split()[0]} max"] = _number(line.errors.get(name), factor, lambda errors: errors.max)
     return cells
 
 
-def _number(spread: Spread | None, factor: float, part: Callable[[Spread], float]) -> str:
-    """Three significant digits, without an exponent."""
-    if spread is None:
+def _number(errors: ErrorStatistics | None, factor: float, part: Callable[[ErrorStatistics], float]) -> str:
+    """A statistic with three significant digits, without an exponent."""
+    if errors is None:
         return ABSENT
-    value = part(spread) * factor
+    value = part(errors) * factor
     if value == 0:
         return "0"
     digits = max(0, 2 - math.floor(math.log10(value)))

@@ -1,4 +1,4 @@
-"""A calibration board: print on a flat white sheet, exact at any magnification."""
+"""A calibration board as a target: a print on a flat white sheet, exact at any magnification."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -14,10 +14,10 @@ from ringpose.types.board import Board
 from ringpose.types.scene import MATERIALS, Material
 
 BORDER_M = 0.012
-"""White rim around the printed face, which markers at the face's edge need."""
+"""White margin around the print, which markers at its edge require."""
 
 _BLACK, _WHITE = 0, 1
-"""Numbers of the surfaces."""
+"""Surface numbers."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -29,12 +29,12 @@ class BoardTarget:
     squares: UInt8[Array, "row column"] | None
     """Whether each square is white; None for boards of markers alone."""
     edges_x_m: Float64[Array, "edge_x"]
-    """Where markers begin and end along x, ascending."""
+    """Positions along x at which markers begin or end, ascending."""
     edges_y_m: Float64[Array, "edge_y"]
     cells: Int8[Array, "cell_y cell_x"]
-    """Marker between two edges each way, or -1."""
+    """Marker number between two neighbouring edges along x and y, or -1."""
     bits: UInt8[Array, "marker bit_y bit_x"]
-    """Whether each cell of each marker is white, its black rim included."""
+    """Whether each cell of each marker, including its black border, is white."""
     origins_m: Float64[Array, "marker xy=2"]
     materials: tuple[Material, ...] = (MATERIALS["black"], MATERIALS["white"])
     relief_m: float = 0.0
@@ -53,7 +53,7 @@ class BoardTarget:
         surface[hit] = self.print_at(x[hit], y[hit])
         return np.where(hit, parameter, np.inf), surface
 
-    def settled(
+    def on_relief(
         self,
         eye: Float64[Array, "xyz=3"],
         direction: Float64[Array, "xyz=3 ray"],
@@ -67,7 +67,7 @@ class BoardTarget:
         return point, normal
 
     def blocked(self, point: Float64[Array, "xyz=3 ray"], towards: Float64[Array, "xyz=3 ray"]) -> Bool[Array, "ray"]:
-        """See `Target`; nothing stands before a board."""
+        """See `Target`; a plane does not occlude itself."""
         return np.zeros(point.shape[1], dtype=np.bool_)
 
     def print_at(self, x_m: Float64[Array, "n"], y_m: Float64[Array, "n"]) -> Int8[Array, "n"]:

@@ -1,4 +1,4 @@
-"""The laser sheets: where their light falls, and how much."""
+"""Light sheets of the lasers: geometry and irradiance."""
 
 from dataclasses import dataclass
 
@@ -9,8 +9,8 @@ from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.rig import LaserPlanes
 from ringpose.types.scene import LaserLight
 
-REACH_SIGMAS = 4.5
-"""Beyond so many sigmas of the sheet's thickness there is no light: 4e-5 of the peak."""
+MAX_DISTANCE_SIGMAS = 4.5
+"""Distance from the plane, in sigmas of the thickness, beyond which the light is neglected: 4e-5 of the peak."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -21,12 +21,12 @@ class Sheets:
     distance_m: Float64[Array, "laser"]
     projector_m: Float64[Array, "laser xyz=3"]
     axis: Float64[Array, "laser xyz=3"]
-    """Middle of each fan, a unit vector in its plane."""
+    """Central direction of each fan, a unit vector in its plane."""
     light: LaserLight
 
 
 def sheets(planes: LaserPlanes, light: LaserLight, placement: Placement) -> Sheets:
-    """The rig's light planes as a target sees them."""
+    """The light planes of the rig in the frame of a target."""
     normal = placement.vectors_target(planes.normal.T).T
     axes = np.array([0.0, 0.0, 1.0]) - planes.normal[:, 2:] * planes.normal
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
@@ -40,7 +40,7 @@ def sheets(planes: LaserPlanes, light: LaserLight, placement: Placement) -> Shee
 
 
 def half_thickness_m(light: LaserLight, range_m: Float64[Array, "n"]) -> Float64[Array, "n"]:
-    """Sigma of the sheet at a distance from the projector."""
+    """Standard deviation of the sheet's thickness at a distance from the projector."""
     thickness: Float64[Array, "n"] = np.hypot(light.sigma_m, light.divergence_rad * range_m)
     return thickness
 
@@ -48,15 +48,15 @@ def half_thickness_m(light: LaserLight, range_m: Float64[Array, "n"]) -> Float64
 def in_sheet(
     sheet: Sheets, laser: int, point: Float64[Array, "xyz=3 n"], slack_m: Float64[Array, "n"] | float = 0.0
 ) -> Bool[Array, "n"]:
-    """Whether a laser's light passes within `slack_m` of the points, if nothing stands in its way."""
+    """Whether the sheet of a laser passes within `slack_m` of the points; occlusion is not considered."""
     off_m = np.abs(sheet.normal[laser] @ point - sheet.distance_m[laser])
-    reach_m = REACH_SIGMAS * _farthest_half_thickness_m(sheet, laser, point)
+    reach_m = MAX_DISTANCE_SIGMAS * _farthest_half_thickness_m(sheet, laser, point)
     near: Bool[Array, "n"] = off_m < reach_m + slack_m
     return near
 
 
 def irradiance_w_m2(sheet: Sheets, laser: int, point: Float64[Array, "xyz=3 n"]) -> Float64[Array, "n"]:
-    """Irradiance across the light's direction: the fan's power over its arc, times the Gaussian across the sheet."""
+    """Irradiance normal to the light: power of the fan per arc length, times the Gaussian across the sheet."""
     range_m = np.maximum(np.linalg.norm(point - sheet.projector_m[laser][:, None], axis=0), 1e-6)
     sigma_m = half_thickness_m(sheet.light, range_m)
     off_m = sheet.normal[laser] @ point - sheet.distance_m[laser]
@@ -65,7 +65,7 @@ def irradiance_w_m2(sheet: Sheets, laser: int, point: Float64[Array, "xyz=3 n"])
 
 
 def in_fan(sheet: Sheets, laser: int, point: Float64[Array, "xyz=3 n"]) -> Bool[Array, "n"]:
-    """Whether points lie within the fan's angle."""
+    """Whether points lie within the fan angle."""
     from_projector = point - sheet.projector_m[laser][:, None]
     along = sheet.axis[laser] @ from_projector
     aside = np.cross(sheet.normal[laser], sheet.axis[laser]) @ from_projector
@@ -74,7 +74,7 @@ def in_fan(sheet: Sheets, laser: int, point: Float64[Array, "xyz=3 n"]) -> Bool[
 
 
 def _farthest_half_thickness_m(sheet: Sheets, laser: int, point: Float64[Array, "xyz=3 n"]) -> float:
-    """Of all the points: one number, because most sheets hardly widen and most points are far from them."""
+    """Maximum over all points: a single bound is enough, because sheets diverge little and most points are far away."""
     if sheet.light.divergence_rad == 0.0 or not point.shape[1]:
         return sheet.light.sigma_m
     from_projector = point - sheet.projector_m[laser][:, None]

@@ -1,9 +1,4 @@
-"""Where a target stands before the camera.
-
-Where the ring stands, view by view: as the scene says, or drawn at random within its limits.
-
-Where the boards stand: as the scene says, or drawn at random within its limits.
-"""
+"""Poses of ring and boards in the camera frame: those of the scene file, or random ones within its limits."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -31,19 +26,19 @@ class Placement:
 
     @property
     def eye_m(self) -> Float64[Array, "xyz=3"]:
-        """The camera's centre in the target frame."""
+        """The projection centre in the target frame."""
         return self.points_target(np.zeros((3, 1)))[:, 0]
 
     def points_target(self, point_camera: Float64[Array, "xyz=3 n"]) -> Float64[Array, "xyz=3 n"]:
-        """Points of the camera frame in the target frame."""
+        """Transform points from the camera frame to the target frame."""
         return self.vectors_target(point_camera - self.translation_m[:, None])
 
     def points_camera(self, point_target: Float64[Array, "*shape xyz=3"]) -> Float64[Array, "*shape xyz=3"]:
-        """Points of the target frame, in rows, in the camera frame."""
+        """Transform points, in rows, from the target frame to the camera frame."""
         return point_target @ self.rotation.T + self.translation_m
 
     def vectors_target(self, vector_camera: Float64[Array, "xyz=3 n"]) -> Float64[Array, "xyz=3 n"]:
-        """Directions of the camera frame in the target frame."""
+        """Transform directions from the camera frame to the target frame."""
         return self.rotation.T @ vector_camera
 
 
@@ -58,18 +53,18 @@ def ring_rotation(normal: Float64[Array, "3"], roll_rad: float) -> Float64[Array
 
 
 def ring_views(scene: Scene) -> tuple[RingView, ...]:
-    """All views of a scene: the written ones, then the drawn ones."""
+    """All views of a scene: the given ones, then the random ones."""
     drawn = [view for approach in scene.approaches for view in _drawn_views(scene, approach)]
     views = (*scene.views, *drawn)
     names = Counter(view.name for view in views)
     if len(names) < len(views):
         found = f"two views are called {names.most_common(1)[0][0]!r}"
-        raise DataError("the scene's trajectory", found, "give each generated set a name of its own")
+        raise DataError("the scene's trajectory", found, "give each generated set its own name")
     return views
 
 
 def _drawn_views(scene: Scene, approach: Approach) -> Iterator[RingView]:
-    """Distance by distance, pose by pose, light by light."""
+    """Random views for each distance, pose and light, in this order."""
     generator = np.random.default_rng([scene.seed, approach.seed])
     for distance_m in approach.distances_m:
         for number in range(approach.count):
@@ -87,24 +82,24 @@ def _drawn_views(scene: Scene, approach: Approach) -> Iterator[RingView]:
 def _drawn_pose(
     scene: Scene, approach: Approach, distance_m: float, generator: np.random.Generator
 ) -> tuple[Float64[Array, "3"], Float64[Array, "3"]]:
-    """Normal and centre: a point in the middle of the ring's band lies near the optical axis at that depth."""
+    """Normal and centre such that a point of the mean circle of the rim lies near the optical axis at this depth."""
     pitch_rad, yaw_rad = generator.uniform(-1, 1, 2) * approach.tilt_rad
     normal = facing_normal(pitch_rad, yaw_rad)
     side, clock_rad = generator.choice([-1.0, 1.0]), generator.uniform(-1, 1) * approach.clock_rad
-    seen = distance_m * picture_ray(scene.rig.camera, approach.offset * generator.uniform(-1, 1, 2))
+    seen = distance_m * image_ray(scene.rig.camera, approach.offset * generator.uniform(-1, 1, 2))
     axes = ring_rotation(normal, 0.0)
     outward = side * (np.cos(clock_rad) * axes[:, 0] + np.sin(clock_rad) * axes[:, 1])
     return normal, seen - (scene.ring.radius_inner_m + scene.ring.radius_outer_m) / 2 * outward
 
 
-def picture_ray(camera: Camera, offset: Float64[Array, "xy=2"]) -> Float64[Array, "xyz=3"]:
-    """The ray through the picture's middle, moved by shares of its width and height."""
+def image_ray(camera: Camera, offset: Float64[Array, "xy=2"]) -> Float64[Array, "xyz=3"]:
+    """The ray through the image centre, shifted by fractions of the image width and height."""
     size = np.array([camera.image_width, camera.image_height], dtype=np.float64)
     return rays((size - 1) / 2 + offset * size, camera)
 
 
 def board_places(scene: Scene, boards: BoardSet) -> tuple[BoardPlace, ...]:
-    """All places of a board: the written ones, then the drawn ones."""
+    """All poses of a board: the given ones, then the random ones."""
     if boards.approach is None:
         return boards.places
     generator = np.random.default_rng([scene.seed, boards.approach.seed, boards.approach.count])
@@ -115,9 +110,9 @@ def board_places(scene: Scene, boards: BoardSet) -> tuple[BoardPlace, ...]:
 def _drawn_place(
     scene: Scene, boards: BoardSet, approach: BoardApproach, number: int, generator: np.random.Generator
 ) -> BoardPlace:
-    """The board's middle at a depth between the limits, leaning and turned; with lasers on, where stripes are."""
+    """A random pose with the board's centre at a depth within the limits; with lasers on, near their stripes."""
     depth_m = float(generator.uniform(*approach.distances_m))
-    middle = depth_m * picture_ray(scene.rig.camera, approach.offset * generator.uniform(-1, 1, 2))
+    middle = depth_m * image_ray(scene.rig.camera, approach.offset * generator.uniform(-1, 1, 2))
     if any(boards.sequence):
         middle[:2] += _middle_of_stripes_m(scene.rig.lasers, depth_m)
     lean_x, lean_y = generator.uniform(-1, 1, 2) * approach.tilt_rad
@@ -128,13 +123,13 @@ def _drawn_place(
 
 
 def middle_of_board_m(board: Board) -> Float64[Array, "xyz=3"]:
-    """The middle of the board in its own frame."""
+    """The centre of the board in the board frame."""
     width_m, height_m = outline_m(board)
     return np.array([width_m / 2, height_m / 2, 0.0])
 
 
 def _middle_of_stripes_m(planes: LaserPlanes, depth_m: float) -> Float64[Array, "xy=2"]:
-    """Mean, over the lasers, of the stripe's point nearest to the optical axis at a depth."""
+    """Mean over the lasers of the point of the stripe nearest to the optical axis, at a depth."""
     across = planes.normal[:, :2]
     rest_m = planes.distance_m - planes.normal[:, 2] * depth_m
     nearest: Float64[Array, "laser xy=2"] = across * (rest_m / (across**2).sum(axis=1))[:, None]
@@ -143,7 +138,7 @@ def _middle_of_stripes_m(planes: LaserPlanes, depth_m: float) -> Float64[Array, 
 
 
 def _about(axis: int, angle_rad: float) -> Float64[Array, "3 3"]:
-    """Rotation about one of the axes."""
+    """Rotation matrix about a coordinate axis."""
     first, second = (axis + 1) % 3, (axis + 2) % 3
     rotation = np.eye(3)
     rotation[first, first] = rotation[second, second] = np.cos(angle_rad)

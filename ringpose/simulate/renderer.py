@@ -1,14 +1,8 @@
-"""One view of a scene, cast once and ready to be lit and exposed as often as wanted.
+"""Ray casting of a view: a layer of light for each source, which frames with any lasers on are composed of.
 
-Light in the camera's pixels, source by source: cast once, light as often as needed.
-
-Light adds up, so one cast gives a layer for the ambient light and one for each laser; every frame of a shot is
-a sum of layers. A pixel takes one ray; on a thin stripe, and with ambient light also along visible edges, sixteen;
-where an edge cuts a stripe, 256.
-
-One ray for every pixel, through the lens, and sixteen where one is not enough.
-
-Laser speckle: the granularity that limits every stripe centre.
+Light is additive, so that one cast gives a layer for the ambient light and one for each laser; each frame is a sum of
+layers. One ray is cast per pixel; 16 on a thin stripe, and with ambient light also along visible edges; 256 where an
+edge crosses a stripe. Each laser layer is multiplied by a speckle pattern.
 """
 
 import functools
@@ -20,7 +14,7 @@ import numpy as np
 
 from ringpose.geometry.rays import undistort
 from ringpose.simulate.laser_planes import half_thickness_m, in_sheet
-from ringpose.simulate.lighting import Intersections, Stand, ambient_radiance, laser_radiance, settled_hits
+from ringpose.simulate.lighting import Intersections, LitTarget, ambient_radiance, hits_on_relief, laser_radiance
 from ringpose.simulate.sensor import digitised, electrons_per_radiance
 from ringpose.simulate.target import EMPTY
 from ringpose.types.arrays import Array, Float32, Float64, Int64, UInt8, UInt16
@@ -31,24 +25,24 @@ from ringpose.types.scene import Beacon, Light, Scene, Sensor, Speckle
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RenderedView:
-    """Electrons a second in each pixel by each source of light, and the sensor that collects them."""
+    """Electron rates of each pixel for each light source (1/s), and the sensor."""
 
     sensor: Sensor
     ambient: Float32[Array, "row column"]
     laser: Float32[Array, "laser row column"]
     generator: np.random.Generator = field(repr=False)
-    """Draws each exposure's noise anew."""
+    """Random generator of the noise of each exposure."""
     beacon: Beacon | None = None
     beacon_light: Float32[Array, "row column"] | None = None
-    """By the beacon, while it is on."""
+    """Electron rate due to the beacon while it is on."""
 
     def frame(self, lasers: int, exposure_s: float, stamp_s: float) -> Frame:
-        """One exposure while the lasers of the mask are on."""
+        """One exposure with the lasers of the mask on."""
         image = digitised(self.electrons(lasers, exposure_s, stamp_s), self.sensor, self.generator)
         return Frame(image=image, lasers=lasers, stamp_s=stamp_s, exposure_s=exposure_s)
 
     def electrons(self, lasers: int, exposure_s: float, began_s: float = 0.0) -> Float32[Array, "row column"]:
-        """Electrons expected in one exposure."""
+        """Expected electrons of one exposure."""
         rate = self.ambient_during(began_s, exposure_s)
         for number, stripe in enumerate(self.laser):
             if lasers >> number & 1:
@@ -56,39 +50,39 @@ class RenderedView:
         return rate * np.float32(exposure_s)
 
     def ambient_during(self, began_s: float, exposure_s: float) -> Float32[Array, "row column"]:
-        """Electrons a second by all light but the lasers', the mean over an exposure."""
+        """Mean electron rate during an exposure due to all light except the lasers."""
         rate = self.ambient.copy()
         if self.beacon is not None and self.beacon_light is not None:
             rate += np.float32(self.beacon.share_on(began_s, exposure_s)) * self.beacon_light
         return rate
 
 
-def staged(scene: Scene, stand: Stand, seed: tuple[int, ...]) -> RenderedView:
-    """A target in its place, seen through the scene's lens; the seed fixes speckle and noise."""
+def render_view(scene: Scene, lit_target: LitTarget, seed: tuple[int, ...]) -> RenderedView:
+    """The image of a target through the lens of the scene; the seed determines speckle and noise."""
     generator = np.random.default_rng(seed)
-    radiance = layers(stand, pixel_rays(scene.rig.camera))
+    radiance = layers(lit_target, pixel_rays(scene.rig.camera))
     scale = np.float32(electrons_per_radiance(scene.sensor, scene.lens))
-    beacon = stand.light.beacon
+    beacon = lit_target.light.beacon
     return RenderedView(
         sensor=scene.sensor,
         ambient=_blurred(scale * radiance.ambient, scene.lens.blur_px),
         laser=np.stack([_stripe(scene, scale * layer, generator) for layer in radiance.laser]),
         generator=generator,
         beacon=beacon,
-        beacon_light=None if beacon is None else scale * _beacon_layer(scene, stand, beacon),
+        beacon_light=None if beacon is None else scale * _beacon_layer(scene, lit_target, beacon),
     )
 
 
-def _beacon_layer(scene: Scene, stand: Stand, beacon: Beacon) -> Float32[Array, "row column"]:
-    """Radiance by the beacon alone, while it is on, seen through the lens."""
-    alone = replace(stand, light=Light(name="beacon", ambient_w_m2=beacon.ambient_w_m2), lasers=())
+def _beacon_layer(scene: Scene, lit_target: LitTarget, beacon: Beacon) -> Float32[Array, "row column"]:
+    """Radiance due to the beacon alone, blurred by the lens."""
+    alone = replace(lit_target, light=Light(name="beacon", ambient_w_m2=beacon.ambient_w_m2), lasers=())
     return _blurred(layers(alone, pixel_rays(scene.rig.camera)).ambient, scene.lens.blur_px)
 
 
 def _stripe(
     scene: Scene, layer: Float32[Array, "row column"], generator: np.random.Generator
 ) -> Float32[Array, "row column"]:
-    """A laser's layer with its speckle, seen through the lens; only rows that have light are worked on."""
+    """The layer of a laser with speckle, blurred by the lens; only rows with light are processed."""
     lit = np.flatnonzero(layer.any(axis=1))
     stripe = layer.copy()
     if len(lit):
@@ -104,13 +98,13 @@ def _blurred(layer: Float32[Array, "row column"], sigma_px: float) -> Float32[Ar
 
 
 _BLOCK = 1 << 15
-"""Rays worked on at a time, so that they stay in the processor's cache."""
+"""Rays per block, so that a block fits into the processor cache."""
 
-_COARSEST_SIGMA = 1.25
-"""A stripe is thin where a pixel covers more sigmas than this; the alias of one ray shifts a wider one by < 1e-5 px."""
+_MAX_PIXEL_SIGMAS = 1.25
+"""A stripe is thin where a pixel covers more sigmas than this; one ray per pixel shifts a wider one by < 1e-5 px."""
 
 _WIDE, _THIN = np.uint8(1), np.uint8(2)
-"""Marks of pixels near a stripe."""
+"""Masks of pixels near a stripe."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -123,58 +117,58 @@ class Layers:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PixelRays:
-    """Rays (x, y, 1) through the pixels' centres, and how they turn within a pixel."""
+    """Rays (x, y, 1) through the pixels' centres, and their derivatives with respect to the pixel."""
 
     direction: Float64[Array, "xy=2 pixel"]
     per_px: Float64[Array, "axis=2 xy=2 pixel"]
-    """Change of (x, y) for one pixel along the row, and for one along the column."""
+    """Derivative of (x, y) along the row, and along the column."""
     height: int
     width: int
 
     @property
     def angle_per_px(self) -> float:
-        """What one pixel covers at depth 1, in the middle of the picture."""
+        """Width of a pixel at depth 1, in the image centre."""
         return float(np.abs(self.per_px[:, :, self.direction.shape[1] // 2 + self.width // 2]).max())
 
 
-def layers(stand: Stand, rays: PixelRays) -> Layers:
-    """What each source of light sends into each pixel."""
-    radiance, coarse, fine = _one_ray_a_pixel(stand, rays)
+def layers(lit_target: LitTarget, rays: PixelRays) -> Layers:
+    """Radiance in each pixel due to each light source."""
+    radiance, coarse, fine = _one_ray_per_pixel(lit_target, rays)
     for refined, samples in ((coarse, SAMPLES), (fine, FINE_SAMPLES)):
         for block in _blocks(len(refined), _BLOCK // samples):
-            radiance[:, refined[block]] = _sampled(stand, rays, refined[block], samples)
+            radiance[:, refined[block]] = _sampled(lit_target, rays, refined[block], samples)
     ambient, *laser = radiance.reshape(-1, rays.height, rays.width)
     return Layers(ambient=ambient, laser=np.stack(laser))
 
 
-def _one_ray_a_pixel(
-    stand: Stand, rays: PixelRays
+def _one_ray_per_pixel(
+    lit_target: LitTarget, rays: PixelRays
 ) -> tuple[Float32[Array, "source pixel"], Int64[Array, "coarse"], Int64[Array, "fine"]]:
-    """Radiance by one ray a pixel, ambient light first, and the pixels that need more rays."""
-    pixels, lasers = rays.height * rays.width, len(stand.sheets.distance_m)
+    """Radiance from one ray per pixel, ambient light first, and the pixels that need more rays."""
+    pixels, lasers = rays.height * rays.width, len(lit_target.sheets.distance_m)
     radiance, stripe = np.zeros((1 + lasers, pixels), np.float32), np.zeros(pixels, np.uint8)
     code = np.zeros(pixels, np.uint16)
     for block in _blocks(pixels, _BLOCK):
-        direction = stand.placement.vectors_target(centre_directions(rays, block))
-        hit, hits, footprint_m = _cast(stand, direction, rays.angle_per_px)
-        radiance[0, block][hit], shadowed = ambient_radiance(stand, hits)
+        direction = lit_target.placement.vectors_target(centre_directions(rays, block))
+        hit, hits, footprint_m = _cast(lit_target, direction, rays.angle_per_px)
+        radiance[0, block][hit], shadowed = ambient_radiance(lit_target, hits)
         code[block][hit] = ((hits.surface.astype(np.uint16) + 1) << (lasers + 1)) | shadowed
-        for laser in stand.lasers:
-            near = np.flatnonzero(in_sheet(stand.sheets, laser, hits.point, footprint_m))
-            radiance[1 + laser, block][hit[near]], shadowed = laser_radiance(stand, hits.at(near), laser)
+        for laser in lit_target.lasers:
+            near = np.flatnonzero(in_sheet(lit_target.sheets, laser, hits.point, footprint_m))
+            radiance[1 + laser, block][hit[near]], shadowed = laser_radiance(lit_target, hits.at(near), laser)
             code[block][hit[near]] |= shadowed.astype(np.uint16) << (laser + 1)
-            sigma_m = half_thickness_m(stand.sheets.light, footprint_m[near] / rays.angle_per_px)
-            stripe[block][hit[near]] |= np.where(footprint_m[near] > _COARSEST_SIGMA * sigma_m, _THIN, _WIDE)
-    return radiance, *_to_refine(code, stripe, rays, everywhere=stand.is_lit)
+            sigma_m = half_thickness_m(lit_target.sheets.light, footprint_m[near] / rays.angle_per_px)
+            stripe[block][hit[near]] |= np.where(footprint_m[near] > _MAX_PIXEL_SIGMAS * sigma_m, _THIN, _WIDE)
+    return radiance, *_to_refine(code, stripe, rays, everywhere=lit_target.is_lit)
 
 
 def _to_refine(
     code: UInt16[Array, "pixel"], stripe: UInt8[Array, "pixel"], rays: PixelRays, *, everywhere: bool
 ) -> tuple[Int64[Array, "coarse"], Int64[Array, "fine"]]:
-    """Pixels for some rays and for many.
+    """Pixels that need 16 rays, and those that need 256.
 
-    Some: on a thin stripe, and, if ambient light shows them, on edges, where neighbours show another surface or
-    another side of a shadow. Many: where an edge cuts a stripe, which is what break points are measured from.
+    16: on a thin stripe, and, with ambient light, on edges, where neighbours show another surface or side of a shadow.
+    256: where an edge crosses a stripe, because these pixels determine the break points.
     """
     around, shape = np.ones((3, 3), np.uint8), (rays.height, rays.width)
     picture = code.reshape(shape)
@@ -187,31 +181,33 @@ def _to_refine(
 
 
 def _cast(
-    stand: Stand, direction: Float64[Array, "xyz=3 ray"], angle_per_px: float
+    lit_target: LitTarget, direction: Float64[Array, "xyz=3 ray"], angle_per_px: float
 ) -> tuple[Int64[Array, "hit"], Intersections, Float64[Array, "hit"]]:
-    """The rays that meet something, where, and what a pixel covers there.
+    """Indices of the rays that hit a surface, the intersections, and the width of a pixel there.
 
-    If only lasers shine, only what is near a sheet counts: four pixels, so that the neighbours of a stripe are known.
+    Without ambient light only intersections within four pixels of a light sheet are returned.
     """
-    eye = stand.placement.eye_m
-    parameter, surface = stand.target.first_hits(eye, direction)
+    eye = lit_target.placement.eye_m
+    parameter, surface = lit_target.target.first_hits(eye, direction)
     hit = np.flatnonzero(surface != EMPTY)
-    if not stand.is_lit:
+    if not lit_target.is_lit:
         flat = eye[:, None] + parameter[hit] * direction[:, hit]
-        slack_m = stand.target.relief_m + 4.0 * angle_per_px * parameter[hit]
-        near = [in_sheet(stand.sheets, laser, flat, slack_m) for laser in stand.lasers]
+        slack_m = lit_target.target.relief_m + 4.0 * angle_per_px * parameter[hit]
+        near = [in_sheet(lit_target.sheets, laser, flat, slack_m) for laser in lit_target.lasers]
         hit = hit[np.any(near, axis=0)] if near else hit[:0]
-    hits = settled_hits(stand, direction[:, hit], parameter[hit], surface[hit])
+    hits = hits_on_relief(lit_target, direction[:, hit], parameter[hit], surface[hit])
     return hit, hits, angle_per_px * parameter[hit]
 
 
-def _sampled(stand: Stand, rays: PixelRays, pixels: Int64[Array, "n"], samples: int) -> Float64[Array, "source n"]:
-    """Mean over each pixel's samples: ambient light, then laser by laser."""
-    direction = stand.placement.vectors_target(sample_directions(rays, pixels, samples))
-    hit, hits, _ = _cast(stand, direction, rays.angle_per_px)
-    of_sources = [(0, ambient_radiance(stand, hits)[0])]
-    of_sources += [(1 + laser, laser_radiance(stand, hits, laser)[0]) for laser in stand.lasers]
-    means = np.zeros((1 + len(stand.sheets.distance_m), len(pixels)))
+def _sampled(
+    lit_target: LitTarget, rays: PixelRays, pixels: Int64[Array, "n"], samples: int
+) -> Float64[Array, "source n"]:
+    """Mean over the samples of each pixel: ambient light, then each laser."""
+    direction = lit_target.placement.vectors_target(sample_directions(rays, pixels, samples))
+    hit, hits, _ = _cast(lit_target, direction, rays.angle_per_px)
+    of_sources = [(0, ambient_radiance(lit_target, hits)[0])]
+    of_sources += [(1 + laser, laser_radiance(lit_target, hits, laser)[0]) for laser in lit_target.lasers]
+    means = np.zeros((1 + len(lit_target.sheets.distance_m), len(pixels)))
     for source, radiance in of_sources:
         of_rays = np.zeros(samples * len(pixels))
         of_rays[hit] = radiance
@@ -225,18 +221,18 @@ def _blocks(length: int, block: int) -> Iterator[slice]:
 
 
 SAMPLES = 16
-"""Samples of a refined pixel: an edge moves by 0.003 px rms against 256 of them."""
+"""Samples of a refined pixel: an edge differs by 0.003 px rms from one with 256 samples."""
 
 FINE_SAMPLES = 256
-"""Samples of a pixel in which an edge cuts a stripe: sixteen moved a stripe's end by up to 0.06 px."""
+"""Samples of a pixel in which an edge crosses a stripe: with 16 the end of a stripe was off by up to 0.06 px."""
 
 _KNOTS = 100
-"""Knots each way between which the lens is interpolated: 1e-6 px off for an 8 mm lens."""
+"""Knots per axis of the spline of the undistortion, whose error is 1e-6 px for an 8 mm lens."""
 
 
 @functools.lru_cache(maxsize=2)
 def pixel_rays(camera: Camera) -> PixelRays:
-    """The rays of a camera; a spline between knots undistorts two million pixels in 30 ms."""
+    """The rays of a camera, undistorted by a spline, which takes 30 ms for two million pixels."""
     from scipy.interpolate import RectBivariateSpline
 
     height, width = camera.image_height, camera.image_width
@@ -252,7 +248,7 @@ def pixel_rays(camera: Camera) -> PixelRays:
 
 
 def centre_directions(rays: PixelRays, pixels: slice) -> Float64[Array, "xyz=3 ray"]:
-    """Rays through the centres of a run of pixels."""
+    """Rays through the centres of consecutive pixels."""
     x, y = rays.direction[:, pixels]
     return np.stack([x, y, np.ones_like(x)])
 
@@ -260,7 +256,7 @@ def centre_directions(rays: PixelRays, pixels: slice) -> Float64[Array, "xyz=3 r
 def sample_directions(
     rays: PixelRays, pixels: Int64[Array, "n"], samples: int = SAMPLES
 ) -> Float64[Array, "xyz=3 ray"]:
-    """Rays of the samples of some pixels, sample by sample: ray s * n + k is sample s of pixel k."""
+    """Rays through the samples of n pixels; ray s * n + k is sample s of pixel k."""
     shift_x, shift_y = _shifts_px(pixels, rays.width, samples)
     along_row, along_column = rays.per_px[:, :, None, pixels]
     x, y = rays.direction[:, None, pixels] + shift_x * along_row + shift_y * along_column
@@ -270,10 +266,10 @@ def sample_directions(
 def _shifts_px(
     pixels: Int64[Array, "n"], width: int, samples: int
 ) -> tuple[Float64[Array, "sample n"], Float64[Array, "sample #n"]]:
-    """As many rows and columns as samples, each taken once (Hammersley's set; a power of two).
+    """Offsets of the samples in a pixel: a Hammersley set, whose size is a power of two.
 
-    The rows are the same in all pixels, so that a stripe's profile is integrated by the midpoint rule;
-    the columns are shifted around from pixel to pixel, so that upright edges show no bands.
+    The rows are the same in all pixels, so that the profile of a stripe is integrated by the midpoint rule;
+    the columns are shifted cyclically from pixel to pixel, so that vertical edges show no banding.
     """
     bits, order = samples.bit_length() - 1, np.arange(samples)
     reversed_bits = sum(((order >> bit) & 1) << (bits - 1 - bit) for bit in range(bits))
@@ -289,11 +285,11 @@ def _knots(length: int) -> Float64[Array, "knot"]:
 def speckle_pattern(
     speckle: Speckle, height: int, width: int, generator: np.random.Generator
 ) -> Float32[Array, "row column"]:
-    """A factor of mean 1 and the given contrast for each pixel.
+    """A factor with mean 1 and the given contrast for each pixel.
 
-    Log-normal, which at contrast 0.3 differs little from the gamma law of several speckle patterns added up,
-    and which keeps mean and contrast exactly whatever the grain. A Gaussian of sigma s correlates over
-    2 sqrt(pi) s.
+    Log-normal, which at contrast 0.3 differs little from the gamma distribution of a sum of several speckle patterns,
+    and whose mean and contrast do not depend on the grain size. The correlation width of a Gaussian filter with
+    standard deviation s is 2 sqrt(pi) s.
     """
     pattern = generator.standard_normal((height, width), dtype=np.float32)
     if speckle.grain_px > 1.0:

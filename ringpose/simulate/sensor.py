@@ -1,4 +1,4 @@
-"""From light to grey values: EMVA 1288's linear model."""
+"""Linear camera model of EMVA 1288: from radiance to grey values."""
 
 import functools
 
@@ -11,7 +11,7 @@ _PLANCK_TIMES_LIGHT_J_M = 6.62607015e-34 * 299792458.0
 
 
 def electrons_per_radiance(sensor: Sensor, lens: Lens) -> float:
-    """Electrons a second in one pixel for each W/(m2 sr) of the surface that it sees."""
+    """Electrons per second in a pixel for a surface radiance of 1 W/(m2 sr)."""
     irradiance_per_radiance = np.pi * lens.transmission / (4 * lens.f_number**2)
     photons_per_j = sensor.wavelength_m / _PLANCK_TIMES_LIGHT_J_M
     return float(irradiance_per_radiance * sensor.pixel_m**2 * photons_per_j * sensor.quantum_efficiency)
@@ -20,10 +20,10 @@ def electrons_per_radiance(sensor: Sensor, lens: Lens) -> float:
 def digitised(
     electrons: Float32[Array, "row column"], sensor: Sensor, generator: np.random.Generator
 ) -> UInt[Array, "row column"]:
-    """Grey values of one exposure, given the electrons expected in it.
+    """Grey values of one exposure with this expected number of electrons.
 
-    Shot noise is drawn as a Gaussian of the same variance: beside eight electrons of dark noise no histogram
-    tells it from Poisson's. The pixel is full at its saturation capacity, the converter at its last code.
+    Shot noise is Gaussian with the variance of the Poisson distribution; with 8 electrons of dark noise, the two are
+    indistinguishable. Electrons are limited by the saturation capacity, grey values by the maximum code.
     """
     expected = electrons * pixel_responses(sensor, electrons.shape[0], electrons.shape[1])
     noise = generator.standard_normal(electrons.shape, dtype=np.float32)
@@ -35,13 +35,13 @@ def digitised(
 
 
 def saturation_dn(sensor: Sensor) -> int:
-    """The converter's last code."""
+    """Maximum grey value of the analogue-to-digital converter."""
     return int(2**sensor.bits - 1)
 
 
 @functools.lru_cache(maxsize=2)
 def pixel_responses(sensor: Sensor, height: int, width: int) -> Float32[Array, "row column"]:
-    """Each pixel's own response, 1 on average; the same for every image of a sensor of that size."""
+    """Relative response of each pixel (PRNU), 1 on average; the same for all images of this size."""
     generator = np.random.default_rng([height, width])
     deviation = generator.standard_normal((height, width), dtype=np.float32)
     responses: Float32[Array, "row column"] = 1 + np.float32(sensor.photo_response_non_uniformity) * deviation

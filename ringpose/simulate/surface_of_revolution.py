@@ -1,7 +1,7 @@
-"""Where rays meet a surface of revolution about the z axis, in closed form.
+"""Intersections of rays with a surface of revolution about the z axis, in closed form.
 
 The profile is a polyline of (radius, height) corners; each piece is a flat annulus, a cylinder or a cone.
-Points and directions are arrays (xyz, ray); an origin may be one for all rays.
+Points and directions are arrays (xyz, ray); all rays may have the same origin.
 """
 
 from itertools import pairwise
@@ -11,18 +11,18 @@ import numpy as np
 from ringpose.types.arrays import Array, Bool, Float64, Int8, Int64
 
 MIN_DISTANCE = 1e-6
-"""Hits nearer than this share of a ray's vector are the surface that the ray starts from."""
+"""Minimum ray parameter of an intersection, which excludes the surface that the ray starts from."""
 
 
 def first_hits(
     profile_m: Float64[Array, "point 2"],
     origin: Float64[Array, "xyz=3 #ray"],
     direction: Float64[Array, "xyz=3 ray"],
-    most: float = np.inf,
+    max_parameter: float = np.inf,
 ) -> tuple[Float64[Array, "ray"], Int8[Array, "ray"]]:
     """Parameter t of the first point origin + t direction on the surface, and its piece; inf and -1 without one.
 
-    Only hits with MIN_DISTANCE < t < most count.
+    Only intersections with MIN_DISTANCE < t < max_parameter count.
     """
     parameter = np.full(direction.shape[1], np.inf)
     piece = np.full(direction.shape[1], -1, dtype=np.int8)
@@ -33,7 +33,7 @@ def first_hits(
         which = np.full(len(rays), -1, dtype=np.int8)
         for number, (first, second) in enumerate(pairwise(profile_m)):
             found = _piece_hits(first, second, starts, direction[:, rays])
-            nearer = (found < best) & (found < most)
+            nearer = (found < best) & (found < max_parameter)
             best[nearer], which[nearer] = found[nearer], number
     parameter[rays], piece[rays] = best, which
     return parameter, piece
@@ -52,7 +52,7 @@ def normals(
 def _rays_near(
     profile_m: Float64[Array, "point 2"], origin: Float64[Array, "xyz=3 #ray"], direction: Float64[Array, "xyz=3 ray"]
 ) -> Int64[Array, "near"]:
-    """Indices of the rays that come between the surface's least and greatest radius within its heights."""
+    """Indices of the rays that pass between the minimum and the maximum radius within the heights of the surface."""
     (x, y, z), (dx, dy, dz) = origin, direction
     first, second = ((height - z) / dz for height in (profile_m[:, 1].min(), profile_m[:, 1].max()))
     enter, leave = np.maximum(np.minimum(first, second), 0.0), np.maximum(first, second)
@@ -96,7 +96,7 @@ def _cone_hits(
     origin: Float64[Array, "xyz=3 #ray"],
     direction: Float64[Array, "xyz=3 ray"],
 ) -> Float64[Array, "ray"]:
-    """Roots of |xy|^2 = radius(z)^2 with radius(z) linear in z; the stable form, so that no digits cancel."""
+    """Roots of |xy|^2 = radius(z)^2 with radius(z) linear in z, in the form without cancellation."""
     slope = (second[0] - first[0]) / (second[1] - first[1])
     (x, y, z), (dx, dy, dz) = origin, direction
     radius = first[0] + slope * (z - first[1])
@@ -117,5 +117,5 @@ def _cone_hits(
 def blocked(
     profile_m: Float64[Array, "point 2"], origin: Float64[Array, "xyz=3 ray"], towards: Float64[Array, "xyz=3 ray"]
 ) -> Bool[Array, "ray"]:
-    """Whether the surface stands between the points origin and origin + towards."""
-    return first_hits(profile_m, origin, towards, most=1.0)[1] >= 0
+    """Whether the surface intersects the segments between origin and origin + towards."""
+    return first_hits(profile_m, origin, towards, max_parameter=1.0)[1] >= 0

@@ -1,10 +1,10 @@
-"""What the rays meet: the body with its ring, in the target's own frame.
+"""The target that rays intersect: the body of the satellite with its ring, in the target frame.
 
 Target frame: origin on the ring's axis in the plane of the body's front face, z along the face's normal
 (towards the camera). Surfaces are numbered: the pieces of the ring's profile, then the front face, then the
 box's other faces; -1 is empty space.
 
-Crinkled foil: a periodic height field with its slopes, baked once from its seed.
+Crinkled foil is a periodic height field with its slopes, computed once from its seed.
 """
 
 import functools
@@ -19,38 +19,38 @@ from ringpose.types.scene import MATERIALS, Body, Foil, Material, RingShape
 
 EMPTY = -1
 
-_SETTLING_STEPS = 2
-"""Newton steps from the flat face to the foil, each to the plane that touches it; 10 micrometres at most remain."""
+_NEWTON_STEPS = 2
+"""Newton steps from the flat face to the foil; the remaining error is at most 10 micrometres."""
 
 
 @runtime_checkable
 class Target(Protocol):
-    """Surfaces that rays meet, each of one material."""
+    """Surfaces that rays intersect, each of one material."""
 
     @property
     def materials(self) -> tuple[Material, ...]:
-        """By number of the surface."""
+        """The material of each surface number."""
 
     @property
     def relief_m(self) -> float:
-        """The farthest that a surface's relief moves a point of it along a ray."""
+        """Maximum displacement of an intersection along the ray by the relief of a surface."""
 
     def first_hits(
         self, eye: Float64[Array, "xyz=3"], direction: Float64[Array, "xyz=3 ray"]
     ) -> tuple[Float64[Array, "ray"], Int8[Array, "ray"]]:
-        """Parameter of each ray's first hit, and the surface; inf and -1 without one."""
+        """Parameter and surface number of the first intersection of each ray; inf and -1 without one."""
 
-    def settled(
+    def on_relief(
         self,
         eye: Float64[Array, "xyz=3"],
         direction: Float64[Array, "xyz=3 ray"],
         parameter: Float64[Array, "ray"],
         surface: Int8[Array, "ray"],
     ) -> tuple[Float64[Array, "xyz=3 ray"], Float64[Array, "xyz=3 ray"]]:
-        """Points of the hits on the surfaces' fine relief, and unit normals towards the eye."""
+        """Intersections with the fine relief of the surfaces, and unit normals towards the camera."""
 
     def blocked(self, point: Float64[Array, "xyz=3 ray"], towards: Float64[Array, "xyz=3 ray"]) -> Bool[Array, "ray"]:
-        """Whether something stands between the points and the points + towards."""
+        """Whether a surface intersects the segments between the points and the points + towards."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -60,12 +60,12 @@ class HeightField:
     texel_m: float
     height_m: Float32[Array, "texel"]
     slope: Complex64[Array, "texel"]
-    """Slope along x as the real part, along y as the imaginary one: a single look-up fetches both."""
+    """Slope along x as the real part, along y as the imaginary one: so that one look-up returns both."""
 
     def tangent(
         self, x: Float64[Array, "ray"], y: Float64[Array, "ray"]
     ) -> tuple[Float64[Array, "ray"], Complex64[Array, "ray"]]:
-        """Height and slope of the plane that touches the relief at the nearest point of the grid."""
+        """Height and slope of the tangent plane of the relief at the nearest grid point."""
         column, row = np.rint(x / self.texel_m), np.rint(y / self.texel_m)
         index = _index(column.astype(np.int64), row.astype(np.int64))
         slope = self.slope.take(index)
@@ -73,7 +73,7 @@ class HeightField:
         return self.height_m.take(index) + slope.real * off_x + slope.imag * off_y, slope
 
     def slopes(self, x: Float64[Array, "ray"], y: Float64[Array, "ray"]) -> Complex64[Array, "ray"]:
-        """Slope, bilinear between the grid's points, so that glints show no grid."""
+        """Slope, bilinear between grid points, so that specular reflections do not show the grid."""
         column, share_x = _split(x / self.texel_m)
         row, share_y = _split(y / self.texel_m)
         corners = ((column, row), (column + 1, row), (column, row + 1), (column + 1, row + 1))
@@ -110,7 +110,7 @@ class RingTarget:
             parameter, surface = np.where(nearer, ring_parameter, parameter), np.where(nearer, piece, surface)
         return parameter, surface.astype(np.int8)
 
-    def settled(
+    def on_relief(
         self,
         eye: Float64[Array, "xyz=3"],
         direction: Float64[Array, "xyz=3 ray"],
@@ -135,7 +135,7 @@ class RingTarget:
         return point, normal
 
     def blocked(self, point: Float64[Array, "xyz=3 ray"], towards: Float64[Array, "xyz=3 ray"]) -> Bool[Array, "ray"]:
-        """See `Target`; light from behind the front face does not reach what stands on it."""
+        """See `Target`; light from behind the front face does not reach points in front of it."""
         from_behind: Bool[Array, "ray"] = (point[2] + towards[2] < 0) & (point[2] > 0)
         if self.ring is None:
             return from_behind
@@ -147,7 +147,7 @@ class RingTarget:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EmptySpace:
-    """Nothing to meet."""
+    """A target without surfaces."""
 
     materials: tuple[Material, ...] = (MATERIALS["black"],)
     relief_m: float = 0.0
@@ -158,14 +158,14 @@ class EmptySpace:
         """See `Target`."""
         return np.full(direction.shape[1], np.inf), np.full(direction.shape[1], EMPTY, dtype=np.int8)
 
-    def settled(
+    def on_relief(
         self,
         eye: Float64[Array, "xyz=3"],
         direction: Float64[Array, "xyz=3 ray"],
         parameter: Float64[Array, "ray"],
         surface: Int8[Array, "ray"],
     ) -> tuple[Float64[Array, "xyz=3 ray"], Float64[Array, "xyz=3 ray"]]:
-        """See `Target`; there is no hit to settle."""
+        """See `Target`; there are no intersections."""
         return eye[:, None] + parameter * direction, -direction
 
     def blocked(self, point: Float64[Array, "xyz=3 ray"], towards: Float64[Array, "xyz=3 ray"]) -> Bool[Array, "ray"]:
@@ -174,7 +174,7 @@ class EmptySpace:
 
 
 def ring_target(ring: RingShape | None, body: Body) -> RingTarget:
-    """The body, with a ring or bare."""
+    """The body with or without a ring."""
     pieces = len(ring.profile_m) - 1 if ring is not None else 0
     of_ring = [] if ring is None else [ring.face if k == ring.face_piece else ring.wall for k in range(pieces)]
     foil = relief(body.foil) if body.foil is not None else None
@@ -184,7 +184,7 @@ def ring_target(ring: RingShape | None, body: Body) -> RingTarget:
 def _box_hits(
     body: Body, front: int, eye: Float64[Array, "xyz=3 1"], direction: Float64[Array, "xyz=3 ray"]
 ) -> tuple[Float64[Array, "ray"], Int8[Array, "ray"]]:
-    """Where rays enter the box (slab by slab); front face `front`, then x-, x+, y-, y+, z- as front + 1 to 5.
+    """Intersections of rays with the box (slab method); front face `front`, then x-, x+, y-, y+, z- as front + 1 to 5.
 
     The number's half, (surface - front + 1) // 2, is the axis of the face's normal, counted from 1.
     """
@@ -208,9 +208,9 @@ def _on_foil(
     direction: Float64[Array, "xyz=3 ray"],
     flat: Float64[Array, "ray"],
 ) -> tuple[Float64[Array, "xyz=3 ray"], Float64[Array, "xyz=3 ray"]]:
-    """Points on the foil, and its normals, for rays that meet the flat face under it."""
+    """Points on the foil, and its normals, for rays that intersect the flat face below it."""
     parameter = flat
-    for _ in range(_SETTLING_STEPS):
+    for _ in range(_NEWTON_STEPS):
         x, y, z = eye[:, None] + parameter * direction
         height_m, slope = foil.tangent(x, y)
         parameter = parameter + (height_m - z) / (direction[2] - slope.real * direction[0] - slope.imag * direction[1])
@@ -223,14 +223,14 @@ def _on_foil(
 _TEXELS = 512
 
 _CRINKLES = 16
-"""Of the largest size, along one period."""
+"""Number of the largest crinkles along one period."""
 
 _OCTAVES = 3
 
 
 @functools.lru_cache(maxsize=4)
 def relief(foil: Foil) -> HeightField:
-    """The height field of a foil: ridged noise, finer and lower octave by octave.
+    """The height field of a foil: ridged noise, each octave finer and lower than the one before.
 
     Folding smooth noise at zero gives the sharp creases between smooth facets that crinkled foil has.
     """
@@ -245,7 +245,7 @@ def relief(foil: Foil) -> HeightField:
 
 
 def _ridges(generator: np.random.Generator, crinkles: int) -> Float64[Array, "row column"]:
-    """Smooth periodic noise with about so many bumps along a side, folded at zero, warped along one direction."""
+    """Smooth periodic noise with about this number of bumps along a side, folded at zero."""
     frequency = np.hypot(*np.meshgrid(np.fft.fftfreq(_TEXELS, 1 / _TEXELS), np.fft.fftfreq(_TEXELS, 1 / _TEXELS)))
     band = np.exp(-(((frequency - crinkles / 2) / (crinkles / 4)) ** 2))
     noise = np.fft.ifft2(band * np.fft.fft2(generator.standard_normal((_TEXELS, _TEXELS)))).real

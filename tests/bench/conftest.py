@@ -1,4 +1,4 @@
-"""A ring that faces the camera at 1 m, and answers about it."""
+"""A ring that faces the camera at 1 m, and estimates about it."""
 
 from collections.abc import Callable
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ringpose.bench.score import Answer
+from ringpose.bench.score import PoseEstimate
 from ringpose.types.camera import Camera
 from ringpose.types.pose import RingPose
 from ringpose.types.truth import Truth
@@ -82,10 +82,10 @@ def pose_of(on_ring: Callable[[float, float], Any]) -> Callable[..., RingPose]:
 
 
 @pytest.fixture
-def answer_of(pose_of: Callable[..., RingPose]) -> Callable[..., Answer]:
-    """The true answer, but for changes of the pose."""
+def estimate_of(pose_of: Callable[..., RingPose]) -> Callable[..., PoseEstimate]:
+    """The true estimate, but for changes of the pose."""
 
-    def answer(shot: str = "a", method: str = "paper", **changes: Any) -> Answer:
-        return Answer(shot=shot, method=method, pose=pose_of(method=method, **changes))
+    def estimate(shot: str = "a", method: str = "paper", **changes: Any) -> PoseEstimate:
+        return PoseEstimate(shot=shot, method=method, pose=pose_of(method=method, **changes))
 
-    return answer
+    return estimate

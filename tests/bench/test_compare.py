@@ -9,15 +9,15 @@ from ringpose.bench.compare import (
     Verdict,
     bootstrap_interval,
     compare,
-    exchange_p_value,
     pairs,
+    permutation_p_value,
     shot_spread,
     shots_needed,
 )
 from ringpose.bench.compare_report import newly_wrong, nothing_changed
 from ringpose.bench.score import Judgement, Outcome, Score
 
-RMSE = COMPARED["grasp_m"].badness
+RMSE = COMPARED["grasp_m"].loss
 
 
 def scored(
@@ -73,17 +73,17 @@ def test_the_p_value_is_that_of_scipys_paired_permutation_test(rng, shots):
         (a, b), statistic, permutation_type="samples", n_resamples=9999, random_state=np.random.default_rng(1)
     ).pvalue
 
-    assert exchange_p_value(a, b, RMSE) == pytest.approx(expected, abs=1e-12 if shots == 8 else 0.02)
+    assert permutation_p_value(a, b, RMSE) == pytest.approx(expected, abs=1e-12 if shots == 8 else 0.02)
 
 
 @pytest.mark.parametrize("shots", [10, 40])
 @pytest.mark.parametrize("quantity", ["grasp_m", "center_nees", "available"])
 def test_a_row_of_two_equal_results_is_significant_no_more_often_than_it_may_be(rng, shots, quantity):
     draws = 500
-    badness = COMPARED[quantity].badness
+    loss = COMPARED[quantity].loss
     scores = rng.random((draws, 2, shots)) < 0.8 if quantity == "available" else rng.chisquare(1, (draws, 2, shots))
 
-    alarms = sum(exchange_p_value(*map(np.asarray, pair), badness, exchanges=199) <= 0.05 for pair in scores * 1.0)
+    alarms = sum(permutation_p_value(*map(np.asarray, pair), loss, permutations=199) <= 0.05 for pair in scores * 1.0)
 
     assert alarms <= stats.binom.ppf(0.999, draws, 0.05)
     if quantity != "available":
@@ -157,7 +157,7 @@ def test_as_many_shots_as_are_stated_show_the_difference_four_times_in_five(rng)
     needed = shots_needed(shot_spread(a, b, RMSE), RMSE(1.5) - RMSE(1.0), rows=1)
 
     drawn = rng.normal(size=(200, 2, needed)) ** 2 * [[1], [1.5]]
-    shown = np.mean([exchange_p_value(*pair, RMSE, exchanges=199) < 0.05 for pair in drawn])
+    shown = np.mean([permutation_p_value(*pair, RMSE, permutations=199) < 0.05 for pair in drawn])
 
     assert 0.7 < shown < 0.9
 
@@ -185,10 +185,10 @@ def test_the_interval_covers_the_true_difference_in_95_percent_of_results(rng):
 
 
 def test_a_nees_of_one_half_is_as_bad_as_one_of_two():
-    badness = COMPARED["center_nees"].badness
+    loss = COMPARED["center_nees"].loss
 
-    assert badness(0.5) == pytest.approx(badness(2.0))
-    assert badness(1.0) == 0
+    assert loss(0.5) == pytest.approx(loss(2.0))
+    assert loss(1.0) == 0
 
 
 def test_methods_that_both_results_have_are_compared_each_by_itself(rng):

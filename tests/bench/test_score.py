@@ -1,68 +1,68 @@
-"""One answer against one truth."""
+"""One estimate against one truth."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from ringpose.bench.score import JUDGED, QUANTITIES, Answer, Judgement, Outcome, score
+from ringpose.bench.score import JUDGED, QUANTITIES, Judgement, Outcome, PoseEstimate, score
 from ringpose.geometry.rotations import tilted
 from ringpose.types.pose import PoseFlag
 from ringpose.types.truth import Truth
 
 NOTHING = Truth(shot="a", expect="no_target")
-NO_POSE = Answer(shot="a", method="paper", pose=None)
+NO_POSE = PoseEstimate(shot="a", method="paper", pose=None)
 SMALL = np.eye(3) * 1e-6
 """A standard deviation of 1 mm."""
 
 
-def test_the_truth_itself_has_no_errors(truth_of, answer_of):
-    result = score(truth_of(), answer_of(), "paper", None)
+def test_the_truth_itself_has_no_errors(truth_of, estimate_of):
+    result = score(truth_of(), estimate_of(), "paper", None)
 
     assert result.outcome is Outcome.OK
     assert set(result.errors) == {name for name in QUANTITIES if "nees" not in name}
     assert max(map(abs, result.errors.values())) < 1e-12
 
 
-def test_a_center_error_is_given_by_axis_with_its_sign_and_as_a_length(truth_of, answer_of):
+def test_a_center_error_is_given_by_axis_with_its_sign_and_as_a_length(truth_of, estimate_of):
     off = truth_of().center_m + np.array([0.002, -0.003, 0.006])
 
-    errors = score(truth_of(), answer_of(center_m=off), "paper", None).errors
+    errors = score(truth_of(), estimate_of(center_m=off), "paper", None).errors
 
     axes = [errors[f"center_{axis}_m"] for axis in "xyz"]
     np.testing.assert_allclose([*axes, errors["center_m"]], [0.002, -0.003, 0.006, 0.007], atol=1e-15)
 
 
-def test_normal_radius_and_grasp_errors_are_those_put_in(truth_of, answer_of, on_ring):
-    answer = answer_of(
+def test_normal_radius_and_grasp_errors_are_those_put_in(truth_of, estimate_of, on_ring):
+    estimate = estimate_of(
         normal=tilted(truth_of().normal, np.array([np.tan(0.02), 0.0])),
         radius_inner_m=0.401,
         radius_outer_m=0.497,
         grasp_m=on_ring(0.1, 0.455),
     )
 
-    errors = score(truth_of(), answer, "paper", None).errors
+    errors = score(truth_of(), estimate, "paper", None).errors
 
     found = [errors[name] for name in ("normal_rad", "radius_inner_m", "radius_outer_m", "grasp_m")]
     np.testing.assert_allclose(found, [0.02, 0.001, -0.003, 0.005], atol=1e-12)
 
 
-def test_a_radius_that_was_not_seen_is_not_scored(truth_of, answer_of):
-    errors = score(truth_of(), answer_of(radius_inner_m=np.nan), "paper", None).errors
+def test_a_radius_that_was_not_seen_is_not_scored(truth_of, estimate_of):
+    errors = score(truth_of(), estimate_of(radius_inner_m=np.nan), "paper", None).errors
 
     assert "radius_inner_m" not in errors
     assert "radius_outer_m" in errors
 
 
-def test_a_center_that_is_not_given_is_not_scored(truth_of, answer_of):
-    errors = score(truth_of(), answer_of(center_m=np.full(3, np.nan)), "paper", None).errors
+def test_a_center_that_is_not_given_is_not_scored(truth_of, estimate_of):
+    errors = score(truth_of(), estimate_of(center_m=np.full(3, np.nan)), "paper", None).errors
 
     assert {name for name in errors if "center" in name} == set()
     assert "normal_rad" in errors
 
 
-def test_a_flag_makes_a_pose_degraded(truth_of, answer_of):
-    assert score(truth_of(), answer_of(flags=PoseFlag.RADIUS_WEAK), "paper", None).outcome is Outcome.DEGRADED
+def test_a_flag_makes_a_pose_degraded(truth_of, estimate_of):
+    assert score(truth_of(), estimate_of(flags=PoseFlag.RADIUS_WEAK), "paper", None).outcome is Outcome.DEGRADED
 
 
 @pytest.mark.parametrize(
@@ -80,56 +80,56 @@ def test_a_shot_without_a_line_is_lost(truth_of):
     assert score(truth_of(), None, "paper", None).outcome is Outcome.LOST
 
 
-def test_a_pose_of_nothing_is_wrong(answer_of):
-    result = score(NOTHING, answer_of(), "paper", None)
+def test_a_pose_of_nothing_is_wrong(estimate_of):
+    result = score(NOTHING, estimate_of(), "paper", None)
 
     assert result.outcome is Outcome.WRONG
     assert result.errors == {}
 
 
 @pytest.mark.parametrize(("off_mm", "outcome"), [(4.9, Outcome.OK), (5.1, Outcome.WRONG)])
-def test_a_center_beyond_five_of_its_sigmas_is_wrong(truth_of, answer_of, off_mm, outcome):
-    answer = answer_of(center_m=truth_of().center_m + np.array([0, off_mm / 1000, 0]), covariance_center_m2=SMALL)
+def test_a_center_beyond_five_of_its_sigmas_is_wrong(truth_of, estimate_of, off_mm, outcome):
+    estimate = estimate_of(center_m=truth_of().center_m + np.array([0, off_mm / 1000, 0]), covariance_center_m2=SMALL)
 
-    result = score(truth_of(), answer, "paper", None)
+    result = score(truth_of(), estimate, "paper", None)
 
     assert result.outcome is outcome
     assert result.errors["center_nees"] == pytest.approx(off_mm**2 / 3)
 
 
-def test_a_center_that_is_flagged_is_degraded_however_far_off(truth_of, answer_of):
-    answer = answer_of(center_m=np.zeros(3), covariance_center_m2=SMALL, flags=PoseFlag.CENTER_WEAK)
+def test_a_center_that_is_flagged_is_degraded_however_far_off(truth_of, estimate_of):
+    estimate = estimate_of(center_m=np.zeros(3), covariance_center_m2=SMALL, flags=PoseFlag.CENTER_WEAK)
 
-    assert score(truth_of(), answer, "paper", None).outcome is Outcome.DEGRADED
-
-
-def test_a_flag_of_something_else_does_not_excuse_the_center(truth_of, answer_of):
-    answer = answer_of(center_m=np.zeros(3), covariance_center_m2=SMALL, flags=PoseFlag.RADIUS_WEAK)
-
-    assert score(truth_of(), answer, "paper", None).outcome is Outcome.WRONG
+    assert score(truth_of(), estimate, "paper", None).outcome is Outcome.DEGRADED
 
 
-def test_the_normals_covariance_gives_its_nees(truth_of, answer_of):
+def test_a_flag_of_something_else_does_not_excuse_the_center(truth_of, estimate_of):
+    estimate = estimate_of(center_m=np.zeros(3), covariance_center_m2=SMALL, flags=PoseFlag.RADIUS_WEAK)
+
+    assert score(truth_of(), estimate, "paper", None).outcome is Outcome.WRONG
+
+
+def test_the_normals_covariance_gives_its_nees(truth_of, estimate_of):
     covariance = np.diag([1e-4, 4e-4, 1, 1, 1, 1, 1])
-    answer = answer_of(normal=truth_of().normal, covariance=covariance)
-    truth = truth_of(normal=tilted(answer.pose.normal, np.array([0.01, 0.04])))
+    estimate = estimate_of(normal=truth_of().normal, covariance=covariance)
+    truth = truth_of(normal=tilted(estimate.pose.normal, np.array([0.01, 0.04])))
 
-    errors = score(truth, answer, "paper", None).errors
+    errors = score(truth, estimate, "paper", None).errors
 
     assert errors["normal_nees"] == pytest.approx((1 + 4) / 2)
 
 
-def test_errors_of_a_partial_shot_are_those_of_normal_and_grasp_alone(truth_of, answer_of):
-    result = score(truth_of(expect="partial"), answer_of(center_m=np.zeros(3)), "paper", None)
+def test_errors_of_a_partial_shot_are_those_of_normal_and_grasp_alone(truth_of, estimate_of):
+    result = score(truth_of(expect="partial"), estimate_of(center_m=np.zeros(3)), "paper", None)
 
     assert result.outcome is Outcome.PARTIAL
     assert set(result.errors) == {"normal_rad", "grasp_m"}
 
 
-def test_a_center_that_a_partial_shot_reports_is_judged(truth_of, answer_of):
-    answer = answer_of(center_m=np.zeros(3), covariance_center_m2=SMALL)
+def test_a_center_that_a_partial_shot_reports_is_judged(truth_of, estimate_of):
+    estimate = estimate_of(center_m=np.zeros(3), covariance_center_m2=SMALL)
 
-    result = score(truth_of(expect="partial"), answer, "paper", None)
+    result = score(truth_of(expect="partial"), estimate, "paper", None)
 
     assert (result.outcome, result.wrong) == (Outcome.WRONG, ("center",))
 
@@ -161,10 +161,10 @@ NAMED = ["center", "normal", "grasp along the normal", "grasp radially", "radius
 
 
 @pytest.mark.parametrize("name", NAMED)
-def test_a_quantity_is_wrong_from_five_standard_deviations_and_grossly_from_six(truth_of, answer_of, name):
+def test_a_quantity_is_wrong_from_five_standard_deviations_and_grossly_from_six(truth_of, estimate_of, name):
     truth, quantity = truth_of(), name.split()[0]
 
-    correct, wrong, gross = (score(truth, answer_of(**off_by(s, name, truth)), "ml", None) for s in (4.9, 5.1, 6.1))
+    correct, wrong, gross = (score(truth, estimate_of(**off_by(s, name, truth)), "ml", None) for s in (4.9, 5.1, 6.1))
 
     assert correct.distances[quantity] == pytest.approx(4.9, rel=1e-3)
     assert set(correct.judgements.values()) == {Judgement.CORRECT}
@@ -172,8 +172,8 @@ def test_a_quantity_is_wrong_from_five_standard_deviations_and_grossly_from_six(
     assert (gross.wrong, gross.gross) == ((quantity,), (quantity,))
 
 
-def test_where_along_the_band_the_grasp_point_lies_is_not_judged(truth_of, answer_of):
-    result = score(truth_of(), answer_of(**off_by(9.0, "grasp along the band", truth_of())), "ml", None)
+def test_where_along_the_band_the_grasp_point_lies_is_not_judged(truth_of, estimate_of):
+    result = score(truth_of(), estimate_of(**off_by(9.0, "grasp along the band", truth_of())), "ml", None)
 
     assert result.wrong == ()
     assert result.distances["grasp"] < 1e-9
@@ -194,12 +194,12 @@ EXCUSES = [
 
 
 @pytest.mark.parametrize(("flag", "named"), EXCUSES)
-def test_a_flag_excuses_the_quantities_that_it_names_and_no_other(truth_of, answer_of, flag, named):
+def test_a_flag_excuses_the_quantities_that_it_names_and_no_other(truth_of, estimate_of, flag, named):
     truth = truth_of()
     changes = {key: value for name in NAMED for key, value in off_by(9.0, name, truth).items() if "cov" not in key}
     covariances = {key: value for key, value in off_by(0.0, "center", truth).items() if "cov" in key}
 
-    result = score(truth, answer_of(**covariances, **changes, flags=flag), "ml", None)
+    result = score(truth, estimate_of(**covariances, **changes, flags=flag), "ml", None)
 
     assert set(result.wrong) == set(JUDGED) - named
     assert {name for name, found in result.judgements.items() if found is Judgement.FLAGGED} == named
@@ -209,59 +209,59 @@ def test_every_flag_has_been_considered():
     assert {flag for flag, _ in EXCUSES} == set(PoseFlag)
 
 
-def test_a_quantity_without_a_covariance_is_not_judged_but_the_grasp_point_is(truth_of, answer_of):
-    judgements = score(truth_of(), answer_of(center_m=np.zeros(3)), "paper", None).judgements
+def test_a_quantity_without_a_covariance_is_not_judged_but_the_grasp_point_is(truth_of, estimate_of):
+    judgements = score(truth_of(), estimate_of(center_m=np.zeros(3)), "paper", None).judgements
 
     assert judgements.pop("grasp") is Judgement.CORRECT
     assert set(judgements.values()) == {Judgement.NO_COVARIANCE}
 
 
-def test_a_quantity_whose_row_of_the_covariance_is_unknown_is_not_judged(truth_of, answer_of):
+def test_a_quantity_whose_row_of_the_covariance_is_unknown_is_not_judged(truth_of, estimate_of):
     covariance = np.diag(SIGMAS**2)
     covariance[5, :] = covariance[:, 5] = np.nan
 
-    judgements = score(truth_of(), answer_of(covariance=covariance), "ml", None).judgements
+    judgements = score(truth_of(), estimate_of(covariance=covariance), "ml", None).judgements
 
     assert judgements["radius_inner"] is Judgement.NO_COVARIANCE
     assert judgements["radius_outer"] is judgements["normal"] is Judgement.CORRECT
 
 
 @pytest.mark.parametrize(("off_m", "judgement"), [(0.0549, Judgement.CORRECT), (0.0551, Judgement.WRONG)])
-def test_a_grasp_point_5_mm_beside_the_band_is_wrong_whatever_its_covariance(truth_of, answer_of, off_m, judgement):
-    answer = answer_of(grasp_m=truth_of().center_m + np.array([0.45 + off_m, 0, 0]), covariance_grasp_m2=np.eye(3))
+def test_a_grasp_point_5_mm_beside_the_band_is_wrong_whatever_its_covariance(truth_of, estimate_of, off_m, judgement):
+    estimate = estimate_of(grasp_m=truth_of().center_m + np.array([0.45 + off_m, 0, 0]), covariance_grasp_m2=np.eye(3))
 
-    result = score(truth_of(), answer, "ml", None)
+    result = score(truth_of(), estimate, "ml", None)
 
     assert result.judgements["grasp"] is judgement
     assert result.gross == (("grasp",) if judgement is Judgement.WRONG else ())
 
 
-def test_every_quantity_of_a_pose_of_nothing_is_wrong_unless_a_flag_names_it(answer_of):
-    unflagged = score(NOTHING, answer_of(), "paper", None)
-    flagged = score(NOTHING, answer_of(flags=PoseFlag.RADIUS_WEAK), "paper", None)
+def test_every_quantity_of_a_pose_of_nothing_is_wrong_unless_a_flag_names_it(estimate_of):
+    unflagged = score(NOTHING, estimate_of(), "paper", None)
+    flagged = score(NOTHING, estimate_of(flags=PoseFlag.RADIUS_WEAK), "paper", None)
 
     assert set(unflagged.gross) == set(unflagged.wrong) == set(JUDGED)
     assert set(flagged.wrong) == {"center", "normal", "grasp"}
 
 
-def test_a_pose_of_nothing_whose_every_quantity_is_flagged_is_degraded(answer_of):
-    result = score(NOTHING, answer_of(flags=PoseFlag.INCONSISTENT), "paper", None)
+def test_a_pose_of_nothing_whose_every_quantity_is_flagged_is_degraded(estimate_of):
+    result = score(NOTHING, estimate_of(flags=PoseFlag.INCONSISTENT), "paper", None)
 
     assert (result.outcome, result.wrong) == (Outcome.DEGRADED, ())
 
 
-def test_a_normal_that_is_turned_over_is_wrong(truth_of, answer_of):
+def test_a_normal_that_is_turned_over_is_wrong(truth_of, estimate_of):
     covariance = np.diag(SIGMAS**2)
 
     results = [
-        score(truth_of(), answer_of(normal=normal, covariance=covariance), "ml", None)
+        score(truth_of(), estimate_of(normal=normal, covariance=covariance), "ml", None)
         for normal in (-truth_of().normal, np.array([1.0, 0.0, 0.0]))
     ]
 
     assert [result.gross for result in results] == [("normal",), ("normal",)]
 
 
-def test_a_moving_target_is_scored_where_it_was_when_the_shot_was_stamped(truth_of, answer_of):
+def test_a_moving_target_is_scored_where_it_was_when_the_shot_was_stamped(truth_of, estimate_of):
     truth = truth_of(
         stamp_s=100.0,
         velocity_m_s=np.array([0.05, 0.0, -0.02]),
@@ -269,9 +269,9 @@ def test_a_moving_target_is_scored_where_it_was_when_the_shot_was_stamped(truth_
     )
     there = truth.center_m + 0.1 * truth.velocity_m_s
     turned = np.array([-np.sin(0.01), 0.0, -np.cos(0.01)])
-    answer = replace(answer_of(center_m=there, normal=turned), stamp_s=100.1)
+    estimate = replace(estimate_of(center_m=there, normal=turned), stamp_s=100.1)
 
-    errors = score(truth, answer, "ml", None).errors
+    errors = score(truth, estimate, "ml", None).errors
 
     assert errors["center_m"] < 1e-12
     assert errors["normal_rad"] < 1e-12
@@ -292,20 +292,20 @@ HALF_BAND_RAD = 0.1 / 0.9
     ],
 )
 def test_a_grasp_point_outside_the_arc_that_the_stripes_span_is_wrong(
-    truth_of, answer_of, on_ring, camera, angle_rad, outcome
+    truth_of, estimate_of, on_ring, camera, angle_rad, outcome
 ):
-    answer = answer_of(grasp_m=on_ring(angle_rad, 0.45))
+    estimate = estimate_of(grasp_m=on_ring(angle_rad, 0.45))
 
-    assert score(truth_of(), answer, "paper", camera).outcome is outcome
+    assert score(truth_of(), estimate, "paper", camera).outcome is outcome
 
 
-def test_a_break_point_that_is_not_seen_spans_nothing(truth_of, answer_of, on_ring, camera):
+def test_a_break_point_that_is_not_seen_spans_nothing(truth_of, estimate_of, on_ring, camera):
     seen = truth_of().break_points_px.copy()
     seen[2] = np.nan
-    answer = answer_of(grasp_m=on_ring(0.3, 0.45))
+    estimate = estimate_of(grasp_m=on_ring(0.3, 0.45))
 
-    assert score(truth_of(break_points_px=seen), answer, "paper", camera).outcome is Outcome.WRONG
+    assert score(truth_of(break_points_px=seen), estimate, "paper", camera).outcome is Outcome.WRONG
 
 
-def test_without_a_camera_the_arc_goes_unchecked(truth_of, answer_of, on_ring):
-    assert score(truth_of(), answer_of(grasp_m=on_ring(np.pi, 0.45)), "paper", None).outcome is Outcome.OK
+def test_without_a_camera_the_arc_goes_unchecked(truth_of, estimate_of, on_ring):
+    assert score(truth_of(), estimate_of(grasp_m=on_ring(np.pi, 0.45)), "paper", None).outcome is Outcome.OK

@@ -4,7 +4,7 @@ import pytest
 from scipy import stats
 
 from ringpose.bench.score import JUDGED, Judgement, Outcome, Score
-from ringpose.bench.summary import ABSENT, Wrong, spread, summaries, unknown_groups
+from ringpose.bench.summary import ABSENT, WrongQuantities, error_statistics, summaries, unknown_groups
 
 
 def scored(
@@ -21,7 +21,7 @@ def scored(
 
 
 def test_the_spread_of_errors_of_both_signs():
-    found = spread([3.0, -4.0, 0.0, 12.0])
+    found = error_statistics([3.0, -4.0, 0.0, 12.0])
 
     assert found.count == 4
     assert found.rmse == 6.5
@@ -111,7 +111,7 @@ def test_the_allowance_is_the_binomials_99_percent(name, n, allowed):
     counts = {judged_name: dict.fromkeys(Judgement, 0) for judged_name in JUDGED}
     counts[name][Judgement.CORRECT] = n
 
-    assert Wrong(counts=counts, gross=0).allowed == allowed == stats.binom.ppf(0.99, n, chance)
+    assert WrongQuantities(counts=counts, gross=0).allowed == allowed == stats.binom.ppf(0.99, n, chance)
 
 
 def test_none_is_wrong_if_chance_allows_it_and_none_is_gross():

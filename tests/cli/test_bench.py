@@ -236,12 +236,12 @@ def test_a_report_says_where_it_came_from_and_is_not_overwritten_unasked(poses, 
     [
         (["poses.jsonl", "--truth", "nowhere.jsonl"], 66, "nowhere.jsonl: does not exist"),
         (["poses.jsonl", "--truth", "truth.jsonl", "--rig", "nowhere.yaml"], 66, "nowhere.yaml: does not exist"),
-        (["poses.jsonl"], 2, "is no data set folder; give --truth FILE"),
-        (["-"], 2, "is no data set folder"),
+        (["poses.jsonl"], 2, "is not a data set folder; give --truth FILE"),
+        (["-"], 2, "is not a data set folder"),
         (["empty"], 66, "empty/rig.yaml: does not exist"),
-        (["poses.jsonl", "--truth", "truth.jsonl", "--json", "-", "--csv", "-"], 2, "both want standard output"),
+        (["poses.jsonl", "--truth", "truth.jsonl", "--json", "-", "--csv", "-"], 2, "both use standard output"),
         (["empty", "--method", "magic"], 2, "--method"),
-        (["poses.jsonl", "--truth", "truth.jsonl", "--method", "paper"], 2, "have been computed already"),
+        (["poses.jsonl", "--truth", "truth.jsonl", "--method", "paper"], 2, "have a method already"),
     ],
 )
 def test_what_cannot_be_compared_is_one_line(poses, capsys, words, status, complaint):

@@ -1,9 +1,8 @@
 """Bands about predicted stripes."""
 
 import numpy as np
+from benchmarks.stripe_images import Kind, exact_break_points, moved, stripe_image
 
-from ringpose.bench.speed import exact_break_points, moved
-from ringpose.bench.stripe_images import Kind, stripe_image
 from ringpose.detect.pipeline import BAND_PX, BESIDE_PX, predicted_bands
 from ringpose.detect.stripes import find_stripes
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from benchmarks.stripe_images import Kind, stripe_image, stripe_rig
 
-from ringpose.bench.stripe_images import Kind, stripe_image, stripe_rig
 from ringpose.detect.break_points import checked
 from ringpose.detect.rim import best_hypothesis, may_be_background, ring_face
 from ringpose.geometry.rays import undistorted_pixels

@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
+from benchmarks.detection_errors import break_point_errors
+from benchmarks.robust_statistics import joined
+from benchmarks.stripe_images import Kind, shot_of, stripe_image
 
-from ringpose.bench.detectors import shot_of
-from ringpose.bench.detectors_break_points import break_point_errors
-from ringpose.bench.detectors_spread import joined
-from ringpose.bench.stripe_images import Kind, stripe_image
 from ringpose.detect.pipeline import detect
 
 

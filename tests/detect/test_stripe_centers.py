@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from benchmarks.detection_errors import center_errors
+from benchmarks.robust_statistics import joined
+from benchmarks.stripe_images import Kind, stripe_image
 
-from ringpose.bench.detectors_break_points import center_errors
-from ringpose.bench.detectors_spread import joined
-from ringpose.bench.stripe_images import Kind, stripe_image
 from ringpose.detect.stripes import find_stripes
 
 CONTRAST, SPECKLED_PEAK, SPECKLED_NOISE = 0.2, 120.0, 1.5

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from benchmarks.stripe_images import Kind, stripe_rig, switched_frames
 from scipy.ndimage import gaussian_filter1d
 
-from ringpose.bench.stripe_images import Kind, stripe_rig, switched_frames
 from ringpose.detect.stripes import stripe_filters
 from ringpose.kernels import _kernels
 from ringpose.kernels.stripes import Filters, StripeParams, stripes

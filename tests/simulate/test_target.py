@@ -43,21 +43,21 @@ def test_normals_of_the_box_point_out_of_the_side_that_is_hit(rng):
     parameter, surface = target.first_hits(eye, direction)
     hit = surface != EMPTY
 
-    point, normal = target.settled(eye, direction[:, hit], parameter[hit], surface[hit])
+    point, normal = target.on_relief(eye, direction[:, hit], parameter[hit], surface[hit])
 
     outside = np.abs(point + 1e-6 * normal - [[0.0], [0.0], [-0.5]]) - SIZE_M[:, None] / 2
     np.testing.assert_allclose(outside.max(axis=0), 1e-6, atol=1e-10)
 
 
 def test_hits_settle_on_the_foil(rng):
-    """Height of the settled point against the relief, bilinear, by an independent look-up."""
+    """Height of a point on the relief relative to the relief, bilinear, by an independent look-up."""
     foil = Foil(rms_m=0.0008, crinkle_m=0.03)
     target = ring_target(None, Body(size_m=SIZE_M, foil=foil))
     eye = np.array([0.1, 0.05, 0.4])
     direction = np.stack([*rng.uniform(-0.2, 0.2, (2, 2000)), np.zeros(2000)]) - eye[:, None]
     parameter, surface = target.first_hits(eye, direction)
 
-    point, normal = target.settled(eye, direction, parameter, surface)
+    point, normal = target.on_relief(eye, direction, parameter, surface)
 
     field = relief(foil)
     grid = field.height_m.reshape(512, 512)

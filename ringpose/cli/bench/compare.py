@@ -1,4 +1,4 @@
-"""`ringpose bench compare`: two results on the same shots -> what became better or worse."""
+"""`ringpose bench compare`: compare two results on the same shots."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -22,7 +22,7 @@ ResultB = Annotated[str, typer.Argument(metavar="B", help="The newer result, of 
 Tolerance = Annotated[
     float,
     typer.Option(
-        "--tolerance", metavar="SHARE", min=0, callback=finite, help="What is worse by no more than this is no failure."
+        "--tolerance", metavar="SHARE", min=0, callback=finite, help="Differences up to this do not count as failure."
     ),
 ]
 TwoMethods = Annotated[
@@ -56,7 +56,7 @@ def compare(
     from ringpose.files.provenance import provenance
 
     if a == b == STDOUT:
-        raise UsageError("", "both results want standard input", "write one of them into a file")
+        raise UsageError("", "both results are read from standard input", "write one of them into a file")
     batch = Batch()
     result_a, result_b = (_read(name, truth, rig, batch) for name in (a, b))
     _require_same_conditions(result_a, result_b)
@@ -75,8 +75,8 @@ def compare(
     complaints = list(worse_sentences(rows, paired))
     if lost := matched["only_a"]:
         complaints.append(f"{b}: {len(lost)} shots have no line that have one in {a} (the first is {lost[0]})")
-    for sentence in complaints:
-        messages.say(sentence)
+    for message in complaints:
+        messages.say(message)
         batch.met(NO_POSE)
     batch.finish()
 
@@ -90,7 +90,7 @@ class _Result(NamedTuple):
 
 
 def _read(name: str, truths: list[Path] | None, rig: Path | None, batch: "Batch") -> _Result:
-    """Pose records scored against their truth, or a table that holds the scores."""
+    """Scores of pose records, or those in a table of `bench --json`."""
     from ringpose.bench.report import ASSUMPTIONS
     from ringpose.errors import DataError, UsageError
     from ringpose.files.inputs import holds_records
@@ -151,7 +151,7 @@ def _score_of(fields: "Fields") -> "Score":
 
 
 def _require_same_conditions(a: _Result, b: _Result) -> None:
-    """Refuse results whose differences another truth or other assumptions would make."""
+    """Reject results with different truths or assumptions, which could cause the differences."""
     from ringpose.errors import DataError
 
     if a.truths and b.truths and a.truths != b.truths:
@@ -196,7 +196,7 @@ def _require_pairs(
 
 
 def _matched(a: _Result, b: _Result, paired: "Sequence[tuple[str, Sequence[Pair]]]") -> dict[str, Any]:
-    """Shots that both results have a line for, of all shots of the truth; and those that only one has."""
+    """The shots of the truth, and those for which both results, only A, or only B have a record."""
     lines_a, lines_b = ({score.shot for score in result.scores if score.status != "lost"} for result in (a, b))
     shots = dict.fromkeys(score.shot for score in (*a.scores, *b.scores))
     return {

@@ -1,4 +1,4 @@
-"""`ringpose bench`: poses and truth -> tables of errors."""
+"""`ringpose bench`: compare poses with the truth and print tables of errors."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -12,8 +12,7 @@ from ringpose.cli.options import STDOUT, Force, JsonFile, OptionalRigFile, PoseF
 from ringpose.types.options import Method
 
 if TYPE_CHECKING:
-    from ringpose.bench.pipeline import Matching
-    from ringpose.bench.score import Answer, Score
+    from ringpose.bench.score import Matching, PoseEstimate, Score
     from ringpose.bench.summary import Summary
     from ringpose.cli.batch import Batch
     from ringpose.types.camera import Camera
@@ -28,7 +27,7 @@ PosesOrFolders = Annotated[
 ]
 TruthFiles = Annotated[
     list[Path] | None,
-    typer.Option("--truth", metavar="FILE", help="What is really there (truth.jsonl); may be given again."),
+    typer.Option("--truth", metavar="FILE", help="Ground truth (truth.jsonl); may be given again."),
 ]
 By = Annotated[
     str | None,
@@ -78,14 +77,14 @@ def bench(
     quiet: Quiet = False,
 ) -> None:
     """Compare poses with the truth: errors by group, failures counted; status 3 if a limit is missed."""
-    from ringpose.bench.thresholds import error_limits
+    from ringpose.bench.limits import error_limits
     from ringpose.cli.batch import Batch
     from ringpose.errors import UsageError
 
     if json == csv == STDOUT:
-        raise UsageError("", "--json - and --csv - both want standard output", "write one of them into a file")
+        raise UsageError("", "--json - and --csv - both use standard output", "write one of them into a file")
     if truth and method:
-        raise UsageError("--method", "pose lines have been computed already", "leave it out")
+        raise UsageError("--method", "pose lines have a method already", "omit it")
     batch = Batch()
     matched: Matching | None = None
     if truth:
@@ -114,16 +113,16 @@ class _Targets(NamedTuple):
 def scores_of_lines(
     inputs: list[str], truth_files: list[Path], rig: Path | None, batch: "Batch"
 ) -> "tuple[list[Score], Matching]":
-    """Pose lines against their truths; a rig beside a truth file gives the arc that the stripes span."""
-    from ringpose.bench.pipeline import matching, scores
+    """Scores of pose records; `rig`, or the rig.yaml in the folder of a truth file, gives the camera for the arc."""
+    from ringpose.bench.score import matching, scores
     from ringpose.errors import DataError
 
     sets = [(_truths(file), _camera(rig or file.with_name("rig.yaml"), rig is not None)) for file in truth_files]
     truths = [truth for of_set, _ in sets for truth in of_set]
     if twice := _first_repeated([truth.shot for truth in truths]):
         raise DataError(twice, "stands in two truth files", "give data sets whose shots have different names")
-    answers = _answers_in(inputs, truths, batch)
-    matched = matching(answers, truths)
+    estimates = _estimates_in(inputs, truths, batch)
+    matched = matching(estimates, truths)
     place, files = ", ".join(inputs), ", ".join(map(str, truth_files))
     if matched.without_truth:
         with batch.item():
@@ -137,29 +136,29 @@ def scores_of_lines(
             raise DataError(
                 place, f"{found} (the first is {matched.repeated[0]}); the last line counts", "bench each run alone"
             )
-    return [each for of_set, camera in sets for each in scores(answers, of_set, camera)], matched
+    return [each for of_set, camera in sets for each in scores(estimates, of_set, camera)], matched
 
 
-def _answers_in(inputs: list[str], truths: "list[Truth]", batch: "Batch") -> "list[Answer]":
-    """The pose lines of the inputs; each line that cannot be compared is named on stderr."""
+def _estimates_in(inputs: list[str], truths: "list[Truth]", batch: "Batch") -> "list[PoseEstimate]":
+    """The pose records of the inputs; those that cannot be compared are reported on stderr."""
     from ringpose.bench.pose_errors import truth_at
-    from ringpose.bench.score import answer_of
+    from ringpose.bench.score import estimate_of
     from ringpose.errors import DataError
     from ringpose.files.inputs import RECORDS_SUFFIX, Record
     from ringpose.files.inputs import inputs as named
     from ringpose.files.poses import pose_line_of
 
     by_shot = {truth.shot: truth for truth in truths}
-    answers = []
+    estimates = []
     for item in batch.good(named(inputs, (RECORDS_SUFFIX,))):
         with batch.item():
             if not isinstance(item, Record):
                 raise DataError(str(item), "holds no pose lines", "give the .jsonl output of ringpose pose")
-            answer = answer_of(pose_line_of(item.values, item.place), item.place)
-            if answer.shot in by_shot:
-                truth_at(by_shot[answer.shot], answer.stamp_s)  # refuses stamps of another clock
-            answers.append(answer)
-    return answers
+            estimate = estimate_of(pose_line_of(item.values, item.place), item.place)
+            if estimate.shot in by_shot:
+                truth_at(by_shot[estimate.shot], estimate.stamp_s)  # rejects time stamps of another clock
+            estimates.append(estimate)
+    return estimates
 
 
 def _first_repeated(names: list[str]) -> str | None:
@@ -177,55 +176,55 @@ def _truths(file: Path) -> "list[Truth]":
 
 
 def _files(inputs: list[str], truths: list[Path], rig: Path | None) -> list[Path]:
-    """The files whose hashes go into the report; of a data set its rig and truth."""
+    """The files whose hashes the report contains; of a data set its rig and truth."""
     named = [Path(name) for name in inputs if name != STDOUT]
     of_sets = [folder / "rig.yaml" for folder in named if folder.is_dir()]
     every = [*truths, rig, *named, *of_sets]
     return [path for path in every if path is not None and path.is_file()]
 
 
-def _camera(rig: Path, wanted: bool) -> "Camera | None":
-    """The camera of a rig file that the user names, or that is there."""
+def _camera(rig: Path, required: bool) -> "Camera | None":
+    """The camera of a rig file; None if it does not exist and is not required."""
     from ringpose.files.rigs import read_rig
 
-    return read_rig(rig).camera if wanted or rig.exists() else None
+    return read_rig(rig).camera if required or rig.exists() else None
 
 
 def _scores_of_folders(
     folders: list[str], rig: Path | None, methods: list[Method], batch: "Batch", quiet: bool
 ) -> "list[Score]":
-    """Data sets, each detected and posed here by every method."""
-    from ringpose.bench.pipeline import scores
+    """Scores of data sets, of which this run detects the break points and estimates the poses by every method."""
+    from ringpose.bench.score import scores
     from ringpose.errors import UsageError
     from ringpose.files.rigs import read_rig
 
     found = []
     for folder in map(Path, folders):
         if str(folder) == STDOUT or folder.is_file():
-            raise UsageError("", f"{folder} is no data set folder", "give --truth FILE to compare pose lines")
+            raise UsageError("", f"{folder} is not a data set folder", "give --truth FILE to compare pose lines")
         with batch.item():
             of_shots = read_rig(rig or folder / "rig.yaml")
             truths = _truths(folder / "truth.jsonl")
-            answers = list(_answers(folder / "shots", truths, of_shots, methods, batch, quiet))
-            found += scores(answers, truths, of_shots.camera)
+            estimates = list(_estimates(folder / "shots", truths, of_shots, methods, batch, quiet))
+            found += scores(estimates, truths, of_shots.camera)
     return found
 
 
-def _answers(
+def _estimates(
     shots: Path, truths: "list[Truth]", rig: "Rig", methods: list[Method], batch: "Batch", quiet: bool
-) -> "Iterator[Answer]":
-    from ringpose.bench.score import answer_of
+) -> "Iterator[PoseEstimate]":
+    from ringpose.bench.score import estimate_of
+    from ringpose.cli.pose import pose_line
     from ringpose.cli.progress import counted
     from ringpose.detect.pipeline import detect
     from ringpose.files.shots import read_shot
-    from ringpose.pose.record import pose_line
 
     for truth in counted(truths, "shots", quiet):
         with batch.item():
             detection = detect(read_shot(shots / f"{truth.shot}.npz", rig=rig), rig)
             for method in methods:
                 line = pose_line(detection, rig, method, PoseFrame.CAMERA)
-                yield replace(answer_of(line, truth.shot), method=method.value)
+                yield replace(estimate_of(line, truth.shot), method=method.value)
 
 
 def _judged(
@@ -235,22 +234,22 @@ def _judged(
     counts: tuple[int | None, int | None],
     batch: "Batch",
 ) -> "tuple[list[Summary], list[str]]":
-    """The groups, and a sentence for each limit that they miss; counts are limits on missed shots, wrong quantities."""
+    """Summaries, and a message for each exceeded limit; `counts` limits missed shots and wrong quantities."""
+    from ringpose.bench.limits import exceeded_count_limits, exceeded_error_limits
     from ringpose.bench.summary import summaries
-    from ringpose.bench.thresholds import missed_count_limits, missed_error_limits
     from ringpose.cli import messages
     from ringpose.errors import NO_POSE
 
     lines = summaries(scores, names)
-    missed = [*missed_error_limits(lines, limits), *missed_count_limits(lines, *counts)]
-    for sentence in missed:
-        messages.say(sentence)
+    missed = [*exceeded_error_limits(lines, limits), *exceeded_count_limits(lines, *counts)]
+    for message in missed:
+        messages.say(message)
         batch.met(NO_POSE)
     return lines, missed
 
 
 def group_names(scores: "list[Score]", by: str | None) -> list[str]:
-    """The groups wished for; without a wish those of distance and light that there are."""
+    """The groups of `--by`; by default those of `DEFAULT_GROUPS` that the shots have."""
     from ringpose.bench.summary import unknown_groups
     from ringpose.errors import UsageError
 

@@ -1,98 +1,88 @@
-"""`ringpose bench speed`: what it takes and how fine it is on this machine, beside the limits."""
+"""`ringpose bench speed`: times of detection, pose estimation and start-up on this machine."""
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ringpose.cli.options import STDOUT, Force, JsonFile, PoseFrame
-from ringpose.types.options import Method
+from ringpose.cli.options import STDOUT, Force, JsonFile
 
 if TYPE_CHECKING:
-    from ringpose.bench.speed_gates import GateSection
     from ringpose.types.image import Shot
     from ringpose.types.rig import Rig
 
-
 COMMAND = "import sys; from ringpose.cli.main import run; run()"
 
-Seeds = Annotated[
-    int, typer.Option("--seeds", metavar="N", min=1, help="Synthetic images of each kind for the accuracy.")
-]
-Rounds = Annotated[int, typer.Option("--rounds", metavar="N", min=1, help="Turns in which each time is taken.")]
+Rounds = Annotated[int, typer.Option("--rounds", metavar="N", min=1, help="Repetitions of each time; medians count.")]
 
 
-def speed(seeds: Seeds = 40, rounds: Rounds = 11, json: JsonFile = None, force: Force = False) -> None:
-    """Measure what detection and pose take and how fine they are, each beside the limit it is meant to keep."""
-    from ringpose.bench.speed_gates import section_record, section_text
+def speed(rounds: Rounds = 11, json: JsonFile = None, force: Force = False) -> None:
+    """Measure the times of detection, pose estimation and start-up, as ratios to reference functions."""
+    from ringpose.bench.speed import detection_times_s, pose_times_s
+    from ringpose.bench.table import aligned
     from ringpose.files import records
     from ringpose.files.io import write_result
     from ringpose.files.provenance import provenance
 
-    measured: list[GateSection] = []
-    for section in _sections(seeds, rounds):
-        apart = "\n" if measured else ""
-        measured.append(section)
-        if json != STDOUT:
-            records.write_text(apart + section_text(section))
+    rows = [row for times in (detection_times_s, pose_times_s, start_times_s) for row in _rows(times(rounds))]
+    if json != STDOUT:
+        cells = [[row["name"], f"{row['time_s'] * 1e3:.2f}", f"{row['ratio']:.3g}", row["reference"]] for row in rows]
+        records.write_text("\n".join(aligned([["", "ms", "ratio to", "reference"], *cells], left=1)) + "\n")
     if json is not None:
-        sections = [section_record(section) for section in measured]
-        noted = {"ringpose": "bench_speed/1", "sections": sections, "provenance": provenance([])}
-        write_result(json, records.line_of(noted), force=force)
+        record = {"ringpose": "bench_speed/2", "times": rows, "provenance": provenance([])}
+        write_result(json, records.line_of(record), force=force)
 
 
-def _sections(seeds: int, rounds: int) -> "Iterator[GateSection]":
+def start_times_s(rounds: int) -> dict[str, float]:
+    """Wall times of `import numpy, cv2`, the reference, of `pose --help`, and until the first pose of a shot."""
     from tempfile import TemporaryDirectory
+    from time import perf_counter
 
-    from ringpose.bench.speed import detection_sections, start_gates
+    from ringpose.bench.speed import drawn_shot, median_times_s
 
-    yield from detection_sections(seeds, rounds, _pose_stream)
     with TemporaryDirectory() as folder:
-        yield start_gates(_starts(Path(folder)), rounds)
+        return median_times_s(start_calls(Path(folder), *drawn_shot()), rounds, perf_counter)
 
 
-def _pose_stream(shot: "Shot", rig: "Rig") -> str:
-    """What `ringpose pose` writes about a shot."""
-    from ringpose.files.poses import pose_record
-    from ringpose.files.records import line_of
-    from ringpose.pose.record import pose_line
-
-    return line_of(pose_record(pose_line(shot, rig, Method.ML, PoseFrame.CAMERA)))
-
-
-def _starts(folder: Path) -> dict[str, Callable[[], object]]:
-    """Processes that end, or say their first line, as soon as they can."""
-    from ringpose.bench.detectors import shot_of
-    from ringpose.bench.stripe_images import Kind, stripe_image
+def start_calls(folder: Path, shot: "Shot", rig: "Rig") -> dict[str, Callable[[], object]]:
+    """Calls that start a process and wait for its first line; a folder takes the input files and the byte code."""
     from ringpose.detect.pipeline import detect
     from ringpose.files.detections import detection_record
     from ringpose.files.records import line_of
     from ringpose.files.rigs import write_rig
     from ringpose.files.shots import write_shot
 
-    image = stripe_image(Kind.DARK, 0)
-    rig, shot, record = folder / "rig.yaml", folder / "shot.npz", folder / "detection.jsonl"
-    write_rig(rig, image.rig)
-    write_shot(shot, shot_of(image))
-    record.write_text(line_of(detection_record(detect(shot_of(image), image.rig), full=False)))
-    pose = ["-c", COMMAND, "pose", "--rig", str(rig)]
-    started = partial(_first_line, bytecode=folder)
+    rig_file, shot_file, detection_file = folder / "rig.yaml", folder / "shot.npz", folder / "detection.jsonl"
+    write_rig(rig_file, rig)
+    write_shot(shot_file, shot)
+    detection_file.write_text(line_of(detection_record(detect(shot, rig), full=False)))
+    pose = ["-c", COMMAND, "pose", "--rig", str(rig_file)]
     return {
-        "import numpy, cv2": lambda: started(["-c", "import numpy, cv2"]),
-        "ringpose pose --help": lambda: started(["-c", COMMAND, "pose", "--help"]),
-        "first pose line of a detection": lambda: started([*pose, str(record)]),
-        "first pose line of a shot": lambda: started([*pose, str(shot)]),
+        "import numpy, cv2": partial(_first_line, ["-c", "import numpy, cv2"], folder),
+        "ringpose pose --help": partial(_first_line, ["-c", COMMAND, "pose", "--help"], folder),
+        "first pose of a detection": partial(_first_line, [*pose, str(detection_file)], folder),
+        "first pose of a shot": partial(_first_line, [*pose, str(shot_file)], folder),
     }
 
 
-def _first_line(words: Sequence[str], bytecode: Path) -> str:
-    """Run Python until it says something, or ends; it has its byte code there from the second time on.
+def _rows(times_s: dict[str, float]) -> list[dict[str, Any]]:
+    """A row for each time; the first one is the reference of the ratios."""
+    reference = next(iter(times_s))
+    return [
+        {"name": name, "time_s": time_s, "ratio": time_s / times_s[reference], "reference": reference}
+        for name, time_s in times_s.items()
+    ]
 
-    In the place of an installation that is edited it may be out of date, or nobody may write it.
+
+def _first_line(words: Sequence[str], bytecode: Path) -> str:
+    """Run Python until it writes a line or ends.
+
+    Byte code is kept in a folder of its own from the first run on, as an installation has it: that of an editable
+    installation may be out of date or not writable.
     """
     from subprocess import PIPE, Popen
 
@@ -100,7 +90,7 @@ def _first_line(words: Sequence[str], bytecode: Path) -> str:
 
     environment = os.environ | {"PYTHONPYCACHEPREFIX": str(bytecode), "PYTHONDONTWRITEBYTECODE": ""}
     command = [sys.executable, *words]
-    with Popen(command, stdout=PIPE, text=True, env=environment) as process:  # noqa: S603 (words of our own)
+    with Popen(command, stdout=PIPE, text=True, env=environment) as process:  # noqa: S603 (our own arguments)
         line = process.stdout.readline() if process.stdout else ""
         if line:
             process.kill()

@@ -1,1 +1,1 @@
-"""Simulate."""
+"""`ringpose simulate`."""

@@ -1,4 +1,4 @@
-"""`ringpose simulate`: a scene -> shots with truth, and calibration views."""
+"""`ringpose simulate`: render shots with ground truth, and calibration views, from a scene."""
 
 from pathlib import Path
 from typing import Annotated
@@ -15,12 +15,18 @@ OutputFolder = Annotated[
 ]
 Count = Annotated[
     int | None,
-    typer.Option("--count", metavar="N", min=1, help="Make only the first N shots, and views of each board."),
+    typer.Option("--count", metavar="N", min=1, help="Render only the first N shots, and views of each board."),
 ]
 Seed = Annotated[int | None, typer.Option("--seed", metavar="N", min=0, help="Use this seed instead of the scene's.")]
 Jobs = Annotated[
     int,
-    typer.Option("--jobs", "-j", metavar="N", min=0, help="Processes; 0 is one a core. The shots stay the same."),
+    typer.Option(
+        "--jobs",
+        "-j",
+        metavar="N",
+        min=0,
+        help="Processes; 0 is one per core. Shots do not depend on it.",
+    ),
 ]
 
 
@@ -35,7 +41,7 @@ def simulate(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Simulate shots of a scene, with the truth beside them."""
+    """Simulate shots of a scene, with their ground truth."""
     import os
     from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""`ringpose simulate serve`: stand-ins for camera and relay board, looking at a scene."""
+"""`ringpose simulate serve`: a virtual camera and relay board that show a scene."""
 
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,15 +17,15 @@ if TYPE_CHECKING:
 
 
 SceneOption = Annotated[Path, typer.Option("--scene", metavar="SCENE", help="The scene (scene.yaml).")]
-Address = Annotated[str, typer.Option("--camera", metavar="ADDRESS", help="Where the camera listens: 127.x.y.z.")]
+Address = Annotated[str, typer.Option("--camera", metavar="ADDRESS", help="Address of the camera: 127.x.y.z.")]
 RelayOption = Annotated[
     Relay,
-    typer.Option("--relay", help="The relay board; none leaves the lasers to the camera's output lines."),
+    typer.Option("--relay", help="The relay board; none: the camera's output lines switch the lasers."),
 ]
-ShowOption = Annotated[ServedTarget, typer.Option("--show", help="What stands there.")]
+ShowOption = Annotated[ServedTarget, typer.Option("--show", help="The target in the scene.")]
 MoveOption = Annotated[
     AdvancePolicy,
-    typer.Option("--move", help="When the next view comes: in a pause between frames, after a time, or never."),
+    typer.Option("--move", help="When the next view is shown: in a pause between frames, after a time, or never."),
 ]
 After = Annotated[
     float, typer.Option("--after", metavar="S", min=0.0, callback=finite, help="Length of that pause, or that time.")
@@ -33,14 +33,14 @@ After = Annotated[
 WarmUp = Annotated[
     float,
     typer.Option(
-        "--warm-up", metavar="S", min=0.0, callback=finite, help="Time in which a laser comes to 63 % of its power."
+        "--warm-up", metavar="S", min=0.0, callback=finite, help="Time in which a laser reaches 63 % of its power."
     ),
 ]
 FaultTexts = Annotated[
-    list[str] | None, typer.Option("--fault", metavar="FAULT", help="What goes wrong; may be given several times.")
+    list[str] | None, typer.Option("--fault", metavar="FAULT", help="Injected fault; may be given several times.")
 ]
 Log = Annotated[
-    Path | None, typer.Option("--log", metavar="FILE", help="One line a frame: its view and what truly shone.")
+    Path | None, typer.Option("--log", metavar="FILE", help="One line per frame: its view and the lasers that were on.")
 ]
 Overwrite = Annotated[bool, typer.Option("--force", help="Replace a log that exists already.")]
 
@@ -57,7 +57,7 @@ def serve(
     log: Log = None,
     force: Overwrite = False,
 ) -> None:
-    """Stand in for the hardware: a camera and a relay board that look at a scene, until a signal ends it."""
+    """Serve a virtual camera and relay board that show a scene, until a signal ends it."""
     from ringpose.files import records
     from ringpose.files.scenes import read_scene
     from ringpose.simulate.serve.faults import parsed_faults
@@ -80,7 +80,7 @@ def serve(
 
 @contextmanager
 def _failures_of_threads() -> "Iterator[SimpleQueue[BaseException]]":
-    """What ended a thread that serves: without it there is no camera, or no board, any more."""
+    """Exceptions that end a serving thread, after which a device no longer answers."""
     import threading
     from queue import SimpleQueue
 
@@ -94,7 +94,7 @@ def _failures_of_threads() -> "Iterator[SimpleQueue[BaseException]]":
 
 
 def _loopback(address: str) -> str:
-    """The address, if it is one of this machine to which nobody else has access."""
+    """The address; UsageError unless it is a loopback address, which other machines cannot reach."""
     import ipaddress
 
     from ringpose.errors import UsageError

@@ -1,1 +1,1 @@
-"""Stand-ins for the hardware: a camera on the network and relay boards, looking at a scene."""
+"""Virtual devices: a network camera and relay boards that show a scene."""

@@ -1,6 +1,6 @@
-"""The stand-in camera's control channel: who may write, what a write sets off, and when the client is given up.
+"""The control channel of the virtual camera: write access, the effects of a write, and the heartbeat of the client.
 
-It knows no sockets: a request and its sender go in, an answer comes out.
+It maps a request and its sender to an answer and does not use sockets itself.
 """
 
 import struct
@@ -16,40 +16,40 @@ Client = tuple[str, int]
 """Address and port."""
 
 MIN_HEARTBEAT_MS = 500
-"""However short a timeout the client asks for."""
+"""Minimum heartbeat timeout, whatever the client requests."""
 
 MAX_READ = 536
-"""Bytes that one answer holds."""
+"""Maximum number of bytes in one answer."""
 
 
 @runtime_checkable
 class Actions(Protocol):
-    """What the camera does when it is told to."""
+    """Actions of the camera that a write or request triggers."""
 
     def start(self) -> None:
-        """Be ready for triggers, or run freely."""
+        """Start the acquisition, triggered or free-running."""
 
     def stop(self) -> None:
-        """Send no more frames."""
+        """Stop the acquisition."""
 
     def trigger(self) -> None:
         """Expose a frame."""
 
     def resend(self, block: int, first: int, last: int) -> None:
-        """Send some packets of a frame once more."""
+        """Send packets of a frame again."""
 
     def fire_test_packet(self, client: Client, size: int) -> None:
-        """Send one packet of a size, to see whether the network carries it."""
+        """Send one packet of this size, which tests whether the network transmits it."""
 
     def outputs_changed(self) -> None:
-        """The registers of the output lines were written."""
+        """Apply the registers of the output lines after a write."""
 
     def stamp_ticks(self) -> int:
-        """The camera's clock."""
+        """The time stamp counter of the camera."""
 
 
 class Control:
-    """One client has control, keeps it by its heartbeat, and alone may write."""
+    """Control by one client, which alone may write and keeps its access by a heartbeat."""
 
     def __init__(self, registers: Registers, actions: Actions, *, keeps_lines: bool = False) -> None:
         self.registers = registers
@@ -67,11 +67,11 @@ class Control:
 
     @property
     def client(self) -> Client | None:
-        """Who has control."""
+        """The client that has control."""
         return self._client
 
     def answer(self, request: Request, client: Client, now_s: float) -> Answer | None:
-        """What to send back; None for what is not answered."""
+        """The answer to a request; None if there is none."""
         self.expire(now_s)
         if client == self._client:
             self._heard_s = now_s
@@ -87,7 +87,7 @@ class Control:
         return Answer(status=status, command=request.command, number=request.number, payload=payload)
 
     def expire(self, now_s: float) -> None:
-        """Give up a client that has not been heard for the time of its heartbeat."""
+        """End the control of a client whose heartbeat has timed out."""
         timeout_ms = max(self.registers[bootstrap.HEARTBEAT_TIMEOUT], MIN_HEARTBEAT_MS)
         if self._client is not None and now_s - self._heard_s > 1e-3 * timeout_ms:
             self._release()
@@ -159,7 +159,7 @@ class Control:
         return Status.SUCCESS
 
     def _act(self, address: int, client: Client) -> None:
-        """What a write sets off."""
+        """Apply the effects of a write."""
         registers, actions = self.registers, self._actions
         if address == bootstrap.CONTROL_PRIVILEGE:
             self._client = client
@@ -184,7 +184,7 @@ class Control:
             self._outputs_written(address)
 
     def _outputs_written(self, address: int) -> None:
-        """Keep the outputs' single registers and their mask equal."""
+        """Keep the single registers of the outputs and their mask equal."""
         registers, first = self.registers, features.USER_OUTPUT_VALUE
         outputs = range(features.LINES)
         if address == features.USER_OUTPUT_VALUE_ALL:
@@ -203,7 +203,7 @@ class Control:
 
 
 _RENEWED = frozenset({features.PIXEL_FORMAT, *BOUNDED, *(address + 4 for address in BOUNDED)})
-"""Registers that do not keep whatever is written to them."""
+"""Registers with restricted values."""
 
 _READ_ONLY = frozenset(
     {
@@ -216,4 +216,4 @@ _READ_ONLY = frozenset(
         *range(bootstrap.XML_URL, bootstrap.HEARTBEAT_TIMEOUT, 4),
     }
 )
-"""What the camera is, and what it measures."""
+"""Registers of device information and status."""

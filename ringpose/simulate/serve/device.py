@@ -1,4 +1,4 @@
-"""A camera on the network that any GigE Vision client can drive: its sockets, its threads, its exposures."""
+"""A GigE Vision camera for any client: sockets, threads and exposures."""
 
 import ipaddress
 import queue
@@ -29,45 +29,45 @@ MAX_PACKET = 16260
 MIN_PACKET = 576
 
 _LOOK_S = 0.05
-"""How often a thread that waits looks whether it is to go on."""
+"""Interval at which a waiting thread checks whether to stop."""
 
 
 @runtime_checkable
 class Exposures(Protocol):
-    """What the camera looks at."""
+    """The scene in front of the camera."""
 
     def image(
         self, began_s: float, exposure_s: float, gain_db: float, bits: Literal[8, 12]
     ) -> tuple[UInt[Array, "row column"], Mapping[str, Any]]:
-        """Grey values of an exposure that has just ended (monotonic clock), and what is to be noted of it."""
+        """Grey values of an exposure that has just ended (monotonic clock), and its log record."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraFaults:
-    """What is wrong with the camera."""
+    """Injected faults of the camera."""
 
     loss: float = 0.0
-    """Share of the stream's packets that get lost."""
+    """Share of the packets of the stream that are lost."""
     resends: bool = True
-    """Whether lost packets are sent again when they are asked for."""
+    """Whether lost packets are sent again on request."""
     dies_after: int | None = None
-    """Frames after which it answers no more."""
+    """Number of frames after which it stops answering."""
     keeps_lines: bool = False
-    """Whether its output lines stay as they are when the client is given up."""
+    """Whether its output lines keep their state when the client times out."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Beginning:
-    """An exposure that begins."""
+    """The start of an exposure."""
 
     at_s: float
     """Monotonic clock."""
     stopped: threading.Event
-    """Set when the acquisition that it belongs to is over."""
+    """Set when its acquisition has ended."""
 
 
 class ServedCamera:
-    """A camera at an address of this machine; it serves while its block lasts."""
+    """A camera at an address of this machine; a context manager that serves inside its block."""
 
     def __init__(
         self,
@@ -87,7 +87,7 @@ class ServedCamera:
         self._triggers: queue.Queue[_Beginning] = queue.Queue(maxsize=1)
         self._exposed_until_s = 0.0
         self._stopped = threading.Event()
-        """Of the present acquisition: a new one has a new event, so that no frame of an old one gets into it."""
+        """Event of the current acquisition; each has its own, so that frames of an earlier one are dropped."""
         self._stopped.set()
         self._ended = threading.Event()
         self._block = 0
@@ -96,7 +96,7 @@ class ServedCamera:
 
     @property
     def is_dead(self) -> bool:
-        """Whether it has broken down, as its faults have it."""
+        """Whether the fault `dies_after` has occurred."""
         return self._faults.dies_after is not None and self._frames >= self._faults.dies_after
 
     def __enter__(self) -> "ServedCamera":
@@ -121,7 +121,7 @@ class ServedCamera:
         self.stream.close()
 
     def start(self) -> None:
-        """See `Actions`; the client has said where its stream socket is."""
+        """See `Actions`; the stream goes to the address in the stream registers."""
         self._stopped.set()
         self.registers[features.MISSED_TRIGGERS] = 0
         address = str(ipaddress.IPv4Address(self.registers[bootstrap.STREAM_ADDRESS]))
@@ -137,7 +137,7 @@ class ServedCamera:
         self.stream.shut()
 
     def trigger(self) -> None:
-        """See `Actions`; a trigger that comes while a frame is exposed is counted and forgotten."""
+        """See `Actions`; a trigger during an exposure is counted and ignored."""
         now_s = time.monotonic()
         if self._stopped.is_set() or not self.registers[features.TRIGGER_MODE]:
             return
@@ -202,7 +202,7 @@ class ServedCamera:
                 beginning.stopped.set()
 
     def _next_beginning(self) -> _Beginning | None:
-        """The next exposure; None if there is none for a while."""
+        """The next exposure; None if there is none within the polling interval."""
         stopped = self._stopped
         if self.registers[features.TRIGGER_MODE] or stopped.is_set():
             try:
@@ -242,7 +242,7 @@ class ServedCamera:
 
 
 def _bound(address: str, *, shared: bool) -> socket.socket:
-    """A socket at the port of cameras; that for broadcasts is shared with other cameras on this machine."""
+    """A socket at the GVCP port; that for broadcasts is shared with other cameras on this machine."""
     made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     if shared:
         made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

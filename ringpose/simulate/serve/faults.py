@@ -1,4 +1,4 @@
-"""What is to go wrong, in the words of the command line: `loss=0.002`, `stuck:2`, `late:3=0.05`."""
+"""Injected faults in the syntax of the command line: `loss=0.002`, `stuck:2`, `late:3=0.05`."""
 
 import math
 from collections.abc import Iterable
@@ -19,12 +19,12 @@ FAULTS = ("loss", "no-resend", "dead-camera", "keeps-lines", "unplug", "operate"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InjectedFaults:
-    """Everything that goes wrong, part by part."""
+    """Injected faults of each device."""
 
     camera: CameraFaults = CameraFaults()
     contacts: RelayFaults = field(default_factory=RelayFaults)
     unplug_after: int | None = None
-    """Frames after which the relay board's cable is pulled."""
+    """Number of frames after which the relay board is unplugged."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,12 +32,12 @@ class _Fault:
     text: str
     name: str
     laser: int
-    """From 0; -1 if none is named."""
+    """Number of the laser from 0; -1 if none is given."""
     value: float
 
 
 def parsed_faults(texts: Iterable[str], lasers: int) -> InjectedFaults:
-    """The faults that are asked for; those of a laser name it by its number from 1."""
+    """The requested faults; lasers are numbered from 1."""
     faults = [_parsed(text, lasers) for text in texts]
     values = {fault.name: fault.value for fault in faults}
     lasers_of = {name: frozenset(fault.laser for fault in faults if fault.name == name) for name in _LASER_FAULTS}

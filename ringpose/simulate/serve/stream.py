@@ -1,4 +1,4 @@
-"""The stand-in camera's stream channel: frames as datagrams, paced as by a link, lost as on a bad one."""
+"""The stream channel of the virtual camera: frames as datagrams at the rate of a link, with injected losses."""
 
 import socket
 import threading
@@ -14,10 +14,10 @@ LINK_BYTES_PER_S = 125e6
 """Gigabit Ethernet."""
 
 KEPT_FRAMES = 4
-"""Frames whose packets can be sent again."""
+"""Number of frames whose packets can be sent again."""
 
 _BURST_BYTES = 16_000
-"""Sent between two looks at the clock: less than the smallest receive buffer that is common."""
+"""Bytes sent without delay: less than common receive buffers."""
 
 
 class Stream:
@@ -36,18 +36,18 @@ class Stream:
         self.resent_packets = 0
 
     def open(self, client: tuple[str, int]) -> None:
-        """From now on frames go to this client."""
+        """Send the following frames to this client."""
         with self._lock:
             self._client = client
             self._kept.clear()
 
     def shut(self) -> None:
-        """Send no more."""
+        """Stop sending."""
         with self._lock:
             self._client = None
 
     def send(self, frame: StreamedFrame) -> None:
-        """All packets of a frame, not faster than the link."""
+        """Send all packets of a frame at the rate of the link."""
         with self._lock:
             client = self._client
             self._kept[frame.block] = frame
@@ -64,7 +64,7 @@ class Stream:
             time.sleep(max(0.0, began_s + sent_bytes / LINK_BYTES_PER_S - time.perf_counter()))
 
     def resend(self, block: int, first: int, last: int) -> None:
-        """Packets of a frame once more, if it is still kept."""
+        """Send packets of a frame again if it is still kept."""
         with self._lock:
             frame = self._kept.get(block)
         if frame is not None and self._resends:
@@ -73,12 +73,12 @@ class Stream:
             self._send_packets(frame, numbers)
 
     def send_bytes(self, datagram: bytes, client: tuple[str, int]) -> None:
-        """A datagram; one that cannot be sent is lost as on any network."""
+        """Send a datagram; one that cannot be sent is lost."""
         with suppress(OSError):
             self._socket.sendto(datagram, client)
 
     def close(self) -> None:
-        """Let go of the socket."""
+        """Close the socket."""
         self.shut()
         self._socket.close()
 

@@ -1,4 +1,4 @@
-"""What the stand-in camera looks at: the scene's views, one after the other while time goes by."""
+"""The views of a scene that the virtual camera shows one after the other."""
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ringpose.simulate.pipeline import board_stage, ring_stage
+from ringpose.simulate.pipeline import render_board_view, render_ring_view
 from ringpose.simulate.placement import board_places, ring_views
 from ringpose.simulate.renderer import RenderedView
 from ringpose.simulate.sensor import digitised
@@ -19,29 +19,29 @@ from ringpose.types.options import AdvancePolicy
 from ringpose.types.scene import BoardSet, Scene, Sensor
 
 _SLICES = 8
-"""Of an exposure, for a laser that grows brighter during it."""
+"""Time steps of an exposure in which a laser is warming up."""
 
 
 class MovingViews:
-    """The views in their order; the next one is prepared while the camera looks at one, and comes when it is ready."""
+    """The views in order; the next one is rendered in the background and shown when it is ready."""
 
     def __init__(
-        self, names: Sequence[str], stage: Callable[[int], RenderedView], move: AdvancePolicy, after_s: float
+        self, names: Sequence[str], render: Callable[[int], RenderedView], move: AdvancePolicy, after_s: float
     ) -> None:
         self.names = tuple(names)
-        self._stage = stage
+        self._render = render
         self._move = move
         self._after_s = after_s
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="views")
         self._number = 0
-        self._now: RenderedView = stage(0)
+        self._now: RenderedView = render(0)
         self._next: Future[RenderedView] | None = None
         self._shown_s: float | None = None
         self._looked_s: float | None = None
         self._prepare()
 
     def at(self, now_s: float) -> tuple[str, RenderedView]:
-        """Name and stage of the view that an exposure beginning now (monotonic clock) looks at."""
+        """Name and rendered image of the view that an exposure beginning now (monotonic clock) shows."""
         since_s = self._looked_s if self._move is AdvancePolicy.PAUSE else self._shown_s
         due = since_s is not None and now_s - since_s >= self._after_s
         if due and self._next is not None and self._next.done():
@@ -53,16 +53,16 @@ class MovingViews:
         return self.names[self._number], self._now
 
     def close(self) -> None:
-        """Prepare no more."""
+        """Stop rendering."""
         self._worker.shutdown(wait=True, cancel_futures=True)
 
     def _prepare(self) -> None:
         there = self._number + 1 < len(self.names) and self._move is not AdvancePolicy.NEVER
-        self._next = self._worker.submit(self._stage, self._number + 1) if there else None
+        self._next = self._worker.submit(self._render, self._number + 1) if there else None
 
 
 class SceneExposures:
-    """Exposures of a scene's views by the lasers that truly shine, for as long as they shine."""
+    """Exposures of the views of a scene with each laser on for its actual time."""
 
     def __init__(self, views: MovingViews, sensor: Sensor, contacts: RelayContacts, warm_up_s: float = 0.0) -> None:
         self._views = views
@@ -82,15 +82,15 @@ class SceneExposures:
     def image(
         self, began_s: float, exposure_s: float, gain_db: float, bits: Literal[8, 12]
     ) -> tuple[UInt[Array, "row column"], Mapping[str, Any]]:
-        """See `Exposures`; noted are the view and each laser's share of the exposure."""
-        name, stage = self._views.at(began_s)
+        """See `Exposures`; the record contains the view and the share of the exposure in which each laser was on."""
+        name, rendered = self._views.at(began_s)
         shares = self.laser_shares(began_s, exposure_s)
         sensor = _set_sensor(self._sensor, gain_db, bits)
-        image = digitised(_electrons(stage, began_s, exposure_s, shares), sensor, self._generator)
+        image = digitised(_electrons(rendered, began_s, exposure_s, shares), sensor, self._generator)
         return image, {"view": name, "laser_shares": shares.tolist()}
 
     def laser_shares(self, began_s: float, exposure_s: float) -> Float64[Array, "laser"]:
-        """Each laser's light during an exposure, as a share of what it gives when it is warm all the time."""
+        """Energy of each laser during an exposure, as a share of that at full power."""
         edges = np.linspace(began_s, began_s + exposure_s, _SLICES + 1).tolist()
         slices = [
             np.array(self._contacts.shares(begin_s, end_s)) * self._warmth((begin_s + end_s) / 2)
@@ -100,7 +100,7 @@ class SceneExposures:
         return mean
 
     def _warmth(self, time_s: float) -> Float64[Array, "laser"]:
-        """How near each laser is to its full power; 1 for one that is off at that moment."""
+        """Power of each laser as a share of full power; 1 for a laser that is off."""
         lasers = range(len(self._contacts.shares(time_s, time_s)))
         since_s = [self._contacts.on_since_s(laser, time_s) for laser in lasers]
         age_s = np.array([np.inf if since is None else time_s - since for since in since_s])
@@ -109,30 +109,30 @@ class SceneExposures:
 
 
 def ring_moving_views(scene: Scene, move: AdvancePolicy, after_s: float) -> MovingViews:
-    """The ring as the scene's trajectory has it."""
+    """The views of the ring in the trajectory of the scene."""
     views = ring_views(scene)
-    return MovingViews([view.name for view in views], lambda k: ring_stage(scene, views[k], k), move, after_s)
+    return MovingViews([view.name for view in views], lambda k: render_ring_view(scene, views[k], k), move, after_s)
 
 
 def board_moving_views(scene: Scene, boards: BoardSet, move: AdvancePolicy, after_s: float) -> MovingViews:
-    """A calibration board in the places that the scene has for it."""
+    """The views of a calibration board in its poses of the scene."""
     places = board_places(scene, boards)
     names = [place.name for place in places]
-    return MovingViews(names, lambda k: board_stage(scene, boards, places[k], k), move, after_s)
+    return MovingViews(names, lambda k: render_board_view(scene, boards, places[k], k), move, after_s)
 
 
 def _electrons(
-    stage: RenderedView, began_s: float, exposure_s: float, shares: Float64[Array, "laser"]
+    rendered: RenderedView, began_s: float, exposure_s: float, shares: Float64[Array, "laser"]
 ) -> Float32[Array, "row column"]:
-    rate = stage.ambient_during(began_s, exposure_s)
-    for share, stripe in zip(shares.tolist(), stage.laser, strict=True):
+    rate = rendered.ambient_during(began_s, exposure_s)
+    for share, stripe in zip(shares.tolist(), rendered.laser, strict=True):
         if share:
             rate += np.float32(share) * stripe
     return rate * np.float32(exposure_s)
 
 
 def _set_sensor(sensor: Sensor, gain_db: float, bits: Literal[8, 12]) -> Sensor:
-    """The sensor with a gain, converting to so many bits."""
+    """The sensor with a gain, and this number of bits."""
     factor = 2.0 ** (bits - sensor.bits)
     amplified = sensor.overall_system_gain_dn_per_e * factor * 10 ** (gain_db / 20)
     return replace(

@@ -1,4 +1,4 @@
-"""A camera and what switches the lasers before it, as two URIs."""
+"""A virtual camera and relay board, and their URIs."""
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
@@ -8,7 +8,7 @@ from typing import Any
 
 from ringpose.errors import DataError
 from ringpose.simulate.exposure import view_exposure_s
-from ringpose.simulate.pipeline import ring_stand
+from ringpose.simulate.pipeline import lit_ring
 from ringpose.simulate.placement import ring_views
 from ringpose.simulate.serve.device import ServedCamera
 from ringpose.simulate.serve.faults import InjectedFaults
@@ -37,21 +37,21 @@ _ASCII_PARAMETERS = "&on=R{n}%20ON&off=R{n}%20OFF&read=R?"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setup:
-    """What is served, and how it behaves."""
+    """Configuration of the virtual devices."""
 
     address: str = "127.0.0.1"
     relay: Relay = Relay.NONE
     show: ServedTarget = ServedTarget.RING
     move: AdvancePolicy = AdvancePolicy.PAUSE
     after_s: float = 1.0
-    """Length of the pause, or of the time, after which the next view comes."""
+    """Length of the pause, or of the time, after which the next view is shown."""
     warm_up_s: float = 0.0
-    """Time in which a laser comes to 63 % of its power."""
+    """Time constant of the warm-up of a laser."""
     faults: InjectedFaults = field(default_factory=InjectedFaults)
 
 
 class VirtualDevice:
-    """Serves while its block lasts."""
+    """The virtual devices; a context manager that serves inside its block."""
 
     def __init__(self, scene: Scene, setup: Setup, noted: Callable[[Mapping[str, Any]], None] | None = None) -> None:
         self._scene = scene
@@ -84,7 +84,7 @@ class VirtualDevice:
 
     @property
     def uris(self) -> dict[str, str]:
-        """What to give to --camera and --lasers."""
+        """The values of --camera and --lasers."""
         camera = f"aravis://{self._setup.address}"
         if self._relays is None:
             return {"camera": camera, "lasers": "line:" + ",".join(f"Line{k + 1}" for k in range(self._lasers))}
@@ -115,7 +115,7 @@ class VirtualDevice:
 
     def _identity(self) -> Identity:
         scene, boards = self._scene, self._boards()
-        first = view_exposure_s(scene, ring_stand(scene, ring_views(scene)[0])) if boards is None else boards.exposure_s
+        first = view_exposure_s(scene, lit_ring(scene, ring_views(scene)[0])) if boards is None else boards.exposure_s
         camera = scene.rig.camera
         return Identity(
             address=self._setup.address,

@@ -1,15 +1,15 @@
-"""Segments against the stripes that are really there: recall, centre line, ends, what is no stripe.
+"""Errors of detected segments on synthetic stripes, and their recall on photographs with annotated lines.
 
-A stripe has two edges; a detector of edges gives its centre line as the mean of the two. All figures are of
-straight pieces (`stripe_rig(lens=False)`), in pixels.
+A stripe has two edges; for a detector of edges its centre line is the mean of the two. All figures are of straight
+pieces (`stripe_rig(lens=False)`), in pixels.
 """
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
+from benchmarks.stripe_images import StripeImage
 
-from ringpose.bench.stripe_images import StripeImage
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.detection import Segments
 
@@ -17,26 +17,32 @@ COVERED = 0.8
 """A piece is recalled if a segment on it crosses more than this share of its columns."""
 
 MAX_ANGLE_RAD = math.radians(10)
-"""A segment that is turned farther against a piece does not belong to it; short ones waver."""
+"""A segment belongs to a piece if the angle between them is not larger; the direction of short ones is noisy,"""
 
-REACH_SIGMAS, REACH_PX = 2.0, 2.0
-"""Nor one whose middle is farther from the centre line than so many sigmas of the stripe and so many pixels: edges
-lie at one sigma, of saturated stripes at nearly two."""
+MAX_DISTANCE_SIGMAS, MAX_DISTANCE_PX = 2.0, 2.0
+"""if its midpoint is within this many standard deviations of the stripe plus this many pixels of the centre line (edges
+lie at one standard deviation, those of saturated stripes at nearly two),"""
 
-BEYOND_PX = 4.0
-"""Nor one whose middle lies farther beyond an end of the piece."""
+END_MARGIN_PX = 4.0
+"""and if its midpoint is not farther beyond an end of the piece."""
+
+LINE_MAX_ANGLE_RAD = math.radians(5)
+"""Maximum angle between a segment and an annotated line that it covers."""
+
+LINE_END_MARGIN_PX = 1.0
+"""A segment also covers this much of an annotated line beyond its ends."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StripeErrors:
-    """What became of the pieces of one or more images."""
+    """Errors of the segments on the pieces of one or more images."""
 
     coverage: Float64[Array, "piece"]
     """Share of the piece's columns that a segment of the piece crosses, along either edge."""
     segments: Float64[Array, "piece"]
-    """Segments on each line that the piece has (two edges, or one centre): 1 is whole, more is broken."""
+    """Segments on each line of the piece (two edges, or one centre): 1 if it is unbroken."""
     center_px: Float64[Array, "column"]
-    """Row of the centre line less the true row, in each column with both edges, or a centre."""
+    """Row of the centre line minus the true row, in each column with both edges, or a centre."""
     short_px: Float64[Array, "end"]
     """How far the ends of the recalled pieces stop short of the true ones; negative beyond them."""
     false: int
@@ -44,7 +50,7 @@ class StripeErrors:
 
 
 def stripe_errors(segments: Segments, image: StripeImage, centers: bool) -> StripeErrors:
-    """Segments of an image without lens distortion; `centers` tells those along centres from those along edges."""
+    """Errors on an image without lens distortion; `centers` states that segments run along centres, not along edges."""
     left, right = _left_to_right(segments)
     pieces = [_PieceLine(ends, image.stripe_sigma_px) for ends in image.pieces_px]
     belongs = np.array([piece.members(left, right) for piece in pieces])
@@ -65,7 +71,7 @@ class _PieceLine:
         self.first, self.last = float(ends_px[0, 0]), float(ends_px[1, 0])
         self.slope = float((ends_px[1, 1] - ends_px[0, 1]) / (self.last - self.first))
         self.row = float(ends_px[0, 1])
-        self.reach_px = REACH_SIGMAS * sigma_px + REACH_PX
+        self.max_distance_px = MAX_DISTANCE_SIGMAS * sigma_px + MAX_DISTANCE_PX
         self.columns = np.arange(math.ceil(self.first), math.floor(self.last) + 1, dtype=np.float64)
 
     def rows(self, x: Float64[Array, "*n"]) -> Float64[Array, "*n"]:
@@ -76,8 +82,8 @@ class _PieceLine:
         along, down = (right - left).T
         turned = np.arctan2(down, along) - math.atan(self.slope)
         middle = (left + right) / 2
-        beside = (self.first - BEYOND_PX <= middle[:, 0]) & (middle[:, 0] <= self.last + BEYOND_PX)
-        near = np.abs(middle[:, 1] - self.rows(middle[:, 0])) <= self.reach_px
+        beside = (self.first - END_MARGIN_PX <= middle[:, 0]) & (middle[:, 0] <= self.last + END_MARGIN_PX)
+        near = np.abs(middle[:, 1] - self.rows(middle[:, 0])) <= self.max_distance_px
         belongs: Bool[Array, "n"] = (np.abs(turned) <= MAX_ANGLE_RAD) & beside & near
         return belongs
 
@@ -92,7 +98,7 @@ class _PieceErrors:
 def _piece_errors(
     piece: _PieceLine, left: Float64[Array, "n xy=2"], right: Float64[Array, "n xy=2"], centers: bool
 ) -> _PieceErrors:
-    """A piece against its own segments."""
+    """Errors of the segments that belong to a piece."""
     middle = (left + right) / 2
     above = middle[:, 1] < piece.rows(middle[:, 0])
     sides = [np.ones(len(left), dtype=bool)] if centers else [above, ~above]
@@ -127,3 +133,49 @@ def _left_to_right(segments: Segments) -> tuple[Float64[Array, "n xy=2"], Float6
         np.where(turned, segments.end_px, segments.start_px),
         np.where(turned, segments.start_px, segments.end_px),
     )
+
+
+def length_recalled_px(lines_px: Float64[Array, "line end=2 xy=2"], segments: Segments, distance_px: float) -> float:
+    """Length of the parts of the lines that have a segment along them within a distance; sampled at every pixel."""
+    return math.fsum(_recalled_px(line, segments, distance_px) for line in lines_px)
+
+
+def length_px(lines_px: Float64[Array, "line end=2 xy=2"]) -> float:
+    """Total length of all lines."""
+    return float(np.linalg.norm(lines_px[:, 1] - lines_px[:, 0], axis=-1).sum())
+
+
+def _recalled_px(line_px: Float64[Array, "end=2 xy=2"], segments: Segments, distance_px: float) -> float:
+    start, along = line_px[0], line_px[1] - line_px[0]
+    length = float(np.linalg.norm(along))
+    count = max(1, round(length))
+    points = start + (np.arange(count)[:, None] + 0.5) / count * along
+    near = _near(points, segments, distance_px)
+    parallel = _parallel(along, segments)
+    return length * float((near & parallel).any(axis=1).mean())
+
+
+def _near(points: Float64[Array, "point xy=2"], segments: Segments, distance_px: float) -> Bool[Array, "point segment"]:
+    """Which segments pass each point within the distance."""
+    direction, length = _directions(segments)
+    offset = points[:, None] - segments.start_px
+    along = (offset * direction).sum(axis=-1)
+    across = offset[..., 0] * direction[:, 1] - offset[..., 1] * direction[:, 0]
+    near: Bool[Array, "point segment"] = (
+        (np.abs(across) <= distance_px) & (along >= -LINE_END_MARGIN_PX) & (along <= length + LINE_END_MARGIN_PX)
+    )
+    return near
+
+
+def _parallel(along: Float64[Array, "xy=2"], segments: Segments) -> Bool[Array, "segment"]:
+    direction, length = _directions(segments)
+    sine = (direction[:, 0] * along[1] - direction[:, 1] * along[0]) / max(float(np.linalg.norm(along)), 1e-9)
+    parallel: Bool[Array, "segment"] = (np.abs(sine) <= math.sin(LINE_MAX_ANGLE_RAD)) & (length > 0)
+    return parallel
+
+
+def _directions(segments: Segments) -> tuple[Float64[Array, "segment xy=2"], Float64[Array, "segment"]]:
+    """Unit vectors and lengths; the direction of a segment of length zero is zero."""
+    along = segments.end_px - segments.start_px
+    length = np.linalg.norm(along, axis=-1)
+    return along / np.maximum(length, 1e-9)[:, None], length

@@ -1,4 +1,4 @@
-"""What must not be exceeded."""
+"""Limits on errors and counts, and the messages about those that are exceeded."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -10,7 +10,7 @@ from ringpose.bench.summary import Summary
 def error_limits(
     center_mm: float | None, normal_deg: float | None, radius_mm: float | None, grasp_mm: float | None
 ) -> dict[str, float]:
-    """Limits on RMSEs as users say them, by the names of `QUANTITIES`, in metres and radians; None is no limit."""
+    """Limits on RMSEs by the names of `QUANTITIES`, in metres and radians, without those that are None."""
     wanted = {
         "center_m": (center_mm, 1e-3),
         "normal_rad": (normal_deg, math.pi / 180),
@@ -21,8 +21,8 @@ def error_limits(
     return {name: value * unit for name, (value, unit) in wanted.items() if value is not None}
 
 
-def missed_error_limits(summaries: Sequence[Summary], limits: Mapping[str, float]) -> list[str]:
-    """A sentence for each limit on an RMSE that a group exceeds, and for each that no group could be held to."""
+def exceeded_error_limits(summaries: Sequence[Summary], limits: Mapping[str, float]) -> list[str]:
+    """A message for each group whose RMSE exceeds a limit, and for each limit to which no group has an error."""
     sentences = []
     for name, limit in limits.items():
         held = [line for line in summaries if name in line.errors]
@@ -36,8 +36,8 @@ def missed_error_limits(summaries: Sequence[Summary], limits: Mapping[str, float
     return sentences
 
 
-def missed_count_limits(summaries: Sequence[Summary], missed: int | None, wrong: int | None) -> list[str]:
-    """A sentence for each method with more shots missed or lost, or more wrong quantities, than allowed in all."""
+def exceeded_count_limits(summaries: Sequence[Summary], missed: int | None, wrong: int | None) -> list[str]:
+    """A message for each method with more missed and lost shots, or more wrong quantities, than the limits."""
     sentences = []
     for line in summaries:
         if line.group:

@@ -1,18 +1,19 @@
 """What is said of break points and centres that are off by known amounts."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
-
-from ringpose.bench.detectors_bounds import column_bound_px, end_bound_px
-from ringpose.bench.detectors_break_points import (
+from benchmarks.detection_errors import (
     break_point_errors,
     center_errors,
+    column_bound_px,
+    end_bound_px,
 )
-from ringpose.bench.detectors_spread import joined
-from ringpose.bench.speed import exact_break_points
-from ringpose.bench.stripe_images import Kind, stripe_image, stripe_rig, true_row
+from benchmarks.robust_statistics import joined
+from benchmarks.stripe_images import Kind, exact_break_points, stripe_image, stripe_rig, true_row
+
 from ringpose.types.detection import UNLABELLED, BreakPointFlag, Detection, NoBreakPoints, Stripes
 
 
@@ -148,3 +149,33 @@ def test_centers_of_images_add_up(image):
     part = center_errors(centers(image, 2), image)
 
     assert len(joined([part, part]).error_px) == 2 * len(part.error_px)
+
+
+FAINT_DN, READ_NOISE_DN = 1e-4, 1.5
+BRIGHT_DN, ELECTRONS_A_DN = 1e9, 20.0
+
+
+@pytest.mark.parametrize("sigma_px", [1.5, 2.5, 4.0])
+def test_a_faint_column_is_bounded_by_white_noise(sigma_px):
+    bound = READ_NOISE_DN / FAINT_DN * math.sqrt(2 * sigma_px / math.sqrt(math.pi))
+
+    assert column_bound_px(FAINT_DN, sigma_px) == pytest.approx(bound, rel=1e-3)
+
+
+@pytest.mark.parametrize("sigma_px", [1.5, 2.5, 4.0])
+def test_a_bright_column_is_bounded_by_the_number_of_its_electrons(sigma_px):
+    electrons = ELECTRONS_A_DN * BRIGHT_DN * sigma_px * math.sqrt(2 * math.pi)
+
+    assert column_bound_px(BRIGHT_DN, sigma_px) == pytest.approx(sigma_px / math.sqrt(electrons), rel=1e-3)
+
+
+@pytest.mark.parametrize("sigma_px", [1.5, 2.5, 4.0])
+def test_a_faint_end_is_bounded_by_white_noise(sigma_px):
+    bound = READ_NOISE_DN / FAINT_DN * math.sqrt(2 / sigma_px)
+
+    assert end_bound_px(FAINT_DN, sigma_px) == pytest.approx(bound, rel=1e-3)
+
+
+@pytest.mark.parametrize("bound", [column_bound_px, end_bound_px])
+def test_more_light_is_a_lower_bound(bound):
+    assert bound(200.0, 2.5) < bound(40.0, 2.5)

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from benchmarks.opencv_detectors import GIVES_CENTERS, DetectorName, detector, segments_of, stripe_segments
 from scipy.special import ndtr
 
-from ringpose.detect.peers import GIVES_CENTERS, DetectorName, detector, segments_of, stripe_segments
 from ringpose.types.detection import UNLABELLED, Stripes
 
 EDGE_DETECTORS = [name for name in DetectorName if name not in GIVES_CENTERS]

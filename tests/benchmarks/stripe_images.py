@@ -1,13 +1,13 @@
-"""Images of three laser stripes on a ring with exact truth, in kinds that tell line detectors apart.
+"""Synthetic images of three laser stripes on a ring with exact ground truth, in kinds that are difficult to detect.
 
-A flat ring stands 60 mm before a flat body; each light plane draws a straight piece on the ring's face and one
-on the body at each side of it. Stripes have Gaussian sections of 2 to 3 px, pieces end in an edge blurred by
-1 px, and pixels are noisy (`noise_variance`). The truth follows from closed formulas alone.
+A flat ring stands 60 mm in front of a flat body; each light plane draws a straight piece on the rim of the ring and
+one on the body at each side of it. Stripes have Gaussian cross-sections with a standard deviation of 2 to 3 px, pieces
+end in an edge blurred by 1 px, and pixels are noisy (`noise_variance`). The truth is computed in closed form.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import cv2
@@ -16,17 +16,19 @@ import numpy as np
 from ringpose.geometry.rays import project, undistorted_pixels
 from ringpose.types.arrays import Array, Float64, UInt8
 from ringpose.types.camera import Camera
+from ringpose.types.detection import BreakPoints
+from ringpose.types.image import Shot
 from ringpose.types.rig import LaserPlanes, Rig
 
 RADII_M = (0.567, 0.597)
 BODY_BEHIND_M = 0.06
 EDGE_SIGMA_PX = 1.0
 SHADOW_PX = 12
-"""Columns between the face and the body's pieces that lie in the ring's shadow or beyond its wall."""
+"""Columns between the rim and the pieces on the body, which lie in the shadow of the ring or behind its wall."""
 
 
 class Kind(StrEnum):
-    """What makes the stripes hard to see."""
+    """Brightness, noise and background of the stripes."""
 
     DARK = "dark"
     """Peaks of 140 to 200 on black."""
@@ -37,33 +39,34 @@ class Kind(StrEnum):
     SATURATED = "saturated"
     """Peaks of 350 to 500, clipped at 255."""
     FOIL = "foil"
-    """Before crinkled foil of mean 32."""
+    """In front of crinkled foil of mean 32."""
     BRIGHT_FOIL = "foilbright"
-    """Before crinkled foil of mean 78, 2 % of it saturated."""
+    """In front of crinkled foil of mean 78, 2 % of it saturated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StripeImage:
-    """An image with all lasers on, and what is true of it."""
+    """An image with all lasers on, and its ground truth."""
 
     image: UInt8[Array, "row column"]
     rig: Rig
     break_points_px: Float64[Array, "laser edge=2 xy=2"]
     pieces_px: Float64[Array, "piece end=2 xy=2"]
-    """The pieces' centre lines from end to end, distorted pixels; the middle of three a laser lies on the face."""
+    """Ends of the centre line of each piece in distorted pixels; of the three pieces of a laser the second lies on the
+    rim."""
     stripe_sigma_px: float
     peak_dn: Float64[Array, "laser"]
 
 
 def noise_variance(value_dn: Float64[Array, "*shape"]) -> Float64[Array, "*shape"]:
-    """Variance of the noise of a pixel of this mean: read noise, and shot noise at 20 electrons a grey value."""
+    """Variance of a pixel with this mean: read noise of 1.5 DN, and shot noise at 20 electrons per grey value."""
     return 1.5**2 + 0.05 * np.maximum(value_dn, 0)
 
 
 def stripe_rig(scale: float = 1.0, lens: bool = True) -> Rig:
     """The paper's physical rig: lasers at +-10 degrees above an 8 mm lens with pixels of 4.5 um.
 
-    `scale` makes the same view smaller or larger in pixels; without `lens` it has no distortion: pieces are straight.
+    `scale` changes the resolution of the same view; without `lens` there is no distortion, so that pieces are straight.
     """
     tilt = math.radians(10)
     normal = np.array([[0.0, math.cos(tilt), -math.sin(tilt)], [0.0, 1.0, 0.0], [0.0, math.cos(tilt), math.sin(tilt)]])
@@ -87,7 +90,7 @@ def stripe_rig(scale: float = 1.0, lens: bool = True) -> Rig:
 
 
 def stripe_image(kind: Kind, seed: int, rig: Rig | None = None) -> StripeImage:
-    """One image of a kind with all lasers on; the same seed gives the same ring under every kind."""
+    """One image of a kind with all lasers on; the same seed gives the same ring for every kind."""
     return _image_and_frames(kind, seed, rig, ((0, 1, 2),))[0]
 
 
@@ -98,10 +101,69 @@ def switched_frames(
     return _image_and_frames(kind, seed, rig, ((0, 1, 2), (), (0,), (1,), (2,)))
 
 
+def shot_of(image: StripeImage) -> Shot:
+    """The image as a shot of one frame with all lasers on."""
+    return Shot(
+        name="synthetic",
+        images=image.image[None],
+        lasers=np.array([2 ** len(image.rig.lasers.names) - 1], np.uint8),
+        stamp_s=np.zeros(1),
+        exposure_s=np.full(1, 1e-3),
+    )
+
+
+def switched_shot(frames: UInt8[Array, "frame row column"]) -> Shot:
+    """A frame without lasers and one with each laser alone, as a shot."""
+    count = len(frames)
+    return Shot(
+        name="switched",
+        images=frames,
+        lasers=np.array([0, *(1 << laser for laser in range(count - 1))], np.uint8),
+        stamp_s=np.arange(count) * 0.1,
+        exposure_s=np.full(count, 1e-3),
+    )
+
+
+def exact_break_points(image: StripeImage) -> BreakPoints:
+    """The true break points, with the standard deviations that detection reports on dark images."""
+    ends = np.stack([undistorted_pixels(edges, image.rig.camera) for edges in image.break_points_px])
+    return BreakPoints(
+        position_px=image.break_points_px,
+        covariance_px2=np.tile(np.diag([0.05**2, 0.01**2]), (3, 2, 1, 1)),
+        flags=np.zeros((3, 2), np.int64),
+        face_start_px=ends[:, 0],
+        face_end_px=ends[:, 1],
+        face_sigma_px=np.full((3, 2), 0.01),
+        labelled=True,
+    )
+
+
+def moved(points: BreakPoints, shift_px: float = 6.0) -> BreakPoints:
+    """Break points shifted right and down, such as a prediction for a ring that has moved since."""
+    return replace(
+        points,
+        position_px=points.position_px + shift_px,
+        face_start_px=points.face_start_px + shift_px,
+        face_end_px=points.face_end_px + shift_px,
+    )
+
+
+def true_row(image: StripeImage, piece: int, x: Float64[Array, "n"]) -> Float64[Array, "n"]:
+    """Distorted row of a piece's centre line at distorted columns."""
+    ends = undistorted_pixels(image.pieces_px[piece], image.rig.camera)
+    steps = np.linspace(-0.02, 1.02, 200)[:, None]
+    straight = ends[0] + steps * (ends[1] - ends[0])
+    camera = image.rig.camera
+    focal = camera.camera_matrix[[0, 1], [0, 1]]
+    normalised = (straight - camera.camera_matrix[:2, 2]) / focal
+    distorted = project(np.column_stack([normalised, np.ones(len(normalised))]), camera)
+    return np.interp(x, distorted[:, 0], distorted[:, 1])
+
+
 def _image_and_frames(
     kind: Kind, seed: int, rig: Rig | None, lit: Sequence[Sequence[int]]
 ) -> tuple[StripeImage, UInt8[Array, "frame row column"]]:
-    """What is true, and a frame for each choice of lasers, of which the first belongs to the truth."""
+    """The image with its truth, and a frame for each choice of lasers; the first frame is that of the image."""
     rng = np.random.default_rng(seed)
     rig = stripe_rig() if rig is None else rig
     center, normal = _ring(rng)
@@ -145,7 +207,7 @@ def _peaks(kind: Kind, rng: np.random.Generator) -> Float64[Array, "3"]:
 
 
 def _line(laser: int, normal: Float64[Array, "3"], distance: float, rig: Rig) -> tuple[Array, Array]:
-    """A point and the direction towards +x of the line in which a light plane meets a plane."""
+    """Intersection of a light plane with a plane: a point and the direction towards +x."""
     direction = np.cross(rig.lasers.normal[laser], normal)
     direction *= np.sign(direction[0]) / np.linalg.norm(direction)
     rows = np.stack([rig.lasers.normal[laser], normal, direction])
@@ -153,7 +215,7 @@ def _line(laser: int, normal: Float64[Array, "3"], distance: float, rig: Rig) ->
 
 
 def _pieces(laser: int, center: Array, normal: Array, rig: Rig) -> Float64[Array, "piece=3 end=2 xy=2"]:
-    """The pieces left of, on and right of the face, each from its left to its right end, in distorted pixels."""
+    """The pieces left of, on and right of the rim, each from its left to its right end, in distorted pixels."""
     point, direction = _line(laser, normal, float(normal @ center), rig)
     along = direction @ (point - center)
     beside = (point - center) @ (point - center)
@@ -166,14 +228,14 @@ def _pieces(laser: int, center: Array, normal: Array, rig: Rig) -> Float64[Array
 
 
 def _curve(laser: int, normal: Array, distance: float, rig: Rig) -> Float64[Array, "n xy=2"]:
-    """The line in which a light plane meets a plane, as the lens shows it."""
+    """Projection of the intersection of a light plane with a plane, in distorted pixels."""
     point, direction = _line(laser, normal, distance, rig)
     reach = np.linspace(-0.75, 0.75, 600) * abs(point[2])
     return project(point + reach[:, None] * direction, rig.camera)
 
 
 def _curve_pair(laser: int, center: Array, normal: Array, rig: Rig) -> list[Float64[Array, "n xy=2"]]:
-    """The laser's curve on the face and that on the body."""
+    """The laser's curve on the rim and that on the body."""
     distance = float(normal @ center)
     return [_curve(laser, normal, distance - behind, rig) for behind in (0.0, BODY_BEHIND_M)]
 
@@ -206,14 +268,14 @@ def _normal_cdf(values: Float64[Array, "n"]) -> Float64[Array, "n"]:
 
 
 def _speckle(shape: tuple[int, ...], rng: np.random.Generator) -> Float64[Array, "row column"]:
-    """Factors of mean one and 25 % contrast, alike over about three pixels."""
+    """Speckle factors of mean one and 25 % contrast, correlated over about three pixels."""
     grains = cv2.GaussianBlur(rng.normal(size=shape), (0, 0), 1.0)
     factors: Float64[Array, "row column"] = np.maximum(1 + 0.25 * grains / grains.std(), 0.0)
     return factors
 
 
 def _background(kind: Kind, shape: tuple[int, ...], rng: np.random.Generator) -> Float64[Array, "row column"]:
-    """Nothing, or crinkled foil: facets of a Voronoi pattern with ridges, most dull, some glinting."""
+    """Black, or crinkled foil: facets of a Voronoi pattern with ridges, most of them dull, some specular."""
     if kind not in (Kind.FOIL, Kind.BRIGHT_FOIL):
         return np.zeros(shape)
     count = 1500 * shape[0] * shape[1] // (1600 * 1200)
@@ -229,15 +291,3 @@ def _background(kind: Kind, shape: tuple[int, ...], rng: np.random.Generator) ->
     mean = 32.0 if kind is Kind.FOIL else 78.0
     brightness: Float64[Array, "row column"] = foil * mean / foil.mean()
     return brightness
-
-
-def true_row(image: StripeImage, piece: int, x: Float64[Array, "n"]) -> Float64[Array, "n"]:
-    """Distorted row of a piece's centre line at distorted columns."""
-    ends = undistorted_pixels(image.pieces_px[piece], image.rig.camera)
-    steps = np.linspace(-0.02, 1.02, 200)[:, None]
-    straight = ends[0] + steps * (ends[1] - ends[0])
-    camera = image.rig.camera
-    focal = camera.camera_matrix[[0, 1], [0, 1]]
-    normalised = (straight - camera.camera_matrix[:2, 2]) / focal
-    bent = project(np.column_stack([normalised, np.ones(len(normalised))]), camera)
-    return np.interp(x, bent[:, 0], bent[:, 1])

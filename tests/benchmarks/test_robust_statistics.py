@@ -2,8 +2,7 @@ import math
 
 import numpy as np
 import pytest
-
-from ringpose.bench.detectors_spread import mean, median, rms, robust_sd
+from benchmarks.robust_statistics import mean, median, rms, robust_sd
 
 NOTHING = np.zeros(0)
 

@@ -1,7 +1,7 @@
-"""Other people's line detectors and our own behind one interface, for comparison (`ringpose bench detectors`).
+"""The line detectors of OpenCV and those of ringpose behind one interface.
 
-All of them take an 8-bit image and give segments in our pixels: (0, 0) is the centre of the top-left pixel.
-The peers run with the parameters that OpenCV gives them.
+Each takes an 8-bit image and returns segments in pixels; (0, 0) is the centre of the top-left pixel. The detectors of
+OpenCV run with its default parameters.
 """
 
 from collections.abc import Callable
@@ -21,10 +21,10 @@ Detector = Callable[[UInt8[Array, "row column"]], Segments]
 
 
 class DetectorName(StrEnum):
-    """The detectors by the names under which they are compared."""
+    """The detectors that are compared."""
 
     EDGE_DRAWING = "EdgeDrawing"
-    """Akinlar and Topal 2012; the reference of all times."""
+    """Akinlar and Topal 2012; the reference for times."""
     LSD = "LSD"
     """Grompone von Gioi et al. 2010."""
     FAST_LINES = "FastLineDetector"
@@ -38,21 +38,21 @@ class DetectorName(StrEnum):
 
 
 GIVES_CENTERS = (DetectorName.STRIPES,)
-"""Detectors whose segments run along the middle of a stripe; the others' run along its edges."""
+"""Detectors whose segments run along the centre of a stripe; those of the others run along its edges."""
 
 LSD_SCALE = 0.8
-"""To which OpenCV's LSD shrinks the image first, by default."""
+"""Factor by which the LSD of OpenCV scales the image first, by default."""
 
 LSD_SHIFT_PX = 0.5 / LSD_SCALE - 0.5
-"""LSD divides positions by its scale as if pixel (0, 0) began at 0; about pixel centres that leaves them 0.125 px
-too small. Measured on stripes: 0.12 px."""
+"""LSD divides positions by its scale as if the corner of pixel (0, 0) were the origin; relative to pixel centres they
+are 0.125 px too small. Measured on stripes: 0.12 px."""
 
-FAST_LINES_LEAST_PX = 6
-"""OpenCV's FastLineDetector blanks so many pixels at two corners, and throws where there are fewer."""
+FAST_LINES_MIN_PX = 6
+"""The FastLineDetector of OpenCV clears this many pixels at two corners, and throws if the image is smaller."""
 
 
 def detector(name: DetectorName) -> Detector:
-    """A detector that keeps its state from call to call; not to be shared between threads."""
+    """A detector that keeps its state between calls; it must not be shared between threads."""
     return _MAKERS[name]()
 
 
@@ -76,9 +76,9 @@ def stripe_segments(stripes: Stripes) -> Segments:
 
 
 def segments_of(lines: Any, shift_px: float = 0.0) -> Segments:
-    """OpenCV's lines: None, or x1, y1, x2, y2 each, with (OpenCV 4) or without (5) a middle axis of one.
+    """Segments from the lines that OpenCV returns: None, or x1, y1, x2, y2 with (4) or without (5) an axis of length 1.
 
-    Their support is not told; it is taken to be a pixel for every step along the longer axis.
+    OpenCV does not report their support; it is taken as the number of pixels along the longer axis.
     """
     rows = np.zeros((0, 4)) if lines is None else np.asarray(lines, dtype=np.float64).reshape(-1, 4)
     ends: Float64[Array, "segment end=2 xy=2"] = rows.reshape(-1, 2, 2) + shift_px
@@ -103,7 +103,7 @@ def _lsd() -> Detector:
 
 def _fast_lines() -> Detector:
     fast = cv2.ximgproc.createFastLineDetector()
-    return lambda image: segments_of(fast.detect(image) if min(image.shape) >= FAST_LINES_LEAST_PX else None)
+    return lambda image: segments_of(fast.detect(image) if min(image.shape) >= FAST_LINES_MIN_PX else None)
 
 
 def _hough() -> Detector:

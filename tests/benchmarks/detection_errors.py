@@ -1,58 +1,68 @@
-"""Stripe centres and break points against the truth of synthetic images: size of the errors, honesty of the sigmas."""
+"""Errors of stripe centres and break points on synthetic images, with their reported and least possible sigmas.
 
+The least possible standard deviation of an unbiased estimate is the Cramer-Rao bound for the noise of `stripe_images`.
+"""
+
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from benchmarks.stripe_images import EDGE_SIGMA_PX, StripeImage, noise_variance, true_row
 
-from ringpose.bench.detectors_bounds import column_bound_px, end_bound_px
-from ringpose.bench.stripe_images import StripeImage, true_row
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.detection import BreakPoints, Detection, Stripes
 
-NEAR_PX = 2.0
-"""A centre nearer to a true row than this belongs to it; it is eight sigmas of strong speckle."""
+MAX_DISTANCE_PX = 2.0
+"""A centre within this distance of a true row belongs to it: eight standard deviations with strong speckle."""
 
-INSIDE_PX = 4.0
+END_MARGIN_PX = 4.0
 """Columns left out at the ends of each piece, where the stripe fades."""
+
+PROFILE_SIGMAS = 6
+"""Half width of the pixels that the Cramer-Rao bounds take into account, in standard deviations of the stripe."""
+
+WRONG_PX = 1.5
+"""A break point with a larger error and without a flag is wrong."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CenterErrors:
-    """Stripe centres on the true pieces."""
+    """Errors of the stripe centres on the true pieces."""
 
     error_px: Float64[Array, "center"]
-    """Row less the true row."""
+    """Row minus the true row."""
     sigma_px: Float64[Array, "center"]
     """As reported."""
     bound_px: Float64[Array, "center"]
-    """Least standard deviation possible."""
+    """Cramer-Rao bound."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BreakPointErrors:
-    """Break points of one or more images; those that were not found are counted only."""
+    """Errors of the break points of one or more images."""
 
     expected: int
+    """Number of true break points."""
     along_px: Float64[Array, "point"]
-    """Along the stripe, positive beyond the end of the face."""
+    """Along the stripe, positive outside the rim."""
     across_px: Float64[Array, "point"]
     along_sigma_px: Float64[Array, "point"]
     """As reported."""
     across_sigma_px: Float64[Array, "point"]
     nees: Float64[Array, "point"]
-    """Squared error in the reported covariance, by degree of freedom (2)."""
+    """Normalised estimation error squared, divided by the degrees of freedom (2)."""
     bound_px: Float64[Array, "point"]
-    """Least standard deviation possible along the stripe, without speckle and saturation."""
+    """Cramer-Rao bound along the stripe, without speckle and saturation."""
     flags: Int64[Array, "point"]
 
 
 def center_errors(stripes: Stripes, image: StripeImage) -> CenterErrors:
-    """Of all centres near a piece's true row, but for pieces of ridges that do no more than cross it."""
+    """Errors of all centres near the true row of a piece, without those of ridges that only cross it."""
     x, y = stripes.position_px.T
     errors, sigmas, bounds = [], [], []
     for piece, (start, end) in enumerate(image.pieces_px):
         error = y - true_row(image, piece, x)
-        near = (np.abs(error) < NEAR_PX) & (x > start[0] + INSIDE_PX) & (x < end[0] - INSIDE_PX)
+        near = (np.abs(error) < MAX_DISTANCE_PX) & (x > start[0] + END_MARGIN_PX) & (x < end[0] - END_MARGIN_PX)
         own = near & _mostly(near, stripes.piece)
         errors.append(error[own])
         sigmas.append(stripes.sigma_px[own])
@@ -64,10 +74,10 @@ def center_errors(stripes: Stripes, image: StripeImage) -> CenterErrors:
 
 
 def break_point_errors(detection: Detection, image: StripeImage) -> BreakPointErrors:
-    """Of all break points that were found."""
+    """Errors of all break points that were found."""
     found = detection.break_points
     if not isinstance(found, BreakPoints):
-        return _none_of(image.break_points_px[..., 0].size)
+        return _no_errors(image.break_points_px[..., 0].size)
     inner, outer = image.break_points_px[:, 0], image.break_points_px[:, 1]
     inwards = (inner - outer) / np.linalg.norm(inner - outer, axis=-1, keepdims=True)
     outwards = np.stack([inwards, -inwards], axis=1)
@@ -91,13 +101,13 @@ def break_point_errors(detection: Detection, image: StripeImage) -> BreakPointEr
 
 
 def _mostly(near: Bool[Array, "center"], piece: Int64[Array, "center"]) -> Bool[Array, "center"]:
-    """Which centres are of a piece that is near by more than half."""
+    """Which centres belong to a detected piece of which more than half is near."""
     share = np.bincount(piece, near) / np.maximum(np.bincount(piece), 1)
     mostly: Bool[Array, "center"] = share[piece] > 0.5
     return mostly
 
 
-def _none_of(expected: int) -> BreakPointErrors:
+def _no_errors(expected: int) -> BreakPointErrors:
     nothing = np.zeros(0)
     return BreakPointErrors(
         expected=expected,
@@ -109,3 +119,24 @@ def _none_of(expected: int) -> BreakPointErrors:
         bound_px=nothing,
         flags=np.zeros(0, np.int64),
     )
+
+
+def column_bound_px(peak_dn: float, sigma_px: float) -> float:
+    """Cramer-Rao bound of the centre of a stripe in one column.
+
+    Unknown height and background do not increase it, because their derivatives are even about the centre.
+    """
+    y = np.arange(-math.ceil(PROFILE_SIGMAS * sigma_px), math.ceil(PROFILE_SIGMAS * sigma_px) + 1)
+    value = peak_dn * np.exp(-0.5 * (y / sigma_px) ** 2)
+    slope = value * y / sigma_px**2
+    return float(1 / np.sqrt(np.sum(slope**2 / noise_variance(value))))
+
+
+def end_bound_px(peak_dn: float, sigma_px: float) -> float:
+    """Cramer-Rao bound of the end of a stripe along the stripe, the height of which is known from its other columns."""
+    y = np.arange(-math.ceil(PROFILE_SIGMAS * sigma_px), math.ceil(PROFILE_SIGMAS * sigma_px) + 1)
+    x = np.arange(-PROFILE_SIGMAS, PROFILE_SIGMAS + 1) / EDGE_SIGMA_PX
+    section = peak_dn * np.exp(-0.5 * (y[:, None] / sigma_px) ** 2)
+    fade = np.array([0.5 * math.erfc(-step / math.sqrt(2)) for step in x])
+    slope = section * np.exp(-0.5 * x**2) / (EDGE_SIGMA_PX * math.sqrt(2 * math.pi))
+    return float(1 / np.sqrt(np.sum(slope**2 / noise_variance(section * fade))))

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-
-from ringpose.bench.stripe_images import (
+from benchmarks.stripe_images import (
     BODY_BEHIND_M,
     RADII_M,
     Kind,

@@ -4,9 +4,9 @@ import math
 
 import pytest
 
+from ringpose.bench.limits import error_limits, exceeded_count_limits, exceeded_error_limits
 from ringpose.bench.score import Judgement, Outcome, Score
 from ringpose.bench.summary import summaries
-from ringpose.bench.thresholds import error_limits, missed_count_limits, missed_error_limits
 
 
 def scored(light: str, grasp_m: float | None) -> Score:
@@ -24,27 +24,27 @@ LINES = summaries([scored("dim", 0.001), scored("sun", 0.003), scored("none", No
 
 
 def test_a_limit_that_every_group_holds_says_nothing():
-    assert missed_error_limits(LINES, {"grasp_m": 0.0031}) == []
+    assert exceeded_error_limits(LINES, {"grasp_m": 0.0031}) == []
 
 
 def test_one_group_over_the_limit_is_named_though_all_together_hold_it():
-    assert missed_error_limits(LINES, {"grasp_m": 0.0025}) == [
+    assert exceeded_error_limits(LINES, {"grasp_m": 0.0025}) == [
         "grasp_m: RMSE 0.003 of light sun (paper) exceeds 0.0025"
     ]
 
 
 def test_a_limit_on_what_nobody_gave_is_missed():
-    assert missed_error_limits(LINES, {"normal_rad": 1.0}) == ["normal_rad: no shot has such an error, limit 1"]
+    assert exceeded_error_limits(LINES, {"normal_rad": 1.0}) == ["normal_rad: no shot has such an error, limit 1"]
 
 
 def test_too_many_misses_are_counted_over_all_groups():
-    assert missed_count_limits(LINES, missed=0, wrong=None) == [
+    assert exceeded_count_limits(LINES, missed=0, wrong=None) == [
         "missed and lost: 1 shots of all shots (paper) exceed 0"
     ]
 
 
 def test_as_many_misses_as_allowed_are_allowed():
-    assert missed_count_limits(LINES, missed=1, wrong=0) == []
+    assert exceeded_count_limits(LINES, missed=1, wrong=0) == []
 
 
 def test_limits_are_said_in_millimetres_and_degrees_and_kept_in_metres_and_radians():
@@ -66,5 +66,5 @@ def test_too_many_wrong_quantities_are_counted_over_all_groups():
     ]
     lines = summaries(wrong, [])
 
-    assert missed_count_limits(lines, missed=None, wrong=3) == []
-    assert missed_count_limits(lines, missed=None, wrong=2) == ["wrong: 3 quantities of all shots (ml) exceed 2"]
+    assert exceeded_count_limits(lines, missed=None, wrong=3) == []
+    assert exceeded_count_limits(lines, missed=None, wrong=2) == ["wrong: 3 quantities of all shots (ml) exceed 2"]

@@ -1,0 +1,126 @@
+"""Accuracy of stripe centres, break points and poses on synthetic images, relative to their Cramer-Rao bounds."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from benchmarks.detection_errors import WRONG_PX, BreakPointErrors, CenterErrors, break_point_errors, center_errors
+from benchmarks.limits import Figure
+from benchmarks.robust_statistics import joined, mean, median, rms, robust_sd
+from benchmarks.stripe_images import Kind, StripeImage, exact_break_points, shot_of, stripe_image
+
+from ringpose.detect.pipeline import detect
+from ringpose.detect.stripes import find_stripes
+from ringpose.pose.pipeline import estimate_pose
+from ringpose.types.arrays import Array, Bool, Float64
+from ringpose.types.detection import BreakPointFlag, BreakPoints, Detection
+from ringpose.types.pose import RingPose
+
+CLEAN = (Kind.DARK, Kind.DIM)
+"""Kinds with sensor noise only, to which the bound applies."""
+
+MAX_SIGMA_PX = {Kind.DARK: 0.05, Kind.DIM: 0.12, Kind.SPECKLE: 0.35, Kind.FOIL: 0.35}
+
+MIN_NEES, MAX_NEES = 0.8, 1.25
+
+WRONG_SIGMAS = 5.0
+
+
+def accuracy_figures(
+    seeds: int, found: Callable[[StripeImage], Detection] | None = None
+) -> tuple[list[Figure], list[Figure]]:
+    """Figures of stripe centres, column by column, and of break points, on the same images of each kind.
+
+    `found` replaces the detection of break points.
+    """
+    find = found or (lambda image: detect(shot_of(image), image.rig))
+    centers, ends = [], []
+    for kind in Kind:
+        images = [stripe_image(kind, seed) for seed in range(seeds)]
+        if kind in MAX_SIGMA_PX:
+            errors = [center_errors(find_stripes(image.image), image) for image in images]
+            centers += _center_figures(kind, joined(errors))
+        ends += _break_point_figures(kind, joined([break_point_errors(find(image), image) for image in images]))
+    return centers, ends
+
+
+def pose_accuracy(samples: int) -> list[Figure]:
+    """RMS error of centre and normal of `ml` over their bounds, with break points that have exactly the reported noise.
+
+    The bound is the covariance at the true break points.
+    """
+    image = stripe_image(Kind.DARK, 0)
+    exact = exact_break_points(image)
+    truth = estimate_pose(exact, image.rig)
+    assert isinstance(truth, RingPose)
+    assert truth.covariance is not None
+    assert truth.covariance_center_m2 is not None
+    poses = [estimate_pose(_noisy(exact, np.random.default_rng(seed)), image.rig) for seed in range(samples)]
+    found = [pose for pose in poses if isinstance(pose, RingPose)]
+    center_m = rms(np.array([np.linalg.norm(pose.center_m - truth.center_m) for pose in found]))
+    normal = rms(np.array([np.linalg.norm(pose.normal - truth.normal) for pose in found]))
+    bound_center_m = math.sqrt(np.trace(truth.covariance_center_m2))
+    bound_normal = math.sqrt(np.trace(truth.covariance[:2, :2]))
+    return [
+        Figure(name="ml: centre", measured=center_m / bound_center_m, unit="x bound", max_value=1.1),
+        Figure(name="ml: normal", measured=normal / bound_normal, unit="x bound", max_value=1.1),
+    ]
+
+
+def _noisy(points: BreakPoints, generator: np.random.Generator) -> BreakPoints:
+    """Points with noise of their covariance along the stripes, and across them with that of the fitted lines."""
+    noise_px = generator.normal(size=points.position_px.shape)
+    noise_px[..., 0] *= np.sqrt(points.covariance_px2[..., 0, 0])
+    noise_px[..., 1] *= points.face_sigma_px
+    across_px = noise_px * [0.0, 1.0]
+    return replace(
+        points,
+        position_px=points.position_px + noise_px,
+        face_start_px=points.face_start_px + across_px[:, 0],
+        face_end_px=points.face_end_px + across_px[:, 1],
+    )
+
+
+def _center_figures(kind: Kind, errors: CenterErrors) -> list[Figure]:
+    error = rms(errors.error_px / errors.bound_px) if kind in CLEAN else rms(errors.error_px)
+    unit, limit = ("x bound", 1.15) if kind in CLEAN else ("px", math.inf)
+    nees = mean((errors.error_px / errors.sigma_px) ** 2)
+    return [
+        Figure(name=f"{kind}: error", measured=error, unit=unit, max_value=limit),
+        Figure(name=f"{kind}: NEES", measured=nees, min_value=MIN_NEES, max_value=MAX_NEES),
+    ]
+
+
+def _break_point_figures(kind: Kind, errors: BreakPointErrors) -> list[Figure]:
+    limited, limit = kind in MAX_SIGMA_PX, MAX_SIGMA_PX.get(kind, math.inf)
+    nees_limits = {"min_value": MIN_NEES, "max_value": MAX_NEES} if limited else {}
+    unflagged = errors.flags & ~BreakPointFlag.SATURATED == 0
+    nees_along = _nees(errors.along_px, errors.along_sigma_px, unflagged)
+    nees_across = _nees(errors.across_px, errors.across_sigma_px, unflagged)
+    figures = [
+        Figure(name=f"{kind}: found", measured=len(errors.along_px) / errors.expected, unit="of all"),
+        Figure(name=f"{kind}: sigma along", measured=robust_sd(errors.along_px), unit="px", max_value=limit),
+        Figure(name=f"{kind}: bias along", measured=abs(median(errors.along_px)), unit="px", max_value=limit / 3),
+        Figure(name=f"{kind}: sigma across", measured=robust_sd(errors.across_px), unit="px"),
+        Figure(name=f"{kind}: NEES", measured=mean(errors.nees[unflagged]), **nees_limits),
+        Figure(name=f"{kind}: NEES along", measured=nees_along),
+        Figure(name=f"{kind}: NEES across", measured=nees_across),
+        Figure(name=f"{kind}: wrong without a flag", measured=_wrong(errors), max_value=0.0 if limited else math.inf),
+    ]
+    if kind in CLEAN:
+        ratio = robust_sd(errors.along_px / errors.bound_px)
+        figures.append(Figure(name=f"{kind}: sigma along", measured=ratio, unit="x bound", max_value=1.5))
+    return figures
+
+
+def _nees(error_px: Float64[Array, "point"], sigma_px: Float64[Array, "point"], which: Bool[Array, "point"]) -> float:
+    return mean((error_px[which] / sigma_px[which]) ** 2)
+
+
+def _wrong(errors: BreakPointErrors) -> float:
+    """Number of break points without a flag that are off by more than 1.5 px, or 5 of their own sigmas."""
+    far = np.hypot(errors.along_px, errors.across_px) > WRONG_PX
+    far |= np.abs(errors.along_px) > WRONG_SIGMAS * errors.along_sigma_px
+    far |= np.abs(errors.across_px) > WRONG_SIGMAS * errors.across_sigma_px
+    return float((far & (errors.flags == 0)).sum())

@@ -1,0 +1,100 @@
+"""A measured figure, the limit that it must keep, and both as a line of a table."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+from ringpose.bench.summary import ABSENT
+from ringpose.bench.table import aligned
+
+
+class Verdict(StrEnum):
+    """The result of comparing a figure with its limit."""
+
+    OK = "ok"
+    MISSED = "MISSED"
+    NOT_YET = "not yet"
+    """The feature that the limit applies to does not exist yet."""
+    NONE = "none"
+    """The figure is measured for comparison and has no limit."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Figure:
+    """One measured figure."""
+
+    name: str
+    measured: float | None
+    """None if there is nothing to measure yet; NaN, which misses every limit, if the measurement failed."""
+    unit: str = ""
+    max_value: float = math.inf
+    min_value: float = -math.inf
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the figure is within its limits."""
+        if self.measured is None:
+            return Verdict.NOT_YET
+        if math.isinf(self.max_value) and math.isinf(self.min_value):
+            return Verdict.NONE
+        return Verdict.OK if self.min_value <= self.measured <= self.max_value else Verdict.MISSED
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Section:
+    """Figures of one subject."""
+
+    title: str
+    figures: Sequence[Figure]
+
+    @property
+    def missed(self) -> int:
+        """Number of figures that miss their limit."""
+        return sum(figure.verdict is Verdict.MISSED for figure in self.figures)
+
+
+def section_text(section: Section) -> str:
+    """The figures of a section as aligned text."""
+    rows = [["", "measured", "limit", "verdict", "unit"]]
+    for figure in section.figures:
+        measured = ABSENT if figure.measured is None else number(figure.measured, ".3g")
+        verdict = ABSENT if figure.verdict is Verdict.NONE else figure.verdict.value
+        rows.append([figure.name, measured, _limit(figure), verdict, figure.unit])
+    return "\n".join([section.title, *aligned(rows, left=1)]) + "\n"
+
+
+def section_record(section: Section) -> dict[str, Any]:
+    """The same as plain values; a missing limit is null."""
+    return {
+        "section": section.title,
+        "figures": [
+            {
+                "name": figure.name,
+                "measured": _finite(figure.measured),
+                "min": _finite(figure.min_value),
+                "max": _finite(figure.max_value),
+                "unit": figure.unit,
+                "verdict": figure.verdict.value,
+            }
+            for figure in section.figures
+        ],
+    }
+
+
+def number(value: float, form: str) -> str:
+    """A formatted figure, or `-` for NaN."""
+    return ABSENT if math.isnan(value) else format(value, form)
+
+
+def _limit(figure: Figure) -> str:
+    if math.isinf(figure.max_value):
+        return ABSENT
+    if math.isinf(figure.min_value):
+        return f"<= {figure.max_value:.3g}"
+    return f"{figure.min_value:.3g} .. {figure.max_value:.3g}"
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None

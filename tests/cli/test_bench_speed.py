@@ -1,0 +1,55 @@
+"""`ringpose bench speed`."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from ringpose.cli.main import main
+
+NAMES = [
+    "EdgeDrawing",
+    "stripes to break points",
+    "the same with ring edges",
+    "solvePnP",
+    "pose, paper",
+    "pose, paper-constrained",
+    "pose, ml",
+    "import numpy, cv2",
+    "ringpose pose --help",
+    "first pose of a detection",
+    "first pose of a shot",
+]
+
+
+@pytest.fixture(autouse=True)
+def _in_an_empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.slow
+def test_each_time_has_a_ratio_to_its_reference(capsys):
+    status = main(["bench", "speed", "--rounds", "1", "--json", "-"])
+
+    times = {row["name"]: row for row in json.loads(capsys.readouterr().out)["times"]}
+    assert (status, sorted(times)) == (0, sorted(NAMES))
+    assert all(row["time_s"] == row["ratio"] * times[row["reference"]]["time_s"] for row in times.values())
+
+
+def test_help_lists_the_options_and_imports_nothing_heavy(started):
+    heavy = "{'numpy', 'cv2', 'scipy', 'yaml', 'rich', 'jaxtyping'}"
+    after = f"import atexit, sys\natexit.register(lambda: print(*sys.modules.keys() & {heavy}, file=sys.stderr))"
+    with started("bench", "speed", "--help", before=after) as process:
+        printed, imported = process.communicate(timeout=60)
+
+    assert (process.returncode, imported.split()) == (0, [])
+    assert "Usage: ringpose bench speed " in printed
+
+
+def test_a_folder_of_that_name_can_still_be_given(capsys):
+    Path("speed").mkdir()
+
+    status = main(["bench", "./speed"])
+
+    assert status == 66
+    assert "speed/rig.yaml: does not exist" in capsys.readouterr().err
