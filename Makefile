@@ -50,7 +50,7 @@ test-slow: $(STAMP)
 
 # uv alone resolves to the lowest versions; those for which there is no wheel for this Python are passed over. The test
 # tools come second, so that they cannot raise what they share with ringpose.
-$(LOWEST)/.installed: pyproject.toml setup.py $(KERNELS)
+$(LOWEST)/.installed: pyproject.toml $(KERNELS)
 	$(PYTHON) -m venv --clear $(LOWEST)
 	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check 'uv>=0.5'
 	$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct --only-binary :all: \
