@@ -10,17 +10,17 @@ from ringpose.report.page import Picture, Section, Table, canvas, drawn, page, p
 from ringpose.types.calibration import LaserCalibration, PlanesCalibration
 
 _BIN_SHARE = 0.04
-"""Residuals along a stripe are averaged over this share of the image's width."""
+"""Bin width of residuals along a stripe, in tangents of the viewing angle."""
 
 _MIN_COUNT = 5
-"""Centres in a bin; the mean of fewer is noise."""
+"""Minimum number of centres in a bin."""
 
 _DEPTHS = 25
-"""Distances at which the uncertainty is drawn."""
+"""Number of distances at which the uncertainty is plotted."""
 
 
 def planes_report(assessment: PlanesAssessment) -> str:
-    """Verdict, figures, and pictures of the residuals and of what they mean for depths."""
+    """HTML page: verdict, summary, plots of residuals and of depth uncertainty."""
     calibration = assessment.calibration
     pictures = [_by_distance(calibration), _along_stripes(calibration)]
     if calibration.covariance is not None:
@@ -72,7 +72,7 @@ def _by_distance(calibration: PlanesCalibration) -> Picture:
         axis.set_ylabel(f"{drawn(laser.name)}: residual (um)")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
     axes[-1].set_xlabel("distance (m)")
-    caption = "Distances of the stripe centres from their light plane, against depth; a trend means a wrong camera."
+    caption = "Distances of the stripe centres from their light plane, against depth; a trend indicates a wrong camera."
     return Picture(png=png_of(figure), caption=caption)
 
 
@@ -82,31 +82,31 @@ def _along_stripes(calibration: PlanesCalibration) -> Picture:
     shots = list(dict.fromkeys(drawn(view.name) for laser in calibration.lasers for view in laser.views))
     styles = {name: (f"C{index % 10}", "-" if index < 10 else "--") for index, name in enumerate(shots)}
     for axis, laser in zip(axes, calibration.lasers, strict=True):
-        for view, (place, mean) in zip(laser.views, _averages(laser), strict=True):
+        for view, (position, mean) in zip(laser.views, _averages(laser), strict=True):
             color, stroke = styles[drawn(view.name)]
-            axis.plot(place, 1e6 * mean, stroke, linewidth=1, label=drawn(view.name), color=color)
+            axis.plot(position, 1e6 * mean, stroke, linewidth=1, label=drawn(view.name), color=color)
         axis.axhline(0, color="black", linewidth=0.6)
         axis.set_ylabel(f"{drawn(laser.name)}: residual (um)")
     lines = {str(line.get_label()): line for axis in axes for line in axis.get_lines()}
     figure.legend([lines[name] for name in shots], shots, loc="outside upper center", fontsize=8, ncols=6)
     axes[-1].set_xlabel("direction along the stripe (tangent of the angle from the optical axis)")
-    caption = "The same along the stripes, averaged; curves that bend alike mean a wrong distortion or a bent board."
+    caption = "The same along the stripes, averaged; similar curves indicate wrong distortion or a bent board."
     return Picture(png=png_of(figure), caption=caption)
 
 
 def _limits(axis: Axes, limit: float, label: str) -> None:
-    """Dashed lines at either side of nought."""
+    """Dashed lines at plus and minus the limit."""
     for sign in (1, -1):
         axis.axhline(sign * limit, color="tab:red", linestyle="--", linewidth=1, label=label if sign > 0 else None)
 
 
 def _averages(laser: LaserCalibration) -> list[tuple[np.ndarray, np.ndarray]]:
-    """By view: places along the stripe and mean residuals there."""
+    """By view: positions along the stripe and mean residuals there."""
     along = 0 if abs(laser.normal[1]) >= abs(laser.normal[0]) else 1
     found = []
     for view in laser.views:
-        place = view.points[:, along] / view.points[:, 2]
-        bins = np.round(place / _BIN_SHARE).astype(int)
+        position = view.points[:, along] / view.points[:, 2]
+        bins = np.round(position / _BIN_SHARE).astype(int)
         every, count = np.unique(bins, return_counts=True)
         kept = every[count >= _MIN_COUNT]
         mean = np.array([view.residual_m[bins == each].mean() for each in kept])
@@ -130,5 +130,5 @@ def _depths(calibration: PlanesCalibration) -> Picture:
     axis.set_ylabel("standard deviation of depth (mm)")
     axis.legend()
     axis.set_ylim(bottom=0)
-    caption = "What the covariance of camera and planes means for depths: the worst place along each stripe."
+    caption = "Depth uncertainty by the covariance of camera and planes, at the worst position along each stripe."
     return Picture(png=png_of(figure), caption=caption)

@@ -1,4 +1,4 @@
-"""`ringpose calibrate-planes`: what it refuses, reasons, statuses."""
+"""`ringpose calibrate-planes`: errors, reasons, exit statuses."""
 
 import re
 
@@ -41,9 +41,9 @@ def test_one_shot_is_one_line_and_is_refused(plane_folder, capsys):
     status = calibrate("planes/pln_B_01.npz", *ORDER)
 
     assert status == 65
-    said = capsys.readouterr().err
-    assert "its one view lie on one line" in said
-    assert "add a view of the board 50 mm or more nearer or farther than 0.5" in said
+    stderr = capsys.readouterr().err
+    assert "its one view lie on one line" in stderr
+    assert "add a view of the board 50 mm or more nearer or farther than 0.5" in stderr
 
 
 def test_a_shot_without_a_board_is_named_and_the_rest_goes_on(plane_folder, capsys):
@@ -137,10 +137,10 @@ def test_a_stripe_too_weak_or_swamped_or_blurred_says_so(plane_folder, capsys):
 
     calibrate("planes", *ORDER)
 
-    said = capsys.readouterr().err
-    assert "weak: no stripe of left, middle, right: 0 stripes on the board where 3 lasers are on: too dark" in said
-    assert "of the board is saturated" in said
-    width_px = re.search(r"blurred: .* where 3 lasers are on: blurred, or not the lasers' light: (\d+) px wide", said)
+    stderr = capsys.readouterr().err
+    assert "weak: no stripe of left, middle, right: 0 stripes on the board where 3 lasers are on: too dark" in stderr
+    assert "of the board is saturated" in stderr
+    width_px = re.search(r"blurred: .* where 3 lasers are on: blurred, or not the lasers' light: (\d+) px wide", stderr)
     assert float(width_px[1]) == pytest.approx(141, abs=15)
 
 
@@ -169,8 +169,8 @@ def test_a_board_that_the_lasers_channel_does_not_show_is_found_in_the_luminance
 
     calibrate("planes", *ORDER, "--laser-names", "left,middle,right", "--channel", "r", "--verbose")
 
-    assert "no board" not in (said := capsys.readouterr().err)
-    assert "pln_B_01: 16 corners, 3 stripes" in said
+    assert "no board" not in (stderr := capsys.readouterr().err)
+    assert "pln_B_01: 16 corners, 3 stripes" in stderr
 
 
 def test_a_shot_with_exchanged_lasers_is_named_and_the_rest_is_used(plane_folder, switched_shots, capsys):
@@ -178,10 +178,10 @@ def test_a_shot_with_exchanged_lasers_is_named_and_the_rest_is_used(plane_folder
 
     status = calibrate("planes")
 
-    said = capsys.readouterr().err
+    stderr = capsys.readouterr().err
     assert status == 65
-    assert "ringpose: pln_B_03: left and middle are exchanged against the other shots" in said
-    assert "; left out: see how its lasers were switched" in said
+    assert "ringpose: pln_B_03: left and middle are exchanged against the other shots" in stderr
+    assert "; left out: see how its lasers were switched" in stderr
     assert [view["name"] for view in written(plane_folder)["quality"]["boards"]] == ["pln_B_01", "pln_B_05"]
 
 
@@ -202,10 +202,10 @@ def test_a_laser_that_is_never_lit_is_named_with_what_each_shot_showed(plane_fol
 
     status = calibrate("planes")
 
-    said = capsys.readouterr().err
+    stderr = capsys.readouterr().err
     assert status == 65
-    assert 'laser "right": no stripe on the board in any of the 3 shots whose frames have it on' in said
-    assert "pln_B_01: 0 stripes on the board where laser 3 is on: too dark" in said
+    assert 'laser "right": no stripe on the board in any of the 3 shots whose frames have it on' in stderr
+    assert "pln_B_01: 0 stripes on the board where laser 3 is on: too dark" in stderr
 
 
 def test_images_whose_lasers_nobody_names_are_refused_once_with_the_stripes_seen(plane_folder, capsys):
@@ -216,10 +216,10 @@ def test_images_whose_lasers_nobody_names_are_refused_once_with_the_stripes_seen
 
     status = calibrate("planes")
 
-    said = capsys.readouterr().err
+    stderr = capsys.readouterr().err
     assert status == 2
-    assert said.count("\n") == 1
-    assert "--laser-names: pln_B_01 does not say how many lasers are on; its board shows 3 stripes; give one" in said
+    assert stderr.count("\n") == 1
+    assert "--laser-names: pln_B_01 does not say how many lasers are on; its board shows 3 stripes; give one" in stderr
 
 
 def test_the_working_distance_is_where_poses_are_judged(plane_folder, capsys):
@@ -256,5 +256,5 @@ def test_fewer_lasers_than_three_are_counted_for_the_reader(plane_folder, switch
 
     calibrate("planes")
 
-    said = "2 lasers by the shots' masks (laser_1, laser_2); if there are more, name all (--laser-names)"
-    assert said in capsys.readouterr().err
+    note = "2 lasers by the shots' masks (laser_1, laser_2); if there are more, name all (--laser-names)"
+    assert note in capsys.readouterr().err

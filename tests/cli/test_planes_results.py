@@ -1,4 +1,4 @@
-"""What `ringpose calibrate-planes` writes and says of good views: one run, read many times."""
+"""Outputs of `ringpose calibrate-planes` for good views: one run, checked by many tests."""
 
 import contextlib
 import io
@@ -24,7 +24,7 @@ TRUE_NORMALS = np.array(
 
 @dataclass(frozen=True)
 class Run:
-    """One calibration: where it was written, and what was said."""
+    """One run: its folder, exit status and messages."""
 
     folder: Path
     status: int

@@ -15,8 +15,8 @@ def test_a_rig_that_holds_is_confirmed_by_one_view(plane_folder, capsys):
     status = calibrated("--check", "camera.yaml", "planes/pln_B_01.npz")
 
     assert status == 0
-    assert "left: " in (said := capsys.readouterr().err)
-    assert " mm beside its plane (limit 0.0" in said
+    assert "left: " in (stderr := capsys.readouterr().err)
+    assert " mm beside its plane (limit 0.0" in stderr
 
 
 def test_a_rig_that_was_bumped_does_not_hold(plane_folder, capsys):
@@ -38,9 +38,9 @@ def test_lasers_that_were_swapped_are_called_so(plane_folder, capsys):
     status = calibrated("--check", "camera.yaml", *one_by_one(plane_folder))
 
     assert status == 3
-    said = capsys.readouterr().err
-    assert re.search(r"right: .* does not hold, it lies on the plane of left: are they swapped\?", said)
-    assert re.search(r"left: .* does not hold, it lies on the plane of right: are they swapped\?", said)
+    stderr = capsys.readouterr().err
+    assert re.search(r"right: .* does not hold, it lies on the plane of left: are they swapped\?", stderr)
+    assert re.search(r"left: .* does not hold, it lies on the plane of right: are they swapped\?", stderr)
 
 
 def one_by_one(plane_folder) -> list[str]:

@@ -1,4 +1,4 @@
-"""Whether light planes are good: each number beside its limits, with what would make it better."""
+"""Acceptance of light planes: checks of a calibration against limits, each with advice for improvement."""
 
 from collections.abc import Sequence
 
@@ -12,38 +12,38 @@ from ringpose.types.rig import LaserPlanes
 from ringpose.types.verdict import Check, Verdict
 
 FEW_VIEWS, MIN_VIEWS = 5.0, 2.0
-"""Two views determine a plane and leave nothing to judge it by; with five, one that is wrong stands out."""
+"""Two views determine a plane without redundancy; among five, one that is wrong is conspicuous."""
 
 GOOD_CONDITION = 10.0
-"""Of views 200 mm wide at distances 20 mm of depth apart across the light plane."""
+"""That of views 200 mm wide whose distances differ by 20 mm across the light plane."""
 
 GOOD_SHARE, BAD_SHARE = 2e-4, 2e-3
-"""Held-out rms over distance: 0.1 mm at 0.5 m is what speckle leaves of a good stripe, 1 mm is another stripe."""
+"""Held-out rms over distance: speckle makes 0.1 mm at 0.5 m on a good stripe; 1 mm indicates a wrong stripe."""
 
 GOOD_EXCESS, BAD_EXCESS = 3.0, 100.0
-"""A sheet that is flat to 0.1 mm may be 3; at 100 the covariance is no more than a guess."""
+"""A board flat to 0.1 mm can reach 3; above 100 the covariance is not meaningful."""
 
 STRAY_FACTOR = 2.0
-"""A view whose stripes lie so many times further from the planes of the others than is usual is named."""
+"""The advice names a view whose held-out rms exceeds the median by this factor."""
 
 EXACT_M = 1e-6
-"""Nearer to planes nothing is told apart."""
+"""Lower bound of the median in that comparison."""
 
 GOOD_DEPTH_SHARE, BAD_DEPTH_SHARE = 1e-3, 1e-2
 """Standard deviation of depths over depth, at the farthest board."""
 
 GOOD_CENTER_SHARE, BAD_CENTER_SHARE = 1e-3, 1e-2
-"""Standard deviation of a ring's centre by this calibration, over its distance: the errors of a shot at 0.5 m are
-five times as large."""
+"""Standard deviation of a ring's centre by this calibration, over its distance; the errors of a shot at 0.5 m are five
+times as large."""
 
 GOOD_RANGE, BAD_RANGE = 1.4, 1.05
-"""Farthest over nearest board: planes hold where they were measured, and beyond by as much again."""
+"""Distance of the farthest over the nearest board: planes are valid over this range and about as far beyond."""
 
 GOOD_BOARD_PX, BAD_BOARD_PX = 0.3, 1.0
-"""Median over the views of the corners' rms from the board."""
+"""Median over the views of the corner rms."""
 
 ANGLE_TOLERANCE_RAD = float(np.radians(1.0))
-"""By so much lasers may be off the angles that they were mounted at."""
+"""Accepted deviation of the angles between lasers from their expected values."""
 
 
 def planes_verdict(
@@ -52,10 +52,10 @@ def planes_verdict(
     board: Sequence[Check] = (),
     working_distance_m: float | None = None,
 ) -> Verdict:
-    """Good, can be improved, or redo; the expected angles are those of neighbouring lasers, in their order.
+    """Grade (good, can be improved, redo) and checks; the expected angles are those of neighbouring lasers, in order.
 
-    `board` is what the images say against the sizes in the board file. Poses are judged at the working distance, or
-    where the farthest board was.
+    `board` are checks of the sizes in the board file. Ring poses are evaluated at the working distance, by default at
+    the distance of the farthest board.
     """
     findings = [*board, _boards(calibration), _distances(calibration), _excess(calibration)]
     for laser in calibration.lasers:
@@ -83,7 +83,7 @@ def _distances(calibration: PlanesCalibration) -> Check:
 
 
 def _range_m(calibration: PlanesCalibration) -> tuple[float, float]:
-    """Depth of the nearest and the farthest board where the stripes cross it."""
+    """Depth of the nearest and the farthest board, at their stripes."""
     every = [view.distance_m for laser in calibration.lasers for view in laser.views]
     return min(every), max(every)
 
@@ -102,13 +102,13 @@ def _excess(calibration: PlanesCalibration) -> Check | None:
 
 
 def _stray_view(calibration: PlanesCalibration) -> str:
-    """The view whose stripes lie further beside the planes of the others than twice what is usual."""
+    """The view whose held-out rms exceeds its laser's median most, if by more than STRAY_FACTOR; empty otherwise."""
     shares: dict[str, float] = {}
     for laser in calibration.lasers:
         known = [view for view in laser.views if np.isfinite(view.held_out_rms_m)]
-        usual_m = float(np.median([view.held_out_rms_m for view in known])) if known else 0.0
+        median_m = float(np.median([view.held_out_rms_m for view in known])) if known else 0.0
         for view in known:
-            share = view.held_out_rms_m / max(usual_m, EXACT_M)
+            share = view.held_out_rms_m / max(median_m, EXACT_M)
             shares[view.name] = max(share, shares.get(view.name, 0.0))
     worst = max(shares, key=lambda name: shares[name], default="")
     return f", {worst} most of all" if shares.get(worst, 0.0) > STRAY_FACTOR else ""
@@ -148,19 +148,19 @@ def _held_out(laser: LaserCalibration) -> Check:
         fail_limit=BAD_SHARE * middle_m,
         advice=f"see with --overlay whether the stripe of {laser.name} is sharp and unsaturated, in {worst.name} first"
         if np.isfinite(laser.held_out_rms_m)
-        else "a third view would tell the error of the others",
+        else "add a third view: two leave the held-out error undetermined",
     )
 
 
 def _disagreement(laser: LaserCalibration) -> Check | None:
-    numbers = 2 * len(laser.views) - 3
+    dof = 2 * len(laser.views) - 3
     if not np.isfinite(laser.disagreement):
         return None
     return Check(
         place=laser.name,
         name="disagreement",
         value=float(laser.disagreement),
-        pass_limit=GOOD_EXCESS + 3.0 * float(np.sqrt(2 / numbers)),
+        pass_limit=GOOD_EXCESS + 3.0 * float(np.sqrt(2 / dof)),
         fail_limit=BAD_EXCESS,
         advice=f"the stripes of {laser.name} disagree with boards and other lasers: see whether they are its own",
     )
@@ -186,7 +186,7 @@ def _depths(calibration: PlanesCalibration) -> list[Check]:
 
 
 def _center(calibration: PlanesCalibration, working_distance_m: float | None) -> Check | None:
-    """Of a ring, which the stripes may all miss: nothing is said then."""
+    """Standard deviation of a ring's centre; None if the ring misses a stripe."""
     if calibration.covariance is None:
         return None
     distance_m = working_distance_m or _range_m(calibration)[1]
@@ -196,7 +196,7 @@ def _center(calibration: PlanesCalibration, working_distance_m: float | None) ->
         return None
     by_camera = float(ring_center_sd_m(camera, lasers, of_camera(covariance), distance_m).max())
     good = GOOD_CENTER_SHARE * distance_m
-    remedy = "calibrate the camera with more views" if by_camera > good else _views_at(distance_m, lasers)
+    remedy = "calibrate the camera with more views" if by_camera > good else _advice_for_views(distance_m, lasers)
     return Check(
         place=f"at {distance_m:.2f} m",
         name="ring_center_sd_m",
@@ -207,8 +207,8 @@ def _center(calibration: PlanesCalibration, working_distance_m: float | None) ->
     )
 
 
-def _views_at(distance_m: float, lasers: LaserPlanes) -> str:
-    """Two a laser leave at 1 m two fifths of what eight boards 0.4 to 0.55 m away do."""
+def _advice_for_views(distance_m: float, lasers: LaserPlanes) -> str:
+    """Two more views for each laser at 1 m reduce the error of eight boards at 0.4 to 0.55 m to two fifths."""
     return (
         f"add six views of the board about {distance_m:.2f} m away, tilted by 10 to 25 degrees, "
         "the stripe of each laser across two of them "

@@ -1,4 +1,4 @@
-"""Whether a calibrated rig still holds: a new view of the board against its camera and light planes."""
+"""Check of a calibrated rig by a new view of the board: corners against its camera, stripes against its planes."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -14,7 +14,13 @@ from ringpose.calibrate.boards.corner_errors import (
 from ringpose.calibrate.camera.parameters import parameter_names, projection_jacobians
 from ringpose.calibrate.planes.board_surface import triangulated
 from ringpose.calibrate.planes.labels import labelled_by_planes
-from ringpose.calibrate.planes.stripe_errors import StripeRows, center_sigma_px, shared_length, stripe_bend, stripe_rows
+from ringpose.calibrate.planes.stripe_errors import (
+    StripeResiduals,
+    center_sigma_px,
+    line_modes,
+    shared_length,
+    stripe_residuals,
+)
 from ringpose.geometry.rays import rays, undistorted_pixels
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose, BoardView
@@ -23,19 +29,19 @@ from ringpose.types.covariance import laser_parameters
 from ringpose.types.rig import Rig
 
 SIGMAS = 3.0
-"""By so many standard deviations of rig and view a stripe may lie beside its plane ..."""
+"""A stripe may lie beside its plane by this number of standard deviations of rig and view ..."""
 
 FLATNESS_M = 5e-5
-"""... and by this, which boards are not flat to."""
+"""... plus the flatness of a board."""
 
 MAX_BOARD_PX = 0.5
-"""Corners further than this (rms) from where the camera has the board mean another camera, lens or board ..."""
+"""Corner rms above which camera, lens or board have changed, whatever it was in the calibration."""
 
 MIN_BOARD_PX = 0.1
-"""... as do those further than this and than ..."""
+"""Smallest limit of the corner rms."""
 
-USUAL_FACTOR = 5.0
-"""... so many times what they had when the rig was calibrated: a principal point 10 px off makes 0.3 px."""
+BOARD_FACTOR = 5.0
+"""Limit of the corner rms over its value in the calibration: a principal point 10 px off makes 0.3 px."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,20 +50,20 @@ class LaserCheck:
 
     name: str
     offset_m: float
-    """Of the stripe's line, at its end or middle, where it is largest beside its limit; NaN where no stripe is seen."""
+    """Of the stripe's line, at the end or middle where it is largest relative to its limit; NaN without a stripe."""
     limit_m: float
     lies_on: str = ""
-    """The other laser on whose plane the stripe lies instead."""
+    """The other laser on whose plane the stripe lies instead; empty if none."""
 
     @property
     def holds(self) -> bool:
-        """Whether the stripe is where the light plane has it; a stripe that is not seen confirms nothing."""
+        """Whether the stripe lies on the light plane; false if no stripe is seen."""
         return abs(self.offset_m) <= self.limit_m
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RigCheck:
-    """What one view says about a rig."""
+    """The result of checking a rig by one view."""
 
     name: str
     distance_m: float
@@ -72,11 +78,11 @@ class RigCheck:
 
 
 def rig_check(view: StripeView, rig: Rig, usual_board_px: float | None = None) -> RigCheck:
-    """The board where its corners have it, and each stripe on it against its light plane.
+    """The board pose by the corners, and each stripe's distance from its light plane.
 
-    `usual_board_px` is the distance of corners from their boards when the rig was calibrated, if that is known.
+    `usual_board_px` is the corner rms of the rig's calibration, if it is known.
     """
-    board = _standing(view, rig)
+    board = _measured_board(view, rig)
     planes = list(zip(rig.lasers.normal, rig.lasers.distance_m.tolist(), strict=True))
     if view.unlabelled_px:
         view = labelled_by_planes(view, [triangulated(px, board.pose, rig.camera) for px in view.unlabelled_px], planes)
@@ -84,13 +90,15 @@ def rig_check(view: StripeView, rig: Rig, usual_board_px: float | None = None) -
         name=view.board.name,
         distance_m=float(board.pose.translation_m[2]),
         board_rms_px=board.pose.residual_rms_px,
-        board_limit_px=_board_limit_px(usual_board_px),
-        lasers=tuple(_judged(laser, view, board, rig) for laser in range(len(planes))),
+        board_limit_px=MAX_BOARD_PX
+        if usual_board_px is None
+        else min(max(BOARD_FACTOR * usual_board_px, MIN_BOARD_PX), MAX_BOARD_PX),
+        lasers=tuple(_laser_check(laser, view, board, rig) for laser in range(len(planes))),
     )
 
 
 def rig_check_lines(check: RigCheck) -> list[str]:
-    """The figures in lines to read."""
+    """The result as lines of text."""
     head = f"{check.name}: board at {check.distance_m:.2f} m, corners {check.board_rms_px:.2f} px rms"
     lines = [f"{head} (limit {check.board_limit_px:.2f}): {_judgement(check.board_rms_px <= check.board_limit_px)}"]
     for laser in check.lasers:
@@ -103,92 +111,85 @@ def rig_check_lines(check: RigCheck) -> list[str]:
     return lines
 
 
-def _board_limit_px(usual_px: float | None) -> float:
-    if usual_px is None:
-        return MAX_BOARD_PX
-    return min(max(USUAL_FACTOR * usual_px, MIN_BOARD_PX), MAX_BOARD_PX)
-
-
 def _judgement(holds: bool) -> str:
     return "holds" if holds else "does not hold"
 
 
-class _Standing(NamedTuple):
+class _MeasuredBoard(NamedTuple):
     pose: BoardPose
     covariance: Float64[Array, "pose=6 pose=6"]
 
 
-def _standing(view: StripeView, rig: Rig) -> _Standing:
-    """Where the view's corners have the board."""
-    pose, unit = maximum_likelihood_pose(view.board, rig.camera)
+def _measured_board(view: StripeView, rig: Rig) -> _MeasuredBoard:
+    """The board's pose by the view's corners, with the covariance that their residuals imply."""
+    pose, unit_covariance = maximum_likelihood_pose(view.board, rig.camera)
     corner_px = max(corner_sigma_px([view], [pose], rig.camera), MIN_SIGMA_PX)
-    return _Standing(pose, corner_px**2 * unit)
+    return _MeasuredBoard(pose, corner_px**2 * unit_covariance)
 
 
-def _judged(laser: int, view: StripeView, board: _Standing, rig: Rig) -> LaserCheck:
-    """The laser's stripe beside its own plane; where it is not there, whether it is on that of another."""
-    found = _laser_check(laser, laser, view, board, rig)
-    if found.holds or np.isnan(found.offset_m):
-        return found
-    others = (_laser_check(laser, other, view, board, rig) for other in range(len(rig.lasers.names)))
-    return replace(found, lies_on=next((other.name for other in others if other.holds), ""))
+def _laser_check(laser: int, view: StripeView, board: _MeasuredBoard, rig: Rig) -> LaserCheck:
+    """The laser's stripe against its own plane and, if it does not lie on that, against those of the others."""
+    own = _stripe_check(laser, laser, view, board, rig)
+    if own.holds or np.isnan(own.offset_m):
+        return own
+    others = (_stripe_check(laser, other, view, board, rig) for other in range(len(rig.lasers.names)))
+    return replace(own, lies_on=next((other.name for other in others if other.holds), ""))
 
 
-def _laser_check(stripe: int, laser: int, view: StripeView, board: _Standing, rig: Rig) -> LaserCheck:
-    """One laser's stripe beside the plane of a laser."""
+def _stripe_check(stripe: int, laser: int, view: StripeView, board: _MeasuredBoard, rig: Rig) -> LaserCheck:
+    """One laser's stripe against the plane of a laser.
+
+    The variance of the offset is the sum of the parts of the rig, of the board's pose, and of the stripe's own line.
+    """
     name, points_px = rig.lasers.names[laser], view.stripes_px[stripe]
     if not len(points_px):
         return LaserCheck(name=name, offset_m=float("nan"), limit_m=float("nan"))
     normal, distance_m = rig.lasers.normal[laser], float(rig.lasers.distance_m[laser])
-    rows = stripe_rows(rays(points_px, rig.camera), board.pose, normal, distance_m, rig.camera)
-    places = _line_places(points_px) * rows.metres_per_pixel
-    offset_m = places @ rows.residual_px
-    variance = _variance(places @ _by_rig(rows, view.board, board.pose, rig), _rig_covariance(rig, laser))
-    variance += _variance(places @ rows.by_pose, board.covariance)
+    found = stripe_residuals(rays(points_px, rig.camera), board.pose, normal, distance_m, rig.camera)
+    weights = _line_weights(points_px) * found.metres_per_pixel
+    offset_m = weights @ found.residual_px
+    variance = _variance(weights @ _jacobian_by_rig(found, view.board, board.pose, rig), _rig_covariance(rig, laser))
+    variance += _variance(weights @ found.wrt_pose, board.covariance)
     straight = [undistorted_pixels(px, rig.camera) for px in view.stripes_px]
     line_variance = center_sigma_px(straight[stripe], shared_length(straight)) ** 2 / len(points_px)
-    variance += _variance(places @ _unit_bends(points_px).T, line_variance * np.eye(2))
+    variance += _variance(weights @ line_modes(points_px).T, line_variance * np.eye(2))
     limit_m = SIGMAS * np.sqrt(variance) + FLATNESS_M
     worst = int(np.argmax(np.abs(offset_m) / limit_m))
     return LaserCheck(name=name, offset_m=float(offset_m[worst]), limit_m=float(limit_m[worst]))
 
 
-def _unit_bends(points_px: Float64[Array, "n xy=2"]) -> Float64[Array, "2 n"]:
-    """How far centres move across the stripe when its line is shifted, and turned, by one pixel rms."""
-    shift, turn = stripe_bend(points_px)
-    return np.stack([np.ones(len(points_px)), turn @ shift[0]])
-
-
-def _line_places(points_px: Float64[Array, "n xy=2"]) -> Float64[Array, "place=3 n"]:
-    """Weights that make of values along a stripe those of their straight line at its two ends and its middle."""
-    level, run = _unit_bends(points_px)
-    ends = np.array([run.min(), 0.0, run.max()])
-    weights: Float64[Array, "place=3 n"] = (level + ends[:, None] * run) / len(run)
+def _line_weights(points_px: Float64[Array, "n xy=2"]) -> Float64[Array, "position=3 n"]:
+    """Weights whose product with values along a stripe is their fitted straight line at its two ends and its middle."""
+    level, slope = line_modes(points_px)
+    ends = np.array([slope.min(), 0.0, slope.max()])
+    weights: Float64[Array, "position=3 n"] = (level + ends[:, None] * slope) / len(slope)
     return weights
 
 
-def _by_rig(rows: StripeRows, view: BoardView, pose: BoardPose, rig: Rig) -> Float64[Array, "n parameter"]:
-    """Derivatives by the camera, which the board's pose follows, and by the light plane."""
-    by_pose, by_camera = projection_jacobians(view.points_board_m, pose, rig.camera)
-    by_pose = whiten(by_pose.reshape(-1, 6), view)
-    by_camera = whiten(by_camera.reshape(len(by_pose), -1), view)
-    follow, *_ = np.linalg.lstsq(by_pose, -by_camera, rcond=None)
-    return np.hstack([rows.by_camera + rows.by_pose @ follow, rows.by_plane])
+def _jacobian_by_rig(
+    found: StripeResiduals, view: BoardView, pose: BoardPose, rig: Rig
+) -> Float64[Array, "n parameter"]:
+    """Derivatives by the camera, including the change of the board's pose that it causes, and by the light plane."""
+    pixel_wrt_pose, pixel_wrt_camera = projection_jacobians(view.points_board_m, pose, rig.camera)
+    wrt_pose = whiten(pixel_wrt_pose.reshape(-1, 6), view)
+    wrt_camera = whiten(pixel_wrt_camera.reshape(len(wrt_pose), -1), view)
+    pose_wrt_camera, *_ = np.linalg.lstsq(wrt_pose, -wrt_camera, rcond=None)
+    return np.hstack([found.wrt_camera + found.wrt_pose @ pose_wrt_camera, found.wrt_plane])
 
 
 def _rig_covariance(rig: Rig, laser: int) -> Float64[Array, "parameter parameter"]:
-    """Of the camera and one light plane; zero where the rig knows none."""
+    """Covariance of the camera and one light plane; zero for parameters of which the rig has none."""
     names = parameter_names(rig.camera.distortion_model) + laser_parameters([rig.lasers.names[laser]])
     covariance = np.zeros((len(names), len(names)))
     if rig.covariance is not None:
         known = [index for index, name in enumerate(names) if name in rig.covariance.parameters]
-        places = [rig.covariance.parameters.index(names[index]) for index in known]
-        covariance[np.ix_(known, known)] = rig.covariance.data[np.ix_(places, places)]
+        source = [rig.covariance.parameters.index(names[index]) for index in known]
+        covariance[np.ix_(known, known)] = rig.covariance.data[np.ix_(source, source)]
     return covariance
 
 
 def _variance(
-    jacobian: Float64[Array, "place parameter"], covariance: Float64[Array, "parameter parameter"]
-) -> Float64[Array, "place"]:
-    variance: Float64[Array, "place"] = np.einsum("pi,ij,pj->p", jacobian, covariance, jacobian)
+    jacobian: Float64[Array, "position parameter"], covariance: Float64[Array, "parameter parameter"]
+) -> Float64[Array, "position"]:
+    variance: Float64[Array, "position"] = np.einsum("pi,ij,pj->p", jacobian, covariance, jacobian)
     return variance

@@ -1,15 +1,18 @@
-"""Views of boards with stripes, made ready for the light planes: what does not fit is left out, with the reason.
+"""Selection of views and stripes for the calibration: outliers are left out, each with the reason.
 
-Lasers that the shots name and never show: burnt out, wired to another channel, or beside the board.
+Stages: views whose corners miss the board; lasers that no shot shows (burnt out, wired to another channel, beside the
+board); shots with exchanged lasers; assignment of unlabelled stripes; mirrored board poses; stripes beside the plane
+of the other views.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NoReturn
 
 import numpy as np
 
 from ringpose.calibrate.planes.board_surface import triangulated
-from ringpose.calibrate.planes.labels import exchanged_lasers, labelled_by_order, labelled_by_planes, refuse_other_order
+from ringpose.calibrate.planes.labels import check_order, exchanged_lasers, labelled_by_order, labelled_by_planes
 from ringpose.calibrate.planes.plane_fit import MAX_CONDITION, Points, condition, outlying_views, robust_plane
 from ringpose.errors import DataError
 from ringpose.types.arrays import Array, Float64
@@ -18,16 +21,16 @@ from ringpose.types.calibration import StripeView
 from ringpose.types.camera import Camera
 
 OUTLIER_FACTOR = 4.0
-"""A view whose board fits this many times worse than the median of the views is left out ..."""
+"""A view is left out if its corners' rms exceeds the median of the views by this factor ..."""
 
 OUTLIER_FLOOR_PX = 0.5
-"""... if its rms is above this."""
+"""... and this value."""
 
-MAX_USUAL_PX = 5.0
-"""If corners of most views miss their boards by more, camera or board are others: a focal length 10 % off makes 2."""
+MAX_MEDIAN_PX = 5.0
+"""Median rms above which camera or board file are wrong: a focal length wrong by 10 % causes 2."""
 
 Remark = tuple[str, str]
-"""A view's name, and what is to be said of it."""
+"""A view's name, and what was left out of it or is missing, and why."""
 
 Plane = tuple[Float64[Array, "3"], float]
 """Unit normal and distance."""
@@ -35,7 +38,7 @@ Plane = tuple[Float64[Array, "3"], float]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StripeEvidence:
-    """Boards where their corners have them, and the stripes on them."""
+    """Board poses by the corners alone, and the stripes on the boards."""
 
     names: tuple[str, ...]
     """Of the lasers."""
@@ -44,14 +47,14 @@ class StripeEvidence:
     camera: Camera
 
     def points(self, laser: int) -> list[Points]:
-        """One laser's points by view."""
+        """One laser's triangulated stripe centres by view."""
         return [
             triangulated(view.stripes_px[laser], pose, self.camera)
             for view, pose in zip(self.views, self.poses, strict=True)
         ]
 
     def only(self, kept: Sequence[int]) -> "StripeEvidence":
-        """The same of some of the views."""
+        """The same for some of the views."""
         views = tuple(self.views[index] for index in kept)
         return replace(self, views=views, poses=tuple(self.poses[index] for index in kept))
 
@@ -70,59 +73,57 @@ def stripe_evidence(
     names: tuple[str, ...],
     order: tuple[int, ...] | None,
 ) -> tuple[StripeEvidence, list[Remark], list[Remark]]:
-    """The views whose boards fit, their stripes given to lasers, stray stripes left out; and what to remark on them.
+    """The usable views and stripes, remarks on what was left out, and the views that contradict the others.
 
-    `poses` are those of each board: the likelier one, and the mirrored one where the corners cannot tell. Last come
-    the views that were left out because they contradict the others.
+    `poses` are the candidates for each board: the better one first, then the mirrored one where the corners leave both
+    possible.
     """
-    kept, remarks = _good_boards(views, [each[0] for each in poses])
+    kept, remarks = _inlier_boards(views, [each[0] for each in poses])
     evidence = StripeEvidence(
         names=names,
         views=tuple(views[index] for index in kept),
         poses=tuple(poses[index][0] for index in kept),
         camera=camera,
     )
-    refuse_unlit(evidence.views, names)
-    wrong = _exchanged(evidence)
-    right = [index for index in range(len(kept)) if index not in wrong]
-    contradicting = [(evidence.views[index].board.name, sentence) for index, sentence in wrong.items()]
+    check_all_lasers_seen(evidence.views, names)
+    points = [evidence.points(laser) for laser in range(len(names))]
+    exchanged = exchanged_lasers(points, names, [view.board.name for view in evidence.views])
+    contradicting = [(evidence.views[index].board.name, message) for index, message in exchanged.items()]
+    right = [index for index in range(len(kept)) if index not in exchanged]
     evidence = _labelled(evidence.only(right), order)
     evidence = _unmirrored(evidence, [poses[kept[index]] for index in right])
     remarks += _missing(evidence)
-    evidence, outlying, stray = _agreeing(evidence)
-    return evidence, remarks + outlying, contradicting + stray
+    evidence, outlying, inconsistent = _without_outlying_stripes(evidence)
+    return evidence, remarks + outlying, contradicting + inconsistent
 
 
-def _exchanged(evidence: StripeEvidence) -> dict[int, str]:
-    """The views whose frames name other lasers than those of most, and what is wrong with them."""
-    points = [evidence.points(laser) for laser in range(len(evidence.names))]
-    return exchanged_lasers(points, evidence.names, [view.board.name for view in evidence.views])
-
-
-def _good_boards(views: Sequence[StripeView], poses: Sequence[BoardPose]) -> tuple[list[int], list[Remark]]:
-    """The views whose corners fit the board, and the others with the reason."""
+def _inlier_boards(views: Sequence[StripeView], poses: Sequence[BoardPose]) -> tuple[list[int], list[Remark]]:
+    """Indices of the views whose corners fit the board, and remarks on the others."""
     if not views:
         remedy = "give shots of the board at two or more distances, 50 mm or more apart"
         raise DataError("calibrate-planes", "no view of the board", remedy)
-    rms = np.array([pose.residual_rms_px for pose in poses])
-    usual = float(np.median(rms))
-    if usual > MAX_USUAL_PX:
-        found = f"the corners miss the boards by {usual:.1f} px rms (median of {len(rms)} views)"
+    rms_px = np.array([pose.residual_rms_px for pose in poses])
+    median_px = float(np.median(rms_px))
+    if median_px > MAX_MEDIAN_PX:
+        found = f"the corners miss the boards by {median_px:.1f} px rms (median of {len(rms_px)} views)"
         remedy = "give the file of the camera that took these shots, its lens unturned; measure the board's sizes"
         raise DataError("calibrate-planes", found, remedy)
-    good = rms <= max(OUTLIER_FACTOR * usual, OUTLIER_FLOOR_PX)
+    inlier = rms_px <= max(OUTLIER_FACTOR * median_px, OUTLIER_FLOOR_PX)
     remarks = [
-        (pose.name, f"left out: its corners miss the board by {pose.residual_rms_px:.2f} px rms, usual is {usual:.2f}")
-        for pose, kept in zip(poses, good, strict=True)
+        (
+            pose.name,
+            f"left out: its corners miss the board by {pose.residual_rms_px:.2f} px rms, the median is {median_px:.2f}",
+        )
+        for pose, kept in zip(poses, inlier, strict=True)
         if not kept
     ]
-    return np.flatnonzero(good).tolist(), remarks
+    return np.flatnonzero(inlier).tolist(), remarks
 
 
 def _labelled(evidence: StripeEvidence, order: tuple[int, ...] | None) -> StripeEvidence:
-    """All stripes given to lasers: by the order, or by the planes of the labelled stripes."""
+    """Unlabelled stripes assigned to lasers: by the given order, or by the planes of the labelled stripes."""
     if order is not None:
-        refuse_other_order(evidence.views, order, evidence.names)
+        check_order(evidence.views, order, evidence.names)
     if not any(view.unlabelled_px for view in evidence.views):
         return evidence
     if order is not None:
@@ -136,7 +137,7 @@ def _labelled(evidence: StripeEvidence, order: tuple[int, ...] | None) -> Stripe
 
 
 def _preliminary_planes(evidence: StripeEvidence) -> list[Plane]:
-    """The planes through the stripes that are labelled already."""
+    """The planes through the labelled stripes; DataError if a laser has too few."""
     planes = []
     for laser, name in enumerate(evidence.names):
         points = np.concatenate(evidence.points(laser))
@@ -144,7 +145,7 @@ def _preliminary_planes(evidence: StripeEvidence) -> list[Plane]:
         if not len(points) or condition(points, weights) > MAX_CONDITION:
             raise DataError(
                 f'laser "{name}"',
-                "which stripe is its is not known: too few shots have a frame with it alone on",
+                "its stripe is not identified: too few shots have a frame with it alone on",
                 "capture with --sequence off,1,2,3, or give --laser-order",
             )
         planes.append((normal, distance_m))
@@ -152,20 +153,20 @@ def _preliminary_planes(evidence: StripeEvidence) -> list[Plane]:
 
 
 def _unmirrored(evidence: StripeEvidence, poses: Sequence[Sequence[BoardPose]]) -> StripeEvidence:
-    """Boards that may be mirrored stand where their stripes lie nearer to the planes of the other boards."""
-    sure = [index for index, each in enumerate(poses) if len(each) == 1]
-    if len(sure) == len(poses) or len(sure) < 2:
+    """Of two possible poses of a board, the one whose stripes lie closer to the planes of the unambiguous boards."""
+    unambiguous = [index for index, each in enumerate(poses) if len(each) == 1]
+    if len(unambiguous) == len(poses) or len(unambiguous) < 2:
         return evidence
-    planes = _planes_of(evidence, sure)
+    planes = _planes_of(evidence, unambiguous)
     chosen = [
-        min(each, key=lambda pose, view=view: _misfit_m2(view, pose, evidence.camera, planes))  # type: ignore[misc]
+        min(each, key=lambda pose, view=view: _sum_of_squares_m2(view, pose, evidence.camera, planes))  # type: ignore[misc]
         for view, each in zip(evidence.views, poses, strict=True)
     ]
     return replace(evidence, poses=tuple(chosen))
 
 
 def _planes_of(evidence: StripeEvidence, chosen: Sequence[int]) -> list[Plane | None]:
-    """Of each laser by some of the views; None where those leave it open."""
+    """Each laser's plane by some of the views; None if they do not determine it."""
     planes: list[Plane | None] = []
     for laser in range(len(evidence.names)):
         points = evidence.points(laser)
@@ -177,8 +178,8 @@ def _planes_of(evidence: StripeEvidence, chosen: Sequence[int]) -> list[Plane | 
     return planes
 
 
-def _misfit_m2(view: StripeView, pose: BoardPose, camera: Camera, planes: Sequence[Plane | None]) -> float:
-    """Sum over the stripes of the mean square distance from their planes, the board being at a pose."""
+def _sum_of_squares_m2(view: StripeView, pose: BoardPose, camera: Camera, planes: Sequence[Plane | None]) -> float:
+    """Sum over the stripes of the mean square distance from their planes, for a given board pose."""
     total = 0.0
     for points_px, plane in zip(view.stripes_px, planes, strict=True):
         if plane is not None and len(points_px):
@@ -187,38 +188,30 @@ def _misfit_m2(view: StripeView, pose: BoardPose, camera: Camera, planes: Sequen
     return total
 
 
-def _agreeing(evidence: StripeEvidence) -> tuple[StripeEvidence, list[Remark], list[Remark]]:
-    """The views without those stripes that lie beside their laser's plane; which these are; and whole views that do."""
+def _without_outlying_stripes(evidence: StripeEvidence) -> tuple[StripeEvidence, list[Remark], list[Remark]]:
+    """The evidence without stripes beside their laser's plane; remarks on these, and on views with no other stripes."""
     outlying = [outlying_views(evidence.points(laser)) for laser in range(len(evidence.names))]
-    remarks, stray = [], []
+    remarks, inconsistent = [], []
     for index, view in enumerate(evidence.views):
         seen = [laser for laser, px in enumerate(view.stripes_px) if len(px)]
-        off = [laser for laser in seen if index in outlying[laser]]
-        for laser in off:
+        left_out = [laser for laser in seen if index in outlying[laser]]
+        for laser in left_out:
             evidence = evidence.without_stripe(laser, index)
-        if len(off) == len(seen) > 1:
-            far_m = max(outlying[laser][index] for laser in off)
-            stray.append((view.board.name, f"its stripes lie up to {1e3 * far_m:.3g} mm {_STRAY}"))
-            continue
-        remarks += [
-            (view.board.name, f"stripe of {evidence.names[laser]} left out: {_beside(outlying[laser][index])}")
-            for laser in off
-        ]
-    return evidence, remarks, stray
-
-
-_STRAY = (
-    "beside the planes of the other shots; left out: was the camera or a laser moved, the image turned, "
-    "or is it another rig's?"
-)
-
-
-def _beside(distance_m: float) -> str:
-    return f"{1e3 * distance_m:.2f} mm beside the plane of the other views"
+            reason = f"{1e3 * outlying[laser][index]:.2f} mm beside the plane of the other views"
+            if len(left_out) < len(seen) or len(seen) == 1:
+                remarks.append((view.board.name, f"stripe of {evidence.names[laser]} left out: {reason}"))
+        if len(left_out) == len(seen) > 1:
+            max_mm = 1e3 * max(outlying[laser][index] for laser in left_out)
+            reason = (
+                f"its stripes lie up to {max_mm:.3g} mm beside the planes of the other shots; left out: was the camera "
+                "or a laser moved, the image turned, or is it another rig's?"
+            )
+            inconsistent.append((view.board.name, reason))
+    return evidence, remarks, inconsistent
 
 
 def _missing(evidence: StripeEvidence) -> list[Remark]:
-    """What the views do not show, but for lasers whose light passes beside the board."""
+    """Remarks on stripes that the views lack, except of lasers whose light passes beside the board."""
     planes = _planes_of(evidence, range(len(evidence.views)))
     remarks = []
     for view, pose in zip(evidence.views, evidence.poses, strict=True):
@@ -234,7 +227,7 @@ def _missing(evidence: StripeEvidence) -> list[Remark]:
 
 
 def _passes_beside(view: StripeView, pose: BoardPose, plane: Plane | None) -> bool:
-    """Whether a light plane is known and all corners of the board lie on one side of it."""
+    """Whether a light plane is determined and all corners of the board lie on one side of it."""
     if plane is None:
         return False
     normal, distance_m = plane
@@ -242,35 +235,34 @@ def _passes_beside(view: StripeView, pose: BoardPose, plane: Plane | None) -> bo
     return bool(height_m.min() > 0 or height_m.max() < 0)
 
 
-def refuse_unlit(views: Sequence[StripeView], names: Sequence[str]) -> None:
-    """Refuse views none of which shows a certain laser, with what their frames say of it."""
+def check_all_lasers_seen(views: Sequence[StripeView], names: Sequence[str]) -> None:
+    """Raise DataError if none of the views shows a certain laser, with the reason that its frames suggest."""
     if any(view.unlabelled_px for view in views):
         return
     unseen = [laser for laser in range(len(names)) if not any(len(view.stripes_px[laser]) for view in views)]
     if not unseen:
         return
-    lit = [laser for laser in unseen if any(laser in view.lit for view in views)]
     if len(unseen) == len(names):
-        raise DataError("calibrate-planes", *_nothing_told(views, names))
+        _raise_no_stripe_labelled(views, names)
+    lit = [laser for laser in unseen if any(laser in view.lit for view in views)]
+    lasers = lit or unseen
+    location = f"laser{'s' * (len(lasers) > 1)} " + ", ".join(f'"{names[laser]}"' for laser in lasers)
     if lit:
         shots = sum(any(laser in view.lit for laser in lit) for view in views)
         found = f"no stripe on the board in any of the {shots} shots whose frames have it on"
-        remedy = "see whether it is lit, wired to its channel, and crosses the board"
-        raise DataError(_place(lit, names), found, remedy)
+        raise DataError(location, found, "see whether it is lit, wired to its channel, and crosses the board")
     remedy = "light it in the shots (capture --sequence), or leave it out of --laser-names"
-    raise DataError(_place(unseen, names), "on in no frame of any shot", remedy)
+    raise DataError(location, "on in no frame of any shot", remedy)
 
 
-def _nothing_told(views: Sequence[StripeView], names: Sequence[str]) -> tuple[str, str]:
-    """Finding and remedy where no stripe could be given to a laser."""
-    most, several = max((view.max_stripes for view in views), default=0), len(names)
-    if 0 < most < several:
-        lasers = ", ".join(names)
-        found = f"no frame shows more than {most} stripe{'s' * (most > 1)} on the board, there are {several} lasers"
-        return f"{found} ({lasers})", "see which laser is not lit or misses the board, or name fewer (--laser-names)"
-    remedy = "see that the lasers are lit and cross the board; --overlay shows what was looked at"
-    return "no shot shows a stripe on the board", remedy
-
-
-def _place(lasers: Sequence[int], names: Sequence[str]) -> str:
-    return f"laser{'s' * (len(lasers) > 1)} " + ", ".join(f'"{names[laser]}"' for laser in lasers)
+def _raise_no_stripe_labelled(views: Sequence[StripeView], names: Sequence[str]) -> NoReturn:
+    most = max((view.max_stripes for view in views), default=0)
+    if 0 < most < len(names):
+        found = (
+            f"no frame shows more than {most} stripe{'s' * (most > 1)} on the board, there are {len(names)} lasers "
+            f"({', '.join(names)})"
+        )
+        remedy = "see which laser is not lit or misses the board, or name fewer (--laser-names)"
+        raise DataError("calibrate-planes", found, remedy)
+    remedy = "see that the lasers are lit and cross the board; --overlay shows the searched images"
+    raise DataError("calibrate-planes", "no shot shows a stripe on the board", remedy)

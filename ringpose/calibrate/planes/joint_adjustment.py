@@ -1,7 +1,14 @@
-"""Board poses and light planes together, the most likely of corners and stripes (ringpose-method(7), section 6).
+"""Joint adjustment: board poses and light planes by maximum likelihood from corners and stripes (method(7), section 6).
 
-Corners place the boards, stripes tie them to the light planes: stripes on many boards say more about each board than
-its corners alone. Views share only planes and camera, so each view's pose is eliminated where it occurs.
+Corners determine the board poses, and stripes tie the boards to the light planes: stripes on many boards determine
+each board pose better than its corners alone. Let r be the whitened residuals of a view, P and S their derivatives
+with respect to the view's pose and to the shared parameters s (three for each light plane, then the intrinsic
+parameters). Views have only s in common, so that each pose is eliminated from the normal equations of its view:
+
+    (1) information   N = sum over views of S^T S - (P^T S)^T (P^T P)^-1 P^T S
+    (2) gradient      g = sum over views of S^T r - (P^T S)^T (P^T P)^-1 P^T r
+    (3) shared step   ds = -(N + Q)^-1 (g + Q (s - s0)),  Q and s0 the camera's prior
+    (4) pose step     dp = -(P^T P)^-1 P^T (r + S ds)
 """
 
 from collections.abc import Sequence
@@ -13,7 +20,13 @@ import numpy as np
 from ringpose.calibrate.boards.corner_errors import MIN_SIGMA_PX, corner_residuals, whiten
 from ringpose.calibrate.boards.pose import moved_pose, residuals
 from ringpose.calibrate.camera.parameters import camera_with, parameter_names, parameters_of, projection_jacobians
-from ringpose.calibrate.planes.stripe_errors import center_sigma_px, shared_length, stripe_bend, stripe_rows
+from ringpose.calibrate.planes.stripe_errors import (
+    StripeResiduals,
+    center_sigma_px,
+    line_modes,
+    shared_length,
+    stripe_residuals,
+)
 from ringpose.errors import DataError
 from ringpose.geometry.rays import rays, undistorted_pixels
 from ringpose.geometry.robust import huber_weights, robust_std
@@ -24,17 +37,17 @@ from ringpose.types.calibration import StripeView
 from ringpose.types.camera import Camera
 
 ROBUST_SIGMAS = 3.0
-"""Residuals beyond so many standard deviations pull no harder than these (Huber): 0.3 % of normal errors."""
+"""Limit of the Huber loss in standard deviations: 0.3 % of normal errors exceed it."""
 
-_ITERATIONS = 50
+_MAX_ITERATIONS = 50
 _CONVERGED = 1e-4
-"""Decrease of the sum of squares that is left: a hundredth of a standard deviation. Weights that follow the median keep
-moving far below that."""
+"""Predicted decrease of chi-squared at which the iteration stops: a hundredth of a standard deviation. The robust
+weights follow the median and keep changing far below that."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class JointState:
-    """What is estimated."""
+    """The estimated quantities; light planes are `normal . point = distance_m` in the camera frame."""
 
     poses: tuple[BoardPose, ...]
     normal: Float64[Array, "laser xyz=3"]
@@ -44,21 +57,22 @@ class JointState:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class JointData:
-    """What is measured, with its errors."""
+    """The measurements with their standard deviations."""
 
     views: tuple[StripeView, ...]
     corner_px: Float64[Array, "view"]
     """Standard deviation of one coordinate of a corner."""
     center_px: tuple[Float64[Array, "laser"], ...]
-    """By view: of a stripe centre, its likeness to its neighbours allowed for; NaN where there is none."""
+    """By view: standard deviation of a stripe centre, inflated for correlated neighbours; NaN without a stripe."""
     rays: tuple[tuple[Float64[Array, "_ xyz=3"], ...], ...]
-    """By view and laser, of the stripe centres, as the given camera has them."""
+    """By view and laser: rays of the stripe centres by the given camera."""
     camera: Camera
     """As it was given, with its covariance."""
     free_camera: bool = False
+    """Whether the camera is estimated, with its covariance as prior."""
 
     def without_view(self, left_out: int) -> "JointData":
-        """The same without one view."""
+        """The same data without one view."""
         return replace(
             self,
             views=self.views[:left_out] + self.views[left_out + 1 :],
@@ -68,42 +82,52 @@ class JointData:
         )
 
     def without_laser(self, laser: int) -> "JointData":
-        """The same without one laser's stripes; the camera stays as it was given."""
+        """The same data without one laser's stripes; the camera is held fixed."""
         nothing = (np.empty((0, 3)),)
         return replace(
             self, rays=tuple(own[:laser] + nothing + own[laser + 1 :] for own in self.rays), free_camera=False
         )
 
     def with_camera(self, camera: Camera) -> "JointData":
-        """The same seen by another camera, which is held."""
-        seen = tuple(tuple(rays(px, camera) for px in view.stripes_px) for view in self.views)
-        return replace(self, rays=seen, camera=camera, free_camera=False)
+        """The same data with the rays of another camera, which is held fixed."""
+        own = tuple(tuple(rays(px, camera) for px in view.stripes_px) for view in self.views)
+        return replace(self, rays=own, camera=camera, free_camera=False)
+
+    def stripe_rays(self, view: int, camera: Camera) -> tuple[Float64[Array, "_ xyz=3"], ...]:
+        """Rays of a view's stripe centres by laser; by the estimated camera if it is free."""
+        if not self.free_camera:
+            return self.rays[view]
+        return tuple(rays(px, camera) for px in self.views[view].stripes_px)
 
 
 class JointFit(NamedTuple):
-    """The solution and what its neighbourhood says."""
+    """The solution."""
 
     state: JointState
     information: Float64[Array, "shared shared"]
-    """Of the planes' parameters (three a laser) and the camera's, the poses eliminated; without the camera's prior."""
+    """N of Eq. (1): of the planes' parameters (three for each laser) and the camera's, without the camera's prior."""
     chi2: float
-    """Corners and stripe lines, each by its standard deviation, squared and summed; robust."""
+    """Robust sum of squares of the corners and of two parameters of each stripe's line."""
 
 
 def joint_data(
     views: Sequence[StripeView], camera: Camera, corner_px: Float64[Array, "view"], free_camera: bool = False
 ) -> JointData:
-    """The views with the errors that they show themselves.
+    """The measurements, with the standard deviations of stripe centres estimated from the stripes themselves.
 
-    Stripes tell theirs made straight: no smooth line of few terms follows what a lens bends from side to side of the
-    image, and what is left would pass for likeness of neighbours.
+    These are estimated in undistorted pixels: a polynomial of few terms does not follow the distortion across the whole
+    image, and what it leaves would be taken for correlation of neighbours.
     """
     straight = [[undistorted_pixels(px, camera) for px in view.stripes_px] for view in views]
-    shared = shared_length([px for view in straight for px in view])
+    length = shared_length([px for view in straight for px in view])
+
+    def sigma_px(points_px: Float64[Array, "n xy=2"]) -> float:
+        return max(center_sigma_px(points_px, length), MIN_SIGMA_PX) if len(points_px) else float("nan")
+
     return JointData(
         views=tuple(views),
         corner_px=np.maximum(corner_px, MIN_SIGMA_PX),
-        center_px=tuple(np.array([_center_px(px, shared) for px in view]) for view in straight),
+        center_px=tuple(np.array([sigma_px(px) for px in view]) for view in straight),
         rays=tuple(tuple(rays(px, camera) for px in view.stripes_px) for view in views),
         camera=camera,
         free_camera=free_camera,
@@ -111,28 +135,28 @@ def joint_data(
 
 
 def joint_fit(data: JointData, start: JointState) -> JointFit:
-    """Gauss and Newton's steps from a start near the solution, the weights renewed with each."""
-    state, fixed = start, 3 * len(start.distance_m)
-    for _ in range(_ITERATIONS):
-        equations = _equations(data, state)
-        step, gain = _shared_step(data, state, equations, fixed)
-        state = _moved(data, state, step, equations)
-        if gain < _CONVERGED:
-            return JointFit(state, _equations(data, state).information, _chi2(data, state))
+    """Iteratively re-weighted Gauss-Newton from a start near the solution; DataError if it does not converge."""
+    state = start
+    for _ in range(_MAX_ITERATIONS):
+        state, decrease = _gauss_newton_step(data, state)
+        if decrease < _CONVERGED:
+            return JointFit(state, _reduced_equations(data, state).information, _chi2(data, state))
     raise DataError(
-        "calibrate-planes", "board poses and light planes do not settle", "try --method total-least-squares"
+        "calibrate-planes",
+        "the joint adjustment of board poses and light planes does not converge",
+        "try --method total-least-squares",
     )
 
 
 def free_parameters(camera: Camera) -> Bool[Array, "parameter"]:
-    """The intrinsic parameters that were estimated: those of the camera's covariance that are not held."""
+    """Which intrinsic parameters were estimated: those with a standard deviation above zero."""
     names = parameter_names(camera.distortion_model)
     deviations = {} if camera.covariance is None else camera.covariance.standard_deviations
     return np.array([deviations.get(name, 0.0) > 0 for name in names])
 
 
 def prior_information(camera: Camera) -> Float64[Array, "parameter parameter"]:
-    """Inverse of the camera's covariance; zero for what is held."""
+    """Inverse of the camera's covariance; zero for parameters that are held fixed."""
     names = parameter_names(camera.distortion_model)
     information = np.zeros((len(names), len(names)))
     if camera.covariance is not None:
@@ -140,140 +164,126 @@ def prior_information(camera: Camera) -> Float64[Array, "parameter parameter"]:
         known = np.flatnonzero(sigma > 0)
         scale = np.outer(sigma[known], sigma[known])
         inverse = np.linalg.inv(camera.covariance.data[np.ix_(known, known)] / scale) / scale
-        places = [names.index(camera.covariance.parameters[index]) for index in known]
-        information[np.ix_(places, places)] = inverse
+        columns = [names.index(camera.covariance.parameters[index]) for index in known]
+        information[np.ix_(columns, columns)] = inverse
     return information
 
 
-class _Equations(NamedTuple):
-    """Normal equations of the shared parameters, and what gives the poses their steps."""
-
-    information: Float64[Array, "shared shared"]
-    gradient: Float64[Array, "shared"]
-    pose_step: tuple[Float64[Array, "pose=6"], ...]
-    """Of each view if the shared parameters stay ..."""
-    pose_by_shared: tuple[Float64[Array, "pose=6 shared"], ...]
-    """... and how it follows them."""
-    pose_gain: float
-    """By how much the sum of squares would shrink if the poses alone moved."""
+def corner_chi2(view: StripeView, pose: BoardPose, camera: Camera, corner_px: float) -> float:
+    """Robust sum of squares of a view's whitened corner residuals."""
+    residual = corner_residuals(view.board, pose, camera) / corner_px
+    return float(_robust_weights(residual) @ residual**2)
 
 
-def _equations(data: JointData, state: JointState) -> _Equations:
-    shared = 3 * len(state.distance_m) + 4 + len(state.camera.distortion_coefficients)
-    information, gradient = np.zeros((shared, shared)), np.zeros(shared)
-    steps, follow, gain = [], [], 0.0
-    for index in range(len(data.views)):
-        by_pose, by_shared, residual = _view_rows(data, state, index)
-        inverse = np.linalg.inv(by_pose.T @ by_pose)
-        mixed = by_pose.T @ by_shared
-        pull = by_pose.T @ residual
-        information += by_shared.T @ by_shared - mixed.T @ inverse @ mixed
-        gradient += by_shared.T @ residual - mixed.T @ inverse @ pull
-        gain += float(pull @ inverse @ pull)
-        steps.append(-inverse @ pull)
-        follow.append(-inverse @ mixed)
-    return _Equations(information, gradient, tuple(steps), tuple(follow), gain)
-
-
-def _view_rows(
-    data: JointData, state: JointState, index: int
-) -> tuple[Float64[Array, "row pose=6"], Float64[Array, "row shared"], Float64[Array, "row"]]:
-    """Derivatives by the view's pose and by what is shared, and residuals, all by standard deviations and weighed."""
-    view, pose, planes = data.views[index], state.poses[index], 3 * len(state.distance_m)
-    by_pose, by_camera = projection_jacobians(view.board.points_board_m, pose, state.camera)
-    error = residuals(view.board, pose, state.camera).reshape(-1, 1)
-    every = np.hstack([-by_pose.reshape(-1, 6), error, -by_camera.reshape(len(error), -1)])
-    every = whiten(every, view.board) / data.corner_px[index]
-    corners = np.hstack([np.zeros((len(error), planes)), every[:, 7:]])
-    rows = [(every[:, :6], corners, every[:, 6])]
-    for laser, directions in enumerate(_rays(data, state, index)):
-        if not len(directions):
-            continue
-        found = stripe_rows(directions, pose, state.normal[laser], float(state.distance_m[laser]), state.camera)
-        sigma = data.center_px[index][laser]
-        by_shared = np.zeros((len(directions), corners.shape[1]))
-        by_shared[:, 3 * laser : 3 * laser + 3] = found.by_plane / sigma
-        by_shared[:, planes:] = found.by_camera / sigma
-        rows.append((found.by_pose / sigma, by_shared, found.residual_px / sigma))
-    root = [np.sqrt(_huber(residual)) for _, _, residual in rows]
-    return (
-        np.concatenate([weight[:, None] * row[0] for weight, row in zip(root, rows, strict=True)]),
-        np.concatenate([weight[:, None] * row[1] for weight, row in zip(root, rows, strict=True)]),
-        np.concatenate([weight * row[2] for weight, row in zip(root, rows, strict=True)]),
-    )
-
-
-def _rays(data: JointData, state: JointState, index: int) -> tuple[Float64[Array, "_ xyz=3"], ...]:
-    if not data.free_camera:
-        return data.rays[index]
-    return tuple(rays(px, state.camera) for px in data.views[index].stripes_px)
-
-
-def _huber(residual: Float64[Array, "n"]) -> Float64[Array, "n"]:
-    """Weights; a stripe that lies aside as a whole has a scatter as large, and loses no single centres."""
-    return huber_weights(residual, ROBUST_SIGMAS * max(1.0, robust_std(residual)))
-
-
-def _shared_step(
-    data: JointData, state: JointState, equations: _Equations, planes: int
-) -> tuple[Float64[Array, "shared"], float]:
-    """The step of planes and camera, and by how much it makes the sum of squares smaller."""
+def _gauss_newton_step(data: JointData, state: JointState) -> tuple[JointState, float]:
+    """The state after one step, and the predicted decrease of the sum of squares."""
+    equations = _reduced_equations(data, state)
     information, gradient = equations.information.copy(), equations.gradient.copy()
-    free = np.diag(information) > 0
+    planes = 3 * len(state.distance_m)
+    free = np.diag(information) > 0  # a laser without stripes keeps its plane
     free[planes:] = False
     if data.free_camera:
         free[planes:] = free_parameters(data.camera)
         prior = prior_information(data.camera)
         information[planes:, planes:] += prior
         gradient[planes:] += prior @ (parameters_of(state.camera) - parameters_of(data.camera))
-    step = np.zeros(len(gradient))
+
+    # Eq. (3), scaled to a unit diagonal because the parameters have different units.
     scale = np.sqrt(np.diag(information)[free])
-    inner = information[np.ix_(free, free)] / np.outer(scale, scale)
-    step[free] = -np.linalg.solve(inner, gradient[free] / scale) / scale
-    return step, -float(step @ gradient) + equations.pose_gain
+    shared = np.zeros(len(gradient))
+    scaled = information[np.ix_(free, free)] / np.outer(scale, scale)
+    shared[free] = -np.linalg.solve(scaled, gradient[free] / scale) / scale
+    decrease = equations.pose_decrease - float(shared @ gradient)
 
-
-def _moved(data: JointData, state: JointState, step: Float64[Array, "shared"], equations: _Equations) -> JointState:
-    lasers = len(state.distance_m)
-    of_plane = step[: 3 * lasers].reshape(lasers, 3)
     poses = tuple(
-        moved_pose(pose, own + follow @ step)
-        for pose, own, follow in zip(state.poses, equations.pose_step, equations.pose_by_shared, strict=True)
+        moved_pose(pose, step + wrt_shared @ shared)  # Eq. (4)
+        for pose, step, wrt_shared in zip(state.poses, equations.pose_step, equations.pose_wrt_shared, strict=True)
     )
+    plane = shared[:planes].reshape(-1, 3)  # two tilts and a distance each
+    normal = np.stack([tilted(own, tilt) for own, tilt in zip(state.normal, plane[:, :2], strict=True)])
     camera = state.camera
     if data.free_camera:
-        camera = camera_with(parameters_of(camera) + step[3 * lasers :], camera)
-    return JointState(
-        poses=poses,
-        normal=np.stack([tilted(normal, tilt) for normal, tilt in zip(state.normal, of_plane[:, :2], strict=True)]),
-        distance_m=state.distance_m + of_plane[:, 2],
-        camera=camera,
-    )
+        camera = camera_with(parameters_of(camera) + shared[planes:], camera)
+    return JointState(poses=poses, normal=normal, distance_m=state.distance_m + plane[:, 2], camera=camera), decrease
+
+
+class _ReducedEquations(NamedTuple):
+    """Normal equations of the shared parameters, and what determines the steps of the poses."""
+
+    information: Float64[Array, "shared shared"]
+    gradient: Float64[Array, "shared"]
+    pose_step: tuple[Float64[Array, "pose=6"], ...]
+    """By view: -(P^T P)^-1 P^T r, the step if the shared parameters are held ..."""
+    pose_wrt_shared: tuple[Float64[Array, "pose=6 shared"], ...]
+    """... and -(P^T P)^-1 P^T S, its derivative with respect to these."""
+    pose_decrease: float
+    """Predicted decrease of the sum of squares if only the poses move."""
+
+
+def _reduced_equations(data: JointData, state: JointState) -> _ReducedEquations:
+    """Eqs. (1) and (2)."""
+    number = 3 * len(state.distance_m) + 4 + len(state.camera.distortion_coefficients)
+    information, gradient = np.zeros((number, number)), np.zeros(number)
+    pose_step, pose_wrt_shared, decrease = [], [], 0.0
+    for view in range(len(data.views)):
+        residual, wrt_pose, wrt_shared = _whitened_residuals(data, state, view)
+        inverse = np.linalg.inv(wrt_pose.T @ wrt_pose)
+        pose_gradient, cross = wrt_pose.T @ residual, wrt_pose.T @ wrt_shared
+        information += wrt_shared.T @ wrt_shared - cross.T @ inverse @ cross
+        gradient += wrt_shared.T @ residual - cross.T @ inverse @ pose_gradient
+        pose_step.append(-inverse @ pose_gradient)
+        pose_wrt_shared.append(-inverse @ cross)
+        decrease += float(pose_gradient @ inverse @ pose_gradient)
+    return _ReducedEquations(information, gradient, tuple(pose_step), tuple(pose_wrt_shared), decrease)
+
+
+def _whitened_residuals(
+    data: JointData, state: JointState, index: int
+) -> tuple[Float64[Array, "row"], Float64[Array, "row pose=6"], Float64[Array, "row shared"]]:
+    """Residuals r of a view's corners and stripe centres, and their derivatives P and S, with robust weights."""
+    view, pose, planes = data.views[index], state.poses[index], 3 * len(state.distance_m)
+    pixel_wrt_pose, pixel_wrt_camera = projection_jacobians(view.board.points_board_m, pose, state.camera)
+    error_px = residuals(view.board, pose, state.camera).reshape(-1, 1)
+    columns = [error_px, -pixel_wrt_pose.reshape(-1, 6), -pixel_wrt_camera.reshape(len(error_px), -1)]
+    corners = whiten(np.hstack(columns), view.board) / data.corner_px[index]
+    error, wrt_pose, wrt_camera = np.split(corners, [1, 7], axis=1)
+    blocks = [(error[:, 0], wrt_pose, np.hstack([np.zeros((len(error), planes)), wrt_camera]))]
+    for laser, stripe in _stripes(data, state, index):
+        sigma_px = data.center_px[index][laser]
+        wrt_shared = np.zeros((len(stripe.residual_px), planes + wrt_camera.shape[1]))
+        wrt_shared[:, 3 * laser : 3 * laser + 3] = stripe.wrt_plane / sigma_px
+        wrt_shared[:, planes:] = stripe.wrt_camera / sigma_px
+        blocks.append((stripe.residual_px / sigma_px, stripe.wrt_pose / sigma_px, wrt_shared))
+    root = np.sqrt(np.concatenate([_robust_weights(block[0]) for block in blocks]))
+    residual, wrt_pose, wrt_shared = (np.concatenate(part) for part in zip(*blocks, strict=True))
+    return root * residual, root[:, None] * wrt_pose, root[:, None] * wrt_shared
+
+
+def _stripes(data: JointData, state: JointState, index: int) -> list[tuple[int, StripeResiduals]]:
+    """Lasers that a view shows, with the residuals of their stripes."""
+    return [
+        (laser, stripe_residuals(own, state.poses[index], state.normal[laser], distance_m, state.camera))
+        for laser, (own, distance_m) in enumerate(
+            zip(data.stripe_rays(index, state.camera), state.distance_m.tolist(), strict=True)
+        )
+        if len(own)
+    ]
+
+
+def _robust_weights(residual: Float64[Array, "n"]) -> Float64[Array, "n"]:
+    """Huber weights; the limit grows with the scatter, so that a stripe displaced as a whole keeps all its centres."""
+    return huber_weights(residual, ROBUST_SIGMAS * max(1.0, robust_std(residual)))
 
 
 def _chi2(data: JointData, state: JointState) -> float:
-    """Corners, and of each stripe its line's shift and turn."""
+    """Squares of the corners and, for each stripe, of shift and rotation of its line only.
+
+    The scatter of single centres about the line is left out: it does not depend on boards and planes.
+    """
     total = 0.0
     for index, (view, pose) in enumerate(zip(data.views, state.poses, strict=True)):
         total += corner_chi2(view, pose, state.camera, float(data.corner_px[index]))
-        for laser, directions in enumerate(_rays(data, state, index)):
-            if len(directions):
-                rows = stripe_rows(directions, pose, state.normal[laser], float(state.distance_m[laser]), state.camera)
-                ways = np.linalg.norm(stripe_bend(view.stripes_px[laser]), axis=-1)
-                run = np.sign(stripe_bend(view.stripes_px[laser])[1].sum(axis=-1)) * ways[1]
-                line = np.array([rows.residual_px.mean(), rows.residual_px @ run / len(run)])
-                total += len(run) * float(line @ line) / data.center_px[index][laser] ** 2
+        for laser, stripe in _stripes(data, state, index):
+            line_px = line_modes(view.stripes_px[laser]) @ stripe.residual_px / len(stripe.residual_px)
+            total += len(stripe.residual_px) * float(line_px @ line_px) / data.center_px[index][laser] ** 2
     return total
-
-
-def corner_chi2(view: StripeView, pose: BoardPose, camera: Camera, corner_px: float) -> float:
-    """Squared residuals of a view's corners by their standard deviation, robust."""
-    residual = corner_residuals(view.board, pose, camera) / corner_px
-    return float(_huber(residual) @ residual**2)
-
-
-def _center_px(points_px: Float64[Array, "n xy=2"], shared: float) -> float:
-    """By the correlation length of all stripes."""
-    if not len(points_px):
-        return float("nan")
-    return max(center_sigma_px(points_px, shared), MIN_SIGMA_PX)

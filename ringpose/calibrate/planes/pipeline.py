@@ -1,7 +1,4 @@
-"""Light planes from views of a board with stripes (ringpose-method(7), section 6).
-
-The light planes of a set of views by each method, and those of the views less one.
-"""
+"""Light planes from stripe views by each method, with held-out residuals (method(7), section 6)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -40,6 +37,15 @@ from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.options import PlanesMethod
 from ringpose.types.rig import LaserPlanes
 
+_SIGMA_ROUNDS = 5
+"""Maximum number of re-estimations of the corners' standard deviations."""
+
+_SETTLED = 0.95
+"""The adjustment is repeated while a view's corner standard deviation falls below this share of its former value."""
+
+HeldOut = Sequence[Sequence[FittedPlane | None]]
+"""By laser and view: the plane of the other views; None where they do not determine one."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanesModel:
@@ -51,19 +57,42 @@ class PlanesModel:
     order: tuple[int, ...] | None = None
     """Lasers in the order in which their stripes cross the image, for frames with all lasers on."""
     free_camera: bool = False
-    """Let boards and stripes improve the camera, from its covariance; only in the joint method."""
+    """Estimate the camera too, with its covariance as prior; only in the joint method."""
+
+
+class PlaneSolution(NamedTuple):
+    """The result of a method."""
+
+    planes: tuple[FittedPlane, ...]
+    poses: tuple[BoardPose, ...]
+    camera: Camera
+    corner_points: Sequence[Sequence[Points]]
+    """By laser and view: the stripes triangulated with board poses from the corners alone."""
+    held_out: HeldOut
+    covariance: ParameterCovariance | None = None
+    excess: float = 1.0
+    disagreement: tuple[float, ...] | None = None
 
 
 def calibrate_planes(views: Sequence[StripeView], camera: Camera, model: PlanesModel) -> PlanesCalibration:
-    """The light planes in the camera frame, with what each view says about each of them."""
+    """The light planes in the camera frame, with the residuals of each view."""
     views = [replace(view, board=without_distortion_bias(view.board, camera)) for view in views]
-    poses = [_poses(view, camera, model.method) for view in views]
+    poses = [_candidate_poses(view, camera, model.method) for view in views]
     evidence, remarks, contradicting = stripe_evidence(views, poses, camera, model.names, model.order)
-    solution = _solution(evidence, model)
+    if model.method is PlanesMethod.JOINT:
+        solution = joint_solution(evidence, model.free_camera)
+    else:
+        solution = separate_solution(evidence, model.method)
     lasers = tuple(_laser(laser, evidence, solution) for laser in range(len(model.names)))
+    planes = LaserPlanes(
+        names=model.names,
+        normal=np.stack([laser.normal for laser in lasers]),
+        distance_m=np.array([laser.distance_m for laser in lasers]),
+        projector_m=np.full((len(lasers), 3), np.nan),
+    )
     return PlanesCalibration(
         camera=solution.camera,
-        planes=_planes(lasers),
+        planes=planes,
         covariance=solution.covariance,
         method=model.method.value,
         lasers=lasers,
@@ -74,43 +103,19 @@ def calibrate_planes(views: Sequence[StripeView], camera: Camera, model: PlanesM
     )
 
 
-HeldOut = Sequence[Sequence[FittedPlane | None]]
-"""By laser and view: the plane of the other views; None where they determine none."""
-
-
-class PlaneSolution(NamedTuple):
-    """What a method found."""
-
-    planes: tuple[FittedPlane, ...]
-    poses: tuple[BoardPose, ...]
-    camera: Camera
-    corner_points: Sequence[Sequence[Points]]
-    """By laser and view: the stripes on boards where their corners alone have them."""
-    held_out: HeldOut
-    covariance: ParameterCovariance | None = None
-    excess: float = 1.0
-    disagreement: tuple[float, ...] | None = None
-
-
-def _solution(evidence: StripeEvidence, model: PlanesModel) -> PlaneSolution:
-    if model.method is not PlanesMethod.JOINT:
-        return separate_solution(evidence, model.method)
-    try:
-        return joint_solution(evidence, model.free_camera)
-    except np.linalg.LinAlgError as error:
-        found = "corners and stripes contradict one another so far that no boards and planes fit them"
-        raise DataError("calibrate-planes", found, "measure the board's sizes; check board and camera file") from error
-
-
-def _poses(view: StripeView, camera: Camera, method: PlanesMethod) -> list[BoardPose]:
-    """The board's pose; and the mirrored one where the corners cannot tell."""
+def _candidate_poses(view: StripeView, camera: Camera, method: PlanesMethod) -> list[BoardPose]:
+    """The board's pose, followed by the mirrored one where the corners leave both possible."""
     if method is PlanesMethod.PAPER:
         return [marker_average_pose(view.board, camera)]
     return board_poses(view.board, camera)
 
 
 def _laser(laser: int, evidence: StripeEvidence, solution: PlaneSolution) -> LaserCalibration:
-    """One laser's plane, the points of its views where the solution has them, held out where the corners have them."""
+    """One laser's plane with its residuals by view.
+
+    Residuals use the board poses of the solution; held-out residuals use those of the corners alone, because the
+    solution's poses depend on the stripe itself.
+    """
     plane = solution.planes[laser]
     by_corners = solution.corner_points[laser]
     views = []
@@ -132,23 +137,8 @@ def _laser(laser: int, evidence: StripeEvidence, solution: PlaneSolution) -> Las
     return laser_calibration(evidence.names[laser], plane, views, disagreement)
 
 
-def _planes(lasers: Sequence[LaserCalibration]) -> LaserPlanes:
-    return LaserPlanes(
-        names=tuple(laser.name for laser in lasers),
-        normal=np.stack([laser.normal for laser in lasers]),
-        distance_m=np.array([laser.distance_m for laser in lasers]),
-        projector_m=np.full((len(lasers), 3), np.nan),
-    )
-
-
-_SIGMA_ROUNDS = 5
-
-_SETTLED = 0.95
-"""Share of the corners' standard deviation below which a smaller one is tried."""
-
-
 def separate_solution(evidence: StripeEvidence, method: PlanesMethod) -> PlaneSolution:
-    """Each laser by itself, the boards where their corners have them."""
+    """Each laser's plane by itself, with board poses from the corners alone."""
     points = [evidence.points(laser) for laser in range(len(evidence.names))]
     views = range(len(evidence.views))
     return PlaneSolution(
@@ -161,73 +151,78 @@ def separate_solution(evidence: StripeEvidence, method: PlanesMethod) -> PlaneSo
 
 
 def joint_solution(evidence: StripeEvidence, free_camera: bool) -> PlaneSolution:
-    """Boards, lasers and, if it is free, the camera together, from where each by itself has them."""
+    """Joint adjustment of board poses, planes and, if it is free, the camera, started from the separate solution."""
     points = [evidence.points(laser) for laser in range(len(evidence.names))]
-    nearest = PlanesMethod.TOTAL_LEAST_SQUARES
-    start = [fitted_plane(name, own, nearest) for name, own in zip(evidence.names, points, strict=True)]
-    data, fit = _fit(evidence, start, free_camera)
-    held = data.with_camera(fit.state.camera) if free_camera else data
-    excess = variance_excess(held, fit)
-    return PlaneSolution(
-        planes=_solved_planes(fit, start),
-        poses=fit.state.poses,
-        camera=fit.state.camera,
-        corner_points=_seen_by(evidence, fit.state.camera) if free_camera else points,
-        held_out=_held_out(points, held, fit),
-        covariance=planes_covariance(evidence.names, fit, evidence.camera, excess, free_camera),
-        excess=excess,
-        disagreement=laser_disagreements(held, fit),
-    )
+    start = [
+        fitted_plane(name, own, PlanesMethod.TOTAL_LEAST_SQUARES)
+        for name, own in zip(evidence.names, points, strict=True)
+    ]
+    try:
+        data, fit = _weighted_fit(evidence, start, free_camera)
+        fixed = data.with_camera(fit.state.camera) if free_camera else data
+        excess = variance_excess(fixed, fit)
+        planes = zip(fit.state.normal, fit.state.distance_m.tolist(), start, strict=True)
+        return PlaneSolution(
+            planes=tuple(FittedPlane(*downward(normal, distance), old.condition) for normal, distance, old in planes),
+            poses=fit.state.poses,
+            camera=fit.state.camera,
+            corner_points=_points_by_camera(evidence, fit.state.camera) if free_camera else points,
+            held_out=_held_out(points, fixed, fit),
+            covariance=planes_covariance(evidence.names, fit, evidence.camera, excess, free_camera),
+            excess=excess,
+            disagreement=laser_disagreements(fixed, fit),
+        )
+    except np.linalg.LinAlgError as error:
+        found = "corners and stripes contradict one another so far that no boards and planes fit them"
+        raise DataError("calibrate-planes", found, "measure the board's sizes; check board and camera file") from error
 
 
-def _fit(evidence: StripeEvidence, start: Sequence[FittedPlane], free_camera: bool) -> tuple[JointData, JointFit]:
-    """The fit with the corners' errors as the fit has them: stray corners, which it resists, bend single boards."""
+def _weighted_fit(
+    evidence: StripeEvidence, start: Sequence[FittedPlane], free_camera: bool
+) -> tuple[JointData, JointFit]:
+    """The adjustment, repeated with the corners' standard deviations re-estimated from its residuals.
+
+    The board poses it starts from follow outlying corners; those of the robust adjustment do not.
+    """
     corner_px = corner_sigmas_px(evidence.views, evidence.poses, evidence.camera)
     data = joint_data(evidence.views, evidence.camera, corner_px, free_camera)
-    fit = joint_fit(data, _state(start, evidence.poses, evidence.camera))
+    state = JointState(
+        poses=tuple(evidence.poses),
+        normal=np.stack([plane.normal for plane in start]),
+        distance_m=np.array([plane.distance_m for plane in start]),
+        camera=evidence.camera,
+    )
+    fit = joint_fit(data, state)
     for _ in range(_SIGMA_ROUNDS):
         corner_px = corner_sigmas_px(evidence.views, fit.state.poses, fit.state.camera)
         if np.all(corner_px > _SETTLED * data.corner_px):
             break
         data = replace(data, corner_px=corner_px)
         fit = joint_fit(data, fit.state)
-    taken = int(free_parameters(evidence.camera).sum()) if free_camera else 0
-    wider = with_shared_errors(data.corner_px, evidence.views, fit.state.poses, fit.state.camera, taken)
-    data = replace(data, corner_px=wider)
+    # Last, the standard deviations are widened by errors that a corner has in common to all views (print, bent board).
+    free = int(free_parameters(evidence.camera).sum()) if free_camera else 0
+    corner_px = with_shared_errors(data.corner_px, evidence.views, fit.state.poses, fit.state.camera, free)
+    data = replace(data, corner_px=corner_px)
     return data, joint_fit(data, fit.state)
 
 
-def _state(planes: Sequence[FittedPlane], poses: Sequence[BoardPose], camera: Camera) -> JointState:
-    return JointState(
-        poses=tuple(poses),
-        normal=np.stack([plane.normal for plane in planes]),
-        distance_m=np.array([plane.distance_m for plane in planes]),
-        camera=camera,
-    )
-
-
-def _seen_by(evidence: StripeEvidence, camera: Camera) -> list[list[Points]]:
-    """The stripes on the boards as another camera has them."""
+def _points_by_camera(evidence: StripeEvidence, camera: Camera) -> list[list[Points]]:
+    """The stripes triangulated with another camera."""
     poses = tuple(board_pose(view.board, camera) for view in evidence.views)
-    seen = replace(evidence, camera=camera, poses=poses)
-    return [seen.points(laser) for laser in range(len(seen.names))]
-
-
-def _solved_planes(fit: JointFit, start: Sequence[FittedPlane]) -> tuple[FittedPlane, ...]:
-    pairs = zip(fit.state.normal, fit.state.distance_m.tolist(), start, strict=True)
-    return tuple(FittedPlane(*downward(normal, distance_m), old.condition) for normal, distance_m, old in pairs)
+    other = replace(evidence, camera=camera, poses=poses)
+    return [other.points(laser) for laser in range(len(other.names))]
 
 
 def _held_out(points: Sequence[Sequence[Points]], data: JointData, fit: JointFit) -> HeldOut:
-    """The planes without each view in turn; those of lasers that are then undetermined take no part."""
+    """The planes without each view in turn; lasers that are then undetermined take no part in the adjustment."""
     by_view = []
     for view in range(len(data.views)):
         determined = [determined_without(own, view) for own in points]
-        by_view.append(_without_view(data, fit, view, determined))
+        by_view.append(_planes_without_view(data, fit, view, determined))
     return list(zip(*by_view, strict=True))
 
 
-def _without_view(
+def _planes_without_view(
     data: JointData, fit: JointFit, left_out: int, determined: Sequence[bool]
 ) -> list[FittedPlane | None]:
     if not any(determined):

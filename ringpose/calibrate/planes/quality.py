@@ -1,7 +1,4 @@
-"""What a calibration of the light planes is worth, for the file and for the reader.
-
-How the light planes lie to one another: what the maker of the lasers said can be held against it.
-"""
+"""Results of a calibration of the light planes: the key `quality` of rig.yaml, the summary, angles between planes."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -21,23 +18,23 @@ from ringpose.types.rig import Rig
 from ringpose.types.verdict import Verdict
 
 DEPTHS_M = (0.2, 0.3, 0.5, 1.0)
-"""Where the uncertainty of depths is given."""
+"""Distances at which depth uncertainties are reported."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlanesAssessment:
-    """The light planes with all that they are judged by."""
+    """The light planes with verdict and comparison."""
 
     calibration: PlanesCalibration
     verdict: Verdict
     paper: PlanesCalibration | None = None
-    """The same views by the paper's method; None where it cannot be applied."""
+    """The same views by the paper's method; None if it is not applicable."""
     without_board: Sequence[tuple[str, str]] = ()
     """Images that show no board, and why."""
 
 
 def calibrated_rig(calibration: PlanesCalibration) -> Rig:
-    """The rig of camera and light planes; the joint covariance, where there is one, holds the camera's too."""
+    """The rig of camera and light planes; a joint covariance replaces the camera's own."""
     joint = calibration.covariance is not None
     own = replace(calibration.camera, covariance=None) if joint else calibration.camera
     return Rig(camera=own, lasers=calibration.planes, covariance=calibration.covariance)
@@ -69,7 +66,7 @@ def planes_quality(assessment: PlanesAssessment) -> Mapping[str, Any]:
 
 
 def planes_summary(assessment: PlanesAssessment) -> list[str]:
-    """The same in lines to read."""
+    """The same as lines of text."""
     calibration = assessment.calibration
     lines = [f"{name}: {reason}" for name, reason in calibration.remarks]
     deviations = _standard_deviations(calibration)
@@ -94,7 +91,7 @@ def _laser_line(laser: LaserCalibration, deviations: Mapping[str, float]) -> str
     if np.isfinite(laser.held_out_rms_m):
         line += f", held out {1e6 * laser.held_out_rms_m:.0f} um"
     else:
-        line += ", held out unknown (a third view would tell)"
+        line += ", held out unknown (needs a third view)"
     if deviations:
         tilt = np.degrees(max(deviations[f"{laser.name}.tilt_1"], deviations[f"{laser.name}.tilt_2"]))
         line += f", tilt ± {tilt:.4f} deg, distance ± {1e6 * deviations[f'{laser.name}.distance']:.0f} um"
@@ -113,7 +110,7 @@ def _by_distance(laser: LaserCalibration) -> list[str]:
 
 
 def _angles(calibration: PlanesCalibration) -> dict[str, Any] | None:
-    """Between neighbouring light planes, and how far the lines that they share lie apart."""
+    """Angles between neighbouring light planes, and the distance between their lines of intersection."""
     angles = plane_angles(calibration)
     if not angles:
         return None
@@ -133,7 +130,7 @@ def _angles(calibration: PlanesCalibration) -> dict[str, Any] | None:
 
 
 def _depths(calibration: PlanesCalibration) -> dict[str, Any] | None:
-    """Worst standard deviation of depths along each stripe, by distance; NaN where it is out of the image."""
+    """Largest standard deviation of depths along each stripe, by distance; NaN if it is outside the image."""
     if calibration.covariance is None:
         return None
     found = depth_uncertainty(calibration.camera, calibration.planes, calibration.covariance, DEPTHS_M)
@@ -149,13 +146,13 @@ def _depth_lines(calibration: PlanesCalibration) -> list[str]:
     for entry in depths["lasers"]:
         known = [(z, sd) for z, sd in zip(depths["distances_m"], entry["depth_sd_m"], strict=True) if np.isfinite(sd)]
         if known:
-            said = ", ".join(f"{1e3 * sd:.2f} mm at {z:g} m" for z, sd in known)
-            lines.append(f"{entry['name']}: depths are known to {said} (one sigma)")
+            sigmas = ", ".join(f"{1e3 * sd:.2f} mm at {z:g} m" for z, sd in known)
+            lines.append(f"{entry['name']}: standard deviation of depths: {sigmas}")
     return lines
 
 
 def _ring_centers(calibration: PlanesCalibration) -> dict[str, Any] | None:
-    """Of a ring by this calibration alone, along the camera's axes; NaN where its edges miss a stripe."""
+    """Standard deviations of a ring's centre by the calibration alone, along the camera's axes; NaN without stripes."""
     if calibration.covariance is None:
         return None
     camera, lasers, covariance = calibration.camera, calibration.planes, calibration.covariance
@@ -168,12 +165,14 @@ def _ring_lines(calibration: PlanesCalibration) -> list[str]:
     if found is None:
         return []
     known = [(z, max(sd)) for z, sd in zip(found["distances_m"], found["sd_m"], strict=True) if np.isfinite(sd).all()]
-    said = ", ".join(f"{1e3 * sd:.2f} mm at {z:g} m" for z, sd in known)
-    return [f"by this calibration a ring's centre (radius {RADII_M[1]:g} m) is known to {said}"] if known else []
+    if not known:
+        return []
+    sigmas = ", ".join(f"{1e3 * sd:.2f} mm at {z:g} m" for z, sd in known)
+    return [f"standard deviation of a ring's centre (radius {RADII_M[1]:g} m) by this calibration: {sigmas}"]
 
 
 def _paper(assessment: PlanesAssessment) -> list[dict[str, Any]] | None:
-    """The planes by the paper's method beside these."""
+    """Comparison with the planes by the paper's method."""
     if assessment.paper is None:
         return None
     return [
@@ -189,13 +188,13 @@ def _paper(assessment: PlanesAssessment) -> list[dict[str, Any]] | None:
 
 
 def _offset_m(own: LaserCalibration, other: LaserCalibration) -> float:
-    """Distance of the middle of the points from the other plane."""
+    """Distance of the centroid of the points from the other plane."""
     middle = np.concatenate([view.points for view in own.views]).mean(axis=0)
     return abs(float(middle @ other.normal - other.distance_m))
 
 
 def _standard_deviations(calibration: PlanesCalibration) -> dict[str, float]:
-    """Of the light planes' parameters."""
+    """Of the light planes' parameters, by name."""
     covariance = calibration.covariance
     every = {} if covariance is None else covariance.standard_deviations
     return {name: value for name, value in every.items() if "." in name}
@@ -223,7 +222,7 @@ def _laser_quality(laser: LaserCalibration) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlaneAngle:
-    """The angle between two neighbouring light planes, and the line that they share."""
+    """The angle between two neighbouring light planes, and their line of intersection."""
 
     first: str
     second: str
@@ -231,17 +230,17 @@ class PlaneAngle:
     sd_rad: float
     """NaN where there is no covariance."""
     line_point_m: Float64[Array, "xyz=3"]
-    """The point of their common line that is nearest to the camera; one projector stands on all such lines."""
+    """The point of their intersection nearest to the camera; the lines of one projector meet in it."""
     line_direction: Float64[Array, "xyz=3"]
 
 
 def plane_angles(calibration: PlanesCalibration) -> list[PlaneAngle]:
-    """Of neighbours, in the order of the lasers; none with one laser."""
+    """Angles of neighbours, in the order of the lasers; empty for one laser."""
     return [_angle(calibration, first, first + 1) for first, _ in pairwise(range(len(calibration.lasers)))]
 
 
 def middle_outside_rad(calibration: PlanesCalibration) -> float | None:
-    """By how much the plane that is called middle lies outside those called left and right; None without such names.
+    """Angle by which the plane named middle lies outside those named left and right; None for other names.
 
     The plane between two others makes a smaller angle with each than they make with each other.
     """
@@ -256,7 +255,7 @@ def middle_outside_rad(calibration: PlanesCalibration) -> float | None:
 def order_with_angles(
     calibration: PlanesCalibration, expected_rad: Sequence[float], tolerance_rad: float
 ) -> tuple[str, ...] | None:
-    """Another order of the lasers whose neighbours have the expected angles; None if none has, or the own one has."""
+    """An order of the lasers in which neighbours have the expected angles; None if none or the given one has."""
     normals = calibration.planes.normal
     angles = np.array([[float(angle_between(own, other)) for other in normals] for own in normals])
     for way in permutations(range(len(normals))):
@@ -289,19 +288,19 @@ def _angle(calibration: PlanesCalibration, first: int, second: int) -> PlaneAngl
 
 
 def _angle_sd_rad(calibration: PlanesCalibration, first: int, second: int) -> float:
-    """To first order: each normal's tilt towards the other changes the angle by as much."""
+    """First-order propagation: tilting a normal towards the other one reduces the angle by the same amount."""
     covariance = calibration.covariance
     if covariance is None:
         return float("nan")
     names = [name for laser in (first, second) for name in laser_parameters([calibration.lasers[laser].name])[:2]]
-    places = [covariance.parameters.index(name) for name in names]
+    columns = [covariance.parameters.index(name) for name in names]
     own, other = calibration.planes.normal[[first, second]]
-    jacobian = np.concatenate([-_towards(own, other), -_towards(other, own)])
-    return float(np.sqrt(max(jacobian @ covariance.data[np.ix_(places, places)] @ jacobian, 0.0)))
+    jacobian = np.concatenate([-_direction_towards(own, other), -_direction_towards(other, own)])
+    return float(np.sqrt(max(jacobian @ covariance.data[np.ix_(columns, columns)] @ jacobian, 0.0)))
 
 
-def _towards(normal: Float64[Array, "xyz=3"], other: Float64[Array, "xyz=3"]) -> Float64[Array, "2"]:
-    """Direction in the tilt basis of `normal` that leads to the other normal; zero if they are one."""
-    leaning = tilt_basis(normal) @ other
-    length = float(np.linalg.norm(leaning))
-    return leaning / length if length > 0 else leaning
+def _direction_towards(normal: Float64[Array, "xyz=3"], other: Float64[Array, "xyz=3"]) -> Float64[Array, "2"]:
+    """Unit vector towards the other normal in the tilt basis of `normal`; zero if they are equal."""
+    direction: Float64[Array, "2"] = tilt_basis(normal) @ other
+    length = float(np.linalg.norm(direction))
+    return direction / length if length > 0 else direction

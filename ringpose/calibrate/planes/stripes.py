@@ -1,11 +1,8 @@
-"""A shot of the board -> its view with the stripes, labelled where the frames say which laser was on.
+"""Stripes on the board in one shot, labelled where the frames identify the laser.
 
-The stripes' straight lines among all ridges of one frame.
-
-On a plane a light plane draws a straight line, in the undistorted image too. Lines are found one after the other,
-the one that carries the most light first; what lies beside the board's plane, and texture, fits none.
-
-Why a frame does not show as many stripes on the board as lasers are on.
+On a board, a light plane draws a straight line, also in the undistorted image. Lines are extracted one after the
+other from the stripe centres of a frame, the one that carries the most light first; centres beside the board's plane,
+and texture, do not form lines. `stripe_failure` finds the reason where the number of stripes is wrong.
 """
 
 from dataclasses import dataclass
@@ -29,15 +26,46 @@ from ringpose.types.detection import Stripes
 from ringpose.types.image import Frame, Shot
 from ringpose.types.sequence import MAX_LASERS
 
+NEAR_PX = 1.5
+"""Centres within this distance of a line belong to it, before its own scatter is known."""
+
+TRIALS = 300
+"""Random pairs tried for each line: with a fifth of the light on the line, all miss it once in 200 000 frames."""
+
+MINIMUM_CENTERS = 40
+"""Fewer centres on one line are texture or dust."""
+
+RIVAL_SHARE = 0.5
+"""One line too many makes the frame ambiguous if it has at least this share of the light of the weakest stripe."""
+
+OUTLIER_SIGMAS = 3.5
+"""Centres farther from their line than this number of robust standard deviations are left out."""
+
+SHRINKINGS = (1, 2, 4)
+"""Factors by which a frame is reduced until its stripes are narrow enough for the stripe detector: a saturated or
+defocused stripe has two ridges, its shoulders, at a width of 15 px, and one at 4 px."""
+
+FAINT_SIGMAS = 8.0
+"""Peak over noise of the board, in standard deviations, below which no laser light is visible."""
+
+FULL_SHARE = 0.02
+"""Share of saturated pixels above which the board itself is saturated: a stripe covers 1 % of it."""
+
+MAX_WIDTH_PX = 25.0
+"""Largest full width at half maximum of a stripe: images are reduced to a quarter at most."""
+
+_SMOOTHING_PX = 2.0
+"""Blur before the width of bright regions is measured, against noise and speckle."""
+
 _NOTHING = np.empty((0, 2))
 
 
 def stripe_view(
     shot: Shot, view: BoardView, board: Board, camera: Camera, lasers: int, surround_m: float = 0.0
 ) -> StripeView:
-    """The stripes that each frame shows on the board's plane.
+    """The stripes on the board's plane in all frames.
 
-    Frames with one laser on say which it is. Those with several are used for what no such frame shows.
+    Frames with one laser on label their stripe; those with several are used for lasers without such a frame.
     """
     surface = board_surface(shot, board, board_pose(view, camera), camera, surround_m)
     dark = dark_image(shot)
@@ -71,7 +99,7 @@ def stripe_view(
 def _stripes(
     frame: Frame, dark: np.ndarray | None, surface: BoardSurface, on: list[int], saturation_dn: int
 ) -> tuple[tuple[Float64[Array, "_ xy=2"], ...], str]:
-    """The frame's stripes in their order across the image, and why they are not as many as lasers are on."""
+    """The frame's stripes in their order across the image, and the reason if their number is wrong."""
     lines = stripe_lines(frame.image, dark, surface, len(on))
     lines.sort(key=lambda line: line.position_px)
     stripes = tuple(line.points_px for line in lines)
@@ -80,34 +108,15 @@ def _stripes(
     return stripes, ""
 
 
-NEAR_PX = 1.5
-"""Centres within this distance of a line belong to it, before its own scatter is known."""
-
-TRIALS = 300
-"""Random pairs tried for each line: with a fifth of the light on the line, all miss it once in 200 000 frames."""
-
-MINIMUM_CENTERS = 40
-"""Fewer centres on one line are texture or dust."""
-
-RIVAL_SHARE = 0.5
-"""A line more than the lasers that are on, with this share of the weakest one's light, makes the frame ambiguous."""
-
-OUTLIER_SIGMAS = 3.5
-
-SHRINKINGS = (1, 2, 4)
-"""Factors by which a frame is made smaller until its stripes are as narrow as the stripe finder wants them: a stripe
-that is saturated or out of focus has two ridges, its shoulders, where it is 15 px wide, and one where it is 4."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StripeLine:
     """Centres of one stripe on the board."""
 
     points_px: Float64[Array, "n xy=2"]
     light: float
-    """Sum of the peaks."""
+    """Sum of the peak intensities of its centres."""
     upright: bool
-    """True if it runs along the columns rather than along the rows."""
+    """True if it runs along the columns, false if along the rows."""
 
     @property
     def position_px(self) -> float:
@@ -121,7 +130,7 @@ def stripe_lines(
     surface: BoardSurface,
     lasers: int,
 ) -> list[StripeLine]:
-    """One line for each laser that is on, brightest first; fewer or more if the frame does not show as many."""
+    """One line for each laser that is on, brightest first; fewer or more if the frame shows another number."""
     found: list[StripeLine] = []
     for shrinking in SHRINKINGS:
         lines = _lines_at_scale(image, dark, surface, lasers, shrinking)
@@ -134,7 +143,7 @@ def stripe_lines(
 def stripes_seen(
     image: UInt[Array, "row column"], dark: UInt[Array, "row column"] | None, surface: BoardSurface
 ) -> int:
-    """How many lines about as bright as the brightest a frame shows, where nobody knows how many lasers are on."""
+    """Number of lines about as bright as the brightest one; for frames whose number of lasers is unknown."""
     counts = []
     for shrinking in (SHRINKINGS[0], SHRINKINGS[-1]):
         lines = _lines_at_scale(image, dark, surface, MAX_LASERS, shrinking)
@@ -150,23 +159,23 @@ def _lines_at_scale(
     lasers: int,
     shrinking: int,
 ) -> list[StripeLine]:
-    """The lines, and one more if it rivals them: all lying, or all upright."""
+    """The lines, all along the rows or all along the columns, and one more if it is about as bright."""
     small, small_dark = reduced(image, shrinking), None if dark is None else reduced(dark, shrinking)
-    lying = _lines(find_stripes(small, small_dark), surface, lasers + 1, shrinking, upright=False)
-    turned = find_stripes(_turned(small), None if small_dark is None else _turned(small_dark))
-    upright = _lines(turned, surface, lasers + 1, shrinking, upright=True)
-    best = max(lying, upright, key=lambda lines: sum(line.light for line in lines[:lasers]))
+    along_rows = _lines(find_stripes(small, small_dark), surface, lasers + 1, shrinking, upright=False)
+    found = find_stripes(_transposed(small), None if small_dark is None else _transposed(small_dark))
+    upright = _lines(found, surface, lasers + 1, shrinking, upright=True)
+    best = max(along_rows, upright, key=lambda lines: sum(line.light for line in lines[:lasers]))
     rivals = [line for line in best[lasers:] if line.light > RIVAL_SHARE * best[lasers - 1].light]
     return best[:lasers] + rivals
 
 
-def _turned(image: UInt[Array, "row column"]) -> UInt[Array, "column row"]:
-    turned: UInt[Array, "column row"] = np.ascontiguousarray(image.T)
-    return turned
+def _transposed(image: UInt[Array, "row column"]) -> UInt[Array, "column row"]:
+    transposed: UInt[Array, "column row"] = np.ascontiguousarray(image.T)
+    return transposed
 
 
 def _lines(stripes: Stripes, surface: BoardSurface, most: int, shrinking: int, upright: bool) -> list[StripeLine]:
-    """The lines among the stripe centres of a frame that was shrunk, and turned if they are upright."""
+    """The lines among the stripe centres of a frame that was reduced, and transposed for upright stripes."""
     centers_px = in_full_image(stripes.position_px, shrinking)
     points_px = centers_px[:, ::-1].copy() if upright else centers_px
     usable = surface.usable(points_px)
@@ -189,16 +198,16 @@ def _lines(stripes: Stripes, surface: BoardSurface, most: int, shrinking: int, u
 def _on_brightest_line(
     points: Float64[Array, "n xy=2"], peak: Float64[Array, "n"], rng: np.random.Generator
 ) -> Bool[Array, "n"]:
-    """Centres near the lying line y = a + b x that carries the most light."""
+    """Centres near the line y = a + b x, |b| < 1, that carries the most light (RANSAC weighted by intensity)."""
     pairs = rng.choice(len(points), size=(TRIALS, 2), p=peak / peak.sum())
     first, second = points[pairs[:, 0]], points[pairs[:, 1]]
     run = second[:, 0] - first[:, 0]
     apart = np.abs(run) > MINIMUM_CENTERS
     slope = (second[apart, 1] - first[apart, 1]) / run[apart]
-    lying = np.abs(slope) < 1.0
+    along_rows = np.abs(slope) < 1.0
     best = np.zeros(len(points), dtype=bool)
     most = 0.0
-    for start, gradient in zip(first[apart][lying], slope[lying], strict=True):
+    for start, gradient in zip(first[apart][along_rows], slope[along_rows], strict=True):
         near = np.abs(points[:, 1] - start[1] - gradient * (points[:, 0] - start[0])) < NEAR_PX
         light = float(peak[near].sum())
         if light > most:
@@ -207,7 +216,7 @@ def _on_brightest_line(
 
 
 def _clean(points: Float64[Array, "n xy=2"], on_line: Bool[Array, "n"]) -> Bool[Array, "n"]:
-    """Those of a line's centres that lie within its own scatter of its least-squares fit."""
+    """The centres of a line within the outlier limit of its least-squares fit."""
     used = on_line
     for _ in range(3):
         line = np.polynomial.polynomial.polyfit(points[used, 0], points[used, 1], 1)
@@ -215,18 +224,6 @@ def _clean(points: Float64[Array, "n xy=2"], on_line: Bool[Array, "n"]) -> Bool[
         limit = OUTLIER_SIGMAS * robust_std(residual[used])
         used = on_line & (residual <= max(limit, 1e-6))
     return used
-
-
-FAINT_SIGMAS = 8.0
-"""A board on which nothing stands out by so many standard deviations of its noise shows no laser at all."""
-
-FULL_SHARE = 0.02
-"""Of a board's pixels; more of them full are no stripe's, which covers 1 % of it."""
-
-MAX_WIDTH_PX = 25.0
-"""Full width at half its height that a stripe has at most: a quarter of the size is the least that is searched."""
-
-_SMOOTHING_PX = 2.0
 
 
 def stripe_failure(
@@ -237,41 +234,41 @@ def stripe_failure(
     on: list[int],
     saturation_dn: int,
 ) -> str:
-    """The reason in words, with what was measured; `found` stripes where the lasers `on` are on."""
+    """The reason, with measured values, why `found` is not the number of lasers that are `on`."""
     lasers = f"{len(on)} lasers are on" if len(on) > 1 else f"laser {on[0] + 1} is on"
     if found > len(on):
         return f"more stripes on the board where {lasers}: reflections, or another light?"
-    said = f"{found} stripe{'s' * (found != 1)} on the board where {lasers}"
+    finding = f"{found} stripe{'s' * (found != 1)} on the board where {lasers}"
     board = _on_board(surface, image.shape)
     if not board.any():
-        return f"{said}: the board is out of the image"
+        return f"{finding}: the board is out of the image"
     full = float(np.mean(image[board] >= saturation_dn))
     if full > FULL_SHARE:
-        return f"{said}: {100 * full:.0f} % of the board is saturated"
+        return f"{finding}: {100 * full:.0f} % of the board is saturated"
     lit = image[board].astype(np.float64) - (0.0 if dark is None else dark[board])
     background = float(np.median(lit))
     noise = max(robust_std(lit - background), 1.0)
     brightest = float(np.percentile(lit, 99.8)) - background
     width_px = 0.0 if dark is None else _width_px(image, dark, board, background + brightest / 2)
     if brightest > FAINT_SIGMAS and width_px > MAX_WIDTH_PX:
-        return f"{said}: blurred, or not the lasers' light: {width_px:.0f} px wide at half its height"
+        return f"{finding}: blurred, or not the lasers' light: {width_px:.0f} px wide at half its height"
     if brightest < FAINT_SIGMAS * noise:
         most = f"nothing stands out by more than {brightest:.0f} of {saturation_dn} grey values"
-        return f"{said}: too dark, or beside the board: {most}"
-    return f"{said}: missing or cut off, though something is {brightest:.0f} grey values bright"
+        return f"{finding}: too dark, or beside the board: {most}"
+    return f"{finding}: missing or cut off, though something is {brightest:.0f} grey values bright"
 
 
 def _width_px(
     image: UInt[Array, "row column"], dark: UInt[Array, "row column"], board: Bool[Array, "row column"], half_dn: float
 ) -> float:
-    """Width, where it is largest, of what the lasers make brighter than this."""
+    """Largest width of the region that the lasers make brighter than `half_dn`."""
     lit = cv2.GaussianBlur(image.astype(np.float32) - dark, (0, 0), _SMOOTHING_PX)
     bright = ((lit > half_dn) & board).astype(np.uint8)
     return 2.0 * float(cv2.distanceTransform(bright, cv2.DIST_L2, 5).max())
 
 
 def _on_board(surface: BoardSurface, shape: tuple[int, ...]) -> Bool[Array, "row column"]:
-    """The pixels of the board's printed face."""
+    """The pixels inside the board's outline."""
     width, height = outline_m(surface.board)
     corners = np.array([[0.0, 0.0, 0.0], [width, 0.0, 0.0], [width, height, 0.0], [0.0, height, 0.0]])
     pixels: Float64[Array, "4 2"] = project(

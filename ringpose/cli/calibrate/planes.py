@@ -12,8 +12,9 @@ from ringpose.types.options import PlanesMethod
 
 if TYPE_CHECKING:
     from ringpose.calibrate.planes.quality import PlanesAssessment
+    from ringpose.calibrate.planes.shots import StripeShots
     from ringpose.cli.batch import Batch
-    from ringpose.cli.calibrate.stripe_images import StripeImages
+    from ringpose.cli.calibrate.board_views import BoardImages
     from ringpose.types.arrays import Array, Float64
     from ringpose.types.camera import Camera
 
@@ -62,8 +63,8 @@ Surround = Annotated[
 ]
 
 
-class _Reading(NamedTuple):
-    """How shots are read."""
+class _Inputs(NamedTuple):
+    """Options by which shots are read."""
 
     board: Path
     names: str | None
@@ -76,8 +77,8 @@ class _Reading(NamedTuple):
     quiet: bool
 
 
-class _Writing(NamedTuple):
-    """What is written of a calibration."""
+class _Outputs(NamedTuple):
+    """Options by which a calibration is assessed and written."""
 
     output: Path
     camera: Path
@@ -121,87 +122,80 @@ def calibrate_planes(
         printed(print_board, board, "four_markers", force=force, quiet=quiet)
         return
     shots = given(inputs, "INPUT")
-    reading = _Reading(board, laser_names, laser_order, surround, overlay, channel, force, verbose, quiet)
+    options = _Inputs(board, laser_names, laser_order, surround, overlay, channel, force, verbose, quiet)
     if check is not None:
-        _check(shots, check, reading)
+        _check(shots, check, options)
         return
     angles_rad = _angles_rad(expected_angles)
-    writing = _Writing(
+    outputs = _Outputs(
         given(output, "--output"), given(camera, "--camera"), mount, report, angles_rad, working_distance
     )
-    _calibrate(shots, reading, writing, method, free_camera)
+    _calibrate(shots, options, outputs, method, free_camera)
 
 
-def _calibrate(shots: list[str], reading: _Reading, writing: _Writing, method: PlanesMethod, free_camera: bool) -> None:
+def _calibrate(shots: list[str], options: _Inputs, outputs: _Outputs, method: PlanesMethod, free_camera: bool) -> None:
     from ringpose.calibrate.planes.quality import planes_summary
+    from ringpose.calibrate.planes.shots import check_method
     from ringpose.cli.batch import Batch
     from ringpose.cli.calibrate.outputs import refuse_existing_outputs, say_verdict
     from ringpose.errors import NO_POSE, DataError
     from ringpose.files.cameras.formats import read_camera
     from ringpose.files.rigs import read_mount
 
-    files = [reading.board, writing.camera, *([writing.mount] if writing.mount else [])]
-    refuse_existing_outputs(writing.output, writing.report, reading.force, files)
-    tool_from_camera = None if writing.mount is None else read_mount(writing.mount)
+    files = [options.board, outputs.camera, *([outputs.mount] if outputs.mount else [])]
+    refuse_existing_outputs(outputs.output, outputs.report, options.force, files)
+    tool_from_camera = None if outputs.mount is None else read_mount(outputs.mount)
     batch = Batch()
-    stripes = _stripe_images(reading, read_camera(writing.camera))
-    stripes.images.outputs = (writing.output, writing.report)
-    stripes.require_method(method, free_camera)
-    _read(shots, reading, stripes, batch)
-    batch.met(NO_POSE if stripes.without_stripe else 0)
+    images, stripes = _sources(options, read_camera(outputs.camera))
+    images.outputs = (outputs.output, outputs.report)
+    check_method(method, free_camera, stripes.board, stripes.camera)
+    _read(shots, options, images, stripes, batch)
+    batch.met(NO_POSE if stripes.any_without_stripe else 0)
     if not stripes.views and batch.status:
         batch.met(DataError.status)
         batch.finish()
     with batch.item():
-        assessment = _assessment(stripes, method, free_camera, writing)
-        _say_contradicting(assessment, batch)
-        _write(assessment, tool_from_camera, writing, [reading.board, *stripes.images.paths], reading.force)
-        if not reading.quiet:
-            stripes.say_number()
-        batch.met(say_verdict(assessment.verdict, planes_summary(assessment), quiet=reading.quiet))
+        try:
+            assessment = stripes.assessment(
+                method, free_camera, outputs.expected_rad, outputs.working_m, images.without_board
+            )
+        except DataError:
+            _say_remarks(stripes)
+            raise
+        for shot, found in assessment.calibration.contradicting:
+            with batch.item():
+                raise DataError(shot, found)  # reported like any other unusable shot
+        _write(assessment, tool_from_camera, outputs, [options.board, *images.paths], options.force)
+        if not options.quiet:
+            _say_number(stripes)
+        batch.met(say_verdict(assessment.verdict, planes_summary(assessment), quiet=options.quiet))
     batch.finish()
 
 
-def _say_contradicting(assessment: "PlanesAssessment", batch: "Batch") -> None:
-    """The shots that are left out because they contradict the others, as any bad shot."""
-    from ringpose.errors import DataError
+def _say_remarks(stripes: "StripeShots") -> None:
+    """What each shot lacks: the reason, if no planes can be estimated."""
+    from ringpose.cli import messages
 
-    for shot, found in assessment.calibration.contradicting:
-        with batch.item():
-            raise DataError(shot, found)
+    for view in stripes.views:
+        for remark in view.remarks:
+            messages.say(f"{view.board.name}: {remark}")
 
 
-def _assessment(
-    stripes: "StripeImages", method: PlanesMethod, free_camera: bool, writing: _Writing
-) -> "PlanesAssessment":
-    from ringpose.calibrate.boards.layout import marker_size_findings
-    from ringpose.calibrate.planes.acceptance import planes_verdict
-    from ringpose.calibrate.planes.pipeline import calibrate_planes as calibrated
-    from ringpose.calibrate.planes.quality import PlanesAssessment
-    from ringpose.errors import DataError
-    from ringpose.types.verdict import Verdict
+def _say_number(stripes: "StripeShots") -> None:
+    """The number of lasers if it is small and only the masks determine it: another one may be dark or unwired."""
+    from ringpose.calibrate.planes.labels import THREE
+    from ringpose.cli import messages
 
-    model = stripes.model(method, free_camera)
-    stripes.require_angles(len(writing.expected_rad))
-    board = marker_size_findings([view.board for view in stripes.views])
-    try:
-        calibration = calibrated(stripes.views, stripes.camera, model)
-    except DataError as error:
-        stripes.say_remarks()
-        remedies = [*Verdict(findings=board).advice, *([error.remedy] if error.remedy else [])]
-        raise DataError(error.place, error.found, "; ".join(remedies)) from error
-    return PlanesAssessment(
-        calibration=calibration,
-        verdict=planes_verdict(calibration, writing.expected_rad, board, writing.working_m),
-        paper=stripes.by_the_paper(model),
-        without_board=stripes.images.without_board,
-    )
+    if stripes.given_names is None and 0 < len(stripes.names) < len(THREE):
+        number = f"{len(stripes.names)} laser{'s' * (len(stripes.names) > 1)}"
+        names = ", ".join(stripes.names)
+        messages.say(f"{number} by the shots' masks ({names}); if there are more, name all (--laser-names)")
 
 
 def _write(
     assessment: "PlanesAssessment",
     tool_from_camera: "Float64[Array, '4 4'] | None",
-    writing: _Writing,
+    outputs: _Outputs,
     read: list[Path],
     force: bool,
 ) -> None:
@@ -212,15 +206,15 @@ def _write(
     from ringpose.files.rigs import write_rig
 
     rig = replace(calibrated_rig(assessment.calibration), tool_from_camera=tool_from_camera)
-    files = [writing.camera, *([writing.mount] if writing.mount else []), *read]
-    write_rig(writing.output, rig, extra=planes_quality(assessment), force=force, inputs=files)
-    if writing.report is not None:
+    files = [outputs.camera, *([outputs.mount] if outputs.mount else []), *read]
+    write_rig(outputs.output, rig, extra=planes_quality(assessment), force=force, inputs=files)
+    if outputs.report is not None:
         from ringpose.report.planes import planes_report
 
-        write_page(writing.report, planes_report(assessment), force=force)
+        write_page(outputs.report, planes_report(assessment), force=force)
 
 
-def _check(shots: list[str], rig_file: Path, reading: _Reading) -> None:
+def _check(shots: list[str], rig_file: Path, options: _Inputs) -> None:
     from ringpose.calibrate.planes.check import rig_check, rig_check_lines
     from ringpose.cli import messages
     from ringpose.cli.batch import Batch
@@ -229,31 +223,47 @@ def _check(shots: list[str], rig_file: Path, reading: _Reading) -> None:
 
     rig, usual_px = read_rig(rig_file), usual_board_px(rig_file)
     batch = Batch()
-    stripes = _stripe_images(reading._replace(names=",".join(rig.lasers.names)), rig.camera)
-    _read(shots, reading, stripes, batch)
+    images, stripes = _sources(options._replace(names=",".join(rig.lasers.names)), rig.camera)
+    _read(shots, options, images, stripes, batch)
     for view in stripes.views:
         found = rig_check(view, rig, usual_px)
         if not found.holds:
             batch.met(NO_POSE)
-        if not (reading.quiet and found.holds):
+        if not (options.quiet and found.holds):
             for line in rig_check_lines(found):
                 messages.say(line)
     batch.finish()
 
 
-def _stripe_images(reading: _Reading, camera: "Camera") -> "StripeImages":
-    """Nothing read yet but the board."""
+def _sources(options: _Inputs, camera: "Camera") -> "tuple[BoardImages, StripeShots]":
+    from ringpose.calibrate.planes.shots import StripeShots
     from ringpose.cli.calibrate.board_views import BoardImages
-    from ringpose.cli.calibrate.stripe_images import StripeImages
     from ringpose.files.boards import read_board
 
-    images = BoardImages(read_board(reading.board), reading.overlay, channel=reading.channel, force=reading.force)
-    return StripeImages(images, camera, reading.names, reading.order, reading.surround_m)
+    images = BoardImages(read_board(options.board), options.overlay, channel=options.channel, force=options.force)
+    images.luminance_too = True
+    return images, StripeShots(images.board, camera, options.names, options.order, options.surround_m)
 
 
-def _read(shots: list[str], reading: _Reading, stripes: "StripeImages", batch: "Batch") -> None:
-    """The views that the shots show; what they do not show is said."""
-    stripes.images.read_each(shots, batch, stripes.read, quiet=reading.quiet, verbose=reading.verbose)
+def _read(shots: list[str], options: _Inputs, images: "BoardImages", stripes: "StripeShots", batch: "Batch") -> None:
+    """Add the views of all shots to `stripes`; report shots without them."""
+    from ringpose.calibrate.boards.overlay import stripe_overlay
+    from ringpose.files.images import write_image
+    from ringpose.files.inputs import Input
+
+    def read(item: Input) -> None:
+        found = images.read(item)
+        if found is None:
+            return
+        shot, board = found
+        view = stripes.add(shot, board)
+        number = sum(len(px) > 0 for px in (*view.stripes_px, *view.unlabelled_px))
+        images.last += f", {number} stripes" + "".join(f"; {remark}" for remark in view.remarks)
+        if images.overlay is not None:
+            drawn = stripe_overlay(shot.images.max(axis=0), view)
+            write_image(images.overlay / f"{shot.name}.png", drawn, force=True)
+
+    images.read_each(shots, batch, read, quiet=options.quiet, verbose=options.verbose)
 
 
 def _angles_rad(words: str | None) -> list[float]:
@@ -264,7 +274,7 @@ def _angles_rad(words: str | None) -> list[float]:
     try:
         angles = [float(word) for word in (words or "").split(",") if words]
     except ValueError as error:
-        raise UsageError("--expected-angles", f"{words!r} are no angles", "give degrees, as 10,10") from error
+        raise UsageError("--expected-angles", f"{words!r} is not a list of angles", "give degrees, as 10,10") from error
     if not all(0 <= angle <= 180 for angle in angles):
         raise UsageError("--expected-angles", f"{words!r} are not all from 0 to 180", "give degrees, as 10,10")
     return [radians(angle) for angle in angles]

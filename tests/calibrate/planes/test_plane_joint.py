@@ -1,4 +1,4 @@
-"""What the joint fit takes for the errors of stripes."""
+"""Standard deviations of stripe centres in the joint adjustment."""
 
 from dataclasses import replace
 
@@ -26,7 +26,7 @@ def wide_camera(true_camera):
 
 @pytest.fixture
 def independent_view(stripe_views, wide_camera, rng):
-    """A view with lines across the image, above and below its middle, whose centres err independently."""
+    """A view with lines across the image, above and below its middle, whose centres have independent errors."""
     turn, place = np.eye(3), np.array([-0.15, -0.12, 0.5])
     (view,) = stripe_views([(turn, place)], rng)
     abscissa = np.arange(100.0, 1500.0)

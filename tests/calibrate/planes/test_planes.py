@@ -149,7 +149,7 @@ def test_the_papers_method_claims_no_covariance(rng, stripe_views, true_poses, t
 def test_errors_of_fifty_calibrations_have_the_joint_covariance_that_is_reported(
     free_camera, rng, stripe_views, true_poses, true_planes, true_camera, camera_covariance
 ):
-    """Each time another camera, as wrong as its covariance says, other noise, other boards."""
+    """Each time another camera with errors drawn from its covariance, other noise, other boards."""
     runs = 50
     normalised = []
     for _ in range(runs):

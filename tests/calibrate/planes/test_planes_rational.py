@@ -70,7 +70,7 @@ def drawn_views(rng, true_poses, true_planes, plane_board):
 
 
 def given(rng) -> Camera:
-    """A camera as wrong as its covariance says."""
+    """A camera with errors drawn from its covariance."""
     wrong = rng.multivariate_normal(np.zeros(len(NAMES)), PRIOR.data)
     return replace(camera_with(parameters_of(CAMERA) + wrong, CAMERA), covariance=PRIOR)
 
@@ -115,7 +115,7 @@ def test_true_points_of_a_rational_camera_are_those_of_opencv(rng):
 @pytest.mark.slow
 @pytest.mark.parametrize("free_camera", [False, True])
 def test_errors_with_a_rational_camera_are_as_large_as_reported(free_camera, rng, drawn_views, true_planes):
-    """A freed camera may be told up to a quarter too poor: what all views share is never taken for nothing."""
+    """The variances of a free camera may be up to a quarter too large: errors common to all views are never zero."""
     runs = 30
     normalised = []
     for _ in range(runs):

@@ -72,7 +72,7 @@ def far_place(lasers, laser, tilt_rad) -> BoardPlace:
 
 @pytest.fixture(scope="module")
 def excess_mm(rmse_mm, true_rig):
-    """Makes RMSE of z at 1 m less that with the true rig: by a rig, and by rigs as wrong as it says it is."""
+    """Returns the RMSE of z at 1 m less that with the true rig: by a rig, and by rigs drawn from its covariance."""
 
     def of(rig_file) -> tuple[float, np.ndarray]:
         estimated, with_true = read_rig(rig_file), rmse_mm(true_rig)

@@ -53,9 +53,9 @@ def test_a_ring_s_centre_errs_by_as_much_as_told(depth_m, rng, lasers, true_came
     points = break_points_m(depth_m)
     drawn = np.array([seen_center_m(points, (SD * rng.standard_normal(9)).reshape(3, 3)) for _ in range(DRAWS)])
 
-    told = ring_center_sd_m(true_camera, lasers, planes_covariance(), depth_m)
+    predicted = ring_center_sd_m(true_camera, lasers, planes_covariance(), depth_m)
 
-    assert told == pytest.approx(np.std(drawn, axis=0), rel=0.15)
+    assert predicted == pytest.approx(np.std(drawn, axis=0), rel=0.15)
 
 
 def test_of_a_ring_that_not_all_stripes_cross_in_the_image_nothing_is_told(lasers, true_camera):

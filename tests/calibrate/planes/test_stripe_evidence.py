@@ -1,4 +1,4 @@
-"""Which views light planes are estimated from, and what is said of the others."""
+"""Selection of views for the light planes, and remarks on the others."""
 
 from dataclasses import replace
 

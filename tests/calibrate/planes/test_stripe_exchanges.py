@@ -1,4 +1,4 @@
-"""Shots whose frames name the wrong lasers: named, left out, and not imagined where all is well."""
+"""Shots with exchanged lasers are reported and left out; good shots are not."""
 
 from dataclasses import replace
 from itertools import permutations
@@ -121,7 +121,7 @@ def test_lasers_that_are_exchanged_in_all_shots_cannot_be_told(good, true_camera
 
 
 def test_an_order_that_single_frames_contradict_is_refused(good, true_camera):
-    with pytest.raises(DataError, match=r"left,middle,right is not how v0 has them, .* say right, middle, left"):
+    with pytest.raises(DataError, match=r"left,middle,right contradicts v0, .* show right, middle, left"):
         calibrate_planes(good, true_camera, replace(MODEL, order=(0, 1, 2)))
 
 

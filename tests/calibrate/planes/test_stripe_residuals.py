@@ -8,7 +8,7 @@ import pytest
 
 from ringpose.calibrate.boards.pose import moved_pose
 from ringpose.calibrate.camera.parameters import camera_with, parameters_of
-from ringpose.calibrate.planes.stripe_errors import stripe_rows
+from ringpose.calibrate.planes.stripe_errors import stripe_residuals
 from ringpose.geometry.rays import rays
 from ringpose.geometry.rotations import tilted
 from ringpose.types.board import BoardPose
@@ -36,7 +36,7 @@ def distances_m(centers_px, pose, normal, distance_m, camera) -> np.ndarray:
 
 
 def rows_at(centers_px, pose, camera):
-    return stripe_rows(rays(centers_px, camera), pose, NORMAL, DISTANCE_M, camera)
+    return stripe_residuals(rays(centers_px, camera), pose, NORMAL, DISTANCE_M, camera)
 
 
 def uphill(centers_px, pose, camera) -> np.ndarray:
@@ -70,7 +70,7 @@ def test_derivatives_by_the_pose_are_those_of_differences(parameter, centers_px,
     ]
 
     found = (ends[0] - ends[1]) / 2e-6
-    assert np.abs(rows.by_pose[:, parameter] * rows.metres_per_pixel - found).max() < 1e-6
+    assert np.abs(rows.wrt_pose[:, parameter] * rows.metres_per_pixel - found).max() < 1e-6
 
 
 @pytest.mark.parametrize("parameter", range(3))
@@ -84,7 +84,7 @@ def test_derivatives_by_the_plane_are_those_of_differences(parameter, centers_px
     ]
 
     found = (ends[0] - ends[1]) / 2e-6
-    assert np.abs(rows.by_plane[:, parameter] * rows.metres_per_pixel - found).max() < 1e-6
+    assert np.abs(rows.wrt_plane[:, parameter] * rows.metres_per_pixel - found).max() < 1e-6
 
 
 @pytest.mark.parametrize("parameter", range(9))
@@ -105,5 +105,5 @@ def test_derivatives_by_the_camera_are_those_of_differences(parameter, centers_p
     ]
 
     found = (ends[0] - ends[1]) / (2 * size)
-    derivative = rows.by_camera[:, parameter] * rows.metres_per_pixel
+    derivative = rows.wrt_camera[:, parameter] * rows.metres_per_pixel
     assert np.abs(derivative - found).max() < 1e-4 * np.abs(found).max() + 1e-9

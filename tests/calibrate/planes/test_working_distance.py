@@ -1,4 +1,4 @@
-"""What a verdict says of poses where the rig will work, and what following its advice is worth."""
+"""Verdict on poses at the working distance, and the gain from following its advice."""
 
 from collections.abc import Sequence
 from dataclasses import replace
