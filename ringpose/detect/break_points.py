@@ -1,12 +1,9 @@
-"""Break points: the ends of the face's tracks refined in the image, their edges named, and what lies between them.
+"""Break points: the endpoints of the stripes on the ring's face (ringpose-method(7), section 3).
 
-Where stripes on the face end: an edge blurred by the optics, fitted to the stripe's brightness along itself.
-
-Along the stripe the brightness falls from the face's level to what lies beyond (nothing, the weak continuation
-on a wall, a leak of the stripe on the body behind) as an error function; speckle multiplies it (ringpose-method(7),
-section 3).
-
-Whether the ends of the face's tracks make one ring, which of them is hidden, and where the ring's centre lies.
+Each endpoint is refined in the image: along the stripe, the intensity falls from the level on the face to the level
+beyond (zero, the weak continuation on a wall, or light on the body behind) as an error function, under multiplicative
+speckle noise. The endpoints are then checked for lying on one ring: an occluded one is removed, and the curvature of
+the two arcs resolves which endpoints are on the inner edge.
 """
 
 import math
@@ -17,11 +14,11 @@ import numpy as np
 
 from ringpose.detect.difference_images import LaserImage
 from ringpose.detect.rim import Face
-from ringpose.detect.stripes import BORDER_PX, MIN_SEGMENT_COLUMNS, TAKEN_BY_THE_FIT, lens
+from ringpose.detect.stripes import BORDER_PX, FIT_DOF_CORRECTION, MIN_SEGMENT_COLUMNS, lens
 from ringpose.geometry.planes import nearest_plane, towards_camera
 from ringpose.geometry.rays import intersect, rays, undistorted_rays
 from ringpose.kernels import ends as kernels
-from ringpose.kernels.ends import EndParams, Ends, MarkParams, flagged_ends
+from ringpose.kernels.ends import EndParams, Ends, MarkParams, marked_ends
 from ringpose.kernels.lines import LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START, ArcFit, arc_fit
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.camera import Camera
@@ -29,32 +26,32 @@ from ringpose.types.detection import MAX_OFFSET, UNLABELLED, BreakPointFlag, Bre
 from ringpose.types.rig import Rig
 
 KINK_LEVEL = 0.25
-"""A level beyond the edge of this share of the face's means that the stripe runs on: a wall."""
+"""Ratio of the level beyond the edge to that on the face above which the stripe continues: a wall."""
 
 UNCLEAR_PX = 0.75
-"""Ends with a greater sigma are flagged: two of them are the 1.5 px that no end may be off without a flag."""
+"""Standard deviation above which an end is flagged: half of the largest error that is permitted without a flag."""
 
 INSIDE_COLUMNS = 24
-"""Columns of the face that set its level before the edge."""
+"""Columns inside the edge from which the level on the face is estimated."""
 
 OUTSIDE_COLUMNS = 12
-"""Columns beyond the edge that set the level there."""
+"""Columns beyond the edge from which the level there is estimated."""
 
 MAX_END_SIGMA_PX = (INSIDE_COLUMNS + OUTSIDE_COLUMNS) / math.sqrt(12)
-"""An end that may lie anywhere among the columns that it is fitted to has this sigma (uniform distribution, 10.4 px).
-Where a fit gives more, as beside a glint that saturates all of them, the image shows no end there."""
+"""Standard deviation of a uniform distribution over the columns of a fit (10.4 px). A larger sigma, as beside a glint
+that saturates all columns, means that the image does not show the end."""
 
 CLEAR_ENDS = 2
-"""Of stripes that end on a ring, so many are known to `UNCLEAR_PX` even before bright foil; of five faces among foil
-that look like one, one has so many. Where a frame shows the ring's edges, these say more."""
+"""Minimum number of ends with a sigma below `UNCLEAR_PX`. Rings reach it even before bright foil; of false detections
+on foil one in five does. Visible edges of the ring are the stronger evidence, where a frame shows them."""
 
 CLIPPED_PHASE = 0.022
 """Error of a saturated stripe's centre, times the sigma of its section in pixels.
 
-Pixels sample the two corners that clipping makes: each errs by half its bend times the second Bernoulli polynomial of
-its phase (Euler and Maclaurin). A stripe of 1.65 times the largest value is clipped over one sigma on either side, and
-filters weigh the corners by 0.85 of the flanks. All columns err alike where a track stays within a row of pixels; over
-the rows that it crosses the error averages out.
+Pixels sample the two corners that clipping produces: the error of each is half the change of slope times the second
+Bernoulli polynomial of its phase (Euler-Maclaurin). A stripe of 1.65 times the saturation value is clipped over one
+sigma to each side, and filters weight the corners by 0.85 of the flanks. The error is common to all columns where a
+stripe stays within a row of pixels; over the rows that it crosses it averages out.
 """
 
 
@@ -66,7 +63,7 @@ def break_points(
     saturation_dn: int,
 ) -> BreakPoints:
     """The break points of a face among all tracks; `images` are the frames that show the lasers."""
-    ends = _measured(_edges_alike(_ends(face, images, rig, saturation_dn)), rig.camera)
+    ends = _measured(_with_common_bluntness(_ends(face, images, rig, saturation_dn)), rig.camera)
     ends, right_is_inner, clear = checked(ends, tracks, rig)
     order = slice(None, None, -1) if right_is_inner else slice(None)
     flags = ends.flags[:, order].copy()
@@ -84,7 +81,7 @@ def break_points(
 
 
 def ends_clear(found: BreakPoints) -> bool:
-    """Whether enough ends are edges: a stripe on foil fades, flickers or runs on where a face seems to end."""
+    """Whether enough ends are clear edges: at the end of an apparent face on foil, a stripe fades or continues."""
     clear = found.seen & (found.flags & int(BreakPointFlag.UNCLEAR) == 0)
     return int(clear.sum()) >= min(CLEAR_ENDS, int(found.seen.sum()))
 
@@ -99,12 +96,12 @@ def _ends(face: Face, images: Sequence[LaserImage], rig: Rig, saturation_dn: int
             found.append(stripe_ends(face.tracks[shown], image, rig.camera, saturation_dn))
     lasers = tuple(face.lasers[number] for number in order)
     ends = found[0] if len(found) == 1 else np.concatenate(found)
-    return flagged_ends(face.tracks[order], ends, lasers, len(rig.lasers.names), mark_rules(rig.camera.image_width))
+    return marked_ends(face.tracks[order], ends, lasers, len(rig.lasers.names), mark_params(rig.camera.image_width))
 
 
 @lru_cache(maxsize=4)
-def mark_rules(image_width: int) -> MarkParams:
-    """What ends in images of that width are held against."""
+def mark_params(image_width: int) -> MarkParams:
+    """Thresholds for the flags and sigmas of ends in images of that width."""
     return MarkParams(
         image_width=image_width,
         border_px=BORDER_PX,
@@ -112,8 +109,8 @@ def mark_rules(image_width: int) -> MarkParams:
         kink_level=KINK_LEVEL,
         unclear_px=UNCLEAR_PX,
         clipped_phase=CLIPPED_PHASE,
-        facet_sigmas=FACET_SIGMAS,  # the line follows what is coarser, so that its centres show little of that
-        fit_dof=TAKEN_BY_THE_FIT,
+        facet_sigmas=FACET_SIGMAS,  # the fitted line absorbs coarser texture, which the centres' scatter does not show
+        taken_by_fit=FIT_DOF_CORRECTION,
         min_columns=MIN_SEGMENT_COLUMNS,
         saturated_flag=BreakPointFlag.SATURATED,
         kink_flag=BreakPointFlag.KINK,
@@ -123,10 +120,10 @@ def mark_rules(image_width: int) -> MarkParams:
     )
 
 
-def _edges_alike(ends: Ends) -> Ends:
-    """The ends with all of an edge blunt where most of them are: it is made alike all around.
+def _with_common_bluntness(ends: Ends) -> Ends:
+    """The ends, all of an edge flagged as blunt where most of them are: an edge has the same shape all around.
 
-    They are then known no better than the best known of the blunt ones.
+    The variance of those is then at least the smallest of the blunt ones.
     """
     blunt = ends.flags & int(BreakPointFlag.BLUNT) != 0
     if not blunt.any():
@@ -136,13 +133,13 @@ def _edges_alike(ends: Ends) -> Ends:
     flags, covariance = ends.flags.copy(), ends.covariance_px2.copy()
     flags[others] |= int(BreakPointFlag.BLUNT)
     for laser, side in np.argwhere(others).tolist():
-        least = covariance[blunt[:, side], side, 0, 0].min()
-        covariance[laser, side] *= max(least / covariance[laser, side, 0, 0], 1.0)
+        smallest = covariance[blunt[:, side], side, 0, 0].min()
+        covariance[laser, side] *= max(smallest / covariance[laser, side, 0, 0], 1.0)
     return ends._replace(flags=flags, covariance_px2=covariance)
 
 
 def _measured(ends: Ends, camera: Camera) -> Ends:
-    """The ends and lines without those that the image does not determine; such an end is flagged as unclear."""
+    """The ends and lines; NaN for those that the image does not determine, and such an end is flagged as unclear."""
     size = camera.image_width, camera.image_height
     sigma_px = np.sqrt(np.maximum(ends.covariance_px2[..., 0, 0], ends.covariance_px2[..., 1, 1]))
     placed = np.isfinite(ends.position_px.sum(axis=-1))
@@ -160,45 +157,45 @@ def _measured(ends: Ends, camera: Camera) -> Ends:
 
 
 BEYOND_COLUMNS = 40
-"""Columns beyond a track in which its end is looked for."""
+"""Columns beyond a segment in which its end is searched for."""
 
 FLANK_SIGMAS = 3.0
-"""Rows on both sides of the line that are looked at, in sigmas of the stripe."""
+"""Half height of the evaluated window about the line, in sigmas of the stripe."""
 
 FLANKS_SHARE = 0.6
-"""Share of columns with a saturated pixel above which a stripe is read by its flanks; they see less light."""
+"""Share of columns with a saturated pixel above which only the flanks of a stripe are evaluated."""
 
 UNDIMMED_LEVEL = 0.6
-"""Share of the face's level above which a stripe still goes on; a wall beyond a kink has less."""
+"""Ratio to the level on the face above which a stripe continues; on a wall beyond a kink it is lower."""
 
 MIN_HEADROOM = 0.05
-"""Columns that saturation leaves less of than this say nothing about the stripe's level."""
+"""Minimum share of a column's intensity that is not clipped by saturation; other columns are ignored."""
 
 MIN_NOISE = 0.01
-"""No column weighs as if it had less noise than this share of the stripe's level: glare and the tails of the blur."""
+"""Minimum noise of a column relative to the stripe's level: glare and the tails of the blur."""
 
 SHAPE_SIGMA = 0.005
-"""Columns by which a real edge's position depends on how its blur is modelled; adds to what noise explains."""
+"""Error of an edge's position, in columns, due to the model of its blur; added to that by noise."""
 
 SATURATED_SHARE = 0.2
 """Share of the last columns with a saturated pixel above which an end is flagged."""
 
 TEXTURE_FACTOR = 1.5
-"""Error of a column's peak over what its section leaves unexplained, where crinkled foil lies beneath: 1.4 to 1.75."""
+"""Ratio of a column's amplitude error to the residual of its cross-section, on crinkled foil: 1.4 to 1.75."""
 
 FACET_SIGMAS = 6.0
-"""Columns over which what lies beneath a stripe is alike, in sigmas of its section: what is finer than the section is
-wide averages out across it."""
+"""Correlation length of the surface texture along a stripe, in sigmas of its cross-section: finer texture averages out
+across the stripe."""
 
 NEAR_COLUMNS = 9.0
-"""Columns beyond the edge in which the level should be the fitted one; farther out the body's stripe may begin."""
+"""Columns beyond the edge in which the fitted level is required; farther out a stripe on the body may begin."""
 
 WIDTH_SPREAD = 0.1
-"""How far the blur of one end may be from that of the others: depth of field, pixels."""
+"""Relative standard deviation of the blur between ends: depth of field, pixels."""
 
 BLUNT_GAIN = 3.0
-"""Falls wider than the stripe is thick must explain all ends of an image by so much better, in log likelihood, to be
-believed: no lens blurs more along the stripe than across it, so that an edge has a chamfer or is worn round."""
+"""Gain in log likelihood, over all ends of an image, above which edges wider than the stripe's cross-section are
+accepted: optics do not blur more along a stripe than across it, so that the edge is chamfered or worn."""
 
 LINE = [MIDDLE_X, MIDDLE_Y, SLOPE, X_START, X_END]
 
@@ -206,12 +203,12 @@ LINE = [MIDDLE_X, MIDDLE_Y, SLOPE, X_START, X_END]
 def stripe_ends(
     tracks: Float64[Array, "track column=11"], image: LaserImage, camera: Camera, saturation_dn: int
 ) -> Float64[Array, "track end=2 column=10"]:
-    """The left and right end of each track in the image that shows its stripe, as the kernel tells them."""
-    return kernels.stripe_ends(image.lit, image.dark, tracks[:, LINE], lens(camera), _rules(saturation_dn))
+    """The left and right end of each segment in the image that shows its stripe; columns as returned by the kernel."""
+    return kernels.stripe_ends(image.lit, image.dark, tracks[:, LINE], lens(camera), _end_params(saturation_dn))
 
 
 @lru_cache(maxsize=4)
-def _rules(saturation_dn: int) -> EndParams:
+def _end_params(saturation_dn: int) -> EndParams:
     return EndParams(
         saturation_dn=saturation_dn,
         beyond_columns=BEYOND_COLUMNS,
@@ -232,55 +229,55 @@ def _rules(saturation_dn: int) -> EndParams:
 
 
 CIRCLE_SIGMA_PX = 0.5
-"""How far a refined end may lie from its circle besides its own sigma: calibration, an edge's chamfer."""
+"""Standard deviation of a refined end from its circle, besides its own sigma: calibration, an edge's chamfer."""
 
 OCCLUDED_PENALTY = 12.0
-"""Drop in squared sigmas over two that calls one end of six occluded: below 1e-5 by chance, six ends tried."""
+"""Drop in chi2 / 2 above which one end of six is rejected as occluded: below 1e-5 by chance, six ends tried."""
 
 FITTED_EXACTLY = 4
-"""Two arcs about one centre go through so many ends whatever their errors: nothing is left over that would show those
-of calibration or of a stripe that is two."""
+"""Degrees of freedom of two arcs about one centre: with so many ends there are no residuals, and errors of calibration
+or of the assignment of stripes remain undetected."""
 
 SIDE_SIGMAS = 2.0
-"""How clearly the curvature must say on which side the ring's centre lies."""
+"""Minimum significance of the curvature from which the side of the ring's centre is inferred."""
 
 TIE = 3.0
-"""Two ends whose removal explains the rest this equally well cannot be told apart by the circles: if one end of
-a stripe is wrong, another curvature makes the other end look wrong."""
+"""Difference in chi2 / 2 below which two candidates for rejection are equivalent: if one end of a stripe is wrong, the
+other end is an outlier to a ring of another curvature."""
 
 IN_FRONT_M = 0.005
-"""What stands out of the ring's face by more than this is not the ring."""
+"""Height above the ring's face from which a surface is not part of the ring."""
 
 BESIDE_PX = 40.0
-"""How far from an end a stripe on what hides it begins."""
+"""Maximum distance between an occluded end and the stripe on the occluding surface."""
 
 Tracks = Float64[Array, "track column=11"]
 """Columns as in `TRACK_COLUMNS`."""
 
 
 def checked(ends: Ends, tracks: Tracks, rig: Rig) -> tuple[Ends, bool, bool]:
-    """The ends without a hidden one; whether the ring's centre lies to the right of the stripes; whether that is clear.
+    """The ends without an occluded one; whether the ring's centre is to the right of the stripes; if that is certain.
 
-    The sign of the arcs' curvature tells the side: if the centre lies to the right, right ends are inner ones.
+    The side follows from the sign of the arcs' curvature. If the centre is to the right, right ends are inner ones.
     """
     planes, optics = _planes(rig), lens(rig.camera)
     fit = arc_fit(ends.position_px, ends.covariance_px2, planes, optics, CIRCLE_SIGMA_PX, FITTED_EXACTLY)
     if sum(fit.seen) < FITTED_EXACTLY or 0 in fit.seen:
         return ends, False, False
     if sum(fit.seen) >= 6 and fit.cost - min(fit.cost_without) > OCCLUDED_PENALTY:
-        return checked(_without_hidden(ends, fit, tracks, rig), tracks, rig)
+        return checked(_without_occluded(ends, fit, tracks, rig), tracks, rig)
     return ends, fit.curvature > 0, abs(fit.curvature) > SIDE_SIGMAS * fit.curvature_sigma
 
 
-def _without_hidden(ends: Ends, fit: ArcFit, tracks: Tracks, rig: Rig) -> Ends:
-    """The ends without the one that lies off the circles of the others.
+def _without_occluded(ends: Ends, fit: ArcFit, tracks: Tracks, rig: Rig) -> Ends:
+    """The ends without the one that does not lie on the circles of the others.
 
-    If both ends of its stripe would do, the one beside a stripe on something nearer than the face is hidden;
-    if that decides nothing, both are left out.
+    If either end of its stripe could be the one, it is that beside a stripe on a surface nearer than the face. If this
+    does not decide, both are rejected.
     """
     cost_without = np.array(fit.cost_without).reshape(-1, 2)
     suspects = np.argwhere(cost_without < cost_without.min() + TIE)
-    beside = [each for each in suspects if _beside_something_nearer(ends, int(each[0]), int(each[1]), tracks, rig)]
+    beside = [each for each in suspects if _beside_occluder(ends, int(each[0]), int(each[1]), tracks, rig)]
     if len(beside) == 1:
         return _without(ends, np.array(beside))
     labelled = np.isin(suspects[:, 0], tracks[:, LASER]).all()
@@ -288,7 +285,7 @@ def _without_hidden(ends: Ends, fit: ArcFit, tracks: Tracks, rig: Rig) -> Ends:
 
 
 def _without_stripes(ends: Ends, suspects: Int64[Array, "n 2"]) -> Ends:
-    """The ends without stripes of which one is suspected: nothing hides it, and no laser is known to have drawn it."""
+    """The ends without the stripes of the suspects: with unlabelled stripes, the assignment to a laser may be wrong."""
     lasers = np.unique(suspects[:, 0])
     left = _without(ends, np.stack([np.repeat(lasers, 2), np.tile([0, 1], len(lasers))], axis=1))
     straight, sigma = ends.straight_px.copy(), ends.straight_sigma_px.copy()
@@ -297,7 +294,7 @@ def _without_stripes(ends: Ends, suspects: Int64[Array, "n 2"]) -> Ends:
 
 
 def _without(ends: Ends, suspects: Int64[Array, "n 2"]) -> Ends:
-    """The ends with some called occluded."""
+    """The ends, some of them removed and flagged as occluded."""
     position, covariance, flags = ends.position_px.copy(), ends.covariance_px2.copy(), ends.flags.copy()
     which = tuple(suspects.T)
     position[which], covariance[which] = np.nan, np.nan
@@ -305,8 +302,8 @@ def _without(ends: Ends, suspects: Int64[Array, "n 2"]) -> Ends:
     return ends._replace(position_px=position, covariance_px2=covariance, flags=flags)
 
 
-def _beside_something_nearer(ends: Ends, laser: int, side: int, tracks: Tracks, rig: Rig) -> bool:
-    """Whether a stripe of the same laser begins beside an end and, by its depth, in front of the face."""
+def _beside_occluder(ends: Ends, laser: int, side: int, tracks: Tracks, rig: Rig) -> bool:
+    """Whether a stripe of the same laser begins beside an end, and its triangulated depth is in front of the face."""
     seen = ~np.isnan(ends.position_px[..., 0])
     planes = np.repeat(_planes(rig), 2, axis=0)[seen.ravel()]
     points = intersect(rays(ends.position_px[seen], rig.camera), planes[:, :3], planes[:, 3])
@@ -324,5 +321,5 @@ def _beside_something_nearer(ends: Ends, laser: int, side: int, tracks: Tracks, 
 
 @lru_cache(maxsize=4)
 def _planes(rig: Rig) -> Float64[Array, "laser normal_and_distance=4"]:
-    """The light planes."""
+    """The light planes: unit normal and distance."""
     return np.concatenate([rig.lasers.normal, rig.lasers.distance_m[:, None]], axis=1)

@@ -1,4 +1,4 @@
-"""Which frames of a shot show which laser: each alone if the lasers were switched, else all that were on together."""
+"""The frames of a shot by laser: each laser alone if switched one by one, else those that were on together."""
 
 from dataclasses import dataclass
 
@@ -10,38 +10,38 @@ from ringpose.types.image import Shot
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LaserImage:
-    """A frame with stripes, and the same view without."""
+    """A frame with lasers on, and the background image to subtract."""
 
     lit: UInt[Array, "row column"]
     dark: UInt[Array, "row column"] | None
     saturation_dn: int
-    """The grey value at which a pixel is full."""
+    """Grey value at which a pixel saturates."""
     lasers: tuple[int, ...]
-    """Those that its stripes may belong to."""
+    """Lasers that its stripes may belong to."""
     usual_full_dn: int | None = None
-    """What thresholds scale with; the full value if not given."""
+    """Grey value that thresholds are relative to; `saturation_dn` if None."""
 
     @property
     def threshold_scale_dn(self) -> int:
-        """The full value of a single exposure."""
+        """Saturation value of a single exposure, to which thresholds are relative."""
         return self.saturation_dn if self.usual_full_dn is None else self.usual_full_dn
 
     @property
     def labelled(self) -> bool:
-        """Whether there is only one laser that its stripes can belong to."""
+        """Whether its stripes can belong to a single laser only."""
         return len(self.lasers) == 1
 
     @property
     def signal(self) -> Float64[Array, "row column"]:
-        """What the lasers add to the ambient light."""
+        """Grey values with the background subtracted."""
         return self.lit.astype(np.float64) - (0.0 if self.dark is None else self.dark)
 
 
 def laser_images(shot: Shot, count: int) -> list[LaserImage]:
-    """The frames to look for stripes in, so that every one of `count` lasers that was on is covered once.
+    """The frames to search for stripes, such that each of `count` lasers that was on is covered once.
 
-    A laser's own frame goes before frames that it shares; the dark frame is the one nearest in time, because the
-    ambient light of a tumbling target changes.
+    A frame with a single laser on takes precedence over frames with several. The background is the suitable frame
+    nearest in time, because the ambient light on a tumbling target changes.
     """
     images, covered, saturation_dn = [], 0, shot.saturation_dn
     masks: list[int] = shot.lasers.tolist()
@@ -68,7 +68,7 @@ def brightest_image(shot: Shot) -> UInt[Array, "row column"]:
 
 
 def _dark(shot: Shot, number: int, also_on: int) -> UInt[Array, "row column"] | None:
-    """The frame nearest in time with exactly the lasers on that were on besides the new ones; None without one."""
+    """The frame nearest in time in which exactly the lasers `also_on` are on; None if there is none."""
     same = [each for each, mask in enumerate(shot.lasers.tolist()) if mask == also_on]
     if not same:
         return None

@@ -1,12 +1,7 @@
-"""Straight segments of an image: the paper's line detector (ringpose-method(7), section 2).
+"""The paper's line segment detector, and stripes from its segments (ringpose-method(7), section 2).
 
-Edge chains: continuous, one pixel wide (ringpose-method(7), section 2).
-
-Gradient and anchors of an image: where edges may run (ringpose-method(7), section 2).
-
-The segments of a photograph, of which nothing else is known.
-
-Stripes from straight segments, the paper's way: a stripe is what lies bright between two parallel edges.
+Gradient and anchors -> edge chains, continuous and one pixel wide -> straight pieces -> line segments. A stripe is the
+bright region between two parallel segments.
 """
 
 from dataclasses import dataclass
@@ -25,31 +20,31 @@ from ringpose.types.options import SegmentMethod
 class SegmentParameters:
     """Thresholds of the line detector, for 8-bit images.
 
-    The paper does not give its own. These stand where recall on the York Urban photographs and on synthetic laser
-    stripes (grey-value peaks of 38 and 170, speckle) is flat: a quarter more or less changes it by a hundredth or two.
+    The paper does not give any. These are in the flat maximum of the recall on the York Urban photographs and on
+    synthetic laser stripes (peaks of 38 and 170 grey values, speckle): changes by a quarter change it by 0.01 to 0.02.
     """
 
     upper_gradient_dn: float = 4.0
-    """An anchor has at least this gradient, in grey values per pixel of the smoothed image."""
+    """Minimum gradient of an anchor, in grey values per pixel of the smoothed image."""
     lower_gradient_dn: float = 2.0
-    """Where the gradient is less, there is no edge. In clutter thresholds of 3.0 and 1.5 cost a fifth more time and
-    recall two hundredths more on the York Urban photographs; on stripes they change nothing."""
+    """Minimum gradient of an edge pixel. In clutter, thresholds of 3.0 and 1.5 take a fifth more time and increase the
+    recall on the York Urban photographs by 0.02; on stripes they make no difference."""
     shortest_px: int = 12
-    """Chains of fewer pixels are dropped, and segments that rest on fewer."""
+    """Minimum length of chains in pixels, and minimum support of segments."""
     deviation_px: float = 1.0
-    """A piece ends where its estimated length exceeds its chord by more; the cut goes to its farthest pixel."""
+    """Maximum excess of a piece's estimated length over its chord; the cut is at its farthest pixel."""
     share_change: float = 0.7
-    """A piece ends where the direction shares differ by more (sum over the three; 2 is a right angle); digitising
+    """Maximum change of the direction shares within a piece (sum over the three; 2 is a right angle); digitisation
     alone changes the shares of a straight line by up to 2 / `window_steps`."""
     window_steps: int = 8
-    """Steps over which the shares are taken; the cut goes back half of them."""
+    """Number of steps over which the shares are computed; the cut is half of them before the end."""
     shortest_joined_px: int = 6
-    """Straight pieces of so many pixels may become part of a refined segment: speckle breaks an edge into short ones,
-    and with those of 12 pixels alone a fiftieth of the length recalled on the York Urban photographs is lost."""
+    """Minimum length of straight pieces that may become part of a refined segment: speckle breaks an edge into short
+    ones, and a limit of 12 pixels would lose 0.02 of the length recalled on the York Urban photographs."""
     gap_px: float = 8.0
-    """Lines with a larger gap between them are not joined; a laser's shadow at the edge of a ring is wider."""
+    """Maximum gap between joined lines; a laser's shadow at the edge of a ring is wider."""
     aside_px: float = 1.5
-    """Nor those with an end farther aside of the joined line. Speckle moves edges by a pixel: 1.0 leaves twice as many
+    """Maximum distance of the ends from the joined line. Speckle moves edges by a pixel: 1.0 leaves twice as many
     fragments of a stripe as 1.5."""
 
 
@@ -59,10 +54,10 @@ def find_segments(
     method: SegmentMethod = SegmentMethod.REFINED,
     saturation_dn: int | None = None,
 ) -> Segments:
-    """Straight edges of the image; thresholds mean grey values of 8 bits whatever the image has.
+    """Straight edges of the image; thresholds refer to grey values of 8 bits, whatever the depth of the image.
 
-    How many bits that are follows from the grey value at which a pixel is full; without it the image is asked, and a
-    dim one may be taken for that of a narrower camera.
+    The depth follows from the saturation value. By default this is estimated from the image, where a dim image may be
+    attributed a smaller bit depth.
     """
     narrowed, bits = in_sixteen_bits(image, saturation_dn)
     gradient = image_gradient(narrowed, parameters.upper_gradient_dn, bits)
@@ -72,7 +67,7 @@ def find_segments(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Chains:
-    """Pixels of all chains, one chain after another."""
+    """Pixels of all chains, concatenated."""
 
     pixels: Int32[Array, "pixel xy=2"]
     starts: Int32[Array, "start"]
@@ -80,7 +75,7 @@ class Chains:
 
 
 def chords(chains: Chains, parameters: SegmentParameters) -> Segments:
-    """Each straight piece as the line from its first to its last pixel: within a pixel of the edge."""
+    """Each straight piece as the line from its first to its last pixel, which is within a pixel of the edge."""
     pieces = straight_pieces(chains, parameters, parameters.shortest_px)
     ends_px = chains.pixels[pieces].astype(np.float64)
     support = (pieces[:, 1] - pieces[:, 0] + 1).astype(np.int64)
@@ -100,7 +95,7 @@ class Gradient:
 
 
 def refined(gradient: Gradient, chains: Chains, parameters: SegmentParameters) -> Segments:
-    """Least-squares lines through the sub-pixel positions of straight pieces, those joined that make one line."""
+    """Least-squares lines through the sub-pixel positions of straight pieces; collinear ones joined."""
     pieces = straight_pieces(chains, parameters, parameters.shortest_joined_px)
     lines_px, moments = kernels.fits(gradient.magnitude, chains.pixels, pieces, parameters.window_steps // 2)
     ends_px, support = kernels.joins(
@@ -110,7 +105,7 @@ def refined(gradient: Gradient, chains: Chains, parameters: SegmentParameters) -
 
 
 def straight_pieces(chains: Chains, parameters: SegmentParameters, shortest_px: int) -> Int32[Array, "piece end=2"]:
-    """First and last pixel of each straight piece of so many pixels or more: length condition and direction shares."""
+    """First and last pixel of each straight piece of `shortest_px` or more: length condition, direction shares."""
     return kernels.cuts(
         chains.pixels,
         chains.starts,
@@ -122,7 +117,7 @@ def straight_pieces(chains: Chains, parameters: SegmentParameters, shortest_px: 
 
 
 def edge_chains(gradient: Gradient, lower_dn: float, shortest: int) -> Chains:
-    """Walks from the anchors over all pixels of at least `lower_dn`; chains of `shortest` pixels and more."""
+    """First and last pixel of each piece of `shortest_px` or more, by the length condition and the direction shares."""
     pixels, starts = kernels.chains(
         gradient.magnitude, gradient.anchors, gradient.orientation, magnitude_steps(lower_dn), shortest
     )
@@ -133,7 +128,7 @@ STEPS_PER_DN = 128
 """Units of the kernels' magnitude in one grey value per pixel: 16 of the smoothing, 8 of the Sobel weights."""
 
 MAX_STEPS = 32767
-"""More than any 8-bit pattern gives."""
+"""Upper limit, above any gradient of an 8-bit image."""
 
 
 def image_gradient(
@@ -141,7 +136,7 @@ def image_gradient(
 ) -> Gradient:
     """Gradient of the smoothed image, and the anchors of at least `upper_dn` grey values per pixel.
 
-    Grey values are those of 8 bits: of 12 `bits`, the last four count as fractions.
+    Grey values are scaled to 8 bits: the last four of 12 `bits` are a fraction.
     """
     magnitude, anchors, orientation = kernels.gradient(image, magnitude_steps(upper_dn), bits)
     return Gradient(magnitude=magnitude, anchors=anchors, orientation=orientation)
@@ -155,9 +150,9 @@ def magnitude_steps(gradient_dn: float) -> int:
 def in_sixteen_bits(
     image: UInt[Array, "row column"], saturation_dn: int | None = None
 ) -> tuple[UInt8[Array, "row column"] | UInt16[Array, "row column"], int]:
-    """The image in elements of 8 or 16 bits, and how many bits its values have; a wider one loses low bits.
+    """The image in elements of 8 or 16 bits, and the bit depth of its values; low bits of wider images are dropped.
 
-    `saturation_dn` is the grey value at which a pixel is full; if it is not given, the image is asked.
+    `saturation_dn` is the grey value at which a pixel saturates; by default it is estimated from the image.
     """
     if image.dtype == np.uint8:
         return image, 8
@@ -172,7 +167,7 @@ def in_sixteen_bits(
 
 
 def eight_bit(image: UInt[Array, "row column"]) -> UInt8[Array, "row column"]:
-    """The image in 8 bits: a wider one loses low bits until its largest value fits, so 12 bits keep their contrast."""
+    """The image in 8 bits; low bits are dropped until the largest value fits, which preserves the contrast."""
     if image.dtype == np.uint8:
         return image
     excess = max(0, int(image.max(initial=0)).bit_length() - 8)
@@ -180,7 +175,7 @@ def eight_bit(image: UInt[Array, "row column"]) -> UInt8[Array, "row column"]:
 
 
 def segments_only(shot: Shot, method: SegmentMethod = SegmentMethod.REFINED) -> Detection:
-    """The segments of the shot's brightest-lit frame; break points are not looked for."""
+    """The line segments in the frame with the most lasers on, without a search for break points."""
     return Detection(
         shot=shot.name,
         stamp_s=shot.measured_at_s,
@@ -190,19 +185,19 @@ def segments_only(shot: Shot, method: SegmentMethod = SegmentMethod.REFINED) -> 
 
 
 WIDTH_PX = (1.5, 14.0)
-"""Distance of the two edges of a stripe."""
+"""Range of the distance between the two edges of a stripe."""
 
 PARALLEL = 0.12
-"""Largest difference of the edges' slopes."""
+"""Maximum difference of the edges' slopes."""
 
 MINIMUM_COLUMNS = 8
-"""Columns that two edges must share."""
+"""Minimum overlap of the two edges, in columns."""
 
 CONTRAST_DN = 4.0
-"""How much brighter it must be between the edges than outside them."""
+"""Minimum difference of the brightness between the edges and outside them."""
 
 MIDDLE_SIGMA_PX = 0.25
-"""Standard deviation of the middle between two refined lines: 0.003 px on dark stripes, 0.2 under speckle."""
+"""Assumed standard deviation of the middle between two refined lines: 0.003 px without, 0.2 px with speckle."""
 
 
 def stripes_between_segments(
@@ -210,8 +205,8 @@ def stripes_between_segments(
 ) -> tuple[Stripes, Segments]:
     """Stripe centres, one a column, midway between the segments of a stripe's two edges, and the segments.
 
-    The paper's chords end on whole pixels: the middle between two was off by up to 1.5 px, and in one shot of four
-    leaned so much that no ring was found. Refined lines are within 0.1 px.
+    Refined segments are used, with errors of 0.1 px. The paper's chords end on whole pixels: the middle between two had
+    errors of up to 1.5 px, and in one shot of four its slope was too wrong for a ring to be found.
     """
     signal = image if dark is None else np.where(image > dark, image - dark, 0).astype(image.dtype)
     segments = find_segments(signal, method=SegmentMethod.REFINED)
@@ -237,7 +232,7 @@ def stripes_between_segments(
 def _edge_pairs(
     segments: Segments,
 ) -> tuple[Int64[Array, "pair"], Int64[Array, "pair"], Int64[Array, "pair"], Int64[Array, "pair"]]:
-    """Upper and lower segment of each possible stripe, with the first and last column that they share."""
+    """Upper and lower segment of each possible stripe, with the first and last column of their overlap."""
     left = np.minimum(segments.start_px[:, 0], segments.end_px[:, 0])
     right = np.maximum(segments.start_px[:, 0], segments.end_px[:, 0])
     lying = np.flatnonzero(right - left >= MINIMUM_COLUMNS - 1)
@@ -253,13 +248,13 @@ def _edge_pairs(
 
 
 def _slope(segments: Segments) -> Float64[Array, "segment"]:
-    """Rows a column; zero for upright segments, which are no stripe's edges."""
+    """Slope in rows per column; zero for vertical segments, which are not edges of stripes."""
     run, rise = (segments.end_px - segments.start_px).T
     return np.where(run == 0, 0.0, rise / np.where(run == 0, 1.0, run))
 
 
 def _ordinate(segments: Segments, which: Int64[Array, "n"], x: Float64[Array, "n"]) -> Float64[Array, "n"]:
-    """Row of segments at the columns x."""
+    """Row coordinates of the segments at the columns x."""
     start = segments.start_px[which]
     y: Float64[Array, "n"] = start[:, 1] + _slope(segments)[which] * (x - start[:, 0])
     return y
@@ -271,7 +266,7 @@ def _contrast(
     pairs: tuple[Int64[Array, "pair"], Int64[Array, "pair"]],
     shared: tuple[Int64[Array, "pair"], Int64[Array, "pair"]],
 ) -> Float64[Array, "pair"]:
-    """Median brightness between the edges less that as far outside them, over some of the shared columns."""
+    """Median brightness between the edges minus that outside them, over samples of the common columns."""
     along = np.linspace(0, 1, 9)
     x = np.rint(shared[0][:, None] + (shared[1] - shared[0])[:, None] * along)
     column = x.astype(np.int64)

@@ -1,4 +1,4 @@
-"""What was found in a shot, drawn over its image."""
+"""Visualization of a detection, drawn over the image."""
 
 import cv2
 import numpy as np
@@ -27,23 +27,23 @@ COLORS: tuple[Color, ...] = (
     (160, 160, 255),
     (160, 230, 160),
 )
-"""Blue, green, red of each laser in the order of the rig."""
+"""Colour (blue, green, red) of each laser, in the order of the rig."""
 
 UNLABELLED_COLOR: Color = (170, 170, 170)
 SEGMENT_COLOR: Color = (0, 200, 255)
 FLAG_COLOR: Color = (60, 60, 255)
 
 EDGE_COLORS: tuple[Color, Color] = ((200, 200, 90), (90, 200, 200))
-"""Of the inner and the outer edge."""
+"""Colours of the inner and the outer edge."""
 
 EDGE_HALF_LENGTH_PX = 3.0
-"""Points of the ring's edges are drawn as dashes along the edge."""
+"""Half length of the dashes along the edge by which points of the ring's edges are drawn."""
 
 ELLIPSE_SIGMAS = 30.0
-"""Break points are known to tenths of a pixel: their error ellipses are drawn so many times larger."""
+"""Magnification of the error ellipses: standard deviations of break points are tenths of a pixel."""
 
 _BITS = 4
-"""OpenCV draws to 1/16 of a pixel."""
+"""Fractional bits of the coordinates passed to OpenCV: 1/16 of a pixel."""
 
 _NAME_OFFSET, _FLAGS_OFFSET = np.array([10.0, -8.0]), np.array([10.0, 18.0])
 
@@ -51,9 +51,9 @@ _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 
 def overlay(image: UInt[Array, "row column"], detection: Detection) -> UInt8[Array, "row column 3"]:
-    """The image as blue, green, red, dimmed, with segments, stripes, ring edges and break points drawn over it.
+    """The dimmed image as blue, green, red, with segments, stripes, ring edges and break points drawn over it.
 
-    Each laser has its colour; error ellipses are `ELLIPSE_SIGMAS` standard deviations wide.
+    Each laser has its colour; the half axes of error ellipses are `ELLIPSE_SIGMAS` standard deviations.
     """
     picture: UInt8[Array, "row column 3"] = cv2.cvtColor(eight_bit(image) // 2, cv2.COLOR_GRAY2BGR)
     if detection.segments is not None:
@@ -108,7 +108,7 @@ def _draw_break_points(picture: UInt8[Array, "row column 3"], points: BreakPoint
 
 
 def flag_names(flags: int) -> list[str]:
-    """The flags of a break point in words."""
+    """Names of the flags of a break point, in lower case."""
     return [str(flag.name).lower() for flag in BreakPointFlag if flags & flag]
 
 
@@ -130,7 +130,7 @@ def _draw_ellipse(
 def _write(picture: UInt8[Array, "row column 3"], text: str, position: Float64[Array, "2"], color: Color) -> None:
     column, row = np.round(position).astype(int).tolist()
     ascii_text = text.encode("ascii", "replace").decode()
-    for x, y in ((-1, 0), (1, 0), (0, -1), (0, 1)):  # thicker letters would be wider too, in OpenCV 5
+    for x, y in ((-1, 0), (1, 0), (0, -1), (0, 1)):  # an outline; in OpenCV 5 thicker letters would also be wider
         cv2.putText(picture, ascii_text, (column + x, row + y), _FONT, 0.45, (0, 0, 0), 1, cv2.LINE_AA)
     cv2.putText(picture, ascii_text, (column, row), _FONT, 0.45, color, 1, cv2.LINE_AA)
 

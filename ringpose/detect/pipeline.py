@@ -1,8 +1,8 @@
 """Shot -> break points, in the order of ringpose-method(7), section 3.
 
-Whether stripes can be where the rig says: images upside down, mirrored or of another camera are none of its own.
-
-Where to look for stripes whose places are predicted: a window about each, instead of the whole frame.
+Stripes are extracted from the difference images (in the whole frames, or in windows about predicted stripes), the
+segments on the ring's face are selected and assigned to lasers, and their endpoints are refined. Shots whose stripes
+would triangulate behind the camera are rejected: the images are upside down, mirrored or of another rig.
 """
 
 import math
@@ -15,7 +15,7 @@ from ringpose.detect.break_points import break_points, ends_clear
 from ringpose.detect.difference_images import LaserImage, laser_images
 from ringpose.detect.rim import CONFIRMED, Face, planes_per_m, ring_face
 from ringpose.detect.ring_edges import detect_ring_edges
-from ringpose.detect.stripes import find_stripes, lens, stripe_line_segments
+from ringpose.detect.stripes import find_stripes, stripe_line_segments
 from ringpose.geometry.rays import project, undistorted_rays
 from ringpose.kernels.lines import CENTERS, LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
 from ringpose.types.arrays import Array, Bool, Float64, Int32
@@ -34,7 +34,7 @@ from ringpose.types.options import StripeSource
 from ringpose.types.rig import Rig
 
 DARK_SHARE = 8 / 255
-"""A frame whose brightest pixels stay below this share of saturation shows nothing at all."""
+"""Share of the saturation value that the brightest pixel of a frame must reach, or the image is reported as dark."""
 
 
 def detect(
@@ -45,10 +45,10 @@ def detect(
     edges: bool = True,
     predicted: BreakPoints | None = None,
 ) -> Detection:
-    """Stripes, break points and (unless `edges` is false) the ring's visible edges; no break points say why.
+    """Stripes, break points (or the reason why there are none) and, unless `edges` is false, the ring's visible edges.
 
-    With a prediction, only bands about its stripes are searched; if what it saw is not all found there, the whole
-    frames are.
+    With a prediction, only windows about its stripes are searched; if one of its break points is not found there, the
+    whole frames are searched.
     """
     images = laser_images(shot, len(rig.lasers.names))
     if not images:
@@ -74,7 +74,7 @@ def detect(
 
 
 def _predicted_stripes(images: list[LaserImage], predicted: BreakPoints, rig: Rig) -> Stripes | None:
-    """The stripes in bands about the predicted ones; None if none is predicted."""
+    """The stripes in windows about the predicted ones; None if none is predicted."""
     parts = []
     for image in images:
         bands = predicted_bands(predicted, image.lasers, rig.camera)
@@ -85,14 +85,14 @@ def _predicted_stripes(images: list[LaserImage], predicted: BreakPoints, rig: Ri
 
 
 def _lost(found: BreakPoints | NoBreakPoints, predicted: BreakPoints | None) -> bool:
-    """Whether a break point that was predicted was not found."""
+    """Whether a predicted break point was not found."""
     if predicted is None or not isinstance(found, BreakPoints):
         return True
     return bool((predicted.seen & np.isnan(found.position_px[..., 0])).any())
 
 
 def _all_stripes(images: list[LaserImage], source: StripeSource) -> tuple[Stripes, Segments | None]:
-    """The stripes of all frames in one record, and the segments if they are made from those."""
+    """The stripes of all frames in one record, and the line segments that they were made from, if any."""
     if source is StripeSource.SEGMENTS:
         return _stripes_between_segments(images)
     parts = [
@@ -103,7 +103,7 @@ def _all_stripes(images: list[LaserImage], source: StripeSource) -> tuple[Stripe
 
 
 def _stripes_between_segments(images: list[LaserImage]) -> tuple[Stripes, Segments]:
-    """The same the paper's way; other shots need no line detector, which is imported here."""
+    """The same from pairs of line segments (the paper's method); the line detector is imported only if needed."""
     from ringpose.detect.line_segments import stripes_between_segments
 
     found = [stripes_between_segments(image.lit, image.dark) for image in images]
@@ -112,7 +112,7 @@ def _stripes_between_segments(images: list[LaserImage]) -> tuple[Stripes, Segmen
 
 
 def _labelled(stripes: Stripes, image: LaserImage) -> Stripes:
-    """Stripes with their laser, where a frame shows only one."""
+    """The stripes, assigned to the laser of the frame if it has only one."""
     return replace(stripes, laser=np.full_like(stripes.laser, image.lasers[0])) if image.labelled else stripes
 
 
@@ -126,7 +126,7 @@ def _joined_segments(parts: list[Segments]) -> Segments:
 
 
 def _found(stripes: Stripes, images: list[LaserImage], rig: Rig) -> BreakPoints | NoBreakPoints:
-    """The break points among the stripes, or why there are none."""
+    """The break points on the stripes, or the reason why there are none."""
     if not len(stripes.piece):
         return _why_no_stripe(images)
     tracks = stripe_line_segments(stripes, rig.camera)
@@ -144,7 +144,7 @@ def _found(stripes: Stripes, images: list[LaserImage], rig: Rig) -> BreakPoints 
 
 
 def _masks_contradicted(face: Face | None, tracks: Float64[Array, "track column=11"], rig: Rig) -> bool:
-    """Whether the stripes make a ring of three lasers only if they belong to others than the masks say."""
+    """Whether the stripes fit a ring of three lasers only under an assignment that contradicts the laser masks."""
     if face is not None and len(face.lasers) > 2:
         return False
     unlabelled = tracks.copy()
@@ -162,32 +162,30 @@ def _why_no_stripe(images: list[LaserImage]) -> NoBreakPoints:
 
 
 POSSIBLE_PER_M = (-1 / 3, 20.0)
-"""One over the depth of what a camera sees: from 5 cm to beyond the horizon, by what calibration and noise may add."""
+"""Limits of the inverse depth in 1/m: from 5 cm to infinity, with a margin for calibration and noise."""
 
 LONG_COLUMNS = 30
-"""Shorter tracks may be reflections, or a facet's."""
+"""Minimum length of the segments examined; shorter ones may be reflections or on facets of foil."""
 
-MAX_COUNT = 0.5
-"""Share of the long tracks' columns that must be possible; in 81 rendered shots all of them are, turned upside down at
-most two thirds."""
+MIN_POSSIBLE_SHARE = 0.5
+"""Minimum share of the long segments' columns at a possible depth; in 81 rendered shots it is 1, in the same turned
+upside down at most two thirds."""
 
 
 def stripes_behind_camera(tracks: Float64[Array, "track column=11"], rig: Rig) -> bool:
-    """Whether most of what is straight lies behind the camera or in its lens, whichever laser drew it."""
+    """Whether most straight stripes would lie behind the camera or inside its lens, for every possible laser."""
     long = tracks[tracks[:, CENTERS] >= LONG_COLUMNS]
     possible = _possible(long, rig)
     drawn = long[:, [LASER]] == np.arange(possible.shape[1])
     anywhere = (possible & (drawn | (long[:, [LASER]] == UNLABELLED))).any(axis=1)
-    return float(long[anywhere, CENTERS].sum()) < MAX_COUNT * float(long[:, CENTERS].sum())
+    return float(long[anywhere, CENTERS].sum()) < MIN_POSSIBLE_SHARE * float(long[:, CENTERS].sum())
 
 
 def _possible(tracks: Float64[Array, "track column=11"], rig: Rig) -> Bool[Array, "track laser"]:
-    """Whether some of a track can lie before the camera if that laser drew it."""
-    optics = lens(rig.camera)
+    """Whether part of a segment has a possible depth under that laser."""
     x_px = tracks[:, [X_START, X_END]]
     y_px = tracks[:, [MIDDLE_Y]] + tracks[:, [SLOPE]] * (x_px - tracks[:, [MIDDLE_X]])
-    rays = np.stack([(x_px - optics.cx) / optics.fx, (y_px - optics.cy) / optics.fy, np.ones_like(x_px)], axis=-1)
-    per_m = rays @ planes_per_m(rig).T
+    per_m = undistorted_rays(np.stack([x_px, y_px], axis=-1), rig.camera) @ planes_per_m(rig).T
     possible: Bool[Array, "track laser"] = (per_m.max(axis=1) > POSSIBLE_PER_M[0]) & (
         per_m.min(axis=1) < POSSIBLE_PER_M[1]
     )
@@ -195,18 +193,18 @@ def _possible(tracks: Float64[Array, "track column=11"], rig: Rig) -> Bool[Array
 
 
 BAND_PX = 24
-"""Rows above and below a predicted stripe that are searched: 15 mm at 1 m in the time between two frames."""
+"""Margin of a search window above and below a predicted stripe: a motion of 15 mm at 1 m between two frames."""
 
 BESIDE_PX = 60
-"""Columns beyond a predicted stripe's ends that are searched: motion, and the ends' own surroundings."""
+"""Margin of a search window beyond the ends of a predicted stripe: motion, and the columns beyond the ends."""
 
 
 def predicted_bands(
     predicted: BreakPoints, lasers: Sequence[int], camera: Camera
 ) -> Int32[Array, "band side=4"] | None:
-    """Windows about the predicted stripes of some lasers, as bands for `find_stripes`; None if none is predicted.
+    """Search windows about the predicted stripes of some lasers, for `find_stripes`; None if none is predicted.
 
-    Left and right column, top and bottom row; right and bottom are the first that are not searched.
+    Left and right column, top and bottom row; right and bottom are exclusive.
     """
     starts, stops = predicted.face_start_px.tolist(), predicted.face_end_px.tolist()
     pairs = [[starts[laser], stops[laser]] for laser in lasers]
@@ -223,6 +221,6 @@ def predicted_bands(
 
 
 def _searched(one: float, other: float, beyond: int, size: int) -> tuple[int, int]:
-    """The first and the one after the last of a row or a column of pixels, with some beyond both."""
+    """First and (exclusive) last index of the range between two coordinates, widened and clipped to the image."""
     first, last = (one, other) if one < other else (other, one)
     return min(max(int(first) - beyond, 0), size), min(max(int(last) + beyond + 1, 0), size)

@@ -1,11 +1,11 @@
-"""Which tracks lie on the ring's face: one a laser, all on one plane, their ends on two circles about one centre.
+"""Selection of the segments ("tracks") on the ring's face: one per laser, coplanar, ends on two concentric circles.
 
-This is also what labels the stripes of a frame with several lasers on: every assignment of tracks to lasers is
-scored by how well one planar ring explains it, order swaps included.
+In a frame with several lasers on, this also assigns the stripes to the lasers: each assignment of segments to lasers,
+exchanges included, is scored by how well one planar ring explains it (ringpose-method(7), section 3).
 
-Tracks may be pieces of one stripe that speckle, a glint or a bracket broke. Whether two are one surface is not decided
-beforehand: their union stands beside them, with the scatter that it has about one line, and the ring that explains it
-best chooses.
+A stripe may be broken into several segments by speckle, a glint or a bracket. Whether two of them are on one surface is
+not decided in advance: their union is a further candidate, with its scatter about one line, and the ring with the best
+score decides.
 """
 
 import math
@@ -15,7 +15,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ringpose.detect.stripes import MIN_SEGMENT_COLUMNS, TAKEN_BY_THE_FIT, lens
+from ringpose.detect.stripes import FIT_DOF_CORRECTION, MIN_SEGMENT_COLUMNS, lens
 from ringpose.geometry.rays import undistorted_rays
 from ringpose.kernels.lines import (
     CLIPPED,
@@ -38,126 +38,131 @@ from ringpose.types.detection import UNLABELLED
 from ringpose.types.rig import Rig
 
 DEPTH_RANGE_M = (0.05, 3.0)
-"""Where a ring can be: wider on both sides than the 0.2 to 1 m that the method is made for."""
+"""Range of the depth of a ring; wider at both ends than the working range of 0.2 to 1 m."""
 
 FACE_LENGTH_M = (0.003, 0.1)
-"""Length of a stripe on the face: bands of adapter rings are 20 to 60 mm wide and crossed at 45 degrees or more."""
+"""Range of the length of a stripe on the face: the faces of adapter rings are 20 to 60 mm wide, and stripes cross them
+at 45 degrees or more."""
 
 MAXIMUM_TILT_RAD = float(np.deg2rad(75))
-"""Beyond this a face is too oblique to show a stripe of any length."""
+"""Maximum tilt of a face: beyond, it is too oblique to show a stripe of usable length."""
 
 MINIMUM_RADIUS_M = 0.2
-"""The smallest adapter rings are half as large again."""
+"""Minimum radius of a ring; that of the smallest adapter rings is 1.5 times as large."""
 
 MINIMUM_BAND_M = 0.003
-"""Narrower bands are edges, not faces."""
+"""Minimum width of a face; narrower bands are edges."""
 
 BORDER_PX = 15.0
-"""Closer to the image's upper or lower border a stripe may well be missed."""
+"""Distance from the image's upper or lower border within which a stripe may be missing without a penalty."""
 
 CUT_OFF_PX = 6.0
-"""An end so close to the left or right border is where the image ends, not the face."""
+"""Distance from the left or right border within which an end is due to the image's border, not to the face."""
 
 CUT_OFF_ROWS_PX = 10.0
-"""The same for the upper and lower border, where no stripe is measured whose section is not whole: 6.5 px at most."""
+"""The same for the upper and lower border, where only stripes with a complete cross-section are measured: up to 6.5
+px."""
 
 MIN_SPILT = 5
-"""A track with fewer centres on its line beyond its ends has nothing to be joined to."""
+"""Minimum number of centres on a segment's line beyond its ends for it to be merged with another segment."""
 
 MAX_GAP = 0.5
-"""A gap of more than this share of both pieces together is no interruption."""
+"""Maximum gap between merged segments, as a share of their total length."""
 
 APART_PX, APART_SIGMAS = 1.0, 3.0
-"""How far apart the lines may be in the middle of the gap: facets behind a stripe, and their own errors."""
+"""Maximum offset of the lines in the middle of the gap: a constant for facets, and a number of sigmas."""
 
 MAX_DISTANCE_PX = 6.0
-"""Lines farther apart than this are not compared any further."""
+"""Maximum offset of the lines, whatever their sigmas."""
 
 ROUNDS = 2
-"""Pieces of three or four are joined two by two."""
+"""Rounds of pairwise merging: up to four segments become one."""
 
 CANDIDATES = 20
-"""Tracks of the greatest merit that are tried for each laser."""
+"""Number of segments of the highest score that are tried for each laser."""
 
 ACROSS_SIGMA_PX = 0.4
-"""How far a track may lie from the plane's: noise of the line and of the calibration."""
+"""Standard deviation of a segment from its prediction by the plane: noise of the line and calibration."""
 
 ALONG_SIGMA_PX = 2.0
-"""How far a track's end may lie from its circle, before it is refined."""
+"""Standard deviation of a segment's end from its circle, before refinement."""
 
 PLANE_LIMIT = 8.0
-"""Squared sigmas over two above which tracks do not lie on one plane, for each laser."""
+"""Maximum chi2 / 2 of coplanar segments, per laser."""
 
 CIRCLE_LIMIT = 6.0
-"""Squared sigmas over two above which ends do not lie on two circles, for each laser."""
+"""Maximum chi2 / 2 of ends on two circles, per laser."""
 
 DROPPED_END_PENALTY = 6.0
-"""What it costs (in squared sigmas over two) to call one of six ends occluded: once in four hundred by chance."""
+"""Penalty (in chi2 / 2, like all that follow) for treating one of six ends as occluded: by chance one in four
+hundred."""
 
 UNSEEN_PENALTY = 6.0
-"""What it costs that a laser's stripe is not seen where the face would show it: occluded, or not this face."""
+"""Penalty for a laser without a stripe where the face would show it: it is occluded, or this is not the face."""
 
 SPILL_PENALTY = 15.0
-"""What it costs if all of a stripe's centres on a track's line lie beyond the track: a face ends with its track."""
+"""Penalty if collinear centres continue beyond a segment's ends, where the face should end; proportional to their
+share."""
 
 COINCIDENCE_PENALTY, BEHIND_M = 3.0, (0.01, 0.3)
-"""The same, at most, where they may be another laser's on the body so far behind: nearly parallel light planes draw its
-stripes so close to one another that one in five faces has another's on its line."""
+"""Upper limit of that penalty where the centres may belong to another laser's stripe on the body, at this distance
+behind the face: light planes are nearly parallel, so that one face in five has another laser's stripe on its line."""
 
 UNION_PENALTY = 3.0
-"""What it costs that a track is put together: the body's stripes, broken by shadows and glints, gain by it as well."""
+"""Penalty for a merged segment: merging also favours the body's stripes, which shadows and glints break."""
 
 CLIPPED_PENALTY = 4.0
-"""What it costs that a track leaves the image: there is no seeing whether it would have ended."""
+"""Penalty for a segment that is truncated by the image: its end was not observed."""
 
 USUAL_SCATTER_PX = 0.3
-"""Of a stripe's centres about its line on metal."""
+"""Typical scatter of a stripe's centres about its line, on metal."""
 
 ENOUGH_COLUMNS = 120
-"""A longer track is no more likely to be a face: the body behind has the longest."""
+"""Number of columns above which length does not increase a segment's score: the longest segments are on the body."""
 
 CONVINCING_SCORE = {3: 9.0, 2: 12.0, 1: 6.0}
-"""Scores that tracks on foil hardly ever reach by chance, by number of tracks; two tracks are checked by little."""
+"""Minimum score by number of segments, which foil hardly ever reaches; two segments have little redundancy."""
 
 TRACK_PENALTY = 3.0
-"""What another track must add to the score: a piece of foil that happens to lie in the plane adds less."""
+"""Minimum increase of the score by a further segment; a piece of foil that happens to be coplanar adds less."""
 
 CLEAR_MARGIN = {3: 4.0, 2: 4.0, 1: math.inf}
-"""Two labellings whose scores differ by less are both possible, by number of tracks; nothing checks that of a single
-one: where stripes cross, what seems to be unseen is not, so that any other possible label is one too many."""
+"""Minimum difference of the scores of two assignments, by number of segments; with less, the assignment is ambiguous.
+That of a single segment cannot be verified by its score, so that any other possible assignment makes it ambiguous."""
 
 CONFIRMED = 3
-"""Fewer tracks on one plane may be there by chance, so that it matters what else they may be."""
+"""Number of segments below which coplanarity may be a coincidence, so that other explanations are examined."""
 
 MAX_TO_SHORTEST = 2.5
-"""Stripes cross a band at 45 degrees or more, one may be hidden by half; pieces of foil have any length."""
+"""Maximum ratio of the lengths of stripes on one face: they cross it at 45 degrees or more, and half of one may be
+occluded; segments on foil have any length."""
 
 BODY_RANGE_M = (0.15, 1.5)
-"""Where the body behind a ring is looked for."""
+"""Range of the depth of the body behind a ring."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Face:
-    """The tracks on the ring's face."""
+    """The segments on the ring's face."""
 
     lasers: tuple[int, ...]
     tracks: Float64[Array, "track column=11"]
-    """Of each of these lasers; columns as in `TRACK_COLUMNS`."""
+    """One for each of these lasers; columns as in `TRACK_COLUMNS`."""
     score: float
     ambiguous: bool
-    """Another labelling explains the same tracks about as well, or as the body's."""
+    """Another assignment explains the same segments about as well, or explains them as stripes on the body."""
 
 
 def ring_face(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig: Rig) -> Face | None:
-    """The most convincing face, from as many lasers as agree on one; None if no track will do.
+    """The face of the best score, from as many lasers as are consistent; None if no segment can be on a face.
 
-    `lasers` are those that an unlabelled track may belong to.
+    `lasers` are those that an unlabelled segment may belong to.
     """
     unlabelled = sum(1 << laser for laser in lasers)
-    every, found = ring_faces(tracks, unlabelled, planes_per_m(rig), _rules(rig))
+    every, found = ring_faces(tracks, unlabelled, planes_per_m(rig), _face_params(rig))
     groups: list[Group | None] = list(found)
     best = best_hypothesis(groups)
-    while best is not None and not _alike(every[list(best.tracks)], best.lasers, rig):
+    while best is not None and not _lengths_consistent(every[list(best.tracks)], best.lasers, rig):
         groups = [None if group is best else group for group in groups]
         best = best_hypothesis(groups)
     if best is None:
@@ -173,11 +178,11 @@ def ring_face(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], 
 
 
 def best_hypothesis(groups: Sequence[Group | None]) -> Group | None:
-    """The largest group, unless a smaller one says more; None if none convinces.
+    """The largest group, unless a smaller one has a sufficiently better score; None if no score is high enough.
 
-    Nothing confirms a single track. Two are confirmed by one plane, and three by one plane and two circles, which
-    is hardly ever so by chance: what three have less in score than other two may be the price of a broken track.
-    Two beside a more convincing one are pieces of the body behind it.
+    A single segment has no redundancy. Two are verified by a common plane, and three by a common plane and two circles,
+    which is hardly ever a coincidence: if three score less than two others, the cause may be a broken segment. Two
+    segments next to a single one of a far better score are on the body behind it.
     """
     one, two, three = (
         group if group is not None and group.score > CONVINCING_SCORE[len(group.tracks)] else None for group in groups
@@ -190,8 +195,8 @@ def best_hypothesis(groups: Sequence[Group | None]) -> Group | None:
     return three if three.score > two.score + (TRACK_PENALTY if among else -TRACK_PENALTY) else two
 
 
-def _alike(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig: Rig) -> bool:
-    """Whether stripes may cross one band: none of them, but those that leave the image, much shorter than another."""
+def _lengths_consistent(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig: Rig) -> bool:
+    """Whether the lengths suit stripes across one band: none, unless truncated by the image, is much shorter."""
     rows = tracks.tolist()
     lengths_m = [math.dist(*_points_m(row, laser, rig)) for row, laser in zip(rows, lasers, strict=True)]
     whole_m = [length_m for row, length_m in zip(rows, lengths_m, strict=True) if not row[CLIPPED]]
@@ -201,9 +206,9 @@ def _alike(tracks: Float64[Array, "track column=11"], lasers: Sequence[int], rig
 def may_be_background(
     tracks: Float64[Array, "track column=11"], own: Sequence[int], lasers: Sequence[int], rig: Rig
 ) -> bool:
-    """Whether some track would be a stripe on the body behind the ring if it belonged to another of these lasers.
+    """Whether a segment could be a stripe on the body behind the ring, drawn by another of these lasers.
 
-    It would then be longer than any face, and farther away than under its own laser, within reach.
+    Under that laser it is longer than any stripe on a face, and farther away than under its own, within range.
     """
     for row, laser in zip(tracks.tolist(), own, strict=True):
         nearest, farthest = _depths_m(row, laser, rig)
@@ -216,7 +221,7 @@ def may_be_background(
 
 
 def _points_m(row: Sequence[float], laser: int, rig: Rig) -> list[tuple[float, float, float]]:
-    """The ends of a track in the camera frame, if it belongs to that laser."""
+    """The ends of a segment in the camera frame, if it belongs to that laser."""
     optics, (a, b, c) = lens(rig.camera), _plane_numbers(rig)[laser]
     points = []
     for x_px in (row[X_START], row[X_END]):
@@ -228,7 +233,7 @@ def _points_m(row: Sequence[float], laser: int, rig: Rig) -> list[tuple[float, f
 
 
 def _depths_m(row: Sequence[float], laser: int, rig: Rig) -> tuple[float, float]:
-    """Depths of a track's nearer and farther end; one behind the camera has a negative one."""
+    """Depths of a segment's nearer and farther end; negative behind the camera."""
     start, end = (depth for _, _, depth in _points_m(row, laser, rig))
     return min(start, end), max(start, end)
 
@@ -241,42 +246,42 @@ def _plane_numbers(rig: Rig) -> list[list[float]]:
 
 @lru_cache(maxsize=4)
 def planes_per_m(rig: Rig) -> Float64[Array, "laser xyz=3"]:
-    """The light planes as m / d: 1/z = (m / d) . (x, y, 1) on them."""
+    """The light planes as m / d in 1/m: points on them satisfy 1/z = (m / d) . (x, y, 1)."""
     planes: Float64[Array, "laser xyz=3"] = rig.lasers.normal / rig.lasers.distance_m[:, None]
     return planes
 
 
 @lru_cache(maxsize=4)
-def _rules(rig: Rig) -> FaceParams:
+def _face_params(rig: Rig) -> FaceParams:
     unions = UnionParams(
-        min_beyond_ends=MIN_SPILT,
-        max_gap=MAX_GAP,
-        separation_px=APART_PX,
-        separation_sigmas=APART_SIGMAS,
-        max_separation_px=MAX_DISTANCE_PX,
+        min_spilt=MIN_SPILT,
+        longest_gap=MAX_GAP,
+        apart_px=APART_PX,
+        apart_sigmas=APART_SIGMAS,
+        farthest_px=MAX_DISTANCE_PX,
         rounds=ROUNDS,
-        fit_dof=TAKEN_BY_THE_FIT,
+        taken_by_fit=FIT_DOF_CORRECTION,
         min_columns=MIN_SEGMENT_COLUMNS,
     )
     candidates = CandidateParams(
-        min_depth_m=DEPTH_RANGE_M[0],
-        max_depth_m=DEPTH_RANGE_M[1],
-        min_length_m=FACE_LENGTH_M[0],
-        max_length_m=FACE_LENGTH_M[1],
-        typical_scatter_px=USUAL_SCATTER_PX,
-        max_counted_columns=ENOUGH_COLUMNS,
-        spill_penalty=SPILL_PENALTY,
-        coincidence_penalty=COINCIDENCE_PENALTY,
-        min_behind_m=BEHIND_M[0],
-        max_behind_m=BEHIND_M[1],
-        clipped_penalty=CLIPPED_PENALTY,
-        union_penalty=UNION_PENALTY,
+        nearest_m=DEPTH_RANGE_M[0],
+        farthest_m=DEPTH_RANGE_M[1],
+        shortest_m=FACE_LENGTH_M[0],
+        longest_m=FACE_LENGTH_M[1],
+        usual_scatter_px=USUAL_SCATTER_PX,
+        enough_columns=ENOUGH_COLUMNS,
+        spill_cost=SPILL_PENALTY,
+        coincidence_cost=COINCIDENCE_PENALTY,
+        behind_least_m=BEHIND_M[0],
+        behind_most_m=BEHIND_M[1],
+        clipped_cost=CLIPPED_PENALTY,
+        union_cost=UNION_PENALTY,
         most=CANDIDATES,
     )
-    return FaceParams(unions, candidates, _ring_rules(rig.camera))
+    return FaceParams(unions, candidates, _ring_params(rig.camera))
 
 
-def _ring_rules(camera: Camera) -> RingParams:
+def _ring_params(camera: Camera) -> RingParams:
     matrix = camera.camera_matrix
     rows = np.linspace(0.0, camera.image_height - 1.0, 9)
     inside = (CUT_OFF_PX, camera.image_width - 1 - CUT_OFF_PX)
@@ -295,11 +300,11 @@ def _ring_rules(camera: Camera) -> RingParams:
         across_sigma_px=ACROSS_SIGMA_PX,
         plane_limit=PLANE_LIMIT,
         circle_limit=CIRCLE_LIMIT,
-        dropped_end_penalty=DROPPED_END_PENALTY,
-        unseen_penalty=UNSEEN_PENALTY,
-        max_tilt_rad=MAXIMUM_TILT_RAD,
-        min_radius_m=MINIMUM_RADIUS_M,
-        min_band_m=MINIMUM_BAND_M,
+        dropped_end_cost=DROPPED_END_PENALTY,
+        unseen_cost=UNSEEN_PENALTY,
+        maximum_tilt_rad=MAXIMUM_TILT_RAD,
+        minimum_radius_m=MINIMUM_RADIUS_M,
+        minimum_band_m=MINIMUM_BAND_M,
         left_x=float(left.max()),
         right_x=float(right.min()),
         top_y=float(top.max()),

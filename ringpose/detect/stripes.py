@@ -1,15 +1,12 @@
-"""Centres of the laser stripes, column by column (ringpose-method(7), section 3).
+"""Extraction of the laser stripes: sub-pixel centres and straight line segments (ringpose-method(7), section 3).
 
 Stripes run roughly along the image rows. In each column a stripe is a ridge: the second derivative of the
-Gaussian-smoothed grey values has a minimum there, and the zero of the first derivative next to it is the centre; of a
-speckled stripe, it is what its flanks say.
+Gaussian-smoothed grey values has a minimum, and the centre is the adjacent zero of the first derivative; the centre of
+a speckled stripe is estimated from its flanks. Centres are linked along x into pieces.
 
-Derivatives of Gaussians down the columns, to find stripes and to refine them (ringpose-method(7), section 3).
-
-Straight tracks: the stripes' pieces in the undistorted image, cut at kinks and joined across gaps.
-
-A light plane draws a straight line on every planar surface, so the stripe on the ring's face is one track;
-a wall or a foil behind it adds tracks of other directions or places.
+The intersection of a light plane with a planar surface is a straight line. Pieces are therefore cut at kinks and joined
+across gaps, in the undistorted image: the stripe on the ring's face is one such segment ("track"), and walls or foil
+behind it add segments of other directions or offsets.
 """
 
 import math
@@ -27,31 +24,31 @@ from ringpose.types.detection import UNLABELLED, Stripes
 from ringpose.types.image import full_scale_dn
 
 STRIPE_SIGMA_PX = 1.6
-"""Typical stripe, by which a peak is turned into the response of the ridge filter."""
+"""Width (sigma) of a typical stripe, for converting a peak value into a response of the ridge filter."""
 
 COARSE_SHARE = 0.27
-"""Mean over the 8 rows of a window, for a ridge so narrow that it fills it with sqrt(2 pi) / 8 of its response times
-the cube of the filter's sigma (0.31), at the least favourable place in the grid of windows."""
+"""Ratio of the mean over the 8 rows of a window to the filter response times the cube of the filter's sigma, for a
+narrow ridge: sqrt(2 pi) / 8 = 0.31, less at the least favourable position in the grid of windows."""
 
 WINDOW_PIXELS = 2 * kernel.CELL * kernel.BLOCK
 
 FILTER_SIGMA_PX = 2.5
-"""Smoothing along the column to find stripes: those up to twice as wide are found, and flat-topped, saturated ones up
-to 40 px; close ones are told apart if they are some 2.5 of these sigmas apart. To measure them, each piece gets the
-filter that suits it."""
+"""Smoothing along the column for detection. Stripes up to twice as wide are found, and flat-topped, saturated ones up
+to 40 px; neighbouring stripes are resolved from a distance of about 2.5 of these sigmas. For the measurement, the
+filter is selected for each piece."""
 
 BEGIN_SIGMAS, CONTINUE_SIGMAS = 6.0, 4.0
-"""A piece must have `MIN_COLUMNS` that stand out of the local noise of the response by the first factor, and goes on
-where they stand out by the second."""
+"""Hysteresis thresholds in sigmas of the local noise of the response: `MIN_COLUMNS` of a piece must exceed the first;
+the others must exceed the second."""
 
 MIN_PEAK_DN = 3.0
-"""And all are this bright above their surroundings, where a pixel is full at 255."""
+"""Minimum height above the surroundings, for a saturation value of 255."""
 
 GAP_COLUMNS = 2
-"""Columns that may be missing inside a piece."""
+"""Maximum number of missing columns inside a piece."""
 
 MIN_COLUMNS = 8
-"""Shorter pieces are dropped: noise links over a few columns by chance."""
+"""Minimum length of a piece: noise may link over a few columns by chance."""
 
 
 def find_stripes(
@@ -60,15 +57,15 @@ def find_stripes(
     bands: Int32[Array, "band side=4"] | None = None,
     saturation_dn: int | None = None,
 ) -> Stripes:
-    """Sub-pixel stripe centres, linked along x into pieces without gap or jump; their lasers are not known.
+    """Sub-pixel stripe centres, linked along x into pieces without gap or jump, not assigned to lasers.
 
-    `dark` is the same view with the lasers off; its ambient light is subtracted (and its noise added). `bands` restrict
+    `dark` is the same view with the lasers off: it is subtracted, and its noise is taken into account. `bands` restrict
     the search: first column, the one after the last, and likewise the rows. `saturation_dn` is the grey value at which
-    a pixel is full; if it is not known, the image must tell.
+    a pixel saturates; by default it is estimated from the image.
     """
     full_dn = full_scale_dn(image) if saturation_dn is None else saturation_dn
     min_peak_dn = MIN_PEAK_DN * full_dn / 255
-    rules = kernel.StripeParams(
+    params = kernel.StripeParams(
         begin_sigmas=BEGIN_SIGMAS,
         continue_sigmas=CONTINUE_SIGMAS,
         min_response=min_peak_dn * STRIPE_SIGMA_PX / (FILTER_SIGMA_PX**2 + STRIPE_SIGMA_PX**2) ** 1.5,
@@ -77,7 +74,7 @@ def find_stripes(
         gap=GAP_COLUMNS,
         shortest=MIN_COLUMNS,
     )
-    found = kernel.stripes(image, dark, bands, stripe_filters(FILTER_SIGMA_PX), rules)
+    found = kernel.stripes(image, dark, bands, stripe_filters(FILTER_SIGMA_PX), params)
     pieces = int(found.piece[-1]) + 1 if len(found.piece) else 0
     return Stripes(
         position_px=found.position_px,
@@ -93,87 +90,89 @@ FINEST_SIGMA_PX = 1.0
 FILTERS_AN_OCTAVE = 3
 
 REFINING_FILTERS = 11
-"""Filters of 1 to 10 px to refine with, so close that the nearest one costs a stripe less than 1 % of its accuracy."""
+"""Number of refinement filters of 1 to 10 px: with this spacing the nearest one loses less than 1 % of accuracy."""
 
 RIDGE_REACH = 3.0
 
 REFINING_REACH = 3.5
-"""Sigmas at which a filter ends: to find a ridge less will do than to say where it is."""
+"""Half lengths of the filters in sigmas; detection needs less than the measurement."""
 
 
 @lru_cache(maxsize=16)
 def stripe_filters(ridge_sigma_px: float) -> Filters:
-    """The ridge filter of that sigma, and those that refine."""
+    """The detection filter of that sigma, and the refinement filters."""
     steps = np.arange(REFINING_FILTERS) / FILTERS_AN_OCTAVE
     sigmas = [ridge_sigma_px, *(FINEST_SIGMA_PX * 2**steps)]
     reaches = [math.ceil(sigma * (RIDGE_REACH if i == 0 else REFINING_REACH)) for i, sigma in enumerate(sigmas)]
     taps = np.zeros((len(sigmas), 2, max(reaches) + 1))
     figures = np.zeros((len(sigmas), 4))
     for i, (sigma, reach) in enumerate(zip(sigmas, reaches, strict=True)):
-        slope, bend = _derivatives(sigma, reach)
-        taps[i, 0, : reach + 1], taps[i, 1, : reach + 1] = slope, bend
-        figures[i] = sigma, reach, _two_sided_norm(slope), _two_sided_norm(bend)
+        first, second = _derivatives(sigma, reach)
+        taps[i, 0, : reach + 1], taps[i, 1, : reach + 1] = first, second
+        figures[i] = sigma, reach, _two_sided_norm(first), _two_sided_norm(second)
     return Filters(taps=taps.astype(np.float32), figures=figures)
 
 
 def _derivatives(sigma_px: float, reach: int) -> tuple[Float64[Array, "tap"], Float64[Array, "tap"]]:
-    """Taps of the first and second derivative of a Gaussian, from the middle on; a flat image answers with nothing."""
+    """Taps of the first and second derivative of a Gaussian, from the middle on; of zero response to a constant."""
     y = np.arange(reach + 1, dtype=np.float64)
     gauss = np.exp(-0.5 * (y / sigma_px) ** 2)
     gauss /= 2 * gauss.sum() - gauss[0]
-    bend = (y**2 / sigma_px**4 - 1 / sigma_px**2) * gauss
-    bend -= (2 * bend.sum() - bend[0]) / (2 * reach + 1)
-    return y / sigma_px**2 * gauss, bend
+    second = (y**2 / sigma_px**4 - 1 / sigma_px**2) * gauss
+    second -= (2 * second.sum() - second[0]) / (2 * reach + 1)
+    return y / sigma_px**2 * gauss, second
 
 
 def _two_sided_norm(taps: Float64[Array, "tap"]) -> float:
-    """Standard deviation of the filter's answer to white noise of 1."""
+    """Standard deviation of the filter's response to white noise of unit variance."""
     return math.sqrt(2 * float(taps @ taps) - float(taps[0]) ** 2)
 
 
 MINIMUM_COLUMNS = 10
-"""A shorter track says nothing about direction; 20 mm of ring at 1 m are twice as many."""
+"""Minimum length of a segment whose direction is usable; 20 mm of ring at 1 m are twice as long."""
 
 BORDER_PX = 3.0
-"""A centre so close to the image's left or right border is the last that could be seen."""
+"""Distance from the image's left or right border within which a stripe is regarded as truncated by the image."""
 
 KINK_PX = 0.6
-"""A piece that leaves its chord by more than this (and by its own scatter) is cut there."""
+"""Distance from its chord (besides its own scatter) at which a piece is cut."""
 
 JOINED_PX = 0.5
-"""Tracks whose lines meet this closely across a gap are one surface."""
+"""Maximum offset of two segments' lines across a gap at which they are joined."""
 
 ON_LINE_PX = 2.5
-"""Centres so close to a track's line are on its surface; the nearest body behind a ring jumps by 4 px at 1 m."""
+"""Distance from a segment's line within which a centre counts as on its surface; the nearest body behind a ring is 4 px
+away at 1 m."""
 
-SHORT_SERIES = 1.25
-"""A line fitted to a short series takes part of its likeness away: what is found is so much too small."""
+SHORT_SERIES_CORRECTION = 1.25
+"""Bias correction of the correlation length: fitting a line removes part of the autocorrelation of a short series."""
 
-TAKEN_BY_THE_FIT, MIN_SEGMENT_COLUMNS = 5.0, 0.5
-"""Independent columns that a fit takes from a series, and the least that are left to it.
+FIT_DOF_CORRECTION, MIN_SEGMENT_COLUMNS = 5.0, 0.5
+"""Degrees of freedom, in independent columns, that a line fit removes from a series, and the minimum that remains.
 
-The line takes up part of what neighbours err alike, which then shows neither in the scatter nor in the likeness: at 29
-columns and grains of 4 px, as 30 mm at 1 m before a wide lens, one line in ten was off by three sigmas.
+The line absorbs part of the correlated errors, which then show neither in the scatter nor in the autocorrelation:
+without this correction, at 29 columns and a speckle of 4 px (30 mm at 1 m, wide lens), one line in ten was off by three
+sigmas.
 """
 
 MAX_CORRELATION = 40
-"""Columns over which errors of neighbouring centres are looked at for likeness: a facet of crinkled foil."""
+"""Maximum lag, in columns, of the autocorrelation of the centres' errors: a facet of crinkled foil."""
 
 
 def stripe_line_segments(stripes: Stripes, camera: Camera) -> Float64[Array, "track column=11"]:
-    """The straight tracks among the stripes, in undistorted pixels; columns as in `TRACK_COLUMNS`."""
-    optics, rules = lens(camera), _rules(camera.image_width)
+    """The straight line segments of the stripes, in undistorted pixels; columns as in `TRACK_COLUMNS`."""
+    params = _track_params(camera.image_width)
     return kernels.stripe_line_segments(
-        stripes.position_px, stripes.sigma_px, stripes.piece, stripes.laser, optics, rules
+        stripes.position_px, stripes.sigma_px, stripes.piece, stripes.laser, lens(camera), params
     )
 
 
 @lru_cache(maxsize=4)
-def _rules(image_width: int) -> TrackParams:
+def _track_params(image_width: int) -> TrackParams:
     return TrackParams(
         kink_px=KINK_PX,
         joined_px=JOINED_PX,
-        short_series=SHORT_SERIES,
+        short_series=SHORT_SERIES_CORRECTION,
         on_line_px=ON_LINE_PX,
         border_px=BORDER_PX,
         min_columns=MINIMUM_COLUMNS,
@@ -184,7 +183,7 @@ def _rules(image_width: int) -> TrackParams:
 
 @lru_cache(maxsize=4)
 def lens(camera: Camera) -> Lens:
-    """The camera's parameters as the kernels take them."""
+    """Intrinsic parameters in the form that the kernels expect."""
     matrix = camera.camera_matrix
     focal_and_principal = (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2])
     return Lens(*(float(each) for each in (*focal_and_principal, *camera.distortion_coefficients)))

@@ -1,1 +1,1 @@
-"""Rays, planes, circles, rotations and least squares on arrays; knows no laser and no ring."""
+"""Geometry and least squares on arrays: rays, planes, circles, arcs, rotations; independent of lasers and files."""

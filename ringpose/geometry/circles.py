@@ -15,8 +15,8 @@ def nearest_crossing(
 ) -> Float64[Array, "n xyz=3"]:
     """Where lines cross spheres about one centre: of the two crossings the one nearer to the line's given point.
 
-    A line in the circle's plane meets circle and sphere at the same points. A line that passes the sphere
-    by gives its point nearest to the centre. `direction` has unit length.
+    A line in the circle's plane meets circle and sphere at the same points. For a line that does
+    not meet the sphere, its point nearest to the centre is returned. `direction` has unit length.
     """
     along = np.sum((center - point) * direction, axis=-1)
     foot = point + along[:, None] * direction
@@ -37,9 +37,9 @@ class ArcEquations(NamedTuple):
 def arc_equations(points: Float64[Array, "*batch n xy=2"], arc: Int64[Array, "n"]) -> ArcEquations:
     """Two arcs about one centre through points in a plane that cross the x axis steeply; `arc` is 0 or 1.
 
-    The equation is linear in bend, lean and the two levels, stays regular where the arcs become straight
-    (bend = 0), and its residual is a distance along x. The usual algebraic fit |P|^2 = 2 C . P + k has
-    neither property: it prefers small circles, hopelessly so for three points nearly on a line.
+    The equation is linear in bend, lean and the two levels, is regular for straight arcs (bend = 0), and its residual
+    is a distance along x. The usual algebraic fit |P|^2 = 2 C . P + k has neither property: it is biased towards small
+    circles, severely for three points nearly on a line.
     """
     centred = points - points.mean(axis=-2, keepdims=True)
     scale = np.maximum(np.abs(centred).max(axis=(-2, -1), keepdims=True), np.finfo(float).tiny)
@@ -53,9 +53,9 @@ def arc_equations(points: Float64[Array, "*batch n xy=2"], arc: Int64[Array, "n"
 
 
 def arc_crossings(arcs: ArcEquations) -> Float64[Array, "*batch arc=2"]:
-    """Where each arc crosses the radius through the mean of the points: distance from that mean, towards positive x.
+    """Intersection of each arc with the radius through the mean of the points: distance from it, towards positive x.
 
-    The root of bend t^2 + s t + level = 0, s = sqrt(1 + lean^2), in the form that has no hole at bend = 0.
+    The root of bend t^2 + s t + level = 0, s = sqrt(1 + lean^2), in the form that is regular at bend = 0.
     """
     denominator = np.hypot(1.0, arcs.lean)
     root = np.sqrt(np.maximum(denominator**2 - 4.0 * arcs.bend * arcs.level, 0.0))

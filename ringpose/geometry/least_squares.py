@@ -6,9 +6,9 @@ from ringpose.types.arrays import Array, Float64
 
 
 def inverse_condition(matrix: Float64[Array, "batch row column"]) -> Float64[Array, "batch"]:
-    """Smallest over largest singular value of each matrix, after scaling its rows to unit length.
+    """Ratio of the smallest to the largest singular value of each matrix, after scaling its rows to unit length.
 
-    The scaling takes away the units in which the rows happen to be written; a row of zeros stays one.
+    The scaling makes the result independent of the units of the rows; a row of zeros remains zero.
     """
     length = np.linalg.norm(matrix, axis=-1, keepdims=True)
     scaled = matrix / np.where(length > 0, length, 1.0)
@@ -24,7 +24,7 @@ def damped_solution(
 ) -> Float64[Array, "batch column"]:
     """Damped least squares (A^T A + lambda^2 I)^-1 A^T b, with lambda = damping * largest singular value of A.
 
-    Computed from the singular values, so that A^T A is never formed and zero damping is the pseudo-inverse.
+    Computed from the singular value decomposition: A^T A is not formed, and zero damping gives the pseudo-inverse.
     """
     left, singular, right = np.linalg.svd(matrix, full_matrices=False)
     square = singular**2 + (damping[:, None] * singular[:, :1]) ** 2

@@ -1,4 +1,4 @@
-"""Planes `normal . point = distance`."""
+"""Planes, `normal . point = distance`."""
 
 import numpy as np
 
@@ -8,10 +8,10 @@ from ringpose.types.arrays import Array, Float64
 def nearest_plane(
     points: Float64[Array, "n xyz=3"], weights: Float64[Array, "n"] | None = None
 ) -> tuple[Float64[Array, "3"], float, Float64[Array, "3"]]:
-    """Plane nearest to the points in the total-least-squares sense, with the points' singular values.
+    """Total-least-squares plane through the points, with their singular values.
 
     Returns the unit normal (either sign), the distance with `normal . point = distance`, and the singular
-    values of the centred weighted points, descending: the second tells points on a line from points on a plane.
+    values of the centred weighted points, descending; the second is zero for collinear points.
     """
     weight = np.ones(len(points)) if weights is None else weights
     middle = weight @ points / weight.sum()

@@ -1,4 +1,4 @@
-"""Pixels and rays (ringpose-method(7), section 1)."""
+"""Projection, undistortion and intersection of rays with planes (ringpose-method(7), section 1)."""
 
 from typing import Any
 
@@ -9,14 +9,14 @@ from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
 
 _EXACT = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-14)
-"""OpenCV's default of five iterations leaves up to 0.01 px."""
+"""Termination of the iterative undistortion; OpenCV's default of five iterations leaves errors of up to 0.01 px."""
 
 GRAZING = 1e-9
-"""A ray whose cosine with a plane's normal is below this runs along the plane."""
+"""Cosine between a ray and a plane's normal below which the ray is treated as parallel to the plane."""
 
 
 def undistort(points_px: Float64[Array, "*shape xy=2"], camera: Camera) -> Float64[Array, "*shape xy=2"]:
-    """Normalised image coordinates x/z, y/z of distorted pixels; NaN stays NaN."""
+    """Normalised image coordinates x/z, y/z of distorted pixels; NaN is propagated."""
     flat = np.ascontiguousarray(points_px, dtype=np.float64).reshape(-1, 1, 2)
     if not len(flat):
         return np.empty_like(points_px)
@@ -30,19 +30,19 @@ def undistort(points_px: Float64[Array, "*shape xy=2"], camera: Camera) -> Float
 
 
 def rays(points_px: Float64[Array, "*shape xy=2"], camera: Camera) -> Float64[Array, "*shape xyz=3"]:
-    """Rays (x, y, 1) through distorted pixels, in the camera frame; NaN stays NaN."""
+    """Rays (x, y, 1) through distorted pixels, in the camera frame; NaN is propagated."""
     normalised = undistort(points_px, camera)
     return np.concatenate([normalised, np.ones_like(normalised[..., :1])], axis=-1)
 
 
 def undistorted_pixels(points_px: Float64[Array, "*shape xy=2"], camera: Camera) -> Float64[Array, "*shape xy=2"]:
-    """Where the same camera without distortion would see what it sees at these pixels."""
+    """Undistorted pixels: the projections by the same camera matrix without distortion."""
     focal, principal = _focal_and_principal(camera)
     return undistort(points_px, camera) * focal + principal
 
 
 def undistorted_rays(points_px: Float64[Array, "*shape xy=2"], camera: Camera) -> Float64[Array, "*shape xyz=3"]:
-    """Rays (x, y, 1) through pixels of the same camera without distortion."""
+    """Rays (x, y, 1) through undistorted pixels."""
     focal, principal = _focal_and_principal(camera)
     normalised = (points_px - principal) / focal
     return np.concatenate([normalised, np.ones_like(normalised[..., :1])], axis=-1)
@@ -64,9 +64,9 @@ def intersect(
     normal: Float64[Array, "*#shape xyz=3"],
     distance_m: Float64[Array, "*#shape"],
 ) -> Float64[Array, "*shape xyz=3"]:
-    """Points P = t r with t = d / (m . r): where rays from the camera's centre meet planes `m . P = d`.
+    """Intersections of rays r from the camera's centre with planes m . P = d: P = t r with t = d / (m . r).
 
-    NaN where a ray runs along its plane, or meets it behind the camera.
+    NaN where a ray is parallel to its plane, or meets it behind the camera.
     """
     cosine = (directions * normal).sum(axis=-1)
     length = np.sqrt((directions * directions).sum(axis=-1))

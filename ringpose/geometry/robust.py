@@ -1,16 +1,16 @@
-"""The spread of errors some of which are no errors but strays."""
+"""Robust scale and weights: estimates that a minority of outliers hardly changes."""
 
 import numpy as np
 
 from ringpose.types.arrays import Array, Float64
 
-_OF_MEDIAN = 1.4826
-"""Standard deviation of normal errors over the median of their absolute values."""
+STD_PER_MAD = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
 
 
 def robust_std(errors: Float64[Array, "*shape"]) -> float:
-    """Standard deviation of the normal errors that have this median of absolute values: strays hardly change it."""
-    return _OF_MEDIAN * float(np.median(np.abs(errors)))
+    """Standard deviation of normally distributed errors of zero mean, from the median of their absolute values."""
+    return STD_PER_MAD * float(np.median(np.abs(errors)))
 
 
 def huber_weights(residuals: Float64[Array, "n"], limit: float) -> Float64[Array, "n"]:

@@ -8,11 +8,11 @@ import numpy as np
 from ringpose.types.arrays import Array, Float64
 
 EPSILON = float(np.finfo(float).eps)
-"""A normal whose part across z is smaller is along z."""
+"""Length of a normal's component across z below which it is treated as parallel to z."""
 
 
 SMALL_ANGLE = 1e-4
-"""Below this an angle is its sine, to 2e-13."""
+"""Angle below which the sine equals the angle to 2e-13."""
 
 
 def tilt_basis(normal: Float64[Array, "3"]) -> Float64[Array, "2 3"]:
@@ -49,7 +49,7 @@ def facing_normal(pitch_rad: float, yaw_rad: float) -> Float64[Array, "3"]:
 
 
 def rotation_vector(rotation: Float64[Array, "3 3"]) -> Float64[Array, "3"]:
-    """Axis times angle; OpenCV's is zero below 10 microradians, at which a board that faces the camera would stick."""
+    """Axis times angle. OpenCV's is zero below 10 microradians, where the pose of a board facing it would stall."""
     turn = (rotation - rotation.T) / 2
     sine = np.array([turn[2, 1], turn[0, 2], turn[1, 0]])
     if float(np.abs(sine).max()) < SMALL_ANGLE and np.trace(rotation) > 1:

@@ -1,1 +1,1 @@
-"""Nouns: the frozen records that stages hand to each other."""
+"""Data types: the immutable records that the processing stages exchange."""

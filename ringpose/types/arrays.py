@@ -1,7 +1,7 @@
 """The array types of every signature, and the order of their named axes.
 
 Axis names used throughout: `laser` in the order of the rig file and of the bits of a mask, `edge` in the
-order of `EDGES`, `xy` and `xyz` of two and three, `frame`, `row`, `column`. NaN stands for "not seen".
+order of `EDGES`, `xy` and `xyz` of length two and three, `frame`, `row`, `column`. NaN means "not measured".
 """
 
 import sys
@@ -24,7 +24,7 @@ if TYPE_CHECKING or "jaxtyping" in sys.modules:
 else:
 
     class _Unchecked:
-        """Stands for jaxtyping's element types where nobody checks them: importing those takes as long as NumPy."""
+        """Replaces jaxtyping's element types unless shapes are checked: importing jaxtyping takes as long as NumPy."""
 
         def __class_getitem__(cls, array_and_shape: tuple[Any, str]) -> Any:
             return array_and_shape[0]

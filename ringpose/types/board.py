@@ -1,4 +1,4 @@
-"""Calibration boards and what one image shows of one.
+"""Calibration boards, their corners in one image, and their pose.
 
 Board frame: origin at the top-left outer corner, x right, y down, z into the board.
 """
@@ -13,14 +13,14 @@ BoardKind = Literal["charuco", "chessboard", "four_markers", "aruco_grid", "asym
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Board:
-    """A board file as read; a size that its kind does not have is None."""
+    """Contents of a board file; dimensions that do not apply to its kind are None."""
 
     kind: BoardKind
     squares_x: int | None = None
     squares_y: int | None = None
     square_m: float | None = None
     square_y_m: float | None = None
-    """Height of a chessboard's squares where a printer did not make it their width."""
+    """Height of a chessboard's squares where the print made it differ from the width."""
     marker_m: float | None = None
     gap_m: float | None = None
     spacing_m: float | None = None
@@ -28,12 +28,12 @@ class Board:
     height_m: float | None = None
     margin_m: float | None = None
     dictionary: str | None = None
-    """Name of one of OpenCV's, or of the file that holds `marker_bits`."""
+    """Name of an OpenCV dictionary, or of the file that contains `marker_bits`."""
     marker_bits: tuple[str, ...] = ()
-    """Of a dictionary of one's own: each marker's bits row by row, 1 white, without its border."""
+    """Custom dictionary: the bits of each marker row by row, 1 for white, without the border."""
     legacy_pattern: bool = False
     order: str | None = None
-    """How the markers are numbered, in words for people; nothing reads it."""
+    """Numbering of the markers in words; informative only."""
 
     @property
     def square_size_m(self) -> tuple[float, float]:
@@ -44,7 +44,7 @@ class Board:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BoardView:
-    """The corners of a board that one image shows."""
+    """The corners of a board that were found in one image."""
 
     name: str
     ids: Int64[Array, "corner"]
@@ -52,18 +52,18 @@ class BoardView:
     points_board_m: Float64[Array, "corner xyz=3"]
     points_px: Float64[Array, "corner xy=2"]
     likeness: float = 0.0
-    """Correlation of the errors that a marker's side has at its two ends, where corners are where sides meet."""
+    """Correlation of the errors at the two ends of a marker's side, where corners are intersections of sides."""
     circle_radius_m: float = 0.0
-    """Of circles whose centres these are; zero if that is not known, and of other corners."""
+    """Radius of the circles whose centres these are; zero if unknown, and for other corners."""
     saturated_share: float = 0.0
-    """Of the corners, those with saturated pixels beside them: dark squares and markers look smaller there."""
+    """Share of the corners with saturated pixels beside them, where dark squares and markers appear smaller."""
     marker_size_ratio: tuple[float, float] | None = None
-    """Width and height of the markers over `marker_m`, by their distances from one another; None if they tell none."""
+    """Width and height of the markers over `marker_m`, from their distances; None if not determined."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BoardPose:
-    """Where a board stands: `point_camera = rotation @ point_board + translation_m`."""
+    """Pose of a board: `point_camera = rotation @ point_board + translation_m`."""
 
     name: str
     rotation: Float64[Array, "3 3"]

@@ -1,7 +1,4 @@
-"""What a calibration of the light planes found, with what is needed to judge it.
-
-What a camera calibration found, and what there is to judge it by.
-"""
+"""Results of the calibrations of camera and light planes, with the quantities by which they are assessed."""
 
 import math
 from dataclasses import dataclass
@@ -18,42 +15,42 @@ from ringpose.types.verdict import Check
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StripeView:
-    """One view of a board with the stripes that the lasers draw on it."""
+    """One view of a board with the laser stripes on it."""
 
     board: BoardView
     stripes_px: tuple[Float64[Array, "_ xy=2"], ...]
-    """Stripe centres on the board's plane, by laser; empty for a laser that is not seen or not told apart."""
+    """Stripe centres on the board's plane, by laser; empty for a laser that is not visible or not identified."""
     unlabelled_px: tuple[Float64[Array, "_ xy=2"], ...] = ()
-    """Stripes whose lasers were on together, in their order down the image (to the right, if they stand upright)."""
+    """Stripes whose lasers were on together, ordered from top to bottom (from left to right if they are vertical)."""
     remarks: tuple[str, ...] = ()
-    """What is missing, and why."""
+    """Missing data, and the reasons."""
     lit: frozenset[int] = frozenset()
-    """Lasers that were on in a frame, as the shot's masks have it."""
+    """Lasers that were on in a frame, according to the shot's masks."""
     max_stripes: int = 0
-    """The most stripes on the board that a frame shows."""
+    """Largest number of stripes on the board in a frame."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LaserView:
-    """What one view of the board says about one laser."""
+    """The observation of one laser in one view of the board."""
 
     name: str
     points: Float64[Array, "n xyz=3"]
     """Stripe centres on the board, triangulated with the board's plane, in the camera frame."""
     residual_m: Float64[Array, "n"]
-    """The points' distances from the light plane, measured normal to it."""
+    """Distances of the points from the light plane, along its normal."""
     held_out_m: Float64[Array, "n"]
-    """Distances from the light plane of the other views alone, the board where its corners have it; NaN where those
-    views determine no plane."""
+    """Distances from the light plane estimated without this view, with the board's pose from its corners; NaN where the
+    other views do not determine a plane."""
 
     @property
     def rms_m(self) -> float:
-        """Of the residuals."""
+        """Root mean square of the residuals."""
         return float(np.sqrt(np.mean(self.residual_m**2)))
 
     @property
     def held_out_rms_m(self) -> float:
-        """Of the held-out distances; NaN if they are not known."""
+        """Root mean square of the held-out distances; NaN if they are not known."""
         return float(np.sqrt(np.mean(self.held_out_m**2)))
 
     @property
@@ -64,7 +61,7 @@ class LaserView:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LaserCalibration:
-    """One light plane `normal . point = distance_m`, and what each view says about it."""
+    """One light plane `normal . point = distance_m`, and its observations by view."""
 
     name: str
     normal: Float64[Array, "xyz=3"]
@@ -72,32 +69,33 @@ class LaserCalibration:
     views: tuple[LaserView, ...]
     rms_m: float
     held_out_rms_m: float
-    """Over all points, each against the light plane of the other views; NaN if no view can be left out."""
+    """Root mean square over all points of the distance from the light plane of the other views; NaN for too few
+    views."""
     condition: float
-    """Extent of the points along their longest direction over that across it, in the light plane."""
+    """Ratio of the points' extents along and across their longest direction, in the light plane."""
     disagreement: float = math.nan
-    """By how much the laser's stripes disagree with the boards and the other lasers: squares over their number, 1 where
-    chance explains it; NaN where two views alone leave nothing to judge by, or the method does not tell."""
+    """Chi-square per degree of freedom of the laser's stripes against the boards and the other lasers, with expectation
+    1; NaN for two views, which have no redundancy, and for methods that do not provide it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlanesCalibration:
-    """The light planes and how well the views determine them."""
+    """The light planes and their uncertainty."""
 
     camera: Camera
-    """As it was given, or as stripes and boards have improved it."""
+    """As given, or refined by the stripes and boards."""
     planes: LaserPlanes
     covariance: ParameterCovariance | None
-    """Joint, over camera and light planes; None where the method has no honest one."""
+    """Joint, over camera and light planes; None for methods without a consistent covariance."""
     method: str
     lasers: tuple[LaserCalibration, ...]
     poses: tuple[BoardPose, ...]
     remarks: tuple[tuple[str, str], ...] = ()
-    """What was left out or is missing: the view's name, and why."""
+    """Rejected or missing data: name of the view, and the reason."""
     contradicting: tuple[tuple[str, str], ...] = ()
-    """Shots that were left out because they contradict the others, and how: lasers exchanged, images turned."""
+    """Shots that were rejected because they contradict the others, and how: lasers exchanged, images turned."""
     excess: float = 1.0
-    """Factor by which variances of corners and stripes were widened, because the views disagree by more."""
+    """Factor by which the variances of corners and stripes were inflated to explain the differences of the views."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -111,21 +109,21 @@ class CameraView:
     points_px: Float64[Array, "corner xy=2"]
     """The measured corners."""
     residual_px: Float64[Array, "corner xy=2"]
-    """Measured minus projected corners, of those left out too."""
+    """Measured minus projected corners, rejected ones included."""
     left_out: Bool[Array, "corner"]
-    """Corners that were not used, because they lie too far from where the others say."""
+    """Corners rejected as outliers."""
     rejected: str = ""
-    """Why the whole view was left out; empty if it was used."""
+    """Reason why the whole view was rejected; empty if it was used."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraCalibration:
-    """The intrinsic parameters and how well the views determine them."""
+    """The intrinsic parameters and their uncertainty."""
 
     camera: Camera
-    """With the covariance of the intrinsic parameters, the poses of the board marginalised out."""
+    """With the covariance of the intrinsic parameters, marginalised over the poses of the board."""
     rms_px: float
-    """Of the distances between measured and projected corners that were used."""
+    """Root mean square reprojection error of the corners that were used."""
     sigma_px: float
     """Standard deviation of one coordinate of a corner, from the residuals and the degrees of freedom."""
     views: tuple[CameraView, ...]
@@ -137,29 +135,29 @@ class CameraCalibration:
 
     @property
     def standard_deviations(self) -> dict[str, float]:
-        """Of the intrinsic parameters, by name; zero for one that was held."""
+        """Standard deviations of the intrinsic parameters, by name; zero for one that was held fixed."""
         covariance = self.camera.covariance
         return {} if covariance is None else covariance.standard_deviations
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Coverage:
-    """Where the corners that were used lie, and how the board stood."""
+    """Distribution of the used corners over the image, and the orientations of the board."""
 
     corners: Int64[Array, "cell_row cell_column"]
-    """Number in each cell of the image."""
+    """Number of corners in each cell of the image."""
     bare_regions: tuple[str, ...]
-    """Ninths of the image with hardly a corner, in words: `upper left`."""
+    """Ninths of the image with hardly any corner, in words: `upper left`."""
     tilt_rad: tuple[float, ...]
-    """By view: angle between board and image."""
+    """By view: angle between board and image plane."""
     tilt_spread_rad: tuple[float, float]
-    """Standard deviation of the normals over the views, along the direction in which they vary most, and across it."""
+    """Standard deviation of the normals over the views, along and across the direction of the largest variation."""
     distance_m: tuple[float, ...]
-    """By view: of the board's middle."""
+    """By view: distance of the board's middle."""
 
     @property
     def share(self) -> float:
-        """Cells with corners over all cells."""
+        """Share of the cells that contain corners."""
         return float((self.corners > 0).mean())
 
 
@@ -172,26 +170,26 @@ class ImageMap:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LeftOutView:
-    """What the other views say about one that they were calibrated without."""
+    """One view, held out of a calibration from all other views."""
 
     name: str
     shift_px: float
     """Displacement of the projection when this view is left out, median over the image."""
     rms_px: float
-    """Of this view's corners under the camera of the other views, its pose alone fitted."""
+    """Reprojection error of this view's corners under the camera of the other views; only its pose is fitted."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CrossValidation:
-    """How much the result hangs on which views were taken."""
+    """Sensitivity of the result to the selection of views: split halves and jackknife."""
 
     split_half_px: Float64[Array, "map_row map_column"]
-    """Displacement between the cameras of every other view and of the rest; NaN where a half determines no camera."""
+    """Displacement between the cameras of the even and the odd views; NaN where a half does not determine a camera."""
     left_out: tuple[LeftOutView, ...]
-    """Empty if there are too few views to leave one out."""
+    """Empty if there are too few views to hold one out."""
     jackknife_px: Float64[Array, "map_row map_column"]
-    """Projection uncertainty times the displacements by leaving out each view, over those that noise would make:
-    whatever the errors of a view's corners have in common; NaN without them."""
+    """Projection uncertainty, scaled by the ratio of the jackknife displacements to those expected from noise: includes
+    the errors that the corners of a view have in common; NaN if no view can be held out."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -202,7 +200,7 @@ class ModelFit:
     parameters: int
     rms_px: float
     held_out_rms_px: float
-    """Of views that the camera was calibrated without: falls only while more coefficients describe the lens."""
+    """Reprojection error of held-out views: decreases only if the additional coefficients describe the lens."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -211,27 +209,27 @@ class ModelComparison:
 
     fits: tuple[ModelFit, ...]
     difference_px: Float64[Array, "map_row map_column"]
-    """Displacement between the two cameras, the camera frame turned so that it is least."""
+    """Displacement between the two cameras, with the camera frame rotated to minimise it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraAssessment:
-    """Everything that a camera calibration is judged by."""
+    """The quantities by which a camera calibration is assessed."""
 
     coverage: Coverage
     image_map: ImageMap
     sigma_px: Float64[Array, "map_row map_column"]
-    """Projection uncertainty: rms length of the displacement that the covariance allows; NaN where no corner tells of
-    the lens."""
+    """Projection uncertainty: rms displacement of the projection by the covariance; NaN outside the region with
+    corners."""
     validation: CrossValidation
     disagreement: float
-    """Projection uncertainty from leaving out views over that from the corners' noise, medians over the image: 1 where
-    noise explains the differences of the views; NaN if there are too few views."""
+    """Ratio of the projection uncertainties by jackknife and by the noise of the corners, medians over the image: 1 if
+    noise explains the differences of the views; NaN for too few views."""
     distances_m: tuple[float, ...]
-    """At which the projection uncertainty is given in metres."""
+    """Distances at which the projection uncertainty is given in metres."""
     comparison: ModelComparison | None = None
     board: tuple[Check, ...] = ()
-    """What the images say against one another and the sizes in the board file."""
+    """Consistency checks of the images with each other and with the dimensions in the board file."""
 
     @property
     def known_sigma_px(self) -> Float64[Array, "map_point"]:
@@ -241,5 +239,5 @@ class CameraAssessment:
 
     @property
     def unknown_share(self) -> float:
-        """Of the image in which the projection uncertainty is not known."""
+        """Share of the image in which the projection uncertainty is not known."""
         return 1.0 - self.known_sigma_px.size / self.sigma_px.size

@@ -1,4 +1,4 @@
-"""The camera: pinhole and OpenCV's distortion, under the names of ROS camera_info."""
+"""The camera: pinhole model with OpenCV's distortion, under the names of ROS CameraInfo."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.options import DistortionModel
 
 DISTORTION_COEFFICIENTS = {DistortionModel.PLUMB_BOB.value: 5, DistortionModel.RATIONAL_POLYNOMIAL.value: 8}
-"""The distortion models of ROS that OpenCV computes, with the number of their coefficients."""
+"""Number of coefficients of the ROS distortion models that OpenCV supports."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -22,4 +22,4 @@ class Camera:
     distortion_coefficients: Float64[Array, "coefficient"]
     """OpenCV's order: k1, k2, p1, p2, k3 (plumb_bob), and k4, k5, k6 (rational_polynomial)."""
     covariance: ParameterCovariance | None = None
-    """Of the intrinsic parameters alone; that of a whole rig stands in the rig."""
+    """Covariance of the intrinsic parameters alone; the joint covariance of a rig is in `Rig`."""

@@ -8,10 +8,10 @@ import numpy as np
 from ringpose.types.arrays import Array, Float64
 
 CAMERA_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-"""In the order in which OpenCV differentiates by them; a camera without the last coefficients has the first ones."""
+"""In the order of OpenCV's Jacobian; a camera with fewer distortion coefficients has the first of them."""
 
 PLANE_PARAMETERS = ("tilt_1", "tilt_2", "distance")
-"""Of each light plane."""
+"""Parameters of each light plane."""
 
 
 def camera_parameters(coefficients: int) -> tuple[str, ...]:
@@ -37,5 +37,5 @@ class ParameterCovariance:
 
     @property
     def standard_deviations(self) -> dict[str, float]:
-        """By name."""
+        """Standard deviations by name."""
         return dict(zip(self.parameters, np.sqrt(np.diag(self.data)).tolist(), strict=True))

@@ -1,8 +1,6 @@
-"""Where the stripes on the ring's face end.
+"""Results of the detection in one shot: stripe centres, line segments, break points and visible edges of the ring.
 
-The laser stripes' centres, column by column.
-
-Straight line segments in an image.
+A break point is the endpoint of a laser stripe on the ring's face, at its inner or outer edge.
 """
 
 from collections.abc import Sequence
@@ -14,67 +12,67 @@ import numpy as np
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 
 MAX_SIGMA_PX = 1e4
-"""Largest standard deviation of a detection, in pixels: what is known worse than an image is large is not measured.
-The detector writes no larger one, and readers refuse it."""
+"""Largest standard deviation of a detected point: larger than an image, it is not a measurement. The detector does not
+write a larger one, and readers reject it."""
 
 MAX_OFFSET = {"position_px": 1.0, "face_start_px": 10.0, "face_end_px": 10.0}
-"""How far beside the image a measured point may lie, in image sizes: lens distortion removed, a wide image is wider.
-The detector writes no point beyond, and readers refuse it."""
+"""Maximum distance of a measured point outside the image, in image sizes (undistorted wide images are larger). The
+detector does not write a point beyond, and readers reject it."""
 
 
 class BreakPointFlag(IntFlag):
-    """What makes a break point less than a clean end of a clean stripe."""
+    """Conditions that reduce the quality of a break point."""
 
     SATURATED = 1
     KINK = 2
-    """The stripe runs on beyond the edge, at another angle."""
+    """The stripe continues beyond the edge, in another direction."""
     CLIPPED = 4
     """The stripe leaves the image before its edge."""
     OCCLUDED = 8
-    """Its end does not lie on the circle of the others: something hides the edge."""
+    """The end does not lie on the circle of the others: the edge is occluded."""
     EDGE_UNKNOWN = 16
-    """Inner and outer edge could not be told apart: the ring's centre may lie on either side."""
+    """Inner and outer edge could not be distinguished: the ring's centre may lie on either side."""
     BLUNT = 32
-    """The stripe fades over more columns than optics blur: the sharp edge lies somewhere in a chamfer."""
+    """The stripe fades over more columns than the optical blur explains: a rounded or chamfered edge."""
     UNCLEAR = 64
-    """Noise, a glint or foil about the end leaves its place open: its sigma is over 0.75 px, a chamfer aside.
-    An end that is not measured at all, its columns being saturated, say, has this flag and no position."""
+    """Low confidence: by noise, a glint or foil, the sigma exceeds 0.75 px (not counting that of a chamfer). An end
+    that could not be measured, as where its columns are saturated, has this flag and no position."""
 
 
 class NoBreakPoints(Enum):
-    """Why a shot has no break points; the value is the sentence the user reads."""
+    """Reason why a shot has no break points; the value is the message for the user."""
 
     NO_LASER_FRAME = "no frame has a laser on"
     IMAGE_DARK = "the image is dark: no stripe stands out of the noise"
     IMAGE_SATURATED = "the image is saturated: no stripe stands out"
     NO_STRIPE = "no laser stripe found"
-    NO_RING = "stripes found, but no piece of one looks like the ring's face"
-    CONTRADICTED_MASKS = "the stripes make one ring only under other lasers than the masks say; check the wiring"
-    CONTRADICTED_RIG = "most stripes lie nowhere before the camera; the images are of another rig, or upside down"
+    NO_RING = "stripes found, but none of them looks like a stripe on the ring's face"
+    CONTRADICTED_MASKS = "the stripes fit a ring only if assigned to other lasers than by the masks; check the wiring"
+    CONTRADICTED_RIG = "most stripes would lie behind the camera; the images are of another rig, or upside down"
     AMBIGUOUS_LABELS = "the stripes fit the lasers in more than one way; switch the lasers one by one"
-    NOT_SOUGHT = "break points were not looked for"
+    NOT_SOUGHT = "break points were not searched for"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BreakPoints:
-    """Ends of the stripes on the ring's face, in (distorted) pixels; NaN where one was not seen."""
+    """Endpoints of the stripes on the ring's face, in (distorted) pixels; NaN where one was not measured."""
 
     position_px: Float64[Array, "laser edge=2 xy=2"]
     covariance_px2: Float64[Array, "laser edge=2 xy=2 xy=2"]
     flags: Int64[Array, "laser edge=2"]
     """Sums of `BreakPointFlag`."""
     face_start_px: Float64[Array, "laser xy=2"]
-    """The stripe's line on the face, undistorted (still pixels), from ..."""
+    """Start of the stripe's line on the face, in undistorted pixels; NaN where the stripe was not found."""
     face_end_px: Float64[Array, "laser xy=2"]
-    """... to here; NaN where the laser's stripe on the face was not seen."""
+    """End of that line."""
     face_sigma_px: Float64[Array, "laser end=2"]
-    """Standard deviation of that line across itself, at its start and at its end."""
+    """Standard deviation across that line, at its start and at its end."""
     labelled: bool
-    """True if switched frames gave the labels, False if the assignment that fits one ring best did."""
+    """True if the lasers were switched one by one; False if the stripes were assigned by the best fit of a ring."""
 
     @property
     def seen(self) -> Bool[Array, "laser edge=2"]:
-        """Which of them were seen."""
+        """Which of them were measured."""
         seen: Bool[Array, "laser edge=2"] = ~np.isnan(self.position_px[..., 0])
         return seen
 
@@ -95,7 +93,7 @@ class RingEdgePoints:
 def outside_image(
     position_px: Float64[Array, "*shape xy=2"], max_offset: float, image_width: int, image_height: int
 ) -> Bool[Array, "*shape"]:
-    """Which points lie more than `max_offset` image sizes beside the image; NaN does not."""
+    """Which points are more than `max_offset` image sizes outside the image; false for NaN."""
     size_px = np.array([image_width, image_height], dtype=np.float64)
     outside = (position_px < -max_offset * size_px) | (position_px > (1 + max_offset) * size_px)
     return np.asarray(outside.any(axis=-1))
@@ -110,7 +108,7 @@ class Stripes:
     """Standard deviation along the column."""
     peak_dn: Float64[Array, "center"]
     piece: Int64[Array, "center"]
-    """Number of the piece, from 0: centres linked along x without a gap or a jump."""
+    """Index of the piece, from 0: centres linked along x without a gap or a jump."""
     laser: Int64[Array, "piece"]
     """Laser of each piece, or `UNLABELLED`."""
 
@@ -122,12 +120,12 @@ class Segments:
     start_px: Float64[Array, "segment xy=2"]
     end_px: Float64[Array, "segment xy=2"]
     support: Int64[Array, "segment"]
-    """Number of edge pixels that the segment stands for."""
+    """Number of edge pixels in the support region of the segment."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Detection:
-    """All that was found in one shot."""
+    """Everything that was detected in one shot."""
 
     shot: str
     stamp_s: float
@@ -135,7 +133,7 @@ class Detection:
     stripes: Stripes | None = None
     segments: Segments | None = None
     ring_edges: RingEdgePoints | None = None
-    """None where the edges were not looked for or not seen."""
+    """None where the edges were not searched for or not found."""
 
     @property
     def found(self) -> bool:
@@ -144,7 +142,7 @@ class Detection:
 
     @property
     def summary(self) -> str:
-        """What was found, in a few words."""
+        """The result in a few words."""
         if self.break_points is NoBreakPoints.NOT_SOUGHT:
             return f"{0 if self.segments is None else len(self.segments.support)} segments"
         if isinstance(self.break_points, NoBreakPoints):
@@ -153,11 +151,11 @@ class Detection:
 
 
 UNLABELLED = -1
-"""Laser of a stripe piece whose laser is not known."""
+"""Laser of a stripe piece that is not assigned to a laser."""
 
 
 def joined_stripes(parts: Sequence[Stripes]) -> Stripes:
-    """Stripes of several frames or windows in one record, their pieces numbered on."""
+    """Stripes of several frames or windows in one record, with consecutive piece indices."""
     if len(parts) == 1:
         return parts[0]
     before = np.cumsum([0, *(len(part.laser) for part in parts[:-1])])

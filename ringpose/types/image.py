@@ -1,4 +1,4 @@
-"""What a camera delivers: one frame, and the shot that several frames of one moment make up."""
+"""Camera images: a single frame, and a shot, which is a short sequence of frames with different lasers on."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -9,41 +9,41 @@ import numpy as np
 from ringpose.types.arrays import Array, Float64, Int64, UInt, UInt8
 
 ALL_LASERS = 255
-"""Mask of an image that is read without a rig: all lasers on, however many there are."""
+"""Laser mask of an image file: all lasers on, whatever their number."""
 
 PER_FRAME = (
     "lasers", "stamp_s", "exposure_s", "device_stamp_s", "gain_db", "frame_id", "seen_lasers", "read_lasers",
 )  # fmt: skip
-"""What a shot knows of each of its frames beside the image."""
+"""Attributes of a shot with one value per frame, besides the images."""
 
 USUAL_BITS = (8, 10, 12, 14)
-"""Of cameras whose grey values lie in the lower bits of 16."""
+"""Bit depths of cameras whose grey values occupy the lower bits of 8 or 16."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Frame:
-    """One exposure: grey values and what was lit while it was taken."""
+    """One exposure: grey values, the lasers that were on, and time stamps."""
 
     image: UInt[Array, "row column"]
     lasers: int
     """Mask: bit i is laser i of the rig on."""
     stamp_s: float
-    """Host clock (Unix epoch, UTC) at the start of exposure."""
+    """Host clock (Unix epoch, UTC) at the start of the exposure."""
     exposure_s: float
     device_stamp_s: float | None = None
-    """The camera's own clock; None where it has none."""
+    """Time stamp of the camera's clock; None if it does not provide one."""
     frame_id: int | None = None
-    """The camera's own number of the frame."""
+    """Frame number assigned by the camera."""
     gain_db: float | None = None
     attempts: int = 1
-    """Triggers that it took to get this frame whole."""
+    """Number of triggers until this frame was received completely."""
     dropped: int = 0
-    """Frames that the camera numbered since the one before, and that never came."""
+    """Number of frames lost since the previous one, by the camera's frame numbers."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Shot:
-    """The frames of one moment, each with its laser mask; the target is taken as at rest between them."""
+    """Frames taken in quick succession, each with its laser mask; the target is assumed to be at rest meanwhile."""
 
     name: str
     images: UInt[Array, "frame row column"]
@@ -54,14 +54,14 @@ class Shot:
     gain_db: Float64[Array, "frame"] | None = None
     frame_id: Int64[Array, "frame"] | None = None
     seen_lasers: UInt8[Array, "frame"] | None = None
-    """What the images show, as opposed to what was commanded."""
+    """Mask of the lasers visible in the image, as opposed to those commanded."""
     read_lasers: UInt8[Array, "frame"] | None = None
-    """What the laser board reported, as opposed to what was commanded."""
+    """Mask read back from the laser board, as opposed to that commanded."""
     meta: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def frames(self) -> Iterator[Frame]:
-        """The frames in the order in which they were taken."""
+        """The frames in chronological order."""
         for image, lasers, stamp_s, exposure_s in zip(
             self.images, self.lasers, self.stamp_s, self.exposure_s, strict=True
         ):
@@ -69,46 +69,46 @@ class Shot:
 
     @property
     def measured_at_s(self) -> float:
-        """The shot's own stamp: mid exposure of its first laser-on frame, of its first frame if none is lit."""
+        """Time stamp of the shot: mid exposure of its first frame with a laser on, or of its first frame."""
         lit = np.flatnonzero(self.lasers)
         first = int(lit[0]) if len(lit) else 0
         return float(self.stamp_s[first] + self.exposure_s[first] / 2)
 
     @property
     def saturation_dn(self) -> int:
-        """The grey value at which a pixel is full: what `meta` says, else what the images allow."""
+        """Grey value at which a pixel saturates: from `meta`, otherwise estimated from the images."""
         limit = self.meta.get("saturation_dn")
         return int(limit) if limit is not None else full_scale_dn(self.images)
 
     @property
     def usual_full_dn(self) -> int:
-        """What thresholds on grey values scale with: of merged exposures the full value of the longest alone."""
+        """Grey value that thresholds are relative to: of merged exposures, the saturation value of the longest."""
         merged = self.merged_full_dn
         return self.saturation_dn if merged is None else merged
 
     @property
     def merged_full_dn(self) -> int | None:
-        """The full value of the longest exposure, if several were merged."""
+        """Saturation value of the longest exposure, if several were merged."""
         usual = self.meta.get("usual_full_dn")
         return None if usual is None else int(usual)
 
 
 def shot_with_frames(shot: Shot, chosen: Int64[Array, "chosen"]) -> Shot:
-    """The shot with some of its frames, in the order in which they are named."""
+    """The shot with the chosen frames, in the given order."""
     known = {name: getattr(shot, name) for name in ("images", *PER_FRAME)}
     return replace(shot, **{name: values[chosen] for name, values in known.items() if values is not None})
 
 
 def full_scale_dn(images: UInt[Array, "*shape"]) -> int:
-    """The largest grey value that a camera could have given, as far as the images tell.
+    """Saturation value of the camera, estimated from the images.
 
-    8 bits have 255. Of more, it is that of the least of 8, 10, 12, 14 and 16 bits that hold every value; in 16 without
-    the lowest bits that no value has, as a camera leaves them that fills elements from the top. So nothing is called
-    full that is not, and a dim image is taken for one of a narrower camera.
+    255 for elements of 8 bits. For wider ones, the maximum of the smallest bit depth of 8, 10, 12, 14 and 16 that holds
+    every value; of 16 bits without the lowest bits that are zero everywhere, as of a camera that aligns its values to
+    the top. Hence no unsaturated pixel is taken as saturated, but a dim image may be attributed a smaller bit depth.
     """
-    most = (1 << 8 * images.dtype.itemsize) - 1
+    full_dn = (1 << 8 * images.dtype.itemsize) - 1
     if images.dtype.itemsize == 1:
-        return most
+        return full_dn
     used = int(np.bitwise_or.reduce(images, axis=None, initial=0))
     unused = (used & -used) - 1
-    return next((2**bits - 1 for bits in USUAL_BITS if used < 2**bits), most - unused)
+    return next((2**bits - 1 for bits in USUAL_BITS if used < 2**bits), full_dn - unused)

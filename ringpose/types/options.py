@@ -1,42 +1,42 @@
-"""The choices that options of several commands offer, by name; importing them costs nothing."""
+"""Choices of command-line options, in a module without heavy imports."""
 
 from enum import StrEnum
 
 
 class DistortionModel(StrEnum):
-    """How the lens bends rays, under its name in ROS."""
+    """Distortion model, by its ROS name."""
 
     PLUMB_BOB = "plumb_bob"
     RATIONAL_POLYNOMIAL = "rational_polynomial"
 
 
 class PoseFrame(StrEnum):
-    """The frame of a pose's vectors."""
+    """Frame in which a pose is expressed."""
 
     CAMERA = "camera"
     TOOL = "tool"
 
 
 class SegmentMethod(StrEnum):
-    """The methods by the names under which they are chosen."""
+    """How line segments are made from edge chains."""
 
     LENGTH = "length"
-    """The paper's: chords from the first to the last pixel of straight pieces."""
+    """The paper's method: chords from the first to the last pixel of straight pieces."""
     REFINED = "refined"
-    """Sub-pixel least-squares lines of straight pieces, those joined that continue one another."""
+    """Sub-pixel least-squares lines through straight pieces; collinear ones are joined."""
 
 
 class StripeSource(StrEnum):
-    """What the stripes' pieces are made from."""
+    """What the stripes are extracted from."""
 
     CENTERS = "centers"
-    """Ridges, column by column: finer, and what is used unless the paper's way is asked for."""
+    """Ridges, column by column: more accurate, the default."""
     SEGMENTS = "segments"
-    """The paper's line segments along both edges of each stripe."""
+    """Pairs of line segments along both edges of each stripe: the paper's method."""
 
 
 class Method(StrEnum):
-    """How the pose is computed."""
+    """Method of pose estimation."""
 
     ML = "ml"
     PAPER = "paper"
@@ -44,18 +44,18 @@ class Method(StrEnum):
 
 
 class PlanesMethod(StrEnum):
-    """How board poses and light planes are estimated."""
+    """Method of estimating board poses and light planes."""
 
     JOINT = "joint"
-    """Board poses and light planes together, from corners and stripes, each weighed by its errors; robust."""
+    """Joint robust estimation of board poses and light planes, from weighted corners and stripes."""
     TOTAL_LEAST_SQUARES = "total-least-squares"
-    """One pose over all corners of a board; the plane nearest to the points, robust."""
+    """Board pose from all corners; robust total-least-squares plane through the points."""
     PAPER = "paper"
-    """The mean of the poses of the single markers; S . P = 1 by least squares."""
+    """Mean of the poses of the single markers; S . P = 1 by least squares."""
 
 
 class CameraFormat(StrEnum):
-    """A format, by the program that reads it."""
+    """File format of a camera, by the program that reads it."""
 
     RINGPOSE = "ringpose"
     ROS = "ros"
@@ -65,18 +65,18 @@ class CameraFormat(StrEnum):
 
 
 class Relay(StrEnum):
-    """The relay board."""
+    """Protocol of the relay board."""
 
     LCUS = "lcus"
     NUMATO = "numato"
     MODBUS = "modbus"
     ASCII = "ascii"
     NONE = "none"
-    """Leaves the lasers to the camera's output lines."""
+    """The lasers are switched by the camera's output lines."""
 
 
 class ServedTarget(StrEnum):
-    """What stands before the camera."""
+    """Target in front of the simulated camera."""
 
     RING = "ring"
     CAMERA_BOARD = "camera-board"
@@ -84,10 +84,10 @@ class ServedTarget(StrEnum):
 
 
 class AdvancePolicy(StrEnum):
-    """When the next view comes."""
+    """When the simulated camera advances to the next view."""
 
     PAUSE = "pause"
-    """In a pause between the frames."""
+    """In a pause between frames."""
     TIME = "time"
-    """After a time."""
+    """After a given time."""
     NEVER = "never"

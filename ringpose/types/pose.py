@@ -1,10 +1,6 @@
-"""The answer: where the ring is, or why nobody knows.
+"""Results of the pose estimation: the pose of the ring, or the reason why there is none, and the record of one shot.
 
-What is said about one shot in the end.
-
-The break points in space.
-
-What one shot says about errors of the light planes.
+Also the triangulated break points, and the evidence of one shot for errors of the light planes.
 """
 
 import math
@@ -20,7 +16,7 @@ from ringpose.types.options import PoseFrame
 
 
 class NoPose(Enum):
-    """Why a shot has no pose; the value is the sentence the user reads."""
+    """Reason why a shot has no pose; the value is the message for the user."""
 
     TOO_FEW_BREAK_POINTS = "too few break points: an edge must be seen by three lasers"
     UNTRIANGULATED = "a ray runs along its light plane or meets it behind the camera"
@@ -32,39 +28,39 @@ class NoPose(Enum):
 
 
 class PoseFlag(IntFlag):
-    """What to mind about a pose."""
+    """Warnings about a pose."""
 
     CENTER_WEAK = 1
     RADIUS_WEAK = 2
     DAMPED = 4
     """The closed form was near singular; damped least squares pulled the centre towards the points."""
     NORMAL_WEAK = 8
-    """One stripe leaves the tilt about it open: grasp point without a normal."""
+    """One stripe does not determine the tilt about it: grasp point without a normal."""
     SIDE_UNKNOWN = 16
-    """Inner and outer edge could not be told apart: the centre may lie on either side."""
+    """Inner and outer edge could not be distinguished: the centre may lie on either side."""
     POINT_LEFT_OUT = 32
-    """A break point contradicts the others and was left out."""
+    """A break point was rejected as an outlier."""
     STRIPE_LEFT_OUT = 64
-    """A laser's stripe contradicts the others and was left out."""
+    """A laser's stripe was rejected as an outlier."""
     RELABELLED = 128
-    """The stripes fit one ring only if they belong to other lasers than was said."""
+    """The stripes fit one ring only if assigned to other lasers than given."""
     RADIUS_DISAGREES = 256
-    """The ring that was seen has not the radii that were said; they were left out."""
+    """The observed ring does not have the given radii; the prior was rejected."""
     INCONSISTENT = 512
-    """What was seen disagrees with one ring by more than its errors; the covariance is widened accordingly."""
+    """The observations disagree with one ring by more than their errors; the covariance is inflated accordingly."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlaneEvidence:
-    """Whether each light plane, if it alone had moved, would explain what its stripe leaves over.
+    """Score and Fisher information of an error of each single light plane, from the residuals of its stripe.
 
-    Sums over shots add up. A plane's most likely error (tilt_1, tilt_2, distance) is information^-1 score, and
-    score^T information^-1 score is the square of that error in its standard deviations.
+    Both are additive over shots. The maximum-likelihood error (tilt_1, tilt_2, distance) of a plane is
+    information^-1 score, and its squared Mahalanobis length is score^T information^-1 score.
     """
 
     score: Float64[Array, "laser parameter=3"]
     information: Float64[Array, "laser parameter=3 parameter=3"]
-    """Zero for a laser that nothing checks: two stripes alone agree with every plane."""
+    """Zero for a laser without redundancy: any plane is consistent with two stripes alone."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -72,38 +68,39 @@ class RingPose:
     """Pose of the ring in the camera frame, in metres."""
 
     center_m: Float64[Array, "xyz=3"]
-    """NaN if it is not determined."""
+    """NaN if not determined."""
     normal: Float64[Array, "xyz=3"]
-    """Unit normal of the ring's plane, towards the camera (the paper's Z_b); NaN if it is not determined."""
+    """Unit normal of the ring's plane, towards the camera (the paper's Z_b); NaN if not determined."""
     radius_inner_m: float
     radius_outer_m: float
-    """NaN where that edge was not seen."""
+    """NaN if that edge was not observed."""
     grasp_m: Float64[Array, "xyz=3"]
-    """The point where a gripper would close: in the middle of the band, amid what was seen (method(7), section 5).
+    """Grasp point: on the middle of the band, at the centre of the observations (method(7), section 5).
 
-    In `paper` the mean of the break points. NaN where the middle of the band is not known, an edge being unseen.
+    In `paper` the mean of the break points. NaN if an edge was not observed, so that the middle is not known.
     """
     method: str
     condition: float
-    """Of the equations: in `ml` for everything, columns scaled to unit length; else for the centre, rows scaled."""
+    """Condition number of the equations: in `ml` of all, columns scaled to unit length; else of the centre's, rows
+    scaled."""
     residual_rms_px: float
-    """Distance of the break points from those that the pose predicts."""
+    """Root mean square reprojection error of the break points."""
     covariance: Float64[Array, "7 7"] | None = None
-    """Of tilt_1, tilt_2, offset_m, center_1_m, center_2_m, radius_inner_m, radius_outer_m; NaN in rows and
-    columns of what is not determined.
+    """Covariance of tilt_1, tilt_2, offset_m, center_1_m, center_2_m, radius_inner_m, radius_outer_m; NaN in the rows
+    and columns of what is not determined.
 
     Plane: normal(tilt) . point = offset_m (`ringpose.geometry.rotations.tilted`). center_1_m and center_2_m are the
-    centre's coordinates along the tilt basis of the estimated normal, which stays while the ring tilts.
+    centre's coordinates along the tilt basis of the estimated normal, which is held fixed while the ring tilts.
     """
     covariance_center_m2: Float64[Array, "3 3"] | None = None
     covariance_grasp_m2: Float64[Array, "3 3"] | None = None
     flags: PoseFlag = PoseFlag(0)
     remark: str = ""
-    """What to mind, in words; empty if nothing."""
+    """Warning in words; empty if there is none."""
     ring_posterior: Mapping[str, float] | None = None
-    """Probability of each ring of a catalogue, `none of these` among them; None without a catalogue."""
+    """Posterior probability of each ring of a catalogue and of `none of these`; None without a catalogue."""
     plane_evidence: PlaneEvidence | None = None
-    """What the stripes say about the light planes; None in methods that do not use them."""
+    """Evidence of the stripes for errors of the light planes; None for methods that do not use them."""
 
     @property
     def pitch_rad(self) -> float:
@@ -121,21 +118,21 @@ Status = Literal["ok", "degraded", "none"]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PoseLine:
-    """The pose of one shot, or the reason why it has none, with where it came from."""
+    """Record of one shot: its pose or the reason why it has none, and the provenance."""
 
     shot: str
     stamp_s: float
     pose: RingPose | None
     reason: str | None = None
-    """Why there is no pose; of a pose what contradicts it, None if nothing does."""
+    """Reason why there is no pose; with a pose, what contradicts it, or None."""
     frame: PoseFrame = PoseFrame.CAMERA
-    """The frame of the pose's vectors."""
+    """Frame in which the pose is expressed."""
     laser_health: Mapping[str, float] = field(default_factory=dict)
-    """A figure for each laser; empty where it was not measured."""
+    """Normalised error of each laser; empty where it was not measured."""
     dropped: int = 0
-    """Shots that were lost between the one before and this one."""
+    """Number of shots that were lost since the previous one."""
     latency_s: float = math.nan
-    """From the shot in memory to its pose; NaN where it was not measured."""
+    """Time from the shot in memory to its pose; NaN where it was not measured."""
     rig: str = ""
     """SHA-256 of the rig file."""
 
@@ -155,12 +152,12 @@ class PoseLine:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RingPoints:
-    """Points on the two edges of the ring's face, in the camera frame; NaN where one was not seen."""
+    """Triangulated break points on the two edges of the ring's face, camera frame; NaN where one was not measured."""
 
     position_m: Float64[Array, "laser edge=2 xyz=3"]
 
     @property
     def seen(self) -> Bool[Array, "laser edge=2"]:
-        """Which of them were seen."""
+        """Which of them were measured."""
         seen: Bool[Array, "laser edge=2"] = ~(self.position_m != self.position_m).any(axis=-1)
         return seen

@@ -1,7 +1,4 @@
-"""The rig: camera, light planes, what is known of their errors, and how it is mounted.
-
-The light planes.
-"""
+"""The rig: camera, light planes, their joint covariance, and the mounting."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -20,12 +17,12 @@ class LaserPlanes:
     normal: Float64[Array, "laser xyz=3"]
     distance_m: Float64[Array, "laser"]
     projector_m: Float64[Array, "laser xyz=3"]
-    """Where the light comes from; NaN where it is not known."""
+    """Position of the projector; NaN if not known."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Rig:
-    """Everything that turns pixels into metres."""
+    """The calibrated measurement system."""
 
     camera: Camera
     lasers: LaserPlanes
@@ -33,4 +30,4 @@ class Rig:
     tool_from_camera: Float64[Array, "4 4"] | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
     sha256: str = ""
-    """Of the file it was read from; empty if it was not read from one."""
+    """Hash of the rig file; empty if the rig was not read from a file."""

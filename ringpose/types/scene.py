@@ -1,7 +1,7 @@
-"""The scene that is simulated: target, light, camera electronics, and where everything stands.
+"""Description of a simulated scene: target, lighting, camera electronics and poses.
 
-Radiometry is in watts per square metre within the camera's pass band. Profile heights count from the body's
-front face towards the camera; a pose is that of the ring's *face*, its highest flat piece.
+Radiometry is in watts per square metre within the camera's pass band. Profile heights are relative to the
+body's front face, towards the camera; a pose is that of the ring's *face*, its highest flat piece.
 """
 
 from collections.abc import Mapping
@@ -15,19 +15,19 @@ from ringpose.types.board import Board
 from ringpose.types.rig import Rig
 
 TargetKind = Literal["ring", "body", "none"]
-"""The body with its ring, the bare body, or nothing but stars."""
+"""The body with its ring, the body without it, or stars only."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Material:
-    """How a surface returns light: Lambert's law plus one GGX lobe."""
+    """Reflectance of a surface: Lambert's law plus one GGX lobe."""
 
     diffuse: float
     """Albedo of the Lambert part."""
     specular: float
     """Reflectance of the lobe at normal incidence."""
     roughness: float
-    """GGX alpha: 0.1 a polished surface, 0.4 machined metal."""
+    """GGX alpha: 0.1 for a polished surface, 0.4 for machined metal."""
 
 
 MATERIALS: Mapping[str, Material] = {
@@ -37,7 +37,7 @@ MATERIALS: Mapping[str, Material] = {
     "white": Material(diffuse=0.80, specular=0.0, roughness=1.0),
     "black": Material(diffuse=0.04, specular=0.0, roughness=1.0),
 }
-"""The materials that a scene may call by name."""
+"""Materials that a scene file may refer to by name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -88,68 +88,68 @@ class Body:
     size_m: Float64[Array, "3"]
     """Width and height of the front face, depth of the box."""
     offset_m: Float64[Array, "2"] = field(default_factory=lambda: np.zeros(2))
-    """Middle of the front face from the ring's axis, along the ring's x and y."""
+    """Offset of the front face's middle from the ring's axis, along the ring's x and y."""
     material: Material = MATERIALS["foil"]
     foil: Foil | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaserLight:
-    """The line lasers: a Gaussian sheet of light, evenly spread over the fan's angle."""
+    """The line lasers: a Gaussian sheet of light of uniform intensity over the fan angle."""
 
     power_w: float = 0.02
     sigma_m: float = 0.0002
     """Half thickness of the sheet (one sigma) at the projector."""
     divergence_rad: float = 0.0007
-    """Growth of that half thickness with distance, added in squares."""
+    """Growth of that half thickness with distance, added in quadrature."""
     fan_rad: float = 1.4
     """Full angle of the fan, around the direction in the plane nearest to the optical axis."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Beacon:
-    """A lamp that goes on and off."""
+    """A flashing lamp."""
 
     ambient_w_m2: float
-    """Irradiance while it is on, spread like a laboratory's light."""
+    """Irradiance while it is on, distributed like the ambient light."""
     on_s: float
     off_s: float
     phase_s: float = 0.0
-    """A time at which it goes on, on the clock of the frames' stamps."""
+    """A time at which it is switched on, on the clock of the frames' time stamps."""
 
     def share_on(self, begin_s: float, duration_s: float) -> float:
-        """Share of an interval in which it is on."""
+        """Share of an interval during which it is on."""
         begin_s = (begin_s - self.phase_s) % (self.on_s + self.off_s)
         return (self._on_before(begin_s + duration_s) - self._on_before(begin_s)) / duration_s
 
     def _on_before(self, time_s: float) -> float:
-        """Time for which it was on since the phase, at a time that counts from there."""
+        """Duration for which it was on since the phase, at a time relative to the phase."""
         cycles, rest_s = divmod(time_s, self.on_s + self.off_s)
         return cycles * self.on_s + min(rest_s, self.on_s)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Light:
-    """Everything that shines but the lasers."""
+    """Illumination other than the lasers."""
 
     name: str
     ambient_w_m2: float = 0.0
-    """Irradiance by a laboratory's lamps and walls."""
+    """Irradiance by the lamps and walls of a laboratory."""
     sun_w_m2: float = 0.0
-    """Irradiance across the sun's rays."""
+    """Irradiance on a plane perpendicular to the sun's rays."""
     sun_direction: Float64[Array, "xyz=3"] = field(default_factory=lambda: np.array([-0.66, -0.33, -0.67]))
-    """Towards the sun, camera frame."""
+    """Direction towards the sun, camera frame."""
     beacon: Beacon | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lens:
-    """What the lens does besides its distortion, which is the rig's."""
+    """Optical parameters of the lens; its distortion is part of the rig."""
 
     f_number: float = 8.0
     transmission: float = 0.9
     blur_px: float = 0.7
-    """Sigma of its point spread."""
+    """Sigma of the point spread function."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -157,7 +157,7 @@ class Sensor:
     """EMVA 1288's linear camera model."""
 
     bits: Literal[8, 12] = 8
-    """12 bits lie in the lower part of 16."""
+    """12 bits are stored in the lower part of 16."""
     pixel_m: float = 4.5e-6
     quantum_efficiency: float = 0.5
     wavelength_m: float = 650e-9
@@ -170,24 +170,24 @@ class Sensor:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Speckle:
-    """Granularity of laser light on a rough surface, before the lens blurs it."""
+    """Speckle of laser light on a rough surface, before the blur by the lens."""
 
     contrast: float = 0.3
     grain_px: float = 1.0
-    """Correlation length; up to 1 every pixel has its own grain."""
+    """Correlation length; up to 1, pixels are independent."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RingView:
-    """One shot's target and light."""
+    """Target and light of one shot."""
 
     name: str
     center_m: Float64[Array, "xyz=3"]
     """Centre of the ring's face."""
     normal: Float64[Array, "xyz=3"]
-    """Of the face, towards the camera."""
+    """Normal of the face, towards the camera."""
     roll_rad: float = 0.0
-    """Turn of the body about the normal; 0 has its x axis nearest to the camera's."""
+    """Rotation of the body about the normal; at 0 its x axis is nearest to the camera's."""
     light: str = "dim"
     target: TargetKind = "ring"
     groups: Mapping[str, str | float | int | bool] = field(default_factory=dict)
@@ -195,25 +195,25 @@ class RingView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Approach:
-    """Views drawn at random: a stretch of the ring near the optical axis, at each distance in turn."""
+    """Random views of a section of the ring near the optical axis, at each of several distances."""
 
     count: int = 1
-    """Poses at each distance; each is taken in every light."""
+    """Number of poses at each distance; each is combined with every light."""
     distances_m: tuple[float, ...] = (0.5,)
     lights: tuple[str, ...] = ("dim",)
     tilt_rad: float = 0.15
-    """Most that the normal leans from the optical axis, about x and about y."""
+    """Maximum tilt of the normal from the optical axis, about x and about y."""
     clock_rad: float = 0.2
-    """Most that the middle of the seen arc lies off the horizontal through the centre."""
+    """Maximum angle of the middle of the visible arc from the horizontal through the centre."""
     offset: float = 0.1
-    """Most that it lies off the picture's middle, as a share of the picture's width and height."""
+    """Maximum offset of that point from the image centre, as a share of the image's width and height."""
     name: str = "z"
     seed: int = 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BoardPlace:
-    """Where a board stands in one view: `point_camera = rotation @ point_board + translation_m`."""
+    """Pose of a board in one view: `point_camera = rotation @ point_board + translation_m`."""
 
     name: str
     rotation: Float64[Array, "3 3"]
@@ -222,17 +222,17 @@ class BoardPlace:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoardApproach:
-    """Board views drawn at random."""
+    """Random views of a board."""
 
     count: int = 8
     distances_m: tuple[float, float] = (0.4, 0.6)
     """Nearest and farthest distance of the board's middle."""
     tilt_rad: float = 0.5
-    """Most that the board leans, about x and about y."""
+    """Maximum tilt of the board, about x and about y."""
     turn_rad: float = 0.3
-    """Most that it is turned in its own plane."""
+    """Maximum rotation in its own plane."""
     offset: float = 0.2
-    """Most that its middle lies off the picture's, as a share of the picture's width and height."""
+    """Maximum offset of its middle from the image centre, as a share of the image's width and height."""
     seed: int = 1
 
 
@@ -251,7 +251,7 @@ class BoardSet:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scene:
-    """All that `ringpose simulate` needs."""
+    """Everything that `ringpose simulate` needs."""
 
     rig: Rig
     ring: RingShape
@@ -267,7 +267,7 @@ class Scene:
     period_s: float = 0.1
     """Time between shots."""
     start_s: float = 1767225600.0
-    """Stamp of the first shot: 2026-01-01, 00:00 UTC."""
+    """Time stamp of the first shot: 2026-01-01, 00:00 UTC."""
     sequence: tuple[int, ...] = (0, 7)
     """Laser mask of each frame of a shot."""
     views: tuple[RingView, ...] = ()

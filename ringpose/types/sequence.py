@@ -1,4 +1,4 @@
-"""What is lit, frame by frame, and for how long it is exposed: `off,1,2,3,off`, `off,all@500us,all@4ms`."""
+"""Laser sequences, the lasers and exposure of each frame of a shot: `off,1,2,3,off`, `off,all@500us,all@4ms`."""
 
 import re
 from collections.abc import Iterable
@@ -21,23 +21,23 @@ class Step:
     """One frame of a shot: which lasers are on."""
 
     text: str
-    """`off`, `all`, or 1-based laser numbers joined by `+`, as the user wrote it."""
+    """`off`, `all`, or 1-based laser numbers joined by `+`, as given by the user."""
     exposure: str = ""
-    """Such as `500us`; empty for that of all other frames."""
+    """Exposure such as `500us`; empty for the default exposure."""
 
     @property
     def written(self) -> str:
-        """The step as it stands in a sequence."""
+        """The step in the syntax of a sequence."""
         return f"{self.text}@{self.exposure}" if self.exposure else self.text
 
     @property
     def exposure_s(self) -> float | None:
-        """Its own exposure; None for that of all other frames."""
+        """Exposure of this frame; None for the default exposure."""
         found = _EXPOSURE.fullmatch(self.exposure)
         return None if found is None else float(found[1]) * _UNIT_S[found[2]]
 
     def mask(self, count: int) -> int:
-        """Bit i for laser i of a rig with `count` lasers; a number beyond them is refused."""
+        """Bit i for laser i of a rig with `count` lasers; a number beyond them is an error."""
         if self.text == "off":
             return 0
         if self.text == "all":
@@ -50,20 +50,20 @@ class Step:
 
 
 def parsed_sequence(text: str) -> tuple[Step, ...]:
-    """The steps of a sequence, strictly: separated by commas, each `off`, `all` or numbers joined by `+`.
+    """The steps of a sequence: separated by commas, each `off`, `all` or laser numbers joined by `+`.
 
-    Behind an `@` a step may have an exposure of its own, in us, ms or s.
+    A step may be followed by `@` and an exposure in us, ms or s.
     """
     return tuple(_exposed_step(word.strip(), place) for place, word in enumerate(text.split(","), start=1))
 
 
 def written_sequence(steps: Iterable[Step]) -> str:
-    """The steps as a user writes them."""
+    """The steps in the syntax of a sequence."""
     return ",".join(step.written for step in steps)
 
 
 def steps_of(masks: Iterable[int], count: int) -> tuple[Step, ...]:
-    """The steps that light these masks on a rig with `count` lasers."""
+    """The steps for these laser masks on a rig with `count` lasers."""
     return tuple(_step_of(mask, count) for mask in masks)
 
 

@@ -1,4 +1,4 @@
-"""What is really there, for simulated and rendered shots."""
+"""Ground truth of simulated and rendered shots."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -9,7 +9,7 @@ from ringpose.types.arrays import Array, Float64
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Truth:
-    """One line of `truth.jsonl`; what it says of the ring is None for a shot without a target."""
+    """One line of `truth.jsonl`; the attributes of the ring are None for a shot without a target."""
 
     shot: str
     expect: Literal["pose", "partial", "no_target"]
@@ -19,9 +19,9 @@ class Truth:
     radius_outer_m: float | None = None
     break_points_px: Float64[Array, "laser edge=2 xy=2"] | None = None
     stamp_s: float | None = None
-    """When centre and normal hold, of a target that moves."""
+    """Time at which centre and normal of a moving target are given."""
     velocity_m_s: Float64[Array, "xyz=3"] | None = None
-    """Of the ring's centre, in the camera frame."""
+    """Velocity of the ring's centre, in the camera frame."""
     angular_velocity_rad_s: Float64[Array, "xyz=3"] | None = None
     """In the camera frame."""
     groups: Mapping[str, str | float | int | bool] = field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""Whether a result is good: numbers beside the limits that they were judged by."""
+"""Acceptance of a result: quantities, each with the limits that it was checked against."""
 
 import math
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class Grade(StrEnum):
-    """How good; the value is what the user reads."""
+    """Grade of a result; the value is the word for the user."""
 
     GOOD = "good"
     IMPROVABLE = "can be improved"
@@ -18,24 +18,24 @@ _FROM_GOOD_TO_BAD = tuple(Grade)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
-    """One number and its limits; whether more is better or worse, the order of the limits says."""
+    """One quantity and its limits; the order of the limits determines whether a larger value is better or worse."""
 
     name: str
-    """The quantity as it is spelt in files, with its unit: `rms_px`."""
+    """Name of the quantity as in files, with its unit: `rms_px`."""
     value: float
-    """NaN if it is not known: that can be improved."""
+    """NaN if not known, which is graded as improvable."""
     pass_limit: float
-    """Good up to here (or from here on, if it is the larger of the two limits)."""
+    """Good up to this value (or from this value, if it is the larger of the two limits)."""
     fail_limit: float
-    """To be done anew beyond here; infinite if this number alone never asks for that."""
+    """Failed beyond this value; infinite if this quantity alone never fails a result."""
     advice: str = ""
-    """What would make the number better, in words; empty if there is nothing to say."""
+    """Advice on how to improve the value; may be empty."""
     place: str = ""
-    """What the number belongs to, as a laser's name; empty if to the whole."""
+    """What the quantity refers to, such as a laser's name; empty for the whole result."""
 
     @property
     def grade(self) -> Grade:
-        """What this number alone says."""
+        """The grade of this quantity alone."""
         if math.isnan(self.value):
             return Grade.IMPROVABLE
         sign = 1.0 if self.fail_limit >= self.pass_limit else -1.0
@@ -46,18 +46,18 @@ class Check:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """All findings; the worst one is the grade of the whole."""
+    """All checks; the worst grade is that of the result."""
 
     findings: tuple[Check, ...]
 
     @property
     def grade(self) -> Grade:
-        """The worst of the findings'."""
+        """The worst grade of the checks."""
         return max((finding.grade for finding in self.findings), key=_FROM_GOOD_TO_BAD.index, default=Grade.GOOD)
 
     @property
     def advice(self) -> tuple[str, ...]:
-        """What would help, of the findings that are not good, the worst first, each sentence once."""
+        """Advice of the checks that are not good, the worst first, without repetitions."""
         worst_first = sorted(self.findings, key=lambda finding: -_FROM_GOOD_TO_BAD.index(finding.grade))
-        said = (finding.advice for finding in worst_first if finding.grade is not Grade.GOOD and finding.advice)
-        return tuple(dict.fromkeys(said))
+        sentences = (finding.advice for finding in worst_first if finding.grade is not Grade.GOOD and finding.advice)
+        return tuple(dict.fromkeys(sentences))

@@ -30,7 +30,7 @@ def test_bands_find_the_centres_that_the_whole_frame_has_there():
     assert np.mean([place in places for place in found]) > 0.8
 
 
-def test_no_predicted_stripe_is_no_band():
+def test_without_predicted_stripes_there_are_no_bands():
     points = exact_break_points(IMAGE)
     points.face_start_px[1] = np.nan
 

@@ -1,4 +1,4 @@
-"""Ends are edges: of a stripe on foil that looks like a face, hardly one is; and what edges beside one stripe tell."""
+"""Clear ends: stripes on foil hardly have any; and the contribution of visible edges beside a single stripe."""
 
 import json
 from dataclasses import replace
@@ -37,7 +37,7 @@ def test_two_clear_ends_or_all_that_are_seen_make_a_face(seen, unclear, clear):
 
 
 @pytest.mark.parametrize(("rig", "name"), [("rig_b", "B_z0300_p00_strong"), ("variants_b", "V12_glare_B500_glare")])
-def test_stripes_on_foil_alone_are_no_ring(shared_data, rig, name):
+def test_stripes_on_foil_alone_are_not_a_ring(shared_data, rig, name):
     folder = shared_data / "rendered" / rig
     lines = map(json.loads, (folder / "truth.jsonl").read_text().splitlines())
     ends_px = next(

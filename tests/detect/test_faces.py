@@ -88,7 +88,7 @@ def test_a_stripe_on_the_face_is_not_taken_for_the_bodys(seed, laser):
     assert not may_be_background(tracks, (laser,), ALL, RIG)
 
 
-def test_a_labelled_stripe_is_no_other_lasers():
+def test_a_labelled_stripe_is_not_assigned_to_another_laser():
     tracks = np.array([row(*body_ends(0, 2), laser=0)])
 
     assert not may_be_background(tracks, (0,), ALL, RIG)
@@ -107,7 +107,7 @@ def ends_with_one_wrong(seed, by_px):
     )
 
 
-def test_a_stripe_that_no_laser_is_known_to_have_drawn_is_left_out_whole():
+def test_an_unlabelled_stripe_with_an_outlier_is_rejected_completely():
     tracks = np.array([row(*ends) for ends in face_ends(1)])
 
     ends, _, _ = checked(ends_with_one_wrong(1, 300.0), tracks, RIG)
@@ -118,7 +118,7 @@ def test_a_stripe_that_no_laser_is_known_to_have_drawn_is_left_out_whole():
     assert not np.isnan(ends.position_px[[0, 2]]).any()
 
 
-def test_of_a_labelled_stripe_the_line_stays():
+def test_the_line_of_a_labelled_stripe_with_an_outlier_is_kept():
     tracks = np.array([row(*ends, laser=laser) for laser, ends in enumerate(face_ends(1))])
 
     ends, _, _ = checked(ends_with_one_wrong(1, 300.0), tracks, RIG)

@@ -47,7 +47,7 @@ def test_a_flat_image_has_no_anchors(value):
 @pytest.mark.parametrize(
     ("across", "orientation"), [(ROW - 12, 0), (COLUMN - ROW - 3, 1), (COLUMN - 14, 2), (COLUMN + ROW - 27, 3)]
 )
-def test_anchors_of_a_step_lie_on_it_and_know_how_it_runs(across, orientation):
+def test_anchors_of_a_step_lie_on_it_with_its_orientation(across, orientation):
     gradient = image_gradient(np.where(across > 0, 200, np.where(across < 0, 20, 110)).astype(np.uint8), 20.0)
 
     row, column = np.divmod(gradient.anchors, 30)

@@ -1,4 +1,4 @@
-"""How well a stripe's line is known where columns err alike: clipped, or on facets of foil."""
+"""Standard deviation of a stripe's line with correlated errors of the columns: clipped, or on facets of foil."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from ringpose.detect.pipeline import detect
 
 
 @pytest.mark.slow
-def test_lines_through_clipped_stripes_are_as_far_off_as_they_say() -> None:
+def test_lines_through_clipped_stripes_have_consistent_sigmas() -> None:
     images = [stripe_image(Kind.SATURATED, seed) for seed in range(100, 125)]
 
     errors = joined([break_point_errors(detect(shot_of(image), image.rig, edges=False), image) for image in images])

@@ -43,7 +43,7 @@ def test_picture_keeps_the_size_and_shows_the_image_dimmed(rng):
     np.testing.assert_array_equal(picture[60:, :], np.repeat(image[60:, :, None] // 2, 3, axis=2))
 
 
-def test_image_of_sixteen_bits_is_shown_too():
+def test_image_of_sixteen_bits_is_drawn():
     assert overlay(np.full((200, 300), 65535, np.uint16), detection())[100, 100].tolist() == [127, 127, 127]
 
 
@@ -107,7 +107,7 @@ def test_flags_are_written_beside_the_point():
     assert changed[:, 1].min() > 150
 
 
-def test_break_point_outside_the_picture_is_no_crash():
+def test_break_point_outside_the_picture_does_not_crash():
     assert overlay(empty(), detection(break_points([-50.0, 1e4]))).shape == (200, 300, 3)
 
 

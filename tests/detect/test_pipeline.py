@@ -153,7 +153,7 @@ def flat_shot(value: int, lasers: int = 7) -> Shot:
     ],
     ids=["black", "white", "grey", "lasers off"],
 )
-def test_an_image_without_stripes_says_why(rig, shot, reason):
+def test_an_image_without_stripes_has_a_reason(rig, shot, reason):
     assert detect(shot, rig).break_points is reason
 
 

@@ -50,7 +50,7 @@ def test_no_shot_is_lost(errors):
     assert errors["lost"] == []
 
 
-def test_no_hidden_break_point_is_made_up(errors):
+def test_occluded_break_points_are_not_reported(errors):
     assert errors["false"] == []
 
 
@@ -87,7 +87,7 @@ def _all_on(shot: Shot) -> Shot:
 
 @pytest.fixture(scope="module")
 def single_errors(shared_data):
-    """The same rows where nothing but the frame with all lasers is known."""
+    """The same rows from the frame with all lasers alone."""
     rows: list = []
     for folder in FOLDERS:
         root = shared_data / "rendered" / folder
@@ -101,13 +101,13 @@ def single_errors(shared_data):
     return rows
 
 
-def test_without_a_dark_frame_no_end_is_off_unless_it_is_said(single_errors):
+def test_without_a_dark_frame_wrong_ends_are_flagged(single_errors):
     unsaid = [row for row in single_errors if not row[4] & ~int(BreakPointFlag.SATURATED)]
 
     assert [row for row in unsaid if abs(row[1]) > min(1.5, 5 * row[3])] == []
 
 
-def test_without_a_dark_frame_squared_errors_of_what_is_not_flagged_are_those_told(single_errors):
+def test_without_a_dark_frame_unflagged_ends_have_consistent_covariances(single_errors):
     clear = np.array([row[1] / row[3] for row in single_errors if row[4] == 0])
 
     assert 0.8 < np.mean(clear**2) < 1.25

@@ -90,7 +90,7 @@ def test_labels_of_crossing_stripes_are_called_ambiguous(depth_m):
     assert detect(shot, WIDE).break_points is NoBreakPoints.AMBIGUOUS_LABELS
 
 
-def test_switched_lasers_tell_crossing_stripes_apart():
+def test_switched_lasers_resolve_crossing_stripes():
     shot, truth_px = shot_of(WIDE, 0.17, SWITCHED)
 
     points = found(shot, WIDE)

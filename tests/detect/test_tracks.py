@@ -1,12 +1,12 @@
-"""Lines through stripe centres are as sure as they say, also where few centres err alike."""
+"""Lines through stripe centres have consistent sigmas, also with few centres of correlated errors."""
 
 import cv2
 import numpy as np
 import pytest
 
-from ringpose.detect.break_points import mark_rules
+from ringpose.detect.break_points import mark_params
 from ringpose.detect.stripes import stripe_line_segments
-from ringpose.kernels.ends import flagged_ends
+from ringpose.kernels.ends import marked_ends
 from ringpose.types.camera import Camera
 from ringpose.types.detection import Stripes
 
@@ -21,7 +21,7 @@ CAMERA = Camera(
 
 
 def grainy(rng, columns, grain_px):
-    """Errors of 0.1 px whose neighbours err alike, and 0.03 px of their own."""
+    """Correlated errors of 0.1 px, and independent ones of 0.03 px."""
     alike = cv2.GaussianBlur(rng.normal(size=(1, columns + 200)), (0, 0), grain_px)[0, 100:-100]
     return 0.1 * alike * np.sqrt(2.0 * np.sqrt(np.pi) * grain_px) + 0.03 * rng.normal(size=columns)
 
@@ -37,7 +37,7 @@ def line_errors(rng, columns, grain_px):
         laser=np.zeros(1, dtype=np.int64),
     )
     tracks = stripe_line_segments(stripes, CAMERA)
-    ends = flagged_ends(tracks, np.full((1, 2, 10), np.nan), (0,), 1, mark_rules(CAMERA.image_width))
+    ends = marked_ends(tracks, np.full((1, 2, 10), np.nan), (0,), 1, mark_params(CAMERA.image_width))
     return (ends.straight_px[0, :, 1] - 600.0) / ends.straight_sigma_px[0]
 
 

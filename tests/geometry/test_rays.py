@@ -58,7 +58,7 @@ def test_undistorted_pixels_are_those_of_the_camera_without_distortion(camera, x
 
 
 @pytest.mark.parametrize("depth", [0.0, -1.0, np.nan])
-def test_what_is_not_before_the_camera_has_no_pixel(camera, depth):
+def test_points_behind_the_camera_have_no_pixel(camera, depth):
     assert np.isnan(project(np.array([0.1, 0.1, depth]), camera)).all()
 
 

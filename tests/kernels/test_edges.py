@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.ndimage import map_coordinates, uniform_filter1d
 
-from ringpose.detect.ring_arc_fit import RULES as FIT_RULES
+from ringpose.detect.ring_edges import FIT_PARAMS as FIT_RULES
 from ringpose.geometry.ring_arcs import RingArcs, arc_points, moved, off_face_m
 from ringpose.kernels import edges
 from ringpose.kernels.edges import PlaceParams, PlanePoints, ProfileParams, Sights

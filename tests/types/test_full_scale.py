@@ -25,7 +25,7 @@ def test_eight_bits_are_full_at_255_however_dim():
     assert full_scale_dn(np.zeros((3, 4), np.uint8)) == 255
 
 
-def test_what_the_shot_says_goes_before_what_its_images_allow():
+def test_saturation_in_the_metadata_takes_precedence_over_the_images():
     one = np.ones(1)
     shot = Shot(
         name="dim",

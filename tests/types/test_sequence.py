@@ -34,7 +34,7 @@ def test_spaces_around_the_commas_do_no_harm():
 @pytest.mark.parametrize(
     "text", ["", "off,", ",1", "on", "0", "01", "1+", "+1", "1++2", "1 2", "-1", "OFF", "off+1", "1;2", "1.0", "٣"]
 )
-def test_a_word_that_is_no_step_is_wrong_usage(text):
+def test_a_word_that_is_not_a_step_is_a_usage_error(text):
     with pytest.raises(UsageError, match="laser numbers from 1 joined by"):
         parsed_sequence(text)
 

@@ -30,7 +30,7 @@ def test_a_number_without_second_limit_never_asks_for_a_new_calibration(redo):
     assert finding(-math.copysign(9e9, -redo), 0.0, redo).grade is Grade.IMPROVABLE
 
 
-def test_an_unknown_number_can_be_improved():
+def test_an_unknown_value_is_improvable():
     assert finding(math.nan, 1.0, 2.0).grade is Grade.IMPROVABLE
 
 
