@@ -1,7 +1,7 @@
 #!/bin/sh
-# A rig from board views: first the camera, then the planes of the lasers; and what that is good for.
+# Calibrate a rig from board views (first the camera, then the light planes), and evaluate it.
 #
-#   sh examples/calibrate.sh [folder for what is written]
+#   sh examples/calibrate.sh [output folder]
 set -eu
 here=$(CDPATH= cd -- "$(dirname -- "$0")" && pwd)
 boards=$here/../tests/data/calib_b

@@ -20,8 +20,8 @@ import threading
 import time
 
 SCHEMA = "ringpose/pose/1"
-MAX_DISTANCE_M = 5.0  # a ring is never measured from farther away; a larger number is in millimetres
-MAX_ROUNDING = 1e-3  # of the length of a unit vector
+MAX_DISTANCE_M = 5.0  # largest plausible distance; a larger number is in millimetres
+MAX_ROUNDING = 1e-3  # tolerance of the length of a unit vector
 HOLD_FLAGS = {"grasp_weak", "normal_weak", "inconsistent", "assignment_ambiguous"}  # other flags concern other numbers
 
 
@@ -55,14 +55,14 @@ def check(holds, message):
 
 
 def check_keys(mapping, keys, name):
-    """Keys that this controller does not know are allowed."""
+    """Check that the keys are present; additional keys are allowed."""
     check(isinstance(mapping, dict), f"{name} is not a JSON object")
     missing = ", ".join(key for key in keys if key not in mapping)
     check(not missing, f"{name} has no {missing}")
 
 
 def is_number(value):
-    """Whether this is a finite number (no stamp or length is anywhere near 1e12)."""
+    """Whether this is a finite number below 1e12, which all stamps and lengths are."""
     return isinstance(value, int | float) and not isinstance(value, bool) and -1e12 < value < 1e12
 
 
@@ -71,7 +71,7 @@ def is_vector(value):
 
 
 def record_in(line):
-    """The pose record on a line, its keys and types checked; a ValueError says what is wrong with it."""
+    """The pose record on a line; raises ValueError if its keys or types are wrong."""
     try:
         record = json.loads(line)
     except RecursionError:

@@ -1,7 +1,7 @@
 #!/bin/sh
 # The main job on simulated shots: board views -> calibration, shots -> break points -> poses, errors against truth.
 #
-#   sh examples/demo.sh [folder for what is written]
+#   sh examples/demo.sh [output folder]
 set -eu
 here=$(CDPATH= cd -- "$(dirname -- "$0")" && pwd)
 out=${1:-demo}

@@ -1,45 +1,45 @@
-"""Everything that ringpose can complain about, each with its exit status (sysexits.h where it has one).
+"""Error classes of ringpose, each with its exit status (from sysexits.h where it defines one).
 
     RingposeError
       UsageError            2   wrong usage
-      DataError            65   a file or record that was read says something impossible
+      DataError            65   the contents of a file or record are invalid
       NoInputError         66   an input does not exist or cannot be opened
       DeviceError          69   a camera or laser board is absent or fails
-      LaserSafetyError     70   a laser may be on that should be off
+      LaserSafetyError     70   a laser that should be off may be on
       CannotCreateError    73   an output exists already, or its folder cannot be written
-      InputOutputError     74   reading or writing broke off: disk full, cable pulled
-    SignalReceived      128+n   SIGHUP, SIGINT, SIGTERM, a closed pipe as an exception, so that `with` blocks run
+      InputOutputError     74   reading or writing failed: disk full, cable unplugged
+    SignalReceived      128+n   SIGHUP, SIGINT, SIGTERM or a closed pipe, as an exception, so that `with` blocks run
 
-0 is done, 1 a bug, 3 done although a shot has no pose or a threshold was missed; 141 a closed pipe.
+Other exit statuses: 0 success, 1 a bug, 3 success but a shot has no pose or a threshold was missed, 141 a closed pipe.
 """
 
 import signal
 
 
 class RingposeError(Exception):
-    """One line for the user: the place, what was found there, what to do about it."""
+    """An error that is reported to the user as one line: location, finding, remedy."""
 
     status = 1
 
-    def __init__(self, place: str, found: str, remedy: str = "") -> None:
-        self.place = place
+    def __init__(self, location: str, found: str, remedy: str = "") -> None:
+        self.location = location
         self.found = found
         self.remedy = remedy
-        super().__init__(place, found, remedy)
+        super().__init__(location, found, remedy)
 
     def __str__(self) -> str:
-        line = f"{self.place}: {self.found}" if self.place else self.found
+        line = f"{self.location}: {self.found}" if self.location else self.found
         return " ".join((f"{line}; {self.remedy}" if self.remedy else line).split())
 
 
 class UsageError(RingposeError):
-    """The words of the command line do not fit together."""
+    """The command-line arguments are invalid or contradict each other."""
 
     status = 2
 
 
 class DataError(RingposeError):
-    """A file or record that was read says something impossible."""
+    """The contents of a file or record are invalid."""
 
     status = 65
 
@@ -57,7 +57,7 @@ class DeviceError(RingposeError):
 
 
 class LaserSafetyError(RingposeError):
-    """A laser may be on that should be off."""
+    """A laser that should be off may be on."""
 
     status = 70
 
@@ -69,13 +69,13 @@ class CannotCreateError(RingposeError):
 
 
 class InputOutputError(RingposeError):
-    """Reading or writing broke off."""
+    """Reading or writing failed halfway."""
 
     status = 74
 
 
 class SignalReceived(BaseException):
-    """SIGHUP, SIGINT, SIGTERM, or a closed pipe; no `except Exception` swallows it on its way out."""
+    """SIGHUP, SIGINT, SIGTERM or a closed pipe; not an `Exception`, so that `except Exception` does not catch it."""
 
     def __init__(self, number: int) -> None:
         self.status = 128 + number
@@ -83,7 +83,7 @@ class SignalReceived(BaseException):
 
 
 NO_POSE = 3
-"""Exit status: done, but a shot has no pose or a threshold was missed."""
+"""Exit status: success, but a shot has no pose or a threshold was missed."""
 
 CLOSED_PIPE = 128 + signal.SIGPIPE
-"""Exit status: the reader of our output has gone."""
+"""Exit status: the reader of standard output has closed the pipe."""

@@ -1,4 +1,4 @@
-"""OpenCV's own log on stderr, which is silenced where its findings are reported as errors."""
+"""Suppression of OpenCV's log on stderr where ringpose reports the same problem as an error."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,12 +7,12 @@ from typing import Any
 import cv2
 
 _SILENT = 0
-"""LOG_LEVEL_SILENT of every version."""
+"""LOG_LEVEL_SILENT in all versions of OpenCV."""
 
 
 @contextmanager
 def silent_opencv() -> Iterator[None]:
-    """OpenCV logs nothing while the block runs; then its level is what it was.
+    """Silence OpenCV's log while the block runs, then restore its level.
 
     The function that sets the level is `cv2.setLogLevel` up to version 4.12 and `cv2.utils.logging.setLogLevel` from
     4.13 on. Messages of the image codecs themselves (libpng, libjpeg) do not go through this log.

@@ -1,4 +1,4 @@
-"""A textured surface under a lamp that goes on and off, three laser lines on it, and a clock that only devices move."""
+"""A textured surface under a blinking lamp with three laser lines, and a clock that only the devices advance."""
 
 import numpy as np
 

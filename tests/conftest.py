@@ -18,7 +18,7 @@ from hypothesis import settings
 settings.register_profile("ringpose", derandomize=True, deadline=None, max_examples=50)
 settings.load_profile("ringpose")
 
-for _number in (signal.SIGINT, signal.SIGHUP):  # as nohup and shells with a job in the background hand them down
+for _number in (signal.SIGINT, signal.SIGHUP):  # inherited as ignored from nohup or a background job
     if signal.getsignal(_number) == signal.SIG_IGN:
         signal.signal(_number, signal.SIG_DFL)
 
@@ -41,7 +41,7 @@ def _floating_point_traps() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def shared_data(request: pytest.FixtureRequest) -> Path:
-    """The folder of photographs and rendered shots that this project did not make."""
+    """The folder of photographs and rendered shots from outside the project."""
     if not SHARED_DATA.is_dir():
         _missing(f"the shared data are not at {SHARED_DATA}", allowed=request.config.getoption("--without-shared-data"))
     return SHARED_DATA
@@ -49,7 +49,7 @@ def shared_data(request: pytest.FixtureRequest) -> Path:
 
 @pytest.fixture(scope="session")
 def rig_of_rendered_boards(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The file of a rig that the commands calibrate from the rendered boards (calib_b)."""
+    """Path of a rig.yaml calibrated by the commands from the rendered boards (calib_b)."""
     from ringpose.cli.main import main
 
     boards = shared_data / "rendered" / "calib_b"
@@ -64,20 +64,20 @@ def rig_of_rendered_boards(shared_data: Path, tmp_path_factory: pytest.TempPathF
 
 @pytest.fixture(scope="session")
 def carried_data() -> Path:
-    """The few rendered shots and board views that the project carries (tests/data/README.md)."""
+    """The rendered shots and board views in the repository (tests/data/README.md)."""
     return CARRIED_DATA
 
 
 @pytest.fixture
 def loopback_address(request: pytest.FixtureRequest) -> str:
-    """An address of this machine for this test and this process alone: the port of cameras is fixed."""
+    """A loopback address used by this test process only, since the port of GigE cameras is fixed."""
     name = zlib.crc32(f"{request.node.nodeid} {os.getpid()}".encode())
     return f"127.{1 + (name >> 16) % 254}.{(name >> 8) & 0xFF}.{1 + name % 254}"
 
 
 @pytest.fixture(scope="session")
 def _aravis() -> None:
-    """Leave out, but not in CI, what needs a library that is not installed."""
+    """Skip tests of a library that is not installed; in CI, fail."""
     from ringpose.capture.cameras.aravis_library import PACKAGE, library
 
     if library() is None:
@@ -86,7 +86,7 @@ def _aravis() -> None:
 
 @pytest.fixture(scope="session")
 def needed_program() -> Callable[[str], str]:
-    """Path of a program that the test cannot do without."""
+    """Path of a program that the test requires."""
 
     def path(name: str) -> str:
         found = shutil.which(name)
@@ -99,7 +99,7 @@ def needed_program() -> Callable[[str], str]:
 
 @pytest.fixture(scope="session")
 def forker() -> Iterator[socket.socket]:
-    """A process that has loaded the command and forks one for each job."""
+    """A process that has imported the command and forks for each job."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     words = [sys.executable, "-W", "error", str(Path(__file__).with_name("forker.py")), str(theirs.fileno())]
     with subprocess.Popen(words, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL):
@@ -110,7 +110,7 @@ def forker() -> Iterator[socket.socket]:
 
 @pytest.fixture
 def example_folder(tmp_path: Path, carried_data: Path) -> Path:
-    """A working folder as the manual and the examples have it: a rig, shots with truth, board views, a scene.
+    """A working folder as the manual and the examples assume: a rig, shots with truth, board views, a scene.
 
     The scene has half of the example's board views, which take most of the time to simulate it.
     """
@@ -127,7 +127,7 @@ def example_folder(tmp_path: Path, carried_data: Path) -> Path:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup() -> None:
-    """Before any fixture of the test."""
+    """Run before all fixtures of the test."""
     shape_checks.begin()
 
 
@@ -136,7 +136,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def _missing(what: str, allowed: bool = False) -> None:
-    """Skip at a developer's desk; in CI nothing is left out unasked."""
+    """Skip on a developer's machine; fail in CI unless allowed."""
     if os.environ.get("CI") and not allowed:
         pytest.fail(what)
     pytest.skip(what)

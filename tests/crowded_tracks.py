@@ -1,4 +1,4 @@
-"""Tracks of a true ring among random ones, and the rules by which a face is looked for among them."""
+"""Tracks of a true ring among random ones, and the parameters of the search for its faces."""
 
 import numpy as np
 from drawn_scene import DrawnScene, drawn_rig, true_break_points

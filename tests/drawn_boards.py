@@ -1,4 +1,4 @@
-"""Boards of every kind that has corners, as tests draw them."""
+"""One board of each kind with corners, as drawn by the tests."""
 
 from ringpose.types.board import Board
 

@@ -1,4 +1,4 @@
-"""A camera that draws a stripe for each laser that truly shone during the exposure."""
+"""A simulated camera that draws a stripe for each laser that was on during the exposure."""
 
 import time
 

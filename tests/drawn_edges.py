@@ -1,4 +1,4 @@
-"""A ring's face between two surfaces, drawn from formulas, and how far found edges lie from the true ones."""
+"""A ring's face between two surfaces, drawn from formulas, and the distance of detected edges from the true ones."""
 
 from dataclasses import dataclass, replace
 
@@ -16,7 +16,7 @@ LINE_SIGMA_PX = 0.03
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What there is to see beside the ring's face, in grey values."""
+    """Grey values of the surfaces on both sides of the ring's face."""
 
     face_dn: float = 60.0
     inside_dn: float = 30.0
@@ -66,7 +66,7 @@ def lit(image: np.ndarray) -> EdgeImage:
 
 
 def measured(scene: DrawnScene, rig: Rig, rng: np.random.Generator) -> BreakPoints:
-    """Break points as a detector would give them: off by their sigma, between perfect lines."""
+    """Break points with errors of one sigma, between exact lines."""
     truth = true_break_points(scene, rig)
     count = len(truth)
     normal = np.array(scene.normal) / np.linalg.norm(scene.normal)
@@ -92,7 +92,7 @@ def measured(scene: DrawnScene, rig: Rig, rng: np.random.Generator) -> BreakPoin
 
 
 def off_edge_px(points: RingEdgePoints, scene: DrawnScene, rig: Rig) -> np.ndarray:
-    """Signed distance of the points from the true edge along their normals: radius over its change for a pixel."""
+    """Signed distance of the points from the true edge along their normals: radius error over its derivative."""
     here, before, behind = (
         radius_m(scene, rig, *(points.position_px + step * points.normal).T) for step in (0.0, -0.5, 0.5)
     )

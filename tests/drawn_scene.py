@@ -16,7 +16,7 @@ BODY_BEHIND_M = 0.06
 
 @dataclass(frozen=True)
 class DrawnScene:
-    """A ring and what to draw of it."""
+    """A ring and the parameters of its drawing."""
 
     center_m: tuple[float, float, float] = (0.58, 0.02, 0.5)
     normal: tuple[float, float, float] = (0.05, -0.08, -0.9955)
@@ -58,7 +58,7 @@ def line_of(rig: Rig, laser: int, normal: np.ndarray, distance: float) -> tuple[
 
 
 def crossings(scene: DrawnScene, rig: Rig, laser: int) -> np.ndarray:
-    """Where the light plane meets the ring's inner and outer edge, left of the ring's centre, in the camera frame."""
+    """Intersections of the light plane with the inner and outer edge, left of the centre, in the camera frame."""
     normal = np.array(scene.normal) / np.linalg.norm(scene.normal)
     center = np.array(scene.center_m)
     point, direction = line_of(rig, laser, normal, float(normal @ center))
@@ -69,14 +69,14 @@ def crossings(scene: DrawnScene, rig: Rig, laser: int) -> np.ndarray:
 
 
 def pixels(points: np.ndarray, rig: Rig) -> np.ndarray:
-    """OpenCV's projection."""
+    """Pixels of points in the camera frame, by cv2.projectPoints."""
     origin = np.zeros(3)
     flat, _ = cv2.projectPoints(points, origin, origin, rig.camera.camera_matrix, rig.camera.distortion_coefficients)
     return flat.reshape(-1, 2)
 
 
 def true_break_points(scene: DrawnScene, rig: Rig) -> np.ndarray:
-    """(laser, edge, xy) in distorted pixels."""
+    """True break points (laser, edge, xy) in distorted pixels."""
     return np.array([pixels(crossings(scene, rig, laser), rig) for laser in range(len(rig.lasers.names))])
 
 
@@ -96,7 +96,7 @@ def _draw(image: np.ndarray, curve: np.ndarray, peak: np.ndarray, sigma: float) 
 
 
 def light(scene: DrawnScene, rig: Rig, laser: int) -> np.ndarray:
-    """What one laser adds to the image: its stripe on the ring's face and on the body behind, (row, column)."""
+    """Grey values (row, column) that one laser adds: its stripe on the ring's face and on the body behind it."""
     image = np.zeros((rig.camera.image_height, rig.camera.image_width))
     normal = np.array(scene.normal) / np.linalg.norm(scene.normal)
     distance = float(normal @ np.array(scene.center_m))

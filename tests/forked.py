@@ -1,4 +1,4 @@
-"""Commands that are forked from a process which has loaded what they import."""
+"""Commands that are forked from a process that has already imported their modules."""
 
 import json
 import os
@@ -9,7 +9,7 @@ from typing import Any
 
 
 class Forked(AbstractContextManager["Forked"]):
-    """The real command, forked from a process that has loaded what it imports; used like a `subprocess.Popen`."""
+    """The real command, forked from a process with its modules; used like a `subprocess.Popen`."""
 
     def __init__(self, forker: socket.socket, job: dict[str, Any]) -> None:
         self._reply, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -36,7 +36,7 @@ class Forked(AbstractContextManager["Forked"]):
         return self.returncode
 
     def communicate(self, timeout: float | None = None) -> tuple[str, str]:
-        """What it has still to say; a few lines, which a pipe holds."""
+        """The remaining output; a few lines, which fit into the pipe's buffer."""
         self.wait(timeout)
         return self.stdout.read(), self.stderr.read()
 

@@ -1,7 +1,7 @@
-"""Forks the real command for each job that comes: what it imports is loaded once, for all tests.
+"""A process that forks the real command for each job, so that its modules are imported once for all tests.
 
-A job comes with three descriptors: where to say the process's number and, in the end, its status as `subprocess` has
-it; its standard output; its standard error.
+A job has three descriptors: one on which the process's number and finally its status (as in `subprocess`) are
+reported, its standard output, and its standard error.
 """
 
 import json
@@ -18,8 +18,8 @@ import ringpose.cli.acquisition
 import ringpose.cli.capture
 import ringpose.cli.pose
 import ringpose.cli.simulate.serve
+import ringpose.files.images.sessions
 import ringpose.files.scenes
-import ringpose.files.sessions
 import ringpose.simulate.pipeline
 import ringpose.simulate.serve.virtual_device
 from ringpose.cli.main import run
@@ -42,7 +42,7 @@ def carry_out(job, out, said):
 
 
 def look_after(job, reply, out, said):
-    """Start the command, and say how it ended; the process between here and there waits for nobody else."""
+    """Start the command and report its exit status; the intermediate process waits only for this command."""
     pid = os.fork()
     if not pid:
         carry_out(job, out, said)

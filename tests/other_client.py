@@ -1,4 +1,4 @@
-"""A GigE Vision client that is not ours: EMVA's GenApi reads the camera's description and maps its features."""
+"""An independent GigE Vision client: EMVA's GenApi reads the camera's description and maps its features."""
 
 import socket
 import struct
@@ -9,7 +9,7 @@ HEADER = struct.Struct(">BBHHH")
 
 
 class Port:
-    """Registers over UDP; `read` and `write` are what GenApi asks of a port."""
+    """Register access over UDP, with the methods `read` and `write` that GenApi requires of a port."""
 
     def __init__(self, address: str) -> None:
         self.control = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -1,4 +1,4 @@
-"""Carried views of the four-marker board, all lasers on, and the command that calibrates with them."""
+"""Views of the four-marker board with all lasers on, from tests/data, and the command that calibrates with them."""
 
 import shutil
 from pathlib import Path

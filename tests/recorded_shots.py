@@ -1,15 +1,15 @@
-"""Shots of a few pixels, as a capture left them."""
+"""Shots of a few pixels, as written by `ringpose capture`."""
 
 from pathlib import Path
 
 import numpy as np
 
-from ringpose.files.shots import write_shot
+from ringpose.files.images.shots import write_shot
 from ringpose.types.image import Shot
 
 
 def recorded(folder: Path, name: str, masks: tuple[int, ...] = (0, 1, 2, 4, 7)) -> Path:
-    """A shot whose frame k is all k."""
+    """A shot whose frame k has the grey value k everywhere."""
     folder.mkdir(exist_ok=True)
     frames = np.arange(len(masks))
     shot = Shot(

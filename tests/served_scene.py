@@ -1,4 +1,4 @@
-"""A small scene that is quick to render, for cameras that are served."""
+"""A small scene that is fast to render, for served cameras."""
 
 from pathlib import Path
 

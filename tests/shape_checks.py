@@ -1,6 +1,6 @@
-"""Shapes and types of the first calls of every function, checked anew in each test.
+"""Checks of shapes and types in the first calls of every function, restarted in each test.
 
-To check every call takes two fifths of the tests' time, most of it in loops whose calls are all alike.
+Checking every call would take 40 % of the tests' time, most of it in loops of similar calls.
 """
 
 import functools
@@ -21,7 +21,7 @@ _believed: list[Any] = []
 
 
 def checked(stub: Callable) -> Callable:
-    """The type checker that jaxtyping applies: a call's stub with its arguments, then with its result, too."""
+    """The type checker that jaxtyping applies to the arguments of a call, then to its result."""
     check, name = beartype(stub), (stub.__module__, stub.__qualname__)
 
     @functools.wraps(check)

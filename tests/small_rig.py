@@ -1,4 +1,4 @@
-"""A rig of three lasers before a small camera, quick to render."""
+"""A rig of a small camera and three lasers, fast to render."""
 
 _RIG = """\
 ringpose: rig/1

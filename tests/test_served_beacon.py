@@ -9,7 +9,7 @@ import pytest
 from served_scene import small_scene
 
 from ringpose.cli.main import main
-from ringpose.files.shots import read_shot
+from ringpose.files.images.shots import read_shot
 from ringpose.simulate.serve.faults import InjectedFaults
 from ringpose.simulate.serve.relays import RelayFaults
 from ringpose.simulate.serve.virtual_device import Setup, VirtualDevice

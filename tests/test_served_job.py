@@ -13,7 +13,7 @@ import pytest
 
 from ringpose.bench.pose_errors import distance_to_circle_m
 from ringpose.cli.main import main
-from ringpose.files.truths import read_truths
+from ringpose.files.records.truths import read_truths
 from ringpose.geometry.rotations import angle_between
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("_aravis")]

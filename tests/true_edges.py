@@ -1,4 +1,4 @@
-"""How far points lie from the ring's true edges, by OpenCV's projection of densely spaced points of the circles."""
+"""Distance of points from the ring's true edges, by OpenCV's projection of densely spaced points on the circles."""
 
 import cv2
 import numpy as np

@@ -1,1 +1,1 @@
-"""Words -> calls: one module per subcommand, no arithmetic."""
+"""The command line: one module per subcommand, which parses arguments, calls the library and prints."""

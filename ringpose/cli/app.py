@@ -1,4 +1,4 @@
-"""The application object that every subcommand registers itself on."""
+"""The Typer application with which every subcommand registers."""
 
 from typing import Annotated, Any
 
@@ -7,10 +7,10 @@ from typer.core import TyperGroup
 
 
 class TwoWords(TyperGroup):
-    """Commands whose name is two words stand beside the command of the first word alone."""
+    """A command group in which `simulate serve` can be a command of its own beside `simulate`."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """The longest name that the words begin with."""
+        """The command with the longest name that the arguments begin with."""
         name = " ".join(args[:2])
         if name in self.commands and " " in name:
             return name, self.commands[name], args[2:]
@@ -30,13 +30,13 @@ app = typer.Typer(
 )
 
 
-def _print_version(wanted: bool) -> bool:
-    if wanted:
+def _print_version(requested: bool) -> bool:
+    if requested:
         from importlib.metadata import version
 
         typer.echo(f"ringpose {version('ringpose')}")
         raise typer.Exit
-    return wanted
+    return requested
 
 
 @app.callback()

@@ -1,4 +1,4 @@
-"""Many inputs, of which some may be bad: each is named on stderr, the rest goes on, the worst status is returned."""
+"""Batches of inputs: an invalid input is reported on stderr and skipped, and the highest exit status is returned."""
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -14,33 +14,36 @@ if TYPE_CHECKING:
 
 
 class Batch:
-    """The worst exit status met so far."""
+    """The highest exit status of the inputs processed so far."""
 
     def __init__(self) -> None:
         self.status = 0
 
     @contextmanager
-    def item(self) -> Iterator[None]:
-        """One input: bad data ends the block, not the batch. Anything else that fails would fail for the rest too."""
+    def guarded(self) -> Iterator[None]:
+        """Process one input: invalid or missing data end the block, not the batch.
+
+        Other errors (full disk, absent device) are not caught, since they would recur for the remaining inputs.
+        """
         try:
             yield
         except (DataError, NoInputError) as problem:
             messages.error(problem)
-            self.met(problem.status)
+            self.record_status(problem.status)
 
-    def good(self, items: "Iterable[Input | Problem]") -> "Iterator[Input]":
-        """The inputs that are no errors, as they come; the errors are named on stderr."""
+    def valid_inputs(self, items: "Iterable[Input | Problem]") -> "Iterator[Input]":
+        """Yield the inputs in order; report those that are errors on stderr."""
         for item in items:
             if isinstance(item, DataError | NoInputError):
                 messages.error(item)
-                self.met(item.status)
+                self.record_status(item.status)
             else:
                 yield item
 
-    def met(self, status: int) -> None:
-        """Remember a status."""
+    def record_status(self, status: int) -> None:
+        """Include one exit status in that of the batch."""
         self.status = max(self.status, status)
 
     def finish(self) -> None:
-        """Leave the command with the worst status met."""
+        """Exit the command with the highest status."""
         raise typer.Exit(self.status)

@@ -26,7 +26,7 @@ StripesFrom = Annotated[
     StripeSource, typer.Option("--stripes", help="Make stripes from column centers or from the paper's segments.")
 ]
 Track = Annotated[
-    bool, typer.Option("--track", help="Look near the stripes of the shot before first, then everywhere.")
+    bool, typer.Option("--track", help="Search near the stripes of the previous shot first, then the whole image.")
 ]
 Full = Annotated[bool, typer.Option("--full", help="Write stripes and segments into records too, as NPZ files do.")]
 
@@ -50,47 +50,47 @@ def detect(
     """Find the laser stripes, and where they end on the ring."""
     from ringpose.cli import messages
     from ringpose.cli.batch import Batch
-    from ringpose.cli.progress import counted
+    from ringpose.cli.progress import with_progress
     from ringpose.errors import NO_POSE, UsageError
-    from ringpose.files.detections import DetectionSink
+    from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot
     from ringpose.files.inputs import inputs as named
+    from ringpose.files.records.detections import DetectionSink
     from ringpose.files.rigs import read_rig
-    from ringpose.files.shots import SHOT_SUFFIXES, read_shot
-    from ringpose.files.sources import file_named
+    from ringpose.files.sources import path_of_input
 
     if rig is None and not segments_only:
         raise UsageError("", "--rig is missing", "give --rig FILE, or --segments-only for any image")
-    rig_of_shots = None if rig is None else read_rig(rig)
+    loaded_rig = None if rig is None else read_rig(rig)
     sink = DetectionSink(output, overlay, rig=rig, full=full or segments_only, force=force)
-    batch, last = Batch(), None
-    for item in counted(batch.good(named(inputs, SHOT_SUFFIXES)), "shots", quiet):
-        with batch.item():
-            path = file_named(item)
-            shot = read_shot(path, channel, rig_of_shots)
-            if segments_only or rig_of_shots is None:
+    batch, previous = Batch(), None
+    for item in with_progress(batch.valid_inputs(named(inputs, SHOT_SUFFIXES)), "shots", quiet):
+        with batch.guarded():
+            path = path_of_input(item)
+            shot = read_shot(path, channel, loaded_rig)
+            if segments_only or loaded_rig is None:
                 detection = segments_of(shot, method)
             else:
-                detection = detection_of(shot, rig_of_shots, stripes, last)
-            last = detection if track and detection.found else None
+                detection = detection_of(shot, loaded_rig, stripes, previous)
+            previous = detection if track and detection.found else None
             sink.write(shot, detection, path)
             if verbose:
-                messages.say(f"{shot.name}: {detection.summary}")
+                messages.echo(f"{shot.name}: {detection.summary}")
             if not (detection.found or segments_only):
-                batch.met(NO_POSE)
+                batch.record_status(NO_POSE)
     batch.finish()
 
 
 def segments_of(shot: "Shot", method: SegmentMethod) -> "Detection":
-    """The straight segments of a shot, and nothing else."""
+    """The straight line segments of a shot, without stripes or break points."""
     from ringpose.detect.line_segments import segments_only
 
     return segments_only(shot, method)
 
 
-def detection_of(shot: "Shot", rig: "Rig", source: StripeSource, last: "Detection | None") -> "Detection":
-    """What is found in a shot, near what was found last if that is given."""
+def detection_of(shot: "Shot", rig: "Rig", source: StripeSource, previous: "Detection | None") -> "Detection":
+    """The detection in a shot; the search starts near the break points of the previous detection if it is given."""
     from ringpose.detect.pipeline import detect as detected
     from ringpose.types.detection import BreakPoints
 
-    predicted = last.break_points if last is not None and isinstance(last.break_points, BreakPoints) else None
-    return detected(shot, rig, source, predicted=predicted)
+    points = None if previous is None else previous.break_points
+    return detected(shot, rig, source, predicted=points if isinstance(points, BreakPoints) else None)

@@ -1,8 +1,7 @@
-"""The entry point: signals become exceptions, errors become exit statuses.
+"""The entry point: signals are converted into exceptions, and errors into exit statuses.
 
-Nothing heavy is imported before the signals are caught, so that an interrupt during start-up is no traceback.
-
-Signals as exceptions, so that `with` and `finally` blocks run.
+Signals are raised as exceptions so that `with` and `finally` blocks run and the lasers are switched off. Heavy modules
+are imported only after the signal handlers are installed, so that an interrupt during start-up prints no traceback.
 """
 
 import gc
@@ -27,20 +26,20 @@ COMMANDS = {
     "simulate": "simulate.render",
     "bench": "bench",
 }
-"""Subcommands in the order of the help, with their modules."""
+"""Module of each subcommand, in the order in which the help lists them."""
 
 GARBAGE_FROM = 100_000
-"""New objects from which Python looks for garbage among them. A start makes 40 000, all for good: looking through them
-is a twentieth of its time. A shot leaves a few dozen small ones."""
+"""Allocations between two runs of the garbage collector. Start-up allocates 40 000 objects that all stay alive, and
+collecting among them takes 5 % of its time; a shot leaves only a few dozen small objects."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run one command line and return its exit status; bugs leave as exceptions."""
+    """Run one command line and return its exit status; bugs propagate as exceptions."""
     try:
         status = _command(list(arguments))
         if sys.stdout is not None:
             sys.stdout.flush()
-    except (BrokenPipeError, SystemExit):  # typer turns the former into the latter, and exits for nothing else
+    except (BrokenPipeError, SystemExit):  # Typer raises SystemExit for a broken pipe, and for nothing else
         return CLOSED_PIPE
     except RingposeError as error:
         messages.error(error)
@@ -65,13 +64,13 @@ def run() -> None:
         status = main(sys.argv[1:])
     except SignalReceived as received:
         status = received.status
-    _end_undisturbed()
-    _drop_unwritten()
+    _ignore_signals_reliably()
+    _discard_unwritten_output()
     sys.exit(status)
 
 
-def _end_undisturbed() -> None:
-    """Whoever presses Ctrl-C again and again may hit the moment in which signals cease to count."""
+def _ignore_signals_reliably() -> None:
+    """Ignore signals, even if one (a repeated Ctrl-C) arrives while the handlers are being replaced."""
     while True:
         try:
             return ignore_signals()
@@ -84,13 +83,14 @@ def _command(arguments: list[str]) -> int:
 
     from ringpose.cli.app import app
 
-    named = [name for name in COMMANDS if [name] == arguments[:1]]
-    for name in named or COMMANDS:
+    # Only the module of the command that runs is imported; --help without a command needs all of them.
+    requested = [name for name in COMMANDS if [name] == arguments[:1]]
+    for name in requested or COMMANDS:
         import_module(f"ringpose.cli.{COMMANDS[name]}")
-    wrong_words: Any = typer.BadParameter.__mro__[1]  # UsageError of the click inside typer, which has no public name
+    click_usage_error: Any = typer.BadParameter.__mro__[1]  # has no public name in Typer's copy of click
     try:
         return int(app(arguments, prog_name="ringpose", standalone_mode=False) or 0)
-    except wrong_words as error:
+    except click_usage_error as error:
         if type(error).__name__ == "NoArgsIsHelpError":
             sys.stderr.write(error.format_message().rstrip() + "\n")
             return UsageError.status
@@ -101,7 +101,7 @@ def _command(arguments: list[str]) -> int:
 
 
 def _output_failed(error: OSError) -> int:
-    """An error of the last flush of stdout, or of a file of which nobody expected it."""
+    """Report an error of the last flush of stdout, or of a file operation that was not expected to fail."""
     from ringpose.errors import InputOutputError
 
     reason = (error.strerror or str(error)).lower()
@@ -112,8 +112,8 @@ def _output_failed(error: OSError) -> int:
     return InputOutputError.status
 
 
-def _drop_unwritten() -> None:
-    """What stdout could not take, Python would try to write once more at exit, and complain."""
+def _discard_unwritten_output() -> None:
+    """Redirect stdout to /dev/null if it cannot be flushed; else Python retries at exit and prints a traceback."""
     try:
         if sys.stdout is not None:
             sys.stdout.flush()
@@ -122,13 +122,13 @@ def _drop_unwritten() -> None:
 
 
 AGAIN_S = 0.1
-"""How long after a signal its exception is raised once more, if it got lost."""
+"""Delay after which the exception of a signal is raised again if it was lost."""
 
 ENDING = (signal.SIGHUP, signal.SIGINT, signal.SIGTERM)
 
 
 def raise_signals() -> None:
-    """From now on the signals that end a program are exceptions, except those that it was started to ignore."""
+    """Raise the signals that end a program as exceptions, except those that it was started to ignore."""
     interrupts = _Interrupts()
     sys.unraisablehook = _report_unraisable
     signal.signal(signal.SIGALRM, interrupts)
@@ -138,17 +138,17 @@ def raise_signals() -> None:
 
 
 def ignore_signals() -> None:
-    """The program is about to end anyway."""
+    """Ignore all signals that end a program, since it is about to exit."""
     signal.setitimer(signal.ITIMER_REAL, 0)
     for number in (*ENDING, signal.SIGALRM):
         signal.signal(number, signal.SIG_IGN)
 
 
 class _Interrupts:
-    """Turns signals into one exception, which is raised again and again until it is on its way.
+    """Signal handler that raises one exception, and repeats it until the exception propagates.
 
-    Once is not enough: foreign code may swallow it (an import in C clears all errors, a destructor cannot raise).
-    While a `with` or `finally` block cleans up after it, no signal breaks that off.
+    Raising it once is not enough, since foreign code may swallow it (an import in C clears all errors, a destructor
+    cannot raise). While a `with` or `finally` block cleans up after it, further signals do not interrupt the clean-up.
     """
 
     def __init__(self) -> None:
@@ -157,11 +157,12 @@ class _Interrupts:
     def __call__(self, number: int, frame: FrameType | None) -> None:
         self.number = self.number or number
         signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
-        if not _on_its_way(sys.exception()):
+        if not _is_propagating(sys.exception()):
             raise SignalReceived(self.number)
 
 
-def _on_its_way(error: BaseException | None) -> bool:
+def _is_propagating(error: BaseException | None) -> bool:
+    """Whether a `SignalReceived` is being handled, by itself or as the context of another exception."""
     while error is not None and not isinstance(error, SignalReceived):
         error = error.__context__
     return error is not None

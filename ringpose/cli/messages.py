@@ -1,4 +1,4 @@
-"""What the user reads on stderr: one line a message."""
+"""Messages to the user on stderr, one line each."""
 
 import sys
 
@@ -6,12 +6,12 @@ from ringpose.errors import RingposeError
 
 
 def error(problem: RingposeError) -> None:
-    """`ringpose: place: finding; remedy` on stderr."""
-    say(str(problem))
+    """Print `ringpose: location: finding; remedy` on stderr."""
+    echo(str(problem))
 
 
-def say(line: str) -> None:
-    """One line on stderr, with the program's name before it; lost if nobody can read it."""
+def echo(line: str) -> None:
+    """Print one line on stderr, prefixed with the program's name; ignored if stderr is closed."""
     if sys.stderr is None:
         return
     try:

@@ -1,4 +1,4 @@
-"""Options that several commands share, each written once."""
+"""Options that several commands share."""
 
 from enum import StrEnum
 from math import isfinite
@@ -22,9 +22,9 @@ class Channel(StrEnum):
 
 
 def finite(value: float | None) -> float | None:
-    """The value; nan, which passes every bound, and infinity are refused."""
+    """The value; NaN, which passes Typer's bounds, and infinity are rejected."""
     if value is not None and not isfinite(value):
-        raise typer.BadParameter(f"{value} is no finite number")
+        raise typer.BadParameter(f"{value} is not a finite number")
     return value
 
 
@@ -37,7 +37,7 @@ OptionalInputs = Annotated[
     list[str] | None,
     typer.Argument(metavar="INPUT...", help="Files or folders; - reads names or records from stdin, one a line."),
 ]
-# readable=False: reading finds out whether a file is shut off, with its own exit status; typer calls it wrong usage.
+# readable=False: an unreadable file is reported when it is read, with its own exit status; Typer would report usage.
 RigFile = Annotated[Path, typer.Option("--rig", readable=False, metavar="FILE", help="The calibrated rig (rig.yaml).")]
 OptionalRigFile = Annotated[
     Path | None, typer.Option("--rig", readable=False, metavar="FILE", help="The calibrated rig (rig.yaml).")
@@ -65,5 +65,5 @@ Force = Annotated[bool, typer.Option("--force", help="Replace output that exists
 ImageChannel = Annotated[
     Channel | None, typer.Option("--channel", help="Read this channel of colour images; else their luminance.")
 ]
-Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Say on stderr what becomes of each input.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Report the result of each input on stderr.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress on stderr, only errors.")]

@@ -1,4 +1,4 @@
-"""How far a command has come: on stderr, and only if a person looks at it."""
+"""Progress display on stderr, shown only if stderr is a terminal."""
 
 import sys
 from collections.abc import Iterable, Iterator
@@ -9,7 +9,7 @@ _Item = TypeVar("_Item")
 
 
 class _Screen:
-    """A terminal; when it goes away the work goes on without it."""
+    """A terminal on stderr; write errors are ignored, so that the work continues if the terminal is closed."""
 
     encoding = "utf-8"
 
@@ -17,27 +17,27 @@ class _Screen:
         self._stream = stream
 
     def isatty(self) -> bool:
-        """Known before it is made."""
+        """True: `with_progress` has checked it."""
         return True
 
     def fileno(self) -> int:
-        """For its size."""
+        """File descriptor, from which rich reads the terminal's size."""
         return self._stream.fileno()
 
     def write(self, text: str) -> int:
-        """Lost if nobody can see it."""
+        """Write, ignoring errors."""
         with suppress(OSError):
             self._stream.write(text)
         return len(text)
 
     def flush(self) -> None:
-        """Lost if nobody can see it."""
+        """Flush, ignoring errors."""
         with suppress(OSError):
             self._stream.flush()
 
 
-def counted(items: Iterable[_Item], what: str, quiet: bool = False) -> Iterator[_Item]:
-    """The items, their number on stderr while they pass; nothing is shown where stderr is no terminal."""
+def with_progress(items: Iterable[_Item], what: str, quiet: bool = False) -> Iterator[_Item]:
+    """Yield the items and show their number on stderr; nothing is shown if stderr is not a terminal."""
     if quiet or sys.stderr is None or not sys.stderr.isatty():
         yield from items
         return

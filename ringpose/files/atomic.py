@@ -1,4 +1,4 @@
-"""Files that are whole or not there: written aside, then renamed."""
+"""Atomic writing: a file is written under a temporary name and then renamed, so that it is never incomplete."""
 
 import errno
 import os
@@ -15,16 +15,16 @@ _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 
 @contextmanager
 def replacing(path: Path, force: bool) -> Iterator[IO[bytes]]:
-    """A file to write into that takes the place of `path` when the block ends well, and vanishes if it does not.
+    """A stream whose contents replace `path` when the block ends without an exception, and are discarded otherwise.
 
-    A symbolic link stays: what it points to is replaced.
+    If `path` is a symbolic link, its target is replaced.
     """
-    import tempfile  # here, because commands that only read import this module too
+    import tempfile  # imported here, since commands that only read import this module too
 
-    refuse_existing(path, force)
+    reject_existing(path, force)
     try:
         target = path.resolve()
-        handle, aside = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
+        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
     except OSError as error:
         raise output_error(path, error) from error
     try:
@@ -32,24 +32,24 @@ def replacing(path: Path, force: bool) -> Iterator[IO[bytes]]:
             yield stream
             stream.flush()
             os.fsync(stream.fileno())
-        Path(aside).chmod(0o666 & ~_umask())
-        Path(aside).replace(target)
+        Path(temporary).chmod(0o666 & ~_umask())
+        Path(temporary).replace(target)
     except BaseException as error:
-        Path(aside).unlink(missing_ok=True)
+        Path(temporary).unlink(missing_ok=True)
         if isinstance(error, OSError):
             raise output_error(path, error) from error
         raise
 
 
-def refuse_existing(path: Path, force: bool) -> None:
-    """Refuse an output that exists already, unless it may be replaced; before long work, this tells it in time.
+def reject_existing(path: Path, force: bool) -> None:
+    """Reject an output that exists already, unless `force` is set; commands call this before long computations.
 
-    A folder, a device or a pipe is never replaced; nor is there an output in a folder that does not exist.
+    Folders, devices and pipes are never replaced. The folder of the output must exist.
     """
     try:
         path.parent.stat()
         if not stat.S_ISREG(path.stat().st_mode):
-            raise CannotCreateError(str(path), "is a folder, a device or a pipe, no file", "choose another output")
+            raise CannotCreateError(str(path), "is a folder, a device or a pipe, not a file", "choose another output")
     except FileNotFoundError as error:
         if not path.parent.is_dir():
             raise output_error(path, error) from error
@@ -60,16 +60,16 @@ def refuse_existing(path: Path, force: bool) -> None:
         raise CannotCreateError(str(path), "exists already", "add --force to replace it")
 
 
-def refuse_inputs(outputs: Iterable[Path | None], read: Iterable[Path]) -> None:
-    """Refuse outputs that are read as well, by whatever name: no wish to replace them means that."""
-    there = {_identity(output): output for output in outputs if output is not None}
+def reject_inputs(outputs: Iterable[Path | None], read: Iterable[Path]) -> None:
+    """Reject outputs that are also inputs, under any name, even with --force."""
+    written = {_identity(output): output for output in outputs if output is not None}
     for identity in map(_identity, read):
-        if identity is not None and identity in there:
-            raise CannotCreateError(str(there[identity]), "is an input, too", "choose another output")
+        if identity is not None and identity in written:
+            raise CannotCreateError(str(written[identity]), "is an input, too", "choose another output")
 
 
 def make_folder(path: Path) -> Path:
-    """The folder, made if need be."""
+    """The folder, created if necessary."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -78,7 +78,7 @@ def make_folder(path: Path) -> Path:
 
 
 def output_error(path: Path | str, error: OSError) -> RingposeError:
-    """What an operating-system error on an output means to the user."""
+    """The error to raise if the operating system reports an error on an output."""
     reason = (error.strerror or str(error)).lower()
     if error.errno in _FULL:
         return InputOutputError(str(path), f"writing broke off: {reason}", "free space and run again")
@@ -86,12 +86,12 @@ def output_error(path: Path | str, error: OSError) -> RingposeError:
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
-    """What a file is, whatever its name; None if it is not there, or cannot be seen."""
+    """Device and inode number, which identify a file under any name; None if it does not exist or is inaccessible."""
     try:
-        found = path.stat()
+        status = path.stat()
     except (OSError, ValueError):
         return None
-    return found.st_dev, found.st_ino
+    return status.st_dev, status.st_ino
 
 
 def _umask() -> int:

@@ -1,4 +1,4 @@
-"""Drawings of calibration boards as PDF, at true scale."""
+"""Printable calibration boards: PDF at true scale."""
 
 from pathlib import Path
 
@@ -7,25 +7,29 @@ from ringpose.errors import UsageError
 from ringpose.files import atomic
 
 POINT_M = 0.0254 / 72
-"""The unit of PDF."""
+"""Unit of length in PDF, 1/72 inch, in metres."""
 
 
 def write_board_print(path: Path, drawing: BoardDrawing, *, force: bool = False) -> None:
-    """One page of the drawing's size, which viewers are asked to print without scaling."""
+    """Write one page of the drawing's size, with a request to viewers to print it without scaling."""
     require_pdf(path)
     with atomic.replacing(path, force) as stream:
         stream.write(pdf(drawing))
 
 
 def require_pdf(path: Path) -> None:
-    """Refuse a file that would not be recognised as PDF."""
+    """Reject an output whose name does not end with .pdf."""
     if path.suffix.lower() != ".pdf":
         found = f"{path.name} is not a .pdf"
-        raise UsageError("--print-board", found, "name it so; pdftocairo converts it to SVG or PNG at the same scale")
+        raise UsageError(
+            "--print-board",
+            found,
+            "end it with .pdf; pdftocairo converts it to SVG or PNG at the same scale",
+        )
 
 
 def pdf(drawing: BoardDrawing) -> bytes:
-    """The file's bytes; all that is black is one path, so that no seam shows between neighbours."""
+    """The PDF file; all black shapes are one path, so that viewers show no seams between adjacent squares."""
     from reportlab.pdfgen.canvas import Canvas
 
     top = drawing.height_m / POINT_M
@@ -40,6 +44,6 @@ def pdf(drawing: BoardDrawing) -> bytes:
     canvas.drawPath(black, stroke=0, fill=1)
     for label in drawing.labels:
         canvas.setFont("Helvetica", label.height_m / POINT_M)
-        text = label.text.encode("latin-1", "replace").decode("latin-1")  # all that the font has
+        text = label.text.encode("latin-1", "replace").decode("latin-1")  # the characters of the font
         canvas.drawString(label.x_m / POINT_M, top - label.y_m / POINT_M, text)
     return bytes(canvas.getpdfdata())

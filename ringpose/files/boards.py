@@ -1,7 +1,4 @@
-"""Board files: the kind of a calibration board and its sizes in metres.
-
-Dictionaries of markers, as OpenCV's FileStorage has them.
-"""
+"""Board files (kind and sizes of a calibration board, in metres) and dictionaries of markers (OpenCV FileStorage)."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -21,27 +18,27 @@ _LENGTHS = ("square_m", "square_y_m", "marker_m", "gap_m", "spacing_m", "width_m
 
 _KEYS = ("ringpose", "kind", *_COUNTS, *_LENGTHS, "dictionary", "legacy_pattern", "order")
 
-NEEDED = {
+REQUIRED = {
     "charuco": ("squares_x", "squares_y", "square_m", "marker_m", "dictionary"),
     "chessboard": ("squares_x", "squares_y", "square_m"),
     "four_markers": ("width_m", "height_m", "marker_m", "margin_m", "dictionary"),
     "aruco_grid": ("squares_x", "squares_y", "marker_m", "gap_m", "dictionary"),
     "asymmetric_circles": ("squares_x", "squares_y", "spacing_m"),
 }
-"""What each kind of board cannot do without."""
+"""Required keys of each kind of board."""
 
 MIN_COUNT = {"charuco": 2, "chessboard": 4, "four_markers": 1, "aruco_grid": 1, "asymmetric_circles": 2}
-"""Squares, markers or circles a side that a board must have to be one."""
+"""Minimum number of squares, markers or circles a side."""
 
 MAX_SQUARES = 200
-"""A board of more squares a side is a slip; looking for it would take hours."""
+"""Maximum number of squares a side; detecting a larger board, probably a typing error, would take hours."""
 
 _MIN_LENGTH_M = 1e-6
-"""No camera sees less of a board; numbers near the smallest that there are round to nothing."""
+"""Smallest length on a board; near the smallest floating-point numbers, products would underflow to zero."""
 
 
 def read_board(path: Path) -> Board:
-    """The board in a board file, with the markers of a dictionary file that it names."""
+    """The board in a board file, including the markers of its dictionary file, if it names one."""
     board = board_of(read_yaml(path, _KEYS))
     if board.dictionary is None or board.dictionary.startswith(OPENCV_PREFIX):
         return board
@@ -50,15 +47,15 @@ def read_board(path: Path) -> Board:
         raise DataError(
             f"{path}: dictionary",
             f'no dictionary "{board.dictionary}"',
-            "give one of OpenCV's, as DICT_4X4_50, or a file",
+            "give one of OpenCV's, such as DICT_4X4_50, or a file",
         )
     return replace(board, marker_bits=read_dictionary(file))
 
 
 def board_of(fields: Fields) -> Board:
-    """The board in a mapping; scenes hold one too."""
+    """The board in a mapping of a board file or scene."""
     kind = fields.choice("kind", get_args(BoardKind))
-    for key in NEEDED[kind]:
+    for key in REQUIRED[kind]:
         fields.raw(key)
     if fields.has("ringpose") and fields.text("ringpose") != "board/1":
         raise fields.problem("ringpose", f"is {fields.text('ringpose')!r}, must be 'board/1'")
@@ -80,7 +77,7 @@ def write_board(path: Path, board: Board, *, force: bool = False) -> None:
 
 
 def board_values(board: Board) -> dict[str, Any]:
-    """What `board_of` reads."""
+    """The mapping that `board_of` reads."""
     values = {key: getattr(board, key) for key in _KEYS if key not in ("ringpose", "legacy_pattern")}
     if board.legacy_pattern:
         values["legacy_pattern"] = True
@@ -92,30 +89,30 @@ def _length(fields: Fields, key: str) -> float:
     if length < 0 or (length == 0 and key != "margin_m"):
         raise fields.problem(key, f"is {length:g}, must be positive")
     if 0 < length < _MIN_LENGTH_M:
-        raise fields.problem(key, f"is {length:g}; no board is so fine", "metres belong here")
+        raise fields.problem(key, f"is {length:g}, below the smallest length {_MIN_LENGTH_M:g}", "give metres")
     return length
 
 
 def _check_fit(fields: Fields, sizes: dict[str, Any]) -> None:
     if "square_y_m" in sizes and fields.text("kind") != "chessboard":
-        raise fields.problem("square_y_m", "belongs to a chessboard alone: markers are square")
+        raise fields.problem("square_y_m", "is allowed only for a chessboard: markers are square")
     if "square_m" in sizes and sizes.get("marker_m", 0) >= sizes["square_m"]:
         raise fields.problem("marker_m", f"is {sizes['marker_m']:g}, must be smaller than square_m")
     if "width_m" in sizes and "height_m" in sizes:
-        taken = 2 * (sizes.get("marker_m", 0) + sizes.get("margin_m", 0))
-        if taken > min(sizes["width_m"], sizes["height_m"]):
+        occupied = 2 * (sizes.get("marker_m", 0) + sizes.get("margin_m", 0))
+        if occupied > min(sizes["width_m"], sizes["height_m"]):
             raise fields.problem("marker_m", "two markers and their margins are wider than the board")
 
 
 OPENCV_PREFIX = "DICT_"
-"""Names of OpenCV's own dictionaries begin so; any other name is that of a file."""
+"""Prefix of OpenCV's predefined dictionaries; any other name is the name of a file."""
 
 MAX_MARKERS = 1024
-"""OpenCV's largest dictionary has as many."""
+"""Number of markers in OpenCV's largest dictionary."""
 
 
 def read_dictionary(path: Path) -> tuple[str, ...]:
-    """Each marker's bits, row by row."""
+    """The bits of each marker, row by row, as texts of 0 and 1."""
     fields = Fields(str(path), storage_values(read_bytes(path), str(path)))
     side = fields.integer("markersize", least=3, most=10)
     count = fields.integer("nmarkers", least=1, most=MAX_MARKERS)
@@ -125,5 +122,5 @@ def read_dictionary(path: Path) -> tuple[str, ...]:
 def _bits(fields: Fields, key: str, side: int) -> str:
     bits = fields.text(key)
     if set(bits) - {"0", "1"} or len(bits) != side**2:
-        raise fields.problem(key, f"must be {side} x {side} times 0 or 1")
+        raise fields.problem(key, f"must be {side} x {side} digits 0 or 1")
     return bits

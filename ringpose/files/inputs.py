@@ -1,7 +1,4 @@
-"""What a command is given to read: files, folders, or `-`, each yielded as soon as it is named.
-
-Lines of stdin as they come.
-"""
+"""Inputs of a command: files, folders, or `-` for stdin, each yielded as soon as its name or record is available."""
 
 import gzip
 import io
@@ -24,16 +21,16 @@ RECORDS_SUFFIX = ".jsonl"
 COMPRESSED_SUFFIX = ".jsonl.gz"
 
 _GZIP = b"\x1f\x8b"
-"""Signature (RFC 1952)."""
+"""Signature of gzip files (RFC 1952)."""
 
 MAX_NAME = 1024
-"""Half a record is longer."""
+"""Longer names are abbreviated in messages: they are usually records that were cut off."""
 
 
 class Record(NamedTuple):
-    """A JSON record that came on stdin, and the place it came from."""
+    """A JSON record and its location, `file:line`."""
 
-    place: str
+    location: str
     values: dict[str, Any]
 
 
@@ -43,23 +40,23 @@ Problem = DataError | NoInputError
 
 
 def inputs(arguments: Iterable[str | Path], suffixes: Iterable[str]) -> Iterator[Input | Problem]:
-    """The inputs in the order in which they are named; of a folder its files with these suffixes, by name.
+    """Yield the inputs in the given order; a folder yields its files with one of the suffixes, sorted by name.
 
-    A `.jsonl` or `.jsonl.gz` file, where that is a wanted suffix, stands for its records. `-` stands for what stdin
-    names, one a line, read as it comes: a name (file or folder), or a JSON record. What cannot be an input is yielded
-    as the error that says so, for the caller's batch to report and go on.
+    A `.jsonl` or `.jsonl.gz` file yields its records if `.jsonl` is among the suffixes. `-` reads stdin line by line;
+    each line is the name of a file or folder, or a JSON record. An invalid input is yielded as its error, so that the
+    caller's batch can report it and continue.
     """
-    wanted = tuple(suffixes)
+    suffixes = tuple(suffixes)
     for argument in arguments:
         if str(argument) == STDIN:
-            yield from _named_on_stdin(wanted)
+            yield from _listed_on_stdin(suffixes)
         elif not str(argument):
-            yield NoInputError('""', "an empty name is no input")
+            yield NoInputError('""', "is an empty name")
         else:
-            yield from _opened(Path(argument), wanted)
+            yield from _opened(Path(argument), suffixes)
 
 
-def _named_on_stdin(suffixes: tuple[str, ...]) -> Iterator[Input | Problem]:
+def _listed_on_stdin(suffixes: tuple[str, ...]) -> Iterator[Input | Problem]:
     if sys.stdin is None:
         yield NoInputError("standard input", "is closed")
         return
@@ -80,7 +77,7 @@ def _opened(path: Path, suffixes: tuple[str, ...]) -> Iterator[Input | Problem]:
 
 
 def holds_records(path: Path) -> bool:
-    """Whether the name is that of a file of records, `.jsonl` or `.jsonl.gz`."""
+    """Whether the file's name ends with `.jsonl` or `.jsonl.gz`."""
     return path.name.lower().endswith((RECORDS_SUFFIX, COMPRESSED_SUFFIX))
 
 
@@ -94,7 +91,7 @@ def _records_in(path: Path) -> Iterator[Record | Problem]:
 
 
 def _lines(path: Path) -> Iterator[bytes]:
-    """The lines of a file; those of a compressed one, whatever its name, are decompressed as they are read."""
+    """Yield the lines of a file; a compressed file, recognised by its contents, is decompressed as it is read."""
     data = read_bytes(path)
     if not path.name.lower().endswith(COMPRESSED_SUFFIX) and not data.startswith(_GZIP):
         yield from data.splitlines()
@@ -110,48 +107,52 @@ def _lines(path: Path) -> Iterator[bytes]:
         raise DataError(str(path), f"cannot be decompressed: {str(error).lower()}") from None
 
 
-def _record(line: str | bytes, place: str) -> Record | DataError:
+def _record(line: str | bytes, location: str) -> Record | DataError:
     try:
-        return Record(place, records.record_of(line, place))
+        return Record(location, records.parsed_record(line, location))
     except DataError as problem:
         return problem
 
 
 def _paths(path: Path, suffixes: tuple[str, ...]) -> Iterator[Path | NoInputError]:
     try:
-        files = sorted(child for child in path.iterdir() if _wanted(child, suffixes)) if path.is_dir() else [path]
+        files = sorted(child for child in path.iterdir() if _has_suffix(child, suffixes)) if path.is_dir() else [path]
     except OSError as error:
-        yield NoInputError(_shown(path), f"cannot be opened: {(error.strerror or str(error)).lower()}")
+        yield NoInputError(_abbreviated(path), f"cannot be opened: {(error.strerror or str(error)).lower()}")
         return
     if not files:
         yield NoInputError(str(path), f"holds no file that ends with {', '.join(suffixes)}")
     yield from files
 
 
-def _shown(path: Path) -> str:
-    """The name, of a line that is none only how it begins."""
+def _abbreviated(path: Path) -> str:
+    """The name for a message; only the beginning if it is longer than `MAX_NAME`."""
     name = str(path)
     return name if len(name) <= MAX_NAME else f"{name[:60]}..."
 
 
-def _wanted(path: Path, suffixes: tuple[str, ...]) -> bool:
+def _has_suffix(path: Path, suffixes: tuple[str, ...]) -> bool:
     return path.suffix.lower() in suffixes and not path.name.startswith(".")
 
 
-PATIENCE_S = 0.2
-"""A signal that arrives just before a read begins does not wake it: Python notices it only between two waits."""
+POLL_S = 0.2
+"""Timeout of one wait for stdin. A signal that arrives just before the wait begins does not interrupt it; Python runs
+the signal handler between two waits."""
 
 MAX_LINE_BYTES = 2**25
-"""A record with all stripes of 1600 x 1200 pixels has 1 % of it."""
+"""About 100 times the record of a 1600 x 1200 pixel shot with all its stripes."""
 
 _CHUNK = 1 << 16
 
 
 def lines() -> Iterator[str]:
-    """Each line as soon as it is whole, and the last one even if it is not; bytes that are no UTF-8 are kept."""
+    """Yield each line of stdin as soon as it is complete, and the last one even without a line break.
+
+    Bytes that are not UTF-8 are kept as surrogate escapes, since file names may contain them.
+    """
     try:
         descriptor = sys.stdin.fileno()
-    except (AttributeError, io.UnsupportedOperation):  # a stand-in without a file behind it
+    except (AttributeError, io.UnsupportedOperation):  # replaced by an object without a file descriptor
         yield from sys.stdin
         return
     rest = bytearray()
@@ -169,7 +170,7 @@ def lines() -> Iterator[str]:
 
 def _chunk(descriptor: int) -> bytes:
     try:
-        while not select.select([descriptor], [], [], PATIENCE_S)[0]:
+        while not select.select([descriptor], [], [], POLL_S)[0]:
             pass
         return os.read(descriptor, _CHUNK)
     except OSError as error:

@@ -1,28 +1,27 @@
-"""A whole file's bytes.
-
-Results as JSON or CSV text, into a file or onto stdout.
-
-HTML pages.
-"""
+"""Bytes of input files, text and pages as output, and the provenance of a result."""
 
 import csv
 import errno
+import hashlib
 import io
+import shlex
+import sys
 from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from ringpose.errors import DataError, InputOutputError, NoInputError
 from ringpose.files import atomic, records
-from ringpose.files.atomic import replacing
 
 MAX_BYTES = 2**31
-"""Four times what the largest shot has, uncompressed."""
+"""Four times the size of the largest allowed shot, uncompressed."""
 
-_NOT_OPENED = {errno.ELOOP, errno.ENAMETOOLONG, errno.ENXIO, errno.ENODEV}
+_CANNOT_OPEN = {errno.ELOOP, errno.ENAMETOOLONG, errno.ENXIO, errno.ENODEV}
 
 
 def read_bytes(path: Path) -> bytes:
-    """The bytes of an input file; one that is missing or shut off is no input."""
+    """The bytes of an input file; a missing or inaccessible file raises `NoInputError`."""
     try:
         _check_length(path)
         return path.read_bytes()
@@ -33,10 +32,10 @@ def read_bytes(path: Path) -> bytes:
     except PermissionError:
         raise NoInputError(str(path), "cannot be opened: permission denied") from None
     except ValueError:
-        raise NoInputError(repr(str(path)), "is no name that a file can have") from None
+        raise NoInputError(repr(str(path)), "is not a valid file name") from None
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
-        if error.errno in _NOT_OPENED:
+        if error.errno in _CANNOT_OPEN:
             raise NoInputError(str(path), f"cannot be opened: {reason}") from None
         raise InputOutputError(str(path), f"reading broke off: {reason}") from error
 
@@ -49,22 +48,40 @@ def _check_length(path: Path) -> None:
 
 
 def csv_text(rows: Iterable[Sequence[str | float | int | bool]]) -> str:
-    """Rows as RFC 4180 has them, but for bare line feeds."""
+    """Rows as CSV (RFC 4180), with line feeds instead of CR LF."""
     stream = io.StringIO()
     csv.writer(stream, lineterminator="\n").writerows(rows)
     return stream.getvalue()
 
 
 def write_result(target: str, text: str, *, force: bool) -> None:
-    """The text on stdout for `-`, or as a file."""
+    """Write a result, as JSON or CSV text, to stdout if the target is `-`, else to a file."""
     if target == records.STDOUT:
         records.write_text(text)
         return
-    with replacing(Path(target), force) as stream:
+    with atomic.replacing(Path(target), force) as stream:
         stream.write(text.encode())
 
 
 def write_page(path: Path, html: str, *, force: bool = False) -> None:
-    """Write one page."""
+    """Write one HTML page."""
     with atomic.replacing(path, force) as stream:
-        stream.write(html.encode(errors="backslashreplace"))  # names of files may have bytes that are no UTF-8
+        stream.write(html.encode(errors="backslashreplace"))  # file names may contain bytes that are not UTF-8
+
+
+def provenance(inputs: Iterable[Path]) -> dict[str, Any]:
+    """The `provenance` entry of an output file: version, command line, time, and hashes of the inputs."""
+    from importlib.metadata import version  # slow to import, and most commands write no provenance
+
+    return {
+        "version": version("ringpose"),
+        "command": shlex.join(["ringpose", *sys.argv[1:]]),
+        "time": datetime.now(UTC).isoformat(timespec="seconds"),
+        "inputs": {str(path): sha256(path) for path in inputs},
+    }
+
+
+def sha256(path: Path) -> str:
+    """SHA-256 of a file's bytes, in hexadecimal."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -17,15 +17,15 @@ from ringpose.files.schema import FREE_PREFIX, hint, unusable
 from ringpose.types.arrays import Array
 
 MAX_BYTES = 2**26
-"""Of all arrays of an archive but its images; a detection of 12 megapixels with eight stripes has 2 % of it."""
+"""Total size of the arrays of an archive without its images: 50 times a 12-megapixel detection with eight stripes."""
 
 _HEADER_BYTES = 2**14
-"""No header of an array is longer: NumPy itself reads 10,000 bytes at most."""
+"""Bytes read for an array's header, of which NumPy accepts at most 10,000."""
 
 _ZIP = b"PK"
-_REMEDY = "copy it anew, or write it with numpy.savez, of arrays without objects"
-_KEYS = "what a shot has stands in ringpose-conventions(7), a detection in ringpose-records(5)"
-_KINDS = {"f": "floating point", "i": "integers", "u": "unsigned integers", "U": "a text", "b": "true or false"}
+_REMEDY = "copy it again, or write it with numpy.savez, from arrays without objects"
+_SEE_MANUAL = "ringpose-conventions(7) documents the keys of shots, ringpose-records(5) those of detections"
+_DTYPE_KINDS = {"f": "floating point", "i": "integers", "u": "unsigned integers", "U": "a text", "b": "true or false"}
 
 
 class Member(NamedTuple):
@@ -37,19 +37,19 @@ class Member(NamedTuple):
 
 
 class Archive:
-    """The arrays of one NPZ file, each checked and decompressed when it is asked for."""
+    """The arrays of one NPZ file, each checked and decompressed on access."""
 
     def __init__(self, path: Path) -> None:
         encoded = read_bytes(path)
         self.path = path
         self._bytes_left = MAX_BYTES
         if not encoded.startswith(_ZIP):
-            raise DataError(str(path), "is no NPZ archive", "give one that numpy.savez or ringpose wrote")
-        with self._broken():
+            raise DataError(str(path), "is not an NPZ archive", "give one that numpy.savez or ringpose wrote")
+        with self._reporting_damage():
             self._zip = zipfile.ZipFile(io.BytesIO(encoded))
             self._members = {info.filename.removesuffix(".npy"): self._member(info) for info in self._zip.infolist()}
         if len(self._members) < len(self._zip.infolist()):
-            raise DataError(str(path), "has two arrays of one name", _REMEDY)
+            raise DataError(str(path), "has two arrays of the same name", _REMEDY)
 
     def __contains__(self, key: str) -> bool:
         return key in self._members
@@ -60,11 +60,11 @@ class Archive:
         return self._members.keys()
 
     def problem(self, key: str, found: str, remedy: str = "") -> DataError:
-        """The error of this key, to be raised."""
+        """The error to raise for this key."""
         return DataError(f"{self.path}: {key}", found, remedy)
 
-    def refuse_unknown(self, known: Iterable[str]) -> None:
-        """No key but the known ones, and those that are the user's own."""
+    def reject_unknown(self, known: Iterable[str]) -> None:
+        """Reject keys that are neither known nor the user's own (`FREE_PREFIX`)."""
         known = tuple(known)
         for key in self._members:
             if key not in known and not key.startswith(FREE_PREFIX):
@@ -73,30 +73,30 @@ class Archive:
                 )
 
     def declared(self, key: str, kinds: str, shape: tuple[int | None, ...]) -> tuple[np.dtype[Any], tuple[int, ...]]:
-        """Type and shape of an array, before it is decompressed.
+        """Type and shape of an array as its header declares them, checked before it is decompressed.
 
-        The type must be of one of the kinds (letters of NumPy), the shape must be this; None is any length.
+        The type must be one of `kinds` (letters of `numpy.dtype.kind`); None in `shape` allows any length.
         """
         if key not in self._members:
-            raise DataError(str(self.path), f"has no key {key!r}", hint(key, self._members) or _KEYS)
+            raise DataError(str(self.path), f"has no key {key!r}", hint(key, self._members) or _SEE_MANUAL)
         member = self._members[key]
         if member.dtype.kind not in kinds:
-            wanted = " or ".join(_KINDS[kind] for kind in kinds)
-            raise self.problem(key, f"has type {member.dtype}, must be {wanted}")
+            expected = " or ".join(_DTYPE_KINDS[kind] for kind in kinds)
+            raise self.problem(key, f"has type {member.dtype}, must be {expected}")
         lengths = member.shape
         if len(lengths) != len(shape) or any(w not in (None, n) for w, n in zip(shape, lengths, strict=True)):
-            wanted = " x ".join("n" if length is None else str(length) for length in shape)
+            expected = " x ".join("n" if length is None else str(length) for length in shape)
             found = " x ".join(map(str, lengths))
-            raise self.problem(key, f"has shape {found or 'of one value'}, must have {wanted or 'one value'}")
+            raise self.problem(key, f"has shape {found or 'of one value'}, must have {expected or 'one value'}")
         return member.dtype, lengths
 
     def array(self, key: str, kinds: str, shape: tuple[int | None, ...]) -> Array:
-        """An array whose type and shape are checked as `declared` does; all of them together have `MAX_BYTES`."""
+        """An array with checked type and shape (see `declared`); the total of all arrays is limited to `MAX_BYTES`."""
         self.declared(key, kinds, shape)
         return self.value(key)
 
     def value(self, key: str) -> Array:
-        """An array of whatever type and shape; all of them together have `MAX_BYTES`."""
+        """An array of any type and shape; the total of all arrays is limited to `MAX_BYTES`."""
         member = self._members[key]
         self._bytes_left -= max(member.dtype.itemsize, 1) * math.prod(member.shape)
         if self._bytes_left < 0:
@@ -106,14 +106,15 @@ class Archive:
 
     def loaded(self, key: str) -> Array:
         """An array whose declared size the caller has checked."""
-        with self._broken(), self._zip.open(self._members[key].info) as stream:
+        with self._reporting_damage(), self._zip.open(self._members[key].info) as stream:
             array: Array = np.lib.format.read_array(stream, allow_pickle=False)
             return array
 
     def _member(self, info: zipfile.ZipInfo) -> Member:
-        """What the header of an array declares; no more than the header is decompressed.
+        """Type and shape in the header of an array; only the header is decompressed.
 
-        Methods other than deflation, which NumPy does not write, Python's zipfile decompresses without a bound.
+        Compression methods other than deflate are rejected: NumPy does not write them, and zipfile decompresses them
+        without a limit of size.
         """
         if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise ValueError(f"{info.filename} is compressed by a method that is not deflation")
@@ -131,8 +132,8 @@ class Archive:
         return Member(info, dtype, shape)
 
     @contextmanager
-    def _broken(self) -> Iterator[None]:
-        """Whatever the parsers of a broken zip, zlib stream or header raise is one error."""
+    def _reporting_damage(self) -> Iterator[None]:
+        """Convert all exceptions that the parsers of zip, zlib and NumPy headers raise into `DataError`."""
         try:
             yield
         except Exception as error:
@@ -156,7 +157,7 @@ class Archive:
 
 
 def write_archive(path: Path, arrays: Mapping[str, Any], *, force: bool) -> None:
-    """Write an NPZ file, compressed as quickly as zlib can."""
+    """Write an NPZ file with zlib's fastest compression."""
     with (
         atomic.replacing(path, force) as stream,
         zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as z,

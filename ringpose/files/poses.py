@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ringpose.files.covariances import checked_covariance
+from ringpose.files.cameras.covariances import checked_covariance
 from ringpose.files.schema import Fields
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.options import PoseFrame
@@ -69,7 +69,7 @@ def pose_line_of(record: Mapping[str, Any], location: str) -> PoseLine:
     schema = fields.text("schema")
     if schema != SCHEMA:
         raise fields.problem("schema", f"is {schema!r}, must be {SCHEMA!r}", "give the output of ringpose pose")
-    fields.refuse_unknown(_KEYS)
+    fields.reject_unknown(_KEYS)
     flags = _flags(fields)
     return PoseLine(
         shot=fields.text("shot"),

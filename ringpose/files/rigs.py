@@ -10,10 +10,9 @@ import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.files import atomic
+from ringpose.files.cameras.covariances import covariance_values, read_covariance
 from ringpose.files.cameras.ros import CAMERA_KEYS, camera_of, camera_values
-from ringpose.files.covariances import covariance_values, read_covariance
-from ringpose.files.io import read_bytes
-from ringpose.files.provenance import provenance
+from ringpose.files.io import provenance, read_bytes
 from ringpose.files.schema import ROUNDED, Fields
 from ringpose.files.yaml import parsed, write_yaml
 from ringpose.types.arrays import Array, Float64
@@ -24,20 +23,20 @@ from ringpose.types.sequence import MAX_LASERS
 SCHEMA = "rig/1"
 
 MIN_DISTANCE_M = 1e-6
-"""A light plane that is nearer to the camera's centre goes through it."""
+"""Minimum distance of a light plane from the camera's centre; a plane through the centre gives no depth."""
 
 _KEYS = ("ringpose", "provenance", "camera", "lasers", "covariance", "mount", "quality")
 _LASER_KEYS = ("name", "normal", "distance_m", "projector_m")
 
 
 def read_rig(path: Path) -> Rig:
-    """The rig in a rig.yaml; normals are made exactly unit length."""
+    """The rig in a rig.yaml, with exactly normalised normals."""
     text = read_bytes(path)
     return rig_of(Fields(str(path), parsed(text, str(path)), _KEYS), hashlib.sha256(text).hexdigest())
 
 
 def rig_of(fields: Fields, sha256: str = "") -> Rig:
-    """The rig in a mapping; scenes hold one too."""
+    """The rig in a mapping."""
     schema = fields.text("ringpose")
     if schema != SCHEMA:
         raise fields.problem("ringpose", f"is {schema!r}, must be {SCHEMA!r}")
@@ -55,28 +54,28 @@ def rig_of(fields: Fields, sha256: str = "") -> Rig:
 
 
 def read_mount(path: Path) -> Float64[Array, "4 4"]:
-    """`mount: {tool_from_camera: ...}` of a file that says nothing else, or of a rig.yaml."""
+    """The matrix `mount: {tool_from_camera: ...}` in a rig.yaml, or in a file with this key alone."""
     fields = Fields(str(path), parsed(read_bytes(path), str(path)), _KEYS)
     fields.raw("mount")
     return _tool_from_camera(fields)
 
 
-def usual_board_px(path: Path) -> float | None:
-    """Root mean square distance, in pixels, that the corners had from the rig's own boards: the median over them.
+def median_board_rms_px(path: Path) -> float | None:
+    """RMS reprojection error of the corners in the calibration of the rig, the median over its boards, in pixels.
 
-    None where the file does not say.
+    None if the file does not contain it.
     """
     fields = Fields(str(path), parsed(read_bytes(path), str(path)), _KEYS)
     boards = fields.fields("quality").values.get("boards") if fields.has("quality") else None
-    known = [board.get("rms_px") for board in boards or () if isinstance(board, Mapping)]
-    numbers = [rms_px for rms_px in known if isinstance(rms_px, float) and np.isfinite(rms_px)]
+    values = [board.get("rms_px") for board in boards or () if isinstance(board, Mapping)]
+    numbers = [rms_px for rms_px in values if isinstance(rms_px, float) and np.isfinite(rms_px)]
     return float(np.median(numbers)) if numbers else None
 
 
 def require_mount(rig: Rig, path: Path) -> None:
-    """Refuse a rig that does not say where the camera is mounted."""
+    """Reject a rig without a mount."""
     if rig.tool_from_camera is None:
-        raise DataError(str(path), "has no mount", "run calibrate-planes with --mount, or ask for --frame camera")
+        raise DataError(str(path), "has no mount", "run calibrate-planes with --mount, or use --frame camera")
 
 
 def write_rig(
@@ -87,7 +86,7 @@ def write_rig(
     force: bool = False,
     inputs: Iterable[Path] = (),
 ) -> None:
-    """Write rig.yaml with the provenance of this run; `extra` may hold the key `quality`, for the reader."""
+    """Write rig.yaml with provenance; `extra` may have the key `quality`, which is not needed by `read_rig`."""
     values = rig_values(rig)
     head = {"ringpose": values.pop("ringpose"), "provenance": provenance(inputs)}
     with atomic.replacing(path, force) as stream:
@@ -95,7 +94,7 @@ def write_rig(
 
 
 def rig_values(rig: Rig) -> dict[str, Any]:
-    """What `rig_of` reads, without provenance."""
+    """The mapping that `rig_of` reads, without provenance."""
     values: dict[str, Any] = {
         "ringpose": SCHEMA,
         "camera": camera_values(rig.camera),
@@ -115,7 +114,7 @@ def _lasers(fields: Fields) -> LaserPlanes:
     names = tuple(_name(entry) for entry in entries)
     for number, entry in enumerate(entries):
         if names[number] in names[:number]:
-            raise entry.problem("name", f"{names[number]!r} stands twice")
+            raise entry.problem("name", f"{names[number]!r} occurs twice")
     unknown = np.full(3, np.nan)
     return LaserPlanes(
         names=names,
@@ -130,14 +129,14 @@ def _lasers(fields: Fields) -> LaserPlanes:
 def _name(entry: Fields) -> str:
     name = entry.text("name")
     if "." in name:
-        raise entry.problem("name", f"is {name!r}, must have no full stop")
+        raise entry.problem("name", f"is {name!r}, must not contain a full stop")
     return name
 
 
 def _distance_m(entry: Fields) -> float:
     distance_m = entry.length_m("distance_m")
     if abs(distance_m) < MIN_DISTANCE_M:
-        raise entry.problem("distance_m", f"is {distance_m:g}: the camera is in this plane and sees no depth along it")
+        raise entry.problem("distance_m", f"is {distance_m:g}: the plane contains the camera's centre")
     return distance_m
 
 
@@ -157,7 +156,7 @@ def _tool_from_camera(fields: Fields) -> Float64[Array, "4 4"]:
         raise mount.problem("tool_from_camera", "must end with the row [0, 0, 0, 1]")
     rotation = matrix[:3, :3]
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > ROUNDED or np.linalg.det(rotation) < 0:
-        raise mount.problem("tool_from_camera", "its left upper 3 x 3 numbers are no rotation")
+        raise mount.problem("tool_from_camera", "its upper left 3 x 3 matrix is not a rotation")
     mount.check_metres("tool_from_camera", matrix[:3, 3])
     left, _, right = np.linalg.svd(rotation)
     return np.block([[left @ right, matrix[:3, 3:]], [matrix[3:]]])

@@ -1,4 +1,4 @@
-"""Catalogues of rings: names and the intervals in which the radii of their edges lie."""
+"""Catalogues of rings: their names and the intervals of their inner and outer radii."""
 
 from pathlib import Path
 
@@ -9,17 +9,17 @@ from ringpose.types.ring import Ring
 SCHEMA = "rings/1"
 
 SHIPPED = Path(__file__).with_name("rings.yaml")
-"""Nominal sizes of the launcher manuals."""
+"""The catalogue in the package, with nominal sizes from the launcher manuals."""
 
 RESERVED = ("auto", "none of these")
-"""Words that are no ring's name."""
+"""Words that cannot be the name of a ring, since options and records give them another meaning."""
 
 _KEYS = ("ringpose", "provenance", "rings")
 _RING_KEYS = ("name", "radius_inner_m", "radius_outer_m", "nominal", "source")
 
 
 def read_rings(path: Path = SHIPPED) -> tuple[Ring, ...]:
-    """The rings of a catalogue, in its order."""
+    """The rings of a catalogue in the file's order."""
     fields = read_yaml(path, _KEYS)
     schema = fields.text("ringpose")
     if schema != SCHEMA:
@@ -31,7 +31,7 @@ def read_rings(path: Path = SHIPPED) -> tuple[Ring, ...]:
             raise entry.problem("name", f"{ring.name!r} is taken", "give each ring a name of its own")
         rings.append(ring)
     if not rings:
-        raise fields.problem("rings", "has no ring in it")
+        raise fields.problem("rings", "has no ring")
     return tuple(rings)
 
 
@@ -49,7 +49,7 @@ def _ring(fields: Fields) -> Ring:
 
 
 def _interval(fields: Fields, key: str) -> tuple[float, float]:
-    """From, to: radii in metres, the second one the larger."""
+    """Lower and upper limit of a radius in metres."""
     interval = fields.vector(key, 2)
     fields.check_metres(key, interval)
     start_m, end_m = interval.tolist()

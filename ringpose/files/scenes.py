@@ -1,7 +1,4 @@
-"""scene.yaml: everything that `ringpose simulate` needs; man/ringpose-simulate.1 documents its keys.
-
-The parts of scene.yaml that say what stands where: sequences, the trajectory, board views.
-"""
+"""scene.yaml, the input of `ringpose simulate`; man/ringpose-simulate.1 documents its keys."""
 
 from dataclasses import MISSING
 from dataclasses import fields as record_fields
@@ -56,16 +53,16 @@ _DIVISORS = (
     "on_s", "off_s",
 )  # fmt: skip
 
-_SHARES = ("diffuse", "specular", "roughness", "transmission", "quantum_efficiency")
+_FRACTIONS = ("diffuse", "specular", "roughness", "transmission", "quantum_efficiency")
 
 _MIN_VALUE = 1e-6
-"""Of numbers that must not be zero."""
+"""Minimum of the numbers in `_DIVISORS`."""
 
 _Record = TypeVar("_Record")
 
 
 def read_scene(path: Path) -> Scene:
-    """The scene in a scene.yaml; its rig stands in a file of its own, named from where the scene lies."""
+    """The scene in a scene.yaml; the path of its rig file is relative to the scene's folder."""
     fields = read_yaml(path, _KEYS)
     if fields.text("ringpose") != SCHEMA:
         raise fields.problem("ringpose", f"is {fields.text('ringpose')!r}, must be {SCHEMA!r}")
@@ -101,7 +98,7 @@ def _rig(fields: Fields, folder: Path) -> Rig:
     rig = read_rig(folder / fields.text("rig"))
     for name, projector_m in zip(rig.lasers.names, rig.lasers.projector_m, strict=True):
         if np.isnan(projector_m).any():
-            remedy = "add the point from which its light comes"
+            remedy = "add the point from which its light emerges"
             raise fields.problem("rig", f"laser {name!r} has no projector_m", remedy)
     return rig
 
@@ -144,7 +141,7 @@ def _body(fields: Fields) -> Body:
 
 
 def _material(fields: Fields, key: str) -> Material:
-    """A material by its name or by its numbers."""
+    """A material, given by its name or by its parameters."""
     if isinstance(fields.raw(key), str):
         return MATERIALS[fields.choice(key, MATERIALS)]
     return _numbers(fields, key, Material)
@@ -172,11 +169,11 @@ def _light(named: Fields, name: str) -> Light:
 
 
 def _numbers(fields: Fields, key: str, record: type[_Record]) -> _Record:
-    """A record whose fields are numbers, none of them negative; what may be left out keeps its default."""
+    """A record whose fields are non-negative numbers; optional fields that are absent keep their defaults."""
     known = record_fields(cast(Any, record))
-    below = fields.fields(key, [field.name for field in known])
-    given = [field.name for field in known if field.name in below.values or field.default is MISSING]
-    return record(**{name: _number(below, name) for name in given})
+    entry = fields.fields(key, [field.name for field in known])
+    given = [field.name for field in known if field.name in entry.values or field.default is MISSING]
+    return record(**{name: _number(entry, name) for name in given})
 
 
 def _number(fields: Fields, key: str) -> float | int:
@@ -189,7 +186,7 @@ def _number(fields: Fields, key: str) -> float | int:
         return bits
     if key.endswith("_m"):
         return _positive_m(fields, key)
-    return fields.number(key, least=_MIN_VALUE if key in _DIVISORS else 0.0, most=1.0 if key in _SHARES else np.inf)
+    return fields.number(key, least=_MIN_VALUE if key in _DIVISORS else 0.0, most=1.0 if key in _FRACTIONS else np.inf)
 
 
 def _positive_m(fields: Fields, key: str) -> float:
@@ -213,7 +210,7 @@ _ANGLES = ("tilt_rad", "clock_rad", "turn_rad")
 
 
 def read_sequence(fields: Fields, key: str, lasers: int) -> tuple[int, ...]:
-    """Masks of the frames of a shot, from steps such as `off,1,2,3,all`."""
+    """Laser masks of the frames of a shot, from steps such as `off,1,2,3,all`."""
     try:
         steps = parsed_sequence(fields.text(key))
         masks = tuple(step.mask(lasers) for step in steps)
@@ -227,7 +224,7 @@ def read_sequence(fields: Fields, key: str, lasers: int) -> tuple[int, ...]:
 def read_trajectory(
     fields: Fields, key: str, lights: tuple[str, ...]
 ) -> tuple[tuple[RingView, ...], tuple[Approach, ...]]:
-    """The views that are written out, and the sets to be drawn at random."""
+    """The explicit views, and the sets of views to be drawn at random."""
     views: list[RingView] = []
     approaches: list[Approach] = []
     for entry in fields.each(key):
@@ -239,7 +236,7 @@ def read_trajectory(
     names = [view.name for view in views]
     for name in names:
         if names.count(name) > 1:
-            raise fields.problem(key, f"the name {name!r} stands twice")
+            raise fields.problem(key, f"the name {name!r} occurs twice")
     return tuple(views), tuple(approaches)
 
 
@@ -264,7 +261,7 @@ def _view(entry: Fields, lights: tuple[str, ...]) -> RingView:
     if entry.has("light"):
         values["light"] = entry.choice("light", lights)
     elif "dim" not in lights:
-        raise entry.problem("light", "is not given, and no light is called 'dim'")
+        raise entry.problem("light", "is missing, and there is no light 'dim'")
     if entry.has("target"):
         values["target"] = cast(TargetKind, entry.choice("target", get_args(TargetKind)))
     if entry.has("roll_rad"):
@@ -272,43 +269,43 @@ def _view(entry: Fields, lights: tuple[str, ...]) -> RingView:
     if entry.has("groups"):
         values["groups"] = entry.fields("groups").values
         if not all(isinstance(value, str | int | float | bool) for value in values["groups"].values()):
-            raise entry.problem("groups", "must hold texts, numbers, true or false")
+            raise entry.problem("groups", "must contain texts, numbers, true or false")
     return RingView(**values)
 
 
 def _normal(entry: Fields) -> Float64[Array, "3"]:
-    """Given itself or by the paper's pitch and yaw; always towards the camera."""
+    """The normal, given as a vector or by the paper's pitch and yaw; it must point towards the camera."""
     if not entry.has("normal"):
         pitch, yaw = (entry.number(key, least=-1.5, most=1.5) for key in ("pitch_rad", "yaw_rad"))
         return facing_normal(pitch, yaw)
     if entry.has("pitch_rad") or entry.has("yaw_rad"):
-        raise entry.problem("normal", "is given beside pitch_rad or yaw_rad", "give one of the two")
+        raise entry.problem("normal", "cannot be combined with pitch_rad or yaw_rad", "give one of the two")
     normal = entry.unit_vector("normal")
     if normal[2] >= 0:
-        raise entry.problem("normal", "points away from the camera", "turn its signs: z is forward")
+        raise entry.problem("normal", "points away from the camera", "change its sign: z is forward")
     return normal
 
 
 def _approach(entry: Fields, lights: tuple[str, ...]) -> Approach:
-    values = _drawn(entry)
+    values = _random_set(entry)
     values |= {"name": _name(entry)} if entry.has("name") else {}
     if entry.has("lights"):
         values["lights"] = entry.texts("lights")
     for light in values.get("lights", ("dim",)):
         if light not in lights:
-            raise entry.problem("lights", f"has {light!r}, which is none of {', '.join(lights)}")
+            raise entry.problem("lights", f"has {light!r}, must be one of {', '.join(lights)}")
     return Approach(**values)
 
 
 def _board_approach(entry: Fields) -> BoardApproach:
-    values = _drawn(entry)
+    values = _random_set(entry)
     if "distances_m" in values and len(values["distances_m"]) != 2:
         raise entry.problem("distances_m", "must be the nearest and the farthest distance")
     return BoardApproach(**values)
 
 
-def _drawn(entry: Fields) -> dict[str, Any]:
-    """What both kinds of random sets have."""
+def _random_set(entry: Fields) -> dict[str, Any]:
+    """The values that random sets of ring views and of board views have in common."""
     values: dict[str, Any] = {key: entry.integer(key, least=0) for key in ("count", "seed") if entry.has(key)}
     values |= {key: entry.number(key, least=0, most=1.2) for key in _ANGLES if entry.has(key)}
     if entry.has("offset"):
@@ -332,8 +329,8 @@ def _place(entry: Fields) -> BoardPlace:
 
 
 def _name(entry: Fields) -> str:
-    """A name that can be a file's."""
+    """A name that is a valid file name."""
     name = entry.text("name")
     if "/" in name or name.startswith("."):
-        raise DataError(entry.place("name"), f"is {name!r}, must be a plain file name")
+        raise DataError(entry.location("name"), f"is {name!r}, must be a plain file name")
     return name

@@ -1,4 +1,4 @@
-"""One mapping of a file or record, read key by key; whatever is wrong is refused with its place."""
+"""Validation of the mappings in files and records, key by key, with the location of each error."""
 
 import difflib
 import math
@@ -11,64 +11,64 @@ from ringpose.errors import DataError
 from ringpose.types.arrays import Array, Float64
 
 FREE_PREFIX = "x_"
-"""Keys that begin so are the user's own: never read, never refused."""
+"""Prefix of the user's own keys, which are never read and never rejected."""
 
 MAX_VALUE = 1e30
-"""No number in a file of ours is larger; squares of larger ones would not be finite."""
+"""Largest absolute value of a number in a file; squares of larger numbers could overflow in later products."""
 
 ROUNDED = 1e-6
-"""How far from 1 a length, or from a rotation a matrix, may be and still count as rounded."""
+"""Tolerance of the length of a unit vector and of the orthogonality of a rotation, for values rounded in a file."""
 
 MAX_LENGTH_M = 5.0
-"""No length of a rig or board is longer; a larger number is in millimetres."""
+"""Longest plausible length on a rig or board; a larger number is probably in millimetres."""
 
-SIGNS = {
+CHARACTERISTIC_KEYS = {
     "camera_matrix": "a camera",
     "camera": "a rig",
     "lasers": "a rig",
     "trajectory": "a scene",
     "kind": "a board",
 }
-"""Keys that tell what a file is that was given in the place of another."""
+"""Keys by which a file of another kind is recognised, for the remedy in a message."""
 
 
 class Fields:
-    """A mapping that knows its place, such as `rig.yaml: lasers[1]`, and refuses keys that nobody knows."""
+    """A mapping with its location, such as `rig.yaml: lasers[1]`; unknown keys are rejected if `known` is given."""
 
     def __init__(self, file: str, values: object, known: Iterable[str] | None = None, path: str = "") -> None:
         self.file = file
         self.path = path
         if not isinstance(values, Mapping):
-            raise DataError(self.place(), f"is {kind(values)}, must be a mapping of keys to values")
+            raise DataError(self.location(), f"is {kind(values)}, must be a mapping of keys to values")
         self.values: Mapping[str, Any] = values
         self.known = () if known is None else tuple(known)
-        """Keys that stand for themselves, and are no other key misspelt."""
+        """Valid keys, which are never suggested as the misspelling of another key."""
         if known is not None:
-            self.refuse_unknown(self.known)
+            self.reject_unknown(self.known)
 
-    def place(self, key: str = "") -> str:
+    def location(self, key: str = "") -> str:
         """`rig.yaml: lasers[1].normal`."""
         where = ".".join(part for part in (self.path, key) if part)
         return f"{self.file}: {where}" if where else self.file
 
     def problem(self, key: str, found: str, remedy: str = "") -> DataError:
-        """The error of this key, to be raised."""
-        return DataError(self.place(key), found, remedy)
+        """The error to raise for this key."""
+        return DataError(self.location(key), found, remedy)
 
     def has(self, key: str) -> bool:
-        """Whether the key is there and not null."""
+        """Whether the key is present and not null."""
         return self.values.get(key) is not None
 
     def raw(self, key: str) -> Any:
-        """The value as it was read; missing and null are refused."""
+        """The value as it was read; a missing key or null is rejected."""
         if key not in self.values:
-            raise self.problem("", f"has no key {key!r}", self._near(key))
+            raise self.problem("", f"has no key {key!r}", self._misspelling(key))
         if self.values[key] is None:
             raise self.problem(key, "is null, must have a value")
         return self.values[key]
 
     def text(self, key: str) -> str:
-        """A string."""
+        """A string that is not empty."""
         value = self.raw(key)
         if not isinstance(value, str) or not value:
             raise self.problem(key, f"is {kind(value)}, must be a text")
@@ -105,40 +105,40 @@ class Fields:
         return float(value)
 
     def length_m(self, key: str) -> float:
-        """A finite length of either sign that metres make plausible."""
+        """A finite length in metres of either sign, at most `MAX_LENGTH_M`."""
         value = self.number(key)
         self.check_metres(key, np.array([value]))
         return value
 
     def array(self, key: str, shape: tuple[int | None, ...], allow_nan: bool = False) -> Float64[Array, "..."]:
-        """Nested lists of finite numbers as an array; None in the shape is any length, null in the lists NaN."""
+        """Nested lists of finite numbers as an array; None in `shape` allows any length, null in the lists is NaN."""
         value = self.raw(key)
-        wanted = " x ".join("n" if length is None else str(length) for length in shape)
+        expected = " x ".join("n" if length is None else str(length) for length in shape)
         try:
             array = np.array(_numbers(value) if isinstance(value, list) else value, dtype=np.float64)
         except (TypeError, ValueError, OverflowError, RecursionError):
-            raise self.problem(key, f"must be {wanted} numbers") from None
+            raise self.problem(key, f"must be {expected} numbers") from None
         if array.size == 0 and not all(shape):
             array = array.reshape([length or 0 for length in shape])
         if array.ndim != len(shape) or any(w not in (None, n) for w, n in zip(shape, array.shape, strict=True)):
             found = " x ".join(map(str, array.shape)) or "one"
-            raise self.problem(key, f"has {found} numbers, must have {wanted}")
+            raise self.problem(key, f"has {found} numbers, must have {expected}")
         if finding := unusable(array, allow_nan):
             raise self.problem(key, finding)
         return array
 
     def vector(self, key: str, length: int) -> Float64[Array, "n"]:
-        """A list of so many finite numbers."""
+        """A list of `length` finite numbers."""
         return self.array(key, (length,))
 
     def point_m(self, key: str) -> Float64[Array, "xyz=3"]:
-        """A point that metres make plausible."""
+        """A point in metres, each coordinate at most `MAX_LENGTH_M`."""
         point = self.vector(key, 3)
         self.check_metres(key, point)
         return point
 
     def unit_vector(self, key: str, remedy: str = "") -> Float64[Array, "xyz=3"]:
-        """A vector of length 1, made exactly so."""
+        """A vector of length 1 within `ROUNDED`, normalised exactly."""
         vector = self.vector(key, 3)
         length = float(np.linalg.norm(vector))
         if abs(length - 1) > ROUNDED:
@@ -147,17 +147,17 @@ class Fields:
         return unit
 
     def check_metres(self, key: str, lengths: Float64[Array, "n"]) -> None:
-        """Refuse lengths that only make sense in millimetres."""
+        """Reject lengths that are only plausible in millimetres."""
         longest = float(lengths[np.argmax(np.abs(lengths))])
         if abs(longest) > MAX_LENGTH_M:
-            raise self.problem(key, f"is {longest:g}", "metres belong here; this looks like millimetres")
+            raise self.problem(key, f"is {longest:g}", "give metres; this looks like millimetres")
 
     def fields(self, key: str, known: Iterable[str] | None = None) -> "Fields":
-        """The mapping under a key."""
+        """The mapping at a key."""
         return Fields(self.file, self.raw(key), known, self._below(key))
 
     def each(self, key: str, known: Iterable[str] | None = None) -> Iterator["Fields"]:
-        """The mappings in the list under a key."""
+        """The mappings in the list at a key."""
         items = self.raw(key)
         if not isinstance(items, list):
             raise self.problem(key, f"is {kind(items)}, must be a list")
@@ -171,18 +171,19 @@ class Fields:
             raise self.problem(key, "must be a list of texts")
         return tuple(items)
 
-    def refuse_unknown(self, known: tuple[str, ...]) -> None:
-        """Refuse keys that are neither known nor the user's own."""
+    def reject_unknown(self, known: tuple[str, ...]) -> None:
+        """Reject keys that are neither known nor the user's own (`FREE_PREFIX`)."""
         for key in self.values:
             if not isinstance(key, str):
-                raise self.problem("", f"has the key {key!r}, which is no text")
+                raise self.problem("", f"has the key {key!r}, which is not a text")
             if key not in known and not key.startswith(FREE_PREFIX):
-                remedy = hint(key, known) or self._mistaken(known) or f"begin it with {FREE_PREFIX} if it is your own"
+                remedy = hint(key, known) or self._other_kind(known) or f"begin it with {FREE_PREFIX} if it is your own"
                 raise self.problem("", f"unknown key {key!r}", remedy)
 
-    def _mistaken(self, known: tuple[str, ...]) -> str:
-        signs = [SIGNS[key] for key in self.values if key in SIGNS and key not in known]
-        return f"this looks like {signs[0]}, give another file" if signs and not self.path else ""
+    def _other_kind(self, known: tuple[str, ...]) -> str:
+        """Remedy for a file of another kind, such as a rig given as a board; empty if it is not recognised."""
+        kinds = [CHARACTERISTIC_KEYS[key] for key in self.values if key in CHARACTERISTIC_KEYS and key not in known]
+        return f"this looks like {kinds[0]}, give another file" if kinds and not self.path else ""
 
     def _below(self, key: str) -> str:
         return f"{self.path}.{key}" if self.path else key
@@ -197,14 +198,15 @@ class Fields:
             least = f"at least {bounds[0]:g}" if bounds[0] > -math.inf else ""
             raise self.problem(key, f"is {value:g}, must be {least}{most}".replace("be  and", "be"))
 
-    def _near(self, key: str) -> str:
-        strange = [other for other in self.values if isinstance(other, str) and other not in self.known]
-        near = difflib.get_close_matches(key, strange, n=1)
-        return f"did you mean {key!r} where {near[0]!r} stands?" if near else ""
+    def _misspelling(self, key: str) -> str:
+        """Remedy for a missing key if an unknown key resembles it."""
+        unknown = [other for other in self.values if isinstance(other, str) and other not in self.known]
+        similar = difflib.get_close_matches(key, unknown, n=1)
+        return f"did you mean {key!r} instead of {similar[0]!r}?" if similar else ""
 
 
 def unusable(array: Float64[Array, "..."], allow_nan: bool) -> str:
-    """What is wrong with the numbers of an array; nothing if they are fit to compute with."""
+    """The finding if an array has numbers that are not finite or too large; empty if it has none."""
     if np.isinf(array).any() or (np.isnan(array).any() and not allow_nan):
         return "has a number that is not finite"
     if array.size and np.nanmax(np.abs(array), initial=0.0) > MAX_VALUE:
@@ -213,13 +215,13 @@ def unusable(array: Float64[Array, "..."], allow_nan: bool) -> str:
 
 
 def hint(word: str, known: Iterable[str]) -> str:
-    """`did you mean ...?`, or nothing where no known word is near."""
-    near = difflib.get_close_matches(word, list(known), n=1)
-    return f"did you mean {near[0]!r}?" if near else ""
+    """The remedy `did you mean ...?`, or an empty text if no known word is similar."""
+    similar = difflib.get_close_matches(word, list(known), n=1)
+    return f"did you mean {similar[0]!r}?" if similar else ""
 
 
 def kind(value: object) -> str:
-    """What a value is, in the words of the file."""
+    """Description of a value for messages, in the terms of YAML."""
     if value is None:
         return "empty"
     if isinstance(value, Mapping):

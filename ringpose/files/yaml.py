@@ -1,4 +1,4 @@
-"""YAML as its version 1.2 reads it: `1e-3` is a number, `off` and `2026-01-01` are texts, no key stands twice."""
+"""YAML 1.2 (core schema): `1e-3` is a number, `off` and `2026-01-01` are texts; duplicate keys are rejected."""
 
 import re
 from collections.abc import Iterable, Mapping
@@ -14,7 +14,7 @@ from ringpose.files.records import plain
 from ringpose.files.schema import Fields
 
 MAX_VALUES = 1_000_000
-"""Of one document."""
+"""Maximum number of values in one document."""
 
 _TAG = "tag:yaml.org,2002:"
 _RESOLVERS = [
@@ -30,13 +30,13 @@ _RESOLVERS = [
 
 
 class _Loader(Composer, yaml.CSafeLoader):
-    """Safe, of YAML 1.2's core schema, and strict about keys.
+    """A safe loader for the core schema of YAML 1.2.
 
-    libyaml's parser is six times as quick as PyYAML's own; its composer, which PyYAML's hides here, overruns the stack
-    of C in a file that is nested deeply.
+    The parser is libyaml's, which is six times faster than PyYAML's. The composer is PyYAML's, since libyaml's
+    overflows the C stack on deeply nested files.
     """
 
-    yaml_implicit_resolvers: Any = {}  # noqa: RUF012 (PyYAML's own way)
+    yaml_implicit_resolvers: Any = {}  # noqa: RUF012 (PyYAML fills it per class)
 
     def __init__(self, text: bytes) -> None:
         yaml.CSafeLoader.__init__(self, text)
@@ -45,7 +45,7 @@ class _Loader(Composer, yaml.CSafeLoader):
         self._values_within: dict[int, int] = {}
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        """The next node; what an alias stands for counts as if it were written out, lest aliases of aliases explode."""
+        """The next node. The values of an alias count as often as it occurs, which bounds nested aliases."""
         event: Any = self.peek_event()
         before = self._values
         node = super().compose_node(parent, index)
@@ -68,7 +68,7 @@ def _mapping(loader: _Loader, node: yaml.Node) -> dict[Any, Any]:
         if not isinstance(key, str | int | float):
             raise yaml.constructor.ConstructorError(None, None, "a key must be a text", key_node.start_mark)
         if key in values:
-            raise yaml.constructor.ConstructorError(None, None, f"the key {key!r} stands twice", key_node.start_mark)
+            raise yaml.constructor.ConstructorError(None, None, f"the key {key!r} occurs twice", key_node.start_mark)
         values[key] = loader.construct_object(value_node, deep=True)
     return values
 
@@ -78,11 +78,11 @@ def _integer(loader: _Loader, node: yaml.ScalarNode) -> int:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes every text that YAML 1.1 or 1.2 would take for something else."""
+    """A dumper that quotes every text that YAML 1.1 or 1.2 would read as another type."""
 
 
 def _text(dumper: _Dumper, text: str) -> yaml.ScalarNode:
-    """A file's name may have bytes that are no UTF-8; as PyYAML escapes them no YAML can be read again."""
+    """Escape bytes that are not UTF-8, as in file names; PyYAML's own escapes of them cannot be read again."""
     return dumper.represent_str(text.encode(errors="backslashreplace").decode())
 
 
@@ -98,22 +98,22 @@ _Loader.add_constructor(_TAG + "int", _integer)
 
 
 def parsed(text: bytes, file: str) -> Any:
-    """What one YAML document says."""
+    """The values in one YAML document; errors are reported with the line."""
     try:
         return yaml.load(text, Loader=_Loader)  # noqa: S506 (a safe loader)
     except yaml.MarkedYAMLError as error:
         line = f":{error.problem_mark.line + 1}" if error.problem_mark else ""
-        raise DataError(file + line, f"is no valid YAML: {error.problem or error.context}") from None
+        raise DataError(file + line, f"is not valid YAML: {error.problem or error.context}") from None
     except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
-        raise DataError(file, f"is no valid YAML: {str(error).splitlines()[0]}") from None
+        raise DataError(file, f"is not valid YAML: {str(error).splitlines()[0]}") from None
 
 
 def read_yaml(path: Path, known: Iterable[str] | None = None) -> Fields:
-    """The mapping at the top of a YAML file; keys that are not known are refused."""
+    """The mapping at the top level of a YAML file; unknown keys are rejected if `known` is given."""
     return Fields(str(path), parsed(read_bytes(path), str(path)), known)
 
 
 def write_yaml(stream: IO[bytes], values: Mapping[str, Any]) -> None:
-    """One YAML document, keys in their order, lists of numbers on one line."""
+    """Write one YAML document, with keys in the given order and lists of numbers on one line."""
     options: Any = {"sort_keys": False, "default_flow_style": None, "width": 120, "allow_unicode": True}
     yaml.dump(plain(values), stream, Dumper=_Dumper, encoding="utf-8", **options)

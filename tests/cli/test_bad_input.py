@@ -45,8 +45,8 @@ def empty_folder(folder, picture):
 
 BAD = {
     "truncated image": (broken_image, 65, "cut short"),
-    "wrong format": (wrong_format, 65, "is no image"),
-    "empty file": (empty_file, 65, "is no NPZ archive"),
+    "wrong format": (wrong_format, 65, "is not an image"),
+    "empty file": (empty_file, 65, "is not an NPZ archive"),
     "missing file": (lambda folder, picture: folder / "bad.npz", 66, "does not exist"),
     "empty folder": (empty_folder, 66, "holds no file that ends with"),
     "NPZ without a key": (lambda folder, picture: npz(folder / "bad.npz", lasers=None), 65, "has no key 'lasers'"),
@@ -105,8 +105,8 @@ def test_image_that_shows_no_ring_is_a_record_with_a_reason(rig, picture, capfd,
 @pytest.mark.parametrize(
     ("laser", "key", "value", "finding"),
     [
-        (0, "distance_m", -100.0, "lasers[0].distance_m: is -100; metres belong here; this looks like millimetres"),
-        (2, "projector_m", [30, -40, 0], "lasers[2].projector_m: is -40; metres belong here"),
+        (0, "distance_m", -100.0, "lasers[0].distance_m: is -100; give metres; this looks like millimetres"),
+        (2, "projector_m", [30, -40, 0], "lasers[2].projector_m: is -40; give metres"),
         (1, "normal", [0, 0.5, 0], "lasers[1].normal: has length 0.5, must be 1"),
         (1, "normal", [float("nan"), 1, 0], "lasers[1].normal: has a number that is not finite"),
     ],

@@ -12,7 +12,7 @@ import pytest
 from ringpose.cli.main import main
 from ringpose.files.poses import pose_record
 from ringpose.files.records import line_of
-from ringpose.files.truths import truth_record
+from ringpose.files.records.truths import truth_record
 from ringpose.types.pose import PoseLine, RingPose
 from ringpose.types.truth import Truth
 

@@ -9,9 +9,9 @@ import yaml
 from recorded_shots import recorded
 
 from ringpose.cli.main import main
-from ringpose.files.images import write_image
-from ringpose.files.sessions import read_session
-from ringpose.files.shots import read_shot
+from ringpose.files.images.codecs import write_image
+from ringpose.files.images.sessions import read_session
+from ringpose.files.images.shots import read_shot
 from ringpose.types.image import ALL_LASERS
 
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from recorded_shots import recorded
 
-from ringpose.files.sessions import read_session
-from ringpose.files.shots import write_shot
+from ringpose.files.images.sessions import read_session
+from ringpose.files.images.shots import write_shot
 from ringpose.types.image import Shot
 
 

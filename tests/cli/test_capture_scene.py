@@ -7,8 +7,8 @@ import pytest
 from small_rig import SMALL_RIG
 
 from ringpose.cli.main import main
-from ringpose.files.sessions import read_session
-from ringpose.files.shots import read_shot
+from ringpose.files.images.sessions import read_session
+from ringpose.files.images.shots import read_shot
 
 SMALL_SCENE = """\
 ringpose: scene/1

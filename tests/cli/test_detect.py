@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from ringpose.cli.main import main
-from ringpose.files.detections import detection_in
 from ringpose.files.npz import Archive
+from ringpose.files.records.detections import detection_in
 from ringpose.types.detection import NoBreakPoints
 
 
@@ -118,7 +118,7 @@ def test_record_is_no_shot(rig, capsys, monkeypatch, detections):
         monkeypatch.setattr("sys.stdin", stream)
         assert main(["detect", "-", "--rig", str(rig)]) == 65
 
-    assert "standard input:1: is a record; the name of a shot or image is wanted" in capsys.readouterr().err
+    assert "standard input:1: is a record; give the name of a shot or image" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("shot", ["B_z0500_p00_dim", "B_z0500_p00_normal"])

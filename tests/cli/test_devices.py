@@ -14,8 +14,8 @@ from served_scene import small_scene
 from small_rig import SMALL_RIG
 
 from ringpose.cli.main import main
-from ringpose.files.sessions import read_session
-from ringpose.files.shots import read_shot
+from ringpose.files.images.sessions import read_session
+from ringpose.files.images.shots import read_shot
 from ringpose.simulate.serve import genicam as features
 from ringpose.wire import gige_registers as bootstrap
 

@@ -61,7 +61,7 @@ def test_numbers_that_are_not_finite_are_refused(words, word, capsys):
     status = main([*words, word])
 
     assert status == 2
-    assert f"'{words[-1]}': {word} is no finite number; see ringpose {words[0]}" in capsys.readouterr().err
+    assert f"'{words[-1]}': {word} is not a finite number; see ringpose {words[0]}" in capsys.readouterr().err
 
 
 HEAVY = ("numpy", "cv2", "scipy", "yaml", "rich", "jaxtyping", "pydantic")

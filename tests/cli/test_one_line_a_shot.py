@@ -14,11 +14,11 @@ from ringpose.cli.main import main
 from ringpose.detect.break_points import MAX_END_SIGMA_PX
 from ringpose.detect.pipeline import detect
 from ringpose.files import records
-from ringpose.files.detections import detection_record
+from ringpose.files.images.shots import write_shot
 from ringpose.files.inputs import Record
 from ringpose.files.poses import pose_line_of, pose_record
+from ringpose.files.records.detections import detection_record
 from ringpose.files.rigs import read_rig
-from ringpose.files.shots import write_shot
 from ringpose.files.sources import read_source
 from ringpose.pose.record import pose_line
 from ringpose.types.detection import MAX_SIGMA_PX, BreakPointFlag, BreakPoints
@@ -50,11 +50,11 @@ def rig_of_shots(rig):
 
 
 def read_back(detection, rig):
-    return read_source(Record("x", records.record_of(records.line_of(detection_record(detection)), "x")), rig, None)
+    return read_source(Record("x", records.parsed_record(records.line_of(detection_record(detection)), "x")), rig, None)
 
 
 def round_trip(line):
-    return pose_line_of(records.record_of(records.line_of(pose_record(line)), "x"), "x")
+    return pose_line_of(records.parsed_record(records.line_of(pose_record(line)), "x"), "x")
 
 
 def test_an_end_that_a_saturated_glint_hides_is_not_measured(drawn_shot):

@@ -121,7 +121,7 @@ def test_what_is_no_name_ends_no_stream(rig, detections, tmp_path, monkeypatch, 
     captured = capsys.readouterr()
     assert status == 66
     assert len(lines(captured.out)) == 3
-    assert "is no name that a file can have" in captured.err
+    assert "is not a valid file name" in captured.err
     assert max(map(len, captured.err.splitlines())) < 200
 
 

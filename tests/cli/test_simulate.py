@@ -11,9 +11,9 @@ import yaml
 
 from ringpose.cli.main import main
 from ringpose.files.boards import read_board
+from ringpose.files.images.shots import read_shot
+from ringpose.files.records.truths import read_truths
 from ringpose.files.rigs import read_rig
-from ringpose.files.shots import read_shot
-from ringpose.files.truths import read_truths
 
 RIG = {
     "ringpose": "rig/1",

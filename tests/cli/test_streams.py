@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.files.detections import detection_in
 from ringpose.files.npz import Archive
+from ringpose.files.records.detections import detection_in
 
 DEADLINE_S = 60
 

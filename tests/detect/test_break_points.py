@@ -8,8 +8,8 @@ import pytest
 
 from ringpose.detect.break_points import ends_clear
 from ringpose.detect.pipeline import detect
+from ringpose.files.images.shots import read_shot
 from ringpose.files.rigs import read_rig
-from ringpose.files.shots import read_shot
 from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from ringpose.detect.pipeline import detect
+from ringpose.files.images.shots import read_shot
 from ringpose.files.rigs import read_rig
-from ringpose.files.shots import read_shot
 from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
 from ringpose.types.image import Shot
 

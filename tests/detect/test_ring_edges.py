@@ -21,8 +21,8 @@ from true_edges import edge_errors_px
 from ringpose.detect.edge_search import EdgeImage
 from ringpose.detect.pipeline import detect
 from ringpose.detect.ring_edges import FoundEdges, found_edges, named_by_curvature
+from ringpose.files.images.shots import read_shot
 from ringpose.files.rigs import read_rig
-from ringpose.files.shots import read_shot
 from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints
 from ringpose.types.rig import Rig
 

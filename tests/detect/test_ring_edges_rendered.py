@@ -7,8 +7,8 @@ import pytest
 from true_edges import edge_errors_px
 
 from ringpose.detect.pipeline import detect
+from ringpose.files.images.shots import read_shot
 from ringpose.files.rigs import read_rig
-from ringpose.files.shots import read_shot
 
 pytestmark = pytest.mark.slow
 

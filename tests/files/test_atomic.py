@@ -7,7 +7,7 @@ import textwrap
 import pytest
 
 from ringpose.errors import CannotCreateError, InputOutputError
-from ringpose.files.atomic import make_folder, refuse_existing, replacing
+from ringpose.files.atomic import make_folder, reject_existing, replacing
 
 
 def write(path, content: bytes, force=False, error: Exception | None = None):
@@ -75,7 +75,7 @@ def test_link_to_itself_cannot_be_written(tmp_path):
 def test_pipe_is_not_replaced_even_with_force(tmp_path):
     os.mkfifo(tmp_path / "pipe")
 
-    with pytest.raises(CannotCreateError, match="is a folder, a device or a pipe, no file; choose another output"):
+    with pytest.raises(CannotCreateError, match="is a folder, a device or a pipe, not a file; choose another output"):
         write(tmp_path / "pipe", b"new", force=True)
 
     assert (tmp_path / "pipe").is_fifo()
@@ -88,7 +88,7 @@ def test_folder_is_not_replaced_even_with_force(tmp_path):
 
 def test_missing_folder_is_told_before_long_work(tmp_path):
     with pytest.raises(CannotCreateError, match="no such file or directory"):
-        refuse_existing(tmp_path / "missing" / "a", force=False)
+        reject_existing(tmp_path / "missing" / "a", force=False)
 
 
 def test_failure_leaves_the_old_file_and_nothing_else(tmp_path):

@@ -49,9 +49,9 @@ def test_board_is_read_as_it_was_written(tmp_path, board):
     ("changes", "finding"),
     [
         ({"kind": "charucco"}, "kind: is 'charucco', must be one of charuco"),
-        ({"square_m": 25}, "square_m: is 25; metres belong here; this looks like millimetres"),
+        ({"square_m": 25}, "square_m: is 25; give metres; this looks like millimetres"),
         ({"square_m": -0.02}, "square_m: is -0.02, must be positive"),
-        ({"square_m": 1e-320}, "square_m: is 9.99989e-321; no board is so fine; metres belong here"),
+        ({"square_m": 1e-320}, "square_m: is 9.99989e-321, below the smallest length 1e-06; give metres"),
         ({"marker_m": 0.03}, "marker_m: is 0.03, must be smaller than square_m"),
         ({"squares_x": 1}, "squares_x: is 1, must be at least 2 and at most 200"),
         ({"kind": "chessboard", "squares_y": 3}, "squares_y: is 3, must be at least 4"),
@@ -122,8 +122,8 @@ def test_a_dictionary_that_is_neither_opencvs_nor_a_file_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("before", "after", "found"),
     [
-        ("000111011", "00011101", "3 x 3 times 0 or 1"),
-        ("000111011", "000111012", "3 x 3 times 0 or 1"),
+        ("000111011", "00011101", "3 x 3 digits 0 or 1"),
+        ("000111011", "000111012", "3 x 3 digits 0 or 1"),
         ("nmarkers: 2", "nmarkers: 3", "marker_2"),
         ("markersize: 3", "markersize: 30", "at most 10"),
     ],
@@ -150,5 +150,5 @@ def test_markers_are_square(tmp_path):
         " dictionary: DICT_4X4_50}"
     )
 
-    with pytest.raises(DataError, match="belongs to a chessboard alone"):
+    with pytest.raises(DataError, match="only for a chessboard"):
         read_board(tmp_path / "b.yaml")

@@ -14,11 +14,11 @@ import pytest
 
 from ringpose.cli.main import main
 from ringpose.errors import DataError
-from ringpose.files.image_headers import image_header
-from ringpose.files.images import read_image
+from ringpose.files.images.codecs import read_image
+from ringpose.files.images.headers import image_header
+from ringpose.files.images.shots import read_shot
 from ringpose.files.npz import Archive
 from ringpose.files.rigs import read_rig
-from ringpose.files.shots import read_shot
 
 SIDE = 30_000
 """900 million pixels."""
@@ -85,7 +85,7 @@ READ_WITH_LITTLE_MEMORY = """
 import resource, sys
 from pathlib import Path
 from ringpose.errors import DataError
-from ringpose.files.shots import read_shot
+from ringpose.files.images.shots import read_shot
 
 used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
 resource.setrlimit(resource.RLIMIT_AS, (used + 2**27, used + 2**27))

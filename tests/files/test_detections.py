@@ -6,8 +6,8 @@ import pytest
 
 from ringpose.errors import DataError
 from ringpose.files import records
-from ringpose.files.detections import detection_in, detection_of, detection_record, write_detection
 from ringpose.files.npz import Archive
+from ringpose.files.records.detections import detection_in, detection_of, detection_record, write_detection
 from ringpose.types.detection import BreakPoints, Detection, NoBreakPoints, RingEdgePoints, Segments, Stripes
 
 
@@ -63,7 +63,7 @@ def same(first, second) -> bool:
 
 
 def through_json(detection, full=True):
-    return detection_of(records.record_of(records.line_of(detection_record(detection, full)), "x"), "x")
+    return detection_of(records.parsed_record(records.line_of(detection_record(detection, full)), "x"), "x")
 
 
 def through_file(detection, folder):
@@ -98,7 +98,7 @@ def test_ring_edges_are_read_as_they_were_written(rng, there_and_back):
 
 def test_edge_that_is_neither_inner_nor_outer_is_an_error(rng):
     before = Detection(shot="a", stamp_s=0.0, break_points=break_points(rng), ring_edges=ring_edges(rng))
-    record = records.record_of(records.line_of(detection_record(before)), "x")
+    record = records.parsed_record(records.line_of(detection_record(before)), "x")
     record["ring_edges"]["edge"][3] = 2
 
     with pytest.raises(DataError, match="inner"):
@@ -107,7 +107,7 @@ def test_edge_that_is_neither_inner_nor_outer_is_an_error(rng):
 
 def test_edge_normal_without_a_direction_is_an_error(rng):
     before = Detection(shot="a", stamp_s=0.0, break_points=break_points(rng), ring_edges=ring_edges(rng))
-    record = records.record_of(records.line_of(detection_record(before)), "x")
+    record = records.parsed_record(records.line_of(detection_record(before)), "x")
     record["ring_edges"]["normal"][3] = [0, 0]
 
     with pytest.raises(DataError, match=r"ring_edges\.normal"):
@@ -188,7 +188,7 @@ def changed_record(rng, part, key, value):
         ),
         ("break_points", "face_end_px", [[None, 2]] * 3, "break_points.face_end_px: has a point of which one coordina"),
         ("break_points", "labelled", 1, "break_points.labelled: is 1, must be true or false"),
-        ("stripes", "piece", [9] * 50, "stripes.piece: names a piece beyond the 4 that there are"),
+        ("stripes", "piece", [9] * 50, "stripes.piece: has an index out of range"),
         ("stripes", "sigma_px", [1.0], "stripes.sigma_px: has 1 numbers, must have 50"),
         ("segments", "end_px", [], "segments.end_px: has 0 numbers, must have 7 x 2"),
     ],

@@ -54,7 +54,7 @@ def test_keys_of_the_user_are_left_alone():
 
 def test_missing_key_is_named_with_what_stands_there_instead():
     assert refusal(lambda: fields(normall=1).raw("normal")) == (
-        "rig.yaml: has no key 'normal'; did you mean 'normal' where 'normall' stands?"
+        "rig.yaml: has no key 'normal'; did you mean 'normal' instead of 'normall'?"
     )
 
 
@@ -78,7 +78,7 @@ def test_number_below_its_only_bound_says_the_bound():
 
 @pytest.mark.parametrize("value", [-39.5, 5.1])
 def test_length_that_fits_millimetres_only_is_refused_with_the_hint(value):
-    assert "metres belong here; this looks like millimetres" in refusal(lambda: fields(a=value).length_m("a"))
+    assert "give metres; this looks like millimetres" in refusal(lambda: fields(a=value).length_m("a"))
 
 
 def test_length_of_either_sign_up_to_five_metres_is_taken():
@@ -114,7 +114,7 @@ def test_a_key_that_is_missing_is_not_looked_for_in_another_that_is_known():
     fields = Fields("x.yaml", {"image_height": 480, "imge_width": 640}, None)
     fields.known = ("image_height", "image_width")
 
-    with pytest.raises(DataError, match="did you mean 'image_width' where 'imge_width' stands"):
+    with pytest.raises(DataError, match="did you mean 'image_width' instead of 'imge_width'"):
         fields.raw("image_width")
 
 

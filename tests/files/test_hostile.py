@@ -14,11 +14,11 @@ from ringpose.errors import DataError
 from ringpose.files import records
 from ringpose.files.boards import read_board
 from ringpose.files.cameras.formats import read_camera
-from ringpose.files.detections import detection_of
+from ringpose.files.images.shots import read_shot, write_shot
 from ringpose.files.poses import pose_line_of
+from ringpose.files.records.detections import detection_of
+from ringpose.files.records.truths import read_truths
 from ringpose.files.rigs import read_rig
-from ringpose.files.shots import read_shot, write_shot
-from ringpose.files.truths import read_truths
 from ringpose.types.image import Shot
 
 ODD = st.sampled_from(
@@ -195,7 +195,7 @@ def test_spoiled_truth(tmp_path, values):
 @relaxed
 @given(text=st.text(max_size=80))
 def test_text_that_is_no_record(text):
-    record = outcome(lambda line: records.record_of(line, "x"), text, "x: ")
+    record = outcome(lambda line: records.parsed_record(line, "x"), text, "x: ")
 
     assert record is None or isinstance(record, dict)
 

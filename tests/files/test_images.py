@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ringpose.errors import CannotCreateError, DataError, NoInputError
-from ringpose.files.images import read_image, write_image
+from ringpose.files.images.codecs import read_image, write_image
 
 
 def encoded(suffix: str, image) -> bytes:
@@ -104,7 +104,7 @@ def test_truncated_image_is_one_error_and_nothing_on_stderr(tmp_path, rng, capfd
     whole = encoded(suffix, grey(rng))
     (tmp_path / f"a{suffix}").write_bytes(whole[: int(kept * len(whole))])
 
-    with pytest.raises(DataError, match=r"cut short|no image"):
+    with pytest.raises(DataError, match=r"cut short|not an image"):
         read_image(tmp_path / f"a{suffix}")
 
     assert capfd.readouterr().err == ""

@@ -45,7 +45,7 @@ def line(pose, **changes) -> PoseLine:
 
 
 def record(line: PoseLine) -> dict:
-    return records.record_of(records.line_of(pose_record(line)), "x")
+    return records.parsed_record(records.line_of(pose_record(line)), "x")
 
 
 def test_schema_is_a_schema():

@@ -41,10 +41,10 @@ def test_place_counts_blank_lines():
     [
         ('{"a": NaN}', "NaN is not allowed, write null"),
         ('{"a": -Infinity}', "-Infinity is not allowed"),
-        ('{"a": 1, "a": 2}', "the key 'a' stands twice"),
-        ('{"a": 1', "is no JSON"),
-        ("[1]", "is no record"),
-        ("[" * 100_000, "is no JSON"),
+        ('{"a": 1, "a": 2}', "the key 'a' occurs twice"),
+        ('{"a": 1', "is not valid JSON"),
+        ("[1]", "is not a record"),
+        ("[" * 100_000, "is not valid JSON"),
     ],
 )
 def test_bad_line_is_refused_with_its_place(line, finding):
@@ -101,7 +101,7 @@ def test_a_name_is_a_line_that_is_read_as_that_name(capsys, monkeypatch, name, l
 
 @pytest.mark.parametrize("name", ["a\nb.npz", "a\r/b.npz"])
 def test_a_name_that_would_be_two_lines_is_refused(capsys, name):
-    with pytest.raises(DataError, match="it has a line break; rename it"):
+    with pytest.raises(DataError, match="has a line break; rename it"):
         records.write_name(Path(name))
 
     assert capsys.readouterr().out == ""

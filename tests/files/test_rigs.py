@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ringpose.errors import CannotCreateError, DataError
-from ringpose.files.rigs import read_rig, require_mount, usual_board_px, write_rig
+from ringpose.files.rigs import median_board_rms_px, read_rig, require_mount, write_rig
 from ringpose.types.covariance import ParameterCovariance
 
 MIRROR = [[1, 0, 0, 0.1], [0, 1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]]
@@ -28,11 +28,11 @@ def test_usual_distance_of_corners_is_the_median_of_the_rigs_boards(rig_file, tm
 
     write_rig(tmp_path / "judged.yaml", read_rig(rig_file()), extra={"quality": {"boards": boards}})
 
-    assert usual_board_px(tmp_path / "judged.yaml") == 0.03
+    assert median_board_rms_px(tmp_path / "judged.yaml") == 0.03
 
 
 def test_usual_distance_of_corners_is_unknown_where_the_rig_tells_none(rig_file):
-    assert usual_board_px(rig_file()) is None
+    assert median_board_rms_px(rig_file()) is None
 
 
 def test_rig_with_everything_is_read_as_it_was_written(rig_file, tmp_path, rng):
@@ -67,22 +67,22 @@ def test_rounded_normal_is_made_unit_length(rig_file):
         (
             "lasers.1.distance_m",
             -39.5,
-            "lasers[1].distance_m: is -39.5; metres belong here; this looks like millimetres",
+            "lasers[1].distance_m: is -39.5; give metres; this looks like millimetres",
         ),
-        ("lasers.0.projector_m", [-30, -40, 0], "lasers[0].projector_m: is -40; metres belong here"),
-        ("mount.tool_from_camera.0.3", 100.0, "mount.tool_from_camera: is 100; metres belong here"),
+        ("lasers.0.projector_m", [-30, -40, 0], "lasers[0].projector_m: is -40; give metres"),
+        ("mount.tool_from_camera.0.3", 100.0, "mount.tool_from_camera: is 100; give metres"),
         ("lasers.1.normal", [0, 0.6, 0.79], "lasers[1].normal: has length 0.992018, must be 1"),
-        ("lasers.1.distance_m", 0, "lasers[1].distance_m: is 0: the camera is in this plane"),
+        ("lasers.1.distance_m", 0, "lasers[1].distance_m: is 0: the plane contains the camera"),
         ("lasers.1.normal", [0, 0, 0], "lasers[1].normal: has length 0, must be 1"),
         ("lasers.1.normal.0", float("nan"), "lasers[1].normal: has a number that is not finite"),
-        ("lasers.1.name", "left", "lasers[1].name: 'left' stands twice"),
-        ("lasers.1.name", "a.b", "lasers[1].name: is 'a.b', must have no full stop"),
+        ("lasers.1.name", "left", "lasers[1].name: 'left' occurs twice"),
+        ("lasers.1.name", "a.b", "lasers[1].name: is 'a.b', must not contain a full stop"),
         ("lasers.1.distnace_m", 1, "lasers[1]: unknown key 'distnace_m'; did you mean 'distance_m'?"),
         ("lasers", [], "lasers: has 0 lasers, must have 1 to 8"),
-        ("mount.tool_from_camera.0.0", 0.5, "mount.tool_from_camera: its left upper 3 x 3 numbers are no rotation"),
-        ("mount.tool_from_camera.0.1", 1, "mount.tool_from_camera: its left upper 3 x 3 numbers are no rotation"),
-        ("mount.tool_from_camera", MIRROR, "mount.tool_from_camera: its left upper 3 x 3 numbers are no rotation"),
-        ("mount.tool_from_camera.2.3", -5.5, "mount.tool_from_camera: is -5.5; metres belong here"),
+        ("mount.tool_from_camera.0.0", 0.5, "mount.tool_from_camera: its upper left 3 x 3 matrix is not a rotation"),
+        ("mount.tool_from_camera.0.1", 1, "mount.tool_from_camera: its upper left 3 x 3 matrix is not a rotation"),
+        ("mount.tool_from_camera", MIRROR, "mount.tool_from_camera: its upper left 3 x 3 matrix is not a rotation"),
+        ("mount.tool_from_camera.2.3", -5.5, "mount.tool_from_camera: is -5.5; give metres"),
         ("mount.tool_from_camera.3.3", 2, "mount.tool_from_camera: must end with the row [0, 0, 0, 1]"),
         ("camera.image_width", 0, "camera.image_width: is 0, must be at least 1"),
         ("camera.camera_matrix.data.0", -700, "camera.camera_matrix: has a focal length that is not positive"),
@@ -119,7 +119,7 @@ def test_missing_key_is_named(rig_file, deleted, path):
     [
         (["fx", "fz"], [[1, 0], [0, 1]], "unknown parameter 'fz'"),
         (["fx", "middle.tilt_1"], [[1, 0], [0, 1]], "unknown parameter 'middle.tilt_1'"),
-        (["fx", "fx"], [[1, 0], [0, 1]], "a parameter stands twice"),
+        (["fx", "fx"], [[1, 0], [0, 1]], "a parameter occurs twice"),
         (["fx", "fy"], [[1, 0, 0], [0, 1, 0]], "has 2 x 3 numbers, must have 2 x 2"),
         (["fx", "left.tilt_1"], [[1, 1e-4], [0, 1e-6]], "is not symmetric"),
         (["fx", "left.tilt_1"], [[1, 2e-3], [2e-3, 1e-6]], "is not positive semidefinite"),

@@ -64,5 +64,5 @@ def test_a_name_stands_once(tmp_path):
 def test_an_empty_catalogue_is_refused(tmp_path):
     (tmp_path / "rings.yaml").write_text("ringpose: rings/1\nrings: []\n")
 
-    with pytest.raises(DataError, match="has no ring in it"):
+    with pytest.raises(DataError, match="has no ring"):
         read_rings(tmp_path / "rings.yaml")

@@ -170,10 +170,10 @@ def test_written_and_generated_views_stand_apart(scene_of):
         ("trajectory.0.normal", [0, 0, -0.9], "has length 0.9, must be 1"),
         ("trajectory.0.center_m", [0, 0, 500], "looks like millimetres"),
         ("trajectory.0.light", "bright", "is 'bright', must be one of dim, sun"),
-        ("trajectory.0.pitch_rad", 0.1, "is given beside pitch_rad or yaw_rad"),
+        ("trajectory.0.pitch_rad", 0.1, "cannot be combined with pitch_rad or yaw_rad"),
         ("trajectory.0.name", "a/b", "must be a plain file name"),
-        ("trajectory.0.groups", {"a": [1]}, "must hold texts, numbers, true or false"),
-        ("trajectory.1.generate.lights", ["moon"], "has 'moon', which is none of dim, sun"),
+        ("trajectory.0.groups", {"a": [1]}, "must contain texts, numbers, true or false"),
+        ("trajectory.1.generate.lights", ["moon"], "has 'moon', must be one of dim, sun"),
         ("trajectory.1.generate.distances_m", [300], "looks like millimetres"),
         ("trajectory.1.count", 3, "unknown key 'count'"),
         ("boards.camera.generate.distances_m", [0.4], "must be the nearest and the farthest distance"),
@@ -191,7 +191,7 @@ def test_a_wrong_scene_is_refused_in_one_line(scene_of, keys, value, message):
 
 
 def test_a_name_that_stands_twice_is_refused(scene_of):
-    with pytest.raises(DataError, match="'a' stands twice"):
+    with pytest.raises(DataError, match="'a' occurs twice"):
         scene_of(("trajectory.1", SCENE["trajectory"][0]))
 
 

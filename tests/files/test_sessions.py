@@ -11,8 +11,8 @@ import pytest
 import yaml
 
 from ringpose.errors import CannotCreateError, DataError, InputOutputError, LaserSafetyError, SignalReceived
-from ringpose.files.sessions import SessionWriter, read_session, write_session
-from ringpose.files.shots import read_shot
+from ringpose.files.images.sessions import SessionWriter, read_session, write_session
+from ringpose.files.images.shots import read_shot
 from ringpose.types.image import Shot
 from ringpose.types.session import Capture, Session
 
@@ -220,7 +220,7 @@ def test_a_capture_that_was_killed_leaves_no_lock_behind(tmp_path):
     killed = """
 import os, signal
 from pathlib import Path
-from ringpose.files.sessions import SessionWriter
+from ringpose.files.images.sessions import SessionWriter
 from ringpose.types.session import Capture
 SessionWriter(Path("s"), Capture(camera="files:x", lasers="none:")).__enter__()
 os.kill(os.getpid(), signal.SIGKILL)
@@ -251,7 +251,7 @@ def test_what_ended_a_capture_is_said_though_the_disk_is_full_by_then(tmp_path, 
         writer = SessionWriter(tmp_path / "s", CAPTURE)
         with writer:
             writer.add(shot("a"))
-            monkeypatch.setattr("ringpose.files.sessions.write_session", full)
+            monkeypatch.setattr("ringpose.files.images.sessions.write_session", full)
             raise LaserSafetyError("lasers", "laser 2 was seen while all are off")
 
     with pytest.raises(LaserSafetyError):

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ringpose.errors import CannotCreateError, DataError, NoInputError
+from ringpose.files.images.shots import read_shot, write_shot
 from ringpose.files.rigs import read_rig
-from ringpose.files.shots import read_shot, write_shot
 from ringpose.types.image import ALL_LASERS, Shot
 
 
@@ -85,11 +85,11 @@ def test_shot_without_a_key_is_refused(tmp_path, rng, key):
         ("exposure_s", np.array([1, np.inf, 2]), "exposure_s: has a number that is not finite"),
         ("exposure_s", np.array([0.1, 0.1, -0.1]), "exposure_s: is -0.1 in frame 2"),
         ("gain_db", np.array([np.nan, 0, 0]), "gain_db: has a number that is not finite"),
-        ("meta", np.array("{broken"), "meta: is no JSON"),
+        ("meta", np.array("{broken"), "meta: is not valid JSON"),
         ("meta", np.array(3), "meta: has type int64"),
         ("meta", np.array('{"saturation_dn": "full"}'), "meta: saturation_dn: is the text 'full', must be a number"),
         ("meta", np.array('{"saturation_dn": 0}'), "meta: saturation_dn: is 0, must be at least 1"),
-        ("schema", np.array("ringpose/detection/1"), "is a detection; a shot is wanted"),
+        ("schema", np.array("ringpose/detection/1"), "is a detection; give a shot"),
         ("image", np.zeros(3), "unknown key 'image'; did you mean 'images'?"),
     ],
 )

@@ -5,7 +5,7 @@ import pytest
 
 from ringpose.errors import DataError, NoInputError
 from ringpose.files import records
-from ringpose.files.truths import read_truths, truth_record
+from ringpose.files.records.truths import read_truths, truth_record
 from ringpose.types.truth import Truth
 
 LINE = {
@@ -54,10 +54,10 @@ def test_truths_are_read_as_they_were_written(tmp_path, rng):
     [
         ("expect", "poses", "expect: is 'poses', must be one of pose, partial, no_target; did you mean 'pose'?"),
         ("normal", [0, 0, 1.5], "normal: has length 1.5, must be 1"),
-        ("radius_outer_m", 597, "radius_outer_m: is 597; metres belong here"),
+        ("radius_outer_m", 597, "radius_outer_m: is 597; give metres"),
         ("break_points_px", [[[1, 2]]], "break_points_px: has 1 x 1 x 2 numbers, must have n x 2 x 2"),
         ("centre_m", [0, 0, 0], "unknown key 'centre_m'; did you mean 'center_m'?"),
-        ("center_m", [100, 200, 500], "center_m: is 500; metres belong here; this looks like millimetres"),
+        ("center_m", [100, 200, 500], "center_m: is 500; give metres; this looks like millimetres"),
     ],
 )
 def test_impossible_truth_is_refused_with_its_line(tmp_path, key, value, finding):
@@ -70,7 +70,7 @@ def test_impossible_truth_is_refused_with_its_line(tmp_path, key, value, finding
 
 
 def test_shot_that_stands_twice_is_refused(tmp_path):
-    with pytest.raises(DataError, match="'a' stands twice"):
+    with pytest.raises(DataError, match="'a' occurs twice"):
         list(read_truths(written(tmp_path / "truth.jsonl", LINE, LINE)))
 
 

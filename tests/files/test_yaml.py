@@ -25,13 +25,13 @@ def test_words_that_yaml_1_1_would_turn_into_something_else_stay_texts(text):
 @pytest.mark.parametrize(
     ("text", "finding"),
     [
-        ("a: 1\nb: 2\na: 3", "x.yaml:3: is no valid YAML: the key 'a' stands twice"),
-        ("a: [1,\nb: 2\nc: 3", "x.yaml:3: is no valid YAML"),
-        ("a: !!python/object/apply:os.getcwd []", "x.yaml:1: is no valid YAML: could not determine a constructor"),
-        ("? [a]\n: 1", "x.yaml:1: is no valid YAML: a key must be a text"),
-        ("a: " + "[" * 100_000, "x.yaml: is no valid YAML"),
-        ("a: \x01", "x.yaml: is no valid YAML"),
-        ("a: 1\n---\nb: 2", "x.yaml:2: is no valid YAML"),
+        ("a: 1\nb: 2\na: 3", "x.yaml:3: is not valid YAML: the key 'a' occurs twice"),
+        ("a: [1,\nb: 2\nc: 3", "x.yaml:3: is not valid YAML"),
+        ("a: !!python/object/apply:os.getcwd []", "x.yaml:1: is not valid YAML: could not determine a constructor"),
+        ("? [a]\n: 1", "x.yaml:1: is not valid YAML: a key must be a text"),
+        ("a: " + "[" * 100_000, "x.yaml: is not valid YAML"),
+        ("a: \x01", "x.yaml: is not valid YAML"),
+        ("a: 1\n---\nb: 2", "x.yaml:2: is not valid YAML"),
     ],
 )
 def test_bad_yaml_is_one_line_with_its_place(text, finding):
@@ -43,7 +43,7 @@ def test_bad_yaml_is_one_line_with_its_place(text, finding):
 
 
 def test_binary_data_is_no_yaml():
-    with pytest.raises(DataError, match="is no valid YAML"):
+    with pytest.raises(DataError, match="is not valid YAML"):
         parsed(bytes(range(128, 256)), "x.yaml")
 
 

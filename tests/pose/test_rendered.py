@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from ringpose.detect.pipeline import detect
-from ringpose.files.shots import read_shot
+from ringpose.files.images.shots import read_shot
 from ringpose.pose.closed_form import FORMS
 from ringpose.pose.closed_form import closed_form_pose as estimate_pose
 from ringpose.pose.pipeline import estimate_pose as most_likely_pose

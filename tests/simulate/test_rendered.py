@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ringpose.files.images.shots import read_shot
+from ringpose.files.records.truths import read_truths
 from ringpose.files.rigs import read_rig
-from ringpose.files.shots import read_shot
-from ringpose.files.truths import read_truths
 from ringpose.geometry.rays import project
 from ringpose.simulate.pipeline import simulate
 from ringpose.types.scene import Body, Foil, LaserLight, Lens, RingShape, RingView, Sensor, Speckle

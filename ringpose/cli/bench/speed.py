@@ -25,8 +25,7 @@ def speed(rounds: Rounds = 11, json: JsonFile = None, force: Force = False) -> N
     from ringpose.bench.speed import detection_times_s, pose_times_s
     from ringpose.bench.table import aligned
     from ringpose.files import records
-    from ringpose.files.io import write_result
-    from ringpose.files.provenance import provenance
+    from ringpose.files.io import provenance, write_result
 
     rows = [row for times in (detection_times_s, pose_times_s, start_times_s) for row in _rows(times(rounds))]
     if json != STDOUT:
@@ -51,10 +50,10 @@ def start_times_s(rounds: int) -> dict[str, float]:
 def start_calls(folder: Path, shot: "Shot", rig: "Rig") -> dict[str, Callable[[], object]]:
     """Calls that start a process and wait for its first line; a folder takes the input files and the byte code."""
     from ringpose.detect.pipeline import detect
-    from ringpose.files.detections import detection_record
+    from ringpose.files.images.shots import write_shot
     from ringpose.files.records import line_of
+    from ringpose.files.records.detections import detection_record
     from ringpose.files.rigs import write_rig
-    from ringpose.files.shots import write_shot
 
     rig_file, shot_file, detection_file = folder / "rig.yaml", folder / "shot.npz", folder / "detection.jsonl"
     write_rig(rig_file, rig)

@@ -10,14 +10,14 @@ from ringpose.calibrate.boards.overlay import board_overlay
 from ringpose.calibrate.boards.views import board_image, find_board
 from ringpose.cli import messages
 from ringpose.cli.batch import Batch
-from ringpose.cli.progress import counted
+from ringpose.cli.progress import with_progress
 from ringpose.errors import NO_POSE, DataError
-from ringpose.files.atomic import make_folder, refuse_inputs
-from ringpose.files.images import write_image
+from ringpose.files.atomic import make_folder, reject_inputs
+from ringpose.files.images.codecs import write_image
+from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot
 from ringpose.files.inputs import Input
 from ringpose.files.inputs import inputs as named
-from ringpose.files.shots import SHOT_SUFFIXES, read_shot
-from ringpose.files.sources import file_named
+from ringpose.files.sources import path_of_input
 from ringpose.types.arrays import Array, UInt
 from ringpose.types.board import Board, BoardView
 from ringpose.types.image import Shot
@@ -49,8 +49,8 @@ class BoardImages:
     def read(self, item: Input) -> tuple[Shot, BoardView] | None:
         """The shot that an input names with its view of the board; None, and remembered, if it shows none."""
         if isinstance(item, Path):
-            refuse_inputs((*self.outputs, self.overlay and self.overlay / f"{item.stem}.png"), [item])
-        shot = read_shot(file_named(item), self.channel)
+            reject_inputs((*self.outputs, self.overlay and self.overlay / f"{item.stem}.png"), [item])
+        shot = read_shot(path_of_input(item), self.channel)
         self._check_size(shot)
         self._refuse_known(shot)
         image = board_image(shot)
@@ -80,14 +80,14 @@ class BoardImages:
 
         Where none could be read, the command ends here: that is said already.
         """
-        for item in counted(batch.good(named(inputs, SHOT_SUFFIXES)), "images", quiet):
-            with batch.item():
+        for item in with_progress(batch.valid_inputs(named(inputs, SHOT_SUFFIXES)), "images", quiet):
+            with batch.guarded():
                 (read or self.read)(item)
                 if verbose:
-                    messages.say(self.last)
+                    messages.echo(self.last)
         for name, reason in self.without_board:
-            messages.say(f"{name}: no board: {reason}")
-        batch.met(NO_POSE if self.without_board else 0)
+            messages.echo(f"{name}: no board: {reason}")
+        batch.record_status(NO_POSE if self.without_board else 0)
         if not self.names and batch.status:
             batch.finish()
 
@@ -95,7 +95,7 @@ class BoardImages:
         found = find_board(image, self.board, name)
         if not (isinstance(found, NoBoard) and self.channel and self.luminance_too):
             return found
-        besides = find_board(board_image(read_shot(file_named(item))), self.board, name)
+        besides = find_board(board_image(read_shot(path_of_input(item))), self.board, name)
         return found if isinstance(besides, NoBoard) else besides
 
     def _refuse_known(self, shot: Shot) -> None:

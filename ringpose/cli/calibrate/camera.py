@@ -75,8 +75,8 @@ def calibrate_camera(
     images.outputs = (writing.output, report)
     batch = Batch()
     images.read_each(given(inputs, "INPUT"), batch, quiet=quiet, verbose=verbose)
-    with batch.item():
-        batch.met(_calibrate(images, asked, writing, board))
+    with batch.guarded():
+        batch.record_status(_calibrate(images, asked, writing, board))
     batch.finish()
 
 

@@ -19,16 +19,16 @@ if TYPE_CHECKING:
 def refuse_existing_outputs(output: Path, report: Path | None, force: bool, read: Iterable[Path]) -> None:
     """Before long work: refuse what exists already or is read, and a report that nothing can draw."""
     from ringpose.errors import UsageError
-    from ringpose.files.atomic import refuse_existing, refuse_inputs
+    from ringpose.files.atomic import reject_existing, reject_inputs
     from ringpose.report.page import require_matplotlib
 
-    refuse_inputs((output, report), read)
-    refuse_existing(output, force)
+    reject_inputs((output, report), read)
+    reject_existing(output, force)
     if report is not None:
         if report.resolve() == output.resolve():
             raise UsageError("--report", f"{report} is the output, too", "give each its own file")
         require_matplotlib()
-        refuse_existing(report, force)
+        reject_existing(report, force)
 
 
 def say_verdict(verdict: "Verdict", summary: Sequence[str], *, quiet: bool) -> int:
@@ -40,7 +40,7 @@ def say_verdict(verdict: "Verdict", summary: Sequence[str], *, quiet: bool) -> i
 
     bad = verdict.grade is Grade.REDO
     for line in verdict_lines(verdict)[:bad] if quiet else summary:
-        messages.say(line)
+        messages.echo(line)
     return NO_POSE if bad else 0
 
 
@@ -66,21 +66,21 @@ def print_board(path: Path, board_file: Path, usual: str, *, force: bool, quiet:
     """
     from ringpose.calibrate.boards.drawing import A4_BOARDS, board_drawing
     from ringpose.cli import messages
-    from ringpose.files.atomic import refuse_existing, refuse_inputs
+    from ringpose.files.atomic import reject_existing, reject_inputs
     from ringpose.files.board_prints import require_pdf, write_board_print
     from ringpose.files.boards import read_board, write_board
 
     require_pdf(path)
-    refuse_inputs([path], [board_file])
-    refuse_existing(path, force)
+    reject_inputs([path], [board_file])
+    reject_existing(path, force)
     if not board_file.exists():
         write_board(board_file, A4_BOARDS[usual])
     drawing = board_drawing(read_board(board_file))
     write_board_print(path, drawing, force=force)
     if not quiet:
         size = f"{1e3 * drawing.width_m:.0f} x {1e3 * drawing.height_m:.0f} mm"
-        messages.say(f"{path}: page {drawing.page}, {size}: print at 100 %, on a flat sheet")
-        messages.say(f"{board_file}: correct the sizes by what the printed rulers measure")
+        messages.echo(f"{path}: page {drawing.page}, {size}: print at 100 %, on a flat sheet")
+        messages.echo(f"{board_file}: correct the sizes by what the printed rulers measure")
 
 
 _Given = TypeVar("_Given")

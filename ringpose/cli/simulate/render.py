@@ -46,10 +46,10 @@ def simulate(
     from dataclasses import replace
 
     from ringpose.cli import messages
-    from ringpose.cli.progress import counted
+    from ringpose.cli.progress import with_progress
     from ringpose.files import records
+    from ringpose.files.images.simulations import SimulationFolder
     from ringpose.files.scenes import read_scene
-    from ringpose.files.simulations import SimulationFolder
     from ringpose.simulate.pipeline import simulate as simulated
     from ringpose.simulate.pipeline import simulated_boards
 
@@ -57,13 +57,15 @@ def simulate(
     seeded = read if seed is None else replace(read, seed=seed)
     processes = jobs or len(os.sched_getaffinity(0))
     folder = SimulationFolder(output, read.rig, force=force, inputs=[scene])
-    for shot, truth in counted(simulated(seeded, count, processes), "shots", quiet):
+    for shot, truth in with_progress(simulated(seeded, count, processes), "shots", quiet):
         records.write_name(folder.add(shot, truth))
         if verbose:
-            messages.say(f"{shot.name}: {len(shot.images)} frames of {1e3 * shot.exposure_s[0]:.3f} ms, {truth.expect}")
+            messages.echo(
+                f"{shot.name}: {len(shot.images)} frames of {1e3 * shot.exposure_s[0]:.3f} ms, {truth.expect}"
+            )
     for name, boards in (("camera", seeded.camera_boards), ("plane", seeded.plane_boards)):
         if boards is not None:
-            views = counted(simulated_boards(seeded, boards, count, processes), f"{name} board views", quiet)
+            views = with_progress(simulated_boards(seeded, boards, count, processes), f"{name} board views", quiet)
             folder.add_boards(name, boards.board, views)
 
 

@@ -1,1 +1,1 @@
-"""Cameras."""
+"""Camera files of ringpose and of other programs."""

@@ -1,4 +1,4 @@
-"""Cameras in files: the project's own, and those of other programs, read and written."""
+"""Reading and writing of cameras in the formats of ringpose, ROS, OpenCV, Kalibr and MATLAB."""
 
 import re
 from collections.abc import Callable, Mapping
@@ -12,8 +12,8 @@ from ringpose.errors import DataError, UsageError
 from ringpose.files import atomic
 from ringpose.files.cameras import kalibr, matlab
 from ringpose.files.cameras import opencv as opencv_storage
+from ringpose.files.cameras.covariances import read_covariance
 from ringpose.files.cameras.ros import CAMERA_KEYS, FILE_KEYS, camera_of, camera_values, write_camera
-from ringpose.files.covariances import read_covariance
 from ringpose.files.io import read_bytes
 from ringpose.files.schema import Fields
 from ringpose.files.yaml import parsed, write_yaml
@@ -22,18 +22,18 @@ from ringpose.types.covariance import CAMERA_PARAMETERS, ParameterCovariance
 from ringpose.types.options import CameraFormat
 
 _MESSAGE_END = re.compile(rb"\n---\s*\Z")
-"""The line that `ros2 topic echo` prints behind each message, where nothing follows."""
+"""The separator line that `ros2 topic echo` prints after a message, at the end of the file."""
 
 
 def read_camera(path: Path) -> Camera:
-    """The camera of a camera.yaml or rig.yaml, or of a file of ROS, OpenCV, Kalibr or MATLAB, told by its content."""
+    """The camera in a camera.yaml, rig.yaml, or a file of ROS, OpenCV, Kalibr or MATLAB, recognised by its contents."""
     file = str(path)
     form, values = _opened(read_bytes(path), file)
     return _READERS[form](values, file, path.stem)
 
 
 def write_camera_as(path: Path, camera: Camera, form: CameraFormat, source: Path, *, force: bool = False) -> None:
-    """Write a camera that was read from `source`; the covariance goes with it in ringpose's own format alone."""
+    """Write a camera that was read from `source`; only ringpose's own format includes the covariance."""
     if form is CameraFormat.RINGPOSE:
         write_camera(path, camera, force=force, inputs=[source])
         return
@@ -46,25 +46,25 @@ def write_camera_as(path: Path, camera: Camera, form: CameraFormat, source: Path
 
 
 def _opened(content: bytes, file: str) -> tuple[CameraFormat, Any]:
-    """The format of a file, by its first bytes or its keys, and the values in it."""
+    """The format of a file, recognised by its first bytes or its keys, and its values."""
     if matlab.is_mat(content):
         return CameraFormat.MATLAB, matlab.mat_variables(content, file)
     if opencv_storage.is_storage(content):
         return CameraFormat.OPENCV, opencv_storage.storage_values(content, file)
     values = parsed(_MESSAGE_END.sub(b"\n", content), file)
     keys = set(values) if isinstance(values, Mapping) else set()
-    for form, signs in _SIGNS.items():
-        if keys & signs:
+    for form, characteristic_keys in _CHARACTERISTIC_KEYS.items():
+        if keys & characteristic_keys:
             return form, values
-    raise DataError(file, "is no camera", "give a camera.yaml, rig.yaml, or a file of ROS, OpenCV, Kalibr or MATLAB")
+    raise DataError(file, "is not a camera", "give a camera.yaml, rig.yaml, or a file of ROS, OpenCV, Kalibr or MATLAB")
 
 
-_SIGNS = {
+_CHARACTERISTIC_KEYS = {
     CameraFormat.RINGPOSE: {"ringpose"},
     CameraFormat.KALIBR: {kalibr.NAME},
     CameraFormat.ROS: {"camera_matrix", "K", "k"},
 }
-"""Top-level keys of which a YAML file of each format has one."""
+"""Top-level keys by which a YAML file of each format is recognised; one of them suffices."""
 
 
 def _own_camera(values: Mapping[str, Any], file: str, name: str) -> Camera:
@@ -75,7 +75,7 @@ def _own_camera(values: Mapping[str, Any], file: str, name: str) -> Camera:
 
 
 def _ros_camera(values: Mapping[str, Any], file: str, name: str) -> Camera:
-    """From camera_info files, and from a message as `rostopic echo` and `ros2 topic echo` print it."""
+    """The camera in a camera_info file, or in a message printed by `rostopic echo` or `ros2 topic echo`."""
     if "camera_matrix" not in values:
         values = _of_message({str(key).lower(): value for key, value in values.items()}, file)
     fields = Fields(file, {"camera_name": name, "distortion_model": "plumb_bob", **values})
@@ -90,11 +90,11 @@ _READERS: dict[CameraFormat, Callable[[Any, str, str], Camera]] = {
     CameraFormat.KALIBR: kalibr.camera_of,
     CameraFormat.MATLAB: matlab.camera_of,
 }
-"""From the values in a file, its name for messages, and a name for a camera that has none."""
+"""Converters from the values in a file, its name (for messages), and a default name of the camera."""
 
 
 def _camera_of_rig(fields: Fields) -> Camera:
-    """With its part of the joint covariance of camera and planes."""
+    """The camera of a rig, with its block of the joint covariance of camera and planes."""
     camera = camera_of(fields.fields("camera", CAMERA_KEYS))
     if camera.covariance is not None or not fields.has("covariance"):
         return camera
@@ -108,20 +108,20 @@ def _camera_of_rig(fields: Fields) -> Camera:
 
 
 def _content(path: Path, camera: Camera, form: CameraFormat) -> bytes | dict[str, Any]:
-    """Bytes, or what is written as YAML."""
+    """The contents of a file in another program's format: bytes, or a mapping to be written as YAML."""
     if form is CameraFormat.OPENCV:
         return opencv_storage.storage_text(camera, path.suffix)
     if form is CameraFormat.KALIBR:
         return kalibr.camera_values(camera)
     if form is CameraFormat.MATLAB:
         if path.suffix.lower() != ".mat":
-            raise UsageError("--output", f"{path.name} is not a .mat file", "name it so: MATLAB reads no other")
+            raise UsageError("--output", f"{path.name} is not a .mat file", "end it with .mat")
         return matlab.mat(camera)
     return _ros_values(camera)
 
 
 def _ros_values(camera: Camera) -> dict[str, Any]:
-    """With the two matrices of a stereo pair, of which a single camera's change nothing."""
+    """ROS camera_info, including the stereo matrices, which for a single camera are the identity and [K | 0]."""
     matrix = camera.camera_matrix
     return camera_values(replace(camera, covariance=None)) | {
         "rectification_matrix": {"rows": 3, "cols": 3, "data": np.eye(3).ravel()},

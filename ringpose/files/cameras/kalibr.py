@@ -15,13 +15,13 @@ NAME = "cam0"
 _IGNORED = ("rostopic", "cam_overlaps", "T_cn_cnm1", "T_cam_imu", "timeshift_cam_imu")
 _KEYS = ("camera_model", "intrinsics", "distortion_model", "distortion_coeffs", "resolution", *_IGNORED)
 _LENGTHS = {"radtan": 4, "none": 0}
-"""Kalibr's distortion models that are OpenCV's too, with the number of their coefficients: k1, k2, p1, p2."""
+"""Number of coefficients (k1, k2, p1, p2) of the Kalibr distortion models that OpenCV also has."""
 
 
 def camera_of(values: Mapping[str, Any], file: str, name: str) -> Camera:
-    """The camera of a chain of one."""
+    """The camera in a chain of one camera."""
     if len(values) > 1:
-        raise DataError(file, f"has {len(values)} cameras", "keep the one that is meant, under cam0")
+        raise DataError(file, f"has {len(values)} cameras, must have one", "keep the required one, as cam0")
     fields = Fields(file, values).fields(NAME, _KEYS)
     fields.choice("camera_model", ("pinhole",))
     model = fields.choice("distortion_model", _LENGTHS)
@@ -40,11 +40,11 @@ def camera_of(values: Mapping[str, Any], file: str, name: str) -> Camera:
 
 
 def camera_values(camera: Camera) -> dict[str, Any]:
-    """What `camera_of` reads."""
+    """The mapping that `camera_of` reads."""
     coefficients = camera.distortion_coefficients
     if np.any(coefficients[4:] != 0):
         raise DataError(
-            "kalibr", "its radtan has k1, k2, p1, p2 alone, and this camera has more", "calibrate with --fix-k3"
+            "kalibr", "radtan has only k1, k2, p1, p2, and this camera has more coefficients", "calibrate with --fix-k3"
         )
     matrix = camera.camera_matrix
     return {

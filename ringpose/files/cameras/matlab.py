@@ -20,7 +20,7 @@ from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
 
 MAX_BYTES = 2**26
-"""No .mat file of a calibration is larger."""
+"""Maximum size of a .mat file with a calibration."""
 
 _VERSION_5, _VERSION_7_3 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
 _REMEDY = "give a Calib_Results.mat, or toStruct(cameraParameters) saved as .mat with -v7"
@@ -36,31 +36,31 @@ resource.setrlimit(resource.RLIMIT_AS, (2**31, 2**31))
 values = loadmat(io.BytesIO(sys.stdin.buffer.read()), simplify_cells=True)
 json.dump(values, sys.stdout, default=lambda value: value.tolist() if hasattr(value, "tolist") else None)
 """
-"""SciPy's reader crashes on damaged files (1.17: a segmentation fault for one of 50 files with three wrong bytes), or
-allocates what a wrong size asks for; therefore it runs in a process of its own, with limited memory and time."""
+"""SciPy's reader runs in a separate process with limited memory and time, since it crashes on damaged files (1.17: a
+segmentation fault for one of 50 files with three wrong bytes), or allocates the memory that a wrong size requires."""
 
 _LIMIT_S = 60.0
 
 
 def is_mat(content: bytes) -> bool:
-    """Whether a file is a .mat file; one of version 7.3 is HDF5 inside."""
+    """Whether a file is a .mat file, of version 5 to 7.2 or 7.3 (HDF5)."""
     return content.startswith((_VERSION_5, _VERSION_7_3))
 
 
 def mat_variables(content: bytes, file: str) -> dict[str, Any]:
-    """Variables of a .mat file of version 5 to 7.2 by name: numbers, nested lists, mappings for structures."""
+    """Variables in a .mat file of version 5 to 7.2: numbers, nested lists, and mappings for structures."""
     if content.startswith(_VERSION_7_3):
-        raise DataError(file, "is a .mat file of version 7.3, must be of version 5 to 7.2", "save it anew with -v7")
+        raise DataError(file, "is a .mat file of version 7.3, must be of version 5 to 7.2", "save it again with -v7")
     if len(content) > MAX_BYTES:
         raise DataError(file, f"has {len(content)} bytes, a camera has at most {MAX_BYTES}", _REMEDY)
-    words, environment = [sys.executable, "-P", "-c", _LOAD], {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+    command, environment = [sys.executable, "-P", "-c", _LOAD], {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     try:
-        loaded = subprocess.run(  # noqa: S603 (no word comes from outside)
-            words, input=content, capture_output=True, timeout=_LIMIT_S, check=True, env=environment
+        loaded = subprocess.run(  # noqa: S603 (a constant command)
+            command, input=content, capture_output=True, timeout=_LIMIT_S, check=True, env=environment
         )
         values = json.loads(loaded.stdout)
     except (subprocess.CalledProcessError, subprocess.TimeoutExpired, ValueError):
-        raise DataError(file, "is not a valid .mat file of version 5 to 7.2", "save it anew with -v7") from None
+        raise DataError(file, "is not a valid .mat file of version 5 to 7.2", "save it again with -v7") from None
     return dict(values)
 
 
@@ -95,7 +95,7 @@ def _camera_of_toolbox(values: Mapping[str, Any], file: str, name: str) -> Camer
 
 
 def _camera_of_struct(values: Mapping[str, Any], file: str, name: str) -> Camera:
-    """MATLAB's first pixel is 1, OpenCV's 0; its IntrinsicMatrix is transposed, K is not."""
+    """MATLAB's first pixel is 1, OpenCV's is 0; IntrinsicMatrix is the transpose of K."""
     key = "K" if "K" in values else "IntrinsicMatrix"
     if key not in values:
         raise DataError(file, "has neither K nor IntrinsicMatrix", _REMEDY)
@@ -104,7 +104,7 @@ def _camera_of_struct(values: Mapping[str, Any], file: str, name: str) -> Camera
         matrix = matrix.T
     fx, skew, cx, _, fy, cy = matrix.ravel()[:6].tolist()
     if skew:
-        raise DataError(file, f"has a skew of {skew:g}", "calibrate without")
+        raise DataError(file, f"has a skew of {skew:g}", "calibrate without skew")
     radial, tangential = (_numbers(values[key], file, key) for key in _STRUCT[1:])
     radial = np.concatenate([radial, np.zeros(3)])[:3]
     kc = np.array([*radial[:2], *_of_length(tangential, 2, file, _STRUCT[2]), radial[2]])
@@ -119,7 +119,7 @@ def _camera(file: str, name: str, size: tuple[float, float], parameters: _Parame
     (fx, fy), (cx, cy), kc = parameters
     fields = Fields(file, {"image_width": int(size[0]), "image_height": int(size[1])})
     if len(kc) > 5:
-        raise DataError(file, f"has {len(kc)} distortion coefficients, the toolbox has 5")
+        raise DataError(file, f"has {len(kc)} distortion coefficients, must have at most 5")
     return Camera(
         camera_name=name,
         image_width=fields.integer("image_width", least=1),
@@ -134,7 +134,7 @@ def _toolbox_values(camera: Camera) -> dict[str, Any]:
     matrix, coefficients = camera.camera_matrix, camera.distortion_coefficients
     if np.any(coefficients[5:] != 0):
         raise DataError(
-            "matlab", "the toolbox has k1, k2, p1, p2, k3 alone", "calibrate with --distortion-model plumb_bob"
+            "matlab", "the toolbox has only k1, k2, p1, p2, k3", "calibrate with --distortion-model plumb_bob"
         )
     values: dict[str, Any] = {
         "fc": matrix[[0, 1], [0, 1]],
@@ -155,7 +155,7 @@ def _numbers(value: Any, file: str, key: str) -> Float64[Array, "_"]:
     try:
         numbers = np.asarray(value, dtype=np.float64).ravel()
     except (TypeError, ValueError):
-        raise DataError(file, f"has a {key} that is no list of numbers", _REMEDY) from None
+        raise DataError(file, f"has a {key} that is not a list of numbers", _REMEDY) from None
     if not len(numbers) or not np.isfinite(numbers).all():
         raise DataError(file, f"has a {key} that is not finite", _REMEDY)
     return numbers

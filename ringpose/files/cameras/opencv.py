@@ -1,8 +1,8 @@
-"""OpenCV's FileStorage: YAML, XML and JSON are read, YAML and XML written; cameras under its calibration samples' keys.
+"""OpenCV's FileStorage (YAML, XML and JSON are read, YAML and XML written), with the keys of its calibration samples.
 
-Files are not read by cv2.FileStorage: damaged ones end the process. Of 20000 files with up to seven wrong places each,
-6 in XML crashed it (OpenCV 4.10: already `<?xml version=`), others corrupted its heap, and deep nesting overflows the
-stack of every version.
+Files are not read by cv2.FileStorage, since damaged files can end the process: of 20000 files with up to seven wrong
+bytes each, 6 in XML crashed it (OpenCV 4.10: already `<?xml version=`), others corrupted its heap, and deep nesting
+overflows the stack in every version.
 """
 
 from contextlib import suppress
@@ -26,7 +26,7 @@ _LIST_KEYS = ("data", "sizes")
 
 
 def is_storage(text: bytes) -> bool:
-    """Whether OpenCV's FileStorage wrote a file: its XML, its own YAML header, or its matrices, in YAML or JSON."""
+    """Whether a file was written by OpenCV's FileStorage: XML, its YAML header, or its matrices in YAML or JSON."""
     return text.startswith((HEADER_4[:6], b"<?xml", b"<opencv_storage")) or b"!!opencv-" in text or b'"opencv-' in text
 
 
@@ -42,17 +42,17 @@ def storage_values(text: bytes, file: str) -> Any:
         raise DataError(file, f"is not valid XML: {error}") from None
     values = {child.tag: _xml_value(child) for child in root}
     if len(values) < len(root):
-        raise DataError(file, "has a key twice")
+        raise DataError(file, "has a key that occurs twice")
     return values
 
 
 def camera_of(values: Any, file: str, name: str) -> Camera:
-    """The camera under the keys that OpenCV's calibration samples write."""
+    """The camera with the keys that OpenCV's calibration samples write."""
     fields = Fields(file, values)
     if not fields.has(_MATRIX):
         raise DataError(file, f"has no {_MATRIX}", "give a file with one camera, as OpenCV's calibration sample writes")
     if not (fields.has("image_width") and fields.has("image_height")):
-        raise DataError(file, "does not say the size of the image", "add image_width: and image_height: to it")
+        raise DataError(file, "does not have the size of the image", "add image_width: and image_height: to it")
     if fields.has("fisheye_model") and fields.number("fisheye_model") != 0:
         raise fields.problem("fisheye_model", "is set", "calibrate with plumb_bob or rational_polynomial")
     coefficients = _trimmed(fields, _storage_matrix(fields, _COEFFICIENTS, 1).ravel())
@@ -81,7 +81,7 @@ def storage_text(camera: Camera, suffix: str) -> bytes:
 
 
 def _xml_value(element: Any) -> Any:
-    """A mapping if there are elements inside, else a number, a list of numbers, or words."""
+    """A mapping if the element has children, else a number, a text, or a list of them."""
     if len(element):
         return {child.tag: _xml_value(child) for child in element}
     words = [_number(word) for word in (element.text or "").split()]
@@ -96,6 +96,7 @@ def _number(word: str) -> int | float | str:
 
 
 def _trimmed(fields: Fields, given: Float64[Array, "given"]) -> Float64[Array, "kept"]:
+    """The 5 or 8 coefficients of plumb_bob or rational_polynomial, without trailing zeros beyond them."""
     used = int(np.flatnonzero(given)[-1]) + 1 if given.any() else 0
     length = 5 if used <= 5 else 8
     if used > 8:
@@ -105,7 +106,7 @@ def _trimmed(fields: Fields, given: Float64[Array, "given"]) -> Float64[Array, "
 
 def _storage_matrix(fields: Fields, key: str, rows: int) -> Float64[Array, "row column"]:
     entry = fields.fields(key, _MATRIX_KEYS)
-    if entry.has("sizes"):  # OpenCV 5 writes a vector so
+    if entry.has("sizes"):  # a vector as OpenCV 5 writes it
         size = int(np.prod(entry.array("sizes", (None,))))
     else:
         size = entry.integer("rows", least=1) * entry.integer("cols", least=1)

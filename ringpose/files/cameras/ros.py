@@ -1,7 +1,4 @@
-"""Cameras with the keys of ROS camera_info, as they stand in camera.yaml and rig.yaml.
-
-What a pinhole camera's matrix can be.
-"""
+"""Cameras with the keys of ROS camera_info, as in camera.yaml and rig.yaml, and the check of camera matrices."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -11,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from ringpose.files import atomic
-from ringpose.files.covariances import covariance_values, read_covariance
-from ringpose.files.provenance import provenance
+from ringpose.files.cameras.covariances import covariance_values, read_covariance
+from ringpose.files.io import provenance
 from ringpose.files.schema import Fields
 from ringpose.files.yaml import write_yaml
 from ringpose.types.arrays import Array, Float64
@@ -32,7 +29,7 @@ CAMERA_KEYS = (
     "projection_matrix",
     "covariance",
 )
-"""Keys of ROS camera_info, of which the two matrices of a stereo pair are not read."""
+"""Keys of ROS camera_info; the two stereo matrices are accepted but not read."""
 
 FILE_KEYS = ("ringpose", "provenance", "standard_deviations", "quality", *CAMERA_KEYS)
 
@@ -47,7 +44,7 @@ def write_camera(
     force: bool = False,
     inputs: Iterable[Path] = (),
 ) -> None:
-    """Write camera.yaml; `extra` are the keys `standard_deviations` and `quality`, for the reader."""
+    """Write camera.yaml; `extra` has the informative keys `standard_deviations` and `quality`."""
     head = {"ringpose": SCHEMA, "provenance": provenance(inputs)}
     with atomic.replacing(path, force) as stream:
         write_yaml(stream, head | camera_values(camera) | dict(extra))
@@ -70,7 +67,7 @@ def camera_of(fields: Fields, schema: str = SCHEMA) -> Camera:
 
 
 def camera_values(camera: Camera) -> dict[str, Any]:
-    """What `camera_of` reads, in the order of ROS camera_info."""
+    """The mapping that `camera_of` reads, in the order of ROS camera_info."""
     coefficients = camera.distortion_coefficients
     values: dict[str, Any] = {
         "image_width": camera.image_width,
@@ -87,33 +84,33 @@ def camera_values(camera: Camera) -> dict[str, Any]:
 
 def _coefficients(fields: Fields) -> Float64[Array, "n"]:
     model = fields.choice("distortion_model", DISTORTION_COEFFICIENTS)
-    wanted = DISTORTION_COEFFICIENTS[model]
+    count = DISTORTION_COEFFICIENTS[model]
     given = _matrix(fields, "distortion_coefficients", (None, None))
-    if model == "plumb_bob" and len(given) in (0, 4):  # ROS and OpenCV leave out what is zero
-        return np.concatenate([given, np.zeros(wanted - len(given))])
-    if len(given) != wanted:
-        raise fields.problem("distortion_coefficients", f"has {len(given)} numbers, {model} has {wanted}")
+    if model == "plumb_bob" and len(given) in (0, 4):  # ROS and OpenCV omit coefficients that are zero
+        return np.concatenate([given, np.zeros(count - len(given))])
+    if len(given) != count:
+        raise fields.problem("distortion_coefficients", f"has {len(given)} numbers, {model} has {count}")
     return given
 
 
 def _matrix(fields: Fields, key: str, shape: tuple[int | None, int | None]) -> Float64[Array, "n"]:
     entry = fields.fields(key, _MATRIX_KEYS)
     rows, columns = entry.integer("rows", least=0), entry.integer("cols", least=0)
-    for name, found, wanted in (("rows", rows, shape[0]), ("cols", columns, shape[1])):
-        if wanted is not None and found != wanted:
-            raise entry.problem(name, f"is {found}, must be {wanted}")
+    for name, found, expected in (("rows", rows, shape[0]), ("cols", columns, shape[1])):
+        if expected is not None and found != expected:
+            raise entry.problem(name, f"is {found}, must be {expected}")
     return entry.vector("data", rows * columns)
 
 
 MAX_PIXELS = 100_000
-"""Columns or rows that no camera has."""
+"""Maximum number of columns or rows of an image."""
 
 MIN_FOCAL_LENGTH = 0.05
-"""Of the image's width: a lens that sees 169 degrees, which no pinhole camera does."""
+"""Minimum focal length in image widths; it corresponds to a field of view of 169 degrees."""
 
 
 def checked_matrix(fields: Fields, matrix: Float64[Array, "3 3"]) -> Float64[Array, "3 3"]:
-    """The camera matrix, if a pinhole camera can have it."""
+    """The camera matrix; rejected if it is not plausible for a pinhole camera."""
     if np.any(matrix[[0, 1, 2, 2], [1, 0, 0, 1]] != 0) or matrix[2, 2] != 1:
         raise fields.problem("camera_matrix", "must have the form [fx, 0, cx, 0, fy, cy, 0, 0, 1]")
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
@@ -121,9 +118,7 @@ def checked_matrix(fields: Fields, matrix: Float64[Array, "3 3"]) -> Float64[Arr
     size = np.array([fields.integer(key, least=1, most=MAX_PIXELS) for key in ("image_width", "image_height")])
     if np.any(np.diag(matrix)[:2] < MIN_FOCAL_LENGTH * size):
         shortest = min(matrix[0, 0], matrix[1, 1])
-        raise fields.problem(
-            "camera_matrix", f"has a focal length of {shortest:g} pixels", "pixels belong here, not mm"
-        )
+        raise fields.problem("camera_matrix", f"has a focal length of {shortest:g} pixels", "give pixels, not mm")
     if np.any(np.abs(matrix[:2, 2] - size / 2) > 1.5 * size):
         center = f"({matrix[0, 2]:g}, {matrix[1, 2]:g})"
         raise fields.problem("camera_matrix", f"has its principal point at {center}, far outside the image")

@@ -13,8 +13,8 @@ from ringpose.calibrate.camera.parameters import camera_with, parameters_of
 from ringpose.cli.main import main
 from ringpose.detect.pipeline import detect
 from ringpose.files.boards import read_board
+from ringpose.files.images.shots import read_shot, write_shot
 from ringpose.files.rigs import read_rig
-from ringpose.files.shots import read_shot, write_shot
 from ringpose.geometry.rotations import tilted
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.simulate.pipeline import simulated_boards

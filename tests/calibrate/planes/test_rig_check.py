@@ -80,11 +80,11 @@ def test_a_principal_point_that_moved_is_seen_where_usual_corners_are_known(view
     matrix = true_rig.camera.camera_matrix + np.array([[0.0, 0, 10], [0, 0, 0], [0, 0, 0]])
     moved = replace(true_rig, camera=replace(true_rig.camera, camera_matrix=matrix))
 
-    check = rig_check(view, moved, usual_board_px=0.02)
+    check = rig_check(view, moved, median_board_rms_px=0.02)
 
     assert 0.1 < check.board_rms_px < 0.5
     assert not check.holds
-    assert rig_check(view, true_rig, usual_board_px=0.02).holds
+    assert rig_check(view, true_rig, median_board_rms_px=0.02).holds
 
 
 def test_stripes_seen_together_go_to_the_planes_that_they_lie_on(view, true_rig):

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from ringpose.cli.main import main
-from ringpose.files.sessions import read_session
-from ringpose.files.shots import read_shot
+from ringpose.files.images.sessions import read_session
+from ringpose.files.images.shots import read_shot
 
 SLOW = ("--settle", "0.3", "--sequence", "off,all")
 

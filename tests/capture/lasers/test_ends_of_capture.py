@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from ringpose.files.sessions import read_session
+from ringpose.files.images.sessions import read_session
 
 OFF_WITHIN_S = 0.05
 

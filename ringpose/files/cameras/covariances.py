@@ -1,4 +1,4 @@
-"""The `covariance` entry of camera.yaml and rig.yaml: joint over named parameters."""
+"""The key `covariance` of camera.yaml and rig.yaml: a joint covariance of named parameters."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,41 +11,41 @@ from ringpose.types.covariance import ParameterCovariance
 
 _KEYS = ("parameters", "data")
 
-_NEGATIVE = -1e-9
-"""An eigenvalue of the correlation matrix below this is no rounding error."""
+_TOLERANCE = 1e-9
+"""Rounding errors of the correlation matrix: asymmetry, and negative eigenvalues per row."""
 
 
 def covariance_of(fields: Fields, known: Sequence[str]) -> ParameterCovariance:
-    """The covariance in a mapping, its parameters being among the known ones."""
+    """The covariance in a mapping; its parameters must be among the known ones."""
     names = fields.texts("parameters")
     for name in names:
         if name not in known:
             raise fields.problem("parameters", f"unknown parameter {name!r}", hint(name, known))
     if len(set(names)) != len(names):
-        raise fields.problem("parameters", "a parameter stands twice")
+        raise fields.problem("parameters", "a parameter occurs twice")
     data = checked_covariance(fields, "data", fields.array("data", (len(names), len(names))))
     return ParameterCovariance(parameters=names, data=data)
 
 
 def covariance_values(covariance: ParameterCovariance) -> dict[str, Any]:
-    """What `covariance_of` reads."""
+    """The mapping that `covariance_of` reads."""
     return {"parameters": list(covariance.parameters), "data": covariance.data}
 
 
 def read_covariance(parent: Fields, known: Sequence[str]) -> ParameterCovariance | None:
-    """The optional key `covariance` of a camera or rig."""
+    """The covariance under the optional key `covariance` of a camera or rig."""
     return covariance_of(parent.fields("covariance", _KEYS), known) if parent.has("covariance") else None
 
 
 def checked_covariance(fields: Fields, key: str, data: Float64[Array, "n n"]) -> Float64[Array, "n n"]:
-    """The covariance that a key has, if errors can have it: symmetric and positive semidefinite up to rounding."""
+    """The covariance at a key, made exactly symmetric; rejected unless symmetric and positive semidefinite."""
     variance = np.diag(data)
     if (variance < 0).any():
         raise fields.problem(key, "has a negative variance on its diagonal")
     sigma = np.sqrt(np.where(variance > 0, variance, 1.0))
     correlation = data / np.outer(sigma, sigma)
-    if np.abs(correlation - correlation.T).max(initial=0.0) > -_NEGATIVE:
+    if np.abs(correlation - correlation.T).max(initial=0.0) > _TOLERANCE:
         raise fields.problem(key, "is not symmetric")
-    if len(data) and np.linalg.eigvalsh(correlation).min() < _NEGATIVE * len(data):
-        raise fields.problem(key, "is not positive semidefinite: no errors have this covariance")
+    if len(data) and np.linalg.eigvalsh(correlation).min() < -_TOLERANCE * len(data):
+        raise fields.problem(key, "is not positive semidefinite")
     return (data + data.T) / 2

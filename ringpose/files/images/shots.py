@@ -1,4 +1,4 @@
-"""Shots: one NPZ a shot, or a plain image as a shot of one frame."""
+"""Shots: one NPZ file each, or a plain image as a shot of one frame."""
 
 import math
 from pathlib import Path
@@ -8,7 +8,7 @@ import numpy as np
 
 from ringpose.errors import DataError, NoInputError
 from ringpose.files import records
-from ringpose.files.images import IMAGE_SUFFIXES, check_shot_size, read_image
+from ringpose.files.images.codecs import IMAGE_SUFFIXES, check_shot_size, read_image
 from ringpose.files.npz import Archive, write_archive
 from ringpose.files.schema import Fields
 from ringpose.types.arrays import Array, Float64, UInt, UInt8
@@ -17,19 +17,18 @@ from ringpose.types.rig import Rig
 
 SHOT_SUFFIXES = (".npz", *IMAGE_SUFFIXES)
 
-_NEEDED = ("images", "lasers", "stamp_s", "exposure_s")
+_REQUIRED = ("images", "lasers", "stamp_s", "exposure_s")
 _TIMES = ("device_stamp_s", "gain_db")
 _MASKS = ("seen_lasers", "read_lasers")
-_KEYS = (*_NEEDED, *_TIMES, "frame_id", *_MASKS, "meta")
+_KEYS = (*_REQUIRED, *_TIMES, "frame_id", *_MASKS, "meta")
 
 
 def read_shot(path: Path, channel: str | None = None, rig: Rig | None = None) -> Shot:
     """The shot in an NPZ file, or an image as a shot of one frame with all lasers on.
 
-    Its name is the file's without suffix. With a rig the shot must fit it: no mask names a laser that the rig does not
-    have, and the images have the camera's size. An image does not say which lasers were on: its mask has the bits of
-    all the rig's lasers, or `ALL_LASERS` without a rig. Its stamp is the time at which the file was last changed, its
-    exposure 0, which stands for not known.
+    The shot's name is the file's without suffix. If a rig is given, the shot must match it: the masks contain only
+    lasers of the rig, and the images have the camera's size. The mask of a plain image has the bits of all lasers of
+    the rig (`ALL_LASERS` without a rig), its stamp is the file's modification time, and its exposure is 0 (unknown).
     """
     if path.suffix.lower() == ".npz":
         return shot_of(Archive(path), rig)
@@ -42,14 +41,14 @@ def read_shot(path: Path, channel: str | None = None, rig: Rig | None = None) ->
         stamp_s=np.array([_changed_at_s(path)]),
         exposure_s=np.zeros(1),
     )
-    return shot if rig is None else fitting_shot(shot, rig, str(path))
+    return shot if rig is None else checked_shot(shot, rig, str(path))
 
 
 def shot_of(archive: Archive, rig: Rig | None = None) -> Shot:
     """The shot in an open archive."""
     if "schema" in archive:
-        raise DataError(str(archive.path), "is a detection", "a shot is wanted")
-    archive.refuse_unknown(_KEYS)
+        raise DataError(str(archive.path), "is a detection", "give a shot")
+    archive.reject_unknown(_KEYS)
     images = _images(archive, rig)
     frames = len(images)
     shot = Shot(
@@ -61,30 +60,30 @@ def shot_of(archive: Archive, rig: Rig | None = None) -> Shot:
         meta=_meta(archive),
         **_optional(archive, frames),
     )
-    return shot if rig is None else fitting_shot(shot, rig, str(archive.path))
+    return shot if rig is None else checked_shot(shot, rig, str(archive.path))
 
 
 def write_shot(path: Path, shot: Shot, *, force: bool = False) -> None:
-    """Write a shot as NPZ; what it does not have is left out."""
+    """Write a shot as NPZ, without the keys that it does not have."""
     arrays = {key: getattr(shot, key) for key in _KEYS if key != "meta" and getattr(shot, key) is not None}
     meta = {"meta": np.array(records.line_of(shot.meta).strip())} if shot.meta else {}
     write_archive(path, arrays | meta, force=force)
 
 
-def fitting_shot(shot: Shot, rig: Rig, place: str) -> Shot:
-    """The shot, if it can be of this rig; `place` is where it comes from."""
+def checked_shot(shot: Shot, rig: Rig, location: str) -> Shot:
+    """The shot; rejected if its masks or image size do not match the rig. `location` is used in messages."""
     lasers = len(rig.lasers.names)
     for frame, mask in enumerate(shot.lasers.tolist()):
         if mask >> lasers:
             found = f"frame {frame} names laser {mask.bit_length()}, the rig has {lasers}"
-            raise DataError(f"{place}: lasers", found, "give the rig that took the shot")
+            raise DataError(f"{location}: lasers", found, "give the rig that took the shot")
     frames, height, width = shot.images.shape
-    check_shot_size(place, frames, width, height, rig.camera)
+    check_shot_size(location, frames, width, height, rig.camera)
     return shot
 
 
 def _images(archive: Archive, rig: Rig | None) -> UInt[Array, "frame row column"]:
-    """The images; type and size that the archive declares are checked before anything of that size is allocated."""
+    """The images; the declared type and size are checked before memory of that size is allocated."""
     dtype, shape = archive.declared("images", "u", (None, None, None))
     if dtype.itemsize > 2 or 0 in shape:
         raise archive.problem("images", f"has type {dtype} and {math.prod(shape)} pixels, must be 8 or 16 bits")
@@ -118,11 +117,11 @@ def _optional(archive: Archive, frames: int) -> dict[str, Any]:
 def _meta(archive: Archive) -> dict[str, Any]:
     if "meta" not in archive:
         return {}
-    place = f"{archive.path}: meta"
-    meta = records.record_of(archive.text("meta"), place)
+    location = f"{archive.path}: meta"
+    meta = records.parsed_record(archive.text("meta"), location)
     for key in ("saturation_dn", "usual_full_dn"):
         if meta.get(key) is not None:
-            Fields(place, meta).number(key, least=1)
+            Fields(location, meta).number(key, least=1)
     return meta
 
 
@@ -130,4 +129,4 @@ def _changed_at_s(path: Path) -> float:
     try:
         return max(path.stat().st_mtime, 0.0)
     except OSError:
-        raise NoInputError(str(path), "has gone while it was read") from None
+        raise NoInputError(str(path), "disappeared while it was read") from None

@@ -1,4 +1,4 @@
-"""Format and size that an encoded image declares, read from its header before anything is decoded."""
+"""Format and size in the header of an encoded image, read before the image is decoded."""
 
 import re
 import struct
@@ -6,25 +6,25 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 MAX_TILE_PIXELS = 2**24
-"""A tile of a TIFF image may be larger than the image, and is decoded as a whole."""
+"""Largest tile of a TIFF image. A tile may be larger than its image, and is decoded as a whole."""
 
 
 class ImageHeader(NamedTuple):
-    """What an encoded image declares; sizes in pixels."""
+    """Format and size of an encoded image; sizes in pixels."""
 
     format: str
     width: int
     height: int
     data_start: int = 0
-    """Of PGM alone: where the pixels begin, in bytes ..."""
+    """PGM only: offset of the pixels, in bytes."""
     maximum: int = 0
-    """... and the largest grey value."""
+    """PGM only: the largest grey value."""
 
 
 def image_header(encoded: bytes) -> ImageHeader | None:
     """The header of a PNG, JPEG, BMP, TIFF or binary PGM image; None for any other format.
 
-    A header that is cut short raises struct.error or ValueError. Sources: RFC 2083 (PNG), ITU-T T.81 B.2 (JPEG),
+    A truncated header raises struct.error or ValueError. Sources: RFC 2083 (PNG), ITU-T T.81 B.2 (JPEG),
     TIFF 6.0 and its 64-bit variant BigTIFF, the BITMAPINFOHEADER of Windows, pgm(5) of Netpbm.
     """
     for signature, read in _READERS.items():
@@ -41,7 +41,7 @@ def _png(encoded: bytes) -> ImageHeader:
 
 
 def _jpeg(encoded: bytes) -> ImageHeader:
-    """Segments are skipped up to the start of the frame, as libjpeg skips them."""
+    """Skip segments up to the frame header (SOF marker), as libjpeg does."""
     at = 2
     while True:
         at = encoded.index(b"\xff", at)
@@ -54,26 +54,26 @@ def _jpeg(encoded: bytes) -> ImageHeader:
         if marker in _FRAMES:
             height, width = struct.unpack_from(">HH", encoded, at + 3)
             return ImageHeader("JPEG", width, height)
-        if marker in (0xD9, 0xDA):  # the image ends, or its data begin
+        if marker in (0xD9, 0xDA):  # end of image (EOI), or start of scan (SOS)
             raise ValueError("no frame header")
         at += max(struct.unpack_from(">H", encoded, at)[0], 2)
 
 
 _FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
-"""SOF0 to SOF15; the three between them are tables and a reserved marker."""
+"""SOF0 to SOF15, except DHT, JPG and DAC, whose codes lie between them."""
 
 _STANDALONE = {0x00, 0x01, 0xD8, *range(0xD0, 0xD8)}
-"""Markers without a length."""
+"""Markers without a length field."""
 
 
 def _bmp(encoded: bytes) -> ImageHeader:
     (length,) = struct.unpack_from("<I", encoded, 14)
     width, height = struct.unpack_from("<HH" if length == 12 else "<ii", encoded, 18)
-    return ImageHeader("BMP", width, abs(height))  # a negative height: the top row comes first
+    return ImageHeader("BMP", width, abs(height))  # a negative height means that the top row comes first
 
 
 def _tiff(encoded: bytes) -> ImageHeader:
-    """The first directory, which is the one that is decoded."""
+    """Size in the first image file directory, which is the one that OpenCV decodes."""
     order = "<" if encoded.startswith(b"II") else ">"
     if struct.unpack_from(order + "H", encoded, 2)[0] == 42:
         offset, count, entry = "I", "H", "HHI4s"
@@ -86,8 +86,8 @@ def _tiff(encoded: bytes) -> ImageHeader:
     if first + entries * size > len(encoded):
         raise ValueError("the directory is cut short")
     values: dict[int, int] = {}
-    for place in range(first, first + entries * size, size):
-        tag, kind, number, value = struct.unpack_from(order + entry, encoded, place)
+    for position in range(first, first + entries * size, size):
+        tag, kind, number, value = struct.unpack_from(order + entry, encoded, position)
         if number == 1 and kind in _INTEGERS:
             found = struct.unpack_from(order + _INTEGERS[kind], value)[0]
             values[tag] = max(found, values.get(tag, 0))
@@ -99,7 +99,7 @@ def _tiff(encoded: bytes) -> ImageHeader:
 _WIDTH, _LENGTH, _TILE_WIDTH, _TILE_LENGTH = 256, 257, 322, 323
 
 _INTEGERS = {3: "H", 4: "I", 16: "Q"}
-"""TIFF's types of whole numbers; eight bytes in BigTIFF alone."""
+"""Integer types of TIFF: SHORT, LONG, and LONG8 of BigTIFF."""
 
 
 def _pgm(encoded: bytes) -> ImageHeader:
@@ -111,7 +111,7 @@ def _pgm(encoded: bytes) -> ImageHeader:
 
 
 _PGM = re.compile(rb"P5" + 3 * rb"(?:\s|#[^\n]*\n)+([0-9]{1,10})" + rb"\s")
-"""Numbers between white space and comments; one white-space character ends the header."""
+"""Width, height and maximum, separated by white space or comments; one white-space character ends the header."""
 
 _READERS: dict[bytes, Callable[[bytes], ImageHeader]] = {
     b"\x89PNG\r\n\x1a\n": _png,
@@ -123,4 +123,4 @@ _READERS: dict[bytes, Callable[[bytes], ImageHeader]] = {
     b"MM\0+": _tiff,
     b"P5": _pgm,
 }
-"""By signature."""
+"""Parser of each format, by the file's signature."""

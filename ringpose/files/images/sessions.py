@@ -1,4 +1,4 @@
-"""Session folders: `session.yaml` beside one NPZ a shot."""
+"""Session folders: `session.yaml` and one NPZ file per shot."""
 
 import tempfile
 from collections.abc import Iterable
@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Literal, cast, get_args
 
 from ringpose.errors import CannotCreateError, DataError, RingposeError
 from ringpose.files.atomic import make_folder, output_error, replacing
-from ringpose.files.provenance import provenance, sha256
+from ringpose.files.images.shots import write_shot
+from ringpose.files.io import provenance, sha256
 from ringpose.files.schema import Fields
-from ringpose.files.shots import write_shot
 from ringpose.files.yaml import read_yaml, write_yaml
 from ringpose.types.image import Shot
 from ringpose.types.sequence import MAX_LASERS
@@ -27,13 +27,13 @@ SCHEMA = "session/1"
 FILE = "session.yaml"
 
 LOCK = ".lock"
-"""Held while a capture writes into the folder."""
+"""Lock file, held while a capture writes into the folder."""
 
-ASIDE = ".*.part"
-"""What a process that was killed while it wrote a file leaves behind."""
+TEMPORARY_FILES = ".*.part"
+"""Pattern of the temporary files that a killed process leaves behind."""
 
 Existing = Literal["refuse", "replace", "append"]
-"""What to do with a folder that is there already."""
+"""What to do with a folder that exists already."""
 
 _KEYS = (
     "camera",
@@ -51,29 +51,28 @@ _KEYS = (
 
 
 def folder_of_now() -> Path:
-    """`session-20260101T000000Z`, in the working directory."""
+    """The default name, such as `session-20260101T000000Z`, in the working directory."""
     return Path(f"session-{datetime.now(UTC):%Y%m%dT%H%M%SZ}")
 
 
 def read_session(folder: Path) -> Session:
-    """The session in a folder; that its shots are there is for their reader to see."""
+    """The session in a folder; whether its shots exist is checked when they are read."""
     fields = read_yaml(folder / FILE, ("ringpose", "captures"))
     fields.choice("ringpose", (SCHEMA,))
     return Session(captures=tuple(_capture(each) for each in fields.each("captures", _KEYS)))
 
 
 def write_session(folder: Path, session: Session) -> None:
-    """Write `session.yaml`, in the place of the one that is there."""
+    """Write `session.yaml`, replacing an existing one."""
     captures = [_record(capture) for capture in session.captures]
     with replacing(folder / FILE, force=True) as stream:
         write_yaml(stream, {"ringpose": SCHEMA, "captures": captures})
 
 
 class SessionWriter:
-    """A session that is being captured: whatever ends the block, the finished shots and `session.yaml` stay valid.
+    """Writes a session while it is captured; the shots and `session.yaml` stay valid however the block ends.
 
-    Nothing that lies in the folder is touched before there is a shot to take its place, and nobody else may write into
-    it meanwhile.
+    The folder is locked against other captures. Existing files are not changed before the first shot arrives.
     """
 
     def __init__(self, folder: Path, capture: Capture, existing: Existing = "refuse") -> None:
@@ -84,7 +83,7 @@ class SessionWriter:
         self._outdated: tuple[Path, ...] = ()
         """Shots of the session that this one replaces."""
         self.names: set[str] = set()
-        """Of the shots that lie in the folder."""
+        """Names of the shots in the folder."""
         self._shots: list[str] = []
         self._inputs: dict[str, str] = {}
         self._has_begun = False
@@ -92,7 +91,7 @@ class SessionWriter:
     def __enter__(self) -> None:
         is_free = self._is_free()
         if not is_free:
-            self._refuse()
+            self._check_existing()
         self._lock = _locked(make_folder(self.folder))
         try:
             self._take_over(is_free)
@@ -109,7 +108,7 @@ class SessionWriter:
                 self._begin()
                 self._write("finished")
             elif self._has_begun:
-                with suppress(RingposeError):  # what has ended the capture is worth more than why it cannot be noted
+                with suppress(RingposeError):  # the error that ended the capture matters more
                     self._write("stopped")
         finally:
             self._unlock()
@@ -129,44 +128,44 @@ class SessionWriter:
         return path
 
     def name_camera(self, name: str | None) -> None:
-        """What the camera calls itself, which it says only when it is open."""
+        """Set the camera's own name, which is available only after it has been opened."""
         self._capture = replace(self._capture, camera_name=name)
 
     def read_from(self, path: Path) -> None:
-        """Remember an input by its hash."""
+        """Add an input file with its hash to the provenance."""
         self._inputs[str(path)] = sha256(path)
 
-    def _refuse(self) -> None:
-        """What is there may have to stay as it is."""
+    def _check_existing(self) -> None:
+        """Reject an existing folder, unless it is a session and may be replaced or continued."""
         if self._existing == "refuse":
             remedy = "add --append to go on with it, or --force to replace it"
             raise CannotCreateError(str(self.folder), "exists already", remedy)
         if not (self.folder / FILE).exists():
-            raise CannotCreateError(str(self.folder), f"has no {FILE}, so it is no session", "choose another --output")
+            raise CannotCreateError(str(self.folder), f"is not a session: it has no {FILE}", "choose another --output")
 
     def _take_over(self, is_free: bool) -> None:
-        """See to what is in the folder already; that it can be written to shows at once."""
+        """Read the existing session, and check that the folder is writable."""
         try:
             with tempfile.TemporaryFile(dir=self.folder):
                 pass
         except OSError as error:
             raise output_error(self.folder, error) from error
-        for path in self.folder.glob(ASIDE):
+        for path in self.folder.glob(TEMPORARY_FILES):
             path.unlink(missing_ok=True)
-        there = sorted(self.folder.glob("*.npz"))
+        existing = sorted(self.folder.glob("*.npz"))
         earlier = () if is_free else read_session(self.folder).captures
         listed = {shot for capture in earlier for shot in capture.shots}
-        unlisted = [path.stem for path in there if path.stem not in listed]
+        unlisted = [path.stem for path in existing if path.stem not in listed]
         closed = tuple(_closed(capture, unlisted) for capture in earlier)
         if self._existing == "append":
             self._earlier = closed
         else:
             replaced = {shot for capture in closed for shot in capture.shots}
-            self._outdated = tuple(path for path in there if path.stem in replaced)
-        self.names = {path.stem for path in there if path not in self._outdated}
+            self._outdated = tuple(path for path in existing if path.stem in replaced)
+        self.names = {path.stem for path in existing if path not in self._outdated}
 
     def _begin(self) -> None:
-        """Before the first shot: the session that is replaced goes, and `session.yaml` says who is at work."""
+        """Before the first shot: remove the shots of a replaced session, and set the state to `capturing`."""
         if self._has_begun:
             return
         for path in self._outdated:
@@ -175,7 +174,7 @@ class SessionWriter:
         self._has_begun = True
 
     def _is_free(self) -> bool:
-        """Whether the folder is not there yet, or empty."""
+        """Whether the folder does not exist yet, or is empty."""
         try:
             return not self.folder.exists() or (
                 self.folder.is_dir() and all(path.name == LOCK for path in self.folder.iterdir())
@@ -184,7 +183,7 @@ class SessionWriter:
             raise output_error(self.folder, error) from error
 
     def _unlock(self) -> None:
-        """Remove the lock file before the lock is released: whoever opened it meanwhile notices and opens it anew."""
+        """Remove the lock file before releasing the lock; a process that has opened it meanwhile opens it again."""
         with suppress(OSError):
             (self.folder / LOCK).unlink()
         self._lock.release()
@@ -211,7 +210,7 @@ def _locked(folder: Path) -> "BaseFileLock":
 
 
 def _closed(capture: Capture, unlisted: Iterable[str]) -> Capture:
-    """A capture that was cut off has the shots that no list names."""
+    """The capture; one that was interrupted gets the shots that no capture lists, and the state `stopped`."""
     return replace(capture, state="stopped", shots=tuple(unlisted)) if capture.state == "capturing" else capture
 
 
@@ -233,5 +232,5 @@ def _capture(fields: Fields) -> Capture:
 
 def _record(capture: Capture) -> dict[str, Any]:
     values = asdict(capture)
-    said = {key: values[key] for key in _KEYS if values[key] is not None}
-    return {key: list(value) if isinstance(value, tuple) else value for key, value in said.items()}
+    present = {key: values[key] for key in _KEYS if values[key] is not None}
+    return {key: list(value) if isinstance(value, tuple) else value for key, value in present.items()}

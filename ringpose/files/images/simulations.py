@@ -1,4 +1,4 @@
-"""The folder that `ringpose simulate` fills: rig, shots, truth, and calibration views."""
+"""The output folder of `ringpose simulate`: rig, shots, truth, and calibration views."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -8,10 +8,10 @@ import cv2
 from ringpose.errors import DataError
 from ringpose.files import atomic, records
 from ringpose.files.boards import write_board
-from ringpose.files.images import write_image
+from ringpose.files.images.codecs import write_image
+from ringpose.files.images.shots import write_shot
+from ringpose.files.records.truths import truth_record
 from ringpose.files.rigs import write_rig
-from ringpose.files.shots import write_shot
-from ringpose.files.truths import truth_record
 from ringpose.types.board import Board
 from ringpose.types.image import Shot
 from ringpose.types.rig import Rig
@@ -20,7 +20,7 @@ from ringpose.types.truth import Truth
 
 
 class SimulationFolder:
-    """Every file is whole as soon as it is there; a truth line follows its shot."""
+    """Writes each file atomically; the truth line of a shot is appended after the shot."""
 
     def __init__(self, folder: Path, rig: Rig, *, force: bool, inputs: Iterable[Path]) -> None:
         self.folder = atomic.make_folder(folder)
@@ -30,14 +30,14 @@ class SimulationFolder:
         atomic.make_folder(folder / "shots")
 
     def add(self, shot: Shot, truth: Truth) -> Path:
-        """One shot and its line of truth.jsonl; returns the shot's file."""
+        """Write one shot and append its line to truth.jsonl; returns the shot's path."""
         path = self.folder / "shots" / f"{shot.name}.npz"
         write_shot(path, shot, force=self.force)
         self._append(self.folder / "truth.jsonl", truth_record(truth))
         return path
 
     def add_boards(self, name: str, board: Board, views: Iterable[tuple[Shot, BoardPlace]]) -> None:
-        """The views of a board, `camera` or `plane`, each as it comes, with the board file and the true places."""
+        """Write the views of a board (`camera` or `plane`) as they are rendered, the board file and the true poses."""
         calibration = atomic.make_folder(self.folder / "calibration")
         folder, truth = atomic.make_folder(calibration / _VIEWS[name]), calibration / f"{name}_truth.jsonl"
         self._begin(truth, folder)
@@ -52,14 +52,14 @@ class SimulationFolder:
             self._append(truth, record)
 
     def _write_view(self, folder: Path, shot: Shot) -> None:
-        """A PNG if it is a single frame without stripes, else a shot."""
+        """Write a PNG if the view is a single frame without stripes, else a shot."""
         if len(shot.images) == 1 and not shot.lasers.any():
             write_image(folder / f"{shot.name}.png", shot.images[0], force=self.force)
         else:
             write_shot(folder / f"{shot.name}.npz", shot, force=self.force)
 
     def _begin(self, truth: Path, views: Path) -> None:
-        """An empty truth file; an older one goes together with what it lists."""
+        """Create an empty truth file; if one exists, it is removed together with the views that it lists."""
         with atomic.replacing(truth, self.force):
             for name in _listed(truth):
                 for suffix in ("npz", "png"):
@@ -78,7 +78,7 @@ _VIEWS = {"camera": "camera", "plane": "planes"}
 
 
 def _listed(truth: Path) -> list[str]:
-    """Names of the shots or views in an older truth file, as far as it can be read."""
+    """Names of the shots or views in an existing truth file; empty if it cannot be read."""
     if not truth.is_file():
         return []
     try:

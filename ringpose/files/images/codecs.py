@@ -1,4 +1,4 @@
-"""Images: PNG, TIFF, BMP, JPEG, PGM as arrays of grey values."""
+"""Reading of PNG, TIFF, BMP, JPEG and PGM images as grey values, and writing of PNG."""
 
 import os
 import re
@@ -15,7 +15,7 @@ import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.files import atomic
-from ringpose.files.image_headers import ImageHeader, image_header
+from ringpose.files.images.headers import ImageHeader, image_header
 from ringpose.files.io import read_bytes
 from ringpose.opencv_log import silent_opencv
 from ringpose.types.arrays import Array, UInt
@@ -24,10 +24,10 @@ from ringpose.types.camera import Camera
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg", ".pgm")
 
 CHANNELS = {"b": 0, "g": 1, "r": 2}
-"""OpenCV's order."""
+"""Index of each channel in OpenCV's BGR order."""
 
 MAX_SHOT_PIXELS = 256_000_000
-"""In all frames of a shot together."""
+"""Maximum number of pixels in all frames of a shot together."""
 
 _REMEDY = "give an intact PNG, TIFF, BMP, JPEG or binary PGM image"
 
@@ -37,11 +37,10 @@ _stderr_lock = threading.Lock()
 
 
 def read_image(path: Path, channel: str | None = None, camera: Camera | None = None) -> UInt[Array, "row column"]:
-    """Grey values, 8 or 16 bits; colour becomes its luminance, or the one channel (`r`, `g` or `b`) that is asked for.
+    """Grey values, 8 or 16 bits; of colour images the luminance, or the given channel (`r`, `g` or `b`).
 
-    The size that the header declares must be the camera's, where one is given, and within `MAX_SHOT_PIXELS`; it is
-    checked before the pixels are decoded. The orientation that the file declares is ignored: a pixel stays where the
-    sensor had it.
+    The size in the header must be within `MAX_SHOT_PIXELS` and equal the camera's, if one is given; it is checked
+    before the pixels are decoded. The orientation tag is ignored, so that pixels keep their position on the sensor.
     """
     encoded = read_bytes(path)
     header = _checked_header(encoded, path, camera)
@@ -54,18 +53,18 @@ def read_image(path: Path, channel: str | None = None, camera: Camera | None = N
         found = f"declares {header.width} x {header.height} pixels, has {decoded.shape[1]} x {decoded.shape[0]}"
         raise DataError(str(path), found, _REMEDY)
     if decoded.dtype not in (np.uint8, np.uint16):
-        raise DataError(str(path), f"has pixels of type {decoded.dtype}", "8 or 16 bits without sign are wanted")
+        raise DataError(str(path), f"has pixels of type {decoded.dtype}", "give 8 or 16 bits without sign")
     return _grey(decoded, channel)
 
 
-def check_shot_size(place: str, frames: int, width: int, height: int, camera: Camera | None) -> None:
-    """Refuse a shot that is too large to be read, or not of the rig's camera; `place` is where it comes from."""
+def check_shot_size(location: str, frames: int, width: int, height: int, camera: Camera | None) -> None:
+    """Reject a shot that is too large, or whose size is not the camera's; `location` is used in messages."""
     if camera is not None and (width, height) != (camera.image_width, camera.image_height):
         found = f"{width} x {height} pixels, the rig's camera has {camera.image_width} x {camera.image_height}"
-        raise DataError(place, found, "give the rig that took the shot")
+        raise DataError(location, found, "give the rig that took the shot")
     if frames * width * height > MAX_SHOT_PIXELS:
         found = f"declares {frames} x {width} x {height} pixels, must have at most {MAX_SHOT_PIXELS / 1e6:g} million"
-        raise DataError(place, found, "give fewer frames, or crop them")
+        raise DataError(location, found, "give fewer frames, or crop them")
 
 
 def write_image(path: Path, image: UInt[Array, "row column *color"], *, force: bool = False) -> None:
@@ -81,7 +80,7 @@ def _checked_header(encoded: bytes, path: Path, camera: Camera | None) -> ImageH
     except (struct.error, ValueError):
         raise DataError(str(path), "is an image whose header is damaged or cut short", _REMEDY) from None
     if header is None:
-        raise DataError(str(path), "is no image of a known format", _REMEDY)
+        raise DataError(str(path), "is not an image of a known format", _REMEDY)
     if min(header.width, header.height) < 1:
         raise DataError(str(path), f"declares {header.width} x {header.height} pixels", _REMEDY)
     check_shot_size(str(path), 1, header.width, header.height, camera)
@@ -89,7 +88,7 @@ def _checked_header(encoded: bytes, path: Path, camera: Camera | None) -> ImageH
 
 
 def _pgm_pixels(encoded: bytes, header: ImageHeader, path: Path) -> UInt[Array, "row column"]:
-    """Grey values as they are; from 256 grey values on they have two bytes, the higher first."""
+    """Grey values of a binary PGM; two bytes each, big-endian, if the maximum is 256 or more."""
     if not 1 <= header.maximum <= 65535:
         raise DataError(str(path), f"has the largest grey value {header.maximum}, must be 1 to 65535", _REMEDY)
     stored = np.dtype(np.uint8 if header.maximum < 256 else ">u2")
@@ -101,7 +100,7 @@ def _pgm_pixels(encoded: bytes, header: ImageHeader, path: Path) -> UInt[Array, 
 
 
 def _decoded(encoded: bytes, path: Path) -> Any:
-    """Pixels; what a codec reports as damage is an error, even where it goes on with pixels that it made up."""
+    """The decoded pixels. Damage reported by a codec is an error, even if the codec fills in the missing pixels."""
     with silent_opencv(), _codec_reports() as reports:
         try:
             decoded = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -115,22 +114,22 @@ def _decoded(encoded: bytes, path: Path) -> Any:
 
 
 _DAMAGE = re.compile(rb"libpng error|Corrupt JPEG data(?!: bad ICC)|Premature end of JPEG|Inconsistent progression")
-"""Reports that concern the pixels; others are of colour profiles, texts, versions (libpng's pngerror.c, libjpeg's
-jerror.h)."""
+"""Reports of damaged pixels (libpng's pngerror.c, libjpeg's jerror.h); the others concern colour profiles, texts and
+versions."""
 
 _REPORT = re.compile(
     rb"(?:libpng (?:error|warning): |Corrupt JPEG data: |Premature end of JPEG |Inconsistent progression |"
     rb"Invalid SOS parameters |Unknown Adobe color |Warning: unknown JFIF )[^\n\x1b]*\n?"
 )
-"""What libpng and libjpeg write."""
+"""One report of libpng or libjpeg on stderr."""
 
 _EXTRANEOUS = re.compile(rb"Corrupt JPEG data: (\d+) extraneous bytes before marker 0xd9")
 
 
 def _is_padding(encoded: bytes, report: bytes) -> bool:
-    """Whether a report is of bytes of one value between the last pixels and the end marker.
+    """Whether a report concerns padding: bytes of one value between the last pixels and the end marker.
 
-    Webcams pad the frames of motion JPEG so. Other bytes there may be pixels that were moved by damage before them.
+    Webcams pad the frames of motion JPEG in this way. Differing bytes may be pixels displaced by earlier damage.
     """
     found = _EXTRANEOUS.match(report)
     end = encoded.find(b"\xff\xd9", encoded.find(b"\xff\xda"))
@@ -139,10 +138,10 @@ def _is_padding(encoded: bytes, report: bytes) -> bool:
 
 @contextmanager
 def _codec_reports() -> Iterator[list[bytes]]:
-    """What libpng and libjpeg write on stderr while the block runs, a line each, once it has ended.
+    """Lines that libpng and libjpeg write to stderr while the block runs; the list is filled when the block ends.
 
-    They write there by themselves; OpenCV has no setting against it. What other threads write there meanwhile, such as
-    progress, is passed on afterwards.
+    Both write to the file descriptor directly, and OpenCV cannot redirect them. Text that other threads write
+    meanwhile, such as progress, is passed on afterwards.
     """
     reports: list[bytes] = []
     with _stderr_lock, os.fdopen(os.memfd_create("stderr"), "w+b") as caught:
@@ -172,7 +171,7 @@ def _grey(decoded: Any, channel: str | None) -> UInt[Array, "row column"]:
 
 
 def _damage(encoded: bytes, image_format: str) -> str:
-    """Damage that a decoder would pass over."""
+    """The finding if an image has damage that its decoder does not report; else empty."""
     if image_format == "PNG":
         return _png_damage(encoded)
     if image_format == "JPEG" and encoded.find(b"\xff\xd9", encoded.find(b"\xff\xda")) < 0:

@@ -1,7 +1,4 @@
-"""Records: one JSON object a line. The one place that writes to stdout.
-
-What YAML and JSON can say: numbers, texts, lists, mappings; null where a number is not finite.
-"""
+"""Records: one JSON object a line. Only this module writes to standard output."""
 
 import json
 import math
@@ -17,33 +14,33 @@ import numpy as np
 from ringpose.errors import DataError, InputOutputError, SignalReceived
 
 STDOUT = "-"
-"""How standard output is named where a file could be."""
+"""Argument that stands for standard output instead of a file."""
 
-_PLACE = "standard output"
+_LOCATION = "standard output"
 
 
 def line_of(record: Mapping[str, Any]) -> str:
-    """The record as strict JSON on one line; what is not finite becomes null."""
+    """The record as strict JSON on one line; numbers that are not finite become null."""
     return json.dumps(plain(record), allow_nan=False, separators=(", ", ": ")) + "\n"
 
 
 def write(record: Mapping[str, Any]) -> None:
-    """One record on stdout, at once."""
+    """Write one record to stdout and flush it."""
     write_text(line_of(record))
 
 
 def write_name(path: Path) -> None:
-    """The name of a file on stdout, such that who reads lines takes it for that name, and not for a record."""
+    """Write a file's name to stdout; a name that begins with `{` gets the prefix `./`, so as not to look like JSON."""
     name = str(path)
     if "\n" in name or "\r" in name:
-        raise DataError(repr(name), "is no name for a line: it has a line break", "rename it")
+        raise DataError(repr(name), "cannot be written on one line: the name has a line break", "rename it")
     write_text(f"./{name}\n" if name.lstrip().startswith("{") else f"{name}\n")
 
 
 def write_text(line: str) -> None:
-    """One line on stdout, at once; a closed pipe ends the command as the signal would."""
+    """Write text to stdout and flush it; a closed pipe raises `SignalReceived`, as SIGPIPE would end the process."""
     if sys.stdout is None:
-        raise InputOutputError(_PLACE, "is closed")
+        raise InputOutputError(_LOCATION, "is closed")
     try:
         sys.stdout.write(line)
         sys.stdout.flush()
@@ -51,30 +48,30 @@ def write_text(line: str) -> None:
         raise SignalReceived(signal.SIGPIPE) from None
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
-        raise InputOutputError(_PLACE, f"writing broke off: {reason}") from error
+        raise InputOutputError(_LOCATION, f"writing broke off: {reason}") from error
 
 
-def read(stream: Iterable[str] | IO[str], place: str) -> Iterator[tuple[str, dict[str, Any]]]:
-    """The place and the record of each line that is not blank, as soon as the line is there."""
+def read(stream: Iterable[str] | IO[str], location: str) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the location and the record of each line that is not blank, as soon as the line has been read."""
     for number, line in enumerate(stream, start=1):
         if line.strip():
-            where = f"{place}:{number}"
-            yield where, record_of(line, where)
+            where = f"{location}:{number}"
+            yield where, parsed_record(line, where)
 
 
-def record_of(line: str | bytes, place: str) -> dict[str, Any]:
-    """The record on one line; NaN and Infinity are no JSON."""
+def parsed_record(line: str | bytes, location: str) -> dict[str, Any]:
+    """The record on one line; NaN and Infinity are rejected, since they are not JSON."""
     try:
-        record = json.loads(line, parse_constant=_refuse, object_pairs_hook=_mapping)
+        record = json.loads(line, parse_constant=_reject_constant, object_pairs_hook=_mapping)
     except (ValueError, RecursionError) as error:
         reason = str(error).splitlines()[0]
-        raise DataError(place, f"is no JSON: {reason}") from None
+        raise DataError(location, f"is not valid JSON: {reason}") from None
     if not isinstance(record, dict):
-        raise DataError(place, "is no record", "write one JSON object a line")
+        raise DataError(location, "is not a record", "write one JSON object a line")
     return record
 
 
-def _refuse(word: str) -> None:
+def _reject_constant(word: str) -> None:
     raise ValueError(f"{word} is not allowed, write null")
 
 
@@ -82,12 +79,12 @@ def _mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     record = dict(pairs)
     if len(record) != len(pairs):
         names = [name for name, _ in pairs]
-        raise ValueError(f"the key {next(n for n in names if names.count(n) > 1)!r} stands twice")
+        raise ValueError(f"the key {next(n for n in names if names.count(n) > 1)!r} occurs twice")
     return record
 
 
 def plain(value: Any) -> Any:
-    """The value without arrays, NumPy scalars, tuples, paths; NaN and infinity become None."""
+    """The value in types of JSON and YAML, without arrays, tuples and paths; non-finite numbers become None."""
     if isinstance(value, np.ndarray | np.generic):
         return _finite(value.tolist()) if np.issubdtype(value.dtype, np.floating) else value.tolist()
     if isinstance(value, Mapping):

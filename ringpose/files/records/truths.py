@@ -1,4 +1,4 @@
-"""truth.jsonl: what is really there, one line a shot."""
+"""truth.jsonl: the ground truth, one record per shot."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -30,13 +30,13 @@ _EXPECT = ("pose", "partial", "no_target")
 
 
 def read_truths(path: Path) -> Iterator[Truth]:
-    """The truths of a file, in its order; a shot that stands twice is refused."""
+    """Yield the truths in a file in order; a shot that occurs twice is rejected."""
     shots: set[str] = set()
     lines = read_bytes(path).decode(errors="replace").splitlines()
-    for place, record in records.read(lines, str(path)):
-        truth = truth_of(Fields(place, record, _KEYS))
+    for location, record in records.read(lines, str(path)):
+        truth = truth_of(Fields(location, record, _KEYS))
         if truth.shot in shots:
-            raise Fields(place, record).problem("shot", f"{truth.shot!r} stands twice")
+            raise Fields(location, record).problem("shot", f"{truth.shot!r} occurs twice")
         shots.add(truth.shot)
         yield truth
 
@@ -61,7 +61,7 @@ def truth_of(fields: Fields) -> Truth:
 
 
 def truth_record(truth: Truth) -> dict[str, Any]:
-    """What `truth_of` reads; a break point that is not seen is null."""
+    """The record that `truth_of` reads; a break point that is not visible is null."""
     motion = {
         "stamp_s": truth.stamp_s,
         "velocity_m_s": truth.velocity_m_s,
@@ -88,7 +88,7 @@ def _groups(fields: Fields) -> Mapping[str, str | float | int | bool]:
 
 
 def _break_points(fields: Fields) -> Float64[Array, "laser edge=2 xy=2"]:
-    """Pixels of [laser][edge]; a whole point may be null, or both its numbers."""
+    """Break points in pixels; a missing one is null, or a list of two nulls."""
     lasers = fields.raw("break_points_px")
     filled = lasers
     if isinstance(lasers, list):

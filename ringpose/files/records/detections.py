@@ -1,7 +1,4 @@
-"""Detections: one NPZ a shot or one JSON record, with the same names in both.
-
-Where detections go: records on stdout or NPZ files in a folder, and pictures in another.
-"""
+"""Detections as JSON records or NPZ files, with the same keys in both, and their output by `ringpose detect`."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -13,9 +10,9 @@ import numpy as np
 from ringpose.detect.difference_images import brightest_image
 from ringpose.errors import DataError
 from ringpose.files import atomic, records
-from ringpose.files.images import write_image
+from ringpose.files.images.codecs import write_image
+from ringpose.files.io import provenance
 from ringpose.files.npz import Archive, write_archive
-from ringpose.files.provenance import provenance
 from ringpose.files.schema import FREE_PREFIX, ROUNDED, Fields
 from ringpose.types.arrays import EDGES, Array, Float64, Int64
 from ringpose.types.detection import (
@@ -32,7 +29,7 @@ from ringpose.types.image import Shot
 SCHEMA = "ringpose/detection/1"
 
 PROVENANCE = "provenance"
-"""Key of an NPZ file: a JSON text."""
+"""Key of the provenance in an NPZ file, a JSON text."""
 
 _POINTS = ("position_px", "covariance_px2", "flags", "face_start_px", "face_end_px", "face_sigma_px", "labelled")
 
@@ -50,7 +47,7 @@ MAX_INTEGER = 2**31
 
 
 def detection_record(detection: Detection, full: bool = True) -> dict[str, Any]:
-    """The record of one shot; without `full` stripes and segments, which are long, are left out."""
+    """The record of one shot; stripes and segments, which are long, are included only if `full` is set."""
     found = detection.break_points if isinstance(detection.break_points, BreakPoints) else None
     record: dict[str, Any] = {
         "schema": SCHEMA,
@@ -65,13 +62,13 @@ def detection_record(detection: Detection, full: bool = True) -> dict[str, Any]:
     return record
 
 
-def detection_of(record: Mapping[str, Any], place: str) -> Detection:
-    """The detection that a record is; null numbers become NaN."""
-    fields = Fields(place, record)
+def detection_of(record: Mapping[str, Any], location: str) -> Detection:
+    """The detection in a record; null numbers become NaN."""
+    fields = Fields(location, record)
     schema = fields.text("schema")
     if schema != SCHEMA:
         raise fields.problem("schema", f"is {schema!r}, must be {SCHEMA!r}", "give the output of ringpose detect")
-    fields.refuse_unknown(_KEYS)
+    fields.reject_unknown(_KEYS)
     parts = {key: fields.fields(key, _PARTS[key]) for key in _PARTS if fields.has(key)}
     return Detection(
         shot=fields.text("shot"),
@@ -84,12 +81,12 @@ def detection_of(record: Mapping[str, Any], place: str) -> Detection:
 
 
 def write_detection(path: Path, detection: Detection, *, force: bool = False, inputs: Iterable[Path] = ()) -> None:
-    """Write a detection as NPZ: the record's keys, those of its parts as `break_points.position_px`, and provenance."""
+    """Write a detection as NPZ with the record's keys (nested ones as `break_points.position_px`) and provenance."""
     arrays: dict[str, Any] = {PROVENANCE: np.array(records.line_of(provenance(inputs)).strip())}
     for key, value in detection_record(detection).items():
         if isinstance(value, Mapping):
             arrays |= {f"{key}.{name}": part for name, part in value.items()}
-        elif value is not None and value == value:  # a stamp that is not known is left out
+        elif value is not None and value == value:  # an unknown stamp (NaN) is omitted
             arrays[key] = value
     write_archive(path, arrays, force=force)
 
@@ -110,7 +107,7 @@ def detection_in(archive: Archive) -> Detection:
 
 
 def is_detection(archive: Archive) -> bool:
-    """Whether an archive says that it is a detection, of whatever version."""
+    """Whether an archive is a detection, of any version."""
     return "schema" in archive
 
 
@@ -119,11 +116,11 @@ def _part(part: object, names: tuple[str, ...]) -> dict[str, Any] | None:
 
 
 def _reason(fields: Fields) -> NoBreakPoints:
-    sentence = fields.text("reason")
+    reason = fields.text("reason")
     try:
-        return NoBreakPoints(sentence)
+        return NoBreakPoints(reason)
     except ValueError:
-        raise fields.problem("reason", f"unknown reason {sentence[:60]!r}") from None
+        raise fields.problem("reason", f"unknown reason {reason[:60]!r}") from None
 
 
 def _break_points(fields: Fields) -> BreakPoints:
@@ -144,7 +141,7 @@ def _ring_edges(fields: Fields) -> RingEdgePoints:
     position = fields.array("position_px", (None, 2))
     edge = _integers(fields, "edge", (len(position),))
     if len(edge) and not 0 <= edge.min() <= edge.max() < len(EDGES):
-        raise fields.problem("edge", "names an edge that is neither 0 (inner) nor 1 (outer)")
+        raise fields.problem("edge", "has a value other than 0 (inner) and 1 (outer)")
     normal = fields.array("normal", (len(position), 2))
     if not normal.any(axis=1).all():
         raise fields.problem("normal", "has a vector of length 0, must be 1")
@@ -161,7 +158,7 @@ def _stripes(fields: Fields) -> Stripes:
     laser = _integers(fields, "laser", (None,))
     piece = _integers(fields, "piece", (len(position),))
     if len(piece) and not 0 <= piece.min() <= piece.max() < len(laser):
-        raise fields.problem("piece", f"names a piece beyond the {len(laser)} that there are")
+        raise fields.problem("piece", f"has an index out of range: there are {len(laser)} pieces")
     return Stripes(
         position_px=position,
         sigma_px=fields.array("sigma_px", (len(position),), allow_nan=True),
@@ -181,7 +178,7 @@ def _segments(fields: Fields) -> Segments:
 
 
 def _points(fields: Fields, key: str, shape: tuple[int | None, ...]) -> Float64[Array, "... xy=2"]:
-    """Points in pixels; one that was not seen is null in both coordinates, not in one."""
+    """Points in pixels; a missing point must be null in both coordinates."""
     points = fields.array(key, shape, allow_nan=True)
     missing = np.isnan(points)
     if np.any(missing.any(axis=-1) != missing.all(axis=-1)):
@@ -203,13 +200,13 @@ def _sigmas(fields: Fields, key: str, shape: tuple[int | None, ...], allow_nan: 
 
 
 def _covariances(fields: Fields, key: str, shape: tuple[int | None, ...]) -> Float64[Array, "... 2 2"]:
-    """Symmetric matrices without a variance below zero in any direction; rounding is none."""
+    """Symmetric, positive semidefinite 2 x 2 matrices, up to rounding."""
     matrices = fields.array(key, shape, allow_nan=True)
     (first, mixed), (other, second) = np.moveaxis(matrices, (-2, -1), (0, 1))
     size = np.abs(first) + np.abs(second)
     uneven = np.abs(mixed - other) > ROUNDED * size
     if np.any(uneven | (np.minimum(first, second) < 0) | (mixed**2 > first * second + (ROUNDED * size) ** 2)):
-        raise fields.problem(key, "has a matrix that is no covariance")
+        raise fields.problem(key, "has a matrix that is not a covariance")
     _check_sigmas(fields, key, np.sqrt(np.maximum(np.stack([first, second]), 0.0)))
     return matrices
 
@@ -222,7 +219,10 @@ def _check_sigmas(fields: Fields, key: str, sigmas: Float64[Array, "..."]) -> No
 
 
 class DetectionSink:
-    """Writes each detection as soon as it is there; of two shots with one name the second is refused."""
+    """Writes detections: records to stdout or NPZ files to a folder, and overlay images to another folder.
+
+    The second of two shots with the same name is rejected if it would replace the files of the first.
+    """
 
     def __init__(self, output: str, overlays: Path | None, *, rig: Path | None, full: bool, force: bool) -> None:
         self.folder = None if output == records.STDOUT else atomic.make_folder(Path(output))
@@ -233,13 +233,13 @@ class DetectionSink:
         self.names: set[str] = set()
 
     def write(self, shot: Shot, detection: Detection, source: Path) -> None:
-        """The picture first: a detection that is announced is complete."""
+        """Write the overlay first, then the detection, so that all files exist when the detection is announced."""
         self._check_name(shot.name)
         if self.overlays is not None:
-            from ringpose.detect.overlay import overlay  # seldom asked for
+            from ringpose.detect.overlay import overlay  # imported late, since overlays are rarely requested
 
-            picture = overlay(brightest_image(shot), detection)
-            write_image(self.overlays / f"{shot.name}.png", picture, force=self.force)
+            image = overlay(brightest_image(shot), detection)
+            write_image(self.overlays / f"{shot.name}.png", image, force=self.force)
         if self.folder is None:
             records.write(detection_record(detection, self.full))
         else:
@@ -250,5 +250,5 @@ class DetectionSink:
 
     def _check_name(self, name: str) -> None:
         if name in self.names and not (self.folder is None and self.overlays is None):
-            raise DataError(name, "an earlier shot has this name, its files would be replaced", "rename one of them")
+            raise DataError(name, "an earlier shot has this name; its files would be replaced", "rename one of them")
         self.names.add(name)

@@ -1,0 +1,1 @@
+"""Images, shots of images, and folders of shots."""
