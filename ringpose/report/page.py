@@ -1,10 +1,6 @@
-"""One self-contained HTML page: sections of text, tables and pictures, nothing loaded from elsewhere.
+"""A self-contained HTML page of text, tables and pictures, without external resources.
 
-What a report needs beyond the usual dependencies.
-
-A verdict as a section of the page.
-
-What matplotlib (extra `report`) draws on; modules of pictures are imported only where a report is asked for.
+Pictures are drawn by matplotlib (extra `report`); the modules that draw are imported only for a report.
 """
 
 import base64
@@ -24,7 +20,7 @@ from ringpose.types.verdict import Check, Verdict
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Picture:
-    """A picture with the sentence that says how to read it."""
+    """A picture with a caption that explains it."""
 
     png: bytes
     caption: str
@@ -46,13 +42,13 @@ class Section:
     text: Sequence[str] = ()
     """Paragraphs."""
     points: Sequence[str] = ()
-    """Of a list, in their order."""
+    """Items of a numbered list."""
     table: Table | None = None
     pictures: Sequence[Picture] = ()
 
 
 def page(title: str, sections: Sequence[Section]) -> str:
-    """The page, whole."""
+    """The complete page."""
     body = "\n".join(_section(section) for section in sections)
     return _PAGE.substitute(title=escape(title), body=body)
 
@@ -118,7 +114,7 @@ def _figure(picture: Picture) -> str:
 
 
 def require_matplotlib() -> None:
-    """Refuse a report before any work is done for it, if nothing can draw it."""
+    """Reject a report, before any computation, if matplotlib is not installed."""
     if find_spec("matplotlib") is None:
         raise UsageError("--report", "matplotlib is not installed", "pip install 'ringpose[report]'")
 
@@ -148,7 +144,7 @@ DOTS_PER_INCH = 110
 
 
 def canvas(width_in: int | float, height_in: int | float) -> Figure:
-    """An empty figure of so many inches, of no global state."""
+    """An empty figure of this size, without matplotlib's global state."""
     return Figure(figsize=(width_in, height_in), dpi=DOTS_PER_INCH, layout="constrained")
 
 
@@ -156,12 +152,12 @@ def png_of(figure: Figure) -> bytes:
     """The figure as a PNG file."""
     stream = io.BytesIO()
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph .* missing")  # a name's letters that the font lacks are drawn as boxes
+        warnings.filterwarnings("ignore", "Glyph .* missing")  # letters missing in the font are drawn as boxes
         figure.savefig(stream, format="png", metadata={"Software": None})
     return stream.getvalue()
 
 
 def drawn(name: str) -> str:
-    """A name as a label that shows it: no formula between dollars, no byte that is no letter, in every legend."""
+    """A name as a literal label: dollar signs and undecodable bytes are escaped, and a leading underscore is shown."""
     shown = name.encode(errors="backslashreplace").decode().replace("$", r"\$")
     return f" {shown}" if shown.startswith("_") else shown

@@ -1,10 +1,8 @@
-"""Inner corners of a chessboard in an image, in the order of the board frame.
+"""Inner corners of a chessboard, in the order of the board frame (ringpose-method(7), section 7).
 
-Saddle points of a chessboard where the light is uneven (ringpose-method(7), section 7).
-
-OpenCV's refinement takes every gradient in its window for an edge: the fall of light beside a glaring stripe, speckle
-and shadows draw it aside. Here dark and bright squares around a corner are each brought to one level first. On
-photographs with a laser beside the board the rms falls from 0.44 to 0.28 px, on evenly lit ones by a hundredth.
+OpenCV's sub-pixel refinement uses every gradient in its window as an edge: uneven illumination beside a bright stripe,
+speckle and shadows bias it. Here the dark and the bright squares around a corner are each normalised to one level
+first. On photographs with a laser beside the board the rms falls from 0.44 to 0.28 px, on evenly lit ones by 1 %.
 """
 
 from typing import Any
@@ -22,23 +20,23 @@ _CLASSIC: int = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 WINDOW_PER_SQUARE = 0.25
 """Half-window of the sub-pixel refinement, in shortest squares: 5 px on a 640 x 480 photograph of 21 px squares.
 
-A window that reaches into the next corner ruins the result: with 11 px there the rms doubles from 0.20 to 0.41 px.
+A window that contains the next corner is harmful: with 11 px on that photograph the rms doubles from 0.20 to 0.41 px.
 """
 
 MAX_WINDOW_PX = 11
-"""A wider one gains nothing on large squares, and takes in the board's neighbourhood at its rim."""
+"""A wider window does not improve large squares, and would contain the surroundings at the board's rim."""
 
 MAX_IRREGULARITY = 0.2
-"""Third differences of a grid, in squares: on photographs they stay below 0.15; beside a glaring stripe the
-sector-based finder puts a whole column 0.2 squares off, which makes them 0.6 to 1.2."""
+"""Maximum third difference of a grid, in squares. It is below 0.15 on photographs; beside a bright stripe, OpenCV's
+sector-based detector misplaces a whole column by 0.2 squares, which gives 0.6 to 1.2."""
 
-_SEEDS = ((4, 3), (5, 4))
-"""Inner corners of grids that noise does not make; the larger one finds what the smaller one passes by."""
+_START_GRIDS = ((4, 3), (5, 4))
+"""Minimum grids that noise does not produce; the larger one sometimes succeeds where the smaller one fails."""
 
-_DRAWS = (1, 2, 3)
-"""OpenCV's sector-based finder draws lots: each of these seeds gives the same grid in every run."""
+_RANDOM_SEEDS = (1, 2, 3)
+"""Random seeds of OpenCV's sector-based detector, which is randomised: fixed, so that results are reproducible."""
 
-_REFINED = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4)
+_CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4)
 
 
 def chessboard_corners(
@@ -62,7 +60,7 @@ def chessboard_corners(
 def irregularity(grid: Float64[Array, "corner_row corner_column xy=2"]) -> float:
     """Largest third difference along the rows and columns, in shortest sides.
 
-    Perspective and a lens change the squares smoothly; a column that the finder put beside the corners does not.
+    Perspective and distortion change the squares smoothly; a misplaced column does not.
     """
     jumps = [np.linalg.norm(np.diff(grid, n=3, axis=axis), axis=-1).max(initial=0.0) for axis in (0, 1)]
     return float(max(jumps)) / max(shortest_side(grid), 1e-9)
@@ -71,7 +69,7 @@ def irregularity(grid: Float64[Array, "corner_row corner_column xy=2"]) -> float
 def _sector_based(
     image: UInt8[Array, "row column"], columns: int, rows: int
 ) -> Float64[Array, "corner_row corner_column xy=2"] | None:
-    cv2.setRNGSeed(_DRAWS[0])
+    cv2.setRNGSeed(_RANDOM_SEEDS[0])
     found, corners = cv2.findChessboardCornersSB(image, (columns, rows), flags=_SECTOR_BASED)
     return np.asarray(corners, dtype=np.float64).reshape(rows, columns, 2) if found else None
 
@@ -84,19 +82,19 @@ def _classic(
 
 
 def largest_grid(image: UInt8[Array, "row column"]) -> Float64[Array, "corner_row corner_column xy=2"] | None:
-    """The largest regular chessboard of any size that the image shows, to tell why the one looked for is not found."""
+    """The largest regular chessboard of any size in the image; used to explain why the expected one is not found."""
     reduction = next(iter(reductions(image.shape)))
     small = reduced(image, reduction)
-    grown = [_grown(small, size, draw) for size in _SEEDS for draw in _DRAWS]
+    grown = [_grown_grid(small, size, draw) for size in _START_GRIDS for draw in _RANDOM_SEEDS]
     grids = [in_full_image(grid, reduction) for grid in grown if grid is not None]
     regular = [grid for grid in grids if irregularity(grid) < MAX_IRREGULARITY]
     return max(regular, key=lambda grid: grid.size, default=None)
 
 
-def _grown(
+def _grown_grid(
     image: UInt8[Array, "row column"], size: tuple[int, int], draw: int
 ) -> Float64[Array, "corner_row corner_column xy=2"] | None:
-    """A grid of at least so many corners, refined."""
+    """A grid of at least this size, refined."""
     flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
     cv2.setRNGSeed(draw)
     found, corners, meta = cv2.findChessboardCornersSBWithMeta(image, size, flags)
@@ -115,17 +113,17 @@ def shortest_side(grid: Float64[Array, "corner_row corner_column xy=2"]) -> floa
 
 
 def whole_window(half_window_px: float) -> int:
-    """A half-window in whole pixels, within what makes sense."""
+    """A half-window in whole pixels, clipped to useful sizes."""
     return int(np.clip(half_window_px, 2, MAX_WINDOW_PX))
 
 
 def refined_corners(
     image: UInt8[Array, "row column"], corners: Float64[Array, "corner xy=2"], half_window_px: float
 ) -> Float64[Array, "corner xy=2"]:
-    """Saddle points near the given corners, within a window; a corner that ran off keeps its place."""
+    """Saddle points near the given corners; a corner that leaves its window is unchanged."""
     half = whole_window(half_window_px)
     start: Any = np.ascontiguousarray(corners, dtype=np.float32).reshape(-1, 1, 2)
-    moved = np.asarray(cv2.cornerSubPix(image, start.copy(), (half, half), (-1, -1), _REFINED), dtype=np.float64)
+    moved = np.asarray(cv2.cornerSubPix(image, start.copy(), (half, half), (-1, -1), _CRITERIA), dtype=np.float64)
     moved = moved.reshape(-1, 2)
     near = np.linalg.norm(moved - corners, axis=1) < half
     return np.where(near[:, None], moved, corners)
@@ -136,8 +134,8 @@ def _in_board_order(
 ) -> Float64[Array, "corner_row corner_column xy=2"]:
     """The same corners with x to the right, y down (never mirrored), and the outer top-left square black.
 
-    A board with both numbers of squares odd or both even looks the same turned by half a turn: then the first
-    corner is the one further up and left in the image.
+    A board whose numbers of squares are both odd or both even is symmetric under half a turn: then the first corner is
+    the one nearer to the image's top left.
     """
     right, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
     if right[0] * down[1] - right[1] * down[0] < 0:
@@ -161,19 +159,17 @@ def _first_inner_square_is_black(
 
 
 CLIPPED_SHARE = 0.05
-"""What is left of a square's variation beyond its level, as a share of the contrast; edges keep their middle part."""
+"""Normalised grey values are clipped to this distance from both levels, which removes variation within a square."""
 
 EDGE_PX = 2.5
-"""Pixels nearer to an edge than this are a mixture of both squares, and tell neither level."""
+"""Pixels nearer to an edge than this are a mixture of both squares, and are not used for the levels."""
 
-LOWEST_CONTRAST_DN = 2.0
-"""Below this there is nothing to bring to a level."""
+MIN_CONTRAST_DN = 2.0
+"""Minimum difference of the two levels."""
 
 _ROUNDS = 2
 
 _MARGIN = 3
-
-_SADDLE_REFINEMENT = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4)
 
 
 def levelled_corners(
@@ -181,15 +177,15 @@ def levelled_corners(
     grid: Float64[Array, "corner_row corner_column xy=2"],
     half_window_px: int,
 ) -> Float64[Array, "corner_row corner_column xy=2"]:
-    """The corners refined in levelled windows; one that cannot be, or runs off, keeps its place."""
+    """The corners refined in normalised windows; a corner for which this fails, or that moves too far, is unchanged."""
     along, down = np.gradient(grid, axis=1), np.gradient(grid, axis=0)
     refined = grid.copy()
-    for place in np.ndindex(grid.shape[:2]):
+    for index in np.ndindex(grid.shape[:2]):
         for _ in range(_ROUNDS):
-            moved = _saddle_point(image, refined[place], (along[place], down[place]), half_window_px)
-            if moved is None or np.linalg.norm(moved - grid[place]) >= half_window_px:
+            moved = _saddle_point(image, refined[index], (along[index], down[index]), half_window_px)
+            if moved is None or np.linalg.norm(moved - grid[index]) >= half_window_px:
                 break
-            refined[place] = moved
+            refined[index] = moved
     return refined
 
 
@@ -199,7 +195,7 @@ _Sides = tuple[Float64[Array, "xy=2"], Float64[Array, "xy=2"]]
 def _saddle_point(
     image: UInt8[Array, "row column"], corner: Float64[Array, "xy=2"], sides: _Sides, half: int
 ) -> Float64[Array, "xy=2"] | None:
-    """One step of the refinement; None at the image's rim and where the squares are hardly told apart."""
+    """One step of the refinement; None at the image's rim and for low contrast."""
     reach = half + _MARGIN
     column, row = np.rint(corner).astype(np.int64).tolist()
     inside = reach <= column < image.shape[1] - reach and reach <= row < image.shape[0] - reach
@@ -211,7 +207,7 @@ def _saddle_point(
     if levelled is None:
         return None
     start = (corner - origin).astype(np.float32).reshape(1, 1, 2)
-    found = cv2.cornerSubPix(levelled.astype(np.float32), start, (half, half), (-1, -1), _SADDLE_REFINEMENT)
+    found = cv2.cornerSubPix(levelled.astype(np.float32), start, (half, half), (-1, -1), _CRITERIA)
     moved: Float64[Array, "xy=2"] = np.asarray(found, dtype=np.float64).reshape(2) + origin
     return moved
 
@@ -219,7 +215,7 @@ def _saddle_point(
 def _levelled(
     patch: Float64[Array, "row column"], corner: Float64[Array, "xy=2"], sides: _Sides
 ) -> Float64[Array, "row column"] | None:
-    """The patch with its dark squares brought to one level and its bright ones to another, 0 and 1 or 1 and 0."""
+    """The patch with the two diagonal pairs of squares normalised to 0 and 1; None for low contrast."""
     row, column = np.indices(patch.shape, dtype=np.float64)
     offset = np.stack([column - corner[0], row - corner[1]], axis=-1)
     across_along, across_down = (_across(offset, side) for side in sides)
@@ -230,7 +226,7 @@ def _levelled(
     if first is None or second is None:
         return None
     contrast = second - first
-    if np.abs(contrast).min() < LOWEST_CONTRAST_DN:
+    if np.abs(contrast).min() < MIN_CONTRAST_DN:
         return None
     levelled: Float64[Array, "row column"] = np.clip((patch - first) / contrast, CLIPPED_SHARE, 1.0 - CLIPPED_SHARE)
     return levelled
@@ -247,7 +243,7 @@ def _plane(
     design: Float64[Array, "row column term=3"],
     used: Bool[Array, "row column"],
 ) -> Float64[Array, "row column"] | None:
-    """Brightness of one colour's squares as a linear function of place; None where too few pixels show them."""
+    """Plane fitted to the brightness of one pair of squares; None if it has too few pixels."""
     if used.sum() < 4 * design.shape[-1]:
         return None
     rows = design[used]

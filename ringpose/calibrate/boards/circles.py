@@ -1,13 +1,13 @@
-"""Centres of the circles of an asymmetric grid in an image (ringpose-method(7), section 7).
+"""Projected centres of the circles of an asymmetric grid (ringpose-method(7), section 7).
 
-A tilted circle is seen as an ellipse whose middle is not where the circle's centre is seen: its near half is seen
-larger. The difference grows with the square of the radius, which is measured by the dark area.
+The projection of a circle is an ellipse whose centre is not the projection of the circle's centre, because the nearer
+half appears larger. The difference grows with the square of the radius, which is measured from the dark area.
 
-Middles of dark ellipses where the light is uneven (ringpose-method(7), section 7).
-
-A threshold cuts deeper into a circle on the side where there is less light: where it falls by a thousandth a pixel,
-OpenCV's middles of circles are 0.01 px aside. Here each pixel's share of ink is measured between the levels of ink
-and paper, both linear functions of place, and an ellipse with a blurred edge is moved and widened until it has these.
+OpenCV's ellipse centres depend on a threshold, which is biased by uneven illumination: by 0.01 px where the brightness
+changes by 0.1 % per pixel. Here the share of ink of each pixel is measured between the levels of ink and paper, both
+planes, and position and size of an ellipse with a blurred edge are fitted to these shares. The fit is one linear
+least-squares step for each circle, repeated after the homography is estimated again; the model is linear enough near
+OpenCV's centres that an iterative solver would gain nothing.
 """
 
 from typing import NamedTuple
@@ -23,30 +23,30 @@ from ringpose.types.arrays import Array, Bool, Float64, UInt8
 _ROUNDS = 2
 
 DIM_DN, BRIGHT_DN = 110.0, 200.0
-"""Paper darker than this is made so bright that circles are looked for at several levels between it and their ink."""
+"""Images with paper darker than the first are scaled to the second, so that OpenCV uses several thresholds."""
 
 WHITE_PERCENT = 98
-"""Of the pixels are darker than the brightest paper."""
+"""Percentile of the image that is taken as paper."""
 
-LOWEST_CONTRAST_DN = 10.0
-"""Below this a circle's area tells nothing."""
+MIN_CONTRAST_DN = 10.0
+"""Minimum contrast for a measurement of a circle's area."""
 
 _SHARES = (-0.5, 1.5)
-"""What a pixel may be of ink, with its noise: cut off at 0, paper would be part of the circle."""
+"""Limits of a pixel's noisy share of ink: clipping at 0 would add the noise of paper to the area."""
 
 
 class CircleCenters(NamedTuple):
-    """Where circles' centres are seen."""
+    """Projected centres of circles."""
 
     points_px: Float64[Array, "corner xy=2"]
     radius_m: float
-    """Of all circles; zero if it cannot be told."""
+    """Radius of all circles; zero if it could not be measured."""
 
 
 def circle_centers(
     grey: UInt8[Array, "row column"], points_m: Float64[Array, "corner xyz=3"], columns: int, rows: int
 ) -> CircleCenters | None:
-    """Where the circles' centres are seen, whose places on the board are given; None if not all are found."""
+    """Projected centres of the circles with these positions on the board; None if not all are found."""
     middles_px = circle_middles(grey, columns, rows)
     if middles_px is None:
         return None
@@ -65,14 +65,14 @@ def _homography(
 
 
 def circle_middles(grey: UInt8[Array, "row column"], columns: int, rows: int) -> Float64[Array, "corner xy=2"] | None:
-    """The middles of the ellipses that the image shows; None if not all are found."""
+    """OpenCV's centres of the ellipses; None if not all are found."""
     flags = cv2.CALIB_CB_ASYMMETRIC_GRID | cv2.CALIB_CB_CLUSTERING
     found, middles = cv2.findCirclesGrid(brightened(grey), (columns, rows), flags=flags)
     return np.asarray(middles, dtype=np.float64).reshape(-1, 2) if found else None
 
 
 def brightened(grey: UInt8[Array, "row column"]) -> UInt8[Array, "row column"]:
-    """A dark image as bright as others are: OpenCV looks for circles at levels of 50 grey values and more alone."""
+    """A dark image scaled to normal brightness: OpenCV's lowest threshold for circles is 50 grey levels."""
     white = float(np.percentile(grey, WHITE_PERCENT))
     if not 0 < white < DIM_DN:
         return grey
@@ -82,7 +82,7 @@ def brightened(grey: UInt8[Array, "row column"]) -> UInt8[Array, "row column"]:
 def ellipse_offsets(
     centers_m: Float64[Array, "corner xy=2"], radius_m: float, homography: Float64[Array, "3 3"]
 ) -> Float64[Array, "corner xy=2"]:
-    """Middle of the ellipse less the image of the centre, for circles on a plane."""
+    """Centre of the ellipse minus projection of the circle's centre, for circles on a plane."""
     middles = _conic_middles(circle_conics(centers_m, radius_m, homography))
     offsets: Float64[Array, "corner xy=2"] = middles - cv2.perspectiveTransform(centers_m[None], homography)[0]
     return offsets
@@ -91,7 +91,7 @@ def ellipse_offsets(
 def seen_offsets(
     points_m: Float64[Array, "corner xyz=3"], points_px: Float64[Array, "corner xy=2"], radius_m: float
 ) -> Float64[Array, "corner xy=2"]:
-    """The same for circles that are seen in these places, as if nothing but perspective had put them there."""
+    """The same for circles with these projected centres, without distortion."""
     return ellipse_offsets(points_m[:, :2], radius_m, _homography(points_m, points_px))
 
 
@@ -109,7 +109,7 @@ def circle_conics(
 
 
 def _conic_middles(conics: Float64[Array, "corner 3 3"]) -> Float64[Array, "corner xy=2"]:
-    """A conic's middle is the pole of the line at infinity."""
+    """A conic's centre is the pole of the line at infinity."""
     middles: Float64[Array, "corner xy=2"] = np.linalg.solve(conics[:, :2, :2], -conics[:, :2, 2:])[..., 0]
     return middles
 
@@ -120,7 +120,7 @@ def _radius_m(
     centers_m: Float64[Array, "corner xy=2"],
     homography: Float64[Array, "3 3"],
 ) -> float:
-    """The circles' common radius, by the dark area of each and the scale there; zero where no area can be told."""
+    """The circles' common radius from their dark areas and local scales; zero if no area could be measured."""
     distance = np.linalg.norm(middles_px[:, None] - middles_px, axis=-1)
     np.fill_diagonal(distance, np.inf)
     areas_px = np.array(
@@ -128,12 +128,12 @@ def _radius_m(
     )
     weight = centers_m @ homography[2, :2] + homography[2, 2]
     scale = abs(float(np.linalg.det(homography))) / np.abs(weight) ** 3
-    told = np.isfinite(areas_px)
-    return float(np.sqrt(np.median(areas_px[told] / scale[told]) / np.pi)) if told.any() else 0.0
+    measured = np.isfinite(areas_px)
+    return float(np.sqrt(np.median(areas_px[measured] / scale[measured]) / np.pi)) if measured.any() else 0.0
 
 
 def _dark_area(grey: UInt8[Array, "row column"], middle: Float64[Array, "xy=2"], reach: float) -> float:
-    """Pixels that are dark about a circle's middle, parts counted; NaN at the image's rim and without contrast."""
+    """Dark area around a circle's centre in pixels; NaN at the image's rim and for low contrast."""
     around = grey_around(grey, middle, int(reach))
     if around is None:
         return float("nan")
@@ -141,7 +141,7 @@ def _dark_area(grey: UInt8[Array, "row column"], middle: Float64[Array, "xy=2"],
     away = np.hypot(offset[..., 0], offset[..., 1])
     rim = patch[(away > reach - 2.0) & (away <= reach)]
     heart = patch[away < 2.0]
-    if not len(rim) or not len(heart) or np.median(rim) - np.median(heart) < LOWEST_CONTRAST_DN:
+    if not len(rim) or not len(heart) or np.median(rim) - np.median(heart) < MIN_CONTRAST_DN:
         return float("nan")
     bright, dark = float(np.median(rim)), float(np.median(heart))
     share = np.clip((bright - patch) / (bright - dark), *_SHARES)
@@ -149,13 +149,13 @@ def _dark_area(grey: UInt8[Array, "row column"], middle: Float64[Array, "xy=2"],
 
 
 BAND_PX = 4.0
-"""Half width of the band about the ellipse in which a blurred edge has its mixture of ink and paper."""
+"""Half width of the band along the ellipse that contains the blurred edge."""
 
 RIM_PX = 4.0
-"""Width of the paper around it that tells the level of the light."""
+"""Width of the ring of paper around the band in which its level is measured."""
 
-MIN_COUNT = 20
-"""Pixels of paper, below which its level is not known; ink needs as many for a level that is not even."""
+MIN_LEVEL_PIXELS = 20
+"""Minimum number of pixels for a level that is a plane, of paper or ink."""
 
 
 def levelled_middles(
@@ -163,9 +163,9 @@ def levelled_middles(
     middles_px: Float64[Array, "circle xy=2"],
     conics: Float64[Array, "circle 3 3"],
 ) -> Float64[Array, "circle xy=2"]:
-    """The middles by the ink's edges; one that cannot be told keeps its place.
+    """Centres fitted to the edges of the ink; a centre for which this fails is unchanged.
 
-    Each ellipse has the size and shape of its conic, wherever that lies, and the middle that is given.
+    Each ellipse has the shape of its conic, and starts at the given centre.
     """
     found = [_middle(grey, *one) for one in zip(middles_px, conics, strict=True)]
     return np.array([start if one is None else one for start, one in zip(middles_px, found, strict=True)])
@@ -193,7 +193,7 @@ def _step(
     outside: Float64[Array, "row column"],
     slope: Float64[Array, "row column xy=2"],
 ) -> Float64[Array, "xy=2"]:
-    """What moves the ellipse to the shares in the band, its size free; the blur is that of the shares."""
+    """Step of the ellipse's centre that fits the shares in the band, its size free; the blur is measured first."""
     band = np.abs(outside) <= BAND_PX
     far, seen = outside[band], share[band]
     blur_px = max(np.sqrt(np.pi / 2) * 2 * BAND_PX * float(np.mean(np.abs(seen - (far < 0)))), MIN_BLUR_PX)
@@ -205,7 +205,7 @@ def _step(
 
 
 def _shape(conic: Float64[Array, "3 3"]) -> tuple[Float64[Array, "2 2"], float]:
-    """Matrix A of the ellipse x^T A x = 1 about its middle, and its longer half axis."""
+    """Matrix A of the ellipse x^T A x = 1 about its centre, and its semi-major axis."""
     middle = np.append(np.linalg.solve(conic[:2, :2], -conic[:2, 2]), 1.0)
     shape: Float64[Array, "2 2"] = conic[:2, :2] / -(middle @ conic @ middle)
     return shape, float(1.0 / np.sqrt(np.linalg.eigvalsh(shape)[0]))
@@ -214,7 +214,7 @@ def _shape(conic: Float64[Array, "3 3"]) -> tuple[Float64[Array, "2 2"], float]:
 def _outside_px(
     offset: Float64[Array, "row column xy=2"], shape: Float64[Array, "2 2"]
 ) -> Float64[Array, "row column"]:
-    """Distance from the ellipse, negative within: exact on the axes and near the ellipse."""
+    """Approximate distance from the ellipse, negative inside; exact on the axes and to first order near the ellipse."""
     mapped = offset @ shape
     size = np.sqrt(np.sum(mapped * offset, axis=-1))
     steep = np.maximum(np.linalg.norm(mapped, axis=-1), 1e-9)
@@ -227,12 +227,14 @@ def _dark_share(
     offset: Float64[Array, "row column xy=2"],
     outside: Float64[Array, "row column"],
 ) -> Float64[Array, "row column"] | None:
-    """1 where there is ink, 0 where there is paper, measured in the band; None where the paper is not seen."""
+    """Share of ink by pixel: 1 inside, 0 outside, measured in the band; None if the paper is not visible."""
     paper, ink = (outside > BAND_PX) & (outside < BAND_PX + RIM_PX), outside < -BAND_PX
-    if paper.sum() < MIN_COUNT:
+    if paper.sum() < MIN_LEVEL_PIXELS:
         return None
     bright = _level(patch, offset, paper)
-    dark = _level(patch, offset, ink) if ink.sum() >= MIN_COUNT else np.full(patch.shape, _darkest(patch, outside))
+    dark = (
+        _level(patch, offset, ink) if ink.sum() >= MIN_LEVEL_PIXELS else np.full(patch.shape, _darkest(patch, outside))
+    )
     if (bright - dark).min() <= 0:
         return None
     share = (bright - patch) / (bright - dark)
@@ -240,14 +242,14 @@ def _dark_share(
 
 
 def _darkest(patch: Float64[Array, "row column"], outside: Float64[Array, "row column"]) -> float:
-    """Grey in the middle of a small circle."""
+    """Grey level in the centre of a small circle."""
     return float(np.median(patch[outside <= np.partition(outside.ravel(), 4)[4]]))
 
 
 def _level(
     patch: Float64[Array, "row column"], offset: Float64[Array, "row column xy=2"], used: Bool[Array, "row column"]
 ) -> Float64[Array, "row column"]:
-    """Brightness as a linear function of place, over the whole patch."""
+    """Plane fitted to the brightness of the used pixels, evaluated over the whole patch."""
     design = np.concatenate([np.ones((*patch.shape, 1)), offset], axis=-1)
     rows = design[used]
     plane: Float64[Array, "row column"] = design @ np.linalg.solve(rows.T @ rows, rows.T @ patch[used])

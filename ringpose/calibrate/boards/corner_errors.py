@@ -1,15 +1,12 @@
-"""What the corners of one marker have in common (ringpose-method(7), section 6).
+"""Error model of board corners: correlation within a marker and variance by view (ringpose-method(7), sections 6, 7).
 
-Each corner is where two sides meet, and each side was drawn through its edge as one parabola: an error of a side
-moves both corners at its ends. Taken for independent, the corners of four markers make boards seem a third better
-placed than they are.
+A marker's corner is the intersection of two sides, and each side is one parabola fitted to its edge: an error of a
+side moves the corners at both of its ends. If the corners were taken as independent, the standard deviations of the
+pose of a board with four markers would be a third too small.
 
-How exact the corners of each view are, by their residuals, where views differ (ringpose-method(7), section 7).
-
-A view's own residuals tell its variance from a few dozen numbers, those of all views only what is usual. Both are
-weighed by how much the views really differ: moderated variances (Smyth 2004), chi-squared about a common scale.
-
-How far a board's corners may err in the image, by what they miss their boards (ringpose-method(7), section 6).
+The variance of a view is estimated from its own few dozen residuals and from the variance that is typical of all
+views. Both are weighted by how much the views differ: moderated variances (Smyth 2004), a scaled inverse chi-squared
+prior on the variance.
 """
 
 from collections.abc import Sequence
@@ -26,39 +23,51 @@ from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.calibration import StripeView
 from ringpose.types.camera import Camera
 
+MIN_SIGMA_PX = 0.002
+"""Lower limit of a corner's standard deviation in one view, and of the systematic part common to all views."""
+
+CLIP_SIGMAS = 3.0
+"""Residuals are clipped to this many standard deviations."""
+
+_MIN_SPREAD = 1e-9
+"""Variance of the logarithms of the views' variances below which the views are taken as equally accurate."""
+
+_POSE_PARAMETERS = 6
+
 
 def whiten(rows: Float64[Array, "coordinate *column"], view: BoardView) -> Float64[Array, "coordinate *column"]:
-    """Rows of a view's corner coordinates (x and y of each in turn) turned into as many of independent errors.
+    """Rows of a view's corner coordinates (x and y of each corner in turn), decorrelated within each marker.
 
-    Their mean square stays that of a coordinate. Corners that err alike are those of whole markers.
+    The mean variance of a coordinate is unchanged. Corners with correlated errors come as whole markers.
     """
     if view.likeness == 0:
         return rows
     by_marker = rows.reshape(-1, 8, rows.size // len(rows))
-    return np.linalg.solve(_error_root(view), by_marker).reshape(rows.shape)
+    return np.linalg.solve(_correlation_root(view), by_marker).reshape(rows.shape)
 
 
 def corner_residuals(view: BoardView, pose: BoardPose, camera: Camera) -> Float64[Array, "coordinate"]:
-    """Of a view's corners in pixels, x and y of each in turn, changed to as many of independent errors."""
+    """Decorrelated residuals of a view's corners in pixels, x and y of each corner in turn."""
     return whiten(residuals(view, pose, camera).ravel(), view)
 
 
 def maximum_likelihood_pose(view: BoardView, camera: Camera) -> tuple[BoardPose, Float64[Array, "pose=6 pose=6"]]:
-    """The board's pose by corners that err alike, and its covariance for errors of one pixel in each coordinate."""
+    """The board's pose with correlated corner errors, and its covariance for a standard deviation of one pixel."""
     pose = board_pose(view, camera)
-    by_pose, _ = projection_jacobians(view.points_board_m, pose, camera)
-    rows = whiten(by_pose.reshape(-1, 6), view)
-    covariance: Float64[Array, "pose=6 pose=6"] = np.linalg.inv(rows.T @ rows)
-    if view.likeness:
-        pose = moved_pose(pose, covariance @ rows.T @ corner_residuals(view, pose, camera))
+    pixel_wrt_pose, _ = projection_jacobians(view.points_board_m, pose, camera)
+    jacobian = whiten(pixel_wrt_pose.reshape(-1, 6), view)
+    covariance: Float64[Array, "pose=6 pose=6"] = np.linalg.inv(jacobian.T @ jacobian)
+    if view.likeness:  # one Gauss-Newton step: the unweighted pose differs from this one by less than its noise
+        pose = moved_pose(pose, covariance @ jacobian.T @ corner_residuals(view, pose, camera))
     return pose, covariance
 
 
 def endpoint_correlation(left_out: float) -> float:
-    """Correlation of a parabola's errors at a side's two ends, if it was drawn without this share of the side at each.
+    """Correlation of the errors of a fitted parabola at the two ends of a side.
 
-    Over places -1 to 1 its level, slope and bend have independent errors in the Legendre polynomials 1, 3^1/2 x and
-    5^1/2 (3 x^2 - 1) / 2; the ends lie at x = 1 / (1 - 2 left_out) and opposite.
+    `left_out` is the share of the side at each end that was not used by the fit. On the interval -1 to 1 of the fit,
+    level, slope and curvature have independent errors in the normalised Legendre polynomials 1, 3^1/2 x and
+    5^1/2 (3 x^2 - 1) / 2; the ends of the side are at x = +-1 / (1 - 2 left_out).
     """
     end = 1.0 / (1.0 - 2.0 * left_out)
     even = 1.0 + 5.0 * ((3.0 * end**2 - 1.0) / 2.0) ** 2
@@ -66,89 +75,87 @@ def endpoint_correlation(left_out: float) -> float:
     return (even - odd) / (even + odd)
 
 
-def endpoint_for_correlation(likeness: float) -> float:
-    """Where a side ends, if it was drawn from -1 to 1 and its errors at both ends have this correlation.
+def endpoint_for_correlation(correlation: float) -> float:
+    """The inverse: position x of a side's end, with the parabola fitted from -1 to 1.
 
-    With u the square of it, the even and odd parts of the variance are 1 + 5/4 (3 u - 1)^2 and 3 u.
+    With u = x^2, the even and odd parts of the variance are 1 + 5/4 (3 u - 1)^2 and 3 u.
     """
-    share = 3.0 * (1.0 + likeness) / (1.0 - likeness)
-    squared = np.roots([11.25, -7.5 - share, 2.25])
+    ratio = 3.0 * (1.0 + correlation) / (1.0 - correlation)
+    squared = np.roots([11.25, -7.5 - ratio, 2.25])
     return float(np.sqrt(max(squared.real.max(), 1.0)))
 
 
 def side_normals(corners: Float64[Array, "marker corner=4 xy=2"]) -> Float64[Array, "marker side=4 xy=2"]:
-    """Unit normals of markers' sides, outwards: corners run clockwise."""
+    """Outward unit normals of the markers' sides; corners are in clockwise order."""
     along = np.roll(corners, -1, axis=1) - corners
     along /= np.linalg.norm(along, axis=-1, keepdims=True)
     return np.stack([along[..., 1], -along[..., 0]], axis=-1)
 
 
-def _error_root(view: BoardView) -> Float64[Array, "marker coordinate=8 coordinate=8"]:
-    """Root of the correlations of the eight coordinates that the ends of a marker's four sides give."""
+def _correlation_root(view: BoardView) -> Float64[Array, "marker coordinate=8 coordinate=8"]:
+    """Cholesky factor of the covariance of a marker's eight coordinates, for unit variance at the sides' ends."""
     corners = view.points_px.reshape(-1, 4, 2)
     normals = side_normals(corners)
-    meeting = np.linalg.inv(np.stack([normals, np.roll(normals, 1, axis=1)], axis=-2))
-    by_ends = np.zeros((len(corners), 8, 8))
-    for corner in range(4):
-        by_ends[:, 2 * corner : 2 * corner + 2, [2 * corner, 2 * ((corner - 1) % 4) + 1]] = meeting[:, corner]
-    ends = np.kron(np.eye(4), np.array([[1.0, view.likeness], [view.likeness, 1.0]]))
-    root: Float64[Array, "marker coordinate=8 coordinate=8"] = np.linalg.cholesky(by_ends @ ends @ by_ends.mT)
+    # A corner moves by the inverse of the matrix of its two sides' normals times the sides' normal displacements.
+    intersection = np.linalg.inv(np.stack([normals, np.roll(normals, 1, axis=1)], axis=-2))
+    corner_wrt_ends = np.zeros((len(corners), 8, 8))
+    for corner in range(4):  # columns: start and end of side 0, of side 1, ...
+        ends = [2 * corner, 2 * ((corner - 1) % 4) + 1]
+        corner_wrt_ends[:, 2 * corner : 2 * corner + 2, ends] = intersection[:, corner]
+    end_covariance = np.kron(np.eye(4), np.array([[1.0, view.likeness], [view.likeness, 1.0]]))
+    root: Float64[Array, "marker coordinate=8 coordinate=8"] = np.linalg.cholesky(
+        corner_wrt_ends @ end_covariance @ corner_wrt_ends.mT
+    )
     return root
 
 
-_MIN_SPREAD = 1e-9
-"""Variance of the logarithms of the views' variances below which the views do not differ."""
-
-
-def moderated_variances(squares: Float64[Array, "view"], freedom: Float64[Array, "view"]) -> Float64[Array, "view"]:
-    """Variance of each view, from the sum of its squared residuals and the degrees of freedom these have."""
-    common = max(float(squares.sum() / freedom.sum()), np.finfo(float).tiny)
-    own = np.maximum(squares / freedom, 1e-12 * common)
-    prior, scale = _prior(np.log(own), freedom)
-    if not np.isfinite(prior):
+def moderated_variances(
+    squares: Float64[Array, "view"], degrees_of_freedom: Float64[Array, "view"]
+) -> Float64[Array, "view"]:
+    """Variance of each view, from its sum of squared residuals and their degrees of freedom."""
+    common = max(float(squares.sum() / degrees_of_freedom.sum()), np.finfo(float).tiny)
+    own = np.maximum(squares / degrees_of_freedom, 1e-12 * common)
+    prior_dof, prior_variance = _variance_prior(np.log(own), degrees_of_freedom)
+    if not np.isfinite(prior_dof):
         return np.full(len(own), common)
-    moderated: Float64[Array, "view"] = (prior * scale + freedom * own) / (prior + freedom)
+    moderated: Float64[Array, "view"] = (prior_dof * prior_variance + degrees_of_freedom * own) / (
+        prior_dof + degrees_of_freedom
+    )
     return moderated
 
 
-def _prior(log_variance: Float64[Array, "view"], freedom: Float64[Array, "view"]) -> tuple[float, float]:
-    """Degrees of freedom that the views have in common, and their common variance; infinite if they do not differ."""
+def _variance_prior(
+    log_variance: Float64[Array, "view"], degrees_of_freedom: Float64[Array, "view"]
+) -> tuple[float, float]:
+    """Degrees of freedom and variance of the prior; infinite degrees of freedom if the views do not differ."""
     if len(log_variance) < 3:
         return float("inf"), float("nan")
-    unbiased = log_variance - digamma(freedom / 2) + np.log(freedom / 2)
-    spread = float(np.var(unbiased, ddof=1) - np.mean(polygamma(1, freedom / 2)))
+    unbiased = log_variance - digamma(degrees_of_freedom / 2) + np.log(degrees_of_freedom / 2)
+    spread = float(np.var(unbiased, ddof=1) - np.mean(polygamma(1, degrees_of_freedom / 2)))
     if spread < _MIN_SPREAD:
         return float("inf"), float("nan")
     bracket = (1 / spread, 1 / spread + 1)  # 1/x < trigamma(x) < 1/x + 1/x^2
-    prior = 2 * float(brentq(lambda x: polygamma(1, x) - spread, *bracket))
-    return prior, float(np.exp(unbiased.mean() + digamma(prior / 2) - np.log(prior / 2)))
-
-
-MIN_SIGMA_PX = 0.002
-"""Nothing in an image is known better, neither a corner of one view nor what it errs in all views alike."""
-
-STRAY_SIGMAS = 3.0
-"""Residuals beyond so many standard deviations count as so many."""
-
-_POSE = 6
+    prior_dof = 2 * float(brentq(lambda x: polygamma(1, x) - spread, *bracket))
+    return prior_dof, float(np.exp(unbiased.mean() + digamma(prior_dof / 2) - np.log(prior_dof / 2)))
 
 
 def corner_sigma_px(views: Sequence[StripeView], poses: Sequence[BoardPose], camera: Camera) -> float:
-    """Standard deviation of one coordinate of a corner, from the residuals of all views; strays count as three."""
+    """Standard deviation of one corner coordinate, from the clipped residuals of all views."""
     errors = _residuals(views, poses, camera)
     every = np.abs(np.concatenate(errors))
-    limit = STRAY_SIGMAS * robust_std(every)
-    return float(np.sqrt(np.sum(np.minimum(every, limit) ** 2) / max(every.size - _POSE * len(errors), 1)))
+    limit = CLIP_SIGMAS * robust_std(every)
+    degrees_of_freedom = max(every.size - _POSE_PARAMETERS * len(errors), 1)
+    return float(np.sqrt(np.sum(np.minimum(every, limit) ** 2) / degrees_of_freedom))
 
 
 def corner_sigmas_px(views: Sequence[StripeView], poses: Sequence[BoardPose], camera: Camera) -> Float64[Array, "view"]:
-    """The same for each view: of its own residuals, drawn to the common one as far as its own are few."""
+    """Standard deviation of one corner coordinate by view, from clipped residuals, moderated towards all views."""
     errors = _residuals(views, poses, camera)
     common = robust_std(np.concatenate(errors))
-    limits = [STRAY_SIGMAS * max(common, robust_std(own)) for own in errors]
+    limits = [CLIP_SIGMAS * max(common, robust_std(own)) for own in errors]
     squares = [float(np.sum(np.minimum(np.abs(own), limit) ** 2)) for own, limit in zip(errors, limits, strict=True)]
-    freedom = np.array([max(own.size - _POSE, 1) for own in errors], dtype=np.float64)
-    sigmas: Float64[Array, "view"] = np.sqrt(moderated_variances(np.array(squares), freedom))
+    degrees_of_freedom = np.array([max(own.size - _POSE_PARAMETERS, 1) for own in errors], dtype=np.float64)
+    sigmas: Float64[Array, "view"] = np.sqrt(moderated_variances(np.array(squares), degrees_of_freedom))
     return np.maximum(sigmas, MIN_SIGMA_PX)
 
 
@@ -159,18 +166,18 @@ def with_shared_errors(
     camera: Camera,
     taken: int,
 ) -> Float64[Array, "view"]:
-    """The standard deviations as large as means over the views ask for.
+    """The standard deviations, inflated for errors that a corner has in all views.
 
-    A print that is not true, a board that is bent and an edge that light draws aside move the same corner in all
-    views: such errors do not grow fewer with more views. `taken` parameters were estimated from all views. Stripes
-    that disagree move corners alike, too, and so do stray corners where stripes do not hold their board: what counts
-    is seen of boards at the given poses and of those where their corners alone have them.
+    An inaccurate print, a bent board and an edge displaced by the illumination move the same corner in all views:
+    such errors are not averaged out by more views. `taken` is the number of parameters estimated from all views.
+    Inconsistent stripes move the corners at the given poses in common, and outlying corners move them at the poses
+    from the corners alone; the smaller of the two factors excludes both causes.
     """
     alone = [maximum_likelihood_pose(view.board, camera)[0] for view in views]
     errors = [_residuals(views, each, camera) for each in (poses, alone)]
     factor = min(_shared_factor(sigmas_px, views, own, taken) for own in errors)
-    wider: Float64[Array, "view"] = np.sqrt(factor * sigmas_px**2 + len(views) * MIN_SIGMA_PX**2)
-    return wider
+    inflated: Float64[Array, "view"] = np.sqrt(factor * sigmas_px**2 + len(views) * MIN_SIGMA_PX**2)
+    return inflated
 
 
 def _shared_factor(
@@ -179,21 +186,18 @@ def _shared_factor(
     errors: Sequence[Float64[Array, "_"]],
     taken: int,
 ) -> float:
-    """Variance of corners' means over the views, over what errors of single views make it; never below one."""
-    sums, counts = np.zeros((_most_corners(views), 2)), np.zeros(_most_corners(views))
+    """Variance of the corners' means over the views, divided by that of independent views; at least one."""
+    corners = 1 + max(int(view.board.ids.max()) for view in views)
+    sums, counts = np.zeros((corners, 2)), np.zeros(corners)
     for view, own, sigma in zip(views, errors, sigmas_px.tolist(), strict=True):
-        standard = np.clip(own / sigma, -STRAY_SIGMAS, STRAY_SIGMAS)
+        standard = np.clip(own / sigma, -CLIP_SIGMAS, CLIP_SIGMAS)
         sums[view.board.ids] += standard.reshape(-1, 2)
         counts[view.board.ids] += 1
-    often = counts > 1
-    freedom = 2 * int(often.sum()) - _POSE - taken
-    if freedom <= 0:
+    repeated = counts > 1
+    degrees_of_freedom = 2 * int(repeated.sum()) - _POSE_PARAMETERS - taken
+    if degrees_of_freedom <= 0:
         return 1.0
-    return max(1.0, float(np.sum(sums[often] ** 2 / counts[often, None])) / freedom)
-
-
-def _most_corners(views: Sequence[StripeView]) -> int:
-    return 1 + max(int(view.board.ids.max()) for view in views)
+    return max(1.0, float(np.sum(sums[repeated] ** 2 / counts[repeated, None])) / degrees_of_freedom)
 
 
 def _residuals(views: Sequence[StripeView], poses: Sequence[BoardPose], camera: Camera) -> list[Float64[Array, "_"]]:

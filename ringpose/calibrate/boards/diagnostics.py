@@ -1,9 +1,4 @@
-"""Why an image shows no usable board, in words and numbers.
-
-Why a grid of circles is not found: how many are seen, and in which rows they lie.
-
-How far a chessboard goes on beyond the corners that were found, and whether it leaves the image there.
-"""
+"""Diagnostics for images without a usable board: the reason as text, with the measured numbers."""
 
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -20,19 +15,19 @@ from ringpose.types.arrays import Array, Bool, Float64, UInt8
 from ringpose.types.board import Board
 
 MIN_SIZE_PX = 32
-"""Sides of an image in which no board is looked for; OpenCV's finder fails below 15."""
+"""Minimum side of an image for board detection; OpenCV's detectors fail below 15."""
 
 DARK_DN = 25.0
-"""Share of the 8-bit range that the brightest hundredth of an image must reach for a board to be visible at all."""
+"""Minimum 99th percentile of an 8-bit image in which a board can be visible."""
 
 BRIGHT_SHARE = 0.5
-"""Share of saturated pixels above which the image is called overexposed."""
+"""Share of saturated pixels above which an image is overexposed."""
 
 BLURRED_PX = 4.0
-"""Standard deviation of the steepest edges above which an image is called blurred: sharp photographs have 0.8 to 2."""
+"""Standard deviation of the steepest edges above which an image is blurred: sharp photographs have 0.8 to 2."""
 
 SHARP_PX, BLURRED_CELLS = 2.0, 1 / 3
-"""Markers whose edges are wider than the first, and than this share of their cells, are too blurred to be read."""
+"""Markers are too blurred to be decoded if their edges are wider than the first, and than this share of a cell."""
 
 _FAMILIES = tuple(
     (name, int(getattr(cv2.aruco, name)))
@@ -40,7 +35,7 @@ _FAMILIES = tuple(
 )
 
 _MIN_MARKERS = 3
-"""Of a family that nobody asked for, or of mirrored ones: a pattern, or blur, may pass for one or two."""
+"""Minimum number of markers of another dictionary, or of mirrored ones: one or two may be false detections."""
 
 _SMOOTHING_PX = 1.0
 
@@ -73,9 +68,9 @@ class NoBoard:
 
     failure: BoardFailure
     found: str = ""
-    """What was found instead, with its number."""
+    """What was found instead, with numbers."""
     points_px: Float64[Array, "point xy=2"] = field(default_factory=lambda: np.empty((0, 2)), compare=False)
-    """Corners that were found all the same."""
+    """Corners that were found nevertheless."""
 
     @property
     def value(self) -> str:
@@ -84,16 +79,16 @@ class NoBoard:
 
 
 def too_small(grey: UInt8[Array, "row column"]) -> NoBoard | None:
-    """Said of an image in which no board has room."""
+    """The failure of an image that is too small for any board."""
     if min(grey.shape) >= MIN_SIZE_PX:
         return None
     return NoBoard(failure=BoardFailure.TOO_SMALL, found=f"{grey.shape[1]} x {grey.shape[0]} pixels")
 
 
 def unusable(grey: UInt8[Array, "row column"], seen: NoBoard) -> NoBoard | None:
-    """What is wrong with an image, whatever the board.
+    """The failure of an image that is too dark or overexposed for any board.
 
-    A part of the board that is seen in an overexposed one says why the rest is not.
+    If part of the board is found in an overexposed image, its own failure is more specific and is kept.
     """
     bright = float(np.percentile(grey, 99))
     if bright < DARK_DN:
@@ -105,7 +100,7 @@ def unusable(grey: UInt8[Array, "row column"], seen: NoBoard) -> NoBoard | None:
 
 
 def edge_width_px(grey: UInt8[Array, "row column"]) -> float:
-    """Standard deviation of the steepest edges' blur: contrast over slope, the measurement's own smoothing included.
+    """Standard deviation of the steepest edges' blur: contrast over gradient, including the smoothing applied here.
 
     Infinite for an image without contrast.
     """
@@ -117,7 +112,7 @@ def edge_width_px(grey: UInt8[Array, "row column"]) -> float:
 
 
 def pattern_failure(grey: UInt8[Array, "row column"], board: Board) -> NoBoard:
-    """Why a chessboard, which must be seen whole, is not found."""
+    """Why a chessboard, all of which must be visible, is not found."""
     width_px = edge_width_px(grey)
     grid = largest_grid(grey)
     if grid is not None:
@@ -130,12 +125,12 @@ def pattern_failure(grey: UInt8[Array, "row column"], board: Board) -> NoBoard:
 
 
 def edge_width_in_words(width_px: float) -> str:
-    """What was measured of the edges."""
+    """The measured width of the edges, as text."""
     return f"edges are {width_px:.1f} px wide" if np.isfinite(width_px) else "nothing has contrast"
 
 
 def marker_failure(grey: UInt8[Array, "row column"], board: Board, markers: Markers, own: Markers) -> NoBoard:
-    """Why too few markers of the board are seen: too blurred, those of another board, or the rest out of the image."""
+    """Why too few markers of the board are found: blur, another board, a mirrored image, or a board cut off."""
     wanted = len(marker_corners(board))
     points_px = own.corners_px.reshape(-1, 2)
     if len(own.ids):
@@ -159,7 +154,7 @@ def marker_failure(grey: UInt8[Array, "row column"], board: Board, markers: Mark
 
 
 def charuco_failure(grey: UInt8[Array, "row column"], board: Board, corners: int, own: Markers) -> NoBoard:
-    """Why too few corners are seen between a board's markers: their cells tell how wide edges may be."""
+    """Why too few corners are found between a board's markers; blur is compared with the size of their cells."""
     points_px = own.corners_px.reshape(-1, 2)
     found = f"{corners} corners, {len(own.ids)} of {len(marker_corners(board))} markers"
     sides_px = np.linalg.norm(np.roll(own.corners_px, 1, axis=1) - own.corners_px, axis=-1)
@@ -173,7 +168,7 @@ def charuco_failure(grey: UInt8[Array, "row column"], board: Board, corners: int
 
 
 def _around(grey: UInt8[Array, "row column"], corners_px: Float64[Array, "corner=4 xy=2"]) -> UInt8[Array, "_ _"]:
-    """The upright rectangle that holds a marker."""
+    """The marker's bounding box."""
     (left, top), (right, bottom) = np.floor(corners_px.min(axis=0)), np.ceil(corners_px.max(axis=0))
     return grey[max(int(top), 0) : int(bottom) + 1, max(int(left), 0) : int(right) + 1]
 
@@ -183,7 +178,7 @@ def _numbers(markers: Markers) -> str:
 
 
 def markers_of_others(grey: UInt8[Array, "row column"]) -> str:
-    """The largest family of OpenCV's markers that an image shows, with numbers; empty if fewer than three are seen."""
+    """The dictionary of OpenCV with the most markers in the image, and their numbers; empty for fewer than three."""
     families = [(name, find_markers(grey, cv2.aruco.getPredefinedDictionary(number))) for name, number in _FAMILIES]
     name, markers = max(families, key=lambda family: len(family[1].ids))
     return f"{name}, numbers {_numbers(markers)}" if len(markers.ids) >= _MIN_MARKERS else ""
@@ -195,7 +190,7 @@ def _partial(
     board: Board,
     width_px: float,
 ) -> NoBoard:
-    """A part of a chessboard, or another one, was found."""
+    """The failure if part of a chessboard, or one of another size, was found."""
     extent = chessboard_extent(grey, grid)
     wanted = (board.squares_x or 0, board.squares_y or 0)
     rows, columns = sorted(grid.shape[:2])
@@ -210,7 +205,7 @@ def _partial(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Extent:
-    """Squares along the rows and along the columns of the corners found."""
+    """Extent of a chessboard along the rows and the columns of the corners found."""
 
     squares: tuple[int, int]
     cut: tuple[bool, bool]
@@ -222,7 +217,7 @@ class Extent:
 
 
 def _partial_failure(extent: Extent, wanted: tuple[int, int], *, blurred: bool) -> BoardFailure:
-    """By the squares that are seen and those that the board has, along either side."""
+    """The failure from the numbers of squares seen and expected, in either orientation of the board."""
     across, down = extent.squares
     missing = [
         (columns - across, rows - down)
@@ -239,18 +234,18 @@ def _partial_failure(extent: Extent, wanted: tuple[int, int], *, blurred: bool) 
 
 
 def _beyond_the_rim(missing: tuple[int, int], extent: Extent) -> bool:
-    """Whether all squares that are missing may lie outside the image."""
+    """Whether all missing squares may be outside the image."""
     if not any(missing):
         return extent.pierced
     return all(cut or not squares for squares, cut in zip(missing, extent.cut, strict=True))
 
 
 def _outside(own: Markers, board: Board, shape: tuple[int, int]) -> int:
-    """How many of the board's other markers would lie outside the image, by the homography of those seen."""
-    place = marker_corners(board)[..., :2]
-    seen = place[own.ids].reshape(-1, 2)
+    """Number of the board's other markers that are outside the image, by the homography of the markers found."""
+    corners_m = marker_corners(board)[..., :2]
+    seen = corners_m[own.ids].reshape(-1, 2)
     homography, _ = cv2.findHomography(seen, own.corners_px.reshape(-1, 2))
-    others = np.delete(place, own.ids, axis=0)
+    others = np.delete(corners_m, own.ids, axis=0)
     if homography is None or not len(others):
         return 0
     expected = cv2.perspectiveTransform(others.reshape(1, -1, 2), homography).reshape(-1, 4, 2)
@@ -259,14 +254,14 @@ def _outside(own: Markers, board: Board, shape: tuple[int, int]) -> int:
 
 
 MIN_GRID = 2
-"""Circles along a side of the grids that are tried."""
+"""Minimum number of circles along a side of the grids that are tried."""
 
 MAX_MISFIT = 0.2
-"""Of circles in the places of another grid, rms in spacings: a lens bends less, wrong rows lie a half or more aside."""
+"""Maximum rms misfit of a grid in spacings: distortion causes less, wrong rows are off by a half or more."""
 
 
 def circle_failure(grey: UInt8[Array, "row column"], board: Board) -> NoBoard:
-    """The reason, with the number of circles that are seen."""
+    """Why a grid of circles is not found, with the number of circles found."""
     middles_px, width_px = _circles_seen(grey), edge_width_px(grey)
     columns, rows = board.squares_x or 0, board.squares_y or 0
     found = f"{len(middles_px)} circles are seen, the board has {columns} x {rows} = {columns * rows}"
@@ -283,25 +278,25 @@ def circle_failure(grey: UInt8[Array, "row column"], board: Board) -> NoBoard:
 
 
 def _circles_seen(grey: UInt8[Array, "row column"]) -> Float64[Array, "circle xy=2"]:
-    """Middles of the dark round spots, the same ones that OpenCV's finder of grids begins with."""
+    """Centres of dark blobs, as detected by OpenCV's grid detection."""
     spots = cv2.SimpleBlobDetector.create().detect(brightened(grey))
     return np.array([spot.pt for spot in spots], dtype=np.float64).reshape(-1, 2)
 
 
 def _other_grid(grey: UInt8[Array, "row column"], board: Board, number: int) -> tuple[int, int] | None:
-    """Columns and rows of a grid of so many circles that the image shows; None if there is none."""
+    """Columns and rows of another grid with this number of circles that fits the image; None if there is none."""
     for columns in range(MIN_GRID, number // MIN_GRID + 1):
         rows, left = divmod(number, columns)
         if left or (columns, rows) == (board.squares_x, board.squares_y):
             continue
         middles_px = circle_middles(grey, columns, rows)
-        if middles_px is not None and _lie_as_on(middles_px, replace(board, squares_x=columns, squares_y=rows)):
+        if middles_px is not None and _fits_board(middles_px, replace(board, squares_x=columns, squares_y=rows)):
             return columns, rows
     return None
 
 
-def _lie_as_on(middles_px: Float64[Array, "circle xy=2"], board: Board) -> bool:
-    """Whether circles lie in the places of a board, seen in perspective."""
+def _fits_board(middles_px: Float64[Array, "circle xy=2"], board: Board) -> bool:
+    """Whether a homography maps the circles to those of the board."""
     places = corner_points(board)[:, :2]
     homography: Any = cv2.findHomography(middles_px, places)[0]
     if homography is None:
@@ -353,7 +348,7 @@ def chessboard_extent(
 
 
 def _side(smooth: Float64[Array, "row column"], grid: Float64[Array, "corner_row corner_column xy=2"]) -> _Side:
-    """What comes after the last column of corners."""
+    """Extent of the board beyond the last column of corners."""
     rows, columns = grid.shape[:2]
     lattice = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2).astype(np.float64)
     homography = np.asarray(cv2.findHomography(lattice, grid.reshape(-1, 2))[0], dtype=np.float64)
@@ -362,7 +357,7 @@ def _side(smooth: Float64[Array, "row column"], grid: Float64[Array, "corner_row
     first = columns - 1
     outside = (row for row in range(_MAX_ROWS) if not _inside(smooth.shape, homography, first + row, rows))
     inside = next(outside, _MAX_ROWS)
-    last = 0  # the last corners are corners of a first row, whatever it looks like
+    last = 0  # the last corners imply a first row of squares, even if it has no contrast
     for row in range(1, inside):
         step = sign * (-1) ** (row + 1) * _contrast(smooth, homography, first + row, rows)
         if (step > GOES_ON and row == last + 1) or (SURELY < step < 1 / SURELY and row <= last + 1 + COVERED_ROWS):
@@ -376,7 +371,7 @@ def _contrast(
     column: int,
     rows: int,
 ) -> float:
-    """Median step from a square of a column to the next, the sign turned for every other one."""
+    """Median difference of neighbouring squares of a column, with alternating sign."""
     across = np.arange(rows - 1)
     centres = np.stack([np.full(len(across), column + 0.5), across + 0.5], axis=-1)
     x, y = np.rint(cv2.perspectiveTransform(centres[None], homography)[0]).astype(np.int64).T

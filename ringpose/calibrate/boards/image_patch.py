@@ -1,10 +1,7 @@
-"""Square pieces of an image around a place.
+"""Square image patches, and images reduced by a whole factor.
 
-Images made smaller, and places in them.
-
-OpenCV's finder of chessboards looks in small images first: its time grows faster than they do. The corners are refined
-in the image as it was taken, so nothing is lost but squares too small to be found. Stripes that are too broad for their
-finder become as narrow as it wants them.
+OpenCV's chessboard detection is applied to reduced images first, because its time grows faster than the number of
+pixels. Corners are then refined in the full image. Images with wide stripes are reduced before stripe extraction.
 """
 
 import cv2
@@ -16,7 +13,7 @@ from ringpose.types.arrays import Array, Float64, UInt, UInt8
 def patch_around(
     image: UInt8[Array, "row column"], column: int, row: int, half: int
 ) -> UInt8[Array, "patch_row patch_column"] | None:
-    """So many pixels to each side; None where that leaves the image."""
+    """The patch with `half` pixels to each side of its centre; None if it exceeds the image."""
     inside = half <= row < image.shape[0] - half and half <= column < image.shape[1] - half
     return image[row - half : row + half + 1, column - half : column + half + 1] if inside else None
 
@@ -24,7 +21,7 @@ def patch_around(
 def grey_around(
     image: UInt8[Array, "row column"], middle: Float64[Array, "xy=2"], half: int
 ) -> tuple[Float64[Array, "patch_row patch_column"], Float64[Array, "patch_row patch_column xy=2"]] | None:
-    """Grey values about a place, and how far each pixel lies from it; None where that leaves the image."""
+    """Grey values around a point, and each pixel's offset from it; None if the patch exceeds the image."""
     column, row = np.rint(middle).astype(np.int64).tolist()
     patch = patch_around(image, column, row, half)
     if patch is None:
@@ -34,14 +31,14 @@ def grey_around(
 
 
 LONGER_SIDE_PX = 2000
-"""An image is made smaller by whole numbers until its longer side is below one and a half times this."""
+"""Images are reduced until their longer side is below one and a half times this."""
 
 FINEST_PX = 6000
-"""If no board is found there, the image is halved less often, as long as it stays below this."""
+"""Longer side up to which less reduced images are tried if no board is found."""
 
 
 def reductions(shape: tuple[int, ...]) -> list[int]:
-    """By which whole numbers an image is made smaller, one after another."""
+    """Reduction factors to be tried in turn, the largest first."""
     longer = max(shape[:2])
     first = max(round(longer / LONGER_SIDE_PX), 1)
     halved = [first]
@@ -51,7 +48,7 @@ def reductions(shape: tuple[int, ...]) -> list[int]:
 
 
 def reduced(image: UInt[Array, "row column"], reduction: int) -> UInt[Array, "small_row small_column"]:
-    """Each pixel the mean of so many by so many; what is left over at the right and below is cut off."""
+    """The image with blocks of pixels averaged; incomplete blocks at the right and bottom are cut off."""
     if reduction == 1:
         return image
     rows, columns = (size // reduction for size in image.shape)
@@ -62,6 +59,6 @@ def reduced(image: UInt[Array, "row column"], reduction: int) -> UInt[Array, "sm
     return small
 
 
-def in_full_image(places_px: Float64[Array, "*shape xy=2"], reduction: int) -> Float64[Array, "*shape xy=2"]:
-    """Places of a reduced image in the whole one; pixel centres have whole numbers in both."""
-    return reduction * places_px + (reduction - 1) / 2
+def in_full_image(points_px: Float64[Array, "*shape xy=2"], reduction: int) -> Float64[Array, "*shape xy=2"]:
+    """Points of a reduced image in the full image; pixel centres have integer coordinates in both."""
+    return reduction * points_px + (reduction - 1) / 2

@@ -1,9 +1,8 @@
-"""Where a board's corners and markers are, in the board frame: origin top-left outer corner, x right, y down.
+"""Positions of a board's corners and markers in the board frame, and checks of the markers seen against them.
 
-A chessboard's or ChArUco board's corner has the number that it has in OpenCV, row by row; a marker's corner
-has the number 4 * marker + corner, clockwise from its top-left.
-
-Whether a board's markers lie, and are as large, as the board file says.
+The board frame has its origin in the top-left outer corner, x to the right and y down. Corners of a chessboard or
+ChArUco board are numbered as in OpenCV, row by row; a marker's corner has the number 4 * marker + corner, clockwise
+from the marker's top left.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,12 +17,28 @@ from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board, BoardView
 from ringpose.types.verdict import Check
 
+MAX_MISFIT = 0.25
+"""Maximum median distance of the markers' centres from the board's, in sides of a marker: 0.02 with distortion, above 1
+for another board."""
+
+MAX_SIZE_ERROR = 0.03
+"""Limit of the relative error of the markers' size against their spacing: unrefined corners alone cause 0.01."""
+
+FAIL_SIZE_ERROR = 0.1
+
+CORNER_ERROR_PX = 1.0
+"""Bound of the inward bias of unrefined corners: blurred markers 40 px wide become 1.3 px too narrow."""
+
 _FIRST = np.array([1.0, 1.0, 0.0])
-"""Place of the first corner or circle, in squares or spacings."""
+"""Position of the first corner or circle, in squares or spacings."""
+
+_MIN_MARKERS = 4
+
+_MAX_SQUARES = 40
 
 
 def corner_points(board: Board) -> Float64[Array, "corner xyz=3"]:
-    """All the board's corners (or circle centres) in metres, at the index that is their number."""
+    """All the board's corners (or circle centres) in metres, in the order of their numbers."""
     if board.kind == "chessboard" or board.kind == "charuco":
         return _inner_corners(board)
     if board.kind == "asymmetric_circles":
@@ -76,10 +91,10 @@ def _circle_centers(board: Board) -> Float64[Array, "corner xyz=3"]:
 
 def _four_origins(board: Board) -> Float64[Array, "marker xyz=3"]:
     """Marker 0 top-left, 1 top-right, 2 bottom-right, 3 bottom-left, each `margin_m` inside the outline."""
-    near = board.margin_m or 0.0
-    right = (board.width_m or 0.0) - near - (board.marker_m or 0.0)
-    below = (board.height_m or 0.0) - near - (board.marker_m or 0.0)
-    return np.array([[near, near, 0.0], [right, near, 0.0], [right, below, 0.0], [near, below, 0.0]])
+    left = top = board.margin_m or 0.0
+    right = (board.width_m or 0.0) - left - (board.marker_m or 0.0)
+    bottom = (board.height_m or 0.0) - top - (board.marker_m or 0.0)
+    return np.array([[left, top, 0.0], [right, top, 0.0], [right, bottom, 0.0], [left, bottom, 0.0]])
 
 
 def _grid_origins(board: Board) -> Float64[Array, "marker xyz=3"]:
@@ -106,77 +121,59 @@ def _lattice(columns: int, rows: int) -> Float64[Array, "point xyz=3"]:
     return np.stack([column.ravel(), row.ravel(), np.zeros(row.size)], axis=1).astype(np.float64)
 
 
-MAX_MISFIT = 0.25
-"""Of the markers' middles from their places, in markers' sides; 0.02 through a lens, above 1 on another board."""
-
-MAX_SIZE_ERROR = 0.03
-"""Of the markers' size by their distances: unrefined corners make them 0.01 too small."""
-
-REDO_SIZE_ERROR = 0.1
-
-CORNER_ERROR_PX = 1.0
-"""By which a corner may lie inside its marker: unrefined ones of blurred markers 40 px wide make these 1.3 px too
-narrow."""
-
-_MIN_COUNT = 4
-
-_MAX_SQUARES = 40
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MarkerLayout:
-    """The markers as seen, in the board frame that their middles tell."""
+    """Agreement of the markers seen with the board, in the board frame fitted to their centres."""
 
     misfit: float
-    """Median distance of a middle from where the board has it, in markers' sides."""
+    """Median distance of a marker's centre from its position on the board, in sides of a marker."""
     size_ratio: tuple[float, float]
-    """Median width and height of the markers over those of the board; 1 where that is no more than corners err."""
+    """Median width and height of the markers over those of the board; 1 if the deviation is not significant."""
 
 
 def marker_layout(board: Board, markers: Markers) -> MarkerLayout | None:
-    """How the board's own markers lie; None if they are too few, or in one line."""
-    place = marker_corners(board)[markers.ids][..., :2]
-    middle = place.mean(axis=1)
-    if len(middle) < _MIN_COUNT or np.linalg.matrix_rank(middle - middle.mean(axis=0), tol=1e-6) < 2:
+    """Agreement of the board's own markers with the board; None if they are too few or collinear."""
+    center_m = marker_corners(board)[markers.ids][..., :2].mean(axis=1)
+    if len(center_m) < _MIN_MARKERS or np.linalg.matrix_rank(center_m - center_m.mean(axis=0), tol=1e-6) < 2:
         return None
-    seen_px = _middles(markers.corners_px)
-    homography: Any = cv2.findHomography(seen_px, middle)[0]
-    if homography is None:
+    centers_px = _diagonal_intersections(markers.corners_px)
+    board_from_image: Any = cv2.findHomography(centers_px, center_m)[0]
+    if board_from_image is None:
         return None
-    found = cv2.perspectiveTransform(seen_px[None], homography)[0]
-    corners = cv2.perspectiveTransform(markers.corners_px.reshape(1, -1, 2), homography).reshape(-1, 4, 2)
+    found_m = cv2.perspectiveTransform(centers_px[None], board_from_image)[0]
+    corners = cv2.perspectiveTransform(markers.corners_px.reshape(1, -1, 2), board_from_image).reshape(-1, 4, 2)
     side = board.marker_m or 1.0
     width = np.linalg.norm(corners[:, [1, 2]] - corners[:, [0, 3]], axis=-1) / side
     height = np.linalg.norm(corners[:, [3, 2]] - corners[:, [0, 1]], axis=-1) / side
     return MarkerLayout(
-        misfit=float(np.median(np.linalg.norm(found - middle, axis=-1))) / side,
-        size_ratio=(_told(width, markers), _told(height, markers)),
+        misfit=float(np.median(np.linalg.norm(found_m - center_m, axis=-1))) / side,
+        size_ratio=(_significant_ratio(width, markers), _significant_ratio(height, markers)),
     )
 
 
-def _told(ratios: Float64[Array, "marker side=2"], markers: Markers) -> float:
-    """Their median, as far as it is beyond what the corners' own errors make of such small markers."""
+def _significant_ratio(ratios: Float64[Array, "marker side=2"], markers: Markers) -> float:
+    """The median ratio; 1 if the bias of the corners can explain the deviation for markers of this size."""
     side_px = np.median(np.linalg.norm(np.diff(markers.corners_px, axis=1), axis=-1))
     ratio = float(np.median(ratios))
     return ratio if abs(ratio - 1) * side_px > 2 * CORNER_ERROR_PX else 1.0
 
 
-def _middles(corners: Float64[Array, "marker corner=4 xy=2"]) -> Float64[Array, "marker xy=2"]:
-    """Where the diagonals cross, which is the middle in any perspective."""
+def _diagonal_intersections(corners: Float64[Array, "marker corner=4 xy=2"]) -> Float64[Array, "marker xy=2"]:
+    """Intersections of the diagonals: projections of the markers' centres in any perspective."""
     along, across = corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]
     offset = corners[:, 1] - corners[:, 0]
-    turn = along[:, 0] * across[:, 1] - along[:, 1] * across[:, 0]
-    share = (offset[:, 0] * across[:, 1] - offset[:, 1] * across[:, 0]) / turn
-    middles: Float64[Array, "marker xy=2"] = corners[:, 0] + share[:, None] * along
-    return middles
+    determinant = along[:, 0] * across[:, 1] - along[:, 1] * across[:, 0]
+    share = (offset[:, 0] * across[:, 1] - offset[:, 1] * across[:, 0]) / determinant
+    intersections: Float64[Array, "marker xy=2"] = corners[:, 0] + share[:, None] * along
+    return intersections
 
 
 def other_layout(board: Board, markers: Markers) -> str | None:
-    """What is to be said where the markers lie otherwise than on the board: the numbers of squares that would fit."""
+    """If the markers do not lie as on the board: the numbers of squares that would fit, as text; else None."""
     layout = marker_layout(board, markers)
     if layout is None or layout.misfit < MAX_MISFIT:
         return None
-    for other in _others(board, int(markers.ids.max())):
+    for other in _other_boards(board, int(markers.ids.max())):
         found = marker_layout(other, markers)
         if found is not None and found.misfit < MAX_MISFIT:
             legacy = f", legacy_pattern: {str(other.legacy_pattern).lower()}" * (other.kind == "charuco")
@@ -184,8 +181,8 @@ def other_layout(board: Board, markers: Markers) -> str | None:
     return "nor with any other squares_x"
 
 
-def _others(board: Board, last: int) -> Iterator[Board]:
-    """Boards whose markers are numbered otherwise: the same lying, then other numbers of squares in a row."""
+def _other_boards(board: Board, last: int) -> Iterator[Board]:
+    """Boards with marker `last` and another layout: rows and columns exchanged, then other numbers of columns."""
     if not board.squares_x or not board.squares_y:
         return
     swapped = (board.squares_y, board.squares_x)
@@ -198,7 +195,7 @@ def _others(board: Board, last: int) -> Iterator[Board]:
 
 
 def marker_size_findings(views: Sequence[BoardView]) -> tuple[Check, ...]:
-    """Whether the markers are as large as the board file says, beside their distances; nothing on other boards."""
+    """Check of the markers' size relative to their spacing; empty for boards without markers."""
     ratios = [view.marker_size_ratio for view in views if view.marker_size_ratio is not None]
     if not ratios:
         return ()
@@ -207,8 +204,8 @@ def marker_size_findings(views: Sequence[BoardView]) -> tuple[Check, ...]:
         name="marker_size_error",
         value=max(abs(width - 1), abs(height - 1)),
         pass_limit=MAX_SIZE_ERROR,
-        fail_limit=REDO_SIZE_ERROR,
-        advice=f"by their distances the markers are {width:.2f} times as wide and {height:.2f} times as high as "
-        "marker_m says: measure the print, a size in the board file is wrong",
+        fail_limit=FAIL_SIZE_ERROR,
+        advice=f"relative to their spacing the markers are {width:.2f} times as wide and {height:.2f} times as high as "
+        "marker_m: measure the print, a size in the board file is wrong",
     )
     return (finding,)

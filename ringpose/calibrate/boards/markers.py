@@ -1,4 +1,4 @@
-"""ArUco markers in an image."""
+"""ArUco markers: dictionaries and detection."""
 
 import math
 from collections.abc import Sequence
@@ -23,8 +23,8 @@ class Markers:
 
 
 def marker_dictionary(board: Board) -> cv2.aruco.Dictionary:
-    """The board's dictionary: one of OpenCV's, or one's own; it has all the board's markers."""
-    dictionary = _own_dictionary(board.marker_bits) if board.marker_bits else _opencv_dictionary(board)
+    """The board's dictionary, predefined in OpenCV or read from a file; it has all the board's markers."""
+    dictionary = _custom_dictionary(board.marker_bits) if board.marker_bits else _opencv_dictionary(board)
     found, needed = len(dictionary.bytesList), marker_count(board)
     if found < needed:
         finding = f'dictionary "{board.dictionary}" has {found} markers, the board has {needed}'
@@ -33,7 +33,7 @@ def marker_dictionary(board: Board) -> cv2.aruco.Dictionary:
 
 
 def marker_count(board: Board) -> int:
-    """How many markers are printed on a board of markers."""
+    """Number of markers on the board; zero for boards without markers."""
     if board.kind == "four_markers":
         return 4
     squares = (board.squares_x or 0) * (board.squares_y or 0)
@@ -46,28 +46,30 @@ def _opencv_dictionary(board: Board) -> cv2.aruco.Dictionary:
     name = board.dictionary or ""
     number = getattr(cv2.aruco, name, None) if name.startswith("DICT_") else None
     if number is None:
-        raise DataError("board", f'no dictionary "{name}"', "give one of OpenCV's, as DICT_4X4_50, or a file of one")
+        raise DataError(
+            "board", f'no dictionary "{name}"', "give one of OpenCV's, for example DICT_4X4_50, or a dictionary file"
+        )
     return cv2.aruco.getPredefinedDictionary(number)
 
 
-def _own_dictionary(marker_bits: tuple[str, ...]) -> cv2.aruco.Dictionary:
-    """As many wrong bits are corrected as leave every marker nearest to itself, however it is turned."""
+def _custom_dictionary(marker_bits: tuple[str, ...]) -> cv2.aruco.Dictionary:
+    """A dictionary that corrects up to (d - 1) / 2 wrong bits, d the minimum Hamming distance of its markers."""
     side = math.isqrt(len(marker_bits[0]))
     bits = np.array([[int(bit) for bit in marker] for marker in marker_bits], dtype=np.uint8).reshape(-1, side, side)
     rows = [cv2.aruco.Dictionary.getByteListFromBits(marker) for marker in bits]
-    return cv2.aruco.Dictionary(np.concatenate(rows), side, (_least_distance(bits) - 1) // 2)
+    return cv2.aruco.Dictionary(np.concatenate(rows), side, (_min_distance(bits) - 1) // 2)
 
 
-def _least_distance(bits: UInt8[Array, "marker row column"]) -> int:
-    """Least number of bits in which two markers differ, or a marker from itself turned."""
-    turned = np.stack([np.rot90(bits, turns, axes=(1, 2)) for turns in range(4)])
-    distance = np.sum(turned[:, :, None] != bits, axis=(-2, -1))
+def _min_distance(bits: UInt8[Array, "marker row column"]) -> int:
+    """Minimum Hamming distance of two markers in any rotation, or of a marker and itself rotated."""
+    rotated = np.stack([np.rot90(bits, turns, axes=(1, 2)) for turns in range(4)])
+    distance = np.sum(rotated[:, :, None] != bits, axis=(-2, -1))
     distance[0][np.diag_indices(len(bits))] = bits[0].size
     return int(distance.min())
 
 
 def find_markers(image: UInt8[Array, "row column"], dictionary: cv2.aruco.Dictionary) -> Markers:
-    """All the dictionary's markers that the image shows, their corners refined to sub-pixel."""
+    """All markers of the dictionary found in the image, with sub-pixel corners."""
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     found, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(image)
@@ -75,7 +77,7 @@ def find_markers(image: UInt8[Array, "row column"], dictionary: cv2.aruco.Dictio
 
 
 def markers_of(found: Sequence[Any] | None, ids: Any) -> Markers:
-    """Markers as OpenCV gives them, by their numbers."""
+    """OpenCV's detections, sorted by number."""
     if found is None or ids is None or not len(ids):
         return Markers(ids=np.empty(0, dtype=np.int64), corners_px=np.empty((0, 4, 2)))
     corners = np.stack([np.asarray(one, dtype=np.float64).reshape(4, 2) for one in found])

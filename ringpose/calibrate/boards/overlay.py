@@ -14,13 +14,13 @@ from ringpose.types.calibration import StripeView
 
 _STRIPES = ((80, 160, 255), (80, 255, 80), (255, 160, 80))
 _LETTER_PX = 19.0
-"""Width of a letter at scale 1, on the safe side."""
+"""Upper bound of a letter's width at scale 1."""
 _UNLABELLED = (255, 80, 255)
 _CORNER, _FIRST, _TEXT = (60, 60, 255), (60, 255, 60), (60, 255, 255)
 
 
 def board_overlay(image: UInt[Array, "row column"], found: BoardView | NoBoard) -> UInt8[Array, "row column color=3"]:
-    """BGR image: each corner a ring, the first one green; or the reason why there are none."""
+    """BGR image with a circle at each corner, the first one green; or with the reason why there are none."""
     drawn = cv2.cvtColor(grey_8_bit(image), cv2.COLOR_GRAY2BGR)
     if isinstance(found, NoBoard):
         for x, y in found.points_px:
@@ -33,7 +33,7 @@ def board_overlay(image: UInt[Array, "row column"], found: BoardView | NoBoard) 
 
 
 def stripe_overlay(image: UInt[Array, "row column"], view: StripeView) -> UInt8[Array, "row column color=3"]:
-    """BGR image: the board's corners, and each laser's stripe centres in its colour; magenta if not told apart."""
+    """BGR image with the board's corners and each laser's stripe centres in its colour; magenta if not assigned."""
     drawn = board_overlay(image, view.board)
     colored = [(_STRIPES[laser % len(_STRIPES)], px) for laser, px in enumerate(view.stripes_px)]
     for color, points_px in colored + [(_UNLABELLED, px) for px in view.unlabelled_px]:
@@ -43,7 +43,7 @@ def stripe_overlay(image: UInt[Array, "row column"], view: StripeView) -> UInt8[
 
 
 def _with_text(drawn: UInt8[Array, "row column color=3"], lines: Sequence[str]) -> UInt8[Array, "row column color=3"]:
-    """Lines at the top on a dark ground, as large as fits; long ones are broken."""
+    """The image with lines of text on a darkened strip at the top; long lines are wrapped."""
     width = drawn.shape[1]
     scale = max(width / 1600, 0.4)
     letters = int(width / (_LETTER_PX * scale)) - 2
@@ -51,6 +51,6 @@ def _with_text(drawn: UInt8[Array, "row column color=3"], lines: Sequence[str]) 
     step = round(36 * scale)
     drawn[: len(broken) * step + step // 3 * bool(broken)] //= 3
     for line, text in enumerate(broken):
-        place = (step // 2, (line + 1) * step - step // 6)
-        cv2.putText(drawn, text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, _TEXT, max(round(2 * scale), 1), cv2.LINE_AA)
+        origin = (step // 2, (line + 1) * step - step // 6)
+        cv2.putText(drawn, text, origin, cv2.FONT_HERSHEY_SIMPLEX, scale, _TEXT, max(round(2 * scale), 1), cv2.LINE_AA)
     return drawn

@@ -1,4 +1,4 @@
-"""Where a board stands in the camera frame (ringpose-method(7), section 6)."""
+"""Pose of a board in the camera frame (ringpose-method(7), section 6)."""
 
 import cv2
 import numpy as np
@@ -8,36 +8,43 @@ from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.camera import Camera
 
-_EXACT = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-14)
+MIRRORED_RAD = 0.01
+"""Minima whose normals differ by less are the same."""
+
+AMBIGUITY_FACTOR = 1.5
+"""A mirrored solution is a candidate if its error is below this multiple of the better solution's."""
+
+_CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-14)
 
 
 def board_pose(view: BoardView, camera: Camera) -> BoardPose:
-    """The pose with the least reprojection error over all corners.
+    """The pose with the minimum reprojection error over all corners.
 
-    A plane seen from far away has two local minima, mirrored in depth: both are refined, the better one is taken.
+    The error of a distant plane has two local minima, mirrored in depth: both are refined, and the better one is used.
     """
     return board_poses(view, camera)[0]
 
 
 def board_poses(view: BoardView, camera: Camera) -> list[BoardPose]:
-    """The same, and after it the mirrored pose if the corners cannot tell which of the two it is."""
+    """The pose, followed by the mirrored pose if the corners do not decide between the two."""
     candidates = _planar_candidates(view.points_board_m, view.points_px, camera, cv2.SOLVEPNP_IPPE)
     refined = sorted((_refined(view, rigid, camera) for rigid in candidates), key=lambda pose: pose.residual_rms_px)
-    limit = RIVAL * refined[0].residual_rms_px
-    apart = [pose for pose in refined[1:] if _turned_rad(pose, refined[0]) > MIRRORED_RAD]
-    return [refined[0], *(pose for pose in apart if pose.residual_rms_px <= limit)]
+    limit = AMBIGUITY_FACTOR * refined[0].residual_rms_px
+    normal = refined[0].rotation[:, 2]
+    distinct = [pose for pose in refined[1:] if angle_between(pose.rotation[:, 2], normal) > MIRRORED_RAD]
+    return [refined[0], *(pose for pose in distinct if pose.residual_rms_px <= limit)]
 
 
 def marker_average_pose(view: BoardView, camera: Camera) -> BoardPose:
     """The paper's pose: the mean over the poses of the single markers (section 4 of the paper).
 
-    Each square has two solutions (IPPE); the one with the smaller reprojection error is taken, and where that is no
-    decision, the one whose normal agrees with the markers that have decided. Rotations are averaged as matrices and
-    projected back to the nearest rotation.
+    Each marker has two solutions (IPPE). The one with the smaller reprojection error is used, and where the errors are
+    similar, the one whose normal agrees best with that of the marker with the smallest error. Rotations are averaged as
+    matrices and projected to the nearest rotation.
     """
     markers = [_marker_candidates(view, camera, marker) for marker in np.unique(view.ids // 4).tolist()]
-    leader = min((marker[0] for marker in markers), key=lambda pose: pose.residual_rms_px)
-    chosen = [_unflipped(marker, leader) for marker in markers]
+    best = min((marker[0] for marker in markers), key=lambda pose: pose.residual_rms_px)
+    chosen = [max(marker, key=lambda pose: float(pose.rotation[:, 2] @ best.rotation[:, 2])) for marker in markers]
     mean = np.mean([pose.rotation for pose in chosen], axis=0)
     left, _, right = np.linalg.svd(mean)
     rotation = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
@@ -50,7 +57,7 @@ def residuals(view: BoardView, pose: BoardPose, camera: Camera) -> Float64[Array
 
 
 def moved_pose(pose: BoardPose, step: Float64[Array, "pose=6"]) -> BoardPose:
-    """The pose with its rotation vector and translation moved by a step."""
+    """The pose with a step added to its rotation vector and translation."""
     rotation = cv2.Rodrigues(rotation_vector(pose.rotation) + step[:3])[0]
     return BoardPose(
         name=pose.name,
@@ -60,19 +67,8 @@ def moved_pose(pose: BoardPose, step: Float64[Array, "pose=6"]) -> BoardPose:
     )
 
 
-def _turned_rad(pose: BoardPose, other: BoardPose) -> float:
-    return float(angle_between(pose.rotation[:, 2], other.rotation[:, 2]))
-
-
-MIRRORED_RAD = 0.01
-"""Minima whose normals are nearer to each other are one."""
-
-RIVAL = 1.5
-"""A flipped solution whose error is within this factor of the better one's is still a candidate."""
-
-
 def _marker_candidates(view: BoardView, camera: Camera, marker: int) -> list[BoardPose]:
-    """Poses of the board by one of its markers alone, the better first; the worse only if it is a rival."""
+    """Poses of the board from one of its markers, the better first; the other only if the two are ambiguous."""
     own = view.ids // 4 == marker
     points, pixels = view.points_board_m[own], view.points_px[own]
     poses = [
@@ -80,12 +76,8 @@ def _marker_candidates(view: BoardView, camera: Camera, marker: int) -> list[Boa
         for rigid in _planar_candidates(points, pixels, camera, cv2.SOLVEPNP_IPPE)
     ]
     poses.sort(key=lambda pose: pose.residual_rms_px)
-    limit = RIVAL * poses[0].residual_rms_px + 1e-6
+    limit = AMBIGUITY_FACTOR * poses[0].residual_rms_px + 1e-6
     return [pose for pose in poses if pose.residual_rms_px <= limit]
-
-
-def _unflipped(candidates: list[BoardPose], leader: BoardPose) -> BoardPose:
-    return max(candidates, key=lambda pose: float(pose.rotation[:, 2] @ leader.rotation[:, 2]))
 
 
 _Rigid = tuple[Float64[Array, "3 3"], Float64[Array, "xyz=3"]]
@@ -111,7 +103,7 @@ def _refined(view: BoardView, rigid: _Rigid, camera: Camera) -> BoardPose:
         camera.distortion_coefficients,
         rotation_vector(rigid[0]).reshape(3, 1),
         rigid[1].reshape(3, 1).copy(),
-        _EXACT,
+        _CRITERIA,
     )
     rotation = np.asarray(cv2.Rodrigues(vector)[0], dtype=np.float64)
     return _pose_of(view, rotation, np.asarray(translation, dtype=np.float64).ravel(), camera)

@@ -1,11 +1,8 @@
-"""Everything that a camera calibration is judged by, in one call.
+"""Assessment of a camera calibration: coverage, uncertainty, consistency of the views, flatness of the board.
 
-Whether a board that is taken for flat is bowed (ringpose-method(7), section 7).
-
-A bow is the same in every view: the views agree on a wrong camera, and nothing else tells. One of 0.1 mm over a sheet
-of A4 moves the focal length by 3 to 10 of its standard deviations.
-
-Where in the image the corners lie, and how the boards stood.
+A bent board (ringpose-method(7), section 7) has the same shape in every view, so that the views agree on a wrong camera
+and no other check detects it. A bow of 0.1 mm over a sheet of A4 changes the focal length by 3 to 10 of its standard
+deviations.
 """
 
 from collections.abc import Sequence
@@ -35,14 +32,14 @@ from ringpose.types.camera import Camera
 from ringpose.types.verdict import Check
 
 CHANCE = 2.5
-"""A disagreement below 1 + this / sqrt(views - 1) is chance: of 80 sets of 8 and 15 views whose errors were noise
-alone, one came above it."""
+"""A disagreement above 1 + this / sqrt(views - 1) is significant: of 80 sets of 8 and 15 views with only noise, one
+exceeded it."""
 
 EXACT_PX = 1e-4
-"""Less than this no camera is known to: corners are taken in single precision."""
+"""Lower limit of the projection uncertainty: corners have single precision."""
 
 DISTANCES_M = (0.2, 0.5, 1.0)
-"""Where the projection uncertainty is given in metres, if nothing else is asked for."""
+"""Default distances for the projection uncertainty in metres."""
 
 
 def camera_assessment(
@@ -54,7 +51,7 @@ def camera_assessment(
 ) -> CameraAssessment:
     """Coverage, uncertainty over the image, cross-validation; on request the other distortion model.
 
-    The boards are those of all views, in their order.
+    `boards` are those of all views, in their order.
     """
     where, used = image_map(calibration.camera), used_views(calibration, boards)
     whole = camera_solution(used, calibration.camera, model)
@@ -80,10 +77,10 @@ def camera_assessment(
 
 
 def widened(calibration: CameraCalibration, assessment: CameraAssessment) -> tuple[CameraCalibration, CameraAssessment]:
-    """Both with the covariance that the differences of the views ask for, where noise does not explain them.
+    """Both with the covariance inflated if the views disagree by more than noise explains.
 
-    A board that is bent, moves or glares makes errors that the corners of a view have in common; the residuals do not
-    show them, and each corner counts as if it were independent. Views are.
+    A board that is bent, moves or reflects causes errors that the corners of a view have in common. Residuals do not
+    show them, and the covariance treats the corners as independent. Views are independent.
     """
     covariance = calibration.camera.covariance
     widening = _widening(assessment.disagreement, len(calibration.used))
@@ -94,20 +91,20 @@ def widened(calibration: CameraCalibration, assessment: CameraAssessment) -> tup
 
 
 def _widening(disagreement: float, views: int) -> float:
-    """Factor of the standard deviations; one where views disagree by chance, or are too few to tell."""
+    """Inflation factor of the standard deviations; one if the disagreement is not significant."""
     return disagreement if disagreement > 1 + CHANCE / np.sqrt(views - 1) else 1.0
 
 
 FLAT_SIGMAS = 5.0
-"""Root of chi-squared of the bow's three numbers: of flat boards it is 1.5, hardly ever 4."""
+"""Limit of the root of chi-squared of the bow's three coefficients: 1.5 on average for flat boards, rarely 4."""
 
 
 def bow_finding(
     used: Sequence[BoardView], solution: CameraSolution, model: CameraModel, widening: float = 1.0
 ) -> Check:
-    """How surely the board is bowed: one step from a flat one, camera and poses free.
+    """Check of the board's flatness: significance of the bow from one Gauss-Newton step with camera and poses free.
 
-    Errors of views are larger than their residuals say by the factor `widening`.
+    `widening` is the factor by which the views' errors exceed their residuals.
     """
     several = zip(used, solution.poses, solution.view_sigma_px.tolist(), strict=True)
     rows = [
@@ -120,11 +117,11 @@ def bow_finding(
     by_free = by_all[:, free] / scale
     covariance = np.linalg.pinv(by_free.T @ by_free, hermitian=True)
     bow = (covariance @ by_free.T @ residual)[-3:]
-    surely = float(np.sqrt(max(bow @ np.linalg.pinv(covariance[-3:, -3:], hermitian=True) @ bow, 0.0)))
-    height_m = float(np.ptp(_shapes(_places(used)) @ (bow / scale[-3:])))
+    significance = float(np.sqrt(max(bow @ np.linalg.pinv(covariance[-3:, -3:], hermitian=True) @ bow, 0.0)))
+    height_m = float(np.ptp(_surface_heights(_centered_corners(used)) @ (bow / scale[-3:])))
     return Check(
         name="bow_sigmas",
-        value=surely / widening,
+        value=significance / widening,
         pass_limit=FLAT_SIGMAS,
         fail_limit=np.inf,
         advice=f"the board is not flat, by about {1e3 * height_m:.2f} mm: fix it to glass or a plate",
@@ -134,46 +131,46 @@ def bow_finding(
 def _rows(
     view: BoardView, pose: BoardPose, camera: Camera, sigma_px: float
 ) -> tuple[Float64[Array, "row column"], Float64[Array, "row"]]:
-    """Derivatives by the camera and by the bow, and residuals, less what the pose can take up."""
+    """Jacobian with respect to camera and bow, and residuals, with the pose eliminated."""
     equations = view_equations(view, pose, camera, sigma_px)
     by_pose, _ = projection_jacobians(view.points_board_m, pose, camera)
-    by_height = by_pose[..., 3:] @ pose.rotation[:, 2]
-    by_bow = (by_height[..., None] * _shapes(view.points_board_m)[:, None]).reshape(-1, 3)
-    by_bow = whiten(by_bow, view) / sigma_px
-    both = np.concatenate([equations.by_camera, by_bow], axis=1)
+    pixel_wrt_height = by_pose[..., 3:] @ pose.rotation[:, 2]
+    pixel_wrt_bow = (pixel_wrt_height[..., None] * _surface_heights(view.points_board_m)[:, None]).reshape(-1, 3)
+    pixel_wrt_bow = whiten(pixel_wrt_bow, view) / sigma_px
+    both = np.concatenate([equations.by_camera, pixel_wrt_bow], axis=1)
     return ViewEquations(by_pose=equations.by_pose, by_camera=both, residual=equations.residual).without_pose()
 
 
-def _shapes(points_m: Float64[Array, "corner xyz=3"]) -> Float64[Array, "corner shape=3"]:
-    """Heights of surfaces of the second order; planes are the pose's."""
+def _surface_heights(points_m: Float64[Array, "corner xyz=3"]) -> Float64[Array, "corner shape=3"]:
+    """Heights of the second-order surfaces x^2, x y and y^2; a plane would be equivalent to a change of pose."""
     x, y = points_m[:, 0], points_m[:, 1]
     return np.stack([x**2, x * y, y**2], axis=1)
 
 
-def _places(used: Sequence[BoardView]) -> Float64[Array, "corner xyz=3"]:
-    """All corners seen, about their middle."""
+def _centered_corners(used: Sequence[BoardView]) -> Float64[Array, "corner xyz=3"]:
+    """All corners seen, relative to their centre."""
     points = np.concatenate([view.points_board_m for view in used])
-    places: Float64[Array, "corner xyz=3"] = points - (points.min(axis=0) + points.max(axis=0)) / 2
-    return places
+    centered: Float64[Array, "corner xyz=3"] = points - (points.min(axis=0) + points.max(axis=0)) / 2
+    return centered
 
 
 CELL_COLUMNS = 8
-"""Cells across the image; as many down as make them nearly square."""
+"""Cells across the image; the number of rows makes them nearly square."""
 
 BARE_SHARE = 1 / 3
-"""A ninth of the image is bare if no more of its cells have corners: a strip along one side."""
+"""A ninth of the image is bare if at most this share of its cells contains corners: a strip along one side."""
 
 SAME_RAD = np.radians(2.0)
-"""Boards that are turned by less against each other ..."""
+"""Poses that differ by less than this rotation ..."""
 
 SAME_SHARE = 0.02
-"""... and lie nearer together than this share of their distance are one view, taken again."""
+"""... and by less than this share of their distance count as one view."""
 
 _REGIONS = (("upper left", "top", "upper right"), ("left", "middle", "right"), ("lower left", "bottom", "lower right"))
 
 
 def coverage(calibration: CameraCalibration, boards: Sequence[BoardView]) -> Coverage:
-    """What the views that were used cover; the boards are those of all views, in their order."""
+    """Coverage of the image and of the poses by the used views; `boards` are those of all views, in their order."""
     camera = calibration.camera
     pairs = zip(calibration.views, boards, strict=True)
     used = [(view, board) for view, board in pairs if not view.rejected]
@@ -189,29 +186,29 @@ def coverage(calibration: CameraCalibration, boards: Sequence[BoardView]) -> Cov
 
 
 def board_middle(board: BoardView, pose: BoardPose) -> Float64[Array, "xyz=3"]:
-    """The middle of the corners seen, in the camera frame."""
+    """Mean of the corners seen, in the camera frame."""
     middle: Float64[Array, "xyz=3"] = pose.rotation @ board.points_board_m.mean(axis=0) + pose.translation_m
     return middle
 
 
 def board_tilt_rad(pose: BoardPose) -> float:
-    """Angle between board and image; where it is zero, no perspective tells the focal length, wherever the board is."""
+    """Angle between board and image plane; at zero, perspective does not determine the focal length."""
     return float(angle_between(pose.rotation[:, 2], np.array([0.0, 0.0, 1.0])))
 
 
 def different_poses(poses: Sequence[BoardPose]) -> int:
-    """How many of the poses differ from all before them: a board that was not moved says the same thing again."""
+    """Number of distinct poses: repeated views of a board at rest add no information about the camera."""
     found: list[BoardPose] = []
     for pose in poses:
-        if not any(_alike(pose, other) for other in found):
+        if not any(_same_pose(pose, other) for other in found):
             found.append(pose)
     return len(found)
 
 
-def _alike(pose: BoardPose, other: BoardPose) -> bool:
-    turn = np.linalg.norm(rotation_vector(pose.rotation.T @ other.rotation))
-    way_m = np.linalg.norm(pose.translation_m - other.translation_m)
-    return bool(turn < SAME_RAD and way_m < SAME_SHARE * np.linalg.norm(pose.translation_m))
+def _same_pose(pose: BoardPose, other: BoardPose) -> bool:
+    angle_rad = np.linalg.norm(rotation_vector(pose.rotation.T @ other.rotation))
+    shift_m = np.linalg.norm(pose.translation_m - other.translation_m)
+    return bool(angle_rad < SAME_RAD and shift_m < SAME_SHARE * np.linalg.norm(pose.translation_m))
 
 
 def _tilt_spread(poses: Sequence[BoardPose]) -> tuple[float, float]:

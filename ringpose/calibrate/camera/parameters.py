@@ -1,7 +1,4 @@
-"""The intrinsic parameters as a vector, and their covariance with the board's poses marginalised out.
-
-Which of a camera's parameters are estimated.
-"""
+"""Intrinsic parameters as a vector: which are estimated, Jacobians, steps and covariance."""
 
 from dataclasses import dataclass
 
@@ -15,7 +12,7 @@ from ringpose.types.camera import DISTORTION_COEFFICIENTS, Camera
 from ringpose.types.covariance import camera_parameters
 
 MIN_SHARE = 1e-14
-"""Of the largest eigenvalue: smaller ones are rounding, which makes variances negative."""
+"""Minimum eigenvalue relative to the largest: rounding of smaller ones would make variances negative."""
 
 
 def parameter_names(distortion_model: str) -> tuple[str, ...]:
@@ -47,7 +44,7 @@ def camera_with(parameters: Float64[Array, "parameter"], camera: Camera) -> Came
 def projection_jacobians(
     points: Float64[Array, "corner xyz=3"], pose: BoardPose, camera: Camera
 ) -> tuple[Float64[Array, "corner xy=2 pose=6"], Float64[Array, "corner xy=2 parameter"]]:
-    """Derivatives of the corners' pixels by the pose (rotation vector, translation) and by the intrinsic parameters."""
+    """Jacobians of the pixels with respect to the pose (rotation vector, translation) and the intrinsic parameters."""
     _, jacobian = cv2.projectPoints(
         points, rotation_vector(pose.rotation), pose.translation_m, camera.camera_matrix, camera.distortion_coefficients
     )
@@ -63,7 +60,7 @@ def damped_step(
     free: Float64[Array, "parameter"],
     damping: float,
 ) -> Float64[Array, "parameter"]:
-    """Step of the free parameters, shortened where the information tells little (Levenberg and Marquardt)."""
+    """Levenberg-Marquardt step of the free parameters."""
     step: Float64[Array, "parameter"] = (
         covariance_of_free(information * (1 + damping * np.eye(len(free))), free) @ score
     )
@@ -86,19 +83,19 @@ def covariance_of_free(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CameraModel:
-    """Distortion model and what is held."""
+    """Distortion model and fixed parameters."""
 
     distortion_model: str = "plumb_bob"
     fix_k3: bool = False
-    """Hold k3 at zero: few views, or little distortion, do not determine it."""
+    """Fix k3 at zero, for few views or little distortion."""
     zero_tangential: bool = False
-    """Hold p1 and p2 at zero."""
+    """Fix p1 and p2 at zero."""
     keep_all: bool = False
-    """Leave out no view and no corner, however bad, and take all for equally exact."""
+    """Reject no view and no corner, and weight all corners equally."""
 
     @property
     def flags(self) -> int:
-        """OpenCV's."""
+        """Flags of `cv2.calibrateCamera`."""
         flags = cv2.CALIB_RATIONAL_MODEL if self.distortion_model == "rational_polynomial" else 0
         flags |= cv2.CALIB_FIX_K3 if self.fix_k3 else 0
         flags |= cv2.CALIB_ZERO_TANGENT_DIST if self.zero_tangential else 0
@@ -106,11 +103,11 @@ class CameraModel:
 
     @property
     def free(self) -> Float64[Array, "parameter"]:
-        """1 for each parameter that is estimated, 0 for each that is held."""
-        held = {"k3"} if self.fix_k3 else set()
-        held |= {"p1", "p2"} if self.zero_tangential else set()
-        return np.array([float(name not in held) for name in parameter_names(self.distortion_model)])
+        """1 for each parameter that is estimated, 0 for each that is fixed."""
+        fixed = {"k3"} if self.fix_k3 else set()
+        fixed |= {"p1", "p2"} if self.zero_tangential else set()
+        return np.array([float(name not in fixed) for name in parameter_names(self.distortion_model)])
 
 
 PLUMB_BOB = CameraModel()
-"""All parameters of the usual model."""
+"""OpenCV's default model with all its parameters free."""

@@ -1,4 +1,4 @@
-"""The camera's intrinsic parameters from views of a board, with their covariance, robust against bad views."""
+"""Camera calibration: intrinsic parameters and their covariance from views of a board, with outlier rejection."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -30,9 +30,9 @@ from ringpose.types.camera import Camera
 from ringpose.types.covariance import ParameterCovariance
 
 MAX_FOCAL_SHARE = 0.1
-"""A standard deviation of the focal length above this share of it means that the views do not determine it."""
+"""Relative standard deviation of the focal length above which the views do not determine it."""
 
-_ROUNDS = 5
+_MAX_ITERATIONS = 5
 
 
 def calibrate_camera(
@@ -42,9 +42,9 @@ def calibrate_camera(
     model: CameraModel = PLUMB_BOB,
     camera_name: str = "camera",
 ) -> CameraCalibration:
-    """Intrinsic parameters by least squares over all corners.
+    """Intrinsic parameters by maximum likelihood.
 
-    The worst view is rejected until none stands out; then single corners are left out that lie too far off.
+    The worst view is rejected until none is an outlier; then single outlying corners are left out.
     """
     blank = blank_camera(camera_name, image_width, image_height, model)
     camera, rejected = _without_bad_views(views, blank, model)
@@ -55,15 +55,15 @@ def calibrate_camera(
         np.zeros(len(view.ids), dtype=bool) if index in rejected else next(found) for index, view in enumerate(views)
     ]
     reasons = _reasons(views, used, rejected, camera)
-    judged = [
+    camera_views = [
         _camera_view(view, mask, camera, reasons.get(index, ""))
         for index, (view, mask) in enumerate(zip(views, masks, strict=True))
     ]
-    return _calibration(views, judged, camera, model)
+    return _calibration(views, camera_views, camera, model)
 
 
 def _without_bad_views(views: Sequence[BoardView], blank: Camera, model: CameraModel) -> tuple[Camera, dict[int, str]]:
-    """The camera of the views that agree, and the others by index, each with its reason."""
+    """The camera of the consistent views, and the reason for each rejected view by its index."""
     used = list(range(len(views)))
     rejected: dict[int, str] = {}
     while True:
@@ -78,18 +78,18 @@ def _without_bad_views(views: Sequence[BoardView], blank: Camera, model: CameraM
 def _reasons(
     views: Sequence[BoardView], used: Sequence[BoardView], rejected: dict[int, str], camera: Camera
 ) -> dict[int, str]:
-    """Why views were rejected, and what would make them fit."""
+    """Why views were rejected, and the probable cause."""
     usual_px = float(np.median([board_pose(view, camera).residual_rms_px for view in used]))
-    why = {index: view_explanation(views[index], camera, usual_px) for index in rejected}
-    return {index: "; ".join(filter(None, (finding, why[index]))) for index, finding in rejected.items()}
+    causes = {index: view_explanation(views[index], camera, usual_px) for index in rejected}
+    return {index: "; ".join(filter(None, (reason, causes[index]))) for index, reason in rejected.items()}
 
 
 def _without_bad_corners(
     views: Sequence[BoardView], camera: Camera, model: CameraModel
 ) -> tuple[Camera, list[Bool[Array, "_"]]]:
-    """The camera of the corners that agree, and which corners do not; one that comes to agree is taken back."""
+    """The camera of the consistent corners, and a mask of the others; all are tested again after each solution."""
     left_out = [np.zeros(len(view.ids), dtype=bool) for view in views]
-    for _ in range(0 if model.keep_all else _ROUNDS):
+    for _ in range(0 if model.keep_all else _MAX_ITERATIONS):
         kept = [corners_of(view, ~out) for view, out in zip(views, left_out, strict=True)]
         poses = [board_pose(view, camera) for view in kept]
         errors = [residuals(view, pose, camera) for view, pose in zip(views, poses, strict=True)]
@@ -119,7 +119,7 @@ def _camera_view(view: BoardView, left_out: Bool[Array, "corner"], camera: Camer
 def _calibration(
     boards: Sequence[BoardView], views: Sequence[CameraView], camera: Camera, model: CameraModel
 ) -> CameraCalibration:
-    """The calibration with its covariance and what each view says."""
+    """The calibration with its covariance and its views, rejected ones included."""
     pairs = [(board, view) for board, view in zip(boards, views, strict=True) if not view.rejected]
     solution = camera_solution([corners_of(board, ~view.left_out) for board, view in pairs], camera, model)
     errors = [view.residual_px[~view.left_out] for _, view in pairs]
@@ -137,8 +137,9 @@ def _covariance(solution: CameraSolution, model: CameraModel) -> ParameterCovari
     try:
         data = covariance_of_free(solution.parts.sum(axis=0), model.free)
     except np.linalg.LinAlgError as error:
-        raise undetermined("the views determine the parameters in more than one way") from error
+        raise undetermined("the views do not determine the parameters uniquely") from error
     focal, sd = camera.camera_matrix[0, 0], float(np.sqrt(max(data[0, 0], 0.0)))
     if not np.isfinite(sd) or sd > MAX_FOCAL_SHARE * focal:
-        raise undetermined(f"the views leave the focal length open: {focal:.0f} px with standard deviation {sd:.0f} px")
+        found = f"the views do not determine the focal length: {focal:.0f} px with standard deviation {sd:.0f} px"
+        raise undetermined(found)
     return ParameterCovariance(parameters=parameter_names(camera.distortion_model), data=data)

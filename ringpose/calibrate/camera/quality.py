@@ -1,9 +1,6 @@
-"""What a camera calibration is worth, for the file and for the reader.
+"""Quality of a camera calibration: values for the file, summary for the user, verdict with limits and advice.
 
-Whether a camera calibration is good: its numbers, their limits, and what would make them better.
-
-Limits are those of a camera that measures to a tenth of a millimetre at half a metre (0.2 to 0.4 px) with boards of
-some dozens of corners; each finding says which number it is about.
+The limits are those of a camera that measures to 0.1 mm at 0.5 m (0.2 to 0.4 px) with boards of some dozens of corners.
 """
 
 from collections.abc import Mapping, Sequence
@@ -55,7 +52,7 @@ def camera_quality(
 
 
 def camera_summary(calibration: CameraCalibration, assessment: CameraAssessment, verdict: Verdict) -> list[str]:
-    """The same in lines to read."""
+    """The summary for the user, one string per line."""
     lines = [f"{view.name}: left out: {view.rejected}" for view in calibration.views if view.rejected]
     lines += [_corner_line(view) for view in calibration.used if view.left_out.any()]
     lines.append(
@@ -77,7 +74,7 @@ def projection_sigma_m(calibration: CameraCalibration, assessment: CameraAssessm
 
 
 def comparison_lines(comparison: ModelComparison) -> list[str]:
-    """Both models, and which of them views that it has not seen speak for."""
+    """Both distortion models, and which of them fits held-out views better."""
     lines = [f"{fit.distortion_model}: rms {fit.rms_px:.4f} px{_held_out(fit)}" for fit in comparison.fits]
     difference = (
         f"median {np.median(comparison.difference_px):.3f} px, at most {np.max(comparison.difference_px):.2f} px"
@@ -180,7 +177,7 @@ def _view_quality(view: CameraView) -> dict[str, Any]:
 
 
 FRONTAL_RAD = radians(10)
-"""Boards that are tilted by less leave focal length and distance open against each other."""
+"""Boards tilted by less do not separate focal length from distance."""
 
 _DISAGREEMENT = (
     "the views disagree by more than their noise: check that the board is flat and its sizes are true, "
@@ -189,7 +186,7 @@ _DISAGREEMENT = (
 
 
 def camera_verdict(calibration: CameraCalibration, assessment: CameraAssessment, images: int) -> Verdict:
-    """The verdict, of so many images that were given."""
+    """The verdict; `images` is the number of input images."""
     return Verdict(
         findings=(
             *_view_findings(calibration, images),
@@ -368,12 +365,12 @@ def _model_findings(comparison: ModelComparison | None) -> list[Check]:
 
 
 def _if_known(value: float, advice: str) -> str:
-    """No advice where too few views leave the number unknown: that more are needed is said already."""
+    """The advice, or none if too few views leave the value unknown: another check reports that."""
     return "" if np.isnan(value) else advice
 
 
 def _worst(left_out: Sequence[LeftOutView]) -> LeftOutView:
-    """The view that moves the result most; without number if none was left out."""
+    """The view with the largest influence on the result; NaN if no view was left out."""
     return max(left_out, key=lambda view: view.shift_px, default=LeftOutView(name="", shift_px=np.nan, rms_px=np.nan))
 
 

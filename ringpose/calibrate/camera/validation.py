@@ -1,12 +1,9 @@
-"""How much a camera hangs on which views were taken (ringpose-method(7), section 7).
+"""Cross-validation, projection uncertainty and model comparison of cameras (ringpose-method(7), section 7).
 
-The same views under two distortion models.
-
-Two cameras compared over the image, and how far one may be from the truth there (ringpose-method(7), section 7).
-
-Turning the camera frame moves all pixels alike, as a shift of the principal point does, and harms nothing that is
-calibrated with the same camera. So the turn that makes the displacements in the middle of the image least is taken
-away first: in the corners, where no board may have been, distortion that nobody knows would turn the frame instead.
+Cameras are compared by the displacement of their projections over the image. A rotation of the camera frame displaces
+all pixels in common, as a shift of the principal point does, and has no effect on anything calibrated with the same
+camera. The rotation that minimises the displacements in the middle of the image is therefore removed first. The
+image's corners are excluded from that fit, because distortion not determined by any view would rotate the frame.
 """
 
 from collections.abc import Sequence
@@ -17,7 +14,7 @@ import numpy as np
 
 from ringpose.calibrate.boards.pose import board_pose
 from ringpose.calibrate.camera.bundle_adjustment import (
-    MINIMUM_VIEWS,
+    MIN_VIEWS,
     CameraSolution,
     blank_camera,
     camera_solution,
@@ -47,13 +44,14 @@ from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.options import DistortionModel
 
 MAX_SOLVED = 20
-"""With more views than this, leaving one out is computed by one step; solving anew takes a second for each of 60."""
+"""Above this number of views, leave-one-out cameras are computed by one Gauss-Newton step; solving again takes 1 s for
+each of 60 views."""
 
 _EXACT_PX = 1e-6
 
 
 def used_views(calibration: CameraCalibration, boards: Sequence[BoardView]) -> list[BoardView]:
-    """The corners that a calibration used; the boards are those of all views, in their order."""
+    """The corners that a calibration used; `boards` are those of all views, in their order."""
     pairs = zip(calibration.views, boards, strict=True)
     return [corners_of(board, ~view.left_out) for view, board in pairs if not view.rejected]
 
@@ -61,7 +59,7 @@ def used_views(calibration: CameraCalibration, boards: Sequence[BoardView]) -> l
 def cross_validation(
     used: Sequence[BoardView], whole: CameraSolution, model: CameraModel, where: ImageMap
 ) -> CrossValidation:
-    """Calibrations of half the views and of all but one, beside that of all."""
+    """Split-half and leave-one-out calibrations compared with that of all views."""
     without_one = cameras_without_one(used, whole, model)
     shifts = [_shift_px(whole.camera, other, where) for other in without_one]
     return CrossValidation(
@@ -72,8 +70,8 @@ def cross_validation(
 
 
 def cameras_without_one(used: Sequence[BoardView], whole: CameraSolution, model: CameraModel) -> list[Camera | None]:
-    """The camera of all views but one, for each view; empty if there are too few."""
-    if len(used) <= MINIMUM_VIEWS:
+    """Leave-one-out cameras, one for each view; empty if there are too few views."""
+    if len(used) <= MIN_VIEWS:
         return []
     if len(used) > MAX_SOLVED:
         return list(cameras_one_step_away(whole, model))
@@ -81,7 +79,7 @@ def cameras_without_one(used: Sequence[BoardView], whole: CameraSolution, model:
 
 
 def cameras_one_step_away(whole: CameraSolution, model: CameraModel) -> list[Camera]:
-    """The same by one Gauss-Newton step from the camera of all views: of many views, one changes little."""
+    """Leave-one-out cameras by one Gauss-Newton step from the camera of all views, each view having little weight."""
     information, score = whole.parts.sum(axis=0), whole.scores.sum(axis=0)
     steps = [
         covariance_of_free(information - part, model.free) @ (score - own)
@@ -91,7 +89,7 @@ def cameras_one_step_away(whole: CameraSolution, model: CameraModel) -> list[Cam
 
 
 def held_out_rms_px(view: BoardView, others: Camera | None) -> float:
-    """Of a view's corners under the camera of the other views, its pose alone fitted."""
+    """Rms residual of a view's corners with the camera of the other views, only its pose fitted."""
     return float("nan") if others is None else board_pose(view, others).residual_rms_px
 
 
@@ -110,10 +108,10 @@ def _unknown(where: ImageMap) -> Float64[Array, "map_row map_column"]:
 def _jackknife_px(
     shifts: Sequence[Float64[Array, "map_row map_column"]], whole: CameraSolution, model: CameraModel, where: ImageMap
 ) -> Float64[Array, "map_row map_column"]:
-    """The projection uncertainty times the shifts, over what noise would make them.
+    """The projection uncertainty, scaled by the ratio of the leave-one-out shifts to those expected from noise.
 
-    Views are independent of each other even where their corners are not. A camera of fewer views is that of all and an
-    independent error more, so that noise shifts it by the difference of the covariances.
+    Views are independent even where their corners are not. A leave-one-out camera is that of all views plus an
+    independent error, so that its expected shift has the difference of the two covariances.
     """
     if not shifts:
         return _unknown(where)
@@ -136,7 +134,7 @@ def _known_to(camera: Camera, covariance: Float64[Array, "parameter parameter"])
 def _split_half_px(
     used: Sequence[BoardView], camera: Camera, model: CameraModel, where: ImageMap
 ) -> Float64[Array, "map_row map_column"]:
-    """Every other view against the rest: neighbours in a series are alike."""
+    """Odd against even views: neighbours in a series are similar."""
     halves = [_camera(used[first::2], camera, model) for first in (0, 1)]
     one, other = halves
     if one is None or other is None:
@@ -154,10 +152,10 @@ def _camera(views: Sequence[BoardView], start: Camera, model: CameraModel) -> Ca
 def model_comparison(
     used: Sequence[BoardView], whole: CameraSolution, model: CameraModel, where: ImageMap
 ) -> ModelComparison:
-    """The camera found beside that of the other model.
+    """The camera compared with that of the other distortion model.
 
-    More coefficients always lower the rms. Whether they describe the lens or the noise, views tell that the camera was
-    calibrated without: only if their rms falls too is the larger model the better one.
+    More coefficients always reduce the rms. Whether they describe the lens or the noise is decided by held-out views:
+    the larger model is better only if their rms falls as well.
     """
     other_model = replace(model, distortion_model=_other(model.distortion_model))
     camera = whole.camera
@@ -190,16 +188,16 @@ def _pooled_px(rms_px: Sequence[float], views: Sequence[BoardView]) -> float:
 
 
 MAP_COLUMNS = 17
-"""Points along a row of the map; enough for what distortion does between them."""
+"""Points along a row of the map; distortion is smooth between them."""
 
 MIDDLE_SHARE = 0.7
-"""Of width and height of the image, in which the turn is fitted."""
+"""Share of the image's width and height in which the rotation is fitted."""
 
-_TURNS = 3
+_ROTATION_ITERATIONS = 3
 
 
 def image_map(camera: Camera) -> ImageMap:
-    """Points from edge to edge of the image, about as far apart down as across."""
+    """Grid of points over the whole image, with about the same spacing in both directions."""
     width, height = camera.image_width - 1.0, camera.image_height - 1.0
     rows = max(round((MAP_COLUMNS - 1) * height / max(width, 1.0)) + 1, 2)
     row, column = np.meshgrid(np.linspace(0, height, rows), np.linspace(0, width, MAP_COLUMNS), indexing="ij")
@@ -207,14 +205,14 @@ def image_map(camera: Camera) -> ImageMap:
 
 
 def displacement_px(one: Camera, other: Camera, where: ImageMap) -> Float64[Array, "map_row map_column"]:
-    """How far from each pixel of the one camera the other sees what is seen there; NaN if it does not see it."""
+    """Displacement between the projections of a ray in two cameras, at each pixel of the first; NaN if not visible."""
     seen = rays(where.points_px, one).reshape(-1, 3)
     offset_px = _offset(seen, other, where)
-    for _ in range(_TURNS):
+    for _ in range(_ROTATION_ITERATIONS):
         if not np.isfinite(offset_px).all():
             break
-        _, by_turn = _derivatives(seen, other)
-        step = _least_turn(by_turn, -offset_px[..., None], where)[:, 0]
+        _, by_rotation = _derivatives(seen, other)
+        step = _best_rotation(by_rotation, -offset_px[..., None], where)[:, 0]
         seen = seen @ np.asarray(cv2.Rodrigues(step)[0], dtype=np.float64).T
         offset_px = _offset(seen, other, where)
     length: Float64[Array, "map_row map_column"] = np.linalg.norm(offset_px, axis=-1).reshape(where.points_px.shape[:2])
@@ -229,8 +227,8 @@ def projection_sigma_px(camera: Camera, where: ImageMap) -> Float64[Array, "map_
     """Rms length of the displacement from the true camera, from the covariance of the intrinsic parameters."""
     if camera.covariance is None:
         return np.full(where.points_px.shape[:2], np.nan)
-    by_parameter, by_turn = _derivatives(rays(where.points_px, camera).reshape(-1, 3), camera)
-    remaining = by_parameter - by_turn @ _least_turn(by_turn, by_parameter, where)
+    by_parameter, by_rotation = _derivatives(rays(where.points_px, camera).reshape(-1, 3), camera)
+    remaining = by_parameter - by_rotation @ _best_rotation(by_rotation, by_parameter, where)
     variance = np.einsum("pci,ij,pcj->p", remaining, camera.covariance.data, remaining)
     sigma: Float64[Array, "map_row map_column"] = np.sqrt(np.maximum(variance, 0.0)).reshape(where.points_px.shape[:2])
     return sigma
@@ -239,10 +237,10 @@ def projection_sigma_px(camera: Camera, where: ImageMap) -> Float64[Array, "map_
 def known_lens(
     camera: Camera, corners_px: Float64[Array, "corner xy=2"], where: ImageMap
 ) -> Bool[Array, "map_row map_column"]:
-    """Where the covariance tells how far the projection is off.
+    """Where the covariance is a valid measure of the projection error.
 
-    A quotient of polynomials that is known along a radius may be anything beyond it: there the rational model is known
-    only as far from the principal point as the corners reach. Polynomials alone hold beyond.
+    A quotient of polynomials can have a pole beyond the radius at which it was fitted: the rational model is valid only
+    up to the largest distance of a corner from the principal point. Polynomials extrapolate.
     """
     if camera.distortion_model != DistortionModel.RATIONAL_POLYNOMIAL:
         return np.ones(where.points_px.shape[:2], dtype=bool)
@@ -252,23 +250,23 @@ def known_lens(
     return known
 
 
-def _least_turn(
-    by_turn: Float64[Array, "n xy=2 turn=3"], offset_px: Float64[Array, "n xy=2 column"], where: ImageMap
-) -> Float64[Array, "turn=3 column"]:
-    """The turn that moves the middle of the image most nearly by the offsets, for each column of them."""
+def _best_rotation(
+    by_rotation: Float64[Array, "n xy=2 rotation=3"], offset_px: Float64[Array, "n xy=2 column"], where: ImageMap
+) -> Float64[Array, "rotation=3 column"]:
+    """The rotation that fits the offsets in the middle of the image best, for each column of offsets."""
     rows, columns = where.points_px.shape[:2]
     row, column = (np.abs(np.linspace(-1, 1, count)) <= MIDDLE_SHARE for count in (rows, columns))
     used = np.outer(row, column).ravel()
-    turn: Float64[Array, "turn=3 column"] = np.linalg.lstsq(
-        by_turn[used].reshape(-1, 3), offset_px[used].reshape(-1, offset_px.shape[-1])
+    rotation: Float64[Array, "rotation=3 column"] = np.linalg.lstsq(
+        by_rotation[used].reshape(-1, 3), offset_px[used].reshape(-1, offset_px.shape[-1])
     )[0]
-    return turn
+    return rotation
 
 
 def _derivatives(
     directions: Float64[Array, "n xyz=3"], camera: Camera
-) -> tuple[Float64[Array, "n xy=2 parameter"], Float64[Array, "n xy=2 turn=3"]]:
-    """Of the pixels, by the intrinsic parameters and by a small turn of the camera frame."""
+) -> tuple[Float64[Array, "n xy=2 parameter"], Float64[Array, "n xy=2 rotation=3"]]:
+    """Jacobians of the pixels with respect to the intrinsic parameters and to a small rotation of the camera frame."""
     origin = np.zeros(3)
     jacobian = cv2.projectPoints(directions, origin, origin, camera.camera_matrix, camera.distortion_coefficients)[1]
     both = np.asarray(jacobian, dtype=np.float64).reshape(len(directions), 2, -1)

@@ -1,4 +1,4 @@
-"""Images of a board as the calibrating commands read them."""
+"""Reading of board images, shared by the calibration commands."""
 
 from collections.abc import Callable, Sequence
 from hashlib import sha256
@@ -24,7 +24,7 @@ from ringpose.types.image import Shot
 
 
 class BoardImages:
-    """The views gathered so far, and the images that show no board."""
+    """The views read so far, and the images without a board."""
 
     def __init__(self, board: Board, overlay: Path | None, *, channel: str | None, force: bool) -> None:
         if board.dictionary is not None:
@@ -34,7 +34,7 @@ class BoardImages:
         self.channel = channel
         self.force = force
         self.outputs: tuple[Path | None, ...] = ()
-        """What the command will write: never one of its inputs."""
+        """Output files of the command, which must not be inputs."""
         self.luminance_too = False
         """Look for the board in a colour image's luminance where its channel, that of a laser, shows none."""
         self.views: list[BoardView] = []
@@ -44,10 +44,10 @@ class BoardImages:
         self.width = 0
         self.height = 0
         self.last = ""
-        """What became of the last image."""
+        """Result of the last image, as text."""
 
     def read(self, item: Input) -> tuple[Shot, BoardView] | None:
-        """The shot that an input names with its view of the board; None, and remembered, if it shows none."""
+        """The shot of an input and its view of the board; None if it shows none, which is recorded."""
         if isinstance(item, Path):
             reject_inputs((*self.outputs, self.overlay and self.overlay / f"{item.stem}.png"), [item])
         shot = read_shot(path_of_input(item), self.channel)
@@ -76,9 +76,9 @@ class BoardImages:
         quiet: bool = False,
         verbose: bool = False,
     ) -> None:
-        """Read all inputs, one by one, by another reader if one is given; those without a board are named on stderr.
+        """Read all inputs, with `read` if it is given, and report images without a board on stderr.
 
-        Where none could be read, the command ends here: that is said already.
+        If no input could be read, the command ends here; the errors have been reported.
         """
         for item in with_progress(batch.valid_inputs(named(inputs, SHOT_SUFFIXES)), "images", quiet):
             with batch.guarded():
@@ -99,7 +99,7 @@ class BoardImages:
         return found if isinstance(besides, NoBoard) else besides
 
     def _refuse_known(self, shot: Shot) -> None:
-        """The same image twice would make the uncertainty too small, the same name overwrite a picture."""
+        """Reject repeated images, which would reduce the uncertainty, and repeated names of overlay files."""
         digest = sha256(shot.images.tobytes()).hexdigest()
         if digest in self.names:
             raise DataError(shot.name, f"is the same image as {self.names[digest]}", "give it once")

@@ -1,9 +1,4 @@
-"""What the calibrating commands write and say.
-
-`--print-board` of the calibrating commands: a board file -> a page to print.
-
-Options that turn a command into another one, which would leave most of the others aside.
-"""
+"""Outputs and shared options of the calibration commands: verdict, printed board, options that select a mode."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -17,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def refuse_existing_outputs(output: Path, report: Path | None, force: bool, read: Iterable[Path]) -> None:
-    """Before long work: refuse what exists already or is read, and a report that nothing can draw."""
+    """Reject, before the computation, outputs that exist or are inputs, and a report without matplotlib."""
     from ringpose.errors import UsageError
     from ringpose.files.atomic import reject_existing, reject_inputs
     from ringpose.report.page import require_matplotlib
@@ -32,7 +27,7 @@ def refuse_existing_outputs(output: Path, report: Path | None, force: bool, read
 
 
 def say_verdict(verdict: "Verdict", summary: Sequence[str], *, quiet: bool) -> int:
-    """The summary on stderr, of which no wish for quiet hides that all is to be done again; the exit status."""
+    """Write the summary to stderr and return the exit status; `quiet` does not suppress the verdict `redo`."""
     from ringpose.calibrate.verdict_text import verdict_lines
     from ringpose.cli import messages
     from ringpose.errors import NO_POSE
@@ -87,7 +82,7 @@ _Given = TypeVar("_Given")
 
 
 def given(value: _Given | None, name: str) -> _Given:
-    """What a command cannot do without unless it only prints a board."""
+    """The value of an argument that is required unless the command only prints a board."""
     from ringpose.errors import UsageError
 
     if not value:
@@ -112,7 +107,7 @@ _NONE: tuple[Any, ...] = (None, (), [])
 
 
 class CommandWithModes(TyperCommand):
-    """A command that refuses options beside a mode rather than leave them aside without a word."""
+    """A command that rejects options that its mode would ignore."""
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
