@@ -13,9 +13,9 @@ from ringpose.capture.source import OnRead, Source, camera_source, capture_recor
 from ringpose.capture.uri import CAMERAS, LASERS, scheme_and_rest, schemes
 from ringpose.cli.batch import Batch
 from ringpose.errors import NoInputError, UsageError
+from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot
 from ringpose.files.inputs import STDIN, Input, Problem, inputs
-from ringpose.files.shots import SHOT_SUFFIXES, read_shot
-from ringpose.files.sources import file_named
+from ringpose.files.sources import path_of_input
 from ringpose.types.image import Shot
 from ringpose.types.sequence import Step, steps_of
 
@@ -36,7 +36,7 @@ def _recorded(pattern: str, request: CaptureRequest, batch: Batch) -> Source:
         raise UsageError("--lasers", f'"{request.lasers}" cannot light what is recorded', "leave it out")
     if request.exposure_s is not None or any(step.exposure for step in request.steps or ()):
         raise UsageError("--exposure", "what is recorded has been exposed", "leave it out")
-    items = batch.good(inputs([STDIN], SHOT_SUFFIXES) if pattern == STDIN else _matching_inputs(pattern))
+    items = batch.valid_inputs(inputs([STDIN], SHOT_SUFFIXES) if pattern == STDIN else _matching_inputs(pattern))
     first = next(items, None)  # read before the session is created: a source without any input leaves none behind
     if first is None:
         batch.finish()
@@ -68,13 +68,13 @@ def _matches(pattern: str) -> list[Path]:
 def _recorded_shots(items: Iterable[Input], request: CaptureRequest, batch: Batch, on_read: OnRead) -> Iterator[Shot]:
     recording = Recording(request.steps)
     for item in items:
-        with batch.item():
-            path = file_named(item)
+        with batch.guarded():
+            path = path_of_input(item)
             shot = recording.taken(read_shot(path, request.channel))
             on_read(path)
             if shot is not None:
                 yield shot
-    with batch.item():
+    with batch.guarded():
         recording.end()
 
 

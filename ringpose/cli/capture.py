@@ -14,7 +14,7 @@ from ringpose.cli.options import ImageChannel, OptionalRigFile, Quiet, Verbose
 if TYPE_CHECKING:
     from ringpose.capture.source import Source
     from ringpose.cli.batch import Batch
-    from ringpose.files.sessions import Existing, SessionWriter
+    from ringpose.files.images.sessions import Existing, SessionWriter
 
 CameraUri = Annotated[
     str,
@@ -59,7 +59,7 @@ def capture(
     from ringpose.cli.acquisition import source_of
     from ringpose.cli.batch import Batch
     from ringpose.errors import UsageError
-    from ringpose.files.sessions import SessionWriter, folder_of_now
+    from ringpose.files.images.sessions import SessionWriter, folder_of_now
 
     request = CaptureRequest(
         camera=camera,
@@ -107,7 +107,7 @@ def _take(source: "Source", writer: "SessionWriter", batch: "Batch", verbose: bo
     """Write each shot when it is taken, and its name to stdout when its file is complete."""
     from ringpose.capture.ambient import lost_attempts_dn
     from ringpose.cli import messages
-    from ringpose.cli.progress import counted
+    from ringpose.cli.progress import with_progress
     from ringpose.files import records
 
     with ExitStack() as stack:
@@ -116,14 +116,14 @@ def _take(source: "Source", writer: "SessionWriter", batch: "Batch", verbose: bo
         writer.name_camera(source.camera_name())
         lost_dn: list[float] = []
         stack.callback(_report_lost, lost_dn)
-        for shot in counted(source.shots(writer.read_from, writer.names), "shots", quiet):
+        for shot in with_progress(source.shots(writer.read_from, writer.names), "shots", quiet):
             lost_now_dn = lost_attempts_dn(shot.meta) if source.devices else []
             lost_dn += lost_now_dn
-            with batch.item():
+            with batch.guarded():
                 records.write_name(writer.add(shot))
                 if verbose:
                     again = f", {len(lost_now_dn)} attempts lost: ambient light changed" if lost_now_dn else ""
-                    messages.say(f"{shot.name}: {len(shot.lasers)} frames{again}")
+                    messages.echo(f"{shot.name}: {len(shot.lasers)} frames{again}")
 
 
 def _report_lost(lost_dn: list[float]) -> None:
@@ -133,4 +133,4 @@ def _report_lost(lost_dn: list[float]) -> None:
     if lost_dn:
         shots = "1 shot was" if len(lost_dn) == 1 else f"{len(lost_dn)} shots were"
         size = f"by up to {max(map(abs, lost_dn)):.0f} dn"
-        messages.say(f"ambient light: {shots} lost and repeated: it changed within them {size}")
+        messages.echo(f"ambient light: {shots} lost and repeated: it changed within them {size}")

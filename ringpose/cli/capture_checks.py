@@ -21,7 +21,7 @@ def list_devices(is_requested: bool) -> bool:
     from ringpose.files import records
 
     for line in device_discovery.remarks():
-        messages.say(line)
+        messages.echo(line)
     for found in (*device_discovery.cameras(), *device_discovery.serial_ports()):
         records.write(found)
     raise typer.Exit

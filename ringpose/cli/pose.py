@@ -119,8 +119,8 @@ def _recorded_lines(
     from ringpose.files.inputs import inputs as named
     from ringpose.files.sources import SUFFIXES, read_source
 
-    for item in batch.good(named(inputs, SUFFIXES)):
-        with batch.item():
+    for item in batch.valid_inputs(named(inputs, SUFFIXES)):
+        with batch.guarded():
             yield measure(read_source(item, rig, channel))
 
 
@@ -129,10 +129,10 @@ def _live_lines(
     request: "CaptureRequest", rig: "Rig", batch: "Batch", measure: "Callable[[Shot | Detection], PoseLine]"
 ) -> "Iterator[Iterator[PoseLine]]":
     """Pose lines of a camera; a bad shot ends the stream, as all that follow would be bad for the same reason."""
-    from ringpose.files.shots import fitting_shot
+    from ringpose.files.images.shots import checked_shot
 
     def line_of(live: "LiveShot") -> "PoseLine":
-        line = measure(fitting_shot(live.shot, rig, request.camera))
+        line = measure(checked_shot(live.shot, rig, request.camera))
         return replace(line, dropped=live.dropped, latency_s=perf_counter() - live.taken_s)
 
     with _newest_shots(request, batch) as newest:
@@ -158,18 +158,18 @@ def _newest_shots(request: "CaptureRequest", batch: "Batch") -> "Iterator[Iterat
 def _write(lines: "Iterator[PoseLine]", monitor: "DriftMonitor", batch: "Batch", verbose: bool, quiet: bool) -> None:
     """Every line as it comes, with the lasers' health."""
     from ringpose.cli import messages
-    from ringpose.cli.progress import counted
+    from ringpose.cli.progress import with_progress
     from ringpose.errors import NO_POSE
     from ringpose.files import records
     from ringpose.files.poses import pose_record
     from ringpose.pose.record import remarks_on
 
-    for line in counted(lines, "shots", quiet):
+    for line in with_progress(lines, "shots", quiet):
         with_health, warning = monitor.update(line)
         if warning is not None:
-            messages.say(f"{line.shot}: {warning}; run ringpose calibrate-planes")
+            messages.echo(f"{line.shot}: {warning}; run ringpose calibrate-planes")
         records.write(pose_record(with_health))
         if verbose:
-            messages.say(f"{line.shot}: {remarks_on(with_health)}")
+            messages.echo(f"{line.shot}: {remarks_on(with_health)}")
         if line.pose is None:
-            batch.met(NO_POSE)
+            batch.record_status(NO_POSE)

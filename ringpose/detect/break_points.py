@@ -18,7 +18,7 @@ from ringpose.detect.stripes import BORDER_PX, FIT_DOF_CORRECTION, MIN_SEGMENT_C
 from ringpose.geometry.planes import nearest_plane, towards_camera
 from ringpose.geometry.rays import intersect, rays, undistorted_rays
 from ringpose.kernels import ends as kernels
-from ringpose.kernels.ends import EndParams, Ends, MarkParams, marked_ends
+from ringpose.kernels.ends import EndParams, Ends, MarkParams, flagged_ends
 from ringpose.kernels.lines import LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START, ArcFit, arc_fit
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.camera import Camera
@@ -96,7 +96,7 @@ def _ends(face: Face, images: Sequence[LaserImage], rig: Rig, saturation_dn: int
             found.append(stripe_ends(face.tracks[shown], image, rig.camera, saturation_dn))
     lasers = tuple(face.lasers[number] for number in order)
     ends = found[0] if len(found) == 1 else np.concatenate(found)
-    return marked_ends(face.tracks[order], ends, lasers, len(rig.lasers.names), mark_params(rig.camera.image_width))
+    return flagged_ends(face.tracks[order], ends, lasers, len(rig.lasers.names), mark_params(rig.camera.image_width))
 
 
 @lru_cache(maxsize=4)
@@ -110,7 +110,7 @@ def mark_params(image_width: int) -> MarkParams:
         unclear_px=UNCLEAR_PX,
         clipped_phase=CLIPPED_PHASE,
         facet_sigmas=FACET_SIGMAS,  # the fitted line absorbs coarser texture, which the centres' scatter does not show
-        taken_by_fit=FIT_DOF_CORRECTION,
+        fit_dof=FIT_DOF_CORRECTION,
         min_columns=MIN_SEGMENT_COLUMNS,
         saturated_flag=BreakPointFlag.SATURATED,
         kink_flag=BreakPointFlag.KINK,

@@ -248,7 +248,7 @@ FIT_PARAMS = FitParams(
     curvature_sigma=CURVATURE_SIGMA,
     half_band_m=HALF_BAND_M[0],
     half_band_sigma_m=HALF_BAND_M[1],
-    longest_step=MAX_STEP,
+    max_step=MAX_STEP,
 )
 
 NO_OBSERVATIONS = Sights(np.zeros((0, 3)), np.zeros(0), np.zeros(0))

@@ -31,13 +31,13 @@ from benchmarks.stripe_images import (
 from ringpose.bench.speed import POSES_PER_ROUND, median_times_s, one_core, solve_pnp
 from ringpose.cli.bench.speed import start_calls
 from ringpose.cli.options import PoseFrame
-from ringpose.cli.pose import pose_line
 from ringpose.detect.pipeline import detect
 from ringpose.detect.stripes import find_stripes
 from ringpose.files.poses import pose_record
 from ringpose.files.records import line_of
 from ringpose.files.scenes import read_scene
 from ringpose.pose.pipeline import estimate_pose
+from ringpose.pose.record import pose_line
 from ringpose.simulate.pipeline import render_ring_view
 from ringpose.simulate.placement import ring_views
 from ringpose.simulate.sensor import digitised

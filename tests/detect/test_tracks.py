@@ -6,7 +6,7 @@ import pytest
 
 from ringpose.detect.break_points import mark_params
 from ringpose.detect.stripes import stripe_line_segments
-from ringpose.kernels.ends import marked_ends
+from ringpose.kernels.ends import flagged_ends
 from ringpose.types.camera import Camera
 from ringpose.types.detection import Stripes
 
@@ -37,7 +37,7 @@ def line_errors(rng, columns, grain_px):
         laser=np.zeros(1, dtype=np.int64),
     )
     tracks = stripe_line_segments(stripes, CAMERA)
-    ends = marked_ends(tracks, np.full((1, 2, 10), np.nan), (0,), 1, mark_params(CAMERA.image_width))
+    ends = flagged_ends(tracks, np.full((1, 2, 10), np.nan), (0,), 1, mark_params(CAMERA.image_width))
     return (ends.straight_px[0, :, 1] - 600.0) / ends.straight_sigma_px[0]
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from ringpose.files.records.truths import read_truths
 from ringpose.files.rigs import read_rig
-from ringpose.files.truths import read_truths
 from ringpose.simulate.pipeline import lit_ring, view_truth
 from ringpose.types.scene import RingShape, RingView
 

@@ -77,10 +77,10 @@ class RigCheck:
         return self.board_rms_px <= self.board_limit_px and all(laser.holds for laser in self.lasers)
 
 
-def rig_check(view: StripeView, rig: Rig, usual_board_px: float | None = None) -> RigCheck:
+def rig_check(view: StripeView, rig: Rig, median_board_rms_px: float | None = None) -> RigCheck:
     """The board pose by the corners, and each stripe's distance from its light plane.
 
-    `usual_board_px` is the corner rms of the rig's calibration, if it is known.
+    `median_board_rms_px` is the corner rms of the rig's calibration, if it is known.
     """
     board = _measured_board(view, rig)
     planes = list(zip(rig.lasers.normal, rig.lasers.distance_m.tolist(), strict=True))
@@ -91,8 +91,8 @@ def rig_check(view: StripeView, rig: Rig, usual_board_px: float | None = None) -
         distance_m=float(board.pose.translation_m[2]),
         board_rms_px=board.pose.residual_rms_px,
         board_limit_px=MAX_BOARD_PX
-        if usual_board_px is None
-        else min(max(BOARD_FACTOR * usual_board_px, MIN_BOARD_PX), MAX_BOARD_PX),
+        if median_board_rms_px is None
+        else min(max(BOARD_FACTOR * median_board_rms_px, MIN_BOARD_PX), MAX_BOARD_PX),
         lasers=tuple(_laser_check(laser, view, board, rig) for laser in range(len(planes))),
     )
 

@@ -26,7 +26,7 @@ from ringpose.calibrate.planes.joint_adjustment import (
 from ringpose.geometry.rays import intersect, project, rays
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.closed_form import differentiated, pose_covariance
-from ringpose.pose.measurements import pixels_by_ray_and_camera
+from ringpose.pose.measurements import pixels_wrt_ray_and_camera
 from ringpose.pose.triangulation import point_covariance
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.camera import Camera
@@ -188,7 +188,7 @@ def _depth_jacobian(
     points = intersect(directions, normal, np.array(float(distance_m)))
     denominator = directions @ normal
     wrt_plane = np.column_stack([-(points @ tilt_basis(normal).T), np.ones(len(points))]) / denominator[:, None]
-    pixel_wrt_ray, pixel_wrt_camera = pixels_by_ray_and_camera(directions[:, :2], camera)
+    pixel_wrt_ray, pixel_wrt_camera = pixels_wrt_ray_and_camera(directions[:, :2], camera)
     ray_wrt_camera = -np.linalg.solve(pixel_wrt_ray, pixel_wrt_camera)  # the pixel is held constant
     wrt_camera = -(points[:, 2] / denominator)[:, None] * np.einsum("i,nip->np", normal[:2], ray_wrt_camera)
     columns = dict(zip(laser_parameters([lasers.names[laser]]), wrt_plane.T, strict=True))

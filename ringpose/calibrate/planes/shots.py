@@ -88,7 +88,7 @@ class StripeShots:
             calibration = calibrate_planes(self.views, self.camera, model)
         except DataError as error:  # wrong sizes in the board file may be the reason
             remedies = [*Verdict(findings=board).advice, *([error.remedy] if error.remedy else [])]
-            raise DataError(error.place, error.found, "; ".join(remedies)) from error
+            raise DataError(error.location, error.found, "; ".join(remedies)) from error
         return PlanesAssessment(
             calibration=calibration,
             verdict=planes_verdict(calibration, expected_rad, board, working_distance_m),

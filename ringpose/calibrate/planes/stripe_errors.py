@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from ringpose.geometry.rotations import rotation_vector, tilt_basis
-from ringpose.pose.measurements import pixels_by_ray_and_camera
+from ringpose.pose.measurements import pixels_wrt_ray_and_camera
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose
 from ringpose.types.camera import Camera
@@ -65,7 +65,7 @@ def stripe_residuals(
 
     # The last term of Eq. (2), then by pixels: the gradient's length is the scale of the image on the light plane.
     wrt_ray = (depth[:, None] * (normal - q[:, None] * board_normal))[:, :2]
-    pixel_wrt_ray, pixel_wrt_camera = pixels_by_ray_and_camera(rays[:, :2], camera)
+    pixel_wrt_ray, pixel_wrt_camera = pixels_wrt_ray_and_camera(rays[:, :2], camera)
     wrt_pixel = np.linalg.solve(pixel_wrt_ray.transpose(0, 2, 1), wrt_ray[:, :, None])[:, :, 0]
     metres_per_pixel = np.linalg.norm(wrt_pixel, axis=1)
 

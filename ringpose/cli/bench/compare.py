@@ -52,8 +52,7 @@ def compare(
     from ringpose.cli.batch import Batch
     from ringpose.errors import NO_POSE, UsageError
     from ringpose.files import records
-    from ringpose.files.io import write_result
-    from ringpose.files.provenance import provenance
+    from ringpose.files.io import provenance, write_result
 
     if a == b == STDOUT:
         raise UsageError("", "both results are read from standard input", "write one of them into a file")
@@ -76,8 +75,8 @@ def compare(
     if lost := matched["only_a"]:
         complaints.append(f"{b}: {len(lost)} shots have no line that have one in {a} (the first is {lost[0]})")
     for message in complaints:
-        messages.say(message)
-        batch.met(NO_POSE)
+        messages.echo(message)
+        batch.record_status(NO_POSE)
     batch.finish()
 
 
@@ -94,7 +93,7 @@ def _read(name: str, truths: list[Path] | None, rig: Path | None, batch: "Batch"
     from ringpose.bench.report import ASSUMPTIONS
     from ringpose.errors import DataError, UsageError
     from ringpose.files.inputs import holds_records
-    from ringpose.files.provenance import sha256
+    from ringpose.files.io import sha256
 
     if name != STDOUT and not holds_records(Path(name)):
         return _read_table(name)
@@ -110,10 +109,10 @@ def _read_table(name: str) -> _Result:
     from ringpose.bench.report import SCHEMA
     from ringpose.errors import DataError
     from ringpose.files.io import read_bytes
-    from ringpose.files.records import record_of
+    from ringpose.files.records import parsed_record
     from ringpose.files.schema import Fields
 
-    fields = Fields(name, record_of(read_bytes(Path(name)), name))
+    fields = Fields(name, parsed_record(read_bytes(Path(name)), name))
     schema = fields.values.get("ringpose")
     if schema != SCHEMA:
         found = f"is a {schema!r} file" if schema else "is not a table of ringpose bench"

@@ -125,13 +125,13 @@ def scores_of_lines(
     matched = matching(estimates, truths)
     place, files = ", ".join(inputs), ", ".join(map(str, truth_files))
     if matched.without_truth:
-        with batch.item():
+        with batch.guarded():
             found = f"{len(matched.without_truth)} shots have a pose line but no truth in {files}"
             raise DataError(
                 place, f"{found} (the first is {matched.without_truth[0]})", "give their truth with --truth"
             )
     if matched.repeated:
-        with batch.item():
+        with batch.guarded():
             found = f"{len(matched.repeated)} shots have more than one pose line of one method"
             raise DataError(
                 place, f"{found} (the first is {matched.repeated[0]}); the last line counts", "bench each run alone"
@@ -150,11 +150,11 @@ def _estimates_in(inputs: list[str], truths: "list[Truth]", batch: "Batch") -> "
 
     by_shot = {truth.shot: truth for truth in truths}
     estimates = []
-    for item in batch.good(named(inputs, (RECORDS_SUFFIX,))):
-        with batch.item():
+    for item in batch.valid_inputs(named(inputs, (RECORDS_SUFFIX,))):
+        with batch.guarded():
             if not isinstance(item, Record):
                 raise DataError(str(item), "holds no pose lines", "give the .jsonl output of ringpose pose")
-            estimate = estimate_of(pose_line_of(item.values, item.place), item.place)
+            estimate = estimate_of(pose_line_of(item.values, item.location), item.location)
             if estimate.shot in by_shot:
                 truth_at(by_shot[estimate.shot], estimate.stamp_s)  # rejects time stamps of another clock
             estimates.append(estimate)
@@ -167,7 +167,7 @@ def _first_repeated(names: list[str]) -> str | None:
 
 def _truths(file: Path) -> "list[Truth]":
     from ringpose.errors import DataError
-    from ringpose.files.truths import read_truths
+    from ringpose.files.records.truths import read_truths
 
     truths = list(read_truths(file))
     if not truths:
@@ -202,7 +202,7 @@ def _scores_of_folders(
     for folder in map(Path, folders):
         if str(folder) == STDOUT or folder.is_file():
             raise UsageError("", f"{folder} is not a data set folder", "give --truth FILE to compare pose lines")
-        with batch.item():
+        with batch.guarded():
             of_shots = read_rig(rig or folder / "rig.yaml")
             truths = _truths(folder / "truth.jsonl")
             estimates = list(_estimates(folder / "shots", truths, of_shots, methods, batch, quiet))
@@ -214,13 +214,13 @@ def _estimates(
     shots: Path, truths: "list[Truth]", rig: "Rig", methods: list[Method], batch: "Batch", quiet: bool
 ) -> "Iterator[PoseEstimate]":
     from ringpose.bench.score import estimate_of
-    from ringpose.cli.pose import pose_line
-    from ringpose.cli.progress import counted
+    from ringpose.cli.progress import with_progress
     from ringpose.detect.pipeline import detect
-    from ringpose.files.shots import read_shot
+    from ringpose.files.images.shots import read_shot
+    from ringpose.pose.record import pose_line
 
-    for truth in counted(truths, "shots", quiet):
-        with batch.item():
+    for truth in with_progress(truths, "shots", quiet):
+        with batch.guarded():
             detection = detect(read_shot(shots / f"{truth.shot}.npz", rig=rig), rig)
             for method in methods:
                 line = pose_line(detection, rig, method, PoseFrame.CAMERA)
@@ -243,8 +243,8 @@ def _judged(
     lines = summaries(scores, names)
     missed = [*exceeded_error_limits(lines, limits), *exceeded_count_limits(lines, *counts)]
     for message in missed:
-        messages.say(message)
-        batch.met(NO_POSE)
+        messages.echo(message)
+        batch.record_status(NO_POSE)
     return lines, missed
 
 
@@ -271,8 +271,7 @@ def _write(
     from ringpose.bench.report import csv_rows, report
     from ringpose.bench.table import table
     from ringpose.files import records
-    from ringpose.files.io import csv_text, write_result
-    from ringpose.files.provenance import provenance, sha256
+    from ringpose.files.io import csv_text, provenance, sha256, write_result
 
     if STDOUT not in (targets.json, targets.csv):
         records.write_text(table(lines, names, matched))

@@ -150,11 +150,11 @@ def _calibrate(shots: list[str], options: _Inputs, outputs: _Outputs, method: Pl
     images.outputs = (outputs.output, outputs.report)
     check_method(method, free_camera, stripes.board, stripes.camera)
     _read(shots, options, images, stripes, batch)
-    batch.met(NO_POSE if stripes.any_without_stripe else 0)
+    batch.record_status(NO_POSE if stripes.any_without_stripe else 0)
     if not stripes.views and batch.status:
-        batch.met(DataError.status)
+        batch.record_status(DataError.status)
         batch.finish()
-    with batch.item():
+    with batch.guarded():
         try:
             assessment = stripes.assessment(
                 method, free_camera, outputs.expected_rad, outputs.working_m, images.without_board
@@ -163,12 +163,12 @@ def _calibrate(shots: list[str], options: _Inputs, outputs: _Outputs, method: Pl
             _say_remarks(stripes)
             raise
         for shot, found in assessment.calibration.contradicting:
-            with batch.item():
+            with batch.guarded():
                 raise DataError(shot, found)  # reported like any other unusable shot
         _write(assessment, tool_from_camera, outputs, [options.board, *images.paths], options.force)
         if not options.quiet:
             _say_number(stripes)
-        batch.met(say_verdict(assessment.verdict, planes_summary(assessment), quiet=options.quiet))
+        batch.record_status(say_verdict(assessment.verdict, planes_summary(assessment), quiet=options.quiet))
     batch.finish()
 
 
@@ -178,7 +178,7 @@ def _say_remarks(stripes: "StripeShots") -> None:
 
     for view in stripes.views:
         for remark in view.remarks:
-            messages.say(f"{view.board.name}: {remark}")
+            messages.echo(f"{view.board.name}: {remark}")
 
 
 def _say_number(stripes: "StripeShots") -> None:
@@ -189,7 +189,7 @@ def _say_number(stripes: "StripeShots") -> None:
     if stripes.given_names is None and 0 < len(stripes.names) < len(THREE):
         number = f"{len(stripes.names)} laser{'s' * (len(stripes.names) > 1)}"
         names = ", ".join(stripes.names)
-        messages.say(f"{number} by the shots' masks ({names}); if there are more, name all (--laser-names)")
+        messages.echo(f"{number} by the shots' masks ({names}); if there are more, name all (--laser-names)")
 
 
 def _write(
@@ -219,19 +219,19 @@ def _check(shots: list[str], rig_file: Path, options: _Inputs) -> None:
     from ringpose.cli import messages
     from ringpose.cli.batch import Batch
     from ringpose.errors import NO_POSE
-    from ringpose.files.rigs import read_rig, usual_board_px
+    from ringpose.files.rigs import median_board_rms_px, read_rig
 
-    rig, usual_px = read_rig(rig_file), usual_board_px(rig_file)
+    rig, usual_px = read_rig(rig_file), median_board_rms_px(rig_file)
     batch = Batch()
     images, stripes = _sources(options._replace(names=",".join(rig.lasers.names)), rig.camera)
     _read(shots, options, images, stripes, batch)
     for view in stripes.views:
         found = rig_check(view, rig, usual_px)
         if not found.holds:
-            batch.met(NO_POSE)
+            batch.record_status(NO_POSE)
         if not (options.quiet and found.holds):
             for line in rig_check_lines(found):
-                messages.say(line)
+                messages.echo(line)
     batch.finish()
 
 
@@ -248,7 +248,7 @@ def _sources(options: _Inputs, camera: "Camera") -> "tuple[BoardImages, StripeSh
 def _read(shots: list[str], options: _Inputs, images: "BoardImages", stripes: "StripeShots", batch: "Batch") -> None:
     """Add the views of all shots to `stripes`; report shots without them."""
     from ringpose.calibrate.boards.overlay import stripe_overlay
-    from ringpose.files.images import write_image
+    from ringpose.files.images.codecs import write_image
     from ringpose.files.inputs import Input
 
     def read(item: Input) -> None:
