@@ -151,3 +151,12 @@ def test_pages_that_are_referred_to_exist(page):
     referred = re.findall(r"^\.Xr (ringpose\S*) (\d)", page.read_text(), re.MULTILINE)
 
     assert [f"{name}.{number}" for name, number in referred if not (MANUAL / f"{name}.{number}").exists()] == []
+
+
+def test_paths_that_the_page_on_extending_names_exist():
+    root = MANUAL.parent
+    paths = re.findall(r"^\.(?:Pa|Pq Pa) ([\w/.]+)", (MANUAL / "ringpose-extending.7").read_text(), re.MULTILINE)
+
+    assert len(paths) > 15
+    missing = [path for path in paths if "/" in path and not (root / path.rstrip(":,;")).exists()]
+    assert missing == []

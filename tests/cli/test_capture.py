@@ -265,5 +265,5 @@ def test_a_shot_whose_name_is_no_line_is_kept_and_named_on_standard_error(capsys
 
     streams = capsys.readouterr()
     assert (status, streams.out) == (65, "s/c.npz\n")
-    assert "it has a line break; rename it" in streams.err
+    assert "line break; rename it" in streams.err
     assert read_session(Path("s")).shots == ("a\nb", "c")
