@@ -78,7 +78,10 @@ def detection_times_s(rounds: int) -> dict[str, float]:
 
 
 def pose_times_s(rounds: int) -> dict[str, float]:
-    """Times of solvePnP of six coplanar points, the reference, and of each method of pose estimation."""
+    """Median times of a call in seconds, by name: each method of pose estimation, and the reference.
+
+    The reference is OpenCV's solvePnP on six coplanar points.
+    """
     shot, rig = drawn_shot()
     points = detect(shot, rig, edges=False).break_points
     assert isinstance(points, BreakPoints)  # the drawn ring is in full view

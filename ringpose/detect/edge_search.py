@@ -39,7 +39,7 @@ class EdgeImage:
 def stripe_mask(
     stripes_px: Float64[Array, "center xy=2"], image: UInt[Array, "row column"]
 ) -> UInt8[Array, "cell_row cell_column"]:
-    """Mask of the cells of the image that are beside a stripe centre."""
+    """Mask of the image in cells of `CELL_PX` pixels: 1 where a stripe centre is within `CELLS` cells, else 0."""
     lit = np.zeros((image.shape[0] // CELL_PX + 1, image.shape[1] // CELL_PX + 1), dtype=np.uint8)
     column, row = (stripes_px / CELL_PX).astype(np.int64).T
     lit[row, column] = 1

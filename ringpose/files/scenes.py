@@ -224,7 +224,10 @@ def read_sequence(fields: Fields, key: str, lasers: int) -> tuple[int, ...]:
 def read_trajectory(
     fields: Fields, key: str, lights: tuple[str, ...]
 ) -> tuple[tuple[RingView, ...], tuple[Approach, ...]]:
-    """The explicit views, and the sets of views to be drawn at random."""
+    """The entries of a trajectory: single views, and approaches, which stand for views drawn at random (`generate`).
+
+    `lights` are the names of the scene's lights, of which a view names those that shine.
+    """
     views: list[RingView] = []
     approaches: list[Approach] = []
     for entry in fields.each(key):

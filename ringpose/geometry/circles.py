@@ -27,7 +27,11 @@ def nearest_crossing(
 
 
 class ArcEquations(NamedTuple):
-    """Two arcs about one centre: bend (x^2 + y^2) + x + lean y + level = 0, from the mean of their points."""
+    """Two concentric arcs: bend (x^2 + y^2) + x + lean y + level = 0, x and y from the mean of their points.
+
+    `bend` is half the curvature (for `lean` 0), `lean` the tangent of the angle between their common radius and the
+    x axis, and `level` the position of each arc along x.
+    """
 
     bend: Float64[Array, "*batch 1"]
     lean: Float64[Array, "*batch 1"]
@@ -53,9 +57,9 @@ def arc_equations(points: Float64[Array, "*batch n xy=2"], arc: Int64[Array, "n"
 
 
 def arc_crossings(arcs: ArcEquations) -> Float64[Array, "*batch arc=2"]:
-    """Intersection of each arc with the radius through the mean of the points: distance from it, towards positive x.
+    """Signed distance from the mean of the points to each arc, along the radius through the mean; positive towards +x.
 
-    The root of bend t^2 + s t + level = 0, s = sqrt(1 + lean^2), in the form that is regular at bend = 0.
+    The smaller root t of bend t^2 + s t + level = 0, s = sqrt(1 + lean^2), written without a division by bend.
     """
     denominator = np.hypot(1.0, arcs.lean)
     root = np.sqrt(np.maximum(denominator**2 - 4.0 * arcs.bend * arcs.level, 0.0))

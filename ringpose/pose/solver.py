@@ -75,7 +75,7 @@ class Estimate(NamedTuple):
 
     @property
     def remaining(self) -> Float64[Array, "row"]:
-        """Residuals after the ring and the estimated common errors, in standard deviations."""
+        """Residuals at the estimated ring less those that the estimated rig and edge errors explain, in sigmas."""
         if self.nuisance is None or self.nuisance_step is None:
             return self.residuals.residual
         remaining: Float64[Array, "row"] = self.residuals.residual + self.nuisance.residual @ self.nuisance_step
@@ -197,7 +197,10 @@ def _plausible(state: RingState, step: Float64[Array, "7"]) -> bool:
 
 
 def _is_poorly_determined(estimate: Estimate) -> bool:
-    """Whether tilt, turn or curvature have a larger variance than the weak prior would give them."""
+    """Whether the shot leaves tilt or in-plane rotation to more than 0.5 rad, or curvature to more than 1/m (sigmas).
+
+    The weak priors of `ring_residuals` have about these standard deviations.
+    """
     variance = estimate.inverse.diagonal().tolist()
     tilt_variance = max(variance[:2]) / float(estimate.state.plane @ estimate.state.plane)
     return bool(max(tilt_variance, variance[TURN]) > 0.25 or variance[CURVATURE] > 1.0)
@@ -268,7 +271,11 @@ def _outward_direction(
 
 
 def _expected_size(measured: Measurements, outward_m: Float64[Array, "point"], prior: Prior) -> tuple[float, float]:
-    """Curvature and width of the band: of the prior, else of a typical ring and of the seen ends."""
+    """Curvature (1/m) and radial width (m) of the ring's band, for the initial guess.
+
+    Both follow from the prior of the radii where it gives them. Otherwise the curvature is that of a typical ring, and
+    the width is the mean distance between the inner and the outer break points, at `outward_m` in radial direction.
+    """
     inner, outer = (outward_m[measured.points.edge == edge].tolist() for edge in range(2))
     band_m = sum(outer) / len(outer) - sum(inner) / len(inner) if inner and outer else EXPECTED_BAND_M
     if prior.radii is None or not np.isfinite(prior.radii.radius_m).any():

@@ -47,7 +47,10 @@ class Target(Protocol):
         parameter: Float64[Array, "ray"],
         surface: Int8[Array, "ray"],
     ) -> tuple[Float64[Array, "xyz=3 ray"], Float64[Array, "xyz=3 ray"]]:
-        """Intersections with the fine relief of the surfaces, and unit normals towards the camera."""
+        """Points of the surfaces that the rays hit, wrinkles of the foil included, and unit normals towards the camera.
+
+        `parameter` and `surface` are those of `first_hits`, which takes the foil as flat.
+        """
 
     def blocked(self, point: Float64[Array, "xyz=3 ray"], towards: Float64[Array, "xyz=3 ray"]) -> Bool[Array, "ray"]:
         """Whether a surface intersects the segments between the points and the points + towards."""

@@ -51,7 +51,7 @@ class BoardView:
     """Number of each corner on the board; for marker boards 4 * marker id + corner."""
     points_board_m: Float64[Array, "corner xyz=3"]
     points_px: Float64[Array, "corner xy=2"]
-    likeness: float = 0.0
+    end_correlation: float = 0.0
     """Correlation of the errors at the two ends of a marker's side, where corners are intersections of sides."""
     circle_radius_m: float = 0.0
     """Radius of the circles whose centres these are; zero if unknown, and for other corners."""

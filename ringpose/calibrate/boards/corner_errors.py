@@ -40,7 +40,7 @@ def whiten(rows: Float64[Array, "coordinate *column"], view: BoardView) -> Float
 
     The mean variance of a coordinate is unchanged. Corners with correlated errors come as whole markers.
     """
-    if view.likeness == 0:
+    if view.end_correlation == 0:
         return rows
     by_marker = rows.reshape(-1, 8, rows.size // len(rows))
     return np.linalg.solve(_correlation_root(view), by_marker).reshape(rows.shape)
@@ -57,7 +57,7 @@ def maximum_likelihood_pose(view: BoardView, camera: Camera) -> tuple[BoardPose,
     pixel_wrt_pose, _ = projection_jacobians(view.points_board_m, pose, camera)
     jacobian = whiten(pixel_wrt_pose.reshape(-1, 6), view)
     covariance: Float64[Array, "pose=6 pose=6"] = np.linalg.inv(jacobian.T @ jacobian)
-    if view.likeness:  # one Gauss-Newton step: the unweighted pose differs from this one by less than its noise
+    if view.end_correlation:  # one Gauss-Newton step: the unweighted pose differs from this one by less than its noise
         pose = moved_pose(pose, covariance @ jacobian.T @ corner_residuals(view, pose, camera))
     return pose, covariance
 
@@ -102,7 +102,7 @@ def _correlation_root(view: BoardView) -> Float64[Array, "marker coordinate=8 co
     for corner in range(4):  # columns: start and end of side 0, of side 1, ...
         ends = [2 * corner, 2 * ((corner - 1) % 4) + 1]
         corner_wrt_ends[:, 2 * corner : 2 * corner + 2, ends] = intersection[:, corner]
-    end_covariance = np.kron(np.eye(4), np.array([[1.0, view.likeness], [view.likeness, 1.0]]))
+    end_covariance = np.kron(np.eye(4), np.array([[1.0, view.end_correlation], [view.end_correlation, 1.0]]))
     root: Float64[Array, "marker coordinate=8 coordinate=8"] = np.linalg.cholesky(
         corner_wrt_ends @ end_covariance @ corner_wrt_ends.mT
     )

@@ -182,7 +182,11 @@ def other_layout(board: Board, markers: Markers) -> str | None:
 
 
 def _other_boards(board: Board, last: int) -> Iterator[Board]:
-    """Boards with marker `last` and another layout: rows and columns exchanged, then other numbers of columns."""
+    """Boards that have a marker with the number `last`, for comparison with an image that does not fit the board file.
+
+    First the board itself, then with rows and columns exchanged, then with other numbers of columns; a ChArUco board
+    in both of OpenCV's patterns.
+    """
     if not board.squares_x or not board.squares_y:
         return
     swapped = (board.squares_y, board.squares_x)

@@ -77,7 +77,7 @@ class SideCorners(NamedTuple):
     """A marker's corners as intersections of its sides."""
 
     points_px: Float64[Array, "corner=4 xy=2"]
-    likeness: float
+    end_correlation: float
     """Correlation of a side's errors at its two ends; zero if not all sides were fitted."""
 
 

@@ -54,7 +54,7 @@ def find_board(image: UInt[Array, "row column"], board: Board, name: str) -> Boa
         ids=seen.ids,
         points_board_m=corner_points(board)[seen.ids],
         points_px=seen.points_px,
-        likeness=seen.likeness,
+        end_correlation=seen.end_correlation,
         circle_radius_m=seen.circle_radius_m,
         saturated_share=_saturated_share(grey, seen.points_px),
         marker_size_ratio=None if seen.layout is None else seen.layout.size_ratio,
@@ -79,7 +79,7 @@ class _Detection:
     ids: Int64[Array, "corner"]
     points_px: Float64[Array, "corner xy=2"]
     layout: MarkerLayout | None = None
-    likeness: float = 0.0
+    end_correlation: float = 0.0
     """Correlation of the errors of neighbouring marker corners."""
     circle_radius_m: float = 0.0
 
@@ -113,7 +113,7 @@ def _marker_view(grey: UInt8[Array, "row column"], board: Board) -> _Detection |
         points_px = own.corners_px.reshape(-1, 2)
         return NoBoard(failure=BoardFailure.OTHER_LAYOUT, found=matching_layout, points_px=points_px)
     if len(ids) >= MIN_CORNERS:
-        return _Detection(ids=ids, points_px=corners, layout=marker_layout(board, own), likeness=correlation)
+        return _Detection(ids=ids, points_px=corners, layout=marker_layout(board, own), end_correlation=correlation)
     if board.kind == "charuco" and len(own.ids):
         return charuco_failure(grey, board, len(ids), own)
     return marker_failure(grey, board, markers, own)
@@ -149,7 +149,7 @@ def _marker_corners(grey: UInt8[Array, "row column"], own: Markers) -> tuple[*_C
     ids = (4 * own.ids[:, None] + np.arange(4)).ravel()
     found = [corners_from_sides(grey, corners) for corners in own.corners_px]
     points_px = np.reshape([one.points_px for one in found], (-1, 2)).astype(np.float64)
-    return ids, points_px, float(np.mean([one.likeness for one in found])) if found else 0.0
+    return ids, points_px, float(np.mean([one.end_correlation for one in found])) if found else 0.0
 
 
 def _own_markers(markers: Markers, board: Board) -> Markers:

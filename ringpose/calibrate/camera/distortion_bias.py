@@ -23,7 +23,7 @@ _SAMPLES = 33
 
 def without_distortion_bias(view: BoardView, camera: Camera) -> BoardView:
     """The view with marker corners or circle centres corrected for the bias; chessboard corners have none."""
-    if not view.circle_radius_m and not view.likeness:
+    if not view.circle_radius_m and not view.end_correlation:
         return view
     pose = board_pose(view, camera)
     points_m = view.points_board_m @ pose.rotation.T + pose.translation_m
@@ -62,7 +62,9 @@ def _corrected_corners(
     points_m: Float64[Array, "corner xyz=3"], view: BoardView, camera: Camera
 ) -> Float64[Array, "corner xy=2"]:
     """Corners without the displacement of the parabolas from the true sides at their ends."""
-    at_start, at_end = _parabola_errors(points_m.reshape(-1, 4, 3), camera, endpoint_for_correlation(view.likeness))
+    at_start, at_end = _parabola_errors(
+        points_m.reshape(-1, 4, 3), camera, endpoint_for_correlation(view.end_correlation)
+    )
     corners = view.points_px.reshape(-1, 4, 2)
     normals = side_normals(corners)
     sides = np.stack([normals, np.roll(normals, 1, axis=1)], axis=-2)

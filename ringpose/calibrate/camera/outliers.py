@@ -81,7 +81,7 @@ def outlying_corners(errors: Sequence[Float64[Array, "_ xy=2"]]) -> list[Bool[Ar
 
 def whole_markers(view: BoardView, left_out: Bool[Array, "corner"]) -> Bool[Array, "corner"]:
     """The mask extended to whole markers where corners are intersections of sides: an error of a side moves two."""
-    if view.likeness == 0:
+    if view.end_correlation == 0:
         return left_out
     return np.repeat(left_out.reshape(-1, 4).any(axis=1), 4)
 
@@ -182,7 +182,7 @@ def _trimmed_residuals(view: BoardView, camera: Camera) -> Float64[Array, "corne
     """Lengths of the corners' residuals at a pose fitted to 70 % of them (iteratively trimmed least squares)."""
     used = np.ones(len(view.ids), dtype=bool)
     for _ in range(_ITERATIONS):
-        pose = board_pose(corners_of(replace(view, likeness=0.0), used), camera)
+        pose = board_pose(corners_of(replace(view, end_correlation=0.0), used), camera)
         lengths: Float64[Array, "corner"] = np.linalg.norm(residuals(view, pose, camera), axis=1)
         last = _INLIER_TENTHS * len(lengths) // 10
         used = lengths <= np.partition(lengths, last)[last]

@@ -135,7 +135,10 @@ def joint_data(
 
 
 def joint_fit(data: JointData, start: JointState) -> JointFit:
-    """Iteratively re-weighted Gauss-Newton from a start near the solution; DataError if it does not converge."""
+    """Light planes, board poses and, if it is free, the camera, fitted jointly by re-weighted Gauss-Newton.
+
+    The start has to be near the solution. Raises DataError if the iteration does not converge.
+    """
     state = start
     for _ in range(_MAX_ITERATIONS):
         state, decrease = _gauss_newton_step(data, state)

@@ -141,5 +141,5 @@ def _distances_m(words: str) -> list[float]:
     except ValueError:
         distances_m = []
     if not distances_m or not all(0 < distance_m < 1000 for distance_m in distances_m):
-        raise UsageError("--distances", f"{words!r} are no distances", "give metres, as 0.2,0.5,1")
+        raise UsageError("--distances", f"{words!r} is not a list of distances", "give metres, as 0.2,0.5,1")
     return distances_m

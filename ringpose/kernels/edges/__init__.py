@@ -172,7 +172,7 @@ def fitted_arcs(
     reference: Float64[Array, "3 xyz=3"],
     params: FitParams,
 ) -> tuple[RingArcs, Float64[Array, "state=7 state=7"]]:
-    """The arcs after `params.rounds` Gauss-Newton iterations, and the covariance of their state; NaN if it is singular.
+    """The arcs after `params.rounds` Gauss-Newton iterations, and the covariance of their state.
 
     The state is tilt about two axes, offset along the normal, radial offset, in-plane rotation, curvature, half width.
     The priors of tilts and in-plane rotation refer to the axes of `reference`.

@@ -68,7 +68,7 @@ def _parsed(text: str, lasers: int) -> _Fault:
     words, equals, value = text.partition("=")
     name, colon, laser = words.partition(":")
     if name not in FAULTS:
-        raise UsageError("--fault", f'"{text}" is no fault', f"it is one of {', '.join(FAULTS)}")
+        raise UsageError("--fault", f'"{text}" is not a fault', f"give one of {', '.join(FAULTS)}")
     if bool(colon) != (name in _LASER_FAULTS) or bool(equals) != (name in _VALUE_FAULTS):
         raise UsageError("--fault", f'"{text}" is not how {name} is asked for', f"say {_example(name)}")
     if colon and not (laser.isdecimal() and 1 <= int(laser) <= lasers):

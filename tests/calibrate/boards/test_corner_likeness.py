@@ -24,13 +24,13 @@ def test_how_much_of_a_side_was_drawn_follows_from_how_alike_its_ends_err(left_o
     assert endpoint_for_correlation(endpoint_correlation(left_out)) == pytest.approx(1 / (1 - 2 * left_out))
 
 
-def view(corners_px: np.ndarray, likeness: float) -> BoardView:
+def view(corners_px: np.ndarray, end_correlation: float) -> BoardView:
     return BoardView(
         name="marker",
         ids=np.arange(4),
         points_board_m=np.zeros((4, 3)),
         points_px=corners_px,
-        likeness=likeness,
+        end_correlation=end_correlation,
     )
 
 

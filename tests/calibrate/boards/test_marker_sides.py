@@ -62,7 +62,7 @@ def test_sides_along_rows_are_drawn_where_they_are_however_lens_and_pixels_blur(
 def test_sides_share_their_errors_more_the_more_of_them_was_left_out(lit_square):
     found = corners_from_sides(lit_square((0.0, 0.0)), CORNERS_PX + 0.4)
 
-    assert 0.3 < found.likeness < 0.5
+    assert 0.3 < found.end_correlation < 0.5
 
 
 @pytest.mark.parametrize("cut", [30, 34])

@@ -54,7 +54,7 @@ def drawn_markers(bent_camera):
         ids=np.arange(12),
         points_board_m=points_m,
         points_px=np.array(found),
-        likeness=endpoint_correlation(LEFT_OUT),
+        end_correlation=endpoint_correlation(LEFT_OUT),
     )
     return view, bent_px(places.reshape(-1, 3), bent_camera)
 
@@ -102,6 +102,6 @@ def test_centres_of_bent_circles_come_to_where_they_are(tilt, bent_camera):
 
 
 def test_corners_of_a_chessboard_stay(drawn_markers, bent_camera):
-    view = replace(drawn_markers[0], likeness=0.0)
+    view = replace(drawn_markers[0], end_correlation=0.0)
 
     assert without_distortion_bias(view, bent_camera) is view

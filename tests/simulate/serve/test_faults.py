@@ -18,7 +18,7 @@ def test_faults_reach_their_parts():
 @pytest.mark.parametrize(
     ("text", "remedy"),
     [
-        ("los=1", "is no fault; it is one of loss"),
+        ("los=1", "is not a fault; give one of loss"),
         ("loss", "say loss=0.002"),
         ("loss=1", "say loss=0.002"),
         ("loss=nan", "say loss=0.002"),
