@@ -13,7 +13,8 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from ringpose.calibrate.camera.outliers import FLOOR_PX, VIEW_FACTOR
 from ringpose.calibrate.camera.parameters import parameters_of
 from ringpose.calibrate.camera.quality import projection_sigma_m
-from ringpose.report.page import Picture, Section, Table, canvas, drawn, page, png_of, verdict_section
+from ringpose.report.figures import canvas, drawn, png_of
+from ringpose.report.page import Picture, Section, Table, page, verdict_section
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.calibration import CameraAssessment, CameraCalibration, CameraView, ModelComparison
 from ringpose.types.camera import Camera

@@ -1,18 +1,15 @@
 """A self-contained HTML page of text, tables and pictures, without external resources.
 
-Pictures are drawn by matplotlib (extra `report`); the modules that draw are imported only for a report.
+Pictures are drawn by matplotlib (extra `report`) in `figures`, which is imported only for a report: this module must
+be importable without matplotlib.
 """
 
 import base64
-import io
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib.util import find_spec
 from string import Template
-
-from matplotlib.figure import Figure
 
 from ringpose.errors import UsageError
 from ringpose.types.verdict import Check, Verdict
@@ -138,26 +135,3 @@ def _row(finding: Check) -> list[str]:
 
 def _number(value: float) -> str:
     return f"{value:.4g}" if abs(value) < float("inf") else "none"
-
-
-DOTS_PER_INCH = 110
-
-
-def canvas(width_in: int | float, height_in: int | float) -> Figure:
-    """An empty figure of this size, without matplotlib's global state."""
-    return Figure(figsize=(width_in, height_in), dpi=DOTS_PER_INCH, layout="constrained")
-
-
-def png_of(figure: Figure) -> bytes:
-    """The figure as a PNG file."""
-    stream = io.BytesIO()
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph .* missing")  # letters missing in the font are drawn as boxes
-        figure.savefig(stream, format="png", metadata={"Software": None})
-    return stream.getvalue()
-
-
-def drawn(name: str) -> str:
-    """A name as a literal label: dollar signs and undecodable bytes are escaped, and a leading underscore is shown."""
-    shown = name.encode(errors="backslashreplace").decode().replace("$", r"\$")
-    return f" {shown}" if shown.startswith("_") else shown

@@ -6,7 +6,8 @@ from matplotlib.axes import Axes
 from ringpose.calibrate.planes.acceptance import GOOD_DEPTH_SHARE, GOOD_SHARE
 from ringpose.calibrate.planes.covariance import depth_uncertainty
 from ringpose.calibrate.planes.quality import PlanesAssessment, planes_summary
-from ringpose.report.page import Picture, Section, Table, canvas, drawn, page, png_of, verdict_section
+from ringpose.report.figures import canvas, drawn, png_of
+from ringpose.report.page import Picture, Section, Table, page, verdict_section
 from ringpose.types.calibration import LaserCalibration, PlanesCalibration
 
 _BIN_SHARE = 0.04

@@ -2,6 +2,8 @@
 
 import base64
 import re
+import subprocess
+import sys
 from html.parser import HTMLParser
 
 import cv2
@@ -9,17 +11,8 @@ import numpy as np
 import pytest
 
 from ringpose.errors import UsageError
-from ringpose.report.page import (
-    Picture,
-    Section,
-    Table,
-    canvas,
-    drawn,
-    page,
-    png_of,
-    require_matplotlib,
-    verdict_section,
-)
+from ringpose.report.figures import canvas, drawn, png_of
+from ringpose.report.page import Picture, Section, Table, page, require_matplotlib, verdict_section
 from ringpose.types.verdict import Check, Verdict
 
 
@@ -104,3 +97,9 @@ def test_names_of_any_letters_are_drawn_and_in_the_legend(name):
     png_of(figure)
 
     assert len(legend.get_texts()) == 1
+
+
+def test_a_page_is_imported_without_matplotlib():
+    code = "import sys; sys.modules['matplotlib'] = None; import ringpose.report.page, ringpose.cli.calibrate.outputs"
+
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
