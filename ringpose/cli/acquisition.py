@@ -8,8 +8,15 @@ from pathlib import Path
 from ringpose.capture.cameras.recorded import Recording
 from ringpose.capture.lasers.uncontrolled import UncontrolledLasers
 from ringpose.capture.latest_frame import paced
-from ringpose.capture.source import CaptureRequest as CaptureRequest
-from ringpose.capture.source import OnRead, Source, camera_source, capture_record, device_source, laser_driver
+from ringpose.capture.source import (
+    CaptureRequest,
+    OnRead,
+    Source,
+    camera_source,
+    capture_record,
+    device_source,
+    laser_driver,
+)
 from ringpose.capture.uri import CAMERAS, LASERS, scheme_and_rest, schemes
 from ringpose.cli.batch import Batch
 from ringpose.errors import NoInputError, UsageError

@@ -18,7 +18,7 @@ from ringpose.types.options import Method
 
 if TYPE_CHECKING:
     from ringpose.capture.latest_frame import LiveShot
-    from ringpose.cli.acquisition import CaptureRequest
+    from ringpose.capture.source import CaptureRequest
     from ringpose.cli.batch import Batch
     from ringpose.pose.drift import DriftMonitor
     from ringpose.types.detection import Detection
@@ -77,7 +77,7 @@ def pose(
     if camera is None:
         lines = nullcontext(_recorded_lines(inputs or [], rig_of_shots, channel, batch, measure))
     else:
-        from ringpose.cli.acquisition import CaptureRequest
+        from ringpose.capture.source import CaptureRequest
 
         request = CaptureRequest(
             camera=camera,

@@ -227,7 +227,7 @@ LINE_SIGMA_PX = 0.1
 END_SIGMA_PX = 0.4
 """Error of calibration and material that is added to the sigma of a break point."""
 
-MAX_END_SIGMA_PX = 1.5
+MAX_SIGMA_IN_ARC_FIT_PX = 1.5
 """Upper limit of a break point's sigma in this fit, so that two uncertain ones still predict the edge; the steps found
 there then confirm or contradict them."""
 
@@ -282,7 +282,7 @@ def stripe_evidence(break_points: BreakPoints, rig: Rig) -> StripeEvidence | Non
         return None
     line_sigma_px = np.hypot(break_points.face_sigma_px[lasers], LINE_SIGMA_PX)
     end_sigma_px = np.hypot(np.sqrt(break_points.covariance_px2[seen][:, 0, 0]), END_SIGMA_PX)
-    end_sigma_px = np.minimum(end_sigma_px, MAX_END_SIGMA_PX)
+    end_sigma_px = np.minimum(end_sigma_px, MAX_SIGMA_IN_ARC_FIT_PX)
     return StripeEvidence(
         plane=PlanePoints(
             point=plane_point.reshape(-1, 3),
