@@ -36,14 +36,14 @@ GROSS_SIGMAS = 6.0
 JUDGED = MappingProxyType({"center": 3, "normal": 2, "grasp": 2, "radius_inner": 1, "radius_outer": 1})
 """The quantities that are judged, with their degrees of freedom; the grasp point's are along the normal and radial."""
 
-_ALL = PoseFlag.INCONSISTENT | PoseFlag.RELABELLED
+_ALL = PoseFlag.INCONSISTENT | PoseFlag.ASSIGNMENT_AMBIGUOUS
 FLAGS_OF_QUANTITY: Mapping[str, PoseFlag] = MappingProxyType(
     {
-        "center": _ALL | PoseFlag.CENTER_WEAK | PoseFlag.SIDE_UNKNOWN | PoseFlag.RADIUS_DISAGREES,
+        "center": _ALL | PoseFlag.CENTER_WEAK | PoseFlag.SIDE_UNKNOWN | PoseFlag.RADIUS_INCONSISTENT,
         "normal": _ALL | PoseFlag.NORMAL_WEAK,
         "grasp": _ALL,
-        "radius_inner": _ALL | PoseFlag.RADIUS_WEAK | PoseFlag.RADIUS_DISAGREES,
-        "radius_outer": _ALL | PoseFlag.RADIUS_WEAK | PoseFlag.RADIUS_DISAGREES,
+        "radius_inner": _ALL | PoseFlag.RADIUS_WEAK | PoseFlag.RADIUS_INCONSISTENT,
+        "radius_outer": _ALL | PoseFlag.RADIUS_WEAK | PoseFlag.RADIUS_INCONSISTENT,
     }
 )
 """The flags of record /1 that apply to each quantity; record /2 calls `relabelled` `assignment_ambiguous`.

@@ -115,7 +115,7 @@ def closed_form_pose(
         radius_outer_m=radius_outer_m,
         grasp_m=form.grasp_m[0],
         method=method.value,
-        condition=float(form.condition[0]),
+        condition_number=float(form.condition[0]),
         residual_rms_px=residual_rms_px,
         covariance=None if covariance is None else covariance.parameters,
         covariance_center_m2=None if covariance is None else covariance.center_m2,
@@ -207,7 +207,7 @@ def pose_flags(form: ClosedForm, covariance: PoseCovariance | None) -> PoseFlag:
     smallest_m = float(np.nanmin(radii_m))
     flags = PoseFlag(0)
     if form.damped[0]:
-        flags |= PoseFlag.DAMPED | PoseFlag.CENTER_WEAK | PoseFlag.RADIUS_WEAK
+        flags |= PoseFlag.CENTER_WEAK | PoseFlag.RADIUS_WEAK
     if np.isnan(radii_m).any():
         flags |= PoseFlag.RADIUS_WEAK
     if abs(form.normal[0] @ form.center_m[0] - form.offset_m[0]) > OFF_PLANE * smallest_m:

@@ -221,7 +221,7 @@ def reported_pose(
         radius_outer_m=radius_outer_m,
         grasp_m=found.grasp_m if reported.grasp else unknown,
         method=Method.ML.value,
-        condition=_condition(estimate),
+        condition_number=_condition(estimate),
         residual_rms_px=np.nan,
         covariance=None if covariance is None else _masked(covariance[:7, :7], reported),
         covariance_center_m2=None if covariance is None or not reported.center else covariance[CENTER, CENTER],

@@ -59,13 +59,13 @@ class DriftMonitor:
         if self._method is not Method.ML:
             return line, None
         new_warning = None
-        if line.pose is not None and PoseFlag.RADIUS_DISAGREES not in line.pose.flags:
+        if line.pose is not None and PoseFlag.RADIUS_INCONSISTENT not in line.pose.flags:
             self._health = health_after(self._health, line.pose.plane_evidence)
             warning = drift_warning(self._health, self._names)
             new_warning = None if self._warned else warning
             self._warned = warning is not None  # a rig that has recovered may be warned of again
         figures = dict(zip(self._names, self._health.figure.tolist(), strict=True))
-        return replace(line, laser_health=figures), new_warning
+        return replace(line, rig_health=figures), new_warning
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

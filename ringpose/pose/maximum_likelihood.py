@@ -39,7 +39,7 @@ from ringpose.types.pose import NoPose, PoseFlag, RingPose
 from ringpose.types.rig import Rig
 from ringpose.types.ring import KnownRadii, Ring
 
-DOUBTS = PoseFlag.RELABELLED | PoseFlag.STRIPE_LEFT_OUT | PoseFlag.RADIUS_DISAGREES
+DOUBTS = PoseFlag.ASSIGNMENT_AMBIGUOUS | PoseFlag.STRIPE_REJECTED | PoseFlag.RADIUS_INCONSISTENT
 """Shots with one of these flags contribute no evidence about the rig."""
 
 SIDE_MARGIN = 9.0

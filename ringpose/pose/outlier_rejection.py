@@ -118,11 +118,11 @@ def outlier_hypotheses(measured: Measurements, rig: Rig, prior: Prior, labelled:
     if prior.radii is not None:
         remark = "the ring that was seen does not have the given radii; they were left out"
         penalty = OUTLIER_PENALTY + PARAMETER_PENALTY * float(np.isfinite(prior.radii.radius_m).sum())
-        yield OutlierHypothesis(measured, prior._replace(radii=None), PoseFlag.RADIUS_DISAGREES, remark, penalty)
+        yield OutlierHypothesis(measured, prior._replace(radii=None), PoseFlag.RADIUS_INCONSISTENT, remark, penalty)
 
 
 def _wrong_points(measured: Measurements, rig: Rig, prior: Prior) -> Iterator[OutlierHypothesis]:
-    points, flag = measured.points, PoseFlag.POINT_LEFT_OUT
+    points, flag = measured.points, PoseFlag.POINT_REJECTED
     for laser in sorted(set(points.laser.tolist())):
         of_laser, name = np.flatnonzero(points.laser == laser), rig.lasers.names[laser]
         for number in of_laser.tolist():
@@ -143,7 +143,7 @@ def _wrong_stripes(measured: Measurements, rig: Rig, prior: Prior) -> Iterator[O
         rest = measured.without_laser(laser)
         penalty = OUTLIER_PENALTY + PARAMETER_PENALTY * (_count(measured) - _count(rest))
         remark = f"the stripe of laser {rig.lasers.names[laser]} contradicts the others and was left out"
-        yield OutlierHypothesis(rest, prior, PoseFlag.STRIPE_LEFT_OUT, remark, penalty, laser)
+        yield OutlierHypothesis(rest, prior, PoseFlag.STRIPE_REJECTED, remark, penalty, laser)
 
 
 def _wrong_labels(measured: Measurements, rig: Rig, prior: Prior, labelled: bool) -> Iterator[OutlierHypothesis]:
@@ -154,7 +154,7 @@ def _wrong_labels(measured: Measurements, rig: Rig, prior: Prior, labelled: bool
             given, fitting = (", ".join(names[laser] for laser in lasers) for lasers in (seen, order))
             remark = f"the stripes fit one ring only as those of lasers {fitting}, not {given}"
             penalty = RELABEL_PENALTY if labelled else OUTLIER_PENALTY
-            yield OutlierHypothesis(changed, prior, PoseFlag.RELABELLED, remark, penalty)
+            yield OutlierHypothesis(changed, prior, PoseFlag.ASSIGNMENT_AMBIGUOUS, remark, penalty)
 
 
 def _lasers_seen(measured: Measurements) -> list[int]:
@@ -177,7 +177,7 @@ def _clearest(tried: list[Hypothesis]) -> Hypothesis | None:
     lasers = {each.laser for each in near}
     if len(near) > 1 and (len(lasers) > 1 or -1 in lasers):
         return None
-    if sum(each.flag == PoseFlag.POINT_LEFT_OUT for each in near) > 1:
+    if sum(each.flag == PoseFlag.POINT_REJECTED for each in near) > 1:
         return next((each for each in tried if each.both and each.laser in lasers), None)
     return near[0] if near else None
 
@@ -187,7 +187,7 @@ def _confirmed(best: Hypothesis | None, tried: list[Hypothesis]) -> Hypothesis |
 
     What occluded one end may have occluded both; the other one is used only if the rest confirms the curvature.
     """
-    if best is None or best.flag != PoseFlag.POINT_LEFT_OUT or best.both:
+    if best is None or best.flag != PoseFlag.POINT_REJECTED or best.both:
         return best
     without = next((each for each in tried if each.both and each.laser == best.laser), None)
     if without is None:

@@ -55,6 +55,7 @@ def pose_line(
         shot=source.shot,
         stamp_s=source.stamp_s,
         pose=result if isinstance(result, RingPose) else None,
+        flags=result.flags if isinstance(result, RingPose) else PoseFlag(0),
         reason=(result.remark or None) if isinstance(result, RingPose) else result.value,
         frame=frame,
         latency_s=perf_counter() - start_s,
@@ -64,7 +65,7 @@ def pose_line(
 
 def remarks_on(line: PoseLine) -> str:
     """The reason, the flags and the advice of a pose line in one sentence; its status if it has none of them."""
-    remarks = [line.reason or "", ", ".join(line.flags), "" if line.pose is None else advice(line.pose)]
+    remarks = [line.reason or "", ", ".join(line.flag_names), "" if line.pose is None else advice(line.pose)]
     return "; ".join(filter(None, remarks)) or line.status
 
 

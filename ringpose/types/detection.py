@@ -3,9 +3,11 @@
 A break point is the endpoint of a laser stripe on the ring's face, at its inner or outer edge.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum, IntFlag
+from typing import Literal
 
 import numpy as np
 
@@ -69,6 +71,8 @@ class BreakPoints:
     """Standard deviation across that line, at its start and at its end."""
     labelled: bool
     """True if the lasers were switched one by one; False if the stripes were assigned by the best fit of a ring."""
+    stamp_s: Float64[Array, "laser"] | None = None
+    """Mid exposure of the frame that shows each laser's stripe; NaN where it was not found, None if unknown."""
 
     @property
     def seen(self) -> Bool[Array, "laser edge=2"]:
@@ -88,6 +92,8 @@ class RingEdgePoints:
     """Standard deviation along that normal."""
     edge: Int64[Array, "point"]
     """0 for the inner edge, 1 for the outer (order of `EDGES`)."""
+    stamp_s: Float64[Array, "point"] | None = None
+    """Mid exposure of the frame in which each point was measured; None if unknown."""
 
 
 def outside_image(
@@ -111,6 +117,8 @@ class Stripes:
     """Index of the piece, from 0: centres linked along x without a gap or a jump."""
     laser: Int64[Array, "piece"]
     """Laser of each piece, or `UNLABELLED`."""
+    stamp_s: Float64[Array, "piece"] | None = None
+    """Mid exposure of each piece's frame; None if unknown."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -121,6 +129,19 @@ class Segments:
     end_px: Float64[Array, "segment xy=2"]
     support: Int64[Array, "segment"]
     """Number of edge pixels in the support region of the segment."""
+    stamp_s: Float64[Array, "segment"] | None = None
+    """Mid exposure of each segment's frame; None if unknown."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rejection:
+    """A measurement that was not used because it contradicts the others."""
+
+    what: Literal["point", "stripe", "edge", "assignment", "radius"]
+    laser: str | None = None
+    edge: Literal["inner", "outer"] | None = None
+    chi2: float = math.nan
+    """By how much its rejection reduces chi-squared."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -134,6 +155,10 @@ class Detection:
     segments: Segments | None = None
     ring_edges: RingEdgePoints | None = None
     """None where the edges were not searched for or not found."""
+    lasers_on: Bool[Array, "laser"] | None = None
+    """Which lasers of the rig were on in at least one frame; None if unknown."""
+    rejected: tuple[Rejection, ...] = ()
+    """Measurements that the detector did not use because they contradict the others."""
 
     @property
     def found(self) -> bool:

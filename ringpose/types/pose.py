@@ -6,12 +6,13 @@ Also the triangulated break points, and the evidence of one shot for errors of t
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import Enum, IntFlag
+from enum import Enum, IntFlag, StrEnum
 from typing import Literal
 
 import numpy as np
 
 from ringpose.types.arrays import Array, Bool, Float64
+from ringpose.types.detection import Rejection
 from ringpose.types.options import PoseFrame
 
 
@@ -28,26 +29,46 @@ class NoPose(Enum):
 
 
 class PoseFlag(IntFlag):
-    """Warnings about a pose."""
+    """Warnings of a pose line; the record has their names in lower case. They may accompany any status."""
 
-    CENTER_WEAK = 1
-    RADIUS_WEAK = 2
-    DAMPED = 4
-    """The closed form was near singular; damped least squares pulled the centre towards the points."""
-    NORMAL_WEAK = 8
+    CENTER_WEAK = 1 << 0
+    NORMAL_WEAK = 1 << 1
     """One stripe does not determine the tilt about it: grasp point without a normal."""
-    SIDE_UNKNOWN = 16
+    GRASP_WEAK = 1 << 2
+    RADIUS_WEAK = 1 << 3
+    VELOCITY_WEAK = 1 << 4
+    SIDE_UNKNOWN = 1 << 5
     """Inner and outer edge could not be distinguished: the centre may lie on either side."""
-    POINT_LEFT_OUT = 32
-    """A break point was rejected as an outlier."""
-    STRIPE_LEFT_OUT = 64
-    """A laser's stripe was rejected as an outlier."""
-    RELABELLED = 128
-    """The stripes fit one ring only if assigned to other lasers than given."""
-    RADIUS_DISAGREES = 256
+    ASSIGNMENT_AMBIGUOUS = 1 << 6
+    """The stripes fit one ring only, or about as well, if they are assigned to other lasers than given."""
+    POINT_REJECTED = 1 << 7
+    STRIPE_REJECTED = 1 << 8
+    EDGE_REJECTED = 1 << 9
+    """Visible points of the ring's edge were rejected as those of something else."""
+    LASER_MISSING = 1 << 10
+    """The stripe of a laser that was on should be in view, but was not found."""
+    RADIUS_INCONSISTENT = 1 << 11
     """The observed ring does not have the given radii; the prior was rejected."""
-    INCONSISTENT = 512
+    RADIUS_UNVERIFIED = 1 << 12
+    """The radius is assumed: the shot alone determines it to no better than one percent."""
+    RING_FORM = 1 << 13
+    INCONSISTENT = 1 << 14
     """The observations disagree with one ring by more than their errors; the covariance is inflated accordingly."""
+    MOTION = 1 << 15
+    AMBIENT_CHANGED = 1 << 16
+    RIG_DRIFT = 1 << 17
+    RIG_UNCHECKED = 1 << 18
+    """One or two stripes: the shot has no redundancy that could show an error of the rig."""
+    SATURATED = 1 << 19
+    """A break point could not be measured because the stripe is saturated there."""
+    TRUNCATED = 1 << 20
+    """A break point that should be in view could not be measured, as its stripe is cut off by the image's border."""
+    BLUNT_EDGE = 1 << 21
+    """The ring's edges are rounded or chamfered: the stripes fade over more columns than the optical blur explains."""
+
+
+HARMLESS_FLAGS = PoseFlag.RADIUS_UNVERIFIED | PoseFlag.RIG_UNCHECKED
+"""Flags that a pose with the status `ok` may have."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -80,7 +101,7 @@ class RingPose:
     In `paper` the mean of the break points. NaN if an edge was not observed, so that the middle is not known.
     """
     method: str
-    condition: float
+    condition_number: float
     """Condition number of the equations: in `ml` of all, columns scaled to unit length; else of the centre's, rows
     scaled."""
     residual_rms_px: float
@@ -113,6 +134,111 @@ class RingPose:
         return float(np.arctan2(-self.normal[0], -self.normal[2]))
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LinearizationPoint:
+    """The ring about which a measurement is linearised, in the camera frame."""
+
+    center_m: Float64[Array, "xyz=3"]
+    normal: Float64[Array, "xyz=3"]
+    radius_inner_m: float
+    radius_outer_m: float
+    velocity_m_s: Float64[Array, "xyz=3"]
+    rate_rad_s: Float64[Array, "xyz=3"]
+
+
+MEASURED_PARAMETERS = (
+    "tilt_1", "tilt_2", "offset_m", "center_1_m", "center_2_m", "radius_inner_m", "radius_outer_m",
+    "velocity_x_m_s", "velocity_y_m_s", "velocity_z_m_s", "rate_1_rad_s", "rate_2_rad_s",
+)  # fmt: skip
+"""The ring's parameters in a measurement: increments about the linearisation point, tilt basis of its normal.
+
+c = offset_m n + center_1_m e1 + center_2_m e2, where e1 and e2 tilt with n (method(7), section 8).
+"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RingMeasurement:
+    """The information of one shot alone, without any prior (ringpose-method(7), section 9); always camera frame."""
+
+    linearized_at: LinearizationPoint
+    nuisance_parameters: tuple[str, ...]
+    """Common errors that several shots share: parameters of the rig, in their own units."""
+    square_root: Float64[Array, "row column"]
+    """Upper-trapezoidal QR factor of the whitened rows [J, J_q, z - h]; columns: `MEASURED_PARAMETERS`,
+    `nuisance_parameters`, residual."""
+    degrees_of_freedom: int
+    chi2: float
+    camera_motion: Literal["none", "robot_poses"] = "none"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MotionPrior:
+    """Standard deviations per axis of the ring centre's velocity and of its angular velocity."""
+
+    speed_sd_m_s: float
+    rate_sd_rad_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RadiusPrior:
+    """Assumed edge radii; NaN for an edge without a prior."""
+
+    inner_m: float
+    outer_m: float
+    sd_m: float
+    source: str
+    """`given`, or the name of the catalogue's ring."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RigStability:
+    """Standard deviations of the rig's parameters since its calibration (ringpose-method(7), section 11)."""
+
+    plane_tilt_rad: float = 0.0
+    plane_distance_m: float = 0.0
+    focal_ratio: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Priors:
+    """What a pose assumes besides the shot itself."""
+
+    motion: MotionPrior | None = None
+    """None if the target is assumed to be still."""
+    radius: RadiusPrior | None = None
+    ring_tolerance_m: float = 0.0
+    rig_covariance: bool = False
+    """Whether the covariance of rig.yaml was used; without one the rig counts as exact."""
+    stability: RigStability = RigStability()
+    regularization: Float64[Array, "row column"] | None = None
+    """Rows [J, z - h] in units of their standard deviations, columns `MEASURED_PARAMETERS` and residual: weak priors
+    that hold the parameters which the shot leaves open; None if it leaves none open."""
+
+
+class LaserState(StrEnum):
+    """What a laser's stripe contributed to a pose."""
+
+    USED = "used"
+    PARTLY = "partly"
+    """One or both of its break points that should be in view were rejected or not found."""
+    REJECTED = "rejected"
+    NOT_SEEN = "not_seen"
+    """Its stripe should be in view but was not found."""
+    OUT_OF_VIEW = "out_of_view"
+    """By rig and ring, its stripe lies outside the image."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RingVelocity:
+    """Velocity of the ring's centre and its angular velocity across the normal, camera frame."""
+
+    center_m_s: Float64[Array, "xyz=3"]
+    rate_rad_s: Float64[Array, "xyz=3"]
+    """Perpendicular to the normal; the spin about the normal is not observable."""
+    covariance: Float64[Array, "5 5"]
+    """Of velocity x, y, z, rate_1, rate_2."""
+
+
 Status = Literal["ok", "degraded", "none"]
 
 
@@ -122,32 +248,43 @@ class PoseLine:
 
     shot: str
     stamp_s: float
+    """Mid exposure of the first frame with a laser on."""
     pose: RingPose | None
+    pose_stamp_s: float = math.nan
+    """The instant at which pose and velocity hold."""
+    flags: PoseFlag = PoseFlag(0)
     reason: str | None = None
     """Reason why there is no pose; with a pose, what contradicts it, or None."""
     frame: PoseFrame = PoseFrame.CAMERA
     """Frame in which the pose is expressed."""
-    laser_health: Mapping[str, float] = field(default_factory=dict)
-    """Normalised error of each laser; empty where it was not measured."""
-    dropped: int = 0
+    velocity: RingVelocity | None = None
+    """None if the target is assumed to be still."""
+    measurement: RingMeasurement | None = None
+    priors: Priors | None = None
+    lasers: Mapping[str, LaserState] = field(default_factory=dict)
+    rejected: tuple[Rejection, ...] = ()
+    rig_health: Mapping[str, float] = field(default_factory=dict)
+    """Normalised error of each laser's light plane; empty where it was not measured."""
+    shots_dropped: int = 0
     """Number of shots that were lost since the previous one."""
     latency_s: float = math.nan
     """Time from the shot in memory to its pose; NaN where it was not measured."""
+    stage_s: Mapping[str, float] = field(default_factory=dict)
+    """Time that each stage of the computation took."""
     rig: str = ""
     """SHA-256 of the rig file."""
 
     @property
     def status(self) -> Status:
-        """`ok`, `degraded` (a pose with flags) or `none`."""
+        """`none`, `degraded` (a pose with flags other than `HARMLESS_FLAGS`) or `ok`."""
         if self.pose is None:
             return "none"
-        return "degraded" if self.pose.flags else "ok"
+        return "degraded" if self.flags & ~HARMLESS_FLAGS else "ok"
 
     @property
-    def flags(self) -> tuple[str, ...]:
-        """Names of the pose's flags, in lower case."""
-        flags = PoseFlag(0) if self.pose is None else self.pose.flags
-        return tuple(str(flag.name).lower() for flag in PoseFlag if flag in flags)
+    def flag_names(self) -> tuple[str, ...]:
+        """Names of the flags, in lower case."""
+        return tuple(str(flag.name).lower() for flag in PoseFlag if flag in self.flags)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

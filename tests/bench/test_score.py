@@ -185,11 +185,11 @@ EXCUSES = [
     (PoseFlag.DAMPED, set()),
     (PoseFlag.NORMAL_WEAK, {"normal"}),
     (PoseFlag.RADIUS_WEAK, {"radius_inner", "radius_outer"}),
-    (PoseFlag.RADIUS_DISAGREES, {"center", "radius_inner", "radius_outer"}),
+    (PoseFlag.RADIUS_INCONSISTENT, {"center", "radius_inner", "radius_outer"}),
     (PoseFlag.INCONSISTENT, set(JUDGED)),
-    (PoseFlag.RELABELLED, set(JUDGED)),
-    (PoseFlag.POINT_LEFT_OUT, set()),
-    (PoseFlag.STRIPE_LEFT_OUT, set()),
+    (PoseFlag.ASSIGNMENT_AMBIGUOUS, set(JUDGED)),
+    (PoseFlag.POINT_REJECTED, set()),
+    (PoseFlag.STRIPE_REJECTED, set()),
 ]
 
 

@@ -59,7 +59,7 @@ def sigmas_off(pose, scene):
 def test_a_wrong_break_point_is_left_out(scene, points, laser, edge, shift_px):
     pose = estimate_pose(shifted(points, laser, edge, shift_px), scene.rig, known=KNOWN)
 
-    assert PoseFlag.POINT_LEFT_OUT in pose.flags
+    assert PoseFlag.POINT_REJECTED in pose.flags
     assert scene.rig.lasers.names[laser] in pose.remark
     assert sigmas_off(pose, scene) < 4.0
 
@@ -68,7 +68,7 @@ def test_a_wrong_break_point_is_left_out(scene, points, laser, edge, shift_px):
 def test_a_wrong_break_point_without_a_known_radius_does_no_harm(scene, points, laser, edge):
     pose = estimate_pose(shifted(points, laser, edge, 20.0), scene.rig)
 
-    assert pose.flags & (PoseFlag.POINT_LEFT_OUT | PoseFlag.INCONSISTENT)
+    assert pose.flags & (PoseFlag.POINT_REJECTED | PoseFlag.INCONSISTENT)
     assert PoseFlag.CENTER_WEAK in pose.flags or sigmas_off(pose, scene) < 5.0
 
 
@@ -78,7 +78,7 @@ def test_an_occluder_over_both_ends_of_one_stripe_is_owned_up_to(scene, points, 
 
     pose = estimate_pose(hidden, scene.rig, known=KNOWN)
 
-    assert pose.flags & (PoseFlag.POINT_LEFT_OUT | PoseFlag.STRIPE_LEFT_OUT | PoseFlag.INCONSISTENT)
+    assert pose.flags & (PoseFlag.POINT_REJECTED | PoseFlag.STRIPE_REJECTED | PoseFlag.INCONSISTENT)
     assert scene.rig.lasers.names[laser] in pose.remark or PoseFlag.INCONSISTENT in pose.flags
     assert sigmas_off(pose, scene) < 5.0
 
@@ -110,7 +110,7 @@ def test_the_other_end_of_a_stripe_is_used_where_the_radius_confirms_it(scene, p
 def test_a_wrong_stripe_is_left_out_or_owned_up_to(scene, points, laser):
     pose = estimate_pose(lifted(points, laser, 8.0), scene.rig, known=KNOWN)
 
-    assert pose.flags & (PoseFlag.STRIPE_LEFT_OUT | PoseFlag.INCONSISTENT)
+    assert pose.flags & (PoseFlag.STRIPE_REJECTED | PoseFlag.INCONSISTENT)
     assert sigmas_off(pose, scene) < 5.0
 
 
@@ -118,14 +118,14 @@ def test_a_wrong_stripe_is_left_out_or_owned_up_to(scene, points, laser):
 def test_exchanged_lasers_are_put_right(scene, points, pair):
     pose = estimate_pose(replace(exchanged(points, *pair), labelled=False), scene.rig, known=KNOWN)
 
-    assert PoseFlag.RELABELLED in pose.flags
+    assert PoseFlag.ASSIGNMENT_AMBIGUOUS in pose.flags
     assert sigmas_off(pose, scene) < 4.0
 
 
 def test_a_radius_that_is_wrong_is_left_out(scene, points):
     pose = estimate_pose(points, scene.rig, known=OTHER)
 
-    assert PoseFlag.RADIUS_DISAGREES in pose.flags
+    assert PoseFlag.RADIUS_INCONSISTENT in pose.flags
     assert sigmas_off(pose, scene) < 4.0
 
 
@@ -140,7 +140,7 @@ def test_radii_of_another_ring_are_owned_up_to(scene_of, face_points, rng, dista
 
     poses = [estimate_pose(face_points(scene, 0.3, 0.01, rng), scene.rig, known=known) for _ in range(10)]
 
-    owned = [pose for pose in poses if pose.flags & (PoseFlag.RADIUS_DISAGREES | PoseFlag.INCONSISTENT)]
+    owned = [pose for pose in poses if pose.flags & (PoseFlag.RADIUS_INCONSISTENT | PoseFlag.INCONSISTENT)]
     assert len(owned) >= 8
     assert all(pose.remark for pose in owned)
     assert max(sigmas_off(pose, scene) for pose in owned) < 5.0
@@ -167,7 +167,7 @@ def test_a_good_shot_is_rarely_doubted(scene, face_points, rng):
 def test_a_break_point_far_away_never_passes_for_a_ring(scene, points, laser, edge, shift_px):
     pose = estimate_pose(shifted(points, laser, edge, shift_px), scene.rig)
 
-    assert PoseFlag.POINT_LEFT_OUT in pose.flags
+    assert PoseFlag.POINT_REJECTED in pose.flags
     assert pose.normal @ scene.ring.normal > np.cos(0.005)
 
 
@@ -179,7 +179,7 @@ def test_a_line_that_leaves_its_stripe_is_left_out_or_owned_up_to(scene, points,
 
     pose = estimate_pose(replace(points, face_end_px=end), scene.rig)
 
-    assert pose.flags & (PoseFlag.STRIPE_LEFT_OUT | PoseFlag.INCONSISTENT)
+    assert pose.flags & (PoseFlag.STRIPE_REJECTED | PoseFlag.INCONSISTENT)
     assert scene.rig.lasers.names[laser] in pose.remark or PoseFlag.INCONSISTENT in pose.flags
 
 
@@ -190,7 +190,7 @@ def test_exchanged_lasers_never_make_a_sure_ring_somewhere_else(scene_of, face_p
 
     pose = estimate_pose(replace(points, labelled=labelled), scene.rig)
 
-    assert PoseFlag.RELABELLED in pose.flags
+    assert PoseFlag.ASSIGNMENT_AMBIGUOUS in pose.flags
     assert sigmas_off(pose, scene) < 5.0
 
 
