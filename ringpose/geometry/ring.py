@@ -1,0 +1,343 @@
+"""The ring: two concentric circular edges in a plane, and what a camera sees of it, with derivatives.
+
+The one model of the ring, for prediction and for estimation (ringpose-method(7), sections 5 and 8). A ring is described
+about a point on the middle of its face near which it is seen, by seven increments (`STEP`): tilts and offset of its
+plane, position and direction of the face, curvature and half width. Unlike centre and radii these stay regular where
+the visible arc is nearly straight, and a few stripes determine most of them. `public_wrt_step` converts to the
+parameters of the records.
+
+A signed distance is positive outside the edge. `x_wrt_y` is the derivative of x with respect to y.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ringpose.geometry.rotations import tilt_basis
+from ringpose.types.arrays import Array, Float64
+
+STEP = ("tilt_inward", "tilt_along", "lift_m", "shift_m", "turn_rad", "curvature", "half_band_m")
+"""Increments of `RingArcs`.
+
+The normal becomes n + tilt_inward inward + tilt_along along. The origin moves by lift_m along the normal and by shift_m
+inward, and the axes turn by turn_rad about the normal. A motion of the origin along the face would not change the ring.
+"""
+
+TILT_INWARD, TILT_ALONG, LIFT, SHIFT, TURN, CURVATURE, HALF_BAND = range(7)
+"""Their indices."""
+
+EDGE_SIGN = (-1.0, 1.0)
+"""Side of the middle of the face on which the inner and the outer edge lie, outward positive."""
+
+MIN_CURVATURE = 1e-4
+"""Bound in 1/m below which centre and radii are those of a ring with a radius of ten kilometres."""
+
+MIN_RATE = 1e-12
+"""Smallest rate at which a distance changes along a line or a ray; a smaller one counts as grazing."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RingArcs:
+    """The edges of a ring's face as two arcs about one centre, in the camera frame."""
+
+    origin: Float64[Array, "xyz=3"]
+    """On the middle of the face, in metres."""
+    axes: Float64[Array, "3 xyz=3"]
+    """Unit vectors: inward (towards the centre), along the face, and the normal towards the camera."""
+    curvature: float
+    """Inverse of the mean radius in 1/m; negative if the centre is on the other side."""
+    half_band_m: float
+    """Half of the outer minus the inner radius."""
+
+    @property
+    def normal(self) -> Float64[Array, "xyz=3"]:
+        """Unit normal of the ring's plane, towards the camera."""
+        return self.axes[2]
+
+    @property
+    def mean_radius_m(self) -> float:
+        """Radius of the middle of the face; bounded by 1 / `MIN_CURVATURE`."""
+        return 1.0 / (self.curvature if abs(self.curvature) > MIN_CURVATURE else MIN_CURVATURE)
+
+    @property
+    def center(self) -> Float64[Array, "xyz=3"]:
+        """Centre in metres."""
+        return self.origin + self.mean_radius_m * self.axes[0]
+
+    @property
+    def radius_m(self) -> Float64[Array, "edge=2"]:
+        """Radii of the inner and the outer edge."""
+        return self.mean_radius_m + self.half_band_m * np.array(EDGE_SIGN)
+
+    def moved(self, step: Float64[Array, "step=7"]) -> "RingArcs":
+        """The arcs after a step (`STEP`); Cayley's transform keeps the axes orthonormal."""
+        tilt_inward, tilt_along, lift_m, shift_m, turn_rad, curvature, half_band_m = step.tolist()
+        skew = np.array([[0.0, turn_rad, -tilt_inward], [-turn_rad, 0.0, -tilt_along], [tilt_inward, tilt_along, 0.0]])
+        rotation: Float64[Array, "3 3"] = np.linalg.solve(np.eye(3) - skew / 2, np.eye(3) + skew / 2)
+        return RingArcs(
+            origin=self.origin + lift_m * self.axes[2] + shift_m * self.axes[0],
+            axes=rotation @ self.axes,
+            curvature=self.curvature + curvature,
+            half_band_m=self.half_band_m + half_band_m,
+        )
+
+    def with_center_opposite(self) -> "RingArcs":
+        """The same arcs described with the centre on the other side: inner and outer edge are exchanged."""
+        return RingArcs(
+            origin=self.origin,
+            axes=np.array([-self.axes[0], -self.axes[1], self.axes[2]]),
+            curvature=-self.curvature,
+            half_band_m=self.half_band_m,
+        )
+
+    def after(
+        self, time_s: float, velocity_m_s: Float64[Array, "xyz=3"], rate_rad_s: Float64[Array, "xyz=3"]
+    ) -> "RingArcs":
+        """The ring after a rigid motion at constant rates: c + v t, and rotated by exp([w] t) about its centre.
+
+        Eq. (8.1) of ringpose-method(7); a rotation about the normal leaves the ring as it is.
+        """
+        if time_s == 0.0 or not (velocity_m_s.any() or rate_rad_s.any()):
+            return self
+        rotation = rotation_by(rate_rad_s * time_s)
+        return RingArcs(
+            origin=self.center + velocity_m_s * time_s - self.mean_radius_m * (rotation @ self.axes[0]),
+            axes=self.axes @ rotation.T,
+            curvature=self.curvature,
+            half_band_m=self.half_band_m,
+        )
+
+
+def rotation_by(vector_rad: Float64[Array, "3"]) -> Float64[Array, "3 3"]:
+    """Rotation matrix of a rotation vector (Rodrigues)."""
+    angle = float(np.sqrt(vector_rad @ vector_rad))
+    x, y, z = vector_rad.tolist()
+    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    # sin(a)/a and (1 - cos(a))/a^2, regular at 0
+    rotation: Float64[Array, "3 3"] = (
+        np.eye(3) + np.sinc(angle / np.pi) * skew + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (skew @ skew)
+    )
+    return rotation
+
+
+def ring_arcs(
+    center_m: Float64[Array, "xyz=3"],
+    normal: Float64[Array, "xyz=3"],
+    radius_m: Float64[Array, "edge=2"],
+    near_m: Float64[Array, "xyz=3"],
+) -> RingArcs:
+    """The arcs of a ring of known pose, described about the point of its face's middle that is nearest to `near_m`."""
+    outward = near_m - center_m
+    outward = outward - (outward @ normal) * normal
+    length = float(np.sqrt(outward @ outward))
+    outward = tilt_basis(normal)[0] if length == 0.0 else outward / length
+    mean_m = float(radius_m.mean())
+    return RingArcs(
+        origin=center_m + mean_m * outward,
+        axes=np.array([-outward, np.cross(normal, -outward), normal]),
+        curvature=1.0 / mean_m,
+        half_band_m=0.5 * float(radius_m[1] - radius_m[0]),
+    )
+
+
+# Stripes and break points
+
+
+class StripePrediction(NamedTuple):
+    """The lines of laser stripes on the ring's plane, at given abscissae of the normalised image."""
+
+    rays: Float64[Array, "n xyz=3"]
+    """(x, y, 1) on the predicted lines."""
+    slope: Float64[Array, "n"]
+    """dy/dx of the lines."""
+    y_wrt_step: Float64[Array, "n step=7"]
+    y_wrt_light_normal: Float64[Array, "n xyz=3"]
+    y_wrt_light_distance: Float64[Array, "n"]
+
+
+def predicted_stripes(
+    arcs: RingArcs,
+    x: Float64[Array, "n"],
+    light_normal: Float64[Array, "n xyz=3"],
+    light_distance_m: Float64[Array, "n"],
+) -> StripePrediction:
+    """Ordinates of the stripes of light planes m . P = d: rays r with (m - d q) . r = 0, Eq. (5.1).
+
+    q . P = 1 is the ring's plane, so that ring and light plane are met at the same depth.
+    """
+    inward, along, normal = arcs.axes
+    distance_m = float(normal @ arcs.origin)
+    plane = normal / distance_m
+    image_line = light_normal - light_distance_m[:, None] * plane
+    denominator = image_line[:, 1]
+    rays = np.ones((len(x), 3))
+    rays[:, 0] = x
+    rays[:, 1] = (image_line[:, 0] * x + image_line[:, 2]) / -denominator
+    y_wrt_plane = (light_distance_m / denominator)[:, None] * rays
+
+    plane_wrt_step = np.zeros((3, len(STEP)))  # q = n / (n . origin)
+    plane_wrt_step[:, TILT_INWARD] = (inward - float(inward @ arcs.origin) * plane) / distance_m
+    plane_wrt_step[:, TILT_ALONG] = (along - float(along @ arcs.origin) * plane) / distance_m
+    plane_wrt_step[:, LIFT] = -plane / distance_m
+    return StripePrediction(
+        rays=rays,
+        slope=image_line[:, 0] / -denominator,
+        y_wrt_step=y_wrt_plane @ plane_wrt_step,
+        y_wrt_light_normal=rays / -denominator[:, None],
+        y_wrt_light_distance=(rays @ plane) / denominator,
+    )
+
+
+def predicted_break_points(
+    arcs: RingArcs, light_normal: Float64[Array, "laser xyz=3"], light_distance_m: Float64[Array, "laser"]
+) -> Float64[Array, "laser edge=2 xyz=3"]:
+    """Where the light planes cross the inner and the outer edge, in space; NaN where a plane misses an edge.
+
+    Of the two crossings with each circle, that on the side of the arcs' origin.
+    """
+    inward, along, normal = arcs.axes
+    direction = np.cross(light_normal, normal)
+    length = np.sqrt((direction * direction).sum(axis=1))
+    direction = direction / np.where(length > MIN_RATE, length, np.nan)[:, None]
+    # the point of each line (ring plane and light plane) that is nearest to the origin
+    across = np.cross(normal, direction)
+    foot_m = ((light_distance_m - light_normal @ arcs.origin) / (light_normal * across).sum(axis=1))[:, None] * across
+
+    # distance e from the middle of the face: k (x^2 + y^2) - 2 x = 2 e + k e^2 along foot + t direction, Eq. (5.3)
+    k = arcs.curvature
+    distance_m = arcs.half_band_m * np.array(EDGE_SIGN)
+    foot_x, direction_x = (foot_m @ inward)[:, None], (direction @ inward)[:, None]
+    linear = 2.0 * k * (foot_m * direction).sum(axis=1)[:, None] - 2.0 * direction_x
+    constant = k * (foot_m * foot_m).sum(axis=1)[:, None] - 2.0 * foot_x - (2.0 + k * distance_m) * distance_m
+    discriminant = linear * linear - 4.0 * k * constant
+    root = np.sqrt(np.where(discriminant >= 0.0, discriminant, np.nan))
+    t = -2.0 * constant / (linear + np.copysign(root, linear))  # the smaller root, regular at curvature 0
+    return arcs.origin + foot_m[:, None] + t[:, :, None] * direction[:, None]
+
+
+# Edges
+
+
+class EdgeDistances(NamedTuple):
+    """Signed distances in metres, in the ring's plane, of rays from the edges; positive outside the edge."""
+
+    distance_m: Float64[Array, "n"]
+    wrt_step: Float64[Array, "n step=7"]
+    """For fixed rays."""
+    wrt_ray: Float64[Array, "n xy=2"]
+    """With respect to x and y of the rays (x, y, 1)."""
+
+
+def edge_distances(arcs: RingArcs, rays: Float64[Array, "n xyz=3"], edge_sign: Float64[Array, "n"]) -> EdgeDistances:
+    """Distances |P - c| - R of the rays' points on the ring's plane from the inner (`edge_sign` -1) or outer (+1) edge.
+
+    Eq. (5.2), with x inward and y along the face from the origin, in the form that is regular at curvature 0:
+    |P - c| - 1/k = (k (x^2 + y^2) - 2 x) / (1 + h), h = k |P - c| = hypot(1 - k x, k y).
+    """
+    inward, along, normal = arcs.axes
+    ray_inward, ray_along, ray_normal = arcs.axes @ rays.T
+    depth = float(arcs.origin @ normal) / ray_normal
+    x = depth * ray_inward - float(arcs.origin @ inward)
+    y = depth * ray_along - float(arcs.origin @ along)
+    k = arcs.curvature
+    square = x * x + y * y
+    h_x, h_y = 1.0 - k * x, k * y
+    h = np.sqrt(h_x * h_x + h_y * h_y)
+    outside_m = (k * square - 2.0 * x) / (1.0 + h)
+    # derivatives of the distance by x and y: the outward direction
+    by_x, by_y = -h_x / h, h_y / h
+    by_lift = (by_x * ray_inward + by_y * ray_along) / ray_normal
+
+    jacobian = np.empty((len(rays), len(STEP)))
+    jacobian[:, TILT_INWARD] = -x * by_lift
+    jacobian[:, TILT_ALONG] = -y * by_lift
+    jacobian[:, LIFT] = by_lift
+    jacobian[:, SHIFT] = -by_x
+    jacobian[:, TURN] = by_x * y - by_y * x
+    jacobian[:, CURVATURE] = (square - outside_m * outside_m) / (2.0 * h)
+    jacobian[:, HALF_BAND] = -edge_sign
+    # P = depth r: dP/dr = depth (1 - r n^T / (n . r))
+    outward = by_x[:, None] * inward[:2] + by_y[:, None] * along[:2]
+    wrt_ray = depth[:, None] * (outward - by_lift[:, None] * normal[:2])
+    return EdgeDistances(outside_m - edge_sign * arcs.half_band_m, jacobian, wrt_ray)
+
+
+def edge_points(
+    arcs: RingArcs, along_m: Float64[Array, "n"], edge_sign: Float64[Array, "n"]
+) -> tuple[Float64[Array, "n xyz=3"], Float64[Array, "n xyz=3"]]:
+    """Points on the edges, and the unit vectors there that point away from the centre.
+
+    `along_m` is the distance from the origin along the middle of the face.
+    """
+    angle = arcs.curvature * along_m
+    outward = np.stack([-np.cos(angle), np.sin(angle)], axis=-1)
+    middle = np.stack(
+        [angle * along_m / 2 * np.sinc(angle / (2 * np.pi)) ** 2, along_m * np.sinc(angle / np.pi)], axis=-1
+    )
+    flat = middle + (edge_sign * arcs.half_band_m)[:, None] * outward
+    return arcs.origin + flat @ arcs.axes[:2], outward @ arcs.axes[:2]
+
+
+# Parameters of the records
+
+
+def public_wrt_step(arcs: RingArcs) -> Float64[Array, "parameter=7 step=7"]:
+    """Derivatives of tilt_1, tilt_2, offset_m, center_1_m, center_2_m, radius_inner_m, radius_outer_m.
+
+    They are increments: dn = tilt_1 e1 + tilt_2 e2 with the tilt basis of the normal, and centre
+    c = offset n + center_1 e1 + center_2 e2, where e1 and e2 tilt with the normal, Eq. (8.3).
+    """
+    inward, along, normal = arcs.axes
+    radius_m, center = arcs.mean_radius_m, arcs.center
+    normal_wrt_step = np.zeros((3, len(STEP)))
+    normal_wrt_step[:, TILT_INWARD], normal_wrt_step[:, TILT_ALONG] = inward, along
+    jacobian = np.empty((7, len(STEP)))
+    jacobian[:5] = _plane_and_center(normal, center, normal_wrt_step, center_wrt_step(arcs))
+    jacobian[5:] = 0.0
+    jacobian[5:, CURVATURE] = -(radius_m**2)
+    jacobian[5:, HALF_BAND] = EDGE_SIGN
+    return jacobian
+
+
+def center_wrt_step(arcs: RingArcs) -> Float64[Array, "xyz=3 step=7"]:
+    """Derivatives of the centre, origin + inward / curvature."""
+    inward, along, normal = arcs.axes
+    radius_m = arcs.mean_radius_m
+    jacobian = np.zeros((3, len(STEP)))
+    jacobian[:, TILT_INWARD] = -radius_m * normal
+    jacobian[:, LIFT] = normal
+    jacobian[:, SHIFT] = inward
+    jacobian[:, TURN] = radius_m * along
+    jacobian[:, CURVATURE] = -(radius_m**2) * inward
+    return jacobian
+
+
+def public_wrt_rates(
+    normal: Float64[Array, "xyz=3"], center_m: Float64[Array, "xyz=3"]
+) -> Float64[Array, "parameter=7 rate=5"]:
+    """Change of the seven parameters per second, by velocity (x, y, z) and the two rates about e1 and e2, Eq. (8.2).
+
+    dc/dv = 1, dn/dw_1 = -e2, dn/dw_2 = e1; the ring turns about its own centre.
+    """
+    e1, e2 = tilt_basis(normal)
+    normal_wrt_rates, center_wrt_rates = np.zeros((3, 5)), np.zeros((3, 5))
+    normal_wrt_rates[:, 3], normal_wrt_rates[:, 4] = -e2, e1
+    center_wrt_rates[:, :3] = np.eye(3)
+    jacobian = np.zeros((7, 5))
+    jacobian[:5] = _plane_and_center(normal, center_m, normal_wrt_rates, center_wrt_rates)
+    return jacobian
+
+
+def _plane_and_center(
+    normal: Float64[Array, "xyz=3"],
+    center_m: Float64[Array, "xyz=3"],
+    normal_wrt: Float64[Array, "xyz=3 n"],
+    center_wrt: Float64[Array, "xyz=3 n"],
+) -> Float64[Array, "parameter=5 n"]:
+    """Derivatives of tilts, offset and in-plane centre from those of normal and centre, Eq. (8.3)."""
+    basis = tilt_basis(normal)
+    tilts = basis @ normal_wrt
+    offset = normal @ center_wrt + center_m @ normal_wrt
+    in_plane = basis @ center_wrt - float(normal @ center_m) * tilts
+    return np.concatenate([tilts, offset[None], in_plane])
