@@ -53,7 +53,8 @@ class RingArcs:
     @property
     def normal(self) -> Float64[Array, "xyz=3"]:
         """Unit normal of the ring's plane, towards the camera."""
-        return self.axes[2]
+        normal: Float64[Array, "xyz=3"] = self.axes[2]
+        return normal
 
     @property
     def mean_radius_m(self) -> float:
@@ -196,7 +197,7 @@ def predicted_break_points(
 
     Of the two crossings with each circle, that on the side of the arcs' origin.
     """
-    inward, along, normal = arcs.axes
+    inward, _, normal = arcs.axes
     direction = np.cross(light_normal, normal)
     length = np.sqrt((direction * direction).sum(axis=1))
     direction = direction / np.where(length > MIN_RATE, length, np.nan)[:, None]
@@ -213,7 +214,8 @@ def predicted_break_points(
     discriminant = linear * linear - 4.0 * k * constant
     root = np.sqrt(np.where(discriminant >= 0.0, discriminant, np.nan))
     t = -2.0 * constant / (linear + np.copysign(root, linear))  # the smaller root, regular at curvature 0
-    return arcs.origin + foot_m[:, None] + t[:, :, None] * direction[:, None]
+    crossings: Float64[Array, "laser edge=2 xyz=3"] = arcs.origin + foot_m[:, None] + t[:, :, None] * direction[:, None]
+    return crossings
 
 
 # Edges

@@ -10,18 +10,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.geometry.circles import arc_crossings, arc_equations, nearest_crossing
-from ringpose.geometry.least_squares import damped_solution, inverse_condition
-from ringpose.geometry.planes import nearest_plane
-from ringpose.geometry.rays import GRAZING, project
-from ringpose.geometry.rotations import tilt_basis
-from ringpose.pose.covariance import (
+from ringpose.estimate.covariance import (
     EDGE_ON_BELOW,
     TILT_SD_LIMIT_RAD,
     WEAK_SD,
     exceeds_sd,
     standard_deviation,
 )
+from ringpose.geometry.circles import arc_crossings, arc_equations, nearest_crossing
+from ringpose.geometry.least_squares import damped_solution, inverse_condition
+from ringpose.geometry.planes import nearest_plane
+from ringpose.geometry.rays import GRAZING, project
+from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.triangulation import point_covariance, triangulated
 from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
 from ringpose.types.detection import BreakPoints

@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ringpose.pose.measurements import Measurements
-from ringpose.pose.nuisance import light_plane_bases
-from ringpose.pose.residuals import PARAMETERS
-from ringpose.pose.solver import Estimate
+from ringpose.estimate.measurements import Measurements
+from ringpose.estimate.nuisance import light_plane_bases
+from ringpose.estimate.residuals import PARAMETERS
+from ringpose.estimate.solver import Estimate
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.options import Method
 from ringpose.types.pose import PlaneEvidence, PoseFlag, PoseLine

@@ -6,9 +6,7 @@ from math import sqrt
 
 import numpy as np
 
-from ringpose.geometry.rays import GRAZING
-from ringpose.pose.catalogue import likely_ring, ring_posterior
-from ringpose.pose.covariance import (
+from ringpose.estimate.covariance import (
     CURVATURE_OUT,
     EDGE_ON_BELOW,
     Quantities,
@@ -21,18 +19,20 @@ from ringpose.pose.covariance import (
     second_order_bias_m,
     with_second_order,
 )
-from ringpose.pose.drift import plane_evidence
-from ringpose.pose.measurements import Measurements, measurements_of
-from ringpose.pose.nuisance import rig_errors
-from ringpose.pose.outlier_rejection import (
+from ringpose.estimate.hypotheses import (
     Hypothesis,
     chi2,
     degrees_of_freedom,
     reject_outliers,
     with_edges_exchanged,
 )
-from ringpose.pose.residuals import CURVATURE, Prior
-from ringpose.pose.solver import Estimate
+from ringpose.estimate.measurements import Measurements, measurements_of
+from ringpose.estimate.nuisance import rig_errors
+from ringpose.estimate.residuals import CURVATURE, Prior
+from ringpose.estimate.solver import Estimate
+from ringpose.geometry.rays import GRAZING
+from ringpose.pose.catalogue import likely_ring, ring_posterior
+from ringpose.pose.drift import plane_evidence
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints
 from ringpose.types.pose import NoPose, PoseFlag, RingPose

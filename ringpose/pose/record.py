@@ -12,7 +12,7 @@ from time import perf_counter
 
 import numpy as np
 
-from ringpose.pose.covariance import standard_deviation
+from ringpose.estimate.covariance import standard_deviation
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.detection import BreakPoints, Detection, NoBreakPoints

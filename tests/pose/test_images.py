@@ -5,7 +5,7 @@ import pytest
 from drawn_scene import RADII_M, DrawnScene, draw_shot, drawn_rig
 
 from ringpose.detect.pipeline import detect
-from ringpose.pose.measurements import integrated_autocorrelation_time
+from ringpose.estimate.measurements import integrated_autocorrelation_time
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.types.ring import KnownRadii
 

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from ringpose.estimate.measurements import pixels_wrt_ray_and_camera
 from ringpose.geometry.rotations import rotation_vector, tilt_basis
-from ringpose.pose.measurements import pixels_wrt_ray_and_camera
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose
 from ringpose.types.camera import Camera

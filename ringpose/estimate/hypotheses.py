@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.pose.measurements import ERRORS, Measurements, inflate_sigma
-from ringpose.pose.nuisance import RigErrors
-from ringpose.pose.residuals import CURVATURE, PARAMETERS, Prior
-from ringpose.pose.solver import Estimate, estimate_ring
+from ringpose.estimate.measurements import ERRORS, Measurements, inflate_sigma
+from ringpose.estimate.nuisance import RigErrors
+from ringpose.estimate.residuals import CURVATURE, PARAMETERS, Prior
+from ringpose.estimate.solver import Estimate, estimate_ring
 from ringpose.types.arrays import EDGES, Array, Float64
 from ringpose.types.pose import PoseFlag
 from ringpose.types.rig import Rig

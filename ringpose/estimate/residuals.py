@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.pose.measurements import Edges, Measurements, Observations, Points
+from ringpose.estimate.measurements import Edges, Measurements, Observations, Points
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.ring import KnownRadii
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringpose.pose.measurements import CORRELATION_LENGTH_PX, common_errors_px, karhunen_loeve_terms
+from ringpose.estimate.measurements import CORRELATION_LENGTH_PX, common_errors_px, karhunen_loeve_terms
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.types.pose import PoseFlag
 

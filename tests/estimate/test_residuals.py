@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ringpose.pose.measurements import measurements_of
-from ringpose.pose.residuals import Prior, RingState, ring_residuals
+from ringpose.estimate.measurements import measurements_of
+from ringpose.estimate.residuals import Prior, RingState, ring_residuals
 from ringpose.types.ring import KnownRadii
 
 STEP = 1e-6

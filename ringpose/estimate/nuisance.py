@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.errors import DataError
+from ringpose.estimate.measurements import Measurements, Observations, pixels_wrt_ray_and_camera
+from ringpose.estimate.residuals import Residuals, RingState, StripePrediction
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.pose.measurements import Measurements, Observations, pixels_wrt_ray_and_camera
-from ringpose.pose.residuals import Residuals, RingState, StripePrediction
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.covariance import CAMERA_PARAMETERS, PLANE_PARAMETERS
 from ringpose.types.rig import Rig

@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ringpose.estimate.hypotheses import Hypothesis
+from ringpose.estimate.measurements import Measurements
+from ringpose.estimate.residuals import BAND, CURVATURE, PARAMETERS, PLANE, SHIFT, TURN, cross
+from ringpose.estimate.solver import Estimate
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.pose.measurements import Measurements
-from ringpose.pose.outlier_rejection import Hypothesis
-from ringpose.pose.residuals import BAND, CURVATURE, PARAMETERS, PLANE, SHIFT, TURN, cross
-from ringpose.pose.solver import Estimate
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.options import Method
 from ringpose.types.pose import PoseFlag, RingPose

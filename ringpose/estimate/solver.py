@@ -10,10 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.geometry.robust import huber_weights
-from ringpose.pose.measurements import Measurements, Observations
-from ringpose.pose.nuisance import NuisanceJacobian, RigErrors, nuisance_jacobian
-from ringpose.pose.residuals import (
+from ringpose.estimate.measurements import Measurements, Observations
+from ringpose.estimate.nuisance import NuisanceJacobian, RigErrors, nuisance_jacobian
+from ringpose.estimate.residuals import (
     CURVATURE,
     EXPECTED_BAND_M,
     EXPECTED_CURVATURE,
@@ -26,6 +25,7 @@ from ringpose.pose.residuals import (
     predict_stripes,
     ring_residuals,
 )
+from ringpose.geometry.robust import huber_weights
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.rig import Rig
 

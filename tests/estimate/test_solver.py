@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringpose.pose.measurements import measurements_of
-from ringpose.pose.nuisance import rig_errors
+from ringpose.estimate.measurements import measurements_of
+from ringpose.estimate.nuisance import rig_errors
+from ringpose.estimate.residuals import Prior, ring_residuals
+from ringpose.estimate.solver import HUBER_SIGMAS, estimate_ring, initial_guess
 from ringpose.pose.pipeline import estimate_pose
-from ringpose.pose.residuals import Prior, ring_residuals
-from ringpose.pose.solver import HUBER_SIGMAS, estimate_ring, initial_guess
 from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.pose import NoPose, RingPose
 from ringpose.types.ring import KnownRadii

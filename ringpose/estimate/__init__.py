@@ -1,0 +1,1 @@
+"""The one ring estimator: measurements of a shot -> maximum-likelihood ring, judged and with covariance."""
