@@ -1,30 +1,34 @@
-"""From the estimated state to centre, radii and grasp point with their covariance, and which of them are determined.
+"""From the estimated ring to centre, radii and grasp point with their covariance.
 
 Error propagation of ringpose-method(7), section 5. `x_wrt_y` is the derivative of x with respect to y.
 """
 
 import math
-from collections.abc import Sequence
 from math import hypot, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.estimate.hypotheses import Hypothesis
 from ringpose.estimate.measurements import Measurements
-from ringpose.estimate.residuals import BAND, CURVATURE, PARAMETERS, PLANE, SHIFT, TURN, cross
+from ringpose.estimate.residuals import PARAMETERS
 from ringpose.estimate.solver import Estimate
+from ringpose.geometry.ring import (
+    CURVATURE,
+    HALF_BAND,
+    LIFT,
+    TILT_ALONG,
+    TILT_INWARD,
+    RingArcs,
+    center_wrt_step,
+    edge_distances,
+    public_wrt_step,
+)
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.types.arrays import Array, Bool, Float64
-from ringpose.types.options import Method
-from ringpose.types.pose import PoseFlag, RingPose
+from ringpose.types.arrays import Array, Float64
 
 TILTS, OFFSET, CENTER_IN_PLANE, RADII = slice(0, 2), 2, slice(3, 5), slice(5, 7)
 CENTER, GRASP, CURVATURE_OUT, BAND_OUT = slice(7, 10), slice(10, 13), 13, 14
 """Rows of the joint covariance: the seven parameters of a pose, then derived quantities."""
-
-MIN_CURVATURE = 1e-4
-"""1/m: radii are limited to ten kilometres."""
 
 EDGE_ON_BELOW = 0.01
 """Sine of the smallest angle between the line of sight and the ring's plane: 0.6 degrees."""
@@ -42,125 +46,97 @@ The centre follows from the height of the arc, and its distance is the inverse o
 within 5 of the first-order standard deviations in all but one of 30 000 cases, at 10 % in all but one of 2000.
 """
 
-UNKNOWN_FROM = 0.5
-"""Relative standard deviation of the curvature from which the centre is not determined at all: the inverse of a
-curvature that may be zero within two standard deviations has no finite error."""
-
-GRASP_UNKNOWN_FROM_M = 0.01
-"""Standard deviation of the grasp point, or of the band's width, from which the grasp point is not determined."""
-
-MAX_BIAS_SHARE = 4.0 / 9.0
-"""Largest second-order bias of the centre, in its standard deviations, for which a Gaussian describes the centre: a
-tilt by three sigmas moves the centre by nine times the bias, four of its sigmas."""
-
-_TINY, _EPSILON = float(np.finfo(float).tiny), float(np.finfo(float).eps)
-
 
 class Quantities(NamedTuple):
-    """The quantities of a pose, and their derivatives with respect to the state."""
+    """The quantities of a pose, and their derivatives with respect to the ring's step."""
 
     center_m: Float64[Array, "3"]
     radius_m: Float64[Array, "2"]
     grasp_m: Float64[Array, "3"]
+    outward: Float64[Array, "3"]
+    """Unit vector in the ring's plane at the grasp point, from the centre."""
     jacobian: Float64[Array, "15 7"]
     """Rows as in the joint covariance."""
+    grasp_along_sd_m: float
+    """Standard deviation of the grasp point along the face, from the noise of the break points."""
 
 
-class Determined(NamedTuple):
-    """Which quantities are determined well enough to be reported."""
+def quantities(estimate: Estimate, measured: Measurements) -> Quantities:
+    """Centre, radii and grasp point: the point on the middle of the face nearest to the mean of the break points.
 
-    normal: bool
-    center: bool
-    grasp: bool
-    radius: Bool[Array, "edge=2"]
-
-
-def quantities(estimate: Estimate) -> Quantities:
-    """Centre c = o + (s - 1/k) u, radii 1/k -+ band/2, grasp point g = o + s u.
-
-    The mean of the break points o lies in the direction u from the centre by construction, so the grasp point is the
-    mid-band point there, independently of the centre's distance.
+    The grasp point does not use the centre, so that it stays known where the centre is not.
     """
-    state, origin = estimate.state, estimate.residuals.origin
-    normal, tangent, outward = state.normal, state.tangent, state.outward
-    inverse_length = 1.0 / float(np.sqrt(state.plane @ state.plane))
-    basis = tilt_basis(normal)
-    radius_m = 1.0 / (state.curvature if abs(state.curvature) > MIN_CURVATURE else MIN_CURVATURE)
-    normal_wrt_plane = -inverse_length * (np.eye(3) - normal[:, None] * normal)
+    arcs, residuals = estimate.arcs, estimate.residuals
+    rays = residuals.stripes.rays[residuals.ends :]
+    mean_ray = rays.mean(axis=0)
+    middle = edge_distances(arcs, mean_ray[None], np.zeros(1))
+    depth_m = float(arcs.origin @ arcs.normal) / float(mean_ray @ arcs.normal)
+    mean_m = depth_m * mean_ray
+    outward = _outward_at(arcs, mean_m)
+
+    # the mean point moves along its ray with the plane, and with the lines of its stripes
+    offset = (mean_m - arcs.origin) @ arcs.axes.T
+    depth_wrt_step = np.zeros(PARAMETERS)
+    depth_wrt_step[[TILT_INWARD, TILT_ALONG, LIFT]] = -offset[0], -offset[1], 1.0
+    mean_wrt_ray = depth_m * (np.eye(3) - np.outer(mean_ray, arcs.normal) / float(mean_ray @ arcs.normal))
+    y_wrt_step = residuals.stripes.y_wrt_step[residuals.ends :].mean(axis=0)
+    mean_wrt_step = np.outer(mean_ray, depth_wrt_step / float(mean_ray @ arcs.normal)) + np.outer(
+        mean_wrt_ray[:, 1], y_wrt_step
+    )
+    distance_wrt_step = middle.wrt_step[0] + middle.wrt_ray[0, 1] * y_wrt_step
 
     jacobian = np.zeros((15, PARAMETERS))
-    jacobian[TILTS, PLANE] = -inverse_length * basis
-    jacobian[OFFSET, PLANE] = -(inverse_length**2) * normal
-    jacobian[RADII, CURVATURE] = -(radius_m**2)
-    jacobian[RADII, BAND] = (-0.5, 0.5)
-    outward_wrt_plane = normal[:, None] * (outward @ normal_wrt_plane)  # negative: `outward` stays in the plane
-    for rows, lever_m in ((jacobian[CENTER], state.shift_m - radius_m), (jacobian[GRASP], state.shift_m)):
-        rows[:, PLANE] = origin.wrt_plane - lever_m * outward_wrt_plane
-        rows[:, SHIFT] = outward
-        rows[:, TURN] = lever_m * tangent
-    jacobian[CENTER, CURVATURE] = radius_m**2 * outward
-    jacobian[CENTER_IN_PLANE] = basis @ jacobian[CENTER]
-    jacobian[CURVATURE_OUT, CURVATURE] = jacobian[BAND_OUT, BAND] = 1.0
+    jacobian[:7] = public_wrt_step(arcs)
+    jacobian[CENTER] = center_wrt_step(arcs)
+    jacobian[GRASP] = mean_wrt_step - np.outer(outward, distance_wrt_step)
+    jacobian[CURVATURE_OUT, CURVATURE] = 1.0
+    jacobian[BAND_OUT, HALF_BAND] = 2.0
+    along_wrt_x = np.cross(arcs.normal, outward) @ mean_wrt_ray[:, :2] @ np.array([np.ones(len(rays)), residuals.slope])
     return Quantities(
-        center_m=origin.position_m + (state.shift_m - radius_m) * outward,
-        radius_m=np.array([radius_m - 0.5 * state.band_m, radius_m + 0.5 * state.band_m]),
-        grasp_m=origin.position_m + state.shift_m * outward,
+        center_m=arcs.center,
+        radius_m=arcs.radius_m,
+        grasp_m=mean_m - float(middle.distance_m[0]) * outward,
+        outward=outward,
         jacobian=jacobian,
+        grasp_along_sd_m=float(np.linalg.norm(along_wrt_x * measured.points.sigma_x)) / len(rays),
     )
 
 
-def joint_covariance(estimate: Estimate, found: Quantities, measured: Measurements) -> Float64[Array, "15 15"]:
-    """Joint covariance of the quantities, from the gain of the residuals on the state.
+def _outward_at(arcs: RingArcs, point_m: Float64[Array, "3"]) -> Float64[Array, "3"]:
+    """Unit vector in the ring's plane from the centre towards a point, regular at curvature 0."""
+    x, y, _ = (arcs.axes @ (point_m - arcs.origin)).tolist()
+    h_x, h_y = 1.0 - arcs.curvature * x, arcs.curvature * y
+    unit: Float64[Array, "3"] = (-h_x * arcs.axes[0] + h_y * arcs.axes[1]) / hypot(h_x, h_y)
+    return unit
 
-    Every residual has unit variance; one beyond the robust limit has the square of its value. Without such residuals
-    the result is the inverse normal matrix, otherwise its sandwich form. Common errors pass the same gain. The grasp
-    point also moves along the band with the mean of the break points.
+
+def joint_covariance(estimate: Estimate, found: Quantities) -> Float64[Array, "15 15"]:
+    """Joint covariance of the quantities, J N^-1 J^T, Eq. (5.10).
+
+    The grasp point also moves along the face with the mean of the break points.
     """
-    gain = estimate.inverse @ (estimate.residuals.jacobian.T * estimate.weights)  # N^-1 J^T W
-    if estimate.nuisance is not None:  # with the common errors eliminated
-        weighted = estimate.nuisance.residual.T * estimate.weights
-        information = estimate.nuisance.information(estimate.weights)
-        gain -= estimate.inverse @ np.linalg.solve(information, weighted @ estimate.residuals.jacobian).T @ weighted
-    wrt_residual = -found.jacobian @ gain
-    tangent = estimate.state.tangent[:, None]
-    covariance = np.zeros((len(wrt_residual), len(wrt_residual)))
-    if estimate.nuisance is not None:
-        wrt_nuisance = wrt_residual @ estimate.nuisance.residual
-        wrt_nuisance[GRASP] += tangent * estimate.nuisance.mean
-        covariance += wrt_nuisance @ wrt_nuisance.T
-    first = 2 * len(measured.lines.laser)
-    wrt_residual[GRASP, first : first + len(measured.points.laser)] += tangent * _mean_shift_m(estimate, measured)
-    scaled = wrt_residual * np.where(estimate.weights < 1.0, np.abs(estimate.remaining), 1.0)
-    covariance += scaled @ scaled.T
+    covariance: Float64[Array, "15 15"] = found.jacobian @ estimate.inverse @ found.jacobian.T
+    along = found.grasp_along_sd_m * np.cross(estimate.arcs.normal, found.outward)
+    covariance[GRASP, GRASP] += np.outer(along, along)
     return covariance
 
 
-def _mean_shift_m(estimate: Estimate, measured: Measurements) -> Float64[Array, "point"]:
-    """Shift of the mean of the break points along the band by an error of one standard deviation in each of them."""
-    sigma = measured.points.sigma_x * np.sign(estimate.residuals.distance_wrt_x)
-    wrt_x, wrt_y = estimate.state.tangent @ estimate.residuals.origin.wrt_ray
-    shift: Float64[Array, "point"] = (wrt_x + estimate.residuals.slope * wrt_y) * sigma / len(sigma)
-    return shift
-
-
-def covariance_of_competing(
-    competing: Sequence[Estimate], best: Estimate, found: Quantities
-) -> Float64[Array, "15 15"]:
-    """Sum of the outer products of the differences of competing estimates from the best one."""
-    normal = best.state.normal
+def difference_from(
+    other: Estimate, other_found: Quantities, best: Estimate, found: Quantities
+) -> Float64[Array, "15"]:
+    """The quantities of another estimate minus those of the best one, in the order of the joint covariance."""
+    normal = best.arcs.normal
     basis = tilt_basis(normal)
-    differences = np.zeros((len(competing), 15))
-    for row, estimate in zip(differences, competing, strict=True):
-        other = quantities(estimate)
-        row[TILTS] = basis @ estimate.state.normal / float(estimate.state.normal @ normal)
-        row[OFFSET] = estimate.state.normal @ other.center_m - normal @ found.center_m
-        row[RADII] = other.radius_m - found.radius_m
-        row[CENTER], row[GRASP] = other.center_m - found.center_m, other.grasp_m - found.grasp_m
-        row[CENTER_IN_PLANE] = basis @ row[CENTER]
-        row[CURVATURE_OUT] = estimate.state.curvature - best.state.curvature
-        row[BAND_OUT] = estimate.state.band_m - best.state.band_m
-    covariance: Float64[Array, "15 15"] = differences.T @ differences
-    return covariance
+    difference = np.zeros(15)
+    difference[TILTS] = basis @ other.arcs.normal / float(other.arcs.normal @ normal)
+    difference[OFFSET] = other.arcs.normal @ other_found.center_m - normal @ found.center_m
+    difference[RADII] = other_found.radius_m - found.radius_m
+    difference[CENTER], difference[GRASP] = other_found.center_m - found.center_m, other_found.grasp_m - found.grasp_m
+    offset_m = float(normal @ found.center_m)
+    difference[CENTER_IN_PLANE] = basis @ difference[CENTER] - offset_m * difference[TILTS]
+    difference[CURVATURE_OUT] = other.arcs.curvature - best.arcs.curvature
+    difference[BAND_OUT] = 2.0 * (other.arcs.half_band_m - best.arcs.half_band_m)
+    return difference
 
 
 def second_order_bias_m(covariance: Float64[Array, "15 15"], estimate: Estimate) -> float:
@@ -169,9 +145,9 @@ def second_order_bias_m(covariance: Float64[Array, "15 15"], estimate: Estimate)
     Seen from the band the centre lies on a sphere: a tilt along `outward`, or a turn about the normal, by an angle a
     moves the centre out of the tangent plane by R a^2 / 2.
     """
-    normal, outward = estimate.state.normal, estimate.state.outward
-    tilt, tangent = tilt_basis(normal) @ outward, cross(normal, outward)
-    lever_m = 1.0 / max(abs(estimate.state.curvature), MIN_CURVATURE) - estimate.state.shift_m
+    inward, tangent, normal = estimate.arcs.axes
+    tilt = tilt_basis(normal) @ inward
+    lever_m = abs(estimate.arcs.mean_radius_m)
     tilt_variance = tilt @ covariance[TILTS, TILTS] @ tilt
     turn_variance = tangent @ covariance[CENTER, CENTER] @ tangent / lever_m**2
     return 0.5 * lever_m * hypot(tilt_variance, turn_variance)
@@ -182,84 +158,10 @@ def with_second_order(
 ) -> Float64[Array, "15 15"]:
     """The covariance with the second moment 3 bias^2 of the centre's second-order shift."""
     shift = np.zeros(len(covariance))
-    shift[CENTER] = sqrt(3.0) * bias_m * estimate.state.outward
-    shift[CENTER_IN_PLANE] = tilt_basis(estimate.state.normal) @ shift[CENTER]
+    shift[CENTER] = sqrt(3.0) * bias_m * estimate.arcs.axes[0]
+    shift[CENTER_IN_PLANE] = tilt_basis(estimate.arcs.normal) @ shift[CENTER]
     total: Float64[Array, "15 15"] = covariance + shift[:, None] * shift
     return total
-
-
-def determined(best: Hypothesis, covariance: Float64[Array, "15 15"], side_known: bool) -> Determined:
-    """The normal is determined by its tilts, centre and radii by the curvature, the grasp point by its own sigma.
-
-    `side_known`: whether the shot determines on which side of the band the centre lies.
-    """
-    state = best.estimate.state
-    normal = standard_deviation(covariance[TILTS, TILTS]) <= TILT_SD_LIMIT_RAD
-    curved = sqrt(covariance[CURVATURE_OUT, CURVATURE_OUT]) < UNKNOWN_FROM * state.curvature
-    grasp_sd_m = sqrt(max(float(state.outward @ covariance[GRASP, GRASP] @ state.outward), 0.0))
-    edges = {*best.measured.points.edge.tolist(), *best.measured.edges.edge.tolist()}
-    radii_given = best.prior.radii is not None
-    radii = (side_known or radii_given) and curved
-    return Determined(
-        normal=normal,
-        center=normal and side_known and curved,
-        grasp=max(grasp_sd_m, sqrt(covariance[BAND_OUT, BAND_OUT])) <= GRASP_UNKNOWN_FROM_M,
-        radius=np.array([radii and (edge in edges or radii_given) for edge in range(2)]),
-    )
-
-
-def reported_pose(
-    estimate: Estimate, found: Quantities, covariance: Float64[Array, "15 15"] | None, reported: Determined
-) -> RingPose:
-    """The pose, with NaN for what is not determined; without covariances if there is none."""
-    unknown = np.full(3, np.nan)
-    radius_inner_m, radius_outer_m = np.where(reported.radius, found.radius_m, np.nan).tolist()
-    return RingPose(
-        center_m=found.center_m if reported.center else unknown,
-        normal=estimate.state.normal if reported.normal else unknown,
-        radius_inner_m=radius_inner_m,
-        radius_outer_m=radius_outer_m,
-        grasp_m=found.grasp_m if reported.grasp else unknown,
-        method=Method.ML.value,
-        condition_number=_condition(estimate),
-        residual_rms_px=np.nan,
-        covariance=None if covariance is None else _masked(covariance[:7, :7], reported),
-        covariance_center_m2=None if covariance is None or not reported.center else covariance[CENTER, CENTER],
-        covariance_grasp_m2=None if covariance is None or not reported.grasp else covariance[GRASP, GRASP],
-    )
-
-
-def _masked(covariance: Float64[Array, "7 7"], reported: Determined) -> Float64[Array, "7 7"] | None:
-    """NaN in the rows and columns of what is not determined; None if nothing is."""
-    kept = np.array([reported.normal] * 3 + [reported.center] * 2 + reported.radius.tolist())
-    if not kept.any():
-        return None
-    if kept.all():
-        return covariance
-    masked: Float64[Array, "7 7"] = np.where(kept[:, None] & kept, covariance, np.nan)
-    return masked
-
-
-def _condition(estimate: Estimate) -> float:
-    """Condition number of the Jacobian of all residuals, its columns scaled to unit length."""
-    scale = 1.0 / np.sqrt(np.maximum(estimate.normal_matrix.diagonal(), _TINY))
-    values = np.linalg.eigvalsh(estimate.normal_matrix * scale[:, None] * scale)
-    return float(np.sqrt(values[-1] / max(float(values[0]), _EPSILON)))
-
-
-def poorly_determined_flags(
-    estimate: Estimate, found: Quantities, covariance: Float64[Array, "15 15"], reported: Determined, bias_m: float
-) -> PoseFlag:
-    """Flags of what is not determined, has a sigma over `WEAK_SD`, or is not described by a Gaussian."""
-    limit_m = WEAK_SD * min(map(abs, found.radius_m.tolist()))
-    outward = estimate.state.outward
-    biased = bias_m > MAX_BIAS_SHARE * sqrt(float(outward @ covariance[CENTER, CENTER] @ outward))
-    flags = PoseFlag(0) if reported.normal else PoseFlag.NORMAL_WEAK
-    if not reported.center or exceeds_sd(covariance[CENTER, CENTER], limit_m) or biased:
-        flags |= PoseFlag.CENTER_WEAK
-    if not reported.radius.all() or max(covariance[5, 5], covariance[6, 6]) > limit_m**2:
-        flags |= PoseFlag.RADIUS_WEAK
-    return flags
 
 
 def exceeds_sd(covariance: Float64[Array, "3 3"], limit: float) -> bool:

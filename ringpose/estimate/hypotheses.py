@@ -1,23 +1,36 @@
-"""Rejection of outliers: a break point, a stripe, exchanged lasers, wrong radii.
+"""Which explanation of a shot is the best one: all measurements on one ring, or some of them wrong.
 
-Six break points and three stripes give twelve numbers for seven parameters. If the fit of all of them fails the
-chi-squared test, the shot is solved again for each hypothesis of `outlier_hypotheses`. The best one is selected if it
-beats the others clearly; otherwise nothing is rejected, and the fit of everything is flagged as inconsistent.
+Six break points and three stripes give twelve numbers for seven parameters. If the ring that fits all of them fails the
+chi-squared test, or misses one of them clearly, the shot is solved again for each hypothesis of `outlier_hypotheses`:
+one break point, a stripe, the visible edges, the assignment of the lasers, or the assumed radii are wrong. The
+hypotheses are compared by chi-squared plus a penalty for what they reject. Where two of them are comparable, only the
+quantities that they have in common are determined (`Explanation.differing`).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import permutations
-from math import sqrt
+from math import inf, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.estimate.measurements import ERRORS, Measurements, inflate_sigma
-from ringpose.estimate.nuisance import RigErrors
-from ringpose.estimate.residuals import CURVATURE, PARAMETERS, Prior
-from ringpose.estimate.solver import Estimate, estimate_ring
-from ringpose.types.arrays import EDGES, Array, Float64
+from ringpose.estimate.covariance import (
+    CENTER,
+    GRASP,
+    RADII,
+    TILTS,
+    difference_from,
+    joint_covariance,
+    quantities,
+)
+from ringpose.estimate.measurements import Measurements, inflate_sigma
+from ringpose.estimate.nuisance import RigErrors, rig_errors
+from ringpose.estimate.residuals import PARAMETERS, Prior
+from ringpose.estimate.solver import RIDGE, Estimate, estimate_ring
+from ringpose.geometry.ring import CURVATURE
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.detection import Rejection
 from ringpose.types.pose import PoseFlag
 from ringpose.types.rig import Rig
 
@@ -36,170 +49,313 @@ RELABEL_PENALTY = 20.0
 CLEARLY = 6.0
 """Margin in chi-squared by which the best hypothesis must beat the others: a factor of 20 in likelihood."""
 
+SIDE_MARGIN = 16.0
+"""Margin in chi-squared from which the better of two sides for the centre counts as known: 4 sigma."""
+
 STRAIGHT_SIGMAS = 3.0
 """How many standard deviations a curvature may be below zero: two stripes alone hardly determine it."""
 
 CONFIRMED_BELOW = 2.0
 """Largest ratio of the curvature's standard deviations without and with the other end of a stripe, see `_confirmed`."""
 
+DIFFERS = 4.0
+"""Squared Mahalanobis distance, per degree of freedom, from which two explanations differ in a quantity."""
+
 
 class Hypothesis(NamedTuple):
-    """What was rejected or changed, and the estimate from the rest."""
+    """An explanation of a shot before its ring is estimated."""
 
     measured: Measurements
     prior: Prior
-    estimate: Estimate
-    flag: PoseFlag
-    remark: str
-    penalty: float
+    flag: PoseFlag = PoseFlag(0)
+    remark: str = ""
+    penalty: float = 0.0
     """In chi-squared."""
+    rejected: tuple[Rejection, ...] = ()
     laser: int = -1
     """Laser of the rejected break points or stripe; -1 if there is none."""
     both: bool = False
     """Whether both break points of the stripe were rejected."""
-    competing: tuple[Estimate, ...] = ()
-    """Of an inconsistent shot: the estimates of the hypotheses that could not be distinguished."""
+
+
+class Solved(NamedTuple):
+    """A hypothesis with its ring."""
+
+    hypothesis: Hypothesis
+    estimate: Estimate
 
     @property
     def score(self) -> float:
         """Penalised chi-squared: less is better."""
-        return chi2(self.estimate, self.measured) + self.penalty
+        return chi2(self.estimate, self.hypothesis.measured) + self.hypothesis.penalty
 
 
-class OutlierHypothesis(NamedTuple):
-    """A hypothesis before its ring is estimated; fields as in `Hypothesis`."""
+class Explanation(NamedTuple):
+    """The best explanation of a shot."""
 
     measured: Measurements
+    """The measurements that it uses."""
     prior: Prior
+    estimate: Estimate
     flag: PoseFlag
     remark: str
-    penalty: float
-    laser: int = -1
-    both: bool = False
+    rejected: tuple[Rejection, ...]
+    side_known: bool
+    """Whether the shot determines on which side of the face the ring's centre lies."""
+    competing: tuple[Estimate, ...] = ()
+    """The rings of other explanations that are comparable."""
+    differing: frozenset[str] = frozenset()
+    """Quantities in which these differ: `center`, `normal`, `grasp`, `radius`."""
 
 
-def reject_outliers(
-    measured: Measurements, rig: Rig, prior: Prior, errors: RigErrors | None, labelled: bool
-) -> Hypothesis | None:
-    """The estimate from all measurements, or without those that contradict the rest; None if no estimate converges.
+def explain(measured: Measurements, rig: Rig, prior: Prior, labelled: bool) -> Explanation | None:
+    """The best explanation of the measurements; None if no estimate converges.
 
     `labelled`: whether the lasers were identified by switching them.
     """
+    errors = rig_errors(rig)
+    best = _explained(measured, rig, prior, errors, labelled)
+    if best is not None and side_significance(best.estimate) ** 2 > SIDE_MARGIN and best.estimate.arcs.curvature > 0:
+        return best
+    # the edges may be named the wrong way round: the centre is then on the other side
+    other = _explained(measured.with_edges_exchanged(), rig, prior, errors, labelled)
+    if best is None or other is None:
+        only = best or other
+        return None if only is None else only._replace(side_known=False)
+    first, second = sorted((best, other), key=_side_score)
+    return first._replace(side_known=_side_score(second) - _side_score(first) > SIDE_MARGIN)
+
+
+def side_significance(estimate: Estimate) -> float:
+    """The curvature by the shot alone in its standard deviations; negative if the centre is on the other side."""
+    curvature, sd = curvature_alone(estimate)
+    return curvature / sd
+
+
+def curvature_alone(estimate: Estimate) -> tuple[float, float]:
+    """The curvature by the shot alone, without the prior, and its standard deviation.
+
+    From the normal equations without the rows of the prior: at the solution the gradient of the data balances theirs.
+    """
+    residuals = estimate.residuals
+    prior = residuals.jacobian[residuals.data_rows :]
+    information = estimate.normal_matrix - prior.T @ prior + RIDGE * np.eye(PARAMETERS)
+    try:
+        covariance = np.linalg.inv(information)
+    except np.linalg.LinAlgError:
+        return 0.0, inf
+    step = covariance @ (prior.T @ residuals.residual[residuals.data_rows :])
+    variance = float(covariance[CURVATURE, CURVATURE])
+    return estimate.arcs.curvature + float(step[CURVATURE]), sqrt(variance) if variance > 0 else inf
+
+
+def _side_score(explanation: Explanation) -> float:
+    """Chi-squared with assumed radii, and that of a negative curvature, which puts the centre on the wrong side."""
+    estimate = explanation.estimate
+    variance = float(estimate.inverse[CURVATURE, CURVATURE])
+    total = chi2(estimate, explanation.measured) + sum(PARAMETER_PENALTY for _ in explanation.rejected)
+    return total + min(estimate.arcs.curvature, 0.0) ** 2 / variance
+
+
+def _explained(
+    measured: Measurements, rig: Rig, prior: Prior, errors: RigErrors | None, labelled: bool
+) -> Explanation | None:
+    """The best explanation with inner and outer edges as they are named."""
     estimate = estimate_ring(measured, rig, prior, errors)
     if estimate is not None and len(measured.edges.edge):
-        measured = replace(measured, edges=inflate_sigma(measured.edges, _edge_residuals(estimate, measured)))
+        measured = replace(measured, edges=inflate_sigma(measured.edges, edge_residuals(estimate, measured)))
         estimate = estimate_ring(measured, rig, prior, errors)
-    everything = None if estimate is None else Hypothesis(measured, prior, estimate, PoseFlag(0), "", 0.0)
-    if everything is not None and not fails_chi2_test(everything.estimate, measured, prior):
-        return everything
+    everything = None if estimate is None else Solved(Hypothesis(measured, prior), estimate)
+    if everything is not None and not _is_suspicious(everything):
+        return _explanation(everything, ())
     tried = []
-    for outlier in outlier_hypotheses(measured, rig, prior, labelled):
-        estimate = estimate_ring(outlier.measured, rig, outlier.prior, errors)
-        if estimate is not None and (_is_ring(estimate) or outlier.both):
-            tried.append(Hypothesis(estimate=estimate, **outlier._asdict()))
-    best = _confirmed(_clearest(tried), tried)
-    if best is not None and (everything is None or best.score < everything.score):
-        if not fails_chi2_test(best.estimate, best.measured, best.prior):
-            return best
-        remark = f"{best.remark}, but the rest disagrees, too"
-        return best._replace(flag=best.flag | PoseFlag.INCONSISTENT, remark=remark)
-    if everything is None:
+    for hypothesis in outlier_hypotheses(measured, rig, prior, labelled):
+        estimate = estimate_ring(hypothesis.measured, rig, hypothesis.prior, errors)
+        if estimate is not None and (_is_ring(estimate) or hypothesis.both):
+            tried.append(Solved(hypothesis, estimate))
+    return _select(everything, tried)
+
+
+def _select(everything: Solved | None, tried: list[Solved]) -> Explanation | None:
+    """The best of the explanations, with what its comparable rivals have in common with it."""
+    near = [] if everything is None and not tried else _nearly_best([*([everything] if everything else []), *tried])
+    if not near:
         return None
-    remark = "what was seen disagrees with one ring by more than its errors, and no single part is to blame"
-    competing = tuple(each.estimate for each in _nearly_best(tried) if each.score < everything.score)
-    return everything._replace(flag=PoseFlag.INCONSISTENT, remark=remark, competing=competing)
+    best = _confirmed(_of_one_stripe(near, tried) or near[0], tried)
+    rivals = [each for each in near if each is not best and not _covers(best, each)]
+    if fails_chi2_test(best.estimate, best.hypothesis.measured, best.hypothesis.prior):
+        # nothing explains the shot: everything is kept, and the covariance grows by the differences
+        best = everything or best
+        remark = "what was seen disagrees with one ring by more than its errors, and no single part is to blame"
+        if best.hypothesis.remark:
+            remark = f"{best.hypothesis.remark}, but the rest disagrees, too"
+        inconsistent = best.hypothesis._replace(flag=best.hypothesis.flag | PoseFlag.INCONSISTENT, remark=remark)
+        rivals = [each for each in near if each is not best and each.score < best.score]
+        return _explanation(Solved(inconsistent, best.estimate), rivals)
+    return _explanation(best, rivals)
 
 
-def outlier_hypotheses(measured: Measurements, rig: Rig, prior: Prior, labelled: bool) -> Iterator[OutlierHypothesis]:
-    """Each break point, both of a stripe, each stripe, each assignment of three lasers or fewer, and the radii."""
+def _explanation(best: Solved, rivals: Sequence[Solved]) -> Explanation:
+    hypothesis = best.hypothesis
+    differing = frozenset[str]().union(*(differing_quantities(best, each) for each in rivals))
+    flag = hypothesis.flag
+    for each in rivals:  # another assignment of the lasers is possible
+        flag |= each.hypothesis.flag & PoseFlag.ASSIGNMENT_AMBIGUOUS
+    return Explanation(
+        measured=hypothesis.measured,
+        prior=hypothesis.prior,
+        estimate=best.estimate,
+        flag=flag,
+        remark=hypothesis.remark,
+        rejected=hypothesis.rejected,
+        side_known=True,
+        competing=tuple(each.estimate for each in rivals),
+        differing=differing,
+    )
+
+
+def differing_quantities(best: Solved, rival: Solved) -> frozenset[str]:
+    """In which quantities two explanations differ by more than the errors of the best one."""
+    found = quantities(best.estimate, best.hypothesis.measured)
+    covariance = joint_covariance(best.estimate, found)
+    other = quantities(rival.estimate, rival.hypothesis.measured)
+    difference = difference_from(rival.estimate, other, best.estimate, found)
+    across = np.array([best.estimate.arcs.normal, found.outward])  # of the grasp point: not along the face
+    tested = {
+        "center": (difference[CENTER], covariance[CENTER, CENTER]),
+        "normal": (difference[TILTS], covariance[TILTS, TILTS]),
+        "grasp": (across @ difference[GRASP], across @ covariance[GRASP, GRASP] @ across.T),
+        "radius": (difference[RADII], covariance[RADII, RADII]),
+    }
+    return frozenset(
+        name
+        for name, (by, of) in tested.items()
+        if not float(by @ np.linalg.pinv(of, hermitian=True) @ by) <= DIFFERS * len(by)
+    )
+
+
+def outlier_hypotheses(measured: Measurements, rig: Rig, prior: Prior, labelled: bool) -> Iterator[Hypothesis]:
+    """One break point, both of a stripe, a stripe, the visible edges, the assignment of the lasers, the radii wrong."""
     yield from _wrong_points(measured, rig, prior)
     yield from _wrong_stripes(measured, rig, prior)
-    yield from _wrong_labels(measured, rig, prior, labelled)
+    yield from _wrong_assignments(measured, rig, prior, labelled)
+    if len(measured.edges.edge):
+        remark = "the visible edges contradict the stripes and were left out"
+        penalty = OUTLIER_PENALTY + 2 * PARAMETER_PENALTY
+        flag, rejected = PoseFlag.EDGE_REJECTED, (Rejection(what="edge"),)
+        yield Hypothesis(measured.without_edges(), prior, flag, remark, penalty, rejected)
     if prior.radii is not None:
         remark = "the ring that was seen does not have the given radii; they were left out"
         penalty = OUTLIER_PENALTY + PARAMETER_PENALTY * float(np.isfinite(prior.radii.radius_m).sum())
-        yield OutlierHypothesis(measured, prior._replace(radii=None), PoseFlag.RADIUS_INCONSISTENT, remark, penalty)
+        flag, rejected = PoseFlag.RADIUS_INCONSISTENT, (Rejection(what="radius"),)
+        yield Hypothesis(measured, prior._replace(radii=None), flag, remark, penalty, rejected)
 
 
-def _wrong_points(measured: Measurements, rig: Rig, prior: Prior) -> Iterator[OutlierHypothesis]:
+def _wrong_points(measured: Measurements, rig: Rig, prior: Prior) -> Iterator[Hypothesis]:
     points, flag = measured.points, PoseFlag.POINT_REJECTED
     for laser in sorted(set(points.laser.tolist())):
         of_laser, name = np.flatnonzero(points.laser == laser), rig.lasers.names[laser]
-        for number in of_laser.tolist():
+        rejected = tuple(
+            Rejection(what="point", laser=name, edge="outer" if points.edge[number] else "inner")
+            for number in of_laser.tolist()
+        )
+        for number, rejection in zip(of_laser.tolist(), rejected, strict=True):
             rest = measured.with_points(np.arange(len(points.laser)) != number)
-            remark = f"the {EDGES[points.edge[number]]} break point of laser {name} contradicts the others"
-            penalty = OUTLIER_PENALTY + PARAMETER_PENALTY
-            yield OutlierHypothesis(rest, prior, flag, f"{remark} and was left out", penalty, laser)
+            remark = f"the {rejection.edge} break point of laser {name} contradicts the others and was left out"
+            yield Hypothesis(rest, prior, flag, remark, OUTLIER_PENALTY + PARAMETER_PENALTY, (rejection,), laser)
         if len(of_laser) > 1:
             rest = measured.with_points(points.laser != laser)
             remark = f"a break point of laser {name} contradicts the others; both were left out"
             penalty = OUTLIER_PENALTY + 2 * PARAMETER_PENALTY
-            yield OutlierHypothesis(rest, prior, flag, remark, penalty, laser, both=True)
+            yield Hypothesis(rest, prior, flag, remark, penalty, rejected, laser, both=True)
 
 
-def _wrong_stripes(measured: Measurements, rig: Rig, prior: Prior) -> Iterator[OutlierHypothesis]:
-    seen = _lasers_seen(measured)
+def _wrong_stripes(measured: Measurements, rig: Rig, prior: Prior) -> Iterator[Hypothesis]:
+    seen = measured.lasers
     for laser in seen if len(seen) > 2 else []:
-        rest = measured.without_laser(laser)
-        penalty = OUTLIER_PENALTY + PARAMETER_PENALTY * (_count(measured) - _count(rest))
-        remark = f"the stripe of laser {rig.lasers.names[laser]} contradicts the others and was left out"
-        yield OutlierHypothesis(rest, prior, PoseFlag.STRIPE_REJECTED, remark, penalty, laser)
+        rest, name = measured.without_laser(laser), rig.lasers.names[laser]
+        penalty = OUTLIER_PENALTY + PARAMETER_PENALTY * (stripe_rows(measured) - stripe_rows(rest))
+        remark = f"the stripe of laser {name} contradicts the others and was left out"
+        rejected = (Rejection(what="stripe", laser=name),)
+        yield Hypothesis(rest, prior, PoseFlag.STRIPE_REJECTED, remark, penalty, rejected, laser)
 
 
-def _wrong_labels(measured: Measurements, rig: Rig, prior: Prior, labelled: bool) -> Iterator[OutlierHypothesis]:
-    seen, names = _lasers_seen(measured), rig.lasers.names
+def _wrong_assignments(measured: Measurements, rig: Rig, prior: Prior, labelled: bool) -> Iterator[Hypothesis]:
+    seen, names = measured.lasers, rig.lasers.names
     for order in permutations(seen) if len(seen) <= 3 else []:
         if list(order) != seen:
             changed = measured.relabelled(dict(zip(seen, order, strict=True)))
             given, fitting = (", ".join(names[laser] for laser in lasers) for lasers in (seen, order))
             remark = f"the stripes fit one ring only as those of lasers {fitting}, not {given}"
             penalty = RELABEL_PENALTY if labelled else OUTLIER_PENALTY
-            yield OutlierHypothesis(changed, prior, PoseFlag.ASSIGNMENT_AMBIGUOUS, remark, penalty)
-
-
-def _lasers_seen(measured: Measurements) -> list[int]:
-    return sorted({*measured.points.laser.tolist(), *measured.lines.laser.tolist()})
+            rejected = (Rejection(what="assignment"),)
+            yield Hypothesis(changed, prior, PoseFlag.ASSIGNMENT_AMBIGUOUS, remark, penalty, rejected)
 
 
 def _is_ring(estimate: Estimate) -> bool:
     """Whether the curvature is positive within its errors, and the inner edge is inside the outer one."""
     curvature_sd = sqrt(float(estimate.inverse[CURVATURE, CURVATURE]))
-    return estimate.state.curvature > -STRAIGHT_SIGMAS * curvature_sd and estimate.state.band_m > 0
+    return estimate.arcs.curvature > -STRAIGHT_SIGMAS * curvature_sd and estimate.arcs.half_band_m > 0
 
 
-def _clearest(tried: list[Hypothesis]) -> Hypothesis | None:
-    """The best hypothesis if it beats the others clearly.
-
-    If the two ends of one stripe are equally suspect (with another curvature the other end looks wrong), both are
-    rejected.
-    """
-    near = _nearly_best(tried)
-    lasers = {each.laser for each in near}
-    if len(near) > 1 and (len(lasers) > 1 or -1 in lasers):
-        return None
-    if sum(each.flag == PoseFlag.POINT_REJECTED for each in near) > 1:
-        return next((each for each in tried if each.both and each.laser in lasers), None)
-    return near[0] if near else None
+def _nearly_best(tried: Sequence[Solved]) -> list[Solved]:
+    """The best explanation, and those that it does not beat clearly, in order of their scores."""
+    ranked = sorted((each for each in tried if not each.hypothesis.both), key=lambda each: each.score)
+    return [each for each in ranked if each.score < ranked[0].score + CLEARLY]
 
 
-def _confirmed(best: Hypothesis | None, tried: list[Hypothesis]) -> Hypothesis | None:
+def _of_one_stripe(near: list[Solved], tried: list[Solved]) -> Solved | None:
+    """Both ends of a stripe rejected, if either is equally suspect: with another curvature the other one is off."""
+    points = [each for each in near if each.hypothesis.flag == PoseFlag.POINT_REJECTED]
+    lasers = {each.hypothesis.laser for each in points}
+    if points and near[0] is points[0] and len(points) > 1 and len(lasers) == 1:
+        return next((each for each in tried if each.hypothesis.both and each.hypothesis.laser in lasers), None)
+    return None
+
+
+def _covers(best: Solved, other: Solved) -> bool:
+    """Whether the best explanation rejects all that the other one rejects, and more."""
+    return best.hypothesis.both and best.hypothesis.laser == other.hypothesis.laser
+
+
+def _confirmed(best: Solved, tried: list[Solved]) -> Solved:
     """The same, or without the other end of the stripe, too, if only that end determines the ring's curvature.
 
     What occluded one end may have occluded both; the other one is used only if the rest confirms the curvature.
     """
-    if best is None or best.flag != PoseFlag.POINT_REJECTED or best.both:
+    hypothesis = best.hypothesis
+    if hypothesis.flag != PoseFlag.POINT_REJECTED or hypothesis.both:
         return best
-    without = next((each for each in tried if each.both and each.laser == best.laser), None)
+    both = (each for each in tried if each.hypothesis.both and each.hypothesis.laser == hypothesis.laser)
+    without = next(both, None)
     if without is None:
         return best
     sd, sd_without = (sqrt(float(each.estimate.inverse[CURVATURE, CURVATURE])) for each in (best, without))
     return best if sd_without < CONFIRMED_BELOW * sd else without
 
 
-def _nearly_best(tried: list[Hypothesis]) -> list[Hypothesis]:
-    """The best hypothesis, and those that it does not beat clearly, in order of their scores."""
-    ranked = sorted((each for each in tried if not each.both), key=lambda each: each.score)
-    return [each for each in ranked if each.score < ranked[0].score + CLEARLY]
+def _is_suspicious(solved: Solved) -> bool:
+    """Whether the ring fails the chi-squared test, or would fit much better without one of its numbers."""
+    estimate, measured, prior = solved.estimate, solved.hypothesis.measured, solved.hypothesis.prior
+    if fails_chi2_test(estimate, measured, prior):
+        return True
+    return largest_reduction(estimate, measured) > OUTLIER_PENALTY + PARAMETER_PENALTY
+
+
+def largest_reduction(estimate: Estimate, measured: Measurements) -> float:
+    """By how much chi-squared would fall without the one number of stripes and break points that contradicts most.
+
+    r^2 / (1 - h), with the leverage h = a M^-1 a^T of its row a in the joint problem of ring and common errors.
+    """
+    count = stripe_rows(measured)
+    rows = np.concatenate([estimate.residuals.jacobian, estimate.nuisance], axis=1)
+    information = (rows.T * estimate.weights) @ rows
+    information[range(PARAMETERS, len(information)), range(PARAMETERS, len(information))] += 1.0
+    information[range(PARAMETERS), range(PARAMETERS)] += 1e-9
+    leverage = (np.linalg.solve(information, rows[:count].T) * rows[:count].T).sum(axis=0)
+    free = leverage < 1.0 - 1e-3  # a number that determines a parameter alone contradicts nothing
+    residual = estimate.remaining[:count]
+    return float((residual[free] ** 2 / (1.0 - leverage[free])).max(initial=0.0))
 
 
 def fails_chi2_test(estimate: Estimate, measured: Measurements, prior: Prior) -> bool:
@@ -213,13 +369,10 @@ def fails_chi2_test(estimate: Estimate, measured: Measurements, prior: Prior) ->
 
 def chi2(estimate: Estimate, measured: Measurements) -> float:
     """Chi-squared of stripes, break points, radii and rig; visible edges are too many to be compared with these."""
-    total = float(np.minimum(estimate.remaining**2, 1e6).sum())
-    edges = float(np.minimum(_edge_residuals(estimate, measured) ** 2, 1e6).sum())
-    if estimate.nuisance_step is None:
-        return total - edges
-    of_edges = ERRORS if len(measured.edges.edge) else 0
-    of_rig = estimate.nuisance_step[: len(estimate.nuisance_step) - of_edges]
-    return total - edges + float(of_rig @ of_rig)
+    squares = np.minimum(estimate.remaining**2, 1e6)
+    edges = slice(stripe_rows(measured), stripe_rows(measured) + len(measured.edges.edge))
+    of_rig = estimate.nuisance_step[: estimate.rig_errors]
+    return float(squares.sum()) - float(squares[edges].sum()) + float(of_rig @ of_rig)
 
 
 def degrees_of_freedom(estimate: Estimate, measured: Measurements, prior: Prior) -> int:
@@ -228,22 +381,16 @@ def degrees_of_freedom(estimate: Estimate, measured: Measurements, prior: Prior)
     If weak priors hold some of the parameters, their number is not defined; no parameter is then subtracted, which
     makes the test conservative.
     """
-    held = prior.regularize_about is not None or estimate.regularized
     radii = 0 if prior.radii is None else int(np.isfinite(prior.radii.radius_m).sum())
-    return max(_count(measured) + radii - (0 if held else PARAMETERS), 0)
+    return max(stripe_rows(measured) + radii - (0 if estimate.regularized else PARAMETERS), 0)
 
 
-def _edge_residuals(estimate: Estimate, measured: Measurements) -> Float64[Array, "visible"]:
-    first = _count(measured)
+def edge_residuals(estimate: Estimate, measured: Measurements) -> Float64[Array, "visible"]:
+    """Residuals of the visible edge points, less common errors, in standard deviations."""
+    first = stripe_rows(measured)
     return estimate.remaining[first : first + len(measured.edges.edge)]
 
 
-def _count(measured: Measurements) -> int:
+def stripe_rows(measured: Measurements) -> int:
     """Number of residuals of stripes and break points."""
     return 2 * len(measured.lines.laser) + len(measured.points.laser) + int(measured.points.isolated.sum())
-
-
-def with_edges_exchanged(measured: Measurements) -> Measurements:
-    """The measurements with inner edges taken for outer ones and the reverse."""
-    points, edges = measured.points, measured.edges
-    return replace(measured, points=replace(points, edge=1 - points.edge), edges=replace(edges, edge=1 - edges.edge))

@@ -62,6 +62,8 @@ class Lines:
     y: Float64[Array, "line end=2"]
     whitening: Float64[Array, "line 2 end=2"]
     """W with W^T W the inverse covariance of the two ordinates."""
+    stamp_s: Float64[Array, "line"]
+    """Mid exposure of the stripe's frame; NaN if unknown."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -78,6 +80,8 @@ class Points:
     """Abscissa of the middle of the point's stripe."""
     isolated: Bool[Array, "point"]
     """Whether its stripe has no line, so that the ordinate of the point is used too."""
+    stamp_s: Float64[Array, "point"]
+    """Mid exposure of the stripe's frame; NaN if unknown."""
 
 
 class Observations(NamedTuple):
@@ -104,6 +108,8 @@ class Edges:
     """Displacement by one standard deviation, along the edge's normal in the image."""
     common: Float64[Array, "visible error"]
     """Derivatives with respect to the common errors (unit variance), in the points' standard deviations."""
+    stamp_s: Float64[Array, "visible"]
+    """Mid exposure of the frame in which they were measured; NaN if unknown."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -135,6 +141,12 @@ class Measurements:
             sigma_x=self.points.sigma_x,
         )
 
+    @property
+    def stamp_s(self) -> Float64[Array, "row"]:
+        """Mid exposure of the frame that each residual of `ringpose.estimate.residuals` comes from; NaN if unknown."""
+        isolated = self.points.stamp_s[self.points.isolated]
+        return np.concatenate([np.repeat(self.lines.stamp_s, 2), self.points.stamp_s, isolated, self.edges.stamp_s])
+
     def with_points(self, keep: Bool[Array, "point"]) -> "Measurements":
         """The measurements with these break points only."""
         points = {each.name: getattr(self.points, each.name)[keep] for each in fields(Points)}
@@ -145,6 +157,20 @@ class Measurements:
         keep = self.lines.laser != laser
         lines = {each.name: getattr(self.lines, each.name)[keep] for each in fields(Lines)}
         return replace(self.with_points(self.points.laser != laser), lines=Lines(**lines))
+
+    def without_edges(self) -> "Measurements":
+        """The measurements without visible edges."""
+        return replace(self, edges=Edges(**{each.name: getattr(self.edges, each.name)[:0] for each in fields(Edges)}))
+
+    def with_edges_exchanged(self) -> "Measurements":
+        """The measurements with inner edges taken for outer ones and the reverse."""
+        points, edges = self.points, self.edges
+        return replace(self, points=replace(points, edge=1 - points.edge), edges=replace(edges, edge=1 - edges.edge))
+
+    @property
+    def lasers(self) -> list[int]:
+        """The lasers with a line or a break point, in ascending order."""
+        return sorted({*self.points.laser.tolist(), *self.lines.laser.tolist()})
 
     def relabelled(self, laser_of: Mapping[int, int]) -> "Measurements":
         """The measurements with stripes assigned to other lasers."""
@@ -176,10 +202,16 @@ def measurements_of(break_points: BreakPoints, rig: Rig, ring_edges: RingEdgePoi
         sigma_x=np.sqrt(covariance[:, 0, 0]),
         middle_x=_middles(laser, xy[:, 0], lines),
         isolated=~has_line[laser],
+        stamp_s=_stamps(break_points)[laser],
     )
     return Measurements(
         lines=lines, points=points, edges=_edges(ring_edges, rig.camera), has_covariances=has_covariances
     )
+
+
+def _stamps(break_points: BreakPoints) -> Float64[Array, "laser"]:
+    unknown = np.full(len(break_points.position_px), np.nan)
+    return unknown if break_points.stamp_s is None else break_points.stamp_s
 
 
 def _lines(break_points: BreakPoints, camera: Camera) -> Lines:
@@ -195,6 +227,7 @@ def _lines(break_points: BreakPoints, camera: Camera) -> Lines:
         x=(ends[laser, :, 0] - matrix[0, 2]) / matrix[0, 0],
         y=(ends[laser, :, 1] - matrix[1, 2]) / matrix[1, 1],
         whitening=whitening,
+        stamp_s=_stamps(break_points)[laser],
     )
 
 
@@ -248,7 +281,11 @@ def pixels_wrt_ray_and_camera(
 def _edges(ring_edges: RingEdgePoints | None, camera: Camera) -> Edges:
     if ring_edges is None or not len(ring_edges.edge):
         return Edges(
-            edge=np.empty(0, dtype=np.int64), ray=np.empty((0, 3)), step=np.empty((0, 2)), common=np.empty((0, ERRORS))
+            edge=np.empty(0, dtype=np.int64),
+            ray=np.empty((0, 3)),
+            step=np.empty((0, 2)),
+            common=np.empty((0, ERRORS)),
+            stamp_s=np.empty(0),
         )
     xy = undistort(ring_edges.position_px, camera)
     sigma_px = np.maximum(ring_edges.sigma_px, MIN_SIGMA_PX)[:, None]
@@ -258,6 +295,7 @@ def _edges(ring_edges: RingEdgePoints | None, camera: Camera) -> Edges:
         ray=np.concatenate([xy, np.ones((len(xy), 1))], axis=1),
         step=(rays_wrt_pixel(xy, camera) @ step_px[:, :, None])[:, :, 0],
         common=common_errors_px(ring_edges) / sigma_px,
+        stamp_s=np.full(len(xy), np.nan) if ring_edges.stamp_s is None else ring_edges.stamp_s,
     )
 
 

@@ -64,7 +64,8 @@ class RingArcs:
     @property
     def center(self) -> Float64[Array, "xyz=3"]:
         """Centre in metres."""
-        return self.origin + self.mean_radius_m * self.axes[0]
+        center: Float64[Array, "xyz=3"] = self.origin + self.mean_radius_m * self.axes[0]
+        return center
 
     @property
     def radius_m(self) -> Float64[Array, "edge=2"]:
@@ -295,7 +296,7 @@ def public_wrt_step(arcs: RingArcs) -> Float64[Array, "parameter=7 step=7"]:
     normal_wrt_step = np.zeros((3, len(STEP)))
     normal_wrt_step[:, TILT_INWARD], normal_wrt_step[:, TILT_ALONG] = inward, along
     jacobian = np.empty((7, len(STEP)))
-    jacobian[:5] = _plane_and_center(normal, center, normal_wrt_step, center_wrt_step(arcs))
+    jacobian[:5] = plane_and_center(normal, center, normal_wrt_step, center_wrt_step(arcs))
     jacobian[5:] = 0.0
     jacobian[5:, CURVATURE] = -(radius_m**2)
     jacobian[5:, HALF_BAND] = EDGE_SIGN
@@ -327,11 +328,11 @@ def public_wrt_rates(
     normal_wrt_rates[:, 3], normal_wrt_rates[:, 4] = -e2, e1
     center_wrt_rates[:, :3] = np.eye(3)
     jacobian = np.zeros((7, 5))
-    jacobian[:5] = _plane_and_center(normal, center_m, normal_wrt_rates, center_wrt_rates)
+    jacobian[:5] = plane_and_center(normal, center_m, normal_wrt_rates, center_wrt_rates)
     return jacobian
 
 
-def _plane_and_center(
+def plane_and_center(
     normal: Float64[Array, "xyz=3"],
     center_m: Float64[Array, "xyz=3"],
     normal_wrt: Float64[Array, "xyz=3 n"],
@@ -343,3 +344,15 @@ def _plane_and_center(
     offset = normal @ center_wrt + center_m @ normal_wrt
     in_plane = basis @ center_wrt - float(normal @ center_m) * tilts
     return np.concatenate([tilts, offset[None], in_plane])
+
+
+def normal_and_center(
+    normal: Float64[Array, "xyz=3"], center_m: Float64[Array, "xyz=3"]
+) -> tuple[Float64[Array, "xyz=3 parameter=5"], Float64[Array, "xyz=3 parameter=5"]]:
+    """Derivatives of normal and centre by tilts, offset and in-plane centre: the inverse of `plane_and_center`."""
+    basis, offset_m = tilt_basis(normal), float(normal @ center_m)
+    normal_wrt, center_wrt = np.zeros((3, 5)), np.zeros((3, 5))
+    normal_wrt[:, :2] = basis.T
+    center_wrt[:, :2] = offset_m * basis.T - np.outer(normal, basis @ center_m)
+    center_wrt[:, 2], center_wrt[:, 3:] = normal, basis.T
+    return normal_wrt, center_wrt

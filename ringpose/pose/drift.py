@@ -162,14 +162,12 @@ def plane_evidence(estimate: Estimate, measured: Measurements, rig: Rig) -> Plan
         return PlaneEvidence(score=score, information=information)
     jacobian = estimate.residuals.jacobian[: 2 * count].reshape(count, 2, PARAMETERS)
     covariance = np.eye(2) - jacobian @ estimate.inverse @ jacobian.swapaxes(1, 2)
-    basis = light_plane_bases(rig)[measured.lines.laser]
-    stripes = estimate.residuals.stripes
-    rays = stripes.rays[: 2 * count].reshape(count, 2, 3)
-    denominator = stripes.denominator[: 2 * count : 2, None, None]
-    y_wrt_plane = np.concatenate([rays @ basis.swapaxes(1, 2), -(rays @ estimate.state.plane)[:, :, None]], axis=-1)
-    weighted = measured.lines.whitening @ y_wrt_plane / denominator  # S^-1 D
-    if estimate.nuisance is not None:
-        wrt_nuisance = estimate.nuisance.residual[: 2 * count].reshape(count, 2, -1)
+    basis, stripes = light_plane_bases(rig)[np.repeat(measured.lines.laser, 2)], estimate.residuals.stripes
+    y_wrt_tilts = (basis @ stripes.y_wrt_light_normal[: 2 * count, :, None])[:, :, 0]
+    y_wrt_plane = np.column_stack([y_wrt_tilts, stripes.y_wrt_light_distance[: 2 * count]]).reshape(count, 2, 3)
+    weighted = -measured.lines.whitening @ y_wrt_plane  # S^-1 D
+    if estimate.nuisance.size:
+        wrt_nuisance = estimate.nuisance[: 2 * count].reshape(count, 2, -1)
         added = wrt_nuisance @ wrt_nuisance.swapaxes(1, 2)
         covariance, weighted = covariance + added, np.linalg.solve(np.eye(2) + added, weighted)
     residual = estimate.residuals.residual[: 2 * count].reshape(count, 2, 1)

@@ -10,40 +10,37 @@ from ringpose.estimate.covariance import (
     CURVATURE_OUT,
     EDGE_ON_BELOW,
     Quantities,
-    covariance_of_competing,
-    determined,
+    difference_from,
     joint_covariance,
-    poorly_determined_flags,
     quantities,
-    reported_pose,
     second_order_bias_m,
     with_second_order,
 )
-from ringpose.estimate.hypotheses import (
-    Hypothesis,
-    chi2,
-    degrees_of_freedom,
-    reject_outliers,
-    with_edges_exchanged,
-)
+from ringpose.estimate.hypotheses import Explanation, chi2, curvature_alone, degrees_of_freedom, explain
+from ringpose.estimate.information import pose_stamp, prior_rows, ring_measurement
 from ringpose.estimate.measurements import Measurements, measurements_of
 from ringpose.estimate.nuisance import rig_errors
-from ringpose.estimate.residuals import CURVATURE, Prior
+from ringpose.estimate.residuals import Prior
 from ringpose.estimate.solver import Estimate
 from ringpose.geometry.rays import GRAZING
 from ringpose.pose.catalogue import likely_ring, ring_posterior
 from ringpose.pose.drift import plane_evidence
-from ringpose.types.arrays import Array, Float64
-from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints
-from ringpose.types.pose import NoPose, PoseFlag, RingPose
+from ringpose.pose.observability import determined, poorly_determined_flags, reported_pose
+from ringpose.pose.visibility import seen_lasers
+from ringpose.types.arrays import Array, Bool, Float64
+from ringpose.types.detection import BreakPoints, RingEdgePoints
+from ringpose.types.pose import NoPose, PoseFlag, PoseResult, Priors, RadiusPrior
 from ringpose.types.rig import Rig
 from ringpose.types.ring import KnownRadii, Ring
 
 DOUBTS = PoseFlag.ASSIGNMENT_AMBIGUOUS | PoseFlag.STRIPE_REJECTED | PoseFlag.RADIUS_INCONSISTENT
 """Shots with one of these flags contribute no evidence about the rig."""
 
-SIDE_MARGIN = 9.0
-"""Margin in chi-squared from which the better of two sides for the centre counts as known: 3 sigma."""
+VERIFIED_BELOW = 0.01
+"""Relative standard deviation of the radius by the shot alone below which an assumed radius counts as verified."""
+
+REDUNDANT_STRIPES = 3
+"""Stripes from which a shot has redundancy that can show an error of the rig."""
 
 
 def most_likely_pose(
@@ -51,52 +48,35 @@ def most_likely_pose(
     rig: Rig,
     ring_edges: RingEdgePoints | None = None,
     known: KnownRadii | Sequence[Ring] | None = None,
-) -> RingPose | NoPose:
+    lasers_on: Bool[Array, "laser"] | None = None,
+) -> PoseResult:
     """The pose, or the reason why there is none; covariances are None if the covariance of a break point is NaN.
 
-    The radii of a catalogue's ring are used if the shot identifies it with high probability.
+    The radii of a catalogue's ring are used if the shot identifies it with high probability. `lasers_on`: which lasers
+    were on in the shot, to report those whose stripe is missing; None if unknown.
     """
     measured = measurements_of(break_points, rig, ring_edges)
     if not len(measured.points.x):
-        return NoPose.TOO_FEW_BREAK_POINTS
+        return PoseResult(pose=NoPose.TOO_FEW_BREAK_POINTS)
     if not bool(np.isfinite(measured.points.x + measured.points.y).all()):
-        return NoPose.UNTRIANGULATED
-    radii = known if isinstance(known, KnownRadii) else None
-    best, side_known = _better_side(break_points, measured, rig, Prior(radii))
+        return PoseResult(pose=NoPose.UNTRIANGULATED)
+    radii, source, posterior = (known if isinstance(known, KnownRadii) else None), "given", None
+    best = explain(measured, rig, Prior(radii), break_points.labelled)
     if best is None:
-        return _why_no_estimate(measured, rig)
-    if known is None or isinstance(known, KnownRadii):
-        return _pose(best, rig, side_known)
-    posterior = _posterior(best, known)
-    ring = likely_ring(posterior, known)
-    if ring is not None:
-        with_radii, side_known = _better_side(break_points, measured, rig, Prior(ring.known_radii))
-        best = with_radii or best
-    pose = _pose(best, rig, side_known)
-    return pose if isinstance(pose, NoPose) else replace(pose, ring_posterior=posterior)
-
-
-def _better_side(
-    break_points: BreakPoints, measured: Measurements, rig: Rig, prior: Prior
-) -> tuple[Hypothesis | None, bool]:
-    """The best hypothesis, and whether the centre's side is known: edges that were guessed are tried both ways."""
-    errors, labelled = rig_errors(rig), break_points.labelled
-    best = reject_outliers(measured, rig, prior, errors, labelled)
-    guessed = bool((break_points.flags[break_points.seen] & int(BreakPointFlag.EDGE_UNKNOWN)).any())
-    if not guessed:
-        return best, True
-    other = reject_outliers(with_edges_exchanged(measured), rig, prior, errors, labelled)
-    if best is None or other is None:
-        return best or other, True
-    first, second = sorted((best, other), key=_side_score)
-    return first, _side_score(second) - _side_score(first) > SIDE_MARGIN
-
-
-def _side_score(hypothesis: Hypothesis) -> float:
-    """Penalised chi-squared, and that of a negative curvature, which puts the centre on the wrong side."""
-    estimate = hypothesis.estimate
-    variance = float(estimate.inverse[CURVATURE, CURVATURE])
-    return hypothesis.score + min(estimate.state.curvature, 0.0) ** 2 / variance
+        return PoseResult(pose=_why_no_estimate(measured, rig))
+    if known is not None and not isinstance(known, KnownRadii):
+        posterior = _posterior(best, known)
+        ring = likely_ring(posterior, known)
+        if ring is not None:
+            best = explain(measured, rig, Prior(ring.known_radii), break_points.labelled) or best
+            source = ring.name
+    result = _result(best, rig, source)
+    if isinstance(result.pose, NoPose):
+        return result
+    states, flags = seen_lasers(best, break_points, rig, lasers_on)
+    flags |= result.flags
+    pose = replace(result.pose, flags=flags, ring_posterior=posterior)
+    return replace(result, pose=pose, flags=flags, lasers=states)
 
 
 def _why_no_estimate(measured: Measurements, rig: Rig) -> NoPose:
@@ -109,52 +89,92 @@ def _why_no_estimate(measured: Measurements, rig: Rig) -> NoPose:
     return NoPose.UNTRIANGULATED if bool((grazing | behind).any()) else NoPose.NOT_FINITE
 
 
-def _posterior(best: Hypothesis, rings: Sequence[Ring]) -> Mapping[str, float]:
-    estimate = best.estimate
-    covariance = joint_covariance(estimate, quantities(estimate), best.measured)[CURVATURE_OUT:, CURVATURE_OUT:]
-    return ring_posterior(abs(estimate.state.curvature), estimate.state.band_m, covariance, rings)
+def _posterior(best: Explanation, rings: Sequence[Ring]) -> Mapping[str, float]:
+    arcs = best.estimate.arcs
+    covariance = joint_covariance(best.estimate, quantities(best.estimate, best.measured))
+    shape = covariance[CURVATURE_OUT:, CURVATURE_OUT:]
+    return ring_posterior(abs(arcs.curvature), 2.0 * arcs.half_band_m, shape, rings)
 
 
-def _pose(best: Hypothesis, rig: Rig, side_known: bool) -> RingPose | NoPose:
-    """The pose of the best hypothesis, with everything that is not determined set to NaN and flagged."""
-    estimate = best.estimate
-    found = quantities(estimate)
+def _result(best: Explanation, rig: Rig, source: str) -> PoseResult:
+    """The pose of the best explanation, with everything that is not determined set to NaN and flagged."""
+    estimate, measured, errors = best.estimate, best.measured, rig_errors(rig)
+    found = quantities(estimate, measured)
     covariance = _covariance(best, found)
+    stamp_s = pose_stamp(estimate, measured)
+    result = PoseResult(
+        pose=NoPose.NOT_FINITE,
+        flags=best.flag,
+        remark=best.remark,
+        stamp_s=stamp_s,
+        priors=_priors(best, rig, source),
+        rejected=best.rejected,
+    )
     if not bool(np.isfinite(covariance).all()):
-        return NoPose.NOT_FINITE
+        return result
     bias_m = second_order_bias_m(covariance, estimate)
     covariance = with_second_order(covariance, bias_m, estimate)
-    position_m = estimate.residuals.origin.position_m
-    if abs(float(position_m @ estimate.state.normal)) < EDGE_ON_BELOW * sqrt(float(position_m @ position_m)):
-        return NoPose.EDGE_ON
-    reported = determined(best, covariance, side_known)
+    origin, normal = estimate.arcs.origin, estimate.arcs.normal
+    if abs(float(origin @ normal)) < EDGE_ON_BELOW * sqrt(float(origin @ origin)):
+        return replace(result, pose=NoPose.EDGE_ON)
+    reported = determined(best, found, covariance)
     if not reported.grasp and not reported.normal:
-        return NoPose.COLLINEAR if len(set(best.measured.points.laser.tolist())) > 1 else NoPose.UNDETERMINED
-    pose = reported_pose(estimate, found, covariance if best.measured.has_covariances else None, reported)
-    side = PoseFlag(0) if side_known else PoseFlag.SIDE_UNKNOWN
-    return replace(
-        pose,
-        residual_rms_px=_residual_rms_px(estimate, best.measured, rig),
-        flags=best.flag | poorly_determined_flags(estimate, found, covariance, reported, bias_m) | side,
+        collinear = len(set(measured.points.laser.tolist())) > 1 and not best.differing
+        return replace(result, pose=NoPose.COLLINEAR if collinear else NoPose.UNDETERMINED)
+    flags = best.flag | poorly_determined_flags(estimate, found, covariance, reported, bias_m) | _unverified(best)
+    pose = replace(
+        reported_pose(estimate, found, covariance if measured.has_covariances else None, reported),
+        residual_rms_px=_residual_rms_px(estimate, measured, rig),
+        flags=flags,
         remark=best.remark,
-        plane_evidence=None if best.flag & DOUBTS else plane_evidence(estimate, best.measured, rig),
+        plane_evidence=None if best.flag & DOUBTS else plane_evidence(estimate, measured, rig),
+    )
+    measurement = ring_measurement(estimate, measured, errors, stamp_s) if measured.has_covariances else None
+    return replace(result, pose=pose, flags=flags, measurement=measurement)
+
+
+def _unverified(best: Explanation) -> PoseFlag:
+    """Flags of what the pose assumes without a check by the shot itself: its side, the radius, the rig."""
+    flags = PoseFlag(0) if best.side_known else PoseFlag.SIDE_UNKNOWN
+    if best.prior.radii is not None:
+        curvature, sd = curvature_alone(best.estimate)
+        flags |= PoseFlag.RADIUS_UNVERIFIED if not sd < VERIFIED_BELOW * curvature else PoseFlag(0)
+    if len(best.measured.lines.laser) < REDUNDANT_STRIPES:
+        flags |= PoseFlag.RIG_UNCHECKED
+    return flags
+
+
+def _priors(best: Explanation, rig: Rig, source: str) -> Priors:
+    radius = None
+    if best.prior.radii is not None:
+        inner_m, outer_m = best.prior.radii.radius_m.tolist()
+        inner_sd_m, outer_sd_m = best.prior.radii.sd_m.tolist()
+        radius = RadiusPrior(
+            inner_m=inner_m, outer_m=outer_m, inner_sd_m=inner_sd_m, outer_sd_m=outer_sd_m, source=source
+        )
+    return Priors(
+        radius=radius,
+        rig_covariance=rig_errors(rig) is not None,
+        regularization=prior_rows(best.estimate, best.prior),
     )
 
 
-def _covariance(best: Hypothesis, found: Quantities) -> Float64[Array, "15 15"]:
+def _covariance(best: Explanation, found: Quantities) -> Float64[Array, "15 15"]:
     """Joint covariance; of an inconsistent shot times its reduced chi-squared, plus that of the competing fits."""
     estimate = best.estimate
-    covariance = joint_covariance(estimate, found, best.measured)
+    covariance = joint_covariance(estimate, found)
     if best.flag & PoseFlag.INCONSISTENT:
         dof = degrees_of_freedom(estimate, best.measured, best.prior)
         covariance = covariance * max(chi2(estimate, best.measured) / dof, 1.0)
-        covariance += covariance_of_competing(best.competing, estimate, found)
+        for other in best.competing:
+            difference = difference_from(other, quantities(other, best.measured), estimate, found)
+            covariance = covariance + np.outer(difference, difference)
     return covariance
 
 
 def _residual_rms_px(estimate: Estimate, measured: Measurements, rig: Rig) -> float:
     """Root mean square distance of the break points from the predicted ones: along their lines, and across."""
     points, residuals, matrix = measured.points, estimate.residuals, rig.camera.camera_matrix
-    along_px = residuals.circles.distance / residuals.distance_wrt_x * matrix[0, 0]
+    along_px = residuals.points.distance_m / residuals.distance_wrt_x * matrix[0, 0]
     across_px = (points.y - residuals.y) * matrix[1, 1]
     return sqrt(float(((1.0 + residuals.slope**2) * along_px**2 + across_px**2).sum()) / len(along_px))

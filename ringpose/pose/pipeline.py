@@ -1,4 +1,4 @@
-"""Break points -> pose of the ring: closed form or maximum likelihood (ringpose-method(7), sections 4 and 5)."""
+"""Detection -> pose of the ring: closed form or maximum likelihood (ringpose-method(7), sections 4 and 5)."""
 
 from collections.abc import Sequence
 
@@ -6,9 +6,10 @@ import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.pose.maximum_likelihood import most_likely_pose
+from ringpose.types.arrays import Array, Bool
 from ringpose.types.detection import BreakPoints, RingEdgePoints
 from ringpose.types.options import Method as Method
-from ringpose.types.pose import NoPose, RingPose
+from ringpose.types.pose import NoPose, PoseFlag, PoseResult, RingPose
 from ringpose.types.rig import Rig
 from ringpose.types.ring import KnownRadii, Ring
 
@@ -20,10 +21,23 @@ def estimate_pose(
     ring_edges: RingEdgePoints | None = None,
     known: KnownRadii | Sequence[Ring] | None = None,
 ) -> RingPose | NoPose:
-    """Pose of the ring in the camera frame, or the reason why there is none.
+    """Pose of the ring in the camera frame, or the reason why there is none; see `pose_result`."""
+    return pose_result(break_points, rig, method, ring_edges, known).pose
+
+
+def pose_result(
+    break_points: BreakPoints,
+    rig: Rig,
+    method: Method = Method.ML,
+    ring_edges: RingEdgePoints | None = None,
+    known: KnownRadii | Sequence[Ring] | None = None,
+    lasers_on: Bool[Array, "laser"] | None = None,
+) -> PoseResult:
+    """Pose of the ring in the camera frame, or the reason why there is none, with what it assumes and rejected.
 
     Its covariances are None if a seen break point's covariance is NaN. `known` are the ring's radii, or a
-    catalogue that it may belong to; the paper's methods use neither it nor visible edges.
+    catalogue that it may belong to; the paper's methods use neither it nor visible edges. `lasers_on`: which lasers
+    were on in the shot.
     """
     lasers, known_lasers = len(break_points.position_px), len(rig.lasers.names)
     if lasers != known_lasers:
@@ -32,9 +46,10 @@ def estimate_pose(
     try:
         with np.errstate(all="ignore"):  # solutions are checked for finite values
             if method is Method.ML:
-                return most_likely_pose(break_points, rig, ring_edges, known)
+                return most_likely_pose(break_points, rig, ring_edges, known, lasers_on)
             from ringpose.pose.closed_form import closed_form_pose  # not imported by method `ml`
 
-            return closed_form_pose(break_points, rig, method)
+            pose = closed_form_pose(break_points, rig, method)
+            return PoseResult(pose=pose, flags=PoseFlag(0) if isinstance(pose, NoPose) else pose.flags)
     except np.linalg.LinAlgError:
-        return NoPose.SINGULAR
+        return PoseResult(pose=NoPose.SINGULAR)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ringpose.geometry.rotations import tilt_basis
+from ringpose.geometry.ring import normal_and_center, plane_and_center
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.pose import RingPose
 
@@ -16,7 +16,7 @@ def pose_in_frame(pose: RingPose, frame_from_camera: Float64[Array, "4 4"]) -> R
     """
     rotation, translation = frame_from_camera[:3, :3], frame_from_camera[:3, 3]
     normal_known = bool(np.isfinite(pose.normal).all())
-    jacobian = _parameters_from_camera(pose.normal, rotation, translation) if normal_known else np.eye(7)
+    jacobian = _parameters_from_camera(pose, rotation, translation) if normal_known else np.eye(7)
     return replace(
         pose,
         center_m=rotation @ pose.center_m + translation,
@@ -29,18 +29,18 @@ def pose_in_frame(pose: RingPose, frame_from_camera: Float64[Array, "4 4"]) -> R
 
 
 def _parameters_from_camera(
-    normal: Float64[Array, "3"], rotation: Float64[Array, "3 3"], translation: Float64[Array, "3"]
+    pose: RingPose, rotation: Float64[Array, "3 3"], translation: Float64[Array, "3"]
 ) -> Float64[Array, "7 7"]:
     """Derivatives of the seven parameters in the new frame with respect to those in the camera frame.
 
-    The plane's offset is n' . P' = n . P + n' . translation, which also depends on the tilts.
+    Without a known centre any point of the plane serves: tilts and offset do not depend on it.
     """
-    basis = tilt_basis(rotation @ normal)
-    rotation_2d = basis @ rotation @ tilt_basis(normal).T
+    on_plane = pose.center_m if bool(np.isfinite(pose.center_m).all()) else (pose.grasp_m @ pose.normal) * pose.normal
+    normal_wrt, center_wrt = normal_and_center(pose.normal, on_plane)
     jacobian = np.eye(7)
-    jacobian[:2, :2] = rotation_2d
-    jacobian[2, :2] = (basis @ translation) @ rotation_2d
-    jacobian[3:5, 3:5] = rotation_2d
+    jacobian[:5, :5] = plane_and_center(
+        rotation @ pose.normal, rotation @ on_plane + translation, rotation @ normal_wrt, rotation @ center_wrt
+    )
     return jacobian
 
 

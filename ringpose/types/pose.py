@@ -185,9 +185,15 @@ class RadiusPrior:
 
     inner_m: float
     outer_m: float
-    sd_m: float
+    inner_sd_m: float
+    outer_sd_m: float
     source: str
     """`given`, or the name of the catalogue's ring."""
+
+    @property
+    def sd_m(self) -> float:
+        """The larger standard deviation."""
+        return max(sd for sd in (self.inner_sd_m, self.outer_sd_m, 0.0) if sd == sd)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -226,6 +232,23 @@ class LaserState(StrEnum):
     """Its stripe should be in view but was not found."""
     OUT_OF_VIEW = "out_of_view"
     """By rig and ring, its stripe lies outside the image."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PoseResult:
+    """The result of the estimation from one detection."""
+
+    pose: RingPose | NoPose
+    flags: PoseFlag = PoseFlag(0)
+    """Those of the pose, if there is one."""
+    remark: str = ""
+    """What contradicts the pose, in words; empty if nothing does."""
+    stamp_s: float = math.nan
+    """The instant at which the pose holds; NaN if the features' stamps are unknown."""
+    measurement: RingMeasurement | None = None
+    priors: Priors | None = None
+    lasers: Mapping[str, LaserState] = field(default_factory=dict)
+    rejected: tuple[Rejection, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -1,0 +1,110 @@
+"""The measurement of a shot in information form, without priors (ringpose-method(7), section 9)."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ringpose.estimate.hypotheses import chi2, degrees_of_freedom
+from ringpose.estimate.measurements import Measurements
+from ringpose.estimate.nuisance import RigErrors, edge_jacobian
+from ringpose.estimate.residuals import Prior
+from ringpose.estimate.solver import Estimate
+from ringpose.geometry.ring import public_wrt_rates, public_wrt_step
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.pose import MEASURED_PARAMETERS, LinearizationPoint, RingMeasurement
+
+POSE, RATES = slice(0, 7), slice(7, 12)
+"""Columns of `MEASURED_PARAMETERS`."""
+
+
+def pose_stamp(estimate: Estimate, measured: Measurements) -> float:
+    """t_0, the mean of the stamps weighted by the information on the centre's position; NaN if stamps are unknown."""
+    stamps = measured.stamp_s
+    if not bool(np.isfinite(stamps).all()):
+        return float("nan")
+    rows = _public_jacobian(estimate)[: len(stamps), 2:5]
+    weight = (rows * rows).sum(axis=1) * estimate.weights[: len(stamps)]
+    first = stamps.min()
+    return float(first + weight @ (stamps - first) / weight.sum())
+
+
+def ring_measurement(
+    estimate: Estimate, measured: Measurements, errors: RigErrors | None, reference_s: float
+) -> RingMeasurement:
+    """The square root of the shot's own information on the twelve parameters and the rig's, at `reference_s`.
+
+    The correlated errors of visible edge points are noise of this shot alone: they are eliminated first, with their
+    prior, as the leading columns of the QR factorization.
+    """
+    rows, arcs = estimate.residuals.data_rows, estimate.arcs
+    jacobian = _public_jacobian(estimate)[:rows]
+    time_s = measured.stamp_s - reference_s
+    time_s = np.where(np.isfinite(time_s), time_s, 0.0)
+    # a rate moves the ring by (t - t_0) times its derivative, Eq. (8.2)
+    wrt_rates = time_s[:, None] * (jacobian @ public_wrt_rates(arcs.normal, arcs.center))
+    wrt_rig = np.zeros((rows, 0)) if estimate.rig is None else estimate.rig[:rows]
+    own = edge_jacobian(estimate.residuals, measured)[:rows] if len(measured.edges.edge) else np.zeros((rows, 0))
+    residual = estimate.residuals.residual[:rows]
+
+    # z - h(x) = r falls by -J dx: the derivative of the prediction h is minus that of the residual
+    columns = np.concatenate([own, jacobian, wrt_rates, wrt_rig, -residual[:, None]], axis=1)
+    whitened = -columns * np.sqrt(estimate.weights[:rows])[:, None]
+    count = own.shape[1]
+    prior = np.eye(count, whitened.shape[1])
+    triangle = np.linalg.qr(np.concatenate([prior, whitened]), mode="r")
+    return RingMeasurement(
+        linearized_at=LinearizationPoint(
+            center_m=arcs.center,
+            normal=arcs.normal,
+            radius_inner_m=float(arcs.radius_m[0]),
+            radius_outer_m=float(arcs.radius_m[1]),
+            velocity_m_s=np.zeros(3),
+            rate_rad_s=np.zeros(3),
+        ),
+        nuisance_parameters=() if errors is None else errors.parameters,
+        square_root=np.asarray(triangle)[count:, count:],
+        degrees_of_freedom=degrees_of_freedom(estimate, measured, estimate.prior),
+        chi2=chi2(estimate, measured),
+    )
+
+
+def prior_rows(estimate: Estimate, prior: Prior) -> Float64[Array, "row 13"] | None:
+    """The rows [J, z - h] of the weak priors, in the twelve parameters; None without weak priors.
+
+    The rows of assumed radii, which the record states by themselves, come first and are left out.
+    """
+    radii = 0 if prior.radii is None else int(np.isfinite(prior.radii.radius_m).sum())
+    first = estimate.residuals.data_rows + radii
+    if first == len(estimate.residuals.residual):
+        return None
+    jacobian = -_public_jacobian(estimate)[first:]
+    residual = estimate.residuals.residual[first:, None]
+    return np.concatenate([jacobian, np.zeros((len(jacobian), len(MEASURED_PARAMETERS) - 7)), residual], axis=1)
+
+
+def _public_jacobian(estimate: Estimate) -> Float64[Array, "row parameter=7"]:
+    """Derivatives of the residuals by the seven parameters of a pose."""
+    jacobian: Float64[Array, "row parameter=7"] = np.linalg.solve(
+        public_wrt_step(estimate.arcs).T, estimate.residuals.jacobian.T
+    ).T
+    return jacobian
+
+
+def solve_measurement(
+    measurements: Sequence[RingMeasurement],
+    prior_information: Float64[Array, "n n"],
+    prior_vector: Float64[Array, "n"],
+) -> tuple[Float64[Array, "n"], Float64[Array, "n n"]]:
+    """Increments of parameters and nuisance parameters, and their covariance, from measurements and a prior.
+
+    The measurements share linearisation point and nuisance parameters. Minimises
+    sum |R [dx; dq] - z|^2 / 2 + [dx; dq]^T Lambda [dx; dq] / 2 - lambda^T [dx; dq], Eq. (9.1).
+    """
+    information, vector = prior_information.copy(), prior_vector.copy()
+    for measurement in measurements:
+        matrix, target = measurement.square_root[:, :-1], measurement.square_root[:, -1]
+        information += matrix.T @ matrix
+        vector += matrix.T @ target
+    scale = 1.0 / np.sqrt(np.maximum(information.diagonal(), np.finfo(float).tiny))
+    covariance = scale[:, None] * np.linalg.inv(information * scale[:, None] * scale) * scale
+    return covariance @ vector, covariance

@@ -1,0 +1,99 @@
+"""Which lasers' stripes and break points should be in view by rig and ring, and which of them were used."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ringpose.estimate.hypotheses import Explanation
+from ringpose.geometry.rays import project
+from ringpose.geometry.ring import EDGE_SIGN, RingArcs, edge_distances, predicted_break_points, predicted_stripes
+from ringpose.types.arrays import Array, Bool, Float64
+from ringpose.types.detection import BreakPointFlag, BreakPoints
+from ringpose.types.pose import LaserState, PoseFlag
+from ringpose.types.rig import Rig
+
+BORDER_PX = 16.0
+"""Distance from the image's border within which the detector may miss a stripe or its end."""
+
+PREDICTION_SIGMAS = 3.0
+"""A stripe or break point is expected in view only if it is predicted farther than so many sigmas from the border."""
+
+SEEN_SHARE = 0.5
+"""A stripe is expected to be found if at least this share of its length on the face is in view."""
+
+
+def seen_lasers(
+    best: Explanation, break_points: BreakPoints, rig: Rig, lasers_on: Bool[Array, "laser"] | None
+) -> tuple[Mapping[str, LaserState], PoseFlag]:
+    """What each laser that was on contributed, and the flags of what should be in view but was not used."""
+    inside, share = expected_in_view(best, rig)
+    used = np.zeros_like(inside)
+    used[best.measured.points.laser, best.measured.points.edge] = True
+    has_line = np.isin(np.arange(len(used)), best.measured.lines.laser)
+    on = np.ones(len(used), dtype=bool) if lasers_on is None else lasers_on
+    on = on | used.any(axis=1) | has_line
+    states, flags = {}, PoseFlag(0)
+    for laser in np.flatnonzero(on).tolist():
+        contributed = bool(used[laser].any() or has_line[laser])
+        found = contributed or bool(break_points.seen[laser].any() or np.isfinite(break_points.face_start_px[laser, 0]))
+        rejected = {each.edge for each in best.rejected if each.laser == rig.lasers.names[laser]}
+        if contributed:
+            missing = inside[laser] & ~used[laser]
+            flags |= _why_missing(break_points.flags[laser, missing].tolist())
+            state = LaserState.PARTLY if missing.any() or rejected else LaserState.USED
+        elif found:
+            state, flags = LaserState.REJECTED, flags | PoseFlag.STRIPE_REJECTED
+        elif share[laser] >= SEEN_SHARE:
+            state, flags = LaserState.NOT_SEEN, flags | PoseFlag.LASER_MISSING
+        else:
+            state = LaserState.OUT_OF_VIEW
+        states[rig.lasers.names[laser]] = state
+    blunt = break_points.flags[used] & int(BreakPointFlag.BLUNT) != 0
+    return states, flags | (PoseFlag.BLUNT_EDGE if blunt.any() else PoseFlag(0))
+
+
+def _why_missing(point_flags: list[int]) -> PoseFlag:
+    """The flags for break points that should be in view but were not used, from the detector's flags."""
+    flags = PoseFlag(0)
+    for each in point_flags:
+        if each & BreakPointFlag.CLIPPED:
+            flags |= PoseFlag.TRUNCATED
+        elif each & BreakPointFlag.SATURATED:
+            flags |= PoseFlag.SATURATED
+        else:
+            flags |= PoseFlag.POINT_REJECTED
+    return flags
+
+
+def expected_in_view(best: Explanation, rig: Rig) -> tuple[Bool[Array, "laser edge=2"], Float64[Array, "laser"]]:
+    """Which break points should be in the image, and the share of each stripe's length on the face that should be."""
+    arcs = best.estimate.arcs
+    if arcs.curvature < 0:
+        arcs = arcs.with_center_opposite()
+    with np.errstate(all="ignore"):
+        points_m = predicted_break_points(arcs, rig.lasers.normal, rig.lasers.distance_m)
+        margin_px = BORDER_PX + PREDICTION_SIGMAS * _prediction_sigma_px(best, arcs, points_m, rig)
+    samples = points_m[:, :1] + np.linspace(0.0, 1.0, 11)[:, None] * (points_m[:, 1:] - points_m[:, :1])
+    size_px = np.array([rig.camera.image_width, rig.camera.image_height]) - 1.0
+    pixels = project(samples, rig.camera)
+    distance_px = np.minimum(pixels, size_px - pixels).min(axis=-1)
+    inside = distance_px > margin_px[:, None]  # false for NaN
+    return inside[:, [0, -1]], inside.mean(axis=1)
+
+
+def _prediction_sigma_px(
+    best: Explanation, arcs: RingArcs, points_m: Float64[Array, "laser edge=2 xyz=3"], rig: Rig
+) -> Float64[Array, "laser"]:
+    """Standard deviation of each laser's predicted break points, the larger of both coordinates and edges."""
+    rays = (points_m / points_m[..., 2:]).reshape(-1, 3)
+    normal, distance_m = (np.repeat(each, 2, axis=0) for each in (rig.lasers.normal, rig.lasers.distance_m))
+    stripes = predicted_stripes(arcs, rays[:, 0], normal, distance_m)
+    edges = edge_distances(arcs, rays, np.tile(EDGE_SIGN, len(points_m)))
+    along_wrt_step = edges.wrt_step + edges.wrt_ray[:, 1:] * stripes.y_wrt_step
+    rate = edges.wrt_ray[:, 0] + stripes.slope * edges.wrt_ray[:, 1]
+    covariance = best.estimate.inverse
+    sigma_y = np.sqrt(((stripes.y_wrt_step @ covariance) * stripes.y_wrt_step).sum(axis=1))
+    sigma_x = np.sqrt(((along_wrt_step @ covariance) * along_wrt_step).sum(axis=1)) / np.abs(rate)
+    focal = rig.camera.camera_matrix[[0, 1], [0, 1]]
+    sigma_px: Float64[Array, "laser"] = np.maximum(sigma_x * focal[0], sigma_y * focal[1]).reshape(-1, 2).max(axis=1)
+    return sigma_px
