@@ -2,27 +2,41 @@
 
 Each endpoint is refined in the image: along the stripe, the intensity falls from the level on the face to the level
 beyond (zero, the weak continuation on a wall, or light on the body behind) as an error function, under multiplicative
-speckle noise. The endpoints are then checked for lying on one ring: an occluded one is removed, and the curvature of
-the two arcs resolves which endpoints are on the inner edge.
+speckle noise. The endpoints are then judged by the ring that explains them best (`ringpose.estimate`): wrong ones are
+removed, and the ring's curvature shows which endpoints are on the inner edge.
 """
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
 from ringpose.detect.difference_images import LaserImage
 from ringpose.detect.rim import Face
 from ringpose.detect.stripes import BORDER_PX, FIT_DOF_CORRECTION, MIN_SEGMENT_COLUMNS, lens
+from ringpose.estimate.hypotheses import explain
+from ringpose.estimate.measurements import measurements_of
+from ringpose.estimate.residuals import Prior
 from ringpose.geometry.planes import nearest_plane, towards_camera
 from ringpose.geometry.rays import intersect, rays, undistorted_rays
 from ringpose.kernels import ends as kernels
 from ringpose.kernels.ends import EndParams, Ends, MarkParams, flagged_ends
-from ringpose.kernels.lines import LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START, ArcFit, arc_fit
-from ringpose.types.arrays import Array, Float64, Int64
+from ringpose.kernels.lines import LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
+from ringpose.types.arrays import EDGES, Array, Bool, Float64
 from ringpose.types.camera import Camera
-from ringpose.types.detection import MAX_OFFSET, UNLABELLED, BreakPointFlag, BreakPoints, outside_image
+from ringpose.types.detection import (
+    MAX_OFFSET,
+    UNLABELLED,
+    BreakPointFlag,
+    BreakPoints,
+    NoBreakPoints,
+    Rejection,
+    outside_image,
+)
+from ringpose.types.pose import PoseFlag
 from ringpose.types.rig import Rig
 
 KINK_LEVEL = 0.25
@@ -62,22 +76,65 @@ def break_points(
     rig: Rig,
     saturation_dn: int,
 ) -> BreakPoints:
-    """The break points of a face among all tracks; `images` are the frames that show the lasers."""
+    """The ends of the face's stripes, left ones as those of the inner edge; `tracks` are all segments of the shot."""
     ends = _measured(_with_common_bluntness(_ends(face, images, rig, saturation_dn)), rig.camera)
-    ends, right_is_inner, clear = checked(ends, tracks, rig)
-    order = slice(None, None, -1) if right_is_inner else slice(None)
-    flags = ends.flags[:, order].copy()
-    if not clear:
-        flags[list(face.lasers)] |= int(BreakPointFlag.EDGE_UNKNOWN)
+    beside = beside_occluder(ends, tracks, rig)
+    stamp_s = np.full(len(rig.lasers.names), np.nan)
+    for image in images:
+        shown = [laser for laser in image.lasers if laser in face.lasers]
+        stamp_s[shown] = image.stamp_s
     return BreakPoints(
-        position_px=ends.position_px[:, order].copy(),
-        covariance_px2=ends.covariance_px2[:, order].copy(),
-        flags=flags,
+        position_px=ends.position_px,
+        covariance_px2=ends.covariance_px2,
+        flags=ends.flags | np.where(beside, int(BreakPointFlag.BESIDE_OCCLUDER), 0),
         face_start_px=ends.straight_px[:, 0],
         face_end_px=ends.straight_px[:, 1],
         face_sigma_px=ends.straight_sigma_px,
         labelled=all(image.labelled for image in images if not set(image.lasers).isdisjoint(face.lasers)),
+        stamp_s=stamp_s,
     )
+
+
+class Judged(NamedTuple):
+    """The break points that agree with one ring, and those that do not."""
+
+    break_points: BreakPoints | NoBreakPoints
+    rejected: tuple[Rejection, ...]
+
+
+def judged(points: BreakPoints, rig: Rig) -> Judged:
+    """The break points by the best explanation of their ring: inner and outer edge named, wrong ones left out.
+
+    They are judged before the ring's edges are searched, since a wrong end misleads that search. A rejected end is
+    flagged as occluded. If several explanations are comparable, nothing is rejected: the pose reports what they have in
+    common. If the side of the centre is not known, all ends are flagged with `EDGE_UNKNOWN`.
+    """
+    with np.errstate(all="ignore"):  # fits that diverge are rejected by their values
+        best = explain(measurements_of(points, rig), rig, Prior(), points.labelled)
+    if best is not None and best.edges_exchanged:
+        points = points.with_edges_exchanged()
+    flags = points.flags.copy()
+    if best is None or not best.side_known:
+        flags[points.seen.any(axis=1)] |= int(BreakPointFlag.EDGE_UNKNOWN)
+    left_out = np.zeros(points.flags.shape, dtype=bool)
+    clear = best is not None and not best.competing and PoseFlag.INCONSISTENT not in best.flag
+    rejected = tuple(each for each in best.rejected if each.what in ("point", "stripe")) if best and clear else ()
+    for each in rejected:
+        laser = rig.lasers.names.index(each.laser or "")
+        left_out[laser, slice(None) if each.edge is None else EDGES.index(each.edge)] = True
+    flags[left_out] |= int(BreakPointFlag.OCCLUDED)
+    stripes = [each.laser or "" for each in rejected if each.what == "stripe"]
+    without_line = np.isin(rig.lasers.names, stripes)
+    kept = replace(
+        points,
+        position_px=np.where(left_out[..., None], np.nan, points.position_px),
+        covariance_px2=np.where(left_out[..., None, None], np.nan, points.covariance_px2),
+        flags=flags,
+        face_start_px=np.where(without_line[:, None], np.nan, points.face_start_px),
+        face_end_px=np.where(without_line[:, None], np.nan, points.face_end_px),
+        face_sigma_px=np.where(without_line[:, None], np.nan, points.face_sigma_px),
+    )
+    return Judged(kept, rejected)
 
 
 def ends_clear(found: BreakPoints) -> bool:
@@ -228,98 +285,41 @@ def _end_params(saturation_dn: int) -> EndParams:
     )
 
 
-CIRCLE_SIGMA_PX = 0.5
-"""Standard deviation of a refined end from its circle, besides its own sigma: calibration, an edge's chamfer."""
-
-OCCLUDED_PENALTY = 12.0
-"""Drop in chi2 / 2 above which one end of six is rejected as occluded: below 1e-5 by chance, six ends tried."""
-
-FITTED_EXACTLY = 4
-"""Degrees of freedom of two arcs about one centre: with so many ends there are no residuals, and errors of calibration
-or of the assignment of stripes remain undetected."""
-
-SIDE_SIGMAS = 2.0
-"""Minimum significance of the curvature from which the side of the ring's centre is inferred."""
-
-TIE = 3.0
-"""Difference in chi2 / 2 below which two candidates for rejection are equivalent: if one end of a stripe is wrong, the
-other end is an outlier to a ring of another curvature."""
-
 IN_FRONT_M = 0.005
 """Height above the ring's face from which a surface is not part of the ring."""
 
 BESIDE_PX = 40.0
 """Maximum distance between an occluded end and the stripe on the occluding surface."""
 
-Tracks = Float64[Array, "track column=11"]
-"""Columns as in `TRACK_COLUMNS`."""
+MIN_POINTS_OF_PLANE = 3
+"""Ends that determine the plane of the face."""
 
 
-def checked(ends: Ends, tracks: Tracks, rig: Rig) -> tuple[Ends, bool, bool]:
-    """The ends without an occluded one; whether the ring's centre is to the right of the stripes; if that is certain.
-
-    The side follows from the sign of the arcs' curvature. If the centre is to the right, right ends are inner ones.
-    """
-    planes, optics = _planes(rig), lens(rig.camera)
-    fit = arc_fit(ends.position_px, ends.covariance_px2, planes, optics, CIRCLE_SIGMA_PX, FITTED_EXACTLY)
-    if sum(fit.seen) < FITTED_EXACTLY or 0 in fit.seen:
-        return ends, False, False
-    if sum(fit.seen) >= 6 and fit.cost - min(fit.cost_without) > OCCLUDED_PENALTY:
-        return checked(_without_occluded(ends, fit, tracks, rig), tracks, rig)
-    return ends, fit.curvature > 0, abs(fit.curvature) > SIDE_SIGMAS * fit.curvature_sigma
-
-
-def _without_occluded(ends: Ends, fit: ArcFit, tracks: Tracks, rig: Rig) -> Ends:
-    """The ends without the one that does not lie on the circles of the others.
-
-    If either end of its stripe could be the one, it is that beside a stripe on a surface nearer than the face. If this
-    does not decide, both are rejected.
-    """
-    cost_without = np.array(fit.cost_without).reshape(-1, 2)
-    suspects = np.argwhere(cost_without < cost_without.min() + TIE)
-    beside = [each for each in suspects if _beside_occluder(ends, int(each[0]), int(each[1]), tracks, rig)]
-    if len(beside) == 1:
-        return _without(ends, np.array(beside))
-    labelled = np.isin(suspects[:, 0], tracks[:, LASER]).all()
-    return _without(ends, suspects) if labelled else _without_stripes(ends, suspects)
-
-
-def _without_stripes(ends: Ends, suspects: Int64[Array, "n 2"]) -> Ends:
-    """The ends without the stripes of the suspects: with unlabelled stripes, the assignment to a laser may be wrong."""
-    lasers = np.unique(suspects[:, 0])
-    left = _without(ends, np.stack([np.repeat(lasers, 2), np.tile([0, 1], len(lasers))], axis=1))
-    straight, sigma = ends.straight_px.copy(), ends.straight_sigma_px.copy()
-    straight[lasers], sigma[lasers] = np.nan, np.nan
-    return left._replace(straight_px=straight, straight_sigma_px=sigma)
-
-
-def _without(ends: Ends, suspects: Int64[Array, "n 2"]) -> Ends:
-    """The ends, some of them removed and flagged as occluded."""
-    position, covariance, flags = ends.position_px.copy(), ends.covariance_px2.copy(), ends.flags.copy()
-    which = tuple(suspects.T)
-    position[which], covariance[which] = np.nan, np.nan
-    flags[which] |= int(BreakPointFlag.OCCLUDED)
-    return ends._replace(position_px=position, covariance_px2=covariance, flags=flags)
-
-
-def _beside_occluder(ends: Ends, laser: int, side: int, tracks: Tracks, rig: Rig) -> bool:
-    """Whether a stripe of the same laser begins beside an end, and its triangulated depth is in front of the face."""
+def beside_occluder(ends: Ends, tracks: Float64[Array, "track column=11"], rig: Rig) -> Bool[Array, "laser end=2"]:
+    """Beside which ends a stripe of the same laser begins whose triangulated depth is in front of the face."""
+    beside = np.zeros(ends.flags.shape, dtype=bool)
     seen = ~np.isnan(ends.position_px[..., 0])
-    planes = np.repeat(_planes(rig), 2, axis=0)[seen.ravel()]
-    points = intersect(rays(ends.position_px[seen], rig.camera), planes[:, :3], planes[:, 3])
+    # distance, off the face, from each end to the nearer end of each track
+    near_x = tracks[:, [X_END, X_START]].T
+    outward = (near_x - ends.straight_px[:, 0, 0][:, None, None]) * np.array([-1.0, 1.0])[:, None]
+    own = (tracks[:, LASER] == np.arange(len(seen))[:, None]) | (tracks[:, LASER] == UNLABELLED)
+    near = seen[..., None] & own[:, None] & (outward > -BESIDE_PX / 4) & (outward < BESIDE_PX)
+    laser, side, track = np.nonzero(near)
+    if not len(laser) or seen.sum() < MIN_POINTS_OF_PLANE:
+        return beside
+    seen_lasers = np.nonzero(seen)[0]
+    directions = rays(ends.position_px[seen], rig.camera)
+    points = intersect(directions, rig.lasers.normal[seen_lasers], rig.lasers.distance_m[seen_lasers])
     points = points[np.isfinite(points).all(axis=1)]
-    towards = towards_camera(nearest_plane(points)[0], points.mean(axis=0))
-    own = np.isin(tracks[:, LASER], [laser, UNLABELLED])
-    near_x = tracks[:, X_END if side == 0 else X_START]
-    outward = (near_x - ends.straight_px[laser, side, 0]) * (-1 if side == 0 else 1)
-    beside = own & (outward > -BESIDE_PX / 4) & (outward < BESIDE_PX)
-    near_y = tracks[:, MIDDLE_Y] + tracks[:, SLOPE] * (near_x - tracks[:, MIDDLE_X])
-    directions = undistorted_rays(np.stack([near_x, near_y], axis=-1)[beside], rig.camera)
-    stripe = intersect(directions, rig.lasers.normal[[laser]], rig.lasers.distance_m[[laser]])
-    return bool(np.any((stripe - points.mean(axis=0)) @ towards > IN_FRONT_M))
-
-
-@lru_cache(maxsize=4)
-def _planes(rig: Rig) -> Float64[Array, "laser normal_and_distance=4"]:
-    """The light planes: unit normal and distance."""
-    return np.concatenate([rig.lasers.normal, rig.lasers.distance_m[:, None]], axis=1)
+    if len(points) < MIN_POINTS_OF_PLANE:
+        return beside
+    mean = points.mean(axis=0)
+    towards = towards_camera(nearest_plane(points)[0], mean)
+    x = near_x[side, track]
+    y = tracks[track, MIDDLE_Y] + tracks[track, SLOPE] * (x - tracks[track, MIDDLE_X])
+    stripe = intersect(
+        undistorted_rays(np.stack([x, y], axis=-1), rig.camera), rig.lasers.normal[laser], rig.lasers.distance_m[laser]
+    )
+    in_front = (stripe - mean) @ towards > IN_FRONT_M
+    beside[laser[in_front], side[in_front]] = True
+    return beside

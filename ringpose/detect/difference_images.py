@@ -18,6 +18,8 @@ class LaserImage:
     """Grey value at which a pixel saturates."""
     lasers: tuple[int, ...]
     """Lasers that its stripes may belong to."""
+    stamp_s: float
+    """Mid exposure."""
     usual_full_dn: int | None = None
     """Grey value that thresholds are relative to; `saturation_dn` if None."""
 
@@ -52,9 +54,15 @@ def laser_images(shot: Shot, count: int) -> list[LaserImage]:
             lasers = tuple(laser for laser in range(count) if new >> laser & 1)
             dark = _dark(shot, number, mask & covered)
             lit = shot.images[number]
-            scale_dn = shot.merged_full_dn
             images.append(
-                LaserImage(lit=lit, dark=dark, saturation_dn=saturation_dn, lasers=lasers, usual_full_dn=scale_dn)
+                LaserImage(
+                    lit=lit,
+                    dark=dark,
+                    saturation_dn=saturation_dn,
+                    lasers=lasers,
+                    stamp_s=shot.mid_exposure_s(number),
+                    usual_full_dn=shot.merged_full_dn,
+                )
             )
             covered |= mask
     return images

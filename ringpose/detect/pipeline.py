@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ringpose.detect.break_points import break_points, ends_clear
+from ringpose.detect.break_points import Judged, break_points, ends_clear, judged
 from ringpose.detect.difference_images import LaserImage, laser_images
 from ringpose.detect.rim import CONFIRMED, Face, planes_per_m, ring_face
 from ringpose.detect.ring_edges import detect_ring_edges
@@ -28,6 +28,7 @@ from ringpose.types.detection import (
     Segments,
     Stripes,
     joined_stripes,
+    stamps_of,
 )
 from ringpose.types.image import Shot
 from ringpose.types.options import StripeSource
@@ -51,14 +52,21 @@ def detect(
     whole frames are searched.
     """
     images = laser_images(shot, len(rig.lasers.names))
+    lasers_on = (np.bitwise_or.reduce(shot.lasers, initial=0) >> np.arange(len(rig.lasers.names))) & 1 == 1
     if not images:
-        return Detection(shot=shot.name, stamp_s=shot.measured_at_s, break_points=NoBreakPoints.NO_LASER_FRAME)
+        return Detection(
+            shot=shot.name,
+            stamp_s=shot.measured_at_s,
+            break_points=NoBreakPoints.NO_LASER_FRAME,
+            lasers_on=lasers_on,
+        )
     stripes = None if predicted is None else _predicted_stripes(images, predicted, rig)
     segments, ring_edges = None, None
-    found = None if stripes is None else _found(stripes, images, rig)
-    if stripes is None or found is None or _lost(found, predicted):
+    judged = None if stripes is None else _found(stripes, images, rig)
+    if stripes is None or judged is None or _lost(judged.break_points, predicted):
         stripes, segments = _all_stripes(images, source)
-        found = _found(stripes, images, rig)
+        judged = _found(stripes, images, rig)
+    found = judged.break_points
     if isinstance(found, BreakPoints) and (edges or not ends_clear(found)) and source is StripeSource.CENTERS:
         found, ring_edges = detect_ring_edges(found, shot, stripes, rig)
     if isinstance(found, BreakPoints) and ring_edges is None and not ends_clear(found):
@@ -70,6 +78,8 @@ def detect(
         stripes=stripes,
         segments=segments,
         ring_edges=ring_edges if edges else None,
+        lasers_on=lasers_on,
+        rejected=judged.rejected if isinstance(found, BreakPoints) else (),
     )
 
 
@@ -108,12 +118,17 @@ def _stripes_between_segments(images: list[LaserImage]) -> tuple[Stripes, Segmen
 
     found = [stripes_between_segments(image.lit, image.dark) for image in images]
     stripes = [_labelled(part, image) for (part, _), image in zip(found, images, strict=True)]
-    return joined_stripes(stripes), _joined_segments([segments for _, segments in found])
+    segments = [
+        replace(part, stamp_s=np.full(len(part.support), image.stamp_s))
+        for (_, part), image in zip(found, images, strict=True)
+    ]
+    return joined_stripes(stripes), _joined_segments(segments)
 
 
 def _labelled(stripes: Stripes, image: LaserImage) -> Stripes:
-    """The stripes, assigned to the laser of the frame if it has only one."""
-    return replace(stripes, laser=np.full_like(stripes.laser, image.lasers[0])) if image.labelled else stripes
+    """The stripes with their time stamp, assigned to the laser of the frame if it has only one."""
+    laser = np.full_like(stripes.laser, image.lasers[0]) if image.labelled else stripes.laser
+    return replace(stripes, laser=laser, stamp_s=np.full(len(laser), image.stamp_s))
 
 
 def _joined_segments(parts: list[Segments]) -> Segments:
@@ -122,11 +137,18 @@ def _joined_segments(parts: list[Segments]) -> Segments:
         start_px=np.concatenate([part.start_px for part in parts]),
         end_px=np.concatenate([part.end_px for part in parts]),
         support=np.concatenate([part.support for part in parts]),
+        stamp_s=np.concatenate([stamps_of(part) for part in parts]),
     )
 
 
-def _found(stripes: Stripes, images: list[LaserImage], rig: Rig) -> BreakPoints | NoBreakPoints:
-    """The break points on the stripes, or the reason why there are none."""
+def _found(stripes: Stripes, images: list[LaserImage], rig: Rig) -> Judged:
+    """The break points on the stripes that lie on one ring, or the reason why there are none."""
+    points = _break_points(stripes, images, rig)
+    return judged(points, rig) if isinstance(points, BreakPoints) else Judged(points, ())
+
+
+def _break_points(stripes: Stripes, images: list[LaserImage], rig: Rig) -> BreakPoints | NoBreakPoints:
+    """The ends of the stripes on the face, left ones as inner ones, or the reason why there are none."""
     if not len(stripes.piece):
         return _why_no_stripe(images)
     tracks = stripe_line_segments(stripes, rig.camera)

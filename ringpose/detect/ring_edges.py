@@ -75,7 +75,10 @@ def detect_ring_edges(
     image = shot.images[number]
     lit = stripe_mask(stripes.position_px, image) if shot.lasers[number] else None
     found = found_edges(break_points, EdgeImage(image=image, saturation_dn=shot.saturation_dn, lit=lit), rig)
-    return (break_points, None) if found is None else named_by_curvature(break_points, found)
+    if found is None:
+        return break_points, None
+    named, points = named_by_curvature(break_points, found)
+    return named, replace(points, stamp_s=np.full(len(points.edge), shot.mid_exposure_s(number)))
 
 
 def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundEdges | None:
@@ -106,13 +109,7 @@ def named_by_curvature(break_points: BreakPoints, found: FoundEdges) -> tuple[Br
     named = replace(break_points, flags=break_points.flags & ~unknown)
     if found.side_sigmas > 0:
         return named, found.points
-    swapped = replace(
-        named,
-        position_px=named.position_px[:, ::-1],
-        covariance_px2=named.covariance_px2[:, ::-1],
-        flags=named.flags[:, ::-1],
-    )
-    return swapped, replace(found.points, edge=1 - found.points.edge)
+    return named.with_edges_exchanged(), replace(found.points, edge=1 - found.points.edge)
 
 
 # Tracking

@@ -23,7 +23,7 @@ from ringpose.geometry.ring import (
     edge_distances,
     public_wrt_step,
 )
-from ringpose.geometry.rotations import tilt_basis
+from ringpose.geometry.rotations import cross, tilt_basis
 from ringpose.types.arrays import Array, Float64
 
 TILTS, OFFSET, CENTER_IN_PLANE, RADII = slice(0, 2), 2, slice(3, 5), slice(5, 7)
@@ -91,7 +91,7 @@ def quantities(estimate: Estimate, measured: Measurements) -> Quantities:
     jacobian[GRASP] = mean_wrt_step - np.outer(outward, distance_wrt_step)
     jacobian[CURVATURE_OUT, CURVATURE] = 1.0
     jacobian[BAND_OUT, HALF_BAND] = 2.0
-    along_wrt_x = np.cross(arcs.normal, outward) @ mean_wrt_ray[:, :2] @ np.array([np.ones(len(rays)), residuals.slope])
+    along_wrt_x = cross(arcs.normal, outward) @ mean_wrt_ray[:, :2] @ np.array([np.ones(len(rays)), residuals.slope])
     return Quantities(
         center_m=arcs.center,
         radius_m=arcs.radius_m,
@@ -116,7 +116,7 @@ def joint_covariance(estimate: Estimate, found: Quantities) -> Float64[Array, "1
     The grasp point also moves along the face with the mean of the break points.
     """
     covariance: Float64[Array, "15 15"] = found.jacobian @ estimate.inverse @ found.jacobian.T
-    along = found.grasp_along_sd_m * np.cross(estimate.arcs.normal, found.outward)
+    along = found.grasp_along_sd_m * cross(estimate.arcs.normal, found.outward)
     covariance[GRASP, GRASP] += np.outer(along, along)
     return covariance
 

@@ -43,6 +43,9 @@ PARAMETER_PENALTY = 4.0
 OUTLIER_PENALTY = 12.0
 """Penalty for any rejection: a factor of 400 in likelihood."""
 
+OCCLUDED_PENALTY = 4.0
+"""The same for a break point beside which the image shows a surface in front of the ring."""
+
 RELABEL_PENALTY = 20.0
 """Penalty for exchanging lasers that were switched one by one; lower than for a stripe, as no number is rejected."""
 
@@ -76,6 +79,8 @@ class Hypothesis(NamedTuple):
     """Laser of the rejected break points or stripe; -1 if there is none."""
     both: bool = False
     """Whether both break points of the stripe were rejected."""
+    cause_seen: bool = False
+    """Whether the image shows what occludes the rejected break point, and nothing at the stripe's other end."""
 
 
 class Solved(NamedTuple):
@@ -102,6 +107,8 @@ class Explanation(NamedTuple):
     rejected: tuple[Rejection, ...]
     side_known: bool
     """Whether the shot determines on which side of the face the ring's centre lies."""
+    edges_exchanged: bool = False
+    """Whether the inner edges are those that were given as outer ones."""
     competing: tuple[Estimate, ...] = ()
     """The rings of other explanations that are comparable."""
     differing: frozenset[str] = frozenset()
@@ -119,6 +126,7 @@ def explain(measured: Measurements, rig: Rig, prior: Prior, labelled: bool) -> E
         return best
     # the edges may be named the wrong way round: the centre is then on the other side
     other = _explained(measured.with_edges_exchanged(), rig, prior, errors, labelled)
+    other = None if other is None else other._replace(edges_exchanged=True)
     if best is None or other is None:
         only = best or other
         return None if only is None else only._replace(side_known=False)
@@ -164,7 +172,7 @@ def _explained(
     estimate = estimate_ring(measured, rig, prior, errors)
     if estimate is not None and len(measured.edges.edge):
         measured = replace(measured, edges=inflate_sigma(measured.edges, edge_residuals(estimate, measured)))
-        estimate = estimate_ring(measured, rig, prior, errors)
+        estimate = estimate_ring(measured, rig, prior, errors, estimate.arcs)
     everything = None if estimate is None else Solved(Hypothesis(measured, prior), estimate)
     if everything is not None and not _is_suspicious(everything):
         return _explanation(everything, ())
@@ -262,7 +270,10 @@ def _wrong_points(measured: Measurements, rig: Rig, prior: Prior) -> Iterator[Hy
         for number, rejection in zip(of_laser.tolist(), rejected, strict=True):
             rest = measured.with_points(np.arange(len(points.laser)) != number)
             remark = f"the {rejection.edge} break point of laser {name} contradicts the others and was left out"
-            yield Hypothesis(rest, prior, flag, remark, OUTLIER_PENALTY + PARAMETER_PENALTY, (rejection,), laser)
+            occluded = bool(points.beside_occluder[number])
+            penalty = PARAMETER_PENALTY + (OCCLUDED_PENALTY if occluded else OUTLIER_PENALTY)
+            alone = occluded and int(points.beside_occluder[of_laser].sum()) == 1
+            yield Hypothesis(rest, prior, flag, remark, penalty, (rejection,), laser, cause_seen=alone)
         if len(of_laser) > 1:
             rest = measured.with_points(points.laser != laser)
             remark = f"a break point of laser {name} contradicts the others; both were left out"
@@ -324,7 +335,7 @@ def _confirmed(best: Solved, tried: list[Solved]) -> Solved:
     What occluded one end may have occluded both; the other one is used only if the rest confirms the curvature.
     """
     hypothesis = best.hypothesis
-    if hypothesis.flag != PoseFlag.POINT_REJECTED or hypothesis.both:
+    if hypothesis.flag != PoseFlag.POINT_REJECTED or hypothesis.both or hypothesis.cause_seen:
         return best
     both = (each for each in tried if each.hypothesis.both and each.hypothesis.laser == hypothesis.laser)
     without = next(both, None)

@@ -9,6 +9,7 @@ import numpy as np
 from ringpose.estimate.measurements import Measurements, Observations
 from ringpose.estimate.residuals import EXPECTED_CURVATURE, EXPECTED_HALF_BAND_M, Prior
 from ringpose.geometry.ring import RingArcs
+from ringpose.geometry.rotations import cross
 from ringpose.types.arrays import Array, Float64
 
 MIN_LENGTH_M = 1e-9
@@ -47,7 +48,7 @@ def initial_guess(measured: Measurements, observations: Observations, prior: Pri
     curvature, half_band_m = _expected_size(measured, points_m @ outward, prior)
     return RingArcs(
         origin=mean_ray / float(mean_ray @ plane),
-        axes=np.array([-outward, np.cross(normal, -outward), normal]),
+        axes=np.array([-outward, cross(normal, -outward), normal]),
         curvature=curvature,
         half_band_m=half_band_m,
     )
@@ -82,7 +83,7 @@ def _outward_direction(
     points = measured.points
     direction = ((2.0 * points.edge - 1.0) * (points.x - points.middle_x)) @ points_wrt_x
     if float(direction @ direction) < MIN_LENGTH_M**2:  # no stripe has a length: across the row of break points
-        direction = np.cross(normal, points_m[-1] - points_m[0])
+        direction = cross(normal, points_m[-1] - points_m[0])
     if float(direction @ direction) < MIN_LENGTH_M**2:  # a single point: along its stripe
         direction = points_wrt_x[0]
     direction = direction - (direction @ normal) * normal

@@ -21,7 +21,7 @@ import numpy as np
 from ringpose.geometry.rays import undistort
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.camera import Camera
-from ringpose.types.detection import BreakPoints, RingEdgePoints
+from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints
 from ringpose.types.rig import LaserPlanes, Rig
 
 NOMINAL_SIGMA_PX = 0.3
@@ -82,6 +82,8 @@ class Points:
     """Whether its stripe has no line, so that the ordinate of the point is used too."""
     stamp_s: Float64[Array, "point"]
     """Mid exposure of the stripe's frame; NaN if unknown."""
+    beside_occluder: Bool[Array, "point"]
+    """Whether the image shows a surface in front of the ring beside the point."""
 
 
 class Observations(NamedTuple):
@@ -203,6 +205,7 @@ def measurements_of(break_points: BreakPoints, rig: Rig, ring_edges: RingEdgePoi
         middle_x=_middles(laser, xy[:, 0], lines),
         isolated=~has_line[laser],
         stamp_s=_stamps(break_points)[laser],
+        beside_occluder=break_points.flags[laser, edge] & int(BreakPointFlag.BESIDE_OCCLUDER) != 0,
     )
     return Measurements(
         lines=lines, points=points, edges=_edges(ring_edges, rig.camera), has_covariances=has_covariances

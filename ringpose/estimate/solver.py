@@ -81,8 +81,10 @@ class Estimate(NamedTuple):
         return remaining
 
 
-def estimate_ring(measured: Measurements, rig: Rig, prior: Prior, errors: RigErrors | None) -> Estimate | None:
-    """The maximum-likelihood ring; None if the iteration diverges.
+def estimate_ring(
+    measured: Measurements, rig: Rig, prior: Prior, errors: RigErrors | None, start: RingArcs | None = None
+) -> Estimate | None:
+    """The maximum-likelihood ring; None if the iteration diverges. `start`: an approximate ring, if one is known.
 
     Parameters that the shot leaves open (with one stripe the tilt about it, with two the curvature) are held by weak
     priors in a second run, so that they do not degrade the others. If visible edges close such a gap, the regularised
@@ -99,10 +101,11 @@ def estimate_ring(measured: Measurements, rig: Rig, prior: Prior, errors: RigErr
             return None
 
     with np.errstate(all="ignore"):  # a diverging iteration ends in `_plausible`
-        start = initial_guess(measured, observations, prior)
+        guess = start
+        start = initial_guess(measured, observations, prior) if guess is None else guess
         if start is None:
             return None
-        if len(measured.edges.edge) and len(measured.lines.laser) < STRIPES_OF_A_PLANE:
+        if guess is None and len(measured.edges.edge) and len(measured.lines.laser) < STRIPES_OF_A_PLANE:
             regularized = solve(start, prior._replace(regularize_about=start))
             start = start if regularized is None else regularized.arcs
         estimate = solve(start, prior)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.geometry.rotations import tilt_basis
+from ringpose.geometry.rotations import cross, tilt_basis
 from ringpose.types.arrays import Array, Float64
 
 STEP = ("tilt_inward", "tilt_along", "lift_m", "shift_m", "turn_rad", "curvature", "half_band_m")
@@ -137,7 +137,7 @@ def ring_arcs(
     mean_m = float(radius_m.mean())
     return RingArcs(
         origin=center_m + mean_m * outward,
-        axes=np.array([-outward, np.cross(normal, -outward), normal]),
+        axes=np.array([-outward, cross(normal, -outward), normal]),
         curvature=1.0 / mean_m,
         half_band_m=0.5 * float(radius_m[1] - radius_m[0]),
     )

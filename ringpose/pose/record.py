@@ -8,14 +8,16 @@ print(line.status, line.pose.center_m, pose_record(line))
 """
 
 from collections.abc import Sequence
+from math import isfinite
 from time import perf_counter
+from types import MappingProxyType
 
 import numpy as np
 
 from ringpose.estimate.covariance import standard_deviation
-from ringpose.pose.pipeline import estimate_pose
+from ringpose.pose.pipeline import pose_result
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.detection import BreakPoints, Detection, NoBreakPoints
+from ringpose.types.detection import BreakPoints, Detection, Rejection
 from ringpose.types.image import Shot
 from ringpose.types.options import Method, PoseFrame
 from ringpose.types.pose import NoPose, PoseFlag, PoseLine, RingPose
@@ -38,28 +40,79 @@ def pose_line(
     `known` are the ring's radii, or the catalogue that it belongs to. The frame `tool` needs the rig's mount; without
     it the vectors stay in the camera frame.
     """
-    start_s = perf_counter()
+    start_s = detected_s = perf_counter()
+    stage_s = {}
     if isinstance(source, Shot):
         from ringpose.detect.pipeline import detect  # not needed for detections, and slow to import
 
         source = detect(source, rig)
+        detected_s = perf_counter()
+        stage_s["detect"] = detected_s - start_s
     points = source.break_points
-    result: RingPose | NoPose | NoBreakPoints = (
-        estimate_pose(points, rig, method, source.ring_edges, known) if isinstance(points, BreakPoints) else points
-    )
-    if isinstance(result, RingPose) and frame is PoseFrame.TOOL and rig.tool_from_camera is not None:
+    if not isinstance(points, BreakPoints):
+        return PoseLine(
+            shot=source.shot,
+            stamp_s=source.stamp_s,
+            pose=None,
+            reason=points.value,
+            frame=frame,
+            latency_s=perf_counter() - start_s,
+            stage_s=stage_s,
+            rig=rig.sha256,
+        )
+    result = pose_result(points, rig, method, source.ring_edges, known, source.lasers_on)
+    rejected = (*source.rejected, *result.rejected)
+    pose = result.pose
+    if isinstance(pose, RingPose) and frame is PoseFrame.TOOL and rig.tool_from_camera is not None:
         from ringpose.pose.transform import pose_in_frame
 
-        result = pose_in_frame(result, rig.tool_from_camera)
+        pose = pose_in_frame(pose, rig.tool_from_camera)
+    end_s = perf_counter()
     return PoseLine(
         shot=source.shot,
         stamp_s=source.stamp_s,
-        pose=result if isinstance(result, RingPose) else None,
-        flags=result.flags if isinstance(result, RingPose) else PoseFlag(0),
-        reason=(result.remark or None) if isinstance(result, RingPose) else result.value,
+        pose_stamp_s=result.stamp_s if isfinite(result.stamp_s) else source.stamp_s,
+        pose=pose if isinstance(pose, RingPose) else None,
+        flags=result.flags | flags_of(rejected),
+        reason=pose.value if isinstance(pose, NoPose) else (result.remark or rejection_remark(rejected) or None),
         frame=frame,
-        latency_s=perf_counter() - start_s,
+        measurement=result.measurement,
+        priors=result.priors,
+        lasers=result.lasers,
+        rejected=rejected,
+        latency_s=end_s - start_s,
+        stage_s={**stage_s, "pose": end_s - detected_s},
         rig=rig.sha256,
+    )
+
+
+FLAG_OF_REJECTION = MappingProxyType(
+    {
+        "point": PoseFlag.POINT_REJECTED,
+        "stripe": PoseFlag.STRIPE_REJECTED,
+        "edge": PoseFlag.EDGE_REJECTED,
+        "assignment": PoseFlag.ASSIGNMENT_AMBIGUOUS,
+        "radius": PoseFlag.RADIUS_INCONSISTENT,
+    }
+)
+"""The flag that reports each kind of rejection."""
+
+
+def flags_of(rejected: Sequence[Rejection]) -> PoseFlag:
+    """The flags that report rejections."""
+    flags = PoseFlag(0)
+    for each in rejected:
+        flags |= FLAG_OF_REJECTION[each.what]
+    return flags
+
+
+def rejection_remark(rejected: Sequence[Rejection]) -> str:
+    """The break points and stripes that the detector rejected, in words; empty if there are none."""
+    names = [f"the {each.edge} break point of laser {each.laser}" for each in rejected if each.what == "point"]
+    names += [f"the stripe of laser {each.laser}" for each in rejected if each.what == "stripe"]
+    verb = "contradict" if len(names) > 1 else "contradicts"
+    return (
+        f"{' and '.join(names)} {verb} the others and {'were' if len(names) > 1 else 'was'} left out" if names else ""
     )
 
 

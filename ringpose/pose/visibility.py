@@ -26,12 +26,15 @@ def seen_lasers(
     best: Explanation, break_points: BreakPoints, rig: Rig, lasers_on: Bool[Array, "laser"] | None
 ) -> tuple[Mapping[str, LaserState], PoseFlag]:
     """What each laser that was on contributed, and the flags of what should be in view but was not used."""
-    inside, share = expected_in_view(best, rig)
-    used = np.zeros_like(inside)
+    used = np.zeros((len(rig.lasers.names), 2), dtype=bool)
     used[best.measured.points.laser, best.measured.points.edge] = True
     has_line = np.isin(np.arange(len(used)), best.measured.lines.laser)
     on = np.ones(len(used), dtype=bool) if lasers_on is None else lasers_on
     on = on | used.any(axis=1) | has_line
+    if bool(used[on].all()):  # what is out of view need not be predicted
+        inside, share = used, used.mean(axis=1)
+    else:
+        inside, share = expected_in_view(best, rig)
     states, flags = {}, PoseFlag(0)
     for laser in np.flatnonzero(on).tolist():
         contributed = bool(used[laser].any() or has_line[laser])
@@ -56,7 +59,9 @@ def _why_missing(point_flags: list[int]) -> PoseFlag:
     """The flags for break points that should be in view but were not used, from the detector's flags."""
     flags = PoseFlag(0)
     for each in point_flags:
-        if each & BreakPointFlag.CLIPPED:
+        if each & BreakPointFlag.OCCLUDED:
+            flags |= PoseFlag.POINT_REJECTED
+        elif each & BreakPointFlag.CLIPPED:
             flags |= PoseFlag.TRUNCATED
         elif each & BreakPointFlag.SATURATED:
             flags |= PoseFlag.SATURATED

@@ -5,7 +5,7 @@ A break point is the endpoint of a laser stripe on the ring's face, at its inner
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum, IntFlag
 from typing import Literal
 
@@ -39,6 +39,8 @@ class BreakPointFlag(IntFlag):
     UNCLEAR = 64
     """Low confidence: by noise, a glint or foil, the sigma exceeds 0.75 px (not counting that of a chamfer). An end
     that could not be measured, as where its columns are saturated, has this flag and no position."""
+    BESIDE_OCCLUDER = 128
+    """A stripe of the same laser on a surface in front of the face begins beside the end, which may be occluded."""
 
 
 class NoBreakPoints(Enum):
@@ -79,6 +81,15 @@ class BreakPoints:
         """Which of them were measured."""
         seen: Bool[Array, "laser edge=2"] = ~np.isnan(self.position_px[..., 0])
         return seen
+
+    def with_edges_exchanged(self) -> "BreakPoints":
+        """The break points with inner edges taken for outer ones and the reverse."""
+        return replace(
+            self,
+            position_px=self.position_px[:, ::-1],
+            covariance_px2=self.covariance_px2[:, ::-1],
+            flags=self.flags[:, ::-1],
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -190,4 +201,13 @@ def joined_stripes(parts: Sequence[Stripes]) -> Stripes:
         peak_dn=np.concatenate([part.peak_dn for part in parts]),
         piece=np.concatenate([part.piece + start for part, start in zip(parts, before, strict=True)]),
         laser=np.concatenate([part.laser for part in parts]),
+        stamp_s=np.concatenate([stamps_of(part) for part in parts]),
     )
+
+
+def stamps_of(part: Stripes | Segments | RingEdgePoints) -> Float64[Array, "n"]:
+    """The time stamps of a record's features; NaN if they are unknown."""
+    if part.stamp_s is not None:
+        return part.stamp_s
+    features = part.laser if isinstance(part, Stripes) else part.support if isinstance(part, Segments) else part.edge
+    return np.full(len(features), np.nan)

@@ -71,8 +71,11 @@ class Shot:
     def measured_at_s(self) -> float:
         """Time stamp of the shot: mid exposure of its first frame with a laser on, or of its first frame."""
         lit = np.flatnonzero(self.lasers)
-        first = int(lit[0]) if len(lit) else 0
-        return float(self.stamp_s[first] + self.exposure_s[first] / 2)
+        return self.mid_exposure_s(int(lit[0]) if len(lit) else 0)
+
+    def mid_exposure_s(self, frame: int) -> float:
+        """Time stamp of the middle of a frame's exposure."""
+        return float(self.stamp_s[frame] + self.exposure_s[frame] / 2)
 
     @property
     def saturation_dn(self) -> int:
