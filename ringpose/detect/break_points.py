@@ -301,7 +301,7 @@ def beside_occluder(ends: Ends, tracks: Float64[Array, "track column=11"], rig: 
     seen = ~np.isnan(ends.position_px[..., 0])
     # distance, off the face, from each end to the nearer end of each track
     near_x = tracks[:, [X_END, X_START]].T
-    outward = (near_x - ends.straight_px[:, 0, 0][:, None, None]) * np.array([-1.0, 1.0])[:, None]
+    outward = (near_x - ends.straight_px[:, :, :1]) * np.array([-1.0, 1.0])[:, None]
     own = (tracks[:, LASER] == np.arange(len(seen))[:, None]) | (tracks[:, LASER] == UNLABELLED)
     near = seen[..., None] & own[:, None] & (outward > -BESIDE_PX / 4) & (outward < BESIDE_PX)
     laser, side, track = np.nonzero(near)

@@ -110,10 +110,10 @@ def rejection_remark(rejected: Sequence[Rejection]) -> str:
     """The break points and stripes that the detector rejected, in words; empty if there are none."""
     names = [f"the {each.edge} break point of laser {each.laser}" for each in rejected if each.what == "point"]
     names += [f"the stripe of laser {each.laser}" for each in rejected if each.what == "stripe"]
-    verb = "contradict" if len(names) > 1 else "contradicts"
-    return (
-        f"{' and '.join(names)} {verb} the others and {'were' if len(names) > 1 else 'was'} left out" if names else ""
-    )
+    if not names:
+        return ""
+    several = len(names) > 1
+    return f"{' and '.join(names)} contradict{'' if several else 's'} the others and {'were' if several else 'was'} left out"
 
 
 def remarks_on(line: PoseLine) -> str:
