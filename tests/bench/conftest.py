@@ -73,7 +73,7 @@ def pose_of(on_ring: Callable[[float, float], Any]) -> Callable[..., RingPose]:
             "radius_inner_m": 0.4,
             "radius_outer_m": 0.5,
             "grasp_m": on_ring(0.0, 0.45),
-            "condition": 1.0,
+            "condition_number": 1.0,
             "residual_rms_px": 0.0,
         }
         return RingPose(**{**values, **changes})

@@ -40,7 +40,7 @@ def line(shot: str, error_m: float = 0.0, method: str = "ml", rig: str = "r1", f
         radius_outer_m=0.5,
         grasp_m=CENTER_M + np.array([0.45, 0.0, error_m]),
         method=method,
-        condition=1.0,
+        condition_number=1.0,
         residual_rms_px=0.1,
         covariance=np.eye(7) * 1e-6,
         covariance_center_m2=np.eye(3) * 1e-6,

@@ -31,12 +31,12 @@ def pose(rng) -> RingPose:
         radius_outer_m=0.597,
         grasp_m=rng.normal(size=3),
         method="paper",
-        condition=30.0,
+        condition_number=30.0,
         residual_rms_px=0.1,
         covariance=square(rng, 7),
         covariance_center_m2=square(rng, 3),
         covariance_grasp_m2=square(rng, 3),
-        flags=PoseFlag.CENTER_WEAK | PoseFlag.DAMPED,
+        flags=PoseFlag.CENTER_WEAK | PoseFlag.POINT_REJECTED,
     )
 
 
@@ -61,7 +61,7 @@ def test_line_with_everything_fits_the_schema(pose):
     [
         {"covariance": None, "covariance_center_m2": None, "covariance_grasp_m2": None},
         {"covariance": np.full((7, 7), math.nan)},
-        {"radius_inner_m": math.nan, "residual_rms_px": math.nan, "condition": math.inf},
+        {"radius_inner_m": math.nan, "residual_rms_px": math.nan, "condition_number": math.inf},
         {"center_m": np.full(3, math.nan)},
         {"grasp_m": np.full(3, math.nan), "covariance_grasp_m2": np.full((3, 3), math.nan)},
         {"flags": PoseFlag(0)},
@@ -121,13 +121,13 @@ def test_record_of_another_kind_is_told_by_its_schema():
 
 def test_what_is_not_known_is_read_as_nan(pose):
     unknown = replace(
-        pose, center_m=np.full(3, math.nan), radius_outer_m=math.nan, condition=math.inf, flags=PoseFlag(0)
+        pose, center_m=np.full(3, math.nan), radius_outer_m=math.nan, condition_number=math.inf, flags=PoseFlag(0)
     )
 
     after = pose_line_of(record(line(unknown)), "x")
 
     assert np.isnan([*after.pose.center_m, after.pose.radius_outer_m]).all()
-    assert after.pose.condition == math.inf
+    assert after.pose.condition_number == math.inf
 
 
 def test_covariance_of_a_radius_that_is_not_known_leaves_the_rest_known(pose):
