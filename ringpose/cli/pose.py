@@ -32,6 +32,10 @@ LiveCamera = Annotated[
 
 Frame = Annotated[PoseFrame, typer.Option("--frame", help="Frame of the vectors; tool needs the rig's mount.")]
 
+Brief = Annotated[
+    bool, typer.Option("--brief", help="Write lines without the measurement in information form, which is long.")
+]
+
 
 @app.command()
 def pose(
@@ -53,6 +57,7 @@ def pose(
     allow_missing: AllowUnseen = False,
     count: Count = None,
     duration: Duration = None,
+    brief: Brief = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
@@ -92,7 +97,7 @@ def pose(
         )
         lines = _live_lines(request, rig_of_shots, batch, measure)
     with lines as each:
-        _write(each, DriftMonitor(rig_of_shots.lasers.names, method), batch, verbose, quiet)
+        _write(each, DriftMonitor(rig_of_shots.lasers.names, method), batch, brief, verbose, quiet)
     batch.finish()
 
 
@@ -133,7 +138,7 @@ def _live_lines(
 
     def line_of(live: "LiveShot") -> "PoseLine":
         line = measure(checked_shot(live.shot, rig, request.camera))
-        return replace(line, dropped=live.dropped, latency_s=perf_counter() - live.taken_s)
+        return replace(line, shots_dropped=live.dropped, latency_s=perf_counter() - live.taken_s)
 
     with _newest_shots(request, batch) as newest:
         import ringpose.detect.pipeline  # noqa: F401  # imported while the first shot is taken
@@ -155,8 +160,10 @@ def _newest_shots(request: "CaptureRequest", batch: "Batch") -> "Iterator[Iterat
         yield stack.enter_context(NewestShots(shots, source.abort))
 
 
-def _write(lines: "Iterator[PoseLine]", monitor: "DriftMonitor", batch: "Batch", verbose: bool, quiet: bool) -> None:
-    """Every line as it comes, with the lasers' health."""
+def _write(
+    lines: "Iterator[PoseLine]", monitor: "DriftMonitor", batch: "Batch", brief: bool, verbose: bool, quiet: bool
+) -> None:
+    """Every line as it comes, with the health of the rig."""
     from ringpose.cli import messages
     from ringpose.cli.progress import with_progress
     from ringpose.errors import NO_POSE
@@ -168,7 +175,7 @@ def _write(lines: "Iterator[PoseLine]", monitor: "DriftMonitor", batch: "Batch",
         with_health, warning = monitor.update(line)
         if warning is not None:
             messages.echo(f"{line.shot}: {warning}; run ringpose calibrate-planes")
-        records.write(pose_record(with_health))
+        records.write(pose_record(with_health, brief))
         if verbose:
             messages.echo(f"{line.shot}: {remarks_on(with_health)}")
         if line.pose is None:

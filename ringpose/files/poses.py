@@ -1,90 +1,90 @@
-"""The pose line: one JSON record a shot (`ringpose-records(5)`, `pose.schema.json`)."""
+"""The pose line: one JSON record a shot (`ringpose-records(5)`, `pose.schema.json`).
+
+Version 2 is written; versions 1 and 2 are read. Keys and flags that this version does not have are ignored.
+"""
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import replace
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 
 from ringpose.files.cameras.covariances import checked_covariance
+from ringpose.files.records.rejections import rejection_record, rejections_in
 from ringpose.files.schema import Fields
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.options import PoseFrame
-from ringpose.types.pose import PoseFlag, PoseLine, RingPose
-
-SCHEMA = "ringpose/pose/1"
-
-_KEYS = (
-    "schema",
-    "shot",
-    "stamp_s",
-    "frame",
-    "status",
-    "reason",
-    "flags",
-    "pose",
-    "laser_health",
-    "dropped",
-    "latency_s",
-    "rig",
+from ringpose.types.pose import (
+    HARMLESS_FLAGS,
+    MEASURED_PARAMETERS,
+    LaserState,
+    LinearizationPoint,
+    MotionPrior,
+    PoseFlag,
+    PoseLine,
+    Priors,
+    RadiusPrior,
+    RigStability,
+    RingMeasurement,
+    RingPose,
+    RingVelocity,
+    Status,
 )
-_POSE_KEYS = (
-    "center_m",
-    "normal",
-    "pitch_rad",
-    "yaw_rad",
-    "radius_inner_m",
-    "radius_outer_m",
-    "grasp_m",
-    "covariance",
-    "ring_posterior",
-    "method",
-    "residual_rms_px",
-    "condition",
-)
-_COVARIANCE_KEYS = ("full", "center", "grasp")
+
+SCHEMA = "ringpose/pose/2"
+
+SCHEMA_1 = "ringpose/pose/1"
+"""The version before, which is read but not written."""
+
+STILL = "still"
+"""`priors.motion` of a target that is assumed not to move."""
+
+_FLAGS_1 = {
+    "point_left_out": PoseFlag.POINT_REJECTED,
+    "stripe_left_out": PoseFlag.STRIPE_REJECTED,
+    "relabelled": PoseFlag.ASSIGNMENT_AMBIGUOUS,
+    "radius_disagrees": PoseFlag.RADIUS_INCONSISTENT,
+    "damped": PoseFlag.CENTER_WEAK | PoseFlag.RADIUS_WEAK,
+}
+"""Flags of version 1 that have another name now; `damped` always came with `center_weak` and `radius_weak`."""
+
+_KEYS_1 = {"rig_health": "laser_health", "shots_dropped": "dropped", "condition_number": "condition"}
+"""Names in version 1 of keys that have another name now."""
+
+_UNCHANGED = "give the output of ringpose pose unchanged"
 
 
-def pose_record(line: PoseLine) -> dict[str, Any]:
-    """The record of one shot; the writer replaces NaN and infinity by null."""
+def pose_record(line: PoseLine, brief: bool = False) -> dict[str, Any]:
+    """The record of one shot, without `measurement` if `brief`; the writer replaces NaN and infinity by null."""
     return {
         "schema": SCHEMA,
         "shot": line.shot,
         "stamp_s": line.stamp_s,
+        "pose_stamp_s": line.pose_stamp_s,
         "frame": line.frame.value,
         "status": line.status,
         "reason": line.reason,
-        "flags": list(line.flags),
-        "pose": None if line.pose is None else _pose_dict(line.pose),
-        "laser_health": dict(line.laser_health),
-        "dropped": line.dropped,
+        "flags": list(line.flag_names),
+        "pose": None if line.pose is None else _pose_values(line.pose),
+        "velocity": None if line.velocity is None else _velocity_values(line.velocity),
+        **(
+            {}
+            if brief
+            else {"measurement": None if line.measurement is None else _measurement_values(line.measurement)}
+        ),
+        "priors": None if line.priors is None else _priors_values(line.priors),
+        "lasers": {name: state.value for name, state in line.lasers.items()},
+        "rejected": [rejection_record(each) for each in line.rejected],
+        "rig_health": dict(line.rig_health),
+        "shots_dropped": line.shots_dropped,
         "latency_s": line.latency_s,
+        "stage_s": dict(line.stage_s),
         "rig": line.rig or None,
     }
 
 
-def pose_line_of(record: Mapping[str, Any], location: str) -> PoseLine:
-    """The pose line of a record; null becomes NaN, or None for a missing array. `location` is used in messages."""
-    fields = Fields(location, record)
-    schema = fields.text("schema")
-    if schema != SCHEMA:
-        raise fields.problem("schema", f"is {schema!r}, must be {SCHEMA!r}", "give the output of ringpose pose")
-    fields.reject_unknown(_KEYS)
-    flags = _flags(fields)
-    return PoseLine(
-        shot=fields.text("shot"),
-        stamp_s=_number(fields, "stamp_s"),
-        pose=_read_pose(fields.fields("pose", _POSE_KEYS), flags) if fields.has("pose") else None,
-        reason=fields.text("reason") if fields.has("reason") else None,
-        frame=PoseFrame(fields.choice("frame", tuple(PoseFrame))),
-        laser_health=_laser_health(fields) if fields.has("laser_health") else {},
-        dropped=fields.integer("dropped", least=0) if fields.has("dropped") else 0,
-        latency_s=_number(fields, "latency_s"),
-        rig=fields.text("rig") if fields.has("rig") else "",
-    )
-
-
-def _pose_dict(pose: RingPose) -> dict[str, Any]:
+def _pose_values(pose: RingPose) -> dict[str, Any]:
     return {
         "center_m": _finite(pose.center_m),
         "normal": _finite(pose.normal),
@@ -93,15 +93,15 @@ def _pose_dict(pose: RingPose) -> dict[str, Any]:
         "radius_inner_m": pose.radius_inner_m,
         "radius_outer_m": pose.radius_outer_m,
         "grasp_m": _finite(pose.grasp_m),
-        "covariance": _covariance_dict(pose),
+        "covariance": _covariance_values(pose),
         "ring_posterior": None if pose.ring_posterior is None else dict(pose.ring_posterior),
         "method": pose.method,
         "residual_rms_px": pose.residual_rms_px,
-        "condition": pose.condition,
+        "condition_number": pose.condition_number,
     }
 
 
-def _covariance_dict(pose: RingPose) -> dict[str, Any] | None:
+def _covariance_values(pose: RingPose) -> dict[str, Any] | None:
     matrices = (pose.covariance, pose.covariance_center_m2, pose.covariance_grasp_m2)
     if all(matrix is None for matrix in matrices):
         return None
@@ -109,13 +109,136 @@ def _covariance_dict(pose: RingPose) -> dict[str, Any] | None:
     return {"full": full, "center": _finite(center), "grasp": _finite(grasp)}
 
 
+def _velocity_values(velocity: RingVelocity) -> dict[str, Any]:
+    return {
+        "center_m_s": velocity.center_m_s,
+        "rate_rad_s": velocity.rate_rad_s,
+        "covariance": velocity.covariance,
+    }
+
+
+def _measurement_values(measurement: RingMeasurement) -> dict[str, Any]:
+    point = measurement.linearized_at
+    return {
+        "linearized_at": {
+            "center_m": point.center_m,
+            "normal": point.normal,
+            "radius_inner_m": point.radius_inner_m,
+            "radius_outer_m": point.radius_outer_m,
+            "velocity_m_s": point.velocity_m_s,
+            "rate_rad_s": point.rate_rad_s,
+        },
+        "parameters": list(MEASURED_PARAMETERS),
+        "nuisance_parameters": list(measurement.nuisance_parameters),
+        "square_root": measurement.square_root,
+        "degrees_of_freedom": measurement.degrees_of_freedom,
+        "chi2": measurement.chi2,
+        "camera_motion": measurement.camera_motion,
+    }
+
+
+def _priors_values(priors: Priors) -> dict[str, Any]:
+    motion, radius, stability = priors.motion, priors.radius, priors.stability
+    return {
+        "motion": STILL
+        if motion is None
+        else {"speed_sd_m_s": motion.speed_sd_m_s, "rate_sd_rad_s": motion.rate_sd_rad_s},
+        "radius": None
+        if radius is None
+        else {"inner_m": radius.inner_m, "outer_m": radius.outer_m, "sd_m": radius.sd_m, "source": radius.source},
+        "ring_tolerance_m": priors.ring_tolerance_m,
+        "rig": {
+            "covariance": "rig.yaml" if priors.rig_covariance else "none",
+            "stability": {
+                "plane_tilt_rad": stability.plane_tilt_rad,
+                "plane_distance_m": stability.plane_distance_m,
+                "focal_ratio": stability.focal_ratio,
+            },
+        },
+        "regularization": priors.regularization,
+    }
+
+
 def _finite(values: Float64[Array, "..."] | None) -> Float64[Array, "..."] | None:
     """The array, or None if an element of it is not finite."""
     return values if values is not None and np.isfinite(values).all() else None
 
 
-def _read_pose(fields: Fields, flags: PoseFlag) -> RingPose:
-    covariance = fields.fields("covariance", _COVARIANCE_KEYS) if fields.has("covariance") else None
+def pose_line_of(record: Mapping[str, Any], location: str) -> PoseLine:
+    """The pose line of a record; null becomes NaN, or None for a missing array. `location` is used in messages.
+
+    Records of version 1 state no priors, lasers, rejections or measurement.
+    """
+    fields = Fields(location, record)
+    schema = fields.text("schema")
+    if schema not in (SCHEMA, SCHEMA_1):
+        found = f"is {schema[:60]!r}, must be {SCHEMA!r} or {SCHEMA_1!r}"
+        raise fields.problem("schema", found, "give the output of ringpose pose")
+    names = _KEYS_1 if schema == SCHEMA_1 else {key: key for key in _KEYS_1}
+    flags = _checked_flags(fields)
+    line = PoseLine(
+        shot=fields.text("shot"),
+        stamp_s=_number(fields, "stamp_s"),
+        pose=_pose(fields.fields("pose"), flags, names["condition_number"]) if fields.has("pose") else None,
+        flags=flags,
+        reason=fields.text("reason") if fields.has("reason") else None,
+        frame=PoseFrame(fields.choice("frame", tuple(PoseFrame))),
+        rig_health=_numbers(fields, names["rig_health"]),
+        shots_dropped=fields.integer(names["shots_dropped"], least=0) if fields.has(names["shots_dropped"]) else 0,
+        latency_s=_number(fields, "latency_s"),
+        rig=fields.text("rig") if fields.has("rig") else "",
+    )
+    return line if schema == SCHEMA_1 else replace(line, **_values_of_version_2(fields))
+
+
+def _values_of_version_2(fields: Fields) -> dict[str, Any]:
+    """The attributes of a pose line that version 1 does not have."""
+    return {
+        "pose_stamp_s": _number(fields, "pose_stamp_s"),
+        "velocity": _velocity(fields.fields("velocity")) if fields.has("velocity") else None,
+        "measurement": _measurement(fields.fields("measurement")) if fields.has("measurement") else None,
+        "priors": _priors(fields.fields("priors")) if fields.has("priors") else None,
+        "lasers": _lasers(fields.fields("lasers")) if fields.has("lasers") else {},
+        "rejected": rejections_in(fields),
+        "stage_s": _numbers(fields, "stage_s", least=0.0),
+    }
+
+
+def _checked_flags(fields: Fields) -> PoseFlag:
+    """The known flags of a record, which must not contradict its status."""
+    names = fields.texts("flags")
+    by_name = {str(flag.name).lower(): flag for flag in PoseFlag}
+    if fields.text("schema") == SCHEMA_1:
+        by_name |= _FLAGS_1
+    flags = PoseFlag(0)
+    for name in names:
+        flags |= by_name.get(name, PoseFlag(0))
+    if not fields.has("status"):
+        return flags
+    status = fields.choice("status", get_args(Status))
+    if (status == "none") == fields.has("pose"):
+        pose = "there is a pose" if fields.has("pose") else "pose is null"
+        raise fields.problem("status", f"is {status!r}, but {pose}", _UNCHANGED)
+    serious = flags & ~HARMLESS_FLAGS
+    if status == "ok" and serious:
+        raise fields.problem("status", f"is 'ok', but there is the flag {_name(serious)!r}", _UNCHANGED)
+    if status == "degraded" and not names:
+        raise fields.problem("status", "is 'degraded', but there is no flag", _UNCHANGED)
+    return flags
+
+
+def recorded_status(record: Mapping[str, Any], line: PoseLine) -> Status:
+    """The status in a record from which `line` was read; it may be due to a flag that this version does not have."""
+    status: Status = record.get("status") or line.status
+    return status
+
+
+def _name(flags: PoseFlag) -> str:
+    return next(str(flag.name).lower() for flag in PoseFlag if flag in flags)
+
+
+def _pose(fields: Fields, flags: PoseFlag, condition_key: str) -> RingPose:
+    covariance = fields.fields("covariance") if fields.has("covariance") else None
     return RingPose(
         center_m=_vector(fields, "center_m"),
         normal=fields.unit_vector("normal") if fields.has("normal") else np.full(3, np.nan),
@@ -123,42 +246,14 @@ def _read_pose(fields: Fields, flags: PoseFlag) -> RingPose:
         radius_outer_m=_number(fields, "radius_outer_m"),
         grasp_m=_vector(fields, "grasp_m"),
         method=fields.text("method"),
-        condition=_number(fields, "condition", missing=math.inf),
+        condition_number=_number(fields, condition_key, missing=math.inf),
         residual_rms_px=_number(fields, "residual_rms_px"),
         covariance=_covariance(covariance, "full", 7),
         covariance_center_m2=_covariance(covariance, "center", 3),
         covariance_grasp_m2=_covariance(covariance, "grasp", 3),
         flags=flags,
-        ring_posterior=_ring_posterior(fields) if fields.has("ring_posterior") else None,
+        ring_posterior=_numbers(fields, "ring_posterior", 0.0, 1.0) if fields.has("ring_posterior") else None,
     )
-
-
-def _flags(fields: Fields) -> PoseFlag:
-    flags = PoseFlag(0)
-    by_name = {str(flag.name).lower(): flag for flag in PoseFlag}
-    for name in fields.texts("flags"):
-        if name not in by_name:
-            raise fields.problem("flags", f"unknown flag {name!r}", "give the output of this version of ringpose pose")
-        flags |= by_name[name]
-    return flags
-
-
-def _ring_posterior(fields: Fields) -> dict[str, float]:
-    shares = fields.fields("ring_posterior")
-    return {name: shares.number(name, least=0, most=1) for name in shares.values}
-
-
-def _laser_health(fields: Fields) -> dict[str, float]:
-    health = fields.fields("laser_health")
-    return {name: _number(health, name) for name in health.values}
-
-
-def _number(fields: Fields, key: str, missing: float = math.nan) -> float:
-    return fields.number(key) if fields.has(key) else missing
-
-
-def _vector(fields: Fields, key: str) -> Float64[Array, "xyz=3"]:
-    return fields.vector(key, 3) if fields.has(key) else np.full(3, np.nan)
 
 
 def _covariance(fields: Fields | None, key: str, size: int) -> Float64[Array, "n n"] | None:
@@ -168,7 +263,103 @@ def _covariance(fields: Fields | None, key: str, size: int) -> Float64[Array, "n
     matrix = fields.array(key, (size, size), allow_nan=True)
     undetermined = np.isnan(np.diagonal(matrix))
     if (np.isnan(matrix) != (undetermined[:, None] | undetermined)).any() or (key != "full" and undetermined.any()):
-        raise fields.problem(key, "has a null among numbers", "give the output of ringpose pose unchanged")
+        raise fields.problem(key, "has a null among numbers", _UNCHANGED)
     determined = np.ix_(~undetermined, ~undetermined)
     matrix[determined] = checked_covariance(fields, key, matrix[determined])
     return matrix
+
+
+def _velocity(fields: Fields) -> RingVelocity:
+    return RingVelocity(
+        center_m_s=fields.vector("center_m_s", 3),
+        rate_rad_s=fields.vector("rate_rad_s", 3),
+        covariance=checked_covariance(fields, "covariance", fields.array("covariance", (5, 5))),
+    )
+
+
+def _measurement(fields: Fields) -> RingMeasurement:
+    if fields.texts("parameters") != MEASURED_PARAMETERS:
+        raise fields.problem("parameters", f"must be {', '.join(MEASURED_PARAMETERS)}", _UNCHANGED)
+    point, nuisance = fields.fields("linearized_at"), fields.texts("nuisance_parameters")
+    square_root = fields.array("square_root", (None, len(MEASURED_PARAMETERS) + len(nuisance) + 1))
+    if np.tril(square_root, -1).any():
+        raise fields.problem("square_root", "has a number below its diagonal, must be upper-trapezoidal", _UNCHANGED)
+    return RingMeasurement(
+        linearized_at=LinearizationPoint(
+            center_m=point.vector("center_m", 3),
+            normal=point.unit_vector("normal"),
+            radius_inner_m=_number(point, "radius_inner_m"),
+            radius_outer_m=_number(point, "radius_outer_m"),
+            velocity_m_s=point.vector("velocity_m_s", 3),
+            rate_rad_s=point.vector("rate_rad_s", 3),
+        ),
+        nuisance_parameters=nuisance,
+        square_root=square_root,
+        degrees_of_freedom=fields.integer("degrees_of_freedom"),
+        chi2=fields.number("chi2", least=0),
+        camera_motion=cast(Literal["none", "robot_poses"], fields.choice("camera_motion", ("none", "robot_poses"))),
+    )
+
+
+def _priors(fields: Fields) -> Priors:
+    rig = fields.fields("rig")
+    return Priors(
+        motion=motion_prior(fields),
+        radius=_radius_prior(fields.fields("radius")) if fields.has("radius") else None,
+        ring_tolerance_m=fields.number("ring_tolerance_m", least=0),
+        rig_covariance=rig.choice("covariance", ("rig.yaml", "none")) == "rig.yaml",
+        stability=rig_stability(rig),
+        regularization=fields.array("regularization", (None, len(MEASURED_PARAMETERS) + 1))
+        if fields.has("regularization")
+        else None,
+    )
+
+
+def motion_prior(fields: Fields) -> MotionPrior | None:
+    """The key `motion`; None if the target is assumed to be still."""
+    if isinstance(fields.raw("motion"), str):
+        fields.choice("motion", (STILL,))
+        return None
+    motion = fields.fields("motion")
+    return MotionPrior(
+        speed_sd_m_s=motion.number("speed_sd_m_s", least=0), rate_sd_rad_s=motion.number("rate_sd_rad_s", least=0)
+    )
+
+
+def rig_stability(fields: Fields) -> RigStability:
+    """The key `stability`."""
+    stability = fields.fields("stability")
+    return RigStability(
+        plane_tilt_rad=stability.number("plane_tilt_rad", least=0),
+        plane_distance_m=stability.number("plane_distance_m", least=0),
+        focal_ratio=stability.number("focal_ratio", least=0),
+    )
+
+
+def _radius_prior(fields: Fields) -> RadiusPrior:
+    return RadiusPrior(
+        inner_m=_number(fields, "inner_m"),
+        outer_m=_number(fields, "outer_m"),
+        sd_m=fields.number("sd_m", least=0),
+        source=fields.text("source"),
+    )
+
+
+def _lasers(fields: Fields) -> dict[str, LaserState]:
+    return {name: LaserState(fields.choice(name, tuple(LaserState))) for name in fields.values}
+
+
+def _numbers(fields: Fields, key: str, least: float = -math.inf, most: float = math.inf) -> dict[str, float]:
+    """Numbers by name, NaN for null; empty if the key is missing or null."""
+    if not fields.has(key):
+        return {}
+    values = fields.fields(key)
+    return {name: values.number(name, least, most) if values.has(name) else math.nan for name in values.values}
+
+
+def _number(fields: Fields, key: str, missing: float = math.nan) -> float:
+    return fields.number(key) if fields.has(key) else missing
+
+
+def _vector(fields: Fields, key: str) -> Float64[Array, "xyz=3"]:
+    return fields.vector(key, 3) if fields.has(key) else np.full(3, np.nan)

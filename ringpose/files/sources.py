@@ -14,6 +14,8 @@ from ringpose.types.rig import Rig
 
 SUFFIXES = (RECORDS_SUFFIX, *SHOT_SUFFIXES)
 
+_OTHER_RIG = "give the rig with which they were detected"
+
 
 def read_source(item: Input, rig: Rig, channel: str | None) -> Shot | Detection:
     """The detection or shot in an input; rejected if it does not fit the rig."""
@@ -35,10 +37,11 @@ def path_of_input(item: Input) -> Path:
 
 
 def _checked_detection(detection: Detection, rig: Rig, location: str) -> Detection:
-    lasers = len(rig.lasers.names)
-    if isinstance(detection.break_points, BreakPoints) and len(detection.break_points.position_px) != lasers:
-        found = f"has {len(detection.break_points.position_px)} lasers, the rig has {lasers}"
-        raise DataError(f"{location}: break_points", found, "give the rig with which they were detected")
+    points = detection.break_points.position_px if isinstance(detection.break_points, BreakPoints) else None
+    for key, of_lasers in (("break_points", points), ("lasers_on", detection.lasers_on)):
+        if of_lasers is not None and len(of_lasers) != len(rig.lasers.names):
+            found = f"has {len(of_lasers)} lasers, the rig has {len(rig.lasers.names)}"
+            raise DataError(f"{location}: {key}", found, _OTHER_RIG)
     _check_positions(detection, rig.camera, location)
     return detection
 
@@ -51,4 +54,4 @@ def _check_positions(detection: Detection, camera: Camera, location: str) -> Non
             position_px = getattr(found, key, None)
             if position_px is not None and outside_image(position_px, max_offset, width, height).any():
                 where = f"lies beyond the image of {width} x {height} pixels that the rig's camera has"
-                raise DataError(f"{location}: {part}.{key}", where, "give the rig with which they were detected")
+                raise DataError(f"{location}: {part}.{key}", where, _OTHER_RIG)

@@ -1,17 +1,20 @@
 """A ring that faces the camera at 1 m, and estimates about it."""
 
+import math
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
+from ringpose.bench import score
 from ringpose.bench.score import PoseEstimate
 from ringpose.types.camera import Camera
-from ringpose.types.pose import RingPose
+from ringpose.types.pose import PoseFlag, PoseLine, RingPose
 from ringpose.types.truth import Truth
 
 CENTER_M = np.array([0.1, -0.2, 1.0])
+NO_FLAG = PoseFlag(0)
 NORMAL = np.array([0.0, 0.0, -1.0])
 ANGLES_RAD = np.array([-0.2, 0.0, 0.3])
 """Where the three stripes cross the ring, from the x axis."""
@@ -73,7 +76,7 @@ def pose_of(on_ring: Callable[[float, float], Any]) -> Callable[..., RingPose]:
             "radius_inner_m": 0.4,
             "radius_outer_m": 0.5,
             "grasp_m": on_ring(0.0, 0.45),
-            "condition": 1.0,
+            "condition_number": 1.0,
             "residual_rms_px": 0.0,
         }
         return RingPose(**{**values, **changes})
@@ -83,9 +86,12 @@ def pose_of(on_ring: Callable[[float, float], Any]) -> Callable[..., RingPose]:
 
 @pytest.fixture
 def estimate_of(pose_of: Callable[..., RingPose]) -> Callable[..., PoseEstimate]:
-    """The true estimate, but for changes of the pose."""
+    """The true estimate, but for changes of the pose and of its line."""
 
-    def estimate(shot: str = "a", method: str = "paper", **changes: Any) -> PoseEstimate:
-        return PoseEstimate(shot=shot, method=method, pose=pose_of(method=method, **changes))
+    def estimate(
+        shot: str = "a", method: str = "paper", flags: PoseFlag = NO_FLAG, line: Any = None, **changes: Any
+    ) -> PoseEstimate:
+        pose = pose_of(method=method, flags=flags, **changes)
+        return score.estimate_of(PoseLine(shot=shot, stamp_s=math.nan, pose=pose, flags=flags, **(line or {})), "x")
 
     return estimate

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from ringpose.bench.score import JUDGED, QUANTITIES, Judgement, Outcome, PoseEstimate, score
+from ringpose.errors import DataError
 from ringpose.geometry.rotations import tilted
-from ringpose.types.pose import PoseFlag
-from ringpose.types.truth import Truth
+from ringpose.types.pose import PoseFlag, RingVelocity
+from ringpose.types.truth import Truth, TruthFrame
 
 NOTHING = Truth(shot="a", expect="no_target")
 NO_POSE = PoseEstimate(shot="a", method="paper", pose=None)
@@ -16,11 +17,25 @@ SMALL = np.eye(3) * 1e-6
 """A standard deviation of 1 mm."""
 
 
+MOVING = {"velocity_m_s": np.array([0.05, 0.0, -0.02]), "angular_velocity_rad_s": np.array([0.01, 0.02, 3.0])}
+
+
+def velocity_of(truth: Truth, sigmas: float = 0.0) -> RingVelocity:
+    """The true velocity, without the spin about the normal, but for an error of so many standard deviations."""
+    return RingVelocity(
+        center_m_s=truth.velocity_m_s + np.array([0.0, sigmas * 0.01, 0.0]),
+        rate_rad_s=truth.angular_velocity_rad_s * np.array([1.0, 1.0, 0.0]),
+        covariance=np.diag([0.01, 0.01, 0.01, 0.02, 0.02]) ** 2,
+    )
+
+
 def test_the_truth_itself_has_no_errors(truth_of, estimate_of):
-    result = score(truth_of(), estimate_of(), "paper", None)
+    truth = truth_of(**MOVING)
+
+    result = score(truth, estimate_of(line={"velocity": velocity_of(truth)}), "paper", None)
 
     assert result.outcome is Outcome.OK
-    assert set(result.errors) == {name for name in QUANTITIES if "nees" not in name}
+    assert set(result.errors) - {"velocity_nees"} == {name for name in QUANTITIES if "nees" not in name}
     assert max(map(abs, result.errors.values())) < 1e-12
 
 
@@ -61,8 +76,47 @@ def test_a_center_that_is_not_given_is_not_scored(truth_of, estimate_of):
     assert "normal_rad" in errors
 
 
-def test_a_flag_makes_a_pose_degraded(truth_of, estimate_of):
-    assert score(truth_of(), estimate_of(flags=PoseFlag.RADIUS_WEAK), "paper", None).outcome is Outcome.DEGRADED
+@pytest.mark.parametrize(
+    ("flag", "outcome"),
+    [
+        (PoseFlag.RADIUS_WEAK, Outcome.DEGRADED),
+        (PoseFlag.RADIUS_UNVERIFIED, Outcome.OK),
+        (PoseFlag.RIG_UNCHECKED, Outcome.OK),
+    ],
+)
+def test_a_flag_makes_a_pose_degraded_unless_it_is_harmless(truth_of, estimate_of, flag, outcome):
+    result = score(truth_of(), estimate_of(flags=flag), "paper", None)
+
+    assert (result.outcome, result.status) == (outcome, str(outcome))
+
+
+@pytest.mark.parametrize(("sigmas", "wrong"), [(4.9, ()), (5.1, ("velocity",))])
+def test_a_velocity_is_wrong_from_five_standard_deviations(truth_of, estimate_of, sigmas, wrong):
+    truth = truth_of(**MOVING)
+
+    result = score(truth, estimate_of(line={"velocity": velocity_of(truth, sigmas)}), "ml", None)
+
+    assert result.wrong == wrong
+    assert result.errors["velocity_m_s"] == pytest.approx(sigmas * 0.01)
+    assert result.errors["velocity_nees"] == pytest.approx(sigmas**2 / 5)
+    assert result.errors["rate_rad_s"] < 1e-12
+
+
+def test_a_velocity_is_not_judged_where_the_truth_has_none(truth_of, estimate_of):
+    velocity = velocity_of(truth_of(**MOVING), sigmas=9.0)
+
+    result = score(truth_of(), estimate_of(line={"velocity": velocity}), "ml", None)
+
+    assert "velocity" not in result.judgements
+
+
+def test_the_truth_is_moved_to_the_instant_at_which_the_pose_holds(truth_of, estimate_of):
+    truth = truth_of(stamp_s=100.0, velocity_m_s=np.array([0.05, 0.0, 0.0]))
+    there = truth.center_m + 0.08 * truth.velocity_m_s
+
+    errors = score(truth, estimate_of(center_m=there, line={"pose_stamp_s": 100.08}), "ml", None).errors
+
+    assert errors["center_m"] < 1e-12
 
 
 @pytest.mark.parametrize(
@@ -182,24 +236,37 @@ def test_where_along_the_band_the_grasp_point_lies_is_not_judged(truth_of, estim
 EXCUSES = [
     (PoseFlag.CENTER_WEAK, {"center"}),
     (PoseFlag.SIDE_UNKNOWN, {"center"}),
-    (PoseFlag.DAMPED, set()),
+    (PoseFlag.GRASP_WEAK, {"grasp"}),
+    (PoseFlag.VELOCITY_WEAK, {"velocity"}),
     (PoseFlag.NORMAL_WEAK, {"normal"}),
     (PoseFlag.RADIUS_WEAK, {"radius_inner", "radius_outer"}),
     (PoseFlag.RADIUS_INCONSISTENT, {"center", "radius_inner", "radius_outer"}),
+    (PoseFlag.RADIUS_UNVERIFIED, {"center", "radius_inner", "radius_outer"}),
     (PoseFlag.INCONSISTENT, set(JUDGED)),
     (PoseFlag.ASSIGNMENT_AMBIGUOUS, set(JUDGED)),
     (PoseFlag.POINT_REJECTED, set()),
     (PoseFlag.STRIPE_REJECTED, set()),
+    (PoseFlag.EDGE_REJECTED, set()),
+    (PoseFlag.LASER_MISSING, set()),
+    (PoseFlag.RING_FORM, set()),
+    (PoseFlag.MOTION, set()),
+    (PoseFlag.AMBIENT_CHANGED, set()),
+    (PoseFlag.RIG_DRIFT, set()),
+    (PoseFlag.RIG_UNCHECKED, set()),
+    (PoseFlag.SATURATED, set()),
+    (PoseFlag.TRUNCATED, set()),
+    (PoseFlag.BLUNT_EDGE, set()),
 ]
 
 
 @pytest.mark.parametrize(("flag", "named"), EXCUSES)
 def test_a_flag_excuses_the_quantities_that_it_names_and_no_other(truth_of, estimate_of, flag, named):
-    truth = truth_of()
+    truth = truth_of(**MOVING)
     changes = {key: value for name in NAMED for key, value in off_by(9.0, name, truth).items() if "cov" not in key}
     covariances = {key: value for key, value in off_by(0.0, "center", truth).items() if "cov" in key}
+    line = {"velocity": velocity_of(truth, sigmas=9.0)}
 
-    result = score(truth, estimate_of(**covariances, **changes, flags=flag), "ml", None)
+    result = score(truth, estimate_of(**covariances, **changes, flags=flag, line=line), "ml", None)
 
     assert set(result.wrong) == set(JUDGED) - named
     assert {name for name, found in result.judgements.items() if found is Judgement.FLAGGED} == named
@@ -240,7 +307,7 @@ def test_every_quantity_of_a_pose_of_nothing_is_wrong_unless_a_flag_names_it(est
     unflagged = score(NOTHING, estimate_of(), "paper", None)
     flagged = score(NOTHING, estimate_of(flags=PoseFlag.RADIUS_WEAK), "paper", None)
 
-    assert set(unflagged.gross) == set(unflagged.wrong) == set(JUDGED)
+    assert set(unflagged.gross) == set(unflagged.wrong) == set(JUDGED) - {"velocity"}
     assert set(flagged.wrong) == {"center", "normal", "grasp"}
 
 
@@ -275,6 +342,40 @@ def test_a_moving_target_is_scored_where_it_was_when_the_shot_was_stamped(truth_
 
     assert errors["center_m"] < 1e-12
     assert errors["normal_rad"] < 1e-12
+
+
+def turned(angle_rad: float) -> np.ndarray:
+    return np.array([-np.sin(angle_rad), 0.0, -np.cos(angle_rad)])
+
+
+@pytest.mark.parametrize(("stamp_s", "share"), [(100.0, 0.0), (100.03, 0.3), (100.1, 1.0), (100.15, 1.5), (99.9, -1.0)])
+def test_a_truth_with_frames_is_interpolated_to_the_instant_of_the_pose(truth_of, estimate_of, stamp_s, share):
+    center_m = truth_of().center_m
+    frames = [
+        TruthFrame(stamp_s=100.0 + 0.1 * n, center_m=center_m + np.array([0.01 * n, 0, 0]), normal=turned(0.02 * n))
+        for n in range(2)
+    ]
+    there = {"center_m": center_m + np.array([0.01 * share, 0, 0]), "normal": turned(0.02 * share)}
+
+    errors = score(
+        truth_of(frames=tuple(frames)), estimate_of(line={"pose_stamp_s": stamp_s}, **there), "ml", None
+    ).errors
+
+    assert errors["center_m"] < 1e-12
+    assert errors["normal_rad"] < 1e-9
+
+
+def test_a_pose_far_from_the_frames_of_its_truth_is_of_another_clock(truth_of, estimate_of):
+    frame = TruthFrame(stamp_s=100.0, center_m=truth_of().center_m, normal=truth_of().normal)
+
+    with pytest.raises(DataError, match="clock"):
+        score(truth_of(frames=(frame,)), estimate_of(line={"pose_stamp_s": 1.7e9}), "ml", None)
+
+
+def test_a_degraded_line_with_an_unknown_flag_is_degraded(truth_of, estimate_of):
+    result = score(truth_of(), replace(estimate_of(), status="degraded"), "ml", None)
+
+    assert (result.outcome, result.status) == (Outcome.DEGRADED, "degraded")
 
 
 HALF_BAND_RAD = 0.1 / 0.9

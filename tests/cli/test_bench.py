@@ -47,7 +47,7 @@ def pose_off_by(off_m: float) -> RingPose:
         radius_outer_m=0.5 - off_m,
         grasp_m=CENTER_M + 0.45 * X + off_m * Z,
         method="paper",
-        condition=1.0,
+        condition_number=1.0,
         residual_rms_px=0.1,
     )
 

@@ -125,7 +125,7 @@ def test_pitch_and_yaw_are_the_papers(scene_of):
 
     pose = RingPose(
         center_m=view.center_m, normal=view.normal, radius_inner_m=1.0, radius_outer_m=1.1, grasp_m=np.zeros(3),
-        method="paper", condition=1.0, residual_rms_px=0.0,
+        method="paper", condition_number=1.0, residual_rms_px=0.0,
     )  # fmt: skip
     assert (pose.pitch_rad, pose.yaw_rad) == pytest.approx((0.2, -0.1))
 

@@ -23,7 +23,7 @@ def some_pose(rng, **covariances) -> RingPose:
         radius_outer_m=0.597,
         grasp_m=rng.normal(size=3),
         method="paper",
-        condition=10.0,
+        condition_number=10.0,
         residual_rms_px=0.1,
         **covariances,
     )

@@ -15,7 +15,7 @@ ANGLE = st.floats(-1.2, 1.2)
 def pose_with(normal):
     return RingPose(
         center_m=np.zeros(3), normal=normal, radius_inner_m=1.0, radius_outer_m=1.1, grasp_m=np.zeros(3),
-        method="paper", condition=1.0, residual_rms_px=0.0,
+        method="paper", condition_number=1.0, residual_rms_px=0.0,
     )  # fmt: skip
 
 

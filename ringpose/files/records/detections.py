@@ -1,5 +1,6 @@
 """Detections as JSON records or NPZ files, with the same keys in both, and their output by `ringpose detect`."""
 
+import json
 import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -13,8 +14,9 @@ from ringpose.files import atomic, records
 from ringpose.files.images.codecs import write_image
 from ringpose.files.io import provenance
 from ringpose.files.npz import Archive, write_archive
+from ringpose.files.records.rejections import rejection_record, rejections_in
 from ringpose.files.schema import FREE_PREFIX, ROUNDED, Fields
-from ringpose.types.arrays import EDGES, Array, Float64, Int64
+from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
 from ringpose.types.detection import (
     MAX_SIGMA_PX,
     BreakPoints,
@@ -26,22 +28,24 @@ from ringpose.types.detection import (
 )
 from ringpose.types.image import Shot
 
-SCHEMA = "ringpose/detection/1"
+SCHEMA = "ringpose/detection/2"
+
+SCHEMA_1 = "ringpose/detection/1"
+"""The version before, which is read but not written; it has no time stamps of features, `lasers_on` and `rejected`."""
 
 PROVENANCE = "provenance"
 """Key of the provenance in an NPZ file, a JSON text."""
 
-_POINTS = ("position_px", "covariance_px2", "flags", "face_start_px", "face_end_px", "face_sigma_px", "labelled")
+REJECTED = "rejected"
+"""Key of the rejections: a list of mappings, in an NPZ file as a JSON text."""
 
-_RING_EDGES = ("position_px", "normal", "sigma_px", "edge")
-
-_STRIPES = ("position_px", "sigma_px", "peak_dn", "piece", "laser")
-
-_SEGMENTS = ("start_px", "end_px", "support")
-
-_PARTS = {"break_points": _POINTS, "ring_edges": _RING_EDGES, "stripes": _STRIPES, "segments": _SEGMENTS}
-
-_KEYS = ("schema", "shot", "stamp_s", "reason", *_PARTS)
+_PARTS = {
+    "break_points": BreakPoints.__slots__,
+    "ring_edges": RingEdgePoints.__slots__,
+    "stripes": Stripes.__slots__,
+    "segments": Segments.__slots__,
+}
+"""Keys of each part, which are the attributes of its type."""
 
 MAX_INTEGER = 2**31
 
@@ -54,39 +58,60 @@ def detection_record(detection: Detection, full: bool = True) -> dict[str, Any]:
         "shot": detection.shot,
         "stamp_s": detection.stamp_s,
         "reason": detection.break_points.value if isinstance(detection.break_points, NoBreakPoints) else None,
-        "break_points": _part(found, _POINTS),
-        "ring_edges": _part(detection.ring_edges, _RING_EDGES),
+        "lasers_on": detection.lasers_on,
+        "break_points": _part("break_points", found),
+        "ring_edges": _part("ring_edges", detection.ring_edges),
+        REJECTED: [rejection_record(each) for each in detection.rejected],
     }
     if full:
-        record |= {"stripes": _part(detection.stripes, _STRIPES), "segments": _part(detection.segments, _SEGMENTS)}
+        record |= {"stripes": _part("stripes", detection.stripes), "segments": _part("segments", detection.segments)}
     return record
 
 
+def _part(name: str, part: object) -> dict[str, Any] | None:
+    return None if part is None else {key: getattr(part, key) for key in _PARTS[name]}
+
+
 def detection_of(record: Mapping[str, Any], location: str) -> Detection:
-    """The detection in a record; null numbers become NaN."""
+    """The detection in a record of version 1 or 2; null numbers become NaN, and unknown keys are ignored."""
     fields = Fields(location, record)
     schema = fields.text("schema")
-    if schema != SCHEMA:
-        raise fields.problem("schema", f"is {schema!r}, must be {SCHEMA!r}", "give the output of ringpose detect")
-    fields.reject_unknown(_KEYS)
-    parts = {key: fields.fields(key, _PARTS[key]) for key in _PARTS if fields.has(key)}
+    if schema not in (SCHEMA, SCHEMA_1):
+        found = f"is {schema[:60]!r}, must be {SCHEMA!r} or {SCHEMA_1!r}"
+        raise fields.problem("schema", found, "give the output of ringpose detect")
+    parts = {key: fields.fields(key) for key in _PARTS if fields.has(key)}
+    points = _break_points(parts["break_points"]) if "break_points" in parts else _reason(fields)
     return Detection(
         shot=fields.text("shot"),
         stamp_s=fields.number("stamp_s") if fields.has("stamp_s") else math.nan,
-        break_points=_break_points(parts["break_points"]) if "break_points" in parts else _reason(fields),
+        break_points=points,
         stripes=_stripes(parts["stripes"]) if "stripes" in parts else None,
         segments=_segments(parts["segments"]) if "segments" in parts else None,
         ring_edges=_ring_edges(parts["ring_edges"]) if "ring_edges" in parts else None,
+        lasers_on=_lasers_on(fields, points) if fields.has("lasers_on") else None,
+        rejected=rejections_in(fields),
     )
+
+
+def _lasers_on(fields: Fields, points: BreakPoints | NoBreakPoints) -> Bool[Array, "laser"]:
+    lasers = fields.raw("lasers_on")
+    if not isinstance(lasers, list) or not all(isinstance(each, bool) for each in lasers):
+        raise fields.problem("lasers_on", "must be a list of true or false")
+    if isinstance(points, BreakPoints) and len(lasers) != len(points.position_px):
+        raise fields.problem("lasers_on", f"has {len(lasers)} lasers, break_points has {len(points.position_px)}")
+    return np.array(lasers, dtype=bool)
 
 
 def write_detection(path: Path, detection: Detection, *, force: bool = False, inputs: Iterable[Path] = ()) -> None:
     """Write a detection as NPZ with the record's keys (nested ones as `break_points.position_px`) and provenance."""
+    record = detection_record(detection)
     arrays: dict[str, Any] = {PROVENANCE: np.array(records.line_of(provenance(inputs)).strip())}
-    for key, value in detection_record(detection).items():
+    if rejected := record.pop(REJECTED):
+        arrays[REJECTED] = np.array(json.dumps(records.plain(rejected)))
+    for key, value in record.items():
         if isinstance(value, Mapping):
-            arrays |= {f"{key}.{name}": part for name, part in value.items()}
-        elif value is not None and value == value:  # an unknown stamp (NaN) is omitted
+            arrays |= {f"{key}.{name}": part for name, part in value.items() if part is not None}
+        elif value is not None and not (key == "stamp_s" and math.isnan(value)):
             arrays[key] = value
     write_archive(path, arrays, force=force)
 
@@ -98,6 +123,8 @@ def detection_in(archive: Archive) -> Detection:
         if key == PROVENANCE or key.startswith(FREE_PREFIX):
             continue
         value = archive.value(key).tolist()
+        if key == REJECTED:
+            value = _parsed_rejections(archive, value)
         part, _, name = key.partition(".")
         if name and part in _PARTS:
             record.setdefault(part, {})[name] = value
@@ -106,13 +133,16 @@ def detection_in(archive: Archive) -> Detection:
     return detection_of(record, str(archive.path))
 
 
+def _parsed_rejections(archive: Archive, text: object) -> Any:
+    try:
+        return json.loads(str(text))
+    except (ValueError, RecursionError):
+        raise archive.problem(REJECTED, "is not valid JSON", "give the output of ringpose detect") from None
+
+
 def is_detection(archive: Archive) -> bool:
     """Whether an archive is a detection, of any version."""
     return "schema" in archive
-
-
-def _part(part: object, names: tuple[str, ...]) -> dict[str, Any] | None:
-    return None if part is None else {name: getattr(part, name) for name in names}
 
 
 def _reason(fields: Fields) -> NoBreakPoints:
@@ -134,6 +164,7 @@ def _break_points(fields: Fields) -> BreakPoints:
         face_end_px=_points(fields, "face_end_px", (lasers, 2)),
         face_sigma_px=_sigmas(fields, "face_sigma_px", (lasers, 2), allow_nan=True),
         labelled=fields.boolean("labelled"),
+        stamp_s=_stamps(fields, lasers, allow_nan=True),
     )
 
 
@@ -150,6 +181,7 @@ def _ring_edges(fields: Fields) -> RingEdgePoints:
         normal=normal,
         sigma_px=_sigmas(fields, "sigma_px", (len(position),)),
         edge=edge,
+        stamp_s=_stamps(fields, len(position)),
     )
 
 
@@ -165,6 +197,7 @@ def _stripes(fields: Fields) -> Stripes:
         peak_dn=fields.array("peak_dn", (len(position),), allow_nan=True),
         piece=piece,
         laser=laser,
+        stamp_s=_stamps(fields, len(laser)),
     )
 
 
@@ -174,7 +207,13 @@ def _segments(fields: Fields) -> Segments:
         start_px=start,
         end_px=fields.array("end_px", (len(start), 2)),
         support=_integers(fields, "support", (len(start),)),
+        stamp_s=_stamps(fields, len(start)),
     )
+
+
+def _stamps(fields: Fields, count: int, allow_nan: bool = False) -> Float64[Array, "feature"] | None:
+    """Time stamps of the features of one part; None if they are unknown, as in version 1."""
+    return fields.array("stamp_s", (count,), allow_nan=allow_nan) if fields.has("stamp_s") else None
 
 
 def _points(fields: Fields, key: str, shape: tuple[int | None, ...]) -> Float64[Array, "... xy=2"]:
