@@ -145,7 +145,14 @@ def _priors_values(priors: Priors) -> dict[str, Any]:
         else {"speed_sd_m_s": motion.speed_sd_m_s, "rate_sd_rad_s": motion.rate_sd_rad_s},
         "radius": None
         if radius is None
-        else {"inner_m": radius.inner_m, "outer_m": radius.outer_m, "sd_m": radius.sd_m, "source": radius.source},
+        else {
+            "inner_m": radius.inner_m,
+            "outer_m": radius.outer_m,
+            "sd_m": radius.sd_m,
+            "inner_sd_m": radius.inner_sd_m,
+            "outer_sd_m": radius.outer_sd_m,
+            "source": radius.source,
+        },
         "ring_tolerance_m": priors.ring_tolerance_m,
         "rig": {
             "covariance": "rig.yaml" if priors.rig_covariance else "none",
@@ -340,7 +347,8 @@ def _radius_prior(fields: Fields) -> RadiusPrior:
     return RadiusPrior(
         inner_m=_number(fields, "inner_m"),
         outer_m=_number(fields, "outer_m"),
-        sd_m=fields.number("sd_m", least=0),
+        inner_sd_m=fields.number("inner_sd_m" if fields.has("inner_sd_m") else "sd_m", least=0),
+        outer_sd_m=fields.number("outer_sd_m" if fields.has("outer_sd_m") else "sd_m", least=0),
         source=fields.text("source"),
     )
 

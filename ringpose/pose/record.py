@@ -112,8 +112,8 @@ def rejection_remark(rejected: Sequence[Rejection]) -> str:
     names += [f"the stripe of laser {each.laser}" for each in rejected if each.what == "stripe"]
     if not names:
         return ""
-    several = len(names) > 1
-    return f"{' and '.join(names)} contradict{'' if several else 's'} the others and {'were' if several else 'was'} left out"
+    verbs = ("contradict", "were") if len(names) > 1 else ("contradicts", "was")
+    return f"{' and '.join(names)} {verbs[0]} the others and {verbs[1]} left out"
 
 
 def remarks_on(line: PoseLine) -> str:

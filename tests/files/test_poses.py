@@ -81,7 +81,7 @@ def complete(rng, pose, measurement) -> PoseLine:
         measurement=measurement,
         priors=Priors(
             motion=MotionPrior(speed_sd_m_s=0.025, rate_sd_rad_s=0.04),
-            radius=RadiusPrior(inner_m=math.nan, outer_m=0.597, sd_m=0.0005, source="given"),
+            radius=RadiusPrior(inner_m=math.nan, outer_m=0.597, inner_sd_m=math.nan, outer_sd_m=0.0005, source="given"),
             ring_tolerance_m=1e-4,
             rig_covariance=True,
             stability=RigStability(plane_tilt_rad=1e-4, plane_distance_m=2e-5, focal_ratio=1e-4),
