@@ -110,7 +110,7 @@ def judged(points: BreakPoints, rig: Rig) -> Judged:
     common. If the side of the centre is not known, all ends are flagged with `EDGE_UNKNOWN`.
     """
     with np.errstate(all="ignore"):  # fits that diverge are rejected by their values
-        best = explain(measurements_of(points, rig), rig, Prior(), points.labelled)
+        best = explain(measurements_of(points, rig), rig, Prior(), labelled=points.labelled, edges_named=False)
     if best is not None and best.edges_exchanged:
         points = points.with_edges_exchanged()
     flags = points.flags.copy()

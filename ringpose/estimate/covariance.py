@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.estimate.measurements import Measurements
 from ringpose.estimate.residuals import PARAMETERS
 from ringpose.estimate.solver import Estimate
 from ringpose.geometry.ring import (
@@ -61,7 +60,7 @@ class Quantities(NamedTuple):
     """Standard deviation of the grasp point along the face, from the noise of the break points."""
 
 
-def quantities(estimate: Estimate, measured: Measurements) -> Quantities:
+def quantities(estimate: Estimate) -> Quantities:
     """Centre, radii and grasp point: the point on the middle of the face nearest to the mean of the break points.
 
     The grasp point does not use the centre, so that it stays known where the centre is not.
@@ -91,6 +90,7 @@ def quantities(estimate: Estimate, measured: Measurements) -> Quantities:
     jacobian[GRASP] = mean_wrt_step - np.outer(outward, distance_wrt_step)
     jacobian[CURVATURE_OUT, CURVATURE] = 1.0
     jacobian[BAND_OUT, HALF_BAND] = 2.0
+    sigma_x = 1.0 / (residuals.distance_scale * np.abs(residuals.distance_wrt_x))
     along_wrt_x = cross(arcs.normal, outward) @ mean_wrt_ray[:, :2] @ np.array([np.ones(len(rays)), residuals.slope])
     return Quantities(
         center_m=arcs.center,
@@ -98,7 +98,7 @@ def quantities(estimate: Estimate, measured: Measurements) -> Quantities:
         grasp_m=mean_m - float(middle.distance_m[0]) * outward,
         outward=outward,
         jacobian=jacobian,
-        grasp_along_sd_m=float(np.linalg.norm(along_wrt_x * measured.points.sigma_x)) / len(rays),
+        grasp_along_sd_m=float(np.linalg.norm(along_wrt_x * sigma_x)) / len(rays),
     )
 
 

@@ -28,7 +28,7 @@ from ringpose.estimate.measurements import Measurements, inflate_sigma
 from ringpose.estimate.nuisance import RigErrors, rig_errors
 from ringpose.estimate.residuals import PARAMETERS, Prior
 from ringpose.estimate.solver import RIDGE, Estimate, estimate_ring
-from ringpose.geometry.ring import CURVATURE
+from ringpose.geometry.ring import CURVATURE, edge_distances
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.detection import Rejection
 from ringpose.types.pose import PoseFlag
@@ -52,8 +52,8 @@ RELABEL_PENALTY = 20.0
 CLEARLY = 6.0
 """Margin in chi-squared by which the best hypothesis must beat the others: a factor of 20 in likelihood."""
 
-SIDE_MARGIN = 16.0
-"""Margin in chi-squared from which the better of two sides for the centre counts as known: 4 sigma."""
+SIDE_SIGMAS = 4.0
+"""Curvature in standard deviations, or root of the margin in chi-squared, from which the centre's side is known."""
 
 STRAIGHT_SIGMAS = 3.0
 """How many standard deviations a curvature may be below zero: two stripes alone hardly determine it."""
@@ -104,6 +104,8 @@ class Explanation(NamedTuple):
     estimate: Estimate
     flag: PoseFlag
     remark: str
+    penalty: float
+    """In chi-squared, for what was rejected."""
     rejected: tuple[Rejection, ...]
     side_known: bool
     """Whether the shot determines on which side of the face the ring's centre lies."""
@@ -115,29 +117,25 @@ class Explanation(NamedTuple):
     """Quantities in which these differ: `center`, `normal`, `grasp`, `radius`."""
 
 
-def explain(measured: Measurements, rig: Rig, prior: Prior, labelled: bool) -> Explanation | None:
+def explain(measured: Measurements, rig: Rig, prior: Prior, *, labelled: bool, edges_named: bool) -> Explanation | None:
     """The best explanation of the measurements; None if no estimate converges.
 
-    `labelled`: whether the lasers were identified by switching them.
+    `labelled`: whether the lasers were identified by switching them. `edges_named`: whether it is known which edges are
+    the inner ones; if it is not, or if the centre turns out to be on the other side, both ways are tried.
     """
     errors = rig_errors(rig)
     best = _explained(measured, rig, prior, errors, labelled)
-    if best is not None and side_significance(best.estimate) ** 2 > SIDE_MARGIN and best.estimate.arcs.curvature > 0:
-        return best
-    # the edges may be named the wrong way round: the centre is then on the other side
+    if best is not None:
+        curvature, sd = curvature_alone(best.estimate)
+        if curvature > (-SIDE_SIGMAS if edges_named else SIDE_SIGMAS) * sd:
+            return best
     other = _explained(measured.with_edges_exchanged(), rig, prior, errors, labelled)
     other = None if other is None else other._replace(edges_exchanged=True)
     if best is None or other is None:
         only = best or other
         return None if only is None else only._replace(side_known=False)
     first, second = sorted((best, other), key=_side_score)
-    return first._replace(side_known=_side_score(second) - _side_score(first) > SIDE_MARGIN)
-
-
-def side_significance(estimate: Estimate) -> float:
-    """The curvature by the shot alone in its standard deviations; negative if the centre is on the other side."""
-    curvature, sd = curvature_alone(estimate)
-    return curvature / sd
+    return first._replace(side_known=_side_score(second) - _side_score(first) > SIDE_SIGMAS**2)
 
 
 def curvature_alone(estimate: Estimate) -> tuple[float, float]:
@@ -158,11 +156,11 @@ def curvature_alone(estimate: Estimate) -> tuple[float, float]:
 
 
 def _side_score(explanation: Explanation) -> float:
-    """Chi-squared with assumed radii, and that of a negative curvature, which puts the centre on the wrong side."""
+    """Penalised chi-squared, and that of a negative curvature, which puts the centre on the wrong side."""
     estimate = explanation.estimate
     variance = float(estimate.inverse[CURVATURE, CURVATURE])
-    total = chi2(estimate, explanation.measured) + sum(PARAMETER_PENALTY for _ in explanation.rejected)
-    return total + min(estimate.arcs.curvature, 0.0) ** 2 / variance
+    score = chi2(estimate, explanation.measured) + explanation.penalty
+    return score + min(estimate.arcs.curvature, 0.0) ** 2 / variance
 
 
 def _explained(
@@ -205,7 +203,7 @@ def _select(everything: Solved | None, tried: list[Solved]) -> Explanation | Non
 
 def _explanation(best: Solved, rivals: Sequence[Solved]) -> Explanation:
     hypothesis = best.hypothesis
-    differing = frozenset[str]().union(*(differing_quantities(best, each) for each in rivals))
+    differing = frozenset[str]().union(*(differing_quantities(best.estimate, each.estimate) for each in rivals))
     flag = hypothesis.flag
     for each in rivals:  # another assignment of the lasers is possible
         flag |= each.hypothesis.flag & PoseFlag.ASSIGNMENT_AMBIGUOUS
@@ -215,6 +213,7 @@ def _explanation(best: Solved, rivals: Sequence[Solved]) -> Explanation:
         estimate=best.estimate,
         flag=flag,
         remark=hypothesis.remark,
+        penalty=hypothesis.penalty,
         rejected=hypothesis.rejected,
         side_known=True,
         competing=tuple(each.estimate for each in rivals),
@@ -222,24 +221,30 @@ def _explanation(best: Solved, rivals: Sequence[Solved]) -> Explanation:
     )
 
 
-def differing_quantities(best: Solved, rival: Solved) -> frozenset[str]:
+def differing_quantities(best: Estimate, rival: Estimate) -> frozenset[str]:
     """In which quantities two explanations differ by more than the errors of the best one."""
-    found = quantities(best.estimate, best.hypothesis.measured)
-    covariance = joint_covariance(best.estimate, found)
-    other = quantities(rival.estimate, rival.hypothesis.measured)
-    difference = difference_from(rival.estimate, other, best.estimate, found)
-    across = np.array([best.estimate.arcs.normal, found.outward])  # of the grasp point: not along the face
+    found, other = quantities(best), quantities(rival)
+    covariance = joint_covariance(best, found)
+    difference = difference_from(rival, other, best, found)
+    # the grasp points lie at different places along the face: how far the best one is from the rival's ring
+    height_m = float(rival.arcs.normal @ (found.grasp_m - rival.arcs.origin))
+    radial = edge_distances(rival.arcs, (found.grasp_m / found.grasp_m[2])[None], np.zeros(1))
+    across = np.array([best.arcs.normal, found.outward])
     tested = {
         "center": (difference[CENTER], covariance[CENTER, CENTER]),
         "normal": (difference[TILTS], covariance[TILTS, TILTS]),
-        "grasp": (across @ difference[GRASP], across @ covariance[GRASP, GRASP] @ across.T),
+        "grasp": (np.array([height_m, float(radial.distance_m[0])]), across @ covariance[GRASP, GRASP] @ across.T),
         "radius": (difference[RADII], covariance[RADII, RADII]),
     }
-    return frozenset(
-        name
-        for name, (by, of) in tested.items()
-        if not float(by @ np.linalg.pinv(of, hermitian=True) @ by) <= DIFFERS * len(by)
-    )
+    return frozenset(name for name, (by, of) in tested.items() if not _within(by, of))
+
+
+def _within(difference: Float64[Array, "n"], covariance: Float64[Array, "n n"]) -> bool:
+    """Whether a difference is within `DIFFERS` of the errors; false for numbers that are not finite."""
+    if not bool(np.isfinite(difference).all() and np.isfinite(covariance).all()):
+        return False
+    squared = float(difference @ np.linalg.pinv(covariance, hermitian=True) @ difference)
+    return squared <= DIFFERS * len(difference)
 
 
 def outlier_hypotheses(measured: Measurements, rig: Rig, prior: Prior, labelled: bool) -> Iterator[Hypothesis]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from math import sqrt
 
 import numpy as np
@@ -28,7 +29,7 @@ from ringpose.pose.drift import plane_evidence
 from ringpose.pose.observability import determined, poorly_determined_flags, reported_pose
 from ringpose.pose.visibility import seen_lasers
 from ringpose.types.arrays import Array, Bool, Float64
-from ringpose.types.detection import BreakPoints, RingEdgePoints
+from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints
 from ringpose.types.pose import NoPose, PoseFlag, PoseResult, Priors, RadiusPrior
 from ringpose.types.rig import Rig
 from ringpose.types.ring import KnownRadii, Ring
@@ -61,14 +62,16 @@ def most_likely_pose(
     if not bool(np.isfinite(measured.points.x + measured.points.y).all()):
         return PoseResult(pose=NoPose.UNTRIANGULATED)
     radii, source, posterior = (known if isinstance(known, KnownRadii) else None), "given", None
-    best = explain(measured, rig, Prior(radii), break_points.labelled)
+    named = not bool((break_points.flags[break_points.seen] & int(BreakPointFlag.EDGE_UNKNOWN)).any())
+    explained = partial(explain, measured, rig, labelled=break_points.labelled, edges_named=named)
+    best = explained(Prior(radii))
     if best is None:
         return PoseResult(pose=_why_no_estimate(measured, rig))
     if known is not None and not isinstance(known, KnownRadii):
         posterior = _posterior(best, known)
         ring = likely_ring(posterior, known)
         if ring is not None:
-            best = explain(measured, rig, Prior(ring.known_radii), break_points.labelled) or best
+            best = explained(Prior(ring.known_radii)) or best
             source = ring.name
     result = _result(best, rig, source)
     if isinstance(result.pose, NoPose):
@@ -91,7 +94,7 @@ def _why_no_estimate(measured: Measurements, rig: Rig) -> NoPose:
 
 def _posterior(best: Explanation, rings: Sequence[Ring]) -> Mapping[str, float]:
     arcs = best.estimate.arcs
-    covariance = joint_covariance(best.estimate, quantities(best.estimate, best.measured))
+    covariance = joint_covariance(best.estimate, quantities(best.estimate))
     shape = covariance[CURVATURE_OUT:, CURVATURE_OUT:]
     return ring_posterior(abs(arcs.curvature), 2.0 * arcs.half_band_m, shape, rings)
 
@@ -99,7 +102,7 @@ def _posterior(best: Explanation, rings: Sequence[Ring]) -> Mapping[str, float]:
 def _result(best: Explanation, rig: Rig, source: str) -> PoseResult:
     """The pose of the best explanation, with everything that is not determined set to NaN and flagged."""
     estimate, measured, errors = best.estimate, best.measured, rig_errors(rig)
-    found = quantities(estimate, measured)
+    found = quantities(estimate)
     covariance = _covariance(best, found)
     stamp_s = pose_stamp(estimate, measured)
     result = PoseResult(
@@ -167,7 +170,7 @@ def _covariance(best: Explanation, found: Quantities) -> Float64[Array, "15 15"]
         dof = degrees_of_freedom(estimate, best.measured, best.prior)
         covariance = covariance * max(chi2(estimate, best.measured) / dof, 1.0)
         for other in best.competing:
-            difference = difference_from(other, quantities(other, best.measured), estimate, found)
+            difference = difference_from(other, quantities(other), estimate, found)
             covariance = covariance + np.outer(difference, difference)
     return covariance
 
