@@ -5,20 +5,20 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
+from ringpose.bench.assumptions import assumption_lines, assumptions_record, counted
 from ringpose.bench.compare import COMPARED, Pair, Row, Verdict, testable_shots
 from ringpose.bench.score import Judgement
 from ringpose.bench.summary import ABSENT, WrongQuantities, wrong_quantities
-from ringpose.bench.table import COLUMNS, aligned
+from ringpose.bench.table import COLUMNS, NEES, aligned
 
 SCHEMA = "bench_compare/1"
 
 UNITS: Mapping[str, tuple[str, float]] = {
-    **{name: COLUMNS[name] for name in ("center_m", "normal_rad", "grasp_m", "radius_inner_m", "radius_outer_m")},
+    **{name: column for name, column in COLUMNS.items() if name not in ("center_x_m", "center_y_m", "center_z_m")},
     "center_typical_m": ("typical center mm", 1e3),
     "normal_typical_rad": ("typical normal deg", COLUMNS["normal_rad"][1]),
     "grasp_typical_m": ("typical grasp mm", 1e3),
-    "center_nees": ("center NEES", 1.0),
-    "normal_nees": ("normal NEES", 1.0),
+    **{name: (heading, 1.0) for name, heading in NEES.items()},
     "available": ("available %", 100.0),
     "no_pose": ("no pose %", 100.0),
     "wrong": ("wrong / shot", 1.0),
@@ -107,6 +107,7 @@ def comparison_text(
         f"{counts[Verdict.BETTER]} better, {counts[Verdict.CANNOT_TELL]} cannot tell, {counts[Verdict.SAME]} the same; "
         f"{matched}"
     )
+    lines += assumption_lines([b.assumptions or a.assumptions for _, members in paired for a, b in members])
     return "\n".join(lines) + "\n"
 
 
@@ -165,6 +166,10 @@ def comparison_record(
     return {
         "ringpose": SCHEMA,
         "tolerance": tolerance,
+        "assumptions": [
+            {**assumptions_record(each), "shots": shots}
+            for each, shots in counted(b.assumptions or a.assumptions for _, members in paired for a, b in members)
+        ],
         "matched": dict(matched),
         "changed": not nothing_changed(rows),
         "worse": sum(row.beyond_tolerance for row in rows),

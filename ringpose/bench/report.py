@@ -4,14 +4,14 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
+from ringpose.bench.assumptions import assumptions_record, assumptions_text, counted
 from ringpose.bench.score import QUANTITIES, Judgement, Matching, Score
 from ringpose.bench.summary import Summary
 
-SCHEMA = "bench/2"
+SCHEMA = "bench/3"
 
-
-ASSUMPTIONS: Mapping[str, Any] = {"still": True, "ring_tolerance_m": 0.0, "rig_stability": 0.0}
-"""Assumptions of pose records of version /1: image noise and the covariance of the calibration only."""
+SCHEMA_2 = "bench/2"
+"""The version before, which is read but not written: all poses are those of a still and perfect ring."""
 
 
 def report(
@@ -27,7 +27,10 @@ def report(
     """
     return {
         "ringpose": SCHEMA,
-        "assumptions": dict(ASSUMPTIONS),
+        "assumptions": [
+            {**assumptions_record(each), "shots": shots}
+            for each, shots in counted(score.assumptions for score in scores)
+        ],
         "truths": sorted(truths),
         "matching": None if matched is None else asdict(matched),
         "groups": [_group_record(line) for line in summaries],
@@ -39,12 +42,14 @@ def report(
 def csv_rows(scores: Sequence[Score]) -> Iterator[Sequence[str | float | int | bool]]:
     """A heading, then a row for each shot and method; missing errors are empty, wrong quantities share a cell."""
     names = list(dict.fromkeys(name for score in scores for name in score.groups))
-    yield ["shot", "method", "outcome", *names, *QUANTITIES, "status", "wrong", "latency_s"]
+    yield ["shot", "method", "outcome", *names, *QUANTITIES, "status", "wrong", "latency_s", "assumptions"]
     for score in scores:
         groups = [score.groups.get(name, "") for name in names]
         errors = [score.errors.get(name, "") for name in QUANTITIES]
         latency = "" if score.latency_s is None else score.latency_s
-        yield [score.shot, score.method, score.outcome, *groups, *errors, score.status, " ".join(score.wrong), latency]
+        assumptions = "" if score.assumptions is None else assumptions_text(score.assumptions)
+        judged = [score.status, " ".join(score.wrong), latency, assumptions]
+        yield [score.shot, score.method, score.outcome, *groups, *errors, *judged]
 
 
 def _group_record(line: Summary) -> Mapping[str, Any]:
@@ -83,6 +88,7 @@ def _shot_record(score: Score) -> Mapping[str, Any]:
         "judgements": {name: str(judgement) for name, judgement in score.judgements.items()},
         "distances": dict(score.distances),
         "gross": list(score.gross),
+        "assumptions": None if score.assumptions is None else assumptions_record(score.assumptions),
         "latency_s": score.latency_s,
         "rig": score.rig or None,
     }

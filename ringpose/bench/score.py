@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from ringpose.bench.assumptions import Assumptions, assumptions_of
 from ringpose.bench.pose_errors import (
     circle_error,
     distance_to_circle_m,
@@ -20,11 +21,11 @@ from ringpose.bench.pose_errors import (
     truth_at,
 )
 from ringpose.errors import DataError
-from ringpose.geometry.rotations import angle_between
+from ringpose.geometry.rotations import angle_between, tilt_basis
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
 from ringpose.types.options import PoseFrame
-from ringpose.types.pose import PoseFlag, PoseLine, RingPose
+from ringpose.types.pose import PoseFlag, PoseLine, RingPose, RingVelocity, Status
 from ringpose.types.truth import Truth
 
 WRONG_SIGMAS = 5.0
@@ -33,23 +34,27 @@ WRONG_SIGMAS = 5.0
 GROSS_SIGMAS = 6.0
 """Among very many quantities a few exceed `WRONG_SIGMAS` by chance; none exceeds this."""
 
-JUDGED = MappingProxyType({"center": 3, "normal": 2, "grasp": 2, "radius_inner": 1, "radius_outer": 1})
-"""The quantities that are judged, with their degrees of freedom; the grasp point's are along the normal and radial."""
+JUDGED = MappingProxyType({"center": 3, "normal": 2, "grasp": 2, "radius_inner": 1, "radius_outer": 1, "velocity": 5})
+"""The quantities that are judged, with their degrees of freedom.
+
+Those of the grasp point are along the normal and radial, those of the velocity the centre's and two rates.
+"""
+
+WITH_NEES = ("center", "normal", "velocity")
 
 _ALL = PoseFlag.INCONSISTENT | PoseFlag.ASSIGNMENT_AMBIGUOUS
+_RADII = PoseFlag.RADIUS_INCONSISTENT | PoseFlag.RADIUS_UNVERIFIED
 FLAGS_OF_QUANTITY: Mapping[str, PoseFlag] = MappingProxyType(
     {
-        "center": _ALL | PoseFlag.CENTER_WEAK | PoseFlag.SIDE_UNKNOWN | PoseFlag.RADIUS_INCONSISTENT,
+        "center": _ALL | _RADII | PoseFlag.CENTER_WEAK | PoseFlag.SIDE_UNKNOWN,
         "normal": _ALL | PoseFlag.NORMAL_WEAK,
-        "grasp": _ALL,
-        "radius_inner": _ALL | PoseFlag.RADIUS_WEAK | PoseFlag.RADIUS_INCONSISTENT,
-        "radius_outer": _ALL | PoseFlag.RADIUS_WEAK | PoseFlag.RADIUS_INCONSISTENT,
+        "grasp": _ALL | PoseFlag.GRASP_WEAK,
+        "radius_inner": _ALL | _RADII | PoseFlag.RADIUS_WEAK,
+        "radius_outer": _ALL | _RADII | PoseFlag.RADIUS_WEAK,
+        "velocity": _ALL | PoseFlag.VELOCITY_WEAK,
     }
 )
-"""The flags of record /1 that apply to each quantity; record /2 calls `relabelled` `assignment_ambiguous`.
-
-`damped` applies to none by itself: the closed form sets `center_weak` and `radius_weak` together with it.
-"""
+"""The flags that name each quantity."""
 
 QUANTITIES = (
     "center_x_m",
@@ -60,11 +65,15 @@ QUANTITIES = (
     "radius_inner_m",
     "radius_outer_m",
     "grasp_m",
+    "velocity_m_s",
+    "rate_rad_s",
     "center_nees",
     "normal_nees",
+    "velocity_nees",
 )
 """Errors: centre along the camera's axes and as a vector, angle of the normal, radii, distance of the grasp point from
-the true mid-band circle; normalised squared errors (NEES), by degree of freedom."""
+the true mid-band circle, velocity of the centre, angular velocity across the normal; normalised squared errors (NEES),
+by degree of freedom."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -75,8 +84,14 @@ class PoseEstimate:
     method: str
     """Empty if a record without a pose does not contain it."""
     pose: RingPose | None
+    status: Status = "none"
+    """That of the record."""
+    flags: PoseFlag = PoseFlag(0)
     stamp_s: float = math.nan
-    """NaN if unknown."""
+    """The instant at which the pose holds; NaN if unknown."""
+    velocity: RingVelocity | None = None
+    assumptions: Assumptions | None = None
+    """None if nothing was estimated."""
     latency_s: float = math.nan
     rig: str = ""
     """SHA-256 of the rig file, empty if unknown."""
@@ -87,7 +102,7 @@ class Outcome(StrEnum):
 
     OK = "ok"
     DEGRADED = "degraded"
-    """A pose with a flag."""
+    """A pose whose status is `degraded`."""
     MISSED = "missed"
     """No pose although six break points are visible."""
     PARTIAL = "partial"
@@ -134,6 +149,7 @@ class Score:
     gross: tuple[str, ...] = ()
     """Wrong quantities that cannot be explained by chance: beyond `GROSS_SIGMAS`, a grasp point off the rim or outside
     the arc, a pose where there is no ring."""
+    assumptions: Assumptions | None = None
     latency_s: float | None = None
     rig: str = ""
 
@@ -166,7 +182,11 @@ def estimate_of(line: PoseLine, place: str) -> PoseEstimate:
         shot=line.shot,
         method=line.pose.method if line.pose else "",
         pose=line.pose,
-        stamp_s=line.stamp_s,
+        status=line.status,
+        flags=line.flags,
+        stamp_s=line.stamp_s if math.isnan(line.pose_stamp_s) else line.pose_stamp_s,
+        velocity=line.velocity,
+        assumptions=assumptions_of(line),
         latency_s=line.latency_s,
         rig=line.rig,
     )
@@ -221,43 +241,44 @@ def score(truth: Truth, estimate: PoseEstimate | None, method: str, camera: Came
             groups=truth.groups,
         )
     pose, truth_now = estimate.pose, truth_at(truth, estimate.stamp_s)
-    distances = {} if pose is None else _distances(truth_now, pose)
-    found = {} if pose is None else dict(_judgements(truth_now, pose, distances, camera))
+    distances = {} if pose is None else _distances(truth_now, pose, estimate.velocity)
+    found = {} if pose is None else dict(_judgements(truth_now, estimate, pose, distances, camera))
     judgements = {name: judgement for name, (judgement, _) in found.items()}
     return Score(
         shot=truth.shot,
         method=method,
-        outcome=_outcome(truth, pose, Judgement.WRONG in judgements.values()),
-        status="none" if pose is None else "degraded" if pose.flags else "ok",
+        outcome=_outcome(truth, estimate.status, Judgement.WRONG in judgements.values()),
+        status=estimate.status,
         has_target=has_target,
         groups=truth.groups,
-        errors={} if pose is None else _errors(truth_now, pose, distances),
+        errors={} if pose is None else _errors(truth_now, pose, estimate.velocity, distances),
         judgements=judgements,
         distances=distances,
         gross=tuple(name for name, (_, gross) in found.items() if gross),
+        assumptions=estimate.assumptions,
         latency_s=estimate.latency_s if math.isfinite(estimate.latency_s) else None,
         rig=estimate.rig,
     )
 
 
-def _outcome(truth: Truth, pose: RingPose | None, wrong: bool) -> Outcome:
-    if pose is None:
+def _outcome(truth: Truth, status: Status, wrong: bool) -> Outcome:
+    if status == "none":
         return {"pose": Outcome.MISSED, "partial": Outcome.PARTIAL_NONE, "no_target": Outcome.NO_TARGET}[truth.expect]
     if wrong:
         return Outcome.WRONG
     if truth.expect == "partial":
         return Outcome.PARTIAL
-    return Outcome.DEGRADED if pose.flags else Outcome.OK
+    return Outcome.OK if status == "ok" else Outcome.DEGRADED
 
 
 def _judgements(
-    truth: Truth, pose: RingPose, distances: Mapping[str, float], camera: Camera | None
+    truth: Truth, estimate: PoseEstimate, pose: RingPose, distances: Mapping[str, float], camera: Camera | None
 ) -> Iterator[tuple[str, tuple[Judgement, bool]]]:
     """Each reported quantity with its judgement, and whether its error is gross."""
-    for name in _reported(pose):
+    for name in _reported(pose, estimate.velocity):
         if truth.expect != "no_target" and not _has_truth(truth, name):
             continue
-        if pose.flags & FLAGS_OF_QUANTITY[name]:
+        if estimate.flags & FLAGS_OF_QUANTITY[name]:
             yield name, (Judgement.FLAGGED, False)
         elif truth.expect == "no_target" or (name == "grasp" and misses_band(pose.grasp_m, truth, camera)):
             yield name, (Judgement.WRONG, True)
@@ -270,13 +291,14 @@ def _judgements(
             yield name, (Judgement.NO_COVARIANCE, False)
 
 
-def _reported(pose: RingPose) -> list[str]:
+def _reported(pose: RingPose, velocity: RingVelocity | None) -> list[str]:
     values: Mapping[str, Float64[Array, "3"] | float] = {
         "center": pose.center_m,
         "normal": pose.normal,
         "grasp": pose.grasp_m,
         "radius_inner": pose.radius_inner_m,
         "radius_outer": pose.radius_outer_m,
+        "velocity": math.nan if velocity is None else velocity.center_m_s,
     }
     return [name for name, value in values.items() if np.isfinite(value).all()]
 
@@ -286,23 +308,34 @@ def _has_truth(truth: Truth, name: str) -> bool:
         return False
     if name == "grasp":
         return mid_radius_m(truth) is not None
+    if name == "velocity":
+        return _moves(truth)
     return {"radius_inner": truth.radius_inner_m, "radius_outer": truth.radius_outer_m}.get(name, 0.0) is not None
 
 
-def _distances(truth: Truth, pose: RingPose) -> dict[str, float]:
+def _moves(truth: Truth) -> bool:
+    """Whether the truth states a velocity, be it zero."""
+    return truth.velocity_m_s is not None or truth.angular_velocity_rad_s is not None
+
+
+def _distances(truth: Truth, pose: RingPose, velocity: RingVelocity | None) -> dict[str, float]:
     """Mahalanobis distances from the truth of the reported quantities that have a covariance."""
     if truth.center_m is None or truth.normal is None:
         return {}
-    reported = _reported(pose)
+    reported = _reported(pose, velocity)
     return {
         name: math.sqrt(mahalanobis_squared(error, covariance))
-        for name, error, covariance in _deviations(truth, pose, truth.center_m, truth.normal)
+        for name, error, covariance in _deviations(truth, pose, velocity, truth.center_m, truth.normal)
         if name in reported and covariance is not None and np.isfinite(covariance).all() and np.isfinite(error).all()
     }
 
 
 def _deviations(
-    truth: Truth, pose: RingPose, center_m: Float64[Array, "3"], normal: Float64[Array, "3"]
+    truth: Truth,
+    pose: RingPose,
+    velocity: RingVelocity | None,
+    center_m: Float64[Array, "3"],
+    normal: Float64[Array, "3"],
 ) -> Iterator[tuple[str, Float64[Array, "n"], Float64[Array, "n n"] | None]]:
     """Error and covariance of each quantity, in the coordinates in which it is judged; NaN if unknown."""
     yield "center", pose.center_m - center_m, pose.covariance_center_m2
@@ -315,29 +348,42 @@ def _deviations(
     if pose.covariance_grasp_m2 is not None and radius_m is not None:
         axes, beside_m = circle_error(pose.grasp_m, center_m, normal, radius_m)
         yield "grasp", beside_m, axes @ pose.covariance_grasp_m2 @ axes.T
+    if velocity is not None and _moves(truth):
+        yield "velocity", _velocity_error(truth, velocity, pose.normal), velocity.covariance
 
 
-def _errors(truth: Truth, pose: RingPose, distances: Mapping[str, float]) -> dict[str, float]:
+def _velocity_error(truth: Truth, velocity: RingVelocity, normal: Float64[Array, "xyz=3"]) -> Float64[Array, "rate=5"]:
+    """Errors of velocity x, y, z and of the angular velocity along the tilt basis of the estimated normal."""
+    none = np.zeros(3)
+    true_velocity_m_s = none if truth.velocity_m_s is None else truth.velocity_m_s
+    true_rate_rad_s = none if truth.angular_velocity_rad_s is None else truth.angular_velocity_rad_s
+    rate_error_rad_s = tilt_basis(normal) @ (velocity.rate_rad_s - true_rate_rad_s)
+    return np.concatenate([velocity.center_m_s - true_velocity_m_s, rate_error_rad_s])
+
+
+def _errors(
+    truth: Truth, pose: RingPose, velocity: RingVelocity | None, distances: Mapping[str, float]
+) -> dict[str, float]:
     """Errors by the names of `QUANTITIES`; in a partial shot only those of normal and grasp point."""
     if truth.center_m is None or truth.normal is None or truth.expect == "no_target":
         return {}
-    reported, errors = _reported(pose), {}
+    reported, errors = _reported(pose, velocity), {}
     if "normal" in reported:
         errors["normal_rad"] = float(angle_between(pose.normal[None], truth.normal[None])[0])
-    if "normal" in distances:
-        errors["normal_nees"] = distances["normal"] ** 2 / JUDGED["normal"]
     if "grasp" in reported and (radius_m := mid_radius_m(truth)) is not None:
         errors["grasp_m"] = distance_to_circle_m(pose.grasp_m, truth.center_m, truth.normal, radius_m)
+    nees = {f"{name}_nees": distances[name] ** 2 / JUDGED[name] for name in WITH_NEES if name in distances}
     if truth.expect == "partial":
-        return errors
+        return errors | {name: value for name, value in nees.items() if name == "normal_nees"}
     if "center" in reported:
         error_m = pose.center_m - truth.center_m
         errors |= {f"center_{axis}_m": float(part) for axis, part in zip("xyz", error_m, strict=True)}
         errors["center_m"] = float(np.linalg.norm(error_m))
-    if "center" in distances:
-        errors["center_nees"] = distances["center"] ** 2 / JUDGED["center"]
+    if "velocity" in distances and velocity is not None:
+        error = _velocity_error(truth, velocity, pose.normal)
+        errors["velocity_m_s"], errors["rate_rad_s"] = (float(np.linalg.norm(part)) for part in (error[:3], error[3:]))
     radii = {f"{name}_m": error_m for name, error_m in _radius_errors(truth, pose).items()}
-    return errors | {name: error_m for name, error_m in radii.items() if math.isfinite(error_m)}
+    return errors | nees | {name: error_m for name, error_m in radii.items() if math.isfinite(error_m)}
 
 
 def _radius_errors(truth: Truth, pose: RingPose) -> dict[str, float]:

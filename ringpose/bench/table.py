@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 
+from ringpose.bench.assumptions import Assumptions, assumption_lines
 from ringpose.bench.score import JUDGED, Judgement, Matching, Outcome
 from ringpose.bench.summary import ABSENT, ErrorStatistics, Summary
 
@@ -29,18 +30,29 @@ COLUMNS = {
     "radius_inner_m": ("r_in mm", _MM),
     "radius_outer_m": ("r_out mm", _MM),
     "grasp_m": ("grasp mm", _MM),
+    "velocity_m_s": ("v mm/s", _MM),
+    "rate_rad_s": ("rate deg/s", _DEG),
 }
 """Heading and factor of each quantity."""
 
-WRONG_HEADINGS = dict(zip(JUDGED, ("center", "normal", "grasp", "r_in", "r_out"), strict=True))
+WRONG_HEADINGS = dict(zip(JUDGED, ("center", "normal", "grasp", "r_in", "r_out", "velocity"), strict=True))
 
-NEES = {"center_nees": "center NEES", "normal_nees": "normal NEES"}
+NEES = {"center_nees": "center NEES", "normal_nees": "normal NEES", "velocity_nees": "v NEES"}
+
+OPTIONAL = ("v mm/s", "rate deg/s", "v NEES", "velocity")
+"""Headings of columns that are left out if no line has a value, as for still targets."""
 
 
-def table(summaries: Sequence[Summary], by: Sequence[str], matched: Matching | None = None) -> str:
+def table(
+    summaries: Sequence[Summary],
+    by: Sequence[str],
+    matched: Matching | None = None,
+    assumptions: Sequence[Assumptions | None] = (),
+) -> str:
     """Tables of outcomes, RMSE and NEES, median and maximum errors, and wrong quantities.
 
-    They are followed by the verdict of each method, and by the number of pose records and truths that match.
+    They are followed by the verdict of each method, by the assumptions of the poses, and by the number of pose records
+    and truths that match.
     """
     blocks = [
         _block("shots", summaries, by, _counts),
@@ -48,6 +60,7 @@ def table(summaries: Sequence[Summary], by: Sequence[str], matched: Matching | N
         _block("errors, median and maximum", summaries, by, _median_and_max),
         _block("wrong quantities of those judged", summaries, by, _wrong),
         "\n".join(_verdict(line) for line in summaries if not line.group),
+        *(["\n".join(lines)] if (lines := assumption_lines(assumptions)) else []),
     ]
     if matched is not None:
         blocks.append(_matched(matched))
@@ -58,8 +71,17 @@ def _block(
     title: str, summaries: Sequence[Summary], by: Sequence[str], cells: Callable[[Summary], Mapping[str, str]]
 ) -> str:
     names = ["method", *by]
-    rows = [[*_group_cells(line, by), *cells(line).values()] for line in summaries]
-    heading = [*names, *(cells(summaries[0]) if summaries else {})]
+    of_lines = [cells(line) for line in summaries]
+    shown = [
+        heading
+        for heading in (of_lines[0] if of_lines else ())
+        if heading not in OPTIONAL or any(of_line[heading] not in (ABSENT, "0/0") for of_line in of_lines)
+    ]
+    rows = [
+        [*_group_cells(line, by), *(of_line[heading] for heading in shown)]
+        for line, of_line in zip(summaries, of_lines, strict=True)
+    ]
+    heading = [*names, *shown]
     return "\n".join([title, *aligned([heading, *rows], left=len(names))])
 
 

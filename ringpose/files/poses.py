@@ -299,30 +299,36 @@ def _measurement(fields: Fields) -> RingMeasurement:
 
 def _priors(fields: Fields) -> Priors:
     rig = fields.fields("rig")
-    stability = rig.fields("stability")
     return Priors(
-        motion=_motion_prior(fields),
+        motion=motion_prior(fields),
         radius=_radius_prior(fields.fields("radius")) if fields.has("radius") else None,
         ring_tolerance_m=fields.number("ring_tolerance_m", least=0),
         rig_covariance=rig.choice("covariance", ("rig.yaml", "none")) == "rig.yaml",
-        stability=RigStability(
-            plane_tilt_rad=stability.number("plane_tilt_rad", least=0),
-            plane_distance_m=stability.number("plane_distance_m", least=0),
-            focal_ratio=stability.number("focal_ratio", least=0),
-        ),
+        stability=rig_stability(rig),
         regularization=fields.array("regularization", (None, len(MEASURED_PARAMETERS) + 1))
         if fields.has("regularization")
         else None,
     )
 
 
-def _motion_prior(fields: Fields) -> MotionPrior | None:
+def motion_prior(fields: Fields) -> MotionPrior | None:
+    """The key `motion`; None if the target is assumed to be still."""
     if isinstance(fields.raw("motion"), str):
         fields.choice("motion", (STILL,))
         return None
     motion = fields.fields("motion")
     return MotionPrior(
         speed_sd_m_s=motion.number("speed_sd_m_s", least=0), rate_sd_rad_s=motion.number("rate_sd_rad_s", least=0)
+    )
+
+
+def rig_stability(fields: Fields) -> RigStability:
+    """The key `stability`."""
+    stability = fields.fields("stability")
+    return RigStability(
+        plane_tilt_rad=stability.number("plane_tilt_rad", least=0),
+        plane_distance_m=stability.number("plane_distance_m", least=0),
+        focal_ratio=stability.number("focal_ratio", least=0),
     )
 
 

@@ -1,14 +1,16 @@
 """A ring that faces the camera at 1 m, and estimates about it."""
 
+import math
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
+from ringpose.bench import score
 from ringpose.bench.score import PoseEstimate
 from ringpose.types.camera import Camera
-from ringpose.types.pose import RingPose
+from ringpose.types.pose import PoseFlag, PoseLine, RingPose
 from ringpose.types.truth import Truth
 
 CENTER_M = np.array([0.1, -0.2, 1.0])
@@ -83,9 +85,12 @@ def pose_of(on_ring: Callable[[float, float], Any]) -> Callable[..., RingPose]:
 
 @pytest.fixture
 def estimate_of(pose_of: Callable[..., RingPose]) -> Callable[..., PoseEstimate]:
-    """The true estimate, but for changes of the pose."""
+    """The true estimate, but for changes of the pose and of its line."""
 
-    def estimate(shot: str = "a", method: str = "paper", **changes: Any) -> PoseEstimate:
-        return PoseEstimate(shot=shot, method=method, pose=pose_of(method=method, **changes))
+    def estimate(
+        shot: str = "a", method: str = "paper", flags: PoseFlag = PoseFlag(0), line: Any = None, **changes: Any
+    ) -> PoseEstimate:
+        pose = pose_of(method=method, flags=flags, **changes)
+        return score.estimate_of(PoseLine(shot=shot, stamp_s=math.nan, pose=pose, flags=flags, **(line or {})), "x")
 
     return estimate

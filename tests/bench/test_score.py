@@ -182,14 +182,26 @@ def test_where_along_the_band_the_grasp_point_lies_is_not_judged(truth_of, estim
 EXCUSES = [
     (PoseFlag.CENTER_WEAK, {"center"}),
     (PoseFlag.SIDE_UNKNOWN, {"center"}),
-    (PoseFlag.DAMPED, set()),
+    (PoseFlag.GRASP_WEAK, {"grasp"}),
+    (PoseFlag.VELOCITY_WEAK, {"velocity"}),
     (PoseFlag.NORMAL_WEAK, {"normal"}),
     (PoseFlag.RADIUS_WEAK, {"radius_inner", "radius_outer"}),
     (PoseFlag.RADIUS_INCONSISTENT, {"center", "radius_inner", "radius_outer"}),
+    (PoseFlag.RADIUS_UNVERIFIED, {"center", "radius_inner", "radius_outer"}),
     (PoseFlag.INCONSISTENT, set(JUDGED)),
     (PoseFlag.ASSIGNMENT_AMBIGUOUS, set(JUDGED)),
     (PoseFlag.POINT_REJECTED, set()),
     (PoseFlag.STRIPE_REJECTED, set()),
+    (PoseFlag.EDGE_REJECTED, set()),
+    (PoseFlag.LASER_MISSING, set()),
+    (PoseFlag.RING_FORM, set()),
+    (PoseFlag.MOTION, set()),
+    (PoseFlag.AMBIENT_CHANGED, set()),
+    (PoseFlag.RIG_DRIFT, set()),
+    (PoseFlag.RIG_UNCHECKED, set()),
+    (PoseFlag.SATURATED, set()),
+    (PoseFlag.TRUNCATED, set()),
+    (PoseFlag.BLUNT_EDGE, set()),
 ]
 
 

@@ -1,6 +1,6 @@
 """`ringpose bench compare`: compare two results on the same shots."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, cast
 
@@ -10,6 +10,7 @@ from ringpose.cli.bench.score import By, TruthFiles, group_names, scores_of_line
 from ringpose.cli.options import STDOUT, Force, JsonFile, OptionalRigFile, finite
 
 if TYPE_CHECKING:
+    from ringpose.bench.assumptions import Assumptions
     from ringpose.bench.compare import Pair
     from ringpose.bench.score import Score
     from ringpose.cli.batch import Batch
@@ -58,7 +59,7 @@ def compare(
         raise UsageError("", "both results are read from standard input", "write one of them into a file")
     batch = Batch()
     result_a, result_b = (_read(name, truth, rig, batch) for name in (a, b))
-    _require_same_conditions(result_a, result_b)
+    _require_same_truth(result_a, result_b)
     paired = pairs(*_of_methods(result_a, result_b, methods))
     _require_pairs(result_a, result_b, paired, allow_other_rig)
     names = group_names(result_a.scores, by)
@@ -85,12 +86,10 @@ class _Result(NamedTuple):
     scores: "list[Score]"
     truths: list[str]
     """SHA-256 of the truth files."""
-    assumptions: Mapping[str, Any]
 
 
 def _read(name: str, truths: list[Path] | None, rig: Path | None, batch: "Batch") -> _Result:
     """Scores of pose records, or those in a table of `bench --json`."""
-    from ringpose.bench.report import ASSUMPTIONS
     from ringpose.errors import DataError, UsageError
     from ringpose.files.inputs import holds_records
     from ringpose.files.io import sha256
@@ -102,11 +101,11 @@ def _read(name: str, truths: list[Path] | None, rig: Path | None, batch: "Batch"
     scores, _ = scores_of_lines([name], truths, rig, batch)
     if all(score.status == "lost" for score in scores):
         raise DataError(name, "has no pose line of a shot of the truth", "give poses of the same data set")
-    return _Result(name, scores, sorted(map(sha256, truths)), ASSUMPTIONS)
+    return _Result(name, scores, sorted(map(sha256, truths)))
 
 
 def _read_table(name: str) -> _Result:
-    from ringpose.bench.report import SCHEMA
+    from ringpose.bench.report import SCHEMA, SCHEMA_2
     from ringpose.errors import DataError
     from ringpose.files.io import read_bytes
     from ringpose.files.records import parsed_record
@@ -114,16 +113,18 @@ def _read_table(name: str) -> _Result:
 
     fields = Fields(name, parsed_record(read_bytes(Path(name)), name))
     schema = fields.values.get("ringpose")
-    if schema != SCHEMA:
+    if schema not in (SCHEMA, SCHEMA_2):
         found = f"is a {schema!r} file" if schema else "is not a table of ringpose bench"
         raise DataError(
             name, f"{found}, must be {SCHEMA!r}", "give the output of bench --json, or pose records (.jsonl)"
         )
-    scores = [_score_of(shot) for shot in fields.each("shots")]
-    return _Result(name, scores, list(fields.texts("truths")), fields.fields("assumptions").values)
+    scores = [_score_of(shot, schema == SCHEMA_2) for shot in fields.each("shots")]
+    return _Result(name, scores, list(fields.texts("truths")))
 
 
-def _score_of(fields: "Fields") -> "Score":
+def _score_of(fields: "Fields", of_version_2: bool) -> "Score":
+    """A shot of a table; all poses of version 2 have the same assumptions, which are the default."""
+    from ringpose.bench.assumptions import Assumptions
     from ringpose.bench.score import Judgement, Outcome, Score
 
     def numbers(key: str) -> dict[str, float]:
@@ -144,19 +145,31 @@ def _score_of(fields: "Fields") -> "Score":
         judgements={name: Judgement(judgements.choice(name, tuple(Judgement))) for name in map(str, judgements.values)},
         distances=numbers("distances"),
         gross=fields.texts("gross"),
+        assumptions=Assumptions() if of_version_2 else _assumptions(fields),
         latency_s=fields.number("latency_s", least=0) if fields.has("latency_s") else None,
         rig=fields.text("rig") if fields.has("rig") else "",
     )
 
 
-def _require_same_conditions(a: _Result, b: _Result) -> None:
-    """Reject results with different truths or assumptions, which could cause the differences."""
+def _assumptions(fields: "Fields") -> "Assumptions | None":
+    from ringpose.bench.assumptions import Assumptions
+    from ringpose.files.poses import motion_prior, rig_stability
+
+    if not fields.has("assumptions"):
+        return None
+    values = fields.fields("assumptions")
+    return Assumptions(
+        motion=motion_prior(values),
+        ring_tolerance_m=values.number("ring_tolerance_m", least=0),
+        stability=rig_stability(values),
+    )
+
+
+def _require_same_truth(a: _Result, b: _Result) -> None:
     from ringpose.errors import DataError
 
     if a.truths and b.truths and a.truths != b.truths:
         raise DataError(b.name, f"was scored against another truth than {a.name}", "score both against one truth")
-    if a.assumptions != b.assumptions:
-        raise DataError(b.name, f"was computed under other assumptions than {a.name}", "compute both under the same")
 
 
 def _of_methods(a: _Result, b: _Result, methods: str | None) -> "tuple[list[Score], list[Score]]":
@@ -180,11 +193,23 @@ def _of_methods(a: _Result, b: _Result, methods: str | None) -> "tuple[list[Scor
 def _require_pairs(
     a: _Result, b: _Result, paired: "Sequence[tuple[str, Sequence[Pair]]]", allow_other_rig: bool
 ) -> None:
+    """Reject results that have no shot in common, or whose poses differ in more than the shots."""
+    from ringpose.bench.assumptions import assumptions_text
     from ringpose.errors import DataError
 
     members = [pair for _, of_method in paired for pair in of_method]
     if not members:
         raise DataError(b.name, f"has no shot and method in common with {a.name}", "give results of the same shots")
+    differing = [(one, two) for one, two in members if not _same_assumptions(one, two)]
+    if differing:
+        one, two = differing[0]
+        texts = [assumptions_text(score.assumptions) for score in (one, two) if score.assumptions is not None]
+        raise DataError(
+            b.name,
+            f"was computed under other assumptions than {a.name} in {len(differing)} shots "
+            f"(the first is {one.shot}: {texts[1]}; {a.name}: {texts[0]})",
+            "compute both under the same",
+        )
     other = [one.shot for one, two in members if one.rig and two.rig and one.rig != two.rig]
     if other and not allow_other_rig:
         raise DataError(
@@ -192,6 +217,10 @@ def _require_pairs(
             f"was computed with another rig than {a.name} in {len(other)} shots (the first is {other[0]})",
             "use one rig.yaml, or --allow-other-rig to compare rigs",
         )
+
+
+def _same_assumptions(a: "Score", b: "Score") -> bool:
+    return a.assumptions is None or b.assumptions is None or a.assumptions == b.assumptions
 
 
 def _matched(a: _Result, b: _Result, paired: "Sequence[tuple[str, Sequence[Pair]]]") -> dict[str, Any]:

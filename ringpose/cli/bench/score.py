@@ -274,7 +274,7 @@ def _write(
     from ringpose.files.io import csv_text, provenance, sha256, write_result
 
     if STDOUT not in (targets.json, targets.csv):
-        records.write_text(table(lines, names, matched))
+        records.write_text(table(lines, names, matched, [score.assumptions for score in scores]))
     if targets.json is not None:
         made = report(lines, scores, missed, matched, map(sha256, targets.truths))
         write_result(
