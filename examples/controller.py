@@ -19,10 +19,12 @@ import sys
 import threading
 import time
 
-SCHEMA = "ringpose/pose/1"
+HEALTH_KEYS = {"ringpose/pose/1": "laser_health", "ringpose/pose/2": "rig_health"}  # by version
 MAX_DISTANCE_M = 5.0  # largest plausible distance; a larger number is in millimetres
 MAX_ROUNDING = 1e-3  # tolerance of the length of a unit vector
-HOLD_FLAGS = {"grasp_weak", "normal_weak", "inconsistent", "assignment_ambiguous"}  # other flags concern other numbers
+HOLD_FLAGS = {  # other flags concern other numbers; relabelled: assignment_ambiguous in version 1
+    "grasp_weak", "normal_weak", "inconsistent", "assignment_ambiguous", "relabelled", "rig_drift",
+}  # fmt: skip
 
 
 class Lines:
@@ -70,6 +72,11 @@ def is_vector(value):
     return isinstance(value, list) and len(value) == 3 and all(map(is_number, value))
 
 
+def rig_health(record):
+    """The normalized error of each light plane, by laser."""
+    return record.get(HEALTH_KEYS[record["schema"]]) or {}
+
+
 def record_in(line):
     """The pose record on a line; raises ValueError if its keys or types are wrong."""
     try:
@@ -77,14 +84,15 @@ def record_in(line):
     except RecursionError:
         raise ValueError("nested too deep") from None
     check_keys(record, ["schema"], "the line")
-    check(record["schema"] == SCHEMA, f"schema is {record['schema']!r:.40}, not {SCHEMA}")
+    schemas = " or ".join(HEALTH_KEYS)
+    check(record["schema"] in list(HEALTH_KEYS), f"schema is {record['schema']!r:.40}, not {schemas}")
     check_keys(record, ["shot", "stamp_s", "frame", "status", "reason", "flags", "pose"], "the record")
     check(is_number(record["stamp_s"]), f"stamp_s is {record['stamp_s']!r:.20}, not a number")
     check(isinstance(record["shot"], str), "shot is not a text")
-    flags, health = record["flags"], record.get("laser_health") or {}
+    flags, health = record["flags"], rig_health(record)
     check(isinstance(flags, list) and all(isinstance(flag, str) for flag in flags), "flags is not a list of texts")
-    check(isinstance(health, dict), "laser_health is not a JSON object")
-    check(all(figure is None or is_number(figure) for figure in health.values()), "laser_health has no numbers")
+    check(isinstance(health, dict), "the rig's health is not a JSON object")
+    check(all(figure is None or is_number(figure) for figure in health.values()), "the rig's health has no numbers")
     pose = record["pose"]
     if pose is not None:
         check_keys(pose, ["grasp_m", "normal", "covariance"], "pose")
@@ -122,8 +130,7 @@ def obstacle(record, limits, now_s):
         return record["reason"] or f"status is {record['status']!r:.20}"
     if pose["grasp_m"] is None or pose["normal"] is None or HOLD_FLAGS.intersection(record["flags"]):
         return record["reason"] or ", ".join(record["flags"]) or "grasp point or normal is not determined"
-    health = (record.get("laser_health") or {}).values()
-    if any(figure is not None and figure > limits.health for figure in health):
+    if any(figure is not None and figure > limits.health for figure in rig_health(record).values()):
         return "a light plane or the camera has moved"
     known = standard_deviations(pose["covariance"])
     if known is None:
@@ -192,8 +199,11 @@ def main():
     parser.add_argument("--patience", type=float, default=0.5, help="hold after so many seconds without a pose record")
     parser.add_argument("--grasp-m", type=float, default=0.002, help="standard deviation that is good enough")
     parser.add_argument("--tilt-rad", type=float, default=0.05, help="standard deviation that is good enough")
-    parser.add_argument("--health", type=float, default=3.0, help="laser_health from which the rig is not trusted")
+    parser.add_argument("--health", type=float, default=3.0, help="rig_health from which the rig is not trusted")
     limits = parser.parse_args()
+    if sys.stdin is None or sys.stdout is None:  # started with <&- or >&-
+        print("controller: standard input or output is closed; give both", file=sys.stderr)
+        sys.exit(66 if sys.stdin is None else 74)
     sys.stdin.reconfigure(encoding="utf-8", errors="replace")
     try:
         control(sys.stdin, limits)

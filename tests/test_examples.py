@@ -87,7 +87,7 @@ def pose_record(shot: str = "a", grasp_sd_m: float = 1e-4, tilt_sd_rad: float = 
         "covariance": {"full": full, "center": None, "grasp": grasp},
     }
     record = {
-        "schema": "ringpose/pose/1",
+        "schema": "ringpose/pose/2",
         "shot": shot,
         "stamp_s": time.time(),
         "frame": "camera",
@@ -103,7 +103,15 @@ def line_of(record: object) -> str:
     return json.dumps(record) + "\n"
 
 
-@pytest.mark.parametrize("more", [{}, {"status": "degraded", "flags": ["center_weak", "new_flag"], "new_key": {}}])
+@pytest.mark.parametrize(
+    "more",
+    [
+        {},
+        {"status": "degraded", "flags": ["center_weak", "new_flag"], "new_key": {}},
+        {"schema": "ringpose/pose/1"},
+        {"flags": ["radius_unverified", "rig_unchecked"]},
+    ],
+)
 def test_the_controller_moves_to_a_grasp_point_that_is_well_known(more):
     (command,), messages = controlled(line_of(pose_record(**more)))
 
@@ -121,6 +129,8 @@ def with_covariance(covariance: object) -> dict:
     return record | {"pose": record["pose"] | {"covariance": covariance}}
 
 
+VERSION_1 = {"schema": "ringpose/pose/1"}
+
 HELD = {
     "grasp point uncertain": (lambda: pose_record(grasp_sd_m=0.003), "accurate"),
     "normal uncertain": (lambda: pose_record(tilt_sd_rad=0.06), "accurate"),
@@ -129,7 +139,12 @@ HELD = {
     "no normal": (without_normal, "normal_weak"),
     "contradiction": (lambda: pose_record(flags=["inconsistent"], reason="no single part"), "no single part"),
     "weak normal": (lambda: pose_record(flags=["normal_weak"]), "normal_weak"),
-    "rig has changed": (lambda: pose_record(laser_health={"left": 0.4, "right": None, "middle": 7.5}), "moved"),
+    "weak grasp point": (lambda: pose_record(status="degraded", flags=["grasp_weak"]), "grasp_weak"),
+    "lasers unclear": (lambda: pose_record(status="degraded", flags=["assignment_ambiguous"]), "assignment_ambiguous"),
+    "rig drifts": (lambda: pose_record(status="degraded", flags=["rig_drift"]), "rig_drift"),
+    "rig has changed": (lambda: pose_record(rig_health={"left": 0.4, "right": None, "middle": 7.5}), "moved"),
+    "rig has changed, version 1": (lambda: pose_record(**VERSION_1, laser_health={"left": 7.5}), "moved"),
+    "relabelled, version 1": (lambda: pose_record(**VERSION_1, flags=["relabelled"]), "relabelled"),
     "other frame": (lambda: pose_record(frame="tool"), "frame"),
     "old": (lambda: pose_record(stamp_s=time.time() - 5), "old"),
     "from the future": (lambda: pose_record(stamp_s=time.time() + 50), "old"),
@@ -171,8 +186,8 @@ BROKEN = [
             {"flags": "ok"},
             {"flags": [{}]},
             {"shot": 7},
-            {"laser_health": [9.0]},
-            {"laser_health": {"left": math.nan}},
+            {"rig_health": [9.0]},
+            {"rig_health": {"left": math.nan}},
             {"pose": []},
             {"pose": {}},
             {"pose": {"grasp_m": [1, 2], "normal": None, "covariance": None}},
@@ -276,6 +291,17 @@ def test_the_controller_does_not_wait_for_a_pose():
 
     assert first == {"do": "hold", "why": "no pose for 0.1 s"}
     assert time.monotonic() - began_s < 10
+
+
+@pytest.mark.parametrize(("closed", "status"), [("<&-", 66), (">&-", 74)])
+def test_the_controller_names_a_stream_that_is_closed(closed, status):
+    words = ["sh", "-c", f'exec "$0" "$1" {closed}', sys.executable, EXAMPLES / "controller.py"]
+
+    done = subprocess.run(words, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=30)
+
+    assert done.returncode == status
+    assert done.stderr.count("\n") == 1
+    assert "closed" in done.stderr
 
 
 def test_the_controller_ends_quietly_when_nobody_reads_its_commands():

@@ -65,6 +65,7 @@ def _group_record(line: Summary) -> Mapping[str, Any]:
         "quantities": {
             name: {str(judgement): count for judgement, count in counts.items()}
             for name, counts in line.wrong.counts.items()
+            if any(counts.values())
         },
         "wrong": {
             "count": line.wrong.count(Judgement.WRONG),

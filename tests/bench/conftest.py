@@ -14,6 +14,7 @@ from ringpose.types.pose import PoseFlag, PoseLine, RingPose
 from ringpose.types.truth import Truth
 
 CENTER_M = np.array([0.1, -0.2, 1.0])
+NO_FLAG = PoseFlag(0)
 NORMAL = np.array([0.0, 0.0, -1.0])
 ANGLES_RAD = np.array([-0.2, 0.0, 0.3])
 """Where the three stripes cross the ring, from the x axis."""
@@ -88,7 +89,7 @@ def estimate_of(pose_of: Callable[..., RingPose]) -> Callable[..., PoseEstimate]
     """The true estimate, but for changes of the pose and of its line."""
 
     def estimate(
-        shot: str = "a", method: str = "paper", flags: PoseFlag = PoseFlag(0), line: Any = None, **changes: Any
+        shot: str = "a", method: str = "paper", flags: PoseFlag = NO_FLAG, line: Any = None, **changes: Any
     ) -> PoseEstimate:
         pose = pose_of(method=method, flags=flags, **changes)
         return score.estimate_of(PoseLine(shot=shot, stamp_s=math.nan, pose=pose, flags=flags, **(line or {})), "x")

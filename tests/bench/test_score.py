@@ -7,7 +7,7 @@ import pytest
 
 from ringpose.bench.score import JUDGED, QUANTITIES, Judgement, Outcome, PoseEstimate, score
 from ringpose.geometry.rotations import tilted
-from ringpose.types.pose import PoseFlag
+from ringpose.types.pose import PoseFlag, RingVelocity
 from ringpose.types.truth import Truth
 
 NOTHING = Truth(shot="a", expect="no_target")
@@ -16,11 +16,25 @@ SMALL = np.eye(3) * 1e-6
 """A standard deviation of 1 mm."""
 
 
+MOVING = {"velocity_m_s": np.array([0.05, 0.0, -0.02]), "angular_velocity_rad_s": np.array([0.01, 0.02, 3.0])}
+
+
+def velocity_of(truth: Truth, sigmas: float = 0.0) -> RingVelocity:
+    """The true velocity, without the spin about the normal, but for an error of so many standard deviations."""
+    return RingVelocity(
+        center_m_s=truth.velocity_m_s + np.array([0.0, sigmas * 0.01, 0.0]),
+        rate_rad_s=truth.angular_velocity_rad_s * np.array([1.0, 1.0, 0.0]),
+        covariance=np.diag([0.01, 0.01, 0.01, 0.02, 0.02]) ** 2,
+    )
+
+
 def test_the_truth_itself_has_no_errors(truth_of, estimate_of):
-    result = score(truth_of(), estimate_of(), "paper", None)
+    truth = truth_of(**MOVING)
+
+    result = score(truth, estimate_of(line={"velocity": velocity_of(truth)}), "paper", None)
 
     assert result.outcome is Outcome.OK
-    assert set(result.errors) == {name for name in QUANTITIES if "nees" not in name}
+    assert set(result.errors) - {"velocity_nees"} == {name for name in QUANTITIES if "nees" not in name}
     assert max(map(abs, result.errors.values())) < 1e-12
 
 
@@ -61,8 +75,47 @@ def test_a_center_that_is_not_given_is_not_scored(truth_of, estimate_of):
     assert "normal_rad" in errors
 
 
-def test_a_flag_makes_a_pose_degraded(truth_of, estimate_of):
-    assert score(truth_of(), estimate_of(flags=PoseFlag.RADIUS_WEAK), "paper", None).outcome is Outcome.DEGRADED
+@pytest.mark.parametrize(
+    ("flag", "outcome"),
+    [
+        (PoseFlag.RADIUS_WEAK, Outcome.DEGRADED),
+        (PoseFlag.RADIUS_UNVERIFIED, Outcome.OK),
+        (PoseFlag.RIG_UNCHECKED, Outcome.OK),
+    ],
+)
+def test_a_flag_makes_a_pose_degraded_unless_it_is_harmless(truth_of, estimate_of, flag, outcome):
+    result = score(truth_of(), estimate_of(flags=flag), "paper", None)
+
+    assert (result.outcome, result.status) == (outcome, str(outcome))
+
+
+@pytest.mark.parametrize(("sigmas", "wrong"), [(4.9, ()), (5.1, ("velocity",))])
+def test_a_velocity_is_wrong_from_five_standard_deviations(truth_of, estimate_of, sigmas, wrong):
+    truth = truth_of(**MOVING)
+
+    result = score(truth, estimate_of(line={"velocity": velocity_of(truth, sigmas)}), "ml", None)
+
+    assert result.wrong == wrong
+    assert result.errors["velocity_m_s"] == pytest.approx(sigmas * 0.01)
+    assert result.errors["velocity_nees"] == pytest.approx(sigmas**2 / 5)
+    assert result.errors["rate_rad_s"] < 1e-12
+
+
+def test_a_velocity_is_not_judged_where_the_truth_has_none(truth_of, estimate_of):
+    velocity = velocity_of(truth_of(**MOVING), sigmas=9.0)
+
+    result = score(truth_of(), estimate_of(line={"velocity": velocity}), "ml", None)
+
+    assert "velocity" not in result.judgements
+
+
+def test_the_truth_is_moved_to_the_instant_at_which_the_pose_holds(truth_of, estimate_of):
+    truth = truth_of(stamp_s=100.0, velocity_m_s=np.array([0.05, 0.0, 0.0]))
+    there = truth.center_m + 0.08 * truth.velocity_m_s
+
+    errors = score(truth, estimate_of(center_m=there, line={"pose_stamp_s": 100.08}), "ml", None).errors
+
+    assert errors["center_m"] < 1e-12
 
 
 @pytest.mark.parametrize(
@@ -207,11 +260,12 @@ EXCUSES = [
 
 @pytest.mark.parametrize(("flag", "named"), EXCUSES)
 def test_a_flag_excuses_the_quantities_that_it_names_and_no_other(truth_of, estimate_of, flag, named):
-    truth = truth_of()
+    truth = truth_of(**MOVING)
     changes = {key: value for name in NAMED for key, value in off_by(9.0, name, truth).items() if "cov" not in key}
     covariances = {key: value for key, value in off_by(0.0, "center", truth).items() if "cov" in key}
+    line = {"velocity": velocity_of(truth, sigmas=9.0)}
 
-    result = score(truth, estimate_of(**covariances, **changes, flags=flag), "ml", None)
+    result = score(truth, estimate_of(**covariances, **changes, flags=flag, line=line), "ml", None)
 
     assert set(result.wrong) == set(JUDGED) - named
     assert {name for name, found in result.judgements.items() if found is Judgement.FLAGGED} == named
@@ -252,7 +306,7 @@ def test_every_quantity_of_a_pose_of_nothing_is_wrong_unless_a_flag_names_it(est
     unflagged = score(NOTHING, estimate_of(), "paper", None)
     flagged = score(NOTHING, estimate_of(flags=PoseFlag.RADIUS_WEAK), "paper", None)
 
-    assert set(unflagged.gross) == set(unflagged.wrong) == set(JUDGED)
+    assert set(unflagged.gross) == set(unflagged.wrong) == set(JUDGED) - {"velocity"}
     assert set(flagged.wrong) == {"center", "normal", "grasp"}
 
 

@@ -2,6 +2,7 @@
 
 import gzip
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from ringpose.cli.main import main
 from ringpose.files.poses import pose_record
 from ringpose.files.records import line_of
 from ringpose.files.records.truths import truth_record
-from ringpose.types.pose import PoseFlag, PoseLine, RingPose
+from ringpose.types.pose import PoseFlag, PoseLine, Priors, RingPose
 from ringpose.types.truth import Truth
 
 CENTER_M = np.array([0.1, -0.2, 1.0])
@@ -47,7 +48,7 @@ def line(shot: str, error_m: float = 0.0, method: str = "ml", rig: str = "r1", f
         covariance_grasp_m2=np.eye(3) * 1e-6,
         flags=flags,
     )
-    return PoseLine(shot=shot, stamp_s=0.0, pose=pose, rig=rig, latency_s=0.01)
+    return PoseLine(shot=shot, stamp_s=0.0, pose=pose, flags=flags, rig=rig, latency_s=0.01)
 
 
 def write_lines(name: str, lines) -> str:
@@ -232,7 +233,12 @@ def refused(tmp_path_factory) -> Path:
         write_lines("rig.jsonl", [line(f"s{n}", rig="r2") for n in range(SHOTS)])
         for name in ("truth", "elsewhere"):
             main(["bench", "a.jsonl", "--truth", f"{name}.jsonl", "--json", f"{name}.json", "--by", ""])
-        Path("moving.json").write_text(Path("truth.json").read_text().replace('"still": true', '"still": false'))
+        moving = '"motion": {"speed_sd_m_s": 0.05, "rate_sd_rad_s": 0.09}'
+        Path("moving.json").write_text(Path("truth.json").read_text().replace('"motion": "still"', moving))
+        tolerant = Priors(ring_tolerance_m=1e-4)
+        write_lines(
+            "tolerant.jsonl", [replace(line(f"s{n}"), priors=tolerant if n > 3 else None) for n in range(SHOTS)]
+        )
         Path("record.json").write_text(Path("truth.jsonl").read_text().splitlines()[0])
         Path("none.jsonl").write_text("")
         Path("broken.jsonl.gz").write_bytes(gzip.compress(Path("a.jsonl").read_bytes())[:30])
@@ -247,7 +253,9 @@ def refused(tmp_path_factory) -> Path:
         (["a.jsonl", "nowhere.json", *TRUTH], 66, "nowhere.json"),
         (["a.jsonl", "record.json", *TRUTH], 65, "record.json"),
         (["truth.json", "elsewhere.json"], 65, "another truth"),
-        (["truth.json", "moving.json"], 65, "assumptions"),
+        (["truth.json", "moving.json"], 65, "other assumptions"),
+        (["a.jsonl", "moving.json", *TRUTH], 65, "speed 0.05 m/s"),
+        (["a.jsonl", "tolerant.jsonl", *TRUTH], 65, f"other assumptions than a.jsonl in {SHOTS - 4} shots"),
         (["a.jsonl", "rig.jsonl", *TRUTH], 65, "another rig"),
         (["a.jsonl", "a.jsonl", *TRUTH, "--methods", "ml"], 2, "--methods"),
         (["a.jsonl", "a.jsonl", *TRUTH, "--methods", "ml,magic"], 2, "magic"),
@@ -265,6 +273,42 @@ def test_what_cannot_be_compared_is_named(refused, monkeypatch, capsys, words, s
     streams = capsys.readouterr()
     assert (ended, streams.out) == (status, "")
     assert complaint in streams.err
+
+
+def test_records_of_both_versions_under_the_same_assumptions_are_compared(results, capsys):
+    still = [replace(line(f"s{n}"), priors=Priors()) for n in range(SHOTS)]
+    records = [json.loads(each) for each in Path(results["true"]).read_text().splitlines()]
+    for record in records:
+        record |= {"schema": "ringpose/pose/1", "laser_health": {}, "dropped": 0}
+    Path("one.jsonl").write_text("".join(json.dumps(record) + "\n" for record in records))
+
+    assert main(["bench", "compare", "one.jsonl", write_lines("two.jsonl", still), *TRUTH]) == 0
+    assert "nothing changed" in capsys.readouterr().out
+
+
+def test_a_table_of_the_version_before_is_compared_as_one_of_a_still_ring(results, capsys):
+    main(["bench", results["a"], *TRUTH, "--json", "a.json", "--by", ""])
+    values = json.loads(Path("a.json").read_text())
+    assumed = {"still": True, "ring_tolerance_m": 0.0, "rig_stability": 0.0}
+    for shot in values["shots"]:
+        del shot["assumptions"]
+    Path("before.json").write_text(json.dumps(values | {"ringpose": "bench/2", "assumptions": assumed}))
+
+    assert main(["bench", "compare", "before.json", results["a"], *TRUTH]) == 0
+
+
+def test_tables_state_the_assumptions(results, capsys):
+    lines = [replace(line(f"s{n}"), priors=Priors(ring_tolerance_m=1e-4 if n else 0.0)) for n in range(SHOTS)]
+
+    main(["bench", write_lines("mixed.jsonl", lines), *TRUTH, "--json", "mixed.json"])
+
+    stated = [row for row in capsys.readouterr().out.splitlines() if row.startswith("assumptions: still target")]
+    assert [row.split("ring tolerance ")[1] for row in stated] == [
+        "0 mm, stable rig (1 shots)",
+        f"0.1 mm, stable rig ({SHOTS - 1} shots)",
+    ]
+    table = json.loads(Path("mixed.json").read_text())
+    assert [(each["motion"], each["shots"]) for each in table["assumptions"]] == [("still", 1), ("still", SHOTS - 1)]
 
 
 def test_poses_by_two_rigs_are_compared_on_request(results, capsys):
