@@ -45,14 +45,12 @@ _FLAGS_1 = {
     "stripe_left_out": PoseFlag.STRIPE_REJECTED,
     "relabelled": PoseFlag.ASSIGNMENT_AMBIGUOUS,
     "radius_disagrees": PoseFlag.RADIUS_INCONSISTENT,
+    "damped": PoseFlag.CENTER_WEAK | PoseFlag.RADIUS_WEAK,
 }
-"""Flags of version 1 that have another name now; its `damped`, which came with two `_weak` flags, does not exist."""
+"""Flags of version 1 that have another name now; `damped` always came with `center_weak` and `radius_weak`."""
 
 _KEYS_1 = {"rig_health": "laser_health", "shots_dropped": "dropped", "condition_number": "condition"}
 """Names in version 1 of keys that have another name now."""
-
-_UNKNOWN_FLAG = PoseFlag(1 << 40)
-"""Set in a degraded line all of whose flags are unknown to this version, so that its status stays `degraded`."""
 
 _UNCHANGED = "give the output of ringpose pose unchanged"
 
@@ -226,7 +224,13 @@ def _checked_flags(fields: Fields) -> PoseFlag:
         raise fields.problem("status", f"is 'ok', but there is the flag {_name(serious)!r}", _UNCHANGED)
     if status == "degraded" and not names:
         raise fields.problem("status", "is 'degraded', but there is no flag", _UNCHANGED)
-    return flags | _UNKNOWN_FLAG if status == "degraded" and not serious else flags
+    return flags
+
+
+def recorded_status(record: Mapping[str, Any], line: PoseLine) -> Status:
+    """The status in a record from which `line` was read; it may be due to a flag that this version does not have."""
+    status: Status = record.get("status") or line.status
+    return status
 
 
 def _name(flags: PoseFlag) -> str:

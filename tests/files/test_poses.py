@@ -1,19 +1,32 @@
-import json
 import math
 from dataclasses import replace
-from importlib.resources import files
 
 import jsonschema
 import numpy as np
 import pytest
+from schemas import SCHEMAS, validated
 
 from ringpose.errors import DataError
 from ringpose.files import records
-from ringpose.files.poses import pose_line_of, pose_record
+from ringpose.files.poses import pose_line_of, pose_record, recorded_status
+from ringpose.types.detection import Rejection
 from ringpose.types.options import PoseFrame
-from ringpose.types.pose import PoseFlag, PoseLine, RingPose
+from ringpose.types.pose import (
+    MEASURED_PARAMETERS,
+    LaserState,
+    LinearizationPoint,
+    MotionPrior,
+    PoseFlag,
+    PoseLine,
+    Priors,
+    RadiusPrior,
+    RigStability,
+    RingMeasurement,
+    RingPose,
+    RingVelocity,
+)
 
-SCHEMA = json.loads(files("ringpose.files").joinpath("pose.schema.json").read_text())
+SCHEMA = SCHEMAS["pose"]
 
 
 def square(rng, size):
@@ -40,20 +53,80 @@ def pose(rng) -> RingPose:
     )
 
 
+@pytest.fixture
+def measurement(rng) -> RingMeasurement:
+    return RingMeasurement(
+        linearized_at=LinearizationPoint(
+            center_m=rng.normal(size=3),
+            normal=np.array([0.0, 0.6, -0.8]),
+            radius_inner_m=0.567,
+            radius_outer_m=math.nan,
+            velocity_m_s=rng.normal(size=3),
+            rate_rad_s=rng.normal(size=3),
+        ),
+        nuisance_parameters=("left.tilt_1", "fx"),
+        square_root=np.triu(rng.normal(size=(9, 15))),
+        degrees_of_freedom=2,
+        chi2=1.5,
+    )
+
+
+@pytest.fixture
+def complete(rng, pose, measurement) -> PoseLine:
+    """A line in which everything is known."""
+    return line(
+        pose,
+        pose_stamp_s=1.7e9 + 0.05,
+        velocity=RingVelocity(center_m_s=rng.normal(size=3), rate_rad_s=rng.normal(size=3), covariance=square(rng, 5)),
+        measurement=measurement,
+        priors=Priors(
+            motion=MotionPrior(speed_sd_m_s=0.025, rate_sd_rad_s=0.04),
+            radius=RadiusPrior(inner_m=math.nan, outer_m=0.597, sd_m=0.0005, source="given"),
+            ring_tolerance_m=1e-4,
+            rig_covariance=True,
+            stability=RigStability(plane_tilt_rad=1e-4, plane_distance_m=2e-5, focal_ratio=1e-4),
+            regularization=rng.normal(size=(2, 13)),
+        ),
+        lasers={"left": LaserState.USED, "middle": LaserState.PARTLY, "right": LaserState.OUT_OF_VIEW},
+        rejected=(Rejection(what="point", laser="middle", edge="inner", chi2=40.0), Rejection(what="radius")),
+        rig_health={"left": 0.9, "middle": math.nan, "right": 1.1},
+        shots_dropped=2,
+        stage_s={"detect": 0.01, "pose": 0.004},
+    )
+
+
 def line(pose, **changes) -> PoseLine:
-    return PoseLine(**({"shot": "a", "stamp_s": 1.7e9, "pose": pose, "latency_s": 0.02, "rig": "0" * 64} | changes))
+    flags = PoseFlag(0) if pose is None else pose.flags
+    given = {"shot": "a", "stamp_s": 1.7e9, "pose": pose, "flags": flags, "latency_s": 0.02, "rig": "0" * 64}
+    return PoseLine(**(given | changes))
 
 
-def record(line: PoseLine) -> dict:
-    return records.parsed_record(records.line_of(pose_record(line)), "x")
+def record(line: PoseLine, brief: bool = False) -> dict:
+    return records.parsed_record(records.line_of(pose_record(line, brief)), "x")
 
 
-def test_schema_is_a_schema():
-    jsonschema.Draft202012Validator.check_schema(SCHEMA)
+KEYS = [
+    *("schema", "shot", "stamp_s", "pose_stamp_s", "frame", "status", "reason", "flags", "pose", "velocity"),
+    *("measurement", "priors", "lasers", "rejected", "rig_health", "shots_dropped", "latency_s", "stage_s", "rig"),
+]
+"""Of a pose line, in their order."""
 
 
-def test_line_with_everything_fits_the_schema(pose):
-    jsonschema.validate(record(line(pose)), SCHEMA)
+def test_record_has_the_keys_in_their_order(complete):
+    assert list(record(complete)) == KEYS
+
+
+def test_brief_record_has_no_measurement(complete):
+    assert list(validated(record(complete, brief=True))) == [key for key in KEYS if key != "measurement"]
+
+
+def test_line_with_everything_fits_the_schema(complete):
+    validated(record(complete))
+
+
+@pytest.mark.parametrize("frame", PoseFrame)
+def test_line_in_every_frame_fits_the_schema(pose, frame):
+    validated(record(line(pose, frame=frame)))
 
 
 @pytest.mark.parametrize(
@@ -70,11 +143,25 @@ def test_line_with_everything_fits_the_schema(pose):
     ],
 )
 def test_line_of_a_pose_that_is_known_in_part_fits_the_schema(pose, changes):
-    jsonschema.validate(record(line(replace(pose, **changes))), SCHEMA)
+    validated(record(line(replace(pose, **changes))))
 
 
 def test_line_without_a_pose_fits_the_schema():
-    jsonschema.validate(record(line(None, reason="no laser stripe found", latency_s=math.nan, rig="")), SCHEMA)
+    validated(record(line(None, reason="no laser stripe found", latency_s=math.nan, rig="")))
+
+
+@pytest.mark.parametrize("flags", [PoseFlag.RIG_UNCHECKED | PoseFlag.RADIUS_UNVERIFIED, PoseFlag(0)])
+def test_harmless_flags_leave_the_status_ok(pose, flags):
+    values = validated(record(line(replace(pose, flags=flags))))
+
+    assert values["status"] == pose_line_of(values, "x").status == "ok"
+
+
+def test_line_without_a_pose_may_have_flags(pose):
+    values = validated(record(line(None, reason="too dark", flags=PoseFlag.LASER_MISSING)))
+
+    assert (values["status"], values["flags"]) == ("none", ["laser_missing"])
+    assert pose_line_of(values, "x").flags == PoseFlag.LASER_MISSING
 
 
 @pytest.mark.parametrize(
@@ -82,16 +169,27 @@ def test_line_without_a_pose_fits_the_schema():
     [
         {"status": "none"},
         {"flags": []},
+        {"status": "ok"},
+        {"flags": ["rig_unchecked"]},
         {"reason": ""},
         {"pose": None},
-        {"more": 1},
         {"stamp_s": "now"},
         {"rig": "abc"},
+        {"lasers": {"left": "lost"}},
+        {"rejected": [{"what": "point"}]},
+        {"priors": {"motion": "moving"}},
+        {"measurement": {}},
     ],
 )
 def test_schema_refuses_what_contradicts_itself(pose, changes):
     with pytest.raises(jsonschema.ValidationError):
-        jsonschema.validate(record(line(pose)) | changes, SCHEMA)
+        validated(record(line(pose)) | changes)
+
+
+def test_schema_accepts_keys_and_flags_of_later_versions(complete):
+    values = record(complete)
+
+    validated(values | {"more": 1, "flags": [*values["flags"], "new_flag"], "pose": values["pose"] | {"more": {}}})
 
 
 @pytest.mark.parametrize("key", sorted(SCHEMA["required"]))
@@ -100,18 +198,107 @@ def test_schema_refuses_a_line_without_a_key(pose, key):
     del values[key]
 
     with pytest.raises(jsonschema.ValidationError):
-        jsonschema.validate(values, SCHEMA)
+        validated(values, "pose")
 
 
-def test_line_is_read_as_it_was_written(pose):
-    before = line(pose, frame=PoseFrame.TOOL, dropped=2, laser_health={"left": 0.9})
+def same(before: object, after: object) -> bool:
+    """Whether two values are equal in all attributes; NaN equals NaN."""
+    if hasattr(before, "__slots__"):
+        return all(same(getattr(before, name), getattr(after, name)) for name in before.__slots__)
+    if isinstance(before, np.ndarray | float):
+        return np.array_equal(before, after, equal_nan=True)
+    if isinstance(before, tuple | dict):
+        pairs = zip(
+            before.items() if isinstance(before, dict) else before,
+            after.items() if isinstance(after, dict) else after,
+            strict=True,
+        )
+        return all(same(*pair) for pair in pairs)
+    return before == after
 
-    after = pose_line_of(record(before), "x")
 
-    assert (after.shot, after.stamp_s, after.frame, after.dropped) == ("a", 1.7e9, "tool", 2)
-    assert (after.latency_s, after.rig, after.laser_health) == (0.02, "0" * 64, {"left": 0.9})
-    assert (after.status, after.flags) == ("degraded", ("center_weak", "damped"))
-    assert all(np.array_equal(getattr(after.pose, name), getattr(pose, name)) for name in RingPose.__slots__)
+def test_line_is_read_as_it_was_written(complete):
+    after = pose_line_of(record(complete), "x")
+
+    for name in PoseLine.__slots__:
+        assert same(getattr(complete, name), getattr(after, name)), name
+
+
+def test_line_that_is_read_is_written_as_before(complete):
+    assert record(pose_line_of(record(complete), "x")) == record(complete)
+
+
+VERSION_1 = {
+    "schema": "ringpose/pose/1",
+    "shot": "a",
+    "stamp_s": 1.7e9,
+    "frame": "camera",
+    "status": "degraded",
+    "reason": None,
+    "flags": ["center_weak"],
+    "pose": {
+        "center_m": [0.0, 0.0, 1.0],
+        "normal": [0.0, 0.6, -0.8],
+        "pitch_rad": 0.0,
+        "yaw_rad": 0.0,
+        "radius_inner_m": 0.5,
+        "radius_outer_m": None,
+        "grasp_m": None,
+        "covariance": None,
+        "ring_posterior": None,
+        "method": "ml",
+        "residual_rms_px": 0.1,
+        "condition": 20.0,
+    },
+    "laser_health": {"left": 0.9, "right": None},
+    "dropped": 3,
+    "latency_s": 0.1,
+    "rig": None,
+}
+
+
+def test_version_1_is_read_under_its_own_names():
+    after = pose_line_of(VERSION_1, "x")
+
+    assert (after.shots_dropped, after.rig_health["left"], after.pose.condition_number) == (3, 0.9, 20.0)
+    assert (after.status, after.flag_names) == ("degraded", ("center_weak",))
+    assert (after.priors, after.measurement, after.velocity, after.rejected) == (None, None, None, ())
+    assert math.isnan(after.pose_stamp_s)
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("point_left_out", "point_rejected"),
+        ("stripe_left_out", "stripe_rejected"),
+        ("relabelled", "assignment_ambiguous"),
+        ("radius_disagrees", "radius_inconsistent"),
+        ("side_unknown", "side_unknown"),
+    ],
+)
+def test_flags_of_version_1_have_their_present_names(before, after):
+    assert pose_line_of(VERSION_1 | {"flags": [before]}, "x").flag_names == (after,)
+
+
+def test_damped_poses_of_version_1_have_a_weak_center_and_weak_radii():
+    assert pose_line_of(VERSION_1 | {"flags": ["damped"]}, "x").flag_names == ("center_weak", "radius_weak")
+
+
+@pytest.mark.parametrize("flags", [["new_flag"], ["rig_unchecked", "new_flag"]])
+def test_a_line_whose_only_serious_flag_is_unknown_stays_degraded(pose, flags):
+    values = record(line(pose)) | {"flags": flags}
+
+    after = pose_line_of(values, "x")
+
+    assert recorded_status(values, after) == "degraded"
+    assert set(after.flag_names) == set(flags) & {"rig_unchecked"}
+
+
+def test_unknown_keys_are_ignored(complete):
+    values = record(complete)
+    more = values | {"more": 1, "pose": values["pose"] | {"more": {}}, "priors": values["priors"] | {"more": []}}
+
+    assert record(pose_line_of(more, "x")) == values
 
 
 def test_record_of_another_kind_is_told_by_its_schema():
@@ -142,7 +329,7 @@ def test_covariance_of_a_radius_that_is_not_known_leaves_the_rest_known(pose):
 def test_reason_is_read_as_it_was_written():
     after = pose_line_of(record(line(None, reason="no laser stripe found")), "x")
 
-    assert (after.pose, after.reason, after.status, after.flags) == (None, "no laser stripe found", "none", ())
+    assert (after.pose, after.reason, after.status, after.flags) == (None, "no laser stripe found", "none", PoseFlag(0))
 
 
 def test_angles_are_those_of_the_normal(pose):
@@ -157,11 +344,23 @@ def test_angles_are_those_of_the_normal(pose):
 @pytest.mark.parametrize(
     ("key", "value", "finding"),
     [
-        ("schema", "ringpose/pose/2", "schema: is 'ringpose/pose/2', must be 'ringpose/pose/1'"),
-        ("flags", ["center_week"], "flags: unknown flag 'center_week'"),
+        ("schema", "ringpose/pose/3", "schema: is 'ringpose/pose/3', must be 'ringpose/pose/2' or 'ringpose/pose/1'"),
+        ("flags", "center_weak", "flags: must be a list of texts"),
+        ("flags", [], "status: is 'degraded', but there is no flag"),
+        ("status", "ok", "status: is 'ok', but there is the flag 'center_weak'"),
+        ("status", "none", "status: is 'none', but there is a pose"),
+        ("pose", None, "status: is 'degraded', but pose is null"),
+        ("status", "good", "status: is 'good', must be one of ok, degraded, none"),
         ("frame", "world", "frame: is 'world', must be one of camera, tool"),
-        ("dropped", -1, "dropped: is -1, must be at least 0"),
-        ("poses", {}, "unknown key 'poses'; did you mean 'pose'?"),
+        ("shots_dropped", -1, "shots_dropped: is -1, must be at least 0"),
+        ("rig_health", {"left": "good"}, "rig_health.left: is the text 'good', must be a number"),
+        ("stage_s", {"pose": -0.1}, "stage_s.pose: is -0.1, must be at least 0"),
+        ("lasers", {"left": "lost"}, "lasers.left: is 'lost', must be one of used"),
+        ("rejected", [{"what": "ring"}], "rejected[0].what: is 'ring', must be one of point"),
+        ("velocity", {"center_m_s": [0, 0]}, "velocity.center_m_s: has 2 numbers, must have 3"),
+        ("pose_stamp_s", "now", "pose_stamp_s: is the text 'now', must be a number"),
+        ("priors", {"motion": "slow", "rig": {}}, "priors.motion: is 'slow', must be one of still"),
+        ("priors", {"motion": {"speed_sd_m_s": -1}, "rig": {}}, "priors.motion.speed_sd_m_s: is -1"),
     ],
 )
 def test_impossible_line_is_refused_with_its_place(pose, key, value, finding):
@@ -169,6 +368,28 @@ def test_impossible_line_is_refused_with_its_place(pose, key, value, finding):
         pose_line_of(record(line(pose)) | {key: value}, "x:1")
 
     assert str(caught.value).startswith(f"x:1: {finding}")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "finding"),
+    [
+        ("parameters", ["tilt_1"], "parameters: must be tilt_1, tilt_2"),
+        ("parameters", list(reversed(MEASURED_PARAMETERS)), "parameters: must be"),
+        ("nuisance_parameters", ["fx"], "square_root: has 9 x 15 numbers, must have n x 14"),
+        ("square_root", [[0.0] * 15, [1.0] * 15], "square_root: has a number below its diagonal"),
+        ("chi2", -1.0, "chi2: is -1"),
+        ("degrees_of_freedom", 1.5, "degrees_of_freedom: is 1.5, must be a whole number"),
+        ("camera_motion", "fast", "camera_motion: is 'fast'"),
+    ],
+)
+def test_impossible_measurement_is_refused_with_its_place(complete, key, value, finding):
+    values = record(complete)
+    values["measurement"][key] = value
+
+    with pytest.raises(DataError) as caught:
+        pose_line_of(values, "x:1")
+
+    assert str(caught.value).startswith(f"x:1: measurement.{finding}")
 
 
 @pytest.mark.parametrize("normal", [[0.0, 0.0, 0.0], [0.0, 0.0, 5.0]])

@@ -146,7 +146,7 @@ def _estimates_in(inputs: list[str], truths: "list[Truth]", batch: "Batch") -> "
     from ringpose.errors import DataError
     from ringpose.files.inputs import RECORDS_SUFFIX, Record
     from ringpose.files.inputs import inputs as named
-    from ringpose.files.poses import pose_line_of
+    from ringpose.files.poses import pose_line_of, recorded_status
 
     by_shot = {truth.shot: truth for truth in truths}
     estimates = []
@@ -154,7 +154,8 @@ def _estimates_in(inputs: list[str], truths: "list[Truth]", batch: "Batch") -> "
         with batch.guarded():
             if not isinstance(item, Record):
                 raise DataError(str(item), "holds no pose lines", "give the .jsonl output of ringpose pose")
-            estimate = estimate_of(pose_line_of(item.values, item.location), item.location)
+            line = pose_line_of(item.values, item.location)
+            estimate = replace(estimate_of(line, item.location), status=recorded_status(item.values, line))
             if estimate.shot in by_shot:
                 truth_at(by_shot[estimate.shot], estimate.stamp_s)  # rejects time stamps of another clock
             estimates.append(estimate)

@@ -1,0 +1,17 @@
+"""JSON Schemas of the package, and records that are checked against them."""
+
+import json
+from importlib.resources import files
+
+import jsonschema
+
+from ringpose.cli.schema import NAMES
+
+SCHEMAS = {name: json.loads(files("ringpose.files").joinpath(f"{name}.schema.json").read_text()) for name in NAMES}
+_VALIDATORS = {name: jsonschema.Draft202012Validator(schema) for name, schema in SCHEMAS.items()}
+
+
+def validated(record: dict, name: str | None = None) -> dict:
+    """The record, which fits the schema of that name, by default that of its own kind."""
+    _VALIDATORS[name or record["schema"].split("/")[1]].validate(record)
+    return record
