@@ -9,6 +9,7 @@ import yaml
 from drawn_scene import DrawnScene, draw_shot, drawn_rig, true_break_points
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from schemas import validated
 
 from ringpose.cli.main import main
 from ringpose.detect.break_points import MAX_END_SIGMA_PX
@@ -50,11 +51,12 @@ def rig_of_shots(rig):
 
 
 def read_back(detection, rig):
-    return read_source(Record("x", records.parsed_record(records.line_of(detection_record(detection)), "x")), rig, None)
+    record = records.parsed_record(records.line_of(detection_record(detection)), "x")
+    return read_source(Record("x", validated(record)), rig, None)
 
 
 def round_trip(line):
-    return pose_line_of(records.parsed_record(records.line_of(pose_record(line)), "x"), "x")
+    return pose_line_of(validated(records.parsed_record(records.line_of(pose_record(line)), "x")), "x")
 
 
 def test_an_end_that_a_saturated_glint_hides_is_not_measured(drawn_shot):

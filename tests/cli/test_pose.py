@@ -3,6 +3,7 @@ import json
 import numpy as np
 import pytest
 import yaml
+from schemas import validated
 
 from ringpose.cli.main import main
 from ringpose.files.poses import pose_line_of
@@ -15,11 +16,15 @@ def lines(text: str) -> list[dict]:
     return [json.loads(line) for line in text.splitlines()]
 
 
+def pose_lines(text: str) -> list[dict]:
+    return [validated(record) for record in lines(text)]
+
+
 @pytest.mark.parametrize("method", ["paper", "paper-constrained"])
 def test_pose_of_exact_break_points_is_exact(rig, detections, capsys, method):
     assert main(["pose", str(detections), "--rig", str(rig), "--method", method]) == 0
 
-    records = lines(capsys.readouterr().out)
+    records = pose_lines(capsys.readouterr().out)
     assert [record["shot"] for record in records] == ["a", "b", "c"]
     np.testing.assert_allclose(records[0]["pose"]["center_m"], CENTER_M, atol=1e-9)
     np.testing.assert_allclose(records[0]["pose"]["normal"], [0, 0, -1], atol=1e-9)
@@ -31,7 +36,7 @@ def test_pose_in_the_tool_frame_is_the_cameras_moved_by_the_mount(rig, detection
     words = ["pose", str(detections), "--rig", str(rig), "--method", "paper-constrained", "--frame", "tool"]
     assert main(words) == 0
 
-    record = lines(capsys.readouterr().out)[0]
+    record = pose_lines(capsys.readouterr().out)[0]
     np.testing.assert_allclose(record["pose"]["center_m"], (mount @ [*CENTER_M, 1])[:3], atol=1e-9)
     assert record["frame"] == "tool"
 
@@ -51,16 +56,28 @@ def test_tool_frame_needs_the_mount(rig, detections, capsys):
 def test_line_names_the_rig_by_its_hash_and_the_time_it_took(rig, detections, capsys):
     main(["pose", str(detections), "--rig", str(rig)])
 
-    line = pose_line_of(lines(capsys.readouterr().out)[0], "x")
+    line = pose_line_of(pose_lines(capsys.readouterr().out)[0], "x")
     assert len(line.rig) == 64
     assert 0 < line.latency_s < 5
     assert line.stamp_s == 1.7e9
 
 
+def test_brief_lines_have_no_measurement(rig, detections, capsys):
+    main(["pose", str(detections), "--rig", str(rig)])
+    full = pose_lines(capsys.readouterr().out)
+    main(["pose", str(detections), "--rig", str(rig), "--brief"])
+    brief = pose_lines(capsys.readouterr().out)
+
+    times = {"latency_s": None, "stage_s": None, "measurement": None}
+    assert all("measurement" in line for line in full)
+    assert not any("measurement" in line for line in brief)
+    assert [line | times for line in brief] == [line | times for line in full]
+
+
 def test_shot_without_break_points_is_a_line_with_its_reason(rig, picture, capsys):
     assert main(["pose", str(picture("black.png")), "--rig", str(rig)]) == 3
 
-    (record,) = lines(capsys.readouterr().out)
+    (record,) = pose_lines(capsys.readouterr().out)
     assert (record["shot"], record["status"], record["pose"]) == ("black", "none", None)
     assert record["reason"] == "the image is dark: no stripe stands out of the noise"
 
@@ -72,7 +89,7 @@ def test_bad_inputs_are_named_and_the_rest_goes_on(rig, detections, picture, tmp
     assert main(words) == 66
 
     captured = capsys.readouterr()
-    assert len(lines(captured.out)) == 3
+    assert len(pose_lines(captured.out)) == 3
     missing, broken = captured.err.splitlines()
     assert missing == f"ringpose: {tmp_path}/none.npz: does not exist"
     assert broken.startswith(f"ringpose: {tmp_path}/broken.png: is a PNG image that is cut short")
@@ -100,16 +117,16 @@ def test_detection_beside_the_rigs_image_is_refused(rig, detections, tmp_path, c
     assert main(["pose", str(changed), "--rig", str(rig)]) == 65
 
     captured = capsys.readouterr()
-    assert len(lines(captured.out)) == len(records) - 1
+    assert len(pose_lines(captured.out)) == len(records) - 1
     assert f"{changed}:1: break_points.{key}: lies beyond the image of 640 x 480 pixels" in captured.err
 
 
 def test_shot_without_a_pose_still_tells_the_health_of_each_laser(rig, picture, capsys):
     main(["pose", str(picture("black.png")), "--rig", str(rig)])
 
-    (record,) = lines(capsys.readouterr().out)
+    (record,) = pose_lines(capsys.readouterr().out)
     names = [laser["name"] for laser in yaml.safe_load(rig.read_text())["lasers"]]
-    assert record["laser_health"] == dict.fromkeys(names)
+    assert record["rig_health"] == dict.fromkeys(names)
 
 
 def test_what_is_no_name_ends_no_stream(rig, detections, tmp_path, monkeypatch, capsys):
@@ -120,7 +137,7 @@ def test_what_is_no_name_ends_no_stream(rig, detections, tmp_path, monkeypatch, 
 
     captured = capsys.readouterr()
     assert status == 66
-    assert len(lines(captured.out)) == 3
+    assert len(pose_lines(captured.out)) == 3
     assert "is not a valid file name" in captured.err
     assert max(map(len, captured.err.splitlines())) < 200
 
@@ -129,7 +146,7 @@ def test_verbose_says_what_became_of_each_shot(rig, detections, capsys):
     main(["pose", str(detections), "--rig", str(rig), "-v"])
 
     captured = capsys.readouterr()
-    record = lines(captured.out)[0]
+    record = pose_lines(captured.out)[0]
     assert captured.err.startswith(f"ringpose: a: {', '.join(record['flags']) or 'ok'}")
 
 
@@ -176,11 +193,11 @@ def test_what_cannot_be_known_of_a_ring_is_wrong_usage(rig, detections, capsys, 
 def test_a_catalogue_gives_probabilities(rig, detections, capsys):
     main(["pose", str(detections), "--rig", str(rig), "--ring", "auto"])
 
-    posterior = lines(capsys.readouterr().out)[0]["pose"]["ring_posterior"]
+    posterior = pose_lines(capsys.readouterr().out)[0]["pose"]["ring_posterior"]
     assert {"nominal-1194", "none of these"} < set(posterior)
 
 
 def test_a_known_radius_is_the_radius(rig, detections, capsys):
     main(["pose", str(detections), "--rig", str(rig), "--radius-outer", "0.597", "--radius-sd", "1e-6"])
 
-    assert lines(capsys.readouterr().out)[0]["pose"]["radius_outer_m"] == pytest.approx(0.597, abs=1e-4)
+    assert pose_lines(capsys.readouterr().out)[0]["pose"]["radius_outer_m"] == pytest.approx(0.597, abs=1e-4)

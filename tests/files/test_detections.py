@@ -1,14 +1,16 @@
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from schemas import validated
 
 from ringpose.errors import DataError
 from ringpose.files import records
 from ringpose.files.npz import Archive
 from ringpose.files.records.detections import detection_in, detection_of, detection_record, write_detection
-from ringpose.types.detection import BreakPoints, Detection, NoBreakPoints, RingEdgePoints, Segments, Stripes
+from ringpose.types.detection import BreakPoints, Detection, NoBreakPoints, Rejection, RingEdgePoints, Segments, Stripes
 
 
 def break_points(rng, lasers=3):
@@ -25,6 +27,7 @@ def break_points(rng, lasers=3):
         face_end_px=rng.normal(size=(lasers, 2)),
         face_sigma_px=rng.uniform(size=(lasers, 2)),
         labelled=True,
+        stamp_s=np.array([1.7e9, math.nan, *rng.uniform(1.7e9, 1.8e9, lasers - 2)]),
     )
 
 
@@ -40,10 +43,16 @@ def full_detection(rng, centers=50):
             peak_dn=rng.normal(size=centers),
             piece=piece,
             laser=np.array([0, -1, 2, 1]),
+            stamp_s=rng.uniform(1.7e9, 1.8e9, 4),
         ),
         segments=Segments(
-            start_px=rng.normal(size=(7, 2)), end_px=rng.normal(size=(7, 2)), support=rng.integers(1, 99, 7)
+            start_px=rng.normal(size=(7, 2)),
+            end_px=rng.normal(size=(7, 2)),
+            support=rng.integers(1, 99, 7),
+            stamp_s=rng.uniform(1.7e9, 1.8e9, 7),
         ),
+        lasers_on=np.array([True, False, True]),
+        rejected=(Rejection(what="stripe", laser="middle", chi2=41.5), Rejection(what="assignment")),
     )
 
 
@@ -53,22 +62,30 @@ def ring_edges(rng, count=9):
         normal=rng.normal(size=(count, 2)),
         sigma_px=rng.uniform(size=count),
         edge=rng.integers(0, 2, count),
+        stamp_s=rng.uniform(1.7e9, 1.8e9, count),
     )
 
 
 def same(first, second) -> bool:
     names = type(first).__slots__
     pairs = [(getattr(first, name), getattr(second, name)) for name in names]
-    return all(np.array_equal(a, b, equal_nan=isinstance(a, np.ndarray) and a.dtype.kind == "f") for a, b in pairs)
+    return all(
+        a is b or np.array_equal(a, b, equal_nan=isinstance(a, np.ndarray) and a.dtype.kind == "f") for a, b in pairs
+    )
 
 
 def through_json(detection, full=True):
-    return detection_of(records.parsed_record(records.line_of(detection_record(detection, full)), "x"), "x")
+    record = records.parsed_record(records.line_of(detection_record(detection, full)), "x")
+    return detection_of(validated(record), "x")
+
+
+def written(detection, folder):
+    write_detection(folder / "a.npz", detection)
+    return folder / "a.npz"
 
 
 def through_file(detection, folder):
-    write_detection(folder / "a.npz", detection)
-    return detection_in(Archive(folder / "a.npz"))
+    return detection_in(Archive(written(detection, folder)))
 
 
 @pytest.fixture(params=["json", "npz"])
@@ -85,6 +102,52 @@ def test_detection_is_read_as_it_was_written(rng, there_and_back):
     assert same(after.break_points, before.break_points)
     assert same(after.stripes, before.stripes)
     assert same(after.segments, before.segments)
+    np.testing.assert_array_equal(after.lasers_on, before.lasers_on)
+    assert [str(each) for each in after.rejected] == [str(each) for each in before.rejected]
+
+
+def test_detection_without_time_stamps_is_read_without(rng, there_and_back):
+    before = full_detection(rng)
+    parts = {name: replace(getattr(before, name), stamp_s=None) for name in ("break_points", "stripes", "segments")}
+
+    after = there_and_back(replace(before, **parts, lasers_on=None, rejected=()))
+
+    assert [getattr(after, name).stamp_s for name in parts] == [None] * 3
+    assert (after.lasers_on, after.rejected) == (None, ())
+
+
+def test_version_1_is_read_without_time_stamps(rng):
+    record = json.loads(records.line_of(detection_record(full_detection(rng)))) | {"schema": "ringpose/detection/1"}
+    for part in ("break_points", "stripes", "segments"):
+        del record[part]["stamp_s"]
+    del record["lasers_on"], record["rejected"]
+
+    after = detection_of(record, "x")
+
+    assert after.found
+    assert (after.break_points.stamp_s, after.stripes.stamp_s, after.lasers_on, after.rejected) == (
+        None,
+        None,
+        None,
+        (),
+    )
+
+
+def test_unknown_keys_are_ignored(rng):
+    before = full_detection(rng)
+    record = json.loads(records.line_of(detection_record(before)))
+
+    after = detection_of(record | {"more": 1, "break_points": record["break_points"] | {"more": []}}, "x")
+
+    assert same(after.break_points, before.break_points)
+
+
+def test_rejections_that_are_not_json_are_refused(rng, tmp_path):
+    arrays = dict(np.load(written(full_detection(rng), tmp_path)))
+    np.savez(tmp_path / "b.npz", **arrays | {"rejected": np.array("[{")})
+
+    with pytest.raises(DataError, match=r"b\.npz: rejected: is not valid JSON"):
+        detection_in(Archive(tmp_path / "b.npz"))
 
 
 def test_ring_edges_are_read_as_they_were_written(rng, there_and_back):
@@ -152,10 +215,16 @@ def changed_record(rng, part, key, value):
 @pytest.mark.parametrize(
     ("part", "key", "value", "finding"),
     [
-        ("", "schema", "ringpose/pose/1", "schema: is 'ringpose/pose/1', must be 'ringpose/detection/1'"),
+        ("", "schema", "ringpose/pose/1", "schema: is 'ringpose/pose/1', must be 'ringpose/detection/2' or "),
+        ("", "lasers_on", [True, 1, False], "lasers_on: must be a list of true or false"),
+        ("", "lasers_on", [True], "lasers_on: has 1 lasers, break_points has 3"),
+        ("", "rejected", {}, "rejected: is a mapping, must be a list"),
+        ("", "rejected", [{"what": "point", "edge": "upper"}], "rejected[0].edge: is 'upper', must be one of inner"),
+        ("break_points", "stamp_s", [1.0], "break_points.stamp_s: has 1 numbers, must have 3"),
+        ("stripes", "stamp_s", [None] * 4, "stripes.stamp_s: has a number that is not finite"),
+        ("segments", "stamp_s", ["now"] * 7, "segments.stamp_s: must be 7 numbers"),
         ("", "shot", "", "shot: is the text '', must be a text"),
         ("", "break_points", None, "reason: is null"),
-        ("", "breakpoints", {}, "unknown key 'breakpoints'; did you mean 'break_points'?"),
         ("break_points", "flags", [[0, 0], [0, 1.5], [0, 0]], "break_points.flags: has a number that is not whole"),
         ("break_points", "flags", [[0, 0]], "break_points.flags: has 1 x 2 numbers, must have 3 x 2"),
         ("break_points", "flags", [[0, 0], [0, 1e30], [0, 0]], "break_points.flags: has a number that is not whole"),

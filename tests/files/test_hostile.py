@@ -20,6 +20,7 @@ from ringpose.files.records.detections import detection_of
 from ringpose.files.records.truths import read_truths
 from ringpose.files.rigs import read_rig
 from ringpose.types.image import Shot
+from ringpose.types.pose import MEASURED_PARAMETERS
 
 ODD = st.sampled_from(
     [
@@ -81,13 +82,16 @@ POINTS = {
     "face_end_px": [[3, 4]],
     "face_sigma_px": [[1, 1]],
     "labelled": True,
+    "stamp_s": [1.0],
 }
-STRIPES = {"position_px": [[1, 2]], "sigma_px": [1], "peak_dn": [9], "piece": [0], "laser": [-1]}
+STRIPES = {"position_px": [[1, 2]], "sigma_px": [1], "peak_dn": [9], "piece": [0], "laser": [-1], "stamp_s": [1.0]}
 DETECTION = {
-    "schema": "ringpose/detection/1",
+    "schema": "ringpose/detection/2",
     "shot": "a",
     "stamp_s": 1.0,
     "reason": None,
+    "lasers_on": [True],
+    "rejected": [{"what": "point", "laser": "l", "edge": "inner", "chi2": 30.0}],
     "break_points": POINTS,
     "stripes": STRIPES,
     "segments": {"start_px": [[1, 2]], "end_px": [[3, 4]], "support": [20]},
@@ -104,10 +108,40 @@ POSE = {
     "ring_posterior": None,
     "method": "paper",
     "residual_rms_px": 0.1,
-    "condition": 10,
+    "condition_number": 10,
+}
+MEASUREMENT = {
+    "linearized_at": {
+        "center_m": [0, 0, 1],
+        "normal": [0, 0, -1],
+        "radius_inner_m": None,
+        "radius_outer_m": 0.5,
+        "velocity_m_s": [0, 0, 0],
+        "rate_rad_s": [0, 0, 0],
+    },
+    "parameters": list(MEASURED_PARAMETERS),
+    "nuisance_parameters": ["fx"],
+    "square_root": np.eye(3, 14).tolist(),
+    "degrees_of_freedom": 2,
+    "chi2": 1.5,
+    "camera_motion": "none",
+}
+PRIORS = {
+    "motion": {"speed_sd_m_s": 0.025, "rate_sd_rad_s": 0.04},
+    "radius": {"inner_m": None, "outer_m": 0.5, "sd_m": 0.001, "source": "given"},
+    "ring_tolerance_m": 0.0001,
+    "rig": {"covariance": "none", "stability": {"plane_tilt_rad": 0, "plane_distance_m": 0, "focal_ratio": 0}},
+    "regularization": np.eye(2, 13).tolist(),
 }
 LINE = {
-    "schema": "ringpose/pose/1",
+    "schema": "ringpose/pose/2",
+    "pose_stamp_s": 1.05,
+    "velocity": {"center_m_s": [0, 0, 0], "rate_rad_s": [0, 0, 0], "covariance": np.eye(5).tolist()},
+    "measurement": MEASUREMENT,
+    "priors": PRIORS,
+    "lasers": {"l": "used"},
+    "rejected": [{"what": "point", "laser": "l", "edge": "inner", "chi2": 30.0}],
+    "stage_s": {"pose": 0.01},
     "shot": "a",
     "stamp_s": 1.0,
     "frame": "camera",
@@ -115,10 +149,17 @@ LINE = {
     "reason": None,
     "flags": ["center_weak"],
     "pose": POSE,
-    "laser_health": {},
-    "dropped": 0,
+    "rig_health": {"l": 0.5},
+    "shots_dropped": 0,
     "latency_s": 0.1,
     "rig": None,
+}
+LINE_1 = {
+    **{key: value for key, value in LINE.items() if key in ("shot", "stamp_s", "frame", "status", "reason", "flags")},
+    "schema": "ringpose/pose/1",
+    "pose": POSE | {"condition": 10},
+    "laser_health": {"l": 0.5},
+    "dropped": 0,
 }
 
 
@@ -176,7 +217,9 @@ def test_spoiled_yaml(tmp_path, read, values, data):
 
 
 @pytest.mark.parametrize(
-    ("read", "values"), [(detection_of, DETECTION), (pose_line_of, LINE)], ids=["detection", "pose line"]
+    ("read", "values"),
+    [(detection_of, DETECTION), (pose_line_of, LINE), (pose_line_of, LINE_1)],
+    ids=["detection", "pose line", "pose line of version 1"],
 )
 @relaxed
 @given(data=st.data())

@@ -1,0 +1,29 @@
+"""`ringpose schema`."""
+
+import json
+
+import pytest
+from schemas import SCHEMAS
+
+from ringpose.cli.main import main
+
+
+def test_without_a_name_the_names_are_listed(capsys):
+    assert main(["schema"]) == 0
+
+    assert capsys.readouterr().out.splitlines() == ["pose", "detection", "truth", "session"]
+
+
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_a_schema_is_printed_as_it_is_in_the_package(capsys, name):
+    assert main(["schema", name]) == 0
+
+    assert json.loads(capsys.readouterr().out) == SCHEMAS[name]
+
+
+def test_an_unknown_name_is_wrong_usage(capsys):
+    assert main(["schema", "detections"]) == 2
+
+    streams = capsys.readouterr()
+    assert (streams.out, streams.err.count("\n")) == ("", 1)
+    assert "did you mean 'detection'?" in streams.err

@@ -1,0 +1,135 @@
+"""Each JSON Schema accepts what is written, and refuses a broken record; pose lines have their own tests."""
+
+import copy
+
+import jsonschema
+import numpy as np
+import pytest
+import yaml
+from schemas import SCHEMAS, validated
+
+from ringpose.files.images.sessions import write_session
+from ringpose.files.records import line_of, parsed_record
+from ringpose.files.records.detections import detection_record
+from ringpose.files.records.truths import truth_record
+from ringpose.types.detection import Detection, NoBreakPoints
+from ringpose.types.session import Capture, Session
+from ringpose.types.truth import Truth
+
+DETECTION = parsed_record(
+    line_of(detection_record(Detection(shot="a", stamp_s=1.0, break_points=NoBreakPoints.NO_RING))), "x"
+)
+TRUTH = parsed_record(
+    line_of(
+        truth_record(
+            Truth(
+                shot="a",
+                expect="pose",
+                center_m=np.array([0.1, 0.2, 0.5]),
+                normal=np.array([0.0, 0.6, -0.8]),
+                radius_inner_m=0.567,
+                radius_outer_m=0.597,
+                break_points_px=np.array([[[1.0, 2.0], [np.nan, np.nan]]]),
+                stamp_s=3.0,
+                velocity_m_s=np.zeros(3),
+                groups={"rig": "B", "distance_m": 0.5, "foil": True},
+            )
+        )
+    ),
+    "x",
+)
+
+
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_schema_is_a_schema(name):
+    jsonschema.Draft202012Validator.check_schema(SCHEMAS[name])
+
+
+def refused(record: dict, name: str) -> bool:
+    try:
+        validated(record, name)
+    except jsonschema.ValidationError:
+        return True
+    return False
+
+
+def changed(values: dict, path: tuple, value: object) -> dict:
+    """A copy of nested values with another value at one place."""
+    values = copy.deepcopy(values)
+    place = values
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = value
+    return values
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("schema", "ringpose/detection/1"),
+        ("reason", None),
+        ("break_points", {}),
+        ("lasers_on", [1, 0]),
+        ("rejected", None),
+        ("ring_edges", {"edge": [2]}),
+        ("stripes", {"piece": [-1]}),
+    ],
+)
+def test_broken_detection_is_refused(key, value):
+    validated(DETECTION | {"more": 1})
+
+    assert refused(DETECTION | {key: value}, "detection")
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("shot", ""),
+        ("expect", "poses"),
+        ("center_m", [0.0, 1.0]),
+        ("center_m", None),
+        ("break_points_px", [[[1.0, 2.0]]]),
+        ("groups", {"a": []}),
+        ("frames", [{"stamp_s": 1.0}]),
+    ],
+)
+def test_broken_truth_is_refused(key, value):
+    validated(TRUTH, "truth")
+
+    assert refused(TRUTH | {key: value}, "truth")
+
+
+def test_truth_without_a_target_has_no_center():
+    validated(parsed_record(line_of(truth_record(Truth(shot="b", expect="no_target"))), "x"), "truth")
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        (("ringpose",), "session/2"),
+        (("captures",), None),
+        (("captures", 0, "state"), "done"),
+        (("captures", 0, "shots"), ["a", "a"]),
+        (("captures", 1, "laser_count"), 9),
+    ],
+)
+def test_broken_session_is_refused(tmp_path, path, value):
+    full = Capture(
+        camera="sim:scene.yaml",
+        lasers="sim:",
+        sequence="off,1,2,3,off",
+        exposure_s=0.01,
+        rate_hz=10.0,
+        camera_name="drawn",
+        laser_count=3,
+        laser_names=("left", "middle", "right"),
+        state="finished",
+        shots=("a", "b"),
+        provenance={"version": "0"},
+    )
+    write_session(tmp_path, Session(captures=(Capture(camera="files:x", lasers="none:", shots=("c",)), full)))
+    session = yaml.safe_load((tmp_path / "session.yaml").read_text())
+
+    validated(session, "session")
+
+    assert refused(changed(session, path, value), "session")
