@@ -7,7 +7,7 @@ import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.geometry.rays import intersect, rays
-from ringpose.geometry.rotations import tilt_basis
+from ringpose.geometry.rotations import angle_between, tilt_basis
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
 from ringpose.types.truth import Truth
@@ -23,29 +23,53 @@ MAX_TILT = 1e3
 
 
 def truth_at(truth: Truth, stamp_s: float) -> Truth:
-    """The truth propagated from its own time stamp to that of a pose, with constant velocities (camera frame).
+    """The truth at the instant at which a pose holds, in the camera frame.
 
-    A truth without time stamp or velocities is returned as it is. Raises DataError if the time stamps differ by more
-    than `MAX_PROPAGATION_S`.
+    It is interpolated between its frames, else propagated from its own time stamp with constant velocities. A truth without frames, and without time stamp or velocities, is returned as it is. Raises DataError if the pose is
+    stamped more than `MAX_PROPAGATION_S` from the truth or its frames.
     """
+    if math.isnan(stamp_s) or truth.center_m is None or truth.normal is None:
+        return truth
+    if truth.frames:
+        return _between_frames(truth, stamp_s)
     moving = truth.velocity_m_s is not None or truth.angular_velocity_rad_s is not None
-    if truth.stamp_s is None or not moving or truth.center_m is None or truth.normal is None:
+    if truth.stamp_s is None or not moving:
         return truth
     elapsed_s = stamp_s - truth.stamp_s
-    if math.isnan(elapsed_s):
-        return truth
-    if abs(elapsed_s) > MAX_PROPAGATION_S:
-        raise DataError(
-            truth.shot,
-            f"is stamped {elapsed_s:.6g} s after its truth, which moves",
-            "give poses and truth that were stamped by one clock",
-        )
+    _check_clock(truth, elapsed_s)
     velocity_m_s = np.zeros(3) if truth.velocity_m_s is None else truth.velocity_m_s
     rates_rad_s = np.zeros(3) if truth.angular_velocity_rad_s is None else truth.angular_velocity_rad_s
     across_rad = elapsed_s * np.cross(rates_rad_s, truth.normal)  # rotation about the normal has no effect
     angle_rad = float(np.linalg.norm(across_rad))
     turned = math.cos(angle_rad) * truth.normal + np.sinc(angle_rad / math.pi) * across_rad
     return replace(truth, center_m=truth.center_m + elapsed_s * velocity_m_s, normal=turned)
+
+
+def _check_clock(truth: Truth, elapsed_s: float) -> None:
+    if abs(elapsed_s) > MAX_PROPAGATION_S:
+        raise DataError(
+            truth.shot,
+            f"is stamped {elapsed_s:.6g} s after its truth, which moves",
+            "give poses and truth that were stamped by one clock",
+        )
+
+
+def _between_frames(truth: Truth, stamp_s: float) -> Truth:
+    """Linear in the centre and in the normal's angle; extrapolated before the first and after the last frame."""
+    frames = truth.frames
+    stamps_s = np.array([frame.stamp_s for frame in frames])
+    _check_clock(truth, float(stamp_s - np.clip(stamp_s, stamps_s[0], stamps_s[-1])))
+    if len(frames) == 1:
+        return replace(truth, center_m=frames[0].center_m, normal=frames[0].normal)
+    first = int(np.clip(np.searchsorted(stamps_s, stamp_s) - 1, 0, len(frames) - 2))
+    start, end = frames[first], frames[first + 1]
+    share = (stamp_s - start.stamp_s) / (end.stamp_s - start.stamp_s)
+    angle_rad = float(angle_between(start.normal[None], end.normal[None])[0])
+    normal = start.normal
+    if angle_rad > 0:  # two equal normals have no great circle
+        parts = np.sin(np.array([1.0 - share, share]) * angle_rad) / math.sin(angle_rad)
+        normal = parts @ np.array([start.normal, end.normal])
+    return replace(truth, center_m=(1.0 - share) * start.center_m + share * end.center_m, normal=normal)
 
 
 def distance_to_circle_m(

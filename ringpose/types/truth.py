@@ -8,6 +8,16 @@ from ringpose.types.arrays import Array, Float64
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TruthFrame:
+    """The ring at one frame of a shot, in the camera frame."""
+
+    stamp_s: float
+    center_m: Float64[Array, "xyz=3"]
+    normal: Float64[Array, "xyz=3"]
+    break_points_px: Float64[Array, "laser edge=2 xy=2"] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Truth:
     """One line of `truth.jsonl`; the attributes of the ring are None for a shot without a target."""
 
@@ -24,4 +34,6 @@ class Truth:
     """Velocity of the ring's centre, in the camera frame."""
     angular_velocity_rad_s: Float64[Array, "xyz=3"] | None = None
     """In the camera frame."""
+    frames: tuple[TruthFrame, ...] = ()
+    """A moving target at each frame of the shot, in chronological order."""
     groups: Mapping[str, str | float | int | bool] = field(default_factory=dict)

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from ringpose.bench.score import JUDGED, QUANTITIES, Judgement, Outcome, PoseEstimate, score
+from ringpose.errors import DataError
 from ringpose.geometry.rotations import tilted
 from ringpose.types.pose import PoseFlag, RingVelocity
-from ringpose.types.truth import Truth
+from ringpose.types.truth import Truth, TruthFrame
 
 NOTHING = Truth(shot="a", expect="no_target")
 NO_POSE = PoseEstimate(shot="a", method="paper", pose=None)
@@ -341,6 +342,40 @@ def test_a_moving_target_is_scored_where_it_was_when_the_shot_was_stamped(truth_
 
     assert errors["center_m"] < 1e-12
     assert errors["normal_rad"] < 1e-12
+
+
+def turned(angle_rad: float) -> np.ndarray:
+    return np.array([-np.sin(angle_rad), 0.0, -np.cos(angle_rad)])
+
+
+@pytest.mark.parametrize(("stamp_s", "share"), [(100.0, 0.0), (100.03, 0.3), (100.1, 1.0), (100.15, 1.5), (99.9, -1.0)])
+def test_a_truth_with_frames_is_interpolated_to_the_instant_of_the_pose(truth_of, estimate_of, stamp_s, share):
+    center_m = truth_of().center_m
+    frames = [
+        TruthFrame(stamp_s=100.0 + 0.1 * n, center_m=center_m + np.array([0.01 * n, 0, 0]), normal=turned(0.02 * n))
+        for n in range(2)
+    ]
+    there = {"center_m": center_m + np.array([0.01 * share, 0, 0]), "normal": turned(0.02 * share)}
+
+    errors = score(
+        truth_of(frames=tuple(frames)), estimate_of(line={"pose_stamp_s": stamp_s}, **there), "ml", None
+    ).errors
+
+    assert errors["center_m"] < 1e-12
+    assert errors["normal_rad"] < 1e-9
+
+
+def test_a_pose_far_from_the_frames_of_its_truth_is_of_another_clock(truth_of, estimate_of):
+    frame = TruthFrame(stamp_s=100.0, center_m=truth_of().center_m, normal=truth_of().normal)
+
+    with pytest.raises(DataError, match="clock"):
+        score(truth_of(frames=(frame,)), estimate_of(line={"pose_stamp_s": 1.7e9}), "ml", None)
+
+
+def test_a_degraded_line_with_an_unknown_flag_is_degraded(truth_of, estimate_of):
+    result = score(truth_of(), replace(estimate_of(), status="degraded"), "ml", None)
+
+    assert (result.outcome, result.status) == (Outcome.DEGRADED, "degraded")
 
 
 HALF_BAND_RAD = 0.1 / 0.9

@@ -2,11 +2,12 @@ import json
 
 import numpy as np
 import pytest
+from schemas import validated
 
 from ringpose.errors import DataError, NoInputError
 from ringpose.files import records
 from ringpose.files.records.truths import read_truths, truth_record
-from ringpose.types.truth import Truth
+from ringpose.types.truth import Truth, TruthFrame
 
 LINE = {
     "shot": "a",
@@ -18,6 +19,9 @@ LINE = {
     "expect": "partial",
     "groups": {"rig": "B", "distance_m": 0.5},
 }
+
+
+FRAME = {"stamp_s": 3.0, "center_m": [0.1, 0.2, 0.5], "normal": [0, 0.6, -0.8], "break_points_px": [[[1, 2], None]]}
 
 
 def written(path, *lines):
@@ -36,16 +40,23 @@ def test_truth_is_read_with_nan_for_what_is_not_seen(tmp_path):
 def test_truths_are_read_as_they_were_written(tmp_path, rng):
     points = rng.normal(size=(3, 2, 2))
     points[1, 0] = np.nan
+    normal = np.array([0, 0, -1.0])
+    frame = TruthFrame(stamp_s=3.0, center_m=rng.normal(size=3), normal=normal, break_points_px=points)
     before = Truth(
-        shot="a", expect="pose", center_m=rng.normal(size=3), normal=np.array([0, 0, -1.0]), break_points_px=points
+        shot="a", expect="pose", center_m=rng.normal(size=3), normal=normal, break_points_px=points, frames=(frame,)
     )
 
     lines = [records.line_of(truth_record(each)) for each in (before, Truth(shot="b", expect="no_target"))]
+    for line in lines:
+        validated(records.parsed_record(line, "x"), "truth")
     (tmp_path / "truth.jsonl").write_text("".join(lines))
     after, empty = read_truths(tmp_path / "truth.jsonl")
 
     np.testing.assert_array_equal(after.center_m, before.center_m)
     np.testing.assert_array_equal(after.break_points_px, points)
+    assert after.frames[0].stamp_s == 3.0
+    np.testing.assert_array_equal(after.frames[0].center_m, frame.center_m)
+    np.testing.assert_array_equal(after.frames[0].break_points_px, points)
     assert (empty.center_m, empty.break_points_px, empty.expect) == (None, None, "no_target")
 
 
@@ -53,6 +64,9 @@ def test_truths_are_read_as_they_were_written(tmp_path, rng):
     ("key", "value", "finding"),
     [
         ("expect", "poses", "expect: is 'poses', must be one of pose, partial, no_target; did you mean 'pose'?"),
+        ("frames", [FRAME, FRAME], "frames: are not in chronological order"),
+        ("frames", [FRAME | {"normal": [0, 0, 2]}], "frames[0].normal: has length 2"),
+        ("frames", [FRAME | {"velocity": 0}], "frames[0]: unknown key 'velocity'"),
         ("normal", [0, 0, 1.5], "normal: has length 1.5, must be 1"),
         ("radius_outer_m", 597, "radius_outer_m: is 597; give metres"),
         ("break_points_px", [[[1, 2]]], "break_points_px: has 1 x 1 x 2 numbers, must have n x 2 x 2"),

@@ -1,6 +1,7 @@
 """truth.jsonl: the ground truth, one record per shot."""
 
 from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -10,7 +11,7 @@ from ringpose.files import records
 from ringpose.files.io import read_bytes
 from ringpose.files.schema import Fields, kind
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.truth import Truth
+from ringpose.types.truth import Truth, TruthFrame
 
 _KEYS = (
     "schema",
@@ -25,7 +26,9 @@ _KEYS = (
     "stamp_s",
     "velocity_m_s",
     "angular_velocity_rad_s",
+    "frames",
 )
+_FRAME_KEYS = ("stamp_s", "center_m", "normal", "break_points_px")
 _EXPECT = ("pose", "partial", "no_target")
 
 
@@ -56,6 +59,7 @@ def truth_of(fields: Fields) -> Truth:
         angular_velocity_rad_s=fields.vector("angular_velocity_rad_s", 3)
         if fields.has("angular_velocity_rad_s")
         else None,
+        frames=_frames(fields) if fields.has("frames") else (),
         groups=_groups(fields.fields("groups")) if fields.has("groups") else {},
     )
 
@@ -77,7 +81,33 @@ def truth_record(truth: Truth) -> dict[str, Any]:
         "expect": truth.expect,
         "groups": dict(truth.groups),
         **{name: value for name, value in motion.items() if value is not None},
+        **({"frames": [_frame_record(frame) for frame in truth.frames]} if truth.frames else {}),
     }
+
+
+def _frame_record(frame: TruthFrame) -> dict[str, Any]:
+    points = frame.break_points_px
+    return {
+        "stamp_s": frame.stamp_s,
+        "center_m": frame.center_m,
+        "normal": frame.normal,
+        "break_points_px": None if points is None else _points_or_null(points),
+    }
+
+
+def _frames(fields: Fields) -> tuple[TruthFrame, ...]:
+    frames = tuple(
+        TruthFrame(
+            stamp_s=each.number("stamp_s"),
+            center_m=each.point_m("center_m"),
+            normal=each.unit_vector("normal"),
+            break_points_px=_break_points(each) if each.has("break_points_px") else None,
+        )
+        for each in fields.each("frames", _FRAME_KEYS)
+    )
+    if any(later.stamp_s <= earlier.stamp_s for earlier, later in pairwise(frames)):
+        raise fields.problem("frames", "are not in chronological order: stamp_s must increase")
+    return frames
 
 
 def _groups(fields: Fields) -> Mapping[str, str | float | int | bool]:
@@ -96,7 +126,7 @@ def _break_points(fields: Fields) -> Float64[Array, "laser edge=2 xy=2"]:
         filled = [
             [nothing if p is None else p for p in edges] if isinstance(edges, list) else edges for edges in lasers
         ]
-    shaped = Fields(fields.file, {"break_points_px": filled})
+    shaped = Fields(fields.file, {"break_points_px": filled}, path=fields.path)
     return shaped.array("break_points_px", (None, 2, 2), allow_nan=True)
 
 
