@@ -25,8 +25,9 @@ MAX_TILT = 1e3
 def truth_at(truth: Truth, stamp_s: float) -> Truth:
     """The truth at the instant at which a pose holds, in the camera frame.
 
-    It is interpolated between its frames, else propagated from its own time stamp with constant velocities. A truth without frames, and without time stamp or velocities, is returned as it is. Raises DataError if the pose is
-    stamped more than `MAX_PROPAGATION_S` from the truth or its frames.
+    It is interpolated between its frames, else propagated from its own time stamp with constant velocities. A truth
+    without frames, and without time stamp or velocities, is returned as it is. Raises DataError if the pose is stamped
+    more than `MAX_PROPAGATION_S` from the truth or its frames.
     """
     if math.isnan(stamp_s) or truth.center_m is None or truth.normal is None:
         return truth
