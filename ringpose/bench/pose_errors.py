@@ -22,21 +22,21 @@ MAX_TILT = 1e3
 """Upper limit of the tangent of a tilt error: that of 89.94 degrees."""
 
 
-def truth_at(truth: Truth, stamp_s: float) -> Truth:
+def truth_at(truth: Truth, stamp_s: float, shot_stamp_s: float = math.nan) -> Truth:
     """The truth at the instant at which a pose holds, in the camera frame.
 
-    It is interpolated between its frames, else propagated from its own time stamp with constant velocities. A truth
-    without frames, and without time stamp or velocities, is returned as it is. Raises DataError if the pose is stamped
-    more than `MAX_PROPAGATION_S` from the truth or its frames.
+    It is interpolated between its frames, else propagated with constant velocities from its own time stamp, by default
+    that of the shot. A truth that does not move is returned as it is. Raises DataError if the pose is stamped more than
+    `MAX_PROPAGATION_S` from the truth or its frames.
     """
     if math.isnan(stamp_s) or truth.center_m is None or truth.normal is None:
         return truth
     if truth.frames:
         return _between_frames(truth, stamp_s)
     moving = truth.velocity_m_s is not None or truth.angular_velocity_rad_s is not None
-    if truth.stamp_s is None or not moving:
+    elapsed_s = stamp_s - (shot_stamp_s if truth.stamp_s is None else truth.stamp_s)
+    if math.isnan(elapsed_s) or not moving:
         return truth
-    elapsed_s = stamp_s - truth.stamp_s
     _check_clock(truth, elapsed_s)
     velocity_m_s = np.zeros(3) if truth.velocity_m_s is None else truth.velocity_m_s
     rates_rad_s = np.zeros(3) if truth.angular_velocity_rad_s is None else truth.angular_velocity_rad_s

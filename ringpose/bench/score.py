@@ -89,6 +89,8 @@ class PoseEstimate:
     flags: PoseFlag = PoseFlag(0)
     stamp_s: float = math.nan
     """The instant at which the pose holds; NaN if unknown."""
+    shot_stamp_s: float = math.nan
+    """That of the shot."""
     velocity: RingVelocity | None = None
     assumptions: Assumptions | None = None
     """None if nothing was estimated."""
@@ -185,6 +187,7 @@ def estimate_of(line: PoseLine, place: str) -> PoseEstimate:
         status=line.status,
         flags=line.flags,
         stamp_s=line.stamp_s if math.isnan(line.pose_stamp_s) else line.pose_stamp_s,
+        shot_stamp_s=line.stamp_s,
         velocity=line.velocity,
         assumptions=assumptions_of(line),
         latency_s=line.latency_s,
@@ -240,7 +243,7 @@ def score(truth: Truth, estimate: PoseEstimate | None, method: str, camera: Came
             has_target=has_target,
             groups=truth.groups,
         )
-    pose, truth_now = estimate.pose, truth_at(truth, estimate.stamp_s)
+    pose, truth_now = estimate.pose, truth_at(truth, estimate.stamp_s, estimate.shot_stamp_s)
     distances = {} if pose is None else _distances(truth_now, pose, estimate.velocity)
     found = {} if pose is None else dict(_judgements(truth_now, estimate, pose, distances, camera))
     judgements = {name: judgement for name, (judgement, _) in found.items()}

@@ -192,7 +192,7 @@ def pose_line_of(record: Mapping[str, Any], location: str) -> PoseLine:
         frame=PoseFrame(fields.choice("frame", tuple(PoseFrame))),
         rig_health=_numbers(fields, names["rig_health"]),
         shots_dropped=fields.integer(names["shots_dropped"], least=0) if fields.has(names["shots_dropped"]) else 0,
-        latency_s=_number(fields, "latency_s"),
+        latency_s=_number(fields, "latency_s", least=0.0),
         rig=fields.text("rig") if fields.has("rig") else "",
     )
     return line if schema == SCHEMA_1 else replace(line, **_values_of_version_2(fields))
@@ -253,8 +253,8 @@ def _pose(fields: Fields, flags: PoseFlag, condition_key: str) -> RingPose:
         radius_outer_m=_number(fields, "radius_outer_m"),
         grasp_m=_vector(fields, "grasp_m"),
         method=fields.text("method"),
-        condition_number=_number(fields, condition_key, missing=math.inf),
-        residual_rms_px=_number(fields, "residual_rms_px"),
+        condition_number=_number(fields, condition_key, missing=math.inf, least=0.0),
+        residual_rms_px=_number(fields, "residual_rms_px", least=0.0),
         covariance=_covariance(covariance, "full", 7),
         covariance_center_m2=_covariance(covariance, "center", 3),
         covariance_grasp_m2=_covariance(covariance, "grasp", 3),
@@ -288,6 +288,8 @@ def _measurement(fields: Fields) -> RingMeasurement:
     if fields.texts("parameters") != MEASURED_PARAMETERS:
         raise fields.problem("parameters", f"must be {', '.join(MEASURED_PARAMETERS)}", _UNCHANGED)
     point, nuisance = fields.fields("linearized_at"), fields.texts("nuisance_parameters")
+    if "" in nuisance or len(set(nuisance)) < len(nuisance):
+        raise fields.problem("nuisance_parameters", "has an empty name, or one that occurs twice", _UNCHANGED)
     square_root = fields.array("square_root", (None, len(MEASURED_PARAMETERS) + len(nuisance) + 1))
     if np.tril(square_root, -1).any():
         raise fields.problem("square_root", "has a number below its diagonal, must be upper-trapezoidal", _UNCHANGED)
@@ -365,8 +367,8 @@ def _numbers(fields: Fields, key: str, least: float = -math.inf, most: float = m
     return {name: values.number(name, least, most) if values.has(name) else math.nan for name in values.values}
 
 
-def _number(fields: Fields, key: str, missing: float = math.nan) -> float:
-    return fields.number(key) if fields.has(key) else missing
+def _number(fields: Fields, key: str, missing: float = math.nan, least: float = -math.inf) -> float:
+    return fields.number(key, least) if fields.has(key) else missing
 
 
 def _vector(fields: Fields, key: str) -> Float64[Array, "xyz=3"]:

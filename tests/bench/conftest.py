@@ -92,6 +92,7 @@ def estimate_of(pose_of: Callable[..., RingPose]) -> Callable[..., PoseEstimate]
         shot: str = "a", method: str = "paper", flags: PoseFlag = NO_FLAG, line: Any = None, **changes: Any
     ) -> PoseEstimate:
         pose = pose_of(method=method, flags=flags, **changes)
-        return score.estimate_of(PoseLine(shot=shot, stamp_s=math.nan, pose=pose, flags=flags, **(line or {})), "x")
+        values = {"stamp_s": math.nan} | (line or {})
+        return score.estimate_of(PoseLine(shot=shot, pose=pose, flags=flags, **values), "x")
 
     return estimate

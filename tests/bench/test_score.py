@@ -110,11 +110,13 @@ def test_a_velocity_is_not_judged_where_the_truth_has_none(truth_of, estimate_of
     assert "velocity" not in result.judgements
 
 
-def test_the_truth_is_moved_to_the_instant_at_which_the_pose_holds(truth_of, estimate_of):
-    truth = truth_of(stamp_s=100.0, velocity_m_s=np.array([0.05, 0.0, 0.0]))
+@pytest.mark.parametrize(("stamp_s", "shot_stamp_s"), [(100.0, 99.0), (None, 100.0)])
+def test_the_truth_is_moved_to_the_instant_at_which_the_pose_holds(truth_of, estimate_of, stamp_s, shot_stamp_s):
+    truth = truth_of(stamp_s=stamp_s, velocity_m_s=np.array([0.05, 0.0, 0.0]))
+    line = {"stamp_s": shot_stamp_s, "pose_stamp_s": 100.08}
     there = truth.center_m + 0.08 * truth.velocity_m_s
 
-    errors = score(truth, estimate_of(center_m=there, line={"pose_stamp_s": 100.08}), "ml", None).errors
+    errors = score(truth, estimate_of(center_m=there, line=line), "ml", None).errors
 
     assert errors["center_m"] < 1e-12
 

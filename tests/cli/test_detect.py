@@ -5,6 +5,7 @@ from importlib.metadata import version
 import cv2
 import numpy as np
 import pytest
+from schemas import validated
 
 from ringpose.cli.main import main
 from ringpose.files.npz import Archive
@@ -17,7 +18,7 @@ def test_segments_of_any_photograph_need_no_rig(picture, capsys):
 
     assert main(["detect", str(file), "--segments-only"]) == 0
 
-    record = json.loads(capsys.readouterr().out)
+    record = validated(json.loads(capsys.readouterr().out))
     rows = np.array(record["segments"]["start_px"])[:, 1]
     assert {row for row in (100, 300) if np.abs(rows - row).min() < 3} == {100, 300}
 
@@ -36,7 +37,7 @@ def test_the_papers_segments_end_on_whole_pixels_and_the_refined_ones_between(pi
 def test_image_without_a_stripe_is_a_record_with_its_reason(rig, picture, capsys):
     assert main(["detect", str(picture("black.png")), "--rig", str(rig)]) == 3
 
-    record = json.loads(capsys.readouterr().out)
+    record = validated(json.loads(capsys.readouterr().out))
     assert (record["break_points"], record["reason"]) == (None, NoBreakPoints.IMAGE_DARK.value)
     assert "stripes" not in record
 
@@ -44,7 +45,7 @@ def test_image_without_a_stripe_is_a_record_with_its_reason(rig, picture, capsys
 def test_full_record_has_the_stripes(rig, picture, capsys):
     main(["detect", str(picture("line.png", 20, (100,))), "--rig", str(rig), "--full"])
 
-    assert len(json.loads(capsys.readouterr().out)["stripes"]["sigma_px"]) > 100
+    assert len(validated(json.loads(capsys.readouterr().out))["stripes"]["sigma_px"]) > 100
 
 
 def test_folder_takes_one_archive_a_shot_and_names_it(rig, picture, tmp_path, capsys):

@@ -106,6 +106,14 @@ def test_detection_of_another_number_of_lasers_is_refused(rig, detections, capsy
     assert "has 3 lasers, the rig has 2" in captured.err
 
 
+def test_detection_without_break_points_of_another_number_of_lasers_is_refused(rig, tmp_path, capsys):
+    record = {"schema": "ringpose/detection/2", "shot": "a", "stamp_s": 1.0, "reason": "no laser stripe found"}
+    (tmp_path / "none.jsonl").write_text(json.dumps(record | {"lasers_on": [True, True]}))
+
+    assert main(["pose", str(tmp_path / "none.jsonl"), "--rig", str(rig)]) == 65
+    assert "none.jsonl:1: lasers_on: has 2 lasers, the rig has 3" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(("key", "limit_px"), [("position_px", 1281.0), ("face_start_px", 7041.0)])
 def test_detection_beside_the_rigs_image_is_refused(rig, detections, tmp_path, capsys, key, limit_px):
     records = lines(detections.read_text())

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from schemas import validated
 
 from ringpose.cli.main import main
 from ringpose.files.boards import read_board
@@ -69,6 +70,8 @@ def test_shots_rig_and_truth_are_written(scene, capsys):
     rig = read_rig(out / "rig.yaml")
     assert [read_shot(out / "shots" / f"{name}.npz", rig=rig).lasers.tolist() for name in names] == [[0, 3]] * 3
     assert [truth.shot for truth in read_truths(out / "truth.jsonl")] == names
+    for line in (out / "truth.jsonl").read_text().splitlines():
+        validated(json.loads(line), "truth")
 
 
 def test_names_on_stdout_are_those_of_files(scene, capsys):

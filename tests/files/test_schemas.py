@@ -1,6 +1,8 @@
 """Each JSON Schema accepts what is written, and refuses a broken record; pose lines have their own tests."""
 
 import copy
+import re
+from pathlib import Path
 
 import jsonschema
 import numpy as np
@@ -13,6 +15,7 @@ from ringpose.files.records import line_of, parsed_record
 from ringpose.files.records.detections import detection_record
 from ringpose.files.records.truths import truth_record
 from ringpose.types.detection import Detection, NoBreakPoints
+from ringpose.types.pose import LaserState, PoseFlag
 from ringpose.types.session import Capture, Session
 from ringpose.types.truth import Truth
 
@@ -133,3 +136,43 @@ def test_broken_session_is_refused(tmp_path, path, value):
     validated(session, "session")
 
     assert refused(changed(session, path, value), "session")
+
+
+def keys_of(schema: object) -> set[str]:
+    """Names of all properties in a schema."""
+    if isinstance(schema, list):
+        return set().union(*map(keys_of, schema))
+    if not isinstance(schema, dict):
+        return set()
+    own = set(schema["properties"]) if isinstance(schema.get("properties"), dict) else set()
+    return own.union(*map(keys_of, schema.values()))
+
+
+UNDESCRIBED = {"schema"}
+"""A key that a truth may have and that is not read."""
+
+
+def words_of(page: str) -> set[str]:
+    return set(re.findall(r"\w+", (Path(__file__).parents[2] / "man" / page).read_text()))
+
+
+@pytest.mark.parametrize(
+    ("name", "page"),
+    [
+        ("pose", "ringpose-records.5"),
+        ("detection", "ringpose-records.5"),
+        ("truth", "ringpose-conventions.7"),
+        ("session", "ringpose-capture.1"),
+    ],
+)
+def test_the_manual_describes_every_key(name, page):
+    assert keys_of(SCHEMAS[name]) - words_of(page) - UNDESCRIBED == set()
+
+
+def test_the_manual_and_the_schema_name_every_flag_and_every_state_of_a_laser():
+    flags = {str(flag.name).lower() for flag in PoseFlag}
+
+    described = set(re.findall(r"\w+", SCHEMAS["pose"]["properties"]["flags"]["description"]))
+    assert flags - described == set()
+    assert flags | set(LaserState) <= words_of("ringpose-records.5")
+    assert set(SCHEMAS["pose"]["properties"]["lasers"]["additionalProperties"]["enum"]) == set(LaserState)

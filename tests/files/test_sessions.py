@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
+from schemas import validated
 
 from ringpose.errors import CannotCreateError, DataError, InputOutputError, LaserSafetyError, SignalReceived
 from ringpose.files.images.sessions import SessionWriter, read_session, write_session
@@ -46,6 +47,7 @@ def test_a_session_is_read_as_it_was_written(tmp_path):
     write_session(tmp_path, session)
 
     assert read_session(tmp_path) == session
+    validated(yaml.safe_load((tmp_path / "session.yaml").read_text()), "session")
 
 
 def test_the_shots_lie_beside_the_file_that_lists_them(tmp_path):

@@ -157,7 +157,9 @@ def _estimates_in(inputs: list[str], truths: "list[Truth]", batch: "Batch") -> "
             line = pose_line_of(item.values, item.location)
             estimate = replace(estimate_of(line, item.location), status=recorded_status(item.values, line))
             if estimate.shot in by_shot:
-                truth_at(by_shot[estimate.shot], estimate.stamp_s)  # rejects time stamps of another clock
+                truth_at(
+                    by_shot[estimate.shot], estimate.stamp_s, estimate.shot_stamp_s
+                )  # rejects time stamps of another clock
             estimates.append(estimate)
     return estimates
 

@@ -159,7 +159,7 @@ def _break_points(fields: Fields) -> BreakPoints:
     return BreakPoints(
         position_px=position,
         covariance_px2=_covariances(fields, "covariance_px2", (lasers, 2, 2, 2)),
-        flags=_integers(fields, "flags", (lasers, 2)),
+        flags=_integers(fields, "flags", (lasers, 2), least=0),
         face_start_px=_points(fields, "face_start_px", (lasers, 2)),
         face_end_px=_points(fields, "face_end_px", (lasers, 2)),
         face_sigma_px=_sigmas(fields, "face_sigma_px", (lasers, 2), allow_nan=True),
@@ -206,7 +206,7 @@ def _segments(fields: Fields) -> Segments:
     return Segments(
         start_px=start,
         end_px=fields.array("end_px", (len(start), 2)),
-        support=_integers(fields, "support", (len(start),)),
+        support=_integers(fields, "support", (len(start),), least=0),
         stamp_s=_stamps(fields, len(start)),
     )
 
@@ -225,10 +225,14 @@ def _points(fields: Fields, key: str, shape: tuple[int | None, ...]) -> Float64[
     return points
 
 
-def _integers(fields: Fields, key: str, shape: tuple[int | None, ...]) -> Int64[Array, "..."]:
+def _integers(
+    fields: Fields, key: str, shape: tuple[int | None, ...], least: int = -MAX_INTEGER
+) -> Int64[Array, "..."]:
     numbers = fields.array(key, shape)
     if np.any(numbers != np.round(numbers)) or np.abs(numbers).max(initial=0.0) > MAX_INTEGER:
         raise fields.problem(key, "has a number that is not whole")
+    if numbers.min(initial=least) < least:
+        raise fields.problem(key, f"has a number below {least}")
     return numbers.astype(np.int64)
 
 
