@@ -346,11 +346,13 @@ def rig_stability(fields: Fields) -> RigStability:
 
 
 def _radius_prior(fields: Fields) -> RadiusPrior:
+    inner_m, outer_m = _number(fields, "inner_m"), _number(fields, "outer_m")
+    sd_m = fields.number("sd_m", least=0)
     return RadiusPrior(
-        inner_m=_number(fields, "inner_m"),
-        outer_m=_number(fields, "outer_m"),
-        inner_sd_m=fields.number("inner_sd_m" if fields.has("inner_sd_m") else "sd_m", least=0),
-        outer_sd_m=fields.number("outer_sd_m" if fields.has("outer_sd_m") else "sd_m", least=0),
+        inner_m=inner_m,
+        outer_m=outer_m,
+        inner_sd_m=_number(fields, "inner_sd_m", missing=sd_m if inner_m == inner_m else math.nan),
+        outer_sd_m=_number(fields, "outer_sd_m", missing=sd_m if outer_m == outer_m else math.nan),
         source=fields.text("source"),
     )
 

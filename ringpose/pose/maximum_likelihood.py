@@ -122,7 +122,9 @@ def _result(best: Explanation, rig: Rig, source: str) -> PoseResult:
         return replace(result, pose=NoPose.EDGE_ON)
     reported = determined(best, found, covariance)
     if not reported.grasp and not reported.normal:
-        collinear = len(set(measured.points.laser.tolist())) > 1 and not best.differing
+        if best.differing:
+            return replace(result, pose=NoPose.AMBIGUOUS)
+        collinear = len(set(measured.points.laser.tolist())) > 1
         return replace(result, pose=NoPose.COLLINEAR if collinear else NoPose.UNDETERMINED)
     flags = best.flag | poorly_determined_flags(estimate, found, covariance, reported, bias_m) | _unverified(best)
     pose = replace(

@@ -5,12 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ringpose.pose.pipeline import estimate_pose
-from ringpose.types.pose import PoseFlag
+from ringpose.pose.pipeline import estimate_pose, pose_result
+from ringpose.types.pose import HARMLESS_FLAGS, PoseFlag, RingPose
 from ringpose.types.ring import KnownRadii
 
 KNOWN = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.array([2e-4, 2e-4]))
 OTHER = KnownRadii(radius_m=np.array([0.64, 0.67]), sd_m=np.array([2e-4, 2e-4]))
+CONTRADICTIONS = (
+    PoseFlag.RADIUS_INCONSISTENT
+    | PoseFlag.INCONSISTENT
+    | PoseFlag.POINT_REJECTED
+    | PoseFlag.STRIPE_REJECTED
+    | PoseFlag.ASSIGNMENT_AMBIGUOUS
+)
 EVERY_POINT = pytest.mark.parametrize(("laser", "edge"), [(laser, edge) for laser in range(3) for edge in range(2)])
 
 
@@ -138,12 +145,15 @@ def test_radii_of_another_ring_are_owned_up_to(scene_of, face_points, rng, dista
     scene = scene_of("B", distance_m=distance_m, size=size)
     known = KnownRadii(radius_m=np.array(said), sd_m=np.full(2, 5e-4))
 
-    poses = [estimate_pose(face_points(scene, 0.3, 0.01, rng), scene.rig, known=known) for _ in range(10)]
+    results = [pose_result(face_points(scene, 0.3, 0.01, rng), scene.rig, known=known) for _ in range(10)]
 
-    owned = [pose for pose in poses if pose.flags & (PoseFlag.RADIUS_INCONSISTENT | PoseFlag.INCONSISTENT)]
-    assert len(owned) >= 8
-    assert all(pose.remark for pose in owned)
-    assert max(sigmas_off(pose, scene) for pose in owned) < 5.0
+    assert all(result.flags & CONTRADICTIONS for result in results)
+    assert all(result.remark for result in results)
+    # where another explanation is as likely as a wrong radius, only what they have in common is reported
+    reported = [result.pose for result in results if isinstance(result.pose, RingPose)]
+    centers = [pose for pose in reported if np.isfinite(pose.center_m).all()]
+    assert max((sigmas_off(pose, scene) for pose in centers), default=0.0) < 5.0
+    assert all(pose.normal @ scene.ring.normal > np.cos(0.02) for pose in reported if np.isfinite(pose.normal).all())
 
 
 def test_no_shot_tells_radii_that_it_cannot_see_from_wrong_ones(scene_of, face_points, rng):
@@ -152,14 +162,14 @@ def test_no_shot_tells_radii_that_it_cannot_see_from_wrong_ones(scene_of, face_p
 
     pose = estimate_pose(face_points(scene, 0.3, 0.01, rng), scene.rig, known=KNOWN)
 
-    assert not pose.flags
+    assert not pose.flags & ~HARMLESS_FLAGS
 
 
 @pytest.mark.slow
 def test_a_good_shot_is_rarely_doubted(scene, face_points, rng):
     poses = [estimate_pose(face_points(scene, 0.3, 0.01, rng), scene.rig, known=KNOWN) for _ in range(1000)]
 
-    assert sum(bool(pose.flags) for pose in poses) <= 2
+    assert sum(bool(pose.flags & ~HARMLESS_FLAGS) for pose in poses) <= 2
 
 
 @EVERY_POINT
@@ -188,16 +198,18 @@ def test_exchanged_lasers_never_make_a_sure_ring_somewhere_else(scene_of, face_p
     scene = scene_of("B", distance_m=1.0, tilt_rad=(0.05, 0.05), size="R833")
     points = exchanged(face_points(scene, 0.3, 0.01, rng), 0, 1)
 
-    pose = estimate_pose(replace(points, labelled=labelled), scene.rig)
+    result = pose_result(replace(points, labelled=labelled), scene.rig)
 
-    assert PoseFlag.ASSIGNMENT_AMBIGUOUS in pose.flags
-    assert sigmas_off(pose, scene) < 5.0
+    assert PoseFlag.ASSIGNMENT_AMBIGUOUS in result.flags
+    if isinstance(result.pose, RingPose) and np.isfinite(result.pose.center_m).all():
+        assert sigmas_off(result.pose, scene) < 5.0
 
 
 def test_what_still_disagrees_without_the_part_to_blame_says_so(scene, points):
     both = shifted(lifted(points, 0, 30.0), 2, 1, 25.0)
 
-    pose = estimate_pose(both, scene.rig, known=KNOWN)
+    result = pose_result(both, scene.rig, known=KNOWN)
 
-    assert PoseFlag.INCONSISTENT in pose.flags
-    assert PoseFlag.CENTER_WEAK in pose.flags or sigmas_off(pose, scene) < 5.0
+    assert result.flags & CONTRADICTIONS
+    if isinstance(result.pose, RingPose) and PoseFlag.CENTER_WEAK not in result.flags:
+        assert sigmas_off(result.pose, scene) < 5.0
