@@ -21,7 +21,6 @@ from ringpose.types.scene import (
     Approach,
     Beacon,
     BoardApproach,
-    BoardPlace,
     BoardSet,
     Body,
     Foil,
@@ -29,6 +28,7 @@ from ringpose.types.scene import (
     Lens,
     Light,
     Material,
+    NamedBoardPose,
     RingShape,
     RingView,
     Scene,
@@ -250,7 +250,7 @@ def read_board_set(fields: Fields, key: str, lasers: int) -> BoardSet:
     if values["board"].kind == "asymmetric_circles":
         raise entry.problem("board.kind", "is 'asymmetric_circles', which is not simulated")
     if entry.has("views"):
-        values["places"] = tuple(_place(place) for place in entry.each("views", _PLACE_KEYS))
+        values["poses"] = tuple(_place(place) for place in entry.each("views", _PLACE_KEYS))
     if entry.has("generate"):
         values["approach"] = _board_approach(entry.fields("generate", _BOARD_APPROACH_KEYS))
     values |= {k: entry.number(k, least=0) for k in ("ambient_w_m2", "exposure_s") if entry.has(k)}
@@ -322,9 +322,9 @@ def _random_set(entry: Fields) -> dict[str, Any]:
     return values
 
 
-def _place(entry: Fields) -> BoardPlace:
+def _place(entry: Fields) -> NamedBoardPose:
     rotation = cv2.Rodrigues(entry.vector("camera_from_board_rvec", 3))[0]
-    return BoardPlace(
+    return NamedBoardPose(
         name=_name(entry),
         rotation=np.asarray(rotation, dtype=np.float64),
         translation_m=entry.point_m("camera_from_board_tvec_m"),

@@ -14,7 +14,7 @@ from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board
 from ringpose.types.camera import Camera
 from ringpose.types.rig import LaserPlanes
-from ringpose.types.scene import Approach, BoardApproach, BoardPlace, BoardSet, RingView, Scene
+from ringpose.types.scene import Approach, BoardApproach, BoardSet, NamedBoardPose, RingView, Scene
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -98,18 +98,18 @@ def image_ray(camera: Camera, offset: Float64[Array, "xy=2"]) -> Float64[Array, 
     return rays((size - 1) / 2 + offset * size, camera)
 
 
-def board_places(scene: Scene, boards: BoardSet) -> tuple[BoardPlace, ...]:
+def board_poses(scene: Scene, boards: BoardSet) -> tuple[NamedBoardPose, ...]:
     """All poses of a board: the given ones, then the random ones."""
     if boards.approach is None:
-        return boards.places
+        return boards.poses
     generator = np.random.default_rng([scene.seed, boards.approach.seed, boards.approach.count])
     drawn = [_drawn_place(scene, boards, boards.approach, k, generator) for k in range(boards.approach.count)]
-    return (*boards.places, *drawn)
+    return (*boards.poses, *drawn)
 
 
 def _drawn_place(
     scene: Scene, boards: BoardSet, approach: BoardApproach, number: int, generator: np.random.Generator
-) -> BoardPlace:
+) -> NamedBoardPose:
     """A random pose with the board's centre at a depth within the limits; with lasers on, near their stripes."""
     depth_m = float(generator.uniform(*approach.distances_m))
     middle = depth_m * image_ray(scene.rig.camera, approach.offset * generator.uniform(-1, 1, 2))
@@ -117,7 +117,7 @@ def _drawn_place(
         middle[:2] += _middle_of_stripes_m(scene.rig.lasers, depth_m)
     lean_x, lean_y = generator.uniform(-1, 1, 2) * approach.tilt_rad
     rotation = _about(2, generator.uniform(-1, 1) * approach.turn_rad) @ _about(1, lean_y) @ _about(0, lean_x)
-    return BoardPlace(
+    return NamedBoardPose(
         name=f"board_{number:02d}", rotation=rotation, translation_m=middle - rotation @ middle_of_board_m(boards.board)
     )
 

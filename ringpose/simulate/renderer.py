@@ -14,7 +14,13 @@ import numpy as np
 
 from ringpose.geometry.rays import undistort
 from ringpose.simulate.laser_planes import half_thickness_m, in_sheet
-from ringpose.simulate.lighting import Intersections, LitTarget, ambient_radiance, hits_on_relief, laser_radiance
+from ringpose.simulate.lighting import (
+    IlluminatedTarget,
+    Intersections,
+    ambient_radiance,
+    hits_on_relief,
+    laser_radiance,
+)
 from ringpose.simulate.sensor import digitised, electrons_per_radiance
 from ringpose.simulate.target import EMPTY
 from ringpose.types.arrays import Array, Float32, Float64, Int64, UInt8, UInt16
@@ -57,25 +63,25 @@ class RenderedView:
         return rate
 
 
-def render_view(scene: Scene, lit_target: LitTarget, seed: tuple[int, ...]) -> RenderedView:
+def render_view(scene: Scene, illuminated: IlluminatedTarget, seed: tuple[int, ...]) -> RenderedView:
     """The image of a target through the lens of the scene; the seed determines speckle and noise."""
     generator = np.random.default_rng(seed)
-    radiance = layers(lit_target, pixel_rays(scene.rig.camera))
+    radiance = layers(illuminated, pixel_rays(scene.rig.camera))
     scale = np.float32(electrons_per_radiance(scene.sensor, scene.lens))
-    beacon = lit_target.light.beacon
+    beacon = illuminated.light.beacon
     return RenderedView(
         sensor=scene.sensor,
         ambient=_blurred(scale * radiance.ambient, scene.lens.blur_px),
         laser=np.stack([_stripe(scene, scale * layer, generator) for layer in radiance.laser]),
         generator=generator,
         beacon=beacon,
-        beacon_light=None if beacon is None else scale * _beacon_layer(scene, lit_target, beacon),
+        beacon_light=None if beacon is None else scale * _beacon_layer(scene, illuminated, beacon),
     )
 
 
-def _beacon_layer(scene: Scene, lit_target: LitTarget, beacon: Beacon) -> Float32[Array, "row column"]:
+def _beacon_layer(scene: Scene, illuminated: IlluminatedTarget, beacon: Beacon) -> Float32[Array, "row column"]:
     """Radiance due to the beacon alone, blurred by the lens."""
-    alone = replace(lit_target, light=Light(name="beacon", ambient_w_m2=beacon.ambient_w_m2), lasers=())
+    alone = replace(illuminated, light=Light(name="beacon", ambient_w_m2=beacon.ambient_w_m2), lasers=())
     return _blurred(layers(alone, pixel_rays(scene.rig.camera)).ambient, scene.lens.blur_px)
 
 
@@ -131,35 +137,35 @@ class PixelRays:
         return float(np.abs(self.per_px[:, :, self.direction.shape[1] // 2 + self.width // 2]).max())
 
 
-def layers(lit_target: LitTarget, rays: PixelRays) -> Layers:
+def layers(illuminated: IlluminatedTarget, rays: PixelRays) -> Layers:
     """Radiance in each pixel due to each light source."""
-    radiance, coarse, fine = _one_ray_per_pixel(lit_target, rays)
+    radiance, coarse, fine = _one_ray_per_pixel(illuminated, rays)
     for refined, samples in ((coarse, SAMPLES), (fine, FINE_SAMPLES)):
         for block in _blocks(len(refined), _BLOCK // samples):
-            radiance[:, refined[block]] = _sampled(lit_target, rays, refined[block], samples)
+            radiance[:, refined[block]] = _sampled(illuminated, rays, refined[block], samples)
     ambient, *laser = radiance.reshape(-1, rays.height, rays.width)
     return Layers(ambient=ambient, laser=np.stack(laser))
 
 
 def _one_ray_per_pixel(
-    lit_target: LitTarget, rays: PixelRays
+    illuminated: IlluminatedTarget, rays: PixelRays
 ) -> tuple[Float32[Array, "source pixel"], Int64[Array, "coarse"], Int64[Array, "fine"]]:
     """Radiance from one ray per pixel, ambient light first, and the pixels that need more rays."""
-    pixels, lasers = rays.height * rays.width, len(lit_target.sheets.distance_m)
+    pixels, lasers = rays.height * rays.width, len(illuminated.sheets.distance_m)
     radiance, stripe = np.zeros((1 + lasers, pixels), np.float32), np.zeros(pixels, np.uint8)
     code = np.zeros(pixels, np.uint16)
     for block in _blocks(pixels, _BLOCK):
-        direction = lit_target.placement.vectors_target(centre_directions(rays, block))
-        hit, hits, footprint_m = _cast(lit_target, direction, rays.angle_per_px)
-        radiance[0, block][hit], shadowed = ambient_radiance(lit_target, hits)
+        direction = illuminated.placement.vectors_target(centre_directions(rays, block))
+        hit, hits, footprint_m = _cast(illuminated, direction, rays.angle_per_px)
+        radiance[0, block][hit], shadowed = ambient_radiance(illuminated, hits)
         code[block][hit] = ((hits.surface.astype(np.uint16) + 1) << (lasers + 1)) | shadowed
-        for laser in lit_target.lasers:
-            near = np.flatnonzero(in_sheet(lit_target.sheets, laser, hits.point, footprint_m))
-            radiance[1 + laser, block][hit[near]], shadowed = laser_radiance(lit_target, hits.at(near), laser)
+        for laser in illuminated.lasers:
+            near = np.flatnonzero(in_sheet(illuminated.sheets, laser, hits.point, footprint_m))
+            radiance[1 + laser, block][hit[near]], shadowed = laser_radiance(illuminated, hits.at(near), laser)
             code[block][hit[near]] |= shadowed.astype(np.uint16) << (laser + 1)
-            sigma_m = half_thickness_m(lit_target.sheets.light, footprint_m[near] / rays.angle_per_px)
+            sigma_m = half_thickness_m(illuminated.sheets.light, footprint_m[near] / rays.angle_per_px)
             stripe[block][hit[near]] |= np.where(footprint_m[near] > _MAX_PIXEL_SIGMAS * sigma_m, _THIN, _WIDE)
-    return radiance, *_to_refine(code, stripe, rays, everywhere=lit_target.is_lit)
+    return radiance, *_to_refine(code, stripe, rays, everywhere=illuminated.has_ambient_light)
 
 
 def _to_refine(
@@ -181,33 +187,33 @@ def _to_refine(
 
 
 def _cast(
-    lit_target: LitTarget, direction: Float64[Array, "xyz=3 ray"], angle_per_px: float
+    illuminated: IlluminatedTarget, direction: Float64[Array, "xyz=3 ray"], angle_per_px: float
 ) -> tuple[Int64[Array, "hit"], Intersections, Float64[Array, "hit"]]:
     """Indices of the rays that hit a surface, the intersections, and the width of a pixel there.
 
     Without ambient light only intersections within four pixels of a light sheet are returned.
     """
-    eye = lit_target.placement.eye_m
-    parameter, surface = lit_target.target.first_hits(eye, direction)
+    eye = illuminated.placement.eye_m
+    parameter, surface = illuminated.target.first_hits(eye, direction)
     hit = np.flatnonzero(surface != EMPTY)
-    if not lit_target.is_lit:
+    if not illuminated.has_ambient_light:
         flat = eye[:, None] + parameter[hit] * direction[:, hit]
-        slack_m = lit_target.target.relief_m + 4.0 * angle_per_px * parameter[hit]
-        near = [in_sheet(lit_target.sheets, laser, flat, slack_m) for laser in lit_target.lasers]
+        slack_m = illuminated.target.relief_m + 4.0 * angle_per_px * parameter[hit]
+        near = [in_sheet(illuminated.sheets, laser, flat, slack_m) for laser in illuminated.lasers]
         hit = hit[np.any(near, axis=0)] if near else hit[:0]
-    hits = hits_on_relief(lit_target, direction[:, hit], parameter[hit], surface[hit])
+    hits = hits_on_relief(illuminated, direction[:, hit], parameter[hit], surface[hit])
     return hit, hits, angle_per_px * parameter[hit]
 
 
 def _sampled(
-    lit_target: LitTarget, rays: PixelRays, pixels: Int64[Array, "n"], samples: int
+    illuminated: IlluminatedTarget, rays: PixelRays, pixels: Int64[Array, "n"], samples: int
 ) -> Float64[Array, "source n"]:
     """Mean over the samples of each pixel: ambient light, then each laser."""
-    direction = lit_target.placement.vectors_target(sample_directions(rays, pixels, samples))
-    hit, hits, _ = _cast(lit_target, direction, rays.angle_per_px)
-    of_sources = [(0, ambient_radiance(lit_target, hits)[0])]
-    of_sources += [(1 + laser, laser_radiance(lit_target, hits, laser)[0]) for laser in lit_target.lasers]
-    means = np.zeros((1 + len(lit_target.sheets.distance_m), len(pixels)))
+    direction = illuminated.placement.vectors_target(sample_directions(rays, pixels, samples))
+    hit, hits, _ = _cast(illuminated, direction, rays.angle_per_px)
+    of_sources = [(0, ambient_radiance(illuminated, hits)[0])]
+    of_sources += [(1 + laser, laser_radiance(illuminated, hits, laser)[0]) for laser in illuminated.lasers]
+    means = np.zeros((1 + len(illuminated.sheets.distance_m), len(pixels)))
     for source, radiance in of_sources:
         of_rays = np.zeros(samples * len(pixels))
         of_rays[hit] = radiance

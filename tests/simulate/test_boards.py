@@ -9,7 +9,7 @@ from ringpose.calibrate.boards.views import find_board
 from ringpose.geometry.rays import project
 from ringpose.simulate.board_target import board_target
 from ringpose.simulate.pipeline import simulated_boards
-from ringpose.simulate.placement import board_places, middle_of_board_m
+from ringpose.simulate.placement import board_poses, middle_of_board_m
 from ringpose.types.board import Board, BoardView
 from ringpose.types.camera import Camera
 from ringpose.types.scene import BoardApproach, BoardSet
@@ -86,9 +86,9 @@ def test_stripes_cross_the_plane_board(sharp_scene):
 
 def test_written_places_come_first(sharp_scene):
     boards = boards_of("charuco")
-    written = board_places(sharp_scene, boards)[:1]
+    written = board_poses(sharp_scene, boards)[:1]
 
-    places = board_places(sharp_scene, replace(boards, places=written))
+    places = board_poses(sharp_scene, replace(boards, poses=written))
 
     assert len(places) == 3
     assert places[0] is written[0]
@@ -97,7 +97,7 @@ def test_written_places_come_first(sharp_scene):
 def test_drawn_boards_stand_between_the_distances(sharp_scene):
     approach = BoardApproach(count=50, distances_m=(0.3, 0.9), offset=0.0)
 
-    places = board_places(sharp_scene, boards_of("charuco", approach=approach))
+    places = board_poses(sharp_scene, boards_of("charuco", approach=approach))
 
     depth_m = [(p.rotation @ middle_of_board_m(CHARUCO) + p.translation_m)[2] for p in places]
     assert min(depth_m) >= 0.3
@@ -106,6 +106,6 @@ def test_drawn_boards_stand_between_the_distances(sharp_scene):
 
 
 def test_the_board_faces_the_camera(sharp_scene):
-    places = board_places(sharp_scene, boards_of("charuco", approach=BoardApproach(count=50)))
+    places = board_poses(sharp_scene, boards_of("charuco", approach=BoardApproach(count=50)))
 
     assert min(place.rotation[2, 2] for place in places) > 0.5

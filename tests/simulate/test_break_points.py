@@ -6,12 +6,12 @@ from scipy.optimize import brentq
 
 from ringpose.files.records.truths import read_truths
 from ringpose.files.rigs import read_rig
-from ringpose.simulate.pipeline import lit_ring, view_truth
+from ringpose.simulate.pipeline import illuminated_ring, view_truth
 from ringpose.types.scene import RingShape, RingView
 
 
 def truth_of(scene, view):
-    return view_truth(scene, view, lit_ring(scene, view))
+    return view_truth(scene, view, illuminated_ring(scene, view))
 
 
 def pixel_of(point, camera):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ringpose.geometry.rays import rays
-from ringpose.simulate.pipeline import SceneFrames, lit_ring, simulate
+from ringpose.simulate.pipeline import SceneFrames, illuminated_ring, simulate
 from ringpose.simulate.placement import ring_views
 from ringpose.simulate.renderer import render_view
 from ringpose.types.scene import Approach, Beacon, Light
@@ -56,7 +56,7 @@ def test_twelve_bits_say_where_they_saturate(scene):
 
 
 def test_lasers_add_up(scene, view):
-    stage = render_view(scene, lit_ring(scene, view), (1,))
+    stage = render_view(scene, illuminated_ring(scene, view), (1,))
 
     alone = [stage.electrons(mask, 0.001) for mask in (1, 2, 4)]
 
@@ -70,7 +70,7 @@ def test_a_beacon_adds_its_light_while_it_is_on(scene, view):
         "low": Light(name="low", ambient_w_m2=5.0),
         "high": Light(name="high", ambient_w_m2=8.0),
     }
-    stands = [lit_ring(replace(scene, lights=lights), replace(view, light=light)) for light in lights]
+    stands = [illuminated_ring(replace(scene, lights=lights), replace(view, light=light)) for light in lights]
     blinking, low, high = (render_view(scene, stand, (1,)) for stand in stands)
 
     for began_s, share in ((10.05, 1.0), (10.295, 0.5), (10.4, 0.0), (10.895, 0.5), (10.05 - 1e4 * 0.9, 1.0)):
@@ -85,7 +85,7 @@ def test_a_beacon_may_go_on_and_off_several_times_in_an_exposure():
 
 
 def test_light_grows_with_exposure(scene, view):
-    stage = render_view(scene, lit_ring(scene, view), (1,))
+    stage = render_view(scene, illuminated_ring(scene, view), (1,))
 
     np.testing.assert_allclose(stage.electrons(7, 0.003), 3 * stage.electrons(7, 0.001), rtol=1e-5)
 

@@ -5,13 +5,13 @@ import pytest
 from scipy.stats import norm
 
 from ringpose.geometry.rays import intersect, project, rays
-from ringpose.simulate.pipeline import lit_ring
+from ringpose.simulate.pipeline import illuminated_ring
 from ringpose.simulate.renderer import layers, pixel_rays
 from ringpose.types.scene import MATERIALS, Body, Foil, LaserLight, Light, RingShape
 
 
 def rendered(scene, view):
-    return layers(lit_ring(scene, view), pixel_rays(scene.rig.camera))
+    return layers(illuminated_ring(scene, view), pixel_rays(scene.rig.camera))
 
 
 def stripe_pixels(scene, view, laser):

@@ -17,7 +17,7 @@ MESSAGES = [
             command=Command.RESEND,
             number=5,
             payload=bytes.fromhex("000000070000000a0000000c"),
-            answer_wanted=False,
+            needs_answer=False,
         ),
     ),
 ]

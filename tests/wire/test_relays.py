@@ -58,7 +58,7 @@ def test_lines_are_those_that_are_published(codec, command, line):
 
 
 @pytest.mark.parametrize(
-    ("codec", "command", "answer", "lit"),
+    ("codec", "command", "answer", "on_mask"),
     [
         (LCUS, Read(2), b"CH1: ON \r\nCH2: OFF\r\n", 0b01),
         (LCUS, Read(2), b"CH1:OFF \r\nCH2:ON \r\n", 0b10),
@@ -74,9 +74,9 @@ def test_lines_are_those_that_are_published(codec, command, line):
         (ARDUINO, Switch(0, True), b"OK\r\n", 0),
     ],
 )
-def test_answers_are_understood(codec, command, answer, lit):
+def test_answers_are_understood(codec, command, answer, on_mask):
     assert codec.is_whole(command, answer)
-    assert codec.lit(command, answer) == lit
+    assert codec.on_mask(command, answer) == on_mask
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ def test_answers_are_understood(codec, command, answer, lit):
 )
 def test_wrong_answers_are_refused(codec, command, answer, complaint):
     with pytest.raises(WireError, match=complaint):
-        codec.lit(command, answer)
+        codec.on_mask(command, answer)
 
 
 @pytest.mark.parametrize("codec", [LCUS, NUMATO, MODBUS])

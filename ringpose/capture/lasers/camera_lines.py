@@ -24,7 +24,7 @@ class OutputLines(Protocol):
 
 
 class LineLasers(LaserDriver):
-    """Laser i is lit while line i is high."""
+    """Laser i is on while line i is high."""
 
     def __init__(self, camera: OutputLines, lines: tuple[str, ...]) -> None:
         self._camera = camera

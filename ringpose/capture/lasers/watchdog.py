@@ -104,7 +104,7 @@ class WatchdogLasers(LaserDriver):
             raise self._fault
 
     def abort(self) -> None:
-        """Make the watchdog switch off and end; no laser can be lit after that."""
+        """Make the watchdog switch off and end; no laser can be switched on after that."""
         watchdog = self._watchdog
         if watchdog is not None and self._in_service:
             with suppress(ProcessLookupError):

@@ -15,7 +15,7 @@ from ringpose.files.rigs import write_rig
 from ringpose.types.board import Board
 from ringpose.types.image import Shot
 from ringpose.types.rig import Rig
-from ringpose.types.scene import BoardPlace
+from ringpose.types.scene import NamedBoardPose
 from ringpose.types.truth import Truth
 
 
@@ -36,7 +36,7 @@ class SimulationFolder:
         self._append(self.folder / "truth.jsonl", truth_record(truth))
         return path
 
-    def add_boards(self, name: str, board: Board, views: Iterable[tuple[Shot, BoardPlace]]) -> None:
+    def add_boards(self, name: str, board: Board, views: Iterable[tuple[Shot, NamedBoardPose]]) -> None:
         """Write the views of a board (`camera` or `plane`) as they are rendered, the board file and the true poses."""
         calibration = atomic.make_folder(self.folder / "calibration")
         folder, truth = atomic.make_folder(calibration / _VIEWS[name]), calibration / f"{name}_truth.jsonl"

@@ -82,7 +82,7 @@ class Control:
         status, payload = (Status.NOT_IMPLEMENTED, b"") if handler is None else handler(request, client)
         if self._client == client:
             self._heard_s = now_s
-        if not request.answer_wanted:
+        if not request.needs_answer:
             return None
         return Answer(status=status, command=request.command, number=request.number, payload=payload)
 

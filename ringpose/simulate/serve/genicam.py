@@ -328,7 +328,7 @@ class Registers:
         self[bootstrap.SUPPORTED_IP_CONFIGURATION] = self[bootstrap.CURRENT_IP_CONFIGURATION] = 0x4
         self[bootstrap.CURRENT_IP_ADDRESS], self[bootstrap.CURRENT_SUBNET_MASK] = ip, 0xFF000000
         self[bootstrap.NETWORK_INTERFACES] = self[bootstrap.STREAM_CHANNELS] = 1
-        there = bootstrap.SERIAL_NUMBER_THERE | bootstrap.NAME_THERE
+        there = bootstrap.HAS_SERIAL_NUMBER | bootstrap.HAS_USER_NAME
         self[bootstrap.CAPABILITY] = there | bootstrap.WRITE_MEMORY | bootstrap.PACKET_RESEND
         self[bootstrap.TICK_FREQUENCY_LOW] = TICKS_PER_S
         xml_size = len(description())

@@ -141,7 +141,7 @@ def _is_for_the_board(command: Command) -> bool:
         return command.count <= ALL_RELAYS
     if isinstance(command, SwitchRow):
         row = range(command.first, command.first + command.count)
-        return row.start >= 0 and row.stop <= ALL_RELAYS and command.lit < 1 << command.count
+        return row.start >= 0 and row.stop <= ALL_RELAYS and command.on_mask < 1 << command.count
     return 0 <= command.relay < ALL_RELAYS
 
 

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ringpose.simulate.pipeline import render_board_view, render_ring_view
-from ringpose.simulate.placement import board_places, ring_views
+from ringpose.simulate.placement import board_poses, ring_views
 from ringpose.simulate.renderer import RenderedView
 from ringpose.simulate.sensor import digitised
 from ringpose.simulate.serve.relays import RelayContacts
@@ -116,7 +116,7 @@ def ring_moving_views(scene: Scene, move: AdvancePolicy, after_s: float) -> Movi
 
 def board_moving_views(scene: Scene, boards: BoardSet, move: AdvancePolicy, after_s: float) -> MovingViews:
     """The views of a calibration board in its poses of the scene."""
-    places = board_places(scene, boards)
+    places = board_poses(scene, boards)
     names = [place.name for place in places]
     return MovingViews(names, lambda k: render_board_view(scene, boards, places[k], k), move, after_s)
 

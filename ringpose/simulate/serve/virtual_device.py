@@ -8,7 +8,7 @@ from typing import Any
 
 from ringpose.errors import DataError
 from ringpose.simulate.exposure import view_exposure_s
-from ringpose.simulate.pipeline import lit_ring
+from ringpose.simulate.pipeline import illuminated_ring
 from ringpose.simulate.placement import ring_views
 from ringpose.simulate.serve.device import ServedCamera
 from ringpose.simulate.serve.faults import InjectedFaults
@@ -115,7 +115,11 @@ class VirtualDevice:
 
     def _identity(self) -> Identity:
         scene, boards = self._scene, self._boards()
-        first = view_exposure_s(scene, lit_ring(scene, ring_views(scene)[0])) if boards is None else boards.exposure_s
+        first = (
+            view_exposure_s(scene, illuminated_ring(scene, ring_views(scene)[0]))
+            if boards is None
+            else boards.exposure_s
+        )
         camera = scene.rig.camera
         return Identity(
             address=self._setup.address,

@@ -13,21 +13,21 @@ SETTINGS = RelaySettings(scheme="lcus", port="port", relays=(0, 1, 2), heartbeat
 
 class NotedBoard(RelayBoard):
     def __init__(self, fails=False):
-        self.lit, self.offs, self.repeats, self.fails = 0, 0, 0, fails
+        self.on_mask, self.offs, self.repeats, self.fails = 0, 0, 0, fails
 
     def set_mask(self, lasers):
         if self.fails:
             raise DeviceError("port", "does not answer", "look")
-        self.lit = lasers
+        self.on_mask = lasers
 
     def all_off(self):
-        self.lit, self.offs = 0, self.offs + 1
+        self.on_mask, self.offs = 0, self.offs + 1
 
     def repeat(self):
         self.repeats += 1
 
     def read_mask(self):
-        return self.lit
+        return self.on_mask
 
 
 class Clock:
@@ -58,8 +58,8 @@ def test_a_board_that_fails_is_an_answer(clock):
     assert watchdog_of(NotedBoard(fails=True), clock).execute("7 set 1") == "7 err does not answer; look\n"
 
 
-@pytest.mark.parametrize(("silent_s", "lit"), [(0.9, 1), (1.0, 0)])
-def test_silence_ends_the_light(clock, silent_s, lit):
+@pytest.mark.parametrize(("silent_s", "on_mask"), [(0.9, 1), (1.0, 0)])
+def test_silence_ends_the_light(clock, silent_s, on_mask):
     board = NotedBoard()
     watchdog = watchdog_of(board, clock)
     watchdog.execute("1 set 1")
@@ -67,7 +67,7 @@ def test_silence_ends_the_light(clock, silent_s, lit):
     clock.now_s += silent_s
     watchdog.check()
 
-    assert board.lit == lit
+    assert board.on_mask == on_mask
 
 
 def test_silence_with_all_off_does_not_matter(clock):
@@ -93,7 +93,7 @@ def test_a_laser_that_stays_on_through_orders_has_its_time_from_when_it_came_on(
     answer = watchdog.execute("9 set 1")
 
     assert answer == "9 off a laser was on for 5 s; raise longest_on= (and pulse=) if it has to be\n"
-    assert board.lit == 0
+    assert board.on_mask == 0
 
 
 def test_another_laser_has_its_own_time(clock):
@@ -103,7 +103,7 @@ def test_another_laser_has_its_own_time(clock):
         clock.now_s += 0.8
         watchdog.execute(f"{number} set {1 << number % 3}")
 
-    assert board.lit
+    assert board.on_mask
 
 
 @pytest.mark.parametrize("repeat_s", [None, 0.2])
@@ -132,7 +132,7 @@ def test_nothing_is_lit_while_there_is_danger(clock):
     assert watchdog_of(board, clock, [lambda: "the interlock is open"]).execute("1 set 1") == (
         "1 err stay off: the interlock is open\n"
     )
-    assert board.lit == 0
+    assert board.on_mask == 0
 
 
 def test_danger_ends_the_light_within_10_ms(clock):
@@ -145,7 +145,7 @@ def test_danger_ends_the_light_within_10_ms(clock):
     watchdog.check()
 
     assert waited_s == pytest.approx(0.01)
-    assert board.lit == 0
+    assert board.on_mask == 0
     assert watchdog.execute("2 set 1") == "2 off the interlock is open\n"
 
 
