@@ -6,7 +6,7 @@ edge crosses a stripe. Each laser layer is multiplied by a speckle pattern.
 """
 
 import functools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -48,11 +48,17 @@ class RenderedView:
         return Frame(image=image, lasers=lasers, stamp_s=stamp_s, exposure_s=exposure_s)
 
     def electrons(self, lasers: int, exposure_s: float, began_s: float = 0.0) -> Float32[Array, "row column"]:
-        """Expected electrons of one exposure."""
+        """Expected electrons of one exposure with the lasers of the mask on."""
+        return self.electrons_with([lasers >> number & 1 for number in range(len(self.laser))], exposure_s, began_s)
+
+    def electrons_with(
+        self, laser_shares: Sequence[float], exposure_s: float, began_s: float
+    ) -> Float32[Array, "row column"]:
+        """Expected electrons of one exposure in which each laser is on for a share of the time."""
         rate = self.ambient_during(began_s, exposure_s)
-        for number, stripe in enumerate(self.laser):
-            if lasers >> number & 1:
-                rate += stripe
+        for share, stripe in zip(laser_shares, self.laser, strict=True):
+            if share:
+                rate += stripe if share == 1 else np.float32(share) * stripe
         return rate * np.float32(exposure_s)
 
     def ambient_during(self, began_s: float, exposure_s: float) -> Float32[Array, "row column"]:
