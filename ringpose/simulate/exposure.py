@@ -19,7 +19,7 @@ MIN_DURATION_S, MAX_DURATION_S = 2e-5, 0.1
 
 
 def view_exposure_s(scene: Scene, illuminated: IlluminatedTarget) -> float:
-    """The scene's exposure, or that which gives the stripes on the rim the grey value `stripe_dn`.
+    """The exposure of the scene, or the one that gives the stripes on the rim the grey value `stripe_dn`.
 
     Computed from the brightest stripe at the mean circle of the rim, rounded to microseconds. A view without the ring
     has the same exposure as one with it.
@@ -31,8 +31,8 @@ def view_exposure_s(scene: Scene, illuminated: IlluminatedTarget) -> float:
     if brightest == 0.0:
         return scene.exposure_s
     rate_e = brightest * electrons_per_radiance(scene.sensor, scene.lens)
-    wanted_e = (scene.stripe_dn - scene.sensor.black_level_dn) / scene.sensor.overall_system_gain_dn_per_e
-    return float(np.clip(np.round(wanted_e / rate_e, 6), MIN_DURATION_S, MAX_DURATION_S))
+    stripe_e = (scene.stripe_dn - scene.sensor.black_level_dn) / scene.sensor.overall_system_gain_dn_per_e
+    return float(np.clip(np.round(stripe_e / rate_e, 6), MIN_DURATION_S, MAX_DURATION_S))
 
 
 def _stripe_radiances(scene: Scene, illuminated: IlluminatedTarget) -> Float64[Array, "crossing"]:
@@ -47,6 +47,7 @@ def _stripe_radiances(scene: Scene, illuminated: IlluminatedTarget) -> Float64[A
 
 
 def _peak(scene: Scene, illuminated: IlluminatedTarget, laser: int, point: Float64[Array, "3"]) -> float:
+    """Peak radiance of a stripe at a point of the rim, reduced by the blur of lens and pixel."""
     to_eye = illuminated.placement.eye_m - point
     hits = Intersections(
         surface=np.array([scene.ring.face_piece], dtype=np.int8),

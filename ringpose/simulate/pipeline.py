@@ -75,15 +75,18 @@ def render_board_view(scene: Scene, boards: BoardSet, pose: NamedBoardPose, numb
 
 
 def illuminated_ring(scene: Scene, view: RingView, masks: tuple[int, ...] = (255,)) -> IlluminatedTarget:
-    """The target of a view with its placement and light; the masks contain the lasers that will be on."""
+    """The target of a view with its placement and light; `masks` are those of the frames to be rendered."""
     rotation = ring_rotation(view.normal, view.roll_rad)
     placement = Placement(rotation=rotation, translation_m=view.center_m - scene.ring.height_m * rotation[:, 2])
+    target: Target = EmptySpace()
+    if view.target != "none":
+        target = ring_target(scene.ring if view.target == "ring" else None, scene.body)
     return IlluminatedTarget(
-        target=_target(scene, view),
+        target=target,
         placement=placement,
         sheets=sheets(scene.rig.lasers, scene.lasers, placement),
         light=scene.lights[view.light],
-        lasers=_lit(scene, masks),
+        lasers=_lasers_on(scene, masks),
     )
 
 
@@ -110,7 +113,7 @@ def view_truth(scene: Scene, view: RingView, illuminated: IlluminatedTarget) -> 
 
 
 class SceneFrames:
-    """Frames of a scene on demand, for a camera that is simulated in this process.
+    """Frames of a scene on demand, for the camera `sim:`, which is simulated in this process.
 
     Moment k shows view k of the scene; after the last view the scene does not change any more.
     """
@@ -125,18 +128,15 @@ class SceneFrames:
     def __call__(self, moment: int, lasers: int, exposure_s: float | None = None) -> Frame:
         """A frame of one moment with the lasers of the mask on; the exposure of the scene by default."""
         if moment != self._moment:
-            self._render_moment(moment)
+            illuminated = illuminated_ring(self.scene, self.views[min(moment, len(self.views) - 1)])
+            self._view = render_view(self.scene, illuminated, (_SHOTS, self.scene.seed, moment))
+            self._exposure_s = view_exposure_s(self.scene, illuminated)
+            self._stamp_s = max(self._stamp_s, self.scene.start_s + moment * self.scene.period_s)
+            self._moment = moment
         exposed_s = self._exposure_s if exposure_s is None else exposure_s
-        frame = self._stage.frame(lasers, exposed_s, self._stamp_s)
+        frame = self._view.frame(lasers, exposed_s, self._stamp_s)
         self._stamp_s += exposed_s + READOUT_S
         return frame
-
-    def _render_moment(self, moment: int) -> None:
-        illuminated = illuminated_ring(self.scene, self.views[min(moment, len(self.views) - 1)])
-        self._stage = render_view(self.scene, illuminated, (_SHOTS, self.scene.seed, moment))
-        self._exposure_s = view_exposure_s(self.scene, illuminated)
-        self._stamp_s = max(self._stamp_s, self.scene.start_s + moment * self.scene.period_s)
-        self._moment = moment
 
 
 def _illuminated_board(
@@ -148,7 +148,7 @@ def _illuminated_board(
         placement=placement,
         sheets=sheets(scene.rig.lasers, scene.lasers, placement),
         light=Light(name="boards", ambient_w_m2=boards.ambient_w_m2),
-        lasers=_lit(scene, masks),
+        lasers=_lasers_on(scene, masks),
     )
 
 
@@ -173,13 +173,7 @@ def _exposed(
     )
 
 
-def _target(scene: Scene, view: RingView) -> Target:
-    if view.target == "none":
-        return EmptySpace()
-    return ring_target(scene.ring if view.target == "ring" else None, scene.body)
-
-
-def _lit(scene: Scene, masks: tuple[int, ...]) -> tuple[int, ...]:
+def _lasers_on(scene: Scene, masks: tuple[int, ...]) -> tuple[int, ...]:
     """Lasers that are on in at least one of the masks."""
     return tuple(k for k in range(len(scene.rig.lasers.names)) if any(mask >> k & 1 for mask in masks))
 
@@ -204,29 +198,25 @@ def in_order(work: Callable[[int], Result], count: int, jobs: int) -> Iterator[R
     processes, results = [], []
     try:
         for first in range(jobs):
-            result, sender = context.Pipe(duplex=False)
+            receiver, sender = context.Pipe(duplex=False)
             process = context.Process(target=_work, args=(work, range(first, count, jobs), sender), daemon=True)
             processes.append(process)
             process.start()
             sender.close()
-            results.append(result)
+            results.append(receiver)
         for number in range(count):
-            yield _received(results[number % jobs])
+            try:
+                result = results[number % jobs].recv()
+            except EOFError:
+                raise RuntimeError("a worker process was killed, perhaps for lack of memory") from None
+            if isinstance(result, Exception):
+                raise result
+            yield result
     finally:
         for process in processes:
             if process.pid is not None:
                 process.terminate()
                 process.join()
-
-
-def _received(results: "Connection[object, Result | Exception]") -> Result:
-    try:
-        result = results.recv()
-    except EOFError:
-        raise RuntimeError("a worker process was killed, perhaps for lack of memory") from None
-    if isinstance(result, Exception):
-        raise result
-    return result
 
 
 def _work(work: Callable[[int], object], numbers: range, sender: "Connection[object, object]") -> None:

@@ -52,7 +52,7 @@ class RenderedView:
         return self.electrons_with([lasers >> number & 1 for number in range(len(self.laser))], exposure_s, began_s)
 
     def electrons_with(
-        self, laser_shares: Sequence[float], exposure_s: float, began_s: float
+        self, laser_shares: Sequence[int | float], exposure_s: float, began_s: float
     ) -> Float32[Array, "row column"]:
         """Expected electrons of one exposure in which each laser is on for a share of the time."""
         rate = self.ambient_during(began_s, exposure_s)
@@ -74,21 +74,19 @@ def render_view(scene: Scene, illuminated: IlluminatedTarget, seed: tuple[int, .
     generator = np.random.default_rng(seed)
     radiance = layers(illuminated, pixel_rays(scene.rig.camera))
     scale = np.float32(electrons_per_radiance(scene.sensor, scene.lens))
-    beacon = illuminated.light.beacon
+    beacon, beacon_light = illuminated.light.beacon, None
+    if beacon is not None:
+        light = Light(name="beacon", ambient_w_m2=beacon.ambient_w_m2)
+        beacon_radiance = layers(replace(illuminated, light=light, lasers=()), pixel_rays(scene.rig.camera)).ambient
+        beacon_light = scale * _blurred(beacon_radiance, scene.lens.blur_px)
     return RenderedView(
         sensor=scene.sensor,
         ambient=_blurred(scale * radiance.ambient, scene.lens.blur_px),
         laser=np.stack([_stripe(scene, scale * layer, generator) for layer in radiance.laser]),
         generator=generator,
         beacon=beacon,
-        beacon_light=None if beacon is None else scale * _beacon_layer(scene, illuminated, beacon),
+        beacon_light=beacon_light,
     )
-
-
-def _beacon_layer(scene: Scene, illuminated: IlluminatedTarget, beacon: Beacon) -> Float32[Array, "row column"]:
-    """Radiance due to the beacon alone, blurred by the lens."""
-    alone = replace(illuminated, light=Light(name="beacon", ambient_w_m2=beacon.ambient_w_m2), lasers=())
-    return _blurred(layers(alone, pixel_rays(scene.rig.camera)).ambient, scene.lens.blur_px)
 
 
 def _stripe(
