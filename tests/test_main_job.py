@@ -61,7 +61,7 @@ def piped(capsys, monkeypatch, tmp_path: Path, shots: Path, rig: Path) -> list[d
     return [json.loads(line) for line in text.splitlines()]
 
 
-def test_no_carried_shot_is_lost_on_its_way(carried_data, capsys, monkeypatch, tmp_path):
+def test_every_carried_shot_gets_a_pose_through_the_pipe(carried_data, capsys, monkeypatch, tmp_path):
     shots = carried_data / "rig_b" / "shots"
 
     lines = piped(capsys, monkeypatch, tmp_path, shots, carried_data / "rig_b" / "rig.yaml")
@@ -132,7 +132,7 @@ def test_errors_on_carried_shots(carried_report, method, quantity, median, large
     assert error["max"] < largest
 
 
-def test_the_plane_makes_the_grasp_point_ten_times_better_than_the_paper_has_it(carried_report):
+def test_the_constrained_method_reduces_grasp_errors_tenfold(carried_report):
     free, constrained = (
         all_shots(carried_report, method)["errors"]["grasp_m"]["rmse"] for method in ("paper", "paper-constrained")
     )

@@ -45,7 +45,9 @@ def devices(stand_in):
 
 @pytest.mark.parametrize("half_period_s", [0.45, 1.0])
 @pytest.mark.parametrize("eighth", range(8))
-def test_a_capture_comes_to_its_end_with_every_shot_in_one_light(beacon_before, capfd, half_period_s, eighth):
+def test_a_capture_beside_a_beacon_completes_with_constant_light_in_each_shot(
+    beacon_before, capfd, half_period_s, eighth
+):
     with beacon_before(half_period_s, eighth / 4 * half_period_s) as served:
         status = main(["capture", *devices(served), *SHOTS, "--settle", "0.03", "--count", "5", "--output", "s"])
 
@@ -59,7 +61,7 @@ def test_a_capture_comes_to_its_end_with_every_shot_in_one_light(beacon_before, 
 
 
 @pytest.mark.parametrize("half_period_s", [0.45, 1.0])
-def test_poses_go_on_and_what_was_lost_is_counted(beacon_before, capfd, half_period_s):
+def test_poses_continue_beside_a_beacon_and_lost_shots_are_counted(beacon_before, capfd, half_period_s):
     with beacon_before(half_period_s, 0.0) as served:
         words = ["--rig", "rig.yaml", "--settle", "0.03", "--duration", "8"]
         status = main(["pose", *devices(served), *SHOTS, *words])
@@ -74,7 +76,7 @@ def test_poses_go_on_and_what_was_lost_is_counted(beacon_before, capfd, half_per
 
 @pytest.mark.parametrize("fault", ["stuck", "welded"])
 @pytest.mark.parametrize("half_period_s", [0.45, 1.0])
-def test_a_laser_that_burns_beside_a_beacon_is_a_safety_fault(beacon_before, capfd, fault, half_period_s):
+def test_a_laser_that_stays_on_beside_a_beacon_is_a_safety_fault(beacon_before, capfd, fault, half_period_s):
     contacts = RelayFaults(**{fault: frozenset({1})})
     with beacon_before(half_period_s, 0.1, contacts) as served:
         status = main(["capture", *devices(served), *SHOTS, "--settle", "0.03", "--count", "5", "--output", "s"])

@@ -116,7 +116,7 @@ def test_a_later_frame_is_brought_onto_the_scale(rng, ramp):
         ([0, 0], [1.0, 1.0], ((0,), (1,))),
     ],
 )
-def test_neighbours_of_the_same_lasers_and_other_exposures_belong_together(masks, exposures_s, groups):
+def test_consecutive_frames_of_the_same_lasers_form_a_group(masks, exposures_s, groups):
     assert exposure_groups(masks, exposures_s) == groups
 
 

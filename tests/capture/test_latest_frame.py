@@ -46,7 +46,7 @@ class Bursts:
             self.taken.acquire()
 
 
-def test_shots_that_changing_light_spoiled_are_counted_as_dropped():
+def test_shots_lost_to_changing_light_are_counted_as_dropped():
     spoiled = replace(shot("a"), meta={"attempts_lost": {"ambient_changed": [30.0, -29.0]}})
 
     with NewestShots(iter([spoiled])) as newest:
@@ -55,7 +55,7 @@ def test_shots_that_changing_light_spoiled_are_counted_as_dropped():
     assert live.dropped == 2
 
 
-def test_who_keeps_up_misses_nothing():
+def test_a_fast_consumer_gets_every_shot():
     bursts = Bursts()
 
     with NewestShots(bursts) as newest:
@@ -69,7 +69,7 @@ def test_who_keeps_up_misses_nothing():
     assert seen == [("s1", 0), ("s2", 0), ("s3", 0)]
 
 
-def test_who_is_late_gets_the_newest_and_the_number_of_those_missed():
+def test_a_slow_consumer_gets_the_newest_shot_and_the_number_of_dropped_ones():
     bursts = Bursts()
 
     with NewestShots(bursts) as newest:
@@ -84,14 +84,14 @@ def test_who_is_late_gets_the_newest_and_the_number_of_those_missed():
     assert [(live.shot.name, live.dropped) for live in (first, second, third)] == [("s1", 0), ("s5", 3), ("s6", 0)]
 
 
-def test_the_last_shot_is_handed_out_before_the_end():
+def test_the_last_shot_is_yielded_before_the_end():
     with NewestShots(iter([shot("only")])) as newest:
         names = [live.shot.name for live in newest]
 
     assert names == ["only"]
 
 
-def test_what_goes_wrong_is_raised_where_shots_are_wanted():
+def test_exceptions_are_raised_in_the_consumer():
     def failing():
         yield shot("a")
         raise DeviceError("camera", "is gone")
@@ -104,7 +104,7 @@ def test_what_goes_wrong_is_raised_where_shots_are_wanted():
     assert first.shot.name == "a"
 
 
-def test_the_block_ends_while_shots_could_go_on():
+def test_leaving_the_block_ends_the_acquisition():
     def endless():
         while True:
             yield shot("a")

@@ -74,7 +74,7 @@ class NotedCamera(CameraDriver):
         self.closed += 1
 
 
-def test_every_frame_is_taken_while_its_lasers_are_lit():
+def test_every_frame_is_triggered_while_its_lasers_are_on():
     lasers = NotedLasers()
 
     (shot,) = captured_shots(NotedCamera(lasers), lasers, Procedure(steps=parsed_sequence("off,1,2,3,off")), ["first"])
@@ -84,7 +84,7 @@ def test_every_frame_is_taken_while_its_lasers_are_lit():
     assert shot.stamp_s.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
 
 
-def test_a_shot_is_handed_on_with_its_lasers_off():
+def test_all_lasers_are_off_when_a_shot_is_yielded():
     lasers = NotedLasers()
     shots = captured_shots(NotedCamera(lasers), lasers, Procedure(steps=parsed_sequence("off,all")), map(str, count()))
 
@@ -93,7 +93,7 @@ def test_a_shot_is_handed_on_with_its_lasers_off():
     assert lasers.lit == 0
 
 
-def test_what_the_board_reports_is_kept_beside_what_was_commanded():
+def test_reported_masks_are_stored_beside_commanded_ones():
     lasers = NotedLasers(dark=0b100)
 
     (shot,) = captured_shots(NotedCamera(lasers), lasers, Procedure(steps=parsed_sequence("off,all")), ["first"])
@@ -112,7 +112,7 @@ def test_a_laser_that_the_board_reports_on_though_all_are_off_is_a_safety_fault(
         next(shots)
 
 
-def test_a_shot_in_which_the_board_reports_another_laser_is_taken_again():
+def test_a_shot_with_a_wrong_reported_mask_is_repeated():
     class Hasty(NotedLasers):
         """Reports another laser than the third one, until all were off."""
 
@@ -129,7 +129,7 @@ def test_a_shot_in_which_the_board_reports_another_laser_is_taken_again():
 
 
 @pytest.mark.parametrize(("sequence", "exposure_s"), [("all", 1.5), ("off,1@9us", None), ("off,1@1500ms", 0.1)])
-def test_an_exposure_that_the_camera_does_not_have_is_wrong_usage(sequence, exposure_s):
+def test_an_exposure_out_of_bounds_is_a_usage_error(sequence, exposure_s):
     class Bounded(NotedCamera):
         def bounds(self, feature: str) -> tuple[float, float] | None:
             return {"ExposureTime": (10.0, 1e6)}[feature]
@@ -144,7 +144,7 @@ def test_an_exposure_that_the_camera_does_not_have_is_wrong_usage(sequence, expo
     assert lasers.calls == []
 
 
-def test_a_board_that_cannot_say_leaves_no_report():
+def test_a_board_that_does_not_report_gives_no_read_masks():
     lasers = NotedLasers(reports=False)
 
     (shot,) = captured_shots(NotedCamera(lasers), lasers, Procedure(steps=parsed_sequence("off,1")), ["first"])
@@ -152,7 +152,7 @@ def test_a_board_that_cannot_say_leaves_no_report():
     assert shot.read_lasers is None
 
 
-def test_a_shot_knows_at_which_grey_value_its_camera_is_full():
+def test_a_shot_records_the_saturation_of_its_camera():
     lasers = NotedLasers()
 
     (shot,) = captured_shots(NotedCamera(lasers), lasers, Procedure(steps=parsed_sequence("all")), ["first"])
@@ -185,7 +185,7 @@ def test_whatever_ends_a_capture_ends_with_the_lasers_off_and_both_devices_close
     assert camera.closed
 
 
-def test_lasers_that_cannot_be_opened_are_let_go_of():
+def test_lasers_that_cannot_be_opened_are_closed():
     class Absent(NotedLasers):
         def open(self) -> None:
             raise DeviceError("lasers", "no such port")
@@ -198,7 +198,7 @@ def test_lasers_that_cannot_be_opened_are_let_go_of():
     assert lasers.calls == ["close"]
 
 
-def test_a_second_signal_while_switching_off_leaves_no_laser_burning():
+def test_a_second_signal_while_switching_off_leaves_no_laser_on():
     class Interrupted(NotedLasers):
         def set_mask(self, lasers: int) -> None:
             if lasers == 0 and "interrupted" not in self.calls:

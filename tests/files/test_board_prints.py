@@ -49,16 +49,16 @@ def test_a_pdf_page_shows_the_board_at_true_scale(kind, tmp_path, needed_program
     assert misplaced_m(image, BOARDS[kind], dots_per_inch) < 4e-5
 
 
-def test_viewers_are_asked_to_print_without_scaling():
+def test_the_pdf_requests_printing_without_scaling():
     assert b"/PrintScaling /None" in pdf(board_drawing(BOARDS["charuco"]))
 
 
-def test_letters_that_the_font_lacks_do_not_matter():
+def test_characters_missing_in_the_font_are_replaced():
     board = replace(BOARDS["charuco"], dictionary="板\udc80.yml", marker_bits=("0" * 16,) * 27)
 
     assert pdf(board_drawing(board)).startswith(b"%PDF-1.7")
 
 
-def test_any_other_suffix_is_wrong_usage(tmp_path):
+def test_another_suffix_is_a_usage_error(tmp_path):
     with pytest.raises(UsageError, match="pdftocairo"):
         write_board_print(tmp_path / "board.doc", board_drawing(BOARDS["charuco"]))

@@ -97,7 +97,7 @@ for name in sys.argv[1:]:
 """
 
 
-def test_images_that_declare_too_many_pixels_are_refused_within_128_mib(tmp_path):
+def test_images_that_declare_too_many_pixels_are_rejected_within_128_mib(tmp_path):
     for name, content in TOO_LARGE.items():
         (tmp_path / name).write_bytes(content)
     words = [sys.executable, "-c", READ_WITH_LITTLE_MEMORY, *TOO_LARGE]
@@ -139,7 +139,7 @@ def test_tiff_of_either_byte_order_is_read(tmp_path, order, big):
     np.testing.assert_array_equal(read_image(tmp_path / "a.tif"), SMALL)
 
 
-def test_image_of_another_size_than_the_rigs_is_refused_before_it_is_decoded(tmp_path, rig_file, monkeypatch):
+def test_an_image_of_another_size_than_the_rig_is_rejected_before_decoding(tmp_path, rig_file, monkeypatch):
     (tmp_path / "a.png").write_bytes(png(10_000, 10_000))
     monkeypatch.setattr(cv2, "imdecode", None)
 
@@ -178,7 +178,7 @@ LYING = {
 
 
 @pytest.mark.parametrize(("archive", "size", "finding"), LYING.values(), ids=LYING)
-def test_archive_that_declares_what_it_does_not_have_is_refused_within_2_mb(tmp_path, archive, size, finding):
+def test_an_archive_with_a_wrong_declared_size_is_rejected_within_2_mb(tmp_path, archive, size, finding):
     (tmp_path / "a.npz").write_bytes(with_file_size(archive, HEADER_BYTES + size))
 
     message, peak = peak_of_refusal(read_shot, tmp_path / "a.npz")
@@ -187,7 +187,7 @@ def test_archive_that_declares_what_it_does_not_have_is_refused_within_2_mb(tmp_
     assert peak < 2e6
 
 
-def test_shot_of_another_size_than_the_rigs_is_refused_before_it_is_decompressed(tmp_path, rig_file):
+def test_a_shot_of_another_size_than_the_rig_is_rejected_before_decompression(tmp_path, rig_file):
     (tmp_path / "a.npz").write_bytes(with_file_size(npz((1, 10_000, 9_000)), HEADER_BYTES + 90_000_000))
     rig = read_rig(rig_file())
 
@@ -206,7 +206,7 @@ def test_shot_of_another_size_than_the_rigs_is_refused_before_it_is_decompressed
     ],
     ids=["numbers", "text", "values without bytes"],
 )
-def test_arrays_that_are_no_images_have_64_mib_together(tmp_path, key, descr, shape, size):
+def test_other_arrays_are_limited_to_64_mib_in_total(tmp_path, key, descr, shape, size):
     (tmp_path / "a.npz").write_bytes(with_file_size(npz(shape, 0, key, descr), HEADER_BYTES + size))
 
     message, peak = peak_of_refusal(lambda: Archive(tmp_path / "a.npz").value(key))
@@ -217,7 +217,7 @@ def test_arrays_that_are_no_images_have_64_mib_together(tmp_path, key, descr, sh
 
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
-def test_methods_that_are_decompressed_without_a_bound_are_refused(tmp_path, method):
+def test_other_compression_methods_are_rejected(tmp_path, method):
     with zipfile.ZipFile(tmp_path / "a.npz", "w", method) as archive:
         archive.writestr("images.npy", bytes(2**22))
 
@@ -227,7 +227,7 @@ def test_methods_that_are_decompressed_without_a_bound_are_refused(tmp_path, met
     assert peak < 2e6
 
 
-def test_header_that_never_ends_is_refused(tmp_path):
+def test_an_endless_header_is_rejected(tmp_path):
     with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("images.npy", b"\x93NUMPY\x02\x00" + struct.pack("<I", 2**22) + b" " * 2**22)
 
@@ -237,7 +237,7 @@ def test_header_that_never_ends_is_refused(tmp_path):
     assert peak < 2e6
 
 
-def test_a_file_of_more_than_2_gib_is_not_read(tmp_path):
+def test_a_file_of_more_than_2_gib_is_rejected(tmp_path):
     with (tmp_path / "a.npz").open("wb") as stream:
         stream.truncate(2**31 + 1)
 

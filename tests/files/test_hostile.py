@@ -169,7 +169,7 @@ relaxed = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 )
 @relaxed
 @given(data=st.data())
-def test_spoiled_yaml(tmp_path, read, values, data):
+def test_invalid_yaml_values_are_read_or_rejected(tmp_path, read, values, data):
     assert outcome_of_text(read, tmp_path, yaml.safe_dump(values)) is not None
 
     outcome_of_text(read, tmp_path, yaml.safe_dump(data.draw(spoiled_once(values))))
@@ -180,7 +180,7 @@ def test_spoiled_yaml(tmp_path, read, values, data):
 )
 @relaxed
 @given(data=st.data())
-def test_spoiled_record(read, values, data):
+def test_invalid_record_values_are_read_or_rejected(read, values, data):
     assert read(values, "x") is not None
 
     outcome(lambda record: read(record, "x"), data.draw(spoiled_once(values)), "x: ")
@@ -188,13 +188,13 @@ def test_spoiled_record(read, values, data):
 
 @relaxed
 @given(values=spoiled_once(TRUTH))
-def test_spoiled_truth(tmp_path, values):
+def test_invalid_truth_values_are_read_or_rejected(tmp_path, values):
     outcome_of_text(lambda file: list(read_truths(file)), tmp_path, json.dumps(values) + "\n")
 
 
 @relaxed
 @given(text=st.text(max_size=80))
-def test_text_that_is_no_record(text):
+def test_arbitrary_text_is_read_or_rejected(text):
     record = outcome(lambda line: records.parsed_record(line, "x"), text, "x: ")
 
     assert record is None or isinstance(record, dict)
@@ -214,7 +214,7 @@ def whole_shot(tmp_path_factory) -> bytes:
 
 @relaxed
 @given(data=st.data())
-def test_damaged_shot(tmp_path, whole_shot, data):
+def test_a_shot_with_damaged_bytes_is_read_or_rejected(tmp_path, whole_shot, data):
     damaged = bytearray(whole_shot)
     for place in data.draw(st.lists(st.integers(0, len(damaged) - 1), min_size=1, max_size=4)):
         damaged[place] = data.draw(st.integers(0, 255))

@@ -47,7 +47,7 @@ def boards_of(kind, **values):
 
 
 @pytest.mark.parametrize("kind", BOARDS)
-def test_corners_are_found_where_the_boards_place_puts_them(sharp_scene, kind):
+def test_corners_are_found_at_their_projections(sharp_scene, kind):
     ((shot, place), *_) = simulated_boards(sharp_scene, boards_of(kind))
 
     found = find_board(shot.images[0], BOARDS[kind], shot.name)
@@ -60,7 +60,7 @@ def test_corners_are_found_where_the_boards_place_puts_them(sharp_scene, kind):
     assert np.sqrt(np.mean((found.points_px - true_px) ** 2)) < 0.1
 
 
-def test_the_print_of_a_charuco_board_is_opencvs():
+def test_a_charuco_board_equals_that_of_opencv():
     """Cell by cell of a marker's bits and of the squares around, against OpenCV's own picture of the board."""
     size_px = 64
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
@@ -84,7 +84,7 @@ def test_stripes_cross_the_plane_board(sharp_scene):
     assert ((brighter > 30).sum(axis=(1, 2)) > 300).all()
 
 
-def test_written_places_come_first(sharp_scene):
+def test_given_poses_come_before_random_ones(sharp_scene):
     boards = boards_of("charuco")
     written = board_poses(sharp_scene, boards)[:1]
 
@@ -94,7 +94,7 @@ def test_written_places_come_first(sharp_scene):
     assert places[0] is written[0]
 
 
-def test_drawn_boards_stand_between_the_distances(sharp_scene):
+def test_random_boards_lie_between_the_distances(sharp_scene):
     approach = BoardApproach(count=50, distances_m=(0.3, 0.9), offset=0.0)
 
     places = board_poses(sharp_scene, boards_of("charuco", approach=approach))

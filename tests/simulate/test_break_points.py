@@ -42,7 +42,7 @@ def point_where_circle_meets_plane(view, radius_m, normal, distance_m):
 
 @pytest.mark.parametrize("edge", [0, 1])
 @pytest.mark.parametrize("laser", [0, 1, 2])
-def test_break_points_are_where_circle_and_light_plane_meet(scene, view, laser, edge):
+def test_break_points_lie_on_circle_and_light_plane(scene, view, laser, edge):
     radius_m = (0.567, 0.597)[edge]
     planes = scene.rig.lasers
     point = point_where_circle_meets_plane(view, radius_m, planes.normal[laser], planes.distance_m[laser])
@@ -53,11 +53,11 @@ def test_break_points_are_where_circle_and_light_plane_meet(scene, view, laser, 
     assert error_px < 1e-9
 
 
-def test_six_visible_break_points_are_a_pose(scene, view):
+def test_six_visible_break_points_expect_a_pose(scene, view):
     assert truth_of(scene, view).expect == "pose"
 
 
-def test_a_break_point_outside_the_picture_is_null_and_the_shot_partial(scene, view):
+def test_a_break_point_outside_the_image_is_null_and_the_shot_partial(scene, view):
     near = replace(view, center_m=view.center_m - [0.0, 0.0, 0.30])
 
     truth = truth_of(scene, near)
@@ -66,7 +66,7 @@ def test_a_break_point_outside_the_picture_is_null_and_the_shot_partial(scene, v
     assert np.isnan(truth.break_points_px).any()
 
 
-def test_a_ring_out_of_sight_is_no_target(scene, view):
+def test_a_ring_outside_the_image_is_no_target(scene, view):
     aside = replace(view, center_m=np.array([2.0, 0.0, 0.5]))
 
     truth = truth_of(scene, aside)
@@ -95,14 +95,14 @@ def test_a_break_point_behind_a_rim_is_null(scene, view, profile_m, seen):
     assert np.isfinite(truth.break_points_px[1, 0]).all() == seen
 
 
-def test_a_fan_too_narrow_leaves_the_break_points_dark(scene, view):
+def test_break_points_outside_the_laser_fan_are_null(scene, view):
     narrow = replace(scene, lasers=replace(scene.lasers, fan_rad=0.01))
 
     assert truth_of(narrow, view).expect != "pose"
 
 
 @pytest.mark.parametrize("folder", ["rig_a", "rig_b"])
-def test_truth_agrees_with_data_that_this_project_did_not_make(scene, shared_data, folder):
+def test_truth_agrees_with_external_renders(scene, shared_data, folder):
     rig = read_rig(shared_data / "rendered" / folder / "rig.yaml")
     theirs = [
         truth for truth in read_truths(shared_data / "rendered" / folder / "truth.jsonl") if truth.normal is not None

@@ -49,7 +49,7 @@ def test_frames_follow_the_sequence(scene):
     assert (np.diff(shot.stamp_s) > shot.exposure_s[:-1]).all()
 
 
-def test_twelve_bits_say_where_they_saturate(scene):
+def test_shots_of_twelve_bits_record_their_saturation(scene):
     ((shot, _),) = simulate(replace(scene, sensor=replace(scene.sensor, bits=12)))
 
     assert (shot.images.dtype, shot.saturation_dn) == (np.uint16, 4095)
@@ -90,7 +90,7 @@ def test_light_grows_with_exposure(scene, view):
     np.testing.assert_allclose(stage.electrons(7, 0.003), 3 * stage.electrons(7, 0.001), rtol=1e-5)
 
 
-def test_exposure_reaches_the_wanted_grey_value(clean_scene, view):
+def test_exposure_reaches_the_requested_grey_value(clean_scene, view):
     """Peak of the brightest stripe on the face, within noise and the rounding of the profile over pixels."""
     ((shot, truth),) = simulate(replace(clean_scene, stripe_dn=150.0, lens=replace(clean_scene.lens, blur_px=0.7)))
 
@@ -111,7 +111,7 @@ def test_a_view_without_the_ring_is_exposed_as_with_it(clean_scene, view, target
     assert without == with_ring
 
 
-def test_a_moment_of_the_simulated_camera_is_the_views_shot(scene):
+def test_a_moment_of_the_simulated_camera_equals_the_shot_of_the_view(scene):
     frames = SceneFrames(scene)
     ((shot, _),) = simulate(scene)
 
@@ -120,7 +120,7 @@ def test_a_moment_of_the_simulated_camera_is_the_views_shot(scene):
     np.testing.assert_array_equal(taken, shot.images)
 
 
-def test_the_simulated_cameras_clock_goes_on(scene):
+def test_the_clock_of_the_simulated_camera_advances(scene):
     frames = SceneFrames(replace(scene, approaches=(Approach(count=2),)))
 
     stamps = [frames(moment, 7).stamp_s for moment in (0, 0, 1, 2, 7)]
@@ -128,7 +128,7 @@ def test_the_simulated_cameras_clock_goes_on(scene):
     assert (np.diff(stamps) > 0).all()
 
 
-def test_noise_is_drawn_anew_for_each_frame(scene):
+def test_each_frame_has_new_noise(scene):
     frames = SceneFrames(scene)
 
     first, second = (frames(0, 7, 0.0005).image for _ in range(2))
@@ -137,7 +137,7 @@ def test_noise_is_drawn_anew_for_each_frame(scene):
 
 
 @pytest.mark.parametrize("distance_m", [0.25, 0.5, 1.0])
-def test_drawn_poses_show_the_band_at_their_distance(scene, distance_m):
+def test_random_poses_show_the_ring_at_their_distance(scene, distance_m):
     """The middle of the band crosses the ray of a pixel near the picture's middle, at that depth."""
     approach = Approach(count=20, distances_m=(distance_m,), offset=0.0)
 
@@ -150,7 +150,7 @@ def test_drawn_poses_show_the_band_at_their_distance(scene, distance_m):
     assert max(off_plane_m) < 1e-9
 
 
-def test_names_of_drawn_views_are_unique(scene):
+def test_names_of_random_views_are_unique(scene):
     approach = Approach(count=4, distances_m=(0.25, 0.5), lights=("dim", "normal"))
 
     names = [view.name for view in ring_views(replace(scene, approaches=(approach,)))]

@@ -46,7 +46,7 @@ def test_column_centroids_lie_on_the_analytic_stripe(clean_scene, view, sigma_m)
     assert np.abs(error_px).max() < 0.005
 
 
-def test_a_stripe_thinner_than_a_pixel_is_integrated_over_each(clean_scene, view):
+def test_a_stripe_thinner_than_a_pixel_is_integrated_over_the_pixel(clean_scene, view):
     """Shares of a column's light in its pixels, against the Gaussian's integral between their borders."""
     flat, sigma_m = with_sigma(clean_scene, 0.0004), 0.0004
     camera, planes = flat.rig.camera, flat.rig.lasers
@@ -89,14 +89,14 @@ def stripe_edge(scene, view, radius_m):
     return float(project(min(ends, key=lambda p: abs(p[0]))[None], scene.rig.camera)[0, 0])
 
 
-def test_light_of_thin_stripes_is_kept(clean_scene, view):
+def test_thin_stripes_conserve_their_light(clean_scene, view):
     """A sheet eight times as thin sends the same light in all, eight times as bright."""
     thick, thin = (rendered(with_sigma(clean_scene, sigma_m), view).laser[1] for sigma_m in (0.0024, 0.0003))
 
     assert thin.sum() == pytest.approx(thick.sum(), rel=2e-3)
 
 
-def test_the_laser_leaves_a_shadow_beside_the_ring(clean_scene, view):
+def test_the_ring_casts_a_shadow_in_laser_light(clean_scene, view):
     """The camera sees body beyond the outer edge that the middle laser, 70 mm aside, does not reach."""
     offset = replace(
         clean_scene.rig.lasers,
@@ -113,7 +113,7 @@ def test_the_laser_leaves_a_shadow_beside_the_ring(clean_scene, view):
     assert far_beyond.min() > 0.0
 
 
-def test_foil_makes_the_stripe_wiggle(clean_scene, view):
+def test_foil_deforms_the_stripe(clean_scene, view):
     crinkled = replace(clean_scene, ring=clean_scene.ring, body=Body(size_m=np.array([2.2, 2.2, 1.0]), foil=Foil()))
 
     flat, wavy = (rendered(scene, view).laser[1].astype(float) for scene in (clean_scene, crinkled))
@@ -129,13 +129,13 @@ def test_foil_makes_the_stripe_wiggle(clean_scene, view):
 
 
 @pytest.mark.parametrize("light", ["normal", "strong"])
-def test_ambient_light_covers_the_body(clean_scene, view, light):
+def test_ambient_light_illuminates_the_body(clean_scene, view, light):
     image = rendered(clean_scene, replace(view, light=light)).ambient
 
     assert (image > 0).mean() > 0.9
 
 
-def test_stripes_alone_leave_the_rest_black(clean_scene, view):
+def test_without_ambient_light_only_stripes_are_bright(clean_scene, view):
     radiance = rendered(clean_scene, view)
 
     assert radiance.ambient.max() == 0.0

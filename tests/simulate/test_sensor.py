@@ -55,7 +55,7 @@ def test_the_pattern_of_the_pixels_stays(rng):
     assert correlation > 0.9
 
 
-def test_electrons_follow_the_stop():
+def test_electrons_scale_with_the_inverse_square_of_the_f_number():
     wide, narrow = (electrons_per_radiance(Sensor(), Lens(f_number=stop)) for stop in (4.0, 8.0))
 
     assert wide == pytest.approx(4 * narrow)

@@ -113,7 +113,7 @@ def harvested(monkeypatch, tmp_path):
     return driver
 
 
-def test_each_trigger_gives_one_frame_and_its_buffer_back(harvested):
+def test_each_trigger_gives_one_frame_and_returns_the_buffer(harvested):
     acquirer = Acquirer()
 
     with (camera := harvested(acquirer)):
@@ -129,7 +129,7 @@ def test_each_trigger_gives_one_frame_and_its_buffer_back(harvested):
     assert acquirer.state == ["started", "destroyed"]
 
 
-def test_pixels_that_are_not_grey_are_refused(harvested):
+def test_a_colour_pixel_format_is_rejected(harvested):
     acquirer = Acquirer()
     acquirer.remote_device.node_map.PixelFormat.value = "RGBa8"
 
@@ -137,14 +137,14 @@ def test_pixels_that_are_not_grey_are_refused(harvested):
         harvested(acquirer).open()
 
 
-def test_an_incomplete_frame_is_taken_again(harvested):
+def test_an_incomplete_frame_is_triggered_again(harvested):
     with (camera := harvested(Acquirer(broken=(1, 2)))):
         frame = camera.trigger(0)
 
     assert (frame.attempts, int(frame.image[0, 0])) == (3, 3)
 
 
-def test_frames_that_stay_incomplete_are_an_error(harvested):
+def test_repeatedly_incomplete_frames_are_an_error(harvested):
     with (
         (camera := harvested(Acquirer(broken=(1, 2, 3)))),
         pytest.raises(DeviceError, match="packets got lost, 3 times"),
@@ -152,7 +152,7 @@ def test_frames_that_stay_incomplete_are_an_error(harvested):
         camera.trigger(0)
 
 
-def test_what_a_feature_does_not_take_is_refused_with_its_bounds(harvested):
+def test_a_value_out_of_bounds_is_rejected(harvested):
     with (camera := harvested(Acquirer())), pytest.raises(DeviceError, match="Gain cannot be 99; it takes 0 to 24"):
         camera.set("Gain", 99.0)
 

@@ -57,7 +57,7 @@ def test_a_capture_whose_watchdog_is_killed_switches_off_and_ends(
 
 
 @pytest.mark.parametrize("words", [SLOW, ("--rate", "0.1")], ids=["while a laser is on", "between two shots"])
-def test_a_pulled_cable_ends_the_capture_with_its_finished_shots(board, capturing, time_until, tmp_path, words):
+def test_an_unplugged_board_ends_the_capture_and_keeps_finished_shots(board, capturing, time_until, tmp_path, words):
     with board("lcus") as (relays, uri), capturing(uri, *words) as process:
         first = process.stdout.readline().strip()
         if words is SLOW:
@@ -75,7 +75,7 @@ def test_a_pulled_cable_ends_the_capture_with_its_finished_shots(board, capturin
     assert read_shot(tmp_path / first).seen_lasers is not None
 
 
-def test_a_full_disk_leaves_the_lasers_off_and_the_finished_shots(board, capturing, tmp_path):
+def test_a_full_disk_ends_the_capture_with_lasers_off_and_keeps_finished_shots(board, capturing, tmp_path):
     with board("lcus") as (relays, uri), capturing(uri, "--settle", "0.05", before=FULL_AFTER_A_SHOT) as process:
         names, message = process.communicate(timeout=60)
 
@@ -122,7 +122,7 @@ def test_a_full_disk_leaves_the_lasers_off_and_the_finished_shots(board, capturi
         ("relay:/dev/ttyNone", 2, "names no device; it begins with one of ascii:, lcus:"),
     ],
 )
-def test_lasers_that_cannot_be_had_are_one_line(scene_folder, capsys, lasers, status, complaint):
+def test_unavailable_lasers_give_one_line_on_stderr(scene_folder, capsys, lasers, status, complaint):
     ended = main(["capture", "--camera", f"sim:{scene_folder}/scene.yaml", "--lasers", lasers, "--output", "s"])
 
     message = capsys.readouterr().err
@@ -133,7 +133,7 @@ def test_lasers_that_cannot_be_had_are_one_line(scene_folder, capsys, lasers, st
 
 
 @pytest.mark.parametrize("words", [("--exposure", "1"), ("--sequence", "off,1@960ms"), ("--settle", "1")])
-def test_a_frame_that_lasts_longer_than_the_watchdog_waits_is_wrong_usage(scene_folder, capsys, words):
+def test_a_frame_longer_than_the_heartbeat_is_a_usage_error(scene_folder, capsys, words):
     lasers = "lcus:/dev/ttyNone?ch=1,2,3"
 
     ended = main(["capture", "--camera", f"sim:{scene_folder}/scene.yaml", "--lasers", lasers, *words])

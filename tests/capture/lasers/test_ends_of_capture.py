@@ -56,7 +56,7 @@ def test_the_lasers_are_off_within_50_ms_whatever_ends_the_capture(board, captur
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
-def test_the_lasers_of_a_suspended_capture_go_off_and_it_goes_on_where_it_was(board, capturing, time_until, scheme):
+def test_a_suspended_capture_switches_off_and_can_be_continued(board, capturing, time_until, scheme):
     def measured():
         with board(scheme) as (relays, uri), capturing(uri, *BURN, "--count", "2", "--force") as process:
             off_s = off_time(relays, process, signal.SIGSTOP, time_until)
@@ -68,7 +68,7 @@ def test_the_lasers_of_a_suspended_capture_go_off_and_it_goes_on_where_it_was(bo
     assert fastest(measured) < OFF_WITHIN_S
 
 
-def test_the_lasers_go_off_before_the_memory_of_a_large_capture_is_given_back(board, capturing, time_until):
+def test_the_lasers_go_off_before_the_memory_of_a_large_capture_is_freed(board, capturing, time_until):
     def measured():
         ballast = "ballast = b'x' * 700_000_000"
         with board("lcus") as (relays, uri), capturing(uri, *BURN, "--force", before=ballast) as process:
@@ -93,7 +93,7 @@ def test_the_lasers_are_off_within_50_ms_whatever_ends_a_live_measurement(board,
     "number",
     [signal.SIGKILL, *(pytest.param(each, marks=pytest.mark.slow) for each in (signal.SIGSEGV, signal.SIGSTOP))],
 )
-def test_without_the_watchdog_the_lasers_burn_on(board, capturing, time_until, without_watchdog, number):
+def test_without_the_watchdog_the_lasers_stay_on(board, capturing, time_until, without_watchdog, number):
     with board("lcus") as (relays, uri), capturing(uri, *BURN, before=without_watchdog) as process:
         assert time_until(lambda: lit(relays), 30.0) < 30.0
         process.send_signal(number)

@@ -6,7 +6,7 @@ from ringpose.errors import UsageError
 from ringpose.simulate.serve.faults import parsed_faults
 
 
-def test_faults_reach_their_parts():
+def test_faults_are_passed_to_their_devices():
     faults = parsed_faults(["loss=0.002", "dead-camera=20", "stuck:2", "late:3=0.05", "operate=0.008", "unplug=7"], 3)
 
     assert (faults.camera.loss, faults.camera.dies_after, faults.unplug_after) == (0.002, 20, 7)
@@ -31,6 +31,6 @@ def test_faults_reach_their_parts():
         ("operate=inf", "give operate=0.008"),
     ],
 )
-def test_what_is_no_fault_is_wrong_usage(text, remedy):
+def test_an_invalid_fault_is_a_usage_error(text, remedy):
     with pytest.raises(UsageError, match=remedy):
         parsed_faults([text], 3)
