@@ -1,4 +1,4 @@
-"""Every example runs as it stands."""
+"""The example scripts, and the example controller that reads pose records."""
 
 import argparse
 import json
@@ -15,25 +15,26 @@ from typing import NamedTuple
 import pytest
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
-SESSIONS = sorted(path for path in EXAMPLES.glob("*.sh") if path.name not in ("demo.sh", "real-shots.sh"))
+SCRIPTS = sorted(path for path in EXAMPLES.glob("*.sh") if path.name not in ("demo.sh", "real-shots.sh"))
 ENVIRONMENT = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
 
 
-def run_session(script: Path, folder: Path) -> subprocess.CompletedProcess[str]:
+def run_script(script: Path, folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         ["sh", script, folder / "out"], cwd=folder, env=ENVIRONMENT, capture_output=True, text=True, timeout=300
     )
 
 
-@pytest.mark.parametrize("script", SESSIONS, ids=lambda script: script.name)
+@pytest.mark.slow  # the fast tests of test_main_job calibrate from the same views
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.name)
 def test_a_shell_example_succeeds(script, tmp_path):
-    done = run_session(script, tmp_path)
+    done = run_script(script, tmp_path)
 
     assert done.returncode == 0, done.stderr
 
 
 def test_the_example_of_real_shots_commands_moves_and_draws_overlays(tmp_path, carried_data):
-    done = run_session(EXAMPLES / "real-shots.sh", tmp_path)
+    done = run_script(EXAMPLES / "real-shots.sh", tmp_path)
 
     assert done.returncode == 0, done.stderr
     assert '"do": "move"' in done.stdout
@@ -44,7 +45,7 @@ def test_the_example_of_real_shots_commands_moves_and_draws_overlays(tmp_path, c
 
 @pytest.mark.slow
 def test_the_demo_measures_and_draws_every_shot(tmp_path):
-    done = run_session(EXAMPLES / "demo.sh", tmp_path)
+    done = run_script(EXAMPLES / "demo.sh", tmp_path)
 
     assert done.returncode == 0, done.stderr
     out = tmp_path / "out"
@@ -57,7 +58,7 @@ def test_the_demo_measures_and_draws_every_shot(tmp_path):
 
 
 class Controller(NamedTuple):
-    """What the example controller said, its last hold ("the stream has ended") aside."""
+    """Output of the example controller: commands, without the last hold ("the stream has ended"), and messages."""
 
     commands: list[dict]
     messages: list[str]
@@ -70,12 +71,12 @@ def started(*words: str, **options) -> "subprocess.Popen[str]":
 
 
 def controlled(lines: str, *words: str) -> Controller:
-    """The controller's answer to a stream that ends."""
+    """The output of the controller for a stream that ends."""
     process = started(*words)
-    out, said = process.communicate(lines, timeout=30)
+    out, stderr = process.communicate(lines, timeout=30)
     *commands, last = [json.loads(line) for line in out.splitlines()]
     assert (process.returncode, last) == (0, {"do": "hold", "why": "the stream has ended"})
-    return Controller(commands, said.splitlines())
+    return Controller(commands, stderr.splitlines())
 
 
 def pose_record(shot: str = "a", grasp_sd_m: float = 1e-4, tilt_sd_rad: float = 1e-3, **changes) -> dict:
@@ -209,11 +210,11 @@ def test_the_controller_reports_missing_keys():
 
 def test_the_controller_accepts_invalid_utf_8():
     process = started(text=False)
-    out, said = process.communicate(b"\xff\xfe\n" + line_of(pose_record("last")).encode(), timeout=30)
+    out, stderr = process.communicate(b"\xff\xfe\n" + line_of(pose_record("last")).encode(), timeout=30)
 
     assert process.returncode == 0
     assert json.loads(out.splitlines()[0])["shot"] == "last"
-    assert said.count(b"\n") == 1
+    assert stderr.count(b"\n") == 1
 
 
 def test_the_controller_ignores_a_shot_older_than_the_last_one():
@@ -222,8 +223,8 @@ def test_the_controller_ignores_a_shot_older_than_the_last_one():
         for number, age_s in enumerate((0.1, 0.3, 0.0)):
             process.stdin.write(line_of(pose_record(f"s{number}", stamp_s=now_s - age_s)))
             process.stdin.flush()
-            said = process.stderr.readline() if number == 1 else process.stdout.readline()
-            assert f"s{number}" in said
+            stderr = process.stderr.readline() if number == 1 else process.stdout.readline()
+            assert f"s{number}" in stderr
         process.stdin.close()
         rest = process.stdout.read()
 
@@ -284,9 +285,9 @@ def test_the_controller_ends_silently_on_a_closed_pipe():
         process.stdin.write(line_of(pose_record()))
         process.stdin.flush()
         process.wait(30)
-        said = process.stderr.read()
+        stderr = process.stderr.read()
 
-    assert (process.returncode, said) == (141, "")
+    assert (process.returncode, stderr) == (141, "")
 
 
 def test_the_controller_ends_silently_on_sigint():
@@ -294,6 +295,6 @@ def test_the_controller_ends_silently_on_sigint():
         process.stdout.readline()
         process.send_signal(signal.SIGINT)
         process.wait(30)
-        said = process.stderr.read()
+        stderr = process.stderr.read()
 
-    assert (process.returncode, said) == (130, "")
+    assert (process.returncode, stderr) == (130, "")

@@ -29,7 +29,7 @@ BOARDS = {
 
 @pytest.fixture
 def sharp_scene(scene):
-    """A picture large enough for markers."""
+    """The scene with an image large enough for markers."""
     camera = Camera(
         camera_name="sharp",
         image_width=640,
@@ -48,13 +48,13 @@ def boards_of(kind, **values):
 
 @pytest.mark.parametrize("kind", BOARDS)
 def test_corners_are_found_at_their_projections(sharp_scene, kind):
-    ((shot, place), *_) = simulated_boards(sharp_scene, boards_of(kind))
+    ((shot, pose),) = simulated_boards(sharp_scene, boards_of(kind), count=1)
 
     found = find_board(shot.images[0], BOARDS[kind], shot.name)
 
     assert isinstance(found, BoardView)
     true_px = project(
-        corner_points(BOARDS[kind])[found.ids] @ place.rotation.T + place.translation_m, sharp_scene.rig.camera
+        corner_points(BOARDS[kind])[found.ids] @ pose.rotation.T + pose.translation_m, sharp_scene.rig.camera
     )
     assert len(found.ids) >= 16
     assert np.sqrt(np.mean((found.points_px - true_px) ** 2)) < 0.1

@@ -1,11 +1,11 @@
-"""What the real command does when its watchdog or its cable is lost."""
+"""`ringpose capture` when its watchdog, the cable of the board or the disk fails."""
 
 import os
 import signal
-import time
 from pathlib import Path
 
 import pytest
+from guarded_lasers import on_mask
 
 from ringpose.cli.main import main
 from ringpose.files.images.sessions import read_session
@@ -22,16 +22,12 @@ def fill():
     resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000))
 threading.Thread(target=fill, daemon=True).start()
 """
-"""Put before the command: once a shot is there, no file may grow beyond 3 kB."""
+"""Code to run before the command: after the first shot, no file may grow beyond 3 kB."""
 
 
 def watchdog_of(process) -> int:
     (child,) = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
     return int(child)
-
-
-def lit(relays):
-    return relays.mask_at(time.monotonic()) != 0
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
@@ -43,13 +39,13 @@ def test_a_capture_whose_watchdog_is_killed_switches_off_and_ends(
 ):
     with board(scheme) as (relays, uri), capturing(uri, *SLOW) as process:
         first = process.stdout.readline().strip()
-        assert time_until(lambda: lit(relays), 10.0) < 10.0
+        assert time_until(lambda: on_mask(relays), 10.0) < 10.0
         os.kill(watchdog_of(process), number)
-        off_s = time_until(lambda: not lit(relays), 2.0)
+        off_s = time_until(lambda: not on_mask(relays), 2.0)
         _, message = process.communicate(timeout=30)
 
     assert off_s < 0.05
-    assert not lit(relays)
+    assert not on_mask(relays)
     assert process.returncode == 69
     assert message.endswith("the watchdog of the lasers ended; they were switched off without it\n")
     capture = read_session(tmp_path / "s").captures[0]
@@ -61,7 +57,7 @@ def test_an_unplugged_board_ends_the_capture_and_keeps_finished_shots(board, cap
     with board("lcus") as (relays, uri), capturing(uri, *words) as process:
         first = process.stdout.readline().strip()
         if words is SLOW:
-            assert time_until(lambda: lit(relays), 10.0) < 10.0
+            assert time_until(lambda: on_mask(relays), 10.0) < 10.0
         relays.unplug()
         noticed_s = time_until(lambda: read_session(tmp_path / "s").captures[0].state == "stopped", 5.0)
         _, message = process.communicate(timeout=30)
@@ -81,7 +77,7 @@ def test_a_full_disk_ends_the_capture_with_lasers_off_and_keeps_finished_shots(b
 
     assert process.returncode == 74
     assert "writing broke off" in message
-    assert not lit(relays)
+    assert not on_mask(relays)
     finished = read_session(tmp_path / "s").shots
     assert len(finished) >= 1
     assert names == "".join(f"s/{name}.npz\n" for name in finished)

@@ -6,7 +6,7 @@ import time
 import tty
 
 import pytest
-from guarded_lasers import lasers_at, lit
+from guarded_lasers import lasers_at, on_mask
 
 from ringpose.errors import DeviceError
 
@@ -19,7 +19,7 @@ def test_opening_switches_all_lasers_off(board, scheme):
         relays.contacts.command(1, True, time.monotonic())
         relays._coils_until_s[1] = float("inf")
         with lasers_at(uri):
-            opened = lit(relays)
+            opened = on_mask(relays)
 
     assert opened == 0
 
@@ -43,7 +43,7 @@ def test_a_watchdog_that_dies_while_it_opens_is_replaced(board, monkeypatch):
             lasers.open()
         lasers.close()
 
-    assert lit(relays) == 0
+    assert on_mask(relays) == 0
 
 
 @pytest.mark.parametrize("scheme", [pytest.param("numato", marks=pytest.mark.slow), "modbus"])
@@ -92,4 +92,4 @@ def test_a_board_with_another_protocol_is_an_error(board):
             lasers.open()
         lasers.close()
 
-    assert lit(relays) == 0
+    assert on_mask(relays) == 0
