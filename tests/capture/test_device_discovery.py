@@ -1,4 +1,4 @@
-"""What is plugged in, by names that stay."""
+"""Discovery of connected devices by persistent names."""
 
 import serial.tools.list_ports
 
@@ -6,7 +6,7 @@ from ringpose.capture import device_discovery as inventory
 
 
 class Port:
-    """A serial port as pyserial lists it."""
+    """A serial port as listed by pyserial."""
 
     def __init__(self, device: str, vid: int | None, product: str) -> None:
         self.device, self.vid, self.pid = device, vid, 0x7523

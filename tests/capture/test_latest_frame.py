@@ -1,4 +1,4 @@
-"""The newest shot wins, and the others are counted."""
+"""Background acquisition: the newest shot is yielded, and dropped ones are counted."""
 
 import threading
 from dataclasses import replace
@@ -22,10 +22,10 @@ def shot(name: str) -> Shot:
 
 
 class Bursts:
-    """Takes the requested number of shots at once, then waits for the next request."""
+    """Yields the requested number of shots at once, then waits for the next request."""
 
     def __init__(self) -> None:
-        self.wanted = threading.Semaphore(0)
+        self.requested = threading.Semaphore(0)
         self.taken = threading.Semaphore(0)
         self.number = 0
 
@@ -35,13 +35,13 @@ class Bursts:
     def __next__(self) -> Shot:
         if self.number:
             self.taken.release()
-        self.wanted.acquire()
+        self.requested.acquire()
         self.number += 1
         return shot(f"s{self.number}")
 
     def take(self, count: int) -> None:
         for _ in range(count):
-            self.wanted.release()
+            self.requested.release()
         for _ in range(count):
             self.taken.acquire()
 
@@ -64,7 +64,7 @@ def test_a_fast_consumer_gets_every_shot():
             bursts.take(1)
             live = next(newest)
             seen.append((live.shot.name, live.dropped))
-        bursts.wanted.release()
+        bursts.requested.release()
 
     assert seen == [("s1", 0), ("s2", 0), ("s3", 0)]
 
@@ -79,7 +79,7 @@ def test_a_slow_consumer_gets_the_newest_shot_and_the_number_of_dropped_ones():
         second = next(newest)
         bursts.take(1)
         third = next(newest)
-        bursts.wanted.release()
+        bursts.requested.release()
 
     assert [(live.shot.name, live.dropped) for live in (first, second, third)] == [("s1", 0), ("s5", 3), ("s6", 0)]
 

@@ -1,4 +1,4 @@
-"""Shots in time; the clock is a fake that only sleeping moves."""
+"""Pacing of shots, with a fake clock that advances only by waiting."""
 
 import pytest
 

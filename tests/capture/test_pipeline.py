@@ -1,4 +1,4 @@
-"""The sequence of camera and lasers, with drivers that record their calls."""
+"""The capture procedure, with fake drivers that record their calls."""
 
 from itertools import count
 
@@ -38,7 +38,7 @@ class NotedLasers(LaserDriver):
 
 
 class NotedCamera(CameraDriver):
-    """Its images say how many frames it has taken and what was lit."""
+    """A fake camera whose grey values encode the frame number and the mask of the lasers."""
 
     def __init__(self, lasers: NotedLasers, fails_at: int | None = None, error: BaseException | None = None) -> None:
         self.lasers = lasers
@@ -114,7 +114,7 @@ def test_a_laser_that_the_board_reports_on_though_all_are_off_is_a_safety_fault(
 
 def test_a_shot_with_a_wrong_reported_mask_is_repeated():
     class Hasty(NotedLasers):
-        """Reports another laser than the third one, until all were off."""
+        """Fake lasers that report a wrong mask until all were switched off."""
 
         def read_mask(self) -> int | None:
             return 0b010 if self.lit == 4 and "set 0" not in self.calls else self.lit

@@ -1,4 +1,4 @@
-"""Devices by name."""
+"""Parsing of device URIs."""
 
 import pytest
 

@@ -109,12 +109,12 @@ def test_a_full_disk_keeps_the_old_file_and_leaves_no_temporary_one(tmp_path):
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"a": b"old"}
 
 
-@pytest.mark.parametrize("place", ["file/a", "missing/a"])
-def test_a_file_in_an_unwritable_folder_cannot_be_created(tmp_path, place):
+@pytest.mark.parametrize("name", ["file/a", "missing/a"])
+def test_a_file_in_an_unwritable_folder_cannot_be_created(tmp_path, name):
     (tmp_path / "file").touch()
 
     with pytest.raises(CannotCreateError, match="cannot be written"):
-        write(tmp_path / place, b"new")
+        write(tmp_path / name, b"new")
 
 
 def test_folder_below_a_file_cannot_be_created(tmp_path):

@@ -1,4 +1,4 @@
-"""Printed boards, rasterised by others and found again at their true scale."""
+"""Printable boards, rasterised by poppler and detected at their true scale."""
 
 import subprocess
 from dataclasses import replace
@@ -26,12 +26,12 @@ INCH_M = 0.0254
 
 
 def misplaced_m(image: np.ndarray, board: Board, dots_per_inch: float) -> float:
-    """How far corners of the page lie from where the drawing has them; the board must be found in it."""
+    """Maximum distance of detected corners from those of the drawing, in metres on the page."""
     found = find_board(image, board, "page")
     assert isinstance(found, BoardView)
-    place_m = (found.points_px + 0.5) * INCH_M / dots_per_inch
-    wanted_m = found.points_board_m[:, :2] + board_drawing(board).origin_m
-    return float(np.abs(place_m - wanted_m).max())
+    position_m = (found.points_px + 0.5) * INCH_M / dots_per_inch
+    true_m = found.points_board_m[:, :2] + board_drawing(board).origin_m
+    return float(np.abs(position_m - true_m).max())
 
 
 @pytest.mark.parametrize(

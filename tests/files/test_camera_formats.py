@@ -1,4 +1,4 @@
-"""Cameras of other programs: there and back, and as those programs write them."""
+"""Cameras in the formats of other programs: round trips, and files as those programs write them."""
 
 import random
 
@@ -207,8 +207,8 @@ def test_other_mat_variables_are_rejected(key, value, finding):
 
 def test_damaged_mat_files_give_one_line(tmp_path, capfd):
     content = written(tmp_path, "matlab", "c.mat").read_bytes()
-    place = content.index(np.float64(MATRIX[0, 0]).tobytes()) - 8  # of the type of the numbers of fc
-    (tmp_path / "c.mat").write_bytes(content[:place] + b"\xff" + content[place + 1 :])
+    offset = content.index(np.float64(MATRIX[0, 0]).tobytes()) - 8  # of the type of the numbers of fc
+    (tmp_path / "c.mat").write_bytes(content[:offset] + b"\xff" + content[offset + 1 :])
 
     with pytest.raises(DataError, match=r"c\.mat: is not a valid \.mat file"):
         read_camera(tmp_path / "c.mat")

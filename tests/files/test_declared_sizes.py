@@ -1,4 +1,4 @@
-"""What a file declares is checked before anything of that size is decompressed."""
+"""Declared sizes of images and arrays are checked before decompression."""
 
 import io
 import struct
@@ -47,7 +47,7 @@ def bmp(width: int, height: int) -> bytes:
 
 
 def tiff(image, order: str = "<", big: bool = False, changes=()) -> bytes:
-    """An uncompressed grey TIFF or BigTIFF of one strip, tag by tag as the specifications have them."""
+    """An uncompressed grey TIFF or BigTIFF of one strip, built from the specifications."""
     height, width = image.shape
     start = (16 if big else 8) + image.size
     tags = {256: width, 257: height, 258: 8, 259: 1, 262: 1, 273: start - image.size, 277: 1, 278: height}
@@ -148,7 +148,7 @@ def test_an_image_of_another_size_than_the_rig_is_rejected_before_decoding(tmp_p
 
 
 def peak_of_refusal(read, *arguments, **options) -> tuple[str, int]:
-    """What the error says, and the bytes that were allocated at most."""
+    """The message of the error, and the peak of the allocated bytes."""
     tracemalloc.start()
     try:
         with pytest.raises(DataError) as caught:
@@ -159,7 +159,7 @@ def peak_of_refusal(read, *arguments, **options) -> tuple[str, int]:
 
 
 def with_file_size(archive: bytes, size: int) -> bytes:
-    """The archive, whose directory declares another uncompressed size for its one member."""
+    """The archive with another uncompressed size of its one member in the directory."""
     changed = bytearray(archive)
     struct.pack_into("<I", changed, changed.rindex(b"PK\x01\x02") + 24, size)
     return bytes(changed)

@@ -1,4 +1,4 @@
-"""Whatever stands in a file, reading it gives a record or one error that names the place."""
+"""Property tests: any contents of a file are read, or rejected with one line that names the location."""
 
 import json
 import math
@@ -123,7 +123,7 @@ LINE = {
 
 
 def paths(values, here=()):
-    """Every place in nested values."""
+    """The path of every value in nested values."""
     items = values.items() if isinstance(values, dict) else enumerate(values) if isinstance(values, list) else ()
     for key, item in items:
         yield (*here, key)
@@ -142,14 +142,14 @@ def spoiled_once(values):
     return st.builds(lambda path, odd: spoiled(values, path, odd), st.sampled_from(sorted(paths(values), key=str)), ODD)
 
 
-def outcome(read, source, place: str):
-    """What is read, or None if it was refused as it should be: in one line that begins with the place."""
+def outcome(read, source, location: str):
+    """The result of reading, or None after a `DataError` of one line that begins with the location."""
     try:
         return read(source)
     except DataError as error:
-        refusal = str(error)
-    assert refusal.startswith(place)
-    assert "\n" not in refusal
+        message = str(error)
+    assert message.startswith(location)
+    assert "\n" not in message
     return None
 
 
@@ -216,8 +216,8 @@ def whole_shot(tmp_path_factory) -> bytes:
 @given(data=st.data())
 def test_a_shot_with_damaged_bytes_is_read_or_rejected(tmp_path, whole_shot, data):
     damaged = bytearray(whole_shot)
-    for place in data.draw(st.lists(st.integers(0, len(damaged) - 1), min_size=1, max_size=4)):
-        damaged[place] = data.draw(st.integers(0, 255))
+    for offset in data.draw(st.lists(st.integers(0, len(damaged) - 1), min_size=1, max_size=4)):
+        damaged[offset] = data.draw(st.integers(0, 255))
     file = tmp_path / "a.npz"
     file.write_bytes(damaged)
 

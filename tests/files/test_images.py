@@ -136,7 +136,7 @@ def test_damaged_jpeg_is_refused_although_it_can_be_decoded(tmp_path, rng, capfd
 
 @pytest.mark.parametrize("padding", [bytes(16), b"\x7f" * 16, b"\xff" * 16, bytes(9) + b"\xff" * 9])
 def test_jpeg_with_padding_before_its_end_marker_is_read(tmp_path, rng, capfd, padding):
-    """As webcams write the frames of motion JPEG."""
+    """Padding as in the motion JPEG frames of webcams."""
     whole = encoded(".jpg", grey(rng))
     (tmp_path / "a.jpg").write_bytes(whole[:-2] + padding + b"\xff\xd9")
 
@@ -147,7 +147,7 @@ def test_jpeg_with_padding_before_its_end_marker_is_read(tmp_path, rng, capfd, p
 
 
 def test_jpeg_with_pixels_that_are_left_over_is_refused(tmp_path, rng):
-    """A packet that was stored twice moves all pixels after it, and the last ones remain before the end marker."""
+    """A duplicated packet shifts all pixels after it, and the last ones remain before the end marker."""
     whole = encoded(".jpg", grey(rng))
     middle = len(whole) // 2
     (tmp_path / "a.jpg").write_bytes(whole[:middle] + whole[middle - 200 : middle] + whole[middle:])

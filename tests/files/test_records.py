@@ -33,7 +33,7 @@ def test_lines_are_read_one_by_one_with_their_location():
 
 
 def test_line_numbers_count_blank_lines():
-    assert [place for place, _ in records.read(["{}\n", "\n", "{}\n"], "x")] == ["x:1", "x:3"]
+    assert [location for location, _ in records.read(["{}\n", "\n", "{}\n"], "x")] == ["x:1", "x:3"]
 
 
 @pytest.mark.parametrize(
@@ -93,9 +93,9 @@ def test_closed_stdout_is_an_input_output_error(monkeypatch):
 def test_a_written_name_is_read_back(capsys, monkeypatch, name, line):
     records.write_name(Path(name))
 
-    said = capsys.readouterr().out
-    assert said == f"{line}\n"
-    monkeypatch.setattr("sys.stdin", io.StringIO(said))
+    written = capsys.readouterr().out
+    assert written == f"{line}\n"
+    monkeypatch.setattr("sys.stdin", io.StringIO(written))
     assert list(inputs(["-"], (".npz",))) == [Path(name)]
 
 

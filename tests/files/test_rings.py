@@ -1,4 +1,4 @@
-"""Catalogues of rings."""
+"""Reading of ring catalogues."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What scene.yaml says, and what is refused, each with its place and in one line."""
+"""Reading of scene.yaml, and the messages for invalid scenes."""
 
 import copy
 from pathlib import Path
@@ -52,7 +52,7 @@ RIG = {
 
 @pytest.fixture
 def scene_of(tmp_path: Path):
-    """Reads the scene above with something changed: a path of keys, and what stands there; None removes it."""
+    """Reads the scene above with another value at a path of keys; None removes the key."""
 
     def read(*changes, rig=RIG):
         values = copy.deepcopy(SCENE)

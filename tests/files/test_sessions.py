@@ -1,4 +1,4 @@
-"""Session folders, however they end."""
+"""Writing of session folders: normal ends, failures, replacing and appending."""
 
 import errno
 import signal

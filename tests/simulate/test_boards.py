@@ -61,7 +61,7 @@ def test_corners_are_found_at_their_projections(sharp_scene, kind):
 
 
 def test_a_charuco_board_equals_that_of_opencv():
-    """Cell by cell of a marker's bits and of the squares around, against OpenCV's own picture of the board."""
+    """Compares the print with OpenCV's image of the board."""
     size_px = 64
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
     theirs = cv2.aruco.CharucoBoard((7, 5), 0.04, 0.03, dictionary).generateImage((7 * size_px, 5 * size_px))
@@ -88,24 +88,24 @@ def test_given_poses_come_before_random_ones(sharp_scene):
     boards = boards_of("charuco")
     written = board_poses(sharp_scene, boards)[:1]
 
-    places = board_poses(sharp_scene, replace(boards, poses=written))
+    poses = board_poses(sharp_scene, replace(boards, poses=written))
 
-    assert len(places) == 3
-    assert places[0] is written[0]
+    assert len(poses) == 3
+    assert poses[0] is written[0]
 
 
 def test_random_boards_lie_between_the_distances(sharp_scene):
     approach = BoardApproach(count=50, distances_m=(0.3, 0.9), offset=0.0)
 
-    places = board_poses(sharp_scene, boards_of("charuco", approach=approach))
+    poses = board_poses(sharp_scene, boards_of("charuco", approach=approach))
 
-    depth_m = [(p.rotation @ middle_of_board_m(CHARUCO) + p.translation_m)[2] for p in places]
+    depth_m = [(p.rotation @ middle_of_board_m(CHARUCO) + p.translation_m)[2] for p in poses]
     assert min(depth_m) >= 0.3
     assert max(depth_m) <= 0.9
     assert np.ptp(depth_m) > 0.4
 
 
 def test_the_board_faces_the_camera(sharp_scene):
-    places = board_poses(sharp_scene, boards_of("charuco", approach=BoardApproach(count=50)))
+    poses = board_poses(sharp_scene, boards_of("charuco", approach=BoardApproach(count=50)))
 
-    assert min(place.rotation[2, 2] for place in places) > 0.5
+    assert min(pose.rotation[2, 2] for pose in poses) > 0.5

@@ -15,7 +15,7 @@ def truth_of(scene, view):
 
 
 def pixel_of(point, camera):
-    """Pinhole and plumb_bob, written out."""
+    """Projection by the pinhole and plumb_bob models, from their formulas."""
     x, y = point[0] / point[2], point[1] / point[2]
     k1, k2, p1, p2, k3 = camera.distortion_coefficients
     r2 = x * x + y * y
@@ -27,7 +27,7 @@ def pixel_of(point, camera):
 
 
 def point_where_circle_meets_plane(view, radius_m, normal, distance_m):
-    """Root of the plane's equation along the circle, near the camera's axis."""
+    """Point of the circle on the light plane near the camera's axis, by root finding."""
     first = np.cross([0.0, 1.0, 0.0], view.normal)
     first /= np.linalg.norm(first)
     second = np.cross(view.normal, first)
@@ -86,7 +86,7 @@ RIM = [[0.55, 0.0], [0.555, 0.16], [0.56, 0.06], [0.60, 0.06], [0.60, 0.0]]
 
 @pytest.mark.parametrize(("profile_m", "seen"), [(FLAT, True), (RIM, False)])
 def test_a_break_point_behind_a_rim_is_null(scene, view, profile_m, seen):
-    """Seen from inside the ring."""
+    """The camera looks from inside the ring, whose rim occludes the outer edge."""
     inside = replace(view, center_m=np.array([-0.45, -0.08, 0.47]))
     rimmed = replace(scene, ring=RingShape(profile_m=np.array(profile_m)))
 

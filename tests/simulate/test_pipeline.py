@@ -91,7 +91,7 @@ def test_light_grows_with_exposure(scene, view):
 
 
 def test_exposure_reaches_the_requested_grey_value(clean_scene, view):
-    """Peak of the brightest stripe on the face, within noise and the rounding of the profile over pixels."""
+    """The peak of the brightest stripe on the face, within noise and the integration of the profile over pixels."""
     ((shot, truth),) = simulate(replace(clean_scene, stripe_dn=150.0, lens=replace(clean_scene.lens, blur_px=0.7)))
 
     peaks = []
@@ -138,7 +138,7 @@ def test_each_frame_has_new_noise(scene):
 
 @pytest.mark.parametrize("distance_m", [0.25, 0.5, 1.0])
 def test_random_poses_show_the_ring_at_their_distance(scene, distance_m):
-    """The middle of the band crosses the ray of a pixel near the picture's middle, at that depth."""
+    """The mean circle of the ring intersects the ray of a pixel near the image centre at that depth."""
     approach = Approach(count=20, distances_m=(distance_m,), offset=0.0)
 
     views = ring_views(replace(scene, views=(), approaches=(approach,)))

@@ -14,7 +14,7 @@ def test_rays_through_pixel_centres_agree_with_the_lens_model(small_rig):
 
 
 def test_samples_fill_their_pixel_evenly(small_rig):
-    """Sixteen different rows and sixteen different columns, all within half a pixel, the centre in their middle."""
+    """Sixteen different rows and columns within half a pixel, with the pixel centre as their mean."""
     camera = small_rig.camera
     pixel = 100 * 320 + 200
     sampled = sample_directions(pixel_rays(camera), np.array([pixel]))

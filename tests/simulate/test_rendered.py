@@ -17,7 +17,7 @@ SHOTS = ["B_z0300_p00_dim", "B_z0500_p00_dim", "B_z1000_p00_dim"]
 
 @pytest.fixture
 def pair_of(scene, shared_data):
-    """A rendered shot, the shot of the same scene simulated, and the truth."""
+    """Returns a rendered shot, the simulated shot of the same scene, the truth and the rig."""
 
     def pair(name):
         folder = shared_data / "rendered" / "rig_b"

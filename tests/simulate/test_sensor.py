@@ -46,7 +46,7 @@ def test_the_converters_last_code(bits, kind, most, rng):
 
 
 def test_the_pattern_of_the_pixels_stays(rng):
-    """Averaged over many frames, only the pixels' own responses remain."""
+    """The mean over many frames shows the responses of the pixels."""
     uneven = replace(EVEN, photo_response_non_uniformity=0.02)
     first, second = (np.mean([image_at(8000.0, uneven, rng) for _ in range(30)], axis=0) for _ in range(2))
 

@@ -68,7 +68,7 @@ def test_the_mirror_direction_is_the_brightest():
 
 
 def test_ambient_radiance_of_a_matt_surface_is_about_its_share():
-    """Facing the camera, between lamps: 0.8 of the ambient irradiance over pi, within a factor of two."""
+    """A surface that faces the camera has 0.8 of the ambient irradiance over pi, within a factor of two."""
     white = surfaces([MATERIALS["white"]], np.zeros(1, dtype=np.int8))
     facing = np.array([[0.0], [0.0], [-1.0]])
 

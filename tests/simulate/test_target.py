@@ -50,7 +50,7 @@ def test_normals_of_the_box_point_out_of_the_side_that_is_hit(rng):
 
 
 def test_hits_settle_on_the_foil(rng):
-    """Height of a point on the relief relative to the relief, bilinear, by an independent look-up."""
+    """Height of points above the relief, by independent bilinear interpolation."""
     foil = Foil(rms_m=0.0008, crinkle_m=0.03)
     target = ring_target(None, Body(size_m=SIZE_M, foil=foil))
     eye = np.array([0.1, 0.05, 0.4])

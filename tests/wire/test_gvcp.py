@@ -1,4 +1,4 @@
-"""Control messages against bytes written out by hand from the published layout."""
+"""GVCP messages against bytes derived by hand from the published layout."""
 
 import pytest
 

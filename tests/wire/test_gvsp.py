@@ -1,4 +1,4 @@
-"""Frames in their datagrams, against bytes written out by hand, and put together again."""
+"""GVSP packets against bytes derived by hand from the published layout."""
 
 import pytest
 

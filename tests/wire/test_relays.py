@@ -1,4 +1,4 @@
-"""Bytes of the relay boards, against frames published by their makers and by others who drive them."""
+"""Codecs of relay boards against frames published by manufacturers and other projects."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""The Aravis driver on a served camera: what it gets, and what it tries again."""
+"""The Aravis driver with a virtual camera: frames, settings and repeated triggers."""
 
 import socket
 import threading
@@ -88,12 +88,12 @@ def test_an_output_line_switches_its_laser(serve, camera):
 
 
 def test_exposure_and_gain_change_the_image(serve, camera):
-    stand_in = serve()
+    device = serve()
 
     with (opened := camera(format="Mono12", gain="6.0206")):
         short, longer = (opened.trigger(0, exposure_s) for exposure_s in (0.002, 0.008))
 
-    black_dn = 16 * stand_in._scene.sensor.black_level_dn
+    black_dn = 16 * device._scene.sensor.black_level_dn
     assert short.image.dtype == np.uint16
     assert opened.uri.parameters["gain"] == "6.0206"
     assert (longer.image.mean() - black_dn) / (short.image.mean() - black_dn) == pytest.approx(4.0, rel=0.05)
@@ -101,12 +101,12 @@ def test_exposure_and_gain_change_the_image(serve, camera):
 
 
 def test_lost_packets_are_sent_again(serve, camera):
-    stand_in = serve("loss=0.02")
+    device = serve("loss=0.02")
 
     with (opened := camera()):
         frames = [opened.trigger(0) for _ in range(60)]
 
-    assert stand_in.camera.stream.lost_packets > 10
+    assert device.camera.stream.lost_packets > 10
     assert sum(frame.attempts for frame in frames) == 60
 
 
@@ -121,10 +121,10 @@ def test_an_incomplete_frame_is_triggered_again(serve, camera):
 
 
 def test_packets_have_the_requested_size(serve, camera):
-    stand_in = serve()
+    device = serve()
 
     with camera(packet="3000"):
-        assert stand_in.camera.registers[0x0D04] == 3000
+        assert device.camera.registers[0x0D04] == 3000
 
 
 def test_a_colour_pixel_format_is_rejected(serve, camera, monkeypatch):
@@ -160,9 +160,9 @@ def test_frames_after_a_change_of_exposure_are_discarded(serve, camera):
 
 
 def test_a_camera_is_free_after_the_heartbeat_timeout_of_a_killed_client(serve, camera, loopback_address):
-    """A client that takes control and is never heard again."""
-    stand_in = serve()
-    stand_in.camera.registers[0x0938] = 500
+    """A client that gets control and then sends no heartbeat."""
+    device = serve()
+    device.camera.registers[0x0938] = 500
     silent = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     silent.settimeout(2.0)
     silent.sendto(bytes.fromhex("420100820008000100000a0000000002"), (loopback_address, 3956))

@@ -1,4 +1,4 @@
-"""What the Aravis driver says when it cannot: a lost camera, one in other hands, settings that it does not take."""
+"""Errors of the Aravis driver: a lost camera, a camera controlled by another client, invalid settings."""
 
 import socket
 
@@ -52,10 +52,10 @@ def test_a_camera_controlled_by_another_client_is_an_error(serve, camera):
 
 
 def test_losing_control_to_another_client_is_an_error(serve, camera):
-    stand_in = serve()
+    device = serve()
 
     with (opened := camera()):
-        stand_in.camera._control.client = ("127.0.0.1", 1)
+        device.camera._control.client = ("127.0.0.1", 1)
         with pytest.raises(DeviceError, match="is controlled by another program; close that one"):
             opened.set("Gain", 1.0)
 

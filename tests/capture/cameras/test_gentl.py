@@ -1,4 +1,4 @@
-"""The GenTL driver on an object that stands for harvesters: none with a software trigger can be had for tests."""
+"""The GenTL driver with a fake of harvesters, since no free GenTL producer has a software trigger."""
 
 import sys
 from dataclasses import dataclass, field
@@ -14,7 +14,7 @@ from ringpose.errors import DeviceError
 
 @dataclass
 class Node:
-    """A feature."""
+    """A fake feature node."""
 
     value: object
     min: float | None = None
@@ -46,7 +46,7 @@ class Buffer:
 
 @dataclass
 class Nodes:
-    """A node map."""
+    """A fake node map."""
 
     triggered: int = 0
     ExposureTime: Node = field(default_factory=lambda: Node(5000.0, 10.0, 1e6))
@@ -70,7 +70,7 @@ class Nodes:
 
 
 class Acquirer:
-    """A camera; every second frame is incomplete if requested."""
+    """A fake camera; every second frame is incomplete if requested."""
 
     def __init__(self, broken: tuple[int, ...] = ()) -> None:
         self.remote_device = SimpleNamespace(node_map=Nodes())
@@ -95,7 +95,7 @@ class Acquirer:
 
 @pytest.fixture
 def harvested(monkeypatch, tmp_path):
-    """A driver whose harvesters finds one acquirer."""
+    """A driver for which harvesters finds one fake camera."""
     producer = tmp_path / "fake.cti"
     producer.touch()
 

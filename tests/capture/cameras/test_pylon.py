@@ -1,4 +1,4 @@
-"""The pylon driver on pypylon's own emulated camera."""
+"""The pylon driver with the emulated camera of pypylon."""
 
 import os
 import sys
@@ -16,9 +16,11 @@ def emulated():
     if not os.environ.get("CI"):  # there it must not be missing
         pytest.importorskip("pypylon.pylon", reason="pypylon is not installed (pip install ringpose[pylon])")
 
-    def driver(place: str = "", **parameters: str) -> PylonCamera:
+    def driver(address: str = "", **parameters: str) -> PylonCamera:
         return PylonCamera(
-            DeviceUri(text=f"pylon:{place}", option="--camera", scheme="pylon", address=place, parameters=parameters)
+            DeviceUri(
+                text=f"pylon:{address}", option="--camera", scheme="pylon", address=address, parameters=parameters
+            )
         )
 
     return driver

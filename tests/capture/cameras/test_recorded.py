@@ -1,4 +1,4 @@
-"""Recorded shots and images by the steps of a sequence."""
+"""Recorded shots and images rearranged to the steps of a sequence."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from ringpose.types.sequence import parsed_sequence
 
 
 def shot_of_masks(*lasers: int, name: str = "shot", **fields: object) -> Shot:
-    """Frame k is all k and was taken at k seconds."""
+    """A shot whose frame k has the grey value k and the stamp k seconds."""
     places = np.arange(len(lasers))
     return Shot(
         name=name,
@@ -86,7 +86,7 @@ def test_an_invalid_shot_does_not_end_the_recording():
 def test_consecutive_images_form_shots():
     recording = Recording(parsed_sequence("off,2,all"))
 
-    shots = [recording.taken(image(f"image_{place}", place)) for place in range(6)]
+    shots = [recording.taken(image(f"image_{number}", number)) for number in range(6)]
     recording.end()
 
     assert [shot and shot.name for shot in shots] == [None, None, "image_0", None, None, "image_3"]

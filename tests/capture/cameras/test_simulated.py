@@ -1,4 +1,4 @@
-"""The simulated camera sees what is lit, and a new moment with every arming."""
+"""The simulated camera shows the lasers that are on, and advances to the next view when it is armed."""
 
 import numpy as np
 import pytest

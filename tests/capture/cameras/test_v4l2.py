@@ -1,4 +1,4 @@
-"""The OpenCV driver on a numbered image sequence: there is no video device to test with."""
+"""The OpenCV driver with a numbered image sequence instead of a video device."""
 
 import cv2
 import numpy as np
@@ -9,15 +9,15 @@ from ringpose.capture.uri import DeviceUri
 from ringpose.errors import DeviceError, UsageError
 
 
-def camera(place: str, **parameters: str) -> V4l2Camera:
+def camera(address: str, **parameters: str) -> V4l2Camera:
     return V4l2Camera(
-        DeviceUri(text=f"v4l2:{place}", option="--camera", scheme="v4l2", address=place, parameters=parameters)
+        DeviceUri(text=f"v4l2:{address}", option="--camera", scheme="v4l2", address=address, parameters=parameters)
     )
 
 
 @pytest.fixture
 def sequence(tmp_path) -> str:
-    """Image k is grey value 10 k all over."""
+    """A folder of images; image k has the grey value 10 k."""
     for number in range(9):
         cv2.imwrite(str(tmp_path / f"{number:03d}.png"), np.full((6, 8, 3), 10 * number, np.uint8))
     return str(tmp_path / "%03d.png")

@@ -9,7 +9,7 @@ from ringpose.errors import DeviceError, LaserSafetyError, UsageError
 
 
 class NotedLines:
-    """A camera whose lines are all high when it is found."""
+    """A fake camera whose lines are all high at first."""
 
     def __init__(self, says=True, stuck=""):
         self.high = dict.fromkeys(("Line1", "Line2", "Line4"), True)

@@ -1,4 +1,4 @@
-"""Our Modbus frames before a server that we did not write: pymodbus, at the other end of a serial line."""
+"""The Modbus codec against an independent server: pymodbus at the other end of a serial line."""
 
 import os
 import select
@@ -39,7 +39,7 @@ asyncio.run(serve())
 
 @pytest.fixture
 def line():
-    """Two terminals that are the ends of one serial line."""
+    """Two pseudo-terminals that are the ends of one serial line."""
     (left, left_end), (right, right_end) = os.openpty(), os.openpty()
     stopped, stop = os.pipe()
 

@@ -1,4 +1,4 @@
-"""A watchdog opens the port of its board, or reports why it cannot."""
+"""Opening of relay lasers, and its errors."""
 
 import os
 import resource

@@ -1,4 +1,4 @@
-"""A relay board at a port that records every byte and sends given answers."""
+"""The relay board driver with a port that records every byte and sends given answers."""
 
 import pytest
 
@@ -14,7 +14,7 @@ DARK = b"CH1: OFF\r\nCH2: OFF\r\nCH3: OFF\r\n"
 
 
 class NotedPort(SerialPort):
-    """Gives `answers` one after the other, the last one for ever; an exception is raised."""
+    """Returns `answers` in turn, the last one repeatedly; an exception is raised."""
 
     def __init__(self, *answers):
         super().__init__("port", 9600)
@@ -111,7 +111,7 @@ def test_one_relay_that_fails_does_not_keep_the_others_on():
 @pytest.mark.parametrize("lost", [1, 2])
 def test_a_lost_byte_does_not_end_the_capture(lost):
     class Noisy(NotedPort):
-        """Says nothing to every so many orders in a row, then answers as a Modbus board does."""
+        """Does not answer a number of commands in a row, then answers as a Modbus board."""
 
         def exchange(self, request, is_whole, limit_s):
             self.sent.append(request)

@@ -1,4 +1,4 @@
-"""URIs of relay boards -> settings."""
+"""Settings of relay boards from their URIs."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Whatever pyserial raises is a `DeviceError` that says what to do."""
+"""The serial port converts every error of pyserial into a `DeviceError` with a remedy."""
 
 import errno
 import os
@@ -13,7 +13,7 @@ from ringpose.errors import DeviceError
 
 
 class FakeSerial(serial.Serial):
-    """A port whose every call raises, or whose inputs are set."""
+    """A fake port whose calls raise an error, or whose inputs are set."""
 
     cts = dsr = False
 

@@ -1,4 +1,4 @@
-"""When the watchdog steps in, on a clock and a board made for it."""
+"""Conditions under which the watchdog switches off, with a fake clock and board."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The driver and its watchdog, in the same process as the board's stand-in."""
+"""The driver of relay lasers and its watchdog, with a virtual board in this process."""
 
 import os
 import signal
@@ -18,7 +18,7 @@ ALL_SCHEMES = ["lcus", "numato", "modbus", "ascii"]
 
 
 def off_after_signal(uri: str, relays, time_until, number: int, message: str) -> float:
-    """Seconds from a signal to the watchdog until all lasers are off; the next command says what happened."""
+    """Time from a signal to the watchdog until all lasers are off; the next command reports the fault."""
     lasers = lasers_at(uri)
     with lasers:
         lasers.set_mask(0b111)

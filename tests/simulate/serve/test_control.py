@@ -1,4 +1,4 @@
-"""Who may write to the camera, and for how long."""
+"""Control channel of the virtual camera: access rights, heartbeat and effects of writes."""
 
 import math
 import struct
@@ -17,7 +17,7 @@ OWNER, OTHER = ("127.0.0.1", 5000), ("127.0.0.1", 5001)
 
 
 class Recorded:
-    """Notes what the camera is told to do."""
+    """Records the actions that are triggered."""
 
     def __init__(self) -> None:
         self.done: list[object] = []
@@ -56,7 +56,7 @@ def control(actions):
 
 
 def words(*values: int) -> bytes:
-    """Numbers of 32 bits, as a payload has them."""
+    """A payload of 32-bit numbers."""
     return struct.pack(f">{len(values)}I", *values)
 
 

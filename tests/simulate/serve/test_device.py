@@ -1,4 +1,4 @@
-"""The served camera at its sockets: whatever comes, it goes on; and what it sends belongs to who asked."""
+"""The virtual camera at its sockets: robustness against arbitrary datagrams, and the limits of an acquisition."""
 
 import socket
 import struct
@@ -15,7 +15,7 @@ from ringpose.wire import gige_registers as bootstrap
 
 
 class Counted:
-    """Image k is grey value k all over."""
+    """Image k has the grey value k in every pixel."""
 
     number = 0
 

@@ -1,4 +1,4 @@
-"""Faults in the words of the command line."""
+"""Parsing of the option --fault."""
 
 import pytest
 

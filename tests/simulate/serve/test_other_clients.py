@@ -1,4 +1,4 @@
-"""The served camera, read by clients that are not ours: EMVA's GenApi, and Aravis' own tool."""
+"""The virtual camera with independent clients: EMVA's GenApi and the command-line tool of Aravis."""
 
 import subprocess
 
@@ -20,13 +20,13 @@ def notes():
 def served(tmp_path, loopback_address, notes):
     with VirtualDevice(
         small_scene(tmp_path), Setup(address=loopback_address, move=AdvancePolicy.NEVER), notes.append
-    ) as stand_in:
-        yield stand_in
+    ) as device:
+        yield device
 
 
 @pytest.fixture
 def nodes(served, loopback_address):
-    """GenApi's node map over a port of the test's own, and that port."""
+    """GenApi's node map, and the GVCP port through which it reads and writes."""
     genapi = pytest.importorskip("genicam.genapi", reason="genicam is not installed (pip install genicam)")
 
     class GenApiPort(genapi.AbstractPort):
@@ -108,11 +108,11 @@ def test_genapi_receives_twelve_bits(nodes):
 def test_the_tool_of_aravis_reads_the_camera(served, loopback_address, needed_program):
     tool = needed_program("arv-tool-0.8")
 
-    said = subprocess.run(
+    done = subprocess.run(
         [tool, "-a", loopback_address, "control", "Width", "PixelFormat", "ExposureTime"],
         capture_output=True,
         text=True,
         timeout=30,
     )
 
-    assert [line.split(" = ")[1].split()[0] for line in said.stdout.splitlines()] == ["200", "Mono8", "5000"]
+    assert [line.split(" = ")[1].split()[0] for line in done.stdout.splitlines()] == ["200", "Mono8", "5000"]

@@ -1,4 +1,4 @@
-"""The stand-in of a relay board, spoken to in bytes over its terminal."""
+"""The virtual relay board, with bytes written to its pseudo-terminal."""
 
 import os
 import select
@@ -79,7 +79,7 @@ CODECS = {
 
 
 def impossible(name: str) -> list[bytes]:
-    """Well-formed commands to relays that no board has, and noise without an end."""
+    """Well-formed commands to relays that the board does not have, and endless noise."""
     frames = [bytes.fromhex(text) for text in ("0101 0000 ffff", "010f 0000 0001 01ff", "010f 0005 0007 017f")]
     return {
         "lcus": [bytes.fromhex("A0 FF 01 A0")],
@@ -90,7 +90,7 @@ def impossible(name: str) -> list[bytes]:
 
 
 def answered(port: int, question: bytes) -> bool:
-    """Whether the board still says something, after what it had to say before."""
+    """Whether the board answers a question, after earlier answers have been read."""
     while select.select([port], [], [], 0.2)[0]:
         os.read(port, 4096)
     for _ in range(3):  # the first one may end what came before

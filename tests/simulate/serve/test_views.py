@@ -1,4 +1,4 @@
-"""What the served camera sees: the lasers that truly shine, for as long as they do, and views that move on."""
+"""Exposures of the virtual camera: lasers that are on for part of an exposure, and the sequence of views."""
 
 import math
 import time
