@@ -40,7 +40,7 @@ class LineLasers(LaserDriver):
         self.set_mask(0)
 
     def set_mask(self, lasers: int) -> None:
-        """Light exactly these; lasers that go off are switched before those that come on."""
+        """Switch on exactly these lasers; those that go off are switched before those that come on."""
         for on in (False, True):
             for number, line in enumerate(self._lines):
                 if bool(lasers >> number & 1) is on:

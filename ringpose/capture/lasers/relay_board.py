@@ -88,7 +88,7 @@ class RelayBoard:
         self._reads = settings.read_back if self._codec.reports else "no"
 
     def set_mask(self, lasers: int) -> None:
-        """Light exactly these; lasers that go off are switched before those that come on."""
+        """Switch on exactly these lasers; those that go off are switched before those that come on."""
         _retried(lambda: self._off(self.on_mask & ~lasers))
         self.on_mask &= lasers
         for laser in _members(lasers & ~self.on_mask):

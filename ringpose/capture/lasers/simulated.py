@@ -21,7 +21,7 @@ class SimulatedLasers(LaserDriver):
         self._mask = 0
 
     def set_mask(self, lasers: int) -> None:
-        """Light exactly these."""
+        """Switch on exactly these lasers."""
         self._mask = lasers
 
     def read_mask(self) -> int | None:

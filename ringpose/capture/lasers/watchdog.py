@@ -75,13 +75,18 @@ class WatchdogLasers(LaserDriver):
     def open(self) -> None:
         """Start the watchdog, which opens the port and switches everything off."""
         _disable_core_dumps()
-        self._watchdog = _started(self.settings)
+        # A new interpreter in its own session, with the module search path of this one.
+        paths = os.pathsep.join([*sys.path, str(Path(ringpose.__file__).parents[1])])
+        start = _START.format(separator=os.pathsep)
+        words = [sys.executable, "-I", "-S", "-c", start, str(os.getpid()), self.settings.line(), paths]
+        pipe = subprocess.PIPE
+        self._watchdog = subprocess.Popen(words, stdin=pipe, stdout=pipe, start_new_session=True)  # noqa: S603 (no word comes from outside)
         self._monitor = ChildMonitor(self._watchdog.pid, self._watchdog_ended)
         self._reply(0, OPENING_LIMIT_S + self.settings.opening_s)
         self._in_service = True
 
     def set_mask(self, lasers: int) -> None:
-        """Light exactly these; lasers that go off are switched before those that come on."""
+        """Switch on exactly these lasers; those that go off are switched before those that come on."""
         try:
             self._send(f"set {lasers}")
         except DeviceError:
@@ -217,15 +222,6 @@ class ChildMonitor:
             self._on_end(self._pid)
         finally:
             self.has_ended.set()
-
-
-def _started(settings: RelaySettings) -> "subprocess.Popen[bytes]":
-    """The watchdog: a new interpreter in its own session, with the module search path of this one."""
-    paths = os.pathsep.join([*sys.path, str(Path(ringpose.__file__).parents[1])])
-    start = _START.format(separator=os.pathsep)
-    words = [sys.executable, "-I", "-S", "-c", start, str(os.getpid()), settings.line(), paths]
-    pipe = subprocess.PIPE
-    return subprocess.Popen(words, stdin=pipe, stdout=pipe, start_new_session=True)  # noqa: S603 (no word comes from outside)
 
 
 def _switch_off(settings: RelaySettings) -> None:
