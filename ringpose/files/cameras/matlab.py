@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ringpose.errors import DataError
-from ringpose.files.cameras.ros import checked_matrix
+from ringpose.files.cameras.ros import pinhole_camera
 from ringpose.files.schema import Fields
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
@@ -90,7 +90,7 @@ def _camera_of_toolbox(values: Mapping[str, Any], file: str, name: str) -> Camer
     fc, cc, kc = (_numbers(values[key], file, key) for key in ("fc", "cc", "kc"))
     size = (_numbers(values["nx"], file, "nx"), _numbers(values["ny"], file, "ny"))
     return _camera(
-        file, name, (size[0][0], size[1][0]), (_of_length(fc, 2, file, "fc"), _of_length(cc, 2, file, "cc"), kc)
+        file, name, (size[0][0], size[1][0]), _of_length(fc, 2, file, "fc"), _of_length(cc, 2, file, "cc"), kc
     )
 
 
@@ -109,33 +109,29 @@ def _camera_of_struct(values: Mapping[str, Any], file: str, name: str) -> Camera
     radial = np.concatenate([radial, np.zeros(3)])[:3]
     kc = np.array([*radial[:2], *_of_length(tangential, 2, file, _STRUCT[2]), radial[2]])
     height, width = _of_length(_numbers(values["ImageSize"], file, "ImageSize"), 2, file, "ImageSize")
-    return _camera(file, name, (width, height), (np.array([fx, fy]), np.array([cx, cy]) - 1, kc))
+    return _camera(file, name, (width, height), np.array([fx, fy]), np.array([cx, cy]) - 1, kc)
 
 
-_Parameters = tuple[Float64[Array, "2"], Float64[Array, "2"], Float64[Array, "_"]]
-
-
-def _camera(file: str, name: str, size: tuple[float, float], parameters: _Parameters) -> Camera:
-    (fx, fy), (cx, cy), kc = parameters
+def _camera(
+    file: str,
+    name: str,
+    size: tuple[float, float],
+    focal_px: Float64[Array, "2"],
+    center_px: Float64[Array, "2"],
+    coefficients: Float64[Array, "_"],
+) -> Camera:
+    if len(coefficients) > 5:
+        raise DataError(file, f"has {len(coefficients)} distortion coefficients, must have at most 5")
+    (fx, fy), (cx, cy) = focal_px, center_px
     fields = Fields(file, {"image_width": int(size[0]), "image_height": int(size[1])})
-    if len(kc) > 5:
-        raise DataError(file, f"has {len(kc)} distortion coefficients, must have at most 5")
-    return Camera(
-        camera_name=name,
-        image_width=fields.integer("image_width", least=1),
-        image_height=fields.integer("image_height", least=1),
-        camera_matrix=checked_matrix(fields, np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])),
-        distortion_model="plumb_bob",
-        distortion_coefficients=np.concatenate([kc, np.zeros(5 - len(kc))]),
-    )
+    return pinhole_camera(fields, name, np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), coefficients)
 
 
 def _toolbox_values(camera: Camera) -> dict[str, Any]:
     matrix, coefficients = camera.camera_matrix, camera.distortion_coefficients
     if np.any(coefficients[5:] != 0):
-        raise DataError(
-            "matlab", "the toolbox has only k1, k2, p1, p2, k3", "calibrate with --distortion-model plumb_bob"
-        )
+        remedy = "calibrate with --distortion-model plumb_bob"
+        raise DataError("matlab", "the toolbox has only k1, k2, p1, p2, k3", remedy)
     values: dict[str, Any] = {
         "fc": matrix[[0, 1], [0, 1]],
         "cc": matrix[:2, 2],
