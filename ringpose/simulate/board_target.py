@@ -8,7 +8,7 @@ import numpy as np
 
 from ringpose.calibrate.boards.layout import is_white, marker_corners, outline_m
 from ringpose.calibrate.boards.markers import marker_dictionary
-from ringpose.simulate.target import EMPTY
+from ringpose.simulate.target import EMPTY, Hits, Numbers, Vectors
 from ringpose.types.arrays import Array, Bool, Float64, Int8, UInt8
 from ringpose.types.board import Board
 from ringpose.types.scene import MATERIALS, Material
@@ -39,9 +39,7 @@ class BoardTarget:
     materials: tuple[Material, ...] = (MATERIALS["black"], MATERIALS["white"])
     relief_m: float = 0.0
 
-    def first_hits(
-        self, eye: Float64[Array, "xyz=3"], direction: Float64[Array, "xyz=3 ray"]
-    ) -> tuple[Float64[Array, "ray"], Int8[Array, "ray"]]:
+    def first_hits(self, eye: Float64[Array, "xyz=3"], direction: Vectors) -> Hits:
         """See `Target`."""
         with np.errstate(divide="ignore", invalid="ignore"):
             parameter = -eye[2] / direction[2]
@@ -54,19 +52,15 @@ class BoardTarget:
         return np.where(hit, parameter, np.inf), surface
 
     def on_relief(
-        self,
-        eye: Float64[Array, "xyz=3"],
-        direction: Float64[Array, "xyz=3 ray"],
-        parameter: Float64[Array, "ray"],
-        surface: Int8[Array, "ray"],
-    ) -> tuple[Float64[Array, "xyz=3 ray"], Float64[Array, "xyz=3 ray"]]:
+        self, eye: Float64[Array, "xyz=3"], direction: Vectors, parameter: Float64[Array, "ray"], surface: Numbers
+    ) -> tuple[Vectors, Vectors]:
         """See `Target`."""
         point = eye[:, None] + parameter * direction
         normal = np.zeros_like(point)
         normal[2] = -np.sign(direction[2])
         return point, normal
 
-    def blocked(self, point: Float64[Array, "xyz=3 ray"], towards: Float64[Array, "xyz=3 ray"]) -> Bool[Array, "ray"]:
+    def blocked(self, point: Vectors, towards: Vectors) -> Bool[Array, "ray"]:
         """See `Target`; a plane does not occlude itself."""
         return np.zeros(point.shape[1], dtype=np.bool_)
 
