@@ -1,4 +1,4 @@
-"""The main job, end to end, on shots that ringpose did not make: from files to errors against their truth."""
+"""End-to-end tests on externally rendered shots: from files to errors against the ground truth."""
 
 import json
 from pathlib import Path
@@ -117,9 +117,9 @@ LIMITS = [
 ]
 """Method, error, its median and its maximum: about twice what the shots give, more for the paper's centre.
 
-The normal from six points at 1 m is good to a degree and the centre to a centimetre along the optical axis; the
-grasp point is known ten times better. The paper's own form does not hold the centre in the plane, so that its depth
-turns a tenth of a pixel into decimetres.
+From six points at 1 m, the normal is accurate to a degree and the centre to a centimetre along the optical axis; the
+grasp point is ten times more accurate. The paper's own form does not constrain the centre to the plane, so that a tenth
+of a pixel becomes decimetres in depth.
 """
 
 

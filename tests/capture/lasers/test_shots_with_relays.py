@@ -1,8 +1,11 @@
 """Shots of a simulated camera (`DrawnCamera`) with the lasers that the relays of a virtual board switch."""
 
+from contextlib import contextmanager
+
 import numpy as np
 import pytest
 from drawn_camera import DrawnCamera
+from guarded_lasers import lasers_at
 
 from ringpose.capture.lasers.driver import LaserContext
 from ringpose.capture.pipeline import Procedure, captured_shots
@@ -20,17 +23,27 @@ def procedure(sequence=IN_TURN, settle_s=0.005, must_see=True):
 
 
 @pytest.fixture
-def shots_of(board, rng):
+def opened(board, rng):
+    """Opens the lasers of a virtual board and a camera that shows them; yields the board, the camera and the lasers."""
+
+    @contextmanager
+    def devices(scheme="lcus", faults=None, **camera_options):
+        with board(scheme, faults) as (relays, uri):
+            lasers = lasers_at(uri)
+            camera = DrawnCamera(relays.contacts, rng, **camera_options)
+            with camera, lasers:
+                yield relays, camera, lasers
+
+    return devices
+
+
+@pytest.fixture
+def shots_of(opened):
     """Takes shots with a board that has injected faults; returns the shots and the camera."""
 
-    def taken(how, faults=None, names=("a",), scheme="lcus", **camera_words):
-        with board(scheme, faults) as (relays, uri):
-            parts = device_uri(uri, "--lasers", LASERS)
-            lasers = driver(LASERS, parts.scheme)(parts, LaserContext())
-            camera = DrawnCamera(relays.contacts, rng, **camera_words)
-            with camera, lasers:
-                shots = list(captured_shots(camera, lasers, how, names))
-        return shots, camera
+    def taken(how, faults=None, names=("a",), scheme="lcus", **camera_options):
+        with opened(scheme, faults, **camera_options) as (_, camera, lasers):
+            return list(captured_shots(camera, lasers, how, names)), camera
 
     return taken
 
@@ -67,16 +80,12 @@ def test_relays_that_follow_late_are_waited_for(shots_of):
     assert 3 * 5 < camera.taken < 3 * 5 + 15
 
 
-def test_a_laser_that_is_hidden_now_and_then_does_not_make_the_capture_slower(board, rng):
-    with board("lcus") as (relays, uri):
-        parts = device_uri(uri, "--lasers", LASERS)
-        lasers = driver(LASERS, parts.scheme)(parts, LaserContext())
-        camera = DrawnCamera(relays.contacts, rng)
-        settles_s = []
-        with camera, lasers:
-            for number, shot in enumerate(captured_shots(camera, lasers, procedure(settle_s=0.01), "abcde")):
-                settles_s.append(shot.meta["settle_s"])
-                camera.hidden = {camera.taken + 2} if number % 2 == 0 else set()
+def test_a_laser_that_is_hidden_now_and_then_does_not_make_the_capture_slower(opened):
+    settles_s = []
+    with opened() as (_, camera, lasers):
+        for number, shot in enumerate(captured_shots(camera, lasers, procedure(settle_s=0.01), "abcde")):
+            settles_s.append(shot.meta["settle_s"])
+            camera.hidden = {camera.taken + 2} if number % 2 == 0 else set()
 
     assert settles_s == [0.01, 0.02, 0.01, 0.02, 0.01]
 
@@ -117,19 +126,15 @@ def test_a_welded_contact_is_a_safety_fault_though_the_board_reports_it_open(sho
         shots_of(procedure(must_see=must_see), RelayFaults(stuck=frozenset({1})), scheme=scheme)
 
 
-def test_a_contact_that_welds_between_two_shots_is_a_safety_fault(board, rng):
-    with board("lcus") as (relays, uri):
-        parts = device_uri(uri, "--lasers", LASERS)
-        lasers = driver(LASERS, parts.scheme)(parts, LaserContext())
-        camera = DrawnCamera(relays.contacts, rng)
-        with camera, lasers:
-            shots = captured_shots(camera, lasers, procedure(), ["a", "b"])
-            next(shots)
-            relays.contacts.faults = RelayFaults(stuck=frozenset({2}))
-            relays.contacts.command(2, True, 0.0)
+def test_a_contact_that_welds_between_two_shots_is_a_safety_fault(opened):
+    with opened() as (relays, camera, lasers):
+        shots = captured_shots(camera, lasers, procedure(), ["a", "b"])
+        next(shots)
+        relays.contacts.faults = RelayFaults(stuck=frozenset({2}))
+        relays.contacts.command(2, True, 0.0)
 
-            with pytest.raises(LaserSafetyError, match="laser 3 was seen while all are off"):
-                next(shots)
+        with pytest.raises(LaserSafetyError, match="laser 3 was seen while all are off"):
+            next(shots)
 
 
 def test_a_laser_that_burns_from_the_beginning_is_a_safety_fault(shots_of):
@@ -146,26 +151,20 @@ def test_a_camera_that_comes_back_loses_no_shot(shots_of, frame):
     assert camera.opened == 2
 
 
-def test_a_camera_that_is_lost_between_two_shots_loses_none(board, rng):
-    with board("lcus") as (relays, uri):
-        parts = device_uri(uri, "--lasers", LASERS)
-        lasers = driver(LASERS, parts.scheme)(parts, LaserContext())
-        camera, taken = DrawnCamera(relays.contacts, rng), []
-        with camera, lasers:
-            for shot in captured_shots(camera, lasers, procedure(), "ab"):
-                taken.append(shot.name)
-                camera.away = True
+def test_a_camera_that_is_lost_between_two_shots_loses_none(opened):
+    taken = []
+    with opened() as (_, camera, lasers):
+        for shot in captured_shots(camera, lasers, procedure(), "ab"):
+            taken.append(shot.name)
+            camera.away = True
 
     assert (taken, camera.opened) == (["a", "b"], 2)
 
 
-def test_a_camera_that_stays_away_ends_the_capture_with_the_lasers_off(board, rng, monkeypatch):
+def test_a_camera_that_stays_away_ends_the_capture_with_the_lasers_off(opened, monkeypatch):
     monkeypatch.setattr("ringpose.capture.pipeline.RECONNECT_S", 0.01)
-    with board("lcus") as (relays, uri):
-        parts = device_uri(uri, "--lasers", LASERS)
-        lasers = driver(LASERS, parts.scheme)(parts, LaserContext())
-        camera = DrawnCamera(relays.contacts, rng, lost=[3], reopens=False)
-        with pytest.raises(DeviceError, match="is gone"), camera, lasers:
+    with opened(lost=[3], reopens=False) as (relays, camera, lasers):
+        with pytest.raises(DeviceError, match="is gone"):
             list(captured_shots(camera, lasers, procedure(), ["a"]))
 
         assert relays.mask_at(float("inf")) == 0
