@@ -49,11 +49,11 @@ class Procedure:
 
     steps: Sequence[Step]
     exposure_s: float | None = None
-    """Of steps without their own; None for the device's own setting."""
+    """Exposure of the steps without their own; None for the setting of the device."""
     settle_s: float | None = 0.0
     """From switching to triggering; None to measure it before the first shot."""
     must_see: bool = False
-    """Whether a shot is wrong if a commanded laser is not seen in it."""
+    """Whether every commanded laser must be seen in the images of a shot."""
 
     @property
     def exposures_s(self) -> tuple[float, ...]:

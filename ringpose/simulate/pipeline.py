@@ -115,7 +115,7 @@ def view_truth(scene: Scene, view: RingView, illuminated: IlluminatedTarget) -> 
 class SceneFrames:
     """Frames of a scene on demand, for the camera `sim:`, which is simulated in this process.
 
-    Moment k shows view k of the scene; after the last view the scene does not change any more.
+    Moment k, counted by the camera, shows view k of the scene; after the last view the scene does not change.
     """
 
     def __init__(self, scene: Scene) -> None:

@@ -17,7 +17,7 @@ class SceneFrame(Protocol):
 
 
 class SimulatedCamera(CameraDriver):
-    """Each `arm` advances to the scene's next view; images show the lasers that are actually on."""
+    """A camera that shows the next view of the scene after each `arm`, with the lasers that are actually on."""
 
     def __init__(self, description: CameraDescription, scene_frame: SceneFrame, lasers: LaserDriver) -> None:
         self._description = description
