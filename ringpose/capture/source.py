@@ -50,7 +50,7 @@ class CaptureRequest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Source:
-    """Where shots come from."""
+    """A camera with its lasers, or a recording, from which shots are taken."""
 
     capture: Capture
     shots: Callable[[OnRead, Container[str]], Iterator[Shot]]

@@ -62,9 +62,8 @@ class AravisCamera(SoftwareTriggeredCamera):
     def _aravis(self) -> Aravis:
         found = library()
         if found is None:
-            raise DeviceError(
-                self.uri.text, "needs the library Aravis, which is not installed", f"apt install {PACKAGE}"
-            )
+            missing = "needs the library Aravis, which is not installed"
+            raise DeviceError(self.uri.text, missing, f"apt install {PACKAGE}")
         return found
 
     def close(self) -> None:

@@ -32,7 +32,7 @@ PULSES_S = (0.1, 3276.7)
 
 
 def lcus(uri: DeviceUri, context: LaserContext) -> WatchdogLasers:
-    """LCUS-1/2/4/8: `lcus:/dev/ttyUSB0?ch=1,2,3`; a board that does not report its state is asked only once."""
+    """LCUS-1/2/4/8: `lcus:/dev/ttyUSB0?ch=1,2,3`; a board that does not report its state is read only once."""
     return WatchdogLasers(_settings(uri, context, {}, read_back="try"))
 
 
