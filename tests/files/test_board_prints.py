@@ -34,8 +34,12 @@ def misplaced_m(image: np.ndarray, board: Board, dots_per_inch: float) -> float:
     return float(np.abs(position_m - true_m).max())
 
 
+SLOW = ("chessboard", "aruco_grid")
+"""Boards whose shapes, squares and markers, the other boards have, too."""
+
+
 @pytest.mark.parametrize(
-    "kind", [pytest.param(kind, marks=pytest.mark.slow) if kind == "chessboard" else kind for kind in BOARDS]
+    "kind", [pytest.param(kind, marks=pytest.mark.slow) if kind in SLOW else kind for kind in BOARDS]
 )
 def test_a_pdf_page_shows_the_board_at_true_scale(kind, tmp_path, needed_program):
     write_board_print(tmp_path / "board.pdf", board_drawing(BOARDS[kind]))

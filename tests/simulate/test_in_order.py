@@ -7,7 +7,7 @@ import pytest
 from ringpose.simulate.pipeline import in_order
 
 
-@pytest.mark.parametrize("jobs", [1, 2, 3])
+@pytest.mark.parametrize("jobs", [1, 3])
 def test_results_come_in_order(jobs):
     assert list(in_order(partial(pow, 2), 12, jobs)) == [2**k for k in range(12)]
 
