@@ -84,7 +84,7 @@ class SessionWriter:
     def __enter__(self) -> None:
         is_free = self._is_free()
         if not is_free and self._existing == "refuse":
-            remedy = "add --append to continue it, or --force to replace it"
+            remedy = "add --append to go on with it, or --force to replace it"
             raise CannotCreateError(str(self.folder), "exists already", remedy)
         if not is_free and not (self.folder / FILE).exists():
             raise CannotCreateError(str(self.folder), f"is not a session: it has no {FILE}", "choose another --output")
