@@ -105,16 +105,16 @@ def seen_lasers(shot: Shot) -> tuple[UInt8[Array, "frame"] | None, dict[int, Lit
         return None, {}
     images = list(shot.images)
     without = [images[frame] for frame in dark_frames]
-    lit = [
+    by_frame = [
         lit_pixels(image, without, shot.saturation_dn) if mask else None
         for image, mask in zip(images, shot.lasers, strict=True)
     ]
     alone = {int(mask).bit_length() - 1: frame for frame, mask in enumerate(shot.lasers) if int(mask).bit_count() == 1}
-    pixels = {laser: found for laser, frame in alone.items() if (found := lit[frame]) is not None}
+    pixels = {laser: found for laser, frame in alone.items() if (found := by_frame[frame]) is not None}
     own = sum(1 << laser for laser in alone)
     seen = [
         sum(1 << laser for laser, found in pixels.items() if found.are_lit_in(image))
-        | (int(mask) & ~own if lit[frame] is not None else 0)
+        | (int(mask) & ~own if by_frame[frame] is not None else 0)
         for frame, (image, mask) in enumerate(zip(images, shot.lasers, strict=True))
     ]
     return np.array(seen, dtype=np.uint8), pixels

@@ -114,11 +114,11 @@ def _check_laser(camera: CameraDriver, lasers: LaserDriver, laser: int, dark: Im
     full_dn, check = camera.describe().saturation_dn, f"laser {laser + 1}"
     lasers.set_mask(1 << laser)
     lasers.wait(MAX_SETTLE_S)
-    lit = camera.trigger(1 << laser).image
+    on_image = camera.trigger(1 << laser).image
     lasers.set_mask(0)
     lasers.wait(MAX_SETTLE_S)
     after = camera.trigger(0).image
-    pixels = lit_pixels(lit, [dark], full_dn)
+    pixels = lit_pixels(on_image, [dark], full_dn)
     if pixels is None and shows_stripe(after):
         found = "is not seen to go on or off, and a stripe shows while all are off"
         raise LaserSafetyError(check, found, STRIPE_REMEDY)
@@ -166,7 +166,7 @@ def _check_exposure(camera: CameraDriver, lasers: LaserDriver, laser: int, pixel
         return Check(
             check=check, verdict="warning", found="cannot be checked: all pixels are saturated", remedy="expose shorter"
         )
-    whole, half = (float((lit - dark)[usable].mean()) for dark, lit in light_dn)
+    whole, half = (float((bright - dark)[usable].mean()) for dark, bright in light_dn)
     found = f"half the exposure gives {100 * half / whole:.0f} % of the light"
     if not 0.4 < half / whole < 0.65:
         remedy = "a camera that applies exposures late needs skip=1 in its URI"

@@ -85,8 +85,8 @@ def ambient_radiance(
         to_sun = np.broadcast_to(illuminated.to_sun, hits.point.shape)
         facing = np.flatnonzero(np.einsum("ij,ij->j", hits.normal, to_sun) > 0)
         shadowed[facing] = illuminated.target.blocked(hits.point[:, facing], _FAR_M * to_sun[:, facing])
-        lit = facing[~shadowed[facing]]
-        radiance[lit] += light.sun_w_m2 * _reflected(illuminated, hits, lit, to_sun[:, lit])
+        unshadowed = facing[~shadowed[facing]]
+        radiance[unshadowed] += light.sun_w_m2 * _reflected(illuminated, hits, unshadowed, to_sun[:, unshadowed])
     return radiance, shadowed
 
 
@@ -100,19 +100,22 @@ def laser_radiance(
     facing = np.einsum("ij,ij->j", hits.normal[:, reached], to_projector) > 0
     blocked = illuminated.target.blocked(hits.point[:, reached], to_projector)
     shadowed[reached] = blocked
-    lit, to_projector = reached[facing & ~blocked], to_projector[:, facing & ~blocked]
-    irradiance = irradiance_w_m2(illuminated.sheets, laser, hits.point[:, lit])
-    radiance[lit] = irradiance * _reflected(illuminated, hits, lit, _unit(to_projector))
+    unshadowed, to_projector = reached[facing & ~blocked], to_projector[:, facing & ~blocked]
+    irradiance = irradiance_w_m2(illuminated.sheets, laser, hits.point[:, unshadowed])
+    radiance[unshadowed] = irradiance * _reflected(illuminated, hits, unshadowed, _unit(to_projector))
     return radiance, shadowed
 
 
 def _reflected(
-    illuminated: IlluminatedTarget, hits: Intersections, lit: Int64[Array, "lit"], to_light: Float64[Array, "xyz=3 lit"]
-) -> Float64[Array, "lit"]:
+    illuminated: IlluminatedTarget,
+    hits: Intersections,
+    chosen: Int64[Array, "chosen"],
+    to_light: Float64[Array, "xyz=3 chosen"],
+) -> Float64[Array, "chosen"]:
     """Radiance per irradiance of 1 W/m2 normal to the light."""
-    normal, material = hits.normal[:, lit], surfaces(illuminated.target.materials, hits.surface[lit])
+    normal, material = hits.normal[:, chosen], surfaces(illuminated.target.materials, hits.surface[chosen])
     cosine = np.einsum("ij,ij->j", normal, to_light)
-    radiance: Float64[Array, "lit"] = cosine * reflectance_per_sr(material, normal, to_light, hits.to_eye[:, lit])
+    radiance: Float64[Array, "chosen"] = cosine * reflectance_per_sr(material, normal, to_light, hits.to_eye[:, chosen])
     return radiance
 
 

@@ -93,10 +93,10 @@ def _stripe(
     scene: Scene, layer: Float32[Array, "row column"], generator: np.random.Generator
 ) -> Float32[Array, "row column"]:
     """The layer of a laser with speckle, blurred by the lens; only rows with light are processed."""
-    lit = np.flatnonzero(layer.any(axis=1))
+    rows = np.flatnonzero(layer.any(axis=1))
     stripe = layer.copy()
-    if len(lit):
-        first, last = int(lit[0]), int(lit[-1]) + 1
+    if len(rows):
+        first, last = int(rows[0]), int(rows[-1]) + 1
         stripe[first:last] *= speckle_pattern(scene.speckle, last - first, layer.shape[1], generator)
     return _blurred(stripe, scene.lens.blur_px)
 
