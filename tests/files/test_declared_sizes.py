@@ -147,7 +147,7 @@ def test_an_image_of_another_size_than_the_rig_is_rejected_before_decoding(tmp_p
         read_shot(tmp_path / "a.png", rig=read_rig(rig_file()))
 
 
-def peak_of_refusal(read, *arguments, **options) -> tuple[str, int]:
+def message_and_peak_of(read, *arguments, **options) -> tuple[str, int]:
     """The message of the error, and the peak of the allocated bytes."""
     tracemalloc.start()
     try:
@@ -166,9 +166,9 @@ def with_file_size(archive: bytes, size: int) -> bytes:
 
 
 HEADER_BYTES = 128
-"""Of each array here."""
+"""Size of the header of each array in these tests."""
 
-LYING = {
+WRONG_SIZES = {
     "more pixels than a shot may have": (npz((3, 10_000, 9_000)), 3 * 90_000_000, "256 million"),
     "more frames than a shot may have": (npz((10**12, 1, 1)), 2**32 - 1 - HEADER_BYTES, "not what its header declares"),
     "a negative length": (npz((-1, -10, 10)), 100, "not what its header declares"),
@@ -177,11 +177,11 @@ LYING = {
 }
 
 
-@pytest.mark.parametrize(("archive", "size", "finding"), LYING.values(), ids=LYING)
+@pytest.mark.parametrize(("archive", "size", "finding"), WRONG_SIZES.values(), ids=WRONG_SIZES)
 def test_an_archive_with_a_wrong_declared_size_is_rejected_within_2_mb(tmp_path, archive, size, finding):
     (tmp_path / "a.npz").write_bytes(with_file_size(archive, HEADER_BYTES + size))
 
-    message, peak = peak_of_refusal(read_shot, tmp_path / "a.npz")
+    message, peak = message_and_peak_of(read_shot, tmp_path / "a.npz")
 
     assert finding in message
     assert peak < 2e6
@@ -191,7 +191,7 @@ def test_a_shot_of_another_size_than_the_rig_is_rejected_before_decompression(tm
     (tmp_path / "a.npz").write_bytes(with_file_size(npz((1, 10_000, 9_000)), HEADER_BYTES + 90_000_000))
     rig = read_rig(rig_file())
 
-    message, peak = peak_of_refusal(read_shot, tmp_path / "a.npz", rig=rig)
+    message, peak = message_and_peak_of(read_shot, tmp_path / "a.npz", rig=rig)
 
     assert "9000 x 10000 pixels, the rig's camera has 640 x 480" in message
     assert peak < 2e6
@@ -209,7 +209,7 @@ def test_a_shot_of_another_size_than_the_rig_is_rejected_before_decompression(tm
 def test_other_arrays_are_limited_to_64_mib_in_total(tmp_path, key, descr, shape, size):
     (tmp_path / "a.npz").write_bytes(with_file_size(npz(shape, 0, key, descr), HEADER_BYTES + size))
 
-    message, peak = peak_of_refusal(lambda: Archive(tmp_path / "a.npz").value(key))
+    message, peak = message_and_peak_of(lambda: Archive(tmp_path / "a.npz").value(key))
 
     assert message.startswith(f"{tmp_path / 'a.npz'}: {key}: ")
     assert "64 MiB" in message
@@ -221,7 +221,7 @@ def test_other_compression_methods_are_rejected(tmp_path, method):
     with zipfile.ZipFile(tmp_path / "a.npz", "w", method) as archive:
         archive.writestr("images.npy", bytes(2**22))
 
-    message, peak = peak_of_refusal(read_shot, tmp_path / "a.npz")
+    message, peak = message_and_peak_of(read_shot, tmp_path / "a.npz")
 
     assert "deflation" in message
     assert peak < 2e6
@@ -231,7 +231,7 @@ def test_an_endless_header_is_rejected(tmp_path):
     with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("images.npy", b"\x93NUMPY\x02\x00" + struct.pack("<I", 2**22) + b" " * 2**22)
 
-    message, peak = peak_of_refusal(read_shot, tmp_path / "a.npz")
+    message, peak = message_and_peak_of(read_shot, tmp_path / "a.npz")
 
     assert "NPZ archive" in message
     assert peak < 2e6
@@ -241,7 +241,7 @@ def test_a_file_of_more_than_2_gib_is_rejected(tmp_path):
     with (tmp_path / "a.npz").open("wb") as stream:
         stream.truncate(2**31 + 1)
 
-    message, peak = peak_of_refusal(read_shot, tmp_path / "a.npz")
+    message, peak = message_and_peak_of(read_shot, tmp_path / "a.npz")
 
     assert "2 GiB" in message
     assert peak < 2e6

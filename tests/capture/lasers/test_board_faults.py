@@ -11,7 +11,7 @@ from ringpose.cli.main import main
 from ringpose.files.images.sessions import read_session
 from ringpose.files.images.shots import read_shot
 
-SLOW = ("--settle", "0.3", "--sequence", "off,all")
+SLOW = ("--settle", "0.3", "--sequence", "all,off")
 
 
 FULL_AFTER_A_SHOT = """

@@ -12,7 +12,7 @@ OFF_WITHIN_S = 0.05
 
 HEARTBEAT_S = 1.0
 
-LONG_ON = ("--settle", "0.4", "--sequence", "off,all")
+LONG_ON = ("--settle", "0.4", "--sequence", "all,off")
 """Options with which the lasers are on for long enough to be observed."""
 
 SCHEMES = ["lcus", *(pytest.param(scheme, marks=pytest.mark.slow) for scheme in ("numato", "modbus", "ascii"))]
