@@ -1,19 +1,21 @@
-"""Relays behind a watchdog, as the command makes them of a URI."""
+"""Relay lasers with a watchdog, created from a URI as the command does."""
 
 import time
 
 from ringpose.capture.lasers.driver import LaserContext
 from ringpose.capture.lasers.watchdog import WatchdogLasers
 from ringpose.capture.uri import LASERS, device_uri, driver
+from ringpose.simulate.serve.relays import ServedRelays
 
 
 def lasers_at(uri: str) -> WatchdogLasers:
-    """As the command makes them."""
+    """The driver of a URI of relay lasers."""
     parts = device_uri(uri, "--lasers", LASERS)
-    made = driver(LASERS, parts.scheme)(parts, LaserContext())
-    assert isinstance(made, WatchdogLasers)
-    return made
+    lasers = driver(LASERS, parts.scheme)(parts, LaserContext())
+    assert isinstance(lasers, WatchdogLasers)
+    return lasers
 
 
-def lit(relays) -> int:
+def on_mask(relays: ServedRelays) -> int:
+    """Mask of the lasers that are on now."""
     return relays.mask_at(time.monotonic())

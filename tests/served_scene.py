@@ -25,7 +25,7 @@ boards:
 
 
 def small_scene(folder: Path) -> Scene:
-    """The scene, its files in the folder."""
+    """The scene, read from files that are written to the folder."""
     (folder / "rig.yaml").write_text(SERVED_RIG)
     (folder / "scene.yaml").write_text(SCENE)
     return read_scene(folder / "scene.yaml")

@@ -1,4 +1,4 @@
-"""Every example runs as it stands."""
+"""The example scripts, and the example controller that reads pose records."""
 
 import argparse
 import json
@@ -15,25 +15,26 @@ from typing import NamedTuple
 import pytest
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
-SESSIONS = sorted(path for path in EXAMPLES.glob("*.sh") if path.name not in ("demo.sh", "real-shots.sh"))
+SCRIPTS = sorted(path for path in EXAMPLES.glob("*.sh") if path.name not in ("demo.sh", "real-shots.sh"))
 ENVIRONMENT = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
 
 
-def run_session(script: Path, folder: Path) -> subprocess.CompletedProcess[str]:
+def run_script(script: Path, folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         ["sh", script, folder / "out"], cwd=folder, env=ENVIRONMENT, capture_output=True, text=True, timeout=300
     )
 
 
-@pytest.mark.parametrize("script", SESSIONS, ids=lambda script: script.name)
-def test_a_shell_session_runs_to_its_end(script, tmp_path):
-    done = run_session(script, tmp_path)
+@pytest.mark.slow  # the fast tests of test_main_job calibrate from the same views
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.name)
+def test_a_shell_example_succeeds(script, tmp_path):
+    done = run_script(script, tmp_path)
 
     assert done.returncode == 0, done.stderr
 
 
-def test_real_shots_move_the_robot_and_draw_an_overlay_for_each_shot(tmp_path, carried_data):
-    done = run_session(EXAMPLES / "real-shots.sh", tmp_path)
+def test_the_example_of_real_shots_commands_moves_and_draws_overlays(tmp_path, carried_data):
+    done = run_script(EXAMPLES / "real-shots.sh", tmp_path)
 
     assert done.returncode == 0, done.stderr
     assert '"do": "move"' in done.stdout
@@ -44,7 +45,7 @@ def test_real_shots_move_the_robot_and_draw_an_overlay_for_each_shot(tmp_path, c
 
 @pytest.mark.slow
 def test_the_demo_measures_and_draws_every_shot(tmp_path):
-    done = run_session(EXAMPLES / "demo.sh", tmp_path)
+    done = run_script(EXAMPLES / "demo.sh", tmp_path)
 
     assert done.returncode == 0, done.stderr
     out = tmp_path / "out"
@@ -57,7 +58,7 @@ def test_the_demo_measures_and_draws_every_shot(tmp_path):
 
 
 class Controller(NamedTuple):
-    """What the example controller said, its last hold ("the stream has ended") aside."""
+    """Output of the example controller: commands, without the last hold ("the stream has ended"), and messages."""
 
     commands: list[dict]
     messages: list[str]
@@ -70,12 +71,12 @@ def started(*words: str, **options) -> "subprocess.Popen[str]":
 
 
 def controlled(lines: str, *words: str) -> Controller:
-    """The controller's answer to a stream that ends."""
+    """The output of the controller for a stream that ends."""
     process = started(*words)
-    out, said = process.communicate(lines, timeout=30)
+    out, stderr = process.communicate(lines, timeout=30)
     *commands, last = [json.loads(line) for line in out.splitlines()]
     assert (process.returncode, last) == (0, {"do": "hold", "why": "the stream has ended"})
-    return Controller(commands, said.splitlines())
+    return Controller(commands, stderr.splitlines())
 
 
 def pose_record(shot: str = "a", grasp_sd_m: float = 1e-4, tilt_sd_rad: float = 1e-3, **changes) -> dict:
@@ -112,7 +113,7 @@ def line_of(record: object) -> str:
         {"flags": ["radius_unverified", "rig_unchecked"]},
     ],
 )
-def test_the_controller_moves_to_a_grasp_point_that_is_well_known(more):
+def test_the_controller_moves_to_an_accurate_grasp_point(more):
     (command,), messages = controlled(line_of(pose_record(**more)))
 
     assert (command["do"], command["to_m"], command["along"]) == ("move", [0.1, 0.2, 0.5], [-0.0, -0.6, 0.8])
@@ -156,7 +157,7 @@ HELD = {
 
 
 @pytest.mark.parametrize("case", HELD)
-def test_the_controller_holds_where_a_shot_is_not_to_be_obeyed(case):
+def test_the_controller_holds_if_a_record_is_not_usable(case):
     make, why = HELD[case]
     example = runpy.run_path(str(EXAMPLES / "controller.py"))
     limits = argparse.Namespace(frame="camera", max_age=1.0, replay=False, grasp_m=0.002, tilt_rad=0.05, health=3.0)
@@ -202,7 +203,7 @@ BROKEN = [
 ]
 
 
-def test_the_controller_reports_each_line_that_is_no_whole_record_and_goes_on():
+def test_the_controller_reports_invalid_lines_and_continues():
     lines = [line.encode("utf-8", "surrogateescape").decode("utf-8", "replace") + "\n" for line in BROKEN]
 
     commands, messages = controlled("".join(lines) + line_of(pose_record("last")), "--period", "0.2")
@@ -213,7 +214,7 @@ def test_the_controller_reports_each_line_that_is_no_whole_record_and_goes_on():
         assert message.startswith(f"controller: line {number}: ")
 
 
-def test_the_controller_names_the_keys_that_a_record_lacks():
+def test_the_controller_reports_missing_keys():
     record = pose_record()
     del record["frame"], record["flags"]
 
@@ -222,30 +223,30 @@ def test_the_controller_names_the_keys_that_a_record_lacks():
     assert "frame, flags" in message
 
 
-def test_the_controller_reads_bytes_that_are_no_text():
+def test_the_controller_accepts_invalid_utf_8():
     process = started(text=False)
-    out, said = process.communicate(b"\xff\xfe\n" + line_of(pose_record("last")).encode(), timeout=30)
+    out, stderr = process.communicate(b"\xff\xfe\n" + line_of(pose_record("last")).encode(), timeout=30)
 
     assert process.returncode == 0
     assert json.loads(out.splitlines()[0])["shot"] == "last"
-    assert said.count(b"\n") == 1
+    assert stderr.count(b"\n") == 1
 
 
-def test_the_controller_obeys_no_shot_that_arrives_after_a_newer_one():
+def test_the_controller_ignores_a_shot_older_than_the_last_one():
     now_s = time.time()
     with started("--patience", "20") as process:
         for number, age_s in enumerate((0.1, 0.3, 0.0)):
             process.stdin.write(line_of(pose_record(f"s{number}", stamp_s=now_s - age_s)))
             process.stdin.flush()
-            said = process.stderr.readline() if number == 1 else process.stdout.readline()
-            assert f"s{number}" in said
+            stderr = process.stderr.readline() if number == 1 else process.stdout.readline()
+            assert f"s{number}" in stderr
         process.stdin.close()
         rest = process.stdout.read()
 
     assert [json.loads(line)["why"] for line in rest.splitlines()] == ["the stream has ended"]
 
 
-def test_a_stamp_from_the_future_does_not_outdate_the_shots_that_follow():
+def test_a_stamp_from_the_future_does_not_outdate_later_shots():
     with started("--patience", "20") as process:
         for number, ahead_s in enumerate((1000.0, 0.0)):
             process.stdin.write(line_of(pose_record(f"s{number}", stamp_s=time.time() + ahead_s)))
@@ -256,7 +257,7 @@ def test_a_stamp_from_the_future_does_not_outdate_the_shots_that_follow():
     assert (command["shot"], command["do"]) == ("s1", "move")
 
 
-def test_the_controller_replays_old_shots_in_the_order_in_which_they_come():
+def test_the_controller_replays_old_shots_in_input_order():
     lines = [line_of(pose_record(str(number), stamp_s=2000.0 - number)) for number in range(3)]
 
     with started("--replay", "--patience", "20") as process:
@@ -270,20 +271,20 @@ def test_the_controller_replays_old_shots_in_the_order_in_which_they_come():
     assert [(command["shot"], command["do"]) for command in commands] == [("0", "move"), ("1", "move"), ("2", "move")]
 
 
-def test_the_controller_uses_the_frame_that_it_was_started_for():
+def test_the_controller_accepts_records_of_the_given_frame():
     commands, _ = controlled(line_of(pose_record(frame="tool")), "--frame", "tool")
 
     assert [(command["do"], command["frame"]) for command in commands] == [("move", "tool")]
 
 
-def test_the_controller_takes_the_newest_line_and_counts_those_it_skipped():
+def test_the_controller_uses_the_newest_line_and_counts_skipped_ones():
     commands, _ = controlled("".join(line_of(pose_record(str(number))) for number in range(100)), "--period", "0.5")
 
     assert commands[-1]["shot"] == "99"
     assert len(commands) + sum(command["skipped"] for command in commands) == 100
 
 
-def test_the_controller_does_not_wait_for_a_pose():
+def test_the_controller_holds_without_a_pose():
     with started("--patience", "0.1") as process:
         began_s = time.monotonic()
         first = json.loads(process.stdout.readline())
@@ -304,22 +305,22 @@ def test_the_controller_names_a_stream_that_is_closed(closed, status):
     assert "closed" in done.stderr
 
 
-def test_the_controller_ends_quietly_when_nobody_reads_its_commands():
+def test_the_controller_ends_silently_on_a_closed_pipe():
     with started("--patience", "20") as process:
         process.stdout.close()
         process.stdin.write(line_of(pose_record()))
         process.stdin.flush()
         process.wait(30)
-        said = process.stderr.read()
+        stderr = process.stderr.read()
 
-    assert (process.returncode, said) == (141, "")
+    assert (process.returncode, stderr) == (141, "")
 
 
-def test_the_controller_ends_quietly_when_it_is_interrupted():
+def test_the_controller_ends_silently_on_sigint():
     with started("--patience", "0.05") as process:
         process.stdout.readline()
         process.send_signal(signal.SIGINT)
         process.wait(30)
-        said = process.stderr.read()
+        stderr = process.stderr.read()
 
-    assert (process.returncode, said) == (130, "")
+    assert (process.returncode, stderr) == (130, "")

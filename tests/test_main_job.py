@@ -1,4 +1,4 @@
-"""The main job, end to end, on shots that ringpose did not make: from files to errors against their truth."""
+"""End-to-end tests on externally rendered shots: from files to errors against the ground truth."""
 
 import json
 from pathlib import Path
@@ -61,7 +61,7 @@ def piped(capsys, monkeypatch, tmp_path: Path, shots: Path, rig: Path) -> list[d
     return [json.loads(line) for line in text.splitlines()]
 
 
-def test_no_carried_shot_is_lost_on_its_way(carried_data, capsys, monkeypatch, tmp_path):
+def test_every_carried_shot_gets_a_pose_through_the_pipe(carried_data, capsys, monkeypatch, tmp_path):
     shots = carried_data / "rig_b" / "shots"
 
     lines = piped(capsys, monkeypatch, tmp_path, shots, carried_data / "rig_b" / "rig.yaml")
@@ -117,9 +117,9 @@ LIMITS = [
 ]
 """Method, error, its median and its maximum: about twice what the shots give, more for the paper's centre.
 
-The normal from six points at 1 m is good to a degree and the centre to a centimetre along the optical axis; the
-grasp point is known ten times better. The paper's own form does not hold the centre in the plane, so that its depth
-turns a tenth of a pixel into decimetres.
+From six points at 1 m, the normal is accurate to a degree and the centre to a centimetre along the optical axis; the
+grasp point is ten times more accurate. The paper's own form does not constrain the centre to the plane, so that a tenth
+of a pixel becomes decimetres in depth.
 """
 
 
@@ -132,7 +132,7 @@ def test_errors_on_carried_shots(carried_report, method, quantity, median, large
     assert error["max"] < largest
 
 
-def test_the_plane_makes_the_grasp_point_ten_times_better_than_the_paper_has_it(carried_report):
+def test_the_constrained_method_reduces_grasp_errors_tenfold(carried_report):
     free, constrained = (
         all_shots(carried_report, method)["errors"]["grasp_m"]["rmse"] for method in ("paper", "paper-constrained")
     )

@@ -1,4 +1,4 @@
-"""Captures and poses over the network while a beacon goes on and off before the camera, the target standing still."""
+"""Captures and poses with a virtual camera while a beacon goes on and off and the target does not move."""
 
 import json
 from dataclasses import replace
@@ -23,7 +23,7 @@ SHOTS = ["--sequence", "off,1,2,3,off", "--exposure", "0.0008"]
 
 @pytest.fixture
 def beacon_before(tmp_path, monkeypatch, loopback_address):
-    """A stand-in with LCUS relays before which a beacon of 8 W/m2 goes on and off; its log, and its URIs as options."""
+    """Serves a virtual camera with LCUS relays and a beacon of 8 W/m2."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     scene = small_scene(tmp_path)
@@ -39,19 +39,21 @@ def beacon_before(tmp_path, monkeypatch, loopback_address):
     return served
 
 
-def devices(stand_in):
-    return ["--camera", stand_in.uris["camera"], "--lasers", stand_in.uris["lasers"]]
+def devices(device):
+    return ["--camera", device.uris["camera"], "--lasers", device.uris["lasers"]]
 
 
 @pytest.mark.parametrize("half_period_s", [0.45, 1.0])
 @pytest.mark.parametrize("eighth", range(8))
-def test_a_capture_comes_to_its_end_with_every_shot_in_one_light(beacon_before, capfd, half_period_s, eighth):
+def test_a_capture_beside_a_beacon_completes_with_constant_light_in_each_shot(
+    beacon_before, capfd, half_period_s, eighth
+):
     with beacon_before(half_period_s, eighth / 4 * half_period_s) as served:
         status = main(["capture", *devices(served), *SHOTS, "--settle", "0.03", "--count", "5", "--output", "s"])
 
-    names, said = capfd.readouterr()
+    names, messages = capfd.readouterr()
     assert (status, len(names.splitlines())) == (0, 5)
-    assert "settle" not in said
+    assert "settle" not in messages
     for name in names.splitlines():
         shot = read_shot(Path(name))
         assert shot.seen_lasers.tolist() == [0, 1, 2, 4, 0]
@@ -59,22 +61,22 @@ def test_a_capture_comes_to_its_end_with_every_shot_in_one_light(beacon_before, 
 
 
 @pytest.mark.parametrize("half_period_s", [0.45, 1.0])
-def test_poses_go_on_and_what_was_lost_is_counted(beacon_before, capfd, half_period_s):
+def test_poses_continue_beside_a_beacon_and_lost_shots_are_counted(beacon_before, capfd, half_period_s):
     with beacon_before(half_period_s, 0.0) as served:
         words = ["--rig", "rig.yaml", "--settle", "0.03", "--duration", "8"]
         status = main(["pose", *devices(served), *SHOTS, *words])
 
-    lines, said = capfd.readouterr()
+    lines, messages = capfd.readouterr()
     records = [json.loads(line) for line in lines.splitlines()]
     assert status in (0, 3)  # the small scene's shots need not all have a pose
     assert len(records) >= 5
     assert sum(record["dropped"] for record in records) >= 1
-    assert "settle" not in said
+    assert "settle" not in messages
 
 
 @pytest.mark.parametrize("fault", ["stuck", "welded"])
 @pytest.mark.parametrize("half_period_s", [0.45, 1.0])
-def test_a_laser_that_burns_beside_a_beacon_is_a_safety_fault(beacon_before, capfd, fault, half_period_s):
+def test_a_laser_that_stays_on_beside_a_beacon_is_a_safety_fault(beacon_before, capfd, fault, half_period_s):
     contacts = RelayFaults(**{fault: frozenset({1})})
     with beacon_before(half_period_s, 0.1, contacts) as served:
         status = main(["capture", *devices(served), *SHOTS, "--settle", "0.03", "--count", "5", "--output", "s"])

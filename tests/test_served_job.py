@@ -1,4 +1,4 @@
-"""The main job over the network: calibrated and measured from a served camera, and beside it in one process."""
+"""Calibration and poses with a virtual camera, compared with those of simulated shots in one process."""
 
 import json
 import re
@@ -29,7 +29,7 @@ BOARD_VIEWS = 8
 
 @pytest.fixture
 def serve(tmp_path, monkeypatch, example_folder, loopback_address):
-    """Start a stand-in for one purpose; the scene has fewer board views than the example, and lasers as only light."""
+    """Starts `ringpose simulate serve`; the scene has fewer board views than the example, and only lasers as light."""
     monkeypatch.chdir(tmp_path)
     scene = (example_folder / "scene.yaml").read_text()
     scene = re.sub(r"count: 1[02], distances_m", f"count: {BOARD_VIEWS}, distances_m", scene)
@@ -69,7 +69,7 @@ def calibrated(views: Path, name: str) -> str:
 
 
 def errors_by_view(lines: list[dict], views: list[str | None]) -> dict[str, np.ndarray]:
-    """Grasp error (m) and angle of the normal (rad), the mean over the lines of each view that has a pose."""
+    """Grasp error (m) and angular error of the normal (rad) of each view, the mean over its lines with a pose."""
     truths = {truth.shot: truth for truth in read_truths(Path("simulated/truth.jsonl"))}
     errors: dict[str, list[tuple[float, float]]] = {}
     for line, view in zip(lines, views, strict=True):
@@ -84,20 +84,20 @@ def errors_by_view(lines: list[dict], views: list[str | None]) -> dict[str, np.n
 
 
 def lines_of(*words: str) -> list[dict]:
-    """Pose lines of a command in a process of its own, where nothing is checked that slows it down."""
+    """Pose lines of a command in its own process, where array shapes are not checked, which takes time."""
     done = subprocess.run([sys.executable, "-c", COMMAND, "pose", *words], stdout=subprocess.PIPE, text=True)
     return [json.loads(line) for line in done.stdout.splitlines()]
 
 
 def views_of(lines: list[dict]) -> list[str | None]:
-    """The view of each live line, by the stand-in's log; None if its shot saw the target move."""
-    notes = [json.loads(line) for line in Path("log.jsonl").read_text().splitlines()]
+    """The view of each live line, by the log of the virtual camera; None if the view changed within its shot."""
+    records = [json.loads(line) for line in Path("log.jsonl").read_text().splitlines()]
     clock_s = time.time() - time.monotonic()
-    mid_s = np.array([clock_s + note["began_s"] + note["exposure_s"] / 2 for note in notes])
+    mid_s = np.array([clock_s + record["began_s"] + record["exposure_s"] / 2 for record in records])
     views = []
     for line in lines:
         second = int(np.argmin(np.abs(mid_s - line["stamp_s"])))
-        of_shot = {note["view"] for note in notes[second - 1 : second + 4]}
+        of_shot = {record["view"] for record in records[second - 1 : second + 4]}
         views.append(of_shot.pop() if len(of_shot) == 1 else None)
     return views
 

@@ -25,19 +25,22 @@ SAMPLES = 24
 """Target for the number of pixels sampled along each side of a block."""
 
 MIN_SHARE_OF_IMAGE = 0.1
-"""Minimum share of the blocks that a change of ambient light reaches,"""
+"""Minimum share of the blocks that a change of ambient light affects."""
 
 MIN_SHARE_OF_FULL = 0.02
-"""minimum size of the change, as a share of the full grey value (the same as for a pixel lit by a laser),"""
+"""Minimum size of a change as a share of the full grey value (the same as for a pixel lit by a laser)."""
 
 LOST_SHARE_OF_FULL = 0.05
-"""A change above this share makes a shot useless; if its lasers are not seen as commanded, any change does."""
+"""Size of a change, as a share of the full grey value, above which a shot is lost.
+
+A shot whose lasers are not seen as commanded is lost if there is any change.
+"""
 
 MIN_SIGMAS = 6.0
-"""and in standard deviations of a block's median."""
+"""Minimum size of a change in standard deviations of the median of a block."""
 
 MAX_OPPOSITE = 0.5
-"""Maximum ratio of the change of opposite sign: motion brightens some blocks and darkens others, a lamp does not."""
+"""Maximum ratio of a change of opposite sign in other blocks to the change: motion causes both signs, a lamp one."""
 
 MEDIAN_SIGMA = 1.2533 * 1.4826
 """sqrt(pi / 2) * 1.4826: sd of the median of n normal samples, times sqrt(n), divided by their MAD."""

@@ -17,7 +17,9 @@ def cameras() -> Iterator[dict[str, Any]]:
     """Cameras found by the installed drivers, each with its URI."""
     yield from _aravis_cameras()
     yield from _pylon_cameras()
-    yield from _video_devices(_VIDEO)
+    for device in sorted(_VIDEO.glob("video*")):
+        model = (device / "name").read_text().strip() if (device / "name").exists() else ""
+        yield {"kind": "camera", "uri": f"v4l2:/dev/{device.name}", "model": model}
 
 
 def remarks() -> tuple[str, ...]:
@@ -31,7 +33,8 @@ def serial_ports() -> Iterator[dict[str, Any]]:
     """Serial ports of USB devices; the connected board cannot be detected without sending to it."""
     from serial.tools import list_ports
 
-    names = _stable_names(_BY_ID)
+    links = sorted(_BY_ID.iterdir()) if _BY_ID.is_dir() else []
+    names = {str(link.resolve()): str(link) for link in links}  # do not depend on the order of plugging in
     for port in sorted(list_ports.comports()):
         if port.vid is not None:
             yield {
@@ -42,12 +45,6 @@ def serial_ports() -> Iterator[dict[str, Any]]:
                 "product": port.product,
                 "serial": port.serial_number,
             }
-
-
-def _stable_names(by_id: Path) -> dict[str, str]:
-    """Persistent names by device name; they do not depend on the order of plugging in."""
-    links = sorted(by_id.iterdir()) if by_id.is_dir() else []
-    return {str(link.resolve()): str(link) for link in links}
 
 
 def _aravis_cameras() -> Iterator[dict[str, Any]]:
@@ -74,12 +71,6 @@ def _pylon_cameras() -> Iterator[dict[str, Any]]:
     for info in pylon.TlFactory.GetInstance().EnumerateDevices():
         serial, model = info.GetSerialNumber(), info.GetModelName()
         yield {"kind": "camera", "uri": f"pylon:{serial}", "vendor": "Basler", "model": model, "serial": serial}
-
-
-def _video_devices(folder: Path) -> Iterator[dict[str, Any]]:
-    for device in sorted(folder.glob("video*")):
-        model = (device / "name").read_text().strip() if (device / "name").exists() else ""
-        yield {"kind": "camera", "uri": f"v4l2:/dev/{device.name}", "model": model}
 
 
 def _text(value: bytes | None) -> str:

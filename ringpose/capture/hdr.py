@@ -1,4 +1,4 @@
-"""Exposure brackets -> one frame of high dynamic range for each group of exposures, all frames on one scale.
+"""Merging of exposure brackets: one frame of high dynamic range for each group of exposures, on a common scale.
 
 The grey value of a pixel is `black + rate * exposure`. Each exposure that is not saturated gives an estimate of the
 rate with the variance `(dark + gain * signal) / exposure^2` (EMVA 1288); the result is their inverse-variance weighted

@@ -16,22 +16,22 @@ from ringpose.types.arrays import Array, Bool, Float32, Int64, UInt, UInt8
 from ringpose.types.image import Shot
 
 MIN_SHARE_OF_FULL = 0.02
-"""Minimum contrast of a lit pixel to the dark frames, as a share of the full grey value,"""
+"""Minimum contrast of a lit pixel to the dark frames, as a share of the full grey value."""
 
 MIN_SIGMAS = 8.0
-"""and in standard deviations of the noise."""
+"""Minimum contrast of a lit pixel to the dark frames, in standard deviations of the noise."""
 
 MIN_PIXELS = 25
-"""Fewer lit pixels are glints or noise."""
+"""Minimum number of lit pixels; fewer are glints or noise."""
 
 MAX_SHARE_OF_IMAGE = 0.2
-"""More lit pixels are not a stripe: ambient light has changed."""
+"""Maximum share of lit pixels in an image; more are not a stripe but a change of ambient light."""
 
 MIN_CONTRAST_SHARE = 0.5
-"""A pixel is lit by the same laser in another image from this share of its contrast on,"""
+"""A pixel counts as lit in another image from this share of its contrast on."""
 
 MIN_LIT_SHARE = 0.7
-"""and the laser is seen there if more than this share of its pixels is lit."""
+"""A laser is seen in another image if more than this share of its pixels is lit there."""
 
 MAX_WIDTHS_PER_IMAGE = 25
 """A laser line is narrower than the width of the image divided by this."""
@@ -105,16 +105,16 @@ def seen_lasers(shot: Shot) -> tuple[UInt8[Array, "frame"] | None, dict[int, Lit
         return None, {}
     images = list(shot.images)
     without = [images[frame] for frame in dark_frames]
-    lit = [
+    by_frame = [
         lit_pixels(image, without, shot.saturation_dn) if mask else None
         for image, mask in zip(images, shot.lasers, strict=True)
     ]
     alone = {int(mask).bit_length() - 1: frame for frame, mask in enumerate(shot.lasers) if int(mask).bit_count() == 1}
-    pixels = {laser: found for laser, frame in alone.items() if (found := lit[frame]) is not None}
+    pixels = {laser: found for laser, frame in alone.items() if (found := by_frame[frame]) is not None}
     own = sum(1 << laser for laser in alone)
     seen = [
         sum(1 << laser for laser, found in pixels.items() if found.are_lit_in(image))
-        | (int(mask) & ~own if lit[frame] is not None else 0)
+        | (int(mask) & ~own if by_frame[frame] is not None else 0)
         for frame, (image, mask) in enumerate(zip(images, shot.lasers, strict=True))
     ]
     return np.array(seen, dtype=np.uint8), pixels

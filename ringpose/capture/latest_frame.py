@@ -4,7 +4,6 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from time import perf_counter
 from types import TracebackType
 from typing import TypeVar
 
@@ -70,20 +69,17 @@ class NewestShots:
                 shot = next(self._shots, None)
                 if shot is None:
                     break
-                self._put(shot)
+                with self._changed:
+                    skipped = self._dropped + 1 if self._waiting is not None else 0
+                    self._dropped = skipped + len(lost_attempts_dn(shot.meta))
+                    self._waiting = LiveShot(shot=shot, dropped=self._dropped, taken_s=time.perf_counter())
+                    self._changed.notify()
         except BaseException as failure:  # raised again where the shots are consumed
             self._failure = failure
         finally:
             with self._changed:
                 self._ended = True
                 self._changed.notify()
-
-    def _put(self, shot: Shot) -> None:
-        with self._changed:
-            skipped = self._dropped + 1 if self._waiting is not None else 0
-            self._dropped = skipped + len(lost_attempts_dn(shot.meta))
-            self._waiting = LiveShot(shot=shot, dropped=self._dropped, taken_s=perf_counter())
-            self._changed.notify()
 
 
 Item = TypeVar("Item")

@@ -5,6 +5,7 @@ settling time is in `settling_time`.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -48,11 +49,11 @@ class Procedure:
 
     steps: Sequence[Step]
     exposure_s: float | None = None
-    """Of steps without their own; None for the device's own setting."""
+    """Exposure of the steps without their own; None for the setting of the device."""
     settle_s: float | None = 0.0
     """From switching to triggering; None to measure it before the first shot."""
     must_see: bool = False
-    """Whether a shot is wrong if a commanded laser is not seen in it."""
+    """Whether every commanded laser must be seen in the images of a shot."""
 
     @property
     def exposures_s(self) -> tuple[float, ...]:
@@ -65,23 +66,28 @@ def captured_shots(
     camera: CameraDriver, lasers: LaserDriver, procedure: Procedure, names: Iterable[str]
 ) -> Iterator[Shot]:
     """One shot for each name, with one frame for each step; all lasers are off whenever a shot is yielded."""
-    _check_exposures(camera, procedure)
-    sequencer = _Sequencer(camera, lasers, procedure)
-    for name in names:
-        yield sequencer.shot(name)
-
-
-def _check_exposures(camera: CameraDriver, procedure: Procedure) -> None:
     bounds_us = camera.bounds("ExposureTime") if procedure.exposures_s else None
     min_s, max_s = (0.0, np.inf) if bounds_us is None else (1e-6 * bound for bound in bounds_us)
     for exposure_s in procedure.exposures_s:
         if not min_s <= exposure_s * (1 + 1e-9) or not exposure_s * (1 - 1e-9) <= max_s:
             found = f"the camera cannot expose for {exposure_s:g} s; it takes {min_s:g} to {max_s:g} s"
             raise UsageError("--exposure, --sequence", found)
+    sequencer = _Sequencer(camera, lasers, procedure)
+    for name in names:
+        yield sequencer.shot(name)
 
 
 class _CameraError(Exception):
-    """Wraps a `DeviceError` of the camera, to tell it from one of the laser board."""
+    """Wraps a `DeviceError` of the camera, to distinguish it from one of the laser board."""
+
+
+@contextmanager
+def _camera_errors() -> Iterator[None]:
+    """Raises a `DeviceError` of the block as a `_CameraError`."""
+    try:
+        yield
+    except DeviceError as error:
+        raise _CameraError(error) from error
 
 
 class _Sequencer:
@@ -109,7 +115,8 @@ class _Sequencer:
         while failures < TRIES and len(lost) < MAX_LOST:
             try:
                 if not failures and not lost:  # reconnecting arms the camera, too
-                    self._arm()
+                    with _camera_errors():
+                        self._camera.arm(self._procedure.exposure_s)
                 self._measure_settle()
                 self._await_changes(len(lost))
                 shot = self._exposed(name, self._settle_after_s(wrong))
@@ -123,8 +130,7 @@ class _Sequencer:
                 continue
             checked, found = self._checker.checked(shot)
             if found is None:
-                self._adapt_settle(wrong)
-                return _with_lost_attempts(checked, lost)
+                return self._completed(checked, wrong, lost)
             if isinstance(found, AmbientLightChanged):
                 lost += found.changes
                 problem = AmbientLightChanged(lost, self._checker.never_seen(shot, len(lost)))
@@ -134,14 +140,27 @@ class _Sequencer:
             self._checker.reject_stripe_in_dark(problem.lasers)
         raise problem
 
+    def _completed(self, shot: Shot, wrong: int, lost: Sequence[AmbientChange]) -> Shot:
+        """The shot, with the changes of ambient light in its lost attempts; read by `lost_attempts_dn`.
+
+        A longer settling time is kept if two shots in a row needed one; a single one may have been disturbed.
+        """
+        if wrong and self._was_slow:
+            self._settle_s = self._settle_after_s(wrong)
+        self._was_slow = wrong > 0
+        if not lost:
+            return shot
+        sizes_dn = [change.size_dn for change in lost]
+        return replace(shot, meta={**shot.meta, "attempts_lost": {"ambient_changed": sizes_dn}})
+
     def _exposed(self, name: str, settle_s: float) -> Shot:
         """One frame for each step; all lasers are off at the end."""
-        frames, read_masks, lit = [], [], -1
+        frames, read_masks, switched_mask = [], [], -1
         for step, mask in zip(self._procedure.steps, self._masks, strict=True):
             self._lasers.set_mask(mask)
-            if mask != lit:
+            if mask != switched_mask:
                 self._lasers.wait(settle_s)
-            lit = mask
+            switched_mask = mask
             frames.append(self._frame(mask, step.exposure_s))
             read_masks.append(self._lasers.read_mask())
         self._lasers.set_mask(0)
@@ -149,17 +168,9 @@ class _Sequencer:
         shot = _shot(name, frames, read_masks, meta)
         return merged_brackets(shot) if any(step.exposure for step in self._procedure.steps) else shot
 
-    def _arm(self) -> None:
-        try:
-            self._camera.arm(self._procedure.exposure_s)
-        except DeviceError as error:
-            raise _CameraError(error) from error
-
     def _frame(self, mask: int, exposure_s: float | None) -> Frame:
-        try:
+        with _camera_errors():
             return self._camera.trigger(mask, exposure_s)
-        except DeviceError as error:
-            raise _CameraError(error) from error
 
     def _reconnected(self, lost: _CameraError) -> DeviceError:
         """Open the camera again, with all lasers off; returns the problem to raise if every attempt ends so."""
@@ -212,12 +223,6 @@ class _Sequencer:
         spare_s = SHARE_OF_LIMIT * (limit_s - max(self._procedure.exposures_s, default=0.0))
         return max(self._settle_s, min(longer_s, spare_s))
 
-    def _adapt_settle(self, wrong: int) -> None:
-        """Keep the longer settling time if two shots in a row needed one; a single one may have been disturbed."""
-        if wrong and self._was_slow:
-            self._settle_s = self._settle_after_s(wrong)
-        self._was_slow = wrong > 0
-
 
 def _shot(name: str, frames: Sequence[Frame], read_masks: Sequence[int | None], meta: dict[str, Any]) -> Shot:
     """The frames as a shot; what some frames do not report is left out for all."""
@@ -242,11 +247,3 @@ def _shot(name: str, frames: Sequence[Frame], read_masks: Sequence[int | None], 
         read_lasers=reported(read_masks, np.uint8),
         meta=meta,
     )
-
-
-def _with_lost_attempts(shot: Shot, lost: Sequence[AmbientChange]) -> Shot:
-    """The shot, with the changes of ambient light in its lost attempts; read by `lost_attempts_dn`."""
-    if not lost:
-        return shot
-    sizes_dn = [change.size_dn for change in lost]
-    return replace(shot, meta={**shot.meta, "attempts_lost": {"ambient_changed": sizes_dn}})

@@ -62,11 +62,19 @@ def run_self_test(camera: CameraDriver, lasers: LaserDriver, exposure_s: float |
     lasers.set_mask(0)
     lasers.wait(MAX_SETTLE_S)
     camera.arm(exposure_s)
-    yield _check_camera(camera)
+    description, bounds = camera.describe(), camera.bounds("ExposureTime")
+    size = f"{description.image_width} x {description.image_height}"
+    limits = "" if bounds is None else f", exposure {1e-6 * bounds[0]:g} to {1e-6 * bounds[1]:g} s"
+    found = f"{description.name}, {size}, {description.saturation_dn} dn{limits}"
+    yield Check(check="camera", verdict="ok", found=found)
     yield from (Check(check="camera", verdict="warning", found=line) for line in camera.warnings())
     yield _check_frames(camera)
     dark = camera.trigger(0).image
-    yield _check_ambient_light(camera, dark)
+    share = float(dark.mean()) / description.saturation_dn
+    verdict: Verdict = "warning" if share > 0.5 else "ok"
+    remedy = "darken, or expose shorter" if share > 0.5 else ""
+    found = f"without lasers the image has {100 * share:.1f} % of the full grey value"
+    yield Check(check="ambient light", verdict=verdict, found=found, remedy=remedy)
     slowest_s = 0.0
     for laser in range(0 if isinstance(lasers, UncontrolledLasers) else lasers.count):
         pixels, check = _check_laser(camera, lasers, laser, dark)
@@ -78,10 +86,8 @@ def run_self_test(camera: CameraDriver, lasers: LaserDriver, exposure_s: float |
     if slowest_s >= MAX_SETTLE_S:
         yield Check(check="settle", verdict="fault", found=f"a laser has not followed within {MAX_SETTLE_S} s")
     elif slowest_s:
-        found = (
-            f"the slowest laser follows within {1e3 * slowest_s:.0f} ms; --settle {MARGIN * slowest_s:.3f} is enough"
-        )
-        yield Check(check="settle", verdict="ok", found=found)
+        within = f"the slowest laser follows within {1e3 * slowest_s:.0f} ms"
+        yield Check(check="settle", verdict="ok", found=f"{within}; --settle {MARGIN * slowest_s:.3f} is enough")
 
 
 def summary(checks: Sequence[Check]) -> Check:
@@ -90,15 +96,6 @@ def summary(checks: Sequence[Check]) -> Check:
     worst = next(verdict for verdict in get_args(Verdict)[::-1] if verdict in verdicts)
     counts = ", ".join(f"{verdicts.count(verdict)} {verdict}" for verdict in get_args(Verdict))
     return Check(check="verdict", verdict=worst, found=counts)
-
-
-def _check_camera(camera: CameraDriver) -> Check:
-    description, bounds = camera.describe(), camera.bounds("ExposureTime")
-    found = (
-        f"{description.name}, {description.image_width} x {description.image_height}, {description.saturation_dn} dn"
-    )
-    limits = "" if bounds is None else f", exposure {1e-6 * bounds[0]:g} to {1e-6 * bounds[1]:g} s"
-    return Check(check="camera", verdict="ok", found=found + limits)
 
 
 def _check_frames(camera: CameraDriver) -> Check:
@@ -112,25 +109,16 @@ def _check_frames(camera: CameraDriver) -> Check:
     return Check(check="frames", verdict="ok", found=found)
 
 
-def _check_ambient_light(camera: CameraDriver, dark: Image) -> Check:
-    full_dn = camera.describe().saturation_dn
-    share = float(dark.mean()) / full_dn
-    found = f"without lasers the image has {100 * share:.1f} % of the full grey value"
-    if share > 0.5:
-        return Check(check="ambient light", verdict="warning", found=found, remedy="darken, or expose shorter")
-    return Check(check="ambient light", verdict="ok", found=found)
-
-
 def _check_laser(camera: CameraDriver, lasers: LaserDriver, laser: int, dark: Image) -> tuple[LitPixels | None, Check]:
     """Checks that a laser is seen when it is on and not seen when it is off; returns its pixels, too."""
     full_dn, check = camera.describe().saturation_dn, f"laser {laser + 1}"
     lasers.set_mask(1 << laser)
     lasers.wait(MAX_SETTLE_S)
-    lit = camera.trigger(1 << laser).image
+    on_image = camera.trigger(1 << laser).image
     lasers.set_mask(0)
     lasers.wait(MAX_SETTLE_S)
     after = camera.trigger(0).image
-    pixels = lit_pixels(lit, [dark], full_dn)
+    pixels = lit_pixels(on_image, [dark], full_dn)
     if pixels is None and shows_stripe(after):
         found = "is not seen to go on or off, and a stripe shows while all are off"
         raise LaserSafetyError(check, found, STRIPE_REMEDY)
@@ -178,7 +166,7 @@ def _check_exposure(camera: CameraDriver, lasers: LaserDriver, laser: int, pixel
         return Check(
             check=check, verdict="warning", found="cannot be checked: all pixels are saturated", remedy="expose shorter"
         )
-    whole, half = (float((lit - dark)[usable].mean()) for dark, lit in light_dn)
+    whole, half = (float((bright - dark)[usable].mean()) for dark, bright in light_dn)
     found = f"half the exposure gives {100 * half / whole:.0f} % of the light"
     if not 0.4 < half / whole < 0.65:
         remedy = "a camera that applies exposures late needs skip=1 in its URI"

@@ -1,4 +1,4 @@
-"""What to capture, and where shots come from: a camera and what switches its lasers -> a source of shots.
+"""Capture requests, and the sources of shots that fulfil them: a camera with the device that switches its lasers.
 
 Recorded shots and simulated scenes are read from files, which this layer does not do; `cli.acquisition` makes their
 sources with `device_source` and `capture_record`.
@@ -29,7 +29,7 @@ OnRead = Callable[[Path], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CaptureRequest:
-    """What the user asks for; None leaves it to the device or the recording."""
+    """The options of a capture; None leaves a setting to the device or the recording."""
 
     camera: str
     """URI."""
@@ -50,7 +50,7 @@ class CaptureRequest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Source:
-    """Where shots come from."""
+    """A camera with its lasers, or a recording, from which shots are taken."""
 
     capture: Capture
     shots: Callable[[OnRead, Container[str]], Iterator[Shot]]
@@ -66,7 +66,7 @@ class Source:
 
 
 def camera_source(request: CaptureRequest) -> Source:
-    """The source of a real camera; by default, each laser is lit in turn between two dark frames."""
+    """The source of a real camera; by default, each laser is on in one frame, between two dark frames."""
     uri = device_uri(request.camera, "--camera", CAMERAS)
     camera = driver(CAMERAS, uri.scheme)(uri)
     lasers = laser_driver(request, camera)

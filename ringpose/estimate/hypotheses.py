@@ -26,8 +26,8 @@ from ringpose.estimate.covariance import (
 )
 from ringpose.estimate.measurements import Measurements, inflate_sigma
 from ringpose.estimate.nuisance import RigErrors, rig_errors
-from ringpose.estimate.residuals import PARAMETERS, Prior
-from ringpose.estimate.solver import RIDGE, Estimate, estimate_ring
+from ringpose.estimate.residuals import PARAMETERS, Prior, ring_residuals
+from ringpose.estimate.solver import OUTLIER_SIGMAS, RIDGE, Estimate, estimate_ring
 from ringpose.geometry.ring import CURVATURE, edge_distances
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.detection import Rejection
@@ -61,6 +61,18 @@ STRAIGHT_SIGMAS = 3.0
 CONFIRMED_BELOW = 2.0
 """Largest ratio of the curvature's standard deviations without and with the other end of a stripe, see `_confirmed`."""
 
+EDGE_NUMBERS = 8.0
+"""Independent numbers that the visible edges count as when explanations are compared: one per correlation length."""
+
+REJECTED_SHARE = 0.25
+"""Share of visible edge points rejected by the fit from which edges and stripes count as contradictory."""
+
+BACKGROUND_RANGE_PX = (150.0, 30.0, 100.0, 100.0)
+"""Where a stripe on the background may be seen: range of its line's position, of the change along it, of its ends."""
+
+COINCIDENCE = 3.0
+"""Log likelihood ratio from which two stripes agree with one ring too well for one of them to be on the background."""
+
 DIFFERS = 4.0
 """Squared Mahalanobis distance, per degree of freedom, from which two explanations differ in a quantity."""
 
@@ -91,8 +103,12 @@ class Solved(NamedTuple):
 
     @property
     def score(self) -> float:
-        """Penalised chi-squared: less is better."""
-        return chi2(self.estimate, self.hypothesis.measured) + self.hypothesis.penalty
+        """Penalised chi-squared, visible edges included by their mean: less is better."""
+        total = chi2(self.estimate, self.hypothesis.measured) + self.hypothesis.penalty
+        edges = edge_residuals(self.estimate, self.hypothesis.measured)
+        if not len(edges):
+            return total
+        return total + EDGE_NUMBERS * max(float(np.minimum(edges**2, OUTLIER_SIGMAS**2).mean()) - 1.0, 0.0)
 
 
 class Explanation(NamedTuple):
@@ -173,20 +189,21 @@ def _explained(
         estimate = estimate_ring(measured, rig, prior, errors, estimate.arcs)
     everything = None if estimate is None else Solved(Hypothesis(measured, prior), estimate)
     if everything is not None and not _is_suspicious(everything):
-        return _explanation(everything, ())
-    tried = []
+        return _explanation(everything, _single_stripes(everything, rig, errors))
+    tried: list[Solved] = []
     for hypothesis in outlier_hypotheses(measured, rig, prior, labelled):
         estimate = estimate_ring(hypothesis.measured, rig, hypothesis.prior, errors)
         if estimate is not None and (_is_ring(estimate) or hypothesis.both):
             tried.append(Solved(hypothesis, estimate))
-    return _select(everything, tried)
-
-
-def _select(everything: Solved | None, tried: list[Solved]) -> Explanation | None:
-    """The best of the explanations, with what its comparable rivals have in common with it."""
-    near = [] if everything is None and not tried else _nearly_best([*([everything] if everything else []), *tried])
-    if not near:
+    if everything is None and not tried:
         return None
+    best, rivals = _select(everything, tried)
+    return _explanation(best, [*rivals, *_single_stripes(best, rig, errors)])
+
+
+def _select(everything: Solved | None, tried: list[Solved]) -> tuple[Solved, list[Solved]]:
+    """The best of the explanations, and its comparable rivals."""
+    near = _nearly_best([*([] if everything is None else [everything]), *tried])
     best = _confirmed(_of_one_stripe(near, tried) or near[0], tried)
     rivals = [each for each in near if each is not best and not _covers(best, each)]
     if fails_chi2_test(best.estimate, best.hypothesis.measured, best.hypothesis.prior):
@@ -197,8 +214,8 @@ def _select(everything: Solved | None, tried: list[Solved]) -> Explanation | Non
             remark = f"{best.hypothesis.remark}, but the rest disagrees, too"
         inconsistent = best.hypothesis._replace(flag=best.hypothesis.flag | PoseFlag.INCONSISTENT, remark=remark)
         rivals = [each for each in near if each is not best and each.score < best.score]
-        return _explanation(Solved(inconsistent, best.estimate), rivals)
-    return _explanation(best, rivals)
+        return Solved(inconsistent, best.estimate), rivals
+    return best, rivals
 
 
 def _explanation(best: Solved, rivals: Sequence[Solved]) -> Explanation:
@@ -247,6 +264,53 @@ def _within(difference: Float64[Array, "n"], covariance: Float64[Array, "n n"]) 
     return squared <= DIFFERS * len(difference)
 
 
+def _single_stripes(solved: Solved, rig: Rig, errors: RigErrors | None) -> list[Solved]:
+    """Explanations by one stripe of two, the other one being on the background, if these are comparable.
+
+    Light planes are nearly parallel, so that any two stripes lie nearly in a plane: two stripes have hardly any
+    redundancy. Only that the second one agrees with the prediction by the first one, if that is precise, is evidence
+    for a common ring. Visible edges are further evidence.
+    """
+    measured, prior = solved.hypothesis.measured, solved.hypothesis.prior
+    if len(measured.lines.laser) != 2 or len(measured.edges.edge):
+        return []
+    found = []
+    for laser in measured.lines.laser.tolist():
+        alone = measured.without_laser(laser)
+        estimate = estimate_ring(alone, rig, prior, errors) if len(alone.points.x) else None
+        if estimate is None:
+            return []
+        if ring_evidence(estimate, measured, laser, rig) < COINCIDENCE:
+            rejected = (Rejection(what="stripe", laser=rig.lasers.names[laser]),)
+            hypothesis = Hypothesis(alone, prior, PoseFlag.STRIPE_REJECTED, rejected=rejected, laser=laser)
+            found.append(Solved(hypothesis, estimate))
+    return found
+
+
+def ring_evidence(estimate: Estimate, measured: Measurements, laser: int, rig: Rig) -> float:
+    """Log likelihood ratio of a laser's stripe on the ring that another stripe predicts, against one anywhere.
+
+    ln N(r; 0, 1 + J C J^T) - ln(1 / range): r, J are the stripe's whitened residuals at the prediction and their
+    Jacobian, C is the prediction's covariance.
+    """
+    residuals = ring_residuals(estimate.arcs, measured, measured.observations(rig.lasers), Prior())
+    line = np.flatnonzero(np.repeat(measured.lines.laser == laser, 2))
+    points = np.flatnonzero(measured.points.laser == laser)
+    rows = np.concatenate([line, residuals.ends + points])
+    residual, jacobian = residuals.residual[rows], residuals.jacobian[rows]
+    covariance = np.eye(len(rows)) + jacobian @ estimate.inverse @ jacobian.T
+    log_ring = -0.5 * (
+        residual @ np.linalg.solve(covariance, residual) + np.linalg.slogdet(2.0 * np.pi * covariance)[1]
+    )
+    # the same range in standard deviations
+    focal = rig.camera.camera_matrix[[0, 1], [0, 1]]
+    whitening = measured.lines.whitening[measured.lines.laser == laser][0]
+    sigma_px = measured.points.sigma_x[points] * focal[0]
+    log_range = np.log(BACKGROUND_RANGE_PX[: len(rows)]).sum()
+    log_range += np.linalg.slogdet(whitening)[1] - 2.0 * np.log(focal[1]) - np.log(sigma_px).sum()
+    return float(log_ring + log_range)
+
+
 def outlier_hypotheses(measured: Measurements, rig: Rig, prior: Prior, labelled: bool) -> Iterator[Hypothesis]:
     """One break point, both of a stripe, a stripe, the visible edges, the assignment of the lasers, the radii wrong."""
     yield from _wrong_points(measured, rig, prior)
@@ -288,7 +352,7 @@ def _wrong_points(measured: Measurements, rig: Rig, prior: Prior) -> Iterator[Hy
 
 def _wrong_stripes(measured: Measurements, rig: Rig, prior: Prior) -> Iterator[Hypothesis]:
     seen = measured.lasers
-    for laser in seen if len(seen) > 2 else []:
+    for laser in seen if len(seen) > 1 else []:
         rest, name = measured.without_laser(laser), rig.lasers.names[laser]
         penalty = OUTLIER_PENALTY + PARAMETER_PENALTY * (stripe_rows(measured) - stripe_rows(rest))
         remark = f"the stripe of laser {name} contradicts the others and was left out"
@@ -317,6 +381,7 @@ def _is_ring(estimate: Estimate) -> bool:
 def _nearly_best(tried: Sequence[Solved]) -> list[Solved]:
     """The best explanation, and those that it does not beat clearly, in order of their scores."""
     ranked = sorted((each for each in tried if not each.hypothesis.both), key=lambda each: each.score)
+    ranked = ranked or sorted(tried, key=lambda each: each.score)
     return [each for each in ranked if each.score < ranked[0].score + CLEARLY]
 
 
@@ -354,6 +419,9 @@ def _is_suspicious(solved: Solved) -> bool:
     """Whether the ring fails the chi-squared test, or would fit much better without one of its numbers."""
     estimate, measured, prior = solved.estimate, solved.hypothesis.measured, solved.hypothesis.prior
     if fails_chi2_test(estimate, measured, prior):
+        return True
+    edges = estimate.weights[stripe_rows(measured) :][: len(measured.edges.edge)]
+    if len(edges) and float((edges == 0).mean()) > REJECTED_SHARE:
         return True
     return largest_reduction(estimate, measured) > OUTLIER_PENALTY + PARAMETER_PENALTY
 

@@ -44,11 +44,8 @@ def read_board(path: Path) -> Board:
         return board
     file = path.parent / board.dictionary
     if not file.exists():
-        raise DataError(
-            f"{path}: dictionary",
-            f'no dictionary "{board.dictionary}"',
-            "give one of OpenCV's, such as DICT_4X4_50, or a file",
-        )
+        remedy = "give one of OpenCV's, such as DICT_4X4_50, or a file"
+        raise DataError(f"{path}: dictionary", f'no dictionary "{board.dictionary}"', remedy)
     return replace(board, marker_bits=read_dictionary(file))
 
 
@@ -59,13 +56,12 @@ def board_of(fields: Fields) -> Board:
         fields.raw(key)
     if fields.has("ringpose") and fields.text("ringpose") != "board/1":
         raise fields.problem("ringpose", f"is {fields.text('ringpose')!r}, must be 'board/1'")
-    sizes: dict[str, Any] = {
-        key: fields.integer(key, least=MIN_COUNT[kind], most=MAX_SQUARES) for key in _COUNTS if fields.has(key)
-    }
-    sizes |= {key: _length(fields, key) for key in _LENGTHS if fields.has(key)}
-    sizes |= {key: fields.text(key) for key in ("dictionary", "order") if fields.has(key)}
-    if fields.has("legacy_pattern"):
-        sizes["legacy_pattern"] = fields.boolean("legacy_pattern")
+    sizes: dict[str, Any] = fields.given(
+        _COUNTS, lambda key: fields.integer(key, least=MIN_COUNT[kind], most=MAX_SQUARES)
+    )
+    sizes |= fields.given(_LENGTHS, lambda key: _length(fields, key))
+    sizes |= fields.given(("dictionary", "order"), fields.text)
+    sizes |= fields.given(("legacy_pattern",), fields.boolean)
     _check_fit(fields, sizes)
     return Board(kind=cast(BoardKind, kind), **sizes)
 
@@ -116,11 +112,8 @@ def read_dictionary(path: Path) -> tuple[str, ...]:
     fields = Fields(str(path), storage_values(read_bytes(path), str(path)))
     side = fields.integer("markersize", least=3, most=10)
     count = fields.integer("nmarkers", least=1, most=MAX_MARKERS)
-    return tuple(_bits(fields, f"marker_{number}", side) for number in range(count))
-
-
-def _bits(fields: Fields, key: str, side: int) -> str:
-    bits = fields.text(key)
-    if set(bits) - {"0", "1"} or len(bits) != side**2:
-        raise fields.problem(key, f"must be {side} x {side} digits 0 or 1")
-    return bits
+    markers = {key: fields.text(key) for key in (f"marker_{number}" for number in range(count))}
+    for key, bits in markers.items():
+        if set(bits) - {"0", "1"} or len(bits) != side**2:
+            raise fields.problem(key, f"must be {side} x {side} digits 0 or 1")
+    return tuple(markers.values())

@@ -70,24 +70,20 @@ def _listed_on_stdin(suffixes: tuple[str, ...]) -> Iterator[Input | Problem]:
 
 def _opened(path: Path, suffixes: tuple[str, ...]) -> Iterator[Input | Problem]:
     for item in _paths(path, suffixes):
-        if isinstance(item, Path) and RECORDS_SUFFIX in suffixes and holds_records(item):
-            yield from _records_in(item)
-        else:
+        if not (isinstance(item, Path) and RECORDS_SUFFIX in suffixes and holds_records(item)):
             yield item
+            continue
+        try:
+            for number, line in enumerate(_lines(item), start=1):
+                if line.strip():
+                    yield _record(line, f"{item}:{number}")
+        except (NoInputError, DataError) as problem:
+            yield problem
 
 
 def holds_records(path: Path) -> bool:
     """Whether the file's name ends with `.jsonl` or `.jsonl.gz`."""
     return path.name.lower().endswith((RECORDS_SUFFIX, COMPRESSED_SUFFIX))
-
-
-def _records_in(path: Path) -> Iterator[Record | Problem]:
-    try:
-        for number, line in enumerate(_lines(path), start=1):
-            if line.strip():
-                yield _record(line, f"{path}:{number}")
-    except (NoInputError, DataError) as problem:
-        yield problem
 
 
 def _lines(path: Path) -> Iterator[bytes]:
@@ -116,23 +112,17 @@ def _record(line: str | bytes, location: str) -> Record | DataError:
 
 def _paths(path: Path, suffixes: tuple[str, ...]) -> Iterator[Path | NoInputError]:
     try:
-        files = sorted(child for child in path.iterdir() if _has_suffix(child, suffixes)) if path.is_dir() else [path]
+        files = [path]
+        if path.is_dir():
+            children = (child for child in path.iterdir() if not child.name.startswith("."))
+            files = sorted(child for child in children if child.suffix.lower() in suffixes)
     except OSError as error:
-        yield NoInputError(_abbreviated(path), f"cannot be opened: {(error.strerror or str(error)).lower()}")
+        name = str(path) if len(str(path)) <= MAX_NAME else f"{str(path)[:60]}..."
+        yield NoInputError(name, f"cannot be opened: {(error.strerror or str(error)).lower()}")
         return
     if not files:
         yield NoInputError(str(path), f"holds no file that ends with {', '.join(suffixes)}")
     yield from files
-
-
-def _abbreviated(path: Path) -> str:
-    """The name for a message; only the beginning if it is longer than `MAX_NAME`."""
-    name = str(path)
-    return name if len(name) <= MAX_NAME else f"{name[:60]}..."
-
-
-def _has_suffix(path: Path, suffixes: tuple[str, ...]) -> bool:
-    return path.suffix.lower() in suffixes and not path.name.startswith(".")
 
 
 POLL_S = 0.2
@@ -159,13 +149,13 @@ def lines() -> Iterator[str]:
     while chunk := _chunk(descriptor):
         *whole, end = chunk.split(b"\n")
         for line in whole:
-            yield _text(bytes(rest) + line + b"\n")
+            yield (bytes(rest) + line + b"\n").decode("utf-8", "surrogateescape")
             rest.clear()
         rest += end
         if len(rest) > MAX_LINE_BYTES:
             raise DataError("standard input", f"has a line of more than {MAX_LINE_BYTES >> 20} MiB", "end each record")
     if rest:
-        yield _text(bytes(rest))
+        yield rest.decode("utf-8", "surrogateescape")
 
 
 def _chunk(descriptor: int) -> bytes:
@@ -176,7 +166,3 @@ def _chunk(descriptor: int) -> bytes:
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise InputOutputError("standard input", f"reading broke off: {reason}") from error
-
-
-def _text(line: bytes) -> str:
-    return line.decode("utf-8", "surrogateescape")

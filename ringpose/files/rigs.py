@@ -95,10 +95,17 @@ def write_rig(
 
 def rig_values(rig: Rig) -> dict[str, Any]:
     """The mapping that `rig_of` reads, without provenance."""
+    lasers = rig.lasers
     values: dict[str, Any] = {
         "ringpose": SCHEMA,
         "camera": camera_values(rig.camera),
-        "lasers": _laser_values(rig.lasers),
+        "lasers": [
+            {"name": name, "normal": normal, "distance_m": distance_m}
+            | ({"projector_m": projector_m} if np.isfinite(projector_m).all() else {})
+            for name, normal, distance_m, projector_m in zip(
+                lasers.names, lasers.normal, lasers.distance_m, lasers.projector_m, strict=True
+            )
+        ],
     }
     if rig.covariance is not None:
         values["covariance"] = covariance_values(rig.covariance)
@@ -111,42 +118,26 @@ def _lasers(fields: Fields) -> LaserPlanes:
     entries = list(fields.each("lasers", _LASER_KEYS))
     if not 1 <= len(entries) <= MAX_LASERS:
         raise fields.problem("lasers", f"has {len(entries)} lasers, must have 1 to {MAX_LASERS}")
-    names = tuple(_name(entry) for entry in entries)
-    for number, entry in enumerate(entries):
-        if names[number] in names[:number]:
-            raise entry.problem("name", f"{names[number]!r} occurs twice")
+    names: list[str] = []
+    for entry in entries:
+        name = entry.text("name")
+        if "." in name:
+            raise entry.problem("name", f"is {name!r}, must not contain a full stop")
+        if name in names:
+            raise entry.problem("name", f"{name!r} occurs twice")
+        names.append(name)
+        distance_m = entry.length_m("distance_m")
+        if abs(distance_m) < MIN_DISTANCE_M:
+            raise entry.problem("distance_m", f"is {distance_m:g}: the plane contains the camera's centre")
     unknown = np.full(3, np.nan)
     return LaserPlanes(
-        names=names,
+        names=tuple(names),
         normal=np.stack([entry.unit_vector("normal", "divide normal and distance_m by it") for entry in entries]),
-        distance_m=np.array([_distance_m(entry) for entry in entries]),
+        distance_m=np.array([entry.length_m("distance_m") for entry in entries]),
         projector_m=np.stack(
             [entry.point_m("projector_m") if entry.has("projector_m") else unknown for entry in entries]
         ),
     )
-
-
-def _name(entry: Fields) -> str:
-    name = entry.text("name")
-    if "." in name:
-        raise entry.problem("name", f"is {name!r}, must not contain a full stop")
-    return name
-
-
-def _distance_m(entry: Fields) -> float:
-    distance_m = entry.length_m("distance_m")
-    if abs(distance_m) < MIN_DISTANCE_M:
-        raise entry.problem("distance_m", f"is {distance_m:g}: the plane contains the camera's centre")
-    return distance_m
-
-
-def _laser_values(lasers: LaserPlanes) -> list[dict[str, Any]]:
-    rows = zip(lasers.names, lasers.normal, lasers.distance_m, lasers.projector_m, strict=True)
-    return [
-        {"name": name, "normal": normal, "distance_m": distance_m}
-        | ({"projector_m": projector_m} if np.isfinite(projector_m).all() else {})
-        for name, normal, distance_m, projector_m in rows
-    ]
 
 
 def _tool_from_camera(fields: Fields) -> Float64[Array, "4 4"]:

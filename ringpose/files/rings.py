@@ -43,8 +43,8 @@ def _ring(fields: Fields) -> Ring:
         name=fields.text("name"),
         radius_inner_m=inner,
         radius_outer_m=outer,
-        nominal=fields.boolean("nominal") if fields.has("nominal") else False,
-        source=fields.text("source") if fields.has("source") else "",
+        nominal=fields.optional("nominal", fields.boolean) or False,
+        source=fields.optional("source", fields.text) or "",
     )
 
 

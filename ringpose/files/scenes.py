@@ -1,5 +1,6 @@
 """scene.yaml, the input of `ringpose simulate`; man/ringpose-simulate.1 documents its keys."""
 
+from collections.abc import Mapping
 from dataclasses import MISSING
 from dataclasses import fields as record_fields
 from pathlib import Path
@@ -21,7 +22,6 @@ from ringpose.types.scene import (
     Approach,
     Beacon,
     BoardApproach,
-    BoardPlace,
     BoardSet,
     Body,
     Foil,
@@ -29,6 +29,7 @@ from ringpose.types.scene import (
     Lens,
     Light,
     Material,
+    NamedBoardPose,
     RingShape,
     RingView,
     Scene,
@@ -41,6 +42,8 @@ from ringpose.types.sequence import parsed_sequence
 SCHEMA = "scene/1"
 
 _NUMBERS = ("exposure_s", "stripe_dn", "period_s", "start_s")
+
+_RECORDS: Mapping[str, type[Any]] = {"lasers": LaserLight, "lens": Lens, "sensor": Sensor, "speckle": Speckle}
 
 _PARTS = ("ring", "body", "lasers", "lights", "lens", "sensor", "speckle", "sequence", "trajectory", "boards")
 
@@ -67,26 +70,24 @@ def read_scene(path: Path) -> Scene:
     if fields.text("ringpose") != SCHEMA:
         raise fields.problem("ringpose", f"is {fields.text('ringpose')!r}, must be {SCHEMA!r}")
     rig = _rig(fields, path.parent)
-    lights = _lights(fields)
-    values: dict[str, Any] = {key: fields.number(key, least=0) for key in _NUMBERS if fields.has(key)}
-    values |= {
-        key: _numbers(fields, key, record)
-        for key, record in (("lasers", LaserLight), ("lens", Lens), ("sensor", Sensor), ("speckle", Speckle))
-        if fields.has(key)
-    }
-    if fields.has("sequence"):
-        values["sequence"] = read_sequence(fields, "sequence", len(rig.lasers.names))
-    else:
-        values["sequence"] = (0, (1 << len(rig.lasers.names)) - 1)
+    lights = {"dim": Light(name="dim")}
+    if fields.has("lights"):
+        named = fields.fields("lights")
+        lights = {str(name): _light(named, str(name)) for name in named.values}
+    lasers = len(rig.lasers.names)
+    values: dict[str, Any] = fields.given(_NUMBERS, lambda key: fields.number(key, least=0))
+    values |= fields.given(_RECORDS, lambda key: _numbers(fields, key, _RECORDS[key]))
+    values["sequence"] = read_sequence(fields, "sequence", lasers) if fields.has("sequence") else (0, (1 << lasers) - 1)
     if fields.has("trajectory"):
         values["views"], values["approaches"] = read_trajectory(fields, "trajectory", tuple(lights))
     if fields.has("boards"):
         boards = fields.fields("boards", ("camera", "planes"))
         for key, name in (("camera", "camera_boards"), ("planes", "plane_boards")):
-            values[name] = read_board_set(boards, key, len(rig.lasers.names)) if boards.has(key) else None
+            values[name] = read_board_set(boards, key, lasers) if boards.has(key) else None
+    ring = fields.fields("ring", _RING_KEYS)
     return Scene(
         rig=rig,
-        ring=_ring(fields.fields("ring", _RING_KEYS)),
+        ring=RingShape(profile_m=_profile_m(ring), **ring.given(("face", "wall"), lambda key: _material(ring, key))),
         body=_body(fields.fields("body", ("size_m", "offset_m", "material", "foil"))),
         lights=lights,
         seed=fields.integer("seed", least=0) if fields.has("seed") else 1,
@@ -101,11 +102,6 @@ def _rig(fields: Fields, folder: Path) -> Rig:
             remedy = "add the point from which its light emerges"
             raise fields.problem("rig", f"laser {name!r} has no projector_m", remedy)
     return rig
-
-
-def _ring(fields: Fields) -> RingShape:
-    materials = {key: _material(fields, key) for key in ("face", "wall") if fields.has(key)}
-    return RingShape(profile_m=_profile_m(fields), **materials)
 
 
 def _profile_m(fields: Fields) -> Float64[Array, "point 2"]:
@@ -125,14 +121,11 @@ def _profile_m(fields: Fields) -> Float64[Array, "point 2"]:
 
 
 def _body(fields: Fields) -> Body:
-    values: dict[str, Any] = {}
-    if fields.has("offset_m"):
-        values["offset_m"] = fields.vector("offset_m", 2)
+    values: dict[str, Any] = fields.given(("offset_m",), lambda key: fields.vector(key, 2))
+    if values:
         fields.check_metres("offset_m", values["offset_m"])
-    if fields.has("material"):
-        values["material"] = _material(fields, "material")
-    if fields.has("foil"):
-        values["foil"] = _numbers(fields, "foil", Foil)
+    values |= fields.given(("material",), lambda key: _material(fields, key))
+    values |= fields.given(("foil",), lambda key: _numbers(fields, key, Foil))
     size_m = fields.vector("size_m", 3)
     fields.check_metres("size_m", size_m)
     if (size_m <= 0).any():
@@ -147,24 +140,16 @@ def _material(fields: Fields, key: str) -> Material:
     return _numbers(fields, key, Material)
 
 
-def _lights(fields: Fields) -> dict[str, Light]:
-    if not fields.has("lights"):
-        return {"dim": Light(name="dim")}
-    named = fields.fields("lights")
-    return {str(name): _light(named, str(name)) for name in named.values}
-
-
 def _light(named: Fields, name: str) -> Light:
     keys = ("ambient_w_m2", "sun_w_m2", "sun_direction", "beacon")
     light = Fields(named.file, named.values[name] or {}, keys, named.path + "." + name)
-    values: dict[str, Any] = {key: light.number(key, least=0) for key in keys[:2] if light.has(key)}
+    values: dict[str, Any] = light.given(keys[:2], lambda key: light.number(key, least=0))
     if light.has("sun_direction"):
         direction = light.vector("sun_direction", 3)
         if not direction.any():
             raise light.problem("sun_direction", "has length 0")
         values["sun_direction"] = direction
-    if light.has("beacon"):
-        values["beacon"] = _numbers(light, "beacon", Beacon)
+    values |= light.given(("beacon",), lambda key: _numbers(light, key, Beacon))
     return Light(name=name, **values)
 
 
@@ -200,7 +185,7 @@ _VIEW_KEYS = ("name", "center_m", "normal", "pitch_rad", "yaw_rad", "roll_rad", 
 
 _APPROACH_KEYS = ("count", "distances_m", "lights", "tilt_rad", "clock_rad", "offset", "name", "seed")
 
-_PLACE_KEYS = ("name", "camera_from_board_rvec", "camera_from_board_tvec_m")
+_POSE_KEYS = ("name", "camera_from_board_rvec", "camera_from_board_tvec_m")
 
 _SET_KEYS = ("board", "views", "generate", "ambient_w_m2", "exposure_s", "sequence")
 
@@ -224,9 +209,9 @@ def read_sequence(fields: Fields, key: str, lasers: int) -> tuple[int, ...]:
 def read_trajectory(
     fields: Fields, key: str, lights: tuple[str, ...]
 ) -> tuple[tuple[RingView, ...], tuple[Approach, ...]]:
-    """The entries of a trajectory: single views, and approaches, which stand for views drawn at random (`generate`).
+    """The entries of a trajectory: single views, and approaches, which are sets of random views (`generate`).
 
-    `lights` are the names of the scene's lights, of which a view names those that shine.
+    `lights` are the names of the scene's lights, one of which a view names.
     """
     views: list[RingView] = []
     approaches: list[Approach] = []
@@ -250,12 +235,22 @@ def read_board_set(fields: Fields, key: str, lasers: int) -> BoardSet:
     if values["board"].kind == "asymmetric_circles":
         raise entry.problem("board.kind", "is 'asymmetric_circles', which is not simulated")
     if entry.has("views"):
-        values["places"] = tuple(_place(place) for place in entry.each("views", _PLACE_KEYS))
+        values["poses"] = tuple(
+            NamedBoardPose(
+                name=_name(pose),
+                rotation=np.asarray(cv2.Rodrigues(pose.vector("camera_from_board_rvec", 3))[0], dtype=np.float64),
+                translation_m=pose.point_m("camera_from_board_tvec_m"),
+            )
+            for pose in entry.each("views", _POSE_KEYS)
+        )
     if entry.has("generate"):
-        values["approach"] = _board_approach(entry.fields("generate", _BOARD_APPROACH_KEYS))
-    values |= {k: entry.number(k, least=0) for k in ("ambient_w_m2", "exposure_s") if entry.has(k)}
-    if entry.has("sequence"):
-        values["sequence"] = read_sequence(entry, "sequence", lasers)
+        approach = entry.fields("generate", _BOARD_APPROACH_KEYS)
+        random_set = _random_set(approach)
+        if len(random_set.get("distances_m", (0.0, 0.0))) != 2:
+            raise approach.problem("distances_m", "must be the nearest and the farthest distance")
+        values["approach"] = BoardApproach(**random_set)
+    values |= entry.given(("ambient_w_m2", "exposure_s"), lambda key: entry.number(key, least=0))
+    values |= entry.given(("sequence",), lambda key: read_sequence(entry, key, lasers))
     return BoardSet(**values)
 
 
@@ -267,8 +262,7 @@ def _view(entry: Fields, lights: tuple[str, ...]) -> RingView:
         raise entry.problem("light", "is missing, and there is no light 'dim'")
     if entry.has("target"):
         values["target"] = cast(TargetKind, entry.choice("target", get_args(TargetKind)))
-    if entry.has("roll_rad"):
-        values["roll_rad"] = entry.number("roll_rad", least=-7, most=7)
+    values |= entry.given(("roll_rad",), lambda key: entry.number(key, least=-7, most=7))
     if entry.has("groups"):
         values["groups"] = entry.fields("groups").values
         if not all(isinstance(value, str | int | float | bool) for value in values["groups"].values()):
@@ -292,27 +286,18 @@ def _normal(entry: Fields) -> Float64[Array, "3"]:
 def _approach(entry: Fields, lights: tuple[str, ...]) -> Approach:
     values = _random_set(entry)
     values |= {"name": _name(entry)} if entry.has("name") else {}
-    if entry.has("lights"):
-        values["lights"] = entry.texts("lights")
+    values |= entry.given(("lights",), entry.texts)
     for light in values.get("lights", ("dim",)):
         if light not in lights:
             raise entry.problem("lights", f"has {light!r}, must be one of {', '.join(lights)}")
     return Approach(**values)
 
 
-def _board_approach(entry: Fields) -> BoardApproach:
-    values = _random_set(entry)
-    if "distances_m" in values and len(values["distances_m"]) != 2:
-        raise entry.problem("distances_m", "must be the nearest and the farthest distance")
-    return BoardApproach(**values)
-
-
 def _random_set(entry: Fields) -> dict[str, Any]:
     """The values that random sets of ring views and of board views have in common."""
-    values: dict[str, Any] = {key: entry.integer(key, least=0) for key in ("count", "seed") if entry.has(key)}
-    values |= {key: entry.number(key, least=0, most=1.2) for key in _ANGLES if entry.has(key)}
-    if entry.has("offset"):
-        values["offset"] = entry.number("offset", least=0, most=0.5)
+    values: dict[str, Any] = entry.given(("count", "seed"), lambda key: entry.integer(key, least=0))
+    values |= entry.given(_ANGLES, lambda key: entry.number(key, least=0, most=1.2))
+    values |= entry.given(("offset",), lambda key: entry.number(key, least=0, most=0.5))
     if entry.has("distances_m"):
         distances_m = entry.array("distances_m", (None,))
         entry.check_metres("distances_m", distances_m)
@@ -320,15 +305,6 @@ def _random_set(entry: Fields) -> dict[str, Any]:
             raise entry.problem("distances_m", "must be positive")
         values["distances_m"] = tuple(distances_m.tolist())
     return values
-
-
-def _place(entry: Fields) -> BoardPlace:
-    rotation = cv2.Rodrigues(entry.vector("camera_from_board_rvec", 3))[0]
-    return BoardPlace(
-        name=_name(entry),
-        rotation=np.asarray(rotation, dtype=np.float64),
-        translation_m=entry.point_m("camera_from_board_tvec_m"),
-    )
 
 
 def _name(entry: Fields) -> str:

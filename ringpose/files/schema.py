@@ -2,8 +2,8 @@
 
 import difflib
 import math
-from collections.abc import Iterable, Iterator, Mapping
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -30,6 +30,9 @@ CHARACTERISTIC_KEYS = {
     "kind": "a board",
 }
 """Keys by which a file of another kind is recognised, for the remedy in a message."""
+
+
+Value = TypeVar("Value")
 
 
 class Fields:
@@ -59,10 +62,21 @@ class Fields:
         """Whether the key is present and not null."""
         return self.values.get(key) is not None
 
+    def given(self, keys: Iterable[str], read: Callable[[str], Value]) -> dict[str, Value]:
+        """The values of those of the keys that are present, each read by `read`."""
+        return {key: read(key) for key in keys if self.has(key)}
+
+    def optional(self, key: str, read: Callable[[str], Value]) -> Value | None:
+        """The value of a key, read by `read`; None if it is missing or null."""
+        return read(key) if self.has(key) else None
+
     def raw(self, key: str) -> Any:
         """The value as it was read; a missing key or null is rejected."""
         if key not in self.values:
-            raise self.problem("", f"has no key {key!r}", self._misspelling(key))
+            unknown = [other for other in self.values if isinstance(other, str) and other not in self.known]
+            similar = difflib.get_close_matches(key, unknown, n=1)
+            remedy = f"did you mean {key!r} instead of {similar[0]!r}?" if similar else ""
+            raise self.problem("", f"has no key {key!r}", remedy)
         if self.values[key] is None:
             raise self.problem(key, "is null, must have a value")
         return self.values[key]
@@ -177,13 +191,11 @@ class Fields:
             if not isinstance(key, str):
                 raise self.problem("", f"has the key {key!r}, which is not a text")
             if key not in known and not key.startswith(FREE_PREFIX):
-                remedy = hint(key, known) or self._other_kind(known) or f"begin it with {FREE_PREFIX} if it is your own"
+                remedy = hint(key, known) or f"begin it with {FREE_PREFIX} if it is your own"
+                kinds = [CHARACTERISTIC_KEYS[k] for k in self.values if k in CHARACTERISTIC_KEYS and k not in known]
+                if kinds and not self.path and not hint(key, known):
+                    remedy = f"this looks like {kinds[0]}, give another file"
                 raise self.problem("", f"unknown key {key!r}", remedy)
-
-    def _other_kind(self, known: tuple[str, ...]) -> str:
-        """Remedy for a file of another kind, such as a rig given as a board; empty if it is not recognised."""
-        kinds = [CHARACTERISTIC_KEYS[key] for key in self.values if key in CHARACTERISTIC_KEYS and key not in known]
-        return f"this looks like {kinds[0]}, give another file" if kinds and not self.path else ""
 
     def _below(self, key: str) -> str:
         return f"{self.path}.{key}" if self.path else key
@@ -197,12 +209,6 @@ class Fields:
             most = f" and at most {bounds[1]:g}" if bounds[1] < math.inf else ""
             least = f"at least {bounds[0]:g}" if bounds[0] > -math.inf else ""
             raise self.problem(key, f"is {value:g}, must be {least}{most}".replace("be  and", "be"))
-
-    def _misspelling(self, key: str) -> str:
-        """Remedy for a missing key if an unknown key resembles it."""
-        unknown = [other for other in self.values if isinstance(other, str) and other not in self.known]
-        similar = difflib.get_close_matches(key, unknown, n=1)
-        return f"did you mean {key!r} instead of {similar[0]!r}?" if similar else ""
 
 
 def unusable(array: Float64[Array, "..."], allow_nan: bool) -> str:
@@ -231,13 +237,10 @@ def kind(value: object) -> str:
     return f"the text {value[:40]!r}" if isinstance(value, str) else f"{value!r:.40}"
 
 
-def _numbers(values: list[Any]) -> list[Any]:
-    return [_numbers(value) if isinstance(value, list) else _number(value) for value in values]
-
-
-def _number(value: object) -> float:
-    if value is None:
-        return math.nan
-    if isinstance(value, bool) or not isinstance(value, int | float):
+def _numbers(value: object) -> Any:
+    """Nested lists with every number as a float, and null as NaN; TypeError for any other value."""
+    if isinstance(value, list):
+        return [_numbers(item) for item in value]
+    if isinstance(value, bool) or not isinstance(value, int | float | None):
         raise TypeError(value)
-    return float(value)
+    return math.nan if value is None else float(value)

@@ -8,7 +8,7 @@ import numpy as np
 
 from ringpose.calibrate.boards.layout import is_white, marker_corners, outline_m
 from ringpose.calibrate.boards.markers import marker_dictionary
-from ringpose.simulate.target import EMPTY
+from ringpose.simulate.target import EMPTY, Hits, Numbers, Vectors
 from ringpose.types.arrays import Array, Bool, Float64, Int8, UInt8
 from ringpose.types.board import Board
 from ringpose.types.scene import MATERIALS, Material
@@ -39,9 +39,7 @@ class BoardTarget:
     materials: tuple[Material, ...] = (MATERIALS["black"], MATERIALS["white"])
     relief_m: float = 0.0
 
-    def first_hits(
-        self, eye: Float64[Array, "xyz=3"], direction: Float64[Array, "xyz=3 ray"]
-    ) -> tuple[Float64[Array, "ray"], Int8[Array, "ray"]]:
+    def first_hits(self, eye: Float64[Array, "xyz=3"], direction: Vectors) -> Hits:
         """See `Target`."""
         with np.errstate(divide="ignore", invalid="ignore"):
             parameter = -eye[2] / direction[2]
@@ -54,19 +52,15 @@ class BoardTarget:
         return np.where(hit, parameter, np.inf), surface
 
     def on_relief(
-        self,
-        eye: Float64[Array, "xyz=3"],
-        direction: Float64[Array, "xyz=3 ray"],
-        parameter: Float64[Array, "ray"],
-        surface: Int8[Array, "ray"],
-    ) -> tuple[Float64[Array, "xyz=3 ray"], Float64[Array, "xyz=3 ray"]]:
+        self, eye: Float64[Array, "xyz=3"], direction: Vectors, parameter: Float64[Array, "ray"], surface: Numbers
+    ) -> tuple[Vectors, Vectors]:
         """See `Target`."""
         point = eye[:, None] + parameter * direction
         normal = np.zeros_like(point)
         normal[2] = -np.sign(direction[2])
         return point, normal
 
-    def blocked(self, point: Float64[Array, "xyz=3 ray"], towards: Float64[Array, "xyz=3 ray"]) -> Bool[Array, "ray"]:
+    def blocked(self, point: Vectors, towards: Vectors) -> Bool[Array, "ray"]:
         """See `Target`; a plane does not occlude itself."""
         return np.zeros(point.shape[1], dtype=np.bool_)
 
@@ -80,24 +74,17 @@ class BoardTarget:
             inside = np.flatnonzero((column >= 0) & (column < columns) & (row >= 0) & (row < rows))
             colour[inside] = self.squares[row[inside], column[inside]]
         if len(self.bits):
-            marker = self._marker_at(x_m, y_m)
+            columns = np.searchsorted(self.edges_x_m, x_m, side="right")
+            marker = self.cells[np.searchsorted(self.edges_y_m, y_m, side="right"), columns]
             found = np.flatnonzero(marker >= 0)
-            colour[found] = self._bit_at(marker[found], x_m[found], y_m[found])
+            marker = marker[found]
+            bits = self.bits.shape[1]
+            bit = (np.stack([x_m[found], y_m[found]]) - self.origins_m[marker].T) / (
+                (self.board.marker_m or 1.0) / bits
+            )
+            bit_x, bit_y = bit.astype(int).clip(0, bits - 1)
+            colour[found] = self.bits[marker, bit_y, bit_x]
         return colour
-
-    def _marker_at(self, x_m: Float64[Array, "n"], y_m: Float64[Array, "n"]) -> Int8[Array, "n"]:
-        column = np.searchsorted(self.edges_x_m, x_m, side="right")
-        row = np.searchsorted(self.edges_y_m, y_m, side="right")
-        return np.asarray(self.cells[row, column], dtype=np.int8)
-
-    def _bit_at(
-        self, marker: Int8[Array, "n"], x_m: Float64[Array, "n"], y_m: Float64[Array, "n"]
-    ) -> UInt8[Array, "n"]:
-        size = self.bits.shape[1]
-        bit_m = (self.board.marker_m or 1.0) / size
-        column, row = (np.stack([x_m, y_m]) - self.origins_m[marker].T) / bit_m
-        found = self.bits[marker, row.astype(int).clip(0, size - 1), column.astype(int).clip(0, size - 1)]
-        return np.asarray(found, dtype=np.uint8)
 
 
 def board_target(board: Board) -> BoardTarget:
@@ -107,26 +94,23 @@ def board_target(board: Board) -> BoardTarget:
     edges_x_m, edges_y_m = (np.unique(np.stack([origins_m, ends_m])[..., axis].round(9)) for axis in (0, 1))
     cells = np.full((len(edges_y_m) + 1, len(edges_x_m) + 1), -1, dtype=np.int8)
     for number, (begin, end) in enumerate(zip(origins_m, ends_m, strict=True)):
-        columns = slice(*np.searchsorted(edges_x_m, [begin[0] + 1e-8, end[0] + 1e-8]))
-        rows = slice(*np.searchsorted(edges_y_m, [begin[1] + 1e-8, end[1] + 1e-8]))
-        cells[rows, columns] = number
+        within_x = slice(*np.searchsorted(edges_x_m, [begin[0] + 1e-8, end[0] + 1e-8]))
+        within_y = slice(*np.searchsorted(edges_y_m, [begin[1] + 1e-8, end[1] + 1e-8]))
+        cells[within_y, within_x] = number
+    squares = None
+    if board.square_m is not None:
+        rows, columns = range(board.squares_y or 0), range(board.squares_x or 0)
+        squares = np.array([[is_white(x, y, board) for x in columns] for y in rows], dtype=np.uint8)
     return BoardTarget(
         board=board,
         outline_m=outline_m(board),
-        squares=_squares(board),
+        squares=squares,
         edges_x_m=edges_x_m,
         edges_y_m=edges_y_m,
         cells=cells,
         bits=_marker_bits(board, len(origins_m)),
         origins_m=origins_m,
     )
-
-
-def _squares(board: Board) -> UInt8[Array, "row column"] | None:
-    if board.square_m is None:
-        return None
-    rows, columns = board.squares_y or 0, board.squares_x or 0
-    return np.array([[is_white(x, y, board) for x in range(columns)] for y in range(rows)], dtype=np.uint8)
 
 
 def _marker_bits(board: Board, count: int) -> UInt8[Array, "marker bit_y bit_x"]:

@@ -7,7 +7,7 @@ import numpy as np
 from ringpose.geometry.rays import project
 from ringpose.simulate.break_points import crossings, in_image
 from ringpose.simulate.laser_planes import half_thickness_m
-from ringpose.simulate.lighting import Intersections, LitTarget, laser_radiance
+from ringpose.simulate.lighting import IlluminatedTarget, Intersections, laser_radiance
 from ringpose.simulate.renderer import pixel_rays
 from ringpose.simulate.sensor import electrons_per_radiance
 from ringpose.simulate.target import ring_target
@@ -18,44 +18,45 @@ MIN_DURATION_S, MAX_DURATION_S = 2e-5, 0.1
 """Range of common cameras."""
 
 
-def view_exposure_s(scene: Scene, lit_target: LitTarget) -> float:
-    """The scene's exposure, or that which gives the stripes on the rim the grey value `stripe_dn`.
+def view_exposure_s(scene: Scene, illuminated: IlluminatedTarget) -> float:
+    """The exposure of the scene, or the one that gives the stripes on the rim the grey value `stripe_dn`.
 
     Computed from the brightest stripe at the mean circle of the rim, rounded to microseconds. A view without the ring
     has the same exposure as one with it.
     """
     if scene.stripe_dn is None:
         return scene.exposure_s
-    with_ring = replace(lit_target, target=ring_target(scene.ring, scene.body))
+    with_ring = replace(illuminated, target=ring_target(scene.ring, scene.body))
     brightest = float(np.max(_stripe_radiances(scene, with_ring), initial=0.0))
     if brightest == 0.0:
         return scene.exposure_s
     rate_e = brightest * electrons_per_radiance(scene.sensor, scene.lens)
-    wanted_e = (scene.stripe_dn - scene.sensor.black_level_dn) / scene.sensor.overall_system_gain_dn_per_e
-    return float(np.clip(np.round(wanted_e / rate_e, 6), MIN_DURATION_S, MAX_DURATION_S))
+    stripe_e = (scene.stripe_dn - scene.sensor.black_level_dn) / scene.sensor.overall_system_gain_dn_per_e
+    return float(np.clip(np.round(stripe_e / rate_e, 6), MIN_DURATION_S, MAX_DURATION_S))
 
 
-def _stripe_radiances(scene: Scene, lit_target: LitTarget) -> Float64[Array, "crossing"]:
+def _stripe_radiances(scene: Scene, illuminated: IlluminatedTarget) -> Float64[Array, "crossing"]:
     """Peak radiance, after the blur of the lens, of each visible stripe at the mean circle of the rim."""
     middle_m = np.array([(scene.ring.radius_inner_m + scene.ring.radius_outer_m) / 2])
     points = np.concatenate(
-        [crossings(lit_target, scene.ring.height_m, middle_m, side) for side in (-1.0, 1.0)], axis=1
+        [crossings(illuminated, scene.ring.height_m, middle_m, side) for side in (-1.0, 1.0)], axis=1
     )
-    pixels = project(lit_target.placement.points_camera(points), scene.rig.camera)
+    pixels = project(illuminated.placement.points_camera(points), scene.rig.camera)
     shown = np.argwhere(in_image(pixels, scene.rig.camera))
-    return np.array([_peak(scene, lit_target, int(laser), points[laser, side]) for laser, side in shown])
+    return np.array([_peak(scene, illuminated, int(laser), points[laser, side]) for laser, side in shown])
 
 
-def _peak(scene: Scene, lit_target: LitTarget, laser: int, point: Float64[Array, "3"]) -> float:
-    to_eye = lit_target.placement.eye_m - point
+def _peak(scene: Scene, illuminated: IlluminatedTarget, laser: int, point: Float64[Array, "3"]) -> float:
+    """Peak radiance of a stripe at a point of the rim, reduced by the blur of lens and pixel."""
+    to_eye = illuminated.placement.eye_m - point
     hits = Intersections(
         surface=np.array([scene.ring.face_piece], dtype=np.int8),
         point=point[:, None],
         normal=np.array([[0.0], [0.0], [1.0]]),
         to_eye=(to_eye / np.linalg.norm(to_eye))[:, None],
     )
-    depth_m = lit_target.placement.points_camera(point)[2:]
+    depth_m = illuminated.placement.points_camera(point)[2:]
     per_px_m = float(depth_m[0]) * pixel_rays(scene.rig.camera).angle_per_px
     sigma_px = float(half_thickness_m(scene.lasers, depth_m)[0]) / per_px_m
     blurred = sigma_px / np.sqrt(sigma_px**2 + scene.lens.blur_px**2 + 1 / 12)
-    return float(laser_radiance(lit_target, hits, laser)[0][0] * blurred)
+    return float(laser_radiance(illuminated, hits, laser)[0][0] * blurred)

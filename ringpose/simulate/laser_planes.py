@@ -69,8 +69,8 @@ def in_fan(sheet: Sheets, laser: int, point: Float64[Array, "xyz=3 n"]) -> Bool[
     from_projector = point - sheet.projector_m[laser][:, None]
     along = sheet.axis[laser] @ from_projector
     aside = np.cross(sheet.normal[laser], sheet.axis[laser]) @ from_projector
-    lit: Bool[Array, "n"] = np.abs(np.arctan2(aside, along)) <= sheet.light.fan_rad / 2
-    return lit
+    inside: Bool[Array, "n"] = np.abs(np.arctan2(aside, along)) <= sheet.light.fan_rad / 2
+    return inside
 
 
 def _farthest_half_thickness_m(sheet: Sheets, laser: int, point: Float64[Array, "xyz=3 n"]) -> float:

@@ -19,7 +19,7 @@ _FAR_M = 100.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LitTarget:
+class IlluminatedTarget:
     """A target with its placement in the camera frame and the light on it."""
 
     target: Target
@@ -30,7 +30,7 @@ class LitTarget:
     """Lasers that are on in at least one frame; the layers of the others stay black."""
 
     @property
-    def is_lit(self) -> bool:
+    def has_ambient_light(self) -> bool:
         """Whether there is light other than that of the lasers."""
         return self.light.ambient_w_m2 > 0 or self.light.sun_w_m2 > 0
 
@@ -61,56 +61,61 @@ class Intersections:
 
 
 def hits_on_relief(
-    lit_target: LitTarget,
+    illuminated: IlluminatedTarget,
     direction: Float64[Array, "xyz=3 hit"],
     parameter: Float64[Array, "hit"],
     surface: Int8[Array, "hit"],
 ) -> Intersections:
     """The intersections of rays with the surfaces including their fine relief."""
-    point, normal = lit_target.target.on_relief(lit_target.placement.eye_m, direction, parameter, surface)
+    point, normal = illuminated.target.on_relief(illuminated.placement.eye_m, direction, parameter, surface)
     return Intersections(surface=surface, point=point, normal=normal, to_eye=-_unit(direction))
 
 
-def ambient_radiance(lit_target: LitTarget, hits: Intersections) -> tuple[Float64[Array, "hit"], Bool[Array, "hit"]]:
+def ambient_radiance(
+    illuminated: IlluminatedTarget, hits: Intersections
+) -> tuple[Float64[Array, "hit"], Bool[Array, "hit"]]:
     """Radiance due to laboratory and sun, and which points lie in the shadow of the sun."""
-    light = lit_target.light
+    light = illuminated.light
     radiance, shadowed = np.zeros(len(hits.surface)), np.zeros(len(hits.surface), dtype=np.bool_)
     if light.ambient_w_m2 > 0:
-        material = surfaces(lit_target.target.materials, hits.surface)
-        share = laboratory_radiance(material, hits.normal, hits.to_eye, lit_target.placement.rotation)
+        material = surfaces(illuminated.target.materials, hits.surface)
+        share = laboratory_radiance(material, hits.normal, hits.to_eye, illuminated.placement.rotation)
         radiance += light.ambient_w_m2 * share
     if light.sun_w_m2 > 0:
-        to_sun = np.broadcast_to(lit_target.to_sun, hits.point.shape)
+        to_sun = np.broadcast_to(illuminated.to_sun, hits.point.shape)
         facing = np.flatnonzero(np.einsum("ij,ij->j", hits.normal, to_sun) > 0)
-        shadowed[facing] = lit_target.target.blocked(hits.point[:, facing], _FAR_M * to_sun[:, facing])
-        lit = facing[~shadowed[facing]]
-        radiance[lit] += light.sun_w_m2 * _reflected(lit_target, hits, lit, to_sun[:, lit])
+        shadowed[facing] = illuminated.target.blocked(hits.point[:, facing], _FAR_M * to_sun[:, facing])
+        unshadowed = facing[~shadowed[facing]]
+        radiance[unshadowed] += light.sun_w_m2 * _reflected(illuminated, hits, unshadowed, to_sun[:, unshadowed])
     return radiance, shadowed
 
 
 def laser_radiance(
-    lit_target: LitTarget, hits: Intersections, laser: int
+    illuminated: IlluminatedTarget, hits: Intersections, laser: int
 ) -> tuple[Float64[Array, "hit"], Bool[Array, "hit"]]:
     """Radiance due to the sheet of one laser, and which points of the sheet the target shadows."""
     radiance, shadowed = np.zeros(len(hits.surface)), np.zeros(len(hits.surface), dtype=np.bool_)
-    reached = np.flatnonzero(in_sheet(lit_target.sheets, laser, hits.point))
-    to_projector = lit_target.sheets.projector_m[laser][:, None] - hits.point[:, reached]
+    reached = np.flatnonzero(in_sheet(illuminated.sheets, laser, hits.point))
+    to_projector = illuminated.sheets.projector_m[laser][:, None] - hits.point[:, reached]
     facing = np.einsum("ij,ij->j", hits.normal[:, reached], to_projector) > 0
-    blocked = lit_target.target.blocked(hits.point[:, reached], to_projector)
+    blocked = illuminated.target.blocked(hits.point[:, reached], to_projector)
     shadowed[reached] = blocked
-    lit, to_projector = reached[facing & ~blocked], to_projector[:, facing & ~blocked]
-    irradiance = irradiance_w_m2(lit_target.sheets, laser, hits.point[:, lit])
-    radiance[lit] = irradiance * _reflected(lit_target, hits, lit, _unit(to_projector))
+    unshadowed, to_projector = reached[facing & ~blocked], to_projector[:, facing & ~blocked]
+    irradiance = irradiance_w_m2(illuminated.sheets, laser, hits.point[:, unshadowed])
+    radiance[unshadowed] = irradiance * _reflected(illuminated, hits, unshadowed, _unit(to_projector))
     return radiance, shadowed
 
 
 def _reflected(
-    lit_target: LitTarget, hits: Intersections, lit: Int64[Array, "lit"], to_light: Float64[Array, "xyz=3 lit"]
-) -> Float64[Array, "lit"]:
+    illuminated: IlluminatedTarget,
+    hits: Intersections,
+    chosen: Int64[Array, "chosen"],
+    to_light: Float64[Array, "xyz=3 chosen"],
+) -> Float64[Array, "chosen"]:
     """Radiance per irradiance of 1 W/m2 normal to the light."""
-    normal, material = hits.normal[:, lit], surfaces(lit_target.target.materials, hits.surface[lit])
+    normal, material = hits.normal[:, chosen], surfaces(illuminated.target.materials, hits.surface[chosen])
     cosine = np.einsum("ij,ij->j", normal, to_light)
-    radiance: Float64[Array, "lit"] = cosine * reflectance_per_sr(material, normal, to_light, hits.to_eye[:, lit])
+    radiance: Float64[Array, "chosen"] = cosine * reflectance_per_sr(material, normal, to_light, hits.to_eye[:, chosen])
     return radiance
 
 

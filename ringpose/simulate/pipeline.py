@@ -14,13 +14,13 @@ from ringpose.simulate.board_target import board_target
 from ringpose.simulate.break_points import true_break_points_px
 from ringpose.simulate.exposure import view_exposure_s
 from ringpose.simulate.laser_planes import sheets
-from ringpose.simulate.lighting import LitTarget
-from ringpose.simulate.placement import Placement, board_places, ring_rotation, ring_views
+from ringpose.simulate.lighting import IlluminatedTarget
+from ringpose.simulate.placement import Placement, board_poses, ring_rotation, ring_views
 from ringpose.simulate.renderer import RenderedView, render_view
 from ringpose.simulate.sensor import saturation_dn
 from ringpose.simulate.target import EmptySpace, Target, ring_target
 from ringpose.types.image import Frame, Shot
-from ringpose.types.scene import BoardPlace, BoardSet, Light, RingView, Scene
+from ringpose.types.scene import BoardSet, Light, NamedBoardPose, RingView, Scene
 from ringpose.types.truth import Truth
 
 READOUT_S = 0.002
@@ -39,58 +39,63 @@ def simulate(scene: Scene, count: int | None = None, jobs: int = 1) -> Iterator[
 def simulated_shot(scene: Scene, views: tuple[RingView, ...], number: int) -> tuple[Shot, Truth]:
     """Shot and truth of one view."""
     view = views[number]
-    lit_target = lit_ring(scene, view, scene.sequence)
-    rendered = render_view(scene, lit_target, (_SHOTS, scene.seed, number))
-    shot = _exposed(scene, view.name, rendered, scene.sequence, view_exposure_s(scene, lit_target), number)
-    return shot, view_truth(scene, view, lit_target)
+    illuminated = illuminated_ring(scene, view, scene.sequence)
+    rendered = render_view(scene, illuminated, (_SHOTS, scene.seed, number))
+    shot = _exposed(scene, view.name, rendered, scene.sequence, view_exposure_s(scene, illuminated), number)
+    return shot, view_truth(scene, view, illuminated)
 
 
 def simulated_boards(
     scene: Scene, boards: BoardSet, count: int | None = None, jobs: int = 1
-) -> Iterator[tuple[Shot, BoardPlace]]:
+) -> Iterator[tuple[Shot, NamedBoardPose]]:
     """The first `count` views of a calibration board, or all, each with the true pose of the board."""
-    places = board_places(scene, boards)[:count]
-    return in_order(partial(simulated_board, scene, boards, places), len(places), jobs)
+    poses = board_poses(scene, boards)[:count]
+    return in_order(partial(simulated_board, scene, boards, poses), len(poses), jobs)
 
 
 def simulated_board(
-    scene: Scene, boards: BoardSet, places: tuple[BoardPlace, ...], number: int
-) -> tuple[Shot, BoardPlace]:
+    scene: Scene, boards: BoardSet, poses: tuple[NamedBoardPose, ...], number: int
+) -> tuple[Shot, NamedBoardPose]:
     """One view of a board."""
-    place = places[number]
-    rendered = render_view(scene, _lit_board(scene, boards, place, boards.sequence), _board_seed(scene, boards, number))
-    return _exposed(scene, place.name, rendered, boards.sequence, boards.exposure_s, number), place
+    pose = poses[number]
+    rendered = render_view(
+        scene, _illuminated_board(scene, boards, pose, boards.sequence), _board_seed(scene, boards, number)
+    )
+    return _exposed(scene, pose.name, rendered, boards.sequence, boards.exposure_s, number), pose
 
 
 def render_ring_view(scene: Scene, view: RingView, number: int) -> RenderedView:
     """A rendered view of the ring, with the light of every laser."""
-    return render_view(scene, lit_ring(scene, view), (_SHOTS, scene.seed, number))
+    return render_view(scene, illuminated_ring(scene, view), (_SHOTS, scene.seed, number))
 
 
-def render_board_view(scene: Scene, boards: BoardSet, place: BoardPlace, number: int) -> RenderedView:
+def render_board_view(scene: Scene, boards: BoardSet, pose: NamedBoardPose, number: int) -> RenderedView:
     """A rendered view of a board, with the light of every laser."""
-    return render_view(scene, _lit_board(scene, boards, place, (255,)), _board_seed(scene, boards, number))
+    return render_view(scene, _illuminated_board(scene, boards, pose, (255,)), _board_seed(scene, boards, number))
 
 
-def lit_ring(scene: Scene, view: RingView, masks: tuple[int, ...] = (255,)) -> LitTarget:
-    """The target of a view with its placement and light; the masks contain the lasers that will be on."""
+def illuminated_ring(scene: Scene, view: RingView, masks: tuple[int, ...] = (255,)) -> IlluminatedTarget:
+    """The target of a view with its placement and light; `masks` are those of the frames to be rendered."""
     rotation = ring_rotation(view.normal, view.roll_rad)
     placement = Placement(rotation=rotation, translation_m=view.center_m - scene.ring.height_m * rotation[:, 2])
-    return LitTarget(
-        target=_target(scene, view),
+    target: Target = EmptySpace()
+    if view.target != "none":
+        target = ring_target(scene.ring if view.target == "ring" else None, scene.body)
+    return IlluminatedTarget(
+        target=target,
         placement=placement,
         sheets=sheets(scene.rig.lasers, scene.lasers, placement),
         light=scene.lights[view.light],
-        lasers=_lit(scene, masks),
+        lasers=_lasers_on(scene, masks),
     )
 
 
-def view_truth(scene: Scene, view: RingView, lit_target: LitTarget) -> Truth:
+def view_truth(scene: Scene, view: RingView, illuminated: IlluminatedTarget) -> Truth:
     """Ground truth of a view; a view without a visible break point has no target."""
     groups = {"rig": scene.rig.camera.camera_name, "light": view.light, "frames": len(scene.sequence), **view.groups}
     if view.target != "ring":
         return Truth(shot=view.name, expect="no_target", groups={**groups, "usable": 0})
-    break_points_px = true_break_points_px(lit_target, scene.ring, scene.rig.camera)
+    break_points_px = true_break_points_px(illuminated, scene.ring, scene.rig.camera)
     usable = int(np.isfinite(break_points_px).all(axis=-1).sum())
     groups = {"ring": f"R{1000 * scene.ring.radius_outer_m:.0f}", **groups, "usable": usable}
     if usable == 0:
@@ -108,9 +113,9 @@ def view_truth(scene: Scene, view: RingView, lit_target: LitTarget) -> Truth:
 
 
 class SceneFrames:
-    """Frames of a scene on demand, for a camera that is simulated in this process.
+    """Frames of a scene on demand, for the camera `sim:`, which is simulated in this process.
 
-    Moment k shows view k of the scene; after the last view the scene does not change any more.
+    Moment k, counted by the camera, shows view k of the scene; after the last view the scene does not change.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -123,28 +128,27 @@ class SceneFrames:
     def __call__(self, moment: int, lasers: int, exposure_s: float | None = None) -> Frame:
         """A frame of one moment with the lasers of the mask on; the exposure of the scene by default."""
         if moment != self._moment:
-            self._render_moment(moment)
+            illuminated = illuminated_ring(self.scene, self.views[min(moment, len(self.views) - 1)])
+            self._view = render_view(self.scene, illuminated, (_SHOTS, self.scene.seed, moment))
+            self._exposure_s = view_exposure_s(self.scene, illuminated)
+            self._stamp_s = max(self._stamp_s, self.scene.start_s + moment * self.scene.period_s)
+            self._moment = moment
         exposed_s = self._exposure_s if exposure_s is None else exposure_s
-        frame = self._stage.frame(lasers, exposed_s, self._stamp_s)
+        frame = self._view.frame(lasers, exposed_s, self._stamp_s)
         self._stamp_s += exposed_s + READOUT_S
         return frame
 
-    def _render_moment(self, moment: int) -> None:
-        lit_target = lit_ring(self.scene, self.views[min(moment, len(self.views) - 1)])
-        self._stage = render_view(self.scene, lit_target, (_SHOTS, self.scene.seed, moment))
-        self._exposure_s = view_exposure_s(self.scene, lit_target)
-        self._stamp_s = max(self._stamp_s, self.scene.start_s + moment * self.scene.period_s)
-        self._moment = moment
 
-
-def _lit_board(scene: Scene, boards: BoardSet, place: BoardPlace, masks: tuple[int, ...]) -> LitTarget:
-    placement = Placement(rotation=place.rotation, translation_m=place.translation_m)
-    return LitTarget(
+def _illuminated_board(
+    scene: Scene, boards: BoardSet, pose: NamedBoardPose, masks: tuple[int, ...]
+) -> IlluminatedTarget:
+    placement = Placement(rotation=pose.rotation, translation_m=pose.translation_m)
+    return IlluminatedTarget(
         target=board_target(boards.board),
         placement=placement,
         sheets=sheets(scene.rig.lasers, scene.lasers, placement),
         light=Light(name="boards", ambient_w_m2=boards.ambient_w_m2),
-        lasers=_lit(scene, masks),
+        lasers=_lasers_on(scene, masks),
     )
 
 
@@ -169,13 +173,7 @@ def _exposed(
     )
 
 
-def _target(scene: Scene, view: RingView) -> Target:
-    if view.target == "none":
-        return EmptySpace()
-    return ring_target(scene.ring if view.target == "ring" else None, scene.body)
-
-
-def _lit(scene: Scene, masks: tuple[int, ...]) -> tuple[int, ...]:
+def _lasers_on(scene: Scene, masks: tuple[int, ...]) -> tuple[int, ...]:
     """Lasers that are on in at least one of the masks."""
     return tuple(k for k in range(len(scene.rig.lasers.names)) if any(mask >> k & 1 for mask in masks))
 
@@ -200,29 +198,25 @@ def in_order(work: Callable[[int], Result], count: int, jobs: int) -> Iterator[R
     processes, results = [], []
     try:
         for first in range(jobs):
-            result, sender = context.Pipe(duplex=False)
+            receiver, sender = context.Pipe(duplex=False)
             process = context.Process(target=_work, args=(work, range(first, count, jobs), sender), daemon=True)
             processes.append(process)
             process.start()
             sender.close()
-            results.append(result)
+            results.append(receiver)
         for number in range(count):
-            yield _received(results[number % jobs])
+            try:
+                result = results[number % jobs].recv()
+            except EOFError:
+                raise RuntimeError("a worker process was killed, perhaps for lack of memory") from None
+            if isinstance(result, Exception):
+                raise result
+            yield result
     finally:
         for process in processes:
             if process.pid is not None:
                 process.terminate()
                 process.join()
-
-
-def _received(results: "Connection[object, Result | Exception]") -> Result:
-    try:
-        result = results.recv()
-    except EOFError:
-        raise RuntimeError("a worker process was killed, perhaps for lack of memory") from None
-    if isinstance(result, Exception):
-        raise result
-    return result
 
 
 def _work(work: Callable[[int], object], numbers: range, sender: "Connection[object, object]") -> None:

@@ -14,7 +14,7 @@ from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board
 from ringpose.types.camera import Camera
 from ringpose.types.rig import LaserPlanes
-from ringpose.types.scene import Approach, BoardApproach, BoardPlace, BoardSet, RingView, Scene
+from ringpose.types.scene import Approach, BoardApproach, BoardSet, NamedBoardPose, RingView, Scene
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -54,8 +54,8 @@ def ring_rotation(normal: Float64[Array, "3"], roll_rad: float) -> Float64[Array
 
 def ring_views(scene: Scene) -> tuple[RingView, ...]:
     """All views of a scene: the given ones, then the random ones."""
-    drawn = [view for approach in scene.approaches for view in _drawn_views(scene, approach)]
-    views = (*scene.views, *drawn)
+    random = (view for approach in scene.approaches for view in _random_views(scene, approach))
+    views = (*scene.views, *random)
     names = Counter(view.name for view in views)
     if len(names) < len(views):
         found = f"two views are called {names.most_common(1)[0][0]!r}"
@@ -63,12 +63,12 @@ def ring_views(scene: Scene) -> tuple[RingView, ...]:
     return views
 
 
-def _drawn_views(scene: Scene, approach: Approach) -> Iterator[RingView]:
+def _random_views(scene: Scene, approach: Approach) -> Iterator[RingView]:
     """Random views for each distance, pose and light, in this order."""
     generator = np.random.default_rng([scene.seed, approach.seed])
     for distance_m in approach.distances_m:
         for number in range(approach.count):
-            normal, center_m = _drawn_pose(scene, approach, distance_m, generator)
+            normal, center_m = _random_ring_pose(scene, approach, distance_m, generator)
             for light in approach.lights:
                 yield RingView(
                     name=f"{approach.name}{1000 * distance_m:04.0f}_p{number:02d}_{light}",
@@ -79,17 +79,17 @@ def _drawn_views(scene: Scene, approach: Approach) -> Iterator[RingView]:
                 )
 
 
-def _drawn_pose(
+def _random_ring_pose(
     scene: Scene, approach: Approach, distance_m: float, generator: np.random.Generator
 ) -> tuple[Float64[Array, "3"], Float64[Array, "3"]]:
     """Normal and centre such that a point of the mean circle of the rim lies near the optical axis at this depth."""
     pitch_rad, yaw_rad = generator.uniform(-1, 1, 2) * approach.tilt_rad
     normal = facing_normal(pitch_rad, yaw_rad)
     side, clock_rad = generator.choice([-1.0, 1.0]), generator.uniform(-1, 1) * approach.clock_rad
-    seen = distance_m * image_ray(scene.rig.camera, approach.offset * generator.uniform(-1, 1, 2))
+    point_m = distance_m * image_ray(scene.rig.camera, approach.offset * generator.uniform(-1, 1, 2))
     axes = ring_rotation(normal, 0.0)
     outward = side * (np.cos(clock_rad) * axes[:, 0] + np.sin(clock_rad) * axes[:, 1])
-    return normal, seen - (scene.ring.radius_inner_m + scene.ring.radius_outer_m) / 2 * outward
+    return normal, point_m - (scene.ring.radius_inner_m + scene.ring.radius_outer_m) / 2 * outward
 
 
 def image_ray(camera: Camera, offset: Float64[Array, "xy=2"]) -> Float64[Array, "xyz=3"]:
@@ -98,18 +98,18 @@ def image_ray(camera: Camera, offset: Float64[Array, "xy=2"]) -> Float64[Array, 
     return rays((size - 1) / 2 + offset * size, camera)
 
 
-def board_places(scene: Scene, boards: BoardSet) -> tuple[BoardPlace, ...]:
+def board_poses(scene: Scene, boards: BoardSet) -> tuple[NamedBoardPose, ...]:
     """All poses of a board: the given ones, then the random ones."""
     if boards.approach is None:
-        return boards.places
+        return boards.poses
     generator = np.random.default_rng([scene.seed, boards.approach.seed, boards.approach.count])
-    drawn = [_drawn_place(scene, boards, boards.approach, k, generator) for k in range(boards.approach.count)]
-    return (*boards.places, *drawn)
+    approach = boards.approach
+    return (*boards.poses, *(_random_board_pose(scene, boards, approach, k, generator) for k in range(approach.count)))
 
 
-def _drawn_place(
+def _random_board_pose(
     scene: Scene, boards: BoardSet, approach: BoardApproach, number: int, generator: np.random.Generator
-) -> BoardPlace:
+) -> NamedBoardPose:
     """A random pose with the board's centre at a depth within the limits; with lasers on, near their stripes."""
     depth_m = float(generator.uniform(*approach.distances_m))
     middle = depth_m * image_ray(scene.rig.camera, approach.offset * generator.uniform(-1, 1, 2))
@@ -117,7 +117,7 @@ def _drawn_place(
         middle[:2] += _middle_of_stripes_m(scene.rig.lasers, depth_m)
     lean_x, lean_y = generator.uniform(-1, 1, 2) * approach.tilt_rad
     rotation = _about(2, generator.uniform(-1, 1) * approach.turn_rad) @ _about(1, lean_y) @ _about(0, lean_x)
-    return BoardPlace(
+    return NamedBoardPose(
         name=f"board_{number:02d}", rotation=rotation, translation_m=middle - rotation @ middle_of_board_m(boards.board)
     )
 

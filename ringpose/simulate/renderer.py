@@ -6,7 +6,7 @@ edge crosses a stripe. Each laser layer is multiplied by a speckle pattern.
 """
 
 import functools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -14,7 +14,13 @@ import numpy as np
 
 from ringpose.geometry.rays import undistort
 from ringpose.simulate.laser_planes import half_thickness_m, in_sheet
-from ringpose.simulate.lighting import Intersections, LitTarget, ambient_radiance, hits_on_relief, laser_radiance
+from ringpose.simulate.lighting import (
+    IlluminatedTarget,
+    Intersections,
+    ambient_radiance,
+    hits_on_relief,
+    laser_radiance,
+)
 from ringpose.simulate.sensor import digitised, electrons_per_radiance
 from ringpose.simulate.target import EMPTY
 from ringpose.types.arrays import Array, Float32, Float64, Int64, UInt8, UInt16
@@ -42,11 +48,17 @@ class RenderedView:
         return Frame(image=image, lasers=lasers, stamp_s=stamp_s, exposure_s=exposure_s)
 
     def electrons(self, lasers: int, exposure_s: float, began_s: float = 0.0) -> Float32[Array, "row column"]:
-        """Expected electrons of one exposure."""
+        """Expected electrons of one exposure with the lasers of the mask on."""
+        return self.electrons_with([lasers >> number & 1 for number in range(len(self.laser))], exposure_s, began_s)
+
+    def electrons_with(
+        self, laser_shares: Sequence[int | float], exposure_s: float, began_s: float
+    ) -> Float32[Array, "row column"]:
+        """Expected electrons of one exposure in which each laser is on for a share of the time."""
         rate = self.ambient_during(began_s, exposure_s)
-        for number, stripe in enumerate(self.laser):
-            if lasers >> number & 1:
-                rate += stripe
+        for share, stripe in zip(laser_shares, self.laser, strict=True):
+            if share:
+                rate += stripe if share == 1 else np.float32(share) * stripe
         return rate * np.float32(exposure_s)
 
     def ambient_during(self, began_s: float, exposure_s: float) -> Float32[Array, "row column"]:
@@ -57,36 +69,34 @@ class RenderedView:
         return rate
 
 
-def render_view(scene: Scene, lit_target: LitTarget, seed: tuple[int, ...]) -> RenderedView:
+def render_view(scene: Scene, illuminated: IlluminatedTarget, seed: tuple[int, ...]) -> RenderedView:
     """The image of a target through the lens of the scene; the seed determines speckle and noise."""
     generator = np.random.default_rng(seed)
-    radiance = layers(lit_target, pixel_rays(scene.rig.camera))
+    radiance = layers(illuminated, pixel_rays(scene.rig.camera))
     scale = np.float32(electrons_per_radiance(scene.sensor, scene.lens))
-    beacon = lit_target.light.beacon
+    beacon, beacon_light = illuminated.light.beacon, None
+    if beacon is not None:
+        light = Light(name="beacon", ambient_w_m2=beacon.ambient_w_m2)
+        beacon_radiance = layers(replace(illuminated, light=light, lasers=()), pixel_rays(scene.rig.camera)).ambient
+        beacon_light = scale * _blurred(beacon_radiance, scene.lens.blur_px)
     return RenderedView(
         sensor=scene.sensor,
         ambient=_blurred(scale * radiance.ambient, scene.lens.blur_px),
         laser=np.stack([_stripe(scene, scale * layer, generator) for layer in radiance.laser]),
         generator=generator,
         beacon=beacon,
-        beacon_light=None if beacon is None else scale * _beacon_layer(scene, lit_target, beacon),
+        beacon_light=beacon_light,
     )
-
-
-def _beacon_layer(scene: Scene, lit_target: LitTarget, beacon: Beacon) -> Float32[Array, "row column"]:
-    """Radiance due to the beacon alone, blurred by the lens."""
-    alone = replace(lit_target, light=Light(name="beacon", ambient_w_m2=beacon.ambient_w_m2), lasers=())
-    return _blurred(layers(alone, pixel_rays(scene.rig.camera)).ambient, scene.lens.blur_px)
 
 
 def _stripe(
     scene: Scene, layer: Float32[Array, "row column"], generator: np.random.Generator
 ) -> Float32[Array, "row column"]:
     """The layer of a laser with speckle, blurred by the lens; only rows with light are processed."""
-    lit = np.flatnonzero(layer.any(axis=1))
+    rows = np.flatnonzero(layer.any(axis=1))
     stripe = layer.copy()
-    if len(lit):
-        first, last = int(lit[0]), int(lit[-1]) + 1
+    if len(rows):
+        first, last = int(rows[0]), int(rows[-1]) + 1
         stripe[first:last] *= speckle_pattern(scene.speckle, last - first, layer.shape[1], generator)
     return _blurred(stripe, scene.lens.blur_px)
 
@@ -131,35 +141,35 @@ class PixelRays:
         return float(np.abs(self.per_px[:, :, self.direction.shape[1] // 2 + self.width // 2]).max())
 
 
-def layers(lit_target: LitTarget, rays: PixelRays) -> Layers:
+def layers(illuminated: IlluminatedTarget, rays: PixelRays) -> Layers:
     """Radiance in each pixel due to each light source."""
-    radiance, coarse, fine = _one_ray_per_pixel(lit_target, rays)
+    radiance, coarse, fine = _one_ray_per_pixel(illuminated, rays)
     for refined, samples in ((coarse, SAMPLES), (fine, FINE_SAMPLES)):
         for block in _blocks(len(refined), _BLOCK // samples):
-            radiance[:, refined[block]] = _sampled(lit_target, rays, refined[block], samples)
+            radiance[:, refined[block]] = _sampled(illuminated, rays, refined[block], samples)
     ambient, *laser = radiance.reshape(-1, rays.height, rays.width)
     return Layers(ambient=ambient, laser=np.stack(laser))
 
 
 def _one_ray_per_pixel(
-    lit_target: LitTarget, rays: PixelRays
+    illuminated: IlluminatedTarget, rays: PixelRays
 ) -> tuple[Float32[Array, "source pixel"], Int64[Array, "coarse"], Int64[Array, "fine"]]:
     """Radiance from one ray per pixel, ambient light first, and the pixels that need more rays."""
-    pixels, lasers = rays.height * rays.width, len(lit_target.sheets.distance_m)
+    pixels, lasers = rays.height * rays.width, len(illuminated.sheets.distance_m)
     radiance, stripe = np.zeros((1 + lasers, pixels), np.float32), np.zeros(pixels, np.uint8)
     code = np.zeros(pixels, np.uint16)
     for block in _blocks(pixels, _BLOCK):
-        direction = lit_target.placement.vectors_target(centre_directions(rays, block))
-        hit, hits, footprint_m = _cast(lit_target, direction, rays.angle_per_px)
-        radiance[0, block][hit], shadowed = ambient_radiance(lit_target, hits)
+        direction = illuminated.placement.vectors_target(centre_directions(rays, block))
+        hit, hits, footprint_m = _cast(illuminated, direction, rays.angle_per_px)
+        radiance[0, block][hit], shadowed = ambient_radiance(illuminated, hits)
         code[block][hit] = ((hits.surface.astype(np.uint16) + 1) << (lasers + 1)) | shadowed
-        for laser in lit_target.lasers:
-            near = np.flatnonzero(in_sheet(lit_target.sheets, laser, hits.point, footprint_m))
-            radiance[1 + laser, block][hit[near]], shadowed = laser_radiance(lit_target, hits.at(near), laser)
+        for laser in illuminated.lasers:
+            near = np.flatnonzero(in_sheet(illuminated.sheets, laser, hits.point, footprint_m))
+            radiance[1 + laser, block][hit[near]], shadowed = laser_radiance(illuminated, hits.at(near), laser)
             code[block][hit[near]] |= shadowed.astype(np.uint16) << (laser + 1)
-            sigma_m = half_thickness_m(lit_target.sheets.light, footprint_m[near] / rays.angle_per_px)
+            sigma_m = half_thickness_m(illuminated.sheets.light, footprint_m[near] / rays.angle_per_px)
             stripe[block][hit[near]] |= np.where(footprint_m[near] > _MAX_PIXEL_SIGMAS * sigma_m, _THIN, _WIDE)
-    return radiance, *_to_refine(code, stripe, rays, everywhere=lit_target.is_lit)
+    return radiance, *_to_refine(code, stripe, rays, everywhere=illuminated.has_ambient_light)
 
 
 def _to_refine(
@@ -181,33 +191,33 @@ def _to_refine(
 
 
 def _cast(
-    lit_target: LitTarget, direction: Float64[Array, "xyz=3 ray"], angle_per_px: float
+    illuminated: IlluminatedTarget, direction: Float64[Array, "xyz=3 ray"], angle_per_px: float
 ) -> tuple[Int64[Array, "hit"], Intersections, Float64[Array, "hit"]]:
     """Indices of the rays that hit a surface, the intersections, and the width of a pixel there.
 
     Without ambient light only intersections within four pixels of a light sheet are returned.
     """
-    eye = lit_target.placement.eye_m
-    parameter, surface = lit_target.target.first_hits(eye, direction)
+    eye = illuminated.placement.eye_m
+    parameter, surface = illuminated.target.first_hits(eye, direction)
     hit = np.flatnonzero(surface != EMPTY)
-    if not lit_target.is_lit:
+    if not illuminated.has_ambient_light:
         flat = eye[:, None] + parameter[hit] * direction[:, hit]
-        slack_m = lit_target.target.relief_m + 4.0 * angle_per_px * parameter[hit]
-        near = [in_sheet(lit_target.sheets, laser, flat, slack_m) for laser in lit_target.lasers]
+        slack_m = illuminated.target.relief_m + 4.0 * angle_per_px * parameter[hit]
+        near = [in_sheet(illuminated.sheets, laser, flat, slack_m) for laser in illuminated.lasers]
         hit = hit[np.any(near, axis=0)] if near else hit[:0]
-    hits = hits_on_relief(lit_target, direction[:, hit], parameter[hit], surface[hit])
+    hits = hits_on_relief(illuminated, direction[:, hit], parameter[hit], surface[hit])
     return hit, hits, angle_per_px * parameter[hit]
 
 
 def _sampled(
-    lit_target: LitTarget, rays: PixelRays, pixels: Int64[Array, "n"], samples: int
+    illuminated: IlluminatedTarget, rays: PixelRays, pixels: Int64[Array, "n"], samples: int
 ) -> Float64[Array, "source n"]:
     """Mean over the samples of each pixel: ambient light, then each laser."""
-    direction = lit_target.placement.vectors_target(sample_directions(rays, pixels, samples))
-    hit, hits, _ = _cast(lit_target, direction, rays.angle_per_px)
-    of_sources = [(0, ambient_radiance(lit_target, hits)[0])]
-    of_sources += [(1 + laser, laser_radiance(lit_target, hits, laser)[0]) for laser in lit_target.lasers]
-    means = np.zeros((1 + len(lit_target.sheets.distance_m), len(pixels)))
+    direction = illuminated.placement.vectors_target(sample_directions(rays, pixels, samples))
+    hit, hits, _ = _cast(illuminated, direction, rays.angle_per_px)
+    of_sources = [(0, ambient_radiance(illuminated, hits)[0])]
+    of_sources += [(1 + laser, laser_radiance(illuminated, hits, laser)[0]) for laser in illuminated.lasers]
+    means = np.zeros((1 + len(illuminated.sheets.distance_m), len(pixels)))
     for source, radiance in of_sources:
         of_rays = np.zeros(samples * len(pixels))
         of_rays[hit] = radiance

@@ -32,7 +32,8 @@ def first_hits(
         best = np.full(len(rays), np.inf)
         which = np.full(len(rays), -1, dtype=np.int8)
         for number, (first, second) in enumerate(pairwise(profile_m)):
-            found = _piece_hits(first, second, starts, direction[:, rays])
+            is_flat = first[1] == second[1]
+            found = (_annulus_hits if is_flat else _cone_hits)(first, second, starts, direction[:, rays])
             nearer = (found < best) & (found < max_parameter)
             best[nearer], which[nearer] = found[nearer], number
     parameter[rays], piece[rays] = best, which
@@ -66,27 +67,17 @@ def _rays_near(
     return np.flatnonzero(~(inside | outside | (leave <= 0.0)))
 
 
-def _piece_hits(
+def _annulus_hits(
     first: Float64[Array, "2"],
     second: Float64[Array, "2"],
     origin: Float64[Array, "xyz=3 #ray"],
     direction: Float64[Array, "xyz=3 ray"],
 ) -> Float64[Array, "ray"]:
-    """Parameter of the nearest hit on one piece of the profile, inf without one."""
-    if first[1] == second[1]:
-        return _annulus_hits(first[1], np.sort([first[0], second[0]]), origin, direction)
-    return _cone_hits(first, second, origin, direction)
-
-
-def _annulus_hits(
-    height: float,
-    radii: Float64[Array, "2"],
-    origin: Float64[Array, "xyz=3 #ray"],
-    direction: Float64[Array, "xyz=3 ray"],
-) -> Float64[Array, "ray"]:
-    parameter = (height - origin[2]) / direction[2]
+    """Parameter of the hit on a flat piece of the profile, inf without one."""
+    parameter = (first[1] - origin[2]) / direction[2]
     square = (origin[0] + parameter * direction[0]) ** 2 + (origin[1] + parameter * direction[1]) ** 2
-    hit = (parameter > MIN_DISTANCE) & (square >= radii[0] ** 2) & (square <= radii[1] ** 2)
+    inner, outer = min(first[0], second[0]), max(first[0], second[0])
+    hit = (parameter > MIN_DISTANCE) & (square >= inner**2) & (square <= outer**2)
     return np.where(hit, parameter, np.inf)
 
 
@@ -96,7 +87,10 @@ def _cone_hits(
     origin: Float64[Array, "xyz=3 #ray"],
     direction: Float64[Array, "xyz=3 ray"],
 ) -> Float64[Array, "ray"]:
-    """Roots of |xy|^2 = radius(z)^2 with radius(z) linear in z, in the form without cancellation."""
+    """Parameter of the nearest hit on a cylinder or cone, inf without one.
+
+    The roots of |xy|^2 = radius(z)^2 with radius(z) linear in z, in the form without cancellation.
+    """
     slope = (second[0] - first[0]) / (second[1] - first[1])
     (x, y, z), (dx, dy, dz) = origin, direction
     radius = first[0] + slope * (z - first[1])

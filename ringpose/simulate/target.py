@@ -9,7 +9,7 @@ Crinkled foil is a periodic height field with its slopes, computed once from its
 
 import functools
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
@@ -18,6 +18,15 @@ from ringpose.types.arrays import Array, Bool, Complex64, Float32, Float64, Int8
 from ringpose.types.scene import MATERIALS, Body, Foil, Material, RingShape
 
 EMPTY = -1
+"""Surface number of empty space."""
+
+Vectors: TypeAlias = Float64[Array, "xyz=3 ray"]
+
+Numbers: TypeAlias = Int8[Array, "ray"]
+"""Surface numbers."""
+
+Hits: TypeAlias = tuple[Float64[Array, "ray"], Numbers]
+"""Ray parameter and surface number of the intersections of rays."""
 
 _NEWTON_STEPS = 2
 """Newton steps from the flat face to the foil; the remaining error is at most 10 micrometres."""
@@ -35,24 +44,18 @@ class Target(Protocol):
     def relief_m(self) -> float:
         """Maximum displacement of an intersection along the ray by the relief of a surface."""
 
-    def first_hits(
-        self, eye: Float64[Array, "xyz=3"], direction: Float64[Array, "xyz=3 ray"]
-    ) -> tuple[Float64[Array, "ray"], Int8[Array, "ray"]]:
+    def first_hits(self, eye: Float64[Array, "xyz=3"], direction: Vectors) -> Hits:
         """Parameter and surface number of the first intersection of each ray; inf and -1 without one."""
 
     def on_relief(
-        self,
-        eye: Float64[Array, "xyz=3"],
-        direction: Float64[Array, "xyz=3 ray"],
-        parameter: Float64[Array, "ray"],
-        surface: Int8[Array, "ray"],
-    ) -> tuple[Float64[Array, "xyz=3 ray"], Float64[Array, "xyz=3 ray"]]:
+        self, eye: Float64[Array, "xyz=3"], direction: Vectors, parameter: Float64[Array, "ray"], surface: Numbers
+    ) -> tuple[Vectors, Vectors]:
         """Points of the surfaces that the rays hit, wrinkles of the foil included, and unit normals towards the camera.
 
         `parameter` and `surface` are those of `first_hits`, which takes the foil as flat.
         """
 
-    def blocked(self, point: Float64[Array, "xyz=3 ray"], towards: Float64[Array, "xyz=3 ray"]) -> Bool[Array, "ray"]:
+    def blocked(self, point: Vectors, towards: Vectors) -> Bool[Array, "ray"]:
         """Whether a surface intersects the segments between the points and the points + towards."""
 
 
@@ -102,9 +105,7 @@ class RingTarget:
         """See `Target`; rays up to 60 degrees from the front face's normal."""
         return 0.0 if self.foil is None else 2.0 * float(np.abs(self.foil.height_m).max())
 
-    def first_hits(
-        self, eye: Float64[Array, "xyz=3"], direction: Float64[Array, "xyz=3 ray"]
-    ) -> tuple[Float64[Array, "ray"], Int8[Array, "ray"]]:
+    def first_hits(self, eye: Float64[Array, "xyz=3"], direction: Vectors) -> Hits:
         """See `Target`."""
         parameter, surface = _box_hits(self.body, self.pieces, eye[:, None], direction)
         if self.ring is not None:
@@ -114,12 +115,8 @@ class RingTarget:
         return parameter, surface.astype(np.int8)
 
     def on_relief(
-        self,
-        eye: Float64[Array, "xyz=3"],
-        direction: Float64[Array, "xyz=3 ray"],
-        parameter: Float64[Array, "ray"],
-        surface: Int8[Array, "ray"],
-    ) -> tuple[Float64[Array, "xyz=3 ray"], Float64[Array, "xyz=3 ray"]]:
+        self, eye: Float64[Array, "xyz=3"], direction: Vectors, parameter: Float64[Array, "ray"], surface: Numbers
+    ) -> tuple[Vectors, Vectors]:
         """See `Target`."""
         point = eye[:, None] + parameter * direction
         normal = np.zeros_like(point)
@@ -137,7 +134,7 @@ class RingTarget:
         normal[:, away & (side != 0)] *= -1
         return point, normal
 
-    def blocked(self, point: Float64[Array, "xyz=3 ray"], towards: Float64[Array, "xyz=3 ray"]) -> Bool[Array, "ray"]:
+    def blocked(self, point: Vectors, towards: Vectors) -> Bool[Array, "ray"]:
         """See `Target`; light from behind the front face does not reach points in front of it."""
         from_behind: Bool[Array, "ray"] = (point[2] + towards[2] < 0) & (point[2] > 0)
         if self.ring is None:
@@ -155,23 +152,17 @@ class EmptySpace:
     materials: tuple[Material, ...] = (MATERIALS["black"],)
     relief_m: float = 0.0
 
-    def first_hits(
-        self, eye: Float64[Array, "xyz=3"], direction: Float64[Array, "xyz=3 ray"]
-    ) -> tuple[Float64[Array, "ray"], Int8[Array, "ray"]]:
+    def first_hits(self, eye: Float64[Array, "xyz=3"], direction: Vectors) -> Hits:
         """See `Target`."""
         return np.full(direction.shape[1], np.inf), np.full(direction.shape[1], EMPTY, dtype=np.int8)
 
     def on_relief(
-        self,
-        eye: Float64[Array, "xyz=3"],
-        direction: Float64[Array, "xyz=3 ray"],
-        parameter: Float64[Array, "ray"],
-        surface: Int8[Array, "ray"],
-    ) -> tuple[Float64[Array, "xyz=3 ray"], Float64[Array, "xyz=3 ray"]]:
+        self, eye: Float64[Array, "xyz=3"], direction: Vectors, parameter: Float64[Array, "ray"], surface: Numbers
+    ) -> tuple[Vectors, Vectors]:
         """See `Target`; there are no intersections."""
         return eye[:, None] + parameter * direction, -direction
 
-    def blocked(self, point: Float64[Array, "xyz=3 ray"], towards: Float64[Array, "xyz=3 ray"]) -> Bool[Array, "ray"]:
+    def blocked(self, point: Vectors, towards: Vectors) -> Bool[Array, "ray"]:
         """See `Target`."""
         return np.zeros(point.shape[1], dtype=np.bool_)
 
@@ -184,9 +175,7 @@ def ring_target(ring: RingShape | None, body: Body) -> RingTarget:
     return RingTarget(ring, body, (*of_ring, *[body.material] * 6), pieces, foil)
 
 
-def _box_hits(
-    body: Body, front: int, eye: Float64[Array, "xyz=3 1"], direction: Float64[Array, "xyz=3 ray"]
-) -> tuple[Float64[Array, "ray"], Int8[Array, "ray"]]:
+def _box_hits(body: Body, front: int, eye: Float64[Array, "xyz=3 1"], direction: Vectors) -> Hits:
     """Intersections of rays with the box (slab method); front face `front`, then x-, x+, y-, y+, z- as front + 1 to 5.
 
     The number's half, (surface - front + 1) // 2, is the axis of the face's normal, counted from 1.
@@ -208,9 +197,9 @@ def _box_hits(
 def _on_foil(
     foil: HeightField,
     eye: Float64[Array, "xyz=3"],
-    direction: Float64[Array, "xyz=3 ray"],
+    direction: Vectors,
     flat: Float64[Array, "ray"],
-) -> tuple[Float64[Array, "xyz=3 ray"], Float64[Array, "xyz=3 ray"]]:
+) -> tuple[Vectors, Vectors]:
     """Points on the foil, and its normals, for rays that intersect the flat face below it."""
     parameter = flat
     for _ in range(_NEWTON_STEPS):

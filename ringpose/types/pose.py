@@ -23,9 +23,7 @@ class NoPose(Enum):
     UNTRIANGULATED = "a ray runs along its light plane or meets it behind the camera"
     COLLINEAR = "the break points lie on one line within their errors, which no plane determines"
     EDGE_ON = "the ring's plane passes through the camera: its face cannot be seen"
-    AMBIGUOUS = (
-        "what was seen has several explanations, which have neither the ring's plane nor a grasp point in common"
-    )
+    AMBIGUOUS = "what was seen has several explanations with neither the ring's plane nor a grasp point in common"
     UNDETERMINED = "neither the ring's plane nor a point to grasp is determined by what was seen"
     SINGULAR = "the equations for the ring are numerically singular: what was seen contradicts itself or is degenerate"
     NOT_FINITE = "the solution misses the break points that it came from, as when the ring lies along a light plane"

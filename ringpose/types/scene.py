@@ -212,7 +212,7 @@ class Approach:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class BoardPlace:
+class NamedBoardPose:
     """Pose of a board in one view: `point_camera = rotation @ point_board + translation_m`."""
 
     name: str
@@ -241,7 +241,7 @@ class BoardSet:
     """Views of one calibration board."""
 
     board: Board
-    places: tuple[BoardPlace, ...] = ()
+    poses: tuple[NamedBoardPose, ...] = ()
     approach: BoardApproach | None = None
     ambient_w_m2: float = 6.0
     exposure_s: float = 0.004

@@ -1,1 +1,1 @@
-"""Byte protocols shared by a driver and its stand-in."""
+"""Byte protocols shared by a driver and its virtual device."""

@@ -42,7 +42,7 @@ class AsciiCodec:
         """A complete line, if an answer is expected."""
         return received.endswith(b"\n") if isinstance(command, Read) or self.acknowledged_by else True
 
-    def lit(self, command: Command, received: bytes) -> int:
+    def on_mask(self, command: Command, received: bytes) -> int:
         """The mask in the last line."""
         lines = received.decode("ascii", "replace").split("\n")
         line = lines[-2].strip() if len(lines) > 1 else ""
@@ -59,10 +59,10 @@ class AsciiCodec:
         found = [self._command(line.decode("ascii", "replace")) for line in lines]
         return [command for command in found if command is not None], rest
 
-    def answer(self, command: Command, lit: int, relays: int) -> bytes:
+    def answer(self, command: Command, on_mask: int, relays: int) -> bytes:
         """The mask, or the acknowledgement."""
         if isinstance(command, Read):
-            return f"{lit}\r\n".encode()
+            return f"{on_mask}\r\n".encode()
         return f"{self.acknowledged_by}\r\n".encode() if self.acknowledged_by else b""
 
     def _command(self, line: str) -> Command | None:

@@ -11,7 +11,7 @@ from enum import IntEnum
 PORT = 3956
 
 _KEY = 0x42
-_ANSWER_WANTED = 0x01
+_ACKNOWLEDGE = 0x01
 _HEADER = struct.Struct(">BBHHH")
 _ANSWER = struct.Struct(">HHHH")
 
@@ -47,7 +47,7 @@ class Request:
     number: int
     """Request number, 1 to 65535; the answer repeats it."""
     payload: bytes = b""
-    answer_wanted: bool = True
+    needs_answer: bool = True
 
     @property
     def words(self) -> tuple[int, ...]:
@@ -74,7 +74,7 @@ def request_in(datagram: bytes) -> Request | None:
     payload = datagram[_HEADER.size : _HEADER.size + size]
     if key != _KEY or len(payload) != size:
         return None
-    return Request(command=command, number=number, payload=payload, answer_wanted=bool(flags & _ANSWER_WANTED))
+    return Request(command=command, number=number, payload=payload, needs_answer=bool(flags & _ACKNOWLEDGE))
 
 
 def answer_bytes(answer: Answer) -> bytes:

@@ -36,7 +36,7 @@ class LcusCodec:
             return True
         return self._raw(command, received) or set(range(command.count)) <= set(self._states(received))
 
-    def lit(self, command: Command, received: bytes) -> int:
+    def on_mask(self, command: Command, received: bytes) -> int:
         """The relays that are on."""
         if not isinstance(command, Read):
             return 0
@@ -64,12 +64,13 @@ class LcusCodec:
             position += 1
         return found, received[position:]
 
-    def answer(self, command: Command, lit: int, relays: int) -> bytes:
+    def answer(self, command: Command, on_mask: int, relays: int) -> bytes:
         """Lines as written by boards with a CH340; a switch has no answer."""
         if not isinstance(command, Read):
             return b""
         return b"".join(
-            b"CH%d: %s\r\n" % (relay + self.first, b"ON " if lit >> relay & 1 else b"OFF") for relay in range(relays)
+            b"CH%d: %s\r\n" % (relay + self.first, b"ON " if on_mask >> relay & 1 else b"OFF")
+            for relay in range(relays)
         )
 
     def _states(self, received: bytes) -> dict[int, bool]:

@@ -35,7 +35,7 @@ class ModbusCodec:
         if isinstance(command, Read):
             return self._frame(READ_COILS, _words(self.first, command.count))
         if isinstance(command, SwitchRow):
-            values = command.lit.to_bytes((command.count + 7) // 8, "little")
+            values = command.on_mask.to_bytes((command.count + 7) // 8, "little")
             head = _words(self.first + command.first, command.count)
             return self._frame(WRITE_COILS, head + bytes([len(values)]) + values)
         if isinstance(command, Pulse):
@@ -51,7 +51,7 @@ class ModbusCodec:
             return True
         return len(received) >= (5 + (command.count + 7) // 8 if isinstance(command, Read) else 8)
 
-    def lit(self, command: Command, received: bytes) -> int:
+    def on_mask(self, command: Command, received: bytes) -> int:
         """The coils that are on; the response to a write repeats the start of the request."""
         if len(received) < 5 or crc(received[:-2]) != received[-2:]:
             raise WireError(f"answered {received.hex(' ')}, which is not a valid frame")
@@ -81,10 +81,10 @@ class ModbusCodec:
             position += length if command is not None else 1
         return found, received[position:]
 
-    def answer(self, command: Command, lit: int, relays: int) -> bytes:
+    def answer(self, command: Command, on_mask: int, relays: int) -> bytes:
         """The echo of a write, or the states of the coils that are read."""
         if isinstance(command, Read):
-            values = (lit & ((1 << command.count) - 1)).to_bytes((command.count + 7) // 8, "little")
+            values = (on_mask & ((1 << command.count) - 1)).to_bytes((command.count + 7) // 8, "little")
             return self._frame(READ_COILS, bytes([len(values)]) + values)
         request = self.request(command)
         return self._frame(request[1], request[2:6])

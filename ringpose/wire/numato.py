@@ -33,7 +33,7 @@ class NumatoCodec:
         """Checks for the prompt after the echo."""
         return received.rstrip().endswith(b">") and self._echo(command) in received
 
-    def lit(self, command: Command, received: bytes) -> int:
+    def on_mask(self, command: Command, received: bytes) -> int:
         """The relays that are on, sent as a hexadecimal number."""
         if not isinstance(command, Read):
             if self._echo(command) not in received:
@@ -55,9 +55,9 @@ class NumatoCodec:
             found.append(Read(0) if words[3] else Switch(_DIGITS.index(words[2]), words[1] == "on"))
         return found, rest
 
-    def answer(self, command: Command, lit: int, relays: int) -> bytes:
+    def answer(self, command: Command, on_mask: int, relays: int) -> bytes:
         """The echo, the states if they are read, and the prompt."""
-        states = f"{lit:0{max(1, relays // 4)}x}\n\r".encode() if isinstance(command, Read) else b""
+        states = f"{on_mask:0{max(1, relays // 4)}x}\n\r".encode() if isinstance(command, Read) else b""
         return self._echo(command) + b"\n\r" + states + b">"
 
     def _echo(self, command: Command) -> bytes:

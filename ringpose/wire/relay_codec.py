@@ -1,8 +1,8 @@
 """Commands for relay boards, and the interface of the codecs that translate them to the bytes of a protocol.
 
 A codec encodes commands for the driver and decodes them for the virtual device. Relays are counted from 0; `first` is
-the number of relay 0 in the protocol. Bit i of `lit` is relay i. Codecs are imported by the watchdog process and import
-no heavy package themselves.
+the number of relay 0 in the protocol. In masks, bit i is relay i. Codecs are imported by the watchdog process and
+import no heavy package themselves.
 """
 
 from dataclasses import dataclass
@@ -23,11 +23,11 @@ class Switch:
 
 @dataclass(frozen=True, slots=True)
 class SwitchRow:
-    """`count` adjacent relays at once: bit i of `lit` is relay `first` + i."""
+    """`count` adjacent relays at once: bit i of `on_mask` is relay `first` + i."""
 
     first: int
     count: int
-    lit: int
+    on_mask: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,14 +70,14 @@ class RelayCodec(Protocol):
     def is_whole(self, command: Command, received: bytes) -> bool:
         """Whether the answer to a command is complete; always true for a command without an answer."""
 
-    def lit(self, command: Command, received: bytes) -> int:
+    def on_mask(self, command: Command, received: bytes) -> int:
         """The relays that an answer to `Read` reports on; 0 for other commands. A rejection raises `WireError`."""
 
     def commands(self, received: bytes) -> tuple[list[Command], bytes]:
         """For the virtual device: the received commands, and the remaining bytes of an incomplete one."""
 
-    def answer(self, command: Command, lit: int, relays: int) -> bytes:
-        """For the virtual device: the answer of a board with `relays` relays; `lit` are on after the command."""
+    def answer(self, command: Command, on_mask: int, relays: int) -> bytes:
+        """For the virtual device: the answer of a board with `relays` relays; `on_mask` are on after the command."""
 
 
 def row_of(command: Command) -> tuple[int, int]:
@@ -86,7 +86,7 @@ def row_of(command: Command) -> tuple[int, int]:
         return 0, 0
     if isinstance(command, SwitchRow):
         row = ((1 << command.count) - 1) << command.first
-        on = (command.lit << command.first) & row
+        on = (command.on_mask << command.first) & row
         return on, row & ~on
     bit = 1 << command.relay
     return (0, bit) if isinstance(command, Switch) and not command.on else (bit, 0)

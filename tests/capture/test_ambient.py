@@ -1,4 +1,4 @@
-"""Broad differences between the frames of a shot, beside noise, lines and motion."""
+"""Detection of changing ambient light, as opposed to noise, laser lines and motion."""
 
 import cv2
 import numpy as np
@@ -24,7 +24,7 @@ def shot_of(light_dn, rng, lasers=(0, 0), full_dn=255, noise_dn=1.5):
 
 @pytest.fixture
 def surface_dn(rng):
-    """Texture of 10 to 60 DN in squares of five pixels."""
+    """A texture of 10 to 60 DN in squares of five pixels."""
     return np.kron(rng.uniform(10, 60, (HEIGHT // 5, WIDTH // 5)), np.ones((5, 5)))
 
 

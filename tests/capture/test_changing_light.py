@@ -1,4 +1,4 @@
-"""Shots under a lamp that goes on and off: those that it spoils are taken again, and it excuses no laser."""
+"""Shots while ambient light changes: lost shots are repeated, and the checks of the lasers remain effective."""
 
 import numpy as np
 import pytest
@@ -154,7 +154,7 @@ def test_a_laser_that_stays_dark_is_named_beside_the_light(rng):
 
 def test_a_late_laser_beside_steady_light_is_still_late(rng):
     class Late(BlinkingScene):
-        """Its lasers go off only after 0.1 s."""
+        """Lasers that go off 0.1 s after the command."""
 
         off_at_s, before = 0.0, 0
 

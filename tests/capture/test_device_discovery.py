@@ -1,4 +1,4 @@
-"""What is plugged in, by names that stay."""
+"""Discovery of connected devices by persistent names."""
 
 import serial.tools.list_ports
 
@@ -6,7 +6,7 @@ from ringpose.capture import device_discovery as inventory
 
 
 class Port:
-    """A serial port as pyserial lists it."""
+    """A serial port as listed by pyserial."""
 
     def __init__(self, device: str, vid: int | None, product: str) -> None:
         self.device, self.vid, self.pid = device, vid, 0x7523
@@ -16,7 +16,7 @@ class Port:
         return self.device < other.device
 
 
-def test_serial_ports_have_names_that_do_not_depend_on_the_order_of_plugging(tmp_path, monkeypatch):
+def test_serial_ports_have_persistent_names(tmp_path, monkeypatch):
     device = tmp_path / "ttyUSB1"
     device.touch()
     by_id = tmp_path / "by-id"
@@ -41,7 +41,7 @@ def test_video_devices_are_cameras(tmp_path, monkeypatch):
     assert {"kind": "camera", "uri": "v4l2:/dev/video0", "model": "Webcam"} in list(inventory.cameras())
 
 
-def test_a_missing_library_is_remarked(monkeypatch):
+def test_a_missing_library_is_reported(monkeypatch):
     monkeypatch.setattr(inventory, "library", lambda: None)
 
     assert "apt install libaravis-0.8-0" in inventory.remarks()[0]

@@ -1,4 +1,4 @@
-"""Several exposures merged into one frame, on drawn light whose truth and noise are known."""
+"""Merging of exposure brackets, for synthetic images with known light and noise."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ FULL = {8: 255, 12: 4095}
 
 
 def exposed(rate, exposure_s, rng, bits=8):
-    """EMVA 1288: shot noise, dark noise, black level, rounding, full codes. `rate` in grey values a second."""
+    """An exposure by the EMVA 1288 model; `rate` in grey values per second."""
     electrons = rng.poisson(rate * exposure_s / GAIN)
     grey = BLACK_DN + GAIN * electrons + rng.normal(0, DARK_DN, rate.shape)
     return np.clip(np.rint(grey), 0, FULL[bits]).astype(np.uint8 if bits == 8 else np.uint16)
@@ -32,7 +32,7 @@ def bracketed(rate, exposures_s, rng, lasers=None, bits=8):
 
 @pytest.fixture
 def ramp():
-    """From dark to five times what the longest of 8 ms takes."""
+    """Rates from dark to five times the saturation of an exposure of 8 ms."""
     return np.tile(np.geomspace(20.0, 150_000.0, 600), (200, 1))
 
 
@@ -116,7 +116,7 @@ def test_a_later_frame_is_brought_onto_the_scale(rng, ramp):
         ([0, 0], [1.0, 1.0], ((0,), (1,))),
     ],
 )
-def test_neighbours_of_the_same_lasers_and_other_exposures_belong_together(masks, exposures_s, groups):
+def test_consecutive_frames_of_the_same_lasers_form_a_group(masks, exposures_s, groups):
     assert exposure_groups(masks, exposures_s) == groups
 
 

@@ -1,4 +1,4 @@
-"""A laser's line in a picture without lasers, and ambient light that is none."""
+"""Recognition of a laser line in an image, as opposed to ambient light."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def pictured(light_dn: Float64[Array, "row column"], rng: np.random.Generator) -
 
 @pytest.fixture
 def line_dn():
-    """A laser's line, four pixels thick, across 200 x 120 pixels."""
+    """A laser line, four pixels thick, in an image of 200 x 120 pixels."""
     light_dn = np.zeros((120, 200))
     light_dn[ROW : ROW + 4] = 40.0
     return light_dn

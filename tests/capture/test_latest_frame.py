@@ -1,4 +1,4 @@
-"""The newest shot wins, and the others are counted."""
+"""Background acquisition: the newest shot is yielded, and dropped ones are counted."""
 
 import threading
 from dataclasses import replace
@@ -22,10 +22,10 @@ def shot(name: str) -> Shot:
 
 
 class Bursts:
-    """Takes the requested number of shots at once, then waits for the next request."""
+    """Yields the requested number of shots at once, then waits for the next request."""
 
     def __init__(self) -> None:
-        self.wanted = threading.Semaphore(0)
+        self.requested = threading.Semaphore(0)
         self.taken = threading.Semaphore(0)
         self.number = 0
 
@@ -35,18 +35,18 @@ class Bursts:
     def __next__(self) -> Shot:
         if self.number:
             self.taken.release()
-        self.wanted.acquire()
+        self.requested.acquire()
         self.number += 1
         return shot(f"s{self.number}")
 
     def take(self, count: int) -> None:
         for _ in range(count):
-            self.wanted.release()
+            self.requested.release()
         for _ in range(count):
             self.taken.acquire()
 
 
-def test_shots_that_changing_light_spoiled_are_counted_as_dropped():
+def test_shots_lost_to_changing_light_are_counted_as_dropped():
     spoiled = replace(shot("a"), meta={"attempts_lost": {"ambient_changed": [30.0, -29.0]}})
 
     with NewestShots(iter([spoiled])) as newest:
@@ -55,7 +55,7 @@ def test_shots_that_changing_light_spoiled_are_counted_as_dropped():
     assert live.dropped == 2
 
 
-def test_who_keeps_up_misses_nothing():
+def test_a_fast_consumer_gets_every_shot():
     bursts = Bursts()
 
     with NewestShots(bursts) as newest:
@@ -64,12 +64,12 @@ def test_who_keeps_up_misses_nothing():
             bursts.take(1)
             live = next(newest)
             seen.append((live.shot.name, live.dropped))
-        bursts.wanted.release()
+        bursts.requested.release()
 
     assert seen == [("s1", 0), ("s2", 0), ("s3", 0)]
 
 
-def test_who_is_late_gets_the_newest_and_the_number_of_those_missed():
+def test_a_slow_consumer_gets_the_newest_shot_and_the_number_of_dropped_ones():
     bursts = Bursts()
 
     with NewestShots(bursts) as newest:
@@ -79,19 +79,19 @@ def test_who_is_late_gets_the_newest_and_the_number_of_those_missed():
         second = next(newest)
         bursts.take(1)
         third = next(newest)
-        bursts.wanted.release()
+        bursts.requested.release()
 
     assert [(live.shot.name, live.dropped) for live in (first, second, third)] == [("s1", 0), ("s5", 3), ("s6", 0)]
 
 
-def test_the_last_shot_is_handed_out_before_the_end():
+def test_the_last_shot_is_yielded_before_the_end():
     with NewestShots(iter([shot("only")])) as newest:
         names = [live.shot.name for live in newest]
 
     assert names == ["only"]
 
 
-def test_what_goes_wrong_is_raised_where_shots_are_wanted():
+def test_exceptions_are_raised_in_the_consumer():
     def failing():
         yield shot("a")
         raise DeviceError("camera", "is gone")
@@ -104,7 +104,7 @@ def test_what_goes_wrong_is_raised_where_shots_are_wanted():
     assert first.shot.name == "a"
 
 
-def test_the_block_ends_while_shots_could_go_on():
+def test_leaving_the_block_ends_the_acquisition():
     def endless():
         while True:
             yield shot("a")

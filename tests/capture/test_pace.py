@@ -1,4 +1,4 @@
-"""Shots in time; the clock is a fake that only sleeping moves."""
+"""Pacing of shots, with a fake clock that advances only by waiting."""
 
 import pytest
 
@@ -25,13 +25,13 @@ def clock(monkeypatch):
     return fake
 
 
-def test_items_come_at_the_rate(clock):
+def test_items_are_yielded_at_the_rate(clock):
     came_s = [clock.now_s for _ in pace.paced(range(4), 2.0)]
 
     assert came_s == pytest.approx([100.0, 100.5, 101.0, 101.5])
 
 
-def test_a_late_item_delays_no_other(clock):
+def test_a_late_item_does_not_delay_others(clock):
     came_s = []
     for item in pace.paced(range(4), 2.0):
         came_s.append(clock.now_s)
@@ -40,20 +40,20 @@ def test_a_late_item_delays_no_other(clock):
     assert came_s == pytest.approx([100.0, 100.5, 101.3, 101.5])
 
 
-def test_without_a_rate_nothing_sleeps(clock):
+def test_without_a_rate_there_is_no_wait(clock):
     assert list(pace.paced("abc", None)) == ["a", "b", "c"]
     assert clock.slept_s == []
 
 
 @pytest.mark.parametrize(("rate_hz", "count"), [(2.0, 3), (0.5, 1), (10.0, 11)])
-def test_no_item_comes_after_the_duration_nor_is_it_waited_for(clock, rate_hz, count):
+def test_no_item_is_yielded_or_awaited_after_the_duration(clock, rate_hz, count):
     came = list(pace.paced(range(100), rate_hz, 1.0))
 
     assert len(came) == count
     assert clock.now_s <= 101.0
 
 
-def test_a_duration_ends_items_that_come_as_they_can(clock):
+def test_a_duration_ends_items_without_a_rate(clock):
     came = []
     for item in pace.paced(range(100), None, 1.0):
         came.append(item)
@@ -62,7 +62,7 @@ def test_a_duration_ends_items_that_come_as_they_can(clock):
     assert came == [0, 1, 2, 3]
 
 
-def test_waiting_may_be_somebody_elses(clock):
+def test_the_wait_function_can_be_given(clock):
     waited_s = []
 
     list(pace.paced(range(3), 2.0, wait=waited_s.append))

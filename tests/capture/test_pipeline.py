@@ -1,5 +1,6 @@
-"""The sequence of camera and lasers, with drivers that record their calls."""
+"""The capture procedure, with fake drivers that record their calls."""
 
+from collections.abc import Iterator
 from itertools import count
 
 import numpy as np
@@ -9,16 +10,18 @@ from ringpose.capture.cameras.driver import CameraDescription, CameraDriver
 from ringpose.capture.lasers.driver import LaserDriver
 from ringpose.capture.pipeline import Procedure, captured_shots
 from ringpose.errors import DeviceError, LaserSafetyError, SignalReceived, UsageError
-from ringpose.types.image import Frame
+from ringpose.types.image import Frame, Shot
 from ringpose.types.sequence import parsed_sequence
 
 
-class NotedLasers(LaserDriver):
+class RecordingLasers(LaserDriver):
+    """Fake lasers that record their calls; the mask `stuck` is always on, `dark` never."""
+
     count = 3
 
     def __init__(self, stuck: int = 0, reports: bool = True, dark: int = 0) -> None:
         self.calls: list[str] = []
-        self.lit = 0
+        self.on_mask = 0
         self.stuck = stuck
         self.reports = reports
         self.dark = dark
@@ -28,19 +31,21 @@ class NotedLasers(LaserDriver):
 
     def set_mask(self, lasers: int) -> None:
         self.calls.append(f"set {lasers}")
-        self.lit = lasers & ~self.dark | self.stuck
+        self.on_mask = lasers & ~self.dark | self.stuck
 
     def read_mask(self) -> int | None:
-        return self.lit if self.reports else None
+        return self.on_mask if self.reports else None
 
     def close(self) -> None:
         self.calls.append("close")
 
 
-class NotedCamera(CameraDriver):
-    """Its images say how many frames it has taken and what was lit."""
+class RecordingCamera(CameraDriver):
+    """A fake camera whose grey values encode the frame number and the mask of the lasers."""
 
-    def __init__(self, lasers: NotedLasers, fails_at: int | None = None, error: BaseException | None = None) -> None:
+    def __init__(
+        self, lasers: RecordingLasers, fails_at: int | None = None, error: BaseException | None = None
+    ) -> None:
         self.lasers = lasers
         self.fails_at = fails_at
         self.error = error
@@ -52,7 +57,7 @@ class NotedCamera(CameraDriver):
         pass
 
     def describe(self) -> CameraDescription:
-        return CameraDescription(name="noted", image_width=3, image_height=2, saturation_dn=200)
+        return CameraDescription(name="recording", image_width=3, image_height=2, saturation_dn=200)
 
     def bounds(self, feature: str) -> tuple[float, float] | None:
         return None
@@ -66,7 +71,7 @@ class NotedCamera(CameraDriver):
     def trigger(self, lasers: int, exposure_s: float | None = None) -> Frame:
         if self.taken == self.fails_at and self.error:
             raise self.error
-        image = np.full((2, 3), 10 * self.taken + self.lasers.lit, dtype=np.uint8)
+        image = np.full((2, 3), 10 * self.taken + self.lasers.on_mask, dtype=np.uint8)
         self.taken += 1
         return Frame(image=image, lasers=lasers, stamp_s=float(self.taken), exposure_s=self.exposure_s or 0.005)
 
@@ -74,29 +79,34 @@ class NotedCamera(CameraDriver):
         self.closed += 1
 
 
-def test_every_frame_is_taken_while_its_lasers_are_lit():
-    lasers = NotedLasers()
+def shots_of(lasers: RecordingLasers, sequence: str, camera: RecordingCamera | None = None) -> Iterator[Shot]:
+    """Captures shots named 0, 1, 2 ... with these steps."""
+    return captured_shots(
+        camera or RecordingCamera(lasers), lasers, Procedure(steps=parsed_sequence(sequence)), map(str, count())
+    )
 
-    (shot,) = captured_shots(NotedCamera(lasers), lasers, Procedure(steps=parsed_sequence("off,1,2,3,off")), ["first"])
+
+def test_every_frame_is_triggered_while_its_lasers_are_on():
+    lasers = RecordingLasers()
+
+    shot = next(shots_of(lasers, "off,1,2,3,off"))
 
     assert shot.images[:, 0, 0].tolist() == [0, 11, 22, 34, 40]
     assert shot.lasers.tolist() == [0, 1, 2, 4, 0]
     assert shot.stamp_s.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
 
 
-def test_a_shot_is_handed_on_with_its_lasers_off():
-    lasers = NotedLasers()
-    shots = captured_shots(NotedCamera(lasers), lasers, Procedure(steps=parsed_sequence("off,all")), map(str, count()))
+def test_all_lasers_are_off_when_a_shot_is_yielded():
+    lasers = RecordingLasers()
+    next(shots_of(lasers, "off,all"))
 
-    next(shots)
-
-    assert lasers.lit == 0
+    assert lasers.on_mask == 0
 
 
-def test_what_the_board_reports_is_kept_beside_what_was_commanded():
-    lasers = NotedLasers(dark=0b100)
+def test_reported_masks_are_stored_beside_commanded_ones():
+    lasers = RecordingLasers(dark=0b100)
 
-    (shot,) = captured_shots(NotedCamera(lasers), lasers, Procedure(steps=parsed_sequence("off,all")), ["first"])
+    shot = next(shots_of(lasers, "off,all"))
 
     assert shot.lasers.tolist() == [0, 0b111]
     assert shot.read_lasers is not None
@@ -105,23 +115,22 @@ def test_what_the_board_reports_is_kept_beside_what_was_commanded():
 
 @pytest.mark.parametrize("sequence", ["off,1", "1,2", "1+2"])
 def test_a_laser_that_the_board_reports_on_though_all_are_off_is_a_safety_fault(sequence):
-    lasers = NotedLasers(stuck=0b100)
-    shots = captured_shots(NotedCamera(lasers), lasers, Procedure(steps=parsed_sequence(sequence)), ["first"])
+    lasers = RecordingLasers(stuck=0b100)
 
     with pytest.raises(LaserSafetyError, match="laser 3 was reported on while all are off; cut the power"):
-        next(shots)
+        next(shots_of(lasers, sequence))
 
 
-def test_a_shot_in_which_the_board_reports_another_laser_is_taken_again():
-    class Hasty(NotedLasers):
-        """Reports another laser than the third one, until all were off."""
+def test_a_shot_with_a_wrong_reported_mask_is_repeated():
+    class Hasty(RecordingLasers):
+        """Fake lasers that report a wrong mask until all were switched off."""
 
         def read_mask(self) -> int | None:
-            return 0b010 if self.lit == 4 and "set 0" not in self.calls else self.lit
+            return 0b010 if self.on_mask == 4 and "set 0" not in self.calls else self.on_mask
 
     lasers = Hasty()
 
-    (shot,) = captured_shots(NotedCamera(lasers), lasers, Procedure(steps=parsed_sequence("1,3")), ["first"])
+    shot = next(shots_of(lasers, "1,3"))
 
     assert shot.read_lasers is not None
     assert shot.read_lasers.tolist() == [1, 4]
@@ -129,12 +138,12 @@ def test_a_shot_in_which_the_board_reports_another_laser_is_taken_again():
 
 
 @pytest.mark.parametrize(("sequence", "exposure_s"), [("all", 1.5), ("off,1@9us", None), ("off,1@1500ms", 0.1)])
-def test_an_exposure_that_the_camera_does_not_have_is_wrong_usage(sequence, exposure_s):
-    class Bounded(NotedCamera):
+def test_an_exposure_out_of_bounds_is_a_usage_error(sequence, exposure_s):
+    class Bounded(RecordingCamera):
         def bounds(self, feature: str) -> tuple[float, float] | None:
             return {"ExposureTime": (10.0, 1e6)}[feature]
 
-    lasers = NotedLasers()
+    lasers = RecordingLasers()
     procedure = Procedure(steps=parsed_sequence(sequence), exposure_s=exposure_s)
     shots = captured_shots(Bounded(lasers), lasers, procedure, ["first"])
 
@@ -144,27 +153,27 @@ def test_an_exposure_that_the_camera_does_not_have_is_wrong_usage(sequence, expo
     assert lasers.calls == []
 
 
-def test_a_board_that_cannot_say_leaves_no_report():
-    lasers = NotedLasers(reports=False)
+def test_a_board_that_does_not_report_gives_no_read_masks():
+    lasers = RecordingLasers(reports=False)
 
-    (shot,) = captured_shots(NotedCamera(lasers), lasers, Procedure(steps=parsed_sequence("off,1")), ["first"])
+    shot = next(shots_of(lasers, "off,1"))
 
     assert shot.read_lasers is None
 
 
-def test_a_shot_knows_at_which_grey_value_its_camera_is_full():
-    lasers = NotedLasers()
+def test_a_shot_records_the_saturation_of_its_camera():
+    lasers = RecordingLasers()
 
-    (shot,) = captured_shots(NotedCamera(lasers), lasers, Procedure(steps=parsed_sequence("all")), ["first"])
+    shot = next(shots_of(lasers, "all"))
 
     assert shot.saturation_dn == 200
 
 
 def test_the_exposure_reaches_the_camera():
-    lasers = NotedLasers()
+    lasers = RecordingLasers()
 
     (shot,) = captured_shots(
-        NotedCamera(lasers), lasers, Procedure(steps=parsed_sequence("all"), exposure_s=0.25), ["first"]
+        RecordingCamera(lasers), lasers, Procedure(steps=parsed_sequence("all"), exposure_s=0.25), ["first"]
     )
 
     assert shot.exposure_s.tolist() == [0.25]
@@ -174,19 +183,19 @@ def test_the_exposure_reaches_the_camera():
     "error", [SignalReceived(15), SignalReceived(2), DeviceError("camera", "gone"), KeyError("bug")]
 )
 def test_whatever_ends_a_capture_ends_with_the_lasers_off_and_both_devices_closed(error):
-    lasers = NotedLasers()
-    camera = NotedCamera(lasers, fails_at=3, error=error)
+    lasers = RecordingLasers()
+    camera = RecordingCamera(lasers, fails_at=3, error=error)
 
     with pytest.raises(type(error)), camera, lasers:
-        list(captured_shots(camera, lasers, Procedure(steps=parsed_sequence("off,1,2,3")), ["first"]))
+        next(shots_of(lasers, "off,1,2,3", camera))
 
     assert "set 4" in lasers.calls
     assert lasers.calls[-2:] == ["set 0", "close"]
     assert camera.closed
 
 
-def test_lasers_that_cannot_be_opened_are_let_go_of():
-    class Absent(NotedLasers):
+def test_lasers_that_cannot_be_opened_are_closed():
+    class Absent(RecordingLasers):
         def open(self) -> None:
             raise DeviceError("lasers", "no such port")
 
@@ -198,8 +207,8 @@ def test_lasers_that_cannot_be_opened_are_let_go_of():
     assert lasers.calls == ["close"]
 
 
-def test_a_second_signal_while_switching_off_leaves_no_laser_burning():
-    class Interrupted(NotedLasers):
+def test_a_second_signal_while_switching_off_leaves_no_laser_on():
+    class Interrupted(RecordingLasers):
         def set_mask(self, lasers: int) -> None:
             if lasers == 0 and "interrupted" not in self.calls:
                 self.calls.append("interrupted")
@@ -211,12 +220,12 @@ def test_a_second_signal_while_switching_off_leaves_no_laser_burning():
     with pytest.raises(SignalReceived), lasers:
         lasers.set_mask(7)
 
-    assert lasers.lit == 0
+    assert lasers.on_mask == 0
     assert lasers.calls[-1] == "close"
 
 
 def test_a_laser_reported_on_at_the_end_is_a_safety_fault():
-    lasers = NotedLasers(stuck=0b010)
+    lasers = RecordingLasers(stuck=0b010)
 
     with pytest.raises(LaserSafetyError, match="mask 2"), lasers:
         pass
@@ -225,7 +234,7 @@ def test_a_laser_reported_on_at_the_end_is_a_safety_fault():
 
 
 def test_a_board_that_fails_while_switching_off_is_a_safety_fault():
-    class Unplugged(NotedLasers):
+    class Unplugged(RecordingLasers):
         def set_mask(self, lasers: int) -> None:
             self.calls.append(f"set {lasers}")
             if lasers == 0:

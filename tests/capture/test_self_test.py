@@ -1,4 +1,4 @@
-"""Self-test of a camera that draws its images and of lasers at contacts that may be broken."""
+"""The self-test, with a simulated camera and lasers with injected faults."""
 
 import time
 
@@ -30,7 +30,7 @@ class ContactLasers(LaserDriver):
 
 @pytest.fixture
 def walked(rng, monkeypatch):
-    """The findings before lasers with these faults."""
+    """The checks of a self-test of lasers with these faults, by name."""
     monkeypatch.setattr("ringpose.capture.self_test.MAX_SETTLE_S", 0.05)
 
     def findings(**faults):

@@ -1,4 +1,4 @@
-"""Devices by name."""
+"""Parsing of device URIs."""
 
 import pytest
 
@@ -14,7 +14,7 @@ from ringpose.errors import UsageError
         ("sim:scene.yaml", ("sim", "scene.yaml")),
     ],
 )
-def test_a_uri_is_parted_at_its_first_colon(uri, parts):
+def test_a_uri_is_split_at_its_first_colon(uri, parts):
     assert scheme_and_rest(uri, "--camera", ("files", "sim")) == parts
 
 
@@ -26,24 +26,24 @@ def test_a_uri_is_parted_at_its_first_colon(uri, parts):
         ("", "one of files:"),
     ],
 )
-def test_an_unknown_device_is_wrong_usage(uri, remedy):
+def test_an_unknown_scheme_is_a_usage_error(uri, remedy):
     with pytest.raises(UsageError, match=remedy):
         scheme_and_rest(uri, "--camera", ("files", "sim"))
 
 
-def test_a_camera_is_no_laser():
+def test_the_scheme_of_a_camera_is_not_accepted_for_lasers():
     with pytest.raises(UsageError, match='--lasers: "files:shots" names no device'):
         scheme_and_rest("files:shots", "--lasers", schemes(LASERS))
 
 
-def test_a_device_uri_has_a_place_and_parameters():
+def test_a_device_uri_has_an_address_and_parameters():
     uri = device_uri("files:///dev/serial/by-id/a?ch=1,2&note=a%20b", "--camera", CAMERAS)
 
     assert uri.address == "/dev/serial/by-id/a"
     assert uri.parameters == {"ch": "1,2", "note": "a b"}
 
 
-def test_a_misspelt_parameter_is_wrong_usage_with_the_right_one():
+def test_a_misspelt_parameter_is_a_usage_error_with_a_hint():
     uri = device_uri("sim:scene.yaml?formt=Mono12", "--camera", CAMERAS)
 
     with pytest.raises(UsageError, match='no parameter "formt"; did you mean format'):
@@ -74,7 +74,7 @@ def test_a_number_lies_within_its_bounds(written, problem):
 
 
 @pytest.mark.parametrize(("written", "problem"), [("0.5", "must be a whole number"), ("-1", "it takes 0 to 9")])
-def test_what_is_counted_is_whole(written, problem):
+def test_a_count_must_be_a_whole_number(written, problem):
     uri = device_uri(f"sim:scene.yaml?skip={written}", "--camera", CAMERAS)
 
     with pytest.raises(UsageError, match=f'skip is "{written}".*{problem}'):

@@ -213,3 +213,53 @@ def test_what_still_disagrees_without_the_part_to_blame_says_so(scene, points):
     assert result.flags & CONTRADICTIONS
     if isinstance(result.pose, RingPose) and PoseFlag.CENTER_WEAK not in result.flags:
         assert sigmas_off(result.pose, scene) < 5.0
+
+
+def two_stripes_one_on_the_background(scene, points, rng, end_sigma_px):
+    """The first two stripes; the second one is a stripe on a surface behind the ring, with ends of no edge."""
+    shift_px = rng.uniform(20.0, 60.0) * rng.choice([-1.0, 1.0])
+    moved = lifted(points, 1, shift_px)
+    position, covariance = moved.position_px.copy(), moved.covariance_px2.copy()
+    position[1, :, 0] += rng.uniform(-30.0, 30.0, 2)
+    covariance[1] = np.diag([end_sigma_px**2, 0.3**2])
+    position[2] = np.nan
+    unseen = np.full(2, np.nan)
+    start, end, sigma = moved.face_start_px.copy(), moved.face_end_px.copy(), moved.face_sigma_px.copy()
+    start[2], end[2], sigma[2] = unseen, unseen, unseen
+    return replace(
+        moved,
+        position_px=position,
+        covariance_px2=covariance,
+        face_start_px=start,
+        face_end_px=end,
+        face_sigma_px=sigma,
+    )
+
+
+@pytest.mark.parametrize("end_sigma_px", [0.3, 2.0, 8.0])
+@pytest.mark.parametrize("distance_m", [0.25, 0.5])
+def test_a_second_stripe_on_the_background_never_gives_a_sure_normal(
+    scene_of, face_points, rng, distance_m, end_sigma_px
+):
+    scene = scene_of("B", distance_m=distance_m)
+    for _ in range(20):
+        shot = two_stripes_one_on_the_background(scene, face_points(scene, 0.3, 0.01, rng), rng, end_sigma_px)
+
+        result = pose_result(shot, scene.rig)
+
+        if not isinstance(result.pose, RingPose) or result.flags & (PoseFlag.NORMAL_WEAK | PoseFlag.INCONSISTENT):
+            continue
+        cosines = result.pose.normal @ scene.ring.normal
+        sigma_rad = np.sqrt(np.linalg.eigvalsh(result.pose.covariance[:2, :2])[-1])
+        assert np.arccos(min(cosines, 1.0)) < 5.0 * sigma_rad
+
+
+def test_two_stripes_with_clear_ends_give_a_sure_normal(scene_of, face_points, rng):
+    scene = scene_of("B", distance_m=0.25)
+    points = face_points(scene, 0.3, 0.01, rng)
+    points.position_px[2] = points.face_start_px[2] = points.face_end_px[2] = points.face_sigma_px[2] = np.nan
+
+    pose = estimate_pose(points, scene.rig)
+
+    assert PoseFlag.NORMAL_WEAK not in pose.flags
+    assert pose.normal @ scene.ring.normal > np.cos(0.005)

@@ -1,4 +1,4 @@
-"""A rig file to spoil, and records to write and read again."""
+"""A rig file that tests modify, and the marker of a deleted value."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -26,14 +26,14 @@ RIG: dict[str, Any] = {
 
 
 def changed(values: Any, path: str, value: Any) -> Any:
-    """The nested values with another value at a path such as `lasers.0.normal`; `DELETED` takes it away."""
+    """The nested values with another value at a path such as `lasers.0.normal`; `DELETED` removes it."""
     key, _, rest = path.partition(".")
     copy = list(values) if isinstance(values, list) else dict(values)
-    place = int(key) if isinstance(copy, list) else key
+    index = int(key) if isinstance(copy, list) else key
     if not rest and value is DELETED:
-        del copy[place]
+        del copy[index]
     else:
-        copy[place] = changed(copy[place], rest, value) if rest else value
+        copy[index] = changed(copy[index], rest, value) if rest else value
     return copy
 
 
@@ -42,7 +42,7 @@ DELETED = object()
 
 @pytest.fixture
 def rig_file(tmp_path: Path) -> Callable[..., Path]:
-    """Writes a good rig.yaml, or one with something else at a path."""
+    """Writes a valid rig.yaml, or one with another value at a path."""
 
     def written(path: str = "", value: Any = None) -> Path:
         file = tmp_path / "rig.yaml"
@@ -54,5 +54,5 @@ def rig_file(tmp_path: Path) -> Callable[..., Path]:
 
 @pytest.fixture
 def deleted() -> object:
-    """The value that takes a key away."""
+    """The value that removes a key."""
     return DELETED

@@ -17,7 +17,7 @@ def write(path, content: bytes, force=False, error: Exception | None = None):
             raise error
 
 
-def test_file_has_the_rights_that_the_umask_leaves(tmp_path):
+def test_a_written_file_has_the_permissions_of_the_umask(tmp_path):
     write(tmp_path / "a", b"new")
 
     mask = os.umask(0)
@@ -34,7 +34,7 @@ def test_existing_file_stays_without_force(tmp_path):
     assert (tmp_path / "a").read_bytes() == b"old"
 
 
-def test_name_that_no_file_can_have_cannot_be_created(tmp_path):
+def test_an_invalid_file_name_cannot_be_created(tmp_path):
     with pytest.raises(CannotCreateError, match="file name too long"):
         write(tmp_path / ("a" * 300), b"new")
 
@@ -47,7 +47,7 @@ def test_existing_file_is_replaced_with_force(tmp_path):
     assert (tmp_path / "a").read_bytes() == b"new"
 
 
-def test_link_stays_and_its_target_is_replaced(tmp_path):
+def test_the_target_of_a_symbolic_link_is_replaced(tmp_path):
     (tmp_path / "a").write_bytes(b"old")
     (tmp_path / "link").symlink_to("a")
 
@@ -57,7 +57,7 @@ def test_link_stays_and_its_target_is_replaced(tmp_path):
     assert (tmp_path / "a").read_bytes() == b"new"
 
 
-def test_link_that_ends_nowhere_is_filled(tmp_path):
+def test_the_target_of_a_dangling_link_is_created(tmp_path):
     (tmp_path / "link").symlink_to("a")
 
     write(tmp_path / "link", b"new")
@@ -86,12 +86,12 @@ def test_folder_is_not_replaced_even_with_force(tmp_path):
         write(tmp_path, b"new", force=True)
 
 
-def test_missing_folder_is_told_before_long_work(tmp_path):
+def test_a_missing_folder_is_reported_before_long_computations(tmp_path):
     with pytest.raises(CannotCreateError, match="no such file or directory"):
         reject_existing(tmp_path / "missing" / "a", force=False)
 
 
-def test_failure_leaves_the_old_file_and_nothing_else(tmp_path):
+def test_a_failure_keeps_the_old_file_and_leaves_no_temporary_one(tmp_path):
     (tmp_path / "a").write_bytes(b"old")
 
     with pytest.raises(ZeroDivisionError):
@@ -100,7 +100,7 @@ def test_failure_leaves_the_old_file_and_nothing_else(tmp_path):
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"a": b"old"}
 
 
-def test_full_disk_leaves_the_old_file_and_nothing_else(tmp_path):
+def test_a_full_disk_keeps_the_old_file_and_leaves_no_temporary_one(tmp_path):
     (tmp_path / "a").write_bytes(b"old")
 
     with pytest.raises(InputOutputError, match="writing broke off: no space left on device"):
@@ -109,12 +109,12 @@ def test_full_disk_leaves_the_old_file_and_nothing_else(tmp_path):
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"a": b"old"}
 
 
-@pytest.mark.parametrize("place", ["file/a", "missing/a"])
-def test_unwritable_place_cannot_be_created(tmp_path, place):
+@pytest.mark.parametrize("name", ["file/a", "missing/a"])
+def test_a_file_in_an_unwritable_folder_cannot_be_created(tmp_path, name):
     (tmp_path / "file").touch()
 
     with pytest.raises(CannotCreateError, match="cannot be written"):
-        write(tmp_path / place, b"new")
+        write(tmp_path / name, b"new")
 
 
 def test_folder_below_a_file_cannot_be_created(tmp_path):
@@ -125,7 +125,7 @@ def test_folder_below_a_file_cannot_be_created(tmp_path):
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-def test_killed_in_the_middle_leaves_no_half_file_under_the_final_name(tmp_path, number):
+def test_a_killed_process_leaves_no_incomplete_file_under_the_final_name(tmp_path, number):
     program = textwrap.dedent(
         """
         import sys, time

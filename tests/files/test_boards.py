@@ -62,7 +62,7 @@ def test_board_is_read_as_it_was_written(tmp_path, board):
         ({"squre_m": 0.02}, "unknown key 'squre_m'; did you mean 'square_m'?"),
     ],
 )
-def test_impossible_board_is_refused(tmp_path, changes, finding):
+def test_an_invalid_board_is_rejected(tmp_path, changes, finding):
     (tmp_path / "board.yaml").write_text(yaml.safe_dump(CHARUCO | changes))
 
     with pytest.raises(DataError) as caught:
@@ -72,7 +72,7 @@ def test_impossible_board_is_refused(tmp_path, changes, finding):
 
 
 @pytest.mark.parametrize("key", ["squares_x", "squares_y", "square_m", "marker_m", "dictionary"])
-def test_size_that_the_kind_needs_is_missed(tmp_path, key):
+def test_a_missing_size_is_rejected(tmp_path, key):
     values = dict(CHARUCO)
     del values[key]
     (tmp_path / "board.yaml").write_text(yaml.safe_dump(values))
@@ -81,7 +81,7 @@ def test_size_that_the_kind_needs_is_missed(tmp_path, key):
         read_board(tmp_path / "board.yaml")
 
 
-def test_markers_wider_than_the_board_are_refused(tmp_path):
+def test_markers_wider_than_the_board_are_rejected(tmp_path):
     values = {
         "kind": "four_markers",
         "width_m": 0.3,
@@ -112,7 +112,7 @@ def test_markers_of_a_dictionary_file_are_read(tmp_path):
     assert read_board(tmp_path / "board.yaml").marker_bits == ("101110000", "000111011")
 
 
-def test_a_dictionary_that_is_neither_opencvs_nor_a_file_is_refused(tmp_path):
+def test_an_unknown_dictionary_is_rejected(tmp_path):
     (tmp_path / "board.yaml").write_text(OWN)
 
     with pytest.raises(DataError, match=r'no dictionary "own.yml"; give one of OpenCV'):
@@ -128,7 +128,7 @@ def test_a_dictionary_that_is_neither_opencvs_nor_a_file_is_refused(tmp_path):
         ("markersize: 3", "markersize: 30", "at most 10"),
     ],
 )
-def test_a_damaged_dictionary_is_refused(tmp_path, before, after, found):
+def test_a_damaged_dictionary_is_rejected(tmp_path, before, after, found):
     (tmp_path / "own.yml").write_text(DICTIONARY.replace(before, after))
     (tmp_path / "board.yaml").write_text(OWN)
 

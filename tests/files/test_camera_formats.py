@@ -1,4 +1,4 @@
-"""Cameras of other programs: there and back, and as those programs write them."""
+"""Cameras in the formats of other programs: round trips, and files as those programs write them."""
 
 import random
 
@@ -53,7 +53,7 @@ def written(tmp_path, form: str, name: str, coefficients: np.ndarray = PLUMB_BOB
         ("matlab", "c.mat", PLUMB_BOB),
     ],
 )
-def test_a_camera_comes_back_with_all_its_digits(tmp_path, form, name, coefficients):
+def test_cameras_round_trip_exactly(tmp_path, form, name, coefficients):
     after = read_camera(written(tmp_path, form, name, coefficients))
 
     np.testing.assert_array_equal(after.camera_matrix, MATRIX)
@@ -62,14 +62,14 @@ def test_a_camera_comes_back_with_all_its_digits(tmp_path, form, name, coefficie
     assert after.covariance is None
 
 
-def test_its_own_format_keeps_the_covariance(tmp_path):
+def test_the_ringpose_format_keeps_the_covariance(tmp_path):
     write_camera_as(tmp_path / "b.yaml", camera(), CameraFormat.RINGPOSE, written(tmp_path, "ros", "c.yaml"))
 
     assert read_camera(tmp_path / "b.yaml").covariance.standard_deviations["fy"] == 2.0
 
 
 @pytest.mark.parametrize("name", ["c.yml", "c.xml"])
-def test_opencv_reads_what_is_written_for_it(tmp_path, name):
+def test_opencv_reads_the_written_storage(tmp_path, name):
     path = written(tmp_path, "opencv", name)
 
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
@@ -78,7 +78,7 @@ def test_opencv_reads_what_is_written_for_it(tmp_path, name):
     assert storage.getNode("image_width").real() == 640
 
 
-def test_ros_finds_the_matrices_of_a_stereo_pair(tmp_path):
+def test_ros_files_have_the_matrices_of_a_stereo_pair(tmp_path):
     values = yaml.safe_load(written(tmp_path, "ros", "c.yaml").read_text())
 
     projection = np.reshape(values["projection_matrix"]["data"], (3, 4))
@@ -132,14 +132,14 @@ def test_a_camchain_is_read(tmp_path):
         ("rostopic", "cam_overlap", "did you mean 'cam_overlaps'"),
     ],
 )
-def test_a_camchain_that_is_no_opencv_camera_is_refused(tmp_path, before, after, found):
+def test_a_camchain_of_another_model_is_rejected(tmp_path, before, after, found):
     (tmp_path / "c.yaml").write_text(CAMCHAIN.replace(before, after))
 
     with pytest.raises(DataError, match=found):
         read_camera(tmp_path / "c.yaml")
 
 
-def test_a_camchain_of_two_is_refused(tmp_path):
+def test_a_camchain_of_two_cameras_is_rejected(tmp_path):
     (tmp_path / "c.yaml").write_text(CAMCHAIN + CAMCHAIN.replace("cam0:", "cam1:"))
 
     with pytest.raises(DataError, match="has 2 cameras"):
@@ -147,7 +147,7 @@ def test_a_camchain_of_two_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(("form", "name"), [("kalibr", "c.yaml"), ("matlab", "c.mat")])
-def test_coefficients_that_a_format_cannot_say_are_refused(tmp_path, form, name):
+def test_coefficients_that_a_format_does_not_have_are_rejected(tmp_path, form, name):
     with pytest.raises(DataError, match="only"):
         written(tmp_path, form, name, RATIONAL)
 
@@ -197,7 +197,7 @@ def test_an_intrinsic_matrix_is_transposed():
         ("kc", np.zeros(6), "6 distortion coefficients"),
     ],
 )
-def test_variables_that_are_not_such_a_camera_are_refused(key, value, finding):
+def test_other_mat_variables_are_rejected(key, value, finding):
     toolbox = {"fc": [657.3, 657.7], "cc": [302.7, 242.3], "kc": [-0.26, 0.13, 0, 0, 0], "nx": 640, "ny": 480}
     values = {name: entry for name, entry in {**toolbox, key: value}.items() if entry is not None}
 
@@ -205,10 +205,10 @@ def test_variables_that_are_not_such_a_camera_are_refused(key, value, finding):
         matlab.camera_of(values, "c.mat", "c")
 
 
-def test_damaged_mat_files_are_refused_in_one_line(tmp_path, capfd):
+def test_damaged_mat_files_give_one_line(tmp_path, capfd):
     content = written(tmp_path, "matlab", "c.mat").read_bytes()
-    place = content.index(np.float64(MATRIX[0, 0]).tobytes()) - 8  # of the type of the numbers of fc
-    (tmp_path / "c.mat").write_bytes(content[:place] + b"\xff" + content[place + 1 :])
+    offset = content.index(np.float64(MATRIX[0, 0]).tobytes()) - 8  # of the type of the numbers of fc
+    (tmp_path / "c.mat").write_bytes(content[:offset] + b"\xff" + content[offset + 1 :])
 
     with pytest.raises(DataError, match=r"c\.mat: is not a valid \.mat file"):
         read_camera(tmp_path / "c.mat")
@@ -217,7 +217,7 @@ def test_damaged_mat_files_are_refused_in_one_line(tmp_path, capfd):
 
 
 @pytest.mark.slow
-def test_a_mat_file_with_any_damage_is_a_camera_or_refused(tmp_path):
+def test_a_mat_file_with_random_damage_is_read_or_rejected(tmp_path):
     whole = written(tmp_path, "matlab", "c.mat").read_bytes()
     damage, refused = random.Random(7), 0
     for _ in range(20):
@@ -233,19 +233,19 @@ def test_a_mat_file_with_any_damage_is_a_camera_or_refused(tmp_path):
     assert refused > 5
 
 
-def test_a_mat_file_of_a_newer_kind_says_how_to_save_it(tmp_path):
+def test_a_mat_file_of_version_7_3_is_rejected_with_a_remedy(tmp_path):
     (tmp_path / "c.mat").write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\0\2IM" + bytes(512))
 
     with pytest.raises(DataError, match="save it again with -v7"):
         read_camera(tmp_path / "c.mat")
 
 
-def test_a_mat_file_has_a_name_that_matlab_reads(tmp_path):
+def test_a_mat_file_needs_the_suffix_mat(tmp_path):
     with pytest.raises(UsageError, match=r"c\.m "):
         written(tmp_path, "matlab", "c.m")
 
 
-def test_the_toolbox_of_a_real_set_is_read(shared_data):
+def test_a_real_calib_results_file_is_read(shared_data):
     after = read_camera(shared_data / "real" / "uba_laser_plane" / "Calib_Results.mat")
 
     assert after.camera_matrix[[0, 1, 0, 1], [0, 1, 2, 2]] == pytest.approx(
@@ -267,7 +267,7 @@ def stored(path, coefficients: np.ndarray, **numbers: int):
 
 @pytest.mark.parametrize("coefficients", [PLUMB_BOB, RATIONAL], ids=["plumb_bob", "rational"])
 @pytest.mark.parametrize("name", ["c.json", "c.yml", "c.xml"])
-def test_what_opencv_stores_is_read(tmp_path, name, coefficients):
+def test_storage_written_by_opencv_is_read(tmp_path, name, coefficients):
     after = read_camera(stored(tmp_path / name, coefficients))
 
     np.testing.assert_array_equal(after.camera_matrix, MATRIX)
@@ -275,7 +275,7 @@ def test_what_opencv_stores_is_read(tmp_path, name, coefficients):
 
 
 @pytest.mark.parametrize("name", ["c.json", "c.yml", "c.xml"])
-def test_a_damaged_storage_is_a_camera_or_refused(tmp_path, name):
+def test_a_damaged_storage_is_read_or_rejected(tmp_path, name):
     whole = stored(tmp_path / name, PLUMB_BOB).read_bytes()
     damage, refused = random.Random(7), 0
     for _ in range(25):
@@ -292,7 +292,7 @@ def test_a_damaged_storage_is_a_camera_or_refused(tmp_path, name):
 
 
 @pytest.mark.parametrize("text", [b"%YAML:1.0\n---\na: " + b"[" * 99_999, b"<?xml version='1.0'?>" + b"<a>" * 99_999])
-def test_a_storage_that_is_nested_deeply_is_refused(tmp_path, text):
+def test_a_deeply_nested_storage_is_rejected(tmp_path, text):
     (tmp_path / "c.yml").write_bytes(text)
 
     with pytest.raises(DataError, match=r"c\.yml"):
@@ -300,7 +300,7 @@ def test_a_storage_that_is_nested_deeply_is_refused(tmp_path, text):
 
 
 @pytest.mark.parametrize("name", ["c.json", "c.yml", "c.xml"])
-def test_a_fisheye_camera_of_opencv_is_refused(tmp_path, name):
+def test_a_fisheye_camera_of_opencv_is_rejected(tmp_path, name):
     path = stored(tmp_path / name, np.array([0.1, 0.2, 0.3, 0.4]), fisheye_model=1)
 
     with pytest.raises(DataError, match="fisheye_model: is set; calibrate with plumb_bob or rational_polynomial"):
@@ -314,7 +314,7 @@ def test_a_fisheye_camera_of_opencv_is_refused(tmp_path, name):
         ({"width": 10**30, "k": MATRIX.ravel().tolist()}, "image_width: is 1e\\+30, must be at least 1 and at most"),
     ],
 )
-def test_sizes_that_no_camera_has_are_refused(tmp_path, values, finding):
+def test_invalid_image_sizes_are_rejected(tmp_path, values, finding):
     message = {"height": 480, "distortion_model": "plumb_bob", "d": PLUMB_BOB.tolist()} | values
     (tmp_path / "m.yaml").write_text(yaml.safe_dump(message))
 

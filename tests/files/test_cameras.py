@@ -53,7 +53,7 @@ def test_camera_is_read_as_it_was_written(tmp_path):
     assert (after.camera_name, after.image_width, after.image_height) == ("c", 640, 480)
 
 
-def test_camera_file_begins_with_where_it_came_from(tmp_path, rig_file):
+def test_camera_file_begins_with_provenance(tmp_path, rig_file):
     write_camera(tmp_path / "camera.yaml", read_camera(rig_file()), inputs=[tmp_path / "rig.yaml"])
 
     lines = (tmp_path / "camera.yaml").read_text().splitlines()
@@ -66,7 +66,7 @@ def test_camera_of_a_rig_is_read(rig_file):
 
 
 @pytest.mark.parametrize("coefficients", [[-0.1, 0.12, 1e-4, -2e-4, 0.03], [-0.1, 0.12, 1e-4, -2e-4], []])
-def test_ros_camera_info_is_read_with_what_it_leaves_out(tmp_path, coefficients):
+def test_ros_camera_info_with_omitted_coefficients_is_read(tmp_path, coefficients):
     file = tmp_path / "ros.yaml"
     file.write_text(ROS % (len(coefficients), coefficients))
 
@@ -97,14 +97,14 @@ def test_opencv_storage_is_read(tmp_path, suffix, coefficients, model):
     np.testing.assert_array_equal(camera.distortion_coefficients[:used], coefficients.ravel()[:used])
 
 
-def test_thin_prism_terms_are_refused(tmp_path):
+def test_thin_prism_terms_are_rejected(tmp_path):
     file = storage_file(tmp_path / "c.yml", np.full(12, 0.01))
 
     with pytest.raises(DataError, match="thin prism"):
         read_camera(file)
 
 
-def test_opencv_storage_without_image_size_is_refused(tmp_path):
+def test_opencv_storage_without_image_size_is_rejected(tmp_path):
     file = storage_file(tmp_path / "c.yml", COEFFICIENTS, size=())
 
     with pytest.raises(DataError, match="add image_width: and image_height: to it"):
@@ -114,7 +114,7 @@ def test_opencv_storage_without_image_size_is_refused(tmp_path):
 @pytest.mark.parametrize(
     "text", ["a: 1", "- 1", "%YAML:1.0\n---\na: 1", "<?xml version='1.0'?><opencv_storage>", "<?xml"]
 )
-def test_what_is_no_camera_is_refused_in_one_line(tmp_path, text, capfd):
+def test_a_file_that_is_not_a_camera_gives_one_line(tmp_path, text, capfd):
     (tmp_path / "c.yaml").write_text(text)
 
     with pytest.raises(DataError) as caught:

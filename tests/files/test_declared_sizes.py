@@ -1,4 +1,4 @@
-"""What a file declares is checked before anything of that size is decompressed."""
+"""Declared sizes of images and arrays are checked before decompression."""
 
 import io
 import struct
@@ -47,7 +47,7 @@ def bmp(width: int, height: int) -> bytes:
 
 
 def tiff(image, order: str = "<", big: bool = False, changes=()) -> bytes:
-    """An uncompressed grey TIFF or BigTIFF of one strip, tag by tag as the specifications have them."""
+    """An uncompressed grey TIFF or BigTIFF of one strip, built from the specifications."""
     height, width = image.shape
     start = (16 if big else 8) + image.size
     tags = {256: width, 257: height, 258: 8, 259: 1, 262: 1, 273: start - image.size, 277: 1, 278: height}
@@ -97,7 +97,7 @@ for name in sys.argv[1:]:
 """
 
 
-def test_images_that_declare_too_many_pixels_are_refused_within_128_mib(tmp_path):
+def test_images_that_declare_too_many_pixels_are_rejected_within_128_mib(tmp_path):
     for name, content in TOO_LARGE.items():
         (tmp_path / name).write_bytes(content)
     words = [sys.executable, "-c", READ_WITH_LITTLE_MEMORY, *TOO_LARGE]
@@ -139,7 +139,7 @@ def test_tiff_of_either_byte_order_is_read(tmp_path, order, big):
     np.testing.assert_array_equal(read_image(tmp_path / "a.tif"), SMALL)
 
 
-def test_image_of_another_size_than_the_rigs_is_refused_before_it_is_decoded(tmp_path, rig_file, monkeypatch):
+def test_an_image_of_another_size_than_the_rig_is_rejected_before_decoding(tmp_path, rig_file, monkeypatch):
     (tmp_path / "a.png").write_bytes(png(10_000, 10_000))
     monkeypatch.setattr(cv2, "imdecode", None)
 
@@ -147,8 +147,8 @@ def test_image_of_another_size_than_the_rigs_is_refused_before_it_is_decoded(tmp
         read_shot(tmp_path / "a.png", rig=read_rig(rig_file()))
 
 
-def peak_of_refusal(read, *arguments, **options) -> tuple[str, int]:
-    """What the error says, and the bytes that were allocated at most."""
+def message_and_peak_of(read, *arguments, **options) -> tuple[str, int]:
+    """The message of the error, and the peak of the allocated bytes."""
     tracemalloc.start()
     try:
         with pytest.raises(DataError) as caught:
@@ -159,16 +159,16 @@ def peak_of_refusal(read, *arguments, **options) -> tuple[str, int]:
 
 
 def with_file_size(archive: bytes, size: int) -> bytes:
-    """The archive, whose directory declares another uncompressed size for its one member."""
+    """The archive with another uncompressed size of its one member in the directory."""
     changed = bytearray(archive)
     struct.pack_into("<I", changed, changed.rindex(b"PK\x01\x02") + 24, size)
     return bytes(changed)
 
 
 HEADER_BYTES = 128
-"""Of each array here."""
+"""Size of the header of each array in these tests."""
 
-LYING = {
+WRONG_SIZES = {
     "more pixels than a shot may have": (npz((3, 10_000, 9_000)), 3 * 90_000_000, "256 million"),
     "more frames than a shot may have": (npz((10**12, 1, 1)), 2**32 - 1 - HEADER_BYTES, "not what its header declares"),
     "a negative length": (npz((-1, -10, 10)), 100, "not what its header declares"),
@@ -177,21 +177,21 @@ LYING = {
 }
 
 
-@pytest.mark.parametrize(("archive", "size", "finding"), LYING.values(), ids=LYING)
-def test_archive_that_declares_what_it_does_not_have_is_refused_within_2_mb(tmp_path, archive, size, finding):
+@pytest.mark.parametrize(("archive", "size", "finding"), WRONG_SIZES.values(), ids=WRONG_SIZES)
+def test_an_archive_with_a_wrong_declared_size_is_rejected_within_2_mb(tmp_path, archive, size, finding):
     (tmp_path / "a.npz").write_bytes(with_file_size(archive, HEADER_BYTES + size))
 
-    message, peak = peak_of_refusal(read_shot, tmp_path / "a.npz")
+    message, peak = message_and_peak_of(read_shot, tmp_path / "a.npz")
 
     assert finding in message
     assert peak < 2e6
 
 
-def test_shot_of_another_size_than_the_rigs_is_refused_before_it_is_decompressed(tmp_path, rig_file):
+def test_a_shot_of_another_size_than_the_rig_is_rejected_before_decompression(tmp_path, rig_file):
     (tmp_path / "a.npz").write_bytes(with_file_size(npz((1, 10_000, 9_000)), HEADER_BYTES + 90_000_000))
     rig = read_rig(rig_file())
 
-    message, peak = peak_of_refusal(read_shot, tmp_path / "a.npz", rig=rig)
+    message, peak = message_and_peak_of(read_shot, tmp_path / "a.npz", rig=rig)
 
     assert "9000 x 10000 pixels, the rig's camera has 640 x 480" in message
     assert peak < 2e6
@@ -206,10 +206,10 @@ def test_shot_of_another_size_than_the_rigs_is_refused_before_it_is_decompressed
     ],
     ids=["numbers", "text", "values without bytes"],
 )
-def test_arrays_that_are_no_images_have_64_mib_together(tmp_path, key, descr, shape, size):
+def test_other_arrays_are_limited_to_64_mib_in_total(tmp_path, key, descr, shape, size):
     (tmp_path / "a.npz").write_bytes(with_file_size(npz(shape, 0, key, descr), HEADER_BYTES + size))
 
-    message, peak = peak_of_refusal(lambda: Archive(tmp_path / "a.npz").value(key))
+    message, peak = message_and_peak_of(lambda: Archive(tmp_path / "a.npz").value(key))
 
     assert message.startswith(f"{tmp_path / 'a.npz'}: {key}: ")
     assert "64 MiB" in message
@@ -217,31 +217,31 @@ def test_arrays_that_are_no_images_have_64_mib_together(tmp_path, key, descr, sh
 
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
-def test_methods_that_are_decompressed_without_a_bound_are_refused(tmp_path, method):
+def test_other_compression_methods_are_rejected(tmp_path, method):
     with zipfile.ZipFile(tmp_path / "a.npz", "w", method) as archive:
         archive.writestr("images.npy", bytes(2**22))
 
-    message, peak = peak_of_refusal(read_shot, tmp_path / "a.npz")
+    message, peak = message_and_peak_of(read_shot, tmp_path / "a.npz")
 
     assert "deflation" in message
     assert peak < 2e6
 
 
-def test_header_that_never_ends_is_refused(tmp_path):
+def test_an_endless_header_is_rejected(tmp_path):
     with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("images.npy", b"\x93NUMPY\x02\x00" + struct.pack("<I", 2**22) + b" " * 2**22)
 
-    message, peak = peak_of_refusal(read_shot, tmp_path / "a.npz")
+    message, peak = message_and_peak_of(read_shot, tmp_path / "a.npz")
 
     assert "NPZ archive" in message
     assert peak < 2e6
 
 
-def test_a_file_of_more_than_2_gib_is_not_read(tmp_path):
+def test_a_file_of_more_than_2_gib_is_rejected(tmp_path):
     with (tmp_path / "a.npz").open("wb") as stream:
         stream.truncate(2**31 + 1)
 
-    message, peak = peak_of_refusal(read_shot, tmp_path / "a.npz")
+    message, peak = message_and_peak_of(read_shot, tmp_path / "a.npz")
 
     assert "2 GiB" in message
     assert peak < 2e6

@@ -64,7 +64,7 @@ def test_pgm_is_read_as_netpbm_describes_it(tmp_path, header, pixels, values):
 
 
 @pytest.mark.parametrize("content", [b"P5 3 2 255\nabcde", b"P5 3 2 0 abcdef", b"P5 3 2 65536 " + bytes(18), b"P5 3 2"])
-def test_impossible_pgm_is_refused(tmp_path, content):
+def test_an_invalid_pgm_is_rejected(tmp_path, content):
     (tmp_path / "a.pgm").write_bytes(content)
 
     with pytest.raises(DataError, match=r"a\.pgm: "):
@@ -72,7 +72,7 @@ def test_impossible_pgm_is_refused(tmp_path, content):
 
 
 @pytest.mark.parametrize("suffix", [".webp", ".jp2", ".hdr", ".ppm"])
-def test_other_formats_are_refused(tmp_path, suffix):
+def test_other_formats_are_rejected(tmp_path, suffix):
     (tmp_path / "a.png").write_bytes(
         encoded(suffix, np.zeros((64, 64, 3), np.float32 if suffix == ".hdr" else np.uint8))
     )
@@ -85,7 +85,7 @@ def test_other_formats_are_refused(tmp_path, suffix):
     ("channel", "value"), [("r", 30), ("g", 20), ("b", 10), (None, 0.299 * 30 + 0.587 * 20 + 0.114 * 10)]
 )
 @pytest.mark.parametrize("alpha", [[], [255]])
-def test_colour_becomes_luminance_or_the_channel_asked_for(tmp_path, channel, value, alpha):
+def test_colour_becomes_luminance_or_the_requested_channel(tmp_path, channel, value, alpha):
     (tmp_path / "a.png").write_bytes(encoded(".png", np.full((4, 4, 3 + len(alpha)), [10, 20, 30, *alpha], np.uint8)))
 
     assert read_image(tmp_path / "a.png", channel) == pytest.approx(value, abs=0.5)
@@ -136,7 +136,7 @@ def test_damaged_jpeg_is_refused_although_it_can_be_decoded(tmp_path, rng, capfd
 
 @pytest.mark.parametrize("padding", [bytes(16), b"\x7f" * 16, b"\xff" * 16, bytes(9) + b"\xff" * 9])
 def test_jpeg_with_padding_before_its_end_marker_is_read(tmp_path, rng, capfd, padding):
-    """As webcams write the frames of motion JPEG."""
+    """Padding as in the motion JPEG frames of webcams."""
     whole = encoded(".jpg", grey(rng))
     (tmp_path / "a.jpg").write_bytes(whole[:-2] + padding + b"\xff\xd9")
 
@@ -147,7 +147,7 @@ def test_jpeg_with_padding_before_its_end_marker_is_read(tmp_path, rng, capfd, p
 
 
 def test_jpeg_with_pixels_that_are_left_over_is_refused(tmp_path, rng):
-    """A packet that was stored twice moves all pixels after it, and the last ones remain before the end marker."""
+    """A duplicated packet shifts all pixels after it, and the last ones remain before the end marker."""
     whole = encoded(".jpg", grey(rng))
     middle = len(whole) // 2
     (tmp_path / "a.jpg").write_bytes(whole[:middle] + whole[middle - 200 : middle] + whole[middle:])
@@ -191,7 +191,7 @@ def test_log_of_opencv_is_what_it_was_after_an_image_was_read(tmp_path, rng, cap
 @pytest.mark.parametrize(
     "content", [b"just words\n", b"PK\x03\x04", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"%PDF-1.4"]
 )
-def test_what_is_no_image_is_refused(tmp_path, capfd, content):
+def test_a_file_that_is_not_an_image_is_rejected(tmp_path, capfd, content):
     (tmp_path / "a.png").write_bytes(content)
 
     with pytest.raises(DataError, match=r"a\.png: "):
@@ -207,12 +207,12 @@ def test_pixels_that_are_no_grey_values_are_refused(tmp_path, rng):
         read_image(tmp_path / "a.tif")
 
 
-def test_a_device_without_end_is_no_input():
+def test_a_character_device_is_rejected():
     with pytest.raises(NoInputError, match="is a device, must be a file"):
         read_image(Path("/dev/zero"))
 
 
-def test_missing_image_is_no_input(tmp_path):
+def test_a_missing_image_is_a_missing_input(tmp_path):
     with pytest.raises(NoInputError):
         read_image(tmp_path / "a.png")
 
@@ -234,7 +234,7 @@ def png_of_size(columns: int, rows: int) -> bytes:
 
 
 @pytest.mark.parametrize("size", [(100_000, 100_000), (2**20 + 1, 5), (2**31 - 1, 1), (0, 5), (5, 0)])
-def test_an_impossible_size_is_one_error_and_nothing_on_stderr(tmp_path, capfd, size):
+def test_an_invalid_size_gives_one_error_and_nothing_on_stderr(tmp_path, capfd, size):
     (tmp_path / "a.png").write_bytes(png_of_size(*size))
 
     with pytest.raises(DataError, match=r"million|declares|Invalid IHDR|damaged"):
@@ -243,7 +243,7 @@ def test_an_impossible_size_is_one_error_and_nothing_on_stderr(tmp_path, capfd, 
     assert capfd.readouterr().err == ""
 
 
-def test_a_link_to_itself_is_no_input(tmp_path):
+def test_a_link_to_itself_is_a_missing_input(tmp_path):
     (tmp_path / "a.png").symlink_to("a.png")
 
     with pytest.raises(NoInputError, match="cannot be opened: too many levels of symbolic links"):

@@ -8,7 +8,7 @@ from ringpose.files import inputs as stdin
 from ringpose.files.inputs import Record, inputs
 
 
-def test_folder_stands_for_its_files_by_name(tmp_path):
+def test_a_folder_yields_its_files_by_name(tmp_path):
     for name in ("b.npz", "a.png", "c.txt", ".d.npz", "e.NPZ"):
         (tmp_path / name).touch()
 
@@ -17,11 +17,11 @@ def test_folder_stands_for_its_files_by_name(tmp_path):
     assert [path.name for path in found] == ["a.png", "b.npz", "e.NPZ"]
 
 
-def test_file_is_taken_whatever_its_suffix_and_whether_it_is_there_or_not(tmp_path):
+def test_a_given_file_is_yielded_whatever_its_suffix(tmp_path):
     assert list(inputs([tmp_path / "a.txt"], (".npz",))) == [tmp_path / "a.txt"]
 
 
-def test_empty_name_is_not_the_working_folder(tmp_path, monkeypatch):
+def test_an_empty_name_is_rejected(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.npz").touch()
 
@@ -30,7 +30,7 @@ def test_empty_name_is_not_the_working_folder(tmp_path, monkeypatch):
     assert isinstance(problem, NoInputError)
 
 
-def test_empty_folder_is_a_problem_and_the_rest_goes_on(tmp_path):
+def test_an_empty_folder_is_yielded_as_a_problem(tmp_path):
     (tmp_path / "empty").mkdir()
 
     problem, path = inputs([tmp_path / "empty", tmp_path / "a.npz"], (".npz", ".png"))
@@ -51,7 +51,7 @@ def test_stdin_names_files_folders_and_records(tmp_path, monkeypatch):
     assert str(last) == "c d.png"
 
 
-def test_broken_record_is_a_problem_and_the_rest_goes_on(monkeypatch):
+def test_an_invalid_record_is_yielded_as_a_problem(monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO('{"shot": \n{"shot": "b"}\n'))
 
     problem, record = inputs(["-"], ())
@@ -60,7 +60,7 @@ def test_broken_record_is_a_problem_and_the_rest_goes_on(monkeypatch):
     assert record == Record("standard input:2", {"shot": "b"})
 
 
-def test_stdin_is_read_no_further_than_asked(monkeypatch):
+def test_stdin_is_read_only_as_far_as_requested(monkeypatch):
     lines = iter(["a\n", "b\n"])
     monkeypatch.setattr("sys.stdin", lines)
 
@@ -77,7 +77,7 @@ def test_closed_stdin_is_a_problem(monkeypatch):
     assert isinstance(problem, NoInputError)
 
 
-def test_file_of_records_stands_for_its_records(tmp_path):
+def test_a_file_of_records_yields_its_records(tmp_path):
     (tmp_path / "d.jsonl").write_text('{"shot": "a"}\n\n{"shot": "b"}\n')
 
     found = list(inputs([tmp_path], (".jsonl",)))
@@ -86,7 +86,7 @@ def test_file_of_records_stands_for_its_records(tmp_path):
 
 
 @pytest.mark.parametrize("suffixes", [(".jsonl",), ()])
-def test_missing_file_of_records_is_a_problem_not_a_crash(tmp_path, suffixes):
+def test_a_missing_file_of_records_is_yielded_as_a_problem(tmp_path, suffixes):
     (found,) = inputs([tmp_path / "d.jsonl"], suffixes)
 
     assert isinstance(found, NoInputError) == bool(suffixes)
@@ -99,7 +99,7 @@ def test_compressed_records_are_read_whatever_their_name(tmp_path, name):
     assert list(inputs([tmp_path / name], (".jsonl",))) == [Record(f"{tmp_path / name}:1", {"shot": "a"})]
 
 
-def test_line_that_never_ends_is_refused(tmp_path, monkeypatch):
+def test_an_endless_line_is_rejected(tmp_path, monkeypatch):
     with (tmp_path / "endless").open("wb") as stream:
         stream.truncate(2**30)
 
@@ -109,7 +109,7 @@ def test_line_that_never_ends_is_refused(tmp_path, monkeypatch):
             list(inputs(["-"], ()))
 
 
-def test_lines_longer_than_what_is_read_at_once_are_whole(tmp_path, monkeypatch):
+def test_lines_longer_than_a_chunk_are_complete(tmp_path, monkeypatch):
     names = ["a" * 200_000, "b", "", "c" * 70_000]
     (tmp_path / "names").write_text("\n".join(names))
 

@@ -23,7 +23,7 @@ def test_record_is_one_line_of_strict_json(capsys):
     assert json.loads(out) == {"a": [1.5, None, None], "b": None, "c": [1, 2], "d": "ä\n"}
 
 
-def test_lines_are_read_one_by_one_with_their_place():
+def test_lines_are_read_one_by_one_with_their_location():
     lines = iter(['{"a": 1}\n', "\n", '{"a": 2}\n'])
 
     first = next(records.read(lines, "poses.jsonl"))
@@ -32,8 +32,8 @@ def test_lines_are_read_one_by_one_with_their_place():
     assert next(lines) == "\n"
 
 
-def test_place_counts_blank_lines():
-    assert [place for place, _ in records.read(["{}\n", "\n", "{}\n"], "x")] == ["x:1", "x:3"]
+def test_line_numbers_count_blank_lines():
+    assert [location for location, _ in records.read(["{}\n", "\n", "{}\n"], "x")] == ["x:1", "x:3"]
 
 
 @pytest.mark.parametrize(
@@ -47,7 +47,7 @@ def test_place_counts_blank_lines():
         ("[" * 100_000, "is not valid JSON"),
     ],
 )
-def test_bad_line_is_refused_with_its_place(line, finding):
+def test_an_invalid_line_is_rejected_with_its_location(line, finding):
     with pytest.raises(DataError) as caught:
         list(records.read([line], "x"))
 
@@ -66,7 +66,7 @@ class _Stream:
         raise self.error
 
 
-def test_closed_pipe_ends_like_the_signal(monkeypatch):
+def test_a_closed_pipe_raises_sigpipe(monkeypatch):
     monkeypatch.setattr("sys.stdout", _Stream(BrokenPipeError()))
 
     with pytest.raises(SignalReceived) as caught:
@@ -90,17 +90,17 @@ def test_closed_stdout_is_an_input_output_error(monkeypatch):
 
 
 @pytest.mark.parametrize(("name", "line"), [("s/a.npz", "s/a.npz"), ("{s/a.npz", "./{s/a.npz"), (" {.npz", "./ {.npz")])
-def test_a_name_is_a_line_that_is_read_as_that_name(capsys, monkeypatch, name, line):
+def test_a_written_name_is_read_back(capsys, monkeypatch, name, line):
     records.write_name(Path(name))
 
-    said = capsys.readouterr().out
-    assert said == f"{line}\n"
-    monkeypatch.setattr("sys.stdin", io.StringIO(said))
+    written = capsys.readouterr().out
+    assert written == f"{line}\n"
+    monkeypatch.setattr("sys.stdin", io.StringIO(written))
     assert list(inputs(["-"], (".npz",))) == [Path(name)]
 
 
 @pytest.mark.parametrize("name", ["a\nb.npz", "a\r/b.npz"])
-def test_a_name_that_would_be_two_lines_is_refused(capsys, name):
+def test_a_name_with_a_line_break_is_rejected(capsys, name):
     with pytest.raises(DataError, match="has a line break; rename it"):
         records.write_name(Path(name))
 

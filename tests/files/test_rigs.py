@@ -11,7 +11,7 @@ MIRROR = [[1, 0, 0, 0.1], [0, 1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]]
 """Turns the z axis over alone: what comes of a left-handed frame."""
 
 
-def test_good_rig_is_read_with_its_hash(rig_file):
+def test_a_rig_is_read_with_its_hash(rig_file):
     file = rig_file()
 
     rig = read_rig(file)
@@ -23,7 +23,7 @@ def test_good_rig_is_read_with_its_hash(rig_file):
     assert rig.sha256 == hashlib.sha256(file.read_bytes()).hexdigest()
 
 
-def test_usual_distance_of_corners_is_the_median_of_the_rigs_boards(rig_file, tmp_path):
+def test_corner_rms_is_the_median_of_the_boards(rig_file, tmp_path):
     boards = [{"name": str(rms_px), "rms_px": rms_px} for rms_px in (0.5, 0.01, 0.03)]
 
     write_rig(tmp_path / "judged.yaml", read_rig(rig_file()), extra={"quality": {"boards": boards}})
@@ -31,7 +31,7 @@ def test_usual_distance_of_corners_is_the_median_of_the_rigs_boards(rig_file, tm
     assert median_board_rms_px(tmp_path / "judged.yaml") == 0.03
 
 
-def test_usual_distance_of_corners_is_unknown_where_the_rig_tells_none(rig_file):
+def test_corner_rms_is_none_if_the_rig_does_not_have_it(rig_file):
     assert median_board_rms_px(rig_file()) is None
 
 
@@ -54,7 +54,7 @@ def test_rig_with_everything_is_read_as_it_was_written(rig_file, tmp_path, rng):
     assert after.provenance["inputs"] == {str(tmp_path / "rig.yaml"): before.sha256}
 
 
-def test_rounded_normal_is_made_unit_length(rig_file):
+def test_a_rounded_normal_is_normalised(rig_file):
     rig = read_rig(rig_file("lasers.0.normal", [0, 0.6000001, -0.8]))
 
     np.testing.assert_allclose(np.linalg.norm(rig.lasers.normal, axis=1), 1, rtol=1e-15)
@@ -97,7 +97,7 @@ def test_rounded_normal_is_made_unit_length(rig_file):
         ("camera.distortion_coefficients.cols", 4, "camera.distortion_coefficients.data: has 5 numbers, must have 4"),
     ],
 )
-def test_impossible_rig_is_refused_with_its_place(rig_file, path, value, finding):
+def test_an_invalid_rig_is_rejected_with_its_location(rig_file, path, value, finding):
     file = rig_file(path, value)
 
     with pytest.raises(DataError) as caught:
@@ -109,7 +109,7 @@ def test_impossible_rig_is_refused_with_its_place(rig_file, path, value, finding
 @pytest.mark.parametrize(
     "path", ["camera", "lasers", "lasers.0.normal", "lasers.0.distance_m", "camera.camera_matrix.data"]
 )
-def test_missing_key_is_named(rig_file, deleted, path):
+def test_a_missing_key_is_reported(rig_file, deleted, path):
     with pytest.raises(DataError, match=f"has no key '{path.split('.')[-1]}'"):
         read_rig(rig_file(path, deleted))
 
@@ -127,7 +127,7 @@ def test_missing_key_is_named(rig_file, deleted, path):
         (["fx", "fy"], [[0, 1], [1, 1]], "is not positive semidefinite"),
     ],
 )
-def test_impossible_covariance_is_refused(rig_file, parameters, data, finding):
+def test_an_invalid_covariance_is_rejected(rig_file, parameters, data, finding):
     file = rig_file("covariance", {"parameters": parameters, "data": data})
 
     with pytest.raises(DataError) as caught:
@@ -136,13 +136,13 @@ def test_impossible_covariance_is_refused(rig_file, parameters, data, finding):
     assert finding in str(caught.value)
 
 
-def test_covariance_of_rank_one_is_taken(rig_file):
+def test_a_covariance_of_rank_one_is_accepted(rig_file):
     rig = read_rig(rig_file("covariance", {"parameters": ["fx", "left.distance"], "data": [[4, 2e-3], [2e-3, 1e-6]]}))
 
     assert rig.covariance.parameters == ("fx", "left.distance")
 
 
-def test_rig_without_mount_cannot_give_poses_of_the_tool(rig_file, deleted):
+def test_a_rig_without_mount_is_rejected_for_the_tool_frame(rig_file, deleted):
     file = rig_file("mount", deleted)
 
     with pytest.raises(DataError, match="has no mount"):

@@ -1,4 +1,4 @@
-"""Catalogues of rings."""
+"""Reading of ring catalogues."""
 
 import numpy as np
 import pytest
@@ -16,17 +16,17 @@ rings:
 
 
 @pytest.mark.parametrize(("name", "diameter_mm"), [(f"nominal-{mm}", mm) for mm in (937, 1194, 1666, 2624)])
-def test_a_shipped_outer_edge_is_around_half_the_nominal_diameter(name, diameter_mm):
+def test_shipped_outer_radii_are_about_half_the_nominal_diameter(name, diameter_mm):
     ring = next(ring for ring in read_rings() if ring.name == name)
 
     assert ring.radius_outer_m[0] < diameter_mm / 2000 < ring.radius_outer_m[1]
 
 
-def test_shipped_rings_say_that_they_are_nominal():
+def test_shipped_rings_are_marked_as_nominal():
     assert all(ring.nominal and "interface diameter" in ring.source for ring in read_rings())
 
 
-def test_an_interval_is_known_as_its_middle_with_the_deviation_of_a_uniform_one(tmp_path):
+def test_an_interval_has_the_moments_of_a_uniform_distribution(tmp_path):
     (tmp_path / "rings.yaml").write_text(MINE)
 
     (ring,) = read_rings(tmp_path / "rings.yaml")
@@ -47,21 +47,21 @@ def test_an_interval_is_known_as_its_middle_with_the_deviation_of_a_uniform_one(
         ("radius_inner_m", "inner_m", "unknown key 'inner_m'"),
     ],
 )
-def test_an_impossible_catalogue_is_refused(tmp_path, old, new, finding):
+def test_an_invalid_catalogue_is_rejected(tmp_path, old, new, finding):
     (tmp_path / "rings.yaml").write_text(MINE.replace(old, new))
 
     with pytest.raises(DataError, match=finding.replace("[", r"\[")):
         read_rings(tmp_path / "rings.yaml")
 
 
-def test_a_name_stands_once(tmp_path):
+def test_a_repeated_name_is_rejected(tmp_path):
     (tmp_path / "rings.yaml").write_text(MINE + MINE.split("rings:\n")[1])
 
     with pytest.raises(DataError, match="'mine' is taken"):
         read_rings(tmp_path / "rings.yaml")
 
 
-def test_an_empty_catalogue_is_refused(tmp_path):
+def test_an_empty_catalogue_is_rejected(tmp_path):
     (tmp_path / "rings.yaml").write_text("ringpose: rings/1\nrings: []\n")
 
     with pytest.raises(DataError, match="has no ring"):

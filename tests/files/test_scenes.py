@@ -1,4 +1,4 @@
-"""What scene.yaml says, and what is refused, each with its place and in one line."""
+"""Reading of scene.yaml, and the messages for invalid scenes."""
 
 import copy
 from pathlib import Path
@@ -52,7 +52,7 @@ RIG = {
 
 @pytest.fixture
 def scene_of(tmp_path: Path):
-    """Reads the scene above with something changed: a path of keys, and what stands there; None removes it."""
+    """Reads the scene above with another value at a path of keys; None removes the key."""
 
     def read(*changes, rig=RIG):
         values = copy.deepcopy(SCENE)
@@ -87,14 +87,14 @@ def test_the_highest_flat_piece_of_a_profile_is_the_face(scene_of):
     assert (ring.radius_inner_m, ring.radius_outer_m, ring.height_m) == (0.56, 0.60, 0.05)
 
 
-def test_materials_go_by_name_or_by_numbers(scene_of):
+def test_materials_are_given_by_name_or_by_parameters(scene_of):
     ring = scene_of(("ring.face", "matt"), ("ring.wall", {"diffuse": 0.1, "specular": 0.2, "roughness": 0.3})).ring
 
     assert ring.face == MATERIALS["matt"]
     assert (ring.wall.diffuse, ring.wall.specular, ring.wall.roughness) == (0.1, 0.2, 0.3)
 
 
-def test_what_is_not_given_keeps_its_default(scene_of):
+def test_omitted_keys_have_their_defaults(scene_of):
     foil = scene_of().body.foil
 
     assert (foil.rms_m, foil.crinkle_m) == (0.001, 0.03)
@@ -111,11 +111,11 @@ def test_a_light_may_have_a_beacon(scene_of):
     assert scene.lights["dim"].beacon is None
 
 
-def test_a_sequence_is_masks(scene_of):
+def test_a_sequence_is_read_as_masks(scene_of):
     assert scene_of(("sequence", "off,1,2,1+2,all")).sequence == (0, 1, 2, 3, 3)
 
 
-def test_without_a_sequence_all_lasers_follow_none(scene_of):
+def test_the_default_sequence_is_off_and_all(scene_of):
     assert scene_of().sequence == (0, 3)
 
 
@@ -130,11 +130,11 @@ def test_pitch_and_yaw_are_the_papers(scene_of):
     assert (pose.pitch_rad, pose.yaw_rad) == pytest.approx((0.2, -0.1))
 
 
-def test_keys_of_the_users_own_are_left_alone(scene_of):
+def test_keys_with_the_free_prefix_are_accepted(scene_of):
     assert scene_of(("x_note", "mine")).views[0].name == "a"
 
 
-def test_written_and_generated_views_stand_apart(scene_of):
+def test_given_and_generated_views_are_separate(scene_of):
     scene = scene_of()
 
     assert [view.name for view in scene.views] == ["a"]
@@ -182,7 +182,7 @@ def test_written_and_generated_views_stand_apart(scene_of):
         ("exposure_s", float("nan"), "must be finite"),
     ],
 )  # fmt: skip
-def test_a_wrong_scene_is_refused_in_one_line(scene_of, keys, value, message):
+def test_an_invalid_scene_gives_one_line(scene_of, keys, value, message):
     with pytest.raises(DataError) as problem:
         scene_of((keys, value))
 
@@ -190,12 +190,12 @@ def test_a_wrong_scene_is_refused_in_one_line(scene_of, keys, value, message):
     assert "\n" not in str(problem.value)
 
 
-def test_a_name_that_stands_twice_is_refused(scene_of):
+def test_a_repeated_name_is_rejected(scene_of):
     with pytest.raises(DataError, match="'a' occurs twice"):
         scene_of(("trajectory.1", SCENE["trajectory"][0]))
 
 
-def test_a_rig_without_projectors_is_refused(scene_of):
+def test_a_rig_without_projectors_is_rejected(scene_of):
     rig = copy.deepcopy(RIG)
     del rig["lasers"][1]["projector_m"]
 
@@ -203,6 +203,6 @@ def test_a_rig_without_projectors_is_refused(scene_of):
         scene_of(rig=rig)
 
 
-def test_a_missing_rig_is_no_input(scene_of):
+def test_a_missing_rig_is_a_missing_input(scene_of):
     with pytest.raises(NoInputError):
         scene_of(("rig", "elsewhere.yaml"))

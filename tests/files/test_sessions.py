@@ -1,4 +1,4 @@
-"""Session folders, however they end."""
+"""Writing of session folders: normal ends, failures, replacing and appending."""
 
 import errno
 import signal
@@ -50,7 +50,7 @@ def test_a_session_is_read_as_it_was_written(tmp_path):
     validated(yaml.safe_load((tmp_path / "session.yaml").read_text()), "session")
 
 
-def test_the_shots_lie_beside_the_file_that_lists_them(tmp_path):
+def test_shots_are_written_into_the_session_folder(tmp_path):
     paths = written(tmp_path / "s", "b", "a")
 
     assert [read_shot(path).name for path in paths] == ["b", "a"]
@@ -58,7 +58,7 @@ def test_the_shots_lie_beside_the_file_that_lists_them(tmp_path):
     assert read_session(tmp_path / "s").captures[0].state == "finished"
 
 
-def test_a_capture_that_is_killed_leaves_a_valid_session(tmp_path):
+def test_a_killed_capture_leaves_a_valid_session(tmp_path):
     writer = SessionWriter(tmp_path / "s", CAPTURE)
     with writer:
         writer.add(shot("a"))
@@ -81,7 +81,7 @@ def test_a_signal_leaves_a_stopped_session_with_its_finished_shots(tmp_path):
     assert (capture.state, capture.shots) == ("stopped", ("a",))
 
 
-def test_a_folder_with_something_in_it_is_not_written_to(tmp_path):
+def test_a_folder_that_is_not_empty_is_rejected(tmp_path):
     (tmp_path / "holiday.jpg").write_bytes(b"")
 
     with pytest.raises(CannotCreateError, match="exists already"):
@@ -89,7 +89,7 @@ def test_a_folder_with_something_in_it_is_not_written_to(tmp_path):
 
 
 @pytest.mark.parametrize("existing", ["append", "replace"])
-def test_a_folder_that_is_no_session_is_neither_replaced_nor_appended_to(tmp_path, existing):
+def test_a_folder_that_is_not_a_session_is_rejected(tmp_path, existing):
     (tmp_path / "holiday.jpg").write_bytes(b"")
 
     with pytest.raises(CannotCreateError, match="no session"):
@@ -115,7 +115,7 @@ def test_appending_keeps_the_earlier_capture_and_its_shots(tmp_path):
     assert [capture.sequence for capture in session.captures] == ["off,1,off", "all"]
 
 
-def test_appending_to_a_capture_that_was_cut_off_lists_its_shots(tmp_path):
+def test_appending_to_an_interrupted_capture_lists_its_shots(tmp_path):
     written(tmp_path / "s", "b", "a")
     cut_off = replace(CAPTURE, state="capturing")
     write_session(tmp_path / "s", Session(captures=(cut_off,)))
@@ -137,7 +137,7 @@ def test_two_shots_of_one_name_are_bad_data_and_the_first_stays(tmp_path):
     assert read_shot(tmp_path / "s" / "a.npz").images.max() == 1
 
 
-def test_inputs_stand_in_the_provenance_with_their_hash(tmp_path):
+def test_provenance_has_the_hashes_of_the_inputs(tmp_path):
     (tmp_path / "input").write_bytes(b"abc")
     writer = SessionWriter(tmp_path / "s", CAPTURE)
     with writer:
@@ -156,7 +156,7 @@ def test_inputs_stand_in_the_provenance_with_their_hash(tmp_path):
         ({"speed": 1}, "unknown key 'speed'"),
     ],
 )
-def test_what_a_session_cannot_say_is_bad_data_with_its_place(tmp_path, change, complaint):
+def test_an_invalid_session_is_bad_data_with_its_location(tmp_path, change, complaint):
     capture = {"camera": "files:x", "lasers": "none:", "state": "finished", "shots": [], **change}
     (tmp_path / "session.yaml").write_text(yaml.safe_dump({"ringpose": "session/1", "captures": [capture]}))
 
@@ -164,7 +164,7 @@ def test_what_a_session_cannot_say_is_bad_data_with_its_place(tmp_path, change, 
         read_session(tmp_path)
 
 
-def test_a_capture_that_breaks_off_before_its_first_shot_leaves_nothing_behind(tmp_path):
+def test_a_capture_that_fails_before_its_first_shot_leaves_nothing(tmp_path):
     with pytest.raises(SignalReceived), SessionWriter(tmp_path / "s", CAPTURE):
         raise SignalReceived(15)
 
@@ -172,7 +172,7 @@ def test_a_capture_that_breaks_off_before_its_first_shot_leaves_nothing_behind(t
 
 
 @pytest.mark.parametrize("existing", ["append", "replace"])
-def test_one_that_breaks_off_before_its_first_shot_leaves_the_earlier_session_as_it_was(tmp_path, existing):
+def test_a_capture_that_fails_before_its_first_shot_keeps_the_earlier_session(tmp_path, existing):
     written(tmp_path / "s", "a")
     before = {path: path.read_bytes() for path in (tmp_path / "s").iterdir()}
 
@@ -182,7 +182,7 @@ def test_one_that_breaks_off_before_its_first_shot_leaves_the_earlier_session_as
     assert {path: path.read_bytes() for path in (tmp_path / "s").iterdir()} == before
 
 
-def test_replacing_a_capture_that_was_cut_off_removes_the_shots_that_nothing_lists(tmp_path):
+def test_replacing_an_interrupted_capture_removes_its_unlisted_shots(tmp_path):
     written(tmp_path / "s", "b", "a")
     write_session(tmp_path / "s", Session(captures=(replace(CAPTURE, state="capturing"),)))
 
@@ -191,7 +191,7 @@ def test_replacing_a_capture_that_was_cut_off_removes_the_shots_that_nothing_lis
     assert sorted(path.name for path in (tmp_path / "s").iterdir()) == ["c.npz", "session.yaml"]
 
 
-def test_an_npz_file_that_is_no_shot_of_the_session_is_not_replaced_with_it(tmp_path):
+def test_other_npz_files_are_kept_when_a_session_is_replaced(tmp_path):
     written(tmp_path / "s", "a")
     (tmp_path / "s" / "mine.npz").write_bytes(b"mine")
 
@@ -200,7 +200,7 @@ def test_an_npz_file_that_is_no_shot_of_the_session_is_not_replaced_with_it(tmp_
     assert sorted(path.name for path in (tmp_path / "s").iterdir()) == ["b.npz", "mine.npz", "session.yaml"]
 
 
-def test_what_a_killed_capture_was_writing_goes_when_the_session_goes_on(tmp_path):
+def test_temporary_files_of_a_killed_capture_are_removed(tmp_path):
     written(tmp_path / "s", "a")
     (tmp_path / "s" / ".b.npz.x1y2.part").write_bytes(b"half")
 
@@ -210,7 +210,7 @@ def test_what_a_killed_capture_was_writing_goes_when_the_session_goes_on(tmp_pat
 
 
 @pytest.mark.parametrize("existing", ["append", "replace"])
-def test_two_captures_do_not_write_into_one_folder(tmp_path, existing):
+def test_a_second_capture_into_the_same_folder_is_rejected(tmp_path, existing):
     with SessionWriter(tmp_path / "s", CAPTURE) as _:
         writer = SessionWriter(tmp_path / "s", CAPTURE, existing)
         (tmp_path / "s" / "session.yaml").touch()
@@ -218,7 +218,7 @@ def test_two_captures_do_not_write_into_one_folder(tmp_path, existing):
             writer.__enter__()
 
 
-def test_a_capture_that_was_killed_leaves_no_lock_behind(tmp_path):
+def test_a_killed_capture_leaves_no_lock(tmp_path):
     killed = """
 import os, signal
 from pathlib import Path
@@ -234,7 +234,7 @@ os.kill(os.getpid(), signal.SIGKILL)
     assert sorted(path.name for path in (tmp_path / "s").iterdir()) == ["a.npz", "session.yaml"]
 
 
-def test_a_file_system_without_locks_takes_a_session_all_the_same(tmp_path, monkeypatch):
+def test_a_file_system_without_locks_is_accepted(tmp_path, monkeypatch):
     def no_locks(*_):
         raise OSError(errno.ENOLCK, "No locks available")
 
@@ -245,7 +245,7 @@ def test_a_file_system_without_locks_takes_a_session_all_the_same(tmp_path, monk
     assert read_session(tmp_path / "s").shots == ("a",)
 
 
-def test_what_ended_a_capture_is_said_though_the_disk_is_full_by_then(tmp_path, monkeypatch):
+def test_the_error_that_ended_a_capture_is_reported_although_the_disk_is_full(tmp_path, monkeypatch):
     def full(*_):
         raise InputOutputError("session.yaml", "no space left on device")
 
@@ -260,7 +260,7 @@ def test_what_ended_a_capture_is_said_though_the_disk_is_full_by_then(tmp_path, 
         welded()
 
 
-def test_the_names_of_lasers_survive(tmp_path):
+def test_laser_names_round_trip(tmp_path):
     written(tmp_path / "s", "a", capture=replace(CAPTURE, laser_names=("left", "middle", "right")))
 
     assert read_session(tmp_path / "s").captures[0].laser_names == ("left", "middle", "right")

@@ -129,7 +129,7 @@ def _npy(values) -> bytes:
     [b"", b"PK", b"PK\x03\x04" + bytes(60), pickle.dumps({"images": 1}), b"\x89PNG", _npy(np.zeros(3))],
     ids=["empty", "letters", "zeros", "pickle", "png", "npy"],
 )
-def test_what_is_no_archive_is_refused(tmp_path, content):
+def test_a_file_that_is_not_an_archive_is_rejected(tmp_path, content):
     (tmp_path / "a.npz").write_bytes(content)
 
     with pytest.raises(DataError, match="NPZ archive") as caught:
@@ -159,7 +159,7 @@ def test_damaged_shot_is_refused(tmp_path, rng):
 
 
 @pytest.mark.parametrize("header", [b"\x93NUMPY\x01\x00\x04\x00{:(\n", b"\x93NUMPY\x01\x00v\x00{", b"no array"])
-def test_broken_member_is_refused(tmp_path, header):
+def test_a_damaged_array_is_rejected(tmp_path, header):
     with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
         archive.writestr("images.npy", header)
 
@@ -191,14 +191,14 @@ def test_mask_that_names_a_laser_beyond_the_rigs_is_refused(tmp_path, rng, rig_f
         read_shot(file, rig=read_rig(rig_file()))
 
 
-def test_image_of_another_size_than_the_rigs_camera_is_refused(tmp_path, rig_file):
+def test_an_image_of_another_size_than_the_camera_is_rejected(tmp_path, rig_file):
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((481, 640), np.uint8))
 
     with pytest.raises(DataError, match="640 x 481 pixels, the rig's camera has 640 x 480"):
         read_shot(tmp_path / "a.png", rig=read_rig(rig_file()))
 
 
-def test_missing_shot_is_no_input(tmp_path):
+def test_a_missing_shot_is_a_missing_input(tmp_path):
     with pytest.raises(NoInputError):
         read_shot(tmp_path / "a.npz")
 

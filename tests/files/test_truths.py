@@ -29,7 +29,7 @@ def written(path, *lines):
     return path
 
 
-def test_truth_is_read_with_nan_for_what_is_not_seen(tmp_path):
+def test_missing_break_points_are_nan(tmp_path):
     (truth,) = read_truths(written(tmp_path / "truth.jsonl", LINE))
 
     assert (truth.shot, truth.expect, truth.groups) == ("a", "partial", {"rig": "B", "distance_m": 0.5})
@@ -74,7 +74,7 @@ def test_truths_are_read_as_they_were_written(tmp_path, rng):
         ("center_m", [100, 200, 500], "center_m: is 500; give metres; this looks like millimetres"),
     ],
 )
-def test_impossible_truth_is_refused_with_its_line(tmp_path, key, value, finding):
+def test_an_invalid_truth_is_rejected_with_its_line(tmp_path, key, value, finding):
     file = written(tmp_path / "truth.jsonl", LINE | {"shot": "z"}, LINE | {key: value})
 
     with pytest.raises(DataError) as caught:
@@ -83,12 +83,12 @@ def test_impossible_truth_is_refused_with_its_line(tmp_path, key, value, finding
     assert str(caught.value).startswith(f"{file}:2: {finding}")
 
 
-def test_shot_that_stands_twice_is_refused(tmp_path):
+def test_a_repeated_shot_is_rejected(tmp_path):
     with pytest.raises(DataError, match="'a' occurs twice"):
         list(read_truths(written(tmp_path / "truth.jsonl", LINE, LINE)))
 
 
-def test_missing_truth_is_no_input(tmp_path):
+def test_a_missing_truth_file_is_a_missing_input(tmp_path):
     with pytest.raises(NoInputError):
         list(read_truths(tmp_path / "truth.jsonl"))
 

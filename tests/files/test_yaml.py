@@ -13,12 +13,12 @@ from ringpose.files.yaml import parsed, read_yaml, write_yaml
     ("text", "value"),
     [("1e-3", 0.001), ("-.5E+2", -50.0), ("1.", 1.0), ("012", 12), ("+7", 7), ("true", True), ("~", None)],
 )
-def test_numbers_are_read_as_yaml_1_2_has_them(text, value):
+def test_numbers_follow_yaml_1_2(text, value):
     assert parsed(f"a: {text}".encode(), "x.yaml") == {"a": value}
 
 
 @pytest.mark.parametrize("text", ["off", "no", "yes", "2026-01-31", "1:30", "0x10", "1_000"])
-def test_words_that_yaml_1_1_would_turn_into_something_else_stay_texts(text):
+def test_words_with_another_type_in_yaml_1_1_are_texts(text):
     assert parsed(f"a: {text}".encode(), "x.yaml") == {"a": text}
 
 
@@ -34,7 +34,7 @@ def test_words_that_yaml_1_1_would_turn_into_something_else_stay_texts(text):
         ("a: 1\n---\nb: 2", "x.yaml:2: is not valid YAML"),
     ],
 )
-def test_bad_yaml_is_one_line_with_its_place(text, finding):
+def test_invalid_yaml_gives_one_line_with_its_location(text, finding):
     with pytest.raises(DataError) as caught:
         parsed(text.encode(), "x.yaml")
 
@@ -42,20 +42,20 @@ def test_bad_yaml_is_one_line_with_its_place(text, finding):
     assert "\n" not in str(caught.value)
 
 
-def test_binary_data_is_no_yaml():
+def test_binary_data_are_rejected():
     with pytest.raises(DataError, match="is not valid YAML"):
         parsed(bytes(range(128, 256)), "x.yaml")
 
 
 @pytest.mark.parametrize("text", ["", "- 1", "just words"])
-def test_a_file_must_hold_a_mapping(tmp_path: Path, text):
+def test_a_file_must_contain_a_mapping(tmp_path: Path, text):
     (tmp_path / "x.yaml").write_text(text)
 
     with pytest.raises(DataError, match="must be a mapping"):
         read_yaml(tmp_path / "x.yaml")
 
 
-def test_missing_file_is_no_input(tmp_path: Path):
+def test_a_missing_file_is_a_missing_input(tmp_path: Path):
     with pytest.raises(NoInputError, match="does not exist"):
         read_yaml(tmp_path / "x.yaml")
 
@@ -71,7 +71,7 @@ _SCALARS = st.one_of(
 
 
 @given(st.dictionaries(st.text("abc_", min_size=1), st.one_of(_SCALARS, st.lists(_SCALARS))))
-def test_what_is_written_is_read_again(tmp_path_factory, values):
+def test_written_values_are_read_back(tmp_path_factory, values):
     file = tmp_path_factory.mktemp("yaml") / "x.yaml"
     with file.open("wb") as stream:
         write_yaml(stream, values)
@@ -80,7 +80,7 @@ def test_what_is_written_is_read_again(tmp_path_factory, values):
 
 
 @given(st.dictionaries(st.text("abc_", min_size=1), _SCALARS))
-def test_what_is_written_is_read_by_other_readers_of_yaml(tmp_path_factory, values):
+def test_written_values_are_read_by_another_parser(tmp_path_factory, values):
     file = tmp_path_factory.mktemp("yaml") / "x.yaml"
     with file.open("wb") as stream:
         write_yaml(stream, values)
@@ -88,7 +88,7 @@ def test_what_is_written_is_read_by_other_readers_of_yaml(tmp_path_factory, valu
     assert yaml.safe_load(file.read_bytes()) == values
 
 
-def test_names_of_files_with_bytes_that_are_no_letters_are_read_again(tmp_path):
+def test_file_names_with_invalid_utf_8_are_read_back(tmp_path):
     with (tmp_path / "x.yaml").open("wb") as stream:
         write_yaml(stream, {"caf\udce9": "caf\udce9.png"})
 
@@ -101,16 +101,16 @@ def aliases(levels: int) -> str:
     return "a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]\n" + "".join(lists)
 
 
-def test_aliases_stand_for_what_they_name():
+def test_aliases_are_resolved():
     assert parsed(aliases(2).encode(), "x.yaml")["a1"] == [[1] * 10] * 10
 
 
 @pytest.mark.parametrize("levels", [6, 30])
-def test_aliases_that_stand_for_more_than_a_million_values_are_refused(levels):
+def test_aliases_that_expand_to_more_than_a_million_values_are_rejected(levels):
     with pytest.raises(DataError, match=r"x\.yaml:\d+: .*aliases"):
         parsed(aliases(levels).encode(), "x.yaml")
 
 
-def test_an_alias_within_what_it_names_is_refused():
+def test_a_recursive_alias_is_rejected():
     with pytest.raises(DataError, match="recursive"):
         parsed(b"a: &a [1, *a]", "x.yaml")

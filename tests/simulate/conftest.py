@@ -1,4 +1,4 @@
-"""A small rig and scene: a quarter of a megapixel is enough for every law that is tested here."""
+"""A small rig and scene for the tests of the renderer: 320 x 240 pixels."""
 
 from dataclasses import replace
 
@@ -66,7 +66,7 @@ def scene(small_rig, ring, view):
 
 @pytest.fixture(scope="session")
 def clean_scene(scene):
-    """No speckle, no blur, no spread of the pixels; one thickness of the sheets all over."""
+    """The scene without speckle, blur and pixel non-uniformity, with light sheets of constant thickness."""
     return replace(
         scene,
         speckle=Speckle(contrast=0.0),

@@ -9,7 +9,7 @@ from ringpose.calibrate.boards.views import find_board
 from ringpose.geometry.rays import project
 from ringpose.simulate.board_target import board_target
 from ringpose.simulate.pipeline import simulated_boards
-from ringpose.simulate.placement import board_places, middle_of_board_m
+from ringpose.simulate.placement import board_poses, middle_of_board_m
 from ringpose.types.board import Board, BoardView
 from ringpose.types.camera import Camera
 from ringpose.types.scene import BoardApproach, BoardSet
@@ -29,7 +29,7 @@ BOARDS = {
 
 @pytest.fixture
 def sharp_scene(scene):
-    """A picture large enough for markers."""
+    """The scene with an image large enough for markers."""
     camera = Camera(
         camera_name="sharp",
         image_width=640,
@@ -47,21 +47,21 @@ def boards_of(kind, **values):
 
 
 @pytest.mark.parametrize("kind", BOARDS)
-def test_corners_are_found_where_the_boards_place_puts_them(sharp_scene, kind):
-    ((shot, place), *_) = simulated_boards(sharp_scene, boards_of(kind))
+def test_corners_are_found_at_their_projections(sharp_scene, kind):
+    ((shot, pose),) = simulated_boards(sharp_scene, boards_of(kind), count=1)
 
     found = find_board(shot.images[0], BOARDS[kind], shot.name)
 
     assert isinstance(found, BoardView)
     true_px = project(
-        corner_points(BOARDS[kind])[found.ids] @ place.rotation.T + place.translation_m, sharp_scene.rig.camera
+        corner_points(BOARDS[kind])[found.ids] @ pose.rotation.T + pose.translation_m, sharp_scene.rig.camera
     )
     assert len(found.ids) >= 16
     assert np.sqrt(np.mean((found.points_px - true_px) ** 2)) < 0.1
 
 
-def test_the_print_of_a_charuco_board_is_opencvs():
-    """Cell by cell of a marker's bits and of the squares around, against OpenCV's own picture of the board."""
+def test_a_charuco_board_equals_that_of_opencv():
+    """Compares the print with OpenCV's image of the board."""
     size_px = 64
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
     theirs = cv2.aruco.CharucoBoard((7, 5), 0.04, 0.03, dictionary).generateImage((7 * size_px, 5 * size_px))
@@ -84,28 +84,28 @@ def test_stripes_cross_the_plane_board(sharp_scene):
     assert ((brighter > 30).sum(axis=(1, 2)) > 300).all()
 
 
-def test_written_places_come_first(sharp_scene):
+def test_given_poses_come_before_random_ones(sharp_scene):
     boards = boards_of("charuco")
-    written = board_places(sharp_scene, boards)[:1]
+    written = board_poses(sharp_scene, boards)[:1]
 
-    places = board_places(sharp_scene, replace(boards, places=written))
+    poses = board_poses(sharp_scene, replace(boards, poses=written))
 
-    assert len(places) == 3
-    assert places[0] is written[0]
+    assert len(poses) == 3
+    assert poses[0] is written[0]
 
 
-def test_drawn_boards_stand_between_the_distances(sharp_scene):
+def test_random_boards_lie_between_the_distances(sharp_scene):
     approach = BoardApproach(count=50, distances_m=(0.3, 0.9), offset=0.0)
 
-    places = board_places(sharp_scene, boards_of("charuco", approach=approach))
+    poses = board_poses(sharp_scene, boards_of("charuco", approach=approach))
 
-    depth_m = [(p.rotation @ middle_of_board_m(CHARUCO) + p.translation_m)[2] for p in places]
+    depth_m = [(p.rotation @ middle_of_board_m(CHARUCO) + p.translation_m)[2] for p in poses]
     assert min(depth_m) >= 0.3
     assert max(depth_m) <= 0.9
     assert np.ptp(depth_m) > 0.4
 
 
 def test_the_board_faces_the_camera(sharp_scene):
-    places = board_places(sharp_scene, boards_of("charuco", approach=BoardApproach(count=50)))
+    poses = board_poses(sharp_scene, boards_of("charuco", approach=BoardApproach(count=50)))
 
-    assert min(place.rotation[2, 2] for place in places) > 0.5
+    assert min(pose.rotation[2, 2] for pose in poses) > 0.5

@@ -6,16 +6,16 @@ from scipy.optimize import brentq
 
 from ringpose.files.records.truths import read_truths
 from ringpose.files.rigs import read_rig
-from ringpose.simulate.pipeline import lit_ring, view_truth
+from ringpose.simulate.pipeline import illuminated_ring, view_truth
 from ringpose.types.scene import RingShape, RingView
 
 
 def truth_of(scene, view):
-    return view_truth(scene, view, lit_ring(scene, view))
+    return view_truth(scene, view, illuminated_ring(scene, view))
 
 
 def pixel_of(point, camera):
-    """Pinhole and plumb_bob, written out."""
+    """Projection by the pinhole and plumb_bob models, from their formulas."""
     x, y = point[0] / point[2], point[1] / point[2]
     k1, k2, p1, p2, k3 = camera.distortion_coefficients
     r2 = x * x + y * y
@@ -27,7 +27,7 @@ def pixel_of(point, camera):
 
 
 def point_where_circle_meets_plane(view, radius_m, normal, distance_m):
-    """Root of the plane's equation along the circle, near the camera's axis."""
+    """Point of the circle on the light plane near the camera's axis, by root finding."""
     first = np.cross([0.0, 1.0, 0.0], view.normal)
     first /= np.linalg.norm(first)
     second = np.cross(view.normal, first)
@@ -42,7 +42,7 @@ def point_where_circle_meets_plane(view, radius_m, normal, distance_m):
 
 @pytest.mark.parametrize("edge", [0, 1])
 @pytest.mark.parametrize("laser", [0, 1, 2])
-def test_break_points_are_where_circle_and_light_plane_meet(scene, view, laser, edge):
+def test_break_points_lie_on_circle_and_light_plane(scene, view, laser, edge):
     radius_m = (0.567, 0.597)[edge]
     planes = scene.rig.lasers
     point = point_where_circle_meets_plane(view, radius_m, planes.normal[laser], planes.distance_m[laser])
@@ -53,11 +53,11 @@ def test_break_points_are_where_circle_and_light_plane_meet(scene, view, laser, 
     assert error_px < 1e-9
 
 
-def test_six_visible_break_points_are_a_pose(scene, view):
+def test_six_visible_break_points_expect_a_pose(scene, view):
     assert truth_of(scene, view).expect == "pose"
 
 
-def test_a_break_point_outside_the_picture_is_null_and_the_shot_partial(scene, view):
+def test_a_break_point_outside_the_image_is_null_and_the_shot_partial(scene, view):
     near = replace(view, center_m=view.center_m - [0.0, 0.0, 0.30])
 
     truth = truth_of(scene, near)
@@ -66,7 +66,7 @@ def test_a_break_point_outside_the_picture_is_null_and_the_shot_partial(scene, v
     assert np.isnan(truth.break_points_px).any()
 
 
-def test_a_ring_out_of_sight_is_no_target(scene, view):
+def test_a_ring_outside_the_image_is_no_target(scene, view):
     aside = replace(view, center_m=np.array([2.0, 0.0, 0.5]))
 
     truth = truth_of(scene, aside)
@@ -86,7 +86,7 @@ RIM = [[0.55, 0.0], [0.555, 0.16], [0.56, 0.06], [0.60, 0.06], [0.60, 0.0]]
 
 @pytest.mark.parametrize(("profile_m", "seen"), [(FLAT, True), (RIM, False)])
 def test_a_break_point_behind_a_rim_is_null(scene, view, profile_m, seen):
-    """Seen from inside the ring."""
+    """The camera looks from inside the ring, whose rim occludes the outer edge."""
     inside = replace(view, center_m=np.array([-0.45, -0.08, 0.47]))
     rimmed = replace(scene, ring=RingShape(profile_m=np.array(profile_m)))
 
@@ -95,14 +95,14 @@ def test_a_break_point_behind_a_rim_is_null(scene, view, profile_m, seen):
     assert np.isfinite(truth.break_points_px[1, 0]).all() == seen
 
 
-def test_a_fan_too_narrow_leaves_the_break_points_dark(scene, view):
+def test_break_points_outside_the_laser_fan_are_null(scene, view):
     narrow = replace(scene, lasers=replace(scene.lasers, fan_rad=0.01))
 
     assert truth_of(narrow, view).expect != "pose"
 
 
 @pytest.mark.parametrize("folder", ["rig_a", "rig_b"])
-def test_truth_agrees_with_data_that_this_project_did_not_make(scene, shared_data, folder):
+def test_truth_agrees_with_external_renders(scene, shared_data, folder):
     rig = read_rig(shared_data / "rendered" / folder / "rig.yaml")
     theirs = [
         truth for truth in read_truths(shared_data / "rendered" / folder / "truth.jsonl") if truth.normal is not None

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ringpose.geometry.rays import rays
-from ringpose.simulate.pipeline import SceneFrames, lit_ring, simulate
+from ringpose.simulate.pipeline import SceneFrames, illuminated_ring, simulate
 from ringpose.simulate.placement import ring_views
 from ringpose.simulate.renderer import render_view
 from ringpose.types.scene import Approach, Beacon, Light
@@ -49,14 +49,14 @@ def test_frames_follow_the_sequence(scene):
     assert (np.diff(shot.stamp_s) > shot.exposure_s[:-1]).all()
 
 
-def test_twelve_bits_say_where_they_saturate(scene):
+def test_shots_of_twelve_bits_record_their_saturation(scene):
     ((shot, _),) = simulate(replace(scene, sensor=replace(scene.sensor, bits=12)))
 
     assert (shot.images.dtype, shot.saturation_dn) == (np.uint16, 4095)
 
 
 def test_lasers_add_up(scene, view):
-    stage = render_view(scene, lit_ring(scene, view), (1,))
+    stage = render_view(scene, illuminated_ring(scene, view), (1,))
 
     alone = [stage.electrons(mask, 0.001) for mask in (1, 2, 4)]
 
@@ -70,7 +70,7 @@ def test_a_beacon_adds_its_light_while_it_is_on(scene, view):
         "low": Light(name="low", ambient_w_m2=5.0),
         "high": Light(name="high", ambient_w_m2=8.0),
     }
-    stands = [lit_ring(replace(scene, lights=lights), replace(view, light=light)) for light in lights]
+    stands = [illuminated_ring(replace(scene, lights=lights), replace(view, light=light)) for light in lights]
     blinking, low, high = (render_view(scene, stand, (1,)) for stand in stands)
 
     for began_s, share in ((10.05, 1.0), (10.295, 0.5), (10.4, 0.0), (10.895, 0.5), (10.05 - 1e4 * 0.9, 1.0)):
@@ -85,13 +85,13 @@ def test_a_beacon_may_go_on_and_off_several_times_in_an_exposure():
 
 
 def test_light_grows_with_exposure(scene, view):
-    stage = render_view(scene, lit_ring(scene, view), (1,))
+    stage = render_view(scene, illuminated_ring(scene, view), (1,))
 
     np.testing.assert_allclose(stage.electrons(7, 0.003), 3 * stage.electrons(7, 0.001), rtol=1e-5)
 
 
-def test_exposure_reaches_the_wanted_grey_value(clean_scene, view):
-    """Peak of the brightest stripe on the face, within noise and the rounding of the profile over pixels."""
+def test_exposure_reaches_the_requested_grey_value(clean_scene, view):
+    """The peak of the brightest stripe on the face, within noise and the integration of the profile over pixels."""
     ((shot, truth),) = simulate(replace(clean_scene, stripe_dn=150.0, lens=replace(clean_scene.lens, blur_px=0.7)))
 
     peaks = []
@@ -111,7 +111,7 @@ def test_a_view_without_the_ring_is_exposed_as_with_it(clean_scene, view, target
     assert without == with_ring
 
 
-def test_a_moment_of_the_simulated_camera_is_the_views_shot(scene):
+def test_a_moment_of_the_simulated_camera_equals_the_shot_of_the_view(scene):
     frames = SceneFrames(scene)
     ((shot, _),) = simulate(scene)
 
@@ -120,7 +120,7 @@ def test_a_moment_of_the_simulated_camera_is_the_views_shot(scene):
     np.testing.assert_array_equal(taken, shot.images)
 
 
-def test_the_simulated_cameras_clock_goes_on(scene):
+def test_the_clock_of_the_simulated_camera_advances(scene):
     frames = SceneFrames(replace(scene, approaches=(Approach(count=2),)))
 
     stamps = [frames(moment, 7).stamp_s for moment in (0, 0, 1, 2, 7)]
@@ -128,7 +128,7 @@ def test_the_simulated_cameras_clock_goes_on(scene):
     assert (np.diff(stamps) > 0).all()
 
 
-def test_noise_is_drawn_anew_for_each_frame(scene):
+def test_each_frame_has_new_noise(scene):
     frames = SceneFrames(scene)
 
     first, second = (frames(0, 7, 0.0005).image for _ in range(2))
@@ -137,8 +137,8 @@ def test_noise_is_drawn_anew_for_each_frame(scene):
 
 
 @pytest.mark.parametrize("distance_m", [0.25, 0.5, 1.0])
-def test_drawn_poses_show_the_band_at_their_distance(scene, distance_m):
-    """The middle of the band crosses the ray of a pixel near the picture's middle, at that depth."""
+def test_random_poses_show_the_ring_at_their_distance(scene, distance_m):
+    """The mean circle of the ring intersects the ray of a pixel near the image centre at that depth."""
     approach = Approach(count=20, distances_m=(distance_m,), offset=0.0)
 
     views = ring_views(replace(scene, views=(), approaches=(approach,)))
@@ -150,7 +150,7 @@ def test_drawn_poses_show_the_band_at_their_distance(scene, distance_m):
     assert max(off_plane_m) < 1e-9
 
 
-def test_names_of_drawn_views_are_unique(scene):
+def test_names_of_random_views_are_unique(scene):
     approach = Approach(count=4, distances_m=(0.25, 0.5), lights=("dim", "normal"))
 
     names = [view.name for view in ring_views(replace(scene, approaches=(approach,)))]

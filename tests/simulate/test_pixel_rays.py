@@ -4,7 +4,7 @@ from ringpose.geometry.rays import rays
 from ringpose.simulate.renderer import SAMPLES, centre_directions, pixel_rays, sample_directions
 
 
-def test_rays_through_centres_are_those_of_the_lens(small_rig):
+def test_rays_through_pixel_centres_agree_with_the_lens_model(small_rig):
     row, column = np.mgrid[0:240, 0:320]
     exact = rays(np.stack([column, row], axis=-1).astype(float).reshape(-1, 2), small_rig.camera)
 
@@ -14,7 +14,7 @@ def test_rays_through_centres_are_those_of_the_lens(small_rig):
 
 
 def test_samples_fill_their_pixel_evenly(small_rig):
-    """Sixteen different rows and sixteen different columns, all within half a pixel, the centre in their middle."""
+    """Sixteen different rows and columns within half a pixel, with the pixel centre as their mean."""
     camera = small_rig.camera
     pixel = 100 * 320 + 200
     sampled = sample_directions(pixel_rays(camera), np.array([pixel]))

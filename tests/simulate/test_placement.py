@@ -45,5 +45,5 @@ def test_there_and_back_is_identity(rng):
     np.testing.assert_allclose(back, points, atol=1e-12)
 
 
-def test_the_eye_is_the_cameras_centre():
+def test_the_eye_is_the_centre_of_the_camera():
     np.testing.assert_allclose(PLACEMENT.points_camera(PLACEMENT.eye_m), np.zeros(3), atol=1e-15)

@@ -5,17 +5,17 @@ import pytest
 from scipy.stats import norm
 
 from ringpose.geometry.rays import intersect, project, rays
-from ringpose.simulate.pipeline import lit_ring
+from ringpose.simulate.pipeline import illuminated_ring
 from ringpose.simulate.renderer import layers, pixel_rays
 from ringpose.types.scene import MATERIALS, Body, Foil, LaserLight, Light, RingShape
 
 
 def rendered(scene, view):
-    return layers(lit_ring(scene, view), pixel_rays(scene.rig.camera))
+    return layers(illuminated_ring(scene, view), pixel_rays(scene.rig.camera))
 
 
 def stripe_pixels(scene, view, laser):
-    """The stripe's middle on the face: points of face and light plane, densely, seen by the camera."""
+    """Pixels of the stripe's centre line on the face: projections of dense points of face and light plane."""
     normal, distance_m = scene.rig.lasers.normal[laser], scene.rig.lasers.distance_m[laser]
     along = np.cross(view.normal, normal)
     start = np.linalg.solve(np.stack([view.normal, normal, along]), [view.normal @ view.center_m, distance_m, 0.0])
@@ -46,8 +46,8 @@ def test_column_centroids_lie_on_the_analytic_stripe(clean_scene, view, sigma_m)
     assert np.abs(error_px).max() < 0.005
 
 
-def test_a_stripe_thinner_than_a_pixel_is_integrated_over_each(clean_scene, view):
-    """Shares of a column's light in its pixels, against the Gaussian's integral between their borders."""
+def test_a_stripe_thinner_than_a_pixel_is_integrated_over_the_pixel(clean_scene, view):
+    """Compares the shares of a column's light in its pixels with the integral of a Gaussian over them."""
     flat, sigma_m = with_sigma(clean_scene, 0.0004), 0.0004
     camera, planes = flat.rig.camera, flat.rig.lasers
 
@@ -61,7 +61,7 @@ def test_a_stripe_thinner_than_a_pixel_is_integrated_over_each(clean_scene, view
 
 @pytest.mark.parametrize("shift_m", [0.0, 0.004, 0.008, 0.012, 0.016, 0.020])
 def test_the_stripe_on_the_face_ends_at_the_break_points(clean_scene, view, shift_m):
-    """Beyond the middle column, the light in units of a column's is the distance to the end."""
+    """The light beyond the middle column, in units of the light of a column, is the distance to the end."""
     dark = replace(MATERIALS["black"], diffuse=0.0)
     alone = replace(clean_scene, body=Body(size_m=np.array([2.2, 2.2, 1.0]), material=dark))
     alone = replace(alone, ring=replace(alone.ring, wall=dark))
@@ -89,15 +89,15 @@ def stripe_edge(scene, view, radius_m):
     return float(project(min(ends, key=lambda p: abs(p[0]))[None], scene.rig.camera)[0, 0])
 
 
-def test_light_of_thin_stripes_is_kept(clean_scene, view):
-    """A sheet eight times as thin sends the same light in all, eight times as bright."""
+def test_thin_stripes_conserve_their_light(clean_scene, view):
+    """A sheet an eighth as thick has the same total light and eight times the peak."""
     thick, thin = (rendered(with_sigma(clean_scene, sigma_m), view).laser[1] for sigma_m in (0.0024, 0.0003))
 
     assert thin.sum() == pytest.approx(thick.sum(), rel=2e-3)
 
 
-def test_the_laser_leaves_a_shadow_beside_the_ring(clean_scene, view):
-    """The camera sees body beyond the outer edge that the middle laser, 70 mm aside, does not reach."""
+def test_the_ring_casts_a_shadow_in_laser_light(clean_scene, view):
+    """The ring hides a strip of the body from the middle laser, which is 70 mm aside, but not from the camera."""
     offset = replace(
         clean_scene.rig.lasers,
         projector_m=clean_scene.rig.lasers.projector_m - [0.3, 0.0, 0.0],
@@ -113,7 +113,7 @@ def test_the_laser_leaves_a_shadow_beside_the_ring(clean_scene, view):
     assert far_beyond.min() > 0.0
 
 
-def test_foil_makes_the_stripe_wiggle(clean_scene, view):
+def test_foil_deforms_the_stripe(clean_scene, view):
     crinkled = replace(clean_scene, ring=clean_scene.ring, body=Body(size_m=np.array([2.2, 2.2, 1.0]), foil=Foil()))
 
     flat, wavy = (rendered(scene, view).laser[1].astype(float) for scene in (clean_scene, crinkled))
@@ -129,13 +129,13 @@ def test_foil_makes_the_stripe_wiggle(clean_scene, view):
 
 
 @pytest.mark.parametrize("light", ["normal", "strong"])
-def test_ambient_light_covers_the_body(clean_scene, view, light):
+def test_ambient_light_illuminates_the_body(clean_scene, view, light):
     image = rendered(clean_scene, replace(view, light=light)).ambient
 
     assert (image > 0).mean() > 0.9
 
 
-def test_stripes_alone_leave_the_rest_black(clean_scene, view):
+def test_without_ambient_light_only_stripes_are_bright(clean_scene, view):
     radiance = rendered(clean_scene, view)
 
     assert radiance.ambient.max() == 0.0
@@ -143,7 +143,7 @@ def test_stripes_alone_leave_the_rest_black(clean_scene, view):
 
 
 def test_the_sun_casts_the_rings_shadow(clean_scene, view):
-    """Low sun from inside the ring: the body right behind the wall is darker than the body far from it."""
+    """With a low sun, the body behind the wall of the ring is darker than the body far from it."""
     low = Light(name="low", sun_w_m2=15.0, sun_direction=np.array([-0.9, 0.0, -0.4]))
     matt = replace(
         clean_scene, lights={"dim": low}, body=Body(size_m=np.array([2.2, 2.2, 1.0]), material=MATERIALS["matt"])

@@ -13,7 +13,7 @@ PROFILES = {
 
 
 def rays(rng, n=4000):
-    """Rays from one point towards everywhere near the ring."""
+    """Rays from one point in random directions near the ring."""
     origin = np.array([[0.55], [0.05], [0.5]]) + 0.1 * rng.standard_normal((3, 1))
     aim = np.stack([rng.uniform(-0.7, 0.7, n), rng.uniform(-0.7, 0.7, n), rng.uniform(-0.05, 0.25, n)])
     return origin, aim - origin

@@ -46,7 +46,7 @@ def test_the_converters_last_code(bits, kind, most, rng):
 
 
 def test_the_pattern_of_the_pixels_stays(rng):
-    """Averaged over many frames, only the pixels' own responses remain."""
+    """The mean over many frames shows the responses of the pixels."""
     uneven = replace(EVEN, photo_response_non_uniformity=0.02)
     first, second = (np.mean([image_at(8000.0, uneven, rng) for _ in range(30)], axis=0) for _ in range(2))
 
@@ -55,7 +55,7 @@ def test_the_pattern_of_the_pixels_stays(rng):
     assert correlation > 0.9
 
 
-def test_electrons_follow_the_stop():
+def test_electrons_scale_with_the_inverse_square_of_the_f_number():
     wide, narrow = (electrons_per_radiance(Sensor(), Lens(f_number=stop)) for stop in (4.0, 8.0))
 
     assert wide == pytest.approx(4 * narrow)

@@ -26,19 +26,19 @@ def reflected_share(material, to_light):
 
 @pytest.mark.parametrize("tilt_rad", [0.0, 0.7, 1.3])
 @pytest.mark.parametrize("name", MATERIALS)
-def test_no_surface_returns_more_light_than_falls_on_it(name, tilt_rad):
+def test_surfaces_conserve_energy(name, tilt_rad):
     share = reflected_share(MATERIALS[name], np.array([np.sin(tilt_rad), 0.0, np.cos(tilt_rad)]))
 
     assert share < 1.0
 
 
-def test_a_matt_surface_returns_its_albedo():
+def test_a_matt_surface_reflects_its_albedo():
     matt = Material(diffuse=0.3, specular=0.0, roughness=1.0)
 
     assert reflected_share(matt, np.array([0.6, 0.0, 0.8])) == pytest.approx(0.3, rel=1e-3)
 
 
-def test_a_polished_surface_returns_its_specular_share():
+def test_a_polished_surface_reflects_its_specular_reflectance():
     polished = Material(diffuse=0.0, specular=0.5, roughness=0.1)
 
     assert reflected_share(polished, np.array([0.0, 0.0, 1.0])) == pytest.approx(0.5, rel=0.03)
@@ -67,8 +67,8 @@ def test_the_mirror_direction_is_the_brightest():
     assert brightest @ [-0.5, 0.0, np.sqrt(0.75)] > 0.99
 
 
-def test_laboratory_light_is_about_a_matt_sheets_share_of_it():
-    """Facing the camera, between lamps: 0.8 of the ambient irradiance over pi, within a factor of two."""
+def test_ambient_radiance_of_a_matt_surface_is_about_its_share():
+    """A surface that faces the camera has 0.8 of the ambient irradiance over pi, within a factor of two."""
     white = surfaces([MATERIALS["white"]], np.zeros(1, dtype=np.int8))
     facing = np.array([[0.0], [0.0], [-1.0]])
 

@@ -50,7 +50,7 @@ def test_normals_of_the_box_point_out_of_the_side_that_is_hit(rng):
 
 
 def test_hits_settle_on_the_foil(rng):
-    """Height of a point on the relief relative to the relief, bilinear, by an independent look-up."""
+    """Height of points above the relief, by independent bilinear interpolation."""
     foil = Foil(rms_m=0.0008, crinkle_m=0.03)
     target = ring_target(None, Body(size_m=SIZE_M, foil=foil))
     eye = np.array([0.1, 0.05, 0.4])
@@ -69,20 +69,20 @@ def test_hits_settle_on_the_foil(rng):
     np.testing.assert_allclose(np.linalg.norm(normal, axis=0), 1.0, atol=1e-12)
 
 
-def test_foil_is_fixed_by_its_seed():
+def test_foil_is_determined_by_its_seed():
     first, again, other = (relief(Foil(seed=seed)).height_m for seed in (1, 1, 2))
 
     assert (first == again).all()
     assert (first != other).any()
 
 
-def test_foil_has_the_height_that_is_asked():
+def test_foil_has_the_requested_rms_height():
     heights_m = relief(Foil(rms_m=0.002)).height_m
 
     np.testing.assert_allclose([heights_m.mean(), heights_m.std()], [0.0, 0.002], atol=1e-6)
 
 
-def test_slopes_are_those_of_the_heights():
+def test_slopes_are_the_derivatives_of_the_heights():
     field = relief(Foil())
     grid = field.height_m.reshape(512, 512).astype(float)
 

@@ -1,4 +1,4 @@
-"""Control messages against bytes written out by hand from the published layout."""
+"""GVCP messages against bytes derived by hand from the published layout."""
 
 import pytest
 
@@ -17,7 +17,7 @@ MESSAGES = [
             command=Command.RESEND,
             number=5,
             payload=bytes.fromhex("000000070000000a0000000c"),
-            answer_wanted=False,
+            needs_answer=False,
         ),
     ),
 ]
@@ -28,7 +28,7 @@ def test_a_request_is_read_from_the_bytes_of_the_standard(text, request_):
     assert request_in(bytes.fromhex(text)) == request_
 
 
-def test_a_payload_has_words():
+def test_a_payload_is_read_as_32_bit_words():
     assert request_in(bytes.fromhex("420100820009000300000a0000000002ff")).words == (0xA00, 2)
 
 
@@ -45,7 +45,7 @@ def test_the_last_of_all_commands_has_an_answer():
 @pytest.mark.parametrize(
     "text", ["", "42", "4101000200000001", "42010080000400020000"], ids=["none", "a", "key", "cut"]
 )
-def test_what_is_no_request_is_passed_over(text):
+def test_an_invalid_datagram_is_not_a_request(text):
     assert request_in(bytes.fromhex(text)) is None
 
 

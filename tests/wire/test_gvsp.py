@@ -1,4 +1,4 @@
-"""Frames in their datagrams, against bytes written out by hand, and put together again."""
+"""GVSP packets against bytes derived by hand from the published layout."""
 
 import pytest
 
@@ -31,7 +31,7 @@ def test_a_packet_has_the_bytes_of_the_standard(number, text):
     assert FRAME.datagram(number).hex() == text
 
 
-def test_a_frame_is_its_packets_put_together():
+def test_the_payload_packets_contain_the_frame():
     datagrams = [FRAME.datagram(number) for number in range(FRAME.packets)]
 
     numbers = [int.from_bytes(datagram[5:8], "big") for datagram in datagrams]
@@ -40,7 +40,7 @@ def test_a_frame_is_its_packets_put_together():
     assert b"".join(datagram[8:] for datagram in datagrams[1:-1]) == bytes(range(12))
 
 
-def test_a_packet_is_as_large_on_the_wire_as_was_said():
+def test_a_packet_has_the_requested_size_on_the_wire():
     frame = StreamedFrame(block=1, leader=LEADER, data=memoryview(bytes(5000)), piece_size=piece_size(1400))
 
     assert len(frame.datagram(1)) + 20 + 8 == 1400
@@ -57,10 +57,10 @@ def test_lost_frames_are_counted_across_the_wrap(last, block, lost):
 
 
 @pytest.mark.parametrize(("last", "block"), [(7, 7), (7, 5), (1, 65535)], ids=["twice", "late", "late, at the wrap"])
-def test_no_frame_is_lost_before_one_that_came_late(last, block):
+def test_a_late_frame_does_not_count_as_lost_ones(last, block):
     assert blocks_between(last, block) == 0
 
 
 @pytest.mark.parametrize(("name", "size"), [("MONO8", 1), ("MONO12", 2)])
-def test_a_pixel_format_says_its_bytes(name, size):
+def test_a_pixel_format_has_its_bytes_per_pixel(name, size):
     assert PixelFormat[name].bytes_per_pixel == size

@@ -1,4 +1,4 @@
-"""Bytes of the relay boards, against frames published by their makers and by others who drive them."""
+"""Codecs of relay boards against frames published by manufacturers and other projects."""
 
 import pytest
 
@@ -48,17 +48,17 @@ SWITCHES = [Switch(0, True), Switch(2, True), Switch(1, False)]
 
 
 @pytest.mark.parametrize(("codec", "command", "published"), PUBLISHED)
-def test_bytes_are_those_that_are_published(codec, command, published):
+def test_requests_equal_published_bytes(codec, command, published):
     assert codec.request(command).hex(" ").upper() == published
 
 
 @pytest.mark.parametrize(("codec", "command", "line"), TEXTS)
-def test_lines_are_those_that_are_published(codec, command, line):
+def test_requests_equal_published_lines(codec, command, line):
     assert codec.request(command) == line
 
 
 @pytest.mark.parametrize(
-    ("codec", "command", "answer", "lit"),
+    ("codec", "command", "answer", "on_mask"),
     [
         (LCUS, Read(2), b"CH1: ON \r\nCH2: OFF\r\n", 0b01),
         (LCUS, Read(2), b"CH1:OFF \r\nCH2:ON \r\n", 0b10),
@@ -74,9 +74,9 @@ def test_lines_are_those_that_are_published(codec, command, line):
         (ARDUINO, Switch(0, True), b"OK\r\n", 0),
     ],
 )
-def test_answers_are_understood(codec, command, answer, lit):
+def test_answers_are_decoded(codec, command, answer, on_mask):
     assert codec.is_whole(command, answer)
-    assert codec.lit(command, answer) == lit
+    assert codec.on_mask(command, answer) == on_mask
 
 
 @pytest.mark.parametrize(
@@ -92,13 +92,13 @@ def test_answers_are_understood(codec, command, answer, lit):
         (ARDUINO, Read(3), b"what\n", 'answered "what"'),
     ],
 )
-def test_wrong_answers_are_refused(codec, command, answer, complaint):
+def test_wrong_answers_are_rejected(codec, command, answer, complaint):
     with pytest.raises(WireError, match=complaint):
-        codec.lit(command, answer)
+        codec.on_mask(command, answer)
 
 
 @pytest.mark.parametrize("codec", [LCUS, NUMATO, MODBUS])
-def test_half_an_answer_is_not_whole(codec):
+def test_a_partial_answer_is_incomplete(codec):
     answer = codec.answer(Read(4), 0b1010, 4)
 
     assert codec.is_whole(Read(4), answer)
@@ -106,7 +106,7 @@ def test_half_an_answer_is_not_whole(codec):
 
 
 @pytest.mark.parametrize("codec", [LCUS, NUMATO, MODBUS, ARDUINO])
-def test_commands_come_through_in_pieces_of_any_size(codec):
+def test_commands_in_pieces_of_any_size_are_decoded(codec):
     sent = b"".join(codec.request(command) for command in SWITCHES)
 
     received, rest = [], b""
@@ -120,7 +120,7 @@ def test_commands_come_through_in_pieces_of_any_size(codec):
 
 @pytest.mark.parametrize("codec", [LCUS, MODBUS])
 @pytest.mark.parametrize("noise", [b"\x00", b"\xa0\x01\x01", b"\x01\x05\x00", b"\xfe\x01"])
-def test_a_command_is_found_behind_noise(codec, noise):
+def test_a_command_after_noise_is_decoded(codec, noise):
     found, _ = codec.commands(noise + codec.request(Switch(1, True)) + codec.request(Switch(0, False)))
 
     assert [command for command in found if command in (Switch(1, True), Switch(0, False))][-1] == Switch(0, False)
@@ -132,7 +132,7 @@ def test_only_a_modbus_board_has_a_timed_pulse(codec):
         codec.request(Pulse(0, 1.0))
 
 
-def test_a_modbus_stand_in_understands_rows_and_pulses():
+def test_the_modbus_codec_decodes_rows_and_pulses():
     sent = [SwitchRow(0, 3, 0b010), Pulse(2, 0.7), Read(8)]
 
     found, rest = MODBUS.commands(b"".join(MODBUS.request(command) for command in sent))

@@ -62,9 +62,8 @@ class AravisCamera(SoftwareTriggeredCamera):
     def _aravis(self) -> Aravis:
         found = library()
         if found is None:
-            raise DeviceError(
-                self.uri.text, "needs the library Aravis, which is not installed", f"apt install {PACKAGE}"
-            )
+            missing = "needs the library Aravis, which is not installed"
+            raise DeviceError(self.uri.text, missing, f"apt install {PACKAGE}")
         return found
 
     def close(self) -> None:
@@ -102,8 +101,10 @@ class AravisCamera(SoftwareTriggeredCamera):
         name = self._name(feature)
         if name is None:
             raise DeviceError(self.uri.text, f"has no feature {feature}")
+        kind = "string" if isinstance(value, str) else self._aravis.kind(self._device, name)
+        converted = value.encode() if isinstance(value, str) else float(value) if kind == "float" else round(value)
         try:
-            self._set(name, value)
+            self._aravis.call(f"arv_device_set_{kind}_feature_value", self._device, name.encode(), converted)
         except AravisError as error:
             remedy = self._valid_values(name, value)
             if not remedy:
@@ -248,14 +249,11 @@ class AravisCamera(SoftwareTriggeredCamera):
         return str(self._call("arv_device_get_string_feature_value", b"PixelFormat").decode())
 
     def _identity(self) -> tuple[str, int, int]:
-        words = [self._text(name) for name in ("DeviceVendorName", "DeviceModelName", "DeviceSerialNumber")]
+        get = "arv_device_get_string_feature_value"
+        names = ("DeviceVendorName", "DeviceModelName", "DeviceSerialNumber")
+        words = [(self._call(get, name.encode()) or b"").decode() for name in names if self._name(name) is not None]
         width, height = (int(self._number(name) or 0) for name in ("Width", "Height"))
         return "-".join(word for word in words if word), width, height
-
-    def _text(self, feature: str) -> str:
-        if self._name(feature) is None:
-            return ""
-        return str((self._call("arv_device_get_string_feature_value", feature.encode()) or b"").decode())
 
     def _name(self, feature: str) -> str | None:
         """The camera's name of a feature; None if it does not have it."""
@@ -265,11 +263,6 @@ class AravisCamera(SoftwareTriggeredCamera):
             ]
             self._names[feature] = found[0] if found else ""
         return self._names[feature] or None
-
-    def _set(self, name: str, value: int | float | str) -> None:
-        kind = "string" if isinstance(value, str) else self._aravis.kind(self._device, name)
-        converted = value.encode() if isinstance(value, str) else float(value) if kind == "float" else round(value)
-        self._aravis.call(f"arv_device_set_{kind}_feature_value", self._device, name.encode(), converted)
 
     def _call(self, name: str, *arguments: object) -> Any:
         try:

@@ -37,21 +37,22 @@ class GenTlCamera(GenApiCamera):
     def _connect(self) -> None:
         self.close()
         producer = Path(self.uri.address)
-        self._harvester = _harvester(self.uri.text)
+        try:
+            from harvesters.core import Harvester
+        except ImportError as error:
+            raise DeviceError(self.uri.text, "needs harvesters, which is not installed", EXTRA) from error
+        self._harvester = Harvester()
         if not producer.is_file():
-            raise DeviceError(
-                self.uri.text, f'there is no GenTL producer "{producer}"', "give the manufacturer's .cti file"
-            )
+            found = f'there is no GenTL producer "{producer}"'
+            raise DeviceError(self.uri.text, found, "give the manufacturer's .cti file")
         serial = self.uri.parameters.get("serial")
         try:
             self._harvester.add_file(str(producer))
             self._harvester.update()
             self._acquirer = self._harvester.create({"serial_number": serial} if serial else 0)
         except Exception as error:
-            found = first_line(error, "no such camera")
-            raise DeviceError(
-                self.uri.text, found, "check its cable, its power, and other programs that use it"
-            ) from error
+            remedy = "check its cable, its power, and other programs that use it"
+            raise DeviceError(self.uri.text, first_line(error, "no such camera"), remedy) from error
         if self._node("TriggerSoftware") is None:
             raise DeviceError(self.uri.text, "the camera has no software trigger", "use another camera")
         self._set_up()
@@ -94,11 +95,3 @@ def _grabbed(buffer: Any, stamp_s: float) -> FrameGrab:
         device_stamp_s=1e-9 * ticks_ns if ticks_ns else None,
         frame_id=int(buffer.frame_id),
     )
-
-
-def _harvester(text: str) -> Any:
-    try:
-        from harvesters.core import Harvester
-    except ImportError as error:
-        raise DeviceError(text, "needs harvesters, which is not installed", EXTRA) from error
-    return Harvester()

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from ringpose.errors import DataError
-from ringpose.types.arrays import Array, UInt8
 from ringpose.types.image import ALL_LASERS, Shot, shot_with_frames
 from ringpose.types.sequence import MAX_LASERS, Step
 
@@ -25,7 +24,7 @@ class Recording:
         """The next shot; None if more images are needed for it. A `DataError` concerns this input only."""
         if self._steps is None:
             return shot
-        if not _is_image(shot):
+        if len(shot.lasers) != 1 or shot.lasers[0] != ALL_LASERS:  # a shot, not a plain image
             return frames_of_steps(shot, self._steps)
         self._images.append(shot)
         if len(self._images) < len(self._steps):
@@ -43,9 +42,21 @@ class Recording:
 def frames_of_steps(shot: Shot, steps: Sequence[Step]) -> Shot:
     """The frames with the masks of the steps, in their order; a repeated step takes the next frame with its mask."""
     count = int(np.bitwise_or.reduce(shot.lasers)).bit_length()
-    masks = [_mask(step, count) for step in steps]
-    chosen = np.array([_frame(shot, steps, masks, number) for number in range(len(steps))], dtype=np.int64)
-    return shot_with_frames(shot, chosen)
+    chosen: list[int] = []
+    masks: list[int] = []
+    for step in steps:
+        # `all` means the lasers that occur in the shot, or without any -1, which matches no frame.
+        mask = step.mask(count) or -1 if step.text == "all" else step.mask(MAX_LASERS)
+        matching = np.flatnonzero(shot.lasers.astype(np.int64) == mask)
+        earlier = masks.count(mask)
+        if earlier >= len(matching):
+            found = "no frame" if not len(matching) else f"only {len(matching)} of {earlier + 1} frames"
+            on = [[str(bit + 1) for bit in range(MAX_LASERS) if lasers >> bit & 1] for lasers in shot.lasers.tolist()]
+            frames = ",".join("+".join(numbers) or "off" for numbers in on)
+            raise DataError(shot.name, f"{found} with lasers {step.text}; its frames: {frames}")
+        chosen.append(int(matching[earlier]))
+        masks.append(mask)
+    return shot_with_frames(shot, np.array(chosen, dtype=np.int64))
 
 
 def shot_of_images(images: Sequence[Shot], steps: Sequence[Step]) -> Shot:
@@ -53,11 +64,8 @@ def shot_of_images(images: Sequence[Shot], steps: Sequence[Step]) -> Shot:
     first = images[0]
     for image in images:
         if image.images.shape != first.images.shape or image.images.dtype != first.images.dtype:
-            raise DataError(
-                image.name,
-                f"differs from {first.name} in size or depth",
-                "all images of a shot must come from one camera",
-            )
+            found = f"differs from {first.name} in size or depth"
+            raise DataError(image.name, found, "all images of a shot must come from one camera")
     return Shot(
         name=first.name,
         images=np.concatenate([image.images for image in images]),
@@ -66,31 +74,3 @@ def shot_of_images(images: Sequence[Shot], steps: Sequence[Step]) -> Shot:
         exposure_s=np.concatenate([image.exposure_s for image in images]),
         meta={**first.meta, "images": [image.name for image in images]},
     )
-
-
-def _is_image(shot: Shot) -> bool:
-    return bool(len(shot.lasers) == 1 and shot.lasers[0] == ALL_LASERS)
-
-
-def _mask(step: Step, count: int) -> int:
-    """The mask of a step; `all` means the lasers that occur in the shot, or without any -1, which matches no frame."""
-    if step.text == "all":
-        return step.mask(count) or -1
-    return step.mask(MAX_LASERS)
-
-
-def _frame(shot: Shot, steps: Sequence[Step], masks: Sequence[int], number: int) -> int:
-    matching = np.flatnonzero(shot.lasers.astype(np.int64) == masks[number])
-    earlier = list(masks[:number]).count(masks[number])
-    if earlier >= len(matching):
-        found = "no frame" if not len(matching) else f"only {len(matching)} of {earlier + 1} frames"
-        raise DataError(
-            shot.name, f"{found} with lasers {steps[number].text}; its frames: {_written_masks(shot.lasers)}"
-        )
-    return int(matching[earlier])
-
-
-def _written_masks(lasers: UInt8[Array, "frame"]) -> str:
-    """Masks in the syntax of a sequence."""
-    lit = [[str(bit + 1) for bit in range(MAX_LASERS) if mask >> bit & 1] for mask in lasers.tolist()]
-    return ",".join("+".join(numbers) or "off" for numbers in lit)

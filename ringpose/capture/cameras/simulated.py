@@ -17,7 +17,7 @@ class SceneFrame(Protocol):
 
 
 class SimulatedCamera(CameraDriver):
-    """Each `arm` advances to the scene's next view; images show the lasers that are actually on."""
+    """A camera that shows the next view of the scene after each `arm`, with the lasers that are actually on."""
 
     def __init__(self, description: CameraDescription, scene_frame: SceneFrame, lasers: LaserDriver) -> None:
         self._description = description
@@ -53,9 +53,9 @@ class SimulatedCamera(CameraDriver):
 
     def trigger(self, lasers: int, exposure_s: float | None = None) -> Frame:
         """A frame of this view; lasers whose driver does not report its state are rendered as commanded."""
-        lit = self._lasers.read_mask()
+        on_mask = self._lasers.read_mask()
         exposed_s = self._exposure_s if exposure_s is None else exposure_s
-        frame = self._scene_frame(self._moment, lasers if lit is None else lit, exposed_s)
+        frame = self._scene_frame(self._moment, lasers if on_mask is None else on_mask, exposed_s)
         return Frame(image=frame.image, lasers=lasers, stamp_s=frame.stamp_s, exposure_s=frame.exposure_s)
 
     def close(self) -> None:

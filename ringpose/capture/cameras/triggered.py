@@ -56,7 +56,7 @@ class SoftwareTriggeredCamera(CameraDriver):
         self._pixel_format = uri.parameters.get("format", "")
         self._timeout_s = uri.number("timeout", TIMEOUT_S, 0.01, 3600.0)
         self._skip = uri.whole("skip", 0, MAX_SKIPPED)
-        self._wanted_gain_db = uri.number("gain", 0.0) if "gain" in uri.parameters else None
+        self._requested_gain_db = uri.number("gain", 0.0) if "gain" in uri.parameters else None
         self._gain_db: float | None = None
         self._ready_lines: set[str] = set()
         self._description: CameraDescription | None = None
@@ -74,8 +74,8 @@ class SoftwareTriggeredCamera(CameraDriver):
         if self._format() not in SATURATION_DN:
             remedy = "use ?format=Mono8 or, if the camera has it, Mono12"
             raise DeviceError(self.uri.text, f"sends pixels in the format {self._format()}", remedy)
-        if self._wanted_gain_db is not None:
-            self.set("Gain", self._wanted_gain_db)
+        if self._requested_gain_db is not None:
+            self.set("Gain", self._requested_gain_db)
         self._gain_db = self._number("Gain")
         exposure_us = self._number("ExposureTime")
         self._own_exposure_s = self._exposure_s = self._armed_s = 0.0 if exposure_us is None else 1e-6 * exposure_us
@@ -105,8 +105,10 @@ class SoftwareTriggeredCamera(CameraDriver):
                     attempts=attempt,
                     dropped=self.dropped - dropped_before,
                 )
-            if grab.is_late:
-                self._restart()
+            if grab.is_late:  # a late frame must not be mistaken for the next one; frame numbers may restart
+                self._stop()
+                self._last_id = None
+                self._start()
         raise DeviceError(self.uri.text, f"{grab.problem}, {TRIES} times in a row", self._loss_remedy())
 
     def set_output(self, line: str, high: bool) -> None:
@@ -155,12 +157,6 @@ class SoftwareTriggeredCamera(CameraDriver):
         if self._last_id is not None:
             self.dropped += self._lost_between(self._last_id, frame_id)
         self._last_id = frame_id
-
-    def _restart(self) -> None:
-        """Restart acquisition, so that a late frame is not mistaken for the next one; frame numbers may restart."""
-        self._stop()
-        self._last_id = None
-        self._start()
 
     def _lost_between(self, last: int, frame_id: int) -> int:
         return max(frame_id - last - 1, 0)

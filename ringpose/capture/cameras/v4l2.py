@@ -9,13 +9,11 @@ import time
 from typing import Any
 
 import cv2
-import numpy as np
 
 from ringpose.capture.cameras.triggered import MAX_SKIPPED, FrameGrab, SoftwareTriggeredCamera
 from ringpose.capture.uri import DeviceUri
 from ringpose.errors import DeviceError
 from ringpose.opencv_log import silent_opencv
-from ringpose.types.arrays import Array, UInt8
 
 FLUSHED = 2
 
@@ -62,7 +60,9 @@ class V4l2Camera(SoftwareTriggeredCamera):
 
     def _connect(self) -> None:
         self.close()
-        self._capture = _opened(self.uri.address)
+        address = self.uri.address
+        with silent_opencv():  # no log output if the device does not exist
+            self._capture = cv2.VideoCapture(address, cv2.CAP_V4L2 if address.startswith("/dev/") else cv2.CAP_ANY)
         if not self._capture.isOpened():
             remedy = "see ringpose capture --list; your user may have to be in the group video"
             raise DeviceError(self.uri.text, "cannot be opened", remedy)
@@ -78,8 +78,10 @@ class V4l2Camera(SoftwareTriggeredCamera):
         for _ in range(self._flushed):
             self._capture.grab()
         stamp_s = time.time()
-        is_there, image = self._capture.read()
-        return FrameGrab(stamp_s=stamp_s, image=_grey(image) if is_there else None, is_late=False)
+        is_read, image = self._capture.read()
+        if is_read and image.ndim == 3:
+            image = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+        return FrameGrab(stamp_s=stamp_s, image=image if is_read else None, is_late=False)
 
     def _number(self, feature: str) -> float | None:
         """The value of a feature; OpenCV reports 0 if it cannot read it."""
@@ -98,14 +100,3 @@ class V4l2Camera(SoftwareTriggeredCamera):
 
 
 _PROPERTIES = {"ExposureTime": cv2.CAP_PROP_EXPOSURE, "Gain": cv2.CAP_PROP_GAIN}
-
-
-def _opened(address: str) -> Any:
-    """OpenCV's capture, without log output if the device does not exist."""
-    with silent_opencv():
-        return cv2.VideoCapture(address, cv2.CAP_V4L2 if address.startswith("/dev/") else cv2.CAP_ANY)
-
-
-def _grey(image: UInt8[Array, "row column *channel"]) -> UInt8[Array, "row column"]:
-    """Luminance of a colour image."""
-    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)

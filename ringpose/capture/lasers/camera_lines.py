@@ -1,8 +1,8 @@
-"""`line:`: lasers at the camera's own output lines: they switch fastest, and no relays wear out.
+"""`line:`: lasers switched by the output lines of the camera, which are the fastest switches and do not wear.
 
 A camera can be opened by one process only, so there is no watchdog: if this process is killed, the outputs stay as
 they are until the camera detects the missing heartbeat; what it does then depends on its model (some hold them). At the
-end of a capture the outputs go low first. Near people, a board with a timed pulse or a relay is the safer choice.
+end of a capture the outputs are set low first. Near people, a board with a timed pulse or a relay is safer.
 """
 
 from dataclasses import replace
@@ -24,7 +24,7 @@ class OutputLines(Protocol):
 
 
 class LineLasers(LaserDriver):
-    """Laser i is lit while line i is high."""
+    """Laser i is on while line i is high."""
 
     def __init__(self, camera: OutputLines, lines: tuple[str, ...]) -> None:
         self._camera = camera
@@ -40,7 +40,7 @@ class LineLasers(LaserDriver):
         self.set_mask(0)
 
     def set_mask(self, lasers: int) -> None:
-        """Light exactly these; lasers that go off are switched before those that come on."""
+        """Switch on exactly these lasers; those that go off are switched before those that come on."""
         for on in (False, True):
             for number, line in enumerate(self._lines):
                 if bool(lasers >> number & 1) is on:

@@ -40,7 +40,7 @@ class LaserDriver(Device, Protocol):
         """Open the device and switch everything off; raises `DeviceError` if that fails."""
 
     def set_mask(self, lasers: int) -> None:
-        """Light exactly these; lasers that go off are switched before those that come on."""
+        """Switch on exactly these lasers; those that go off are switched before those that come on."""
 
     def read_mask(self) -> int | None:
         """The mask that the board reports; None if it cannot report."""
@@ -74,9 +74,8 @@ class LaserDriver(Device, Protocol):
         except DeviceError as error:
             raise LaserSafetyError("lasers", f"could not be switched off: {error}", "cut the power") from error
         if left_on:
-            raise LaserSafetyError(
-                "lasers", f"reported on (mask {left_on}) after all were switched off", "cut the power"
-            )
+            found = f"reported on (mask {left_on}) after all were switched off"
+            raise LaserSafetyError("lasers", found, "cut the power")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,9 +97,14 @@ def channels(uri: DeviceUri, context: LaserContext) -> tuple[str, ...]:
     words = [word.strip() for word in uri.parameters.get("ch", "").split(",")]
     if not all(words):
         raise uri.problem("lacks the channels of the lasers (ch=)", "write it as ?ch=1,2,3")
-    named = dict(word.partition(":")[::2] for word in words)
-    by_name = any(":" in word for word in words)
-    chosen = _by_name(uri, context, named, len(words)) if by_name else tuple(words)
+    chosen = tuple(words)
+    if any(":" in word for word in words):
+        named = dict(word.partition(":")[::2] for word in words)
+        if context.names is None:
+            raise uri.problem("names lasers, but their order is unknown without a rig", "add --rig FILE")
+        if set(named) != set(context.names) or len(words) != len(context.names) or not all(named.values()):
+            raise uri.problem(f"must name each of the rig's lasers once: {', '.join(context.names)}")
+        chosen = tuple(named[name] for name in context.names)
     if len(set(chosen)) < len(chosen):
         raise uri.problem("names a channel twice (ch=)")
     if len(chosen) > MAX_LASERS:
@@ -108,11 +112,3 @@ def channels(uri: DeviceUri, context: LaserContext) -> tuple[str, ...]:
     if context.names is not None and len(chosen) != len(context.names):
         raise uri.problem(f"has {len(chosen)} channels for the {len(context.names)} lasers of the rig")
     return chosen
-
-
-def _by_name(uri: DeviceUri, context: LaserContext, named: dict[str, str], count: int) -> tuple[str, ...]:
-    if context.names is None:
-        raise uri.problem("names lasers, but their order is unknown without a rig", "add --rig FILE")
-    if set(named) != set(context.names) or count != len(context.names) or not all(named.values()):
-        raise uri.problem(f"must name each of the rig's lasers once: {', '.join(context.names)}")
-    return tuple(named[name] for name in context.names)

@@ -80,7 +80,7 @@ class RelayBoard:
     """A board at a port that is open already."""
 
     def __init__(self, settings: RelaySettings, port: SerialPort) -> None:
-        self.lit = 0
+        self.on_mask = 0
         """The mask commanded last: bit i is laser i."""
         self._settings = settings
         self._codec = settings.codec
@@ -88,16 +88,16 @@ class RelayBoard:
         self._reads = settings.read_back if self._codec.reports else "no"
 
     def set_mask(self, lasers: int) -> None:
-        """Light exactly these; lasers that go off are switched before those that come on."""
-        _retried(lambda: self._off(self.lit & ~lasers))
-        self.lit &= lasers
-        for laser in _members(lasers & ~self.lit):
-            self.lit |= 1 << laser
+        """Switch on exactly these lasers; those that go off are switched before those that come on."""
+        _retried(lambda: self._off(self.on_mask & ~lasers))
+        self.on_mask &= lasers
+        for laser in _members(lasers & ~self.on_mask):
+            self.on_mask |= 1 << laser
             _retried(partial(self._on, laser))
 
     def repeat(self) -> None:
         """Repeat the commands for what is on."""
-        for laser in _members(self.lit):
+        for laser in _members(self.on_mask):
             self._on(laser)
 
     def all_off(self) -> None:
@@ -117,14 +117,14 @@ class RelayBoard:
             if left_on is None and attempt == 0:
                 continue
             if not left_on:
-                self.lit = 0
+                self.on_mask = 0
                 return
             problems.append(DeviceError(self._port.name, f"reports lasers on (mask {left_on}) after switching off"))
         raise problems[-1]
 
     def read_mask(self) -> int | None:
         """The mask that the board reports; None if it cannot report."""
-        return _retried(lambda: self._read_mask(self.lit))
+        return _retried(lambda: self._read_mask(self.on_mask))
 
     def _read_mask(self, expected: int) -> int | None:
         """The reported mask; read again if it is not as expected, because the first answer may be stale."""
@@ -178,7 +178,7 @@ class RelayBoard:
                 raise _NoAnswer(self._port.name, "does not answer", remedy)
             raise DeviceError(self._port.name, f"sends an incomplete answer ({received!r})", remedy)
         try:
-            return self._codec.lit(command, received)
+            return self._codec.on_mask(command, received)
         except WireError as error:
             raise DeviceError(self._port.name, str(error), "check that --lasers names the right board") from error
 

@@ -32,7 +32,7 @@ PULSES_S = (0.1, 3276.7)
 
 
 def lcus(uri: DeviceUri, context: LaserContext) -> WatchdogLasers:
-    """LCUS-1/2/4/8: `lcus:/dev/ttyUSB0?ch=1,2,3`; a board that does not report its state is asked only once."""
+    """LCUS-1/2/4/8: `lcus:/dev/ttyUSB0?ch=1,2,3`; a board that does not report its state is read only once."""
     return WatchdogLasers(_settings(uri, context, {}, read_back="try"))
 
 
@@ -43,11 +43,14 @@ def numato(uri: DeviceUri, context: LaserContext) -> WatchdogLasers:
 
 def modbus(uri: DeviceUri, context: LaserContext) -> WatchdogLasers:
     """Modbus-RTU: `modbus:/dev/ttyUSB0?ch=0,1,2&unit=1&pulse=2`; clones may need `base=1` or `on=0100`."""
+    on = uri.parameters.get("on", "ff00")
     parameters: dict[str, str | int] = {
         "unit": uri.whole("unit", 1, maximum=255, minimum=1),
         "first": uri.whole("base", 0, maximum=1),
-        "on_value": _hexadecimal(uri, "on", 0xFF00),
     }
+    if not _HEXADECIMAL.fullmatch(on) or not int(on, 16):
+        raise uri.problem(f'on is "{on}", must be four hexadecimal digits and not 0, such as FF00')
+    parameters["on_value"] = int(on, 16)
     settings = _settings(uri, context, parameters, ("unit", "base", "on", "pulse"))
     if "pulse" not in uri.parameters:
         return WatchdogLasers(settings)
@@ -100,13 +103,6 @@ def _relays(uri: DeviceUri, context: LaserContext, codec_parameters: Mapping[str
             raise uri.problem(f'ch= has "{number}"', f"relays have numbers from {first} to {first + MAX_RELAYS - 1}")
         chosen.append(int(number) - first)
     return tuple(chosen)
-
-
-def _hexadecimal(uri: DeviceUri, key: str, default: int) -> int:
-    written = uri.parameters.get(key, f"{default:04x}")
-    if not _HEXADECIMAL.fullmatch(written) or not int(written, 16):
-        raise uri.problem(f'{key} is "{written}", must be four hexadecimal digits and not 0, such as FF00')
-    return int(written, 16)
 
 
 def _choice(uri: DeviceUri, key: str, choices: tuple[str, ...], default: str) -> str:

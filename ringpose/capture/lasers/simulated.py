@@ -9,7 +9,7 @@ class SimulatedLasers(LaserDriver):
 
     def __init__(self, count: int) -> None:
         self._count = count
-        self._lit = 0
+        self._mask = 0
 
     @property
     def count(self) -> int:
@@ -18,19 +18,19 @@ class SimulatedLasers(LaserDriver):
 
     def open(self) -> None:
         """Start with all off."""
-        self._lit = 0
+        self._mask = 0
 
     def set_mask(self, lasers: int) -> None:
-        """Light exactly these."""
-        self._lit = lasers
+        """Switch on exactly these lasers."""
+        self._mask = lasers
 
     def read_mask(self) -> int | None:
         """The mask of the lasers that are on."""
-        return self._lit
+        return self._mask
 
     def close(self) -> None:
         """End with all off."""
-        self._lit = 0
+        self._mask = 0
 
 
 def sim(uri: DeviceUri, context: LaserContext) -> SimulatedLasers:

@@ -12,7 +12,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -44,7 +43,8 @@ class WatchdogLasers(LaserDriver):
     def __init__(self, settings: RelaySettings) -> None:
         self.settings = settings
         self._watchdog: subprocess.Popen[bytes] | None = None
-        self._monitor: ChildMonitor | None = None
+        self._has_ended: threading.Event | None = None
+        """Set when the watchdog has ended and, if that was unexpected, the lasers have been switched off without it."""
         self._in_service = False
         """From the first reply until `close`: an end of the watchdog in this time is unexpected."""
         self._fault: DeviceError | LaserSafetyError | None = None
@@ -75,13 +75,20 @@ class WatchdogLasers(LaserDriver):
     def open(self) -> None:
         """Start the watchdog, which opens the port and switches everything off."""
         _disable_core_dumps()
-        self._watchdog = _started(self.settings)
-        self._monitor = ChildMonitor(self._watchdog.pid, self._watchdog_ended)
+        # A new interpreter in its own session, with the module search path of this one.
+        paths = os.pathsep.join([*sys.path, str(Path(ringpose.__file__).parents[1])])
+        start = _START.format(separator=os.pathsep)
+        words = [sys.executable, "-I", "-S", "-c", start, str(os.getpid()), self.settings.line(), paths]
+        pipe = subprocess.PIPE
+        self._watchdog = subprocess.Popen(words, stdin=pipe, stdout=pipe, start_new_session=True)  # noqa: S603 (no word comes from outside)
+        self._has_ended = threading.Event()
+        monitor = (self._watchdog.pid, self._has_ended)
+        threading.Thread(target=self._monitor, args=monitor, name="watchdog-monitor", daemon=True).start()
         self._reply(0, OPENING_LIMIT_S + self.settings.opening_s)
         self._in_service = True
 
     def set_mask(self, lasers: int) -> None:
-        """Light exactly these; lasers that go off are switched before those that come on."""
+        """Switch on exactly these lasers; those that go off are switched before those that come on."""
         try:
             self._send(f"set {lasers}")
         except DeviceError:
@@ -104,7 +111,7 @@ class WatchdogLasers(LaserDriver):
             raise self._fault
 
     def abort(self) -> None:
-        """Make the watchdog switch off and end; no laser can be lit after that."""
+        """Make the watchdog switch off and end; no laser can be switched on after that."""
         watchdog = self._watchdog
         if watchdog is not None and self._in_service:
             with suppress(ProcessLookupError):
@@ -173,18 +180,25 @@ class WatchdogLasers(LaserDriver):
 
     def _lost(self) -> DeviceError | LaserSafetyError:
         """The fault that ended the watchdog, once the lasers have been switched off or cannot be."""
-        if self._monitor is not None:
-            self._monitor.has_ended.wait(ENDING_LIMIT_S + self.settings.opening_s)
+        if self._has_ended is not None:
+            self._has_ended.wait(ENDING_LIMIT_S + self.settings.opening_s)
         return self._fault or self._taken_over()
 
-    def _watchdog_ended(self, pid: int) -> None:
-        """Called in the monitor's thread: take over the port and switch off."""
-        if not self._in_service:
-            return
-        with suppress(ProcessLookupError):
-            os.kill(pid, signal.SIGKILL)  # it may only have been stopped
-        self._taken_over()
-        self._has_fault.set()
+    def _monitor(self, pid: int, has_ended: threading.Event) -> None:
+        """In a thread: wait for the end of the watchdog; if it is unexpected, take over the port and switch off.
+
+        A stopped watchdog counts as ended.
+        """
+        with suppress(ChildProcessError):  # raised if another thread has waited for it: it has ended
+            os.waitid(os.P_PID, pid, os.WEXITED | os.WSTOPPED | os.WNOWAIT)
+        try:
+            if self._in_service:
+                with suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)  # it may only have been stopped
+                self._taken_over()
+                self._has_fault.set()
+        finally:
+            has_ended.set()
 
     def _taken_over(self) -> DeviceError | LaserSafetyError:
         """Switch off without a watchdog; returns the fault to report."""
@@ -197,35 +211,6 @@ class WatchdogLasers(LaserDriver):
             found = "the watchdog of the lasers ended; they were switched off without it"
             self._fault = DeviceError(self.settings.port, found)
         return self._fault
-
-
-class ChildMonitor:
-    """Waits, in a thread, for the end of a child process and then calls `on_end`; a stopped child counts as ended."""
-
-    def __init__(self, pid: int, on_end: Callable[[int], None]) -> None:
-        self._pid = pid
-        self._on_end = on_end
-        self.has_ended = threading.Event()
-        """Set when the child has ended and `on_end` has returned."""
-        self._thread = threading.Thread(target=self._watch, name="watchdog-monitor", daemon=True)
-        self._thread.start()
-
-    def _watch(self) -> None:
-        with suppress(ChildProcessError):  # raised if another thread has waited for it: it has ended
-            os.waitid(os.P_PID, self._pid, os.WEXITED | os.WSTOPPED | os.WNOWAIT)
-        try:
-            self._on_end(self._pid)
-        finally:
-            self.has_ended.set()
-
-
-def _started(settings: RelaySettings) -> "subprocess.Popen[bytes]":
-    """The watchdog: a new interpreter in its own session, with the module search path of this one."""
-    paths = os.pathsep.join([*sys.path, str(Path(ringpose.__file__).parents[1])])
-    start = _START.format(separator=os.pathsep)
-    words = [sys.executable, "-I", "-S", "-c", start, str(os.getpid()), settings.line(), paths]
-    pipe = subprocess.PIPE
-    return subprocess.Popen(words, stdin=pipe, stdout=pipe, start_new_session=True)  # noqa: S603 (no word comes from outside)
 
 
 def _switch_off(settings: RelaySettings) -> None:

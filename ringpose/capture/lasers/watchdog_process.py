@@ -139,7 +139,7 @@ class Watchdog:
 
     def wait_s(self) -> float | None:
         """Time until the next check is due; None while all lasers are off."""
-        if not self._board.lit:
+        if not self._board.on_mask:
             return None
         due_s = [self._heartbeat_s + self._settings.heartbeat_s, self._on_since_s + self._settings.on_limit_s]
         if self._settings.repeat_s is not None:
@@ -150,7 +150,7 @@ class Watchdog:
 
     def check(self) -> None:
         """Switch off if a laser must not be on any longer; otherwise repeat the last command if that is due."""
-        if not self._board.lit:
+        if not self._board.on_mask:
             return
         reason = self._reason_to_switch_off()
         if reason:
@@ -178,7 +178,7 @@ class Watchdog:
         if fault:
             raise DeviceError("lasers", f"stay off: {fault}")
         self._sent_s = self._clock()
-        if not lasers & self._board.lit:  # a laser that stays on keeps the time since it came on
+        if not lasers & self._board.on_mask:  # a laser that stays on keeps the time since it came on
             self._on_since_s = self._clock()
         self._board.set_mask(lasers)
         return f"ok {lasers}"

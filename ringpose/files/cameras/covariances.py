@@ -9,14 +9,15 @@ from ringpose.files.schema import Fields, hint
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.covariance import ParameterCovariance
 
-_KEYS = ("parameters", "data")
-
 _TOLERANCE = 1e-9
 """Rounding errors of the correlation matrix: asymmetry, and negative eigenvalues per row."""
 
 
-def covariance_of(fields: Fields, known: Sequence[str]) -> ParameterCovariance:
-    """The covariance in a mapping; its parameters must be among the known ones."""
+def read_covariance(parent: Fields, known: Sequence[str]) -> ParameterCovariance | None:
+    """The covariance under the optional key `covariance` of a camera or rig; its parameters must be known ones."""
+    if not parent.has("covariance"):
+        return None
+    fields = parent.fields("covariance", ("parameters", "data"))
     names = fields.texts("parameters")
     for name in names:
         if name not in known:
@@ -28,13 +29,8 @@ def covariance_of(fields: Fields, known: Sequence[str]) -> ParameterCovariance:
 
 
 def covariance_values(covariance: ParameterCovariance) -> dict[str, Any]:
-    """The mapping that `covariance_of` reads."""
+    """The mapping that `read_covariance` reads."""
     return {"parameters": list(covariance.parameters), "data": covariance.data}
-
-
-def read_covariance(parent: Fields, known: Sequence[str]) -> ParameterCovariance | None:
-    """The covariance under the optional key `covariance` of a camera or rig."""
-    return covariance_of(parent.fields("covariance", _KEYS), known) if parent.has("covariance") else None
 
 
 def checked_covariance(fields: Fields, key: str, data: Float64[Array, "n n"]) -> Float64[Array, "n n"]:

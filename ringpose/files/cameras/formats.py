@@ -68,16 +68,35 @@ _CHARACTERISTIC_KEYS = {
 
 
 def _own_camera(values: Mapping[str, Any], file: str, name: str) -> Camera:
+    """The camera in a camera.yaml, or in a rig.yaml with its block of the joint covariance of camera and planes."""
     schema = str(values["ringpose"])
-    if schema.startswith("rig/"):
-        return _camera_of_rig(Fields(file, values))
-    return camera_of(Fields(file, values, FILE_KEYS), schema=schema)
+    if not schema.startswith("rig/"):
+        return camera_of(Fields(file, values, FILE_KEYS), schema=schema)
+    fields = Fields(file, values)
+    camera = camera_of(fields.fields("camera", CAMERA_KEYS))
+    if camera.covariance is not None or not fields.has("covariance"):
+        return camera
+    names = fields.fields("covariance").texts("parameters")
+    joint = read_covariance(fields, names)
+    own = [index for index, name in enumerate(names) if name in CAMERA_PARAMETERS]
+    if joint is None or not own:
+        return camera
+    part = ParameterCovariance(parameters=tuple(names[index] for index in own), data=joint.data[np.ix_(own, own)])
+    return replace(camera, covariance=part)
 
 
 def _ros_camera(values: Mapping[str, Any], file: str, name: str) -> Camera:
     """The camera in a camera_info file, or in a message printed by `rostopic echo` or `ros2 topic echo`."""
     if "camera_matrix" not in values:
-        values = _of_message({str(key).lower(): value for key, value in values.items()}, file)
+        message = Fields(file, {str(key).lower(): value for key, value in values.items()})
+        coefficients = message.array("d", (None,))
+        values = {
+            "image_width": message.raw("width"),
+            "image_height": message.raw("height"),
+            "distortion_model": message.raw("distortion_model"),
+            "camera_matrix": {"rows": 3, "cols": 3, "data": message.raw("k")},
+            "distortion_coefficients": {"rows": 1, "cols": len(coefficients), "data": coefficients.tolist()},
+        }
     fields = Fields(file, {"camera_name": name, "distortion_model": "plumb_bob", **values})
     fields.known = CAMERA_KEYS
     return camera_of(fields)
@@ -93,20 +112,6 @@ _READERS: dict[CameraFormat, Callable[[Any, str, str], Camera]] = {
 """Converters from the values in a file, its name (for messages), and a default name of the camera."""
 
 
-def _camera_of_rig(fields: Fields) -> Camera:
-    """The camera of a rig, with its block of the joint covariance of camera and planes."""
-    camera = camera_of(fields.fields("camera", CAMERA_KEYS))
-    if camera.covariance is not None or not fields.has("covariance"):
-        return camera
-    names = fields.fields("covariance").texts("parameters")
-    joint = read_covariance(fields, names)
-    own = [index for index, name in enumerate(names) if name in CAMERA_PARAMETERS]
-    if joint is None or not own:
-        return camera
-    part = ParameterCovariance(parameters=tuple(names[index] for index in own), data=joint.data[np.ix_(own, own)])
-    return replace(camera, covariance=part)
-
-
 def _content(path: Path, camera: Camera, form: CameraFormat) -> bytes | dict[str, Any]:
     """The contents of a file in another program's format: bytes, or a mapping to be written as YAML."""
     if form is CameraFormat.OPENCV:
@@ -117,25 +122,9 @@ def _content(path: Path, camera: Camera, form: CameraFormat) -> bytes | dict[str
         if path.suffix.lower() != ".mat":
             raise UsageError("--output", f"{path.name} is not a .mat file", "end it with .mat")
         return matlab.mat(camera)
-    return _ros_values(camera)
-
-
-def _ros_values(camera: Camera) -> dict[str, Any]:
-    """ROS camera_info, including the stereo matrices, which for a single camera are the identity and [K | 0]."""
     matrix = camera.camera_matrix
+    # ROS camera_info has the stereo matrices, which for a single camera are the identity and [K | 0].
     return camera_values(replace(camera, covariance=None)) | {
         "rectification_matrix": {"rows": 3, "cols": 3, "data": np.eye(3).ravel()},
         "projection_matrix": {"rows": 3, "cols": 4, "data": np.column_stack([matrix, np.zeros(3)]).ravel()},
-    }
-
-
-def _of_message(message: dict[str, Any], file: str) -> dict[str, Any]:
-    fields = Fields(file, message)
-    coefficients = fields.array("d", (None,))
-    return {
-        "image_width": fields.raw("width"),
-        "image_height": fields.raw("height"),
-        "distortion_model": fields.raw("distortion_model"),
-        "camera_matrix": {"rows": 3, "cols": 3, "data": fields.raw("k")},
-        "distortion_coefficients": {"rows": 1, "cols": len(coefficients), "data": coefficients.tolist()},
     }

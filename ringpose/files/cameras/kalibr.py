@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ringpose.errors import DataError
-from ringpose.files.cameras.ros import checked_matrix
+from ringpose.files.cameras.ros import pinhole_camera
 from ringpose.files.schema import Fields
 from ringpose.types.camera import Camera
 
@@ -29,23 +29,15 @@ def camera_of(values: Mapping[str, Any], file: str, name: str) -> Camera:
     width, height = fields.vector("resolution", 2).tolist()
     fx, fy, cx, cy = fields.vector("intrinsics", 4).tolist()
     size = Fields(file, {"image_width": int(width), "image_height": int(height)}, path=NAME)
-    return Camera(
-        camera_name=NAME,
-        image_width=size.integer("image_width", least=1),
-        image_height=size.integer("image_height", least=1),
-        camera_matrix=checked_matrix(size, np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])),
-        distortion_model="plumb_bob",
-        distortion_coefficients=np.concatenate([given, np.zeros(5 - len(given))]),
-    )
+    return pinhole_camera(size, NAME, np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), given)
 
 
 def camera_values(camera: Camera) -> dict[str, Any]:
     """The mapping that `camera_of` reads."""
     coefficients = camera.distortion_coefficients
     if np.any(coefficients[4:] != 0):
-        raise DataError(
-            "kalibr", "radtan has only k1, k2, p1, p2, and this camera has more coefficients", "calibrate with --fix-k3"
-        )
+        found = "radtan has only k1, k2, p1, p2, and this camera has more coefficients"
+        raise DataError("kalibr", found, "calibrate with --fix-k3")
     matrix = camera.camera_matrix
     return {
         NAME: {

@@ -9,12 +9,12 @@ import os
 import subprocess
 import sys
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from ringpose.errors import DataError
-from ringpose.files.cameras.ros import checked_matrix
+from ringpose.files.cameras.ros import pinhole_camera
 from ringpose.files.schema import Fields
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera
@@ -66,76 +66,68 @@ def mat_variables(content: bytes, file: str) -> dict[str, Any]:
 
 def camera_of(values: Mapping[str, Any], file: str, name: str) -> Camera:
     """The camera among the variables of a .mat file."""
-    for candidate in (values, *(value for value in values.values() if isinstance(value, dict))):
-        if all(key in candidate for key in _STRUCT):
-            return _camera_of_struct(candidate, file, name)
-    return _camera_of_toolbox(values, file, name)
+    candidates = (values, *(value for value in values.values() if isinstance(value, dict)))
+    struct = next((candidate for candidate in candidates if all(key in candidate for key in _STRUCT)), None)
+    parameters = _toolbox_parameters(values, file) if struct is None else _struct_parameters(struct, file)
+    (width, height), (fx, fy), (cx, cy), coefficients = parameters
+    if len(coefficients) > 5:
+        raise DataError(file, f"has {len(coefficients)} distortion coefficients, must have at most 5")
+    fields = Fields(file, {"image_width": int(width), "image_height": int(height)})
+    return pinhole_camera(fields, name, np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]]), coefficients)
+
+
+_Parameters: TypeAlias = tuple[tuple[float, float], Float64[Array, "2"], Float64[Array, "2"], Float64[Array, "_"]]
+"""Width and height, focal lengths, principal point (0 is the centre of the first pixel), and k1, k2, p1, p2, k3."""
+
+
+def _toolbox_parameters(values: Mapping[str, Any], file: str) -> _Parameters:
+    for key in _TOOLBOX:
+        if key not in values:
+            raise DataError(file, f"has no {key}", _REMEDY)
+    if np.any(_numbers(values.get("alpha_c", 0.0), file, "alpha_c") != 0):
+        raise DataError(file, "has a skew (alpha_c)", "calibrate with est_alpha = 0")
+    fc, cc = (_numbers(values[key], file, key, length=2) for key in ("fc", "cc"))
+    kc, nx, ny = (_numbers(values[key], file, key) for key in ("kc", "nx", "ny"))
+    return (nx[0], ny[0]), fc, cc, kc
+
+
+def _struct_parameters(values: Mapping[str, Any], file: str) -> _Parameters:
+    """MATLAB's first pixel is 1, OpenCV's is 0; IntrinsicMatrix is the transpose of K."""
+    key = "K" if "K" in values else "IntrinsicMatrix"
+    if key not in values:
+        raise DataError(file, "has neither K nor IntrinsicMatrix", _REMEDY)
+    matrix = _numbers(values[key], file, key, length=9).reshape(3, 3)
+    if key == "IntrinsicMatrix":
+        matrix = matrix.T
+    if matrix[0, 1]:
+        raise DataError(file, f"has a skew of {matrix[0, 1]:g}", "calibrate without skew")
+    radial = np.concatenate([_numbers(values["RadialDistortion"], file, "RadialDistortion"), np.zeros(3)])[:3]
+    tangential = _numbers(values["TangentialDistortion"], file, "TangentialDistortion", length=2)
+    height, width = _numbers(values["ImageSize"], file, "ImageSize", length=2)
+    coefficients = np.concatenate([radial[:2], tangential, radial[2:]])
+    return (width, height), matrix[[0, 1], [0, 1]], matrix[:2, 2] - 1, coefficients
+
+
+def _numbers(value: Any, file: str, key: str, length: int | None = None) -> Float64[Array, "_"]:
+    try:
+        numbers = np.asarray(value, dtype=np.float64).ravel()
+    except (TypeError, ValueError):
+        raise DataError(file, f"has a {key} that is not a list of numbers", _REMEDY) from None
+    if not len(numbers) or not np.isfinite(numbers).all():
+        raise DataError(file, f"has a {key} that is not finite", _REMEDY)
+    if length is not None and len(numbers) != length:
+        raise DataError(file, f"has {len(numbers)} numbers in {key}, must have {length}", _REMEDY)
+    return numbers
 
 
 def mat(camera: Camera) -> bytes:
     """A Calib_Results.mat; uncertainties as the toolbox gives them, three standard deviations."""
     from scipy.io import savemat
 
-    stream: Any = io.BytesIO()
-    savemat(stream, {key: np.reshape(value, (-1, 1)) for key, value in _toolbox_values(camera).items()})
-    return bytes(stream.getvalue())
-
-
-def _camera_of_toolbox(values: Mapping[str, Any], file: str, name: str) -> Camera:
-    for key in _TOOLBOX:
-        if key not in values:
-            raise DataError(file, f"has no {key}", _REMEDY)
-    if np.any(_numbers(values.get("alpha_c", 0.0), file, "alpha_c") != 0):
-        raise DataError(file, "has a skew (alpha_c)", "calibrate with est_alpha = 0")
-    fc, cc, kc = (_numbers(values[key], file, key) for key in ("fc", "cc", "kc"))
-    size = (_numbers(values["nx"], file, "nx"), _numbers(values["ny"], file, "ny"))
-    return _camera(
-        file, name, (size[0][0], size[1][0]), (_of_length(fc, 2, file, "fc"), _of_length(cc, 2, file, "cc"), kc)
-    )
-
-
-def _camera_of_struct(values: Mapping[str, Any], file: str, name: str) -> Camera:
-    """MATLAB's first pixel is 1, OpenCV's is 0; IntrinsicMatrix is the transpose of K."""
-    key = "K" if "K" in values else "IntrinsicMatrix"
-    if key not in values:
-        raise DataError(file, "has neither K nor IntrinsicMatrix", _REMEDY)
-    matrix = _of_length(_numbers(values[key], file, key), 9, file, key).reshape(3, 3)
-    if key == "IntrinsicMatrix":
-        matrix = matrix.T
-    fx, skew, cx, _, fy, cy = matrix.ravel()[:6].tolist()
-    if skew:
-        raise DataError(file, f"has a skew of {skew:g}", "calibrate without skew")
-    radial, tangential = (_numbers(values[key], file, key) for key in _STRUCT[1:])
-    radial = np.concatenate([radial, np.zeros(3)])[:3]
-    kc = np.array([*radial[:2], *_of_length(tangential, 2, file, _STRUCT[2]), radial[2]])
-    height, width = _of_length(_numbers(values["ImageSize"], file, "ImageSize"), 2, file, "ImageSize")
-    return _camera(file, name, (width, height), (np.array([fx, fy]), np.array([cx, cy]) - 1, kc))
-
-
-_Parameters = tuple[Float64[Array, "2"], Float64[Array, "2"], Float64[Array, "_"]]
-
-
-def _camera(file: str, name: str, size: tuple[float, float], parameters: _Parameters) -> Camera:
-    (fx, fy), (cx, cy), kc = parameters
-    fields = Fields(file, {"image_width": int(size[0]), "image_height": int(size[1])})
-    if len(kc) > 5:
-        raise DataError(file, f"has {len(kc)} distortion coefficients, must have at most 5")
-    return Camera(
-        camera_name=name,
-        image_width=fields.integer("image_width", least=1),
-        image_height=fields.integer("image_height", least=1),
-        camera_matrix=checked_matrix(fields, np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])),
-        distortion_model="plumb_bob",
-        distortion_coefficients=np.concatenate([kc, np.zeros(5 - len(kc))]),
-    )
-
-
-def _toolbox_values(camera: Camera) -> dict[str, Any]:
     matrix, coefficients = camera.camera_matrix, camera.distortion_coefficients
     if np.any(coefficients[5:] != 0):
-        raise DataError(
-            "matlab", "the toolbox has only k1, k2, p1, p2, k3", "calibrate with --distortion-model plumb_bob"
-        )
+        remedy = "calibrate with --distortion-model plumb_bob"
+        raise DataError("matlab", "the toolbox has only k1, k2, p1, p2, k3", remedy)
     values: dict[str, Any] = {
         "fc": matrix[[0, 1], [0, 1]],
         "cc": matrix[:2, 2],
@@ -148,20 +140,6 @@ def _toolbox_values(camera: Camera) -> dict[str, Any]:
         triple = {key: 3 * sigma for key, sigma in camera.covariance.standard_deviations.items()}
         for key, names in (("fc", "fx fy"), ("cc", "cx cy"), ("kc", "k1 k2 p1 p2 k3")):
             values[f"{key}_error"] = np.array([triple.get(name, 0.0) for name in names.split()])
-    return values
-
-
-def _numbers(value: Any, file: str, key: str) -> Float64[Array, "_"]:
-    try:
-        numbers = np.asarray(value, dtype=np.float64).ravel()
-    except (TypeError, ValueError):
-        raise DataError(file, f"has a {key} that is not a list of numbers", _REMEDY) from None
-    if not len(numbers) or not np.isfinite(numbers).all():
-        raise DataError(file, f"has a {key} that is not finite", _REMEDY)
-    return numbers
-
-
-def _of_length(numbers: Float64[Array, "_"], length: int, file: str, key: str) -> Float64[Array, "_"]:
-    if len(numbers) != length:
-        raise DataError(file, f"has {len(numbers)} numbers in {key}, must have {length}", _REMEDY)
-    return numbers
+    stream: Any = io.BytesIO()
+    savemat(stream, {key: np.reshape(value, (-1, 1)) for key, value in values.items()})
+    return bytes(stream.getvalue())

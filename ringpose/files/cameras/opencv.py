@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ringpose.errors import DataError
-from ringpose.files.cameras.ros import checked_matrix
+from ringpose.files.cameras.ros import pinhole_camera
 from ringpose.files.schema import Fields
 from ringpose.files.yaml import parsed
 from ringpose.types.arrays import Array, Float64
@@ -55,15 +55,12 @@ def camera_of(values: Any, file: str, name: str) -> Camera:
         raise DataError(file, "does not have the size of the image", "add image_width: and image_height: to it")
     if fields.has("fisheye_model") and fields.number("fisheye_model") != 0:
         raise fields.problem("fisheye_model", "is set", "calibrate with plumb_bob or rational_polynomial")
-    coefficients = _trimmed(fields, _storage_matrix(fields, _COEFFICIENTS, 1).ravel())
-    return Camera(
-        camera_name=name,
-        image_width=fields.integer("image_width", least=1),
-        image_height=fields.integer("image_height", least=1),
-        camera_matrix=checked_matrix(fields, _storage_matrix(fields, _MATRIX, 3)),
-        distortion_model="plumb_bob" if len(coefficients) == 5 else "rational_polynomial",
-        distortion_coefficients=coefficients,
-    )
+    given = _storage_matrix(fields, _COEFFICIENTS, 1).ravel()
+    used = int(np.flatnonzero(given)[-1]) + 1 if given.any() else 0
+    if used > 8:
+        found = f"has {len(given)} numbers"
+        raise fields.problem(_COEFFICIENTS, found, "calibrate without thin prism and tilt terms")
+    return pinhole_camera(fields, name, _storage_matrix(fields, _MATRIX, 3), given[:used])
 
 
 def storage_text(camera: Camera, suffix: str) -> bytes:
@@ -93,15 +90,6 @@ def _number(word: str) -> int | float | str:
         with suppress(ValueError):
             return number(word)
     return word.strip('"')
-
-
-def _trimmed(fields: Fields, given: Float64[Array, "given"]) -> Float64[Array, "kept"]:
-    """The 5 or 8 coefficients of plumb_bob or rational_polynomial, without trailing zeros beyond them."""
-    used = int(np.flatnonzero(given)[-1]) + 1 if given.any() else 0
-    length = 5 if used <= 5 else 8
-    if used > 8:
-        raise fields.problem(_COEFFICIENTS, f"has {len(given)} numbers", "calibrate without thin prism and tilt terms")
-    return np.concatenate([given, np.zeros(8)])[:length]
 
 
 def _storage_matrix(fields: Fields, key: str, rows: int) -> Float64[Array, "row column"]:

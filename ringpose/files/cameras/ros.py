@@ -102,6 +102,25 @@ def _matrix(fields: Fields, key: str, shape: tuple[int | None, int | None]) -> F
     return entry.vector("data", rows * columns)
 
 
+def pinhole_camera(
+    fields: Fields, name: str, matrix: Float64[Array, "3 3"], coefficients: Float64[Array, "n"]
+) -> Camera:
+    """The camera of another program's file, with up to 5 coefficients of plumb_bob or 8 of rational_polynomial.
+
+    The size of the image is in `fields`; missing coefficients are zero.
+    """
+    model = "plumb_bob" if len(coefficients) <= 5 else "rational_polynomial"
+    missing = DISTORTION_COEFFICIENTS[model] - len(coefficients)
+    return Camera(
+        camera_name=name,
+        image_width=fields.integer("image_width", least=1),
+        image_height=fields.integer("image_height", least=1),
+        camera_matrix=checked_matrix(fields, matrix),
+        distortion_model=model,
+        distortion_coefficients=np.concatenate([coefficients, np.zeros(missing)]),
+    )
+
+
 MAX_PIXELS = 100_000
 """Maximum number of columns or rows of an image."""
 

@@ -54,7 +54,13 @@ def read_image(path: Path, channel: str | None = None, camera: Camera | None = N
         raise DataError(str(path), found, _REMEDY)
     if decoded.dtype not in (np.uint8, np.uint16):
         raise DataError(str(path), f"has pixels of type {decoded.dtype}", "give 8 or 16 bits without sign")
-    return _grey(decoded, channel)
+    if decoded.ndim == 2:
+        grey = decoded
+    elif channel is not None:
+        grey = decoded[..., CHANNELS[channel]]
+    else:
+        grey = cv2.cvtColor(decoded[..., :3], cv2.COLOR_BGR2GRAY)
+    return np.ascontiguousarray(grey)
 
 
 def check_shot_size(location: str, frames: int, width: int, height: int, camera: Camera | None) -> None:
@@ -158,16 +164,6 @@ def _codec_reports() -> Iterator[list[bytes]]:
             if others := _REPORT.sub(b"", written):
                 with suppress(OSError):
                     os.write(_STDERR, others)
-
-
-def _grey(decoded: Any, channel: str | None) -> UInt[Array, "row column"]:
-    if decoded.ndim == 2:
-        grey = decoded
-    elif channel is not None:
-        grey = decoded[..., CHANNELS[channel]]
-    else:
-        grey = cv2.cvtColor(decoded[..., :3], cv2.COLOR_BGR2GRAY)
-    return np.ascontiguousarray(grey)
 
 
 def _damage(encoded: bytes, image_format: str) -> str:

@@ -1,13 +1,12 @@
 """Session folders: `session.yaml` and one NPZ file per shot."""
 
 import tempfile
-from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Literal, cast, get_args
+from typing import TYPE_CHECKING, Literal, cast, get_args
 
 from ringpose.errors import CannotCreateError, DataError, RingposeError
 from ringpose.files.atomic import make_folder, output_error, replacing
@@ -36,18 +35,9 @@ Existing = Literal["refuse", "replace", "append"]
 """What to do with a folder that exists already."""
 
 _KEYS = (
-    "camera",
-    "camera_name",
-    "lasers",
-    "laser_count",
-    "laser_names",
-    "sequence",
-    "exposure_s",
-    "rate_hz",
-    "state",
-    "shots",
-    "provenance",
-)
+    "camera", "camera_name", "lasers", "laser_count", "laser_names", "sequence", "exposure_s", "rate_hz", "state",
+    "shots", "provenance",
+)  # fmt: skip
 
 
 def folder_of_now() -> Path:
@@ -64,7 +54,10 @@ def read_session(folder: Path) -> Session:
 
 def write_session(folder: Path, session: Session) -> None:
     """Write `session.yaml`, replacing an existing one."""
-    captures = [_record(capture) for capture in session.captures]
+    captures = []
+    for capture in session.captures:
+        values = asdict(capture)
+        captures.append({key: values[key] for key in _KEYS if values[key] is not None})
     with replacing(folder / FILE, force=True) as stream:
         write_yaml(stream, {"ringpose": SCHEMA, "captures": captures})
 
@@ -90,8 +83,11 @@ class SessionWriter:
 
     def __enter__(self) -> None:
         is_free = self._is_free()
-        if not is_free:
-            self._check_existing()
+        if not is_free and self._existing == "refuse":
+            remedy = "add --append to go on with it, or --force to replace it"
+            raise CannotCreateError(str(self.folder), "exists already", remedy)
+        if not is_free and not (self.folder / FILE).exists():
+            raise CannotCreateError(str(self.folder), f"is not a session: it has no {FILE}", "choose another --output")
         self._lock = _locked(make_folder(self.folder))
         try:
             self._take_over(is_free)
@@ -135,14 +131,6 @@ class SessionWriter:
         """Add an input file with its hash to the provenance."""
         self._inputs[str(path)] = sha256(path)
 
-    def _check_existing(self) -> None:
-        """Reject an existing folder, unless it is a session and may be replaced or continued."""
-        if self._existing == "refuse":
-            remedy = "add --append to go on with it, or --force to replace it"
-            raise CannotCreateError(str(self.folder), "exists already", remedy)
-        if not (self.folder / FILE).exists():
-            raise CannotCreateError(str(self.folder), f"is not a session: it has no {FILE}", "choose another --output")
-
     def _take_over(self, is_free: bool) -> None:
         """Read the existing session, and check that the folder is writable."""
         try:
@@ -156,7 +144,10 @@ class SessionWriter:
         earlier = () if is_free else read_session(self.folder).captures
         listed = {shot for capture in earlier for shot in capture.shots}
         unlisted = [path.stem for path in existing if path.stem not in listed]
-        closed = tuple(_closed(capture, unlisted) for capture in earlier)
+        closed = tuple(  # an interrupted capture gets the shots that no capture lists
+            replace(capture, state="stopped", shots=tuple(unlisted)) if capture.state == "capturing" else capture
+            for capture in earlier
+        )
         if self._existing == "append":
             self._earlier = closed
         else:
@@ -209,28 +200,17 @@ def _locked(folder: Path) -> "BaseFileLock":
     return lock
 
 
-def _closed(capture: Capture, unlisted: Iterable[str]) -> Capture:
-    """The capture; one that was interrupted gets the shots that no capture lists, and the state `stopped`."""
-    return replace(capture, state="stopped", shots=tuple(unlisted)) if capture.state == "capturing" else capture
-
-
 def _capture(fields: Fields) -> Capture:
     return Capture(
         camera=fields.text("camera"),
-        camera_name=fields.text("camera_name") if fields.has("camera_name") else None,
+        camera_name=fields.optional("camera_name", fields.text),
         lasers=fields.text("lasers"),
-        laser_count=fields.integer("laser_count", least=1, most=MAX_LASERS) if fields.has("laser_count") else None,
-        laser_names=fields.texts("laser_names") if fields.has("laser_names") else None,
-        sequence=fields.text("sequence") if fields.has("sequence") else None,
-        exposure_s=fields.number("exposure_s", least=0) if fields.has("exposure_s") else None,
-        rate_hz=fields.number("rate_hz", least=0) if fields.has("rate_hz") else None,
+        laser_count=fields.optional("laser_count", lambda key: fields.integer(key, least=1, most=MAX_LASERS)),
+        laser_names=fields.optional("laser_names", fields.texts),
+        sequence=fields.optional("sequence", fields.text),
+        exposure_s=fields.optional("exposure_s", lambda key: fields.number(key, least=0)),
+        rate_hz=fields.optional("rate_hz", lambda key: fields.number(key, least=0)),
         state=cast(CaptureState, fields.choice("state", get_args(CaptureState))),
         shots=fields.texts("shots"),
         provenance=fields.fields("provenance").values if fields.has("provenance") else {},
     )
-
-
-def _record(capture: Capture) -> dict[str, Any]:
-    values = asdict(capture)
-    present = {key: values[key] for key in _KEYS if values[key] is not None}
-    return {key: list(value) if isinstance(value, tuple) else value for key, value in present.items()}

@@ -33,12 +33,16 @@ def read_shot(path: Path, channel: str | None = None, rig: Rig | None = None) ->
     if path.suffix.lower() == ".npz":
         return shot_of(Archive(path), rig)
     image = read_image(path, channel, None if rig is None else rig.camera)
+    try:
+        changed_s = max(path.stat().st_mtime, 0.0)
+    except OSError:
+        raise NoInputError(str(path), "disappeared while it was read") from None
     lasers = ALL_LASERS if rig is None else (1 << len(rig.lasers.names)) - 1
     shot = Shot(
         name=path.stem,
         images=image[None],
         lasers=np.array([lasers], np.uint8),
-        stamp_s=np.array([_changed_at_s(path)]),
+        stamp_s=np.array([changed_s]),
         exposure_s=np.zeros(1),
     )
     return shot if rig is None else checked_shot(shot, rig, str(path))
@@ -51,6 +55,10 @@ def shot_of(archive: Archive, rig: Rig | None = None) -> Shot:
     archive.reject_unknown(_KEYS)
     images = _images(archive, rig)
     frames = len(images)
+    optional: dict[str, Any] = {key: archive.numbers(key, (frames,)) for key in _TIMES if key in archive}
+    optional |= {key: _masks(archive, key, frames) for key in _MASKS if key in archive}
+    if "frame_id" in archive:
+        optional["frame_id"] = archive.integers("frame_id", (frames,))
     shot = Shot(
         name=archive.path.stem,
         images=images,
@@ -58,7 +66,7 @@ def shot_of(archive: Archive, rig: Rig | None = None) -> Shot:
         stamp_s=_times(archive, "stamp_s", frames),
         exposure_s=_times(archive, "exposure_s", frames),
         meta=_meta(archive),
-        **_optional(archive, frames),
+        **optional,
     )
     return shot if rig is None else checked_shot(shot, rig, str(archive.path))
 
@@ -106,14 +114,6 @@ def _times(archive: Archive, key: str, frames: int) -> Float64[Array, "frame"]:
     return times
 
 
-def _optional(archive: Archive, frames: int) -> dict[str, Any]:
-    values: dict[str, Any] = {key: archive.numbers(key, (frames,)) for key in _TIMES if key in archive}
-    values |= {key: _masks(archive, key, frames) for key in _MASKS if key in archive}
-    if "frame_id" in archive:
-        values["frame_id"] = archive.integers("frame_id", (frames,))
-    return values
-
-
 def _meta(archive: Archive) -> dict[str, Any]:
     if "meta" not in archive:
         return {}
@@ -123,10 +123,3 @@ def _meta(archive: Archive) -> dict[str, Any]:
         if meta.get(key) is not None:
             Fields(location, meta).number(key, least=1)
     return meta
-
-
-def _changed_at_s(path: Path) -> float:
-    try:
-        return max(path.stat().st_mtime, 0.0)
-    except OSError:
-        raise NoInputError(str(path), "disappeared while it was read") from None

@@ -15,7 +15,7 @@ from ringpose.files.rigs import write_rig
 from ringpose.types.board import Board
 from ringpose.types.image import Shot
 from ringpose.types.rig import Rig
-from ringpose.types.scene import BoardPlace
+from ringpose.types.scene import NamedBoardPose
 from ringpose.types.truth import Truth
 
 
@@ -36,27 +36,26 @@ class SimulationFolder:
         self._append(self.folder / "truth.jsonl", truth_record(truth))
         return path
 
-    def add_boards(self, name: str, board: Board, views: Iterable[tuple[Shot, BoardPlace]]) -> None:
-        """Write the views of a board (`camera` or `plane`) as they are rendered, the board file and the true poses."""
+    def add_boards(self, name: str, board: Board, views: Iterable[tuple[Shot, NamedBoardPose]]) -> None:
+        """Write the views of a board (`camera` or `plane`) as they are rendered, the board file and the true poses.
+
+        A view is a PNG image if it is a single frame without lasers, else a shot.
+        """
         calibration = atomic.make_folder(self.folder / "calibration")
         folder, truth = atomic.make_folder(calibration / _VIEWS[name]), calibration / f"{name}_truth.jsonl"
         self._begin(truth, folder)
         write_board(calibration / f"{name}_board.yaml", board, force=self.force)
-        for shot, place in views:
-            self._write_view(folder, shot)
+        for shot, pose in views:
+            if len(shot.images) == 1 and not shot.lasers.any():
+                write_image(folder / f"{shot.name}.png", shot.images[0], force=self.force)
+            else:
+                write_shot(folder / f"{shot.name}.npz", shot, force=self.force)
             record = {
                 "view": shot.name,
-                "camera_from_board_rvec": cv2.Rodrigues(place.rotation)[0].ravel(),
-                "camera_from_board_tvec_m": place.translation_m,
+                "camera_from_board_rvec": cv2.Rodrigues(pose.rotation)[0].ravel(),
+                "camera_from_board_tvec_m": pose.translation_m,
             }
             self._append(truth, record)
-
-    def _write_view(self, folder: Path, shot: Shot) -> None:
-        """Write a PNG if the view is a single frame without stripes, else a shot."""
-        if len(shot.images) == 1 and not shot.lasers.any():
-            write_image(folder / f"{shot.name}.png", shot.images[0], force=self.force)
-        else:
-            write_shot(folder / f"{shot.name}.npz", shot, force=self.force)
 
     def _begin(self, truth: Path, views: Path) -> None:
         """Create an empty truth file; if one exists, it is removed together with the views that it lists."""

@@ -1,4 +1,4 @@
-"""The control channel of the virtual camera: write access, the effects of a write, and the heartbeat of the client.
+"""The control channel of the virtual camera (GVCP): access rights, the effects of a write, and the client's heartbeat.
 
 It maps a request and its sender to an answer and does not use sockets itself.
 """
@@ -13,7 +13,7 @@ from ringpose.wire import gige_registers as bootstrap
 from ringpose.wire.gvcp import Answer, Command, Request, Status, resend_range, written_payload
 
 Client = tuple[str, int]
-"""Address and port."""
+"""IPv4 address and port."""
 
 MIN_HEARTBEAT_MS = 500
 """Minimum heartbeat timeout, whatever the client requests."""
@@ -24,7 +24,7 @@ MAX_READ = 536
 
 @runtime_checkable
 class Actions(Protocol):
-    """Actions of the camera that a write or request triggers."""
+    """Actions of the camera that a request triggers."""
 
     def start(self) -> None:
         """Start the acquisition, triggered or free-running."""
@@ -49,51 +49,59 @@ class Actions(Protocol):
 
 
 class Control:
-    """Control by one client, which alone may write and keeps its access by a heartbeat."""
+    """Answers requests; one client has control, which alone may write and keeps its access by a heartbeat."""
 
     def __init__(self, registers: Registers, actions: Actions, *, keeps_lines: bool = False) -> None:
         self.registers = registers
+        self.client: Client | None = None
+        """The client that has control."""
         self._actions = actions
         self._keeps_lines = keeps_lines
-        self._client: Client | None = None
         self._heard_s = 0.0
-        self._answers: dict[int, Callable[[Request, Client], tuple[Status, bytes]]] = {
-            Command.DISCOVERY: self._discovery,
+        """Time of the last request of the client that has control."""
+        self._handlers: dict[int, Callable[[Request, Client], tuple[Status, bytes]]] = {
+            Command.DISCOVERY: lambda request, client: (
+                Status.SUCCESS,
+                registers.read(0, bootstrap.DISCOVERY_SIZE) or b"",
+            ),
             Command.READ_REGISTER: self._read_registers,
             Command.READ_MEMORY: self._read_memory,
             Command.WRITE_REGISTER: self._write_registers,
             Command.WRITE_MEMORY: self._write_memory,
         }
-
-    @property
-    def client(self) -> Client | None:
-        """The client that has control."""
-        return self._client
+        self._commands = {
+            features.ACQUISITION_START: actions.start,
+            features.ACQUISITION_STOP: actions.stop,
+            features.TRIGGER_SOFTWARE: actions.trigger,
+        }
 
     def answer(self, request: Request, client: Client, now_s: float) -> Answer | None:
-        """The answer to a request; None if there is none."""
+        """The answer to a request; None if it requires none."""
         self.expire(now_s)
-        if client == self._client:
+        if client == self.client:
             self._heard_s = now_s
         if request.command == Command.RESEND:
-            self._resend(request, client)
+            packets = resend_range(request.payload)
+            if packets is not None and self.client is not None and client[0] == self.client[0]:
+                self._actions.resend(*packets)
             return None
-        handler = self._answers.get(request.command)
+        handler = self._handlers.get(request.command)
         status, payload = (Status.NOT_IMPLEMENTED, b"") if handler is None else handler(request, client)
-        if self._client == client:
+        if client == self.client:  # the request may have given control to the client
             self._heard_s = now_s
-        if not request.answer_wanted:
+        if not request.needs_answer:
             return None
         return Answer(status=status, command=request.command, number=request.number, payload=payload)
 
     def expire(self, now_s: float) -> None:
         """End the control of a client whose heartbeat has timed out."""
         timeout_ms = max(self.registers[bootstrap.HEARTBEAT_TIMEOUT], MIN_HEARTBEAT_MS)
-        if self._client is not None and now_s - self._heard_s > 1e-3 * timeout_ms:
+        if self.client is not None and now_s - self._heard_s > 1e-3 * timeout_ms:
             self._release()
 
     def _release(self) -> None:
-        self._client = None
+        """End the control of the client: stop the acquisition and set the output lines low."""
+        self.client = None
         self.registers[bootstrap.CONTROL_PRIVILEGE] = 0
         self._actions.stop()
         if not self._keeps_lines:
@@ -101,9 +109,6 @@ class Control:
                 self.registers[features.USER_OUTPUT_VALUE + 4 * output] = 0
             self.registers[features.USER_OUTPUT_VALUE_ALL] = 0
             self._actions.outputs_changed()
-
-    def _discovery(self, request: Request, client: Client) -> tuple[Status, bytes]:
-        return Status.SUCCESS, self.registers.read(0, bootstrap.DISCOVERY_SIZE) or b""
 
     def _read_registers(self, request: Request, client: Client) -> tuple[Status, bytes]:
         if not self._may_read(client):
@@ -116,20 +121,21 @@ class Control:
     def _read_memory(self, request: Request, client: Client) -> tuple[Status, bytes]:
         if not self._may_read(client):
             return Status.ACCESS_DENIED, b""
-        if len(request.words) < 2:
+        if len(request.words) < 2 or request.words[1] & 0xFFFF > MAX_READ:
             return Status.INVALID_PARAMETER, b""
-        address, size = request.words[0], request.words[1] & 0xFFFF
-        if size > MAX_READ:
-            return Status.INVALID_PARAMETER, b""
-        data = self.registers.read(address, size)
+        data = self.registers.read(request.words[0], request.words[1] & 0xFFFF)
         if data is None:
             return Status.INVALID_ADDRESS, b""
         return Status.SUCCESS, request.payload[:4] + data
 
+    def _may_read(self, client: Client) -> bool:
+        exclusive = self.registers[bootstrap.CONTROL_PRIVILEGE] & bootstrap.EXCLUSIVE
+        return self.client in (None, client) or not exclusive
+
     def _write_registers(self, request: Request, client: Client) -> tuple[Status, bytes]:
         pairs = list(zip(request.words[::2], request.words[1::2], strict=False))
         for done, (address, value) in enumerate(pairs):
-            status = self._written(address, struct.pack(">I", value), client)
+            status = self._write(address, struct.pack(">I", value), client)
             if status is not Status.SUCCESS:
                 return status, written_payload(done)
         return Status.SUCCESS, written_payload(len(pairs))
@@ -137,15 +143,12 @@ class Control:
     def _write_memory(self, request: Request, client: Client) -> tuple[Status, bytes]:
         if len(request.payload) < 4:
             return Status.INVALID_PARAMETER, b""
-        status = self._written(request.words[0], request.payload[4:], client)
+        status = self._write(request.words[0], request.payload[4:], client)
         return status, written_payload(len(request.payload) - 4)
 
-    def _may_read(self, client: Client) -> bool:
-        exclusive = self.registers[bootstrap.CONTROL_PRIVILEGE] & bootstrap.EXCLUSIVE
-        return self._client in (None, client) or not exclusive
-
-    def _written(self, address: int, data: bytes, client: Client) -> Status:
-        if self._client != client and (self._client is not None or address != bootstrap.CONTROL_PRIVILEGE):
+    def _write(self, address: int, data: bytes, client: Client) -> Status:
+        """Write registers and apply the effects, if the client may write there."""
+        if self.client != client and (self.client is not None or address != bootstrap.CONTROL_PRIVILEGE):
             return Status.ACCESS_DENIED
         if address % 4 or len(data) % 4:
             return Status.BAD_ALIGNMENT
@@ -155,55 +158,54 @@ class Control:
         if not self.registers.write(address, data):
             return Status.INVALID_ADDRESS
         for word in words:
-            self._act(word, client)
+            self._apply(word, client)
         return Status.SUCCESS
 
-    def _act(self, address: int, client: Client) -> None:
-        """Apply the effects of a write."""
+    def _apply(self, address: int, client: Client) -> None:
+        """Apply the effects of a write to one register."""
         registers, actions = self.registers, self._actions
         if address == bootstrap.CONTROL_PRIVILEGE:
-            self._client = client
+            self.client = client
             if not registers[address] & (bootstrap.CONTROL | bootstrap.EXCLUSIVE):
                 self._release()
         elif address == bootstrap.TIMESTAMP_CONTROL:
             ticks = actions.stamp_ticks()
             registers[bootstrap.TIMESTAMP_HIGH], registers[bootstrap.TIMESTAMP_LOW] = ticks >> 32, ticks
         elif address == bootstrap.STREAM_PACKET_SIZE and registers[address] & bootstrap.FIRE_TEST_PACKET:
-            size = registers[address] & bootstrap.PACKET_SIZE_MASK
-            registers[address] = size
-            actions.fire_test_packet(client, size)
+            registers[address] &= bootstrap.PACKET_SIZE_MASK
+            actions.fire_test_packet(client, registers[address])
         elif address in _RENEWED:
             registers.renew()
-        elif address in (features.ACQUISITION_START, features.ACQUISITION_STOP, features.TRIGGER_SOFTWARE):
-            {
-                features.ACQUISITION_START: actions.start,
-                features.ACQUISITION_STOP: actions.stop,
-                features.TRIGGER_SOFTWARE: actions.trigger,
-            }[address]()
-        else:
-            self._outputs_written(address)
+        elif address in self._commands:
+            self._commands[address]()
+        elif address in _OUTPUTS:
+            self._apply_outputs(address)
 
-    def _outputs_written(self, address: int) -> None:
-        """Keep the single registers of the outputs and their mask equal."""
-        registers, first = self.registers, features.USER_OUTPUT_VALUE
-        outputs = range(features.LINES)
+    def _apply_outputs(self, address: int) -> None:
+        """Apply a write to the output lines, after which the single user outputs and their mask agree."""
+        registers = self.registers
         if address == features.USER_OUTPUT_VALUE_ALL:
-            for output in outputs:
-                registers[first + 4 * output] = registers[address] >> output & 1
-        elif first <= address < first + 4 * features.LINES:
-            registers[features.USER_OUTPUT_VALUE_ALL] = sum(bool(registers[first + 4 * k]) << k for k in outputs)
-        elif not features.LINE_SOURCE <= address < features.LINE_SOURCE + 4 * features.LINES:
-            return
+            for output, word in enumerate(_USER_OUTPUTS):
+                registers[word] = registers[address] >> output & 1
+        elif address in _USER_OUTPUTS:
+            mask = sum(bool(registers[word]) << output for output, word in enumerate(_USER_OUTPUTS))
+            registers[features.USER_OUTPUT_VALUE_ALL] = mask
         self._actions.outputs_changed()
-
-    def _resend(self, request: Request, client: Client) -> None:
-        wanted = resend_range(request.payload)
-        if wanted is not None and client[0] == (self._client or ("", 0))[0]:
-            self._actions.resend(*wanted)
 
 
 _RENEWED = frozenset({features.PIXEL_FORMAT, *BOUNDED, *(address + 4 for address in BOUNDED)})
-"""Registers with restricted values."""
+"""Registers that accept only some values; the floating-point ones have two words."""
+
+_USER_OUTPUTS = range(features.USER_OUTPUT_VALUE, features.USER_OUTPUT_VALUE + 4 * features.LINES, 4)
+
+_OUTPUTS = frozenset(
+    {
+        features.USER_OUTPUT_VALUE_ALL,
+        *_USER_OUTPUTS,
+        *range(features.LINE_SOURCE, features.LINE_SOURCE + 4 * features.LINES, 4),
+    }
+)
+"""Registers that determine the state of the output lines."""
 
 _READ_ONLY = frozenset(
     {

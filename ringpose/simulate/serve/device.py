@@ -1,4 +1,4 @@
-"""A GigE Vision camera for any client: sockets, threads and exposures."""
+"""A virtual GigE Vision camera: its sockets, its threads and its exposures."""
 
 import ipaddress
 import queue
@@ -24,11 +24,10 @@ from ringpose.wire import gige_registers as bootstrap
 from ringpose.wire.gvcp import PORT, answer_bytes, request_in
 from ringpose.wire.gvsp import UDP_OVERHEAD, Leader, PixelFormat, StreamedFrame, block_after, piece_size
 
-MAX_PACKET = 16260
+MIN_PACKET, MAX_PACKET = 576, 16260
+"""Bounds of the packet size of the stream, in bytes."""
 
-MIN_PACKET = 576
-
-_LOOK_S = 0.05
+_POLL_S = 0.05
 """Interval at which a waiting thread checks whether to stop."""
 
 
@@ -57,17 +56,19 @@ class CameraFaults:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Beginning:
-    """The start of an exposure."""
-
-    at_s: float
+class _Exposure:
+    began_s: float
     """Monotonic clock."""
     stopped: threading.Event
     """Set when its acquisition has ended."""
 
 
 class ServedCamera:
-    """A camera at an address of this machine; a context manager that serves inside its block."""
+    """A camera at a loopback address; a context manager that serves inside its block.
+
+    `lines_changed` is called with the mask of the output lines that are high and the time (monotonic clock), `log` with
+    the log record of each frame.
+    """
 
     def __init__(
         self,
@@ -75,16 +76,16 @@ class ServedCamera:
         exposures: Exposures,
         faults: CameraFaults | None = None,
         lines_changed: Callable[[int, float], None] | None = None,
-        noted: Callable[[Mapping[str, Any]], None] | None = None,
+        log: Callable[[Mapping[str, Any]], None] | None = None,
     ) -> None:
         self.identity = identity
         self.registers = Registers(identity)
         self._exposures = exposures
         self._faults = faults or CameraFaults()
         self._lines_changed = lines_changed
-        self._noted = noted
+        self._log = log
         self._control = Control(self.registers, self, keeps_lines=self._faults.keeps_lines)
-        self._triggers: queue.Queue[_Beginning] = queue.Queue(maxsize=1)
+        self._triggers: queue.Queue[_Exposure] = queue.Queue(maxsize=1)
         self._exposed_until_s = 0.0
         self._stopped = threading.Event()
         """Event of the current acquisition; each has its own, so that frames of an earlier one are dropped."""
@@ -144,7 +145,7 @@ class ServedCamera:
         try:
             if now_s < self._exposed_until_s:
                 raise queue.Full
-            self._triggers.put_nowait(_Beginning(at_s=now_s, stopped=self._stopped))
+            self._triggers.put_nowait(_Exposure(began_s=now_s, stopped=self._stopped))
             self._exposed_until_s = now_s + self._exposure_s
         except queue.Full:
             self.registers[features.MISSED_TRIGGERS] += 1
@@ -159,7 +160,7 @@ class ServedCamera:
         self.stream.send_bytes(bytes(max(size - UDP_OVERHEAD, 8)), (client[0], port))
 
     def outputs_changed(self) -> None:
-        """See `Actions`; line k follows the output that is its source."""
+        """See `Actions`; line k has the state of the user output that is its source."""
         if self._lines_changed is None:
             return
         outputs = self.registers[features.USER_OUTPUT_VALUE_ALL]
@@ -177,7 +178,7 @@ class ServedCamera:
 
     def _serve_control(self) -> None:
         while not self._ended.is_set():
-            ready, _, _ = select.select(self._sockets, [], [], _LOOK_S)
+            ready, _, _ = select.select(self._sockets, [], [], _POLL_S)
             datagrams = [each.recvfrom(2048) for each in ready]
             if self.is_dead:
                 continue
@@ -186,71 +187,71 @@ class ServedCamera:
                 request = request_in(datagram)
                 answer = None if request is None else self._control.answer(request, client, time.monotonic())
                 if answer is not None:
-                    with suppress(OSError):  # a client that is gone
+                    with suppress(OSError):  # the client's address is not reachable any more
                         self._sockets[0].sendto(answer_bytes(answer), client)
 
     def _expose(self) -> None:
         while not self._ended.is_set():
-            beginning = self._next_beginning()
-            if beginning is None or self.is_dead:
+            exposure = self._next_exposure()
+            if exposure is None or self.is_dead:
                 continue
             exposure_s = self._exposure_s
-            if beginning.stopped.wait(max(0.0, beginning.at_s + exposure_s - time.monotonic())):
+            if exposure.stopped.wait(max(0.0, exposure.began_s + exposure_s - time.monotonic())):
                 continue
-            self._send(beginning.at_s, exposure_s)
+            self._send(exposure.began_s, exposure_s)
             if self.registers[features.ACQUISITION_MODE] == features.SINGLE_FRAME:
-                beginning.stopped.set()
+                exposure.stopped.set()
 
-    def _next_beginning(self) -> _Beginning | None:
+    def _next_exposure(self) -> _Exposure | None:
         """The next exposure; None if there is none within the polling interval."""
         stopped = self._stopped
         if self.registers[features.TRIGGER_MODE] or stopped.is_set():
             try:
-                return self._triggers.get(timeout=_LOOK_S)
+                return self._triggers.get(timeout=_POLL_S)
             except queue.Empty:
                 return None
         due_s = self._exposed_until_s or time.monotonic()
         wait_s = due_s - time.monotonic()
-        if stopped.wait(min(max(0.0, wait_s), _LOOK_S)) or wait_s > _LOOK_S:
+        if stopped.wait(min(max(0.0, wait_s), _POLL_S)) or wait_s > _POLL_S:
             return None
         rate_hz = self.registers.number(features.FRAME_RATE, features.FRAME_RATE_BOUNDS_HZ)
         self._exposed_until_s = max(due_s, time.monotonic()) + 1.0 / rate_hz
-        return _Beginning(at_s=time.monotonic(), stopped=stopped)
+        return _Exposure(began_s=time.monotonic(), stopped=stopped)
 
     def _send(self, began_s: float, exposure_s: float) -> None:
+        """Send the frame of an exposure that has just ended, and log it."""
         pixel_format = self.registers.pixel_format
         gain_db = self.registers.number(features.GAIN, features.GAIN_BOUNDS_DB)
         bits: Literal[8, 12] = 8 if pixel_format is PixelFormat.MONO8 else 12
-        image, note = self._exposures.image(began_s, exposure_s, gain_db, bits)
+        image, record = self._exposures.image(began_s, exposure_s, gain_db, bits)
         self._block = block_after(self._block)
-        leader = Leader(
-            stamp_ticks=int(began_s * TICKS_PER_S),
-            pixel_format=pixel_format,
-            width=image.shape[1],
-            height=image.shape[0],
-        )
-        packet_size = min(self.registers[bootstrap.STREAM_PACKET_SIZE] & bootstrap.PACKET_SIZE_MASK, MAX_PACKET)
-        data = memoryview(image.astype("<u2" if bits > 8 else np.uint8, copy=False).tobytes())
-        if self._noted is not None:
-            self._noted({"frame_id": self._block, "began_s": began_s, "exposure_s": exposure_s, **note})
+        if self._log is not None:
+            self._log({"frame_id": self._block, "began_s": began_s, "exposure_s": exposure_s, **record})
         self._frames += 1
+        packet_size = min(self.registers[bootstrap.STREAM_PACKET_SIZE] & bootstrap.PACKET_SIZE_MASK, MAX_PACKET)
+        height, width = image.shape
         self.stream.send(
             StreamedFrame(
-                block=self._block, leader=leader, data=data, piece_size=piece_size(max(packet_size, MIN_PACKET))
+                block=self._block,
+                leader=Leader(
+                    stamp_ticks=int(began_s * TICKS_PER_S), pixel_format=pixel_format, width=width, height=height
+                ),
+                data=memoryview(image.astype("<u2" if bits > 8 else np.uint8, copy=False).tobytes()),
+                piece_size=piece_size(max(packet_size, MIN_PACKET)),
             )
         )
 
 
 def _bound(address: str, *, shared: bool) -> socket.socket:
-    """A socket at the GVCP port; that for broadcasts is shared with other cameras on this machine."""
-    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    """A socket at the GVCP port; a shared one may be bound by several cameras, which receive broadcasts."""
+    bound = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     if shared:
-        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        made.bind((address, PORT))
+        bound.bind((address, PORT))
     except OSError as error:
-        made.close()
+        bound.close()
         found = (error.strerror or str(error)).lower()
         remedy = "another camera is served there; choose another address, such as 127.0.0.2"
-        raise DeviceError(f"camera {address}", f"port {PORT} cannot be taken: {found}", remedy) from error
-    return made
+        raise DeviceError(f"camera {address}", f"port {PORT} cannot be opened: {found}", remedy) from error
+    return bound

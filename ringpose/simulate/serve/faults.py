@@ -9,10 +9,19 @@ from ringpose.simulate.serve.device import CameraFaults
 from ringpose.simulate.serve.relays import RelayFaults
 
 _LASER_FAULTS = ("stuck", "welded", "dark", "late")
+"""Faults of one laser, written `name:LASER`."""
 
 _COUNTS = ("dead-camera", "unplug")
+"""Faults whose value is a number of frames."""
 
-_VALUE_FAULTS = ("loss", "late", "operate", "release", *_COUNTS)
+_EXAMPLE_VALUES = {
+    "loss": "0.002",
+    "late": "0.05",
+    "operate": "0.008",
+    "release": "0.004",
+    **dict.fromkeys(_COUNTS, "20"),
+}
+"""Faults with a value, and an example of it for messages."""
 
 FAULTS = ("loss", "no-resend", "dead-camera", "keeps-lines", "unplug", "operate", "release", *_LASER_FAULTS)
 
@@ -27,25 +36,17 @@ class InjectedFaults:
     """Number of frames after which the relay board is unplugged."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Fault:
-    text: str
-    name: str
-    laser: int
-    """Number of the laser from 0; -1 if none is given."""
-    value: float
-
-
 def parsed_faults(texts: Iterable[str], lasers: int) -> InjectedFaults:
-    """The requested faults; lasers are numbered from 1."""
+    """The requested faults; lasers are numbered from 1 in the texts."""
     faults = [_parsed(text, lasers) for text in texts]
-    values = {fault.name: fault.value for fault in faults}
-    lasers_of = {name: frozenset(fault.laser for fault in faults if fault.name == name) for name in _LASER_FAULTS}
+    values = {name: value for name, _, value in faults}
+    counts = {name: int(values[name]) for name in _COUNTS if name in values}
+    lasers_of = {name: frozenset(laser for other, laser, _ in faults if other == name) for name in _LASER_FAULTS}
     return InjectedFaults(
         camera=CameraFaults(
             loss=values.get("loss", 0.0),
             resends="no-resend" not in values,
-            dies_after=_count(values, "dead-camera"),
+            dies_after=counts.get("dead-camera"),
             keeps_lines="keeps-lines" in values,
         ),
         contacts=RelayFaults(
@@ -54,37 +55,31 @@ def parsed_faults(texts: Iterable[str], lasers: int) -> InjectedFaults:
             stuck=lasers_of["stuck"],
             welded=lasers_of["welded"],
             dead=lasers_of["dark"],
-            late_s={fault.laser: fault.value for fault in faults if fault.name == "late"},
+            late_s={laser: value for name, laser, value in faults if name == "late"},
         ),
-        unplug_after=_count(values, "unplug"),
+        unplug_after=counts.get("unplug"),
     )
 
 
-def _count(values: dict[str, float], name: str) -> int | None:
-    return int(values[name]) if name in values else None
-
-
-def _parsed(text: str, lasers: int) -> _Fault:
-    words, equals, value = text.partition("=")
-    name, colon, laser = words.partition(":")
+def _parsed(text: str, lasers: int) -> tuple[str, int, float]:
+    """Name, laser (from 0; -1 if none is given) and value (0 if none is given) of a fault."""
+    head, equals, value = text.partition("=")
+    name, colon, laser = head.partition(":")
     if name not in FAULTS:
         raise UsageError("--fault", f'"{text}" is not a fault', f"give one of {', '.join(FAULTS)}")
-    if bool(colon) != (name in _LASER_FAULTS) or bool(equals) != (name in _VALUE_FAULTS):
-        raise UsageError("--fault", f'"{text}" is not how {name} is asked for', f"say {_example(name)}")
+    example = name + (":2" if name in _LASER_FAULTS else "")
+    example += f"={_EXAMPLE_VALUES[name]}" if name in _EXAMPLE_VALUES else ""
+    if bool(colon) != (name in _LASER_FAULTS) or bool(equals) != (name in _EXAMPLE_VALUES):
+        raise UsageError("--fault", f'"{text}" does not have the form of {name}', f"give {example}")
     if colon and not (laser.isdecimal() and 1 <= int(laser) <= lasers):
-        raise UsageError("--fault", f'"{text}" names no laser', f"lasers are numbered from 1 to {lasers}")
+        raise UsageError("--fault", f'"{text}" does not name a laser', f"lasers are numbered from 1 to {lasers}")
     try:
         number = float(value) if equals else 0.0
     except ValueError:
-        number = -1.0
-    is_possible = math.isfinite(number) and number >= 0.0
+        number = math.nan
+    is_valid = math.isfinite(number) and number >= 0.0
     if name in _COUNTS:
-        is_possible = is_possible and number.is_integer() and number >= 1.0
-    if not is_possible or (name == "loss" and number >= 1.0):
-        raise UsageError("--fault", f'"{text}" has no possible value', f"say {_example(name)}")
-    return _Fault(text=text, name=name, laser=int(laser) - 1 if colon else -1, value=number)
-
-
-def _example(name: str) -> str:
-    value = {"loss": "=0.002", "late": "=0.05", "operate": "=0.008", "release": "=0.004"}.get(name, "=20")
-    return name + (":2" if name in _LASER_FAULTS else "") + (value if name in _VALUE_FAULTS else "")
+        is_valid = is_valid and number.is_integer() and number >= 1.0
+    if not is_valid or (name == "loss" and number >= 1.0):
+        raise UsageError("--fault", f'"{text}" has an invalid value', f"give {example}")
+    return name, int(laser) - 1 if colon else -1, number

@@ -1,8 +1,6 @@
-"""The stand-in camera's own registers, and the GenICam description by which clients find them.
+"""The register space of the virtual camera, and the GenICam XML that describes its features to clients.
 
-Names and values are those of the Standard Features Naming Convention (SFNC 2).
-
-The stand-in camera's register space: bootstrap registers, its own, and the XML behind them.
+Features have the names and values of the Standard Features Naming Convention (SFNC 2).
 """
 
 import ipaddress
@@ -14,63 +12,147 @@ from ringpose.wire import gige_registers as bootstrap
 from ringpose.wire.gvsp import PixelFormat
 
 WIDTH = 0xA000
-
 HEIGHT = 0xA004
-
 PIXEL_FORMAT = 0xA008
-
 PAYLOAD_SIZE = 0xA00C
-
 ACQUISITION_START = 0xA010
-
 ACQUISITION_STOP = 0xA014
-
 ACQUISITION_MODE = 0xA018
-
 MISSED_TRIGGERS = 0xA01C
-
 EXPOSURE_TIME = 0xA020
-
 GAIN = 0xA028
-
 FRAME_RATE = 0xA030
-
 TEMPERATURE = 0xA038
-
 TRIGGER_SELECTOR = 0xA040
-
 TRIGGER_MODE = 0xA044
-
 TRIGGER_SOURCE = 0xA048
-
 TRIGGER_SOFTWARE = 0xA04C
-
 LINE_SELECTOR = 0xA050
-
 LINE_MODE = 0xA054
-
 USER_OUTPUT_SELECTOR = 0xA058
-
 USER_OUTPUT_VALUE_ALL = 0xA05C
-
 LINE_SOURCE = 0xA080
-"""One word for each line."""
-
+"""First of the registers of the lines, one word each."""
 USER_OUTPUT_VALUE = 0xA0C0
-"""One word for each output."""
+"""First of the registers of the user outputs, one word each."""
+XML_ADDRESS = 0x10000
 
 CONTINUOUS, SINGLE_FRAME = 0, 1
+"""Values of `ACQUISITION_MODE`."""
 
 LINES = 8
-"""Output lines: one for each laser that a mask can name."""
+"""Number of output lines: one for each laser of a mask."""
 
 EXPOSURE_BOUNDS_US = (10.0, 1_000_000.0)
-
 GAIN_BOUNDS_DB = (0.0, 24.0)
-
 FRAME_RATE_BOUNDS_HZ = (0.1, 200.0)
 
-XML_ADDRESS = 0x10000
+BOUNDED = {EXPOSURE_TIME: EXPOSURE_BOUNDS_US, GAIN: GAIN_BOUNDS_DB, FRAME_RATE: FRAME_RATE_BOUNDS_HZ}
+"""Floating-point registers that a client may write, with their bounds."""
+
+HEARTBEAT_MS = 3000
+
+_CAPABILITIES = bootstrap.HAS_SERIAL_NUMBER | bootstrap.HAS_USER_NAME | bootstrap.WRITE_MEMORY | bootstrap.PACKET_RESEND
+
+TICKS_PER_S = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Identity:
+    """The properties that the camera reports."""
+
+    address: str
+    """IPv4 address."""
+    width: int
+    height: int
+    bits: int
+    """Initial bit depth, 8 or 12."""
+    exposure_s: float
+    """Initial exposure."""
+    serial: str = "RP0001"
+
+
+class Registers:
+    """Big-endian memory of the camera; `renew` updates the registers that depend on others."""
+
+    def __init__(self, identity: Identity) -> None:
+        xml = description()
+        self._memory = bytearray(XML_ADDRESS) + xml + bytes(-len(xml) % 4)
+        ip = int(ipaddress.IPv4Address(identity.address))
+        for address, value in (
+            (bootstrap.VERSION, 0x00010002),
+            (bootstrap.DEVICE_MODE, bootstrap.BIG_ENDIAN_UTF8),
+            (bootstrap.MAC_HIGH, 0x0200),
+            (bootstrap.MAC_LOW, ip),
+            (bootstrap.SUPPORTED_IP_CONFIGURATION, 0x4),
+            (bootstrap.CURRENT_IP_CONFIGURATION, 0x4),
+            (bootstrap.CURRENT_IP_ADDRESS, ip),
+            (bootstrap.CURRENT_SUBNET_MASK, 0xFF000000),
+            (bootstrap.NETWORK_INTERFACES, 1),
+            (bootstrap.STREAM_CHANNELS, 1),
+            (bootstrap.CAPABILITY, _CAPABILITIES),
+            (bootstrap.TICK_FREQUENCY_LOW, TICKS_PER_S),
+            (bootstrap.HEARTBEAT_TIMEOUT, HEARTBEAT_MS),
+            (bootstrap.STREAM_PACKET_SIZE, 1400),
+            (WIDTH, identity.width),
+            (HEIGHT, identity.height),
+            (PIXEL_FORMAT, PixelFormat.MONO8 if identity.bits == 8 else PixelFormat.MONO12),
+            (LINE_MODE, 1),
+        ):
+            self[address] = value
+        for address, text in (
+            (bootstrap.MANUFACTURER_NAME, "ringpose"),
+            (bootstrap.MODEL_NAME, "Stand-in"),
+            (bootstrap.DEVICE_VERSION, "1"),
+            (bootstrap.MANUFACTURER_INFO, "simulated"),
+            (bootstrap.SERIAL_NUMBER, identity.serial),
+            (bootstrap.XML_URL, f"Local:ringpose.xml;{XML_ADDRESS:x};{len(xml):x}"),
+        ):
+            self.write(address, text.encode()[: bootstrap.TEXTS[address] - 1])
+        for address, number in ((EXPOSURE_TIME, 1e6 * identity.exposure_s), (FRAME_RATE, 10.0), (TEMPERATURE, 41.5)):
+            self.set_number(address, number)
+        self.renew()
+
+    def read(self, address: int, size: int) -> bytes | None:
+        """Bytes of the memory; None if the range exceeds it."""
+        return bytes(self._memory[address : address + size]) if address + size <= len(self._memory) else None
+
+    def write(self, address: int, data: bytes) -> bool:
+        """Write bytes; False, without writing, if the range is not below the XML."""
+        if address + len(data) > XML_ADDRESS:
+            return False
+        self._memory[address : address + len(data)] = data
+        return True
+
+    def __getitem__(self, address: int) -> int:
+        """A 32-bit register."""
+        (value,) = struct.unpack_from(">I", self._memory, address)
+        return int(value)
+
+    def __setitem__(self, address: int, value: int) -> None:
+        struct.pack_into(">I", self._memory, address, value & 0xFFFFFFFF)
+
+    def number(self, address: int, bounds: tuple[float, float]) -> float:
+        """A floating-point register, limited to its bounds; the lower one for NaN."""
+        (value,) = struct.unpack_from(">d", self._memory, address)
+        return float(min(value, bounds[1])) if value > bounds[0] else bounds[0]
+
+    def set_number(self, address: int, value: float) -> None:
+        """Write a floating-point register."""
+        struct.pack_into(">d", self._memory, address, value)
+
+    @property
+    def pixel_format(self) -> PixelFormat:
+        """The pixel format; Mono8 if a client has written an unknown one."""
+        return PixelFormat.MONO12 if self[PIXEL_FORMAT] == PixelFormat.MONO12 else PixelFormat.MONO8
+
+    def renew(self) -> None:
+        """Replace invalid values that a client has written, and update the payload size."""
+        for address, bounds in BOUNDED.items():
+            self.set_number(address, self.number(address, bounds))
+        self[PIXEL_FORMAT] = self.pixel_format
+        self[PAYLOAD_SIZE] = self[WIDTH] * self[HEIGHT] * self.pixel_format.bytes_per_pixel
+
 
 _HEAD = """\
 <?xml version="1.0" encoding="utf-8"?>
@@ -81,116 +163,75 @@ _HEAD = """\
 """
 
 _CATEGORIES = {
-    "DeviceControl": (
-        "DeviceVendorName",
-        "DeviceModelName",
-        "DeviceVersion",
-        "DeviceSerialNumber",
-        "DeviceUserID",
-        "DeviceTemperature",
-    ),
-    "ImageFormatControl": ("Width", "Height", "PixelFormat"),
-    "AcquisitionControl": (
-        "AcquisitionMode",
-        "AcquisitionStart",
-        "AcquisitionStop",
-        "AcquisitionFrameRate",
-        "TriggerSelector",
-        "TriggerMode",
-        "TriggerSource",
-        "TriggerSoftware",
-        "ExposureTime",
-        "MissedTriggers",
-    ),
-    "AnalogControl": ("Gain",),
-    "DigitalIOControl": (
-        "LineSelector",
-        "LineMode",
-        "LineSource",
-        "UserOutputSelector",
-        "UserOutputValue",
-        "UserOutputValueAll",
-    ),
-    "TransportLayerControl": (
-        "PayloadSize",
-        "TLParamsLocked",
-        "GevSCPSPacketSize",
-        "GevSCPHostPort",
-        "GevSCDA",
-        "GevCCP",
-        "GevHeartbeatTimeout",
-    ),
+    "DeviceControl": "DeviceVendorName DeviceModelName DeviceVersion DeviceSerialNumber DeviceUserID DeviceTemperature",
+    "ImageFormatControl": "Width Height PixelFormat",
+    "AcquisitionControl": "AcquisitionMode AcquisitionStart AcquisitionStop AcquisitionFrameRate TriggerSelector"
+    " TriggerMode TriggerSource TriggerSoftware ExposureTime MissedTriggers",
+    "AnalogControl": "Gain",
+    "DigitalIOControl": "LineSelector LineMode LineSource UserOutputSelector UserOutputValue UserOutputValueAll",
+    "TransportLayerControl": "PayloadSize TLParamsLocked GevSCPSPacketSize GevSCPHostPort GevSCDA GevCCP"
+    " GevHeartbeatTimeout",
 }
+"""Names of the features in each category."""
 
 
 def description() -> bytes:
-    """The GenICam XML."""
-    nodes = [_category("Root", _CATEGORIES)]
-    nodes += [_category(name, features) for name, features in _CATEGORIES.items()]
-    nodes += [*_device_nodes(), *_picture_nodes(), *_trigger_nodes(), *_line_nodes(), *_transport_nodes()]
-    return (_HEAD + "\n".join(nodes) + '\n<Port Name="Device"/>\n</RegisterDescription>\n').encode()
-
-
-def _device_nodes() -> Iterable[str]:
-    yield _text("DeviceVendorName", bootstrap.MANUFACTURER_NAME)
-    yield _text("DeviceModelName", bootstrap.MODEL_NAME)
-    yield _text("DeviceVersion", bootstrap.DEVICE_VERSION)
-    yield _text("DeviceSerialNumber", bootstrap.SERIAL_NUMBER)
-    yield _text("DeviceUserID", bootstrap.USER_DEFINED_NAME)
-    yield _float("DeviceTemperature", TEMPERATURE, (-40.0, 120.0), "C", "RO")
-
-
-def _picture_nodes() -> Iterable[str]:
-    yield _integer("Width", WIDTH, "RO")
-    yield _integer("Height", HEIGHT, "RO")
-    formats = {"Mono8": PixelFormat.MONO8.value, "Mono12": PixelFormat.MONO12.value}
-    yield _enumeration("PixelFormat", PIXEL_FORMAT, formats, locked=True)
-    yield _float("Gain", GAIN, GAIN_BOUNDS_DB, "dB")
-    yield _float("ExposureTime", EXPOSURE_TIME, EXPOSURE_BOUNDS_US, "us")
-
-
-def _trigger_nodes() -> Iterable[str]:
-    yield _enumeration("AcquisitionMode", ACQUISITION_MODE, {"Continuous": CONTINUOUS, "SingleFrame": SINGLE_FRAME})
-    yield _command("AcquisitionStart", ACQUISITION_START)
-    yield _command("AcquisitionStop", ACQUISITION_STOP)
-    yield _float("AcquisitionFrameRate", FRAME_RATE, FRAME_RATE_BOUNDS_HZ, "Hz")
-    yield _enumeration("TriggerSelector", TRIGGER_SELECTOR, {"FrameStart": 0})
-    yield _enumeration("TriggerMode", TRIGGER_MODE, {"Off": 0, "On": 1})
-    yield _enumeration("TriggerSource", TRIGGER_SOURCE, {"Software": 0})
-    yield _command("TriggerSoftware", TRIGGER_SOFTWARE)
-    yield _integer("MissedTriggers", MISSED_TRIGGERS, "RO")
-
-
-def _line_nodes() -> Iterable[str]:
-    numbers = range(LINES)
-    yield _enumeration("LineSelector", LINE_SELECTOR, {f"Line{k + 1}": k for k in numbers})
-    yield _enumeration("LineMode", LINE_MODE, {"Output": 1})
-    sources = {"Off": 0} | {f"UserOutput{k + 1}": k + 1 for k in numbers}
-    yield _enumeration("LineSource", LINE_SOURCE, sources, index="LineSelectorReg")
-    yield _enumeration("UserOutputSelector", USER_OUTPUT_SELECTOR, {f"UserOutput{k + 1}": k for k in numbers})
-    yield (
+    """The GenICam XML; each feature is a node that refers to a register."""
+    lines = range(LINES)
+    nodes = [
+        _category("Root", _CATEGORIES),
+        *(_category(name, features.split()) for name, features in _CATEGORIES.items()),
+        _text("DeviceVendorName", bootstrap.MANUFACTURER_NAME),
+        _text("DeviceModelName", bootstrap.MODEL_NAME),
+        _text("DeviceVersion", bootstrap.DEVICE_VERSION),
+        _text("DeviceSerialNumber", bootstrap.SERIAL_NUMBER),
+        _text("DeviceUserID", bootstrap.USER_DEFINED_NAME),
+        _float("DeviceTemperature", TEMPERATURE, (-40.0, 120.0), "C", "RO"),
+        _integer("Width", WIDTH, "RO"),
+        _integer("Height", HEIGHT, "RO"),
+        _enumeration(
+            "PixelFormat", PIXEL_FORMAT, {"Mono8": PixelFormat.MONO8, "Mono12": PixelFormat.MONO12}, locked=True
+        ),
+        _float("Gain", GAIN, GAIN_BOUNDS_DB, "dB"),
+        _float("ExposureTime", EXPOSURE_TIME, EXPOSURE_BOUNDS_US, "us"),
+        _enumeration("AcquisitionMode", ACQUISITION_MODE, {"Continuous": CONTINUOUS, "SingleFrame": SINGLE_FRAME}),
+        _command("AcquisitionStart", ACQUISITION_START),
+        _command("AcquisitionStop", ACQUISITION_STOP),
+        _float("AcquisitionFrameRate", FRAME_RATE, FRAME_RATE_BOUNDS_HZ, "Hz"),
+        _enumeration("TriggerSelector", TRIGGER_SELECTOR, {"FrameStart": 0}),
+        _enumeration("TriggerMode", TRIGGER_MODE, {"Off": 0, "On": 1}),
+        _enumeration("TriggerSource", TRIGGER_SOURCE, {"Software": 0}),
+        _command("TriggerSoftware", TRIGGER_SOFTWARE),
+        _integer("MissedTriggers", MISSED_TRIGGERS, "RO"),
+        _enumeration("LineSelector", LINE_SELECTOR, {f"Line{k + 1}": k for k in lines}),
+        _enumeration("LineMode", LINE_MODE, {"Output": 1}),
+        _enumeration(
+            "LineSource",
+            LINE_SOURCE,
+            {"Off": 0} | {f"UserOutput{k + 1}": k + 1 for k in lines},
+            index="LineSelectorReg",
+        ),
+        _enumeration("UserOutputSelector", USER_OUTPUT_SELECTOR, {f"UserOutput{k + 1}": k for k in lines}),
         '<Boolean Name="UserOutputValue"><pValue>UserOutputValueReg</pValue>'
-        "<OnValue>1</OnValue><OffValue>0</OffValue></Boolean>\n"
-        + _register("UserOutputValue", USER_OUTPUT_VALUE, index="UserOutputSelectorReg")
-    )
-    yield _integer("UserOutputValueAll", USER_OUTPUT_VALUE_ALL)
-
-
-def _transport_nodes() -> Iterable[str]:
-    yield _integer("PayloadSize", PAYLOAD_SIZE, "RO")
-    yield '<Integer Name="TLParamsLocked"><Value>0</Value><Min>0</Min><Max>1</Max></Integer>'
-    yield (
+        "<OnValue>1</OnValue><OffValue>0</OffValue></Boolean>",
+        _register("UserOutputValue", USER_OUTPUT_VALUE, index="UserOutputSelectorReg"),
+        _integer("UserOutputValueAll", USER_OUTPUT_VALUE_ALL),
+        _integer("PayloadSize", PAYLOAD_SIZE, "RO"),
+        '<Integer Name="TLParamsLocked"><Value>0</Value><Min>0</Min><Max>1</Max></Integer>',
         '<Integer Name="GevSCPSPacketSize"><pValue>GevSCPSPacketSizeReg</pValue><Min>576</Min><Max>16260</Max>'
-        '<Inc>4</Inc></Integer>\n<MaskedIntReg Name="GevSCPSPacketSizeReg">'
+        "<Inc>4</Inc></Integer>",
+        '<MaskedIntReg Name="GevSCPSPacketSizeReg">'
         f"<Address>{bootstrap.STREAM_PACKET_SIZE:#x}</Address><Length>4</Length><AccessMode>RW</AccessMode>"
         "<pPort>Device</pPort><LSB>31</LSB><MSB>16</MSB><Sign>Unsigned</Sign><Endianess>BigEndian</Endianess>"
-        "</MaskedIntReg>"
-    )
-    yield _integer("GevSCPHostPort", bootstrap.STREAM_PORT)
-    yield _integer("GevSCDA", bootstrap.STREAM_ADDRESS)
-    yield _integer("GevHeartbeatTimeout", bootstrap.HEARTBEAT_TIMEOUT)
-    access = {"OpenAccess": 0, "ExclusiveAccess": 1, "ControlAccess": 2}
-    yield _enumeration("GevCCP", bootstrap.CONTROL_PRIVILEGE, access)
+        "</MaskedIntReg>",
+        _integer("GevSCPHostPort", bootstrap.STREAM_PORT),
+        _integer("GevSCDA", bootstrap.STREAM_ADDRESS),
+        _integer("GevHeartbeatTimeout", bootstrap.HEARTBEAT_TIMEOUT),
+        _enumeration(
+            "GevCCP", bootstrap.CONTROL_PRIVILEGE, {"OpenAccess": 0, "ExclusiveAccess": 1, "ControlAccess": 2}
+        ),
+    ]
+    return (_HEAD + "\n".join(nodes) + '\n<Port Name="Device"/>\n</RegisterDescription>\n').encode()
 
 
 def _category(name: str, features: Iterable[str]) -> str:
@@ -234,121 +275,10 @@ def _enumeration(name: str, address: int, values: dict[str, int], index: str = "
 
 
 def _register(name: str, address: int, access: str = "RW", index: str = "") -> str:
+    """An integer register; one of several words if `index` names the register that selects it."""
     indexed = f'<pIndex Offset="4">{index}</pIndex>' if index else ""
     return (
         f'<IntReg Name="{name}Reg"><Address>{address:#x}</Address>{indexed}<Length>4</Length>'
         f"<AccessMode>{access}</AccessMode><pPort>Device</pPort><Cachable>NoCache</Cachable>"
         "<Sign>Unsigned</Sign><Endianess>BigEndian</Endianess></IntReg>"
     )
-
-
-HEARTBEAT_MS = 3000
-
-TICKS_PER_S = 1_000_000_000
-
-BOUNDED = {
-    EXPOSURE_TIME: EXPOSURE_BOUNDS_US,
-    GAIN: GAIN_BOUNDS_DB,
-    FRAME_RATE: FRAME_RATE_BOUNDS_HZ,
-}
-"""Floating-point numbers that a client may set."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Identity:
-    """What the camera says of itself."""
-
-    address: str
-    """The IPv4 address that it listens on."""
-    width: int
-    height: int
-    bits: int
-    exposure_s: float
-    serial: str = "RP0001"
-
-
-class Registers:
-    """Big-endian memory; what is computed when it is read is kept up by the device."""
-
-    def __init__(self, identity: Identity) -> None:
-        self._memory = bytearray(XML_ADDRESS) + description()
-        self._memory += bytes(-len(self._memory) % 4)
-        self._write_identity(identity)
-        self._write_defaults(identity)
-
-    def read(self, address: int, size: int) -> bytes | None:
-        """Bytes; None if some of them are not there."""
-        if address + size > len(self._memory):
-            return None
-        return bytes(self._memory[address : address + size])
-
-    def write(self, address: int, data: bytes) -> bool:
-        """Put bytes into the memory; whether there is room before the XML."""
-        if address + len(data) > XML_ADDRESS:
-            return False
-        self._memory[address : address + len(data)] = data
-        return True
-
-    def __getitem__(self, address: int) -> int:
-        """A 32-bit number."""
-        (value,) = struct.unpack_from(">I", self._memory, address)
-        return int(value)
-
-    def __setitem__(self, address: int, value: int) -> None:
-        struct.pack_into(">I", self._memory, address, value & 0xFFFFFFFF)
-
-    def number(self, address: int, bounds: tuple[float, float]) -> float:
-        """A floating-point number within its bounds, whatever a client wrote; the least for what is no number."""
-        (value,) = struct.unpack_from(">d", self._memory, address)
-        return float(min(value, bounds[1])) if value > bounds[0] else bounds[0]
-
-    def set_number(self, address: int, value: float) -> None:
-        """Write a floating-point number."""
-        struct.pack_into(">d", self._memory, address, value)
-
-    @property
-    def pixel_format(self) -> PixelFormat:
-        """As a client set it last; Mono8 if that is none that the camera has."""
-        is_deep = self[PIXEL_FORMAT] == PixelFormat.MONO12
-        return PixelFormat.MONO12 if is_deep else PixelFormat.MONO8
-
-    def renew(self) -> None:
-        """Recompute what depends on other registers, and bring numbers back into their bounds."""
-        for address, bounds in BOUNDED.items():
-            self.set_number(address, self.number(address, bounds))
-        self[PIXEL_FORMAT] = self.pixel_format
-        pixels = self[WIDTH] * self[HEIGHT]
-        self[PAYLOAD_SIZE] = pixels * self.pixel_format.bytes_per_pixel
-
-    def _write_identity(self, identity: Identity) -> None:
-        self[bootstrap.VERSION] = 0x00010002
-        self[bootstrap.DEVICE_MODE] = bootstrap.BIG_ENDIAN_UTF8
-        ip = int(ipaddress.IPv4Address(identity.address))
-        self[bootstrap.MAC_HIGH], self[bootstrap.MAC_LOW] = 0x0200, ip
-        self[bootstrap.SUPPORTED_IP_CONFIGURATION] = self[bootstrap.CURRENT_IP_CONFIGURATION] = 0x4
-        self[bootstrap.CURRENT_IP_ADDRESS], self[bootstrap.CURRENT_SUBNET_MASK] = ip, 0xFF000000
-        self[bootstrap.NETWORK_INTERFACES] = self[bootstrap.STREAM_CHANNELS] = 1
-        there = bootstrap.SERIAL_NUMBER_THERE | bootstrap.NAME_THERE
-        self[bootstrap.CAPABILITY] = there | bootstrap.WRITE_MEMORY | bootstrap.PACKET_RESEND
-        self[bootstrap.TICK_FREQUENCY_LOW] = TICKS_PER_S
-        xml_size = len(description())
-        for address, text in (
-            (bootstrap.MANUFACTURER_NAME, "ringpose"),
-            (bootstrap.MODEL_NAME, "Stand-in"),
-            (bootstrap.DEVICE_VERSION, "1"),
-            (bootstrap.MANUFACTURER_INFO, "simulated"),
-            (bootstrap.SERIAL_NUMBER, identity.serial),
-            (bootstrap.XML_URL, f"Local:ringpose.xml;{XML_ADDRESS:x};{xml_size:x}"),
-        ):
-            self.write(address, text.encode()[: bootstrap.TEXTS[address] - 1])
-
-    def _write_defaults(self, identity: Identity) -> None:
-        self[bootstrap.HEARTBEAT_TIMEOUT] = HEARTBEAT_MS
-        self[bootstrap.STREAM_PACKET_SIZE] = 1400
-        self[WIDTH], self[HEIGHT] = identity.width, identity.height
-        self[PIXEL_FORMAT] = PixelFormat.MONO8 if identity.bits == 8 else PixelFormat.MONO12
-        self[LINE_MODE] = 1
-        self.set_number(EXPOSURE_TIME, 1e6 * identity.exposure_s)
-        self.set_number(FRAME_RATE, 10.0)
-        self.set_number(TEMPERATURE, 41.5)
-        self.renew()

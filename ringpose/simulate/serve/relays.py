@@ -1,6 +1,7 @@
-"""A relay board on a pseudo-terminal, spoken to by the driver that speaks to the real one.
+"""A virtual relay board on a pseudo-terminal, and the state over time of the contacts that switch the lasers.
 
-Which lasers truly shone, and when: contacts follow their coils late, and some not at all.
+A contact follows its coil with a delay, and an injected fault may keep it closed or open: the board reports its coils,
+as a real one does, and the virtual camera renders the contacts.
 """
 
 import os
@@ -17,36 +18,38 @@ from types import TracebackType
 
 from ringpose.wire.relay_codec import Command, Pulse, Read, RelayCodec, SwitchRow, row_of
 
-ALL_RELAYS = 8
-"""Of the boards that are stood in for."""
+BOARD_RELAYS = 8
+"""Number of relays of a virtual board."""
 
-_MAX_COMMAND = 64
-"""Bytes; what goes on for longer without a command's end is noise."""
+KEPT_CHANGES = 1000
+"""Number of state changes that are stored for each contact."""
+
+_MAX_COMMAND_BYTES = 64
+"""Only this many of the received bytes that do not form a command are kept."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RelayFaults:
-    """What is wrong with the lasers of a board, by their place in the rig."""
+    """Injected faults of the contacts; lasers are numbered from 0 in the rig's order."""
 
     operate_s: float = 0.0
-    """From a command until the contact has closed."""
+    """Delay from a command until a contact closes."""
     release_s: float = 0.0
-    """From a command until it has opened."""
+    """Delay from a command until a contact opens."""
     stuck: frozenset[int] = frozenset()
     """Lasers whose contact welds when it closes for the first time."""
     welded: frozenset[int] = frozenset()
-    """Lasers that are on from the beginning, whatever is commanded."""
+    """Lasers whose contact is closed from the start."""
     dead: frozenset[int] = frozenset()
-    """Lasers that stay dark."""
+    """Lasers that are never on."""
     late_s: Mapping[int, float] = field(default_factory=dict)
-    """Lasers that come on and go off later than the rest."""
+    """Additional delay of single lasers, in both directions."""
 
 
 class ServedRelays:
-    """A board whose relays switch lasers: relay `relays[i]` of the board (from 0) feeds laser i of the rig.
+    """A board whose relay `relays[i]` (from 0) switches laser i of the rig.
 
-    `mask_at` and `contacts` tell what truly shines, which a camera's stand-in renders; the board itself reports its
-    coils. A thread serves until the block ends or `unplug` pulls the cable.
+    A context manager: a thread serves the board inside the block.
     """
 
     def __init__(
@@ -59,21 +62,20 @@ class ServedRelays:
         self.relays = tuple(relays)
         self.contacts = RelayContacts(len(self.relays), faults)
         self.port = ""
-        """The terminal to open, once served."""
+        """Path of the pseudo-terminal, once the board is served."""
         self._codec = codec
         self._changed = changed
-        self._coils_until_s = [0.0] * ALL_RELAYS
-        self._master = self._slave = -1
-        self._stop_read, self._stop_write = -1, -1
+        self._coils_until_s = [0.0] * BOARD_RELAYS
+        """Time until which each coil is on (monotonic clock)."""
         self._thread: threading.Thread | None = None
 
     @property
     def channels(self) -> str:
-        """The relays by the board's own numbers, as the driver's URI has them after `ch=`."""
+        """The parameter `ch=` of the laser URI: the relays by the board's own numbers."""
         return ",".join(str(relay + self._codec.first) for relay in self.relays)
 
     def mask_at(self, time_s: float) -> int:
-        """The lasers that truly shine at a time (monotonic clock): bit i is laser i of the rig."""
+        """Mask of the lasers that are on at a time (monotonic clock); bit i is laser i of the rig."""
         return self.contacts.mask_at(time_s)
 
     def __enter__(self) -> "ServedRelays":
@@ -92,14 +94,14 @@ class ServedRelays:
         self.unplug()
 
     def unplug(self) -> None:
-        """Pull the cable: the terminal hangs up. The contacts stay as they are."""
+        """Close the pseudo-terminal, as if the cable were unplugged; the contacts keep their state."""
         if self._thread is None:
             return
         os.write(self._stop_write, b"x")
         self._thread.join()
         self._thread = None
-        for number in (self._master, self._slave, self._stop_read, self._stop_write):
-            os.close(number)
+        for descriptor in (self._master, self._slave, self._stop_read, self._stop_write):
+            os.close(descriptor)
 
     def _serve(self) -> None:
         pending = b""
@@ -108,49 +110,45 @@ class ServedRelays:
             if self._stop_read in ready:
                 return
             commands, pending = self._codec.commands(pending + os.read(self._master, 4096))
-            pending = pending[-_MAX_COMMAND:]
-            for command in filter(_is_for_the_board, commands):
-                self._carry_out(command)
+            pending = pending[-_MAX_COMMAND_BYTES:]
+            for command in filter(_has_valid_relays, commands):
+                self._execute(command)
 
-    def _carry_out(self, command: Command) -> None:
+    def _execute(self, command: Command) -> None:
+        """Switch the coils and contacts of a command, and answer it."""
         now_s = time.monotonic()
-        before = self._coils(now_s)
+        before = self._coil_mask(now_s)
         on, off = row_of(command)
         until_s = now_s + command.duration_s if isinstance(command, Pulse) else None
-        for relay in range(ALL_RELAYS):
-            if (on | off) >> relay & 1:
-                self._switch(relay, bool(on >> relay & 1), now_s, until_s)
-        coils = self._coils(now_s)
-        with suppress(BlockingIOError):  # nobody reads what the board says
-            os.write(self._master, self._codec.answer(command, coils, ALL_RELAYS))
+        for relay in range(BOARD_RELAYS):
+            if not (on | off) >> relay & 1:
+                continue
+            is_on = bool(on >> relay & 1)
+            self._coils_until_s[relay] = 0.0 if not is_on else float("inf") if until_s is None else until_s
+            if relay in self.relays:
+                self.contacts.command(self.relays.index(relay), is_on, now_s, until_s)
+        coils = self._coil_mask(now_s)
+        with suppress(BlockingIOError):  # the client does not read its answers
+            os.write(self._master, self._codec.answer(command, coils, BOARD_RELAYS))
         if self._changed is not None and not isinstance(command, Read) and coils != before:
             self._changed(coils)
 
-    def _switch(self, relay: int, on: bool, now_s: float, until_s: float | None) -> None:
-        self._coils_until_s[relay] = 0.0 if not on else float("inf") if until_s is None else until_s
-        if relay in self.relays:
-            self.contacts.command(self.relays.index(relay), on, now_s, until_s)
-
-    def _coils(self, now_s: float) -> int:
+    def _coil_mask(self, now_s: float) -> int:
         return sum(1 << relay for relay, until_s in enumerate(self._coils_until_s) if until_s > now_s)
 
 
-def _is_for_the_board(command: Command) -> bool:
-    """Whether it has the relays that are named; a command to others is not answered."""
+def _has_valid_relays(command: Command) -> bool:
+    """Whether the board has the relays of a command; commands to other relays are not answered."""
     if isinstance(command, Read):
-        return command.count <= ALL_RELAYS
+        return command.count <= BOARD_RELAYS
     if isinstance(command, SwitchRow):
         row = range(command.first, command.first + command.count)
-        return row.start >= 0 and row.stop <= ALL_RELAYS and command.lit < 1 << command.count
-    return 0 <= command.relay < ALL_RELAYS
-
-
-KEPT = 1000
-"""Changes that each contact remembers."""
+        return row.start >= 0 and row.stop <= BOARD_RELAYS and command.on_mask < 1 << command.count
+    return 0 <= command.relay < BOARD_RELAYS
 
 
 class RelayContacts:
-    """The contacts of all lasers over time (monotonic clock, s)."""
+    """The state of the contacts of all lasers over time (monotonic clock)."""
 
     def __init__(self, lasers: int, faults: RelayFaults | None = None) -> None:
         self.faults = faults or RelayFaults()
@@ -159,9 +157,10 @@ class RelayContacts:
         self._changes: list[list[tuple[float, bool]]] = [
             [(float("-inf"), laser in self.faults.welded)] for laser in range(lasers)
         ]
+        """For each laser the times of the state changes, ascending, and the state from then on."""
 
     def command(self, laser: int, on: bool, now_s: float, until_s: float | None = None) -> None:
-        """A coil is switched now, and back at `until_s` if it is a pulse."""
+        """Switch the coil of a laser now, and off at `until_s` if it is a pulse."""
         faults = self.faults
         if laser in faults.welded or laser in faults.dead:
             return
@@ -172,41 +171,40 @@ class RelayContacts:
                 changes.pop()
             if laser in faults.stuck and changes[-1][1]:
                 return
-            closing_s = now_s + late_s + (faults.operate_s if on else faults.release_s)
-            changes.append((max(closing_s, changes[-1][0]), on))
+            change_s = now_s + late_s + (faults.operate_s if on else faults.release_s)
+            changes.append((max(change_s, changes[-1][0]), on))
             if until_s is not None and laser not in faults.stuck:
                 self._pulse_end_s[laser] = until_s + late_s + faults.release_s
                 changes.append((self._pulse_end_s[laser], False))
-            del changes[1:-KEPT]
+            del changes[1:-KEPT_CHANGES]
 
     def mask_at(self, time_s: float) -> int:
-        """The lasers that shine at a time: bit i is laser i of the rig."""
+        """Mask of the lasers that are on at a time; bit i is laser i of the rig."""
         with self._lock:
-            return sum(1 << laser for laser, changes in enumerate(self._changes) if _state(changes, time_s))
+            return sum(1 << laser for laser, changes in enumerate(self._changes) if _is_on(changes, time_s))
 
     def shares(self, begin_s: float, end_s: float) -> tuple[float, ...]:
-        """For each laser the share of an interval in which it shines."""
+        """For each laser the share of an interval during which it is on; the state if the interval is empty."""
         with self._lock:
-            return tuple(_share(changes, begin_s, end_s) for changes in self._changes)
+            return tuple(_share_on(changes, begin_s, end_s) for changes in self._changes)
 
     def on_since_s(self, laser: int, time_s: float) -> float | None:
-        """Since when a laser that shines at a time has done so; None if it does not."""
+        """Time since which a laser has been on without interruption; None if it is off at `time_s`."""
         with self._lock:
             changes = [change for change in self._changes[laser] if change[0] <= time_s]
         since_s = None
-        for at_s, on in changes:
-            since_s = (at_s if since_s is None else since_s) if on else None
+        for change_s, on in changes:
+            since_s = (change_s if since_s is None else since_s) if on else None
         return since_s
 
 
-def _state(changes: list[tuple[float, bool]], time_s: float) -> bool:
+def _is_on(changes: list[tuple[float, bool]], time_s: float) -> bool:
     return changes[bisect_right(changes, (time_s, True)) - 1][1]
 
 
-def _share(changes: list[tuple[float, bool]], begin_s: float, end_s: float) -> float:
+def _share_on(changes: list[tuple[float, bool]], begin_s: float, end_s: float) -> float:
     if end_s <= begin_s:
-        return float(_state(changes, begin_s))
-    inner = [at_s for at_s, _ in changes if begin_s < at_s < end_s]
-    edges = [begin_s, *inner, end_s]
-    lit_s = sum(late - early for early, late in pairwise(edges) if _state(changes, early))
-    return lit_s / (end_s - begin_s)
+        return float(_is_on(changes, begin_s))
+    edges = [begin_s, *(change_s for change_s, _ in changes if begin_s < change_s < end_s), end_s]
+    on_s = sum(late - early for early, late in pairwise(edges) if _is_on(changes, early))
+    return on_s / (end_s - begin_s)

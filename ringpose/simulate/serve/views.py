@@ -1,4 +1,4 @@
-"""The views of a scene that the virtual camera shows one after the other."""
+"""The views of a scene that the virtual camera shows in turn, and its exposures of them."""
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -10,11 +10,11 @@ from typing import Any, Literal
 import numpy as np
 
 from ringpose.simulate.pipeline import render_board_view, render_ring_view
-from ringpose.simulate.placement import board_places, ring_views
+from ringpose.simulate.placement import board_poses, ring_views
 from ringpose.simulate.renderer import RenderedView
 from ringpose.simulate.sensor import digitised
 from ringpose.simulate.serve.relays import RelayContacts
-from ringpose.types.arrays import Array, Float32, Float64, UInt
+from ringpose.types.arrays import Array, Float64, UInt
 from ringpose.types.options import AdvancePolicy
 from ringpose.types.scene import BoardSet, Scene, Sensor
 
@@ -34,35 +34,50 @@ class MovingViews:
         self._after_s = after_s
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="views")
         self._number = 0
-        self._now: RenderedView = render(0)
+        self._current: RenderedView = render(0)
         self._next: Future[RenderedView] | None = None
         self._shown_s: float | None = None
-        self._looked_s: float | None = None
+        """Time of the first exposure of the current view."""
+        self._exposed_s: float | None = None
+        """Time of the last exposure."""
         self._prepare()
 
     def at(self, now_s: float) -> tuple[str, RenderedView]:
         """Name and rendered image of the view that an exposure beginning now (monotonic clock) shows."""
-        since_s = self._looked_s if self._move is AdvancePolicy.PAUSE else self._shown_s
+        since_s = self._exposed_s if self._move is AdvancePolicy.PAUSE else self._shown_s
         due = since_s is not None and now_s - since_s >= self._after_s
         if due and self._next is not None and self._next.done():
-            self._number, self._now = self._number + 1, self._next.result()
+            self._number, self._current = self._number + 1, self._next.result()
             self._shown_s = now_s
             self._prepare()
         self._shown_s = now_s if self._shown_s is None else self._shown_s
-        self._looked_s = now_s
-        return self.names[self._number], self._now
+        self._exposed_s = now_s
+        return self.names[self._number], self._current
 
     def close(self) -> None:
         """Stop rendering."""
         self._worker.shutdown(wait=True, cancel_futures=True)
 
     def _prepare(self) -> None:
-        there = self._number + 1 < len(self.names) and self._move is not AdvancePolicy.NEVER
-        self._next = self._worker.submit(self._render, self._number + 1) if there else None
+        has_next = self._number + 1 < len(self.names) and self._move is not AdvancePolicy.NEVER
+        self._next = self._worker.submit(self._render, self._number + 1) if has_next else None
+
+
+def ring_moving_views(scene: Scene, move: AdvancePolicy, after_s: float) -> MovingViews:
+    """The views of the ring in the trajectory of the scene."""
+    views = ring_views(scene)
+    return MovingViews([view.name for view in views], lambda k: render_ring_view(scene, views[k], k), move, after_s)
+
+
+def board_moving_views(scene: Scene, boards: BoardSet, move: AdvancePolicy, after_s: float) -> MovingViews:
+    """The views of a calibration board in its poses of the scene."""
+    poses = board_poses(scene, boards)
+    names = [pose.name for pose in poses]
+    return MovingViews(names, lambda k: render_board_view(scene, boards, poses[k], k), move, after_s)
 
 
 class SceneExposures:
-    """Exposures of the views of a scene with each laser on for its actual time."""
+    """Exposures of the views of a scene, with each laser on for its actual time; its context ends the rendering."""
 
     def __init__(self, views: MovingViews, sensor: Sensor, contacts: RelayContacts, warm_up_s: float = 0.0) -> None:
         self._views = views
@@ -84,60 +99,28 @@ class SceneExposures:
     ) -> tuple[UInt[Array, "row column"], Mapping[str, Any]]:
         """See `Exposures`; the record contains the view and the share of the exposure in which each laser was on."""
         name, rendered = self._views.at(began_s)
-        shares = self.laser_shares(began_s, exposure_s)
-        sensor = _set_sensor(self._sensor, gain_db, bits)
-        image = digitised(_electrons(rendered, began_s, exposure_s, shares), sensor, self._generator)
-        return image, {"view": name, "laser_shares": shares.tolist()}
+        shares = self.laser_shares(began_s, exposure_s).tolist()
+        factor = 2.0 ** (bits - self._sensor.bits)
+        gain = self._sensor.overall_system_gain_dn_per_e * factor * 10 ** (gain_db / 20)
+        black_dn = self._sensor.black_level_dn * factor
+        sensor = replace(self._sensor, bits=bits, overall_system_gain_dn_per_e=gain, black_level_dn=black_dn)
+        image = digitised(rendered.electrons_with(shares, exposure_s, began_s), sensor, self._generator)
+        return image, {"view": name, "laser_shares": shares}
 
     def laser_shares(self, began_s: float, exposure_s: float) -> Float64[Array, "laser"]:
         """Energy of each laser during an exposure, as a share of that at full power."""
         edges = np.linspace(began_s, began_s + exposure_s, _SLICES + 1).tolist()
         slices = [
-            np.array(self._contacts.shares(begin_s, end_s)) * self._warmth((begin_s + end_s) / 2)
+            np.array(self._contacts.shares(begin_s, end_s)) * self._warm_up((begin_s + end_s) / 2)
             for begin_s, end_s in pairwise(edges)
         ]
         mean: Float64[Array, "laser"] = np.mean(slices, axis=0)
         return mean
 
-    def _warmth(self, time_s: float) -> Float64[Array, "laser"]:
+    def _warm_up(self, time_s: float) -> Float64[Array, "laser"]:
         """Power of each laser as a share of full power; 1 for a laser that is off."""
         lasers = range(len(self._contacts.shares(time_s, time_s)))
         since_s = [self._contacts.on_since_s(laser, time_s) for laser in lasers]
         age_s = np.array([np.inf if since is None else time_s - since for since in since_s])
-        warmth: Float64[Array, "laser"] = -np.expm1(-age_s / max(self._warm_up_s, 1e-9))
-        return warmth
-
-
-def ring_moving_views(scene: Scene, move: AdvancePolicy, after_s: float) -> MovingViews:
-    """The views of the ring in the trajectory of the scene."""
-    views = ring_views(scene)
-    return MovingViews([view.name for view in views], lambda k: render_ring_view(scene, views[k], k), move, after_s)
-
-
-def board_moving_views(scene: Scene, boards: BoardSet, move: AdvancePolicy, after_s: float) -> MovingViews:
-    """The views of a calibration board in its poses of the scene."""
-    places = board_places(scene, boards)
-    names = [place.name for place in places]
-    return MovingViews(names, lambda k: render_board_view(scene, boards, places[k], k), move, after_s)
-
-
-def _electrons(
-    rendered: RenderedView, began_s: float, exposure_s: float, shares: Float64[Array, "laser"]
-) -> Float32[Array, "row column"]:
-    rate = rendered.ambient_during(began_s, exposure_s)
-    for share, stripe in zip(shares.tolist(), rendered.laser, strict=True):
-        if share:
-            rate += np.float32(share) * stripe
-    return rate * np.float32(exposure_s)
-
-
-def _set_sensor(sensor: Sensor, gain_db: float, bits: Literal[8, 12]) -> Sensor:
-    """The sensor with a gain, and this number of bits."""
-    factor = 2.0 ** (bits - sensor.bits)
-    amplified = sensor.overall_system_gain_dn_per_e * factor * 10 ** (gain_db / 20)
-    return replace(
-        sensor,
-        bits=bits,
-        overall_system_gain_dn_per_e=amplified,
-        black_level_dn=sensor.black_level_dn * factor,
-    )
+        power: Float64[Array, "laser"] = -np.expm1(-age_s / max(self._warm_up_s, 1e-9))
+        return power

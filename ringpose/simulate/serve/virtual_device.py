@@ -1,4 +1,4 @@
-"""A virtual camera and relay board, and their URIs."""
+"""A virtual camera and relay board that show a scene, and their URIs."""
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
@@ -8,13 +8,13 @@ from typing import Any
 
 from ringpose.errors import DataError
 from ringpose.simulate.exposure import view_exposure_s
-from ringpose.simulate.pipeline import lit_ring
+from ringpose.simulate.pipeline import illuminated_ring
 from ringpose.simulate.placement import ring_views
 from ringpose.simulate.serve.device import ServedCamera
 from ringpose.simulate.serve.faults import InjectedFaults
 from ringpose.simulate.serve.genicam import Identity
 from ringpose.simulate.serve.relays import RelayContacts, ServedRelays
-from ringpose.simulate.serve.views import MovingViews, SceneExposures, board_moving_views, ring_moving_views
+from ringpose.simulate.serve.views import SceneExposures, board_moving_views, ring_moving_views
 from ringpose.types.options import AdvancePolicy, Relay, ServedTarget
 from ringpose.types.scene import BoardSet, Scene
 from ringpose.wire.ascii_relays import AsciiCodec
@@ -23,16 +23,15 @@ from ringpose.wire.modbus import ModbusCodec
 from ringpose.wire.numato import NumatoCodec
 from ringpose.wire.relay_codec import RelayCodec
 
-_ON, _OFF, _READ = "R{n} ON", "R{n} OFF", "R?"
-
 _CODECS: Mapping[Relay, Callable[[], RelayCodec]] = {
     Relay.LCUS: LcusCodec,
     Relay.NUMATO: NumatoCodec,
     Relay.MODBUS: ModbusCodec,
-    Relay.ASCII: lambda: AsciiCodec(on=_ON, off=_OFF, read=_READ),
+    Relay.ASCII: lambda: AsciiCodec(on="R{n} ON", off="R{n} OFF", read="R?"),
 }
 
 _ASCII_PARAMETERS = "&on=R{n}%20ON&off=R{n}%20OFF&read=R?"
+"""Parameters of the laser URI that describe the protocol of `_CODECS[Relay.ASCII]`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,28 +50,48 @@ class Setup:
 
 
 class VirtualDevice:
-    """The virtual devices; a context manager that serves inside its block."""
+    """The virtual devices; a context manager that serves inside its block.
 
-    def __init__(self, scene: Scene, setup: Setup, noted: Callable[[Mapping[str, Any]], None] | None = None) -> None:
+    `log` is called with the log record of each frame.
+    """
+
+    def __init__(self, scene: Scene, setup: Setup, log: Callable[[Mapping[str, Any]], None] | None = None) -> None:
         self._scene = scene
         self._setup = setup
-        self._noted = noted
+        self._log = log
         self._frames = 0
-        self._lasers = len(scene.rig.lasers.names)
-        self._relays = _relays(setup, self._lasers)
-        self._contacts = (
-            RelayContacts(self._lasers, setup.faults.contacts) if self._relays is None else self._relays.contacts
-        )
+        self._lasers = range(len(scene.rig.lasers.names))
+        self._relays: ServedRelays | None = None
+        self._contacts = RelayContacts(len(self._lasers), setup.faults.contacts)
+        if setup.relay is not Relay.NONE:
+            self._relays = ServedRelays(_CODECS[setup.relay](), self._lasers, setup.faults.contacts)
+            self._contacts = self._relays.contacts
         self._stack = ExitStack()
 
     def __enter__(self) -> "VirtualDevice":
+        scene, setup = self._scene, self._setup
+        boards = self._boards()
+        if boards is None:
+            exposure_s = view_exposure_s(scene, illuminated_ring(scene, ring_views(scene)[0]))
+            views = ring_moving_views(scene, setup.move, setup.after_s)
+        else:
+            exposure_s = boards.exposure_s
+            views = board_moving_views(scene, boards, setup.move, setup.after_s)
+        identity = Identity(
+            address=setup.address,
+            width=scene.rig.camera.image_width,
+            height=scene.rig.camera.image_height,
+            bits=scene.sensor.bits,
+            exposure_s=exposure_s,
+            serial=f"RP{setup.address.rsplit('.', 1)[-1]}",
+        )
         with ExitStack() as stack:
-            exposures = stack.enter_context(self._exposures())
+            exposures = stack.enter_context(SceneExposures(views, scene.sensor, self._contacts, setup.warm_up_s))
             if self._relays is not None:
                 stack.enter_context(self._relays)
-            lines = self._lines_changed if self._relays is None else None
+            lines_changed = self._lines_changed if self._relays is None else None
             self.camera = stack.enter_context(
-                ServedCamera(self._identity(), exposures, self._setup.faults.camera, lines, self._frame_noted)
+                ServedCamera(identity, exposures, setup.faults.camera, lines_changed, self._log_frame)
             )
             self._stack = stack.pop_all()
         return self
@@ -85,26 +104,15 @@ class VirtualDevice:
     @property
     def uris(self) -> dict[str, str]:
         """The values of --camera and --lasers."""
-        camera = f"aravis://{self._setup.address}"
         if self._relays is None:
-            return {"camera": camera, "lasers": "line:" + ",".join(f"Line{k + 1}" for k in range(self._lasers))}
-        extra = _ASCII_PARAMETERS if self._setup.relay is Relay.ASCII else ""
-        return {
-            "camera": camera,
-            "lasers": f"{self._setup.relay}:{self._relays.port}?ch={self._relays.channels}{extra}",
-        }
-
-    def _exposures(self) -> SceneExposures:
-        return SceneExposures(self._views(), self._scene.sensor, self._contacts, self._setup.warm_up_s)
-
-    def _views(self) -> MovingViews:
-        move, after_s = self._setup.move, self._setup.after_s
-        boards = self._boards()
-        if boards is None:
-            return ring_moving_views(self._scene, move, after_s)
-        return board_moving_views(self._scene, boards, move, after_s)
+            lasers = "line:" + ",".join(f"Line{laser + 1}" for laser in self._lasers)
+        else:
+            extra = _ASCII_PARAMETERS if self._setup.relay is Relay.ASCII else ""
+            lasers = f"{self._setup.relay}:{self._relays.port}?ch={self._relays.channels}{extra}"
+        return {"camera": f"aravis://{self._setup.address}", "lasers": lasers}
 
     def _boards(self) -> BoardSet | None:
+        """The boards to show; None for the ring."""
         show, scene = self._setup.show, self._scene
         if show is ServedTarget.RING:
             return None
@@ -113,32 +121,13 @@ class VirtualDevice:
             raise DataError("the scene", f"has no {show}", "give it one under boards")
         return boards
 
-    def _identity(self) -> Identity:
-        scene, boards = self._scene, self._boards()
-        first = view_exposure_s(scene, lit_ring(scene, ring_views(scene)[0])) if boards is None else boards.exposure_s
-        camera = scene.rig.camera
-        return Identity(
-            address=self._setup.address,
-            width=camera.image_width,
-            height=camera.image_height,
-            bits=scene.sensor.bits,
-            exposure_s=first,
-            serial=f"RP{self._setup.address.rsplit('.', 1)[-1]}",
-        )
-
     def _lines_changed(self, high: int, now_s: float) -> None:
-        for laser in range(self._lasers):
+        for laser in self._lasers:
             self._contacts.command(laser, bool(high >> laser & 1), now_s)
 
-    def _frame_noted(self, note: Mapping[str, Any]) -> None:
+    def _log_frame(self, record: Mapping[str, Any]) -> None:
         self._frames += 1
         if self._relays is not None and self._frames == self._setup.faults.unplug_after:
             self._relays.unplug()
-        if self._noted is not None:
-            self._noted(note)
-
-
-def _relays(setup: Setup, lasers: int) -> ServedRelays | None:
-    if setup.relay is Relay.NONE:
-        return None
-    return ServedRelays(_CODECS[setup.relay](), tuple(range(lasers)), setup.faults.contacts)
+        if self._log is not None:
+            self._log(record)

@@ -18,7 +18,7 @@ from ringpose.files.rigs import read_rig
 from ringpose.geometry.rotations import tilted
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.simulate.pipeline import simulated_boards
-from ringpose.types.scene import BoardPlace, BoardSet, Body, RingShape, Scene
+from ringpose.types.scene import BoardSet, Body, NamedBoardPose, RingShape, Scene
 
 CAMERA_PARAMETERS = 9
 DRAWS = 80
@@ -51,7 +51,7 @@ def rig_of_advised_boards(shared_data, rig_of_rendered_boards, true_rig, tmp_pat
     boards, folder = shared_data / "rendered" / "calib_b", tmp_path_factory.mktemp("advised")
     board = read_board(boards / "plane_board.yaml")
     places = tuple(far_place(true_rig.lasers, *which) for which in product(range(3), (-0.26, 0.26)))
-    views = BoardSet(board=board, places=places, exposure_s=0.016, ambient_w_m2=1.5, sequence=(0, 1, 2, 4))
+    views = BoardSet(board=board, poses=places, exposure_s=0.016, ambient_w_m2=1.5, sequence=(0, 1, 2, 4))
     ring = RingShape(profile_m=np.array([[0.567, 0.0], [0.567, 0.06], [0.597, 0.06], [0.597, 0.0]]))
     scene = Scene(rig=true_rig, ring=ring, body=Body(size_m=np.array([2.0, 2.0, 1.0])), lights={})
     for shot, place in simulated_boards(scene, views):
@@ -62,12 +62,12 @@ def rig_of_advised_boards(shared_data, rig_of_rendered_boards, true_rig, tmp_pat
     return rig
 
 
-def far_place(lasers, laser, tilt_rad) -> BoardPlace:
+def far_place(lasers, laser, tilt_rad) -> NamedBoardPose:
     """A board 1 m away whose middle lies 30 mm below a laser's stripe."""
     height_m = (lasers.distance_m[laser] - lasers.normal[laser, 2]) / lasers.normal[laser, 1]
     turn = cv2.Rodrigues(np.array([tilt_rad, 0.2, 0.0]))[0]
     corner = np.array([0.0, height_m + 0.03, 1.0]) - turn @ [0.15, 0.12, 0.0]
-    return BoardPlace(name=f"far_{laser}_{tilt_rad}", rotation=turn, translation_m=corner)
+    return NamedBoardPose(name=f"far_{laser}_{tilt_rad}", rotation=turn, translation_m=corner)
 
 
 @pytest.fixture(scope="module")

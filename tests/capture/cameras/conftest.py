@@ -1,4 +1,4 @@
-"""A served camera, and the driver that looks at it."""
+"""A virtual camera, and the Aravis driver for it."""
 
 import pytest
 from served_scene import small_scene
@@ -12,7 +12,7 @@ from ringpose.types.options import AdvancePolicy
 
 @pytest.fixture
 def serve(tmp_path, loopback_address):
-    """Start a stand-in with faults."""
+    """Starts a virtual camera with injected faults."""
     started = []
 
     def started_stand_in(*faults: str, **setup) -> VirtualDevice:
@@ -28,11 +28,13 @@ def serve(tmp_path, loopback_address):
 
 @pytest.fixture
 def camera(loopback_address):
-    """A driver with parameters, by the camera's address."""
+    """Creates a driver with an address and parameters."""
 
-    def driver(place: str = loopback_address, **parameters: str) -> AravisCamera:
+    def driver(address: str = loopback_address, **parameters: str) -> AravisCamera:
         return AravisCamera(
-            DeviceUri(text=f"aravis:{place}", option="--camera", scheme="aravis", address=place, parameters=parameters)
+            DeviceUri(
+                text=f"aravis:{address}", option="--camera", scheme="aravis", address=address, parameters=parameters
+            )
         )
 
     return driver

@@ -1,4 +1,4 @@
-"""The Aravis driver on a served camera: what it gets, and what it tries again."""
+"""The Aravis driver with a virtual camera: frames, settings and repeated triggers."""
 
 import socket
 import threading
@@ -17,7 +17,7 @@ from ringpose.wire.gvsp import StreamedFrame
 pytestmark = pytest.mark.usefixtures("_aravis")
 
 
-def test_a_camera_says_what_it_is(serve, camera):
+def test_the_description_has_name_size_and_saturation(serve, camera):
     serve()
 
     with (opened := camera()):
@@ -45,7 +45,7 @@ def test_every_pixel_comes_as_it_was_sent(camera, loopback_address, rng, bits, p
     np.testing.assert_array_equal([frame.image for frame in frames], [sent[frame.frame_id - 1] for frame in frames])
 
 
-def test_a_frame_comes_after_its_exposure(serve, camera):
+def test_a_frame_arrives_after_its_exposure(serve, camera):
     serve()
 
     with (opened := camera()):
@@ -59,7 +59,7 @@ def test_a_frame_comes_after_its_exposure(serve, camera):
     assert (frame.exposure_s, frame.lasers, frame.attempts, frame.gain_db) == (0.2, 0b101, 1, 0.0)
 
 
-def test_frames_come_one_by_one_with_their_numbers_and_stamps(serve, camera):
+def test_each_trigger_gives_one_frame_with_number_and_stamps(serve, camera):
     serve()
 
     with (opened := camera()):
@@ -73,7 +73,7 @@ def test_frames_come_one_by_one_with_their_numbers_and_stamps(serve, camera):
     assert opened.dropped == 0
 
 
-def test_an_output_line_lights_its_laser(serve, camera):
+def test_an_output_line_switches_its_laser(serve, camera):
     serve()
 
     with (opened := camera()):
@@ -88,12 +88,12 @@ def test_an_output_line_lights_its_laser(serve, camera):
 
 
 def test_exposure_and_gain_change_the_image(serve, camera):
-    stand_in = serve()
+    device = serve()
 
     with (opened := camera(format="Mono12", gain="6.0206")):
         short, longer = (opened.trigger(0, exposure_s) for exposure_s in (0.002, 0.008))
 
-    black_dn = 16 * stand_in._scene.sensor.black_level_dn
+    black_dn = 16 * device._scene.sensor.black_level_dn
     assert short.image.dtype == np.uint16
     assert opened.uri.parameters["gain"] == "6.0206"
     assert (longer.image.mean() - black_dn) / (short.image.mean() - black_dn) == pytest.approx(4.0, rel=0.05)
@@ -101,16 +101,16 @@ def test_exposure_and_gain_change_the_image(serve, camera):
 
 
 def test_lost_packets_are_sent_again(serve, camera):
-    stand_in = serve("loss=0.02")
+    device = serve("loss=0.02")
 
     with (opened := camera()):
         frames = [opened.trigger(0) for _ in range(60)]
 
-    assert stand_in.camera.stream.lost_packets > 10
+    assert device.camera.stream.lost_packets > 10
     assert sum(frame.attempts for frame in frames) == 60
 
 
-def test_a_frame_that_stays_broken_is_taken_again(serve, camera):
+def test_an_incomplete_frame_is_triggered_again(serve, camera):
     serve("loss=0.01", "no-resend")
 
     with (opened := camera()):
@@ -120,14 +120,14 @@ def test_a_frame_that_stays_broken_is_taken_again(serve, camera):
     assert {frame.image.shape for frame in frames} == {(150, 200)}
 
 
-def test_packets_have_the_size_that_is_asked_for(serve, camera):
-    stand_in = serve()
+def test_packets_have_the_requested_size(serve, camera):
+    device = serve()
 
     with camera(packet="3000"):
-        assert stand_in.camera.registers[0x0D04] == 3000
+        assert device.camera.registers[0x0D04] == 3000
 
 
-def test_pixels_that_are_not_grey_are_refused(serve, camera, monkeypatch):
+def test_a_colour_pixel_format_is_rejected(serve, camera, monkeypatch):
     serve()
     monkeypatch.setattr(AravisCamera, "_format", lambda self: "BayerRG8")
 
@@ -135,7 +135,7 @@ def test_pixels_that_are_not_grey_are_refused(serve, camera, monkeypatch):
         camera().open()
 
 
-def test_a_frame_that_claims_to_be_larger_than_it_is_is_not_read(serve, camera, monkeypatch):
+def test_a_frame_with_too_few_bytes_is_not_read(serve, camera, monkeypatch):
     serve()
     claimed = StreamedFrame._leader_payload
     monkeypatch.setattr(
@@ -148,7 +148,7 @@ def test_a_frame_that_claims_to_be_larger_than_it_is_is_not_read(serve, camera, 
         opened.trigger(0)
 
 
-def test_frames_thrown_away_after_a_change_of_exposure(serve, camera):
+def test_frames_after_a_change_of_exposure_are_discarded(serve, camera):
     serve()
 
     with (opened := camera(skip="1")):
@@ -159,10 +159,10 @@ def test_frames_thrown_away_after_a_change_of_exposure(serve, camera):
     assert [changed.frame_id - first.frame_id, same.frame_id - changed.frame_id] == [2, 1]
 
 
-def test_a_killed_client_frees_the_camera_by_its_heartbeat(serve, camera, loopback_address):
-    """A client that takes control and is never heard again."""
-    stand_in = serve()
-    stand_in.camera.registers[0x0938] = 500
+def test_a_camera_is_free_after_the_heartbeat_timeout_of_a_killed_client(serve, camera, loopback_address):
+    """A client that gets control and then sends no heartbeat."""
+    device = serve()
+    device.camera.registers[0x0938] = 500
     silent = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     silent.settimeout(2.0)
     silent.sendto(bytes.fromhex("420100820008000100000a0000000002"), (loopback_address, 3956))

@@ -1,4 +1,4 @@
-"""What the Aravis driver says when it cannot: a lost camera, one in other hands, settings that it does not take."""
+"""Errors of the Aravis driver: a lost camera, a camera controlled by another client, invalid settings."""
 
 import socket
 
@@ -11,7 +11,7 @@ from ringpose.errors import DeviceError, UsageError
 pytestmark = pytest.mark.usefixtures("_aravis")
 
 
-def test_a_camera_that_loses_every_frame_is_an_error_that_says_what_may_help(serve, camera, monkeypatch, tmp_path):
+def test_losing_every_frame_is_an_error_with_a_remedy(serve, camera, monkeypatch, tmp_path):
     serve("loss=0.9", "no-resend")
     (tmp_path / "rmem_max").write_text("212992\n")
     monkeypatch.setattr(network, "_RMEM_MAX", tmp_path / "rmem_max")
@@ -22,7 +22,7 @@ def test_a_camera_that_loses_every_frame_is_an_error_that_says_what_may_help(ser
     assert "sysctl -w net.core.rmem_max=8388608" in str(raised.value)
 
 
-def test_a_camera_that_dies_is_noticed(serve, camera):
+def test_a_camera_that_stops_answering_is_an_error(serve, camera):
     serve("dead-camera=2")
 
     with (opened := camera(timeout="0.3")):
@@ -32,7 +32,7 @@ def test_a_camera_that_dies_is_noticed(serve, camera):
             opened.trigger(0)
 
 
-def test_a_camera_is_opened_again_after_its_loss(serve, camera):
+def test_a_closed_camera_can_be_opened_again(serve, camera):
     serve()
     opened = camera()
     with opened:
@@ -44,28 +44,28 @@ def test_a_camera_is_opened_again_after_its_loss(serve, camera):
     assert frame.attempts == 1
 
 
-def test_a_camera_in_other_hands_says_so(serve, camera):
+def test_a_camera_controlled_by_another_client_is_an_error(serve, camera):
     serve()
 
     with camera(), pytest.raises(DeviceError, match="is controlled by another program; close that one"):
         camera().open()
 
 
-def test_a_camera_that_another_has_taken_meanwhile_says_so(serve, camera):
-    stand_in = serve()
+def test_losing_control_to_another_client_is_an_error(serve, camera):
+    device = serve()
 
     with (opened := camera()):
-        stand_in.camera._control._client = ("127.0.0.1", 1)
+        device.camera._control.client = ("127.0.0.1", 1)
         with pytest.raises(DeviceError, match="is controlled by another program; close that one"):
             opened.set("Gain", 1.0)
 
 
-def test_a_camera_that_is_not_there_says_so(camera):
+def test_a_missing_camera_is_an_error(camera):
     with pytest.raises(DeviceError, match=r"no such camera: .*; see ringpose capture --list"):
         camera().open()
 
 
-def test_a_network_that_is_not_there_says_so(camera, monkeypatch):
+def test_a_missing_route_is_an_error(camera, monkeypatch):
     class Unroutable(socket.socket):
         def connect(self, address):
             raise OSError(101, "Network is unreachable")
@@ -84,32 +84,32 @@ def test_a_missing_library_is_named_with_its_package(camera, monkeypatch):
 
 
 @pytest.mark.parametrize("exposure_s", [5000.0, 1e-6])
-def test_an_impossible_exposure_is_refused_with_its_bounds(serve, camera, exposure_s):
+def test_an_exposure_out_of_bounds_is_rejected(serve, camera, exposure_s):
     serve()
 
     with (opened := camera()), pytest.raises(DeviceError, match=r"ExposureTime cannot be .*; it takes 10 to 1e\+06"):
         opened.arm(exposure_s)
 
 
-def test_a_format_that_the_camera_lacks_is_refused_with_those_it_has(serve, camera):
+def test_an_unavailable_pixel_format_is_rejected(serve, camera):
     serve()
 
     with pytest.raises(DeviceError, match="PixelFormat cannot be Mono16; it takes Mono12, Mono8"):
         camera(format="Mono16").open()
 
 
-def test_a_misspelt_parameter_is_wrong_usage(camera):
+def test_a_misspelt_parameter_is_a_usage_error(camera):
     with pytest.raises(UsageError, match='no parameter "fromat"; did you mean format'):
         camera(fromat="Mono8")
 
 
-def test_an_unknown_format_is_wrong_usage(camera):
+def test_an_unknown_format_is_a_usage_error(camera):
     with pytest.raises(UsageError, match='format "RGB8" is not known; use one of Mono8'):
         camera(format="RGB8")
 
 
 @pytest.mark.parametrize("size", ["100", "20000"])
-def test_an_impossible_packet_size_is_refused_with_its_bounds(serve, camera, size):
+def test_a_packet_size_out_of_bounds_is_rejected(serve, camera, size):
     serve()
 
     with pytest.raises(DeviceError, match=f"GevSCPSPacketSize cannot be {size}; it takes 576 to 16260"):

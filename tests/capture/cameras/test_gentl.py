@@ -1,4 +1,4 @@
-"""The GenTL driver on an object that stands for harvesters: none with a software trigger can be had for tests."""
+"""The GenTL driver with a fake of harvesters, since no free GenTL producer has a software trigger."""
 
 import sys
 from dataclasses import dataclass, field
@@ -14,7 +14,7 @@ from ringpose.errors import DeviceError
 
 @dataclass
 class Node:
-    """A feature."""
+    """A fake feature node."""
 
     value: object
     min: float | None = None
@@ -46,7 +46,7 @@ class Buffer:
 
 @dataclass
 class Nodes:
-    """A node map."""
+    """A fake node map."""
 
     triggered: int = 0
     ExposureTime: Node = field(default_factory=lambda: Node(5000.0, 10.0, 1e6))
@@ -70,7 +70,7 @@ class Nodes:
 
 
 class Acquirer:
-    """A camera; every second frame is incomplete if requested."""
+    """A fake camera; every second frame is incomplete if requested."""
 
     def __init__(self, broken: tuple[int, ...] = ()) -> None:
         self.remote_device = SimpleNamespace(node_map=Nodes())
@@ -95,7 +95,7 @@ class Acquirer:
 
 @pytest.fixture
 def harvested(monkeypatch, tmp_path):
-    """A driver whose harvesters finds one acquirer."""
+    """A driver for which harvesters finds one fake camera."""
     producer = tmp_path / "fake.cti"
     producer.touch()
 
@@ -113,7 +113,7 @@ def harvested(monkeypatch, tmp_path):
     return driver
 
 
-def test_each_trigger_gives_one_frame_and_its_buffer_back(harvested):
+def test_each_trigger_gives_one_frame_and_returns_the_buffer(harvested):
     acquirer = Acquirer()
 
     with (camera := harvested(acquirer)):
@@ -129,7 +129,7 @@ def test_each_trigger_gives_one_frame_and_its_buffer_back(harvested):
     assert acquirer.state == ["started", "destroyed"]
 
 
-def test_pixels_that_are_not_grey_are_refused(harvested):
+def test_a_colour_pixel_format_is_rejected(harvested):
     acquirer = Acquirer()
     acquirer.remote_device.node_map.PixelFormat.value = "RGBa8"
 
@@ -137,14 +137,14 @@ def test_pixels_that_are_not_grey_are_refused(harvested):
         harvested(acquirer).open()
 
 
-def test_an_incomplete_frame_is_taken_again(harvested):
+def test_an_incomplete_frame_is_triggered_again(harvested):
     with (camera := harvested(Acquirer(broken=(1, 2)))):
         frame = camera.trigger(0)
 
     assert (frame.attempts, int(frame.image[0, 0])) == (3, 3)
 
 
-def test_frames_that_stay_incomplete_are_an_error(harvested):
+def test_repeatedly_incomplete_frames_are_an_error(harvested):
     with (
         (camera := harvested(Acquirer(broken=(1, 2, 3)))),
         pytest.raises(DeviceError, match="packets got lost, 3 times"),
@@ -152,7 +152,7 @@ def test_frames_that_stay_incomplete_are_an_error(harvested):
         camera.trigger(0)
 
 
-def test_what_a_feature_does_not_take_is_refused_with_its_bounds(harvested):
+def test_a_value_out_of_bounds_is_rejected(harvested):
     with (camera := harvested(Acquirer())), pytest.raises(DeviceError, match="Gain cannot be 99; it takes 0 to 24"):
         camera.set("Gain", 99.0)
 

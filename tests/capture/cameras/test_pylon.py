@@ -1,4 +1,4 @@
-"""The pylon driver on pypylon's own emulated camera."""
+"""The pylon driver with the emulated camera of pypylon."""
 
 import os
 import sys
@@ -16,15 +16,17 @@ def emulated():
     if not os.environ.get("CI"):  # there it must not be missing
         pytest.importorskip("pypylon.pylon", reason="pypylon is not installed (pip install ringpose[pylon])")
 
-    def driver(place: str = "", **parameters: str) -> PylonCamera:
+    def driver(address: str = "", **parameters: str) -> PylonCamera:
         return PylonCamera(
-            DeviceUri(text=f"pylon:{place}", option="--camera", scheme="pylon", address=place, parameters=parameters)
+            DeviceUri(
+                text=f"pylon:{address}", option="--camera", scheme="pylon", address=address, parameters=parameters
+            )
         )
 
     return driver
 
 
-def test_frames_of_the_emulated_camera_come_one_by_one(emulated):
+def test_each_trigger_gives_one_frame_of_the_emulated_camera(emulated):
     with (camera := emulated()):
         description = camera.describe()
         camera.arm(0.002)
@@ -43,7 +45,7 @@ def test_twelve_bits_and_gain_are_set(emulated):
         assert camera.trigger(0).image.dtype == "uint16"
 
 
-def test_frames_that_fail_are_taken_again(emulated):
+def test_failed_frames_are_triggered_again(emulated):
     with (camera := emulated()):
         camera.set("ForceFailedBufferCount", 2)
         camera._camera.GetNodeMap().GetNode("ForceFailedBuffer").Execute()
@@ -59,12 +61,12 @@ def test_output_lines_are_set_and_read(emulated):
         assert [camera.output(f"Line{number}") for number in (1, 2, 3)] == [False, True, False]
 
 
-def test_an_impossible_exposure_is_refused_with_its_bounds(emulated):
+def test_an_exposure_out_of_bounds_is_rejected(emulated):
     with (camera := emulated()), pytest.raises(DeviceError, match=r"ExposureTime cannot be .*; it takes"):
         camera.arm(1e6)
 
 
-def test_an_absent_camera_says_so(emulated):
+def test_an_absent_camera_is_an_error(emulated):
     with pytest.raises(DeviceError, match="no such camera"):
         emulated("99999999").open()
 

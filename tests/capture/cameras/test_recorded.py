@@ -1,4 +1,4 @@
-"""Recorded shots and images by the steps of a sequence."""
+"""Recorded shots and images rearranged to the steps of a sequence."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from ringpose.types.sequence import parsed_sequence
 
 
 def shot_of_masks(*lasers: int, name: str = "shot", **fields: object) -> Shot:
-    """Frame k is all k and was taken at k seconds."""
+    """A shot whose frame k has the grey value k and the stamp k seconds."""
     places = np.arange(len(lasers))
     return Shot(
         name=name,
@@ -32,13 +32,13 @@ def image(name: str, value: int = 0, width: int = 3) -> Shot:
     )
 
 
-def test_without_a_sequence_a_shot_stays_as_it_is():
+def test_without_a_sequence_a_shot_is_unchanged():
     shot = shot_of_masks(0, 1, 2, 4, 7)
 
     assert Recording(None).taken(shot) is shot
 
 
-def test_the_frames_with_the_masks_of_the_steps_are_chosen_in_their_order():
+def test_frames_are_selected_by_the_masks_of_the_steps():
     shot = shot_of_masks(0, 1, 2, 4, 7, frame_id=np.arange(40, 45), name="kept")
 
     chosen = frames_of_steps(shot, parsed_sequence("all,off,2"))
@@ -51,18 +51,18 @@ def test_the_frames_with_the_masks_of_the_steps_are_chosen_in_their_order():
     assert chosen.frame_id.tolist() == [44, 40, 42]
 
 
-def test_a_step_met_again_takes_the_next_such_frame():
+def test_a_repeated_step_takes_the_next_frame_with_its_mask():
     chosen = frames_of_steps(shot_of_masks(0, 1, 0), parsed_sequence("off,1,off"))
 
     assert chosen.images[:, 0, 0].tolist() == [0, 1, 2]
 
 
-def test_a_missing_mask_is_bad_data_that_says_what_is_there():
+def test_a_missing_mask_is_bad_data_and_lists_the_frames():
     with pytest.raises(DataError, match=r"shot: no frame with lasers 4; its frames: off,1,2,3,1\+2\+3"):
         frames_of_steps(shot_of_masks(0, 1, 2, 4, 7), parsed_sequence("off,4"))
 
 
-def test_one_off_frame_does_not_serve_for_two():
+def test_one_dark_frame_is_not_used_for_two_steps():
     with pytest.raises(DataError, match="only 1 of 2 frames with lasers off"):
         frames_of_steps(shot_of_masks(0, 1), parsed_sequence("off,1,off"))
 
@@ -72,7 +72,7 @@ def test_a_shot_in_the_dark_has_no_frame_with_all_lasers_on():
         frames_of_steps(shot_of_masks(0, 0), parsed_sequence("all"))
 
 
-def test_a_bad_shot_does_not_stop_the_recording():
+def test_an_invalid_shot_does_not_end_the_recording():
     recording = Recording(parsed_sequence("all"))
     with pytest.raises(DataError):
         recording.taken(shot_of_masks(0))
@@ -83,10 +83,10 @@ def test_a_bad_shot_does_not_stop_the_recording():
     assert after.lasers.tolist() == [7]
 
 
-def test_consecutive_images_make_shots_by_the_sequence():
+def test_consecutive_images_form_shots():
     recording = Recording(parsed_sequence("off,2,all"))
 
-    shots = [recording.taken(image(f"image_{place}", place)) for place in range(6)]
+    shots = [recording.taken(image(f"image_{number}", number)) for number in range(6)]
     recording.end()
 
     assert [shot and shot.name for shot in shots] == [None, None, "image_0", None, None, "image_3"]
@@ -103,7 +103,7 @@ def test_images_too_few_for_a_last_shot_are_bad_data():
         recording.end()
 
 
-def test_images_of_two_sizes_make_no_shot():
+def test_images_of_two_sizes_are_bad_data():
     recording = Recording(parsed_sequence("off,all"))
     recording.taken(image("small"))
 

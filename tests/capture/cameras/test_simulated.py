@@ -1,4 +1,4 @@
-"""The simulated camera sees what is lit, and a new moment with every arming."""
+"""The simulated camera shows the lasers that are on, and advances to the next view when it is armed."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def scene_frame(moment: int, lasers: int, exposure_s: float | None) -> Frame:
     return Frame(image=image, lasers=lasers, stamp_s=float(moment), exposure_s=exposure_s or 0.01)
 
 
-def test_each_shot_is_the_next_moment_of_the_scene():
+def test_each_shot_shows_the_next_view_of_the_scene():
     lasers = SimulatedLasers(3)
     camera = SimulatedCamera(DESCRIPTION, scene_frame, lasers)
 
@@ -32,7 +32,7 @@ def test_each_shot_is_the_next_moment_of_the_scene():
     assert [shot.images[:, 0, 0].tolist() for shot in shots] == [[0, 1, 7], [10, 11, 17]]
 
 
-def test_a_shot_that_is_taken_again_shows_the_same_moment():
+def test_a_repeated_shot_shows_the_same_view():
     class WentOff(SimulatedLasers):
         failures = 1
 
@@ -51,7 +51,7 @@ def test_a_shot_that_is_taken_again_shows_the_same_moment():
     assert [shot.images[:, 0, 0].tolist() for shot in shots] == [[0, 1, 7], [10, 11, 17]]
 
 
-def test_the_image_shows_what_is_lit_not_what_was_commanded():
+def test_the_image_shows_the_lasers_that_are_on():
     class Stuck(SimulatedLasers):
         def read_mask(self) -> int | None:
             return 0b100
@@ -65,7 +65,7 @@ def test_the_image_shows_what_is_lit_not_what_was_commanded():
     assert frame.lasers == 0
 
 
-def test_lasers_that_nothing_switches_are_on_in_every_image():
+def test_uncontrolled_lasers_are_on_in_every_image():
     lasers = UncontrolledLasers(3)
     camera = SimulatedCamera(DESCRIPTION, scene_frame, lasers)
 
@@ -74,6 +74,6 @@ def test_lasers_that_nothing_switches_are_on_in_every_image():
     assert shot.images[0, 0, 0] == 7
 
 
-def test_lasers_that_nothing_switches_cannot_go_off():
+def test_uncontrolled_lasers_cannot_be_switched_off():
     with pytest.raises(UsageError, match='step "off"'):
         reject_switching(parsed_sequence("off,all"))

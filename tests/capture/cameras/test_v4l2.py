@@ -1,4 +1,4 @@
-"""The OpenCV driver on a numbered image sequence: there is no video device to test with."""
+"""The OpenCV driver with a numbered image sequence instead of a video device."""
 
 import cv2
 import numpy as np
@@ -9,21 +9,21 @@ from ringpose.capture.uri import DeviceUri
 from ringpose.errors import DeviceError, UsageError
 
 
-def camera(place: str, **parameters: str) -> V4l2Camera:
+def camera(address: str, **parameters: str) -> V4l2Camera:
     return V4l2Camera(
-        DeviceUri(text=f"v4l2:{place}", option="--camera", scheme="v4l2", address=place, parameters=parameters)
+        DeviceUri(text=f"v4l2:{address}", option="--camera", scheme="v4l2", address=address, parameters=parameters)
     )
 
 
 @pytest.fixture
 def sequence(tmp_path) -> str:
-    """Image k is grey value 10 k all over."""
+    """A folder of images; image k has the grey value 10 k."""
     for number in range(9):
         cv2.imwrite(str(tmp_path / f"{number:03d}.png"), np.full((6, 8, 3), 10 * number, np.uint8))
     return str(tmp_path / "%03d.png")
 
 
-def test_frames_that_began_too_early_are_thrown_away(sequence):
+def test_frames_that_began_too_early_are_discarded(sequence):
     with (opened := camera(sequence)):
         frames = [opened.trigger(0) for _ in range(3)]
 
@@ -31,7 +31,7 @@ def test_frames_that_began_too_early_are_thrown_away(sequence):
     assert frames[0].image.shape == (6, 8)
 
 
-def test_how_many_is_for_the_user_to_say(sequence):
+def test_the_number_of_discarded_frames_is_a_parameter(sequence):
     with (opened := camera(sequence, flush="0")):
         frames = [opened.trigger(0) for _ in range(2)]
 
@@ -39,7 +39,7 @@ def test_how_many_is_for_the_user_to_say(sequence):
 
 
 @pytest.mark.parametrize("flush", ["nan", "-1", "1.5"])
-def test_an_impossible_number_of_frames_is_wrong_usage(flush):
+def test_an_invalid_number_of_frames_is_a_usage_error(flush):
     with pytest.raises(UsageError, match=f'flush is "{flush}"'):
         camera("frames/%03d.png", flush=flush)
 
@@ -51,7 +51,7 @@ def test_the_size_is_the_images(sequence):
     assert (description.image_width, description.image_height, description.saturation_dn) == (8, 6, 255)
 
 
-def test_a_camera_that_gives_no_more_frames_is_an_error(sequence):
+def test_a_camera_without_further_frames_is_an_error(sequence):
     with (opened := camera(sequence, flush="0")):
         for _ in range(9):
             opened.trigger(0)
@@ -59,17 +59,17 @@ def test_a_camera_that_gives_no_more_frames_is_an_error(sequence):
             opened.trigger(0)
 
 
-def test_an_absent_device_says_so():
+def test_an_absent_device_is_an_error():
     with pytest.raises(DeviceError, match=r"cannot be opened; see ringpose capture --list"):
         camera("/dev/video99").open()
 
 
-def test_a_feature_that_it_does_not_know_is_refused(sequence):
+def test_an_unknown_feature_is_rejected(sequence):
     with (opened := camera(sequence)), pytest.raises(DeviceError, match="has no feature TriggerMode"):
         opened.set("TriggerMode", "On")
 
 
-def test_opencv_adds_no_lines_to_the_one_that_says_so(capfd):
+def test_opencv_adds_no_messages_of_its_own(capfd):
     with pytest.raises(DeviceError):
         camera("/dev/video99").open()
 

@@ -1,4 +1,4 @@
-"""Boards on pseudo-terminals, and the real command that captures with them."""
+"""Virtual relay boards, and processes of `ringpose capture` that use them."""
 
 import os
 import socket
@@ -66,7 +66,7 @@ relays.WatchdogLasers = Unwatched
 
 @pytest.fixture
 def board() -> Callable[..., Any]:
-    """Serves a board by its scheme; `uri` is what capture is given."""
+    """Serves a virtual board by its scheme; yields it with its URI."""
 
     @contextmanager
     def served(scheme: str, faults: RelayFaults | None = None) -> Iterator[tuple[ServedRelays, str]]:
@@ -79,7 +79,7 @@ def board() -> Callable[..., Any]:
 
 @pytest.fixture
 def scene_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The working folder, with a small scene in it."""
+    """A working folder with a small scene."""
     (tmp_path / "rig.yaml").write_text(SMALL_RIG)
     (tmp_path / "scene.yaml").write_text(SCENE)
     monkeypatch.chdir(tmp_path)
@@ -102,7 +102,7 @@ def capturing(scene_folder: Path, forker: socket.socket) -> Callable[..., Forked
 
 @pytest.fixture
 def without_watchdog() -> str:
-    """Code that removes the watchdog."""
+    """Code that replaces the watchdog by a driver that opens the port itself."""
     return WITHOUT_WATCHDOG
 
 
@@ -118,5 +118,5 @@ def waited(condition: Callable[[], bool], limit_s: float) -> float:
 
 @pytest.fixture
 def time_until() -> Callable[..., float]:
-    """`waited`, for the tests."""
+    """The function `waited`."""
     return waited

@@ -1,17 +1,17 @@
-"""What the real command does when its watchdog or its cable is lost."""
+"""`ringpose capture` when its watchdog, the cable of the board or the disk fails."""
 
 import os
 import signal
-import time
 from pathlib import Path
 
 import pytest
+from guarded_lasers import on_mask
 
 from ringpose.cli.main import main
 from ringpose.files.images.sessions import read_session
 from ringpose.files.images.shots import read_shot
 
-SLOW = ("--settle", "0.3", "--sequence", "off,all")
+SLOW = ("--settle", "0.3", "--sequence", "all,off")
 
 
 FULL_AFTER_A_SHOT = """
@@ -22,16 +22,12 @@ def fill():
     resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000))
 threading.Thread(target=fill, daemon=True).start()
 """
-"""Put before the command: once a shot is there, no file may grow beyond 3 kB."""
+"""Code to run before the command: after the first shot, no file may grow beyond 3 kB."""
 
 
 def watchdog_of(process) -> int:
     (child,) = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
     return int(child)
-
-
-def lit(relays):
-    return relays.mask_at(time.monotonic()) != 0
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
@@ -43,13 +39,13 @@ def test_a_capture_whose_watchdog_is_killed_switches_off_and_ends(
 ):
     with board(scheme) as (relays, uri), capturing(uri, *SLOW) as process:
         first = process.stdout.readline().strip()
-        assert time_until(lambda: lit(relays), 10.0) < 10.0
+        assert time_until(lambda: on_mask(relays), 10.0) < 10.0
         os.kill(watchdog_of(process), number)
-        off_s = time_until(lambda: not lit(relays), 2.0)
+        off_s = time_until(lambda: not on_mask(relays), 2.0)
         _, message = process.communicate(timeout=30)
 
     assert off_s < 0.05
-    assert not lit(relays)
+    assert not on_mask(relays)
     assert process.returncode == 69
     assert message.endswith("the watchdog of the lasers ended; they were switched off without it\n")
     capture = read_session(tmp_path / "s").captures[0]
@@ -57,11 +53,11 @@ def test_a_capture_whose_watchdog_is_killed_switches_off_and_ends(
 
 
 @pytest.mark.parametrize("words", [SLOW, ("--rate", "0.1")], ids=["while a laser is on", "between two shots"])
-def test_a_pulled_cable_ends_the_capture_with_its_finished_shots(board, capturing, time_until, tmp_path, words):
+def test_an_unplugged_board_ends_the_capture_and_keeps_finished_shots(board, capturing, time_until, tmp_path, words):
     with board("lcus") as (relays, uri), capturing(uri, *words) as process:
         first = process.stdout.readline().strip()
         if words is SLOW:
-            assert time_until(lambda: lit(relays), 10.0) < 10.0
+            assert time_until(lambda: on_mask(relays), 10.0) < 10.0
         relays.unplug()
         noticed_s = time_until(lambda: read_session(tmp_path / "s").captures[0].state == "stopped", 5.0)
         _, message = process.communicate(timeout=30)
@@ -75,13 +71,13 @@ def test_a_pulled_cable_ends_the_capture_with_its_finished_shots(board, capturin
     assert read_shot(tmp_path / first).seen_lasers is not None
 
 
-def test_a_full_disk_leaves_the_lasers_off_and_the_finished_shots(board, capturing, tmp_path):
+def test_a_full_disk_ends_the_capture_with_lasers_off_and_keeps_finished_shots(board, capturing, tmp_path):
     with board("lcus") as (relays, uri), capturing(uri, "--settle", "0.05", before=FULL_AFTER_A_SHOT) as process:
         names, message = process.communicate(timeout=60)
 
     assert process.returncode == 74
     assert "writing broke off" in message
-    assert not lit(relays)
+    assert not on_mask(relays)
     finished = read_session(tmp_path / "s").shots
     assert len(finished) >= 1
     assert names == "".join(f"s/{name}.npz\n" for name in finished)
@@ -122,7 +118,7 @@ def test_a_full_disk_leaves_the_lasers_off_and_the_finished_shots(board, capturi
         ("relay:/dev/ttyNone", 2, "names no device; it begins with one of ascii:, lcus:"),
     ],
 )
-def test_lasers_that_cannot_be_had_are_one_line(scene_folder, capsys, lasers, status, complaint):
+def test_unavailable_lasers_give_one_line_on_stderr(scene_folder, capsys, lasers, status, complaint):
     ended = main(["capture", "--camera", f"sim:{scene_folder}/scene.yaml", "--lasers", lasers, "--output", "s"])
 
     message = capsys.readouterr().err
@@ -133,7 +129,7 @@ def test_lasers_that_cannot_be_had_are_one_line(scene_folder, capsys, lasers, st
 
 
 @pytest.mark.parametrize("words", [("--exposure", "1"), ("--sequence", "off,1@960ms"), ("--settle", "1")])
-def test_a_frame_that_lasts_longer_than_the_watchdog_waits_is_wrong_usage(scene_folder, capsys, words):
+def test_a_frame_longer_than_the_heartbeat_is_a_usage_error(scene_folder, capsys, words):
     lasers = "lcus:/dev/ttyNone?ch=1,2,3"
 
     ended = main(["capture", "--camera", f"sim:{scene_folder}/scene.yaml", "--lasers", lasers, *words])

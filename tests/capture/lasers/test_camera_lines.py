@@ -9,7 +9,7 @@ from ringpose.errors import DeviceError, LaserSafetyError, UsageError
 
 
 class NotedLines:
-    """A camera whose lines are all high when it is found."""
+    """A fake camera whose lines are all high at first."""
 
     def __init__(self, says=True, stuck=""):
         self.high = dict.fromkeys(("Line1", "Line2", "Line4"), True)
@@ -32,7 +32,7 @@ def line_lasers(camera, text="line:Line2,Line4,Line1", names=None) -> LineLasers
     return lasers
 
 
-def test_all_lines_are_low_before_anything_is_lit():
+def test_all_lines_are_low_after_opening():
     camera = NotedLines()
 
     line_lasers(camera).open()
@@ -40,7 +40,7 @@ def test_all_lines_are_low_before_anything_is_lit():
     assert camera.high == {"Line1": False, "Line2": False, "Line4": False}
 
 
-def test_what_goes_off_goes_off_before_what_comes_on():
+def test_lasers_are_switched_off_before_others_are_switched_on():
     camera = NotedLines()
     lasers = line_lasers(camera)
     lasers.set_mask(0b001)
@@ -52,12 +52,12 @@ def test_what_goes_off_goes_off_before_what_comes_on():
     assert lasers.read_mask() == 0b010
 
 
-def test_a_line_that_stays_high_in_the_end_is_a_safety_fault():
+def test_a_line_that_remains_high_is_a_safety_fault():
     with pytest.raises(LaserSafetyError, match="mask 2"), line_lasers(NotedLines(stuck="Line4")) as _:
         pass
 
 
-def test_a_camera_that_cannot_say_leaves_no_report():
+def test_a_camera_that_does_not_report_its_lines_gives_no_mask():
     assert line_lasers(NotedLines(says=False)).read_mask() is None
 
 
@@ -70,11 +70,11 @@ def test_lines_may_be_named_by_their_lasers():
     assert [line for line, high in camera.high.items() if high] == ["Line1"]
 
 
-def test_a_line_given_twice_is_wrong_usage():
+def test_a_repeated_line_is_a_usage_error():
     with pytest.raises(UsageError, match="names a channel twice"):
         line_lasers(NotedLines(), "line:Line1,Line1")
 
 
-def test_a_camera_without_output_lines_has_none():
+def test_a_camera_without_output_lines_is_a_usage_error():
     with pytest.raises(UsageError, match="needs a camera that has output lines"):
         line_lasers(object())

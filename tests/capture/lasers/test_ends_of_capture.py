@@ -1,9 +1,10 @@
-"""Whatever ends the real command, the lasers go off: each board, each signal; and without the watchdog they do not."""
+"""The lasers go off within 50 ms however `ringpose capture` ends, and stay on without the watchdog."""
 
 import signal
 import time
 
 import pytest
+from guarded_lasers import on_mask
 
 from ringpose.files.images.sessions import read_session
 
@@ -11,22 +12,19 @@ OFF_WITHIN_S = 0.05
 
 HEARTBEAT_S = 1.0
 
-BURN = ("--settle", "0.4", "--sequence", "off,all")
-"""So that at any moment a laser is on for long enough to be found on."""
+LONG_ON = ("--settle", "0.4", "--sequence", "all,off")
+"""Options with which the lasers are on for long enough to be observed."""
 
 SCHEMES = ["lcus", *(pytest.param(scheme, marks=pytest.mark.slow) for scheme in ("numato", "modbus", "ascii"))]
 
-HANDLED = [signal.SIGTERM, signal.SIGINT, signal.SIGHUP]
-
 FATAL = [signal.SIGKILL, signal.SIGSEGV]
 
-
-def lit(relays):
-    return relays.mask_at(time.monotonic()) != 0
+HANDLED = [signal.SIGTERM, *(pytest.param(number, marks=pytest.mark.slow) for number in (signal.SIGINT, signal.SIGHUP))]
+"""Signals that the command converts to exceptions, all in the same way."""
 
 
 def fastest(measured, tries=3):
-    """The first time within the limit, or the least: a busy machine may be late, a watchdog may not."""
+    """The first time within the limit, or the shortest one: the delay of a busy machine varies."""
     times_s = []
     while len(times_s) < tries and min(times_s, default=OFF_WITHIN_S) >= OFF_WITHIN_S:
         times_s.append(measured())
@@ -34,12 +32,12 @@ def fastest(measured, tries=3):
 
 
 def off_time(relays, process, number, time_until, limit_s=5.0):
-    """Seconds from a signal to a capture with lasers on until they are off for good."""
-    assert time_until(lambda: lit(relays), 30.0) < 30.0
+    """Time from a signal to a capture with lasers on until they are off, and stay off."""
+    assert time_until(lambda: on_mask(relays), 30.0) < 30.0
     process.send_signal(number)
-    off_s = time_until(lambda: not lit(relays), limit_s)
-    time.sleep(0.3)
-    assert not lit(relays)
+    off_s = time_until(lambda: not on_mask(relays), limit_s)
+    time.sleep(0.1)
+    assert not on_mask(relays)
     return off_s
 
 
@@ -47,7 +45,7 @@ def off_time(relays, process, number, time_until, limit_s=5.0):
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_the_lasers_are_off_within_50_ms_whatever_ends_the_capture(board, capturing, time_until, scheme, number):
     def measured():
-        with board(scheme) as (relays, uri), capturing(uri, *BURN, "--force") as process:
+        with board(scheme) as (relays, uri), capturing(uri, *LONG_ON, "--force") as process:
             off_s = off_time(relays, process, number, time_until)
         assert process.returncode == (-number if number in FATAL else 128 + number)
         return off_s
@@ -56,28 +54,31 @@ def test_the_lasers_are_off_within_50_ms_whatever_ends_the_capture(board, captur
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
-def test_the_lasers_of_a_suspended_capture_go_off_and_it_goes_on_where_it_was(board, capturing, time_until, scheme):
+def test_a_suspended_capture_switches_off_and_can_be_continued(board, capturing, time_until, scheme):
     def measured():
-        with board(scheme) as (relays, uri), capturing(uri, *BURN, "--count", "2", "--force") as process:
+        with board(scheme) as (relays, uri), capturing(uri, *LONG_ON, "--count", "1", "--force") as process:
             off_s = off_time(relays, process, signal.SIGSTOP, time_until)
             process.send_signal(signal.SIGCONT)
             names, message = process.communicate()
-        assert (process.returncode, names.count("\n"), message) == (0, 2, "")
+        assert (process.returncode, names.count("\n"), message) == (0, 1, "")
         return off_s
 
     assert fastest(measured) < OFF_WITHIN_S
 
 
-def test_the_lasers_go_off_before_the_memory_of_a_large_capture_is_given_back(board, capturing, time_until):
+def test_the_lasers_go_off_before_the_memory_of_a_large_capture_is_freed(board, capturing, time_until):
     def measured():
         ballast = "ballast = b'x' * 700_000_000"
-        with board("lcus") as (relays, uri), capturing(uri, *BURN, "--force", before=ballast) as process:
+        with board("lcus") as (relays, uri), capturing(uri, *LONG_ON, "--force", before=ballast) as process:
             return off_time(relays, process, signal.SIGKILL, time_until)
 
     assert fastest(measured) < OFF_WITHIN_S
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize(
+    "number",
+    [signal.SIGTERM, *(pytest.param(each, marks=pytest.mark.slow) for each in (signal.SIGKILL, signal.SIGINT))],
+)
 def test_the_lasers_are_off_within_50_ms_whatever_ends_a_live_measurement(board, capturing, time_until, number):
     def measured():
         live = ("pose", "--rig", "rig.yaml")
@@ -93,11 +94,11 @@ def test_the_lasers_are_off_within_50_ms_whatever_ends_a_live_measurement(board,
     "number",
     [signal.SIGKILL, *(pytest.param(each, marks=pytest.mark.slow) for each in (signal.SIGSEGV, signal.SIGSTOP))],
 )
-def test_without_the_watchdog_the_lasers_burn_on(board, capturing, time_until, without_watchdog, number):
-    with board("lcus") as (relays, uri), capturing(uri, *BURN, before=without_watchdog) as process:
-        assert time_until(lambda: lit(relays), 30.0) < 30.0
+def test_without_the_watchdog_the_lasers_stay_on(board, capturing, time_until, without_watchdog, number):
+    with board("lcus") as (relays, uri), capturing(uri, *LONG_ON, before=without_watchdog) as process:
+        assert time_until(lambda: on_mask(relays), 30.0) < 30.0
         process.send_signal(number)
-        off_s = time_until(lambda: not lit(relays), 2 * HEARTBEAT_S)
+        off_s = time_until(lambda: not on_mask(relays), 1.4 * HEARTBEAT_S)
         process.kill()
 
     assert off_s == float("inf")

@@ -1,4 +1,4 @@
-"""Our Modbus frames before a server that we did not write: pymodbus, at the other end of a serial line."""
+"""The Modbus codec against an independent server: pymodbus at the other end of a serial line."""
 
 import os
 import select
@@ -39,7 +39,7 @@ asyncio.run(serve())
 
 @pytest.fixture
 def line():
-    """Two terminals that are the ends of one serial line."""
+    """Two pseudo-terminals that are the ends of one serial line."""
     (left, left_end), (right, right_end) = os.openpty(), os.openpty()
     stopped, stop = os.pipe()
 
@@ -78,7 +78,7 @@ def modbus_at(port, words=""):
     return driver(LASERS, "modbus")(parts, LaserContext())
 
 
-def test_a_standard_server_understands_every_mask(line, server):
+def test_a_standard_server_switches_every_mask(line, server):
     lasers = modbus_at(line[0])
     with lasers:
         reported = []
@@ -99,6 +99,6 @@ def test_a_standard_server_rejects_the_timed_pulse_and_that_is_reported(line, se
         lasers.set_mask(0b001)
 
 
-def test_a_unit_that_is_not_there_is_refused(line, server):
+def test_a_missing_unit_is_an_error(line, server):
     with pytest.raises(DeviceError, match="refused 09 0f 00 00 00 03 01 00 8e f1"), modbus_at(line[0], "&unit=9"):
         pass

@@ -1,4 +1,4 @@
-"""A watchdog opens the port of its board, or reports why it cannot."""
+"""Opening of relay lasers, and its errors."""
 
 import os
 import resource
@@ -6,7 +6,7 @@ import time
 import tty
 
 import pytest
-from guarded_lasers import lasers_at, lit
+from guarded_lasers import lasers_at, on_mask
 
 from ringpose.errors import DeviceError
 
@@ -14,12 +14,12 @@ ALL_SCHEMES = ["lcus", "numato", "modbus", "ascii"]
 
 
 @pytest.mark.parametrize("scheme", ALL_SCHEMES)
-def test_opening_switches_off_what_was_on(board, scheme):
+def test_opening_switches_all_lasers_off(board, scheme):
     with board(scheme) as (relays, uri):
         relays.contacts.command(1, True, time.monotonic())
         relays._coils_until_s[1] = float("inf")
         with lasers_at(uri):
-            opened = lit(relays)
+            opened = on_mask(relays)
 
     assert opened == 0
 
@@ -43,7 +43,7 @@ def test_a_watchdog_that_dies_while_it_opens_is_replaced(board, monkeypatch):
             lasers.open()
         lasers.close()
 
-    assert lit(relays) == 0
+    assert on_mask(relays) == 0
 
 
 @pytest.mark.parametrize("scheme", [pytest.param("numato", marks=pytest.mark.slow), "modbus"])
@@ -60,7 +60,7 @@ def test_a_board_of_eight_relays_that_is_silent_is_no_safety_fault(scheme):
     os.close(slave)
 
 
-def test_a_port_that_is_not_there_says_where_to_look():
+def test_a_missing_port_is_an_error_with_a_remedy():
     with (
         pytest.raises(DeviceError, match="no such file or directory; see ls /dev/serial/by-id"),
         lasers_at("lcus:/dev/ttyNone?ch=1"),
@@ -68,14 +68,14 @@ def test_a_port_that_is_not_there_says_where_to_look():
         pass
 
 
-def test_a_file_that_is_no_port_is_refused(tmp_path):
+def test_a_file_that_is_not_a_port_is_rejected(tmp_path):
     (tmp_path / "file").write_text("")
 
     with pytest.raises(DeviceError, match="it is not a serial port"), lasers_at(f"lcus:{tmp_path}/file?ch=1"):
         pass
 
 
-def test_a_port_has_one_owner(board):
+def test_a_port_is_opened_exclusively(board):
     with (
         board("lcus") as (_, uri),
         lasers_at(uri),
@@ -85,11 +85,11 @@ def test_a_port_has_one_owner(board):
         pass
 
 
-def test_a_board_that_speaks_otherwise_is_not_taken_for_the_one_that_was_named(board):
+def test_a_board_with_another_protocol_is_an_error(board):
     with board("lcus") as (relays, _):
         lasers = lasers_at(f"modbus:{relays.port}?ch=0,1,2")
         with pytest.raises(DeviceError, match="does not answer"):
             lasers.open()
         lasers.close()
 
-    assert lit(relays) == 0
+    assert on_mask(relays) == 0

@@ -1,4 +1,4 @@
-"""A relay board at a port that records every byte and sends given answers."""
+"""The relay board driver with a port that records every byte and sends given answers."""
 
 import pytest
 
@@ -14,7 +14,7 @@ DARK = b"CH1: OFF\r\nCH2: OFF\r\nCH3: OFF\r\n"
 
 
 class NotedPort(SerialPort):
-    """Gives `answers` one after the other, the last one for ever; an exception is raised."""
+    """Returns `answers` in turn, the last one repeatedly; an exception is raised."""
 
     def __init__(self, *answers):
         super().__init__("port", 9600)
@@ -34,7 +34,7 @@ def board_at(port, read_back="try", relays=(0, 1, 2)):
     return RelayBoard(RelaySettings(scheme="lcus", port="port", relays=relays, read_back=read_back), port)
 
 
-def test_what_goes_off_is_told_before_what_comes_on():
+def test_off_commands_are_sent_before_on_commands():
     port = NotedPort(DARK)
     board = board_at(port)
     board.set_mask(0b101)
@@ -45,7 +45,7 @@ def test_what_goes_off_is_told_before_what_comes_on():
     assert [request.hex() for request in port.sent] == ["a00100a1", "a00201a3"]
 
 
-def test_neighbours_go_off_in_one_go_and_others_one_by_one():
+def test_adjacent_relays_are_switched_off_by_one_command():
     together, apart = NotedPort(DARK), NotedPort(DARK)
 
     board_at(together).all_off()
@@ -55,13 +55,13 @@ def test_neighbours_go_off_in_one_go_and_others_one_by_one():
     assert [request.hex() for request in apart.sent] == ["a00100a1", "a00300a3", "ff"]
 
 
-def test_a_stale_answer_is_asked_for_again():
+def test_a_stale_answer_is_read_again():
     board = board_at(NotedPort(DARK.replace(b"CH2: OFF", b"CH2: ON "), DARK))
 
     assert board.read_mask() == 0
 
 
-def test_a_board_that_says_nothing_is_told_twice_and_not_asked_again():
+def test_a_silent_board_receives_off_twice_and_is_not_read_again():
     port = NotedPort(b"")
     board = board_at(port)
 
@@ -72,7 +72,7 @@ def test_a_board_that_says_nothing_is_told_twice_and_not_asked_again():
 
 
 @pytest.mark.parametrize("answer", [b"", DARK.replace(b"CH3: OFF", b"CH3: ON "), DeviceError("port", "gone")])
-def test_lasers_that_cannot_be_shown_to_be_off_are_an_error_after_three_attempts(answer):
+def test_lasers_not_reported_off_are_an_error_after_three_attempts(answer):
     port = NotedPort(answer)
 
     with pytest.raises(DeviceError):
@@ -81,7 +81,7 @@ def test_lasers_that_cannot_be_shown_to_be_off_are_an_error_after_three_attempts
     assert port.sent.count(ALL_OFF) == 3
 
 
-def test_a_board_that_understands_at_the_third_attempt_is_off():
+def test_a_board_that_answers_at_the_third_attempt_is_off():
     port = NotedPort(DeviceError("port", "busy"), DeviceError("port", "busy"), DARK)
 
     board_at(port, read_back="yes").all_off()
@@ -109,9 +109,9 @@ def test_one_relay_that_fails_does_not_keep_the_others_on():
 
 
 @pytest.mark.parametrize("lost", [1, 2])
-def test_a_byte_that_is_lost_on_the_line_ends_no_capture(lost):
+def test_a_lost_byte_does_not_end_the_capture(lost):
     class Noisy(NotedPort):
-        """Says nothing to every so many orders in a row, then answers as a Modbus board does."""
+        """Does not answer a number of commands in a row, then answers as a Modbus board."""
 
         def exchange(self, request, is_whole, limit_s):
             self.sent.append(request)

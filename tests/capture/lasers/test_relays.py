@@ -1,4 +1,4 @@
-"""URIs of relay boards -> settings."""
+"""Settings of relay boards from their URIs."""
 
 import pytest
 
@@ -22,12 +22,12 @@ def test_channels_are_in_the_order_of_the_rig_or_have_its_names(channels, relays
 
 
 @pytest.mark.parametrize(("scheme", "channels"), [("lcus", "2"), ("numato", "1"), ("modbus", "1")])
-def test_boards_count_from_their_own_first_relay(scheme, channels):
+def test_relay_numbers_start_at_the_first_of_the_board(scheme, channels):
     assert settings_of(f"{scheme}:/dev/x?ch={channels}").relays == (1,)
 
 
 @pytest.mark.parametrize("count", range(1, 9))
-def test_any_number_of_lasers_that_a_mask_has_room_for(count):
+def test_up_to_eight_lasers_are_accepted(count):
     channels = ",".join(map(str, range(1, count + 1)))
 
     assert len(settings_of(f"lcus:/dev/x?ch={channels}").relays) == count

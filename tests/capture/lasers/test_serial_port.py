@@ -1,4 +1,4 @@
-"""Whatever pyserial raises is a `DeviceError` that says what to do."""
+"""The serial port converts every error of pyserial into a `DeviceError` with a remedy."""
 
 import errno
 import os
@@ -13,7 +13,7 @@ from ringpose.errors import DeviceError
 
 
 class FakeSerial(serial.Serial):
-    """A port whose every call raises, or whose inputs are set."""
+    """A fake port whose calls raise an error, or whose inputs are set."""
 
     cts = dsr = False
 
@@ -43,18 +43,18 @@ def port_with(fake):
         (BlockingIOError(errno.EAGAIN, "busy"), "another program uses it; end that first"),
     ],
 )
-def test_every_kind_of_error_is_one(error, words):
+def test_every_error_of_pyserial_is_a_device_error(error, words):
     with pytest.raises(DeviceError, match=f"/dev/ttyUSB0: .*{words}"):
         port_with(FakeSerial(error)).exchange(b"x", lambda received: True, 0.1)
 
 
 @pytest.mark.parametrize("closed", [True, False])
 @pytest.mark.parametrize("name", ["cts", "dsr"])
-def test_inputs_tell_whether_the_interlock_is_closed(name, closed):
+def test_inputs_report_whether_the_interlock_is_closed(name, closed):
     assert port_with(FakeSerial(**{name: closed})).is_contact_closed(name) is closed
 
 
-def test_a_port_without_such_inputs_is_no_closed_interlock():
+def test_a_port_without_inputs_is_an_error():
     master, slave = os.openpty()
     port = SerialPort(os.ttyname(slave), 9600)
     port.open()
@@ -67,7 +67,7 @@ def test_a_port_without_such_inputs_is_no_closed_interlock():
     os.close(slave)
 
 
-def test_an_answer_in_pieces_is_put_together_and_a_late_one_not_waited_for():
+def test_an_answer_in_pieces_is_joined_and_a_late_one_times_out():
     master, slave = os.openpty()
     tty.setraw(slave)
     port = SerialPort(os.ttyname(slave), 9600)
@@ -87,7 +87,7 @@ def test_an_answer_in_pieces_is_put_together_and_a_late_one_not_waited_for():
     os.close(slave)
 
 
-def test_the_end_of_somebody_interrupts_the_wait_for_an_answer():
+def test_a_readable_descriptor_interrupts_the_wait_for_an_answer():
     master, slave = os.openpty()
     ended, ending = os.pipe()
     port = SerialPort(os.ttyname(slave), 9600)

@@ -1,8 +1,11 @@
-"""Shots of a drawn camera that looks at what the relays of a board truly light."""
+"""Shots of a simulated camera (`DrawnCamera`) with the lasers that the relays of a virtual board switch."""
+
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
 from drawn_camera import DrawnCamera
+from guarded_lasers import lasers_at
 
 from ringpose.capture.lasers.driver import LaserContext
 from ringpose.capture.pipeline import Procedure, captured_shots
@@ -20,17 +23,27 @@ def procedure(sequence=IN_TURN, settle_s=0.005, must_see=True):
 
 
 @pytest.fixture
-def shots_of(board, rng):
-    """Takes shots with a board that has these faults; gives them with the camera."""
+def opened(board, rng):
+    """Opens the lasers of a virtual board and a camera that shows them; yields the board, the camera and the lasers."""
 
-    def taken(how, faults=None, names=("a",), scheme="lcus", **camera_words):
+    @contextmanager
+    def devices(scheme="lcus", faults=None, **camera_options):
         with board(scheme, faults) as (relays, uri):
-            parts = device_uri(uri, "--lasers", LASERS)
-            lasers = driver(LASERS, parts.scheme)(parts, LaserContext())
-            camera = DrawnCamera(relays.contacts, rng, **camera_words)
+            lasers = lasers_at(uri)
+            camera = DrawnCamera(relays.contacts, rng, **camera_options)
             with camera, lasers:
-                shots = list(captured_shots(camera, lasers, how, names))
-        return shots, camera
+                yield relays, camera, lasers
+
+    return devices
+
+
+@pytest.fixture
+def shots_of(opened):
+    """Takes shots with a board that has injected faults; returns the shots and the camera."""
+
+    def taken(how, faults=None, names=("a",), scheme="lcus", **camera_options):
+        with opened(scheme, faults, **camera_options) as (_, camera, lasers):
+            return list(captured_shots(camera, lasers, how, names)), camera
 
     return taken
 
@@ -67,16 +80,12 @@ def test_relays_that_follow_late_are_waited_for(shots_of):
     assert 3 * 5 < camera.taken < 3 * 5 + 15
 
 
-def test_a_laser_that_is_hidden_now_and_then_does_not_make_the_capture_slower(board, rng):
-    with board("lcus") as (relays, uri):
-        parts = device_uri(uri, "--lasers", LASERS)
-        lasers = driver(LASERS, parts.scheme)(parts, LaserContext())
-        camera = DrawnCamera(relays.contacts, rng)
-        settles_s = []
-        with camera, lasers:
-            for number, shot in enumerate(captured_shots(camera, lasers, procedure(settle_s=0.01), "abcde")):
-                settles_s.append(shot.meta["settle_s"])
-                camera.hidden = {camera.taken + 2} if number % 2 == 0 else set()
+def test_a_laser_that_is_hidden_now_and_then_does_not_make_the_capture_slower(opened):
+    settles_s = []
+    with opened() as (_, camera, lasers):
+        for number, shot in enumerate(captured_shots(camera, lasers, procedure(settle_s=0.01), "abcde")):
+            settles_s.append(shot.meta["settle_s"])
+            camera.hidden = {camera.taken + 2} if number % 2 == 0 else set()
 
     assert settles_s == [0.01, 0.02, 0.01, 0.02, 0.01]
 
@@ -92,7 +101,7 @@ def test_lasers_are_waited_for_no_longer_than_the_watchdog_allows(shots_of, monk
 def test_every_image_shows_the_lasers_of_its_mask_and_no_other(shots_of):
     late = RelayFaults(operate_s=0.01, release_s=0.01, late_s={1: 0.02})
 
-    shots, _ = shots_of(procedure(settle_s=0.0), late, names=list("abcdef"))
+    shots, _ = shots_of(procedure(settle_s=0.0), late, names="abc")
 
     stripes = np.array([shot.images[:, [11, 26, 41], 100] > 80 for shot in shots])
     truth = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 0]], dtype=bool)
@@ -117,19 +126,15 @@ def test_a_welded_contact_is_a_safety_fault_though_the_board_reports_it_open(sho
         shots_of(procedure(must_see=must_see), RelayFaults(stuck=frozenset({1})), scheme=scheme)
 
 
-def test_a_contact_that_welds_between_two_shots_is_a_safety_fault(board, rng):
-    with board("lcus") as (relays, uri):
-        parts = device_uri(uri, "--lasers", LASERS)
-        lasers = driver(LASERS, parts.scheme)(parts, LaserContext())
-        camera = DrawnCamera(relays.contacts, rng)
-        with camera, lasers:
-            shots = captured_shots(camera, lasers, procedure(), ["a", "b"])
-            next(shots)
-            relays.contacts.faults = RelayFaults(stuck=frozenset({2}))
-            relays.contacts.command(2, True, 0.0)
+def test_a_contact_that_welds_between_two_shots_is_a_safety_fault(opened):
+    with opened() as (relays, camera, lasers):
+        shots = captured_shots(camera, lasers, procedure(), ["a", "b"])
+        next(shots)
+        relays.contacts.faults = RelayFaults(stuck=frozenset({2}))
+        relays.contacts.command(2, True, 0.0)
 
-            with pytest.raises(LaserSafetyError, match="laser 3 was seen while all are off"):
-                next(shots)
+        with pytest.raises(LaserSafetyError, match="laser 3 was seen while all are off"):
+            next(shots)
 
 
 def test_a_laser_that_burns_from_the_beginning_is_a_safety_fault(shots_of):
@@ -146,26 +151,20 @@ def test_a_camera_that_comes_back_loses_no_shot(shots_of, frame):
     assert camera.opened == 2
 
 
-def test_a_camera_that_is_lost_between_two_shots_loses_none(board, rng):
-    with board("lcus") as (relays, uri):
-        parts = device_uri(uri, "--lasers", LASERS)
-        lasers = driver(LASERS, parts.scheme)(parts, LaserContext())
-        camera, taken = DrawnCamera(relays.contacts, rng), []
-        with camera, lasers:
-            for shot in captured_shots(camera, lasers, procedure(), "ab"):
-                taken.append(shot.name)
-                camera.away = True
+def test_a_camera_that_is_lost_between_two_shots_loses_none(opened):
+    taken = []
+    with opened() as (_, camera, lasers):
+        for shot in captured_shots(camera, lasers, procedure(), "ab"):
+            taken.append(shot.name)
+            camera.away = True
 
     assert (taken, camera.opened) == (["a", "b"], 2)
 
 
-def test_a_camera_that_stays_away_ends_the_capture_with_the_lasers_off(board, rng, monkeypatch):
+def test_a_camera_that_stays_away_ends_the_capture_with_the_lasers_off(opened, monkeypatch):
     monkeypatch.setattr("ringpose.capture.pipeline.RECONNECT_S", 0.01)
-    with board("lcus") as (relays, uri):
-        parts = device_uri(uri, "--lasers", LASERS)
-        lasers = driver(LASERS, parts.scheme)(parts, LaserContext())
-        camera = DrawnCamera(relays.contacts, rng, lost=[3], reopens=False)
-        with pytest.raises(DeviceError, match="is gone"), camera, lasers:
+    with opened(lost=[3], reopens=False) as (relays, camera, lasers):
+        with pytest.raises(DeviceError, match="is gone"):
             list(captured_shots(camera, lasers, procedure(), ["a"]))
 
         assert relays.mask_at(float("inf")) == 0
@@ -184,7 +183,8 @@ SLOW = pytest.mark.slow
 
 
 @pytest.mark.parametrize("delay_s", [pytest.param(0.0, marks=SLOW), 0.03, pytest.param(0.08, marks=SLOW)])
-def test_the_settling_time_is_measured_once(shots_of, delay_s):
+def test_the_settling_time_is_measured_once(shots_of, monkeypatch, delay_s):
+    monkeypatch.setattr("ringpose.capture.settling_time.MAX_DURATION_S", 0.15)
     how = procedure(settle_s=None)
 
     shots, _ = shots_of(how, RelayFaults(operate_s=delay_s / 2, release_s=delay_s), names="ab")
@@ -195,7 +195,9 @@ def test_the_settling_time_is_measured_once(shots_of, delay_s):
     assert [shot.seen_lasers.tolist() for shot in shots] == [[0, 1, 2, 4, 0]] * 2
 
 
-def test_what_does_not_show_cannot_be_measured(shots_of):
+def test_what_does_not_show_cannot_be_measured(shots_of, monkeypatch):
+    monkeypatch.setattr("ringpose.capture.settling_time.MAX_DURATION_S", 0.05)
+
     with pytest.raises(DeviceError, match="no laser shows in the image"):
         shots_of(procedure(settle_s=None), RelayFaults(dead=frozenset({0, 1, 2})))
 

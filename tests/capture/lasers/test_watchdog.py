@@ -1,4 +1,4 @@
-"""When the watchdog steps in, on a clock and a board made for it."""
+"""Conditions under which the watchdog switches off, with a fake clock and board."""
 
 from dataclasses import replace
 
@@ -13,21 +13,21 @@ SETTINGS = RelaySettings(scheme="lcus", port="port", relays=(0, 1, 2), heartbeat
 
 class NotedBoard(RelayBoard):
     def __init__(self, fails=False):
-        self.lit, self.offs, self.repeats, self.fails = 0, 0, 0, fails
+        self.on_mask, self.offs, self.repeats, self.fails = 0, 0, 0, fails
 
     def set_mask(self, lasers):
         if self.fails:
             raise DeviceError("port", "does not answer", "look")
-        self.lit = lasers
+        self.on_mask = lasers
 
     def all_off(self):
-        self.lit, self.offs = 0, self.offs + 1
+        self.on_mask, self.offs = 0, self.offs + 1
 
     def repeat(self):
         self.repeats += 1
 
     def read_mask(self):
-        return self.lit
+        return self.on_mask
 
 
 class Clock:
@@ -46,7 +46,7 @@ def watchdog_of(board, clock, faults=(), **changes):
     return Watchdog(board, replace(SETTINGS, **changes), faults, clock)
 
 
-def test_orders_are_answered_by_their_number(clock):
+def test_replies_have_the_number_of_their_command(clock):
     watchdog = watchdog_of(NotedBoard(), clock)
 
     assert [watchdog.execute(line) for line in ("1 set 5", "2 read", "3 off", "4 read")] == [
@@ -54,12 +54,12 @@ def test_orders_are_answered_by_their_number(clock):
     ]  # fmt: skip
 
 
-def test_a_board_that_fails_is_an_answer(clock):
+def test_a_failure_of_the_board_is_replied(clock):
     assert watchdog_of(NotedBoard(fails=True), clock).execute("7 set 1") == "7 err does not answer; look\n"
 
 
-@pytest.mark.parametrize(("silent_s", "lit"), [(0.9, 1), (1.0, 0)])
-def test_silence_ends_the_light(clock, silent_s, lit):
+@pytest.mark.parametrize(("silent_s", "on_mask"), [(0.9, 1), (1.0, 0)])
+def test_a_missing_heartbeat_switches_off(clock, silent_s, on_mask):
     board = NotedBoard()
     watchdog = watchdog_of(board, clock)
     watchdog.execute("1 set 1")
@@ -67,10 +67,10 @@ def test_silence_ends_the_light(clock, silent_s, lit):
     clock.now_s += silent_s
     watchdog.check()
 
-    assert board.lit == lit
+    assert board.on_mask == on_mask
 
 
-def test_silence_with_all_off_does_not_matter(clock):
+def test_no_heartbeat_is_needed_with_all_lasers_off(clock):
     board = NotedBoard()
     watchdog = watchdog_of(board, clock)
 
@@ -81,7 +81,7 @@ def test_silence_with_all_off_does_not_matter(clock):
     assert board.offs == 0
 
 
-def test_a_laser_that_stays_on_through_orders_has_its_time_from_when_it_came_on(clock):
+def test_the_time_on_is_counted_from_when_the_laser_came_on(clock):
     board = NotedBoard()
     watchdog = watchdog_of(board, clock)
     watchdog.execute("1 set 1")
@@ -93,17 +93,17 @@ def test_a_laser_that_stays_on_through_orders_has_its_time_from_when_it_came_on(
     answer = watchdog.execute("9 set 1")
 
     assert answer == "9 off a laser was on for 5 s; raise longest_on= (and pulse=) if it has to be\n"
-    assert board.lit == 0
+    assert board.on_mask == 0
 
 
-def test_another_laser_has_its_own_time(clock):
+def test_the_time_on_restarts_with_another_laser(clock):
     board = NotedBoard()
     watchdog = watchdog_of(board, clock)
     for number in range(20):
         clock.now_s += 0.8
         watchdog.execute(f"{number} set {1 << number % 3}")
 
-    assert board.lit
+    assert board.on_mask
 
 
 @pytest.mark.parametrize("repeat_s", [None, 0.2])
@@ -113,7 +113,7 @@ def test_a_pulse_bounds_the_time_unless_it_is_repeated(repeat_s):
     assert settings.on_limit_s == (2.0 if repeat_s is None else 5.0)
 
 
-def test_what_is_on_is_said_again_for_boards_with_a_watchdog(clock):
+def test_on_commands_are_repeated_for_boards_with_a_watchdog(clock):
     board = NotedBoard()
     watchdog = watchdog_of(board, clock, repeat_s=0.2)
     watchdog.execute("1 set 1")
@@ -126,16 +126,16 @@ def test_what_is_on_is_said_again_for_boards_with_a_watchdog(clock):
     assert clock.now_s == pytest.approx(100.8)
 
 
-def test_nothing_is_lit_while_there_is_danger(clock):
+def test_no_laser_is_switched_on_during_a_fault(clock):
     board = NotedBoard()
 
     assert watchdog_of(board, clock, [lambda: "the interlock is open"]).execute("1 set 1") == (
         "1 err stay off: the interlock is open\n"
     )
-    assert board.lit == 0
+    assert board.on_mask == 0
 
 
-def test_danger_ends_the_light_within_10_ms(clock):
+def test_a_fault_switches_off_within_10_ms(clock):
     board, fault = NotedBoard(), [""]
     watchdog = watchdog_of(board, clock, [lambda: "", lambda: fault[0]])
     watchdog.execute("1 set 1")
@@ -145,11 +145,11 @@ def test_danger_ends_the_light_within_10_ms(clock):
     watchdog.check()
 
     assert waited_s == pytest.approx(0.01)
-    assert board.lit == 0
+    assert board.on_mask == 0
     assert watchdog.execute("2 set 1") == "2 off the interlock is open\n"
 
 
-def test_settings_survive_their_line():
+def test_settings_round_trip_through_json():
     settings = RelaySettings(
         scheme="modbus", port="/dev/x y", relays=(2, 0), codec_parameters={"unit": 7}, pulse_s=0.5, interlock="cts"
     )

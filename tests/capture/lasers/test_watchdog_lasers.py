@@ -1,4 +1,4 @@
-"""The driver and its watchdog, in the same process as the board's stand-in."""
+"""The driver of relay lasers and its watchdog, with a virtual board in this process."""
 
 import os
 import signal
@@ -8,7 +8,7 @@ import time
 from dataclasses import replace
 
 import pytest
-from guarded_lasers import lasers_at, lit
+from guarded_lasers import lasers_at, on_mask
 
 from ringpose.capture.lasers.driver import LasersWentOff
 from ringpose.errors import DeviceError, LaserSafetyError
@@ -18,26 +18,26 @@ ALL_SCHEMES = ["lcus", "numato", "modbus", "ascii"]
 
 
 def off_after_signal(uri: str, relays, time_until, number: int, message: str) -> float:
-    """Seconds from a signal to the watchdog until all lasers are off; the next command says what happened."""
+    """Time from a signal to the watchdog until all lasers are off; the next command reports the fault."""
     lasers = lasers_at(uri)
     with lasers:
         lasers.set_mask(0b111)
-        assert time_until(lambda: lit(relays) == 0b111, 1.0) < 1.0
+        assert time_until(lambda: on_mask(relays) == 0b111, 1.0) < 1.0
         os.kill(lasers.watchdog_pid, number)
-        off_s: float = time_until(lambda: not lit(relays), 2.0)
+        off_s: float = time_until(lambda: not on_mask(relays), 2.0)
         with pytest.raises(DeviceError, match=message):
             lasers.set_mask(0b001)
     return off_s
 
 
 @pytest.mark.parametrize("scheme", ALL_SCHEMES)
-def test_every_board_lights_and_reports_what_is_commanded(board, scheme):
+def test_every_board_switches_and_reports_the_commanded_masks(board, scheme):
     with board(scheme) as (relays, uri):
         lasers, seen = lasers_at(uri), []
         with lasers:
             for mask in (0b001, 0b110, 0b111, 0b010, 0):
                 lasers.set_mask(mask)
-                seen.append((lasers.read_mask(), lit(relays)))  # the board answers when it has switched
+                seen.append((lasers.read_mask(), on_mask(relays)))  # the board answers when it has switched
 
     assert seen == [(mask, mask) for mask in (0b001, 0b110, 0b111, 0b010, 0)]
 
@@ -54,7 +54,7 @@ def test_a_watchdog_that_dies_or_stops_is_replaced_at_once(board, time_until, nu
         )
 
     assert off_s < 0.05
-    assert lit(relays) == 0
+    assert on_mask(relays) == 0
 
 
 @pytest.mark.parametrize(
@@ -73,12 +73,12 @@ def test_an_interrupt_meant_for_the_capture_leaves_the_watchdog_alone(board, tim
         with lasers:
             os.kill(lasers.watchdog_pid, signal.SIGINT)
             lasers.set_mask(0b100)
-            on_s = time_until(lambda: lit(relays) == 0b100, 1.0)
+            on_s = time_until(lambda: on_mask(relays) == 0b100, 1.0)
 
     assert on_s < 1.0
 
 
-def test_a_pulled_cable_is_noticed_within_100_ms_and_is_a_safety_fault(board):
+def test_an_unplugged_board_is_a_safety_fault_within_100_ms(board):
     with board("lcus") as (relays, uri):
         lasers = lasers_at(uri)
         lasers.open()
@@ -93,19 +93,19 @@ def test_a_pulled_cable_is_noticed_within_100_ms_and_is_a_safety_fault(board):
     assert noticed_s < 0.1
 
 
-def test_lasers_without_commands_go_off_and_can_be_lit_again(board, time_until):
+def test_lasers_go_off_without_heartbeat_and_can_be_switched_on_again(board, time_until):
     with board("lcus") as (relays, uri):
         lasers = lasers_at(uri + "&heartbeat=0.2")
         with lasers:
             lasers.set_mask(0b001)
             time.sleep(0.3)
-            forgotten = lit(relays)
+            forgotten = on_mask(relays)
             with pytest.raises(LasersWentOff, match=r"no command came for 0\.2 s; raise heartbeat="):
                 lasers.set_mask(0b010)
-            still_off = lit(relays)
+            still_off = on_mask(relays)
             lasers.set_mask(0)
             lasers.set_mask(0b010)
-            again_s = time_until(lambda: lit(relays) == 0b010, 0.15)
+            again_s = time_until(lambda: on_mask(relays) == 0b010, 0.15)
 
     assert (forgotten, still_off) == (0, 0)
     assert again_s < 0.15
@@ -116,8 +116,8 @@ def test_a_laser_that_is_on_for_too_long_goes_off_despite_commands(board, time_u
         lasers = lasers_at(uri + "&longest_on=0.3")
         with lasers:
             lasers.set_mask(0b001)
-            lit_s = time_until(lambda: lasers.read_mask() == 0b001 and not lit(relays), 0.1)
-            off_s = time_until(lambda: not lit(relays), 1.0)
+            lit_s = time_until(lambda: lasers.read_mask() == 0b001 and not on_mask(relays), 0.1)
+            off_s = time_until(lambda: not on_mask(relays), 1.0)
             with pytest.raises(LasersWentOff, match=r"was on for 0\.3 s; raise longest_on="):
                 lasers.read_mask()
 
@@ -138,7 +138,7 @@ sys.exit(watchdog_process.run(int(sys.argv[1]), sys.argv[2]))
 
 
 @pytest.mark.parametrize("name", ["cts", "dsr"])
-def test_lasers_go_off_when_the_door_opens_and_stay_off(board, time_until, monkeypatch, tmp_path, name):
+def test_lasers_go_off_and_stay_off_while_the_interlock_is_open(board, time_until, monkeypatch, tmp_path, name):
     door = tmp_path / "closed"
     door.touch()
     monkeypatch.setattr("ringpose.capture.lasers.watchdog._START", WATCHDOG_AT_A_DOOR.format(name=name, door=door))
@@ -148,7 +148,7 @@ def test_lasers_go_off_when_the_door_opens_and_stay_off(board, time_until, monke
             lasers.set_mask(0b101)
             lit_while_closed = lasers.read_mask()
             door.unlink()
-            off_s = time_until(lambda: not lit(relays), 0.9)
+            off_s = time_until(lambda: not on_mask(relays), 0.9)
             with pytest.raises(LasersWentOff, match="the interlock is open"):
                 lasers.set_mask(0b010)
             lasers.set_mask(0)
@@ -173,8 +173,8 @@ def test_a_timed_pulse_ends_even_if_capture_and_watchdog_are_killed_together(boa
             os.kill(watchdog, signal.SIGSTOP)
             process.kill()
             os.kill(watchdog, signal.SIGKILL)
-            burning = lit(relays)
-            off_s = time_until(lambda: not lit(relays), 3.0)
+            burning = on_mask(relays)
+            off_s = time_until(lambda: not on_mask(relays), 3.0)
 
     assert burning == 0b111
     assert off_s < 0.6
@@ -191,16 +191,16 @@ def test_a_child_that_outlives_the_capture_does_not_keep_the_lasers_on(board, ti
         line = replace(lasers_at(uri).settings, heartbeat_s=30.0, longest_on_s=30.0).line()
         words = [sys.executable, "-c", program, line]
         with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, start_new_session=True) as process:
-            assert time_until(lambda: lit(relays) == 0b111, 10.0) < 10.0
+            assert time_until(lambda: on_mask(relays) == 0b111, 10.0) < 10.0
             process.stdout.readline()
             process.kill()
-            off_s = time_until(lambda: not lit(relays), 2.0)
+            off_s = time_until(lambda: not on_mask(relays), 2.0)
             os.killpg(process.pid, signal.SIGKILL)
 
     assert off_s < 0.05
 
 
-def test_a_stuck_contact_is_not_seen_by_a_board_that_reports_its_coils(board):
+def test_a_board_that_reports_its_coils_does_not_report_a_stuck_contact(board):
     with board("lcus", RelayFaults(stuck=frozenset({1}))) as (relays, uri):
         lasers = lasers_at(uri)
         with lasers:
@@ -209,4 +209,4 @@ def test_a_stuck_contact_is_not_seen_by_a_board_that_reports_its_coils(board):
             reported = lasers.read_mask()
 
     assert reported == 0
-    assert lit(relays) == 0b010
+    assert on_mask(relays) == 0b010

@@ -1,4 +1,4 @@
-"""Who may write to the camera, and for how long."""
+"""Control channel of the virtual camera: access rights, heartbeat and effects of writes."""
 
 import math
 import struct
@@ -17,7 +17,7 @@ OWNER, OTHER = ("127.0.0.1", 5000), ("127.0.0.1", 5001)
 
 
 class Recorded:
-    """Notes what the camera is told to do."""
+    """Records the actions that are triggered."""
 
     def __init__(self) -> None:
         self.done: list[object] = []
@@ -55,8 +55,15 @@ def control(actions):
     return Control(Registers(identity), actions)
 
 
+@pytest.fixture
+def controlled(control):
+    """The control channel with `OWNER` in control."""
+    assert written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL) == Status.SUCCESS
+    return control
+
+
 def words(*values: int) -> bytes:
-    """Numbers of 32 bits, as a payload has them."""
+    """A payload of 32-bit numbers."""
     return struct.pack(f">{len(values)}I", *values)
 
 
@@ -74,62 +81,54 @@ def asked(control: Control, command: int, payload: bytes = b"", client=OWNER) ->
     return answer
 
 
-def test_nobody_writes_without_control(control, actions):
+def test_a_write_without_control_is_denied(control, actions):
     assert written(control, features.TRIGGER_SOFTWARE, 1) == Status.ACCESS_DENIED
     assert actions.done == []
 
 
-def test_the_one_who_has_control_sets_things_off(control, actions):
-    written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
-
-    assert written(control, features.ACQUISITION_START, 1) == Status.SUCCESS
-    assert written(control, features.TRIGGER_SOFTWARE, 1) == Status.SUCCESS
+def test_writes_of_the_controlling_client_trigger_actions(controlled, actions):
+    assert written(controlled, features.ACQUISITION_START, 1) == Status.SUCCESS
+    assert written(controlled, features.TRIGGER_SOFTWARE, 1) == Status.SUCCESS
     assert actions.done == ["start", "trigger"]
 
 
-def test_control_is_not_taken_from_its_owner(control):
-    written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
-
-    assert written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL, OTHER) == Status.ACCESS_DENIED
-    assert control.client == OWNER
+def test_a_second_client_does_not_get_control(controlled):
+    assert written(controlled, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL, OTHER) == Status.ACCESS_DENIED
+    assert controlled.client == OWNER
 
 
-def test_others_may_read_unless_the_owner_is_exclusive(control):
+def test_other_clients_may_read_unless_access_is_exclusive(control):
     written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.EXCLUSIVE)
 
     assert asked(control, Command.READ_REGISTER, bytes.fromhex("0000a000"), OTHER).status == Status.ACCESS_DENIED
     assert asked(control, Command.READ_REGISTER, bytes.fromhex("0000a000")).payload == b"\0\0\0\4"
 
 
-def test_a_silent_owner_is_given_up_and_its_outputs_go_low(control, actions):
-    written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
-    written(control, features.USER_OUTPUT_VALUE_ALL, 0b101)
+def test_a_heartbeat_timeout_ends_control_and_sets_the_outputs_low(controlled, actions):
+    written(controlled, features.USER_OUTPUT_VALUE_ALL, 0b101)
 
-    control.expire(3.1)
+    controlled.expire(3.1)
 
-    assert control.client is None
-    assert control.registers[features.USER_OUTPUT_VALUE_ALL] == 0
+    assert controlled.client is None
+    assert controlled.registers[features.USER_OUTPUT_VALUE_ALL] == 0
     assert actions.done == ["outputs", "stop", "outputs"]
 
 
-def test_an_owner_that_is_heard_keeps_control(control):
-    written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
-    control.answer(Request(command=Command.DISCOVERY, number=1), OWNER, 2.0)
+def test_any_request_counts_as_a_heartbeat(controlled):
+    controlled.answer(Request(command=Command.DISCOVERY, number=1), OWNER, 2.0)
 
-    control.expire(4.9)
+    controlled.expire(4.9)
 
-    assert control.client == OWNER
-
-
-def test_outputs_one_by_one_make_the_mask_of_all(control):
-    written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
-
-    written(control, features.USER_OUTPUT_VALUE + 8, 1)
-
-    assert control.registers[features.USER_OUTPUT_VALUE_ALL] == 0b100
+    assert controlled.client == OWNER
 
 
-def test_the_description_is_where_the_camera_says(control):
+def test_single_user_outputs_update_their_mask(controlled):
+    written(controlled, features.USER_OUTPUT_VALUE + 8, 1)
+
+    assert controlled.registers[features.USER_OUTPUT_VALUE_ALL] == 0b100
+
+
+def test_the_xml_is_at_the_reported_address(control):
     url = asked(control, Command.READ_MEMORY, words(bootstrap.XML_URL, 512)).payload[4:]
     name, address, size = url.rstrip(b"\0").decode().split(";")
 
@@ -150,32 +149,27 @@ def test_the_description_is_where_the_camera_says(control):
         (bootstrap.XML_URL, Status.WRITE_PROTECT),
     ],
 )
-def test_what_cannot_be_written_is_refused(control, address, status):
-    written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
-
-    assert written(control, address, 1) == status
+def test_a_write_to_a_read_only_or_invalid_address_is_rejected(controlled, address, status):
+    assert written(controlled, address, 1) == status
 
 
-def test_a_row_of_registers_is_written_as_each_of_them_would_be(control, actions):
-    written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
+def test_a_memory_write_has_the_effects_of_its_register_writes(controlled, actions):
     unknown_format = bytes(4) + bytes.fromhex("01100007")
 
-    refused = asked(control, Command.WRITE_MEMORY, (features.HEIGHT).to_bytes(4, "big") + unknown_format)
-    uneven = asked(control, Command.WRITE_MEMORY, features.PIXEL_FORMAT.to_bytes(4, "big") + b"\0\0")
+    refused = asked(controlled, Command.WRITE_MEMORY, (features.HEIGHT).to_bytes(4, "big") + unknown_format)
+    uneven = asked(controlled, Command.WRITE_MEMORY, features.PIXEL_FORMAT.to_bytes(4, "big") + b"\0\0")
     row = features.USER_OUTPUT_VALUE.to_bytes(4, "big") + 2 * bytes.fromhex("00000001")
-    accepted = asked(control, Command.WRITE_MEMORY, row)
+    accepted = asked(controlled, Command.WRITE_MEMORY, row)
 
     assert [refused.status, uneven.status] == [Status.WRITE_PROTECT, Status.BAD_ALIGNMENT]
     assert accepted.status == Status.SUCCESS
-    assert control.registers[features.USER_OUTPUT_VALUE_ALL] == 0b11
+    assert controlled.registers[features.USER_OUTPUT_VALUE_ALL] == 0b11
 
 
-def test_a_pixel_format_that_the_camera_lacks_is_not_kept(control):
-    written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
+def test_an_unknown_pixel_format_is_replaced(controlled):
+    written(controlled, features.PIXEL_FORMAT, 0x010C0006)
 
-    written(control, features.PIXEL_FORMAT, 0x010C0006)
-
-    assert control.registers[features.PIXEL_FORMAT] == 0x01080001
+    assert controlled.registers[features.PIXEL_FORMAT] == 0x01080001
 
 
 @pytest.mark.parametrize(
@@ -188,27 +182,24 @@ def test_a_pixel_format_that_the_camera_lacks_is_not_kept(control):
         (features.FRAME_RATE, 50.0, 50.0),
     ],
 )
-def test_a_number_out_of_its_bounds_is_not_kept(control, address, value, kept):
-    written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
+def test_a_number_is_limited_to_its_bounds(controlled, address, value, kept):
+    asked(controlled, Command.WRITE_MEMORY, struct.pack(">Id", address, value))
 
-    asked(control, Command.WRITE_MEMORY, struct.pack(">Id", address, value))
-
-    read = asked(control, Command.READ_MEMORY, words(address, 8)).payload[4:]
+    read = asked(controlled, Command.READ_MEMORY, words(address, 8)).payload[4:]
     assert struct.unpack(">d", read) == (kept,)
 
 
-def test_no_heartbeat_is_too_short_to_be_kept(control):
-    written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
-    written(control, bootstrap.HEARTBEAT_TIMEOUT, 0)
+def test_the_heartbeat_timeout_has_a_minimum(controlled):
+    written(controlled, bootstrap.HEARTBEAT_TIMEOUT, 0)
 
-    control.expire(0.4)
-    kept = control.client
-    control.expire(0.6)
+    controlled.expire(0.4)
+    kept = controlled.client
+    controlled.expire(0.6)
 
-    assert (kept, control.client) == (OWNER, None)
+    assert (kept, controlled.client) == (OWNER, None)
 
 
-def test_an_address_that_is_not_there_is_refused(control):
+def test_reading_an_invalid_address_is_rejected(control):
     assert asked(control, Command.READ_MEMORY, words(0xFFFFFF00, 8)).status == Status.INVALID_ADDRESS
     assert asked(control, Command.READ_REGISTER, b"\xff\xff\xff\xfc").status == Status.INVALID_ADDRESS
 
@@ -217,7 +208,7 @@ def test_an_address_that_is_not_there_is_refused(control):
     st.lists(st.tuples(st.sampled_from([0x02, 0x40, 0x80, 0x82, 0x84, 0x86]), st.binary(max_size=24)), max_size=8),
     st.integers(0, 0xFFFF),
 )
-def test_no_request_whatsoever_stops_the_camera(commands, address):
+def test_arbitrary_requests_do_not_stop_the_camera(commands, address):
     identity = Identity(address="127.0.0.1", width=4, height=3, bits=8, exposure_s=0.01)
     control = Control(Registers(identity), Recorded())
     written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
@@ -231,22 +222,18 @@ def test_no_request_whatsoever_stops_the_camera(commands, address):
     assert asked(control, Command.DISCOVERY).status == Status.SUCCESS
 
 
-def test_an_unknown_command_is_answered_so(control):
+def test_an_unknown_command_is_answered_as_not_implemented(control):
     assert asked(control, 0x00A0).status == Status.NOT_IMPLEMENTED
 
 
-def test_twelve_bits_need_two_bytes_a_pixel(control):
-    written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
+def test_the_payload_size_follows_the_pixel_format(controlled):
+    written(controlled, features.PIXEL_FORMAT, 0x01100005)
 
-    written(control, features.PIXEL_FORMAT, 0x01100005)
-
-    assert control.registers[features.PAYLOAD_SIZE] == 2 * 4 * 3
+    assert controlled.registers[features.PAYLOAD_SIZE] == 2 * 4 * 3
 
 
-def test_the_clock_is_latched(control):
-    written(control, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
+def test_the_time_stamp_is_latched(controlled):
+    written(controlled, bootstrap.TIMESTAMP_CONTROL, 2)
 
-    written(control, bootstrap.TIMESTAMP_CONTROL, 2)
-
-    assert control.registers[bootstrap.TIMESTAMP_HIGH] == 1
-    assert control.registers[bootstrap.TIMESTAMP_LOW] == 2
+    assert controlled.registers[bootstrap.TIMESTAMP_HIGH] == 1
+    assert controlled.registers[bootstrap.TIMESTAMP_LOW] == 2

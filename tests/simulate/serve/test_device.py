@@ -1,4 +1,4 @@
-"""The served camera at its sockets: whatever comes, it goes on; and what it sends belongs to who asked."""
+"""The virtual camera at its sockets: robustness against arbitrary datagrams, and the limits of an acquisition."""
 
 import socket
 import struct
@@ -15,7 +15,7 @@ from ringpose.wire import gige_registers as bootstrap
 
 
 class Counted:
-    """Image k is grey value k all over."""
+    """Image k has the grey value k in every pixel."""
 
     number = 0
 
@@ -72,7 +72,7 @@ def test_no_datagram_whatsoever_stops_the_camera(identity, port, rng):
         assert port.frame().shape == (2, 4)
 
 
-def test_a_frame_of_an_acquisition_that_was_stopped_does_not_get_into_the_next(identity, port):
+def test_a_frame_of_a_stopped_acquisition_is_not_sent_in_the_next_one(identity, port):
     seen = Counted()
 
     with ServedCamera(identity, seen):
@@ -92,7 +92,7 @@ def test_a_frame_of_an_acquisition_that_was_stopped_does_not_get_into_the_next(i
     assert seen.number == 1
 
 
-def test_a_camera_that_runs_slowly_ends_at_once(identity, port):
+def test_a_camera_with_a_low_frame_rate_stops_at_once(identity, port):
     with ServedCamera(identity, Counted()) as camera:
         write(port, bootstrap.CONTROL_PRIVILEGE, bootstrap.CONTROL)
         write(port, features.FRAME_RATE, 0.1)
@@ -106,7 +106,7 @@ def test_a_camera_that_runs_slowly_ends_at_once(identity, port):
     assert took_s < 0.5
 
 
-def test_a_dead_camera_does_not_keep_the_processor_busy(identity, port):
+def test_a_dead_camera_uses_little_processor_time(identity, port):
     with ServedCamera(identity, Counted(), CameraFaults(dies_after=0)):
         port.control.send(HEADER.pack(0x42, 1, 0x02, 0, 1))
         time.sleep(0.1)

@@ -1,4 +1,4 @@
-"""Faults in the words of the command line."""
+"""Parsing of the option --fault."""
 
 import pytest
 
@@ -6,7 +6,7 @@ from ringpose.errors import UsageError
 from ringpose.simulate.serve.faults import parsed_faults
 
 
-def test_faults_reach_their_parts():
+def test_faults_are_passed_to_their_devices():
     faults = parsed_faults(["loss=0.002", "dead-camera=20", "stuck:2", "late:3=0.05", "operate=0.008", "unplug=7"], 3)
 
     assert (faults.camera.loss, faults.camera.dies_after, faults.unplug_after) == (0.002, 20, 7)
@@ -19,18 +19,18 @@ def test_faults_reach_their_parts():
     ("text", "remedy"),
     [
         ("los=1", "is not a fault; give one of loss"),
-        ("loss", "say loss=0.002"),
-        ("loss=1", "say loss=0.002"),
-        ("loss=nan", "say loss=0.002"),
-        ("stuck", "say stuck:2"),
+        ("loss", "give loss=0.002"),
+        ("loss=1", "give loss=0.002"),
+        ("loss=nan", "give loss=0.002"),
+        ("stuck", "give stuck:2"),
         ("stuck:4", "lasers are numbered from 1 to 3"),
-        ("late:1=x", "say late:2=0.05"),
-        ("no-resend=1", "say no-resend"),
-        ("dead-camera=inf", "say dead-camera=20"),
-        ("unplug=2.5", "say unplug=20"),
-        ("operate=inf", "say operate=0.008"),
+        ("late:1=x", "give late:2=0.05"),
+        ("no-resend=1", "give no-resend"),
+        ("dead-camera=inf", "give dead-camera=20"),
+        ("unplug=2.5", "give unplug=20"),
+        ("operate=inf", "give operate=0.008"),
     ],
 )
-def test_what_is_no_fault_is_wrong_usage(text, remedy):
+def test_an_invalid_fault_is_a_usage_error(text, remedy):
     with pytest.raises(UsageError, match=remedy):
         parsed_faults([text], 3)

@@ -1,4 +1,4 @@
-"""The served camera, read by clients that are not ours: EMVA's GenApi, and Aravis' own tool."""
+"""The virtual camera with independent clients: EMVA's GenApi and the command-line tool of Aravis."""
 
 import subprocess
 
@@ -20,13 +20,13 @@ def notes():
 def served(tmp_path, loopback_address, notes):
     with VirtualDevice(
         small_scene(tmp_path), Setup(address=loopback_address, move=AdvancePolicy.NEVER), notes.append
-    ) as stand_in:
-        yield stand_in
+    ) as device:
+        yield device
 
 
 @pytest.fixture
 def nodes(served, loopback_address):
-    """GenApi's node map over a port of the test's own, and that port."""
+    """GenApi's node map, and the GVCP port through which it reads and writes."""
     genapi = pytest.importorskip("genicam.genapi", reason="genicam is not installed (pip install genicam)")
 
     class GenApiPort(genapi.AbstractPort):
@@ -69,7 +69,7 @@ def started(nodes, pixel_format: str = "Mono8"):
     return node_map, port
 
 
-def test_genapi_understands_every_feature(nodes):
+def test_genapi_reads_the_features(nodes):
     node_map, _ = nodes
 
     assert node_map.Width.value == 200
@@ -78,7 +78,7 @@ def test_genapi_understands_every_feature(nodes):
     assert node_map.DeviceVendorName.value == "ringpose"
 
 
-def test_genapi_lights_lasers_by_lines_and_sees_them(nodes, notes):
+def test_genapi_switches_lasers_by_output_lines(nodes, notes):
     node_map, port = started(nodes)
     lit = []
     for line in (None, 1, 2, 3):
@@ -95,7 +95,7 @@ def test_genapi_lights_lasers_by_lines_and_sees_them(nodes, notes):
     assert min(rises) > 60
 
 
-def test_genapi_gets_twelve_bits(nodes):
+def test_genapi_receives_twelve_bits(nodes):
     node_map, port = started(nodes, "Mono12")
 
     node_map.TriggerSoftware.execute()
@@ -105,14 +105,14 @@ def test_genapi_gets_twelve_bits(nodes):
     assert node_map.PayloadSize.value == 2 * 200 * 150
 
 
-def test_aravis_own_tool_reads_the_camera(served, loopback_address, needed_program):
+def test_the_tool_of_aravis_reads_the_camera(served, loopback_address, needed_program):
     tool = needed_program("arv-tool-0.8")
 
-    said = subprocess.run(
+    done = subprocess.run(
         [tool, "-a", loopback_address, "control", "Width", "PixelFormat", "ExposureTime"],
         capture_output=True,
         text=True,
         timeout=30,
     )
 
-    assert [line.split(" = ")[1].split()[0] for line in said.stdout.splitlines()] == ["200", "Mono8", "5000"]
+    assert [line.split(" = ")[1].split()[0] for line in done.stdout.splitlines()] == ["200", "Mono8", "5000"]

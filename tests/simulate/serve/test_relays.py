@@ -1,4 +1,4 @@
-"""The stand-in of a relay board, spoken to in bytes over its terminal."""
+"""The virtual relay board, with bytes written to its pseudo-terminal."""
 
 import os
 import select
@@ -24,7 +24,7 @@ def soon(condition, within_s=2.0):
     return False
 
 
-def test_bytes_on_the_terminal_light_the_laser_that_the_relay_feeds():
+def test_a_command_switches_on_the_laser_of_its_relay():
     with ServedRelays(LcusCodec(), relays=(2, 0)) as board:
         port = os.open(board.port, os.O_RDWR | os.O_NOCTTY)
         os.write(port, bytes.fromhex("A0 03 01 A4"))
@@ -47,7 +47,7 @@ def test_the_board_reports_its_coils():
     assert answer.startswith(b"CH1: OFF\r\nCH2: ON \r\nCH3: OFF\r\n")
 
 
-def test_a_pulse_ends_by_itself():
+def test_a_timed_pulse_ends_by_itself():
     with ServedRelays(ModbusCodec()) as board:
         port = os.open(board.port, os.O_RDWR | os.O_NOCTTY)
         os.write(port, bytes.fromhex("01 05 02 00 00 07 8D B0"))
@@ -59,7 +59,7 @@ def test_a_pulse_ends_by_itself():
     assert [board.mask_at(now_s + later_s) for later_s in (0.5, 0.75)] == [1, 0]
 
 
-def test_a_terminal_without_its_cable_hangs_up():
+def test_an_unplugged_board_hangs_up():
     with ServedRelays(LcusCodec()) as board:
         port = os.open(board.port, os.O_RDWR | os.O_NOCTTY)
 
@@ -79,7 +79,7 @@ CODECS = {
 
 
 def impossible(name: str) -> list[bytes]:
-    """Well-formed commands to relays that no board has, and noise without an end."""
+    """Well-formed commands to relays that the board does not have, and endless noise."""
     frames = [bytes.fromhex(text) for text in ("0101 0000 ffff", "010f 0000 0001 01ff", "010f 0005 0007 017f")]
     return {
         "lcus": [bytes.fromhex("A0 FF 01 A0")],
@@ -90,7 +90,7 @@ def impossible(name: str) -> list[bytes]:
 
 
 def answered(port: int, question: bytes) -> bool:
-    """Whether the board still says something, after what it had to say before."""
+    """Whether the board answers a question, after earlier answers have been read."""
     while select.select([port], [], [], 0.2)[0]:
         os.read(port, 4096)
     for _ in range(3):  # the first one may end what came before
@@ -115,7 +115,7 @@ def test_no_bytes_whatsoever_stop_the_board(name, rng):
 
 
 @pytest.mark.parametrize("name", CODECS)
-def test_a_board_ends_though_nobody_reads_its_answers(name):
+def test_a_board_stops_although_its_answers_are_not_read(name):
     codec, question = CODECS[name]
 
     with ServedRelays(codec) as board:
@@ -144,7 +144,7 @@ def test_a_board_ends_though_nobody_reads_its_answers(name):
         (RelayFaults(dead=frozenset({0})), [0, 0, 0, 0, 0]),
     ],
 )
-def test_contacts_follow_their_coils_as_their_faults_let_them(faults, masks):
+def test_contacts_follow_their_coils_with_the_injected_faults(faults, masks):
     contacts = RelayContacts(1, faults)
 
     contacts.command(0, True, 1.0)
@@ -153,7 +153,7 @@ def test_contacts_follow_their_coils_as_their_faults_let_them(faults, masks):
     assert [contacts.mask_at(time_s) for time_s in (0.9, 1.1, 1.3, 2.1, 2.3)] == masks
 
 
-def test_the_share_of_an_exposure_in_which_a_laser_shines():
+def test_the_share_of_an_interval_in_which_a_laser_is_on():
     contacts = RelayContacts(2)
 
     contacts.command(1, True, 10.0)

@@ -1,4 +1,4 @@
-"""What the served camera sees: the lasers that truly shine, for as long as they do, and views that move on."""
+"""Exposures of the virtual camera: lasers that are on for part of an exposure, and the sequence of views."""
 
 import math
 import time
@@ -29,7 +29,7 @@ def exposures(scene, contacts: RelayContacts, warm_up_s: float = 0.0) -> SceneEx
     [(0.0, 99.0, 1.0), (2.0, 99.0, 0.0), (1.005, 99.0, 0.5), (0.0, 1.0025, 0.25), (1.0, 1.0, 0.0)],
     ids=["on", "too late", "half", "a quarter", "never"],
 )
-def test_a_laser_shines_into_an_exposure_as_long_as_it_is_on(scene, on_s, off_s, share):
+def test_a_laser_contributes_for_the_time_that_it_is_on(scene, on_s, off_s, share):
     contacts = RelayContacts(3)
     contacts.command(1, True, on_s)
     contacts.command(1, False, off_s)
@@ -40,7 +40,7 @@ def test_a_laser_shines_into_an_exposure_as_long_as_it_is_on(scene, on_s, off_s,
     np.testing.assert_allclose(shares, [0.0, share, 0.0], atol=1e-9)
 
 
-def test_a_cold_laser_grows_brighter_as_it_warms_up(scene):
+def test_a_laser_warms_up_exponentially(scene):
     contacts = RelayContacts(3)
     contacts.command(0, True, 1.0)
 
@@ -61,7 +61,7 @@ def test_grey_values_follow_exposure_and_gain(scene):
     assert amplified / short == pytest.approx(2.0, rel=0.05)
 
 
-def test_a_beacon_shines_into_the_exposures_of_its_time(scene):
+def test_a_beacon_adds_light_to_exposures_while_it_is_on(scene):
     light = Light(name="dim", ambient_w_m2=0.3, beacon=Beacon(ambient_w_m2=8.0, on_s=0.45, off_s=0.45, phase_s=2.0))
     lit = replace(scene, lights={"dim": light})
 
@@ -94,13 +94,13 @@ def shown(move, after_s: float, looks_s) -> list[str]:
     return names
 
 
-def test_the_next_view_comes_in_a_pause():
+def test_the_next_view_is_shown_after_a_pause():
     assert shown(AdvancePolicy.PAUSE, 0.3, [0.0, 0.2, 0.4, 0.8, 0.9, 1.5, 9.0]) == ["a", "a", "a", "b", "b", "c", "c"]
 
 
-def test_the_next_view_comes_after_a_time():
+def test_the_next_view_is_shown_after_a_time():
     assert shown(AdvancePolicy.TIME, 0.3, [0.0, 0.2, 0.4, 0.5, 0.8]) == ["a", "a", "b", "b", "c"]
 
 
-def test_a_view_may_stay():
+def test_the_view_never_changes_if_requested():
     assert shown(AdvancePolicy.NEVER, 0.0, [0.0, 5.0]) == ["a", "a"]
