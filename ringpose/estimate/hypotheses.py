@@ -43,6 +43,9 @@ PARAMETER_PENALTY = 4.0
 OUTLIER_PENALTY = 12.0
 """Penalty for any rejection: a factor of 400 in likelihood."""
 
+BOTH_PENALTY = 18.0
+"""The same for both break points of a stripe: two causes, or an occluder over both."""
+
 OCCLUDED_PENALTY = 4.0
 """The same for a break point beside which the image shows a surface in front of the ring."""
 
@@ -205,7 +208,7 @@ def _select(everything: Solved | None, tried: list[Solved]) -> tuple[Solved, lis
     """The best of the explanations, and its comparable rivals."""
     near = _nearly_best([*([] if everything is None else [everything]), *tried])
     best = _confirmed(_of_one_stripe(near, tried) or near[0], tried)
-    rivals = [each for each in near if each is not best and not _covers(best, each)]
+    rivals = [each for each in near if each is not best and not _nested(best, each)]
     if fails_chi2_test(best.estimate, best.hypothesis.measured, best.hypothesis.prior):
         # nothing explains the shot: everything is kept, and the covariance grows by the differences
         best = everything or best
@@ -269,20 +272,21 @@ def _single_stripes(solved: Solved, rig: Rig, errors: RigErrors | None) -> list[
 
     Light planes are nearly parallel, so that any two stripes lie nearly in a plane: two stripes have hardly any
     redundancy. Only that the second one agrees with the prediction by the first one, if that is precise, is evidence
-    for a common ring. Visible edges are further evidence.
+    for a common ring. Visible edges are further evidence. Assumed radii are not used: with them the length of one
+    stripe determines the angle at which it crosses the face, but not to which side.
     """
-    measured, prior = solved.hypothesis.measured, solved.hypothesis.prior
+    measured = solved.hypothesis.measured
     if len(measured.lines.laser) != 2 or len(measured.edges.edge):
         return []
     found = []
     for laser in measured.lines.laser.tolist():
         alone = measured.without_laser(laser)
-        estimate = estimate_ring(alone, rig, prior, errors) if len(alone.points.x) else None
+        estimate = estimate_ring(alone, rig, Prior(), errors) if len(alone.points.x) else None
         if estimate is None:
             return []
         if ring_evidence(estimate, measured, laser, rig) < COINCIDENCE:
             rejected = (Rejection(what="stripe", laser=rig.lasers.names[laser]),)
-            hypothesis = Hypothesis(alone, prior, PoseFlag.STRIPE_REJECTED, rejected=rejected, laser=laser)
+            hypothesis = Hypothesis(alone, Prior(), PoseFlag.STRIPE_REJECTED, rejected=rejected, laser=laser)
             found.append(Solved(hypothesis, estimate))
     return found
 
@@ -323,7 +327,7 @@ def outlier_hypotheses(measured: Measurements, rig: Rig, prior: Prior, labelled:
         yield Hypothesis(measured.without_edges(), prior, flag, remark, penalty, rejected)
     if prior.radii is not None:
         remark = "the ring that was seen does not have the given radii; they were left out"
-        penalty = OUTLIER_PENALTY + PARAMETER_PENALTY * float(np.isfinite(prior.radii.radius_m).sum())
+        penalty = OUTLIER_PENALTY + PARAMETER_PENALTY  # one cause: the wrong ring was named
         flag, rejected = PoseFlag.RADIUS_INCONSISTENT, (Rejection(what="radius"),)
         yield Hypothesis(measured, prior._replace(radii=None), flag, remark, penalty, rejected)
 
@@ -346,7 +350,7 @@ def _wrong_points(measured: Measurements, rig: Rig, prior: Prior) -> Iterator[Hy
         if len(of_laser) > 1:
             rest = measured.with_points(points.laser != laser)
             remark = f"a break point of laser {name} contradicts the others; both were left out"
-            penalty = OUTLIER_PENALTY + 2 * PARAMETER_PENALTY
+            penalty = BOTH_PENALTY + 2 * PARAMETER_PENALTY
             yield Hypothesis(rest, prior, flag, remark, penalty, rejected, laser, both=True)
 
 
@@ -380,23 +384,24 @@ def _is_ring(estimate: Estimate) -> bool:
 
 def _nearly_best(tried: Sequence[Solved]) -> list[Solved]:
     """The best explanation, and those that it does not beat clearly, in order of their scores."""
-    ranked = sorted((each for each in tried if not each.hypothesis.both), key=lambda each: each.score)
-    ranked = ranked or sorted(tried, key=lambda each: each.score)
+    ranked = sorted(tried, key=lambda each: each.score)
     return [each for each in ranked if each.score < ranked[0].score + CLEARLY]
 
 
 def _of_one_stripe(near: list[Solved], tried: list[Solved]) -> Solved | None:
     """Both ends of a stripe rejected, if either is equally suspect: with another curvature the other one is off."""
-    points = [each for each in near if each.hypothesis.flag == PoseFlag.POINT_REJECTED]
+    points = [each for each in near if each.hypothesis.flag == PoseFlag.POINT_REJECTED and not each.hypothesis.both]
     lasers = {each.hypothesis.laser for each in points}
     if points and near[0] is points[0] and len(points) > 1 and len(lasers) == 1:
         return next((each for each in tried if each.hypothesis.both and each.hypothesis.laser in lasers), None)
     return None
 
 
-def _covers(best: Solved, other: Solved) -> bool:
-    """Whether the best explanation rejects all that the other one rejects, and more."""
-    return best.hypothesis.both and best.hypothesis.laser == other.hypothesis.laser
+def _nested(best: Solved, other: Solved) -> bool:
+    """Whether one explanation rejects what the other one rejects, and more: they do not contradict each other."""
+    first, second = best.hypothesis, other.hypothesis
+    whole = first.both or second.both or PoseFlag.STRIPE_REJECTED in first.flag | second.flag
+    return whole and first.laser == second.laser >= 0
 
 
 def _confirmed(best: Solved, tried: list[Solved]) -> Solved:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ringpose.geometry.rotations import angle_between
 from ringpose.pose.pipeline import estimate_pose, pose_result
 from ringpose.types.pose import HARMLESS_FLAGS, PoseFlag, RingPose
 from ringpose.types.ring import KnownRadii
@@ -220,11 +221,12 @@ def two_stripes_one_on_the_background(scene, points, rng, end_sigma_px):
     shift_px = rng.uniform(20.0, 60.0) * rng.choice([-1.0, 1.0])
     moved = lifted(points, 1, shift_px)
     position, covariance = moved.position_px.copy(), moved.covariance_px2.copy()
-    position[1, :, 0] += rng.uniform(-30.0, 30.0, 2)
+    position[1, :, 0] += rng.uniform(-50.0, 50.0, 2)
     covariance[1] = np.diag([end_sigma_px**2, 0.3**2])
     position[2] = np.nan
     unseen = np.full(2, np.nan)
     start, end, sigma = moved.face_start_px.copy(), moved.face_end_px.copy(), moved.face_sigma_px.copy()
+    end[1, 1] += rng.uniform(-15.0, 15.0)
     start[2], end[2], sigma[2] = unseen, unseen, unseen
     return replace(
         moved,
@@ -238,20 +240,20 @@ def two_stripes_one_on_the_background(scene, points, rng, end_sigma_px):
 
 @pytest.mark.parametrize("end_sigma_px", [0.3, 2.0, 8.0])
 @pytest.mark.parametrize("distance_m", [0.25, 0.5])
-def test_a_second_stripe_on_the_background_never_gives_a_sure_normal(
+def test_a_second_stripe_on_the_background_hardly_ever_gives_a_sure_normal(
     scene_of, face_points, rng, distance_m, end_sigma_px
 ):
     scene = scene_of("B", distance_m=distance_m)
+    wrong = 0
     for _ in range(20):
         shot = two_stripes_one_on_the_background(scene, face_points(scene, 0.3, 0.01, rng), rng, end_sigma_px)
 
         result = pose_result(shot, scene.rig)
 
-        if not isinstance(result.pose, RingPose) or result.flags & (PoseFlag.NORMAL_WEAK | PoseFlag.INCONSISTENT):
-            continue
-        cosines = result.pose.normal @ scene.ring.normal
-        sigma_rad = np.sqrt(np.linalg.eigvalsh(result.pose.covariance[:2, :2])[-1])
-        assert np.arccos(min(cosines, 1.0)) < 5.0 * sigma_rad
+        if isinstance(result.pose, RingPose) and not result.flags & (PoseFlag.NORMAL_WEAK | PoseFlag.INCONSISTENT):
+            sigma_rad = np.sqrt(np.linalg.eigvalsh(result.pose.covariance[:2, :2])[-1])
+            wrong += angle_between(result.pose.normal, scene.ring.normal) > 5.0 * sigma_rad
+    assert wrong <= 1  # by chance a stripe on the background looks as on the ring
 
 
 def test_two_stripes_with_clear_ends_give_a_sure_normal(scene_of, face_points, rng):

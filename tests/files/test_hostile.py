@@ -234,11 +234,7 @@ def test_invalid_yaml_values_are_read_or_rejected(tmp_path, read, values, data):
 )
 @relaxed
 @given(data=st.data())
-<<<<<<< HEAD
-def test_spoiled_record_is_refused_or_read_as_one_that_fits_the_schema(read, write, values, data):
-=======
-def test_invalid_record_values_are_read_or_rejected(read, values, data):
->>>>>>> work-simcap
+def test_invalid_record_values_are_rejected_or_read_as_a_record_that_fits_the_schema(read, write, values, data):
     assert read(values, "x") is not None
 
     found = outcome(lambda record: read(record, "x"), data.draw(spoiled_once(values)), "x: ")
