@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -27,7 +28,11 @@ def values_of(pose, normal):
     first = first / np.linalg.norm(first)
     second = np.cross(normal, first)
     tilt = pose.normal / (pose.normal @ normal)
-    own = [tilt @ first, tilt @ second, pose.normal @ pose.grasp_m, pose.center_m @ first, pose.center_m @ second]
+    axis = np.cross(normal, pose.normal)
+    sine = np.linalg.norm(axis)
+    turn = cv2.Rodrigues(axis * (np.arcsin(sine) / sine if sine > 0 else 1.0))[0]  # the tilt basis turns, too
+    in_plane = [pose.center_m @ turn @ first, pose.center_m @ turn @ second]
+    own = [tilt @ first, tilt @ second, pose.normal @ pose.grasp_m, *in_plane]
     return np.array([*own, pose.radius_inner_m, pose.radius_outer_m, *pose.center_m, *pose.grasp_m])
 
 
