@@ -11,7 +11,7 @@ import numpy as np
 
 from ringpose.estimate.initial_guess import initial_guess
 from ringpose.estimate.measurements import Measurements, Observations
-from ringpose.estimate.nuisance import RigErrors, edge_jacobian, rig_jacobian
+from ringpose.estimate.nuisance import RigErrors, edge_jacobian, mean_ray_jacobian, rig_jacobian
 from ringpose.estimate.residuals import PARAMETERS, Prior, Residuals, ring_residuals
 from ringpose.geometry.ring import CURVATURE, LIFT, SHIFT, TILT_ALONG, TILT_INWARD, TURN, RingArcs
 from ringpose.geometry.robust import huber_weights
@@ -58,6 +58,8 @@ class Estimate(NamedTuple):
     """Derivatives of the residuals by the rig's parameters, in their own units; None if the rig counts as exact."""
     nuisance: Float64[Array, "row error"]
     """Derivatives of the residuals by common errors of unit variance: those of the rig, then of visible edges."""
+    mean_ray_wrt_nuisance: Float64[Array, "xy=2 error"]
+    """Derivatives of the mean of the predicted break points by the common errors, for a fixed ring."""
     nuisance_step: Float64[Array, "error"]
     """The estimated common errors, in their standard deviations."""
     rig_errors: int
@@ -152,9 +154,22 @@ def _gauss_newton(
     inverse = _inverse(normal_matrix)
     if inverse is None:
         return None
-    rig_count = 0 if errors is None else errors.root.shape[1]
+    rig_count, mean_ray_wrt_nuisance = 0, np.zeros((2, nuisance.shape[1]))
+    if errors is not None:
+        rig_count = errors.root.shape[1]
+        mean_ray_wrt_nuisance[:, :rig_count] = mean_ray_jacobian(residuals, measured, observations, errors, rig)
     return Estimate(
-        arcs, residuals, weights, wrt_rig, nuisance, nuisance_step, rig_count, normal_matrix, inverse, prior
+        arcs=arcs,
+        residuals=residuals,
+        weights=weights,
+        rig=wrt_rig,
+        nuisance=nuisance,
+        mean_ray_wrt_nuisance=mean_ray_wrt_nuisance,
+        nuisance_step=nuisance_step,
+        rig_errors=rig_count,
+        normal_matrix=normal_matrix,
+        inverse=inverse,
+        prior=prior,
     )
 
 
