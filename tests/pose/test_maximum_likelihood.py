@@ -169,8 +169,11 @@ def test_samples_scatter_as_the_covariance_says(scene_of, face_points, rng, rig,
 
     poses = poses_of_samples(scene, face_points, known, rng, samples)
 
+    # one shot in a thousand has a point that looks wrong by chance: the grasp point is then amid the others
+    values = np.array([pose.grasp_m for pose in poses if PoseFlag.POINT_REJECTED not in pose.flags])
+    assert len(values) >= samples - max(1, samples // 500)
     root = np.linalg.cholesky(predicted.covariance_grasp_m2)
-    white = np.linalg.solve(root, np.cov(np.array([pose.grasp_m for pose in poses]).T)) @ np.linalg.inv(root).T
+    white = np.linalg.solve(root, np.cov(values.T)) @ np.linalg.inv(root).T
     assert np.abs(np.linalg.eigvalsh(white) - 1).max() < 4 * np.sqrt(2 / (samples - 1))
 
 
