@@ -56,8 +56,12 @@ class Quantities(NamedTuple):
     """Unit vector in the ring's plane at the grasp point, from the centre."""
     jacobian: Float64[Array, "15 7"]
     """Rows as in the joint covariance."""
-    grasp_along_sd_m: float
-    """Standard deviation of the grasp point along the face, from the noise of the break points."""
+    along: Float64[Array, "3"]
+    """Unit vector along the face at the grasp point, normal x outward."""
+    along_wrt_points_m: Float64[Array, "point"]
+    """Shift of the grasp point along the face by an error of one standard deviation in each break point."""
+    along_wrt_nuisance_m: Float64[Array, "error"]
+    """The same by each common error, for a fixed ring."""
 
 
 def quantities(estimate: Estimate) -> Quantities:
@@ -71,7 +75,8 @@ def quantities(estimate: Estimate) -> Quantities:
     middle = edge_distances(arcs, mean_ray[None], np.zeros(1))
     depth_m = float(arcs.origin @ arcs.normal) / float(mean_ray @ arcs.normal)
     mean_m = depth_m * mean_ray
-    outward = _outward_at(arcs, mean_m)
+    outward, distance_m = _outward_at(arcs, mean_m), float(middle.distance_m[0])
+    face_direction = cross(arcs.normal, outward)
 
     # the mean point moves along its ray with the plane, and with the lines of its stripes
     offset = (mean_m - arcs.origin) @ arcs.axes.T
@@ -83,22 +88,30 @@ def quantities(estimate: Estimate) -> Quantities:
         mean_wrt_ray[:, 1], y_wrt_step
     )
     distance_wrt_step = middle.wrt_step[0] + middle.wrt_ray[0, 1] * y_wrt_step
+    # `outward` turns in the plane with the direction from centre to mean point, and tilts with the plane
+    center_jacobian = center_wrt_step(arcs)
+    turn_wrt_step = face_direction @ (mean_wrt_step - center_jacobian) / (arcs.mean_radius_m + distance_m)
+    tilt_wrt_step = np.zeros(PARAMETERS)
+    tilt_wrt_step[[TILT_INWARD, TILT_ALONG]] = arcs.axes[:2] @ outward
+    outward_wrt_step = np.outer(face_direction, turn_wrt_step) - np.outer(arcs.normal, tilt_wrt_step)
 
     jacobian = np.zeros((15, PARAMETERS))
     jacobian[:7] = public_wrt_step(arcs)
-    jacobian[CENTER] = center_wrt_step(arcs)
-    jacobian[GRASP] = mean_wrt_step - np.outer(outward, distance_wrt_step)
+    jacobian[CENTER] = center_jacobian
+    jacobian[GRASP] = mean_wrt_step - np.outer(outward, distance_wrt_step) - distance_m * outward_wrt_step
     jacobian[CURVATURE_OUT, CURVATURE] = 1.0
     jacobian[BAND_OUT, HALF_BAND] = 2.0
-    sigma_x = 1.0 / (residuals.distance_scale * np.abs(residuals.distance_wrt_x))
-    along_wrt_x = cross(arcs.normal, outward) @ mean_wrt_ray[:, :2] @ np.array([np.ones(len(rays)), residuals.slope])
+    along_wrt_ray = face_direction @ mean_wrt_ray[:, :2]
+    along_wrt_x = along_wrt_ray @ np.array([np.ones(len(rays)), residuals.slope]) / len(rays)
     return Quantities(
         center_m=arcs.center,
         radius_m=arcs.radius_m,
-        grasp_m=mean_m - float(middle.distance_m[0]) * outward,
+        grasp_m=mean_m - distance_m * outward,
         outward=outward,
         jacobian=jacobian,
-        grasp_along_sd_m=float(np.linalg.norm(along_wrt_x * sigma_x)) / len(rays),
+        along=face_direction,
+        along_wrt_points_m=along_wrt_x / (residuals.distance_scale * residuals.distance_wrt_x),
+        along_wrt_nuisance_m=along_wrt_ray @ estimate.mean_ray_wrt_nuisance,
     )
 
 
@@ -113,11 +126,25 @@ def _outward_at(arcs: RingArcs, point_m: Float64[Array, "3"]) -> Float64[Array, 
 def joint_covariance(estimate: Estimate, found: Quantities) -> Float64[Array, "15 15"]:
     """Joint covariance of the quantities, J N^-1 J^T, Eq. (5.10).
 
-    The grasp point also moves along the face with the mean of the break points.
+    The grasp point also moves along the face with the mean of the break points, whose errors change the ring, too:
+    the step is -G (noise + B q), with the gain G = N^-1 (J^T W - J^T W B (1 + B^T W B)^-1 B^T W).
     """
     covariance: Float64[Array, "15 15"] = found.jacobian @ estimate.inverse @ found.jacobian.T
-    along = found.grasp_along_sd_m * cross(estimate.arcs.normal, found.outward)
-    covariance[GRASP, GRASP] += np.outer(along, along)
+    residuals, nuisance = estimate.residuals, estimate.nuisance
+    along = nuisance @ found.along_wrt_nuisance_m
+    along[residuals.ends : residuals.ends + len(found.along_wrt_points_m)] += found.along_wrt_points_m
+    weighted = along * estimate.weights
+    if nuisance.shape[1]:
+        cross_information = nuisance.T @ weighted
+        information = (nuisance.T * estimate.weights) @ nuisance + np.eye(nuisance.shape[1])
+        weighted -= estimate.weights * (nuisance @ np.linalg.solve(information, cross_information))
+    step_with_along = -estimate.inverse @ (residuals.jacobian.T @ weighted)
+    with_along = np.outer(found.jacobian @ step_with_along, found.along)
+    covariance[:, GRASP] += with_along
+    covariance[GRASP] += with_along.T
+    variance = found.along_wrt_points_m @ found.along_wrt_points_m
+    variance += found.along_wrt_nuisance_m @ found.along_wrt_nuisance_m
+    covariance[GRASP, GRASP] += variance * np.outer(found.along, found.along)
     return covariance
 
 

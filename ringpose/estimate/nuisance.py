@@ -103,6 +103,20 @@ def rig_jacobian(
     return jacobian
 
 
+def mean_ray_jacobian(
+    residuals: Residuals, measured: Measurements, observations: Observations, errors: RigErrors, rig: Rig
+) -> Float64[Array, "xy=2 error"]:
+    """Derivatives of the mean of the predicted break points by the rig's errors of unit variance, ring and pixels fixed.
+
+    The abscissae are those of the measured points, the ordinates those of the predicted stripes.
+    """
+    points = slice(residuals.ends, None)
+    x_wrt_rig = _ray_wrt_rig(observations.rays[points, :2], errors, rig)[:, 0]
+    laser = np.concatenate([np.repeat(measured.lines.laser, 2), measured.points.laser])
+    y_wrt_rig = _ordinate_wrt_planes(residuals, laser, errors)[points] + residuals.slope[:, None] * x_wrt_rig
+    return np.array([x_wrt_rig.mean(axis=0), y_wrt_rig.mean(axis=0)]) @ errors.root
+
+
 def edge_jacobian(residuals: Residuals, measured: Measurements) -> Float64[Array, "row error"]:
     """Derivatives of the residuals with respect to the common errors of visible edges, in their standard deviations."""
     jacobian = np.zeros((len(residuals.residual), measured.edges.common.shape[1]))

@@ -371,11 +371,12 @@ def differentiated(
 def _solution_values(form: ClosedForm, normal: Float64[Array, "3"]) -> Float64[Array, "batch 13"]:
     """The seven parameters about a given unit normal, then the centre and the grasp point.
 
-    The tilts are those of `geometry.rotations.tilted`; center_1 and center_2 are the centre's coordinates along
-    the two vectors of that normal's tilt basis, which is fixed while the ring tilts.
+    The tilts are those of `geometry.rotations.tilted`; center_1 and center_2 are, to first order in the tilts, the
+    centre's coordinates along the two vectors of that normal's tilt basis, which tilt with the ring (Eq. (8.3)).
     """
     basis = tilt_basis(normal)
     tilt = form.normal @ basis.T / (form.normal @ normal)[:, None]
+    in_plane = form.center_m @ basis.T - (form.center_m @ normal)[:, None] * tilt
     return np.concatenate(
-        [tilt, form.offset_m[:, None], form.center_m @ basis.T, form.radius_m, form.center_m, form.grasp_m], axis=-1
+        [tilt, form.offset_m[:, None], in_plane, form.radius_m, form.center_m, form.grasp_m], axis=-1
     )

@@ -37,6 +37,9 @@ CLEARLY = 16.0
 DOUBTED_FROM = 0.5
 """Share of shots with a rejected stripe, label or radius from which the rig is reported as changed."""
 
+CONTRADICTORY = PoseFlag.STRIPE_REJECTED | PoseFlag.ASSIGNMENT_AMBIGUOUS | PoseFlag.INCONSISTENT
+"""Flags of a shot whose stripes do not fit one ring as they were assigned."""
+
 _NOTHING = 1e-9
 """Share of the largest eigenvalue below which a combination of a plane's errors counts as unobserved."""
 
@@ -53,14 +56,16 @@ class DriftMonitor:
     def update(self, line: PoseLine) -> tuple[PoseLine, str | None]:
         """The line with the lasers' health, and a warning where a drift is detected for the first time.
 
-        Lines without a pose, and poses that contradict the given radii, contribute no evidence. The paper's methods
-        have no residuals to accumulate: their lines stay as they are.
+        Poses that contradict the given radii, and lines without a pose, contribute no evidence; if there is no pose
+        because the stripes contradict each other, the shot counts as doubted. The paper's methods have no residuals to
+        accumulate: their lines stay as they are.
         """
         if self._method is not Method.ML:
             return line, None
         new_warning = None
-        if line.pose is not None and PoseFlag.RADIUS_INCONSISTENT not in line.pose.flags:
-            self._health = health_after(self._health, line.pose.plane_evidence)
+        contradictory = line.pose is None and bool(line.flags & CONTRADICTORY)
+        if contradictory or (line.pose is not None and PoseFlag.RADIUS_INCONSISTENT not in line.pose.flags):
+            self._health = health_after(self._health, None if line.pose is None else line.pose.plane_evidence)
             warning = drift_warning(self._health, self._names)
             new_warning = None if self._warned else warning
             self._warned = warning is not None  # a rig that has recovered may be warned of again

@@ -51,7 +51,7 @@ def point_covariance(
     if errors is None:
         return np.full_like(total, np.nan)
     wrt_planes = points_wrt_plane(points, light_normal, errors.basis[laser]) @ errors.lasers[laser]
-    wrt_rig = (jacobians.wrt_camera @ errors.camera + wrt_planes).reshape(points.size, -1)
+    wrt_rig = (jacobians.wrt_camera @ errors.camera + wrt_planes).reshape(points.size, -1) @ errors.root
     total += wrt_rig @ wrt_rig.T
     return total
 

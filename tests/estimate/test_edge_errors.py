@@ -7,7 +7,7 @@ import pytest
 
 from ringpose.estimate.measurements import CORRELATION_LENGTH_PX, common_errors_px, karhunen_loeve_terms
 from ringpose.pose.pipeline import estimate_pose
-from ringpose.types.pose import PoseFlag
+from ringpose.types.pose import HARMLESS_FLAGS, PoseFlag
 
 ALONG_PX = np.linspace(-300.0, 900.0, 101)
 
@@ -47,7 +47,7 @@ def test_an_edge_that_bends_alike_spoils_no_shot(scene_of, face_points, visible_
 
     pose = estimate_pose(face_points(scene, 0.3, 0.01), scene.rig, ring_edges=bent)
 
-    assert pose.flags == PoseFlag(0)
+    assert pose.flags & ~HARMLESS_FLAGS == PoseFlag(0)
     error_m = pose.center_m - scene.ring.center_m
     assert error_m @ np.linalg.solve(pose.covariance_center_m2, error_m) < 3.0
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from ringpose.estimate.measurements import measurements_of
-from ringpose.estimate.residuals import Prior, RingState, ring_residuals
+from ringpose.estimate.residuals import Prior, ring_residuals
+from ringpose.geometry.ring import ring_arcs
 from ringpose.types.ring import KnownRadii
 
 STEP = 1e-6
@@ -19,11 +20,11 @@ def measured(request, scene_of, face_points, visible_edges):
     return scene, measurements_of(points, scene.rig, edges)
 
 
-def some_state(scene, rng):
+def some_arcs(scene, rng):
     """A ring some way off the true one."""
-    plane = scene.ring.normal / (scene.ring.normal @ scene.ring.center_m) * rng.uniform(0.95, 1.05, 3)
-    outward = np.cross(plane, rng.normal(size=3) + np.array([0.0, 3.0, 0.0]))
-    return RingState(plane, outward / np.linalg.norm(outward), 0.002, 1.4, 0.033)
+    ring = scene.ring
+    arcs = ring_arcs(ring.center_m, ring.normal, ring.radius_m, scene.points_m.mean(axis=(0, 1)))
+    return arcs.moved(np.array([0.02, 0.02, 0.01, 0.005, 0.05, 0.2, 0.002]) * rng.uniform(-1.0, 1.0, 7))
 
 
 def unscaled(residuals, points):
@@ -36,29 +37,29 @@ def unscaled(residuals, points):
 @pytest.mark.parametrize("parameter", range(7))
 def test_rows_of_stripes_and_points_have_the_derivatives_of_central_differences(measured, rng, parameter):
     scene, shot = measured
-    state, count = some_state(scene, rng), len(shot.points.x)
+    arcs, count = some_arcs(scene, rng), len(shot.points.x)
     observations, step = shot.observations(scene.rig.lasers), STEP * np.eye(7)[parameter]
-    residuals = ring_residuals(state, shot, observations, Prior())
+    residuals = ring_residuals(arcs, shot, observations, Prior())
 
     forward, backward = (
-        unscaled(ring_residuals(state.retract(sign * step), shot, observations, Prior()), count) for sign in (1, -1)
+        unscaled(ring_residuals(arcs.moved(sign * step), shot, observations, Prior()), count) for sign in (1, -1)
     )
 
     derivative = residuals.jacobian[: len(forward), parameter].copy()
     derivative[residuals.ends :] /= residuals.distance_scale
     scale = max(1e-3, np.abs(derivative).max())
-    np.testing.assert_allclose(derivative / scale, (forward - backward) / (2 * STEP) / scale, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(derivative / scale, (forward - backward) / (2 * STEP) / scale, rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize("parameter", range(7))
 def test_known_radii_have_the_derivatives_of_central_differences(measured, rng, parameter):
     scene, shot = measured
-    state, prior = some_state(scene, rng), Prior(RADII)
-    residuals = ring_residuals(state, shot, shot.observations(scene.rig.lasers), prior)
+    arcs, prior = some_arcs(scene, rng), Prior(RADII)
+    residuals = ring_residuals(arcs, shot, shot.observations(scene.rig.lasers), prior)
 
     forward, backward = (
         ring_residuals(
-            state.retract(sign * STEP * np.eye(7)[parameter]), shot, shot.observations(scene.rig.lasers), prior
+            arcs.moved(sign * STEP * np.eye(7)[parameter]), shot, shot.observations(scene.rig.lasers), prior
         ).residual[-2:]
         for sign in (1, -1)
     )

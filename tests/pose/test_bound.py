@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -26,13 +27,20 @@ def axes_across(normal):
     return np.stack([first, np.cross(normal, first)])
 
 
+def turn_between(first, second):
+    """The smallest rotation from one unit vector to another."""
+    axis = np.cross(first, second)
+    sine = np.linalg.norm(axis)
+    return cv2.Rodrigues(axis * (np.arcsin(sine) / sine if sine > 0 else 1.0))[0]
+
+
 def moved(ring, step):
     """The ring with its seven parameters moved: tilts, offset, centre in the plane, radii."""
     axes = axes_across(ring.normal)
     normal = ring.normal + step[:2] @ axes
     normal /= np.linalg.norm(normal)
-    center = ring.center_m + step[3:5] @ axes
-    center = center + (ring.normal @ ring.center_m + step[2] - normal @ center) / (normal @ ring.normal) * ring.normal
+    in_plane = axes @ ring.center_m + step[3:5]
+    center = (ring.normal @ ring.center_m + step[2]) * normal + in_plane @ axes @ turn_between(ring.normal, normal).T
     return replace(ring, center_m=center, normal=normal, radius_m=ring.radius_m + step[5:])
 
 
@@ -87,15 +95,15 @@ def values_of(pose, normal):
     """Seven parameters about a given normal, and the centre."""
     axes = axes_across(normal)
     tilt = axes @ pose.normal / (pose.normal @ normal)
-    own = [*tilt, pose.normal @ pose.center_m, *(axes @ pose.center_m), pose.radius_inner_m, pose.radius_outer_m]
+    in_plane = axes @ turn_between(normal, pose.normal).T @ pose.center_m
+    own = [*tilt, pose.normal @ pose.center_m, *in_plane, pose.radius_inner_m, pose.radius_outer_m]
     return np.array([*own, *pose.center_m])
 
 
 def center_by_parameters(ring):
-    """Derivatives of the centre: in the plane along the axes, and lifted by tilts and offset."""
-    axes = axes_across(ring.normal)
-    lift = np.array([-(axes[0] @ ring.center_m), -(axes[1] @ ring.center_m), 1.0])
-    return np.column_stack([ring.normal[:, None] * lift, axes.T, np.zeros((3, 2))])
+    """Derivatives of the centre, by differences."""
+    pairs = [[moved(ring, sign * step).center_m for sign in (1.0, -1.0)] for step in np.diag(STEPS)]
+    return np.stack([plus - minus for plus, minus in pairs], axis=-1) / (2.0 * STEPS)
 
 
 def cases(rigs, distances_m, sizes):

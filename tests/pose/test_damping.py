@@ -80,7 +80,7 @@ def test_the_narrow_rig_is_not_damped(scene_of, method, distance_m, turn_rad, si
 
     pose = estimate_pose(scene.break_points(), scene.rig, method)
 
-    assert PoseFlag.DAMPED not in pose.flags
+    assert pose.condition_number * SINGULAR_BELOW < 1.0
 
 
 @pytest.mark.parametrize("method", list(FORMS))
@@ -98,4 +98,5 @@ def test_a_damped_pose_says_that_center_and_radii_are_weak(scene_of, break_point
 
     pose = estimate_pose(break_points_at(np.stack(edges, axis=1).reshape(3, 2, 2), 1e-6), rig, method)
 
-    assert pose.flags == PoseFlag.DAMPED | PoseFlag.CENTER_WEAK | PoseFlag.RADIUS_WEAK
+    assert pose.condition_number * SINGULAR_BELOW > 1.0
+    assert pose.flags == PoseFlag.CENTER_WEAK | PoseFlag.RADIUS_WEAK

@@ -217,5 +217,5 @@ def test_any_pixels_give_a_finite_pose_or_a_reason(scene_of, break_points_at, me
 
 
 def is_finite(pose: RingPose) -> bool:
-    values = [*pose.center_m, *pose.normal, pose.condition, pose.residual_rms_px]
+    values = [*pose.center_m, *pose.normal, pose.condition_number, pose.residual_rms_px]
     return bool(np.isfinite(values).all())

@@ -5,10 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ringpose.estimate.measurements import measurements_of
+from ringpose.estimate.residuals import Prior
+from ringpose.estimate.solver import estimate_ring
 from ringpose.geometry.rotations import tilted
-from ringpose.pose.drift import DRIFTED_FROM, drift_warning, health_after, new_health
+from ringpose.pose.drift import (
+    DRIFTED_FROM,
+    SHOTS_NEEDED,
+    DriftMonitor,
+    drift_warning,
+    health_after,
+    new_health,
+    plane_evidence,
+)
+from ringpose.pose.maximum_likelihood import most_likely_pose
 from ringpose.pose.pipeline import estimate_pose
-from ringpose.types.pose import NoPose
+from ringpose.types.options import Method
+from ringpose.types.pose import NoPose, PoseLine
 
 FIFTH_OF_A_DEGREE = np.radians(0.2)
 
@@ -22,17 +35,23 @@ def drifted(rig, laser, tilt_rad=(0.0, 0.0), shift_m=0.0):
 
 
 def health_of_stream(scene_of, face_points, rng, said, real, shots=40):
-    """Shots of many poses by the real rig, understood with the one that is said."""
+    """Shots of many poses by the real rig, understood with the one that is said: all that was seen on one ring."""
     health = new_health(3)
+    for points in stream(scene_of, face_points, rng, real, shots):
+        measured = measurements_of(points, said)
+        estimate = estimate_ring(measured, said, Prior(), None)
+        health = health_after(health, plane_evidence(estimate, measured, said))
+    return health
+
+
+def stream(scene_of, face_points, rng, real, shots):
+    """Break points of rings at many poses, seen by the real rig."""
     for _ in range(shots):
         distance_m, tilt = rng.uniform(0.3, 1.0), rng.uniform(-0.2, 0.2, 2)
         scene = scene_of(
             real, distance_m=float(distance_m), tilt_rad=tuple(tilt), turn_rad=float(rng.uniform(-0.2, 0.2))
         )
-        pose = estimate_pose(face_points(scene, 0.3, 0.02, rng), said)
-        if not isinstance(pose, NoPose):
-            health = health_after(health, pose.plane_evidence)
-    return health
+        yield face_points(scene, 0.3, 0.02, rng)
 
 
 def camera_turned(rig, angle_rad):
@@ -81,6 +100,18 @@ def test_a_camera_that_has_turned_is_seen(scene_of, face_points, rng, rig):
     health = health_of_stream(scene_of, face_points, rng, rig, camera_turned(rig, FIFTH_OF_A_DEGREE), shots=60)
 
     assert "the camera" in drift_warning(health, rig.lasers.names)
+
+
+@pytest.mark.parametrize("laser", range(3))
+def test_shots_that_have_no_pose_since_a_plane_has_moved_are_a_warning(scene_of, face_points, rng, rig, laser):
+    monitor, warnings = DriftMonitor(rig.lasers.names, Method.ML), []
+    real = drifted(rig, laser, (0.0, 2e-3))
+    for points in stream(scene_of, face_points, rng, real, 2 * int(SHOTS_NEEDED)):
+        result = most_likely_pose(points, rig)
+        pose = None if isinstance(result.pose, NoPose) else result.pose
+        warnings.append(monitor.update(PoseLine(shot="a", stamp_s=0.0, pose=pose, flags=result.flags))[1])
+
+    assert sum(warning is not None for warning in warnings) == 1
 
 
 def test_shots_that_had_to_be_mended_are_a_warning_too(rig):

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -27,7 +28,11 @@ def values_of(pose, normal):
     first = first / np.linalg.norm(first)
     second = np.cross(normal, first)
     tilt = pose.normal / (pose.normal @ normal)
-    own = [tilt @ first, tilt @ second, pose.normal @ pose.grasp_m, pose.center_m @ first, pose.center_m @ second]
+    axis = np.cross(normal, pose.normal)
+    sine = np.linalg.norm(axis)
+    turn = cv2.Rodrigues(axis * (np.arcsin(sine) / sine if sine > 0 else 1.0))[0]  # the tilt basis turns, too
+    in_plane = [pose.center_m @ turn @ first, pose.center_m @ turn @ second]
+    own = [tilt @ first, tilt @ second, pose.normal @ pose.grasp_m, *in_plane]
     return np.array([*own, pose.radius_inner_m, pose.radius_outer_m, *pose.center_m, *pose.grasp_m])
 
 
@@ -164,8 +169,11 @@ def test_samples_scatter_as_the_covariance_says(scene_of, face_points, rng, rig,
 
     poses = poses_of_samples(scene, face_points, known, rng, samples)
 
+    # one shot in a thousand has a point that looks wrong by chance: the grasp point is then amid the others
+    values = np.array([pose.grasp_m for pose in poses if PoseFlag.POINT_REJECTED not in pose.flags])
+    assert len(values) >= samples - max(1, samples // 500)
     root = np.linalg.cholesky(predicted.covariance_grasp_m2)
-    white = np.linalg.solve(root, np.cov(np.array([pose.grasp_m for pose in poses]).T)) @ np.linalg.inv(root).T
+    white = np.linalg.solve(root, np.cov(values.T)) @ np.linalg.inv(root).T
     assert np.abs(np.linalg.eigvalsh(white) - 1).max() < 4 * np.sqrt(2 / (samples - 1))
 
 

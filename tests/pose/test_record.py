@@ -58,4 +58,4 @@ def test_every_line_of_a_stream_has_the_health_of_each_laser(shot):
     rig = drawn_rig()
     line, _ = DriftMonitor(rig.lasers.names, Method.ML).update(pose_line(shot, rig))
 
-    assert set(line.laser_health) == set(rig.lasers.names)
+    assert set(line.rig_health) == set(rig.lasers.names)
