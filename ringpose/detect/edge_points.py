@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.detect.edge_search import EdgeTrace, rays_beside
-from ringpose.geometry.ring_arcs import RingArcs, off_face_m
+from ringpose.geometry.ring import EDGE_SIGN, RingArcs, edge_distances
 from ringpose.geometry.robust import STD_PER_MAD
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.detection import RingEdgePoints
@@ -44,7 +44,8 @@ MINIMUM_POINTS = 12
 
 class _Points(NamedTuple):
     number: Float64[Array, "n"]
-    side: Float64[Array, "n"]
+    edge_sign: Float64[Array, "n"]
+    """-1 on the inner edge, +1 on the outer."""
     position_px: Float64[Array, "n xy=2"]
     normal: Float64[Array, "n xy=2"]
     residual_px: Float64[Array, "n"]
@@ -60,9 +61,11 @@ def ring_edge_points(
 ) -> RingEdgePoints | None:
     """Points of the ring near `arcs`, from steps at these offsets from the places of a trace; None for too few."""
     position = trace.position_px + offset_px[:, None] * trace.normal
-    beyond_m, _ = off_face_m(arcs, rays_beside(trace, offset_px), trace.side)
-    residual_px = beyond_m / trace.metres_per_px
-    steps = _Points(trace.number, trace.side, position, trace.normal, residual_px, np.hypot(sigma_px, BLUR_SIGMA_PX))
+    distances = edge_distances(arcs, rays_beside(trace, offset_px), trace.edge_sign)
+    residual_px = trace.edge_sign * distances.distance_m / trace.metres_per_px
+    steps = _Points(
+        trace.number, trace.edge_sign, position, trace.normal, residual_px, np.hypot(sigma_px, BLUR_SIGMA_PX)
+    )
     steps = steps.selected(~_displaced(steps))
     steps = _inliers(steps._replace(sigma_px=steps.sigma_px * _scale(steps)))
     points = _grouped(steps)
@@ -76,13 +79,13 @@ def ring_edge_points(
         position_px=points.position_px[known],
         normal=points.normal[known],
         sigma_px=points.sigma_px[known],
-        edge=(points.side[known] < 0).astype(np.int64),
+        edge=(points.edge_sign[known] > 0).astype(np.int64),
     )
 
 
 def _displaced(points: _Points) -> Bool[Array, "n"]:
     """Which points lie in a stretch that is off the ring as a whole, by more than its own scatter."""
-    displaced = np.zeros(len(points.side), dtype=bool)
+    displaced = np.zeros(len(points.edge_sign), dtype=bool)
     for here in _edges(points):
         near = _stretches(points.residual_px[here])
         middle = near.mean(axis=-1)
@@ -97,7 +100,7 @@ def _inliers(points: _Points) -> _Points:
 
 def _scale(points: _Points) -> Float64[Array, "n"]:
     """Root mean square of the whitened residuals over a stretch of the same edge, outliers clipped."""
-    scale = np.ones(len(points.side))
+    scale = np.ones(len(points.edge_sign))
     deviation = np.abs(points.residual_px / points.sigma_px)
     for here in _edges(points):
         near = _stretches(deviation[here])
@@ -111,7 +114,7 @@ def _scale(points: _Points) -> Float64[Array, "n"]:
 def _grouped(steps: _Points) -> _Points:
     """Weighted means of neighbouring steps, along the inner edge first."""
     key = np.floor(steps.number / GROUP)
-    begins = np.append(True, (np.diff(key) != 0) | (np.diff(steps.side) != 0))[: len(key)]
+    begins = np.append(True, (np.diff(key) != 0) | (np.diff(steps.edge_sign) != 0))[: len(key)]
     group = np.cumsum(begins) - 1
     weight = steps.sigma_px**-2
     total = np.bincount(group, weight)
@@ -119,16 +122,16 @@ def _grouped(steps: _Points) -> _Points:
     def mean(values: Float64[Array, "n"]) -> Float64[Array, "m"]:
         return np.bincount(group, weight * values) / total
 
-    number, side, residual_px = mean(steps.number), mean(steps.side), mean(steps.residual_px)
+    number, edge_sign, residual_px = mean(steps.number), mean(steps.edge_sign), mean(steps.residual_px)
     position = np.stack([mean(steps.position_px[:, axis]) for axis in (0, 1)], axis=-1)
     normal = np.stack([mean(steps.normal[:, axis]) for axis in (0, 1)], axis=-1)
     normal /= np.hypot(*normal.T)[:, None]
-    return _Points(number, side, position, normal, residual_px, total**-0.5)
+    return _Points(number, edge_sign, position, normal, residual_px, total**-0.5)
 
 
 def _edges(points: _Points) -> list[Int64[Array, "m"]]:
     """Indices of the points on the inner and on the outer edge, of each edge that has at least two."""
-    edges = [np.flatnonzero(points.side == side) for side in (1.0, -1.0)]
+    edges = [np.flatnonzero(points.edge_sign == sign) for sign in EDGE_SIGN]
     return [here for here in edges if len(here) >= 2]
 
 

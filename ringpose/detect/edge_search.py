@@ -14,9 +14,10 @@ import cv2
 import numpy as np
 
 from ringpose.detect.stripes import lens
-from ringpose.geometry.ring_arcs import RingArcs
+from ringpose.estimate.measurements import Edges
+from ringpose.geometry.ring import RingArcs
 from ringpose.kernels import edges as kernels
-from ringpose.kernels.edges import PlaceParams, ProfileParams, Sights, StepParams, Templates
+from ringpose.kernels.edges import PlaceParams, ProfileParams, StepParams, Templates
 from ringpose.types.arrays import Array, Bool, Float64, UInt, UInt8
 from ringpose.types.rig import Rig
 
@@ -86,8 +87,8 @@ class EdgeTrace:
         return self.table[:, 3:6]
 
     @property
-    def side(self) -> Float64[Array, "n"]:
-        """1 on the inner edge, -1 on the outer."""
+    def edge_sign(self) -> Float64[Array, "n"]:
+        """-1 on the inner edge, +1 on the outer."""
         return self.table[:, 6]
 
     @property
@@ -117,7 +118,7 @@ class EdgeTrace:
 
 def edge_trace(
     arcs: RingArcs,
-    covariance: Float64[Array, "state=7 state=7"],
+    covariance: Float64[Array, "step=7 step=7"],
     rig: Rig,
     spacing_px: int | float,
     sigma_px: float,
@@ -307,13 +308,20 @@ def steps_along(frame: EdgeImage, trace: EdgeTrace, reach_px: int) -> EdgeSteps:
     return edge_steps(profiles, reach_px, BLUR_PX)
 
 
-def edge_observations(trace: EdgeTrace, steps: EdgeSteps) -> Sights:
-    """The significant steps as observations of the ring's edges."""
+def edge_observations(trace: EdgeTrace, steps: EdgeSteps) -> Edges:
+    """The significant steps as measurements of the ring's edges, without common errors."""
     clear = significant_steps(steps)
     sigma_px = CLUTTER * np.hypot(steps.sigma_px[clear], MIN_SIGMA_PX)
     trace = trace.selected(clear)
-    return Sights(
-        ray=rays_beside(trace, steps.offset_px[clear]), side=trace.side, sigma_m=sigma_px * trace.metres_per_px
+    point = rays_beside(trace, steps.offset_px[clear])
+    ray = point / point[:, 2:]
+    step_m = (sigma_px * trace.metres_per_px)[:, None] * trace.outward
+    return Edges(
+        edge=(trace.edge_sign > 0).astype(np.int64),
+        ray=ray,
+        step=(step_m[:, :2] - ray[:, :2] * step_m[:, 2:]) / point[:, 2:],
+        common=np.empty((len(ray), 0)),
+        stamp_s=np.full(len(ray), np.nan),
     )
 
 

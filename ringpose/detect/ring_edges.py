@@ -2,8 +2,7 @@
 
 A few stripes close together hardly determine the ring's curvature. Therefore the search begins where the edges are
 predicted to about a pixel; the steps found there extend the prediction, until the edges leave the image or are lost.
-The model is two arcs about one centre (`ringpose.geometry.ring_arcs`), fitted by robust least squares to the stripes on
-the face, their break points and the steps.
+The ring is fitted to the stripes on the face, their break points and the steps by `ringpose.estimate`.
 """
 
 from dataclasses import dataclass, replace
@@ -26,11 +25,11 @@ from ringpose.detect.edge_search import (
     steps_along,
     stripe_mask,
 )
-from ringpose.geometry.planes import towards_camera
-from ringpose.geometry.rays import intersect, rays, undistorted_rays
-from ringpose.geometry.ring_arcs import STATE, RingArcs, moved
-from ringpose.kernels import edges as kernels
-from ringpose.kernels.edges import FitParams, PlanePoints, Sights
+from ringpose.estimate.measurements import Edges, Measurements, measurements_of, no_edges
+from ringpose.estimate.nuisance import rig_errors
+from ringpose.estimate.residuals import Prior
+from ringpose.estimate.solver import estimate_ring, refine_ring
+from ringpose.geometry.ring import CURVATURE, STEP, TURN, RingArcs
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints, Stripes
 from ringpose.types.image import Shot
@@ -42,8 +41,8 @@ PREDICTED_SIGMA_PX = 1.3
 REACH_PX = 2
 """Half width of the search across the predicted edge, after the tracking."""
 
-ONE_STRIPE = 2
-"""Number of plane points on a single stripe. The tilt of the face about it follows from the course of both edges; a
+ONE_STRIPE = 1
+"""A single stripe. The tilt of the face about it follows from the course of both edges; a
 single edge determines it only by curvatures of tenths of a pixel, to which foil beside it contributes as much."""
 
 MIN_OF_BOTH = 8
@@ -52,7 +51,12 @@ MIN_OF_BOTH = 8
 SIDE_SIGMAS = 4.0
 """Minimum significance of the edges' curvature from which the side of the ring's centre is inferred."""
 
-CURVATURE, TURN = STATE.index("curvature"), STATE.index("turn_rad")
+
+class PredictedRing(NamedTuple):
+    """A ring, and the covariance of its step."""
+
+    arcs: RingArcs
+    covariance: Float64[Array, "step=7 step=7"]
 
 
 class FoundEdges(NamedTuple):
@@ -83,22 +87,24 @@ def detect_ring_edges(
 
 def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundEdges | None:
     """Points of the ring's edges, and the significance of their names; None where no edge was found."""
-    evidence = stripe_evidence(break_points, rig)
-    tracked = None if evidence is None else tracked_arcs(evidence, frame, rig)
-    if evidence is None or tracked is None:
+    stripes = stripe_evidence(break_points, rig)
+    tracked = None if stripes is None else tracked_ring(stripes, frame, rig)
+    if stripes is None or tracked is None:
         return None
-    arcs, covariance = tracked
-    trace = outside_stripes(frame, edge_trace(arcs, covariance, rig, ALONG_PX, PREDICTED_SIGMA_PX))
+    trace = outside_stripes(frame, edge_trace(*tracked, rig, ALONG_PX, PREDICTED_SIGMA_PX))
     profiles = edge_profiles(frame.image, trace.position_px, trace.normal, REACH_PX, frame.saturation_dn)
     steps = edge_steps(profiles, REACH_PX, estimated_blur_px(profiles, REACH_PX))
-    arcs, covariance = fitted_arcs(arcs, evidence, edge_observations(trace, steps))
+    refined = stripes.fitted(tracked.arcs, edge_observations(trace, steps), rig)
+    if refined is None:
+        return None
     clear = significant_steps(steps)
-    points = ring_edge_points(arcs, trace.selected(clear), steps.offset_px[clear], steps.sigma_px[clear])
+    points = ring_edge_points(refined.arcs, trace.selected(clear), steps.offset_px[clear], steps.sigma_px[clear])
     if points is None:
         return None
-    if len(evidence.plane.point) == ONE_STRIPE and np.bincount(points.edge, minlength=2).min() < MIN_OF_BOTH:
+    if len(stripes.measured.lines.laser) == ONE_STRIPE and np.bincount(points.edge, minlength=2).min() < MIN_OF_BOTH:
         return None
-    return FoundEdges(points, arcs.curvature / float(np.sqrt(covariance[CURVATURE, CURVATURE])))
+    curvature_sd = float(np.sqrt(refined.covariance[CURVATURE, CURVATURE]))
+    return FoundEdges(points, refined.arcs.curvature / curvature_sd)
 
 
 def named_by_curvature(break_points: BreakPoints, found: FoundEdges) -> tuple[BreakPoints, RingEdgePoints]:
@@ -134,31 +140,28 @@ OPEN_TURN_SIGMA_RAD = 0.2
 """Standard deviation of the edges' direction above which it is first searched in the image."""
 
 
-def tracked_arcs(
-    evidence: "StripeEvidence", frame: EdgeImage, rig: Rig
-) -> tuple[RingArcs, Float64[Array, "state=7 state=7"]] | None:
-    """The ring's edges as far as they can be tracked from the stripes, and their covariance; None if they cannot."""
-    params = FIT_PARAMS._replace(rounds=5, outlier_sigmas=np.inf)
-    arcs, covariance = fitted_arcs(evidence.start, evidence, NO_OBSERVATIONS, params)
-    if covariance[TURN, TURN] > OPEN_TURN_SIGMA_RAD**2:
-        beside = edges_beside_stripe(arcs, frame, rig)
-        arcs, covariance = fitted_arcs(arcs, evidence, beside, FIT_PARAMS._replace(rounds=4))
+def tracked_ring(stripes: "StripeEvidence", frame: EdgeImage, rig: Rig) -> PredictedRing | None:
+    """The ring with its edges as far as they can be tracked from the stripes; None if they cannot."""
+    ring: PredictedRing | None = stripes.start
+    if stripes.start.covariance[TURN, TURN] > OPEN_TURN_SIGMA_RAD**2:
+        beside = edges_beside_stripe(stripes.start.arcs, frame, rig)
+        ring = stripes.fitted(stripes.start.arcs, beside, rig, FIRST_ITERATIONS)
     tracked_px = 0.0
     for _ in range(ROUNDS):
-        if not plausible(arcs):
+        if ring is None or not plausible(ring.arcs):
             return None
         first = tracked_px < FIRST_PX
         spacing_px, reach_px = (FIRST_SPACING_PX, FIRST_REACH_PX) if first else (WALK_SPACING_PX, WALK_REACH_PX)
-        trace = edge_trace(arcs, covariance, rig, spacing_px, PREDICTED_SIGMA_PX)
-        if len(trace.side) * spacing_px <= tracked_px * FARTHER:
+        trace = edge_trace(*ring, rig, spacing_px, PREDICTED_SIGMA_PX)
+        if len(trace.edge_sign) * spacing_px <= tracked_px * FARTHER:
             break
-        tracked_px = len(trace.side) * spacing_px
+        tracked_px = len(trace.edge_sign) * spacing_px
         trace = outside_stripes(frame, trace)
         observations = edge_observations(trace, steps_along(frame, trace, reach_px))
-        if len(observations.side) < MIN_SHARE * len(trace.side):
+        if len(observations.edge) < MIN_SHARE * len(trace.edge_sign):
             return None
-        arcs, covariance = fitted_arcs(arcs, evidence, observations)
-    return arcs, covariance
+        ring = stripes.fitted(ring.arcs, observations, rig)
+    return ring
 
 
 # Direction of the edges at a single stripe, which its two ends leave open
@@ -182,13 +185,13 @@ DISTINCT, SIMILAR = 2, 6
 """... and its minimum ratio to that of any direction that is not among the next `SIMILAR` ones."""
 
 
-def edges_beside_stripe(arcs: RingArcs, frame: EdgeImage, rig: Rig) -> Sights:
+def edges_beside_stripe(arcs: RingArcs, frame: EdgeImage, rig: Rig) -> Edges:
     """Steps along the two straight edges through a stripe's ends that the image supports best; empty if none does."""
-    unit_turn = np.eye(len(STATE))[TURN]
-    certain = np.zeros((len(STATE), len(STATE)))
+    unit_turn = np.eye(len(STEP))[TURN]
+    certain = np.zeros((len(STEP), len(STEP)))
     tables = []
     for direction, turn_rad in enumerate(TURNS_RAD):
-        trace = edge_trace(moved(arcs, turn_rad * unit_turn), certain, rig, SPACING_PX, np.inf, MAX_NUMBER)
+        trace = edge_trace(arcs.moved(turn_rad * unit_turn), certain, rig, SPACING_PX, np.inf, MAX_NUMBER)
         table = trace.table[np.abs(trace.number) >= MIN_NUMBER]
         table[:, -1] = direction
         tables.append(table)
@@ -199,24 +202,15 @@ def edges_beside_stripe(arcs: RingArcs, frame: EdgeImage, rig: Rig) -> Sights:
     best = int(np.argmax(count))
     elsewhere = np.delete(count, slice(max(best - SIMILAR, 0), best + SIMILAR + 1))
     if count[best] < max(MIN_STEPS, DISTINCT * elsewhere.max()):
-        return NO_OBSERVATIONS
+        return no_edges()
     trace = trace.selected(trace.number == best)
     return edge_observations(trace, steps_along(frame, trace, START_REACH_PX))
 
 
-# Robust least-squares fit of the arcs
+# Fit of the ring to stripes and tracked edge points
 
-TILT_SIGMA_RAD = 0.4
-"""Prior sigma of the ring's tilt against the image plane; the stripes determine all directions but one far better."""
-
-TURN_SIGMA_RAD = 0.6
-"""Prior sigma of the angle between the stripes on the face and the radius."""
-
-CURVATURE_SIGMA = 2.5
-"""Prior sigma of the curvature in 1/m: adapter rings have radii of 0.4 to 1.5 m, and the centre is on either side."""
-
-HALF_BAND_M = (0.018, 0.008)
-"""Prior mean and sigma of half the band's width; bands are 20 to 60 mm wide."""
+ITERATIONS, FIRST_ITERATIONS = 2, 4
+"""Gauss-Newton iterations of each fit, and of that which determines the edges' direction."""
 
 LINE_SIGMA_PX = 0.1
 """Calibration error that is added to the sigma of a stripe's line, across the line."""
@@ -224,103 +218,45 @@ LINE_SIGMA_PX = 0.1
 END_SIGMA_PX = 0.4
 """Error of calibration and material that is added to the sigma of a break point."""
 
-MAX_SIGMA_IN_ARC_FIT_PX = 1.5
+MAX_SIGMA_IN_FIT_PX = 1.5
 """Upper limit of a break point's sigma in this fit, so that two uncertain ones still predict the edge; the steps found
 there then confirm or contradict them."""
 
 POSSIBLE = ((0.03, 5.0), (0.001, 0.1), (0.1, 1.1), (-1.0, 10.0))
 """Limits of depth and half band in metres, of the cosine between normal and optical axis, of |curvature| in 1/m."""
 
-MAX_STEP = (0.5, 0.5, 0.2, 0.2, 0.5, 3.0, 0.02)
-"""Largest change of each component of the state in one iteration, beyond which the linearization is not valid."""
-
-OUTLIER_SIGMAS = 3.0
-"""Residual beyond which an observation is weighted down, by the fourth power of the residual."""
-
-FIT_PARAMS = FitParams(
-    rounds=2,
-    outlier_sigmas=OUTLIER_SIGMAS,
-    tilt_sigma_rad=TILT_SIGMA_RAD,
-    turn_sigma_rad=TURN_SIGMA_RAD,
-    curvature_sigma=CURVATURE_SIGMA,
-    half_band_m=HALF_BAND_M[0],
-    half_band_sigma_m=HALF_BAND_M[1],
-    max_step=MAX_STEP,
-)
-
-NO_OBSERVATIONS = Sights(np.zeros((0, 3)), np.zeros(0), np.zeros(0))
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StripeEvidence:
-    """The observations from the stripes alone: points of the ring's plane, and the break points."""
+    """The measurements of the stripes, and the ring by them alone."""
 
-    plane: PlanePoints
-    ends: Sights
-    start: RingArcs
-    """Initial guess, and the frame of the priors: facing the camera, straight."""
+    measured: Measurements
+    start: PredictedRing
+
+    def fitted(self, arcs: RingArcs, edges: Edges, rig: Rig, iterations: int = ITERATIONS) -> PredictedRing | None:
+        """The ring near `arcs` by stripes and edge points; weak priors hold what these leave open."""
+        prior = Prior(regularize_about=self.start.arcs)
+        with np.errstate(all="ignore"):
+            ring = refine_ring(replace(self.measured, edges=edges), rig, prior, rig_errors(rig), arcs, iterations)
+        return None if ring is None else PredictedRing(*ring)
 
 
 def stripe_evidence(break_points: BreakPoints, rig: Rig) -> StripeEvidence | None:
     """The evidence in the break points; None without a stripe's line on the face and one end on each edge."""
-    lasers = np.flatnonzero(np.isfinite(break_points.face_start_px[:, 0]))
-    line_px = np.stack([break_points.face_start_px, break_points.face_end_px], axis=1)[lasers]
-    plane_point = _on_light_plane(undistorted_rays(line_px, rig.camera), lasers, rig)
-    moved_point = _on_light_plane(undistorted_rays(line_px + np.array([0.0, 1.0]), rig.camera), lasers, rig)
-    in_space = np.isfinite(plane_point + moved_point).all(axis=(1, 2))
-    lasers, plane_point, moved_point = lasers[in_space], plane_point[in_space], moved_point[in_space]
-    position = _on_light_plane(rays(break_points.position_px, rig.camera), np.arange(len(break_points.flags)), rig)
-    seen = np.isfinite(position[..., 0])
-    if not len(lasers) or not seen.any(axis=0).all():
+    if not bool(break_points.seen.any(axis=0).all()):
         return None
-    position, side = position[seen], np.broadcast_to([1.0, -1.0], seen.shape)[seen]
-    start = _facing(plane_point, position, side)
-    if not plausible(start):
+    variance = break_points.covariance_px2[..., 0, 0] + END_SIGMA_PX**2
+    inflated = np.minimum(variance, MAX_SIGMA_IN_FIT_PX**2)[..., None, None] * np.eye(2)
+    allowed = replace(
+        break_points, covariance_px2=inflated, face_sigma_px=np.hypot(break_points.face_sigma_px, LINE_SIGMA_PX)
+    )
+    measured = measurements_of(allowed, rig)
+    if not len(measured.lines.laser):
         return None
-    line_sigma_px = np.hypot(break_points.face_sigma_px[lasers], LINE_SIGMA_PX)
-    end_sigma_px = np.hypot(np.sqrt(break_points.covariance_px2[seen][:, 0, 0]), END_SIGMA_PX)
-    end_sigma_px = np.minimum(end_sigma_px, MAX_SIGMA_IN_ARC_FIT_PX)
-    return StripeEvidence(
-        plane=PlanePoints(
-            point=plane_point.reshape(-1, 3),
-            sigma_m=(np.abs((moved_point - plane_point) @ start.axes[2]) * line_sigma_px).ravel(),
-        ),
-        ends=Sights(ray=position, side=side, sigma_m=end_sigma_px * position[:, 2] / rig.camera.camera_matrix[0, 0]),
-        start=start,
-    )
-
-
-def _on_light_plane(ray: Float64[Array, "laser k xyz=3"], lasers: Array, rig: Rig) -> Float64[Array, "laser k xyz=3"]:
-    return intersect(ray, rig.lasers.normal[lasers][:, None], rig.lasers.distance_m[lasers][:, None])
-
-
-def _facing(
-    lines: Float64[Array, "laser end=2 xyz=3"], ends: Float64[Array, "n xyz=3"], side: Float64[Array, "n"]
-) -> RingArcs:
-    """Straight edges across the stripes, on a plane that faces the camera as far as the stripes' direction allows."""
-    along = (lines[:, 1] - lines[:, 0]).sum(axis=0)
-    along /= np.linalg.norm(along)
-    middle = lines.mean(axis=(0, 1))
-    position = (ends - middle) @ along
-    inner, outer = position[side > 0].mean(), position[side < 0].mean()
-    across = along if inner > outer else -along
-    origin = middle + (inner + outer) / 2 * along
-    normal = towards_camera(origin - (origin @ across) * across, origin)
-    normal /= np.linalg.norm(normal)
-    return RingArcs(
-        origin=origin,
-        axes=np.stack([across, np.cross(normal, across), normal]),
-        curvature=0.0,
-        half_band_m=abs(inner - outer) / 2,
-    )
-
-
-def fitted_arcs(
-    arcs: RingArcs, evidence: StripeEvidence, edges: Sights, params: FitParams = FIT_PARAMS
-) -> tuple[RingArcs, Float64[Array, "state=7 state=7"]]:
-    """The arcs after some Gauss-Newton iterations from `arcs`, and the covariance of their state."""
-    observations = Sights(*(np.concatenate(both) for both in zip(evidence.ends, edges, strict=True)))
-    return kernels.fitted_arcs(arcs, evidence.plane, observations, evidence.start.axes, params)
+    estimate = estimate_ring(measured, rig, Prior(), rig_errors(rig))
+    if estimate is None or not plausible(estimate.arcs):
+        return None
+    return StripeEvidence(measured=measured, start=PredictedRing(estimate.arcs, estimate.inverse))
 
 
 def plausible(arcs: RingArcs) -> bool:

@@ -162,7 +162,7 @@ class Measurements:
 
     def without_edges(self) -> "Measurements":
         """The measurements without visible edges."""
-        return replace(self, edges=Edges(**{each.name: getattr(self.edges, each.name)[:0] for each in fields(Edges)}))
+        return replace(self, edges=no_edges())
 
     def with_edges_exchanged(self) -> "Measurements":
         """The measurements with inner edges taken for outer ones and the reverse."""
@@ -281,15 +281,20 @@ def pixels_wrt_ray_and_camera(
     return columns[:, :, 3:5], columns[:, :, 6:]  # 0 to 2 rotation, 3 and 4 translation in x and y, from 6 the camera
 
 
+def no_edges() -> Edges:
+    """No visible edge points."""
+    return Edges(
+        edge=np.empty(0, dtype=np.int64),
+        ray=np.empty((0, 3)),
+        step=np.empty((0, 2)),
+        common=np.empty((0, ERRORS)),
+        stamp_s=np.empty(0),
+    )
+
+
 def _edges(ring_edges: RingEdgePoints | None, camera: Camera) -> Edges:
     if ring_edges is None or not len(ring_edges.edge):
-        return Edges(
-            edge=np.empty(0, dtype=np.int64),
-            ray=np.empty((0, 3)),
-            step=np.empty((0, 2)),
-            common=np.empty((0, ERRORS)),
-            stamp_s=np.empty(0),
-        )
+        return no_edges()
     xy = undistort(ring_edges.position_px, camera)
     sigma_px = np.maximum(ring_edges.sigma_px, MIN_SIGMA_PX)[:, None]
     step_px = ring_edges.normal * sigma_px

@@ -106,7 +106,7 @@ def rig_jacobian(
 def mean_ray_jacobian(
     residuals: Residuals, measured: Measurements, observations: Observations, errors: RigErrors, rig: Rig
 ) -> Float64[Array, "xy=2 error"]:
-    """Derivatives of the mean of the predicted break points by the rig's errors of unit variance, ring and pixels fixed.
+    """Derivatives of the mean predicted break point by the rig's errors of unit variance, for a fixed ring.
 
     The abscissae are those of the measured points, the ordinates those of the predicted stripes.
     """

@@ -4,7 +4,7 @@ Huber weights bring the iteration near the solution; from there on visible edge 
 break points fully: outliers among them are judged by `ringpose.estimate.hypotheses`.
 """
 
-from math import isfinite
+from math import isfinite, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +14,7 @@ from ringpose.estimate.measurements import Measurements, Observations
 from ringpose.estimate.nuisance import RigErrors, edge_jacobian, mean_ray_jacobian, rig_jacobian
 from ringpose.estimate.residuals import PARAMETERS, Prior, Residuals, ring_residuals
 from ringpose.geometry.ring import CURVATURE, LIFT, SHIFT, TILT_ALONG, TILT_INWARD, TURN, RingArcs
-from ringpose.geometry.robust import huber_weights
+from ringpose.geometry.robust import huber_weights, redescending_weights
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.rig import Rig
 
@@ -147,35 +147,60 @@ def _gauss_newton(
         step = _shortened(step)
         if not _plausible(arcs, step):
             return None
-        length2 = float(step @ normal_matrix @ step)  # squared Mahalanobis length
+        sigmas = sqrt(max(float(step @ normal_matrix @ step), 0.0))  # Mahalanobis length
         predicted = residuals.residual + residuals.jacobian @ step + nuisance @ nuisance_step
-        converged = near and length2 < MIN_STEP_SIGMAS**2
-        if iteration and not near and length2 < NEAR_SIGMAS**2:
-            near, weights = True, _inlier_weights(predicted, residuals)
         arcs = arcs.moved(step)
         residuals = ring_residuals(arcs, measured, observations, prior)
-        if converged:
+        if near and sigmas < MIN_STEP_SIGMAS:
             break
+        if iteration and not near and sigmas < NEAR_SIGMAS:
+            near, weights = True, _inlier_weights(predicted, residuals)
     inverse = _inverse(normal_matrix)
     if inverse is None:
         return None
-    rig_count, mean_ray_wrt_nuisance = 0, np.zeros((2, nuisance.shape[1]))
-    if errors is not None:
-        rig_count = errors.root.shape[1]
-        mean_ray_wrt_nuisance[:, :rig_count] = mean_ray_jacobian(residuals, measured, observations, errors, rig)
+    of_rig = np.zeros((2, 0)) if errors is None else mean_ray_jacobian(residuals, measured, observations, errors, rig)
+    of_edges = np.zeros((2, nuisance.shape[1] - of_rig.shape[1]))
     return Estimate(
         arcs=arcs,
         residuals=residuals,
         weights=weights,
         rig=wrt_rig,
         nuisance=nuisance,
-        mean_ray_wrt_nuisance=mean_ray_wrt_nuisance,
+        mean_ray_wrt_nuisance=np.concatenate([of_rig, of_edges], axis=1),
         nuisance_step=nuisance_step,
-        rig_errors=rig_count,
+        rig_errors=of_rig.shape[1],
         normal_matrix=normal_matrix,
         inverse=inverse,
         prior=prior,
     )
+
+
+def refine_ring(
+    measured: Measurements, rig: Rig, prior: Prior, errors: RigErrors | None, arcs: RingArcs, iterations: int
+) -> tuple[RingArcs, Float64[Array, "step=7 step=7"]] | None:
+    """A ring near `arcs` after some iterations, and the covariance of its step; None if it diverges.
+
+    For tracking: many visible edge points may be outliers, so that these have redescending weights.
+    """
+    observations = measured.observations(rig.lasers)
+    normal_matrix, nuisance = np.zeros((PARAMETERS, PARAMETERS)), None
+    try:
+        for _ in range(iterations):
+            residuals = ring_residuals(arcs, measured, observations, prior)
+            if nuisance is None:
+                wrt_rig = None if errors is None else rig_jacobian(residuals, measured, observations, errors, rig)
+                nuisance = nuisance_jacobian(residuals, measured, wrt_rig, errors)
+            weights, robust = np.ones(len(residuals.residual)), slice(residuals.ends, residuals.data_rows)
+            weights[robust] = redescending_weights(residuals.residual[robust], HUBER_SIGMAS)
+            normal_matrix, step, _ = solve_normal_equations(residuals, weights, nuisance)
+            step = _shortened(step)
+            if not _plausible(arcs, step):
+                return None
+            arcs = arcs.moved(step)
+    except np.linalg.LinAlgError:
+        return None
+    inverse = _inverse(normal_matrix)
+    return None if inverse is None else (arcs, inverse)
 
 
 def nuisance_jacobian(

@@ -21,9 +21,6 @@ def tracks(position: Array, sigma: Array, piece: Array, laser: Array, lens: _Num
 def faces(
     tracks: Array, unlabelled: int, planes: Array, unions: _Numbers, candidates: _Numbers, ring: _Numbers, /
 ) -> tuple[bytes, tuple[_Group, _Group, _Group]]: ...
-def arcs(
-    position: Array, covariance: Array, planes: Array, lens: _Numbers, circle_sigma: float, exact: int, /
-) -> tuple[tuple[int, int], float, _Numbers, float, float]: ...
 def ends(lit: Array, dark: Array | None, lines: Array, lens: _Numbers, params: _Numbers, /) -> bytes: ...
 def marks(
     tracks: Array,
@@ -49,17 +46,6 @@ def edge_steps(
     place: Array,
     unit: Array,
     table: Array,
-    params: _Numbers,
-    /,
-) -> bytes: ...
-def edge_fit(
-    arcs: Array,
-    plane_point: Array,
-    plane_sigma: Array,
-    reference: Array,
-    ray: Array,
-    side: Array,
-    sigma: Array,
     params: _Numbers,
     /,
 ) -> bytes: ...

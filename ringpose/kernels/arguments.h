@@ -54,12 +54,10 @@ PyObject *call_joins(PyObject *module, PyObject *tuple);
 PyObject *call_stripes(PyObject *module, PyObject *tuple);
 PyObject *call_tracks(PyObject *module, PyObject *tuple);
 PyObject *call_faces(PyObject *module, PyObject *tuple);
-PyObject *call_arcs(PyObject *module, PyObject *tuple);
 PyObject *call_ends(PyObject *module, PyObject *tuple);
 PyObject *call_marks(PyObject *module, PyObject *tuple);
 PyObject *call_edge_places(PyObject *module, PyObject *tuple);
 PyObject *call_edge_profiles(PyObject *module, PyObject *tuple);
 PyObject *call_edge_steps(PyObject *module, PyObject *tuple);
-PyObject *call_edge_fit(PyObject *module, PyObject *tuple);
 
 #endif

@@ -13,8 +13,6 @@ static PyMethodDef methods[] = {
     {"tracks", call_tracks, METH_VARARGS, "tracks(position, sigma, piece, laser, lens, params) -> tracks"},
     {"faces", call_faces, METH_VARARGS,
      "faces(tracks, unlabelled, planes, unions, candidates, ring) -> (tracks, groups of one, two and three)"},
-    {"arcs", call_arcs, METH_VARARGS,
-     "arcs(position, covariance, planes, lens, circle_sigma, exact) -> (points, cost, without, curvature, sigma)"},
     {"ends", call_ends, METH_VARARGS, "ends(lit, dark, lines, lens, params) -> ends"},
     {"marks", call_marks, METH_VARARGS,
      "marks(tracks, ends, lasers, params, position, covariance, flags, straight, sigma): fills the last five"},
@@ -23,8 +21,6 @@ static PyMethodDef methods[] = {
      "edge_profiles(image, place, normal, params, value, saturated, noise): fills the last three"},
     {"edge_steps", call_edge_steps, METH_VARARGS,
      "edge_steps(value, saturated, noise, across, place, unit, table, params) -> steps"},
-    {"edge_fit", call_edge_fit, METH_VARARGS,
-     "edge_fit(arcs, plane_point, plane_sigma, reference, ray, side, sigma, params) -> arcs and covariance"},
     {NULL, NULL, 0, NULL},
 };
 

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 from benchmarks.stripe_images import Kind, stripe_image, stripe_rig
 
-from ringpose.detect.break_points import checked
+from ringpose.detect.break_points import judged
 from ringpose.detect.rim import best_hypothesis, may_be_background, ring_face
 from ringpose.geometry.rays import undistorted_pixels
-from ringpose.kernels.ends import Ends
 from ringpose.kernels.lines import TRACK_COLUMNS, Group
-from ringpose.types.detection import UNLABELLED, BreakPointFlag
+from ringpose.types.detection import UNLABELLED, BreakPointFlag, BreakPoints
 
 RIG = stripe_rig()
 ALL = (0, 1, 2)
@@ -94,34 +93,36 @@ def test_a_labelled_stripe_is_not_assigned_to_another_laser():
     assert not may_be_background(tracks, (0,), ALL, RIG)
 
 
-def ends_with_one_wrong(seed, by_px):
-    """The ends of a true ring, but the right one of the second stripe lies farther out."""
+def points_with_one_wrong(seed, by_px, *, labelled):
+    """The break points of a true ring, but the right one of the second stripe lies farther out."""
     position = stripe_image(Kind.DARK, seed).break_points_px[:, ::-1].copy()
     position[1, 1, 0] += by_px
-    return Ends(
+    lines = face_ends(seed)
+    return BreakPoints(
         position_px=position,
         covariance_px2=np.tile(0.05**2 * np.eye(2), (3, 2, 1, 1)),
         flags=np.zeros((3, 2), np.int64),
-        straight_px=face_ends(seed),
-        straight_sigma_px=np.full((3, 2), 0.01),
+        face_start_px=lines[:, 0],
+        face_end_px=lines[:, 1],
+        face_sigma_px=np.full((3, 2), 0.01),
+        labelled=labelled,
     )
 
 
-def test_an_unlabelled_stripe_with_an_outlier_is_rejected_completely():
-    tracks = np.array([row(*ends) for ends in face_ends(1)])
+@pytest.mark.parametrize("labelled", [True, False])
+def test_a_wrong_end_is_rejected_and_the_line_of_its_stripe_is_kept(labelled):
+    found, rejected = judged(points_with_one_wrong(1, 300.0, labelled=labelled), RIG)
 
-    ends, _, _ = checked(ends_with_one_wrong(1, 300.0), tracks, RIG)
+    # what hid one end may have hidden the other one, which alone would determine the curvature
+    assert {(each.what, each.laser) for each in rejected} == {("point", RIG.lasers.names[1])}
+    assert np.isnan(found.position_px[1]).all()
+    assert not np.isnan(found.position_px[[0, 2]]).any()
+    assert found.flags[1].max() & OCCLUDED
+    assert not np.isnan(found.face_start_px).any()
 
-    assert np.all(ends.flags[1] & OCCLUDED)
-    assert np.isnan(ends.position_px[1]).all()
-    assert np.isnan(ends.straight_px[1]).all()
-    assert not np.isnan(ends.position_px[[0, 2]]).any()
 
+def test_break_points_of_one_ring_are_all_kept():
+    found, rejected = judged(points_with_one_wrong(1, 0.0, labelled=True), RIG)
 
-def test_the_line_of_a_labelled_stripe_with_an_outlier_is_kept():
-    tracks = np.array([row(*ends, laser=laser) for laser, ends in enumerate(face_ends(1))])
-
-    ends, _, _ = checked(ends_with_one_wrong(1, 300.0), tracks, RIG)
-
-    assert np.isnan(ends.position_px[1, 1]).all()
-    assert not np.isnan(ends.straight_px).any()
+    assert rejected == ()
+    assert found.seen.all()

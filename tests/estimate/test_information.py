@@ -7,7 +7,7 @@ import pytest
 
 from ringpose.estimate.covariance import joint_covariance, quantities
 from ringpose.estimate.hypotheses import explain
-from ringpose.estimate.information import POSE, RATES, solve_measurement
+from ringpose.estimate.information import POSE, RATES
 from ringpose.estimate.measurements import measurements_of
 from ringpose.estimate.residuals import Prior
 from ringpose.pose.maximum_likelihood import most_likely_pose
@@ -90,7 +90,9 @@ def test_the_measurement_and_the_stated_priors_give_the_pose_of_the_record(
     expected = joint_covariance(best.estimate, quantities(best.estimate))[POSE, POSE]
     sd = np.sqrt(np.diag(expected))
     assert (np.abs(step[POSE]) < np.maximum(1e-9, 1e-8 * sd)).all()
-    reported = np.zeros(7, dtype=bool) if result.pose.covariance is None else np.isfinite(np.diag(result.pose.covariance))
+    reported = (
+        np.zeros(7, dtype=bool) if result.pose.covariance is None else np.isfinite(np.diag(result.pose.covariance))
+    )
     difference = (covariance - expected) / np.outer(sd, sd)
     assert np.abs(difference[np.ix_(reported, reported)]).max(initial=0.0) < 1e-6
     assert reported.all() or stripes != (0, 1, 2)

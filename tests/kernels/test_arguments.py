@@ -49,7 +49,6 @@ CALLS = {
         (0.6, 0.5, 1.5, 2.5, 3.0, 10.0, 800.0, 40.0),
     ),
     "faces": (TRACKS, 7, numbers(3, 3), (1.0,) * 8, (1.0,) * 13, (1.0,) * 19),
-    "arcs": (numbers(3, 2, 2), numbers(3, 2, 2, 2), numbers(3, 4), LENS, 0.5, 4),
     "ends": (IMAGE, IMAGE, numbers(2, 5), LENS, (1.0,) * 15),
     "marks": (
         TRACKS,
@@ -81,16 +80,6 @@ CALLS = {
         numbers(4),
         numbers(3, 9, 4),
         (1e-9, 3.0, 0.25, 9.0),
-    ),
-    "edge_fit": (
-        ARCS,
-        numbers(2, 3),
-        numbers(2),
-        np.eye(3),
-        numbers(4, 3),
-        numbers(4),
-        numbers(4),
-        (2.0, 3.0, *[1.0] * 12),
     ),
 }
 """Arguments that each kernel takes."""

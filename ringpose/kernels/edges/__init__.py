@@ -1,14 +1,14 @@
-"""Prediction, measurement and fit of a ring's two edges (ringpose-method(7), section 4).
+"""Prediction and measurement of a ring's two edges (ringpose-method(7), section 5).
 
-The sources are ring_arcs.c (the arcs, their prediction in the image, their fit) and edge_steps.c (intensity profiles
-and the steps in them).
+The sources are ring_arcs.c (prediction of the edges in the image) and edge_steps.c (intensity profiles and the steps in
+them).
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.geometry.ring_arcs import RingArcs
+from ringpose.geometry.ring import RingArcs
 from ringpose.kernels import _kernels
 from ringpose.kernels.lines import Lens
 from ringpose.types.arrays import Array, Bool, Float64, UInt
@@ -81,47 +81,13 @@ class Templates(NamedTuple):
     """Coefficient of `step` for a step of height 1."""
 
 
-class FitParams(NamedTuple):
-    """Iterations, robust weights and priors of the fit of arcs."""
-
-    rounds: int
-    """Number of Gauss-Newton iterations."""
-    outlier_sigmas: float
-    """Scale s of the weight 1 / (1 + (r / s)^2)^2 of an observation with residual r."""
-    tilt_sigma_rad: float
-    """Priors, from here on; those of tilts and in-plane rotation refer to given axes."""
-    turn_sigma_rad: float
-    curvature_sigma: float
-    half_band_m: float
-    half_band_sigma_m: float
-    max_step: tuple[float, ...]
-    """Largest step of each component of the state in one iteration."""
-
-
-class PlanePoints(NamedTuple):
-    """Points of the ring's plane."""
-
-    point: Float64[Array, "m xyz=3"]
-    sigma_m: Float64[Array, "m"]
-
-
-class Sights(NamedTuple):
-    """Observed edge points: viewing rays that should intersect an edge."""
-
-    ray: Float64[Array, "n xyz=3"]
-    side: Float64[Array, "n"]
-    """1 for the inner edge, -1 for the outer."""
-    sigma_m: Float64[Array, "n"]
-    """Across the edge, on the ring's plane."""
-
-
 def edge_places(
-    arcs: RingArcs, covariance: Float64[Array, "state=7 state=7"], lens: Lens, params: PlaceParams
+    arcs: RingArcs, covariance: Float64[Array, "step=7 step=7"], lens: Lens, params: PlaceParams
 ) -> Float64[Array, "n column=13"]:
     """Predicted points of the inner edge, then of the outer edge, in the image.
 
-    Columns: the point (3, camera frame, m), the unit vector away from the rim (3), the side (1 inner, -1 outer), the
-    distorted pixel position (2), the edge's unit normal there, away from the rim (2), metres per pixel along it, and
+    Columns: the point (3, camera frame, m), the unit vector off the face (3), the edge's sign (-1 inner, 1 outer), the
+    distorted pixel position (2), the edge's unit normal there, off the face (2), metres per pixel along it, and
     the number of the point along the edge.
     """
     found = _kernels.edge_places(_numbers_of(arcs), np.ascontiguousarray(covariance), lens, params)
@@ -163,30 +129,6 @@ def edge_steps(
         value, saturated, noise_dn, templates.across_px, templates.place_px, templates.unit, table, params
     )
     return np.frombuffer(found, dtype=np.float64).reshape(-1, 5)
-
-
-def fitted_arcs(
-    arcs: RingArcs,
-    plane: PlanePoints,
-    sights: Sights,
-    reference: Float64[Array, "3 xyz=3"],
-    params: FitParams,
-) -> tuple[RingArcs, Float64[Array, "state=7 state=7"]]:
-    """The arcs after `params.rounds` Gauss-Newton iterations, and the covariance of their state.
-
-    The state is tilt about two axes, offset along the normal, radial offset, in-plane rotation, curvature, half width.
-    The priors of tilts and in-plane rotation refer to the axes of `reference`.
-    """
-    numbers = (*params[:-1], *params.max_step)
-    point, plane_sigma, ray, side, sigma = (np.ascontiguousarray(each) for each in (*plane, *sights))
-    axes = np.ascontiguousarray(reference)
-    found = np.frombuffer(
-        _kernels.edge_fit(_numbers_of(arcs), point, plane_sigma, axes, ray, side, sigma, numbers), dtype=np.float64
-    )
-    fitted = RingArcs(
-        origin=found[:3], axes=found[3:12].reshape(3, 3), curvature=float(found[12]), half_band_m=float(found[13])
-    )
-    return fitted, found[14:].reshape(7, 7)
 
 
 def _numbers_of(arcs: RingArcs) -> Float64[Array, "14"]:

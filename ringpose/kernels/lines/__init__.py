@@ -211,36 +211,3 @@ def ring_faces(
     )
     groups = Group(*one), Group(*two), Group(*three)
     return Faces(np.frombuffer(every, np.float64).reshape(-1, len(TRACK_COLUMNS)), groups)
-
-
-class ArcFit(NamedTuple):
-    """Two concentric arcs fitted to points."""
-
-    seen: tuple[int, int]
-    """Number of points on each arc."""
-    cost: float
-    """Half the chi-square of all points."""
-    cost_without: tuple[float, ...]
-    """The same with each point left out, for each laser left, then right; infinite where there is no point."""
-    curvature: float
-    """One over the radius; positive if the centre lies on the side of positive x."""
-    curvature_sigma: float
-
-
-def arc_fit(
-    position_px: Float64[Array, "laser end=2 xy=2"],
-    covariance_px2: Float64[Array, "laser end=2 xy=2 xy=2"],
-    planes: Float64[Array, "laser normal_and_distance=4"],
-    lens: Lens,
-    circle_sigma_px: float,
-    fitted_exactly: int,
-) -> ArcFit:
-    """Two concentric arcs fitted to the ends of stripes, one to the left ends and one to the right ends.
-
-    In the best-fitting plane of the ends, arcs a (x^2 + y^2) + x + b y + c_arc = 0 are fitted by least squares along x,
-    the direction of the image rows. The variance of a distance is that of the point along x plus `circle_sigma_px`
-    squared. The sigma of the curvature is propagated from the former alone, or from both if there are at most
-    `fitted_exactly` points. Ends that are NaN are ignored.
-    """
-    position, covariance, light = (np.ascontiguousarray(each) for each in (position_px, covariance_px2, planes))
-    return ArcFit(*_kernels.arcs(position, covariance, light, lens, circle_sigma_px, fitted_exactly))

@@ -2,36 +2,23 @@
 #ifndef RINGPOSE_ARCS_H
 #define RINGPOSE_ARCS_H
 
-#include "tracks.h"
-
-enum { MAX_ENDS = 64 };
-
 typedef struct {
     double x, y;
     int arc, used;
-    double sigma, along_sigma; /* across its arc; along x */
-} End;
+    } End;
 
 /* a (x^2 + y^2) + x + b y + c_arc = 0, by least squares over the used points. */
 typedef struct {
     double a, b, c[2];
 } Arcs;
 
-/* 0 if an arc has no point. */
-int fit_arcs(const End *end, int ends, Arcs *arcs);
-
-/* The same, but straight lines if the radius would be smaller than `radius`: two arcs pass through any four ends, and
-   if these form a square, the radius is not determined. */
+/* 0 if an arc has no point. Straight lines if the radius would be smaller than `radius`: two arcs pass through any four
+   ends, and if these form a square, the radius is not determined. */
 int fit_wide_arcs(const End *end, int ends, double radius, Arcs *arcs);
 
 /* Distance of a point from its arc, positive towards positive x. */
 double outside_arc(const Arcs *arcs, const End *end);
 
-/* One over the radius; positive if the centre lies on the side of positive x. */
-double arcs_curvature(const Arcs *arcs);
-
 double arcs_band(const Arcs *arcs);
-
-
 
 #endif
