@@ -8,7 +8,7 @@ from ringpose.calibrate.boards.layout import corner_points
 from ringpose.types.board import Board
 
 BOARD = Board(kind="chessboard", squares_x=8, squares_y=7, square_m=0.02)
-HALF_PX = 9
+HALF_PX = 9.0
 
 
 @pytest.fixture
@@ -32,7 +32,7 @@ def rms(points: np.ndarray) -> float:
 def test_corners_beside_a_glaring_stripe_are_half_as_far_off(glaring):
     start = true_px() + 0.3
 
-    plain = refined_corners(glaring, start, float(HALF_PX))
+    plain = refined_corners(glaring, start, HALF_PX)
     levelled = levelled_corners(glaring, start.reshape(6, 7, 2), HALF_PX)
 
     assert rms(levelled) < 0.5 * rms(plain)
