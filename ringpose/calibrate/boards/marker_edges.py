@@ -8,9 +8,8 @@ Sides are fitted iteratively. Each row of pixels across a side (a column, where 
 interpolation) gives the share of the step from dark to bright at its pixels. The edge-spread function turns these
 shares into the row's distance from the parabola, and the parabola is fitted again.
 
-These are Gauss-Newton iterations with a fixed small number of rounds and a linear problem in each. They are not left to
-`scipy.optimize.least_squares`: the samples themselves (pixels within reach, brightness levels, edge-spread function)
-change from round to round, so that there is not one residual function to pass to it.
+The iterations are not left to a least-squares solver: the samples themselves (pixels within reach, grey levels,
+edge-spread function) change from round to round, so that there is not one residual function to pass to it.
 """
 
 from dataclasses import dataclass, replace
@@ -22,8 +21,9 @@ from scipy.special import ndtr
 
 from ringpose.calibrate.boards.corner_errors import endpoint_correlation
 from ringpose.calibrate.boards.edge_profile import MIN_BLUR_PX, EdgeProfile, fitted_profile, gaussian_profile
-from ringpose.geometry.robust import robust_std
-from ringpose.types.arrays import Array, Bool, Float64, UInt8
+from ringpose.calibrate.boards.image_patch import GreyImage
+from ringpose.geometry.robust import gauss_newton, robust_std
+from ringpose.types.arrays import Array, Bool, Float64
 
 MIN_SIDE_PX = 24.0
 """Minimum length of a side: shorter ones have too few undisturbed samples."""
@@ -81,13 +81,8 @@ class SideCorners(NamedTuple):
     """Correlation of a side's errors at its two ends; zero if not all sides were fitted."""
 
 
-class Light(NamedTuple):
-    """Brightness gradients on a marker, in grey levels per pixel."""
-
-    dark: Float64[Array, "xy=2"]
-    """Inside its black border."""
-    bright: Float64[Array, "xy=2"]
-    """On the white paper around it."""
+Gradients = Float64[Array, "level=2 xy=2"]
+"""Brightness gradients on a marker in grey levels per pixel: in its black border, and on the white paper around it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -145,7 +140,7 @@ class SideSamples(NamedTuple):
     """Distance of a line's pixels across the side."""
 
 
-def corners_from_sides(image: UInt8[Array, "row column"], corners: Float64[Array, "corner=4 xy=2"]) -> SideCorners:
+def corners_from_sides(image: GreyImage, corners: Float64[Array, "corner=4 xy=2"]) -> SideCorners:
     """The intersections of the marker's sides; a corner without two fitted sides, or moved too far, is unchanged."""
     lengths = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
     if lengths.min() < MIN_SIDE_PX:
@@ -164,7 +159,7 @@ def corners_from_sides(image: UInt8[Array, "row column"], corners: Float64[Array
     return SideCorners(refined, float(np.mean(correlations)) if len(correlations) == 4 else 0.0)
 
 
-def marker_light(image: UInt8[Array, "row column"], corners: Float64[Array, "corner=4 xy=2"]) -> Light:
+def marker_light(image: GreyImage, corners: Float64[Array, "corner=4 xy=2"]) -> Gradients:
     """Brightness gradients from strips along the four sides, inside and outside; zero if the strips do not fit a plane.
 
     Where the brightness changes by 0.05 % per pixel, a level taken 3 px from the edge displaces the edge by 0.002 px,
@@ -172,18 +167,16 @@ def marker_light(image: UInt8[Array, "row column"], corners: Float64[Array, "cor
     """
     sides = [straight_side(corners[i], corners[(i + 1) % 4]) for i in range(4)]
     reach = reach_px(min(side.length for side in sides))
-    strips = np.array(
-        [[_strip_brightness(image, side, end * _FLANK_POSITION * reach) for end in (-1.0, 1.0)] for side in sides]
-    )
+    across = _FLANK_POSITION * reach
+    strips = np.array([[_strip_brightness(image, side, sign * across) for sign in (-1.0, 1.0)] for side in sides])
     middles = (corners + np.roll(corners, -1, axis=0)) / 2
     design = np.column_stack([np.ones(4), middles - middles.mean(axis=0)])
     planes = np.linalg.lstsq(design, strips)[0]
     uneven = np.abs(design @ planes - strips).max(axis=0) > _MAX_UNEVENNESS * np.ptp(planes[0])
-    dark, bright = np.where(uneven, 0.0, planes[1:]).T
-    return Light(dark=dark, bright=bright)
+    return np.where(uneven, 0.0, planes[1:]).T
 
 
-def _strip_brightness(image: UInt8[Array, "row column"], side: Side, across: float) -> float:
+def _strip_brightness(image: GreyImage, side: Side, across: float) -> float:
     """Median grey value along a side, at a distance outside it; the median excludes objects in front of the board."""
     t = np.linspace(MAX_LEFT_OUT, 1.0 - MAX_LEFT_OUT, int(side.length)) * side.length
     points = side.points(t, np.full(len(t), across)).astype(np.float32)
@@ -205,7 +198,7 @@ def reach_px(length: float, max_px: float = REACH_PX) -> float:
 
 
 def _opposite_sides(
-    image: UInt8[Array, "row column"], corners: Float64[Array, "corner=4 xy=2"], first: int, light: Light
+    image: GreyImage, corners: Float64[Array, "corner=4 xy=2"], first: int, light: Gradients
 ) -> list[Side | None]:
     """Two opposite sides, which have the same blur; None for a side of which too little is visible."""
     chords = [straight_side(corners[i], corners[(i + 1) % 4]) for i in (first, first + 2)]
@@ -218,7 +211,7 @@ def _opposite_sides(
 
 
 def _fitted_sides(
-    image: UInt8[Array, "row column"], chords: list[Side], light: Light, reach: float
+    image: GreyImage, chords: list[Side], light: Gradients, reach: float
 ) -> tuple[list[Side | None], float]:
     """The sides fitted to the pixels within reach, and the blur of their edges in pixels."""
     sides: list[Side | None] = list(chords)
@@ -242,7 +235,7 @@ def _fitted_sides(
 
 
 def side_samples(
-    image: UInt8[Array, "row column"], side: Side, extent: tuple[float, float], light: Light, blur_px: float
+    image: GreyImage, side: Side, extent: tuple[float, float], light: Gradients, blur_px: float
 ) -> SideSamples | None:
     """Samples of a side's edge; None if too little of it is visible.
 
@@ -276,7 +269,7 @@ def side_samples(
 
 
 def _pixels(
-    image: UInt8[Array, "row column"], side: Side, left_out: float, reach: float
+    image: GreyImage, side: Side, left_out: float, reach: float
 ) -> tuple[Float64[Array, "line"], Float64[Array, "line pixel"], Float64[Array, "line pixel"]]:
     """For each line of pixels: its crossing t with the side, its pixels' distances from the side, and their grey.
 
@@ -355,22 +348,26 @@ def _blur_px(samples: SideSamples, reach: float) -> float:
     """Standard deviation of the error function fitted to the edge by least squares, its position free.
 
     The start value follows from the area between the edge and an unblurred step, (2 / pi)^1/2 standard deviations. It
-    is not accurate enough where a side is parallel to rows: there few positions within a pixel are sampled. Three
-    Gauss-Newton iterations on two unknowns: `least_squares` would take the same steps, and is called 20 times a marker.
+    is not accurate enough where a side is parallel to rows: there few positions within a pixel are sampled.
+    `scipy.optimize.least_squares` finds the same minimum in four times the time (20 calls a marker: 37 instead of 10 ms
+    of 69).
     """
     across, share = samples.across[samples.used], samples.share[samples.used]
     area = np.abs(share - np.heaviside(across, 0.5)).sum() * samples.spacing
-    blur = float(np.clip(np.sqrt(np.pi / 2) * area / samples.used.any(axis=1).sum(), MIN_BLUR_PX, reach))
-    shift = 0.0
-    for _ in range(_BLUR_ITERATIONS):
+    start = np.clip(np.sqrt(np.pi / 2) * area / samples.used.any(axis=1).sum(), MIN_BLUR_PX, reach)
+
+    def linearised(state: Float64[Array, "2"]) -> tuple[Float64[Array, "sample"], Float64[Array, "sample 2"]]:
+        shift, blur = state
         z = (across - shift) / blur
         density = np.exp(-0.5 * z**2) / (np.sqrt(2 * np.pi) * blur)
-        jacobian = np.column_stack([-density, -z * density])
-        residual = np.clip(share - ndtr(z), -_MAX_PROFILE_RESIDUAL, _MAX_PROFILE_RESIDUAL)
-        step = np.linalg.lstsq(jacobian.T @ jacobian, jacobian.T @ residual)[0]
-        shift += float(step[0])
-        blur = float(np.clip(blur + step[1], MIN_BLUR_PX, reach))
-    return blur
+        residual = np.clip(ndtr(z) - share, -_MAX_PROFILE_RESIDUAL, _MAX_PROFILE_RESIDUAL)
+        return residual, np.column_stack([-density, -z * density])
+
+    def moved(state: Float64[Array, "2"], step: Float64[Array, "2"]) -> Float64[Array, "2"]:
+        shift, blur = state + step
+        return np.array([shift, np.clip(blur, MIN_BLUR_PX, reach)])
+
+    return float(gauss_newton(linearised, moved, np.array([0.0, start]), _BLUR_ITERATIONS)[1])
 
 
 def side_intersection(before: Side, after: Side, corner: Float64[Array, "2"]) -> Float64[Array, "2"]:

@@ -1,7 +1,7 @@
 """Results of a calibration of the light planes: the key `quality` of rig.yaml, the summary, angles between planes."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise, permutations
 from typing import Any
 
@@ -43,13 +43,15 @@ def calibrated_rig(calibration: PlanesCalibration) -> Rig:
 def planes_quality(assessment: PlanesAssessment) -> Mapping[str, Any]:
     """The key `quality` of rig.yaml."""
     calibration = assessment.calibration
+    angles = plane_angles(calibration)
+    neighbours = [{"lasers": [own.first, own.second]} | _without(asdict(own), "first", "second") for own in angles]
     quality = {
         "verdict": verdict_values(assessment.verdict),
         "method": calibration.method,
         "standard_deviations": _standard_deviations(calibration),
         "variance_excess": float(calibration.excess),
         "lasers": [_laser_quality(laser) for laser in calibration.lasers],
-        "angles": _angles(calibration),
+        "angles": {"neighbours": neighbours, "common_line_gap_m": common_line_gap_m(angles)} if angles else None,
         "depth_sd_m": _depths(calibration),
         "ring_center_sd_m": _ring_centers(calibration),
         "boards": [
@@ -65,142 +67,19 @@ def planes_quality(assessment: PlanesAssessment) -> Mapping[str, Any]:
     return {"quality": {key: value for key, value in quality.items() if value is not None}}
 
 
-def planes_summary(assessment: PlanesAssessment) -> list[str]:
-    """The same as lines of text."""
-    calibration = assessment.calibration
-    lines = [f"{name}: {reason}" for name, reason in calibration.remarks]
-    deviations = _standard_deviations(calibration)
-    for laser in calibration.lasers:
-        lines.append(_laser_line(laser, deviations))
-        lines += _by_distance(laser)
-    for angle in plane_angles(calibration):
-        sd = f" ± {np.degrees(angle.sd_rad):.4f}" if np.isfinite(angle.sd_rad) else ""
-        lines.append(f"{angle.first} to {angle.second}: {np.degrees(angle.angle_rad):.3f}{sd} deg")
-    lines += _depth_lines(calibration) + _ring_lines(calibration)
-    for entry in _paper(assessment) or []:
-        lines.append(
-            f"{entry['name']}: by the paper's method held out {1e6 * entry['held_out_rms_m']:.0f} um, "
-            f"{np.degrees(entry['angle_rad']):.4f} deg and {1e6 * entry['offset_m']:.0f} um away"
-        )
-    return lines + verdict_lines(assessment.verdict)
-
-
-def _laser_line(laser: LaserCalibration, deviations: Mapping[str, float]) -> str:
-    points = sum(len(view.points) for view in laser.views)
-    line = f"{laser.name}: {points} points of {len(laser.views)} views, rms {1e6 * laser.rms_m:.0f} um"
-    if np.isfinite(laser.held_out_rms_m):
-        line += f", held out {1e6 * laser.held_out_rms_m:.0f} um"
-    else:
-        line += ", held out unknown (needs a third view)"
-    if deviations:
-        tilt = np.degrees(max(deviations[f"{laser.name}.tilt_1"], deviations[f"{laser.name}.tilt_2"]))
-        line += f", tilt ± {tilt:.4f} deg, distance ± {1e6 * deviations[f'{laser.name}.distance']:.0f} um"
-    return line
-
-
-def _by_distance(laser: LaserCalibration) -> list[str]:
-    """Held-out errors of a laser's nearest and farthest view."""
-    views = sorted((view for view in laser.views if np.isfinite(view.held_out_rms_m)), key=lambda view: view.distance_m)
-    if len(views) < 2:
-        return []
-    ends = ", ".join(
-        f"{1e6 * v.held_out_rms_m:.0f} um at {v.distance_m:.2f} m ({v.name})" for v in (views[0], views[-1])
-    )
-    return [f"{laser.name}: held out {ends}"]
-
-
-def _angles(calibration: PlanesCalibration) -> dict[str, Any] | None:
-    """Angles between neighbouring light planes, and the distance between their lines of intersection."""
-    angles = plane_angles(calibration)
-    if not angles:
-        return None
-    return {
-        "neighbours": [
-            {
-                "lasers": [angle.first, angle.second],
-                "angle_rad": angle.angle_rad,
-                "sd_rad": angle.sd_rad,
-                "line_point_m": angle.line_point_m,
-                "line_direction": angle.line_direction,
-            }
-            for angle in angles
-        ],
-        "common_line_gap_m": common_line_gap_m(angles),
-    }
-
-
-def _depths(calibration: PlanesCalibration) -> dict[str, Any] | None:
-    """Largest standard deviation of depths along each stripe, by distance; NaN if it is outside the image."""
-    if calibration.covariance is None:
-        return None
-    found = depth_uncertainty(calibration.camera, calibration.planes, calibration.covariance, DEPTHS_M)
-    rows = zip(calibration.planes.names, found.worst_m.tolist(), strict=True)
-    return {"distances_m": list(DEPTHS_M), "lasers": [{"name": name, "depth_sd_m": row} for name, row in rows]}
-
-
-def _depth_lines(calibration: PlanesCalibration) -> list[str]:
-    depths = _depths(calibration)
-    if depths is None:
-        return []
-    lines = []
-    for entry in depths["lasers"]:
-        known = [(z, sd) for z, sd in zip(depths["distances_m"], entry["depth_sd_m"], strict=True) if np.isfinite(sd)]
-        if known:
-            sigmas = ", ".join(f"{1e3 * sd:.2f} mm at {z:g} m" for z, sd in known)
-            lines.append(f"{entry['name']}: standard deviation of depths: {sigmas}")
-    return lines
-
-
-def _ring_centers(calibration: PlanesCalibration) -> dict[str, Any] | None:
-    """Standard deviations of a ring's centre by the calibration alone, along the camera's axes; NaN without stripes."""
-    if calibration.covariance is None:
-        return None
-    camera, lasers, covariance = calibration.camera, calibration.planes, calibration.covariance
-    sd = [ring_center_sd_m(camera, lasers, covariance, distance_m).tolist() for distance_m in DEPTHS_M]
-    return {"radii_m": list(RADII_M), "distances_m": list(DEPTHS_M), "sd_m": sd}
-
-
-def _ring_lines(calibration: PlanesCalibration) -> list[str]:
-    found = _ring_centers(calibration)
-    if found is None:
-        return []
-    known = [(z, max(sd)) for z, sd in zip(found["distances_m"], found["sd_m"], strict=True) if np.isfinite(sd).all()]
-    if not known:
-        return []
-    sigmas = ", ".join(f"{1e3 * sd:.2f} mm at {z:g} m" for z, sd in known)
-    return [f"standard deviation of a ring's centre (radius {RADII_M[1]:g} m) by this calibration: {sigmas}"]
-
-
-def _paper(assessment: PlanesAssessment) -> list[dict[str, Any]] | None:
-    """Comparison with the planes by the paper's method."""
-    if assessment.paper is None:
-        return None
-    return [
-        {
-            "name": own.name,
-            "rms_m": other.rms_m,
-            "held_out_rms_m": other.held_out_rms_m,
-            "angle_rad": float(angle_between(own.normal, other.normal)),
-            "offset_m": _offset_m(own, other),
-        }
-        for own, other in zip(assessment.calibration.lasers, assessment.paper.lasers, strict=True)
-    ]
-
-
-def _offset_m(own: LaserCalibration, other: LaserCalibration) -> float:
-    """Distance of the centroid of the points from the other plane."""
-    middle = np.concatenate([view.points for view in own.views]).mean(axis=0)
-    return abs(float(middle @ other.normal - other.distance_m))
+def _without(values: Mapping[str, Any], *keys: str) -> dict[str, Any]:
+    return {key: value for key, value in values.items() if key not in keys}
 
 
 def _standard_deviations(calibration: PlanesCalibration) -> dict[str, float]:
-    """Of the light planes' parameters, by name."""
+    """Standard deviations of the light planes' parameters, by name."""
     covariance = calibration.covariance
     every = {} if covariance is None else covariance.standard_deviations
     return {name: value for name, value in every.items() if "." in name}
 
 
 def _laser_quality(laser: LaserCalibration) -> dict[str, Any]:
+    """One entry of the key `quality.lasers`."""
     return {
         "name": laser.name,
         "rms_m": laser.rms_m,
@@ -220,6 +99,93 @@ def _laser_quality(laser: LaserCalibration) -> dict[str, Any]:
     }
 
 
+def _depths(calibration: PlanesCalibration) -> dict[str, Any] | None:
+    """Largest standard deviation of depths along each stripe, by distance; NaN if it is outside the image."""
+    if calibration.covariance is None:
+        return None
+    found = depth_uncertainty(calibration.camera, calibration.planes, calibration.covariance, DEPTHS_M)
+    rows = zip(calibration.planes.names, found.worst_m.tolist(), strict=True)
+    return {"distances_m": list(DEPTHS_M), "lasers": [{"name": name, "depth_sd_m": row} for name, row in rows]}
+
+
+def _ring_centers(calibration: PlanesCalibration) -> dict[str, Any] | None:
+    """Standard deviations of a ring's centre by the calibration alone, along the camera's axes; NaN without stripes."""
+    if calibration.covariance is None:
+        return None
+    camera, lasers, covariance = calibration.camera, calibration.planes, calibration.covariance
+    sd = [ring_center_sd_m(camera, lasers, covariance, distance_m).tolist() for distance_m in DEPTHS_M]
+    return {"radii_m": list(RADII_M), "distances_m": list(DEPTHS_M), "sd_m": sd}
+
+
+def _paper(assessment: PlanesAssessment) -> list[dict[str, Any]] | None:
+    """Comparison with the planes by the paper's method; the offset is that of the centroid of a laser's points."""
+    if assessment.paper is None:
+        return None
+    compared = []
+    for own, other in zip(assessment.calibration.lasers, assessment.paper.lasers, strict=True):
+        centroid = np.concatenate([view.points for view in own.views]).mean(axis=0)
+        compared.append(
+            {
+                "name": own.name,
+                "rms_m": other.rms_m,
+                "held_out_rms_m": other.held_out_rms_m,
+                "angle_rad": float(angle_between(own.normal, other.normal)),
+                "offset_m": abs(float(centroid @ other.normal - other.distance_m)),
+            }
+        )
+    return compared
+
+
+def planes_summary(assessment: PlanesAssessment) -> list[str]:
+    """The result as lines of text."""
+    calibration = assessment.calibration
+    lines = [f"{name}: {reason}" for name, reason in calibration.remarks]
+    deviations = _standard_deviations(calibration)
+    for laser in calibration.lasers:
+        lines += _laser_lines(laser, deviations)
+    for angle in plane_angles(calibration):
+        sd = f" ± {np.degrees(angle.sd_rad):.4f}" if np.isfinite(angle.sd_rad) else ""
+        lines.append(f"{angle.first} to {angle.second}: {np.degrees(angle.angle_rad):.3f}{sd} deg")
+    depths, centers = _depths(calibration), _ring_centers(calibration)
+    for entry in depths["lasers"] if depths else []:
+        text = _by_distance_text(DEPTHS_M, entry["depth_sd_m"])
+        lines += [f"{entry['name']}: standard deviation of depths: {text}"] if text else []
+    if centers and (text := _by_distance_text(DEPTHS_M, [max(sd) for sd in centers["sd_m"]])):
+        lines.append(f"standard deviation of a ring's centre (radius {RADII_M[1]:g} m) by this calibration: {text}")
+    for entry in _paper(assessment) or []:
+        lines.append(
+            f"{entry['name']}: by the paper's method held out {1e6 * entry['held_out_rms_m']:.0f} um, "
+            f"{np.degrees(entry['angle_rad']):.4f} deg and {1e6 * entry['offset_m']:.0f} um away"
+        )
+    return lines + verdict_lines(assessment.verdict)
+
+
+def _laser_lines(laser: LaserCalibration, deviations: Mapping[str, float]) -> list[str]:
+    """A laser's residuals and standard deviations, and the held-out errors of its nearest and farthest view."""
+    points = sum(len(view.points) for view in laser.views)
+    line = f"{laser.name}: {points} points of {len(laser.views)} views, rms {1e6 * laser.rms_m:.0f} um"
+    if np.isfinite(laser.held_out_rms_m):
+        line += f", held out {1e6 * laser.held_out_rms_m:.0f} um"
+    else:
+        line += ", held out unknown (needs a third view)"
+    if deviations:
+        tilt = np.degrees(max(deviations[f"{laser.name}.tilt_1"], deviations[f"{laser.name}.tilt_2"]))
+        line += f", tilt ± {tilt:.4f} deg, distance ± {1e6 * deviations[f'{laser.name}.distance']:.0f} um"
+    views = sorted((view for view in laser.views if np.isfinite(view.held_out_rms_m)), key=lambda view: view.distance_m)
+    if len(views) < 2:
+        return [line]
+    ends = ", ".join(
+        f"{1e6 * view.held_out_rms_m:.0f} um at {view.distance_m:.2f} m ({view.name})" for view in (views[0], views[-1])
+    )
+    return [line, f"{laser.name}: held out {ends}"]
+
+
+def _by_distance_text(distances_m: Sequence[float], sigmas_m: Sequence[float]) -> str:
+    """The known standard deviations, as text; empty if none is known."""
+    known = [(z, sd) for z, sd in zip(distances_m, sigmas_m, strict=True) if np.isfinite(sd)]
+    return ", ".join(f"{1e3 * sd:.2f} mm at {z:g} m" for z, sd in known)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlaneAngle:
     """The angle between two neighbouring light planes, and their line of intersection."""
@@ -236,39 +202,7 @@ class PlaneAngle:
 
 def plane_angles(calibration: PlanesCalibration) -> list[PlaneAngle]:
     """Angles of neighbours, in the order of the lasers; empty for one laser."""
-    return [_angle(calibration, first, first + 1) for first, _ in pairwise(range(len(calibration.lasers)))]
-
-
-def middle_outside_rad(calibration: PlanesCalibration) -> float | None:
-    """Angle by which the plane named middle lies outside those named left and right; None for other names.
-
-    The plane between two others makes a smaller angle with each than they make with each other.
-    """
-    planes = dict(zip(calibration.planes.names, calibration.planes.normal, strict=True))
-    if set(planes) != set(THREE):
-        return None
-    left, middle, right = (planes[name] for name in THREE)
-    inner = max(float(angle_between(left, middle)), float(angle_between(middle, right)))
-    return max(inner - float(angle_between(left, right)), 0.0)
-
-
-def order_with_angles(
-    calibration: PlanesCalibration, expected_rad: Sequence[float], tolerance_rad: float
-) -> tuple[str, ...] | None:
-    """An order of the lasers in which neighbours have the expected angles; None if none or the given one has."""
-    normals = calibration.planes.normal
-    angles = np.array([[float(angle_between(own, other)) for other in normals] for own in normals])
-    for way in permutations(range(len(normals))):
-        found = np.array([angles[pair] for pair in pairwise(way)])
-        if np.all(np.abs(found - np.array(expected_rad)) < tolerance_rad):
-            return tuple(calibration.planes.names[laser] for laser in way) if way != tuple(sorted(way)) else None
-    return None
-
-
-def common_line_gap_m(angles: list[PlaneAngle]) -> float:
-    """Largest distance between neighbouring planes' lines, at their points nearest to the camera; NaN for one line."""
-    points = [angle.line_point_m for angle in angles]
-    return max((float(np.linalg.norm(after - before)) for before, after in pairwise(points)), default=float("nan"))
+    return [_angle(calibration, first, first + 1) for first in range(len(calibration.lasers) - 1)]
 
 
 def _angle(calibration: PlanesCalibration, first: int, second: int) -> PlaneAngle:
@@ -304,3 +238,35 @@ def _direction_towards(normal: Float64[Array, "xyz=3"], other: Float64[Array, "x
     direction: Float64[Array, "2"] = tilt_basis(normal) @ other
     length = float(np.linalg.norm(direction))
     return direction / length if length > 0 else direction
+
+
+def middle_outside_rad(calibration: PlanesCalibration) -> float | None:
+    """Angle by which the plane named middle lies outside those named left and right; None for other names.
+
+    The plane between two others makes a smaller angle with each than they make with each other.
+    """
+    planes = dict(zip(calibration.planes.names, calibration.planes.normal, strict=True))
+    if set(planes) != set(THREE):
+        return None
+    left, middle, right = (planes[name] for name in THREE)
+    inner = max(float(angle_between(left, middle)), float(angle_between(middle, right)))
+    return max(inner - float(angle_between(left, right)), 0.0)
+
+
+def order_with_angles(
+    calibration: PlanesCalibration, expected_rad: Sequence[float], tolerance_rad: float
+) -> tuple[str, ...] | None:
+    """An order of the lasers in which neighbours have the expected angles; None if none or the given one has."""
+    normals = calibration.planes.normal
+    angles = np.array([[float(angle_between(own, other)) for other in normals] for own in normals])
+    for way in permutations(range(len(normals))):
+        found = np.array([angles[pair] for pair in pairwise(way)])
+        if np.all(np.abs(found - np.array(expected_rad)) < tolerance_rad):
+            return tuple(calibration.planes.names[laser] for laser in way) if way != tuple(sorted(way)) else None
+    return None
+
+
+def common_line_gap_m(angles: list[PlaneAngle]) -> float:
+    """Largest distance between neighbouring planes' lines, at their points nearest to the camera; NaN for one line."""
+    points = [angle.line_point_m for angle in angles]
+    return max((float(np.linalg.norm(after - before)) for before, after in pairwise(points)), default=float("nan"))
