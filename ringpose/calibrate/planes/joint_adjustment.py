@@ -9,6 +9,10 @@ parameters). Views have only s in common, so that each pose is eliminated from t
     (2) gradient      g = sum over views of S^T r - (P^T S)^T (P^T P)^-1 P^T r
     (3) shared step   ds = -(N + Q)^-1 (g + Q (s - s0)),  Q and s0 the camera's prior
     (4) pose step     dp = -(P^T P)^-1 P^T (r + S ds)
+
+`scipy.optimize.least_squares` with Huber's loss solves the dense system of all poses instead: for eight boards and
+18,000 residuals it finds the same planes (to 2e-8 um) in 1.0 s instead of 0.1 s, and a calibration solves this system
+ten times. Nor can the limit of its loss follow the scatter of a displaced stripe (`_robust_weights`).
 """
 
 from collections.abc import Sequence
@@ -19,7 +23,13 @@ import numpy as np
 
 from ringpose.calibrate.boards.corner_errors import MIN_SIGMA_PX, corner_residuals, whiten
 from ringpose.calibrate.boards.pose import moved_pose, residuals
-from ringpose.calibrate.camera.parameters import camera_with, parameter_names, parameters_of, projection_jacobians
+from ringpose.calibrate.camera.parameters import (
+    camera_with,
+    inverse_of_scaled,
+    parameter_names,
+    parameters_of,
+    projection_jacobians,
+)
 from ringpose.calibrate.planes.stripe_errors import (
     StripeResiduals,
     center_sigma_px,
@@ -163,12 +173,8 @@ def prior_information(camera: Camera) -> Float64[Array, "parameter parameter"]:
     names = parameter_names(camera.distortion_model)
     information = np.zeros((len(names), len(names)))
     if camera.covariance is not None:
-        sigma = np.sqrt(np.diag(camera.covariance.data))
-        known = np.flatnonzero(sigma > 0)
-        scale = np.outer(sigma[known], sigma[known])
-        inverse = np.linalg.inv(camera.covariance.data[np.ix_(known, known)] / scale) / scale
-        columns = [names.index(camera.covariance.parameters[index]) for index in known]
-        information[np.ix_(columns, columns)] = inverse
+        columns = [names.index(name) for name in camera.covariance.parameters]
+        information[np.ix_(columns, columns)] = inverse_of_scaled(camera.covariance.data)
     return information
 
 

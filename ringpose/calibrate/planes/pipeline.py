@@ -77,7 +77,10 @@ class PlaneSolution(NamedTuple):
 def calibrate_planes(views: Sequence[StripeView], camera: Camera, model: PlanesModel) -> PlanesCalibration:
     """The light planes in the camera frame, with the residuals of each view."""
     views = [replace(view, board=without_distortion_bias(view.board, camera)) for view in views]
-    poses = [_candidate_poses(view, camera, model.method) for view in views]
+    if model.method is PlanesMethod.PAPER:
+        poses = [[marker_average_pose(view.board, camera)] for view in views]
+    else:
+        poses = [board_poses(view.board, camera) for view in views]
     evidence, remarks, contradicting = stripe_evidence(views, poses, camera, model.names, model.order)
     if model.method is PlanesMethod.JOINT:
         solution = joint_solution(evidence, model.free_camera)
@@ -101,13 +104,6 @@ def calibrate_planes(views: Sequence[StripeView], camera: Camera, model: PlanesM
         contradicting=tuple(contradicting),
         excess=solution.excess,
     )
-
-
-def _candidate_poses(view: StripeView, camera: Camera, method: PlanesMethod) -> list[BoardPose]:
-    """The board's pose, followed by the mirrored one where the corners leave both possible."""
-    if method is PlanesMethod.PAPER:
-        return [marker_average_pose(view.board, camera)]
-    return board_poses(view.board, camera)
 
 
 def _laser(laser: int, evidence: StripeEvidence, solution: PlaneSolution) -> LaserCalibration:
@@ -159,14 +155,19 @@ def joint_solution(evidence: StripeEvidence, free_camera: bool) -> PlaneSolution
     ]
     try:
         data, fit = _weighted_fit(evidence, start, free_camera)
-        fixed = data.with_camera(fit.state.camera) if free_camera else data
+        fixed = data
+        if free_camera:  # from here on the camera is held fixed, with the stripes triangulated by it
+            fixed = data.with_camera(fit.state.camera)
+            poses = tuple(board_pose(view.board, fixed.camera) for view in evidence.views)
+            refined = replace(evidence, camera=fixed.camera, poses=poses)
+            points = [refined.points(laser) for laser in range(len(evidence.names))]
         excess = variance_excess(fixed, fit)
         planes = zip(fit.state.normal, fit.state.distance_m.tolist(), start, strict=True)
         return PlaneSolution(
             planes=tuple(FittedPlane(*downward(normal, distance), old.condition) for normal, distance, old in planes),
             poses=fit.state.poses,
             camera=fit.state.camera,
-            corner_points=_points_by_camera(evidence, fit.state.camera) if free_camera else points,
+            corner_points=points,
             held_out=_held_out(points, fixed, fit),
             covariance=planes_covariance(evidence.names, fit, evidence.camera, excess, free_camera),
             excess=excess,
@@ -206,31 +207,21 @@ def _weighted_fit(
     return data, joint_fit(data, fit.state)
 
 
-def _points_by_camera(evidence: StripeEvidence, camera: Camera) -> list[list[Points]]:
-    """The stripes triangulated with another camera."""
-    poses = tuple(board_pose(view.board, camera) for view in evidence.views)
-    other = replace(evidence, camera=camera, poses=poses)
-    return [other.points(laser) for laser in range(len(other.names))]
-
-
 def _held_out(points: Sequence[Sequence[Points]], data: JointData, fit: JointFit) -> HeldOut:
     """The planes without each view in turn; lasers that are then undetermined take no part in the adjustment."""
-    by_view = []
+    by_view: list[list[FittedPlane | None]] = []
     for view in range(len(data.views)):
         determined = [determined_without(own, view) for own in points]
-        by_view.append(_planes_without_view(data, fit, view, determined))
+        if not any(determined):
+            by_view.append([None] * len(determined))
+            continue
+        rest = data.without_view(view)
+        for laser in np.flatnonzero(~np.array(determined)).tolist():
+            rest = rest.without_laser(laser)
+        poses = fit.state.poses[:view] + fit.state.poses[view + 1 :]
+        state = joint_fit(rest, replace(fit.state, poses=poses)).state
+        planes = zip(state.normal, state.distance_m.tolist(), determined, strict=True)
+        by_view.append(
+            [FittedPlane(normal, distance_m, np.nan) if known else None for normal, distance_m, known in planes]
+        )
     return list(zip(*by_view, strict=True))
-
-
-def _planes_without_view(
-    data: JointData, fit: JointFit, left_out: int, determined: Sequence[bool]
-) -> list[FittedPlane | None]:
-    if not any(determined):
-        return [None] * len(determined)
-    rest = data.without_view(left_out)
-    for laser, known in enumerate(determined):
-        rest = rest if known else rest.without_laser(laser)
-    poses = fit.state.poses[:left_out] + fit.state.poses[left_out + 1 :]
-    state = joint_fit(rest, replace(fit.state, poses=poses)).state
-    planes = zip(state.normal, state.distance_m.tolist(), determined, strict=True)
-    return [FittedPlane(normal, distance_m, np.nan) if known else None for normal, distance_m, known in planes]

@@ -23,7 +23,7 @@ from ringpose.types.board import Board, BoardView
 from ringpose.types.calibration import StripeView
 from ringpose.types.camera import Camera
 from ringpose.types.detection import Stripes
-from ringpose.types.image import Frame, Shot
+from ringpose.types.image import Shot
 from ringpose.types.sequence import MAX_LASERS
 
 NEAR_PX = 1.5
@@ -78,9 +78,11 @@ def stripe_view(
         on = [laser for laser in range(lasers) if frame.lasers >> laser & 1]
         if not on or all(laser in labelled for laser in on):
             continue
-        stripes, remark = _stripes(frame, dark, surface, on, shot.saturation_dn)
+        lines = sorted(stripe_lines(frame.image, dark, surface, len(on)), key=lambda line: line.position_px)
+        stripes = tuple(line.points_px for line in lines)
         most = max(most, len(stripes))
-        if remark:
+        if len(stripes) != len(on):
+            remark = stripe_failure(frame.image, dark, surface, len(stripes), on, shot.saturation_dn)
             remarks += [] if remarks and len(on) > 1 else [remark]
         elif len(on) == 1:
             labelled[on[0]] = stripes[0]
@@ -94,18 +96,6 @@ def stripe_view(
         lit=frozenset(laser for laser in range(lasers) if (shot.lasers >> laser & 1).any()),
         max_stripes=most,
     )
-
-
-def _stripes(
-    frame: Frame, dark: np.ndarray | None, surface: BoardSurface, on: list[int], saturation_dn: int
-) -> tuple[tuple[Float64[Array, "_ xy=2"], ...], str]:
-    """The frame's stripes in their order across the image, and the reason if their number is wrong."""
-    lines = stripe_lines(frame.image, dark, surface, len(on))
-    lines.sort(key=lambda line: line.position_px)
-    stripes = tuple(line.points_px for line in lines)
-    if len(lines) != len(on):
-        return stripes, stripe_failure(frame.image, dark, surface, len(lines), on, saturation_dn)
-    return stripes, ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -162,16 +152,12 @@ def _lines_at_scale(
     """The lines, all along the rows or all along the columns, and one more if it is about as bright."""
     small, small_dark = reduced(image, shrinking), None if dark is None else reduced(dark, shrinking)
     along_rows = _lines(find_stripes(small, small_dark), surface, lasers + 1, shrinking, upright=False)
-    found = find_stripes(_transposed(small), None if small_dark is None else _transposed(small_dark))
-    upright = _lines(found, surface, lasers + 1, shrinking, upright=True)
+    dark_columns = None if small_dark is None else np.ascontiguousarray(small_dark.T)
+    transposed = find_stripes(np.ascontiguousarray(small.T), dark_columns)
+    upright = _lines(transposed, surface, lasers + 1, shrinking, upright=True)
     best = max(along_rows, upright, key=lambda lines: sum(line.light for line in lines[:lasers]))
     rivals = [line for line in best[lasers:] if line.light > RIVAL_SHARE * best[lasers - 1].light]
     return best[:lasers] + rivals
-
-
-def _transposed(image: UInt[Array, "row column"]) -> UInt[Array, "column row"]:
-    transposed: UInt[Array, "column row"] = np.ascontiguousarray(image.T)
-    return transposed
 
 
 def _lines(stripes: Stripes, surface: BoardSurface, most: int, shrinking: int, upright: bool) -> list[StripeLine]:
@@ -216,7 +202,7 @@ def _on_brightest_line(
 
 
 def _clean(points: Float64[Array, "n xy=2"], on_line: Bool[Array, "n"]) -> Bool[Array, "n"]:
-    """The centres of a line within the outlier limit of its least-squares fit."""
+    """The centres on a line that are within the outlier limit of its least-squares fit."""
     used = on_line
     for _ in range(3):
         line = np.polynomial.polynomial.polyfit(points[used, 0], points[used, 1], 1)
@@ -249,22 +235,17 @@ def stripe_failure(
     background = float(np.median(lit))
     noise = max(robust_std(lit - background), 1.0)
     brightest = float(np.percentile(lit, 99.8)) - background
-    width_px = 0.0 if dark is None else _width_px(image, dark, board, background + brightest / 2)
+    width_px = 0.0
+    if dark is not None:  # largest width of the region that the lasers make brighter than half of the maximum
+        smooth = cv2.GaussianBlur(image.astype(np.float32) - dark, (0, 0), _SMOOTHING_PX)
+        bright = ((smooth > background + brightest / 2) & board).astype(np.uint8)
+        width_px = 2.0 * float(cv2.distanceTransform(bright, cv2.DIST_L2, 5).max())
     if brightest > FAINT_SIGMAS and width_px > MAX_WIDTH_PX:
         return f"{finding}: blurred, or not the lasers' light: {width_px:.0f} px wide at half its height"
     if brightest < FAINT_SIGMAS * noise:
         most = f"nothing stands out by more than {brightest:.0f} of {saturation_dn} grey values"
         return f"{finding}: too dark, or beside the board: {most}"
     return f"{finding}: missing or cut off, though something is {brightest:.0f} grey values bright"
-
-
-def _width_px(
-    image: UInt[Array, "row column"], dark: UInt[Array, "row column"], board: Bool[Array, "row column"], half_dn: float
-) -> float:
-    """Largest width of the region that the lasers make brighter than `half_dn`."""
-    lit = cv2.GaussianBlur(image.astype(np.float32) - dark, (0, 0), _SMOOTHING_PX)
-    bright = ((lit > half_dn) & board).astype(np.uint8)
-    return 2.0 * float(cv2.distanceTransform(bright, cv2.DIST_L2, 5).max())
 
 
 def _on_board(surface: BoardSurface, shape: tuple[int, ...]) -> Bool[Array, "row column"]:

@@ -41,7 +41,10 @@ def test_only_light_squares_away_from_their_edges_are_used(place_m, usable, surf
 def seen(surface, lasers, first_is_dark) -> Shot:
     """A shot of the board, square by square."""
     y, x = np.mgrid[0:1200:4, 0:1600:4]
-    place = surface.points(np.stack([x, y], axis=-1).reshape(-1, 2).astype(float)) - surface.pose.translation_m
+    place = (
+        triangulated(np.stack([x, y], axis=-1).reshape(-1, 2).astype(float), surface.pose, surface.camera)
+        - surface.pose.translation_m
+    )
     parity = np.floor(place[:, :2] / 0.03).astype(int).sum(axis=1) % 2
     image = np.kron(np.where(parity == first_is_dark, 200, 60).reshape(x.shape), np.ones((4, 4))).astype(np.uint8)
     count = len(lasers)
