@@ -18,16 +18,16 @@ PAGES_M = {
     "A1": (0.594, 0.841),
     "A0": (0.841, 1.189),
 }
-"""Short and long side of the pages that are tried, the smallest first."""
+"""Short and long side of the pages that are tried, in metres, the smallest first."""
 
 RIM_M = 0.010
-"""White that stays around the board: markers at its edge need it, and printers do not print to the page's edge."""
+"""Width of the white rim around the board: markers at its edge need it, and printers do not print to the edge."""
 
 RULER_M = 0.014
-"""Below and beside the board, beyond the rim, for the rulers with their numbers ..."""
+"""Width of the strips below and to the left of the board, beyond the rim, for the rulers with their numbers."""
 
 TEXT_M = 0.008
-"""... and below these for the words."""
+"""Height of the strip below the lower ruler, for the description of the board."""
 
 CIRCLE_SHARE = 0.5
 """Diameter of the circles of a circle grid over the spacing of their rows."""
@@ -40,7 +40,7 @@ A4_BOARDS = {
         kind="four_markers", width_m=0.25, height_m=0.165, marker_m=0.045, margin_m=0.005, dictionary="DICT_4X4_50"
     ),
 }
-"""Boards for those who have none yet."""
+"""Boards that fit on a page of A4, by kind."""
 
 _LETTERS_M = 0.0028
 _TICK_M = 0.00015
@@ -70,7 +70,7 @@ class BoardDrawing:
     """Centre x, y and radius."""
     labels: tuple[Label, ...]
     origin_m: tuple[float, float]
-    """Where on the page the board frame's origin is."""
+    """Position of the board frame's origin on the page."""
 
 
 def board_drawing(board: Board) -> BoardDrawing:
@@ -127,7 +127,7 @@ def _ruler(start_m: float, beside_m: float, length_m: float) -> tuple[Float64[Ar
 
 
 def _description(board: Board, page: str, page_m: tuple[float, float]) -> str:
-    """What is on the page; a board that was printed at another scale is measured by the rulers."""
+    """A line of text with the board's kind and sizes; the rulers show whether the print has another scale."""
     sizes = {
         key.removesuffix("_m"): f"{1e3 * value:g} mm"
         for key in ("square_m", "square_y_m", "marker_m", "gap_m", "spacing_m", "width_m", "height_m", "margin_m")

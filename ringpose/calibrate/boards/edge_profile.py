@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from ringpose.geometry.robust import robust_std
+from ringpose.geometry.robust import huber_weights, robust_std
 from ringpose.types.arrays import Array, Float64
 
 KNOT_PX = 0.5
@@ -24,7 +24,7 @@ MIN_BLUR_PX = 0.4
 """Standard deviation of the sharpest edges: pixels blur by 0.29 px, lenses by as much."""
 
 ROBUST_SIGMAS = 3.0
-"""Huber limit: larger residuals come from objects in front of the board."""
+"""Limit of the Huber loss in standard deviations: larger residuals come from objects in front of the board."""
 
 _ITERATIONS = 2
 
@@ -41,7 +41,7 @@ class EdgeProfile:
     blur_px: float
     """Standard deviation of the closest error function."""
     shares: Float64[Array, "sample"]
-    """Values at the distances of the table."""
+    """Values at the tabulated distances, -8 to 8 px."""
     slopes: Float64[Array, "sample"]
     """Derivatives there, per pixel."""
 
@@ -65,14 +65,13 @@ def fitted_profile(
     """The profile fitted to samples: distance from the edge in pixels (at most `reach_px`) and share of the step."""
     basis = _odd_splines(across, int(np.ceil(reach_px / KNOT_PX)))
     deviation = share - ndtr(across / blur_px)
-    huber_weights, coefficients = np.ones(len(deviation)), np.zeros(basis.shape[1])
+    weights, coefficients = np.ones(len(deviation)), np.zeros(basis.shape[1])
     for _ in range(_ITERATIONS):
-        weighted = basis * huber_weights[:, None]
+        weighted = basis * weights[:, None]
         normal_matrix = weighted.T @ basis + RIDGE * np.eye(len(coefficients))
         coefficients = np.linalg.solve(normal_matrix, weighted.T @ deviation)
         residual = deviation - basis @ coefficients
-        limit = ROBUST_SIGMAS * robust_std(residual)
-        huber_weights = np.minimum(1.0, limit / np.maximum(np.abs(residual), 1e-12))
+        weights = huber_weights(residual, max(ROBUST_SIGMAS * robust_std(residual), 1e-12))
     return _tabulated(blur_px, coefficients)
 
 
@@ -99,6 +98,7 @@ def _odd_splines(across: Float64[Array, "n"], knots: int) -> Float64[Array, "n k
 
 
 def _odd_spline_slopes(across: Float64[Array, "n"], knots: int) -> Float64[Array, "n knot"]:
+    """Derivatives of these functions, per pixel."""
     x, knot = across[..., None] / KNOT_PX, np.arange(1.0, knots + 1)
     slopes: Float64[Array, "n knot"] = (_cubic_spline_slope(x - knot) - _cubic_spline_slope(x + knot)) / KNOT_PX
     return slopes
@@ -112,6 +112,7 @@ def _cubic_spline(x: Float64[Array, "*shape"]) -> Float64[Array, "*shape"]:
 
 
 def _cubic_spline_slope(x: Float64[Array, "*shape"]) -> Float64[Array, "*shape"]:
+    """Its derivative."""
     outer, inner = np.maximum(2.0 - np.abs(x), 0.0), np.maximum(1.0 - np.abs(x), 0.0)
     slope: Float64[Array, "*shape"] = -np.sign(x) * (outer * outer - 4.0 * inner * inner) / 2.0
     return slope

@@ -25,6 +25,7 @@ MAX_SIZE_ERROR = 0.03
 """Limit of the relative error of the markers' size against their spacing: unrefined corners alone cause 0.01."""
 
 FAIL_SIZE_ERROR = 0.1
+"""Relative error of the markers' size with which the board file must be corrected."""
 
 CORNER_ERROR_PX = 1.0
 """Bound of the inward bias of unrefined corners: blurred markers 40 px wide become 1.3 px too narrow."""
@@ -33,8 +34,10 @@ _FIRST = np.array([1.0, 1.0, 0.0])
 """Position of the first corner or circle, in squares or spacings."""
 
 _MIN_MARKERS = 4
+"""Minimum number of markers with which the layout is checked."""
 
 _MAX_SQUARES = 40
+"""Largest number of columns that is tried when the markers do not fit the board file."""
 
 
 def corner_points(board: Board) -> Float64[Array, "corner xyz=3"]:

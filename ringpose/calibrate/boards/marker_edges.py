@@ -4,9 +4,11 @@ OpenCV's refinement uses a window around the corner, where blur rounds the corne
 A side is straight for hundreds of pixels. Each side is modelled as a parabola, because distortion bends it, and a
 corner is the intersection of two sides.
 
-Sides are fitted iteratively. Each row of pixels across a side (a column, where the side is nearer to horizontal; no
-interpolation) gives the share of the step from dark to bright at its pixels. The edge-spread function turns these
-shares into the row's distance from the parabola, and the parabola is fitted again.
+Sides are fitted iteratively. Each line of pixels across a side (an image column where the side is nearer to horizontal,
+else a row; no interpolation) is cut off at a distance from the side, the reach. Its outer pixels, the flanks, give the
+grey levels of the marker's dark border and of the bright paper around it. Between these levels, each pixel has its
+share of the step from dark to bright. The edge-spread function turns the shares of a line into its distance from the
+parabola, and the parabola is fitted again.
 
 The iterations are not left to a least-squares solver: the samples themselves (pixels within reach, grey levels,
 edge-spread function) change from round to round, so that there is not one residual function to pass to it.
@@ -29,10 +31,10 @@ MIN_SIDE_PX = 24.0
 """Minimum length of a side: shorter ones have too few undisturbed samples."""
 
 MIN_SAMPLES = 8
-"""Rows of pixels that a parabola needs."""
+"""Minimum number of lines of pixels to which a parabola is fitted."""
 
 CLEAR_BLURS = 4.0
-"""Standard deviations of the blur that are left out at both ends of a side, where the corner is rounded."""
+"""Length left out at both ends of a side, where blur rounds the corner, in standard deviations of the blur."""
 
 MAX_LEFT_OUT = 0.1
 """Maximum share of a side that is left out at each end."""
@@ -41,23 +43,22 @@ MAX_STEP_PX = 2.0
 """Maximum distance of a refined corner from the detected one."""
 
 REACH_PX = 5.0
-"""Distance across a side within which pixels are used, at most half a cell of the marker's black border."""
+"""Reach: distance from a side within which pixels are used, at most half the width of the marker's black border."""
 
 MAX_REACH_PX = 8.0
-"""The same where the edge is so blurred that neither the dark nor the bright level is seen within `REACH_PX`."""
+"""Reach where the edge is so blurred that neither the dark nor the bright level is seen within `REACH_PX`."""
 
 CELLS = 6
 """Cells across a marker of the smallest dictionaries, border included."""
 
 FLANK_BLURS, MIN_FLANK, MAX_FLANK = 3.0, 0.3, 0.6
-"""Pixels farther from the edge than this many standard deviations of the blur give the dark and the bright level; the
-distance is limited to these shares of the reach."""
+"""Distance of the flanks from the edge in standard deviations of the blur, and its limits as shares of the reach."""
 
 MIN_RISE = 0.5
-"""Minimum step of a row of pixels, as a share of the median step: below it the edge is covered."""
+"""Minimum step from dark to bright of a line of pixels over the median step: below it the edge is covered."""
 
 _GAUSSIAN_ROUNDS, _ROUNDS = 2, 5
-"""Rounds with a Gaussian edge profile, until the sides are nearly in place, and all rounds."""
+"""Number of rounds with a Gaussian edge-spread function, until the sides are nearly in place, and of all rounds."""
 
 _BLUR_ITERATIONS = 3
 
@@ -65,12 +66,13 @@ _MAX_PROFILE_RESIDUAL = 0.2
 """Residuals of the edge profile are clipped to this share of the step: larger ones come from occlusion."""
 
 _FLANK_POSITION = 0.65
-"""Centre of the strips that give the levels of dark and bright, in reaches."""
+"""Distance from a side, in reaches, of the strips in which the brightness gradients are measured."""
 
 _MAX_UNEVENNESS = 0.1
 """Maximum residual of the brightness of the four strips from a plane, as a share of the contrast."""
 
 _OUTLIER_SIGMAS = 4.0
+"""Limit of the residuals of robust parabolas, in robust standard deviations."""
 
 
 class SideCorners(NamedTuple):
@@ -87,26 +89,26 @@ Gradients = Float64[Array, "level=2 xy=2"]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Side:
-    """A parabola: `start + t along + (c0 + c1 t + c2 t^2) normal`, t in pixels."""
+    """One side of a marker as a parabola: `start + t along + (c0 + c1 t + c2 t^2) normal`, t in pixels."""
 
     start: Float64[Array, "2"]
     along: Float64[Array, "2"]
     normal: Float64[Array, "2"]
-    """Outwards: corners are in clockwise order."""
+    """Unit normal out of the marker, whose corners are in clockwise order."""
     length: float
     coefficients: Float64[Array, "3"]
     left_out: float = MAX_LEFT_OUT
-    """Share of the side that was left out at each end."""
+    """Share of the side that the fit did not use at each end."""
 
     @property
     def pixel_spacing(self) -> float:
-        """Distance of neighbouring pixels of a row, measured across the side."""
+        """Distance of neighbouring pixels of a line, measured across the side."""
         return float(np.abs(self.normal).max())
 
-    def points(self, t: Float64[Array, "n"], across: Float64[Array, "*k n"]) -> Float64[Array, "*k n 2"]:
+    def points(self, t: Float64[Array, "n"], across: float = 0.0) -> Float64[Array, "n 2"]:
         """Points at t, at a distance `across` outside the parabola."""
         offset = self.offset(t) + across
-        points: Float64[Array, "*k n 2"] = self.start + t[:, None] * self.along + offset[..., None] * self.normal
+        points: Float64[Array, "n 2"] = self.start + t[:, None] * self.along + offset[:, None] * self.normal
         return points
 
     def offset(self, t: Float64[Array, "n"]) -> Float64[Array, "n"]:
@@ -120,24 +122,24 @@ class Side:
         return slope
 
     def tangent(self, t: float) -> tuple[Float64[Array, "2"], Float64[Array, "2"]]:
-        """Point and direction at t."""
+        """Point at t, and the tangent's direction there."""
         at = np.array([t])
-        return self.points(at, np.zeros(1))[0], self.along + self.slope(at)[0] * self.normal
+        return self.points(at)[0], self.along + self.slope(at)[0] * self.normal
 
 
 class SideSamples(NamedTuple):
-    """Samples of the edge: one row of pixels per line across the side."""
+    """Pixels beside a side, by line of pixels across it."""
 
     t: Float64[Array, "line"]
-    """Where the line crosses the side."""
+    """Position along the side at which the line crosses it."""
     across: Float64[Array, "line pixel"]
     """Distance from the side, positive outwards."""
     share: Float64[Array, "line pixel"]
-    """Share of the step from dark to bright."""
+    """Share of the step from dark to bright: 0 at the dark level, 1 at the bright one."""
     used: Bool[Array, "line pixel"]
-    """Pixels within reach, on lines that show an edge."""
+    """Mask of the pixels within reach, on lines that show an edge."""
     spacing: float
-    """Distance of a line's pixels across the side."""
+    """Distance of neighbouring pixels of a line, measured across the side."""
 
 
 def corners_from_sides(image: GreyImage, corners: Float64[Array, "corner=4 xy=2"]) -> SideCorners:
@@ -160,7 +162,7 @@ def corners_from_sides(image: GreyImage, corners: Float64[Array, "corner=4 xy=2"
 
 
 def marker_light(image: GreyImage, corners: Float64[Array, "corner=4 xy=2"]) -> Gradients:
-    """Brightness gradients from strips along the four sides, inside and outside; zero if the strips do not fit a plane.
+    """Brightness gradients from strips inside and outside the four sides; zero if their brightness is not a plane.
 
     Where the brightness changes by 0.05 % per pixel, a level taken 3 px from the edge displaces the edge by 0.002 px,
     and in the same direction all over the image. The strips of one side are too narrow to measure a gradient.
@@ -179,7 +181,7 @@ def marker_light(image: GreyImage, corners: Float64[Array, "corner=4 xy=2"]) -> 
 def _strip_brightness(image: GreyImage, side: Side, across: float) -> float:
     """Median grey value along a side, at a distance outside it; the median excludes objects in front of the board."""
     t = np.linspace(MAX_LEFT_OUT, 1.0 - MAX_LEFT_OUT, int(side.length)) * side.length
-    points = side.points(t, np.full(len(t), across)).astype(np.float32)
+    points = side.points(t, across).astype(np.float32)
     grey = cv2.remap(image, points[None, :, 0], points[None, :, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return float(np.median(np.asarray(grey, dtype=np.float64)))
 
@@ -193,14 +195,14 @@ def straight_side(start: Float64[Array, "2"], end: Float64[Array, "2"]) -> Side:
 
 
 def reach_px(length: float, max_px: float = REACH_PX) -> float:
-    """Distance across a side of this length within which pixels are used."""
+    """Distance from a side of this length within which pixels are used."""
     return min(max_px, 0.5 * length / CELLS)
 
 
 def _opposite_sides(
     image: GreyImage, corners: Float64[Array, "corner=4 xy=2"], first: int, light: Gradients
 ) -> list[Side | None]:
-    """Two opposite sides, which have the same blur; None for a side of which too little is visible."""
+    """Two opposite sides, fitted together because they have the same blur; None where too little is visible."""
     chords = [straight_side(corners[i], corners[(i + 1) % 4]) for i in (first, first + 2)]
     for max_px in (REACH_PX, MAX_REACH_PX):
         reach = min(reach_px(side.length, max_px) for side in chords)
@@ -282,7 +284,7 @@ def _pixels(
     lines = np.arange(np.ceil(ends[0]), np.floor(ends[1]) + 1)
     t = (lines - side.start[line_axis]) / side.along[line_axis]
     t = t - side.offset(t) * side.normal[line_axis] / side.along[line_axis]
-    crossing = side.points(t, np.zeros(len(t)))[:, pixel_axis]
+    crossing = side.points(t)[:, pixel_axis]
     half = int(np.ceil(reach / side.pixel_spacing))
     pixels = np.rint(crossing)[:, None] + np.arange(-half, half + 1)
     distance_per_pixel = side.normal[pixel_axis] - side.slope(t) * side.along[pixel_axis]
@@ -296,7 +298,7 @@ def _pixels(
 
 
 def smooth_level(t: Float64[Array, "n"], grey: Float64[Array, "n"]) -> Float64[Array, "n"]:
-    """A robust parabola through the grey values along one flank: illumination is smooth, occlusions are outliers."""
+    """Values of a robust parabola through the grey values along one flank, where occlusions are outliers."""
     used = np.ones(len(t), dtype=bool)
     x = t / np.abs(t).max()
     for _ in range(3):
