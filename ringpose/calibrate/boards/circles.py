@@ -143,7 +143,7 @@ def ellipse_offsets(centers_m: Centers, radius_m: float, homography: Float64[Arr
 def seen_offsets(
     points_m: Float64[Array, "corner xyz=3"], points_px: Float64[Array, "corner xy=2"], radius_m: float
 ) -> Float64[Array, "corner xy=2"]:
-    """The same, from circles with these positions on the board and these projected centres, without distortion."""
+    """`ellipse_offsets` of circles with these positions on the board and projected centres, without distortion."""
     return ellipse_offsets(points_m[:, :2], radius_m, _homography(points_m[:, :2], points_px))
 
 

@@ -32,8 +32,7 @@ from ringpose.types.camera import Camera
 from ringpose.types.verdict import Check
 
 CHANCE = 2.5
-"""A disagreement above 1 + this / sqrt(views - 1) is significant: of 80 sets of 8 and 15 views with only noise, one
-exceeded it."""
+"""Disagreement of the views (1 if noise explains it) is significant above 1 + CHANCE / sqrt(views - 1): of 80 sets of 8 and 15 views with only noise, one exceeded it."""
 
 EXACT_PX = 1e-4
 """Lower limit of the projection uncertainty: corners have single precision."""
@@ -43,7 +42,8 @@ DISTANCES_M = (0.2, 0.5, 1.0)
 
 
 FLAT_SIGMAS = 5.0
-"""Limit of the root of chi-squared of the bow's three coefficients: 1.5 on average for flat boards, rarely 4."""
+"""Limit of the significance of a board's bow, the root of chi-squared of its three coefficients: for flat boards 1.5 on
+average, rarely 4."""
 
 CELL_COLUMNS = 8
 """Cells across the image; the number of rows makes them nearly square."""
@@ -52,10 +52,10 @@ BARE_SHARE = 1 / 3
 """A ninth of the image is bare if at most this share of its cells contains corners: a strip along one side."""
 
 SAME_RAD = np.radians(2.0)
-"""Poses that differ by less than this rotation ..."""
+"""Poses count as one view if they differ by less than this rotation and by less than SAME_SHARE of their distance."""
 
 SAME_SHARE = 0.02
-"""... and by less than this share of their distance count as one view."""
+"""Translation over distance up to which poses count as one view."""
 
 _REGIONS = (("upper left", "top", "upper right"), ("left", "middle", "right"), ("lower left", "bottom", "lower right"))
 
@@ -67,7 +67,7 @@ def camera_assessment(
     distances_m: Sequence[float] = DISTANCES_M,
     compare: bool = False,
 ) -> CameraAssessment:
-    """Coverage, uncertainty over the image, cross-validation; on request the other distortion model.
+    """Coverage, uncertainty over the image and cross-validation; with `compare`, also the other distortion model's fit.
 
     `boards` are those of all views, in their order.
     """
@@ -95,7 +95,7 @@ def camera_assessment(
 
 
 def widened(calibration: CameraCalibration, assessment: CameraAssessment) -> tuple[CameraCalibration, CameraAssessment]:
-    """Both with the covariance inflated if the views disagree by more than noise explains.
+    """The calibration and its assessment, with the covariance inflated if the views disagree more than noise explains.
 
     A board that is bent, moves or reflects causes errors that the corners of a view have in common. Residuals do not
     show them, and the covariance treats the corners as independent. Views are independent.
@@ -109,7 +109,7 @@ def widened(calibration: CameraCalibration, assessment: CameraAssessment) -> tup
 
 
 def _widening(disagreement: float, views: int) -> float:
-    """Inflation factor of the standard deviations; one if the disagreement is not significant."""
+    """Factor by which the standard deviations are inflated; 1 if the disagreement is not significant."""
     return disagreement if disagreement > 1 + CHANCE / np.sqrt(views - 1) else 1.0
 
 
@@ -164,7 +164,7 @@ def _surface_heights(points_m: Float64[Array, "corner xyz=3"]) -> Float64[Array,
 
 
 def coverage(calibration: CameraCalibration, boards: Sequence[BoardView]) -> Coverage:
-    """Coverage of the image and of the poses by the used views; `boards` are those of all views, in their order."""
+    """Used corners by cell of the image, tilts and distances of the used boards; `boards` are those of all views, in their order."""
     camera = calibration.camera
     pairs = zip(calibration.views, boards, strict=True)
     used = [(view, board) for view, board in pairs if not view.rejected]
@@ -186,7 +186,7 @@ def coverage(calibration: CameraCalibration, boards: Sequence[BoardView]) -> Cov
 def _counts(
     points_px: Float64[Array, "n xy=2"], camera: Camera, rows: int, columns: int
 ) -> Int64[Array, "cell_row cell_column"]:
-    """Number of points in each of so many cells of the image."""
+    """Number of points in each cell of the image, which is divided into these numbers of rows and columns."""
     edges = [(-0.5, camera.image_height - 0.5), (-0.5, camera.image_width - 0.5)]
     counts, _, _ = np.histogram2d(points_px[:, 1], points_px[:, 0], bins=(rows, columns), range=edges)
     return counts.astype(np.int64)

@@ -43,7 +43,7 @@ _REWEIGHTINGS = 2
 _MAX_ITERATIONS = 10
 
 _DAMPINGS = (0.0, 1e-6, 1e-4, 1e-2)
-"""Levenberg-Marquardt dampings, tried in turn until the penalty falls."""
+"""Levenberg-Marquardt dampings, tried in turn until chi-squared falls."""
 
 _MIN_STEP = 1e-6
 """Squared Mahalanobis length of a step below which the iteration has converged."""
@@ -58,7 +58,7 @@ class CameraSolution:
     view_sigma_px: Float64[Array, "view"]
     """Standard deviation of one coordinate of a corner, by view."""
     sigma_px: float
-    """The same of all views."""
+    """Standard deviation of one coordinate of a corner, from all views together."""
     information: Float64[Array, "view parameter parameter"]
     """Information (normal matrix) of each view about the camera's parameters, its pose marginalised out."""
     gradient: Float64[Array, "view parameter"]
@@ -85,7 +85,7 @@ class ViewEquations(NamedTuple):
 
 
 def blank_camera(camera_name: str, image_width: int, image_height: int, model: CameraModel) -> Camera:
-    """A camera without start values: its focal length is 1 px."""
+    """A camera without start values, marked by a focal length of 1 px."""
     return Camera(
         camera_name=camera_name,
         image_width=image_width,
@@ -115,7 +115,7 @@ def camera_solution(views: Sequence[BoardView], start: Camera, model: CameraMode
 
 
 def _opencv_camera(views: Sequence[BoardView], start: Camera, model: CameraModel) -> Camera:
-    """OpenCV's bundle adjustment, started from the views' homographies; its corners have single precision."""
+    """The camera by OpenCV's bundle adjustment from the views' homographies, with corners in single precision."""
     try:
         _, matrix, coefficients, _, _ = cv2.calibrateCamera(
             [view.points_board_m.astype(np.float32) for view in views],
@@ -157,7 +157,7 @@ class _State(NamedTuple):
 def _adjusted(
     views: Sequence[BoardView], camera: Camera, model: CameraModel, sigma_px: Float64[Array, "view"]
 ) -> CameraSolution:
-    """Gauss-Newton, damped where a full step would increase chi-squared, until steps are small against the noise."""
+    """Solution for given standard deviations by Gauss-Newton, damped where a full step would increase chi-squared."""
 
     def linearised(poses: list[BoardPose], camera: Camera) -> _State:
         several = zip(views, poses, sigma_px.tolist(), strict=True)
@@ -200,7 +200,7 @@ def view_equations(view: BoardView, pose: BoardPose, camera: Camera, sigma_px: f
 
 
 def _solution(state: _State, model: CameraModel, sigma_px: Float64[Array, "view"]) -> CameraSolution:
-    """The solution with the views' standard deviations re-estimated (variance components)."""
+    """The final state, with the views' standard deviations estimated from its residuals (variance components)."""
     covariance = covariance_of_free(state.information.sum(axis=0), model.free)
     camera_parameters = np.einsum("ij,vji->v", covariance, state.information)  # each view's share; they add up to all
     squares = np.array([one.residual @ one.residual for one in state.equations]) * sigma_px**2

@@ -44,7 +44,7 @@ SATURATED_SHARE = 0.5
 """Share of a view's corners near saturated pixels, above which saturation is given as the cause."""
 
 _SEED_FACTOR = 0.5
-"""A view belongs to the group of another camera if its rms is at most this share of that under the camera found."""
+"""A view belongs to another camera if its rms by that camera is below this share of its rms by the calibrated one."""
 
 _GAIN_SIGMAS = 5.0
 """Significance, in standard deviations, with which a used view fits another camera better."""
@@ -52,7 +52,7 @@ _GAIN_SIGMAS = 5.0
 _ITERATIONS = 3
 
 _INLIER_TENTHS = 7
-"""Tenths of the corners that are taken as inliers."""
+"""Number of tenths of a view's corners that are taken as inliers."""
 
 
 def outlying_view(poses: Sequence[BoardPose]) -> tuple[int, str] | None:
@@ -74,7 +74,7 @@ def outlying_corners(errors: Sequence[Float64[Array, "_ xy=2"]]) -> list[Bool[Ar
 
 
 def whole_markers(view: BoardView, left_out: Bool[Array, "corner"]) -> Bool[Array, "corner"]:
-    """The mask extended to whole markers where corners are intersections of sides: an error of a side moves two."""
+    """The mask of corners extended to whole markers where corners are intersections of sides: a side moves two."""
     if view.end_correlation == 0:
         return left_out
     return np.repeat(left_out.reshape(-1, 4).any(axis=1), 4)
@@ -154,7 +154,7 @@ def view_explanation(view: BoardView, camera: Camera, usual_px: float) -> str:
 
 
 def turned(view: BoardView, camera: Camera) -> BoardView:
-    """The view as seen by a camera mounted upside down."""
+    """The view with its image turned by half a turn, as by a camera mounted upside down."""
     last = np.array([camera.image_width - 1.0, camera.image_height - 1.0])
     return replace(view, points_px=last - view.points_px)
 

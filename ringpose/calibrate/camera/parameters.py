@@ -21,7 +21,7 @@ def parameter_names(distortion_model: str) -> tuple[str, ...]:
 
 
 def parameters_of(camera: Camera) -> Float64[Array, "parameter"]:
-    """The vector of a camera's intrinsic parameters."""
+    """Vector of a camera's intrinsic parameters: fx, fy, cx, cy, then the distortion coefficients."""
     matrix = camera.camera_matrix
     return np.array(
         [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *camera.distortion_coefficients], dtype=np.float64

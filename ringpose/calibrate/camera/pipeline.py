@@ -41,7 +41,7 @@ def calibrate_camera(
     model: CameraModel = PLUMB_BOB,
     camera_name: str = "camera",
 ) -> CameraCalibration:
-    """Intrinsic parameters by maximum likelihood.
+    """The camera of the views by maximum likelihood, with covariance and the residuals of each view.
 
     The worst view is rejected until none is an outlier; then single outlying corners are left out.
     """

@@ -144,7 +144,7 @@ def _comparison_lines(comparison: ModelComparison) -> list[str]:
 
 
 def camera_verdict(calibration: CameraCalibration, assessment: CameraAssessment, images: int) -> Verdict:
-    """The verdict; `images` is the number of input images."""
+    """Grade (good, can be improved, redo) and checks of the calibration; `images` is the number of input images."""
     return Verdict(
         findings=(
             *_view_findings(calibration, images),

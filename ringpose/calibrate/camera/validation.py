@@ -64,7 +64,7 @@ MapValues = Float64[Array, "map_row map_column"]
 
 
 def used_views(calibration: CameraCalibration, boards: Sequence[BoardView]) -> list[BoardView]:
-    """The corners that a calibration used; `boards` are those of all views, in their order."""
+    """The used views with the used corners of a calibration; `boards` are those of all views, in their order."""
     pairs = zip(calibration.views, boards, strict=True)
     return [corners_of(board, ~view.left_out) for view, board in pairs if not view.rejected]
 
@@ -72,7 +72,7 @@ def used_views(calibration: CameraCalibration, boards: Sequence[BoardView]) -> l
 def cross_validation(
     used: Sequence[BoardView], whole: CameraSolution, model: CameraModel, where: ImageMap
 ) -> CrossValidation:
-    """Split-half and leave-one-out calibrations compared with that of all views."""
+    """Displacements between the cameras of half of the views, of all views but one, and of all views."""
     without_one = cameras_without_one(used, whole, model)
     unknown = np.full(where.points_px.shape[:2], np.nan)
     shifts = [unknown if other is None else displacement_px(whole.camera, other, where) for other in without_one]
@@ -144,7 +144,7 @@ def _jackknife_px(shifts: Sequence[MapValues], whole: CameraSolution, model: Cam
 def model_comparison(
     used: Sequence[BoardView], whole: CameraSolution, model: CameraModel, where: ImageMap
 ) -> ModelComparison:
-    """The camera compared with that of the other distortion model.
+    """Rms of both distortion models on the same views, and the displacement between their cameras.
 
     More coefficients always reduce the rms. Whether they describe the lens or the noise is decided by held-out views:
     the larger model is better only if their rms falls as well.

@@ -12,22 +12,24 @@ from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.verdict import Check, Verdict
 
 FEW_VIEWS, MIN_VIEWS = 5.0, 2.0
-"""Two views determine a plane without redundancy; among five, one that is wrong is conspicuous."""
+"""Good and minimum number of views of a laser: two determine a plane without redundancy; of five, a wrong one stands
+out."""
 
 GOOD_CONDITION = 10.0
-"""That of views 200 mm wide whose distances differ by 20 mm across the light plane."""
+"""Good condition number of a laser's points: that of views 200 mm wide that differ by 20 mm across their stripes."""
 
 GOOD_SHARE, BAD_SHARE = 2e-4, 2e-3
 """Held-out rms over distance: speckle makes 0.1 mm at 0.5 m on a good stripe; 1 mm indicates a wrong stripe."""
 
 GOOD_EXCESS, BAD_EXCESS = 3.0, 100.0
-"""A board flat to 0.1 mm can reach 3; above 100 the covariance is not meaningful."""
+"""Limits of the factor by which the views disagree: a board flat to 0.1 mm can reach 3; above 100 the covariance is not
+meaningful."""
 
 STRAY_FACTOR = 2.0
 """The advice names a view whose held-out rms exceeds the median by this factor."""
 
 EXACT_M = 1e-6
-"""Lower bound of the median in that comparison."""
+"""Lower bound of the median held-out rms in that comparison."""
 
 GOOD_DEPTH_SHARE, BAD_DEPTH_SHARE = 1e-3, 1e-2
 """Standard deviation of depths over depth, at the farthest board."""

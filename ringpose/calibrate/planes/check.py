@@ -28,10 +28,10 @@ from ringpose.types.covariance import laser_parameters
 from ringpose.types.rig import Rig
 
 SIGMAS = 3.0
-"""A stripe may lie beside its plane by this number of standard deviations of rig and view ..."""
+"""Limit of a stripe's distance from its plane in standard deviations of rig and view, to which FLATNESS_M is added."""
 
 FLATNESS_M = 5e-5
-"""... plus the flatness of a board."""
+"""Deviation of a board from a plane that is accepted."""
 
 MAX_BOARD_PX = 0.5
 """Corner rms above which camera, lens or board have changed, whatever it was in the calibration."""
@@ -81,7 +81,7 @@ class RigCheck:
 
 
 def rig_check(view: StripeView, rig: Rig, median_board_rms_px: float | None = None) -> RigCheck:
-    """The board pose by the corners, and each stripe's distance from its light plane.
+    """Agreement of a rig with a view: corners with its camera, each stripe with its light plane.
 
     `median_board_rms_px` is the corner rms of the rig's calibration, if it is known.
     """

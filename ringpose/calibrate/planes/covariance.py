@@ -70,7 +70,7 @@ def planes_covariance(
 
 
 def variance_excess(data: JointData, fit: JointFit) -> float:
-    """Factor by which the views disagree more than their standard deviations explain; 1 if this is not significant.
+    """Factor by which variances are inflated to explain the disagreement of the views; 1 if it is not significant.
 
     The increase of chi-squared from boards placed by their corners alone to the joint solution has two degrees of
     freedom for each stripe, less three for each plane.
@@ -88,7 +88,7 @@ def variance_excess(data: JointData, fit: JointFit) -> float:
 
 
 def laser_disagreements(data: JointData, fit: JointFit) -> tuple[float, ...]:
-    """Chi-squared that each laser's stripes add, per degree of freedom; NaN for a laser without any.
+    """Increase of chi-squared by each laser's stripes per degree of freedom; NaN for a laser without degrees of freedom.
 
     It identifies a laser whose plane contradicts the board poses on which the other lasers agree.
     """
@@ -111,11 +111,11 @@ class DepthUncertainty:
 
     distances_m: tuple[float, ...]
     depth_sd_m: Float64[Array, "laser distance position"]
-    """NaN where the stripe is outside the image."""
+    """Standard deviation of the depth; NaN where the stripe is outside the image."""
 
     @property
     def worst_m(self) -> Float64[Array, "laser distance"]:
-        """The largest along each stripe; NaN where none of it is in the image."""
+        """Largest standard deviation along each stripe; NaN where none of it is in the image."""
         filled = np.nan_to_num(self.depth_sd_m, nan=-1.0).max(axis=-1)
         return np.where(filled >= 0, filled, np.nan)
 

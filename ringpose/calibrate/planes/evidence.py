@@ -20,10 +20,10 @@ from ringpose.types.calibration import StripeView
 from ringpose.types.camera import Camera
 
 OUTLIER_FACTOR = 4.0
-"""A view is left out if its corners' rms exceeds the median of the views by this factor ..."""
+"""A view is left out if its corners' rms exceeds the median of the views by this factor, and OUTLIER_FLOOR_PX."""
 
 OUTLIER_FLOOR_PX = 0.5
-"""... and this value."""
+"""Rms of a view's corners up to which it is never left out."""
 
 MAX_MEDIAN_PX = 5.0
 """Median rms above which camera or board file are wrong: a focal length wrong by 10 % causes 2."""
@@ -37,10 +37,10 @@ Plane = tuple[Float64[Array, "3"], float]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StripeEvidence:
-    """Board poses by the corners alone, and the stripes on the boards."""
+    """The stripes on the boards that are used, and the board poses by the corners alone."""
 
     names: tuple[str, ...]
-    """Of the lasers."""
+    """Names of the lasers."""
     views: tuple[StripeView, ...]
     poses: tuple[BoardPose, ...]
     camera: Camera
@@ -53,12 +53,12 @@ class StripeEvidence:
         ]
 
     def only(self, kept: Sequence[int]) -> "StripeEvidence":
-        """The same for some of the views."""
+        """The evidence of some of the views."""
         views = tuple(self.views[index] for index in kept)
         return replace(self, views=views, poses=tuple(self.poses[index] for index in kept))
 
     def without_stripe(self, laser: int, view: int) -> "StripeEvidence":
-        """The same without one laser's stripe in one view."""
+        """The evidence without one laser's stripe in one view."""
         nothing = (np.empty((0, 2)),)
         kept = self.views[view].stripes_px
         less = replace(self.views[view], stripes_px=kept[:laser] + nothing + kept[laser + 1 :])

@@ -77,12 +77,12 @@ class JointData:
     rays: tuple[tuple[Float64[Array, "_ xyz=3"], ...], ...]
     """By view and laser: rays of the stripe centres by the given camera."""
     camera: Camera
-    """As it was given, with its covariance."""
+    """The given camera, with its covariance."""
     free_camera: bool = False
     """Whether the camera is estimated, with its covariance as prior."""
 
     def without_view(self, left_out: int) -> "JointData":
-        """The same data without one view."""
+        """The data without one view."""
         return replace(
             self,
             views=self.views[:left_out] + self.views[left_out + 1 :],
@@ -92,14 +92,14 @@ class JointData:
         )
 
     def without_laser(self, laser: int) -> "JointData":
-        """The same data without one laser's stripes; the camera is held fixed."""
+        """The data without one laser's stripes; the camera is held fixed."""
         nothing = (np.empty((0, 3)),)
         return replace(
             self, rays=tuple(own[:laser] + nothing + own[laser + 1 :] for own in self.rays), free_camera=False
         )
 
     def with_camera(self, camera: Camera) -> "JointData":
-        """The same data with the rays of another camera, which is held fixed."""
+        """The data with the rays of another camera, which is held fixed."""
         own = tuple(tuple(rays(px, camera) for px in view.stripes_px) for view in self.views)
         return replace(self, rays=own, camera=camera, free_camera=False)
 
@@ -111,7 +111,7 @@ class JointData:
 
 
 class JointFit(NamedTuple):
-    """The solution."""
+    """Result of the joint adjustment."""
 
     state: JointState
     information: Float64[Array, "shared shared"]
@@ -185,7 +185,7 @@ def corner_chi2(view: StripeView, pose: BoardPose, camera: Camera, corner_px: fl
 
 
 def _gauss_newton_step(data: JointData, state: JointState) -> tuple[JointState, float]:
-    """The state after one step, and the predicted decrease of the sum of squares."""
+    """The state after one Gauss-Newton step, and the predicted decrease of the sum of squares."""
     equations = _reduced_equations(data, state)
     information, gradient = equations.information.copy(), equations.gradient.copy()
     planes = 3 * len(state.distance_m)
@@ -230,7 +230,7 @@ class _ReducedEquations(NamedTuple):
 
 
 def _reduced_equations(data: JointData, state: JointState) -> _ReducedEquations:
-    """Eqs. (1) and (2)."""
+    """Normal equations with the poses eliminated, Eqs. (1) and (2)."""
     number = 3 * len(state.distance_m) + 4 + len(state.camera.distortion_coefficients)
     information, gradient = np.zeros((number, number)), np.zeros(number)
     pose_step, pose_wrt_shared, decrease = [], [], 0.0
@@ -285,7 +285,7 @@ def _robust_weights(residual: Float64[Array, "n"]) -> Float64[Array, "n"]:
 
 
 def _chi2(data: JointData, state: JointState) -> float:
-    """Squares of the corners and, for each stripe, of shift and rotation of its line only.
+    """Robust sum of squares of the corner residuals and, for each stripe, of the shift and rotation of its line.
 
     The scatter of single centres about the line is left out: it does not depend on boards and planes.
     """

@@ -49,10 +49,10 @@ HeldOut = Sequence[Sequence[FittedPlane | None]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanesModel:
-    """What is estimated, and how."""
+    """Options of a calibration of the light planes."""
 
     names: tuple[str, ...]
-    """Of the lasers, in the order of a shot's mask bits."""
+    """Names of the lasers, in the order of a shot's mask bits."""
     method: PlanesMethod = PlanesMethod.JOINT
     order: tuple[int, ...] | None = None
     """Lasers in the order in which their stripes cross the image, for frames with all lasers on."""
@@ -61,13 +61,13 @@ class PlanesModel:
 
 
 class PlaneSolution(NamedTuple):
-    """The result of a method."""
+    """Light planes, board poses and covariance, as estimated by one of the methods."""
 
     planes: tuple[FittedPlane, ...]
     poses: tuple[BoardPose, ...]
     camera: Camera
     corner_points: Sequence[Sequence[Points]]
-    """By laser and view: the stripes triangulated with board poses from the corners alone."""
+    """By laser and view: stripe centres in the camera frame, triangulated with board poses from the corners alone."""
     held_out: HeldOut
     covariance: ParameterCovariance | None = None
     excess: float = 1.0
@@ -107,7 +107,7 @@ def calibrate_planes(views: Sequence[StripeView], camera: Camera, model: PlanesM
 
 
 def _laser(laser: int, evidence: StripeEvidence, solution: PlaneSolution) -> LaserCalibration:
-    """One laser's plane with its residuals by view.
+    """Plane of one laser, with the residuals of its points by view.
 
     Residuals use the board poses of the solution; held-out residuals use those of the corners alone, because the
     solution's poses depend on the stripe itself.
@@ -134,7 +134,7 @@ def _laser(laser: int, evidence: StripeEvidence, solution: PlaneSolution) -> Las
 
 
 def separate_solution(evidence: StripeEvidence, method: PlanesMethod) -> PlaneSolution:
-    """Each laser's plane by itself, with board poses from the corners alone."""
+    """The plane of each laser fitted by itself, with board poses from the corners alone."""
     points = [evidence.points(laser) for laser in range(len(evidence.names))]
     views = range(len(evidence.views))
     return PlaneSolution(
@@ -147,7 +147,7 @@ def separate_solution(evidence: StripeEvidence, method: PlanesMethod) -> PlaneSo
 
 
 def joint_solution(evidence: StripeEvidence, free_camera: bool) -> PlaneSolution:
-    """Joint adjustment of board poses, planes and, if it is free, the camera, started from the separate solution."""
+    """Board poses, planes and, if it is free, the camera by joint adjustment, started from the separate solution."""
     points = [evidence.points(laser) for laser in range(len(evidence.names))]
     start = [
         fitted_plane(name, own, PlanesMethod.TOTAL_LEAST_SQUARES)
@@ -181,7 +181,7 @@ def joint_solution(evidence: StripeEvidence, free_camera: bool) -> PlaneSolution
 def _weighted_fit(
     evidence: StripeEvidence, start: Sequence[FittedPlane], free_camera: bool
 ) -> tuple[JointData, JointFit]:
-    """The adjustment, repeated with the corners' standard deviations re-estimated from its residuals.
+    """Data and result of the joint adjustment, repeated with corner standard deviations estimated from its residuals.
 
     The board poses it starts from follow outlying corners; those of the robust adjustment do not.
     """
@@ -208,7 +208,7 @@ def _weighted_fit(
 
 
 def _held_out(points: Sequence[Sequence[Points]], data: JointData, fit: JointFit) -> HeldOut:
-    """The planes without each view in turn; lasers that are then undetermined take no part in the adjustment."""
+    """The planes by laser without each view in turn; lasers that are then undetermined take no part in the adjustment."""
     by_view: list[list[FittedPlane | None]] = []
     for view in range(len(data.views)):
         determined = [determined_without(own, view) for own in points]

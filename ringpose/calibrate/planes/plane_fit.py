@@ -16,7 +16,7 @@ MAX_CONDITION = 50.0
 """Points with a larger condition number are collinear: views 100 mm long must differ by 2 mm across their stripe."""
 
 MIN_MEAN_WEIGHT = 0.1
-"""A view whose points have a smaller mean weight lies beside the plane of the others."""
+"""A view is an outlier if the mean robust weight of its points is smaller."""
 
 MAX_SCATTER = 0.02
 """Root mean square distance from the plane, over the points' extent, above which they are not one stripe."""
@@ -27,10 +27,10 @@ _TUKEY = 4.685
 _MAX_ITERATIONS = 20
 
 _MIN_SCALE_M = 1e-9
-"""Lower bound of the scale: residuals below it are rounding errors, not outliers."""
+"""Lower bound of the robust standard deviation: residuals below it are rounding errors, not outliers."""
 
 Points = Float64[Array, "_ xyz=3"]
-"""Triangulated centres of one view, in the camera frame; none where the laser is not seen."""
+"""Stripe centres of one laser in one view, triangulated, in the camera frame; none where the laser is not seen."""
 
 
 class FittedPlane(NamedTuple):
@@ -66,7 +66,7 @@ def fitted_plane(name: str, points: Sequence[Points], method: PlanesMethod) -> F
 
 
 def plane_without(points: Sequence[Points], left_out: int, method: PlanesMethod) -> FittedPlane | None:
-    """The plane of the other views; None if those do not determine one."""
+    """The plane through the points of the other views; None if those do not determine one."""
     if not determined_without(points, left_out):
         return None
     every = np.concatenate([own for index, own in enumerate(points) if index != left_out])
@@ -75,7 +75,7 @@ def plane_without(points: Sequence[Points], left_out: int, method: PlanesMethod)
 
 
 def determined_without(points: Sequence[Points], left_out: int) -> bool:
-    """Whether the other views determine the plane."""
+    """Whether the points of the other views determine a plane."""
     every = np.concatenate([*(own for index, own in enumerate(points) if index != left_out), np.empty((0, 3))])
     return len(every) > 2 and condition(every, np.ones(len(every))) < MAX_CONDITION
 
@@ -127,14 +127,14 @@ def paper_plane(points: Float64[Array, "n xyz=3"]) -> tuple[Float64[Array, "3"],
 
 
 def downward(normal: Float64[Array, "3"], distance_m: float) -> tuple[Float64[Array, "3"], float]:
-    """The same plane, the largest component of its normal positive, so that calibrations can be compared."""
+    """The plane with the largest component of its normal positive, so that calibrations can be compared."""
     if normal[np.argmax(np.abs(normal))] < 0:
         return -normal, -distance_m
     return normal, distance_m
 
 
 def outlying_views(points: Sequence[Points]) -> dict[int, float]:
-    """Views beside the plane of the others, with their rms distance (m); none if fewer than four views are given."""
+    """Indices of views beside the plane of the others, with their rms distances (m); none of three or fewer views."""
     seen = [index for index, own in enumerate(points) if len(own)]
     if len(seen) < 4:
         return {}
@@ -158,7 +158,7 @@ def _plane_of_most_views(views: Sequence[Points]) -> tuple[Float64[Array, "3"], 
 def laser_calibration(
     name: str, plane: FittedPlane, views: Sequence[LaserView], disagreement: float = float("nan")
 ) -> LaserCalibration:
-    """The plane with its residuals over all views."""
+    """A laser's plane with its rms residuals over all views."""
     residual_m = np.concatenate([view.residual_m for view in views])
     held_out_m = np.concatenate([view.held_out_m for view in views])
     known_m = held_out_m[np.isfinite(held_out_m)]

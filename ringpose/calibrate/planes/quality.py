@@ -23,14 +23,14 @@ DEPTHS_M = (0.2, 0.3, 0.5, 1.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlanesAssessment:
-    """The light planes with verdict and comparison."""
+    """The light planes with verdict, and with the planes by the paper's method for comparison."""
 
     calibration: PlanesCalibration
     verdict: Verdict
     paper: PlanesCalibration | None = None
     """The same views by the paper's method; None if it is not applicable."""
     without_board: Sequence[tuple[str, str]] = ()
-    """Images that show no board, and why."""
+    """Names of the images that show no board, and the reasons."""
 
 
 def calibrated_rig(calibration: PlanesCalibration) -> Rig:
@@ -194,14 +194,14 @@ class PlaneAngle:
     second: str
     angle_rad: float
     sd_rad: float
-    """NaN where there is no covariance."""
+    """Standard deviation of the angle; NaN without covariance."""
     line_point_m: Float64[Array, "xyz=3"]
     """The point of their intersection nearest to the camera; the lines of one projector meet in it."""
     line_direction: Float64[Array, "xyz=3"]
 
 
 def plane_angles(calibration: PlanesCalibration) -> list[PlaneAngle]:
-    """Angles of neighbours, in the order of the lasers; empty for one laser."""
+    """Angles between neighbouring planes, in the order of the lasers; empty for one laser."""
     return [_angle(calibration, first, first + 1) for first in range(len(calibration.lasers) - 1)]
 
 
@@ -222,7 +222,7 @@ def _angle(calibration: PlanesCalibration, first: int, second: int) -> PlaneAngl
 
 
 def _angle_sd_rad(calibration: PlanesCalibration, first: int, second: int) -> float:
-    """First-order propagation: tilting a normal towards the other one reduces the angle by the same amount."""
+    """Standard deviation of an angle, to first order: tilting a normal towards the other reduces the angle as much."""
     covariance = calibration.covariance
     if covariance is None:
         return float("nan")

@@ -39,7 +39,7 @@ def check_method(method: PlanesMethod, free_camera: bool, board: Board, camera: 
 
 
 class StripeShots:
-    """The stripe views of the shots so far; the first shot determines the number of lasers if no names are given."""
+    """Collects the stripe views of shots; the first shot determines the number of lasers if no names are given."""
 
     def __init__(
         self, board: Board, camera: Camera, names: str | None, order: str | None, surround_m: float = 0.0
@@ -50,13 +50,13 @@ class StripeShots:
         """Values of --laser-names and --laser-order."""
         self.surround_m = surround_m
         self.names: tuple[str, ...] = ()
-        """Of the lasers, by mask bit; empty before the first shot."""
+        """Names of the lasers, by mask bit; empty before the first shot."""
         self.views: list[StripeView] = []
         self.any_without_stripe = False
         """Whether a shot shows the board and no stripe on it."""
 
     def add(self, shot: Shot, board: BoardView) -> StripeView:
-        """The stripes on the board, which become part of the calibration; DataError if the shot cannot be used."""
+        """Add a shot to the calibration and return the stripes on its board; DataError if the shot cannot be used."""
         self._check_size(shot)
         self._check_names(shot, board)
         shift_px = board_shift_px(shot, board, self.board)

@@ -33,10 +33,10 @@ TRIALS = 300
 """Random pairs tried for each line: with a fifth of the light on the line, all miss it once in 200 000 frames."""
 
 MINIMUM_CENTERS = 40
-"""Fewer centres on one line are texture or dust."""
+"""Minimum number of centres on a line: fewer are texture or dust."""
 
 RIVAL_SHARE = 0.5
-"""One line too many makes the frame ambiguous if it has at least this share of the light of the weakest stripe."""
+"""A frame is ambiguous if an additional line has at least this share of the light of its weakest stripe."""
 
 OUTLIER_SIGMAS = 3.5
 """Centres farther from their line than this number of robust standard deviations are left out."""
@@ -46,7 +46,7 @@ SHRINKINGS = (1, 2, 4)
 defocused stripe has two ridges, its shoulders, at a width of 15 px, and one at 4 px."""
 
 FAINT_SIGMAS = 8.0
-"""Peak over noise of the board, in standard deviations, below which no laser light is visible."""
+"""Peak over the noise on the board, in standard deviations, below which no laser light is visible."""
 
 FULL_SHARE = 0.02
 """Share of saturated pixels above which the board itself is saturated: a stripe covers 1 % of it."""
@@ -55,7 +55,7 @@ MAX_WIDTH_PX = 25.0
 """Largest full width at half maximum of a stripe: images are reduced to a quarter at most."""
 
 _SMOOTHING_PX = 2.0
-"""Blur before the width of bright regions is measured, against noise and speckle."""
+"""Standard deviation of the smoothing against noise and speckle before the width of bright regions is measured."""
 
 _NOTHING = np.empty((0, 2))
 
@@ -63,7 +63,7 @@ _NOTHING = np.empty((0, 2))
 def stripe_view(
     shot: Shot, view: BoardView, board: Board, camera: Camera, lasers: int, surround_m: float = 0.0
 ) -> StripeView:
-    """The stripes on the board's plane in all frames.
+    """The stripes on the board in one shot, by laser where the frames identify it.
 
     Frames with one laser on label their stripe; those with several are used for lasers without such a frame.
     """
@@ -149,7 +149,7 @@ def _lines_at_scale(
     lasers: int,
     shrinking: int,
 ) -> list[StripeLine]:
-    """The lines, all along the rows or all along the columns, and one more if it is about as bright."""
+    """The lines in a reduced frame, all along rows or all along columns, and one more if it is about as bright."""
     small, small_dark = reduced(image, shrinking), None if dark is None else reduced(dark, shrinking)
     along_rows = _lines(find_stripes(small, small_dark), surface, lasers + 1, shrinking, upright=False)
     dark_columns = None if small_dark is None else np.ascontiguousarray(small_dark.T)
@@ -249,7 +249,7 @@ def stripe_failure(
 
 
 def _on_board(surface: BoardSurface, shape: tuple[int, ...]) -> Bool[Array, "row column"]:
-    """The pixels inside the board's outline."""
+    """Mask of the pixels inside the board's outline."""
     width, height = outline_m(surface.board)
     corners = np.array([[0.0, 0.0, 0.0], [width, 0.0, 0.0], [width, height, 0.0], [0.0, height, 0.0]])
     pixels: Float64[Array, "4 2"] = project(
