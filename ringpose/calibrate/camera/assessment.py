@@ -32,7 +32,8 @@ from ringpose.types.camera import Camera
 from ringpose.types.verdict import Check
 
 CHANCE = 2.5
-"""Disagreement of the views (1 if noise explains it) is significant above 1 + CHANCE / sqrt(views - 1): of 80 sets of 8 and 15 views with only noise, one exceeded it."""
+"""Disagreement of the views, 1 if noise explains it, is significant above 1 + CHANCE / sqrt(views - 1): of 80 sets of 8
+and 15 views with only noise, one exceeded it."""
 
 EXACT_PX = 1e-4
 """Lower limit of the projection uncertainty: corners have single precision."""
@@ -164,7 +165,10 @@ def _surface_heights(points_m: Float64[Array, "corner xyz=3"]) -> Float64[Array,
 
 
 def coverage(calibration: CameraCalibration, boards: Sequence[BoardView]) -> Coverage:
-    """Used corners by cell of the image, tilts and distances of the used boards; `boards` are those of all views, in their order."""
+    """Used corners by cell of the image, tilts and distances of the used boards.
+
+    `boards` are those of all views, in their order.
+    """
     camera = calibration.camera
     pairs = zip(calibration.views, boards, strict=True)
     used = [(view, board) for view, board in pairs if not view.rejected]

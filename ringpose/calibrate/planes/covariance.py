@@ -88,7 +88,7 @@ def variance_excess(data: JointData, fit: JointFit) -> float:
 
 
 def laser_disagreements(data: JointData, fit: JointFit) -> tuple[float, ...]:
-    """Increase of chi-squared by each laser's stripes per degree of freedom; NaN for a laser without degrees of freedom.
+    """Increase of chi-squared by each laser's stripes, per degree of freedom; NaN where there are none.
 
     It identifies a laser whose plane contradicts the board poses on which the other lasers agree.
     """

@@ -208,7 +208,7 @@ def _weighted_fit(
 
 
 def _held_out(points: Sequence[Sequence[Points]], data: JointData, fit: JointFit) -> HeldOut:
-    """The planes by laser without each view in turn; lasers that are then undetermined take no part in the adjustment."""
+    """The planes without each view in turn; lasers that are then undetermined do not take part in the adjustment."""
     by_view: list[list[FittedPlane | None]] = []
     for view in range(len(data.views)):
         determined = [determined_without(own, view) for own in points]

@@ -16,7 +16,7 @@ SUBPIXELS = 4
 
 @pytest.fixture
 def tilted_circles():
-    """Draws the grid tilted by 45 degrees 0.35 m away, and says where its centres are seen."""
+    """Draws the grid tilted by 45 degrees at 0.35 m, and returns its projected centres."""
 
     def drawn(radius_m: float) -> tuple[np.ndarray, np.ndarray]:
         points = corner_points(BOARD)
@@ -39,7 +39,7 @@ def tilted_circles():
 
 
 @pytest.mark.parametrize("radius_m", [0.005, 0.008])
-def test_centres_of_tilted_circles_are_not_the_middles_of_their_ellipses(radius_m, tilted_circles):
+def test_centres_of_tilted_circles_differ_from_those_of_their_ellipses(radius_m, tilted_circles):
     image, centers_px = tilted_circles(radius_m)
 
     middles = np.linalg.norm(circle_middles(image, 4, 7) - centers_px, axis=1)
@@ -59,7 +59,7 @@ def test_circles_are_found_in_an_image_a_quarter_as_bright(tilted_circles):
 
 
 def test_noise_makes_circles_no_larger(rng, tilted_circles):
-    """Paper's noise to one side only, over three times a circle's area, would be a hundredth of its radius."""
+    """Noise of the paper clipped to one side would increase the radius by a hundredth."""
     image, _ = tilted_circles(0.006)
     noisy = np.clip(np.rint(image + 6 * rng.standard_normal(image.shape)), 0, 255).astype(np.uint8)
 

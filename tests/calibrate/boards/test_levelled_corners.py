@@ -1,4 +1,4 @@
-"""Corners in uneven light, on boards whose corners are known from the drawing."""
+"""Chessboard corners under uneven illumination, on drawn boards."""
 
 import numpy as np
 import pytest
@@ -38,19 +38,19 @@ def test_corners_beside_a_glaring_stripe_are_half_as_far_off(glaring):
     assert rms(levelled) < 0.5 * rms(plain)
 
 
-def test_corners_in_even_light_stay_where_they_are(drawn_board):
+def test_corners_under_even_illumination_are_unchanged(drawn_board):
     levelled = levelled_corners(drawn_board(BOARD), true_px().reshape(6, 7, 2), HALF_PX)
 
     assert np.abs(levelled.reshape(-1, 2) - true_px()).max() < 0.02
 
 
-def test_a_flat_image_moves_no_corner():
+def test_corners_in_an_image_without_contrast_are_unchanged():
     flat = np.full((400, 400), 90, np.uint8)
 
     assert np.array_equal(levelled_corners(flat, true_px().reshape(6, 7, 2), HALF_PX).reshape(-1, 2), true_px())
 
 
-def test_corners_at_the_rim_keep_their_place(drawn_board):
+def test_corners_at_the_rim_of_the_image_are_unchanged(drawn_board):
     tight = drawn_board(BOARD)[72:-72, 72:-72].copy()
     start = true_px() - 72 + 0.4
 

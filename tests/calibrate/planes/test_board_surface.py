@@ -1,4 +1,4 @@
-"""Where on a board stripes are trusted."""
+"""Regions of a board in which stripes are used."""
 
 import numpy as np
 import pytest
@@ -54,7 +54,7 @@ def seen(surface, lasers, first_is_dark) -> Shot:
 
 @pytest.mark.parametrize("first_is_dark", [True, False])
 @pytest.mark.parametrize(("lasers", "light"), [([0, 1], True), ([1], False)])
-def test_light_squares_serve_where_the_paper_is_subtracted_dark_ones_elsewhere(lasers, light, first_is_dark, surface):
+def test_light_squares_are_used_with_a_dark_frame_and_dark_squares_without(lasers, light, first_is_dark, surface):
     found = board_surface(seen(surface, lasers, first_is_dark), surface.board, surface.pose, surface.camera)
 
     place_m = {True: (0.045, 0.015), False: (0.015, 0.015)}[light == first_is_dark]
