@@ -167,20 +167,15 @@ def _middle(
     if around is None:
         return None
     patch, offset = around
-    outside = _outside_px(offset, shape)
+    # Distance from the ellipse, negative inside: exact on the axes, and to first order near the ellipse.
+    slope = offset @ shape
+    size = np.sqrt(np.sum(slope * offset, axis=-1))
+    outside = (size - 1.0) * size / np.maximum(np.linalg.norm(slope, axis=-1), 1e-9)
     share = _ink_share(patch, offset, outside)
     if share is None:
         return None
-    step = _step(share, outside, offset @ shape)
+    step = _step(share, outside, slope)
     return middle + step if np.linalg.norm(step) < EDGE_PX / 2 else None
-
-
-def _outside_px(offset: Offsets, shape: Float64[Array, "2 2"]) -> Patch:
-    """Approximate distance from the ellipse, negative inside; exact on the axes and to first order near the ellipse."""
-    mapped = offset @ shape
-    size = np.sqrt(np.sum(mapped * offset, axis=-1))
-    outside: Patch = (size - 1.0) * size / np.maximum(np.linalg.norm(mapped, axis=-1), 1e-9)
-    return outside
 
 
 def _ink_share(patch: Patch, offset: Offsets, outside: Patch) -> Patch | None:

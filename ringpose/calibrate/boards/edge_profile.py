@@ -92,27 +92,23 @@ def _interpolated(across: Float64[Array, "*shape"], table: Float64[Array, "sampl
 
 def _odd_splines(across: Float64[Array, "n"], knots: int) -> Float64[Array, "n knot"]:
     """Cubic B-spline at each knot minus its mirror image: odd functions keep the profile 0.5 at the edge."""
+
+    def spline(x: Float64[Array, "n knot"]) -> Float64[Array, "n knot"]:  # centred at zero, with integer knots
+        outer, inner = np.maximum(2.0 - np.abs(x), 0.0), np.maximum(1.0 - np.abs(x), 0.0)
+        value: Float64[Array, "n knot"] = (outer * outer * outer - 4.0 * inner * inner * inner) / 6.0
+        return value
+
     x, knot = across[..., None] / KNOT_PX, np.arange(1.0, knots + 1)
-    odd: Float64[Array, "n knot"] = _cubic_spline(x - knot) - _cubic_spline(x + knot)
-    return odd
+    return spline(x - knot) - spline(x + knot)
 
 
 def _odd_spline_slopes(across: Float64[Array, "n"], knots: int) -> Float64[Array, "n knot"]:
     """Derivatives of these functions, per pixel."""
+
+    def slope(x: Float64[Array, "n knot"]) -> Float64[Array, "n knot"]:
+        outer, inner = np.maximum(2.0 - np.abs(x), 0.0), np.maximum(1.0 - np.abs(x), 0.0)
+        value: Float64[Array, "n knot"] = -np.sign(x) * (outer * outer - 4.0 * inner * inner) / 2.0
+        return value
+
     x, knot = across[..., None] / KNOT_PX, np.arange(1.0, knots + 1)
-    slopes: Float64[Array, "n knot"] = (_cubic_spline_slope(x - knot) - _cubic_spline_slope(x + knot)) / KNOT_PX
-    return slopes
-
-
-def _cubic_spline(x: Float64[Array, "*shape"]) -> Float64[Array, "*shape"]:
-    """The cubic B-spline centred at zero, with integer knots."""
-    outer, inner = np.maximum(2.0 - np.abs(x), 0.0), np.maximum(1.0 - np.abs(x), 0.0)
-    value: Float64[Array, "*shape"] = (outer * outer * outer - 4.0 * inner * inner * inner) / 6.0
-    return value
-
-
-def _cubic_spline_slope(x: Float64[Array, "*shape"]) -> Float64[Array, "*shape"]:
-    """Its derivative."""
-    outer, inner = np.maximum(2.0 - np.abs(x), 0.0), np.maximum(1.0 - np.abs(x), 0.0)
-    slope: Float64[Array, "*shape"] = -np.sign(x) * (outer * outer - 4.0 * inner * inner) / 2.0
-    return slope
+    return (slope(x - knot) - slope(x + knot)) / KNOT_PX

@@ -9,7 +9,6 @@ from ringpose.errors import DataError
 from ringpose.geometry.planes import nearest_plane
 from ringpose.geometry.robust import robust_std
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.calibration import LaserCalibration, LaserView
 from ringpose.types.options import PlanesMethod
 
 MAX_CONDITION = 50.0
@@ -56,7 +55,7 @@ def fitted_plane(name: str, points: Sequence[Points], method: PlanesMethod) -> F
         found = f"the points of {lying} on one line (condition {spread:.0f}), which determines no plane"
         remedy = f"add a view of the board 50 mm or more nearer or farther than {every[:, 2].mean():.2f} m"
         raise DataError(location, found, remedy)
-    rms_m = _rms(every @ normal - distance_m)
+    rms_m = rms(every @ normal - distance_m)
     extent_m = float(np.sqrt(np.mean(np.sum((every - every.mean(axis=0)) ** 2, axis=1))))
     if rms_m > MAX_SCATTER * extent_m:
         found = f"the points of its {seen} views lie on no common plane (rms {1e3 * rms_m:.1f} mm)"
@@ -139,40 +138,18 @@ def outlying_views(points: Sequence[Points]) -> dict[int, float]:
     if len(seen) < 4:
         return {}
     views = [points[index] for index in seen]
-    normal, distance_m, weights = robust_plane(np.concatenate(views), _plane_of_most_views(views))
+    # Start: of the planes of all views but one, the one with the smallest median distance (least median of squares).
+    starts = [nearest_plane(np.concatenate([*views[:index], *views[index + 1 :]]))[:2] for index in range(len(views))]
+    start = min(starts, key=lambda plane: float(np.median([rms(own @ plane[0] - plane[1]) for own in views])))
+    normal, distance_m, weights = robust_plane(np.concatenate(views), start)
     by_view = np.split(weights, np.cumsum([len(own) for own in views])[:-1])
     return {
-        index: _rms(points[index] @ normal - distance_m)
+        index: rms(points[index] @ normal - distance_m)
         for index, weight in zip(seen, by_view, strict=True)
         if weight.mean() < MIN_MEAN_WEIGHT
     }
 
 
-def _plane_of_most_views(views: Sequence[Points]) -> tuple[Float64[Array, "3"], float]:
-    """Of the planes of all views but one, the one with the smallest median distance (least median of squares)."""
-    others = [np.concatenate([*views[:index], *views[index + 1 :]]) for index in range(len(views))]
-    planes = [nearest_plane(every)[:2] for every in others]
-    return min(planes, key=lambda plane: float(np.median([_rms(own @ plane[0] - plane[1]) for own in views])))
-
-
-def laser_calibration(
-    name: str, plane: FittedPlane, views: Sequence[LaserView], disagreement: float = float("nan")
-) -> LaserCalibration:
-    """A laser's plane with its rms residuals over all views."""
-    residual_m = np.concatenate([view.residual_m for view in views])
-    held_out_m = np.concatenate([view.held_out_m for view in views])
-    known_m = held_out_m[np.isfinite(held_out_m)]
-    return LaserCalibration(
-        name=name,
-        normal=plane.normal,
-        distance_m=plane.distance_m,
-        views=tuple(views),
-        rms_m=_rms(residual_m),
-        held_out_rms_m=_rms(known_m) if len(known_m) else float("nan"),
-        condition=plane.condition,
-        disagreement=disagreement,
-    )
-
-
-def _rms(distances_m: Float64[Array, "n"]) -> float:
+def rms(distances_m: Float64[Array, "n"]) -> float:
+    """Root mean square of distances."""
     return float(np.sqrt(np.mean(distances_m**2)))

@@ -44,7 +44,10 @@ def planes_quality(assessment: PlanesAssessment) -> Mapping[str, Any]:
     """The key `quality` of rig.yaml."""
     calibration = assessment.calibration
     angles = plane_angles(calibration)
-    neighbours = [{"lasers": [own.first, own.second]} | _without(asdict(own), "first", "second") for own in angles]
+    neighbours = []
+    for angle in angles:
+        values = asdict(angle)
+        neighbours.append({"lasers": [values.pop("first"), values.pop("second")]} | values)
     quality = {
         "verdict": verdict_values(assessment.verdict),
         "method": calibration.method,
@@ -65,10 +68,6 @@ def planes_quality(assessment: PlanesAssessment) -> Mapping[str, Any]:
         "without_board": [{"name": name, "reason": reason} for name, reason in assessment.without_board],
     }
     return {"quality": {key: value for key, value in quality.items() if value is not None}}
-
-
-def _without(values: Mapping[str, Any], *keys: str) -> dict[str, Any]:
-    return {key: value for key, value in values.items() if key not in keys}
 
 
 def _standard_deviations(calibration: PlanesCalibration) -> dict[str, float]:
@@ -206,6 +205,7 @@ def plane_angles(calibration: PlanesCalibration) -> list[PlaneAngle]:
 
 
 def _angle(calibration: PlanesCalibration, first: int, second: int) -> PlaneAngle:
+    """Angle between two planes, and their line of intersection."""
     normals, distances_m = calibration.planes.normal, calibration.planes.distance_m
     pair = normals[[first, second]]
     direction = np.cross(*pair)

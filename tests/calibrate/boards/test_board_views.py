@@ -99,7 +99,7 @@ def test_markers_of_a_custom_dictionary_are_found(drawn_board):
 
 
 def drawn_own_markers(board: Board) -> np.ndarray:
-    """Draws markers by the bits of the file (1 is white), each in a black border one bit wide; 2 pixels a millimetre."""
+    """Draws markers by the bits of the file (1 is white) in a black border one bit wide; 2 pixels a millimetre."""
     image = np.full((2 * 40 + 180, 2 * 40 + 280), 255, np.uint8)
     for number, (left, top) in enumerate(marker_corners(board)[:, 0, :2]):
         bits = np.pad(np.reshape([int(bit) for bit in board.marker_bits[number]], (3, 3)), 1)

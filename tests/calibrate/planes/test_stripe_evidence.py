@@ -28,7 +28,7 @@ def test_a_board_that_does_not_fit_is_left_out_by_name(rng, stripe_views, true_p
 def test_stripes_turn_a_board_back_that_its_corners_see_mirrored(
     rng, board_view, stripe_views, true_poses, true_planes, true_camera
 ):
-    """The corners of a small board lie between those of its pose and of the mirrored pose, nearer to the mirrored one."""
+    """The corners of a small board lie between those of its pose and of the mirrored pose, nearer to the latter."""
     small = 0.02 * np.stack(np.meshgrid([0, 1, 2], [0, 1, 2], [0.0]), axis=-1).reshape(-1, 3) + [0.13, 0.1, 0]
     views = stripe_views(true_poses(rng, 6), rng, 0.01, 0.05)
     turn = cv2.Rodrigues(np.array([0.25, 0.3, 0.0]))[0]
