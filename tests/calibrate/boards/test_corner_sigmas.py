@@ -55,7 +55,7 @@ def test_errors_that_all_views_share_do_not_grow_fewer_with_their_number(share, 
     poses = poses_of(seen, true_camera)
     sigmas = corner_sigmas_px(seen, poses, true_camera)
 
-    wider = with_shared_errors(sigmas, seen, poses, true_camera, taken=0)
+    wider = with_shared_errors(sigmas, seen, poses, true_camera, shared_parameters=0)
 
     assert least < wider.mean() / sigmas.mean() < most
 
@@ -68,6 +68,6 @@ def test_views_may_show_different_numbers_of_corners(rng, views, true_camera):
     seen[0] = replace(seen[0], board=fewer)
     poses = poses_of(seen, true_camera)
 
-    wider = with_shared_errors(corner_sigmas_px(seen, poses, true_camera), seen, poses, true_camera, taken=0)
+    wider = with_shared_errors(corner_sigmas_px(seen, poses, true_camera), seen, poses, true_camera, shared_parameters=0)
 
     assert wider.mean() == pytest.approx(SIGMA_PX, rel=0.4)
