@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ringpose.calibrate.planes.covariance import depth_uncertainty, of_camera, ring_center_sd_m, stripes_apart_m
+from ringpose.calibrate.planes.covariance import of_camera, ring_center_sd_m, stripes_apart_m, worst_depth_sd_m
 from ringpose.calibrate.planes.plane_fit import MAX_CONDITION
 from ringpose.calibrate.planes.quality import middle_outside_rad, order_with_angles, plane_angles
 from ringpose.types.calibration import LaserCalibration, PlanesCalibration
@@ -149,9 +149,9 @@ def _depth_checks(
 ) -> list[Check]:
     """Checks of the standard deviation of depths at the farthest board; none for a laser whose stripe misses it."""
     limits = (GOOD_DEPTH_SHARE * far_m, BAD_DEPTH_SHARE * far_m)
-    found = depth_uncertainty(calibration.camera, calibration.planes, covariance, (far_m,))
+    found = worst_depth_sd_m(calibration.camera, calibration.planes, covariance, (far_m,))
     checks = []
-    for name, sd in zip(calibration.planes.names, found.worst_m[:, 0].tolist(), strict=True):
+    for name, sd in zip(calibration.planes.names, found[:, 0].tolist(), strict=True):
         if np.isfinite(sd):
             advice = f"add views at {far_m:.2f} m and {near_m:.2f} m, the stripe of {name} over the whole image"
             checks.append(_check("depth_sd_m", sd, limits, advice, f"{name} at {far_m:.2f} m"))

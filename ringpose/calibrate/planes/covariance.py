@@ -9,8 +9,6 @@ A ring amplifies depth errors: its arc is short and half a metre from its centre
 stripes' depths tilt the ring and move its centre by a multiple of them.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ringpose.calibrate.boards.corner_errors import maximum_likelihood_pose
@@ -105,25 +103,13 @@ def _degrees_of_freedom(data: JointData, laser: int) -> int:
     return 2 * sum(len(own[laser]) > 0 for own in data.rays) - len(PLANE_PARAMETERS)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DepthUncertainty:
-    """Standard deviation of depths along the stripe of each laser on a plane perpendicular to the optical axis."""
-
-    distances_m: tuple[float, ...]
-    depth_sd_m: Float64[Array, "laser distance position"]
-    """Standard deviation of the depth; NaN where the stripe is outside the image."""
-
-    @property
-    def worst_m(self) -> Float64[Array, "laser distance"]:
-        """Largest standard deviation along each stripe; NaN where none of it is in the image."""
-        filled = np.nan_to_num(self.depth_sd_m, nan=-1.0).max(axis=-1)
-        return np.where(filled >= 0, filled, np.nan)
-
-
 def depth_uncertainty(
     camera: Camera, lasers: LaserPlanes, covariance: ParameterCovariance, distances_m: tuple[float, ...]
-) -> DepthUncertainty:
-    """Standard deviations of triangulated depths by the joint covariance (method(7), section 1)."""
+) -> Float64[Array, "laser distance position"]:
+    """Standard deviations of depths by the joint covariance (method(7), section 1).
+
+    They hold along the stripe of each laser on planes perpendicular to the optical axis; NaN outside the image.
+    """
     sd = np.full((len(lasers.names), len(distances_m), COLUMNS), np.nan)
     for laser, distance in np.ndindex(sd.shape[:2]):
         plane_m = float(lasers.distance_m[laser])
@@ -132,7 +118,17 @@ def depth_uncertainty(
         if inside.any():
             jacobian = _depth_jacobian(camera, lasers, covariance.parameters, laser, pixels[inside])
             sd[laser, distance, inside] = np.sqrt(np.einsum("ni,ij,nj->n", jacobian, covariance.data, jacobian).clip(0))
-    return DepthUncertainty(distances_m=distances_m, depth_sd_m=sd)
+    return sd
+
+
+def worst_depth_sd_m(
+    camera: Camera, lasers: LaserPlanes, covariance: ParameterCovariance, distances_m: tuple[float, ...]
+) -> Float64[Array, "laser distance"]:
+    """Largest of these standard deviations along each stripe; NaN where none of it is in the image."""
+    worst: Float64[Array, "laser distance"] = np.fmax.reduce(
+        depth_uncertainty(camera, lasers, covariance, distances_m), axis=-1
+    )
+    return worst
 
 
 def _stripe_px(

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ringpose.calibrate.planes.covariance import RADII_M, depth_uncertainty, ring_center_sd_m
+from ringpose.calibrate.planes.covariance import RADII_M, ring_center_sd_m, worst_depth_sd_m
 from ringpose.calibrate.planes.labels import THREE
 from ringpose.calibrate.verdict_text import verdict_lines, verdict_values
 from ringpose.geometry.rotations import angle_between, tilt_basis
@@ -102,8 +102,8 @@ def _depths(calibration: PlanesCalibration) -> dict[str, Any] | None:
     """Largest standard deviation of depths along each stripe, by distance; NaN if it is outside the image."""
     if calibration.covariance is None:
         return None
-    found = depth_uncertainty(calibration.camera, calibration.planes, calibration.covariance, DEPTHS_M)
-    rows = zip(calibration.planes.names, found.worst_m.tolist(), strict=True)
+    found = worst_depth_sd_m(calibration.camera, calibration.planes, calibration.covariance, DEPTHS_M)
+    rows = zip(calibration.planes.names, found.tolist(), strict=True)
     return {"distances_m": list(DEPTHS_M), "lasers": [{"name": name, "depth_sd_m": row} for name, row in rows]}
 
 

@@ -68,6 +68,8 @@ def test_views_may_show_different_numbers_of_corners(rng, views, true_camera):
     seen[0] = replace(seen[0], board=fewer)
     poses = poses_of(seen, true_camera)
 
-    wider = with_shared_errors(corner_sigmas_px(seen, poses, true_camera), seen, poses, true_camera, shared_parameters=0)
+    wider = with_shared_errors(
+        corner_sigmas_px(seen, poses, true_camera), seen, poses, true_camera, shared_parameters=0
+    )
 
     assert wider.mean() == pytest.approx(SIGMA_PX, rel=0.4)
