@@ -62,7 +62,7 @@ _START_GRIDS = ((4, 3), (5, 4))
 
 _CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4)
 
-_LEVELLED_ROUNDS, _LEVELLED_MARGIN_PX = 2, 3
+_NORMALISED_ROUNDS, _NORMALISED_MARGIN_PX = 2, 3
 """Rounds of the refinement in normalised windows, and pixels around the window that determine its grey levels too."""
 
 
@@ -77,8 +77,8 @@ def chessboard_corners(image: GreyImage, columns: int, rows: int) -> Float64[Arr
                 grid = in_full_image(np.asarray(corners, dtype=np.float64).reshape(rows, columns, 2), reduction)
                 refined = _refined_grid(image, grid)
                 if irregularity(refined) < MAX_IRREGULARITY:
-                    levelled = levelled_corners(image, refined, WINDOW_PER_SQUARE * shortest_side(grid))
-                    return _in_board_order(image, levelled).reshape(-1, 2)
+                    normalised = saddle_points(image, refined, WINDOW_PER_SQUARE * shortest_side(grid))
+                    return _in_board_order(image, normalised).reshape(-1, 2)
     return None
 
 
@@ -119,13 +119,13 @@ def irregularity(grid: Grid) -> float:
     return float(max(jumps)) / max(shortest_side(grid), 1e-9)
 
 
-def levelled_corners(image: GreyImage, grid: Grid, half_window_px: float) -> Grid:
-    """The corners refined in normalised windows; a corner for which this fails, or that moves too far, is unchanged."""
+def saddle_points(image: GreyImage, grid: Grid, half_window_px: float) -> Grid:
+    """Corners refined in windows with normalised squares; one that fails, or moves too far, is unchanged."""
     half = _whole_window(half_window_px)
     along, down = np.gradient(grid, axis=1), np.gradient(grid, axis=0)
     refined = grid.copy()
     for index in np.ndindex(grid.shape[:2]):
-        for _ in range(_LEVELLED_ROUNDS):
+        for _ in range(_NORMALISED_ROUNDS):
             moved = _saddle_point(image, refined[index], (along[index], down[index]), half)
             if moved is None or np.linalg.norm(moved - grid[index]) >= half:
                 break
@@ -141,22 +141,22 @@ def _saddle_point(
     image: GreyImage, corner: Float64[Array, "xy=2"], sides: _Sides, half: int
 ) -> Float64[Array, "xy=2"] | None:
     """The corner after one refinement in its normalised window; None at the image's rim and for low contrast."""
-    reach = half + _LEVELLED_MARGIN_PX
+    reach = half + _NORMALISED_MARGIN_PX
     column, row = np.rint(corner).astype(np.int64).tolist()
     patch = patch_around(image, column, row, reach)
     if patch is None:
         return None
     origin = np.array([column - reach, row - reach], dtype=np.float64)
-    levelled = _levelled(patch.astype(np.float64), corner - origin, sides)
-    if levelled is None:
+    normalised = _normalised(patch.astype(np.float64), corner - origin, sides)
+    if normalised is None:
         return None
     start = (corner - origin).astype(np.float32).reshape(1, 1, 2)
-    found = cv2.cornerSubPix(levelled.astype(np.float32), start, (half, half), (-1, -1), _CRITERIA)
+    found = cv2.cornerSubPix(normalised.astype(np.float32), start, (half, half), (-1, -1), _CRITERIA)
     moved: Float64[Array, "xy=2"] = np.asarray(found, dtype=np.float64).reshape(2) + origin
     return moved
 
 
-def _levelled(patch: Patch, corner: Float64[Array, "xy=2"], sides: _Sides) -> Patch | None:
+def _normalised(patch: Patch, corner: Float64[Array, "xy=2"], sides: _Sides) -> Patch | None:
     """The patch with the two diagonal pairs of squares normalised to 0 and 1; None for low contrast.
 
     The grey level of each pair is a plane, fitted to the pixels away from the edges.
@@ -173,8 +173,8 @@ def _levelled(patch: Patch, corner: Float64[Array, "xy=2"], sides: _Sides) -> Pa
     contrast = second - first
     if np.abs(contrast).min() < MIN_CONTRAST_DN:
         return None
-    levelled: Patch = np.clip((patch - first) / contrast, CLIPPED_SHARE, 1.0 - CLIPPED_SHARE)
-    return levelled
+    normalised: Patch = np.clip((patch - first) / contrast, CLIPPED_SHARE, 1.0 - CLIPPED_SHARE)
+    return normalised
 
 
 def _in_board_order(image: GreyImage, grid: Grid) -> Grid:

@@ -60,23 +60,23 @@ def circle_centers(
     grey: GreyImage, points_m: Float64[Array, "corner xyz=3"], columns: int, rows: int
 ) -> CircleCenters | None:
     """Projected centres of the circles with these positions on the board; None if not all are found."""
-    middles_px = circle_middles(grey, columns, rows)
-    if middles_px is None:
+    ellipses_px = opencv_ellipse_centers(grey, columns, rows)
+    if ellipses_px is None:
         return None
     centers_m = points_m[:, :2]
-    image_from_board = _homography(centers_m, middles_px)
-    radius_m = _radius_m(grey, middles_px, centers_m, image_from_board)
+    image_from_board = _homography(centers_m, ellipses_px)
+    radius_m = _radius_m(grey, ellipses_px, centers_m, image_from_board)
     for _ in range(_ROUNDS if radius_m else 0):
-        middles_px = levelled_middles(grey, middles_px, circle_conics(centers_m, radius_m, image_from_board))
-        image_from_board = _homography(centers_m, middles_px)
-    return CircleCenters(middles_px - ellipse_offsets(centers_m, radius_m, image_from_board), radius_m)
+        ellipses_px = refined_ellipse_centers(grey, ellipses_px, circle_conics(centers_m, radius_m, image_from_board))
+        image_from_board = _homography(centers_m, ellipses_px)
+    return CircleCenters(ellipses_px - ellipse_offsets(centers_m, radius_m, image_from_board), radius_m)
 
 
-def circle_middles(grey: GreyImage, columns: int, rows: int) -> Centers | None:
+def opencv_ellipse_centers(grey: GreyImage, columns: int, rows: int) -> Centers | None:
     """OpenCV's centres of the ellipses; None if not all are found."""
     flags = cv2.CALIB_CB_ASYMMETRIC_GRID | cv2.CALIB_CB_CLUSTERING
-    found, middles = cv2.findCirclesGrid(brightened(grey), (columns, rows), flags=flags)
-    return np.asarray(middles, dtype=np.float64).reshape(-1, 2) if found else None
+    found, centers = cv2.findCirclesGrid(brightened(grey), (columns, rows), flags=flags)
+    return np.asarray(centers, dtype=np.float64).reshape(-1, 2) if found else None
 
 
 def brightened(grey: GreyImage) -> GreyImage:
@@ -87,16 +87,17 @@ def brightened(grey: GreyImage) -> GreyImage:
     return np.rint(np.minimum(grey * (BRIGHT_DN / white), 255.0)).astype(np.uint8)
 
 
-def _homography(centers_m: Centers, middles_px: Centers) -> Float64[Array, "3 3"]:
-    return np.asarray(cv2.findHomography(centers_m, middles_px)[0], dtype=np.float64)
+def _homography(centers_m: Centers, ellipses_px: Centers) -> Float64[Array, "3 3"]:
+    """Homography from the board's plane to the image, by the circles' centres."""
+    return np.asarray(cv2.findHomography(centers_m, ellipses_px)[0], dtype=np.float64)
 
 
-def _radius_m(grey: GreyImage, middles_px: Centers, centers_m: Centers, homography: Float64[Array, "3 3"]) -> float:
+def _radius_m(grey: GreyImage, ellipses_px: Centers, centers_m: Centers, homography: Float64[Array, "3 3"]) -> float:
     """The circles' common radius from their dark areas and local scales; zero if no area could be measured."""
-    distance = np.linalg.norm(middles_px[:, None] - middles_px, axis=-1)
+    distance = np.linalg.norm(ellipses_px[:, None] - ellipses_px, axis=-1)
     np.fill_diagonal(distance, np.inf)
     areas_px = np.array(
-        [_dark_area(grey, middle, 0.5 * float(near)) for middle, near in zip(middles_px, distance.min(1), strict=True)]
+        [_dark_area(grey, center, 0.5 * float(near)) for center, near in zip(ellipses_px, distance.min(1), strict=True)]
     )
     weight = centers_m @ homography[2, :2] + homography[2, 2]
     scale = abs(float(np.linalg.det(homography))) / np.abs(weight) ** 3
@@ -104,9 +105,9 @@ def _radius_m(grey: GreyImage, middles_px: Centers, centers_m: Centers, homograp
     return float(np.sqrt(np.median(areas_px[measured] / scale[measured]) / np.pi)) if measured.any() else 0.0
 
 
-def _dark_area(grey: GreyImage, middle: Float64[Array, "xy=2"], reach: float) -> float:
+def _dark_area(grey: GreyImage, center: Float64[Array, "xy=2"], reach: float) -> float:
     """Dark area within `reach` of a circle's centre, in pixels; NaN at the image's rim and for low contrast."""
-    around = grey_around(grey, middle, int(reach))
+    around = grey_around(grey, center, int(reach))
     if around is None:
         return float("nan")
     patch, offset = around
@@ -135,8 +136,8 @@ def circle_conics(
 def ellipse_offsets(centers_m: Centers, radius_m: float, homography: Float64[Array, "3 3"]) -> Centers:
     """Centre of the ellipse minus projection of the circle's centre, in pixels, for circles on a plane."""
     conics = circle_conics(centers_m, radius_m, homography)
-    middles_px = np.linalg.solve(conics[:, :2, :2], -conics[:, :2, 2:])[..., 0]  # pole of the line at infinity
-    offsets_px: Centers = middles_px - cv2.perspectiveTransform(centers_m[None], homography)[0]
+    ellipses_px = np.linalg.solve(conics[:, :2, :2], -conics[:, :2, 2:])[..., 0]  # pole of the line at infinity
+    offsets_px: Centers = ellipses_px - cv2.perspectiveTransform(centers_m[None], homography)[0]
     return offsets_px
 
 
@@ -147,23 +148,23 @@ def seen_offsets(
     return ellipse_offsets(points_m[:, :2], radius_m, _homography(points_m[:, :2], points_px))
 
 
-def levelled_middles(grey: GreyImage, middles_px: Centers, conics: Float64[Array, "circle 3 3"]) -> Centers:
+def refined_ellipse_centers(grey: GreyImage, ellipses_px: Centers, conics: Float64[Array, "circle 3 3"]) -> Centers:
     """Centres of ellipses, fitted to their ink's edges; a centre for which this fails is unchanged.
 
     Each ellipse has the shape of its conic, and starts at the given centre.
     """
-    found = [_middle(grey, *one) for one in zip(middles_px, conics, strict=True)]
-    return np.array([start if one is None else one for start, one in zip(middles_px, found, strict=True)])
+    found = [_middle(grey, *one) for one in zip(ellipses_px, conics, strict=True)]
+    return np.array([start if one is None else one for start, one in zip(ellipses_px, found, strict=True)])
 
 
 def _middle(
-    grey: GreyImage, middle: Float64[Array, "xy=2"], conic: Float64[Array, "3 3"]
+    grey: GreyImage, start: Float64[Array, "xy=2"], conic: Float64[Array, "3 3"]
 ) -> Float64[Array, "xy=2"] | None:
     """The fitted centre of one ellipse; None at the image's rim, without visible paper, and if it moves too far."""
     center = np.append(np.linalg.solve(conic[:2, :2], -conic[:2, 2]), 1.0)
     shape = conic[:2, :2] / -(center @ conic @ center)  # x^T shape x = 1 about the ellipse's centre
     semi_major_px = float(1.0 / np.sqrt(np.linalg.eigvalsh(shape)[0]))
-    around = grey_around(grey, middle, int(np.ceil(semi_major_px + EDGE_PX + PAPER_PX)))
+    around = grey_around(grey, start, int(np.ceil(semi_major_px + EDGE_PX + PAPER_PX)))
     if around is None:
         return None
     patch, offset = around
@@ -175,7 +176,7 @@ def _middle(
     if share is None:
         return None
     step = _step(share, outside, slope)
-    return middle + step if np.linalg.norm(step) < EDGE_PX / 2 else None
+    return start + step if np.linalg.norm(step) < EDGE_PX / 2 else None
 
 
 def _ink_share(patch: Patch, offset: Offsets, outside: Patch) -> Patch | None:

@@ -189,7 +189,7 @@ def _shared_factor(
     errors: Sequence[Float64[Array, "_"]],
     shared_parameters: int,
 ) -> float:
-    """Variance of the corners' means over the views, divided by that of independent views; at least one."""
+    """Variance of each corner's mean residual over the views, over that of independent views; at least one."""
     corners = 1 + max(int(view.board.ids.max()) for view in views)
     sums, counts = np.zeros((corners, 2)), np.zeros(corners)
     for view, own, sigma in zip(views, errors, sigmas_px.tolist(), strict=True):

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from ringpose.calibrate.boards.chessboard import Grid, largest_grid
-from ringpose.calibrate.boards.circles import brightened, circle_middles
+from ringpose.calibrate.boards.circles import brightened, opencv_ellipse_centers
 from ringpose.calibrate.boards.image_patch import GreyImage
 from ringpose.calibrate.boards.layout import corner_points, marker_corners
 from ringpose.calibrate.boards.markers import Markers, find_markers, marker_dictionary
@@ -100,7 +100,7 @@ class NoBoard:
 
     @property
     def value(self) -> str:
-        """The sentence the user reads."""
+        """The reason as a sentence for the user, with what was found instead."""
         return f"{self.failure.value} ({self.found})" if self.found else self.failure.value
 
 
@@ -312,20 +312,20 @@ def charuco_failure(grey: GreyImage, board: Board, corners: int, own: Markers) -
 def circle_failure(grey: GreyImage, board: Board) -> NoBoard:
     """Why a grid of circles is not found, with the number of circles found (OpenCV's dark blobs)."""
     blobs = cv2.SimpleBlobDetector.create().detect(brightened(grey))
-    middles_px = np.array([blob.pt for blob in blobs], dtype=np.float64).reshape(-1, 2)
+    circles_px = np.array([blob.pt for blob in blobs], dtype=np.float64).reshape(-1, 2)
     width_px = edge_width_px(grey)
     columns, rows = board.squares_x or 0, board.squares_y or 0
-    found = f"{len(middles_px)} circles are seen, the board has {columns} x {rows} = {columns * rows}"
+    found = f"{len(circles_px)} circles are seen, the board has {columns} x {rows} = {columns * rows}"
     found += f", {edge_width_in_words(width_px)}"
     failure = BoardFailure.NOT_WHOLE
-    other = _other_grid(grey, board, len(middles_px))
+    other = _other_grid(grey, board, len(circles_px))
     if other is not None:
         part = other[0] <= columns and other[1] <= rows
         failure = BoardFailure.NOT_WHOLE if part else BoardFailure.OTHER_SIZE
         found += f"; they lie as {other[0]} x {other[1]} would: squares_x and squares_y"
-    elif len(middles_px) < columns * rows and BLURRED_PX < width_px < np.inf:
+    elif len(circles_px) < columns * rows and BLURRED_PX < width_px < np.inf:
         failure = BoardFailure.BLURRED
-    return NoBoard(failure=failure, found=found, points_px=middles_px)
+    return NoBoard(failure=failure, found=found, points_px=circles_px)
 
 
 def _other_grid(grey: GreyImage, board: Board, number: int) -> tuple[int, int] | None:
@@ -334,13 +334,13 @@ def _other_grid(grey: GreyImage, board: Board, number: int) -> tuple[int, int] |
         rows, left = divmod(number, columns)
         if left or (columns, rows) == (board.squares_x, board.squares_y):
             continue
-        middles_px = circle_middles(grey, columns, rows)
+        ellipses_px = opencv_ellipse_centers(grey, columns, rows)
         centers_m = corner_points(replace(board, squares_x=columns, squares_y=rows))[:, :2]
-        if middles_px is None:
+        if ellipses_px is None:
             continue
-        board_from_image: Any = cv2.findHomography(middles_px, centers_m)[0]
+        board_from_image: Any = cv2.findHomography(ellipses_px, centers_m)[0]
         if board_from_image is not None:
-            mapped_m = cv2.perspectiveTransform(middles_px.reshape(1, -1, 2), board_from_image).reshape(-1, 2)
+            mapped_m = cv2.perspectiveTransform(ellipses_px.reshape(1, -1, 2), board_from_image).reshape(-1, 2)
             rms_m = np.sqrt(np.mean(np.sum((mapped_m - centers_m) ** 2, axis=1)))
             if rms_m < MAX_MISFIT * (board.spacing_m or 1.0):
                 return columns, rows

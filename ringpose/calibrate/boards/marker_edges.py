@@ -143,7 +143,7 @@ class SideSamples(NamedTuple):
 
 
 def corners_from_sides(image: GreyImage, corners: Float64[Array, "corner=4 xy=2"]) -> SideCorners:
-    """The intersections of the marker's sides; a corner without two fitted sides, or moved too far, is unchanged."""
+    """Corners of a marker as intersections of its sides; one without two fitted sides, or far away, is unchanged."""
     lengths = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
     if lengths.min() < MIN_SIDE_PX:
         return SideCorners(corners, 0.0)
@@ -273,7 +273,7 @@ def side_samples(
 def _pixels(
     image: GreyImage, side: Side, left_out: float, reach: float
 ) -> tuple[Float64[Array, "line"], Float64[Array, "line pixel"], Float64[Array, "line pixel"]]:
-    """For each line of pixels: its crossing t with the side, its pixels' distances from the side, and their grey.
+    """By line of pixels across a side: its position along the side, its pixels' distances from it, and their grey.
 
     Lines are image columns where the side is nearer to horizontal, else rows. Distances are infinite outside the image.
     """

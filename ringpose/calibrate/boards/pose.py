@@ -28,7 +28,7 @@ def board_pose(view: BoardView, camera: Camera) -> BoardPose:
 
 
 def board_poses(view: BoardView, camera: Camera) -> list[BoardPose]:
-    """The pose, followed by the mirrored pose if the corners do not decide between the two."""
+    """The board's pose by the corners, followed by the pose mirrored in depth if the corners fit both."""
     refined = []
     for start in _planar_candidates(view, camera):
         vector, translation = cv2.solvePnPRefineLM(

@@ -87,7 +87,7 @@ def _without_bad_views(views: Sequence[BoardView], blank: Camera, model: CameraM
 def _without_bad_corners(
     views: Sequence[BoardView], camera: Camera, model: CameraModel
 ) -> tuple[Camera, list[Bool[Array, "_"]]]:
-    """The camera of the consistent corners, and a mask of the others; all are tested again after each solution."""
+    """The camera without outlying corners, and their mask in each view; all are tested again after each solution."""
     left_out = [np.zeros(len(view.ids), dtype=bool) for view in views]
     for _ in range(0 if model.keep_all else _MAX_ITERATIONS):
         kept = [corners_of(view, ~out) for view, out in zip(views, left_out, strict=True)]

@@ -89,14 +89,14 @@ def _view_quality(view: CameraView) -> dict[str, Any]:
 
 
 def projection_sigma_m(calibration: CameraCalibration, assessment: CameraAssessment) -> list[float]:
-    """Median projection uncertainty over the image, across the line of sight, at each of the distances."""
+    """Projection uncertainty in metres across the line of sight, median over the image, at each of the distances."""
     matrix = calibration.camera.camera_matrix
     angle = float(np.median(assessment.known_sigma_px)) / float(np.sqrt(matrix[0, 0] * matrix[1, 1]))
     return [angle * distance_m for distance_m in assessment.distances_m]
 
 
 def camera_summary(calibration: CameraCalibration, assessment: CameraAssessment, verdict: Verdict) -> list[str]:
-    """The result as lines of text."""
+    """The result of a calibration as lines of text."""
     lines = [f"{view.name}: left out: {view.rejected}" for view in calibration.views if view.rejected]
     for view in calibration.used:
         if view.left_out.any():

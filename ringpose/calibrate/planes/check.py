@@ -103,7 +103,7 @@ def rig_check(view: StripeView, rig: Rig, median_board_rms_px: float | None = No
 
 
 def rig_check_lines(check: RigCheck) -> list[str]:
-    """The result as lines of text."""
+    """The result of a check as lines of text."""
     words = {True: "holds", False: "does not hold"}
     head = f"{check.name}: board at {check.distance_m:.2f} m, corners {check.board_rms_px:.2f} px rms"
     lines = [f"{head} (limit {check.board_limit_px:.2f}): {words[check.board_rms_px <= check.board_limit_px]}"]
@@ -118,7 +118,7 @@ def rig_check_lines(check: RigCheck) -> list[str]:
 
 
 def _laser_check(laser: int, view: StripeView, board: _BoardEstimate, rig: Rig) -> LaserCheck:
-    """The laser's stripe against its own plane and, if it does not lie on that, against those of the others."""
+    """Distance of the laser's stripe from its own plane; if it is too large, also the laser on whose plane it lies."""
     own = _stripe_check(laser, laser, view, board, rig)
     if own.holds or np.isnan(own.offset_m):
         return own
@@ -127,7 +127,7 @@ def _laser_check(laser: int, view: StripeView, board: _BoardEstimate, rig: Rig) 
 
 
 def _stripe_check(stripe: int, laser: int, view: StripeView, board: _BoardEstimate, rig: Rig) -> LaserCheck:
-    """One laser's stripe against the plane of a laser.
+    """Distance of one laser's stripe from the plane of the same or another laser, and its limit.
 
     The variance of the offset is the sum of the parts of the rig, of the board's pose, and of the stripe's own line.
     """

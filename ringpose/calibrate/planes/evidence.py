@@ -46,7 +46,7 @@ class StripeEvidence:
     camera: Camera
 
     def points(self, laser: int) -> list[Points]:
-        """One laser's triangulated stripe centres by view."""
+        """Stripe centres of one laser by view, triangulated with the boards, in the camera frame."""
         return [
             triangulated(view.stripes_px[laser], pose, self.camera)
             for view, pose in zip(self.views, self.poses, strict=True)

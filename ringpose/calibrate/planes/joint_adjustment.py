@@ -111,7 +111,7 @@ class JointData:
 
 
 class JointFit(NamedTuple):
-    """Result of the joint adjustment."""
+    """State that minimises the robust sum of squares, with its normal matrix."""
 
     state: JointState
     information: Float64[Array, "shared shared"]

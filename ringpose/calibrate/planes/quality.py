@@ -136,7 +136,7 @@ def _paper(assessment: PlanesAssessment) -> list[dict[str, Any]] | None:
 
 
 def planes_summary(assessment: PlanesAssessment) -> list[str]:
-    """The result as lines of text."""
+    """The result of a calibration as lines of text."""
     calibration = assessment.calibration
     lines = [f"{name}: {reason}" for name, reason in calibration.remarks]
     deviations = _standard_deviations(calibration)
@@ -222,7 +222,7 @@ def _angle(calibration: PlanesCalibration, first: int, second: int) -> PlaneAngl
 
 
 def _angle_sd_rad(calibration: PlanesCalibration, first: int, second: int) -> float:
-    """Standard deviation of an angle, to first order: tilting a normal towards the other reduces the angle as much."""
+    """Standard deviation of the angle of two planes: a tilt of a normal towards the other reduces it by as much."""
     covariance = calibration.covariance
     if covariance is None:
         return float("nan")

@@ -40,7 +40,7 @@ def check_method(method: PlanesMethod, free_camera: bool, board: Board, camera: 
 
 
 class StripeShots:
-    """Collects the stripe views of shots; the first shot determines the number of lasers if no names are given."""
+    """Accumulator of the shots of a calibration; the first determines the number of lasers if no names are given."""
 
     def __init__(
         self, board: Board, camera: Camera, names: str | None, order: str | None, surround_m: float = 0.0

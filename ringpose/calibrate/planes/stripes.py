@@ -110,7 +110,7 @@ class StripeLine:
 
     @property
     def position_px(self) -> float:
-        """Mean position across: down the image, or to the right for an upright stripe."""
+        """Mean position across the stripe: the row, or the column of an upright stripe."""
         return float(self.points_px[:, 0 if self.upright else 1].mean())
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from drawn_boards import CHARUCO, CHESSBOARD, FOUR
 
-from ringpose.calibrate.boards.circles import circle_middles
+from ringpose.calibrate.boards.circles import opencv_ellipse_centers
 from ringpose.calibrate.boards.diagnostics import NoBoard
 from ringpose.calibrate.boards.views import find_board
 from ringpose.files.boards import read_dictionary
@@ -45,7 +45,9 @@ def test_circles_of_opencvs_photographs_are_where_its_tests_expect_them(number, 
     folder = shared_data / "real" / "opencv_extra_calib" / "asymmetric_circles"
     storage = cv2.FileStorage(str(folder / f"acircles_corners{number}.dat"), cv2.FILE_STORAGE_READ)
 
-    found = circle_middles(cv2.imread(str(folder / f"acircles{number}.png"), cv2.IMREAD_GRAYSCALE), *SIZES[number])
+    found = opencv_ellipse_centers(
+        cv2.imread(str(folder / f"acircles{number}.png"), cv2.IMREAD_GRAYSCALE), *SIZES[number]
+    )
 
     expected = np.asarray(storage.getNode("corners").mat()).reshape(-1, 2)
     assert np.abs(found - expected).max() < 0.01

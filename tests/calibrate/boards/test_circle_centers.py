@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.calibrate.boards.circles import circle_middles
+from ringpose.calibrate.boards.circles import opencv_ellipse_centers
 from ringpose.calibrate.boards.layout import corner_points
 from ringpose.calibrate.boards.views import find_board
 from ringpose.types.board import Board
@@ -42,7 +42,7 @@ def tilted_circles():
 def test_centres_of_tilted_circles_differ_from_those_of_their_ellipses(radius_m, tilted_circles):
     image, centers_px = tilted_circles(radius_m)
 
-    middles = np.linalg.norm(circle_middles(image, 4, 7) - centers_px, axis=1)
+    middles = np.linalg.norm(opencv_ellipse_centers(image, 4, 7) - centers_px, axis=1)
     found = np.linalg.norm(find_board(image, BOARD, "tilted").points_px - centers_px, axis=1)
 
     assert np.median(middles) > 0.08

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from ringpose.calibrate.boards.circles import levelled_middles
+from ringpose.calibrate.boards.circles import refined_ellipse_centers
 
 MIDDLE_PX = np.array([40.37, 38.81])
 BLUR_PX = 1.1
@@ -39,7 +39,7 @@ def test_ellipse_centres_are_not_biased_by_a_brightness_gradient(axes_px, slope,
     image, start = lit_ellipse(axes_px, slope), MIDDLE_PX + np.array([0.15, -0.2])
 
     for _ in range(2):
-        (start,) = levelled_middles(image, start[None], conic(axes_px, start)[None])
+        (start,) = refined_ellipse_centers(image, start[None], conic(axes_px, start)[None])
 
     assert np.abs(start - MIDDLE_PX).max() < 0.015
 
@@ -47,7 +47,7 @@ def test_ellipse_centres_are_not_biased_by_a_brightness_gradient(axes_px, slope,
 def test_an_ellipse_at_the_rim_of_the_image_is_unchanged(lit_ellipse):
     rim = np.array([[3.0, 3.0]])
 
-    found = levelled_middles(lit_ellipse((10.0, 10.0), (0.0, 0.0)), rim, conic((10.0, 10.0), rim[0])[None])
+    found = refined_ellipse_centers(lit_ellipse((10.0, 10.0), (0.0, 0.0)), rim, conic((10.0, 10.0), rim[0])[None])
 
     assert found.tolist() == rim.tolist()
 
@@ -55,6 +55,6 @@ def test_an_ellipse_at_the_rim_of_the_image_is_unchanged(lit_ellipse):
 def test_an_ellipse_without_contrast_is_unchanged():
     place = np.array([[40.0, 40.0]])
 
-    found = levelled_middles(np.full((80, 80), 90, np.uint8), place, conic((10.0, 10.0), place[0])[None])
+    found = refined_ellipse_centers(np.full((80, 80), 90, np.uint8), place, conic((10.0, 10.0), place[0])[None])
 
     assert found.tolist() == place.tolist()

@@ -84,12 +84,12 @@ def test_circle_centres_are_corrected_for_distortion(tilt, bent_camera):
     ]
     one, other = ((place - inner) / step for place in moved)
     area = np.abs(one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0])[..., None]
-    middles_px = (inner * area).sum(axis=1) / area.sum(axis=1)
+    ellipses_px = (inner * area).sum(axis=1) / area.sum(axis=1)
     view = BoardView(
         name="v",
         ids=np.arange(len(centers_m)),
         points_board_m=centers_m,
-        points_px=middles_px - seen_offsets(centers_m, middles_px, 0.015),
+        points_px=ellipses_px - seen_offsets(centers_m, ellipses_px, 0.015),
         circle_radius_m=0.015,
     )
 
