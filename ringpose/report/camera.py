@@ -1,7 +1,4 @@
-"""A camera calibration as one HTML page.
-
-Pictures of a camera calibration: residuals, coverage, uncertainty.
-"""
+"""The page that `ringpose calibrate-camera --report` writes: tables, and plots of residuals and uncertainty."""
 
 from collections.abc import Sequence
 
@@ -28,7 +25,7 @@ def camera_report(
     verdict: Verdict,
     without_board: Sequence[tuple[str, str]] = (),
 ) -> str:
-    """The page, whole; the last argument names the images that show no board, with the reason."""
+    """A self-contained HTML page; `without_board` are the names of images that show no board, and the reasons."""
     sections = [
         verdict_section(verdict),
         _parameters(calibration),
@@ -83,7 +80,7 @@ def _views(
         for view in calibration.views
     ]
     rows += [[name, "", "", "", "", reason] for name, reason in without_board]
-    headings = ("view", "corners", "left out", "rms (px)", "rms of the view left out (px)", "why it was not used")
+    headings = ("view", "corners", "left out", "rms (px)", "rms of the view held out (px)", "why it was not used")
     return Section(
         title="Views", table=Table(headings=headings, rows=rows), pictures=[view_picture(calibration, assessment)]
     )
@@ -116,17 +113,17 @@ def _comparison(calibration: CameraCalibration, comparison: ModelComparison) -> 
 
 
 WORST_PX = 1.0
-"""What a good camera's projection errs by, and what leaving out one view moves it by, at most."""
+"""Limit of a good projection uncertainty, and of the displacement by leaving out one view."""
 
 MIN_SIZE_PX = 1e-3
-"""Less says nothing: no corner is found so well."""
+"""Lower limit of the values in maps: corners are less accurate."""
 
 ARROW_SHARE = 0.03
 """Length of the arrow of an rms residual, in image widths."""
 
 
 def residual_field(calibration: CameraCalibration) -> Picture:
-    """Each corner's residual as an arrow, those of left-out corners in red; beside it how they are distributed."""
+    """Residual of each corner as an arrow, red if it was left out, and histograms of the residuals' coordinates."""
     figure = canvas(10, 4.6)
     field, spread = figure.subplots(1, 2, width_ratios=(2.2, 1))
     factor = ARROW_SHARE * calibration.camera.image_width / max(calibration.rms_px, 1e-6)
@@ -144,8 +141,8 @@ def residual_field(calibration: CameraCalibration) -> Picture:
     spread.legend()
     return _picture(
         figure,
-        "Measured minus predicted corners. Arrows that point alike in a part of the image mean that the lens model, "
-        "the board or the corners are wrong there; noise points everywhere. Red corners were left out.",
+        "Measured minus predicted corners. Similar arrows in a part of the image mean that the lens model, the "
+        "board or the corners are wrong there; noise has random directions. Red corners were left out.",
     )
 
 
@@ -182,7 +179,7 @@ def coverage_picture(calibration: CameraCalibration, assessment: CameraAssessmen
 
 
 def uncertainty_map(calibration: CameraCalibration, assessment: CameraAssessment) -> Picture:
-    """The projection's standard deviation over the image, and what half of the views say against the other half."""
+    """Maps of the projection's standard deviation, and of its displacement between the two halves of the views."""
     figure = canvas(10, 4.2)
     left, right = figure.subplots(1, 2)
     _map(figure, left, assessment.sigma_px, calibration.camera)
@@ -194,15 +191,15 @@ def uncertainty_map(calibration: CameraCalibration, assessment: CameraAssessment
     right.set_title("half of the views against the rest (px)")
     return _picture(
         figure,
-        "Rms displacement of what the camera sees at each pixel, the camera frame turned so that it is least in the "
-        "middle. A good camera has less than 1 px everywhere: a red line is drawn where it has more. "
-        "Where it is white, no corner tells of the lens. "
+        "Rms displacement of the projection at each pixel, with the camera frame rotated to minimise it in the middle. "
+        "A good camera has less than 1 px everywhere: a red line surrounds larger values. "
+        "Where the map is white, no corner determines the lens. "
         "The right picture may be twice the left one: each half has half of the views.",
     )
 
 
 def view_picture(calibration: CameraCalibration, assessment: CameraAssessment) -> Picture:
-    """Each view's rms, in the calibration and when it is left out, and how far it moves the result."""
+    """Rms of each view, in the calibration and held out, and the displacement of the projection without it."""
     figure = canvas(10, 3.6)
     rms, shift = figure.subplots(1, 2)
     views = calibration.views
@@ -222,22 +219,20 @@ def view_picture(calibration: CameraCalibration, assessment: CameraAssessment) -
     shift.set_ylabel("displacement without the view (px)")
     for axes in (rms, shift):
         axes.set_xticks(place, [drawn(view.name) for view in views], rotation=90, fontsize=7)
-    return _picture(
-        figure, "Red views were rejected. A view that moves the result much stands alone: add others like it."
-    )
+    return _picture(figure, "Red views were rejected. A view that displaces the result much needs others like it.")
 
 
 def comparison_picture(calibration: CameraCalibration, comparison: ModelComparison) -> Picture:
-    """How far apart the cameras of the two distortion models are."""
+    """Map of the displacement between the cameras of the two distortion models."""
     figure = canvas(6, 4.2)
     axes = figure.subplots()
     _map(figure, axes, comparison.difference_px, calibration.camera)
     axes.set_title("difference of the models (px)")
-    return _picture(figure, "Where the corners end, the models may part: neither knows the lens there.")
+    return _picture(figure, "The models may differ beyond the outermost corners, where neither is determined.")
 
 
 def _limit_px(calibration: CameraCalibration) -> float:
-    """Above which a view is rejected."""
+    """Rms above which a view is rejected."""
     usual = float(np.median([view.pose.residual_rms_px for view in calibration.used]))
     return max(VIEW_FACTOR * usual, FLOOR_PX)
 

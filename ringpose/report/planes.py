@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from ringpose.calibrate.planes.acceptance import GOOD_DEPTH_SHARE, GOOD_SHARE
-from ringpose.calibrate.planes.covariance import depth_uncertainty
+from ringpose.calibrate.planes.covariance import worst_depth_sd_m
 from ringpose.calibrate.planes.quality import PlanesAssessment, planes_summary
 from ringpose.report.figures import canvas, drawn, png_of
 from ringpose.report.page import Picture, Section, Table, page, verdict_section
@@ -120,10 +120,10 @@ def _depths(calibration: PlanesCalibration) -> Picture:
     assert covariance is not None
     seen = [view.distance_m for laser in calibration.lasers for view in laser.views]
     distances_m = tuple(np.linspace(0.5 * min(seen), 2 * max(seen), _DEPTHS).tolist())
-    found = depth_uncertainty(calibration.camera, calibration.planes, covariance, distances_m)
+    found = worst_depth_sd_m(calibration.camera, calibration.planes, covariance, distances_m)
     figure = canvas(10, 4)
     axis = figure.subplots()
-    for laser, worst in zip(calibration.lasers, found.worst_m, strict=True):
+    for laser, worst in zip(calibration.lasers, found, strict=True):
         axis.plot(distances_m, 1e3 * worst, label=drawn(laser.name))
     axis.plot(distances_m, 1e3 * GOOD_DEPTH_SHARE * np.array(distances_m), "--", color="tab:red", label="good limit")
     axis.axvspan(min(seen), max(seen), color="tab:green", alpha=0.1, label="boards")

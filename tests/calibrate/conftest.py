@@ -1,4 +1,4 @@
-"""Cameras, boards and views that are exactly known, made by formulas written out here."""
+"""Known cameras, boards and views, computed by formulas."""
 
 import json
 from collections.abc import Callable, Sequence

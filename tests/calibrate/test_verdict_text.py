@@ -9,18 +9,18 @@ POOR = Check(
 GOOD = Check(name="rms_px", value=0.1, pass_limit=0.3, fail_limit=1.0, advice="focus")
 
 
-def test_lines_name_the_number_that_is_not_good_and_the_advice():
+def test_lines_name_the_value_that_is_not_good_and_the_advice():
     assert verdict_lines(Verdict(findings=(GOOD, POOR))) == [
         "verdict: can be improved: left held_out_rms_m 0.0004 (limit 0.0002)",
         "advice: add a view at 1 m",
     ]
 
 
-def test_one_line_says_that_all_is_good():
+def test_one_line_reports_that_all_values_are_good():
     assert verdict_lines(Verdict(findings=(GOOD,))) == ["verdict: good: every number is within its limit"]
 
 
-def test_the_file_has_every_number_with_its_limits():
+def test_the_file_has_every_value_with_its_limits():
     values = verdict_values(Verdict(findings=(GOOD, POOR)))
 
     assert values["grade"] == "can be improved"

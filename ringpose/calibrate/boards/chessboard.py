@@ -1,8 +1,9 @@
 """Inner corners of a chessboard, in the order of the board frame (ringpose-method(7), section 7).
 
-OpenCV's sub-pixel refinement uses every gradient in its window as an edge: uneven illumination beside a bright stripe,
-speckle and shadows bias it. Here the dark and the bright squares around a corner are each normalised to one level
-first. On photographs with a laser beside the board the rms falls from 0.44 to 0.28 px, on evenly lit ones by 1 %.
+OpenCV finds the corners and refines them to sub-pixel. Its refinement uses every gradient in its window as an edge:
+uneven illumination beside a bright stripe, speckle and shadows bias it. The corners are therefore refined once more, in
+windows whose dark and bright squares are each normalised to one grey level. On photographs with a laser beside the
+board the rms falls from 0.44 to 0.28 px, on evenly lit ones by 1 %.
 """
 
 from typing import Any
@@ -10,12 +11,19 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ringpose.calibrate.boards.image_patch import in_full_image, reduced, reductions
-from ringpose.types.arrays import Array, Bool, Float64, UInt8
+from ringpose.calibrate.boards.image_patch import (
+    GreyImage,
+    Patch,
+    brightness_plane,
+    in_full_image,
+    patch_around,
+    reduced,
+    reductions,
+)
+from ringpose.types.arrays import Array, Float64
 
-_SECTOR_BASED: int = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-
-_CLASSIC: int = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+Grid = Float64[Array, "corner_row corner_column xy=2"]
+"""Pixel positions of inner corners by row and column of the board."""
 
 WINDOW_PER_SQUARE = 0.25
 """Half-window of the sub-pixel refinement, in shortest squares: 5 px on a 640 x 480 photograph of 21 px squares.
@@ -30,98 +38,66 @@ MAX_IRREGULARITY = 0.2
 """Maximum third difference of a grid, in squares. It is below 0.15 on photographs; beside a bright stripe, OpenCV's
 sector-based detector misplaces a whole column by 0.2 squares, which gives 0.6 to 1.2."""
 
-_START_GRIDS = ((4, 3), (5, 4))
-"""Minimum grids that noise does not produce; the larger one sometimes succeeds where the smaller one fails."""
+CLIPPED_SHARE = 0.05
+"""Normalised grey values (0 and 1 in the two colours of squares) are clipped to this distance from 0 and 1, which
+removes variation within a square."""
+
+EDGE_PX = 2.5
+"""Pixels nearer to an edge than this are a mixture of both squares, and do not determine the squares' grey levels."""
+
+MIN_CONTRAST_DN = 2.0
+"""Minimum difference of the two grey levels."""
+
+_FINDERS: tuple[tuple[Any, int], ...] = (
+    (cv2.findChessboardCornersSB, cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY),
+    (cv2.findChessboardCorners, cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE),
+)
+"""OpenCV's detectors with their flags: the sector-based one first, then the classic one."""
 
 _RANDOM_SEEDS = (1, 2, 3)
 """Random seeds of OpenCV's sector-based detector, which is randomised: fixed, so that results are reproducible."""
 
+_START_GRIDS = ((4, 3), (5, 4))
+"""Minimum grids that noise does not produce; the larger one sometimes succeeds where the smaller one fails."""
+
 _CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4)
 
+_NORMALISED_ROUNDS, _NORMALISED_MARGIN_PX = 2, 3
+"""Rounds of the refinement in normalised windows, and pixels around the window that determine its grey levels too."""
 
-def chessboard_corners(
-    image: UInt8[Array, "row column"], columns: int, rows: int
-) -> Float64[Array, "corner xy=2"] | None:
+
+def chessboard_corners(image: GreyImage, columns: int, rows: int) -> Float64[Array, "corner xy=2"] | None:
     """The inner corners, row by row from the top left, refined to sub-pixel; None if not all of them are found."""
     for reduction in reductions(image.shape):
         small = reduced(image, reduction)
-        for finder in (_sector_based, _classic):
-            found = finder(small, columns, rows)
-            if found is not None:
-                grid = in_full_image(found, reduction)
-                half_window_px = WINDOW_PER_SQUARE * shortest_side(grid)
-                refined = refined_corners(image, grid.reshape(-1, 2), half_window_px).reshape(rows, columns, 2)
+        for finder, flags in _FINDERS:
+            cv2.setRNGSeed(_RANDOM_SEEDS[0])
+            found, corners = finder(small, (columns, rows), flags=flags)
+            if found:
+                grid = in_full_image(np.asarray(corners, dtype=np.float64).reshape(rows, columns, 2), reduction)
+                refined = _refined_grid(image, grid)
                 if irregularity(refined) < MAX_IRREGULARITY:
-                    levelled = levelled_corners(image, refined, whole_window(half_window_px))
-                    return _in_board_order(image, levelled).reshape(-1, 2)
+                    normalised = saddle_points(image, refined, WINDOW_PER_SQUARE * shortest_side(grid))
+                    return _in_board_order(image, normalised).reshape(-1, 2)
     return None
 
 
-def irregularity(grid: Float64[Array, "corner_row corner_column xy=2"]) -> float:
-    """Largest third difference along the rows and columns, in shortest sides.
-
-    Perspective and distortion change the squares smoothly; a misplaced column does not.
-    """
-    jumps = [np.linalg.norm(np.diff(grid, n=3, axis=axis), axis=-1).max(initial=0.0) for axis in (0, 1)]
-    return float(max(jumps)) / max(shortest_side(grid), 1e-9)
+def _refined_grid(image: GreyImage, grid: Grid) -> Grid:
+    """The corners refined by OpenCV."""
+    return refined_corners(image, grid.reshape(-1, 2), WINDOW_PER_SQUARE * shortest_side(grid)).reshape(grid.shape)
 
 
-def _sector_based(
-    image: UInt8[Array, "row column"], columns: int, rows: int
-) -> Float64[Array, "corner_row corner_column xy=2"] | None:
-    cv2.setRNGSeed(_RANDOM_SEEDS[0])
-    found, corners = cv2.findChessboardCornersSB(image, (columns, rows), flags=_SECTOR_BASED)
-    return np.asarray(corners, dtype=np.float64).reshape(rows, columns, 2) if found else None
-
-
-def _classic(
-    image: UInt8[Array, "row column"], columns: int, rows: int
-) -> Float64[Array, "corner_row corner_column xy=2"] | None:
-    found, corners = cv2.findChessboardCorners(image, (columns, rows), flags=_CLASSIC)
-    return np.asarray(corners, dtype=np.float64).reshape(rows, columns, 2) if found else None
-
-
-def largest_grid(image: UInt8[Array, "row column"]) -> Float64[Array, "corner_row corner_column xy=2"] | None:
-    """The largest regular chessboard of any size in the image; used to explain why the expected one is not found."""
-    reduction = next(iter(reductions(image.shape)))
-    small = reduced(image, reduction)
-    grown = [_grown_grid(small, size, draw) for size in _START_GRIDS for draw in _RANDOM_SEEDS]
-    grids = [in_full_image(grid, reduction) for grid in grown if grid is not None]
-    regular = [grid for grid in grids if irregularity(grid) < MAX_IRREGULARITY]
-    return max(regular, key=lambda grid: grid.size, default=None)
-
-
-def _grown_grid(
-    image: UInt8[Array, "row column"], size: tuple[int, int], draw: int
-) -> Float64[Array, "corner_row corner_column xy=2"] | None:
-    """A grid of at least this size, refined."""
-    flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
-    cv2.setRNGSeed(draw)
-    found, corners, meta = cv2.findChessboardCornersSBWithMeta(image, size, flags)
-    if not found:
-        return None
-    grid = np.asarray(corners, dtype=np.float64).reshape(*np.asarray(meta).shape[:2], 2)
-    half_window_px = WINDOW_PER_SQUARE * shortest_side(grid)
-    return refined_corners(image, grid.reshape(-1, 2), half_window_px).reshape(grid.shape)
-
-
-def shortest_side(grid: Float64[Array, "corner_row corner_column xy=2"]) -> float:
+def shortest_side(grid: Grid) -> float:
     """Length in pixels of the shortest side of a square."""
-    along = np.linalg.norm(np.diff(grid, axis=1), axis=-1)
-    down = np.linalg.norm(np.diff(grid, axis=0), axis=-1)
-    return float(min(along.min(initial=np.inf), down.min(initial=np.inf)))
-
-
-def whole_window(half_window_px: float) -> int:
-    """A half-window in whole pixels, clipped to useful sizes."""
-    return int(np.clip(half_window_px, 2, MAX_WINDOW_PX))
+    sides = [np.linalg.norm(np.diff(grid, axis=axis), axis=-1).min(initial=np.inf) for axis in (0, 1)]
+    return float(min(sides))
 
 
 def refined_corners(
-    image: UInt8[Array, "row column"], corners: Float64[Array, "corner xy=2"], half_window_px: float
+    image: GreyImage, corners: Float64[Array, "corner xy=2"], half_window_px: float
 ) -> Float64[Array, "corner xy=2"]:
-    """Saddle points near the given corners; a corner that leaves its window is unchanged."""
-    half = whole_window(half_window_px)
+    """Saddle points near the given corners by OpenCV; a corner that leaves its window is unchanged."""
+    half = _whole_window(half_window_px)
     start: Any = np.ascontiguousarray(corners, dtype=np.float32).reshape(-1, 1, 2)
     moved = np.asarray(cv2.cornerSubPix(image, start.copy(), (half, half), (-1, -1), _CRITERIA), dtype=np.float64)
     moved = moved.reshape(-1, 2)
@@ -129,9 +105,79 @@ def refined_corners(
     return np.where(near[:, None], moved, corners)
 
 
-def _in_board_order(
-    image: UInt8[Array, "row column"], grid: Float64[Array, "corner_row corner_column xy=2"]
-) -> Float64[Array, "corner_row corner_column xy=2"]:
+def _whole_window(half_window_px: float) -> int:
+    """A half-window in whole pixels, clipped to useful sizes."""
+    return int(np.clip(half_window_px, 2, MAX_WINDOW_PX))
+
+
+def irregularity(grid: Grid) -> float:
+    """Largest third difference along the rows and columns, in shortest sides of a square.
+
+    Perspective and distortion change the squares smoothly; a misplaced column does not.
+    """
+    jumps = [np.linalg.norm(np.diff(grid, n=3, axis=axis), axis=-1).max(initial=0.0) for axis in (0, 1)]
+    return float(max(jumps)) / max(shortest_side(grid), 1e-9)
+
+
+def saddle_points(image: GreyImage, grid: Grid, half_window_px: float) -> Grid:
+    """Corners refined in windows with normalised squares; one that fails, or moves too far, is unchanged."""
+    half = _whole_window(half_window_px)
+    along, down = np.gradient(grid, axis=1), np.gradient(grid, axis=0)
+    refined = grid.copy()
+    for index in np.ndindex(grid.shape[:2]):
+        for _ in range(_NORMALISED_ROUNDS):
+            moved = _saddle_point(image, refined[index], (along[index], down[index]), half)
+            if moved is None or np.linalg.norm(moved - grid[index]) >= half:
+                break
+            refined[index] = moved
+    return refined
+
+
+_Sides = tuple[Float64[Array, "xy=2"], Float64[Array, "xy=2"]]
+"""Vectors along the two edges that cross in a corner, in pixels."""
+
+
+def _saddle_point(
+    image: GreyImage, corner: Float64[Array, "xy=2"], sides: _Sides, half: int
+) -> Float64[Array, "xy=2"] | None:
+    """The corner after one refinement in its normalised window; None at the image's rim and for low contrast."""
+    reach = half + _NORMALISED_MARGIN_PX
+    column, row = np.rint(corner).astype(np.int64).tolist()
+    patch = patch_around(image, column, row, reach)
+    if patch is None:
+        return None
+    origin = np.array([column - reach, row - reach], dtype=np.float64)
+    normalised = _normalised(patch.astype(np.float64), corner - origin, sides)
+    if normalised is None:
+        return None
+    start = (corner - origin).astype(np.float32).reshape(1, 1, 2)
+    found = cv2.cornerSubPix(normalised.astype(np.float32), start, (half, half), (-1, -1), _CRITERIA)
+    moved: Float64[Array, "xy=2"] = np.asarray(found, dtype=np.float64).reshape(2) + origin
+    return moved
+
+
+def _normalised(patch: Patch, corner: Float64[Array, "xy=2"], sides: _Sides) -> Patch | None:
+    """The patch with the two diagonal pairs of squares normalised to 0 and 1; None for low contrast.
+
+    The grey level of each pair is a plane, fitted to the pixels away from the edges.
+    """
+    row, column = np.indices(patch.shape, dtype=np.float64)
+    offset = np.stack([column - corner[0], row - corner[1]], axis=-1)
+    distances = [offset @ np.array([-side[1], side[0]]) / np.linalg.norm(side) for side in sides]
+    clear = np.minimum(*np.abs(distances)) > EDGE_PX
+    first_pair = distances[0] * distances[1] > 0
+    pairs = [clear & first_pair, clear & ~first_pair]
+    if min(pair.sum() for pair in pairs) < 4 * 3:  # four pixels for each parameter of a plane
+        return None
+    first, second = (brightness_plane(patch, offset, pair) for pair in pairs)
+    contrast = second - first
+    if np.abs(contrast).min() < MIN_CONTRAST_DN:
+        return None
+    normalised: Patch = np.clip((patch - first) / contrast, CLIPPED_SHARE, 1.0 - CLIPPED_SHARE)
+    return normalised
+
+
+def _in_board_order(image: GreyImage, grid: Grid) -> Grid:
     """The same corners with x to the right, y down (never mirrored), and the outer top-left square black.
 
     A board whose numbers of squares are both odd or both even is symmetric under half a turn: then the first corner is
@@ -140,112 +186,29 @@ def _in_board_order(
     right, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
     if right[0] * down[1] - right[1] * down[0] < 0:
         grid = grid[:, ::-1]
-    turned = grid[::-1, ::-1]
     rows, columns = grid.shape[:2]
-    if (rows + columns) % 2:
-        return grid if _first_inner_square_is_black(image, grid) else turned
-    return grid if grid[0, 0].sum() <= grid[-1, -1].sum() else turned
-
-
-def _first_inner_square_is_black(
-    image: UInt8[Array, "row column"], grid: Float64[Array, "corner_row corner_column xy=2"]
-) -> bool:
-    """Whether the square between the first four corners is darker than its neighbour: it has the outer one's colour."""
+    if (rows + columns) % 2 == 0:
+        return grid if grid[0, 0].sum() <= grid[-1, -1].sum() else grid[::-1, ::-1]
+    # The square between the first four corners has the outer top-left one's colour: is it darker than its neighbours?
     middle = (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]) / 4
     column, row = np.rint(middle).astype(np.int64).reshape(-1, 2).T
     values = image[row, column].astype(np.float64).reshape(middle.shape[:2])
     sign = 1 - 2 * (np.indices(values.shape).sum(axis=0) % 2)
-    return bool(np.sum(sign * (values - np.median(values))) < 0)
+    return grid if np.sum(sign * (values - np.median(values))) < 0 else grid[::-1, ::-1]
 
 
-CLIPPED_SHARE = 0.05
-"""Normalised grey values are clipped to this distance from both levels, which removes variation within a square."""
-
-EDGE_PX = 2.5
-"""Pixels nearer to an edge than this are a mixture of both squares, and are not used for the levels."""
-
-MIN_CONTRAST_DN = 2.0
-"""Minimum difference of the two levels."""
-
-_ROUNDS = 2
-
-_MARGIN = 3
-
-
-def levelled_corners(
-    image: UInt8[Array, "row column"],
-    grid: Float64[Array, "corner_row corner_column xy=2"],
-    half_window_px: int,
-) -> Float64[Array, "corner_row corner_column xy=2"]:
-    """The corners refined in normalised windows; a corner for which this fails, or that moves too far, is unchanged."""
-    along, down = np.gradient(grid, axis=1), np.gradient(grid, axis=0)
-    refined = grid.copy()
-    for index in np.ndindex(grid.shape[:2]):
-        for _ in range(_ROUNDS):
-            moved = _saddle_point(image, refined[index], (along[index], down[index]), half_window_px)
-            if moved is None or np.linalg.norm(moved - grid[index]) >= half_window_px:
-                break
-            refined[index] = moved
-    return refined
-
-
-_Sides = tuple[Float64[Array, "xy=2"], Float64[Array, "xy=2"]]
-
-
-def _saddle_point(
-    image: UInt8[Array, "row column"], corner: Float64[Array, "xy=2"], sides: _Sides, half: int
-) -> Float64[Array, "xy=2"] | None:
-    """One step of the refinement; None at the image's rim and for low contrast."""
-    reach = half + _MARGIN
-    column, row = np.rint(corner).astype(np.int64).tolist()
-    inside = reach <= column < image.shape[1] - reach and reach <= row < image.shape[0] - reach
-    if not inside:
-        return None
-    patch = image[row - reach : row + reach + 1, column - reach : column + reach + 1].astype(np.float64)
-    origin = np.array([column - reach, row - reach], dtype=np.float64)
-    levelled = _levelled(patch, corner - origin, sides)
-    if levelled is None:
-        return None
-    start = (corner - origin).astype(np.float32).reshape(1, 1, 2)
-    found = cv2.cornerSubPix(levelled.astype(np.float32), start, (half, half), (-1, -1), _CRITERIA)
-    moved: Float64[Array, "xy=2"] = np.asarray(found, dtype=np.float64).reshape(2) + origin
-    return moved
-
-
-def _levelled(
-    patch: Float64[Array, "row column"], corner: Float64[Array, "xy=2"], sides: _Sides
-) -> Float64[Array, "row column"] | None:
-    """The patch with the two diagonal pairs of squares normalised to 0 and 1; None for low contrast."""
-    row, column = np.indices(patch.shape, dtype=np.float64)
-    offset = np.stack([column - corner[0], row - corner[1]], axis=-1)
-    across_along, across_down = (_across(offset, side) for side in sides)
-    clear = np.minimum(np.abs(across_along), np.abs(across_down)) > EDGE_PX
-    same = across_along * across_down > 0
-    design = np.concatenate([np.ones((*patch.shape, 1)), offset], axis=-1)
-    first, second = (_plane(patch, design, clear & side) for side in (same, ~same))
-    if first is None or second is None:
-        return None
-    contrast = second - first
-    if np.abs(contrast).min() < MIN_CONTRAST_DN:
-        return None
-    levelled: Float64[Array, "row column"] = np.clip((patch - first) / contrast, CLIPPED_SHARE, 1.0 - CLIPPED_SHARE)
-    return levelled
-
-
-def _across(offset: Float64[Array, "row column xy=2"], side: Float64[Array, "xy=2"]) -> Float64[Array, "row column"]:
-    """Signed distance from the line through the corner along a side."""
-    across: Float64[Array, "row column"] = offset @ np.array([-side[1], side[0]]) / np.linalg.norm(side)
-    return across
-
-
-def _plane(
-    patch: Float64[Array, "row column"],
-    design: Float64[Array, "row column term=3"],
-    used: Bool[Array, "row column"],
-) -> Float64[Array, "row column"] | None:
-    """Plane fitted to the brightness of one pair of squares; None if it has too few pixels."""
-    if used.sum() < 4 * design.shape[-1]:
-        return None
-    rows = design[used]
-    plane: Float64[Array, "row column"] = design @ np.linalg.lstsq(rows.T @ rows, rows.T @ patch[used])[0]
-    return plane
+def largest_grid(image: GreyImage) -> Grid | None:
+    """The largest regular chessboard of any size in the image; used to explain why the expected one is not found."""
+    reduction = reductions(image.shape)[0]
+    small = reduced(image, reduction)
+    flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE
+    regular = []
+    for size in _START_GRIDS:
+        for seed in _RANDOM_SEEDS:
+            cv2.setRNGSeed(seed)
+            found, corners, squares = cv2.findChessboardCornersSBWithMeta(small, size, flags)
+            if found:
+                grid = np.asarray(corners, dtype=np.float64).reshape(*np.asarray(squares).shape[:2], 2)
+                grid = in_full_image(_refined_grid(small, grid), reduction)
+                regular += [grid] if irregularity(grid) < MAX_IRREGULARITY else []
+    return max(regular, key=lambda grid: grid.size, default=None)

@@ -29,7 +29,7 @@ MIN_SIGMA_PX = 0.002
 CLIP_SIGMAS = 3.0
 """Residuals are clipped to this many standard deviations."""
 
-_MIN_SPREAD = 1e-9
+_MIN_VARIATION = 1e-9
 """Variance of the logarithms of the views' variances below which the views are taken as equally accurate."""
 
 _POSE_PARAMETERS = 6
@@ -112,7 +112,10 @@ def _correlation_root(view: BoardView) -> Float64[Array, "marker coordinate=8 co
 def moderated_variances(
     squares: Float64[Array, "view"], degrees_of_freedom: Float64[Array, "view"]
 ) -> Float64[Array, "view"]:
-    """Variance of each view, from its sum of squared residuals and their degrees of freedom."""
+    """Moderated variance of each view, from its sum of squared residuals and their degrees of freedom.
+
+    It is the weighted mean of the view's own variance and of that of a prior estimated from all views.
+    """
     common = max(float(squares.sum() / degrees_of_freedom.sum()), np.finfo(float).tiny)
     own = np.maximum(squares / degrees_of_freedom, 1e-12 * common)
     prior_dof, prior_variance = _variance_prior(np.log(own), degrees_of_freedom)
@@ -131,25 +134,24 @@ def _variance_prior(
     if len(log_variance) < 3:
         return float("inf"), float("nan")
     unbiased = log_variance - digamma(degrees_of_freedom / 2) + np.log(degrees_of_freedom / 2)
-    spread = float(np.var(unbiased, ddof=1) - np.mean(polygamma(1, degrees_of_freedom / 2)))
-    if spread < _MIN_SPREAD:
+    variation = float(np.var(unbiased, ddof=1) - np.mean(polygamma(1, degrees_of_freedom / 2)))
+    if variation < _MIN_VARIATION:
         return float("inf"), float("nan")
-    bracket = (1 / spread, 1 / spread + 1)  # 1/x < trigamma(x) < 1/x + 1/x^2
-    prior_dof = 2 * float(brentq(lambda x: polygamma(1, x) - spread, *bracket))
+    bracket = (1 / variation, 1 / variation + 1)  # 1/x < trigamma(x) < 1/x + 1/x^2
+    prior_dof = 2 * float(brentq(lambda x: polygamma(1, x) - variation, *bracket))
     return prior_dof, float(np.exp(unbiased.mean() + digamma(prior_dof / 2) - np.log(prior_dof / 2)))
 
 
 def corner_sigma_px(views: Sequence[StripeView], poses: Sequence[BoardPose], camera: Camera) -> float:
     """Standard deviation of one corner coordinate, from the clipped residuals of all views."""
-    errors = _residuals(views, poses, camera)
-    every = np.abs(np.concatenate(errors))
+    every = np.abs(np.concatenate(_residuals(views, poses, camera)))
     limit = CLIP_SIGMAS * robust_std(every)
-    degrees_of_freedom = max(every.size - _POSE_PARAMETERS * len(errors), 1)
+    degrees_of_freedom = max(every.size - _POSE_PARAMETERS * len(views), 1)
     return float(np.sqrt(np.sum(np.minimum(every, limit) ** 2) / degrees_of_freedom))
 
 
 def corner_sigmas_px(views: Sequence[StripeView], poses: Sequence[BoardPose], camera: Camera) -> Float64[Array, "view"]:
-    """Standard deviation of one corner coordinate by view, from clipped residuals, moderated towards all views."""
+    """Standard deviation of one corner coordinate by view, from clipped residuals, as a moderated variance."""
     errors = _residuals(views, poses, camera)
     common = robust_std(np.concatenate(errors))
     limits = [CLIP_SIGMAS * max(common, robust_std(own)) for own in errors]
@@ -164,18 +166,19 @@ def with_shared_errors(
     views: Sequence[StripeView],
     poses: Sequence[BoardPose],
     camera: Camera,
-    taken: int,
+    shared_parameters: int,
 ) -> Float64[Array, "view"]:
-    """The standard deviations, inflated for errors that a corner has in all views.
+    """The standard deviations of corner coordinates by view, inflated for errors that a corner has in all views.
 
     An inaccurate print, a bent board and an edge displaced by the illumination move the same corner in all views:
-    such errors are not averaged out by more views. `taken` is the number of parameters estimated from all views.
+    such errors are not averaged out by more views. `shared_parameters` is the number of parameters that were estimated
+    from all views together.
     Inconsistent stripes move the corners at the given poses in common, and outlying corners move them at the poses
     from the corners alone; the smaller of the two factors excludes both causes.
     """
     alone = [maximum_likelihood_pose(view.board, camera)[0] for view in views]
     errors = [_residuals(views, each, camera) for each in (poses, alone)]
-    factor = min(_shared_factor(sigmas_px, views, own, taken) for own in errors)
+    factor = min(_shared_factor(sigmas_px, views, own, shared_parameters) for own in errors)
     inflated: Float64[Array, "view"] = np.sqrt(factor * sigmas_px**2 + len(views) * MIN_SIGMA_PX**2)
     return inflated
 
@@ -184,9 +187,9 @@ def _shared_factor(
     sigmas_px: Float64[Array, "view"],
     views: Sequence[StripeView],
     errors: Sequence[Float64[Array, "_"]],
-    taken: int,
+    shared_parameters: int,
 ) -> float:
-    """Variance of the corners' means over the views, divided by that of independent views; at least one."""
+    """Variance of each corner's mean residual over the views, over that of independent views; at least one."""
     corners = 1 + max(int(view.board.ids.max()) for view in views)
     sums, counts = np.zeros((corners, 2)), np.zeros(corners)
     for view, own, sigma in zip(views, errors, sigmas_px.tolist(), strict=True):
@@ -194,11 +197,12 @@ def _shared_factor(
         sums[view.board.ids] += standard.reshape(-1, 2)
         counts[view.board.ids] += 1
     repeated = counts > 1
-    degrees_of_freedom = 2 * int(repeated.sum()) - _POSE_PARAMETERS - taken
+    degrees_of_freedom = 2 * int(repeated.sum()) - _POSE_PARAMETERS - shared_parameters
     if degrees_of_freedom <= 0:
         return 1.0
     return max(1.0, float(np.sum(sums[repeated] ** 2 / counts[repeated, None])) / degrees_of_freedom)
 
 
 def _residuals(views: Sequence[StripeView], poses: Sequence[BoardPose], camera: Camera) -> list[Float64[Array, "_"]]:
+    """Decorrelated corner residuals by view."""
     return [corner_residuals(view.board, pose, camera) for view, pose in zip(views, poses, strict=True)]

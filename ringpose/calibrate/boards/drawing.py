@@ -18,16 +18,16 @@ PAGES_M = {
     "A1": (0.594, 0.841),
     "A0": (0.841, 1.189),
 }
-"""Short and long side of the pages that are tried, the smallest first."""
+"""Short and long side of the pages that are tried, in metres, the smallest first."""
 
 RIM_M = 0.010
-"""White that stays around the board: markers at its edge need it, and printers do not print to the page's edge."""
+"""Width of the white rim around the board: markers at its edge need it, and printers do not print to the edge."""
 
 RULER_M = 0.014
-"""Below and beside the board, beyond the rim, for the rulers with their numbers ..."""
+"""Width of the strips below and to the left of the board, beyond the rim, for the rulers with their numbers."""
 
 TEXT_M = 0.008
-"""... and below these for the words."""
+"""Height of the strip below the lower ruler, for the description of the board."""
 
 CIRCLE_SHARE = 0.5
 """Diameter of the circles of a circle grid over the spacing of their rows."""
@@ -40,7 +40,7 @@ A4_BOARDS = {
         kind="four_markers", width_m=0.25, height_m=0.165, marker_m=0.045, margin_m=0.005, dictionary="DICT_4X4_50"
     ),
 }
-"""Boards for those who have none yet."""
+"""Boards that fit on a page of A4, by kind."""
 
 _LETTERS_M = 0.0028
 _TICK_M = 0.00015
@@ -70,7 +70,7 @@ class BoardDrawing:
     """Centre x, y and radius."""
     labels: tuple[Label, ...]
     origin_m: tuple[float, float]
-    """Where on the page the board frame's origin is."""
+    """Position of the board frame's origin on the page."""
 
 
 def board_drawing(board: Board) -> BoardDrawing:
@@ -83,6 +83,10 @@ def board_drawing(board: Board) -> BoardDrawing:
     across, numbers_x = _ruler(origin_m[0], below_m, width_m)
     down, numbers_y = _ruler(origin_m[1], origin_m[0] - RIM_M, height_m)
     shift = np.array([*origin_m, 0.0, 0.0])
+    circles_m = np.empty((0, 3))
+    if board.kind == "asymmetric_circles":
+        centers_m = corner_points(board)[:, :2] + origin_m
+        circles_m = np.column_stack([centers_m, np.full(len(centers_m), CIRCLE_SHARE * (board.spacing_m or 0.0) / 2)])
     upright = np.column_stack([down[:, 1] - down[:, 3], down[:, 0], down[:, 3], down[:, 2]])
     names = tuple(
         Label(x_m=origin_m[0] - RIM_M - 0.0125, y_m=number.x_m + _LETTERS_M, text=number.text) for number in numbers_y
@@ -93,13 +97,14 @@ def board_drawing(board: Board) -> BoardDrawing:
         width_m=page_m[0],
         height_m=page_m[1],
         rectangles_m=np.concatenate([_black_rectangles(board) + shift, across, upright]),
-        circles_m=_circles(board) + np.array([*origin_m, 0.0]),
+        circles_m=circles_m,
         labels=(*numbers_x, *names, words),
         origin_m=origin_m,
     )
 
 
 def _page(needed_m: tuple[float, float]) -> tuple[str, tuple[float, float]]:
+    """Name and size of the smallest page that holds an area of this width and height."""
     for name, (short, long) in PAGES_M.items():
         for page_m, way in (((short, long), "upright"), ((long, short), "lying")):
             if needed_m[0] <= page_m[0] and needed_m[1] <= page_m[1]:
@@ -122,42 +127,32 @@ def _ruler(start_m: float, beside_m: float, length_m: float) -> tuple[Float64[Ar
 
 
 def _description(board: Board, page: str, page_m: tuple[float, float]) -> str:
-    """What is on the page; a board that was printed at another scale is measured by the rulers."""
+    """A line of text with the board's kind and sizes; the rulers show whether the print has another scale."""
     sizes = {
         key.removesuffix("_m"): f"{1e3 * value:g} mm"
         for key in ("square_m", "square_y_m", "marker_m", "gap_m", "spacing_m", "width_m", "height_m", "margin_m")
         if (value := getattr(board, key)) is not None
     }
     counts = f" {board.squares_x} x {board.squares_y}" if board.squares_x else ""
-    said = ", ".join([f"{board.kind}{counts}", *([board.dictionary] if board.dictionary else [])])
-    said += "".join(f", {key} {size}" for key, size in sizes.items())
-    return f"{said}. Page {page}, {1e3 * page_m[0]:.0f} x {1e3 * page_m[1]:.0f} mm: print at 100 %, then measure."
+    text = ", ".join([f"{board.kind}{counts}", *([board.dictionary] if board.dictionary else [])])
+    text += "".join(f", {key} {size}" for key, size in sizes.items())
+    return f"{text}. Page {page}, {1e3 * page_m[0]:.0f} x {1e3 * page_m[1]:.0f} mm: print at 100 %, then measure."
 
 
 def _black_rectangles(board: Board) -> Float64[Array, "rectangle side=4"]:
-    parts = [_black_squares(board)] if board.kind in ("chessboard", "charuco") else []
-    corners = marker_corners(board)
-    if len(corners):
-        parts.append(np.concatenate([_black_cells(board, number) + _place(own) for number, own in enumerate(corners)]))
-    return np.concatenate(parts) if parts else np.empty((0, 4))
-
-
-def _place(corners: Float64[Array, "corner=4 xyz=3"]) -> Float64[Array, "4"]:
-    return np.array([corners[0, 0], corners[0, 1], 0.0, 0.0])
-
-
-def _black_squares(board: Board) -> Float64[Array, "square side=4"]:
-    width, height = board.square_size_m
-    black = [
-        (column * width, row * height, width, height)
-        for row in range(board.squares_y or 0)
-        for column in range(board.squares_x or 0)
-        if not is_white(column, row, board)
-    ]
+    """x, y, width and height in the board frame of black squares and of the markers' cells."""
+    black: list[tuple[float, float, float, float]] = []
+    if board.kind in ("chessboard", "charuco"):
+        width, height = board.square_size_m
+        for row, column in np.ndindex(board.squares_y or 0, board.squares_x or 0):
+            if not is_white(column, row, board):
+                black.append((column * width, row * height, width, height))
+    for number, ((x, y, _), *_) in enumerate(marker_corners(board).tolist()):
+        black += [(x + left, y + top, width, height) for left, top, width, height in _black_cells(board, number)]
     return np.array(black, dtype=np.float64).reshape(-1, 4)
 
 
-def _black_cells(board: Board, number: int) -> Float64[Array, "run side=4"]:
+def _black_cells(board: Board, number: int) -> list[tuple[float, float, float, float]]:
     """A marker's black cells, each row's neighbours joined, from the marker's top-left corner."""
     aruco: Any = cv2.aruco
     dictionary = marker_dictionary(board)
@@ -167,13 +162,5 @@ def _black_cells(board: Board, number: int) -> Float64[Array, "run side=4"]:
     runs = []
     for row, cells in enumerate(black):
         edges = np.flatnonzero(np.diff(np.pad(cells.astype(np.int8), 1)))
-        runs += [(begin * cell, row * cell, (end - begin) * cell, cell) for begin, end in edges.reshape(-1, 2)]
-    return np.array(runs, dtype=np.float64).reshape(-1, 4)
-
-
-def _circles(board: Board) -> Float64[Array, "circle side=3"]:
-    if board.kind != "asymmetric_circles":
-        return np.empty((0, 3))
-    centers = corner_points(board)
-    radius = CIRCLE_SHARE * (board.spacing_m or 0.0) / 2
-    return np.column_stack([centers[:, :2], np.full(len(centers), radius)])
+        runs += [(begin * cell, row * cell, (end - begin) * cell, cell) for begin, end in edges.reshape(-1, 2).tolist()]
+    return runs

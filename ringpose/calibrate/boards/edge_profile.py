@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtr
 
-from ringpose.geometry.robust import robust_std
+from ringpose.geometry.robust import huber_weights, robust_std
 from ringpose.types.arrays import Array, Float64
 
 KNOT_PX = 0.5
@@ -24,7 +24,7 @@ MIN_BLUR_PX = 0.4
 """Standard deviation of the sharpest edges: pixels blur by 0.29 px, lenses by as much."""
 
 ROBUST_SIGMAS = 3.0
-"""Huber limit: larger residuals come from objects in front of the board."""
+"""Limit of the Huber loss in standard deviations: larger residuals come from objects in front of the board."""
 
 _ITERATIONS = 2
 
@@ -41,7 +41,7 @@ class EdgeProfile:
     blur_px: float
     """Standard deviation of the closest error function."""
     shares: Float64[Array, "sample"]
-    """Values at the distances of the table."""
+    """Values at the tabulated distances, -8 to 8 px."""
     slopes: Float64[Array, "sample"]
     """Derivatives there, per pixel."""
 
@@ -65,14 +65,13 @@ def fitted_profile(
     """The profile fitted to samples: distance from the edge in pixels (at most `reach_px`) and share of the step."""
     basis = _odd_splines(across, int(np.ceil(reach_px / KNOT_PX)))
     deviation = share - ndtr(across / blur_px)
-    huber_weights, coefficients = np.ones(len(deviation)), np.zeros(basis.shape[1])
+    weights, coefficients = np.ones(len(deviation)), np.zeros(basis.shape[1])
     for _ in range(_ITERATIONS):
-        weighted = basis * huber_weights[:, None]
+        weighted = basis * weights[:, None]
         normal_matrix = weighted.T @ basis + RIDGE * np.eye(len(coefficients))
         coefficients = np.linalg.solve(normal_matrix, weighted.T @ deviation)
         residual = deviation - basis @ coefficients
-        limit = ROBUST_SIGMAS * robust_std(residual)
-        huber_weights = np.minimum(1.0, limit / np.maximum(np.abs(residual), 1e-12))
+        weights = huber_weights(residual, max(ROBUST_SIGMAS * robust_std(residual), 1e-12))
     return _tabulated(blur_px, coefficients)
 
 
@@ -93,25 +92,23 @@ def _interpolated(across: Float64[Array, "*shape"], table: Float64[Array, "sampl
 
 def _odd_splines(across: Float64[Array, "n"], knots: int) -> Float64[Array, "n knot"]:
     """Cubic B-spline at each knot minus its mirror image: odd functions keep the profile 0.5 at the edge."""
+
+    def spline(x: Float64[Array, "n knot"]) -> Float64[Array, "n knot"]:  # centred at zero, with integer knots
+        outer, inner = np.maximum(2.0 - np.abs(x), 0.0), np.maximum(1.0 - np.abs(x), 0.0)
+        value: Float64[Array, "n knot"] = (outer * outer * outer - 4.0 * inner * inner * inner) / 6.0
+        return value
+
     x, knot = across[..., None] / KNOT_PX, np.arange(1.0, knots + 1)
-    odd: Float64[Array, "n knot"] = _cubic_spline(x - knot) - _cubic_spline(x + knot)
-    return odd
+    return spline(x - knot) - spline(x + knot)
 
 
 def _odd_spline_slopes(across: Float64[Array, "n"], knots: int) -> Float64[Array, "n knot"]:
+    """Derivatives of these functions, per pixel."""
+
+    def slope(x: Float64[Array, "n knot"]) -> Float64[Array, "n knot"]:
+        outer, inner = np.maximum(2.0 - np.abs(x), 0.0), np.maximum(1.0 - np.abs(x), 0.0)
+        value: Float64[Array, "n knot"] = -np.sign(x) * (outer * outer - 4.0 * inner * inner) / 2.0
+        return value
+
     x, knot = across[..., None] / KNOT_PX, np.arange(1.0, knots + 1)
-    slopes: Float64[Array, "n knot"] = (_cubic_spline_slope(x - knot) - _cubic_spline_slope(x + knot)) / KNOT_PX
-    return slopes
-
-
-def _cubic_spline(x: Float64[Array, "*shape"]) -> Float64[Array, "*shape"]:
-    """The cubic B-spline centred at zero, with integer knots."""
-    outer, inner = np.maximum(2.0 - np.abs(x), 0.0), np.maximum(1.0 - np.abs(x), 0.0)
-    value: Float64[Array, "*shape"] = (outer * outer * outer - 4.0 * inner * inner * inner) / 6.0
-    return value
-
-
-def _cubic_spline_slope(x: Float64[Array, "*shape"]) -> Float64[Array, "*shape"]:
-    outer, inner = np.maximum(2.0 - np.abs(x), 0.0), np.maximum(1.0 - np.abs(x), 0.0)
-    slope: Float64[Array, "*shape"] = -np.sign(x) * (outer * outer - 4.0 * inner * inner) / 2.0
-    return slope
+    return (slope(x - knot) - slope(x + knot)) / KNOT_PX

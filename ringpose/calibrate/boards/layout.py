@@ -25,6 +25,7 @@ MAX_SIZE_ERROR = 0.03
 """Limit of the relative error of the markers' size against their spacing: unrefined corners alone cause 0.01."""
 
 FAIL_SIZE_ERROR = 0.1
+"""Relative error of the markers' size with which the board file must be corrected."""
 
 CORNER_ERROR_PX = 1.0
 """Bound of the inward bias of unrefined corners: blurred markers 40 px wide become 1.3 px too narrow."""
@@ -33,31 +34,55 @@ _FIRST = np.array([1.0, 1.0, 0.0])
 """Position of the first corner or circle, in squares or spacings."""
 
 _MIN_MARKERS = 4
+"""Minimum number of markers with which the layout is checked."""
 
 _MAX_SQUARES = 40
+"""Largest number of columns that is tried when the markers do not fit the board file."""
 
 
 def corner_points(board: Board) -> Float64[Array, "corner xyz=3"]:
     """All the board's corners (or circle centres) in metres, in the order of their numbers."""
-    if board.kind == "chessboard" or board.kind == "charuco":
-        return _inner_corners(board)
-    if board.kind == "asymmetric_circles":
-        return _circle_centers(board)
+    columns, rows = board.squares_x or 0, board.squares_y or 0
+    corners: Float64[Array, "corner xyz=3"]
+    if board.kind in ("chessboard", "charuco"):
+        corners = np.array([*board.square_size_m, 0.0]) * (_lattice(columns - 1, rows - 1) + _FIRST)
+        return corners
+    if board.kind == "asymmetric_circles":  # as in OpenCV: circles of a row two spacings apart, odd rows shifted by one
+        lattice = _lattice(columns, rows)
+        lattice[:, 0] = 2 * lattice[:, 0] + lattice[:, 1] % 2
+        corners = (board.spacing_m or 0.0) * (lattice + _FIRST)
+        return corners
     return marker_corners(board).reshape(-1, 3)
 
 
 def marker_corners(board: Board) -> Float64[Array, "marker corner=4 xyz=3"]:
     """The corners of the board's markers in metres, clockwise from the top left; none on a plain chessboard."""
-    if board.kind == "four_markers":
-        origins = _four_origins(board)
+    side, lattice = board.marker_m or 0.0, _lattice(board.squares_x or 0, board.squares_y or 0)
+    if board.kind == "four_markers":  # clockwise from the top left, each `margin_m` inside the outline
+        left = top = board.margin_m or 0.0
+        right, bottom = (board.width_m or 0.0) - left - side, (board.height_m or 0.0) - top - side
+        origins = np.array([[left, top, 0.0], [right, top, 0.0], [right, bottom, 0.0], [left, bottom, 0.0]])
     elif board.kind == "aruco_grid":
-        origins = _grid_origins(board)
-    elif board.kind == "charuco":
-        origins = _charuco_origins(board)
+        origins = (side + (board.gap_m or 0.0)) * lattice
+    elif board.kind == "charuco":  # one in the middle of each white square, row by row
+        lattice = lattice[[is_white(int(x), int(y), board) for x, y, _ in lattice]]
+        rim = ((board.square_m or 0.0) - side) / 2
+        origins = (board.square_m or 0.0) * lattice + [rim, rim, 0.0]
     else:
         return np.empty((0, 4, 3))
-    side = board.marker_m or 0.0
     return origins[:, None] + side * np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+
+
+def is_white(column: int, row: int, board: Board) -> bool:
+    """Whether a square is white: the top-left one is black, on a legacy ChArUco board of even rows white."""
+    legacy_white = board.kind == "charuco" and board.legacy_pattern and (board.squares_y or 0) % 2 == 0
+    return (column + row) % 2 == (0 if legacy_white else 1)
+
+
+def _lattice(columns: int, rows: int) -> Float64[Array, "point xyz=3"]:
+    """Points (column, row, 0), row by row."""
+    row, column = np.mgrid[0:rows, 0:columns]
+    return np.stack([column.ravel(), row.ravel(), np.zeros(row.size)], axis=1).astype(np.float64)
 
 
 def outline_m(board: Board) -> tuple[float, float]:
@@ -75,52 +100,6 @@ def outline_m(board: Board) -> tuple[float, float]:
     return columns * width, rows * height
 
 
-def _inner_corners(board: Board) -> Float64[Array, "corner xyz=3"]:
-    columns, rows = (board.squares_x or 0) - 1, (board.squares_y or 0) - 1
-    corners: Float64[Array, "corner xyz=3"] = np.array([*board.square_size_m, 0.0]) * (_lattice(columns, rows) + _FIRST)
-    return corners
-
-
-def _circle_centers(board: Board) -> Float64[Array, "corner xyz=3"]:
-    """OpenCV's asymmetric grid: odd rows shifted by one spacing, circles of a row two spacings apart."""
-    lattice = _lattice(board.squares_x or 0, board.squares_y or 0)
-    lattice[:, 0] = 2 * lattice[:, 0] + lattice[:, 1] % 2
-    centers: Float64[Array, "corner xyz=3"] = (board.spacing_m or 0.0) * (lattice + _FIRST)
-    return centers
-
-
-def _four_origins(board: Board) -> Float64[Array, "marker xyz=3"]:
-    """Marker 0 top-left, 1 top-right, 2 bottom-right, 3 bottom-left, each `margin_m` inside the outline."""
-    left = top = board.margin_m or 0.0
-    right = (board.width_m or 0.0) - left - (board.marker_m or 0.0)
-    bottom = (board.height_m or 0.0) - top - (board.marker_m or 0.0)
-    return np.array([[left, top, 0.0], [right, top, 0.0], [right, bottom, 0.0], [left, bottom, 0.0]])
-
-
-def _grid_origins(board: Board) -> Float64[Array, "marker xyz=3"]:
-    pitch = (board.marker_m or 0.0) + (board.gap_m or 0.0)
-    return pitch * _lattice(board.squares_x or 0, board.squares_y or 0)
-
-
-def _charuco_origins(board: Board) -> Float64[Array, "marker xyz=3"]:
-    """One marker in the middle of each white square, row by row."""
-    lattice = _lattice(board.squares_x or 0, board.squares_y or 0)
-    lattice = lattice[[is_white(int(x), int(y), board) for x, y, _ in lattice]]
-    square, marker = board.square_m or 0.0, board.marker_m or 0.0
-    return square * lattice + [(square - marker) / 2, (square - marker) / 2, 0.0]
-
-
-def is_white(column: int, row: int, board: Board) -> bool:
-    """Whether a square is white: the top-left one is black, on a legacy ChArUco board of even rows white."""
-    legacy_white = board.kind == "charuco" and board.legacy_pattern and (board.squares_y or 0) % 2 == 0
-    return (column + row) % 2 == (0 if legacy_white else 1)
-
-
-def _lattice(columns: int, rows: int) -> Float64[Array, "point xyz=3"]:
-    row, column = np.mgrid[0:rows, 0:columns]
-    return np.stack([column.ravel(), row.ravel(), np.zeros(row.size)], axis=1).astype(np.float64)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MarkerLayout:
     """Agreement of the markers seen with the board, in the board frame fitted to their centres."""
@@ -136,36 +115,25 @@ def marker_layout(board: Board, markers: Markers) -> MarkerLayout | None:
     center_m = marker_corners(board)[markers.ids][..., :2].mean(axis=1)
     if len(center_m) < _MIN_MARKERS or np.linalg.matrix_rank(center_m - center_m.mean(axis=0), tol=1e-6) < 2:
         return None
-    centers_px = _diagonal_intersections(markers.corners_px)
+    # Intersections of the markers' diagonals: projections of their centres in any perspective.
+    corners = markers.corners_px
+    along, across, offset = corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1], corners[:, 1] - corners[:, 0]
+    determinant = along[:, 0] * across[:, 1] - along[:, 1] * across[:, 0]
+    share = (offset[:, 0] * across[:, 1] - offset[:, 1] * across[:, 0]) / determinant
+    centers_px = corners[:, 0] + share[:, None] * along
     board_from_image: Any = cv2.findHomography(centers_px, center_m)[0]
     if board_from_image is None:
         return None
     found_m = cv2.perspectiveTransform(centers_px[None], board_from_image)[0]
-    corners = cv2.perspectiveTransform(markers.corners_px.reshape(1, -1, 2), board_from_image).reshape(-1, 4, 2)
-    side = board.marker_m or 1.0
-    width = np.linalg.norm(corners[:, [1, 2]] - corners[:, [0, 3]], axis=-1) / side
-    height = np.linalg.norm(corners[:, [3, 2]] - corners[:, [0, 1]], axis=-1) / side
-    return MarkerLayout(
-        misfit=float(np.median(np.linalg.norm(found_m - center_m, axis=-1))) / side,
-        size_ratio=(_significant_ratio(width, markers), _significant_ratio(height, markers)),
-    )
-
-
-def _significant_ratio(ratios: Float64[Array, "marker side=2"], markers: Markers) -> float:
-    """The median ratio; 1 if the bias of the corners can explain the deviation for markers of this size."""
-    side_px = np.median(np.linalg.norm(np.diff(markers.corners_px, axis=1), axis=-1))
-    ratio = float(np.median(ratios))
-    return ratio if abs(ratio - 1) * side_px > 2 * CORNER_ERROR_PX else 1.0
-
-
-def _diagonal_intersections(corners: Float64[Array, "marker corner=4 xy=2"]) -> Float64[Array, "marker xy=2"]:
-    """Intersections of the diagonals: projections of the markers' centres in any perspective."""
-    along, across = corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1]
-    offset = corners[:, 1] - corners[:, 0]
-    determinant = along[:, 0] * across[:, 1] - along[:, 1] * across[:, 0]
-    share = (offset[:, 0] * across[:, 1] - offset[:, 1] * across[:, 0]) / determinant
-    intersections: Float64[Array, "marker xy=2"] = corners[:, 0] + share[:, None] * along
-    return intersections
+    corners_m = cv2.perspectiveTransform(corners.reshape(1, -1, 2), board_from_image).reshape(-1, 4, 2)
+    side_m, side_px = board.marker_m or 1.0, np.median(np.linalg.norm(np.diff(corners, axis=1), axis=-1))
+    ratios = []
+    for start, end in (([0, 3], [1, 2]), ([0, 1], [3, 2])):  # horizontal sides, vertical sides
+        ratio = float(np.median(np.linalg.norm(corners_m[:, end] - corners_m[:, start], axis=-1) / side_m))
+        # For markers of this size, the bias of the corners can explain smaller deviations.
+        ratios.append(ratio if abs(ratio - 1) * side_px > 2 * CORNER_ERROR_PX else 1.0)
+    misfit = float(np.median(np.linalg.norm(found_m - center_m, axis=-1))) / side_m
+    return MarkerLayout(misfit=misfit, size_ratio=(ratios[0], ratios[1]))
 
 
 def other_layout(board: Board, markers: Markers) -> str | None:

@@ -10,8 +10,8 @@ from ringpose.types.board import Board, BoardView
 from ringpose.types.image import Shot
 
 STILL_PX = 0.3
-"""Motion below this may be caused by a stripe across a corner or by warm air; on rendered boards at rest it is 0.01 px
-for any illumination."""
+"""Displacement up to which a board counts as at rest: a stripe across a corner or warm air can cause it. On rendered
+boards at rest it is 0.01 px for any illumination."""
 
 _CORNERS, _HALF_PATCH_PX, _REACH_PX = 16, 15, 12
 """Number of tracked corners, half size of their templates, and search range."""

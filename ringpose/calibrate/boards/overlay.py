@@ -13,6 +13,7 @@ from ringpose.types.board import BoardView
 from ringpose.types.calibration import StripeView
 
 _STRIPES = ((80, 160, 255), (80, 255, 80), (255, 160, 80))
+"""Colours of the lasers' stripes (BGR)."""
 _LETTER_PX = 19.0
 """Upper bound of a letter's width at scale 1."""
 _UNLABELLED = (255, 80, 255)

@@ -1,5 +1,7 @@
 """Pose of a board in the camera frame (ringpose-method(7), section 6)."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
@@ -26,13 +28,62 @@ def board_pose(view: BoardView, camera: Camera) -> BoardPose:
 
 
 def board_poses(view: BoardView, camera: Camera) -> list[BoardPose]:
-    """The pose, followed by the mirrored pose if the corners do not decide between the two."""
-    candidates = _planar_candidates(view.points_board_m, view.points_px, camera, cv2.SOLVEPNP_IPPE)
-    refined = sorted((_refined(view, rigid, camera) for rigid in candidates), key=lambda pose: pose.residual_rms_px)
+    """The board's pose by the corners, followed by the pose mirrored in depth if the corners fit both."""
+    refined = []
+    for start in _planar_candidates(view, camera):
+        vector, translation = cv2.solvePnPRefineLM(
+            view.points_board_m,
+            view.points_px,
+            camera.camera_matrix,
+            camera.distortion_coefficients,
+            rotation_vector(start.rotation).reshape(3, 1),
+            start.translation_m.reshape(3, 1).copy(),
+            _CRITERIA,
+        )
+        rotation = np.asarray(cv2.Rodrigues(vector)[0], dtype=np.float64)
+        refined.append(_pose(view, rotation, np.asarray(translation, dtype=np.float64).ravel(), camera))
+    refined.sort(key=lambda pose: pose.residual_rms_px)
     limit = AMBIGUITY_FACTOR * refined[0].residual_rms_px
     normal = refined[0].rotation[:, 2]
     distinct = [pose for pose in refined[1:] if angle_between(pose.rotation[:, 2], normal) > MIRRORED_RAD]
     return [refined[0], *(pose for pose in distinct if pose.residual_rms_px <= limit)]
+
+
+def _planar_candidates(view: BoardView, camera: Camera) -> list[BoardPose]:
+    """The two poses by IPPE, a closed form for planes (Collins and Bartoli 2014), the better one first."""
+    _, rotations, translations, _ = cv2.solvePnPGeneric(
+        view.points_board_m,
+        view.points_px,
+        camera.camera_matrix,
+        camera.distortion_coefficients,
+        flags=cv2.SOLVEPNP_IPPE,
+    )
+    poses = [
+        _pose(view, np.asarray(cv2.Rodrigues(r)[0], dtype=np.float64), np.asarray(t, dtype=np.float64).ravel(), camera)
+        for r, t in zip(rotations, translations, strict=True)
+    ]
+    return sorted(poses, key=lambda pose: pose.residual_rms_px)
+
+
+def _pose(
+    view: BoardView, rotation: Float64[Array, "3 3"], translation_m: Float64[Array, "xyz=3"], camera: Camera
+) -> BoardPose:
+    """The pose with its rms residual over the corners of the view."""
+    pose = BoardPose(name=view.name, rotation=rotation, translation_m=translation_m, residual_rms_px=float("nan"))
+    rms_px = float(np.sqrt(np.mean(np.sum(residuals(view, pose, camera) ** 2, axis=1))))
+    return replace(pose, residual_rms_px=rms_px)
+
+
+def residuals(view: BoardView, pose: BoardPose, camera: Camera) -> Float64[Array, "corner xy=2"]:
+    """Measured minus projected corners, in pixels."""
+    pixels, _ = cv2.projectPoints(
+        view.points_board_m,
+        rotation_vector(pose.rotation),
+        pose.translation_m,
+        camera.camera_matrix,
+        camera.distortion_coefficients,
+    )
+    return view.points_px - np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
 
 
 def marker_average_pose(view: BoardView, camera: Camera) -> BoardPose:
@@ -42,88 +93,22 @@ def marker_average_pose(view: BoardView, camera: Camera) -> BoardPose:
     similar, the one whose normal agrees best with that of the marker with the smallest error. Rotations are averaged as
     matrices and projected to the nearest rotation.
     """
-    markers = [_marker_candidates(view, camera, marker) for marker in np.unique(view.ids // 4).tolist()]
+    markers = []
+    for marker in np.unique(view.ids // 4):
+        own = view.ids // 4 == marker
+        part = replace(view, ids=view.ids[own], points_board_m=view.points_board_m[own], points_px=view.points_px[own])
+        poses = _planar_candidates(part, camera)
+        limit = AMBIGUITY_FACTOR * poses[0].residual_rms_px + 1e-6
+        markers.append([pose for pose in poses if pose.residual_rms_px <= limit])
     best = min((marker[0] for marker in markers), key=lambda pose: pose.residual_rms_px)
     chosen = [max(marker, key=lambda pose: float(pose.rotation[:, 2] @ best.rotation[:, 2])) for marker in markers]
     mean = np.mean([pose.rotation for pose in chosen], axis=0)
     left, _, right = np.linalg.svd(mean)
     rotation = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
-    return _pose_of(view, rotation, np.mean([pose.translation_m for pose in chosen], axis=0), camera)
-
-
-def residuals(view: BoardView, pose: BoardPose, camera: Camera) -> Float64[Array, "corner xy=2"]:
-    """Measured minus projected corners, in pixels."""
-    return view.points_px - _projected(view.points_board_m, pose.rotation, pose.translation_m, camera)
+    return _pose(view, rotation, np.mean([pose.translation_m for pose in chosen], axis=0), camera)
 
 
 def moved_pose(pose: BoardPose, step: Float64[Array, "pose=6"]) -> BoardPose:
     """The pose with a step added to its rotation vector and translation."""
     rotation = cv2.Rodrigues(rotation_vector(pose.rotation) + step[:3])[0]
-    return BoardPose(
-        name=pose.name,
-        rotation=np.asarray(rotation, dtype=np.float64),
-        translation_m=pose.translation_m + step[3:],
-        residual_rms_px=pose.residual_rms_px,
-    )
-
-
-def _marker_candidates(view: BoardView, camera: Camera, marker: int) -> list[BoardPose]:
-    """Poses of the board from one of its markers, the better first; the other only if the two are ambiguous."""
-    own = view.ids // 4 == marker
-    points, pixels = view.points_board_m[own], view.points_px[own]
-    poses = [
-        _pose_of(BoardView(name=view.name, ids=view.ids[own], points_board_m=points, points_px=pixels), *rigid, camera)
-        for rigid in _planar_candidates(points, pixels, camera, cv2.SOLVEPNP_IPPE)
-    ]
-    poses.sort(key=lambda pose: pose.residual_rms_px)
-    limit = AMBIGUITY_FACTOR * poses[0].residual_rms_px + 1e-6
-    return [pose for pose in poses if pose.residual_rms_px <= limit]
-
-
-_Rigid = tuple[Float64[Array, "3 3"], Float64[Array, "xyz=3"]]
-
-
-def _planar_candidates(
-    points: Float64[Array, "corner xyz=3"], pixels: Float64[Array, "corner xy=2"], camera: Camera, method: int
-) -> list[_Rigid]:
-    _, rotations, translations, _ = cv2.solvePnPGeneric(
-        points, pixels, camera.camera_matrix, camera.distortion_coefficients, flags=method
-    )
-    return [
-        (np.asarray(cv2.Rodrigues(r)[0], dtype=np.float64), np.asarray(t, dtype=np.float64).ravel())
-        for r, t in zip(rotations, translations, strict=True)
-    ]
-
-
-def _refined(view: BoardView, rigid: _Rigid, camera: Camera) -> BoardPose:
-    vector, translation = cv2.solvePnPRefineLM(
-        view.points_board_m,
-        view.points_px,
-        camera.camera_matrix,
-        camera.distortion_coefficients,
-        rotation_vector(rigid[0]).reshape(3, 1),
-        rigid[1].reshape(3, 1).copy(),
-        _CRITERIA,
-    )
-    rotation = np.asarray(cv2.Rodrigues(vector)[0], dtype=np.float64)
-    return _pose_of(view, rotation, np.asarray(translation, dtype=np.float64).ravel(), camera)
-
-
-def _pose_of(
-    view: BoardView, rotation: Float64[Array, "3 3"], translation_m: Float64[Array, "xyz=3"], camera: Camera
-) -> BoardPose:
-    error = view.points_px - _projected(view.points_board_m, rotation, translation_m, camera)
-    rms = float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
-    return BoardPose(name=view.name, rotation=rotation, translation_m=translation_m, residual_rms_px=rms)
-
-
-def _projected(
-    points: Float64[Array, "corner xyz=3"],
-    rotation: Float64[Array, "3 3"],
-    translation_m: Float64[Array, "xyz=3"],
-    camera: Camera,
-) -> Float64[Array, "corner xy=2"]:
-    pixels, _ = cv2.projectPoints(
-        points, rotation_vector(rotation), translation_m, camera.camera_matrix, camera.distortion_coefficients
-    )
-    return np.asarray(pixels, dtype=np.float64).reshape(-1, 2)
+    return replace(pose, rotation=np.asarray(rotation, dtype=np.float64), translation_m=pose.translation_m + step[3:])

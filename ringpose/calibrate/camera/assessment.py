@@ -12,7 +12,7 @@ import numpy as np
 
 from ringpose.calibrate.boards.corner_errors import whiten
 from ringpose.calibrate.boards.layout import marker_size_findings
-from ringpose.calibrate.camera.bundle_adjustment import CameraSolution, ViewEquations, camera_solution, view_equations
+from ringpose.calibrate.camera.bundle_adjustment import CameraSolution, camera_solution, view_equations
 from ringpose.calibrate.camera.distortion_bias import without_distortion_bias
 from ringpose.calibrate.camera.outliers import other_camera_finding
 from ringpose.calibrate.camera.parameters import CameraModel, projection_jacobians
@@ -25,21 +25,40 @@ from ringpose.calibrate.camera.validation import (
     used_views,
 )
 from ringpose.geometry.rotations import angle_between, rotation_vector
-from ringpose.types.arrays import Array, Float64
+from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.calibration import CameraAssessment, CameraCalibration, Coverage
 from ringpose.types.camera import Camera
 from ringpose.types.verdict import Check
 
 CHANCE = 2.5
-"""A disagreement above 1 + this / sqrt(views - 1) is significant: of 80 sets of 8 and 15 views with only noise, one
-exceeded it."""
+"""Disagreement of the views, 1 if noise explains it, is significant above 1 + CHANCE / sqrt(views - 1): of 80 sets of 8
+and 15 views with only noise, one exceeded it."""
 
 EXACT_PX = 1e-4
 """Lower limit of the projection uncertainty: corners have single precision."""
 
 DISTANCES_M = (0.2, 0.5, 1.0)
 """Default distances for the projection uncertainty in metres."""
+
+
+FLAT_SIGMAS = 5.0
+"""Limit of the significance of a board's bow, the root of chi-squared of its three coefficients: for flat boards 1.5 on
+average, rarely 4."""
+
+CELL_COLUMNS = 8
+"""Cells across the image; the number of rows makes them nearly square."""
+
+BARE_SHARE = 1 / 3
+"""A ninth of the image is bare if at most this share of its cells contains corners: a strip along one side."""
+
+SAME_RAD = np.radians(2.0)
+"""Poses count as one view if they differ by less than this rotation and by less than SAME_SHARE of their distance."""
+
+SAME_SHARE = 0.02
+"""Translation over distance up to which poses count as one view."""
+
+_REGIONS = (("upper left", "top", "upper right"), ("left", "middle", "right"), ("lower left", "bottom", "lower right"))
 
 
 def camera_assessment(
@@ -49,7 +68,7 @@ def camera_assessment(
     distances_m: Sequence[float] = DISTANCES_M,
     compare: bool = False,
 ) -> CameraAssessment:
-    """Coverage, uncertainty over the image, cross-validation; on request the other distortion model.
+    """Coverage, uncertainty over the image and cross-validation; with `compare`, also the other distortion model's fit.
 
     `boards` are those of all views, in their order.
     """
@@ -77,7 +96,7 @@ def camera_assessment(
 
 
 def widened(calibration: CameraCalibration, assessment: CameraAssessment) -> tuple[CameraCalibration, CameraAssessment]:
-    """Both with the covariance inflated if the views disagree by more than noise explains.
+    """The calibration and its assessment, with the covariance inflated if the views disagree more than noise explains.
 
     A board that is bent, moves or reflects causes errors that the corners of a view have in common. Residuals do not
     show them, and the covariance treats the corners as independent. Views are independent.
@@ -91,12 +110,8 @@ def widened(calibration: CameraCalibration, assessment: CameraAssessment) -> tup
 
 
 def _widening(disagreement: float, views: int) -> float:
-    """Inflation factor of the standard deviations; one if the disagreement is not significant."""
+    """Factor by which the standard deviations are inflated; 1 if the disagreement is not significant."""
     return disagreement if disagreement > 1 + CHANCE / np.sqrt(views - 1) else 1.0
-
-
-FLAT_SIGMAS = 5.0
-"""Limit of the root of chi-squared of the bow's three coefficients: 1.5 on average for flat boards, rarely 4."""
 
 
 def bow_finding(
@@ -104,21 +119,24 @@ def bow_finding(
 ) -> Check:
     """Check of the board's flatness: significance of the bow from one Gauss-Newton step with camera and poses free.
 
-    `widening` is the factor by which the views' errors exceed their residuals.
+    The bow is a surface of second order, with three coefficients. `widening` is the factor by which the views' errors
+    exceed their residuals.
     """
     several = zip(used, solution.poses, solution.view_sigma_px.tolist(), strict=True)
     rows = [
-        _rows(without_distortion_bias(view, solution.camera), pose, solution.camera, sigma)
+        _bow_equations(without_distortion_bias(view, solution.camera), pose, solution.camera, sigma)
         for view, pose, sigma in several
     ]
-    by_all, residual = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+    jacobian, residual = (np.concatenate(part) for part in zip(*rows, strict=True))
     free = np.flatnonzero(np.append(model.free, np.ones(3)))
-    scale = np.maximum(np.linalg.norm(by_all[:, free], axis=0), 1e-300)
-    by_free = by_all[:, free] / scale
-    covariance = np.linalg.pinv(by_free.T @ by_free, hermitian=True)
-    bow = (covariance @ by_free.T @ residual)[-3:]
+    scale = np.maximum(np.linalg.norm(jacobian[:, free], axis=0), 1e-300)
+    scaled = jacobian[:, free] / scale
+    covariance = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
+    bow = (covariance @ scaled.T @ residual)[-3:]
     significance = float(np.sqrt(max(bow @ np.linalg.pinv(covariance[-3:, -3:], hermitian=True) @ bow, 0.0)))
-    height_m = float(np.ptp(_surface_heights(_centered_corners(used)) @ (bow / scale[-3:])))
+    points_m = np.concatenate([view.points_board_m for view in used])
+    centered_m = points_m - (points_m.min(axis=0) + points_m.max(axis=0)) / 2
+    height_m = float(np.ptp(_surface_heights(centered_m) @ (bow / scale[-3:])))
     return Check(
         name="bow_sigmas",
         value=significance / widening,
@@ -128,17 +146,16 @@ def bow_finding(
     )
 
 
-def _rows(
+def _bow_equations(
     view: BoardView, pose: BoardPose, camera: Camera, sigma_px: float
 ) -> tuple[Float64[Array, "row column"], Float64[Array, "row"]]:
-    """Jacobian with respect to camera and bow, and residuals, with the pose eliminated."""
+    """Whitened Jacobian with respect to camera and bow, and residuals, with the pose eliminated."""
     equations = view_equations(view, pose, camera, sigma_px)
-    by_pose, _ = projection_jacobians(view.points_board_m, pose, camera)
-    pixel_wrt_height = by_pose[..., 3:] @ pose.rotation[:, 2]
-    pixel_wrt_bow = (pixel_wrt_height[..., None] * _surface_heights(view.points_board_m)[:, None]).reshape(-1, 3)
-    pixel_wrt_bow = whiten(pixel_wrt_bow, view) / sigma_px
-    both = np.concatenate([equations.by_camera, pixel_wrt_bow], axis=1)
-    return ViewEquations(by_pose=equations.by_pose, by_camera=both, residual=equations.residual).without_pose()
+    wrt_pose, _ = projection_jacobians(view.points_board_m, pose, camera)
+    wrt_height = wrt_pose[..., 3:] @ pose.rotation[:, 2]
+    wrt_bow = (wrt_height[..., None] * _surface_heights(view.points_board_m)[:, None]).reshape(-1, 3)
+    both = np.hstack([equations.wrt_camera, whiten(wrt_bow, view) / sigma_px])
+    return equations._replace(wrt_camera=both).without_pose()
 
 
 def _surface_heights(points_m: Float64[Array, "corner xyz=3"]) -> Float64[Array, "corner shape=3"]:
@@ -147,48 +164,36 @@ def _surface_heights(points_m: Float64[Array, "corner xyz=3"]) -> Float64[Array,
     return np.stack([x**2, x * y, y**2], axis=1)
 
 
-def _centered_corners(used: Sequence[BoardView]) -> Float64[Array, "corner xyz=3"]:
-    """All corners seen, relative to their centre."""
-    points = np.concatenate([view.points_board_m for view in used])
-    centered: Float64[Array, "corner xyz=3"] = points - (points.min(axis=0) + points.max(axis=0)) / 2
-    return centered
-
-
-CELL_COLUMNS = 8
-"""Cells across the image; the number of rows makes them nearly square."""
-
-BARE_SHARE = 1 / 3
-"""A ninth of the image is bare if at most this share of its cells contains corners: a strip along one side."""
-
-SAME_RAD = np.radians(2.0)
-"""Poses that differ by less than this rotation ..."""
-
-SAME_SHARE = 0.02
-"""... and by less than this share of their distance count as one view."""
-
-_REGIONS = (("upper left", "top", "upper right"), ("left", "middle", "right"), ("lower left", "bottom", "lower right"))
-
-
 def coverage(calibration: CameraCalibration, boards: Sequence[BoardView]) -> Coverage:
-    """Coverage of the image and of the poses by the used views; `boards` are those of all views, in their order."""
+    """Used corners by cell of the image, tilts and distances of the used boards.
+
+    `boards` are those of all views, in their order.
+    """
     camera = calibration.camera
     pairs = zip(calibration.views, boards, strict=True)
     used = [(view, board) for view, board in pairs if not view.rejected]
     points_px = np.concatenate([view.points_px[~view.left_out] for view, _ in used])
-    middles = [board_middle(board, view.pose) for view, board in used]
+    middles = [view.pose.rotation @ board.points_board_m.mean(axis=0) + view.pose.translation_m for view, board in used]
+    rows = max(round(CELL_COLUMNS * camera.image_height / camera.image_width), 1)
+    # Each ninth of the image is divided into nine cells again: the share of these that contain corners.
+    seen = (_counts(points_px, camera, 9, 9) > 0).reshape(3, 3, 3, 3).mean(axis=(1, 3))
+    bare = zip(*np.nonzero(seen <= BARE_SHARE), strict=True)
     return Coverage(
-        corners=_counts(points_px, camera, (_cell_rows(camera), CELL_COLUMNS)).astype(np.int64),
-        bare_regions=_bare_regions(points_px, camera),
+        corners=_counts(points_px, camera, rows, CELL_COLUMNS),
+        bare_regions=tuple(_REGIONS[row][column] for row, column in bare),
         tilt_rad=tuple(board_tilt_rad(view.pose) for view, _ in used),
         tilt_spread_rad=_tilt_spread([view.pose for view, _ in used]),
         distance_m=tuple(float(np.linalg.norm(middle)) for middle in middles),
     )
 
 
-def board_middle(board: BoardView, pose: BoardPose) -> Float64[Array, "xyz=3"]:
-    """Mean of the corners seen, in the camera frame."""
-    middle: Float64[Array, "xyz=3"] = pose.rotation @ board.points_board_m.mean(axis=0) + pose.translation_m
-    return middle
+def _counts(
+    points_px: Float64[Array, "n xy=2"], camera: Camera, rows: int, columns: int
+) -> Int64[Array, "cell_row cell_column"]:
+    """Number of points in each cell of the image, which is divided into these numbers of rows and columns."""
+    edges = [(-0.5, camera.image_height - 0.5), (-0.5, camera.image_width - 0.5)]
+    counts, _, _ = np.histogram2d(points_px[:, 1], points_px[:, 0], bins=(rows, columns), range=edges)
+    return counts.astype(np.int64)
 
 
 def board_tilt_rad(pose: BoardPose) -> float:
@@ -196,22 +201,8 @@ def board_tilt_rad(pose: BoardPose) -> float:
     return float(angle_between(pose.rotation[:, 2], np.array([0.0, 0.0, 1.0])))
 
 
-def different_poses(poses: Sequence[BoardPose]) -> int:
-    """Number of distinct poses: repeated views of a board at rest add no information about the camera."""
-    found: list[BoardPose] = []
-    for pose in poses:
-        if not any(_same_pose(pose, other) for other in found):
-            found.append(pose)
-    return len(found)
-
-
-def _same_pose(pose: BoardPose, other: BoardPose) -> bool:
-    angle_rad = np.linalg.norm(rotation_vector(pose.rotation.T @ other.rotation))
-    shift_m = np.linalg.norm(pose.translation_m - other.translation_m)
-    return bool(angle_rad < SAME_RAD and shift_m < SAME_SHARE * np.linalg.norm(pose.translation_m))
-
-
 def _tilt_spread(poses: Sequence[BoardPose]) -> tuple[float, float]:
+    """Standard deviation of the normals' x and y over the views, along and across their largest variation."""
     normals = np.array([pose.rotation[:2, 2] for pose in poses])
     if len(normals) < 2:
         return 0.0, 0.0
@@ -219,22 +210,16 @@ def _tilt_spread(poses: Sequence[BoardPose]) -> tuple[float, float]:
     return along, across
 
 
-def _cell_rows(camera: Camera) -> int:
-    return max(round(CELL_COLUMNS * camera.image_height / camera.image_width), 1)
+def different_poses(poses: Sequence[BoardPose]) -> int:
+    """Number of distinct poses: repeated views of a board at rest add no information about the camera."""
 
+    def same(pose: BoardPose, other: BoardPose) -> bool:
+        angle_rad = np.linalg.norm(rotation_vector(pose.rotation.T @ other.rotation))
+        shift_m = np.linalg.norm(pose.translation_m - other.translation_m)
+        return bool(angle_rad < SAME_RAD and shift_m < SAME_SHARE * np.linalg.norm(pose.translation_m))
 
-def _counts(
-    points_px: Float64[Array, "n xy=2"], camera: Camera, shape: tuple[int, int]
-) -> Float64[Array, "cell_row cell_column"]:
-    rows, columns = shape
-    edges = [(-0.5, camera.image_height - 0.5), (-0.5, camera.image_width - 0.5)]
-    counts, _, _ = np.histogram2d(points_px[:, 1], points_px[:, 0], bins=(rows, columns), range=edges)
-    found: Float64[Array, "cell_row cell_column"] = counts
-    return found
-
-
-def _bare_regions(points_px: Float64[Array, "n xy=2"], camera: Camera) -> tuple[str, ...]:
-    """Each ninth of the image is divided into nine cells again."""
-    seen = _counts(points_px, camera, (9, 9)) > 0
-    share = seen.reshape(3, 3, 3, 3).mean(axis=(1, 3))
-    return tuple(_REGIONS[row][column] for row, column in zip(*np.nonzero(share <= BARE_SHARE), strict=True))
+    found: list[BoardPose] = []
+    for pose in poses:
+        if not any(same(pose, other) for other in found):
+            found.append(pose)
+    return len(found)

@@ -2,9 +2,12 @@
 
 Views share no pose, so that the poses can be eliminated view by view. With J_c and J_p a view's derivatives with
 respect to camera and pose, its information about the camera is the Schur complement
-J_c^T J_c - J_c^T J_p (J_p^T J_p)^-1 J_p^T J_c. Information and right-hand side of each view are kept, because
-cross-validation needs them. `scipy.optimize.least_squares` would solve the dense system of camera and all poses
-instead, and would give neither.
+J_c^T J_c - J_c^T J_p (J_p^T J_p)^-1 J_p^T J_c. Information and gradient of each view are kept, because cross-validation
+needs them.
+
+`scipy.optimize.least_squares` solves the dense system of camera and all poses instead, and gives neither. For 15 views
+of 70 corners it finds the same camera (to 5e-6 standard deviations) in 62 ms (`lm`) or 76 ms (`trf`) instead of 29, and
+a calibration with them solves this system 80 times.
 """
 
 from collections.abc import Sequence
@@ -40,7 +43,7 @@ _REWEIGHTINGS = 2
 _MAX_ITERATIONS = 10
 
 _DAMPINGS = (0.0, 1e-6, 1e-4, 1e-2)
-"""Levenberg-Marquardt dampings, tried in turn until the penalty falls."""
+"""Levenberg-Marquardt dampings, tried in turn until chi-squared falls."""
 
 _MIN_STEP = 1e-6
 """Squared Mahalanobis length of a step below which the iteration has converged."""
@@ -55,34 +58,34 @@ class CameraSolution:
     view_sigma_px: Float64[Array, "view"]
     """Standard deviation of one coordinate of a corner, by view."""
     sigma_px: float
-    """The same of all views."""
-    parts: Float64[Array, "view parameter parameter"]
-    """Information of each view about the camera's parameters, its pose marginalised out."""
-    scores: Float64[Array, "view parameter"]
+    """Standard deviation of one coordinate of a corner, from all views together."""
+    information: Float64[Array, "view parameter parameter"]
+    """Information (normal matrix) of each view about the camera's parameters, its pose marginalised out."""
+    gradient: Float64[Array, "view parameter"]
     """Each view's part of the right-hand side of the normal equations; their sum over all views is zero."""
 
 
 class ViewEquations(NamedTuple):
     """Linearised equations of a view, one row per corner coordinate, with independent errors of unit variance."""
 
-    by_pose: Float64[Array, "row pose=6"]
-    by_camera: Float64[Array, "row parameter"]
+    wrt_pose: Float64[Array, "row pose=6"]
+    wrt_camera: Float64[Array, "row parameter"]
     residual: Float64[Array, "row"]
 
     def without_pose(self) -> tuple[Float64[Array, "row parameter"], Float64[Array, "row"]]:
         """Camera Jacobian and residuals, projected onto the complement of the pose Jacobian's column space."""
-        orthogonal, _ = np.linalg.qr(self.by_pose)
-        by_camera = self.by_camera - orthogonal @ (orthogonal.T @ self.by_camera)
-        return by_camera, self.residual - orthogonal @ (orthogonal.T @ self.residual)
+        orthogonal, _ = np.linalg.qr(self.wrt_pose)
+        wrt_camera = self.wrt_camera - orthogonal @ (orthogonal.T @ self.wrt_camera)
+        return wrt_camera, self.residual - orthogonal @ (orthogonal.T @ self.residual)
 
     def pose_step(self, step: Float64[Array, "parameter"]) -> Float64[Array, "pose=6"]:
         """Step of the pose for a step of the camera's parameters (back-substitution)."""
-        pose_step: Float64[Array, "pose=6"] = np.linalg.lstsq(self.by_pose, self.residual - self.by_camera @ step)[0]
+        pose_step: Float64[Array, "pose=6"] = np.linalg.lstsq(self.wrt_pose, self.residual - self.wrt_camera @ step)[0]
         return pose_step
 
 
 def blank_camera(camera_name: str, image_width: int, image_height: int, model: CameraModel) -> Camera:
-    """A camera without start values: its focal length is 1 px."""
+    """A camera without start values, marked by a focal length of 1 px."""
     return Camera(
         camera_name=camera_name,
         image_width=image_width,
@@ -99,7 +102,9 @@ def camera_solution(views: Sequence[BoardView], start: Camera, model: CameraMode
     Each view is weighted by its own standard deviation, and corners of a marker by the covariance of their errors.
     Start values are the given camera, or, if it is blank, OpenCV's bundle adjustment with equal, independent corners.
     """
-    require_views(len(views))
+    if len(views) < MIN_VIEWS:
+        found = f"{len(views)} view{'s' * (len(views) != 1)} of the board, at least {MIN_VIEWS} are needed"
+        raise undetermined(found, "; ten or more are good")
     camera = start if start.camera_matrix[0, 0] > 1 else _opencv_camera(views, start, model)
     sigma_px = np.ones(len(views))
     for _ in range(1 + _REWEIGHTINGS):
@@ -109,18 +114,8 @@ def camera_solution(views: Sequence[BoardView], start: Camera, model: CameraMode
     return _adjusted([without_distortion_bias(view, camera) for view in views], camera, model, sigma_px)
 
 
-def require_views(views: int) -> None:
-    """Reject fewer views than the parameters need."""
-    if views < MIN_VIEWS:
-        raise DataError(
-            "calibrate-camera",
-            f"{views} view{'s' * (views != 1)} of the board, at least {MIN_VIEWS} are needed",
-            "add views with the board tilted by 20 to 40 degrees to different sides; ten or more are good",
-        )
-
-
 def _opencv_camera(views: Sequence[BoardView], start: Camera, model: CameraModel) -> Camera:
-    """OpenCV's bundle adjustment, started from the views' homographies; its corners have single precision."""
+    """The camera by OpenCV's bundle adjustment from the views' homographies, with corners in single precision."""
     try:
         _, matrix, coefficients, _, _ = cv2.calibrateCamera(
             [view.points_board_m.astype(np.float32) for view in views],
@@ -142,11 +137,10 @@ def _opencv_camera(views: Sequence[BoardView], start: Camera, model: CameraModel
     )
 
 
-def undetermined(found: str) -> DataError:
-    """The error for views that do not determine the camera."""
-    return DataError(
-        "calibrate-camera", found, "add views with the board tilted by 20 to 40 degrees to different sides"
-    )
+def undetermined(found: str, remark: str = "") -> DataError:
+    """The error for views that do not determine the camera; the remark is added to the remedy."""
+    remedy = f"add views with the board tilted by 20 to 40 degrees to different sides{remark}"
+    return DataError("calibrate-camera", found, remedy)
 
 
 class _State(NamedTuple):
@@ -155,65 +149,60 @@ class _State(NamedTuple):
     camera: Camera
     poses: list[BoardPose]
     equations: list[ViewEquations]
-    parts: Float64[Array, "view parameter parameter"]
-    scores: Float64[Array, "view parameter"]
+    information: Float64[Array, "view parameter parameter"]
+    gradient: Float64[Array, "view parameter"]
     chi2: float
 
 
 def _adjusted(
     views: Sequence[BoardView], camera: Camera, model: CameraModel, sigma_px: Float64[Array, "view"]
 ) -> CameraSolution:
-    """Gauss-Newton, damped where a full step would increase chi-squared, until steps are small against the noise."""
-    state = _linearised(views, [board_pose(view, camera) for view in views], camera, sigma_px)
+    """Solution for given standard deviations by Gauss-Newton, damped where a full step would increase chi-squared."""
+
+    def linearised(poses: list[BoardPose], camera: Camera) -> _State:
+        several = zip(views, poses, sigma_px.tolist(), strict=True)
+        equations = [view_equations(view, pose, camera, sigma) for view, pose, sigma in several]
+        reduced = [one.without_pose() for one in equations]
+        return _State(
+            camera=camera,
+            poses=poses,
+            equations=equations,
+            information=np.array([wrt_camera.T @ wrt_camera for wrt_camera, _ in reduced]),
+            gradient=np.array([wrt_camera.T @ residual for wrt_camera, residual in reduced]),
+            chi2=sum(float(one.residual @ one.residual) for one in equations),
+        )
+
+    def moved(state: _State, step: Float64[Array, "parameter"]) -> _State:
+        pairs = zip(state.poses, state.equations, strict=True)
+        poses = [moved_pose(pose, one.pose_step(step)) for pose, one in pairs]
+        return linearised(poses, camera_with(parameters_of(state.camera) + step, state.camera))
+
+    state = linearised([board_pose(view, camera) for view in views], camera)
     for _ in range(_MAX_ITERATIONS):
-        information, score = state.parts.sum(axis=0), state.scores.sum(axis=0)
-        if score @ damped_step(information, score, model.free, 0.0) <= _MIN_STEP:
+        information, gradient = state.information.sum(axis=0), state.gradient.sum(axis=0)
+        steps = (damped_step(information, gradient, model.free, damping) for damping in _DAMPINGS)
+        if gradient @ damped_step(information, gradient, model.free, 0.0) <= _MIN_STEP:
             break
-        steps = (_stepped(state, views, model, sigma_px, damping) for damping in _DAMPINGS)
-        better = next((other for other in steps if other.chi2 < state.chi2), None)
+        better = next((other for step in steps if (other := moved(state, step)).chi2 < state.chi2), None)
         if better is None:
             break
         state = better
     return _solution(state, model, sigma_px)
 
 
-def _linearised(
-    views: Sequence[BoardView], poses: list[BoardPose], camera: Camera, sigma_px: Float64[Array, "view"]
-) -> _State:
-    several = zip(views, poses, sigma_px.tolist(), strict=True)
-    equations = [view_equations(view, pose, camera, sigma) for view, pose, sigma in several]
-    reduced = [one.without_pose() for one in equations]
-    return _State(
-        camera=camera,
-        poses=poses,
-        equations=equations,
-        parts=np.array([by_camera.T @ by_camera for by_camera, _ in reduced]),
-        scores=np.array([by_camera.T @ residual for by_camera, residual in reduced]),
-        chi2=sum(float(one.residual @ one.residual) for one in equations),
-    )
-
-
 def view_equations(view: BoardView, pose: BoardPose, camera: Camera, sigma_px: float) -> ViewEquations:
     """The equations of a view whose corner coordinates have this standard deviation, decorrelated."""
-    by_pose, by_camera = projection_jacobians(view.points_board_m, pose, camera)
+    wrt_pose, wrt_camera = projection_jacobians(view.points_board_m, pose, camera)
     residual_px = residuals(view, pose, camera)[..., None]
-    rows = np.concatenate([by_pose, by_camera, residual_px], axis=-1).reshape(2 * len(by_pose), -1)
+    rows = np.concatenate([wrt_pose, wrt_camera, residual_px], axis=-1).reshape(2 * len(wrt_pose), -1)
     rows = whiten(rows, view) / sigma_px
-    return ViewEquations(by_pose=rows[:, :6], by_camera=rows[:, 6:-1], residual=rows[:, -1])
-
-
-def _stepped(
-    state: _State, views: Sequence[BoardView], model: CameraModel, sigma_px: Float64[Array, "view"], damping: float
-) -> _State:
-    step = damped_step(state.parts.sum(axis=0), state.scores.sum(axis=0), model.free, damping)
-    poses = [moved_pose(pose, one.pose_step(step)) for pose, one in zip(state.poses, state.equations, strict=True)]
-    return _linearised(views, poses, camera_with(parameters_of(state.camera) + step, state.camera), sigma_px)
+    return ViewEquations(wrt_pose=rows[:, :6], wrt_camera=rows[:, 6:-1], residual=rows[:, -1])
 
 
 def _solution(state: _State, model: CameraModel, sigma_px: Float64[Array, "view"]) -> CameraSolution:
-    """The solution with the views' standard deviations re-estimated (variance components)."""
-    covariance = covariance_of_free(state.parts.sum(axis=0), model.free)
-    camera_parameters = np.einsum("ij,vji->v", covariance, state.parts)  # each view's part; they add up to all
+    """The final state, with the views' standard deviations estimated from its residuals (variance components)."""
+    covariance = covariance_of_free(state.information.sum(axis=0), model.free)
+    camera_parameters = np.einsum("ij,vji->v", covariance, state.information)  # each view's share; they add up to all
     squares = np.array([one.residual @ one.residual for one in state.equations]) * sigma_px**2
     rows = np.array([float(len(one.residual)) for one in state.equations])
     degrees_of_freedom = np.maximum(rows - 6 - camera_parameters, 1.0)
@@ -224,8 +213,8 @@ def _solution(state: _State, model: CameraModel, sigma_px: Float64[Array, "view"
         poses=tuple(state.poses),
         view_sigma_px=np.sqrt(variances),
         sigma_px=float(np.sqrt(common)),
-        parts=state.parts,
-        scores=state.scores,
+        information=state.information,
+        gradient=state.gradient,
     )
 
 

@@ -61,7 +61,7 @@ def _centroids(outlines: Float64[Array, "corner point xy=2"]) -> Float64[Array, 
 def _corrected_corners(
     points_m: Float64[Array, "corner xyz=3"], view: BoardView, camera: Camera
 ) -> Float64[Array, "corner xy=2"]:
-    """Corners without the displacement of the parabolas from the true sides at their ends."""
+    """Corners of markers, corrected for the distances between the fitted parabolas and the true sides at their ends."""
     at_start, at_end = _parabola_errors(
         points_m.reshape(-1, 4, 3), camera, endpoint_for_correlation(view.end_correlation)
     )

@@ -31,7 +31,6 @@ CORNER_SIGMAS = 5.0
 MAX_CORNER_SHARE = 0.05
 """Maximum share of corners left out: a wrong distortion model must not be hidden by rejecting what it misfits."""
 
-
 OTHER_CAMERA_SHARE = 0.2
 """Share of views from another camera above which it is ambiguous which camera is to be calibrated."""
 
@@ -45,42 +44,37 @@ SATURATED_SHARE = 0.5
 """Share of a view's corners near saturated pixels, above which saturation is given as the cause."""
 
 _SEED_FACTOR = 0.5
-"""A view belongs to the group of another camera if its rms is at most this share of that under the camera found."""
+"""A view belongs to another camera if its rms by that camera is below this share of its rms by the calibrated one."""
 
 _GAIN_SIGMAS = 5.0
+"""Significance, in standard deviations, with which a used view fits another camera better."""
 
 _ITERATIONS = 3
 
 _INLIER_TENTHS = 7
-"""Tenths of the corners that are taken as inliers."""
+"""Number of tenths of a view's corners that are taken as inliers."""
 
 
-def outlying_view(poses: Sequence[BoardPose]) -> int | None:
-    """Index of the view with the largest rms if it is an outlier."""
+def outlying_view(poses: Sequence[BoardPose]) -> tuple[int, str] | None:
+    """Index of the view with the largest rms and the reason why it is an outlier, as text; None if it is not one."""
     rms = np.array([pose.residual_rms_px for pose in poses])
-    worst = int(np.argmax(rms))
-    limit = max(VIEW_FACTOR * float(np.median(rms)), FLOOR_PX)
-    return worst if rms[worst] > limit else None
-
-
-def view_reason(poses: Sequence[BoardPose], worst: int) -> str:
-    """Why this view is rejected, as text."""
-    rms = [pose.residual_rms_px for pose in poses]
-    return f"rms {rms[worst]:.2f} px, {rms[worst] / float(np.median(rms)):.1f} times the median of the views"
+    worst, median = int(np.argmax(rms)), float(np.median(rms))
+    if rms[worst] <= max(VIEW_FACTOR * median, FLOOR_PX):
+        return None
+    return worst, f"rms {rms[worst]:.2f} px, {rms[worst] / median:.1f} times the median of the views"
 
 
 def outlying_corners(errors: Sequence[Float64[Array, "_ xy=2"]]) -> list[Bool[Array, "_"]]:
     """Mask of each view's outlying corners, by the robust standard deviation of all views' corners."""
     every = np.concatenate(errors)
-    sigma_px = robust_std(every)
-    lengths = np.linalg.norm(every, axis=1)
+    lengths = np.sort(np.linalg.norm(every, axis=1))
     allowed = int(MAX_CORNER_SHARE * len(lengths))
-    limit = max(CORNER_SIGMAS * sigma_px, FLOOR_PX, float(np.sort(lengths)[len(lengths) - allowed - 1]))
+    limit = max(CORNER_SIGMAS * robust_std(every), FLOOR_PX, float(lengths[len(lengths) - allowed - 1]))
     return [np.asarray(np.linalg.norm(error, axis=1) > limit) for error in errors]
 
 
 def whole_markers(view: BoardView, left_out: Bool[Array, "corner"]) -> Bool[Array, "corner"]:
-    """The mask extended to whole markers where corners are intersections of sides: an error of a side moves two."""
+    """The mask of corners extended to whole markers where corners are intersections of sides: a side moves two."""
     if view.end_correlation == 0:
         return left_out
     return np.repeat(left_out.reshape(-1, 4).any(axis=1), 4)
@@ -96,7 +90,10 @@ def other_camera_finding(calibration: CameraCalibration, boards: Sequence[BoardV
     rejected = [board for view, board in zip(calibration.views, boards, strict=True) if view.rejected]
     usual_px = float(np.median([_rms_px(board, camera) for board in used]))
     members, other = _other_camera(rejected, camera, MAX_EXPLAINED_FACTOR * usual_px)
-    names = {board.name for board in (*members, *_better(used, camera, other, usual_px))}
+    names = {board.name for board in members}
+    for board in used:  # those that fit the other camera significantly better
+        gain = len(board.ids) * (_rms_px(board, camera) ** 2 - _rms_px(board, other) ** 2)
+        names |= {board.name} if gain > (_GAIN_SIGMAS * usual_px) ** 2 else set()
     names = names if len(names) > 1 else set()
     listed = ", ".join(view.name for view in calibration.views if view.name in names)
     return Check(
@@ -121,29 +118,27 @@ def _other_camera(rejected: Sequence[BoardView], camera: Camera, limit_px: float
         return [], camera
     other = camera_of(group, camera, 3 if len(group) > 1 else 1)
     members = [one for one in upright if _rms_px(one, other) < limit_px]
-    apart = abs(focal_share(other, camera)) > MIN_FOCAL_DIFFERENCE
+    apart = abs(other.camera_matrix[0, 0] / camera.camera_matrix[0, 0] - 1.0) > MIN_FOCAL_DIFFERENCE
     return (members, other) if members and apart else ([], camera)
 
 
-def _better(used: Sequence[BoardView], camera: Camera, other: Camera, usual_px: float) -> list[BoardView]:
-    """Used views that fit the other camera significantly better."""
-    gains = [len(one.ids) * (_rms_px(one, camera) ** 2 - _rms_px(one, other) ** 2) for one in used]
-    return [one for one, gain in zip(used, gains, strict=True) if gain > (_GAIN_SIGMAS * usual_px) ** 2]
-
-
 def _rms_px(board: BoardView, camera: Camera) -> float:
+    """Rms residual of the corners by a camera, with the board's pose fitted."""
     return board_pose(board, camera).residual_rms_px
 
 
 def view_explanation(view: BoardView, camera: Camera, usual_px: float) -> str:
     """The probable cause of a view's large rms; empty if none of the known causes explains it."""
     limit_px = MAX_EXPLAINED_FACTOR * usual_px
-    turned_px = board_pose(turned(view, camera), camera).residual_rms_px
+    turned_px = _rms_px(turned(view, camera), camera)
     for unknowns in (1, 3):
         other = camera_of([view], camera, unknowns)
-        rms_px = board_pose(view, other).residual_rms_px
+        rms_px = _rms_px(view, other)
         if rms_px < min(limit_px, turned_px):
-            return f"{_difference(other, camera)} it would be {rms_px:.2f} px: another camera, zoom or focus, or cut"
+            moved_px = np.linalg.norm(other.camera_matrix[:2, 2] - camera.camera_matrix[:2, 2])
+            beside = f" and a principal point {moved_px:.1f} px off" if moved_px > 0 else ""
+            different = f"with a focal length {focal_difference(other, camera)}{beside}"
+            return f"{different} it would be {rms_px:.2f} px: another camera, zoom or focus, or cut"
         if turned_px < limit_px:
             return (
                 "it fits if its image is turned by half a turn: mount the camera as for the others, or turn the image"
@@ -152,30 +147,22 @@ def view_explanation(view: BoardView, camera: Camera, usual_px: float) -> str:
         share = f"{100 * view.saturated_share:.0f} %"
         return f"white is saturated beside {share} of its corners, which displaces them: reduce the exposure"
     lengths = _trimmed_residuals(view, camera)
-    return _where_off(view, lengths) if np.median(lengths) < limit_px else ""
+    if np.median(lengths) >= limit_px:
+        return ""
+    x, y = np.average(view.points_px, axis=0, weights=lengths**2)
+    return f"most of its corners fit, the worst are about pixel ({x:.0f}, {y:.0f}): glare, a shadow or an object there"
 
 
 def turned(view: BoardView, camera: Camera) -> BoardView:
-    """The view as seen by a camera mounted upside down."""
+    """The view with its image turned by half a turn, as by a camera mounted upside down."""
     last = np.array([camera.image_width - 1.0, camera.image_height - 1.0])
     return replace(view, points_px=last - view.points_px)
 
 
-def focal_share(other: Camera, camera: Camera) -> float:
-    """Relative difference of another camera's focal length."""
-    return float(other.camera_matrix[0, 0] / camera.camera_matrix[0, 0]) - 1.0
-
-
 def focal_difference(other: Camera, camera: Camera) -> str:
     """Relative difference of another camera's focal length, as text."""
-    longer = focal_share(other, camera)
+    longer = float(other.camera_matrix[0, 0] / camera.camera_matrix[0, 0]) - 1.0
     return f"{abs(100 * longer):.1f} % {'longer' if longer > 0 else 'shorter'}"
-
-
-def _difference(other: Camera, camera: Camera) -> str:
-    moved_px = np.linalg.norm(other.camera_matrix[:2, 2] - camera.camera_matrix[:2, 2])
-    beside = f" and a principal point {moved_px:.1f} px off" if moved_px > 0 else ""
-    return f"with a focal length {focal_difference(other, camera)}{beside}"
 
 
 def _trimmed_residuals(view: BoardView, camera: Camera) -> Float64[Array, "corner"]:
@@ -190,7 +177,11 @@ def _trimmed_residuals(view: BoardView, camera: Camera) -> Float64[Array, "corne
 
 
 def camera_of(views: Sequence[BoardView], camera: Camera, unknowns: int) -> Camera:
-    """The camera with its focal length (`unknowns` 1), or also its principal point (3), fitted to these views."""
+    """The camera with its focal length (`unknowns` 1), or also its principal point (3), fitted to these views.
+
+    Three Gauss-Newton iterations, each with the boards' poses fitted anew; the given camera if they diverge. From a
+    focal length wrong by 10 % they give that of `scipy.optimize.least_squares` to 3e-8, in 8 instead of 30 to 35 ms.
+    """
     found = camera
     directions = np.zeros((len(parameters_of(camera)), 3))
     directions[:2, 0] = parameters_of(camera)[:2]
@@ -198,15 +189,9 @@ def camera_of(views: Sequence[BoardView], camera: Camera, unknowns: int) -> Came
     directions = directions[:, :unknowns]
     for _ in range(_ITERATIONS):
         rows = [view_equations(view, board_pose(view, found), found, 1.0).without_pose() for view in views]
-        by_camera, residual = (np.concatenate(parts) for parts in zip(*rows, strict=True))
-        step = np.linalg.lstsq(by_camera @ directions, residual)[0]
+        wrt_camera, residual = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+        step = np.linalg.lstsq(wrt_camera @ directions, residual)[0]
         if not np.abs(step[0]) < 0.5:  # relative step of the focal length: diverged
             return camera
         found = camera_with(parameters_of(found) + directions @ step, found)
     return found
-
-
-def _where_off(view: BoardView, lengths: Float64[Array, "corner"]) -> str:
-    """Where in the image the corners with the largest residuals are, as text."""
-    x, y = np.average(view.points_px, axis=0, weights=lengths**2)
-    return f"most of its corners fit, the worst are about pixel ({x:.0f}, {y:.0f}): glare, a shadow or an object there"

@@ -12,7 +12,7 @@ from ringpose.types.camera import DISTORTION_COEFFICIENTS, Camera
 from ringpose.types.covariance import camera_parameters
 
 MIN_SHARE = 1e-14
-"""Minimum eigenvalue relative to the largest: rounding of smaller ones would make variances negative."""
+"""Lower limit of eigenvalues, over the largest one: rounding of smaller ones would make variances negative."""
 
 
 def parameter_names(distortion_model: str) -> tuple[str, ...]:
@@ -21,7 +21,7 @@ def parameter_names(distortion_model: str) -> tuple[str, ...]:
 
 
 def parameters_of(camera: Camera) -> Float64[Array, "parameter"]:
-    """The vector of a camera's intrinsic parameters."""
+    """Vector of a camera's intrinsic parameters: fx, fy, cx, cy, then the distortion coefficients."""
     matrix = camera.camera_matrix
     return np.array(
         [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *camera.distortion_coefficients], dtype=np.float64
@@ -56,13 +56,13 @@ def projection_jacobians(
 
 def damped_step(
     information: Float64[Array, "parameter parameter"],
-    score: Float64[Array, "parameter"],
+    gradient: Float64[Array, "parameter"],
     free: Float64[Array, "parameter"],
     damping: float,
 ) -> Float64[Array, "parameter"]:
-    """Levenberg-Marquardt step of the free parameters."""
+    """Levenberg-Marquardt step of the free parameters; `gradient` is the right-hand side of the normal equations."""
     step: Float64[Array, "parameter"] = (
-        covariance_of_free(information * (1 + damping * np.eye(len(free))), free) @ score
+        covariance_of_free(information * (1 + damping * np.eye(len(free))), free) @ gradient
     )
     return step
 
@@ -70,7 +70,7 @@ def damped_step(
 def covariance_of_free(
     information: Float64[Array, "parameter parameter"], free: Float64[Array, "parameter"]
 ) -> Float64[Array, "parameter parameter"]:
-    """Covariance of the parameters that are free (1); those held fixed (0) have none."""
+    """Inverse of the normal matrix `information` over the free parameters (1); zero for those held fixed (0)."""
     index = np.flatnonzero(free)
     scale = np.sqrt(np.diag(information)[index])
     inner = information[np.ix_(index, index)] / np.outer(scale, scale)
@@ -79,6 +79,16 @@ def covariance_of_free(
     size = np.maximum(size, MIN_SHARE * size[-1])
     covariance[np.ix_(index, index)] = (axes / size @ axes.T) / np.outer(scale, scale)
     return covariance
+
+
+def inverse_of_scaled(information: Float64[Array, "n n"]) -> Float64[Array, "n n"]:
+    """Inverse of a normal matrix whose parameters have different units; zero for parameters without information."""
+    inverse = np.zeros_like(information)
+    seen = np.flatnonzero(np.diag(information) > 0)
+    scale = np.sqrt(np.diag(information)[seen])
+    inner = information[np.ix_(seen, seen)] / np.outer(scale, scale)
+    inverse[np.ix_(seen, seen)] = np.linalg.inv(inner) / np.outer(scale, scale)
+    return inverse
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

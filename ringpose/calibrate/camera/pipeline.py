@@ -19,7 +19,6 @@ from ringpose.calibrate.camera.outliers import (
     outlying_corners,
     outlying_view,
     view_explanation,
-    view_reason,
     whole_markers,
 )
 from ringpose.calibrate.camera.parameters import PLUMB_BOB, CameraModel, covariance_of_free, parameter_names
@@ -42,7 +41,7 @@ def calibrate_camera(
     model: CameraModel = PLUMB_BOB,
     camera_name: str = "camera",
 ) -> CameraCalibration:
-    """Intrinsic parameters by maximum likelihood.
+    """The camera of the views by maximum likelihood, with covariance and the residuals of each view.
 
     The worst view is rejected until none is an outlier; then single outlying corners are left out.
     """
@@ -50,16 +49,25 @@ def calibrate_camera(
     camera, rejected = _without_bad_views(views, blank, model)
     used = [view for index, view in enumerate(views) if index not in rejected]
     camera, left_out = _without_bad_corners(used, camera, model)
-    found = iter(left_out)
-    masks = [
-        np.zeros(len(view.ids), dtype=bool) if index in rejected else next(found) for index, view in enumerate(views)
-    ]
-    reasons = _reasons(views, used, rejected, camera)
-    camera_views = [
-        _camera_view(view, mask, camera, reasons.get(index, ""))
-        for index, (view, mask) in enumerate(zip(views, masks, strict=True))
-    ]
-    return _calibration(views, camera_views, camera, model)
+    usual_px = float(np.median([board_pose(view, camera).residual_rms_px for view in used]))
+    masks = iter(left_out)
+    camera_views = []
+    for index, view in enumerate(views):
+        if index not in rejected:
+            camera_views.append(_camera_view(view, next(masks), camera, ""))
+            continue
+        reason = "; ".join(filter(None, (rejected[index], view_explanation(view, camera, usual_px))))
+        camera_views.append(_camera_view(view, np.zeros(len(view.ids), dtype=bool), camera, reason))
+
+    kept = [corners_of(view, ~mask) for view, mask in zip(used, left_out, strict=True)]
+    solution = camera_solution(kept, camera, model)
+    errors = np.concatenate([view.residual_px[~view.left_out] for view in camera_views if not view.rejected])
+    return CameraCalibration(
+        camera=replace(solution.camera, covariance=_covariance(solution, model)),
+        rms_px=float(np.sqrt(np.mean(np.sum(errors**2, axis=1)))),
+        sigma_px=solution.sigma_px,
+        views=tuple(camera_views),
+    )
 
 
 def _without_bad_views(views: Sequence[BoardView], blank: Camera, model: CameraModel) -> tuple[Camera, dict[int, str]]:
@@ -69,25 +77,17 @@ def _without_bad_views(views: Sequence[BoardView], blank: Camera, model: CameraM
     while True:
         camera = camera_solution([views[index] for index in used], blank, model).camera
         poses = [board_pose(views[index], camera) for index in used]
-        worst = None if model.keep_all else outlying_view(poses)
-        if worst is None or len(rejected) + 1 > MAX_VIEW_SHARE * len(views):
+        outlier = None if model.keep_all else outlying_view(poses)
+        if outlier is None or len(rejected) + 1 > MAX_VIEW_SHARE * len(views):
             return camera, rejected
-        rejected[used.pop(worst)] = view_reason(poses, worst)
-
-
-def _reasons(
-    views: Sequence[BoardView], used: Sequence[BoardView], rejected: dict[int, str], camera: Camera
-) -> dict[int, str]:
-    """Why views were rejected, and the probable cause."""
-    usual_px = float(np.median([board_pose(view, camera).residual_rms_px for view in used]))
-    causes = {index: view_explanation(views[index], camera, usual_px) for index in rejected}
-    return {index: "; ".join(filter(None, (reason, causes[index]))) for index, reason in rejected.items()}
+        worst, reason = outlier
+        rejected[used.pop(worst)] = reason
 
 
 def _without_bad_corners(
     views: Sequence[BoardView], camera: Camera, model: CameraModel
 ) -> tuple[Camera, list[Bool[Array, "_"]]]:
-    """The camera of the consistent corners, and a mask of the others; all are tested again after each solution."""
+    """The camera without outlying corners, and their mask in each view; all are tested again after each solution."""
     left_out = [np.zeros(len(view.ids), dtype=bool) for view in views]
     for _ in range(0 if model.keep_all else _MAX_ITERATIONS):
         kept = [corners_of(view, ~out) for view, out in zip(views, left_out, strict=True)]
@@ -103,6 +103,7 @@ def _without_bad_corners(
 
 
 def _camera_view(view: BoardView, left_out: Bool[Array, "corner"], camera: Camera, rejected: str) -> CameraView:
+    """A view's residuals with its pose fitted to the corners that are not left out."""
     view = without_distortion_bias(view, camera)
     pose = board_pose(corners_of(view, ~left_out), camera)
     return CameraView(
@@ -116,26 +117,11 @@ def _camera_view(view: BoardView, left_out: Bool[Array, "corner"], camera: Camer
     )
 
 
-def _calibration(
-    boards: Sequence[BoardView], views: Sequence[CameraView], camera: Camera, model: CameraModel
-) -> CameraCalibration:
-    """The calibration with its covariance and its views, rejected ones included."""
-    pairs = [(board, view) for board, view in zip(boards, views, strict=True) if not view.rejected]
-    solution = camera_solution([corners_of(board, ~view.left_out) for board, view in pairs], camera, model)
-    errors = [view.residual_px[~view.left_out] for _, view in pairs]
-    covariance = _covariance(solution, model)
-    return CameraCalibration(
-        camera=replace(solution.camera, covariance=covariance),
-        rms_px=float(np.sqrt(np.mean(np.sum(np.concatenate(errors) ** 2, axis=1)))),
-        sigma_px=solution.sigma_px,
-        views=tuple(views),
-    )
-
-
 def _covariance(solution: CameraSolution, model: CameraModel) -> ParameterCovariance:
+    """Covariance of the intrinsic parameters; DataError if the views do not determine them."""
     camera = solution.camera
     try:
-        data = covariance_of_free(solution.parts.sum(axis=0), model.free)
+        data = covariance_of_free(solution.information.sum(axis=0), model.free)
     except np.linalg.LinAlgError as error:
         raise undetermined("the views do not determine the parameters uniquely") from error
     focal, sd = camera.camera_matrix[0, 0], float(np.sqrt(max(data[0, 0], 0.0)))

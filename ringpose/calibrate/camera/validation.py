@@ -29,6 +29,7 @@ from ringpose.calibrate.camera.parameters import (
 )
 from ringpose.errors import DataError
 from ringpose.geometry.rays import project, rays
+from ringpose.geometry.robust import gauss_newton
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardView
 from ringpose.types.calibration import (
@@ -47,11 +48,23 @@ MAX_SOLVED = 20
 """Above this number of views, leave-one-out cameras are computed by one Gauss-Newton step; solving again takes 1 s for
 each of 60 views."""
 
+MAP_COLUMNS = 17
+"""Points along a row of the map; distortion is smooth between them."""
+
+MIDDLE_SHARE = 0.7
+"""Share of the image's width and height in which the rotation between two cameras is fitted."""
+
 _EXACT_PX = 1e-6
+"""Lower limit of an expected displacement."""
+
+_ROTATION_ITERATIONS = 3
+
+MapValues = Float64[Array, "map_row map_column"]
+"""One value for each point of an `ImageMap`."""
 
 
 def used_views(calibration: CameraCalibration, boards: Sequence[BoardView]) -> list[BoardView]:
-    """The corners that a calibration used; `boards` are those of all views, in their order."""
+    """The used views with the used corners of a calibration; `boards` are those of all views, in their order."""
     pairs = zip(calibration.views, boards, strict=True)
     return [corners_of(board, ~view.left_out) for view, board in pairs if not view.rejected]
 
@@ -59,18 +72,25 @@ def used_views(calibration: CameraCalibration, boards: Sequence[BoardView]) -> l
 def cross_validation(
     used: Sequence[BoardView], whole: CameraSolution, model: CameraModel, where: ImageMap
 ) -> CrossValidation:
-    """Split-half and leave-one-out calibrations compared with that of all views."""
+    """Displacements between the cameras of half of the views, of all views but one, and of all views."""
     without_one = cameras_without_one(used, whole, model)
-    shifts = [_shift_px(whole.camera, other, where) for other in without_one]
+    unknown = np.full(where.points_px.shape[:2], np.nan)
+    shifts = [unknown if other is None else displacement_px(whole.camera, other, where) for other in without_one]
+    left_out = [
+        LeftOutView(name=view.name, shift_px=float(np.median(shift)), rms_px=held_out_rms_px(view, others))
+        for view, others, shift in zip(used, without_one, shifts, strict=False)
+    ]
+    # Odd against even views: neighbours in a series are similar.
+    odd, even = (_camera(used[first::2], whole.camera, model) for first in (0, 1))
     return CrossValidation(
-        split_half_px=_split_half_px(used, whole.camera, model, where),
-        left_out=tuple(_left_out(*one) for one in zip(used, without_one, shifts, strict=False)),
-        jackknife_px=_jackknife_px(shifts, whole, model, where),
+        split_half_px=unknown if odd is None or even is None else displacement_px(odd, even, where),
+        left_out=tuple(left_out),
+        jackknife_px=_jackknife_px(shifts, whole, model, where) if shifts else unknown,
     )
 
 
 def cameras_without_one(used: Sequence[BoardView], whole: CameraSolution, model: CameraModel) -> list[Camera | None]:
-    """Leave-one-out cameras, one for each view; empty if there are too few views."""
+    """Leave-one-out cameras, one for each view; empty if there are too few views, None where they are undetermined."""
     if len(used) <= MIN_VIEWS:
         return []
     if len(used) > MAX_SOLVED:
@@ -80,84 +100,57 @@ def cameras_without_one(used: Sequence[BoardView], whole: CameraSolution, model:
 
 def cameras_one_step_away(whole: CameraSolution, model: CameraModel) -> list[Camera]:
     """Leave-one-out cameras by one Gauss-Newton step from the camera of all views, each view having little weight."""
-    information, score = whole.parts.sum(axis=0), whole.scores.sum(axis=0)
+    information, gradient = whole.information.sum(axis=0), whole.gradient.sum(axis=0)
     steps = [
-        covariance_of_free(information - part, model.free) @ (score - own)
-        for part, own in zip(whole.parts, whole.scores, strict=True)
+        covariance_of_free(information - own_information, model.free) @ (gradient - own_gradient)
+        for own_information, own_gradient in zip(whole.information, whole.gradient, strict=True)
     ]
     return [camera_with(parameters_of(whole.camera) + step, whole.camera) for step in steps]
 
 
 def held_out_rms_px(view: BoardView, others: Camera | None) -> float:
-    """Rms residual of a view's corners with the camera of the other views, only its pose fitted."""
+    """Rms residual of a view's corners with the camera of the other views, only its pose fitted; NaN without camera."""
     return float("nan") if others is None else board_pose(view, others).residual_rms_px
 
 
-def _left_out(view: BoardView, others: Camera | None, shift_px: Float64[Array, "map_row map_column"]) -> LeftOutView:
-    return LeftOutView(name=view.name, shift_px=float(np.median(shift_px)), rms_px=held_out_rms_px(view, others))
-
-
-def _shift_px(camera: Camera, other: Camera | None, where: ImageMap) -> Float64[Array, "map_row map_column"]:
-    return _unknown(where) if other is None else displacement_px(camera, other, where)
-
-
-def _unknown(where: ImageMap) -> Float64[Array, "map_row map_column"]:
-    return np.full(where.points_px.shape[:2], np.nan)
-
-
-def _jackknife_px(
-    shifts: Sequence[Float64[Array, "map_row map_column"]], whole: CameraSolution, model: CameraModel, where: ImageMap
-) -> Float64[Array, "map_row map_column"]:
-    """The projection uncertainty, scaled by the ratio of the leave-one-out shifts to those expected from noise.
-
-    Views are independent even where their corners are not. A leave-one-out camera is that of all views plus an
-    independent error, so that its expected shift has the difference of the two covariances.
-    """
-    if not shifts:
-        return _unknown(where)
-    information = whole.parts.sum(axis=0)
-    covariance = covariance_of_free(information, model.free)
-    others = [covariance_of_free(information - part, model.free) - covariance for part in whole.parts]
-    expected = [projection_sigma_px(_known_to(whole.camera, other), where) for other in others]
-    ratio = np.sum(np.square(shifts), axis=0) / np.maximum(np.sum(np.square(expected), axis=0), _EXACT_PX**2)
-    jackknife: Float64[Array, "map_row map_column"] = np.sqrt(ratio) * projection_sigma_px(
-        _known_to(whole.camera, covariance), where
-    )
-    return jackknife
-
-
-def _known_to(camera: Camera, covariance: Float64[Array, "parameter parameter"]) -> Camera:
-    names = parameter_names(camera.distortion_model)
-    return replace(camera, covariance=ParameterCovariance(parameters=names, data=covariance))
-
-
-def _split_half_px(
-    used: Sequence[BoardView], camera: Camera, model: CameraModel, where: ImageMap
-) -> Float64[Array, "map_row map_column"]:
-    """Odd against even views: neighbours in a series are similar."""
-    halves = [_camera(used[first::2], camera, model) for first in (0, 1)]
-    one, other = halves
-    if one is None or other is None:
-        return _unknown(where)
-    return displacement_px(one, other, where)
-
-
 def _camera(views: Sequence[BoardView], start: Camera, model: CameraModel) -> Camera | None:
+    """The camera of some of the views; None if they do not determine it."""
     try:
         return camera_solution(views, start, model).camera
     except DataError:
         return None
 
 
+def _jackknife_px(shifts: Sequence[MapValues], whole: CameraSolution, model: CameraModel, where: ImageMap) -> MapValues:
+    """The projection uncertainty, scaled by the ratio of the leave-one-out shifts to those expected from noise.
+
+    Views are independent even where their corners are not. A leave-one-out camera is that of all views plus an
+    independent error, so that its expected shift has the difference of the two covariances.
+    """
+
+    def sigma_px(covariance: Float64[Array, "parameter parameter"]) -> MapValues:
+        names = parameter_names(whole.camera.distortion_model)
+        known = ParameterCovariance(parameters=names, data=covariance)
+        return projection_sigma_px(replace(whole.camera, covariance=known), where)
+
+    information = whole.information.sum(axis=0)
+    covariance = covariance_of_free(information, model.free)
+    expected = [sigma_px(covariance_of_free(information - own, model.free) - covariance) for own in whole.information]
+    ratio = np.sum(np.square(shifts), axis=0) / np.maximum(np.sum(np.square(expected), axis=0), _EXACT_PX**2)
+    jackknife: MapValues = np.sqrt(ratio) * sigma_px(covariance)
+    return jackknife
+
+
 def model_comparison(
     used: Sequence[BoardView], whole: CameraSolution, model: CameraModel, where: ImageMap
 ) -> ModelComparison:
-    """The camera compared with that of the other distortion model.
+    """Rms of both distortion models on the same views, and the displacement between their cameras.
 
     More coefficients always reduce the rms. Whether they describe the lens or the noise is decided by held-out views:
     the larger model is better only if their rms falls as well.
     """
-    other_model = replace(model, distortion_model=_other(model.distortion_model))
+    other_name = next(name for name in DISTORTION_COEFFICIENTS if name != model.distortion_model)
+    other_model = replace(model, distortion_model=other_name)
     camera = whole.camera
     blank = blank_camera(camera.camera_name, camera.image_width, camera.image_height, other_model)
     other = camera_solution(used, blank, other_model)
@@ -167,33 +160,18 @@ def model_comparison(
     )
 
 
-def _other(distortion_model: str) -> str:
-    return next(name for name in DISTORTION_COEFFICIENTS if name != distortion_model)
-
-
 def _fit(used: Sequence[BoardView], whole: CameraSolution, model: CameraModel) -> ModelFit:
+    """A distortion model's rms over all corners, by the camera of all views and by leave-one-out cameras."""
     without_one = cameras_without_one(used, whole, model) or [None] * len(used)
-    held_out = [held_out_rms_px(view, others) for view, others in zip(used, without_one, strict=True)]
+    own_px = [board_pose(view, whole.camera).residual_rms_px for view in used]
+    held_out_px = [held_out_rms_px(view, others) for view, others in zip(used, without_one, strict=True)]
+    corners = [len(view.ids) for view in used]
     return ModelFit(
         distortion_model=model.distortion_model,
         parameters=int(model.free.sum()),
-        rms_px=_pooled_px([board_pose(view, whole.camera).residual_rms_px for view in used], used),
-        held_out_rms_px=_pooled_px(held_out, used),
+        rms_px=float(np.sqrt(np.average(np.square(own_px), weights=corners))),
+        held_out_rms_px=float(np.sqrt(np.average(np.square(held_out_px), weights=corners))),
     )
-
-
-def _pooled_px(rms_px: Sequence[float], views: Sequence[BoardView]) -> float:
-    """Rms over all corners, from that of each view."""
-    return float(np.sqrt(np.average(np.square(rms_px), weights=[len(view.ids) for view in views])))
-
-
-MAP_COLUMNS = 17
-"""Points along a row of the map; distortion is smooth between them."""
-
-MIDDLE_SHARE = 0.7
-"""Share of the image's width and height in which the rotation is fitted."""
-
-_ROTATION_ITERATIONS = 3
 
 
 def image_map(camera: Camera) -> ImageMap:
@@ -204,40 +182,67 @@ def image_map(camera: Camera) -> ImageMap:
     return ImageMap(points_px=np.stack([column, row], axis=-1))
 
 
-def displacement_px(one: Camera, other: Camera, where: ImageMap) -> Float64[Array, "map_row map_column"]:
+def displacement_px(one: Camera, other: Camera, where: ImageMap) -> MapValues:
     """Displacement between the projections of a ray in two cameras, at each pixel of the first; NaN if not visible."""
-    seen = rays(where.points_px, one).reshape(-1, 3)
-    offset_px = _offset(seen, other, where)
-    for _ in range(_ROTATION_ITERATIONS):
-        if not np.isfinite(offset_px).all():
-            break
-        _, by_rotation = _derivatives(seen, other)
-        step = _best_rotation(by_rotation, -offset_px[..., None], where)[:, 0]
-        seen = seen @ np.asarray(cv2.Rodrigues(step)[0], dtype=np.float64).T
-        offset_px = _offset(seen, other, where)
-    length: Float64[Array, "map_row map_column"] = np.linalg.norm(offset_px, axis=-1).reshape(where.points_px.shape[:2])
+    middle = _middle_points(where)[:, None]
+
+    def offset_px(directions: Float64[Array, "n xyz=3"]) -> Float64[Array, "n xy=2"]:
+        return project(directions, other) - where.points_px.reshape(-1, 2)
+
+    def linearised(
+        directions: Float64[Array, "n xyz=3"],
+    ) -> tuple[Float64[Array, "row"], Float64[Array, "row rotation=3"]]:
+        wrt_rotation = _projection_jacobians(directions, other)[1]
+        return (middle * offset_px(directions)).ravel(), (middle[..., None] * wrt_rotation).reshape(-1, 3)
+
+    def rotated(directions: Float64[Array, "n xyz=3"], step: Float64[Array, "rotation=3"]) -> Float64[Array, "n xyz=3"]:
+        turned: Float64[Array, "n xyz=3"] = directions @ np.asarray(cv2.Rodrigues(step)[0], dtype=np.float64).T
+        return turned
+
+    directions = gauss_newton(linearised, rotated, rays(where.points_px, one).reshape(-1, 3), _ROTATION_ITERATIONS)
+    length: MapValues = np.linalg.norm(offset_px(directions), axis=-1).reshape(where.points_px.shape[:2])
     return length
 
 
-def _offset(directions: Float64[Array, "n xyz=3"], camera: Camera, where: ImageMap) -> Float64[Array, "n xy=2"]:
-    return project(directions, camera) - where.points_px.reshape(-1, 2)
+def projection_sigma_px(camera: Camera, where: ImageMap) -> MapValues:
+    """Rms displacement of the projection by the errors of the intrinsic parameters; NaN without their covariance.
 
-
-def projection_sigma_px(camera: Camera, where: ImageMap) -> Float64[Array, "map_row map_column"]:
-    """Rms length of the displacement from the true camera, from the covariance of the intrinsic parameters."""
+    The rotation of the camera frame that compensates each parameter's error best in the middle of the image is removed.
+    """
     if camera.covariance is None:
         return np.full(where.points_px.shape[:2], np.nan)
-    by_parameter, by_rotation = _derivatives(rays(where.points_px, camera).reshape(-1, 3), camera)
-    remaining = by_parameter - by_rotation @ _best_rotation(by_rotation, by_parameter, where)
+    wrt_parameter, wrt_rotation = _projection_jacobians(rays(where.points_px, camera).reshape(-1, 3), camera)
+    middle = _middle_points(where)
+    rotation = np.linalg.lstsq(
+        wrt_rotation[middle].reshape(-1, 3), wrt_parameter[middle].reshape(-1, wrt_parameter.shape[-1])
+    )[0]
+    remaining = wrt_parameter - wrt_rotation @ rotation
     variance = np.einsum("pci,ij,pcj->p", remaining, camera.covariance.data, remaining)
-    sigma: Float64[Array, "map_row map_column"] = np.sqrt(np.maximum(variance, 0.0)).reshape(where.points_px.shape[:2])
+    sigma: MapValues = np.sqrt(np.maximum(variance, 0.0)).reshape(where.points_px.shape[:2])
     return sigma
+
+
+def _middle_points(where: ImageMap) -> Bool[Array, "n"]:
+    """Which points of the map, row by row, are in the middle of the image."""
+    rows, columns = where.points_px.shape[:2]
+    row, column = (np.abs(np.linspace(-1, 1, count)) <= MIDDLE_SHARE for count in (rows, columns))
+    return np.outer(row, column).ravel()
+
+
+def _projection_jacobians(
+    directions: Float64[Array, "n xyz=3"], camera: Camera
+) -> tuple[Float64[Array, "n xy=2 parameter"], Float64[Array, "n xy=2 rotation=3"]]:
+    """Jacobians of the pixels with respect to the intrinsic parameters and to a small rotation of the camera frame."""
+    origin = np.zeros(3)
+    jacobian = cv2.projectPoints(directions, origin, origin, camera.camera_matrix, camera.distortion_coefficients)[1]
+    both = np.asarray(jacobian, dtype=np.float64).reshape(len(directions), 2, -1)
+    return both[..., 6 : 10 + len(camera.distortion_coefficients)], both[..., :3]
 
 
 def known_lens(
     camera: Camera, corners_px: Float64[Array, "corner xy=2"], where: ImageMap
 ) -> Bool[Array, "map_row map_column"]:
-    """Where the covariance is a valid measure of the projection error.
+    """Mask of the map's points at which the covariance is a valid measure of the projection error.
 
     A quotient of polynomials can have a pole beyond the radius at which it was fitted: the rational model is valid only
     up to the largest distance of a corner from the principal point. Polynomials extrapolate.
@@ -248,26 +253,3 @@ def known_lens(
     radius, reached = (np.linalg.norm((points - middle) / focal, axis=-1) for points in (where.points_px, corners_px))
     known: Bool[Array, "map_row map_column"] = radius <= max(float(reached.max()), float(radius.min()))
     return known
-
-
-def _best_rotation(
-    by_rotation: Float64[Array, "n xy=2 rotation=3"], offset_px: Float64[Array, "n xy=2 column"], where: ImageMap
-) -> Float64[Array, "rotation=3 column"]:
-    """The rotation that fits the offsets in the middle of the image best, for each column of offsets."""
-    rows, columns = where.points_px.shape[:2]
-    row, column = (np.abs(np.linspace(-1, 1, count)) <= MIDDLE_SHARE for count in (rows, columns))
-    used = np.outer(row, column).ravel()
-    rotation: Float64[Array, "rotation=3 column"] = np.linalg.lstsq(
-        by_rotation[used].reshape(-1, 3), offset_px[used].reshape(-1, offset_px.shape[-1])
-    )[0]
-    return rotation
-
-
-def _derivatives(
-    directions: Float64[Array, "n xyz=3"], camera: Camera
-) -> tuple[Float64[Array, "n xy=2 parameter"], Float64[Array, "n xy=2 rotation=3"]]:
-    """Jacobians of the pixels with respect to the intrinsic parameters and to a small rotation of the camera frame."""
-    origin = np.zeros(3)
-    jacobian = cv2.projectPoints(directions, origin, origin, camera.camera_matrix, camera.distortion_coefficients)[1]
-    both = np.asarray(jacobian, dtype=np.float64).reshape(len(directions), 2, -1)
-    return both[..., 6 : 10 + len(camera.distortion_coefficients)], both[..., :3]

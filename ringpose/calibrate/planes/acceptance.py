@@ -4,30 +4,32 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ringpose.calibrate.planes.covariance import depth_uncertainty, of_camera, ring_center_sd_m, stripes_apart_m
+from ringpose.calibrate.planes.covariance import of_camera, ring_center_sd_m, stripes_apart_m, worst_depth_sd_m
 from ringpose.calibrate.planes.plane_fit import MAX_CONDITION
 from ringpose.calibrate.planes.quality import middle_outside_rad, order_with_angles, plane_angles
 from ringpose.types.calibration import LaserCalibration, PlanesCalibration
-from ringpose.types.rig import LaserPlanes
+from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.verdict import Check, Verdict
 
 FEW_VIEWS, MIN_VIEWS = 5.0, 2.0
-"""Two views determine a plane without redundancy; among five, one that is wrong is conspicuous."""
+"""Good and minimum number of views of a laser: two determine a plane without redundancy; of five, a wrong one stands
+out."""
 
 GOOD_CONDITION = 10.0
-"""That of views 200 mm wide whose distances differ by 20 mm across the light plane."""
+"""Good condition number of a laser's points: that of views 200 mm wide that differ by 20 mm across their stripes."""
 
 GOOD_SHARE, BAD_SHARE = 2e-4, 2e-3
 """Held-out rms over distance: speckle makes 0.1 mm at 0.5 m on a good stripe; 1 mm indicates a wrong stripe."""
 
 GOOD_EXCESS, BAD_EXCESS = 3.0, 100.0
-"""A board flat to 0.1 mm can reach 3; above 100 the covariance is not meaningful."""
+"""Limits of the factor by which the views disagree: a board flat to 0.1 mm can reach 3; above 100 the covariance is not
+meaningful."""
 
 STRAY_FACTOR = 2.0
 """The advice names a view whose held-out rms exceeds the median by this factor."""
 
 EXACT_M = 1e-6
-"""Lower bound of the median in that comparison."""
+"""Lower bound of the median held-out rms in that comparison."""
 
 GOOD_DEPTH_SHARE, BAD_DEPTH_SHARE = 1e-3, 1e-2
 """Standard deviation of depths over depth, at the farthest board."""
@@ -57,48 +59,53 @@ def planes_verdict(
     `board` are checks of the sizes in the board file. Ring poses are evaluated at the working distance, by default at
     the distance of the farthest board.
     """
-    findings = [*board, _boards(calibration), _distances(calibration), _excess(calibration)]
+    distances_m = [view.distance_m for laser in calibration.lasers for view in laser.views]
+    near_m, far_m = min(distances_m), max(distances_m)
+    findings = [*board, *_board_checks(calibration, near_m, far_m)]
     for laser in calibration.lasers:
-        findings += [_views(laser), _condition(laser), _held_out(laser), _disagreement(laser)]
-    findings += _depths(calibration) + _angles(calibration, expected_angles_rad)
-    findings += [_center(calibration, working_distance_m), _middle(calibration)]
-    return Verdict(findings=tuple(finding for finding in findings if finding is not None))
-
-
-def _boards(calibration: PlanesCalibration) -> Check:
-    rms_px = float(np.median([pose.residual_rms_px for pose in calibration.poses]))
-    advice = "see with --overlay whether the corners are sharp; measure the board's sizes; check the camera file"
-    if rms_px > BAD_BOARD_PX:
+        findings += _laser_checks(laser)
+    if calibration.covariance is not None:
+        findings += _depth_checks(calibration, calibration.covariance, near_m, far_m)
+    findings += _angle_checks(calibration, expected_angles_rad)
+    if calibration.covariance is not None:
+        findings += _center_checks(calibration, calibration.covariance, working_distance_m or far_m)
+    outside_rad = middle_outside_rad(calibration)
+    if outside_rad is not None:
         advice = (
+            "middle is not between left and right: see whether lasers are exchanged in all shots, "
+            "or give their names in the order of their numbers (--laser-names)"
+        )
+        findings.append(_check("middle_outside_rad", outside_rad, (ANGLE_TOLERANCE_RAD, float("inf")), advice))
+    return Verdict(findings=tuple(findings))
+
+
+def _check(name: str, value: float, limits: tuple[float, float], advice: str, place: str = "") -> Check:
+    """A check; its limits are that of a good value and that beyond which the calibration must be repeated."""
+    return Check(name=name, value=value, pass_limit=limits[0], fail_limit=limits[1], advice=advice, place=place)
+
+
+def _board_checks(calibration: PlanesCalibration, near_m: float, far_m: float) -> list[Check]:
+    """Checks of the corners, of the boards' distances, and of the agreement of the views."""
+    rms_px = float(np.median([pose.residual_rms_px for pose in calibration.poses]))
+    corners = "see with --overlay whether the corners are sharp; measure the board's sizes; check the camera file"
+    if rms_px > BAD_BOARD_PX:
+        corners = (
             f"the corners miss the boards by {rms_px:.1f} px: the camera file is another camera's, its lens moved, "
             "the board's sizes are others, or the board is bent; calibrate the camera anew"
         )
-    return Check(name="board_rms_px", value=rms_px, pass_limit=GOOD_BOARD_PX, fail_limit=BAD_BOARD_PX, advice=advice)
-
-
-def _distances(calibration: PlanesCalibration) -> Check:
-    near, far = _range_m(calibration)
-    advice = f"add views of the board nearer than {near / 1.2:.2f} m and farther than {1.2 * far:.2f} m"
-    return Check(name="distance_ratio", value=far / near, pass_limit=GOOD_RANGE, fail_limit=BAD_RANGE, advice=advice)
-
-
-def _range_m(calibration: PlanesCalibration) -> tuple[float, float]:
-    """Depth of the nearest and the farthest board, at their stripes."""
-    every = [view.distance_m for laser in calibration.lasers for view in laser.views]
-    return min(every), max(every)
-
-
-def _excess(calibration: PlanesCalibration) -> Check | None:
-    if calibration.covariance is None:
-        return None
-    return Check(
-        name="variance_excess",
-        value=float(calibration.excess),
-        pass_limit=GOOD_EXCESS,
-        fail_limit=BAD_EXCESS,
-        advice=f"the views disagree{_stray_view(calibration)}: see that the board is flat, stood still in each shot "
-        "and has the sizes in its file; calibrate the camera anew",
-    )
+    farther = f"add views of the board nearer than {near_m / 1.2:.2f} m and farther than {1.2 * far_m:.2f} m"
+    checks = [
+        _check("board_rms_px", rms_px, (GOOD_BOARD_PX, BAD_BOARD_PX), corners),
+        _check("distance_ratio", far_m / near_m, (GOOD_RANGE, BAD_RANGE), farther),
+    ]
+    if calibration.covariance is not None:
+        advice = (
+            f"the views disagree{_stray_view(calibration)}: see that the board is flat, stood still in each shot "
+            "and has the sizes in its file; calibrate the camera anew"
+        )
+        limits = (GOOD_EXCESS, BAD_EXCESS)
+        checks.append(_check("variance_excess", float(calibration.excess), limits, advice))
+    return checks
 
 
 def _stray_view(calibration: PlanesCalibration) -> str:
@@ -114,137 +121,73 @@ def _stray_view(calibration: PlanesCalibration) -> str:
     return f", {worst} most of all" if shares.get(worst, 0.0) > STRAY_FACTOR else ""
 
 
-def _views(laser: LaserCalibration) -> Check:
-    return Check(
-        place=laser.name,
-        name="views",
-        value=float(len(laser.views)),
-        pass_limit=FEW_VIEWS,
-        fail_limit=MIN_VIEWS,
-        advice=f"add views that show the stripe of {laser.name}: six to ten are good",
-    )
-
-
-def _condition(laser: LaserCalibration) -> Check:
+def _laser_checks(laser: LaserCalibration) -> list[Check]:
+    """Checks of one laser's views: number, arrangement, and agreement with each other and with the boards."""
     middle_m = float(np.mean([view.distance_m for view in laser.views]))
-    return Check(
-        place=laser.name,
-        name="condition",
-        value=laser.condition,
-        pass_limit=GOOD_CONDITION,
-        fail_limit=MAX_CONDITION,
-        advice=f"add a view of the board 100 mm or more nearer or farther than {middle_m:.2f} m",
-    )
-
-
-def _held_out(laser: LaserCalibration) -> Check:
-    middle_m = float(np.mean([view.distance_m for view in laser.views]))
-    worst = max(laser.views, key=lambda view: np.nan_to_num(view.held_out_rms_m))
-    return Check(
-        place=laser.name,
-        name="held_out_rms_m",
-        value=laser.held_out_rms_m,
-        pass_limit=GOOD_SHARE * middle_m,
-        fail_limit=BAD_SHARE * middle_m,
-        advice=f"see with --overlay whether the stripe of {laser.name} is sharp and unsaturated, in {worst.name} first"
-        if np.isfinite(laser.held_out_rms_m)
-        else "add a third view: two leave the held-out error undetermined",
-    )
-
-
-def _disagreement(laser: LaserCalibration) -> Check | None:
-    dof = 2 * len(laser.views) - 3
-    if not np.isfinite(laser.disagreement):
-        return None
-    return Check(
-        place=laser.name,
-        name="disagreement",
-        value=float(laser.disagreement),
-        pass_limit=GOOD_EXCESS + 3.0 * float(np.sqrt(2 / dof)),
-        fail_limit=BAD_EXCESS,
-        advice=f"the stripes of {laser.name} disagree with boards and other lasers: see whether they are its own",
-    )
-
-
-def _depths(calibration: PlanesCalibration) -> list[Check]:
-    if calibration.covariance is None:
-        return []
-    near, far = _range_m(calibration)
-    found = depth_uncertainty(calibration.camera, calibration.planes, calibration.covariance, (far,))
-    return [
-        Check(
-            place=f"{laser.name} at {far:.2f} m",
-            name="depth_sd_m",
-            value=sd,
-            pass_limit=GOOD_DEPTH_SHARE * far,
-            fail_limit=BAD_DEPTH_SHARE * far,
-            advice=f"add views at {far:.2f} m and {near:.2f} m, the stripe of {laser.name} over the whole image",
-        )
-        for laser, sd in zip(calibration.lasers, found.worst_m[:, 0].tolist(), strict=True)
-        if np.isfinite(sd)
+    more = f"add views that show the stripe of {laser.name}: six to ten are good"
+    farther = f"add a view of the board 100 mm or more nearer or farther than {middle_m:.2f} m"
+    worst = max(laser.views, key=lambda view: np.nan_to_num(view.held_out_rms_m)).name
+    held_out = f"see with --overlay whether the stripe of {laser.name} is sharp and unsaturated, in {worst} first"
+    if not np.isfinite(laser.held_out_rms_m):
+        held_out = "add a third view: two leave the held-out error undetermined"
+    shares = (GOOD_SHARE * middle_m, BAD_SHARE * middle_m)
+    checks = [
+        _check("views", float(len(laser.views)), (FEW_VIEWS, MIN_VIEWS), more, laser.name),
+        _check("condition", laser.condition, (GOOD_CONDITION, MAX_CONDITION), farther, laser.name),
+        _check("held_out_rms_m", laser.held_out_rms_m, shares, held_out, laser.name),
     ]
+    if np.isfinite(laser.disagreement):
+        # Three standard deviations of chi-squared per degree of freedom above the limit of the views' disagreement.
+        good = GOOD_EXCESS + 3.0 * float(np.sqrt(2 / (2 * len(laser.views) - 3)))
+        own = f"the stripes of {laser.name} disagree with boards and other lasers: see whether they are its own"
+        checks.append(_check("disagreement", float(laser.disagreement), (good, BAD_EXCESS), own, laser.name))
+    return checks
 
 
-def _center(calibration: PlanesCalibration, working_distance_m: float | None) -> Check | None:
-    """Standard deviation of a ring's centre; None if the ring misses a stripe."""
-    if calibration.covariance is None:
-        return None
-    distance_m = working_distance_m or _range_m(calibration)[1]
-    camera, lasers, covariance = calibration.camera, calibration.planes, calibration.covariance
-    sd = float(ring_center_sd_m(camera, lasers, covariance, distance_m).max())
-    if not np.isfinite(sd):
-        return None
-    by_camera = float(ring_center_sd_m(camera, lasers, of_camera(covariance), distance_m).max())
-    good = GOOD_CENTER_SHARE * distance_m
-    remedy = "calibrate the camera with more views" if by_camera > good else _advice_for_views(distance_m, lasers)
-    return Check(
-        place=f"at {distance_m:.2f} m",
-        name="ring_center_sd_m",
-        value=sd,
-        pass_limit=good,
-        fail_limit=BAD_CENTER_SHARE * distance_m,
-        advice=f"poses {distance_m:.2f} m away will be off by {1e3 * sd:.1f} mm from this calibration alone: {remedy}",
-    )
+def _depth_checks(
+    calibration: PlanesCalibration, covariance: ParameterCovariance, near_m: float, far_m: float
+) -> list[Check]:
+    """Checks of the standard deviation of depths at the farthest board; none for a laser whose stripe misses it."""
+    limits = (GOOD_DEPTH_SHARE * far_m, BAD_DEPTH_SHARE * far_m)
+    found = worst_depth_sd_m(calibration.camera, calibration.planes, covariance, (far_m,))
+    checks = []
+    for name, sd in zip(calibration.planes.names, found[:, 0].tolist(), strict=True):
+        if np.isfinite(sd):
+            advice = f"add views at {far_m:.2f} m and {near_m:.2f} m, the stripe of {name} over the whole image"
+            checks.append(_check("depth_sd_m", sd, limits, advice, f"{name} at {far_m:.2f} m"))
+    return checks
 
 
-def _advice_for_views(distance_m: float, lasers: LaserPlanes) -> str:
-    """Two more views for each laser at 1 m reduce the error of eight boards at 0.4 to 0.55 m to two fifths."""
-    return (
-        f"add six views of the board about {distance_m:.2f} m away, tilted by 10 to 25 degrees, "
-        "the stripe of each laser across two of them "
-        f"(the outermost are {stripes_apart_m(lasers, distance_m):.2f} m apart there)"
-    )
-
-
-def _angles(calibration: PlanesCalibration, expected_rad: Sequence[float]) -> list[Check]:
+def _angle_checks(calibration: PlanesCalibration, expected_rad: Sequence[float]) -> list[Check]:
+    """Checks of the angles of neighbouring lasers, if their expected values are given."""
     if not expected_rad:
         return []
     other = order_with_angles(calibration, expected_rad, ANGLE_TOLERANCE_RAD)
     advice = "see with --overlay whether each stripe belongs to its laser, and how the lasers are mounted"
     if other is not None:
         advice = f"the angles fit the order {', '.join(other)}: see whether lasers are exchanged in all shots"
+    limits = (ANGLE_TOLERANCE_RAD, 5 * ANGLE_TOLERANCE_RAD)
     return [
-        Check(
-            place=f"{angle.first} to {angle.second}",
-            name="angle_error_rad",
-            value=abs(angle.angle_rad - expected),
-            pass_limit=ANGLE_TOLERANCE_RAD,
-            fail_limit=5 * ANGLE_TOLERANCE_RAD,
-            advice=advice,
-        )
+        _check("angle_error_rad", abs(angle.angle_rad - expected), limits, advice, f"{angle.first} to {angle.second}")
         for angle, expected in zip(plane_angles(calibration), expected_rad, strict=False)
     ]
 
 
-def _middle(calibration: PlanesCalibration) -> Check | None:
-    outside_rad = middle_outside_rad(calibration)
-    if outside_rad is None:
-        return None
-    return Check(
-        name="middle_outside_rad",
-        value=outside_rad,
-        pass_limit=ANGLE_TOLERANCE_RAD,
-        fail_limit=float("inf"),
-        advice="middle is not between left and right: see whether lasers are exchanged in all shots, "
-        "or give their names in the order of their numbers (--laser-names)",
-    )
+def _center_checks(calibration: PlanesCalibration, covariance: ParameterCovariance, distance_m: float) -> list[Check]:
+    """Check of the standard deviation of a ring's centre; none if the ring misses a stripe."""
+    camera, lasers = calibration.camera, calibration.planes
+    sd = float(ring_center_sd_m(camera, lasers, covariance, distance_m).max())
+    if not np.isfinite(sd):
+        return []
+    good = GOOD_CENTER_SHARE * distance_m
+    if float(ring_center_sd_m(camera, lasers, of_camera(covariance), distance_m).max()) > good:
+        remedy = "calibrate the camera with more views"
+    else:  # two more views for each laser at 1 m reduce the error of eight boards at 0.4 to 0.55 m to two fifths
+        remedy = (
+            f"add six views of the board about {distance_m:.2f} m away, tilted by 10 to 25 degrees, "
+            "the stripe of each laser across two of them "
+            f"(the outermost are {stripes_apart_m(lasers, distance_m):.2f} m apart there)"
+        )
+    advice = f"poses {distance_m:.2f} m away will be off by {1e3 * sd:.1f} mm from this calibration alone: {remedy}"
+    limits = (good, BAD_CENTER_SHARE * distance_m)
+    return [_check("ring_center_sd_m", sd, limits, advice, f"at {distance_m:.2f} m")]

@@ -53,64 +53,34 @@ class BoardSurface:
     first_is_used: bool = False
     """Whether stripes are used on a chessboard's squares of the outer top-left one's colour, or on the others."""
 
-    def points(self, points_px: Float64[Array, "n xy=2"]) -> Float64[Array, "n xyz=3"]:
-        """Pixels triangulated with the board's plane."""
-        return triangulated(points_px, self.pose, self.camera)
-
     def usable(self, points_px: Float64[Array, "n xy=2"]) -> Bool[Array, "n"]:
         """Which pixels lie on the sheet and away from printed edges."""
-        position_m = self._on_board(points_px)
+        board = self.board
+        on_board_m = (triangulated(points_px, self.pose, self.camera) - self.pose.translation_m) @ self.pose.rotation
+        position_m: Float64[Array, "n xy=2"] = np.nan_to_num(on_board_m[:, :2], nan=np.inf)
         margin = PRINT_MARGIN_PX * float(self.pose.translation_m[2] / self.camera.camera_matrix[0, 0])
-        inside = self._on_sheet(position_m, margin)
-        printed = (
-            self._near_marker(position_m, margin)
-            | self._near_square_edge(position_m, margin)
-            | self._on_unused_square(position_m)
-        )
-        return inside & ~printed
-
-    def _on_board(self, points_px: Float64[Array, "n xy=2"]) -> Float64[Array, "n xy=2"]:
-        position_m = (self.points(points_px) - self.pose.translation_m) @ self.pose.rotation
-        finite: Float64[Array, "n xy=2"] = np.nan_to_num(position_m[:, :2], nan=np.inf)
-        return finite
-
-    def _on_sheet(self, position_m: Float64[Array, "n xy=2"], margin: float) -> Bool[Array, "n"]:
         low = -self.surround_m if self.surround_m else margin
-        high = np.array(outline_m(self.board)) - low
-        inside: Bool[Array, "n"] = np.all((position_m > low) & (position_m < high), axis=1)
-        return inside
+        usable = np.all((position_m > low) & (position_m < np.array(outline_m(board)) - low), axis=1)
 
-    def _near_marker(self, position_m: Float64[Array, "n xy=2"], margin: float) -> Bool[Array, "n"]:
-        if self.board.kind == "charuco":  # a grid of squares too: the margin beside a marker is its white rim
-            margin = min(margin, ((self.board.square_m or 0.0) - (self.board.marker_m or 0.0)) / 4)
-        corners = marker_corners(self.board)[..., :2]
-        near = np.zeros(len(position_m), dtype=bool)
-        for corner in corners:
-            near |= np.all((position_m > corner[0] - margin) & (position_m < corner[2] + margin), axis=1)
-        return near
+        marker_margin = margin
+        if board.kind == "charuco":  # a grid of squares too: the margin beside a marker is its white rim
+            marker_margin = min(margin, ((board.square_m or 0.0) - (board.marker_m or 0.0)) / 4)
+        for corner in marker_corners(board)[..., :2]:
+            near = (position_m > corner[0] - marker_margin) & (position_m < corner[2] + marker_margin)
+            usable &= ~np.all(near, axis=1)
 
-    def _near_square_edge(self, position_m: Float64[Array, "n xy=2"], margin: float) -> Bool[Array, "n"]:
-        if self.board.kind not in ("chessboard", "charuco"):
-            return np.zeros(len(position_m), dtype=bool)
-        square = np.array(self.board.square_size_m)
-        counts = np.array([self.board.squares_x or 0, self.board.squares_y or 0])
-        cell = np.where(np.isfinite(position_m), position_m, 0.0) / square
-        nearest = (np.abs(cell - np.rint(cell)) * square).min(axis=1) < margin
-        printed = np.all((position_m > -margin) & (position_m < counts * square + margin), axis=1)
-        near: Bool[Array, "n"] = nearest & printed
-        return near
-
-    def _on_unused_square(self, position_m: Float64[Array, "n xy=2"]) -> Bool[Array, "n"]:
-        """On a ChArUco board all squares are used, because markers fill the light ones."""
-        if self.board.kind != "chessboard":
-            return np.zeros(len(position_m), dtype=bool)
-        square = np.array(self.board.square_size_m)
-        column, row = np.floor(np.where(np.isfinite(position_m), position_m, -1.0) / square).T
-        inside = (
-            (column >= 0) & (column < (self.board.squares_x or 0)) & (row >= 0) & (row < (self.board.squares_y or 0))
-        )
-        unused: Bool[Array, "n"] = inside & ((column + row) % 2 == (1 if self.first_is_used else 0))
-        return unused
+        if board.kind in ("chessboard", "charuco"):
+            square, counts = np.array(board.square_size_m), np.array([board.squares_x or 0, board.squares_y or 0])
+            cell = np.where(np.isfinite(position_m), position_m, -square) / square
+            near_edge = (np.abs(cell - np.rint(cell)) * square).min(axis=1) < margin
+            printed = np.all((position_m > -margin) & (position_m < counts * square + margin), axis=1)
+            usable &= ~(near_edge & printed)
+        if board.kind == "chessboard":  # on a ChArUco board all squares are used, because markers fill the light ones
+            column, row = np.floor(cell).T
+            on_square = np.all((cell >= 0) & (np.floor(cell) < counts), axis=1)
+            usable &= ~(on_square & ((column + row) % 2 == (1 if self.first_is_used else 0)))
+        result: Bool[Array, "n"] = usable
+        return result
 
 
 def triangulated(points_px: Float64[Array, "n xy=2"], pose: BoardPose, camera: Camera) -> Float64[Array, "n xyz=3"]:

@@ -1,7 +1,6 @@
 """Check of a calibrated rig by a new view of the board: corners against its camera, stripes against its planes."""
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -29,10 +28,10 @@ from ringpose.types.covariance import laser_parameters
 from ringpose.types.rig import Rig
 
 SIGMAS = 3.0
-"""A stripe may lie beside its plane by this number of standard deviations of rig and view ..."""
+"""Limit of a stripe's distance from its plane in standard deviations of rig and view, to which FLATNESS_M is added."""
 
 FLATNESS_M = 5e-5
-"""... plus the flatness of a board."""
+"""Deviation of a board from a plane that is accepted."""
 
 MAX_BOARD_PX = 0.5
 """Corner rms above which camera, lens or board have changed, whatever it was in the calibration."""
@@ -42,6 +41,10 @@ MIN_BOARD_PX = 0.1
 
 BOARD_FACTOR = 5.0
 """Limit of the corner rms over its value in the calibration: a principal point 10 px off makes 0.3 px."""
+
+
+_BoardEstimate = tuple[BoardPose, Float64[Array, "pose=6 pose=6"]]
+"""A board's pose by its corners, and the covariance that their residuals imply."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,18 +81,20 @@ class RigCheck:
 
 
 def rig_check(view: StripeView, rig: Rig, median_board_rms_px: float | None = None) -> RigCheck:
-    """The board pose by the corners, and each stripe's distance from its light plane.
+    """Agreement of a rig with a view: corners with its camera, each stripe with its light plane.
 
     `median_board_rms_px` is the corner rms of the rig's calibration, if it is known.
     """
-    board = _measured_board(view, rig)
+    pose, unit_covariance = maximum_likelihood_pose(view.board, rig.camera)
+    corner_px = max(corner_sigma_px([view], [pose], rig.camera), MIN_SIGMA_PX)
+    board = pose, corner_px**2 * unit_covariance
     planes = list(zip(rig.lasers.normal, rig.lasers.distance_m.tolist(), strict=True))
     if view.unlabelled_px:
-        view = labelled_by_planes(view, [triangulated(px, board.pose, rig.camera) for px in view.unlabelled_px], planes)
+        view = labelled_by_planes(view, [triangulated(px, pose, rig.camera) for px in view.unlabelled_px], planes)
     return RigCheck(
         name=view.board.name,
-        distance_m=float(board.pose.translation_m[2]),
-        board_rms_px=board.pose.residual_rms_px,
+        distance_m=float(pose.translation_m[2]),
+        board_rms_px=pose.residual_rms_px,
         board_limit_px=MAX_BOARD_PX
         if median_board_rms_px is None
         else min(max(BOARD_FACTOR * median_board_rms_px, MIN_BOARD_PX), MAX_BOARD_PX),
@@ -98,37 +103,22 @@ def rig_check(view: StripeView, rig: Rig, median_board_rms_px: float | None = No
 
 
 def rig_check_lines(check: RigCheck) -> list[str]:
-    """The result as lines of text."""
+    """The result of a check as lines of text."""
+    words = {True: "holds", False: "does not hold"}
     head = f"{check.name}: board at {check.distance_m:.2f} m, corners {check.board_rms_px:.2f} px rms"
-    lines = [f"{head} (limit {check.board_limit_px:.2f}): {_judgement(check.board_rms_px <= check.board_limit_px)}"]
+    lines = [f"{head} (limit {check.board_limit_px:.2f}): {words[check.board_rms_px <= check.board_limit_px]}"]
     for laser in check.lasers:
         if np.isnan(laser.offset_m):
             lines.append(f"{check.name}: {laser.name}: no stripe on the board, not checked")
         else:
             found = f"{1e3 * laser.offset_m:+.3f} mm beside its plane (limit {1e3 * laser.limit_m:.3f})"
             swapped = f", it lies on the plane of {laser.lies_on}: are they swapped?" if laser.lies_on else ""
-            lines.append(f"{check.name}: {laser.name}: {found}: {_judgement(laser.holds)}{swapped}")
+            lines.append(f"{check.name}: {laser.name}: {found}: {words[laser.holds]}{swapped}")
     return lines
 
 
-def _judgement(holds: bool) -> str:
-    return "holds" if holds else "does not hold"
-
-
-class _MeasuredBoard(NamedTuple):
-    pose: BoardPose
-    covariance: Float64[Array, "pose=6 pose=6"]
-
-
-def _measured_board(view: StripeView, rig: Rig) -> _MeasuredBoard:
-    """The board's pose by the view's corners, with the covariance that their residuals imply."""
-    pose, unit_covariance = maximum_likelihood_pose(view.board, rig.camera)
-    corner_px = max(corner_sigma_px([view], [pose], rig.camera), MIN_SIGMA_PX)
-    return _MeasuredBoard(pose, corner_px**2 * unit_covariance)
-
-
-def _laser_check(laser: int, view: StripeView, board: _MeasuredBoard, rig: Rig) -> LaserCheck:
-    """The laser's stripe against its own plane and, if it does not lie on that, against those of the others."""
+def _laser_check(laser: int, view: StripeView, board: _BoardEstimate, rig: Rig) -> LaserCheck:
+    """Distance of the laser's stripe from its own plane; if it is too large, also the laser on whose plane it lies."""
     own = _stripe_check(laser, laser, view, board, rig)
     if own.holds or np.isnan(own.offset_m):
         return own
@@ -136,20 +126,21 @@ def _laser_check(laser: int, view: StripeView, board: _MeasuredBoard, rig: Rig) 
     return replace(own, lies_on=next((other.name for other in others if other.holds), ""))
 
 
-def _stripe_check(stripe: int, laser: int, view: StripeView, board: _MeasuredBoard, rig: Rig) -> LaserCheck:
-    """One laser's stripe against the plane of a laser.
+def _stripe_check(stripe: int, laser: int, view: StripeView, board: _BoardEstimate, rig: Rig) -> LaserCheck:
+    """Distance of one laser's stripe from the plane of the same or another laser, and its limit.
 
     The variance of the offset is the sum of the parts of the rig, of the board's pose, and of the stripe's own line.
     """
     name, points_px = rig.lasers.names[laser], view.stripes_px[stripe]
     if not len(points_px):
         return LaserCheck(name=name, offset_m=float("nan"), limit_m=float("nan"))
+    pose, pose_covariance = board
     normal, distance_m = rig.lasers.normal[laser], float(rig.lasers.distance_m[laser])
-    found = stripe_residuals(rays(points_px, rig.camera), board.pose, normal, distance_m, rig.camera)
+    found = stripe_residuals(rays(points_px, rig.camera), pose, normal, distance_m, rig.camera)
     weights = _line_weights(points_px) * found.metres_per_pixel
     offset_m = weights @ found.residual_px
-    variance = _variance(weights @ _jacobian_by_rig(found, view.board, board.pose, rig), _rig_covariance(rig, laser))
-    variance += _variance(weights @ found.wrt_pose, board.covariance)
+    variance = _variance(weights @ _jacobian_by_rig(found, view.board, pose, rig), _rig_covariance(rig, laser))
+    variance += _variance(weights @ found.wrt_pose, pose_covariance)
     straight = [undistorted_pixels(px, rig.camera) for px in view.stripes_px]
     line_variance = center_sigma_px(straight[stripe], shared_length(straight)) ** 2 / len(points_px)
     variance += _variance(weights @ line_modes(points_px).T, line_variance * np.eye(2))

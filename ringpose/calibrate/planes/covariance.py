@@ -9,12 +9,10 @@ A ring amplifies depth errors: its arc is short and half a metre from its centre
 stripes' depths tilt the ring and move its centre by a multiple of them.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ringpose.calibrate.boards.corner_errors import maximum_likelihood_pose
-from ringpose.calibrate.camera.parameters import parameter_names
+from ringpose.calibrate.camera.parameters import inverse_of_scaled, parameter_names
 from ringpose.calibrate.planes.joint_adjustment import (
     JointData,
     JointFit,
@@ -37,32 +35,40 @@ from ringpose.types.rig import LaserPlanes, Rig
 SIGNIFICANCE = 3.0
 """Significance of the chi-squared test, in its standard deviations above the mean."""
 
+COLUMNS = 9
+"""Positions along each stripe at which the depth uncertainty is evaluated."""
+
+RADII_M = (0.567, 0.597)
+"""Inner and outer radius of the ring whose centre is evaluated: the smaller of the paper's two rings."""
+
 
 def planes_covariance(
     names: tuple[str, ...], fit: JointFit, given: Camera, excess: float, free_camera: bool
 ) -> ParameterCovariance:
     """Covariance of the camera's parameters (if `given` has a covariance) and of each plane's tilts and distance."""
     planes = laser_parameters(names)
+    count = len(planes)
+    own = inverse_of_scaled(fit.information[:count, :count])
     if given.covariance is None:
-        count = len(planes)
-        return ParameterCovariance(parameters=planes, data=excess * inverse_of_scaled(fit.information[:count, :count]))
-    propagate = _with_free_camera if free_camera else _with_given_camera
-    data = propagate(fit, given, excess, len(planes))
+        return ParameterCovariance(parameters=planes, data=excess * own)
+    if free_camera:
+        # Inverse of the information with the camera's prior, reordered to camera, planes.
+        free = np.append(np.ones(count, dtype=bool), free_parameters(given))
+        prior = np.zeros_like(fit.information)
+        prior[count:, count:] = prior_information(given)
+        data = inverse_of_scaled(np.where(np.outer(free, free), fit.information / excess + prior, 0.0))
+        camera_first = np.roll(np.arange(len(data)), len(data) - count)
+        data = data[np.ix_(camera_first, camera_first)]
+    else:
+        # The planes' own errors, and those that they inherit from the camera to first order.
+        plane_wrt_camera = -own @ fit.information[:count, count:]
+        cross = given.covariance.data @ plane_wrt_camera.T
+        data = np.block([[given.covariance.data, cross], [cross.T, excess * own + plane_wrt_camera @ cross]])
     return ParameterCovariance(parameters=parameter_names(given.distortion_model) + planes, data=(data + data.T) / 2)
 
 
-def inverse_of_scaled(information: Float64[Array, "n n"]) -> Float64[Array, "n n"]:
-    """Inverse of a normal matrix whose parameters have different units; zero for parameters without information."""
-    inverse = np.zeros_like(information)
-    seen = np.flatnonzero(np.diag(information) > 0)
-    scale = np.sqrt(np.diag(information)[seen])
-    inner = information[np.ix_(seen, seen)] / np.outer(scale, scale)
-    inverse[np.ix_(seen, seen)] = np.linalg.inv(inner) / np.outer(scale, scale)
-    return inverse
-
-
 def variance_excess(data: JointData, fit: JointFit) -> float:
-    """Factor by which the views disagree more than their standard deviations explain; 1 if this is not significant.
+    """Factor by which variances are inflated to explain the disagreement of the views; 1 if it is not significant.
 
     The increase of chi-squared from boards placed by their corners alone to the joint solution has two degrees of
     freedom for each stripe, less three for each plane.
@@ -80,7 +86,7 @@ def variance_excess(data: JointData, fit: JointFit) -> float:
 
 
 def laser_disagreements(data: JointData, fit: JointFit) -> tuple[float, ...]:
-    """Chi-squared that each laser's stripes add, per degree of freedom; NaN for a laser without any.
+    """Increase of chi-squared by each laser's stripes, per degree of freedom; NaN where there are none.
 
     It identifies a laser whose plane contradicts the board poses on which the other lasers agree.
     """
@@ -97,65 +103,32 @@ def _degrees_of_freedom(data: JointData, laser: int) -> int:
     return 2 * sum(len(own[laser]) > 0 for own in data.rays) - len(PLANE_PARAMETERS)
 
 
-def _with_given_camera(fit: JointFit, given: Camera, excess: float, planes: int) -> Float64[Array, "n n"]:
-    """Camera held fixed in the fit: the planes' own errors, and those they inherit from the camera to first order."""
-    assert given.covariance is not None
-    own = inverse_of_scaled(fit.information[:planes, :planes])
-    plane_wrt_camera = -own @ fit.information[:planes, planes:]
-    cross = given.covariance.data @ plane_wrt_camera.T
-    return np.block([[given.covariance.data, cross], [cross.T, excess * own + plane_wrt_camera @ cross]])
-
-
-def _with_free_camera(fit: JointFit, given: Camera, excess: float, planes: int) -> Float64[Array, "n n"]:
-    """Camera estimated in the fit: inverse of the information with the camera's prior, reordered to camera, planes."""
-    free = np.append(np.ones(planes, dtype=bool), free_parameters(given))
-    prior = np.zeros_like(fit.information)
-    prior[planes:, planes:] = prior_information(given)
-    covariance = inverse_of_scaled(np.where(np.outer(free, free), fit.information / excess + prior, 0.0))
-    camera_first = np.roll(np.arange(len(covariance)), len(covariance) - planes)
-    return covariance[np.ix_(camera_first, camera_first)]
-
-
-COLUMNS = 9
-"""Positions along each stripe at which the depth uncertainty is evaluated."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DepthUncertainty:
-    """Standard deviation of depths along the stripe of each laser on a plane perpendicular to the optical axis."""
-
-    distances_m: tuple[float, ...]
-    depth_sd_m: Float64[Array, "laser distance position"]
-    """NaN where the stripe is outside the image."""
-
-    @property
-    def worst_m(self) -> Float64[Array, "laser distance"]:
-        """The largest along each stripe; NaN where none of it is in the image."""
-        filled = np.nan_to_num(self.depth_sd_m, nan=-1.0).max(axis=-1)
-        return np.where(filled >= 0, filled, np.nan)
-
-
 def depth_uncertainty(
     camera: Camera, lasers: LaserPlanes, covariance: ParameterCovariance, distances_m: tuple[float, ...]
-) -> DepthUncertainty:
-    """Standard deviations of triangulated depths by the joint covariance (method(7), section 1)."""
-    by_laser = [
-        [_depth_sd_m(camera, lasers, covariance, laser, distance_m) for distance_m in distances_m]
-        for laser in range(len(lasers.names))
-    ]
-    return DepthUncertainty(distances_m=distances_m, depth_sd_m=np.array(by_laser))
+) -> Float64[Array, "laser distance position"]:
+    """Standard deviations of depths by the joint covariance (method(7), section 1).
 
-
-def _depth_sd_m(
-    camera: Camera, lasers: LaserPlanes, covariance: ParameterCovariance, laser: int, distance_m: float
-) -> Float64[Array, "position"]:
-    pixels = _stripe_px(camera, lasers.normal[laser], float(lasers.distance_m[laser]), distance_m)
-    inside = np.isfinite(pixels).all(axis=1)
-    sd = np.full(len(pixels), np.nan)
-    if inside.any():
-        jacobian = _depth_jacobian(camera, lasers, covariance.parameters, laser, pixels[inside])
-        sd[inside] = np.sqrt(np.einsum("ni,ij,nj->n", jacobian, covariance.data, jacobian).clip(0))
+    They hold along the stripe of each laser on planes perpendicular to the optical axis; NaN outside the image.
+    """
+    sd = np.full((len(lasers.names), len(distances_m), COLUMNS), np.nan)
+    for laser, distance in np.ndindex(sd.shape[:2]):
+        plane_m = float(lasers.distance_m[laser])
+        pixels = _stripe_px(camera, lasers.normal[laser], plane_m, distances_m[distance])
+        inside = np.isfinite(pixels).all(axis=1)
+        if inside.any():
+            jacobian = _depth_jacobian(camera, lasers, covariance.parameters, laser, pixels[inside])
+            sd[laser, distance, inside] = np.sqrt(np.einsum("ni,ij,nj->n", jacobian, covariance.data, jacobian).clip(0))
     return sd
+
+
+def worst_depth_sd_m(
+    camera: Camera, lasers: LaserPlanes, covariance: ParameterCovariance, distances_m: tuple[float, ...]
+) -> Float64[Array, "laser distance"]:
+    """Largest of these standard deviations along each stripe; NaN where none of it is in the image."""
+    worst: Float64[Array, "laser distance"] = np.fmax.reduce(
+        depth_uncertainty(camera, lasers, covariance, distances_m), axis=-1
+    )
+    return worst
 
 
 def _stripe_px(
@@ -197,10 +170,6 @@ def _depth_jacobian(
     return np.column_stack([columns.get(name, zero) for name in parameters])
 
 
-RADII_M = (0.567, 0.597)
-"""Inner and outer radius of the ring whose centre is evaluated: the smaller of the paper's two rings."""
-
-
 def ring_center_sd_m(
     camera: Camera, lasers: LaserPlanes, covariance: ParameterCovariance, distance_m: float
 ) -> Float64[Array, "xyz=3"]:
@@ -218,33 +187,9 @@ def ring_center_sd_m(
     rig = Rig(camera=camera, lasers=lasers, covariance=covariance)
     points_covariance = point_covariance(points, np.zeros((len(points), 2, 2)), laser, rig)
     _, jacobian = differentiated(points, edges, Method.PAPER_CONSTRAINED)
-    deviation: Float64[Array, "xyz=3"] = np.sqrt(
-        np.diag(pose_covariance(jacobian, points_covariance).center_m2).clip(0)
-    )
-    return deviation
-
-
-def stripes_apart_m(lasers: LaserPlanes, distance_m: float) -> float:
-    """Distance between the outermost stripes on the plane z = distance_m."""
-    _, position_m, _ = _stripes(lasers, distance_m)
-    return float(np.ptp(position_m))
-
-
-def of_camera(covariance: ParameterCovariance) -> ParameterCovariance:
-    """The part of a joint covariance that the camera causes: its own, and that of the planes correlated with it."""
-    plane = np.array(["." in name for name in covariance.parameters])
-    camera = covariance.data[np.ix_(~plane, ~plane)]
-    regression = covariance.data[:, ~plane] @ np.linalg.pinv(camera, hermitian=True)
-    data = regression @ camera @ regression.T
-    return ParameterCovariance(parameters=covariance.parameters, data=(data + data.T) / 2)
-
-
-def _stripes(lasers: LaserPlanes, distance_m: float) -> tuple[int, Float64[Array, "laser"], Float64[Array, "laser"]]:
-    """Stripes on the plane z = distance_m: the image axis across them, their positions on that axis, their slopes."""
-    across = int(np.argmax(np.abs(lasers.normal[:, :2]).sum(axis=0)))
-    component = lasers.normal[:, across]
-    position_m = (lasers.distance_m - lasers.normal[:, 2] * distance_m) / component
-    return across, position_m, -lasers.normal[:, 1 - across] / component
+    variance = pose_covariance(jacobian, points_covariance).center_m2
+    sd: Float64[Array, "xyz=3"] = np.sqrt(np.diag(variance).clip(0))
+    return sd
 
 
 def _break_points_m(
@@ -266,3 +211,26 @@ def _break_points_m(
     points[:, 1 - across] = along
     points[:, across] = np.repeat(position_m, 2) + slope * along
     return points, np.tile([0, 1], len(position_m))
+
+
+def _stripes(lasers: LaserPlanes, distance_m: float) -> tuple[int, Float64[Array, "laser"], Float64[Array, "laser"]]:
+    """Stripes on the plane z = distance_m: the image axis across them, their positions on that axis, their slopes."""
+    across = int(np.argmax(np.abs(lasers.normal[:, :2]).sum(axis=0)))
+    component = lasers.normal[:, across]
+    position_m = (lasers.distance_m - lasers.normal[:, 2] * distance_m) / component
+    return across, position_m, -lasers.normal[:, 1 - across] / component
+
+
+def stripes_apart_m(lasers: LaserPlanes, distance_m: float) -> float:
+    """Distance between the outermost stripes on the plane z = distance_m."""
+    _, position_m, _ = _stripes(lasers, distance_m)
+    return float(np.ptp(position_m))
+
+
+def of_camera(covariance: ParameterCovariance) -> ParameterCovariance:
+    """The part of a joint covariance that the camera causes: its own, and that of the planes correlated with it."""
+    plane = np.array(["." in name for name in covariance.parameters])
+    camera = covariance.data[np.ix_(~plane, ~plane)]
+    regression = covariance.data[:, ~plane] @ np.linalg.pinv(camera, hermitian=True)
+    data = regression @ camera @ regression.T
+    return ParameterCovariance(parameters=covariance.parameters, data=(data + data.T) / 2)

@@ -7,7 +7,6 @@ of the other views.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NoReturn
 
 import numpy as np
 
@@ -21,10 +20,10 @@ from ringpose.types.calibration import StripeView
 from ringpose.types.camera import Camera
 
 OUTLIER_FACTOR = 4.0
-"""A view is left out if its corners' rms exceeds the median of the views by this factor ..."""
+"""A view is left out if its corners' rms exceeds the median of the views by this factor, and OUTLIER_FLOOR_PX."""
 
 OUTLIER_FLOOR_PX = 0.5
-"""... and this value."""
+"""Rms of a view's corners up to which it is never left out."""
 
 MAX_MEDIAN_PX = 5.0
 """Median rms above which camera or board file are wrong: a focal length wrong by 10 % causes 2."""
@@ -38,28 +37,28 @@ Plane = tuple[Float64[Array, "3"], float]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StripeEvidence:
-    """Board poses by the corners alone, and the stripes on the boards."""
+    """The stripes on the boards that are used, and the board poses by the corners alone."""
 
     names: tuple[str, ...]
-    """Of the lasers."""
+    """Names of the lasers."""
     views: tuple[StripeView, ...]
     poses: tuple[BoardPose, ...]
     camera: Camera
 
     def points(self, laser: int) -> list[Points]:
-        """One laser's triangulated stripe centres by view."""
+        """Stripe centres of one laser by view, triangulated with the boards, in the camera frame."""
         return [
             triangulated(view.stripes_px[laser], pose, self.camera)
             for view, pose in zip(self.views, self.poses, strict=True)
         ]
 
     def only(self, kept: Sequence[int]) -> "StripeEvidence":
-        """The same for some of the views."""
+        """The evidence of some of the views."""
         views = tuple(self.views[index] for index in kept)
         return replace(self, views=views, poses=tuple(self.poses[index] for index in kept))
 
     def without_stripe(self, laser: int, view: int) -> "StripeEvidence":
-        """The same without one laser's stripe in one view."""
+        """The evidence without one laser's stripe in one view."""
         nothing = (np.empty((0, 2)),)
         kept = self.views[view].stripes_px
         less = replace(self.views[view], stripes_px=kept[:laser] + nothing + kept[laser + 1 :])
@@ -85,7 +84,7 @@ def stripe_evidence(
         poses=tuple(poses[index][0] for index in kept),
         camera=camera,
     )
-    check_all_lasers_seen(evidence.views, names)
+    _check_all_lasers_seen(evidence.views, names)
     points = [evidence.points(laser) for laser in range(len(names))]
     exchanged = exchanged_lasers(points, names, [view.board.name for view in evidence.views])
     contradicting = [(evidence.views[index].board.name, message) for index, message in exchanged.items()]
@@ -118,6 +117,35 @@ def _inlier_boards(views: Sequence[StripeView], poses: Sequence[BoardPose]) -> t
         if not kept
     ]
     return np.flatnonzero(inlier).tolist(), remarks
+
+
+def _check_all_lasers_seen(views: Sequence[StripeView], names: Sequence[str]) -> None:
+    """Raise DataError if none of the views shows a certain laser, with the reason that its frames suggest."""
+    if any(view.unlabelled_px for view in views):
+        return
+    unseen = [laser for laser in range(len(names)) if not any(len(view.stripes_px[laser]) for view in views)]
+    if not unseen:
+        return
+    most = max((view.max_stripes for view in views), default=0)
+    if len(unseen) == len(names) and not 0 < most < len(names):
+        remedy = "see that the lasers are lit and cross the board; --overlay shows the searched images"
+        raise DataError("calibrate-planes", "no shot shows a stripe on the board", remedy)
+    if len(unseen) == len(names):
+        found = (
+            f"no frame shows more than {most} stripe{'s' * (most > 1)} on the board, there are {len(names)} lasers "
+            f"({', '.join(names)})"
+        )
+        remedy = "see which laser is not lit or misses the board, or name fewer (--laser-names)"
+        raise DataError("calibrate-planes", found, remedy)
+    lit = [laser for laser in unseen if any(laser in view.lit for view in views)]
+    lasers = lit or unseen
+    location = f"laser{'s' * (len(lasers) > 1)} " + ", ".join(f'"{names[laser]}"' for laser in lasers)
+    if lit:
+        shots = sum(any(laser in view.lit for laser in lit) for view in views)
+        found = f"no stripe on the board in any of the {shots} shots whose frames have it on"
+        raise DataError(location, found, "see whether it is lit, wired to its channel, and crosses the board")
+    remedy = "light it in the shots (capture --sequence), or leave it out of --laser-names"
+    raise DataError(location, "on in no frame of any shot", remedy)
 
 
 def _labelled(evidence: StripeEvidence, order: tuple[int, ...] | None) -> StripeEvidence:
@@ -158,10 +186,10 @@ def _unmirrored(evidence: StripeEvidence, poses: Sequence[Sequence[BoardPose]]) 
     if len(unambiguous) == len(poses) or len(unambiguous) < 2:
         return evidence
     planes = _planes_of(evidence, unambiguous)
-    chosen = [
-        min(each, key=lambda pose, view=view: _sum_of_squares_m2(view, pose, evidence.camera, planes))  # type: ignore[misc]
-        for view, each in zip(evidence.views, poses, strict=True)
-    ]
+    chosen = []
+    for view, each in zip(evidence.views, poses, strict=True):
+        sums_m2 = [_sum_of_squares_m2(view, pose, evidence.camera, planes) for pose in each]
+        chosen.append(each[int(np.argmin(sums_m2))])
     return replace(evidence, poses=tuple(chosen))
 
 
@@ -218,7 +246,7 @@ def _missing(evidence: StripeEvidence) -> list[Remark]:
         missing = [
             name
             for name, px, plane in zip(evidence.names, view.stripes_px, planes, strict=True)
-            if not len(px) and not _passes_beside(view, pose, plane)
+            if not len(px) and (plane is None or _crosses_board(plane, view, pose))
         ]
         if missing:
             found = "; ".join(view.remarks) or "none on the board"
@@ -226,43 +254,8 @@ def _missing(evidence: StripeEvidence) -> list[Remark]:
     return remarks
 
 
-def _passes_beside(view: StripeView, pose: BoardPose, plane: Plane | None) -> bool:
-    """Whether a light plane is determined and all corners of the board lie on one side of it."""
-    if plane is None:
-        return False
+def _crosses_board(plane: Plane, view: StripeView, pose: BoardPose) -> bool:
+    """Whether a light plane has corners of the board on both sides."""
     normal, distance_m = plane
     height_m = (view.board.points_board_m @ pose.rotation.T + pose.translation_m) @ normal - distance_m
-    return bool(height_m.min() > 0 or height_m.max() < 0)
-
-
-def check_all_lasers_seen(views: Sequence[StripeView], names: Sequence[str]) -> None:
-    """Raise DataError if none of the views shows a certain laser, with the reason that its frames suggest."""
-    if any(view.unlabelled_px for view in views):
-        return
-    unseen = [laser for laser in range(len(names)) if not any(len(view.stripes_px[laser]) for view in views)]
-    if not unseen:
-        return
-    if len(unseen) == len(names):
-        _raise_no_stripe_labelled(views, names)
-    lit = [laser for laser in unseen if any(laser in view.lit for view in views)]
-    lasers = lit or unseen
-    location = f"laser{'s' * (len(lasers) > 1)} " + ", ".join(f'"{names[laser]}"' for laser in lasers)
-    if lit:
-        shots = sum(any(laser in view.lit for laser in lit) for view in views)
-        found = f"no stripe on the board in any of the {shots} shots whose frames have it on"
-        raise DataError(location, found, "see whether it is lit, wired to its channel, and crosses the board")
-    remedy = "light it in the shots (capture --sequence), or leave it out of --laser-names"
-    raise DataError(location, "on in no frame of any shot", remedy)
-
-
-def _raise_no_stripe_labelled(views: Sequence[StripeView], names: Sequence[str]) -> NoReturn:
-    most = max((view.max_stripes for view in views), default=0)
-    if 0 < most < len(names):
-        found = (
-            f"no frame shows more than {most} stripe{'s' * (most > 1)} on the board, there are {len(names)} lasers "
-            f"({', '.join(names)})"
-        )
-        remedy = "see which laser is not lit or misses the board, or name fewer (--laser-names)"
-        raise DataError("calibrate-planes", found, remedy)
-    remedy = "see that the lasers are lit and cross the board; --overlay shows the searched images"
-    raise DataError("calibrate-planes", "no shot shows a stripe on the board", remedy)
+    return bool(height_m.min() <= 0 <= height_m.max())

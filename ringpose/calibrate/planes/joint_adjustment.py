@@ -9,6 +9,10 @@ parameters). Views have only s in common, so that each pose is eliminated from t
     (2) gradient      g = sum over views of S^T r - (P^T S)^T (P^T P)^-1 P^T r
     (3) shared step   ds = -(N + Q)^-1 (g + Q (s - s0)),  Q and s0 the camera's prior
     (4) pose step     dp = -(P^T P)^-1 P^T (r + S ds)
+
+`scipy.optimize.least_squares` with Huber's loss solves the dense system of all poses instead: for eight boards and
+18,000 residuals it finds the same planes (to 2e-8 um) in 1.0 s instead of 0.1 s, and a calibration solves this system
+ten times. Nor can the limit of its loss follow the scatter of a displaced stripe (`_robust_weights`).
 """
 
 from collections.abc import Sequence
@@ -19,7 +23,13 @@ import numpy as np
 
 from ringpose.calibrate.boards.corner_errors import MIN_SIGMA_PX, corner_residuals, whiten
 from ringpose.calibrate.boards.pose import moved_pose, residuals
-from ringpose.calibrate.camera.parameters import camera_with, parameter_names, parameters_of, projection_jacobians
+from ringpose.calibrate.camera.parameters import (
+    camera_with,
+    inverse_of_scaled,
+    parameter_names,
+    parameters_of,
+    projection_jacobians,
+)
 from ringpose.calibrate.planes.stripe_errors import (
     StripeResiduals,
     center_sigma_px,
@@ -67,12 +77,12 @@ class JointData:
     rays: tuple[tuple[Float64[Array, "_ xyz=3"], ...], ...]
     """By view and laser: rays of the stripe centres by the given camera."""
     camera: Camera
-    """As it was given, with its covariance."""
+    """The given camera, with its covariance."""
     free_camera: bool = False
     """Whether the camera is estimated, with its covariance as prior."""
 
     def without_view(self, left_out: int) -> "JointData":
-        """The same data without one view."""
+        """The data without one view."""
         return replace(
             self,
             views=self.views[:left_out] + self.views[left_out + 1 :],
@@ -82,14 +92,14 @@ class JointData:
         )
 
     def without_laser(self, laser: int) -> "JointData":
-        """The same data without one laser's stripes; the camera is held fixed."""
+        """The data without one laser's stripes; the camera is held fixed."""
         nothing = (np.empty((0, 3)),)
         return replace(
             self, rays=tuple(own[:laser] + nothing + own[laser + 1 :] for own in self.rays), free_camera=False
         )
 
     def with_camera(self, camera: Camera) -> "JointData":
-        """The same data with the rays of another camera, which is held fixed."""
+        """The data with the rays of another camera, which is held fixed."""
         own = tuple(tuple(rays(px, camera) for px in view.stripes_px) for view in self.views)
         return replace(self, rays=own, camera=camera, free_camera=False)
 
@@ -101,7 +111,7 @@ class JointData:
 
 
 class JointFit(NamedTuple):
-    """The solution."""
+    """State that minimises the robust sum of squares, with its normal matrix."""
 
     state: JointState
     information: Float64[Array, "shared shared"]
@@ -163,12 +173,8 @@ def prior_information(camera: Camera) -> Float64[Array, "parameter parameter"]:
     names = parameter_names(camera.distortion_model)
     information = np.zeros((len(names), len(names)))
     if camera.covariance is not None:
-        sigma = np.sqrt(np.diag(camera.covariance.data))
-        known = np.flatnonzero(sigma > 0)
-        scale = np.outer(sigma[known], sigma[known])
-        inverse = np.linalg.inv(camera.covariance.data[np.ix_(known, known)] / scale) / scale
-        columns = [names.index(camera.covariance.parameters[index]) for index in known]
-        information[np.ix_(columns, columns)] = inverse
+        columns = [names.index(name) for name in camera.covariance.parameters]
+        information[np.ix_(columns, columns)] = inverse_of_scaled(camera.covariance.data)
     return information
 
 
@@ -179,7 +185,7 @@ def corner_chi2(view: StripeView, pose: BoardPose, camera: Camera, corner_px: fl
 
 
 def _gauss_newton_step(data: JointData, state: JointState) -> tuple[JointState, float]:
-    """The state after one step, and the predicted decrease of the sum of squares."""
+    """The state after one Gauss-Newton step, and the predicted decrease of the sum of squares."""
     equations = _reduced_equations(data, state)
     information, gradient = equations.information.copy(), equations.gradient.copy()
     planes = 3 * len(state.distance_m)
@@ -224,7 +230,7 @@ class _ReducedEquations(NamedTuple):
 
 
 def _reduced_equations(data: JointData, state: JointState) -> _ReducedEquations:
-    """Eqs. (1) and (2)."""
+    """Normal equations with the poses eliminated, Eqs. (1) and (2)."""
     number = 3 * len(state.distance_m) + 4 + len(state.camera.distortion_coefficients)
     information, gradient = np.zeros((number, number)), np.zeros(number)
     pose_step, pose_wrt_shared, decrease = [], [], 0.0
@@ -279,7 +285,7 @@ def _robust_weights(residual: Float64[Array, "n"]) -> Float64[Array, "n"]:
 
 
 def _chi2(data: JointData, state: JointState) -> float:
-    """Squares of the corners and, for each stripe, of shift and rotation of its line only.
+    """Robust sum of squares of the corner residuals and, for each stripe, of the shift and rotation of its line.
 
     The scatter of single centres about the line is left out: it does not depend on boards and planes.
     """

@@ -28,10 +28,10 @@ ASSIGNMENT_RATIO = 3.0
 """An assignment is accepted if its rms distance from the planes is this many times smaller than the second best."""
 
 EXCHANGE_RATIO = 3.0
-"""An exchange is reported if the stripes lie this many times closer to the other planes than to their own ..."""
+"""An exchange is reported if the stripes lie this many times closer to the other planes than to their own."""
 
 MIN_GAIN_M = 5e-4
-"""... and at least this far from their own: bent boards move the stripes of good shots by less."""
+"""Distance of the stripes from their own planes above which it is reported: bent boards move stripes by less."""
 
 MAX_DISTANCE_M = 5e-3
 """Truncation of a stripe's distance from its plane in the score: such a stripe may belong to none of the lasers."""
@@ -46,7 +46,7 @@ Labels = Int64[Array, "view laser"]
 """Index of the plane to which each stripe is assigned; -1 where there is no stripe."""
 
 Planes = Float64[Array, "plane 4"]
-"""Unit normal and distance; NaN where a plane is undetermined."""
+"""Unit normal and distance by plane; NaN where a plane is undetermined."""
 
 
 def laser_names(given: str | None, number: int) -> tuple[str, ...]:
@@ -189,7 +189,7 @@ def _stripe_ends(points: Float64[Array, "_ xyz=3"]) -> Float64[Array, "end=2 xyz
 
 
 def _hypotheses(ends: StripeEnds, usable: Int64[Array, "usable"]) -> Iterator[tuple[Labels, Planes]]:
-    """Labels and planes from pairs of shots and permutations between the two, each refined on all shots.
+    """Candidate labels and planes, from pairs of shots and permutations between the two, each refined on all shots.
 
     Two stripes at different depths determine a plane; labels and planes are then improved in turn, as in k-means.
     """

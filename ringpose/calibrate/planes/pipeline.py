@@ -26,8 +26,8 @@ from ringpose.calibrate.planes.plane_fit import (
     determined_without,
     downward,
     fitted_plane,
-    laser_calibration,
     plane_without,
+    rms,
 )
 from ringpose.errors import DataError
 from ringpose.types.board import BoardPose
@@ -49,10 +49,10 @@ HeldOut = Sequence[Sequence[FittedPlane | None]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanesModel:
-    """What is estimated, and how."""
+    """Options of a calibration of the light planes."""
 
     names: tuple[str, ...]
-    """Of the lasers, in the order of a shot's mask bits."""
+    """Names of the lasers, in the order of a shot's mask bits."""
     method: PlanesMethod = PlanesMethod.JOINT
     order: tuple[int, ...] | None = None
     """Lasers in the order in which their stripes cross the image, for frames with all lasers on."""
@@ -61,13 +61,13 @@ class PlanesModel:
 
 
 class PlaneSolution(NamedTuple):
-    """The result of a method."""
+    """Light planes, board poses and covariance, as estimated by one of the methods."""
 
     planes: tuple[FittedPlane, ...]
     poses: tuple[BoardPose, ...]
     camera: Camera
     corner_points: Sequence[Sequence[Points]]
-    """By laser and view: the stripes triangulated with board poses from the corners alone."""
+    """By laser and view: stripe centres in the camera frame, triangulated with board poses from the corners alone."""
     held_out: HeldOut
     covariance: ParameterCovariance | None = None
     excess: float = 1.0
@@ -77,7 +77,10 @@ class PlaneSolution(NamedTuple):
 def calibrate_planes(views: Sequence[StripeView], camera: Camera, model: PlanesModel) -> PlanesCalibration:
     """The light planes in the camera frame, with the residuals of each view."""
     views = [replace(view, board=without_distortion_bias(view.board, camera)) for view in views]
-    poses = [_candidate_poses(view, camera, model.method) for view in views]
+    if model.method is PlanesMethod.PAPER:
+        poses = [[marker_average_pose(view.board, camera)] for view in views]
+    else:
+        poses = [board_poses(view.board, camera) for view in views]
     evidence, remarks, contradicting = stripe_evidence(views, poses, camera, model.names, model.order)
     if model.method is PlanesMethod.JOINT:
         solution = joint_solution(evidence, model.free_camera)
@@ -103,15 +106,8 @@ def calibrate_planes(views: Sequence[StripeView], camera: Camera, model: PlanesM
     )
 
 
-def _candidate_poses(view: StripeView, camera: Camera, method: PlanesMethod) -> list[BoardPose]:
-    """The board's pose, followed by the mirrored one where the corners leave both possible."""
-    if method is PlanesMethod.PAPER:
-        return [marker_average_pose(view.board, camera)]
-    return board_poses(view.board, camera)
-
-
 def _laser(laser: int, evidence: StripeEvidence, solution: PlaneSolution) -> LaserCalibration:
-    """One laser's plane with its residuals by view.
+    """Plane of one laser, with the residuals of its points by view.
 
     Residuals use the board poses of the solution; held-out residuals use those of the corners alone, because the
     solution's poses depend on the stripe itself.
@@ -133,12 +129,22 @@ def _laser(laser: int, evidence: StripeEvidence, solution: PlaneSolution) -> Las
                 held_out_m=unknown if other is None else by_corners[index] @ other.normal - other.distance_m,
             )
         )
-    disagreement = float("nan") if solution.disagreement is None else solution.disagreement[laser]
-    return laser_calibration(evidence.names[laser], plane, views, disagreement)
+    held_out_m = np.concatenate([view.held_out_m for view in views])
+    known_m = held_out_m[np.isfinite(held_out_m)]
+    return LaserCalibration(
+        name=evidence.names[laser],
+        normal=plane.normal,
+        distance_m=plane.distance_m,
+        views=tuple(views),
+        rms_m=rms(np.concatenate([view.residual_m for view in views])),
+        held_out_rms_m=rms(known_m) if len(known_m) else float("nan"),
+        condition=plane.condition,
+        disagreement=float("nan") if solution.disagreement is None else solution.disagreement[laser],
+    )
 
 
 def separate_solution(evidence: StripeEvidence, method: PlanesMethod) -> PlaneSolution:
-    """Each laser's plane by itself, with board poses from the corners alone."""
+    """The plane of each laser fitted by itself, with board poses from the corners alone."""
     points = [evidence.points(laser) for laser in range(len(evidence.names))]
     views = range(len(evidence.views))
     return PlaneSolution(
@@ -151,7 +157,7 @@ def separate_solution(evidence: StripeEvidence, method: PlanesMethod) -> PlaneSo
 
 
 def joint_solution(evidence: StripeEvidence, free_camera: bool) -> PlaneSolution:
-    """Joint adjustment of board poses, planes and, if it is free, the camera, started from the separate solution."""
+    """Board poses, planes and, if it is free, the camera by joint adjustment, started from the separate solution."""
     points = [evidence.points(laser) for laser in range(len(evidence.names))]
     start = [
         fitted_plane(name, own, PlanesMethod.TOTAL_LEAST_SQUARES)
@@ -159,14 +165,19 @@ def joint_solution(evidence: StripeEvidence, free_camera: bool) -> PlaneSolution
     ]
     try:
         data, fit = _weighted_fit(evidence, start, free_camera)
-        fixed = data.with_camera(fit.state.camera) if free_camera else data
+        fixed = data
+        if free_camera:  # from here on the camera is held fixed, with the stripes triangulated by it
+            fixed = data.with_camera(fit.state.camera)
+            poses = tuple(board_pose(view.board, fixed.camera) for view in evidence.views)
+            refined = replace(evidence, camera=fixed.camera, poses=poses)
+            points = [refined.points(laser) for laser in range(len(evidence.names))]
         excess = variance_excess(fixed, fit)
         planes = zip(fit.state.normal, fit.state.distance_m.tolist(), start, strict=True)
         return PlaneSolution(
             planes=tuple(FittedPlane(*downward(normal, distance), old.condition) for normal, distance, old in planes),
             poses=fit.state.poses,
             camera=fit.state.camera,
-            corner_points=_points_by_camera(evidence, fit.state.camera) if free_camera else points,
+            corner_points=points,
             held_out=_held_out(points, fixed, fit),
             covariance=planes_covariance(evidence.names, fit, evidence.camera, excess, free_camera),
             excess=excess,
@@ -180,7 +191,7 @@ def joint_solution(evidence: StripeEvidence, free_camera: bool) -> PlaneSolution
 def _weighted_fit(
     evidence: StripeEvidence, start: Sequence[FittedPlane], free_camera: bool
 ) -> tuple[JointData, JointFit]:
-    """The adjustment, repeated with the corners' standard deviations re-estimated from its residuals.
+    """Data and result of the joint adjustment, repeated with corner standard deviations estimated from its residuals.
 
     The board poses it starts from follow outlying corners; those of the robust adjustment do not.
     """
@@ -206,31 +217,21 @@ def _weighted_fit(
     return data, joint_fit(data, fit.state)
 
 
-def _points_by_camera(evidence: StripeEvidence, camera: Camera) -> list[list[Points]]:
-    """The stripes triangulated with another camera."""
-    poses = tuple(board_pose(view.board, camera) for view in evidence.views)
-    other = replace(evidence, camera=camera, poses=poses)
-    return [other.points(laser) for laser in range(len(other.names))]
-
-
 def _held_out(points: Sequence[Sequence[Points]], data: JointData, fit: JointFit) -> HeldOut:
-    """The planes without each view in turn; lasers that are then undetermined take no part in the adjustment."""
-    by_view = []
+    """The planes without each view in turn; lasers that are then undetermined do not take part in the adjustment."""
+    by_view: list[list[FittedPlane | None]] = []
     for view in range(len(data.views)):
         determined = [determined_without(own, view) for own in points]
-        by_view.append(_planes_without_view(data, fit, view, determined))
+        if not any(determined):
+            by_view.append([None] * len(determined))
+            continue
+        rest = data.without_view(view)
+        for laser in np.flatnonzero(~np.array(determined)).tolist():
+            rest = rest.without_laser(laser)
+        poses = fit.state.poses[:view] + fit.state.poses[view + 1 :]
+        state = joint_fit(rest, replace(fit.state, poses=poses)).state
+        planes = zip(state.normal, state.distance_m.tolist(), determined, strict=True)
+        by_view.append(
+            [FittedPlane(normal, distance_m, np.nan) if known else None for normal, distance_m, known in planes]
+        )
     return list(zip(*by_view, strict=True))
-
-
-def _planes_without_view(
-    data: JointData, fit: JointFit, left_out: int, determined: Sequence[bool]
-) -> list[FittedPlane | None]:
-    if not any(determined):
-        return [None] * len(determined)
-    rest = data.without_view(left_out)
-    for laser, known in enumerate(determined):
-        rest = rest if known else rest.without_laser(laser)
-    poses = fit.state.poses[:left_out] + fit.state.poses[left_out + 1 :]
-    state = joint_fit(rest, replace(fit.state, poses=poses)).state
-    planes = zip(state.normal, state.distance_m.tolist(), determined, strict=True)
-    return [FittedPlane(normal, distance_m, np.nan) if known else None for normal, distance_m, known in planes]

@@ -9,14 +9,13 @@ from ringpose.errors import DataError
 from ringpose.geometry.planes import nearest_plane
 from ringpose.geometry.robust import robust_std
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.calibration import LaserCalibration, LaserView
 from ringpose.types.options import PlanesMethod
 
 MAX_CONDITION = 50.0
 """Points with a larger condition number are collinear: views 100 mm long must differ by 2 mm across their stripe."""
 
 MIN_MEAN_WEIGHT = 0.1
-"""A view whose points have a smaller mean weight lies beside the plane of the others."""
+"""A view is an outlier if the mean robust weight of its points is smaller."""
 
 MAX_SCATTER = 0.02
 """Root mean square distance from the plane, over the points' extent, above which they are not one stripe."""
@@ -27,10 +26,10 @@ _TUKEY = 4.685
 _MAX_ITERATIONS = 20
 
 _MIN_SCALE_M = 1e-9
-"""Lower bound of the scale: residuals below it are rounding errors, not outliers."""
+"""Lower bound of the robust standard deviation: residuals below it are rounding errors, not outliers."""
 
 Points = Float64[Array, "_ xyz=3"]
-"""Triangulated centres of one view, in the camera frame; none where the laser is not seen."""
+"""Stripe centres of one laser in one view, triangulated, in the camera frame; none where the laser is not seen."""
 
 
 class FittedPlane(NamedTuple):
@@ -56,7 +55,7 @@ def fitted_plane(name: str, points: Sequence[Points], method: PlanesMethod) -> F
         found = f"the points of {lying} on one line (condition {spread:.0f}), which determines no plane"
         remedy = f"add a view of the board 50 mm or more nearer or farther than {every[:, 2].mean():.2f} m"
         raise DataError(location, found, remedy)
-    rms_m = _rms(every @ normal - distance_m)
+    rms_m = rms(every @ normal - distance_m)
     extent_m = float(np.sqrt(np.mean(np.sum((every - every.mean(axis=0)) ** 2, axis=1))))
     if rms_m > MAX_SCATTER * extent_m:
         found = f"the points of its {seen} views lie on no common plane (rms {1e3 * rms_m:.1f} mm)"
@@ -66,7 +65,7 @@ def fitted_plane(name: str, points: Sequence[Points], method: PlanesMethod) -> F
 
 
 def plane_without(points: Sequence[Points], left_out: int, method: PlanesMethod) -> FittedPlane | None:
-    """The plane of the other views; None if those do not determine one."""
+    """The plane through the points of the other views; None if those do not determine one."""
     if not determined_without(points, left_out):
         return None
     every = np.concatenate([own for index, own in enumerate(points) if index != left_out])
@@ -75,7 +74,7 @@ def plane_without(points: Sequence[Points], left_out: int, method: PlanesMethod)
 
 
 def determined_without(points: Sequence[Points], left_out: int) -> bool:
-    """Whether the other views determine the plane."""
+    """Whether the points of the other views determine a plane."""
     every = np.concatenate([*(own for index, own in enumerate(points) if index != left_out), np.empty((0, 3))])
     return len(every) > 2 and condition(every, np.ones(len(every))) < MAX_CONDITION
 
@@ -127,52 +126,30 @@ def paper_plane(points: Float64[Array, "n xyz=3"]) -> tuple[Float64[Array, "3"],
 
 
 def downward(normal: Float64[Array, "3"], distance_m: float) -> tuple[Float64[Array, "3"], float]:
-    """The same plane, the largest component of its normal positive, so that calibrations can be compared."""
+    """The plane with the largest component of its normal positive, so that calibrations can be compared."""
     if normal[np.argmax(np.abs(normal))] < 0:
         return -normal, -distance_m
     return normal, distance_m
 
 
 def outlying_views(points: Sequence[Points]) -> dict[int, float]:
-    """Views beside the plane of the others, with their rms distance (m); none if fewer than four views are given."""
+    """Indices of views beside the plane of the others, with their rms distances (m); none of three or fewer views."""
     seen = [index for index, own in enumerate(points) if len(own)]
     if len(seen) < 4:
         return {}
     views = [points[index] for index in seen]
-    normal, distance_m, weights = robust_plane(np.concatenate(views), _plane_of_most_views(views))
+    # Start: of the planes of all views but one, the one with the smallest median distance (least median of squares).
+    starts = [nearest_plane(np.concatenate([*views[:index], *views[index + 1 :]]))[:2] for index in range(len(views))]
+    start = min(starts, key=lambda plane: float(np.median([rms(own @ plane[0] - plane[1]) for own in views])))
+    normal, distance_m, weights = robust_plane(np.concatenate(views), start)
     by_view = np.split(weights, np.cumsum([len(own) for own in views])[:-1])
     return {
-        index: _rms(points[index] @ normal - distance_m)
+        index: rms(points[index] @ normal - distance_m)
         for index, weight in zip(seen, by_view, strict=True)
         if weight.mean() < MIN_MEAN_WEIGHT
     }
 
 
-def _plane_of_most_views(views: Sequence[Points]) -> tuple[Float64[Array, "3"], float]:
-    """Of the planes of all views but one, the one with the smallest median distance (least median of squares)."""
-    others = [np.concatenate([*views[:index], *views[index + 1 :]]) for index in range(len(views))]
-    planes = [nearest_plane(every)[:2] for every in others]
-    return min(planes, key=lambda plane: float(np.median([_rms(own @ plane[0] - plane[1]) for own in views])))
-
-
-def laser_calibration(
-    name: str, plane: FittedPlane, views: Sequence[LaserView], disagreement: float = float("nan")
-) -> LaserCalibration:
-    """The plane with its residuals over all views."""
-    residual_m = np.concatenate([view.residual_m for view in views])
-    held_out_m = np.concatenate([view.held_out_m for view in views])
-    known_m = held_out_m[np.isfinite(held_out_m)]
-    return LaserCalibration(
-        name=name,
-        normal=plane.normal,
-        distance_m=plane.distance_m,
-        views=tuple(views),
-        rms_m=_rms(residual_m),
-        held_out_rms_m=_rms(known_m) if len(known_m) else float("nan"),
-        condition=plane.condition,
-        disagreement=disagreement,
-    )
-
-
-def _rms(distances_m: Float64[Array, "n"]) -> float:
+def rms(distances_m: Float64[Array, "n"]) -> float:
+    """Root mean square of distances."""
     return float(np.sqrt(np.mean(distances_m**2)))

@@ -1,13 +1,13 @@
 """Results of a calibration of the light planes: the key `quality` of rig.yaml, the summary, angles between planes."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise, permutations
 from typing import Any
 
 import numpy as np
 
-from ringpose.calibrate.planes.covariance import RADII_M, depth_uncertainty, ring_center_sd_m
+from ringpose.calibrate.planes.covariance import RADII_M, ring_center_sd_m, worst_depth_sd_m
 from ringpose.calibrate.planes.labels import THREE
 from ringpose.calibrate.verdict_text import verdict_lines, verdict_values
 from ringpose.geometry.rotations import angle_between, tilt_basis
@@ -23,14 +23,14 @@ DEPTHS_M = (0.2, 0.3, 0.5, 1.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlanesAssessment:
-    """The light planes with verdict and comparison."""
+    """The light planes with verdict, and with the planes by the paper's method for comparison."""
 
     calibration: PlanesCalibration
     verdict: Verdict
     paper: PlanesCalibration | None = None
     """The same views by the paper's method; None if it is not applicable."""
     without_board: Sequence[tuple[str, str]] = ()
-    """Images that show no board, and why."""
+    """Names of the images that show no board, and the reasons."""
 
 
 def calibrated_rig(calibration: PlanesCalibration) -> Rig:
@@ -43,13 +43,18 @@ def calibrated_rig(calibration: PlanesCalibration) -> Rig:
 def planes_quality(assessment: PlanesAssessment) -> Mapping[str, Any]:
     """The key `quality` of rig.yaml."""
     calibration = assessment.calibration
+    angles = plane_angles(calibration)
+    neighbours = []
+    for angle in angles:
+        values = asdict(angle)
+        neighbours.append({"lasers": [values.pop("first"), values.pop("second")]} | values)
     quality = {
         "verdict": verdict_values(assessment.verdict),
         "method": calibration.method,
         "standard_deviations": _standard_deviations(calibration),
         "variance_excess": float(calibration.excess),
         "lasers": [_laser_quality(laser) for laser in calibration.lasers],
-        "angles": _angles(calibration),
+        "angles": {"neighbours": neighbours, "common_line_gap_m": common_line_gap_m(angles)} if angles else None,
         "depth_sd_m": _depths(calibration),
         "ring_center_sd_m": _ring_centers(calibration),
         "boards": [
@@ -65,142 +70,15 @@ def planes_quality(assessment: PlanesAssessment) -> Mapping[str, Any]:
     return {"quality": {key: value for key, value in quality.items() if value is not None}}
 
 
-def planes_summary(assessment: PlanesAssessment) -> list[str]:
-    """The same as lines of text."""
-    calibration = assessment.calibration
-    lines = [f"{name}: {reason}" for name, reason in calibration.remarks]
-    deviations = _standard_deviations(calibration)
-    for laser in calibration.lasers:
-        lines.append(_laser_line(laser, deviations))
-        lines += _by_distance(laser)
-    for angle in plane_angles(calibration):
-        sd = f" ± {np.degrees(angle.sd_rad):.4f}" if np.isfinite(angle.sd_rad) else ""
-        lines.append(f"{angle.first} to {angle.second}: {np.degrees(angle.angle_rad):.3f}{sd} deg")
-    lines += _depth_lines(calibration) + _ring_lines(calibration)
-    for entry in _paper(assessment) or []:
-        lines.append(
-            f"{entry['name']}: by the paper's method held out {1e6 * entry['held_out_rms_m']:.0f} um, "
-            f"{np.degrees(entry['angle_rad']):.4f} deg and {1e6 * entry['offset_m']:.0f} um away"
-        )
-    return lines + verdict_lines(assessment.verdict)
-
-
-def _laser_line(laser: LaserCalibration, deviations: Mapping[str, float]) -> str:
-    points = sum(len(view.points) for view in laser.views)
-    line = f"{laser.name}: {points} points of {len(laser.views)} views, rms {1e6 * laser.rms_m:.0f} um"
-    if np.isfinite(laser.held_out_rms_m):
-        line += f", held out {1e6 * laser.held_out_rms_m:.0f} um"
-    else:
-        line += ", held out unknown (needs a third view)"
-    if deviations:
-        tilt = np.degrees(max(deviations[f"{laser.name}.tilt_1"], deviations[f"{laser.name}.tilt_2"]))
-        line += f", tilt ± {tilt:.4f} deg, distance ± {1e6 * deviations[f'{laser.name}.distance']:.0f} um"
-    return line
-
-
-def _by_distance(laser: LaserCalibration) -> list[str]:
-    """Held-out errors of a laser's nearest and farthest view."""
-    views = sorted((view for view in laser.views if np.isfinite(view.held_out_rms_m)), key=lambda view: view.distance_m)
-    if len(views) < 2:
-        return []
-    ends = ", ".join(
-        f"{1e6 * v.held_out_rms_m:.0f} um at {v.distance_m:.2f} m ({v.name})" for v in (views[0], views[-1])
-    )
-    return [f"{laser.name}: held out {ends}"]
-
-
-def _angles(calibration: PlanesCalibration) -> dict[str, Any] | None:
-    """Angles between neighbouring light planes, and the distance between their lines of intersection."""
-    angles = plane_angles(calibration)
-    if not angles:
-        return None
-    return {
-        "neighbours": [
-            {
-                "lasers": [angle.first, angle.second],
-                "angle_rad": angle.angle_rad,
-                "sd_rad": angle.sd_rad,
-                "line_point_m": angle.line_point_m,
-                "line_direction": angle.line_direction,
-            }
-            for angle in angles
-        ],
-        "common_line_gap_m": common_line_gap_m(angles),
-    }
-
-
-def _depths(calibration: PlanesCalibration) -> dict[str, Any] | None:
-    """Largest standard deviation of depths along each stripe, by distance; NaN if it is outside the image."""
-    if calibration.covariance is None:
-        return None
-    found = depth_uncertainty(calibration.camera, calibration.planes, calibration.covariance, DEPTHS_M)
-    rows = zip(calibration.planes.names, found.worst_m.tolist(), strict=True)
-    return {"distances_m": list(DEPTHS_M), "lasers": [{"name": name, "depth_sd_m": row} for name, row in rows]}
-
-
-def _depth_lines(calibration: PlanesCalibration) -> list[str]:
-    depths = _depths(calibration)
-    if depths is None:
-        return []
-    lines = []
-    for entry in depths["lasers"]:
-        known = [(z, sd) for z, sd in zip(depths["distances_m"], entry["depth_sd_m"], strict=True) if np.isfinite(sd)]
-        if known:
-            sigmas = ", ".join(f"{1e3 * sd:.2f} mm at {z:g} m" for z, sd in known)
-            lines.append(f"{entry['name']}: standard deviation of depths: {sigmas}")
-    return lines
-
-
-def _ring_centers(calibration: PlanesCalibration) -> dict[str, Any] | None:
-    """Standard deviations of a ring's centre by the calibration alone, along the camera's axes; NaN without stripes."""
-    if calibration.covariance is None:
-        return None
-    camera, lasers, covariance = calibration.camera, calibration.planes, calibration.covariance
-    sd = [ring_center_sd_m(camera, lasers, covariance, distance_m).tolist() for distance_m in DEPTHS_M]
-    return {"radii_m": list(RADII_M), "distances_m": list(DEPTHS_M), "sd_m": sd}
-
-
-def _ring_lines(calibration: PlanesCalibration) -> list[str]:
-    found = _ring_centers(calibration)
-    if found is None:
-        return []
-    known = [(z, max(sd)) for z, sd in zip(found["distances_m"], found["sd_m"], strict=True) if np.isfinite(sd).all()]
-    if not known:
-        return []
-    sigmas = ", ".join(f"{1e3 * sd:.2f} mm at {z:g} m" for z, sd in known)
-    return [f"standard deviation of a ring's centre (radius {RADII_M[1]:g} m) by this calibration: {sigmas}"]
-
-
-def _paper(assessment: PlanesAssessment) -> list[dict[str, Any]] | None:
-    """Comparison with the planes by the paper's method."""
-    if assessment.paper is None:
-        return None
-    return [
-        {
-            "name": own.name,
-            "rms_m": other.rms_m,
-            "held_out_rms_m": other.held_out_rms_m,
-            "angle_rad": float(angle_between(own.normal, other.normal)),
-            "offset_m": _offset_m(own, other),
-        }
-        for own, other in zip(assessment.calibration.lasers, assessment.paper.lasers, strict=True)
-    ]
-
-
-def _offset_m(own: LaserCalibration, other: LaserCalibration) -> float:
-    """Distance of the centroid of the points from the other plane."""
-    middle = np.concatenate([view.points for view in own.views]).mean(axis=0)
-    return abs(float(middle @ other.normal - other.distance_m))
-
-
 def _standard_deviations(calibration: PlanesCalibration) -> dict[str, float]:
-    """Of the light planes' parameters, by name."""
+    """Standard deviations of the light planes' parameters, by name."""
     covariance = calibration.covariance
     every = {} if covariance is None else covariance.standard_deviations
     return {name: value for name, value in every.items() if "." in name}
 
 
 def _laser_quality(laser: LaserCalibration) -> dict[str, Any]:
+    """One entry of the key `quality.lasers`."""
     return {
         "name": laser.name,
         "rms_m": laser.rms_m,
@@ -220,6 +98,93 @@ def _laser_quality(laser: LaserCalibration) -> dict[str, Any]:
     }
 
 
+def _depths(calibration: PlanesCalibration) -> dict[str, Any] | None:
+    """Largest standard deviation of depths along each stripe, by distance; NaN if it is outside the image."""
+    if calibration.covariance is None:
+        return None
+    found = worst_depth_sd_m(calibration.camera, calibration.planes, calibration.covariance, DEPTHS_M)
+    rows = zip(calibration.planes.names, found.tolist(), strict=True)
+    return {"distances_m": list(DEPTHS_M), "lasers": [{"name": name, "depth_sd_m": row} for name, row in rows]}
+
+
+def _ring_centers(calibration: PlanesCalibration) -> dict[str, Any] | None:
+    """Standard deviations of a ring's centre by the calibration alone, along the camera's axes; NaN without stripes."""
+    if calibration.covariance is None:
+        return None
+    camera, lasers, covariance = calibration.camera, calibration.planes, calibration.covariance
+    sd = [ring_center_sd_m(camera, lasers, covariance, distance_m).tolist() for distance_m in DEPTHS_M]
+    return {"radii_m": list(RADII_M), "distances_m": list(DEPTHS_M), "sd_m": sd}
+
+
+def _paper(assessment: PlanesAssessment) -> list[dict[str, Any]] | None:
+    """Comparison with the planes by the paper's method; the offset is that of the centroid of a laser's points."""
+    if assessment.paper is None:
+        return None
+    compared = []
+    for own, other in zip(assessment.calibration.lasers, assessment.paper.lasers, strict=True):
+        centroid = np.concatenate([view.points for view in own.views]).mean(axis=0)
+        compared.append(
+            {
+                "name": own.name,
+                "rms_m": other.rms_m,
+                "held_out_rms_m": other.held_out_rms_m,
+                "angle_rad": float(angle_between(own.normal, other.normal)),
+                "offset_m": abs(float(centroid @ other.normal - other.distance_m)),
+            }
+        )
+    return compared
+
+
+def planes_summary(assessment: PlanesAssessment) -> list[str]:
+    """The result of a calibration as lines of text."""
+    calibration = assessment.calibration
+    lines = [f"{name}: {reason}" for name, reason in calibration.remarks]
+    deviations = _standard_deviations(calibration)
+    for laser in calibration.lasers:
+        lines += _laser_lines(laser, deviations)
+    for angle in plane_angles(calibration):
+        sd = f" ± {np.degrees(angle.sd_rad):.4f}" if np.isfinite(angle.sd_rad) else ""
+        lines.append(f"{angle.first} to {angle.second}: {np.degrees(angle.angle_rad):.3f}{sd} deg")
+    depths, centers = _depths(calibration), _ring_centers(calibration)
+    for entry in depths["lasers"] if depths else []:
+        text = _by_distance_text(DEPTHS_M, entry["depth_sd_m"])
+        lines += [f"{entry['name']}: standard deviation of depths: {text}"] if text else []
+    if centers and (text := _by_distance_text(DEPTHS_M, [max(sd) for sd in centers["sd_m"]])):
+        lines.append(f"standard deviation of a ring's centre (radius {RADII_M[1]:g} m) by this calibration: {text}")
+    for entry in _paper(assessment) or []:
+        lines.append(
+            f"{entry['name']}: by the paper's method held out {1e6 * entry['held_out_rms_m']:.0f} um, "
+            f"{np.degrees(entry['angle_rad']):.4f} deg and {1e6 * entry['offset_m']:.0f} um away"
+        )
+    return lines + verdict_lines(assessment.verdict)
+
+
+def _laser_lines(laser: LaserCalibration, deviations: Mapping[str, float]) -> list[str]:
+    """A laser's residuals and standard deviations, and the held-out errors of its nearest and farthest view."""
+    points = sum(len(view.points) for view in laser.views)
+    line = f"{laser.name}: {points} points of {len(laser.views)} views, rms {1e6 * laser.rms_m:.0f} um"
+    if np.isfinite(laser.held_out_rms_m):
+        line += f", held out {1e6 * laser.held_out_rms_m:.0f} um"
+    else:
+        line += ", held out unknown (needs a third view)"
+    if deviations:
+        tilt = np.degrees(max(deviations[f"{laser.name}.tilt_1"], deviations[f"{laser.name}.tilt_2"]))
+        line += f", tilt ± {tilt:.4f} deg, distance ± {1e6 * deviations[f'{laser.name}.distance']:.0f} um"
+    views = sorted((view for view in laser.views if np.isfinite(view.held_out_rms_m)), key=lambda view: view.distance_m)
+    if len(views) < 2:
+        return [line]
+    ends = ", ".join(
+        f"{1e6 * view.held_out_rms_m:.0f} um at {view.distance_m:.2f} m ({view.name})" for view in (views[0], views[-1])
+    )
+    return [line, f"{laser.name}: held out {ends}"]
+
+
+def _by_distance_text(distances_m: Sequence[float], sigmas_m: Sequence[float]) -> str:
+    """The known standard deviations, as text; empty if none is known."""
+    known = [(z, sd) for z, sd in zip(distances_m, sigmas_m, strict=True) if np.isfinite(sd)]
+    return ", ".join(f"{1e3 * sd:.2f} mm at {z:g} m" for z, sd in known)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlaneAngle:
     """The angle between two neighbouring light planes, and their line of intersection."""
@@ -228,15 +193,51 @@ class PlaneAngle:
     second: str
     angle_rad: float
     sd_rad: float
-    """NaN where there is no covariance."""
+    """Standard deviation of the angle; NaN without covariance."""
     line_point_m: Float64[Array, "xyz=3"]
     """The point of their intersection nearest to the camera; the lines of one projector meet in it."""
     line_direction: Float64[Array, "xyz=3"]
 
 
 def plane_angles(calibration: PlanesCalibration) -> list[PlaneAngle]:
-    """Angles of neighbours, in the order of the lasers; empty for one laser."""
-    return [_angle(calibration, first, first + 1) for first, _ in pairwise(range(len(calibration.lasers)))]
+    """Angles between neighbouring planes, in the order of the lasers; empty for one laser."""
+    return [_angle(calibration, first, first + 1) for first in range(len(calibration.lasers) - 1)]
+
+
+def _angle(calibration: PlanesCalibration, first: int, second: int) -> PlaneAngle:
+    """Angle between two planes, and their line of intersection."""
+    normals, distances_m = calibration.planes.normal, calibration.planes.distance_m
+    pair = normals[[first, second]]
+    direction = np.cross(*pair)
+    length = float(np.linalg.norm(direction))
+    point, *_ = np.linalg.lstsq(pair, distances_m[[first, second]], rcond=1e-9)
+    return PlaneAngle(
+        first=calibration.lasers[first].name,
+        second=calibration.lasers[second].name,
+        angle_rad=float(angle_between(pair[0], pair[1])),
+        sd_rad=_angle_sd_rad(calibration, first, second),
+        line_point_m=point,
+        line_direction=direction / length if length > 0 else np.full(3, np.nan),
+    )
+
+
+def _angle_sd_rad(calibration: PlanesCalibration, first: int, second: int) -> float:
+    """Standard deviation of the angle of two planes: a tilt of a normal towards the other reduces it by as much."""
+    covariance = calibration.covariance
+    if covariance is None:
+        return float("nan")
+    names = [name for laser in (first, second) for name in laser_parameters([calibration.lasers[laser].name])[:2]]
+    columns = [covariance.parameters.index(name) for name in names]
+    own, other = calibration.planes.normal[[first, second]]
+    jacobian = np.concatenate([-_direction_towards(own, other), -_direction_towards(other, own)])
+    return float(np.sqrt(max(jacobian @ covariance.data[np.ix_(columns, columns)] @ jacobian, 0.0)))
+
+
+def _direction_towards(normal: Float64[Array, "xyz=3"], other: Float64[Array, "xyz=3"]) -> Float64[Array, "2"]:
+    """Unit vector towards the other normal in the tilt basis of `normal`; zero if they are equal."""
+    direction: Float64[Array, "2"] = tilt_basis(normal) @ other
+    length = float(np.linalg.norm(direction))
+    return direction / length if length > 0 else direction
 
 
 def middle_outside_rad(calibration: PlanesCalibration) -> float | None:
@@ -269,38 +270,3 @@ def common_line_gap_m(angles: list[PlaneAngle]) -> float:
     """Largest distance between neighbouring planes' lines, at their points nearest to the camera; NaN for one line."""
     points = [angle.line_point_m for angle in angles]
     return max((float(np.linalg.norm(after - before)) for before, after in pairwise(points)), default=float("nan"))
-
-
-def _angle(calibration: PlanesCalibration, first: int, second: int) -> PlaneAngle:
-    normals, distances_m = calibration.planes.normal, calibration.planes.distance_m
-    pair = normals[[first, second]]
-    direction = np.cross(*pair)
-    length = float(np.linalg.norm(direction))
-    point, *_ = np.linalg.lstsq(pair, distances_m[[first, second]], rcond=1e-9)
-    return PlaneAngle(
-        first=calibration.lasers[first].name,
-        second=calibration.lasers[second].name,
-        angle_rad=float(angle_between(pair[0], pair[1])),
-        sd_rad=_angle_sd_rad(calibration, first, second),
-        line_point_m=point,
-        line_direction=direction / length if length > 0 else np.full(3, np.nan),
-    )
-
-
-def _angle_sd_rad(calibration: PlanesCalibration, first: int, second: int) -> float:
-    """First-order propagation: tilting a normal towards the other one reduces the angle by the same amount."""
-    covariance = calibration.covariance
-    if covariance is None:
-        return float("nan")
-    names = [name for laser in (first, second) for name in laser_parameters([calibration.lasers[laser].name])[:2]]
-    columns = [covariance.parameters.index(name) for name in names]
-    own, other = calibration.planes.normal[[first, second]]
-    jacobian = np.concatenate([-_direction_towards(own, other), -_direction_towards(other, own)])
-    return float(np.sqrt(max(jacobian @ covariance.data[np.ix_(columns, columns)] @ jacobian, 0.0)))
-
-
-def _direction_towards(normal: Float64[Array, "xyz=3"], other: Float64[Array, "xyz=3"]) -> Float64[Array, "2"]:
-    """Unit vector towards the other normal in the tilt basis of `normal`; zero if they are equal."""
-    direction: Float64[Array, "2"] = tilt_basis(normal) @ other
-    length = float(np.linalg.norm(direction))
-    return direction / length if length > 0 else direction

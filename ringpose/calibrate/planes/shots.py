@@ -1,6 +1,7 @@
 """From shots of a board with stripes to assessed light planes: checks of the shots, laser names, comparison methods."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 
@@ -16,7 +17,7 @@ from ringpose.calibrate.planes.quality import PlanesAssessment
 from ringpose.calibrate.planes.stripes import stripe_view, stripes_seen
 from ringpose.errors import DataError, UsageError
 from ringpose.types.board import Board, BoardView
-from ringpose.types.calibration import PlanesCalibration, StripeView
+from ringpose.types.calibration import StripeView
 from ringpose.types.camera import Camera
 from ringpose.types.image import Shot
 from ringpose.types.options import PlanesMethod
@@ -39,7 +40,7 @@ def check_method(method: PlanesMethod, free_camera: bool, board: Board, camera: 
 
 
 class StripeShots:
-    """The stripe views of the shots so far; the first shot determines the number of lasers if no names are given."""
+    """Accumulator of the shots of a calibration; the first determines the number of lasers if no names are given."""
 
     def __init__(
         self, board: Board, camera: Camera, names: str | None, order: str | None, surround_m: float = 0.0
@@ -50,14 +51,18 @@ class StripeShots:
         """Values of --laser-names and --laser-order."""
         self.surround_m = surround_m
         self.names: tuple[str, ...] = ()
-        """Of the lasers, by mask bit; empty before the first shot."""
+        """Names of the lasers, by mask bit; empty before the first shot."""
         self.views: list[StripeView] = []
         self.any_without_stripe = False
         """Whether a shot shows the board and no stripe on it."""
 
     def add(self, shot: Shot, board: BoardView) -> StripeView:
-        """The stripes on the board, which become part of the calibration; DataError if the shot cannot be used."""
-        self._check_size(shot)
+        """Add a shot to the calibration and return the stripes on its board; DataError if the shot cannot be used."""
+        height, width = shot.images.shape[1:]
+        if (width, height) != (self.camera.image_width, self.camera.image_height):
+            expected = f"{self.camera.image_width} x {self.camera.image_height}"
+            found = f"{width} x {height} pixels, the camera has {expected}"
+            raise DataError(shot.name, found, "give the camera that took the shots")
         self._check_names(shot, board)
         shift_px = board_shift_px(shot, board, self.board)
         if shift_px > STILL_PX:
@@ -89,19 +94,16 @@ class StripeShots:
         except DataError as error:  # wrong sizes in the board file may be the reason
             remedies = [*Verdict(findings=board).advice, *([error.remedy] if error.remedy else [])]
             raise DataError(error.location, error.found, "; ".join(remedies)) from error
+        paper = None
+        if model.method is not PlanesMethod.PAPER and self.board.kind in MARKER_BOARDS:
+            with suppress(DataError):
+                paper = calibrate_planes(self.views, self.camera, replace(model, method=PlanesMethod.PAPER))
         return PlanesAssessment(
             calibration=calibration,
             verdict=planes_verdict(calibration, expected_rad, board, working_distance_m),
-            paper=self._by_papers_method(model),
+            paper=paper,
             without_board=without_board,
         )
-
-    def _check_size(self, shot: Shot) -> None:
-        height, width = shot.images.shape[1:]
-        if (width, height) != (self.camera.image_width, self.camera.image_height):
-            expected = f"{self.camera.image_width} x {self.camera.image_height}"
-            found = f"{width} x {height} pixels, the camera has {expected}"
-            raise DataError(shot.name, found, "give the camera that took the shots")
 
     def _check_names(self, shot: Shot, board: BoardView) -> None:
         """Determine the lasers' names with the first shot; later ones must not refer to other lasers."""
@@ -116,12 +118,3 @@ class StripeShots:
         if number > len(self.names):
             found = f"a frame names laser {number}, there are {len(self.names)} ({', '.join(self.names)})"
             raise DataError(shot.name, found, "give all names with --laser-names, or shots of these lasers")
-
-    def _by_papers_method(self, model: PlanesModel) -> PlanesCalibration | None:
-        """The same views by the paper's method; None if that is the chosen one, or not applicable."""
-        if model.method is PlanesMethod.PAPER or self.board.kind not in MARKER_BOARDS:
-            return None
-        try:
-            return calibrate_planes(self.views, self.camera, replace(model, method=PlanesMethod.PAPER))
-        except DataError:
-            return None

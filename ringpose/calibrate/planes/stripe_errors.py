@@ -13,16 +13,18 @@ from ringpose.types.board import BoardPose
 from ringpose.types.camera import Camera
 
 MAX_LAG_PX = 16
-"""Correlation of neighbours is summed up to this lag, tapered beyond half of it. Speckle reaches a quarter."""
+"""Largest lag at which the correlation of neighbouring centres is summed; it is tapered beyond half of it. Speckle is
+correlated over a quarter."""
 
 MIN_LENGTH = 96
-"""Shorter stripes are not used: the polynomial fitted to them removes most of what neighbours have in common."""
+"""Minimum number of centres of a stripe for the correlation length: the polynomial fitted to a shorter one removes most
+of what neighbours have in common."""
 
 ENOUGH_CENTERS = 480.0
-"""This number of centres determines the correlation length to a quarter ..."""
+"""Number of centres that determines the correlation length to a quarter of its value."""
 
 DEFAULT_LENGTH = 3.0
-"""... and missing ones are replaced by this value: 1.2 to 4.1 on simulated boards of three kinds."""
+"""Correlation length, in centres, that counts for centres missing from that number: 1.2 to 4.1 on simulated boards."""
 
 _TERMS = 4
 """Number of coefficients of the polynomial that models a stripe."""
@@ -34,11 +36,11 @@ class StripeResiduals(NamedTuple):
     residual_px: Float64[Array, "n"]
     """Distance in the image from the line that the light plane draws on the board, signed as the plane's normal."""
     wrt_pose: Float64[Array, "n pose=6"]
-    """By the board's rotation vector and translation."""
+    """Derivatives with respect to the board's rotation vector and translation."""
     wrt_plane: Float64[Array, "n plane=3"]
-    """By the light plane's two tilts and distance."""
+    """Derivatives with respect to the light plane's two tilts and distance."""
     wrt_camera: Float64[Array, "n parameter"]
-    """By the intrinsic parameters, the pixels held constant."""
+    """Derivatives with respect to the intrinsic parameters, the pixels held constant."""
     metres_per_pixel: Float64[Array, "n"]
     """Distance from the light plane for one pixel across the stripe."""
 

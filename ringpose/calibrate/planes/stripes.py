@@ -23,7 +23,7 @@ from ringpose.types.board import Board, BoardView
 from ringpose.types.calibration import StripeView
 from ringpose.types.camera import Camera
 from ringpose.types.detection import Stripes
-from ringpose.types.image import Frame, Shot
+from ringpose.types.image import Shot
 from ringpose.types.sequence import MAX_LASERS
 
 NEAR_PX = 1.5
@@ -33,10 +33,10 @@ TRIALS = 300
 """Random pairs tried for each line: with a fifth of the light on the line, all miss it once in 200 000 frames."""
 
 MINIMUM_CENTERS = 40
-"""Fewer centres on one line are texture or dust."""
+"""Minimum number of centres on a line: fewer are texture or dust."""
 
 RIVAL_SHARE = 0.5
-"""One line too many makes the frame ambiguous if it has at least this share of the light of the weakest stripe."""
+"""A frame is ambiguous if an additional line has at least this share of the light of its weakest stripe."""
 
 OUTLIER_SIGMAS = 3.5
 """Centres farther from their line than this number of robust standard deviations are left out."""
@@ -46,7 +46,7 @@ SHRINKINGS = (1, 2, 4)
 defocused stripe has two ridges, its shoulders, at a width of 15 px, and one at 4 px."""
 
 FAINT_SIGMAS = 8.0
-"""Peak over noise of the board, in standard deviations, below which no laser light is visible."""
+"""Peak over the noise on the board, in standard deviations, below which no laser light is visible."""
 
 FULL_SHARE = 0.02
 """Share of saturated pixels above which the board itself is saturated: a stripe covers 1 % of it."""
@@ -55,7 +55,7 @@ MAX_WIDTH_PX = 25.0
 """Largest full width at half maximum of a stripe: images are reduced to a quarter at most."""
 
 _SMOOTHING_PX = 2.0
-"""Blur before the width of bright regions is measured, against noise and speckle."""
+"""Standard deviation of the smoothing against noise and speckle before the width of bright regions is measured."""
 
 _NOTHING = np.empty((0, 2))
 
@@ -63,7 +63,7 @@ _NOTHING = np.empty((0, 2))
 def stripe_view(
     shot: Shot, view: BoardView, board: Board, camera: Camera, lasers: int, surround_m: float = 0.0
 ) -> StripeView:
-    """The stripes on the board's plane in all frames.
+    """The stripes on the board in one shot, by laser where the frames identify it.
 
     Frames with one laser on label their stripe; those with several are used for lasers without such a frame.
     """
@@ -78,9 +78,11 @@ def stripe_view(
         on = [laser for laser in range(lasers) if frame.lasers >> laser & 1]
         if not on or all(laser in labelled for laser in on):
             continue
-        stripes, remark = _stripes(frame, dark, surface, on, shot.saturation_dn)
+        lines = sorted(stripe_lines(frame.image, dark, surface, len(on)), key=lambda line: line.position_px)
+        stripes = tuple(line.points_px for line in lines)
         most = max(most, len(stripes))
-        if remark:
+        if len(stripes) != len(on):
+            remark = stripe_failure(frame.image, dark, surface, len(stripes), on, shot.saturation_dn)
             remarks += [] if remarks and len(on) > 1 else [remark]
         elif len(on) == 1:
             labelled[on[0]] = stripes[0]
@@ -96,18 +98,6 @@ def stripe_view(
     )
 
 
-def _stripes(
-    frame: Frame, dark: np.ndarray | None, surface: BoardSurface, on: list[int], saturation_dn: int
-) -> tuple[tuple[Float64[Array, "_ xy=2"], ...], str]:
-    """The frame's stripes in their order across the image, and the reason if their number is wrong."""
-    lines = stripe_lines(frame.image, dark, surface, len(on))
-    lines.sort(key=lambda line: line.position_px)
-    stripes = tuple(line.points_px for line in lines)
-    if len(lines) != len(on):
-        return stripes, stripe_failure(frame.image, dark, surface, len(lines), on, saturation_dn)
-    return stripes, ""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StripeLine:
     """Centres of one stripe on the board."""
@@ -120,7 +110,7 @@ class StripeLine:
 
     @property
     def position_px(self) -> float:
-        """Mean position across: down the image, or to the right for an upright stripe."""
+        """Mean position across the stripe: the row, or the column of an upright stripe."""
         return float(self.points_px[:, 0 if self.upright else 1].mean())
 
 
@@ -159,19 +149,15 @@ def _lines_at_scale(
     lasers: int,
     shrinking: int,
 ) -> list[StripeLine]:
-    """The lines, all along the rows or all along the columns, and one more if it is about as bright."""
+    """The lines in a reduced frame, all along rows or all along columns, and one more if it is about as bright."""
     small, small_dark = reduced(image, shrinking), None if dark is None else reduced(dark, shrinking)
     along_rows = _lines(find_stripes(small, small_dark), surface, lasers + 1, shrinking, upright=False)
-    found = find_stripes(_transposed(small), None if small_dark is None else _transposed(small_dark))
-    upright = _lines(found, surface, lasers + 1, shrinking, upright=True)
+    dark_columns = None if small_dark is None else np.ascontiguousarray(small_dark.T)
+    transposed = find_stripes(np.ascontiguousarray(small.T), dark_columns)
+    upright = _lines(transposed, surface, lasers + 1, shrinking, upright=True)
     best = max(along_rows, upright, key=lambda lines: sum(line.light for line in lines[:lasers]))
     rivals = [line for line in best[lasers:] if line.light > RIVAL_SHARE * best[lasers - 1].light]
     return best[:lasers] + rivals
-
-
-def _transposed(image: UInt[Array, "row column"]) -> UInt[Array, "column row"]:
-    transposed: UInt[Array, "column row"] = np.ascontiguousarray(image.T)
-    return transposed
 
 
 def _lines(stripes: Stripes, surface: BoardSurface, most: int, shrinking: int, upright: bool) -> list[StripeLine]:
@@ -216,7 +202,7 @@ def _on_brightest_line(
 
 
 def _clean(points: Float64[Array, "n xy=2"], on_line: Bool[Array, "n"]) -> Bool[Array, "n"]:
-    """The centres of a line within the outlier limit of its least-squares fit."""
+    """The centres on a line that are within the outlier limit of its least-squares fit."""
     used = on_line
     for _ in range(3):
         line = np.polynomial.polynomial.polyfit(points[used, 0], points[used, 1], 1)
@@ -249,7 +235,11 @@ def stripe_failure(
     background = float(np.median(lit))
     noise = max(robust_std(lit - background), 1.0)
     brightest = float(np.percentile(lit, 99.8)) - background
-    width_px = 0.0 if dark is None else _width_px(image, dark, board, background + brightest / 2)
+    width_px = 0.0
+    if dark is not None:  # largest width of the region that the lasers make brighter than half of the maximum
+        smooth = cv2.GaussianBlur(image.astype(np.float32) - dark, (0, 0), _SMOOTHING_PX)
+        bright = ((smooth > background + brightest / 2) & board).astype(np.uint8)
+        width_px = 2.0 * float(cv2.distanceTransform(bright, cv2.DIST_L2, 5).max())
     if brightest > FAINT_SIGMAS and width_px > MAX_WIDTH_PX:
         return f"{finding}: blurred, or not the lasers' light: {width_px:.0f} px wide at half its height"
     if brightest < FAINT_SIGMAS * noise:
@@ -258,17 +248,8 @@ def stripe_failure(
     return f"{finding}: missing or cut off, though something is {brightest:.0f} grey values bright"
 
 
-def _width_px(
-    image: UInt[Array, "row column"], dark: UInt[Array, "row column"], board: Bool[Array, "row column"], half_dn: float
-) -> float:
-    """Largest width of the region that the lasers make brighter than `half_dn`."""
-    lit = cv2.GaussianBlur(image.astype(np.float32) - dark, (0, 0), _SMOOTHING_PX)
-    bright = ((lit > half_dn) & board).astype(np.uint8)
-    return 2.0 * float(cv2.distanceTransform(bright, cv2.DIST_L2, 5).max())
-
-
 def _on_board(surface: BoardSurface, shape: tuple[int, ...]) -> Bool[Array, "row column"]:
-    """The pixels inside the board's outline."""
+    """Mask of the pixels inside the board's outline."""
     width, height = outline_m(surface.board)
     corners = np.array([[0.0, 0.0, 0.0], [width, 0.0, 0.0], [width, height, 0.0], [0.0, height, 0.0]])
     pixels: Float64[Array, "4 2"] = project(

@@ -1,4 +1,4 @@
-"""Boards laid out on pages."""
+"""Layout of boards on pages."""
 
 import numpy as np
 import pytest
@@ -11,18 +11,18 @@ CHESSBOARD = Board(kind="chessboard", squares_x=9, squares_y=6, square_m=0.04)
 
 
 @pytest.mark.parametrize("board", A4_BOARDS.values(), ids=A4_BOARDS.keys())
-def test_the_boards_for_beginners_fit_a4(board):
+def test_the_default_boards_fit_on_a4(board):
     drawing = board_drawing(board)
 
     assert drawing.page == "A4 lying"
     assert (drawing.width_m, drawing.height_m) == (0.297, 0.21)
 
 
-def test_a_larger_board_gets_the_smallest_page_that_holds_it():
+def test_a_larger_board_is_drawn_on_the_smallest_page_that_holds_it():
     assert board_drawing(CHESSBOARD).page == "A3 lying"
 
 
-def test_a_board_beyond_a0_gets_a_page_of_its_own_size():
+def test_a_board_larger_than_a0_is_drawn_on_a_page_of_its_own_size():
     board = Board(kind="chessboard", squares_x=10, squares_y=10, square_m=0.2)
 
     drawing = board_drawing(board)
@@ -54,7 +54,7 @@ def test_rulers_have_a_tick_every_ten_millimetres():
     assert middles == pytest.approx(0.01 * np.arange(37), abs=1e-12)
 
 
-def test_the_page_says_what_it_shows():
+def test_the_page_describes_the_board():
     words = board_drawing(A4_BOARDS["four_markers"]).labels[-1].text
 
     assert words.startswith("four_markers, DICT_4X4_50, marker 45 mm, width 250 mm, height 165 mm, margin 5 mm.")

@@ -28,7 +28,7 @@ def face(drawn_board) -> np.ndarray:
 
 
 @pytest.mark.parametrize("pixels", [3, 11, 45])
-def test_a_board_that_moved_tells_by_how_much(pixels, face):
+def test_the_displacement_of_a_moved_board_is_measured(pixels, face):
     shot = shot_of(face, face, np.roll(face, pixels, axis=1))
 
     assert board_shift_px(shot, find_board(face, FOUR, "s"), FOUR) == pytest.approx(pixels, abs=0.1)
@@ -46,7 +46,7 @@ def test_other_light_is_no_motion(change, face, rng):
     assert not shift_px > STILL_PX
 
 
-def test_a_stripe_across_a_corner_is_no_motion(face):
+def test_a_stripe_across_a_corner_is_not_taken_for_motion(face):
     view = find_board(face, FOUR, "s")
     lit = face.copy()
     row = round(float(view.points_px[0, 1]))
@@ -55,5 +55,5 @@ def test_a_stripe_across_a_corner_is_no_motion(face):
     assert board_shift_px(shot_of(face, lit), view, FOUR) < STILL_PX
 
 
-def test_a_single_frame_tells_nothing(face):
+def test_the_displacement_in_a_single_frame_is_nan(face):
     assert np.isnan(board_shift_px(shot_of(face), find_board(face, FOUR, "s"), FOUR))

@@ -1,4 +1,4 @@
-"""Boards on photographs and renders, beside the corners that came with them."""
+"""Corners of boards on photographs and renders, against their reference corners."""
 
 import json
 from dataclasses import replace
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from drawn_boards import CHARUCO, CHESSBOARD, FOUR
 
-from ringpose.calibrate.boards.circles import circle_middles
+from ringpose.calibrate.boards.circles import opencv_ellipse_centers
 from ringpose.calibrate.boards.diagnostics import NoBoard
 from ringpose.calibrate.boards.views import find_board
 from ringpose.files.boards import read_dictionary
@@ -45,7 +45,9 @@ def test_circles_of_opencvs_photographs_are_where_its_tests_expect_them(number, 
     folder = shared_data / "real" / "opencv_extra_calib" / "asymmetric_circles"
     storage = cv2.FileStorage(str(folder / f"acircles_corners{number}.dat"), cv2.FILE_STORAGE_READ)
 
-    found = circle_middles(cv2.imread(str(folder / f"acircles{number}.png"), cv2.IMREAD_GRAYSCALE), *SIZES[number])
+    found = opencv_ellipse_centers(
+        cv2.imread(str(folder / f"acircles{number}.png"), cv2.IMREAD_GRAYSCALE), *SIZES[number]
+    )
 
     expected = np.asarray(storage.getNode("corners").mat()).reshape(-1, 2)
     assert np.abs(found - expected).max() < 0.01
@@ -77,7 +79,7 @@ def test_every_stereo_photograph_of_opencv_shows_its_board(names, number, shared
     assert len(found) == number
 
 
-def test_a_glaring_stripe_beside_the_board_moves_no_column(shared_data):
+def test_a_bright_stripe_beside_the_board_displaces_no_column(shared_data):
     path = shared_data / "real" / "etna_laser_robot" / "calib3" / "frame0001.png"
     board = Board(kind="chessboard", squares_x=8, squares_y=7, square_m=0.01)
 
@@ -104,7 +106,7 @@ def test_corners_on_rendered_charuco_views_are_within_a_twentieth_of_a_pixel(sha
     assert np.abs(errors).max() < 0.1
 
 
-def test_marker_corners_on_rendered_views_are_not_drawn_inwards_by_blur(shared_data, rendered_truth):
+def test_marker_corners_on_rendered_views_are_not_biased_inwards_by_blur(shared_data, rendered_truth):
     paths = sorted((shared_data / "rendered" / "calib_b" / "planes").glob("*.npz"))
 
     errors = np.concatenate(

@@ -16,7 +16,7 @@ LEGACY = replace(CHARUCO, legacy_pattern=True)
 
 
 def drawn_px(points_m: np.ndarray) -> np.ndarray:
-    """Where the drawing has a point of the board: 2 pixels a millimetre, rim of 40, edges between pixels."""
+    """Pixel of a board point in the drawing: 2 pixels a millimetre, a rim of 40, edges between pixels."""
     return 2000 * points_m[:, :2] + 40 - 0.5
 
 
@@ -25,20 +25,20 @@ def error_px(found, board: Board) -> float:
 
 
 @pytest.mark.parametrize("board", BOARDS.values(), ids=BOARDS)
-def test_all_corners_of_a_drawn_board_are_found_where_they_are(board, drawn_board):
+def test_all_corners_of_a_drawn_board_are_found_at_their_positions(board, drawn_board):
     found = find_board(drawn_board(board), board, "drawn")
 
     assert len(found.ids) == len(corner_points(board))
     assert error_px(found, board) < 0.1
 
 
-def test_a_legacy_charuco_board_is_found_as_such(drawn_board):
+def test_a_legacy_charuco_board_is_found(drawn_board):
     found = find_board(drawn_board(LEGACY), LEGACY, "drawn")
 
     assert error_px(found, LEGACY) < 0.1
 
 
-def test_a_turned_chessboard_keeps_its_numbers(drawn_board):
+def test_a_rotated_chessboard_has_the_same_corner_numbers(drawn_board):
     upside_down = drawn_board(CHESSBOARD)[::-1, ::-1].copy()
 
     found = find_board(upside_down, CHESSBOARD, "turned")
@@ -55,7 +55,7 @@ def test_a_sixteen_bit_image_shows_the_same_corners(drawn_board):
     assert error_px(found, CHESSBOARD) < 0.1
 
 
-def test_a_marker_half_covered_leaves_the_others(drawn_board):
+def test_a_half_covered_marker_does_not_affect_the_others(drawn_board):
     image = drawn_board(FOUR)
     image[40:130, 40:110] = 198
 
@@ -87,7 +87,7 @@ def test_markers_of_apriltag_are_found(drawn_board):
 OWN = ("011010011", "110100110", "101001110", "000101100", "111011100", "100111001")
 
 
-def test_markers_of_a_dictionary_of_ones_own_are_found(drawn_board):
+def test_markers_of_a_custom_dictionary_are_found(drawn_board):
     board = Board(
         kind="aruco_grid", squares_x=3, squares_y=2, marker_m=0.04, gap_m=0.01, dictionary="own.yml", marker_bits=OWN
     )
@@ -99,7 +99,7 @@ def test_markers_of_a_dictionary_of_ones_own_are_found(drawn_board):
 
 
 def drawn_own_markers(board: Board) -> np.ndarray:
-    """Bits as they stand in the file, 1 white, each in a black border one bit wide; 2 pixels a millimetre."""
+    """Draws markers by the bits of the file (1 is white) in a black border one bit wide; 2 pixels a millimetre."""
     image = np.full((2 * 40 + 180, 2 * 40 + 280), 255, np.uint8)
     for number, (left, top) in enumerate(marker_corners(board)[:, 0, :2]):
         bits = np.pad(np.reshape([int(bit) for bit in board.marker_bits[number]], (3, 3)), 1)
@@ -108,7 +108,7 @@ def drawn_own_markers(board: Board) -> np.ndarray:
     return cv2.GaussianBlur(image * 0.7 + 20, (0, 0), 1.0).astype(np.uint8)
 
 
-def test_higher_squares_have_their_corners_lower():
+def test_the_rows_of_corners_are_spaced_by_the_height_of_the_squares():
     points = corner_points(replace(CHESSBOARD, square_y_m=0.03))
 
     assert points[0].tolist() == [0.025, 0.03, 0.0]
@@ -116,7 +116,7 @@ def test_higher_squares_have_their_corners_lower():
 
 
 def test_noise_does_not_push_the_corners_of_markers_outwards(rng, drawn_board, plane_board):
-    """Noise of the bright side outweighs that of the dark side; corners must not follow it (0.05 px once)."""
+    """The bright side has more noise than the dark side, which must not displace corners (a fixed error of 0.05 px)."""
     image = drawn_board(plane_board).astype(np.float64)
     outward = []
     for _ in range(6):
@@ -131,7 +131,7 @@ def test_noise_does_not_push_the_corners_of_markers_outwards(rng, drawn_board, p
     assert abs(np.median(outward)) < 0.012
 
 
-def test_an_image_that_opencv_fails_on_is_bad_data_and_no_bug(monkeypatch):
+def test_an_image_on_which_opencv_fails_is_reported_as_bad_data(monkeypatch):
     def failing(*_, **__):
         return cv2.cvtColor(np.zeros((2, 2), np.uint8), cv2.COLOR_BGR2GRAY)  # one channel where three are needed
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.calibrate.boards.circles import circle_middles
+from ringpose.calibrate.boards.circles import opencv_ellipse_centers
 from ringpose.calibrate.boards.layout import corner_points
 from ringpose.calibrate.boards.views import find_board
 from ringpose.types.board import Board
@@ -16,7 +16,7 @@ SUBPIXELS = 4
 
 @pytest.fixture
 def tilted_circles():
-    """Draws the grid tilted by 45 degrees 0.35 m away, and says where its centres are seen."""
+    """Draws the grid tilted by 45 degrees at 0.35 m, and returns its projected centres."""
 
     def drawn(radius_m: float) -> tuple[np.ndarray, np.ndarray]:
         points = corner_points(BOARD)
@@ -39,10 +39,10 @@ def tilted_circles():
 
 
 @pytest.mark.parametrize("radius_m", [0.005, 0.008])
-def test_centres_of_tilted_circles_are_not_the_middles_of_their_ellipses(radius_m, tilted_circles):
+def test_centres_of_tilted_circles_differ_from_those_of_their_ellipses(radius_m, tilted_circles):
     image, centers_px = tilted_circles(radius_m)
 
-    middles = np.linalg.norm(circle_middles(image, 4, 7) - centers_px, axis=1)
+    middles = np.linalg.norm(opencv_ellipse_centers(image, 4, 7) - centers_px, axis=1)
     found = np.linalg.norm(find_board(image, BOARD, "tilted").points_px - centers_px, axis=1)
 
     assert np.median(middles) > 0.08
@@ -59,7 +59,7 @@ def test_circles_are_found_in_an_image_a_quarter_as_bright(tilted_circles):
 
 
 def test_noise_makes_circles_no_larger(rng, tilted_circles):
-    """Paper's noise to one side only, over three times a circle's area, would be a hundredth of its radius."""
+    """Noise of the paper clipped to one side would increase the radius by a hundredth."""
     image, _ = tilted_circles(0.006)
     noisy = np.clip(np.rint(image + 6 * rng.standard_normal(image.shape)), 0, 255).astype(np.uint8)
 

@@ -48,25 +48,28 @@ def test_views_that_err_alike_are_given_one_standard_deviation(rng, views, true_
 
 @pytest.mark.parametrize(("share", "least", "most"), [(0.0, 1.0, 1.4), (1.0, 1.9, 2.6)])
 def test_errors_that_all_views_share_do_not_grow_fewer_with_their_number(share, least, most, rng, views, true_camera):
-    """Of half the variance each, the mean of nine views varies by 5 times what independent errors of both would."""
+    """Common and independent errors have half of the variance each: means over nine views have 5 times the variance of
+    independent errors."""
     common = share * SIGMA_PX * rng.standard_normal((16, 2))
     seen = [with_errors(view, common + SIGMA_PX * rng.standard_normal((16, 2))) for view in views]
     poses = poses_of(seen, true_camera)
     sigmas = corner_sigmas_px(seen, poses, true_camera)
 
-    wider = with_shared_errors(sigmas, seen, poses, true_camera, taken=0)
+    wider = with_shared_errors(sigmas, seen, poses, true_camera, shared_parameters=0)
 
     assert least < wider.mean() / sigmas.mean() < most
 
 
 def test_views_may_show_different_numbers_of_corners(rng, views, true_camera):
-    """A corner that one view alone shows says nothing of what views share."""
+    """A corner that a single view shows does not contribute to the errors that views have in common."""
     seen = [with_errors(view, SIGMA_PX * rng.standard_normal((16, 2))) for view in views]
     board = seen[0].board
     fewer = replace(board, ids=board.ids[:8], points_board_m=board.points_board_m[:8], points_px=board.points_px[:8])
     seen[0] = replace(seen[0], board=fewer)
     poses = poses_of(seen, true_camera)
 
-    wider = with_shared_errors(corner_sigmas_px(seen, poses, true_camera), seen, poses, true_camera, taken=0)
+    wider = with_shared_errors(
+        corner_sigmas_px(seen, poses, true_camera), seen, poses, true_camera, shared_parameters=0
+    )
 
     assert wider.mean() == pytest.approx(SIGMA_PX, rel=0.4)

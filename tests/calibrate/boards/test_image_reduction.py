@@ -1,4 +1,4 @@
-"""Places in images made smaller."""
+"""Positions in reduced images."""
 
 import cv2
 import numpy as np
@@ -11,12 +11,12 @@ from ringpose.calibrate.boards.image_patch import in_full_image, reduced, reduct
 @pytest.mark.parametrize(
     ("longer", "expected"), [(640, [1]), (2900, [1]), (4000, [2, 1]), (7000, [4, 2]), (15000, [8, 4]), (24000, [12, 6])]
 )
-def test_an_image_is_searched_small_first_and_never_as_a_whole_if_it_is_large(longer, expected):
+def test_large_images_are_searched_in_reduced_form_only(longer, expected):
     assert reductions((longer * 3 // 4, longer)) == expected
 
 
 @pytest.mark.parametrize("reduction", [1, 2, 3, 7])
-def test_a_place_in_the_smaller_image_is_that_place_in_the_whole_one(reduction):
+def test_points_of_a_reduced_image_are_mapped_to_the_full_image(reduction):
     row, column = np.indices((210, 213), dtype=np.float64)
     image = np.rint(200 * np.exp(-0.5 * ((column - 90.3) ** 2 + (row - 120.8) ** 2) / 40**2)).astype(np.uint8)
 
@@ -30,7 +30,7 @@ def test_a_place_in_the_smaller_image_is_that_place_in_the_whole_one(reduction):
     assert in_full_image(place, reduction) == pytest.approx(expected, abs=0.05)
 
 
-def test_a_large_chessboard_has_its_corners_as_exact_as_a_small_one():
+def test_corners_are_as_accurate_in_a_large_image_as_in_a_small_one():
     squares = np.indices((6, 8)).sum(axis=0) % 2 * 255.0
     board = np.pad(np.kron(squares, np.ones((300, 300))), 400, constant_values=255.0)
     image = np.rint(cv2.GaussianBlur(0.7 * board + 20, (0, 0), 1.5)).astype(np.uint8)

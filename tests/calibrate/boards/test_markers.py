@@ -18,5 +18,5 @@ def test_dictionary_with_too_few_markers_for_the_board_is_refused(kind, squares,
 
 
 @pytest.mark.parametrize(("kind", "squares"), [("charuco", 10), ("aruco_grid", 7), ("four_markers", 1000)])
-def test_dictionary_that_has_all_the_markers_of_the_board_is_taken(kind, squares):
+def test_dictionary_that_has_all_the_markers_of_the_board_is_accepted(kind, squares):
     assert len(marker_dictionary(board(kind, squares, "DICT_5X5_50")).bytesList) == 50

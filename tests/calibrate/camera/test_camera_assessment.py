@@ -1,4 +1,4 @@
-"""What a camera calibration is judged by, on views whose camera is exactly known."""
+"""Assessment of a camera calibration, on views of a known camera."""
 
 import re
 from dataclasses import replace
@@ -42,7 +42,7 @@ def views(rng, board_view, true_poses):
 
 @pytest.fixture
 def frontal_views(rng, board_view):
-    """Boards of one distance that hardly lean, and never reach the left of the image."""
+    """Views of boards at one distance with small tilts, none in the left of the image."""
 
     def made(number: int) -> list[BoardView]:
         found = []

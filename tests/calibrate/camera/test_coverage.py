@@ -1,4 +1,4 @@
-"""Which parts of the image corners reach, and how boards stand, on views made for it."""
+"""Coverage of the image by corners, and tilts of the boards, on constructed views."""
 
 import numpy as np
 import pytest
@@ -45,13 +45,13 @@ def grid_px(left: float, right: float, top: float, bottom: float) -> np.ndarray:
     return np.stack([column.ravel(), row.ravel()], axis=1)
 
 
-def test_corners_everywhere_leave_nothing_bare(covered):
+def test_corners_everywhere_leave_no_bare_region(covered):
     found = covered((grid_px(0, 1599, 0, 1199), 0.0, 0.5))
 
     assert (found.share, found.bare_regions) == (1.0, ())
 
 
-def test_a_side_that_is_never_reached_is_named(covered):
+def test_regions_without_corners_are_named(covered):
     found = covered((grid_px(560, 1599, 0, 1199), 0.0, 0.5))
 
     assert found.bare_regions == ("upper left", "left", "lower left")
@@ -63,7 +63,7 @@ def test_every_corner_is_counted_once(covered):
     assert found.corners.sum() == 2 * 24**2
 
 
-def test_rejected_views_cover_nothing(covered):
+def test_rejected_views_do_not_count_for_coverage(covered):
     whole, middle = (grid_px(0, 1599, 0, 1199), 0.0, 0.5), (grid_px(600, 1000, 500, 700), 0.0, 0.9)
 
     found = covered(whole, middle, bad=0)
@@ -72,7 +72,7 @@ def test_rejected_views_cover_nothing(covered):
     assert found.distance_m == (0.9,)
 
 
-def test_tilt_is_that_between_board_and_image(covered):
+def test_tilt_is_the_angle_between_board_and_image_plane(covered):
     px = grid_px(0, 100, 0, 100)
 
     found = covered((px, 0.1, 0.5), (px, -0.4, 0.5))

@@ -1,4 +1,4 @@
-"""How far two cameras see the same thing apart, by formulas for simple changes."""
+"""Displacement between the projections of two cameras, against formulas for simple changes."""
 
 from dataclasses import replace
 
@@ -8,7 +8,7 @@ import pytest
 from ringpose.calibrate.camera.validation import displacement_px, image_map
 
 
-def test_a_turned_camera_frame_displaces_nothing(true_camera):
+def test_a_rotation_of_the_camera_frame_displaces_nothing(true_camera):
     moved = true_camera.camera_matrix.copy()
     moved[0, 2] += 0.5  # at 1781 px, a turn by a sixth of a minute of arc, but for its second order
     other = replace(true_camera, camera_matrix=moved, distortion_coefficients=np.zeros(5))

@@ -1,4 +1,4 @@
-"""Cameras of photographs and renders beside the reference results that came with them."""
+"""Cameras of photographs and renders, against their reference results."""
 
 from collections.abc import Sequence
 
@@ -35,7 +35,7 @@ def calibrated(paths: Sequence, board: Board, model: CameraModel) -> tuple[Camer
 
 
 def deviations_from(calibration: CameraCalibration, reference: Sequence[float]) -> np.ndarray:
-    """In standard deviations that are reported."""
+    """Errors in reported standard deviations."""
     sigmas = np.array(list(calibration.standard_deviations.values()))[: len(reference)]
     error = parameters_of(calibration.camera)[: len(reference)] - reference
     return np.abs(error) / np.where(sigmas > 0, sigmas, 1.0)
@@ -97,7 +97,7 @@ def bent_board(seen_px: Sequence[np.ndarray], flat_m: np.ndarray) -> np.ndarray:
 
 
 def rms_px(seen_px: Sequence[np.ndarray], board_m: np.ndarray) -> float:
-    """Of a camera calibrated with a board of this shape."""
+    """Residuals of a camera calibrated with a board of this shape."""
     pixels = [np.asarray(px, np.float32) for px in seen_px]
     start = np.array([[2420.0, 0, 650], [0, 2420, 520], [0, 0, 1]])
     flags = cv2.CALIB_FIX_K3 | cv2.CALIB_USE_INTRINSIC_GUESS

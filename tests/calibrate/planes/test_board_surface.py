@@ -1,9 +1,9 @@
-"""Where on a board stripes are trusted."""
+"""Regions of a board in which stripes are used."""
 
 import numpy as np
 import pytest
 
-from ringpose.calibrate.planes.board_surface import BoardSurface, board_surface
+from ringpose.calibrate.planes.board_surface import BoardSurface, board_surface, triangulated
 from ringpose.geometry.rays import project
 from ringpose.types.board import Board, BoardPose
 from ringpose.types.image import Shot
@@ -41,7 +41,10 @@ def test_only_light_squares_away_from_their_edges_are_used(place_m, usable, surf
 def seen(surface, lasers, first_is_dark) -> Shot:
     """A shot of the board, square by square."""
     y, x = np.mgrid[0:1200:4, 0:1600:4]
-    place = surface.points(np.stack([x, y], axis=-1).reshape(-1, 2).astype(float)) - surface.pose.translation_m
+    place = (
+        triangulated(np.stack([x, y], axis=-1).reshape(-1, 2).astype(float), surface.pose, surface.camera)
+        - surface.pose.translation_m
+    )
     parity = np.floor(place[:, :2] / 0.03).astype(int).sum(axis=1) % 2
     image = np.kron(np.where(parity == first_is_dark, 200, 60).reshape(x.shape), np.ones((4, 4))).astype(np.uint8)
     count = len(lasers)
@@ -51,7 +54,7 @@ def seen(surface, lasers, first_is_dark) -> Shot:
 
 @pytest.mark.parametrize("first_is_dark", [True, False])
 @pytest.mark.parametrize(("lasers", "light"), [([0, 1], True), ([1], False)])
-def test_light_squares_serve_where_the_paper_is_subtracted_dark_ones_elsewhere(lasers, light, first_is_dark, surface):
+def test_light_squares_are_used_with_a_dark_frame_and_dark_squares_without(lasers, light, first_is_dark, surface):
     found = board_surface(seen(surface, lasers, first_is_dark), surface.board, surface.pose, surface.camera)
 
     place_m = {True: (0.045, 0.015), False: (0.015, 0.015)}[light == first_is_dark]

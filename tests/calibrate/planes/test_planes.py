@@ -65,7 +65,7 @@ def test_a_laser_that_is_seen_once_is_named(rng, stripe_views, true_poses, true_
         calibrate_planes(hidden, true_camera, MODEL)
 
 
-def test_no_view_at_all_says_what_is_needed(true_camera):
+def test_the_required_views_are_reported_if_there_are_none(true_camera):
     with pytest.raises(DataError, match="two or more distances"):
         calibrate_planes([], true_camera, MODEL)
 
@@ -149,7 +149,7 @@ def test_the_papers_method_claims_no_covariance(rng, stripe_views, true_poses, t
 def test_errors_of_fifty_calibrations_have_the_joint_covariance_that_is_reported(
     free_camera, rng, stripe_views, true_poses, true_planes, true_camera, camera_covariance
 ):
-    """Each time another camera with errors drawn from its covariance, other noise, other boards."""
+    """Every run has a camera drawn from its covariance, new noise and new boards."""
     runs = 50
     normalised = []
     for _ in range(runs):

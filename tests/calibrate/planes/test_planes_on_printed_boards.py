@@ -31,7 +31,7 @@ FOUR_MARKERS = Board(
 NORMALS = np.array([[0.0, np.cos(a), -np.sin(a)] for a in (0.09, 0.0, -0.09)])
 DISTANCES_M = np.array([-0.045, -0.04, -0.045])
 PIXELS_PER_METRE = 2000.0
-"""Of the board from above."""
+"""Reflectance of the board, seen from above."""
 RIM_PX = 40
 SUBPIXELS = 2
 SHEET_M = 0.0004
@@ -69,7 +69,7 @@ def drawn_shot(drawn, rng, stand, name) -> Shot:
 
 
 def fine(pixels: int) -> np.ndarray:
-    """Middles of parts of pixels."""
+    """Centres of sub-pixels."""
     return (np.arange(pixels * SUBPIXELS) + 0.5) / SUBPIXELS - 0.5
 
 
@@ -99,7 +99,7 @@ def nees(found) -> float:
 @pytest.mark.slow
 @pytest.mark.parametrize("board", [CHESSBOARD, CHARUCO, FOUR_MARKERS], ids=lambda board: board.kind)
 def test_errors_of_planes_from_images_are_as_large_as_reported(board, rng, drawn_board):
-    """The three kinds together in their 95 % band."""
+    """NEES of the three kinds of boards together within its 95 % interval."""
     runs = 20
     drawn = drawn_board(board)
     size_m = (np.array(drawn.shape)[::-1] - 2 * RIM_PX) / PIXELS_PER_METRE

@@ -1,4 +1,4 @@
-"""Whether a rig holds, by one view of the board."""
+"""Check of a rig by one view of the board."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What a calibration's covariance means for the centre of a ring, against drawn rigs."""
+"""Uncertainty of a ring's centre by the calibration's covariance, against sampled rigs."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ def break_points_m(depth_m: float) -> np.ndarray:
 
 
 def seen_center_m(points: np.ndarray, wrong: np.ndarray) -> np.ndarray:
-    """The centre as planes see it that are off by tilts about z and x and by distance: two circles in their plane."""
+    """The centre measured with planes wrong by tilts about z and x and by distance: two circles in their plane."""
     normal = NORMALS - wrong[:, :1] * [1.0, 0.0, 0.0]
     normal[:, 1:] += wrong[:, 1:2] * np.stack([-NORMALS[:, 2], NORMALS[:, 1]], axis=1)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -58,7 +58,7 @@ def test_a_ring_s_centre_errs_by_as_much_as_told(depth_m, rng, lasers, true_came
     assert predicted == pytest.approx(np.std(drawn, axis=0), rel=0.15)
 
 
-def test_of_a_ring_that_not_all_stripes_cross_in_the_image_nothing_is_told(lasers, true_camera):
+def test_the_uncertainty_of_a_ring_that_misses_a_stripe_is_nan(lasers, true_camera):
     assert np.isnan(ring_center_sd_m(true_camera, lasers, planes_covariance(), 0.1)).all()
 
 
@@ -73,11 +73,11 @@ def test_the_camera_s_share_is_what_the_planes_follow_it_by(rng):
     assert found[3:, 3:] == pytest.approx(cross @ follow.T, rel=1e-6, abs=1e-18)
 
 
-def test_of_planes_alone_the_camera_s_share_is_nothing():
+def test_the_camera_causes_no_covariance_of_planes_alone():
     assert not of_camera(planes_covariance()).data.any()
 
 
-def test_stripes_on_a_wall_lie_apart_as_their_planes_do(lasers):
+def test_the_distance_of_the_outermost_stripes_on_a_wall_is_that_of_their_planes(lasers):
     points = break_points_m(0.8)
 
     assert stripes_apart_m(lasers, 0.8) == pytest.approx(np.ptp(points[..., 1]), rel=1e-9)

@@ -1,4 +1,4 @@
-"""How far lines of correlated centres err."""
+"""Errors of lines fitted to correlated centres."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from ringpose.calibrate.planes.stripe_errors import center_sigma_px, shared_leng
 
 
 def test_six_short_stripes_whose_centres_come_in_fours_are_not_taken_for_independent(rng):
-    """Means of centres that come in fours have four times the variance of independent ones."""
+    """With four equal neighbours each, means of centres have four times the variance of independent ones."""
     stripes = [np.stack([np.arange(100.0), np.repeat(0.1 * rng.standard_normal(25), 4)], axis=-1) for _ in range(6)]
 
     assert 2.5 < shared_length(stripes) < 6.5

@@ -28,7 +28,7 @@ def test_a_board_that_does_not_fit_is_left_out_by_name(rng, stripe_views, true_p
 def test_stripes_turn_a_board_back_that_its_corners_see_mirrored(
     rng, board_view, stripe_views, true_poses, true_planes, true_camera
 ):
-    """The corners of a small board lie between those of its pose and of the mirrored one, nearer to the latter."""
+    """The corners of a small board lie between those of its pose and of the mirrored pose, nearer to the latter."""
     small = 0.02 * np.stack(np.meshgrid([0, 1, 2], [0, 1, 2], [0.0]), axis=-1).reshape(-1, 3) + [0.13, 0.1, 0]
     views = stripe_views(true_poses(rng, 6), rng, 0.01, 0.05)
     turn = cv2.Rodrigues(np.array([0.25, 0.3, 0.0]))[0]
@@ -65,7 +65,7 @@ def both_minima(view, camera) -> list[BoardPose]:
 def test_a_stripe_that_is_not_seen_is_said_only_if_its_light_crosses_the_board(
     rise_m, said, rng, stripe_views, true_poses, true_camera
 ):
-    """Risen by 0.2 m the board is out of the reach of the left laser, at the bottom of the image."""
+    """Raised by 0.2 m, the board is outside the plane of the left laser, at the bottom of the image."""
     views = stripe_views(true_poses(rng, 4), rng)
     turn, place = true_poses(rng, 1)[0]
     (seen,) = stripe_views([(turn, place - [0.0, rise_m, 0.0])], rng)

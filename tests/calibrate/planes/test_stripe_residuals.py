@@ -28,7 +28,7 @@ def centers_px(rng) -> np.ndarray:
 
 
 def distances_m(centers_px, pose, normal, distance_m, camera) -> np.ndarray:
-    """Of the centres' places on the board from the light plane, written out."""
+    """Distances of the centres on the board from the light plane."""
     found = rays(centers_px, camera)
     board = pose.rotation[:, 2]
     places = (board @ pose.translation_m / (found @ board))[:, None] * found

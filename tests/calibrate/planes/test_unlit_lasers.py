@@ -1,4 +1,4 @@
-"""Lasers that shots name and never show."""
+"""Lasers that the shots name but never show."""
 
 from dataclasses import replace
 

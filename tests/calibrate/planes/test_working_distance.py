@@ -24,7 +24,7 @@ def across(planes, lasers: tuple[int, ...], depth_m: float, tilts_rad: Sequence[
 
 @pytest.fixture(scope="module")
 def near_views(stripe_views, true_planes):
-    """Boards 0.41 to 0.55 m away, as speckle has their stripes."""
+    """Views of boards at 0.41 to 0.55 m, their stripes with the noise of speckle."""
     rng = np.random.default_rng(1)
     depths = np.linspace(0.41, 0.55, 8).tolist()
     places = [across(true_planes, (0, 1, 2), depth, rng.uniform(-0.3, 0.3, 2)) for depth in depths]
@@ -50,7 +50,7 @@ def center_finding(views, camera, working_distance_m=1.0):
     return next(finding for finding in verdict.findings if finding.name == "ring_center_sd_m")
 
 
-def test_poses_far_beyond_the_boards_are_told_in_millimetres(near_views, true_camera):
+def test_the_error_of_poses_far_beyond_the_boards_is_reported_in_millimetres(near_views, true_camera):
     finding = center_finding(near_views, true_camera)
 
     assert finding.grade is Grade.IMPROVABLE
@@ -58,7 +58,7 @@ def test_poses_far_beyond_the_boards_are_told_in_millimetres(near_views, true_ca
     assert "add six views of the board about 1.00 m away" in finding.advice
 
 
-def test_where_the_boards_were_poses_are_held_well(near_views, true_camera):
+def test_poses_at_the_distance_of_the_boards_are_graded_good(near_views, true_camera):
     assert center_finding(near_views, true_camera, None).grade is Grade.GOOD
 
 

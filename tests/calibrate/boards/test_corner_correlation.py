@@ -1,4 +1,4 @@
-"""What the corners of one marker have in common."""
+"""Correlation of the corner errors of one marker."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def test_ends_of_parabolas_through_noise_err_as_alike_as_said(left_out, rng):
 
 
 @pytest.mark.parametrize("left_out", [0.0, 0.02, 0.1])
-def test_how_much_of_a_side_was_drawn_follows_from_how_alike_its_ends_err(left_out):
+def test_the_fitted_length_of_a_side_follows_from_the_correlation_at_its_ends(left_out):
     assert endpoint_for_correlation(endpoint_correlation(left_out)) == pytest.approx(1 / (1 - 2 * left_out))
 
 

@@ -1,14 +1,14 @@
-"""Corners in uneven light, on boards whose corners are known from the drawing."""
+"""Chessboard corners under uneven illumination, on drawn boards."""
 
 import numpy as np
 import pytest
 
-from ringpose.calibrate.boards.chessboard import levelled_corners, refined_corners
+from ringpose.calibrate.boards.chessboard import refined_corners, saddle_points
 from ringpose.calibrate.boards.layout import corner_points
 from ringpose.types.board import Board
 
 BOARD = Board(kind="chessboard", squares_x=8, squares_y=7, square_m=0.02)
-HALF_PX = 9
+HALF_PX = 9.0
 
 
 @pytest.fixture
@@ -32,28 +32,28 @@ def rms(points: np.ndarray) -> float:
 def test_corners_beside_a_glaring_stripe_are_half_as_far_off(glaring):
     start = true_px() + 0.3
 
-    plain = refined_corners(glaring, start, float(HALF_PX))
-    levelled = levelled_corners(glaring, start.reshape(6, 7, 2), HALF_PX)
+    plain = refined_corners(glaring, start, HALF_PX)
+    normalised = saddle_points(glaring, start.reshape(6, 7, 2), HALF_PX)
 
-    assert rms(levelled) < 0.5 * rms(plain)
-
-
-def test_corners_in_even_light_stay_where_they_are(drawn_board):
-    levelled = levelled_corners(drawn_board(BOARD), true_px().reshape(6, 7, 2), HALF_PX)
-
-    assert np.abs(levelled.reshape(-1, 2) - true_px()).max() < 0.02
+    assert rms(normalised) < 0.5 * rms(plain)
 
 
-def test_a_flat_image_moves_no_corner():
+def test_corners_under_even_illumination_are_unchanged(drawn_board):
+    normalised = saddle_points(drawn_board(BOARD), true_px().reshape(6, 7, 2), HALF_PX)
+
+    assert np.abs(normalised.reshape(-1, 2) - true_px()).max() < 0.02
+
+
+def test_corners_in_an_image_without_contrast_are_unchanged():
     flat = np.full((400, 400), 90, np.uint8)
 
-    assert np.array_equal(levelled_corners(flat, true_px().reshape(6, 7, 2), HALF_PX).reshape(-1, 2), true_px())
+    assert np.array_equal(saddle_points(flat, true_px().reshape(6, 7, 2), HALF_PX).reshape(-1, 2), true_px())
 
 
-def test_corners_at_the_rim_keep_their_place(drawn_board):
+def test_corners_at_the_rim_of_the_image_are_unchanged(drawn_board):
     tight = drawn_board(BOARD)[72:-72, 72:-72].copy()
     start = true_px() - 72 + 0.4
 
-    levelled = levelled_corners(tight, start.reshape(6, 7, 2), HALF_PX).reshape(6, 7, 2)
+    normalised = saddle_points(tight, start.reshape(6, 7, 2), HALF_PX).reshape(6, 7, 2)
 
-    assert np.array_equal(levelled[0], start.reshape(6, 7, 2)[0])
+    assert np.array_equal(normalised[0], start.reshape(6, 7, 2)[0])

@@ -1,4 +1,4 @@
-"""How exact each view is, on squares drawn from chi-squared."""
+"""Moderated variances of views, whose sums of squares are drawn from chi-squared distributions."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ def test_moderated_variances_err_less_than_the_views_own(rng):
     assert errors[0] < 0.9 * errors[1]
 
 
-def test_two_views_tell_no_difference():
+def test_two_views_share_one_variance():
     assert np.ptp(moderated_variances(np.array([1.0, 9.0]), np.array([10.0, 10.0]))) == 0.0
 
 

@@ -1,4 +1,4 @@
-"""What a lens does to sides and circles, by formulas written out here."""
+"""Bias of corners and circle centres by distortion, against formulas."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ def bent_px(points_m: np.ndarray, camera) -> np.ndarray:
 
 
 def drawn_corner(marker_m: np.ndarray, corner: int, camera) -> np.ndarray:
-    """Where parabolas through the inner part of both sides meet, by two functions of one coordinate."""
+    """Intersection of parabolas through the inner part of both sides, each as a function of one coordinate."""
     share = np.linspace(LEFT_OUT, 1 - LEFT_OUT, 400)[:, None]
     corner_m, beside_m, below_m = marker_m[[corner, corner ^ 1, 3 - corner]]
     level, upright = (bent_px(corner_m + share * (other - corner_m), camera) for other in (beside_m, below_m))
@@ -59,7 +59,7 @@ def drawn_markers(bent_camera):
     return view, bent_px(places.reshape(-1, 3), bent_camera)
 
 
-def test_corners_of_bent_sides_come_to_where_they_are(drawn_markers, bent_camera):
+def test_marker_corners_are_corrected_for_curved_sides(drawn_markers, bent_camera):
     view, true_px = drawn_markers
 
     moved = without_distortion_bias(view, bent_camera)
@@ -70,8 +70,8 @@ def test_corners_of_bent_sides_come_to_where_they_are(drawn_markers, bent_camera
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.6])
-def test_centres_of_bent_circles_come_to_where_they_are(tilt, bent_camera):
-    """As they are found: less what perspective does, by the homography of the bent image."""
+def test_circle_centres_are_corrected_for_distortion(tilt, bent_camera):
+    """Centres as they are found: corrected for perspective by the homography of the distorted image."""
     columns, rows = np.meshgrid(np.arange(-3, 4), np.arange(-2, 3))
     centers_m = 0.05 * np.stack([columns.ravel(), rows.ravel(), 0 * rows.ravel()], axis=1).astype(np.float64)
     radius_m = 0.015 * np.sqrt((np.arange(40) + 0.5) / 40)[:, None]
@@ -84,12 +84,12 @@ def test_centres_of_bent_circles_come_to_where_they_are(tilt, bent_camera):
     ]
     one, other = ((place - inner) / step for place in moved)
     area = np.abs(one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0])[..., None]
-    middles_px = (inner * area).sum(axis=1) / area.sum(axis=1)
+    ellipses_px = (inner * area).sum(axis=1) / area.sum(axis=1)
     view = BoardView(
         name="v",
         ids=np.arange(len(centers_m)),
         points_board_m=centers_m,
-        points_px=middles_px - seen_offsets(centers_m, middles_px, 0.015),
+        points_px=ellipses_px - seen_offsets(centers_m, ellipses_px, 0.015),
         circle_radius_m=0.015,
     )
 
@@ -101,7 +101,7 @@ def test_centres_of_bent_circles_come_to_where_they_are(tilt, bent_camera):
     assert after < 0.05 * before
 
 
-def test_corners_of_a_chessboard_stay(drawn_markers, bent_camera):
+def test_corners_of_a_chessboard_need_no_correction(drawn_markers, bent_camera):
     view = replace(drawn_markers[0], end_correlation=0.0)
 
     assert without_distortion_bias(view, bent_camera) is view

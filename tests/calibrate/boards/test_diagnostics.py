@@ -1,4 +1,4 @@
-"""Why an image shows no board: each reason where it is the true one."""
+"""Reasons why an image shows no board."""
 
 from dataclasses import replace
 
@@ -13,21 +13,21 @@ from ringpose.calibrate.boards.views import find_board
 
 
 @pytest.mark.parametrize("board", BOARDS.values(), ids=BOARDS)
-def test_a_black_image_is_too_dark(board):
+def test_a_black_image_is_reported_as_too_dark(board):
     found = find_board(np.zeros((480, 640), np.uint8), board, "black")
 
     assert found.failure is BoardFailure.TOO_DARK
 
 
 @pytest.mark.parametrize("board", BOARDS.values(), ids=BOARDS)
-def test_a_white_image_is_overexposed(board):
+def test_a_white_image_is_reported_as_overexposed(board):
     found = find_board(np.full((480, 640), 255, np.uint8), board, "white")
 
     assert found.failure is BoardFailure.SATURATED
 
 
 @pytest.mark.parametrize("side", ["left", "right", "top", "bottom"])
-def test_a_chessboard_that_is_cut_off_is_said_to_be_so(side, drawn_board):
+def test_a_chessboard_that_is_cut_off_is_reported_as_cut_off(side, drawn_board):
     image = drawn_board(CHESSBOARD)
     kept = {"left": np.s_[:, 190:], "right": np.s_[:, :-190], "top": np.s_[110:], "bottom": np.s_[:-110]}[side]
 
@@ -37,7 +37,7 @@ def test_a_chessboard_that_is_cut_off_is_said_to_be_so(side, drawn_board):
     assert "of 9 x 6 inner corners" in found.found
 
 
-def test_a_covered_chessboard_says_how_much_is_seen(drawn_board):
+def test_the_number_of_corners_seen_of_a_covered_chessboard_is_reported(drawn_board):
     image = drawn_board(CHESSBOARD)
     image[220:340, 300:420] = 120
 
@@ -47,7 +47,7 @@ def test_a_covered_chessboard_says_how_much_is_seen(drawn_board):
     assert len(found.points_px) >= 12
 
 
-def test_a_chessboard_of_another_size_says_which(drawn_board):
+def test_the_size_of_another_chessboard_is_reported(drawn_board):
     found = find_board(drawn_board(CHESSBOARD), replace(CHESSBOARD, squares_x=9), "other size")
 
     assert found.failure is BoardFailure.OTHER_SIZE
@@ -60,7 +60,7 @@ def test_noise_is_no_part_of_a_chessboard(rng):
     assert found.failure is BoardFailure.NOT_WHOLE
 
 
-def test_an_image_too_blurred_is_called_so_with_its_measure(drawn_board):
+def test_a_blurred_image_is_reported_with_the_width_of_its_edges(drawn_board):
     image = cv2.GaussianBlur(drawn_board(CHESSBOARD), (0, 0), 40)
 
     found = find_board(image, CHESSBOARD, "blurred")
@@ -70,8 +70,8 @@ def test_an_image_too_blurred_is_called_so_with_its_measure(drawn_board):
 
 
 @pytest.mark.parametrize(("blur_px", "reason"), [(2.5, BoardFailure.BLURRED), (0.7, BoardFailure.FEW_CORNERS)])
-def test_markers_tell_whether_blur_leaves_no_corners_between_them(blur_px, reason, drawn_board):
-    """Their cells are 4.6 pixels."""
+def test_blur_is_reported_only_if_it_is_wide_against_the_markers_cells(blur_px, reason, drawn_board):
+    """The cells of the markers are 4.6 pixels wide."""
     image = drawn_board(CHARUCO)
     markers = find_markers(image, marker_dictionary(CHARUCO))
 
@@ -81,7 +81,7 @@ def test_markers_tell_whether_blur_leaves_no_corners_between_them(blur_px, reaso
     assert found.found.endswith("3 corners, 24 of 24 markers")
 
 
-def test_blurred_markers_are_not_called_mirrored(drawn_board):
+def test_blurred_markers_are_not_reported_as_mirrored(drawn_board):
     found = find_board(cv2.GaussianBlur(drawn_board(CHARUCO), (0, 0), 4.5), CHARUCO, "blurred")
 
     assert found.failure is BoardFailure.FEW_MARKERS
@@ -89,20 +89,20 @@ def test_blurred_markers_are_not_called_mirrored(drawn_board):
 
 
 @pytest.mark.parametrize("sigma_px", [2.0, 4.0, 8.0])
-def test_the_width_of_edges_is_that_of_the_blur(sigma_px):
+def test_the_edge_width_is_the_standard_deviation_of_the_blur(sigma_px):
     edge = np.where(np.arange(400) < 200, 40.0, 200.0) * np.ones((400, 1))
     image = cv2.GaussianBlur(edge, (0, 0), sigma_px).astype(np.uint8)
 
     assert edge_width_px(image) == pytest.approx(np.hypot(sigma_px, 1.0), rel=0.1)
 
 
-def test_markers_out_of_the_image_are_counted(drawn_board):
+def test_markers_outside_the_image_are_counted(drawn_board):
     found = find_board(drawn_board(FOUR)[:, :300].copy()[:250], FOUR, "corner")
 
     assert found.value == "too few of the board's markers found (1 of 4, 3 of the others are outside the image)"
 
 
-def test_one_marker_of_four_says_one_of_four(drawn_board):
+def test_one_found_marker_is_reported_as_one_of_four(drawn_board):
     image = drawn_board(FOUR)
     image[:, 320:] = 198
     image[260:] = 198
@@ -112,13 +112,13 @@ def test_one_marker_of_four_says_one_of_four(drawn_board):
     assert found.value == "too few of the board's markers found (1 of 4)"
 
 
-def test_markers_of_another_dictionary_are_not_the_boards(drawn_board):
+def test_markers_of_another_dictionary_are_reported_as_other_markers(drawn_board):
     found = find_board(drawn_board(FOUR), replace(FOUR, dictionary="DICT_6X6_250"), "other")
 
     assert isinstance(found, NoBoard)
 
 
-def test_markers_with_numbers_beyond_the_board_are_those_of_another(drawn_board):
+def test_markers_with_numbers_beyond_the_board_are_reported_as_other_markers(drawn_board):
     corner = drawn_board(GRID)[:, 260:].copy()  # markers 3, 7, 11 and 2, 6, 10
     corner[:150] = 198  # leaves 6, 7, 10, 11
 
@@ -129,26 +129,26 @@ def test_markers_with_numbers_beyond_the_board_are_those_of_another(drawn_board)
 
 @pytest.mark.parametrize("board", BOARDS.values(), ids=BOARDS)
 @pytest.mark.parametrize("shape", [(1, 1), (14, 300), (300, 14)])
-def test_an_image_without_room_for_a_board_is_too_small(shape, board):
+def test_an_image_of_a_few_pixels_is_reported_as_too_small(shape, board):
     found = find_board(np.full(shape, 90, np.uint8), board, "tiny")
 
     assert found.value == f"the image is too small ({shape[1]} x {shape[0]} pixels)"
 
 
-def test_a_chessboard_seen_whole_is_not_called_covered(drawn_board):
+def test_a_whole_smaller_chessboard_is_not_reported_as_covered(drawn_board):
     found = find_board(np.pad(drawn_board(CHESSBOARD), 60, mode="edge"), replace(CHESSBOARD, squares_x=12), "smaller")
 
     assert found.failure is BoardFailure.OTHER_SIZE
     assert "it ends at 10 x 7 squares, squares_x and squares_y are 12 and 7" in found.found
 
 
-def test_a_rim_through_the_outer_squares_cuts_the_board_off(drawn_board):
+def test_a_board_whose_outer_squares_exceed_the_image_is_cut_off(drawn_board):
     found = find_board(drawn_board(CHESSBOARD)[:, 87:].copy(), CHESSBOARD, "pierced")  # corners are at 89.5
 
     assert found.failure is BoardFailure.CUT_OFF
 
 
-def test_a_strip_before_the_board_does_not_end_it(drawn_board):
+def test_a_strip_that_covers_a_row_does_not_end_the_board(drawn_board):
     image = np.pad(drawn_board(CHESSBOARD), 60, mode="edge")
     image[:, 380:425] = 120  # from the seventh column of squares into the eighth
 
@@ -157,7 +157,7 @@ def test_a_strip_before_the_board_does_not_end_it(drawn_board):
     assert found.failure is BoardFailure.COVERED
 
 
-def test_chessboards_of_opencvs_photographs_are_smaller_not_covered(shared_data):
+def test_chessboards_of_opencvs_photographs_are_reported_as_of_another_size(shared_data):
     paths = sorted((shared_data / "real" / "opencv_extra_calib").glob("chess[37].png"))
 
     found = [find_board(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), CHESSBOARD, path.stem) for path in paths]
@@ -174,7 +174,7 @@ TURNED = {
 
 
 @pytest.mark.parametrize("board", TURNED.values(), ids=TURNED)
-def test_markers_of_another_charuco_board_tell_which_it_is(board, drawn_board):
+def test_the_layout_of_another_charuco_board_is_reported(board, drawn_board):
     found = find_board(drawn_board(CHARUCO), board, "other")
 
     assert found.failure is BoardFailure.OTHER_LAYOUT
@@ -182,7 +182,7 @@ def test_markers_of_another_charuco_board_tell_which_it_is(board, drawn_board):
     assert "legacy_pattern: false" in found.found
 
 
-def test_markers_of_another_grid_tell_which_it_is(drawn_board):
+def test_the_layout_of_another_marker_grid_is_reported(drawn_board):
     found = find_board(drawn_board(GRID), replace(GRID, squares_x=3, squares_y=4), "swapped")
 
     assert found.value == (
@@ -191,14 +191,14 @@ def test_markers_of_another_grid_tell_which_it_is(drawn_board):
 
 
 @pytest.mark.parametrize("board", [FOUR, CHARUCO], ids=lambda board: board.kind)
-def test_a_mirrored_image_of_markers_is_told(board, drawn_board):
+def test_a_mirrored_image_of_markers_is_reported(board, drawn_board):
     found = find_board(np.ascontiguousarray(drawn_board(board)[:, ::-1]), board, "mirrored")
 
     assert found.failure is BoardFailure.MIRRORED
 
 
 @pytest.mark.parametrize("board", [replace(FOUR, dictionary="DICT_7X7_50"), CHESSBOARD], ids=lambda board: board.kind)
-def test_markers_of_another_family_are_named(board, drawn_board):
+def test_the_dictionary_of_other_markers_is_reported(board, drawn_board):
     found = find_board(drawn_board(GRID), board, "family")
 
     assert found.failure is BoardFailure.OTHER_MARKERS

@@ -1,10 +1,10 @@
-"""Middles of ellipses drawn pixel by pixel under light that falls off."""
+"""Centres of ellipses, drawn pixel by pixel with a brightness gradient."""
 
 import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from ringpose.calibrate.boards.circles import levelled_middles
+from ringpose.calibrate.boards.circles import refined_ellipse_centers
 
 MIDDLE_PX = np.array([40.37, 38.81])
 BLUR_PX = 1.1
@@ -18,7 +18,7 @@ def conic(axes_px: tuple[float, float], middle_px: np.ndarray) -> np.ndarray:
 
 @pytest.fixture
 def lit_ellipse():
-    """Ink on paper, eight by eight points a pixel, under light that changes by so much a pixel."""
+    """Draws an ellipse of ink on paper, eight by eight points a pixel; the brightness changes by `slope` a pixel."""
 
     def drawn(axes_px: tuple[float, float], slope: tuple[float, float]) -> np.ndarray:
         fine = (np.arange(80 * 8) + 0.5) / 8 - 0.5
@@ -35,26 +35,26 @@ def lit_ellipse():
 
 @pytest.mark.parametrize("axes_px", [(14.0, 14.0), (12.0, 8.0), (5.0, 4.0)])
 @pytest.mark.parametrize("slope", [(0.0, 0.0), (0.002, -0.001)])
-def test_middles_stay_where_they_are_under_light_that_falls_off(axes_px, slope, lit_ellipse):
+def test_ellipse_centres_are_not_biased_by_a_brightness_gradient(axes_px, slope, lit_ellipse):
     image, start = lit_ellipse(axes_px, slope), MIDDLE_PX + np.array([0.15, -0.2])
 
     for _ in range(2):
-        (start,) = levelled_middles(image, start[None], conic(axes_px, start)[None])
+        (start,) = refined_ellipse_centers(image, start[None], conic(axes_px, start)[None])
 
     assert np.abs(start - MIDDLE_PX).max() < 0.015
 
 
-def test_a_circle_at_the_rim_keeps_its_place(lit_ellipse):
+def test_an_ellipse_at_the_rim_of_the_image_is_unchanged(lit_ellipse):
     rim = np.array([[3.0, 3.0]])
 
-    found = levelled_middles(lit_ellipse((10.0, 10.0), (0.0, 0.0)), rim, conic((10.0, 10.0), rim[0])[None])
+    found = refined_ellipse_centers(lit_ellipse((10.0, 10.0), (0.0, 0.0)), rim, conic((10.0, 10.0), rim[0])[None])
 
     assert found.tolist() == rim.tolist()
 
 
-def test_a_circle_that_is_not_there_keeps_its_place():
+def test_an_ellipse_without_contrast_is_unchanged():
     place = np.array([[40.0, 40.0]])
 
-    found = levelled_middles(np.full((80, 80), 90, np.uint8), place, conic((10.0, 10.0), place[0])[None])
+    found = refined_ellipse_centers(np.full((80, 80), 90, np.uint8), place, conic((10.0, 10.0), place[0])[None])
 
     assert found.tolist() == place.tolist()

@@ -53,7 +53,7 @@ def test_a_bowed_board_is_called_so_with_its_height(views):
 
 
 def test_a_board_that_bends_otherwise_in_each_view_is_not_said_to_have_one_bow(views):
-    """What is left of ten bends looks sure beside the corners' noise; beside how the views disagree it does not."""
+    """The mean of ten bows is significant against the corners' noise, but not against the views' disagreement."""
     bending = views([1e-4, -1e-4, 3e-5, -6e-5, 8e-5, 1e-4, -4e-5, -7e-5, 9e-5, -5e-5])
     found = calibrate_camera(bending, 1600, 1200)
 

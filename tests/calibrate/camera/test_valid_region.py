@@ -1,4 +1,4 @@
-"""Where a camera's covariance tells what the lens does, on a wide rational lens written out here."""
+"""Validity of a camera's covariance, for a wide rational lens computed here."""
 
 from dataclasses import replace
 
@@ -87,7 +87,7 @@ def test_what_is_not_known_of_a_lens_is_said(middle_views):
     assert any("bring the board to the image's corners" in sentence for sentence in verdict.advice)
 
 
-def test_a_rational_lens_is_known_as_far_from_its_middle_as_corners_reach():
+def test_a_rational_model_is_valid_up_to_the_largest_radius_of_a_corner():
     camera = replace(CAMERA, camera_matrix=np.array([[600.0, 0.0, 400.0], [0.0, 600.0, 300.0], [0.0, 0.0, 1.0]]))
     where = image_map(camera)
 

@@ -1,4 +1,4 @@
-"""Views of another camera, and views with something in front, named for what they are."""
+"""Reasons for the rejection of views: another camera, a rotated image, a shadow, saturation."""
 
 import re
 from dataclasses import replace
@@ -100,7 +100,7 @@ def test_an_overexposed_view_is_named_with_the_share_of_its_corners(views, rng):
 
 
 def mixed(boards: list[BoardView], indices: tuple[int, ...]) -> list[BoardView]:
-    """The same with these views seen through a lens 2 % longer."""
+    """The views, some of them with a focal length 2 % longer."""
     middle = [800.0, 600.0]
     return [
         changed(view, middle + 1.02 * (view.points_px - middle)) if index in indices else view

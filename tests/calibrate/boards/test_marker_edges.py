@@ -1,4 +1,4 @@
-"""Corners of a marker drawn pixel by pixel under light that falls off."""
+"""Corners of a marker, drawn pixel by pixel with a brightness gradient."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ BLUR_PX = 1.1
 
 @pytest.fixture
 def lit_square():
-    """A dark square with blurred sides on paper, under light that changes by so much a pixel."""
+    """Draws a dark square with blurred sides on paper; the brightness changes by `slope` a pixel."""
 
     def drawn(slope: tuple[float, float]) -> np.ndarray:
         row, column = np.indices((180, 180), dtype=np.float64)
@@ -27,21 +27,21 @@ def lit_square():
 
 
 @pytest.mark.parametrize("slope", [(0.0, 0.0), (0.002, 0.0), (-0.0015, 0.0015)])
-def test_corners_stay_where_they_are_under_light_that_falls_off(slope, lit_square):
+def test_marker_corners_are_not_biased_by_a_brightness_gradient(slope, lit_square):
     found = corners_from_sides(lit_square(slope), CORNERS_PX + 0.4)
 
     assert np.abs(found.points_px - CORNERS_PX).max() < 0.01
 
 
 def shoulders(across: np.ndarray) -> np.ndarray:
-    """A rise that no error function follows: an eighth of the light a pixel aside, to either side."""
+    """The blur is not Gaussian: an eighth of the light is displaced by a pixel, to either side."""
     return 0.75 * ndtr(across / 0.45) + 0.125 * (ndtr((across - 1) / 0.45) + ndtr((across + 1) / 0.45))
 
 
 @pytest.mark.parametrize("tilt", [0.003, -0.006, 0.02])
 @pytest.mark.parametrize("place", [0.0, 0.25, 0.4])
-def test_sides_along_rows_are_drawn_where_they_are_however_lens_and_pixels_blur(tilt, place):
-    """Half a pixel from end to end, so that a side crosses no more than two rows."""
+def test_sides_along_pixel_rows_are_not_biased_by_the_form_of_the_blur(tilt, place):
+    """The tilt is half a pixel from end to end, so that a side crosses two rows at most."""
     turn = np.array([[np.cos(tilt), -np.sin(tilt)], [np.sin(tilt), np.cos(tilt)]])
     middle = np.array([90.3, 91.1]) + place
     corners = np.array([[-60.0, -52.0], [60.0, -52.0], [60.0, 52.0], [-60.0, 52.0]])
@@ -59,23 +59,23 @@ def test_sides_along_rows_are_drawn_where_they_are_however_lens_and_pixels_blur(
     assert np.abs(found.points_px - true).max() < 0.015
 
 
-def test_sides_share_their_errors_more_the_more_of_them_was_left_out(lit_square):
+def test_the_correlation_at_the_ends_grows_with_the_length_left_out(lit_square):
     found = corners_from_sides(lit_square((0.0, 0.0)), CORNERS_PX + 0.4)
 
     assert 0.3 < found.end_correlation < 0.5
 
 
 @pytest.mark.parametrize("cut", [30, 34])
-def test_corners_stay_where_they_are_beside_the_image_s_border(cut, lit_square):
-    """The paper outside a side is in the image for 9 and for 5 of the pixels that are looked at, light falling off."""
+def test_marker_corners_beside_the_border_of_the_image_are_not_biased(cut, lit_square):
+    """Of the paper outside a side, 9 or 5 pixels are in the image, with a brightness gradient."""
     found = corners_from_sides(lit_square((0.002, 0.0))[cut:], CORNERS_PX - [0.0, cut] + 0.4)
 
     assert np.abs(found.points_px - CORNERS_PX + [0.0, cut]).max() < 0.02
 
 
 @pytest.mark.parametrize("radius_px", [3.0, 4.0])
-def test_corners_are_found_where_a_lens_out_of_focus_spreads_each_point_over_a_disc(radius_px):
-    """Seven or nine pixels wide: a rise that ends farther out than sharp edges are looked at."""
+def test_marker_corners_are_accurate_under_defocus(radius_px):
+    """The blur is seven or nine pixels wide, more than the reach for sharp edges."""
     row, column = np.indices((180, 180), dtype=np.float64)
     turn = np.array([[np.cos(0.1), -np.sin(0.1)], [np.sin(0.1), np.cos(0.1)]])
     on_board = (np.stack([column, row], axis=-1) - 90.2) @ turn

@@ -1,4 +1,4 @@
-"""Why an image shows no grid of circles: how many are seen, and in which rows."""
+"""Reasons why an image shows no grid of circles: the number of circles, and their rows and columns."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ def drawn(columns: int, rows: int, white: int) -> np.ndarray:
     return image
 
 
-def test_circles_in_other_rows_say_in_which():
+def test_the_rows_and_columns_of_another_circle_grid_are_reported():
     found = find_board(drawn(5, 9, 200), BOARD, "other")
 
     assert found.failure is BoardFailure.OTHER_SIZE
@@ -31,21 +31,21 @@ def test_circles_in_other_rows_say_in_which():
 
 
 @pytest.mark.parametrize("kept", [np.s_[:, :210], np.s_[:250]], ids=["columns", "rows"])
-def test_a_part_of_the_circles_is_counted_and_no_other_board(kept):
+def test_part_of_the_circles_is_not_taken_for_another_board(kept):
     found = find_board(drawn(4, 11, 200)[kept].copy(), BOARD, "part")
 
     assert found.failure is BoardFailure.NOT_WHOLE
     assert int(found.found.split()[0]) in range(20, 26)
 
 
-def test_a_clean_white_print_is_not_called_overexposed():
+def test_a_clean_white_print_is_not_reported_as_overexposed():
     found = find_board(drawn(4, 11, 255), replace(BOARD, squares_x=5, squares_y=9), "clean")
 
     assert found.failure is BoardFailure.OTHER_SIZE
     assert "they lie as 4 x 11 would" in found.found
 
 
-def test_an_even_image_has_no_contrast_and_is_not_called_blurred():
+def test_an_even_image_is_not_reported_as_blurred():
     found = find_board(np.full((480, 640), 128, np.uint8), BOARD, "even")
 
     assert found.failure is BoardFailure.NOT_WHOLE
