@@ -377,6 +377,4 @@ def _solution_values(form: ClosedForm, normal: Float64[Array, "3"]) -> Float64[A
     basis = tilt_basis(normal)
     tilt = form.normal @ basis.T / (form.normal @ normal)[:, None]
     in_plane = form.center_m @ basis.T - (form.center_m @ normal)[:, None] * tilt
-    return np.concatenate(
-        [tilt, form.offset_m[:, None], in_plane, form.radius_m, form.center_m, form.grasp_m], axis=-1
-    )
+    return np.concatenate([tilt, form.offset_m[:, None], in_plane, form.radius_m, form.center_m, form.grasp_m], axis=-1)
