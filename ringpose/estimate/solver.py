@@ -62,8 +62,8 @@ class Estimate(NamedTuple):
     """Derivatives of the residuals by the rig's parameters, in their own units; None if the rig counts as exact."""
     nuisance: Float64[Array, "row error"]
     """Derivatives of the residuals by common errors of unit variance: those of the rig, then of visible edges."""
-    mean_ray_wrt_nuisance: Float64[Array, "xy=2 error"]
-    """Derivatives of the mean of the predicted break points by the common errors, for a fixed ring."""
+    mean_ray_wrt_rig: Float64[Array, "xy=2 error"]
+    """Derivatives of the mean of the predicted break points by the rig's common errors, for a fixed ring."""
     nuisance_step: Float64[Array, "error"]
     """The estimated common errors, in their standard deviations."""
     rig_errors: int
@@ -159,19 +159,16 @@ def _gauss_newton(
     inverse = _inverse(normal_matrix)
     if inverse is None:
         return None
-    rig_count, mean_ray_wrt_nuisance = 0, np.zeros((2, nuisance.shape[1]))
-    if errors is not None:
-        rig_count = errors.root.shape[1]
-        mean_ray_wrt_nuisance[:, :rig_count] = mean_ray_jacobian(residuals, measured, observations, errors, rig)
+    mean_ray_wrt_rig = mean_ray_jacobian(residuals, measured, observations, errors, rig)
     return Estimate(
         arcs=arcs,
         residuals=residuals,
         weights=weights,
         rig=wrt_rig,
         nuisance=nuisance,
-        mean_ray_wrt_nuisance=mean_ray_wrt_nuisance,
+        mean_ray_wrt_rig=mean_ray_wrt_rig,
         nuisance_step=nuisance_step,
-        rig_errors=rig_count,
+        rig_errors=mean_ray_wrt_rig.shape[1],
         normal_matrix=normal_matrix,
         inverse=inverse,
         prior=prior,
