@@ -60,8 +60,8 @@ class Quantities(NamedTuple):
     """Unit vector along the face at the grasp point, normal x outward."""
     along_wrt_points_m: Float64[Array, "point"]
     """Shift of the grasp point along the face by an error of one standard deviation in each break point."""
-    along_wrt_nuisance_m: Float64[Array, "error"]
-    """The same by each common error, for a fixed ring."""
+    along_wrt_rig_m: Float64[Array, "error"]
+    """The same by each common error of the rig, for a fixed ring."""
 
 
 def quantities(estimate: Estimate) -> Quantities:
@@ -111,7 +111,7 @@ def quantities(estimate: Estimate) -> Quantities:
         jacobian=jacobian,
         along=face_direction,
         along_wrt_points_m=along_wrt_x / (residuals.distance_scale * residuals.distance_wrt_x),
-        along_wrt_nuisance_m=along_wrt_ray @ estimate.mean_ray_wrt_nuisance,
+        along_wrt_rig_m=along_wrt_ray @ estimate.mean_ray_wrt_rig,
     )
 
 
@@ -131,7 +131,7 @@ def joint_covariance(estimate: Estimate, found: Quantities) -> Float64[Array, "1
     """
     covariance: Float64[Array, "15 15"] = found.jacobian @ estimate.inverse @ found.jacobian.T
     residuals, nuisance = estimate.residuals, estimate.nuisance
-    along = nuisance @ found.along_wrt_nuisance_m
+    along = nuisance[:, : estimate.rig_errors] @ found.along_wrt_rig_m
     along[residuals.ends : residuals.ends + len(found.along_wrt_points_m)] += found.along_wrt_points_m
     weighted = along * estimate.weights
     if nuisance.shape[1]:
@@ -143,7 +143,7 @@ def joint_covariance(estimate: Estimate, found: Quantities) -> Float64[Array, "1
     covariance[:, GRASP] += with_along
     covariance[GRASP] += with_along.T
     variance = found.along_wrt_points_m @ found.along_wrt_points_m
-    variance += found.along_wrt_nuisance_m @ found.along_wrt_nuisance_m
+    variance += found.along_wrt_rig_m @ found.along_wrt_rig_m
     covariance[GRASP, GRASP] += variance * np.outer(found.along, found.along)
     return covariance
 

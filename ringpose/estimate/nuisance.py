@@ -104,12 +104,14 @@ def rig_jacobian(
 
 
 def mean_ray_jacobian(
-    residuals: Residuals, measured: Measurements, observations: Observations, errors: RigErrors, rig: Rig
+    residuals: Residuals, measured: Measurements, observations: Observations, errors: RigErrors | None, rig: Rig
 ) -> Float64[Array, "xy=2 error"]:
-    """Derivatives of the mean predicted break point by the rig's errors of unit variance, for a fixed ring.
+    """Derivatives of the mean of the predicted break points by the rig's errors of unit variance, for a fixed ring.
 
-    The abscissae are those of the measured points, the ordinates those of the predicted stripes.
+    The abscissae are those of the measured pixels, the ordinates those of the predicted stripes.
     """
+    if errors is None:
+        return np.zeros((2, 0))
     points = slice(residuals.ends, None)
     x_wrt_rig = _ray_wrt_rig(observations.rays[points, :2], errors, rig)[:, 0]
     laser = np.concatenate([np.repeat(measured.lines.laser, 2), measured.points.laser])

@@ -62,8 +62,8 @@ class Estimate(NamedTuple):
     """Derivatives of the residuals by the rig's parameters, in their own units; None if the rig counts as exact."""
     nuisance: Float64[Array, "row error"]
     """Derivatives of the residuals by common errors of unit variance: those of the rig, then of visible edges."""
-    mean_ray_wrt_nuisance: Float64[Array, "xy=2 error"]
-    """Derivatives of the mean of the predicted break points by the common errors, for a fixed ring."""
+    mean_ray_wrt_rig: Float64[Array, "xy=2 error"]
+    """Derivatives of the mean of the predicted break points by the rig's common errors, for a fixed ring."""
     nuisance_step: Float64[Array, "error"]
     """The estimated common errors, in their standard deviations."""
     rig_errors: int
@@ -158,17 +158,16 @@ def _gauss_newton(
     inverse = _inverse(normal_matrix)
     if inverse is None:
         return None
-    of_rig = np.zeros((2, 0)) if errors is None else mean_ray_jacobian(residuals, measured, observations, errors, rig)
-    of_edges = np.zeros((2, nuisance.shape[1] - of_rig.shape[1]))
+    mean_ray_wrt_rig = mean_ray_jacobian(residuals, measured, observations, errors, rig)
     return Estimate(
         arcs=arcs,
         residuals=residuals,
         weights=weights,
         rig=wrt_rig,
         nuisance=nuisance,
-        mean_ray_wrt_nuisance=np.concatenate([of_rig, of_edges], axis=1),
+        mean_ray_wrt_rig=mean_ray_wrt_rig,
         nuisance_step=nuisance_step,
-        rig_errors=of_rig.shape[1],
+        rig_errors=mean_ray_wrt_rig.shape[1],
         normal_matrix=normal_matrix,
         inverse=inverse,
         prior=prior,

@@ -2,17 +2,21 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
+from ring_scenes import RIGS, face_points_of, make_scene
 
 from ringpose.estimate.covariance import joint_covariance, quantities
 from ringpose.estimate.hypotheses import explain
-from ringpose.estimate.information import POSE, RATES
+from ringpose.estimate.information import POSE, RATES, increments_between, relinearized, solve_measurement
 from ringpose.estimate.measurements import measurements_of
 from ringpose.estimate.residuals import Prior
+from ringpose.geometry.ring import normal_and_center
+from ringpose.geometry.rotations import tilt_basis, tilted
 from ringpose.pose.maximum_likelihood import most_likely_pose
 from ringpose.types.covariance import ParameterCovariance
-from ringpose.types.pose import MEASURED_PARAMETERS
+from ringpose.types.pose import MEASURED_PARAMETERS, LinearizationPoint
 from ringpose.types.ring import KnownRadii
 
 KNOWN = KnownRadii(radius_m=np.array([0.5671, 0.5968]), sd_m=np.array([1e-4, 2e-4]))
@@ -96,3 +100,148 @@ def test_the_measurement_and_the_stated_priors_give_the_pose_of_the_record(
     difference = (covariance - expected) / np.outer(sd, sd)
     assert np.abs(difference[np.ix_(reported, reported)]).max(initial=0.0) < 1e-6
     assert reported.all() or stripes != (0, 1, 2)
+
+
+# Combination over shots
+
+PLANES = tuple(f"{laser}.{what}" for laser in ("left", "middle", "right") for what in ("tilt_1", "tilt_2", "distance"))
+PLANES_SD = np.array([1e-4, 1e-4, 2e-5] * 3)
+RADIUS_M, RADIUS_SD_M = np.array([0.567, 0.597]), 1e-3
+BANDS = {"center": (3, 0.80, 1.22), "normal": (2, 0.76, 1.28)}
+"""Degrees of freedom, and the two-sided 99 % band of the mean NEES of 100 runs."""
+
+
+def point_of(center_m, normal, radius_m, velocity_m_s=(0.0, 0.0, 0.0), rate_rad_s=(0.0, 0.0, 0.0)):
+    return LinearizationPoint(
+        center_m=center_m,
+        normal=normal,
+        radius_inner_m=float(radius_m[0]),
+        radius_outer_m=float(radius_m[1]),
+        velocity_m_s=np.array(velocity_m_s),
+        rate_rad_s=np.array(rate_rad_s),
+    )
+
+
+def displaced(point, step):
+    """The ring after increments: the tilt basis turns with the normal, the shortest way."""
+    normal = tilted(point.normal, step[:2])
+    axis = np.cross(point.normal, normal)
+    sine = np.linalg.norm(axis)
+    turn = cv2.Rodrigues(axis * (np.arcsin(sine) / sine if sine > 0 else 1.0))[0]
+    basis = tilt_basis(point.normal)
+    center_m = (point.normal @ point.center_m + step[2]) * normal + (
+        basis @ point.center_m + step[3:5]
+    ) @ basis @ turn.T
+    return point_of(
+        center_m,
+        normal,
+        np.array([point.radius_inner_m, point.radius_outer_m]) + step[5:7],
+        point.velocity_m_s + step[7:10],
+        (basis @ point.rate_rad_s + step[10:]) @ basis @ turn.T,
+    )
+
+
+def some_point():
+    normal = np.array([0.2, -0.1, -0.97])
+    return point_of(np.array([0.5, 0.1, 0.6]), normal / np.linalg.norm(normal), RADIUS_M)
+
+
+def test_increments_between_rings_are_those_that_lead_from_one_to_the_other(rng):
+    step = np.array([0.1, -0.05, 0.01, 0.02, -0.03, 1e-3, 2e-3, 0.1, 0.2, 0.3, 0.04, 0.05]) * rng.uniform(-1, 1, 12)
+
+    found, _ = increments_between(some_point(), displaced(some_point(), step))
+
+    np.testing.assert_allclose(found, step, atol=1e-14)
+
+
+@pytest.mark.parametrize("number", range(12), ids=MEASURED_PARAMETERS)
+def test_increments_between_rings_have_the_derivatives_of_central_differences(number):
+    origin = some_point()
+    point = displaced(origin, np.array([0.05, -0.08, 0.01, 0.02, -0.03, 1e-3, 2e-3, 0.1, 0.2, 0.3, 0.0, 0.0]))
+
+    _, jacobian = increments_between(origin, point)
+
+    ahead, behind = (
+        increments_between(origin, displaced(point, sign * 1e-6 * np.eye(12)[number]))[0] for sign in (1, -1)
+    )
+    np.testing.assert_allclose(jacobian[:, number], (ahead - behind) / 2e-6, atol=1e-8)
+
+
+def test_a_measurement_about_another_ring_has_the_same_solution(scene_of, face_points, rng):
+    scene = scene_of("B", distance_m=0.4)
+    rig = replace(scene.rig, covariance=ParameterCovariance(parameters=PLANES, data=np.diag(PLANES_SD**2)))
+    result = most_likely_pose(face_points(scene, 0.3, 0.02, rng), rig)
+    at = result.measurement.linearized_at
+    step = 1e-3 * rng.uniform(-1.0, 1.0, 12) * (np.arange(12) < 7)
+
+    about_another = replace(result.measurement, linearized_at=displaced(at, step))  # its solution is no increment
+
+    prior = np.diag(np.concatenate([np.zeros(7), np.ones(5), PLANES_SD**-2.0]))
+    found, _ = solve_measurement([relinearized(about_another, at)], prior, np.zeros(len(prior)))
+    ring = displaced(at, found[:12])
+
+    # second order in the step
+    np.testing.assert_allclose(ring.normal, displaced(at, step).normal, atol=2e-6)
+    np.testing.assert_allclose(ring.center_m, displaced(at, step).center_m, atol=2e-6)
+
+
+def combined(measurements, rig, known, common):
+    """Ring and its covariance from still shots; errors of the rig common to all shots or wrongly drawn anew in each."""
+    point = measurements[0].linearized_at
+    count = len(PLANES)
+    for _ in range(2):
+        moved = [relinearized(each, point) for each in measurements]
+        information, vector = np.zeros((12 + count, 12 + count)), np.zeros(12 + count)
+        information[RATES, RATES] = 1e9 * np.eye(5)
+        information[12:, 12:] = np.linalg.inv(rig.covariance.data)
+        if not common:
+            moved = [without_rig(each, information[12:, 12:]) for each in moved]
+        if known is not None:
+            information[[5, 6], [5, 6]] = known.sd_m**-2.0
+            vector[5:7] = (known.radius_m - [point.radius_inner_m, point.radius_outer_m]) / known.sd_m**2
+        step, covariance = solve_measurement(moved, information, vector)
+        point = displaced(point, step[:12])
+    return point, covariance[POSE, POSE]
+
+
+def without_rig(measurement, information):
+    """The measurement with the rig's errors marginalised, as if they were noise of this shot."""
+    columns, root = measurement.square_root, np.linalg.cholesky(information).T
+    prior = np.concatenate([root, np.zeros((len(root), 13))], axis=1)
+    first = np.concatenate([columns[:, 12:-1], columns[:, :12], columns[:, -1:]], axis=1)
+    triangle = np.linalg.qr(np.concatenate([prior, first]), mode="r")[len(root) :, len(root) :]
+    rows = np.concatenate([triangle[:, :12], np.zeros((len(triangle), len(root))), triangle[:, -1:]], axis=1)
+    return replace(measurement, square_root=rows)
+
+
+def nees_of(point, covariance, ring):
+    """Squared Mahalanobis errors of centre and normal, divided by their degrees of freedom."""
+    _, center_wrt = normal_and_center(point.normal, point.center_m)
+    center_covariance = center_wrt @ covariance[:5, :5] @ center_wrt.T
+    tilt_rad, center_m = tilt_basis(point.normal) @ ring.normal, ring.center_m - point.center_m
+    return {
+        "center": center_m @ np.linalg.solve(center_covariance, center_m) / 3.0,
+        "normal": tilt_rad @ np.linalg.solve(covariance[:2, :2], tilt_rad) / 2.0,
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("known", [False, True], ids=["radii unknown", "radii drawn from their prior"])
+def test_the_covariance_of_thirty_shots_holds_if_common_errors_are_counted_once(rng, known):
+    rig = replace(RIGS["B"], covariance=ParameterCovariance(parameters=PLANES, data=np.diag(PLANES_SD**2)))
+    nees = {common: [] for common in (True, False)}
+    for _ in range(100):
+        step = PLANES_SD * rng.normal(size=9)
+        normals = [tilted(n, step[3 * i : 3 * i + 2]) for i, n in enumerate(rig.lasers.normal)]
+        lasers = replace(rig.lasers, normal=np.array(normals), distance_m=rig.lasers.distance_m + step[2::3])
+        scene = make_scene(replace(rig, lasers=lasers), distance_m=0.4, tilt_rad=tuple(rng.uniform(-0.2, 0.2, 2)))
+        assumed_m = RADIUS_M + RADIUS_SD_M * rng.normal(size=2)
+        radii = KnownRadii(radius_m=assumed_m, sd_m=np.full(2, RADIUS_SD_M)) if known else None
+        shots = [most_likely_pose(face_points_of(scene, 0.3, 0.02, rng), rig, known=radii) for _ in range(30)]
+        for common, values in nees.items():
+            values.append(nees_of(*combined([each.measurement for each in shots], rig, radii, common), scene.ring))
+
+    for name, (_, lower, upper) in BANDS.items():
+        once, anew = (np.mean([each[name] for each in nees[common]]) for common in (True, False))
+        assert lower < once < upper
+        assert not lower < anew < upper
