@@ -102,11 +102,11 @@ def test_a_camera_that_has_turned_is_seen(scene_of, face_points, rng, rig):
     assert "the camera" in drift_warning(health, rig.lasers.names)
 
 
-@pytest.mark.parametrize("laser", range(3))
+@pytest.mark.parametrize("laser", [1, *(pytest.param(laser, marks=pytest.mark.slow) for laser in (0, 2))])
 def test_shots_that_have_no_pose_since_a_plane_has_moved_are_a_warning(scene_of, face_points, rng, rig, laser):
     monitor, warnings = DriftMonitor(rig.lasers.names, Method.ML), []
     real = drifted(rig, laser, (0.0, 2e-3))
-    for points in stream(scene_of, face_points, rng, real, 2 * int(SHOTS_NEEDED)):
+    for points in stream(scene_of, face_points, rng, real, int(1.5 * SHOTS_NEEDED)):
         result = most_likely_pose(points, rig)
         pose = None if isinstance(result.pose, NoPose) else result.pose
         warnings.append(monitor.update(PoseLine(shot="a", stamp_s=0.0, pose=pose, flags=result.flags))[1])
