@@ -1,0 +1,595 @@
+"""Detections drawn from the ring's model instead of from images: a few hundred a second, for Monte-Carlo studies.
+
+Stripes, break points and visible edges are predicted by `ringpose.geometry.ring` at the time of their frame. Their
+errors are those that `ringpose.simulate.feature_errors` expects in images of the scene. The truth may deviate from the
+assumptions of an estimator in known ways (`Deviations`): motion, rig, form of the ring, and outliers.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from ringpose.errors import DataError
+from ringpose.geometry.rays import project, rays, undistorted_pixels
+from ringpose.geometry.ring import LIFT, STEP, RingArcs, predicted_break_points, ring_arcs, rotation_by
+from ringpose.geometry.rotations import tilt_basis, tilted
+from ringpose.pose.nuisance import rig_errors
+from ringpose.simulate.exposure import view_exposure_s
+from ringpose.simulate.feature_errors import CenterErrors, Stripe, center_errors, end_errors_px, image_noise
+from ringpose.simulate.laser_planes import half_thickness_m, in_fan, irradiance_w_m2, sheets
+from ringpose.simulate.lighting import Intersections, LitTarget, ambient_radiance, reflectance_per_sr, surfaces
+from ringpose.simulate.pipeline import READOUT_S, lit_ring
+from ringpose.simulate.placement import Placement, ring_rotation, ring_views
+from ringpose.simulate.sensor import electrons_per_radiance
+from ringpose.types.arrays import EDGES, Array, Bool, Float64
+from ringpose.types.camera import Camera
+from ringpose.types.detection import BreakPointFlag, BreakPoints, Detection, NoBreakPoints
+from ringpose.types.pose import MotionPrior
+from ringpose.types.rig import LaserPlanes, Rig
+from ringpose.types.scene import RingView, Scene
+from ringpose.types.truth import Truth
+
+FORM_ORDERS = (2, 3, 4)
+"""Orders of a ring's deviations from a circle and a plane; lower ones are radius, centre, offset and tilt."""
+
+_FEATURES = 2
+"""First number of the seeds, so that drawn features are independent of the noise of images."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Deviations:
+    """What a drawn shot contains that an ideal one does not; nothing but the images' noise by default."""
+
+    noise: bool = True
+    """Whether positions have errors; their stated covariances are the same without."""
+    rig_errors: bool = False
+    """Whether the true rig is drawn from the covariance of the scene's rig."""
+    motion: MotionPrior | None = None
+    """Distribution of the velocity of the ring's centre, per axis, and of its two rates across the normal."""
+    ring_tolerance_m: float = 0.0
+    """Standard deviation of each edge from a circle, and of the face from a plane."""
+    displaced_share: float = 0.0
+    """Probability that a break point is displaced along its stripe ..."""
+    displaced_px: tuple[float, float] = (3.0, 15.0)
+    """... and the range of its displacement, to either side."""
+    background_share: float = 0.0
+    """Probability that a stripe lies on a surface behind the ring, where its shadow looks like the ring's face ..."""
+    background_m: tuple[float, float] = (0.02, 0.1)
+    """... and the range of that surface's distance behind the face."""
+    missing_share: float = 0.0
+    """Probability that a stripe is not detected."""
+
+
+class RingForm(NamedTuple):
+    """Deviations of a ring from circles and a plane: Fourier coefficients by order and (cosine, sine), in metres."""
+
+    radial_m: Float64[Array, "edge=2 order=3 wave=2"]
+    axial_m: Float64[Array, "order=3 wave=2"]
+
+
+class CommonErrors(NamedTuple):
+    """What all shots of a run have in common."""
+
+    rig: Rig
+    """The true rig."""
+    form: RingForm
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DrawnShot:
+    """A drawn detection and all that is true about it."""
+
+    detection: Detection
+    truth: Truth
+    common: CommonErrors
+    displaced: Bool[Array, "laser edge=2"]
+    """Break points that are outliers."""
+    background: Bool[Array, "laser"]
+    """Stripes on a surface behind the ring."""
+    missing: Bool[Array, "laser"]
+    """Stripes that were left out."""
+
+
+def drawn_features(
+    scene: Scene, deviations: Deviations = Deviations(), count: int | None = None
+) -> Iterator[DrawnShot]:
+    """The first `count` views of a scene, or all, as one run: rig and form of the ring are drawn once."""
+    common = drawn_common_errors(scene, np.random.default_rng([_FEATURES, scene.seed]), deviations)
+    for number, view in enumerate(ring_views(scene)[:count]):
+        rng = np.random.default_rng([_FEATURES, scene.seed, number])
+        yield draw_detection(scene, view, rng, deviations, common, scene.start_s + number * scene.period_s)
+
+
+def drawn_common_errors(scene: Scene, rng: np.random.Generator, deviations: Deviations = Deviations()) -> CommonErrors:
+    """True rig and form of the ring of a run."""
+    # standard normal numbers are drawn even for a tolerance of 0, so that the rig does not depend on it
+    scale_m = deviations.ring_tolerance_m / np.sqrt(len(FORM_ORDERS))
+    form = RingForm(
+        radial_m=scale_m * rng.standard_normal((2, len(FORM_ORDERS), 2)),
+        axial_m=scale_m * rng.standard_normal((len(FORM_ORDERS), 2)),
+    )
+    return CommonErrors(drawn_rig(scene.rig, rng) if deviations.rig_errors else scene.rig, form)
+
+
+def drawn_rig(rig: Rig, rng: np.random.Generator) -> Rig:
+    """A rig drawn from the covariance of `rig`; it is itself without covariance."""
+    errors = rig_errors(rig)
+    if errors is None:
+        raise DataError("the scene's rig", "has no covariance", "calibrate it, or do not draw rig errors")
+    unit = rng.standard_normal(errors.camera.shape[1])
+    camera, planes = errors.camera @ unit, errors.lasers @ unit
+    focal_x, focal_y, center_x, center_y = camera[:4].tolist()
+    matrix = rig.camera.camera_matrix + np.array([[focal_x, 0, center_x], [0, focal_y, center_y], [0, 0, 0]])
+    normals = [tilted(normal, plane[:2]) for normal, plane in zip(rig.lasers.normal, planes, strict=True)]
+    return replace(
+        rig,
+        camera=replace(
+            rig.camera,
+            camera_matrix=matrix,
+            distortion_coefficients=rig.camera.distortion_coefficients + camera[4:],
+            covariance=None,
+        ),
+        lasers=replace(rig.lasers, normal=np.array(normals), distance_m=rig.lasers.distance_m + planes[:, 2]),
+        covariance=None,
+    )
+
+
+# One shot
+
+
+def draw_detection(
+    scene: Scene,
+    view: RingView,
+    rng: np.random.Generator,
+    deviations: Deviations = Deviations(),
+    common: CommonErrors | None = None,
+    stamp_s: float = 0.0,
+) -> DrawnShot:
+    """The detection in a shot of one view that begins at `stamp_s`, with its truth.
+
+    Without `common` errors they are drawn for this shot alone. Edges are named as they are: a detector may exchange
+    inner and outer edge where the stripes hardly show the ring's curvature.
+    """
+    if common is None:
+        common = drawn_common_errors(scene, rng, deviations)
+    lasers = len(scene.rig.lasers.names)
+    frames, appearance = laser_frames(scene.sequence, lasers), expected_appearance(scene, view)
+    begin_s = stamp_s + np.arange(len(scene.sequence)) * (appearance.exposure_s + READOUT_S)
+    shown_s = np.where(frames.number >= 0, begin_s[frames.number] + appearance.exposure_s / 2, np.nan)
+    first_s = float(np.nanmin(shown_s)) if (frames.number >= 0).any() else float(begin_s[0] + appearance.exposure_s / 2)
+    unit = rng.standard_normal(5 + 4 * lasers)  # of motion, then of stripes
+    motion = _motion(view.normal, deviations.motion, unit[:5])
+    outliers = _outliers(deviations, rng.uniform(size=(lasers, 7)))
+
+    found: BreakPoints | NoBreakPoints = NoBreakPoints.NO_STRIPE if view.target == "none" else NoBreakPoints.NO_RING
+    position_px = np.full((lasers, 2, 2), np.nan)
+    if view.target == "ring":
+        stripes = _stripes(scene, view, common, motion, shown_s - first_s, outliers.behind_m)
+        position_px = stripes.true_px
+        seen = np.isfinite(stripes.start_px[:, 0]) & ~outliers.missing
+        if seen.any():
+            noise = unit[5:].reshape(lasers, 4) * deviations.noise
+            points = _drawn_points(stripes, appearance, noise, outliers, seen)
+            stamp = np.where(seen, shown_s, np.nan)
+            found = _as_measured(points, scene.rig.camera, frames.labelled(seen), stamp)
+    detection = Detection(shot=view.name, stamp_s=first_s, break_points=found, lasers_on=frames.number >= 0)
+    return DrawnShot(
+        detection=detection,
+        truth=_truth(scene, view, position_px, first_s, motion if deviations.motion else None, outliers),
+        common=common,
+        displaced=outliers.displaced,
+        background=outliers.behind_m > 0,
+        missing=outliers.missing,
+    )
+
+
+class LaserFrames(NamedTuple):
+    """The frame in which the detector sees each laser (as `ringpose.detect.difference_images.laser_images`)."""
+
+    number: Array
+    """Index of the frame; -1 for a laser that is off in all of them."""
+    together: Array
+    """Number of lasers whose stripes it may show."""
+    subtracted: Array
+    """Whether another frame without these lasers is subtracted."""
+
+    def labelled(self, seen: Bool[Array, "laser"]) -> bool:
+        """Whether the stripes are assigned to lasers by the frames alone."""
+        return bool((self.together[seen] == 1).all())
+
+
+def laser_frames(sequence: tuple[int, ...], lasers: int) -> LaserFrames:
+    """The frames of a sequence of laser masks: those with the fewest lasers on take precedence."""
+    number, together = np.full(lasers, -1), np.zeros(lasers, dtype=np.int64)
+    subtracted, covered = np.zeros(lasers, dtype=bool), 0
+    for frame in sorted(range(len(sequence)), key=lambda each: (sequence[each].bit_count(), each)):
+        new = sequence[frame] & ~covered & ((1 << lasers) - 1)
+        which = [laser for laser in range(lasers) if new >> laser & 1]
+        number[which], together[which] = frame, len(which)
+        subtracted[which] = sequence[frame] & covered in sequence
+        covered |= sequence[frame]
+    return LaserFrames(number, together, subtracted)
+
+
+class _Motion(NamedTuple):
+    velocity_m_s: Float64[Array, "xyz=3"]
+    rate_rad_s: Float64[Array, "xyz=3"]
+
+
+def _motion(normal: Float64[Array, "3"], prior: MotionPrior | None, unit: Float64[Array, "5"]) -> _Motion:
+    """Velocity and rates; the spin about the normal, which does not change the ring, is 0."""
+    if prior is None:
+        return _Motion(np.zeros(3), np.zeros(3))
+    return _Motion(prior.speed_sd_m_s * unit[:3], prior.rate_sd_rad_s * unit[3:] @ tilt_basis(normal))
+
+
+class _Outliers(NamedTuple):
+    displaced: Bool[Array, "laser edge=2"]
+    shift_px: Float64[Array, "laser edge=2"]
+    behind_m: Float64[Array, "laser"]
+    missing: Bool[Array, "laser"]
+
+
+def _outliers(deviations: Deviations, picks: Float64[Array, "laser 7"]) -> _Outliers:
+    """Outliers by uniform random numbers."""
+    least_px, most_px = deviations.displaced_px
+    nearest_m, farthest_m = deviations.background_m
+    displaced = picks[:, :2] < deviations.displaced_share
+    signed = 2 * picks[:, 2:4] - 1
+    shift_px = np.copysign(least_px + (most_px - least_px) * np.abs(signed), signed)
+    behind_m = nearest_m + (farthest_m - nearest_m) * picks[:, 5]
+    return _Outliers(
+        displaced=displaced,
+        shift_px=np.where(displaced, shift_px, 0.0),
+        behind_m=np.where(picks[:, 4] < deviations.background_share, behind_m, 0.0),
+        missing=picks[:, 6] < deviations.missing_share,
+    )
+
+
+# Geometry: where the stripes are in the image
+
+
+class _Stripes(NamedTuple):
+    """True stripes in the (distorted) image; NaN where they are not."""
+
+    true_px: Float64[Array, "laser edge=2 xy=2"]
+    """Break points; NaN outside the image or not lit."""
+    start_px: Float64[Array, "laser xy=2"]
+    """Left end of the stripe on the face, clipped to the image."""
+    end_px: Float64[Array, "laser xy=2"]
+    edge_at_start: Array
+    """Edge that the left end belongs to."""
+
+
+BORDER_PX = 3.0
+"""Distance from the image's left or right border within which an end is not measured, as in the detector."""
+
+MIN_COLUMNS = 10
+"""Minimum length of a stripe that is detected."""
+
+_SAMPLES = 257
+"""Points along a stripe by which it is clipped."""
+
+
+def _stripes(
+    scene: Scene,
+    view: RingView,
+    common: CommonErrors,
+    motion: _Motion,
+    time_s: Float64[Array, "laser"],
+    behind_m: Float64[Array, "laser"],
+) -> _Stripes:
+    """The stripes of all lasers, each at the time of its frame; `time_s` is NaN for a laser that is off."""
+    camera, lasers = common.rig.camera, common.rig.lasers
+    arcs = view_arcs(scene, view)
+    point_m = np.full((len(time_s), 2, 3), np.nan)
+    normal = np.tile(arcs.normal, (len(time_s), 1))
+    for laser in np.flatnonzero(np.isfinite(time_s)):
+        moved = arcs.after(float(time_s[laser]), *motion)
+        if behind_m[laser]:
+            moved = moved.moved(-float(behind_m[laser]) * np.eye(len(STEP))[LIFT])
+        plane = lasers.normal[[laser]], lasers.distance_m[[laser]]
+        point_m[laser] = predicted_break_points(moved, *plane)[0]
+        if any(part.any() for part in common.form):
+            turned = rotation_by(motion.rate_rad_s * time_s[laser]) @ ring_rotation(view.normal, view.roll_rad)
+            point_m[laser] += form_displacement(common.form, point_m[laser], moved, turned, plane[0][0])
+        normal[laser] = moved.normal
+    lit = _lit(lasers, scene, point_m, normal)
+    point_m = np.where(lit[:, None, None], point_m, np.nan)
+    position_px = project(point_m, camera)
+    inside = _inside(position_px, camera)
+    start_px, end_px, edge_at_start = _clipped(point_m, position_px, inside, camera)
+
+    return _Stripes(np.where(inside[..., None], position_px, np.nan), start_px, end_px, edge_at_start)
+
+
+def view_arcs(scene: Scene, view: RingView) -> RingArcs:
+    """The ring of a view, described about the point that is nearest to the middle of the image."""
+    camera = scene.rig.camera
+    axis = rays(np.array([camera.image_width - 1, camera.image_height - 1]) / 2, camera)
+    cosine = float(axis @ view.normal)
+    near_m = axis * (float(view.center_m @ view.normal) / cosine if abs(cosine) > _GRAZING else 0.0)
+    radius_m = np.array([scene.ring.radius_inner_m, scene.ring.radius_outer_m])
+    return ring_arcs(view.center_m, view.normal, radius_m, near_m)
+
+
+_GRAZING = 1e-6
+"""Cosine below which the optical axis is treated as parallel to the ring's plane."""
+
+
+def form_displacement(
+    form: RingForm,
+    point_m: Float64[Array, "edge=2 xyz=3"],
+    arcs: RingArcs,
+    axes: Float64[Array, "3 3"],
+    light_normal: Float64[Array, "xyz=3"],
+) -> Float64[Array, "edge=2 xyz=3"]:
+    """Displacement of a stripe's break points on the inner and the outer edge by the ring's form, to first order.
+
+    The points stay on the light plane. The columns of `axes` are the x, y and z axes of the ring.
+    """
+    outward = point_m - arcs.center
+    radial_m, axial_m = form_deviations(form, outward @ axes, np.array([0, 1]))
+    rows = np.stack(
+        [np.broadcast_to(light_normal, (2, 3)), np.broadcast_to(arcs.normal, (2, 3)), _unit(outward)], axis=1
+    )
+    values = np.stack([np.zeros(2), axial_m, radial_m], axis=1)
+    displacement: Float64[Array, "edge=2 xyz=3"] = np.linalg.solve(rows, values[..., None])[..., 0]
+    return displacement
+
+
+def form_deviations(
+    form: RingForm, place_m: Float64[Array, "n xyz=3"], edge: Array
+) -> tuple[Float64[Array, "n"], Float64[Array, "n"]]:
+    """Radial deviations of an edge and axial deviations of the face, at places in the ring's own axes."""
+    phase = np.arctan2(place_m[:, 1], place_m[:, 0])[:, None] * np.array(FORM_ORDERS)
+    waves = np.stack([np.cos(phase), np.sin(phase)], axis=-1)
+    return (waves * form.radial_m[edge]).sum(axis=(1, 2)), (waves * form.axial_m).sum(axis=(1, 2))
+
+
+def _lit(
+    lasers: LaserPlanes, scene: Scene, point_m: Float64[Array, "laser edge=2 xyz=3"], normal: Float64[Array, "laser 3"]
+) -> Bool[Array, "laser"]:
+    """Whether camera and laser are in front of the face, and the whole stripe is in the laser's fan."""
+    in_camera_frame = sheets(lasers, scene.lasers, Placement(rotation=np.eye(3), translation_m=np.zeros(3)))
+    fan = [bool(in_fan(in_camera_frame, laser, points.T).all()) for laser, points in enumerate(point_m)]
+    height_m = (normal[:, None] * (lasers.projector_m[:, None] - point_m)).sum(axis=-1).min(axis=1)
+    facing = -(normal[:, None] * point_m).sum(axis=-1).max(axis=1)
+    return np.array(fan) & (height_m > 0) & (facing > 0)
+
+
+def _inside(position_px: Float64[Array, "*shape xy=2"], camera: Camera) -> Bool[Array, "*shape"]:
+    """Whether points are so far inside the image that a stripe's end can be measured."""
+    x, y = position_px[..., 0], position_px[..., 1]
+    inside_x = (x >= BORDER_PX) & (x <= camera.image_width - 1 - BORDER_PX)
+    return np.asarray(inside_x & (y >= BORDER_PX) & (y <= camera.image_height - 1 - BORDER_PX))
+
+
+def _clipped(
+    point_m: Float64[Array, "laser edge=2 xyz=3"],
+    position_px: Float64[Array, "laser edge=2 xy=2"],
+    inside: Bool[Array, "laser edge=2"],
+    camera: Camera,
+) -> tuple[Float64[Array, "laser xy=2"], Float64[Array, "laser xy=2"], Array]:
+    """Left and right ends of the stripes in the image, and the edge of the left one; NaN for those not in view."""
+    ends_px = position_px.copy()
+    for laser in np.flatnonzero(~inside.all(axis=1) & np.isfinite(position_px).all(axis=(1, 2))):
+        share = np.linspace(0.0, 1.0, _SAMPLES)[:, None]
+        shown_px = project(point_m[laser, 0] + share * (point_m[laser, 1] - point_m[laser, 0]), camera)
+        visible = np.flatnonzero(_inside(shown_px, camera))
+        ends_px[laser] = shown_px[visible[[0, -1]]] if len(visible) else np.nan
+    ends_px[~(np.abs(ends_px[:, 1, 0] - ends_px[:, 0, 0]) >= MIN_COLUMNS)] = np.nan
+    left = (ends_px[:, 1, 0] < ends_px[:, 0, 0]).astype(np.int64)
+    each = np.arange(len(left))
+    return ends_px[each, left], ends_px[each, 1 - left], left
+
+
+def _unit(vector: Float64[Array, "*shape xyz=3"]) -> Float64[Array, "*shape xyz=3"]:
+    length = np.sqrt((vector * vector).sum(axis=-1, keepdims=True))
+    unit: Float64[Array, "*shape xyz=3"] = vector / np.where(length > 0, length, np.nan)
+    return unit
+
+
+# Appearance: how well an image shows the stripes
+
+
+class Appearance(NamedTuple):
+    """Exposure of a view, and the errors of each laser's stripe, which small motions do not change."""
+
+    exposure_s: float
+    centers: tuple[CenterErrors | None, ...]
+    """Of the stripes' centres; None for a laser that does not cross the face."""
+    end_sigma_px: Float64[Array, "laser edge=2"]
+    """Standard deviation of the break points along the stripe."""
+
+
+@lru_cache(maxsize=16)
+def expected_appearance(scene: Scene, view: RingView) -> Appearance:
+    """The errors of stripes in the images of a view."""
+    lit_target = lit_ring(scene, view, scene.sequence)
+    frames = laser_frames(scene.sequence, len(scene.rig.lasers.names))
+    exposure_s = view_exposure_s(scene, lit_target)
+    centers: list[CenterErrors | None] = [None] * len(frames.number)
+    end_sigma_px = np.full((len(frames.number), 2), np.nan)
+    lasers, arcs = scene.rig.lasers, view_arcs(scene, view)
+    point_m = predicted_break_points(arcs, lasers.normal, lasers.distance_m)
+    crossed = np.flatnonzero(
+        np.isfinite(point_m).all(axis=(1, 2)) & (frames.number >= 0) & (point_m[..., 2] > 0).all(axis=1)
+    )
+    if view.target != "ring" or not len(crossed):
+        return Appearance(exposure_s, tuple(centers), end_sigma_px)
+    point_m, middle_m = point_m[crossed], point_m[crossed].mean(axis=1)
+    sections_px_per_m, edge_per_row = _image_scales(arcs, lasers.normal[crossed], point_m, scene.rig.camera)
+    range_m = np.linalg.norm(middle_m - lasers.projector_m[crossed], axis=1)
+    sigma_px = half_thickness_m(scene.lasers, range_m) * sections_px_per_m
+    peak_e, background_e = _peak_electrons(scene, lit_target, middle_m, crossed, exposure_s)
+    for number, laser in enumerate(crossed):
+        stripe = Stripe(
+            sigma_px=float(sigma_px[number]),
+            peak_e=float(peak_e[number]),
+            background_e=float(background_e[number]),
+        )
+        noise = image_noise(scene, subtracted=bool(frames.subtracted[laser]))
+        pooled = 2 * int((frames.number[crossed] == frames.number[laser]).sum())
+        centers[laser] = center_errors(stripe, noise)
+        end_sigma_px[laser] = end_errors_px(stripe, noise, edge_per_row[number], pooled)
+    return Appearance(exposure_s, tuple(centers), end_sigma_px)
+
+
+_STEP_M = 1e-5
+"""Step of numerical derivatives of the projection."""
+
+
+def _image_scales(
+    arcs: RingArcs,
+    light_normal: Float64[Array, "stripe xyz=3"],
+    point_m: Float64[Array, "stripe edge=2 xyz=3"],
+    camera: Camera,
+) -> tuple[Float64[Array, "stripe"], Float64[Array, "stripe edge=2"]]:
+    """Rows per metre of distance from the light plane, and columns by which an edge is displaced per row.
+
+    The latter is along the stripe, by a row across it.
+    """
+    along = _unit(np.cross(light_normal, arcs.normal))
+    across = np.cross(arcs.normal, along)
+    tangent = _unit(np.cross(arcs.normal, point_m - arcs.center))
+    middle_m = point_m.mean(axis=1, keepdims=True)
+    places = np.concatenate([middle_m, middle_m, point_m], axis=1)
+    steps = _STEP_M * np.concatenate([along[:, None], across[:, None], tangent], axis=1)
+    moved_px = (project(places + steps, camera) - project(places - steps, camera)) / (2 * _STEP_M)
+    slope = (moved_px[:, 0, 1] / moved_px[:, 0, 0])[:, None]
+    columns, rows = moved_px[:, 1:, 0], moved_px[:, 1:, 1] - slope * moved_px[:, 1:, 0]
+    off_plane = np.abs((light_normal * across).sum(axis=1))
+    return np.abs(rows[:, 0]) / off_plane, columns[:, 1:] / rows[:, 1:]
+
+
+def _peak_electrons(
+    scene: Scene, lit_target: LitTarget, point_m: Float64[Array, "stripe xyz=3"], lasers: Array, exposure_s: float
+) -> tuple[Float64[Array, "stripe"], Float64[Array, "stripe"]]:
+    """Expected electrons at a stripe's peak before the blur by the lens, and those of other light beside it."""
+    point = lit_target.placement.points_target(point_m.T)
+    normal = np.zeros_like(point)
+    normal[2] = 1.0
+    hits = Intersections(
+        surface=np.full(len(lasers), scene.ring.face_piece, dtype=np.int8),
+        point=point,
+        normal=normal,
+        to_eye=_unit(lit_target.placement.eye_m - point.T).T,
+    )
+    to_projector = _unit(lit_target.sheets.projector_m[lasers] - point.T).T
+    material = surfaces(lit_target.target.materials, hits.surface)
+    irradiance = np.array(
+        [irradiance_w_m2(lit_target.sheets, int(laser), point[:, [k]])[0] for k, laser in enumerate(lasers)]
+    )
+    radiance = irradiance * to_projector[2] * reflectance_per_sr(material, normal, to_projector, hits.to_eye)
+    rate = electrons_per_radiance(scene.sensor, scene.lens) * exposure_s
+    ambient = ambient_radiance(lit_target, hits)[0] if lit_target.is_lit else np.zeros(len(lasers))
+    return rate * radiance, rate * ambient
+
+
+# Drawing
+
+
+def _drawn_points(
+    stripes: _Stripes,
+    appearance: Appearance,
+    unit: Float64[Array, "laser 4"],
+    outliers: _Outliers,
+    seen: Bool[Array, "laser"],
+) -> BreakPoints:
+    """Break points and lines with errors by standard normal numbers; the lines in distorted pixels."""
+    lasers, left = np.arange(len(seen)), stripes.edge_at_start
+    chord_px = stripes.end_px - stripes.start_px
+    line_sigma_px = np.array(
+        [
+            np.nan if center is None else center.line_sigma_px(columns)
+            for center, columns in zip(appearance.centers, chord_px[:, 0].tolist(), strict=True)
+        ]
+    )
+    # errors of the ordinates at both ends of a fitted line: variance 4 s^2, covariance -2 s^2
+    middle_px, tilt_px = line_sigma_px * unit[:, 0], sqrt(3.0) * line_sigma_px * unit[:, 1]
+    start_px, end_px = stripes.start_px.copy(), stripes.end_px.copy()
+    start_px[:, 1] += middle_px - tilt_px
+    end_px[:, 1] += middle_px + tilt_px
+    across_px = np.empty((len(seen), 2))
+    across_px[lasers, left], across_px[lasers, 1 - left] = middle_px - tilt_px, middle_px + tilt_px
+
+    along_px = appearance.end_sigma_px * unit[:, 2:] + outliers.shift_px
+    direction = np.stack([np.ones(len(seen)), chord_px[:, 1] / chord_px[:, 0]], axis=1)
+    position_px = stripes.true_px + along_px[..., None] * direction[:, None]
+    position_px[..., 1] += across_px
+    spread = (direction[:, :, None] * direction[:, None])[:, None]
+    covariance_px2 = (appearance.end_sigma_px**2)[..., None, None] * spread
+    covariance_px2[..., 1, 1] += 4.0 * (line_sigma_px**2)[:, None]
+    measured = np.isfinite(stripes.true_px[..., 0]) & seen[:, None]
+    saturated = np.array([center is not None and center.saturated for center in appearance.centers])
+    flags = np.where(measured & saturated[:, None], int(BreakPointFlag.SATURATED), 0)
+    flags += np.where(~measured & seen[:, None], int(BreakPointFlag.CLIPPED), 0)
+    return BreakPoints(
+        position_px=np.where(measured[..., None], position_px, np.nan),
+        covariance_px2=np.where(measured[..., None, None], covariance_px2, np.nan),
+        flags=flags.astype(np.int64),
+        face_start_px=np.where(seen[:, None], start_px, np.nan),
+        face_end_px=np.where(seen[:, None], end_px, np.nan),
+        face_sigma_px=np.where(seen, 2.0 * line_sigma_px, np.nan)[:, None] * np.ones(2),
+        labelled=True,
+    )
+
+
+def _as_measured(points: BreakPoints, camera: Camera, labelled: bool, stamp_s: Float64[Array, "laser"]) -> BreakPoints:
+    """The break points with their lines undistorted by the camera that the detector knows."""
+    ends_px = np.stack([points.face_start_px, points.face_end_px])
+    straight_px, below_px = undistorted_pixels(np.stack([ends_px, ends_px + np.array([0.0, 1.0])]), camera)
+    return replace(
+        points,
+        face_start_px=straight_px[0],
+        face_end_px=straight_px[1],
+        face_sigma_px=points.face_sigma_px * (below_px - straight_px)[..., 1].T,
+        labelled=labelled,
+        stamp_s=stamp_s,
+    )
+
+
+def _truth(
+    scene: Scene,
+    view: RingView,
+    position_px: Float64[Array, "laser edge=2 xy=2"],
+    stamp_s: float,
+    motion: _Motion | None,
+    outliers: _Outliers,
+) -> Truth:
+    """The truth of a drawn shot; the groups name its outliers."""
+    names = scene.rig.lasers.names
+    usable = int(np.isfinite(position_px[..., 0]).sum())
+    groups = {
+        "rig": scene.rig.camera.camera_name,
+        "light": view.light,
+        "frames": len(scene.sequence),
+        **view.groups,
+        "usable": usable,
+    }
+    if usable == 0:
+        return Truth(shot=view.name, expect="no_target", groups=groups)
+    points = [f"{names[laser]}.{EDGES[edge]}" for laser, edge in np.argwhere(outliers.displaced).tolist()]
+    wrong = {
+        "displaced": ",".join(points),
+        "background": ",".join(names[laser] for laser in np.flatnonzero(outliers.behind_m)),
+        "missing": ",".join(names[laser] for laser in np.flatnonzero(outliers.missing)),
+    }
+    return Truth(
+        shot=view.name,
+        expect="pose" if usable == position_px[..., 0].size else "partial",
+        center_m=view.center_m,
+        normal=view.normal,
+        radius_inner_m=scene.ring.radius_inner_m,
+        radius_outer_m=scene.ring.radius_outer_m,
+        break_points_px=position_px,
+        stamp_s=stamp_s if motion else None,
+        velocity_m_s=motion.velocity_m_s if motion else None,
+        angular_velocity_rad_s=motion.rate_rad_s if motion else None,
+        groups={"ring": f"R{1000 * scene.ring.radius_outer_m:.0f}", **groups, **{k: v for k, v in wrong.items() if v}},
+    )
