@@ -19,7 +19,14 @@ from ringpose.geometry.ring import LIFT, STEP, RingArcs, predicted_break_points,
 from ringpose.geometry.rotations import tilt_basis, tilted
 from ringpose.pose.nuisance import rig_errors
 from ringpose.simulate.exposure import view_exposure_s
-from ringpose.simulate.feature_errors import CenterErrors, Stripe, center_errors, end_errors_px, image_noise
+from ringpose.simulate.feature_errors import (
+    CenterErrors,
+    Stripe,
+    center_errors,
+    end_errors_px,
+    image_noise,
+    oblique_shift_px,
+)
 from ringpose.simulate.laser_planes import half_thickness_m, in_fan, irradiance_w_m2, sheets
 from ringpose.simulate.lighting import Intersections, LitTarget, ambient_radiance, reflectance_per_sr, surfaces
 from ringpose.simulate.pipeline import READOUT_S, lit_ring
@@ -46,6 +53,8 @@ class Deviations:
 
     noise: bool = True
     """Whether positions have errors; their stated covariances are the same without."""
+    oblique_bias: bool = False
+    """Whether lines are turned by end columns that an oblique edge cuts, as in images. Estimators do not model it."""
     rig_errors: bool = False
     """Whether the true rig is drawn from the covariance of the scene's rig."""
     motion: MotionPrior | None = None
@@ -173,7 +182,8 @@ def draw_detection(
         seen = np.isfinite(stripes.start_px[:, 0]) & ~outliers.missing
         if seen.any():
             noise = unit[5:].reshape(lasers, 4) * deviations.noise
-            points = _drawn_points(stripes, appearance, noise, outliers, seen)
+            bias = appearance.oblique_px * deviations.oblique_bias
+            points = _drawn_points(stripes, appearance, noise, bias, outliers, seen)
             stamp = np.where(seen, shown_s, np.nan)
             found = _as_measured(points, scene.rig.camera, frames.labelled(seen), stamp)
     detection = Detection(shot=view.name, stamp_s=first_s, break_points=found, lasers_on=frames.number >= 0)
@@ -405,6 +415,8 @@ class Appearance(NamedTuple):
     """Of the stripes' centres; None for a laser that does not cross the face."""
     end_sigma_px: Float64[Array, "laser edge=2"]
     """Standard deviation of the break points along the stripe."""
+    oblique_px: Float64[Array, "laser edge=2"]
+    """Summed displacement of the last columns' centres if the edge is at the right end; the negative at the left."""
 
 
 @lru_cache(maxsize=16)
@@ -414,14 +426,14 @@ def expected_appearance(scene: Scene, view: RingView) -> Appearance:
     frames = laser_frames(scene.sequence, len(scene.rig.lasers.names))
     exposure_s = view_exposure_s(scene, lit_target)
     centers: list[CenterErrors | None] = [None] * len(frames.number)
-    end_sigma_px = np.full((len(frames.number), 2), np.nan)
+    end_sigma_px, oblique_px = np.full((len(frames.number), 2), np.nan), np.zeros((len(frames.number), 2))
     lasers, arcs = scene.rig.lasers, view_arcs(scene, view)
     point_m = predicted_break_points(arcs, lasers.normal, lasers.distance_m)
     crossed = np.flatnonzero(
         np.isfinite(point_m).all(axis=(1, 2)) & (frames.number >= 0) & (point_m[..., 2] > 0).all(axis=1)
     )
     if view.target != "ring" or not len(crossed):
-        return Appearance(exposure_s, tuple(centers), end_sigma_px)
+        return Appearance(exposure_s, tuple(centers), end_sigma_px, oblique_px)
     point_m, middle_m = point_m[crossed], point_m[crossed].mean(axis=1)
     sections_px_per_m, edge_per_row = _image_scales(arcs, lasers.normal[crossed], point_m, scene.rig.camera)
     range_m = np.linalg.norm(middle_m - lasers.projector_m[crossed], axis=1)
@@ -435,9 +447,10 @@ def expected_appearance(scene: Scene, view: RingView) -> Appearance:
         )
         noise = image_noise(scene, subtracted=bool(frames.subtracted[laser]))
         pooled = 2 * int((frames.number[crossed] == frames.number[laser]).sum())
-        centers[laser] = center_errors(stripe, noise)
+        centers[laser] = center = center_errors(stripe, noise)
+        oblique_px[laser] = oblique_shift_px(stripe, noise, center, edge_per_row[number])
         end_sigma_px[laser] = end_errors_px(stripe, noise, edge_per_row[number], pooled)
-    return Appearance(exposure_s, tuple(centers), end_sigma_px)
+    return Appearance(exposure_s, tuple(centers), end_sigma_px, oblique_px)
 
 
 _STEP_M = 1e-5
@@ -498,6 +511,7 @@ def _drawn_points(
     stripes: _Stripes,
     appearance: Appearance,
     unit: Float64[Array, "laser 4"],
+    oblique_px: Float64[Array, "laser edge=2"],
     outliers: _Outliers,
     seen: Bool[Array, "laser"],
 ) -> BreakPoints:
@@ -511,7 +525,9 @@ def _drawn_points(
         ]
     )
     # errors of the ordinates at both ends of a fitted line: variance 4 s^2, covariance -2 s^2
-    middle_px, tilt_px = line_sigma_px * unit[:, 0], sqrt(3.0) * line_sigma_px * unit[:, 1]
+    left_px, right_px = -oblique_px[lasers, left], oblique_px[lasers, 1 - left]
+    middle_px = line_sigma_px * unit[:, 0] + (right_px + left_px) / chord_px[:, 0]
+    tilt_px = sqrt(3.0) * line_sigma_px * unit[:, 1] + 3.0 * (right_px - left_px) / chord_px[:, 0]
     start_px, end_px = stripes.start_px.copy(), stripes.end_px.copy()
     start_px[:, 1] += middle_px - tilt_px
     end_px[:, 1] += middle_px + tilt_px
