@@ -37,6 +37,12 @@ FAINTEST = 0.03
 OUTLIER_SIGMAS = 3.0
 """Distance from a line, in standard deviations, from which a centre is not used."""
 
+EDGE_COLUMNS = (7, 5)
+"""Pixels inside and beyond a visible edge from which its position is estimated."""
+
+LIGHT_BEYOND = 0.7
+"""Expected change of the light beyond an edge, per pixel of distance, in standard deviations of the noise."""
+
 PIXEL_GRAIN = 0.5 / sqrt(pi)
 """Correlation length at which the speckle of each pixel is independent."""
 
@@ -217,13 +223,30 @@ def end_errors_px(
     def variance(influence: Float64[Array, "end phase column"]) -> Float64[Array, "end phase"]:
         seen = (influence @ blur) * shown
         grains = seen @ _speckle_correlation(surface, noise)
-        return speckle * (grains * seen).sum(axis=-1) + (influence**2 * independent).sum(axis=-1)
+        total: Float64[Array, "end phase"] = speckle * (grains * seen).sum(axis=-1)
+        return np.asarray(total + (influence**2 * independent).sum(axis=-1))
 
     position_wrt_width = -(of_position * shapes[..., 3, :]).sum(axis=-1)
     own, common = _width_weights(variance(of_width), pooled)
     total = variance(of_position + (position_wrt_width * own)[..., None] * of_width)
     total += (position_wrt_width * common) ** 2
-    return np.sqrt(total.mean(axis=-1))
+    return np.asarray(np.sqrt(total.mean(axis=-1)))
+
+
+def edge_step_influence(blur_px: float) -> tuple[Float64[Array, "offset"], float]:
+    """Influence of the light beyond an edge on its position, and the position's standard deviation by the noise.
+
+    In pixels for a step of height 1: of the light 1, 2, ... px beyond the edge, and for pixels of noise 1. As in the
+    detector the light beyond is expected to vary, the more the farther it is from the edge.
+    """
+    width = hypot(blur_px, sqrt(PIXEL_VARIANCE))
+    x = np.arange(-EDGE_COLUMNS[0], EDGE_COLUMNS[1] + 1.0)
+    inside = _normal_cdf(-x / width)
+    bell = np.exp(-0.5 * (x / width) ** 2) / sqrt(2 * pi) / width
+    shapes = np.stack([inside, 1.0 - inside, bell])
+    weight = 1.0 / (1.0 + (LIGHT_BEYOND * np.maximum(x, 0.0)) ** 2)
+    influence = _weighted_fit((shapes * weight) @ shapes.T, shapes, weight, 2)
+    return influence[x > 0], sqrt(float(influence @ influence))
 
 
 def _width_weights(
@@ -291,11 +314,11 @@ def _gauss(offset: Float64[Array, "*shape"], sigma: float) -> Float64[Array, "*s
     """Sampled Gaussian of unit sum; the identity for sigma 0."""
     if sigma == 0.0:
         return (np.abs(offset) < 0.5).astype(np.float64)
-    return np.exp(-0.5 * (offset / sigma) ** 2) / (sqrt(2 * pi) * sigma)
+    return np.asarray(np.exp(-0.5 * (offset / sigma) ** 2) / (sqrt(2 * pi) * sigma))
 
 
 def _normal_cdf(x: Float64[Array, "*shape"]) -> Float64[Array, "*shape"]:
-    return np.interp(x, _CDF_AT, _CDF)
+    return np.asarray(np.interp(x, _CDF_AT, _CDF))
 
 
 _CDF_AT = np.linspace(-6.0, 6.0, 2401)

@@ -7,41 +7,35 @@ assumptions of an estimator in known ways (`Deviations`): motion, rig, form of t
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.errors import DataError
-from ringpose.geometry.rays import project, rays, undistorted_pixels
-from ringpose.geometry.ring import LIFT, STEP, RingArcs, predicted_break_points, ring_arcs, rotation_by
-from ringpose.geometry.rotations import tilt_basis, tilted
-from ringpose.pose.nuisance import rig_errors
-from ringpose.simulate.exposure import view_exposure_s
-from ringpose.simulate.feature_errors import (
-    CenterErrors,
-    Stripe,
-    center_errors,
-    end_errors_px,
-    image_noise,
-    oblique_shift_px,
+from ringpose.geometry.rays import project, undistorted_pixels
+from ringpose.geometry.ring import EDGE_SIGN, LIFT, STEP, edge_points, predicted_break_points, rotation_by
+from ringpose.geometry.rotations import tilt_basis
+from ringpose.simulate.appearance import (
+    EDGE_MARGIN_PX,
+    Appearance,
+    VisibleEdges,
+    edge_normals_px,
+    expected_appearance,
+    inside_image,
+    laser_frames,
+    view_arcs,
 )
-from ringpose.simulate.laser_planes import half_thickness_m, in_fan, irradiance_w_m2, sheets
-from ringpose.simulate.lighting import Intersections, LitTarget, ambient_radiance, reflectance_per_sr, surfaces
-from ringpose.simulate.pipeline import READOUT_S, lit_ring
+from ringpose.simulate.common_errors import CommonErrors, drawn_common_errors, form_deviations, form_displacement
+from ringpose.simulate.laser_planes import in_fan, sheets
+from ringpose.simulate.pipeline import READOUT_S
 from ringpose.simulate.placement import Placement, ring_rotation, ring_views
-from ringpose.simulate.sensor import electrons_per_radiance
-from ringpose.types.arrays import EDGES, Array, Bool, Float64
+from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
 from ringpose.types.camera import Camera
-from ringpose.types.detection import BreakPointFlag, BreakPoints, Detection, NoBreakPoints
+from ringpose.types.detection import BreakPointFlag, BreakPoints, Detection, NoBreakPoints, RingEdgePoints
 from ringpose.types.pose import MotionPrior
-from ringpose.types.rig import LaserPlanes, Rig
+from ringpose.types.rig import LaserPlanes
 from ringpose.types.scene import RingView, Scene
 from ringpose.types.truth import Truth
-
-FORM_ORDERS = (2, 3, 4)
-"""Orders of a ring's deviations from a circle and a plane; lower ones are radius, centre, offset and tilt."""
 
 _FEATURES = 2
 """First number of the seeds, so that drawn features are independent of the noise of images."""
@@ -73,21 +67,6 @@ class Deviations:
     """Probability that a stripe is not detected."""
 
 
-class RingForm(NamedTuple):
-    """Deviations of a ring from circles and a plane: Fourier coefficients by order and (cosine, sine), in metres."""
-
-    radial_m: Float64[Array, "edge=2 order=3 wave=2"]
-    axial_m: Float64[Array, "order=3 wave=2"]
-
-
-class CommonErrors(NamedTuple):
-    """What all shots of a run have in common."""
-
-    rig: Rig
-    """The true rig."""
-    form: RingForm
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DrawnShot:
     """A drawn detection and all that is true about it."""
@@ -107,43 +86,16 @@ def drawn_features(
     scene: Scene, deviations: Deviations = Deviations(), count: int | None = None
 ) -> Iterator[DrawnShot]:
     """The first `count` views of a scene, or all, as one run: rig and form of the ring are drawn once."""
-    common = drawn_common_errors(scene, np.random.default_rng([_FEATURES, scene.seed]), deviations)
+    common = common_errors(scene, np.random.default_rng([_FEATURES, scene.seed]), deviations)
     for number, view in enumerate(ring_views(scene)[:count]):
         rng = np.random.default_rng([_FEATURES, scene.seed, number])
         yield draw_detection(scene, view, rng, deviations, common, scene.start_s + number * scene.period_s)
 
 
-def drawn_common_errors(scene: Scene, rng: np.random.Generator, deviations: Deviations = Deviations()) -> CommonErrors:
-    """True rig and form of the ring of a run."""
-    # standard normal numbers are drawn even for a tolerance of 0, so that the rig does not depend on it
-    scale_m = deviations.ring_tolerance_m / np.sqrt(len(FORM_ORDERS))
-    form = RingForm(
-        radial_m=scale_m * rng.standard_normal((2, len(FORM_ORDERS), 2)),
-        axial_m=scale_m * rng.standard_normal((len(FORM_ORDERS), 2)),
-    )
-    return CommonErrors(drawn_rig(scene.rig, rng) if deviations.rig_errors else scene.rig, form)
-
-
-def drawn_rig(rig: Rig, rng: np.random.Generator) -> Rig:
-    """A rig drawn from the covariance of `rig`; it is itself without covariance."""
-    errors = rig_errors(rig)
-    if errors is None:
-        raise DataError("the scene's rig", "has no covariance", "calibrate it, or do not draw rig errors")
-    unit = rng.standard_normal(errors.camera.shape[1])
-    camera, planes = errors.camera @ unit, errors.lasers @ unit
-    focal_x, focal_y, center_x, center_y = camera[:4].tolist()
-    matrix = rig.camera.camera_matrix + np.array([[focal_x, 0, center_x], [0, focal_y, center_y], [0, 0, 0]])
-    normals = [tilted(normal, plane[:2]) for normal, plane in zip(rig.lasers.normal, planes, strict=True)]
-    return replace(
-        rig,
-        camera=replace(
-            rig.camera,
-            camera_matrix=matrix,
-            distortion_coefficients=rig.camera.distortion_coefficients + camera[4:],
-            covariance=None,
-        ),
-        lasers=replace(rig.lasers, normal=np.array(normals), distance_m=rig.lasers.distance_m + planes[:, 2]),
-        covariance=None,
+def common_errors(scene: Scene, rng: np.random.Generator, deviations: Deviations) -> CommonErrors:
+    """True rig and form of the ring of one run."""
+    return drawn_common_errors(
+        scene.rig, rng, ring_tolerance_m=deviations.ring_tolerance_m, with_rig_errors=deviations.rig_errors
     )
 
 
@@ -164,7 +116,7 @@ def draw_detection(
     inner and outer edge where the stripes hardly show the ring's curvature.
     """
     if common is None:
-        common = drawn_common_errors(scene, rng, deviations)
+        common = common_errors(scene, rng, deviations)
     lasers = len(scene.rig.lasers.names)
     frames, appearance = laser_frames(scene.sequence, lasers), expected_appearance(scene, view)
     begin_s = stamp_s + np.arange(len(scene.sequence)) * (appearance.exposure_s + READOUT_S)
@@ -175,7 +127,7 @@ def draw_detection(
     outliers = _outliers(deviations, rng.uniform(size=(lasers, 7)))
 
     found: BreakPoints | NoBreakPoints = NoBreakPoints.NO_STRIPE if view.target == "none" else NoBreakPoints.NO_RING
-    position_px = np.full((lasers, 2, 2), np.nan)
+    position_px, edges = np.full((lasers, 2, 2), np.nan), None
     if view.target == "ring":
         stripes = _stripes(scene, view, common, motion, shown_s - first_s, outliers.behind_m)
         position_px = stripes.true_px
@@ -186,7 +138,13 @@ def draw_detection(
             points = _drawn_points(stripes, appearance, noise, bias, outliers, seen)
             stamp = np.where(seen, shown_s, np.nan)
             found = _as_measured(points, scene.rig.camera, frames.labelled(seen), stamp)
-    detection = Detection(shot=view.name, stamp_s=first_s, break_points=found, lasers_on=frames.number >= 0)
+            time_s = float(begin_s[appearance.edges.frame]) + appearance.exposure_s / 2
+            unit = rng.standard_normal(len(appearance.edges.edge)) * deviations.noise
+            edges = _drawn_edges(scene, view, common, motion, appearance.edges, time_s - first_s, unit)
+            edges = None if edges is None else replace(edges, stamp_s=np.full(len(edges.edge), time_s))
+    detection = Detection(
+        shot=view.name, stamp_s=first_s, break_points=found, ring_edges=edges, lasers_on=frames.number >= 0
+    )
     return DrawnShot(
         detection=detection,
         truth=_truth(scene, view, position_px, first_s, motion if deviations.motion else None, outliers),
@@ -195,34 +153,6 @@ def draw_detection(
         background=outliers.behind_m > 0,
         missing=outliers.missing,
     )
-
-
-class LaserFrames(NamedTuple):
-    """The frame in which the detector sees each laser (as `ringpose.detect.difference_images.laser_images`)."""
-
-    number: Array
-    """Index of the frame; -1 for a laser that is off in all of them."""
-    together: Array
-    """Number of lasers whose stripes it may show."""
-    subtracted: Array
-    """Whether another frame without these lasers is subtracted."""
-
-    def labelled(self, seen: Bool[Array, "laser"]) -> bool:
-        """Whether the stripes are assigned to lasers by the frames alone."""
-        return bool((self.together[seen] == 1).all())
-
-
-def laser_frames(sequence: tuple[int, ...], lasers: int) -> LaserFrames:
-    """The frames of a sequence of laser masks: those with the fewest lasers on take precedence."""
-    number, together = np.full(lasers, -1), np.zeros(lasers, dtype=np.int64)
-    subtracted, covered = np.zeros(lasers, dtype=bool), 0
-    for frame in sorted(range(len(sequence)), key=lambda each: (sequence[each].bit_count(), each)):
-        new = sequence[frame] & ~covered & ((1 << lasers) - 1)
-        which = [laser for laser in range(lasers) if new >> laser & 1]
-        number[which], together[which] = frame, len(which)
-        subtracted[which] = sequence[frame] & covered in sequence
-        covered |= sequence[frame]
-    return LaserFrames(number, together, subtracted)
 
 
 class _Motion(NamedTuple):
@@ -271,7 +201,7 @@ class _Stripes(NamedTuple):
     start_px: Float64[Array, "laser xy=2"]
     """Left end of the stripe on the face, clipped to the image."""
     end_px: Float64[Array, "laser xy=2"]
-    edge_at_start: Array
+    edge_at_start: Int64[Array, "laser"]
     """Edge that the left end belongs to."""
 
 
@@ -311,54 +241,10 @@ def _stripes(
     lit = _lit(lasers, scene, point_m, normal)
     point_m = np.where(lit[:, None, None], point_m, np.nan)
     position_px = project(point_m, camera)
-    inside = _inside(position_px, camera)
+    inside = inside_image(position_px, BORDER_PX, camera)
     start_px, end_px, edge_at_start = _clipped(point_m, position_px, inside, camera)
 
     return _Stripes(np.where(inside[..., None], position_px, np.nan), start_px, end_px, edge_at_start)
-
-
-def view_arcs(scene: Scene, view: RingView) -> RingArcs:
-    """The ring of a view, described about the point that is nearest to the middle of the image."""
-    camera = scene.rig.camera
-    axis = rays(np.array([camera.image_width - 1, camera.image_height - 1]) / 2, camera)
-    cosine = float(axis @ view.normal)
-    near_m = axis * (float(view.center_m @ view.normal) / cosine if abs(cosine) > _GRAZING else 0.0)
-    radius_m = np.array([scene.ring.radius_inner_m, scene.ring.radius_outer_m])
-    return ring_arcs(view.center_m, view.normal, radius_m, near_m)
-
-
-_GRAZING = 1e-6
-"""Cosine below which the optical axis is treated as parallel to the ring's plane."""
-
-
-def form_displacement(
-    form: RingForm,
-    point_m: Float64[Array, "edge=2 xyz=3"],
-    arcs: RingArcs,
-    axes: Float64[Array, "3 3"],
-    light_normal: Float64[Array, "xyz=3"],
-) -> Float64[Array, "edge=2 xyz=3"]:
-    """Displacement of a stripe's break points on the inner and the outer edge by the ring's form, to first order.
-
-    The points stay on the light plane. The columns of `axes` are the x, y and z axes of the ring.
-    """
-    outward = point_m - arcs.center
-    radial_m, axial_m = form_deviations(form, outward @ axes, np.array([0, 1]))
-    rows = np.stack(
-        [np.broadcast_to(light_normal, (2, 3)), np.broadcast_to(arcs.normal, (2, 3)), _unit(outward)], axis=1
-    )
-    values = np.stack([np.zeros(2), axial_m, radial_m], axis=1)
-    displacement: Float64[Array, "edge=2 xyz=3"] = np.linalg.solve(rows, values[..., None])[..., 0]
-    return displacement
-
-
-def form_deviations(
-    form: RingForm, place_m: Float64[Array, "n xyz=3"], edge: Array
-) -> tuple[Float64[Array, "n"], Float64[Array, "n"]]:
-    """Radial deviations of an edge and axial deviations of the face, at places in the ring's own axes."""
-    phase = np.arctan2(place_m[:, 1], place_m[:, 0])[:, None] * np.array(FORM_ORDERS)
-    waves = np.stack([np.cos(phase), np.sin(phase)], axis=-1)
-    return (waves * form.radial_m[edge]).sum(axis=(1, 2)), (waves * form.axial_m).sum(axis=(1, 2))
 
 
 def _lit(
@@ -369,14 +255,7 @@ def _lit(
     fan = [bool(in_fan(in_camera_frame, laser, points.T).all()) for laser, points in enumerate(point_m)]
     height_m = (normal[:, None] * (lasers.projector_m[:, None] - point_m)).sum(axis=-1).min(axis=1)
     facing = -(normal[:, None] * point_m).sum(axis=-1).max(axis=1)
-    return np.array(fan) & (height_m > 0) & (facing > 0)
-
-
-def _inside(position_px: Float64[Array, "*shape xy=2"], camera: Camera) -> Bool[Array, "*shape"]:
-    """Whether points are so far inside the image that a stripe's end can be measured."""
-    x, y = position_px[..., 0], position_px[..., 1]
-    inside_x = (x >= BORDER_PX) & (x <= camera.image_width - 1 - BORDER_PX)
-    return np.asarray(inside_x & (y >= BORDER_PX) & (y <= camera.image_height - 1 - BORDER_PX))
+    return np.asarray(np.array(fan) & (height_m > 0) & (facing > 0))
 
 
 def _clipped(
@@ -384,124 +263,18 @@ def _clipped(
     position_px: Float64[Array, "laser edge=2 xy=2"],
     inside: Bool[Array, "laser edge=2"],
     camera: Camera,
-) -> tuple[Float64[Array, "laser xy=2"], Float64[Array, "laser xy=2"], Array]:
+) -> tuple[Float64[Array, "laser xy=2"], Float64[Array, "laser xy=2"], Int64[Array, "laser"]]:
     """Left and right ends of the stripes in the image, and the edge of the left one; NaN for those not in view."""
     ends_px = position_px.copy()
     for laser in np.flatnonzero(~inside.all(axis=1) & np.isfinite(position_px).all(axis=(1, 2))):
         share = np.linspace(0.0, 1.0, _SAMPLES)[:, None]
         shown_px = project(point_m[laser, 0] + share * (point_m[laser, 1] - point_m[laser, 0]), camera)
-        visible = np.flatnonzero(_inside(shown_px, camera))
+        visible = np.flatnonzero(inside_image(shown_px, BORDER_PX, camera))
         ends_px[laser] = shown_px[visible[[0, -1]]] if len(visible) else np.nan
     ends_px[~(np.abs(ends_px[:, 1, 0] - ends_px[:, 0, 0]) >= MIN_COLUMNS)] = np.nan
     left = (ends_px[:, 1, 0] < ends_px[:, 0, 0]).astype(np.int64)
     each = np.arange(len(left))
     return ends_px[each, left], ends_px[each, 1 - left], left
-
-
-def _unit(vector: Float64[Array, "*shape xyz=3"]) -> Float64[Array, "*shape xyz=3"]:
-    length = np.sqrt((vector * vector).sum(axis=-1, keepdims=True))
-    unit: Float64[Array, "*shape xyz=3"] = vector / np.where(length > 0, length, np.nan)
-    return unit
-
-
-# Appearance: how well an image shows the stripes
-
-
-class Appearance(NamedTuple):
-    """Exposure of a view, and the errors of each laser's stripe, which small motions do not change."""
-
-    exposure_s: float
-    centers: tuple[CenterErrors | None, ...]
-    """Of the stripes' centres; None for a laser that does not cross the face."""
-    end_sigma_px: Float64[Array, "laser edge=2"]
-    """Standard deviation of the break points along the stripe."""
-    oblique_px: Float64[Array, "laser edge=2"]
-    """Summed displacement of the last columns' centres if the edge is at the right end; the negative at the left."""
-
-
-@lru_cache(maxsize=16)
-def expected_appearance(scene: Scene, view: RingView) -> Appearance:
-    """The errors of stripes in the images of a view."""
-    lit_target = lit_ring(scene, view, scene.sequence)
-    frames = laser_frames(scene.sequence, len(scene.rig.lasers.names))
-    exposure_s = view_exposure_s(scene, lit_target)
-    centers: list[CenterErrors | None] = [None] * len(frames.number)
-    end_sigma_px, oblique_px = np.full((len(frames.number), 2), np.nan), np.zeros((len(frames.number), 2))
-    lasers, arcs = scene.rig.lasers, view_arcs(scene, view)
-    point_m = predicted_break_points(arcs, lasers.normal, lasers.distance_m)
-    crossed = np.flatnonzero(
-        np.isfinite(point_m).all(axis=(1, 2)) & (frames.number >= 0) & (point_m[..., 2] > 0).all(axis=1)
-    )
-    if view.target != "ring" or not len(crossed):
-        return Appearance(exposure_s, tuple(centers), end_sigma_px, oblique_px)
-    point_m, middle_m = point_m[crossed], point_m[crossed].mean(axis=1)
-    sections_px_per_m, edge_per_row = _image_scales(arcs, lasers.normal[crossed], point_m, scene.rig.camera)
-    range_m = np.linalg.norm(middle_m - lasers.projector_m[crossed], axis=1)
-    sigma_px = half_thickness_m(scene.lasers, range_m) * sections_px_per_m
-    peak_e, background_e = _peak_electrons(scene, lit_target, middle_m, crossed, exposure_s)
-    for number, laser in enumerate(crossed):
-        stripe = Stripe(
-            sigma_px=float(sigma_px[number]),
-            peak_e=float(peak_e[number]),
-            background_e=float(background_e[number]),
-        )
-        noise = image_noise(scene, subtracted=bool(frames.subtracted[laser]))
-        pooled = 2 * int((frames.number[crossed] == frames.number[laser]).sum())
-        centers[laser] = center = center_errors(stripe, noise)
-        oblique_px[laser] = oblique_shift_px(stripe, noise, center, edge_per_row[number])
-        end_sigma_px[laser] = end_errors_px(stripe, noise, edge_per_row[number], pooled)
-    return Appearance(exposure_s, tuple(centers), end_sigma_px, oblique_px)
-
-
-_STEP_M = 1e-5
-"""Step of numerical derivatives of the projection."""
-
-
-def _image_scales(
-    arcs: RingArcs,
-    light_normal: Float64[Array, "stripe xyz=3"],
-    point_m: Float64[Array, "stripe edge=2 xyz=3"],
-    camera: Camera,
-) -> tuple[Float64[Array, "stripe"], Float64[Array, "stripe edge=2"]]:
-    """Rows per metre of distance from the light plane, and columns by which an edge is displaced per row.
-
-    The latter is along the stripe, by a row across it.
-    """
-    along = _unit(np.cross(light_normal, arcs.normal))
-    across = np.cross(arcs.normal, along)
-    tangent = _unit(np.cross(arcs.normal, point_m - arcs.center))
-    middle_m = point_m.mean(axis=1, keepdims=True)
-    places = np.concatenate([middle_m, middle_m, point_m], axis=1)
-    steps = _STEP_M * np.concatenate([along[:, None], across[:, None], tangent], axis=1)
-    moved_px = (project(places + steps, camera) - project(places - steps, camera)) / (2 * _STEP_M)
-    slope = (moved_px[:, 0, 1] / moved_px[:, 0, 0])[:, None]
-    columns, rows = moved_px[:, 1:, 0], moved_px[:, 1:, 1] - slope * moved_px[:, 1:, 0]
-    off_plane = np.abs((light_normal * across).sum(axis=1))
-    return np.abs(rows[:, 0]) / off_plane, columns[:, 1:] / rows[:, 1:]
-
-
-def _peak_electrons(
-    scene: Scene, lit_target: LitTarget, point_m: Float64[Array, "stripe xyz=3"], lasers: Array, exposure_s: float
-) -> tuple[Float64[Array, "stripe"], Float64[Array, "stripe"]]:
-    """Expected electrons at a stripe's peak before the blur by the lens, and those of other light beside it."""
-    point = lit_target.placement.points_target(point_m.T)
-    normal = np.zeros_like(point)
-    normal[2] = 1.0
-    hits = Intersections(
-        surface=np.full(len(lasers), scene.ring.face_piece, dtype=np.int8),
-        point=point,
-        normal=normal,
-        to_eye=_unit(lit_target.placement.eye_m - point.T).T,
-    )
-    to_projector = _unit(lit_target.sheets.projector_m[lasers] - point.T).T
-    material = surfaces(lit_target.target.materials, hits.surface)
-    irradiance = np.array(
-        [irradiance_w_m2(lit_target.sheets, int(laser), point[:, [k]])[0] for k, laser in enumerate(lasers)]
-    )
-    radiance = irradiance * to_projector[2] * reflectance_per_sr(material, normal, to_projector, hits.to_eye)
-    rate = electrons_per_radiance(scene.sensor, scene.lens) * exposure_s
-    ambient = ambient_radiance(lit_target, hits)[0] if lit_target.is_lit else np.zeros(len(lasers))
-    return rate * radiance, rate * ambient
 
 
 # Drawing
@@ -553,6 +326,35 @@ def _drawn_points(
         face_end_px=np.where(seen[:, None], end_px, np.nan),
         face_sigma_px=np.where(seen, 2.0 * line_sigma_px, np.nan)[:, None] * np.ones(2),
         labelled=True,
+    )
+
+
+def _drawn_edges(
+    scene: Scene,
+    view: RingView,
+    common: CommonErrors,
+    motion: _Motion,
+    visible: VisibleEdges,
+    time_s: float,
+    unit: Float64[Array, "place"],
+) -> RingEdgePoints | None:
+    """Points of the visible edges at a time after the first laser's frame; None if none is in view."""
+    camera, arcs = common.rig.camera, view_arcs(scene, view).after(time_s, *motion)
+    place_m, outward = edge_points(arcs, visible.along_m, np.array(EDGE_SIGN)[visible.edge])
+    if any(part.any() for part in common.form):
+        turned = rotation_by(motion.rate_rad_s * time_s) @ ring_rotation(view.normal, view.roll_rad)
+        radial_m, axial_m = form_deviations(common.form, (place_m - arcs.center) @ turned, visible.edge)
+        place_m = place_m + radial_m[:, None] * outward + axial_m[:, None] * arcs.normal
+    position_px = project(place_m, camera)
+    shown = inside_image(position_px, EDGE_MARGIN_PX, camera)
+    if not shown.any():
+        return None
+    normal = edge_normals_px(place_m[shown], arcs, visible.edge[shown], camera)
+    return RingEdgePoints(
+        position_px=position_px[shown] + (visible.sigma_px * unit)[shown, None] * normal,
+        normal=normal,
+        sigma_px=visible.sigma_px[shown],
+        edge=visible.edge[shown],
     )
 
 

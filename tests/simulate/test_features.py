@@ -1,4 +1,4 @@
-"""Detections drawn from the ring's model: exact without noise, as uncertain as stated, and wrong where the truth says."""
+"""Drawn detections are exact without noise, as uncertain as they state, and wrong where the truth says."""
 
 from dataclasses import replace
 
@@ -9,15 +9,8 @@ import pytest
 from ringpose.errors import DataError
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.pipeline import estimate_pose
-from ringpose.simulate.features import (
-    FORM_ORDERS,
-    CommonErrors,
-    Deviations,
-    RingForm,
-    draw_detection,
-    drawn_common_errors,
-    drawn_features,
-)
+from ringpose.simulate.common_errors import FORM_ORDERS, CommonErrors, RingForm, drawn_common_errors
+from ringpose.simulate.features import Deviations, draw_detection, drawn_features
 from ringpose.simulate.pipeline import simulate
 from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
@@ -92,7 +85,7 @@ def test_more_noise_never_makes_features_more_certain(switched, view, rng):
 
 
 def test_a_stripe_beyond_the_border_is_clipped_and_its_line_remains(switched, view, rng):
-    aside = replace(view, center_m=view.center_m + [0.195, 0.0, 0.0], name="aside")
+    aside = replace(view, center_m=view.center_m + np.array([0.195, 0.0, 0.0]), name="aside")
 
     drawn = draw_detection(switched, aside, rng, EXACT)
 
@@ -156,7 +149,7 @@ def test_form_displaces_the_edges_with_the_tolerance_as_standard_deviation(switc
 
 
 def test_form_has_no_part_that_is_radius_centre_offset_or_tilt(switched, view, rng):
-    form = drawn_common_errors(switched, rng, Deviations(ring_tolerance_m=1e-3)).form
+    form = drawn_common_errors(switched.rig, rng, ring_tolerance_m=1e-3).form
 
     assert min(FORM_ORDERS) == 2
     assert form.radial_m.shape == (2, 3, 2)

@@ -83,7 +83,8 @@ def simulate(
     seeded = read if seed is None else replace(read, seed=seed)
     if features or output is None:
         deviations = deviations_of(max_speed, max_rate, ring_tolerance, rig_errors, displaced, background, missing)
-        return write_features(seeded, scene, deviations, count, output, force=force)
+        write_features(seeded, scene, deviations, count, output, force=force)
+        return
     processes = jobs or len(os.sched_getaffinity(0))
     folder = SimulationFolder(output, read.rig, force=force, inputs=[scene])
     for shot, truth in with_progress(simulated(seeded, count, processes), "shots", quiet):

@@ -1,0 +1,328 @@
+"""How images of a view show the ring: exposure, and the errors of stripes, break points and visible edges.
+
+Computed once a view: small motions, errors of the rig and outliers do not change it.
+"""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from ringpose.geometry.rays import project, rays
+from ringpose.geometry.ring import EDGE_SIGN, RingArcs, edge_points, predicted_break_points, ring_arcs
+from ringpose.simulate.exposure import view_exposure_s
+from ringpose.simulate.feature_errors import (
+    CenterErrors,
+    Stripe,
+    center_errors,
+    edge_step_influence,
+    end_errors_px,
+    image_noise,
+    oblique_shift_px,
+)
+from ringpose.simulate.laser_planes import half_thickness_m, irradiance_w_m2
+from ringpose.simulate.lighting import (
+    Intersections,
+    LitTarget,
+    ambient_radiance,
+    hits_on_relief,
+    reflectance_per_sr,
+    surfaces,
+)
+from ringpose.simulate.pipeline import lit_ring
+from ringpose.simulate.sensor import electrons_per_radiance
+from ringpose.simulate.target import EMPTY
+from ringpose.types.arrays import Array, Bool, Float64, Int64
+from ringpose.types.camera import Camera
+from ringpose.types.scene import RingView, Scene
+
+
+def view_arcs(scene: Scene, view: RingView) -> RingArcs:
+    """The ring of a view, described about the point that is nearest to the middle of the image."""
+    camera = scene.rig.camera
+    axis = rays(np.array([camera.image_width - 1, camera.image_height - 1]) / 2, camera)
+    cosine = float(axis @ view.normal)
+    near_m = axis * (float(view.center_m @ view.normal) / cosine if abs(cosine) > _GRAZING else 0.0)
+    radius_m = np.array([scene.ring.radius_inner_m, scene.ring.radius_outer_m])
+    return ring_arcs(view.center_m, view.normal, radius_m, near_m)
+
+
+_GRAZING = 1e-6
+"""Cosine below which the optical axis is treated as parallel to the ring's plane."""
+
+
+class LaserFrames(NamedTuple):
+    """The frame in which the detector sees each laser (as `ringpose.detect.difference_images.laser_images`)."""
+
+    number: Int64[Array, "laser"]
+    """Index of the frame; -1 for a laser that is off in all of them."""
+    together: Int64[Array, "laser"]
+    """Number of lasers whose stripes it may show."""
+    subtracted: Bool[Array, "laser"]
+    """Whether another frame without these lasers is subtracted."""
+
+    def labelled(self, seen: Bool[Array, "laser"]) -> bool:
+        """Whether the stripes are assigned to lasers by the frames alone."""
+        return bool((self.together[seen] == 1).all())
+
+
+def laser_frames(sequence: tuple[int, ...], lasers: int) -> LaserFrames:
+    """The frames of a sequence of laser masks: those with the fewest lasers on take precedence."""
+    number, together = np.full(lasers, -1), np.zeros(lasers, dtype=np.int64)
+    subtracted, covered = np.zeros(lasers, dtype=bool), 0
+    for frame in sorted(range(len(sequence)), key=lambda each: (sequence[each].bit_count(), each)):
+        new = sequence[frame] & ~covered & ((1 << lasers) - 1)
+        which = [laser for laser in range(lasers) if new >> laser & 1]
+        number[which], together[which] = frame, len(which)
+        subtracted[which] = sequence[frame] & covered in sequence
+        covered |= sequence[frame]
+    return LaserFrames(number, together, subtracted)
+
+
+class Appearance(NamedTuple):
+    """Exposure of a view, and the errors of each laser's stripe, which small motions do not change."""
+
+    exposure_s: float
+    centers: tuple[CenterErrors | None, ...]
+    """Of the stripes' centres; None for a laser that does not cross the face."""
+    end_sigma_px: Float64[Array, "laser edge=2"]
+    """Standard deviation of the break points along the stripe."""
+    oblique_px: Float64[Array, "laser edge=2"]
+    """Summed displacement of the last columns' centres if the edge is at the right end; the negative at the left."""
+    edges: "VisibleEdges"
+
+
+class VisibleEdges(NamedTuple):
+    """Places on the ring's edges that ambient light shows."""
+
+    frame: int
+    """Index of the frame in which the detector searches for them."""
+    along_m: Float64[Array, "place"]
+    """Distance from the origin of the view's arcs, along the middle of the face."""
+    edge: Int64[Array, "place"]
+    """0 for the inner edge, 1 for the outer."""
+    sigma_px: Float64[Array, "place"]
+
+
+@lru_cache(maxsize=16)
+def expected_appearance(scene: Scene, view: RingView) -> Appearance:
+    """The errors of stripes in the images of a view."""
+    lit_target = lit_ring(scene, view, scene.sequence)
+    frames = laser_frames(scene.sequence, len(scene.rig.lasers.names))
+    exposure_s = view_exposure_s(scene, lit_target)
+    centers: list[CenterErrors | None] = [None] * len(frames.number)
+    end_sigma_px, oblique_px = np.full((len(frames.number), 2), np.nan), np.zeros((len(frames.number), 2))
+    lasers, arcs = scene.rig.lasers, view_arcs(scene, view)
+    point_m = predicted_break_points(arcs, lasers.normal, lasers.distance_m)
+    crossed = np.flatnonzero(
+        np.isfinite(point_m).all(axis=(1, 2)) & (frames.number >= 0) & (point_m[..., 2] > 0).all(axis=1)
+    )
+    if view.target != "ring" or not len(crossed):
+        return Appearance(exposure_s, tuple(centers), end_sigma_px, oblique_px, _no_edges())
+    point_m, middle_m = point_m[crossed], point_m[crossed].mean(axis=1)
+    sections_px_per_m, edge_per_row = _image_scales(arcs, lasers.normal[crossed], point_m, scene.rig.camera)
+    range_m = np.linalg.norm(middle_m - lasers.projector_m[crossed], axis=1)
+    sigma_px = half_thickness_m(scene.lasers, range_m) * sections_px_per_m
+    peak_e, background_e = _peak_electrons(scene, lit_target, middle_m, crossed, exposure_s)
+    for number, laser in enumerate(crossed):
+        stripe = Stripe(
+            sigma_px=float(sigma_px[number]),
+            peak_e=float(peak_e[number]),
+            background_e=float(background_e[number]),
+        )
+        noise = image_noise(scene, subtracted=bool(frames.subtracted[laser]))
+        pooled = 2 * int((frames.number[crossed] == frames.number[laser]).sum())
+        centers[laser] = center = center_errors(stripe, noise)
+        oblique_px[laser] = oblique_shift_px(stripe, noise, center, edge_per_row[number])
+        end_sigma_px[laser] = end_errors_px(stripe, noise, edge_per_row[number], pooled)
+    edges = visible_edges(scene, lit_target, arcs, point_m, exposure_s) if lit_target.is_lit else _no_edges()
+    return Appearance(exposure_s, tuple(centers), end_sigma_px, oblique_px, edges)
+
+
+_STEP_M = 1e-5
+"""Step of numerical derivatives of the projection."""
+
+
+def _image_scales(
+    arcs: RingArcs,
+    light_normal: Float64[Array, "stripe xyz=3"],
+    point_m: Float64[Array, "stripe edge=2 xyz=3"],
+    camera: Camera,
+) -> tuple[Float64[Array, "stripe"], Float64[Array, "stripe edge=2"]]:
+    """Rows per metre of distance from the light plane, and columns by which an edge is displaced per row.
+
+    The latter is along the stripe, by a row across it.
+    """
+    along = unit_vectors(np.cross(light_normal, arcs.normal))
+    across = np.cross(arcs.normal, along)
+    tangent = unit_vectors(np.cross(arcs.normal, point_m - arcs.center))
+    middle_m = point_m.mean(axis=1, keepdims=True)
+    places = np.concatenate([middle_m, middle_m, point_m], axis=1)
+    steps = _STEP_M * np.concatenate([along[:, None], across[:, None], tangent], axis=1)
+    moved_px = (project(places + steps, camera) - project(places - steps, camera)) / (2 * _STEP_M)
+    slope = (moved_px[:, 0, 1] / moved_px[:, 0, 0])[:, None]
+    columns, rows = moved_px[:, 1:, 0], moved_px[:, 1:, 1] - slope * moved_px[:, 1:, 0]
+    off_plane = np.abs((light_normal * across).sum(axis=1))
+    return np.abs(rows[:, 0]) / off_plane, columns[:, 1:] / rows[:, 1:]
+
+
+def _peak_electrons(
+    scene: Scene,
+    lit_target: LitTarget,
+    point_m: Float64[Array, "stripe xyz=3"],
+    lasers: Int64[Array, "stripe"],
+    exposure_s: float,
+) -> tuple[Float64[Array, "stripe"], Float64[Array, "stripe"]]:
+    """Expected electrons at a stripe's peak before the blur by the lens, and those of other light beside it."""
+    point = lit_target.placement.points_target(point_m.T)
+    normal = np.zeros_like(point)
+    normal[2] = 1.0
+    hits = Intersections(
+        surface=np.full(len(lasers), scene.ring.face_piece, dtype=np.int8),
+        point=point,
+        normal=normal,
+        to_eye=unit_vectors(lit_target.placement.eye_m - point.T).T,
+    )
+    to_projector = unit_vectors(lit_target.sheets.projector_m[lasers] - point.T).T
+    material = surfaces(lit_target.target.materials, hits.surface)
+    irradiance = np.array(
+        [irradiance_w_m2(lit_target.sheets, int(laser), point[:, [k]])[0] for k, laser in enumerate(lasers)]
+    )
+    radiance = irradiance * to_projector[2] * reflectance_per_sr(material, normal, to_projector, hits.to_eye)
+    rate = electrons_per_radiance(scene.sensor, scene.lens) * exposure_s
+    ambient = ambient_radiance(lit_target, hits)[0] if lit_target.is_lit else np.zeros(len(lasers))
+    return rate * radiance, rate * ambient
+
+
+# Visible edges
+
+EDGE_SPACING_PX = 12.0
+"""Distance between places on an edge: the detector averages the image over so many pixels."""
+
+EDGE_MARGIN_PX = 8.0
+"""Minimum distance of a place from the image's border."""
+
+BESIDE_STRIPE_PX = 12.0
+"""Distance from a break point within which a frame with lasers does not show an edge."""
+
+MIN_STEP_DN = 2.0
+"""Minimum height of a step of brightness, as in the detector."""
+
+MIN_STEP_SIGMAS = 5.0
+"""Minimum height of a step in its standard deviations over 4 px of an edge, as in the detector."""
+
+MAX_EDGE_SIGMA_PX = 0.5
+"""Maximum standard deviation of a place."""
+
+MIN_PLACES = 12
+"""Minimum number of places."""
+
+BLUR_SIGMA_PX = 0.03
+"""Standard deviation of a step's position due to the assumed shape of its blur."""
+
+NEIGHBOURS = 5
+"""Number of neighbouring places by whose scatter the standard deviation of each is judged."""
+
+
+def _no_edges() -> VisibleEdges:
+    return VisibleEdges(0, np.empty(0), np.empty(0, dtype=np.int64), np.empty(0))
+
+
+def visible_edges(
+    scene: Scene,
+    lit_target: LitTarget,
+    arcs: RingArcs,
+    point_m: Float64[Array, "stripe edge=2 xyz=3"],
+    exposure_s: float,
+) -> VisibleEdges:
+    """Places on both edges whose step of brightness is seen, with the errors by noise and by what lies beside them.
+
+    That is found by rays beyond the edge: another surface, a shadow, crinkles of the foil. Light that is not uniform
+    there displaces a step; the detector judges this error by the scatter of neighbouring places.
+    """
+    camera, sensor = scene.rig.camera, scene.sensor
+    number = min(range(len(scene.sequence)), key=lambda each: (scene.sequence[each].bit_count(), each))
+    step_m = EDGE_SPACING_PX * float(arcs.origin[2]) / float(camera.camera_matrix[0, 0])
+    half = int(min(2.0 * arcs.mean_radius_m, 1.5 * float(arcs.origin[2])) / step_m)
+    along_m = np.tile(step_m * np.arange(-half, half + 1), 2)
+    edge = np.repeat(np.array([0, 1]), 2 * half + 1)
+    place_m, _ = edge_points(arcs, along_m, np.array(EDGE_SIGN)[edge])
+    position_px = project(place_m, camera)
+    normal_px = edge_normals_px(place_m, arcs, edge, camera)
+    shown = inside_image(position_px, EDGE_MARGIN_PX, camera)
+    if scene.sequence[number]:
+        stripe_px = project(point_m, camera).reshape(-1, 1, 2)
+        near_px = np.sqrt(((position_px - stripe_px) ** 2).sum(axis=-1)).min(axis=0)
+        shown &= near_px > BESIDE_STRIPE_PX
+    along_m, edge, position_px, normal_px = along_m[shown], edge[shown], position_px[shown], normal_px[shown]
+    if len(edge) < MIN_PLACES:
+        return _no_edges()._replace(frame=number)
+
+    noise, (influence, gain) = image_noise(scene, subtracted=False), edge_step_influence(scene.lens.blur_px)
+    rate = electrons_per_radiance(sensor, scene.lens) * exposure_s
+    offsets_px = np.arange(-3.0, len(influence) + 1.0)
+    offsets_px = offsets_px[(offsets_px == -3.0) | (offsets_px >= 1.0)]
+    light_e = rate * _radiance(lit_target, position_px[:, None] + offsets_px[:, None] * normal_px[:, None], camera)
+    face_e, beyond_e = light_e[:, 0], light_e[:, 1:]
+    height_e = np.abs(face_e - beyond_e[:, 0])
+    pixel_e = np.sqrt(noise.dark_e2 + np.minimum(face_e, beyond_e[:, 0]))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sensor_px = gain * pixel_e / height_e / np.sqrt(EDGE_SPACING_PX)
+        displaced_px = (beyond_e - beyond_e[:, :1]) @ influence / height_e
+    scatter_px = np.sqrt(_means_of_neighbours(np.minimum(displaced_px**2, 1.0), edge))
+    sigma_px = np.sqrt(sensor_px**2 + scatter_px**2 + BLUR_SIGMA_PX**2)
+    seen = (height_e * sensor.overall_system_gain_dn_per_e > MIN_STEP_DN) & (sigma_px < MAX_EDGE_SIGMA_PX)
+    seen &= height_e > MIN_STEP_SIGMAS * pixel_e / 2.0
+    if np.count_nonzero(seen) < MIN_PLACES:
+        return _no_edges()._replace(frame=number)
+    return VisibleEdges(number, along_m[seen], edge[seen], sigma_px[seen])
+
+
+def edge_normals_px(
+    place_m: Float64[Array, "n xyz=3"], arcs: RingArcs, edge: Int64[Array, "n"], camera: Camera
+) -> Float64[Array, "n xy=2"]:
+    """Unit normals in the image of the edges at places on them, off the face."""
+    outward = unit_vectors(place_m - arcs.center)
+    tangent = np.cross(arcs.normal, outward)
+    step_m = _STEP_M * np.stack([tangent, outward * np.array(EDGE_SIGN)[edge][:, None]])
+    (x, y), off = ((project(place_m + step, camera) - project(place_m - step, camera)).T for step in step_m)
+    across = np.stack([-y, x]) / np.sqrt(x * x + y * y)
+    return np.ascontiguousarray((across * np.sign((across * off).sum(axis=0))).T)
+
+
+def inside_image(position_px: Float64[Array, "*shape xy=2"], margin_px: float, camera: Camera) -> Bool[Array, "*shape"]:
+    """Which positions are at least so far inside the image; false for NaN."""
+    size_px = np.array([camera.image_width, camera.image_height])
+    return np.asarray(((position_px >= margin_px) & (position_px <= size_px - 1 - margin_px)).all(axis=-1))
+
+
+def unit_vectors(vector: Float64[Array, "*shape xyz=3"]) -> Float64[Array, "*shape xyz=3"]:
+    """Vectors of length 1; NaN for those of length 0."""
+    length = np.sqrt((vector * vector).sum(axis=-1, keepdims=True))
+    unit: Float64[Array, "*shape xyz=3"] = vector / np.where(length > 0, length, np.nan)
+    return unit
+
+
+def _radiance(
+    lit_target: LitTarget, position_px: Float64[Array, "place offset xy=2"], camera: Camera
+) -> Float64[Array, "place offset"]:
+    """Radiance of ambient light in these pixels."""
+    direction = lit_target.placement.vectors_target(rays(position_px, camera).reshape(-1, 3).T)
+    parameter, surface = lit_target.target.first_hits(lit_target.placement.eye_m, direction)
+    hit = np.flatnonzero(surface != EMPTY)
+    radiance = np.zeros(direction.shape[1])
+    radiance[hit] = ambient_radiance(
+        lit_target, hits_on_relief(lit_target, direction[:, hit], parameter[hit], surface[hit])
+    )[0]
+    return radiance.reshape(position_px.shape[:-1])
+
+
+def _means_of_neighbours(values: Float64[Array, "n"], edge: Int64[Array, "n"]) -> Float64[Array, "n"]:
+    """Mean of each value and its neighbours on the same edge."""
+    means = np.empty(len(values))
+    for each in (0, 1):
+        here = np.flatnonzero(edge == each)
+        window = np.ones(min(NEIGHBOURS, max(len(here), 1)))
+        count = np.convolve(np.ones(len(here)), window, mode="same") if len(here) else np.ones(0)
+        means[here] = np.convolve(values[here], window, mode="same") / count if len(here) else 0.0
+    return means
