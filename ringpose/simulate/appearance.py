@@ -20,7 +20,7 @@ from ringpose.simulate.feature_errors import (
     image_noise,
     oblique_shift_px,
 )
-from ringpose.simulate.laser_planes import half_thickness_m, irradiance_w_m2
+from ringpose.simulate.laser_planes import half_thickness_m, in_fan, irradiance_w_m2
 from ringpose.simulate.lighting import (
     Intersections,
     LitTarget,
@@ -83,13 +83,21 @@ class Appearance(NamedTuple):
     """Exposure of a view, and the errors of each laser's stripe, which small motions do not change."""
 
     exposure_s: float
+    arcs: RingArcs
+    axes: Float64[Array, "3 3"]
+    """Columns: x, y and z axis of the ring."""
     centers: tuple[CenterErrors | None, ...]
-    """Of the stripes' centres; None for a laser that does not cross the face."""
+    """Of the stripes' centres; None for a laser whose stripe the image does not show."""
     end_sigma_px: Float64[Array, "laser edge=2"]
     """Standard deviation of the break points along the stripe."""
     oblique_px: Float64[Array, "laser edge=2"]
     """Summed displacement of the last columns' centres if the edge is at the right end; the negative at the left."""
     edges: "VisibleEdges"
+
+    @property
+    def seen(self) -> Bool[Array, "laser"]:
+        """Which stripes an image shows, if they are in view."""
+        return np.array([center is not None for center in self.centers], dtype=np.bool_)
 
 
 class VisibleEdges(NamedTuple):
@@ -106,37 +114,53 @@ class VisibleEdges(NamedTuple):
 
 @lru_cache(maxsize=16)
 def expected_appearance(scene: Scene, view: RingView) -> Appearance:
-    """The errors of stripes in the images of a view."""
-    lit_target = lit_ring(scene, view, scene.sequence)
-    frames = laser_frames(scene.sequence, len(scene.rig.lasers.names))
-    exposure_s = view_exposure_s(scene, lit_target)
-    centers: list[CenterErrors | None] = [None] * len(frames.number)
-    end_sigma_px, oblique_px = np.full((len(frames.number), 2), np.nan), np.zeros((len(frames.number), 2))
-    lasers, arcs = scene.rig.lasers, view_arcs(scene, view)
+    """The errors of stripes and edges in the images of a view."""
+    lit_target, lasers = lit_ring(scene, view, scene.sequence), scene.rig.lasers
+    frames = laser_frames(scene.sequence, len(lasers.names))
+    exposure_s, arcs = view_exposure_s(scene, lit_target), view_arcs(scene, view)
+    centers: list[CenterErrors | None] = [None] * len(lasers.names)
+    end_sigma_px, oblique_px = np.full((len(centers), 2), np.nan), np.zeros((len(centers), 2))
+    edges = _no_edges()
     point_m = predicted_break_points(arcs, lasers.normal, lasers.distance_m)
-    crossed = np.flatnonzero(
-        np.isfinite(point_m).all(axis=(1, 2)) & (frames.number >= 0) & (point_m[..., 2] > 0).all(axis=1)
+    lit = np.flatnonzero((frames.number >= 0) & _illuminated(lit_target, point_m) & (view.target == "ring"))
+    if len(lit):
+        middle_m = point_m[lit].mean(axis=1)
+        rows_per_m, edge_per_row = _image_scales(arcs, lasers.normal[lit], point_m[lit], scene.rig.camera)
+        range_m = np.linalg.norm(middle_m - lasers.projector_m[lit], axis=1)
+        sigma_px = half_thickness_m(scene.lasers, range_m) * rows_per_m
+        peak_e, background_e = _peak_electrons(scene, lit_target, middle_m, lit, exposure_s)
+        for number, laser in enumerate(lit):
+            noise = image_noise(scene, subtracted=bool(frames.subtracted[laser]))
+            stripe = Stripe(
+                sigma_px=float(sigma_px[number]),
+                peak_e=float(peak_e[number]),
+                background_e=float(background_e[number]),
+            )
+            centers[laser] = center = center_errors(stripe, noise)
+            if center is not None:
+                pooled = 2 * int((frames.number[lit] == frames.number[laser]).sum())
+                end_sigma_px[laser] = end_errors_px(stripe, noise, edge_per_row[number], pooled)
+                oblique_px[laser] = oblique_shift_px(stripe, noise, center, edge_per_row[number])
+        if lit_target.is_lit:
+            edges = visible_edges(scene, lit_target, arcs, point_m[lit], exposure_s)
+    return Appearance(
+        exposure_s=exposure_s,
+        arcs=arcs,
+        axes=lit_target.placement.rotation,
+        centers=tuple(centers),
+        end_sigma_px=end_sigma_px,
+        oblique_px=oblique_px,
+        edges=edges,
     )
-    if view.target != "ring" or not len(crossed):
-        return Appearance(exposure_s, tuple(centers), end_sigma_px, oblique_px, _no_edges())
-    point_m, middle_m = point_m[crossed], point_m[crossed].mean(axis=1)
-    sections_px_per_m, edge_per_row = _image_scales(arcs, lasers.normal[crossed], point_m, scene.rig.camera)
-    range_m = np.linalg.norm(middle_m - lasers.projector_m[crossed], axis=1)
-    sigma_px = half_thickness_m(scene.lasers, range_m) * sections_px_per_m
-    peak_e, background_e = _peak_electrons(scene, lit_target, middle_m, crossed, exposure_s)
-    for number, laser in enumerate(crossed):
-        stripe = Stripe(
-            sigma_px=float(sigma_px[number]),
-            peak_e=float(peak_e[number]),
-            background_e=float(background_e[number]),
-        )
-        noise = image_noise(scene, subtracted=bool(frames.subtracted[laser]))
-        pooled = 2 * int((frames.number[crossed] == frames.number[laser]).sum())
-        centers[laser] = center = center_errors(stripe, noise)
-        oblique_px[laser] = oblique_shift_px(stripe, noise, center, edge_per_row[number])
-        end_sigma_px[laser] = end_errors_px(stripe, noise, edge_per_row[number], pooled)
-    edges = visible_edges(scene, lit_target, arcs, point_m, exposure_s) if lit_target.is_lit else _no_edges()
-    return Appearance(exposure_s, tuple(centers), end_sigma_px, oblique_px, edges)
+
+
+def _illuminated(lit_target: LitTarget, point_m: Float64[Array, "laser edge=2 xyz=3"]) -> Bool[Array, "laser"]:
+    """Whether camera and laser are in front of the face, and both ends of the stripe are in the laser's fan."""
+    sheet, eye = lit_target.sheets, lit_target.placement.eye_m
+    point = lit_target.placement.points_target(point_m.reshape(-1, 3).T).T.reshape(point_m.shape)
+    height_m = point[..., 2].max(axis=1)  # NaN if the light plane misses an edge
+    front = (point_m[..., 2].min(axis=1) > 0) & (eye[2] > height_m) & (sheet.projector_m[:, 2] > height_m)
+    return np.array([each and bool(in_fan(sheet, laser, point[laser].T).all()) for laser, each in enumerate(front)])
 
 
 _STEP_M = 1e-5

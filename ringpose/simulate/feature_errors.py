@@ -25,6 +25,13 @@ REACH_SIGMAS = 5.0
 INSIDE_COLUMNS, OUTSIDE_COLUMNS = 24, 12
 """Columns inside and beyond an end from which its position is estimated."""
 
+MIN_PEAK, MIN_PEAK_SIGMAS = 3.0 / 255.0, 4.0
+"""Minimum peak of a stripe that is detected, as a share of the saturation value and in standard deviations of a pixel.
+"""
+
+MIN_ROWS = 6
+"""Minimum number of rows that are not saturated."""
+
 CENTER_PHASE = 0.25
 """Position in its pixel at which a centre's variance is evaluated, midway between the best and the worst one."""
 
@@ -133,12 +140,15 @@ class CenterErrors:
         return sqrt(variance / max(columns, 1.0))
 
 
-def center_errors(stripe: Stripe, noise: ImageNoise) -> CenterErrors:
+def center_errors(stripe: Stripe, noise: ImageNoise) -> CenterErrors | None:
     """Errors of the centre by a fit of a Gaussian section, its offset, and a background with a slope.
 
-    As in the detector, rows have the weights of independent noise and speckle.
+    As in the detector, rows have the weights of independent noise and speckle. None if the stripe is too faint for the
+    detector, or so bright that too few rows are not saturated.
     """
     sigma, section, peak_e = _blurred_section(stripe, noise)
+    if peak_e < max(MIN_PEAK * noise.full_e, MIN_PEAK_SIGMAS * sqrt(noise.dark_e2)):
+        return None
     reach = int(np.ceil(REACH_SIGMAS * section))
     y = np.arange(-reach, reach + 1) - CENTER_PHASE
     light = np.exp(-0.5 * (y / section) ** 2)
@@ -147,6 +157,8 @@ def center_errors(stripe: Stripe, noise: ImageNoise) -> CenterErrors:
     ratio = min(grain / sqrt(float(sensor.min())), MAX_SPECKLE)
     weight = 1.0 / (1.0 + (ratio * light) ** 2)
     shown = light * peak_e + stripe.background_e < noise.full_e
+    if np.count_nonzero(shown) < MIN_ROWS:
+        return None
     shapes = np.stack([np.ones_like(y), y / reach, light, light * y / section**2])
     weight *= shown
     influence = _weighted_fit((shapes * weight) @ shapes.T, shapes, weight, 3)

@@ -18,22 +18,18 @@ from ringpose.geometry.rotations import tilt_basis
 from ringpose.simulate.appearance import (
     EDGE_MARGIN_PX,
     Appearance,
-    VisibleEdges,
     edge_normals_px,
     expected_appearance,
     inside_image,
     laser_frames,
-    view_arcs,
 )
 from ringpose.simulate.common_errors import CommonErrors, drawn_common_errors, form_deviations, form_displacement
-from ringpose.simulate.laser_planes import in_fan, sheets
 from ringpose.simulate.pipeline import READOUT_S
-from ringpose.simulate.placement import Placement, ring_rotation, ring_views
+from ringpose.simulate.placement import ring_views
 from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
 from ringpose.types.camera import Camera
 from ringpose.types.detection import BreakPointFlag, BreakPoints, Detection, NoBreakPoints, RingEdgePoints
 from ringpose.types.pose import MotionPrior
-from ringpose.types.rig import LaserPlanes
 from ringpose.types.scene import RingView, Scene
 from ringpose.types.truth import Truth
 
@@ -129,7 +125,7 @@ def draw_detection(
     found: BreakPoints | NoBreakPoints = NoBreakPoints.NO_STRIPE if view.target == "none" else NoBreakPoints.NO_RING
     position_px, edges = np.full((lasers, 2, 2), np.nan), None
     if view.target == "ring":
-        stripes = _stripes(scene, view, common, motion, shown_s - first_s, outliers.behind_m)
+        stripes = _stripes(appearance, common, motion, shown_s - first_s, outliers.behind_m)
         position_px = stripes.true_px
         seen = np.isfinite(stripes.start_px[:, 0]) & ~outliers.missing
         if seen.any():
@@ -140,7 +136,7 @@ def draw_detection(
             found = _as_measured(points, scene.rig.camera, frames.labelled(seen), stamp)
             time_s = float(begin_s[appearance.edges.frame]) + appearance.exposure_s / 2
             unit = rng.standard_normal(len(appearance.edges.edge)) * deviations.noise
-            edges = _drawn_edges(scene, view, common, motion, appearance.edges, time_s - first_s, unit)
+            edges = _drawn_edges(appearance, common, motion, time_s - first_s, unit)
             edges = None if edges is None else replace(edges, stamp_s=np.full(len(edges.edge), time_s))
     detection = Detection(
         shot=view.name, stamp_s=first_s, break_points=found, ring_edges=edges, lasers_on=frames.number >= 0
@@ -216,46 +212,29 @@ _SAMPLES = 257
 
 
 def _stripes(
-    scene: Scene,
-    view: RingView,
+    appearance: Appearance,
     common: CommonErrors,
     motion: _Motion,
     time_s: Float64[Array, "laser"],
     behind_m: Float64[Array, "laser"],
 ) -> _Stripes:
-    """The stripes of all lasers, each at the time of its frame; `time_s` is NaN for a laser that is off."""
+    """The stripes of all lasers, each at the time of its frame."""
     camera, lasers = common.rig.camera, common.rig.lasers
-    arcs = view_arcs(scene, view)
     point_m = np.full((len(time_s), 2, 3), np.nan)
-    normal = np.tile(arcs.normal, (len(time_s), 1))
-    for laser in np.flatnonzero(np.isfinite(time_s)):
-        moved = arcs.after(float(time_s[laser]), *motion)
+    for laser in np.flatnonzero(appearance.seen):
+        moved = appearance.arcs.after(float(time_s[laser]), *motion)
         if behind_m[laser]:
             moved = moved.moved(-float(behind_m[laser]) * np.eye(len(STEP))[LIFT])
         plane = lasers.normal[[laser]], lasers.distance_m[[laser]]
         point_m[laser] = predicted_break_points(moved, *plane)[0]
-        if any(part.any() for part in common.form):
-            turned = rotation_by(motion.rate_rad_s * time_s[laser]) @ ring_rotation(view.normal, view.roll_rad)
+        if common.form.any():
+            turned = rotation_by(motion.rate_rad_s * time_s[laser]) @ appearance.axes
             point_m[laser] += form_displacement(common.form, point_m[laser], moved, turned, plane[0][0])
-        normal[laser] = moved.normal
-    lit = _lit(lasers, scene, point_m, normal)
-    point_m = np.where(lit[:, None, None], point_m, np.nan)
     position_px = project(point_m, camera)
     inside = inside_image(position_px, BORDER_PX, camera)
     start_px, end_px, edge_at_start = _clipped(point_m, position_px, inside, camera)
 
     return _Stripes(np.where(inside[..., None], position_px, np.nan), start_px, end_px, edge_at_start)
-
-
-def _lit(
-    lasers: LaserPlanes, scene: Scene, point_m: Float64[Array, "laser edge=2 xyz=3"], normal: Float64[Array, "laser 3"]
-) -> Bool[Array, "laser"]:
-    """Whether camera and laser are in front of the face, and the whole stripe is in the laser's fan."""
-    in_camera_frame = sheets(lasers, scene.lasers, Placement(rotation=np.eye(3), translation_m=np.zeros(3)))
-    fan = [bool(in_fan(in_camera_frame, laser, points.T).all()) for laser, points in enumerate(point_m)]
-    height_m = (normal[:, None] * (lasers.projector_m[:, None] - point_m)).sum(axis=-1).min(axis=1)
-    facing = -(normal[:, None] * point_m).sum(axis=-1).max(axis=1)
-    return np.asarray(np.array(fan) & (height_m > 0) & (facing > 0))
 
 
 def _clipped(
@@ -330,19 +309,14 @@ def _drawn_points(
 
 
 def _drawn_edges(
-    scene: Scene,
-    view: RingView,
-    common: CommonErrors,
-    motion: _Motion,
-    visible: VisibleEdges,
-    time_s: float,
-    unit: Float64[Array, "place"],
+    appearance: Appearance, common: CommonErrors, motion: _Motion, time_s: float, unit: Float64[Array, "place"]
 ) -> RingEdgePoints | None:
     """Points of the visible edges at a time after the first laser's frame; None if none is in view."""
-    camera, arcs = common.rig.camera, view_arcs(scene, view).after(time_s, *motion)
+    visible, camera = appearance.edges, common.rig.camera
+    arcs = appearance.arcs.after(time_s, *motion)
     place_m, outward = edge_points(arcs, visible.along_m, np.array(EDGE_SIGN)[visible.edge])
-    if any(part.any() for part in common.form):
-        turned = rotation_by(motion.rate_rad_s * time_s) @ ring_rotation(view.normal, view.roll_rad)
+    if common.form.any():
+        turned = rotation_by(motion.rate_rad_s * time_s) @ appearance.axes
         radial_m, axial_m = form_deviations(common.form, (place_m - arcs.center) @ turned, visible.edge)
         place_m = place_m + radial_m[:, None] * outward + axial_m[:, None] * arcs.normal
     position_px = project(place_m, camera)
