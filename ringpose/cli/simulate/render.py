@@ -14,6 +14,7 @@ from ringpose.cli.simulate.features import (
     MaxRate,
     MaxSpeed,
     Missing,
+    ObliqueBias,
     RigErrors,
     RingTolerance,
 )
@@ -52,6 +53,7 @@ def simulate(
     max_speed: MaxSpeed = None,
     max_rate: MaxRate = None,
     ring_tolerance: RingTolerance = None,
+    oblique_bias: ObliqueBias = False,
     rig_errors: RigErrors = False,
     displaced: Displaced = None,
     background: Background = None,
@@ -74,15 +76,15 @@ def simulate(
     from ringpose.simulate.pipeline import simulate as simulated
     from ringpose.simulate.pipeline import simulated_boards
 
-    drawn = (max_speed, max_rate, ring_tolerance, rig_errors or None, displaced, background, missing)
-    if not features and any(value is not None for value in drawn):
+    drawn = (max_speed, max_rate, ring_tolerance, oblique_bias, rig_errors, displaced, background, missing)
+    if not features and any(value is not None and value is not False for value in drawn):
         raise UsageError("", "motion, errors and outliers are drawn for features only", "give --features too")
     if output is None and not features:
         raise UsageError("", "--output is missing", "give --output DIR")
     read = read_scene(scene)
     seeded = read if seed is None else replace(read, seed=seed)
     if features or output is None:
-        deviations = deviations_of(max_speed, max_rate, ring_tolerance, rig_errors, displaced, background, missing)
+        deviations = deviations_of(*drawn)
         write_features(seeded, scene, deviations, count, output, force=force)
         return
     processes = jobs or len(os.sched_getaffinity(0))
