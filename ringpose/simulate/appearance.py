@@ -244,6 +244,9 @@ MIN_PLACES = 12
 BLUR_SIGMA_PX = 0.03
 """Standard deviation of a step's position due to the assumed shape of its blur."""
 
+LIGHT_OFFSETS_PX = (1, 2, 4)
+"""Distances beyond an edge at which the light is sampled; each stands for the pixels up to the next."""
+
 NEIGHBOURS = 5
 """Number of neighbouring places by whose scatter the standard deviation of each is judged."""
 
@@ -270,30 +273,31 @@ def visible_edges(
     half = int(min(2.0 * arcs.mean_radius_m, 1.5 * float(arcs.origin[2])) / step_m)
     along_m = np.tile(step_m * np.arange(-half, half + 1), 2)
     edge = np.repeat(np.array([0, 1]), 2 * half + 1)
-    place_m, _ = edge_points(arcs, along_m, np.array(EDGE_SIGN)[edge])
+    place_m, outward = edge_points(arcs, along_m, np.array(EDGE_SIGN)[edge])
     position_px = project(place_m, camera)
-    normal_px = edge_normals_px(place_m, arcs, edge, camera)
     shown = inside_image(position_px, EDGE_MARGIN_PX, camera)
     if scene.sequence[number]:
         stripe_px = project(point_m, camera).reshape(-1, 1, 2)
         near_px = np.sqrt(((position_px - stripe_px) ** 2).sum(axis=-1)).min(axis=0)
         shown &= near_px > BESIDE_STRIPE_PX
-    along_m, edge, position_px, normal_px = along_m[shown], edge[shown], position_px[shown], normal_px[shown]
-    if len(edge) < MIN_PLACES:
+    if np.count_nonzero(shown) < MIN_PLACES:
         return _no_edges()._replace(frame=number)
+    along_m, edge, place_m = along_m[shown], edge[shown], place_m[shown]
+    off_face = np.array(EDGE_SIGN)[edge, None] * outward[shown]
 
     noise, (influence, gain) = image_noise(scene, subtracted=False), edge_step_influence(scene.lens.blur_px)
     rate = electrons_per_radiance(sensor, scene.lens) * exposure_s
-    offsets_px = np.arange(-3.0, len(influence) + 1.0)
-    offsets_px = offsets_px[(offsets_px == -3.0) | (offsets_px >= 1.0)]
-    light_e = rate * _radiance(lit_target, position_px[:, None] + offsets_px[:, None] * normal_px[:, None], camera)
-    face_e, beyond_e = light_e[:, 0], light_e[:, 1:]
+    _, px_per_m = edge_normals_px(place_m, off_face, arcs, camera)
+    steps_m = (np.array(LIGHT_OFFSETS_PX) / px_per_m[:, None])[..., None] * off_face[:, None]
+    face_e = rate * _face_radiance(lit_target, place_m, scene.ring.face_piece)
+    beyond_e = rate * _radiance(lit_target, place_m[:, None] + steps_m)
     height_e = np.abs(face_e - beyond_e[:, 0])
     pixel_e = np.sqrt(noise.dark_e2 + np.minimum(face_e, beyond_e[:, 0]))
+    of_offset = np.add.reduceat(influence, np.array(LIGHT_OFFSETS_PX, dtype=np.int64) - 1)
     with np.errstate(divide="ignore", invalid="ignore"):
         sensor_px = gain * pixel_e / height_e / np.sqrt(EDGE_SPACING_PX)
-        displaced_px = (beyond_e - beyond_e[:, :1]) @ influence / height_e
-    scatter_px = np.sqrt(_means_of_neighbours(np.minimum(displaced_px**2, 1.0), edge))
+        displaced_px = (beyond_e - beyond_e[:, :1]) @ of_offset / height_e
+    scatter_px = np.sqrt(_means_of_neighbours(np.fmin(displaced_px**2, 1.0), edge))
     sigma_px = np.sqrt(sensor_px**2 + scatter_px**2 + BLUR_SIGMA_PX**2)
     seen = (height_e * sensor.overall_system_gain_dn_per_e > MIN_STEP_DN) & (sigma_px < MAX_EDGE_SIGMA_PX)
     seen &= height_e > MIN_STEP_SIGMAS * pixel_e / 2.0
@@ -303,21 +307,31 @@ def visible_edges(
 
 
 def edge_normals_px(
-    place_m: Float64[Array, "n xyz=3"], arcs: RingArcs, edge: Int64[Array, "n"], camera: Camera
-) -> Float64[Array, "n xy=2"]:
-    """Unit normals in the image of the edges at places on them, off the face."""
-    outward = unit_vectors(place_m - arcs.center)
-    tangent = np.cross(arcs.normal, outward)
-    step_m = _STEP_M * np.stack([tangent, outward * np.array(EDGE_SIGN)[edge][:, None]])
-    (x, y), off = ((project(place_m + step, camera) - project(place_m - step, camera)).T for step in step_m)
+    place_m: Float64[Array, "n xyz=3"], off_face: Float64[Array, "n xyz=3"], arcs: RingArcs, camera: Camera
+) -> tuple[Float64[Array, "n xy=2"], Float64[Array, "n"]]:
+    """Unit normals in the image of the edges at places on them, off the face, and pixels along them per metre.
+
+    `off_face` are the unit vectors in the ring's plane that point off the face.
+    """
+    steps = _STEP_M * np.stack([_cross(arcs.normal, off_face), off_face])
+    moved_px = (project(place_m + steps, camera) - project(place_m - steps, camera)) / (2 * _STEP_M)
+    (x, y), off = moved_px[0].T, moved_px[1].T
     across = np.stack([-y, x]) / np.sqrt(x * x + y * y)
-    return np.ascontiguousarray((across * np.sign((across * off).sum(axis=0))).T)
+    px_per_m = (across * off).sum(axis=0)
+    return np.ascontiguousarray((across * np.sign(px_per_m)).T), np.abs(px_per_m)
 
 
 def inside_image(position_px: Float64[Array, "*shape xy=2"], margin_px: float, camera: Camera) -> Bool[Array, "*shape"]:
     """Which positions are at least so far inside the image; false for NaN."""
     size_px = np.array([camera.image_width, camera.image_height])
     return np.asarray(((position_px >= margin_px) & (position_px <= size_px - 1 - margin_px)).all(axis=-1))
+
+
+def _cross(first: Float64[Array, "*#n xyz=3"], second: Float64[Array, "n xyz=3"]) -> Float64[Array, "n xyz=3"]:
+    """Cross products; `np.cross` takes five times as long for a few vectors."""
+    ax, ay, az = np.atleast_2d(first).T
+    bx, by, bz = second.T
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
 def unit_vectors(vector: Float64[Array, "*shape xyz=3"]) -> Float64[Array, "*shape xyz=3"]:
@@ -327,18 +341,30 @@ def unit_vectors(vector: Float64[Array, "*shape xyz=3"]) -> Float64[Array, "*sha
     return unit
 
 
-def _radiance(
-    lit_target: LitTarget, position_px: Float64[Array, "place offset xy=2"], camera: Camera
-) -> Float64[Array, "place offset"]:
-    """Radiance of ambient light in these pixels."""
-    direction = lit_target.placement.vectors_target(rays(position_px, camera).reshape(-1, 3).T)
+def _face_radiance(lit_target: LitTarget, place_m: Float64[Array, "place xyz=3"], face: int) -> Float64[Array, "place"]:
+    """Radiance of ambient light on the ring's face, at places on its edges."""
+    point = lit_target.placement.points_target(place_m.T)
+    normal = np.zeros_like(point)
+    normal[2] = 1.0
+    hits = Intersections(
+        surface=np.full(len(place_m), face, dtype=np.int8),
+        point=point,
+        normal=normal,
+        to_eye=unit_vectors(lit_target.placement.eye_m - point.T).T,
+    )
+    return ambient_radiance(lit_target, hits)[0]
+
+
+def _radiance(lit_target: LitTarget, toward_m: Float64[Array, "place offset xyz=3"]) -> Float64[Array, "place offset"]:
+    """Radiance of ambient light that the camera sees in the direction of these points."""
+    direction = lit_target.placement.vectors_target(toward_m.reshape(-1, 3).T)
     parameter, surface = lit_target.target.first_hits(lit_target.placement.eye_m, direction)
     hit = np.flatnonzero(surface != EMPTY)
     radiance = np.zeros(direction.shape[1])
     radiance[hit] = ambient_radiance(
         lit_target, hits_on_relief(lit_target, direction[:, hit], parameter[hit], surface[hit])
     )[0]
-    return radiance.reshape(position_px.shape[:-1])
+    return radiance.reshape(toward_m.shape[:-1])
 
 
 def _means_of_neighbours(values: Float64[Array, "n"], edge: Int64[Array, "n"]) -> Float64[Array, "n"]:

@@ -323,7 +323,8 @@ def _drawn_edges(
     shown = inside_image(position_px, EDGE_MARGIN_PX, camera)
     if not shown.any():
         return None
-    normal = edge_normals_px(place_m[shown], arcs, visible.edge[shown], camera)
+    off_face = np.array(EDGE_SIGN)[visible.edge[shown], None] * outward[shown]
+    normal, _ = edge_normals_px(place_m[shown], off_face, arcs, camera)
     return RingEdgePoints(
         position_px=position_px[shown] + (visible.sigma_px * unit)[shown, None] * normal,
         normal=normal,
