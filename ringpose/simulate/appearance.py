@@ -86,6 +86,8 @@ class Appearance(NamedTuple):
     arcs: RingArcs
     axes: Float64[Array, "3 3"]
     """Columns: x, y and z axis of the ring."""
+    lit: Bool[Array, "laser"]
+    """Which light planes reach the whole face on the side that is in view."""
     centers: tuple[CenterErrors | None, ...]
     """Of the stripes' centres; None for a laser whose stripe the image does not show."""
     end_sigma_px: Float64[Array, "laser edge=2"]
@@ -122,7 +124,8 @@ def expected_appearance(scene: Scene, view: RingView) -> Appearance:
     end_sigma_px, oblique_px = np.full((len(centers), 2), np.nan), np.zeros((len(centers), 2))
     edges = _no_edges()
     point_m = predicted_break_points(arcs, lasers.normal, lasers.distance_m)
-    lit = np.flatnonzero((frames.number >= 0) & _illuminated(lit_target, point_m) & (view.target == "ring"))
+    illuminated = _illuminated(lit_target, point_m) & (view.target == "ring")
+    lit = np.flatnonzero(illuminated & (frames.number >= 0))
     if len(lit):
         middle_m = point_m[lit].mean(axis=1)
         rows_per_m, edge_per_row = _image_scales(arcs, lasers.normal[lit], point_m[lit], scene.rig.camera)
@@ -147,6 +150,7 @@ def expected_appearance(scene: Scene, view: RingView) -> Appearance:
         exposure_s=exposure_s,
         arcs=arcs,
         axes=lit_target.placement.rotation,
+        lit=illuminated,
         centers=tuple(centers),
         end_sigma_px=end_sigma_px,
         oblique_px=oblique_px,
@@ -177,9 +181,9 @@ def _image_scales(
 
     The latter is along the stripe, by a row across it.
     """
-    along = unit_vectors(np.cross(light_normal, arcs.normal))
-    across = np.cross(arcs.normal, along)
-    tangent = unit_vectors(np.cross(arcs.normal, point_m - arcs.center))
+    along = unit_vectors(-_cross(arcs.normal, light_normal))
+    across = _cross(arcs.normal, along)
+    tangent = unit_vectors(_cross(arcs.normal, (point_m - arcs.center).reshape(-1, 3)).reshape(point_m.shape))
     middle_m = point_m.mean(axis=1, keepdims=True)
     places = np.concatenate([middle_m, middle_m, point_m], axis=1)
     steps = _STEP_M * np.concatenate([along[:, None], across[:, None], tangent], axis=1)
@@ -244,8 +248,8 @@ MIN_PLACES = 12
 BLUR_SIGMA_PX = 0.03
 """Standard deviation of a step's position due to the assumed shape of its blur."""
 
-LIGHT_OFFSETS_PX = (1, 2, 4)
-"""Distances beyond an edge at which the light is sampled; each stands for the pixels up to the next."""
+LIGHT_OFFSETS_PX = (-3, 1, 2, 4)
+"""Distances beyond an edge at which the light is sampled: on the face, then each for the pixels up to the next."""
 
 NEIGHBOURS = 5
 """Number of neighbouring places by whose scatter the standard deviation of each is judged."""
@@ -289,11 +293,11 @@ def visible_edges(
     rate = electrons_per_radiance(sensor, scene.lens) * exposure_s
     _, px_per_m = edge_normals_px(place_m, off_face, arcs, camera)
     steps_m = (np.array(LIGHT_OFFSETS_PX) / px_per_m[:, None])[..., None] * off_face[:, None]
-    face_e = rate * _face_radiance(lit_target, place_m, scene.ring.face_piece)
-    beyond_e = rate * _radiance(lit_target, place_m[:, None] + steps_m)
+    light_e = rate * _radiance(lit_target, place_m[:, None] + steps_m)
+    face_e, beyond_e = light_e[:, 0], light_e[:, 1:]
     height_e = np.abs(face_e - beyond_e[:, 0])
     pixel_e = np.sqrt(noise.dark_e2 + np.minimum(face_e, beyond_e[:, 0]))
-    of_offset = np.add.reduceat(influence, np.array(LIGHT_OFFSETS_PX, dtype=np.int64) - 1)
+    of_offset = np.add.reduceat(influence, np.array(LIGHT_OFFSETS_PX[1:], dtype=np.int64) - 1)
     with np.errstate(divide="ignore", invalid="ignore"):
         sensor_px = gain * pixel_e / height_e / np.sqrt(EDGE_SPACING_PX)
         displaced_px = (beyond_e - beyond_e[:, :1]) @ of_offset / height_e
@@ -339,20 +343,6 @@ def unit_vectors(vector: Float64[Array, "*shape xyz=3"]) -> Float64[Array, "*sha
     length = np.sqrt((vector * vector).sum(axis=-1, keepdims=True))
     unit: Float64[Array, "*shape xyz=3"] = vector / np.where(length > 0, length, np.nan)
     return unit
-
-
-def _face_radiance(lit_target: LitTarget, place_m: Float64[Array, "place xyz=3"], face: int) -> Float64[Array, "place"]:
-    """Radiance of ambient light on the ring's face, at places on its edges."""
-    point = lit_target.placement.points_target(place_m.T)
-    normal = np.zeros_like(point)
-    normal[2] = 1.0
-    hits = Intersections(
-        surface=np.full(len(place_m), face, dtype=np.int8),
-        point=point,
-        normal=normal,
-        to_eye=unit_vectors(lit_target.placement.eye_m - point.T).T,
-    )
-    return ambient_radiance(lit_target, hits)[0]
 
 
 def _radiance(lit_target: LitTarget, toward_m: Float64[Array, "place offset xyz=3"]) -> Float64[Array, "place offset"]:

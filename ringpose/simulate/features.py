@@ -115,29 +115,31 @@ def draw_detection(
         common = common_errors(scene, rng, deviations)
     lasers = len(scene.rig.lasers.names)
     frames, appearance = laser_frames(scene.sequence, lasers), expected_appearance(scene, view)
-    begin_s = stamp_s + np.arange(len(scene.sequence)) * (appearance.exposure_s + READOUT_S)
-    shown_s = np.where(frames.number >= 0, begin_s[frames.number] + appearance.exposure_s / 2, np.nan)
-    first_s = float(np.nanmin(shown_s)) if (frames.number >= 0).any() else float(begin_s[0] + appearance.exposure_s / 2)
+    exposure_s = appearance.exposure_s
+    middle_s = stamp_s + exposure_s / 2 + np.arange(len(scene.sequence)) * (exposure_s + READOUT_S)
+    shown_s = np.where(frames.number >= 0, middle_s[frames.number], np.nan)
+    first_s = float(middle_s[int(np.argmax(np.array(scene.sequence) > 0))])
     unit = rng.standard_normal(5 + 4 * lasers)  # of motion, then of stripes
     motion = _motion(view.normal, deviations.motion, unit[:5])
     outliers = _outliers(deviations, rng.uniform(size=(lasers, 7)))
 
-    found: BreakPoints | NoBreakPoints = NoBreakPoints.NO_STRIPE if view.target == "none" else NoBreakPoints.NO_RING
+    found: BreakPoints | NoBreakPoints = NoBreakPoints.NO_RING if view.target == "body" else NoBreakPoints.NO_STRIPE
     position_px, edges = np.full((lasers, 2, 2), np.nan), None
     if view.target == "ring":
-        stripes = _stripes(appearance, common, motion, shown_s - first_s, outliers.behind_m)
+        time_s = np.nan_to_num(shown_s - first_s)
+        stripes = _stripes(appearance, common, motion, time_s, outliers.behind_m)
         position_px = stripes.true_px
-        seen = np.isfinite(stripes.start_px[:, 0]) & ~outliers.missing
+        if outliers.behind_m.any():
+            position_px = _stripes(appearance, common, motion, time_s, np.zeros(lasers)).true_px
+        seen = np.isfinite(stripes.start_px[:, 0]) & appearance.seen & ~outliers.missing
         if seen.any():
             noise = unit[5:].reshape(lasers, 4) * deviations.noise
             bias = appearance.oblique_px * deviations.oblique_bias
             points = _drawn_points(stripes, appearance, noise, bias, outliers, seen)
             stamp = np.where(seen, shown_s, np.nan)
             found = _as_measured(points, scene.rig.camera, frames.labelled(seen), stamp)
-            time_s = float(begin_s[appearance.edges.frame]) + appearance.exposure_s / 2
             unit = rng.standard_normal(len(appearance.edges.edge)) * deviations.noise
-            edges = _drawn_edges(appearance, common, motion, time_s - first_s, unit)
-            edges = None if edges is None else replace(edges, stamp_s=np.full(len(edges.edge), time_s))
+            edges = _drawn_edges(appearance, common, motion, float(middle_s[appearance.edges.frame]), first_s, unit)
     detection = Detection(
         shot=view.name, stamp_s=first_s, break_points=found, ring_edges=edges, lasers_on=frames.number >= 0
     )
@@ -221,7 +223,7 @@ def _stripes(
     """The stripes of all lasers, each at the time of its frame."""
     camera, lasers = common.rig.camera, common.rig.lasers
     point_m = np.full((len(time_s), 2, 3), np.nan)
-    for laser in np.flatnonzero(appearance.seen):
+    for laser in np.flatnonzero(appearance.lit):
         moved = appearance.arcs.after(float(time_s[laser]), *motion)
         if behind_m[laser]:
             moved = moved.moved(-float(behind_m[laser]) * np.eye(len(STEP))[LIFT])
@@ -309,10 +311,18 @@ def _drawn_points(
 
 
 def _drawn_edges(
-    appearance: Appearance, common: CommonErrors, motion: _Motion, time_s: float, unit: Float64[Array, "place"]
+    appearance: Appearance,
+    common: CommonErrors,
+    motion: _Motion,
+    stamp_s: float,
+    first_s: float,
+    unit: Float64[Array, "place"],
 ) -> RingEdgePoints | None:
-    """Points of the visible edges at a time after the first laser's frame; None if none is in view."""
-    visible, camera = appearance.edges, common.rig.camera
+    """Points of the visible edges in a frame at `stamp_s`, with errors by standard normal numbers; None without any.
+
+    The pose holds at `first_s`.
+    """
+    visible, camera, time_s = appearance.edges, common.rig.camera, stamp_s - first_s
     arcs = appearance.arcs.after(time_s, *motion)
     place_m, outward = edge_points(arcs, visible.along_m, np.array(EDGE_SIGN)[visible.edge])
     if common.form.any():
@@ -330,6 +340,7 @@ def _drawn_edges(
         normal=normal,
         sigma_px=visible.sigma_px[shown],
         edge=visible.edge[shown],
+        stamp_s=np.full(int(shown.sum()), stamp_s),
     )
 
 
