@@ -33,8 +33,8 @@ from ringpose.types.pose import MotionPrior
 from ringpose.types.scene import RingView, Scene
 from ringpose.types.truth import Truth
 
-_FEATURES = 2
-"""First number of the seeds, so that drawn features are independent of the noise of images."""
+_FEATURES, _COMMON = 2, 3
+"""First numbers of the seeds of shots and of their common errors; images have 0 and 1."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,7 +82,7 @@ def drawn_features(
     scene: Scene, deviations: Deviations = Deviations(), count: int | None = None
 ) -> Iterator[DrawnShot]:
     """The first `count` views of a scene, or all, as one run: rig and form of the ring are drawn once."""
-    common = common_errors(scene, np.random.default_rng([_FEATURES, scene.seed]), deviations)
+    common = common_errors(scene, np.random.default_rng([_COMMON, scene.seed]), deviations)
     for number, view in enumerate(ring_views(scene)[:count]):
         rng = np.random.default_rng([_FEATURES, scene.seed, number])
         yield draw_detection(scene, view, rng, deviations, common, scene.start_s + number * scene.period_s)
