@@ -10,7 +10,7 @@ import numpy as np
 
 from ringpose.geometry.rays import project, rays
 from ringpose.geometry.ring import EDGE_SIGN, RingArcs, edge_points, predicted_break_points, ring_arcs
-from ringpose.simulate.exposure import view_exposure_s
+from ringpose.simulate.exposure import face_stripe_radiance, view_exposure_s
 from ringpose.simulate.feature_errors import (
     CenterErrors,
     Stripe,
@@ -20,14 +20,12 @@ from ringpose.simulate.feature_errors import (
     image_noise,
     oblique_shift_px,
 )
-from ringpose.simulate.laser_planes import half_thickness_m, in_fan, irradiance_w_m2
+from ringpose.simulate.laser_planes import half_thickness_m, in_fan
 from ringpose.simulate.lighting import (
     Intersections,
     LitTarget,
     ambient_radiance,
     hits_on_relief,
-    reflectance_per_sr,
-    surfaces,
 )
 from ringpose.simulate.pipeline import lit_ring
 from ringpose.simulate.sensor import electrons_per_radiance
@@ -203,6 +201,10 @@ def _peak_electrons(
 ) -> tuple[Float64[Array, "stripe"], Float64[Array, "stripe"]]:
     """Expected electrons at a stripe's peak before the blur by the lens, and those of other light beside it."""
     point = lit_target.placement.points_target(point_m.T)
+    rate = electrons_per_radiance(scene.sensor, scene.lens) * exposure_s
+    laser_e = rate * face_stripe_radiance(lit_target, scene.ring.face_piece, point, lasers)
+    if not lit_target.is_lit:
+        return laser_e, np.zeros(len(lasers))
     normal = np.zeros_like(point)
     normal[2] = 1.0
     hits = Intersections(
@@ -211,15 +213,7 @@ def _peak_electrons(
         normal=normal,
         to_eye=unit_vectors(lit_target.placement.eye_m - point.T).T,
     )
-    to_projector = unit_vectors(lit_target.sheets.projector_m[lasers] - point.T).T
-    material = surfaces(lit_target.target.materials, hits.surface)
-    irradiance = np.array(
-        [irradiance_w_m2(lit_target.sheets, int(laser), point[:, [k]])[0] for k, laser in enumerate(lasers)]
-    )
-    radiance = irradiance * to_projector[2] * reflectance_per_sr(material, normal, to_projector, hits.to_eye)
-    rate = electrons_per_radiance(scene.sensor, scene.lens) * exposure_s
-    ambient = ambient_radiance(lit_target, hits)[0] if lit_target.is_lit else np.zeros(len(lasers))
-    return rate * radiance, rate * ambient
+    return laser_e, rate * ambient_radiance(lit_target, hits)[0]
 
 
 # Visible edges
