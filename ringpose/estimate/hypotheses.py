@@ -43,6 +43,9 @@ PARAMETER_PENALTY = 4.0
 OUTLIER_PENALTY = 12.0
 """Penalty for any rejection: a factor of 400 in likelihood."""
 
+SUSPICIOUS_REDUCTION = 20.0
+"""Reduction of chi-squared by leaving out one number from which a shot is examined: one shot in ten thousand."""
+
 BOTH_PENALTY = 18.0
 """The same for both break points of a stripe: two causes, or an occluder over both."""
 
@@ -428,7 +431,7 @@ def _is_suspicious(solved: Solved) -> bool:
     edges = estimate.weights[stripe_rows(measured) :][: len(measured.edges.edge)]
     if len(edges) and float((edges == 0).mean()) > REJECTED_SHARE:
         return True
-    return largest_reduction(estimate, measured) > OUTLIER_PENALTY + PARAMETER_PENALTY
+    return largest_reduction(estimate, measured) > SUSPICIOUS_REDUCTION
 
 
 def largest_reduction(estimate: Estimate, measured: Measurements) -> float:

@@ -6,12 +6,12 @@ import numpy as np
 
 from ringpose.geometry.rays import project
 from ringpose.simulate.break_points import crossings, in_image
-from ringpose.simulate.laser_planes import half_thickness_m
-from ringpose.simulate.lighting import IlluminatedTarget, Intersections, laser_radiance
+from ringpose.simulate.laser_planes import half_thickness_m, irradiance_w_m2
+from ringpose.simulate.lighting import IlluminatedTarget, reflectance_per_sr, surfaces
 from ringpose.simulate.renderer import pixel_rays
 from ringpose.simulate.sensor import electrons_per_radiance
 from ringpose.simulate.target import ring_target
-from ringpose.types.arrays import Array, Float64
+from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.scene import Scene
 
 MIN_DURATION_S, MAX_DURATION_S = 2e-5, 0.1
@@ -41,22 +41,37 @@ def _stripe_radiances(scene: Scene, illuminated: IlluminatedTarget) -> Float64[A
     points = np.concatenate(
         [crossings(illuminated, scene.ring.height_m, middle_m, side) for side in (-1.0, 1.0)], axis=1
     )
-    pixels = project(illuminated.placement.points_camera(points), scene.rig.camera)
-    shown = np.argwhere(in_image(pixels, scene.rig.camera))
-    return np.array([_peak(scene, illuminated, int(laser), points[laser, side]) for laser, side in shown])
-
-
-def _peak(scene: Scene, illuminated: IlluminatedTarget, laser: int, point: Float64[Array, "3"]) -> float:
-    """Peak radiance of a stripe at a point of the rim, reduced by the blur of lens and pixel."""
-    to_eye = illuminated.placement.eye_m - point
-    hits = Intersections(
-        surface=np.array([scene.ring.face_piece], dtype=np.int8),
-        point=point[:, None],
-        normal=np.array([[0.0], [0.0], [1.0]]),
-        to_eye=(to_eye / np.linalg.norm(to_eye))[:, None],
+    lasers, sides = np.nonzero(
+        in_image(project(illuminated.placement.points_camera(points), scene.rig.camera), scene.rig.camera)
     )
-    depth_m = illuminated.placement.points_camera(point)[2:]
-    per_px_m = float(depth_m[0]) * pixel_rays(scene.rig.camera).angle_per_px
-    sigma_px = float(half_thickness_m(scene.lasers, depth_m)[0]) / per_px_m
+    point = points[lasers, sides]
+    depth_m = illuminated.placement.points_camera(point)[:, 2]
+    per_px_m = depth_m * pixel_rays(scene.rig.camera).angle_per_px
+    sigma_px = half_thickness_m(scene.lasers, depth_m) / per_px_m
     blurred = sigma_px / np.sqrt(sigma_px**2 + scene.lens.blur_px**2 + 1 / 12)
-    return float(laser_radiance(illuminated, hits, laser)[0][0] * blurred)
+    radiances: Float64[Array, "crossing"] = blurred * face_stripe_radiance(
+        illuminated, scene.ring.face_piece, point.T, lasers
+    )
+    return radiances
+
+
+def face_stripe_radiance(
+    illuminated: IlluminatedTarget, face_piece: int, point: Float64[Array, "xyz=3 n"], lasers: Int64[Array, "n"]
+) -> Float64[Array, "n"]:
+    """Peak radiance towards the camera of stripes on the ring's face, at points on their light planes, target frame.
+
+    The face is the highest flat piece of the ring and taken as not occluded.
+    """
+    normal = np.zeros_like(point)
+    normal[2] = 1.0
+    to_projector, to_eye = (
+        vector / np.sqrt((vector * vector).sum(axis=0))
+        for vector in (illuminated.sheets.projector_m[lasers].T - point, illuminated.placement.eye_m[:, None] - point)
+    )
+    material = surfaces(illuminated.target.materials, np.full(len(lasers), face_piece, dtype=np.int8))
+    irradiance = np.array(
+        [irradiance_w_m2(illuminated.sheets, int(laser), point[:, [k]])[0] for k, laser in enumerate(lasers)]
+    )
+    cosine = np.maximum(to_projector[2], 0.0)
+    radiance: Float64[Array, "n"] = irradiance * cosine * reflectance_per_sr(material, normal, to_projector, to_eye)
+    return radiance

@@ -146,7 +146,7 @@ def test_poses_come_straight_from_devices(serve, example_folder, capsys):
 
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert status == 0
-    assert len(lines) + sum(line["dropped"] for line in lines) == 3
+    assert len(lines) + sum(line["shots_dropped"] for line in lines) == 3
     assert max(line["latency_s"] for line in lines) < 5.0
     assert {line["status"] for line in lines} <= {"ok", "degraded"}
 

@@ -7,11 +7,23 @@ import typer
 
 from ringpose.cli.app import app
 from ringpose.cli.options import Force, Quiet, Verbose
+from ringpose.cli.simulate.features import (
+    Background,
+    Displaced,
+    Features,
+    MaxRate,
+    MaxSpeed,
+    Missing,
+    ObliqueBias,
+    RigErrors,
+    RingTolerance,
+)
 from ringpose.cli.simulate.serve import serve
 
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="The scene (scene.yaml).")]
 OutputFolder = Annotated[
-    Path, typer.Option("--output", "-o", metavar="DIR", help="Folder for rig, shots, truth and calibration views.")
+    Path | None,
+    typer.Option("--output", "-o", metavar="DIR", help="Folder for rig, shots, truth and calibration views."),
 ]
 Count = Annotated[
     int | None,
@@ -33,10 +45,19 @@ Jobs = Annotated[
 @app.command()
 def simulate(
     scene: SceneFile,
-    output: OutputFolder,
+    output: OutputFolder = None,
     count: Count = None,
     seed: Seed = None,
     jobs: Jobs = 0,
+    features: Features = False,
+    max_speed: MaxSpeed = None,
+    max_rate: MaxRate = None,
+    ring_tolerance: RingTolerance = None,
+    oblique_bias: ObliqueBias = False,
+    rig_errors: RigErrors = False,
+    displaced: Displaced = None,
+    background: Background = None,
+    missing: Missing = None,
     force: Force = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
@@ -47,14 +68,25 @@ def simulate(
 
     from ringpose.cli import messages
     from ringpose.cli.progress import with_progress
+    from ringpose.cli.simulate.features import deviations_of, write_features
+    from ringpose.errors import UsageError
     from ringpose.files import records
     from ringpose.files.images.simulations import SimulationFolder
     from ringpose.files.scenes import read_scene
     from ringpose.simulate.pipeline import simulate as simulated
     from ringpose.simulate.pipeline import simulated_boards
 
+    drawn = (max_speed, max_rate, ring_tolerance, oblique_bias, rig_errors, displaced, background, missing)
+    if not features and any(value is not None and value is not False for value in drawn):
+        raise UsageError("", "motion, errors and outliers are drawn for features only", "give --features too")
+    if output is None and not features:
+        raise UsageError("", "--output is missing", "give --output DIR")
     read = read_scene(scene)
     seeded = read if seed is None else replace(read, seed=seed)
+    if features or output is None:
+        deviations = deviations_of(*drawn)
+        write_features(seeded, scene, deviations, count, output, force=force)
+        return
     processes = jobs or len(os.sched_getaffinity(0))
     folder = SimulationFolder(output, read.rig, force=force, inputs=[scene])
     for shot, truth in with_progress(simulated(seeded, count, processes), "shots", quiet):

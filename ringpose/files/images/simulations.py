@@ -1,4 +1,4 @@
-"""The output folder of `ringpose simulate`: rig, shots, truth, and calibration views."""
+"""The output folder of `ringpose simulate`: rig, shots or detections, truth, and calibration views."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -10,9 +10,11 @@ from ringpose.files import atomic, records
 from ringpose.files.boards import write_board
 from ringpose.files.images.codecs import write_image
 from ringpose.files.images.shots import write_shot
+from ringpose.files.records.detections import write_detection
 from ringpose.files.records.truths import truth_record
 from ringpose.files.rigs import write_rig
 from ringpose.types.board import Board
+from ringpose.types.detection import Detection
 from ringpose.types.image import Shot
 from ringpose.types.rig import Rig
 from ringpose.types.scene import NamedBoardPose
@@ -22,17 +24,26 @@ from ringpose.types.truth import Truth
 class SimulationFolder:
     """Writes each file atomically; the truth line of a shot is appended after the shot."""
 
-    def __init__(self, folder: Path, rig: Rig, *, force: bool, inputs: Iterable[Path]) -> None:
+    def __init__(self, folder: Path, rig: Rig, *, force: bool, inputs: Iterable[Path], content: str = "shots") -> None:
+        """`content` names the subfolder: `shots`, or `detections`."""
         self.folder = atomic.make_folder(folder)
         self.force = force
-        write_rig(folder / "rig.yaml", rig, force=force, inputs=inputs)
-        self._begin(folder / "truth.jsonl", folder / "shots")
-        atomic.make_folder(folder / "shots")
+        self.inputs = tuple(inputs)
+        write_rig(folder / "rig.yaml", rig, force=force, inputs=self.inputs)
+        self._begin(folder / "truth.jsonl", folder / content)
+        atomic.make_folder(folder / content)
 
     def add(self, shot: Shot, truth: Truth) -> Path:
         """Write one shot and append its line to truth.jsonl; returns the shot's path."""
         path = self.folder / "shots" / f"{shot.name}.npz"
         write_shot(path, shot, force=self.force)
+        self._append(self.folder / "truth.jsonl", truth_record(truth))
+        return path
+
+    def add_detection(self, detection: Detection, truth: Truth) -> Path:
+        """Write one drawn detection and append its line to truth.jsonl; returns the detection's path."""
+        path = self.folder / "detections" / f"{detection.shot}.npz"
+        write_detection(path, detection, force=self.force, inputs=self.inputs)
         self._append(self.folder / "truth.jsonl", truth_record(truth))
         return path
 

@@ -1,0 +1,141 @@
+"""Options of `ringpose simulate --features`: detections drawn from the ring's model, without images."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ringpose.cli.options import finite
+from ringpose.errors import UsageError
+
+if TYPE_CHECKING:
+    from ringpose.simulate.features import Deviations
+    from ringpose.types.scene import Scene
+
+Features = Annotated[
+    bool, typer.Option("--features", help="Draw detection records from the ring's model; no images are rendered.")
+]
+MaxSpeed = Annotated[
+    float | None,
+    typer.Option(
+        "--max-speed",
+        metavar="M_PER_S",
+        min=0,
+        callback=finite,
+        help="With --features: two standard deviations of the velocity of the ring's centre, per axis.",
+    ),
+]
+MaxRate = Annotated[
+    float | None,
+    typer.Option(
+        "--max-rate",
+        metavar="DEG_PER_S",
+        min=0,
+        callback=finite,
+        help="With --features: two standard deviations of the ring's rates across its normal, per axis.",
+    ),
+]
+RingTolerance = Annotated[
+    float | None,
+    typer.Option(
+        "--ring-tolerance",
+        metavar="M",
+        min=0,
+        callback=finite,
+        help="With --features: standard deviation of the ring's edges and face from circles and a plane.",
+    ),
+]
+ObliqueBias = Annotated[
+    bool, typer.Option("--oblique-bias", help="With --features: turn stripes as the detector does at oblique edges.")
+]
+RigErrors = Annotated[
+    bool, typer.Option("--rig-errors", help="With --features: draw the true rig from the covariance of the scene's.")
+]
+Displaced = Annotated[
+    str | None,
+    typer.Option(
+        "--displaced",
+        metavar="SHARE[:PX,PX]",
+        help="With --features: share of break points displaced along their stripe, and by how much.",
+    ),
+]
+Background = Annotated[
+    str | None,
+    typer.Option(
+        "--background",
+        metavar="SHARE[:M,M]",
+        help="With --features: share of stripes on a surface behind the ring, and its distance.",
+    ),
+]
+Missing = Annotated[
+    float | None,
+    typer.Option(
+        "--missing", metavar="SHARE", min=0, max=1, callback=finite, help="With --features: share of missing stripes."
+    ),
+]
+
+
+def deviations_of(
+    max_speed: float | None,
+    max_rate: float | None,
+    ring_tolerance: float | None,
+    oblique_bias: bool,
+    rig_errors: bool,
+    displaced: str | None,
+    background: str | None,
+    missing: float | None,
+) -> "Deviations":
+    """The deviations that the options ask for."""
+    from math import radians
+
+    from ringpose.simulate.features import Deviations
+    from ringpose.types.pose import MotionPrior
+
+    standard = Deviations()
+    displaced_share, displaced_px = _share_and_range("--displaced", displaced, standard.displaced_px)
+    background_share, background_m = _share_and_range("--background", background, standard.background_m)
+    motion = MotionPrior(speed_sd_m_s=(max_speed or 0.0) / 2, rate_sd_rad_s=radians(max_rate or 0.0) / 2)
+    return Deviations(
+        oblique_bias=oblique_bias,
+        rig_errors=rig_errors,
+        motion=motion if max_speed or max_rate else None,
+        ring_tolerance_m=ring_tolerance or 0.0,
+        displaced_share=displaced_share,
+        displaced_px=displaced_px,
+        background_share=background_share,
+        background_m=background_m,
+        missing_share=missing or 0.0,
+    )
+
+
+def write_features(
+    scene: "Scene", source: Path, deviations: "Deviations", count: int | None, output: Path | None, *, force: bool
+) -> None:
+    """Draw the detections of a scene: records on stdout, or a folder with rig, truth and NPZ files."""
+    from ringpose.files import records
+    from ringpose.files.images.simulations import SimulationFolder
+    from ringpose.files.records.detections import detection_record
+    from ringpose.simulate.features import drawn_features
+
+    folder = None
+    for shot in drawn_features(scene, deviations, count):
+        if output is None:
+            records.write(detection_record(shot.detection))
+            continue
+        folder = folder or SimulationFolder(output, scene.rig, force=force, inputs=[source], content="detections")
+        records.write_name(folder.add_detection(shot.detection, shot.truth))
+
+
+def _share_and_range(option: str, text: str | None, usual: tuple[float, float]) -> tuple[float, tuple[float, float]]:
+    """Share and range of SHARE[:LEAST,MOST]."""
+    if text is None:
+        return 0.0, usual
+    share, colon, limits = text.partition(":")
+    try:
+        least, most = map(float, limits.split(",")) if colon else usual
+        probability = float(share)
+    except ValueError:
+        raise UsageError(option, f"is {text!r}", "write it as 0.1 or 0.1:3,15") from None
+    if not (0 <= probability <= 1 and 0 <= least <= most < float("inf")):
+        raise UsageError(option, f"is {text!r}", "give a share of 0 to 1, and a range of two ascending numbers")
+    return probability, (least, most)

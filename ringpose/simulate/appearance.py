@@ -1,0 +1,364 @@
+"""How images of a view show the ring: exposure, and the errors of stripes, break points and visible edges.
+
+Computed once a view: small motions, errors of the rig and outliers do not change it.
+"""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from ringpose.geometry.rays import project, rays
+from ringpose.geometry.ring import EDGE_SIGN, RingArcs, edge_points, predicted_break_points, ring_arcs
+from ringpose.simulate.exposure import face_stripe_radiance, view_exposure_s
+from ringpose.simulate.feature_errors import (
+    CenterErrors,
+    Stripe,
+    center_errors,
+    edge_step_influence,
+    end_errors_px,
+    image_noise,
+    oblique_shift_px,
+)
+from ringpose.simulate.laser_planes import half_thickness_m, in_fan
+from ringpose.simulate.lighting import (
+    IlluminatedTarget,
+    Intersections,
+    ambient_radiance,
+    hits_on_relief,
+)
+from ringpose.simulate.pipeline import illuminated_ring
+from ringpose.simulate.sensor import electrons_per_radiance
+from ringpose.simulate.target import EMPTY
+from ringpose.types.arrays import Array, Bool, Float64, Int64
+from ringpose.types.camera import Camera
+from ringpose.types.scene import RingView, Scene
+
+
+def view_arcs(scene: Scene, view: RingView) -> RingArcs:
+    """The ring of a view, described about the point that is nearest to the middle of the image."""
+    camera = scene.rig.camera
+    axis = rays(np.array([camera.image_width - 1, camera.image_height - 1]) / 2, camera)
+    cosine = float(axis @ view.normal)
+    near_m = axis * (float(view.center_m @ view.normal) / cosine if abs(cosine) > _GRAZING else 0.0)
+    radius_m = np.array([scene.ring.radius_inner_m, scene.ring.radius_outer_m])
+    return ring_arcs(view.center_m, view.normal, radius_m, near_m)
+
+
+_GRAZING = 1e-6
+"""Cosine below which the optical axis is treated as parallel to the ring's plane."""
+
+
+class LaserFrames(NamedTuple):
+    """The frame in which the detector sees each laser (as `ringpose.detect.difference_images.laser_images`)."""
+
+    number: Int64[Array, "laser"]
+    """Index of the frame; -1 for a laser that is off in all of them."""
+    together: Int64[Array, "laser"]
+    """Number of lasers whose stripes it may show."""
+    subtracted: Bool[Array, "laser"]
+    """Whether another frame without these lasers is subtracted."""
+
+    def labelled(self, seen: Bool[Array, "laser"]) -> bool:
+        """Whether the stripes are assigned to lasers by the frames alone."""
+        return bool((self.together[seen] == 1).all())
+
+
+def laser_frames(sequence: tuple[int, ...], lasers: int) -> LaserFrames:
+    """The frames of a sequence of laser masks: those with the fewest lasers on take precedence."""
+    number, together = np.full(lasers, -1), np.zeros(lasers, dtype=np.int64)
+    subtracted, covered = np.zeros(lasers, dtype=bool), 0
+    for frame in sorted(range(len(sequence)), key=lambda each: (sequence[each].bit_count(), each)):
+        new = sequence[frame] & ~covered & ((1 << lasers) - 1)
+        which = [laser for laser in range(lasers) if new >> laser & 1]
+        number[which], together[which] = frame, len(which)
+        subtracted[which] = sequence[frame] & covered in sequence
+        covered |= sequence[frame]
+    return LaserFrames(number, together, subtracted)
+
+
+class Appearance(NamedTuple):
+    """Exposure of a view, and the errors of each laser's stripe, which small motions do not change."""
+
+    exposure_s: float
+    arcs: RingArcs
+    axes: Float64[Array, "3 3"]
+    """Columns: x, y and z axis of the ring."""
+    lit: Bool[Array, "laser"]
+    """Which light planes reach the whole face on the side that is in view."""
+    centers: tuple[CenterErrors | None, ...]
+    """Of the stripes' centres; None for a laser whose stripe the image does not show."""
+    end_sigma_px: Float64[Array, "laser edge=2"]
+    """Standard deviation of the break points along the stripe."""
+    oblique_px: Float64[Array, "laser edge=2"]
+    """Summed displacement of the last columns' centres if the edge is at the right end; the negative at the left."""
+    edges: "VisibleEdges"
+
+    @property
+    def seen(self) -> Bool[Array, "laser"]:
+        """Which stripes an image shows, if they are in view."""
+        return np.array([center is not None for center in self.centers], dtype=np.bool_)
+
+
+class VisibleEdges(NamedTuple):
+    """Places on the ring's edges that ambient light shows."""
+
+    frame: int
+    """Index of the frame in which the detector searches for them."""
+    along_m: Float64[Array, "place"]
+    """Distance from the origin of the view's arcs, along the middle of the face."""
+    edge: Int64[Array, "place"]
+    """0 for the inner edge, 1 for the outer."""
+    sigma_px: Float64[Array, "place"]
+
+
+@lru_cache(maxsize=16)
+def expected_appearance(scene: Scene, view: RingView) -> Appearance:
+    """The errors of stripes and edges in the images of a view."""
+    illuminated, lasers = illuminated_ring(scene, view, scene.sequence), scene.rig.lasers
+    frames = laser_frames(scene.sequence, len(lasers.names))
+    exposure_s, arcs = view_exposure_s(scene, illuminated), view_arcs(scene, view)
+    centers: list[CenterErrors | None] = [None] * len(lasers.names)
+    end_sigma_px, oblique_px = np.full((len(centers), 2), np.nan), np.zeros((len(centers), 2))
+    edges = _no_edges()
+    point_m = predicted_break_points(arcs, lasers.normal, lasers.distance_m)
+    reached = _illuminated(illuminated, point_m) & (view.target == "ring")
+    lit = np.flatnonzero(reached & (frames.number >= 0))
+    if len(lit):
+        middle_m = point_m[lit].mean(axis=1)
+        rows_per_m, edge_per_row = _image_scales(arcs, lasers.normal[lit], point_m[lit], scene.rig.camera)
+        range_m = np.linalg.norm(middle_m - lasers.projector_m[lit], axis=1)
+        sigma_px = half_thickness_m(scene.lasers, range_m) * rows_per_m
+        peak_e, background_e = _peak_electrons(scene, illuminated, middle_m, lit, exposure_s)
+        for number, laser in enumerate(lit):
+            noise = image_noise(scene, subtracted=bool(frames.subtracted[laser]))
+            stripe = Stripe(
+                sigma_px=float(sigma_px[number]),
+                peak_e=float(peak_e[number]),
+                background_e=float(background_e[number]),
+            )
+            centers[laser] = center = center_errors(stripe, noise)
+            if center is not None:
+                pooled = 2 * int((frames.number[lit] == frames.number[laser]).sum())
+                end_sigma_px[laser] = end_errors_px(stripe, noise, edge_per_row[number], pooled)
+                oblique_px[laser] = oblique_shift_px(stripe, noise, center, edge_per_row[number])
+        if illuminated.has_ambient_light:
+            edges = visible_edges(scene, illuminated, arcs, point_m[lit], exposure_s)
+    return Appearance(
+        exposure_s=exposure_s,
+        arcs=arcs,
+        axes=illuminated.placement.rotation,
+        lit=reached,
+        centers=tuple(centers),
+        end_sigma_px=end_sigma_px,
+        oblique_px=oblique_px,
+        edges=edges,
+    )
+
+
+def _illuminated(illuminated: IlluminatedTarget, point_m: Float64[Array, "laser edge=2 xyz=3"]) -> Bool[Array, "laser"]:
+    """Whether camera and laser are in front of the face, and both ends of the stripe are in the laser's fan."""
+    sheet, eye = illuminated.sheets, illuminated.placement.eye_m
+    point = illuminated.placement.points_target(point_m.reshape(-1, 3).T).T.reshape(point_m.shape)
+    height_m = point[..., 2].max(axis=1)  # NaN if the light plane misses an edge
+    front = (point_m[..., 2].min(axis=1) > 0) & (eye[2] > height_m) & (sheet.projector_m[:, 2] > height_m)
+    return np.array([each and bool(in_fan(sheet, laser, point[laser].T).all()) for laser, each in enumerate(front)])
+
+
+_STEP_M = 1e-5
+"""Step of numerical derivatives of the projection."""
+
+
+def _image_scales(
+    arcs: RingArcs,
+    light_normal: Float64[Array, "stripe xyz=3"],
+    point_m: Float64[Array, "stripe edge=2 xyz=3"],
+    camera: Camera,
+) -> tuple[Float64[Array, "stripe"], Float64[Array, "stripe edge=2"]]:
+    """Rows per metre of distance from the light plane, and columns by which an edge is displaced per row.
+
+    The latter is along the stripe, by a row across it.
+    """
+    along = unit_vectors(-_cross(arcs.normal, light_normal))
+    across = _cross(arcs.normal, along)
+    tangent = unit_vectors(_cross(arcs.normal, (point_m - arcs.center).reshape(-1, 3)).reshape(point_m.shape))
+    middle_m = point_m.mean(axis=1, keepdims=True)
+    places = np.concatenate([middle_m, middle_m, point_m], axis=1)
+    steps = _STEP_M * np.concatenate([along[:, None], across[:, None], tangent], axis=1)
+    moved_px = (project(places + steps, camera) - project(places - steps, camera)) / (2 * _STEP_M)
+    slope = (moved_px[:, 0, 1] / moved_px[:, 0, 0])[:, None]
+    columns, rows = moved_px[:, 1:, 0], moved_px[:, 1:, 1] - slope * moved_px[:, 1:, 0]
+    off_plane = np.abs((light_normal * across).sum(axis=1))
+    return np.abs(rows[:, 0]) / off_plane, columns[:, 1:] / rows[:, 1:]
+
+
+def _peak_electrons(
+    scene: Scene,
+    illuminated: IlluminatedTarget,
+    point_m: Float64[Array, "stripe xyz=3"],
+    lasers: Int64[Array, "stripe"],
+    exposure_s: float,
+) -> tuple[Float64[Array, "stripe"], Float64[Array, "stripe"]]:
+    """Expected electrons at a stripe's peak before the blur by the lens, and those of other light beside it."""
+    point = illuminated.placement.points_target(point_m.T)
+    rate = electrons_per_radiance(scene.sensor, scene.lens) * exposure_s
+    laser_e = rate * face_stripe_radiance(illuminated, scene.ring.face_piece, point, lasers)
+    if not illuminated.has_ambient_light:
+        return laser_e, np.zeros(len(lasers))
+    normal = np.zeros_like(point)
+    normal[2] = 1.0
+    hits = Intersections(
+        surface=np.full(len(lasers), scene.ring.face_piece, dtype=np.int8),
+        point=point,
+        normal=normal,
+        to_eye=unit_vectors(illuminated.placement.eye_m - point.T).T,
+    )
+    return laser_e, rate * ambient_radiance(illuminated, hits)[0]
+
+
+# Visible edges
+
+EDGE_SPACING_PX = 12.0
+"""Distance between places on an edge: the detector averages the image over so many pixels."""
+
+EDGE_MARGIN_PX = 8.0
+"""Minimum distance of a place from the image's border."""
+
+BESIDE_STRIPE_PX = 12.0
+"""Distance from a break point within which a frame with lasers does not show an edge."""
+
+MIN_STEP_DN = 2.0
+"""Minimum height of a step of brightness, as in the detector."""
+
+MIN_STEP_SIGMAS = 5.0
+"""Minimum height of a step in its standard deviations over 4 px of an edge, as in the detector."""
+
+MAX_EDGE_SIGMA_PX = 0.5
+"""Maximum standard deviation of a place."""
+
+MIN_PLACES = 12
+"""Minimum number of places."""
+
+BLUR_SIGMA_PX = 0.03
+"""Standard deviation of a step's position due to the assumed shape of its blur."""
+
+LIGHT_OFFSETS_PX = (-3, 1, 2, 4)
+"""Distances beyond an edge at which the light is sampled: on the face, then each for the pixels up to the next."""
+
+NEIGHBOURS = 5
+"""Number of neighbouring places by whose scatter the standard deviation of each is judged."""
+
+
+def _no_edges() -> VisibleEdges:
+    return VisibleEdges(0, np.empty(0), np.empty(0, dtype=np.int64), np.empty(0))
+
+
+def visible_edges(
+    scene: Scene,
+    illuminated: IlluminatedTarget,
+    arcs: RingArcs,
+    point_m: Float64[Array, "stripe edge=2 xyz=3"],
+    exposure_s: float,
+) -> VisibleEdges:
+    """Places on both edges whose step of brightness is seen, with the errors by noise and by what lies beside them.
+
+    That is found by rays beyond the edge: another surface, a shadow, crinkles of the foil. Light that is not uniform
+    there displaces a step; the detector judges this error by the scatter of neighbouring places.
+    """
+    camera, sensor = scene.rig.camera, scene.sensor
+    number = min(range(len(scene.sequence)), key=lambda each: (scene.sequence[each].bit_count(), each))
+    step_m = EDGE_SPACING_PX * float(arcs.origin[2]) / float(camera.camera_matrix[0, 0])
+    half = int(min(2.0 * arcs.mean_radius_m, 1.5 * float(arcs.origin[2])) / step_m)
+    along_m = np.tile(step_m * np.arange(-half, half + 1), 2)
+    edge = np.repeat(np.array([0, 1]), 2 * half + 1)
+    place_m, outward = edge_points(arcs, along_m, np.array(EDGE_SIGN)[edge])
+    position_px = project(place_m, camera)
+    shown = inside_image(position_px, EDGE_MARGIN_PX, camera)
+    if scene.sequence[number]:
+        stripe_px = project(point_m, camera).reshape(-1, 1, 2)
+        near_px = np.sqrt(((position_px - stripe_px) ** 2).sum(axis=-1)).min(axis=0)
+        shown &= near_px > BESIDE_STRIPE_PX
+    if np.count_nonzero(shown) < MIN_PLACES:
+        return _no_edges()._replace(frame=number)
+    along_m, edge, place_m = along_m[shown], edge[shown], place_m[shown]
+    off_face = np.array(EDGE_SIGN)[edge, None] * outward[shown]
+
+    noise, (influence, gain) = image_noise(scene, subtracted=False), edge_step_influence(scene.lens.blur_px)
+    rate = electrons_per_radiance(sensor, scene.lens) * exposure_s
+    _, px_per_m = edge_normals_px(place_m, off_face, arcs, camera)
+    steps_m = (np.array(LIGHT_OFFSETS_PX) / px_per_m[:, None])[..., None] * off_face[:, None]
+    light_e = rate * _radiance(illuminated, place_m[:, None] + steps_m)
+    face_e, beyond_e = light_e[:, 0], light_e[:, 1:]
+    height_e = np.abs(face_e - beyond_e[:, 0])
+    pixel_e = np.sqrt(noise.dark_e2 + np.minimum(face_e, beyond_e[:, 0]))
+    of_offset = np.add.reduceat(influence, np.array(LIGHT_OFFSETS_PX[1:], dtype=np.int64) - 1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sensor_px = gain * pixel_e / height_e / np.sqrt(EDGE_SPACING_PX)
+        displaced_px = (beyond_e - beyond_e[:, :1]) @ of_offset / height_e
+    scatter_px = np.sqrt(_means_of_neighbours(np.fmin(displaced_px**2, 1.0), edge))
+    sigma_px = np.sqrt(sensor_px**2 + scatter_px**2 + BLUR_SIGMA_PX**2)
+    seen = (height_e * sensor.overall_system_gain_dn_per_e > MIN_STEP_DN) & (sigma_px < MAX_EDGE_SIGMA_PX)
+    seen &= height_e > MIN_STEP_SIGMAS * pixel_e / 2.0
+    if np.count_nonzero(seen) < MIN_PLACES:
+        return _no_edges()._replace(frame=number)
+    return VisibleEdges(number, along_m[seen], edge[seen], sigma_px[seen])
+
+
+def edge_normals_px(
+    place_m: Float64[Array, "n xyz=3"], off_face: Float64[Array, "n xyz=3"], arcs: RingArcs, camera: Camera
+) -> tuple[Float64[Array, "n xy=2"], Float64[Array, "n"]]:
+    """Unit normals in the image of the edges at places on them, off the face, and pixels along them per metre.
+
+    `off_face` are the unit vectors in the ring's plane that point off the face.
+    """
+    steps = _STEP_M * np.stack([_cross(arcs.normal, off_face), off_face])
+    moved_px = (project(place_m + steps, camera) - project(place_m - steps, camera)) / (2 * _STEP_M)
+    (x, y), off = moved_px[0].T, moved_px[1].T
+    across = np.stack([-y, x]) / np.sqrt(x * x + y * y)
+    px_per_m = (across * off).sum(axis=0)
+    return np.ascontiguousarray((across * np.sign(px_per_m)).T), np.abs(px_per_m)
+
+
+def inside_image(position_px: Float64[Array, "*shape xy=2"], margin_px: float, camera: Camera) -> Bool[Array, "*shape"]:
+    """Which positions are at least so far inside the image; false for NaN."""
+    size_px = np.array([camera.image_width, camera.image_height])
+    return np.asarray(((position_px >= margin_px) & (position_px <= size_px - 1 - margin_px)).all(axis=-1))
+
+
+def _cross(first: Float64[Array, "*#n xyz=3"], second: Float64[Array, "n xyz=3"]) -> Float64[Array, "n xyz=3"]:
+    """Cross products; `np.cross` takes five times as long for a few vectors."""
+    ax, ay, az = np.atleast_2d(first).T
+    bx, by, bz = second.T
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+
+
+def unit_vectors(vector: Float64[Array, "*shape xyz=3"]) -> Float64[Array, "*shape xyz=3"]:
+    """Vectors of length 1; NaN for those of length 0."""
+    length = np.sqrt((vector * vector).sum(axis=-1, keepdims=True))
+    unit: Float64[Array, "*shape xyz=3"] = vector / np.where(length > 0, length, np.nan)
+    return unit
+
+
+def _radiance(
+    illuminated: IlluminatedTarget, toward_m: Float64[Array, "place offset xyz=3"]
+) -> Float64[Array, "place offset"]:
+    """Radiance of ambient light that the camera sees in the direction of these points."""
+    direction = illuminated.placement.vectors_target(toward_m.reshape(-1, 3).T)
+    parameter, surface = illuminated.target.first_hits(illuminated.placement.eye_m, direction)
+    hit = np.flatnonzero(surface != EMPTY)
+    radiance = np.zeros(direction.shape[1])
+    radiance[hit] = ambient_radiance(
+        illuminated, hits_on_relief(illuminated, direction[:, hit], parameter[hit], surface[hit])
+    )[0]
+    return radiance.reshape(toward_m.shape[:-1])
+
+
+def _means_of_neighbours(values: Float64[Array, "n"], edge: Int64[Array, "n"]) -> Float64[Array, "n"]:
+    """Mean of each value and its neighbours on the same edge."""
+    means = np.empty(len(values))
+    for each in (0, 1):
+        here = np.flatnonzero(edge == each)
+        window = np.ones(min(NEIGHBOURS, max(len(here), 1)))
+        count = np.convolve(np.ones(len(here)), window, mode="same") if len(here) else np.ones(0)
+        means[here] = np.convolve(values[here], window, mode="same") / count if len(here) else 0.0
+    return means

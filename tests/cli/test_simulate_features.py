@@ -1,0 +1,128 @@
+"""`ringpose simulate --features`: records or files, with truth; what it rejects."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_rig import SERVED_RIG
+
+from ringpose.cli.main import main
+from ringpose.files.npz import Archive
+from ringpose.files.records.detections import detection_in
+from ringpose.files.records.truths import read_truths
+
+SCENE = """\
+ringpose: scene/1
+rig: rig.yaml
+ring: {radius_inner_m: 0.567, radius_outer_m: 0.597, height_m: 0.06}
+body: {size_m: [2.2, 2.2, 1.0]}
+sensor: {pixel_m: 3.6e-5}
+stripe_dn: 150
+sequence: off,1,2,3
+trajectory:
+- generate: {distances_m: [0.5], count: 3}
+"""
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    (tmp_path / "rig.yaml").write_text(SERVED_RIG)
+    (tmp_path / "scene.yaml").write_text(SCENE)
+    return tmp_path / "scene.yaml"
+
+
+def features(scene: Path, *options: str) -> int:
+    return main(["simulate", str(scene), "--features", *options])
+
+
+def records(capsys) -> list[dict]:
+    return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+
+def test_records_are_written_to_stdout(scene, capsys):
+    status = features(scene)
+
+    lines = records(capsys)
+    assert status == 0
+    assert [line["shot"] for line in lines] == ["z0500_p00_dim", "z0500_p01_dim", "z0500_p02_dim"]
+    assert np.shape(lines[0]["break_points"]["position_px"]) == (3, 2, 2)
+
+
+def test_a_folder_has_rig_detections_and_truth(scene, capsys):
+    out = scene.parent / "out"
+
+    status = features(scene, "--output", str(out), "--max-speed", "0.1", "--max-rate", "5")
+
+    names = capsys.readouterr().out.splitlines()
+    truths = list(read_truths(out / "truth.jsonl"))
+    assert (status, len(names), (out / "rig.yaml").is_file()) == (0, 3, True)
+    assert [Path(name).stem for name in names] == [truth.shot for truth in truths]
+    for name, truth in zip(names, truths, strict=True):
+        archive = Archive(Path(name))
+        assert detection_in(archive).stamp_s == truth.stamp_s
+        assert str(scene) in json.loads(str(archive.value("provenance")))["inputs"]
+        assert 0 < np.linalg.norm(truth.velocity_m_s) < 0.3
+        assert truth.angular_velocity_rad_s @ truth.normal == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_same_seed_gives_the_same_features(scene, capsys):
+    runs = []
+    for seed in ("1", "1", "2"):
+        features(scene, "--seed", seed, "--ring-tolerance", "0.001", "--displaced", "0.3", "--oblique-bias")
+        runs.append(records(capsys))
+
+    assert runs[0] == runs[1]
+    assert runs[0] != runs[2]
+
+
+def test_outliers_are_named_in_the_truth(scene):
+    out = scene.parent / "out"
+
+    features(scene, "-o", str(out), "--displaced", "1:4,5", "--background", "1:0.01,0.02", "--missing", "0")
+
+    groups = next(read_truths(out / "truth.jsonl")).groups
+    assert groups["displaced"] == "left.inner,left.outer,middle.inner,middle.outer,right.inner,right.outer"
+    assert groups["background"] == "left,middle,right"
+    assert "missing" not in groups
+
+
+def test_what_exists_is_replaced_with_force_only(scene, capsys):
+    out = str(scene.parent / "out")
+    features(scene, "-o", out)
+
+    assert features(scene, "-o", out, "--count", "1") == 73
+    assert "--force" in capsys.readouterr().err
+    assert features(scene, "-o", out, "--count", "1", "--force") == 0
+    assert len(list((scene.parent / "out" / "detections").iterdir())) == 1
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--displaced", "2"],
+        ["--displaced", "0.1:5,3"],
+        ["--background", "often"],
+        ["--missing", "1.5"],
+        ["--max-speed", "-1"],
+        ["--ring-tolerance", "nan"],
+    ],
+)
+def test_a_wrong_option_is_named(scene, capsys, options):
+    assert features(scene, *options) == 2
+    assert options[0] in capsys.readouterr().err
+
+
+def test_rig_errors_without_a_covariance_are_rejected(scene, capsys):
+    assert features(scene, "--rig-errors") == 65
+    assert "covariance" in capsys.readouterr().err
+
+
+def test_motion_of_images_is_rejected(scene, capsys):
+    assert main(["simulate", str(scene), "-o", str(scene.parent / "out"), "--max-speed", "0.1"]) == 2
+    assert "--features" in capsys.readouterr().err
+
+
+def test_images_need_an_output(scene, capsys):
+    assert main(["simulate", str(scene)]) == 2
+    assert "--output" in capsys.readouterr().err
