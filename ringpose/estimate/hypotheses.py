@@ -10,7 +10,7 @@ quantities that they have in common are determined (`Explanation.differing`).
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import permutations
-from math import inf, sqrt
+from math import inf, nan, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -135,6 +135,8 @@ class Explanation(NamedTuple):
     """Whether the inner edges are those that were given as outer ones."""
     competing: tuple[Estimate, ...] = ()
     """The rings of other explanations that are comparable."""
+    everything: Solved | None = None
+    """The fit of all measurements; None if it did not converge."""
     differing: frozenset[str] = frozenset()
     """Quantities in which these differ: `center`, `normal`, `grasp`, `radius`."""
 
@@ -195,7 +197,7 @@ def _explained(
         estimate = estimate_ring(measured, rig, prior, errors, estimate.arcs)
     everything = None if estimate is None else Solved(Hypothesis(measured, prior), estimate)
     if everything is not None and not _is_suspicious(everything):
-        return _explanation(everything, _single_stripes(everything, rig, errors))
+        return _explanation(everything, everything, _single_stripes(everything, rig, errors))
     tried: list[Solved] = []
     for hypothesis in outlier_hypotheses(measured, rig, prior, labelled):
         estimate = estimate_ring(hypothesis.measured, rig, hypothesis.prior, errors)
@@ -204,7 +206,7 @@ def _explained(
     if everything is None and not tried:
         return None
     best, rivals = _select(everything, tried)
-    return _explanation(best, [*rivals, *_single_stripes(best, rig, errors)])
+    return _explanation(best, everything, [*rivals, *_single_stripes(best, rig, errors)])
 
 
 def _select(everything: Solved | None, tried: list[Solved]) -> tuple[Solved, list[Solved]]:
@@ -224,9 +226,16 @@ def _select(everything: Solved | None, tried: list[Solved]) -> tuple[Solved, lis
     return best, rivals
 
 
-def _explanation(best: Solved, rivals: Sequence[Solved]) -> Explanation:
+def _explanation(best: Solved, everything: Solved | None, rivals: Sequence[Solved]) -> Explanation:
     hypothesis = best.hypothesis
     differing = frozenset[str]().union(*(differing_quantities(best.estimate, each.estimate) for each in rivals))
+    reduction = nan
+    if everything is not None:
+        before, after = (
+            chi2(everything.estimate, everything.hypothesis.measured),
+            chi2(best.estimate, hypothesis.measured),
+        )
+        reduction = before - after
     flag = hypothesis.flag
     for each in rivals:  # another assignment of the lasers is possible
         flag |= each.hypothesis.flag & PoseFlag.ASSIGNMENT_AMBIGUOUS
@@ -237,9 +246,10 @@ def _explanation(best: Solved, rivals: Sequence[Solved]) -> Explanation:
         flag=flag,
         remark=hypothesis.remark,
         penalty=hypothesis.penalty,
-        rejected=hypothesis.rejected,
+        rejected=tuple(replace(each, chi2=reduction) for each in hypothesis.rejected),
         side_known=True,
         competing=tuple(each.estimate for each in rivals),
+        everything=everything,
         differing=differing,
     )
 

@@ -56,16 +56,17 @@ class DriftMonitor:
     def update(self, line: PoseLine) -> tuple[PoseLine, str | None]:
         """The line with the lasers' health, and a warning where a drift is detected for the first time.
 
-        Poses that contradict the given radii, and lines without a pose, contribute no evidence; if there is no pose
-        because the stripes contradict each other, the shot counts as doubted. The paper's methods have no residuals to
+        Poses that contradict the given radii contribute no evidence, nor do lines without a pose, except that of
+        stripes which contradict each other such that each may be the wrong one. A shot with a rejected part counts as
+        doubted. The paper's methods have no residuals to
         accumulate: their lines stay as they are.
         """
         if self._method is not Method.ML:
             return line, None
         new_warning = None
         contradictory = line.pose is None and bool(line.flags & CONTRADICTORY)
-        if contradictory or (line.pose is not None and PoseFlag.RADIUS_INCONSISTENT not in line.pose.flags):
-            self._health = health_after(self._health, None if line.pose is None else line.pose.plane_evidence)
+        if contradictory or (line.pose is not None and PoseFlag.RADIUS_INCONSISTENT not in line.flags):
+            self._health = health_after(self._health, line.plane_evidence)
             warning = drift_warning(self._health, self._names)
             new_warning = None if self._warned else warning
             self._warned = warning is not None  # a rig that has recovered may be warned of again

@@ -29,8 +29,8 @@ from ringpose.pose.drift import plane_evidence
 from ringpose.pose.observability import determined, poorly_determined_flags, reported_pose
 from ringpose.pose.visibility import seen_lasers
 from ringpose.types.arrays import Array, Bool, Float64
-from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints
-from ringpose.types.pose import NoPose, PoseFlag, PoseResult, Priors, RadiusPrior
+from ringpose.types.detection import BreakPointFlag, BreakPoints, Rejection, RingEdgePoints
+from ringpose.types.pose import NoPose, PlaneEvidence, PoseFlag, PoseResult, Priors, RadiusPrior
 from ringpose.types.rig import Rig
 from ringpose.types.ring import KnownRadii, Ring
 
@@ -50,11 +50,12 @@ def most_likely_pose(
     ring_edges: RingEdgePoints | None = None,
     known: KnownRadii | Sequence[Ring] | None = None,
     lasers_on: Bool[Array, "laser"] | None = None,
+    rejected: Sequence[Rejection] = (),
 ) -> PoseResult:
     """The pose, or the reason why there is none; covariances are None if the covariance of a break point is NaN.
 
     The radii of a catalogue's ring are used if the shot identifies it with high probability. `lasers_on`: which lasers
-    were on in the shot, to report those whose stripe is missing; None if unknown.
+    were on in the shot, to report those whose stripe is missing; None if unknown. `rejected`: by the detector.
     """
     measured = measurements_of(break_points, rig, ring_edges)
     if not len(measured.points.x):
@@ -76,10 +77,11 @@ def most_likely_pose(
     result = _result(best, rig, source)
     if isinstance(result.pose, NoPose):
         return result
-    states, flags = seen_lasers(best, break_points, rig, lasers_on)
+    rejected = (*rejected, *result.rejected)
+    states, flags = seen_lasers(best, break_points, rig, lasers_on, rejected)
     flags |= result.flags
     pose = replace(result.pose, flags=flags, ring_posterior=posterior)
-    return replace(result, pose=pose, flags=flags, lasers=states)
+    return replace(result, pose=pose, flags=flags, lasers=states, rejected=rejected)
 
 
 def _why_no_estimate(measured: Measurements, rig: Rig) -> NoPose:
@@ -112,6 +114,7 @@ def _result(best: Explanation, rig: Rig, source: str) -> PoseResult:
         stamp_s=stamp_s,
         priors=_priors(best, rig, source),
         rejected=best.rejected,
+        plane_evidence=_plane_evidence(best, rig),
     )
     if not bool(np.isfinite(covariance).all()):
         return result
@@ -132,10 +135,20 @@ def _result(best: Explanation, rig: Rig, source: str) -> PoseResult:
         residual_rms_px=_residual_rms_px(estimate, measured, rig),
         flags=flags,
         remark=best.remark,
-        plane_evidence=None if best.flag & DOUBTS else plane_evidence(estimate, measured, rig),
     )
     measurement = ring_measurement(estimate, measured, errors, stamp_s) if measured.has_covariances else None
     return replace(result, pose=pose, flags=flags, measurement=measurement)
+
+
+def _plane_evidence(best: Explanation, rig: Rig) -> PlaneEvidence | None:
+    """Evidence for errors of the light planes, if no part of the shot is known to be wrong.
+
+    If any of the stripes may be the wrong one, all contribute: noise leaves other residuals in each shot, a light plane
+    that has moved the same ones.
+    """
+    if best.everything is not None and best.competing and PoseFlag.STRIPE_REJECTED in best.flag:
+        return plane_evidence(best.everything.estimate, best.everything.hypothesis.measured, rig)
+    return None if best.flag & DOUBTS else plane_evidence(best.estimate, best.measured, rig)
 
 
 def _unverified(best: Explanation) -> PoseFlag:

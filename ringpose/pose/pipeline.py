@@ -7,7 +7,7 @@ import numpy as np
 from ringpose.errors import DataError
 from ringpose.pose.maximum_likelihood import most_likely_pose
 from ringpose.types.arrays import Array, Bool
-from ringpose.types.detection import BreakPoints, RingEdgePoints
+from ringpose.types.detection import BreakPoints, Rejection, RingEdgePoints
 from ringpose.types.options import Method as Method
 from ringpose.types.pose import NoPose, PoseFlag, PoseResult, RingPose
 from ringpose.types.rig import Rig
@@ -32,12 +32,13 @@ def pose_result(
     ring_edges: RingEdgePoints | None = None,
     known: KnownRadii | Sequence[Ring] | None = None,
     lasers_on: Bool[Array, "laser"] | None = None,
+    rejected: Sequence[Rejection] = (),
 ) -> PoseResult:
     """Pose of the ring in the camera frame, or the reason why there is none, with what it assumes and rejected.
 
     Its covariances are None if a seen break point's covariance is NaN. `known` are the ring's radii, or a
     catalogue that it may belong to; the paper's methods use neither it nor visible edges. `lasers_on`: which lasers
-    were on in the shot.
+    were on in the shot. `rejected`: what the detector has rejected.
     """
     lasers, known_lasers = len(break_points.position_px), len(rig.lasers.names)
     if lasers != known_lasers:
@@ -46,10 +47,11 @@ def pose_result(
     try:
         with np.errstate(all="ignore"):  # solutions are checked for finite values
             if method is Method.ML:
-                return most_likely_pose(break_points, rig, ring_edges, known, lasers_on)
+                return most_likely_pose(break_points, rig, ring_edges, known, lasers_on, rejected)
             from ringpose.pose.closed_form import closed_form_pose  # not imported by method `ml`
 
             pose = closed_form_pose(break_points, rig, method)
-            return PoseResult(pose=pose, flags=PoseFlag(0) if isinstance(pose, NoPose) else pose.flags)
+            flags = PoseFlag(0) if isinstance(pose, NoPose) else pose.flags
+            return PoseResult(pose=pose, flags=flags, rejected=tuple(rejected))
     except np.linalg.LinAlgError:
         return PoseResult(pose=NoPose.SINGULAR)

@@ -60,8 +60,8 @@ def pose_line(
             stage_s=stage_s,
             rig=rig.sha256,
         )
-    result = pose_result(points, rig, method, source.ring_edges, known, source.lasers_on)
-    rejected = (*source.rejected, *result.rejected)
+    result = pose_result(points, rig, method, source.ring_edges, known, source.lasers_on, source.rejected)
+    rejected = result.rejected or source.rejected
     pose = result.pose
     if isinstance(pose, RingPose) and frame is PoseFrame.TOOL and rig.tool_from_camera is not None:
         from ringpose.pose.transform import pose_in_frame
@@ -80,6 +80,7 @@ def pose_line(
         priors=result.priors,
         lasers=result.lasers,
         rejected=rejected,
+        plane_evidence=result.plane_evidence,
         latency_s=end_s - start_s,
         stage_s={**stage_s, "pose": end_s - detected_s},
         rig=rig.sha256,

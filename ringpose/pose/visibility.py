@@ -1,6 +1,6 @@
 """Which lasers' stripes and break points should be in view by rig and ring, and which of them were used."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from ringpose.estimate.hypotheses import Explanation
 from ringpose.geometry.rays import project
 from ringpose.geometry.ring import EDGE_SIGN, RingArcs, edge_distances, predicted_break_points, predicted_stripes
 from ringpose.types.arrays import Array, Bool, Float64
-from ringpose.types.detection import BreakPointFlag, BreakPoints
+from ringpose.types.detection import BreakPointFlag, BreakPoints, Rejection
 from ringpose.types.pose import LaserState, PoseFlag
 from ringpose.types.rig import Rig
 
@@ -23,9 +23,16 @@ SEEN_SHARE = 0.5
 
 
 def seen_lasers(
-    best: Explanation, break_points: BreakPoints, rig: Rig, lasers_on: Bool[Array, "laser"] | None
+    best: Explanation,
+    break_points: BreakPoints,
+    rig: Rig,
+    lasers_on: Bool[Array, "laser"] | None,
+    rejected: Sequence[Rejection],
 ) -> tuple[Mapping[str, LaserState], PoseFlag]:
-    """What each laser that was on contributed, and the flags of what should be in view but was not used."""
+    """What each laser that was on contributed, and the flags of what should be in view but was not used.
+
+    `rejected`: by the detector and by the explanation.
+    """
     used = np.zeros((len(rig.lasers.names), 2), dtype=bool)
     used[best.measured.points.laser, best.measured.points.edge] = True
     has_line = np.isin(np.arange(len(used)), best.measured.lines.laser)
@@ -38,12 +45,12 @@ def seen_lasers(
     states, flags = {}, PoseFlag(0)
     for laser in np.flatnonzero(on).tolist():
         contributed = bool(used[laser].any() or has_line[laser])
-        found = contributed or bool(break_points.seen[laser].any() or np.isfinite(break_points.face_start_px[laser, 0]))
-        rejected = {each.edge for each in best.rejected if each.laser == rig.lasers.names[laser]}
+        mine = [each for each in rejected if each.laser == rig.lasers.names[laser]]
+        found = bool(mine or break_points.seen[laser].any() or np.isfinite(break_points.face_start_px[laser, 0]))
         if contributed:
             missing = inside[laser] & ~used[laser]
             flags |= _why_missing(break_points.flags[laser, missing].tolist())
-            state = LaserState.PARTLY if missing.any() or rejected else LaserState.USED
+            state = LaserState.PARTLY if missing.any() or mine else LaserState.USED
         elif found:
             state, flags = LaserState.REJECTED, flags | PoseFlag.STRIPE_REJECTED
         elif share[laser] >= SEEN_SHARE:

@@ -111,8 +111,8 @@ class RingPose:
     """Covariance of tilt_1, tilt_2, offset_m, center_1_m, center_2_m, radius_inner_m, radius_outer_m; NaN in the rows
     and columns of what is not determined.
 
-    Plane: normal(tilt) . point = offset_m (`ringpose.geometry.rotations.tilted`). center_1_m and center_2_m are the
-    centre's coordinates along the tilt basis of the estimated normal, which is held fixed while the ring tilts.
+    Plane: normal(tilt) . point = offset_m (`ringpose.geometry.rotations.tilted`); centre c = offset_m n + center_1_m e1
+    + center_2_m e2, where the tilt basis e1, e2 tilts with the normal (method(7), section 8).
     """
     covariance_center_m2: Float64[Array, "3 3"] | None = None
     covariance_grasp_m2: Float64[Array, "3 3"] | None = None
@@ -121,8 +121,6 @@ class RingPose:
     """Warning in words; empty if there is none."""
     ring_posterior: Mapping[str, float] | None = None
     """Posterior probability of each ring of a catalogue and of `none of these`; None without a catalogue."""
-    plane_evidence: PlaneEvidence | None = None
-    """Evidence of the stripes for errors of the light planes; None for methods that do not use them."""
 
     @property
     def pitch_rad(self) -> float:
@@ -250,6 +248,9 @@ class PoseResult:
     priors: Priors | None = None
     lasers: Mapping[str, LaserState] = field(default_factory=dict)
     rejected: tuple[Rejection, ...] = ()
+    plane_evidence: PlaneEvidence | None = None
+    """Evidence of the stripes for errors of the light planes; None if part of the shot was rejected, and for methods
+    without residuals."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -287,6 +288,8 @@ class PoseLine:
     priors: Priors | None = None
     lasers: Mapping[str, LaserState] = field(default_factory=dict)
     rejected: tuple[Rejection, ...] = ()
+    plane_evidence: PlaneEvidence | None = None
+    """As in `PoseResult`; not part of the record."""
     rig_health: Mapping[str, float] = field(default_factory=dict)
     """Normalised error of each laser's light plane; empty where it was not measured."""
     shots_dropped: int = 0

@@ -46,7 +46,7 @@ def test_a_weak_center_is_remarked_with_the_measurement_that_would_help(shot):
 def test_a_drift_is_warned_of_once(shot):
     rig = drawn_rig()
     line = pose_line(shot, rig)
-    contradicted = replace(line, pose=replace(line.pose, plane_evidence=None))
+    contradicted = replace(line, plane_evidence=None)
     monitor = DriftMonitor(rig.lasers.names, Method.ML)
 
     warnings = [monitor.update(contradicted)[1] for _ in range(2 * int(SHOTS_NEEDED))]
