@@ -18,7 +18,6 @@ from ringpose.simulate.feature_errors import (
     edge_step_influence,
     end_errors_px,
     image_noise,
-    oblique_shift_px,
 )
 from ringpose.simulate.laser_planes import half_thickness_m, in_fan
 from ringpose.simulate.lighting import (
@@ -90,8 +89,6 @@ class Appearance(NamedTuple):
     """Of the stripes' centres; None for a laser whose stripe the image does not show."""
     end_sigma_px: Float64[Array, "laser edge=2"]
     """Standard deviation of the break points along the stripe."""
-    oblique_px: Float64[Array, "laser edge=2"]
-    """Summed displacement of the last columns' centres if the edge is at the right end; the negative at the left."""
     edges: "VisibleEdges"
 
     @property
@@ -119,7 +116,7 @@ def expected_appearance(scene: Scene, view: RingView) -> Appearance:
     frames = laser_frames(scene.sequence, len(lasers.names))
     exposure_s, arcs = view_exposure_s(scene, illuminated), view_arcs(scene, view)
     centers: list[CenterErrors | None] = [None] * len(lasers.names)
-    end_sigma_px, oblique_px = np.full((len(centers), 2), np.nan), np.zeros((len(centers), 2))
+    end_sigma_px = np.full((len(centers), 2), np.nan)
     edges = _no_edges()
     point_m = predicted_break_points(arcs, lasers.normal, lasers.distance_m)
     reached = _illuminated(illuminated, point_m) & (view.target == "ring")
@@ -141,7 +138,6 @@ def expected_appearance(scene: Scene, view: RingView) -> Appearance:
             if center is not None:
                 pooled = 2 * int((frames.number[lit] == frames.number[laser]).sum())
                 end_sigma_px[laser] = end_errors_px(stripe, noise, edge_per_row[number], pooled)
-                oblique_px[laser] = oblique_shift_px(stripe, noise, center, edge_per_row[number])
         if illuminated.has_ambient_light:
             edges = visible_edges(scene, illuminated, arcs, point_m[lit], exposure_s)
     return Appearance(
@@ -151,7 +147,6 @@ def expected_appearance(scene: Scene, view: RingView) -> Appearance:
         lit=reached,
         centers=tuple(centers),
         end_sigma_px=end_sigma_px,
-        oblique_px=oblique_px,
         edges=edges,
     )
 

@@ -38,6 +38,10 @@ CENTER_PHASE = 0.25
 PHASES = np.array([-0.375, -0.125, 0.125, 0.375])
 """Positions in its pixel over which an end's variance is averaged."""
 
+CUT_CENTRES, COLUMNS_PER_CUT = 4, 12
+"""Centres at either end of a stripe that the detector's line does not use: at most the first number, and one for so
+many columns."""
+
 FAINTEST = 0.03
 """Share of a stripe's light to which its centres are followed beyond the edge."""
 
@@ -169,29 +173,6 @@ def center_errors(stripe: Stripe, noise: ImageNoise) -> CenterErrors | None:
         correlation_columns=2.0 * sqrt(pi) * noise.blurred_grain_px,
         saturated=not bool(shown.all()),
     )
-
-
-def oblique_shift_px(
-    stripe: Stripe, noise: ImageNoise, center: CenterErrors, edge_per_row: Float64[Array, "end"]
-) -> Float64[Array, "end"]:
-    """Sum of the displacements of the centres at a right end, towards larger rows; at a left end it is the negative.
-
-    An edge that is oblique to the stripe cuts off more of the last columns' upper half than of their lower one, or the
-    reverse. The line's fit drops centres that are off by more than three standard deviations.
-    """
-    sigma, _, _ = _blurred_section(stripe, noise)
-    width = np.sqrt(PIXEL_VARIANCE + noise.blur_px**2 + (edge_per_row * sigma) ** 2)[:, None]
-    step_px = 0.1
-    x = np.arange(-4.0, 4.0, step_px)
-    share = _normal_cdf(-x / width)
-    bell = np.exp(-0.5 * (x / width) ** 2) / sqrt(2 * pi)
-    shift = sigma**2 * edge_per_row[:, None] / width * bell / np.maximum(share, FAINTEST) / center.sigma_px
-    # mean of the shift with its noise, N(shift, 1), over -3 to 3
-    low, high = -OUTLIER_SIGMAS - shift, OUTLIER_SIGMAS - shift
-    kept = shift * (_normal_cdf(high) - _normal_cdf(low))
-    kept -= (np.exp(-0.5 * high**2) - np.exp(-0.5 * low**2)) / sqrt(2 * pi)
-    total: Float64[Array, "end"] = center.sigma_px * step_px * np.where(share > FAINTEST, kept, 0.0).sum(axis=1)
-    return total
 
 
 def end_errors_px(

@@ -24,6 +24,7 @@ from ringpose.simulate.appearance import (
     laser_frames,
 )
 from ringpose.simulate.common_errors import CommonErrors, drawn_common_errors, form_deviations, form_displacement
+from ringpose.simulate.feature_errors import COLUMNS_PER_CUT, CUT_CENTRES
 from ringpose.simulate.pipeline import READOUT_S
 from ringpose.simulate.placement import ring_views
 from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
@@ -43,8 +44,6 @@ class Deviations:
 
     noise: bool = True
     """Whether positions have errors; their stated covariances are the same without."""
-    oblique_bias: bool = False
-    """Whether lines are turned by end columns that an oblique edge cuts, as in images. Estimators do not model it."""
     rig_errors: bool = False
     """Whether the true rig is drawn from the covariance of the scene's rig."""
     motion: MotionPrior | None = None
@@ -134,8 +133,7 @@ def draw_detection(
         seen = np.isfinite(stripes.start_px[:, 0]) & appearance.seen & ~outliers.missing
         if seen.any():
             noise = unit[5:].reshape(lasers, 4) * deviations.noise
-            bias = appearance.oblique_px * deviations.oblique_bias
-            points = _drawn_points(stripes, appearance, noise, bias, outliers, seen)
+            points = _drawn_points(stripes, appearance, noise, outliers, seen)
             stamp = np.where(seen, shown_s, np.nan)
             found = _as_measured(points, scene.rig.camera, frames.labelled(seen), stamp)
             unit = rng.standard_normal(len(appearance.edges.edge)) * deviations.noise
@@ -265,23 +263,25 @@ def _drawn_points(
     stripes: _Stripes,
     appearance: Appearance,
     unit: Float64[Array, "laser 4"],
-    oblique_px: Float64[Array, "laser edge=2"],
     outliers: _Outliers,
     seen: Bool[Array, "laser"],
 ) -> BreakPoints:
     """Break points and lines with errors by standard normal numbers; the lines in distorted pixels."""
     lasers, left = np.arange(len(seen)), stripes.edge_at_start
     chord_px = stripes.end_px - stripes.start_px
+    columns = chord_px[:, 0]
+    used = columns - 2.0 * np.minimum(np.floor(columns / COLUMNS_PER_CUT), CUT_CENTRES)
     line_sigma_px = np.array(
         [
-            np.nan if center is None else center.line_sigma_px(columns)
-            for center, columns in zip(appearance.centers, chord_px[:, 0].tolist(), strict=True)
+            np.nan if center is None else center.line_sigma_px(number)
+            for center, number in zip(appearance.centers, used.tolist(), strict=True)
         ]
     )
-    # errors of the ordinates at both ends of a fitted line: variance 4 s^2, covariance -2 s^2
-    left_px, right_px = -oblique_px[lasers, left], oblique_px[lasers, 1 - left]
-    middle_px = line_sigma_px * unit[:, 0] + (right_px + left_px) / chord_px[:, 0]
-    tilt_px = sqrt(3.0) * line_sigma_px * unit[:, 1] + 3.0 * (right_px - left_px) / chord_px[:, 0]
+    # errors of the ordinates at both ends of a line through the used centres: variance (1 + 3 / share^2) s^2
+    tilt_sigma_px = sqrt(3.0) * columns / used * line_sigma_px
+    end_variance_px2 = line_sigma_px**2 + tilt_sigma_px**2
+    middle_px = line_sigma_px * unit[:, 0]
+    tilt_px = tilt_sigma_px * unit[:, 1]
     start_px, end_px = stripes.start_px.copy(), stripes.end_px.copy()
     start_px[:, 1] += middle_px - tilt_px
     end_px[:, 1] += middle_px + tilt_px
@@ -294,7 +294,7 @@ def _drawn_points(
     position_px[..., 1] += across_px
     spread = (direction[:, :, None] * direction[:, None])[:, None]
     covariance_px2 = (appearance.end_sigma_px**2)[..., None, None] * spread
-    covariance_px2[..., 1, 1] += 4.0 * (line_sigma_px**2)[:, None]
+    covariance_px2[..., 1, 1] += end_variance_px2[:, None]
     measured = np.isfinite(stripes.true_px[..., 0]) & seen[:, None]
     saturated = np.array([center is not None and center.saturated for center in appearance.centers])
     flags = np.where(measured & saturated[:, None], int(BreakPointFlag.SATURATED), 0)
@@ -305,7 +305,7 @@ def _drawn_points(
         flags=flags.astype(np.int64),
         face_start_px=np.where(seen[:, None], start_px, np.nan),
         face_end_px=np.where(seen[:, None], end_px, np.nan),
-        face_sigma_px=np.where(seen, 2.0 * line_sigma_px, np.nan)[:, None] * np.ones(2),
+        face_sigma_px=np.where(seen, np.sqrt(end_variance_px2), np.nan)[:, None] * np.ones(2),
         labelled=True,
     )
 

@@ -79,7 +79,9 @@ def test_labels_are_right_on_both_sides_of_where_stripes_cross(depth_m, right_is
 
     points = found(shot, WIDE)
 
-    assert np.abs(points.position_px - truth_px).max() < 1.0
+    # the lines hardly determine on which side the centre is, so that inner and outer edge may be exchanged
+    assert np.abs(np.sort(points.position_px, axis=1) - np.sort(truth_px, axis=1)).max() < 1.0
+    assert np.abs(points.position_px - truth_px).max() < 1.0 or np.all(points.flags & BreakPointFlag.EDGE_UNKNOWN)
     assert (points.position_px[2, 0, 1] > points.position_px[1, 0, 1]) == right_is_lower
 
 

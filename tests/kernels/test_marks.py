@@ -65,14 +65,15 @@ def clean_ends(count):
 
 @pytest.mark.parametrize(("columns", "alike"), [(200, 1.0), (200, 2.0), (60, 3.0)])
 def test_ordinates_err_like_those_of_a_least_squares_line(columns, alike):
-    """Of so many centres, of which each few that err alike count as one, and five numbers are taken by the fit."""
+    """Of so many centres less four at either end, each few correlated ones count as one, and the fit takes five."""
     scatter, length = 0.3, 200.0
     track = np.array([[-1.0, columns, 300.0, 500.0, 400.0, 200.0, 0.0, scatter, alike, 0.0, 0.0]])
 
     found = flagged_ends(track, clean_ends(1), (0,), 1, RULES)
 
-    x = np.linspace(-length / 2, length / 2, 10_001)
-    middle = scatter / np.sqrt(columns / alike - 5)
+    used = columns - 8
+    x = np.linspace(-length / 2, length / 2, 10_001) * used / columns
+    middle = scatter / np.sqrt(used / alike - 5)
     expected = middle * np.sqrt(1 + (length / 2) ** 2 / np.mean(x**2))
     np.testing.assert_allclose(found.straight_sigma_px, expected, rtol=1e-3)
     np.testing.assert_allclose(found.straight_px[0], [[300, 200], [500, 200]])
@@ -87,7 +88,8 @@ def test_what_lies_beneath_a_stripe_makes_its_line_no_better_than_that():
     found = flagged_ends(track, ends, (0,), 1, RULES)
 
     shift = 2.0 * 0.2 / np.sqrt(200 / (RULES.facet_sigmas * 2.0))
-    np.testing.assert_allclose(found.straight_sigma_px, 2.0 * shift, rtol=1e-6)
+    at_ends = np.sqrt(1.0 + 3.0 / (192 / 200) ** 2)  # four of 200 centres at either end are not used
+    np.testing.assert_allclose(found.straight_sigma_px, at_ends * shift, rtol=1e-6)
 
 
 def test_ends_belong_to_the_lasers_of_their_tracks(rng):

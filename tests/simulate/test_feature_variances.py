@@ -76,7 +76,7 @@ def test_pose_errors_from_images_and_from_drawn_features_have_the_same_variances
         sigma = standard_deviations(estimate_pose(exact, scene.rig), view)  # of each pose, so that all weigh the same
         from_images.append(errors(estimate_pose(found, scene.rig), view, radius_m) / sigma)
         for _ in range(DRAWS):
-            drawn = draw_detection(scene, view, rng, Deviations(oblique_bias=True)).detection.break_points
+            drawn = draw_detection(scene, view, rng, Deviations()).detection.break_points
             from_features.append(errors(estimate_pose(drawn, scene.rig), view, radius_m) / sigma)
 
     image, feature = np.mean(np.square(from_images), axis=0), np.mean(np.square(from_features), axis=0)

@@ -318,14 +318,3 @@ def test_lasers_that_are_on_together_are_not_labelled(switched, view, rng):
     assert np.ptp(together.stamp_s) == 0.0
     assert mixed.lasers_on.tolist() == [True, False, False]
     assert np.isnan(mixed.break_points.stamp_s).tolist() == [False, True, True]
-
-
-def test_oblique_edges_turn_the_lines_only_where_asked(switched, view, rng):
-    scene = replace(switched, views=())
-    turned = replace(view, center_m=np.array([-0.55, -0.25, 0.47]))  # the ring crosses the stripes obliquely
-    exact = found(draw_detection(scene, turned, rng, EXACT))
-    biased = found(draw_detection(scene, turned, rng, replace(EXACT, oblique_bias=True)))
-
-    turn_px = (biased.face_end_px - exact.face_end_px - biased.face_start_px + exact.face_start_px)[:, 1]
-    assert (np.abs(turn_px) > 0.01).all()
-    assert biased.face_sigma_px == pytest.approx(exact.face_sigma_px, rel=1e-3)

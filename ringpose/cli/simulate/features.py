@@ -45,9 +45,6 @@ RingTolerance = Annotated[
         help="With --features: standard deviation of the ring's edges and face from circles and a plane.",
     ),
 ]
-ObliqueBias = Annotated[
-    bool, typer.Option("--oblique-bias", help="With --features: turn stripes as the detector does at oblique edges.")
-]
 RigErrors = Annotated[
     bool, typer.Option("--rig-errors", help="With --features: draw the true rig from the covariance of the scene's.")
 ]
@@ -79,7 +76,6 @@ def deviations_of(
     max_speed: float | None,
     max_rate: float | None,
     ring_tolerance: float | None,
-    oblique_bias: bool,
     rig_errors: bool,
     displaced: str | None,
     background: str | None,
@@ -96,7 +92,6 @@ def deviations_of(
     background_share, background_m = _share_and_range("--background", background, standard.background_m)
     motion = MotionPrior(speed_sd_m_s=(max_speed or 0.0) / 2, rate_sd_rad_s=radians(max_rate or 0.0) / 2)
     return Deviations(
-        oblique_bias=oblique_bias,
         rig_errors=rig_errors,
         motion=motion if max_speed or max_rate else None,
         ring_tolerance_m=ring_tolerance or 0.0,

@@ -14,7 +14,6 @@ from ringpose.cli.simulate.features import (
     MaxRate,
     MaxSpeed,
     Missing,
-    ObliqueBias,
     RigErrors,
     RingTolerance,
 )
@@ -53,7 +52,6 @@ def simulate(
     max_speed: MaxSpeed = None,
     max_rate: MaxRate = None,
     ring_tolerance: RingTolerance = None,
-    oblique_bias: ObliqueBias = False,
     rig_errors: RigErrors = False,
     displaced: Displaced = None,
     background: Background = None,
@@ -76,7 +74,7 @@ def simulate(
     from ringpose.simulate.pipeline import simulate as simulated
     from ringpose.simulate.pipeline import simulated_boards
 
-    drawn = (max_speed, max_rate, ring_tolerance, oblique_bias, rig_errors, displaced, background, missing)
+    drawn = (max_speed, max_rate, ring_tolerance, rig_errors, displaced, background, missing)
     if not features and any(value is not None and value is not False for value in drawn):
         raise UsageError("", "motion, errors and outliers are drawn for features only", "give --features too")
     if output is None and not features:

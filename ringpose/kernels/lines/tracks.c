@@ -135,9 +135,10 @@ static void fit_line(Draft *draft, const Work *work) {
     size_t n = gather(draft, work->centers->x, x);
     gather(draft, work->centers->y, y);
     memset(r, 0, n * sizeof *r);
+    const size_t cut = cut_centres(n);
     for (int round = 0; round < 2; round++) {
         Sums sums;
-        add_inliers(x, y, r, n, limit, n / 2, &sums);
+        add_inliers(x + cut, y + cut, r + cut, n - 2 * cut, limit, n / 2 - cut, &sums);
         double count = total(&sums.count), sum_x = total(&sums.x), sum_y = total(&sums.y);
         track->slope = (total(&sums.xy) - sum_x * sum_y / count) / (total(&sums.xx) - sum_x * sum_x / count);
         track->middle_x = x[n / 2] + sum_x / count;

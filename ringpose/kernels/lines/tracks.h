@@ -12,19 +12,33 @@ typedef struct {
     double laser, count, x_start, x_end, middle_x, middle_y, slope, scatter, correlation, clipped, beyond_ends;
 } Track;
 
+/* Number of centres at either end of a track that its line does not use. An edge that crosses the stripe obliquely cuts
+   its last cross-sections off on one side, which would turn the line, and all lines of a shot alike. */
+enum { MAX_CUT = 4, COLUMNS_PER_CUT = 12 };
+
+static inline size_t cut_centres(size_t count) {
+    return count / COLUMNS_PER_CUT < MAX_CUT ? count / COLUMNS_PER_CUT : MAX_CUT;
+}
+
+/* Share of a track's centres that its line uses. */
+static inline double used_share(const Track *track) {
+    return 1 - 2 * (double)cut_centres((size_t)track->count) / fmax(track->count, 1);
+}
+
 static inline double line_y(const Track *track, double x) {
     return track->middle_y + track->slope * (x - track->middle_x);
 }
 
 /* Standard deviation of the ordinate at x, given that of the track's middle. */
 static inline double line_sigma(const Track *track, double x, double middle_sigma) {
-    double spread = fmax(track->x_end - track->x_start, 1) / sqrt(12);
+    double spread = fmax(used_share(track) * (track->x_end - track->x_start), 1) / sqrt(12);
     return middle_sigma * hypot(1, (x - track->middle_x) / spread);
 }
 
 /* Standard deviation of the middle: scatter / sqrt(independent columns - degrees of freedom of the fit). */
 static inline double middle_sigma(const Track *track, double fit_dof, double min_columns) {
-    return track->scatter / sqrt(fmax(track->count / track->correlation - fit_dof, min_columns));
+    double columns = used_share(track) * track->count / track->correlation;
+    return track->scatter / sqrt(fmax(columns - fit_dof, min_columns));
 }
 
 #endif
