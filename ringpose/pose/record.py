@@ -20,7 +20,7 @@ from ringpose.types.arrays import Array, Float64
 from ringpose.types.detection import BreakPoints, Detection, Rejection
 from ringpose.types.image import Shot
 from ringpose.types.options import Method, PoseFrame
-from ringpose.types.pose import NoPose, PoseFlag, PoseLine, RingPose
+from ringpose.types.pose import LaserState, NoPose, PoseFlag, PoseLine, PoseResult, RingPose
 from ringpose.types.rig import Rig
 from ringpose.types.ring import KnownRadii, Ring
 
@@ -74,7 +74,7 @@ def pose_line(
         pose_stamp_s=result.stamp_s if isfinite(result.stamp_s) else source.stamp_s,
         pose=pose if isinstance(pose, RingPose) else None,
         flags=result.flags | flags_of(rejected),
-        reason=pose.value if isinstance(pose, NoPose) else (result.remark or rejection_remark(rejected) or None),
+        reason=pose.value if isinstance(pose, NoPose) else contradictions(result, source.rejected),
         frame=frame,
         measurement=result.measurement,
         priors=result.priors,
@@ -105,6 +105,25 @@ def flags_of(rejected: Sequence[Rejection]) -> PoseFlag:
     for each in rejected:
         flags |= FLAG_OF_REJECTION[each.what]
     return flags
+
+
+REMARKS = MappingProxyType(
+    {
+        PoseFlag.BLUNT_EDGE: "the ring's edges are rounded or chamfered",
+        PoseFlag.SATURATED: "a break point could not be measured, as its stripe is saturated",
+        PoseFlag.TRUNCATED: "a break point could not be measured, as its stripe is cut off by the image's border",
+    }
+)
+"""What a flag means, in words, for flags that do not come from a contradiction."""
+
+
+def contradictions(result: PoseResult, rejected: Sequence[Rejection]) -> str | None:
+    """What was rejected or is missing, in words; None if everything that should be in view was used and agreed."""
+    missing = [name for name, state in result.lasers.items() if state is LaserState.NOT_SEEN]
+    remarks = [result.remark, rejection_remark(rejected)]
+    remarks += [f"the stripe of laser {name} should be in view, but was not found" for name in missing]
+    remarks += [remark for flag, remark in REMARKS.items() if flag in result.flags]
+    return "; ".join(filter(None, remarks)) or None
 
 
 def rejection_remark(rejected: Sequence[Rejection]) -> str:

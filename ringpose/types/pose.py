@@ -19,7 +19,7 @@ from ringpose.types.options import PoseFrame
 class NoPose(Enum):
     """Reason why a shot has no pose; the value is the message for the user."""
 
-    TOO_FEW_BREAK_POINTS = "too few break points: an edge must be seen by three lasers"
+    TOO_FEW_BREAK_POINTS = "too few break points: none at all, or for the closed forms fewer than three on an edge"
     UNTRIANGULATED = "a ray runs along its light plane or meets it behind the camera"
     COLLINEAR = "the break points lie on one line within their errors, which no plane determines"
     EDGE_ON = "the ring's plane passes through the camera: its face cannot be seen"
