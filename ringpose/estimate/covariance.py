@@ -145,7 +145,7 @@ def joint_covariance(estimate: Estimate, found: Quantities) -> Float64[Array, "1
     variance = found.along_wrt_points_m @ found.along_wrt_points_m
     variance += found.along_wrt_rig_m @ found.along_wrt_rig_m
     covariance[GRASP, GRASP] += variance * np.outer(found.along, found.along)
-    return covariance
+    return 0.5 * (covariance + covariance.T)  # exactly symmetric, also for large variances
 
 
 def difference_from(

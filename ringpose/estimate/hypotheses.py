@@ -28,11 +28,12 @@ from ringpose.estimate.measurements import Measurements, inflate_sigma
 from ringpose.estimate.nuisance import RigErrors, rig_errors
 from ringpose.estimate.residuals import PARAMETERS, Prior, ring_residuals
 from ringpose.estimate.solver import OUTLIER_SIGMAS, RIDGE, Estimate, estimate_ring
-from ringpose.geometry.ring import CURVATURE, edge_distances
+from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, edge_distances
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.detection import Rejection
 from ringpose.types.pose import PoseFlag
 from ringpose.types.rig import Rig
+from ringpose.types.ring import KnownRadii
 
 ALARM_SIGMAS = 3.7
 """Limit of the chi-squared test as a normal quantile: one shot in ten thousand exceeds it by chance."""
@@ -61,11 +62,16 @@ CLEARLY = 6.0
 SIDE_SIGMAS = 4.0
 """Curvature in standard deviations, or root of the margin in chi-squared, from which the centre's side is known."""
 
+RADIUS_SIGMAS = 4.5
+"""Difference in standard deviations from which assumed radii contradict the ring that a shot shows by itself."""
+
+RADIUS_REMARK = "the ring that was seen does not have the given radii; they were left out"
+
 STRAIGHT_SIGMAS = 3.0
 """How many standard deviations a curvature may be below zero: two stripes alone hardly determine it."""
 
 CONFIRMED_BELOW = 2.0
-"""Largest ratio of the curvature's standard deviations without and with the other end of a stripe, see `_confirmed`."""
+"""Largest ratio of the curvature's sigmas without and with the other end of a stripe (`_without_unconfirmed_end`)."""
 
 EDGE_NUMBERS = 8.0
 """Independent numbers that the visible edges count as when explanations are compared: one per correlation length."""
@@ -147,6 +153,43 @@ def explain(measured: Measurements, rig: Rig, prior: Prior, *, labelled: bool, e
     `labelled`: whether the lasers were identified by switching them. `edges_named`: whether it is known which edges are
     the inner ones; if it is not, or if the centre turns out to be on the other side, both ways are tried.
     """
+    best = _better_side(measured, rig, prior, labelled, edges_named)
+    if prior.radii is None or best is None or PoseFlag.RADIUS_INCONSISTENT in best.flag:
+        return best
+    # visible edges are too many to be compared with two radii by chi-squared: the ring without the radii is
+    alone = _better_side(measured, rig, Prior(), labelled, edges_named)
+    if alone is None or not _contradicts(alone.estimate, prior.radii):
+        return best
+    return alone._replace(
+        flag=alone.flag | PoseFlag.RADIUS_INCONSISTENT,
+        remark=RADIUS_REMARK,
+        rejected=(*alone.rejected, Rejection(what="radius")),
+    )
+
+
+def _contradicts(alone: Estimate, radii: KnownRadii) -> bool:
+    """Whether the ring by the shot alone has other radii than the assumed ones.
+
+    Compared by the curvature of each edge, k = 1 / radius: its errors are Gaussian even where those of radii are not.
+    """
+    arcs = alone.arcs
+    for radius_m, sign, assumed_m, sd_m in zip(
+        arcs.radius_m.tolist(), EDGE_SIGN, radii.radius_m.tolist(), radii.sd_m.tolist(), strict=True
+    ):
+        if assumed_m != assumed_m:
+            continue
+        by_step = np.zeros(PARAMETERS)
+        by_step[CURVATURE], by_step[HALF_BAND] = (arcs.mean_radius_m / radius_m) ** 2, -sign / radius_m**2
+        variance = float(by_step @ alone.inverse @ by_step) + (sd_m / assumed_m**2) ** 2
+        if (1.0 / radius_m - 1.0 / assumed_m) ** 2 > RADIUS_SIGMAS**2 * variance:
+            return True
+    return False
+
+
+def _better_side(
+    measured: Measurements, rig: Rig, prior: Prior, labelled: bool, edges_named: bool
+) -> Explanation | None:
+    """The best explanation, with inner and outer edges as they are named or exchanged."""
     errors = rig_errors(rig)
     best = _explained(measured, rig, prior, errors, labelled)
     if best is not None:
@@ -159,7 +202,8 @@ def explain(measured: Measurements, rig: Rig, prior: Prior, *, labelled: bool, e
         only = best or other
         return None if only is None else only._replace(side_known=False)
     first, second = sorted((best, other), key=_side_score)
-    return first._replace(side_known=_side_score(second) - _side_score(first) > SIDE_SIGMAS**2)
+    clear = _side_score(second) - _side_score(first) > SIDE_SIGMAS**2
+    return first._replace(side_known=clear and not (edges_named and first.edges_exchanged))
 
 
 def curvature_alone(estimate: Estimate) -> tuple[float, float]:
@@ -212,7 +256,7 @@ def _explained(
 def _select(everything: Solved | None, tried: list[Solved]) -> tuple[Solved, list[Solved]]:
     """The best of the explanations, and its comparable rivals."""
     near = _nearly_best([*([] if everything is None else [everything]), *tried])
-    best = _confirmed(_of_one_stripe(near, tried) or near[0], tried)
+    best = _without_unconfirmed_end(_both_ends_if_either_is_suspect(near, tried) or near[0], tried)
     rivals = [each for each in near if each is not best and not _nested(best, each)]
     if fails_chi2_test(best.estimate, best.hypothesis.measured, best.hypothesis.prior):
         # nothing explains the shot: everything is kept, and the covariance grows by the differences
@@ -296,7 +340,7 @@ def _single_stripes(solved: Solved, rig: Rig, errors: RigErrors | None) -> list[
         alone = measured.without_laser(laser)
         estimate = estimate_ring(alone, rig, Prior(), errors) if len(alone.points.x) else None
         if estimate is None:
-            return []
+            continue
         if ring_evidence(estimate, measured, laser, rig) < COINCIDENCE:
             rejected = (Rejection(what="stripe", laser=rig.lasers.names[laser]),)
             hypothesis = Hypothesis(alone, Prior(), PoseFlag.STRIPE_REJECTED, rejected=rejected, laser=laser)
@@ -339,10 +383,9 @@ def outlier_hypotheses(measured: Measurements, rig: Rig, prior: Prior, labelled:
         flag, rejected = PoseFlag.EDGE_REJECTED, (Rejection(what="edge"),)
         yield Hypothesis(measured.without_edges(), prior, flag, remark, penalty, rejected)
     if prior.radii is not None:
-        remark = "the ring that was seen does not have the given radii; they were left out"
         penalty = OUTLIER_PENALTY + PARAMETER_PENALTY  # one cause: the wrong ring was named
         flag, rejected = PoseFlag.RADIUS_INCONSISTENT, (Rejection(what="radius"),)
-        yield Hypothesis(measured, prior._replace(radii=None), flag, remark, penalty, rejected)
+        yield Hypothesis(measured, prior._replace(radii=None), flag, RADIUS_REMARK, penalty, rejected)
 
 
 def _wrong_points(measured: Measurements, rig: Rig, prior: Prior) -> Iterator[Hypothesis]:
@@ -379,7 +422,7 @@ def _wrong_stripes(measured: Measurements, rig: Rig, prior: Prior) -> Iterator[H
 
 def _wrong_assignments(measured: Measurements, rig: Rig, prior: Prior, labelled: bool) -> Iterator[Hypothesis]:
     seen, names = measured.lasers, rig.lasers.names
-    for order in permutations(seen) if len(seen) <= 3 else []:
+    for order in permutations(range(len(names)), len(seen)) if len(seen) <= 3 and len(names) <= 3 else []:
         if list(order) != seen:
             changed = measured.relabelled(dict(zip(seen, order, strict=True)))
             given, fitting = (", ".join(names[laser] for laser in lasers) for lasers in (seen, order))
@@ -401,7 +444,7 @@ def _nearly_best(tried: Sequence[Solved]) -> list[Solved]:
     return [each for each in ranked if each.score < ranked[0].score + CLEARLY]
 
 
-def _of_one_stripe(near: list[Solved], tried: list[Solved]) -> Solved | None:
+def _both_ends_if_either_is_suspect(near: list[Solved], tried: list[Solved]) -> Solved | None:
     """Both ends of a stripe rejected, if either is equally suspect: with another curvature the other one is off."""
     points = [each for each in near if each.hypothesis.flag == PoseFlag.POINT_REJECTED and not each.hypothesis.both]
     lasers = {each.hypothesis.laser for each in points}
@@ -411,13 +454,13 @@ def _of_one_stripe(near: list[Solved], tried: list[Solved]) -> Solved | None:
 
 
 def _nested(best: Solved, other: Solved) -> bool:
-    """Whether one explanation rejects what the other one rejects, and more: they do not contradict each other."""
+    """Whether both reject parts of the same laser, and one its whole stripe or both its points: no contradiction."""
     first, second = best.hypothesis, other.hypothesis
     whole = first.both or second.both or PoseFlag.STRIPE_REJECTED in first.flag | second.flag
     return whole and first.laser == second.laser >= 0
 
 
-def _confirmed(best: Solved, tried: list[Solved]) -> Solved:
+def _without_unconfirmed_end(best: Solved, tried: list[Solved]) -> Solved:
     """The same, or without the other end of the stripe, too, if only that end determines the ring's curvature.
 
     What occluded one end may have occluded both; the other one is used only if the rest confirms the curvature.
@@ -480,11 +523,10 @@ def chi2(estimate: Estimate, measured: Measurements) -> float:
 def degrees_of_freedom(estimate: Estimate, measured: Measurements, prior: Prior) -> int:
     """Numbers of stripes, break points and radii less the parameters.
 
-    If weak priors hold some of the parameters, their number is not defined; no parameter is then subtracted, which
-    makes the test conservative.
+    Rows of weak priors count like measurements.
     """
-    radii = 0 if prior.radii is None else int(np.isfinite(prior.radii.radius_m).sum())
-    return max(stripe_rows(measured) + radii - (0 if estimate.regularized else PARAMETERS), 0)
+    prior_rows = len(estimate.residuals.residual) - estimate.residuals.data_rows
+    return max(stripe_rows(measured) + prior_rows - PARAMETERS, 0)
 
 
 def edge_residuals(estimate: Estimate, measured: Measurements) -> Float64[Array, "visible"]:

@@ -26,7 +26,7 @@ OUTLIER_SIGMAS = 3.5
 
 MAX_ITERATIONS = 20
 
-NEAR_SIGMAS, MIN_STEP_SIGMAS = 0.1, 1e-6
+NEAR_SIGMAS, MIN_STEP_SIGMAS = 0.1, 1e-7
 """Steps below the first length (in standard deviations) end the robust phase, below the second one the iteration.
 
 After the last step, which is made, the next one would be a hundred to a thousand times shorter: the measurement of a

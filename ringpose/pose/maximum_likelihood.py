@@ -37,6 +37,9 @@ from ringpose.types.ring import KnownRadii, Ring
 DOUBTS = PoseFlag.ASSIGNMENT_AMBIGUOUS | PoseFlag.STRIPE_REJECTED | PoseFlag.RADIUS_INCONSISTENT
 """Shots with one of these flags contribute no evidence about the rig."""
 
+ERRORS_UNKNOWN = PoseFlag.CENTER_WEAK | PoseFlag.NORMAL_WEAK | PoseFlag.GRASP_WEAK | PoseFlag.RADIUS_WEAK
+"""Flags of a pose whose break points have no covariance, so that its errors are not known."""
+
 VERIFIED_BELOW = 0.01
 """Relative standard deviation of the radius by the shot alone below which an assumed radius counts as verified."""
 
@@ -75,11 +78,11 @@ def most_likely_pose(
             best = explained(Prior(ring.known_radii)) or best
             source = ring.name
     result = _result(best, rig, source)
-    if isinstance(result.pose, NoPose):
-        return result
     rejected = (*rejected, *result.rejected)
     states, flags = seen_lasers(best, break_points, rig, lasers_on, rejected)
     flags |= result.flags
+    if isinstance(result.pose, NoPose):
+        return replace(result, flags=flags, lasers=states, rejected=rejected)
     pose = replace(result.pose, flags=flags, ring_posterior=posterior)
     return replace(result, pose=pose, flags=flags, lasers=states, rejected=rejected)
 
@@ -130,6 +133,8 @@ def _result(best: Explanation, rig: Rig, source: str) -> PoseResult:
         collinear = len(set(measured.points.laser.tolist())) > 1
         return replace(result, pose=NoPose.COLLINEAR if collinear else NoPose.UNDETERMINED)
     flags = best.flag | poorly_determined_flags(estimate, found, covariance, reported, bias_m) | _unverified(best)
+    if not measured.has_covariances:
+        flags |= ERRORS_UNKNOWN
     pose = replace(
         reported_pose(estimate, found, covariance if measured.has_covariances else None, reported),
         residual_rms_px=_residual_rms_px(estimate, measured, rig),

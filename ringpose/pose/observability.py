@@ -27,6 +27,9 @@ UNKNOWN_FROM = 0.5
 """Relative standard deviation of the curvature from which the centre is not determined at all: the inverse of a
 curvature that may be zero within two standard deviations has no finite error."""
 
+MAX_RADIUS_M = 5.0
+"""Larger rings do not exist: a larger radius comes from break points that are wrong in the same way."""
+
 GRASP_UNKNOWN_FROM_M = 0.01
 """Standard deviation of the grasp point, or of the band's width, from which the grasp point is not determined."""
 
@@ -52,8 +55,11 @@ def determined(best: Explanation, found: Quantities, covariance: Float64[Array, 
     A quantity in which comparable explanations of the shot differ is not determined.
     """
     normal = standard_deviation(covariance[TILTS, TILTS]) <= TILT_SD_LIMIT_RAD
-    curved = sqrt(covariance[CURVATURE_OUT, CURVATURE_OUT]) < UNKNOWN_FROM * best.estimate.arcs.curvature
-    grasp_sd_m = sqrt(max(float(found.outward @ covariance[GRASP, GRASP] @ found.outward), 0.0))
+    curvature = best.estimate.arcs.curvature
+    curved = sqrt(covariance[CURVATURE_OUT, CURVATURE_OUT]) < UNKNOWN_FROM * curvature
+    curved = curved and curvature > 1.0 / MAX_RADIUS_M
+    across = np.array([best.estimate.arcs.normal, found.outward])
+    grasp_sd_m = standard_deviation(across @ covariance[GRASP, GRASP] @ across.T)
     edges = {*best.measured.points.edge.tolist(), *best.measured.edges.edge.tolist()}
     radii_given = best.prior.radii is not None
     radii = (best.side_known or radii_given) and curved and "radius" not in best.differing

@@ -38,8 +38,10 @@ def pose_line(
     """The pose of one shot, or the reason why it has none, and the time that the computation took.
 
     `known` are the ring's radii, or the catalogue that it belongs to. The frame `tool` needs the rig's mount; without
-    it the vectors stay in the camera frame.
+    it vectors and record are in the camera frame.
     """
+    if rig.tool_from_camera is None:
+        frame = PoseFrame.CAMERA
     start_s = detected_s = perf_counter()
     stage_s = {}
     if isinstance(source, Shot):

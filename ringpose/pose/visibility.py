@@ -5,6 +5,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ringpose.estimate.hypotheses import Explanation
+from ringpose.estimate.nuisance import rig_errors
+from ringpose.estimate.residuals import Prior
+from ringpose.estimate.solver import estimate_ring
 from ringpose.geometry.rays import project
 from ringpose.geometry.ring import EDGE_SIGN, RingArcs, edge_distances, predicted_break_points, predicted_stripes
 from ringpose.types.arrays import Array, Bool, Float64
@@ -48,7 +51,9 @@ def seen_lasers(
         mine = [each for each in rejected if each.laser == rig.lasers.names[laser]]
         found = bool(mine or break_points.seen[laser].any() or np.isfinite(break_points.face_start_px[laser, 0]))
         if contributed:
-            missing = inside[laser] & ~used[laser]
+            clipped = break_points.flags[laser] & int(BreakPointFlag.CLIPPED) != 0
+            expected = inside[laser] if used[laser].any() else ~clipped  # a line without ends lies in the image
+            missing = expected & ~used[laser]
             flags |= _why_missing(break_points.flags[laser, missing].tolist())
             state = LaserState.PARTLY if missing.any() or mine else LaserState.USED
         elif found:
@@ -85,12 +90,38 @@ def expected_in_view(best: Explanation, rig: Rig) -> tuple[Bool[Array, "laser ed
     with np.errstate(all="ignore"):
         points_m = predicted_break_points(arcs, rig.lasers.normal, rig.lasers.distance_m)
         margin_px = BORDER_PX + PREDICTION_SIGMAS * _prediction_sigma_px(best, arcs, points_m, rig)
+    distance_px = _distance_inside_px(points_m, rig)
+    inside = distance_px > margin_px[:, None]  # false for NaN
+    share: Float64[Array, "laser"] = np.maximum(inside.mean(axis=1), _share_by_single_stripes(best, rig))
+    return inside[:, [0, -1]], share
+
+
+def _share_by_single_stripes(best: Explanation, rig: Rig) -> Float64[Array, "laser"]:
+    """Share of each stripe that one stripe of two predicts in view by itself; 0 with other numbers of stripes.
+
+    If one of two stripes does not lie on the ring, their common ring may predict the missing one outside the image.
+    """
+    share = np.zeros(len(rig.lasers.names))
+    if len(best.measured.lines.laser) != 2:
+        return share
+    for laser in best.measured.lines.laser.tolist():
+        alone = best.measured.without_laser(laser)
+        estimate = estimate_ring(alone, rig, Prior(), rig_errors(rig)) if len(alone.points.x) else None
+        if estimate is None:
+            continue
+        points_m = predicted_break_points(estimate.arcs, rig.lasers.normal, rig.lasers.distance_m)
+        distance_px = _distance_inside_px(points_m, rig)
+        share = np.maximum(share, (distance_px > BORDER_PX).mean(axis=1))
+    return share
+
+
+def _distance_inside_px(points_m: Float64[Array, "laser edge=2 xyz=3"], rig: Rig) -> Float64[Array, "laser sample"]:
+    """Distance from the image's border, positive inside, of points along each stripe between its break points."""
     samples = points_m[:, :1] + np.linspace(0.0, 1.0, 11)[:, None] * (points_m[:, 1:] - points_m[:, :1])
     size_px = np.array([rig.camera.image_width, rig.camera.image_height]) - 1.0
     pixels = project(samples, rig.camera)
-    distance_px = np.minimum(pixels, size_px - pixels).min(axis=-1)
-    inside = distance_px > margin_px[:, None]  # false for NaN
-    return inside[:, [0, -1]], inside.mean(axis=1)
+    distance_px: Float64[Array, "laser sample"] = np.minimum(pixels, size_px - pixels).min(axis=-1)
+    return distance_px
 
 
 def _prediction_sigma_px(
