@@ -95,14 +95,14 @@ def break_points(
     )
 
 
-class Judged(NamedTuple):
+class BreakPointsOnRing(NamedTuple):
     """The break points that agree with one ring, and those that do not."""
 
     break_points: BreakPoints | NoBreakPoints
     rejected: tuple[Rejection, ...]
 
 
-def judged(points: BreakPoints, rig: Rig) -> Judged:
+def without_outliers(points: BreakPoints, rig: Rig) -> BreakPointsOnRing:
     """The break points by the best explanation of their ring: inner and outer edge named, wrong ones left out.
 
     They are judged before the ring's edges are searched, since a wrong end misleads that search. A rejected end is
@@ -134,7 +134,7 @@ def judged(points: BreakPoints, rig: Rig) -> Judged:
         face_end_px=np.where(without_line[:, None], np.nan, points.face_end_px),
         face_sigma_px=np.where(without_line[:, None], np.nan, points.face_sigma_px),
     )
-    return Judged(kept, rejected)
+    return BreakPointsOnRing(kept, rejected)
 
 
 def ends_clear(found: BreakPoints) -> bool:

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ringpose.detect.break_points import Judged, break_points, ends_clear, judged
+from ringpose.detect.break_points import BreakPointsOnRing, break_points, ends_clear, without_outliers
 from ringpose.detect.difference_images import LaserImage, laser_images
 from ringpose.detect.rim import CONFIRMED, Face, planes_per_m, ring_face
 from ringpose.detect.ring_edges import detect_ring_edges
@@ -62,11 +62,11 @@ def detect(
         )
     stripes = None if predicted is None else _predicted_stripes(images, predicted, rig)
     segments, ring_edges = None, None
-    judged = None if stripes is None else _found(stripes, images, rig)
-    if stripes is None or judged is None or _lost(judged.break_points, predicted):
+    on_ring = None if stripes is None else _found(stripes, images, rig)
+    if stripes is None or on_ring is None or _lost(on_ring.break_points, predicted):
         stripes, segments = _all_stripes(images, source)
-        judged = _found(stripes, images, rig)
-    found = judged.break_points
+        on_ring = _found(stripes, images, rig)
+    found = on_ring.break_points
     if isinstance(found, BreakPoints) and (edges or not ends_clear(found)) and source is StripeSource.CENTERS:
         found, ring_edges = detect_ring_edges(found, shot, stripes, rig)
     if isinstance(found, BreakPoints) and ring_edges is None and not ends_clear(found):
@@ -79,7 +79,7 @@ def detect(
         segments=segments,
         ring_edges=ring_edges if edges else None,
         lasers_on=lasers_on,
-        rejected=judged.rejected if isinstance(found, BreakPoints) else (),
+        rejected=on_ring.rejected if isinstance(found, BreakPoints) else (),
     )
 
 
@@ -141,10 +141,10 @@ def _joined_segments(parts: list[Segments]) -> Segments:
     )
 
 
-def _found(stripes: Stripes, images: list[LaserImage], rig: Rig) -> Judged:
+def _found(stripes: Stripes, images: list[LaserImage], rig: Rig) -> BreakPointsOnRing:
     """The break points on the stripes that lie on one ring, or the reason why there are none."""
     points = _break_points(stripes, images, rig)
-    return judged(points, rig) if isinstance(points, BreakPoints) else Judged(points, ())
+    return without_outliers(points, rig) if isinstance(points, BreakPoints) else BreakPointsOnRing(points, ())
 
 
 def _break_points(stripes: Stripes, images: list[LaserImage], rig: Rig) -> BreakPoints | NoBreakPoints:
@@ -217,7 +217,7 @@ def _possible(tracks: Float64[Array, "track column=11"], rig: Rig) -> Bool[Array
 BAND_PX = 24
 """Margin of a search window above and below a predicted stripe: a motion of 15 mm at 1 m between two frames."""
 
-BESIDE_PX = 60
+BEYOND_ENDS_PX = 60
 """Margin of a search window beyond the ends of a predicted stripe: motion, and the columns beyond the ends."""
 
 
@@ -236,7 +236,7 @@ def predicted_bands(
     shown = project(undistorted_rays(np.array(ends), camera), camera).tolist()
     bands = []
     for (x, y), (other_x, other_y) in shown:
-        left, right = _searched(x, other_x, BESIDE_PX, camera.image_width)
+        left, right = _searched(x, other_x, BEYOND_ENDS_PX, camera.image_width)
         top, bottom = _searched(y, other_y, BAND_PX, camera.image_height)
         bands.append((left, right, top, bottom))
     return np.array(bands, dtype=np.int32)

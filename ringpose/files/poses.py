@@ -358,7 +358,9 @@ def _radius_prior(fields: Fields) -> RadiusPrior:
 
 
 def _lasers(fields: Fields) -> dict[str, LaserState]:
-    return {name: LaserState(fields.choice(name, tuple(LaserState))) for name in fields.values}
+    """States by laser; a state that this version does not know is ignored."""
+    states = {name: fields.text(name) for name in fields.values}
+    return {name: LaserState(state) for name, state in states.items() if state in tuple(LaserState)}
 
 
 def _numbers(fields: Fields, key: str, least: float = -math.inf, most: float = math.inf) -> dict[str, float]:

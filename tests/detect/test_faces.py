@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from benchmarks.stripe_images import Kind, stripe_image, stripe_rig
 
-from ringpose.detect.break_points import judged
+from ringpose.detect.break_points import without_outliers
 from ringpose.detect.rim import best_hypothesis, may_be_background, ring_face
 from ringpose.geometry.rays import undistorted_pixels
 from ringpose.kernels.lines import TRACK_COLUMNS, Group
@@ -111,7 +111,7 @@ def points_with_one_wrong(seed, by_px, *, labelled):
 
 @pytest.mark.parametrize("labelled", [True, False])
 def test_a_wrong_end_is_rejected_and_the_line_of_its_stripe_is_kept(labelled):
-    found, rejected = judged(points_with_one_wrong(1, 300.0, labelled=labelled), RIG)
+    found, rejected = without_outliers(points_with_one_wrong(1, 300.0, labelled=labelled), RIG)
 
     # what hid one end may have hidden the other one, which alone would determine the curvature
     assert {(each.what, each.laser) for each in rejected} == {("point", RIG.lasers.names[1])}
@@ -122,7 +122,7 @@ def test_a_wrong_end_is_rejected_and_the_line_of_its_stripe_is_kept(labelled):
 
 
 def test_break_points_of_one_ring_are_all_kept():
-    found, rejected = judged(points_with_one_wrong(1, 0.0, labelled=True), RIG)
+    found, rejected = without_outliers(points_with_one_wrong(1, 0.0, labelled=True), RIG)
 
     assert rejected == ()
     assert found.seen.all()

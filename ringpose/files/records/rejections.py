@@ -16,15 +16,16 @@ def rejection_record(rejection: Rejection) -> dict[str, Any]:
 
 
 def rejections_in(fields: Fields) -> tuple[Rejection, ...]:
-    """The rejections of a record; none if it does not have the key."""
+    """The rejections of a record, without those of a kind that this version does not know; none without the key."""
     if not fields.has("rejected"):
         return ()
     return tuple(
         Rejection(
-            what=cast(Any, each.choice("what", KINDS)),
+            what=cast(Any, each.text("what")),
             laser=each.text("laser") if each.has("laser") else None,
             edge=cast(Any, each.choice("edge", EDGES)) if each.has("edge") else None,
             chi2=each.number("chi2") if each.has("chi2") else math.nan,
         )
         for each in fields.each("rejected")
+        if each.text("what") in KINDS
     )
