@@ -10,11 +10,19 @@ quantities that they have in common are determined (`Explanation.differing`).
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import permutations
-from math import inf, nan, sqrt
+from math import nan, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
+from ringpose.estimate.consistency import (
+    chi2,
+    curvature_alone,
+    edge_residuals,
+    fails_chi2_test,
+    largest_reduction,
+    stripe_rows,
+)
 from ringpose.estimate.covariance import (
     CENTER,
     GRASP,
@@ -27,16 +35,13 @@ from ringpose.estimate.covariance import (
 from ringpose.estimate.measurements import Measurements, inflate_sigma
 from ringpose.estimate.nuisance import RigErrors, rig_errors
 from ringpose.estimate.residuals import PARAMETERS, Prior, ring_residuals
-from ringpose.estimate.solver import OUTLIER_SIGMAS, RIDGE, Estimate, estimate_ring
+from ringpose.estimate.solver import OUTLIER_SIGMAS, Estimate, estimate_ring
 from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, edge_distances
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.detection import Rejection
 from ringpose.types.pose import PoseFlag
 from ringpose.types.rig import Rig
 from ringpose.types.ring import KnownRadii
-
-ALARM_SIGMAS = 3.7
-"""Limit of the chi-squared test as a normal quantile: one shot in ten thousand exceeds it by chance."""
 
 PARAMETER_PENALTY = 4.0
 """Penalty in chi-squared for each rejected number; by chance, rejecting one lowers chi-squared by 1."""
@@ -204,23 +209,6 @@ def _better_side(
     first, second = sorted((best, other), key=_side_score)
     clear = _side_score(second) - _side_score(first) > SIDE_SIGMAS**2
     return first._replace(side_known=clear and not (edges_named and first.edges_exchanged))
-
-
-def curvature_alone(estimate: Estimate) -> tuple[float, float]:
-    """The curvature by the shot alone, without the prior, and its standard deviation.
-
-    From the normal equations without the rows of the prior: at the solution the gradient of the data balances theirs.
-    """
-    residuals = estimate.residuals
-    prior = residuals.jacobian[residuals.data_rows :]
-    information = estimate.normal_matrix - prior.T @ prior + RIDGE * np.eye(PARAMETERS)
-    try:
-        covariance = np.linalg.inv(information)
-    except np.linalg.LinAlgError:
-        return 0.0, inf
-    step = covariance @ (prior.T @ residuals.residual[residuals.data_rows :])
-    variance = float(covariance[CURVATURE, CURVATURE])
-    return estimate.arcs.curvature + float(step[CURVATURE]), sqrt(variance) if variance > 0 else inf
 
 
 def _side_score(explanation: Explanation) -> float:
@@ -485,56 +473,3 @@ def _is_suspicious(solved: Solved) -> bool:
     if len(edges) and float((edges == 0).mean()) > REJECTED_SHARE:
         return True
     return largest_reduction(estimate, measured) > SUSPICIOUS_REDUCTION
-
-
-def largest_reduction(estimate: Estimate, measured: Measurements) -> float:
-    """By how much chi-squared would fall without the one number of stripes and break points that contradicts most.
-
-    r^2 / (1 - h), with the leverage h = a M^-1 a^T of its row a in the joint problem of ring and common errors.
-    """
-    count = stripe_rows(measured)
-    rows = np.concatenate([estimate.residuals.jacobian, estimate.nuisance], axis=1)
-    information = (rows.T * estimate.weights) @ rows
-    information[range(PARAMETERS, len(information)), range(PARAMETERS, len(information))] += 1.0
-    information[range(PARAMETERS), range(PARAMETERS)] += 1e-9
-    leverage = (np.linalg.solve(information, rows[:count].T) * rows[:count].T).sum(axis=0)
-    free = leverage < 1.0 - 1e-3  # a number that determines a parameter alone contradicts nothing
-    residual = estimate.remaining[:count]
-    return float((residual[free] ** 2 / (1.0 - leverage[free])).max(initial=0.0))
-
-
-def fails_chi2_test(estimate: Estimate, measured: Measurements, prior: Prior) -> bool:
-    """Whether the residuals exceed the quantile of chi-squared (Wilson and Hilferty 1931)."""
-    dof = degrees_of_freedom(estimate, measured, prior)
-    if not dof:
-        return False
-    quantile = dof * (1.0 - 2.0 / (9.0 * dof) + ALARM_SIGMAS * sqrt(2.0 / (9.0 * dof))) ** 3
-    return chi2(estimate, measured) > quantile
-
-
-def chi2(estimate: Estimate, measured: Measurements) -> float:
-    """Chi-squared of stripes, break points, radii and rig; visible edges are too many to be compared with these."""
-    squares = np.minimum(estimate.remaining**2, 1e6)
-    edges = slice(stripe_rows(measured), stripe_rows(measured) + len(measured.edges.edge))
-    of_rig = estimate.nuisance_step[: estimate.rig_errors]
-    return float(squares.sum()) - float(squares[edges].sum()) + float(of_rig @ of_rig)
-
-
-def degrees_of_freedom(estimate: Estimate, measured: Measurements, prior: Prior) -> int:
-    """Numbers of stripes, break points and radii less the parameters.
-
-    Rows of weak priors count like measurements.
-    """
-    prior_rows = len(estimate.residuals.residual) - estimate.residuals.data_rows
-    return max(stripe_rows(measured) + prior_rows - PARAMETERS, 0)
-
-
-def edge_residuals(estimate: Estimate, measured: Measurements) -> Float64[Array, "visible"]:
-    """Residuals of the visible edge points, less common errors, in standard deviations."""
-    first = stripe_rows(measured)
-    return estimate.remaining[first : first + len(measured.edges.edge)]
-
-
-def stripe_rows(measured: Measurements) -> int:
-    """Number of residuals of stripes and break points."""
-    return 2 * len(measured.lines.laser) + len(measured.points.laser) + int(measured.points.isolated.sum())

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ringpose.estimate.hypotheses import chi2, degrees_of_freedom
+from ringpose.estimate.consistency import chi2, degrees_of_freedom
 from ringpose.estimate.measurements import Measurements
 from ringpose.estimate.nuisance import RigErrors, edge_jacobian
 from ringpose.estimate.residuals import Prior

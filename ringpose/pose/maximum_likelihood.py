@@ -7,6 +7,7 @@ from math import sqrt
 
 import numpy as np
 
+from ringpose.estimate.consistency import chi2, curvature_alone, degrees_of_freedom
 from ringpose.estimate.covariance import (
     CURVATURE_OUT,
     EDGE_ON_BELOW,
@@ -17,7 +18,7 @@ from ringpose.estimate.covariance import (
     second_order_bias_m,
     with_second_order,
 )
-from ringpose.estimate.hypotheses import Explanation, chi2, curvature_alone, degrees_of_freedom, explain
+from ringpose.estimate.hypotheses import Explanation, explain
 from ringpose.estimate.information import pose_stamp, prior_rows, ring_measurement
 from ringpose.estimate.measurements import Measurements, measurements_of
 from ringpose.estimate.nuisance import rig_errors
