@@ -146,8 +146,6 @@ class Explanation(NamedTuple):
     """Whether the inner edges are those that were given as outer ones."""
     competing: tuple[Estimate, ...] = ()
     """The rings of other explanations that are comparable."""
-    everything: Solved | None = None
-    """The fit of all measurements; None if it did not converge."""
     differing: frozenset[str] = frozenset()
     """Quantities in which these differ: `center`, `normal`, `grasp`, `radius`."""
 
@@ -281,7 +279,6 @@ def _explanation(best: Solved, everything: Solved | None, rivals: Sequence[Solve
         rejected=tuple(replace(each, chi2=reduction) for each in hypothesis.rejected),
         side_known=True,
         competing=tuple(each.estimate for each in rivals),
-        everything=everything,
         differing=differing,
     )
 

@@ -56,9 +56,8 @@ class DriftMonitor:
     def update(self, line: PoseLine) -> tuple[PoseLine, str | None]:
         """The line with the lasers' health, and a warning where a drift is detected for the first time.
 
-        Poses that contradict the given radii contribute no evidence, nor do lines without a pose, except that of
-        stripes which contradict each other such that each may be the wrong one. A shot with a rejected part counts as
-        doubted. The paper's methods have no residuals to
+        Poses that contradict the given radii, and lines without a pose, contribute no evidence; a shot with a rejected
+        part, or whose stripes contradict each other, counts as doubted. The paper's methods have no residuals to
         accumulate: their lines stay as they are.
         """
         if self._method is not Method.ML:

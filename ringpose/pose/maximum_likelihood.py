@@ -31,12 +31,12 @@ from ringpose.pose.observability import determined, poorly_determined_flags, rep
 from ringpose.pose.visibility import seen_lasers
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.detection import BreakPointFlag, BreakPoints, Rejection, RingEdgePoints
-from ringpose.types.pose import NoPose, PlaneEvidence, PoseFlag, PoseResult, Priors, RadiusPrior
+from ringpose.types.pose import NoPose, PoseFlag, PoseResult, Priors, RadiusPrior
 from ringpose.types.rig import Rig
 from ringpose.types.ring import KnownRadii, Ring
 
 DOUBTS = PoseFlag.ASSIGNMENT_AMBIGUOUS | PoseFlag.STRIPE_REJECTED | PoseFlag.RADIUS_INCONSISTENT
-"""Shots with one of these flags contribute no evidence about the rig."""
+"""Shots with one of these flags contribute no evidence about the rig; nor do those with comparable explanations."""
 
 ERRORS_UNKNOWN = PoseFlag.CENTER_WEAK | PoseFlag.NORMAL_WEAK | PoseFlag.GRASP_WEAK | PoseFlag.RADIUS_WEAK
 """Flags of a pose whose break points have no covariance, so that its errors are not known."""
@@ -118,7 +118,7 @@ def _result(best: Explanation, rig: Rig, source: str) -> PoseResult:
         stamp_s=stamp_s,
         priors=_priors(best, rig, source),
         rejected=best.rejected,
-        plane_evidence=_plane_evidence(best, rig),
+        plane_evidence=None if best.competing or best.flag & DOUBTS else plane_evidence(estimate, measured, rig),
     )
     if not bool(np.isfinite(covariance).all()):
         return result
@@ -144,17 +144,6 @@ def _result(best: Explanation, rig: Rig, source: str) -> PoseResult:
     )
     measurement = ring_measurement(estimate, measured, errors, stamp_s) if measured.has_covariances else None
     return replace(result, pose=pose, flags=flags, measurement=measurement)
-
-
-def _plane_evidence(best: Explanation, rig: Rig) -> PlaneEvidence | None:
-    """Evidence for errors of the light planes, if no part of the shot is known to be wrong.
-
-    If any of the stripes may be the wrong one, all contribute: noise leaves other residuals in each shot, a light plane
-    that has moved the same ones.
-    """
-    if best.everything is not None and best.competing and PoseFlag.STRIPE_REJECTED in best.flag:
-        return plane_evidence(best.everything.estimate, best.everything.hypothesis.measured, rig)
-    return None if best.flag & DOUBTS else plane_evidence(best.estimate, best.measured, rig)
 
 
 def _unverified(best: Explanation) -> PoseFlag:

@@ -113,8 +113,8 @@ def test_shots_that_have_no_pose_since_a_plane_has_moved_are_a_warning(scene_of,
         warnings.append(monitor.update(line)[1])
 
     named = [warning for warning in warnings if warning is not None]
-    assert named
-    assert rig.lasers.names[laser] in named[0] or "contradict" in named[0] or "disagree" in named[0]
+    assert len(named) == 1
+    assert "contradict" in named[0]  # no plane is named: in such shots any of them may be the wrong one
 
 
 def test_shots_that_had_to_be_mended_are_a_warning_too(rig):
