@@ -53,10 +53,10 @@ SUSPICIOUS_REDUCTION = 20.0
 """Reduction of chi-squared by leaving out one number from which a shot is examined: one shot in ten thousand."""
 
 BOTH_PENALTY = 18.0
-"""The same for both break points of a stripe: two causes, or an occluder over both."""
+"""Penalty for rejecting both break points of a stripe: two causes, or an occluder over both."""
 
 OCCLUDED_PENALTY = 4.0
-"""The same for a break point beside which the image shows a surface in front of the ring."""
+"""Penalty for rejecting a break point beside which the image shows a surface in front of the ring."""
 
 RELABEL_PENALTY = 20.0
 """Penalty for exchanging lasers that were switched one by one; lower than for a stripe, as no number is rejected."""
@@ -71,6 +71,7 @@ RADIUS_SIGMAS = 4.5
 """Difference in standard deviations from which assumed radii contradict the ring that a shot shows by itself."""
 
 RADIUS_REMARK = "the ring that was seen does not have the given radii; they were left out"
+"""Reason in the record if assumed radii were rejected."""
 
 STRAIGHT_SIGMAS = 3.0
 """How many standard deviations a curvature may be below zero: two stripes alone hardly determine it."""
