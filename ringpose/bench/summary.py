@@ -148,7 +148,7 @@ def _members(scores: Iterable[Score], by: Sequence[str], key: GroupKey) -> list[
 
 
 def group_key(score: Score, by: Sequence[str]) -> GroupKey:
-    """Values of the named groups of a shot."""
+    """Values of the fields `by` (as `light`, `distance_m`) of a shot: shots with equal ones are summarized together."""
     return tuple(_scalar(score.groups.get(name, ABSENT)) for name in by)
 
 

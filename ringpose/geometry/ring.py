@@ -319,8 +319,9 @@ def center_wrt_step(arcs: RingArcs) -> Float64[Array, "xyz=3 step=7"]:
 def public_wrt_rates(
     normal: Float64[Array, "xyz=3"], center_m: Float64[Array, "xyz=3"]
 ) -> Float64[Array, "parameter=7 rate=5"]:
-    """Change of the seven parameters per second, by velocity (x, y, z) and the two rates about e1 and e2, Eq. (8.2).
+    """Change of the records' seven parameters (tilts, offset, centre in the plane, radii) per second of motion.
 
+    Columns: velocity x, y, z, and the rates about the tilt basis e1, e2 of the normal; Eq. (8.2) of method(7).
     dc/dv = 1, dn/dw_1 = -e2, dn/dw_2 = e1; the ring turns about its own centre.
     """
     e1, e2 = tilt_basis(normal)

@@ -52,7 +52,7 @@ def drawn_common_errors(
 
 
 def drawn_rig(rig: Rig, rng: np.random.Generator) -> Rig:
-    """A rig drawn from the covariance of `rig`; it is itself without covariance."""
+    """A random rig, drawn from the covariance of `rig`; it has no covariance itself."""
     errors = rig_errors(rig)
     if errors is None:
         raise DataError("the scene's rig", "has no covariance", "calibrate it, or do not draw rig errors")

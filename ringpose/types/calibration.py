@@ -61,7 +61,7 @@ class LaserView:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LaserCalibration:
-    """One light plane `normal . point = distance_m`, and its observations by view."""
+    """One light plane `normal . point = distance_m`, and the stripe points that it was fitted to, by board view."""
 
     name: str
     normal: Float64[Array, "xyz=3"]

@@ -67,7 +67,7 @@ class ModbusCodec:
         return int.from_bytes(received[3:-2], "little") & ((1 << command.count) - 1)
 
     def commands(self, received: bytes) -> tuple[list[Command], bytes]:
-        """Frames for this unit; other bytes are skipped one by one."""
+        """The complete frames for this unit, and the bytes of an unfinished one; other bytes are skipped one by one."""
         found: list[Command] = []
         position = 0
         while len(received) - position >= 8:

@@ -62,7 +62,11 @@ def gaussian_profile(blur_px: float) -> EdgeProfile:
 def fitted_profile(
     across: Float64[Array, "n"], share: Float64[Array, "n"], blur_px: float, reach_px: float
 ) -> EdgeProfile:
-    """The profile fitted to samples: distance from the edge in pixels (at most `reach_px`) and share of the step."""
+    """The profile of a dark-to-bright edge, fitted to samples.
+
+    `across`: distance from the edge in pixels, at most `reach_px`; `share`: intensity, 0 on the dark side and 1 on the
+    bright one; `blur_px`: initial value of the blur.
+    """
     basis = _odd_splines(across, int(np.ceil(reach_px / KNOT_PX)))
     deviation = share - ndtr(across / blur_px)
     weights, coefficients = np.ones(len(deviation)), np.zeros(basis.shape[1])

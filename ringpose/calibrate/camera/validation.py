@@ -242,10 +242,10 @@ def _projection_jacobians(
 def known_lens(
     camera: Camera, corners_px: Float64[Array, "corner xy=2"], where: ImageMap
 ) -> Bool[Array, "map_row map_column"]:
-    """Mask of the map's points at which the covariance is a valid measure of the projection error.
+    """True at the map's points where the camera's covariance is a valid measure of the projection error.
 
-    A quotient of polynomials can have a pole beyond the radius at which it was fitted: the rational model is valid only
-    up to the largest distance of a corner from the principal point. Polynomials extrapolate.
+    Of the rational model only up to the largest distance of a corner from the principal point, as a quotient of
+    polynomials can have a pole beyond; of the polynomial models everywhere.
     """
     if camera.distortion_model != DistortionModel.RATIONAL_POLYNOMIAL:
         return np.ones(where.points_px.shape[:2], dtype=bool)

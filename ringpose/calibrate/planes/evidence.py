@@ -37,7 +37,7 @@ Plane = tuple[Float64[Array, "3"], float]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StripeEvidence:
-    """The stripes on the boards that are used, and the board poses by the corners alone."""
+    """Input of the plane fit: the stripes on the boards without rejected ones, and board poses from corners alone."""
 
     names: tuple[str, ...]
     """Names of the lasers."""

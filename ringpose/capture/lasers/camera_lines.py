@@ -32,7 +32,7 @@ class LineLasers(LaserDriver):
 
     @property
     def count(self) -> int:
-        """One laser for each line."""
+        """Number of lasers: one for each output line of the camera."""
         return len(self._lines)
 
     def open(self) -> None:

@@ -276,7 +276,7 @@ class DetectionSink:
         self.names: set[str] = set()
 
     def write(self, shot: Shot, detection: Detection, source: Path) -> None:
-        """Write the overlay first, then the detection, so that all files exist when the detection is announced."""
+        """Write the overlay first, then the detection, so that all files exist when the detection's name is printed."""
         self._check_name(shot.name)
         if self.overlays is not None:
             from ringpose.detect.overlay import overlay  # imported late, since overlays are rarely requested
