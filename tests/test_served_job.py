@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringpose.bench.pose_errors import distance_to_circle_m
 from ringpose.cli.main import main
+from ringpose.estimate.pose_errors import distance_to_circle_m
 from ringpose.files.records.truths import read_truths
 from ringpose.geometry.rotations import angle_between
 

@@ -11,7 +11,8 @@ from typing import Literal
 import numpy as np
 
 from ringpose.bench.assumptions import Assumptions, assumptions_of
-from ringpose.bench.pose_errors import (
+from ringpose.errors import DataError
+from ringpose.estimate.pose_errors import (
     circle_error,
     distance_to_circle_m,
     mahalanobis_squared,
@@ -20,7 +21,6 @@ from ringpose.bench.pose_errors import (
     tilt_error_rad,
     truth_at,
 )
-from ringpose.errors import DataError
 from ringpose.geometry.rotations import angle_between, tilt_basis
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.camera import Camera

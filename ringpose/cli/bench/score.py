@@ -141,9 +141,9 @@ def scores_of_lines(
 
 def _estimates_in(inputs: list[str], truths: "list[Truth]", batch: "Batch") -> "list[PoseEstimate]":
     """The pose records of the inputs; those that cannot be compared are reported on stderr."""
-    from ringpose.bench.pose_errors import truth_at
     from ringpose.bench.score import estimate_of
     from ringpose.errors import DataError
+    from ringpose.estimate.pose_errors import truth_at
     from ringpose.files.inputs import RECORDS_SUFFIX, Record
     from ringpose.files.inputs import inputs as named
     from ringpose.files.poses import pose_line_of, recorded_status

@@ -5,8 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ringpose.bench.pose_errors import circle_error, distance_to_circle_m, mahalanobis_squared, tilt_error_rad, truth_at
 from ringpose.errors import DataError
+from ringpose.estimate.pose_errors import (
+    circle_error,
+    distance_to_circle_m,
+    mahalanobis_squared,
+    tilt_error_rad,
+    truth_at,
+)
 from ringpose.geometry.rotations import tilted
 from ringpose.types.truth import Truth
 
