@@ -3,7 +3,7 @@
 import numpy as np
 from benchmarks.stripe_images import Kind, exact_break_points, moved, stripe_image
 
-from ringpose.detect.pipeline import BAND_PX, BESIDE_PX, predicted_bands
+from ringpose.detect.pipeline import BAND_PX, BEYOND_ENDS_PX, predicted_bands
 from ringpose.detect.stripes import find_stripes
 
 IMAGE = stripe_image(Kind.DARK, 0)
@@ -14,7 +14,7 @@ def test_bands_hold_the_ends_of_predicted_stripes_and_what_surrounds_them():
 
     assert bands is not None
     first, last = IMAGE.break_points_px.min(axis=1), IMAGE.break_points_px.max(axis=1)
-    around = np.array([BESIDE_PX, BAND_PX])
+    around = np.array([BEYOND_ENDS_PX, BAND_PX])
     np.testing.assert_allclose(bands[:, ::2], first - around, atol=1)
     np.testing.assert_allclose(bands[:, 1::2], last + around + 1, atol=1)
 
