@@ -70,7 +70,7 @@ def test_poses_continue_beside_a_beacon_and_lost_shots_are_counted(beacon_before
     records = [json.loads(line) for line in lines.splitlines()]
     assert status in (0, 3)  # the small scene's shots need not all have a pose
     assert len(records) >= 5
-    assert sum(record["dropped"] for record in records) >= 1
+    assert sum(record["shots_dropped"] for record in records) >= 1
     assert "settle" not in messages
 
 
