@@ -111,7 +111,7 @@ def test_boards_at_half_a_metre_give_poses_at_one_metre_to_two_millimetres(near_
     """Speckle leaves 0.09 px in a stripe's centre: seen 0.41 to 0.55 m away and carried on to 1 m, millimetres."""
     _, drawn = near_excess_mm
 
-    assert 0.5 < np.std(drawn) < 3.0
+    assert 0.8 < np.std(drawn) < 3.0
     assert np.mean(drawn > 0.5) > 0.2
 
 
