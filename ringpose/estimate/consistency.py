@@ -9,7 +9,7 @@ from math import inf, sqrt
 import numpy as np
 
 from ringpose.estimate.measurements import Measurements
-from ringpose.estimate.residuals import PARAMETERS, Prior
+from ringpose.estimate.residuals import PARAMETERS
 from ringpose.estimate.solver import RIDGE, Estimate
 from ringpose.geometry.ring import CURVATURE
 from ringpose.types.arrays import Array, Float64
@@ -18,9 +18,9 @@ ALARM_SIGMAS = 3.7
 """Limit of the chi-squared test as a normal quantile: one shot in ten thousand exceeds it by chance."""
 
 
-def fails_chi2_test(estimate: Estimate, measured: Measurements, prior: Prior) -> bool:
+def fails_chi2_test(estimate: Estimate, measured: Measurements) -> bool:
     """Whether the residuals exceed the quantile of chi-squared (Wilson and Hilferty 1931)."""
-    dof = degrees_of_freedom(estimate, measured, prior)
+    dof = degrees_of_freedom(estimate, measured)
     if not dof:
         return False
     quantile = dof * (1.0 - 2.0 / (9.0 * dof) + ALARM_SIGMAS * sqrt(2.0 / (9.0 * dof))) ** 3
@@ -35,7 +35,7 @@ def chi2(estimate: Estimate, measured: Measurements) -> float:
     return float(squares.sum()) - float(squares[edges].sum()) + float(of_rig @ of_rig)
 
 
-def degrees_of_freedom(estimate: Estimate, measured: Measurements, prior: Prior) -> int:
+def degrees_of_freedom(estimate: Estimate, measured: Measurements) -> int:
     """Numbers of stripes, break points and radii less the parameters.
 
     Rows of weak priors count like measurements.

@@ -245,7 +245,7 @@ def _select(everything: Solved | None, tried: list[Solved]) -> tuple[Solved, lis
     near = _nearly_best([*([] if everything is None else [everything]), *tried])
     best = _without_unconfirmed_end(_both_ends_if_either_is_suspect(near, tried) or near[0], tried)
     rivals = [each for each in near if each is not best and not _nested(best, each)]
-    if fails_chi2_test(best.estimate, best.hypothesis.measured, best.hypothesis.prior):
+    if fails_chi2_test(best.estimate, best.hypothesis.measured):
         # nothing explains the shot: everything is kept, and the covariance grows by the differences
         best = everything or best
         remark = "what was seen disagrees with one ring by more than its errors, and no single part is to blame"
@@ -315,23 +315,33 @@ def _single_stripes(solved: Solved, rig: Rig, errors: RigErrors | None) -> list[
 
     Light planes are nearly parallel, so that any two stripes lie nearly in a plane: two stripes have hardly any
     redundancy. Only that the second one agrees with the prediction by the first one, if that is precise, is evidence
-    for a common ring. Visible edges are further evidence. Assumed radii are not used: with them the length of one
-    stripe determines the angle at which it crosses the face, but not to which side.
+    for a common ring. Visible edges are further evidence.
     """
     measured = solved.hypothesis.measured
-    if len(measured.lines.laser) != 2 or len(measured.edges.edge):
+    if len(measured.edges.edge):
         return []
     found = []
-    for laser in measured.lines.laser.tolist():
-        alone = measured.without_laser(laser)
-        estimate = estimate_ring(alone, rig, Prior(), errors) if len(alone.points.x) else None
-        if estimate is None:
-            continue
+    for laser, alone, estimate in single_stripe_estimates(measured, rig, errors):
         if ring_evidence(estimate, measured, laser, rig) < COINCIDENCE:
             rejected = (Rejection(what="stripe", laser=rig.lasers.names[laser]),)
             hypothesis = Hypothesis(alone, Prior(), PoseFlag.STRIPE_REJECTED, rejected=rejected, laser=laser)
             found.append(Solved(hypothesis, estimate))
     return found
+
+
+def single_stripe_estimates(
+    measured: Measurements, rig: Rig, errors: RigErrors | None
+) -> Iterator[tuple[int, Measurements, Estimate]]:
+    """For each of two stripes its laser, and measurements and ring without it; nothing for other numbers of stripes.
+
+    Assumed radii are not used: with them the length of one stripe determines the angle at which it crosses the face,
+    but not to which side.
+    """
+    for laser in measured.lines.laser.tolist() if len(measured.lines.laser) == 2 else []:
+        alone = measured.without_laser(laser)
+        estimate = estimate_ring(alone, rig, Prior(), errors) if len(alone.points.x) else None
+        if estimate is not None:
+            yield laser, alone, estimate
 
 
 def ring_evidence(estimate: Estimate, measured: Measurements, laser: int, rig: Rig) -> float:
@@ -464,8 +474,8 @@ def _without_unconfirmed_end(best: Solved, tried: list[Solved]) -> Solved:
 
 def _is_suspicious(solved: Solved) -> bool:
     """Whether the ring fails the chi-squared test, or would fit much better without one of its numbers."""
-    estimate, measured, prior = solved.estimate, solved.hypothesis.measured, solved.hypothesis.prior
-    if fails_chi2_test(estimate, measured, prior):
+    estimate, measured = solved.estimate, solved.hypothesis.measured
+    if fails_chi2_test(estimate, measured):
         return True
     edges = estimate.weights[stripe_rows(measured) :][: len(measured.edges.edge)]
     if len(edges) and float((edges == 0).mean()) > REJECTED_SHARE:

@@ -65,7 +65,7 @@ def ring_measurement(
         ),
         nuisance_parameters=() if errors is None else errors.parameters,
         square_root=np.asarray(triangle)[count:, count:],
-        degrees_of_freedom=degrees_of_freedom(estimate, measured, estimate.prior),
+        degrees_of_freedom=degrees_of_freedom(estimate, measured),
         chi2=chi2(estimate, measured),
     )
 

@@ -66,14 +66,17 @@ class Estimate(NamedTuple):
     """Derivatives of the mean of the predicted break points by the rig's common errors, for a fixed ring."""
     nuisance_step: Float64[Array, "error"]
     """The estimated common errors, in their standard deviations."""
-    rig_errors: int
-    """Number of common errors that are those of the rig."""
     normal_matrix: Float64[Array, "7 7"]
     """Inverse covariance of the ring's step, the common errors marginalised."""
     inverse: Float64[Array, "7 7"]
     """Of the normal matrix with `RIDGE`."""
     prior: Prior
     """As used; with weak priors (`regularize_about`) if the shot leaves parameters open."""
+
+    @property
+    def rig_errors(self) -> int:
+        """Number of common errors that are those of the rig."""
+        return int(self.mean_ray_wrt_rig.shape[1])
 
     @property
     def regularized(self) -> bool:
@@ -167,7 +170,6 @@ def _gauss_newton(
         nuisance=nuisance,
         mean_ray_wrt_rig=mean_ray_wrt_rig,
         nuisance_step=nuisance_step,
-        rig_errors=mean_ray_wrt_rig.shape[1],
         normal_matrix=normal_matrix,
         inverse=inverse,
         prior=prior,

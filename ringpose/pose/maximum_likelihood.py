@@ -177,7 +177,7 @@ def _covariance(best: Explanation, found: Quantities) -> Float64[Array, "15 15"]
     estimate = best.estimate
     covariance = joint_covariance(estimate, found)
     if best.flag & PoseFlag.INCONSISTENT:
-        dof = degrees_of_freedom(estimate, best.measured, best.prior)
+        dof = degrees_of_freedom(estimate, best.measured)
         covariance = covariance * max(chi2(estimate, best.measured) / dof, 1.0)
         for other in best.competing:
             difference = difference_from(other, quantities(other), estimate, found)

@@ -4,10 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ringpose.estimate.hypotheses import Explanation
+from ringpose.estimate.hypotheses import Explanation, single_stripe_estimates
 from ringpose.estimate.nuisance import rig_errors
-from ringpose.estimate.residuals import Prior
-from ringpose.estimate.solver import estimate_ring
 from ringpose.geometry.rays import project
 from ringpose.geometry.ring import EDGE_SIGN, RingArcs, edge_distances, predicted_break_points, predicted_stripes
 from ringpose.types.arrays import Array, Bool, Float64
@@ -102,13 +100,7 @@ def _share_by_single_stripes(best: Explanation, rig: Rig) -> Float64[Array, "las
     If one of two stripes does not lie on the ring, their common ring may predict the missing one outside the image.
     """
     share = np.zeros(len(rig.lasers.names))
-    if len(best.measured.lines.laser) != 2:
-        return share
-    for laser in best.measured.lines.laser.tolist():
-        alone = best.measured.without_laser(laser)
-        estimate = estimate_ring(alone, rig, Prior(), rig_errors(rig)) if len(alone.points.x) else None
-        if estimate is None:
-            continue
+    for _, _, estimate in single_stripe_estimates(best.measured, rig, rig_errors(rig)):
         points_m = predicted_break_points(estimate.arcs, rig.lasers.normal, rig.lasers.distance_m)
         distance_px = _distance_inside_px(points_m, rig)
         share = np.maximum(share, (distance_px > BORDER_PX).mean(axis=1))
