@@ -1,5 +1,6 @@
 """The frames of a shot by laser: each laser alone if switched one by one, else those that were on together."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,8 @@ class LaserImage:
     """Lasers that its stripes may belong to."""
     stamp_s: float
     """Mid exposure."""
+    dark_stamp_s: float = math.nan
+    """Mid exposure of the background; NaN without one."""
     usual_full_dn: int | None = None
     """Grey value that thresholds are relative to; `saturation_dn` if None."""
 
@@ -52,15 +55,16 @@ def laser_images(shot: Shot, count: int) -> list[LaserImage]:
         new = mask & ~covered & ((1 << count) - 1)
         if new:
             lasers = tuple(laser for laser in range(count) if new >> laser & 1)
-            dark = _dark(shot, number, mask & covered)
+            background = _background(shot, number, mask & covered)
             lit = shot.images[number]
             images.append(
                 LaserImage(
                     lit=lit,
-                    dark=dark,
+                    dark=None if background is None else shot.images[background],
                     saturation_dn=saturation_dn,
                     lasers=lasers,
                     stamp_s=shot.mid_exposure_s(number),
+                    dark_stamp_s=math.nan if background is None else shot.mid_exposure_s(background),
                     usual_full_dn=shot.merged_full_dn,
                 )
             )
@@ -75,12 +79,7 @@ def brightest_image(shot: Shot) -> UInt[Array, "row column"]:
     return image
 
 
-def _dark(shot: Shot, number: int, also_on: int) -> UInt[Array, "row column"] | None:
+def _background(shot: Shot, number: int, also_on: int) -> int | None:
     """The frame nearest in time in which exactly the lasers `also_on` are on; None if there is none."""
     same = [each for each, mask in enumerate(shot.lasers.tolist()) if mask == also_on]
-    if not same:
-        return None
-    dark: UInt[Array, "row column"] = shot.images[
-        min(same, key=lambda each: abs(shot.stamp_s[each] - shot.stamp_s[number]))
-    ]
-    return dark
+    return min(same, key=lambda each: abs(shot.stamp_s[each] - shot.stamp_s[number])) if same else None

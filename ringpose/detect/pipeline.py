@@ -8,11 +8,13 @@ would triangulate behind the camera are rejected: the images are upside down, mi
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.detect.break_points import BreakPointsOnRing, break_points, ends_clear, without_outliers
+from ringpose.detect.break_points import break_points, ends_clear, without_outliers
 from ringpose.detect.difference_images import LaserImage, laser_images
+from ringpose.detect.motion import RingMotion, ring_motion
 from ringpose.detect.rim import CONFIRMED, Face, planes_per_m, ring_face
 from ringpose.detect.ring_edges import detect_ring_edges
 from ringpose.detect.stripes import find_stripes, stripe_line_segments
@@ -25,6 +27,7 @@ from ringpose.types.detection import (
     BreakPoints,
     Detection,
     NoBreakPoints,
+    Rejection,
     Segments,
     Stripes,
     joined_stripes,
@@ -37,6 +40,9 @@ from ringpose.types.rig import Rig
 DARK_SHARE = 8 / 255
 """Share of the saturation value that the brightest pixel of a frame must reach, or the image is reported as dark."""
 
+MOVED_PX = 0.5
+"""Displacement of the ring's edges from which the background of another frame is not subtracted."""
+
 
 def detect(
     shot: Shot,
@@ -45,13 +51,15 @@ def detect(
     *,
     edges: bool = True,
     predicted: BreakPoints | None = None,
+    still: bool = False,
 ) -> Detection:
     """Stripes, break points (or the reason why there are none) and, unless `edges` is false, the ring's visible edges.
 
     With a prediction, only windows about its stripes are searched; if one of its break points is not found there, the
-    whole frames are searched.
+    whole frames are searched. `still`: the target is at rest during the shot, as `meta` may also state.
     """
     images = laser_images(shot, len(rig.lasers.names))
+    still = still or bool(shot.meta.get("still", False))
     lasers_on = (np.bitwise_or.reduce(shot.lasers, initial=0) >> np.arange(len(rig.lasers.names))) & 1 == 1
     if not images:
         return Detection(
@@ -62,13 +70,13 @@ def detect(
         )
     stripes = None if predicted is None else _predicted_stripes(images, predicted, rig)
     segments, ring_edges = None, None
-    on_ring = None if stripes is None else _found(stripes, images, rig)
+    on_ring = None if stripes is None else _found(stripes, images, shot, rig, still)
     if stripes is None or on_ring is None or _lost(on_ring.break_points, predicted):
         stripes, segments = _all_stripes(images, source)
-        on_ring = _found(stripes, images, rig)
+        on_ring = _found(stripes, images, shot, rig, still)
     found = on_ring.break_points
     if isinstance(found, BreakPoints) and (edges or not ends_clear(found)) and source is StripeSource.CENTERS:
-        found, ring_edges = detect_ring_edges(found, shot, stripes, rig)
+        found, ring_edges = detect_ring_edges(found, shot, stripes, rig, still, on_ring.motion)
     if isinstance(found, BreakPoints) and ring_edges is None and not ends_clear(found):
         found = NoBreakPoints.NO_RING
     return Detection(
@@ -141,17 +149,43 @@ def _joined_segments(parts: list[Segments]) -> Segments:
     )
 
 
-def _found(stripes: Stripes, images: list[LaserImage], rig: Rig) -> BreakPointsOnRing:
-    """The break points on the stripes that lie on one ring, or the reason why there are none."""
-    points = _break_points(stripes, images, rig)
-    return without_outliers(points, rig) if isinstance(points, BreakPoints) else BreakPointsOnRing(points, ())
+class _Found(NamedTuple):
+    """The break points that agree with one ring, those that do not, and the ring's motion if the shot shows it."""
+
+    break_points: BreakPoints | NoBreakPoints
+    rejected: tuple[Rejection, ...] = ()
+    motion: RingMotion | None = None
 
 
-def _break_points(stripes: Stripes, images: list[LaserImage], rig: Rig) -> BreakPoints | NoBreakPoints:
-    """The ends of the stripes on the face, left ones as inner ones, or the reason why there are none."""
+def _found(stripes: Stripes, images: list[LaserImage], shot: Shot, rig: Rig, still: bool) -> _Found:
+    """The break points on the stripes that lie on one ring, or the reason why there are none.
+
+    The background of a moving ring is not subtracted where the stripes end: it would leave the ring's edges, displaced.
+    """
     if not len(stripes.piece):
-        return _why_no_stripe(images)
+        return _Found(_why_no_stripe(images))
     tracks = stripe_line_segments(stripes, rig.camera)
+    face = _face(tracks, images, rig)
+    if isinstance(face, NoBreakPoints):
+        return _Found(face)
+    saturation_dn = images[0].saturation_dn
+    points = break_points(face, tracks, images, rig, saturation_dn)
+    motion = None if still else ring_motion(points, shot, rig)
+    if motion is not None:
+        unmoved = [_without_moved_background(image, motion) for image in images]
+        if unmoved != images:
+            points = break_points(face, tracks, unmoved, rig, saturation_dn)
+    return _Found(*without_outliers(points, rig), motion)
+
+
+def _without_moved_background(image: LaserImage, motion: RingMotion) -> LaserImage:
+    """The image, without background if the ring's edges have moved since that was taken."""
+    moved_px = motion.edge_speed_px_s * abs(image.stamp_s - image.dark_stamp_s)
+    return replace(image, dark=None) if moved_px > MOVED_PX else image
+
+
+def _face(tracks: Float64[Array, "track column=11"], images: list[LaserImage], rig: Rig) -> Face | NoBreakPoints:
+    """The stripes on the ring's face, or the reason why there are none."""
     unlabelled = [laser for image in images if not image.labelled for laser in image.lasers]
     face = ring_face(tracks, unlabelled, rig)
     if not unlabelled and _masks_contradicted(face, tracks, rig):
@@ -160,9 +194,7 @@ def _break_points(stripes: Stripes, images: list[LaserImage], rig: Rig) -> Break
         return NoBreakPoints.CONTRADICTED_RIG
     if face is None:
         return NoBreakPoints.NO_RING
-    if face.ambiguous:
-        return NoBreakPoints.AMBIGUOUS_LABELS
-    return break_points(face, tracks, images, rig, images[0].saturation_dn)
+    return NoBreakPoints.AMBIGUOUS_LABELS if face.ambiguous else face
 
 
 def _masks_contradicted(face: Face | None, tracks: Float64[Array, "track column=11"], rig: Rig) -> bool:

@@ -5,6 +5,8 @@ predicted to about a pixel; the steps found there extend the prediction, until t
 The ring is fitted to the stripes on the face, their break points and the steps by `ringpose.estimate`.
 """
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -25,13 +27,14 @@ from ringpose.detect.edge_search import (
     steps_along,
     stripe_mask,
 )
+from ringpose.detect.motion import RingMotion, moved_to
 from ringpose.estimate.measurements import Edges, Measurements, measurements_of, no_edges
 from ringpose.estimate.nuisance import rig_errors
 from ringpose.estimate.residuals import Prior
 from ringpose.estimate.solver import estimate_ring, refine_ring
 from ringpose.geometry.ring import CURVATURE, STEP, TURN, RingArcs
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints, Stripes
+from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints, Stripes, joined_edge_points
 from ringpose.types.image import Shot
 from ringpose.types.rig import Rig
 
@@ -68,21 +71,37 @@ class FoundEdges(NamedTuple):
 
 
 def detect_ring_edges(
-    break_points: BreakPoints, shot: Shot, stripes: Stripes, rig: Rig
+    break_points: BreakPoints, shot: Shot, stripes: Stripes, rig: Rig, still: bool, motion: RingMotion | None
 ) -> tuple[BreakPoints, RingEdgePoints | None]:
-    """The edges in the frame of a shot that shows them best, and the break points, with inner and outer edge resolved.
+    """The visible edges in the frames that show them best, and the break points, inner and outer edge resolved.
 
-    That frame is the first one without lasers; without one, that with the fewest, where places beside the stripes are
-    excluded.
+    These are the first and the last frame without lasers, or the first alone if the target is still; without one, the
+    frame with the fewest lasers, where places beside the stripes are excluded. Every point has the stamp of its frame.
     """
-    number = min(range(len(shot.lasers)), key=lambda each: int(shot.lasers[each]).bit_count())
-    image = shot.images[number]
-    lit = stripe_mask(stripes.position_px, image) if shot.lasers[number] else None
-    found = found_edges(break_points, EdgeImage(image=image, saturation_dn=shot.saturation_dn, lit=lit), rig)
-    if found is None:
+    frames = [number for number, mask in enumerate(shot.lasers.tolist()) if not mask]
+    if not frames:
+        frames = [min(range(len(shot.lasers)), key=lambda each: int(shot.lasers[each]).bit_count())]
+    frames = frames[:1] if still else sorted({frames[0], frames[-1]})
+    found = [each for number in frames if (each := _edges_in_frame(number, break_points, shot, stripes, rig, motion))]
+    if not found:
         return break_points, None
-    named, points = named_by_curvature(break_points, found)
-    return named, replace(points, stamp_s=np.full(len(points.edge), shot.mid_exposure_s(number)))
+    return named_by_curvature(break_points, found)
+
+
+def _edges_in_frame(
+    number: int, break_points: BreakPoints, shot: Shot, stripes: Stripes, rig: Rig, motion: RingMotion | None
+) -> FoundEdges | None:
+    """The edges in one frame, with its stamp, predicted from the stripes of all frames and the ring's motion."""
+    image, stamp_s = shot.images[number], shot.mid_exposure_s(number)
+    lit = stripe_mask(stripes.position_px, image) if shot.lasers[number] else None
+    frame = EdgeImage(image=image, saturation_dn=shot.saturation_dn, lit=lit)
+    if motion is not None:
+        break_points, rig = moved_to(stamp_s, break_points, rig, motion)
+    found = found_edges(break_points, frame, rig)
+    if found is None:
+        return None
+    stamps = np.full(len(found.points.edge), stamp_s)
+    return found._replace(points=replace(found.points, stamp_s=stamps))
 
 
 def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundEdges | None:
@@ -107,15 +126,22 @@ def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundE
     return FoundEdges(points, refined.arcs.curvature / curvature_sd)
 
 
-def named_by_curvature(break_points: BreakPoints, found: FoundEdges) -> tuple[BreakPoints, RingEdgePoints]:
-    """Break points and edge points; inner and outer edge are resolved by the curvature if the break points cannot."""
+def named_by_curvature(break_points: BreakPoints, found: Sequence[FoundEdges]) -> tuple[BreakPoints, RingEdgePoints]:
+    """Break points and edge points of all frames; inner and outer edge by the most significant curvature if unknown.
+
+    What lies beside the edges, and with it most of their errors, is the same in every frame: the standard deviations
+    are raised so that several frames of a ring at rest determine it no better than one.
+    """
+    parts = [replace(each.points, sigma_px=math.sqrt(len(found)) * each.points.sigma_px) for each in found]
+    points = parts[0] if len(parts) == 1 else joined_edge_points(parts)
+    side_sigmas = max((each.side_sigmas for each in found), key=lambda each: np.nan_to_num(abs(each)))
     unknown = int(BreakPointFlag.EDGE_UNKNOWN)
-    if not np.any(break_points.flags & unknown) or not abs(found.side_sigmas) >= SIDE_SIGMAS:
-        return break_points, found.points
+    if not np.any(break_points.flags & unknown) or not abs(side_sigmas) >= SIDE_SIGMAS:
+        return break_points, points
     named = replace(break_points, flags=break_points.flags & ~unknown)
-    if found.side_sigmas > 0:
-        return named, found.points
-    return named.with_edges_exchanged(), replace(found.points, edge=1 - found.points.edge)
+    if side_sigmas > 0:
+        return named, points
+    return named.with_edges_exchanged(), replace(points, edge=1 - points.edge)
 
 
 # Tracking

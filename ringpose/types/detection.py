@@ -205,6 +205,17 @@ def joined_stripes(parts: Sequence[Stripes]) -> Stripes:
     )
 
 
+def joined_edge_points(parts: Sequence[RingEdgePoints]) -> RingEdgePoints:
+    """Points of the ring's edges in several frames in one record, each with its stamp."""
+    return RingEdgePoints(
+        position_px=np.concatenate([part.position_px for part in parts]),
+        normal=np.concatenate([part.normal for part in parts]),
+        sigma_px=np.concatenate([part.sigma_px for part in parts]),
+        edge=np.concatenate([part.edge for part in parts]),
+        stamp_s=np.concatenate([stamps_of(part) for part in parts]),
+    )
+
+
 def stamps_of(part: Stripes | Segments | RingEdgePoints) -> Float64[Array, "n"]:
     """The time stamps of a record's features; NaN if they are unknown."""
     if part.stamp_s is not None:

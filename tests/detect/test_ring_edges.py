@@ -233,7 +233,7 @@ def test_edges_with_open_names_are_named_by_their_curvature(rig, rng):
     found = found_edges(named_wrong(ends), frame, rig)
     assert found is not None
 
-    named, points = named_by_curvature(named_wrong(ends), found)
+    named, points = named_by_curvature(named_wrong(ends), [found])
 
     np.testing.assert_array_equal(named.position_px, ends.position_px)
     assert not np.any(named.flags)
@@ -246,7 +246,7 @@ def test_a_curvature_without_a_standard_deviation_names_no_edge(rig, rng):
         position_px=np.zeros((1, 2)), normal=np.array([[1.0, 0.0]]), sigma_px=np.ones(1), edge=np.zeros(1, np.int64)
     )
 
-    assert named_by_curvature(ends, FoundEdges(point, np.nan)) == (ends, point)
+    assert named_by_curvature(ends, [FoundEdges(point, np.nan)])[0] is ends
 
 
 def test_names_that_are_known_stay(rig, rng):
@@ -255,7 +255,7 @@ def test_names_that_are_known_stay(rig, rng):
     found = found_edges(ends, lit(picture(scene, rig, Surroundings(), rng)), rig)
     assert found is not None
 
-    assert named_by_curvature(ends, found)[0] is ends
+    assert named_by_curvature(ends, [found])[0] is ends
 
 
 def test_a_rendered_shot_with_all_lasers_on_shows_its_edges(carried_data):

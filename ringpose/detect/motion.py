@@ -1,0 +1,216 @@
+"""Motion of the ring within a shot, measured in ambient light (ringpose-method(7), section 8).
+
+The frames of a switched shot show a moving ring at different places. Two frames that both show its edges reveal by how
+far they moved between them. This measurement is only good enough to predict where the edges are in each frame, and
+whether a frame without lasers still shows the background of another; the pose takes the motion from the features.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import cv2
+import numpy as np
+
+from ringpose.geometry.rays import intersect, project, rays, undistorted_pixels, undistorted_rays
+from ringpose.geometry.robust import huber_weights
+from ringpose.types.arrays import Array, Bool, Float64, UInt
+from ringpose.types.detection import BreakPoints
+from ringpose.types.image import Shot
+from ringpose.types.rig import Rig
+
+SPACING_PX = 12.0
+"""Spacing of the places at which the displacement is measured, along each edge."""
+
+BESIDE_STRIPE_PX = 30.0
+"""Places nearer than this to the row of a stripe's end are left out in frames with lasers on."""
+
+WINDOW_PX, LEVELS = 21, 2
+"""Window and pyramid levels of the optical flow, in images of half size: displacements up to 60 px are found."""
+
+MIN_CONTRAST_SHARE = 3 / 255
+"""Minimum grey-value range across the edge, as a share of the saturation value, at which it is visible."""
+
+ACROSS_PX = np.arange(-12.0, 13.0, 4.0)
+"""Distances across the edge at which that range is taken."""
+
+MIN_PLACES = 12
+"""Minimum number of places with a displacement."""
+
+SIGMA_PX = 3.0
+"""Standard deviation of a single displacement: neighbouring places share their windows and what lies behind."""
+
+SPEED_SD_M_S, RATE_SD_RAD_S = 0.05, 0.05
+"""Standard deviations per axis that regularize the motion across what the edges show."""
+
+MAX_SPEED_M_S = 0.5
+"""Largest speed along an axis that is taken for a measurement."""
+
+MIN_SHIFT_PX = 2.0
+"""Smallest displacement that counts as motion where one of the frames has lasers on: their light spreads over it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RingMotion:
+    """Rigid motion at constant rates, and how fast the edges move in the image by it."""
+
+    pivot_m: Float64[Array, "xyz=3"]
+    """Point of the ring whose velocity is given."""
+    velocity_m_s: Float64[Array, "xyz=3"]
+    rate_rad_s: Float64[Array, "xyz=3"]
+    edge_speed_px_s: float
+    """Largest speed of the edges across themselves."""
+
+    def points_after(self, points: Float64[Array, "*shape xyz=3"], duration_s: float) -> Float64[Array, "*shape xyz=3"]:
+        """Where points of the ring are after that time."""
+        rotation = cv2.Rodrigues(self.rate_rad_s * duration_s)[0]
+        moved: Float64[Array, "*shape xyz=3"] = (
+            (points - self.pivot_m) @ rotation.T + self.pivot_m + self.velocity_m_s * duration_s
+        )
+        return moved
+
+
+def ring_motion(points: BreakPoints, shot: Shot, rig: Rig) -> RingMotion | None:
+    """The motion of a ring with these break points; None if no two frames show its edges at different times."""
+    dark = np.flatnonzero(shot.lasers == 0)
+    if not len(dark):
+        return None
+    first, last = int(dark[0]), int(dark[-1]) if len(dark) > 1 else len(shot.lasers) - 1
+    duration_s = shot.mid_exposure_s(last) - shot.mid_exposure_s(first)
+    if not duration_s > 0:
+        return None
+    position, normal = _edge_places(points, bool(shot.lasers[last]))
+    if len(position) < MIN_PLACES:
+        return None
+    visible = _contrast(shot.images[first], position, normal) >= MIN_CONTRAST_SHARE * shot.saturation_dn
+    if np.count_nonzero(visible) < MIN_PLACES:
+        return None
+    position, normal = position[visible], normal[visible]
+    shift_px, found = _shift_across(shot.images[first], shot.images[last], position, normal)
+    if np.count_nonzero(found) < MIN_PLACES:
+        return None
+    motion = _fitted(position[found], normal[found], shift_px[found] / duration_s, SIGMA_PX / duration_s, points, rig)
+    if motion is None or float(np.abs(motion.velocity_m_s).max()) > MAX_SPEED_M_S:
+        return None
+    at_rest = shot.lasers[last] and motion.edge_speed_px_s * duration_s < MIN_SHIFT_PX
+    return None if at_rest else motion
+
+
+def _edge_places(points: BreakPoints, beside_stripes: bool) -> tuple[Float64[Array, "n 2"], Float64[Array, "n 2"]]:
+    """Places on the chords between neighbouring break points of an edge, and the chords' unit normals."""
+    positions, normals = [np.empty((0, 2))], [np.empty((0, 2))]
+    for edge in (0, 1):
+        ends = points.position_px[points.seen[:, edge], edge]
+        ends = ends[np.argsort(ends[:, 1])]
+        for start, stop in pairwise(ends):
+            length = float(np.hypot(*(stop - start)))
+            along = np.arange(0.0, length, SPACING_PX)
+            if beside_stripes:
+                along = along[(along > BESIDE_STRIPE_PX) & (along < length - BESIDE_STRIPE_PX)]
+            direction = (stop - start) / length
+            positions.append(start + along[:, None] * direction)
+            normals.append(np.tile([direction[1], -direction[0]], (len(along), 1)))
+    return np.concatenate(positions), np.concatenate(normals)
+
+
+def _contrast(
+    image: UInt[Array, "row column"], position: Float64[Array, "n 2"], normal: Float64[Array, "n 2"]
+) -> Float64[Array, "n"]:
+    """Range of the smoothed grey values across each place."""
+    at = (position[:, None] + ACROSS_PX[:, None] * normal[:, None]).astype(np.float32)
+    half = cv2.pyrDown(image)
+    values = cv2.remap(half, at[..., 0] / 2, at[..., 1] / 2, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    contrast: Float64[Array, "n"] = np.ptp(values.astype(np.float64), axis=1)
+    return contrast
+
+
+def _shift_across(
+    before: UInt[Array, "row column"],
+    after: UInt[Array, "row column"],
+    position: Float64[Array, "n 2"],
+    normal: Float64[Array, "n 2"],
+) -> tuple[Float64[Array, "n"], Bool[Array, "n"]]:
+    """Displacement of each place along its normal (Lucas and Kanade's method), and where it was found.
+
+    An edge does not show its displacement along itself, which is of no use here.
+    """
+    start = (position / 2).astype(np.float32)
+    halves = [cv2.convertScaleAbs(cv2.pyrDown(each), alpha=_to_bytes(before)) for each in (before, after)]
+    flow: Any = cv2.calcOpticalFlowPyrLK  # OpenCV's stubs do not allow None for points without a guess
+    moved, found, _ = flow(
+        halves[0], halves[1], start, None, winSize=(WINDOW_PX, WINDOW_PX), maxLevel=LEVELS, minEigThreshold=1e-5
+    )
+    shift: Float64[Array, "n"] = ((2.0 * (moved.astype(np.float64) - start)) * normal).sum(axis=1)
+    return shift, found.ravel() > 0
+
+
+def _to_bytes(image: UInt[Array, "row column"]) -> float:
+    """Factor that brings the grey values into 8 bits."""
+    return 1.0 if image.dtype == np.uint8 else 255.0 / max(int(image.max()), 255)
+
+
+def _fitted(
+    position: Float64[Array, "n 2"],
+    normal: Float64[Array, "n 2"],
+    speed_px_s: Float64[Array, "n"],
+    sigma_px_s: float,
+    points: BreakPoints,
+    rig: Rig,
+) -> RingMotion | None:
+    """Rates that explain the speeds of the edges across themselves, robustly, regularized to zero."""
+    laser, edge = np.nonzero(points.seen)
+    ends_px = points.position_px[laser, edge]
+    ends_m = intersect(rays(ends_px, rig.camera), rig.lasers.normal[laser], rig.lasers.distance_m[laser])
+    pivot = ends_m.mean(axis=0)
+    if not (np.isfinite(ends_m).all() and pivot[2] > 0):
+        return None
+    # inverse depth of a plane is linear in the image
+    design = np.column_stack([ends_px, np.ones(len(ends_px))])
+    coefficients = np.linalg.lstsq(design, 1.0 / ends_m[:, 2])[0]
+    place_m = rays(position, rig.camera) / (np.column_stack([position, np.ones(len(position))]) @ coefficients)[:, None]
+    x, y, z = place_m.T
+    focal = np.array([rig.camera.camera_matrix[0, 0], rig.camera.camera_matrix[1, 1]]) * normal
+    by_point = np.column_stack([focal[:, 0] / z, focal[:, 1] / z, -(focal[:, 0] * x + focal[:, 1] * y) / z**2])
+    jacobian = np.concatenate([by_point, np.cross(place_m - pivot, by_point)], axis=1) / sigma_px_s
+    prior = np.diag(np.repeat([1 / SPEED_SD_M_S, 1 / RATE_SD_RAD_S], 3))
+    speed = speed_px_s / sigma_px_s
+    weight, rates = np.ones(len(speed)), np.zeros(6)
+    for _ in range(5):
+        rows = np.sqrt(weight)[:, None]
+        rates = np.linalg.lstsq(
+            np.concatenate([rows * jacobian, prior]), np.concatenate([rows[:, 0] * speed, np.zeros(6)])
+        )[0]
+        weight = huber_weights(speed - jacobian @ rates, 1.5)
+    shown_px_s = np.abs(jacobian @ rates) * sigma_px_s
+    return RingMotion(
+        pivot_m=pivot, velocity_m_s=rates[:3], rate_rad_s=rates[3:], edge_speed_px_s=float(shown_px_s.max())
+    )
+
+
+def moved_to(stamp_s: float, points: BreakPoints, rig: Rig, motion: RingMotion) -> tuple[BreakPoints, Rig]:
+    """Break points and light planes as if the lasers had been on at that time.
+
+    A point that a laser shows at its own time is moved with the ring, and the light plane with it: in the ring's frame
+    every stripe stays where it was.
+    """
+    planes, camera = rig.lasers, rig.camera
+    lines_px = np.stack([points.face_start_px, points.face_end_px], axis=1)
+    ends_m, lines_m = (
+        intersect(each, planes.normal[:, None], planes.distance_m[:, None])
+        for each in (rays(points.position_px, camera), undistorted_rays(lines_px, camera))
+    )
+    normal, foot_m = planes.normal.copy(), planes.normal * planes.distance_m[:, None]
+    stamps = [np.nan] * len(normal) if points.stamp_s is None else points.stamp_s.tolist()
+    for laser, seen_at_s in enumerate(stamps):
+        if math.isfinite(seen_at_s):
+            duration_s = stamp_s - seen_at_s
+            for each in (ends_m, lines_m, foot_m):
+                each[laser] = motion.points_after(each[laser], duration_s)
+            normal[laser] = cv2.Rodrigues(motion.rate_rad_s * duration_s)[0] @ normal[laser]
+    moved = replace(planes, normal=normal, distance_m=(normal * foot_m).sum(axis=1))
+    lines_px = undistorted_pixels(project(lines_m, camera), camera)
+    moved_points = replace(
+        points, position_px=project(ends_m, camera), face_start_px=lines_px[:, 0], face_end_px=lines_px[:, 1]
+    )
+    return moved_points, replace(rig, lasers=moved)
