@@ -3,31 +3,25 @@
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
-from ringpose.types.pose import MotionPrior, PoseLine, RigStability
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Assumptions:
-    """Standard deviations of what is not measured by a shot; zero leaves image noise and the calibration's errors."""
-
-    motion: MotionPrior | None = None
-    """None if the target is assumed to be still."""
-    ring_tolerance_m: float = 0.0
-    stability: RigStability = RigStability()
+from ringpose.types.assumptions import Assumptions, RigStability
+from ringpose.types.options import Method
+from ringpose.types.pose import PoseFlag, PoseLine
 
 
 def assumptions_of(line: PoseLine) -> Assumptions | None:
-    """Assumptions of a pose line; None without a pose and priors.
+    """Assumptions of a pose line; None if it cannot be compared with others by them.
 
-    A pose without priors, as in records of version 1, counts as one of a still and perfect ring by an unchanged rig.
+    These are lines without a pose, closed forms, which have no assumptions to choose, and shots that only wider
+    assumptions than the chosen ones explain. A pose without priors, as in records of version 1, counts as one of a
+    still and perfect ring by an unchanged rig.
     """
-    priors = line.priors
-    if priors is None:
-        return None if line.pose is None else Assumptions()
-    return Assumptions(motion=priors.motion, ring_tolerance_m=priors.ring_tolerance_m, stability=priors.stability)
+    closed_form = line.pose is None or line.pose.method != Method.ML
+    if closed_form or line.flags & (PoseFlag.MOTION | PoseFlag.RING_FORM):
+        return None
+    return Assumptions() if line.priors is None else line.priors.assumptions
 
 
 def counted(assumptions: Iterable[Assumptions | None]) -> list[tuple[Assumptions, int]]:

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from ringpose.bench.assumptions import Assumptions, assumptions_of
+from ringpose.bench.assumptions import assumptions_of
 from ringpose.errors import DataError
 from ringpose.estimate.pose_errors import (
     circle_error,
@@ -23,6 +23,7 @@ from ringpose.estimate.pose_errors import (
 )
 from ringpose.geometry.rotations import angle_between, tilt_basis
 from ringpose.types.arrays import Array, Float64
+from ringpose.types.assumptions import Assumptions
 from ringpose.types.camera import Camera
 from ringpose.types.options import PoseFrame
 from ringpose.types.pose import PoseFlag, PoseLine, RingPose, RingVelocity, Status

@@ -3,9 +3,10 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 
-from ringpose.bench.assumptions import Assumptions, assumption_lines
+from ringpose.bench.assumptions import assumption_lines
 from ringpose.bench.score import JUDGED, Judgement, Matching, Outcome
 from ringpose.bench.summary import ABSENT, ErrorStatistics, Summary
+from ringpose.types.assumptions import Assumptions
 
 OUTCOMES = {
     Outcome.OK: "ok",

@@ -5,10 +5,19 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli.app import app
+from ringpose.cli.assumption_options import (
+    MaxRate,
+    MaxSpeed,
+    RigStabilityFactor,
+    RingTolerance,
+    Still,
+    assumption_options,
+)
 from ringpose.cli.options import Force, ImageChannel, Inputs, OptionalRigFile, Overlay, Quiet, Verbose
 from ringpose.types.options import SegmentMethod, StripeSource
 
 if TYPE_CHECKING:
+    from ringpose.types.assumptions import AssumptionOptions
     from ringpose.types.detection import Detection
     from ringpose.types.image import Shot
     from ringpose.types.rig import Rig
@@ -41,6 +50,11 @@ def detect(
     method: MethodName = SegmentMethod.REFINED,
     stripes: StripesFrom = StripeSource.CENTERS,
     track: Track = False,
+    still: Still = False,
+    max_speed: MaxSpeed = None,
+    max_rate: MaxRate = None,
+    ring_tolerance: RingTolerance = None,
+    rig_stability: RigStabilityFactor = 1.0,
     full: Full = False,
     channel: ImageChannel = None,
     force: Force = False,
@@ -60,6 +74,7 @@ def detect(
 
     if rig is None and not segments_only:
         raise UsageError("", "--rig is missing", "give --rig FILE, or --segments-only for any image")
+    options = assumption_options(still, max_speed, max_rate, ring_tolerance, rig_stability)
     loaded_rig = None if rig is None else read_rig(rig)
     sink = DetectionSink(output, overlay, rig=rig, full=full or segments_only, force=force)
     batch, previous = Batch(), None
@@ -70,7 +85,7 @@ def detect(
             if segments_only or loaded_rig is None:
                 detection = segments_of(shot, method)
             else:
-                detection = detection_of(shot, loaded_rig, stripes, previous)
+                detection = detection_of(shot, loaded_rig, stripes, previous, options)
             previous = detection if track and detection.found else None
             sink.write(shot, detection, path)
             if verbose:
@@ -87,10 +102,14 @@ def segments_of(shot: "Shot", method: SegmentMethod) -> "Detection":
     return segments_only(shot, method)
 
 
-def detection_of(shot: "Shot", rig: "Rig", source: StripeSource, previous: "Detection | None") -> "Detection":
+def detection_of(
+    shot: "Shot", rig: "Rig", source: StripeSource, previous: "Detection | None", options: "AssumptionOptions"
+) -> "Detection":
     """The detection in a shot; the search starts near the break points of the previous detection if it is given."""
     from ringpose.detect.pipeline import detect as detected
     from ringpose.types.detection import BreakPoints
 
     points = None if previous is None else previous.break_points
-    return detected(shot, rig, source, predicted=points if isinstance(points, BreakPoints) else None)
+    predicted = points if isinstance(points, BreakPoints) else None
+    assumptions = options.about_shot(rig.stability, still=shot.still)
+    return detected(shot, rig, source, predicted=predicted, assumptions=assumptions)

@@ -10,6 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli.app import app
+from ringpose.cli.assumption_options import (
+    MaxRate,
+    MaxSpeed,
+    RigStabilityFactor,
+    RingTolerance,
+    Still,
+    assumption_options,
+)
 from ringpose.cli.device_options import AllowUnseen, Count, Duration, Exposure, LasersUri, Settle, Steps
 from ringpose.cli.known_ring import RadiusInner, RadiusOuter, RadiusSd, RingName, RingOptions, RingsFile
 from ringpose.cli.options import ImageChannel, OptionalInputs, PoseFrame, PoseMethod, Quiet, RigFile, Verbose
@@ -48,6 +56,11 @@ def pose(
     radius_sd: RadiusSd = None,
     ring: RingName = None,
     rings: RingsFile = None,
+    still: Still = False,
+    max_speed: MaxSpeed = None,
+    max_rate: MaxRate = None,
+    ring_tolerance: RingTolerance = None,
+    rig_stability: RigStabilityFactor = 1.0,
     channel: ImageChannel = None,
     camera: LiveCamera = None,
     lasers: LasersUri = None,
@@ -73,11 +86,12 @@ def pose(
         radius_outer_m=radius_outer, radius_inner_m=radius_inner, radius_sd_m=radius_sd, ring=ring, rings=rings
     )
     known = known_ring(ring_options, method)
+    options = assumption_options(still, max_speed, max_rate, ring_tolerance, rig_stability)
     rig_of_shots = read_rig(rig)
     if frame is PoseFrame.TOOL:
         require_mount(rig_of_shots, rig)
     batch = Batch()
-    measure = partial(pose_line, rig=rig_of_shots, method=method, frame=frame, known=known)
+    measure = partial(pose_line, rig=rig_of_shots, method=method, frame=frame, known=known, options=options)
     lines: AbstractContextManager[Iterator[PoseLine]]
     if camera is None:
         lines = nullcontext(_recorded_lines(inputs or [], rig_of_shots, channel, batch, measure))

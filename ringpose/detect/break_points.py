@@ -26,6 +26,7 @@ from ringpose.kernels import ends as kernels
 from ringpose.kernels.ends import EndParams, Ends, MarkParams, flagged_ends
 from ringpose.kernels.lines import LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
 from ringpose.types.arrays import EDGES, Array, Bool, Float64
+from ringpose.types.assumptions import IDEAL, Assumptions
 from ringpose.types.camera import Camera
 from ringpose.types.detection import (
     MAX_OFFSET,
@@ -102,15 +103,16 @@ class BreakPointsOnRing(NamedTuple):
     rejected: tuple[Rejection, ...]
 
 
-def without_outliers(points: BreakPoints, rig: Rig) -> BreakPointsOnRing:
+def without_outliers(points: BreakPoints, rig: Rig, assumptions: Assumptions = IDEAL) -> BreakPointsOnRing:
     """The break points by the best explanation of their ring: inner and outer edge named, wrong ones left out.
 
     They are judged before the ring's edges are searched, since a wrong end misleads that search. A rejected end is
     flagged as occluded. If several explanations are comparable, nothing is rejected: the pose reports what they have in
     common. If the side of the centre is not known, all ends are flagged with `EDGE_UNKNOWN`.
     """
+    prior = Prior(assumptions=assumptions)
     with np.errstate(all="ignore"):  # fits that diverge are rejected by their values
-        best = explain(measurements_of(points, rig), rig, Prior(), labelled=points.labelled, edges_named=False)
+        best = explain(measurements_of(points, rig), rig, prior, labelled=points.labelled, edges_named=False)
     if best is not None and best.edges_exchanged:
         points = points.with_edges_exchanged()
     flags = points.flags.copy()

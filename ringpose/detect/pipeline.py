@@ -21,6 +21,7 @@ from ringpose.detect.stripes import find_stripes, stripe_line_segments
 from ringpose.geometry.rays import project, undistorted_rays
 from ringpose.kernels.lines import CENTERS, LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
 from ringpose.types.arrays import Array, Bool, Float64, Int32
+from ringpose.types.assumptions import USUAL, Assumptions
 from ringpose.types.camera import Camera
 from ringpose.types.detection import (
     UNLABELLED,
@@ -51,15 +52,16 @@ def detect(
     *,
     edges: bool = True,
     predicted: BreakPoints | None = None,
-    still: bool = False,
+    assumptions: Assumptions | None = None,
 ) -> Detection:
     """Stripes, break points (or the reason why there are none) and, unless `edges` is false, the ring's visible edges.
 
     With a prediction, only windows about its stripes are searched; if one of its break points is not found there, the
-    whole frames are searched. `still`: the target is at rest during the shot, as `meta` may also state.
+    whole frames are searched. `assumptions`: None for the usual ones about this shot.
     """
+    if assumptions is None:
+        assumptions = USUAL.about_shot(rig.stability, still=shot.still)
     images = laser_images(shot, len(rig.lasers.names))
-    still = still or bool(shot.meta.get("still", False))
     lasers_on = (np.bitwise_or.reduce(shot.lasers, initial=0) >> np.arange(len(rig.lasers.names))) & 1 == 1
     if not images:
         return Detection(
@@ -67,16 +69,17 @@ def detect(
             stamp_s=shot.measured_at_s,
             break_points=NoBreakPoints.NO_LASER_FRAME,
             lasers_on=lasers_on,
+            still=shot.still,
         )
     stripes = None if predicted is None else _predicted_stripes(images, predicted, rig)
     segments, ring_edges = None, None
-    on_ring = None if stripes is None else _found(stripes, images, shot, rig, still)
+    on_ring = None if stripes is None else _found(stripes, images, shot, rig, assumptions)
     if stripes is None or on_ring is None or _lost(on_ring.break_points, predicted):
         stripes, segments = _all_stripes(images, source)
-        on_ring = _found(stripes, images, shot, rig, still)
+        on_ring = _found(stripes, images, shot, rig, assumptions)
     found = on_ring.break_points
     if isinstance(found, BreakPoints) and (edges or not ends_clear(found)) and source is StripeSource.CENTERS:
-        found, ring_edges = detect_ring_edges(found, shot, stripes, rig, still, on_ring.motion)
+        found, ring_edges = detect_ring_edges(found, shot, stripes, rig, assumptions.motion is None, on_ring.motion)
     if isinstance(found, BreakPoints) and ring_edges is None and not ends_clear(found):
         found = NoBreakPoints.NO_RING
     return Detection(
@@ -87,6 +90,7 @@ def detect(
         segments=segments,
         ring_edges=ring_edges if edges else None,
         lasers_on=lasers_on,
+        still=shot.still,
         rejected=on_ring.rejected if isinstance(found, BreakPoints) else (),
     )
 
@@ -157,7 +161,7 @@ class _Found(NamedTuple):
     motion: RingMotion | None = None
 
 
-def _found(stripes: Stripes, images: list[LaserImage], shot: Shot, rig: Rig, still: bool) -> _Found:
+def _found(stripes: Stripes, images: list[LaserImage], shot: Shot, rig: Rig, assumptions: Assumptions) -> _Found:
     """The break points on the stripes that lie on one ring, or the reason why there are none.
 
     The background of a moving ring is not subtracted where the stripes end: it would leave the ring's edges, displaced.
@@ -170,12 +174,12 @@ def _found(stripes: Stripes, images: list[LaserImage], shot: Shot, rig: Rig, sti
         return _Found(face)
     saturation_dn = images[0].saturation_dn
     points = break_points(face, tracks, images, rig, saturation_dn)
-    motion = None if still else ring_motion(points, shot, rig)
+    motion = None if assumptions.motion is None else ring_motion(points, shot, rig)
     if motion is not None:
         unmoved = [_without_moved_background(image, motion) for image in images]
         if unmoved != images:
             points = break_points(face, tracks, unmoved, rig, saturation_dn)
-    return _Found(*without_outliers(points, rig), motion)
+    return _Found(*without_outliers(points, rig, assumptions), motion)
 
 
 def _without_moved_background(image: LaserImage, motion: RingMotion) -> LaserImage:

@@ -29,7 +29,6 @@ from ringpose.detect.edge_search import (
 )
 from ringpose.detect.motion import RingMotion, moved_to
 from ringpose.estimate.measurements import Edges, Measurements, measurements_of, no_edges
-from ringpose.estimate.nuisance import rig_errors
 from ringpose.estimate.residuals import Prior
 from ringpose.estimate.solver import estimate_ring, refine_ring
 from ringpose.geometry.ring import CURVATURE, STEP, TURN, RingArcs
@@ -263,7 +262,7 @@ class StripeEvidence:
         """The ring near `arcs` by stripes and edge points; weak priors hold what these leave open."""
         prior = Prior(regularize_about=self.start.arcs)
         with np.errstate(all="ignore"):
-            ring = refine_ring(replace(self.measured, edges=edges), rig, prior, rig_errors(rig), arcs, iterations)
+            ring = refine_ring(replace(self.measured, edges=edges), rig, prior, arcs, iterations)
         return None if ring is None else PredictedRing(*ring)
 
 
@@ -279,7 +278,7 @@ def stripe_evidence(break_points: BreakPoints, rig: Rig) -> StripeEvidence | Non
     measured = measurements_of(allowed, rig)
     if not len(measured.lines.laser):
         return None
-    estimate = estimate_ring(measured, rig, Prior(), rig_errors(rig))
+    estimate = estimate_ring(measured, rig, Prior())
     if estimate is None or not plausible(estimate.arcs):
         return None
     return StripeEvidence(measured=measured, start=PredictedRing(estimate.arcs, estimate.inverse))

@@ -28,11 +28,10 @@ def fails_chi2_test(estimate: Estimate, measured: Measurements) -> bool:
 
 
 def chi2(estimate: Estimate, measured: Measurements) -> float:
-    """Chi-squared of stripes, break points, radii and rig; visible edges are too many to be compared with these."""
+    """Chi-squared of stripes, break points and priors; visible edges are too many to be compared with these."""
     squares = np.minimum(estimate.remaining**2, 1e6)
     edges = slice(stripe_rows(measured), stripe_rows(measured) + len(measured.edges.edge))
-    of_rig = estimate.nuisance_step[: estimate.rig_errors]
-    return float(squares.sum()) - float(squares[edges].sum()) + float(of_rig @ of_rig)
+    return float(squares.sum()) - float(squares[edges].sum()) + estimate.common_chi2
 
 
 def degrees_of_freedom(estimate: Estimate, measured: Measurements) -> int:

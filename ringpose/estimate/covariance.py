@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ringpose.estimate.nuisance import rate_sds
 from ringpose.estimate.residuals import PARAMETERS
 from ringpose.estimate.solver import Estimate
 from ringpose.geometry.ring import (
@@ -24,6 +25,7 @@ from ringpose.geometry.ring import (
 )
 from ringpose.geometry.rotations import cross, tilt_basis
 from ringpose.types.arrays import Array, Float64
+from ringpose.types.pose import RingVelocity
 
 TILTS, OFFSET, CENTER_IN_PLANE, RADII = slice(0, 2), 2, slice(3, 5), slice(5, 7)
 CENTER, GRASP, CURVATURE_OUT, BAND_OUT = slice(7, 10), slice(10, 13), 13, 14
@@ -60,8 +62,8 @@ class Quantities(NamedTuple):
     """Unit vector along the face at the grasp point, normal x outward."""
     along_wrt_points_m: Float64[Array, "point"]
     """Shift of the grasp point along the face by an error of one standard deviation in each break point."""
-    along_wrt_rig_m: Float64[Array, "error"]
-    """The same by each common error of the rig, for a fixed ring."""
+    along_wrt_nuisance_m: Float64[Array, "error"]
+    """The same by each of the rates and the rig's errors, for a fixed ring."""
 
 
 def quantities(estimate: Estimate) -> Quantities:
@@ -111,7 +113,7 @@ def quantities(estimate: Estimate) -> Quantities:
         jacobian=jacobian,
         along=face_direction,
         along_wrt_points_m=along_wrt_x / (residuals.distance_scale * residuals.distance_wrt_x),
-        along_wrt_rig_m=along_wrt_ray @ estimate.mean_ray_wrt_rig,
+        along_wrt_nuisance_m=along_wrt_ray @ estimate.mean_ray_wrt_nuisance,
     )
 
 
@@ -131,7 +133,7 @@ def joint_covariance(estimate: Estimate, found: Quantities) -> Float64[Array, "1
     """
     covariance: Float64[Array, "15 15"] = found.jacobian @ estimate.inverse @ found.jacobian.T
     residuals, nuisance = estimate.residuals, estimate.nuisance
-    along = nuisance[:, : estimate.rig_errors] @ found.along_wrt_rig_m
+    along = nuisance[:, : len(found.along_wrt_nuisance_m)] @ found.along_wrt_nuisance_m
     along[residuals.ends : residuals.ends + len(found.along_wrt_points_m)] += found.along_wrt_points_m
     weighted = along * estimate.weights
     if nuisance.shape[1]:
@@ -143,9 +145,33 @@ def joint_covariance(estimate: Estimate, found: Quantities) -> Float64[Array, "1
     covariance[:, GRASP] += with_along
     covariance[GRASP] += with_along.T
     variance = found.along_wrt_points_m @ found.along_wrt_points_m
-    variance += found.along_wrt_rig_m @ found.along_wrt_rig_m
+    variance += found.along_wrt_nuisance_m @ found.along_wrt_nuisance_m
     covariance[GRASP, GRASP] += variance * np.outer(found.along, found.along)
     return 0.5 * (covariance + covariance.T)  # exactly symmetric, also for large variances
+
+
+def ring_velocity(estimate: Estimate) -> RingVelocity | None:
+    """Velocity of the ring's centre and angular velocity across its normal, with their covariance; None if still.
+
+    The rates are q = -M^-1 (B^T W r + C step) with M = 1 + B^T W B and C = B^T W J, so that their covariance is
+    M^-1 + M^-1 C N^-1 C^T M^-1, in the standard deviations of their prior.
+    """
+    motion, count = estimate.prior.assumptions.motion, len(estimate.rate_deviations)
+    if motion is None or not count:
+        return None
+    weighted = estimate.nuisance.T * estimate.weights
+    inverse = np.linalg.inv(weighted @ estimate.nuisance + np.eye(len(weighted)))
+    gain = (inverse @ (weighted @ estimate.residuals.jacobian))[:count]
+    scale = rate_sds(motion)
+    covariance = (inverse[:count, :count] + gain @ estimate.inverse @ gain.T) * scale[:, None] * scale
+    to_basis = np.eye(count)  # angular velocities from the arcs' axes to the tilt basis of the normal
+    to_basis[3:, 3:] = tilt_basis(estimate.arcs.normal) @ estimate.arcs.axes[:2].T
+    covariance = to_basis @ covariance @ to_basis.T
+    return RingVelocity(
+        center_m_s=estimate.rates.velocity_m_s,
+        rate_rad_s=estimate.rates.rate_rad_s,
+        covariance=0.5 * (covariance + covariance.T),
+    )
 
 
 def difference_from(

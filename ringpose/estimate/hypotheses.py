@@ -31,13 +31,15 @@ from ringpose.estimate.covariance import (
     difference_from,
     joint_covariance,
     quantities,
+    ring_velocity,
 )
+from ringpose.estimate.initial_guess import initial_guess
 from ringpose.estimate.measurements import Measurements, inflate_sigma
-from ringpose.estimate.nuisance import RigErrors, rig_errors
-from ringpose.estimate.residuals import PARAMETERS, Prior, ring_residuals
-from ringpose.estimate.solver import OUTLIER_SIGMAS, Estimate, estimate_ring
+from ringpose.estimate.residuals import PARAMETERS, Prior, at_reference_time
+from ringpose.estimate.solver import OUTLIER_SIGMAS, Estimate, estimate_ring, log_determinant, predicted_residuals
 from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, edge_distances
 from ringpose.types.arrays import Array, Float64
+from ringpose.types.assumptions import Assumptions, MotionPrior, motion_prior
 from ringpose.types.detection import Rejection
 from ringpose.types.pose import PoseFlag
 from ringpose.types.rig import Rig
@@ -78,6 +80,15 @@ STRAIGHT_SIGMAS = 3.0
 
 CONFIRMED_BELOW = 2.0
 """Largest ratio of the curvature's sigmas without and with the other end of a stripe (`_without_unconfirmed_end`)."""
+
+WIDER = PoseFlag.MOTION | PoseFlag.RING_FORM
+"""Flags of explanations that reject nothing but need a wider prior."""
+
+WIDER_BY = 4.0
+"""Factor on the standard deviations of that prior."""
+
+MIN_DEVIATION_M = 0.001
+"""Smallest standard deviation of a ring's edges and face in an explanation by the ring's form."""
 
 EDGE_NUMBERS = 8.0
 """Independent numbers that the visible edges count as when explanations are compared: one per correlation length."""
@@ -148,7 +159,7 @@ class Explanation(NamedTuple):
     competing: tuple[Estimate, ...] = ()
     """The rings of other explanations that are comparable."""
     differing: frozenset[str] = frozenset()
-    """Quantities in which these differ: `center`, `normal`, `grasp`, `radius`."""
+    """Quantities in which these differ: `center`, `normal`, `grasp`, `radius`, `velocity`."""
 
 
 def explain(measured: Measurements, rig: Rig, prior: Prior, *, labelled: bool, edges_named: bool) -> Explanation | None:
@@ -157,11 +168,13 @@ def explain(measured: Measurements, rig: Rig, prior: Prior, *, labelled: bool, e
     `labelled`: whether the lasers were identified by switching them. `edges_named`: whether it is known which edges are
     the inner ones; if it is not, or if the centre turns out to be on the other side, both ways are tried.
     """
+    start = initial_guess(measured, measured.observations(rig.lasers), prior)
+    measured = measured if start is None else at_reference_time(start, measured, rig.lasers)
     best = _better_side(measured, rig, prior, labelled, edges_named)
     if prior.radii is None or best is None or PoseFlag.RADIUS_INCONSISTENT in best.flag:
         return best
     # visible edges are too many to be compared with two radii by chi-squared: the ring without the radii is
-    alone = _better_side(measured, rig, Prior(), labelled, edges_named)
+    alone = _better_side(measured, rig, prior._replace(radii=None), labelled, edges_named)
     if alone is None or not _contradicts(alone.estimate, prior.radii):
         return best
     return alone._replace(
@@ -194,20 +207,22 @@ def _better_side(
     measured: Measurements, rig: Rig, prior: Prior, labelled: bool, edges_named: bool
 ) -> Explanation | None:
     """The best explanation, with inner and outer edges as they are named or exchanged."""
-    errors = rig_errors(rig)
-    best = _explained(measured, rig, prior, errors, labelled)
+    best = _explained(measured, rig, prior, labelled)
     if best is not None:
         curvature, sd = curvature_alone(best.estimate)
-        if curvature > (-SIDE_SIGMAS if edges_named else SIDE_SIGMAS) * sd:
+        # with unknown rates, both sides may explain a shot with a significant curvature each
+        compared = len(best.estimate.rate_deviations) and not len(measured.edges.edge) and not edges_named
+        if curvature > (-SIDE_SIGMAS if edges_named else SIDE_SIGMAS) * sd and not compared:
             return best
-    other = _explained(measured.with_edges_exchanged(), rig, prior, errors, labelled)
+    other = _explained(measured.with_edges_exchanged(), rig, prior, labelled)
     other = None if other is None else other._replace(edges_exchanged=True)
     if best is None or other is None:
         only = best or other
         return None if only is None else only._replace(side_known=False)
     first, second = sorted((best, other), key=_side_score)
     clear = _side_score(second) - _side_score(first) > SIDE_SIGMAS**2
-    return first._replace(side_known=clear and not (edges_named and first.edges_exchanged))
+    differing = first.differing if clear else first.differing | differing_quantities(first.estimate, second.estimate)
+    return first._replace(side_known=clear and not (edges_named and first.edges_exchanged), differing=differing)
 
 
 def _side_score(explanation: Explanation) -> float:
@@ -218,26 +233,29 @@ def _side_score(explanation: Explanation) -> float:
     return score + min(estimate.arcs.curvature, 0.0) ** 2 / variance
 
 
-def _explained(
-    measured: Measurements, rig: Rig, prior: Prior, errors: RigErrors | None, labelled: bool
-) -> Explanation | None:
+def _explained(measured: Measurements, rig: Rig, prior: Prior, labelled: bool) -> Explanation | None:
     """The best explanation with inner and outer edges as they are named."""
-    estimate = estimate_ring(measured, rig, prior, errors)
+    estimate = estimate_ring(measured, rig, prior)
     if estimate is not None and len(measured.edges.edge):
         measured = replace(measured, edges=inflate_sigma(measured.edges, edge_residuals(estimate, measured)))
-        estimate = estimate_ring(measured, rig, prior, errors, estimate.arcs)
+        estimate = estimate_ring(measured, rig, prior, estimate.arcs)
     everything = None if estimate is None else Solved(Hypothesis(measured, prior), estimate)
     if everything is not None and not _is_suspicious(everything):
-        return _explanation(everything, everything, _single_stripes(everything, rig, errors))
+        return _explanation(everything, everything, _single_stripes(everything, rig))
     tried: list[Solved] = []
     for hypothesis in outlier_hypotheses(measured, rig, prior, labelled):
-        estimate = estimate_ring(hypothesis.measured, rig, hypothesis.prior, errors)
-        if estimate is not None and (_is_ring(estimate) or hypothesis.both):
-            tried.append(Solved(hypothesis, estimate))
+        estimate = estimate_ring(hypothesis.measured, rig, hypothesis.prior)
+        if estimate is None or not (_is_ring(estimate) or hypothesis.both):
+            continue
+        wider = 0.0
+        if everything is not None and hypothesis.flag & WIDER:
+            # the likelihood of a wider prior: what it explains, less all that it could have explained
+            wider = max(log_determinant(estimate) - log_determinant(everything.estimate), 0.0)
+        tried.append(Solved(hypothesis._replace(penalty=hypothesis.penalty + wider), estimate))
     if everything is None and not tried:
         return None
     best, rivals = _select(everything, tried)
-    return _explanation(best, everything, [*rivals, *_single_stripes(best, rig, errors)])
+    return _explanation(best, everything, [*rivals, *_single_stripes(best, rig)])
 
 
 def _select(everything: Solved | None, tried: list[Solved]) -> tuple[Solved, list[Solved]]:
@@ -299,6 +317,10 @@ def differing_quantities(best: Estimate, rival: Estimate) -> frozenset[str]:
         "grasp": (np.array([height_m, float(radial.distance_m[0])]), across @ covariance[GRASP, GRASP] @ across.T),
         "radius": (difference[RADII], covariance[RADII, RADII]),
     }
+    velocity, of_rival = ring_velocity(best), ring_velocity(rival)
+    if velocity is not None and of_rival is not None:
+        change = of_rival.center_m_s - velocity.center_m_s
+        tested["velocity"] = (change, velocity.covariance[:3, :3])
     return frozenset(name for name, (by, of) in tested.items() if not _within(by, of))
 
 
@@ -310,7 +332,7 @@ def _within(difference: Float64[Array, "n"], covariance: Float64[Array, "n n"]) 
     return squared <= DIFFERS * len(difference)
 
 
-def _single_stripes(solved: Solved, rig: Rig, errors: RigErrors | None) -> list[Solved]:
+def _single_stripes(solved: Solved, rig: Rig) -> list[Solved]:
     """Explanations by one stripe of two, the other one being on the background, if these are comparable.
 
     Light planes are nearly parallel, so that any two stripes lie nearly in a plane: two stripes have hardly any
@@ -321,16 +343,18 @@ def _single_stripes(solved: Solved, rig: Rig, errors: RigErrors | None) -> list[
     if len(measured.edges.edge):
         return []
     found = []
-    for laser, alone, estimate in single_stripe_estimates(measured, rig, errors):
+    assumptions = solved.hypothesis.prior.assumptions
+    for laser, alone, estimate in single_stripe_estimates(measured, rig, assumptions):
         if ring_evidence(estimate, measured, laser, rig) < COINCIDENCE:
             rejected = (Rejection(what="stripe", laser=rig.lasers.names[laser]),)
-            hypothesis = Hypothesis(alone, Prior(), PoseFlag.STRIPE_REJECTED, rejected=rejected, laser=laser)
+            prior = Prior(assumptions=assumptions)
+            hypothesis = Hypothesis(alone, prior, PoseFlag.STRIPE_REJECTED, rejected=rejected, laser=laser)
             found.append(Solved(hypothesis, estimate))
     return found
 
 
 def single_stripe_estimates(
-    measured: Measurements, rig: Rig, errors: RigErrors | None
+    measured: Measurements, rig: Rig, assumptions: Assumptions
 ) -> Iterator[tuple[int, Measurements, Estimate]]:
     """For each of two stripes its laser, and measurements and ring without it; nothing for other numbers of stripes.
 
@@ -339,7 +363,7 @@ def single_stripe_estimates(
     """
     for laser in measured.lines.laser.tolist() if len(measured.lines.laser) == 2 else []:
         alone = measured.without_laser(laser)
-        estimate = estimate_ring(alone, rig, Prior(), errors) if len(alone.points.x) else None
+        estimate = estimate_ring(alone, rig, Prior(assumptions=assumptions)) if len(alone.points.x) else None
         if estimate is not None:
             yield laser, alone, estimate
 
@@ -347,15 +371,13 @@ def single_stripe_estimates(
 def ring_evidence(estimate: Estimate, measured: Measurements, laser: int, rig: Rig) -> float:
     """Log likelihood ratio of a laser's stripe on the ring that another stripe predicts, against one anywhere.
 
-    ln N(r; 0, 1 + J C J^T) - ln(1 / range): r, J are the stripe's whitened residuals at the prediction and their
-    Jacobian, C is the prediction's covariance.
+    ln N(r; 0, C) - ln(1 / range): r are the stripe's whitened residuals at the prediction, C is their covariance.
     """
-    residuals = ring_residuals(estimate.arcs, measured, measured.observations(rig.lasers), Prior())
     line = np.flatnonzero(np.repeat(measured.lines.laser == laser, 2))
     points = np.flatnonzero(measured.points.laser == laser)
-    rows = np.concatenate([line, residuals.ends + points])
-    residual, jacobian = residuals.residual[rows], residuals.jacobian[rows]
-    covariance = np.eye(len(rows)) + jacobian @ estimate.inverse @ jacobian.T
+    rows = np.concatenate([line, 2 * len(measured.lines.laser) + points])
+    residual, covariance = predicted_residuals(estimate, measured, rig)
+    residual, covariance = residual[rows], covariance[np.ix_(rows, rows)]
     log_ring = -0.5 * (
         residual @ np.linalg.solve(covariance, residual) + np.linalg.slogdet(2.0 * np.pi * covariance)[1]
     )
@@ -382,6 +404,23 @@ def outlier_hypotheses(measured: Measurements, rig: Rig, prior: Prior, labelled:
         penalty = OUTLIER_PENALTY + PARAMETER_PENALTY  # one cause: the wrong ring was named
         flag, rejected = PoseFlag.RADIUS_INCONSISTENT, (Rejection(what="radius"),)
         yield Hypothesis(measured, prior._replace(radii=None), flag, RADIUS_REMARK, penalty, rejected)
+    yield from _wider_priors(measured, prior)
+
+
+def _wider_priors(measured: Measurements, prior: Prior) -> Iterator[Hypothesis]:
+    """The target moves faster, or the ring is less round and flat, than assumed: nothing is rejected."""
+    motion, tolerance_m = prior.assumptions.motion, prior.assumptions.ring_tolerance_m
+    times_s = measured.times_s(measured.stamp_s)
+    if times_s.any():
+        usual = motion_prior() if motion is None else motion
+        faster = MotionPrior(speed_sd_m_s=WIDER_BY * usual.speed_sd_m_s, rate_sd_rad_s=WIDER_BY * usual.rate_sd_rad_s)
+        remark = "the target moved within the shot" if motion is None else "the target moves faster than assumed"
+        assumptions = replace(prior.assumptions, motion=faster)
+        yield Hypothesis(measured, prior._replace(assumptions=assumptions), PoseFlag.MOTION, remark, OUTLIER_PENALTY)
+    deviation_m = max(WIDER_BY * tolerance_m, MIN_DEVIATION_M)
+    remark = "the ring deviates from a circle or a plane by more than assumed"
+    assumptions = replace(prior.assumptions, ring_tolerance_m=deviation_m)
+    yield Hypothesis(measured, prior._replace(assumptions=assumptions), PoseFlag.RING_FORM, remark, OUTLIER_PENALTY)
 
 
 def _wrong_points(measured: Measurements, rig: Rig, prior: Prior) -> Iterator[Hypothesis]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from ringpose.estimate.consistency import chi2, degrees_of_freedom
 from ringpose.estimate.measurements import Measurements
-from ringpose.estimate.nuisance import RigErrors, edge_jacobian
+from ringpose.estimate.nuisance import FORM_PARAMETERS, RigErrors, edge_jacobian
 from ringpose.estimate.residuals import Prior
 from ringpose.estimate.solver import Estimate
 from ringpose.geometry.ring import normal_and_center, public_wrt_rates, public_wrt_step
@@ -19,37 +19,28 @@ POSE, RATES = slice(0, 7), slice(7, 12)
 """Columns of `MEASURED_PARAMETERS`."""
 
 
-def pose_stamp(estimate: Estimate, measured: Measurements) -> float:
-    """t_0, the mean of the stamps weighted by the information on the centre's position; NaN if stamps are unknown."""
-    stamps = measured.stamp_s
-    if not bool(np.isfinite(stamps).all()):
-        return float("nan")
-    rows = _public_jacobian(estimate)[: len(stamps), 2:5]
-    weight = (rows * rows).sum(axis=1) * estimate.weights[: len(stamps)]
-    first = stamps.min()
-    return float(first + weight @ (stamps - first) / weight.sum())
-
-
-def ring_measurement(
-    estimate: Estimate, measured: Measurements, errors: RigErrors | None, reference_s: float
-) -> RingMeasurement:
-    """The square root of the shot's own information on the twelve parameters and the rig's, at `reference_s`.
+def ring_measurement(estimate: Estimate, measured: Measurements, errors: RigErrors | None) -> RingMeasurement:
+    """The square root of the shot's own information on the twelve parameters and the common errors, at t_0.
 
     The correlated errors of visible edge points are noise of this shot alone: they are eliminated first, with their
     prior, as the leading columns of the QR factorization.
     """
     rows, arcs = estimate.residuals.data_rows, estimate.arcs
     jacobian = _public_jacobian(estimate)[:rows]
-    time_s = measured.stamp_s - reference_s
-    time_s = np.where(np.isfinite(time_s), time_s, 0.0)
-    # a rate moves the ring by (t - t_0) times its derivative, Eq. (8.2)
-    wrt_rates = time_s[:, None] * (jacobian @ public_wrt_rates(arcs.normal, arcs.center))
-    wrt_rig = np.zeros((rows, 0)) if estimate.rig is None else estimate.rig[:rows]
+    if estimate.residuals.wrt_rates.size:
+        wrt_rates = estimate.residuals.wrt_rates[:rows].copy()
+        wrt_rates[:, 3:] = wrt_rates[:, 3:] @ arcs.axes[:2] @ tilt_basis(arcs.normal).T
+    else:  # of a ring that is assumed to be still, a rate moves it by (t - t_0) times its derivative, Eq. (8.2)
+        time_s = measured.times_s(measured.stamp_s)
+        wrt_rates = time_s[:, None] * (jacobian @ public_wrt_rates(arcs.normal, arcs.center))
+    empty = np.zeros((rows, 0))
+    wrt_rig = empty if estimate.rig is None else estimate.rig[:rows]
+    wrt_form = empty if estimate.form is None else estimate.form[:rows]
     own = edge_jacobian(estimate.residuals, measured)[:rows] if len(measured.edges.edge) else np.zeros((rows, 0))
     residual = estimate.residuals.residual[:rows]
 
     # z - h(x) = r falls by -J dx: the derivative of the prediction h is minus that of the residual
-    columns = np.concatenate([own, jacobian, wrt_rates, wrt_rig, -residual[:, None]], axis=1)
+    columns = np.concatenate([own, jacobian, wrt_rates, wrt_rig, wrt_form, -residual[:, None]], axis=1)
     whitened = -columns * np.sqrt(estimate.weights[:rows])[:, None]
     count = own.shape[1]
     prior = np.eye(count, whitened.shape[1])
@@ -60,10 +51,13 @@ def ring_measurement(
             normal=arcs.normal,
             radius_inner_m=float(arcs.radius_m[0]),
             radius_outer_m=float(arcs.radius_m[1]),
-            velocity_m_s=np.zeros(3),
-            rate_rad_s=np.zeros(3),
+            velocity_m_s=estimate.rates.velocity_m_s,
+            rate_rad_s=estimate.rates.rate_rad_s,
         ),
-        nuisance_parameters=() if errors is None else errors.parameters,
+        nuisance_parameters=(
+            *(() if errors is None else errors.parameters),
+            *(() if estimate.form is None else FORM_PARAMETERS),
+        ),
         square_root=np.asarray(triangle)[count:, count:],
         degrees_of_freedom=degrees_of_freedom(estimate, measured),
         chi2=chi2(estimate, measured),

@@ -98,6 +98,8 @@ class Observations(NamedTuple):
     """-1 for the inner edge, +1 for the outer."""
     sigma_x: Float64[Array, "point"]
     """Standard deviations of the break points' abscissae."""
+    time_s: Float64[Array, "sample"]
+    """From the reference time to the mid exposure of the sample's frame."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -123,6 +125,8 @@ class Measurements:
     edges: Edges
     has_covariances: bool
     """Whether every break point has a covariance; otherwise the pose is reported without."""
+    reference_s: float = math.nan
+    """The instant at which the ring is estimated, t_0; NaN if the stamps are unknown."""
 
     def observations(self, planes: LaserPlanes) -> Observations:
         """Ends of the lines and break points in one array, with the light planes of their lasers."""
@@ -141,7 +145,13 @@ class Measurements:
             whitening=whitening,
             edge_sign=2.0 * self.points.edge - 1.0,
             sigma_x=self.points.sigma_x,
+            time_s=self.times_s(np.concatenate([np.repeat(self.lines.stamp_s, 2), self.points.stamp_s])),
         )
+
+    def times_s(self, stamp_s: Float64[Array, "n"]) -> Float64[Array, "n"]:
+        """Times from the reference time; 0 where a stamp is unknown."""
+        time_s = stamp_s - self.reference_s
+        return np.where(np.isfinite(time_s), time_s, 0.0)
 
     @property
     def stamp_s(self) -> Float64[Array, "row"]:
@@ -207,8 +217,13 @@ def measurements_of(break_points: BreakPoints, rig: Rig, ring_edges: RingEdgePoi
         stamp_s=_stamps(break_points)[laser],
         beside_occluder=break_points.flags[laser, edge] & int(BreakPointFlag.BESIDE_OCCLUDER) != 0,
     )
+    stamps = np.concatenate([lines.stamp_s, points.stamp_s])
     return Measurements(
-        lines=lines, points=points, edges=_edges(ring_edges, rig.camera), has_covariances=has_covariances
+        lines=lines,
+        points=points,
+        edges=_edges(ring_edges, rig.camera),
+        has_covariances=has_covariances,
+        reference_s=float(stamps.mean()) if len(stamps) else math.nan,
     )
 
 

@@ -1,25 +1,42 @@
 """Nuisance parameters: errors that many residuals have in common (ringpose-method(7), section 5).
 
-Light planes and camera are known with a joint covariance. The columns of its square root are independent errors of unit
-variance; each one is a parameter of the fit beside the ring, with the prior N(0, 1). The common errors of the points of
-a visible edge (`Edges.common`) are treated in the same way.
+Light planes and camera are known with a joint covariance, that of the calibration plus what may have changed since
+(section 11). The columns of its square root are independent errors of unit variance; each one is a parameter of the fit
+beside the ring, with the prior N(0, 1). The rates of a moving target (section 8), the form of a real ring (section 12)
+and the common errors of the points of a visible edge (`Edges.common`) are treated in the same way.
 """
 
 from dataclasses import dataclass
 from functools import lru_cache
+from math import sqrt
 
 import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.estimate.measurements import Measurements, Observations, pixels_wrt_ray_and_camera
 from ringpose.estimate.residuals import Residuals
+from ringpose.geometry.ring import EDGE_SIGN, HALF_BAND, LIFT, RingArcs, polar_angles
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.covariance import CAMERA_PARAMETERS, PLANE_PARAMETERS
+from ringpose.types.assumptions import MotionPrior, RigStability
+from ringpose.types.covariance import CAMERA_PARAMETERS, PLANE_PARAMETERS, ParameterCovariance, laser_parameters
 from ringpose.types.rig import Rig
 
 _NEGLIGIBLE = 1e-12
 """Share of the correlation matrix's largest eigenvalue below which a combination of parameters counts as exact."""
+
+
+EXACT = RigStability()
+"""Of a rig that has not changed since its calibration."""
+
+FORM_ORDERS = (2, 3, 4)
+"""Orders of a ring's deviations from circle and plane; 0 and 1 are radius, centre, offset and tilt."""
+
+FORM_PARAMETERS = tuple(
+    f"form.{what}.{axis}{order}" for what in ("inner", "outer", "axial") for order in FORM_ORDERS for axis in "ab"
+)
+"""Amplitudes in metres: radial deviation of each edge and axial deviation of the face, a_k cos(k phi) + b_k sin(k phi),
+with the angle phi from the middle of the arc that was seen."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -36,15 +53,16 @@ class RigErrors:
 
 
 @lru_cache(maxsize=8)
-def rig_errors(rig: Rig) -> RigErrors | None:
-    """The errors of the rig's calibration; None if the rig has no covariance, or not a finite one.
+def rig_errors(rig: Rig, stability: RigStability = EXACT) -> RigErrors | None:
+    """The errors of the rig's calibration and stability; None if both are zero or not known.
 
     Parameters without variance are left out.
     """
-    if rig.covariance is None or not np.isfinite(rig.covariance.data).all():
+    total = total_covariance(rig, stability)
+    uncertain = np.diag(total.data) > 0
+    names = tuple(name for name, kept in zip(total.parameters, uncertain, strict=True) if kept)
+    if not names:
         return None
-    uncertain = np.diag(rig.covariance.data) > 0
-    names = tuple(name for name, kept in zip(rig.covariance.parameters, uncertain, strict=True) if kept)
     camera = np.zeros((4 + len(rig.camera.distortion_coefficients), len(names)))
     lasers = np.zeros((len(rig.lasers.names), len(PLANE_PARAMETERS), len(names)))
     for column, name in enumerate(names):
@@ -59,8 +77,31 @@ def rig_errors(rig: Rig) -> RigErrors | None:
                 f"it names {name!r}, which is not a parameter of this rig",
                 "run ringpose calibrate-planes",
             )
-    root = _root(rig.covariance.data[np.ix_(uncertain, uncertain)])
+    root = _root(total.data[np.ix_(uncertain, uncertain)])
     return RigErrors(parameters=names, root=root, camera=camera, lasers=lasers, basis=light_plane_bases(rig))
+
+
+def total_covariance(rig: Rig, stability: RigStability) -> ParameterCovariance:
+    """The covariance of the rig's parameters: of its calibration, if it is known and finite, plus its stability.
+
+    Since the calibration, each plane's tilts and distance, and both focal lengths together, may have changed.
+    """
+    calibrated = rig.covariance
+    if calibrated is None or not np.isfinite(calibrated.data).all():
+        calibrated = ParameterCovariance(parameters=(), data=np.zeros((0, 0)))
+    if stability == EXACT:
+        return calibrated
+    names = (*CAMERA_PARAMETERS[:2], *laser_parameters(rig.lasers.names))
+    names = (*calibrated.parameters, *(name for name in names if name not in calibrated.parameters))
+    covariance = np.zeros((len(names), len(names)))
+    covariance[: len(calibrated.parameters), : len(calibrated.parameters)] = calibrated.data
+    focal = [names.index(name) for name in CAMERA_PARAMETERS[:2]]
+    focal_sd_px = stability.focal_ratio * rig.camera.camera_matrix[[0, 1], [0, 1]]
+    covariance[np.ix_(focal, focal)] += np.outer(focal_sd_px, focal_sd_px)
+    of_plane = (stability.plane_tilt_rad, stability.plane_tilt_rad, stability.plane_distance_m)
+    for name, sd in zip(laser_parameters(rig.lasers.names), of_plane * len(rig.lasers.names), strict=True):
+        covariance[names.index(name), names.index(name)] += sd**2
+    return ParameterCovariance(parameters=names, data=covariance)
 
 
 @lru_cache(maxsize=8)
@@ -117,6 +158,37 @@ def mean_ray_jacobian(
     laser = np.concatenate([np.repeat(measured.lines.laser, 2), measured.points.laser])
     y_wrt_rig = _ordinate_wrt_planes(residuals, laser, errors)[points] + residuals.slope[:, None] * x_wrt_rig
     return np.array([x_wrt_rig.mean(axis=0), y_wrt_rig.mean(axis=0)]) @ errors.root
+
+
+def rate_sds(prior: MotionPrior) -> Float64[Array, "rate=5"]:
+    """Standard deviations of velocity and angular velocity, as the rates' columns of the residuals."""
+    return np.array([prior.speed_sd_m_s] * 3 + [prior.rate_sd_rad_s] * 2)
+
+
+def form_sd_m(tolerance_m: float) -> float:
+    """Standard deviation of each amplitude, so that the deviation at any angle has the tolerance as its own."""
+    return tolerance_m / sqrt(len(FORM_ORDERS))
+
+
+def form_jacobian(residuals: Residuals, measured: Measurements, arcs: RingArcs) -> Float64[Array, "row amplitude=18"]:
+    """Derivatives of the residuals with respect to the amplitudes of the ring's form (`FORM_PARAMETERS`), Eq. (12.1).
+
+    An axial deviation acts like an offset of the plane, a radial one like a change of its edge's radius, both at the
+    angle of the row.
+    """
+    isolated = np.flatnonzero(measured.points.isolated)
+    rays = residuals.stripes.rays
+    angle = polar_angles(arcs, np.concatenate([rays, rays[residuals.ends :][isolated], measured.edges.ray]))
+    edge = [np.full(residuals.ends, -1), measured.points.edge, measured.points.edge[isolated], measured.edges.edge]
+    of_edge = np.concatenate(edge)
+    shape = np.column_stack([wave(order * angle) for order in FORM_ORDERS for wave in (np.cos, np.sin)])
+    jacobian = np.zeros((len(residuals.residual), len(FORM_PARAMETERS)))
+    data, count = jacobian[: residuals.data_rows], shape.shape[1]
+    for number, sign in enumerate(EDGE_SIGN):  # the increment HALF_BAND moves the outer edge outward, the inner inward
+        radial = np.where(of_edge == number, sign * residuals.jacobian[: residuals.data_rows, HALF_BAND], 0.0)
+        data[:, number * count : (number + 1) * count] = radial[:, None] * shape
+    data[:, 2 * count :] = residuals.jacobian[: residuals.data_rows, LIFT, None] * shape
+    return jacobian
 
 
 def edge_jacobian(residuals: Residuals, measured: Measurements) -> Float64[Array, "row error"]:

@@ -5,7 +5,9 @@ break points along their lines (b), the ordinates of break points without a line
 (d). The ring is described by `ringpose.geometry.ring`.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -23,9 +25,12 @@ from ringpose.geometry.ring import (
     RingArcs,
     StripePrediction,
     edge_distances,
+    motion_derivatives,
     predicted_stripes,
 )
 from ringpose.types.arrays import Array, Float64, Int64
+from ringpose.types.assumptions import Assumptions
+from ringpose.types.rig import LaserPlanes
 from ringpose.types.ring import KnownRadii
 
 PARAMETERS = len(STEP)
@@ -43,10 +48,28 @@ EXPECTED_HALF_BAND_M, HALF_BAND_SD_M = 0.015, 0.015
 """Prior on half the width of the face if only one edge was seen: faces in launcher manuals are 0.03 m wide."""
 
 
+RATES = 5
+"""Velocity of the ring's centre, and angular velocities about its inward axis and about the axis along its face."""
+
+
+class Rates(NamedTuple):
+    """Motion of the ring: constant rates within a shot, Eq. (8.1)."""
+
+    velocity_m_s: Float64[Array, "xyz=3"]
+    """Of the ring's centre."""
+    rate_rad_s: Float64[Array, "xyz=3"]
+    """Angular velocity across the normal."""
+
+
+STILL = Rates(np.zeros(3), np.zeros(3))
+
+
 class Prior(NamedTuple):
     """What is known about the ring before the measurement."""
 
     radii: KnownRadii | None = None
+    assumptions: Assumptions = Assumptions()
+    """On motion, the ring's form and the rig."""
     regularize_about: RingArcs | None = None
     """The ring about which curvature, turn and tilt have weak priors; None to estimate from the shot alone."""
     single_edge: bool = False
@@ -82,6 +105,10 @@ class Residuals(NamedTuple):
     distance_scale: Float64[Array, "point"]
     """1 / standard deviation of that distance."""
     ordinates: OrdinateScale
+    wrt_rates: Float64[Array, "row rate"]
+    """Derivatives by the rates (`RATES`); no columns if all rows are of one instant."""
+    y_wrt_rates: Float64[Array, "sample rate"]
+    """Derivatives of the predicted ordinates by the rates."""
 
     @property
     def slope(self) -> Float64[Array, "point"]:
@@ -94,16 +121,24 @@ class Residuals(NamedTuple):
         return self.stripes.rays[self.ends :, 1]
 
 
-def ring_residuals(arcs: RingArcs, measured: Measurements, observations: Observations, prior: Prior) -> Residuals:
-    """The residuals of a ring; `observations` are the same measurements with their light planes."""
+def ring_residuals(
+    arcs: RingArcs, measured: Measurements, observations: Observations, prior: Prior, rates: Rates = STILL
+) -> Residuals:
+    """The residuals of a ring at the reference time; `observations` are the measurements with their light planes.
+
+    With a prior of the motion, every residual is evaluated for the ring at the time of its own frame.
+    """
     ends = len(observations.whitening)
-    stripes = predicted_stripes(arcs, observations.rays[:, 0], observations.light_normal, observations.light_distance_m)
+    rings = _rings_of_frames(arcs, measured, observations, prior, rates)
+    of_points, of_edges = rings.of_sample[ends:], rings.of_edge
+    planes = (observations.light_normal, observations.light_distance_m)
+    stripes = _of_frames(predicted_stripes, rings.arcs, rings.of_sample, (observations.rays[:, 0], *planes))
     # a: whitened distances of the lines' ends from the predicted lines
     above = observations.rays[:, 1] - stripes.rays[:, 1]
     blocks = [(observations.whitening @ above[:ends], -observations.whitening @ stripes.y_wrt_step[:ends])]
 
     # b: distances of the break points from their edges, along the predicted lines
-    points = edge_distances(arcs, stripes.rays[ends:], observations.edge_sign)
+    points = _of_frames(edge_distances, rings.arcs, of_points, (stripes.rays[ends:], observations.edge_sign))
     wrt_step = points.wrt_step + points.wrt_ray[:, 1:] * stripes.y_wrt_step[ends:]  # the point moves with its line
     distance_wrt_x = points.wrt_ray[:, 0] + stripes.slope[ends:] * points.wrt_ray[:, 1]
     distance_wrt_x = np.where(np.abs(distance_wrt_x) < MIN_RATE, MIN_RATE, distance_wrt_x)
@@ -118,7 +153,8 @@ def ring_residuals(arcs: RingArcs, measured: Measurements, observations: Observa
         blocks.append((ordinate_scale * remainder, ordinate_scale[:, None] * jacobian))
 
     # c: distances of the visible edge points from their edges, along the edges' normals in the image
-    edges = edge_distances(arcs, measured.edges.ray, np.array(EDGE_SIGN)[measured.edges.edge])
+    edge_sign = np.array(EDGE_SIGN)[measured.edges.edge]
+    edges = _of_frames(edge_distances, rings.arcs, of_edges, (measured.edges.ray, edge_sign))
     sigma_m = np.abs((edges.wrt_ray * measured.edges.step).sum(axis=1))
     edge_scale = 1.0 / np.maximum(sigma_m, np.finfo(float).tiny)
     blocks.append((edge_scale * edges.distance_m, edge_scale[:, None] * edges.wrt_step))
@@ -126,9 +162,101 @@ def ring_residuals(arcs: RingArcs, measured: Measurements, observations: Observa
     data_rows = sum(len(block) for block, _ in blocks)
     blocks.append(_prior_residuals(arcs, prior))  # d
     residual, jacobian = (np.concatenate(each) for each in zip(*blocks, strict=True))
+    wrt_rates, y_wrt_rates = np.zeros((len(residual), 0)), np.zeros((len(observations.rays), 0))
+    if len(rings.wrt_rates):  # from the increments of each frame's ring to those at the reference time, Eq. (8.2)
+        frame = np.concatenate([rings.of_sample, of_points[which], of_edges])
+        wrt_rates = np.zeros((len(residual), RATES))
+        wrt_rates[:data_rows] = _chained(jacobian[:data_rows], rings.wrt_rates, frame)
+        jacobian[:data_rows] = _chained(jacobian[:data_rows], rings.wrt_step, frame)
+        y_wrt_rates = _chained(stripes.y_wrt_step, rings.wrt_rates, rings.of_sample)
+        stripes = stripes._replace(y_wrt_step=_chained(stripes.y_wrt_step, rings.wrt_step, rings.of_sample))
     return Residuals(
-        residual, jacobian, ends, data_rows, stripes, points, edges, edge_scale, distance_wrt_x, scale, ordinates
+        residual,
+        jacobian,
+        ends,
+        data_rows,
+        stripes,
+        points,
+        edges,
+        edge_scale,
+        distance_wrt_x,
+        scale,
+        ordinates,
+        wrt_rates,
+        y_wrt_rates,
     )
+
+
+class _RingsOfFrames(NamedTuple):
+    """The ring at the time of each frame."""
+
+    arcs: list[RingArcs]
+    of_sample: Int64[Array, "sample"]
+    """Index of the frame of each line's end and break point."""
+    of_edge: Int64[Array, "visible"]
+    wrt_step: Float64[Array, "frame step=7 step=7"]
+    """Derivatives of its increments by those at the reference time, and by the rates; empty for a still ring."""
+    wrt_rates: Float64[Array, "frame step=7 rate=5"]
+
+
+def _rings_of_frames(
+    arcs: RingArcs, measured: Measurements, observations: Observations, prior: Prior, rates: Rates
+) -> _RingsOfFrames:
+    samples, edges = len(observations.time_s), len(measured.edges.edge)
+    time_s = np.concatenate([observations.time_s, measured.times_s(measured.edges.stamp_s)])
+    if prior.assumptions.motion is None or not time_s.any():
+        frame = np.zeros(samples + edges, dtype=np.int64)
+        still = (np.empty((0, PARAMETERS, PARAMETERS)), np.empty((0, PARAMETERS, RATES)))
+        return _RingsOfFrames([arcs], frame[:samples], frame[samples:], *still)
+    unique_s, frame = np.unique(time_s, return_inverse=True)
+    times_s = unique_s.tolist()
+    rings = [arcs.after(each, *rates) for each in times_s]
+    derivatives = [motion_derivatives(arcs, ring, each) for ring, each in zip(rings, times_s, strict=True)]
+    wrt_step, wrt_rates = (np.array(each) for each in zip(*derivatives, strict=True))
+    return _RingsOfFrames(rings, frame[:samples], frame[samples:], wrt_step, wrt_rates)
+
+
+_Prediction = TypeVar("_Prediction", StripePrediction, EdgeDistances)
+
+
+def _of_frames(
+    function: Callable[..., _Prediction],
+    rings: Sequence[RingArcs],
+    frame: Int64[Array, "n"],
+    arrays: tuple[Float64[Array, "n ..."], ...],
+) -> _Prediction:
+    """A function of ring and arrays, each row with the ring of its frame."""
+    if len(rings) == 1:
+        return function(rings[0], *arrays)
+    rows = [np.flatnonzero(frame == number) for number in range(len(rings))]
+    parts = [function(ring, *(each[of] for each in arrays)) for ring, of in zip(rings, rows, strict=True)]
+    order = np.argsort(np.concatenate(rows))
+    return type(parts[0])(*(np.concatenate(columns)[order] for columns in zip(*parts, strict=True)))
+
+
+def _chained(
+    rows: Float64[Array, "n step=7"], derivatives: Float64[Array, "frame step=7 m"], frame: Int64[Array, "n"]
+) -> Float64[Array, "n m"]:
+    """Each row times the derivatives of its frame."""
+    product: Float64[Array, "n m"] = (rows[:, None] @ derivatives[frame])[:, 0]
+    return product
+
+
+def at_reference_time(arcs: RingArcs, measured: Measurements, planes: LaserPlanes) -> Measurements:
+    """The measurements with t_0 the mean of their stamps, weighted by the information on the ring's position.
+
+    At this time pose and rates are least correlated (ringpose-method(7), section 8). `arcs`: an approximate ring.
+    """
+    stamp_s = measured.stamp_s
+    if not bool(np.isfinite(stamp_s).all()):
+        return measured
+    residuals = ring_residuals(arcs, measured, measured.observations(planes), Prior())
+    rows = residuals.jacobian[: len(stamp_s)] @ motion_derivatives(arcs, arcs, 1.0).wrt_rates[:, :3]
+    weight = (rows * rows).sum(axis=1)
+    if not 0.0 < float(weight.sum()) < np.inf:
+        return measured
+    first = float(stamp_s.min())
+    return replace(measured, reference_s=first + float(weight @ (stamp_s - first) / weight.sum()))
 
 
 def _ordinate_scale(

@@ -11,8 +11,16 @@ import numpy as np
 
 from ringpose.estimate.initial_guess import initial_guess
 from ringpose.estimate.measurements import Measurements, Observations
-from ringpose.estimate.nuisance import RigErrors, edge_jacobian, mean_ray_jacobian, rig_jacobian
-from ringpose.estimate.residuals import PARAMETERS, Prior, Residuals, ring_residuals
+from ringpose.estimate.nuisance import (
+    edge_jacobian,
+    form_jacobian,
+    form_sd_m,
+    mean_ray_jacobian,
+    rate_sds,
+    rig_errors,
+    rig_jacobian,
+)
+from ringpose.estimate.residuals import PARAMETERS, RATES, STILL, Prior, Rates, Residuals, ring_residuals
 from ringpose.geometry.ring import CURVATURE, LIFT, SHIFT, TILT_ALONG, TILT_INWARD, TURN, RingArcs
 from ringpose.geometry.robust import huber_weights, redescending_weights
 from ringpose.types.arrays import Array, Float64
@@ -55,28 +63,38 @@ class Estimate(NamedTuple):
     """A maximum-likelihood ring, and the linearised problem at the solution."""
 
     arcs: RingArcs
+    """At the reference time of the measurements."""
+    rates: Rates
     residuals: Residuals
     weights: Float64[Array, "row"]
     """1 for a residual that was used, 0 for a rejected edge point."""
     rig: Float64[Array, "row parameter"] | None
     """Derivatives of the residuals by the rig's parameters, in their own units; None if the rig counts as exact."""
     nuisance: Float64[Array, "row error"]
-    """Derivatives of the residuals by common errors of unit variance: those of the rig, then of visible edges."""
-    mean_ray_wrt_rig: Float64[Array, "xy=2 error"]
-    """Derivatives of the mean of the predicted break points by the rig's common errors, for a fixed ring."""
+    """Derivatives of the residuals by common errors of unit variance: rates, rig, form of the ring, visible edges."""
+    mean_ray_wrt_nuisance: Float64[Array, "xy=2 error"]
+    """Derivatives of the mean of the predicted break points by rates and rig's errors, for a fixed ring."""
     nuisance_step: Float64[Array, "error"]
-    """The estimated common errors, in their standard deviations."""
+    """The estimated common errors, in their standard deviations; 0 for the rates, which the residuals contain."""
+    rate_deviations: Float64[Array, "rate"]
+    """The estimated rates in standard deviations of their prior; empty for a still ring."""
+    form: Float64[Array, "row amplitude"] | None
+    """Derivatives of the residuals by the amplitudes of the ring's form, in metres; None for a perfect ring."""
     normal_matrix: Float64[Array, "7 7"]
     """Inverse covariance of the ring's step, the common errors marginalised."""
     inverse: Float64[Array, "7 7"]
     """Of the normal matrix with `RIDGE`."""
+    edge_errors: int
+    """Number of common errors that are those of visible edges, the last ones."""
     prior: Prior
     """As used; with weak priors (`regularize_about`) if the shot leaves parameters open."""
 
     @property
-    def rig_errors(self) -> int:
-        """Number of common errors that are those of the rig."""
-        return int(self.mean_ray_wrt_rig.shape[1])
+    def common_chi2(self) -> float:
+        """Chi-squared of the estimated rates, rig's errors and form of the ring with respect to their priors."""
+        edges = self.nuisance.shape[1] - self.edge_errors
+        common = np.concatenate([self.nuisance_step[:edges], self.rate_deviations])
+        return float(common @ common)
 
     @property
     def regularized(self) -> bool:
@@ -90,9 +108,7 @@ class Estimate(NamedTuple):
         return remaining
 
 
-def estimate_ring(
-    measured: Measurements, rig: Rig, prior: Prior, errors: RigErrors | None, start: RingArcs | None = None
-) -> Estimate | None:
+def estimate_ring(measured: Measurements, rig: Rig, prior: Prior, start: RingArcs | None = None) -> Estimate | None:
     """The maximum-likelihood ring; None if the iteration diverges. `start`: an approximate ring, if one is known.
 
     Parameters that the shot leaves open (with one stripe the tilt about it, with two the curvature) are held by weak
@@ -105,7 +121,7 @@ def estimate_ring(
 
     def solve(start: RingArcs, prior: Prior) -> Estimate | None:
         try:
-            return _gauss_newton(measured, observations, rig, errors, start, prior)
+            return _gauss_newton(measured, observations, rig, start, prior)
         except np.linalg.LinAlgError:
             return None
 
@@ -131,90 +147,179 @@ def _gauss_newton(
     measured: Measurements,
     observations: Observations,
     rig: Rig,
-    errors: RigErrors | None,
     arcs: RingArcs,
     prior: Prior,
 ) -> Estimate | None:
     """Iteratively reweighted Gauss-Newton from a ring; None if it diverges."""
-    residuals = ring_residuals(arcs, measured, observations, prior)  # r and J, whitened
-    wrt_rig, nuisance = None, np.zeros((len(residuals.residual), 0))
-    predicted, weights, near = residuals.residual, np.ones(len(residuals.residual)), False
+    problem = _Problem(measured, observations, rig, prior)
+    rates = STILL
+    residuals = problem.residuals(arcs, rates)  # r and J, whitened
+    nuisance = problem.nuisance(residuals, None)
+    fixed, predicted, weights, near = None, residuals.residual, np.ones(len(residuals.residual)), False
     for iteration in range(MAX_ITERATIONS):
-        if iteration == 1:  # B hardly changes from here
-            wrt_rig = None if errors is None else rig_jacobian(residuals, measured, observations, errors, rig)
-            nuisance = nuisance_jacobian(residuals, measured, wrt_rig, errors)
+        if iteration == 1:  # these derivatives hardly change from here
+            fixed = problem.fixed_columns(residuals, arcs)
+            nuisance = problem.nuisance(residuals, fixed)
         if not near:
             # weights from the residuals that the last step predicts: before it, outliers hide among large residuals
             weights = _robust_weights(predicted, residuals)
-        normal_matrix, step, nuisance_step = solve_normal_equations(residuals, weights, nuisance)
+        deviations = problem.rate_deviations(arcs, rates)
+        normal_matrix, step, nuisance_step = solve_normal_equations(residuals, weights, nuisance, deviations)
         step = _shortened(step)
         if not _plausible(arcs, step):
             return None
         sigmas = sqrt(max(float(step @ normal_matrix @ step), 0.0))  # Mahalanobis length
         predicted = residuals.residual + residuals.jacobian @ step + nuisance @ nuisance_step
+        rates = problem.moved_rates(arcs, rates, nuisance_step)
         arcs = arcs.moved(step)
-        residuals = ring_residuals(arcs, measured, observations, prior)
+        residuals = problem.residuals(arcs, rates)
+        nuisance = problem.nuisance(residuals, fixed)
         if near and sigmas < MIN_STEP_SIGMAS:
             break
         if iteration and not near and sigmas < NEAR_SIGMAS:
             near, weights = True, _inlier_weights(predicted, residuals)
     inverse = _inverse(normal_matrix)
-    if inverse is None:
+    if inverse is None or fixed is None:
         return None
+    errors = rig_errors(rig, prior.assumptions.stability)
     mean_ray_wrt_rig = mean_ray_jacobian(residuals, measured, observations, errors, rig)
+    by_rates = residuals.y_wrt_rates[residuals.ends :].mean(axis=0) * problem.rate_sds
+    count = len(problem.rate_sds)
     return Estimate(
         arcs=arcs,
+        rates=rates,
         residuals=residuals,
         weights=weights,
-        rig=wrt_rig,
+        rig=fixed.rig,
         nuisance=nuisance,
-        mean_ray_wrt_rig=mean_ray_wrt_rig,
-        nuisance_step=nuisance_step,
+        mean_ray_wrt_nuisance=np.concatenate([[np.zeros(count), by_rates], mean_ray_wrt_rig], axis=1),
+        nuisance_step=np.concatenate([np.zeros(count), nuisance_step[count:]]),
+        rate_deviations=problem.rate_deviations(arcs, rates),
+        form=fixed.form,
         normal_matrix=normal_matrix,
         inverse=inverse,
+        edge_errors=measured.edges.common.shape[1] if len(measured.edges.edge) else 0,
         prior=prior,
     )
 
 
+class _FixedColumns(NamedTuple):
+    """Derivatives by common errors that are evaluated once, near the solution."""
+
+    rig: Float64[Array, "row parameter"] | None
+    form: Float64[Array, "row amplitude"] | None
+    columns: Float64[Array, "row error"]
+    """Of the rig's errors, the form and the visible edges, in standard deviations."""
+
+
+class _Problem:
+    """The residuals of one shot and their derivatives by common errors of unit variance."""
+
+    def __init__(self, measured: Measurements, observations: Observations, rig: Rig, prior: Prior) -> None:
+        self._measured, self._observations, self._rig, self._prior = measured, observations, rig, prior
+        self._errors = rig_errors(rig, prior.assumptions.stability)
+        motion = prior.assumptions.motion if measured.times_s(measured.stamp_s).any() else None
+        self.rate_sds = np.zeros(0) if motion is None else rate_sds(motion)
+
+    def residuals(self, arcs: RingArcs, rates: Rates) -> Residuals:
+        """At a ring that moves with these rates."""
+        return ring_residuals(arcs, self._measured, self._observations, self._prior, rates)
+
+    def fixed_columns(self, residuals: Residuals, arcs: RingArcs) -> _FixedColumns:
+        """Derivatives by the errors of rig, form and visible edges."""
+        measured, rig, form, columns = self._measured, None, None, []
+        if self._errors is not None:
+            rig = rig_jacobian(residuals, measured, self._observations, self._errors, self._rig)
+            columns.append(rig @ self._errors.root)
+        if self._prior.assumptions.ring_tolerance_m > 0.0:
+            form = form_jacobian(residuals, measured, arcs)
+            columns.append(form_sd_m(self._prior.assumptions.ring_tolerance_m) * form)
+        if len(measured.edges.edge):
+            columns.append(edge_jacobian(residuals, measured))
+        empty = np.zeros((len(residuals.residual), 0))
+        return _FixedColumns(rig, form, np.concatenate([empty, *columns], axis=1))
+
+    def nuisance(self, residuals: Residuals, fixed: _FixedColumns | None) -> Float64[Array, "row error"]:
+        """B: derivatives by the rates, then by the other common errors."""
+        by_rates = residuals.wrt_rates * self.rate_sds
+        return by_rates if fixed is None else np.concatenate([by_rates, fixed.columns], axis=1)
+
+    def rate_deviations(self, arcs: RingArcs, rates: Rates) -> Float64[Array, "rate"]:
+        """The rates in standard deviations of their prior; empty for a still ring."""
+        if not len(self.rate_sds):
+            return self.rate_sds
+        values = np.concatenate([rates.velocity_m_s, arcs.axes[:2] @ rates.rate_rad_s])
+        return values / np.maximum(self.rate_sds, np.finfo(float).tiny)
+
+    def moved_rates(self, arcs: RingArcs, rates: Rates, nuisance_step: Float64[Array, "error"]) -> Rates:
+        """The rates after a step of the common errors."""
+        if not len(self.rate_sds):
+            return rates
+        change = nuisance_step[:RATES] * self.rate_sds
+        return Rates(rates.velocity_m_s + change[:3], rates.rate_rad_s + change[3:] @ arcs.axes[:2])
+
+
+def predicted_residuals(
+    estimate: Estimate, measured: Measurements, rig: Rig
+) -> tuple[Float64[Array, "row"], Float64[Array, "row row"]]:
+    """Residuals of stripes and break points at a ring that was estimated without some of them, and their covariance.
+
+    1 + [J B] C [J B]^T, with the joint covariance C of ring and common errors.
+    """
+    problem = _Problem(measured, measured.observations(rig.lasers), rig, estimate.prior)
+    residuals = problem.residuals(estimate.arcs, estimate.rates)
+    fixed = problem.fixed_columns(residuals, estimate.arcs)
+    jacobian = np.concatenate([residuals.jacobian, problem.nuisance(residuals, fixed)], axis=1)
+    step = np.concatenate([np.zeros(PARAMETERS), estimate.nuisance_step])
+    covariance = np.linalg.inv(_joint_information(estimate))
+    rows = slice(residuals.data_rows)
+    return (residuals.residual + jacobian @ step)[rows], (
+        np.eye(residuals.data_rows) + jacobian[rows] @ covariance @ jacobian[rows].T
+    )
+
+
+def log_determinant(estimate: Estimate) -> float:
+    """Log determinant of the information on ring and common errors: how much wider their priors are than the result."""
+    return float(np.linalg.slogdet(_joint_information(estimate))[1])
+
+
+def _joint_information(estimate: Estimate) -> Float64[Array, "n n"]:
+    """Information on the ring's step and the common errors, with their priors and the ridge."""
+    jacobian = np.concatenate([estimate.residuals.jacobian, estimate.nuisance], axis=1)
+    information: Float64[Array, "n n"] = (jacobian.T * estimate.weights) @ jacobian
+    diagonal = np.ones(len(information))
+    diagonal[:PARAMETERS] = RIDGE
+    information[range(len(information)), range(len(information))] += diagonal
+    return information
+
+
 def refine_ring(
-    measured: Measurements, rig: Rig, prior: Prior, errors: RigErrors | None, arcs: RingArcs, iterations: int
+    measured: Measurements, rig: Rig, prior: Prior, arcs: RingArcs, iterations: int
 ) -> tuple[RingArcs, Float64[Array, "step=7 step=7"]] | None:
     """A ring near `arcs` after some iterations, and the covariance of its step; None if it diverges.
 
     For tracking: many visible edge points may be outliers, so that these have redescending weights.
     """
-    observations = measured.observations(rig.lasers)
-    normal_matrix, nuisance = np.zeros((PARAMETERS, PARAMETERS)), None
+    problem = _Problem(measured, measured.observations(rig.lasers), rig, prior)
+    normal_matrix, fixed, rates = np.zeros((PARAMETERS, PARAMETERS)), None, STILL
     try:
         for _ in range(iterations):
-            residuals = ring_residuals(arcs, measured, observations, prior)
-            if nuisance is None:
-                wrt_rig = None if errors is None else rig_jacobian(residuals, measured, observations, errors, rig)
-                nuisance = nuisance_jacobian(residuals, measured, wrt_rig, errors)
+            residuals = problem.residuals(arcs, rates)
+            fixed = problem.fixed_columns(residuals, arcs) if fixed is None else fixed
+            nuisance = problem.nuisance(residuals, fixed)
             weights, robust = np.ones(len(residuals.residual)), slice(residuals.ends, residuals.data_rows)
             weights[robust] = redescending_weights(residuals.residual[robust], HUBER_SIGMAS)
-            normal_matrix, step, _ = solve_normal_equations(residuals, weights, nuisance)
+            deviations = problem.rate_deviations(arcs, rates)
+            normal_matrix, step, nuisance_step = solve_normal_equations(residuals, weights, nuisance, deviations)
             step = _shortened(step)
             if not _plausible(arcs, step):
                 return None
+            rates = problem.moved_rates(arcs, rates, nuisance_step)
             arcs = arcs.moved(step)
     except np.linalg.LinAlgError:
         return None
     inverse = _inverse(normal_matrix)
     return None if inverse is None else (arcs, inverse)
-
-
-def nuisance_jacobian(
-    residuals: Residuals,
-    measured: Measurements,
-    wrt_rig: Float64[Array, "row parameter"] | None,
-    errors: RigErrors | None,
-) -> Float64[Array, "row error"]:
-    """B: derivatives with respect to common errors of unit variance, the rig's first, then the visible edges'."""
-    parts = [] if wrt_rig is None or errors is None else [wrt_rig @ errors.root]
-    if len(measured.edges.edge):
-        parts.append(edge_jacobian(residuals, measured))
-    return np.concatenate(parts, axis=1) if parts else np.zeros((len(residuals.residual), 0))
 
 
 def _inverse(normal_matrix: Float64[Array, "7 7"]) -> Float64[Array, "7 7"] | None:
@@ -227,13 +332,17 @@ def _inverse(normal_matrix: Float64[Array, "7 7"]) -> Float64[Array, "7 7"] | No
 
 
 def solve_normal_equations(
-    residuals: Residuals, weights: Float64[Array, "row"], nuisance: Float64[Array, "row error"]
+    residuals: Residuals,
+    weights: Float64[Array, "row"],
+    nuisance: Float64[Array, "row error"],
+    deviations: Float64[Array, "rate"],
 ) -> tuple[Float64[Array, "7 7"], Float64[Array, "7"], Float64[Array, "error"]]:
-    """The normal matrix with the common errors marginalised, the ring's step, and the common errors after it.
+    """The normal matrix with the common errors marginalised, the ring's step, and the step of the common errors.
 
     With residuals r, Jacobian J, weights W and the derivatives B with respect to the common errors (unit variance),
     the Schur complement of [J B]^T W [J B] + diag(0, 1): S = J^T W J - J^T W B (1 + B^T W B)^-1 B^T W J, and
-    S step = -(J^T W r - J^T W B (1 + B^T W B)^-1 B^T W r), Eq. (5.9).
+    S step = -(J^T W r - J^T W B (1 + B^T W B)^-1 (B^T W r + q)), Eq. (5.9). The residuals contain the common errors q
+    that are estimated already, the first ones (`deviations`); the others are 0 there.
     """
     weighted = residuals.jacobian.T * weights  # J^T W
     normal_matrix, gradient = weighted @ residuals.jacobian, weighted @ residuals.residual
@@ -244,6 +353,7 @@ def solve_normal_equations(
     cross_information = np.empty((count, PARAMETERS + 1))  # B^T W [J r]
     cross_information[:, :-1] = weighted_nuisance @ residuals.jacobian
     cross_information[:, -1] = weighted_nuisance @ residuals.residual
+    cross_information[: len(deviations), -1] += deviations
     solution = np.linalg.solve(weighted_nuisance @ nuisance + np.eye(count), cross_information)
     eliminated = cross_information[:, :-1].T @ solution
     normal_matrix = normal_matrix - eliminated[:, :-1]

@@ -12,20 +12,20 @@ import numpy as np
 
 from ringpose.files.cameras.covariances import checked_covariance
 from ringpose.files.records.rejections import rejection_record, rejections_in
+from ringpose.files.rigs import rig_stability
 from ringpose.files.schema import Fields
 from ringpose.types.arrays import Array, Float64
+from ringpose.types.assumptions import Assumptions, MotionPrior
 from ringpose.types.options import PoseFrame
 from ringpose.types.pose import (
     HARMLESS_FLAGS,
     MEASURED_PARAMETERS,
     LaserState,
     LinearizationPoint,
-    MotionPrior,
     PoseFlag,
     PoseLine,
     Priors,
     RadiusPrior,
-    RigStability,
     RingMeasurement,
     RingPose,
     RingVelocity,
@@ -138,7 +138,7 @@ def _measurement_values(measurement: RingMeasurement) -> dict[str, Any]:
 
 
 def _priors_values(priors: Priors) -> dict[str, Any]:
-    motion, radius, stability = priors.motion, priors.radius, priors.stability
+    motion, radius, stability = priors.assumptions.motion, priors.radius, priors.assumptions.stability
     return {
         "motion": STILL
         if motion is None
@@ -153,7 +153,7 @@ def _priors_values(priors: Priors) -> dict[str, Any]:
             "outer_sd_m": radius.outer_sd_m,
             "source": radius.source,
         },
-        "ring_tolerance_m": priors.ring_tolerance_m,
+        "ring_tolerance_m": priors.assumptions.ring_tolerance_m,
         "rig": {
             "covariance": "rig.yaml" if priors.rig_covariance else "none",
             "stability": {
@@ -313,11 +313,13 @@ def _measurement(fields: Fields) -> RingMeasurement:
 def _priors(fields: Fields) -> Priors:
     rig = fields.fields("rig")
     return Priors(
-        motion=motion_prior(fields),
+        assumptions=Assumptions(
+            motion=motion_prior(fields),
+            ring_tolerance_m=fields.number("ring_tolerance_m", least=0),
+            stability=rig_stability(rig.fields("stability")),
+        ),
         radius=_radius_prior(fields.fields("radius")) if fields.has("radius") else None,
-        ring_tolerance_m=fields.number("ring_tolerance_m", least=0),
         rig_covariance=rig.choice("covariance", ("rig.yaml", "none")) == "rig.yaml",
-        stability=rig_stability(rig),
         regularization=fields.array("regularization", (None, len(MEASURED_PARAMETERS) + 1))
         if fields.has("regularization")
         else None,
@@ -332,16 +334,6 @@ def motion_prior(fields: Fields) -> MotionPrior | None:
     motion = fields.fields("motion")
     return MotionPrior(
         speed_sd_m_s=motion.number("speed_sd_m_s", least=0), rate_sd_rad_s=motion.number("rate_sd_rad_s", least=0)
-    )
-
-
-def rig_stability(fields: Fields) -> RigStability:
-    """The key `stability`."""
-    stability = fields.fields("stability")
-    return RigStability(
-        plane_tilt_rad=stability.number("plane_tilt_rad", least=0),
-        plane_distance_m=stability.number("plane_distance_m", least=0),
-        focal_ratio=stability.number("focal_ratio", least=0),
     )
 
 

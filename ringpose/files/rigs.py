@@ -1,5 +1,6 @@
 """rig.yaml: the camera, the light planes, their covariance, the mount."""
 
+import dataclasses
 import hashlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -16,6 +17,7 @@ from ringpose.files.io import provenance, read_bytes
 from ringpose.files.schema import ROUNDED, Fields
 from ringpose.files.yaml import parsed, write_yaml
 from ringpose.types.arrays import Array, Float64
+from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
 from ringpose.types.covariance import camera_parameters, laser_parameters
 from ringpose.types.rig import LaserPlanes, Rig
 from ringpose.types.sequence import MAX_LASERS
@@ -25,7 +27,8 @@ SCHEMA = "rig/1"
 MIN_DISTANCE_M = 1e-6
 """Minimum distance of a light plane from the camera's centre; a plane through the centre gives no depth."""
 
-_KEYS = ("ringpose", "provenance", "camera", "lasers", "covariance", "mount", "quality")
+_KEYS = ("ringpose", "provenance", "camera", "lasers", "covariance", "mount", "stability", "quality")
+_STABILITY_KEYS = tuple(each.name for each in dataclasses.fields(RigStability))
 _LASER_KEYS = ("name", "normal", "distance_m", "projector_m")
 
 
@@ -42,12 +45,14 @@ def rig_of(fields: Fields, sha256: str = "") -> Rig:
         raise fields.problem("ringpose", f"is {schema!r}, must be {SCHEMA!r}")
     camera = camera_of(fields.fields("camera", CAMERA_KEYS))
     lasers = _lasers(fields)
+    stability = fields.fields("stability", _STABILITY_KEYS) if fields.has("stability") else None
     known = camera_parameters(len(camera.distortion_coefficients)) + laser_parameters(lasers.names)
     return Rig(
         camera=camera,
         lasers=lasers,
         covariance=read_covariance(fields, known),
         tool_from_camera=_tool_from_camera(fields) if fields.has("mount") else None,
+        stability=TYPICAL_STABILITY if stability is None else rig_stability(stability),
         provenance=fields.fields("provenance").values if fields.has("provenance") else {},
         sha256=sha256,
     )
@@ -109,9 +114,20 @@ def rig_values(rig: Rig) -> dict[str, Any]:
     }
     if rig.covariance is not None:
         values["covariance"] = covariance_values(rig.covariance)
+    if rig.stability != TYPICAL_STABILITY:
+        values["stability"] = dataclasses.asdict(rig.stability)
     if rig.tool_from_camera is not None:
         values["mount"] = {"tool_from_camera": rig.tool_from_camera}
     return values
+
+
+def rig_stability(fields: Fields) -> RigStability:
+    """The key `stability` of a rig or a pose record."""
+    return RigStability(
+        plane_tilt_rad=fields.number("plane_tilt_rad", least=0),
+        plane_distance_m=fields.number("plane_distance_m", least=0),
+        focal_ratio=fields.number("focal_ratio", least=0),
+    )
 
 
 def _lasers(fields: Fields) -> LaserPlanes:

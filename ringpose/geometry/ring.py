@@ -33,6 +33,12 @@ EDGE_SIGN = (-1.0, 1.0)
 MIN_CURVATURE = 1e-4
 """Bound in 1/m below which centre and radii are those of a ring with a radius of ten kilometres."""
 
+MAX_LEVER_M = 5.0
+"""Upper bound of the distance between a ring's face and the point that its velocity refers to, its centre.
+
+Larger rings do not exist; where the visible arc looks straight, the centre would be kilometres away.
+"""
+
 MIN_RATE = 1e-12
 """Smallest rate at which a distance changes along a line or a ray; a smaller one counts as grazing."""
 
@@ -60,6 +66,11 @@ class RingArcs:
     def mean_radius_m(self) -> float:
         """Radius of the middle of the face; bounded by 1 / `MIN_CURVATURE`."""
         return 1.0 / (self.curvature if abs(self.curvature) > MIN_CURVATURE else MIN_CURVATURE)
+
+    @property
+    def lever_m(self) -> float:
+        """Signed distance from the origin to the point that a velocity refers to: the radius, up to `MAX_LEVER_M`."""
+        return min(max(self.mean_radius_m, -MAX_LEVER_M), MAX_LEVER_M)
 
     @property
     def center(self) -> Float64[Array, "xyz=3"]:
@@ -102,10 +113,10 @@ class RingArcs:
         """
         if time_s == 0.0 or not (velocity_m_s.any() or rate_rad_s.any()):
             return self
-        rotation = rotation_by(rate_rad_s * time_s)
+        axes = self.axes @ rotation_by(rate_rad_s * time_s).T
         return RingArcs(
-            origin=self.center + velocity_m_s * time_s - self.mean_radius_m * (rotation @ self.axes[0]),
-            axes=self.axes @ rotation.T,
+            origin=self.origin + velocity_m_s * time_s + self.lever_m * (self.axes[0] - axes[0]),
+            axes=axes,
             curvature=self.curvature,
             half_band_m=self.half_band_m,
         )
@@ -121,6 +132,48 @@ def rotation_by(vector_rad: Float64[Array, "3"]) -> Float64[Array, "3 3"]:
         np.eye(3) + np.sinc(angle / np.pi) * skew + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (skew @ skew)
     )
     return rotation
+
+
+class MotionDerivatives(NamedTuple):
+    """Derivatives of the increments (`STEP`) of a ring that has moved, with respect to the ring before and its rates.
+
+    Rates: velocity x, y, z of the centre, and angular velocities about the inward axis and the axis along the face.
+    """
+
+    wrt_step: Float64[Array, "step=7 step=7"]
+    wrt_rates: Float64[Array, "step=7 rate=5"]
+
+
+def motion_derivatives(before: RingArcs, moved: RingArcs, time_s: float) -> MotionDerivatives:
+    """Derivatives of `moved`, which is `before.after(time_s, ...)`, Eq. (8.2).
+
+    The origin moves by o_k = o + v t + l (i - i_k), with the lever l and the inward axes i and i_k before and after. A
+    displacement s along the face turns the ring by s / R, as it does not change the ring otherwise.
+    """
+    inward, along, normal = moved.axes
+    lever_m, curvature = before.lever_m, before.curvature
+    turned = before.axes - moved.axes  # i - i_k, and the same of the other axes
+    components = np.array([normal, inward, curvature * along])  # of a displacement: LIFT, SHIFT, TURN
+    displaced = [LIFT, SHIFT, TURN]
+
+    wrt_step = np.eye(len(STEP))
+    wrt_step[displaced] = 0.0
+    wrt_step[TURN, TURN] = 1.0
+    wrt_step[displaced, LIFT] = components @ before.normal
+    wrt_step[displaced, SHIFT] = components @ before.axes[0]
+    wrt_step[displaced, TURN] += lever_m * (components @ turned[1])
+    wrt_step[displaced, TILT_INWARD] = -lever_m * (components @ turned[2])
+    if abs(before.mean_radius_m) < MAX_LEVER_M:
+        wrt_step[displaced, CURVATURE] = -(lever_m**2) * (components @ turned[0])
+
+    wrt_rates = np.zeros((len(STEP), 5))
+    wrt_rates[displaced, :3] = time_s * components
+    for column, axis in ((3, before.axes[0]), (4, before.axes[1])):
+        normal_turn, inward_turn = time_s * cross(axis, normal), time_s * cross(axis, inward)
+        wrt_rates[TILT_INWARD, column], wrt_rates[TILT_ALONG, column] = inward @ normal_turn, along @ normal_turn
+        wrt_rates[displaced, column] = -lever_m * (components @ inward_turn)
+        wrt_rates[TURN, column] += along @ inward_turn
+    return MotionDerivatives(wrt_step, wrt_rates)
 
 
 def ring_arcs(
@@ -264,6 +317,16 @@ def edge_distances(arcs: RingArcs, rays: Float64[Array, "n xyz=3"], edge_sign: F
     outward = by_x[:, None] * inward[:2] + by_y[:, None] * along[:2]
     wrt_ray = depth[:, None] * (outward - by_lift[:, None] * normal[:2])
     return EdgeDistances(outside_m - edge_sign * arcs.half_band_m, jacobian, wrt_ray)
+
+
+def polar_angles(arcs: RingArcs, rays: Float64[Array, "n xyz=3"]) -> Float64[Array, "n"]:
+    """Angles about the ring's centre of the rays' points on its plane, in radians from the arcs' origin."""
+    inward, along, normal = arcs.axes
+    points_m = rays * (float(arcs.origin @ normal) / (rays @ normal))[:, None] - arcs.origin
+    angles: Float64[Array, "n"] = np.arctan2(
+        arcs.curvature * (points_m @ along), 1.0 - arcs.curvature * (points_m @ inward)
+    )
+    return angles
 
 
 def edge_points(

@@ -15,11 +15,12 @@ from ringpose.estimate.covariance import (
     difference_from,
     joint_covariance,
     quantities,
+    ring_velocity,
     second_order_bias_m,
     with_second_order,
 )
 from ringpose.estimate.hypotheses import Explanation, explain
-from ringpose.estimate.information import pose_stamp, prior_rows, ring_measurement
+from ringpose.estimate.information import prior_rows, ring_measurement
 from ringpose.estimate.measurements import Measurements, measurements_of
 from ringpose.estimate.nuisance import rig_errors
 from ringpose.estimate.residuals import Prior
@@ -30,8 +31,9 @@ from ringpose.pose.drift import plane_evidence
 from ringpose.pose.observability import determined, poorly_determined_flags, reported_pose
 from ringpose.pose.visibility import seen_lasers
 from ringpose.types.arrays import Array, Bool, Float64
+from ringpose.types.assumptions import IDEAL, Assumptions
 from ringpose.types.detection import BreakPointFlag, BreakPoints, Rejection, RingEdgePoints
-from ringpose.types.pose import NoPose, PoseFlag, PoseResult, Priors, RadiusPrior
+from ringpose.types.pose import NoPose, PoseFlag, PoseResult, Priors, RadiusPrior, RingVelocity
 from ringpose.types.rig import Rig
 from ringpose.types.ring import KnownRadii, Ring
 
@@ -53,6 +55,7 @@ def most_likely_pose(
     rig: Rig,
     ring_edges: RingEdgePoints | None = None,
     known: KnownRadii | Sequence[Ring] | None = None,
+    assumptions: Assumptions = IDEAL,
     lasers_on: Bool[Array, "laser"] | None = None,
     rejected: Sequence[Rejection] = (),
 ) -> PoseResult:
@@ -69,14 +72,14 @@ def most_likely_pose(
     radii, source, posterior = (known if isinstance(known, KnownRadii) else None), "given", None
     named = not bool((break_points.flags[break_points.seen] & int(BreakPointFlag.EDGE_UNKNOWN)).any())
     explained = partial(explain, measured, rig, labelled=break_points.labelled, edges_named=named)
-    best = explained(Prior(radii))
+    best = explained(Prior(radii, assumptions))
     if best is None:
         return PoseResult(pose=_why_no_estimate(measured, rig))
     if known is not None and not isinstance(known, KnownRadii):
         posterior = _posterior(best, known)
         ring = likely_ring(posterior, known)
         if ring is not None:
-            best = explained(Prior(ring.known_radii)) or best
+            best = explained(Prior(ring.known_radii, assumptions)) or best
             source = ring.name
     result = _result(best, rig, source)
     rejected = (*rejected, *result.rejected)
@@ -107,15 +110,14 @@ def _posterior(best: Explanation, rings: Sequence[Ring]) -> Mapping[str, float]:
 
 def _result(best: Explanation, rig: Rig, source: str) -> PoseResult:
     """The pose of the best explanation, with everything that is not determined set to NaN and flagged."""
-    estimate, measured, errors = best.estimate, best.measured, rig_errors(rig)
+    estimate, measured = best.estimate, best.measured
     found = quantities(estimate)
     covariance = _covariance(best, found)
-    stamp_s = pose_stamp(estimate, measured)
     result = PoseResult(
         pose=NoPose.NOT_FINITE,
         flags=best.flag,
         remark=best.remark,
-        stamp_s=stamp_s,
+        stamp_s=measured.reference_s,
         priors=_priors(best, rig, source),
         rejected=best.rejected,
         plane_evidence=None if best.competing or best.flag & DOUBTS else plane_evidence(estimate, measured, rig),
@@ -142,8 +144,29 @@ def _result(best: Explanation, rig: Rig, source: str) -> PoseResult:
         flags=flags,
         remark=best.remark,
     )
-    measurement = ring_measurement(estimate, measured, errors, stamp_s) if measured.has_covariances else None
-    return replace(result, pose=pose, flags=flags, measurement=measurement)
+    if not measured.has_covariances:
+        return replace(result, pose=pose, flags=flags)
+    velocity, velocity_flag = _velocity(best)
+    errors = rig_errors(rig, best.prior.assumptions.stability)
+    return replace(
+        result,
+        pose=replace(pose, flags=flags | velocity_flag),
+        flags=flags | velocity_flag,
+        velocity=velocity,
+        measurement=ring_measurement(estimate, measured, errors),
+    )
+
+
+def _velocity(best: Explanation) -> tuple[RingVelocity | None, PoseFlag]:
+    """The velocity and its flag; None if explanations differ in it, and for a target that is assumed to be still.
+
+    The velocity of the centre depends on the side of the face on which the centre lies. What the shot does not
+    determine has the mean and the variance of the prior.
+    """
+    velocity = ring_velocity(best.estimate)
+    if velocity is not None and ("velocity" in best.differing or not best.side_known):
+        return None, PoseFlag.VELOCITY_WEAK
+    return velocity, PoseFlag(0)
 
 
 def _unverified(best: Explanation) -> PoseFlag:
@@ -166,6 +189,7 @@ def _priors(best: Explanation, rig: Rig, source: str) -> Priors:
             inner_m=inner_m, outer_m=outer_m, inner_sd_m=inner_sd_m, outer_sd_m=outer_sd_m, source=source
         )
     return Priors(
+        assumptions=best.prior.assumptions,
         radius=radius,
         rig_covariance=rig_errors(rig) is not None,
         regularization=prior_rows(best.estimate, best.prior),

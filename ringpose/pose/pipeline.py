@@ -7,6 +7,7 @@ import numpy as np
 from ringpose.errors import DataError
 from ringpose.pose.maximum_likelihood import most_likely_pose
 from ringpose.types.arrays import Array, Bool
+from ringpose.types.assumptions import IDEAL, Assumptions
 from ringpose.types.detection import BreakPoints, Rejection, RingEdgePoints
 from ringpose.types.options import Method as Method
 from ringpose.types.pose import NoPose, PoseFlag, PoseResult, RingPose
@@ -20,9 +21,10 @@ def estimate_pose(
     method: Method = Method.ML,
     ring_edges: RingEdgePoints | None = None,
     known: KnownRadii | Sequence[Ring] | None = None,
+    assumptions: Assumptions = IDEAL,
 ) -> RingPose | NoPose:
     """Pose of the ring in the camera frame, or the reason why there is none; see `pose_result`."""
-    return pose_result(break_points, rig, method, ring_edges, known).pose
+    return pose_result(break_points, rig, method, ring_edges, known, assumptions).pose
 
 
 def pose_result(
@@ -31,6 +33,7 @@ def pose_result(
     method: Method = Method.ML,
     ring_edges: RingEdgePoints | None = None,
     known: KnownRadii | Sequence[Ring] | None = None,
+    assumptions: Assumptions = IDEAL,
     lasers_on: Bool[Array, "laser"] | None = None,
     rejected: Sequence[Rejection] = (),
 ) -> PoseResult:
@@ -47,7 +50,7 @@ def pose_result(
     try:
         with np.errstate(all="ignore"):  # solutions are checked for finite values
             if method is Method.ML:
-                return most_likely_pose(break_points, rig, ring_edges, known, lasers_on, rejected)
+                return most_likely_pose(break_points, rig, ring_edges, known, assumptions, lasers_on, rejected)
             from ringpose.pose.closed_form import closed_form_pose  # not imported by method `ml`
 
             pose = closed_form_pose(break_points, rig, method)

@@ -17,6 +17,7 @@ import numpy as np
 from ringpose.estimate.covariance import standard_deviation
 from ringpose.pose.pipeline import pose_result
 from ringpose.types.arrays import Array, Float64
+from ringpose.types.assumptions import USUAL, AssumptionOptions
 from ringpose.types.detection import BreakPoints, Detection, Rejection
 from ringpose.types.image import Shot
 from ringpose.types.options import Method, PoseFrame
@@ -34,12 +35,15 @@ def pose_line(
     method: Method = Method.ML,
     frame: PoseFrame = PoseFrame.CAMERA,
     known: KnownRadii | Sequence[Ring] | None = None,
+    options: AssumptionOptions = USUAL,
 ) -> PoseLine:
     """The pose of one shot, or the reason why it has none, and the time that the computation took.
 
-    `known` are the ring's radii, or the catalogue that it belongs to. The frame `tool` needs the rig's mount; without
+    `known` are the ring's radii, or the catalogue that it belongs to. `options` state what
+    is assumed. The frame `tool` needs the rig's mount; without
     it vectors and record are in the camera frame.
     """
+    assumptions = options.about_shot(rig.stability, still=source.still)
     if rig.tool_from_camera is None:
         frame = PoseFrame.CAMERA
     start_s = detected_s = perf_counter()
@@ -47,7 +51,7 @@ def pose_line(
     if isinstance(source, Shot):
         from ringpose.detect.pipeline import detect  # not needed for detections, and slow to import
 
-        source = detect(source, rig)
+        source = detect(source, rig, assumptions=assumptions)
         detected_s = perf_counter()
         stage_s["detect"] = detected_s - start_s
     points = source.break_points
@@ -62,12 +66,13 @@ def pose_line(
             stage_s=stage_s,
             rig=rig.sha256,
         )
-    result = pose_result(points, rig, method, source.ring_edges, known, source.lasers_on, source.rejected)
+    result = pose_result(points, rig, method, source.ring_edges, known, assumptions, source.lasers_on, source.rejected)
     rejected = result.rejected or source.rejected
-    pose = result.pose
+    pose, velocity = result.pose, result.velocity
     if isinstance(pose, RingPose) and frame is PoseFrame.TOOL and rig.tool_from_camera is not None:
-        from ringpose.pose.transform import pose_in_frame
+        from ringpose.pose.transform import pose_in_frame, velocity_in_frame
 
+        velocity = None if velocity is None else velocity_in_frame(velocity, pose, rig.tool_from_camera)
         pose = pose_in_frame(pose, rig.tool_from_camera)
     end_s = perf_counter()
     return PoseLine(
@@ -78,6 +83,7 @@ def pose_line(
         flags=result.flags | flags_of(rejected),
         reason=pose.value if isinstance(pose, NoPose) else contradictions(result, source.rejected),
         frame=frame,
+        velocity=velocity,
         measurement=result.measurement,
         priors=result.priors,
         lasers=result.lasers,

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from ringpose.geometry.ring import normal_and_center, plane_and_center
+from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.pose import RingPose
+from ringpose.types.pose import RingPose, RingVelocity
 
 
 def pose_in_frame(pose: RingPose, frame_from_camera: Float64[Array, "4 4"]) -> RingPose:
@@ -25,6 +26,24 @@ def pose_in_frame(pose: RingPose, frame_from_camera: Float64[Array, "4 4"]) -> R
         covariance=_propagated(jacobian, pose.covariance),
         covariance_center_m2=_propagated(rotation, pose.covariance_center_m2),
         covariance_grasp_m2=_propagated(rotation, pose.covariance_grasp_m2),
+    )
+
+
+def velocity_in_frame(velocity: RingVelocity, pose: RingPose, frame_from_camera: Float64[Array, "4 4"]) -> RingVelocity:
+    """The velocity of a pose that is still in the camera frame, rotated into another frame.
+
+    The angular velocity's components refer to the tilt basis of the normal in the new frame. Without a known normal
+    they stay as they are.
+    """
+    rotation = frame_from_camera[:3, :3]
+    jacobian = np.eye(5)
+    jacobian[:3, :3] = rotation
+    if bool(np.isfinite(pose.normal).all()):
+        jacobian[3:, 3:] = tilt_basis(rotation @ pose.normal) @ rotation @ tilt_basis(pose.normal).T
+    return RingVelocity(
+        center_m_s=rotation @ velocity.center_m_s,
+        rate_rad_s=rotation @ velocity.rate_rad_s,
+        covariance=jacobian @ velocity.covariance @ jacobian.T,
     )
 
 

@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ringpose.estimate.hypotheses import Explanation, single_stripe_estimates
-from ringpose.estimate.nuisance import rig_errors
 from ringpose.geometry.rays import project
 from ringpose.geometry.ring import EDGE_SIGN, RingArcs, edge_distances, predicted_break_points, predicted_stripes
 from ringpose.types.arrays import Array, Bool, Float64
@@ -100,7 +99,7 @@ def _share_by_single_stripes(best: Explanation, rig: Rig) -> Float64[Array, "las
     If one of two stripes does not lie on the ring, their common ring may predict the missing one outside the image.
     """
     share = np.zeros(len(rig.lasers.names))
-    for _, _, estimate in single_stripe_estimates(best.measured, rig, rig_errors(rig)):
+    for _, _, estimate in single_stripe_estimates(best.measured, rig, best.prior.assumptions):
         points_m = predicted_break_points(estimate.arcs, rig.lasers.normal, rig.lasers.distance_m)
         distance_px = _distance_inside_px(points_m, rig)
         share = np.maximum(share, (distance_px > BORDER_PX).mean(axis=1))

@@ -52,10 +52,12 @@ def drawn_common_errors(
 
 
 def drawn_rig(rig: Rig, rng: np.random.Generator) -> Rig:
-    """A random rig, drawn from the covariance of `rig`; it has no covariance itself."""
-    errors = rig_errors(rig)
+    """A random rig, drawn from the covariance and the stability of `rig`; it has no covariance itself."""
+    errors = rig_errors(rig, rig.stability)
     if errors is None:
-        raise DataError("the scene's rig", "has no covariance", "calibrate it, or do not draw rig errors")
+        raise DataError(
+            "the scene's rig", "has neither covariance nor stability", "calibrate it, or do not draw rig errors"
+        )
     drawn = errors.root @ rng.standard_normal(errors.root.shape[1])
     camera, planes = errors.camera @ drawn, errors.lasers @ drawn
     focal_x, focal_y, center_x, center_y = camera[:4].tolist()

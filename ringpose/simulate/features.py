@@ -28,9 +28,16 @@ from ringpose.simulate.feature_errors import COLUMNS_PER_CUT, CUT_CENTRES
 from ringpose.simulate.pipeline import READOUT_S
 from ringpose.simulate.placement import ring_views
 from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
+from ringpose.types.assumptions import MotionPrior
 from ringpose.types.camera import Camera
-from ringpose.types.detection import BreakPointFlag, BreakPoints, Detection, NoBreakPoints, RingEdgePoints
-from ringpose.types.pose import MotionPrior
+from ringpose.types.detection import (
+    BreakPointFlag,
+    BreakPoints,
+    Detection,
+    NoBreakPoints,
+    RingEdgePoints,
+    joined_edge_points,
+)
 from ringpose.types.scene import RingView, Scene
 from ringpose.types.truth import Truth
 
@@ -45,7 +52,7 @@ class Deviations:
     noise: bool = True
     """Whether positions have errors; their stated covariances are the same without."""
     rig_errors: bool = False
-    """Whether the true rig is drawn from the covariance of the scene's rig."""
+    """Whether the true rig is drawn from the covariance and the stability of the scene's rig."""
     motion: MotionPrior | None = None
     """Distribution of the velocity of the ring's centre, per axis, and of its two rates across the normal."""
     ring_tolerance_m: float = 0.0
@@ -137,9 +144,14 @@ def draw_detection(
             stamp = np.where(seen, shown_s, np.nan)
             found = _as_measured(points, scene.rig.camera, frames.labelled(seen), stamp)
             unit = rng.standard_normal(len(appearance.edges.edge)) * deviations.noise
-            edges = _drawn_edges(appearance, common, motion, float(middle_s[appearance.edges.frame]), first_s, unit)
+            edges = _edges_of_frames(scene, appearance, common, motion, middle_s, first_s, unit)
     detection = Detection(
-        shot=view.name, stamp_s=first_s, break_points=found, ring_edges=edges, lasers_on=frames.number >= 0
+        shot=view.name,
+        stamp_s=first_s,
+        break_points=found,
+        ring_edges=edges,
+        lasers_on=frames.number >= 0,
+        still=deviations.motion is None,
     )
     return DrawnShot(
         detection=detection,
@@ -308,6 +320,29 @@ def _drawn_points(
         face_sigma_px=np.where(seen, np.sqrt(end_variance_px2), np.nan)[:, None] * np.ones(2),
         labelled=True,
     )
+
+
+def _edges_of_frames(
+    scene: Scene,
+    appearance: Appearance,
+    common: CommonErrors,
+    motion: _Motion,
+    middle_s: Float64[Array, "frame"],
+    first_s: float,
+    unit: Float64[Array, "place"],
+) -> RingEdgePoints | None:
+    """Points of the visible edges in the frames that the detector searches: of a moving ring two, else one.
+
+    Most errors come from what lies beside the edges and are the same in both frames: the stated standard deviations are
+    raised so that two frames of a ring at rest determine it no better than one.
+    """
+    numbers = [appearance.edges.frame]
+    dark = [number for number, mask in enumerate(scene.sequence) if not mask]
+    if dark and (np.any(motion.velocity_m_s) or np.any(motion.rate_rad_s)):
+        numbers = sorted({dark[0], dark[-1]})
+    parts = [_drawn_edges(appearance, common, motion, float(middle_s[number]), first_s, unit) for number in numbers]
+    found = [replace(part, sigma_px=sqrt(len(parts)) * part.sigma_px) for part in parts if part is not None]
+    return joined_edge_points(found) if found else None
 
 
 def _drawn_edges(

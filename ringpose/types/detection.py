@@ -170,6 +170,8 @@ class Detection:
     """Which lasers of the rig were on in at least one frame; None if unknown."""
     rejected: tuple[Rejection, ...] = ()
     """Measurements that the detector did not use because they contradict the others."""
+    still: bool = False
+    """Whether the target was held still while the shot was taken, as the shot states."""
 
     @property
     def found(self) -> bool:

@@ -43,7 +43,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Shot:
-    """Frames taken in quick succession, each with its laser mask; the target is assumed to be at rest meanwhile."""
+    """Frames taken in quick succession, each with its laser mask; the target may move meanwhile."""
 
     name: str
     images: UInt[Array, "frame row column"]
@@ -66,6 +66,11 @@ class Shot:
             self.images, self.lasers, self.stamp_s, self.exposure_s, strict=True
         ):
             yield Frame(image=image, lasers=int(lasers), stamp_s=float(stamp_s), exposure_s=float(exposure_s))
+
+    @property
+    def still(self) -> bool:
+        """Whether the target was held still while the shot was taken, as `meta` states."""
+        return self.meta.get("still") is True
 
     @property
     def measured_at_s(self) -> float:

@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 
 from ringpose.types.arrays import Array, Bool, Float64
+from ringpose.types.assumptions import Assumptions
 from ringpose.types.detection import Rejection
 from ringpose.types.options import PoseFrame
 
@@ -171,14 +172,6 @@ class RingMeasurement:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MotionPrior:
-    """Standard deviations per axis of the ring centre's velocity and of its angular velocity."""
-
-    speed_sd_m_s: float
-    rate_sd_rad_s: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class RadiusPrior:
     """Assumed edge radii; NaN for an edge without a prior."""
 
@@ -195,26 +188,14 @@ class RadiusPrior:
         return max(sd for sd in (self.inner_sd_m, self.outer_sd_m, 0.0) if sd == sd)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RigStability:
-    """Standard deviations of the rig's parameters since its calibration (ringpose-method(7), section 11)."""
-
-    plane_tilt_rad: float = 0.0
-    plane_distance_m: float = 0.0
-    focal_ratio: float = 0.0
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Priors:
     """What a pose assumes besides the shot itself."""
 
-    motion: MotionPrior | None = None
-    """None if the target is assumed to be still."""
+    assumptions: Assumptions = Assumptions()
     radius: RadiusPrior | None = None
-    ring_tolerance_m: float = 0.0
     rig_covariance: bool = False
     """Whether the covariance of rig.yaml was used; without one the rig counts as exact."""
-    stability: RigStability = RigStability()
     regularization: Float64[Array, "row column"] | None = None
     """Rows [J, z - h] in units of their standard deviations, columns `MEASURED_PARAMETERS` and residual: weak priors
     that hold the parameters which the shot leaves open; None if it leaves none open."""
@@ -244,6 +225,8 @@ class PoseResult:
     """What contradicts the pose, in words; empty if nothing does."""
     stamp_s: float = math.nan
     """The instant at which the pose holds; NaN if the features' stamps are unknown."""
+    velocity: "RingVelocity | None" = None
+    """None if the target is assumed to be still."""
     measurement: RingMeasurement | None = None
     priors: Priors | None = None
     lasers: Mapping[str, LaserState] = field(default_factory=dict)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ringpose.types.arrays import Array, Float64
+from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
 from ringpose.types.camera import Camera
 from ringpose.types.covariance import ParameterCovariance
 
@@ -27,6 +28,8 @@ class Rig:
     camera: Camera
     lasers: LaserPlanes
     covariance: ParameterCovariance | None = None
+    stability: RigStability = TYPICAL_STABILITY
+    """How far light planes and camera may have moved since the calibration."""
     tool_from_camera: Float64[Array, "4 4"] | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
     sha256: str = ""

@@ -12,6 +12,7 @@ from ringpose.cli.main import main
 from ringpose.files.poses import pose_record
 from ringpose.files.records import line_of
 from ringpose.files.records.truths import truth_record
+from ringpose.types.assumptions import Assumptions
 from ringpose.types.pose import PoseFlag, PoseLine, Priors, RingPose
 from ringpose.types.truth import Truth
 
@@ -235,7 +236,7 @@ def refused(tmp_path_factory) -> Path:
             main(["bench", "a.jsonl", "--truth", f"{name}.jsonl", "--json", f"{name}.json", "--by", ""])
         moving = '"motion": {"speed_sd_m_s": 0.05, "rate_sd_rad_s": 0.09}'
         Path("moving.json").write_text(Path("truth.json").read_text().replace('"motion": "still"', moving))
-        tolerant = Priors(ring_tolerance_m=1e-4)
+        tolerant = Priors(assumptions=Assumptions(ring_tolerance_m=1e-4))
         write_lines(
             "tolerant.jsonl", [replace(line(f"s{n}"), priors=tolerant if n > 3 else None) for n in range(SHOTS)]
         )
@@ -298,7 +299,10 @@ def test_a_table_of_the_version_before_is_compared_as_one_of_a_still_ring(result
 
 
 def test_tables_state_the_assumptions(results, capsys):
-    lines = [replace(line(f"s{n}"), priors=Priors(ring_tolerance_m=1e-4 if n else 0.0)) for n in range(SHOTS)]
+    lines = [
+        replace(line(f"s{n}"), priors=Priors(assumptions=Assumptions(ring_tolerance_m=1e-4 if n else 0.0)))
+        for n in range(SHOTS)
+    ]
 
     main(["bench", write_lines("mixed.jsonl", lines), *TRUTH, "--json", "mixed.json"])
 

@@ -113,7 +113,9 @@ def test_a_wrong_option_is_named(scene, capsys, options):
     assert options[0] in capsys.readouterr().err
 
 
-def test_rig_errors_without_a_covariance_are_rejected(scene, capsys):
+def test_rig_errors_without_a_covariance_and_a_stability_are_rejected(scene, capsys):
+    exact = "stability: {plane_tilt_rad: 0, plane_distance_m: 0, focal_ratio: 0}\n"
+    (scene.parent / "rig.yaml").write_text(SERVED_RIG + exact)
     assert features(scene, "--rig-errors") == 65
     assert "covariance" in capsys.readouterr().err
 

@@ -7,7 +7,6 @@ import pytest
 
 from ringpose.estimate.initial_guess import initial_guess
 from ringpose.estimate.measurements import measurements_of
-from ringpose.estimate.nuisance import rig_errors
 from ringpose.estimate.residuals import Prior, ring_residuals
 from ringpose.estimate.solver import estimate_ring
 from ringpose.pose.pipeline import estimate_pose
@@ -41,7 +40,7 @@ def test_the_search_ends_where_the_sum_of_squares_is_least(noisy, calibrated, ra
     rig = with_covariance(rig) if calibrated else rig
     observations, prior = measured.observations(rig.lasers), Prior(radii)
 
-    estimate = estimate_ring(measured, rig, prior, rig_errors(rig))
+    estimate = estimate_ring(measured, rig, prior)
 
     def cost(step):
         residuals = ring_residuals(estimate.arcs.moved(step), measured, observations, prior)

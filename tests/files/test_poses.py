@@ -9,18 +9,17 @@ from schemas import SCHEMAS, validated
 from ringpose.errors import DataError
 from ringpose.files import records
 from ringpose.files.poses import pose_line_of, pose_record, recorded_status
+from ringpose.types.assumptions import Assumptions, MotionPrior, RigStability
 from ringpose.types.detection import Rejection
 from ringpose.types.options import PoseFrame
 from ringpose.types.pose import (
     MEASURED_PARAMETERS,
     LaserState,
     LinearizationPoint,
-    MotionPrior,
     PoseFlag,
     PoseLine,
     Priors,
     RadiusPrior,
-    RigStability,
     RingMeasurement,
     RingPose,
     RingVelocity,
@@ -80,11 +79,13 @@ def complete(rng, pose, measurement) -> PoseLine:
         velocity=RingVelocity(center_m_s=rng.normal(size=3), rate_rad_s=rng.normal(size=3), covariance=square(rng, 5)),
         measurement=measurement,
         priors=Priors(
-            motion=MotionPrior(speed_sd_m_s=0.025, rate_sd_rad_s=0.04),
+            assumptions=Assumptions(
+                motion=MotionPrior(speed_sd_m_s=0.025, rate_sd_rad_s=0.04),
+                ring_tolerance_m=1e-4,
+                stability=RigStability(plane_tilt_rad=1e-4, plane_distance_m=2e-5, focal_ratio=1e-4),
+            ),
             radius=RadiusPrior(inner_m=math.nan, outer_m=0.597, inner_sd_m=math.nan, outer_sd_m=0.0005, source="given"),
-            ring_tolerance_m=1e-4,
             rig_covariance=True,
-            stability=RigStability(plane_tilt_rad=1e-4, plane_distance_m=2e-5, focal_ratio=1e-4),
             regularization=rng.normal(size=(2, 13)),
         ),
         lasers={"left": LaserState.USED, "middle": LaserState.PARTLY, "right": LaserState.OUT_OF_VIEW},

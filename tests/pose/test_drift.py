@@ -39,7 +39,7 @@ def health_of_stream(scene_of, face_points, rng, said, real, shots=40):
     health = new_health(3)
     for points in stream(scene_of, face_points, rng, real, shots):
         measured = measurements_of(points, said)
-        estimate = estimate_ring(measured, said, Prior(), None)
+        estimate = estimate_ring(measured, said, Prior())
         health = health_after(health, plane_evidence(estimate, measured, said))
     return health
 

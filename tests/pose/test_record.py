@@ -9,6 +9,7 @@ from drawn_scene import DrawnScene, draw_shot, drawn_rig
 from ringpose.detect.pipeline import detect
 from ringpose.pose.drift import SHOTS_NEEDED, DriftMonitor
 from ringpose.pose.record import pose_line, remarks_on
+from ringpose.types.assumptions import AssumptionOptions
 from ringpose.types.options import Method
 from ringpose.types.pose import PoseFlag
 
@@ -37,7 +38,7 @@ def test_a_dark_shot_gives_a_line_with_the_reason(shot):
 
 
 def test_a_weak_center_is_remarked_with_the_measurement_that_would_help(shot):
-    line = pose_line(shot, drawn_rig())
+    line = pose_line(shot, drawn_rig(), options=AssumptionOptions(still=True))
     weak = replace(line, pose=replace(line.pose, flags=PoseFlag.CENTER_WEAK))
 
     assert "the centre is known to" in remarks_on(weak)

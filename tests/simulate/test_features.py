@@ -12,9 +12,9 @@ from ringpose.pose.pipeline import estimate_pose
 from ringpose.simulate.common_errors import FORM_ORDERS, CommonErrors, RingForm, drawn_common_errors
 from ringpose.simulate.features import Deviations, draw_detection, drawn_features
 from ringpose.simulate.pipeline import simulate
+from ringpose.types.assumptions import MotionPrior, RigStability
 from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
-from ringpose.types.pose import MotionPrior
 
 EXACT = Deviations(noise=False)
 STILL_FORM = RingForm(np.zeros((2, 3, 2)), np.zeros((3, 2)))
@@ -191,7 +191,7 @@ def test_a_stripe_on_the_background_lies_on_a_parallel_plane_behind(switched, vi
 def test_rig_errors_move_the_features_as_the_rigs_covariance_says(switched, view, rng):
     sd_m = 2e-4
     covariance = ParameterCovariance(parameters=("middle.distance",), data=np.array([[sd_m**2]]))
-    calibrated = replace(switched, rig=replace(switched.rig, covariance=covariance))
+    calibrated = replace(switched, rig=replace(switched.rig, covariance=covariance, stability=RigStability()))
     exact = found(draw_detection(switched, view, rng, EXACT)).position_px
     off = []
     for _ in range(60):
@@ -205,9 +205,21 @@ def test_rig_errors_move_the_features_as_the_rigs_covariance_says(switched, view
     assert np.std(off) == pytest.approx(sd_m, rel=0.3)
 
 
-def test_rig_errors_need_a_covariance(switched, view, rng):
+def test_rig_errors_contain_what_has_changed_since_the_calibration(switched, view, rng):
+    stability = RigStability(plane_tilt_rad=2e-4)
+    changing = replace(switched, rig=replace(switched.rig, stability=stability))
+
+    rigs = [draw_detection(changing, view, rng, replace(EXACT, rig_errors=True)).common.rig for _ in range(100)]
+
+    tilts = np.array([each.lasers.normal - switched.rig.lasers.normal for each in rigs])
+    assert np.sqrt((tilts**2).sum(axis=-1).mean()) == pytest.approx(np.sqrt(2) * stability.plane_tilt_rad, rel=0.1)
+    np.testing.assert_allclose([each.lasers.distance_m for each in rigs], 100 * [switched.rig.lasers.distance_m])
+
+
+def test_rig_errors_need_a_covariance_or_a_stability(switched, view, rng):
+    exact = replace(switched, rig=replace(switched.rig, stability=RigStability()))
     with pytest.raises(DataError, match="covariance"):
-        draw_detection(switched, view, rng, Deviations(rig_errors=True))
+        draw_detection(exact, view, rng, Deviations(rig_errors=True))
 
 
 def test_a_run_has_one_rig_and_one_form(switched, view):

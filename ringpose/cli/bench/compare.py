@@ -10,11 +10,11 @@ from ringpose.cli.bench.score import By, TruthFiles, group_names, scores_of_line
 from ringpose.cli.options import STDOUT, Force, JsonFile, OptionalRigFile, finite
 
 if TYPE_CHECKING:
-    from ringpose.bench.assumptions import Assumptions
     from ringpose.bench.compare import Pair
     from ringpose.bench.score import Score
     from ringpose.cli.batch import Batch
     from ringpose.files.schema import Fields
+    from ringpose.types.assumptions import Assumptions
 
 ResultA = Annotated[
     str, typer.Argument(metavar="A", help="The older result: pose records, with --truth, or a table of bench --json.")
@@ -124,8 +124,8 @@ def _read_table(name: str) -> _Result:
 
 def _score_of(fields: "Fields", of_version_2: bool) -> "Score":
     """A shot of a table; all poses of version 2 have the same assumptions, which are the default."""
-    from ringpose.bench.assumptions import Assumptions
     from ringpose.bench.score import Judgement, Outcome, Score
+    from ringpose.types.assumptions import Assumptions
 
     def numbers(key: str) -> dict[str, float]:
         part = fields.fields(key)
@@ -152,8 +152,9 @@ def _score_of(fields: "Fields", of_version_2: bool) -> "Score":
 
 
 def _assumptions(fields: "Fields") -> "Assumptions | None":
-    from ringpose.bench.assumptions import Assumptions
-    from ringpose.files.poses import motion_prior, rig_stability
+    from ringpose.files.poses import motion_prior
+    from ringpose.files.rigs import rig_stability
+    from ringpose.types.assumptions import Assumptions
 
     if not fields.has("assumptions"):
         return None
@@ -161,7 +162,7 @@ def _assumptions(fields: "Fields") -> "Assumptions | None":
     return Assumptions(
         motion=motion_prior(values),
         ring_tolerance_m=values.number("ring_tolerance_m", least=0),
-        stability=rig_stability(values),
+        stability=rig_stability(values.fields("stability")),
     )
 
 

@@ -82,15 +82,13 @@ def deviations_of(
     missing: float | None,
 ) -> "Deviations":
     """The deviations that the options ask for."""
-    from math import radians
-
     from ringpose.simulate.features import Deviations
-    from ringpose.types.pose import MotionPrior
+    from ringpose.types.assumptions import motion_prior
 
     standard = Deviations()
     displaced_share, displaced_px = _share_and_range("--displaced", displaced, standard.displaced_px)
     background_share, background_m = _share_and_range("--background", background, standard.background_m)
-    motion = MotionPrior(speed_sd_m_s=(max_speed or 0.0) / 2, rate_sd_rad_s=radians(max_rate or 0.0) / 2)
+    motion = motion_prior(max_speed or 0.0, max_rate or 0.0)
     return Deviations(
         rig_errors=rig_errors,
         motion=motion if max_speed or max_rate else None,

@@ -59,6 +59,7 @@ def detection_record(detection: Detection, full: bool = True) -> dict[str, Any]:
         "stamp_s": detection.stamp_s,
         "reason": detection.break_points.value if isinstance(detection.break_points, NoBreakPoints) else None,
         "lasers_on": detection.lasers_on,
+        "still": detection.still,
         "break_points": _part("break_points", found),
         "ring_edges": _part("ring_edges", detection.ring_edges),
         REJECTED: [rejection_record(each) for each in detection.rejected],
@@ -89,6 +90,7 @@ def detection_of(record: Mapping[str, Any], location: str) -> Detection:
         segments=_segments(parts["segments"]) if "segments" in parts else None,
         ring_edges=_ring_edges(parts["ring_edges"]) if "ring_edges" in parts else None,
         lasers_on=_lasers_on(fields, points) if fields.has("lasers_on") else None,
+        still=fields.boolean("still") if fields.has("still") else False,
         rejected=rejections_in(fields),
     )
 
