@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import replace
-from functools import partial
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated
 
@@ -91,7 +90,11 @@ def pose(
     if frame is PoseFrame.TOOL:
         require_mount(rig_of_shots, rig)
     batch = Batch()
-    measure = partial(pose_line, rig=rig_of_shots, method=method, frame=frame, known=known, options=options)
+    monitor = DriftMonitor(rig_of_shots, rig_of_shots.stability.scaled(rig_stability))
+
+    def measure(source: "Shot | Detection") -> "PoseLine":
+        return pose_line(source, monitor.rig, method=method, frame=frame, known=known, options=options)
+
     lines: AbstractContextManager[Iterator[PoseLine]]
     if camera is None:
         lines = nullcontext(_recorded_lines(inputs or [], rig_of_shots, channel, batch, measure))
@@ -111,7 +114,7 @@ def pose(
         )
         lines = _live_lines(request, rig_of_shots, batch, measure)
     with lines as each:
-        _write(each, DriftMonitor(rig_of_shots.lasers.names, method), batch, brief, verbose, quiet)
+        _write(each, monitor, batch, brief, verbose, quiet)
     batch.finish()
 
 

@@ -19,12 +19,15 @@ ALARM_SIGMAS = 3.7
 
 
 def fails_chi2_test(estimate: Estimate, measured: Measurements) -> bool:
-    """Whether the residuals exceed the quantile of chi-squared (Wilson and Hilferty 1931)."""
+    """Whether the residuals exceed the quantile of chi-squared."""
     dof = degrees_of_freedom(estimate, measured)
-    if not dof:
-        return False
-    quantile = dof * (1.0 - 2.0 / (9.0 * dof) + ALARM_SIGMAS * sqrt(2.0 / (9.0 * dof))) ** 3
-    return chi2(estimate, measured) > quantile
+    return dof > 0 and chi2(estimate, measured) > chi2_quantile(dof, ALARM_SIGMAS)
+
+
+def chi2_quantile(degrees_of_freedom: int, sigmas: float) -> float:
+    """Quantile of chi-squared at the probability of a normal quantile (Wilson and Hilferty 1931)."""
+    spread = 2.0 / (9.0 * degrees_of_freedom)
+    return degrees_of_freedom * (1.0 - spread + sigmas * sqrt(spread)) ** 3
 
 
 def chi2(estimate: Estimate, measured: Measurements) -> float:

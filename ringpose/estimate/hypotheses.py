@@ -158,6 +158,8 @@ class Explanation(NamedTuple):
     """Whether the inner edges are those that were given as outer ones."""
     competing: tuple[Estimate, ...] = ()
     """The rings of other explanations that are comparable."""
+    everything: tuple[Measurements, Estimate] | None = None
+    """All measurements with the ring that fits them best; None if the iteration diverges."""
     differing: frozenset[str] = frozenset()
     """Quantities in which these differ: `center`, `normal`, `grasp`, `radius`, `velocity`."""
 
@@ -298,6 +300,7 @@ def _explanation(best: Solved, everything: Solved | None, rivals: Sequence[Solve
         rejected=tuple(replace(each, chi2=reduction) for each in hypothesis.rejected),
         side_known=True,
         competing=tuple(each.estimate for each in rivals),
+        everything=None if everything is None else (everything.hypothesis.measured, everything.estimate),
         differing=differing,
     )
 

@@ -1,181 +1,283 @@
-"""Detection of a rig that has changed since its calibration, from the residuals of a stream of shots.
+"""Errors of the light planes over a stream of shots (ringpose-method(7), section 11).
 
-Noise leaves different residuals in each shot; a light plane that has moved leaves the same ones every time. With three
-stripes a single shot hardly determines which plane has moved; shots of different poses do. Each shot contributes the
-score and the information of its likelihood with respect to every plane's errors.
+A light plane that has moved leaves the same residuals in every shot, noise leaves other ones in each. The information
+of the shots on the rig's parameters is accumulated; for each plane, the likelihood that it has moved is compared with
+the likelihood of a rig within its calibration and stability. From then on, the stream is measured with that plane as
+estimated.
 """
 
 from dataclasses import dataclass, replace
+from math import degrees, hypot, sqrt
 
 import numpy as np
 
+from ringpose.estimate.consistency import chi2_quantile
 from ringpose.estimate.measurements import Measurements
-from ringpose.estimate.nuisance import light_plane_bases
+from ringpose.estimate.nuisance import light_plane_bases, rig_errors, rig_jacobian, total_covariance
 from ringpose.estimate.residuals import PARAMETERS
-from ringpose.estimate.solver import Estimate
+from ringpose.estimate.solver import RIDGE, Estimate
+from ringpose.geometry.rotations import angle_between, tilted
 from ringpose.types.arrays import Array, Float64, Int64
-from ringpose.types.options import Method
+from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
+from ringpose.types.covariance import PLANE_PARAMETERS, ParameterCovariance, laser_parameters
 from ringpose.types.pose import PlaneEvidence, PoseFlag, PoseLine
 from ringpose.types.rig import Rig
 
 FORGETTING = 0.98
-"""Factor on the accumulated evidence with each new shot: about fifty shots count."""
+"""Weight of the evidence so far when a shot is added: about fifty shots count."""
 
-DRIFTED_FROM = 3.0
-"""Error of a plane, in the standard deviations that a single shot has for it, from which the plane counts as drifted.
+STREAM_SHOTS, FALSE_ALARM_SIGMAS = 50, 3.1
+"""At most one stream of so many shots in a thousand may have a false alarm: a normal quantile."""
 
-Noise that is identical in all shots (a target at rest) gives figures around 1; noise that is independent in each of n
-shots gives 1 / sqrt(n).
-"""
+MOVED_TILT_RAD, MOVED_DISTANCE_M = 0.05, 0.02
+"""Standard deviations of a plane that has moved."""
+
+MAX_CHI2_OF_SHOT = 20.0
+"""Chi-squared with which a single shot can count at most: an outlier among its measurements is not a drift."""
+
+CLEARLY = 8.0
+"""Margin in chi-squared by which one plane's error must explain more than any other's, or than a turn of the camera
+against all planes, for the plane to be named: a factor of 50 in likelihood."""
+
+SAME_TILT_RAD, SAME_PLACE_M = 0.003, 0.001
+"""A shot nearer than this to one of the last poses shows nothing new: on a target at rest the noise is the same."""
+
+POSES_REMEMBERED = 50
+"""Number of last poses that new ones are compared with."""
 
 SHOTS_NEEDED = 10.0
-"""No warning is issued before this number of shots."""
-
-CLEARLY = 16.0
-"""Margin in chi-squared by which one plane's error must explain more than any other's for the plane to be named."""
+"""No warning about contradictory shots is issued before this number of shots."""
 
 DOUBTED_FROM = 0.5
-"""Share of shots with a rejected stripe, label or radius from which the rig is reported as changed."""
+"""Share of contradictory shots without evidence from which the rig is reported as changed."""
 
 CONTRADICTORY = PoseFlag.STRIPE_REJECTED | PoseFlag.ASSIGNMENT_AMBIGUOUS | PoseFlag.INCONSISTENT
 """Flags of a shot whose stripes do not fit one ring as they were assigned."""
 
-_NOTHING = 1e-9
-"""Share of the largest eigenvalue below which a combination of a plane's errors counts as unobserved."""
+REDUNDANT_STRIPES = 3
+"""Stripes from which a single shot shows an error of the rig."""
 
-
-class DriftMonitor:
-    """Accumulates the evidence of a stream of pose lines and warns once of each drift."""
-
-    def __init__(self, names: tuple[str, ...], method: Method) -> None:
-        self._names = names
-        self._method = method
-        self._health = new_health(len(names))
-        self._warned = False
-
-    def update(self, line: PoseLine) -> tuple[PoseLine, str | None]:
-        """The line with the lasers' health, and a warning where a drift is detected for the first time.
-
-        Poses that contradict the given radii, and lines without a pose, contribute no evidence; a shot with a rejected
-        part, or whose stripes contradict each other, counts as doubted. The paper's methods have no residuals to
-        accumulate: their lines stay as they are.
-        """
-        if self._method is not Method.ML:
-            return line, None
-        new_warning = None
-        contradictory = line.pose is None and bool(line.flags & CONTRADICTORY)
-        if contradictory or (line.pose is not None and PoseFlag.RADIUS_INCONSISTENT not in line.flags):
-            self._health = health_after(self._health, line.plane_evidence)
-            warning = drift_warning(self._health, self._names)
-            new_warning = None if self._warned else warning
-            self._warned = warning is not None  # a rig that has recovered may be warned of again
-        figures = dict(zip(self._names, self._health.figure.tolist(), strict=True))
-        return replace(line, rig_health=figures), new_warning
+_PLANE = len(PLANE_PARAMETERS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RigHealth:
-    """Accumulated evidence for errors of the light planes (two tilts and a distance each)."""
+class MovedPlane:
+    """A light plane that has moved, as a stream of shots shows it."""
 
-    score: Float64[Array, "laser parameter=3"]
-    information: Float64[Array, "laser parameter=3 parameter=3"]
-    shots: float
-    """Effective number of shots; older ones count less."""
-    doubted: float = 0.0
-    """Effective number of shots with a rejected part, which contribute no evidence."""
+    laser: int
+    change: Float64[Array, "parameter=3"]
+    """Tilts in radians and distance in metres, relative to the rig before."""
+    covariance: Float64[Array, "parameter=3 parameter=3"]
 
-    @property
-    def explained(self) -> Float64[Array, "laser"]:
-        """Chi-squared that an error of each plane explains, score^T information^-1 score; NaN if unobserved."""
-        chi2 = np.full(len(self.score), np.nan)
-        for laser, (score, information) in enumerate(zip(self.score, self.information, strict=True)):
-            scale = np.sqrt(np.diag(information))
-            if (scale > 0).all():
-                variance, axes = np.linalg.eigh(information / scale / scale[:, None])
-                kept = variance > _NOTHING * variance[-1]
-                chi2[laser] = float(np.sum((axes.T @ (score / scale))[kept] ** 2 / variance[kept]))
-        return chi2
-
-    @property
-    def figure(self) -> Float64[Array, "laser"]:
-        """Error of each plane in the standard deviations that a single shot has for it: small is good."""
-        figure: Float64[Array, "laser"] = np.sqrt(self.explained / max(self.shots, 1.0))
-        return figure
+    def description(self, name: str, depth_m: float) -> str:
+        """Laser, angle, and displacement in millimetres at the working distance."""
+        tilt_rad = hypot(*self.change[:2].tolist())
+        shift_m = hypot(depth_m * tilt_rad, float(self.change[2]))
+        return f"the light plane of laser {name} has moved by {degrees(tilt_rad):.2f} degrees, {1e3 * shift_m:.2g} mm"
 
 
-def new_health(lasers: int) -> RigHealth:
-    """The state before the first shot."""
-    return RigHealth(score=np.zeros((lasers, 3)), information=np.zeros((lasers, 3, 3)), shots=0.0)
+class DriftMonitor:
+    """Accumulates the evidence of a stream of pose lines, and corrects the rig for a plane that has moved."""
+
+    def __init__(self, rig: Rig, stability: RigStability) -> None:
+        self.rig = rig
+        """The rig for the next shot: a plane that has moved is where the stream shows it."""
+        self._stability = stability
+        self._parameters, self._prior = _parameters_and_prior(rig, stability)
+        self._evidence = np.zeros((0, len(self._parameters) + 1))
+        self._poses: list[tuple[Float64[Array, "3"], Float64[Array, "3"]]] = []
+        self._shots, self._doubted = 0.0, 0.0
+        self._reason = ""
+
+    def update(self, line: PoseLine) -> tuple[PoseLine, str | None]:
+        """The line with the lasers' health and the flag of a drift, and a warning where one is detected.
+
+        Poses that contradict given radii contribute nothing; nor do the paper's methods, which have no residuals.
+        """
+        if line.pose is not None and line.priors is None:
+            return line, None
+        line = self._flagged(line)  # before this shot is counted: it was measured with the rig as it was
+        before = self._reason.partition(" by ")[0]
+        if line.plane_evidence is not None:
+            if PoseFlag.RADIUS_INCONSISTENT not in line.flags and self._is_new(line.plane_evidence):
+                self._add(line.plane_evidence)
+        elif line.flags & CONTRADICTORY:
+            self._shots, self._doubted = FORGETTING * self._shots + 1.0, FORGETTING * self._doubted + 1.0
+        chi2 = self._chi2_of_planes()
+        names = self.rig.lasers.names
+        health = {name: sqrt(max(each, 0.0) / _PLANE) for name, each in zip(names, chi2.tolist(), strict=True)}
+        if not len(self._evidence):
+            health = {}
+        line = replace(line, rig_health=health)
+        self._judge(chi2, line)
+        cause = self._reason.partition(" by ")[0]  # the figures change with every shot
+        return line, self._reason if cause and cause != before else None
+
+    def _flagged(self, line: PoseLine) -> PoseLine:
+        """The line with the flags of a drift that was detected before it."""
+        if not self._reason:
+            return line
+        flags, corrected = line.flags | PoseFlag.RIG_DRIFT, self.rig.moved_planes
+        if not corrected or PoseFlag.RIG_UNCHECKED in line.flags:
+            flags |= PoseFlag.INCONSISTENT
+        reason = "; ".join(filter(None, [line.reason, self._reason]))
+        pose = None if line.pose is None else replace(line.pose, flags=line.pose.flags | flags)
+        return replace(line, flags=flags, pose=pose, reason=reason)
+
+    def _is_new(self, evidence: PlaneEvidence) -> bool:
+        """Whether a shot shows the ring at another pose than the last ones."""
+        for normal, place_m in self._poses:
+            tilt_rad = float(angle_between(normal[None], evidence.normal[None])[0])
+            if tilt_rad < SAME_TILT_RAD and np.linalg.norm(place_m - evidence.place_m) < SAME_PLACE_M:
+                return False
+        self._poses = [*self._poses, (evidence.normal, evidence.place_m)][-POSES_REMEMBERED:]
+        return True
+
+    def _add(self, evidence: PlaneEvidence) -> None:
+        """Add the rows of a shot; one that contradicts the rig strongly counts less."""
+        rows = np.zeros((len(evidence.rows), len(self._parameters) + 1))
+        columns = [self._parameters.index(name) for name in evidence.parameters]
+        rows[:, columns], rows[:, -1] = evidence.rows[:, :-1], evidence.rows[:, -1]
+        chi2 = float(self._explained_by_planes(rows).max(initial=0.0))
+        rows *= sqrt(min(1.0, MAX_CHI2_OF_SHOT / max(chi2, np.finfo(float).tiny)))
+        stacked = np.concatenate([sqrt(FORGETTING) * self._evidence, rows])
+        self._evidence = np.asarray(np.linalg.qr(stacked, mode="r"))
+        self._shots, self._doubted = FORGETTING * self._shots + 1.0, FORGETTING * self._doubted
+
+    def _chi2_of_planes(self) -> Float64[Array, "laser"]:
+        return self._explained_by_planes(self._evidence)
+
+    def _explained_by_planes(self, rows: Float64[Array, "row column"]) -> Float64[Array, "laser"]:
+        """By how much chi-squared falls if each plane has moved, Eq. (11.2)."""
+        stable = _chi2(rows, self._prior)
+        return np.array([stable - _chi2(rows, self._prior_if_moved([n])) for n in range(len(self.rig.lasers.names))])
+
+    def _prior_if_moved(self, lasers: list[int]) -> Float64[Array, "parameter parameter"]:
+        prior = self._prior.copy()
+        for laser in lasers:
+            at = self._columns(laser)
+            prior[at, at] += np.array([MOVED_TILT_RAD, MOVED_TILT_RAD, MOVED_DISTANCE_M]) ** 2
+        return prior
+
+    def _prior_if_camera_turned(self) -> Float64[Array, "parameter parameter"]:
+        """The camera turned by r against all light planes together: their normals n become n + r x n."""
+        lasers, bases = self.rig.lasers, light_plane_bases(self.rig)
+        root = np.zeros((len(self._parameters), 3))
+        for laser, (normal, basis) in enumerate(zip(lasers.normal, bases, strict=True)):
+            root[self._columns(laser)[:2]] = MOVED_TILT_RAD * np.cross(normal, basis)  # e . (r x n) = r . (n x e)
+        return self._prior + root @ root.T
+
+    def _columns(self, laser: int) -> Int64[Array, "3"]:
+        names = laser_parameters([self.rig.lasers.names[laser]])
+        return np.array([self._parameters.index(name) for name in names])
+
+    def _judge(self, chi2: Float64[Array, "laser"], line: PoseLine) -> None:
+        """Name and correct a plane that has moved, or report that the rig has changed."""
+        lasers = len(chi2)
+        if chi2.max(initial=0.0) > _limit(_PLANE, lasers):
+            worst = int(np.argmax(chi2))
+            turned = _chi2(self._evidence, self._prior) - _chi2(self._evidence, self._prior_if_camera_turned())
+            if bool((np.delete(chi2, worst) + CLEARLY < chi2[worst]).all()) and turned < chi2[worst] + CLEARLY:
+                moved = self._moved(worst)
+                depth_m = 0.5 if line.plane_evidence is None else float(line.plane_evidence.place_m[2])
+                self._reason = moved.description(self.rig.lasers.names[worst], depth_m)
+                if turned + CLEARLY < chi2[worst]:
+                    self._correct(moved)
+                else:  # of three planes, the middle one hardly differs from a turn of the camera
+                    self._reason = f"{self._reason}, or the camera has turned"
+            else:
+                self._reason = "the stripes disagree with the rig: a light plane or the camera has moved"
+            return
+        shots = self._shots
+        if shots >= SHOTS_NEEDED and self._doubted > DOUBTED_FROM * shots:
+            share = 100.0 * self._doubted / shots
+            self._reason = f"{share:.0f} % of the last shots contradict one ring: a light plane or the camera has moved"
+            return
+        if not self.rig.moved_planes:
+            self._reason = ""  # contradictory shots are over
+
+    def _moved(self, laser: int) -> MovedPlane:
+        """The plane's change by the evidence, and its covariance."""
+        prior, at = self._prior_if_moved([laser]), self._columns(laser)
+        jacobian, target = self._evidence[:, :-1], self._evidence[:, -1]
+        gain = np.linalg.solve(np.eye(len(target)) + jacobian @ prior @ jacobian.T, jacobian @ prior).T
+        covariance = prior - gain @ jacobian @ prior
+        block = covariance[np.ix_(at, at)]
+        return MovedPlane(laser=laser, change=(gain @ target)[at], covariance=0.5 * (block + block.T))
+
+    def _correct(self, moved: MovedPlane) -> None:
+        """Measure the next shots with the plane as estimated, with its covariance instead of the calibration's."""
+        lasers, laser = self.rig.lasers, moved.laser
+        normal, distance_m = lasers.normal.copy(), lasers.distance_m.copy()
+        normal[laser] = tilted(normal[laser], moved.change[:2])
+        distance_m[laser] += moved.change[2]
+        covariance, at = self._prior.copy(), self._columns(laser)
+        covariance[at], covariance[:, at] = 0.0, 0.0
+        covariance[np.ix_(at, at)] = moved.covariance
+        self.rig = replace(
+            self.rig,
+            lasers=replace(lasers, normal=normal, distance_m=distance_m),
+            covariance=ParameterCovariance(parameters=self._parameters, data=covariance),
+            stability=RigStability(),
+            moved_planes=(*self.rig.moved_planes, lasers.names[laser]),
+        )
+        self._parameters, self._prior = _parameters_and_prior(self.rig, RigStability())
+        self._evidence = np.zeros((0, len(self._parameters) + 1))
+        self._poses = []
 
 
-def health_after(health: RigHealth, evidence: PlaneEvidence | None) -> RigHealth:
-    """The state after one more shot; `evidence` is None if a part of the shot was rejected."""
-    kept = RigHealth(
-        score=FORGETTING * health.score,
-        information=FORGETTING * health.information,
-        shots=FORGETTING * health.shots,
-        doubted=FORGETTING * health.doubted + float(evidence is None),
-    )
-    if evidence is None:
-        return kept
-    return replace(
-        kept,
-        score=kept.score + evidence.score,
-        information=kept.information + evidence.information,
-        shots=kept.shots + float(evidence.information.any()),
-    )
+def _parameters_and_prior(
+    rig: Rig, stability: RigStability
+) -> tuple[tuple[str, ...], Float64[Array, "parameter parameter"]]:
+    """The rig's parameters, among them those of all light planes, and their covariance."""
+    total = total_covariance(rig, stability)
+    more = tuple(name for name in total_covariance(rig, TYPICAL_STABILITY).parameters if name not in total.parameters)
+    known = len(total.parameters)
+    covariance = np.zeros((known + len(more), known + len(more)))
+    covariance[:known, :known] = total.data
+    return (*total.parameters, *more), covariance
 
 
-def drift_warning(health: RigHealth, names: tuple[str, ...]) -> str | None:
-    """The warning about a rig that has changed; None if it has not, or if there are too few shots to decide."""
-    shots = health.shots + health.doubted
-    if shots < SHOTS_NEEDED:
+def _chi2(rows: Float64[Array, "row column"], prior: Float64[Array, "parameter parameter"]) -> float:
+    """Chi-squared of y = A q + noise for q ~ N(0, prior), y^T (1 + A P A^T)^-1 y."""
+    if not len(rows):
+        return 0.0
+    jacobian, target = rows[:, :-1], rows[:, -1]
+    return float(target @ np.linalg.solve(np.eye(len(target)) + jacobian @ prior @ jacobian.T, target))
+
+
+def _limit(degrees_of_freedom: int, tests: int) -> float:
+    """Quantile of chi-squared for so many tests of each shot of a stream (Bonferroni)."""
+    # a normal quantile z of a probability p becomes about sqrt(z^2 + 2 ln n) for p / n
+    sigmas = sqrt(FALSE_ALARM_SIGMAS**2 + 2.0 * np.log(tests * STREAM_SHOTS))
+    return chi2_quantile(degrees_of_freedom, sigmas)
+
+
+def plane_evidence(estimate: Estimate, measured: Measurements, rig: Rig) -> PlaneEvidence | None:
+    """What a shot shows about the rig's parameters; None if it leaves parameters of the ring open.
+
+    The rows A q = y of the QR factor that are left when ring, rates, form and visible edges' errors are eliminated with
+    their priors: the Schur complement of section 9.
+    """
+    if estimate.regularized or len(measured.lines.laser) < REDUNDANT_STRIPES:
         return None
-    figure = health.figure
-    observed = np.flatnonzero(figure == figure)
-    if len(observed) and figure[observed].max() > DRIFTED_FROM:
-        return _drifted_plane(health, observed, names)
-    if health.doubted > DOUBTED_FROM * shots:
-        share = 100.0 * health.doubted / shots
-        return f"{share:.0f} % of the last shots contradict one ring: a light plane or the camera has moved"
-    return None
-
-
-def _drifted_plane(health: RigHealth, observed: Int64[Array, "n"], names: tuple[str, ...]) -> str:
-    """Names the plane whose error explains most, if no other explains nearly as much.
-
-    If the camera has moved against all planes together, the error of one plane explains that nearly as well.
-    """
-    chi2 = health.explained
-    worst = int(observed[np.argmax(chi2[observed])])
-    off = f"{health.figure[worst]:.1f} sigma"
-    if bool((chi2[observed[observed != worst]] + CLEARLY < chi2[worst]).all()):
-        return f"the light plane of laser {names[worst]} has moved, or the camera: its stripe is off by {off}"
-    return f"the stripes disagree by {off}: a light plane or the camera has moved"
-
-
-def plane_evidence(estimate: Estimate, measured: Measurements, rig: Rig) -> PlaneEvidence:
-    """Score and information of each light plane's tilts and distance, from the residuals of the lines.
-
-    With S the covariance of a whitened line (1 plus the contribution of the rig's calibration errors), C = S - J N^-1
-    J^T that of its residual r, and D the derivative of r with respect to the plane: score D^T S^-1 r, information
-    D^T S^-1 C S^-1 D.
-    """
-    lasers, count = len(rig.lasers.names), len(measured.lines.laser)
-    score, information = np.zeros((lasers, 3)), np.zeros((lasers, 3, 3))
-    if estimate.regularized or not count:
-        return PlaneEvidence(score=score, information=information)
-    jacobian = estimate.residuals.jacobian[: 2 * count].reshape(count, 2, PARAMETERS)
-    covariance = np.eye(2) - jacobian @ estimate.inverse @ jacobian.swapaxes(1, 2)
-    basis, stripes = light_plane_bases(rig)[np.repeat(measured.lines.laser, 2)], estimate.residuals.stripes
-    y_wrt_tilts = (basis @ stripes.y_wrt_light_normal[: 2 * count, :, None])[:, :, 0]
-    y_wrt_plane = np.column_stack([y_wrt_tilts, stripes.y_wrt_light_distance[: 2 * count]]).reshape(count, 2, 3)
-    weighted = -measured.lines.whitening @ y_wrt_plane  # S^-1 D
-    if estimate.nuisance.size:
-        wrt_nuisance = estimate.nuisance[: 2 * count].reshape(count, 2, -1)
-        added = wrt_nuisance @ wrt_nuisance.swapaxes(1, 2)
-        covariance, weighted = covariance + added, np.linalg.solve(np.eye(2) + added, weighted)
-    residual = estimate.residuals.residual[: 2 * count].reshape(count, 2, 1)
-    score[measured.lines.laser] = (weighted * residual).sum(axis=1)
-    information[measured.lines.laser] = weighted.swapaxes(1, 2) @ covariance @ weighted
-    return PlaneEvidence(score=score, information=information)
+    errors = rig_errors(rig, TYPICAL_STABILITY)
+    if errors is None:
+        return None
+    residuals, rates = estimate.residuals, len(estimate.rate_deviations)
+    of_rig = estimate.mean_ray_wrt_nuisance.shape[1]
+    own = np.delete(estimate.nuisance, range(rates, of_rig), axis=1)
+    by_rig = rig_jacobian(residuals, measured, measured.observations(rig.lasers), errors, rig)
+    rows = np.concatenate([residuals.jacobian, own, by_rig, -residuals.residual[:, None]], axis=1)
+    eliminated = PARAMETERS + own.shape[1]
+    prior = np.zeros((eliminated, rows.shape[1]))
+    diagonal = range(eliminated)
+    prior[diagonal, diagonal] = np.concatenate([np.full(PARAMETERS, sqrt(RIDGE)), np.ones(own.shape[1])])
+    prior[PARAMETERS : PARAMETERS + rates, -1] = -estimate.rate_deviations
+    triangle = np.linalg.qr(np.concatenate([prior, np.sqrt(estimate.weights)[:, None] * rows]), mode="r")
+    return PlaneEvidence(
+        parameters=errors.parameters,
+        rows=np.asarray(triangle)[eliminated:, eliminated:],
+        normal=estimate.arcs.normal,
+        place_m=estimate.arcs.origin,
+    )

@@ -33,12 +33,12 @@ from ringpose.pose.visibility import seen_lasers
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.assumptions import IDEAL, Assumptions
 from ringpose.types.detection import BreakPointFlag, BreakPoints, Rejection, RingEdgePoints
-from ringpose.types.pose import NoPose, PoseFlag, PoseResult, Priors, RadiusPrior, RingVelocity
+from ringpose.types.pose import NoPose, PlaneEvidence, PoseFlag, PoseResult, Priors, RadiusPrior, RingVelocity
 from ringpose.types.rig import Rig
 from ringpose.types.ring import KnownRadii, Ring
 
-DOUBTS = PoseFlag.ASSIGNMENT_AMBIGUOUS | PoseFlag.STRIPE_REJECTED | PoseFlag.RADIUS_INCONSISTENT
-"""Shots with one of these flags contribute no evidence about the rig; nor do those with comparable explanations."""
+RIG_SUSPECT = PoseFlag.STRIPE_REJECTED | PoseFlag.INCONSISTENT | PoseFlag.RING_FORM | PoseFlag.MOTION
+"""Flags of an explanation for which an error of the rig is an alternative."""
 
 ERRORS_UNKNOWN = PoseFlag.CENTER_WEAK | PoseFlag.NORMAL_WEAK | PoseFlag.GRASP_WEAK | PoseFlag.RADIUS_WEAK
 """Flags of a pose whose break points have no covariance, so that its errors are not known."""
@@ -120,7 +120,7 @@ def _result(best: Explanation, rig: Rig, source: str) -> PoseResult:
         stamp_s=measured.reference_s,
         priors=_priors(best, rig, source),
         rejected=best.rejected,
-        plane_evidence=None if best.competing or best.flag & DOUBTS else plane_evidence(estimate, measured, rig),
+        plane_evidence=_plane_evidence(best, rig),
     )
     if not bool(np.isfinite(covariance).all()):
         return result
@@ -155,6 +155,15 @@ def _result(best: Explanation, rig: Rig, source: str) -> PoseResult:
         velocity=velocity,
         measurement=ring_measurement(estimate, measured, errors),
     )
+
+
+def _plane_evidence(best: Explanation, rig: Rig) -> PlaneEvidence | None:
+    """Evidence for errors of the rig; of all measurements where what contradicts one ring may be due to the rig."""
+    if best.flag & PoseFlag.ASSIGNMENT_AMBIGUOUS:
+        return None
+    if best.competing or best.flag & RIG_SUSPECT:
+        return None if best.everything is None else plane_evidence(best.everything[1], best.everything[0], rig)
+    return plane_evidence(best.estimate, best.measured, rig)
 
 
 def _velocity(best: Explanation) -> tuple[RingVelocity | None, PoseFlag]:

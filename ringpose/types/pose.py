@@ -75,15 +75,15 @@ HARMLESS_FLAGS = PoseFlag.RADIUS_UNVERIFIED | PoseFlag.RIG_UNCHECKED
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlaneEvidence:
-    """Score and Fisher information of an error of each single light plane, from the residuals of its stripe.
+    """What one shot shows about the rig's parameters: rows A q = y with noise of unit variance."""
 
-    Both are additive over shots. The maximum-likelihood error (tilt_1, tilt_2, distance) of a plane is
-    information^-1 score, and its squared Mahalanobis length is score^T information^-1 score.
-    """
-
-    score: Float64[Array, "laser parameter=3"]
-    information: Float64[Array, "laser parameter=3 parameter=3"]
-    """Zero for a laser without redundancy: any plane is consistent with two stripes alone."""
+    parameters: tuple[str, ...]
+    rows: Float64[Array, "row column"]
+    """[A, y], in the parameters' own units."""
+    normal: Float64[Array, "xyz=3"]
+    """Of the ring, by which shots of the same pose are recognized ..."""
+    place_m: Float64[Array, "xyz=3"]
+    """... and a point of its face."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -232,8 +232,8 @@ class PoseResult:
     lasers: Mapping[str, LaserState] = field(default_factory=dict)
     rejected: tuple[Rejection, ...] = ()
     plane_evidence: PlaneEvidence | None = None
-    """Evidence of the stripes for errors of the light planes; None if part of the shot was rejected, and for methods
-    without residuals."""
+    """Evidence for errors of the light planes, of all measurements if some of them contradict one ring; None for
+    methods without residuals."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -31,6 +31,8 @@ class Rig:
     stability: RigStability = TYPICAL_STABILITY
     """How far light planes and camera may have moved since the calibration."""
     tool_from_camera: Float64[Array, "4 4"] | None = None
+    moved_planes: tuple[str, ...] = ()
+    """Lasers whose light planes a stream of shots has shown to have moved, and which were corrected accordingly."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
     sha256: str = ""
     """Hash of the rig file; empty if the rig was not read from a file."""

@@ -1,32 +1,23 @@
-"""A light plane that has moved is distinguished from noise."""
+"""A light plane that has moved is detected over a stream of shots, named, and corrected."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from ringpose.estimate.measurements import measurements_of
-from ringpose.estimate.residuals import Prior
-from ringpose.estimate.solver import estimate_ring
+from ringpose.estimate.pose_errors import mahalanobis_squared, tilt_error_rad
 from ringpose.geometry.rotations import tilted
-from ringpose.pose.drift import (
-    DRIFTED_FROM,
-    SHOTS_NEEDED,
-    DriftMonitor,
-    drift_warning,
-    health_after,
-    new_health,
-    plane_evidence,
-)
-from ringpose.pose.maximum_likelihood import most_likely_pose
+from ringpose.pose.drift import DriftMonitor
 from ringpose.pose.pipeline import pose_result
-from ringpose.types.options import Method
-from ringpose.types.pose import NoPose, PoseLine
+from ringpose.types.assumptions import TYPICAL_STABILITY, Assumptions
+from ringpose.types.pose import NoPose, PoseFlag, PoseLine
 
-FIFTH_OF_A_DEGREE = np.radians(0.2)
+ASSUMED = Assumptions(ring_tolerance_m=1e-4, stability=TYPICAL_STABILITY)
+SHOTS = 50
+TILT_RAD, SHIFT_M = np.radians(0.1), 0.3e-3
 
 
-def drifted(rig, laser, tilt_rad=(0.0, 0.0), shift_m=0.0):
+def moved(rig, laser, tilt_rad=(0.0, 0.0), shift_m=0.0):
     """The rig with one light plane moved."""
     normal, distance = rig.lasers.normal.copy(), rig.lasers.distance_m.copy()
     normal[laser] = tilted(normal[laser], np.array(tilt_rad))
@@ -34,24 +25,12 @@ def drifted(rig, laser, tilt_rad=(0.0, 0.0), shift_m=0.0):
     return replace(rig, lasers=replace(rig.lasers, normal=normal, distance_m=distance))
 
 
-def health_of_stream(scene_of, face_points, rng, said, real, shots=40):
-    """Shots of many poses by the real rig, understood with the one that is said: all that was seen on one ring."""
-    health = new_health(3)
-    for points in stream(scene_of, face_points, rng, real, shots):
-        measured = measurements_of(points, said)
-        estimate = estimate_ring(measured, said, Prior())
-        health = health_after(health, plane_evidence(estimate, measured, said))
-    return health
-
-
-def stream(scene_of, face_points, rng, real, shots):
-    """Break points of rings at many poses, seen by the real rig."""
-    for _ in range(shots):
-        distance_m, tilt = rng.uniform(0.3, 1.0), rng.uniform(-0.2, 0.2, 2)
-        scene = scene_of(
-            real, distance_m=float(distance_m), tilt_rad=tuple(tilt), turn_rad=float(rng.uniform(-0.2, 0.2))
-        )
-        yield face_points(scene, 0.3, 0.02, rng)
+def drawn(rig, rng):
+    """A rig that has changed since its calibration as its stability states."""
+    tilt_sd_rad, distance_sd_m = rig.stability.plane_tilt_rad, rig.stability.plane_distance_m
+    for laser in range(3):
+        rig = moved(rig, laser, tilt_sd_rad * rng.normal(size=2), distance_sd_m * rng.normal())
+    return rig
 
 
 def camera_turned(rig, angle_rad):
@@ -62,96 +41,147 @@ def camera_turned(rig, angle_rad):
 
 
 @pytest.fixture
+def poses(scene_of, face_points, rng):
+    """Draws scenes at many poses, seen by a rig, and their noisy break points."""
+
+    def drawn_poses(real, shots=SHOTS):
+        for _ in range(shots):
+            tilt, distance_m, turn = rng.uniform(-0.2, 0.2, 2), rng.uniform(0.3, 1.0), rng.uniform(-0.2, 0.2)
+            scene = scene_of(real, distance_m=float(distance_m), tilt_rad=tuple(tilt), turn_rad=float(turn))
+            yield scene, face_points(scene, 0.3, 0.02, rng)
+
+    return drawn_poses
+
+
+def measured_stream(rig, scenes):
+    """The lines of a stream, as `ringpose pose` computes them, and the warnings by shot."""
+    monitor, lines, warnings = DriftMonitor(rig, rig.stability), [], {}
+    for number, (_, points) in enumerate(scenes):
+        result = pose_result(points, monitor.rig, assumptions=replace(ASSUMED, stability=monitor.rig.stability))
+        pose = None if isinstance(result.pose, NoPose) else result.pose
+        line = PoseLine(
+            shot=str(number),
+            stamp_s=float(number),
+            pose=pose,
+            flags=result.flags,
+            priors=result.priors,
+            plane_evidence=result.plane_evidence,
+        )
+        line, warning = monitor.update(line)
+        lines.append(line)
+        if warning is not None:
+            warnings[number] = warning
+    return lines, warnings
+
+
+@pytest.fixture
 def rig(scene_of):
     return scene_of("B").rig
 
 
-def test_noise_alone_leaves_the_lasers_healthy(scene_of, face_points, rng, rig):
-    health = health_of_stream(scene_of, face_points, rng, rig, rig)
+def test_a_rig_within_its_stability_is_healthy(poses, rng, rig):
+    lines, warnings = measured_stream(rig, poses(drawn(rig, rng)))
 
-    assert health.figure.max() < 1.0
-    assert drift_warning(health, rig.lasers.names) is None
+    assert not warnings
+    assert max(lines[-1].rig_health.values()) < 3.0
+    assert not any(PoseFlag.RIG_DRIFT in line.flags for line in lines)
 
 
 @pytest.mark.parametrize("laser", range(3))
-@pytest.mark.parametrize("drift", [{"tilt_rad": (0.0, 2e-3)}, {"shift_m": 0.5e-3}], ids=["tilt", "shift"])
-def test_a_plane_that_has_moved_is_named(scene_of, face_points, rng, rig, laser, drift):
-    health = health_of_stream(scene_of, face_points, rng, rig, drifted(rig, laser, **drift))
+@pytest.mark.parametrize("by", [{"tilt_rad": (2 * TILT_RAD, 0.0)}, {"shift_m": 2 * SHIFT_M}], ids=["tilt", "shift"])
+def test_a_plane_that_has_moved_is_named(poses, rng, rig, laser, by):
+    lines, warnings = measured_stream(rig, poses(moved(drawn(rig, rng), laser, **by)))
 
-    assert health.figure.max() > DRIFTED_FROM
-    assert f"laser {rig.lasers.names[laser]} has moved" in drift_warning(health, rig.lasers.names)
-
-
-@pytest.mark.parametrize("laser", [0, *(pytest.param(laser, marks=pytest.mark.slow) for laser in (1, 2))])
-@pytest.mark.parametrize(
-    "tilt_rad",
-    [
-        pytest.param((FIFTH_OF_A_DEGREE, 0.0), id="along"),
-        pytest.param((0.0, FIFTH_OF_A_DEGREE), id="across", marks=pytest.mark.slow),
-    ],
-)
-def test_a_plane_that_has_tilted_by_a_fifth_of_a_degree_is_seen(scene_of, face_points, rng, rig, laser, tilt_rad):
-    health = health_of_stream(scene_of, face_points, rng, rig, drifted(rig, laser, tilt_rad), shots=60)
-
-    assert "has moved" in drift_warning(health, rig.lasers.names)
+    named = [text for text in warnings.values() if "the light plane of laser" in text]
+    assert named
+    assert all(f"laser {rig.lasers.names[laser]} " in text for text in named)
+    assert PoseFlag.RIG_DRIFT in lines[-1].flags
+    assert lines[-1].status != "ok"
 
 
-def test_a_camera_that_has_turned_is_seen(scene_of, face_points, rng, rig):
-    health = health_of_stream(scene_of, face_points, rng, rig, camera_turned(rig, FIFTH_OF_A_DEGREE), shots=60)
+def test_after_a_drift_was_named_the_poses_are_right_again(poses, rng, rig):
+    scenes = list(poses(moved(rig, 0, (0.0, 0.005), 0.001)))
 
-    assert "the camera" in drift_warning(health, rig.lasers.names)
+    lines, warnings = measured_stream(rig, scenes)
 
-
-@pytest.mark.parametrize("laser", [1, *(pytest.param(laser, marks=pytest.mark.slow) for laser in (0, 2))])
-def test_shots_that_have_no_pose_since_a_plane_has_moved_are_a_warning(scene_of, face_points, rng, rig, laser):
-    monitor, warnings = DriftMonitor(rig.lasers.names, Method.ML), []
-    real = drifted(rig, laser, (0.0, 2e-3))
-    for points in stream(scene_of, face_points, rng, real, int(1.5 * SHOTS_NEEDED)):
-        result = most_likely_pose(points, rig)
-        pose = None if isinstance(result.pose, NoPose) else result.pose
-        line = PoseLine(shot="a", stamp_s=0.0, pose=pose, flags=result.flags, plane_evidence=result.plane_evidence)
-        warnings.append(monitor.update(line)[1])
-
-    named = [warning for warning in warnings if warning is not None]
-    assert len(named) == 1
-    assert "contradict" in named[0]  # no plane is named: in such shots any of them may be the wrong one
+    named = next(number for number, text in warnings.items() if "laser left" in text and "camera" not in text)
+    assert named < SHOTS / 2
+    for (scene, _), line in list(zip(scenes, lines, strict=True))[named + 1 :]:
+        assert PoseFlag.INCONSISTENT not in line.flags
+        tilt = tilt_error_rad(line.pose.normal, scene.ring.normal)
+        assert mahalanobis_squared(tilt, line.pose.covariance[:2, :2]) < 25
+        error_m = line.pose.center_m - scene.ring.center_m
+        assert mahalanobis_squared(error_m, line.pose.covariance_center_m2) < 25
 
 
-def test_shots_that_had_to_be_mended_are_a_warning_too(rig):
-    health = new_health(3)
-    for _ in range(12):
-        health = health_after(health, None)
+def test_a_shot_of_two_stripes_is_inconsistent_after_a_drift(poses, rig):
+    scenes = list(poses(moved(rig, 0, (0.0, 0.005), 0.001), 20))
+    scene, points = scenes[-1]
+    nan = np.array([True, False, False])
+    hidden = replace(
+        points,
+        position_px=np.where(nan[:, None, None], np.nan, points.position_px),
+        covariance_px2=np.where(nan[:, None, None, None], np.nan, points.covariance_px2),
+        face_start_px=np.where(nan[:, None], np.nan, points.face_start_px),
+        face_end_px=np.where(nan[:, None], np.nan, points.face_end_px),
+        face_sigma_px=np.where(nan[:, None], np.nan, points.face_sigma_px),
+    )
 
-    assert "100 % of the last shots contradict one ring" in drift_warning(health, rig.lasers.names)
+    lines, _ = measured_stream(rig, [*scenes, (scene, hidden)])
+
+    assert {PoseFlag.RIG_DRIFT, PoseFlag.RIG_UNCHECKED, PoseFlag.INCONSISTENT} <= set(lines[-1].flags)
+
+
+def test_a_camera_that_has_turned_is_reported_and_every_quantity_flagged(poses, rig):
+    lines, warnings = measured_stream(rig, poses(camera_turned(rig, np.radians(0.2)), 15))
+
+    assert any("the camera has" in text for text in warnings.values())
+    assert {PoseFlag.RIG_DRIFT, PoseFlag.INCONSISTENT} <= set(lines[-1].flags)
+
+
+def test_a_target_at_rest_counts_once(poses, rig):
+    scene = next(poses(rig))
+
+    lines, warnings = measured_stream(rig, [scene] * 20)
+
+    assert not warnings
+    assert lines[0].rig_health == lines[-1].rig_health
+
+
+def test_wrong_break_points_in_a_few_shots_are_no_drift(poses, rng, rig):
+    scenes = list(poses(rig))
+    for scene, points in scenes[10:40:10]:
+        points.position_px[rng.integers(3), rng.integers(2), 0] += 12.0
+        assert scene is not None
+
+    _, warnings = measured_stream(rig, scenes)
+
+    assert not warnings
+
+
+def test_shots_without_a_pose_since_a_plane_has_moved_count_too(poses, rig):
+    lines, warnings = measured_stream(rig, poses(moved(rig, 1, (0.0, 0.02)), 15))
+
+    assert any(line.pose is None for line in lines[:3])
+    assert any("laser middle" in text for text in warnings.values())
 
 
 @pytest.mark.slow
-def test_streams_of_noise_never_warn(scene_of, face_points, rng, rig):
-    streams = [health_of_stream(scene_of, face_points, rng, rig, rig) for _ in range(25)]
-
-    assert [drift_warning(health, rig.lasers.names) for health in streams] == [None] * 25
+def test_no_false_alarm_in_many_streams(poses, rng, rig):
+    for _ in range(100):
+        _, warnings = measured_stream(rig, poses(drawn(rig, rng)))
+        assert not warnings
 
 
 @pytest.mark.slow
-def test_a_target_that_stands_still_warns_three_times_in_a_hundred(scene_of, face_points, rng, rig):
-    # its noise stays the same, so that any number of shots tells what the first one does
-    alone = [health_of_stream(scene_of, face_points, rng, rig, rig, shots=1) for _ in range(500)]
+@pytest.mark.parametrize("by", ["tilt", "shift"])
+def test_nine_in_ten_planes_that_have_moved_are_named_within_fifty_shots(poses, rng, rig, by):
+    named = 0
+    for _ in range(60):
+        laser, direction = int(rng.integers(3)), rng.uniform(0, 2 * np.pi)
+        tilt_rad = TILT_RAD * np.array([np.cos(direction), np.sin(direction)]) if by == "tilt" else np.zeros(2)
+        real = moved(drawn(rig, rng), laser, tilt_rad, SHIFT_M if by == "shift" else 0.0)
+        _, warnings = measured_stream(rig, poses(real))
+        named += any(f"laser {rig.lasers.names[laser]} " in text for text in warnings.values())
 
-    assert np.mean([health.figure.max() > DRIFTED_FROM for health in alone if health.shots]) < 0.05
-
-
-def test_a_few_shots_warn_of_nothing(scene_of, face_points, rng, rig):
-    health = health_of_stream(scene_of, face_points, rng, rig, drifted(rig, 1, (2e-3, 0.0)), shots=5)
-
-    assert drift_warning(health, rig.lasers.names) is None
-
-
-def test_two_stripes_say_nothing_about_the_planes(scene_of, face_points, rng, rig):
-    scene = scene_of("B", distance_m=0.25)
-    points = face_points(scene, 0.3, 0.02, rng)
-    for part in (points.position_px, points.covariance_px2, points.face_start_px):
-        part[2] = np.nan
-
-    evidence = pose_result(points, rig).plane_evidence
-
-    assert np.isnan(health_after(new_health(3), evidence).figure[2])
+    assert named >= 51  # 90 % less two binomial standard deviations

@@ -10,7 +10,6 @@ from ringpose.detect.pipeline import detect
 from ringpose.pose.drift import SHOTS_NEEDED, DriftMonitor
 from ringpose.pose.record import pose_line, remarks_on
 from ringpose.types.assumptions import AssumptionOptions
-from ringpose.types.options import Method
 from ringpose.types.pose import PoseFlag
 
 
@@ -47,8 +46,8 @@ def test_a_weak_center_is_remarked_with_the_measurement_that_would_help(shot):
 def test_a_drift_is_warned_of_once(shot):
     rig = drawn_rig()
     line = pose_line(shot, rig)
-    contradicted = replace(line, plane_evidence=None)
-    monitor = DriftMonitor(rig.lasers.names, Method.ML)
+    contradicted = replace(line, plane_evidence=None, flags=line.flags | PoseFlag.STRIPE_REJECTED)
+    monitor = DriftMonitor(rig, rig.stability)
 
     warnings = [monitor.update(contradicted)[1] for _ in range(2 * int(SHOTS_NEEDED))]
 
@@ -57,6 +56,6 @@ def test_a_drift_is_warned_of_once(shot):
 
 def test_every_line_of_a_stream_has_the_health_of_each_laser(shot):
     rig = drawn_rig()
-    line, _ = DriftMonitor(rig.lasers.names, Method.ML).update(pose_line(shot, rig))
+    line, _ = DriftMonitor(rig, rig.stability).update(pose_line(shot, rig))
 
     assert set(line.rig_health) == set(rig.lasers.names)
