@@ -11,10 +11,12 @@ from ringpose.estimate.covariance import joint_covariance, quantities
 from ringpose.estimate.hypotheses import explain
 from ringpose.estimate.information import POSE, RATES, increments_between, relinearized, solve_measurement
 from ringpose.estimate.measurements import measurements_of
+from ringpose.estimate.nuisance import total_covariance
 from ringpose.estimate.residuals import Prior
 from ringpose.geometry.ring import normal_and_center
 from ringpose.geometry.rotations import tilt_basis, tilted
 from ringpose.pose.maximum_likelihood import most_likely_pose
+from ringpose.types.assumptions import TYPICAL_STABILITY, Assumptions, motion_prior
 from ringpose.types.covariance import ParameterCovariance
 from ringpose.types.pose import MEASURED_PARAMETERS, LinearizationPoint
 from ringpose.types.ring import KnownRadii
@@ -100,6 +102,61 @@ def test_the_measurement_and_the_stated_priors_give_the_pose_of_the_record(
     difference = (covariance - expected) / np.outer(sd, sd)
     assert np.abs(difference[np.ix_(reported, reported)]).max(initial=0.0) < 1e-6
     assert reported.all() or stripes != (0, 1, 2)
+
+
+def all_prior_rows(result, rig):
+    """Rows [J, z] of the stated priors of rates, rig and form."""
+    measurement, assumptions = result.measurement, result.priors.assumptions
+    columns = measurement.square_root.shape[1]
+    rows = []
+    motion, point = assumptions.motion, measurement.linearized_at
+    rates = np.concatenate([point.velocity_m_s, tilt_basis(point.normal) @ point.rate_rad_s])
+    for column, value, sd in zip(
+        range(*RATES.indices(len(MEASURED_PARAMETERS))),
+        rates,
+        3 * [motion.speed_sd_m_s] + 2 * [motion.rate_sd_rad_s],
+        strict=True,
+    ):
+        row = np.zeros(columns)
+        row[column], row[-1] = 1.0 / sd, -value / sd
+        rows.append(row)
+    names = measurement.nuisance_parameters
+    of_rig = [name for name in names if not name.startswith("form.")]
+    total = total_covariance(rig, assumptions.stability)
+    at = [total.parameters.index(name) for name in of_rig]
+    scale, vectors = np.linalg.eigh(total.data[np.ix_(at, at)] / np.outer(*2 * [np.sqrt(np.diag(total.data)[at])]))
+    inverse_root = (vectors / np.sqrt(scale)).T / np.sqrt(np.diag(total.data)[at])
+    first = len(MEASURED_PARAMETERS)
+    block = np.zeros((len(names), columns))
+    block[: len(of_rig), first : first + len(of_rig)] = inverse_root
+    form = range(len(of_rig), len(names))
+    block[form, np.array(form) + first] = np.sqrt(3.0) / assumptions.ring_tolerance_m
+    return np.concatenate([rows, block])
+
+
+def test_the_measurement_and_the_priors_give_the_pose_of_a_moving_ring_too(scene_of, face_points, rng):
+    scene = scene_of("B", distance_m=0.4)
+    rig = with_covariance(scene.rig)
+    assumptions = Assumptions(motion=motion_prior(), ring_tolerance_m=2e-4, stability=TYPICAL_STABILITY)
+    points = replace(face_points(scene, 0.3, 0.02, rng), stamp_s=np.array([0.0, 0.04, 0.08]))
+
+    result = most_likely_pose(points, rig, assumptions=assumptions)
+
+    rows = np.concatenate([result.measurement.square_root, all_prior_rows(result, rig)])
+    jacobian, target = rows[:, :-1], rows[:, -1]
+    scale = np.linalg.norm(jacobian, axis=0)
+    step = np.linalg.lstsq(jacobian / scale, target, rcond=None)[0] / scale
+    inverse = np.linalg.pinv(jacobian / scale) / scale[:, None]
+    covariance = inverse @ inverse.T
+    sd = np.sqrt(np.diag(covariance))
+    assert (np.abs(step[POSE]) < np.maximum(1e-9, 1e-6 * sd[POSE])).all()
+    assert (np.abs(step[RATES]) < np.maximum(1e-9, 1e-6 * sd[RATES])).all()
+    reported = result.pose.covariance
+    known = np.isfinite(np.diag(reported))
+    difference = (covariance[POSE, POSE] - reported) / np.outer(sd[POSE], sd[POSE])
+    assert np.abs(difference[np.ix_(known, known)][:3, :3]).max() < 1e-4
+    assert np.allclose(covariance[RATES, RATES], result.velocity.covariance, rtol=1e-3, atol=1e-12)
+    assert {"form.inner.a2", "form.axial.b4", "fx", "left.tilt_1"} <= set(result.measurement.nuisance_parameters)
 
 
 # Combination over shots
