@@ -1,6 +1,7 @@
 """`ringpose capture`: devices or recordings -> a session folder; the names of the shots go to stdout."""
 
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -30,6 +31,9 @@ ListDevices = Annotated[
     bool, typer.Option("--list", help="List cameras and serial ports, and exit.", callback=list_devices, is_eager=True)
 ]
 TestDevices = Annotated[bool, typer.Option("--test", help="Try camera, exposures and lasers instead of taking shots.")]
+HeldStill = Annotated[
+    bool, typer.Option("--still", help="State in each shot that the target is held still while it is taken.")
+]
 Append = Annotated[bool, typer.Option("--append", help="Go on with a session that exists already.")]
 
 
@@ -45,6 +49,7 @@ def capture(
     count: Count = None,
     rate: Rate = None,
     duration: Duration = None,
+    still: HeldStill = False,
     output: SessionFolder = None,
     force: ReplaceSession = False,
     append: Append = False,
@@ -83,7 +88,7 @@ def capture(
         raise UsageError("--output", "a session is a folder, not a stream", "name a folder")
     if folder.resolve() in source.folders:
         raise UsageError("--output", f"{folder} is where the shots are read from", "choose another folder")
-    _take(source, SessionWriter(folder, source.capture, existing), batch, verbose, quiet)
+    _take(source, SessionWriter(folder, source.capture, existing), batch, still, verbose, quiet)
     batch.finish()
 
 
@@ -103,7 +108,7 @@ def _existing(force: bool, append: bool) -> "Existing":
     return "replace" if force else "refuse"
 
 
-def _take(source: "Source", writer: "SessionWriter", batch: "Batch", verbose: bool, quiet: bool) -> None:
+def _take(source: "Source", writer: "SessionWriter", batch: "Batch", still: bool, verbose: bool, quiet: bool) -> None:
     """Write each shot when it is taken, and its name to stdout when its file is complete."""
     from ringpose.capture.ambient import lost_attempts_dn
     from ringpose.cli import messages
@@ -119,6 +124,8 @@ def _take(source: "Source", writer: "SessionWriter", batch: "Batch", verbose: bo
         for shot in with_progress(source.shots(writer.read_from, writer.names), "shots", quiet):
             lost_now_dn = lost_attempts_dn(shot.meta) if source.devices else []
             lost_dn += lost_now_dn
+            if still:
+                shot = replace(shot, meta={**shot.meta, "still": True})  # noqa: PLW2901  # the same shot, complete
             with batch.guarded():
                 records.write_name(writer.add(shot))
                 if verbose:

@@ -48,8 +48,11 @@ POSES_REMEMBERED = 50
 SHOTS_NEEDED = 10.0
 """No warning about contradictory shots is issued before this number of shots."""
 
-DOUBTED_FROM = 0.5
-"""Share of contradictory shots without evidence from which the rig is reported as changed."""
+SHOTS_TO_NAME = 4.0
+"""Number of shots from which a plane that has moved is corrected."""
+
+DOUBTED_FROM = 0.4
+"""Share of contradictory shots without evidence from which the rig is reported as changed, whatever the others show."""
 
 CONTRADICTORY = PoseFlag.STRIPE_REJECTED | PoseFlag.ASSIGNMENT_AMBIGUOUS | PoseFlag.INCONSISTENT
 """Flags of a shot whose stripes do not fit one ring as they were assigned."""
@@ -173,27 +176,23 @@ class DriftMonitor:
 
     def _judge(self, chi2: Float64[Array, "laser"], line: PoseLine) -> None:
         """Name and correct a plane that has moved, or report that the rig has changed."""
-        lasers = len(chi2)
-        if chi2.max(initial=0.0) > _limit(_PLANE, lasers):
+        lasers, shots = len(chi2), self._shots
+        if shots >= SHOTS_NEEDED and self._doubted > DOUBTED_FROM * shots:
+            self._reason = "most of the last shots contradict one ring: a light plane or the camera has moved"
+        elif chi2.max(initial=0.0) > _limit(_PLANE, lasers):
             worst = int(np.argmax(chi2))
             turned = _chi2(self._evidence, self._prior) - _chi2(self._evidence, self._prior_if_camera_turned())
             if bool((np.delete(chi2, worst) + CLEARLY < chi2[worst]).all()) and turned < chi2[worst] + CLEARLY:
                 moved = self._moved(worst)
                 depth_m = 0.5 if line.plane_evidence is None else float(line.plane_evidence.place_m[2])
                 self._reason = moved.description(self.rig.lasers.names[worst], depth_m)
-                if turned + CLEARLY < chi2[worst]:
+                if turned + CLEARLY < chi2[worst] and shots - self._doubted >= SHOTS_TO_NAME:
                     self._correct(moved)
-                else:  # of three planes, the middle one hardly differs from a turn of the camera
+                elif turned + CLEARLY >= chi2[worst]:  # the middle of three planes hardly differs from a turn
                     self._reason = f"{self._reason}, or the camera has turned"
             else:
                 self._reason = "the stripes disagree with the rig: a light plane or the camera has moved"
-            return
-        shots = self._shots
-        if shots >= SHOTS_NEEDED and self._doubted > DOUBTED_FROM * shots:
-            share = 100.0 * self._doubted / shots
-            self._reason = f"{share:.0f} % of the last shots contradict one ring: a light plane or the camera has moved"
-            return
-        if not self.rig.moved_planes:
+        elif not self.rig.moved_planes:
             self._reason = ""  # contradictory shots are over
 
     def _moved(self, laser: int) -> MovedPlane:

@@ -18,7 +18,7 @@ from ringpose.estimate.covariance import standard_deviation
 from ringpose.pose.pipeline import pose_result
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import USUAL, AssumptionOptions
-from ringpose.types.detection import BreakPoints, Detection, Rejection
+from ringpose.types.detection import BreakPoints, Detection, NoBreakPoints, Rejection
 from ringpose.types.image import Shot
 from ringpose.types.options import Method, PoseFrame
 from ringpose.types.pose import LaserState, NoPose, PoseFlag, PoseLine, PoseResult, RingPose
@@ -60,6 +60,7 @@ def pose_line(
             shot=source.shot,
             stamp_s=source.stamp_s,
             pose=None,
+            flags=PoseFlag.ASSIGNMENT_AMBIGUOUS if points in CONTRADICTED else PoseFlag(0),
             reason=points.value,
             frame=frame,
             latency_s=perf_counter() - start_s,
@@ -94,6 +95,9 @@ def pose_line(
         rig=rig.sha256,
     )
 
+
+CONTRADICTED = (NoBreakPoints.AMBIGUOUS_LABELS, NoBreakPoints.CONTRADICTED_MASKS, NoBreakPoints.CONTRADICTED_RIG)
+"""Reasons of shots whose stripes fit no ring as the rig and the lasers' masks assign them."""
 
 FLAG_OF_REJECTION = MappingProxyType(
     {

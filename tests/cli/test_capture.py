@@ -20,6 +20,15 @@ def _in_an_empty_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
+@pytest.mark.parametrize("options", [["--still"], []])
+def test_a_target_that_is_held_still_is_stated_in_the_shot(options):
+    recorded(Path("in"), "a")
+
+    main(["capture", "--camera", "files:in", "--output", "s", *options])
+
+    assert read_shot(Path("s/a.npz")).still == bool(options)
+
+
 def test_recorded_shots_keep_their_names_masks_and_stamps(capsys):
     for name in ("b", "a"):
         recorded(Path("in"), name)
