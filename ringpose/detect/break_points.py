@@ -17,6 +17,7 @@ import numpy as np
 from ringpose.detect.difference_images import LaserImage
 from ringpose.detect.rim import Face
 from ringpose.detect.stripes import BORDER_PX, FIT_DOF_CORRECTION, MIN_SEGMENT_COLUMNS, lens
+from ringpose.estimate.consistency import curvature_alone
 from ringpose.estimate.hypotheses import explain
 from ringpose.estimate.measurements import measurements_of
 from ringpose.estimate.residuals import Prior
@@ -96,6 +97,16 @@ def break_points(
     )
 
 
+MIN_CURVATURE_PER_M, STRAIGHT_SIGMAS = 0.5, 3.0
+"""Curvature of the largest ring that is looked for (a radius of 2 m; the largest in launcher manuals has 1.3 m), and
+the standard deviations by which a measured one must be smaller for its edges to count as straight."""
+
+
+def straight(curvature: float, sd: float) -> bool:
+    """Whether edges of that curvature (1/m) cannot be those of a ring: they are straight, as those of a bar."""
+    return abs(curvature) + STRAIGHT_SIGMAS * sd < MIN_CURVATURE_PER_M
+
+
 class BreakPointsOnRing(NamedTuple):
     """The break points that agree with one ring, and those that do not."""
 
@@ -113,6 +124,8 @@ def without_outliers(points: BreakPoints, rig: Rig, assumptions: Assumptions = I
     prior = Prior(assumptions=assumptions)
     with np.errstate(all="ignore"):  # fits that diverge are rejected by their values
         best = explain(measurements_of(points, rig), rig, prior, labelled=points.labelled, edges_named=False)
+    if best is not None and straight(*curvature_alone(best.estimate)):
+        return BreakPointsOnRing(NoBreakPoints.STRAIGHT_EDGES, ())
     if best is not None and best.edges_exchanged:
         points = points.with_edges_exchanged()
     flags = points.flags.copy()

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ringpose.detect.break_points import straight
 from ringpose.detect.edge_points import ring_edge_points
 from ringpose.detect.edge_search import (
     ALONG_PX,
@@ -33,7 +34,14 @@ from ringpose.estimate.residuals import Prior
 from ringpose.estimate.solver import estimate_ring, refine_ring
 from ringpose.geometry.ring import CURVATURE, STEP, TURN, RingArcs
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints, Stripes, joined_edge_points
+from ringpose.types.detection import (
+    BreakPointFlag,
+    BreakPoints,
+    NoBreakPoints,
+    RingEdgePoints,
+    Stripes,
+    joined_edge_points,
+)
 from ringpose.types.image import Shot
 from ringpose.types.rig import Rig
 
@@ -67,11 +75,13 @@ class FoundEdges(NamedTuple):
     points: RingEdgePoints
     side_sigmas: float
     """Curvature over its standard deviation; negative if inner and outer edge are exchanged."""
+    straight: bool = False
+    """Whether they are the edges of something straight."""
 
 
 def detect_ring_edges(
     break_points: BreakPoints, shot: Shot, stripes: Stripes, rig: Rig, still: bool, motion: RingMotion | None
-) -> tuple[BreakPoints, RingEdgePoints | None]:
+) -> tuple[BreakPoints | NoBreakPoints, RingEdgePoints | None]:
     """The visible edges in the frames that show them best, and the break points, inner and outer edge resolved.
 
     These are the first and the last frame without lasers, or the first alone if the target is still; without one, the
@@ -84,6 +94,8 @@ def detect_ring_edges(
     found = [each for number in frames if (each := _edges_in_frame(number, break_points, shot, stripes, rig, motion))]
     if not found:
         return break_points, None
+    if all(each.straight for each in found):
+        return NoBreakPoints.STRAIGHT_EDGES, None
     return named_by_curvature(break_points, found)
 
 
@@ -122,7 +134,7 @@ def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundE
     if len(stripes.measured.lines.laser) == ONE_STRIPE and np.bincount(points.edge, minlength=2).min() < MIN_OF_BOTH:
         return None
     curvature_sd = float(np.sqrt(refined.covariance[CURVATURE, CURVATURE]))
-    return FoundEdges(points, refined.arcs.curvature / curvature_sd)
+    return FoundEdges(points, refined.arcs.curvature / curvature_sd, straight(refined.arcs.curvature, curvature_sd))
 
 
 def named_by_curvature(break_points: BreakPoints, found: Sequence[FoundEdges]) -> tuple[BreakPoints, RingEdgePoints]:

@@ -51,6 +51,7 @@ class NoBreakPoints(Enum):
     IMAGE_SATURATED = "the image is saturated: no stripe stands out"
     NO_STRIPE = "no laser stripe found"
     NO_RING = "stripes found, but none of them looks like a stripe on the ring's face"
+    STRAIGHT_EDGES = "the stripes end on straight edges, as on a bar or a plate: no ring"
     CONTRADICTED_MASKS = "the stripes fit a ring only if assigned to other lasers than by the masks; check the wiring"
     CONTRADICTED_RIG = "most stripes would lie behind the camera; the images are of another rig, or upside down"
     AMBIGUOUS_LABELS = "the stripes fit the lasers in more than one way; switch the lasers one by one"
