@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.detect.break_points import break_points, ends_clear, without_outliers
+from ringpose.detect.break_points import break_points, ends_clear, hidden_by_saturation, without_outliers
 from ringpose.detect.difference_images import LaserImage, laser_images
 from ringpose.detect.motion import RingMotion, ring_motion
 from ringpose.detect.rim import CONFIRMED, Face, planes_per_m, ring_face
@@ -80,8 +80,11 @@ def detect(
     found = on_ring.break_points
     if isinstance(found, BreakPoints) and (edges or not ends_clear(found)) and source is StripeSource.CENTERS:
         found, ring_edges = detect_ring_edges(found, shot, stripes, rig, assumptions.motion is None, on_ring.motion)
-    if isinstance(found, BreakPoints) and ring_edges is None and not ends_clear(found):
-        found = NoBreakPoints.NO_RING
+    if isinstance(found, BreakPoints) and ring_edges is None:
+        if not ends_clear(found):
+            found = NoBreakPoints.NO_RING
+        elif hidden_by_saturation(found, images, images[0].saturation_dn):
+            found = NoBreakPoints.HIDDEN_BY_SATURATION
     return Detection(
         shot=shot.name,
         stamp_s=shot.measured_at_s,

@@ -49,6 +49,7 @@ class NoBreakPoints(Enum):
     NO_LASER_FRAME = "no frame has a laser on"
     IMAGE_DARK = "the image is dark: no stripe stands out of the noise"
     IMAGE_SATURATED = "the image is saturated: no stripe stands out"
+    HIDDEN_BY_SATURATION = "the ambient light saturates where the stripes end; they may go on: reduce the exposure"
     NO_STRIPE = "no laser stripe found"
     NO_RING = "stripes found, but none of them looks like a stripe on the ring's face"
     STRAIGHT_EDGES = "the stripes end on straight edges, as on a bar or a plate: no ring"
