@@ -49,7 +49,7 @@ CALLS = {
         (0.6, 0.5, 1.5, 2.5, 3.0, 10.0, 800.0, 40.0),
     ),
     "faces": (TRACKS, 7, numbers(3, 3), (1.0,) * 8, (1.0,) * 13, (1.0,) * 19),
-    "ends": (IMAGE, IMAGE, numbers(2, 5), LENS, (1.0,) * 15),
+    "ends": (IMAGE, IMAGE, numbers(2, 5), LENS, (1.0,) * 16),
     "marks": (
         TRACKS,
         numbers(2, 2, 10),

@@ -25,6 +25,7 @@ RULES = EndParams(
     near_columns=9.0,
     width_spread=0.1,
     blunt_gain=3.0,
+    clipped_shape=0.5,
 )
 STRAIGHT = Lens(900.0, 900.0, 160.0, 60.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 BENT = Lens(300.0, 300.0, 160.0, 60.0, -0.1, 0.02, 0.001, -0.001, 0.0)

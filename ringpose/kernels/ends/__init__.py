@@ -46,6 +46,8 @@ class EndParams(NamedTuple):
     blunt_gain: float
     """Gain in log likelihood, summed over all ends, by widths larger than the cross-section's, above which ends are
     blunt (rounded or chamfered)."""
+    clipped_shape: float
+    """Relative error of the shape of a saturated edge, in widths of its blur."""
 
 
 def stripe_ends(

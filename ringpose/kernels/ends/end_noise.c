@@ -9,7 +9,8 @@
 /* Columns of the face are winsorised at this many robust standard deviations. */
 #define WINSORISED 2.5
 
-/* The columns beyond the end show clutter if their variance exceeds that of noise by this factor. */
+/* The columns beyond the end show clutter, such as the stripe on the body behind, if their variance exceeds that of
+   noise by this factor. */
 #define CLUTTER 2.5
 
 #define MIN_RELATIVE_NOISE 1e-6
@@ -62,11 +63,12 @@ static void measure_noise(Columns *columns, const double *residual_variance, dou
         if (along > 1 && along <= params->near_columns) near[nears++] = residual_variance[i];
         if (along > 2 && !(columns->texture[i] > 0)) beyond[clear++] = columns->amplitude[i];
     }
-    columns->beyond =
-        fmax(gain * low_residual_variance(near, nears), MIN_RELATIVE_NOISE * columns->level * columns->level);
-    columns->within = gain * median(within, faces);
+    double minimum = MIN_RELATIVE_NOISE * columns->level * columns->level;
+    double outside = fmax(gain * low_residual_variance(near, nears), minimum);
     double spread = clear < 4 ? 0 : median_deviation(beyond, clear);
-    columns->clutter = spread * spread;
+    columns->within = gain * median(within, faces);
+    columns->beyond = fmin(outside, fmax(columns->within, minimum)); /* more is light on what lies behind the edge */
+    columns->clutter = fmax(spread * spread, outside - columns->beyond);
 }
 
 int gather_columns(const Profile *profile, ptrdiff_t near, int outward, const EndParams *params, Columns *columns) {
@@ -102,7 +104,7 @@ static void split_scatter(Columns *columns, double pooled_scatter, double pooled
     double square = columns->level * columns->level, minimum = params->min_noise * columns->level;
     double scatter = exp(0.5 * (log(relative_scatter(columns)) + pooled_scatter)) * square;
     columns->noise = exp(0.5 * (log(columns->beyond) + pooled_noise));
-    if (columns->clutter > CLUTTER * columns->noise) columns->noise = columns->clutter;
+    if (!(columns->clutter > CLUTTER * columns->noise)) columns->clutter = 0;
     double more = fmax(scatter - columns->noise, 0);
     columns->shot = fmin(more, fmax(columns->within - columns->noise, 0));
     columns->speckle = more - columns->shot;

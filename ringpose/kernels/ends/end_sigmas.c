@@ -111,7 +111,9 @@ static double column_variance_sum(const Columns *columns, const Shapes *shapes, 
     double alone = 0, background = 0, before = 0;
     for (int i = 0; i < columns->count; i++) {
         double here = fabs(influence[i]) * sqrt(columns->texture[i]);
-        alone += influence[i] * influence[i] * (columns->noise + columns->shot * shapes->shown[i]);
+        double hidden = 1 - shapes->shown[i];
+        alone += influence[i] * influence[i] *
+                 (columns->noise + columns->shot * shapes->shown[i] + columns->clutter * hidden * hidden);
         background += here * (here + 2 * before);
         before = facet * (before + here);
     }

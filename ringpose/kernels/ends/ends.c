@@ -5,6 +5,7 @@
 #include <stdlib.h>
 
 #include "ends.h"
+#include "median.h"
 #include "tracks.h"
 
 typedef struct {
@@ -59,6 +60,23 @@ static double saturated_share(const Columns *columns, double position) {
     return last > 0 ? saturated / last : 0;
 }
 
+/* Share of saturated columns from which an end counts as saturated. */
+#define SATURATED 0.2
+
+/* Error of a saturated end's position due to the shape of its blur. Where the stripe is saturated, only the foot of the
+   edge shows its position: 0.55 log(1 + excess) approximates by how many widths it lies before the edge, at that ratio of the
+   stripe's level to what is visible of it. */
+static double clipped_error(const Columns *columns, const Edge *edge, const EndParams *params) {
+    double headroom[MAX_COLUMNS];
+    size_t inside = 0;
+    if (saturated_share(columns, edge->position) < SATURATED) return 0;
+    for (int i = 0; i < columns->count; i++)
+        if (columns->along[i] < edge->position) headroom[inside++] = columns->headroom[FULL][i];
+    double visible = fmax(inside ? median(headroom, inside) : 1, params->min_headroom);
+    double excess = fmax(1 / fmin(visible, 1), columns->level / params->saturation);
+    return params->clipped_shape * 0.55 * log(1 + excess) * edge->width;
+}
+
 /* The edge at the combined width; returns the variance of its position. */
 static double combine_widths(const Draft *draft, double sigma, int blunt, const Pooled *pooled, const EndParams *params,
                      Edge *edge) {
@@ -71,6 +89,8 @@ static double combine_widths(const Draft *draft, double sigma, int blunt, const 
     }
     double variance = edge_variance(&draft->columns, edge, pooled->correlation, width.information, params);
     variance = variance_over_places(&draft->columns, &draft->fit, edge, variance, pooled->correlation);
+    double clipped = clipped_error(&draft->columns, edge, params);
+    variance += clipped * clipped;
     return blunt ? variance + edge->width * edge->width : variance;
 }
 

@@ -18,7 +18,8 @@ typedef struct {
 
 typedef struct {
     double saturation, beyond_columns, inside_columns, outside_columns, flank_sigmas, flanks_share, undimmed_level,
-        min_headroom, min_noise, shape_sigma, texture_factor, facet_sigmas, near_columns, width_spread, blunt_gain;
+        min_headroom, min_noise, shape_sigma, texture_factor, facet_sigmas, near_columns, width_spread, blunt_gain,
+        clipped_shape;
 } EndParams;
 
 typedef struct {
@@ -74,7 +75,7 @@ typedef struct {
     double level;                 /* of the face's stripe */
     double scatter, step;         /* relative variance of its columns, and half that of their differences */
     double within, beyond;        /* variance by pixels' noise in the stripe and beyond the end */
-    double clutter;               /* variance of the columns beyond */
+    double clutter;               /* variance of the columns beyond if it exceeds that of noise, else 0 */
     double noise, shot, speckle;  /* beyond the end; what grows with the light, and with its square, at the level */
     double minimum;                 /* lower bound of the variance of a column */
 } Columns;
@@ -99,9 +100,12 @@ static inline double share_shown(const Columns *columns, int i, double lit) {
     return lit * (lit < 0.5 ? faint + (half - faint) * 2 * lit : half + (full - half) * (2 * lit - 1));
 }
 
-/* Variance of a column that shows that share of the stripe: N + S shown + C^2 shown^2, and its texture. */
+/* Variance of a column that shows that share of the stripe: N + S shown + C^2 shown^2, its texture, and clutter in so
+   far as it does not show the stripe. */
 static inline double column_variance(const Columns *columns, int i, double shown) {
-    return columns->minimum + columns->texture[i] + shown * (columns->shot + columns->speckle * shown);
+    double hidden = 1 - shown;
+    return columns->minimum + columns->texture[i] + shown * (columns->shot + columns->speckle * shown) +
+           columns->clutter * hidden * hidden;
 }
 
 /* Variance about a level that neighbouring values have in common: total variance less half that of differences. */
