@@ -292,7 +292,7 @@ BLUNT_GAIN = 3.0
 """Gain in log likelihood, over all ends of an image, above which edges wider than the stripe's cross-section are
 accepted: optics do not blur more along a stripe than across it, so that the edge is chamfered or worn."""
 
-CLIPPED_SHAPE = 0.6
+CLIPPED_SHAPE = 0.45
 """Relative error of the shape of a saturated edge: its visible foot is not that of a Gaussian blur, since speckle is
 clipped, too, and light on a wall or glare adds to it."""
 

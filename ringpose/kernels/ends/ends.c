@@ -64,8 +64,8 @@ static double saturated_share(const Columns *columns, double position) {
 #define SATURATED 0.2
 
 /* Error of a saturated end's position due to the shape of its blur. Where the stripe is saturated, only the foot of the
-   edge shows its position: 0.55 log(1 + excess) approximates by how many widths it lies before the edge, at that ratio of the
-   stripe's level to what is visible of it. */
+   edge shows its position: 0.55 log(1 + excess) approximates by how many widths it lies before the edge, at that ratio
+   of the stripe's level to what is visible of it. */
 static double clipped_error(const Columns *columns, const Edge *edge, const EndParams *params) {
     double headroom[MAX_COLUMNS];
     size_t inside = 0;
