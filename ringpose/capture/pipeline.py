@@ -13,12 +13,14 @@ import numpy as np
 
 from ringpose.capture.ambient import AmbientChange, same_ambient_light
 from ringpose.capture.cameras.driver import CameraDriver
+from ringpose.capture.exposure import ExposureControl
 from ringpose.capture.hdr import merged_brackets
 from ringpose.capture.lasers.driver import LaserDriver, LasersWentOff
 from ringpose.capture.settling_time import measured_settle_s
 from ringpose.capture.shot_check import MAX_LOST, TRIES, AmbientLightChanged, MissingLasers, ShotChecker
 from ringpose.errors import DeviceError, UsageError
 from ringpose.types.image import Frame, Shot
+from ringpose.types.rig import Rig
 from ringpose.types.sequence import Step
 
 MIN_SETTLE_S = 0.02
@@ -37,6 +39,13 @@ changes; two, in case the lamp flashes.
 MAX_STEADY_S = 1.0
 """Stop waiting for a change if ambient light has been constant for this long."""
 
+MAX_EXPOSED = 6
+"""Number of times that a shot is taken again because its exposure was wrong: a factor of 4 each."""
+
+AUTO_RANGE_S = (2e-5, 0.1)
+"""Range of automatic exposures, besides the limits of the camera; half of the lasers' on-time is left for a second
+exposure."""
+
 RECONNECT_TRIES = 5
 
 RECONNECT_S = 1.0
@@ -50,6 +59,10 @@ class Procedure:
     steps: Sequence[Step]
     exposure_s: float | None = None
     """Exposure of the steps without their own; None for the setting of the device."""
+    is_exposure_auto: bool = False
+    """Whether the exposure is controlled by the stripes (`ringpose.capture.exposure`); it starts at `exposure_s`."""
+    rig: Rig | None = None
+    """Of the camera: the stripes on the ring's face control the exposure, otherwise all stripes."""
     settle_s: float | None = 0.0
     """From switching to triggering; None to measure it before the first shot."""
     must_see: bool = False
@@ -101,6 +114,7 @@ class _Sequencer:
         self._masks = [step.mask(lasers.count) for step in procedure.steps]
         self._settle_s = 0.0 if procedure.settle_s is None else procedure.settle_s
         self._is_settle_measured = procedure.settle_s is not None
+        self._control = self._exposure_control() if procedure.is_exposure_auto else None
         self._was_slow = False
         """Whether the last shot needed a longer settling time."""
 
@@ -119,7 +133,7 @@ class _Sequencer:
                         self._camera.arm(self._procedure.exposure_s)
                 self._measure_settle()
                 self._await_changes(len(lost))
-                shot = self._exposed(name, self._settle_after_s(wrong))
+                shot = self._well_exposed(name, self._settle_after_s(wrong))
             except LasersWentOff as error:
                 self._lasers.set_mask(0)
                 problem, failures = error, failures + 1
@@ -153,20 +167,42 @@ class _Sequencer:
         sizes_dn = [change.size_dn for change in lost]
         return replace(shot, meta={**shot.meta, "attempts_lost": {"ambient_changed": sizes_dn}})
 
+    def _well_exposed(self, name: str, settle_s: float) -> Shot:
+        """A shot, taken again while automatic exposure finds that its exposure was wrong."""
+        shot = self._exposed(name, settle_s)
+        for _ in range(MAX_EXPOSED):
+            if self._control is None or self._control.accepts(shot):
+                break
+            shot = self._exposed(name, settle_s)
+        return shot
+
     def _exposed(self, name: str, settle_s: float) -> Shot:
         """One frame for each step; all lasers are off at the end."""
         frames, read_masks, switched_mask = [], [], -1
+        controlled = None if self._control is None else self._control.exposures
         for step, mask in zip(self._procedure.steps, self._masks, strict=True):
             self._lasers.set_mask(mask)
             if mask != switched_mask:
                 self._lasers.wait(settle_s)
             switched_mask = mask
-            frames.append(self._frame(mask, step.exposure_s))
-            read_masks.append(self._lasers.read_mask())
+            for exposure_s in (step.exposure_s,) if controlled is None else controlled.values_s:
+                frames.append(self._frame(mask, exposure_s))
+                read_masks.append(self._lasers.read_mask())
         self._lasers.set_mask(0)
         meta = {"saturation_dn": self._camera.describe().saturation_dn, "settle_s": settle_s}
         shot = _shot(name, frames, read_masks, meta)
-        return merged_brackets(shot) if any(step.exposure for step in self._procedure.steps) else shot
+        is_bracketed = controlled is not None or any(step.exposure for step in self._procedure.steps)
+        return merged_brackets(shot) if is_bracketed else shot
+
+    def _exposure_control(self) -> ExposureControl:
+        """Automatic exposure within what the camera can and the watchdog of the lasers allows."""
+        bounds_us = self._camera.bounds("ExposureTime")
+        min_s, max_s = AUTO_RANGE_S
+        if bounds_us is not None:
+            min_s, max_s = max(min_s, 1e-6 * bounds_us[0]), min(max_s, 1e-6 * bounds_us[1])
+        if self._lasers.longest_on_s is not None:
+            max_s = min(max_s, SHARE_OF_LIMIT * self._lasers.longest_on_s / 2 - self._settle_s)
+        return ExposureControl(self._procedure.rig, self._lasers.count, min_s, max(min_s, max_s))
 
     def _frame(self, mask: int, exposure_s: float | None) -> Frame:
         with _camera_errors():

@@ -20,6 +20,7 @@ from ringpose.capture.latest_frame import paced
 from ringpose.capture.uri import CAMERAS, LASERS, device_uri, driver
 from ringpose.errors import UsageError
 from ringpose.types.image import Shot
+from ringpose.types.rig import Rig
 from ringpose.types.sequence import Step, written_sequence
 from ringpose.types.session import Capture
 
@@ -36,7 +37,7 @@ class CaptureRequest:
     lasers: str | None = None
     """URI."""
     steps: tuple[Step, ...] | None = None
-    exposure_s: float | None = None
+    exposure_s: float | Literal["auto"] | None = None
     count: int | None = None
     rate_hz: float | None = None
     duration_s: float | None = None
@@ -46,6 +47,13 @@ class CaptureRequest:
     channel: str | None = None
     laser_names: tuple[str, ...] | None = None
     """Of the rig's lasers; None where no rig is given."""
+    rig: Rig | None = None
+    """Of the camera; an automatic exposure is that of the stripes on the ring's face if it is given."""
+
+    @property
+    def fixed_exposure_s(self) -> float | None:
+        """The exposure, or None if it is automatic or left to the device."""
+        return None if self.exposure_s == "auto" else self.exposure_s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,10 +108,14 @@ def device_source(
         reject_switching(steps)
     for step in steps:
         step.mask(lasers.count)  # rejects lasers that the rig does not have
+    if request.exposure_s == "auto" and any(step.exposure for step in steps):
+        raise UsageError("--exposure", "auto, and the sequence has exposures of its own", "leave one of them out")
     settle_s = lasers.settle_s if request.settle_s is None else request.settle_s
     procedure = Procedure(
         steps=steps,
-        exposure_s=request.exposure_s,
+        exposure_s=request.fixed_exposure_s,
+        is_exposure_auto=request.exposure_s == "auto",
+        rig=request.rig,
         settle_s=None if settle_s == "auto" else settle_s,
         must_see=not isinstance(lasers, UncontrolledLasers | SimulatedLasers) and not request.allow_missing,
     )
@@ -134,7 +146,7 @@ def capture_record(request: CaptureRequest) -> Capture:
         camera=request.camera,
         lasers="none:" if request.lasers is None else request.lasers,
         sequence=None if request.steps is None else written_sequence(request.steps),
-        exposure_s=request.exposure_s,
+        exposure_s=request.fixed_exposure_s,
         rate_hz=request.rate_hz,
     )
 

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from ringpose.capture.source import Source
     from ringpose.cli.batch import Batch
     from ringpose.files.images.sessions import Existing, SessionWriter
+    from ringpose.types.rig import Rig
 
 CameraUri = Annotated[
     str,
@@ -66,6 +67,7 @@ def capture(
     from ringpose.errors import UsageError
     from ringpose.files.images.sessions import SessionWriter, folder_of_now
 
+    rig_of_shots = None if rig is None else _rig(rig)
     request = CaptureRequest(
         camera=camera,
         lasers=lasers,
@@ -73,7 +75,8 @@ def capture(
         exposure_s=exposure,
         settle_s=settle,
         allow_missing=allow_missing,
-        laser_names=_laser_names(rig),
+        laser_names=None if rig_of_shots is None else rig_of_shots.lasers.names,
+        rig=rig_of_shots,
         count=count,
         rate_hz=rate,
         duration_s=duration,
@@ -92,10 +95,10 @@ def capture(
     batch.finish()
 
 
-def _laser_names(rig: Path | None) -> tuple[str, ...] | None:
+def _rig(path: Path) -> "Rig":
     from ringpose.files.rigs import read_rig
 
-    return None if rig is None else read_rig(rig).lasers.names
+    return read_rig(path)
 
 
 def _existing(force: bool, append: bool) -> "Existing":

@@ -40,7 +40,7 @@ def check_devices(request: "CaptureRequest", batch: "Batch") -> None:
         raise UsageError("--test", "what is recorded cannot be tested", "give --camera and --lasers of devices")
     checks = []
     with opened_devices(source) as (camera, lasers):
-        for check in run_self_test(camera, lasers, request.exposure_s):
+        for check in run_self_test(camera, lasers, request.fixed_exposure_s):
             checks.append(check)
             records.write({key: value for key, value in asdict(check).items() if value})
     overall = summary(checks)

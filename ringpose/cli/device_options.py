@@ -1,5 +1,6 @@
 """Options of the commands that take shots from devices."""
 
+import math
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
@@ -11,6 +12,8 @@ if TYPE_CHECKING:
     from ringpose.types.sequence import Step
 
 MAX_SETTLE_S = 10.0
+
+MIN_EXPOSURE_S = 1e-9
 
 MAX_SHOTS = 10**9
 
@@ -26,6 +29,19 @@ def settle_time(text: str) -> float | Literal["auto"]:
     if not 0 <= settle_s <= MAX_SETTLE_S:
         raise UsageError("--settle", f'"{text}"', f"it is auto, or seconds from 0 to {MAX_SETTLE_S:g}")
     return settle_s
+
+
+def exposure_time(text: str) -> float | Literal["auto"]:
+    """Seconds, or `auto`."""
+    if text == "auto":
+        return "auto"
+    try:
+        exposure_s = float(text)
+    except ValueError:
+        exposure_s = -1.0
+    if not MIN_EXPOSURE_S <= exposure_s < math.inf:
+        raise UsageError("--exposure", f'"{text}"', f"it is auto, or seconds from {MIN_EXPOSURE_S:g}")
+    return exposure_s
 
 
 def steps(text: str) -> "tuple[Step, ...]":
@@ -51,7 +67,10 @@ Steps = Annotated[
     ),
 ]
 Exposure = Annotated[
-    float | None, typer.Option("--exposure", metavar="S", min=1e-9, callback=finite, help="Exposure of each frame.")
+    Any,
+    typer.Option(
+        "--exposure", metavar="S|auto", parser=exposure_time, help="Exposure of each frame; auto: by the stripes."
+    ),
 ]
 Count = Annotated[
     int | None, typer.Option("--count", metavar="N", min=1, max=MAX_SHOTS, help="Shots to take, at most.")

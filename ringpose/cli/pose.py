@@ -109,6 +109,7 @@ def pose(
             settle_s=settle,
             allow_missing=allow_missing,
             laser_names=rig_of_shots.lasers.names,
+            rig=rig_of_shots,
             count=count,
             duration_s=duration,
         )

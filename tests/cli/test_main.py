@@ -49,7 +49,6 @@ def test_every_command_has_its_help(capsys, command):
 @pytest.mark.parametrize(
     "words",
     [
-        ["capture", "--camera", "files:.", "--exposure"],
         ["capture", "--camera", "files:.", "--rate"],
         ["capture", "--camera", "files:.", "--duration"],
         ["calibrate-planes", "--board", "board.yaml", "--surround"],

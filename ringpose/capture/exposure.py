@@ -1,0 +1,158 @@
+"""Automatic exposure: the stripes on the ring's face, on top of its ambient light, just below saturation.
+
+The exposure of a shot follows from the previous one, and a shot whose stripes are far too bright or too dim is taken
+again. If one stripe would be too dim at the exposure that the brightest one allows, every step is exposed twice; the
+two exposures are merged (`ringpose.capture.hdr`).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringpose.detect.difference_images import LaserImage, laser_images
+from ringpose.detect.pipeline import detect
+from ringpose.detect.stripes import find_stripes
+from ringpose.geometry.rays import project, undistorted_rays
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.detection import BreakPoints
+from ringpose.types.image import Shot
+from ringpose.types.rig import Rig
+
+TARGET_SHARE = 0.75
+"""Grey value of the bright parts of a stripe, as a share of the saturation value: some speckle is brighter."""
+
+BRIGHT_PERCENTILE = 90
+"""Percentile of a stripe's columns that this grey value applies to."""
+
+MAX_RATIO = 2.0
+"""A shot is taken again if its exposure is off by more than this factor."""
+
+MAX_CLIPPED = 0.3
+"""Share of saturated columns above which a stripe's brightness is not known."""
+
+STEP = 4.0
+"""Factor by which the exposure changes if the image does not show how far it is off."""
+
+BRACKET_RATIO = 4.0
+"""Ratio of the best exposures of two stripes from which both are taken."""
+
+MIN_STRIPE_COLUMNS = 20
+"""Minimum number of columns of a stripe."""
+
+DARK_SHARE, BRIGHT_SHARE = 0.4, 0.9
+"""Shares of the saturation value: an image without stripes is too dark if its brightest pixels, or too bright if its
+median, are below or above these."""
+
+
+@dataclass(frozen=True, slots=True)
+class Exposures:
+    """The exposures of every step of a shot, in ascending order."""
+
+    values_s: tuple[float, ...]
+
+    @property
+    def longest_s(self) -> float:
+        """The longest one."""
+        return self.values_s[-1]
+
+
+class ExposureControl:
+    """Exposures of the next shot, from the stripes of the last one; within the limits of camera and lasers."""
+
+    def __init__(self, rig: Rig | None, lasers: int, min_s: float, max_s: float) -> None:
+        self._rig = rig
+        self._lasers = lasers
+        self._limits_s = (min_s, max_s)
+        self.exposures: Exposures | None = None
+        """None before the first shot, which has the exposure that the camera is set to."""
+
+    def accepts(self, shot: Shot) -> bool:
+        """Whether a shot is well exposed, or cannot be exposed better; sets the exposures of the next one."""
+        used = exposures_of(shot)
+        wanted = self._limited(wanted_exposures(shot, self._lasers, self._rig))
+        self.exposures = wanted
+        pairs = [(used.values_s[place], wanted.values_s[place]) for place in (0, -1)]
+        return all(1 / MAX_RATIO <= better_s / used_s <= MAX_RATIO for used_s, better_s in pairs)
+
+    def _limited(self, exposures: Exposures) -> Exposures:
+        limited = sorted({float(np.clip(each, *self._limits_s)) for each in exposures.values_s})
+        return Exposures(tuple(limited))
+
+
+def exposures_of(shot: Shot) -> Exposures:
+    """The exposures that a shot was taken with; those of a merged one are in its `meta`."""
+    merged = shot.meta.get("merged")
+    every = shot.exposure_s.tolist() if merged is None else [each for group in merged["exposures_s"] for each in group]
+    return Exposures(tuple(sorted(set(every))))
+
+
+def wanted_exposures(shot: Shot, lasers: int, rig: Rig | None) -> Exposures:
+    """The exposures at which each stripe of the shot would reach `TARGET_SHARE`.
+
+    One if it suits all stripes, else the shortest and the longest. Of a shot with a known rig, the stripes on the
+    ring's face are measured, else all of them.
+    """
+    images = laser_images(shot, lasers)
+    scale_s = float(shot.exposure_s.max()) if (merged := shot.meta.get("merged")) is None else merged["scale_s"]
+    stripes = list(_stripes_on_face(shot, images, rig)) if rig is not None else []
+    if not stripes:
+        stripes = [(image, position_px) for image in images for position_px in _any_stripes(image)]
+    if not stripes:
+        used = exposures_of(shot)
+        return Exposures(tuple(factor_without_stripes(shot) * each for each in used.values_s))
+    shortest_s = exposures_of(shot).values_s[0]
+    best_s = [_best_exposure_s(image, position_px, scale_s, shortest_s) for image, position_px in stripes]
+    if max(best_s) > BRACKET_RATIO * min(best_s):
+        return Exposures((min(best_s), max(best_s)))
+    return Exposures((min(best_s),))
+
+
+def _stripes_on_face(
+    shot: Shot, images: list[LaserImage], rig: Rig
+) -> Iterator[tuple[LaserImage, Float64[Array, "column xy=2"]]]:
+    """The stripes on the ring's face: a place in each of their columns."""
+    points = detect(shot, rig, edges=False).break_points
+    if not isinstance(points, BreakPoints):
+        return
+    for image in images:
+        for laser in image.lasers:
+            ends_px = np.stack([points.face_start_px[laser], points.face_end_px[laser]])
+            if np.isfinite(ends_px).all():
+                start, end = project(undistorted_rays(ends_px, rig.camera), rig.camera)
+                columns = np.arange(np.ceil(start[0]), end[0])
+                if len(columns) >= MIN_STRIPE_COLUMNS:
+                    yield image, np.column_stack([columns, np.interp(columns, *np.stack([start, end], axis=1))])
+
+
+def _any_stripes(image: LaserImage) -> Iterator[Float64[Array, "column xy=2"]]:
+    """The places of all stripes in an image."""
+    found = find_stripes(image.lit, image.dark, saturation_dn=image.threshold_scale_dn)
+    if len(found.position_px) >= MIN_STRIPE_COLUMNS:
+        yield found.position_px
+
+
+def _best_exposure_s(
+    image: LaserImage, position_px: Float64[Array, "column xy=2"], scale_s: float, shortest_s: float
+) -> float:
+    """The exposure at which the bright parts of a stripe reach their grey value.
+
+    `scale_s` is the exposure that the grey values stand for, `shortest_s` that in which saturated ones were taken.
+    """
+    column, row = np.rint(position_px).astype(np.int64).T
+    rows = np.clip(row + np.array([[-1], [0], [1]]), 0, image.lit.shape[0] - 1)
+    level_dn = image.lit[rows, np.clip(column, 0, image.lit.shape[1] - 1)].max(axis=0)
+    if float((level_dn >= image.saturation_dn).mean()) > MAX_CLIPPED:
+        return shortest_s / STEP
+    bright_dn = max(float(np.percentile(level_dn, BRIGHT_PERCENTILE)), 1.0)
+    return scale_s * TARGET_SHARE * image.threshold_scale_dn / bright_dn
+
+
+def factor_without_stripes(shot: Shot) -> float:
+    """By how much to change the exposure of a shot in which no stripe is seen; 1 if the stripes are not the cause."""
+    thinned = shot.images[:, ::4, ::4]
+    if float(np.percentile(thinned, 99.9)) < DARK_SHARE * shot.saturation_dn:
+        return STEP
+    if float(np.median(thinned)) > BRIGHT_SHARE * shot.saturation_dn:
+        return 1 / STEP
+    return 1.0

@@ -1,0 +1,154 @@
+"""Automatic exposure: stripes of known brightness, seen by a fake camera that saturates."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_rig import SMALL_RIG
+
+from ringpose.capture.cameras.driver import CameraDescription, CameraDriver
+from ringpose.capture.exposure import ExposureControl, exposures_of, wanted_exposures
+from ringpose.capture.lasers.simulated import SimulatedLasers
+from ringpose.capture.pipeline import Procedure, captured_shots
+from ringpose.cli.main import main
+from ringpose.files.images.shots import read_shot
+from ringpose.types.image import Frame, Shot
+from ringpose.types.sequence import parsed_sequence
+
+FULL_DN = 255
+ROWS = (30.0, 60.0, 90.0)
+STEPS = parsed_sequence("off,1,2,3,off")
+
+
+class Scene(CameraDriver):
+    """A camera before three horizontal stripes; grey values are rates times the exposure, with noise."""
+
+    def __init__(self, stripe_dn_s: tuple[float, ...], ambient_dn_s: float = 0.0, first_s: float = 0.01) -> None:
+        y = np.arange(120.0)[:, None]
+        self._stripes = [
+            rate * np.exp(-0.5 * ((y - row) / 1.5) ** 2) * np.ones(200)
+            for rate, row in zip(stripe_dn_s, ROWS, strict=True)
+        ]
+        self._ambient_dn_s = ambient_dn_s
+        self._armed_s = self._first_s = first_s
+        self._rng = np.random.default_rng(5)
+        self._stamp_s = 0.0
+
+    def open(self) -> None:
+        """Nothing to open."""
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+    def describe(self) -> CameraDescription:
+        return CameraDescription(name="scene", image_width=200, image_height=120, saturation_dn=FULL_DN)
+
+    def bounds(self, feature: str) -> tuple[float, float]:
+        return 10.0, 50_000.0
+
+    def arm(self, exposure_s: float | None) -> None:
+        self._armed_s = self._first_s if exposure_s is None else exposure_s
+
+    def trigger(self, lasers: int, exposure_s: float | None = None) -> Frame:
+        exposure_s = self._armed_s if exposure_s is None else exposure_s
+        lit = [stripe for laser, stripe in enumerate(self._stripes) if lasers >> laser & 1]
+        grey = exposure_s * (self._ambient_dn_s + sum(lit)) + self._rng.normal(2.0, 0.7, (120, 200))
+        self._stamp_s += exposure_s
+        image = np.clip(np.rint(grey), 0, FULL_DN).astype(np.uint8)
+        return Frame(image=image, lasers=lasers, stamp_s=self._stamp_s, exposure_s=exposure_s)
+
+
+def first_shot(scene: Scene) -> Shot:
+    lasers = SimulatedLasers(3)
+    procedure = Procedure(steps=STEPS, is_exposure_auto=True)
+    return next(captured_shots(scene, lasers, procedure, ["first"]))
+
+
+@pytest.mark.parametrize("first_s", [0.00003, 0.002, 0.05])
+@pytest.mark.parametrize("ambient_dn_s", [0.0, 30_000.0])
+def test_the_first_shot_is_neither_dim_nor_saturated_wherever_the_exposure_begins(first_s, ambient_dn_s):
+    shot = first_shot(Scene((60_000.0, 80_000.0, 50_000.0), ambient_dn_s, first_s))
+
+    brightest_dn = np.percentile(shot.images[2][60], 90)
+    assert 0.35 * FULL_DN < brightest_dn < FULL_DN
+
+
+def test_stripes_that_differ_in_brightness_are_bracketed():
+    shot = first_shot(Scene((80_000.0, 80_000.0, 3_000.0)))
+
+    short_s, long_s = exposures_of(shot).values_s
+    assert 0.3 * FULL_DN < 80_000 * short_s < FULL_DN
+    assert 0.3 * FULL_DN < 3_000 * long_s < FULL_DN
+    assert len(shot.images) == len(STEPS)
+
+
+def test_ambient_light_counts_as_part_of_a_stripe_s_brightness():
+    scene = Scene((30_000.0,) * 3, ambient_dn_s=60_000.0)
+    shot = next(captured_shots(scene, SimulatedLasers(3), Procedure(steps=STEPS, exposure_s=0.001), ["dim"]))
+
+    (wanted_s,) = wanted_exposures(shot, 3, None).values_s
+
+    assert wanted_s == pytest.approx(0.75 * FULL_DN / 90_000, rel=0.1)
+
+
+def test_an_empty_image_is_exposed_longer_and_a_white_one_shorter():
+    shot = next(captured_shots(Scene((0.0,) * 3), SimulatedLasers(3), Procedure(steps=STEPS, exposure_s=0.01), ["-"]))
+    white = replace(shot, images=np.full_like(shot.images, FULL_DN))
+
+    assert wanted_exposures(shot, 3, None).longest_s == pytest.approx(0.04)
+    assert wanted_exposures(white, 3, None).longest_s == pytest.approx(0.0025)
+
+
+def test_exposures_stay_within_the_limits():
+    shot = next(captured_shots(Scene((0.0,) * 3), SimulatedLasers(3), Procedure(steps=STEPS, exposure_s=0.01), ["-"]))
+    control = ExposureControl(None, 3, 1e-4, 0.01)
+
+    assert control.accepts(shot)  # a longer one is not to be had
+    assert control.exposures is not None
+    assert control.exposures.values_s == (0.01,)
+
+
+@pytest.mark.parametrize("words", [["--exposure", "bright"], ["--exposure", "0"], ["--exposure", "nan"]])
+def test_an_exposure_is_seconds_or_auto(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+
+    assert main(["capture", "--camera", "sim:scene.yaml", *words]) == 2
+    assert "--exposure" in capsys.readouterr().err
+
+
+SCENE = """\
+ringpose: scene/1
+rig: rig.yaml
+ring: {radius_inner_m: 0.567, radius_outer_m: 0.597, height_m: 0.06}
+body: {size_m: [1.6, 1.6, 1.0]}
+exposure_s: 0.05
+sequence: off,all
+trajectory:
+- generate: {count: 1, distances_m: [0.5], tilt_rad: 0.05}
+"""
+
+
+@pytest.fixture
+def scene_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "rig.yaml").write_text(SMALL_RIG)
+    (tmp_path / "scene.yaml").write_text(SCENE)
+    return tmp_path / "scene.yaml"
+
+
+@pytest.mark.parametrize("rig", [[], ["--rig", "rig.yaml"]])
+def test_a_scene_that_would_saturate_is_captured_with_a_shorter_exposure(scene_file, rig):
+    status = main(["capture", "--camera", f"sim:{scene_file}", "--exposure", "auto", "--output", "s", *rig])
+
+    shot = read_shot(next(Path("s").glob("*.npz")))
+    assert status == 0
+    assert shot.exposure_s.max() < 0.02
+    assert (shot.images[1] == FULL_DN).mean() < 0.005
+
+
+def test_an_automatic_exposure_excludes_exposures_of_single_steps(scene_file, capsys):
+    words = ["--exposure", "auto", "--sequence", "off,all@1ms", "--output", "s"]
+
+    assert main(["capture", "--camera", f"sim:{scene_file}", *words]) == 2
+    assert "--exposure" in capsys.readouterr().err
