@@ -228,29 +228,6 @@ def _measured(ends: Ends, camera: Camera) -> Ends:
     )
 
 
-HIDING_COLUMNS, FLANK_ROWS, HIDDEN_SHARE = np.arange(2.0, 8.0), np.array([-7.0, -6.0, 6.0, 7.0]), 0.5
-"""Columns beyond an end in which ambient light may hide the stripe; rows about its line in which that shows without a
-background frame; share of saturated pixels there above which it does."""
-
-
-def hidden_by_saturation(points: BreakPoints, images: Sequence[LaserImage], saturation_dn: int) -> bool:
-    """Whether the ambient light saturates beside most of the ends, so that stripes that go on would not be seen.
-
-    Such ends may be borders of a shadow on a surface that goes on: the shadow of a ring on foil has the shape of a
-    ring. Beside single ends of a ring there may be glints of foil.
-    """
-    hidden, middle_x = 0, (points.face_start_px[:, 0] + points.face_end_px[:, 0]) / 2
-    for image in images:
-        ambient, rows = (image.lit, FLANK_ROWS) if image.dark is None else (image.dark, np.array([-1.0, 0.0, 1.0]))
-        for laser in image.lasers:
-            for x, y in points.position_px[laser, points.seen[laser]].tolist():
-                column = np.rint(x + HIDING_COLUMNS * (1 if x > middle_x[laser] else -1)).astype(int)
-                row = np.clip(np.rint(y + rows).astype(int), 0, ambient.shape[0] - 1)
-                near = ambient[row][:, column[(column >= 0) & (column < ambient.shape[1])]]
-                hidden += int((near >= saturation_dn).sum() > HIDDEN_SHARE * rows.size * HIDING_COLUMNS.size)
-    return 2 * hidden >= int(points.seen.sum())
-
-
 BEYOND_COLUMNS = 40
 """Columns beyond a segment in which its end is searched for."""
 

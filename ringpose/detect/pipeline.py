@@ -12,11 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.detect.break_points import break_points, ends_clear, hidden_by_saturation, without_outliers
+from ringpose.detect.break_points import break_points, ends_clear, without_outliers
 from ringpose.detect.difference_images import LaserImage, laser_images
 from ringpose.detect.motion import RingMotion, ring_motion
 from ringpose.detect.rim import CONFIRMED, Face, planes_per_m, ring_face
 from ringpose.detect.ring_edges import detect_ring_edges
+from ringpose.detect.saturation import exposure_advice, hidden_by_saturation
 from ringpose.detect.stripes import find_stripes, stripe_line_segments
 from ringpose.geometry.rays import project, undistorted_rays
 from ringpose.kernels.lines import CENTERS, LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
@@ -95,6 +96,7 @@ def detect(
         lasers_on=lasers_on,
         still=shot.still,
         rejected=on_ring.rejected if isinstance(found, BreakPoints) else (),
+        advice=exposure_advice(found, shot, images),
     )
 
 

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from ring_scenes import RIGS, break_points_of, pixels_of
 
-from ringpose.detect.break_points import hidden_by_saturation, without_outliers
+from ringpose.detect.break_points import without_outliers
 from ringpose.detect.difference_images import LaserImage
-from ringpose.types.detection import BreakPoints, NoBreakPoints
+from ringpose.detect.saturation import exposure_advice, hidden_by_saturation
+from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
+from ringpose.types.image import Shot
 
 RIG = replace(RIGS["B"], camera=replace(RIGS["B"].camera, distortion_coefficients=np.zeros(5)))
 SIGMA_PX = 0.2
@@ -67,3 +69,21 @@ def test_saturated_light_beside_half_of_the_ends_hides_them(saturated_ends, hidd
     image = image if with_background else replace(image, dark=None)
 
     assert hidden_by_saturation(points, [image], 255) is hidden
+
+
+def test_a_shorter_exposure_is_suggested_only_if_something_is_saturated():
+    points, image = faces(0)
+    shot = Shot(
+        name="x",
+        images=image.lit[None],
+        lasers=np.array([7], np.uint8),
+        stamp_s=np.zeros(1),
+        exposure_s=np.full(1, 0.008),
+    )
+    clipped = replace(points, flags=points.flags | int(BreakPointFlag.SATURATED))
+    white = replace(image, dark=np.full((120, 250), 255, np.uint8))
+
+    assert not exposure_advice(points, shot, [image])
+    assert not exposure_advice(NoBreakPoints.NO_RING, shot, [image])
+    assert "4 ms" in exposure_advice(clipped, shot, [image])
+    assert "2 ms" in exposure_advice(NoBreakPoints.NO_RING, shot, [white])
