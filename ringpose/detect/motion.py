@@ -29,6 +29,9 @@ BESIDE_STRIPE_PX = 30.0
 WINDOW_PX, LEVELS = 21, 2
 """Window and pyramid levels of the optical flow, in images of half size: displacements up to 60 px are found."""
 
+MARGIN_PX = 100
+"""Margin of the compared parts of both images about the edges."""
+
 MIN_CONTRAST_SHARE = 3 / 255
 """Minimum grey-value range across the edge, as a share of the saturation value, at which it is visible."""
 
@@ -83,11 +86,14 @@ def ring_motion(points: BreakPoints, shot: Shot, rig: Rig) -> RingMotion | None:
     position, normal = _edge_places(points, bool(shot.lasers[last]))
     if len(position) < MIN_PLACES:
         return None
-    visible = _contrast(shot.images[first], position, normal) >= MIN_CONTRAST_SHARE * shot.saturation_dn
+    corner = np.maximum(position.min(axis=0).astype(np.int64) - MARGIN_PX, 0)
+    right, bottom = position.max(axis=0).astype(np.int64) + MARGIN_PX
+    before, after = (shot.images[number, corner[1] : bottom, corner[0] : right] for number in (first, last))
+    visible = _contrast(before, position - corner, normal) >= MIN_CONTRAST_SHARE * shot.saturation_dn
     if np.count_nonzero(visible) < MIN_PLACES:
         return None
     position, normal = position[visible], normal[visible]
-    shift_px, found = _shift_across(shot.images[first], shot.images[last], position, normal)
+    shift_px, found = _shift_across(before, after, position - corner, normal)
     if np.count_nonzero(found) < MIN_PLACES:
         return None
     motion = _fitted(position[found], normal[found], shift_px[found] / duration_s, SIGMA_PX / duration_s, points, rig)
