@@ -1,0 +1,249 @@
+"""A bank of error-state Kalman filters for one explanation of a track: motion models that compete by their evidence.
+
+Errors that all shots have in common are considered, not estimated (Schmidt 1966): the error of a state is
+e = e_0 + B q, where q ~ N(0, 1) are the common errors, which stay what they are, and e_0 ~ N(0, P) is independent of
+them. B and P are carried on exactly for any gain, so that common errors never average out.
+"""
+
+from dataclasses import dataclass, replace
+from math import pi
+from typing import NamedTuple
+
+import numpy as np
+
+from ringpose.geometry.ring import CURVATURE, HALF_BAND, STEP
+from ringpose.track.observation import Observation, described_at, residuals
+from ringpose.track.states import (
+    ERRORS,
+    LEVER,
+    RATE,
+    RATE_ALONG,
+    RATE_INWARD,
+    RATE_NORMAL,
+    VELOCITY,
+    RingStates,
+    after,
+    difference,
+    jacobians,
+    moved,
+    perturbed,
+)
+from ringpose.types.arrays import Array, Bool, Float64
+from ringpose.types.pose import MotionPrior, RadiusPrior
+
+PROCESS_NOISE = (1e-8, 1e-6, 1e-4)
+"""Power spectral densities from which those of velocity (m^2/s^3) and angular velocity (rad^2/s^3) are chosen."""
+
+TORQUE_FREE_SHARE = 0.1
+"""Process noise of the angular velocity in the precession model, by that of the constant-velocity model."""
+
+LEVER_M, LEVER_SD_M = 1.0, 1.0
+"""Prior of the distance of the centre of mass behind the ring."""
+
+CURVATURE_PRIOR, CURVATURE_SD = 1.4, 0.7
+"""Curvature of an unknown ring in 1/m: radii from 0.36 m to any length lie within two standard deviations."""
+
+HALF_BAND_SD_M = 0.05
+
+_PLACE_SD = 1.0
+"""Standard deviation in metres and radians of the place of a ring before it is measured."""
+
+
+class MotionModels(NamedTuple):
+    """The models of a bank, one filter each."""
+
+    velocity_noise: Float64[Array, "filter"]
+    """Power spectral density of the acceleration of the centre (of mass), m^2/s^3 per axis."""
+    rate_noise: Float64[Array, "filter"]
+    """Of the angular acceleration, rad^2/s^3 per axis."""
+    precession: Bool[Array, "filter"]
+
+
+def motion_models() -> MotionModels:
+    """Nine constant-velocity models and three of torque-free precession."""
+    pairs = [(q_v, q_w) for q_v in PROCESS_NOISE for q_w in PROCESS_NOISE]
+    pairs += [(q_v, TORQUE_FREE_SHARE * q_v) for q_v in PROCESS_NOISE]
+    return MotionModels(
+        velocity_noise=np.array([q_v for q_v, _ in pairs]),
+        rate_noise=np.array([q_w for _, q_w in pairs]),
+        precession=np.arange(len(pairs)) >= len(PROCESS_NOISE) ** 2,
+    )
+
+
+MODELS = motion_models()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Bank:
+    """Filters of one explanation, all at one time; arrays by filter as in `MODELS`."""
+
+    stamp_s: float
+    states: RingStates
+    own: Float64[Array, "filter error=14 error=14"]
+    """Covariance P of the part of the errors that is independent of the common errors."""
+    common: Float64[Array, "filter error=14 source"]
+    """Sensitivity B to the common errors, which have unit variance."""
+    log_evidence: Float64[Array, "filter"]
+    measurements: int
+
+    @property
+    def scores(self) -> Float64[Array, "filter"]:
+        """Log evidence, less the penalty of BIC for the two additional parameters of precession."""
+        scores: Float64[Array, "filter"] = self.log_evidence - np.log(max(self.measurements, 1)) * MODELS.precession
+        return scores
+
+    @property
+    def best(self) -> int:
+        """The filter with the highest score."""
+        return int(np.argmax(self.scores))
+
+    @property
+    def covariance(self) -> Float64[Array, "filter error=14 error=14"]:
+        """Covariance of the errors."""
+        covariance: Float64[Array, "filter error error"] = self.own + self.common @ self.common.swapaxes(1, 2)
+        return covariance
+
+
+class Innovation(NamedTuple):
+    """What a measurement differs by from its prediction."""
+
+    remaining: Float64[Array, "filter row"]
+    jacobian: Float64[Array, "filter row error=14"]
+    wrt_common: Float64[Array, "filter row source"]
+    covariance: Float64[Array, "filter row row"]
+    chi2: Float64[Array, "filter"]
+    """Squared Mahalanobis length of the rows that depend on the ring; infinite for a ring that is not there."""
+    degrees_of_freedom: int
+
+
+def started(
+    observed: Observation, side: int, motion: MotionPrior, radius: RadiusPrior | None
+) -> Bank:
+    """The bank after its first measurement; `side` -1: the ring's centre is on the other side than in the record."""
+    arcs, count = observed.arcs, len(MODELS.precession)
+    curvature, curvature_sd, half_band_m, half_band_sd_m = _size_prior(observed, radius)
+    ring = RingStates(
+        origin=arcs.origin[None],
+        axes=(arcs.axes * np.array([side, side, 1.0])[:, None])[None],
+        curvature=np.array([curvature]),
+        half_band_m=np.array([half_band_m]),
+        motion=np.zeros((1, 7)),
+    ).repeated(count)
+    ring.motion[MODELS.precession, LEVER - len(STEP)] = LEVER_M
+    prior = np.zeros((count, len(ERRORS), len(ERRORS)))
+    sds = np.full(len(STEP), _PLACE_SD)
+    sds[CURVATURE], sds[HALF_BAND] = curvature_sd, half_band_sd_m
+    prior[:, range(7), range(7)] = sds**2
+    # u = v_C + l w x n - R w x inward, with independent velocity of the centre and angular velocity
+    of_rates = np.zeros((3, 3))
+    of_rates[2, 1] = 1.0 / curvature
+    prior[:, VELOCITY, VELOCITY] = motion.speed_sd_m_s**2 * np.eye(3) + motion.rate_sd_rad_s**2 * of_rates @ of_rates.T
+    prior[:, VELOCITY, RATE] = motion.rate_sd_rad_s**2 * of_rates
+    prior[:, RATE, VELOCITY] = motion.rate_sd_rad_s**2 * of_rates.T
+    prior[:, [RATE_INWARD, RATE_ALONG], [RATE_INWARD, RATE_ALONG]] = motion.rate_sd_rad_s**2
+    prior[MODELS.precession, RATE_NORMAL, RATE_NORMAL] = motion.rate_sd_rad_s**2
+    prior[MODELS.precession, LEVER, LEVER] = LEVER_SD_M**2
+    bank = Bank(
+        stamp_s=observed.stamp_s,
+        states=ring,
+        own=prior,
+        common=np.zeros((count, len(ERRORS), observed.wrt_common.shape[1])),
+        log_evidence=np.zeros(count),
+        measurements=0,
+    )
+    return updated(bank, innovation(bank, observed))
+
+
+def _size_prior(observed: Observation, radius: RadiusPrior | None) -> tuple[float, float, float, float]:
+    """Curvature and half width of the ring with their standard deviations, from the radii that the record assumes."""
+    half_band_m = observed.arcs.half_band_m
+    if radius is None:
+        return CURVATURE_PRIOR, CURVATURE_SD, half_band_m, HALF_BAND_SD_M
+    inner_m, outer_m = radius.inner_m, radius.outer_m
+    inner_sd_m, outer_sd_m = radius.inner_sd_m, radius.outer_sd_m
+    if inner_m == inner_m and outer_m == outer_m:
+        sd_m = 0.5 * float(np.hypot(inner_sd_m, outer_sd_m))
+        mean_m = 0.5 * (inner_m + outer_m)
+        return 1.0 / mean_m, sd_m / mean_m**2, 0.5 * (outer_m - inner_m), sd_m
+    mean_m = outer_m - half_band_m if outer_m == outer_m else inner_m + half_band_m
+    sd_m = outer_sd_m if outer_m == outer_m else inner_sd_m
+    return 1.0 / mean_m, float(np.hypot(sd_m, 0.002)) / mean_m**2, half_band_m, HALF_BAND_SD_M
+
+
+def predicted(bank: Bank, stamp_s: float, observed: Observation | None = None) -> Bank:
+    """The bank at a later time, described about the place where a measurement has seen the ring."""
+    time_s = stamp_s - bank.stamp_s
+    if time_s == 0.0 and observed is None:
+        return bank
+    states = after(bank.states, time_s)
+    if observed is not None:
+        states = described_at(observed, states)
+    steps = 2 * len(ERRORS)
+    transition = jacobians(difference(states.repeated(steps), after(perturbed(bank.states), time_s)))
+    noise = process_noise(bank.states, transition, time_s)
+    return replace(
+        bank,
+        stamp_s=stamp_s,
+        states=states,
+        own=transition @ bank.own @ transition.swapaxes(1, 2) + noise,
+        common=transition @ bank.common,
+    )
+
+
+def process_noise(
+    states: RingStates, transition: Float64[Array, "filter error=14 error=14"], time_s: float
+) -> Float64[Array, "filter error=14 error=14"]:
+    """Covariance of what white accelerations add within `time_s`: the integral of Phi(t) G q G^T Phi(t)^T.
+
+    With Phi(t) linear in t. Accelerations are those of the centre of mass and of the angular velocity; the latter moves
+    the origin too.
+    """
+    gain = np.zeros((len(states.curvature), len(ERRORS), 6))
+    gain[:, VELOCITY, :3] = np.eye(3)
+    gain[:, RATE, 3:] = np.eye(3)
+    gain[:, 7, 4], gain[:, 8, 3], gain[:, 9, 4] = states.motion[:, 6], -states.motion[:, 6], states.mean_radius_m
+    density = np.repeat(np.stack([MODELS.velocity_noise, MODELS.rate_noise], axis=1), 3, axis=1)
+    density[~MODELS.precession, 5] = 0.0
+    gain *= np.sqrt(density * time_s)[:, None]
+    later = (transition @ gain) - gain
+    both = later @ gain.swapaxes(1, 2)
+    noise: Float64[Array, "filter error error"] = (
+        gain @ gain.swapaxes(1, 2) + 0.5 * (both + both.swapaxes(1, 2)) + later @ later.swapaxes(1, 2) / 3.0
+    )
+    return noise
+
+
+def innovation(bank: Bank, observed: Observation) -> Innovation:
+    """The measurement less its prediction by each filter of a bank at the time of the measurement."""
+    remaining = residuals(observed, bank.states)
+    jacobian = -jacobians(residuals(observed, perturbed(bank.states)))
+    lost = ~np.isfinite(remaining).all(axis=1) | ~np.isfinite(jacobian).all(axis=(1, 2))
+    remaining[lost], jacobian[lost] = 0.0, 0.0
+    wrt_common = jacobian @ bank.common + observed.wrt_common
+    covariance = np.eye(remaining.shape[1]) + jacobian @ bank.own @ jacobian.swapaxes(1, 2)
+    covariance += wrt_common @ wrt_common.swapaxes(1, 2)
+    ring = observed.of_ring
+    of_ring = remaining[:, :ring, None]
+    chi2 = (of_ring * np.linalg.solve(covariance[:, :ring, :ring], of_ring)).sum(axis=(1, 2))
+    return Innovation(remaining, jacobian, wrt_common, covariance, np.where(lost, np.inf, chi2), ring)
+
+
+def updated(bank: Bank, found: Innovation) -> Bank:
+    """The bank after a measurement; its evidence is multiplied by the likelihood of the innovation."""
+    # K = (P H^T + B (H B + H_q)^T) S^-1
+    cross = bank.own @ found.jacobian.swapaxes(1, 2) + bank.common @ found.wrt_common.swapaxes(1, 2)
+    gain = np.linalg.solve(found.covariance, cross.swapaxes(1, 2)).swapaxes(1, 2)
+    kept = np.eye(len(ERRORS)) - gain @ found.jacobian
+    own = kept @ bank.own @ kept.swapaxes(1, 2) + gain @ gain.swapaxes(1, 2)
+    weighted = np.linalg.solve(found.covariance, found.remaining[..., None])[..., 0]
+    _, log_determinant = np.linalg.slogdet(found.covariance)
+    rows = found.remaining.shape[1]
+    log_likelihood = -0.5 * ((found.remaining * weighted).sum(axis=1) + log_determinant + rows * np.log(2.0 * pi))
+    return replace(
+        bank,
+        states=moved(bank.states, (cross @ weighted[..., None])[..., 0]),
+        own=0.5 * (own + own.swapaxes(1, 2)),
+        common=bank.common - gain @ found.wrt_common,
+        log_evidence=bank.log_evidence + np.where(np.isfinite(found.chi2), log_likelihood, -np.inf),
+        measurements=bank.measurements + 1,
+    )

@@ -1,0 +1,287 @@
+"""The record of a track at one instant: pose, velocity, grasp point, and how far they may be trusted."""
+
+from dataclasses import dataclass
+from math import isfinite, nan, sqrt
+from typing import Literal
+
+import numpy as np
+
+from ringpose.estimate.covariance import TILT_SD_LIMIT_RAD, WEAK_SD, standard_deviation
+from ringpose.geometry.ring import CURVATURE, RingArcs, public_wrt_step
+from ringpose.geometry.rotations import tilt_basis
+from ringpose.track.capture import capture_probability
+from ringpose.track.explanations import Track, TrackOptions
+from ringpose.track.filters import MODELS, Bank, predicted
+from ringpose.track.states import RingStates, center_velocity, jacobians, perturbed
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.options import PoseFrame
+from ringpose.types.pose import PoseFlag, RingPose, RingVelocity
+from ringpose.types.track import (
+    Attempt,
+    CameraMotion,
+    FusionStatus,
+    GraspState,
+    MotionModel,
+    NextTick,
+    SideHypothesis,
+    TrackLine,
+    Validity,
+)
+
+VALID_INTERVALS = 2.0
+"""Intervals between the last two used measurements for which a prediction counts as valid ..."""
+
+MIN_VALID_S = 0.1
+"""... and the shortest time."""
+
+UNKNOWN_FROM = 0.5
+"""Relative standard deviation of the curvature from which centre and radii are not reported."""
+
+VELOCITY_WEAK_SHARE = 0.5
+"""Share of its prior's standard deviation from which the velocity counts as weak."""
+
+RESOLVED_FROM = 0.999
+"""Weight of an explanation from which the side of the ring's centre is known."""
+
+_CENTER, _NORMAL, _RADII, _VELOCITY, _RATES, _GRASP, _GRASP_VELOCITY = (
+    slice(0, 3), slice(3, 6), slice(6, 8), slice(8, 11), slice(11, 14), slice(14, 17), slice(17, 20),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gripper:
+    """How far the ring may be off for the gripper to close on it."""
+
+    radial_m: float
+    """Distance of the true middle of the band from the grasp point."""
+    tilt_rad: float
+    """Angle between the true normal and the reported one."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineOptions:
+    """What the lines contain."""
+
+    gripper: Gripper | None = None
+    frame: PoseFrame | Literal["base"] = PoseFrame.CAMERA
+    camera: CameraMotion = "inertial_assumed"
+
+
+def track_line(
+    track: Track,
+    stamp_s: float,
+    next_stamp_s: float | None,
+    attempts: tuple[Attempt, ...],
+    flags: PoseFlag,
+    rig: str,
+    options: TrackOptions,
+    lines: LineOptions,
+) -> TrackLine:
+    """The record at `stamp_s`, with the prediction for `next_stamp_s` (default: one interval later)."""
+    none = Attempt(shot="", stamp_s=nan, fusion_status=FusionStatus.NONE, test_ratio=nan)
+    attempt = attempts[-1] if attempts else none
+    stamp_s = max(stamp_s, track.stamp_s) if track.banks else stamp_s
+    evidence = log_evidence(track.banks[int(np.argmax(track.weights))]) if track.banks else {}
+    head = {
+        "stamp_s": stamp_s,
+        "attempt": attempt,
+        "attempts": attempts,
+        "measurement_stamp_s": track.stamp_s,
+        "frame": lines.frame,
+        "log_evidence": evidence,
+        "camera": lines.camera,
+        "resets": track.resets,
+        "rig": rig,
+    }
+    state = validity(track, stamp_s, options)
+    if state is Validity.LOST:
+        return TrackLine(validity=state, **head)
+    weights = track.weights
+    first = int(np.argmax(weights))
+    best = _best_at(track.banks[first], stamp_s)
+    found = _Reported(best)
+    flags |= _weak_flags(found, options) | (PoseFlag.SIDE_UNKNOWN if weights[first] < RESOLVED_FROM else PoseFlag(0))
+    interval_s = track.interval_s or MIN_VALID_S
+    following = _Reported(_best_at(track.banks[first], next_stamp_s or stamp_s + interval_s))
+    chosen = track.banks[first].best
+    return TrackLine(
+        validity=state,
+        pose=_pose(found, flags),
+        velocity=_velocity(found),
+        grasp=GraspState(
+            point_m=found.value[_GRASP],
+            velocity_m_s=found.value[_GRASP_VELOCITY],
+            covariance=found.covariance(_GRASP, _GRASP_VELOCITY),
+        ),
+        next_tick=NextTick(
+            stamp_s=next_stamp_s or stamp_s + interval_s,
+            grasp_m=following.value[_GRASP],
+            normal=following.value[_NORMAL],
+            covariance=following.grasp_and_tilts(),
+        ),
+        hypotheses=tuple(
+            SideHypothesis(side=side, weight=weight, center_m=_Reported(_best_at(bank, stamp_s)).value[_CENTER])
+            for bank, side, weight in zip(track.banks, track.sides, weights.tolist(), strict=True)
+        ),
+        flags=flags,
+        model=MotionModel.PRECESSION if MODELS.precession[chosen] else MotionModel.CONSTANT_VELOCITY,
+        process_noise=(float(MODELS.velocity_noise[chosen]), float(MODELS.rate_noise[chosen])),
+        capture_probability=None
+        if lines.gripper is None
+        else capture_probability(found.capture_covariance(), lines.gripper.radial_m, lines.gripper.tilt_rad),
+        **head,
+    )
+
+
+def validity(track: Track, stamp_s: float, options: TrackOptions) -> Validity:
+    """By the age of the newest measurement that was used."""
+    if not track.banks:
+        return Validity.LOST
+    age_s = stamp_s - track.stamp_s
+    if age_s >= options.lost_after_s:
+        return Validity.LOST
+    if age_s > options.predict_for_s:
+        return Validity.STALE
+    return Validity.VALID if age_s <= max(MIN_VALID_S, VALID_INTERVALS * track.interval_s) else Validity.PREDICTED
+
+
+def log_evidence(bank: Bank) -> dict[MotionModel, float]:
+    """Highest score among the filters of each motion model."""
+    scores = bank.scores
+    return {
+        MotionModel.CONSTANT_VELOCITY: float(scores[~MODELS.precession].max()),
+        MotionModel.PRECESSION: float(scores[MODELS.precession].max()),
+    }
+
+
+class _Best:
+    """The best filter of a bank, at one instant."""
+
+    def __init__(self, states: RingStates, covariance: Float64[Array, "14 14"]) -> None:
+        self.states, self.covariance = states, covariance
+
+
+def _best_at(bank: Bank, stamp_s: float) -> _Best:
+    ahead = predicted(bank, stamp_s)
+    return _Best(ahead.states.at(slice(ahead.best, ahead.best + 1)), ahead.covariance[ahead.best])
+
+
+class _Reported:
+    """The reported quantities of a filter with their joint covariance."""
+
+    def __init__(self, best: _Best) -> None:
+        self.states, self.errors = best.states, best.covariance
+        self.value = _quantities(best.states)[0]
+        self._jacobian = jacobians(_quantities(perturbed(best.states)))[0]
+        self.basis = tilt_basis(self.value[_NORMAL])
+
+    def covariance(self, *parts: slice) -> Float64[Array, "n n"]:
+        """Of some of the quantities."""
+        rows = np.concatenate([self._jacobian[part] for part in parts])
+        covariance: Float64[Array, "n n"] = rows @ self.errors @ rows.T
+        return 0.5 * (covariance + covariance.T)
+
+    def _rows(self, part: slice, across: Float64[Array, "n 3"]) -> Float64[Array, "n error"]:
+        rows: Float64[Array, "n error"] = across @ self._jacobian[part]
+        return rows
+
+    def _of(self, rows: Float64[Array, "n error"]) -> Float64[Array, "n n"]:
+        covariance: Float64[Array, "n n"] = rows @ self.errors @ rows.T
+        return 0.5 * (covariance + covariance.T)
+
+    def grasp_and_tilts(self) -> Float64[Array, "5 5"]:
+        """Covariance of the grasp point and the tilts of the normal."""
+        return self._of(np.concatenate([self._jacobian[_GRASP], self._rows(_NORMAL, self.basis)]))
+
+    def capture_covariance(self) -> Float64[Array, "4 4"]:
+        """Covariance of the grasp point's errors inward and along the normal, and of the tilts."""
+        across = self.states.axes[0, [0, 2]]
+        return self._of(np.concatenate([self._rows(_GRASP, across), self._rows(_NORMAL, self.basis)]))
+
+    def velocity_covariance(self) -> Float64[Array, "5 5"]:
+        """Of the velocity x, y, z and the two rates."""
+        return self._of(np.concatenate([self._jacobian[_VELOCITY], self._rows(_RATES, self.basis)]))
+
+    def pose_covariance(self) -> Float64[Array, "7 7"]:
+        """In the parameters of the records."""
+        rows = public_wrt_step(self.arcs)
+        return rows @ self.errors[:7, :7] @ rows.T
+
+    @property
+    def arcs(self) -> RingArcs:
+        """The ring."""
+        state = self.states
+        return RingArcs(
+            origin=state.origin[0],
+            axes=state.axes[0],
+            curvature=1.0 / float(state.mean_radius_m[0]),
+            half_band_m=float(state.half_band_m[0]),
+        )
+
+
+def _quantities(states: RingStates) -> Float64[Array, "state quantity=20"]:
+    """Centre, normal, radii, velocity of the centre, rates across the normal, grasp point and its velocity."""
+    radii = states.mean_radius_m[:, None] + states.half_band_m[:, None] * np.array([-1.0, 1.0])
+    velocity = (center_velocity(states)[:, None] @ states.axes)[:, 0]
+    rates = (states.motion[:, None, 3:5] @ states.axes[:, :2])[:, 0]
+    at_grasp = (states.motion[:, None, :3] @ states.axes)[:, 0]
+    return np.concatenate(
+        [states.center_m, states.axes[:, 2], radii, velocity, rates, states.origin, at_grasp], axis=1
+    )
+
+
+def _weak_flags(found: _Reported, options: TrackOptions) -> PoseFlag:
+    """Flags of what is poorly determined, by the limits of single shots."""
+    flags = PoseFlag(0)
+    limit_m = WEAK_SD * float(np.abs(found.value[_RADII]).min())
+    if standard_deviation(found.capture_covariance()[2:, 2:]) > TILT_SD_LIMIT_RAD:
+        flags |= PoseFlag.NORMAL_WEAK
+    if not _curved(found) or standard_deviation(found.covariance(_CENTER)) > limit_m:
+        flags |= PoseFlag.CENTER_WEAK
+    if not _curved(found) or sqrt(float(found.covariance(_RADII).diagonal().max())) > limit_m:
+        flags |= PoseFlag.RADIUS_WEAK
+    if standard_deviation(found.covariance(_GRASP)) > GRASP_UNKNOWN_FROM_M:
+        flags |= PoseFlag.GRASP_WEAK
+    if standard_deviation(found.covariance(_VELOCITY)) > VELOCITY_WEAK_SHARE * options.motion.speed_sd_m_s:
+        flags |= PoseFlag.VELOCITY_WEAK
+    return flags
+
+
+GRASP_UNKNOWN_FROM_M = 0.01
+"""Standard deviation of the grasp point from which it is flagged."""
+
+
+def _curved(found: _Reported) -> bool:
+    """Whether the curvature is determined well enough for the centre to have a finite error."""
+    curvature = float(found.states.curvature[0])
+    return sqrt(float(found.errors[CURVATURE, CURVATURE])) < UNKNOWN_FROM * curvature
+
+
+def _pose(found: _Reported, flags: PoseFlag) -> RingPose:
+    """The pose, with NaN for what is not determined."""
+    value, curved = found.value, _curved(found)
+    normal_known = PoseFlag.NORMAL_WEAK not in flags
+    covariance = found.pose_covariance()
+    known = np.array([normal_known] * 3 + [curved and normal_known] * 2 + [curved] * 2)
+    masked = np.where(known[:, None] & known, covariance, nan)
+    grasp_known = PoseFlag.GRASP_WEAK not in flags
+    return RingPose(
+        center_m=value[_CENTER] if curved and normal_known else np.full(3, nan),
+        normal=value[_NORMAL] if normal_known else np.full(3, nan),
+        radius_inner_m=float(value[6]) if curved else nan,
+        radius_outer_m=float(value[7]) if curved else nan,
+        grasp_m=value[_GRASP] if grasp_known else np.full(3, nan),
+        method="track",
+        condition_number=nan,
+        residual_rms_px=nan,
+        covariance=masked if known.any() else None,
+        covariance_center_m2=found.covariance(_CENTER) if curved and normal_known else None,
+        covariance_grasp_m2=found.covariance(_GRASP) if grasp_known else None,
+        flags=flags,
+    )
+
+
+def _velocity(found: _Reported) -> RingVelocity:
+    return RingVelocity(
+        center_m_s=found.value[_VELOCITY], rate_rad_s=found.value[_RATES], covariance=found.velocity_covariance()
+    )
