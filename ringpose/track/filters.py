@@ -28,7 +28,7 @@ from ringpose.track.states import (
     moved,
     perturbed,
 )
-from ringpose.types.arrays import Array, Bool, Float64
+from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.pose import MotionPrior, RadiusPrior
 
 PROCESS_NOISE = (1e-8, 1e-6, 1e-4)
@@ -75,9 +75,10 @@ MODELS = motion_models()
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Bank:
-    """Filters of one explanation, all at one time; arrays by filter as in `MODELS`."""
+    """Filters of one explanation, all at one time."""
 
     stamp_s: float
+    models: MotionModels
     states: RingStates
     own: Float64[Array, "filter error=14 error=14"]
     """Covariance P of the part of the errors that is independent of the common errors."""
@@ -89,13 +90,26 @@ class Bank:
     @property
     def scores(self) -> Float64[Array, "filter"]:
         """Log evidence, less the penalty of BIC for the two additional parameters of precession."""
-        scores: Float64[Array, "filter"] = self.log_evidence - np.log(max(self.measurements, 1)) * MODELS.precession
+        scores: Float64[Array, "filter"] = self.log_evidence - np.log(max(self.measurements, 1)) * self.models.precession
         return scores
 
     @property
     def best(self) -> int:
         """The filter with the highest score."""
         return int(np.argmax(self.scores))
+
+    def only(self, index: int) -> "Bank":
+        """The bank with one of its filters."""
+        kept = slice(index, index + 1)
+        return Bank(
+            stamp_s=self.stamp_s,
+            models=MotionModels(*(part[kept] for part in self.models)),
+            states=self.states.at(kept),
+            own=self.own[kept],
+            common=self.common[kept],
+            log_evidence=self.log_evidence[kept],
+            measurements=self.measurements,
+        )
 
     @property
     def covariance(self) -> Float64[Array, "filter error=14 error=14"]:
@@ -145,6 +159,7 @@ def started(
     prior[MODELS.precession, LEVER, LEVER] = LEVER_SD_M**2
     bank = Bank(
         stamp_s=observed.stamp_s,
+        models=MODELS,
         states=ring,
         own=prior,
         common=np.zeros((count, len(ERRORS), observed.wrt_common.shape[1])),
@@ -178,9 +193,10 @@ def predicted(bank: Bank, stamp_s: float, observed: Observation | None = None) -
     states = after(bank.states, time_s)
     if observed is not None:
         states = described_at(observed, states)
-    steps = 2 * len(ERRORS)
-    transition = jacobians(difference(states.repeated(steps), after(perturbed(bank.states), time_s)))
-    noise = process_noise(bank.states, transition, time_s)
+    leaders, leader_of = _leaders(bank)
+    around = after(perturbed(bank.states.at(leaders)), time_s)
+    transition = jacobians(difference(states.at(leaders).repeated(2 * len(ERRORS)), around))[leader_of]
+    noise = process_noise(bank, transition, time_s)
     return replace(
         bank,
         stamp_s=stamp_s,
@@ -190,20 +206,32 @@ def predicted(bank: Bank, stamp_s: float, observed: Observation | None = None) -
     )
 
 
+def _leaders(bank: Bank) -> tuple[Int64[Array, "leader"], Int64[Array, "filter"]]:
+    """The best filter of each motion model, and the leader of each filter.
+
+    Jacobians are computed at the leaders: filters that differ in their process noise only have nearly the same state.
+    """
+    scores, precession = bank.scores, bank.models.precession
+    kinds = np.unique(precession)
+    leaders = np.array([int(np.argmax(np.where(precession == kind, scores, -np.inf))) for kind in kinds])
+    return leaders, np.searchsorted(kinds, precession)
+
+
 def process_noise(
-    states: RingStates, transition: Float64[Array, "filter error=14 error=14"], time_s: float
+    bank: Bank, transition: Float64[Array, "filter error=14 error=14"], time_s: float
 ) -> Float64[Array, "filter error=14 error=14"]:
     """Covariance of what white accelerations add within `time_s`: the integral of Phi(t) G q G^T Phi(t)^T.
 
     With Phi(t) linear in t. Accelerations are those of the centre of mass and of the angular velocity; the latter moves
     the origin too.
     """
+    states, models = bank.states, bank.models
     gain = np.zeros((len(states.curvature), len(ERRORS), 6))
     gain[:, VELOCITY, :3] = np.eye(3)
     gain[:, RATE, 3:] = np.eye(3)
     gain[:, 7, 4], gain[:, 8, 3], gain[:, 9, 4] = states.motion[:, 6], -states.motion[:, 6], states.mean_radius_m
-    density = np.repeat(np.stack([MODELS.velocity_noise, MODELS.rate_noise], axis=1), 3, axis=1)
-    density[~MODELS.precession, 5] = 0.0
+    density = np.repeat(np.stack([models.velocity_noise, models.rate_noise], axis=1), 3, axis=1)
+    density[~models.precession, 5] = 0.0
     gain *= np.sqrt(density * time_s)[:, None]
     later = (transition @ gain) - gain
     both = later @ gain.swapaxes(1, 2)
@@ -216,7 +244,8 @@ def process_noise(
 def innovation(bank: Bank, observed: Observation) -> Innovation:
     """The measurement less its prediction by each filter of a bank at the time of the measurement."""
     remaining = residuals(observed, bank.states)
-    jacobian = -jacobians(residuals(observed, perturbed(bank.states)))
+    leaders, leader_of = _leaders(bank)
+    jacobian = -jacobians(residuals(observed, perturbed(bank.states.at(leaders))))[leader_of]
     lost = ~np.isfinite(remaining).all(axis=1) | ~np.isfinite(jacobian).all(axis=(1, 2))
     remaining[lost], jacobian[lost] = 0.0, 0.0
     wrt_common = jacobian @ bank.common + observed.wrt_common

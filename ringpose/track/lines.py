@@ -120,7 +120,7 @@ def track_line(
             covariance=following.grasp_and_tilts(),
         ),
         hypotheses=tuple(
-            SideHypothesis(side=side, weight=weight, center_m=_Reported(_best_at(bank, stamp_s)).value[_CENTER])
+            SideHypothesis(side=side, weight=weight, center_m=_best_at(bank, stamp_s).states.center_m[0])
             for bank, side, weight in zip(track.banks, track.sides, weights.tolist(), strict=True)
         ),
         flags=flags,
@@ -162,8 +162,8 @@ class _Best:
 
 
 def _best_at(bank: Bank, stamp_s: float) -> _Best:
-    ahead = predicted(bank, stamp_s)
-    return _Best(ahead.states.at(slice(ahead.best, ahead.best + 1)), ahead.covariance[ahead.best])
+    best = predicted(bank.only(bank.best), stamp_s)
+    return _Best(best.states, best.covariance[0])
 
 
 class _Reported:

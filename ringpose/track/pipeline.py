@@ -81,9 +81,10 @@ class Tracker:
         attempts, self._attempts = tuple(self._attempts), []
         return track_line(self.track, stamp_s, next_stamp_s, attempts, self._flags(), self._hash, self._options, self._lines)
 
-    def newest_stamp_s(self) -> float:
-        """Stamp of the newest measurement that was used; NaN without one."""
-        return self.track.stamp_s
+    def line_of(self, attempt: Attempt) -> TrackLine:
+        """The record at the time of an attempt, or of the track if that is later or the stamp cannot be right."""
+        timely = attempt.fusion_status not in (FusionStatus.TOO_NEW, FusionStatus.TOO_OLD)
+        return self.line_at(attempt.stamp_s if timely or not self.track.banks else self.track.stamp_s)
 
     def _flags(self) -> PoseFlag:
         used = [e.flags for e in self._entries if e.fusion.status is FusionStatus.FUSED]
