@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from ringpose.geometry.ring import CURVATURE
-from ringpose.track.filters import Bank, innovation, predicted, started, updated
+from ringpose.track.filters import Bank, Innovation, innovation, predicted, started, updated
 from ringpose.track.observation import Observation
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.pose import MotionPrior, RadiusPrior
@@ -21,6 +21,12 @@ GATE = 0.999
 
 MIN_WEIGHT = 1e-6
 """Weight below which an explanation is dropped."""
+
+MIN_TESTED_WEIGHT = 0.01
+"""Weight from which an explanation or a model takes part in the test of an innovation."""
+
+MIN_PROBABILITY = 1e-12
+"""Probability below which a test ratio is that of the best model."""
 
 MIN_CURVATURE = 0.2
 """Curvature of the largest ring, 5 m, in 1/m: an explanation's evidence includes the probability of a larger one."""
@@ -108,10 +114,25 @@ def _continued(track: Track, observed: Observation) -> tuple[Track, float]:
     for bank, weight in zip(track.banks, weights.tolist(), strict=True):
         ahead = predicted(bank, observed.stamp_s, observed)
         found = innovation(ahead, observed)
-        ratios.append(float(found.chi2[ahead.best]) / gate(found.degrees_of_freedom) if weight > 0.01 else np.inf)
-        banks.append(updated(ahead, found))
+        ratios.append(test_ratio(ahead, found) if weight > MIN_TESTED_WEIGHT else np.inf)
+        banks.append(updated(ahead, observed, found))
     interval_s = observed.stamp_s - track.stamp_s
     return _pruned(replace(track, banks=tuple(banks), interval_s=interval_s, pending=None)), min(ratios)
+
+
+def test_ratio(bank: Bank, found: Innovation) -> float:
+    """Chi-squared of an innovation over the limit of the gate; above 1 it is rejected.
+
+    The probability of a larger one is the mean over the motion models with their weights; the ratio is that of the
+    chi-squared which has this probability.
+    """
+    from scipy.special import chdtrc, chdtri
+
+    dof = max(found.degrees_of_freedom, 1)
+    probability = float(bank.weights @ chdtrc(dof, found.chi2))
+    if probability < MIN_PROBABILITY:
+        return float(found.chi2[bank.weights > MIN_TESTED_WEIGHT].min()) / gate(dof)
+    return float(chdtri(dof, probability)) / gate(dof)
 
 
 @lru_cache(maxsize=64)

@@ -45,6 +45,15 @@ CURVATURE_PRIOR, CURVATURE_SD = 1.4, 0.7
 
 HALF_BAND_SD_M = 0.05
 
+ITERATIONS, ITERATED_UNTIL = 2, 6
+"""How often, and until which number of measurements, an update is linearised again."""
+
+NEGLIGIBLE_WEIGHT = 1e-3
+"""Weight below which a model does not contribute to the reported state."""
+
+LOST = -1e6
+"""Log likelihood of a measurement for a filter whose ring misses the place where one was seen."""
+
 _PLACE_SD = 1.0
 """Standard deviation in metres and radians of the place of a ring before it is measured."""
 
@@ -98,17 +107,23 @@ class Bank:
         """The filter with the highest score."""
         return int(np.argmax(self.scores))
 
-    def only(self, index: int) -> "Bank":
-        """The bank with one of its filters."""
-        kept = slice(index, index + 1)
-        return Bank(
-            stamp_s=self.stamp_s,
+    @property
+    def weights(self) -> Float64[Array, "filter"]:
+        """Probabilities of the models."""
+        weights = np.exp(self.scores - self.scores.max())
+        normalized: Float64[Array, "filter"] = weights / weights.sum()
+        return normalized
+
+    def probable(self) -> "Bank":
+        """The bank without filters whose weight is negligible."""
+        kept = self.weights > NEGLIGIBLE_WEIGHT
+        return replace(
+            self,
             models=MotionModels(*(part[kept] for part in self.models)),
             states=self.states.at(kept),
             own=self.own[kept],
             common=self.common[kept],
             log_evidence=self.log_evidence[kept],
-            measurements=self.measurements,
         )
 
     @property
@@ -116,6 +131,19 @@ class Bank:
         """Covariance of the errors."""
         covariance: Float64[Array, "filter error error"] = self.own + self.common @ self.common.swapaxes(1, 2)
         return covariance
+
+
+def mixed(bank: Bank) -> tuple[RingStates, Float64[Array, "error=14 error=14"]]:
+    """Mean and covariance of the states over the models with their probabilities, as a batch of one state.
+
+    While the evidence does not decide between models, the covariance includes their disagreement.
+    """
+    best, weights = bank.states.at(slice(bank.best, bank.best + 1)), bank.weights
+    apart = difference(best.repeated(len(weights)), bank.states)
+    mean = weights @ apart
+    apart = apart - mean
+    covariance: Float64[Array, "error error"] = np.tensordot(weights, bank.covariance, axes=1)
+    return moved(best, mean[None]), covariance + (weights[:, None] * apart).T @ apart
 
 
 class Innovation(NamedTuple):
@@ -166,7 +194,7 @@ def started(
         log_evidence=np.zeros(count),
         measurements=0,
     )
-    return updated(bank, innovation(bank, observed))
+    return updated(bank, observed, innovation(bank, observed))
 
 
 def _size_prior(observed: Observation, radius: RadiusPrior | None) -> tuple[float, float, float, float]:
@@ -241,13 +269,19 @@ def process_noise(
     return noise
 
 
-def innovation(bank: Bank, observed: Observation) -> Innovation:
-    """The measurement less its prediction by each filter of a bank at the time of the measurement."""
-    remaining = residuals(observed, bank.states)
+def innovation(bank: Bank, observed: Observation, step: Float64[Array, "filter error=14"] | None = None) -> Innovation:
+    """The measurement less its prediction by each filter of a bank at the time of the measurement.
+
+    With a `step` it is linearised about the states after that step instead.
+    """
+    states = bank.states if step is None else moved(bank.states, step)
     leaders, leader_of = _leaders(bank)
-    jacobian = -jacobians(residuals(observed, perturbed(bank.states.at(leaders))))[leader_of]
+    remaining = residuals(observed, states)
+    jacobian = -jacobians(residuals(observed, perturbed(states.at(leaders))))[leader_of]
     lost = ~np.isfinite(remaining).all(axis=1) | ~np.isfinite(jacobian).all(axis=(1, 2))
     remaining[lost], jacobian[lost] = 0.0, 0.0
+    if step is not None:
+        remaining += (jacobian @ step[..., None])[..., 0]
     wrt_common = jacobian @ bank.common + observed.wrt_common
     covariance = np.eye(remaining.shape[1]) + jacobian @ bank.own @ jacobian.swapaxes(1, 2)
     covariance += wrt_common @ wrt_common.swapaxes(1, 2)
@@ -257,22 +291,34 @@ def innovation(bank: Bank, observed: Observation) -> Innovation:
     return Innovation(remaining, jacobian, wrt_common, covariance, np.where(lost, np.inf, chi2), ring)
 
 
-def updated(bank: Bank, found: Innovation) -> Bank:
-    """The bank after a measurement; its evidence is multiplied by the likelihood of the innovation."""
-    # K = (P H^T + B (H B + H_q)^T) S^-1
-    cross = bank.own @ found.jacobian.swapaxes(1, 2) + bank.common @ found.wrt_common.swapaxes(1, 2)
+def updated(bank: Bank, observed: Observation, found: Innovation) -> Bank:
+    """The bank after a measurement; its evidence is multiplied by the likelihood of the innovation.
+
+    The first measurements move a state far; they are linearised again where they have moved it to (iterated filter).
+    """
+    for _ in range(ITERATIONS if bank.measurements < ITERATED_UNTIL else 0):
+        cross, weighted = _cross_and_weighted(bank, found)
+        found = innovation(bank, observed, (cross @ weighted)[..., 0])
+    cross, weighted = _cross_and_weighted(bank, found)
     gain = np.linalg.solve(found.covariance, cross.swapaxes(1, 2)).swapaxes(1, 2)
     kept = np.eye(len(ERRORS)) - gain @ found.jacobian
     own = kept @ bank.own @ kept.swapaxes(1, 2) + gain @ gain.swapaxes(1, 2)
-    weighted = np.linalg.solve(found.covariance, found.remaining[..., None])[..., 0]
     _, log_determinant = np.linalg.slogdet(found.covariance)
-    rows = found.remaining.shape[1]
-    log_likelihood = -0.5 * ((found.remaining * weighted).sum(axis=1) + log_determinant + rows * np.log(2.0 * pi))
+    chi2 = (found.remaining[..., None] * weighted).sum(axis=(1, 2))
+    log_likelihood = -0.5 * (chi2 + log_determinant + found.remaining.shape[1] * np.log(2.0 * pi))
     return replace(
         bank,
-        states=moved(bank.states, (cross @ weighted[..., None])[..., 0]),
+        states=moved(bank.states, (cross @ weighted)[..., 0]),
         own=0.5 * (own + own.swapaxes(1, 2)),
         common=bank.common - gain @ found.wrt_common,
-        log_evidence=bank.log_evidence + np.where(np.isfinite(found.chi2), log_likelihood, -np.inf),
+        log_evidence=bank.log_evidence + np.where(np.isfinite(found.chi2), log_likelihood, LOST),
         measurements=bank.measurements + 1,
     )
+
+
+def _cross_and_weighted(
+    bank: Bank, found: Innovation
+) -> tuple[Float64[Array, "filter error=14 row"], Float64[Array, "filter row 1"]]:
+    """P H^T + B (H B + H_q)^T and S^-1 y: their product is the step K y of the Kalman filter."""
+    cross = bank.own @ found.jacobian.swapaxes(1, 2) + bank.common @ found.wrt_common.swapaxes(1, 2)
+    return cross, np.linalg.solve(found.covariance, found.remaining[..., None])

@@ -11,7 +11,7 @@ from ringpose.geometry.ring import CURVATURE, RingArcs, public_wrt_step
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.track.capture import capture_probability
 from ringpose.track.explanations import Track, TrackOptions
-from ringpose.track.filters import MODELS, Bank, predicted
+from ringpose.track.filters import MODELS, Bank, mixed, predicted
 from ringpose.track.states import RingStates, center_velocity, jacobians, perturbed
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.options import PoseFrame
@@ -98,11 +98,10 @@ def track_line(
         return TrackLine(validity=state, **head)
     weights = track.weights
     first = int(np.argmax(weights))
-    best = _best_at(track.banks[first], stamp_s)
-    found = _Reported(best)
+    found = _Reported(track.banks[first], stamp_s)
     flags |= _weak_flags(found, options) | (PoseFlag.SIDE_UNKNOWN if weights[first] < RESOLVED_FROM else PoseFlag(0))
     interval_s = track.interval_s or MIN_VALID_S
-    following = _Reported(_best_at(track.banks[first], next_stamp_s or stamp_s + interval_s))
+    following = _Reported(track.banks[first], next_stamp_s or stamp_s + interval_s)
     chosen = track.banks[first].best
     return TrackLine(
         validity=state,
@@ -120,7 +119,7 @@ def track_line(
             covariance=following.grasp_and_tilts(),
         ),
         hypotheses=tuple(
-            SideHypothesis(side=side, weight=weight, center_m=_best_at(bank, stamp_s).states.center_m[0])
+            SideHypothesis(side=side, weight=weight, center_m=_center(bank, stamp_s))
             for bank, side, weight in zip(track.banks, track.sides, weights.tolist(), strict=True)
         ),
         flags=flags,
@@ -154,25 +153,13 @@ def log_evidence(bank: Bank) -> dict[MotionModel, float]:
     }
 
 
-class _Best:
-    """The best filter of a bank, at one instant."""
-
-    def __init__(self, states: RingStates, covariance: Float64[Array, "14 14"]) -> None:
-        self.states, self.covariance = states, covariance
-
-
-def _best_at(bank: Bank, stamp_s: float) -> _Best:
-    best = predicted(bank.only(bank.best), stamp_s)
-    return _Best(best.states, best.covariance[0])
-
-
 class _Reported:
-    """The reported quantities of a filter with their joint covariance."""
+    """The reported quantities of an explanation at an instant, with their joint covariance."""
 
-    def __init__(self, best: _Best) -> None:
-        self.states, self.errors = best.states, best.covariance
-        self.value = _quantities(best.states)[0]
-        self._jacobian = jacobians(_quantities(perturbed(best.states)))[0]
+    def __init__(self, bank: Bank, stamp_s: float) -> None:
+        self.states, self.errors = mixed(predicted(bank.probable(), stamp_s))
+        self.value = _quantities(self.states)[0]
+        self._jacobian = jacobians(_quantities(perturbed(self.states)))[0]
         self.basis = tilt_basis(self.value[_NORMAL])
 
     def covariance(self, *parts: slice) -> Float64[Array, "n n"]:
@@ -217,6 +204,12 @@ class _Reported:
             curvature=1.0 / float(state.mean_radius_m[0]),
             half_band_m=float(state.half_band_m[0]),
         )
+
+
+def _center(bank: Bank, stamp_s: float) -> Float64[Array, "xyz=3"]:
+    """Centre of the ring by one explanation."""
+    center_m: Float64[Array, "xyz=3"] = mixed(predicted(bank.probable(), stamp_s))[0].center_m[0]
+    return center_m
 
 
 def _quantities(states: RingStates) -> Float64[Array, "state quantity=20"]:

@@ -11,14 +11,14 @@ from math import sqrt
 import numpy as np
 
 from ringpose.errors import DataError
-from ringpose.geometry.ring import RingArcs, public_wrt_step, ring_arcs
+from ringpose.geometry.ring import RingArcs, public_wrt_rates, public_wrt_step, ring_arcs
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.track.states import Relative, RingStates, center_velocity, relative
+from ringpose.track.states import MOVING, Relative, RingStates, relative, step_rates
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.pose import MEASURED_PARAMETERS, PoseLine, Priors, RingMeasurement
 from ringpose.types.rig import Rig
 
-POSE, VELOCITY, RATES = slice(0, 7), slice(7, 10), slice(10, 12)
+POSE, MOTION = slice(0, 7), slice(7, 12)
 """Columns of `MEASURED_PARAMETERS`."""
 
 _BROAD = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.3, 0.3, 0.3, 0.3, 0.3, 1.0, 1.0])
@@ -32,23 +32,19 @@ _FORM_ORDERS = 3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Observation:
-    """Whitened rows: `target` = `wrt_step` s + `wrt_velocity` v + `wrt_rates` w + `wrt_common` q + N(0, 1).
+    """Whitened rows: `target` = `wrt_step` s + `wrt_step_rates` (ds/dt - `step_rates`) + `wrt_common` q + N(0, 1).
 
-    s leads from the arcs to the ring, v and w are increments about the linearisation point, q are independent common
-    errors of unit variance.
+    s leads from the arcs to the ring, q are independent common errors of unit variance.
     """
 
     shot: str
     stamp_s: float
     arcs: RingArcs
     """The linearisation point, described about the place where the ring was seen."""
-    center_m: Float64[Array, "xyz=3"]
-    velocity_m_s: Float64[Array, "xyz=3"]
-    rates_rad_s: Float64[Array, "2"]
-    """Along the tilt basis of the normal."""
+    step_rates: Float64[Array, "5"]
+    """Rates of the increments `MOVING` at the linearisation point."""
     wrt_step: Float64[Array, "row step=7"]
-    wrt_velocity: Float64[Array, "row xyz=3"]
-    wrt_rates: Float64[Array, "row 2"]
+    wrt_step_rates: Float64[Array, "row 5"]
     wrt_common: Float64[Array, "row error"]
     target: Float64[Array, "row"]
     of_ring: int
@@ -62,16 +58,17 @@ def observation(line: PoseLine, measurement: RingMeasurement, common: "CommonErr
     arcs = ring_arcs(at.center_m, at.normal, np.array([at.radius_inner_m, at.radius_outer_m]), near_m)
     count = len(MEASURED_PARAMETERS)
     rows = root[: root.shape[1] - 1]  # what follows is the residual of the shot alone
+    # features move with the rates of the increments, which depend on velocity and angular velocity linearly only here
+    wrt_step = public_wrt_step(arcs)
+    rates_wrt_motion = np.linalg.solve(wrt_step, public_wrt_rates(at.normal, at.center_m))[list(MOVING)]
+    motion = np.concatenate([at.velocity_m_s, tilt_basis(at.normal) @ at.rate_rad_s])
     return Observation(
         shot=line.shot,
         stamp_s=line.pose_stamp_s,
         arcs=arcs,
-        center_m=at.center_m,
-        velocity_m_s=at.velocity_m_s,
-        rates_rad_s=tilt_basis(at.normal) @ at.rate_rad_s,
-        wrt_step=rows[:, POSE] @ public_wrt_step(arcs),
-        wrt_velocity=rows[:, VELOCITY],
-        wrt_rates=rows[:, RATES],
+        step_rates=rates_wrt_motion @ motion,
+        wrt_step=rows[:, POSE] @ wrt_step,
+        wrt_step_rates=np.linalg.solve(rates_wrt_motion.T, rows[:, MOTION].T).T,
         wrt_common=rows[:, count:-1] @ common.root,
         target=rows[:, -1],
         of_ring=min(len(rows), count),
@@ -93,20 +90,12 @@ def _place_seen(measurement: RingMeasurement) -> Float64[Array, "xyz=3"]:
 
 
 def residuals(observed: Observation, states: RingStates) -> Float64[Array, "state row"]:
-    """Target minus prediction; NaN for a ring that misses the place where one was seen.
-
-    The velocity of a record is that of the body's point at the record's centre, v + w x (c_record - c).
-    """
-    arcs, found = observed.arcs, _from_arcs(observed, states)
-    velocity = (center_velocity(states)[:, None] @ states.axes)[:, 0]
-    rates = (states.motion[:, None, 3:5] @ states.axes[:, :2])[:, 0]
-    velocity = velocity + np.cross(rates, observed.center_m - states.center_m) - observed.velocity_m_s
-    # components along the basis of the record, carried to the predicted normal by the smallest rotation
-    normal, basis = states.axes[:, 2], tilt_basis(arcs.normal)
-    share = (normal @ basis.T) / (1.0 + normal @ arcs.normal)[:, None]
-    in_basis = rates @ basis.T - share * (rates @ arcs.normal)[:, None] - observed.rates_rad_s
-    predicted = found.errors @ observed.wrt_step.T + velocity @ observed.wrt_velocity.T
-    remaining: Float64[Array, "state row"] = observed.target - predicted - in_basis @ observed.wrt_rates.T
+    """Target minus prediction; NaN for a ring that misses the place where one was seen."""
+    found = _from_arcs(observed, states)
+    moving = step_rates(found) - observed.step_rates
+    remaining: Float64[Array, "state row"] = (
+        observed.target - found.errors @ observed.wrt_step.T - moving @ observed.wrt_step_rates.T
+    )
     return remaining
 
 

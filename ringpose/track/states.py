@@ -147,6 +147,10 @@ class Relative(NamedTuple):
     """Increments (`STEP`) that lead from the reference to each ring; NaN for a ring that misses the place."""
     states: RingStates
     """The same states with their origins in the reference's plane across the face."""
+    axes: Float64[Array, "state 3 local=3"]
+    """Inward, along, normal (those of the side's description), along the axes of the reference."""
+    side: Float64[Array, "state"]
+    """-1 for a ring whose centre is on the other side."""
 
 
 def relative(
@@ -186,13 +190,10 @@ def relative(
     along = np.stack([n_y * i_z - n_z * i_y, n_z * i_x - n_x * i_z, n_x * i_y - n_y * i_x], axis=1)
 
     # Cayley's inverse, K = 2 (Q - Q^T) / (1 + trace Q), Q = rows inward, along, normal of the side's description
-    a_x, a_y, a_z = (side[:, None] * along).T
-    i_x, i_y, i_z = (side[:, None] * inward).T
-    factor = 2.0 / (1.0 + i_x + a_y + n_z)
+    described_axes = np.stack([side[:, None] * inward, side[:, None] * along, local[:, 2]], axis=1)
+    factor = 2.0 / (1.0 + described_axes.trace(axis1=1, axis2=2))
     errors = np.empty((len(radius_m), len(STEP)))
-    errors[:, TILT_INWARD] = factor * (n_x - i_z)
-    errors[:, TILT_ALONG] = factor * (n_y - a_z)
-    errors[:, TURN] = factor * (i_y - a_x)
+    errors[:, _TURNS] = factor[:, None] * _turns(described_axes)
     errors[:, LIFT], errors[:, SHIFT] = place[:, 2], place[:, 0]
     errors[:, CURVATURE] = side * states.curvature - curvature
     errors[:, HALF_BAND] = states.half_band_m - half_band_m
@@ -213,7 +214,45 @@ def relative(
         half_band_m=states.half_band_m,
         motion=motion,
     )
-    return Relative(errors, described)
+    return Relative(errors, described, described_axes, side)
+
+
+_TURNS = (TILT_INWARD, TILT_ALONG, TURN)
+
+MOVING = (TILT_INWARD, TILT_ALONG, LIFT, SHIFT, TURN)
+"""Increments (`STEP`) that change by motion."""
+
+
+def _turns(matrix: Float64[Array, "state 3 3"]) -> Float64[Array, "state 3"]:
+    """The components of Q - Q^T that belong to tilt_inward, tilt_along and turn."""
+    skew = matrix - matrix.swapaxes(1, 2)
+    return np.stack([skew[:, 2, 0], skew[:, 2, 1], skew[:, 0, 1]], axis=1)
+
+
+def step_rates(found: Relative) -> Float64[Array, "state 5"]:
+    """Derivatives of the increments `MOVING` by time, from the motion of the states.
+
+    The place on the face slides along it, so as to stay in the reference's plane, which turns the axes.
+    """
+    states, axes = found.states, found.axes
+    flip = np.ones((len(found.side), 3))
+    flip[:, 0] = flip[:, 1] = found.side  # components along the axes of the side's description
+    velocity = ((flip * states.motion[:, :3])[:, None] @ axes)[:, 0]
+    slide = -velocity[:, 1] / axes[:, 1, 1]
+    velocity += slide[:, None] * axes[:, 1]
+    turn = np.zeros((len(slide), 3, 3))  # derivative of the axes, in rows: w x axis, and the slide's turn
+    rate_in, rate_al = flip[:, 0] * states.motion[:, 3], flip[:, 0] * states.motion[:, 4]
+    about = slide * found.side / states.mean_radius_m
+    turn[:, 0, 1], turn[:, 1, 0] = -about, about
+    turn[:, 0, 2], turn[:, 2, 0] = -rate_al, rate_al
+    turn[:, 1, 2], turn[:, 2, 1] = rate_in, -rate_in
+    change = turn @ axes
+    scale = 1.0 + axes.trace(axis1=1, axis2=2)
+    rates = np.empty((len(slide), len(MOVING)))
+    turning = 2.0 * _turns(change) - found.errors[:, _TURNS] * change.trace(axis1=1, axis2=2)[:, None]
+    rates[:, [0, 1, 4]] = turning / scale[:, None]
+    rates[:, 2], rates[:, 3] = velocity[:, 2], velocity[:, 0]
+    return rates
 
 
 def difference(reference: RingStates, states: RingStates) -> Float64[Array, "state error=14"]:
