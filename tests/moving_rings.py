@@ -5,7 +5,6 @@ each at the time of its own frame, predicted with the equations of lines and cir
 measurement of a record comes from a Gauss-Newton fit of all twelve parameters with derivatives by differences.
 """
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -13,7 +12,14 @@ import numpy as np
 from ring_scenes import RIGS, Ring, ring_at
 
 from ringpose.geometry.rotations import tilt_basis, tilted
-from ringpose.types.pose import LinearizationPoint, PoseFlag, PoseLine, Priors, RadiusPrior, RingMeasurement, RigStability
+from ringpose.types.pose import (
+    LinearizationPoint,
+    PoseLine,
+    Priors,
+    RadiusPrior,
+    RigStability,
+    RingMeasurement,
+)
 from ringpose.types.rig import LaserPlanes, Rig
 
 START_S = 1_700_000_000.0
@@ -151,7 +157,7 @@ def rings_of(point: LinearizationPoint, increments: np.ndarray):
     return center, normal, radius, velocity, rate
 
 
-def measured(motion, start_s: float, shots: Shots, rng, extra: Sequence[str] = ()) -> tuple[RingMeasurement, float]:
+def measured(motion, start_s: float, shots: Shots, rng) -> tuple[RingMeasurement, float]:
     """The measurement of one shot, and the time at which it holds, after the start."""
     rig = RIGS[shots.rig]
     frames_s = start_s + shots.frame_s * np.array(FRAMES)
@@ -219,7 +225,7 @@ def rig_columns(rig, at, times, near, sigma, shots: Shots) -> tuple[tuple[str, .
     return names, np.stack([(at_offset(name, 1e-7) - at_offset(name, -1e-7)) / 2e-7 for name in names], axis=1)
 
 
-def record(motion, start_s: float, shots: Shots, rng, name: str | None = None, flags=PoseFlag(0)) -> PoseLine:
+def record(motion, start_s: float, shots: Shots, rng, name: str | None = None) -> PoseLine:
     """The pose record of one shot, with its measurement and priors."""
     measurement, reference_s = measured(motion, start_s, shots, rng)
     radius, sd_m = None, shots.known_radius_sd_m
@@ -231,7 +237,6 @@ def record(motion, start_s: float, shots: Shots, rng, name: str | None = None, f
         stamp_s=START_S + start_s + shots.frame_s,
         pose_stamp_s=START_S + reference_s,
         pose=None,
-        flags=flags,
         measurement=measurement,
         priors=Priors(radius=radius, stability=shots.stability),
     )
@@ -256,6 +261,3 @@ def grasp_distance_m(grasp_m: np.ndarray, ring: Ring) -> float:
     axial = float(away @ ring.normal)
     radial = float(np.linalg.norm(away - axial * ring.normal)) - float(ring.radius_m.mean())
     return float(np.hypot(axial, radial))
-
-
-RingAt = Callable[[float], Ring]

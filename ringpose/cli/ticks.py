@@ -27,7 +27,7 @@ class Ticks(Generic[Item]):
         try:
             for item in items:
                 self._arrived.put(item)
-        except BaseException as failure:  # noqa: BLE001  # raised again by the main thread
+        except BaseException as failure:  # raised again by the main thread
             self._failure = failure
         finally:
             self._ended.set()

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from ringpose.cli.batch import Batch
-    from ringpose.files.inputs import Record
+    from ringpose.files.inputs import Input
     from ringpose.track.lines import Gripper
     from ringpose.track.pipeline import Tracker
     from ringpose.types.track import Attempt, TrackLine
@@ -72,9 +72,7 @@ GripperTilt = Annotated[
 ]
 RobotPoses = Annotated[
     Path | None,
-    typer.Option(
-        "--robot-poses", readable=False, metavar="FILE", help="Poses of the robot that carries the camera."
-    ),
+    typer.Option("--robot-poses", readable=False, metavar="FILE", help="Poses of the robot that carries the camera."),
 ]
 OutputFormat = Annotated[Format, typer.Option("--format", help="Records, or messages of ROS 2 as JSON.")]
 Newest = Annotated[bool, typer.Option("--newest", help="Drop lines that a slow reader has not read in time.")]
@@ -123,7 +121,7 @@ def track(
     )
     batch = Batch()
     tracker = Tracker(read_rig(rig) if rig is not None else None, options, LineOptions(gripper=gripper))
-    items = (item for item in batch.valid_inputs(named(inputs, (RECORDS_SUFFIX,))))
+    items = batch.valid_inputs(named(inputs, (RECORDS_SUFFIX,)))
     with ExitStack() as stack:
         write = _writer(stack, output_format, newest, brief, verbose, batch)
         if rate is None:
@@ -171,23 +169,24 @@ def _writer(
     return written
 
 
-def _added(item: "Record", tracker: "Tracker", batch: "Batch") -> "Attempt | None":
+def _added(item: "Input", tracker: "Tracker", batch: "Batch") -> "Attempt | None":
     """Add a record to the track; None if it is not a record of this track, which is reported on stderr."""
     from ringpose.errors import DataError
     from ringpose.files.poses import pose_line_of
 
+    attempt = None
     with batch.guarded():
-        if not isinstance(item, tuple):
+        if isinstance(item, Path):
             raise DataError(str(item), "is not a file of pose records", "give the output of ringpose pose")
         line = pose_line_of(item.values, item.location)
         try:
-            return tracker.add(line, time())
+            attempt = tracker.add(line, time())
         except DataError as problem:
             raise DataError(f"{item.location}: {problem.location}", problem.found, problem.remedy) from problem
-    return None
+    return attempt
 
 
-def _lines(items: "Iterator[Record]", tracker: "Tracker", batch: "Batch", quiet: bool) -> "Iterator[TrackLine]":
+def _lines(items: "Iterator[Input]", tracker: "Tracker", batch: "Batch", quiet: bool) -> "Iterator[TrackLine]":
     """A line after each record."""
     from ringpose.cli.progress import with_progress
 
@@ -198,7 +197,7 @@ def _lines(items: "Iterator[Record]", tracker: "Tracker", batch: "Batch", quiet:
 
 
 def _lines_at_rate(
-    items: "Iterator[Record]", tracker: "Tracker", batch: "Batch", rate_hz: float
+    items: "Iterator[Input]", tracker: "Tracker", batch: "Batch", rate_hz: float
 ) -> "Iterator[TrackLine]":
     """Lines at a fixed rate of this computer's clock; a thread reads the records meanwhile."""
     from ringpose.cli.ticks import Ticks

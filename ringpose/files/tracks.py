@@ -11,7 +11,7 @@ from ringpose.geometry.ring import normal_and_center
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.pose import PoseFlag, PoseLine, RingPose, RingVelocity
-from ringpose.types.track import Attempt, FusionStatus, MotionModel, TrackLine
+from ringpose.types.track import Attempt, MotionModel, TrackLine
 
 SCHEMA = "ringpose/track/1"
 
@@ -154,14 +154,16 @@ def ros_twist(
 def ros_header(stamp_s: float, frame: str) -> dict[str, Any]:
     """std_msgs/Header; the stamp in whole seconds and nanoseconds."""
     seconds = int(stamp_s // 1.0) if isfinite(stamp_s) else 0
-    nanoseconds = min(int(round((stamp_s - seconds) * 1e9)), 999_999_999) if isfinite(stamp_s) else 0
+    nanoseconds = min(round((stamp_s - seconds) * 1e9), 999_999_999) if isfinite(stamp_s) else 0
     return {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": str(frame)}
 
 
 def quaternion_xyzw(rotation: Float64[Array, "3 3"]) -> Float64[Array, "xyzw=4"]:
     """Unit quaternion of a rotation matrix, w not negative; by the largest component (Shepperd 1978)."""
     r = rotation
-    squares = np.array([r[0, 0] - r[1, 1] - r[2, 2], r[1, 1] - r[0, 0] - r[2, 2], r[2, 2] - r[0, 0] - r[1, 1], r.trace()])
+    squares = np.array(
+        [r[0, 0] - r[1, 1] - r[2, 2], r[1, 1] - r[0, 0] - r[2, 2], r[2, 2] - r[0, 0] - r[1, 1], r.trace()]
+    )
     columns = np.array(
         [
             [1 + squares[0], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[2, 1] - r[1, 2]],
@@ -177,7 +179,3 @@ def quaternion_xyzw(rotation: Float64[Array, "3 3"]) -> Float64[Array, "xyzw=4"]
 
 def _named(names: str, values: Float64[Array, "n"]) -> Mapping[str, float]:
     return dict(zip(names, values.tolist(), strict=True))
-
-
-ATTEMPTS_USED = frozenset({FusionStatus.FUSED, FusionStatus.FUSED_LATE})
-"""What became of measurements that changed the track."""

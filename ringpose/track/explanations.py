@@ -63,6 +63,11 @@ class Track:
         return self.banks[0].stamp_s if self.banks else float("nan")
 
     @property
+    def likeliest(self) -> Bank:
+        """The filters of the explanation with the largest weight."""
+        return self.banks[int(np.argmax(self.weights))]
+
+    @property
     def weights(self) -> Float64[Array, "explanation"]:
         """Probabilities of the explanations."""
         evidence = np.array([_evidence(bank) for bank in self.banks])

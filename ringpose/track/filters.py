@@ -37,6 +37,10 @@ PROCESS_NOISE = (1e-8, 1e-6, 1e-4)
 TORQUE_FREE_SHARE = 0.1
 """Process noise of the angular velocity in the precession model, by that of the constant-velocity model."""
 
+LEAST_RATE_NOISE_LOG_PRIOR = -2.0
+"""Log prior weight of the models with the least angular acceleration: within seconds single shots hardly show that of
+the next value, so that half of its tracks would be predicted with too small errors."""
+
 LEVER_M, LEVER_SD_M = 1.0, 1.0
 """Prior of the distance of the centre of mass behind the ring."""
 
@@ -66,6 +70,8 @@ class MotionModels(NamedTuple):
     rate_noise: Float64[Array, "filter"]
     """Of the angular acceleration, rad^2/s^3 per axis."""
     precession: Bool[Array, "filter"]
+    log_prior: Float64[Array, "filter"]
+    """Logarithms of their weights before the first measurement."""
 
 
 def motion_models() -> MotionModels:
@@ -76,6 +82,7 @@ def motion_models() -> MotionModels:
         velocity_noise=np.array([q_v for q_v, _ in pairs]),
         rate_noise=np.array([q_w for _, q_w in pairs]),
         precession=np.arange(len(pairs)) >= len(PROCESS_NOISE) ** 2,
+        log_prior=np.where(np.array([q_w for _, q_w in pairs]) <= PROCESS_NOISE[0], LEAST_RATE_NOISE_LOG_PRIOR, 0.0),
     )
 
 
@@ -99,7 +106,8 @@ class Bank:
     @property
     def scores(self) -> Float64[Array, "filter"]:
         """Log evidence, less the penalty of BIC for the two additional parameters of precession."""
-        scores: Float64[Array, "filter"] = self.log_evidence - np.log(max(self.measurements, 1)) * self.models.precession
+        penalty = np.log(max(self.measurements, 1)) * self.models.precession
+        scores: Float64[Array, "filter"] = self.log_evidence + self.models.log_prior - penalty
         return scores
 
     @property
@@ -158,9 +166,7 @@ class Innovation(NamedTuple):
     degrees_of_freedom: int
 
 
-def started(
-    observed: Observation, side: int, motion: MotionPrior, radius: RadiusPrior | None
-) -> Bank:
+def started(observed: Observation, side: int, motion: MotionPrior, radius: RadiusPrior | None) -> Bank:
     """The bank after its first measurement; `side` -1: the ring's centre is on the other side than in the record."""
     arcs, count = observed.arcs, len(MODELS.precession)
     curvature, curvature_sd, half_band_m, half_band_sd_m = _size_prior(observed, radius)

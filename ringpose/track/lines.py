@@ -1,7 +1,7 @@
 """The record of a track at one instant: pose, velocity, grasp point, and how far they may be trusted."""
 
-from dataclasses import dataclass
-from math import isfinite, nan, sqrt
+from dataclasses import dataclass, replace
+from math import nan, sqrt
 from typing import Literal
 
 import numpy as np
@@ -11,7 +11,7 @@ from ringpose.geometry.ring import CURVATURE, RingArcs, public_wrt_step
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.track.capture import capture_probability
 from ringpose.track.explanations import Track, TrackOptions
-from ringpose.track.filters import MODELS, Bank, mixed, predicted
+from ringpose.track.filters import Bank, mixed, predicted
 from ringpose.track.states import RingStates, center_velocity, jacobians, perturbed
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.options import PoseFrame
@@ -48,6 +48,10 @@ _CENTER, _NORMAL, _RADII, _VELOCITY, _RATES, _GRASP, _GRASP_VELOCITY = (
 )  # fmt: skip
 
 
+NO_ATTEMPT = Attempt(shot="", stamp_s=nan, fusion_status=FusionStatus.NONE, test_ratio=nan)
+"""Stands for the newest measurement where there was none since the last line."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gripper:
     """How far the ring may be off for the gripper to close on it."""
@@ -78,57 +82,56 @@ def track_line(
     lines: LineOptions,
 ) -> TrackLine:
     """The record at `stamp_s`, with the prediction for `next_stamp_s` (default: one interval later)."""
-    none = Attempt(shot="", stamp_s=nan, fusion_status=FusionStatus.NONE, test_ratio=nan)
-    attempt = attempts[-1] if attempts else none
     stamp_s = max(stamp_s, track.stamp_s) if track.banks else stamp_s
-    evidence = log_evidence(track.banks[int(np.argmax(track.weights))]) if track.banks else {}
-    head = {
-        "stamp_s": stamp_s,
-        "attempt": attempt,
-        "attempts": attempts,
-        "measurement_stamp_s": track.stamp_s,
-        "frame": lines.frame,
-        "log_evidence": evidence,
-        "camera": lines.camera,
-        "resets": track.resets,
-        "rig": rig,
-    }
-    state = validity(track, stamp_s, options)
-    if state is Validity.LOST:
-        return TrackLine(validity=state, **head)
-    weights = track.weights
-    first = int(np.argmax(weights))
-    found = _Reported(track.banks[first], stamp_s)
-    flags |= _weak_flags(found, options) | (PoseFlag.SIDE_UNKNOWN if weights[first] < RESOLVED_FROM else PoseFlag(0))
-    interval_s = track.interval_s or MIN_VALID_S
-    following = _Reported(track.banks[first], next_stamp_s or stamp_s + interval_s)
-    chosen = track.banks[first].best
-    return TrackLine(
-        validity=state,
+    lost = TrackLine(
+        stamp_s=stamp_s,
+        attempt=attempts[-1] if attempts else NO_ATTEMPT,
+        attempts=attempts,
+        measurement_stamp_s=track.stamp_s,
+        validity=validity(track, stamp_s, options),
+        frame=lines.frame,
+        log_evidence=log_evidence(track.likeliest) if track.banks else {},
+        camera=lines.camera,
+        resets=track.resets,
+        rig=rig,
+    )
+    if lost.validity is Validity.LOST:
+        return lost
+    bank, weights = track.likeliest, track.weights
+    found = _Reported(bank, stamp_s)
+    next_s = next_stamp_s or stamp_s + (track.interval_s or MIN_VALID_S)
+    following = _Reported(bank, next_s)
+    flags |= _weak_flags(found, options)
+    if weights.max() < RESOLVED_FROM:
+        flags |= PoseFlag.SIDE_UNKNOWN
+    models, chosen, gripper = bank.models, bank.best, lines.gripper
+    return replace(
+        lost,
         pose=_pose(found, flags),
-        velocity=_velocity(found),
+        velocity=RingVelocity(
+            center_m_s=found.value[_VELOCITY], rate_rad_s=found.value[_RATES], covariance=found.velocity_covariance()
+        ),
         grasp=GraspState(
             point_m=found.value[_GRASP],
             velocity_m_s=found.value[_GRASP_VELOCITY],
             covariance=found.covariance(_GRASP, _GRASP_VELOCITY),
         ),
         next_tick=NextTick(
-            stamp_s=next_stamp_s or stamp_s + interval_s,
+            stamp_s=next_s,
             grasp_m=following.value[_GRASP],
             normal=following.value[_NORMAL],
             covariance=following.grasp_and_tilts(),
         ),
         hypotheses=tuple(
-            SideHypothesis(side=side, weight=weight, center_m=_center(bank, stamp_s))
-            for bank, side, weight in zip(track.banks, track.sides, weights.tolist(), strict=True)
+            SideHypothesis(side=side, weight=weight, center_m=_center(each, stamp_s))
+            for each, side, weight in zip(track.banks, track.sides, weights.tolist(), strict=True)
         ),
         flags=flags,
-        model=MotionModel.PRECESSION if MODELS.precession[chosen] else MotionModel.CONSTANT_VELOCITY,
-        process_noise=(float(MODELS.velocity_noise[chosen]), float(MODELS.rate_noise[chosen])),
+        model=MotionModel.PRECESSION if models.precession[chosen] else MotionModel.CONSTANT_VELOCITY,
+        process_noise=(float(models.velocity_noise[chosen]), float(models.rate_noise[chosen])),
         capture_probability=None
-        if lines.gripper is None
-        else capture_probability(found.capture_covariance(), lines.gripper.radial_m, lines.gripper.tilt_rad),
-        **head,
+        if gripper is None
+        else capture_probability(found.capture_covariance(), gripper.radial_m, gripper.tilt_rad),
     )
 
 
@@ -148,8 +151,8 @@ def log_evidence(bank: Bank) -> dict[MotionModel, float]:
     """Highest score among the filters of each motion model."""
     scores = bank.scores
     return {
-        MotionModel.CONSTANT_VELOCITY: float(scores[~MODELS.precession].max()),
-        MotionModel.PRECESSION: float(scores[MODELS.precession].max()),
+        MotionModel.CONSTANT_VELOCITY: float(scores[~bank.models.precession].max()),
+        MotionModel.PRECESSION: float(scores[bank.models.precession].max()),
     }
 
 
@@ -218,9 +221,7 @@ def _quantities(states: RingStates) -> Float64[Array, "state quantity=20"]:
     velocity = (center_velocity(states)[:, None] @ states.axes)[:, 0]
     rates = (states.motion[:, None, 3:5] @ states.axes[:, :2])[:, 0]
     at_grasp = (states.motion[:, None, :3] @ states.axes)[:, 0]
-    return np.concatenate(
-        [states.center_m, states.axes[:, 2], radii, velocity, rates, states.origin, at_grasp], axis=1
-    )
+    return np.concatenate([states.center_m, states.axes[:, 2], radii, velocity, rates, states.origin, at_grasp], axis=1)
 
 
 def _weak_flags(found: _Reported, options: TrackOptions) -> PoseFlag:
@@ -271,10 +272,4 @@ def _pose(found: _Reported, flags: PoseFlag) -> RingPose:
         covariance_center_m2=found.covariance(_CENTER) if curved and normal_known else None,
         covariance_grasp_m2=found.covariance(_GRASP) if grasp_known else None,
         flags=flags,
-    )
-
-
-def _velocity(found: _Reported) -> RingVelocity:
-    return RingVelocity(
-        center_m_s=found.value[_VELOCITY], rate_rad_s=found.value[_RATES], covariance=found.velocity_covariance()
     )

@@ -1,22 +1,20 @@
-"""A record's measurement as the filters use it, and the common errors that they consider (ringpose-method(7), 9).
+"""A record's measurement as the filters use it (ringpose-method(7), section 9).
 
 The measurement is linear in the records' twelve parameters only near its linearisation point. Expressed in the
 increments of arcs about the place where the ring was seen, it remains valid much farther from it.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 from math import sqrt
 
 import numpy as np
 
-from ringpose.errors import DataError
 from ringpose.geometry.ring import RingArcs, public_wrt_rates, public_wrt_step, ring_arcs
 from ringpose.geometry.rotations import tilt_basis
+from ringpose.track.common_errors import CommonErrors
 from ringpose.track.states import MOVING, Relative, RingStates, relative, step_rates
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.pose import MEASURED_PARAMETERS, PoseLine, Priors, RingMeasurement
-from ringpose.types.rig import Rig
+from ringpose.types.pose import MEASURED_PARAMETERS, PoseLine, RingMeasurement
 
 POSE, MOTION = slice(0, 7), slice(7, 12)
 """Columns of `MEASURED_PARAMETERS`."""
@@ -25,9 +23,6 @@ _BROAD = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.3, 0.3, 0.3, 0.3, 0.3, 1.0, 1.0])
 """Standard deviations that stand for no knowledge of the twelve parameters."""
 
 _PLACES_RAD = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
-
-_FORM_ORDERS = 3
-"""Orders of a ring's deviations from its ideal form, which share the variance (ringpose-method(7), section 12)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -51,7 +46,7 @@ class Observation:
     """Number of rows that depend on the ring; the others depend on common errors alone."""
 
 
-def observation(line: PoseLine, measurement: RingMeasurement, common: "CommonErrors", inflation: float) -> Observation:
+def observation(line: PoseLine, measurement: RingMeasurement, common: CommonErrors, inflation: float) -> Observation:
     """The rows of a record, in units of its errors times the root of `inflation`."""
     at, root = measurement.linearized_at, measurement.square_root / sqrt(inflation)
     near_m = at.center_m + _place_seen(measurement)
@@ -106,7 +101,10 @@ def described_at(observed: Observation, states: RingStates) -> RingStates:
         return described
     there = np.isfinite(described.motion).all(axis=1)
     return RingStates(
-        *(np.where(there.reshape(-1, *[1] * (new.ndim - 1)), new, old) for new, old in zip(described, states, strict=True))
+        *(
+            np.where(there.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+            for new, old in zip(described, states, strict=True)
+        )
     )
 
 
@@ -114,61 +112,3 @@ def _from_arcs(observed: Observation, states: RingStates) -> Relative:
     arcs = observed.arcs
     half_band = np.array([arcs.half_band_m])
     return relative(arcs.origin[None], arcs.axes[None], np.array([arcs.curvature]), half_band, states)
-
-
-# Common errors
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CommonErrors:
-    """Nuisance parameters that all shots have in common, and the root R of their prior covariance R R^T."""
-
-    names: tuple[str, ...]
-    root: Float64[Array, "parameter error"]
-
-
-def common_errors(line: PoseLine, measurement: RingMeasurement, rig: Rig | None) -> CommonErrors:
-    """The nuisance parameters of a record with the prior that it states: of the rig file, its stability, the form.
-
-    Errors: the record needs a rig file that is not given, or names a parameter without a prior.
-    """
-    priors = line.priors or Priors()
-    stability = priors.stability
-    key = (priors.rig_covariance, stability.plane_tilt_rad, stability.plane_distance_m, stability.focal_ratio)
-    names = measurement.nuisance_parameters
-    if priors.rig_covariance and (rig is None or rig.covariance is None):
-        raise DataError(line.shot, "its priors include the covariance of a rig file", "give that file with --rig")
-    return _common_errors(names, key, priors.ring_tolerance_m, rig if priors.rig_covariance else None, line.shot)
-
-
-@lru_cache(maxsize=8)
-def _common_errors(
-    names: tuple[str, ...], key: tuple[bool, float, float, float], ring_tolerance_m: float, rig: Rig | None, shot: str
-) -> CommonErrors:
-    _, plane_tilt_rad, plane_distance_m, focal_ratio = key
-    covariance, known = np.zeros((len(names), len(names))), np.zeros(len(names), dtype=bool)
-    if rig is not None and rig.covariance is not None:
-        of_rig = [name for name in names if name in rig.covariance.parameters]
-        here = [names.index(name) for name in of_rig]
-        there = [rig.covariance.parameters.index(name) for name in of_rig]
-        covariance[np.ix_(here, here)] = rig.covariance.data[np.ix_(there, there)]
-        known[here] = True
-        matrix, focal = rig.camera.camera_matrix, np.zeros(len(names))
-        for name, length in (("fx", matrix[0, 0]), ("fy", matrix[1, 1])):
-            if name in names:
-                focal[names.index(name)] = focal_ratio * length
-        covariance += np.outer(focal, focal)
-    single = {"tilt_1": plane_tilt_rad, "tilt_2": plane_tilt_rad, "distance": plane_distance_m}
-    for index, name in enumerate(names):
-        if name.startswith("form."):
-            covariance[index, index] = ring_tolerance_m**2 / _FORM_ORDERS
-        elif name == "focal_ratio":
-            covariance[index, index] += focal_ratio**2
-        elif "." in name and name.rpartition(".")[2] in single:
-            covariance[index, index] += single[name.rpartition(".")[2]] ** 2
-        elif not known[index]:
-            raise DataError(shot, f"has the nuisance parameter {name!r}, for which it states no prior")
-    scale = np.sqrt(np.maximum(covariance.diagonal(), np.finfo(float).tiny))
-    variance, axes = np.linalg.eigh(covariance / scale / scale[:, None])
-    kept = (variance > 1e-12 * max(float(variance[-1]), 1e-300)) if len(names) else np.zeros(0, dtype=bool)
-    return CommonErrors(names=names, root=scale[:, None] * axes[:, kept] * np.sqrt(variance[kept]))

@@ -5,14 +5,14 @@ in the order of their stamps when an older one arrives: the result does not depe
 """
 
 from bisect import bisect_left
-from dataclasses import replace
 from math import isfinite, nan
 from typing import NamedTuple
 
 from ringpose.errors import DataError
+from ringpose.track.common_errors import CommonErrors, common_errors
 from ringpose.track.explanations import Fusion, Track, TrackOptions, track_after
 from ringpose.track.lines import LineOptions, track_line
-from ringpose.track.observation import CommonErrors, Observation, common_errors, observation
+from ringpose.track.observation import Observation, observation
 from ringpose.types.pose import PoseFlag, PoseLine, RadiusPrior
 from ringpose.types.rig import Rig
 from ringpose.types.track import Attempt, FusionStatus, TrackLine
@@ -48,8 +48,8 @@ class _Entry(NamedTuple):
 class Tracker:
     """A track that pose records are added to as they arrive."""
 
-    def __init__(self, rig: Rig | None, options: TrackOptions = TrackOptions(), lines: LineOptions = LineOptions()):
-        self._rig, self._options, self._lines = rig, options, lines
+    def __init__(self, rig: Rig | None, options: TrackOptions | None = None, lines: LineOptions | None = None) -> None:
+        self._rig, self._options, self._lines = rig, options or TrackOptions(), lines or LineOptions()
         self._hash = rig.sha256 if rig is not None else ""
         self._common: CommonErrors | None = None
         self._base = Track()
@@ -79,7 +79,9 @@ class Tracker:
     def line_at(self, stamp_s: float, next_stamp_s: float | None = None) -> TrackLine:
         """The record of the track at an instant, and the attempts since the last one."""
         attempts, self._attempts = tuple(self._attempts), []
-        return track_line(self.track, stamp_s, next_stamp_s, attempts, self._flags(), self._hash, self._options, self._lines)
+        return track_line(
+            self.track, stamp_s, next_stamp_s, attempts, self._flags(), self._hash, self._options, self._lines
+        )
 
     def line_of(self, attempt: Attempt) -> TrackLine:
         """The record at the time of an attempt, or of the track if that is later or the stamp cannot be right."""

@@ -3,9 +3,9 @@
 A ring is described as in `ringpose.geometry.ring`: by arcs about a point of its face near which it is seen, because
 there the measurements are nearly linear and the filter's covariance does not gain false information from
 relinearisation; centre and radii follow from it. Velocities are components along the ring's own axes, for the same
-reason. One motion serves both models (ringpose-method(7), section 10): a body whose centre of mass lies `lever_m` behind
-the ring, moves at a constant velocity and precesses at a constant angular velocity. Constant velocity of the ring is
-the case of no lever and no precession about the normal.
+reason. One motion serves both models (ringpose-method(7), section 10): a body whose centre of mass lies `lever_m`
+behind the ring, moves at a constant velocity and precesses at a constant angular velocity. Constant velocity of the
+ring is the case of no lever and no precession about the normal.
 """
 
 from typing import NamedTuple

@@ -60,7 +60,7 @@ class NewestWriter:
                 with self._changed:
                     line, self._line = self._line, None
                 records.write_text(line)
-        except BaseException as failure:  # noqa: BLE001  # raised again by the main thread
+        except BaseException as failure:  # raised again by the main thread
             self._failure = failure
 
     def _wait_for_reader(self) -> None:
