@@ -1,4 +1,4 @@
-"""Errors that all shots have in common, with the priors that the records state (ringpose-method(7), sections 9 to 12)."""
+"""Errors that all shots have in common, with the priors that the records state (ringpose-method(7), 9, 11, 12)."""
 
 from dataclasses import dataclass
 from functools import lru_cache

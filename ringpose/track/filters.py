@@ -289,12 +289,21 @@ def innovation(bank: Bank, observed: Observation, step: Float64[Array, "filter e
     if step is not None:
         remaining += (jacobian @ step[..., None])[..., 0]
     wrt_common = jacobian @ bank.common + observed.wrt_common
-    covariance = np.eye(remaining.shape[1]) + jacobian @ bank.own @ jacobian.swapaxes(1, 2)
-    covariance += wrt_common @ wrt_common.swapaxes(1, 2)
+    covariance = innovation_covariance(bank.own, jacobian, wrt_common)
     ring = observed.of_ring
     of_ring = remaining[:, :ring, None]
     chi2 = (of_ring * np.linalg.solve(covariance[:, :ring, :ring], of_ring)).sum(axis=(1, 2))
     return Innovation(remaining, jacobian, wrt_common, covariance, np.where(lost, np.inf, chi2), ring)
+
+
+def innovation_covariance(
+    own: Float64[Array, "filter error error"],
+    jacobian: Float64[Array, "filter row error"],
+    wrt_common: Float64[Array, "filter row source"],
+) -> Float64[Array, "filter row row"]:
+    """S = 1 + H P H^T + (H B + H_q) (H B + H_q)^T: the rows of a measurement have unit variance."""
+    covariance = np.eye(jacobian.shape[1]) + jacobian @ own @ jacobian.swapaxes(1, 2)
+    return covariance + wrt_common @ wrt_common.swapaxes(1, 2)
 
 
 def updated(bank: Bank, observed: Observation, found: Innovation) -> Bank:
@@ -303,28 +312,40 @@ def updated(bank: Bank, observed: Observation, found: Innovation) -> Bank:
     The first measurements move a state far; they are linearised again where they have moved it to (iterated filter).
     """
     for _ in range(ITERATIONS if bank.measurements < ITERATED_UNTIL else 0):
-        cross, weighted = _cross_and_weighted(bank, found)
-        found = innovation(bank, observed, (cross @ weighted)[..., 0])
-    cross, weighted = _cross_and_weighted(bank, found)
-    gain = np.linalg.solve(found.covariance, cross.swapaxes(1, 2)).swapaxes(1, 2)
-    kept = np.eye(len(ERRORS)) - gain @ found.jacobian
-    own = kept @ bank.own @ kept.swapaxes(1, 2) + gain @ gain.swapaxes(1, 2)
+        gain = schmidt_gain(bank.own, bank.common, found)
+        found = innovation(bank, observed, (gain @ found.remaining[..., None])[..., 0])
+    gain = schmidt_gain(bank.own, bank.common, found)
+    own, common = covariances_after(bank.own, bank.common, gain, found)
+    weighted = np.linalg.solve(found.covariance, found.remaining[..., None])
     _, log_determinant = np.linalg.slogdet(found.covariance)
     chi2 = (found.remaining[..., None] * weighted).sum(axis=(1, 2))
     log_likelihood = -0.5 * (chi2 + log_determinant + found.remaining.shape[1] * np.log(2.0 * pi))
     return replace(
         bank,
-        states=moved(bank.states, (cross @ weighted)[..., 0]),
-        own=0.5 * (own + own.swapaxes(1, 2)),
-        common=bank.common - gain @ found.wrt_common,
+        states=moved(bank.states, (gain @ found.remaining[..., None])[..., 0]),
+        own=own,
+        common=common,
         log_evidence=bank.log_evidence + np.where(np.isfinite(found.chi2), log_likelihood, LOST),
         measurements=bank.measurements + 1,
     )
 
 
-def _cross_and_weighted(
-    bank: Bank, found: Innovation
-) -> tuple[Float64[Array, "filter error=14 row"], Float64[Array, "filter row 1"]]:
-    """P H^T + B (H B + H_q)^T and S^-1 y: their product is the step K y of the Kalman filter."""
-    cross = bank.own @ found.jacobian.swapaxes(1, 2) + bank.common @ found.wrt_common.swapaxes(1, 2)
-    return cross, np.linalg.solve(found.covariance, found.remaining[..., None])
+def schmidt_gain(
+    own: Float64[Array, "filter error error"], common: Float64[Array, "filter error source"], found: Innovation
+) -> Float64[Array, "filter error row"]:
+    """The gain with the least covariance: K = (P H^T + B (H B + H_q)^T) S^-1, Eq. (10.4)."""
+    cross = own @ found.jacobian.swapaxes(1, 2) + common @ found.wrt_common.swapaxes(1, 2)
+    gain: Float64[Array, "filter error row"] = np.linalg.solve(found.covariance, cross.swapaxes(1, 2)).swapaxes(1, 2)
+    return gain
+
+
+def covariances_after(
+    own: Float64[Array, "filter error error"],
+    common: Float64[Array, "filter error source"],
+    gain: Float64[Array, "filter error row"],
+    found: Innovation,
+) -> tuple[Float64[Array, "filter error error"], Float64[Array, "filter error source"]]:
+    """P and B after an update with any gain: (1 - K H) P (1 - K H)^T + K K^T, and B - K (H B + H_q), Eq. (10.5)."""
+    kept = np.eye(own.shape[1]) - gain @ found.jacobian
+    updated_own = kept @ own @ kept.swapaxes(1, 2) + gain @ gain.swapaxes(1, 2)
+    return 0.5 * (updated_own + updated_own.swapaxes(1, 2)), common - gain @ found.wrt_common
