@@ -70,6 +70,8 @@ class Track:
     @property
     def weights(self) -> Float64[Array, "explanation"]:
         """Probabilities of the explanations."""
+        if len(self.banks) == 1:
+            return np.ones(1)
         evidence = np.array([_evidence(bank) for bank in self.banks])
         weights = np.exp(evidence - evidence.max())
         normalized: Float64[Array, "explanation"] = weights / weights.sum()
@@ -95,7 +97,8 @@ def track_after(
 ) -> tuple[Track, Fusion]:
     """The track after a measurement that is not older than it, and what became of the measurement."""
     if not track.banks:
-        return new_track(observed, options.motion, radius), Fusion(status=FusionStatus.FUSED)
+        started_anew = new_track(observed, options.motion, radius)
+        return replace(started_anew, resets=track.resets), Fusion(status=FusionStatus.FUSED)
     gap_s, ratio = observed.stamp_s - track.stamp_s, float("nan")
     if gap_s < options.lost_after_s:
         continued, ratio = _continued(track, observed)
@@ -117,10 +120,11 @@ def _continued(track: Track, observed: Observation) -> tuple[Track, float]:
     """The track with the measurement, and the test ratio of the explanation that it fits best."""
     banks, ratios, weights = [], [], track.weights
     for bank, weight in zip(track.banks, weights.tolist(), strict=True):
-        ahead = predicted(bank, observed.stamp_s, observed)
-        found = innovation(ahead, observed)
+        seen = observed.towards(bank.chart.axes[0, 0])
+        ahead, rates, rates_wrt = predicted(bank, observed.stamp_s, seen.chart)
+        found = innovation(ahead, seen, rates, rates_wrt)
         ratios.append(test_ratio(ahead, found) if weight > MIN_TESTED_WEIGHT else np.inf)
-        banks.append(updated(ahead, observed, found))
+        banks.append(updated(ahead, seen, found))
     interval_s = observed.stamp_s - track.stamp_s
     return _pruned(replace(track, banks=tuple(banks), interval_s=interval_s, pending=None)), min(ratios)
 
@@ -163,8 +167,9 @@ def _evidence(bank: Bank) -> float:
     from scipy.special import log_ndtr
 
     scores = bank.scores
-    curvature = bank.states.curvature - MIN_CURVATURE
-    sd = np.sqrt(bank.covariance[:, CURVATURE, CURVATURE])
+    curvature = bank.chart.curvature + bank.coordinates[:, CURVATURE] - MIN_CURVATURE
+    own, common = bank.own[:, CURVATURE, CURVATURE], bank.common[:, CURVATURE]
+    sd = np.sqrt(own + (common * common).sum(axis=1))
     each = scores + log_ndtr(curvature / sd)
     highest = float(each.max())
     return highest + float(np.log(np.exp(each - highest).sum())) if highest > -np.inf else -np.inf

@@ -11,11 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.geometry.ring import CURVATURE, HALF_BAND, STEP
-from ringpose.track.observation import Observation, described_at, residuals
+from ringpose.geometry.ring import CURVATURE, HALF_BAND, MIN_CURVATURE, STEP
+from ringpose.track.observation import Observation
 from ringpose.track.states import (
     ERRORS,
     LEVER,
+    MOTION,
     RATE,
     RATE_ALONG,
     RATE_INWARD,
@@ -23,10 +24,11 @@ from ringpose.track.states import (
     VELOCITY,
     RingStates,
     after,
-    difference,
+    charted,
     jacobians,
     moved,
     perturbed,
+    step_rates,
 )
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.pose import MotionPrior, RadiusPrior
@@ -95,13 +97,21 @@ class Bank:
 
     stamp_s: float
     models: MotionModels
-    states: RingStates
+    chart: RingStates
+    """The state about which the others are described: the place where the ring was seen last."""
+    coordinates: Float64[Array, "filter error=14"]
+    """Increments that lead from the chart to the filters' states."""
     own: Float64[Array, "filter error=14 error=14"]
     """Covariance P of the part of the errors that is independent of the common errors."""
     common: Float64[Array, "filter error=14 source"]
     """Sensitivity B to the common errors, which have unit variance."""
     log_evidence: Float64[Array, "filter"]
     measurements: int
+
+    @property
+    def states(self) -> RingStates:
+        """The filters' states."""
+        return moved(self.chart, self.coordinates)
 
     @property
     def scores(self) -> Float64[Array, "filter"]:
@@ -128,7 +138,7 @@ class Bank:
         return replace(
             self,
             models=MotionModels(*(part[kept] for part in self.models)),
-            states=self.states.at(kept),
+            coordinates=self.coordinates[kept],
             own=self.own[kept],
             common=self.common[kept],
             log_evidence=self.log_evidence[kept],
@@ -141,17 +151,16 @@ class Bank:
         return covariance
 
 
-def mixed(bank: Bank) -> tuple[RingStates, Float64[Array, "error=14 error=14"]]:
-    """Mean and covariance of the states over the models with their probabilities, as a batch of one state.
+def mixed(bank: Bank) -> tuple[Float64[Array, "error=14"], Float64[Array, "error=14 error=14"]]:
+    """Mean coordinates and covariance over the models with their probabilities.
 
     While the evidence does not decide between models, the covariance includes their disagreement.
     """
-    best, weights = bank.states.at(slice(bank.best, bank.best + 1)), bank.weights
-    apart = difference(best.repeated(len(weights)), bank.states)
-    mean = weights @ apart
-    apart = apart - mean
+    weights = bank.weights
+    mean: Float64[Array, "error"] = weights @ bank.coordinates
+    apart = bank.coordinates - mean
     covariance: Float64[Array, "error error"] = np.tensordot(weights, bank.covariance, axes=1)
-    return moved(best, mean[None]), covariance + (weights[:, None] * apart).T @ apart
+    return mean, covariance + (weights[:, None] * apart).T @ apart
 
 
 class Innovation(NamedTuple):
@@ -168,16 +177,14 @@ class Innovation(NamedTuple):
 
 def started(observed: Observation, side: int, motion: MotionPrior, radius: RadiusPrior | None) -> Bank:
     """The bank after its first measurement; `side` -1: the ring's centre is on the other side than in the record."""
-    arcs, count = observed.arcs, len(MODELS.precession)
+    if side < 0:
+        observed = observed.towards(-observed.arcs.axes[0])
+    chart, count = observed.chart, len(MODELS.precession)
     curvature, curvature_sd, half_band_m, half_band_sd_m = _size_prior(observed, radius)
-    ring = RingStates(
-        origin=arcs.origin[None],
-        axes=(arcs.axes * np.array([side, side, 1.0])[:, None])[None],
-        curvature=np.array([curvature]),
-        half_band_m=np.array([half_band_m]),
-        motion=np.zeros((1, 7)),
-    ).repeated(count)
-    ring.motion[MODELS.precession, LEVER - len(STEP)] = LEVER_M
+    coordinates = np.zeros((count, len(ERRORS)))
+    coordinates[:, CURVATURE] = curvature - chart.curvature
+    coordinates[:, HALF_BAND] = half_band_m - chart.half_band_m
+    coordinates[MODELS.precession, LEVER] = LEVER_M
     prior = np.zeros((count, len(ERRORS), len(ERRORS)))
     sds = np.full(len(STEP), _PLACE_SD)
     sds[CURVATURE], sds[HALF_BAND] = curvature_sd, half_band_sd_m
@@ -194,13 +201,14 @@ def started(observed: Observation, side: int, motion: MotionPrior, radius: Radiu
     bank = Bank(
         stamp_s=observed.stamp_s,
         models=MODELS,
-        states=ring,
+        chart=chart,
+        coordinates=coordinates,
         own=prior,
         common=np.zeros((count, len(ERRORS), observed.wrt_common.shape[1])),
         log_evidence=np.zeros(count),
         measurements=0,
     )
-    return updated(bank, observed, innovation(bank, observed))
+    return updated(bank, observed, innovation(bank, observed, *rates_near(bank, bank.coordinates)))
 
 
 def _size_prior(observed: Observation, radius: RadiusPrior | None) -> tuple[float, float, float, float]:
@@ -219,25 +227,40 @@ def _size_prior(observed: Observation, radius: RadiusPrior | None) -> tuple[floa
     return 1.0 / mean_m, float(np.hypot(sd_m, 0.002)) / mean_m**2, half_band_m, HALF_BAND_SD_M
 
 
-def predicted(bank: Bank, stamp_s: float, observed: Observation | None = None) -> Bank:
-    """The bank at a later time, described about the place where a measurement has seen the ring."""
-    time_s = stamp_s - bank.stamp_s
-    if time_s == 0.0 and observed is None:
-        return bank
-    states = after(bank.states, time_s)
-    if observed is not None:
-        states = described_at(observed, states)
+class Ahead(NamedTuple):
+    """A bank at a later time, with the rates at which the coordinates of its chart change there."""
+
+    bank: Bank
+    rates: Float64[Array, "filter 5"]
+    rates_wrt: Float64[Array, "filter 5 error=14"]
+    """Derivatives by the coordinates."""
+
+
+def predicted(bank: Bank, stamp_s: float, chart: RingStates | None = None) -> Ahead:
+    """The bank at a later time, in a given chart, or in that of its best filter."""
+    time_s, count = stamp_s - bank.stamp_s, len(bank.coordinates)
     leaders, leader_of = _leaders(bank)
-    around = after(perturbed(bank.states.at(leaders)), time_s)
-    transition = jacobians(difference(states.at(leaders).repeated(2 * len(ERRORS)), around))[leader_of]
-    noise = process_noise(bank, transition, time_s)
-    return replace(
+    around = np.concatenate([bank.coordinates, perturbed(bank.coordinates[leaders])])
+    states = after(moved(bank.chart, around), time_s)
+    if chart is None:
+        best = slice(bank.best, bank.best + 1)
+        chart = RingStates(*(part[best] for part in states))._replace(motion=np.zeros((1, len(MOTION))))
+    found = charted(chart, states)
+    rates = step_rates(chart, found)
+    transition, rates_wrt = jacobians(found.coordinates[count:]), jacobians(rates[count:])
+    rates_wrt = np.linalg.solve(transition.swapaxes(1, 2), rates_wrt.swapaxes(1, 2)).swapaxes(1, 2)[leader_of]
+    transition = transition[leader_of]
+    coordinates = found.coordinates[:count]
+    ahead = replace(
         bank,
         stamp_s=stamp_s,
-        states=states,
-        own=transition @ bank.own @ transition.swapaxes(1, 2) + noise,
+        chart=chart,
+        coordinates=coordinates,
+        own=transition @ bank.own @ transition.swapaxes(1, 2)
+        + process_noise(bank.models, chart, coordinates, transition, time_s),
         common=transition @ bank.common,
     )
+    return Ahead(ahead, rates[:count], rates_wrt)
 
 
 def _leaders(bank: Bank) -> tuple[Int64[Array, "leader"], Int64[Array, "filter"]]:
@@ -246,24 +269,30 @@ def _leaders(bank: Bank) -> tuple[Int64[Array, "leader"], Int64[Array, "filter"]
     Jacobians are computed at the leaders: filters that differ in their process noise only have nearly the same state.
     """
     scores, precession = bank.scores, bank.models.precession
-    kinds = np.unique(precession)
-    leaders = np.array([int(np.argmax(np.where(precession == kind, scores, -np.inf))) for kind in kinds])
-    return leaders, np.searchsorted(kinds, precession)
+    if precession.all() or not precession.any():
+        return np.array([np.argmax(scores)]), np.zeros(len(scores), dtype=np.int64)
+    leaders = [np.argmax(np.where(precession, -np.inf, scores)), np.argmax(np.where(precession, scores, -np.inf))]
+    return np.array(leaders), precession.astype(np.int64)
 
 
 def process_noise(
-    bank: Bank, transition: Float64[Array, "filter error=14 error=14"], time_s: float
+    models: MotionModels,
+    chart: RingStates,
+    coordinates: Float64[Array, "filter error=14"],
+    transition: Float64[Array, "filter error=14 error=14"],
+    time_s: float,
 ) -> Float64[Array, "filter error=14 error=14"]:
     """Covariance of what white accelerations add within `time_s`: the integral of Phi(t) G q G^T Phi(t)^T.
 
     With Phi(t) linear in t. Accelerations are those of the centre of mass and of the angular velocity; the latter moves
     the origin too.
     """
-    states, models = bank.states, bank.models
-    gain = np.zeros((len(states.curvature), len(ERRORS), 6))
+    gain = np.zeros((len(coordinates), len(ERRORS), 6))
     gain[:, VELOCITY, :3] = np.eye(3)
     gain[:, RATE, 3:] = np.eye(3)
-    gain[:, 7, 4], gain[:, 8, 3], gain[:, 9, 4] = states.motion[:, 6], -states.motion[:, 6], states.mean_radius_m
+    lever_m = coordinates[:, LEVER]
+    gain[:, 7, 4], gain[:, 8, 3] = lever_m, -lever_m
+    gain[:, 9, 4] = 1.0 / np.maximum(chart.curvature + coordinates[:, CURVATURE], MIN_CURVATURE)
     density = np.repeat(np.stack([models.velocity_noise, models.rate_noise], axis=1), 3, axis=1)
     density[~models.precession, 5] = 0.0
     gain *= np.sqrt(density * time_s)[:, None]
@@ -275,19 +304,36 @@ def process_noise(
     return noise
 
 
-def innovation(bank: Bank, observed: Observation, step: Float64[Array, "filter error=14"] | None = None) -> Innovation:
-    """The measurement less its prediction by each filter of a bank at the time of the measurement.
-
-    With a `step` it is linearised about the states after that step instead.
-    """
-    states = bank.states if step is None else moved(bank.states, step)
+def rates_near(
+    bank: Bank, coordinates: Float64[Array, "filter error=14"]
+) -> tuple[Float64[Array, "filter 5"], Float64[Array, "filter 5 error=14"]]:
+    """The rates of the chart's coordinates and their derivatives, for other states of the filters."""
+    count = len(coordinates)
     leaders, leader_of = _leaders(bank)
-    remaining = residuals(observed, states)
-    jacobian = -jacobians(residuals(observed, perturbed(states.at(leaders))))[leader_of]
-    lost = ~np.isfinite(remaining).all(axis=1) | ~np.isfinite(jacobian).all(axis=(1, 2))
-    remaining[lost], jacobian[lost] = 0.0, 0.0
+    around = np.concatenate([coordinates, perturbed(coordinates[leaders])])
+    rates = step_rates(bank.chart, charted(bank.chart, moved(bank.chart, around)))
+    return rates[:count], jacobians(rates[count:])[leader_of]
+
+
+def innovation(
+    bank: Bank,
+    observed: Observation,
+    rates: Float64[Array, "filter 5"],
+    rates_wrt: Float64[Array, "filter 5 error=14"],
+    step: Float64[Array, "filter error=14"] | None = None,
+) -> Innovation:
+    """The measurement less its prediction by each filter of a bank, which is in the chart of the measurement.
+
+    With a `step` the rates are those of the states after that step, about which they are linearised instead.
+    """
+    remaining = observed.target - bank.coordinates[:, : len(STEP)] @ observed.wrt_step.T
+    remaining -= (rates - observed.step_rates) @ observed.wrt_step_rates.T
+    jacobian = observed.wrt_step_rates @ rates_wrt
     if step is not None:
         remaining += (jacobian @ step[..., None])[..., 0]
+    jacobian[:, :, : len(STEP)] += observed.wrt_step
+    lost = ~np.isfinite(remaining).all(axis=1) | ~np.isfinite(jacobian).all(axis=(1, 2))
+    remaining[lost], jacobian[lost] = 0.0, 0.0
     wrt_common = jacobian @ bank.common + observed.wrt_common
     covariance = innovation_covariance(bank.own, jacobian, wrt_common)
     ring = observed.of_ring
@@ -302,8 +348,9 @@ def innovation_covariance(
     wrt_common: Float64[Array, "filter row source"],
 ) -> Float64[Array, "filter row row"]:
     """S = 1 + H P H^T + (H B + H_q) (H B + H_q)^T: the rows of a measurement have unit variance."""
-    covariance = np.eye(jacobian.shape[1]) + jacobian @ own @ jacobian.swapaxes(1, 2)
-    return covariance + wrt_common @ wrt_common.swapaxes(1, 2)
+    covariance: Float64[Array, "filter row row"] = np.eye(jacobian.shape[1]) + jacobian @ own @ jacobian.swapaxes(1, 2)
+    covariance += wrt_common @ wrt_common.swapaxes(1, 2)
+    return covariance
 
 
 def updated(bank: Bank, observed: Observation, found: Innovation) -> Bank:
@@ -313,7 +360,8 @@ def updated(bank: Bank, observed: Observation, found: Innovation) -> Bank:
     """
     for _ in range(ITERATIONS if bank.measurements < ITERATED_UNTIL else 0):
         gain = schmidt_gain(bank.own, bank.common, found)
-        found = innovation(bank, observed, (gain @ found.remaining[..., None])[..., 0])
+        step = (gain @ found.remaining[..., None])[..., 0]
+        found = innovation(bank, observed, *rates_near(bank, bank.coordinates + step), step)
     gain = schmidt_gain(bank.own, bank.common, found)
     own, common = covariances_after(bank.own, bank.common, gain, found)
     weighted = np.linalg.solve(found.covariance, found.remaining[..., None])
@@ -322,7 +370,7 @@ def updated(bank: Bank, observed: Observation, found: Innovation) -> Bank:
     log_likelihood = -0.5 * (chi2 + log_determinant + found.remaining.shape[1] * np.log(2.0 * pi))
     return replace(
         bank,
-        states=moved(bank.states, (gain @ found.remaining[..., None])[..., 0]),
+        coordinates=bank.coordinates + (gain @ found.remaining[..., None])[..., 0],
         own=own,
         common=common,
         log_evidence=bank.log_evidence + np.where(np.isfinite(found.chi2), log_likelihood, LOST),

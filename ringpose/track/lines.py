@@ -7,12 +7,12 @@ from typing import Literal
 import numpy as np
 
 from ringpose.estimate.covariance import TILT_SD_LIMIT_RAD, WEAK_SD, standard_deviation
-from ringpose.geometry.ring import CURVATURE, RingArcs, public_wrt_step
+from ringpose.geometry.ring import CURVATURE, plane_and_center
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.track.capture import capture_probability
 from ringpose.track.explanations import Track, TrackOptions
 from ringpose.track.filters import Bank, mixed, predicted
-from ringpose.track.states import RingStates, center_velocity, jacobians, perturbed
+from ringpose.track.states import RingStates, center_velocity, jacobians, moved, perturbed
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.options import PoseFrame
 from ringpose.types.pose import PoseFlag, RingPose, RingVelocity
@@ -123,7 +123,7 @@ def track_line(
             covariance=following.grasp_and_tilts(),
         ),
         hypotheses=tuple(
-            SideHypothesis(side=side, weight=weight, center_m=_center(each, stamp_s))
+            SideHypothesis(side=side, weight=weight, center_m=_center(found, each, bank, stamp_s))
             for each, side, weight in zip(track.banks, track.sides, weights.tolist(), strict=True)
         ),
         flags=flags,
@@ -160,9 +160,13 @@ class _Reported:
     """The reported quantities of an explanation at an instant, with their joint covariance."""
 
     def __init__(self, bank: Bank, stamp_s: float) -> None:
-        self.states, self.errors = mixed(predicted(bank.probable(), stamp_s))
-        self.value = _quantities(self.states)[0]
-        self._jacobian = jacobians(_quantities(perturbed(self.states)))[0]
+        probable = bank.probable()
+        ahead = probable if stamp_s == bank.stamp_s else predicted(probable, stamp_s).bank
+        mean, self.errors = mixed(ahead)
+        states = moved(ahead.chart, np.concatenate([mean[None], perturbed(mean[None])]))
+        values = _quantities(states)
+        self.value, self._jacobian = values[0], jacobians(values[1:])[0]
+        self.axes, self.curvature = states.axes[0], float(states.curvature[0])
         self.basis = tilt_basis(self.value[_NORMAL])
 
     def covariance(self, *parts: slice) -> Float64[Array, "n n"]:
@@ -185,7 +189,7 @@ class _Reported:
 
     def capture_covariance(self) -> Float64[Array, "4 4"]:
         """Covariance of the grasp point's errors inward and along the normal, and of the tilts."""
-        across = self.states.axes[0, [0, 2]]
+        across = self.axes[[0, 2]]
         return self._of(np.concatenate([self._rows(_GRASP, across), self._rows(_NORMAL, self.basis)]))
 
     def velocity_covariance(self) -> Float64[Array, "5 5"]:
@@ -193,26 +197,10 @@ class _Reported:
         return self._of(np.concatenate([self._jacobian[_VELOCITY], self._rows(_RATES, self.basis)]))
 
     def pose_covariance(self) -> Float64[Array, "7 7"]:
-        """In the parameters of the records."""
-        rows = public_wrt_step(self.arcs)
-        return rows @ self.errors[:7, :7] @ rows.T
-
-    @property
-    def arcs(self) -> RingArcs:
-        """The ring."""
-        state = self.states
-        return RingArcs(
-            origin=state.origin[0],
-            axes=state.axes[0],
-            curvature=1.0 / float(state.mean_radius_m[0]),
-            half_band_m=float(state.half_band_m[0]),
-        )
-
-
-def _center(bank: Bank, stamp_s: float) -> Float64[Array, "xyz=3"]:
-    """Centre of the ring by one explanation."""
-    center_m: Float64[Array, "xyz=3"] = mixed(predicted(bank.probable(), stamp_s))[0].center_m[0]
-    return center_m
+        """In the parameters of the records: tilts, offset, centre in the plane, radii."""
+        normal_wrt, center_wrt = self._jacobian[_NORMAL], self._jacobian[_CENTER]
+        plane = plane_and_center(self.value[_NORMAL], self.value[_CENTER], normal_wrt, center_wrt)
+        return self._of(np.concatenate([plane, self._jacobian[_RADII]]))
 
 
 def _quantities(states: RingStates) -> Float64[Array, "state quantity=20"]:
@@ -222,6 +210,13 @@ def _quantities(states: RingStates) -> Float64[Array, "state quantity=20"]:
     rates = (states.motion[:, None, 3:5] @ states.axes[:, :2])[:, 0]
     at_grasp = (states.motion[:, None, :3] @ states.axes)[:, 0]
     return np.concatenate([states.center_m, states.axes[:, 2], radii, velocity, rates, states.origin, at_grasp], axis=1)
+
+
+def _center(found: _Reported, each: Bank, best: Bank, stamp_s: float) -> Float64[Array, "xyz=3"]:
+    """Centre of the ring by one of the explanations; `found` are the quantities of the best one."""
+    quantities = found if each is best else _Reported(each, stamp_s)
+    center_m: Float64[Array, "xyz=3"] = quantities.value[_CENTER]
+    return center_m
 
 
 def _weak_flags(found: _Reported, options: TrackOptions) -> PoseFlag:
@@ -247,7 +242,7 @@ GRASP_UNKNOWN_FROM_M = 0.01
 
 def _curved(found: _Reported) -> bool:
     """Whether the curvature is determined well enough for the centre to have a finite error."""
-    curvature = float(found.states.curvature[0])
+    curvature = found.curvature
     return sqrt(float(found.errors[CURVATURE, CURVATURE])) < UNKNOWN_FROM * curvature
 
 

@@ -4,7 +4,7 @@ The measurement is linear in the records' twelve parameters only near its linear
 increments of arcs about the place where the ring was seen, it remains valid much farther from it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from ringpose.geometry.ring import RingArcs, public_wrt_rates, public_wrt_step, ring_arcs
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.track.common_errors import CommonErrors
-from ringpose.track.states import MOVING, Relative, RingStates, relative, step_rates
+from ringpose.track.states import MOVING, RingStates
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.pose import MEASURED_PARAMETERS, PoseLine, RingMeasurement
 
@@ -21,6 +21,9 @@ POSE, MOTION = slice(0, 7), slice(7, 12)
 
 _BROAD = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.3, 0.3, 0.3, 0.3, 0.3, 1.0, 1.0])
 """Standard deviations that stand for no knowledge of the twelve parameters."""
+
+_OPPOSITE = np.array([-1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0])
+"""Signs of the increments for arcs that are described with the centre on the other side."""
 
 _PLACES_RAD = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
 
@@ -44,6 +47,33 @@ class Observation:
     target: Float64[Array, "row"]
     of_ring: int
     """Number of rows that depend on the ring; the others depend on common errors alone."""
+
+    @property
+    def chart(self) -> RingStates:
+        """The arcs as the chart of states."""
+        arcs = self.arcs
+        return RingStates(
+            origin=arcs.origin[None],
+            axes=arcs.axes[None],
+            curvature=np.array([arcs.curvature]),
+            half_band_m=np.array([arcs.half_band_m]),
+            motion=np.zeros((1, 7)),
+        )
+
+    def towards(self, inward: Float64[Array, "xyz=3"]) -> "Observation":
+        """The same, described for a ring whose centre lies in this direction.
+
+        If that is the other side, inner and outer edge are exchanged (`RingArcs.with_center_opposite`).
+        """
+        if float(inward @ self.arcs.axes[0]) >= 0.0:
+            return self
+        return replace(
+            self,
+            arcs=self.arcs.with_center_opposite(),
+            step_rates=self.step_rates * _OPPOSITE[list(MOVING)],
+            wrt_step=self.wrt_step * _OPPOSITE,
+            wrt_step_rates=self.wrt_step_rates * _OPPOSITE[list(MOVING)],
+        )
 
 
 def observation(line: PoseLine, measurement: RingMeasurement, common: CommonErrors, inflation: float) -> Observation:
@@ -82,33 +112,3 @@ def _place_seen(measurement: RingMeasurement) -> Float64[Array, "xyz=3"]:
     best = direction[:, int(np.argmin(variance))]
     place: Float64[Array, "xyz=3"] = 0.5 * (at.radius_inner_m + at.radius_outer_m) * best @ tilt_basis(at.normal)
     return place
-
-
-def residuals(observed: Observation, states: RingStates) -> Float64[Array, "state row"]:
-    """Target minus prediction; NaN for a ring that misses the place where one was seen."""
-    found = _from_arcs(observed, states)
-    moving = step_rates(found) - observed.step_rates
-    remaining: Float64[Array, "state row"] = (
-        observed.target - found.errors @ observed.wrt_step.T - moving @ observed.wrt_step_rates.T
-    )
-    return remaining
-
-
-def described_at(observed: Observation, states: RingStates) -> RingStates:
-    """The same states with their origins at the place where a measurement has seen the ring, where they have one."""
-    described = _from_arcs(observed, states).states
-    if np.isfinite(described.motion).all():
-        return described
-    there = np.isfinite(described.motion).all(axis=1)
-    return RingStates(
-        *(
-            np.where(there.reshape(-1, *[1] * (new.ndim - 1)), new, old)
-            for new, old in zip(described, states, strict=True)
-        )
-    )
-
-
-def _from_arcs(observed: Observation, states: RingStates) -> Relative:
-    arcs = observed.arcs
-    half_band = np.array([arcs.half_band_m])
-    return relative(arcs.origin[None], arcs.axes[None], np.array([arcs.curvature]), half_band, states)

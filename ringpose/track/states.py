@@ -57,17 +57,9 @@ class RingStates(NamedTuple):
         center_m: Float64[Array, "state xyz=3"] = self.origin + self.mean_radius_m[:, None] * self.axes[:, 0]
         return center_m
 
-    def at(self, index: Array | slice) -> "RingStates":
-        """Some of the states."""
-        return RingStates(*(part[index] for part in self))
-
-    def repeated(self, count: int) -> "RingStates":
-        """Each state `count` times."""
-        return RingStates(*(np.repeat(part, count, axis=0) for part in self))
-
 
 def moved(states: RingStates, errors: Float64[Array, "state error=14"]) -> RingStates:
-    """The states after increments (`ERRORS`); those of the ring as in `RingArcs.moved`."""
+    """The states, or one state, after increments (`ERRORS`); those of the ring as in `RingArcs.moved`."""
     k_x, k_y, k_z = errors[:, TILT_ALONG], -errors[:, TILT_INWARD], -errors[:, TURN]
     # Cayley's transform I + (K + K^2 / 2) / (1 + k^2 / 4)
     share = 1.0 / (1.0 + 0.25 * (k_x * k_x + k_y * k_y + k_z * k_z))
@@ -80,7 +72,7 @@ def moved(states: RingStates, errors: Float64[Array, "state error=14"]) -> RingS
         rotation[:, row, column] = half * symmetric + share * skew
         rotation[:, column, row] = half * symmetric - share * skew
     return RingStates(
-        origin=states.origin + errors[:, [LIFT]] * states.axes[:, 2] + errors[:, [SHIFT]] * states.axes[:, 0],
+        origin=states.origin + errors[:, LIFT, None] * states.axes[:, 2] + errors[:, SHIFT, None] * states.axes[:, 0],
         axes=rotation @ states.axes,
         curvature=states.curvature + errors[:, CURVATURE],
         half_band_m=states.half_band_m + errors[:, HALF_BAND],
@@ -140,135 +132,101 @@ def rotations(vectors_rad: Float64[Array, "n 3"]) -> Float64[Array, "n 3 3"]:
     return rotation
 
 
-class Relative(NamedTuple):
-    """Rings as seen from a reference, with the same rings described about the reference's place."""
+class Charted(NamedTuple):
+    """States by their coordinates in a chart: increments (`ERRORS`) that `moved` applies to the chart's own state."""
 
-    errors: Float64[Array, "state step=7"]
-    """Increments (`STEP`) that lead from the reference to each ring; NaN for a ring that misses the place."""
-    states: RingStates
-    """The same states with their origins in the reference's plane across the face."""
+    coordinates: Float64[Array, "state error=14"]
+    """NaN for a ring that misses the chart's place."""
     axes: Float64[Array, "state 3 local=3"]
-    """Inward, along, normal (those of the side's description), along the axes of the reference."""
-    side: Float64[Array, "state"]
-    """-1 for a ring whose centre is on the other side."""
+    """Inward, along, normal, along the axes of the chart."""
 
 
-def relative(
-    origin: Float64[Array, "#state xyz=3"],
-    axes: Float64[Array, "#state 3 xyz=3"],
-    curvature: Float64[Array, "#state"],
-    half_band_m: Float64[Array, "#state"],
-    states: RingStates,
-) -> Relative:
-    """The inverse of `moved`, for rings whose origin may be anywhere on their face.
+def charted(chart: RingStates, states: RingStates) -> Charted:
+    """The inverse of `moved(chart, ...)` for one chart, whose motion is 0, and rings with an origin anywhere.
 
-    A ring's new origin is where the middle of its face crosses the plane through the reference's origin that is
-    perpendicular to `along`. If its centre is on the other side than the reference's, it is described with inner and
-    outer edge exchanged and a negative curvature, as in `RingArcs.with_center_opposite`.
+    A ring's origin moves along its face to the plane through the chart's origin that is perpendicular to `along`.
     """
-    radius_m = states.mean_radius_m
-    local = states.axes @ axes.swapaxes(1, 2)  # the states' axes along those of the reference
-    center = ((states.origin - origin)[:, None] @ axes.swapaxes(1, 2))[:, 0] + radius_m[:, None] * local[:, 0]
+    radius_m, to_chart = states.mean_radius_m, chart.axes[0].T
+    local = states.axes @ to_chart
+    center = (states.origin - chart.origin) @ to_chart + radius_m[:, None] * local[:, 0]
     n_x, n_y, n_z = local[:, 2].T
     # the line where the ring's plane crosses the plane y = 0: direction (d_x, 0, d_z), at -c_y / h from the centre
     across = np.sqrt(n_x * n_x + n_z * n_z)
     d_x, d_z = n_z / across, -n_x / across
-    distance = -center[:, 1] / across
+    distance = -center[:, 1] / (across * radius_m)
     with np.errstate(invalid="ignore"):
-        side = np.where(local[:, 0, 0] < 0.0, -1.0, 1.0)
-        root = side * np.sqrt(radius_m * radius_m - distance * distance)
-    inward = np.stack(
-        [
-            (root * d_x - distance * n_y * d_z) / radius_m,
-            -distance * across / radius_m,
-            (root * d_z + distance * n_y * d_x) / radius_m,
-        ],
-        axis=1,
-    )
-    place = center - radius_m[:, None] * inward
-    i_x, i_y, i_z = inward.T
-    along = np.stack([n_y * i_z - n_z * i_y, n_z * i_x - n_x * i_z, n_x * i_y - n_y * i_x], axis=1)
+        root = np.sqrt(1.0 - distance * distance)
+    axes = np.empty_like(local)
+    axes[:, 0, 0] = i_x = root * d_x - distance * n_y * d_z
+    axes[:, 0, 1] = i_y = -distance * across
+    axes[:, 0, 2] = i_z = root * d_z + distance * n_y * d_x
+    axes[:, 1, 0], axes[:, 1, 1], axes[:, 1, 2] = n_y * i_z - n_z * i_y, n_z * i_x - n_x * i_z, n_x * i_y - n_y * i_x
+    axes[:, 2] = local[:, 2]
 
-    # Cayley's inverse, K = 2 (Q - Q^T) / (1 + trace Q), Q = rows inward, along, normal of the side's description
-    described_axes = np.stack([side[:, None] * inward, side[:, None] * along, local[:, 2]], axis=1)
-    factor = 2.0 / (1.0 + described_axes.trace(axis1=1, axis2=2))
-    errors = np.empty((len(radius_m), len(STEP)))
-    errors[:, _TURNS] = factor[:, None] * _turns(described_axes)
-    errors[:, LIFT], errors[:, SHIFT] = place[:, 2], place[:, 0]
-    errors[:, CURVATURE] = side * states.curvature - curvature
-    errors[:, HALF_BAND] = states.half_band_m - half_band_m
+    coordinates = np.empty((len(radius_m), len(ERRORS)))
+    # Cayley's inverse, K = 2 (Q - Q^T) / (1 + trace Q)
+    factor = 2.0 / (1.0 + i_x + axes[:, 1, 1] + n_z)
+    coordinates[:, TILT_INWARD] = factor * (n_x - i_z)
+    coordinates[:, TILT_ALONG] = factor * (n_y - axes[:, 1, 2])
+    coordinates[:, TURN] = factor * (i_y - axes[:, 1, 0])
+    coordinates[:, SHIFT], coordinates[:, LIFT] = center[:, 0] - radius_m * i_x, center[:, 2] - radius_m * i_z
+    coordinates[:, CURVATURE] = states.curvature - chart.curvature
+    coordinates[:, HALF_BAND] = states.half_band_m - chart.half_band_m
 
     # motion along the new axes: they are turned about the normal, and the origin is another point of the body
-    cosine, sine = (inward * local[:, 0]).sum(axis=1), (inward * local[:, 1]).sum(axis=1)
-    motion = states.motion.copy()
-    velocity = center_velocity(states)
-    motion[:, 0] = cosine * velocity[:, 0] + sine * velocity[:, 1]
-    motion[:, 1] = cosine * velocity[:, 1] - sine * velocity[:, 0]
-    motion[:, 3] = cosine * states.motion[:, 3] + sine * states.motion[:, 4]
-    motion[:, 4] = cosine * states.motion[:, 4] - sine * states.motion[:, 3]
-    motion[:, 2] = velocity[:, 2] + radius_m * motion[:, 4]
-    described = RingStates(
-        origin=origin + (place[:, None] @ axes)[:, 0],
-        axes=np.stack([inward, along, local[:, 2]], axis=1) @ axes,
-        curvature=states.curvature,
-        half_band_m=states.half_band_m,
-        motion=motion,
-    )
-    return Relative(errors, described, described_axes, side)
+    cosine, sine = (axes[:, 0] * local[:, 0]).sum(axis=1), (axes[:, 0] * local[:, 1]).sum(axis=1)
+    velocity, rate = center_velocity(states), states.motion
+    coordinates[:, 7] = cosine * velocity[:, 0] + sine * velocity[:, 1]
+    coordinates[:, 8] = cosine * velocity[:, 1] - sine * velocity[:, 0]
+    coordinates[:, RATE_INWARD] = cosine * rate[:, 3] + sine * rate[:, 4]
+    coordinates[:, RATE_ALONG] = cosine * rate[:, 4] - sine * rate[:, 3]
+    coordinates[:, 9] = velocity[:, 2] + radius_m * coordinates[:, RATE_ALONG]
+    coordinates[:, RATE_NORMAL:] = rate[:, 5:]
+    return Charted(coordinates, axes)
 
-
-_TURNS = (TILT_INWARD, TILT_ALONG, TURN)
 
 MOVING = (TILT_INWARD, TILT_ALONG, LIFT, SHIFT, TURN)
 """Increments (`STEP`) that change by motion."""
 
 
-def _turns(matrix: Float64[Array, "state 3 3"]) -> Float64[Array, "state 3"]:
-    """The components of Q - Q^T that belong to tilt_inward, tilt_along and turn."""
-    skew = matrix - matrix.swapaxes(1, 2)
-    return np.stack([skew[:, 2, 0], skew[:, 2, 1], skew[:, 0, 1]], axis=1)
+def step_rates(chart: RingStates, found: Charted) -> Float64[Array, "state 5"]:
+    """Derivatives of the coordinates `MOVING` by time, from the motion of the states.
 
-
-def step_rates(found: Relative) -> Float64[Array, "state 5"]:
-    """Derivatives of the increments `MOVING` by time, from the motion of the states.
-
-    The place on the face slides along it, so as to stay in the reference's plane, which turns the axes.
+    The place on the face slides along it, so as to stay in the chart's plane, which turns the axes.
     """
-    states, axes = found.states, found.axes
-    flip = np.ones((len(found.side), 3))
-    flip[:, 0] = flip[:, 1] = found.side  # components along the axes of the side's description
-    velocity = ((flip * states.motion[:, :3])[:, None] @ axes)[:, 0]
+    motion, axes = found.coordinates[:, 7:], found.axes
+    velocity = (motion[:, None, :3] @ axes)[:, 0]
     slide = -velocity[:, 1] / axes[:, 1, 1]
     velocity += slide[:, None] * axes[:, 1]
-    turn = np.zeros((len(slide), 3, 3))  # derivative of the axes, in rows: w x axis, and the slide's turn
-    rate_in, rate_al = flip[:, 0] * states.motion[:, 3], flip[:, 0] * states.motion[:, 4]
-    about = slide * found.side / states.mean_radius_m
-    turn[:, 0, 1], turn[:, 1, 0] = -about, about
-    turn[:, 0, 2], turn[:, 2, 0] = -rate_al, rate_al
-    turn[:, 1, 2], turn[:, 2, 1] = rate_in, -rate_in
-    change = turn @ axes
-    scale = 1.0 + axes.trace(axis1=1, axis2=2)
+    about = slide * np.maximum(chart.curvature + found.coordinates[:, CURVATURE], MIN_CURVATURE)
+    inward, along, normal = axes[:, 0], axes[:, 1], axes[:, 2]
+    # derivatives of the axes: w x axis, and the turn of the slide
+    rate_in, rate_al = motion[:, 3, None], motion[:, 4, None]
+    d_inward = -about[:, None] * along - rate_al * normal
+    d_along = about[:, None] * inward + rate_in * normal
+    d_normal = rate_al * inward - rate_in * along
+    scale = 1.0 / (1.0 + inward[:, 0] + along[:, 1] + normal[:, 2])
+    trace = (d_inward[:, 0] + d_along[:, 1] + d_normal[:, 2]) * scale
     rates = np.empty((len(slide), len(MOVING)))
-    turning = 2.0 * _turns(change) - found.errors[:, _TURNS] * change.trace(axis1=1, axis2=2)[:, None]
-    rates[:, [0, 1, 4]] = turning / scale[:, None]
+    rates[:, 0] = 2.0 * scale * (d_normal[:, 0] - d_inward[:, 2]) - trace * found.coordinates[:, TILT_INWARD]
+    rates[:, 1] = 2.0 * scale * (d_normal[:, 1] - d_along[:, 2]) - trace * found.coordinates[:, TILT_ALONG]
     rates[:, 2], rates[:, 3] = velocity[:, 2], velocity[:, 0]
+    rates[:, 4] = 2.0 * scale * (d_inward[:, 1] - d_along[:, 0]) - trace * found.coordinates[:, TURN]
     return rates
 
 
-def difference(reference: RingStates, states: RingStates) -> Float64[Array, "state error=14"]:
-    """Increments (`ERRORS`) that lead from the reference states to others: the inverse of `moved`."""
-    found = relative(reference.origin, reference.axes, reference.curvature, reference.half_band_m, states)
-    return np.concatenate([found.errors, found.states.motion - reference.motion], axis=1)
+STEPS = np.concatenate([np.diag(DIFFERENCE), -np.diag(DIFFERENCE)])
+"""Positive and negative steps in each coordinate."""
 
 
-def perturbed(states: RingStates) -> RingStates:
-    """Each state with a positive and a negative step (`DIFFERENCE`) in each of its components, in this order."""
-    steps = np.concatenate([np.diag(DIFFERENCE), -np.diag(DIFFERENCE)])
-    return moved(states.repeated(len(steps)), np.tile(steps, (len(states.curvature), 1)))
+def perturbed(coordinates: Float64[Array, "state error=14"]) -> Float64[Array, "perturbed error=14"]:
+    """Each state's coordinates with all `STEPS`."""
+    around: Float64[Array, "perturbed error"] = (coordinates[:, None] + STEPS).reshape(-1, len(ERRORS))
+    return around
 
 
-def jacobians(values: Float64[Array, "n value"]) -> Float64[Array, "state value error=14"]:
-    """Derivatives of values by the errors of states, from the values at the `perturbed` states."""
+def jacobians(values: Float64[Array, "perturbed value"]) -> Float64[Array, "state value error=14"]:
+    """Derivatives of values by coordinates, from the values at the `perturbed` coordinates."""
     both = values.reshape(-1, 2, len(ERRORS), values.shape[1])
     slopes: Float64[Array, "state error value"] = (both[:, 0] - both[:, 1]) / (2.0 * DIFFERENCE)[:, None]
     return slopes.swapaxes(1, 2)

@@ -2,13 +2,18 @@
 
 import numpy as np
 import pytest
-from moving_rings import Shots, drawn_motion, stream
+from moving_rings import Motion, Shots, drawn_motion, stream
 
 from ringpose.types.pose import PoseLine
 
 
 @pytest.fixture(scope="module")
-def records() -> list[PoseLine]:
-    """Three seconds of a ring in slow motion, six shots a second."""
-    rng = np.random.default_rng(18)
-    return stream(drawn_motion(rng), 3.0, Shots(), rng)
+def moving() -> Motion:
+    """A ring in slow motion."""
+    return drawn_motion(np.random.default_rng(18))
+
+
+@pytest.fixture(scope="module")
+def records(moving) -> list[PoseLine]:
+    """Two seconds of it, six shots a second."""
+    return stream(moving, 2.0, Shots(), np.random.default_rng(19))

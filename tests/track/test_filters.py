@@ -7,7 +7,6 @@ from moving_rings import START_S, Shots, Wandering, drawn_motion, stream
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.track.filters import (
     MODELS,
-    Bank,
     Innovation,
     covariances_after,
     innovation_covariance,
@@ -54,29 +53,21 @@ def test_a_common_error_does_not_average_out():
 def test_process_noise_is_that_of_white_acceleration():
     """q [[t^3 / 3, t^2 / 2], [t^2 / 2, t]] (Bar-Shalom, Li and Kirubarajan 2001, Eq. 6.2.2-12), along one axis."""
     count, time_s = len(MODELS.precession), 0.7
-    states = RingStates(
-        origin=np.zeros((count, 3)),
-        axes=np.tile(np.eye(3), (count, 1, 1)),
-        curvature=np.ones(count),
-        half_band_m=np.full(count, 0.01),
-        motion=np.zeros((count, 7)),
+    chart = RingStates(
+        origin=np.zeros((1, 3)),
+        axes=np.eye(3)[None],
+        curvature=np.ones(1),
+        half_band_m=np.full(1, 0.01),
+        motion=np.zeros((1, 7)),
     )
-    bank = Bank(
-        stamp_s=0.0,
-        models=MODELS,
-        states=states,
-        own=np.zeros((count, 14, 14)),
-        common=np.zeros((count, 14, 0)),
-        log_evidence=np.zeros(count),
-        measurements=1,
-    )
+    place, speed = ERRORS.index("shift_m"), ERRORS.index("velocity_inward_m_s")
     transition = np.tile(np.eye(len(ERRORS)), (count, 1, 1))
-    transition[:, ERRORS.index("shift_m"), ERRORS.index("velocity_inward_m_s")] = time_s
-    both = np.ix_([ERRORS.index("shift_m"), ERRORS.index("velocity_inward_m_s")] * 1, [3, 7])
+    transition[:, place, speed] = time_s
 
-    noise = process_noise(bank, transition, time_s)
+    noise = process_noise(MODELS, chart, np.zeros((count, len(ERRORS))), transition, time_s)
 
     expected = np.array([[time_s**3 / 3, time_s**2 / 2], [time_s**2 / 2, time_s]])
+    both = np.ix_([place, speed], [place, speed])
     for index in range(count):
         np.testing.assert_allclose(noise[index][both], MODELS.velocity_noise[index] * expected, rtol=1e-12)
 
