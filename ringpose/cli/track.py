@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from ringpose.cli.batch import Batch
     from ringpose.files.inputs import Input
+    from ringpose.track.camera_motion import CameraMotion
     from ringpose.track.lines import Gripper
     from ringpose.track.pipeline import Tracker
     from ringpose.types.track import Attempt, TrackLine
@@ -120,7 +121,8 @@ def track(
         motion=MotionPrior(speed_sd_m_s=max_speed / 2, rate_sd_rad_s=radians(max_rate) / 2),
     )
     batch = Batch()
-    tracker = Tracker(read_rig(rig) if rig is not None else None, options, LineOptions(gripper=gripper))
+    rig_of_records = read_rig(rig) if rig is not None else None
+    tracker = Tracker(rig_of_records, options, LineOptions(gripper=gripper), _camera_motion(robot_poses, rig))
     items = batch.valid_inputs(named(inputs, (RECORDS_SUFFIX,)))
     with ExitStack() as stack:
         write = _writer(stack, output_format, newest, brief, verbose, batch)
@@ -131,6 +133,17 @@ def track(
             for line in _lines_at_rate(items, tracker, batch, rate):
                 write(line)
     batch.finish()
+
+
+def _camera_motion(robot_poses: Path | None, rig: Path | None) -> "CameraMotion | None":
+    from ringpose.files.robot_poses import read_mount_with_errors, read_robot_poses
+    from ringpose.track.camera_motion import CameraMotion
+
+    if robot_poses is None:
+        return None
+    if rig is None:
+        raise UsageError("--robot-poses", "needs the mount of the camera", "give the rig file with --rig")
+    return CameraMotion(poses=read_robot_poses(robot_poses), mount=read_mount_with_errors(rig))
 
 
 def _gripper(radial_m: float | None, tilt_deg: float | None) -> "Gripper | None":

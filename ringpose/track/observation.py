@@ -9,12 +9,24 @@ from math import sqrt
 
 import numpy as np
 
-from ringpose.geometry.ring import RingArcs, public_wrt_rates, public_wrt_step, ring_arcs
+from ringpose.geometry.ring import (
+    LIFT,
+    SHIFT,
+    STEP,
+    TILT_ALONG,
+    TILT_INWARD,
+    TURN,
+    RingArcs,
+    public_wrt_rates,
+    public_wrt_step,
+    ring_arcs,
+)
 from ringpose.geometry.rotations import tilt_basis
+from ringpose.track.camera_motion import CameraState
 from ringpose.track.common_errors import CommonErrors
 from ringpose.track.states import MOVING, RingStates
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.pose import MEASURED_PARAMETERS, PoseLine, RingMeasurement
+from ringpose.types.pose import MEASURED_PARAMETERS, LinearizationPoint, PoseLine, RingMeasurement
 
 POSE, MOTION = slice(0, 7), slice(7, 12)
 """Columns of `MEASURED_PARAMETERS`."""
@@ -76,8 +88,17 @@ class Observation:
         )
 
 
-def observation(line: PoseLine, measurement: RingMeasurement, common: CommonErrors, inflation: float) -> Observation:
-    """The rows of a record, in units of its errors times the root of `inflation`."""
+def observation(
+    line: PoseLine,
+    measurement: RingMeasurement,
+    common: CommonErrors,
+    inflation: float,
+    camera: CameraState | None = None,
+) -> Observation:
+    """The rows of a record, in units of its errors times the root of `inflation`.
+
+    In the frame of the camera, which counts as inertial, or in the base frame if its motion is given.
+    """
     at, root = measurement.linearized_at, measurement.square_root / sqrt(inflation)
     near_m = at.center_m + _place_seen(measurement)
     arcs = ring_arcs(at.center_m, at.normal, np.array([at.radius_inner_m, at.radius_outer_m]), near_m)
@@ -87,7 +108,9 @@ def observation(line: PoseLine, measurement: RingMeasurement, common: CommonErro
     wrt_step = public_wrt_step(arcs)
     rates_wrt_motion = np.linalg.solve(wrt_step, public_wrt_rates(at.normal, at.center_m))[list(MOVING)]
     motion = np.concatenate([at.velocity_m_s, tilt_basis(at.normal) @ at.rate_rad_s])
-    return Observation(
+    if camera is not None and measurement.camera_motion == "none":
+        motion = motion + _motion_of_camera(camera, at)
+    observed = Observation(
         shot=line.shot,
         stamp_s=line.pose_stamp_s,
         arcs=arcs,
@@ -98,6 +121,36 @@ def observation(line: PoseLine, measurement: RingMeasurement, common: CommonErro
         target=rows[:, -1],
         of_ring=min(len(rows), count),
     )
+    return observed if camera is None else _in_base(observed, camera)
+
+
+def _motion_of_camera(camera: CameraState, at: LinearizationPoint) -> Float64[Array, "5"]:
+    """Velocity that the camera's motion has at the ring's centre, and its rates along the tilt basis, camera frame."""
+    velocity = camera.velocity_m_s + np.cross(camera.rate_rad_s, camera.rotation @ at.center_m)
+    rates = tilt_basis(at.normal) @ camera.rotation.T @ camera.rate_rad_s
+    return np.concatenate([camera.rotation.T @ velocity, rates])
+
+
+def _in_base(observed: Observation, camera: CameraState) -> Observation:
+    """The observation in the base frame, where an error of the camera's pose moves the ring with the camera."""
+    arcs = observed.arcs
+    arcs = RingArcs(
+        origin=camera.origin_m + camera.rotation @ arcs.origin,
+        axes=arcs.axes @ camera.rotation.T,
+        curvature=arcs.curvature,
+        half_band_m=arcs.half_band_m,
+    )
+    inward, along, normal = arcs.axes
+    turn, shift_m = camera.displacement_root[:3].T, camera.displacement_root[3:].T
+    moved_m = shift_m + np.cross(turn, arcs.origin - camera.origin_m)
+    of_normal = np.cross(turn, normal)
+    wrt_errors = np.zeros((len(STEP), len(turn)))
+    wrt_errors[TILT_INWARD], wrt_errors[TILT_ALONG] = of_normal @ inward, of_normal @ along
+    wrt_errors[LIFT], wrt_errors[SHIFT] = moved_m @ normal, moved_m @ inward
+    # a displacement along the face is the turn by which the place slides back
+    wrt_errors[TURN] = np.cross(turn, inward) @ along + arcs.curvature * (moved_m @ along)
+    common = np.concatenate([observed.wrt_common, -observed.wrt_step @ wrt_errors], axis=1)
+    return replace(observed, arcs=arcs, wrt_common=common)
 
 
 def _place_seen(measurement: RingMeasurement) -> Float64[Array, "xyz=3"]:

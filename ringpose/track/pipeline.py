@@ -5,10 +5,12 @@ in the order of their stamps when an older one arrives: the result does not depe
 """
 
 from bisect import bisect_left
+from dataclasses import replace
 from math import isfinite, nan
 from typing import NamedTuple
 
 from ringpose.errors import DataError
+from ringpose.track.camera_motion import CameraMotion
 from ringpose.track.common_errors import CommonErrors, common_errors
 from ringpose.track.explanations import Fusion, Track, TrackOptions, track_after
 from ringpose.track.lines import LineOptions, track_line
@@ -48,8 +50,17 @@ class _Entry(NamedTuple):
 class Tracker:
     """A track that pose records are added to as they arrive."""
 
-    def __init__(self, rig: Rig | None, options: TrackOptions | None = None, lines: LineOptions | None = None) -> None:
-        self._rig, self._options, self._lines = rig, options or TrackOptions(), lines or LineOptions()
+    def __init__(
+        self,
+        rig: Rig | None,
+        options: TrackOptions | None = None,
+        lines: LineOptions | None = None,
+        camera: CameraMotion | None = None,
+    ) -> None:
+        """With the motion of its `camera` the track is in the robot's base frame."""
+        self._rig, self._options, self._camera = rig, options or TrackOptions(), camera
+        lines = lines or LineOptions()
+        self._lines = lines if camera is None else replace(lines, frame="base", camera="robot_poses")
         self._hash = rig.sha256 if rig is not None else ""
         self._common: CommonErrors | None = None
         self._base = Track()
@@ -109,7 +120,10 @@ class Tracker:
         if line.flags & PoseFlag.INCONSISTENT:
             inflation = max(measurement.chi2 / max(measurement.degrees_of_freedom, 1), 1.0)
         common = self._checked_common(line)
-        observed = observation(line, measurement, common, inflation)
+        camera = None if self._camera is None else self._camera.at(stamp_s)
+        if self._camera is not None and camera is None:
+            return FusionStatus.REJECTED_COVARIANCE, nan
+        observed = observation(line, measurement, common, inflation, camera)
         radius = None if line.priors is None else line.priors.radius
         fusion = self._inserted(_Entry(observed, radius, line.flags, self._base, Fusion(status=FusionStatus.NONE)))
         status = fusion.status

@@ -1,5 +1,6 @@
 """`ringpose track`: records in, records or messages out; bad input, rates, slow readers."""
 
+import hashlib
 import json
 import math
 import os
@@ -11,8 +12,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from moving_rings import START_S, Motion, Shots, drawn_motion, stream
 from schemas import validated
+from small_rig import SMALL_RIG
 
 from ringpose.cli.main import main
 from ringpose.files.poses import pose_record
@@ -280,3 +283,67 @@ def test_a_slow_reader_gets_the_newest_line(lines):
 
     assert first
     assert delay_s < 0.25
+
+
+def robot_pose(stamp_s: float, position_m=(1.0, 0.2, 0.3), orientation_xyzw=(0.0, 0.0, 0.0, 1.0)) -> str:
+    pose = {"position_m": position_m, "orientation_xyzw": orientation_xyzw}
+    return json.dumps({"stamp_s": stamp_s, "base_from_tool": pose}) + "\n"
+
+
+TOOL_FROM_CAMERA = [[0, -1, 0, 0.1], [1, 0, 0, 0.2], [0, 0, 1, -0.3], [0, 0, 0, 1]]
+
+
+@pytest.fixture
+def mounted(tmp_path: Path, lines) -> tuple[Path, Path]:
+    """A rig file with a mount whose errors are known, and records of this rig."""
+    errors = {"covariance": (1e-6 * np.eye(6)).tolist(), "delay_sd_s": 0.002}
+    values = {**yaml.safe_load(SMALL_RIG), "mount": {"tool_from_camera": TOOL_FROM_CAMERA, **errors}}
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(yaml.safe_dump(values))
+    digest = hashlib.sha256(rig.read_bytes()).hexdigest()
+    poses = tmp_path / "poses.jsonl"
+    poses.write_text("".join(lines).replace("a" * 64, digest))
+    return rig, poses
+
+
+def test_with_robot_poses_the_track_is_in_the_base_frame(capsys, tmp_path, mounted):
+    rig, poses = mounted
+    robot = tmp_path / "robot.jsonl"
+    robot.write_text("".join(robot_pose(START_S + 0.2 * number) for number in range(-1, 8)))
+
+    _, in_camera, _ = tracked(capsys, poses, "--rig", rig)
+    status, in_base, messages = tracked(capsys, poses, "--rig", rig, "--robot-poses", robot)
+
+    assert (status, messages) == (0, [])
+    assert {validated(record)["camera"] for record in in_base} == {"robot_poses"}
+    assert {record["frame"] for record in in_base} == {"base"}
+    tool_from_camera = np.array(TOOL_FROM_CAMERA)
+    expected = tool_from_camera[:3, :3] @ in_camera[-1]["pose"]["center_m"] + tool_from_camera[:3, 3] + [1.0, 0.2, 0.3]
+    np.testing.assert_allclose(in_base[-1]["pose"]["center_m"], expected, atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        (robot_pose(1.0) + robot_pose(2.0, orientation_xyzw=(90.0, 0.0, 45.0, 0.0)), "degrees"),
+        (robot_pose(1.0) + robot_pose(2.0, position_m=(900.0, 200.0, 300.0)), "millimetres"),
+        (robot_pose(1.0) + robot_pose(1.0), "stamp"),
+        (robot_pose(1.0), "fewer"),
+        ("{}\n", "base_from_tool"),
+    ],
+    ids=["degrees", "millimetres", "equal stamps", "one pose", "no pose"],
+)
+def test_bad_robot_poses_are_reported_in_one_line(capsys, tmp_path, mounted, text, word):
+    rig, poses = mounted
+    robot = tmp_path / "robot.jsonl"
+    robot.write_text(text)
+
+    status, records, messages = tracked(capsys, poses, "--rig", rig, "--robot-poses", robot)
+
+    assert (status, records, len(messages)) == (65, [], 1)
+    assert str(robot) in messages[0]
+    assert word in messages[0]
+
+
+def test_robot_poses_need_the_rig_file(capsys, tmp_path, poses):
+    assert tracked(capsys, poses, "--robot-poses", tmp_path / "robot.jsonl")[0] == 2
