@@ -23,10 +23,10 @@ MIN_WEIGHT = 1e-6
 """Weight below which an explanation is dropped."""
 
 MIN_TESTED_WEIGHT = 0.01
-"""Weight from which an explanation or a model takes part in the test of an innovation."""
+"""Weight from which an explanation takes part in the test of an innovation."""
 
-MIN_PROBABILITY = 1e-12
-"""Probability below which a test ratio is that of the best model."""
+MAX_CHI2 = 1e6
+"""Chi-squared of a ring that is not where it was seen, so that a model of no weight does not count."""
 
 MIN_CURVATURE = 0.2
 """Curvature of the largest ring, 5 m, in 1/m: an explanation's evidence includes the probability of a larger one."""
@@ -132,16 +132,12 @@ def _continued(track: Track, observed: Observation) -> tuple[Track, float]:
 def test_ratio(bank: Bank, found: Innovation) -> float:
     """Chi-squared of an innovation over the limit of the gate; above 1 it is rejected.
 
-    The probability of a larger one is the mean over the motion models with their weights; the ratio is that of the
-    chi-squared which has this probability.
+    The mean over the motion models with their weights: an improbable model with much process noise must not open the
+    gate for outliers.
     """
-    from scipy.special import chdtrc, chdtri
-
-    dof = max(found.degrees_of_freedom, 1)
-    probability = float(bank.weights @ chdtrc(dof, found.chi2))
-    if probability < MIN_PROBABILITY:
-        return float(found.chi2[bank.weights > MIN_TESTED_WEIGHT].min()) / gate(dof)
-    return float(chdtri(dof, probability)) / gate(dof)
+    weights = bank.weights
+    chi2 = float(weights @ np.minimum(found.chi2, MAX_CHI2))
+    return chi2 / gate(found.degrees_of_freedom)
 
 
 @lru_cache(maxsize=64)
