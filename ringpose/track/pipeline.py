@@ -9,13 +9,15 @@ from dataclasses import replace
 from math import isfinite, nan
 from typing import NamedTuple
 
+import numpy as np
+
 from ringpose.errors import DataError
 from ringpose.track.camera_motion import CameraMotion
 from ringpose.track.common_errors import CommonErrors, common_errors
 from ringpose.track.explanations import Fusion, Track, TrackOptions, track_after
 from ringpose.track.lines import LineOptions, track_line
 from ringpose.track.observation import Observation, observation
-from ringpose.types.pose import PoseFlag, PoseLine, RadiusPrior
+from ringpose.types.pose import PoseFlag, PoseLine, RadiusPrior, RingMeasurement
 from ringpose.types.rig import Rig
 from ringpose.types.track import Attempt, FusionStatus, TrackLine
 
@@ -24,6 +26,12 @@ BUFFER_S = 1.0
 
 FUTURE_S = 0.1
 """How far a stamp may be ahead of this computer's clock."""
+
+MAX_ENTRIES = 500
+"""Most records in the buffer, also if none of them is used."""
+
+MAX_INFORMATION_ROOT = 1e10
+"""Largest plausible number in the square root of a measurement: a standard deviation of 0.1 nm."""
 
 UNUSABLE = PoseFlag.ASSIGNMENT_AMBIGUOUS
 """Flags of records whose covariance does not describe their errors."""
@@ -111,7 +119,7 @@ class Tracker:
         stamp_s = line.pose_stamp_s
         if stamp_s > now_s + FUTURE_S:
             return FusionStatus.TOO_NEW, nan
-        if line.flags & UNUSABLE or not measurement.square_root[:, :-1].any():
+        if line.flags & UNUSABLE or not _is_plausible(measurement):
             return FusionStatus.REJECTED_COVARIANCE, nan
         if stamp_s < self._base_stamp_s:
             return self._too_old(stamp_s), nan
@@ -147,7 +155,7 @@ class Tracker:
     def _forget(self) -> None:
         """Drop the records that are older than the buffer; what arrives before the last one of them is too old."""
         oldest_s = self.track.stamp_s - BUFFER_S
-        while self._entries and self._entries[0].observed.stamp_s < oldest_s:
+        while self._entries and (self._entries[0].observed.stamp_s < oldest_s or len(self._entries) > MAX_ENTRIES):
             first = self._entries.pop(0)
             self._base, self._base_stamp_s = first.track, first.observed.stamp_s
             if first.fusion.status is FusionStatus.FUSED:
@@ -178,3 +186,9 @@ class Tracker:
             found = "has other nuisance parameters or priors than the records before"
             raise DataError(line.shot, found, "give ringpose pose the same options for all of them")
         return common
+
+
+def _is_plausible(measurement: RingMeasurement) -> bool:
+    """Whether a measurement contains information, and none that no camera can have, about a ring that can exist."""
+    at, largest = measurement.linearized_at, float(np.abs(measurement.square_root[:, :-1]).max(initial=0.0))
+    return 0.0 < largest < MAX_INFORMATION_ROOT and 0.0 < at.radius_inner_m + at.radius_outer_m < float("inf")
