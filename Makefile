@@ -8,12 +8,13 @@ LOWEST := .venv-lowest
 PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 8 --dist worksteal $(PYTEST_FLAGS)
 KERNELS := $(wildcard ringpose/kernels/*.[ch] ringpose/kernels/*/*.[ch])
 
-.PHONY: help demo bench-speed compare-baseline baseline structure test test-slow test-lowest \
+.PHONY: help demo bench-speed bench-targets compare-baseline baseline structure test test-slow test-lowest \
   check lint types layers man clean
 
 help:
 	@echo "make demo         the main job on simulated shots: calibration, detection, poses, printed and drawn"
 	@echo "make bench-speed  speed and accuracy relative to every limit of the design; fails if one is missed"
+	@echo "make bench-targets  accuracy and consistency of the track against its targets; status 3 if one is missed"
 	@echo "make compare-baseline  poses of the rendered data sets beside those of the baseline; status 3 if worse"
 	@echo "make baseline     make today's poses of the rendered data sets the baseline"
 	@echo "make test         the fast tests (make test-slow: the Monte-Carlo and whole-data-set ones)"
@@ -32,6 +33,9 @@ demo: $(STAMP)
 
 bench-speed: $(STAMP)
 	PYTHONPATH=tests $(BIN)/python -m benchmarks.speed
+
+bench-targets: $(STAMP)
+	$(BIN)/python tests/benchmarks/track_targets.py
 
 structure: $(STAMP)
 	$(BIN)/python tests/benchmarks/structure.py

@@ -23,6 +23,7 @@ COMMANDS = {
     "convert-camera": "convert_camera",
     "detect": "detect",
     "pose": "pose",
+    "track": "track",
     "simulate": "simulate.render",
     "bench": "bench",
     "schema": "schema",

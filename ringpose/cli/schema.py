@@ -6,7 +6,7 @@ import typer
 
 from ringpose.cli.app import app
 
-NAMES = ("pose", "detection", "truth", "session")
+NAMES = ("pose", "track", "detection", "truth", "session")
 
 SchemaName = Annotated[
     str | None, typer.Argument(metavar="NAME", help=f"One of {', '.join(NAMES)}; without it they are listed.")

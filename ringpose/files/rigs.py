@@ -157,7 +157,7 @@ def _lasers(fields: Fields) -> LaserPlanes:
 
 
 def _tool_from_camera(fields: Fields) -> Float64[Array, "4 4"]:
-    mount = fields.fields("mount", ("tool_from_camera",))
+    mount = fields.fields("mount", ("tool_from_camera", "covariance", "delay_s", "delay_sd_s"))
     matrix = mount.array("tool_from_camera", (4, 4))
     if np.any(matrix[3] != [0, 0, 0, 1]):
         raise mount.problem("tool_from_camera", "must end with the row [0, 0, 0, 1]")

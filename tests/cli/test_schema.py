@@ -11,7 +11,7 @@ from ringpose.cli.main import main
 def test_without_a_name_the_names_are_listed(capsys):
     assert main(["schema"]) == 0
 
-    assert capsys.readouterr().out.splitlines() == ["pose", "detection", "truth", "session"]
+    assert capsys.readouterr().out.splitlines() == ["pose", "track", "detection", "truth", "session"]
 
 
 @pytest.mark.parametrize("name", SCHEMAS)

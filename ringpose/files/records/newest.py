@@ -1,0 +1,82 @@
+"""Output for slow readers: they get the newest line, not those that have piled up."""
+
+import os
+import sys
+import threading
+from contextlib import suppress
+from stat import S_ISFIFO
+
+from ringpose.files import records
+
+POLL_S = 0.001
+"""Interval at which a pipe is checked for having been read."""
+
+
+class NewestWriter:
+    """Writes the newest line whenever the reader has read the one before; lines in between are dropped.
+
+    Standard output that is not a pipe takes every line. The pipe's contents are inspected with FIONREAD; where that is
+    not available, a line is written as soon as the pipe has room for it.
+    """
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._line: str | None = None
+        self._ended = False
+        self._failure: BaseException | None = None
+        self.dropped = 0
+        self._thread = threading.Thread(target=self._write, daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> "NewestWriter":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Wait until the last line has been written."""
+        with self._changed:
+            self._ended = True
+            self._changed.notify()
+        self._thread.join()
+        if self._failure is not None:
+            raise self._failure
+
+    def write(self, line: str) -> None:
+        """Replace the line that waits; raises the error of an earlier line that could not be written."""
+        with self._changed:
+            if self._failure is not None:
+                raise self._failure
+            self.dropped += self._line is not None
+            self._line = line
+            self._changed.notify()
+
+    def _write(self) -> None:
+        try:
+            while True:
+                with self._changed:
+                    self._changed.wait_for(lambda: self._line is not None or self._ended)
+                    if self._line is None:
+                        return
+                self._wait_for_reader()
+                with self._changed:
+                    line, self._line = self._line, None
+                records.write_text(line)
+        except BaseException as failure:  # raised again by the main thread
+            self._failure = failure
+
+    def _wait_for_reader(self) -> None:
+        while not _is_read():
+            with self._changed:
+                self._changed.wait_for(lambda: False, POLL_S)
+
+
+def _is_read() -> bool:
+    """Whether everything that was written to a pipe has been read; true if that cannot be found out."""
+    with suppress(AttributeError, ImportError, OSError, ValueError):
+        import fcntl
+        import termios
+
+        descriptor = sys.stdout.fileno()
+        if S_ISFIFO(os.fstat(descriptor).st_mode):
+            waiting = fcntl.ioctl(descriptor, termios.FIONREAD, b"\0\0\0\0")
+            return int.from_bytes(waiting, sys.byteorder) == 0
+    return True

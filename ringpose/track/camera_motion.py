@@ -1,0 +1,87 @@
+"""The motion of a camera that a robot carries, from the robot's poses (ringpose-method(7), section 10)."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ringpose.geometry.ring import rotation_by
+from ringpose.geometry.rotations import SMALL_ANGLE, rotation_vector
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.robot import Mount, RobotPoses
+
+MAX_GAP_S = 1.0
+"""Longest time between two poses of the robot within which its motion is interpolated."""
+
+
+class CameraState(NamedTuple):
+    """Where the camera is at one instant and how it moves, in the base frame."""
+
+    rotation: Float64[Array, "3 3"]
+    """From camera to base."""
+    origin_m: Float64[Array, "xyz=3"]
+    velocity_m_s: Float64[Array, "xyz=3"]
+    rate_rad_s: Float64[Array, "xyz=3"]
+    displacement_root: Float64[Array, "6 error"]
+    """What independent errors of unit variance move the camera by: rotation vector (rad), translation (m)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CameraMotion:
+    """Interpolates the pose of a camera."""
+
+    poses: RobotPoses
+    mount: Mount
+
+    def at(self, stamp_s: float) -> CameraState | None:
+        """The camera at a stamp of its own clock; None if the robot's poses do not cover it.
+
+        Between two poses the tool moves at a constant twist: T(s) = T_0 exp(s log(T_0^-1 T_1)) on SE(3).
+        """
+        poses, mount = self.poses, self.mount
+        time_s = stamp_s + mount.delay_s
+        after = int(np.searchsorted(poses.stamp_s, time_s, side="right"))
+        after = min(after, len(poses.stamp_s) - 1)
+        first_s, interval_s = poses.stamp_s[after - 1], poses.stamp_s[after] - poses.stamp_s[after - 1]
+        if not (after > 0 and 0.0 <= time_s - first_s <= interval_s <= MAX_GAP_S):
+            return None
+        rotation, position_m = poses.rotation[after - 1], poses.position_m[after - 1]
+        turn_rad, shift_m = _logarithm(
+            rotation.T @ poses.rotation[after], rotation.T @ (poses.position_m[after] - position_m)
+        )
+        share = (time_s - first_s) / interval_s
+        base_from_tool = rotation @ rotation_by(share * turn_rad)
+        tool_m = position_m + rotation @ (_left_jacobian(share * turn_rad) @ (share * shift_m))
+        rate = base_from_tool @ turn_rad / interval_s
+        lever_m = base_from_tool @ mount.tool_from_camera[:3, 3]
+        velocity = base_from_tool @ shift_m / interval_s + np.cross(rate, lever_m)
+        root = np.zeros((6, 7))
+        root[:3, :6], root[3:, :6] = base_from_tool @ mount.root[:3], base_from_tool @ mount.root[3:]
+        root[:3, 6], root[3:, 6] = mount.delay_sd_s * rate, mount.delay_sd_s * velocity
+        return CameraState(
+            rotation=base_from_tool @ mount.tool_from_camera[:3, :3],
+            origin_m=tool_m + lever_m,
+            velocity_m_s=velocity,
+            rate_rad_s=rate,
+            displacement_root=root,
+        )
+
+
+def _logarithm(
+    rotation: Float64[Array, "3 3"], translation: Float64[Array, "3"]
+) -> tuple[Float64[Array, "3"], Float64[Array, "3"]]:
+    """The twist (rotation vector, translation) whose exponential on SE(3) is this transform."""
+    turn = rotation_vector(rotation)
+    return turn, np.linalg.solve(_left_jacobian(turn), translation)
+
+
+def _left_jacobian(turn: Float64[Array, "3"]) -> Float64[Array, "3 3"]:
+    """V with exp(turn, shift) = (exp(turn), V shift): 1 + (1 - cos a) / a^2 K + (a - sin a) / a^3 K^2."""
+    angle = float(np.sqrt(turn @ turn))
+    x, y, z = turn.tolist()
+    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    small = angle < SMALL_ANGLE
+    first = 0.5 if small else (1.0 - np.cos(angle)) / angle**2
+    second = 1.0 / 6.0 if small else (angle - np.sin(angle)) / angle**3
+    jacobian: Float64[Array, "3 3"] = np.eye(3) + first * skew + second * (skew @ skew)
+    return jacobian

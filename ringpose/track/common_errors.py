@@ -1,0 +1,83 @@
+"""Errors that all shots have in common, with the priors that the records state (ringpose-method(7), 9, 11, 12)."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from ringpose.errors import DataError
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.pose import PoseLine, Priors, RigStability, RingMeasurement
+from ringpose.types.rig import Rig
+
+FORM_ORDERS = 3
+"""Orders of a ring's deviations from its ideal form, which share the variance (ringpose-method(7), section 12)."""
+
+_EXACT = 1e-12
+"""Share of the largest variance below which a combination of parameters counts as exact."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CommonErrors:
+    """Nuisance parameters of the records, and the root R of their prior covariance R R^T.
+
+    The columns of R are independent errors of unit variance.
+    """
+
+    names: tuple[str, ...]
+    root: Float64[Array, "parameter error"]
+
+
+def common_errors(line: PoseLine, measurement: RingMeasurement, rig: Rig | None) -> CommonErrors:
+    """The nuisance parameters of a record, with the priors that it states: calibration, stability, form of the ring.
+
+    Raises `DataError` if the record needs a rig file that is not given, or names a parameter without a prior.
+    """
+    priors = line.priors or Priors()
+    names = measurement.nuisance_parameters
+    if not priors.rig_covariance:
+        rig = None
+    elif rig is None or rig.covariance is None:
+        raise DataError(line.shot, "its priors include the covariance of a rig file", "give that file with --rig")
+    found = _common_errors(names, priors.stability, priors.ring_tolerance_m, rig)
+    if isinstance(found, str):
+        raise DataError(line.shot, f"has the nuisance parameter {found!r}, for which it states no prior")
+    return found
+
+
+@lru_cache(maxsize=8)
+def _common_errors(
+    names: tuple[str, ...], stability: RigStability, ring_tolerance_m: float, rig: Rig | None
+) -> CommonErrors | str:
+    """The errors, or the name of a parameter without a prior; the same for all records of a stream."""
+    covariance = np.zeros((len(names), len(names))) if rig is None else _calibration(names, rig, stability.focal_ratio)
+    calibrated = () if rig is None or rig.covariance is None else rig.covariance.parameters
+    added = {
+        "tilt_1": stability.plane_tilt_rad,
+        "tilt_2": stability.plane_tilt_rad,
+        "distance": stability.plane_distance_m,
+        "focal_ratio": stability.focal_ratio,
+    }
+    for index, name in enumerate(names):
+        form, what = name.startswith("form."), name.rpartition(".")[2]
+        if not form and what not in added and name not in calibrated:
+            return name
+        covariance[index, index] += ring_tolerance_m**2 / FORM_ORDERS if form else added.get(what, 0.0) ** 2
+    scale = np.sqrt(np.maximum(covariance.diagonal(), np.finfo(float).tiny))
+    variance, axes = np.linalg.eigh(covariance / scale / scale[:, None])
+    kept = variance > _EXACT * variance.max(initial=0.0)
+    return CommonErrors(names=names, root=scale[:, None] * axes[:, kept] * np.sqrt(variance[kept]))
+
+
+def _calibration(names: tuple[str, ...], rig: Rig, focal_ratio: float) -> Float64[Array, "n n"]:
+    """Covariance of those of the parameters that rig.yaml has, with a common change of both focal lengths."""
+    covariance, focal = np.zeros((len(names), len(names))), np.zeros(len(names))
+    if rig.covariance is not None:
+        of_rig = [name for name in names if name in rig.covariance.parameters]
+        here = [names.index(name) for name in of_rig]
+        there = [rig.covariance.parameters.index(name) for name in of_rig]
+        covariance[np.ix_(here, here)] = rig.covariance.data[np.ix_(there, there)]
+    for name, length_px in (("fx", rig.camera.camera_matrix[0, 0]), ("fy", rig.camera.camera_matrix[1, 1])):
+        if name in names:
+            focal[names.index(name)] = focal_ratio * length_px
+    return covariance + np.outer(focal, focal)

@@ -1,0 +1,171 @@
+"""A track at one time: the explanations of what was measured, and what one more measurement makes of it.
+
+Explanations differ in the side of the face on which the ring's centre lies, which a short arc may leave open. Their
+weights are their evidence. Measurements are taken in the order of their stamps (`ringpose.track.pipeline`).
+"""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from ringpose.geometry.ring import CURVATURE
+from ringpose.track.filters import Bank, Innovation, innovation, predicted, started, updated
+from ringpose.track.observation import Observation
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.pose import MotionPrior, RadiusPrior
+from ringpose.types.track import FusionStatus
+
+GATE = 0.999
+"""Probability with which an undisturbed measurement passes the gate."""
+
+MIN_WEIGHT = 1e-6
+"""Weight below which an explanation is dropped."""
+
+MIN_TESTED_WEIGHT = 0.01
+"""Weight from which an explanation takes part in the test of an innovation."""
+
+MAX_CHI2 = 1e6
+"""Chi-squared of a ring that is not where it was seen, so that a model of no weight does not count."""
+
+MIN_CURVATURE = 0.2
+"""Curvature of the largest ring, 5 m, in 1/m: an explanation's evidence includes the probability of a larger one."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackOptions:
+    """Limits of a track."""
+
+    predict_for_s: float = 2.0
+    """Time without a measurement after which two that agree may start the track anew."""
+    lost_after_s: float = 3.0
+    """Time without a measurement after which the track is given up."""
+    motion: MotionPrior = MotionPrior(speed_sd_m_s=0.025, rate_sd_rad_s=float(np.deg2rad(2.5)))
+    """Of a new track."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Track:
+    """Explanations after the measurements so far; none before the first."""
+
+    banks: tuple[Bank, ...] = ()
+    sides: tuple[int, ...] = ()
+    """1: the centre is on the side that the first record gave; -1: on the other one."""
+    interval_s: float = 0.0
+    """Time between the last two measurements that were used."""
+    resets: int = 0
+    pending: "Track | None" = None
+    """The track that begins with a measurement that does not continue this one."""
+
+    @property
+    def stamp_s(self) -> float:
+        """Stamp of the newest measurement that was used; NaN before the first."""
+        return self.banks[0].stamp_s if self.banks else float("nan")
+
+    @property
+    def likeliest(self) -> Bank:
+        """The filters of the explanation with the largest weight."""
+        return self.banks[int(np.argmax(self.weights))]
+
+    @property
+    def weights(self) -> Float64[Array, "explanation"]:
+        """Probabilities of the explanations."""
+        if len(self.banks) == 1:
+            return np.ones(1)
+        evidence = np.array([_evidence(bank) for bank in self.banks])
+        weights = np.exp(evidence - evidence.max())
+        normalized: Float64[Array, "explanation"] = weights / weights.sum()
+        return normalized
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fusion:
+    """What became of a measurement."""
+
+    status: FusionStatus
+    test_ratio: float = float("nan")
+
+
+def new_track(observed: Observation, motion: MotionPrior, radius: RadiusPrior | None) -> Track:
+    """The track that begins with a measurement, with both sides unless it excludes one."""
+    banks = tuple(started(observed, side, motion, radius) for side in (1, -1))
+    return _pruned(Track(banks=banks, sides=(1, -1)))
+
+
+def track_after(
+    track: Track, observed: Observation, radius: RadiusPrior | None, options: TrackOptions
+) -> tuple[Track, Fusion]:
+    """The track after a measurement that is not older than it, and what became of the measurement."""
+    if not track.banks:
+        started_anew = new_track(observed, options.motion, radius)
+        return replace(started_anew, resets=track.resets), Fusion(status=FusionStatus.FUSED)
+    gap_s, ratio = observed.stamp_s - track.stamp_s, float("nan")
+    if gap_s < options.lost_after_s:
+        continued, ratio = _continued(track, observed)
+        if ratio <= 1.0:
+            return continued, Fusion(status=FusionStatus.FUSED, test_ratio=ratio)
+    if gap_s <= options.predict_for_s:
+        return track, Fusion(status=FusionStatus.REJECTED_GATE, test_ratio=ratio)
+    pending = track.pending
+    if pending is not None and observed.stamp_s - pending.stamp_s <= options.lost_after_s:
+        again, agreement = _continued(pending, observed)
+        if agreement <= 1.0:
+            return replace(again, resets=track.resets + 1), Fusion(status=FusionStatus.FUSED, test_ratio=agreement)
+        ratio = agreement
+    pending = new_track(observed, options.motion, radius)
+    return replace(track, pending=pending), Fusion(status=FusionStatus.PENDING, test_ratio=ratio)
+
+
+def _continued(track: Track, observed: Observation) -> tuple[Track, float]:
+    """The track with the measurement, and the test ratio of the explanation that it fits best."""
+    banks, ratios, weights = [], [], track.weights
+    for bank, weight in zip(track.banks, weights.tolist(), strict=True):
+        seen = observed.towards(bank.chart.axes[0, 0])
+        ahead, rates, rates_wrt = predicted(bank, observed.stamp_s, seen.chart)
+        found = innovation(ahead, seen, rates, rates_wrt)
+        ratios.append(test_ratio(ahead, found) if weight > MIN_TESTED_WEIGHT else np.inf)
+        banks.append(updated(ahead, seen, found))
+    interval_s = observed.stamp_s - track.stamp_s
+    return _pruned(replace(track, banks=tuple(banks), interval_s=interval_s, pending=None)), min(ratios)
+
+
+def test_ratio(bank: Bank, found: Innovation) -> float:
+    """Chi-squared of an innovation over the limit of the gate; above 1 it is rejected.
+
+    The mean over the motion models with their weights: an improbable model with much process noise must not open the
+    gate for outliers.
+    """
+    weights = bank.weights
+    chi2 = float(weights @ np.minimum(found.chi2, MAX_CHI2))
+    return chi2 / gate(found.degrees_of_freedom)
+
+
+@lru_cache(maxsize=64)
+def gate(degrees_of_freedom: int) -> float:
+    """Quantile `GATE` of chi-squared."""
+    from scipy.special import chdtri  # imported late: it is slow
+
+    return float(chdtri(max(degrees_of_freedom, 1), 1.0 - GATE))
+
+
+def _pruned(track: Track) -> Track:
+    """The track without explanations that have become improbable."""
+    kept = [index for index, weight in enumerate(track.weights.tolist()) if weight > MIN_WEIGHT]
+    if len(kept) == len(track.banks):
+        return track
+    return replace(
+        track, banks=tuple(track.banks[index] for index in kept), sides=tuple(track.sides[index] for index in kept)
+    )
+
+
+def _evidence(bank: Bank) -> float:
+    """Log evidence over all models, times the probability that the curvature is one that a ring can have."""
+    from scipy.special import log_ndtr
+
+    scores = bank.scores
+    curvature = bank.chart.curvature + bank.coordinates[:, CURVATURE] - MIN_CURVATURE
+    own, common = bank.own[:, CURVATURE, CURVATURE], bank.common[:, CURVATURE]
+    sd = np.sqrt(own + (common * common).sum(axis=1))
+    each = scores + log_ndtr(curvature / sd)
+    highest = float(each.max())
+    return highest + float(np.log(np.exp(each - highest).sum())) if highest > -np.inf else -np.inf

@@ -1,0 +1,399 @@
+"""A bank of error-state Kalman filters for one explanation of a track: motion models that compete by their evidence.
+
+Errors that all shots have in common are considered, not estimated (Schmidt 1966): the error of a state is
+e = e_0 + B q, where q ~ N(0, 1) are the common errors, which stay what they are, and e_0 ~ N(0, P) is independent of
+them. B and P are carried on exactly for any gain, so that common errors never average out.
+"""
+
+from dataclasses import dataclass, replace
+from math import pi
+from typing import NamedTuple
+
+import numpy as np
+
+from ringpose.geometry.ring import CURVATURE, HALF_BAND, MIN_CURVATURE, STEP
+from ringpose.track.observation import Observation
+from ringpose.track.states import (
+    ERRORS,
+    LEVER,
+    MOTION,
+    RATE,
+    RATE_ALONG,
+    RATE_INWARD,
+    RATE_NORMAL,
+    VELOCITY,
+    RingStates,
+    after,
+    charted,
+    jacobians,
+    moved,
+    perturbed,
+    step_rates,
+)
+from ringpose.types.arrays import Array, Bool, Float64, Int64
+from ringpose.types.pose import MotionPrior, RadiusPrior
+
+PROCESS_NOISE = (1e-8, 1e-6, 1e-4)
+"""Power spectral densities from which those of velocity (m^2/s^3) and angular velocity (rad^2/s^3) are chosen."""
+
+TORQUE_FREE_SHARE = 0.1
+"""Process noise of the angular velocity in the precession model, by that of the constant-velocity model."""
+
+LEAST_RATE_NOISE_LOG_PRIOR = -2.0
+"""Log prior weight of the models with the least angular acceleration: within seconds single shots hardly show that of
+the next value, so that half of its tracks would be predicted with too small errors."""
+
+LEVER_M, LEVER_SD_M = 1.0, 1.0
+"""Prior of the distance of the centre of mass behind the ring."""
+
+CURVATURE_PRIOR, CURVATURE_SD = 1.4, 0.7
+"""Curvature of an unknown ring in 1/m: radii from 0.36 m to any length lie within two standard deviations."""
+
+HALF_BAND_SD_M = 0.05
+
+ITERATIONS, ITERATED_UNTIL = 2, 6
+"""How often, and until which number of measurements, an update is linearised again."""
+
+NEGLIGIBLE_WEIGHT = 1e-3
+"""Weight below which a model does not contribute to the reported state."""
+
+LOST = -1e6
+"""Log likelihood of a measurement for a filter whose ring misses the place where one was seen."""
+
+_PLACE_SD = 1.0
+"""Standard deviation in metres and radians of the place of a ring before it is measured."""
+
+
+class MotionModels(NamedTuple):
+    """The models of a bank, one filter each."""
+
+    velocity_noise: Float64[Array, "filter"]
+    """Power spectral density of the acceleration of the centre (of mass), m^2/s^3 per axis."""
+    rate_noise: Float64[Array, "filter"]
+    """Of the angular acceleration, rad^2/s^3 per axis."""
+    precession: Bool[Array, "filter"]
+    log_prior: Float64[Array, "filter"]
+    """Logarithms of their weights before the first measurement."""
+
+
+def motion_models() -> MotionModels:
+    """Nine constant-velocity models and three of torque-free precession."""
+    pairs = [(q_v, q_w) for q_v in PROCESS_NOISE for q_w in PROCESS_NOISE]
+    pairs += [(q_v, TORQUE_FREE_SHARE * q_v) for q_v in PROCESS_NOISE]
+    return MotionModels(
+        velocity_noise=np.array([q_v for q_v, _ in pairs]),
+        rate_noise=np.array([q_w for _, q_w in pairs]),
+        precession=np.arange(len(pairs)) >= len(PROCESS_NOISE) ** 2,
+        log_prior=np.where(np.array([q_w for _, q_w in pairs]) <= PROCESS_NOISE[0], LEAST_RATE_NOISE_LOG_PRIOR, 0.0),
+    )
+
+
+MODELS = motion_models()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Bank:
+    """Filters of one explanation, all at one time."""
+
+    stamp_s: float
+    models: MotionModels
+    chart: RingStates
+    """The state about which the others are described: the place where the ring was seen last."""
+    coordinates: Float64[Array, "filter error=14"]
+    """Increments that lead from the chart to the filters' states."""
+    own: Float64[Array, "filter error=14 error=14"]
+    """Covariance P of the part of the errors that is independent of the common errors."""
+    common: Float64[Array, "filter error=14 source"]
+    """Sensitivity B to the common errors, which have unit variance."""
+    log_evidence: Float64[Array, "filter"]
+    measurements: int
+
+    @property
+    def states(self) -> RingStates:
+        """The filters' states."""
+        return moved(self.chart, self.coordinates)
+
+    @property
+    def scores(self) -> Float64[Array, "filter"]:
+        """Log evidence, less the penalty of BIC for the two additional parameters of precession."""
+        penalty = np.log(max(self.measurements, 1)) * self.models.precession
+        scores: Float64[Array, "filter"] = self.log_evidence + self.models.log_prior - penalty
+        return scores
+
+    @property
+    def best(self) -> int:
+        """The filter with the highest score."""
+        return int(np.argmax(self.scores))
+
+    @property
+    def weights(self) -> Float64[Array, "filter"]:
+        """Probabilities of the models."""
+        weights = np.exp(self.scores - self.scores.max())
+        normalized: Float64[Array, "filter"] = weights / weights.sum()
+        return normalized
+
+    def probable(self) -> "Bank":
+        """The bank without filters whose weight is negligible."""
+        kept = self.weights > NEGLIGIBLE_WEIGHT
+        return replace(
+            self,
+            models=MotionModels(*(part[kept] for part in self.models)),
+            coordinates=self.coordinates[kept],
+            own=self.own[kept],
+            common=self.common[kept],
+            log_evidence=self.log_evidence[kept],
+        )
+
+    @property
+    def covariance(self) -> Float64[Array, "filter error=14 error=14"]:
+        """Covariance of the errors."""
+        covariance: Float64[Array, "filter error error"] = self.own + self.common @ self.common.swapaxes(1, 2)
+        return covariance
+
+
+def mixed(bank: Bank) -> tuple[Float64[Array, "error=14"], Float64[Array, "error=14 error=14"]]:
+    """Mean coordinates and covariance over the models with their probabilities.
+
+    While the evidence does not decide between models, the covariance includes their disagreement.
+    """
+    weights = bank.weights
+    mean: Float64[Array, "error"] = weights @ bank.coordinates
+    apart = bank.coordinates - mean
+    covariance: Float64[Array, "error error"] = np.tensordot(weights, bank.covariance, axes=1)
+    return mean, covariance + (weights[:, None] * apart).T @ apart
+
+
+class Innovation(NamedTuple):
+    """What a measurement differs by from its prediction."""
+
+    remaining: Float64[Array, "filter row"]
+    jacobian: Float64[Array, "filter row error=14"]
+    wrt_common: Float64[Array, "filter row source"]
+    covariance: Float64[Array, "filter row row"]
+    chi2: Float64[Array, "filter"]
+    """Squared Mahalanobis length of the rows that depend on the ring; infinite for a ring that is not there."""
+    degrees_of_freedom: int
+
+
+def started(observed: Observation, side: int, motion: MotionPrior, radius: RadiusPrior | None) -> Bank:
+    """The bank after its first measurement; `side` -1: the ring's centre is on the other side than in the record."""
+    if side < 0:
+        observed = observed.towards(-observed.arcs.axes[0])
+    chart, count = observed.chart, len(MODELS.precession)
+    curvature, curvature_sd, half_band_m, half_band_sd_m = _size_prior(observed, radius)
+    coordinates = np.zeros((count, len(ERRORS)))
+    coordinates[:, CURVATURE] = curvature - chart.curvature
+    coordinates[:, HALF_BAND] = half_band_m - chart.half_band_m
+    coordinates[MODELS.precession, LEVER] = LEVER_M
+    prior = np.zeros((count, len(ERRORS), len(ERRORS)))
+    sds = np.full(len(STEP), _PLACE_SD)
+    sds[CURVATURE], sds[HALF_BAND] = curvature_sd, half_band_sd_m
+    prior[:, range(7), range(7)] = sds**2
+    # u = v_C + l w x n - R w x inward, with independent velocity of the centre and angular velocity
+    of_rates = np.zeros((3, 3))
+    of_rates[2, 1] = 1.0 / curvature
+    prior[:, VELOCITY, VELOCITY] = motion.speed_sd_m_s**2 * np.eye(3) + motion.rate_sd_rad_s**2 * of_rates @ of_rates.T
+    prior[:, VELOCITY, RATE] = motion.rate_sd_rad_s**2 * of_rates
+    prior[:, RATE, VELOCITY] = motion.rate_sd_rad_s**2 * of_rates.T
+    prior[:, [RATE_INWARD, RATE_ALONG], [RATE_INWARD, RATE_ALONG]] = motion.rate_sd_rad_s**2
+    prior[MODELS.precession, RATE_NORMAL, RATE_NORMAL] = motion.rate_sd_rad_s**2
+    prior[MODELS.precession, LEVER, LEVER] = LEVER_SD_M**2
+    bank = Bank(
+        stamp_s=observed.stamp_s,
+        models=MODELS,
+        chart=chart,
+        coordinates=coordinates,
+        own=prior,
+        common=np.zeros((count, len(ERRORS), observed.wrt_common.shape[1])),
+        log_evidence=np.zeros(count),
+        measurements=0,
+    )
+    return updated(bank, observed, innovation(bank, observed, *rates_near(bank, bank.coordinates)))
+
+
+def _size_prior(observed: Observation, radius: RadiusPrior | None) -> tuple[float, float, float, float]:
+    """Curvature and half width of the ring with their standard deviations, from the radii that the record assumes."""
+    half_band_m = observed.arcs.half_band_m
+    if radius is None:
+        return CURVATURE_PRIOR, CURVATURE_SD, half_band_m, HALF_BAND_SD_M
+    inner_m, outer_m = radius.inner_m, radius.outer_m
+    inner_sd_m, outer_sd_m = radius.inner_sd_m, radius.outer_sd_m
+    if inner_m == inner_m and outer_m == outer_m:
+        sd_m = 0.5 * float(np.hypot(inner_sd_m, outer_sd_m))
+        mean_m = 0.5 * (inner_m + outer_m)
+        return 1.0 / mean_m, sd_m / mean_m**2, 0.5 * (outer_m - inner_m), sd_m
+    mean_m = outer_m - half_band_m if outer_m == outer_m else inner_m + half_band_m
+    sd_m = outer_sd_m if outer_m == outer_m else inner_sd_m
+    return 1.0 / mean_m, float(np.hypot(sd_m, 0.002)) / mean_m**2, half_band_m, HALF_BAND_SD_M
+
+
+class Ahead(NamedTuple):
+    """A bank at a later time, with the rates at which the coordinates of its chart change there."""
+
+    bank: Bank
+    rates: Float64[Array, "filter 5"]
+    rates_wrt: Float64[Array, "filter 5 error=14"]
+    """Derivatives by the coordinates."""
+
+
+def predicted(bank: Bank, stamp_s: float, chart: RingStates | None = None) -> Ahead:
+    """The bank at a later time, in a given chart, or in that of its best filter."""
+    time_s, count = stamp_s - bank.stamp_s, len(bank.coordinates)
+    leaders, leader_of = _leaders(bank)
+    around = np.concatenate([bank.coordinates, perturbed(bank.coordinates[leaders])])
+    states = after(moved(bank.chart, around), time_s)
+    if chart is None:
+        best = slice(bank.best, bank.best + 1)
+        chart = RingStates(*(part[best] for part in states))._replace(motion=np.zeros((1, len(MOTION))))
+    found = charted(chart, states)
+    rates = step_rates(chart, found)
+    transition, rates_wrt = jacobians(found.coordinates[count:]), jacobians(rates[count:])
+    rates_wrt = np.linalg.solve(transition.swapaxes(1, 2), rates_wrt.swapaxes(1, 2)).swapaxes(1, 2)[leader_of]
+    transition = transition[leader_of]
+    coordinates = found.coordinates[:count]
+    ahead = replace(
+        bank,
+        stamp_s=stamp_s,
+        chart=chart,
+        coordinates=coordinates,
+        own=transition @ bank.own @ transition.swapaxes(1, 2)
+        + process_noise(bank.models, chart, coordinates, transition, time_s),
+        common=transition @ bank.common,
+    )
+    return Ahead(ahead, rates[:count], rates_wrt)
+
+
+def _leaders(bank: Bank) -> tuple[Int64[Array, "leader"], Int64[Array, "filter"]]:
+    """The best filter of each motion model, and the leader of each filter.
+
+    Jacobians are computed at the leaders: filters that differ in their process noise only have nearly the same state.
+    """
+    scores, precession = bank.scores, bank.models.precession
+    if precession.all() or not precession.any():
+        return np.array([np.argmax(scores)]), np.zeros(len(scores), dtype=np.int64)
+    leaders = [np.argmax(np.where(precession, -np.inf, scores)), np.argmax(np.where(precession, scores, -np.inf))]
+    return np.array(leaders), precession.astype(np.int64)
+
+
+def process_noise(
+    models: MotionModels,
+    chart: RingStates,
+    coordinates: Float64[Array, "filter error=14"],
+    transition: Float64[Array, "filter error=14 error=14"],
+    time_s: float,
+) -> Float64[Array, "filter error=14 error=14"]:
+    """Covariance of what white accelerations add within `time_s`: the integral of Phi(t) G q G^T Phi(t)^T.
+
+    With Phi(t) linear in t. Accelerations are those of the centre of mass and of the angular velocity; the latter moves
+    the origin too.
+    """
+    gain = np.zeros((len(coordinates), len(ERRORS), 6))
+    gain[:, VELOCITY, :3] = np.eye(3)
+    gain[:, RATE, 3:] = np.eye(3)
+    lever_m = coordinates[:, LEVER]
+    gain[:, 7, 4], gain[:, 8, 3] = lever_m, -lever_m
+    gain[:, 9, 4] = 1.0 / np.maximum(chart.curvature + coordinates[:, CURVATURE], MIN_CURVATURE)
+    density = np.repeat(np.stack([models.velocity_noise, models.rate_noise], axis=1), 3, axis=1)
+    density[~models.precession, 5] = 0.0
+    gain *= np.sqrt(density * time_s)[:, None]
+    later = (transition @ gain) - gain
+    both = later @ gain.swapaxes(1, 2)
+    noise: Float64[Array, "filter error error"] = (
+        gain @ gain.swapaxes(1, 2) + 0.5 * (both + both.swapaxes(1, 2)) + later @ later.swapaxes(1, 2) / 3.0
+    )
+    return noise
+
+
+def rates_near(
+    bank: Bank, coordinates: Float64[Array, "filter error=14"]
+) -> tuple[Float64[Array, "filter 5"], Float64[Array, "filter 5 error=14"]]:
+    """The rates of the chart's coordinates and their derivatives, for other states of the filters."""
+    count = len(coordinates)
+    leaders, leader_of = _leaders(bank)
+    around = np.concatenate([coordinates, perturbed(coordinates[leaders])])
+    rates = step_rates(bank.chart, charted(bank.chart, moved(bank.chart, around)))
+    return rates[:count], jacobians(rates[count:])[leader_of]
+
+
+def innovation(
+    bank: Bank,
+    observed: Observation,
+    rates: Float64[Array, "filter 5"],
+    rates_wrt: Float64[Array, "filter 5 error=14"],
+    step: Float64[Array, "filter error=14"] | None = None,
+) -> Innovation:
+    """The measurement less its prediction by each filter of a bank, which is in the chart of the measurement.
+
+    With a `step` the rates are those of the states after that step, about which they are linearised instead.
+    """
+    remaining = observed.target - bank.coordinates[:, : len(STEP)] @ observed.wrt_step.T
+    remaining -= (rates - observed.step_rates) @ observed.wrt_step_rates.T
+    jacobian = observed.wrt_step_rates @ rates_wrt
+    if step is not None:
+        remaining += (jacobian @ step[..., None])[..., 0]
+    jacobian[:, :, : len(STEP)] += observed.wrt_step
+    lost = ~np.isfinite(remaining).all(axis=1) | ~np.isfinite(jacobian).all(axis=(1, 2))
+    remaining[lost], jacobian[lost] = 0.0, 0.0
+    wrt_common = jacobian @ bank.common + observed.wrt_common
+    covariance = innovation_covariance(bank.own, jacobian, wrt_common)
+    ring = observed.of_ring
+    of_ring = remaining[:, :ring, None]
+    chi2 = (of_ring * np.linalg.solve(covariance[:, :ring, :ring], of_ring)).sum(axis=(1, 2))
+    return Innovation(remaining, jacobian, wrt_common, covariance, np.where(lost, np.inf, chi2), ring)
+
+
+def innovation_covariance(
+    own: Float64[Array, "filter error error"],
+    jacobian: Float64[Array, "filter row error"],
+    wrt_common: Float64[Array, "filter row source"],
+) -> Float64[Array, "filter row row"]:
+    """S = 1 + H P H^T + (H B + H_q) (H B + H_q)^T: the rows of a measurement have unit variance."""
+    covariance: Float64[Array, "filter row row"] = np.eye(jacobian.shape[1]) + jacobian @ own @ jacobian.swapaxes(1, 2)
+    covariance += wrt_common @ wrt_common.swapaxes(1, 2)
+    return covariance
+
+
+def updated(bank: Bank, observed: Observation, found: Innovation) -> Bank:
+    """The bank after a measurement; its evidence is multiplied by the likelihood of the innovation.
+
+    The first measurements move a state far; they are linearised again where they have moved it to (iterated filter).
+    """
+    for _ in range(ITERATIONS if bank.measurements < ITERATED_UNTIL else 0):
+        gain = schmidt_gain(bank.own, bank.common, found)
+        step = (gain @ found.remaining[..., None])[..., 0]
+        found = innovation(bank, observed, *rates_near(bank, bank.coordinates + step), step)
+    gain = schmidt_gain(bank.own, bank.common, found)
+    own, common = covariances_after(bank.own, bank.common, gain, found)
+    weighted = np.linalg.solve(found.covariance, found.remaining[..., None])
+    _, log_determinant = np.linalg.slogdet(found.covariance)
+    chi2 = (found.remaining[..., None] * weighted).sum(axis=(1, 2))
+    log_likelihood = -0.5 * (chi2 + log_determinant + found.remaining.shape[1] * np.log(2.0 * pi))
+    return replace(
+        bank,
+        coordinates=bank.coordinates + (gain @ found.remaining[..., None])[..., 0],
+        own=own,
+        common=common,
+        log_evidence=bank.log_evidence + np.where(np.isfinite(found.chi2), log_likelihood, LOST),
+        measurements=bank.measurements + 1,
+    )
+
+
+def schmidt_gain(
+    own: Float64[Array, "filter error error"], common: Float64[Array, "filter error source"], found: Innovation
+) -> Float64[Array, "filter error row"]:
+    """The gain with the least covariance: K = (P H^T + B (H B + H_q)^T) S^-1, Eq. (10.4)."""
+    cross = own @ found.jacobian.swapaxes(1, 2) + common @ found.wrt_common.swapaxes(1, 2)
+    gain: Float64[Array, "filter error row"] = np.linalg.solve(found.covariance, cross.swapaxes(1, 2)).swapaxes(1, 2)
+    return gain
+
+
+def covariances_after(
+    own: Float64[Array, "filter error error"],
+    common: Float64[Array, "filter error source"],
+    gain: Float64[Array, "filter error row"],
+    found: Innovation,
+) -> tuple[Float64[Array, "filter error error"], Float64[Array, "filter error source"]]:
+    """P and B after an update with any gain: (1 - K H) P (1 - K H)^T + K K^T, and B - K (H B + H_q), Eq. (10.5)."""
+    kept = np.eye(own.shape[1]) - gain @ found.jacobian
+    updated_own = kept @ own @ kept.swapaxes(1, 2) + gain @ gain.swapaxes(1, 2)
+    return 0.5 * (updated_own + updated_own.swapaxes(1, 2)), common - gain @ found.wrt_common

@@ -1,0 +1,270 @@
+"""The record of a track at one instant: pose, velocity, grasp point, and how far they may be trusted."""
+
+from dataclasses import dataclass, replace
+from math import nan, sqrt
+from typing import Literal
+
+import numpy as np
+
+from ringpose.estimate.covariance import TILT_SD_LIMIT_RAD, WEAK_SD, standard_deviation
+from ringpose.geometry.ring import CURVATURE, plane_and_center
+from ringpose.geometry.rotations import tilt_basis
+from ringpose.track.capture import capture_probability
+from ringpose.track.explanations import Track, TrackOptions
+from ringpose.track.filters import Bank, mixed, predicted
+from ringpose.track.states import RingStates, center_velocity, jacobians, moved, perturbed
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.options import PoseFrame
+from ringpose.types.pose import PoseFlag, RingPose, RingVelocity
+from ringpose.types.track import (
+    Attempt,
+    CameraMotion,
+    FusionStatus,
+    GraspState,
+    MotionModel,
+    NextTick,
+    SideHypothesis,
+    TrackLine,
+    Validity,
+)
+
+VALID_INTERVALS = 2.0
+"""Intervals between the last two used measurements for which a prediction counts as valid ..."""
+
+MIN_VALID_S = 0.1
+"""... and the shortest time."""
+
+UNKNOWN_FROM = 0.5
+"""Relative standard deviation of the curvature from which centre and radii are not reported."""
+
+VELOCITY_WEAK_SHARE = 0.5
+"""Share of its prior's standard deviation from which the velocity counts as weak."""
+
+RESOLVED_FROM = 0.999
+"""Weight of an explanation from which the side of the ring's centre is known."""
+
+_CENTER, _NORMAL, _RADII, _VELOCITY, _RATES, _GRASP, _GRASP_VELOCITY = (
+    slice(0, 3), slice(3, 6), slice(6, 8), slice(8, 11), slice(11, 14), slice(14, 17), slice(17, 20),
+)  # fmt: skip
+
+
+NO_ATTEMPT = Attempt(shot="", stamp_s=nan, fusion_status=FusionStatus.NONE, test_ratio=nan)
+"""Stands for the newest measurement where there was none since the last line."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gripper:
+    """How far the ring may be off for the gripper to close on it."""
+
+    radial_m: float
+    """Distance of the true middle of the band from the grasp point."""
+    tilt_rad: float
+    """Angle between the true normal and the reported one."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineOptions:
+    """What the lines contain."""
+
+    gripper: Gripper | None = None
+    frame: PoseFrame | Literal["base"] = PoseFrame.CAMERA
+    camera: CameraMotion = "inertial_assumed"
+
+
+def track_line(
+    track: Track,
+    stamp_s: float,
+    next_stamp_s: float | None,
+    attempts: tuple[Attempt, ...],
+    flags: PoseFlag,
+    rig: str,
+    options: TrackOptions,
+    lines: LineOptions,
+) -> TrackLine:
+    """The record at `stamp_s`, with the prediction for `next_stamp_s` (default: one interval later)."""
+    stamp_s = max(stamp_s, track.stamp_s) if track.banks else stamp_s
+    lost = TrackLine(
+        stamp_s=stamp_s,
+        attempt=attempts[-1] if attempts else NO_ATTEMPT,
+        attempts=attempts,
+        measurement_stamp_s=track.stamp_s,
+        validity=validity(track, stamp_s, options),
+        frame=lines.frame,
+        log_evidence=log_evidence(track.likeliest) if track.banks else {},
+        camera=lines.camera,
+        resets=track.resets,
+        rig=rig,
+    )
+    if lost.validity is Validity.LOST:
+        return lost
+    bank, weights = track.likeliest, track.weights
+    found = _Reported(bank, stamp_s)
+    next_s = next_stamp_s or stamp_s + (track.interval_s or MIN_VALID_S)
+    following = _Reported(bank, next_s)
+    flags |= _weak_flags(found, options)
+    if weights.max() < RESOLVED_FROM:
+        flags |= PoseFlag.SIDE_UNKNOWN
+    models, chosen, gripper = bank.models, bank.best, lines.gripper
+    return replace(
+        lost,
+        pose=_pose(found, flags),
+        velocity=RingVelocity(
+            center_m_s=found.value[_VELOCITY], rate_rad_s=found.value[_RATES], covariance=found.velocity_covariance()
+        ),
+        grasp=GraspState(
+            point_m=found.value[_GRASP],
+            velocity_m_s=found.value[_GRASP_VELOCITY],
+            covariance=found.covariance(_GRASP, _GRASP_VELOCITY),
+        ),
+        next_tick=NextTick(
+            stamp_s=next_s,
+            grasp_m=following.value[_GRASP],
+            normal=following.value[_NORMAL],
+            covariance=following.grasp_and_tilts(),
+        ),
+        hypotheses=tuple(
+            SideHypothesis(side=side, weight=weight, center_m=_center(found, each, bank, stamp_s))
+            for each, side, weight in zip(track.banks, track.sides, weights.tolist(), strict=True)
+        ),
+        flags=flags,
+        model=MotionModel.PRECESSION if models.precession[chosen] else MotionModel.CONSTANT_VELOCITY,
+        process_noise=(float(models.velocity_noise[chosen]), float(models.rate_noise[chosen])),
+        capture_probability=None
+        if gripper is None
+        else capture_probability(found.capture_covariance(), gripper.radial_m, gripper.tilt_rad),
+    )
+
+
+def validity(track: Track, stamp_s: float, options: TrackOptions) -> Validity:
+    """By the age of the newest measurement that was used."""
+    if not track.banks:
+        return Validity.LOST
+    age_s = stamp_s - track.stamp_s
+    if age_s >= options.lost_after_s:
+        return Validity.LOST
+    if age_s > options.predict_for_s:
+        return Validity.STALE
+    return Validity.VALID if age_s <= max(MIN_VALID_S, VALID_INTERVALS * track.interval_s) else Validity.PREDICTED
+
+
+def log_evidence(bank: Bank) -> dict[MotionModel, float]:
+    """Highest score among the filters of each motion model."""
+    scores = bank.scores
+    return {
+        MotionModel.CONSTANT_VELOCITY: float(scores[~bank.models.precession].max()),
+        MotionModel.PRECESSION: float(scores[bank.models.precession].max()),
+    }
+
+
+class _Reported:
+    """The reported quantities of an explanation at an instant, with their joint covariance."""
+
+    def __init__(self, bank: Bank, stamp_s: float) -> None:
+        probable = bank.probable()
+        ahead = probable if stamp_s == bank.stamp_s else predicted(probable, stamp_s).bank
+        mean, self.errors = mixed(ahead)
+        states = moved(ahead.chart, np.concatenate([mean[None], perturbed(mean[None])]))
+        values = _quantities(states)
+        self.value, self._jacobian = values[0], jacobians(values[1:])[0]
+        self.axes, self.curvature = states.axes[0], float(states.curvature[0])
+        self.basis = tilt_basis(self.value[_NORMAL])
+
+    def covariance(self, *parts: slice) -> Float64[Array, "n n"]:
+        """Of some of the quantities."""
+        rows = np.concatenate([self._jacobian[part] for part in parts])
+        covariance: Float64[Array, "n n"] = rows @ self.errors @ rows.T
+        return 0.5 * (covariance + covariance.T)
+
+    def _rows(self, part: slice, across: Float64[Array, "n 3"]) -> Float64[Array, "n error"]:
+        rows: Float64[Array, "n error"] = across @ self._jacobian[part]
+        return rows
+
+    def _of(self, rows: Float64[Array, "n error"]) -> Float64[Array, "n n"]:
+        covariance: Float64[Array, "n n"] = rows @ self.errors @ rows.T
+        return 0.5 * (covariance + covariance.T)
+
+    def grasp_and_tilts(self) -> Float64[Array, "5 5"]:
+        """Covariance of the grasp point and the tilts of the normal."""
+        return self._of(np.concatenate([self._jacobian[_GRASP], self._rows(_NORMAL, self.basis)]))
+
+    def capture_covariance(self) -> Float64[Array, "4 4"]:
+        """Covariance of the grasp point's errors inward and along the normal, and of the tilts."""
+        across = self.axes[[0, 2]]
+        return self._of(np.concatenate([self._rows(_GRASP, across), self._rows(_NORMAL, self.basis)]))
+
+    def velocity_covariance(self) -> Float64[Array, "5 5"]:
+        """Of the velocity x, y, z and the two rates."""
+        return self._of(np.concatenate([self._jacobian[_VELOCITY], self._rows(_RATES, self.basis)]))
+
+    def pose_covariance(self) -> Float64[Array, "7 7"]:
+        """In the parameters of the records: tilts, offset, centre in the plane, radii."""
+        normal_wrt, center_wrt = self._jacobian[_NORMAL], self._jacobian[_CENTER]
+        plane = plane_and_center(self.value[_NORMAL], self.value[_CENTER], normal_wrt, center_wrt)
+        return self._of(np.concatenate([plane, self._jacobian[_RADII]]))
+
+
+def _quantities(states: RingStates) -> Float64[Array, "state quantity=20"]:
+    """Centre, normal, radii, velocity of the centre, rates across the normal, grasp point and its velocity."""
+    radii = states.mean_radius_m[:, None] + states.half_band_m[:, None] * np.array([-1.0, 1.0])
+    velocity = (center_velocity(states)[:, None] @ states.axes)[:, 0]
+    rates = (states.motion[:, None, 3:5] @ states.axes[:, :2])[:, 0]
+    at_grasp = (states.motion[:, None, :3] @ states.axes)[:, 0]
+    return np.concatenate([states.center_m, states.axes[:, 2], radii, velocity, rates, states.origin, at_grasp], axis=1)
+
+
+def _center(found: _Reported, each: Bank, best: Bank, stamp_s: float) -> Float64[Array, "xyz=3"]:
+    """Centre of the ring by one of the explanations; `found` are the quantities of the best one."""
+    quantities = found if each is best else _Reported(each, stamp_s)
+    center_m: Float64[Array, "xyz=3"] = quantities.value[_CENTER]
+    return center_m
+
+
+def _weak_flags(found: _Reported, options: TrackOptions) -> PoseFlag:
+    """Flags of what is poorly determined, by the limits of single shots."""
+    flags = PoseFlag(0)
+    limit_m = WEAK_SD * float(np.abs(found.value[_RADII]).min())
+    if standard_deviation(found.capture_covariance()[2:, 2:]) > TILT_SD_LIMIT_RAD:
+        flags |= PoseFlag.NORMAL_WEAK
+    if not _curved(found) or standard_deviation(found.covariance(_CENTER)) > limit_m:
+        flags |= PoseFlag.CENTER_WEAK
+    if not _curved(found) or sqrt(float(found.covariance(_RADII).diagonal().max())) > limit_m:
+        flags |= PoseFlag.RADIUS_WEAK
+    if standard_deviation(found.covariance(_GRASP)) > GRASP_UNKNOWN_FROM_M:
+        flags |= PoseFlag.GRASP_WEAK
+    if standard_deviation(found.covariance(_VELOCITY)) > VELOCITY_WEAK_SHARE * options.motion.speed_sd_m_s:
+        flags |= PoseFlag.VELOCITY_WEAK
+    return flags
+
+
+GRASP_UNKNOWN_FROM_M = 0.01
+"""Standard deviation of the grasp point from which it is flagged."""
+
+
+def _curved(found: _Reported) -> bool:
+    """Whether the curvature is determined well enough for the centre to have a finite error."""
+    curvature = found.curvature
+    return sqrt(float(found.errors[CURVATURE, CURVATURE])) < UNKNOWN_FROM * curvature
+
+
+def _pose(found: _Reported, flags: PoseFlag) -> RingPose:
+    """The pose, with NaN for what is not determined."""
+    value, curved = found.value, _curved(found)
+    normal_known = PoseFlag.NORMAL_WEAK not in flags
+    covariance = found.pose_covariance()
+    known = np.array([normal_known] * 3 + [curved and normal_known] * 2 + [curved] * 2)
+    masked = np.where(known[:, None] & known, covariance, nan)
+    grasp_known = PoseFlag.GRASP_WEAK not in flags
+    return RingPose(
+        center_m=value[_CENTER] if curved and normal_known else np.full(3, nan),
+        normal=value[_NORMAL] if normal_known else np.full(3, nan),
+        radius_inner_m=float(value[6]) if curved else nan,
+        radius_outer_m=float(value[7]) if curved else nan,
+        grasp_m=value[_GRASP] if grasp_known else np.full(3, nan),
+        method="track",
+        condition_number=nan,
+        residual_rms_px=nan,
+        covariance=masked if known.any() else None,
+        covariance_center_m2=found.covariance(_CENTER) if curved and normal_known else None,
+        covariance_grasp_m2=found.covariance(_GRASP) if grasp_known else None,
+        flags=flags,
+    )

@@ -1,0 +1,167 @@
+"""A record's measurement as the filters use it (ringpose-method(7), section 9).
+
+The measurement is linear in the records' twelve parameters only near its linearisation point. Expressed in the
+increments of arcs about the place where the ring was seen, it remains valid much farther from it.
+"""
+
+from dataclasses import dataclass, replace
+from math import sqrt
+
+import numpy as np
+
+from ringpose.geometry.ring import (
+    LIFT,
+    SHIFT,
+    STEP,
+    TILT_ALONG,
+    TILT_INWARD,
+    TURN,
+    RingArcs,
+    public_wrt_rates,
+    public_wrt_step,
+    ring_arcs,
+)
+from ringpose.geometry.rotations import tilt_basis
+from ringpose.track.camera_motion import CameraState
+from ringpose.track.common_errors import CommonErrors
+from ringpose.track.states import MOVING, RingStates
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.pose import MEASURED_PARAMETERS, LinearizationPoint, PoseLine, RingMeasurement
+
+POSE, MOTION = slice(0, 7), slice(7, 12)
+"""Columns of `MEASURED_PARAMETERS`."""
+
+_BROAD = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.3, 0.3, 0.3, 0.3, 0.3, 1.0, 1.0])
+"""Standard deviations that stand for no knowledge of the twelve parameters."""
+
+_OPPOSITE = np.array([-1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0])
+"""Signs of the increments for arcs that are described with the centre on the other side."""
+
+_PLACES_RAD = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Observation:
+    """Whitened rows: `target` = `wrt_step` s + `wrt_step_rates` (ds/dt - `step_rates`) + `wrt_common` q + N(0, 1).
+
+    s leads from the arcs to the ring, q are independent common errors of unit variance.
+    """
+
+    shot: str
+    stamp_s: float
+    arcs: RingArcs
+    """The linearisation point, described about the place where the ring was seen."""
+    step_rates: Float64[Array, "5"]
+    """Rates of the increments `MOVING` at the linearisation point."""
+    wrt_step: Float64[Array, "row step=7"]
+    wrt_step_rates: Float64[Array, "row 5"]
+    wrt_common: Float64[Array, "row error"]
+    target: Float64[Array, "row"]
+    of_ring: int
+    """Number of rows that depend on the ring; the others depend on common errors alone."""
+
+    @property
+    def chart(self) -> RingStates:
+        """The arcs as the chart of states."""
+        arcs = self.arcs
+        return RingStates(
+            origin=arcs.origin[None],
+            axes=arcs.axes[None],
+            curvature=np.array([arcs.curvature]),
+            half_band_m=np.array([arcs.half_band_m]),
+            motion=np.zeros((1, 7)),
+        )
+
+    def towards(self, inward: Float64[Array, "xyz=3"]) -> "Observation":
+        """The same, described for a ring whose centre lies in this direction.
+
+        If that is the other side, inner and outer edge are exchanged (`RingArcs.with_center_opposite`).
+        """
+        if float(inward @ self.arcs.axes[0]) >= 0.0:
+            return self
+        return replace(
+            self,
+            arcs=self.arcs.with_center_opposite(),
+            step_rates=self.step_rates * _OPPOSITE[list(MOVING)],
+            wrt_step=self.wrt_step * _OPPOSITE,
+            wrt_step_rates=self.wrt_step_rates * _OPPOSITE[list(MOVING)],
+        )
+
+
+def observation(
+    line: PoseLine,
+    measurement: RingMeasurement,
+    common: CommonErrors,
+    inflation: float,
+    camera: CameraState | None = None,
+) -> Observation:
+    """The rows of a record, in units of its errors times the root of `inflation`.
+
+    In the frame of the camera, which counts as inertial, or in the base frame if its motion is given.
+    """
+    at, root = measurement.linearized_at, measurement.square_root / sqrt(inflation)
+    near_m = at.center_m + _place_seen(measurement)
+    arcs = ring_arcs(at.center_m, at.normal, np.array([at.radius_inner_m, at.radius_outer_m]), near_m)
+    count = len(MEASURED_PARAMETERS)
+    rows = root[: root.shape[1] - 1]  # what follows is the residual of the shot alone
+    # features move with the rates of the increments, which depend on velocity and angular velocity linearly only here
+    wrt_step = public_wrt_step(arcs)
+    rates_wrt_motion = np.linalg.solve(wrt_step, public_wrt_rates(at.normal, at.center_m))[list(MOVING)]
+    motion = np.concatenate([at.velocity_m_s, tilt_basis(at.normal) @ at.rate_rad_s])
+    if camera is not None and measurement.camera_motion == "none":
+        motion = motion + _motion_of_camera(camera, at)
+    observed = Observation(
+        shot=line.shot,
+        stamp_s=line.pose_stamp_s,
+        arcs=arcs,
+        step_rates=rates_wrt_motion @ motion,
+        wrt_step=rows[:, POSE] @ wrt_step,
+        wrt_step_rates=np.linalg.solve(rates_wrt_motion.T, rows[:, MOTION].T).T,
+        wrt_common=rows[:, count:-1] @ common.root,
+        target=rows[:, -1],
+        of_ring=min(len(rows), count),
+    )
+    return observed if camera is None else _in_base(observed, camera)
+
+
+def _motion_of_camera(camera: CameraState, at: LinearizationPoint) -> Float64[Array, "5"]:
+    """Velocity that the camera's motion has at the ring's centre, and its rates along the tilt basis, camera frame."""
+    velocity = camera.velocity_m_s + np.cross(camera.rate_rad_s, camera.rotation @ at.center_m)
+    rates = tilt_basis(at.normal) @ camera.rotation.T @ camera.rate_rad_s
+    return np.concatenate([camera.rotation.T @ velocity, rates])
+
+
+def _in_base(observed: Observation, camera: CameraState) -> Observation:
+    """The observation in the base frame, where an error of the camera's pose moves the ring with the camera."""
+    arcs = observed.arcs
+    arcs = RingArcs(
+        origin=camera.origin_m + camera.rotation @ arcs.origin,
+        axes=arcs.axes @ camera.rotation.T,
+        curvature=arcs.curvature,
+        half_band_m=arcs.half_band_m,
+    )
+    inward, along, normal = arcs.axes
+    turn, shift_m = camera.displacement_root[:3].T, camera.displacement_root[3:].T
+    moved_m = shift_m + np.cross(turn, arcs.origin - camera.origin_m)
+    of_normal = np.cross(turn, normal)
+    wrt_errors = np.zeros((len(STEP), len(turn)))
+    wrt_errors[TILT_INWARD], wrt_errors[TILT_ALONG] = of_normal @ inward, of_normal @ along
+    wrt_errors[LIFT], wrt_errors[SHIFT] = moved_m @ normal, moved_m @ inward
+    # a displacement along the face is the turn by which the place slides back
+    wrt_errors[TURN] = np.cross(turn, inward) @ along + arcs.curvature * (moved_m @ along)
+    common = np.concatenate([observed.wrt_common, -observed.wrt_step @ wrt_errors], axis=1)
+    return replace(observed, arcs=arcs, wrt_common=common)
+
+
+def _place_seen(measurement: RingMeasurement) -> Float64[Array, "xyz=3"]:
+    """From the centre to the place on the face whose distance from the centre the shot determines best."""
+    at, count = measurement.linearized_at, len(MEASURED_PARAMETERS)
+    rows = measurement.square_root[:, :count] * _BROAD
+    covariance = np.linalg.inv(rows.T @ rows + np.eye(count)) * _BROAD * _BROAD[:, None]
+    # variance of e . dc + dr over the directions e in the ring's plane
+    direction = np.stack([np.cos(_PLACES_RAD), np.sin(_PLACES_RAD)])
+    weights = np.concatenate([direction, np.full((2, len(_PLACES_RAD)), 0.5)])
+    variance = (weights * (covariance[3:7, 3:7] @ weights)).sum(axis=0)
+    best = direction[:, int(np.argmin(variance))]
+    place: Float64[Array, "xyz=3"] = 0.5 * (at.radius_inner_m + at.radius_outer_m) * best @ tilt_basis(at.normal)
+    return place

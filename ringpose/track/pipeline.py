@@ -1,0 +1,194 @@
+"""Pose records -> track records, the computation of `ringpose track`.
+
+Records may arrive late. Those of the last second are kept with the track as it was after each of them, and used again
+in the order of their stamps when an older one arrives: the result does not depend on the order of arrival.
+"""
+
+from bisect import bisect_left
+from dataclasses import replace
+from math import isfinite, nan
+from typing import NamedTuple
+
+import numpy as np
+
+from ringpose.errors import DataError
+from ringpose.track.camera_motion import CameraMotion
+from ringpose.track.common_errors import CommonErrors, common_errors
+from ringpose.track.explanations import Fusion, Track, TrackOptions, track_after
+from ringpose.track.lines import LineOptions, track_line
+from ringpose.track.observation import Observation, observation
+from ringpose.types.pose import PoseFlag, PoseLine, RadiusPrior, RingMeasurement
+from ringpose.types.rig import Rig
+from ringpose.types.track import Attempt, FusionStatus, TrackLine
+
+BUFFER_S = 1.0
+"""Age to which late records are used."""
+
+FUTURE_S = 0.1
+"""How far a stamp may be ahead of this computer's clock."""
+
+MAX_ENTRIES = 500
+"""Most records in the buffer, also if none of them is used."""
+
+MAX_INFORMATION_ROOT = 1e10
+"""Largest plausible number in the square root of a measurement: a standard deviation of 0.1 nm."""
+
+UNUSABLE = PoseFlag.ASSIGNMENT_AMBIGUOUS
+"""Flags of records whose covariance does not describe their errors."""
+
+REPORTED_FLAGS = PoseFlag.RIG_DRIFT | PoseFlag.RADIUS_INCONSISTENT | PoseFlag.RADIUS_UNVERIFIED | PoseFlag.RIG_UNCHECKED
+"""Flags of the newest used record that also concern the track."""
+
+
+class _Entry(NamedTuple):
+    """A record, and the track after it."""
+
+    observed: Observation
+    radius: RadiusPrior | None
+    flags: PoseFlag
+    track: Track
+    fusion: Fusion
+
+    @property
+    def key(self) -> tuple[float, str]:
+        """Order of the records; records with equal stamps are ordered by name, so that the result is reproducible."""
+        return self.observed.stamp_s, self.observed.shot
+
+
+class Tracker:
+    """A track that pose records are added to as they arrive."""
+
+    def __init__(
+        self,
+        rig: Rig | None,
+        options: TrackOptions | None = None,
+        lines: LineOptions | None = None,
+        camera: CameraMotion | None = None,
+    ) -> None:
+        """With the motion of its `camera` the track is in the robot's base frame."""
+        self._rig, self._options, self._camera = rig, options or TrackOptions(), camera
+        lines = lines or LineOptions()
+        self._lines = lines if camera is None else replace(lines, frame="base", camera="robot_poses")
+        self._hash = rig.sha256 if rig is not None else ""
+        self._common: CommonErrors | None = None
+        self._base = Track()
+        self._base_stamp_s = -float("inf")
+        self._base_flags = PoseFlag(0)
+        self._entries: list[_Entry] = []
+        self._attempts: list[Attempt] = []
+        self._old: list[float] = []
+
+    @property
+    def track(self) -> Track:
+        """After all records so far."""
+        return self._entries[-1].track if self._entries else self._base
+
+    def add(self, line: PoseLine, now_s: float = float("inf")) -> Attempt:
+        """Use one record, if it can be used; `now_s` is the host's clock.
+
+        Raises `DataError` for a record that does not belong to this track: of another rig, repeated, or with other
+        nuisance parameters.
+        """
+        status, ratio = self._fused(line, now_s)
+        stamp_s = line.pose_stamp_s if isfinite(line.pose_stamp_s) else line.stamp_s
+        attempt = Attempt(shot=line.shot, stamp_s=stamp_s, fusion_status=status, test_ratio=ratio)
+        self._attempts.append(attempt)
+        return attempt
+
+    def line_at(self, stamp_s: float, next_stamp_s: float | None = None) -> TrackLine:
+        """The record of the track at an instant, and the attempts since the last one."""
+        attempts, self._attempts = tuple(self._attempts), []
+        return track_line(
+            self.track, stamp_s, next_stamp_s, attempts, self._flags(), self._hash, self._options, self._lines
+        )
+
+    def line_of(self, attempt: Attempt) -> TrackLine:
+        """The record at the time of an attempt, or of the track if that is later or the stamp cannot be right."""
+        timely = attempt.fusion_status not in (FusionStatus.TOO_NEW, FusionStatus.TOO_OLD)
+        return self.line_at(attempt.stamp_s if timely or not self.track.banks else self.track.stamp_s)
+
+    def _flags(self) -> PoseFlag:
+        used = [e.flags for e in self._entries if e.fusion.status is FusionStatus.FUSED]
+        return (used[-1] if used else self._base_flags) & REPORTED_FLAGS
+
+    def _fused(self, line: PoseLine, now_s: float) -> tuple[FusionStatus, float]:
+        measurement, newest_s = line.measurement, self.track.stamp_s
+        if measurement is None or not isfinite(line.pose_stamp_s):
+            return FusionStatus.NONE, nan
+        self._check_rig(line)
+        stamp_s = line.pose_stamp_s
+        if stamp_s > now_s + FUTURE_S:
+            return FusionStatus.TOO_NEW, nan
+        if line.flags & UNUSABLE or not _is_plausible(measurement):
+            return FusionStatus.REJECTED_COVARIANCE, nan
+        if stamp_s < self._base_stamp_s:
+            return self._too_old(stamp_s), nan
+        self._old.clear()
+        inflation = 1.0
+        if line.flags & PoseFlag.INCONSISTENT:
+            inflation = max(measurement.chi2 / max(measurement.degrees_of_freedom, 1), 1.0)
+        common = self._checked_common(line)
+        camera = None if self._camera is None else self._camera.at(stamp_s)
+        if self._camera is not None and camera is None:
+            return FusionStatus.REJECTED_COVARIANCE, nan
+        observed = observation(line, measurement, common, inflation, camera)
+        radius = None if line.priors is None else line.priors.radius
+        fusion = self._inserted(_Entry(observed, radius, line.flags, self._base, Fusion(status=FusionStatus.NONE)))
+        status = fusion.status
+        if status is FusionStatus.FUSED and stamp_s < newest_s:
+            status = FusionStatus.FUSED_LATE
+        self._forget()
+        return status, fusion.test_ratio
+
+    def _inserted(self, entry: _Entry) -> Fusion:
+        """Put an entry in its place, and repeat those after it."""
+        place = bisect_left([each.key for each in self._entries], entry.key)
+        if place < len(self._entries) and self._entries[place].key == entry.key:
+            raise DataError(entry.observed.shot, "repeats a record", "give each record once")
+        again = [entry, *self._entries[place:]]
+        del self._entries[place:]
+        for each in again:
+            track, fusion = track_after(self.track, each.observed, each.radius, self._options)
+            self._entries.append(each._replace(track=track, fusion=fusion))
+        return self._entries[place].fusion
+
+    def _forget(self) -> None:
+        """Drop the records that are older than the buffer; what arrives before the last one of them is too old."""
+        oldest_s = self.track.stamp_s - BUFFER_S
+        while self._entries and (self._entries[0].observed.stamp_s < oldest_s or len(self._entries) > MAX_ENTRIES):
+            first = self._entries.pop(0)
+            self._base, self._base_stamp_s = first.track, first.observed.stamp_s
+            if first.fusion.status is FusionStatus.FUSED:
+                self._base_flags = first.flags
+        if isfinite(oldest_s):
+            self._base_stamp_s = max(self._base_stamp_s, oldest_s)
+
+    def _too_old(self, stamp_s: float) -> FusionStatus:
+        """Count records that are too old: if they alone go on, the clock was set back, and the track starts anew."""
+        self._old = [*(self._old if not self._old or stamp_s > self._old[-1] else []), stamp_s]
+        if self._old[-1] - self._old[0] > self._options.lost_after_s:
+            self._base, self._base_stamp_s = Track(resets=self.track.resets + 1), self._old[-1]
+            self._entries, self._old = [], []
+        return FusionStatus.TOO_OLD
+
+    def _check_rig(self, line: PoseLine) -> None:
+        self._hash = self._hash or line.rig
+        if line.rig and line.rig != self._hash:
+            found = f"is of another rig ({line.rig:.12}, not {self._hash:.12})"
+            raise DataError(line.shot, found, "track the records of one rig at a time, and give its file with --rig")
+
+    def _checked_common(self, line: PoseLine) -> CommonErrors:
+        assert line.measurement is not None
+        common = common_errors(line, line.measurement, self._rig)
+        if self._common is None:
+            self._common = common
+        elif common.names != self._common.names or common.root.shape != self._common.root.shape:
+            found = "has other nuisance parameters or priors than the records before"
+            raise DataError(line.shot, found, "give ringpose pose the same options for all of them")
+        return common
+
+
+def _is_plausible(measurement: RingMeasurement) -> bool:
+    """Whether a measurement contains information, and none that no camera can have, about a ring that can exist."""
+    at, largest = measurement.linearized_at, float(np.abs(measurement.square_root[:, :-1]).max(initial=0.0))
+    return 0.0 < largest < MAX_INFORMATION_ROOT and 0.0 < at.radius_inner_m + at.radius_outer_m < float("inf")

@@ -1,0 +1,28 @@
+"""The robot that carries the camera: its poses, and how the camera is mounted."""
+
+from dataclasses import dataclass
+
+from ringpose.types.arrays import Array, Float64
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RobotPoses:
+    """Poses of the tool in the base frame, in the order of their stamps."""
+
+    stamp_s: Float64[Array, "pose"]
+    position_m: Float64[Array, "pose xyz=3"]
+    rotation: Float64[Array, "pose 3 3"]
+    """From tool to base."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Mount:
+    """How the camera is mounted on the tool, and how well that is known."""
+
+    tool_from_camera: Float64[Array, "4 4"]
+    root: Float64[Array, "6 6"]
+    """R of the covariance R R^T of rotation vector (rad) and translation (m), in the tool frame."""
+    delay_s: float = 0.0
+    """The robot's stamp that belongs to the camera's stamp t is t + delay_s ..."""
+    delay_sd_s: float = 0.0
+    """... with this standard deviation."""

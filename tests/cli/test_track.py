@@ -1,0 +1,349 @@
+"""`ringpose track`: records in, records or messages out; bad input, rates, slow readers."""
+
+import hashlib
+import json
+import math
+import os
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from moving_rings import START_S, Motion, Shots, drawn_motion, stream
+from schemas import validated
+from small_rig import SMALL_RIG
+
+from ringpose.cli.main import main
+from ringpose.files.poses import pose_record
+from ringpose.files.records import line_of
+
+
+@pytest.fixture(scope="module")
+def motion() -> Motion:
+    return drawn_motion(np.random.default_rng(7))
+
+
+@pytest.fixture(scope="module")
+def lines(motion) -> list[str]:
+    """Pose records of one second."""
+    records = stream(motion, 1.0, Shots(), np.random.default_rng(8))
+    return [line_of(pose_record(replace(record, reason="not estimated", rig="a" * 64))) for record in records]
+
+
+@pytest.fixture
+def poses(tmp_path: Path, lines) -> Path:
+    file = tmp_path / "poses.jsonl"
+    file.write_text("".join(lines))
+    return file
+
+
+def tracked(capsys, *arguments) -> tuple[int, list[dict], list[str]]:
+    status = main(["track", *map(str, arguments)])
+    streams = capsys.readouterr()
+    return status, [json.loads(line) for line in streams.out.splitlines()], streams.err.splitlines()
+
+
+def test_each_pose_record_gives_one_track_record_that_fits_the_schema(capsys, poses):
+    status, records, messages = tracked(capsys, poses)
+
+    assert (status, messages) == (0, [])
+    assert len(records) == 6
+    for record in records:
+        assert validated(record)["fusion_status"] == "fused"
+        assert record["camera"] == "inertial_assumed"
+        assert set(record["log_evidence"]) == {"constant_velocity", "precession"}
+        assert record["log_evidence"]["precession"] is not None
+
+
+def test_the_track_is_where_the_ring_is(capsys, poses, motion):
+    _, records, _ = tracked(capsys, poses)
+
+    last = records[-1]
+    time_s = last["stamp_s"] - START_S
+    ring = motion.at(time_s)
+    center_sd_m = math.sqrt(np.trace(last["pose"]["covariance"]["center"]))
+    assert np.linalg.norm(np.array(last["pose"]["center_m"]) - ring.center_m) < 3 * center_sd_m < 0.03
+    assert np.array(last["pose"]["normal"]) @ ring.normal > math.cos(math.radians(1.0))
+    ahead_s = last["next"]["stamp_s"] - START_S
+    away = np.array(last["next"]["grasp_m"]) - motion.at(ahead_s).center_m
+    assert abs(np.linalg.norm(away) - ring.radius_m.mean()) < 0.002
+
+
+def test_a_gripper_gives_a_probability_of_capture(capsys, poses):
+    _, records, _ = tracked(capsys, poses, "--gripper-radial-m", 0.003, "--gripper-tilt-deg", 2)
+    _, narrow, _ = tracked(capsys, poses, "--gripper-radial-m", 1e-6, "--gripper-tilt-deg", 2)
+
+    assert records[-1]["capture_probability"] > 0.99
+    assert narrow[-1]["capture_probability"] < 0.01
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        (["--gripper-radial-m", 0.01], "--gripper-tilt-deg"),
+        (["--gripper-tilt-deg", 1], "--gripper-radial-m"),
+        (["--lost-after", 1], "--lost-after"),
+        (["--max-speed", 0], "--max-speed"),
+        (["--rate", "nan"], "finite"),
+    ],
+    ids=str,
+)
+def test_options_that_contradict_each_other_are_wrong_usage(capsys, poses, options, word):
+    status, records, messages = tracked(capsys, poses, *options)
+
+    assert (status, records, len(messages)) == (2, [], 1)
+    assert word in messages[0]
+
+
+def without(line: str, *keys: str) -> str:
+    record = json.loads(line)
+    for key in keys:
+        del record[key]
+    return line_of(record)
+
+
+def broken_measurement(line: str, value) -> str:
+    record = json.loads(line)
+    record["measurement"]["square_root"][0][0] = value
+    return json.dumps(record) + "\n"
+
+
+BAD = {
+    "not JSON": (lambda line: line[:100] + "\n", "JSON"),
+    "NaN": (lambda line: broken_measurement(line, math.nan), "NaN"),
+    "huge": (lambda line: broken_measurement(line, 1e200), "1e+30"),
+    "another rig": (lambda line: line.replace("a" * 64, "b" * 64), "rig"),
+    "repeated": (lambda _: None, "repeats"),
+    "no schema": (lambda line: without(line, "schema"), "schema"),
+    "needs a rig file": (lambda line: line.replace('"covariance": "none"', '"covariance": "rig.yaml"'), "--rig"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_bad_record_is_reported_in_one_line_and_the_stream_goes_on(capsys, tmp_path, lines, case):
+    change, word = BAD[case]
+    bad = lines[1] if case == "repeated" else change(lines[2])
+    file = tmp_path / "poses.jsonl"
+    file.write_text("".join([*lines[:2], bad, *lines[3:]]))
+
+    status, records, messages = tracked(capsys, file)
+
+    assert (status, len(messages)) == (65, 1)
+    assert f"{file}:3" in messages[0]
+    assert word in messages[0]
+    assert [record["fusion_status"] for record in records] == ["fused"] * 5
+
+
+def test_records_without_a_measurement_are_reported_in_their_line(capsys, tmp_path, lines):
+    file = tmp_path / "poses.jsonl"
+    file.write_text("".join([lines[0], without(lines[1], "measurement"), lines[2]]))
+
+    status, records, _ = tracked(capsys, file)
+
+    assert status == 0
+    assert [record["fusion_status"] for record in records] == ["fused", "none", "fused"]
+    assert validated(records[1])["pose"] is not None
+
+
+def test_without_any_measurement_there_is_no_track_and_the_status_tells(capsys, tmp_path, lines):
+    file = tmp_path / "poses.jsonl"
+    file.write_text(without(lines[0], "measurement"))
+
+    status, records, _ = tracked(capsys, file)
+
+    assert status == 3
+    assert validated(records[0])["validity"] == "lost"
+
+
+def test_a_file_that_does_not_exist_and_a_file_of_something_else(capsys, tmp_path):
+    (tmp_path / "shot.npz").write_bytes(b"PK")
+
+    assert tracked(capsys, tmp_path / "none.jsonl")[0] == 66
+    assert tracked(capsys, tmp_path / "shot.npz")[0] == 65
+
+
+def test_messages_of_ros_have_the_fields_of_their_definitions(capsys, poses):
+    _, records, _ = tracked(capsys, poses, "--format", "ros")
+
+    for record in records[1:]:
+        assert fits(record["pose"], "geometry_msgs/PoseWithCovarianceStamped")
+        assert fits(record["twist"], "geometry_msgs/TwistWithCovarianceStamped")
+
+
+MESSAGES = {
+    "geometry_msgs/PoseWithCovarianceStamped": "std_msgs/Header header\nPoseWithCovariance pose",
+    "PoseWithCovariance": "Pose pose\nfloat64[36] covariance",
+    "Pose": "Point position\nQuaternion orientation",
+    "Point": "float64 x\nfloat64 y\nfloat64 z",
+    "Quaternion": "float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1",
+    "geometry_msgs/TwistWithCovarianceStamped": "std_msgs/Header header\nTwistWithCovariance twist",
+    "TwistWithCovariance": "Twist twist\nfloat64[36] covariance",
+    "Twist": "Vector3  linear\nVector3  angular",
+    "Vector3": "float64 x\nfloat64 y\nfloat64 z",
+    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
+    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
+}
+"""The definitions in common_interfaces and rcl_interfaces of ROS 2 (Jazzy), without comments."""
+
+
+def fits(value, kind: str) -> bool:
+    """Whether a value has exactly the fields of a message, with their types."""
+    if kind == "float64[36]":
+        return len(value) == 36 and all(isinstance(each, float) for each in value)
+    if kind in ("int32", "uint32"):
+        return isinstance(value, int) and 0 <= value < 2**31
+    if kind in ("float64", "string"):
+        return isinstance(value, float if kind == "float64" else str)
+    fields = dict(reversed(line.split()[:2]) for line in MESSAGES[kind].splitlines())
+    return list(value) == list(fields) and all(fits(value[name], fields[name]) for name in fields)
+
+
+def test_a_pose_of_ros_is_that_of_the_record(capsys, poses):
+    _, records, _ = tracked(capsys, poses)
+    _, messages, _ = tracked(capsys, poses, "--format", "ros")
+    record, message = records[-1], messages[-1]
+
+    x, y, z, w = message["pose"]["pose"]["pose"]["orientation"].values()
+    axis_z = [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)]
+    axis_x = [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)]
+    outward = np.array(record["grasp"]["point_m"]) - record["pose"]["center_m"]
+    covariance = np.array(message["pose"]["pose"]["covariance"]).reshape(6, 6)
+    np.testing.assert_allclose(axis_z, record["pose"]["normal"], atol=1e-12)
+    np.testing.assert_allclose(axis_x, outward / np.linalg.norm(outward), atol=1e-9)
+    np.testing.assert_allclose(covariance[:3, :3], record["pose"]["covariance"]["center"], rtol=1e-6, atol=1e-12)
+    normal = np.array(record["pose"]["normal"])
+    assert normal @ covariance[3:, 3:] @ normal == pytest.approx(math.pi**2 / 3)  # nothing is known of the turn
+    np.testing.assert_allclose(covariance, covariance.T, atol=1e-15)
+    assert np.linalg.eigvalsh(covariance).min() > 0
+
+
+def test_brief_records_leave_out_attempts_and_evidence(capsys, poses):
+    _, records, _ = tracked(capsys, poses, "--brief")
+
+    assert "attempts" not in records[0]
+    assert "log_evidence" not in records[0]
+
+
+def started(*arguments: str) -> subprocess.Popen:
+    program = [str(Path(sys.executable).parent / "ringpose"), "track", "-", *arguments]
+    return subprocess.Popen(program, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def restamped(lines: list[str], start_s: float) -> list[str]:
+    """The same records as of a stream that begins at another time."""
+    changed = []
+    for line in lines:
+        record = json.loads(line)
+        for key in ("stamp_s", "pose_stamp_s"):
+            record[key] += start_s - START_S
+        changed.append(line_of(record))
+    return changed
+
+
+@pytest.mark.slow
+def test_at_a_fixed_rate_lines_go_on_while_no_records_arrive(lines):
+    with started("--rate", "20", "--predict-for", "1.5", "--lost-after", "2.5") as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        process.stdin.write("".join(restamped(lines, time.time() - 1.1)))
+        process.stdin.flush()
+        records = [json.loads(process.stdout.readline()) for _ in range(65)]
+        process.stdin.close()
+        process.wait(timeout=20)
+
+    stamps_s = np.array([record["stamp_s"] for record in records])
+    validity = [record["validity"] for record in records]
+    assert np.median(np.diff(stamps_s)) == pytest.approx(0.05, rel=0.3)
+    assert [each for i, each in enumerate(validity) if validity[:i].count(each) == 0][-2:] == ["stale", "lost"]
+    attempts = [each["fusion_status"] for record in records for each in record["attempts"]]
+    assert attempts == ["fused"] * len(lines)
+    assert records[0]["next"] is None or records[0]["next"]["stamp_s"] > records[0]["stamp_s"]
+
+
+@pytest.mark.slow
+def test_a_slow_reader_gets_the_newest_line(lines):
+    with started("--rate", "50", "--newest") as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        process.stdin.write("".join(restamped(lines, time.time())))
+        process.stdin.flush()
+        descriptor = process.stdout.fileno()
+        first = os.read(descriptor, 1 << 20)
+        time.sleep(1.0)
+        os.read(descriptor, 1 << 20)  # the line that has waited in the pipe meanwhile
+        newest = os.read(descriptor, 1 << 20).splitlines()[0]
+        delay_s = time.time() - json.loads(newest)["stamp_s"]
+        process.stdin.close()
+        process.stdout.read()
+        process.wait(timeout=20)
+
+    assert first
+    assert delay_s < 0.25
+
+
+def robot_pose(stamp_s: float, position_m=(1.0, 0.2, 0.3), orientation_xyzw=(0.0, 0.0, 0.0, 1.0)) -> str:
+    pose = {"position_m": position_m, "orientation_xyzw": orientation_xyzw}
+    return json.dumps({"stamp_s": stamp_s, "base_from_tool": pose}) + "\n"
+
+
+TOOL_FROM_CAMERA = [[0, -1, 0, 0.1], [1, 0, 0, 0.2], [0, 0, 1, -0.3], [0, 0, 0, 1]]
+
+
+@pytest.fixture
+def mounted(tmp_path: Path, lines) -> tuple[Path, Path]:
+    """A rig file with a mount whose errors are known, and records of this rig."""
+    errors = {"covariance": (1e-6 * np.eye(6)).tolist(), "delay_sd_s": 0.002}
+    values = {**yaml.safe_load(SMALL_RIG), "mount": {"tool_from_camera": TOOL_FROM_CAMERA, **errors}}
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(yaml.safe_dump(values))
+    digest = hashlib.sha256(rig.read_bytes()).hexdigest()
+    poses = tmp_path / "poses.jsonl"
+    poses.write_text("".join(lines).replace("a" * 64, digest))
+    return rig, poses
+
+
+def test_with_robot_poses_the_track_is_in_the_base_frame(capsys, tmp_path, mounted):
+    rig, poses = mounted
+    robot = tmp_path / "robot.jsonl"
+    robot.write_text("".join(robot_pose(START_S + 0.2 * number) for number in range(-1, 8)))
+
+    _, in_camera, _ = tracked(capsys, poses, "--rig", rig)
+    status, in_base, messages = tracked(capsys, poses, "--rig", rig, "--robot-poses", robot)
+
+    assert (status, messages) == (0, [])
+    assert {validated(record)["camera"] for record in in_base} == {"robot_poses"}
+    assert {record["frame"] for record in in_base} == {"base"}
+    tool_from_camera = np.array(TOOL_FROM_CAMERA)
+    expected = tool_from_camera[:3, :3] @ in_camera[-1]["pose"]["center_m"] + tool_from_camera[:3, 3] + [1.0, 0.2, 0.3]
+    np.testing.assert_allclose(in_base[-1]["pose"]["center_m"], expected, atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        (robot_pose(1.0) + robot_pose(2.0, orientation_xyzw=(90.0, 0.0, 45.0, 0.0)), "degrees"),
+        (robot_pose(1.0) + robot_pose(2.0, position_m=(900.0, 200.0, 300.0)), "millimetres"),
+        (robot_pose(1.0) + robot_pose(1.0), "stamp"),
+        (robot_pose(1.0), "fewer"),
+        ("{}\n", "base_from_tool"),
+    ],
+    ids=["degrees", "millimetres", "equal stamps", "one pose", "no pose"],
+)
+def test_bad_robot_poses_are_reported_in_one_line(capsys, tmp_path, mounted, text, word):
+    rig, poses = mounted
+    robot = tmp_path / "robot.jsonl"
+    robot.write_text(text)
+
+    status, records, messages = tracked(capsys, poses, "--rig", rig, "--robot-poses", robot)
+
+    assert (status, records, len(messages)) == (65, [], 1)
+    assert str(robot) in messages[0]
+    assert word in messages[0]
+
+
+def test_robot_poses_need_the_rig_file(capsys, tmp_path, poses):
+    assert tracked(capsys, poses, "--robot-poses", tmp_path / "robot.jsonl")[0] == 2

@@ -1,0 +1,108 @@
+"""The bridges from a track to controllers."""
+
+import argparse
+import ast
+import json
+import runpy
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+def track_record(**changes) -> dict:
+    record = {
+        "schema": "ringpose/track/1",
+        "stamp_s": time.time(),
+        "validity": "valid",
+        "flags": [],
+        "frame": "base",
+        "pose": {"normal": [0.0, 0.0, -1.0]},
+        "grasp": {
+            "point_m": [0.1, 0.2, 0.5],
+            "velocity_m_s": [0.01, 0.0, 0.0],
+            "covariance": [[1e-8 * (i == j) for j in range(6)] for i in range(6)],
+        },
+    }
+    return {**record, **changes}
+
+
+@pytest.fixture(scope="module")
+def bridge() -> dict:
+    return runpy.run_path(str(EXAMPLES / "track_to_udp.py"))
+
+
+LIMITS = argparse.Namespace(patience=0.2, grasp_m=0.003)
+
+
+def test_a_valid_track_is_followed_to_where_the_grasp_point_is_now(bridge):
+    record = track_record()
+
+    command = bridge["command"](record, time.monotonic(), LIMITS, record["stamp_s"] + 0.1)
+
+    assert command["do"] == "follow"
+    assert command["grasp_m"] == pytest.approx([0.101, 0.2, 0.5])
+    assert command["approach"] == [0.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"validity": "predicted"},
+        {"validity": "stale"},
+        {"validity": "lost", "pose": None, "grasp": None},
+        {"flags": ["side_unknown"]},
+        {"stamp_s": 1.0},
+        {"grasp": {**track_record()["grasp"], "covariance": [[1e-4] * 6] * 6}},
+    ],
+    ids=["predicted", "stale", "lost", "side", "old", "inaccurate"],
+)
+def test_anything_else_is_a_hold(bridge, changes):
+    record = track_record(**changes)
+
+    assert bridge["command"](record, time.monotonic(), LIMITS, time.time())["do"] == "hold"
+
+
+def test_silence_is_a_hold(bridge):
+    assert bridge["command"](track_record(), time.monotonic() - 1.0, LIMITS, time.time())["do"] == "hold"
+    assert bridge["command"](None, time.monotonic(), LIMITS, time.time())["do"] == "hold"
+
+
+@pytest.mark.slow
+def test_datagrams_go_on_while_no_lines_arrive_and_end_with_a_hold():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(10.0)
+        to = f"127.0.0.1:{receiver.getsockname()[1]}"
+        with subprocess.Popen(
+            [sys.executable, EXAMPLES / "track_to_udp.py", "--to", to, "--rate", "50"], stdin=subprocess.PIPE, text=True
+        ) as process:
+            receiver.recv(1 << 16)
+            process.stdin.write("junk\n" + json.dumps(track_record()) + "\n")
+            process.stdin.flush()
+            found = [json.loads(receiver.recv(1 << 16)) for _ in range(40)]
+            process.stdin.close()
+            process.wait(timeout=10)
+        receiver.settimeout(0.2)
+        try:
+            while True:
+                found.append(json.loads(receiver.recv(1 << 16)))
+        except TimeoutError:
+            pass
+
+    kinds = [each["do"] for each in found]
+    assert "follow" in kinds
+    assert kinds[39] == "hold"  # 0.2 s after the only line
+    assert "ended" in found[-1]["why"]
+
+
+def test_the_bridge_to_ros_2_is_valid_python_that_reads_the_keys_of_the_messages():
+    text = (EXAMPLES / "track_to_ros2.py").read_text()
+
+    ast.parse(text)
+    assert all(f'"{key}"' in text for key in ("validity", "pose", "twist"))

@@ -1,0 +1,140 @@
+"""A camera that a robot carries: the track is in the robot's base frame."""
+
+import cv2
+import numpy as np
+import pytest
+from moving_rings import START_S, Motion, Shots, drawn_motion, stream
+from ring_scenes import Ring
+
+from ringpose.track.camera_motion import CameraMotion
+from ringpose.track.pipeline import Tracker
+from ringpose.types.robot import Mount, RobotPoses
+from ringpose.types.track import FusionStatus
+
+TOOL_FROM_CAMERA = np.array([[0.0, -1, 0, 0.1], [1, 0, 0, 0.05], [0, 0, 1, -0.1], [0, 0, 0, 1]])
+RATE = np.array([0.02, -0.03, 0.04])
+VELOCITY_M_S = np.array([0.01, 0.02, -0.01])
+
+
+def base_from_tool(time_s: float) -> np.ndarray:
+    """A tool that turns and moves steadily."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = cv2.Rodrigues(RATE * time_s)[0] @ cv2.Rodrigues(np.array([0.3, 0.2, -0.4]))[0]
+    matrix[:3, 3] = [1.0, 0.5, 0.8] + VELOCITY_M_S * time_s
+    return matrix
+
+
+def robot(duration_s: float, mount_sd=(0.0, 0.0), delay_sd_s: float = 0.0, offset_s: float = 0.0) -> CameraMotion:
+    times_s = np.arange(-0.5, duration_s, 0.1)
+    matrices = np.array([base_from_tool(t) for t in times_s])
+    poses = RobotPoses(stamp_s=START_S + times_s, position_m=matrices[:, :3, 3], rotation=matrices[:, :3, :3])
+    root = np.diag([mount_sd[0]] * 3 + [mount_sd[1]] * 3)
+    mount = Mount(tool_from_camera=TOOL_FROM_CAMERA, root=root, delay_s=offset_s, delay_sd_s=delay_sd_s)
+    return CameraMotion(poses=poses, mount=mount)
+
+
+class SeenByRobot:
+    """A motion in the base frame, as the moving camera sees it."""
+
+    def __init__(self, motion: Motion) -> None:
+        self.motion = motion
+
+    def at(self, time_s: float) -> Ring:
+        camera_from_base = np.linalg.inv(base_from_tool(time_s) @ TOOL_FROM_CAMERA)
+        ring = self.motion.at(time_s)
+        return Ring(
+            center_m=camera_from_base[:3, :3] @ ring.center_m + camera_from_base[:3, 3],
+            normal=camera_from_base[:3, :3] @ ring.normal,
+            radius_m=ring.radius_m,
+        )
+
+
+@pytest.fixture
+def in_base(rng) -> Motion:
+    """A ring in slow motion in the base frame, in view of the camera at the start."""
+    seen, matrix = drawn_motion(rng, speed_m_s=0.005, rate_deg_s=0.3), base_from_tool(0.0) @ TOOL_FROM_CAMERA
+    turned = matrix[:3, :3]
+    ring = Ring(
+        center_m=turned @ seen.ring.center_m + matrix[:3, 3],
+        normal=turned @ seen.ring.normal,
+        radius_m=seen.ring.radius_m,
+    )
+    return Motion(ring=ring, velocity_m_s=turned @ seen.velocity_m_s, rate_rad_s=turned @ seen.rate_rad_s)
+
+
+def test_the_pose_of_the_camera_is_interpolated_between_those_of_the_robot():
+    state = robot(2.0).at(START_S + 0.731)
+
+    expected = base_from_tool(0.731) @ TOOL_FROM_CAMERA
+    assert state is not None
+    np.testing.assert_allclose(state.rotation, expected[:3, :3], atol=1e-6)
+    np.testing.assert_allclose(state.origin_m, expected[:3, 3], atol=1e-5)
+    ahead = base_from_tool(0.732) @ TOOL_FROM_CAMERA
+    np.testing.assert_allclose(state.velocity_m_s, (ahead - expected)[:3, 3] / 0.001, atol=1e-4)
+    np.testing.assert_allclose(state.rate_rad_s, RATE, atol=1e-6)
+
+
+@pytest.mark.parametrize("time_s", [-0.6, 2.1, 100.0])
+def test_a_time_that_the_poses_do_not_cover_has_no_camera(time_s):
+    assert robot(2.0).at(START_S + time_s) is None
+
+
+def test_the_track_of_a_moving_camera_is_that_of_the_target_in_the_base(in_base, rng):
+    tracker = Tracker(None, camera=robot(3.0))
+    found = [tracker.add(line).fusion_status for line in stream(SeenByRobot(in_base), 1.5, Shots(), rng)]
+
+    assert found.count(FusionStatus.FUSED) >= len(found) - 1  # one in a thousand is rejected by chance
+    line = tracker.line_at(tracker.track.stamp_s)
+    time_s = line.stamp_s - START_S
+
+    assert (line.frame, line.camera) == ("base", "robot_poses")
+    error_m = line.pose.center_m - in_base.at(time_s).center_m
+    assert error_m @ np.linalg.solve(line.pose.covariance_center_m2, error_m) < 16.3  # 99.9 % of chi-squared
+    error = line.velocity.center_m_s - in_base.velocity_at(time_s)
+    assert error @ np.linalg.solve(line.velocity.covariance[:3, :3], error) < 16.3
+    assert np.linalg.norm(error) < 0.005
+
+
+@pytest.mark.slow
+def test_errors_of_mount_and_clock_widen_the_covariance_and_do_not_average_out(in_base, rng):
+    lines = stream(SeenByRobot(in_base), 2.0, Shots(), rng)
+
+    def grasp_sd_m(**errors):
+        tracker = Tracker(None, camera=robot(3.0, **errors))
+        for line in lines:
+            tracker.add(line)
+        return np.sqrt(np.trace(tracker.line_at(0.0).grasp.covariance[:3, :3]))
+
+    exact = grasp_sd_m()
+    assert exact < 3e-4
+    assert grasp_sd_m(mount_sd=(0.0, 0.002)) > 0.0025  # of two of three axes: the third lies along the face
+    assert grasp_sd_m(mount_sd=(0.004, 0.0)) > 0.0018
+    assert grasp_sd_m(delay_sd_s=0.1) > 0.001
+
+
+def test_a_displaced_mount_displaces_the_track_as_its_covariance_states(in_base, rng):
+    """The error that the consider states describe, by its sign: a mount that is off by one standard deviation."""
+    lines, sd_m = stream(SeenByRobot(in_base), 1.0, Shots(), rng, 4.0), 0.005
+    wrong = Mount(
+        tool_from_camera=TOOL_FROM_CAMERA + sd_m * np.eye(4)[:, [2]] @ np.eye(4)[[3]],
+        root=np.diag([0, 0, 0, 0, 0, sd_m]),
+    )
+    tracker = Tracker(None, camera=CameraMotion(poses=robot(3.0).poses, mount=wrong))
+    for line in lines:
+        tracker.add(line)
+    line = tracker.line_at(tracker.track.stamp_s)
+    ring = in_base.at(line.stamp_s - START_S)
+
+    axial_m = (line.grasp.point_m - ring.center_m) @ ring.normal
+    sd = np.sqrt(ring.normal @ line.grasp.covariance[:3, :3] @ ring.normal)
+    assert abs(axial_m) == pytest.approx(sd_m, rel=0.15)
+    assert sd == pytest.approx(sd_m, rel=0.15)
+
+
+def test_a_measurement_that_the_poses_do_not_cover_is_rejected_and_the_track_goes_on(in_base, rng):
+    tracker = Tracker(None, camera=robot(1.0))
+
+    found = [tracker.add(line).fusion_status for line in stream(SeenByRobot(in_base), 1.4, Shots(), rng, 4.0)]
+
+    assert found[:3] == [FusionStatus.FUSED] * 3
+    assert found[-1] is FusionStatus.REJECTED_COVARIANCE
