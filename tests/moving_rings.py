@@ -12,12 +12,12 @@ import numpy as np
 from ring_scenes import RIGS, Ring, ring_at
 
 from ringpose.geometry.rotations import tilt_basis, tilted
+from ringpose.types.assumptions import Assumptions, RigStability
 from ringpose.types.pose import (
     LinearizationPoint,
     PoseLine,
     Priors,
     RadiusPrior,
-    RigStability,
     RingMeasurement,
 )
 from ringpose.types.rig import LaserPlanes, Rig
@@ -238,7 +238,7 @@ def record(motion, start_s: float, shots: Shots, rng, name: str | None = None) -
         pose_stamp_s=START_S + reference_s,
         pose=None,
         measurement=measurement,
-        priors=Priors(radius=radius, stability=shots.stability),
+        priors=Priors(assumptions=Assumptions(stability=shots.stability), radius=radius),
     )
 
 

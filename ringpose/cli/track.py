@@ -99,8 +99,6 @@ def track(
     quiet: Quiet = False,
 ) -> None:
     """Track a moving ring through pose records: one JSON record a measurement, or --rate a second."""
-    from math import radians
-
     from ringpose.cli.batch import Batch
     from ringpose.files.inputs import RECORDS_SUFFIX
     from ringpose.files.inputs import inputs as named
@@ -108,7 +106,7 @@ def track(
     from ringpose.track.explanations import TrackOptions
     from ringpose.track.lines import LineOptions
     from ringpose.track.pipeline import Tracker
-    from ringpose.types.pose import MotionPrior
+    from ringpose.types.assumptions import motion_prior
 
     if lost_after < predict_for:
         raise UsageError("--lost-after", f"is {lost_after:g} s, must not be shorter than --predict-for {predict_for:g}")
@@ -118,7 +116,7 @@ def track(
     options = TrackOptions(
         predict_for_s=predict_for,
         lost_after_s=lost_after,
-        motion=MotionPrior(speed_sd_m_s=max_speed / 2, rate_sd_rad_s=radians(max_rate) / 2),
+        motion=motion_prior(max_speed, max_rate),
     )
     batch = Batch()
     rig_of_records = read_rig(rig) if rig is not None else None

@@ -29,6 +29,9 @@ _NEGLIGIBLE = 1e-12
 EXACT = RigStability()
 """Of a rig that has not changed since its calibration."""
 
+FOCAL_RATIO = "focal_ratio"
+"""Change of both focal lengths together, relative to them."""
+
 FORM_ORDERS = (2, 3, 4)
 """Orders of a ring's deviations from circle and plane; 0 and 1 are radius, centre, offset and tilt."""
 
@@ -46,7 +49,7 @@ class RigErrors:
     parameters: tuple[str, ...]
     root: Float64[Array, "parameter error"]
     camera: Float64[Array, "camera parameter"]
-    """Selects the parameters of the camera, rows as in `CAMERA_PARAMETERS`."""
+    """Derivatives of the camera's parameters, rows as in `CAMERA_PARAMETERS`."""
     lasers: Float64[Array, "laser plane=3 parameter"]
     """Selects the parameters of the light planes, rows as in `PLANE_PARAMETERS`."""
     basis: Float64[Array, "laser 2 3"]
@@ -67,7 +70,9 @@ def rig_errors(rig: Rig, stability: RigStability = EXACT) -> RigErrors | None:
     lasers = np.zeros((len(rig.lasers.names), len(PLANE_PARAMETERS), len(names)))
     for column, name in enumerate(names):
         laser, _, parameter = name.rpartition(".")
-        if name in CAMERA_PARAMETERS[: len(camera)]:
+        if name == FOCAL_RATIO:
+            camera[:2, column] = rig.camera.camera_matrix[[0, 1], [0, 1]]
+        elif name in CAMERA_PARAMETERS[: len(camera)]:
             camera[CAMERA_PARAMETERS.index(name), column] = 1.0
         elif laser in rig.lasers.names and parameter in PLANE_PARAMETERS:
             lasers[rig.lasers.names.index(laser), PLANE_PARAMETERS.index(parameter), column] = 1.0
@@ -91,13 +96,11 @@ def total_covariance(rig: Rig, stability: RigStability) -> ParameterCovariance:
         calibrated = ParameterCovariance(parameters=(), data=np.zeros((0, 0)))
     if stability == EXACT:
         return calibrated
-    names = (*CAMERA_PARAMETERS[:2], *laser_parameters(rig.lasers.names))
+    names = (*laser_parameters(rig.lasers.names), FOCAL_RATIO)
     names = (*calibrated.parameters, *(name for name in names if name not in calibrated.parameters))
     covariance = np.zeros((len(names), len(names)))
     covariance[: len(calibrated.parameters), : len(calibrated.parameters)] = calibrated.data
-    focal = [names.index(name) for name in CAMERA_PARAMETERS[:2]]
-    focal_sd_px = stability.focal_ratio * rig.camera.camera_matrix[[0, 1], [0, 1]]
-    covariance[np.ix_(focal, focal)] += np.outer(focal_sd_px, focal_sd_px)
+    covariance[names.index(FOCAL_RATIO), names.index(FOCAL_RATIO)] = stability.focal_ratio**2
     of_plane = (stability.plane_tilt_rad, stability.plane_tilt_rad, stability.plane_distance_m)
     for name, sd in zip(laser_parameters(rig.lasers.names), of_plane * len(rig.lasers.names), strict=True):
         covariance[names.index(name), names.index(name)] += sd**2

@@ -7,7 +7,8 @@ import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.pose import PoseLine, Priors, RigStability, RingMeasurement
+from ringpose.types.assumptions import RigStability
+from ringpose.types.pose import PoseLine, Priors, RingMeasurement
 from ringpose.types.rig import Rig
 
 FORM_ORDERS = 3
@@ -39,7 +40,7 @@ def common_errors(line: PoseLine, measurement: RingMeasurement, rig: Rig | None)
         rig = None
     elif rig is None or rig.covariance is None:
         raise DataError(line.shot, "its priors include the covariance of a rig file", "give that file with --rig")
-    found = _common_errors(names, priors.stability, priors.ring_tolerance_m, rig)
+    found = _common_errors(names, priors.assumptions.stability, priors.assumptions.ring_tolerance_m, rig)
     if isinstance(found, str):
         raise DataError(line.shot, f"has the nuisance parameter {found!r}, for which it states no prior")
     return found
@@ -50,7 +51,7 @@ def _common_errors(
     names: tuple[str, ...], stability: RigStability, ring_tolerance_m: float, rig: Rig | None
 ) -> CommonErrors | str:
     """The errors, or the name of a parameter without a prior; the same for all records of a stream."""
-    covariance = np.zeros((len(names), len(names))) if rig is None else _calibration(names, rig, stability.focal_ratio)
+    covariance = np.zeros((len(names), len(names))) if rig is None else _calibration(names, rig)
     calibrated = () if rig is None or rig.covariance is None else rig.covariance.parameters
     added = {
         "tilt_1": stability.plane_tilt_rad,
@@ -69,15 +70,12 @@ def _common_errors(
     return CommonErrors(names=names, root=scale[:, None] * axes[:, kept] * np.sqrt(variance[kept]))
 
 
-def _calibration(names: tuple[str, ...], rig: Rig, focal_ratio: float) -> Float64[Array, "n n"]:
-    """Covariance of those of the parameters that rig.yaml has, with a common change of both focal lengths."""
-    covariance, focal = np.zeros((len(names), len(names))), np.zeros(len(names))
+def _calibration(names: tuple[str, ...], rig: Rig) -> Float64[Array, "n n"]:
+    """Covariance of those of the parameters that rig.yaml has."""
+    covariance = np.zeros((len(names), len(names)))
     if rig.covariance is not None:
         of_rig = [name for name in names if name in rig.covariance.parameters]
         here = [names.index(name) for name in of_rig]
         there = [rig.covariance.parameters.index(name) for name in of_rig]
         covariance[np.ix_(here, here)] = rig.covariance.data[np.ix_(there, there)]
-    for name, length_px in (("fx", rig.camera.camera_matrix[0, 0]), ("fy", rig.camera.camera_matrix[1, 1])):
-        if name in names:
-            focal[names.index(name)] = focal_ratio * length_px
-    return covariance + np.outer(focal, focal)
+    return covariance

@@ -13,7 +13,8 @@ from ringpose.geometry.ring import CURVATURE
 from ringpose.track.filters import Bank, Innovation, innovation, predicted, started, updated
 from ringpose.track.observation import Observation
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.pose import MotionPrior, RadiusPrior
+from ringpose.types.assumptions import MotionPrior
+from ringpose.types.pose import RadiusPrior
 from ringpose.types.track import FusionStatus
 
 GATE = 0.999

@@ -31,7 +31,8 @@ from ringpose.track.states import (
     step_rates,
 )
 from ringpose.types.arrays import Array, Bool, Float64, Int64
-from ringpose.types.pose import MotionPrior, RadiusPrior
+from ringpose.types.assumptions import MotionPrior
+from ringpose.types.pose import RadiusPrior
 
 PROCESS_NOISE = (1e-8, 1e-6, 1e-4)
 """Power spectral densities from which those of velocity (m^2/s^3) and angular velocity (rad^2/s^3) are chosen."""

@@ -39,7 +39,7 @@ from ringpose.track.filters import innovation, predicted
 from ringpose.track.lines import Gripper, LineOptions
 from ringpose.track.observation import observation
 from ringpose.track.pipeline import Tracker
-from ringpose.types.pose import MotionPrior, RigStability
+from ringpose.types.assumptions import MotionPrior, RigStability
 from ringpose.types.track import FusionStatus, MotionModel
 
 SHOTS_HZ = 6.0

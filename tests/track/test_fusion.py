@@ -9,7 +9,8 @@ from moving_rings import START_S, Shots, drawn_motion, record, stream
 from ringpose.errors import DataError
 from ringpose.track.explanations import TrackOptions
 from ringpose.track.pipeline import Tracker
-from ringpose.types.pose import PoseFlag, Priors, RigStability
+from ringpose.types.assumptions import RigStability
+from ringpose.types.pose import PoseFlag, Priors
 from ringpose.types.track import FusionStatus, Validity
 
 NOW_S = START_S + 1000.0
