@@ -11,6 +11,7 @@ import numpy as np
 
 from ringpose.errors import DataError, UsageError
 from ringpose.files.boards import board_of
+from ringpose.files.motions import MAX_DISTANCE_M, MOTION_KEYS, read_motion
 from ringpose.files.rigs import read_rig
 from ringpose.files.schema import Fields
 from ringpose.files.yaml import read_yaml
@@ -45,7 +46,9 @@ _NUMBERS = ("exposure_s", "stripe_dn", "period_s", "start_s")
 
 _RECORDS: Mapping[str, type[Any]] = {"lasers": LaserLight, "lens": Lens, "sensor": Sensor, "speckle": Speckle}
 
-_PARTS = ("ring", "body", "lasers", "lights", "lens", "sensor", "speckle", "sequence", "trajectory", "boards")
+_PARTS = (
+    "ring", "body", "lasers", "lights", "lens", "sensor", "speckle", "sequence", "trajectory", "motion", "boards",
+)  # fmt: skip
 
 _KEYS = ("ringpose", "rig", "seed", *_NUMBERS, *_PARTS)
 
@@ -78,17 +81,26 @@ def read_scene(path: Path) -> Scene:
     values: dict[str, Any] = fields.given(_NUMBERS, lambda key: fields.number(key, least=0))
     values |= fields.given(_RECORDS, lambda key: _numbers(fields, key, _RECORDS[key]))
     values["sequence"] = read_sequence(fields, "sequence", lasers) if fields.has("sequence") else (0, (1 << lasers) - 1)
+    along_file = fields.has("motion") and fields.fields("motion").has("file")
     if fields.has("trajectory"):
-        values["views"], values["approaches"] = read_trajectory(fields, "trajectory", tuple(lights))
+        values["views"], values["approaches"] = read_trajectory(fields, "trajectory", tuple(lights), along_file)
+    elif along_file:
+        entry = Fields(fields.file, {"name": "moving"}, _VIEW_KEYS, "trajectory")
+        values["views"] = (_view(entry, tuple(lights), along_file),)
     if fields.has("boards"):
         boards = fields.fields("boards", ("camera", "planes"))
         for key, name in (("camera", "camera_boards"), ("planes", "plane_boards")):
             values[name] = read_board_set(boards, key, lasers) if boards.has(key) else None
     ring = fields.fields("ring", _RING_KEYS)
+    body = _body(fields.fields("body", ("size_m", "offset_m", "material", "foil")))
+    if fields.has("motion"):
+        motion = fields.fields("motion", MOTION_KEYS)
+        values["motion"] = read_motion(motion, *body.inertia_and_center, path.parent)
+        values["shots"] = motion.integer("shots", least=1) if motion.has("shots") else 1
     return Scene(
         rig=rig,
         ring=RingShape(profile_m=_profile_m(ring), **ring.given(("face", "wall"), lambda key: _material(ring, key))),
-        body=_body(fields.fields("body", ("size_m", "offset_m", "material", "foil"))),
+        body=body,
         lights=lights,
         seed=fields.integer("seed", least=0) if fields.has("seed") else 1,
         **values,
@@ -207,20 +219,23 @@ def read_sequence(fields: Fields, key: str, lasers: int) -> tuple[int, ...]:
 
 
 def read_trajectory(
-    fields: Fields, key: str, lights: tuple[str, ...]
+    fields: Fields, key: str, lights: tuple[str, ...], along_file: bool = False
 ) -> tuple[tuple[RingView, ...], tuple[Approach, ...]]:
     """The entries of a trajectory: single views, and approaches, which are sets of random views (`generate`).
 
-    `lights` are the names of the scene's lights, one of which a view names.
+    `lights` are the names of the scene's lights, one of which a view names. The poses of views `along_file` are in the
+    trajectory file.
     """
     views: list[RingView] = []
     approaches: list[Approach] = []
     for entry in fields.each(key):
         if entry.has("generate"):
+            if along_file:
+                raise entry.problem("generate", "draws poses, but those of motion.file are given")
             alone = Fields(entry.file, entry.values, ("generate",), entry.path)
             approaches.append(_approach(alone.fields("generate", _APPROACH_KEYS), lights))
         else:
-            views.append(_view(Fields(entry.file, entry.values, _VIEW_KEYS, entry.path), lights))
+            views.append(_view(Fields(entry.file, entry.values, _VIEW_KEYS, entry.path), lights, along_file))
     names = [view.name for view in views]
     for name in names:
         if names.count(name) > 1:
@@ -254,8 +269,17 @@ def read_board_set(fields: Fields, key: str, lasers: int) -> BoardSet:
     return BoardSet(**values)
 
 
-def _view(entry: Fields, lights: tuple[str, ...]) -> RingView:
-    values: dict[str, Any] = {"name": _name(entry), "center_m": entry.point_m("center_m"), "normal": _normal(entry)}
+_POSE_OF_VIEW = ("center_m", "normal", "pitch_rad", "yaw_rad", "roll_rad")
+
+
+def _view(entry: Fields, lights: tuple[str, ...], along_file: bool) -> RingView:
+    values: dict[str, Any] = {"name": _name(entry)}
+    if along_file:
+        for key in filter(entry.has, _POSE_OF_VIEW):
+            raise entry.problem(key, "is given, but the poses are those of motion.file", "remove it")
+        values |= {"center_m": np.zeros(3), "normal": np.array([0.0, 0.0, -1.0])}  # not used
+    else:
+        values |= {"center_m": _center_m(entry), "normal": _normal(entry)}
     if entry.has("light"):
         values["light"] = entry.choice("light", lights)
     elif "dim" not in lights:
@@ -268,6 +292,17 @@ def _view(entry: Fields, lights: tuple[str, ...]) -> RingView:
         if not all(isinstance(value, str | int | float | bool) for value in values["groups"].values()):
             raise entry.problem("groups", "must contain texts, numbers, true or false")
     return RingView(**values)
+
+
+def _center_m(entry: Fields) -> Float64[Array, "3"]:
+    center_m = entry.vector("center_m", 3)
+    if np.linalg.norm(center_m) > MAX_DISTANCE_M:
+        raise entry.problem(
+            "center_m", f"is more than {MAX_DISTANCE_M:g} m away", "give metres; this looks like millimetres"
+        )
+    if center_m[2] <= 0:
+        raise entry.problem("center_m", f"lies behind the camera, at z = {center_m[2]:g}", "z is forward")
+    return center_m
 
 
 def _normal(entry: Fields) -> Float64[Array, "3"]:

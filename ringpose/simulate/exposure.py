@@ -8,14 +8,12 @@ from ringpose.geometry.rays import project
 from ringpose.simulate.break_points import crossings, in_image
 from ringpose.simulate.laser_planes import half_thickness_m, irradiance_w_m2
 from ringpose.simulate.lighting import IlluminatedTarget, reflectance_per_sr, surfaces
+from ringpose.simulate.placement import MAX_DURATION_S, MIN_DURATION_S
 from ringpose.simulate.renderer import pixel_rays
 from ringpose.simulate.sensor import electrons_per_radiance
 from ringpose.simulate.target import ring_target
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.scene import Scene
-
-MIN_DURATION_S, MAX_DURATION_S = 2e-5, 0.1
-"""Range of common cameras."""
 
 
 def view_exposure_s(scene: Scene, illuminated: IlluminatedTarget) -> float:
