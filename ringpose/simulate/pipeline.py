@@ -15,13 +15,12 @@ from ringpose.errors import DataError
 from ringpose.simulate.board_target import board_target
 from ringpose.simulate.break_points import true_break_points_px
 from ringpose.simulate.exposure import view_exposure_s
-from ringpose.simulate.laser_planes import sheets
-from ringpose.simulate.lighting import IlluminatedTarget
+from ringpose.simulate.light import IlluminatedTarget
 from ringpose.simulate.motion import velocities
 from ringpose.simulate.placement import READOUT_S, Placement, board_poses, ring_views, target_placement
-from ringpose.simulate.renderer import RenderedView, render_view
+from ringpose.simulate.renderer import TIMES, RenderedView, render_view
 from ringpose.simulate.sensor import saturation_dn
-from ringpose.simulate.target import EmptySpace, Target, ring_target
+from ringpose.simulate.target.parts import view_target
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.image import Frame, Shot
 from ringpose.types.scene import BoardSet, Light, NamedBoardPose, RingView, Scene
@@ -69,7 +68,7 @@ def moving_frame(
     seed: tuple[int, ...],
 ) -> Frame:
     """A frame of a moving target, whose exposure begins `begin_s` after that of its shot."""
-    illuminated = illuminated_ring(scene, view, (mask,), begin_s + exposure_s / 2)
+    illuminated = illuminated_ring(scene, view, (mask,), begin_s + exposure_s / 2, exposure_s)
     return render_view(scene, illuminated, seed).frame(mask, exposure_s, stamp_s)
 
 
@@ -140,17 +139,23 @@ def render_board_view(scene: Scene, boards: BoardSet, pose: NamedBoardPose, numb
 
 
 def illuminated_ring(
-    scene: Scene, view: RingView, masks: tuple[int, ...] = (255,), time_s: float = 0.0
+    scene: Scene, view: RingView, masks: tuple[int, ...] = (255,), time_s: float = 0.0, exposure_s: float = 0.0
 ) -> IlluminatedTarget:
-    """The target with its light, at a time since the beginning of the shot; `masks` are those of the frames."""
+    """The target with its light, at a time since the beginning of the shot; `masks` are those of the frames.
+
+    If an exposure is given, its middle is at that time.
+    """
     placement = target_placement(scene, view, time_s)
-    target: Target = EmptySpace()
-    if view.target != "none":
-        target = ring_target(scene.ring if view.target == "ring" else None, scene.body)
+    during: tuple[Placement, ...] = (placement,)
+    if view.path is not None and exposure_s > 0.0:
+        shares = (np.arange(TIMES) + 0.5) / TIMES - 0.5
+        during = tuple(target_placement(scene, view, time_s + float(share) * exposure_s) for share in shares)
     return IlluminatedTarget(
-        target=target,
+        target=view_target(scene, view),
         placement=placement,
-        sheets=sheets(scene.rig.lasers, scene.lasers, placement),
+        during=during,
+        planes=scene.rig.lasers,
+        laser_light=scene.lasers,
         light=scene.lights[view.light],
         lasers=_lasers_on(scene, masks),
     )
@@ -230,7 +235,9 @@ def _illuminated_board(
     return IlluminatedTarget(
         target=board_target(boards.board),
         placement=placement,
-        sheets=sheets(scene.rig.lasers, scene.lasers, placement),
+        during=(placement,),
+        planes=scene.rig.lasers,
+        laser_light=scene.lasers,
         light=Light(name="boards", ambient_w_m2=boards.ambient_w_m2),
         lasers=_lasers_on(scene, masks),
     )

@@ -6,97 +6,18 @@ body's front face, towards the camera; a pose is that of the ring's *face*, its 
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal
 
 import numpy as np
 
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board
+from ringpose.types.motion import FreeMotion, TargetPath, TimedPoses
 from ringpose.types.rig import Rig
+from ringpose.types.target import Body, Part, RingShape
 
 TargetKind = Literal["ring", "body", "none"]
 """The body with its ring, the body without it, or stars only."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Material:
-    """Reflectance of a surface: Lambert's law plus one GGX lobe."""
-
-    diffuse: float
-    """Albedo of the Lambert part."""
-    specular: float
-    """Reflectance of the lobe at normal incidence."""
-    roughness: float
-    """GGX alpha: 0.1 for a polished surface, 0.4 for machined metal."""
-
-
-MATERIALS: Mapping[str, Material] = {
-    "matt": Material(diffuse=0.30, specular=0.0, roughness=1.0),
-    "metal": Material(diffuse=0.12, specular=0.55, roughness=0.35),
-    "foil": Material(diffuse=0.06, specular=0.75, roughness=0.22),
-    "white": Material(diffuse=0.80, specular=0.0, roughness=1.0),
-    "black": Material(diffuse=0.04, specular=0.0, roughness=1.0),
-}
-"""Materials that a scene file may refer to by name."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RingShape:
-    """A surface of revolution about the ring's axis, given by its profile."""
-
-    profile_m: Float64[Array, "point radius_height=2"]
-    """Corners of the profile: radius, and height over the body's front face."""
-    face: Material = MATERIALS["metal"]
-    wall: Material = MATERIALS["metal"]
-
-    @property
-    def face_piece(self) -> int:
-        """Index of the profile's highest flat piece."""
-        flat = np.flatnonzero(self.profile_m[1:, 1] == self.profile_m[:-1, 1])
-        return int(flat[np.argmax(self.profile_m[flat, 1])])
-
-    @property
-    def height_m(self) -> float:
-        """Height of the face over the body."""
-        return float(self.profile_m[self.face_piece, 1])
-
-    @property
-    def radius_inner_m(self) -> float:
-        """Radius of the face's inner edge."""
-        return float(self.profile_m[self.face_piece : self.face_piece + 2, 0].min())
-
-    @property
-    def radius_outer_m(self) -> float:
-        """Radius of the face's outer edge."""
-        return float(self.profile_m[self.face_piece : self.face_piece + 2, 0].max())
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Foil:
-    """Crinkles of the foil on the body's front face: a height field, periodic and fixed by its seed."""
-
-    rms_m: float = 0.0008
-    crinkle_m: float = 0.03
-    """Size of the largest crinkles."""
-    seed: int = 1
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Body:
-    """The satellite: a box whose front face carries the ring."""
-
-    size_m: Float64[Array, "3"]
-    """Width and height of the front face, depth of the box."""
-    offset_m: Float64[Array, "2"] = field(default_factory=lambda: np.zeros(2))
-    """Offset of the front face's middle from the ring's axis, along the ring's x and y."""
-    material: Material = MATERIALS["foil"]
-    foil: Foil | None = None
-
-    @property
-    def inertia_and_center(self) -> tuple[Float64[Array, "3 3"], Float64[Array, "xyz=3"]]:
-        """Inertia per kilogram of a uniform box about its centre, and the centre, in the target frame."""
-        square = self.size_m**2
-        return np.diag((square.sum() - square) / 12), np.array([*self.offset_m, -self.size_m[2] / 2])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,6 +55,31 @@ class Beacon:
         return cycles * self.on_s + min(rest_s, self.on_s)
 
 
+EARTH_RADIUS_M = 6.378e6
+
+GEO_RADIUS_M = 4.2164e7
+"""Radius of the geostationary orbit."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Earth:
+    """The Earth, lit by the sun, as a sphere of uniform albedo."""
+
+    direction: Float64[Array, "xyz=3"]
+    """Towards its centre, camera frame."""
+    orbit_radius_m: float = GEO_RADIUS_M
+    albedo: float = 0.3
+
+    @property
+    def angular_radius_rad(self) -> float:
+        """Half of its angular diameter, which is 17.4 degrees in geostationary orbit."""
+        return float(np.arcsin(EARTH_RADIUS_M / self.orbit_radius_m))
+
+
+SUN_DIAMETER_RAD = 0.00925
+"""Angular diameter of the sun, 0.53 degrees."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Light:
     """Illumination other than the lasers."""
@@ -145,6 +91,8 @@ class Light:
     """Irradiance on a plane perpendicular to the sun's rays."""
     sun_direction: Float64[Array, "xyz=3"] = field(default_factory=lambda: np.array([-0.66, -0.33, -0.67]))
     """Direction towards the sun, camera frame."""
+    sun_diameter_rad: float = SUN_DIAMETER_RAD
+    earth: Earth | None = None
     beacon: Beacon | None = None
 
 
@@ -181,73 +129,6 @@ class Speckle:
     contrast: float = 0.3
     grain_px: float = 1.0
     """Correlation length; up to 1, pixels are independent."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TimedPoses:
-    """Poses at ascending times, of the camera or of the target; between them they are interpolated."""
-
-    time_s: Float64[Array, "pose"]
-    """Time since the start of the first exposure of a run."""
-    position_m: Float64[Array, "pose xyz=3"]
-    orientation_xyzw: Float64[Array, "pose 4"]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class FreeMotion:
-    """Torque-free motion of the target past a camera, from the pose of a view on.
-
-    The inertial frame is that of the camera at the start; `camera` has the camera's later poses in it.
-    """
-
-    inertia_kg_m2: Float64[Array, "3 3"]
-    """About the centre of mass, along the axes of the target frame; only ratios matter."""
-    center_of_mass_m: Float64[Array, "xyz=3"]
-    """In the target frame."""
-    angular_velocity_rad_s: Float64[Array, "xyz=3"]
-    """At the start, along the axes of the target frame."""
-    velocity_m_s: Float64[Array, "xyz=3"] = field(default_factory=lambda: np.zeros(3))
-    """Of the centre of mass, in the inertial frame."""
-    camera: TimedPoses | None = None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MotionPreset:
-    """Angular velocity at the start, and where published the principal moments, along the axes of the target frame."""
-
-    angular_velocity_rad_s: tuple[float, float, float]
-    inertia_kg_m2: tuple[float, float, float] | None = None
-
-
-def _rate(degrees_s: float, from_axis_deg: float) -> tuple[float, float, float]:
-    """An angular velocity at an angle from the ring's axis, towards x and a third as much towards y."""
-    rate_rad_s, angle_rad = np.radians(degrees_s), np.radians(from_axis_deg)
-    across = rate_rad_s * np.sin(angle_rad) / np.sqrt(10.0)
-    return float(3 * across), float(across), float(rate_rad_s * np.cos(angle_rad))
-
-
-MOTION_PRESETS: Mapping[str, MotionPreset] = {
-    # Retired satellites in GEO tumble "well below ... one degree per second": Binz et al., an optical survey by NRL,
-    # AMOS 2014. The axis is assumed, so that they nutate.
-    "geo-typical": MotionPreset(angular_velocity_rad_s=_rate(0.3, 30.0)),
-    "geo-bound": MotionPreset(angular_velocity_rad_s=_rate(1.0, 30.0)),
-    # 2.67 deg/s by laser ranging on 2013-09-25 (period 134.74 s); moments of inertia and axis as in published
-    # parameter files of simulations. The ring's axis is assumed to be that of the smallest moment.
-    "envisat": MotionPreset(
-        angular_velocity_rad_s=(float(np.radians(1.2535)), 0.0, float(np.radians(2.3575))),
-        inertia_kg_m2=(129180.25, 124801.21, 16979.74),
-    ),
-    "stress": MotionPreset(angular_velocity_rad_s=_rate(8.0, 30.0)),
-}
-"""Motions that a scene file may refer to by name."""
-
-
-@runtime_checkable
-class TargetPath(Protocol):
-    """The motion of the target in the camera frame."""
-
-    def camera_from_target(self, time_s: float) -> tuple[Float64[Array, "3 3"], Float64[Array, "xyz=3"]]:
-        """Rotation and translation at a time since the start of the run."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -332,8 +213,10 @@ class Scene:
 
     rig: Rig
     ring: RingShape
-    body: Body
     lights: Mapping[str, Light]
+    body: Body | None = None
+    parts: tuple[Part, ...] = ()
+    """Parts of the target other than its ring and `body`."""
     lasers: LaserLight = LaserLight()
     lens: Lens = Lens()
     sensor: Sensor = Sensor()

@@ -13,7 +13,8 @@ from ringpose.geometry.ring import predicted_break_points, ring_arcs
 from ringpose.simulate.motion import FreeAttitude, PosePath, velocities
 from ringpose.simulate.pipeline import SceneFrames, simulate
 from ringpose.simulate.placement import ring_views, target_placement
-from ringpose.types.scene import MATERIALS, MOTION_PRESETS, FreeMotion, TimedPoses
+from ringpose.types.motion import MOTION_PRESETS, FreeMotion, TimedPoses
+from ringpose.types.target import MATERIALS
 
 STRESS_RAD_S = np.array(MOTION_PRESETS["stress"].angular_velocity_rad_s)
 TEN_MINUTES_S = 600.0
