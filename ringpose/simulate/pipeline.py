@@ -20,7 +20,7 @@ from ringpose.simulate.motion import velocities
 from ringpose.simulate.placement import READOUT_S, Placement, board_poses, ring_views, target_placement
 from ringpose.simulate.renderer import TIMES, RenderedView, render_view
 from ringpose.simulate.sensor import saturation_dn
-from ringpose.simulate.target.parts import view_target
+from ringpose.simulate.target.parts import part_around, view_target
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.image import Frame, Shot
 from ringpose.types.scene import BoardSet, Light, NamedBoardPose, RingView, Scene
@@ -146,6 +146,8 @@ def illuminated_ring(
     If an exposure is given, its middle is at that time.
     """
     placement = target_placement(scene, view, time_s)
+    if name := part_around(scene, view, placement.eye_m):
+        raise DataError(f"the scene's view {view.name}", f"has the camera inside the part {name!r}", "move it away")
     during: tuple[Placement, ...] = (placement,)
     if view.path is not None and exposure_s > 0.0:
         shares = (np.arange(TIMES) + 0.5) / TIMES - 0.5

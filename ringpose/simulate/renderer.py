@@ -15,7 +15,7 @@ import numpy as np
 
 from ringpose.geometry.rays import project, undistort
 from ringpose.kernels import render
-from ringpose.kernels.render import THIN, PixelImage
+from ringpose.kernels.render import SKY_SHADOWS, THIN, PixelImage
 from ringpose.simulate.light import IlluminatedTarget, caster_input
 from ringpose.simulate.sensor import digitised, electrons_per_radiance
 from ringpose.types.arrays import Array, Bool, Float32, Float64, UInt8
@@ -119,6 +119,9 @@ FINE_SAMPLES = 256
 BLURRED_PX = 0.1
 """Motion of the image during an exposure from which on every sample is cast at its own time."""
 
+WIDE_BLUR_PX = 4.0
+"""Motion from which on stripes are refined everywhere; where a surface is smooth they hardly move in the image."""
+
 TIMES = 17
 """Placements of a moving target during an exposure; an odd number, so that one is in the middle."""
 
@@ -166,10 +169,7 @@ def layers(illuminated: IlluminatedTarget, rays: PixelRays, *, blur_px: float = 
     if not preview:
         shape = (rays.height, rays.width)
         coarse, fine = _to_refine(
-            _edges(image.code.reshape(shape)),
-            image.stripe.reshape(shape),
-            round(np.ceil(blur_px / 2)) if blur_px > BLURRED_PX else 0,
-            everywhere=illuminated.has_ambient_light,
+            image.code.reshape(shape), image.stripe.reshape(shape), blur_px, everywhere=illuminated.has_ambient_light
         )
         for refined, samples in ((coarse, SAMPLES), (fine, FINE_SAMPLES)):
             cast(pixels=np.flatnonzero(refined), samples=samples)
@@ -194,20 +194,25 @@ def _edges(code: Array) -> UInt8[Array, "row column"]:
 
 
 def _to_refine(
-    edge: UInt8[Array, "row column"], stripe: UInt8[Array, "row column"], reach_px: int, *, everywhere: bool
+    code: Array, stripe: UInt8[Array, "row column"], blur_px: float, *, everywhere: bool
 ) -> tuple[Bool[Array, "row column"], Bool[Array, "row column"]]:
-    """Pixels that need 16 rays, and those that need 256; what moves does so within `reach_px`.
+    """Pixels that need 16 rays, and those that need 256.
 
-    16: on a thin stripe and, with ambient light, on edges. 256: where an edge crosses a stripe, because these pixels
-    determine the break points.
+    16: on a thin stripe and, with ambient light, on edges. 256: where an edge of a surface or of a laser's shadow
+    crosses a stripe, because these pixels determine the break points. A blur of up to a pixel stays within the pixels
+    on both sides of an edge, and does not displace a stripe.
     """
+    reach_px = max(round(np.ceil((blur_px - 1) / 2)), 0)
     around = np.ones((3 + 2 * reach_px,) * 2, np.uint8)
-    near_edge = edge if reach_px == 0 else cv2.dilate(edge, around)
-    fine = (near_edge > 0) & (cv2.dilate(stripe, around) > 0)
-    thin = stripe if reach_px else stripe & np.uint8(THIN)
-    coarse = cv2.dilate(thin, around) > 0
+    of_stripes = _edges(code & ~np.int32(SKY_SHADOWS))
+    edge = _edges(code) if everywhere else of_stripes
+    if reach_px:
+        edge, of_stripes = cv2.dilate(edge, around), cv2.dilate(of_stripes, around)
+    fine = (of_stripes > 0) & (cv2.dilate(stripe, around) > 0)
+    thin = stripe if blur_px > WIDE_BLUR_PX else stripe & np.uint8(THIN)
+    coarse = cv2.dilate(thin, np.ones((3, 3), np.uint8)) > 0
     if everywhere:
-        coarse |= near_edge > 0
+        coarse |= edge > 0
     return coarse & ~fine, fine
 
 

@@ -80,6 +80,9 @@ class PixelImage(NamedTuple):
 
 WIDE, THIN = 1, 2
 
+SKY_SHADOWS = 1 << 8 | 1 << 9
+"""Bits of the code for the shadows of sun and Earth."""
+
 
 def render(
     target: TargetTables,

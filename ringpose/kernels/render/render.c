@@ -53,11 +53,17 @@ typedef struct {
     Laser laser[MAX_LASERS];
 } Stand;
 
+/* Some of the parts. */
+typedef struct {
+    int count, part[MAX_PARTS];
+} Choice;
+
 typedef struct {
     Target target;
     Light light;
     Lamp lamp[LAMPS];
     Stand stand[MAX_TIMES];
+    Choice all;
     int times, lasers, dark;
     double baseline; /* largest distance of a projector from the camera */
     double relief;   /* largest displacement of a hit by a relief, for rays up to 60 degrees from the normal */
@@ -101,12 +107,12 @@ static void place(Scene *scene, Stand *stand, const double pose[12], const Laser
     }
 }
 
-/* Whether a part shadows the point of a hit from a light in this direction; `reach`: distance of the light. */
-static int shadowed(const Scene *scene, const Hit *hit, Vector towards, double reach) {
+/* Whether one of the parts shadows the point of a hit from a light in this direction, at the distance `reach`. */
+static int shadowed(const Scene *scene, const Choice *parts, const Hit *hit, Vector towards, double reach) {
     const double below = greater(0, dot(minus(hit->flat, hit->point), hit->flat_normal));
     const Vector start = plus(hit->point, times(below + LIFT_M, hit->flat_normal));
     const int own = scene->target.part[hit->part].kind == BOX ? hit->part : EMPTY;
-    return blocked(&scene->target, own, start, times(reach, towards));
+    return blocked(&scene->target, parts->part, parts->count, own, start, times(reach, towards));
 }
 
 static double lit_by(Coating coating, const Hit *hit, Vector to_light, Vector to_eye) {
@@ -132,20 +138,25 @@ static double laboratory(const Scene *scene, const Stand *stand, Coating coating
     return (coating.diffuse * matt + (coating.specular + (1 - coating.specular) * rest2 * rest2 * rest) * glossy) / PI;
 }
 
-static double ambient_light(const Scene *scene, const Stand *stand, Coating coating, const Hit *hit, Vector to_eye,
-                            const Draw *draw, uint32_t *code) {
+/* Parts that may shadow the hits of a block from sun and Earth. */
+typedef struct {
+    Choice sun, earth;
+} Shades;
+
+static double ambient_light(const Scene *scene, const Stand *stand, const Shades *shades, Coating coating,
+                            const Hit *hit, Vector to_eye, const Draw *draw, uint32_t *code) {
     const Light *light = &scene->light;
     double sum = 0;
     int sunlit = 0;
     if (light->ambient > 0) sum += light->ambient * laboratory(scene, stand, coating, hit->normal, to_eye);
     if (light->sun > 0 && dot(hit->flat_normal, stand->sun) > 0) {
-        const int behind = shadowed(scene, hit, stand->on_sun[draw->sun], FAR_M);
+        const int behind = shadowed(scene, &shades->sun, hit, stand->on_sun[draw->sun], FAR_M);
         sunlit = !behind;
         if (behind) *code |= SUN_SHADOW;
         if (sunlit && dot(hit->normal, stand->sun) > 0) sum += light->sun * lit_by(coating, hit, stand->sun, to_eye);
     }
     if (light->earth > 0 && dot(hit->flat_normal, stand->lit) > 0 && dot(hit->normal, stand->lit) > 0) {
-        if (shadowed(scene, hit, stand->on_earth[draw->earth], FAR_M)) {
+        if (shadowed(scene, &shades->earth, hit, stand->on_earth[draw->earth], FAR_M)) {
             if (!sunlit) *code |= EARTH_SHADOW;
             return sum;
         }
@@ -166,7 +177,7 @@ static double laser_light(const Scene *scene, const Laser *laser, Coating coatin
     *stripe |= footprint > MAX_PIXEL_SIGMAS * sigma ? THIN : WIDE;
     if (fabs(off) >= MAX_SIGMAS * sigma) return 0;
     const Vector direction = times(1 / range, to_projector);
-    if (shadowed(scene, hit, direction, range)) {
+    if (shadowed(scene, &scene->all, hit, direction, range)) {
         *code |= bit;
         return 0;
     }
@@ -197,16 +208,22 @@ static double sky(const Scene *scene, const Stand *stand, Vector direction, uint
     return 0;
 }
 
-/* Adds the radiance of one ray, by source: ambient light first, then each laser. */
-static void trace(const Scene *scene, const int *chosen, int count, double x, double y, double pixels, const Draw *draw,
-                  double *sum, uint32_t *code, uint8_t *stripe) {
-    const Stand *stand = scene->stand + draw->time;
-    const Vector direction = rotated_back(stand->rotation, (Vector){x, y, 1});
+typedef struct {
+    Vector direction;
     Hit hit;
+    Draw draw;
+} Ray;
+
+/* Adds the radiance of one ray, by source: ambient light first, then each laser. `size` is that of a sample in pixels. */
+static void shade(const Scene *scene, const Shades *shades, const Ray *ray, double size, double *sum, uint32_t *code,
+                  uint8_t *stripe) {
+    const Stand *stand = scene->stand + ray->draw.time;
+    const Vector direction = ray->direction;
+    Hit hit = ray->hit;
     int second;
     *code = 0;
     *stripe = 0;
-    if (!first_hit(&scene->target, chosen, count, stand->eye, direction, &hit)) {
+    if (hit.part == EMPTY) {
         if (!scene->dark) sum[0] += sky(scene, stand, direction, code);
         return;
     }
@@ -222,12 +239,44 @@ static void trace(const Scene *scene, const int *chosen, int count, double x, do
     if (scene->dark && !near) return;
     complete_hit(&scene->target, stand->eye, direction, &hit);
     const Vector to_eye = times(-1 / length, direction);
-    const Coating coating = coating_at(&scene->target, &hit, footprint * pixels, &second);
+    const double oblique = greater(fabs(dot(hit.flat_normal, to_eye)), 0.05);
+    const Coating coating = coating_at(&scene->target, &hit, footprint * size / oblique, &second);
     if (second) *code |= SECOND;
-    if (!scene->dark) sum[0] += ambient_light(scene, stand, coating, &hit, to_eye, draw, code);
+    if (!scene->dark) sum[0] += ambient_light(scene, stand, shades, coating, &hit, to_eye, &ray->draw, code);
     for (int i = 0; i < scene->lasers; i++)
         if (near >> i & 1)
             sum[1 + i] += laser_light(scene, stand->laser + i, coating, &hit, to_eye, footprint, 1u << i, code, stripe);
+}
+
+/* Parts of which a light at infinity may cast a shadow on a sphere; the light's disc and its motion have this radius. */
+static void may_shade(const Scene *scene, Vector middle, double radius, Vector to_light, double light_radius,
+                      Choice *choice) {
+    choice->count = 0;
+    for (int i = 0; i < scene->target.parts; i++) {
+        const Part *part = scene->target.part + i;
+        const Vector to = minus(part->center, middle);
+        const double along = dot(to, to_light), aside2 = dot(to, to) - along * along, both = part->radius + radius;
+        const double reach = both + greater(along + both, 0) * light_radius;
+        if (along > -both && aside2 < reach * reach) choice->part[choice->count++] = i;
+    }
+}
+
+static void find_shades(const Scene *scene, const Ray *ray, int count, Shades *shades) {
+    Vector low = {INFINITY, INFINITY, INFINITY}, high = times(-1, low);
+    for (int i = 0; i < count; i++) {
+        if (ray[i].hit.part == EMPTY) continue;
+        const Vector at = plus(scene->stand[ray[i].draw.time].eye, times(ray[i].hit.parameter, ray[i].direction));
+        low = (Vector){lesser(low.x, at.x), lesser(low.y, at.y), lesser(low.z, at.z)};
+        high = (Vector){greater(high.x, at.x), greater(high.y, at.y), greater(high.z, at.z)};
+    }
+    if (low.x > high.x) return;
+    const Stand *first = scene->stand, *last = scene->stand + scene->times - 1, *stand = scene->stand + scene->times / 2;
+    const Vector middle = times(0.5, plus(low, high)), across = minus(high, low), turned = minus(last->sun, first->sun);
+    const double radius = sqrt(dot(across, across)) / 2 + scene->relief + LIFT_M, moved = sqrt(dot(turned, turned));
+    if (scene->light.sun > 0)
+        may_shade(scene, middle, radius, stand->sun, 1.1 * tan(scene->light.sun_radius) + moved, &shades->sun);
+    if (scene->light.earth > 0)
+        may_shade(scene, middle, radius, stand->earth, 1.1 * tan(scene->light.earth_radius) + moved, &shades->earth);
 }
 
 typedef struct {
@@ -238,9 +287,9 @@ typedef struct {
 } Rays;
 
 /* Parts whose bounding sphere a cone around the rays may meet, at the first, the middle or the last time. */
-static int parts_near(const Scene *scene, const Rays *rays, const int64_t *pixel, int count, int *chosen) {
+static void parts_near(const Scene *scene, const Rays *rays, const int64_t *pixel, int count, Choice *choice) {
     double left = INFINITY, right = -INFINITY, top = INFINITY, bottom = -INFINITY, cosine = 1;
-    int found = 0;
+    choice->count = 0;
     for (int i = 0; i < count; i++) {
         const double x = rays->x[pixel[i]], y = rays->y[pixel[i]];
         left = lesser(left, x), right = greater(right, x), top = lesser(top, y), bottom = greater(bottom, y);
@@ -259,13 +308,12 @@ static int parts_near(const Scene *scene, const Rays *rays, const int64_t *pixel
             /* distance of the centre from the cone's mantle */
             const double off = aside * cos_half - ahead * sin_half;
             if (distance <= part->radius || (off <= part->radius && ahead > -part->radius)) {
-                chosen[found++] = i;
+                choice->part[choice->count++] = i;
                 break;
             }
             if (scene->times == 1) break;
         }
     }
-    return found;
 }
 
 static double reversed(int number, int base) {
@@ -291,35 +339,48 @@ static void draw_sample(const Scene *scene, int sample, int samples, int64_t col
     if (scene->times > 1) draw->time = (int)(fraction(reversed(sample, 3) + other) * scene->times);
 }
 
-static void render_pixel(const Scene *scene, const Rays *rays, const int *chosen, int count, int64_t pixel, int samples,
-                         float *radiance, uint32_t *code, uint8_t *stripe) {
-    double sum[1 + MAX_LASERS] = {0}, shift_px[2];
-    Draw draw;
-    for (int sample = 0; sample < samples; sample++) {
-        draw_sample(scene, sample, samples, pixel % rays->width, pixel / rays->width, shift_px, &draw);
-        double x = rays->x[pixel], y = rays->y[pixel];
+/* One sample of each pixel of a block. */
+static void cast_block(const Scene *scene, const Rays *rays, const Choice *parts, const int64_t *pixel, int count,
+                       int sample, int samples, Ray *ray) {
+    int guess = 0;
+    for (int i = 0; i < count; i++) {
+        const int64_t at = pixel[i];
+        double shift_px[2], x = rays->x[at], y = rays->y[at];
+        draw_sample(scene, sample, samples, at % rays->width, at / rays->width, shift_px, &ray[i].draw);
         if (samples > 1) {
-            x += shift_px[0] * rays->per_px[0][0][pixel] + shift_px[1] * rays->per_px[1][0][pixel];
-            y += shift_px[0] * rays->per_px[0][1][pixel] + shift_px[1] * rays->per_px[1][1][pixel];
+            x += shift_px[0] * rays->per_px[0][0][at] + shift_px[1] * rays->per_px[1][0][at];
+            y += shift_px[0] * rays->per_px[0][1][at] + shift_px[1] * rays->per_px[1][1][at];
         }
-        trace(scene, chosen, count, x, y, 1 / sqrt(samples), &draw, sum, code, stripe);
+        const Stand *stand = scene->stand + ray[i].draw.time;
+        ray[i].direction = rotated_back(stand->rotation, (Vector){x, y, 1});
+        if (first_hit(&scene->target, parts->part, parts->count, guess, stand->eye, ray[i].direction, &ray[i].hit))
+            for (guess = 0; parts->part[guess] != ray[i].hit.part;) guess++;
     }
-    for (int i = 0; i <= scene->lasers; i++) radiance[(size_t)i * rays->pixels + (size_t)pixel] = (float)(sum[i] / samples);
 }
 
 static void render_all(const Scene *scene, const Rays *rays, const int64_t *chosen_pixel, size_t count, int samples,
                        float *radiance, uint32_t *code, uint8_t *stripe) {
     uint32_t unused_code;
     uint8_t unused_stripe;
+    Ray ray[BLOCK];
+    Choice parts;
+    Shades shades;
     for (size_t start = 0; start < count; start += BLOCK) {
         int64_t pixel[BLOCK];
-        int parts[MAX_PARTS];
+        double sum[BLOCK][1 + MAX_LASERS] = {{0}};
         const int entries = (int)(count - start < BLOCK ? count - start : BLOCK);
         for (int i = 0; i < entries; i++) pixel[i] = chosen_pixel ? chosen_pixel[start + i] : (int64_t)(start + i);
-        const int found = parts_near(scene, rays, pixel, entries, parts);
+        parts_near(scene, rays, pixel, entries, &parts);
+        for (int sample = 0; sample < samples; sample++) {
+            cast_block(scene, rays, &parts, pixel, entries, sample, samples, ray);
+            if (!scene->dark) find_shades(scene, ray, entries, &shades);
+            for (int i = 0; i < entries; i++)
+                shade(scene, &shades, ray + i, 1 / sqrt(samples), sum[i], code ? code + pixel[i] : &unused_code,
+                      stripe ? stripe + pixel[i] : &unused_stripe);
+        }
         for (int i = 0; i < entries; i++)
-            render_pixel(scene, rays, parts, found, pixel[i], samples, radiance, code ? code + pixel[i] : &unused_code,
-                         stripe ? stripe + pixel[i] : &unused_stripe);
+            for (int k = 0; k <= scene->lasers; k++)
+                radiance[(size_t)k * rays->pixels + (size_t)pixel[i]] = (float)(sum[i][k] / samples);
     }
 }
 
@@ -384,6 +445,8 @@ PyObject *call_render(PyObject *module, PyObject *tuple) {
         scene->lasers = (int)view[2].shape[0];
         for (Py_ssize_t i = 0; i < arguments.view[9].shape[0] * RELIEF_TEXELS * RELIEF_TEXELS; i++)
             scene->relief = greater(scene->relief, 2 * fabs(scene->target.height[i]));
+        for (scene->all.count = 0; scene->all.count < scene->target.parts; scene->all.count++)
+            scene->all.part[scene->all.count] = scene->all.count;
         scene->dark = !(scene->light.ambient > 0 || scene->light.sun > 0 || scene->light.earth > 0);
         for (int i = 0; i < scene->times; i++)
             place(scene, scene->stand + i, (const double *)view[0].buf + 12 * i, view[2].buf);
@@ -419,7 +482,7 @@ PyObject *call_hits(PyObject *module, PyObject *tuple) {
         const Vector eye = {origin[0], origin[1], origin[2]};
         const Vector ray = {direction[i], direction[n + i], direction[2 * n + i]};
         Hit hit = {.surface = EMPTY, .point = {NAN, NAN, NAN}, .normal = {NAN, NAN, NAN}};
-        if (first_hit(&target, all, target.parts, eye, ray, &hit)) complete_hit(&target, eye, ray, &hit);
+        if (first_hit(&target, all, target.parts, target.parts, eye, ray, &hit)) complete_hit(&target, eye, ray, &hit);
         parameters[i] = hit.parameter;
         surface[i] = hit.surface;
         point[i] = hit.point.x, point[n + i] = hit.point.y, point[2 * n + i] = hit.point.z;
@@ -440,8 +503,10 @@ PyObject *call_blocked(PyObject *module, PyObject *tuple) {
     const size_t n = (size_t)view[0].shape[1];
     const double *point = view[0].buf, *towards = view[1].buf;
     uint8_t *result = view[2].buf;
+    int all[MAX_PARTS];
+    for (int i = 0; i < target.parts; i++) all[i] = i;
     for (size_t i = 0; i < n; i++)
-        result[i] = (uint8_t)blocked(&target, EMPTY, (Vector){point[i], point[n + i], point[2 * n + i]},
+        result[i] = (uint8_t)blocked(&target, all, target.parts, EMPTY, (Vector){point[i], point[n + i], point[2 * n + i]},
                                      (Vector){towards[i], towards[n + i], towards[2 * n + i]});
     return close_arguments(&arguments, Py_NewRef(Py_None));
 }

@@ -18,7 +18,7 @@ double reflectance(Coating coating, Vector normal, Vector to_light, Vector to_ey
     const double fresnel = coating.specular + (1 - coating.specular) * grazing2 * grazing2 * grazing;
     const double smith = (n_light + sqrt(alpha2 + (1 - alpha2) * n_light * n_light)) *
                          (n_eye + sqrt(alpha2 + (1 - alpha2) * n_eye * n_eye));
-    return lambert + alpha2 / (PI * lobe * lobe) * fresnel / smith;
+    return lambert + alpha2 * fresnel / (PI * lobe * lobe * smith);
 }
 
 /* Length of lines [k cell, k cell + line] between 0 and x, for any x. */

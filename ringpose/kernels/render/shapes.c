@@ -12,7 +12,8 @@ int near_ray(const Part *part, Vector origin, Vector direction, double limit) {
     const double distance2 = dot(to, to);
     if (distance2 * square - along * along > radius2 * square) return 0;
     if (distance2 <= radius2) return 1; /* the origin is inside */
-    return along > 0 && along - part->radius * sqrt(square) < limit * square;
+    const double beyond = along - limit * square;
+    return along > 0 && (beyond < 0 || beyond * beyond < radius2 * square);
 }
 
 /* Ray against the box between two corners; 0 without overlap, else the interval of the parameter and its first axis. */
@@ -195,24 +196,31 @@ static double hit_revolution(const Target *target, const Part *part, Vector o, V
     return search.piece == EMPTY ? INFINITY : search.best;
 }
 
+static int is_aligned(const Part *part) {
+    return part->rotation[0] == 1 && part->rotation[4] == 1 && part->rotation[8] == 1;
+}
+
 static double hit_part(const Target *target, const Part *part, Vector origin, Vector direction, double nearest,
                        double limit, int *face) {
-    const Vector o = rotated(part->rotation, minus(origin, part->origin)), d = rotated(part->rotation, direction);
+    Vector o = minus(origin, part->origin), d = direction;
+    if (!is_aligned(part)) o = rotated(part->rotation, o), d = rotated(part->rotation, d);
     if (part->kind == BOX) return hit_box(part, o, d, nearest, limit, face);
     return hit_revolution(target, part, o, d, nearest, limit, face);
 }
 
-int first_hit(const Target *target, const int *chosen, int count, Vector origin, Vector direction, Hit *hit) {
-    const double nearest = NEAREST_M / sqrt(dot(direction, direction));
+int first_hit(const Target *target, const int *chosen, int count, int guess, Vector origin, Vector direction, Hit *hit) {
     hit->parameter = INFINITY;
-    for (int i = 0; i < count; i++) {
-        const Part *part = target->part + chosen[i];
+    hit->part = hit->surface = EMPTY;
+    for (int i = guess < count ? -1 : 0; i < count; i++) {
+        if (i == guess) continue;
+        const int number = chosen[i < 0 ? guess : i];
+        const Part *part = target->part + number;
         int face = 0;
-        if (count > 1 && !near_ray(part, origin, direction, hit->parameter)) continue;
-        const double parameter = hit_part(target, part, origin, direction, nearest, hit->parameter, &face);
+        if (!near_ray(part, origin, direction, hit->parameter)) continue;
+        const double parameter = hit_part(target, part, origin, direction, 0, hit->parameter, &face);
         if (parameter < hit->parameter) {
             hit->parameter = parameter;
-            hit->part = chosen[i];
+            hit->part = number;
             hit->face = face;
             hit->surface = (int)part->first_surface + face;
         }
@@ -220,12 +228,13 @@ int first_hit(const Target *target, const int *chosen, int count, Vector origin,
     return hit->parameter < INFINITY;
 }
 
-int blocked(const Target *target, int own, Vector point, Vector towards) {
+int blocked(const Target *target, const int *chosen, int count, int own, Vector point, Vector towards) {
     const double nearest = NEAREST_M / sqrt(dot(towards, towards));
-    for (int i = 0; i < target->parts; i++) {
+    for (int i = 0; i < count; i++) {
+        const Part *part = target->part + chosen[i];
         int face;
-        if (i == own || !near_ray(target->part + i, point, towards, 1)) continue;
-        if (hit_part(target, target->part + i, point, towards, nearest, 1, &face) < 1) return 1;
+        if (chosen[i] == own || !near_ray(part, point, towards, 1)) continue;
+        if (hit_part(target, part, point, towards, nearest, 1, &face) < 1) return 1;
     }
     return 0;
 }
@@ -236,19 +245,19 @@ static size_t texel_index(int64_t column, int64_t row) {
 
 /* Newton steps from the flat face to the relief's tangent planes; then its slopes, bilinear between texels. */
 static void hit_relief(const Target *target, int relief, Vector o, Vector d, double *t, double slope[2]) {
-    const double texel = target->texel[relief];
+    const double texel = target->texel[relief], per_texel = 1 / texel;
     const float *height = target->height + (size_t)relief * RELIEF_TEXELS * RELIEF_TEXELS;
     const float *gradient = target->slope + 2 * (size_t)relief * RELIEF_TEXELS * RELIEF_TEXELS;
     for (int step = 0; step < RELIEF_STEPS; step++) {
         const double x = o.x + *t * d.x, y = o.y + *t * d.y, z = o.z + *t * d.z;
-        const int64_t column = whole(x / texel + 0.5), row = whole(y / texel + 0.5);
+        const int64_t column = whole(x * per_texel + 0.5), row = whole(y * per_texel + 0.5);
         const size_t at = texel_index(column, row);
         const double along_x = gradient[2 * at], along_y = gradient[2 * at + 1];
         const double off_x = x - (double)column * texel, off_y = y - (double)row * texel;
         const double tangent = height[at] + along_x * off_x + along_y * off_y;
         *t += (tangent - z) / (d.z - along_x * d.x - along_y * d.y);
     }
-    const double x = (o.x + *t * d.x) / texel, y = (o.y + *t * d.y) / texel;
+    const double x = (o.x + *t * d.x) * per_texel, y = (o.y + *t * d.y) * per_texel;
     const int64_t column = whole(x), row = whole(y);
     const double share_x = x - (double)column, share_y = y - (double)row;
     const float *near = gradient + 2 * texel_index(column, row), *right = gradient + 2 * texel_index(column + 1, row);

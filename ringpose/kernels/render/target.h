@@ -105,14 +105,16 @@ static inline Vector rotated_back(const double m[9], Vector a) {
 /* Whether the bounding sphere of a part meets the ray between 0 and `limit`. */
 int near_ray(const Part *part, Vector origin, Vector direction, double limit);
 
-/* The nearest intersection of a ray with the chosen parts; 0 if there is none. */
-int first_hit(const Target *target, const int *chosen, int count, Vector origin, Vector direction, Hit *hit);
+/* The nearest intersection of a ray with the chosen parts; 0 if there is none. The part chosen[guess], which the ray
+   probably hits, is tried first; `guess` may be count. */
+int first_hit(const Target *target, const int *chosen, int count, int guess, Vector origin, Vector direction, Hit *hit);
 
 /* Completes a hit: points, normals and coordinates on the surface. */
 void complete_hit(const Target *target, Vector origin, Vector direction, Hit *hit);
 
-/* Whether a part intersects the segment from `point` to `point` + `towards`; `own`: a convex part to leave out, or -1. */
-int blocked(const Target *target, int own, Vector point, Vector towards);
+/* Whether one of the chosen parts intersects the segment from `point` to `point` + `towards`; `own`: a convex part to
+   leave out, or EMPTY. */
+int blocked(const Target *target, const int *chosen, int count, int own, Vector point, Vector towards);
 
 /* Radiance per irradiance of a coating: BRDF times cosine is left to the caller. */
 double reflectance(Coating coating, Vector normal, Vector to_light, Vector to_eye);

@@ -17,17 +17,42 @@ BODY, RING = "body", "ring"
 
 
 def view_target(scene: Scene, view: RingView) -> TargetTables:
-    """The parts that a view shows."""
+    """The parts that a view shows, as tables."""
+    return _tables(*_described(scene, view))
+
+
+def part_around(scene: Scene, view: RingView, point_m: Float64[Array, "xyz=3"]) -> str | None:
+    """Name of the part of a view that contains a point of the target frame."""
+    return next((part.name for part in _parts(*_described(scene, view)) if _contains(part, point_m)), None)
+
+
+def _described(scene: Scene, view: RingView) -> tuple[Body | None, tuple[Part, ...], RingShape | None]:
     if view.target == "none":
-        return target_tables(())
-    return _tables(scene.body, scene.parts, scene.ring if view.target == "ring" else None)
+        return None, (), None
+    return scene.body, scene.parts, scene.ring if view.target == "ring" else None
+
+
+@lru_cache(maxsize=4)
+def _parts(body: Body | None, parts: tuple[Part, ...], ring: RingShape | None) -> tuple[Part, ...]:
+    bodies = () if body is None else (body_part(body),)
+    return (*bodies, *parts, *(() if ring is None else (ring_part(ring),)))
 
 
 @lru_cache(maxsize=4)
 def _tables(body: Body | None, parts: tuple[Part, ...], ring: RingShape | None) -> TargetTables:
-    bodies = () if body is None else (body_part(body),)
-    rings = () if ring is None else (ring_part(ring),)
-    return target_tables((*bodies, *parts, *rings))
+    return target_tables(_parts(body, parts, ring))
+
+
+def _contains(part: Part, point_m: Float64[Array, "xyz=3"]) -> bool:
+    """Whether a point is in a box, or within the closed profile of a surface of revolution (crossings of a ray)."""
+    x, y, z = (point_m - part.translation_m) @ part.rotation
+    if isinstance(part.shape, Box):
+        return bool(((part.shape.low_m < (x, y, z)) & (part.shape.high_m > (x, y, z))).all())
+    first, radius = part.shape.profile_m, float(np.hypot(x, y))
+    second = np.roll(first, -1, axis=0)
+    crossed = (first[:, 1] > z) != (second[:, 1] > z)
+    (r_1, z_1), (r_2, z_2) = first[crossed].T, second[crossed].T
+    return bool((radius < r_1 + (z - z_1) * (r_2 - r_1) / (z_2 - z_1)).sum() % 2)
 
 
 def ring_part(ring: RingShape) -> Part:
