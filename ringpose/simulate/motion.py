@@ -95,6 +95,10 @@ class PosePath:
             raise DataError(self._name, covered, "give more poses, or render fewer shots")
         return np.asarray(self._rotation(time_s).as_matrix()), np.asarray(self._position(time_s))
 
+    def inertial_from_camera(self, time_s: float) -> Float64[Array, "3 3"]:
+        """See `TargetPath`; a camera whose motion is not known is taken as still."""
+        return np.eye(3)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FreePath:
@@ -117,6 +121,10 @@ class FreePath:
             return rotation, translation_m
         turned, moved_m = self.camera.camera_from_target(time_s)  # inertial frame from camera
         return turned.T @ rotation, turned.T @ (translation_m - moved_m)
+
+    def inertial_from_camera(self, time_s: float) -> Float64[Array, "3 3"]:
+        """See `TargetPath`."""
+        return np.eye(3) if self.camera is None else self.camera.camera_from_target(time_s)[0]
 
 
 def velocities(

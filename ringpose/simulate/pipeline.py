@@ -149,6 +149,9 @@ def illuminated_ring(
     if name := part_around(scene, view, placement.eye_m):
         raise DataError(f"the scene's view {view.name}", f"has the camera inside the part {name!r}", "move it away")
     during: tuple[Placement, ...] = (placement,)
+    light = scene.lights[view.light]
+    if view.path is not None:
+        light = _turned(light, view.path.inertial_from_camera(view.begin_s + time_s))
     if view.path is not None and exposure_s > 0.0:
         shares = (np.arange(TIMES) + 0.5) / TIMES - 0.5
         during = tuple(target_placement(scene, view, time_s + float(share) * exposure_s) for share in shares)
@@ -158,9 +161,17 @@ def illuminated_ring(
         during=during,
         planes=scene.rig.lasers,
         laser_light=scene.lasers,
-        light=scene.lights[view.light],
+        light=light,
         lasers=_lasers_on(scene, masks),
     )
+
+
+def _turned(light: Light, inertial_from_camera: Float64[Array, "3 3"]) -> Light:
+    """The light as a camera sees it that has turned since the start."""
+    earth = light.earth
+    if earth is not None:
+        earth = replace(earth, direction=earth.direction @ inertial_from_camera)
+    return replace(light, sun_direction=light.sun_direction @ inertial_from_camera, earth=earth)
 
 
 def view_truth(

@@ -74,3 +74,6 @@ class TargetPath(Protocol):
 
     def camera_from_target(self, time_s: float) -> tuple[Float64[Array, "3 3"], Float64[Array, "xyz=3"]]:
         """Rotation and translation at a time since the start of the run."""
+
+    def inertial_from_camera(self, time_s: float) -> Float64[Array, "3 3"]:
+        """Rotation of the camera since the start: directions of the sky turn back by it."""

@@ -94,7 +94,7 @@ def test_every_part_shadows_every_other_from_the_sun(plates):
     x_axis = illuminated.placement.rotation[:, 0]
 
     shadow, beside = -0.09 * x_axis, 0.12 * x_axis
-    radiance = radiance_along(illuminated, np.stack([shadow, beside]) + [0.0, 0.0, 1.0])[0]
+    radiance = radiance_along(illuminated, np.stack([shadow, beside]) - TOWARDS_CAMERA)[0]
 
     assert radiance[0] == 0.0
     assert radiance[1] > 0.0

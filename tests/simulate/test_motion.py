@@ -11,10 +11,12 @@ from ringpose.errors import DataError
 from ringpose.geometry.rays import project
 from ringpose.geometry.ring import predicted_break_points, ring_arcs
 from ringpose.simulate.motion import FreeAttitude, PosePath, velocities
-from ringpose.simulate.pipeline import SceneFrames, simulate
+from ringpose.simulate.pipeline import SceneFrames, illuminated_ring, simulate
 from ringpose.simulate.placement import ring_views, target_placement
+from ringpose.simulate.renderer import blur_px, layers, pixel_rays
 from ringpose.types.motion import MOTION_PRESETS, FreeMotion, TimedPoses
-from ringpose.types.target import MATERIALS
+from ringpose.types.scene import Light, RingView
+from ringpose.types.target import MATERIALS, Body
 
 STRESS_RAD_S = np.array(MOTION_PRESETS["stress"].angular_velocity_rad_s)
 TEN_MINUTES_S = 600.0
@@ -217,3 +219,50 @@ def test_a_path_through_poses_passes_them_and_ends_with_them():
         np.testing.assert_allclose(path.camera_from_target(time_s)[1], position_m, atol=1e-12)
     with pytest.raises(DataError, match="covers"):
         path.camera_from_target(3.1)
+
+
+def test_the_sky_turns_when_the_camera_does(moving):
+    turn = TimedPoses(
+        time_s=np.array([0.0, 1.0]),
+        position_m=np.zeros((2, 3)),
+        orientation_xyzw=Rotation.from_rotvec([[0.0, 0, 0], [0, 0.4, 0]]).as_quat(),
+    )
+    scene = replace(moving, motion=replace(moving.motion, camera=turn))
+    (view, _) = ring_views(scene)
+
+    later = illuminated_ring(scene, view, time_s=0.5).light.sun_direction
+
+    expected = Rotation.from_rotvec([0.0, -0.2, 0.0]).apply(scene.lights[view.light].sun_direction)
+    np.testing.assert_allclose(later, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("motion_px", [0.5, 3.0, 12.0])
+def test_a_moving_edge_is_blurred_into_a_ramp_of_its_motion(clean_scene, motion_px):
+    """A white wall that moves sideways at constant speed: light rises linearly over the motion, about its middle."""
+    speed_m_s = motion_px / 356.0 / 0.01
+    poses = TimedPoses(
+        time_s=np.array([0.0, 1.0]),
+        position_m=np.array([[0.0, 0.0, 1.0], [speed_m_s, 0.0, 1.0]]),
+        orientation_xyzw=np.array([[1.0, 0.0, 0.0, 0.0]] * 2),
+    )
+    camera = replace(clean_scene.rig.camera, distortion_coefficients=np.zeros(5))
+    wall = Body(size_m=np.array([4.0, 4.0, 0.1]), offset_m=np.array([2.0, 0.0]), material=MATERIALS["white"])
+    scene = replace(
+        clean_scene,
+        rig=replace(clean_scene.rig, camera=camera),
+        body=wall,
+        lights={"dim": Light(name="dim", sun_w_m2=1.0, sun_direction=np.array([0.0, 0.0, -1.0]))},
+        motion=poses,
+        views=(RingView(name="moving", center_m=np.ones(3), normal=np.array([0.0, 0.0, -1.0]), target="body"),),
+    )
+    (view,) = ring_views(scene)
+    illuminated = illuminated_ring(scene, view, (0,), 0.005, 0.01)
+
+    image = layers(illuminated, pixel_rays(camera), blur_px=blur_px(illuminated, camera)).ambient
+
+    assert blur_px(illuminated, camera) == pytest.approx(motion_px, rel=0.07)
+    profile = image[60:180].astype(float).mean(axis=0) / image[120, 300]
+    edge_px = 160.7 + motion_px / 2
+    borders = (np.arange(321) - 0.5 - edge_px) / motion_px
+    ramp = np.where(borders < -0.5, 0.0, np.where(borders > 0.5, borders, (borders + 0.5) ** 2 / 2))
+    np.testing.assert_allclose(profile, np.diff(ramp) * motion_px, atol=0.02)

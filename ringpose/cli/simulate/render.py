@@ -104,12 +104,15 @@ def simulate(
 
 
 def _check_still(scene: "Scene", path: Path) -> None:
-    """Features are drawn with velocities of their own."""
+    """Features are drawn with velocities and a form of the ring of their own, and of a ring without gaps."""
     from ringpose.errors import UsageError
 
     if scene.motion is not None:
         remedy = "remove it, and draw velocities with --max-speed and --max-rate"
         raise UsageError(f"{path}: motion", "moves the target in rendered shots only", remedy)
+    if scene.ring.form is not None or scene.ring.gaps:
+        remedy = "remove them, and draw the form with --ring-tolerance"
+        raise UsageError(f"{path}: ring", "has a form or gaps, which rendered shots only have", remedy)
 
 
 app.command("simulate serve")(serve)

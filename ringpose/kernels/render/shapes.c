@@ -125,9 +125,10 @@ static void hit_gaps(Search *search) {
         const double across = o.y * gap->cosine - o.x * gap->sine, by_t = d.y * gap->cosine - d.x * gap->sine;
         for (int side = -1; side <= 2; side++) { /* the two walls, then the floor */
             const double t = side <= 1 ? (side * gap->half_width - across) / by_t : (gap->floor - o.z) / d.z;
-            if (side == 0 || !(t > search->nearest && t < search->best)) continue;
+            const int is_open = side == 2 && gap->floor <= part->low.y; /* through the whole ring */
+            if (side == 0 || is_open || !(t > search->nearest && t < search->best)) continue;
             const double x = o.x + t * d.x, y = o.y + t * d.y, z = o.z + t * d.z, square = x * x + y * y;
-            const int within = side <= 1 ? z > gap->floor && z < part->high.y
+            const int within = side <= 1 ? z > greater(gap->floor, part->low.y) && z < part->high.y
                                          : fabs(y * gap->cosine - x * gap->sine) < gap->half_width;
             if (within && square > inner * inner && square < outer * outer && x * gap->cosine + y * gap->sine > 0) {
                 search->best = t;
