@@ -1,36 +1,44 @@
 """scene.yaml, the input of `ringpose simulate`; man/ringpose-simulate.1 documents its keys."""
 
 from collections.abc import Mapping
-from dataclasses import MISSING
-from dataclasses import fields as record_fields
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar, cast, get_args
+from typing import Any, cast, get_args
 
 import cv2
 import numpy as np
 
 from ringpose.errors import DataError, UsageError
 from ringpose.files.boards import board_of
+from ringpose.files.motions import MAX_DISTANCE_M, MOTION_KEYS, read_motion
 from ringpose.files.rigs import read_rig
 from ringpose.files.schema import Fields
+from ringpose.files.targets import (
+    RING_KEYS,
+    TARGET_KEYS,
+    Target,
+    numbers_of,
+    positive_m,
+    read_material,
+    read_target,
+    with_details,
+)
 from ringpose.files.yaml import read_yaml
+from ringpose.geometry.mass_properties import mass_properties
 from ringpose.geometry.rotations import facing_normal
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.rig import Rig
 from ringpose.types.scene import (
-    MATERIALS,
+    EARTH_RADIUS_M,
     Approach,
     Beacon,
     BoardApproach,
     BoardSet,
-    Body,
-    Foil,
+    Earth,
     LaserLight,
     Lens,
     Light,
-    Material,
     NamedBoardPose,
-    RingShape,
     RingView,
     Scene,
     Sensor,
@@ -38,6 +46,7 @@ from ringpose.types.scene import (
     TargetKind,
 )
 from ringpose.types.sequence import parsed_sequence
+from ringpose.types.target import Body, Foil, Part, Revolution, RingShape
 
 SCHEMA = "scene/1"
 
@@ -45,23 +54,15 @@ _NUMBERS = ("exposure_s", "stripe_dn", "period_s", "start_s")
 
 _RECORDS: Mapping[str, type[Any]] = {"lasers": LaserLight, "lens": Lens, "sensor": Sensor, "speckle": Speckle}
 
-_PARTS = ("ring", "body", "lasers", "lights", "lens", "sensor", "speckle", "sequence", "trajectory", "boards")
+_PARTS = (
+    "target", "ring", "body", "sun", "earth", "lasers", "lights", "lens", "sensor", "speckle", "sequence",
+    "trajectory", "motion", "boards",
+)  # fmt: skip
 
 _KEYS = ("ringpose", "rig", "seed", *_NUMBERS, *_PARTS)
 
-_RING_KEYS = ("profile_m", "radius_inner_m", "radius_outer_m", "height_m", "face", "wall")
-
-_DIVISORS = (
-    "f_number", "quantum_efficiency", "overall_system_gain_dn_per_e", "saturation_capacity_e", "fan_rad",
-    "on_s", "off_s",
-)  # fmt: skip
-
-_FRACTIONS = ("diffuse", "specular", "roughness", "transmission", "quantum_efficiency")
-
-_MIN_VALUE = 1e-6
-"""Minimum of the numbers in `_DIVISORS`."""
-
-_Record = TypeVar("_Record")
+NO_RING = RingShape(profile_m=np.array([[0.575, 0.0], [0.597, 0.0]]))
+"""Where the ring of a target without a ring would be: poses of views refer to it."""
 
 
 def read_scene(path: Path) -> Scene:
@@ -70,29 +71,73 @@ def read_scene(path: Path) -> Scene:
     if fields.text("ringpose") != SCHEMA:
         raise fields.problem("ringpose", f"is {fields.text('ringpose')!r}, must be {SCHEMA!r}")
     rig = _rig(fields, path.parent)
-    lights = {"dim": Light(name="dim")}
+    space = _space(fields)
+    lights = {"dim": replace(space, name="dim")}
     if fields.has("lights"):
         named = fields.fields("lights")
-        lights = {str(name): _light(named, str(name)) for name in named.values}
+        lights = {str(name): _light(named, str(name), space) for name in named.values}
     lasers = len(rig.lasers.names)
     values: dict[str, Any] = fields.given(_NUMBERS, lambda key: fields.number(key, least=0))
-    values |= fields.given(_RECORDS, lambda key: _numbers(fields, key, _RECORDS[key]))
+    values |= fields.given(_RECORDS, lambda key: numbers_of(fields, key, _RECORDS[key]))
     values["sequence"] = read_sequence(fields, "sequence", lasers) if fields.has("sequence") else (0, (1 << lasers) - 1)
+    along_file = fields.has("motion") and fields.fields("motion").has("file")
     if fields.has("trajectory"):
-        values["views"], values["approaches"] = read_trajectory(fields, "trajectory", tuple(lights))
+        values["views"], values["approaches"] = read_trajectory(fields, "trajectory", tuple(lights), along_file)
+    elif along_file:
+        entry = Fields(fields.file, {"name": "moving"}, _VIEW_KEYS, "trajectory")
+        values["views"] = (_view(entry, tuple(lights), along_file),)
     if fields.has("boards"):
         boards = fields.fields("boards", ("camera", "planes"))
         for key, name in (("camera", "camera_boards"), ("planes", "plane_boards")):
             values[name] = read_board_set(boards, key, lasers) if boards.has(key) else None
-    ring = fields.fields("ring", _RING_KEYS)
+    body = _body(fields.fields("body", _BODY_KEYS)) if fields.has("body") or not fields.has("target") else None
+    target, values["views"] = _target(fields, values.get("views", ()))
+    if fields.has("motion"):
+        motion = fields.fields("motion", MOTION_KEYS)
+        values["motion"] = read_motion(motion, *_inertia_and_center(fields, target, body), path.parent)
+        values["shots"] = motion.integer("shots", least=1) if motion.has("shots") else 1
     return Scene(
         rig=rig,
-        ring=RingShape(profile_m=_profile_m(ring), **ring.given(("face", "wall"), lambda key: _material(ring, key))),
-        body=_body(fields.fields("body", ("size_m", "offset_m", "material", "foil"))),
+        ring=target.ring or NO_RING,
+        body=body,
+        parts=target.parts,
         lights=lights,
         seed=fields.integer("seed", least=0) if fields.has("seed") else 1,
         **values,
     )
+
+
+def _target(fields: Fields, views: tuple[RingView, ...]) -> tuple[Target, tuple[RingView, ...]]:
+    """The parts and the ring of the scene, and its views: of a target without a ring they show the rest."""
+    if not fields.has("target"):
+        return Target(parts=(), ring=_ring(fields.fields("ring", RING_KEYS))), views
+    target = read_target(fields.fields("target", TARGET_KEYS))
+    if fields.has("ring"):
+        if target.ring is not None:
+            raise fields.problem("ring", "is given, but the target has a ring", "remove one of them")
+        target = Target(parts=target.parts, ring=_ring(fields.fields("ring", RING_KEYS)))
+    if target.ring is None:
+        views = tuple(replace(view, target="body") if view.target == "ring" else view for view in views)
+    return target, views
+
+
+def _inertia_and_center(
+    fields: Fields, target: Target, body: Body | None
+) -> tuple[Float64[Array, "3 3"], Float64[Array, "3"]]:
+    """Those of the parts, if they have masses, or else of a uniform body; those of a motion's own are not needed."""
+    rings = [] if target.ring is None else [target.ring]
+    shells = [
+        Part(name="ring", shape=Revolution(profile_m=ring.profile_m), materials=(ring.wall,), mass_kg=ring.mass_kg)
+        for ring in rings
+    ]
+    mass_kg, center_m, inertia = mass_properties((*target.parts, *shells))
+    if mass_kg == 0.0 and body is not None:
+        return body.inertia_and_center
+    motion = fields.fields("motion")
+    if mass_kg == 0.0 and not (motion.has("file") or (motion.has("inertia_kg_m2") and motion.has("center_of_mass_m"))):
+        remedy = "give the parts mass_kg, or the motion inertia_kg_m2 and center_of_mass_m"
+        raise fields.problem("motion", "moves a target whose parts have no mass", remedy)
+    return inertia, center_m
 
 
 def _rig(fields: Fields, folder: Path) -> Rig:
@@ -106,7 +151,7 @@ def _rig(fields: Fields, folder: Path) -> Rig:
 
 def _profile_m(fields: Fields) -> Float64[Array, "point 2"]:
     if not fields.has("profile_m"):
-        inner, outer, height = (_positive_m(fields, key) for key in ("radius_inner_m", "radius_outer_m", "height_m"))
+        inner, outer, height = (positive_m(fields, key) for key in ("radius_inner_m", "radius_outer_m", "height_m"))
         if inner >= outer:
             raise fields.problem("radius_inner_m", f"is {inner:g}, must be smaller than radius_outer_m")
         return np.array([[inner, 0.0], [inner, height], [outer, height], [outer, 0.0]])
@@ -120,12 +165,20 @@ def _profile_m(fields: Fields) -> Float64[Array, "point 2"]:
     return profile_m
 
 
+def _ring(fields: Fields) -> RingShape:
+    values: dict[str, Any] = fields.given(("face", "wall"), lambda key: read_material(fields, key))
+    return with_details(fields, RingShape(profile_m=_profile_m(fields), **values))
+
+
+_BODY_KEYS = ("size_m", "offset_m", "material", "foil")
+
+
 def _body(fields: Fields) -> Body:
     values: dict[str, Any] = fields.given(("offset_m",), lambda key: fields.vector(key, 2))
     if values:
         fields.check_metres("offset_m", values["offset_m"])
-    values |= fields.given(("material",), lambda key: _material(fields, key))
-    values |= fields.given(("foil",), lambda key: _numbers(fields, key, Foil))
+    values |= fields.given(("material",), lambda key: read_material(fields, key))
+    values |= fields.given(("foil",), lambda key: numbers_of(fields, key, Foil))
     size_m = fields.vector("size_m", 3)
     fields.check_metres("size_m", size_m)
     if (size_m <= 0).any():
@@ -133,52 +186,52 @@ def _body(fields: Fields) -> Body:
     return Body(size_m=size_m, **values)
 
 
-def _material(fields: Fields, key: str) -> Material:
-    """A material, given by its name or by its parameters."""
-    if isinstance(fields.raw(key), str):
-        return MATERIALS[fields.choice(key, MATERIALS)]
-    return _numbers(fields, key, Material)
+_SUN_KEYS = ("irradiance_w_m2", "direction", "diameter_rad")
+
+_EARTH_KEYS = ("direction", "orbit_radius_m", "albedo")
 
 
-def _light(named: Fields, name: str) -> Light:
+def _space(fields: Fields) -> Light:
+    """Sun and Earth, which all lights of the scene have in common unless they have their own sun."""
+    values: dict[str, Any] = {}
+    if fields.has("sun"):
+        sun = fields.fields("sun", _SUN_KEYS)
+        values["sun_w_m2"] = sun.number("irradiance_w_m2", least=0)
+        values["sun_direction"] = _direction(sun, "direction")
+        values |= {f"sun_{key}": _angle(sun, key, 0.2) for key in ("diameter_rad",) if sun.has(key)}
+    if fields.has("earth"):
+        earth = fields.fields("earth", _EARTH_KEYS)
+        given: dict[str, Any] = {"direction": _direction(earth, "direction")}
+        if earth.has("orbit_radius_m"):
+            given["orbit_radius_m"] = earth.number("orbit_radius_m", least=1.02 * EARTH_RADIUS_M)
+        if earth.has("albedo"):
+            given["albedo"] = earth.number("albedo", least=0, most=1)
+        values["earth"] = Earth(**given)
+    return Light(name="space", **values)
+
+
+def _direction(fields: Fields, key: str) -> Float64[Array, "3"]:
+    direction = fields.vector(key, 3)
+    if not direction.any():
+        raise fields.problem(key, "has length 0")
+    return direction
+
+
+def _angle(fields: Fields, key: str, most_rad: float) -> float:
+    angle_rad = fields.number(key, least=0)
+    if angle_rad > most_rad:
+        raise fields.problem(key, f"is {angle_rad:g}, must be at most {most_rad:g}", "give radians")
+    return angle_rad
+
+
+def _light(named: Fields, name: str, space: Light) -> Light:
     keys = ("ambient_w_m2", "sun_w_m2", "sun_direction", "beacon")
     light = Fields(named.file, named.values[name] or {}, keys, named.path + "." + name)
     values: dict[str, Any] = light.given(keys[:2], lambda key: light.number(key, least=0))
     if light.has("sun_direction"):
-        direction = light.vector("sun_direction", 3)
-        if not direction.any():
-            raise light.problem("sun_direction", "has length 0")
-        values["sun_direction"] = direction
-    values |= light.given(("beacon",), lambda key: _numbers(light, key, Beacon))
-    return Light(name=name, **values)
-
-
-def _numbers(fields: Fields, key: str, record: type[_Record]) -> _Record:
-    """A record whose fields are non-negative numbers; optional fields that are absent keep their defaults."""
-    known = record_fields(cast(Any, record))
-    entry = fields.fields(key, [field.name for field in known])
-    given = [field.name for field in known if field.name in entry.values or field.default is MISSING]
-    return record(**{name: _number(entry, name) for name in given})
-
-
-def _number(fields: Fields, key: str) -> float | int:
-    if key == "seed":
-        return fields.integer(key, least=0)
-    if key == "bits":
-        bits = fields.integer(key)
-        if bits not in (8, 12):
-            raise fields.problem(key, f"is {bits}, must be 8 or 12")
-        return bits
-    if key.endswith("_m"):
-        return _positive_m(fields, key)
-    return fields.number(key, least=_MIN_VALUE if key in _DIVISORS else 0.0, most=1.0 if key in _FRACTIONS else np.inf)
-
-
-def _positive_m(fields: Fields, key: str) -> float:
-    length_m = fields.length_m(key)
-    if length_m <= 0:
-        raise fields.problem(key, f"is {length_m:g}, must be positive")
-    return length_m
+        values["sun_direction"] = _direction(light, "sun_direction")
+    values |= light.given(("beacon",), lambda key: numbers_of(light, key, Beacon))
+    return replace(space, name=name, **values)
 
 
 _VIEW_KEYS = ("name", "center_m", "normal", "pitch_rad", "yaw_rad", "roll_rad", "light", "target", "groups")
@@ -207,20 +260,23 @@ def read_sequence(fields: Fields, key: str, lasers: int) -> tuple[int, ...]:
 
 
 def read_trajectory(
-    fields: Fields, key: str, lights: tuple[str, ...]
+    fields: Fields, key: str, lights: tuple[str, ...], along_file: bool = False
 ) -> tuple[tuple[RingView, ...], tuple[Approach, ...]]:
     """The entries of a trajectory: single views, and approaches, which are sets of random views (`generate`).
 
-    `lights` are the names of the scene's lights, one of which a view names.
+    `lights` are the names of the scene's lights, one of which a view names. The poses of views `along_file` are in the
+    trajectory file.
     """
     views: list[RingView] = []
     approaches: list[Approach] = []
     for entry in fields.each(key):
         if entry.has("generate"):
+            if along_file:
+                raise entry.problem("generate", "draws poses, but those of motion.file are given")
             alone = Fields(entry.file, entry.values, ("generate",), entry.path)
             approaches.append(_approach(alone.fields("generate", _APPROACH_KEYS), lights))
         else:
-            views.append(_view(Fields(entry.file, entry.values, _VIEW_KEYS, entry.path), lights))
+            views.append(_view(Fields(entry.file, entry.values, _VIEW_KEYS, entry.path), lights, along_file))
     names = [view.name for view in views]
     for name in names:
         if names.count(name) > 1:
@@ -254,8 +310,17 @@ def read_board_set(fields: Fields, key: str, lasers: int) -> BoardSet:
     return BoardSet(**values)
 
 
-def _view(entry: Fields, lights: tuple[str, ...]) -> RingView:
-    values: dict[str, Any] = {"name": _name(entry), "center_m": entry.point_m("center_m"), "normal": _normal(entry)}
+_POSE_OF_VIEW = ("center_m", "normal", "pitch_rad", "yaw_rad", "roll_rad")
+
+
+def _view(entry: Fields, lights: tuple[str, ...], along_file: bool) -> RingView:
+    values: dict[str, Any] = {"name": _name(entry)}
+    if along_file:
+        for key in filter(entry.has, _POSE_OF_VIEW):
+            raise entry.problem(key, "is given, but the poses are those of motion.file", "remove it")
+        values |= {"center_m": np.zeros(3), "normal": np.array([0.0, 0.0, -1.0])}  # not used
+    else:
+        values |= {"center_m": _center_m(entry), "normal": _normal(entry)}
     if entry.has("light"):
         values["light"] = entry.choice("light", lights)
     elif "dim" not in lights:
@@ -268,6 +333,17 @@ def _view(entry: Fields, lights: tuple[str, ...]) -> RingView:
         if not all(isinstance(value, str | int | float | bool) for value in values["groups"].values()):
             raise entry.problem("groups", "must contain texts, numbers, true or false")
     return RingView(**values)
+
+
+def _center_m(entry: Fields) -> Float64[Array, "3"]:
+    center_m = entry.vector("center_m", 3)
+    if np.linalg.norm(center_m) > MAX_DISTANCE_M:
+        raise entry.problem(
+            "center_m", f"is more than {MAX_DISTANCE_M:g} m away", "give metres; this looks like millimetres"
+        )
+    if center_m[2] <= 0:
+        raise entry.problem("center_m", f"lies behind the camera, at z = {center_m[2]:g}", "z is forward")
+    return center_m
 
 
 def _normal(entry: Fields) -> Float64[Array, "3"]:

@@ -114,7 +114,7 @@ int open_arguments(PyObject *tuple, const Parameter *parameter, size_t count, Ar
         case 'L': fits = read_integer(object, &parameter[i], number); break;
         case 'R': fits = read_real(object, number); break;
         default:
-            if (object != Py_None || parameter[i].name[0] != '?')
+            if (object != Py_None || !memchr(parameter[i].name, '?', 2))
                 fits = open_array(object, &parameter[i], name, named, &arguments->view[i]);
         }
         if (!fits) {

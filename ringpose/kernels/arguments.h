@@ -7,7 +7,7 @@
 
 #include "kernels.h"
 
-enum { MAX_ARGUMENTS = 10, MAX_AXES = 4, MAX_NUMBERS = 20 };
+enum { MAX_ARGUMENTS = 24, MAX_AXES = 4, MAX_NUMBERS = 20 };
 
 /* Extents of an array that are not numbers: any, or whatever it is, the same wherever the letter stands in a call. */
 enum { ANY = -1, N = -2, M = -3, K = -4 };
@@ -59,5 +59,9 @@ PyObject *call_marks(PyObject *module, PyObject *tuple);
 PyObject *call_edge_places(PyObject *module, PyObject *tuple);
 PyObject *call_edge_profiles(PyObject *module, PyObject *tuple);
 PyObject *call_edge_steps(PyObject *module, PyObject *tuple);
+PyObject *call_render(PyObject *module, PyObject *tuple);
+PyObject *call_hits(PyObject *module, PyObject *tuple);
+PyObject *call_blocked(PyObject *module, PyObject *tuple);
+PyObject *call_reflectances(PyObject *module, PyObject *tuple);
 
 #endif

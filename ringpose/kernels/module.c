@@ -21,6 +21,14 @@ static PyMethodDef methods[] = {
      "edge_profiles(image, place, normal, params, value, saturated, noise): fills the last three"},
     {"edge_steps", call_edge_steps, METH_VARARGS,
      "edge_steps(value, saturated, noise, across, place, unit, table, params) -> steps"},
+    {"render", call_render, METH_VARARGS,
+     "render(target tables, poses, lamps, lasers, light, xy, per_px, width, pixels, samples, radiance, code, stripe): "
+     "fills the last three"},
+    {"hits", call_hits, METH_VARARGS,
+     "hits(target tables, origin, direction, parameter, surface, point, normal): fills the last four"},
+    {"blocked", call_blocked, METH_VARARGS, "blocked(target tables, point, towards, blocked): fills the last"},
+    {"reflectances", call_reflectances, METH_VARARGS,
+     "reflectances(coating, normal, to_light, to_eye, reflectance): fills the last"},
     {NULL, NULL, 0, NULL},
 };
 

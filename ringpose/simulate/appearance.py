@@ -19,16 +19,9 @@ from ringpose.simulate.feature_errors import (
     end_errors_px,
     image_noise,
 )
-from ringpose.simulate.laser_planes import half_thickness_m, in_fan
-from ringpose.simulate.lighting import (
-    IlluminatedTarget,
-    Intersections,
-    ambient_radiance,
-    hits_on_relief,
-)
+from ringpose.simulate.light import IlluminatedTarget, half_thickness_m, in_fan, radiance_along
 from ringpose.simulate.pipeline import illuminated_ring
 from ringpose.simulate.sensor import electrons_per_radiance
-from ringpose.simulate.target import EMPTY
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.camera import Camera
 from ringpose.types.scene import RingView, Scene
@@ -195,20 +188,11 @@ def _peak_electrons(
     exposure_s: float,
 ) -> tuple[Float64[Array, "stripe"], Float64[Array, "stripe"]]:
     """Expected electrons at a stripe's peak before the blur by the lens, and those of other light beside it."""
-    point = illuminated.placement.points_target(point_m.T)
     rate = electrons_per_radiance(scene.sensor, scene.lens) * exposure_s
-    laser_e = rate * face_stripe_radiance(illuminated, scene.ring.face_piece, point, lasers)
+    laser_e = rate * face_stripe_radiance(illuminated, scene.ring, point_m, lasers)
     if not illuminated.has_ambient_light:
         return laser_e, np.zeros(len(lasers))
-    normal = np.zeros_like(point)
-    normal[2] = 1.0
-    hits = Intersections(
-        surface=np.full(len(lasers), scene.ring.face_piece, dtype=np.int8),
-        point=point,
-        normal=normal,
-        to_eye=unit_vectors(illuminated.placement.eye_m - point.T).T,
-    )
-    return laser_e, rate * ambient_radiance(illuminated, hits)[0]
+    return laser_e, rate * radiance_along(illuminated, point_m)[0].astype(np.float64)
 
 
 # Visible edges
@@ -338,14 +322,10 @@ def _radiance(
     illuminated: IlluminatedTarget, toward_m: Float64[Array, "place offset xyz=3"]
 ) -> Float64[Array, "place offset"]:
     """Radiance of ambient light that the camera sees in the direction of these points."""
-    direction = illuminated.placement.vectors_target(toward_m.reshape(-1, 3).T)
-    parameter, surface = illuminated.target.first_hits(illuminated.placement.eye_m, direction)
-    hit = np.flatnonzero(surface != EMPTY)
-    radiance = np.zeros(direction.shape[1])
-    radiance[hit] = ambient_radiance(
-        illuminated, hits_on_relief(illuminated, direction[:, hit], parameter[hit], surface[hit])
-    )[0]
-    return radiance.reshape(toward_m.shape[:-1])
+    radiance: Float64[Array, "place offset"] = (
+        radiance_along(illuminated, toward_m.reshape(-1, 3))[0].astype(np.float64).reshape(toward_m.shape[:-1])
+    )
+    return radiance
 
 
 def _means_of_neighbours(values: Float64[Array, "n"], edge: Int64[Array, "n"]) -> Float64[Array, "n"]:

@@ -5,17 +5,15 @@ from dataclasses import replace
 import numpy as np
 
 from ringpose.geometry.rays import project
-from ringpose.simulate.break_points import crossings, in_image
-from ringpose.simulate.laser_planes import half_thickness_m, irradiance_w_m2
-from ringpose.simulate.lighting import IlluminatedTarget, reflectance_per_sr, surfaces
+from ringpose.simulate.break_points import in_image, ring_crossings_m
+from ringpose.simulate.light import IlluminatedTarget, half_thickness_m, radiance_along
+from ringpose.simulate.placement import MAX_DURATION_S, MIN_DURATION_S
 from ringpose.simulate.renderer import pixel_rays
 from ringpose.simulate.sensor import electrons_per_radiance
-from ringpose.simulate.target import ring_target
+from ringpose.simulate.target.parts import face_part, target_tables
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.scene import Scene
-
-MIN_DURATION_S, MAX_DURATION_S = 2e-5, 0.1
-"""Range of common cameras."""
+from ringpose.types.target import RingShape
 
 
 def view_exposure_s(scene: Scene, illuminated: IlluminatedTarget) -> float:
@@ -26,8 +24,7 @@ def view_exposure_s(scene: Scene, illuminated: IlluminatedTarget) -> float:
     """
     if scene.stripe_dn is None:
         return scene.exposure_s
-    with_ring = replace(illuminated, target=ring_target(scene.ring, scene.body))
-    brightest = float(np.max(_stripe_radiances(scene, with_ring), initial=0.0))
+    brightest = float(np.max(_stripe_radiances(scene, illuminated), initial=0.0))
     if brightest == 0.0:
         return scene.exposure_s
     rate_e = brightest * electrons_per_radiance(scene.sensor, scene.lens)
@@ -37,41 +34,30 @@ def view_exposure_s(scene: Scene, illuminated: IlluminatedTarget) -> float:
 
 def _stripe_radiances(scene: Scene, illuminated: IlluminatedTarget) -> Float64[Array, "crossing"]:
     """Peak radiance, after the blur of the lens, of each visible stripe at the mean circle of the rim."""
-    middle_m = np.array([(scene.ring.radius_inner_m + scene.ring.radius_outer_m) / 2])
-    points = np.concatenate(
-        [crossings(illuminated, scene.ring.height_m, middle_m, side) for side in (-1.0, 1.0)], axis=1
-    )
-    lasers, sides = np.nonzero(
-        in_image(project(illuminated.placement.points_camera(points), scene.rig.camera), scene.rig.camera)
-    )
-    point = points[lasers, sides]
-    depth_m = illuminated.placement.points_camera(point)[:, 2]
-    per_px_m = depth_m * pixel_rays(scene.rig.camera).angle_per_px
-    sigma_px = half_thickness_m(scene.lasers, depth_m) / per_px_m
+    camera, planes = scene.rig.camera, scene.rig.lasers
+    middle_m = np.full(2, (scene.ring.radius_inner_m + scene.ring.radius_outer_m) / 2)
+    points = np.stack([ring_crossings_m(illuminated, scene.ring, middle_m, side)[:, 0] for side in (-1.0, 1.0)], axis=1)
+    lasers, sides = np.nonzero(in_image(project(points, camera), camera))
+    point_m = points[lasers, sides]
+    per_px_m = point_m[:, 2] * pixel_rays(camera).angle_per_px
+    range_m = np.linalg.norm(point_m - planes.projector_m[lasers], axis=1)
+    sigma_px = half_thickness_m(scene.lasers, range_m) / per_px_m
     blurred = sigma_px / np.sqrt(sigma_px**2 + scene.lens.blur_px**2 + 1 / 12)
-    radiances: Float64[Array, "crossing"] = blurred * face_stripe_radiance(
-        illuminated, scene.ring.face_piece, point.T, lasers
-    )
+    radiances: Float64[Array, "crossing"] = blurred * face_stripe_radiance(illuminated, scene.ring, point_m, lasers)
     return radiances
 
 
 def face_stripe_radiance(
-    illuminated: IlluminatedTarget, face_piece: int, point: Float64[Array, "xyz=3 n"], lasers: Int64[Array, "n"]
+    illuminated: IlluminatedTarget, ring: RingShape, point_m: Float64[Array, "n xyz=3"], lasers: Int64[Array, "n"]
 ) -> Float64[Array, "n"]:
-    """Peak radiance towards the camera of stripes on the ring's face, at points on their light planes, target frame.
+    """Peak radiance towards the camera of stripes on the ring's face, at points on their light planes, camera frame.
 
-    The face is the highest flat piece of the ring and taken as not occluded.
+    The face is taken as not occluded and lit by every laser.
     """
-    normal = np.zeros_like(point)
-    normal[2] = 1.0
-    to_projector, to_eye = (
-        vector / np.sqrt((vector * vector).sum(axis=0))
-        for vector in (illuminated.sheets.projector_m[lasers].T - point, illuminated.placement.eye_m[:, None] - point)
+    alone = replace(
+        illuminated,
+        target=target_tables([face_part(ring)]),
+        lasers=tuple(range(len(illuminated.planes.distance_m))),
     )
-    material = surfaces(illuminated.target.materials, np.full(len(lasers), face_piece, dtype=np.int8))
-    irradiance = np.array(
-        [irradiance_w_m2(illuminated.sheets, int(laser), point[:, [k]])[0] for k, laser in enumerate(lasers)]
-    )
-    cosine = np.maximum(to_projector[2], 0.0)
-    radiance: Float64[Array, "n"] = irradiance * cosine * reflectance_per_sr(material, normal, to_projector, to_eye)
+    radiance: Float64[Array, "n"] = radiance_along(alone, point_m)[1 + lasers, np.arange(len(point_m))].astype(float)
     return radiance

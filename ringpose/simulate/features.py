@@ -25,8 +25,7 @@ from ringpose.simulate.appearance import (
 )
 from ringpose.simulate.common_errors import CommonErrors, drawn_common_errors, form_deviations, form_displacement
 from ringpose.simulate.feature_errors import COLUMNS_PER_CUT, CUT_CENTRES
-from ringpose.simulate.pipeline import READOUT_S
-from ringpose.simulate.placement import ring_views
+from ringpose.simulate.placement import READOUT_S, ring_views
 from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
 from ringpose.types.assumptions import MotionPrior
 from ringpose.types.camera import Camera

@@ -2,29 +2,29 @@
 
 import multiprocessing
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from multiprocessing.connection import Connection
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
+from ringpose.errors import DataError
 from ringpose.simulate.board_target import board_target
 from ringpose.simulate.break_points import true_break_points_px
 from ringpose.simulate.exposure import view_exposure_s
-from ringpose.simulate.laser_planes import sheets
-from ringpose.simulate.lighting import IlluminatedTarget
-from ringpose.simulate.placement import Placement, board_poses, ring_rotation, ring_views
-from ringpose.simulate.renderer import RenderedView, render_view
+from ringpose.simulate.light import IlluminatedTarget
+from ringpose.simulate.motion import velocities
+from ringpose.simulate.placement import READOUT_S, Placement, board_poses, ring_views, target_placement
+from ringpose.simulate.renderer import TIMES, RenderedView, render_view
 from ringpose.simulate.sensor import saturation_dn
-from ringpose.simulate.target import EmptySpace, Target, ring_target
+from ringpose.simulate.target.parts import part_around, view_target
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.image import Frame, Shot
 from ringpose.types.scene import BoardSet, Light, NamedBoardPose, RingView, Scene
-from ringpose.types.truth import Truth
-
-READOUT_S = 0.002
-"""Time between the end of an exposure and the start of the next."""
+from ringpose.types.truth import Truth, TruthFrame
 
 _SHOTS, _BOARDS = 0, 1
 """First number of each seed, so that the noise of boards and shots is independent."""
@@ -37,12 +37,76 @@ def simulate(scene: Scene, count: int | None = None, jobs: int = 1) -> Iterator[
 
 
 def simulated_shot(scene: Scene, views: tuple[RingView, ...], number: int) -> tuple[Shot, Truth]:
-    """Shot and truth of one view."""
+    """Shot and truth of one view; of a moving target, every frame is rendered at its own mid exposure."""
     view = views[number]
     illuminated = illuminated_ring(scene, view, scene.sequence)
-    rendered = render_view(scene, illuminated, (_SHOTS, scene.seed, number))
-    shot = _exposed(scene, view.name, rendered, scene.sequence, view_exposure_s(scene, illuminated), number)
-    return shot, view_truth(scene, view, illuminated)
+    exposure_s = view_exposure_s(scene, illuminated)
+    if view.path is None:
+        rendered = render_view(scene, illuminated, (_SHOTS, scene.seed, number))
+        return _exposed(scene, view.name, rendered, scene.sequence, exposure_s, number), view_truth(
+            scene, view, illuminated
+        )
+    begins_s = np.arange(len(scene.sequence)) * (exposure_s + READOUT_S)
+    if scene.shots > 1 and begins_s[-1] + exposure_s > scene.period_s:
+        found = f"is {scene.period_s:g} s, shorter than the {begins_s[-1] + exposure_s:.3f} s of a shot"
+        raise DataError("the scene's period_s", found, "give a longer period, or set exposure_s")
+    stamps_s = scene.start_s + number * scene.period_s + begins_s
+    frames = [
+        moving_frame(scene, view, mask, exposure_s, begin_s, stamp_s, (_SHOTS, scene.seed, number, frame))
+        for frame, (mask, begin_s, stamp_s) in enumerate(zip(scene.sequence, begins_s, stamps_s, strict=True))
+    ]
+    return _shot_of(scene, view.name, frames, still=False), moving_truth(scene, view, frames, begins_s)
+
+
+def moving_frame(
+    scene: Scene,
+    view: RingView,
+    mask: int,
+    exposure_s: float,
+    begin_s: float,
+    stamp_s: float,
+    seed: tuple[int, ...],
+) -> Frame:
+    """A frame of a moving target, whose exposure begins `begin_s` after that of its shot."""
+    illuminated = illuminated_ring(scene, view, (mask,), begin_s + exposure_s / 2, exposure_s)
+    return render_view(scene, illuminated, seed).frame(mask, exposure_s, stamp_s)
+
+
+def moving_truth(scene: Scene, view: RingView, exposures: Sequence[Frame], begins_s: Float64[Array, "frame"]) -> Truth:
+    """Ground truth of a moving target at the first frame with a laser on, and at each frame, all mid exposure.
+
+    The break points of the shot are those of each laser in the first of its frames with the fewest lasers on.
+    """
+    masks, lasers = scene.sequence, range(len(scene.rig.lasers.names))
+    middles_s = begins_s + exposures[0].exposure_s / 2
+    poses = [illuminated_ring(scene, view, (mask,), time_s) for mask, time_s in zip(masks, middles_s, strict=True)]
+    points_px = [true_break_points_px(pose, scene.ring, scene.rig.camera) for pose in poses]
+    first = next((frame for frame, mask in enumerate(masks) if mask), 0)
+    lit = [[frame for frame, mask in enumerate(masks) if mask >> laser & 1] or [first] for laser in lasers]
+    shown = [min(frames, key=lambda frame: masks[frame].bit_count()) for frames in lit]
+    truth = view_truth(scene, view, poses[first], np.stack([points_px[frame][k] for k, frame in enumerate(shown)]))
+    if truth.center_m is None or view.path is None:
+        return truth
+    face_m = np.array([0.0, 0.0, scene.ring.height_m])
+    velocity_m_s, rate_rad_s = velocities(view.path, view.begin_s + float(middles_s[first]), face_m)
+    frames = []
+    for exposure, pose, point_px in zip(exposures, poses, points_px, strict=True):
+        on = np.array([bool(exposure.lasers >> laser & 1) for laser in lasers])
+        frames.append(
+            TruthFrame(
+                stamp_s=exposure.stamp_s + exposure.exposure_s / 2,
+                center_m=pose.placement.points_camera(face_m),
+                normal=pose.placement.rotation[:, 2],
+                break_points_px=np.where(on[:, None, None], point_px, np.nan) if on.any() else None,
+            )
+        )
+    return replace(
+        truth,
+        stamp_s=frames[first].stamp_s,
+        velocity_m_s=velocity_m_s,
+        angular_velocity_rad_s=rate_rad_s,
+        frames=tuple(frames),
+    )
 
 
 def simulated_boards(
@@ -74,37 +138,67 @@ def render_board_view(scene: Scene, boards: BoardSet, pose: NamedBoardPose, numb
     return render_view(scene, _illuminated_board(scene, boards, pose, (255,)), _board_seed(scene, boards, number))
 
 
-def illuminated_ring(scene: Scene, view: RingView, masks: tuple[int, ...] = (255,)) -> IlluminatedTarget:
-    """The target of a view with its placement and light; `masks` are those of the frames to be rendered."""
-    rotation = ring_rotation(view.normal, view.roll_rad)
-    placement = Placement(rotation=rotation, translation_m=view.center_m - scene.ring.height_m * rotation[:, 2])
-    target: Target = EmptySpace()
-    if view.target != "none":
-        target = ring_target(scene.ring if view.target == "ring" else None, scene.body)
+def illuminated_ring(
+    scene: Scene, view: RingView, masks: tuple[int, ...] = (255,), time_s: float = 0.0, exposure_s: float = 0.0
+) -> IlluminatedTarget:
+    """The target with its light, at a time since the beginning of the shot; `masks` are those of the frames.
+
+    If an exposure is given, its middle is at that time.
+    """
+    placement = target_placement(scene, view, time_s)
+    if name := part_around(scene, view, placement.eye_m):
+        raise DataError(f"the scene's view {view.name}", f"has the camera inside the part {name!r}", "move it away")
+    during: tuple[Placement, ...] = (placement,)
+    light = scene.lights[view.light]
+    if view.path is not None:
+        light = _turned(light, view.path.inertial_from_camera(view.begin_s + time_s))
+    if view.path is not None and exposure_s > 0.0:
+        shares = (np.arange(TIMES) + 0.5) / TIMES - 0.5
+        during = tuple(target_placement(scene, view, time_s + float(share) * exposure_s) for share in shares)
     return IlluminatedTarget(
-        target=target,
+        target=view_target(scene, view),
         placement=placement,
-        sheets=sheets(scene.rig.lasers, scene.lasers, placement),
-        light=scene.lights[view.light],
+        during=during,
+        planes=scene.rig.lasers,
+        laser_light=scene.lasers,
+        light=light,
         lasers=_lasers_on(scene, masks),
     )
 
 
-def view_truth(scene: Scene, view: RingView, illuminated: IlluminatedTarget) -> Truth:
-    """Ground truth of a view; a view without a visible break point has no target."""
+def _turned(light: Light, inertial_from_camera: Float64[Array, "3 3"]) -> Light:
+    """The light as a camera sees it that has turned since the start."""
+    earth = light.earth
+    if earth is not None:
+        earth = replace(earth, direction=earth.direction @ inertial_from_camera)
+    return replace(light, sun_direction=light.sun_direction @ inertial_from_camera, earth=earth)
+
+
+def view_truth(
+    scene: Scene,
+    view: RingView,
+    illuminated: IlluminatedTarget,
+    break_points_px: Float64[Array, "laser edge=2 xy=2"] | None = None,
+) -> Truth:
+    """Ground truth of a view; a view without a visible break point has no target.
+
+    Break points that are not given are those of this placement.
+    """
     groups = {"rig": scene.rig.camera.camera_name, "light": view.light, "frames": len(scene.sequence), **view.groups}
     if view.target != "ring":
         return Truth(shot=view.name, expect="no_target", groups={**groups, "usable": 0})
-    break_points_px = true_break_points_px(illuminated, scene.ring, scene.rig.camera)
+    if break_points_px is None:
+        break_points_px = true_break_points_px(illuminated, scene.ring, scene.rig.camera)
     usable = int(np.isfinite(break_points_px).all(axis=-1).sum())
     groups = {"ring": f"R{1000 * scene.ring.radius_outer_m:.0f}", **groups, "usable": usable}
     if usable == 0:
         return Truth(shot=view.name, expect="no_target", groups=groups)
+    placement = illuminated.placement
     return Truth(
         shot=view.name,
         expect="pose" if usable == 2 * len(break_points_px) else "partial",
-        center_m=view.center_m,
-        normal=view.normal,
+        center_m=placement.points_camera(np.array([0.0, 0.0, scene.ring.height_m])),
+        normal=placement.rotation[:, 2],
         radius_inner_m=scene.ring.radius_inner_m,
         radius_outer_m=scene.ring.radius_outer_m,
         break_points_px=break_points_px,
@@ -127,14 +221,22 @@ class SceneFrames:
 
     def __call__(self, moment: int, lasers: int, exposure_s: float | None = None) -> Frame:
         """A frame of one moment with the lasers of the mask on; the exposure of the scene by default."""
+        scene, view = self.scene, self.views[min(moment, len(self.views) - 1)]
         if moment != self._moment:
-            illuminated = illuminated_ring(self.scene, self.views[min(moment, len(self.views) - 1)])
-            self._view = render_view(self.scene, illuminated, (_SHOTS, self.scene.seed, moment))
-            self._exposure_s = view_exposure_s(self.scene, illuminated)
-            self._stamp_s = max(self._stamp_s, self.scene.start_s + moment * self.scene.period_s)
-            self._moment = moment
+            illuminated = illuminated_ring(scene, view)
+            if view.path is None:
+                self._view = render_view(scene, illuminated, (_SHOTS, scene.seed, moment))
+            self._exposure_s = view_exposure_s(scene, illuminated)
+            self._stamp_s = max(self._stamp_s, scene.start_s + moment * scene.period_s)
+            self._moment, self._begin_s, self._frames = moment, 0.0, 0
         exposed_s = self._exposure_s if exposure_s is None else exposure_s
-        frame = self._view.frame(lasers, exposed_s, self._stamp_s)
+        if view.path is None:
+            frame = self._view.frame(lasers, exposed_s, self._stamp_s)
+        else:
+            seed = (_SHOTS, scene.seed, moment, self._frames)
+            frame = moving_frame(scene, view, lasers, exposed_s, self._begin_s, self._stamp_s, seed)
+        self._frames += 1
+        self._begin_s += exposed_s + READOUT_S
         self._stamp_s += exposed_s + READOUT_S
         return frame
 
@@ -146,7 +248,9 @@ def _illuminated_board(
     return IlluminatedTarget(
         target=board_target(boards.board),
         placement=placement,
-        sheets=sheets(scene.rig.lasers, scene.lasers, placement),
+        during=(placement,),
+        planes=scene.rig.lasers,
+        laser_light=scene.lasers,
         light=Light(name="boards", ambient_w_m2=boards.ambient_w_m2),
         lasers=_lasers_on(scene, masks),
     )
@@ -159,16 +263,22 @@ def _board_seed(scene: Scene, boards: BoardSet, number: int) -> tuple[int, ...]:
 def _exposed(
     scene: Scene, name: str, rendered: RenderedView, sequence: tuple[int, ...], exposure_s: float, number: int
 ) -> Shot:
-    """The frames of one view as a shot."""
+    """The frames of one still view as a shot."""
     stamps_s = scene.start_s + number * scene.period_s + np.arange(len(sequence)) * (exposure_s + READOUT_S)
     frames = [rendered.frame(mask, exposure_s, float(stamp)) for mask, stamp in zip(sequence, stamps_s, strict=True)]
-    meta = {"simulated": True} | ({"saturation_dn": saturation_dn(scene.sensor)} if scene.sensor.bits > 8 else {})
+    return _shot_of(scene, name, frames, still=True)
+
+
+def _shot_of(scene: Scene, name: str, frames: Sequence[Frame], *, still: bool) -> Shot:
+    meta: dict[str, Any] = {"simulated": True} | ({"still": True} if still else {})
+    if scene.sensor.bits > 8:
+        meta["saturation_dn"] = saturation_dn(scene.sensor)
     return Shot(
         name=name,
         images=np.stack([frame.image for frame in frames]),
-        lasers=np.array(sequence, dtype=np.uint8),
-        stamp_s=stamps_s,
-        exposure_s=np.full(len(sequence), exposure_s),
+        lasers=np.array([frame.lasers for frame in frames], dtype=np.uint8),
+        stamp_s=np.array([frame.stamp_s for frame in frames]),
+        exposure_s=np.array([frame.exposure_s for frame in frames]),
         meta=meta,
     )
 

@@ -10,11 +10,18 @@ from ringpose.calibrate.boards.layout import outline_m
 from ringpose.errors import DataError
 from ringpose.geometry.rays import rays
 from ringpose.geometry.rotations import facing_normal
+from ringpose.simulate.motion import moving_views
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board
 from ringpose.types.camera import Camera
 from ringpose.types.rig import LaserPlanes
 from ringpose.types.scene import Approach, BoardApproach, BoardSet, NamedBoardPose, RingView, Scene
+
+READOUT_S = 0.002
+"""Time between the end of an exposure and the start of the next."""
+
+MIN_DURATION_S, MAX_DURATION_S = 2e-5, 0.1
+"""Exposure times of common cameras, the range of an automatic exposure."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -52,10 +59,29 @@ def ring_rotation(normal: Float64[Array, "3"], roll_rad: float) -> Float64[Array
     return np.stack([cosine * x + sine * y, cosine * y - sine * x, z], axis=1)
 
 
+def target_placement(scene: Scene, view: RingView, time_s: float = 0.0) -> Placement:
+    """Placement of the target at a time since the beginning of the shot of a view."""
+    if view.path is not None:
+        rotation, translation_m = view.path.camera_from_target(view.begin_s + time_s)
+        return Placement(rotation=rotation, translation_m=translation_m)
+    rotation = ring_rotation(view.normal, view.roll_rad)
+    return Placement(rotation=rotation, translation_m=view.center_m - scene.ring.height_m * rotation[:, 2])
+
+
 def ring_views(scene: Scene) -> tuple[RingView, ...]:
-    """All views of a scene: the given ones, then the random ones."""
+    """All views of a scene: the given ones, then the random ones; of a moving target, each as a run of shots."""
     random = (view for approach in scene.approaches for view in _random_views(scene, approach))
     views = (*scene.views, *random)
+    if scene.motion is not None:
+        starts = [target_placement(scene, view) for view in views]
+        views = moving_views(
+            views,
+            [(start.rotation, start.translation_m) for start in starts],
+            np.array([0.0, 0.0, scene.ring.height_m]),
+            scene.motion,
+            scene.period_s * np.arange(scene.shots),
+            len(scene.sequence) * (max(scene.exposure_s, MAX_DURATION_S) + READOUT_S),
+        )
     names = Counter(view.name for view in views)
     if len(names) < len(views):
         found = f"two views are called {names.most_common(1)[0][0]!r}"

@@ -1,29 +1,24 @@
-"""Ray casting of a view: a layer of light for each source, which frames with any lasers on are composed of.
+"""Rendering of a view: a layer of light for each source, which frames with any lasers on are composed of.
 
 Light is additive, so that one cast gives a layer for the ambient light and one for each laser; each frame is a sum of
 layers. One ray is cast per pixel; 16 on a thin stripe, and with ambient light also along visible edges; 256 where an
-edge crosses a stripe. Each laser layer is multiplied by a speckle pattern.
+edge crosses a stripe. Of a target that moves during the exposure, each sample is cast at its own time. Each laser layer
+is multiplied by a speckle pattern.
 """
 
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 
-from ringpose.geometry.rays import undistort
-from ringpose.simulate.laser_planes import half_thickness_m, in_sheet
-from ringpose.simulate.lighting import (
-    IlluminatedTarget,
-    Intersections,
-    ambient_radiance,
-    hits_on_relief,
-    laser_radiance,
-)
+from ringpose.geometry.rays import project, undistort
+from ringpose.kernels import render
+from ringpose.kernels.render import SKY_SHADOWS, THIN, PixelImage
+from ringpose.simulate.light import IlluminatedTarget, caster_input
 from ringpose.simulate.sensor import digitised, electrons_per_radiance
-from ringpose.simulate.target import EMPTY
-from ringpose.types.arrays import Array, Float32, Float64, Int64, UInt8, UInt16
+from ringpose.types.arrays import Array, Bool, Float32, Float64, UInt8
 from ringpose.types.camera import Camera
 from ringpose.types.image import Frame
 from ringpose.types.scene import Beacon, Light, Scene, Sensor, Speckle
@@ -72,33 +67,41 @@ class RenderedView:
 def render_view(scene: Scene, illuminated: IlluminatedTarget, seed: tuple[int, ...]) -> RenderedView:
     """The image of a target through the lens of the scene; the seed determines speckle and noise."""
     generator = np.random.default_rng(seed)
-    radiance = layers(illuminated, pixel_rays(scene.rig.camera))
+    camera = scene.rig.camera
+    motion_px = blur_px(illuminated, camera) if len(illuminated.during) > 1 else 0.0
+    if motion_px <= BLURRED_PX:
+        illuminated = replace(illuminated, during=(illuminated.placement,))
+    radiance = layers(illuminated, pixel_rays(camera), blur_px=motion_px)
     scale = np.float32(electrons_per_radiance(scene.sensor, scene.lens))
+    for layer in radiance.laser:
+        _make_stripe(scene, layer, scale, generator)
     beacon, beacon_light = illuminated.light.beacon, None
     if beacon is not None:
         light = Light(name="beacon", ambient_w_m2=beacon.ambient_w_m2)
-        beacon_radiance = layers(replace(illuminated, light=light, lasers=()), pixel_rays(scene.rig.camera)).ambient
+        lamp = replace(illuminated, light=light, lasers=())
+        beacon_radiance = layers(lamp, pixel_rays(camera), blur_px=motion_px).ambient
         beacon_light = scale * _blurred(beacon_radiance, scene.lens.blur_px)
     return RenderedView(
         sensor=scene.sensor,
         ambient=_blurred(scale * radiance.ambient, scene.lens.blur_px),
-        laser=np.stack([_stripe(scene, scale * layer, generator) for layer in radiance.laser]),
+        laser=radiance.laser,
         generator=generator,
         beacon=beacon,
         beacon_light=beacon_light,
     )
 
 
-def _stripe(
-    scene: Scene, layer: Float32[Array, "row column"], generator: np.random.Generator
-) -> Float32[Array, "row column"]:
-    """The layer of a laser with speckle, blurred by the lens; only rows with light are processed."""
+def _make_stripe(
+    scene: Scene, layer: Float32[Array, "row column"], scale: np.float32, generator: np.random.Generator
+) -> None:
+    """Turn the radiance due to a laser into electron rates, with speckle, blurred by the lens; only near its light."""
     rows = np.flatnonzero(layer.any(axis=1))
-    stripe = layer.copy()
-    if len(rows):
-        first, last = int(rows[0]), int(rows[-1]) + 1
-        stripe[first:last] *= speckle_pattern(scene.speckle, last - first, layer.shape[1], generator)
-    return _blurred(stripe, scene.lens.blur_px)
+    if len(rows) == 0:
+        return
+    reach_px = int(np.ceil(5 * scene.lens.blur_px))
+    first, last = max(int(rows[0]) - reach_px, 0), min(int(rows[-1]) + 1 + reach_px, len(layer))
+    pattern = speckle_pattern(scene.speckle, last - first, layer.shape[1], generator)
+    layer[first:last] = _blurred(layer[first:last] * (scale * pattern), scene.lens.blur_px)
 
 
 def _blurred(layer: Float32[Array, "row column"], sigma_px: float) -> Float32[Array, "row column"]:
@@ -107,14 +110,20 @@ def _blurred(layer: Float32[Array, "row column"], sigma_px: float) -> Float32[Ar
     return np.asarray(cv2.GaussianBlur(layer, (0, 0), sigma_px, borderType=cv2.BORDER_REPLICATE), dtype=np.float32)
 
 
-_BLOCK = 1 << 15
-"""Rays per block, so that a block fits into the processor cache."""
+SAMPLES = 16
+"""Samples of a refined pixel: an edge differs by 0.003 px rms from one with 256 samples."""
 
-_MAX_PIXEL_SIGMAS = 1.25
-"""A stripe is thin where a pixel covers more sigmas than this; one ray per pixel shifts a wider one by < 1e-5 px."""
+FINE_SAMPLES = 256
+"""Samples of a pixel in which an edge crosses a stripe: with 16 the end of a stripe was off by up to 0.06 px."""
 
-_WIDE, _THIN = np.uint8(1), np.uint8(2)
-"""Masks of pixels near a stripe."""
+BLURRED_PX = 0.1
+"""Motion of the image during an exposure from which on every sample is cast at its own time."""
+
+WIDE_BLUR_PX = 4.0
+"""Motion from which on stripes are refined everywhere; where a surface is smooth they hardly move in the image."""
+
+TIMES = 17
+"""Placements of a moving target during an exposure; an odd number, so that one is in the middle."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -141,100 +150,84 @@ class PixelRays:
         return float(np.abs(self.per_px[:, :, self.direction.shape[1] // 2 + self.width // 2]).max())
 
 
-def layers(illuminated: IlluminatedTarget, rays: PixelRays) -> Layers:
-    """Radiance in each pixel due to each light source."""
-    radiance, coarse, fine = _one_ray_per_pixel(illuminated, rays)
-    for refined, samples in ((coarse, SAMPLES), (fine, FINE_SAMPLES)):
-        for block in _blocks(len(refined), _BLOCK // samples):
-            radiance[:, refined[block]] = _sampled(illuminated, rays, refined[block], samples)
-    ambient, *laser = radiance.reshape(-1, rays.height, rays.width)
-    return Layers(ambient=ambient, laser=np.stack(laser))
+def layers(illuminated: IlluminatedTarget, rays: PixelRays, *, blur_px: float = 0.0, preview: bool = False) -> Layers:
+    """Radiance in each pixel due to each light source; a preview has one sample a pixel everywhere.
+
+    `blur_px` is the motion of the image during the exposure.
+    """
+    light, pixels = caster_input(illuminated, rays.angle_per_px), rays.height * rays.width
+    image = PixelImage(
+        radiance=np.zeros((1 + len(light.lasers), pixels), np.float32),
+        code=np.zeros(pixels, np.int32),
+        stripe=np.zeros(pixels, np.uint8),
+    )
+    cast = functools.partial(
+        render.render, illuminated.target, light.poses, light.lamps, light.lasers, light.light,
+        rays.direction, rays.per_px, rays.width, image,
+    )  # fmt: skip
+    cast()
+    if not preview:
+        shape = (rays.height, rays.width)
+        coarse, fine = _to_refine(
+            image.code.reshape(shape), image.stripe.reshape(shape), blur_px, everywhere=illuminated.has_ambient_light
+        )
+        for refined, samples in ((coarse, SAMPLES), (fine, FINE_SAMPLES)):
+            cast(pixels=np.flatnonzero(refined), samples=samples)
+    radiance = image.radiance.reshape(-1, rays.height, rays.width)
+    return Layers(ambient=radiance[0], laser=radiance[1:])
 
 
-def _one_ray_per_pixel(
-    illuminated: IlluminatedTarget, rays: PixelRays
-) -> tuple[Float32[Array, "source pixel"], Int64[Array, "coarse"], Int64[Array, "fine"]]:
-    """Radiance from one ray per pixel, ambient light first, and the pixels that need more rays."""
-    pixels, lasers = rays.height * rays.width, len(illuminated.sheets.distance_m)
-    radiance, stripe = np.zeros((1 + lasers, pixels), np.float32), np.zeros(pixels, np.uint8)
-    code = np.zeros(pixels, np.uint16)
-    for block in _blocks(pixels, _BLOCK):
-        direction = illuminated.placement.vectors_target(centre_directions(rays, block))
-        hit, hits, footprint_m = _cast(illuminated, direction, rays.angle_per_px)
-        radiance[0, block][hit], shadowed = ambient_radiance(illuminated, hits)
-        code[block][hit] = ((hits.surface.astype(np.uint16) + 1) << (lasers + 1)) | shadowed
-        for laser in illuminated.lasers:
-            near = np.flatnonzero(in_sheet(illuminated.sheets, laser, hits.point, footprint_m))
-            radiance[1 + laser, block][hit[near]], shadowed = laser_radiance(illuminated, hits.at(near), laser)
-            code[block][hit[near]] |= shadowed.astype(np.uint16) << (laser + 1)
-            sigma_m = half_thickness_m(illuminated.sheets.light, footprint_m[near] / rays.angle_per_px)
-            stripe[block][hit[near]] |= np.where(footprint_m[near] > _MAX_PIXEL_SIGMAS * sigma_m, _THIN, _WIDE)
-    return radiance, *_to_refine(code, stripe, rays, everywhere=illuminated.has_ambient_light)
+def _edges(code: Array) -> UInt8[Array, "row column"]:
+    """Where one of the eight neighbours shows another surface or side of a shadow."""
+    edge = np.zeros(code.shape, np.uint8)
+    pairs = (
+        (np.s_[:, 1:], np.s_[:, :-1]),
+        (np.s_[1:], np.s_[:-1]),
+        (np.s_[1:, 1:], np.s_[:-1, :-1]),
+        (np.s_[1:, :-1], np.s_[:-1, 1:]),
+    )
+    for one, other in pairs:
+        differs = code[one] != code[other]
+        edge[one] |= differs
+        edge[other] |= differs
+    return edge
 
 
 def _to_refine(
-    code: UInt16[Array, "pixel"], stripe: UInt8[Array, "pixel"], rays: PixelRays, *, everywhere: bool
-) -> tuple[Int64[Array, "coarse"], Int64[Array, "fine"]]:
+    code: Array, stripe: UInt8[Array, "row column"], blur_px: float, *, everywhere: bool
+) -> tuple[Bool[Array, "row column"], Bool[Array, "row column"]]:
     """Pixels that need 16 rays, and those that need 256.
 
-    16: on a thin stripe, and, with ambient light, on edges, where neighbours show another surface or side of a shadow.
-    256: where an edge crosses a stripe, because these pixels determine the break points.
+    16: on a thin stripe and, with ambient light, on edges. 256: where an edge of a surface or of a laser's shadow
+    crosses a stripe, because these pixels determine the break points. A blur of up to a pixel stays within the pixels
+    on both sides of an edge, and does not displace a stripe.
     """
-    around, shape = np.ones((3, 3), np.uint8), (rays.height, rays.width)
-    picture = code.reshape(shape)
-    edge = cv2.dilate(picture, around) != cv2.erode(picture, around)
-    fine = edge & (cv2.dilate(stripe.reshape(shape), around) > 0)
-    coarse = cv2.dilate(stripe.reshape(shape) & _THIN, around) > 0
+    reach_px = max(round(np.ceil((blur_px - 1) / 2)), 0)
+    around = np.ones((3 + 2 * reach_px,) * 2, np.uint8)
+    of_stripes = _edges(code & ~np.int32(SKY_SHADOWS))
+    edge = _edges(code) if everywhere else of_stripes
+    if reach_px:
+        edge, of_stripes = cv2.dilate(edge, around), cv2.dilate(of_stripes, around)
+    fine = (of_stripes > 0) & (cv2.dilate(stripe, around) > 0)
+    thin = stripe if blur_px > WIDE_BLUR_PX else stripe & np.uint8(THIN)
+    coarse = cv2.dilate(thin, np.ones((3, 3), np.uint8)) > 0
     if everywhere:
-        coarse |= edge
-    return np.flatnonzero(coarse & ~fine), np.flatnonzero(fine)
+        coarse |= edge > 0
+    return coarse & ~fine, fine
 
 
-def _cast(
-    illuminated: IlluminatedTarget, direction: Float64[Array, "xyz=3 ray"], angle_per_px: float
-) -> tuple[Int64[Array, "hit"], Intersections, Float64[Array, "hit"]]:
-    """Indices of the rays that hit a surface, the intersections, and the width of a pixel there.
+def blur_px(illuminated: IlluminatedTarget, camera: Camera) -> float:
+    """Largest motion of the image of the target from the first to the last placement, at points of a coarse grid."""
+    first, last = illuminated.during[0], illuminated.during[-1]
+    grid_px = np.stack(
+        np.meshgrid(np.linspace(0, camera.image_width - 1, 12), np.linspace(0, camera.image_height - 1, 9)), axis=-1
+    ).reshape(-1, 2)
+    direction = np.column_stack([undistort(grid_px, camera), np.ones(len(grid_px))])
+    hits = render.first_hits(illuminated.target, first.eye_m, first.vectors_target(direction.T))
+    point_m = hits.point_m[:, hits.surface >= 0].T
+    moved_px = project(last.points_camera(point_m), camera) - project(first.points_camera(point_m), camera)
+    return float(np.nanmax(np.linalg.norm(moved_px, axis=1), initial=0.0))
 
-    Without ambient light only intersections within four pixels of a light sheet are returned.
-    """
-    eye = illuminated.placement.eye_m
-    parameter, surface = illuminated.target.first_hits(eye, direction)
-    hit = np.flatnonzero(surface != EMPTY)
-    if not illuminated.has_ambient_light:
-        flat = eye[:, None] + parameter[hit] * direction[:, hit]
-        slack_m = illuminated.target.relief_m + 4.0 * angle_per_px * parameter[hit]
-        near = [in_sheet(illuminated.sheets, laser, flat, slack_m) for laser in illuminated.lasers]
-        hit = hit[np.any(near, axis=0)] if near else hit[:0]
-    hits = hits_on_relief(illuminated, direction[:, hit], parameter[hit], surface[hit])
-    return hit, hits, angle_per_px * parameter[hit]
-
-
-def _sampled(
-    illuminated: IlluminatedTarget, rays: PixelRays, pixels: Int64[Array, "n"], samples: int
-) -> Float64[Array, "source n"]:
-    """Mean over the samples of each pixel: ambient light, then each laser."""
-    direction = illuminated.placement.vectors_target(sample_directions(rays, pixels, samples))
-    hit, hits, _ = _cast(illuminated, direction, rays.angle_per_px)
-    of_sources = [(0, ambient_radiance(illuminated, hits)[0])]
-    of_sources += [(1 + laser, laser_radiance(illuminated, hits, laser)[0]) for laser in illuminated.lasers]
-    means = np.zeros((1 + len(illuminated.sheets.distance_m), len(pixels)))
-    for source, radiance in of_sources:
-        of_rays = np.zeros(samples * len(pixels))
-        of_rays[hit] = radiance
-        means[source] = of_rays.reshape(samples, -1).mean(axis=0)
-    return means
-
-
-def _blocks(length: int, block: int) -> Iterator[slice]:
-    for start in range(0, length, block):
-        yield slice(start, min(start + block, length))
-
-
-SAMPLES = 16
-"""Samples of a refined pixel: an edge differs by 0.003 px rms from one with 256 samples."""
-
-FINE_SAMPLES = 256
-"""Samples of a pixel in which an edge crosses a stripe: with 16 the end of a stripe was off by up to 0.06 px."""
 
 _KNOTS = 100
 """Knots per axis of the spline of the undistortion, whose error is 1e-6 px for an 8 mm lens."""
@@ -255,37 +248,6 @@ def pixel_rays(camera: Camera) -> PixelRays:
         for of_row, of_column in ((0, 0), (0, 1), (1, 0))
     )
     return PixelRays(direction=direction, per_px=np.stack([along_row, along_column]), height=height, width=width)
-
-
-def centre_directions(rays: PixelRays, pixels: slice) -> Float64[Array, "xyz=3 ray"]:
-    """Rays through the centres of consecutive pixels."""
-    x, y = rays.direction[:, pixels]
-    return np.stack([x, y, np.ones_like(x)])
-
-
-def sample_directions(
-    rays: PixelRays, pixels: Int64[Array, "n"], samples: int = SAMPLES
-) -> Float64[Array, "xyz=3 ray"]:
-    """Rays through the samples of n pixels; ray s * n + k is sample s of pixel k."""
-    shift_x, shift_y = _shifts_px(pixels, rays.width, samples)
-    along_row, along_column = rays.per_px[:, :, None, pixels]
-    x, y = rays.direction[:, None, pixels] + shift_x * along_row + shift_y * along_column
-    return np.stack([x.ravel(), y.ravel(), np.ones(x.size)])
-
-
-def _shifts_px(
-    pixels: Int64[Array, "n"], width: int, samples: int
-) -> tuple[Float64[Array, "sample n"], Float64[Array, "sample #n"]]:
-    """Offsets of the samples in a pixel: a Hammersley set, whose size is a power of two.
-
-    The rows are the same in all pixels, so that the profile of a stripe is integrated by the midpoint rule;
-    the columns are shifted cyclically from pixel to pixel, so that vertical edges show no banding.
-    """
-    bits, order = samples.bit_length() - 1, np.arange(samples)
-    reversed_bits = sum(((order >> bit) & 1) << (bits - 1 - bit) for bit in range(bits))
-    turn = np.modf(0.7548776662 * (pixels % width) + 0.5698402910 * (pixels // width))[0]
-    across = np.modf(order[:, None] / samples + turn)[0] - 0.5
-    return across, ((np.asarray(reversed_bits) + 0.5) / samples - 0.5)[:, None]
 
 
 def _knots(length: int) -> Float64[Array, "knot"]:

@@ -12,85 +12,12 @@ import numpy as np
 
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board
+from ringpose.types.motion import FreeMotion, TargetPath, TimedPoses
 from ringpose.types.rig import Rig
+from ringpose.types.target import Body, Part, RingShape
 
 TargetKind = Literal["ring", "body", "none"]
 """The body with its ring, the body without it, or stars only."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Material:
-    """Reflectance of a surface: Lambert's law plus one GGX lobe."""
-
-    diffuse: float
-    """Albedo of the Lambert part."""
-    specular: float
-    """Reflectance of the lobe at normal incidence."""
-    roughness: float
-    """GGX alpha: 0.1 for a polished surface, 0.4 for machined metal."""
-
-
-MATERIALS: Mapping[str, Material] = {
-    "matt": Material(diffuse=0.30, specular=0.0, roughness=1.0),
-    "metal": Material(diffuse=0.12, specular=0.55, roughness=0.35),
-    "foil": Material(diffuse=0.06, specular=0.75, roughness=0.22),
-    "white": Material(diffuse=0.80, specular=0.0, roughness=1.0),
-    "black": Material(diffuse=0.04, specular=0.0, roughness=1.0),
-}
-"""Materials that a scene file may refer to by name."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RingShape:
-    """A surface of revolution about the ring's axis, given by its profile."""
-
-    profile_m: Float64[Array, "point radius_height=2"]
-    """Corners of the profile: radius, and height over the body's front face."""
-    face: Material = MATERIALS["metal"]
-    wall: Material = MATERIALS["metal"]
-
-    @property
-    def face_piece(self) -> int:
-        """Index of the profile's highest flat piece."""
-        flat = np.flatnonzero(self.profile_m[1:, 1] == self.profile_m[:-1, 1])
-        return int(flat[np.argmax(self.profile_m[flat, 1])])
-
-    @property
-    def height_m(self) -> float:
-        """Height of the face over the body."""
-        return float(self.profile_m[self.face_piece, 1])
-
-    @property
-    def radius_inner_m(self) -> float:
-        """Radius of the face's inner edge."""
-        return float(self.profile_m[self.face_piece : self.face_piece + 2, 0].min())
-
-    @property
-    def radius_outer_m(self) -> float:
-        """Radius of the face's outer edge."""
-        return float(self.profile_m[self.face_piece : self.face_piece + 2, 0].max())
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Foil:
-    """Crinkles of the foil on the body's front face: a height field, periodic and fixed by its seed."""
-
-    rms_m: float = 0.0008
-    crinkle_m: float = 0.03
-    """Size of the largest crinkles."""
-    seed: int = 1
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Body:
-    """The satellite: a box whose front face carries the ring."""
-
-    size_m: Float64[Array, "3"]
-    """Width and height of the front face, depth of the box."""
-    offset_m: Float64[Array, "2"] = field(default_factory=lambda: np.zeros(2))
-    """Offset of the front face's middle from the ring's axis, along the ring's x and y."""
-    material: Material = MATERIALS["foil"]
-    foil: Foil | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,6 +55,31 @@ class Beacon:
         return cycles * self.on_s + min(rest_s, self.on_s)
 
 
+EARTH_RADIUS_M = 6.378e6
+
+GEO_RADIUS_M = 4.2164e7
+"""Radius of the geostationary orbit."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Earth:
+    """The Earth, lit by the sun, as a sphere of uniform albedo."""
+
+    direction: Float64[Array, "xyz=3"]
+    """Towards its centre, camera frame."""
+    orbit_radius_m: float = GEO_RADIUS_M
+    albedo: float = 0.3
+
+    @property
+    def angular_radius_rad(self) -> float:
+        """Half of its angular diameter, which is 17.4 degrees in geostationary orbit."""
+        return float(np.arcsin(EARTH_RADIUS_M / self.orbit_radius_m))
+
+
+SUN_DIAMETER_RAD = 0.00925
+"""Angular diameter of the sun, 0.53 degrees."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Light:
     """Illumination other than the lasers."""
@@ -139,6 +91,8 @@ class Light:
     """Irradiance on a plane perpendicular to the sun's rays."""
     sun_direction: Float64[Array, "xyz=3"] = field(default_factory=lambda: np.array([-0.66, -0.33, -0.67]))
     """Direction towards the sun, camera frame."""
+    sun_diameter_rad: float = SUN_DIAMETER_RAD
+    earth: Earth | None = None
     beacon: Beacon | None = None
 
 
@@ -183,7 +137,7 @@ class RingView:
 
     name: str
     center_m: Float64[Array, "xyz=3"]
-    """Centre of the ring's face."""
+    """Centre of the ring's face; of a moving target, at the beginning of the shot."""
     normal: Float64[Array, "xyz=3"]
     """Normal of the face, towards the camera."""
     roll_rad: float = 0.0
@@ -191,6 +145,10 @@ class RingView:
     light: str = "dim"
     target: TargetKind = "ring"
     groups: Mapping[str, str | float | int | bool] = field(default_factory=dict)
+    path: TargetPath | None = None
+    """The motion of the target; None if it is still."""
+    begin_s: float = 0.0
+    """Time on the path at which the shot begins."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -255,8 +213,10 @@ class Scene:
 
     rig: Rig
     ring: RingShape
-    body: Body
     lights: Mapping[str, Light]
+    body: Body | None = None
+    parts: tuple[Part, ...] = ()
+    """Parts of the target other than its ring and `body`."""
     lasers: LaserLight = LaserLight()
     lens: Lens = Lens()
     sensor: Sensor = Sensor()
@@ -272,6 +232,11 @@ class Scene:
     """Laser mask of each frame of a shot."""
     views: tuple[RingView, ...] = ()
     approaches: tuple[Approach, ...] = ()
+    motion: FreeMotion | TimedPoses | None = None
+    """Motion of the target within and between shots: from the pose of each view on, or through poses in the camera
+    frame, those of the target frame; None if it is still."""
+    shots: int = 1
+    """Shots of each view of a moving target, one every `period_s`."""
     camera_boards: BoardSet | None = None
     plane_boards: BoardSet | None = None
     seed: int = 1

@@ -11,7 +11,8 @@ from ringpose.types.camera import Camera
 from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
 from ringpose.types.image import Shot
 from ringpose.types.rig import LaserPlanes, Rig
-from ringpose.types.scene import Body, Light, RingShape, RingView, Scene, Sensor
+from ringpose.types.scene import Light, RingView, Scene, Sensor
+from ringpose.types.target import Body, RingShape
 
 PITCH_RAD = np.radians([10.0, 0.0, -10.0])
 NORMALS = np.stack([np.zeros(3), np.cos(PITCH_RAD), -np.sin(PITCH_RAD)], axis=1)

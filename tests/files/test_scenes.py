@@ -10,7 +10,8 @@ import yaml
 from ringpose.errors import DataError, NoInputError
 from ringpose.files.scenes import read_scene
 from ringpose.types.pose import RingPose
-from ringpose.types.scene import MATERIALS, Beacon
+from ringpose.types.scene import Beacon
+from ringpose.types.target import MATERIALS
 
 BOARD = {
     "kind": "charuco",

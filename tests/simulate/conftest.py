@@ -7,7 +7,8 @@ import pytest
 
 from ringpose.types.camera import Camera
 from ringpose.types.rig import LaserPlanes, Rig
-from ringpose.types.scene import Body, LaserLight, Lens, Light, RingShape, RingView, Scene, Sensor, Speckle
+from ringpose.types.scene import LaserLight, Lens, Light, RingView, Scene, Sensor, Speckle
+from ringpose.types.target import Body, RingShape
 
 
 @pytest.fixture(scope="session")

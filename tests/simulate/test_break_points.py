@@ -7,7 +7,8 @@ from scipy.optimize import brentq
 from ringpose.files.records.truths import read_truths
 from ringpose.files.rigs import read_rig
 from ringpose.simulate.pipeline import illuminated_ring, view_truth
-from ringpose.types.scene import RingShape, RingView
+from ringpose.types.scene import RingView
+from ringpose.types.target import RingShape
 
 
 def truth_of(scene, view):

@@ -7,7 +7,8 @@ from scipy.stats import norm
 from ringpose.geometry.rays import intersect, project, rays
 from ringpose.simulate.pipeline import illuminated_ring
 from ringpose.simulate.renderer import layers, pixel_rays
-from ringpose.types.scene import MATERIALS, Body, Foil, LaserLight, Light, RingShape
+from ringpose.types.scene import LaserLight, Light
+from ringpose.types.target import MATERIALS, Body, Foil, RingShape
 
 
 def rendered(scene, view):

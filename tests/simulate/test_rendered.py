@@ -10,7 +10,8 @@ from ringpose.files.records.truths import read_truths
 from ringpose.files.rigs import read_rig
 from ringpose.geometry.rays import project
 from ringpose.simulate.pipeline import simulate
-from ringpose.types.scene import Body, Foil, LaserLight, Lens, RingShape, RingView, Sensor, Speckle
+from ringpose.types.scene import LaserLight, Lens, RingView, Sensor, Speckle
+from ringpose.types.target import Body, Foil, RingShape
 
 SHOTS = ["B_z0300_p00_dim", "B_z0500_p00_dim", "B_z1000_p00_dim"]
 

@@ -1,9 +1,15 @@
 import numpy as np
 
-from ringpose.simulate.target import EMPTY, relief, ring_target
-from ringpose.types.scene import Body, Foil
+from ringpose.kernels.render import NONE, blocked, first_hits
+from ringpose.simulate.target.foil import relief
+from ringpose.simulate.target.parts import body_part, target_tables
+from ringpose.types.target import Body, Foil
 
 SIZE_M = np.array([2.0, 1.5, 1.0])
+
+
+def target_of(**values):
+    return target_tables([body_part(Body(size_m=SIZE_M, **values))])
 
 
 def rays_at_box(rng, n=3000):
@@ -13,56 +19,51 @@ def rays_at_box(rng, n=3000):
 
 
 def test_rays_hit_the_box_where_they_enter_it(rng):
-    target = ring_target(None, Body(size_m=SIZE_M))
     eye, direction = rays_at_box(rng)
 
-    parameter, surface = target.first_hits(eye, direction)
+    hits = first_hits(target_of(), eye, direction)
 
-    hit = surface != EMPTY
-    point = eye[:, None] + parameter[hit] * direction[:, hit]
+    point = hits.point_m[:, hits.surface != NONE]
     beyond = np.abs(point - [[0.0], [0.0], [-0.5]]) - SIZE_M[:, None] / 2
     np.testing.assert_allclose(beyond.max(axis=0), 0.0, atol=1e-12)
 
 
 def test_rays_that_enter_the_box_hit_it(rng):
-    target = ring_target(None, Body(size_m=SIZE_M))
     eye, direction = rays_at_box(rng)
     passed = eye[:, None, None] + direction[:, None] * np.linspace(0, 4, 1500)[:, None]
     inside = (np.abs(passed - np.array([0.0, 0.0, -0.5])[:, None, None]) < SIZE_M[:, None, None] / 2).all(axis=0)
 
-    _, surface = target.first_hits(eye, direction)
+    surface = first_hits(target_of(), eye, direction).surface
 
     assert inside.any(axis=0).sum() > 200
-    assert (surface[inside.any(axis=0)] != EMPTY).all()
+    assert (surface[inside.any(axis=0)] != NONE).all()
 
 
 def test_normals_of_the_box_point_out_of_the_side_that_is_hit(rng):
-    target = ring_target(None, Body(size_m=SIZE_M))
     eye = np.array([3.0, 2.0, 1.5])
     direction = rng.uniform(-0.9, 0.2, (3, 2000)) - eye[:, None]
-    parameter, surface = target.first_hits(eye, direction)
-    hit = surface != EMPTY
 
-    point, normal = target.on_relief(eye, direction[:, hit], parameter[hit], surface[hit])
+    hits = first_hits(target_of(), eye, direction)
 
+    hit = hits.surface != NONE
+    point, normal = hits.point_m[:, hit], hits.normal[:, hit]
     outside = np.abs(point + 1e-6 * normal - [[0.0], [0.0], [-0.5]]) - SIZE_M[:, None] / 2
     np.testing.assert_allclose(outside.max(axis=0), 1e-6, atol=1e-10)
 
 
 def test_hits_settle_on_the_foil(rng):
-    """Height of points above the relief, by independent bilinear interpolation."""
+    """Height of points above the relief, at the nearest points of its grid."""
     foil = Foil(rms_m=0.0008, crinkle_m=0.03)
-    target = ring_target(None, Body(size_m=SIZE_M, foil=foil))
     eye = np.array([0.1, 0.05, 0.4])
     direction = np.stack([*rng.uniform(-0.2, 0.2, (2, 2000)), np.zeros(2000)]) - eye[:, None]
-    parameter, surface = target.first_hits(eye, direction)
 
-    point, normal = target.on_relief(eye, direction, parameter, surface)
+    hits = first_hits(target_of(foil=foil), eye, direction)
 
+    point, normal = hits.point_m, hits.normal
     field = relief(foil)
-    grid = field.height_m.reshape(512, 512)
+    grid = field.height_m
     column, row = (np.rint(axis / field.texel_m).astype(int) % 512 for axis in point[:2])
-    steepest = np.hypot(field.slope.real, field.slope.imag).max()
+    steepest = np.hypot(field.slope[..., 0], field.slope[..., 1]).max()
     off_m = np.abs(point[2] - grid[row, column])
     assert off_m.max() < steepest * field.texel_m
     assert np.median(off_m) < 5e-5
@@ -84,8 +85,16 @@ def test_foil_has_the_requested_rms_height():
 
 def test_slopes_are_the_derivatives_of_the_heights():
     field = relief(Foil())
-    grid = field.height_m.reshape(512, 512).astype(float)
+    grid = field.height_m.astype(float)
 
     numeric = (np.roll(grid, -1, axis=1) - np.roll(grid, 1, axis=1)) / (2 * field.texel_m)
 
-    np.testing.assert_allclose(field.slope.reshape(512, 512).real, numeric, atol=1e-4)
+    np.testing.assert_allclose(field.slope[..., 0], numeric, atol=1e-4)
+
+
+def test_light_from_behind_a_box_does_not_pass_it():
+    behind = blocked(
+        target_of(), np.array([[0.1, 0.1], [0.2, 0.2], [0.01, 0.01]]), np.array([[0.0, 0], [0, 0], [-2, 2]])
+    )
+
+    assert behind.tolist() == [True, False]

@@ -18,7 +18,8 @@ from ringpose.files.rigs import read_rig
 from ringpose.geometry.rotations import tilted
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.simulate.pipeline import simulated_boards
-from ringpose.types.scene import BoardSet, Body, NamedBoardPose, RingShape, Scene
+from ringpose.types.scene import BoardSet, NamedBoardPose, Scene
+from ringpose.types.target import Body, RingShape
 
 CAMERA_PARAMETERS = 9
 DRAWS = 80

@@ -1,0 +1,151 @@
+"""The motion of a scene's target: the key `motion` of scene.yaml, and trajectory files."""
+
+import csv
+import io
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ringpose.errors import DataError
+from ringpose.files import records
+from ringpose.files.io import read_bytes
+from ringpose.files.schema import Fields
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.motion import MOTION_PRESETS, FreeMotion, TimedPoses
+
+MOTION_KEYS = (
+    "preset",
+    "inertia_kg_m2",
+    "center_of_mass_m",
+    "angular_velocity_rad_s",
+    "velocity_m_s",
+    "camera",
+    "file",
+    "shots",
+)
+
+POSE_KEYS = ("time_s", "position_m", "orientation_xyzw")
+
+CSV_COLUMNS = ("time_s", "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
+
+MAX_RATE_RAD_S = 0.5
+"""Largest angular velocity of a satellite, 29 deg/s; a larger number is probably in degrees."""
+
+MAX_DISTANCE_M = 200.0
+"""Largest distance of a moving target; a larger number is probably in millimetres."""
+
+MAX_SPEED_M_S = 10.0
+
+SYMMETRIC = 1e-9
+"""Relative tolerance of the symmetry of an inertia tensor and of the triangle inequality."""
+
+
+def read_motion(
+    fields: Fields, inertia_kg_m2: Float64[Array, "3 3"], center_of_mass_m: Float64[Array, "3"], folder: Path
+) -> FreeMotion | TimedPoses:
+    """The motion in a mapping, with the target's own inertia and centre of mass where it gives none."""
+    if fields.has("file"):
+        others = [key for key in MOTION_KEYS if fields.has(key) and key not in ("file", "shots")]
+        if others:
+            raise fields.problem(others[0], "cannot be combined with file", "a file has all poses; remove one of them")
+        return read_poses(folder / fields.text("file"))
+    preset = MOTION_PRESETS[fields.choice("preset", MOTION_PRESETS)] if fields.has("preset") else None
+    if preset is None and not any(fields.has(key) for key in ("angular_velocity_rad_s", "velocity_m_s", "camera")):
+        raise fields.problem("", "has no motion", "give preset, angular_velocity_rad_s, velocity_m_s, camera or file")
+    rate_rad_s = np.zeros(3) if preset is None else np.array(preset.angular_velocity_rad_s)
+    if preset is not None and preset.inertia_kg_m2 is not None:
+        inertia_kg_m2 = np.diag(preset.inertia_kg_m2)
+    values: dict[str, Any] = fields.given(("velocity_m_s",), lambda key: _bounded(fields, key, MAX_SPEED_M_S, "m/s"))
+    values |= fields.given(("camera",), lambda key: _poses(fields.each(key, POSE_KEYS), fields.location(key)))
+    if "camera" in values and values["camera"].time_s[0] != 0:
+        raise fields.problem("camera", f"begins at {values['camera'].time_s[0]:g} s, must begin at 0")
+    return FreeMotion(
+        inertia_kg_m2=_inertia(fields) if fields.has("inertia_kg_m2") else inertia_kg_m2,
+        center_of_mass_m=fields.point_m("center_of_mass_m") if fields.has("center_of_mass_m") else center_of_mass_m,
+        angular_velocity_rad_s=_bounded(fields, "angular_velocity_rad_s", MAX_RATE_RAD_S, "rad/s")
+        if fields.has("angular_velocity_rad_s")
+        else rate_rad_s,
+        **values,
+    )
+
+
+def _bounded(fields: Fields, key: str, limit: float, unit: str) -> Float64[Array, "3"]:
+    vector = fields.vector(key, 3)
+    length = float(np.linalg.norm(vector))
+    if length > limit:
+        remedy = "give radians; this looks like degrees" if unit == "rad/s" else f"give at most {limit:g}"
+        raise fields.problem(key, f"has length {length:g} {unit}", remedy)
+    return vector
+
+
+def _inertia(fields: Fields) -> Float64[Array, "3 3"]:
+    """Principal moments, or a tensor, of a possible body: symmetric, positive, each moment at most the other two."""
+    key = "inertia_kg_m2"
+    rows = fields.raw(key)
+    nested = isinstance(rows, list) and any(isinstance(row, list) for row in rows)
+    inertia = fields.array(key, (3, 3)) if nested else np.diag(fields.vector(key, 3))
+    if np.abs(inertia - inertia.T).max() > SYMMETRIC * np.abs(inertia).max():
+        raise fields.problem(key, "is not symmetric")
+    moments = np.linalg.eigvalsh(inertia)
+    if moments[0] <= 0:
+        raise fields.problem(key, f"has the principal moment {moments[0]:g}, must be positive")
+    if moments[2] > (moments[0] + moments[1]) * (1 + SYMMETRIC):
+        found = f"has the principal moments {', '.join(f'{moment:g}' for moment in moments)}"
+        raise fields.problem(key, found, "no body has a moment larger than the sum of the other two")
+    return inertia
+
+
+def read_poses(path: Path) -> TimedPoses:
+    """The poses in a trajectory file: CSV with the columns `CSV_COLUMNS`, or JSON lines with the keys `POSE_KEYS`."""
+    lines = read_bytes(path).decode(errors="replace").splitlines()
+    if path.suffix.lower() == ".csv":
+        return _poses(_csv_entries(lines, str(path)), str(path))
+    entries = (Fields(location, record, POSE_KEYS) for location, record in records.read(lines, str(path)))
+    return _poses(entries, str(path))
+
+
+def _csv_entries(lines: list[str], file: str) -> Iterator[Fields]:
+    reader = csv.reader(io.StringIO("\n".join(lines)))
+    header = tuple(cell.strip() for cell in next(reader, []))
+    if header != CSV_COLUMNS:
+        raise DataError(f"{file}:1", f"has the columns {', '.join(header)}", f"must be {','.join(CSV_COLUMNS)}")
+    for row in filter(None, reader):
+        location = f"{file}:{reader.line_num}"
+        try:
+            numbers = [float(cell) for cell in row]
+        except ValueError:
+            raise DataError(location, "has a value that is not a number") from None
+        if len(numbers) != len(CSV_COLUMNS):
+            raise DataError(location, f"has {len(numbers)} values, must have {len(CSV_COLUMNS)}")
+        values = {"time_s": numbers[0], "position_m": numbers[1:4], "orientation_xyzw": numbers[4:]}
+        yield Fields(location, values)
+
+
+def _poses(entries: Iterator[Fields], where: str) -> TimedPoses:
+    times_s: list[float] = []
+    positions_m, orientations = [], []
+    for entry in entries:
+        times_s.append(entry.number("time_s"))
+        if len(times_s) > 1 and times_s[-1] <= times_s[-2]:
+            raise entry.problem("time_s", f"is {times_s[-1]:g}, not later than the time before")
+        positions_m.append(entry.vector("position_m", 3))
+        distance_m = float(np.linalg.norm(positions_m[-1]))
+        if distance_m > MAX_DISTANCE_M:
+            raise entry.problem("position_m", f"is {distance_m:g} m away", "give metres; this looks like millimetres")
+        orientations.append(_quaternion(entry) if entry.has("orientation_xyzw") else np.array([0.0, 0.0, 0.0, 1.0]))
+    if len(times_s) < 2:
+        raise DataError(where, f"has {len(times_s)} poses, must have at least 2")
+    return TimedPoses(
+        time_s=np.array(times_s), position_m=np.stack(positions_m), orientation_xyzw=np.stack(orientations)
+    )
+
+
+def _quaternion(entry: Fields) -> Float64[Array, "4"]:
+    orientation = entry.vector("orientation_xyzw", 4)
+    length = float(np.linalg.norm(orientation))
+    if abs(length - 1) > 1e-3:
+        raise entry.problem("orientation_xyzw", f"has length {length:.6g}, must be 1")
+    unit: Float64[Array, "4"] = orientation / length
+    return unit

@@ -1,0 +1,151 @@
+"""Ray casting of targets and their radiance (the sources are shapes.c, shading.c and render.c).
+
+Rays are intersected with boxes and surfaces of revolution in closed form; light is reflected once.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ringpose.kernels import _kernels
+from ringpose.types.arrays import Array, Bool, Float32, Float64, Int32, Int64, UInt8
+
+BOX, REVOLUTION = 0, 1
+"""Kinds of parts."""
+
+NONE = -1
+"""No surface, no form, no relief."""
+
+TEXELS = 512
+"""Side of a relief."""
+
+MAX_PARTS, MAX_POINTS, MAX_LASERS = 128, 64, 8
+"""Of a target, of a profile, of a rig."""
+
+
+class TargetTables(NamedTuple):
+    """A target as the kernels take it; the columns are the members of the structs in target.h."""
+
+    parts: Float64[Array, "part column=30"]
+    points: Float64[Array, "point 2"]
+    gaps: Float64[Array, "gap 4"]
+    forms: Float64[Array, "form column=20"]
+    material_of: Int32[Array, "surface"]
+    materials: Float64[Array, "material column=10"]
+    print_x: Float64[Array, "line_x"]
+    """Lines along which a print changes its coating."""
+    print_y: Float64[Array, "line_y"]
+    print_cells: UInt8[Array, "cell_y cell_x"]
+    """1 where the print has the material's second coating."""
+    texels_m: Float64[Array, "relief"]
+    heights_m: Float32[Array, "relief texel_y texel_x"]
+    slopes: Float32[Array, "relief texel_y texel_x uv=2"]
+
+
+class LightNumbers(NamedTuple):
+    """Light other than that of lamps and lasers, and properties that all lasers have in common."""
+
+    ambient_w_m2: float = 0.0
+    sun_w_m2: float = 0.0
+    sun_x: float = 0.0
+    sun_y: float = 0.0
+    sun_z: float = -1.0
+    sun_radius_rad: float = 0.0
+    earth_w_m2: float = 0.0
+    earth_x: float = 0.0
+    earth_y: float = 0.0
+    earth_z: float = -1.0
+    earth_radius_rad: float = 0.0
+    lit_x: float = 0.0
+    lit_y: float = 0.0
+    lit_z: float = -1.0
+    earth_radiance: float = 0.0
+    laser_power_w: float = 0.0
+    laser_sigma_m: float = 1.0
+    laser_divergence_rad: float = 0.0
+    laser_fan_rad: float = 1.0
+    angle_per_px: float = 0.0
+
+
+class PixelImage(NamedTuple):
+    """What `render` fills for the chosen pixels."""
+
+    radiance: Float32[Array, "source pixel"]
+    """W/(m2 sr): ambient light first, then each laser."""
+    code: Int32[Array, "pixel"]
+    """Equal where two pixels show the same surface, sunlit or not."""
+    stripe: UInt8[Array, "pixel"]
+    """Bits `WIDE` and `THIN` near a stripe that is wider or thinner than about a pixel."""
+
+
+WIDE, THIN = 1, 2
+
+SKY_SHADOWS = 1 << 8 | 1 << 9
+"""Bits of the code for the shadows of sun and Earth."""
+
+
+def render(
+    target: TargetTables,
+    poses: Float64[Array, "time column=12"],
+    lamps: Float64[Array, "lamp=4 column=5"],
+    lasers: Float64[Array, "laser column=11"],
+    light: LightNumbers,
+    xy: Float64[Array, "xy=2 pixel"],
+    per_px: Float64[Array, "axis=2 xy=2 pixel"] | None,
+    width: int,
+    image: PixelImage,
+    pixels: Int64[Array, "chosen"] | None = None,
+    samples: int = 1,
+) -> None:
+    """Fill the image of the chosen pixels, or of all, with the mean over their samples.
+
+    `poses` are camera_from_target (rotation in rows, translation) at equal steps of the exposure; a single sample has
+    the middle one. `xy` are the rays (x, y, 1) of the pixels and `per_px` their derivatives. The code and the stripe of
+    several samples are those of the last one.
+    """
+    _kernels.render(
+        *target, poses, lamps, lasers, light, xy, per_px, width, pixels, samples,
+        image.radiance, image.code, image.stripe,
+    )  # fmt: skip
+
+
+class Hits(NamedTuple):
+    """First intersections of rays."""
+
+    parameter: Float64[Array, "ray"]
+    """Without crinkles of foil; inf without an intersection."""
+    surface: Int32[Array, "ray"]
+    """`NONE` without an intersection."""
+    point_m: Float64[Array, "xyz=3 ray"]
+    normal: Float64[Array, "xyz=3 ray"]
+    """Unit normals towards the viewer."""
+
+
+def first_hits(target: TargetTables, origin: Float64[Array, "xyz=3"], direction: Float64[Array, "xyz=3 ray"]) -> Hits:
+    """The first intersections of the rays from one point, in the target frame."""
+    rays = direction.shape[1]
+    hits = Hits(np.empty(rays), np.empty(rays, np.int32), np.empty((3, rays)), np.empty((3, rays)))
+    _kernels.hits(*target, np.ascontiguousarray(origin), np.ascontiguousarray(direction), *hits)
+    return hits
+
+
+def blocked(
+    target: TargetTables, point: Float64[Array, "xyz=3 ray"], towards: Float64[Array, "xyz=3 ray"]
+) -> Bool[Array, "ray"]:
+    """Whether a part intersects the segments between the points and the points + towards."""
+    result = np.empty(point.shape[1], dtype=np.bool_)
+    _kernels.blocked(*target, np.ascontiguousarray(point), np.ascontiguousarray(towards), result)
+    return result
+
+
+def reflectances(
+    coating: tuple[float, float, float],
+    normal: Float64[Array, "xyz=3 ray"],
+    to_light: Float64[Array, "xyz=3 ray"],
+    to_eye: Float64[Array, "xyz=3 ray"],
+) -> Float64[Array, "ray"]:
+    """BRDF of (diffuse, specular, roughness) in 1/sr: Lambert plus GGX, with Smith shadowing and Schlick's Fresnel."""
+    result = np.empty(normal.shape[1])
+    normal, to_light, to_eye = (np.ascontiguousarray(each) for each in (normal, to_light, to_eye))
+    _kernels.reflectances(coating, normal, to_light, to_eye, result)
+    return result

@@ -1,0 +1,199 @@
+"""Light on the target: laboratory, sun, Earth and the sheets of the line lasers.
+
+Directions are those of the camera frame; the ray caster turns them into the target frame.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ringpose.kernels import render
+from ringpose.kernels.render import LightNumbers, PixelImage, TargetTables
+from ringpose.simulate.placement import Placement
+from ringpose.types.arrays import Array, Bool, Float32, Float64
+from ringpose.types.rig import LaserPlanes
+from ringpose.types.scene import Earth, LaserLight, Light
+
+_LAMP_DIRECTIONS = np.array([[0.45, -0.75, -0.50], [-0.85, -0.25, -0.45], [0.20, 0.60, -0.77], [0.95, 0.10, -0.30]])
+"""Directions towards the lamps and windows of a laboratory."""
+
+_LAMP_SHARPNESS = np.array([25.0, 8.0, 40.0, 15.0])
+"""Sharpness k of the lobe exp(k (cos - 1)) of each lamp."""
+
+_LAMP_SHARES = np.array([0.25, 0.20, 0.10, 0.10])
+"""Share of each lamp in the irradiance; uniformly grey walls contribute the rest."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class IlluminatedTarget:
+    """A target with its placements in the camera frame and the light on it."""
+
+    target: TargetTables
+    placement: Placement
+    """In the middle of the exposure."""
+    during: tuple[Placement, ...]
+    """At equal steps of the exposure, an odd number; for a target that hardly moves in it, `placement` alone."""
+    planes: LaserPlanes
+    laser_light: LaserLight
+    light: Light
+    lasers: tuple[int, ...]
+    """Lasers that are on in at least one frame; the layers of the others stay black."""
+
+    @property
+    def has_ambient_light(self) -> bool:
+        """Whether there is light other than that of the lasers."""
+        return self.light.ambient_w_m2 > 0 or self.light.sun_w_m2 > 0
+
+    @property
+    def sheets(self) -> "Sheets":
+        """The light planes in the target frame, in the middle of the exposure."""
+        return sheets(self.planes, self.laser_light, self.placement)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Sheets:
+    """The light planes in a target's frame."""
+
+    normal: Float64[Array, "laser xyz=3"]
+    distance_m: Float64[Array, "laser"]
+    projector_m: Float64[Array, "laser xyz=3"]
+    axis: Float64[Array, "laser xyz=3"]
+    """Central direction of each fan, a unit vector in its plane."""
+    light: LaserLight
+
+
+def sheets(planes: LaserPlanes, light: LaserLight, placement: Placement) -> Sheets:
+    """The light planes of the rig in the frame of a target."""
+    return Sheets(
+        normal=placement.vectors_target(planes.normal.T).T,
+        distance_m=planes.distance_m - planes.normal @ placement.translation_m,
+        projector_m=placement.points_target(planes.projector_m.T).T,
+        axis=placement.vectors_target(_fan_axes(planes).T).T,
+        light=light,
+    )
+
+
+def _fan_axes(planes: LaserPlanes) -> Float64[Array, "laser xyz=3"]:
+    """In each plane, the direction nearest to the optical axis."""
+    axes: Float64[Array, "laser xyz=3"] = np.array([0.0, 0.0, 1.0]) - planes.normal[:, 2:] * planes.normal
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    return axes
+
+
+def half_thickness_m(light: LaserLight, range_m: Float64[Array, "n"]) -> Float64[Array, "n"]:
+    """Standard deviation of a sheet's thickness at a distance from the projector."""
+    thickness: Float64[Array, "n"] = np.hypot(light.sigma_m, light.divergence_rad * range_m)
+    return thickness
+
+
+def in_fan(sheet: Sheets, laser: int, point: Float64[Array, "xyz=3 n"]) -> Bool[Array, "n"]:
+    """Whether points lie within the fan angle."""
+    from_projector = point - sheet.projector_m[laser][:, None]
+    along = sheet.axis[laser] @ from_projector
+    aside = np.cross(sheet.normal[laser], sheet.axis[laser]) @ from_projector
+    inside: Bool[Array, "n"] = np.abs(np.arctan2(aside, along)) <= sheet.light.fan_rad / 2
+    return inside
+
+
+# What the ray caster takes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CasterInput:
+    """Light and placements as the arguments of `ringpose.kernels.render.render`."""
+
+    poses: Float64[Array, "time 12"]
+    lamps: Float64[Array, "lamp=4 5"]
+    lasers: Float64[Array, "laser 11"]
+    light: LightNumbers
+
+
+def caster_input(illuminated: IlluminatedTarget, angle_per_px: float) -> CasterInput:
+    """The light on a target; `angle_per_px` is the width of a pixel at depth 1."""
+    planes = illuminated.planes
+    lamps = _LAMP_DIRECTIONS / np.linalg.norm(_LAMP_DIRECTIONS, axis=1, keepdims=True)
+    on = np.zeros(len(planes.distance_m))
+    on[list(illuminated.lasers)] = 1.0
+    return CasterInput(
+        poses=np.array([[*each.rotation.ravel(), *each.translation_m] for each in illuminated.during]),
+        lamps=np.column_stack([lamps, _LAMP_SHARPNESS, _LAMP_SHARES]),
+        lasers=np.column_stack([planes.normal, planes.distance_m, planes.projector_m, _fan_axes(planes), on]),
+        light=_light_numbers(illuminated.light, illuminated.laser_light, angle_per_px),
+    )
+
+
+def _light_numbers(light: Light, lasers: LaserLight, angle_per_px: float) -> LightNumbers:
+    sun = light.sun_direction / np.linalg.norm(light.sun_direction)
+    sun_x, sun_y, sun_z = sun.tolist()
+    numbers = LightNumbers(
+        ambient_w_m2=light.ambient_w_m2,
+        sun_w_m2=light.sun_w_m2,
+        sun_x=sun_x,
+        sun_y=sun_y,
+        sun_z=sun_z,
+        sun_radius_rad=light.sun_diameter_rad / 2,
+        laser_power_w=lasers.power_w,
+        laser_sigma_m=lasers.sigma_m,
+        laser_divergence_rad=lasers.divergence_rad,
+        laser_fan_rad=lasers.fan_rad,
+        angle_per_px=angle_per_px,
+    )
+    if light.earth is None or light.sun_w_m2 == 0.0:
+        return numbers
+    earth = light.earth.direction / np.linalg.norm(light.earth.direction)
+    earth_x, earth_y, earth_z = earth.tolist()
+    lit_x, lit_y, lit_z = _lit_direction(light.earth, earth, sun).tolist()
+    return numbers._replace(
+        earth_w_m2=earthshine_w_m2(light.earth, light.sun_w_m2, light.sun_direction),
+        earth_x=earth_x,
+        earth_y=earth_y,
+        earth_z=earth_z,
+        earth_radius_rad=light.earth.angular_radius_rad,
+        lit_x=lit_x,
+        lit_y=lit_y,
+        lit_z=lit_z,
+        earth_radiance=light.earth.albedo * light.sun_w_m2 / np.pi,
+    )
+
+
+def earthshine_w_m2(earth: Earth, sun_w_m2: float, sun_direction: Float64[Array, "xyz=3"]) -> float:
+    """Irradiance by the Earth, a Lambert sphere: 1/220 of the sun's at full phase in geostationary orbit.
+
+    E = S 2/3 A (R/d)^2 phi(a), with the phase function phi(a) = (sin a + (pi - a) cos a) / pi.
+    """
+    cosine = -float(earth.direction @ sun_direction) / float(
+        np.linalg.norm(earth.direction) * np.linalg.norm(sun_direction)
+    )
+    phase_rad = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    phi = (np.sin(phase_rad) + (np.pi - phase_rad) * np.cos(phase_rad)) / np.pi
+    return float(sun_w_m2 * 2 / 3 * earth.albedo * np.sin(earth.angular_radius_rad) ** 2 * phi)
+
+
+def _lit_direction(
+    earth: Earth, direction: Float64[Array, "xyz=3"], sun: Float64[Array, "xyz=3"]
+) -> Float64[Array, "xyz=3"]:
+    """Towards the middle of the Earth's lit part, taken as a point: from full to new it moves to the limb."""
+    aside = sun - float(sun @ direction) * direction
+    length = float(np.linalg.norm(aside))
+    if length < 1e-9:
+        return direction
+    dark_share = (1 + float(direction @ sun)) / 2
+    shifted = direction + np.tan(earth.angular_radius_rad) * dark_share * aside / length
+    lit: Float64[Array, "xyz=3"] = shifted / np.linalg.norm(shifted)
+    return lit
+
+
+def radiance_along(
+    illuminated: IlluminatedTarget, direction: Float64[Array, "ray xyz=3"], angle_per_px: float = 0.0
+) -> Float32[Array, "source ray"]:
+    """Radiance in the middle of the exposure along rays of the camera frame: ambient light, then each laser."""
+    light = caster_input(illuminated, angle_per_px)
+    xy = np.ascontiguousarray(direction[:, :2].T / direction[:, 2])
+    rays = xy.shape[1]
+    image = PixelImage(
+        np.zeros((1 + len(light.lasers), rays), np.float32), np.zeros(rays, np.int32), np.zeros(rays, np.uint8)
+    )
+    middle = light.poses[[len(light.poses) // 2]]
+    if rays:
+        render.render(illuminated.target, middle, light.lamps, light.lasers, light.light, xy, None, rays, image)
+    return image.radiance

@@ -1,0 +1,184 @@
+"""The parts of a target as the tables of the ray caster."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from ringpose.errors import DataError
+from ringpose.kernels.render import BOX, MAX_PARTS, MAX_POINTS, NONE, REVOLUTION, TEXELS, TargetTables
+from ringpose.simulate.target.foil import relief
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.scene import RingView, Scene
+from ringpose.types.target import Body, Box, Foil, Gap, Material, Part, Revolution, RingForm, RingShape
+
+BODY, RING = "body", "ring"
+"""Names of the parts that the keys `body` and `ring` of a scene describe."""
+
+
+def view_target(scene: Scene, view: RingView) -> TargetTables:
+    """The parts that a view shows, as tables."""
+    return _tables(*_described(scene, view))
+
+
+def part_around(scene: Scene, view: RingView, point_m: Float64[Array, "xyz=3"]) -> str | None:
+    """Name of the part of a view that contains a point of the target frame."""
+    return next((part.name for part in _parts(*_described(scene, view)) if _contains(part, point_m)), None)
+
+
+def _described(scene: Scene, view: RingView) -> tuple[Body | None, tuple[Part, ...], RingShape | None]:
+    if view.target == "none":
+        return None, (), None
+    return scene.body, scene.parts, scene.ring if view.target == "ring" else None
+
+
+@lru_cache(maxsize=4)
+def _parts(body: Body | None, parts: tuple[Part, ...], ring: RingShape | None) -> tuple[Part, ...]:
+    bodies = () if body is None else (body_part(body),)
+    return (*bodies, *parts, *(() if ring is None else (ring_part(ring),)))
+
+
+@lru_cache(maxsize=4)
+def _tables(body: Body | None, parts: tuple[Part, ...], ring: RingShape | None) -> TargetTables:
+    return target_tables(_parts(body, parts, ring))
+
+
+def _contains(part: Part, point_m: Float64[Array, "xyz=3"]) -> bool:
+    """Whether a point is in a box, or within the closed profile of a surface of revolution (crossings of a ray)."""
+    x, y, z = (point_m - part.translation_m) @ part.rotation
+    if isinstance(part.shape, Box):
+        return bool(((part.shape.low_m < (x, y, z)) & (part.shape.high_m > (x, y, z))).all())
+    first, radius = part.shape.profile_m, float(np.hypot(x, y))
+    second = np.roll(first, -1, axis=0)
+    crossed = (first[:, 1] > z) != (second[:, 1] > z)
+    (r_1, z_1), (r_2, z_2) = first[crossed].T, second[crossed].T
+    return bool((radius < r_1 + (z - z_1) * (r_2 - r_1) / (z_2 - z_1)).sum() % 2)
+
+
+def ring_part(ring: RingShape) -> Part:
+    """The interface ring."""
+    pieces = range(len(ring.profile_m) - 1)
+    return Part(
+        name=RING,
+        shape=Revolution(profile_m=ring.profile_m),
+        materials=(*(ring.face if piece == ring.face_piece else ring.wall for piece in pieces), ring.wall),
+        gaps=ring.gaps,
+        form=ring.form,
+        mass_kg=ring.mass_kg,
+    )
+
+
+def face_part(ring: RingShape) -> Part:
+    """The face of a ring alone."""
+    piece = ring.face_piece
+    shape = Revolution(profile_m=ring.profile_m[piece : piece + 2])
+    return Part(name=RING, shape=shape, materials=(ring.face, ring.face))
+
+
+def body_part(body: Body) -> Part:
+    """The box that carries the ring; only its front face is crinkled."""
+    half_m = body.size_m[:2] / 2
+    shape = Box(
+        low_m=np.array([*(body.offset_m - half_m), -body.size_m[2]]), high_m=np.array([*(body.offset_m + half_m), 0.0])
+    )
+    return Part(name=BODY, shape=shape, materials=(body.material,) * 6, foil=body.foil)
+
+
+def target_tables(parts: Sequence[Part]) -> TargetTables:
+    """The tables of the parts; a target without any is empty space."""
+    if len(parts) > MAX_PARTS:
+        raise DataError("the target", f"has {len(parts)} parts", f"give at most {MAX_PARTS}")
+    rows, points = [], [np.empty((0, 2))]
+    gaps: list[list[float]] = []
+    forms: list[list[float]] = []
+    material_of: list[int] = []
+    materials: dict[Material, int] = {}
+    foils: dict[Foil, int] = {}
+    for part in parts:
+        row = _Row(part, len(material_of), sum(map(len, points)), len(gaps), len(forms), foils)
+        rows.append(row.numbers)
+        points.append(row.profile_m)
+        gaps += [_gap(gap, row.top_m) for gap in part.gaps]
+        forms += [] if part.form is None else [_form(part.form, row.profile_m)]
+        material_of += [materials.setdefault(material, len(materials)) for material in _materials(part)]
+    reliefs = [relief(foil) for foil in foils]
+    return TargetTables(
+        parts=np.array(rows).reshape(-1, 30),
+        points=np.concatenate(points),
+        gaps=np.array(gaps).reshape(-1, 4),
+        forms=np.array(forms).reshape(-1, 20),
+        material_of=np.array(material_of, dtype=np.int32),
+        materials=np.array([_material(material) for material in materials]).reshape(-1, 10),
+        print_x=np.empty(0),
+        print_y=np.empty(0),
+        print_cells=np.zeros((1, 1), dtype=np.uint8),
+        texels_m=np.array([each.texel_m for each in reliefs]),
+        heights_m=np.array([each.height_m for each in reliefs], dtype=np.float32).reshape(-1, TEXELS, TEXELS),
+        slopes=np.array([each.slope for each in reliefs], dtype=np.float32).reshape(-1, TEXELS, TEXELS, 2),
+    )
+
+
+class _Row:
+    """The row of a part in its table, with the bounds of its shape."""
+
+    def __init__(self, part: Part, surface: int, point: int, gap: int, form: int, foils: dict[Foil, int]) -> None:
+        self.profile_m = part.shape.profile_m if isinstance(part.shape, Revolution) else np.empty((0, 2))
+        margin_m = 0.0 if part.form is None else _largest_deviation_m(part.form)
+        if isinstance(part.shape, Box):
+            low, high = part.shape.low_m, part.shape.high_m
+            self.top_m = float(high[2])
+            center, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
+        else:
+            if len(self.profile_m) > MAX_POINTS:
+                raise DataError(f"part {part.name}", f"has {len(self.profile_m)} points", f"give at most {MAX_POINTS}")
+            (least, lowest), (greatest, highest) = self.profile_m.min(axis=0), self.profile_m.max(axis=0)
+            self.top_m = float(highest)
+            low = np.array([max(least - margin_m, 0.0), lowest, lowest - margin_m])
+            high = np.array([greatest + margin_m, highest, highest + margin_m])
+            center = np.array([0.0, 0.0, (lowest + highest) / 2])
+            radius = float(np.hypot(high[0], (high[2] - low[2]) / 2))
+        foil = NONE if part.foil is None else foils.setdefault(part.foil, len(foils))
+        self.numbers = [
+            BOX if isinstance(part.shape, Box) else REVOLUTION,
+            *part.rotation.T.ravel(),
+            *part.translation_m,
+            *low,
+            *high,
+            surface,
+            point,
+            len(self.profile_m),
+            gap,
+            len(part.gaps),
+            NONE if part.form is None else form,
+            foil,
+            *(part.rotation @ center + part.translation_m),
+            radius * (1 + 1e-9),
+        ]
+
+
+def _materials(part: Part) -> tuple[Material, ...]:
+    """The material of each surface of a part; a ring has one more, that of the walls of its gaps."""
+    faces = 6 if isinstance(part.shape, Box) else len(part.shape.profile_m)
+    return (*part.materials, *[part.materials[-1]] * faces)[:faces]
+
+
+def _gap(gap: Gap, top_m: float) -> list[float]:
+    return [np.cos(gap.angle_rad), np.sin(gap.angle_rad), gap.width_m / 2, top_m - gap.depth_m]
+
+
+def _form(form: RingForm, profile_m: Float64[Array, "point 2"]) -> list[float]:
+    """Deviations are interpolated between the least and the greatest radius of the profile."""
+    radii_m = profile_m[:, 0].min(), profile_m[:, 0].max()
+    return [*form.radial_m.ravel(), *form.axial_m.ravel(), *radii_m]
+
+
+def _largest_deviation_m(form: RingForm) -> float:
+    return float(max(np.abs(form.radial_m).sum(axis=(1, 2)).max(), np.abs(form.axial_m).sum()))
+
+
+def _material(material: Material) -> list[float]:
+    coating = [material.diffuse, material.specular, material.roughness]
+    grid = material.grid
+    if grid is None:
+        return [*coating, *coating, 0.0, 0.0, 0.0, 0.0]
+    return [*coating, grid.diffuse, grid.specular, grid.roughness, *grid.cell_m, grid.line_m, 0.0]

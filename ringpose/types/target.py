@@ -1,0 +1,174 @@
+"""The target of a scene: parts of simple shape, each of one or more materials, and the interface ring.
+
+Target frame: origin on the ring's axis in the plane of the front face that carries the ring, z along the normal of that
+face, towards the camera.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ringpose.types.arrays import Array, Float64
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Grid:
+    """Lines between rectangular cells, as on solar panels."""
+
+    cell_m: tuple[float, float]
+    """Period of the lines along the first and the second axis of a face."""
+    line_m: float
+    """Width of the lines."""
+    diffuse: float
+    """The lines' own reflectances, as of a material."""
+    specular: float
+    roughness: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Material:
+    """Reflectance of a surface: Lambert's law plus one GGX lobe."""
+
+    diffuse: float
+    """Albedo of the Lambert part."""
+    specular: float
+    """Reflectance of the lobe at normal incidence."""
+    roughness: float
+    """GGX alpha: 0.1 for a polished surface, 0.4 for machined metal."""
+    grid: Grid | None = None
+    """On the faces of boxes and panels."""
+
+
+MATERIALS: Mapping[str, Material] = {
+    "matt": Material(diffuse=0.30, specular=0.0, roughness=1.0),
+    "metal": Material(diffuse=0.12, specular=0.55, roughness=0.35),
+    "foil": Material(diffuse=0.06, specular=0.75, roughness=0.22),
+    "white": Material(diffuse=0.80, specular=0.0, roughness=1.0),
+    "black": Material(diffuse=0.04, specular=0.0, roughness=1.0),
+    "radiator": Material(diffuse=0.70, specular=0.08, roughness=0.15),
+    "solar-cells": Material(
+        diffuse=0.02,
+        specular=0.05,
+        roughness=0.08,
+        grid=Grid(cell_m=(0.08, 0.04), line_m=0.002, diffuse=0.25, specular=0.4, roughness=0.4),
+    ),
+}
+"""Materials that a scene file may refer to by name; their numbers are assumed, but for the order of magnitude."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Foil:
+    """Crinkles of foil on the faces of a box: a height field, periodic and fixed by its seed."""
+
+    rms_m: float = 0.0008
+    crinkle_m: float = 0.03
+    """Size of the largest crinkles."""
+    seed: int = 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Box:
+    """A box with its axes along those of the part frame; its faces are z+, x-, x+, y-, y+, z-."""
+
+    low_m: Float64[Array, "xyz=3"]
+    high_m: Float64[Array, "xyz=3"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Revolution:
+    """A surface of revolution about the z axis of the part frame; its faces are the pieces of its profile."""
+
+    profile_m: Float64[Array, "point radius_height=2"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gap:
+    """A slot with parallel walls across a ring: a pusher's seat, or the room for a bracket."""
+
+    angle_rad: float
+    """Of its middle, from the target frame's x axis towards y."""
+    width_m: float
+    depth_m: float
+    """Below the ring's face."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RingForm:
+    """Deviations of a ring from circles and a plane: Fourier coefficients by order (2, 3, 4) and (cosine, sine)."""
+
+    radial_m: Float64[Array, "edge=2 order=3 wave=2"]
+    axial_m: Float64[Array, "order=3 wave=2"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Part:
+    """A part of the target: `point_target = rotation @ point_part + translation_m`."""
+
+    name: str
+    shape: Box | Revolution
+    materials: tuple[Material, ...]
+    """Of each face; of a ring with gaps, also that of their walls."""
+    rotation: Float64[Array, "3 3"] = field(default_factory=lambda: np.eye(3))
+    translation_m: Float64[Array, "xyz=3"] = field(default_factory=lambda: np.zeros(3))
+    foil: Foil | None = None
+    """Crinkles of all faces of a box."""
+    gaps: tuple[Gap, ...] = ()
+    form: RingForm | None = None
+    mass_kg: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RingShape:
+    """A surface of revolution about the ring's axis, given by its profile."""
+
+    profile_m: Float64[Array, "point radius_height=2"]
+    """Corners of the profile: radius, and height over the body's front face."""
+    face: Material = MATERIALS["metal"]
+    wall: Material = MATERIALS["metal"]
+    face_edges: tuple[int, int] | None = None
+    """Neighbouring points of the profile between which the face lies; by default its highest flat piece."""
+    gaps: tuple[Gap, ...] = ()
+    form: RingForm | None = None
+    mass_kg: float = 0.0
+
+    @property
+    def face_piece(self) -> int:
+        """Index of the face among the pieces of the profile."""
+        if self.face_edges is not None:
+            return min(self.face_edges)
+        flat = np.flatnonzero(self.profile_m[1:, 1] == self.profile_m[:-1, 1])
+        return int(flat[np.argmax(self.profile_m[flat, 1])])
+
+    @property
+    def height_m(self) -> float:
+        """Height of the face over the body."""
+        return float(self.profile_m[self.face_piece, 1])
+
+    @property
+    def radius_inner_m(self) -> float:
+        """Radius of the face's inner edge."""
+        return float(self.profile_m[self.face_piece : self.face_piece + 2, 0].min())
+
+    @property
+    def radius_outer_m(self) -> float:
+        """Radius of the face's outer edge."""
+        return float(self.profile_m[self.face_piece : self.face_piece + 2, 0].max())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Body:
+    """The simplest satellite: a box whose front face, at z = 0, carries the ring."""
+
+    size_m: Float64[Array, "3"]
+    """Width and height of the front face, depth of the box."""
+    offset_m: Float64[Array, "2"] = field(default_factory=lambda: np.zeros(2))
+    """Offset of the front face's middle from the ring's axis, along the ring's x and y."""
+    material: Material = MATERIALS["foil"]
+    foil: Foil | None = None
+
+    @property
+    def inertia_and_center(self) -> tuple[Float64[Array, "3 3"], Float64[Array, "xyz=3"]]:
+        """Inertia per kilogram of a uniform box about its centre, and the centre, in the target frame."""
+        square = self.size_m**2
+        return np.diag((square.sum() - square) / 12), np.array([*self.offset_m, -self.size_m[2] / 2])
