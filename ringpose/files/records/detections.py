@@ -279,7 +279,7 @@ class DetectionSink:
         """Write the overlay first, then the detection, so that all files exist when the detection's name is printed."""
         self._check_name(shot.name)
         if self.overlays is not None:
-            from ringpose.detect.overlay import overlay  # imported late, since overlays are rarely requested
+            from ringpose.report.overlay import overlay  # imported late, since overlays are rarely requested
 
             image = overlay(brightest_image(shot), detection)
             write_image(self.overlays / f"{shot.name}.png", image, force=self.force)
