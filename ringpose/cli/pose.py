@@ -12,7 +12,18 @@ import typer
 from ringpose.cli.app import app
 from ringpose.cli.device_options import AllowUnseen, Count, Duration, Exposure, LasersUri, Settle, Steps
 from ringpose.cli.known_ring import RadiusInner, RadiusOuter, RadiusSd, RingName, RingOptions, RingsFile
-from ringpose.cli.options import ImageChannel, OptionalInputs, PoseFrame, PoseMethod, Quiet, RigFile, Verbose
+from ringpose.cli.options import (
+    Force,
+    ImageChannel,
+    OptionalInputs,
+    Overlay,
+    PoseFrame,
+    PoseMethod,
+    Quiet,
+    Report,
+    RigFile,
+    Verbose,
+)
 from ringpose.errors import UsageError
 from ringpose.types.options import Method
 
@@ -20,6 +31,7 @@ if TYPE_CHECKING:
     from ringpose.capture.latest_frame import LiveShot
     from ringpose.capture.source import CaptureRequest
     from ringpose.cli.batch import Batch
+    from ringpose.cli.overlays import PosePictures
     from ringpose.pose.drift import DriftMonitor
     from ringpose.types.detection import Detection
     from ringpose.types.image import Shot
@@ -58,6 +70,9 @@ def pose(
     count: Count = None,
     duration: Duration = None,
     brief: Brief = False,
+    overlay: Overlay = None,
+    report: Report = None,
+    force: Force = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
@@ -77,7 +92,15 @@ def pose(
     if frame is PoseFrame.TOOL:
         require_mount(rig_of_shots, rig)
     batch = Batch()
-    measure = partial(pose_line, rig=rig_of_shots, method=method, frame=frame, known=known)
+    measure: Callable[[Shot | Detection], PoseLine] = partial(
+        pose_line, rig=rig_of_shots, method=method, frame=frame, known=known
+    )
+    pictures = None
+    if overlay is not None or report is not None:
+        from ringpose.cli.overlays import PosePictures
+
+        pictures = PosePictures(measure, rig_of_shots, overlay, report, force=force)
+        measure = pictures.measure
     lines: AbstractContextManager[Iterator[PoseLine]]
     if camera is None:
         lines = nullcontext(_recorded_lines(inputs or [], rig_of_shots, channel, batch, measure))
@@ -96,8 +119,12 @@ def pose(
             duration_s=duration,
         )
         lines = _live_lines(request, rig_of_shots, batch, measure)
-    with lines as each:
-        _write(each, DriftMonitor(rig_of_shots.lasers.names, method), batch, brief, verbose, quiet)
+    try:
+        with lines as each:
+            _write(each, DriftMonitor(rig_of_shots.lasers.names, method), batch, brief, verbose, quiet, pictures)
+    finally:  # also after an interrupt, which is how the measurement of a live camera ends
+        if pictures is not None:
+            pictures.finish()
     batch.finish()
 
 
@@ -161,9 +188,15 @@ def _newest_shots(request: "CaptureRequest", batch: "Batch") -> "Iterator[Iterat
 
 
 def _write(
-    lines: "Iterator[PoseLine]", monitor: "DriftMonitor", batch: "Batch", brief: bool, verbose: bool, quiet: bool
+    lines: "Iterator[PoseLine]",
+    monitor: "DriftMonitor",
+    batch: "Batch",
+    brief: bool,
+    verbose: bool,
+    quiet: bool,
+    pictures: "PosePictures | None",
 ) -> None:
-    """Every line as it comes, with the health of the rig."""
+    """Every line as it comes, with the health of the rig; then its picture."""
     from ringpose.cli import messages
     from ringpose.cli.progress import with_progress
     from ringpose.errors import NO_POSE
@@ -180,3 +213,6 @@ def _write(
             messages.echo(f"{line.shot}: {remarks_on(with_health)}")
         if line.pose is None:
             batch.record_status(NO_POSE)
+        if pictures is not None:
+            with batch.guarded():
+                pictures.add(with_health)
