@@ -184,7 +184,7 @@ def _newest_shots(request: "CaptureRequest", batch: "Batch") -> "Iterator[Iterat
         for device in source.devices:
             stack.enter_context(device)
         shots = source.shots(lambda _: None, ())  # live shots are not read from files
-        yield stack.enter_context(NewestShots(shots, source.abort))
+        yield stack.enter_context(NewestShots(shots, source.abort, every=source.waits_for_consumer))
 
 
 def _write(
