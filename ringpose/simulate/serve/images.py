@@ -41,6 +41,8 @@ from ringpose.wire.images import MalformedMessage, ServedFrame
 
 MAX_CLIENTS = 32
 
+SEND_BUFFER = 1 << 18
+
 HANDSHAKE_S = 5.0
 """Time for the first message of a client."""
 
@@ -105,6 +107,8 @@ class ImageServer:
         except OSError as error:
             found = f"cannot be opened: {(error.strerror or str(error)).lower()}"
             raise DeviceError(f"tcp://{host}:{port}", found, "choose another port, or 0 for a free one") from error
+        # A client that is slow to read receives the newest frames, not those that wait in a large buffer.
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
         self.port = int(self._socket.getsockname()[1])
         started = threading.Event()
         self._started = started

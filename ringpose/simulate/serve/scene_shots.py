@@ -1,5 +1,6 @@
 """Shots of a scene on demand, for the image server: the only place where it depends on the renderer."""
 
+from collections import OrderedDict
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -13,6 +14,9 @@ from ringpose.types.image import Frame
 from ringpose.types.scene import RingView, Scene
 from ringpose.types.truth import Truth
 from ringpose.wire.images import ServedPose
+
+KEPT_BYTES = 1 << 27
+"""Memory for rendered views, of which at least two are kept."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -32,26 +36,27 @@ class RenderedShot:
 class SceneShots:
     """The views of a trajectory one after the other, from the beginning after the last.
 
-    The next one is rendered in the background. `shot` is called by one thread at a time.
+    The next one is rendered in the background, and as many as fit into `KEPT_BYTES` are kept. `shot` is called by one
+    thread at a time.
     """
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.views = ring_views(scene)
         self._worker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="scene shots")
-        self._shown: tuple[RingView, RenderedShot] | None = None
-        self._next: tuple[RingView, Future[RenderedShot]] | None = None
+        self._kept: OrderedDict[int, tuple[RingView, Future[RenderedShot]]] = OrderedDict()
+        """By the identity of the view, which is kept so that it remains unique; the one used last is at the end."""
+        camera = scene.rig.camera
+        layers = 1 + len(scene.rig.lasers.names)
+        self._capacity = max(2, KEPT_BYTES // (4 * layers * camera.image_width * camera.image_height))
 
     def shot(self, views: tuple[RingView, ...], number: int) -> RenderedShot:
-        """View `number` of a trajectory; it is rendered now unless it was expected."""
-        view, following = views[number % len(views)], views[(number + 1) % len(views)]
-        if self._shown is None or self._shown[0] is not view:
-            expected = self._next is not None and self._next[0] is view
-            rendered = self._next[1].result() if expected and self._next is not None else self._rendered(view, number)
-            self._shown = (view, rendered)
-        if following is not view and (self._next is None or self._next[0] is not following):
-            self._next = (following, self._worker.submit(self._rendered, following, number + 1))
-        return self._shown[1]
+        """View `number` of a trajectory; one that was not expected is rendered now."""
+        shown = self._requested(views[number % len(views)], number)
+        self._requested(views[(number + 1) % len(views)], number + 1)
+        while len(self._kept) > self._capacity:
+            self._kept.popitem(last=False)
+        return shown.result()
 
     def views_at(self, poses: tuple[ServedPose, ...]) -> tuple[RingView, ...]:
         """The views of these poses, whose lights the scene has; without any, those of the scene."""
@@ -72,6 +77,12 @@ class SceneShots:
     def close(self) -> None:
         """Stop rendering."""
         self._worker.shutdown(wait=True, cancel_futures=True)
+
+    def _requested(self, view: RingView, number: int) -> Future[RenderedShot]:
+        kept = self._kept.get(id(view)) or (view, self._worker.submit(self._rendered, view, number))
+        self._kept[id(view)] = kept
+        self._kept.move_to_end(id(view))
+        return kept[1]
 
     def _rendered(self, view: RingView, number: int) -> RenderedShot:
         illuminated = illuminated_ring(self.scene, view)
