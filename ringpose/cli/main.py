@@ -25,6 +25,7 @@ COMMANDS = {
     "pose": "pose",
     "simulate": "simulate.render",
     "bench": "bench",
+    "view": "view",
     "schema": "schema",
 }
 """Module of each subcommand, in the order in which the help lists them."""

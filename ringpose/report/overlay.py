@@ -104,7 +104,7 @@ def overlay(
     rejected = _rejected(line, rig)
     if detection.segments is not None:
         _draw_segments(picture, detection.segments)
-    pose = None if line is None or rig is None else _pose_in_camera_frame(line, rig)
+    pose = None if line is None or rig is None else pose_in_camera_frame(line, rig)
     if pose is not None and rig is not None:
         _draw_ring(picture, pose, rig.camera)
     if detection.stripes is not None:
@@ -223,7 +223,7 @@ def _rejected(line: PoseLine | None, rig: Rig | None) -> Rejected:
     return frozenset(by_state | listed)
 
 
-def _pose_in_camera_frame(line: PoseLine, rig: Rig) -> RingPose | None:
+def pose_in_camera_frame(line: PoseLine, rig: Rig) -> RingPose | None:
     """The pose, transformed back if necessary; None if the rig lacks the mount for that."""
     if line.pose is None or line.frame is PoseFrame.CAMERA:
         return line.pose
