@@ -74,7 +74,7 @@ def view(
 
 def _pose_lines(files: list[Path], batch: "Batch") -> "dict[str, PoseLine]":
     """The pose line of each shot; invalid ones are reported by the batch."""
-    from ringpose.errors import DataError
+    from ringpose.errors import DataError, NoInputError
     from ringpose.files.inputs import RECORDS_SUFFIX, Record
     from ringpose.files.inputs import inputs as named
     from ringpose.files.poses import pose_line_of
@@ -83,6 +83,8 @@ def _pose_lines(files: list[Path], batch: "Batch") -> "dict[str, PoseLine]":
     for item in batch.valid_inputs(named(list(map(str, files)), (RECORDS_SUFFIX,))):
         with batch.guarded():
             if not isinstance(item, Record):
+                if not item.exists():
+                    raise NoInputError(str(item), "does not exist")
                 raise DataError(str(item), "holds no pose lines", "give the .jsonl output of ringpose pose")
             line = pose_line_of(item.values, item.location)
             if line.shot in lines:

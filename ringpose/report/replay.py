@@ -125,10 +125,18 @@ def _texts(shot: ReplayShot, pose: RingPose | None) -> list[tuple[str, str]]:
         return [("pose", "not measured")]
     texts = [("flags", ", ".join(shot.line.flag_names)), ("reason", shot.line.reason or "")]
     if pose is not None:
-        names = (text.partition(" ") for text in pose_texts(pose))
-        texts += [(name, value) for name, _, value in names]
-    texts += [(f"error of {name}", _error_text(name, value)) for name, value in shot.errors.items()]
+        parts = (text.replace("+-", "±").partition(" ") for text in pose_texts(pose))
+        texts += [
+            (name.replace("pitch", "normal"), f"pitch {value}" if name == "pitch" else value)
+            for name, _, value in parts
+        ]
+    texts += [(f"error: {_title(name)}", _error_text(name, value)) for name, value in shot.errors.items()]
     return [(name, text) for name, text in texts if text]
+
+
+def _title(name: str) -> str:
+    """The name of an error without its unit, which is another in the page."""
+    return name.rpartition("_")[0].replace("_", " ")
 
 
 def _error_text(name: str, value: float) -> str:
@@ -156,7 +164,7 @@ def _plots(shots: Sequence[ReplayShot], poses: Sequence[RingPose | None]) -> lis
         is_angle = name.endswith("_rad")
         factor, unit = (180.0 / np.pi, "deg") if is_angle else (1e3, "mm")
         values = [None if name not in shot.errors else _number(factor * shot.errors[name]) for shot in shots]
-        plots.append({"title": f"error of {name} ({unit})", "series": [{"name": "", "values": values}]})
+        plots.append({"title": f"error: {_title(name)} ({unit})", "series": [{"name": "", "values": values}]})
     return plots
 
 
