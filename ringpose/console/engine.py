@@ -15,6 +15,7 @@ from ringpose.simulate.exposure import view_exposure_s
 from ringpose.simulate.pipeline import READOUT_S, illuminated_ring, render_ring_view, view_truth
 from ringpose.simulate.serve.preview import preview
 from ringpose.types.arrays import Array, UInt8
+from ringpose.types.camera import Camera
 from ringpose.types.image import Shot
 from ringpose.types.pose import PoseLine
 from ringpose.types.rig import Rig
@@ -50,6 +51,7 @@ class Engine:
         self._changed = threading.Condition()
         self._newest: ConsoleState | None = None
         self._ended = False
+        self._cameras: dict[tuple[float, int], Camera] = {}
         self.is_watched: Callable[[], bool] = lambda: True
         self.failure: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="console engine", daemon=True)
@@ -98,7 +100,7 @@ class Engine:
 
     def picture(self, state: ConsoleState, width: int, *, measured: bool) -> ConsolePicture:
         """The picture of a state."""
-        scene = preview(state.scene_of(self._scene), width)
+        scene = self._with_same_camera(preview(state.scene_of(self._scene), width), state.focal_scale)
         view, masks = state.view, scene.sequence
         illuminated = illuminated_ring(scene, view, masks)
         rendered = render_ring_view(scene, view, state.number)
@@ -119,6 +121,13 @@ class Engine:
             state=state, image=_grey(picture_of(shot)), rig=scene.rig, truth=truth, shot=shot if measured else None
         )
         return self._measured(picture, shot) if measured else picture
+
+    def _with_same_camera(self, scene: Scene, focal_scale: float) -> Scene:
+        """The scene with the camera record of earlier pictures: the renderer keeps the rays of a record."""
+        key = (focal_scale, scene.rig.camera.image_width)
+        if key not in self._cameras:
+            self._cameras = {**dict(list(self._cameras.items())[-3:]), key: scene.rig.camera}
+        return replace(scene, rig=replace(scene.rig, camera=self._cameras[key]))
 
     def _measured(self, picture: ConsolePicture, shot: Shot) -> ConsolePicture:
         detection = detect(shot, picture.rig)

@@ -3,9 +3,11 @@
 The controls belong to all browsers together, which therefore show the same state, also after a reload.
 """
 
+import io
 import threading
 from collections import deque
 from collections.abc import Callable
+from contextlib import redirect_stdout
 from dataclasses import replace
 from typing import Any
 
@@ -52,7 +54,8 @@ class ConsolePage:
         self._ended = threading.Event()
         self._history: deque[tuple[float, ...]] = deque(maxlen=SHOWN_MEASUREMENTS)
         self._measured = 0
-        self._server = viser.ViserServer(host=host, port=port, label="ringpose", verbose=False)
+        with redirect_stdout(io.StringIO()):  # viser announces its address; stdout is for records
+            self._server = viser.ViserServer(host=host, port=port, label="ringpose", verbose=False)
         self._engine = Engine(scene, width, self._show)
         self._engine.is_watched = lambda: bool(self._server.get_clients())
 
@@ -63,7 +66,7 @@ class ConsolePage:
         )
         center = self._state.center_m
         server.scene.set_up_direction("-y")
-        server.initial_camera.position = tuple(np.array([-1.2, -0.7, -0.8]) * np.linalg.norm(center))
+        server.initial_camera.position = tuple(np.array([-1.9, -1.1, -1.4]) * max(np.linalg.norm(center), 0.5))
         server.initial_camera.look_at = tuple(0.7 * center)
         self._add_scene()
         self._add_gui()
@@ -210,7 +213,9 @@ class ConsolePage:
         camera = scene.rig.camera
         fov = 2 * np.arctan(camera.image_height / 2 / camera.camera_matrix[1, 1])
         aspect = camera.image_width / camera.image_height
-        self._frustum = server.add_camera_frustum("/camera", float(fov), aspect, scale=0.12, color=(40, 40, 40))
+        self._frustum = server.add_camera_frustum(
+            "/camera", float(fov), aspect, scale=0.07, color=(40, 40, 40), thickness=2.0, thickness_units="screen"
+        )
         self._target = server.add_frame("/target", show_axes=False)
         body = scene.body
         width, height, depth = (float(size) for size in body.size_m)
@@ -218,7 +223,6 @@ class ConsolePage:
         server.add_box("/target/body", (170, 150, 110), (width, height, depth), position=middle, opacity=0.6)
         vertices, faces = _surface(scene.ring.profile_m)
         server.add_mesh_simple("/target/ring", vertices, faces, color=(150, 155, 165), side="double", flat_shading=True)
-        server.add_label("/target/name", "target")
 
     def _place_target(self, state: ConsoleState) -> None:
         """Move the target, the light planes and the sun to where they are in this state."""
@@ -233,7 +237,7 @@ class ConsolePage:
                 corners = _light_plane(rig, laser, depth_m)
                 server.add_mesh_simple(
                     f"/light/{name}", corners, np.array([[0, 1, 2]]), color=color_of(laser)[::-1],
-                    opacity=0.25, side="double", visible=bool(state.mask >> laser & 1),
+                    opacity=0.35, side="double", visible=bool(state.mask >> laser & 1),
                 )  # fmt: skip
             sun = state.view.center_m + 0.8 * state.light.sun_direction
             arrow = np.array([[sun, sun - 0.4 * state.light.sun_direction]])
@@ -253,9 +257,10 @@ class ConsolePage:
         )
         seen = np.isfinite(points).all(axis=(1, 2)) & np.array([state.mask >> k & 1 == 1 for k in range(len(points))])
         segments = points[seen] if seen.any() else np.zeros((1, 2, 3))
-        colors = np.array([[color_of(int(k))[::-1]] * 2 for k in np.flatnonzero(seen)] or [[(0, 0, 0)] * 2])
+        drawn = [color_of(int(laser))[::-1] for laser in np.flatnonzero(seen)] or [(0, 0, 0)]
+        colors = np.repeat(np.array(drawn, dtype=np.uint8)[:, None], 2, axis=1)
         self._server.scene.add_line_segments(
-            "/stripes", segments, colors, thickness=4.0, thickness_units="screen", visible=bool(seen.any())
+            "/stripes", segments, colors, thickness=5.0, thickness_units="screen", visible=bool(seen.any())
         )
 
     # Pictures
