@@ -96,10 +96,26 @@ class ConsolePage:
     # Controls
 
     def _add_gui(self) -> None:
-        gui, state = self._server.gui, self._state
+        gui = self._server.gui
         blank = np.zeros((120, 160, 3), np.uint8)
         self._image = gui.add_image(blank, label="measurement camera", format="jpeg", jpeg_quality=85)
         self._text = gui.add_markdown("waiting for the first picture")
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("Controls"):
+            self._add_controls()
+        with tabs.add_tab("Errors"):
+            self._add_plots()
+        self._preset.on_update(lambda _: self._apply_preset())
+        self._step.on_click(lambda _: self._advance(PERIOD_S))
+        handles: list[Any] = [
+            *self._center, *self._angles, self._spin, self._tumble, *self._drift, self._time, self._focal, self._auto,
+            self._exposure, *self._on, self._switched, *self._tilts, self._ambient, self._sun,
+        ]  # fmt: skip
+        for handle in handles:
+            handle.on_update(lambda _: self._change())
+
+    def _add_controls(self) -> None:
+        gui, state = self._server.gui, self._state
         with gui.add_folder("Target"):
             names = [view.name for view in self._views]
             self._preset = gui.add_dropdown("view of the scene", names, initial_value=names[0])
@@ -134,29 +150,24 @@ class ConsolePage:
             self._sun: Any = gui.add_slider("sun (W/m2)", 0.0, 100.0, 0.5, state.light.sun_w_m2)
         if self._record is not None:
             self._recording = gui.add_checkbox("record shots with their truth", False)
-        with gui.add_folder("Errors of the running measurement"):
-            self._plots = [
-                gui.add_uplot(
-                    (np.zeros(1), np.zeros(1), np.zeros(1)),
-                    (
-                        uplot.Series(label="number"),
-                        uplot.Series(label="error", stroke="#1f5fbf"),
-                        uplot.Series(label="sigma", stroke="#c0392b"),
-                    ),
-                    title=title,
-                    scales={"x": uplot.Scale(time=False)},
-                    aspect=2.2,
-                )
-                for title, *_ in PLOTS
-            ]
-        self._preset.on_update(lambda _: self._apply_preset())
-        self._step.on_click(lambda _: self._advance(PERIOD_S))
-        handles: list[Any] = [
-            *self._center, *self._angles, self._spin, self._tumble, *self._drift, self._time, self._focal, self._auto,
-            self._exposure, *self._on, self._switched, *self._tilts, self._ambient, self._sun,
-        ]  # fmt: skip
-        for handle in handles:
-            handle.on_update(lambda _: self._change())
+
+    def _add_plots(self) -> None:
+        """Errors of the running measurement."""
+        gui = self._server.gui
+        self._plots = [
+            gui.add_uplot(
+                (np.zeros(1), np.zeros(1), np.zeros(1)),
+                (
+                    uplot.Series(label="number"),
+                    uplot.Series(label="error", stroke="#1f5fbf"),
+                    uplot.Series(label="sigma", stroke="#c0392b"),
+                ),
+                title=title,
+                scales={"x": uplot.Scale(time=False)},
+                aspect=2.2,
+            )
+            for title, *_ in PLOTS
+        ]
 
     def _change(self) -> None:
         """Take over the positions of all controls."""
@@ -183,7 +194,8 @@ class ConsolePage:
                 number=self._state.number + 1,
             )
             self._engine.show(self._state)
-            self._place_target(self._state)
+            if not self._playing.value:  # while time runs, the target moves with the pictures
+                self._place_target(self._state)
 
     def _apply_preset(self) -> None:
         view: RingView = next(each for each in self._views if each.name == self._preset.value)
@@ -203,8 +215,7 @@ class ConsolePage:
                 self._advance(PERIOD_S * float(self._speed.value))
 
     def _advance(self, step_s: float) -> None:
-        self._time.value = float((self._time.value + step_s) % 60.0)
-        self._change()
+        self._time.value = float((self._time.value + step_s) % 60.0)  # calls _change
 
     # The scene
 
@@ -273,6 +284,8 @@ class ConsolePage:
         if picture.line is None:
             return
         self._measured += 1
+        if self._playing.value:
+            self._place_target(picture.state)
         self._draw_estimate(picture)
         self._text.content = _text(picture)
         self._plot(picture)

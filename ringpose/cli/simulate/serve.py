@@ -64,6 +64,10 @@ TruthFile = Annotated[
     Path | None,
     typer.Option("--truth", readable=False, metavar="FILE", help="Of --images: write the truth of each served shot."),
 ]
+ImageWidth = Annotated[
+    int | None,
+    typer.Option("--width", metavar="PX", min=16, max=65535, help="Of --images: smaller images of the same view."),
+]
 Overwrite = Annotated[bool, typer.Option("--force", help="Replace a log that exists already.")]
 
 
@@ -75,6 +79,7 @@ def serve(
     rate: RateOption = 5.0,
     secret_file: SecretFile = None,
     truth: TruthFile = None,
+    width: ImageWidth = None,
     camera: Address = None,
     relay: RelayOption = Relay.NONE,
     show: ShowOption = ServedTarget.RING,
@@ -100,10 +105,16 @@ def serve(
         if camera is not None or relay is not Relay.NONE or fault or log is not None:
             found = "excludes --camera, --relay, --fault and --log, which are of the network camera"
             raise UsageError("--images", found, "leave them out")
+        if width is not None:
+            from ringpose.simulate.serve.preview import preview
+
+            read = preview(read, width)
         serve_images(read, images, clock, rate, secret_file, truth, force=force, verbose=verbose)
         return
-    if clock is not Clock.WALL or secret_file is not None or truth is not None:
-        raise UsageError("--clock, --secret-file, --truth", "are of use with --images only", "add --images URI")
+    if clock is not Clock.WALL or secret_file is not None or truth is not None or width is not None:
+        raise UsageError(
+            "--clock, --secret-file, --truth, --width", "are of use with --images only", "add --images URI"
+        )
     setup = Setup(
         address=_loopback("127.0.0.1" if camera is None else camera),
         relay=relay,
