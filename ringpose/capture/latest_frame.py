@@ -25,12 +25,14 @@ class LiveShot:
 class NewestShots:
     """Takes shots in a thread while the `with` block lasts, and yields the newest one; at most one waits.
 
-    Exceptions of that thread are raised where the shots are consumed.
+    Exceptions of that thread are raised where the shots are consumed. With `every`, for sources whose time stands still
+    meanwhile, each shot is taken when it is asked for, without a thread.
     """
 
-    def __init__(self, shots: Iterator[Shot], abort: Callable[[], None] | None = None) -> None:
+    def __init__(self, shots: Iterator[Shot], abort: Callable[[], None] | None = None, *, every: bool = False) -> None:
         self._shots = shots
         self._abort = abort
+        self._every = every
         self._changed = threading.Condition()
         self._waiting: LiveShot | None = None
         self._dropped = 0
@@ -39,6 +41,8 @@ class NewestShots:
         self._thread = threading.Thread(target=self._take, name="shots", daemon=True)
 
     def __enter__(self) -> Iterator[LiveShot]:
+        if self._every:
+            return map(_live_shot, self._shots)
         self._thread.start()
         return self._live_shots()
 
@@ -46,6 +50,8 @@ class NewestShots:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """End the thread; `abort`, if given, interrupts the shot that is being taken."""
+        if self._every:
+            return
         with self._changed:
             was_taking, self._ended = not self._ended, True
         if was_taking and self._abort is not None:
@@ -80,6 +86,10 @@ class NewestShots:
             with self._changed:
                 self._ended = True
                 self._changed.notify()
+
+
+def _live_shot(shot: Shot) -> LiveShot:
+    return LiveShot(shot=shot, dropped=len(lost_attempts_dn(shot.meta)), taken_s=time.perf_counter())
 
 
 Item = TypeVar("Item")

@@ -69,6 +69,8 @@ class Source:
     """To be entered, in this order, while shots are taken."""
     abort: Callable[[], None] | None = None
     """Switches the lasers off, also while another thread takes shots."""
+    waits_for_consumer: bool = False
+    """Whether time stands still between shots, so that none need be skipped."""
     camera_name: Callable[[], str | None] = lambda: None
     """The name that the camera reports, once it is entered."""
 

@@ -16,8 +16,9 @@ from ringpose.capture.source import (
     capture_record,
     device_source,
     laser_driver,
+    names_by_time,
 )
-from ringpose.capture.uri import CAMERAS, LASERS, scheme_and_rest, schemes
+from ringpose.capture.uri import CAMERAS, LASERS, device_uri, scheme_and_rest, schemes
 from ringpose.cli.batch import Batch
 from ringpose.errors import NoInputError, UsageError
 from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot
@@ -32,6 +33,8 @@ def source_of(request: CaptureRequest, batch: Batch) -> Source:
     scheme, rest = scheme_and_rest(request.camera, "--camera", schemes(CAMERAS))
     if scheme == "files":
         return _recorded(rest, request, batch)
+    if scheme == "tcp":
+        return _served(request)
     return _simulated(Path(rest), request) if scheme == "sim" else camera_source(request)
 
 
@@ -122,3 +125,28 @@ def _simulated(scene_file: Path, request: CaptureRequest) -> Source:
                 yield view.name
 
     return device_source(request, camera, lasers, names, scene_file)
+
+
+def _served(request: CaptureRequest) -> Source:
+    """The frames of an image server, which switches the lasers itself; shots have the names that it gives them."""
+    from ringpose.capture.cameras.tcp import TcpCamera
+    from ringpose.files.secrets import read_secret
+
+    if request.lasers not in (None, "sim:"):
+        raise UsageError("--lasers", f'"{request.lasers}" cannot light a simulated scene', "leave it out")
+    uri = device_uri(request.camera, "--camera", CAMERAS)
+    secret_file = uri.parameters.get("secret-file")
+    camera = TcpCamera(uri, None if secret_file is None else read_secret(Path(secret_file)))
+    with camera:
+        greeting = camera.greeting
+    request = replace(request, lasers="sim:", laser_names=greeting.lasers)
+    lasers = laser_driver(request, None)
+    if not request.steps:
+        request = replace(request, steps=steps_of(greeting.sequence, lasers.count))
+    source = device_source(request, camera, lasers, lambda _: names_by_time())
+
+    def shots(on_read: OnRead, existing: Container[str]) -> Iterator[Shot]:
+        for shot in source.shots(on_read, existing):
+            yield replace(shot, name=camera.shot_name, meta={**shot.meta, "simulated": True})
+
+    return replace(source, shots=shots, waits_for_consumer=greeting.clock == "lockstep")

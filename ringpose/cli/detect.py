@@ -17,6 +17,7 @@ from ringpose.cli.options import Force, ImageChannel, Inputs, OptionalRigFile, O
 from ringpose.types.options import SegmentMethod, StripeSource
 
 if TYPE_CHECKING:
+    from ringpose.types.arrays import Array, UInt8
     from ringpose.types.assumptions import AssumptionOptions
     from ringpose.types.detection import Detection
     from ringpose.types.image import Shot
@@ -64,6 +65,7 @@ def detect(
     """Find the laser stripes, and where they end on the ring."""
     from ringpose.cli import messages
     from ringpose.cli.batch import Batch
+    from ringpose.cli.overlays import OverlayFolder
     from ringpose.cli.progress import with_progress
     from ringpose.errors import NO_POSE, UsageError
     from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot
@@ -76,7 +78,8 @@ def detect(
         raise UsageError("", "--rig is missing", "give --rig FILE, or --segments-only for any image")
     options = assumption_options(still, max_speed, max_rate, ring_tolerance, rig_stability)
     loaded_rig = None if rig is None else read_rig(rig)
-    sink = DetectionSink(output, overlay, rig=rig, full=full or segments_only, force=force)
+    sink = DetectionSink(output, rig=rig, full=full or segments_only, force=force)
+    overlays = None if overlay is None else OverlayFolder(overlay, force=force)
     batch, previous = Batch(), None
     for item in with_progress(batch.valid_inputs(named(inputs, SHOT_SUFFIXES)), "shots", quiet):
         with batch.guarded():
@@ -87,12 +90,21 @@ def detect(
             else:
                 detection = detection_of(shot, loaded_rig, stripes, previous, options)
             previous = detection if track and detection.found else None
-            sink.write(shot, detection, path)
+            if overlays is not None:  # first, so that all files exist when the detection's name is printed
+                overlays.write(shot.name, detection_overlay(shot, detection))
+            sink.write(detection, path)
             if verbose:
                 messages.echo(f"{shot.name}: {detection.summary}")
             if not (detection.found or segments_only):
                 batch.record_status(NO_POSE)
     batch.finish()
+
+
+def detection_overlay(shot: "Shot", detection: "Detection") -> "UInt8[Array, 'row column 3']":
+    """The picture of one shot with its detection."""
+    from ringpose.report.overlay import overlay, picture_of  # not needed without --overlay
+
+    return overlay(picture_of(shot), detection)
 
 
 def segments_of(shot: "Shot", method: SegmentMethod) -> "Detection":

@@ -26,6 +26,7 @@ COMMANDS = {
     "track": "track",
     "simulate": "simulate.render",
     "bench": "bench",
+    "view": "view",
     "schema": "schema",
 }
 """Module of each subcommand, in the order in which the help lists them."""

@@ -19,7 +19,18 @@ from ringpose.cli.assumption_options import (
 )
 from ringpose.cli.device_options import AllowUnseen, Count, Duration, Exposure, LasersUri, Settle, Steps
 from ringpose.cli.known_ring import RadiusInner, RadiusOuter, RadiusSd, RingName, RingOptions, RingsFile
-from ringpose.cli.options import ImageChannel, OptionalInputs, PoseFrame, PoseMethod, Quiet, RigFile, Verbose
+from ringpose.cli.options import (
+    Force,
+    ImageChannel,
+    OptionalInputs,
+    Overlay,
+    PoseFrame,
+    PoseMethod,
+    Quiet,
+    Report,
+    RigFile,
+    Verbose,
+)
 from ringpose.errors import UsageError
 from ringpose.types.options import Method
 
@@ -27,6 +38,7 @@ if TYPE_CHECKING:
     from ringpose.capture.latest_frame import LiveShot
     from ringpose.capture.source import CaptureRequest
     from ringpose.cli.batch import Batch
+    from ringpose.cli.overlays import PosePictures
     from ringpose.pose.drift import DriftMonitor
     from ringpose.types.detection import Detection
     from ringpose.types.image import Shot
@@ -70,6 +82,9 @@ def pose(
     count: Count = None,
     duration: Duration = None,
     brief: Brief = False,
+    overlay: Overlay = None,
+    report: Report = None,
+    force: Force = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
@@ -92,9 +107,16 @@ def pose(
     batch = Batch()
     monitor = DriftMonitor(rig_of_shots, rig_of_shots.stability.scaled(rig_stability))
 
-    def measure(source: "Shot | Detection") -> "PoseLine":
+    def measured(source: "Shot | Detection") -> "PoseLine":
         return pose_line(source, monitor.rig, method=method, frame=frame, known=known, options=options)
 
+    measure: Callable[[Shot | Detection], PoseLine] = measured
+    pictures = None
+    if overlay is not None or report is not None:
+        from ringpose.cli.overlays import PosePictures
+
+        pictures = PosePictures(measure, rig_of_shots, overlay, report, force=force)
+        measure = pictures.measure
     lines: AbstractContextManager[Iterator[PoseLine]]
     if camera is None:
         lines = nullcontext(_recorded_lines(inputs or [], rig_of_shots, channel, batch, measure))
@@ -114,8 +136,12 @@ def pose(
             duration_s=duration,
         )
         lines = _live_lines(request, rig_of_shots, batch, measure)
-    with lines as each:
-        _write(each, monitor, batch, brief, verbose, quiet)
+    try:
+        with lines as each:
+            _write(each, monitor, batch, brief, verbose, quiet, pictures)
+    finally:  # also after an interrupt, which is how the measurement of a live camera ends
+        if pictures is not None:
+            pictures.finish()
     batch.finish()
 
 
@@ -175,13 +201,19 @@ def _newest_shots(request: "CaptureRequest", batch: "Batch") -> "Iterator[Iterat
         for device in source.devices:
             stack.enter_context(device)
         shots = source.shots(lambda _: None, ())  # live shots are not read from files
-        yield stack.enter_context(NewestShots(shots, source.abort))
+        yield stack.enter_context(NewestShots(shots, source.abort, every=source.waits_for_consumer))
 
 
 def _write(
-    lines: "Iterator[PoseLine]", monitor: "DriftMonitor", batch: "Batch", brief: bool, verbose: bool, quiet: bool
+    lines: "Iterator[PoseLine]",
+    monitor: "DriftMonitor",
+    batch: "Batch",
+    brief: bool,
+    verbose: bool,
+    quiet: bool,
+    pictures: "PosePictures | None",
 ) -> None:
-    """Every line as it comes, with the health of the rig."""
+    """Every line as it comes, with the health of the rig; then its picture."""
     from ringpose.cli import messages
     from ringpose.cli.progress import with_progress
     from ringpose.errors import NO_POSE
@@ -198,3 +230,6 @@ def _write(
             messages.echo(f"{line.shot}: {remarks_on(with_health)}")
         if line.pose is None:
             batch.record_status(NO_POSE)
+        if pictures is not None:
+            with batch.guarded():
+                pictures.add(with_health)

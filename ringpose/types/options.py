@@ -91,3 +91,12 @@ class AdvancePolicy(StrEnum):
     TIME = "time"
     """After a given time."""
     NEVER = "never"
+
+
+class Clock(StrEnum):
+    """Clock of served frames."""
+
+    WALL = "wall"
+    """The time of day; frames that cannot be rendered in time are dropped."""
+    LOCKSTEP = "lockstep"
+    """Simulated time, which advances only while every client awaits a frame."""

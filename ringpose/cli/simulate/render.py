@@ -7,6 +7,7 @@ import typer
 
 from ringpose.cli.app import app
 from ringpose.cli.options import Force, Quiet, Verbose
+from ringpose.cli.simulate.console import console
 from ringpose.cli.simulate.features import (
     Background,
     Displaced,
@@ -116,3 +117,4 @@ def _check_still(scene: "Scene", path: Path) -> None:
 
 
 app.command("simulate serve")(serve)
+app.command("simulate console")(console)

@@ -1,4 +1,4 @@
-"""`ringpose simulate serve`: a virtual camera and relay board that show a scene."""
+"""`ringpose simulate serve`: a virtual camera and relay board that show a scene, or its images over TCP."""
 
 from contextlib import contextmanager
 from pathlib import Path
@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ringpose.cli.options import finite
-from ringpose.types.options import AdvancePolicy, Relay, ServedTarget
+from ringpose.cli.options import Verbose, finite
+from ringpose.types.options import AdvancePolicy, Clock, Relay, ServedTarget
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -15,9 +15,12 @@ if TYPE_CHECKING:
     from queue import SimpleQueue
     from typing import Any
 
+    from ringpose.types.scene import Scene
+    from ringpose.types.truth import Truth
 
-SceneOption = Annotated[Path, typer.Option("--scene", metavar="SCENE", help="The scene (scene.yaml).")]
-Address = Annotated[str, typer.Option("--camera", metavar="ADDRESS", help="Address of the camera: 127.x.y.z.")]
+SceneArgument = Annotated[Path | None, typer.Argument(metavar="[SCENE]", help="The scene (scene.yaml).")]
+SceneOption = Annotated[Path | None, typer.Option("--scene", metavar="SCENE", help="The same as SCENE.")]
+Address = Annotated[str | None, typer.Option("--camera", metavar="ADDRESS", help="Address of the camera: 127.x.y.z.")]
 RelayOption = Annotated[
     Relay,
     typer.Option("--relay", help="The relay board; none: the camera's output lines switch the lasers."),
@@ -42,12 +45,42 @@ FaultTexts = Annotated[
 Log = Annotated[
     Path | None, typer.Option("--log", metavar="FILE", help="One line per frame: its view and the lasers that were on.")
 ]
+Images = Annotated[
+    str | None,
+    typer.Option("--images", metavar="URI", help="Serve images instead: tcp://HOST:PORT; port 0 is any free one."),
+]
+ClockOption = Annotated[
+    Clock, typer.Option("--clock", help="Of --images: the time of day, or simulated time that waits for the clients.")
+]
+RateOption = Annotated[
+    float,
+    typer.Option("--rate", metavar="HZ", min=1e-3, max=1e4, callback=finite, help="Of --images: frames a second."),
+]
+SecretFile = Annotated[
+    Path | None,
+    typer.Option("--secret-file", readable=False, metavar="FILE", help="Of --images: a secret that clients must have."),
+]
+TruthFile = Annotated[
+    Path | None,
+    typer.Option("--truth", readable=False, metavar="FILE", help="Of --images: write the truth of each served shot."),
+]
+ImageWidth = Annotated[
+    int | None,
+    typer.Option("--width", metavar="PX", min=16, max=65535, help="Of --images: smaller images of the same view."),
+]
 Overwrite = Annotated[bool, typer.Option("--force", help="Replace a log that exists already.")]
 
 
 def serve(
-    scene: SceneOption,
-    camera: Address = "127.0.0.1",
+    scene: SceneArgument = None,
+    scene_option: SceneOption = None,
+    images: Images = None,
+    clock: ClockOption = Clock.WALL,
+    rate: RateOption = 5.0,
+    secret_file: SecretFile = None,
+    truth: TruthFile = None,
+    width: ImageWidth = None,
+    camera: Address = None,
     relay: RelayOption = Relay.NONE,
     show: ShowOption = ServedTarget.RING,
     move: MoveOption = AdvancePolicy.PAUSE,
@@ -56,16 +89,34 @@ def serve(
     fault: FaultTexts = None,
     log: Log = None,
     force: Overwrite = False,
+    verbose: Verbose = False,
 ) -> None:
-    """Serve a virtual camera and relay board that show a scene, until a signal ends it."""
+    """Serve a virtual camera and relay board that show a scene, or its images over TCP, until a signal ends it."""
+    from ringpose.errors import UsageError
     from ringpose.files import records
     from ringpose.files.scenes import read_scene
     from ringpose.simulate.serve.faults import parsed_faults
     from ringpose.simulate.serve.virtual_device import Setup, VirtualDevice
 
-    read = read_scene(scene)
+    if (scene is None) == (scene_option is None):
+        raise UsageError("SCENE", "is missing" if scene is None else "is given twice", "name one scene file")
+    read = read_scene(next(each for each in (scene, scene_option) if each is not None))
+    if images is not None:
+        if camera is not None or relay is not Relay.NONE or fault or log is not None:
+            found = "excludes --camera, --relay, --fault and --log, which are of the network camera"
+            raise UsageError("--images", found, "leave them out")
+        if width is not None:
+            from ringpose.simulate.serve.preview import preview
+
+            read = preview(read, width)
+        serve_images(read, images, clock, rate, secret_file, truth, force=force, verbose=verbose)
+        return
+    if clock is not Clock.WALL or secret_file is not None or truth is not None or width is not None:
+        raise UsageError(
+            "--clock, --secret-file, --truth, --width", "are of use with --images only", "add --images URI"
+        )
     setup = Setup(
-        address=_loopback(camera),
+        address=_loopback("127.0.0.1" if camera is None else camera),
         relay=relay,
         show=show,
         move=move,
@@ -76,6 +127,68 @@ def serve(
     with _noted(log, force) as noted, _failures_of_threads() as failures, VirtualDevice(read, setup, noted) as served:
         records.write(served.uris)
         raise failures.get()
+
+
+def serve_images(
+    scene: "Scene",
+    uri: str,
+    clock: Clock,
+    rate_hz: float,
+    secret_file: Path | None,
+    truth: Path | None,
+    *,
+    force: bool,
+    verbose: bool,
+) -> None:
+    """Serve images until a signal ends it."""
+    from ringpose.cli import messages
+    from ringpose.errors import UsageError
+    from ringpose.files import records
+    from ringpose.files.records.truths import truth_record
+    from ringpose.files.secrets import read_secret
+    from ringpose.simulate.serve.image_clients import is_loopback
+    from ringpose.simulate.serve.images import ImageServer, ImageSetup
+
+    host, port = host_and_port(uri)
+    if secret_file is None and not is_loopback(host):
+        found = f"{host} can be reached from other machines, and there is no shared secret"
+        raise UsageError("--images", found, "add --secret-file FILE, or use 127.0.0.1")
+    setup = ImageSetup(
+        host=host,
+        port=port,
+        clock="wall" if clock is Clock.WALL else "lockstep",
+        rate_hz=rate_hz,
+        secret=None if secret_file is None else read_secret(secret_file),
+    )
+
+    def record_of(truth: "Truth") -> "dict[str, Any]":
+        plain: dict[str, Any] = records.plain(truth_record(truth))
+        return plain
+
+    report = messages.echo if verbose else None
+    with (
+        _noted(truth, force) as on_truth,
+        _failures_of_threads() as failures,
+        ImageServer(scene, setup, record_of, on_truth, report) as server,
+    ):
+        records.write(server.uris)
+        raise failures.get()
+
+
+def host_and_port(uri: str) -> "tuple[str, int]":
+    """The parts of `tcp://HOST:PORT`."""
+    from urllib.parse import urlsplit
+
+    from ringpose.errors import UsageError
+
+    try:
+        parts = urlsplit(uri)
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        host, port = None, None
+    if not uri.startswith("tcp://") or not host or port is None or uri.partition("://")[2] != parts.netloc:
+        raise UsageError("--images", f'"{uri}" is not an address', "write it as tcp://127.0.0.1:5005")
+    return host, port
 
 
 @contextmanager

@@ -8,10 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ringpose.detect.difference_images import brightest_image
 from ringpose.errors import DataError
 from ringpose.files import atomic, records
-from ringpose.files.images.codecs import write_image
 from ringpose.files.io import provenance
 from ringpose.files.npz import Archive, write_archive
 from ringpose.files.records.rejections import rejection_record, rejections_in
@@ -26,7 +24,6 @@ from ringpose.types.detection import (
     Segments,
     Stripes,
 )
-from ringpose.types.image import Shot
 
 SCHEMA = "ringpose/detection/2"
 
@@ -264,36 +261,30 @@ def _check_sigmas(fields: Fields, key: str, sigmas: Float64[Array, "..."]) -> No
 
 
 class DetectionSink:
-    """Writes detections: records to stdout or NPZ files to a folder, and overlay images to another folder.
+    """Writes detections: records to stdout, or NPZ files to a folder.
 
-    The second of two shots with the same name is rejected if it would replace the files of the first.
+    The second of two shots with the same name is rejected if it would replace the file of the first.
     """
 
-    def __init__(self, output: str, overlays: Path | None, *, rig: Path | None, full: bool, force: bool) -> None:
+    def __init__(self, output: str, *, rig: Path | None, full: bool, force: bool) -> None:
         self.folder = None if output == records.STDOUT else atomic.make_folder(Path(output))
-        self.overlays = None if overlays is None else atomic.make_folder(overlays)
         self.rig = rig
         self.full = full
         self.force = force
         self.names: set[str] = set()
 
-    def write(self, shot: Shot, detection: Detection, source: Path) -> None:
-        """Write the overlay first, then the detection, so that all files exist when the detection's name is printed."""
-        self._check_name(shot.name)
-        if self.overlays is not None:
-            from ringpose.detect.overlay import overlay  # imported late, since overlays are rarely requested
-
-            image = overlay(brightest_image(shot), detection)
-            write_image(self.overlays / f"{shot.name}.png", image, force=self.force)
+    def write(self, detection: Detection, source: Path) -> None:
+        """Write one detection; the name of its file is printed when the file is complete."""
+        self._check_name(detection.shot)
         if self.folder is None:
             records.write(detection_record(detection, self.full))
         else:
-            path = self.folder / f"{shot.name}.npz"
+            path = self.folder / f"{detection.shot}.npz"
             inputs = [source] if self.rig is None else [source, self.rig]
             write_detection(path, detection, force=self.force, inputs=inputs)
             records.write_name(path)
 
     def _check_name(self, name: str) -> None:
-        if name in self.names and not (self.folder is None and self.overlays is None):
-            raise DataError(name, "an earlier shot has this name; its files would be replaced", "rename one of them")
+        if name in self.names and self.folder is not None:
+            raise DataError(name, "an earlier shot has this name; its file would be replaced", "rename one of them")
         self.names.add(name)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from ringpose.detect.overlay import COLORS, EDGE_COLORS, SEGMENT_COLOR, UNLABELLED_COLOR, overlay
+from ringpose.report.overlay import COLORS, EDGE_COLORS, SEGMENT_COLOR, UNLABELLED_COLOR, overlay
 from ringpose.types.detection import (
     UNLABELLED,
     BreakPointFlag,

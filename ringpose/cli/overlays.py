@@ -1,0 +1,142 @@
+"""Overlay images of `ringpose detect` and `ringpose pose`, one PNG file a shot, and the report of poses."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+from ringpose.errors import DataError
+from ringpose.files import atomic
+
+if TYPE_CHECKING:
+    from ringpose.report.page import Picture
+    from ringpose.types.arrays import Array, UInt8
+    from ringpose.types.detection import Detection
+    from ringpose.types.image import Shot
+    from ringpose.types.pose import PoseLine
+    from ringpose.types.rig import Rig
+
+    Measure = Callable[[Shot | Detection], PoseLine]
+
+
+class OverlayFolder:
+    """A folder of overlay images; the second of two shots with the same name is rejected."""
+
+    def __init__(self, folder: Path, *, force: bool) -> None:
+        self._folder = atomic.make_folder(folder)
+        self._force = force
+        self._names: set[str] = set()
+
+    def write(self, name: str, picture: "UInt8[Array, 'row column 3']") -> None:
+        """Write the picture of one shot."""
+        from ringpose.files.images.codecs import write_image
+
+        if name in self._names:
+            raise DataError(name, "an earlier shot has this name; its overlay would be replaced", "rename one of them")
+        self._names.add(name)
+        write_image(self._folder / f"{name}.png", picture, force=self._force)
+
+
+WORST_SHOTS = 6
+"""Number of shots that a report shows."""
+
+REPORT_WIDTH_PX = 900
+"""Width of their pictures, at most."""
+
+
+class PosePictures:
+    """Overlays and report of `ringpose pose`; a picture is drawn after the line of its shot has been written."""
+
+    def __init__(
+        self, measure: "Measure", rig: "Rig", folder: Path | None, report: Path | None, *, force: bool
+    ) -> None:
+        from ringpose.report.page import require_matplotlib
+
+        self._measure = measure
+        self._rig = rig
+        self._overlays = None if folder is None else OverlayFolder(folder, force=force)
+        self._report = report
+        self._force = force
+        self._source: Shot | None = None
+        self._detection: Detection | None = None
+        self._lines: list[PoseLine] = []
+        self._worst: list[tuple[tuple[int, float], int, Picture]] = []
+        if report is not None:
+            require_matplotlib()
+            atomic.reject_existing(report, force)
+
+    def measure(self, source: "Shot | Detection") -> "PoseLine":
+        """The pose line of a shot or detection, which is kept for its picture."""
+        from ringpose.types.image import Shot
+
+        self._source, self._detection = None, None
+        if not isinstance(source, Shot):
+            self._detection = source
+            return self._measure(source)
+        from ringpose.detect.pipeline import detect
+
+        start_s = perf_counter()
+        self._source, self._detection = source, detect(source, self._rig)
+        detect_s = perf_counter() - start_s
+        line = self._measure(self._detection)
+        return replace(line, latency_s=line.latency_s + detect_s, stage_s={"detect": detect_s, **line.stage_s})
+
+    def add(self, line: "PoseLine") -> None:
+        """Draw the shot of this line, which was the last to be measured."""
+        if self._detection is None:
+            return
+        is_bad = self._report is not None and self._is_among_worst(line)
+        if self._overlays is not None or is_bad:
+            picture = self._drawn(line, self._detection)
+            if self._overlays is not None:
+                self._overlays.write(line.shot, picture)
+            if is_bad:
+                self._keep_worst(line, picture)
+        if self._report is not None:
+            self._lines.append(replace(line, measurement=None, plane_evidence=None, priors=None))
+
+    def finish(self) -> None:
+        """Write the report."""
+        if self._report is None:
+            return
+        from ringpose.report.poses import pose_report
+
+        worst = [picture for _, _, picture in sorted(self._worst, key=lambda each: each[:2], reverse=True)]
+        html = pose_report(self._lines, worst, f"Poses of {len(self._lines)} shots")
+        with atomic.replacing(self._report, self._force) as stream:
+            stream.write(html.encode())
+
+    def _drawn(self, line: "PoseLine", detection: "Detection") -> "UInt8[Array, 'row column 3']":
+        import numpy as np
+
+        from ringpose.report.overlay import overlay, picture_of
+
+        camera = self._rig.camera
+        if self._source is None:  # a detection has no image
+            image = np.zeros((camera.image_height, camera.image_width), np.uint8)
+        else:
+            image = picture_of(self._source)
+        return overlay(image, detection, line, self._rig)
+
+    def _is_among_worst(self, line: "PoseLine") -> bool:
+        from ringpose.report.poses import badness
+
+        return len(self._worst) < WORST_SHOTS or badness(line) > self._worst[0][0]
+
+    def _keep_worst(self, line: "PoseLine", picture: "UInt8[Array, 'row column 3']") -> None:
+        import heapq
+
+        import cv2
+
+        from ringpose.pose.record import remarks_on
+        from ringpose.report.page import Picture
+        from ringpose.report.poses import badness
+
+        factor = min(1.0, REPORT_WIDTH_PX / picture.shape[1])
+        small = cv2.resize(picture, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+        png = cv2.imencode(".png", small)[1].tobytes()
+        entry = (badness(line), len(self._lines), Picture(png=png, caption=f"{line.shot}: {remarks_on(line)}"))
+        heapq.heappush(self._worst, entry)
+        if len(self._worst) > WORST_SHOTS:
+            heapq.heappop(self._worst)

@@ -1,0 +1,48 @@
+"""`ringpose simulate console`: the simulation platform in the browser."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from ringpose.console.engine import ConsolePicture
+
+SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="The scene (scene.yaml).")]
+Port = Annotated[int, typer.Option("--port", metavar="PORT", min=1, max=65535, help="Port of the page at 127.0.0.1.")]
+Width = Annotated[
+    int, typer.Option("--width", metavar="PX", min=160, max=4096, help="Width of the measurement camera's images.")
+]
+RecordFolder = Annotated[
+    Path | None,
+    typer.Option("--output", "-o", readable=False, metavar="DIR", help="Folder for recorded shots and their truth."),
+]
+Overwrite = Annotated[bool, typer.Option("--force", help="Replace an earlier recording.")]
+
+
+def console(
+    scene: SceneFile, port: Port = 8080, width: Width = 640, output: RecordFolder = None, force: Overwrite = False
+) -> None:
+    """Steer target, camera, lasers and light in the browser, and watch the measurement, until a signal ends it."""
+    from importlib.util import find_spec
+
+    from ringpose.errors import UsageError
+    from ringpose.files import records
+    from ringpose.files.images.simulations import SimulationFolder
+    from ringpose.files.scenes import read_scene
+
+    if find_spec("viser") is None:
+        raise UsageError("simulate console", "viser is not installed", "pip install 'ringpose[console]'")
+    read = read_scene(scene)
+    from ringpose.console.page import ConsolePage
+    from ringpose.simulate.serve.preview import preview
+
+    folder = None if output is None else SimulationFolder(output, preview(read, width).rig, force=force, inputs=[scene])
+
+    def record(picture: "ConsolePicture") -> None:
+        if folder is not None and picture.shot is not None:
+            records.write_name(folder.add(picture.shot, picture.truth))
+
+    with ConsolePage(read, "127.0.0.1", port, width, None if folder is None else record) as page:
+        records.write({"page": f"http://127.0.0.1:{page.port}"})
+        page.serve()

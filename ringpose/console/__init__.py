@@ -1,0 +1,1 @@
+"""The simulation platform in the browser (extra `console`)."""

@@ -1,0 +1,167 @@
+"""The page that `ringpose pose --report` writes: time series with standard deviations, and the worst shots."""
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
+
+from ringpose.report.figures import canvas, png_of
+from ringpose.report.page import Picture, Section, Table, page
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.pose import PoseLine, RingPose, Status
+
+STATUS_COLORS: dict[Status, str] = {"ok": "#2a7d3b", "degraded": "#c77f00", "none": "#c0392b"}
+
+NUMBER = "number of the shot"
+
+Values = Callable[[RingPose], tuple[Float64[Array, "part"], Float64[Array, "part"]]]
+"""Values and standard deviations of one quantity, NaN where not determined."""
+
+
+def pose_report(lines: Sequence[PoseLine], worst: Sequence[Picture], title: str) -> str:
+    """A self-contained HTML page of all pose lines, in order; `worst` are pictures of the worst shots."""
+    sections = [_status_section(lines)]
+    sections += [
+        Section(title=name, pictures=[_series_picture(lines, parts, unit, values, caption)])
+        for name, parts, unit, values, caption in QUANTITIES
+    ]
+    if worst:
+        text = "Without a pose first, then degraded ones, each by the standard deviation of the grasp point."
+        sections.append(Section(title="Worst shots", text=[text], pictures=worst))
+    return page(title, sections)
+
+
+def badness(line: PoseLine) -> tuple[int, float]:
+    """Sort key of the worst shots: the worst has the largest."""
+    if line.pose is None:
+        return 2, np.inf
+    covariance = line.pose.covariance_grasp_m2
+    sigma_m = np.inf if covariance is None else float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
+    return int(line.status == "degraded"), sigma_m
+
+
+def _status_section(lines: Sequence[PoseLine]) -> Section:
+    counts = Counter(line.status for line in lines)
+    flags = Counter(name for line in lines for name in line.flag_names)
+    reasons = Counter(line.reason for line in lines if line.pose is None and line.reason)
+    rows = [[f"status {status}", str(counts[status])] for status in STATUS_COLORS]
+    rows += [[f"flag {name}", str(count)] for name, count in flags.most_common()]
+    rows += [[f"no pose: {reason}", str(count)] for reason, count in reasons.most_common()]
+    dropped = sum(line.shots_dropped for line in lines)
+    rows += [["shots dropped", str(dropped)]] if dropped else []
+    return Section(
+        title=f"Status of {len(lines)} shots",
+        table=Table(headings=("", "shots"), rows=rows),
+        pictures=[_status_picture(lines)] if lines else [],
+    )
+
+
+def _status_picture(lines: Sequence[PoseLine]) -> Picture:
+    """A bar along time with the colour of each shot's status."""
+    figure = canvas(10, 1.3)
+    axes = figure.subplots()
+    place, label = _abscissa(lines)
+    for status, color in STATUS_COLORS.items():
+        here = [x for x, line in zip(place, lines, strict=True) if line.status == status]
+        axes.vlines(here, 0, 1, color=color, linewidth=max(1.0, min(6.0, 600 / len(lines))), label=status)
+    axes.set_yticks([])
+    axes.set_xlabel(label)
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False)
+    return Picture(png=png_of(figure), caption="Status of each shot.")
+
+
+def _series_picture(
+    lines: Sequence[PoseLine], parts: Sequence[str], unit: str, values: Values, caption: str
+) -> Picture:
+    """The parts of one quantity over time with one standard deviation on either side; below, the deviations alone."""
+    place, label = _abscissa(lines)
+    nothing = np.full(len(parts), np.nan)
+    found = [(nothing, nothing) if line.pose is None else values(line.pose) for line in lines]
+    value = np.array([each for each, _ in found]).reshape(-1, len(parts))
+    sigma = np.array([each for _, each in found]).reshape(-1, len(parts))
+    figure = canvas(10, 1.9 * len(parts) + 1.6)
+    rows: list[Axes] = figure.subplots(len(parts) + 1, 1, sharex=True).tolist()
+    for part, name in enumerate(parts):
+        _draw_values(rows[part], place, value[:, part], sigma[:, part], lines)
+        rows[part].set_ylabel(f"{name} ({unit})")
+        rows[-1].plot(place, sigma[:, part], ".", markersize=4, label=name)
+    rows[-1].set_yscale("log")
+    rows[-1].set_ylabel(f"sigma ({unit})")
+    rows[-1].set_xlabel(label)
+    rows[-1].xaxis.set_major_locator(MaxNLocator(integer=label == NUMBER))
+    rows[-1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
+    return Picture(png=png_of(figure), caption=caption)
+
+
+def _draw_values(
+    axes: Axes,
+    place: Float64[Array, "shot"],
+    value: Float64[Array, "shot"],
+    sigma: Float64[Array, "shot"],
+    lines: Sequence[PoseLine],
+) -> None:
+    for status, color in STATUS_COLORS.items():
+        here = np.array([line.status == status for line in lines]) & np.isfinite(value)
+        axes.errorbar(
+            place[here],
+            value[here],
+            yerr=np.nan_to_num(sigma[here]),
+            fmt=".",
+            color=color,
+            markersize=5,
+            elinewidth=1,
+        )
+
+
+def _abscissa(lines: Sequence[PoseLine]) -> tuple[Float64[Array, "shot"], str]:
+    """Time since the first shot, or the shot's number where the stamps do not increase."""
+    stamp_s = np.array([line.stamp_s for line in lines], dtype=np.float64)
+    if len(lines) > 1 and np.isfinite(stamp_s).all() and (np.diff(stamp_s) > 0).all():
+        return stamp_s - stamp_s[0], "time since the first shot (s)"
+    return np.arange(1, len(lines) + 1, dtype=np.float64), NUMBER
+
+
+def _sigmas(covariance: Float64[Array, "n n"] | None, chosen: slice) -> Float64[Array, "part"]:
+    size = chosen.stop - chosen.start
+    if covariance is None:
+        return np.full(size, np.nan)
+    variance = np.diagonal(covariance)[chosen]
+    return np.sqrt(np.where(variance >= 0, variance, np.nan))
+
+
+def _center(pose: RingPose) -> tuple[Float64[Array, "part"], Float64[Array, "part"]]:
+    return 1e3 * pose.center_m, 1e3 * _sigmas(pose.covariance_center_m2, slice(0, 3))
+
+
+def _grasp(pose: RingPose) -> tuple[Float64[Array, "part"], Float64[Array, "part"]]:
+    return 1e3 * pose.grasp_m, 1e3 * _sigmas(pose.covariance_grasp_m2, slice(0, 3))
+
+
+def _radii(pose: RingPose) -> tuple[Float64[Array, "part"], Float64[Array, "part"]]:
+    return 1e3 * np.array([pose.radius_inner_m, pose.radius_outer_m]), 1e3 * _sigmas(pose.covariance, slice(5, 7))
+
+
+def _angles(pose: RingPose) -> tuple[Float64[Array, "part"], Float64[Array, "part"]]:
+    """Pitch and yaw; both with the larger standard deviation of the normal in any direction."""
+    angles = np.degrees([pose.pitch_rad, pose.yaw_rad])
+    tilts = None if pose.covariance is None else pose.covariance[:2, :2]
+    known = tilts is not None and bool(np.isfinite(tilts).all())
+    sigma = np.sqrt(max(np.linalg.eigvalsh(tilts)[-1], 0.0)) if known and tilts is not None else np.nan
+    return angles, np.full(2, np.degrees(sigma))
+
+
+QUANTITIES: tuple[tuple[str, tuple[str, ...], str, Values, str], ...] = (
+    ("Grasp point", ("x", "y", "z"), "mm", _grasp, "Grasp point, with one standard deviation; colours as above."),
+    ("Centre", ("x", "y", "z"), "mm", _center, "Centre of the ring, with one standard deviation."),
+    (
+        "Normal",
+        ("pitch", "yaw"),
+        "deg",
+        _angles,
+        "Pitch and yaw of the normal; the standard deviation is that of the normal in its least certain direction.",
+    ),
+    ("Radii", ("inner", "outer"), "mm", _radii, "Radii of the ring's edges, with one standard deviation."),
+)
+"""Title, parts, unit, values and caption of each figure."""

@@ -1,0 +1,199 @@
+"""The replay of recorded shots: one HTML page with its own timeline, plots and three-dimensional view.
+
+The page loads nothing: pictures and numbers are in it, and its content security policy forbids requests.
+"""
+
+import base64
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from html import escape
+from importlib.resources import files
+from string import Template
+from typing import Any
+
+import cv2
+import numpy as np
+
+from ringpose.errors import DataError
+from ringpose.report.overlay import color_of, pose_in_camera_frame, pose_texts
+from ringpose.types.arrays import Array, Float64, UInt8
+from ringpose.types.pose import PoseLine, RingPose
+from ringpose.types.rig import Rig
+from ringpose.types.truth import Truth
+
+WIDTH_PX = 800
+"""Width of the pictures, at most."""
+
+JPEG_QUALITY = 80
+
+UNMEASURED = "unmeasured"
+"""Status of a shot without a pose line."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ReplayShot:
+    """One shot of a replay."""
+
+    name: str
+    stamp_s: float
+    jpeg: bytes
+    """Its picture."""
+    line: PoseLine | None = None
+    truth: Truth | None = None
+    """The truth at the time at which the pose holds."""
+    errors: Mapping[str, float] = field(default_factory=dict)
+    """Errors of the pose, as `ringpose bench` names and computes them."""
+
+
+def replay_picture(overlay: UInt8[Array, "row column 3"]) -> bytes:
+    """The overlay of a shot as a smaller JPEG."""
+    factor = min(1.0, WIDTH_PX / overlay.shape[1])
+    small = cv2.resize(overlay, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
+    return bytes(cv2.imencode(".jpg", small, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))[1].tobytes())
+
+
+def replay_page(shots: Sequence[ReplayShot], rig: Rig, title: str) -> str:
+    """The complete page."""
+    if not shots:
+        raise DataError("the replay", "has no shots")
+    poses = [None if shot.line is None else pose_in_camera_frame(shot.line, rig) for shot in shots]
+    camera = rig.camera
+    data = {
+        "camera": {
+            "width": camera.image_width,
+            "height": camera.image_height,
+            "fx": float(camera.camera_matrix[0, 0]),
+            "fy": float(camera.camera_matrix[1, 1]),
+            "cx": float(camera.camera_matrix[0, 2]),
+            "cy": float(camera.camera_matrix[1, 2]),
+        },
+        "lasers": [_laser_values(rig, number) for number in range(len(rig.lasers.names))],
+        "shots": [_shot_values(shot, pose) for shot, pose in zip(shots, poses, strict=True)],
+        "plots": _plots(shots, poses),
+    }
+    text = json.dumps(data, allow_nan=False).replace("<", "\\u003c")  # cannot end the script element
+    template = Template(files("ringpose.report").joinpath("replay.html").read_text(encoding="utf-8"))
+    return template.substitute(title=escape(title), data=text)
+
+
+def _laser_values(rig: Rig, number: int) -> dict[str, Any]:
+    blue, green, red = color_of(number)
+    return {
+        "name": rig.lasers.names[number],
+        "normal": rig.lasers.normal[number].tolist(),
+        "distance_m": float(rig.lasers.distance_m[number]),
+        "projector_m": _vector(rig.lasers.projector_m[number]),
+        "color": f"#{red:02x}{green:02x}{blue:02x}",
+    }
+
+
+def _shot_values(shot: ReplayShot, pose: RingPose | None) -> dict[str, Any]:
+    truth = shot.truth
+    return {
+        "name": shot.name,
+        "stamp_s": shot.stamp_s if np.isfinite(shot.stamp_s) else None,
+        "status": UNMEASURED if shot.line is None else shot.line.status,
+        "picture": f"data:image/jpeg;base64,{base64.b64encode(shot.jpeg).decode('ascii')}",
+        "texts": _texts(shot, pose),
+        "pose": None if pose is None else {**_ring_values(pose), **_uncertainty_values(pose)},
+        "truth": None if truth is None or truth.center_m is None else _ring_values(truth),
+    }
+
+
+def _ring_values(ring: RingPose | Truth) -> dict[str, Any]:
+    return {
+        "center_m": _vector(ring.center_m),
+        "normal": _vector(ring.normal),
+        "radius_inner_m": _number(ring.radius_inner_m),
+        "radius_outer_m": _number(ring.radius_outer_m),
+    }
+
+
+def _uncertainty_values(pose: RingPose) -> dict[str, Any]:
+    """Grasp point, and half axes of the centre's error ellipsoid."""
+    axes = None
+    if pose.covariance_center_m2 is not None and np.isfinite(pose.covariance_center_m2).all():
+        variance, directions = np.linalg.eigh(pose.covariance_center_m2)
+        axes = (np.sqrt(np.maximum(variance, 0.0)) * directions).T.tolist()
+    return {"grasp_m": _vector(pose.grasp_m), "center_axes_m": axes}
+
+
+def _texts(shot: ReplayShot, pose: RingPose | None) -> list[tuple[str, str]]:
+    """What is known about a shot, in words."""
+    if shot.line is None:
+        return [("pose", "not measured")]
+    texts = [("flags", ", ".join(shot.line.flag_names)), ("reason", shot.line.reason or "")]
+    if pose is not None:
+        parts = (text.replace("+-", "±").partition(" ") for text in pose_texts(pose))
+        texts += [
+            (name.replace("pitch", "normal"), f"pitch {value}" if name == "pitch" else value)
+            for name, _, value in parts
+        ]
+    texts += [(f"error: {_title(name)}", _error_text(name, value)) for name, value in shot.errors.items()]
+    return [(name, text) for name, text in texts if text]
+
+
+def _title(name: str) -> str:
+    """The name of an error without its unit, which is another in the page."""
+    return name.rpartition("_")[0].replace("_", " ")
+
+
+def _error_text(name: str, value: float) -> str:
+    """An error in millimetres or degrees, by the unit of its name."""
+    if name.endswith("_rad"):
+        return f"{np.degrees(value):.4f} deg"
+    return f"{1e3 * value:.3f} mm" if name.endswith("_m") else f"{value:.4g}"
+
+
+def _plots(shots: Sequence[ReplayShot], poses: Sequence[RingPose | None]) -> list[dict[str, Any]]:
+    """Centre, normal and grasp point with standard deviations, and the errors where the truth is known."""
+    plots = [
+        _vector_plot("centre (mm)", poses, "center_m", "covariance_center_m2"),
+        _vector_plot("grasp point (mm)", poses, "grasp_m", "covariance_grasp_m2"),
+        {
+            "title": "normal (deg)",
+            "series": [
+                {"name": name, "values": [None if p is None else _number(np.degrees(getattr(p, key))) for p in poses]}
+                for name, key in (("pitch", "pitch_rad"), ("yaw", "yaw_rad"))
+            ],
+        },
+    ]
+    names = dict.fromkeys(name for shot in shots for name in shot.errors)
+    for name in names:
+        is_angle = name.endswith("_rad")
+        factor, unit = (180.0 / np.pi, "deg") if is_angle else (1e3, "mm")
+        values = [None if name not in shot.errors else _number(factor * shot.errors[name]) for shot in shots]
+        plots.append({"title": f"error: {_title(name)} ({unit})", "series": [{"name": "", "values": values}]})
+    return plots
+
+
+def _vector_plot(title: str, poses: Sequence[RingPose | None], key: str, covariance_key: str) -> dict[str, Any]:
+    values = np.full((len(poses), 3), np.nan)
+    sigmas = np.full((len(poses), 3), np.nan)
+    for number, pose in enumerate(poses):
+        if pose is None:
+            continue
+        values[number] = 1e3 * getattr(pose, key)
+        covariance: Float64[Array, "3 3"] | None = getattr(pose, covariance_key)
+        if covariance is not None:
+            sigmas[number] = 1e3 * np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    return {
+        "title": title,
+        "series": [
+            {
+                "name": name,
+                "values": [_number(value) for value in values[:, part]],
+                "sigmas": [_number(sigma) for sigma in sigmas[:, part]],
+            }
+            for part, name in enumerate("xyz")
+        ],
+    }
+
+
+def _vector(vector: Float64[Array, "3"] | None) -> list[float] | None:
+    return None if vector is None or not np.isfinite(vector).all() else [float(part) for part in vector]
+
+
+def _number(value: float | None) -> float | None:
+    return None if value is None or not np.isfinite(value) else float(value)

@@ -1,0 +1,440 @@
+"""The image server: frames of a scene over TCP to any number of clients, and `/stream.mjpg` for browsers.
+
+One thread runs an event loop with all connections; frames are rendered in another. The protocol is in `wire.images`
+and ringpose-images(5). Memory is bounded: every client has a queue of the newest `MAX_QUEUED` frames, which all clients
+share, one frame being sent, and one message being read.
+"""
+
+import asyncio
+import math
+import secrets
+import socket
+import threading
+import time
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from types import TracebackType
+from typing import Any
+
+from ringpose.errors import DeviceError, UsageError
+from ringpose.simulate.exposure import MAX_DURATION_S, MIN_DURATION_S
+from ringpose.simulate.pipeline import READOUT_S
+from ringpose.simulate.sensor import saturation_dn
+from ringpose.simulate.serve.image_clients import (
+    Client,
+    Viewer,
+    browser_request,
+    drained,
+    http,
+    is_loopback,
+    jpeg,
+    received,
+)
+from ringpose.simulate.serve.scene_shots import SceneShots, truth_named
+from ringpose.types.scene import RingView, Scene
+from ringpose.types.truth import Truth
+from ringpose.wire import images as wire
+from ringpose.wire.images import MalformedMessage, ServedFrame
+
+MAX_CLIENTS = 32
+
+SEND_BUFFER = 1 << 18
+
+HANDSHAKE_S = 5.0
+"""Time for the first message of a client."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ImageSetup:
+    """Configuration of the image server."""
+
+    host: str = "127.0.0.1"
+    port: int = 0
+    """0 for any free port."""
+    clock: wire.Clock = "wall"
+    rate_hz: float = 5.0
+    secret: bytes | None = None
+
+
+class ImageServer:
+    """Serves inside the block of its context.
+
+    `truth_record` makes the record of a truth, which each frame carries; `on_truth` receives it once a shot, and
+    `report` a message when a connection is closed because of its input.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        setup: ImageSetup,
+        truth_record: Callable[[Truth], Mapping[str, Any]],
+        on_truth: Callable[[Mapping[str, Any]], None] | None = None,
+        report: Callable[[str], None] | None = None,
+    ) -> None:
+        self._check(scene, setup)
+        self._scene, self._setup = scene, setup
+        self._truth_record, self._on_truth, self._report = truth_record, on_truth, report
+        self._shots = SceneShots(scene)
+        self._clients: set[Client] = set()
+        self._viewers: set[Viewer] = set()
+        self._began = f"{datetime.now(UTC):%Y%m%dT%H%M%S%f}Z"
+        self._views = self._shots.views
+        self._next_views: tuple[RingView, ...] | None = None
+        self._number, self._paused = -1, False
+        self._shot_name, self._shot_count = "", 0
+        self._next_id, self._next_step = 1, 0
+        self._mask: int | None = None
+        self._exposure_s: float | None = None
+        self._showing: asyncio.Task[None] | None = None
+        self._is_clipped = False
+        self._failure: BaseException | None = None
+        self.dropped = 0
+        """Frames that could not be rendered in time."""
+        self.rejected = 0
+        """Connections that were closed because of their input."""
+        self._renderer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="exposures")
+        self._thread = threading.Thread(target=self._run, name="image server", daemon=True)
+        self._socket: socket.socket | None = None
+
+    def __enter__(self) -> "ImageServer":
+        host, port = self._setup.host, self._setup.port
+        try:
+            family = socket.AF_INET6 if ":" in host else socket.AF_INET
+            self._socket = socket.create_server((host, port), family=family, backlog=MAX_CLIENTS)
+        except OSError as error:
+            found = f"cannot be opened: {(error.strerror or str(error)).lower()}"
+            raise DeviceError(f"tcp://{host}:{port}", found, "choose another port, or 0 for a free one") from error
+        # A client that is slow to read receives the newest frames, not those that wait in a large buffer.
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+        self.port = int(self._socket.getsockname()[1])
+        started = threading.Event()
+        self._started = started
+        self._thread.start()
+        started.wait()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        with suppress(RuntimeError):  # the loop has ended by a failure
+            self._loop.call_soon_threadsafe(self._stop.set)
+        self._thread.join()
+        self._renderer.shutdown(wait=True, cancel_futures=True)
+        self._shots.close()
+
+    @property
+    def uris(self) -> dict[str, str]:
+        """The value of --camera for clients, and the address for browsers."""
+        host = f"[{self._setup.host}]" if ":" in self._setup.host else self._setup.host
+        token = "" if self._setup.secret is None else f"?token={wire.stream_token(self._setup.secret)}"
+        return {"camera": f"tcp://{host}:{self.port}", "stream": f"http://{host}:{self.port}/stream.mjpg{token}"}
+
+    @property
+    def greeting(self) -> wire.Greeting:
+        """What a client is greeted with."""
+        camera = self._scene.rig.camera
+        return wire.Greeting(
+            clock=self._setup.clock,
+            rate_hz=self._setup.rate_hz,
+            camera_name=camera.camera_name,
+            image_width=camera.image_width,
+            image_height=camera.image_height,
+            saturation_dn=saturation_dn(self._scene.sensor),
+            lasers=self._scene.rig.lasers.names,
+            sequence=self._sequence,
+            min_exposure_s=MIN_DURATION_S,
+            max_exposure_s=min(MAX_DURATION_S, 1.0 / self._setup.rate_hz - READOUT_S),
+        )
+
+    @property
+    def _sequence(self) -> tuple[int, ...]:
+        lasers = (1 << len(self._scene.rig.lasers.names)) - 1
+        return tuple(mask & lasers for mask in self._scene.sequence)
+
+    @staticmethod
+    def _check(scene: Scene, setup: ImageSetup) -> None:
+        if len(scene.sequence) > wire.MAX_SEQUENCE:
+            found = f"has {len(scene.sequence)} frames; at most {wire.MAX_SEQUENCE} can be served"
+            raise UsageError("the scene's sequence", found)
+        exposure_s = MIN_DURATION_S if scene.stripe_dn is not None else scene.exposure_s
+        if 1.0 / setup.rate_hz < exposure_s + READOUT_S:
+            found = f"{setup.rate_hz:g} frames a second leave no time for an exposure of {exposure_s:g} s"
+            raise UsageError("--rate", found, f"take at most {1.0 / (exposure_s + READOUT_S):.3g}")
+
+    # The event loop
+
+    def _run(self) -> None:
+        asyncio.run(self._serve())
+
+    async def _serve(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._loop.set_exception_handler(self._on_failure)
+        self._stop = asyncio.Event()
+        self._changed = asyncio.Event()
+        server = await asyncio.start_server(self._connected, sock=self._socket)
+        producer = asyncio.create_task(self._produce())
+        stopped = asyncio.create_task(self._stop.wait())
+        self._started.set()
+        try:
+            await asyncio.wait({producer, stopped}, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            server.close()
+            for client in self._clients:
+                client.writer.transport.abort()
+            for viewer in self._viewers:
+                viewer.writer.transport.abort()
+            stopped.cancel()
+            producer.cancel()
+            with suppress(asyncio.CancelledError):
+                await producer  # raises a failure of the renderer
+        if self._failure is not None:
+            raise self._failure
+
+    def _on_failure(self, _: asyncio.AbstractEventLoop, context: Mapping[str, Any]) -> None:
+        """End the server when a task has failed, which is a bug."""
+        self._failure = context.get("exception") or RuntimeError(str(context.get("message")))
+        self._stop.set()
+
+    async def _produce(self) -> None:
+        """Expose one frame after the other."""
+        exposed, slot, began_s = 0, 0, self._loop.time()
+        while True:
+            if self._setup.clock == "lockstep":
+                await self._until(self._all_await_frames)
+                stamp_s = self._scene.start_s + exposed / self._setup.rate_hz
+            else:
+                was_idle = not self._is_watched()
+                await self._until(self._is_watched)
+                due = math.ceil((self._loop.time() - began_s) * self._setup.rate_hz)
+                if not was_idle:
+                    self.dropped += max(due - slot - 1, 0)
+                slot = max(due, slot + 1)
+                await asyncio.sleep(began_s + slot / self._setup.rate_hz - self._loop.time())
+                stamp_s = time.time()
+            exposed += 1
+            self._publish(await self._exposed(stamp_s))
+
+    async def _exposed(self, stamp_s: float) -> ServedFrame:
+        """The next frame; the first one of a shot takes over a new trajectory."""
+        frame_id, step = self._next_id, self._next_step
+        self._next_id, self._next_step = frame_id + 1, (step + 1) % len(self._sequence)
+        if step == 0:
+            self._begin_shot()
+        mask = self._sequence[step] if self._mask is None else self._mask
+        views, number, exposure_s = self._views, self._number, self._exposure_s
+        limit_s = 1.0 / self._setup.rate_hz - READOUT_S
+
+        def exposed() -> ServedFrame:
+            shot = self._shots.shot(views, number)
+            wanted_s = shot.exposure_s if exposure_s is None else exposure_s
+            if wanted_s > limit_s and not self._is_clipped and self._report is not None:
+                self._is_clipped = True
+                self._report(f"an exposure of {wanted_s:g} s is shortened to {limit_s:g} s; lower --rate")
+            frame = shot.frame(mask, min(wanted_s, limit_s), stamp_s)
+            return ServedFrame(
+                image=frame.image,
+                frame_id=frame_id,
+                shot=self._shot_name,
+                step=step,
+                lasers=mask,
+                stamp_s=stamp_s,
+                exposure_s=frame.exposure_s,
+                dropped=self.dropped,
+                truth=self._truth_record(truth_named(shot.truth, self._shot_name)),
+            )
+
+        frame = await self._loop.run_in_executor(self._renderer, exposed)
+        if step == 0 and self._on_truth is not None and frame.truth is not None:
+            self._on_truth(frame.truth)
+        return frame
+
+    def _begin_shot(self) -> None:
+        if self._next_views is not None:
+            self._views, self._next_views, self._number = self._next_views, None, -1
+        if not self._paused or self._number < 0:
+            self._number += 1
+        self._shot_count += 1
+        self._shot_name = f"{self._began}_{self._shot_count:06d}"
+
+    def _publish(self, frame: ServedFrame) -> None:
+        for client in self._clients:
+            client.offer(frame)
+        brightest = max(self._sequence, key=int.bit_count)
+        shows = self._mask is not None or frame.lasers == brightest
+        if self._viewers and shows and (self._showing is None or self._showing.done()):
+            self._showing = asyncio.create_task(self._show(frame))
+
+    async def _show(self, frame: ServedFrame) -> None:
+        """Send a frame to the browsers; it is encoded once."""
+        picture = await self._loop.run_in_executor(None, jpeg, frame)
+        for viewer in self._viewers:
+            viewer.offer(picture)
+
+    async def _until(self, condition: Callable[[], bool]) -> None:
+        while not condition():
+            self._changed.clear()
+            await self._changed.wait()
+
+    def _is_watched(self) -> bool:
+        return bool(self._viewers) or any(client.awaits_frames for client in self._clients)
+
+    def _all_await_frames(self) -> bool:
+        """Whether time may advance: no client that receives frames is still busy with earlier ones."""
+        receiving = [client for client in self._clients if client.is_subscribed]
+        return bool(receiving) and all(client.awaits_frames and client.has_sent_all for client in receiving)
+
+    # Connections
+
+    async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.transport.set_write_buffer_limits(high=0)  # drain() then waits until all is sent
+        try:
+            if len(self._clients) + len(self._viewers) >= MAX_CLIENTS:
+                raise MalformedMessage(f"{MAX_CLIENTS} clients are connected already")
+            try:
+                async with asyncio.timeout(HANDSHAKE_S):
+                    begun = await reader.readexactly(4)
+            except TimeoutError:
+                raise MalformedMessage(f"no message came within {HANDSHAKE_S:g} s") from None
+            if begun == b"GET ":
+                await self._serve_browser(reader, writer)
+            else:
+                await self._serve_client(reader, writer, begun)
+        except MalformedMessage as problem:
+            await self._reject(writer, str(problem))
+        except asyncio.IncompleteReadError as error:
+            if error.partial:
+                await self._reject(writer, "the connection ended within a message")
+        except (OSError, TimeoutError):  # the client has gone, or does not read
+            pass
+        finally:
+            writer.transport.abort()
+            self._changed.set()
+
+    async def _reject(self, writer: asyncio.StreamWriter, found: str) -> None:
+        """Report to the client and to the user why a connection is closed."""
+        self.rejected += 1
+        if self._report is not None:
+            address = writer.get_extra_info("peername") or ("a client",)
+            self._report(f"{address[0]}: connection closed: {found}")
+        with suppress(OSError, TimeoutError):
+            writer.write(wire.message({"type": "error", "message": found}))
+            async with asyncio.timeout(1.0):
+                await writer.drain()
+                writer.write_eof()
+
+    async def _serve_client(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, begun: bytes) -> None:
+        hello = await received(reader, begun)
+        if hello.type != "hello" or hello.values.get("protocol") != wire.PROTOCOL:
+            raise MalformedMessage(f"the first message must be a hello with the protocol {wire.PROTOCOL}")
+        if self._setup.secret is not None:
+            await self._authenticate(self._setup.secret, reader, writer)
+        writer.write(wire.message(wire.greeting_header(self.greeting)))
+        await drained(writer)
+        client = Client(writer, self._changed)
+        self._clients.add(client)
+        sending = asyncio.create_task(client.send_frames())
+        reading = asyncio.create_task(self._answer_requests(client, reader))
+        try:
+            done, _ = await asyncio.wait({sending, reading}, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+        finally:
+            self._clients.discard(client)
+            sending.cancel()
+            reading.cancel()
+            await asyncio.gather(sending, reading, return_exceptions=True)
+
+    async def _authenticate(self, secret: bytes, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        nonce = secrets.token_hex(16)
+        writer.write(wire.message({"type": "challenge", "nonce": nonce}))
+        await drained(writer)
+        answer = await received(reader)
+        expected = wire.challenge_answer(secret, nonce)
+        if answer.type != "proof" or not secrets.compare_digest(answer.text("proof").encode(), expected.encode()):
+            raise MalformedMessage("the shared secret is wrong")
+
+    async def _answer_requests(self, client: Client, reader: asyncio.StreamReader) -> None:
+        while True:
+            begun = await reader.readexactly(1)  # between messages a client may be silent
+            request = wire.request_in(await received(reader, begun))
+            answer = self._answer(client, request)
+            if answer is not None:
+                client.writer.write(wire.message(answer))
+                await drained(client.writer)
+            self._changed.set()
+
+    def _answer(self, client: Client, request: wire.Request) -> Mapping[str, Any] | None:
+        """Carry out a request; None if it needs no answer."""
+        if isinstance(request, wire.Subscribe | wire.Unsubscribe):
+            client.subscribe(request)
+            return None
+        problem = self._set(request)
+        if problem is not None:
+            return {"type": "refused", "message": problem}
+        of_next_frame = isinstance(request, wire.SetLasers | wire.SetExposure)
+        until_shot = 0 if of_next_frame else -self._next_step % len(self._sequence)
+        return {"type": "done", "from_frame": self._next_id + until_shot}
+
+    def _set(self, request: wire.SetLasers | wire.SetExposure | wire.SetTrajectory | wire.SetTime) -> str | None:
+        """Change a setting; the finding if it is not possible."""
+        match request:
+            case wire.SetLasers(mask=mask):
+                if mask is not None and mask >> len(self._scene.rig.lasers.names):
+                    return f"mask {mask} names a laser that the rig does not have"
+                self._mask = mask
+            case wire.SetExposure(exposure_s=exposure_s):
+                low_s, high_s = self.greeting.min_exposure_s, self.greeting.max_exposure_s
+                if exposure_s is not None and not low_s <= exposure_s <= high_s:
+                    return f"the camera cannot expose for {exposure_s:g} s; it takes {low_s:g} to {high_s:g} s"
+                self._exposure_s = exposure_s
+            case wire.SetTime(time_s=time_s, paused=paused):
+                shot = int(time_s * self._setup.rate_hz / len(self._sequence))
+                self._number, self._paused = (shot if paused else shot - 1), paused
+            case wire.SetTrajectory(poses=poses):
+                unknown = {pose.light for pose in poses} - {None, *self._scene.lights}
+                if unknown:
+                    return f"the scene has no light {sorted(map(str, unknown))[0]!r}"
+                self._next_views = self._shots.views_at(poses)
+        return None
+
+    # Browsers
+
+    async def _serve_browser(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Answer a request for the stream, or for the page that shows it."""
+        request = await browser_request(reader)
+        # A page from elsewhere could reach a loopback address under a name of its own.
+        if is_loopback(self._setup.host) and not is_loopback(request.host):
+            writer.write(http("403 Forbidden", "text/plain", b"address this server as 127.0.0.1 or localhost\n"))
+        elif not self._is_admitted(request.token):
+            writer.write(http("403 Forbidden", "text/plain", b"the token is wrong\n"))
+        elif request.path == "/":
+            query = "" if self._setup.secret is None else f"?token={request.token}"
+            writer.write(http("200 OK", "text/html", f'<!DOCTYPE html><img src="/stream.mjpg{query}">'.encode()))
+        elif request.path == "/stream.mjpg":
+            await self._stream(reader, writer)
+        else:
+            writer.write(http("404 Not Found", "text/plain", b"there are / and /stream.mjpg\n"))
+        await drained(writer)
+        writer.close()
+        await writer.wait_closed()
+
+    def _is_admitted(self, token: str) -> bool:
+        secret = self._setup.secret
+        return secret is None or secrets.compare_digest(token.encode(), wire.stream_token(secret).encode())
+
+    async def _stream(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        viewer = Viewer(writer)
+        self._viewers.add(viewer)
+        self._changed.set()
+        sending = asyncio.create_task(viewer.send_pictures())
+        leaving = asyncio.create_task(reader.read(1))
+        try:
+            await asyncio.wait({sending, leaving}, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            self._viewers.discard(viewer)
+            sending.cancel()
+            leaving.cancel()
+            await asyncio.gather(sending, leaving, return_exceptions=True)

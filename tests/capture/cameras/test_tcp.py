@@ -1,0 +1,211 @@
+"""The client of the image server: shots from frames, reconnection, and servers that break the protocol."""
+
+import json
+import socket
+import struct
+import threading
+from contextlib import suppress
+
+import numpy as np
+import pytest
+from served_scene import small_scene
+
+from ringpose.capture.cameras import tcp
+from ringpose.capture.cameras.tcp import TcpCamera
+from ringpose.capture.lasers.simulated import SimulatedLasers
+from ringpose.capture.pipeline import Procedure, captured_shots
+from ringpose.capture.uri import CAMERAS, device_uri
+from ringpose.errors import DeviceError, UsageError
+from ringpose.files.records import plain
+from ringpose.files.records.truths import truth_record
+from ringpose.simulate.serve.images import ImageServer, ImageSetup
+from ringpose.types.sequence import parsed_sequence
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    return small_scene(tmp_path_factory.mktemp("scene"))
+
+
+def server_of(scene, **setup):
+    return ImageServer(scene, ImageSetup(**{"rate_hz": 100.0} | setup), lambda truth: plain(truth_record(truth)))
+
+
+def camera_at(port, parameters="", **options):
+    return TcpCamera(device_uri(f"tcp://127.0.0.1:{port}{parameters}", "--camera", CAMERAS), **options)
+
+
+def shots_of(camera, count, sequence="off,all", **options):
+    lasers = SimulatedLasers(3)
+    procedure = Procedure(steps=parsed_sequence(sequence), **options)
+    with camera, lasers:
+        yield from captured_shots(camera, lasers, procedure, map(str, range(count)))
+
+
+def first_frame(camera):
+    with camera:
+        camera.arm(None)
+        return camera.trigger(1)
+
+
+@pytest.mark.parametrize("clock", ["wall", "lockstep"])
+def test_shots_are_those_of_the_server(scene, clock):
+    with server_of(scene, clock=clock) as server:
+        camera = camera_at(server.port)
+        shots = [(camera.shot_name, shot) for shot in shots_of(camera, 3)]
+
+    assert len({name for name, _ in shots}) == 3
+    for _, shot in shots:
+        assert shot.lasers.tolist() == [0, 7]
+        assert np.diff(shot.frame_id).tolist() == [1]
+        assert shot.images[1].max() > shot.images[0].max() + 50
+        assert shot.meta["saturation_dn"] == 255
+
+
+def test_in_lockstep_no_shot_is_lost_however_slow_the_client(scene):
+    with server_of(scene, clock="lockstep") as server:
+        numbers = []
+        for shot in shots_of(camera_at(server.port), 4):
+            threading.Event().wait(0.05)
+            numbers += shot.frame_id.tolist()
+
+    assert numbers == list(range(1, 9))
+
+
+def test_the_exposure_that_is_asked_for_is_taken(scene):
+    with server_of(scene) as server:
+        shots = list(shots_of(camera_at(server.port), 1, exposure_s=0.002))
+
+    assert shots[0].exposure_s.tolist() == [0.002, 0.002]
+
+
+def test_an_exposure_beyond_the_cameras_bounds_is_wrong_usage(scene):
+    with server_of(scene) as server, pytest.raises(UsageError, match="exposure"):
+        list(shots_of(camera_at(server.port), 1, exposure_s=0.05))
+
+
+def test_lasers_that_no_frame_of_the_server_has_are_wrong_usage(scene):
+    with server_of(scene) as server, pytest.raises(UsageError, match="off,all"):
+        list(shots_of(camera_at(server.port), 1, sequence="off,1"))
+
+
+def test_a_client_resumes_when_the_server_is_restarted(scene, monkeypatch):
+    monkeypatch.setattr(tcp, "BACK_OFF_S", (0.05, 0.1, 0.2, 0.4, 0.8, 1.6))
+    with server_of(scene) as first:
+        port = first.port
+        shots = shots_of(camera_at(port), 4)
+        before = [next(shots) for _ in range(2)]
+    restarted = server_of(scene, port=port)
+    timer = threading.Timer(0.3, restarted.__enter__)
+    timer.start()
+    after = list(shots)
+    timer.join()
+    restarted.__exit__(None, None, None)
+
+    assert len(before) == len(after) == 2
+    assert all(shot.lasers.tolist() == [0, 7] for shot in after)
+
+
+def test_no_server_is_a_device_error_at_once():
+    with socket.create_server(("127.0.0.1", 0)) as closed:
+        port = closed.getsockname()[1]
+
+    with pytest.raises(DeviceError, match="cannot be connected"):
+        camera_at(port).open()
+
+
+@pytest.mark.parametrize(("secret", "finding"), [(None, "secret"), (b"another secret", "secret is wrong")])
+def test_a_client_without_the_secret_is_told_so(scene, secret, finding):
+    with server_of(scene, secret=b"the secret of a test") as server:
+        with pytest.raises(DeviceError, match=finding):
+            first_frame(camera_at(server.port, secret=secret))
+        with camera_at(server.port, secret=b"the secret of a test"):
+            pass
+
+
+def packed(header, payload=b""):
+    text = json.dumps(header).encode()
+    return b"RPI1" + struct.pack(">II", len(text), len(payload)) + text + payload
+
+
+GREETING = {
+    "type": "greeting",
+    "protocol": "ringpose/images/1",
+    "clock": "wall",
+    "rate_hz": 5.0,
+    "camera_name": "c",
+    "image_width": 3,
+    "image_height": 2,
+    "saturation_dn": 255,
+    "lasers": ["left"],
+    "sequence": [1],
+    "min_exposure_s": 0.0,
+    "max_exposure_s": 1.0,
+}
+FRAME = {
+    "type": "frame",
+    "frame_id": 1,
+    "shot": "a",
+    "step": 0,
+    "lasers": 1,
+    "stamp_s": 0.0,
+    "exposure_s": 0.01,
+    "width": 3,
+    "height": 2,
+    "pixel_bytes": 1,
+    "dropped": 0,
+    "missed": 0,
+}
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        b"HTTP/1.1 200 OK\r\n\r\n",
+        packed(GREETING | {"protocol": "ringpose/images/9"}),
+        packed({"type": "error", "message": "go away"}),
+        packed(GREETING) + packed(FRAME | {"width": 4}, bytes(8)),
+        packed(GREETING) + packed(FRAME, bytes(5)),
+        packed(GREETING) + packed(FRAME | {"shot": "a\nb"}, bytes(6)),
+        packed(GREETING) + b"RPI1" + struct.pack(">II", 2, 1 << 30) + b"{}",
+        packed(GREETING) + packed(FRAME, bytes(6))[:-3],
+        packed(GREETING) + packed({"type": "error", "message": "too slow"}),
+    ],
+)
+def test_a_server_that_breaks_the_protocol_is_a_device_error(answer):
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+
+        def serve():
+            connection, _ = listening.accept()
+            with connection, suppress(ConnectionResetError):
+                connection.sendall(answer)
+                connection.shutdown(socket.SHUT_WR)
+                while connection.recv(1000):
+                    pass
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        camera = camera_at(listening.getsockname()[1])
+        with pytest.raises(DeviceError):
+            first_frame(camera)
+        thread.join()
+
+
+def test_a_server_that_says_nothing_is_a_device_error(scene):
+    with server_of(scene, clock="lockstep") as server:
+        holding, waiting = camera_at(server.port), camera_at(server.port, "?timeout=0.2")
+        with holding, waiting:
+            holding.arm(None)
+            waiting.arm(None)
+            frames = [each.trigger(0) for each in (holding, waiting)]
+            assert frames[0].frame_id == frames[1].frame_id
+            waiting.trigger(7)
+            waiting.arm(None)
+            with pytest.raises(DeviceError, match="nothing for"):
+                waiting.trigger(0)
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1", ":5000", "127.0.0.1:0", "127.0.0.1:x", "127.0.0.1:70000"])
+def test_an_address_without_host_and_port_is_wrong_usage(address):
+    with pytest.raises(UsageError, match="host and port"):
+        TcpCamera(device_uri(f"tcp://{address}", "--camera", CAMERAS))

@@ -1,0 +1,103 @@
+"""`ringpose view --html`."""
+
+import base64
+import json
+import re
+
+import cv2
+import numpy as np
+import pytest
+
+from ringpose.cli.main import main
+
+
+@pytest.fixture
+def data_set(carried_data):
+    return carried_data / "rig_b"
+
+
+@pytest.fixture
+def one_shot(data_set):
+    return str(data_set / "shots" / "B_z0500_p01_dim.npz")
+
+
+@pytest.fixture
+def poses(data_set, one_shot, tmp_path, capsys):
+    main(["pose", one_shot, "--rig", str(data_set / "rig.yaml")])
+    file = tmp_path / "poses.jsonl"
+    file.write_text(capsys.readouterr().out)
+    return file
+
+
+def data_of(page):
+    text = page.read_text()
+    assert text.count("</script>") == 2
+    return json.loads(re.search(r'type="application/json" id="data">(.*?)</script>', text, re.DOTALL)[1])
+
+
+def test_a_replay_has_picture_pose_truth_and_the_errors_of_bench(data_set, one_shot, poses, tmp_path, capsys):
+    page, truth, rig = tmp_path / "v.html", str(data_set / "truth.jsonl"), str(data_set / "rig.yaml")
+
+    words = ["--poses", str(poses), "--truth", truth, "--html", str(page), "--quiet"]
+    assert main(["view", one_shot, "--rig", rig, *words]) == 0
+
+    data = data_of(page)
+    (shot,) = data["shots"]
+    line = json.loads(poses.read_text())
+    assert (shot["name"], shot["status"]) == ("B_z0500_p01_dim", line["status"])
+    np.testing.assert_allclose(shot["pose"]["center_m"], line["pose"]["center_m"], rtol=1e-12)
+    axes = np.array(shot["pose"]["center_axes_m"])
+    np.testing.assert_allclose(axes.T @ axes, line["pose"]["covariance"]["center"], rtol=1e-6, atol=1e-15)
+    jpeg = base64.b64decode(shot["picture"].partition(",")[2])
+    assert cv2.imdecode(np.frombuffer(jpeg, np.uint8), 1).shape == (600, 800, 3)
+    assert len(data["lasers"]) == 3
+    main(["bench", str(poses), "--truth", truth, "--rig", rig, "--json", "-"])
+    scored = next(each for each in json.loads(capsys.readouterr().out)["shots"] if each["shot"] == shot["name"])
+    plotted = {plot["title"]: plot["series"][0]["values"] for plot in data["plots"]}
+    np.testing.assert_allclose(plotted["error: grasp (mm)"], [1e3 * scored["errors"]["grasp_m"]])
+    np.testing.assert_allclose(plotted["error: normal (deg)"], [np.degrees(scored["errors"]["normal_rad"])])
+
+
+def test_a_replay_without_poses_shows_the_detection(data_set, one_shot, tmp_path):
+    page = tmp_path / "v.html"
+
+    assert main(["view", one_shot, "--rig", str(data_set / "rig.yaml"), "--html", str(page)]) == 0
+
+    (shot,) = data_of(page)["shots"]
+    assert (shot["status"], shot["pose"], shot["truth"]) == ("unmeasured", None, None)
+
+
+def test_names_in_a_replay_are_not_taken_for_markup(rig, picture, tmp_path):
+    dark = picture("</script><b>.png".replace("/", "_"))
+    page = tmp_path / "v.html"
+    poses = tmp_path / "p.jsonl"
+    reason = {"reason": "</script><script>alert(1)</script>"}
+    record = {"schema": "ringpose/pose/2", "shot": dark.stem, "stamp_s": 0.0, "frame": "camera", "flags": []}
+    poses.write_text(json.dumps(record | reason | {"status": "none", "pose": None}))
+
+    assert main(["view", str(dark), "--rig", str(rig), "--html", str(page), "--poses", str(poses)]) == 0
+
+    assert reason["reason"] in str(data_of(page)["shots"][0]["texts"])
+    assert "<b>" not in page.read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "key_word"),
+    [
+        ([], 2, "--html"),
+        (["--html", "v.html", "--poses", "missing"], 66, "missing"),
+        (["--html", "v.html", "--truth", "other.jsonl"], 65, "--truth"),
+        (["--html", "there.html"], 73, "there.html"),
+    ],
+)
+def test_what_cannot_be_shown_is_reported(rig, picture, tmp_path, monkeypatch, capsys, words, status, key_word):
+    monkeypatch.chdir(tmp_path)
+    dark = picture("dark.png")
+    (tmp_path / "there.html").touch()
+    (tmp_path / "other.jsonl").write_text('{"shot": "other", "expect": "no_target"}\n')
+
+    assert main(["view", str(dark), "--rig", str(rig), *words]) == status
+
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert key_word in error

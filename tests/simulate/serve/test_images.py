@@ -1,0 +1,453 @@
+"""The image server, as clients see it that are written from its manual page alone."""
+
+import json
+import random
+import socket
+import struct
+import threading
+import time
+import urllib.error
+import urllib.request
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from image_client import ImageClient
+from served_scene import small_scene
+
+from ringpose.errors import DeviceError, UsageError
+from ringpose.files.records import plain
+from ringpose.files.records.truths import truth_record
+from ringpose.simulate.placement import ring_views
+from ringpose.simulate.serve import image_clients, images, scene_shots
+from ringpose.simulate.serve.images import ImageServer, ImageSetup
+
+SECRET = b"a secret of the test"
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    return small_scene(tmp_path_factory.mktemp("scene"))
+
+
+@pytest.fixture
+def serve(scene):
+    servers = []
+
+    def started(served=scene, report=None, on_truth=None, **setup):
+        server = ImageServer(
+            served, ImageSetup(**{"rate_hz": 50.0} | setup), lambda t: plain(truth_record(t)), on_truth, report
+        )
+        server.__enter__()
+        servers.append(server)
+        return server
+
+    yield started
+    for server in servers:
+        server.__exit__(None, None, None)
+
+
+def resident_bytes():
+    return int(Path("/proc/self/statm").read_text().split()[1]) * 4096
+
+
+def test_the_greeting_states_clock_rate_camera_and_sequence(serve, scene):
+    with ImageClient(serve(clock="lockstep", rate_hz=20.0).port) as client:
+        greeting = client.greeting
+
+    assert greeting["protocol"] == "ringpose/images/1"
+    assert (greeting["clock"], greeting["rate_hz"]) == ("lockstep", 20.0)
+    assert (greeting["image_width"], greeting["image_height"]) == (200, 150)
+    assert greeting["sequence"] == list(scene.sequence)
+
+
+def test_a_client_receives_whole_shots_with_the_masks_of_the_sequence(serve, scene):
+    with ImageClient(serve().port) as client:
+        frames = client.frames(3 * len(scene.sequence), whole_shots=True)
+
+    headers = [header for header, _ in frames]
+    assert [header["lasers"] for header in headers] == 3 * list(scene.sequence)
+    assert [header["step"] for header in headers] == 3 * list(range(len(scene.sequence)))
+    assert len({header["shot"] for header in headers}) == 3
+    assert np.all(np.diff([header["frame_id"] for header in headers]) == 1)
+    by_mask = {header["lasers"]: int(image.max()) for header, image in frames}
+    assert by_mask[7] > by_mask[0] + 50
+
+
+def test_frames_are_the_same_for_all_clients_and_carry_the_truth_of_their_shot(serve, scene):
+    with ImageClient(port := serve(clock="lockstep").port) as first, ImageClient(port) as second:
+        first.send(type="subscribe", frames=4, whole_shots=True)
+        second.send(type="subscribe", frames=4, whole_shots=True)
+        pairs = [(first.frame(), second.frame()) for _ in range(4)]
+
+    for (one, image), (other, same) in pairs:
+        assert one == other
+        np.testing.assert_array_equal(image, same)
+    views = ring_views(scene)
+    for number, (header, _) in enumerate(pairs[k][0] for k in (0, 2)):
+        np.testing.assert_allclose(header["truth"]["center_m"], views[number].center_m, atol=1e-12)
+        assert header["truth"]["shot"] == header["shot"]
+
+
+def test_images_of_twelve_bits_are_not_rounded(serve, scene):
+    sensor = replace(scene.sensor, bits=12, overall_system_gain_dn_per_e=0.33, black_level_dn=32.0)
+    with ImageClient(serve(replace(scene, sensor=sensor)).port) as client:
+        (header, image), *_ = client.frames(1)
+
+    assert header["pixel_bytes"] == 2
+    assert client.greeting["saturation_dn"] == 4095
+    assert len(np.unique(image % 16)) == 16
+
+
+def test_lockstep_time_advances_by_the_rate_and_only_while_every_subscriber_waits(serve, scene):
+    with ImageClient(port := serve(clock="lockstep", rate_hz=40.0).port) as first, ImageClient(port) as second:
+        second.send(type="subscribe", frames=1)
+        first.send(type="subscribe", frames=3)
+        before = [first.frame()[0]["stamp_s"]]
+        second.frame()
+        first.socket.settimeout(0.3)
+        with pytest.raises(TimeoutError):  # the second client is busy
+            first.frame()
+        first.socket.settimeout(20.0)
+        second.send(type="unsubscribe")
+        before += [first.frame()[0]["stamp_s"] for _ in range(2)]
+
+    np.testing.assert_allclose(before, scene.start_s + np.arange(3) / 40.0, atol=1e-6)
+
+
+def test_a_client_that_leaves_does_not_hold_up_lockstep(serve):
+    port = serve(clock="lockstep").port
+    with ImageClient(port) as first:
+        with ImageClient(port) as second:
+            second.send(type="subscribe", frames=1)
+            first.frames(1)
+        assert len(first.frames(5)) == 5
+
+
+def test_wall_clock_stamps_are_the_time_of_day_at_the_rate(serve):
+    began_s = time.time()
+    with ImageClient(serve(rate_hz=50.0).port) as client:
+        stamps = np.array([header["stamp_s"] for header, _ in client.frames(20)])
+
+    assert began_s < stamps[0] < stamps[-1] < time.time()
+    slots = (stamps - stamps[0]) * 50.0
+    assert np.median(np.abs(slots - np.round(slots))) < 0.25
+
+
+def test_frames_that_cannot_be_rendered_in_time_are_dropped_and_counted(serve, monkeypatch):
+    server = serve(rate_hz=100.0)
+    exposed = images.SceneShots.shot
+    monkeypatch.setattr(images.SceneShots, "shot", lambda *words: (time.sleep(0.05), exposed(*words))[1])
+    with ImageClient(server.port) as client:
+        headers = [header for header, _ in client.frames(8)]
+
+    assert headers[-1]["dropped"] - headers[0]["dropped"] >= 7 * 3
+    assert np.all(np.diff([header["frame_id"] for header in headers]) == 1)
+
+
+def test_nothing_is_rendered_while_nobody_watches(serve, monkeypatch):
+    rendered = []
+    exposed = images.SceneShots.shot
+    monkeypatch.setattr(images.SceneShots, "shot", lambda *words: (rendered.append(1), exposed(*words))[1])
+    with ImageClient(serve(rate_hz=100.0).port) as client:
+        time.sleep(0.1)
+        assert not rendered
+        client.frames(1)
+    time.sleep(0.1)
+    assert len(rendered) <= 3
+
+
+def three_clients(server, frames, stop_s):
+    """Frame numbers of three clients, the last of which stops reading for a while, and what it missed."""
+    numbers, missed = [[], [], []], []
+
+    def receive(which):
+        small = 4096 if which == 2 else None
+        with ImageClient(server.port, receive_buffer=small) as client:
+            client.send(type="subscribe")
+            while not numbers[which] or numbers[which][-1] < numbers[which][0] + frames - 1:
+                header, _ = client.frame()
+                numbers[which].append(header["frame_id"])
+                if which == 2:
+                    missed.append(header["missed"])
+                    if len(numbers[2]) == 10:
+                        time.sleep(stop_s)
+
+    threads = [threading.Thread(target=receive, args=(which,)) for which in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    return numbers, missed
+
+
+def check_three_clients(numbers, missed, frames):
+    for received in numbers[:2]:
+        assert len(received) == frames
+        assert np.all(np.diff(received) == 1)
+    skipped = np.diff(numbers[2], prepend=numbers[2][0]) - 1
+    assert sum(missed) > 0
+    np.testing.assert_array_equal(missed[1:], skipped[1:])
+
+
+def test_a_client_that_stops_reading_is_skipped_and_others_lose_nothing(serve):
+    check_three_clients(*three_clients(serve(rate_hz=140.0), 120, 0.6), 120)
+
+
+@pytest.mark.slow
+def test_a_thousand_frames_reach_two_clients_while_a_third_stops_for_ten_seconds(serve):
+    check_three_clients(*three_clients(serve(rate_hz=80.0), 1000, 10.0), 1000)
+
+
+def test_settings_change_from_the_frame_that_the_answer_names(serve):
+    with ImageClient(serve().port) as client:
+        client.send(type="subscribe")
+        from_frame = client.ask(type="lasers", mask=5)["from_frame"]
+        masks = {}
+        while not masks or max(masks) < from_frame + 4:
+            header, _ = client.frame()
+            masks[header["frame_id"]] = header["lasers"]
+        assert all(mask == 5 for number, mask in masks.items() if number >= from_frame)
+        from_frame = client.ask(type="exposure", exposure_s=0.002)["from_frame"]
+        while (header := client.frame()[0])["frame_id"] < from_frame:
+            pass
+        assert header["exposure_s"] == 0.002
+
+
+def test_a_pose_is_shown_from_the_next_shot_and_a_trajectory_one_pose_a_shot(serve, scene):
+    poses = [{"center_m": [0.58, 0.0, 0.5 + 0.01 * k], "normal": [0.0, 0.0, -2.0]} for k in range(2)]
+    with ImageClient(serve(clock="lockstep").port) as client:
+        client.frames(1)
+        assert client.ask(type="pose", center_m=[0.57, 0.01, 0.6], normal=[0, 0, -1])["from_frame"] == 3
+        headers = [header for header, _ in client.frames(5)]
+        assert headers[0]["truth"]["center_m"] != [0.57, 0.01, 0.6]
+        assert [header["truth"]["center_m"] for header in headers[1:]] == 4 * [[0.57, 0.01, 0.6]]
+        client.ask(type="trajectory", poses=poses)
+        centers = [header["truth"]["center_m"] for header, _ in client.frames(6)][::2]
+        assert centers == [poses[0]["center_m"], poses[1]["center_m"], poses[0]["center_m"]]
+        client.ask(type="trajectory")
+        (header, _), *_ = client.frames(2)
+        np.testing.assert_allclose(header["truth"]["center_m"], ring_views(scene)[0].center_m, atol=1e-12)
+
+
+def test_time_continues_where_it_is_set_and_stands_while_paused(serve, scene):
+    views = [view.center_m.tolist() for view in ring_views(scene)]
+    with ImageClient(serve(clock="lockstep", rate_hz=50.0).port) as client:
+        client.ask(type="time", time_s=2 * 2 / 50.0 + 1e-6, paused=True)
+        paused = [header["truth"]["center_m"] for header, _ in client.frames(4)]
+        client.ask(type="time", time_s=1 * 2 / 50.0 + 1e-6)
+        running = [header["truth"]["center_m"] for header, _ in client.frames(4)]
+
+    np.testing.assert_allclose(paused, 4 * [views[2]], atol=1e-12)
+    np.testing.assert_allclose(running, [views[1], views[1], views[2], views[2]], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "request_header",
+    [
+        {"type": "lasers", "mask": 8},
+        {"type": "exposure", "exposure_s": 1.0},
+        {"type": "pose", "center_m": [0, 0, 1], "normal": [0, 0, -1], "light": "moon"},
+    ],
+)
+def test_what_the_scene_cannot_do_is_refused_and_the_connection_stays(serve, request_header):
+    with ImageClient(serve().port) as client:
+        assert client.ask(**request_header)["type"] == "refused"
+        assert len(client.frames(1)) == 1
+
+
+BAD_INPUT = {
+    "text": b"hello, are you there?\r\n\r\n",
+    "wrong magic": b"RPI9" + struct.pack(">II", 2, 0) + b"{}",
+    "header too long": b"RPI1" + struct.pack(">II", 1 << 31, 0),
+    "payload": b"RPI1" + struct.pack(">II", 2, 5) + b"{}",
+    "no JSON": b"RPI1" + struct.pack(">II", 4, 0) + b"{abc",
+    "no hello": b"RPI1" + struct.pack(">II", 2, 0) + b"{}",
+    "HTTP without end": b"GET /" + b"a" * 100_000,
+    "HTTP without address": b"GET http://[ HTTP/1.1\r\n\r\n",
+}
+
+
+@pytest.mark.parametrize("data", BAD_INPUT.values(), ids=BAD_INPUT)
+def test_malformed_input_closes_that_connection_with_one_message(serve, data):
+    messages = []
+    server = serve(report=messages.append)
+    with ImageClient(server.port, hello=False) as bad:
+        with suppress(OSError):
+            bad.socket.sendall(data)
+        with suppress(ConnectionResetError):
+            answer, _ = bad.message()
+            assert answer["type"] == "error"
+            assert bad.ends()
+    with ImageClient(server.port) as good:
+        assert len(good.frames(1)) == 1
+
+    assert len(messages) == server.rejected == 1
+
+
+def test_truncated_input_closes_the_connection_with_one_message(serve):
+    messages = []
+    server = serve(report=messages.append)
+    with ImageClient(server.port) as client:
+        client.socket.sendall(b"RPI1" + struct.pack(">II", 100, 0) + b"{")
+        client.socket.shutdown(socket.SHUT_WR)
+        assert client.message()[0]["type"] == "error"
+        assert client.ends()
+
+    assert len(messages) == 1
+
+
+@pytest.mark.parametrize("begun", [b"", b"RPI1\x00", b"GET / HTTP/1.1\r\n"])
+def test_input_that_stalls_closes_the_connection_with_one_message(serve, monkeypatch, begun):
+    monkeypatch.setattr(images, "HANDSHAKE_S", 0.1)
+    monkeypatch.setattr(image_clients, "MESSAGE_S", 0.1)
+    messages = []
+    with ImageClient(serve(report=messages.append).port, hello=False) as client:
+        client.socket.sendall(begun)
+        assert client.message()[0]["type"] == "error"
+        assert client.ends()
+
+    assert len(messages) == 1
+
+
+def test_one_client_too_many_is_turned_away(serve, monkeypatch):
+    monkeypatch.setattr(images, "MAX_CLIENTS", 1)
+    port = serve().port
+    with ImageClient(port) as first, ImageClient(port, hello=False) as second:
+        assert second.message()[0]["type"] == "error"
+        assert len(first.frames(1)) == 1
+
+
+def fuzz(port, count, seed):
+    """Connections with headers of which a few bytes are changed, or that are random altogether."""
+    generator = random.Random(seed)
+    good = [
+        {"type": "hello", "protocol": "ringpose/images/1"},
+        {"type": "subscribe", "frames": 1},
+        {"type": "pose", "center_m": [0.5, 0.0, 0.5], "normal": [0, 0, -1]},
+        {"type": "trajectory", "poses": [{"center_m": [0, 0, 1], "normal": [0, 0, -1]}] * 20},
+    ]
+    for number in range(count):
+        texts = [json.dumps(header).encode() for header in good]
+        data = bytearray(b"".join(b"RPI1" + struct.pack(">II", len(text), 0) + text for text in texts))
+        start = generator.choice([0, 4, 12, 60])
+        for _ in range(generator.choice([1, 3, 20])):
+            data[generator.randrange(start, len(data))] = generator.randrange(256)
+        if number % 5 == 0:
+            data = bytearray(generator.randbytes(generator.randrange(1, 200)))
+        with suppress(OSError), socket.create_connection(("127.0.0.1", port), 5.0) as client:
+            client.sendall(data[: generator.randrange(1, len(data) + 1)])
+            client.shutdown(socket.SHUT_WR)
+            while client.recv(1 << 16):
+                pass
+
+
+def check_fuzzed(server, count):
+    with ImageClient(server.port) as client:  # what the first frames import and keep is no leak
+        client.frames(8)
+    fuzz(server.port, count // 10, seed=1)
+    before = resident_bytes()
+    fuzz(server.port, count, seed=2)
+    grown = resident_bytes() - before
+    assert grown < 10e6
+    assert server.rejected > count // 2
+    with ImageClient(server.port) as client:
+        assert len(client.frames(2)) == 2
+
+
+def test_fuzzed_headers_leave_the_server_alive_and_its_memory_flat(serve, monkeypatch):
+    monkeypatch.setattr(scene_shots, "KEPT_BYTES", 1)  # views that are kept would hide a leak
+    check_fuzzed(serve(rate_hz=100.0), 150)
+
+
+@pytest.mark.slow
+def test_ten_thousand_fuzzed_headers_leave_the_server_alive_and_its_memory_flat(serve, monkeypatch):
+    monkeypatch.setattr(scene_shots, "KEPT_BYTES", 1)
+    check_fuzzed(serve(rate_hz=100.0), 10_000)
+
+
+def test_a_client_with_the_secret_is_admitted_and_others_are_not(serve):
+    port = serve(secret=SECRET).port
+    with ImageClient(port, secret=SECRET) as client:
+        assert client.greeting["type"] == "greeting"
+        assert len(client.frames(1)) == 1
+    with ImageClient(port, secret=b"another secret, wrong") as client:
+        assert client.greeting["type"] == "error"
+    with ImageClient(port, hello=False) as client:
+        client.send(type="hello", protocol="ringpose/images/1")
+        assert client.message()[0]["type"] == "challenge"
+        client.send(type="subscribe", frames=1)
+        assert client.message()[0]["type"] == "error"
+
+
+def test_browsers_receive_pictures_of_the_frames_with_all_lasers(serve):
+    server = serve()
+    with urllib.request.urlopen(server.uris["stream"], timeout=20) as stream:
+        assert stream.headers["Content-Type"].startswith("multipart/x-mixed-replace")
+        lines = [stream.readline() for _ in range(4)]
+        length = int(lines[2].split(b":")[1])
+        picture = cv2.imdecode(np.frombuffer(stream.read(length), np.uint8), cv2.IMREAD_GRAYSCALE)
+
+    assert picture.shape == (150, 200)
+    assert picture.max() > 100
+
+
+def test_opencv_reads_the_stream(serve):
+    capture = cv2.VideoCapture(serve().uris["stream"], cv2.CAP_FFMPEG)
+    try:
+        is_read, picture = capture.read()
+    finally:
+        capture.release()
+
+    assert is_read
+    assert picture.shape == (150, 200, 3)
+
+
+def status_of(url, **headers):
+    try:
+        with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=10) as answer:
+            return answer.status
+    except urllib.error.HTTPError as error:
+        return error.code
+
+
+def test_browsers_need_the_token_of_a_server_with_a_secret(serve):
+    server = serve(secret=SECRET)
+    address = f"http://127.0.0.1:{server.port}"
+
+    assert status_of(f"{address}/") == 403
+    assert status_of(f"{address}/?token=0") == 403
+    assert status_of(server.uris["stream"].replace("/stream.mjpg", "/")) == 200
+    assert SECRET.decode() not in server.uris["stream"]
+
+
+def test_a_page_from_elsewhere_cannot_read_the_stream_under_its_own_name(serve):
+    server = serve()
+    address = f"http://127.0.0.1:{server.port}/"
+
+    assert status_of(address, Host="example.org") == 403
+    assert status_of(address, Host=f"localhost:{server.port}") == 200
+    assert status_of(f"{address}other") == 404
+
+
+def test_each_truth_is_reported_once(serve):
+    truths = []
+    with ImageClient(serve(clock="lockstep", on_truth=truths.append).port) as client:
+        shots = [header["shot"] for header, _ in client.frames(6)]
+
+    assert [truth["shot"] for truth in truths[:3]] == list(dict.fromkeys(shots))
+
+
+def test_a_port_in_use_is_a_device_error(serve):
+    port = serve().port
+
+    with pytest.raises(DeviceError, match="in use"):
+        serve(port=port)
+
+
+def test_a_rate_that_leaves_no_time_for_the_exposure_is_wrong_usage(serve):
+    with pytest.raises(UsageError, match="--rate"):
+        serve(rate_hz=500.0)
