@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from ringpose.cli.options import STDOUT, Force, JsonFile, OptionalRigFile, PoseFrame, Quiet, finite
+from ringpose.cli.options import STDOUT, CsvFile, Force, JsonFile, OptionalRigFile, PoseFrame, Quiet, finite
 from ringpose.types.options import Method
 
 if TYPE_CHECKING:
@@ -36,7 +36,6 @@ By = Annotated[
 Methods = Annotated[
     list[Method] | None, typer.Option("--method", help="Of data sets, may be given again; all methods if not given.")
 ]
-CsvFile = Annotated[str | None, typer.Option("--csv", metavar="FILE", help="A row a shot as CSV; - instead of tables.")]
 MaxCenter = Annotated[
     float | None,
     typer.Option("--max-center-mm", metavar="MM", min=0, callback=finite, help="Limit on the centre's RMSE."),
