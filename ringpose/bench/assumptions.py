@@ -1,12 +1,24 @@
-"""What poses assume about motion, the ring's form and the rig: results are compared only if they assume the same."""
+"""What poses assume about motion, ring and rig: results are compared only if they assume the same."""
 
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from math import isfinite
+from typing import Any, Literal
 
-from ringpose.types.pose import MotionPrior, PoseLine, RigStability
+from ringpose.types.pose import MotionPrior, PoseLine, RadiusPrior, RigStability
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AssumedRadii:
+    """Radii that a pose takes as known: given ones, or those of a catalogue's ring, which each shot chooses."""
+
+    source: Literal["given", "catalogue"]
+    inner_m: float | None = None
+    outer_m: float | None = None
+    """Given radii; None for an edge without one."""
+    sd_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -15,19 +27,39 @@ class Assumptions:
 
     motion: MotionPrior | None = None
     """None if the target is assumed to be still."""
+    radii: AssumedRadii | None = None
+    """None if the radii are unknown."""
     ring_tolerance_m: float = 0.0
     stability: RigStability = RigStability()
 
 
 def assumptions_of(line: PoseLine) -> Assumptions | None:
-    """Assumptions of a pose line; None without a pose and priors.
+    """Assumptions of a pose line; None without a pose.
 
-    A pose without priors, as in records of version 1, counts as one of a still and perfect ring by an unchanged rig.
+    A pose without priors, as in records of version 1, counts as one of a still and perfect ring of unknown radius by an
+    unchanged rig.
     """
     priors = line.priors
+    if line.pose is None:
+        return None
     if priors is None:
-        return None if line.pose is None else Assumptions()
-    return Assumptions(motion=priors.motion, ring_tolerance_m=priors.ring_tolerance_m, stability=priors.stability)
+        return Assumptions()
+    return Assumptions(
+        motion=priors.motion,
+        radii=_assumed_radii(priors.radius, catalogue=line.pose.ring_posterior is not None),
+        ring_tolerance_m=priors.ring_tolerance_m,
+        stability=priors.stability,
+    )
+
+
+def _assumed_radii(prior: RadiusPrior | None, *, catalogue: bool) -> AssumedRadii | None:
+    """A catalogue counts as one assumption, whichever of its rings a shot is found to show."""
+    if catalogue or (prior is not None and prior.source != "given"):
+        return AssumedRadii(source="catalogue")
+    if prior is None:
+        return None
+    inner_m, outer_m = (radius_m if isfinite(radius_m) else None for radius_m in (prior.inner_m, prior.outer_m))
+    return AssumedRadii(source="given", inner_m=inner_m, outer_m=outer_m, sd_m=prior.sd_m)
 
 
 def counted(assumptions: Iterable[Assumptions | None]) -> list[tuple[Assumptions, int]]:
@@ -40,6 +72,7 @@ def assumptions_record(assumptions: Assumptions) -> dict[str, Any]:
     motion = assumptions.motion
     return {
         "motion": "still" if motion is None else asdict(motion),
+        "radii": None if assumptions.radii is None else asdict(assumptions.radii),
         "ring_tolerance_m": assumptions.ring_tolerance_m,
         "stability": asdict(assumptions.stability),
     }
@@ -58,7 +91,18 @@ def assumptions_text(assumptions: Assumptions) -> str:
         f"focal ratio {stability.focal_ratio:g}"
     )
     rig = "stable rig" if stability == RigStability() else f"rig stability {drift}"
-    return f"{moving}, ring tolerance {1e3 * assumptions.ring_tolerance_m:g} mm, {rig}"
+    return (
+        f"{moving}, {_radii_text(assumptions.radii)}, ring tolerance {1e3 * assumptions.ring_tolerance_m:g} mm, {rig}"
+    )
+
+
+def _radii_text(radii: AssumedRadii | None) -> str:
+    if radii is None:
+        return "radii unknown"
+    if radii.source == "catalogue":
+        return "radii of a catalogue"
+    given = "/".join("-" if radius_m is None else f"{1e3 * radius_m:g}" for radius_m in (radii.inner_m, radii.outer_m))
+    return f"radii {given} mm" + ("" if radii.sd_m is None else f" (1 sd {1e3 * radii.sd_m:g} mm)")
 
 
 def assumption_lines(assumptions: Sequence[Assumptions | None]) -> list[str]:

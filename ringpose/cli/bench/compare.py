@@ -10,7 +10,7 @@ from ringpose.cli.bench.score import By, TruthFiles, group_names, scores_of_line
 from ringpose.cli.options import STDOUT, Force, JsonFile, OptionalRigFile, finite
 
 if TYPE_CHECKING:
-    from ringpose.bench.assumptions import Assumptions
+    from ringpose.bench.assumptions import AssumedRadii, Assumptions
     from ringpose.bench.compare import Pair
     from ringpose.bench.score import Score
     from ringpose.cli.batch import Batch
@@ -160,9 +160,18 @@ def _assumptions(fields: "Fields") -> "Assumptions | None":
     values = fields.fields("assumptions")
     return Assumptions(
         motion=motion_prior(values),
+        radii=_assumed_radii(values.fields("radii")) if values.has("radii") else None,
         ring_tolerance_m=values.number("ring_tolerance_m", least=0),
         stability=rig_stability(values),
     )
+
+
+def _assumed_radii(values: "Fields") -> "AssumedRadii":
+    from ringpose.bench.assumptions import AssumedRadii
+
+    numbers = values.given(("inner_m", "outer_m", "sd_m"), lambda key: values.number(key, least=0))
+    source = cast(Literal["given", "catalogue"], values.choice("source", ("given", "catalogue")))
+    return AssumedRadii(source=source, **numbers)
 
 
 def _require_same_truth(a: _Result, b: _Result) -> None:

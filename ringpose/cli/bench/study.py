@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from ringpose.files.studies.specification import StudyFile
     from ringpose.types.study import Row, Study
 
-PART_S = 10.0
-"""Time after which finished shots are written to a new part file: what a killed study computes again at most."""
+PART_S = (0.5, 10.0)
+"""Time after which finished shots are written to a new part file, at first and later: what a killed study loses."""
 
 PART_SHOTS = 5000
 """Number of shots after which they are written earlier."""
@@ -195,14 +195,16 @@ def _compute(
     else:
         done = executors.by_processes(work, missing, processes)
     unwritten: dict[int, list[Row]] = {}
-    begun_s = monotonic()
+    begun_s = last_s = monotonic()
     try:
         for shot in _reported(done, len(missing), study.shots, quiet):
             rows = shot.rows
             unwritten[shot.shot] = failed_rows(study, shot.shot, "killed its worker") if rows is None else rows
-            if len(unwritten) >= PART_SHOTS or monotonic() - begun_s > PART_S:
+            now_s = monotonic()
+            due_s = last_s + min(max(PART_S[0], 0.1 * (now_s - begun_s)), PART_S[1])
+            if len(unwritten) >= PART_SHOTS or now_s > due_s:
                 folder.add(unwritten)
-                unwritten, begun_s = {}, monotonic()
+                unwritten, last_s = {}, now_s
     finally:
         if unwritten:
             folder.add(unwritten)
