@@ -124,7 +124,7 @@ class StudySummary:
 
 def summarized(study: Study, rows: Iterable[Row]) -> StudySummary:
     """The statistics of all rows; memory grows by the errors alone, a few hundred bytes a row."""
-    by = tuple(factor.name for factor in study.grid)
+    by = tuple(factor.name for factor in study.grid if len(factor.values) > 1)
     cells: dict[tuple[str, Key], Statistics] = {}
     wide: dict[tuple[str, Key], Statistics] = {(method.value, ()): Statistics() for method in study.methods}
     for row in rows:
@@ -174,8 +174,8 @@ def _paper_block(study: Study, summary: StudySummary, method: str) -> str:
 
 
 HEADINGS = (
-    "shots", "pose %", "ok %", "wrong", "center mm", "median", "bound", "ratio", "normal deg", "bound", "ratio",
-    "r_out mm", "grasp mm", "center NEES", "normal NEES", "pose ms",
+    "shots", "pose %", "ok %", "wrong", "center mm", "median", "bound", "ratio", "normal deg", "normal bound",
+    "normal ratio", "r_out mm", "grasp mm", "center NEES", "normal NEES", "pose ms",
 )  # fmt: skip
 
 

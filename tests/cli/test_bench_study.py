@@ -151,6 +151,20 @@ def test_the_worst_shots_are_written_as_a_data_set(folder):
     assert len((folder / "out" / "worst" / "truth.jsonl").read_text().splitlines()) == 2
 
 
+@pytest.mark.slow
+def test_a_report_has_every_section_and_stands_alone(folder):
+    pytest.importorskip("matplotlib")
+
+    words = ["bench", "study", "study.yaml", "--output", "out", "--jobs", "1", "--count", "20", "--report", "page.html"]
+    assert main(words) == 0
+
+    page = (folder / "page.html").read_text()
+    assert page.count("<img") == 5
+    assert all(word in page for word in ("Set-up", "bounds", "consistency", "Failures", "Time by stage", "Provenance"))
+    assert "http://" not in page
+    assert ">nan<" not in page
+
+
 @pytest.mark.parametrize(
     ("old", "new", "word"),
     [

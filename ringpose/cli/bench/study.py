@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ringpose.cli.options import Force, Quiet
+from ringpose.cli.options import Force, Quiet, Report
 
 if TYPE_CHECKING:
     from ringpose.bench.executors import Done
+    from ringpose.bench.study_table import StudySummary
     from ringpose.files.studies.results import ResultFolder
     from ringpose.files.studies.specification import StudyFile
+    from ringpose.report.page import Picture
     from ringpose.types.study import Row, Study
 
 PART_S = (0.5, 10.0)
@@ -61,6 +63,7 @@ def study(
     scheduler: Scheduler = None,
     scheduler_file: SchedulerFile = None,
     keep: Keep = None,
+    report: Report = None,
     wait: Wait = False,
     cron: Cron = False,
     force: Force = False,
@@ -81,6 +84,12 @@ def study(
     if scheduler is not None or scheduler_file is not None:
         _require("distributed", "--scheduler", "cluster")
     worst = _worst(keep)
+    if report is not None:
+        from ringpose.files.atomic import reject_existing
+        from ringpose.report.page import require_matplotlib
+
+        require_matplotlib()
+        reject_existing(report, force)
     read = read_study(study_path(study), count, seed)
     metadata = _metadata(read)
     batch = Batch()
@@ -95,6 +104,8 @@ def study(
             records.write_text(study_text(prepared, summary))
         if worst:
             _write_worst(prepared, folder, worst)
+        if report is not None:
+            _write_report(prepared, summary, folder, report, metadata, force=force)
     for message in exceeded:
         messages.echo(message)
         batch.record_status(NO_POSE)
@@ -233,14 +244,62 @@ def _reported(done: "Iterator[Done]", missing: int, shots: int, quiet: bool) -> 
             messages.echo(f"{finished} of {shots} shots, {rate:.3g} shots/s, {left_s / 60:.0f} min left")
 
 
+OVERLAYS = 4
+"""Number of the worst shots whose images are in the report."""
+
+
+def _write_report(
+    study: "Study",
+    summary: "StudySummary",
+    folder: "ResultFolder",
+    report: Path,
+    metadata: dict[str, Any],
+    *,
+    force: bool,
+) -> None:
+    from ringpose.bench.study_report import study_report
+    from ringpose.files.io import write_page
+
+    overlays = list(_overlays(study, folder)) if study.level == "images" else []
+    write_page(report, study_report(study, summary, folder.rows, overlays, metadata), force=force)
+
+
+def _overlays(study: "Study", folder: "ResultFolder") -> "Iterator[Picture]":
+    """The shots with the largest errors, computed again, with what was detected in them."""
+    import cv2
+
+    from ringpose.bench.study import setting_of, study_shot
+    from ringpose.bench.study_table import worst_shots
+    from ringpose.detect.overlay import overlay
+    from ringpose.detect.pipeline import detect
+    from ringpose.report.page import Picture
+    from ringpose.types.image import Shot
+    from ringpose.types.study import StudyMethod
+
+    method = (StudyMethod.ML if StudyMethod.ML in study.methods else study.methods[0]).value
+    worst = worst_shots(folder.rows(), method, OVERLAYS)
+    rows = {row["shot"]: row for row in folder.rows() if row["method"] == method and row["shot"] in worst}
+    for index in worst:
+        shot = study_shot(study, index, setting_of(study, index))
+        if isinstance(shot.source, Shot):
+            picture = overlay(shot.source.images.max(axis=0), detect(shot.source, shot.scene.rig))
+            png = cv2.imencode(".png", cv2.resize(picture, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))[1]
+            error, reason = rows[index]["center_m"], rows[index]["reason"]
+            found = f"centre error {1e3 * float(error):.3g} mm" if error is not None else f"no pose: {reason}"
+            setting = ", ".join(f"{name} {value}" for name, value in shot.setting.items())
+            yield Picture(png=png.tobytes(), caption=f"Shot {index} ({method}): {found}; {setting}")
+
+
 def _write_worst(study: "Study", folder: "ResultFolder", count: int) -> None:
     """The shots with the largest errors, computed again, with their truth: a data set for `ringpose bench`."""
     from ringpose.bench.study import setting_of, study_shot
     from ringpose.bench.study_table import worst_shots
     from ringpose.files.images.simulations import SimulationFolder
     from ringpose.types.image import Shot
+    from ringpose.types.study import StudyMethod
 
-    indices = worst_shots(folder.rows(), study.methods[0].value, count)
+    method = StudyMethod.ML if StudyMethod.ML in study.methods else study.methods[0]
+    indices = worst_shots(folder.rows(), method.value, count)
     content = "shots" if study.level == "images" else "detections"
     kept = SimulationFolder(
         folder.folder / "worst", study.rig or study.scene.rig, force=True, inputs=[], content=content
