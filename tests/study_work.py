@@ -5,6 +5,8 @@ import signal
 from functools import partial
 from pathlib import Path
 
+from ringpose.errors import DataError
+
 FATAL = 5
 
 
@@ -30,3 +32,12 @@ def _die_once(folder, index):
 def dying_once(folder):
     """Every fourth shot kills its process the first time that it is computed, as a kill from outside."""
     return partial(_die_once, str(folder))
+
+
+def reversed_name(path):
+    """The name of an input backwards; `bad` is an error, and `fatal` kills the process."""
+    if path.name == "bad":
+        raise DataError(path.name, "is bad")
+    if path.name == "fatal":
+        os.kill(os.getpid(), signal.SIGKILL)
+    return path.name[::-1]

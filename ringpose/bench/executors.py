@@ -27,6 +27,9 @@ CHUNK_S = 1.0
 MAX_CHUNK = 2000
 """Maximum number of shots in a chunk."""
 
+WORKERS_S = 30
+"""Time that a cluster's first worker has to appear."""
+
 CHUNKS_PER_WORKER = 2
 """Chunks that a cluster may have for each worker, so that none waits for the next one."""
 
@@ -89,7 +92,7 @@ def here(work: Work, indices: Iterable[int]) -> Iterator[Done]:
 
 def by_processes(work: Work, indices: Iterable[int], jobs: int) -> Iterator[Done]:
     """The shots in chunks, by so many processes, in any order; processes that are killed are replaced."""
-    chunks, pool = _Chunks(indices), _Pool(work)
+    chunks, pool = _Chunks(indices), Pool(work)
     try:
         while pool.busy or chunks.remain:
             while len(pool.busy) < jobs and (chunk := chunks.next()):
@@ -109,16 +112,17 @@ class _Worker(NamedTuple):
     connection: "Connection[Any, Any]"
 
 
-class _Pool:
+class Pool:
     """Worker processes; unlike those of an executor they have no threads or locks that a kill could leave behind."""
 
-    def __init__(self, work: Work) -> None:
+    def __init__(self, work: Callable[[Any], Any]) -> None:
         self._work = work
         self._context = multiprocessing.get_context("spawn")
         self._idle: list[_Worker] = []
-        self.busy: dict[Any, tuple[_Worker, list[int], float]] = {}
+        self.busy: dict[Any, tuple[_Worker, list[Any], float]] = {}
+        """Workers that compute a chunk, by their connections."""
 
-    def give(self, chunk: list[int]) -> None:
+    def give(self, chunk: list[Any]) -> None:
         """Let an idle or a new worker compute a chunk."""
         while True:
             worker = self._idle.pop() if self._idle else self._started()
@@ -130,9 +134,14 @@ class _Pool:
             self.busy[worker.connection] = worker, chunk, perf_counter()
             return
 
-    def collected(self) -> Iterator[tuple[list[int], list[Rows] | None, float]]:
-        """Wait for results: chunks with their rows (None if the worker was killed) and their duration."""
-        for connection in wait(list(self.busy)):
+    def collected(self, *others: "Connection[Any, Any]") -> Iterator[tuple[list[Any], list[Any] | None, float]]:
+        """Wait for results: chunks with theirs (None if the worker was killed) and their duration.
+
+        Returns without any if one of the other connections can be read first.
+        """
+        for connection in wait([*self.busy, *others]):
+            if connection in others:
+                continue
             worker, chunk, started_s = self.busy.pop(connection)
             try:
                 found = worker.connection.recv()
@@ -158,7 +167,7 @@ class _Pool:
         return _Worker(process, ours)
 
 
-def _serve(work: Work, connection: "Connection[Any, Any]") -> None:
+def _serve(work: Callable[[Any], Any], connection: "Connection[Any, Any]") -> None:
     """Main function of a worker: it ends when the parent closes the connection, even by being killed."""
     import cv2
 
@@ -224,6 +233,10 @@ def by_cluster(work: Work, indices: Iterable[int], scheduler: str | None, schedu
     except (OSError, TimeoutError, ValueError) as error:
         raise DeviceError(place, f"no scheduler answers: {error}", "start a dask scheduler and workers") from error
     try:
+        try:
+            client.wait_for_workers(1, timeout=WORKERS_S)
+        except TimeoutError:
+            raise DeviceError(place, f"has no workers after {WORKERS_S} s", "start dask workers") from None
         _require_same_software(client.run(software), software())
         yield from _submitted(client, work, _Chunks(indices))
     except (distributed.CancelledError, distributed.comm.core.CommClosedError, OSError, TimeoutError) as error:
@@ -236,7 +249,7 @@ def by_cluster(work: Work, indices: Iterable[int], scheduler: str | None, schedu
 def _submitted(client: Any, work: Work, chunks: _Chunks) -> Iterator[Done]:
     """Submit chunks, at most a few for each worker at a time, and yield their shots."""
     distributed: Any = import_module("distributed")
-    futures = distributed.as_completed()
+    futures = distributed.as_completed(loop=client.loop)
     waiting: dict[str, list[int]] = {}
     while True:
         window = CHUNKS_PER_WORKER * max(1, len(client.nthreads()))
@@ -264,8 +277,6 @@ def _timed(work: Work, chunk: list[int]) -> tuple[float, list[Rows]]:
 
 
 def _require_same_software(workers: Mapping[str, dict[str, str]], ours: Mapping[str, str]) -> None:
-    if not workers:
-        raise DeviceError("the cluster", "has no workers", "start dask workers")
     for address, theirs in workers.items():
         for name, value in ours.items():
             if theirs.get(name) != value:

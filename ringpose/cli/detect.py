@@ -5,10 +5,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli.app import app
+from ringpose.cli.batch import Jobs
 from ringpose.cli.options import Force, ImageChannel, Inputs, OptionalRigFile, Overlay, Quiet, Verbose
 from ringpose.types.options import SegmentMethod, StripeSource
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from ringpose.files.inputs import Input
     from ringpose.types.detection import Detection
     from ringpose.types.image import Shot
     from ringpose.types.rig import Rig
@@ -42,6 +46,7 @@ def detect(
     stripes: StripesFrom = StripeSource.CENTERS,
     track: Track = False,
     full: Full = False,
+    jobs: Jobs = 1,
     channel: ImageChannel = None,
     force: Force = False,
     verbose: Verbose = False,
@@ -52,32 +57,59 @@ def detect(
     from ringpose.cli.batch import Batch
     from ringpose.cli.progress import with_progress
     from ringpose.errors import NO_POSE, UsageError
-    from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot
+    from ringpose.files.images.shots import SHOT_SUFFIXES
     from ringpose.files.inputs import inputs as named
     from ringpose.files.records.detections import DetectionSink
     from ringpose.files.rigs import read_rig
-    from ringpose.files.sources import path_of_input
 
     if rig is None and not segments_only:
         raise UsageError("", "--rig is missing", "give --rig FILE, or --segments-only for any image")
+    if track and jobs > 1:
+        raise UsageError("--jobs", "is of no use with --track", "each shot needs the result of the previous one")
     loaded_rig = None if rig is None else read_rig(rig)
     sink = DetectionSink(output, overlay, rig=rig, full=full or segments_only, force=force)
-    batch, previous = Batch(), None
-    for item in with_progress(batch.valid_inputs(named(inputs, SHOT_SUFFIXES)), "shots", quiet):
+    batch = Batch()
+    work = DetectInput(None if segments_only else loaded_rig, loaded_rig, channel, method, stripes, track)
+    found = batch.results(work, named(inputs, SHOT_SUFFIXES), jobs)
+    for path, shot, detection in with_progress(found, "shots", quiet):
         with batch.guarded():
-            path = path_of_input(item)
-            shot = read_shot(path, channel, loaded_rig)
-            if segments_only or loaded_rig is None:
-                detection = segments_of(shot, method)
-            else:
-                detection = detection_of(shot, loaded_rig, stripes, previous)
-            previous = detection if track and detection.found else None
             sink.write(shot, detection, path)
             if verbose:
                 messages.echo(f"{shot.name}: {detection.summary}")
             if not (detection.found or segments_only):
                 batch.record_status(NO_POSE)
     batch.finish()
+
+
+class DetectInput:
+    """Path, shot and detection of an input; with `track` the search starts near the points of the previous one."""
+
+    def __init__(
+        self,
+        rig: "Rig | None",
+        rig_of_shots: "Rig | None",
+        channel: str | None,
+        method: SegmentMethod,
+        stripes: StripeSource,
+        track: bool,
+    ) -> None:
+        """Without `rig` only segments are searched for; the shots must fit `rig_of_shots` if there is one."""
+        self.rig, self.rig_of_shots, self.channel = rig, rig_of_shots, channel
+        self.method, self.stripes, self.track = method, stripes, track
+        self.previous: Detection | None = None
+
+    def __call__(self, item: "Input") -> "tuple[Path, Shot, Detection]":
+        """Read and search one input."""
+        from ringpose.files.images.shots import read_shot
+        from ringpose.files.sources import path_of_input
+
+        path = path_of_input(item)
+        shot = read_shot(path, self.channel, self.rig_of_shots)
+        if self.rig is None:
+            return path, shot, segments_of(shot, self.method)
+        detection = detection_of(shot, self.rig, self.stripes, self.previous)
+        self.previous = detection if self.track and detection.found else None
+        return path, shot, detection
 
 
 def segments_of(shot: "Shot", method: SegmentMethod) -> "Detection":
