@@ -247,8 +247,8 @@ def _scored(scored: Score, estimate: PoseEstimate, truth: Truth, line: PoseLine)
         "reason": line.reason,
         "flags": flags,
         "wrong": " ".join(scored.wrong),
-        "gross": len(scored.gross),
-        "judged": sum(each in (Judgement.CORRECT, Judgement.WRONG) for each in scored.judgements.values()),
+        "gross": " ".join(scored.gross),
+        "correct": " ".join(name for name, found in scored.judgements.items() if found is Judgement.CORRECT),
         **{name: float(value) for name, value in scored.errors.items()},
     }
     pose = estimate.pose

@@ -1,12 +1,14 @@
 """Statistics of a study's rows, and its tables: first in the form of the paper's, then with bounds and baselines."""
 
 from array import array
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import degrees, nan, sqrt
+from typing import Literal, cast
 
 import numpy as np
 
+from ringpose.bench.score import QUANTITIES, Judgement, Outcome, Score
 from ringpose.bench.summary import ABSENT
 from ringpose.bench.table import aligned
 from ringpose.types.study import ERRORS, LIMITS, SIGMAS, Row, Study, Value
@@ -58,9 +60,10 @@ class Statistics:
         self.answers += has_target and has_pose
         self.available += has_target and row["status"] == "ok"
         self.false_poses += has_pose and row["expect"] == "no_target"
-        self.wrong += len(str(row["wrong"] or "").split())
-        self.judged += int(row["judged"] or 0)
-        self.gross += int(row["gross"] or 0)
+        wrong = len(names_in(row["wrong"]))
+        self.wrong += wrong
+        self.judged += wrong + len(names_in(row["correct"]))
+        self.gross += len(names_in(row["gross"]))
         if not has_pose and (has_target or row["outcome"] == "error"):
             reason = str(row["reason"] or "no pose").split(":")[0]
             self.reasons[reason] = self.reasons.get(reason, 0) + 1
@@ -136,6 +139,32 @@ def summarized(study: Study, rows: Iterable[Row]) -> StudySummary:
             wide.setdefault((method, (value,)), Statistics()).add(row)
     methods = tuple(method.value for method in study.methods)
     return StudySummary(methods=methods, by=by, table=study.table, cells=cells, columns=wide)
+
+
+def names_in(cell: object) -> list[str]:
+    """The names in a cell of a row, which are separated by blanks."""
+    return str(cell or "").split()
+
+
+def scores_of(rows: Iterable[Row], factors: Sequence[str]) -> list[Score]:
+    """The rows as scores, to compare two results of one study."""
+    return [
+        Score(
+            shot=str(row["shot"]),
+            method=str(row["method"]),
+            outcome=Outcome(str(row["outcome"])) if row["outcome"] != "error" else Outcome.LOST,
+            status=cast(Literal["ok", "degraded", "none"], row["status"]),
+            has_target=row["expect"] != "no_target",
+            groups={name: value for name in factors if (value := row[name]) is not None},
+            errors={name: float(value) for name in QUANTITIES if isinstance(value := row.get(name), float)},
+            judgements={
+                **dict.fromkeys(names_in(row["correct"]), Judgement.CORRECT),
+                **dict.fromkeys(names_in(row["wrong"]), Judgement.WRONG),
+            },
+            gross=tuple(names_in(row["gross"])),
+        )
+        for row in rows
+    ]
 
 
 PAPER_ROWS = (

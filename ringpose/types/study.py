@@ -152,9 +152,9 @@ BOUNDS = ("bound_center_m", "bound_normal_rad", "bound_radius_outer_m")
 TIMES = ("simulate_s", "detect_s", "pose_s")
 """The only columns that differ when a shot is computed again."""
 
-INTEGERS = ("shot", "gross", "judged", "break_points", "edge_points")
+INTEGERS = ("shot", "break_points", "edge_points")
 
-TEXT_COLUMNS = ("method", "expect", "outcome", "status", "reason", "flags", "wrong")
+TEXT_COLUMNS = ("method", "expect", "outcome", "status", "reason", "flags", "wrong", "gross", "correct")
 
 _TRUTH_COLUMNS = (
     "true_center_x_m", "true_center_y_m", "true_center_z_m", "true_normal_x", "true_normal_y", "true_normal_z",

@@ -68,9 +68,11 @@ def test_parquet_has_the_same_rows_and_names_the_study(folder):
 def test_an_interrupted_study_resumes_to_the_same_results(folder):
     main(["bench", "study", "study.yaml", "--output", "whole", "--jobs", "1"])
     main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1"])
-    (part,) = (folder / "out" / "parts").iterdir()
-    lines = part.read_text().splitlines(keepends=True)
-    part.write_text("".join(lines[1:3]))  # as if the rest had not been finished
+    parts = list((folder / "out" / "parts").iterdir())
+    lines = [line for part in parts for line in part.read_text().splitlines(keepends=True)]
+    for part in parts[1:]:
+        part.unlink()
+    parts[0].write_text("".join(lines[1:3]))  # as if the rest had not been finished
     (folder / "out" / "parts" / ".x.jsonl.abc.part").write_text("{")
 
     assert main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1"]) == 0
@@ -115,7 +117,7 @@ def test_a_folder_in_use_is_reported_with_its_holder(folder, capsys):
 
 def test_a_damaged_part_is_named(folder, capsys):
     main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1"])
-    (part,) = (folder / "out" / "parts").iterdir()
+    part = next((folder / "out" / "parts").iterdir())
     part.write_text(part.read_text()[:-20])
 
     assert main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1"]) == 65
@@ -140,6 +142,33 @@ def test_cron_prints_nothing_while_all_limits_are_held(folder, capsys):
     assert main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1", "--count", "1", "--cron"]) == 0
 
     assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.slow
+def test_two_results_of_one_study_are_compared(folder, capsys):
+    words = ["bench", "study", "study.yaml", "--jobs", "1", "--output"]
+    main([*words, "a"])
+    main([*words, "b"])
+    main([*words, "other", "--seed", "9"])
+    parquet = ["a/results.parquet"] if (folder / "a" / "results.parquet").exists() else []
+    capsys.readouterr()
+
+    for first in ("a", "a/results.csv", *parquet):
+        assert main(["bench", "compare", first, "b", "--by", "distance_m"]) == 0
+        assert "8 of 8" in (out := capsys.readouterr().out) or "4 of 4" in out
+    assert main(["bench", "compare", "a", "other"]) == 65
+    assert "another truth" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["results.csv", "results.parquet"])
+def test_a_table_that_is_cut_off_is_refused(folder, name):
+    pytest.importorskip("pyarrow")
+    main(["bench", "study", "study.yaml", "--output", "a", "--jobs", "1"])
+    whole = (folder / "a" / name).read_bytes()
+    (folder / "a" / name).write_bytes(whole[: len(whole) * 3 // 4])
+
+    assert main(["bench", "compare", f"a/{name}", "a"]) == 65
 
 
 @pytest.mark.slow

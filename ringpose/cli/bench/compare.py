@@ -17,7 +17,10 @@ if TYPE_CHECKING:
     from ringpose.files.schema import Fields
 
 ResultA = Annotated[
-    str, typer.Argument(metavar="A", help="The older result: pose records, with --truth, or a table of bench --json.")
+    str,
+    typer.Argument(
+        metavar="A", help="The older result: pose records, with --truth, a table of bench --json, or a study's."
+    ),
 ]
 ResultB = Annotated[str, typer.Argument(metavar="B", help="The newer result, of the same shots.")]
 Tolerance = Annotated[
@@ -93,7 +96,10 @@ def _read(name: str, truths: list[Path] | None, rig: Path | None, batch: "Batch"
     from ringpose.errors import DataError, UsageError
     from ringpose.files.inputs import holds_records
     from ringpose.files.io import sha256
+    from ringpose.files.studies.results import holds_results
 
+    if name != STDOUT and holds_results(Path(name)):
+        return _read_study(name)
     if name != STDOUT and not holds_records(Path(name)):
         return _read_table(name)
     if not truths:
@@ -102,6 +108,19 @@ def _read(name: str, truths: list[Path] | None, rig: Path | None, batch: "Batch"
     if all(score.status == "lost" for score in scores):
         raise DataError(name, "has no pose line of a shot of the truth", "give poses of the same data set")
     return _Result(name, scores, sorted(map(sha256, truths)))
+
+
+def _read_study(name: str) -> _Result:
+    """Results of a study; its hash stands for the truth, as the same study has the same shots."""
+    from ringpose.bench.study_table import scores_of
+    from ringpose.errors import DataError
+    from ringpose.files.studies.results import read_results
+
+    metadata, rows = read_results(Path(name))
+    factors = metadata.get("factors")
+    if not isinstance(factors, list) or not isinstance(metadata.get("study_sha256"), str):
+        raise DataError(name, "does not say which study it is of", "give the output of ringpose bench study")
+    return _Result(name, scores_of(rows, factors), [metadata["study_sha256"]])
 
 
 def _read_table(name: str) -> _Result:

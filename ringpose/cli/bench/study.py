@@ -149,6 +149,7 @@ def _metadata(read: "StudyFile") -> dict[str, Any]:
         "count": read.study.count,
         "shots": read.study.shots,
         "level": read.study.level,
+        "factors": [factor.name for factor in read.study.factors],
         "methods": [method.value for method in read.study.methods],
         "rig_sha256": read.study.scene.rig.sha256,
         "files": [str(file) for file in read.files],

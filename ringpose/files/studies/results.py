@@ -142,11 +142,19 @@ def opened(folder: Path, metadata: Mapping[str, Any], *, force: bool, wait: bool
         lock.release()
 
 
-def read_results(path: Path) -> Iterator[Row]:
-    """The rows of results.csv or results.parquet, or of the folder that has them."""
+def holds_results(path: Path) -> bool:
+    """Whether a path is the folder of a study's results, or a table in it."""
+    return (path / "study.json").is_file() or path.name in ("results.csv", "results.parquet")
+
+
+def read_results(path: Path) -> tuple[dict[str, Any], Iterator[Row]]:
+    """What results.csv or results.parquet, or that in a folder, is of (study.json), and its rows."""
     if path.is_dir():
         path = path / "results.csv"
-    return _read_parquet(path) if path.suffix == ".parquet" else _read_csv(path)
+    if path.suffix == ".parquet":
+        return _parquet_metadata(path), _read_parquet(path)
+    description = path.with_name("study.json")
+    return parsed_record(read_bytes(description), str(description)), _read_csv(path)
 
 
 def _discard(folder: Path, parts: Path) -> None:
@@ -206,7 +214,9 @@ def _value(place: str, name: str, cell: str) -> str | float | int | bool | None:
         raise DataError(place, f"{name} is {cell!r}, must be a number") from None
 
 
-def _read_parquet(path: Path) -> Iterator[Row]:
+@contextmanager
+def _parquet(path: Path) -> Iterator[Any]:
+    """An open table; one that is damaged, or written by something else, is an error."""
     if find_spec("pyarrow") is None:
         raise DataError(str(path), "needs pyarrow", "pip install 'ringpose[report]', or give results.csv")
     import pyarrow as pa
@@ -216,7 +226,20 @@ def _read_parquet(path: Path) -> Iterator[Row]:
         raise NoInputError(str(path), "does not exist")
     try:
         with parquet.ParquetFile(path) as table:
-            for batch in table.iter_batches():
-                yield from batch.to_pylist()
-    except (pa.ArrowInvalid, OSError) as error:
+            yield table
+    except (pa.ArrowException, OSError) as error:
         raise DataError(str(path), f"is not a readable table: {str(error).splitlines()[0]}") from None
+
+
+def _parquet_metadata(path: Path) -> dict[str, Any]:
+    with _parquet(path) as table:
+        metadata = table.schema_arrow.metadata or {}
+        if b"ringpose" not in metadata:
+            raise DataError(str(path), "is not a table of ringpose bench study")
+        return parsed_record(metadata[b"ringpose"], str(path))
+
+
+def _read_parquet(path: Path) -> Iterator[Row]:
+    with _parquet(path) as table:
+        for batch in table.iter_batches():
+            yield from batch.to_pylist()
