@@ -1,6 +1,6 @@
 """Where the shots of a study are computed: this process, several processes, or a dask cluster.
 
-Work is sent as indices, in chunks that take about a second, and comes back as rows; never images. At most a few chunks
+Work is sent as indices, in chunks that take seconds, and comes back as rows; never images. At most a few chunks
 wait for each worker. A chunk whose worker was killed is computed again shot by shot; a shot that kills several workers
 is reported as failed.
 """
@@ -21,10 +21,11 @@ from typing import Any, NamedTuple
 from ringpose.errors import DataError, DeviceError
 from ringpose.types.study import Row
 
-CHUNK_S = 1.0
-"""Duration of a chunk: the cost of sending it is then negligible."""
+CHUNK_S, CLUSTER_CHUNK_S = 1.0, 5.0
+"""Duration of a chunk: the cost of sending it is then negligible. A scheduler handles some hundred tasks a second, and
+thus some thousand cores."""
 
-MAX_CHUNK = 2000
+MAX_CHUNK = 5000
 """Maximum number of shots in a chunk."""
 
 WORKERS_S = 30
@@ -181,13 +182,14 @@ def _serve(work: Callable[[Any], Any], connection: "Connection[Any, Any]") -> No
 
 
 class _Chunks:
-    """The shots that remain, in chunks of about `CHUNK_S`."""
+    """The shots that remain, in chunks of about the same duration."""
 
-    def __init__(self, indices: Iterable[int]) -> None:
+    def __init__(self, indices: Iterable[int], duration_s: float = CHUNK_S) -> None:
+        self._duration_s = duration_s
         self._indices = deque(indices)
         self._again: deque[list[int]] = deque()
         self._deaths: dict[int, int] = {}
-        self._shot_s = CHUNK_S
+        self._shot_s = duration_s
 
     @property
     def remain(self) -> bool:
@@ -198,7 +200,7 @@ class _Chunks:
         """The next chunk; empty if there is none."""
         if self._again:
             return self._again.popleft()
-        size = max(1, min(MAX_CHUNK, round(CHUNK_S / max(self._shot_s, 1e-6)), len(self._indices)))
+        size = max(1, min(MAX_CHUNK, round(self._duration_s / max(self._shot_s, 1e-6)), len(self._indices)))
         return [self._indices.popleft() for _ in range(size) if self._indices]
 
     def took(self, shots: int, duration_s: float) -> None:
@@ -238,7 +240,7 @@ def by_cluster(work: Work, indices: Iterable[int], scheduler: str | None, schedu
         except TimeoutError:
             raise DeviceError(place, f"has no workers after {WORKERS_S} s", "start dask workers") from None
         _require_same_software(client.run(software), software())
-        yield from _submitted(client, work, _Chunks(indices))
+        yield from _submitted(client, work, _Chunks(indices, CLUSTER_CHUNK_S))
     except (distributed.CancelledError, distributed.comm.core.CommClosedError, OSError, TimeoutError) as error:
         found = f"the cluster has disappeared ({type(error).__name__})"
         raise DeviceError(place, found, "finished shots are kept; start it again and repeat the command") from error

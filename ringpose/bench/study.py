@@ -7,6 +7,7 @@ but the study and its index.
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from math import isfinite
 from time import perf_counter
 from typing import Any, NamedTuple
 
@@ -196,7 +197,8 @@ def _rows(study: Study, index: int, shot: StudyShot) -> Iterator[Row]:
         estimate = replace(estimate_of(line, shot.truth.shot), shot=shot.truth.shot, method=method.value)
         scored = score(shot.truth, estimate, method.value, rig.camera)
         bound = bounds[method in WITH_RADII]
-        yield {**empty, **common, **_scored(scored, estimate, shot.truth, line), **_bound(bound), "pose_s": pose_s}
+        row = {**empty, **common, **_scored(scored, estimate, shot.truth, line), **_bound(bound), "pose_s": pose_s}
+        yield {name: None if isinstance(value, float) and not isfinite(value) else value for name, value in row.items()}
 
 
 def measured_line(detection: Detection, rig: Rig, method: StudyMethod, radii: KnownRadii) -> PoseLine:

@@ -213,6 +213,7 @@ def test_a_report_has_every_section_and_stands_alone(folder):
         ("methods:", "limits: {max_center: 1}\nmethods:", "max_center"),
         ("methods:", "table: hue\nmethods:", "hue"),
         ("level: features", "level: images\ncalibrate: 1", "calibrate"),
+        ("level: features", "level: features\ncalibrate: true", "calibrate"),
         ("vary: {", "vary: {speed_sd_m_s: 0.1, ", "features"),
     ],
 )

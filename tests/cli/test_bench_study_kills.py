@@ -86,3 +86,22 @@ def test_twenty_kills_of_the_command_and_its_workers_change_nothing(folder, rng)
     assert sum(kills.values()) == KILLS
     assert min(kills.values()) > 3
     assert rows_in(folder / "out") == rows_in(folder / "whole")
+
+
+@pytest.mark.slow
+def test_after_a_full_disk_the_finished_shots_are_valid_and_the_study_goes_on(folder):
+    program = (
+        "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (9000, 9000));"
+        "from ringpose.cli.main import run; run()"
+    )
+    words = ["bench", "study", "study.yaml", "--quiet", "--jobs", "1", "--count", "8", "--output"]
+    full = subprocess.run([sys.executable, "-c", program, *words, "out"], capture_output=True, text=True)
+    parts = len(list((folder / "out" / "parts").glob("*.jsonl")))
+    for output in ("out", "whole"):
+        with started(output, "--jobs", "1", "--count", "8") as process:
+            assert process.wait() == 0
+
+    assert full.returncode == 74, full.stderr
+    assert "free space" in full.stderr
+    assert parts > 0
+    assert rows_in(folder / "out") == rows_in(folder / "whole")

@@ -197,6 +197,8 @@ def _check(fields: Fields, study: Study) -> None:
             raise fields.problem("vary.rig_errors", "needs the rig's covariance, and the scene's rig has none", remedy)
         if factor.name == "radius_outer_m":
             _check_radii(fields, factor, study.scene)
+    if study.calibrate and study.level == "features":
+        raise fields.problem("calibrate", "needs images", "give level: images")
     if study.calibrate and (study.scene.camera_boards is None or study.scene.plane_boards is None):
         raise fields.problem("calibrate", "needs board views, and the scene has none", "add boards to the scene")
 
