@@ -320,6 +320,7 @@ def _nees(summary: StudySummary) -> Picture:
         axis.axhline(1.0, color="black", linewidth=0.7)
         keys, _ = _wide(summary, summary.methods[0])
         axis.set_xticks(range(len(keys)), [value_text(summary.table, key[0]) if key else "all" for key in keys])
+        axis.set_xlabel(drawn(summary.table))
         axis.set_yscale("log")
         axis.set_title(
             f"NEES of the {name.partition('_')[0].replace('center', 'centre')}, by degree of freedom", fontsize=10
@@ -329,7 +330,10 @@ def _nees(summary: StudySummary) -> Picture:
     shown = [method for method in summary.methods if "center_nees" in summary.all(method).values]
     handles = [Line2D([], [], marker="o", linestyle="", color=_color(summary.methods, method)) for method in shown]
     figure.legend(handles, list(map(drawn, shown)), loc="outside upper center", ncols=6, fontsize=8)
-    caption = "Mean NEES; grey: 99 % band of a correct covariance. Above: too small a covariance; below: too large."
+    caption = (
+        "Mean NEES of all poses, also flagged ones; grey: 99 % band of a correct covariance. Above: too small a "
+        "covariance; below: too large."
+    )
     return Picture(png=png_of(figure), caption=caption)
 
 
