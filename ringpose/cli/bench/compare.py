@@ -112,7 +112,7 @@ def _read(name: str, truths: list[Path] | None, rig: Path | None, batch: "Batch"
 
 def _read_study(name: str) -> _Result:
     """Results of a study; its hash stands for the truth, as the same study has the same shots."""
-    from ringpose.bench.study_table import scores_of
+    from ringpose.bench.study.table import scores_of
     from ringpose.errors import DataError
     from ringpose.files.studies.results import read_results
 

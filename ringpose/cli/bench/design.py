@@ -10,7 +10,7 @@ from ringpose.cli.options import CsvFile, Force, Quiet, Report, finite
 from ringpose.types.options import Minimized
 
 if TYPE_CHECKING:
-    from ringpose.bench.design import Design
+    from ringpose.bench.design.maps import Design
     from ringpose.types.pose import RigStability
     from ringpose.types.scene import Scene
 
@@ -83,7 +83,7 @@ def design(
     """Map the accuracy that a rig allows (Cramer-Rao bounds), and find the best of a sweep."""
     from math import radians
 
-    from ringpose.bench.design import best, csv_rows, design_rows, designs, places, summary_lines
+    from ringpose.bench.design.maps import best, csv_rows, design_rows, designs, places, summary_lines
     from ringpose.bench.table import aligned
     from ringpose.cli.batch import Batch
     from ringpose.cli.options import STDOUT
@@ -123,7 +123,7 @@ def design(
 
         write_rig(output, chosen.rig, force=force, inputs=[rig])
     if report is not None:
-        from ringpose.bench.design_report import design_report
+        from ringpose.bench.design.report import design_report
         from ringpose.files.io import provenance, write_page
 
         write_page(report, design_report(found, chosen, QUANTITY[minimize], provenance([rig])), force=force)
@@ -150,7 +150,7 @@ def _choice(chosen: "Design | None", minimize: Minimized, min_coverage: float) -
 
 def _sweep(words: list[str]) -> dict[str, list[float]]:
     """Names and values of --vary."""
-    from ringpose.bench.design import SWEPT
+    from ringpose.bench.design.maps import SWEPT
     from ringpose.errors import UsageError
     from ringpose.files.schema import hint
 
@@ -223,7 +223,7 @@ def _scene(rig: Path, scene: Path | None, radius_inner_m: float | None, radius_o
 
 
 def _stability(factor: float) -> "RigStability":
-    from ringpose.bench.design import USUAL_STABILITY
+    from ringpose.bench.design.maps import USUAL_STABILITY
     from ringpose.types.pose import RigStability
 
     return RigStability(

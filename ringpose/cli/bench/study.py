@@ -11,8 +11,8 @@ import typer
 from ringpose.cli.options import Force, Quiet, Report
 
 if TYPE_CHECKING:
-    from ringpose.bench.executors import Done
-    from ringpose.bench.study_table import StudySummary
+    from ringpose.bench.study.executors import Done
+    from ringpose.bench.study.table import StudySummary
     from ringpose.files.studies.results import ResultFolder
     from ringpose.files.studies.specification import StudyFile
     from ringpose.report.page import Picture
@@ -70,7 +70,7 @@ def study(
     quiet: Quiet = False,
 ) -> None:
     """Simulate, measure and score the shots of a study; resumes a study that was interrupted."""
-    from ringpose.bench.study_table import exceeded_limits, study_text, summarized
+    from ringpose.bench.study.table import exceeded_limits, study_text, summarized
     from ringpose.cli import messages
     from ringpose.cli.batch import Batch
     from ringpose.errors import NO_POSE, UsageError
@@ -138,7 +138,7 @@ def _metadata(read: "StudyFile") -> dict[str, Any]:
     import shlex
     from datetime import UTC, datetime
 
-    from ringpose.bench.executors import software
+    from ringpose.bench.study.executors import software
 
     return {
         "ringpose": "study_results/1",
@@ -167,8 +167,8 @@ def _prepared(study: "Study", rig_file: Path, jobs: int) -> "Study":
     if not study.calibrate:
         return study
     if not rig_file.exists():
-        from ringpose.bench.calibrated_rig import calibrated_rig
-        from ringpose.bench.executors import cores
+        from ringpose.bench.study.calibrated_rig import calibrated_rig
+        from ringpose.bench.study.executors import cores
 
         write_rig(rig_file, calibrated_rig(study.scene, jobs or cores()))
     return replace(study, rig=read_rig(rig_file))
@@ -193,8 +193,8 @@ def _compute(
     """Compute the missing shots and write them as they are finished; what is finished survives an interrupt."""
     from functools import partial
 
-    from ringpose.bench import executors
-    from ringpose.bench.study import failed_rows, study_rows
+    from ringpose.bench.study import executors
+    from ringpose.bench.study.shots import failed_rows, study_rows
 
     if not missing:
         return
@@ -258,7 +258,7 @@ def _write_report(
     *,
     force: bool,
 ) -> None:
-    from ringpose.bench.study_report import study_report
+    from ringpose.bench.study.report import study_report
     from ringpose.files.io import write_page
 
     overlays = list(_overlays(study, folder)) if study.level == "images" else []
@@ -269,8 +269,8 @@ def _overlays(study: "Study", folder: "ResultFolder") -> "Iterator[Picture]":
     """The shots with the largest errors, computed again, with what was detected in them."""
     import cv2
 
-    from ringpose.bench.study import setting_of, study_shot
-    from ringpose.bench.study_table import worst_shots
+    from ringpose.bench.study.shots import setting_of, study_shot
+    from ringpose.bench.study.table import worst_shots
     from ringpose.detect.overlay import overlay
     from ringpose.detect.pipeline import detect
     from ringpose.report.page import Picture
@@ -293,8 +293,8 @@ def _overlays(study: "Study", folder: "ResultFolder") -> "Iterator[Picture]":
 
 def _write_worst(study: "Study", folder: "ResultFolder", count: int) -> None:
     """The shots with the largest errors, computed again, with their truth: a data set for `ringpose bench`."""
-    from ringpose.bench.study import setting_of, study_shot
-    from ringpose.bench.study_table import worst_shots
+    from ringpose.bench.study.shots import setting_of, study_shot
+    from ringpose.bench.study.table import worst_shots
     from ringpose.files.images.simulations import SimulationFolder
     from ringpose.types.image import Shot
     from ringpose.types.study import StudyMethod

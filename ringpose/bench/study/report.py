@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from ringpose.bench.study_table import (
+from ringpose.bench.study.table import (
     HEADINGS,
     PAPER_ROWS,
     Key,

@@ -10,7 +10,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter
 
-from ringpose.bench.design import Design, design_rows, summary_lines
+from ringpose.bench.design.maps import Design, design_rows, summary_lines
 from ringpose.report.figures import canvas, drawn, png_of
 from ringpose.report.page import Picture, Section, Table, page
 from ringpose.types.arrays import Array, Float64

@@ -3,7 +3,7 @@
 import pytest
 from study_work import FATAL, dying_once, square, square_or_die
 
-from ringpose.bench.executors import by_processes, here, software
+from ringpose.bench.study.executors import by_processes, here, software
 
 
 def test_processes_compute_every_shot_once():

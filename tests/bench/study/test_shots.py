@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringpose.bench.study import scene_of, setting_of, study_rows
-from ringpose.bench.study_table import exceeded_limits, study_text, summarized, worst_shots
+from ringpose.bench.study.shots import scene_of, setting_of, study_rows
+from ringpose.bench.study.table import exceeded_limits, study_text, summarized, worst_shots
 from ringpose.files.scenes import read_scene
 from ringpose.types.study import TIMES, Factor, Study, StudyMethod, columns
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "scene.yaml"
+EXAMPLE = Path(__file__).parents[3] / "examples" / "scene.yaml"
 
 
 @pytest.fixture(scope="module")

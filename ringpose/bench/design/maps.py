@@ -11,8 +11,8 @@ from math import degrees, inf, nan, radians
 
 import numpy as np
 
-from ringpose.bench.bounds import Bound, cramer_rao, with_stability
-from ringpose.bench.rig_changes import (
+from ringpose.bench.design.bounds import Bound, cramer_rao, with_stability
+from ringpose.bench.design.rig_changes import (
     elevations_rad,
     with_baseline,
     with_focal_length,
@@ -248,7 +248,7 @@ HEADINGS = ("distance", "in view", "center mm", "normal deg", "r_out mm", "grasp
 
 def design_rows(found: Sequence[Design]) -> list[list[str]]:
     """A row for each design and distance: medians over the places."""
-    from ringpose.bench.study_table import number
+    from ringpose.bench.study.table import number
 
     rows = [["rig", *HEADINGS]]
     for design in found:

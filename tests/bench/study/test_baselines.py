@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from ring_scenes import RIGS, make_scene, pixels_of
 
-from ringpose.bench.baselines import BASELINES, circle_poses
+from ringpose.bench.study.baselines import BASELINES, circle_poses
 from ringpose.types.detection import Detection, NoBreakPoints, RingEdgePoints
 from ringpose.types.pose import NoPose, RingPose
 from ringpose.types.ring import KnownRadii

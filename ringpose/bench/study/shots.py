@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ringpose.bench.baselines import BASELINES
-from ringpose.bench.bounds import Bound, cramer_rao
-from ringpose.bench.rig_changes import with_laser_angle
+from ringpose.bench.design.bounds import Bound, cramer_rao
+from ringpose.bench.design.rig_changes import with_laser_angle
 from ringpose.bench.score import Judgement, PoseEstimate, Score, estimate_of, score
+from ringpose.bench.study.baselines import BASELINES
 from ringpose.detect.pipeline import detect
 from ringpose.errors import DataError
 from ringpose.estimate.covariance import standard_deviation

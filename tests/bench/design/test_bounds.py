@@ -5,7 +5,7 @@ import pytest
 from pose.test_bound import LINE_PX, POINT_PX, RADIUS_SD_M, center_by_parameters, information
 from ring_scenes import face_points_of, make_scene
 
-from ringpose.bench.bounds import cramer_rao, with_stability
+from ringpose.bench.design.bounds import cramer_rao, with_stability
 from ringpose.pose.pipeline import pose_result
 from ringpose.types.pose import RigStability
 from ringpose.types.ring import KnownRadii

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from ringpose.bench.bounds import with_stability
-from ringpose.bench.design import (
+from ringpose.bench.design.bounds import with_stability
+from ringpose.bench.design.maps import (
     USUAL_STABILITY,
     Place,
     best,
@@ -24,7 +24,7 @@ from ringpose.pose.record import pose_line
 from ringpose.simulate.features import Deviations, drawn_features
 from ringpose.types.pose import RigStability
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "scene.yaml"
+EXAMPLE = Path(__file__).parents[3] / "examples" / "scene.yaml"
 STILL = RigStability()
 
 
