@@ -170,3 +170,11 @@ def _number(errors: ErrorStatistics | None, factor: float, part: Callable[[Error
         return "0"
     digits = max(0, 2 - math.floor(math.log10(value)))
     return f"{value:.{digits}f}"
+
+
+def number(value: float) -> str:
+    """Three significant digits without an exponent; `-` for NaN."""
+    if not math.isfinite(value):
+        return ABSENT
+    digits = 2 - math.floor(math.log10(abs(value))) if value else 0
+    return f"{value:.{min(max(digits, 0), 6)}f}"

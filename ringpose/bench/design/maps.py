@@ -19,6 +19,7 @@ from ringpose.bench.design.rig_changes import (
     with_laser_angle,
     with_lasers,
 )
+from ringpose.bench.table import number
 from ringpose.estimate.covariance import standard_deviation
 from ringpose.geometry.rotations import facing_normal
 from ringpose.pose.record import RADIUS_SD_M, pose_line
@@ -248,8 +249,6 @@ HEADINGS = ("distance", "in view", "center mm", "normal deg", "r_out mm", "grasp
 
 def design_rows(found: Sequence[Design]) -> list[list[str]]:
     """A row for each design and distance: medians over the places."""
-    from ringpose.bench.study.table import number
-
     rows = [["rig", *HEADINGS]]
     for design in found:
         for distance_m in sorted({result.place.distance_m for result in design.results}):
@@ -284,7 +283,7 @@ def summary_lines(found: Sequence[Design]) -> list[str]:
             for size, length in zip((camera.image_width, camera.image_height), focal, strict=True)
         ]
         seen = "never" if range_m is None else f"from {1e3 * range_m[0]:.0f} to {1e3 * range_m[1]:.0f} mm"
-        angles = ", ".join(f"{round(degrees(each), 2):g}" for each in elevations_rad(design.rig.lasers))
+        angles = ", ".join(f"{round(degrees(each), 2) + 0.0:g}" for each in elevations_rad(design.rig.lasers))
         lines.append(
             f"{design.name}: field of view {view[0]:.1f} x {view[1]:.1f} deg, light planes at {angles} deg; "
             f"all stripes in view {seen}; assignment ambiguous at {100 * design.share('ambiguous'):.0f} % of the places"

@@ -14,6 +14,7 @@ from ringpose.bench.design.maps import Design, design_rows, summary_lines
 from ringpose.report.figures import canvas, drawn, png_of
 from ringpose.report.page import Picture, Section, Table, page
 from ringpose.types.arrays import Array, Float64
+from ringpose.types.rig import Rig
 
 MAX_MAPS = 12
 """Maximum number of rigs of which maps are drawn: the best ones and the references."""
@@ -174,21 +175,26 @@ def _sketches(shown: Sequence[Design]) -> Picture:
     figure = canvas(11, 0.6 + 2.2 * rows)
     axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
     for axis, design in zip(axes, shown, strict=False):
-        farthest_m = max(result.place.distance_m for result in design.results)
-        z = np.array([0.0, 1.1 * farthest_m])
-        camera, lasers = design.rig.camera, design.rig.lasers
-        above = camera.camera_matrix[1, 2] / camera.camera_matrix[1, 1]
-        below = (camera.image_height - 1 - camera.camera_matrix[1, 2]) / camera.camera_matrix[1, 1]
-        axis.fill_between(1e3 * z, 1e3 * -above * z, 1e3 * below * z, color="0.9", label="field of view")
-        for number, (normal, distance_m) in enumerate(zip(lasers.normal, lasers.distance_m, strict=True)):
-            start_m = max(float(lasers.projector_m[number, 2]), 0.0)
-            along = np.array([start_m, z[1]])
-            axis.plot(1e3 * along, 1e3 * (distance_m - normal[2] * along) / normal[1], linewidth=1)
+        draw_side_view(axis, design.rig, max(result.place.distance_m for result in design.results))
         axis.set_title(_name(design), fontsize=9)
-        axis.invert_yaxis() if not axis.yaxis_inverted() else None
         axis.tick_params(labelsize=8)
     for axis in axes[len(shown) :]:
         axis.set_visible(False)
     figure.supxlabel("distance z (mm)", fontsize=9)
     figure.supylabel("y (mm), down", fontsize=9)
     return Picture(png=png_of(figure), caption="Side view of the rigs: field of view (grey) and light planes.")
+
+
+def draw_side_view(axis: Axes, rig: Rig, farthest_m: float) -> None:
+    """The field of view and the light planes of a rig, up to a little beyond a distance; y points down."""
+    z = np.array([0.0, 1.1 * farthest_m])
+    camera, lasers = rig.camera, rig.lasers
+    above = camera.camera_matrix[1, 2] / camera.camera_matrix[1, 1]
+    below = (camera.image_height - 1 - camera.camera_matrix[1, 2]) / camera.camera_matrix[1, 1]
+    axis.fill_between(1e3 * z, -1e3 * above * z, 1e3 * below * z, color="0.92", label="field of view")
+    for laser, name in enumerate(lasers.names):
+        along = np.array([max(float(np.nan_to_num(lasers.projector_m[laser, 2])), 0.0), z[1]])
+        heights = (lasers.distance_m[laser] - lasers.normal[laser, 2] * along) / lasers.normal[laser, 1]
+        axis.plot(1e3 * along, 1e3 * heights, linewidth=1.2, label=f"light plane {drawn(name)}")
+    if not axis.yaxis_inverted():  # shared axes are inverted once
+        axis.invert_yaxis()

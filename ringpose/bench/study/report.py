@@ -9,17 +9,18 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
+from ringpose.bench.design.report import draw_side_view
 from ringpose.bench.study.table import (
     HEADINGS,
     PAPER_ROWS,
     Key,
     Statistics,
     StudySummary,
-    number,
     sorted_keys,
     statistics_cells,
     value_text,
 )
+from ringpose.bench.table import number
 from ringpose.report.figures import canvas, drawn, png_of
 from ringpose.report.page import Picture, Section, Table, page
 from ringpose.types.study import Row, Study
@@ -119,25 +120,14 @@ def _color(summary_methods: Sequence[str], method: str) -> str:
 
 def _sketch(study: Study, columns: Mapping[str, Mapping[str, np.ndarray]]) -> Picture:
     """Side view of the rig, and how far the rings are."""
-    rig = study.scene.rig
     distances = next(iter(columns.values()))["distance_m"]
-    farthest_m = float(np.nanmax(distances))
-    z = np.array([0.0, 1.1 * farthest_m])
-    camera, lasers = rig.camera, rig.lasers
-    above = camera.camera_matrix[1, 2] / camera.camera_matrix[1, 1]
-    below = (camera.image_height - 1 - camera.camera_matrix[1, 2]) / camera.camera_matrix[1, 1]
     figure = canvas(10, 3.6)
     axis = figure.subplots()
-    axis.fill_between(1e3 * z, -1e3 * above * z, 1e3 * below * z, color="0.92", label="field of view")
-    for laser, name in enumerate(lasers.names):
-        along = np.array([max(float(lasers.projector_m[laser, 2]), 0.0), z[1]])
-        heights = (lasers.distance_m[laser] - lasers.normal[laser, 2] * along) / lasers.normal[laser, 1]
-        axis.plot(1e3 * along, 1e3 * heights, linewidth=1.2, label=f"light plane {drawn(name)}")
+    draw_side_view(axis, study.scene.rig, float(np.nanmax(distances)))
     for distance_m in np.unique(distances)[:: max(1, len(np.unique(distances)) // 12)]:
         axis.axvline(1e3 * float(distance_m), color="0.5", linestyle=":", linewidth=0.9)
     axis.plot([], [], color="0.5", linestyle=":", label="ring's face")
     axis.plot([0], [0], "k>", markersize=9, label="camera")
-    axis.invert_yaxis()
     axis.set_xlabel("distance z (mm)")
     axis.set_ylabel("y (mm), down")
     axis.legend(fontsize=8, ncols=3, loc="lower left")

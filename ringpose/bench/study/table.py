@@ -10,7 +10,7 @@ import numpy as np
 
 from ringpose.bench.score import QUANTITIES, Judgement, Outcome, Score
 from ringpose.bench.summary import ABSENT
-from ringpose.bench.table import aligned
+from ringpose.bench.table import aligned, number
 from ringpose.types.study import ERRORS, LIMITS, SIGMAS, Row, Study, Value
 
 BOUND_OF = {
@@ -292,14 +292,6 @@ def value_text(name: str, value: Value) -> str:
     if name.endswith("_m"):
         return f"{1e3 * value:g} mm"
     return f"{degrees(value):.4g} deg" if name.endswith("_rad") else f"{value:g}"
-
-
-def number(value: float) -> str:
-    """Three significant digits without an exponent; `-` for NaN."""
-    if not np.isfinite(value):
-        return ABSENT
-    digits = 2 - int(np.floor(np.log10(abs(value)))) if value else 0
-    return f"{value:.{min(max(digits, 0), 6)}f}"
 
 
 def _percent(part: int, whole: int) -> str:
