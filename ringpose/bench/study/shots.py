@@ -5,7 +5,7 @@ but the study and its index.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from math import isfinite
 from time import perf_counter
@@ -111,7 +111,7 @@ def study_shot(study: Study, index: int, setting: Mapping[str, Value]) -> StudyS
         taken_by = scene
         if deviations.rig_errors:
             taken_by = replace(scene, rig=drawn_rig(scene.rig, np.random.default_rng([_RIG, study.seed, index])))
-        source, truth = simulated_shot(taken_by, ring_views(taken_by), 0)
+        source, truth = simulated_shot(taken_by, taken_by.views, 0)
     measured_by = scene if study.rig is None else replace(scene, rig=study.rig)
     return StudyShot(setting, measured_by, source, truth, perf_counter() - start_s)
 
@@ -145,7 +145,9 @@ def scene_of(study: Study, index: int, setting: Mapping[str, Value]) -> Scene:
         name=f"s{index:06d}_z",
         **{name: numbers[name] for name in ("tilt_rad", "clock_rad", "offset") if name in setting},
     )
-    return replace(scene, seed=seed, views=(), approaches=(approach,), camera_boards=None, plane_boards=None)
+    scene = replace(scene, seed=seed, views=(), approaches=(approach,), camera_boards=None, plane_boards=None)
+    # as a view of its own, whose appearance is then computed once for the shot and its bound
+    return replace(scene, views=ring_views(scene), approaches=())
 
 
 def _enlarged(ring: RingShape, radius_outer_m: float) -> RingShape:
@@ -177,7 +179,7 @@ def _rows(study: Study, index: int, shot: StudyShot) -> Iterator[Row]:
     radii = _radii(
         shot.scene, RADIUS_SD_M * float(np.random.default_rng([_RADII, study.seed, index]).standard_normal())
     )
-    bounds = bounds_of(shot.scene)
+    bounds = bounds_of(shot.scene, {method in WITH_RADII for method in study.methods})
     points = detection.break_points
     common: Row = {
         "shot": index,
@@ -214,15 +216,14 @@ def measured_line(detection: Detection, rig: Rig, method: StudyMethod, radii: Kn
     )
 
 
-def bounds_of(scene: Scene) -> tuple[Bound | None, Bound | None]:
-    """Cramér-Rao bounds of the scene's view, radii unknown and known; None where the ring is not determined.
+def bounds_of(scene: Scene, with_radii: Iterable[bool]) -> dict[bool, Bound | None]:
+    """Cramér-Rao bounds of the scene's view without and with known radii; None where the ring is not determined.
 
     They are those of the break points and edges that an image of this scene shows, without motion.
     """
     exact = next(drawn_features(scene, Deviations(noise=False), 1)).detection
-    lines = (pose_line(exact, scene.rig, known=known) for known in (None, _radii(scene)))
-    unknown, known = (cramer_rao(line, scene.rig) for line in lines)
-    return unknown, known
+    radii = {False: None, True: _radii(scene)}
+    return {known: cramer_rao(pose_line(exact, scene.rig, known=radii[known]), scene.rig) for known in with_radii}
 
 
 def _radii(scene: Scene, error_m: float = 0.0) -> KnownRadii:
