@@ -1,45 +1,83 @@
-"""What poses assume about motion, the ring's form and the rig: results are compared only if they assume the same."""
+"""What poses assume about motion, ring and rig: results are compared only if they assume the same."""
 
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
-from typing import Any
+from dataclasses import asdict, dataclass
+from math import isfinite
+from typing import Any, Literal
 
 from ringpose.types.assumptions import Assumptions, RigStability
 from ringpose.types.options import Method
-from ringpose.types.pose import PoseFlag, PoseLine
+from ringpose.types.pose import PoseFlag, PoseLine, RadiusPrior
 
 
-def assumptions_of(line: PoseLine) -> Assumptions | None:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AssumedRadii:
+    """Radii that a pose takes as known: given ones, or those of a catalogue's ring, which each shot chooses."""
+
+    source: Literal["given", "catalogue"]
+    inner_m: float | None = None
+    outer_m: float | None = None
+    """Given radii; None for an edge without one."""
+    sd_m: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StatedAssumptions(Assumptions):
+    """The assumptions of a pose record, among them those about the radii."""
+
+    radii: AssumedRadii | None = None
+    """None if the radii are unknown."""
+
+
+def assumptions_of(line: PoseLine) -> StatedAssumptions | None:
     """Assumptions of a pose line; None if it cannot be compared with others by them.
 
     These are lines without a pose, closed forms, which have no assumptions to choose, and shots that only wider
     assumptions than the chosen ones explain. A pose without priors, as in records of version 1, counts as one of a
-    still and perfect ring by an unchanged rig.
+    still and perfect ring of unknown radius by an unchanged rig.
     """
-    closed_form = line.pose is None or line.pose.method != Method.ML
-    if closed_form or line.flags & (PoseFlag.MOTION | PoseFlag.RING_FORM):
+    if line.pose is None or line.pose.method != Method.ML or line.flags & (PoseFlag.MOTION | PoseFlag.RING_FORM):
         return None
-    return Assumptions() if line.priors is None else line.priors.assumptions
+    if line.priors is None:
+        return StatedAssumptions()
+    assumed = line.priors.assumptions
+    return StatedAssumptions(
+        motion=assumed.motion,
+        radii=_assumed_radii(line.priors.radius, catalogue=line.pose.ring_posterior is not None),
+        ring_tolerance_m=assumed.ring_tolerance_m,
+        stability=assumed.stability,
+    )
 
 
-def counted(assumptions: Iterable[Assumptions | None]) -> list[tuple[Assumptions, int]]:
+def _assumed_radii(prior: RadiusPrior | None, *, catalogue: bool) -> AssumedRadii | None:
+    """A catalogue counts as one assumption, whichever of its rings a shot is found to show."""
+    if catalogue or (prior is not None and prior.source != "given"):
+        return AssumedRadii(source="catalogue")
+    if prior is None:
+        return None
+    inner_m, outer_m = (radius_m if isfinite(radius_m) else None for radius_m in (prior.inner_m, prior.outer_m))
+    return AssumedRadii(source="given", inner_m=inner_m, outer_m=outer_m, sd_m=prior.sd_m)
+
+
+def counted(assumptions: Iterable[StatedAssumptions | None]) -> list[tuple[StatedAssumptions, int]]:
     """The different assumptions in the order of their first occurrence, each with the number of shots."""
     return list(Counter(each for each in assumptions if each is not None).items())
 
 
-def assumptions_record(assumptions: Assumptions) -> dict[str, Any]:
+def assumptions_record(assumptions: StatedAssumptions) -> dict[str, Any]:
     """The assumptions with the keys of `priors` in a pose record."""
     motion = assumptions.motion
     return {
         "motion": "still" if motion is None else asdict(motion),
+        "radii": None if assumptions.radii is None else asdict(assumptions.radii),
         "ring_tolerance_m": assumptions.ring_tolerance_m,
         "stability": asdict(assumptions.stability),
     }
 
 
-def assumptions_text(assumptions: Assumptions) -> str:
+def assumptions_text(assumptions: StatedAssumptions) -> str:
     """The assumptions in one line."""
     motion, stability = assumptions.motion, assumptions.stability
     moving = (
@@ -52,10 +90,21 @@ def assumptions_text(assumptions: Assumptions) -> str:
         f"focal ratio {stability.focal_ratio:g}"
     )
     rig = "stable rig" if stability == RigStability() else f"rig stability {drift}"
-    return f"{moving}, ring tolerance {1e3 * assumptions.ring_tolerance_m:g} mm, {rig}"
+    return (
+        f"{moving}, {_radii_text(assumptions.radii)}, ring tolerance {1e3 * assumptions.ring_tolerance_m:g} mm, {rig}"
+    )
 
 
-def assumption_lines(assumptions: Sequence[Assumptions | None]) -> list[str]:
+def _radii_text(radii: AssumedRadii | None) -> str:
+    if radii is None:
+        return "radii unknown"
+    if radii.source == "catalogue":
+        return "radii of a catalogue"
+    given = "/".join("-" if radius_m is None else f"{1e3 * radius_m:g}" for radius_m in (radii.inner_m, radii.outer_m))
+    return f"radii {given} mm" + ("" if radii.sd_m is None else f" (1 sd {1e3 * radii.sd_m:g} mm)")
+
+
+def assumption_lines(assumptions: Sequence[StatedAssumptions | None]) -> list[str]:
     """A line for each of the different assumptions of some shots."""
     found = counted(assumptions)
     return [

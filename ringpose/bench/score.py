@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from ringpose.bench.assumptions import assumptions_of
+from ringpose.bench.assumptions import StatedAssumptions, assumptions_of
 from ringpose.errors import DataError
 from ringpose.estimate.pose_errors import (
     circle_error,
@@ -23,7 +23,6 @@ from ringpose.estimate.pose_errors import (
 )
 from ringpose.geometry.rotations import angle_between, tilt_basis
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.assumptions import Assumptions
 from ringpose.types.camera import Camera
 from ringpose.types.options import PoseFrame
 from ringpose.types.pose import PoseFlag, PoseLine, RingPose, RingVelocity, Status
@@ -93,7 +92,7 @@ class PoseEstimate:
     shot_stamp_s: float = math.nan
     """That of the shot."""
     velocity: RingVelocity | None = None
-    assumptions: Assumptions | None = None
+    assumptions: StatedAssumptions | None = None
     """None if nothing was estimated."""
     latency_s: float = math.nan
     rig: str = ""
@@ -152,7 +151,7 @@ class Score:
     gross: tuple[str, ...] = ()
     """Wrong quantities that cannot be explained by chance: beyond `GROSS_SIGMAS`, a grasp point off the rim or outside
     the arc, a pose where there is no ring."""
-    assumptions: Assumptions | None = None
+    assumptions: StatedAssumptions | None = None
     latency_s: float | None = None
     rig: str = ""
 

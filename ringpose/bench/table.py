@@ -3,10 +3,9 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 
-from ringpose.bench.assumptions import assumption_lines
+from ringpose.bench.assumptions import StatedAssumptions, assumption_lines
 from ringpose.bench.score import JUDGED, Judgement, Matching, Outcome
 from ringpose.bench.summary import ABSENT, ErrorStatistics, Summary
-from ringpose.types.assumptions import Assumptions
 
 OUTCOMES = {
     Outcome.OK: "ok",
@@ -48,7 +47,7 @@ def table(
     summaries: Sequence[Summary],
     by: Sequence[str],
     matched: Matching | None = None,
-    assumptions: Sequence[Assumptions | None] = (),
+    assumptions: Sequence[StatedAssumptions | None] = (),
 ) -> str:
     """Tables of outcomes, RMSE and NEES, median and maximum errors, and wrong quantities.
 
@@ -171,3 +170,11 @@ def _number(errors: ErrorStatistics | None, factor: float, part: Callable[[Error
         return "0"
     digits = max(0, 2 - math.floor(math.log10(value)))
     return f"{value:.{digits}f}"
+
+
+def number(value: float) -> str:
+    """Three significant digits without an exponent; `-` for NaN."""
+    if not math.isfinite(value):
+        return ABSENT
+    digits = 2 - math.floor(math.log10(abs(value))) if value else 0
+    return f"{value:.{min(max(digits, 0), 6)}f}"

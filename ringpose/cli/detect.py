@@ -13,10 +13,14 @@ from ringpose.cli.assumption_options import (
     Still,
     assumption_options,
 )
+from ringpose.cli.batch import Jobs
 from ringpose.cli.options import Force, ImageChannel, Inputs, OptionalRigFile, Overlay, Quiet, Verbose
 from ringpose.types.options import SegmentMethod, StripeSource
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from ringpose.files.inputs import Input
     from ringpose.types.arrays import Array, UInt8
     from ringpose.types.assumptions import AssumptionOptions
     from ringpose.types.detection import Detection
@@ -57,6 +61,7 @@ def detect(
     ring_tolerance: RingTolerance = None,
     rig_stability: RigStabilityFactor = 1.0,
     full: Full = False,
+    jobs: Jobs = 1,
     channel: ImageChannel = None,
     force: Force = False,
     verbose: Verbose = False,
@@ -68,28 +73,24 @@ def detect(
     from ringpose.cli.overlays import OverlayFolder
     from ringpose.cli.progress import with_progress
     from ringpose.errors import NO_POSE, UsageError
-    from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot
+    from ringpose.files.images.shots import SHOT_SUFFIXES
     from ringpose.files.inputs import inputs as named
     from ringpose.files.records.detections import DetectionSink
     from ringpose.files.rigs import read_rig
-    from ringpose.files.sources import path_of_input
 
     if rig is None and not segments_only:
         raise UsageError("", "--rig is missing", "give --rig FILE, or --segments-only for any image")
     options = assumption_options(still, max_speed, max_rate, ring_tolerance, rig_stability)
+    if track and jobs > 1:
+        raise UsageError("--jobs", "is of no use with --track", "each shot needs the result of the previous one")
     loaded_rig = None if rig is None else read_rig(rig)
     sink = DetectionSink(output, rig=rig, full=full or segments_only, force=force)
     overlays = None if overlay is None else OverlayFolder(overlay, force=force)
-    batch, previous = Batch(), None
-    for item in with_progress(batch.valid_inputs(named(inputs, SHOT_SUFFIXES)), "shots", quiet):
+    batch = Batch()
+    work = DetectInput(None if segments_only else loaded_rig, loaded_rig, channel, method, stripes, track, options)
+    found = batch.results(work, named(inputs, SHOT_SUFFIXES), jobs)
+    for path, shot, detection in with_progress(found, "shots", quiet):
         with batch.guarded():
-            path = path_of_input(item)
-            shot = read_shot(path, channel, loaded_rig)
-            if segments_only or loaded_rig is None:
-                detection = segments_of(shot, method)
-            else:
-                detection = detection_of(shot, loaded_rig, stripes, previous, options)
-            previous = detection if track and detection.found else None
             if overlays is not None:  # first, so that all files exist when the detection's name is printed
                 overlays.write(shot.name, detection_overlay(shot, detection))
             sink.write(detection, path)
@@ -105,6 +106,38 @@ def detection_overlay(shot: "Shot", detection: "Detection") -> "UInt8[Array, 'ro
     from ringpose.report.overlay import overlay, picture_of  # not needed without --overlay
 
     return overlay(picture_of(shot), detection)
+
+
+class DetectInput:
+    """Path, shot and detection of an input; with `track` the search starts near the points of the previous one."""
+
+    def __init__(
+        self,
+        rig: "Rig | None",
+        rig_of_shots: "Rig | None",
+        channel: str | None,
+        method: SegmentMethod,
+        stripes: StripeSource,
+        track: bool,
+        options: "AssumptionOptions",
+    ) -> None:
+        """Without `rig` only segments are searched for; the shots must fit `rig_of_shots` if there is one."""
+        self.rig, self.rig_of_shots, self.channel = rig, rig_of_shots, channel
+        self.method, self.stripes, self.track, self.options = method, stripes, track, options
+        self.previous: Detection | None = None
+
+    def __call__(self, item: "Input") -> "tuple[Path, Shot, Detection]":
+        """Read and search one input."""
+        from ringpose.files.images.shots import read_shot
+        from ringpose.files.sources import path_of_input
+
+        path = path_of_input(item)
+        shot = read_shot(path, self.channel, self.rig_of_shots)
+        if self.rig is None:
+            return path, shot, segments_of(shot, self.method)
+        detection = detection_of(shot, self.rig, self.stripes, self.previous, self.options)
+        self.previous = detection if self.track and detection.found else None
+        return path, shot, detection
 
 
 def segments_of(shot: "Shot", method: SegmentMethod) -> "Detection":

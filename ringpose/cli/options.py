@@ -61,6 +61,7 @@ OutputFile = Annotated[
 JsonFile = Annotated[
     str | None, typer.Option("--json", metavar="FILE", help="All figures as JSON; - instead of tables.")
 ]
+CsvFile = Annotated[str | None, typer.Option("--csv", metavar="FILE", help="The rows as CSV; - instead of tables.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace output that exists already.")]
 ImageChannel = Annotated[
     Channel | None, typer.Option("--channel", help="Read this channel of colour images; else their luminance.")

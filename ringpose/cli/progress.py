@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
+from time import monotonic
 from typing import IO, TypeVar, cast
 
 _Item = TypeVar("_Item")
@@ -53,3 +54,26 @@ def with_progress(items: Iterable[_Item], what: str, quiet: bool = False) -> Ite
         for item in items:
             yield item
             progress.advance(task)
+
+
+def with_total(items: Iterable[_Item], what: str, total: int, done: int = 0) -> Iterator[_Item]:
+    """Yield the items and show on the terminal how many of `total` are done, the rate, and the time left."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    rate = TextColumn("{task.fields[rate]}")
+    columns = (
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn(what),
+        rate,
+        TimeRemainingColumn(elapsed_when_finished=True),
+    )
+    with Progress(
+        *columns, console=Console(file=cast("IO[str]", _Screen(sys.stderr))), transient=True, redirect_stdout=False
+    ) as progress:
+        task = progress.add_task(what, total=total, completed=done, rate="")
+        begun_s = monotonic()
+        for number, item in enumerate(items, start=1):
+            yield item
+            progress.update(task, advance=1, rate=f"{number / max(monotonic() - begun_s, 1e-3):.3g}/s")

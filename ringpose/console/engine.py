@@ -12,7 +12,8 @@ from ringpose.detect.pipeline import detect
 from ringpose.pose.record import pose_line
 from ringpose.report.overlay import overlay, picture_of
 from ringpose.simulate.exposure import view_exposure_s
-from ringpose.simulate.pipeline import READOUT_S, illuminated_ring, render_ring_view, view_truth
+from ringpose.simulate.pipeline import illuminated_ring, render_ring_view, view_truth
+from ringpose.simulate.placement import READOUT_S
 from ringpose.simulate.serve.preview import preview
 from ringpose.types.arrays import Array, UInt8
 from ringpose.types.camera import Camera

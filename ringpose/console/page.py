@@ -228,10 +228,10 @@ class ConsolePage:
             "/camera", float(fov), aspect, scale=0.07, color=(40, 40, 40), thickness=2.0, thickness_units="screen"
         )
         self._target = server.add_frame("/target", show_axes=False)
-        body = scene.body
-        width, height, depth = (float(size) for size in body.size_m)
-        middle = (float(body.offset_m[0]), float(body.offset_m[1]), -depth / 2)
-        server.add_box("/target/body", (170, 150, 110), (width, height, depth), position=middle, opacity=0.6)
+        if (body := scene.body) is not None:
+            width, height, depth = (float(size) for size in body.size_m)
+            middle = (float(body.offset_m[0]), float(body.offset_m[1]), -depth / 2)
+            server.add_box("/target/body", (170, 150, 110), (width, height, depth), position=middle, opacity=0.6)
         vertices, faces = _surface(scene.ring.profile_m)
         server.add_mesh_simple("/target/ring", vertices, faces, color=(150, 155, 165), side="double", flat_shading=True)
 

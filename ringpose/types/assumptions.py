@@ -86,3 +86,6 @@ class AssumptionOptions:
 
 USUAL = AssumptionOptions()
 """The defaults."""
+
+NOISE_ONLY = AssumptionOptions(still=True, ring_tolerance_m=0.0, rig_stability=0.0)
+"""Nothing but image noise and the errors of the calibration, as for Cramer-Rao bounds."""

@@ -43,6 +43,17 @@ class Method(StrEnum):
     PAPER_CONSTRAINED = "paper-constrained"
 
 
+class Minimized(StrEnum):
+    """The quantity by which `bench design` chooses the best rig."""
+
+    CENTER = "center"
+    NORMAL = "normal"
+    GRASP = "grasp"
+    RADIUS = "radius"
+    CENTER_KNOWN = "center-known"
+    """The centre with known radii."""
+
+
 class PlanesMethod(StrEnum):
     """Method of estimating board poses and light planes."""
 

@@ -263,3 +263,45 @@ def test_a_truth_without_shots_is_bad_data(poses, capsys):
 
     assert status == 65
     assert "names no shot" in capsys.readouterr().err
+
+
+def write_stamped(path: Path, **stamps_s: float) -> Path:
+    """A line without a pose for each shot, at these times."""
+    lines = [PoseLine(shot=shot, stamp_s=stamp_s, pose=None, reason="none") for shot, stamp_s in stamps_s.items()]
+    path.write_text("".join(line_of(pose_record(line)) for line in lines))
+    return path
+
+
+def test_only_shots_since_a_time_are_scored(capsys):
+    Path("truth.jsonl").write_text("".join(line_of(truth_record(truth(shot))) for shot in ("a", "b", "c")))
+    write_stamped(Path("poses.jsonl"), a=1.70e9, b=1.71e9)
+    words = ["bench", "poses.jsonl", "--truth", "truth.jsonl", "--since", "2024-01-01T00:00:00+00:00"]
+
+    assert main([*words, "--json", "-"]) == 0
+
+    assert [shot["shot"] for shot in json.loads(capsys.readouterr().out)["shots"]] == ["b"]
+
+
+def test_cron_prints_only_if_a_limit_is_missed(capsys):
+    Path("truth.jsonl").write_text(line_of(truth_record(truth("a"))))
+    write_stamped(Path("poses.jsonl"), a=1.7e9)
+    words = ["bench", "poses.jsonl", "--truth", "truth.jsonl", "--cron", "--max-missed"]
+
+    assert main([*words, "1"]) == 0
+    assert capsys.readouterr() == ("", "")
+    assert main([*words, "0"]) == 3
+    assert "missed" in capsys.readouterr().err
+
+
+def test_that_there_is_no_shot_since_a_time_is_a_missed_limit(capsys):
+    Path("truth.jsonl").write_text(line_of(truth_record(truth("a"))))
+    write_stamped(Path("poses.jsonl"), a=1.7e9)
+
+    assert main(["bench", "poses.jsonl", "--truth", "truth.jsonl", "--since", "24h", "--cron"]) == 3
+    assert "no shot since 24h" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("since", ["yesterday", "5 weeks", "2024-13-01"])
+def test_a_time_that_cannot_be_read_is_a_wrong_usage(since, capsys):
+    assert main(["bench", "poses.jsonl", "--truth", "truth.jsonl", "--since", since]) == 2
+    assert since in capsys.readouterr().err

@@ -13,7 +13,7 @@ from ringpose.files.poses import pose_record
 from ringpose.files.records import line_of
 from ringpose.files.records.truths import truth_record
 from ringpose.types.assumptions import Assumptions
-from ringpose.types.pose import PoseFlag, PoseLine, Priors, RingPose
+from ringpose.types.pose import PoseFlag, PoseLine, Priors, RadiusPrior, RingPose
 from ringpose.types.truth import Truth
 
 CENTER_M = np.array([0.1, -0.2, 1.0])
@@ -240,6 +240,9 @@ def refused(tmp_path_factory) -> Path:
         write_lines(
             "tolerant.jsonl", [replace(line(f"s{n}"), priors=tolerant if n > 3 else None) for n in range(SHOTS)]
         )
+        known = RadiusPrior(inner_m=0.4, outer_m=0.5, inner_sd_m=5e-4, outer_sd_m=5e-4, source="given")
+        write_lines("known.jsonl", [replace(line(f"s{n}"), priors=Priors(radius=known)) for n in range(SHOTS)])
+        main(["bench", "known.jsonl", *TRUTH, "--json", "known.json", "--by", ""])
         Path("record.json").write_text(Path("truth.jsonl").read_text().splitlines()[0])
         Path("none.jsonl").write_text("")
         Path("broken.jsonl.gz").write_bytes(gzip.compress(Path("a.jsonl").read_bytes())[:30])
@@ -257,6 +260,8 @@ def refused(tmp_path_factory) -> Path:
         (["truth.json", "moving.json"], 65, "other assumptions"),
         (["a.jsonl", "moving.json", *TRUTH], 65, "speed 0.05 m/s"),
         (["a.jsonl", "tolerant.jsonl", *TRUTH], 65, f"other assumptions than a.jsonl in {SHOTS - 4} shots"),
+        (["a.jsonl", "known.jsonl", *TRUTH], 65, "radii 400/500 mm"),
+        (["truth.json", "known.json"], 65, "radii 400/500 mm"),
         (["a.jsonl", "rig.jsonl", *TRUTH], 65, "another rig"),
         (["a.jsonl", "a.jsonl", *TRUTH, "--methods", "ml"], 2, "--methods"),
         (["a.jsonl", "a.jsonl", *TRUTH, "--methods", "ml,magic"], 2, "magic"),

@@ -1,6 +1,7 @@
 """`ringpose bench` on data set folders, which it detects and poses itself."""
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -70,3 +71,14 @@ def test_with_another_rig_the_poses_are_worse(data_set, capsys):
         figures.append(json.loads(capsys.readouterr().out)["groups"][-1]["errors"]["grasp_m"]["rmse"])
 
     assert figures[1] > 2 * figures[0]
+
+
+def test_of_a_growing_data_set_only_shots_written_since_a_time_are_measured(data_set, capsys):
+    old = data_set / "shots" / "B_z0500_p01_dim.npz"
+    os.utime(old, (1e9, 1e9))
+    with (data_set / "truth.jsonl").open("a") as stream:
+        stream.write(json.dumps({"shot": "not_written_yet", "expect": "no_target"}) + "\n")
+
+    main(["bench", str(data_set), "--method", "ml", "--since", "1h", "--json", "-"])
+
+    assert [shot["shot"] for shot in json.loads(capsys.readouterr().out)["shots"]] == ["V03_occl_B500_dim"]

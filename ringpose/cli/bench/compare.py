@@ -10,14 +10,17 @@ from ringpose.cli.bench.score import By, TruthFiles, group_names, scores_of_line
 from ringpose.cli.options import STDOUT, Force, JsonFile, OptionalRigFile, finite
 
 if TYPE_CHECKING:
+    from ringpose.bench.assumptions import AssumedRadii, StatedAssumptions
     from ringpose.bench.compare import Pair
     from ringpose.bench.score import Score
     from ringpose.cli.batch import Batch
     from ringpose.files.schema import Fields
-    from ringpose.types.assumptions import Assumptions
 
 ResultA = Annotated[
-    str, typer.Argument(metavar="A", help="The older result: pose records, with --truth, or a table of bench --json.")
+    str,
+    typer.Argument(
+        metavar="A", help="The older result: pose records, with --truth, a table of bench --json, or a study's."
+    ),
 ]
 ResultB = Annotated[str, typer.Argument(metavar="B", help="The newer result, of the same shots.")]
 Tolerance = Annotated[
@@ -93,7 +96,10 @@ def _read(name: str, truths: list[Path] | None, rig: Path | None, batch: "Batch"
     from ringpose.errors import DataError, UsageError
     from ringpose.files.inputs import holds_records
     from ringpose.files.io import sha256
+    from ringpose.files.studies.results import holds_results
 
+    if name != STDOUT and holds_results(Path(name)):
+        return _read_study(name)
     if name != STDOUT and not holds_records(Path(name)):
         return _read_table(name)
     if not truths:
@@ -102,6 +108,19 @@ def _read(name: str, truths: list[Path] | None, rig: Path | None, batch: "Batch"
     if all(score.status == "lost" for score in scores):
         raise DataError(name, "has no pose line of a shot of the truth", "give poses of the same data set")
     return _Result(name, scores, sorted(map(sha256, truths)))
+
+
+def _read_study(name: str) -> _Result:
+    """Results of a study; its hash stands for the truth, as the same study has the same shots."""
+    from ringpose.bench.study.table import scores_of
+    from ringpose.errors import DataError
+    from ringpose.files.studies.results import read_results
+
+    metadata, rows = read_results(Path(name))
+    factors = metadata.get("factors")
+    if not isinstance(factors, list) or not isinstance(metadata.get("study_sha256"), str):
+        raise DataError(name, "does not say which study it is of", "give the output of ringpose bench study")
+    return _Result(name, scores_of(rows, factors), [metadata["study_sha256"]])
 
 
 def _read_table(name: str) -> _Result:
@@ -125,7 +144,6 @@ def _read_table(name: str) -> _Result:
 def _score_of(fields: "Fields", of_version_2: bool) -> "Score":
     """A shot of a table; all poses of version 2 have the same assumptions, which are the default."""
     from ringpose.bench.score import Judgement, Outcome, Score
-    from ringpose.types.assumptions import Assumptions
 
     def numbers(key: str) -> dict[str, float]:
         part = fields.fields(key)
@@ -145,25 +163,33 @@ def _score_of(fields: "Fields", of_version_2: bool) -> "Score":
         judgements={name: Judgement(judgements.choice(name, tuple(Judgement))) for name in map(str, judgements.values)},
         distances=numbers("distances"),
         gross=fields.texts("gross"),
-        assumptions=Assumptions() if of_version_2 else _assumptions(fields),
+        assumptions=StatedAssumptions() if of_version_2 else _assumptions(fields),
         latency_s=fields.number("latency_s", least=0) if fields.has("latency_s") else None,
         rig=fields.text("rig") if fields.has("rig") else "",
     )
 
 
-def _assumptions(fields: "Fields") -> "Assumptions | None":
+def _assumptions(fields: "Fields") -> "StatedAssumptions | None":
     from ringpose.files.poses import motion_prior
     from ringpose.files.rigs import rig_stability
-    from ringpose.types.assumptions import Assumptions
 
     if not fields.has("assumptions"):
         return None
     values = fields.fields("assumptions")
-    return Assumptions(
+    return StatedAssumptions(
         motion=motion_prior(values),
+        radii=_assumed_radii(values.fields("radii")) if values.has("radii") else None,
         ring_tolerance_m=values.number("ring_tolerance_m", least=0),
         stability=rig_stability(values.fields("stability")),
     )
+
+
+def _assumed_radii(values: "Fields") -> "AssumedRadii":
+    from ringpose.bench.assumptions import AssumedRadii
+
+    numbers = values.given(("inner_m", "outer_m", "sd_m"), lambda key: values.number(key, least=0))
+    source = cast(Literal["given", "catalogue"], values.choice("source", ("given", "catalogue")))
+    return AssumedRadii(source=source, **numbers)
 
 
 def _require_same_truth(a: _Result, b: _Result) -> None:

@@ -3,12 +3,13 @@
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from ringpose.cli.options import STDOUT, Force, JsonFile, OptionalRigFile, PoseFrame, Quiet, finite
+from ringpose.cli.options import STDOUT, CsvFile, Force, JsonFile, OptionalRigFile, PoseFrame, Quiet, finite
 from ringpose.types.options import Method
 
 if TYPE_CHECKING:
@@ -36,7 +37,6 @@ By = Annotated[
 Methods = Annotated[
     list[Method] | None, typer.Option("--method", help="Of data sets, may be given again; all methods if not given.")
 ]
-CsvFile = Annotated[str | None, typer.Option("--csv", metavar="FILE", help="A row a shot as CSV; - instead of tables.")]
 MaxCenter = Annotated[
     float | None,
     typer.Option("--max-center-mm", metavar="MM", min=0, callback=finite, help="Limit on the centre's RMSE."),
@@ -58,6 +58,11 @@ MaxMissed = Annotated[
 ]
 MaxWrong = Annotated[int | None, typer.Option("--max-wrong", metavar="N", min=0, help="Limit on wrong quantities.")]
 
+Since = Annotated[
+    str | None, typer.Option("--since", metavar="TIME", help="Only shots since this time, or of this age (24h, 7d).")
+]
+Cron = Annotated[bool, typer.Option("--cron", help="Print nothing unless a limit is missed.")]
+
 
 def bench(
     inputs: PosesOrFolders,
@@ -73,31 +78,38 @@ def bench(
     max_grasp_mm: MaxGrasp = None,
     max_missed: MaxMissed = None,
     max_wrong: MaxWrong = None,
+    since: Since = None,
+    cron: Cron = False,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
     """Compare poses with the truth: errors by group, failures counted; status 3 if a limit is missed."""
     from ringpose.bench.limits import error_limits
+    from ringpose.cli import messages
     from ringpose.cli.batch import Batch
-    from ringpose.errors import UsageError
+    from ringpose.errors import NO_POSE, UsageError
 
     if json == csv == STDOUT:
         raise UsageError("", "--json - and --csv - both use standard output", "write one of them into a file")
     if truth and method:
         raise UsageError("--method", "pose lines have a method already", "omit it")
-    batch = Batch()
+    batch, since_s = Batch(), -inf if since is None else _since_s(since)
     matched: Matching | None = None
     if truth:
-        scores, matched = scores_of_lines(inputs, truth, rig, batch)
+        scores, matched = scores_of_lines(inputs, truth, rig, batch, since_s)
     else:
-        scores = _scores_of_folders(inputs, rig, method or list(Method), batch, quiet)
+        scores = _scores_of_folders(inputs, rig, method or list(Method), batch, quiet or cron, since_s)
         truth = [Path(folder) / "truth.jsonl" for folder in inputs]
     limits = error_limits(max_center_mm, max_normal_deg, max_radius_mm, max_grasp_mm)
     if not scores:
+        if since is not None:
+            messages.echo(f"{', '.join(inputs)}: no shot since {since}")
+            batch.record_status(NO_POSE)
         batch.finish()
     names = group_names(scores, by)
     lines, missed = _judged(scores, names, limits, (max_missed, max_wrong), batch)
     targets = _Targets(json, csv, force, _files(inputs, truth, rig), [path for path in truth if path.is_file()])
+    targets = targets._replace(tables=bool(missed) or not cron)
     _write(targets, scores, lines, missed, names, matched)
     batch.finish()
 
@@ -108,12 +120,35 @@ class _Targets(NamedTuple):
     force: bool
     inputs: list[Path]
     truths: list[Path]
+    tables: bool = True
+    """Whether tables are printed."""
+
+
+def _since_s(text: str) -> float:
+    """The time of --since, in seconds since the epoch."""
+    import re
+    import time
+    from datetime import datetime
+
+    from ringpose.errors import UsageError
+
+    age = re.fullmatch(r"(\d{1,9})(s|min|h|d)", text)
+    if age is not None:
+        return time.time() - float(age[1]) * {"s": 1, "min": 60, "h": 3600, "d": 86400}[age[2]]
+    try:
+        return datetime.fromisoformat(text).timestamp()
+    except ValueError:
+        remedy = "such as 2026-11-23T06:00, 90min, 24h or 7d"
+        raise UsageError("--since", f"{text!r} is neither a time nor an age", remedy) from None
 
 
 def scores_of_lines(
-    inputs: list[str], truth_files: list[Path], rig: Path | None, batch: "Batch"
+    inputs: list[str], truth_files: list[Path], rig: Path | None, batch: "Batch", since_s: float = -inf
 ) -> "tuple[list[Score], Matching]":
-    """Scores of pose records; `rig`, or the rig.yaml in the folder of a truth file, gives the camera for the arc."""
+    """Scores of pose records; `rig`, or the rig.yaml in the folder of a truth file, gives the camera for the arc.
+
+    Shots before `since_s` are left out, and those of the truth whose time is not known.
+    """
     from ringpose.bench.score import matching, scores
     from ringpose.errors import DataError
 
@@ -122,6 +157,12 @@ def scores_of_lines(
     if twice := _first_repeated([truth.shot for truth in truths]):
         raise DataError(twice, "stands in two truth files", "give data sets whose shots have different names")
     estimates = _estimates_in(inputs, truths, batch)
+    if since_s > -inf:
+        estimates = [estimate for estimate in estimates if estimate.shot_stamp_s >= since_s]
+        recent = {estimate.shot for estimate in estimates}
+        truths = [truth for truth in truths if truth.shot in recent or (truth.stamp_s or -inf) >= since_s]
+        kept = {truth.shot for truth in truths}
+        sets = [([truth for truth in of_set if truth.shot in kept], camera) for of_set, camera in sets]
     matched = matching(estimates, truths)
     place, files = ", ".join(inputs), ", ".join(map(str, truth_files))
     if matched.without_truth:
@@ -194,9 +235,12 @@ def _camera(rig: Path, required: bool) -> "Camera | None":
 
 
 def _scores_of_folders(
-    folders: list[str], rig: Path | None, methods: list[Method], batch: "Batch", quiet: bool
+    folders: list[str], rig: Path | None, methods: list[Method], batch: "Batch", quiet: bool, since_s: float = -inf
 ) -> "list[Score]":
-    """Scores of data sets, of which this run detects the break points and estimates the poses by every method."""
+    """Scores of data sets, of which this run detects the break points and estimates the poses by every method.
+
+    Of a folder that grows, shots written before `since_s`, or not yet, are left out.
+    """
     from ringpose.bench.score import scores
     from ringpose.errors import UsageError
     from ringpose.files.rigs import read_rig
@@ -208,9 +252,19 @@ def _scores_of_folders(
         with batch.guarded():
             of_shots = read_rig(rig or folder / "rig.yaml")
             truths = _truths(folder / "truth.jsonl")
+            if since_s > -inf:
+                truths = [truth for truth in truths if _written_s(folder / "shots" / f"{truth.shot}.npz") >= since_s]
             estimates = list(_estimates(folder / "shots", truths, of_shots, methods, batch, quiet))
             found += scores(estimates, truths, of_shots.camera)
     return found
+
+
+def _written_s(path: Path) -> float:
+    """When a file was written; minus infinity if it does not exist."""
+    try:
+        return path.stat().st_mtime
+    except OSError:
+        return -inf
 
 
 def _estimates(
@@ -276,7 +330,7 @@ def _write(
     from ringpose.files import records
     from ringpose.files.io import csv_text, provenance, sha256, write_result
 
-    if STDOUT not in (targets.json, targets.csv):
+    if targets.tables and STDOUT not in (targets.json, targets.csv):
         records.write_text(table(lines, names, matched, [score.assumptions for score in scores]))
     if targets.json is not None:
         made = report(lines, scores, missed, matched, map(sha256, targets.truths))

@@ -20,8 +20,7 @@ from types import TracebackType
 from typing import Any
 
 from ringpose.errors import DeviceError, UsageError
-from ringpose.simulate.exposure import MAX_DURATION_S, MIN_DURATION_S
-from ringpose.simulate.pipeline import READOUT_S
+from ringpose.simulate.placement import MAX_DURATION_S, MIN_DURATION_S, READOUT_S
 from ringpose.simulate.sensor import saturation_dn
 from ringpose.simulate.serve.image_clients import (
     Client,

@@ -1,0 +1,1 @@
+"""A rig and its variants -> maps of the accuracy that they allow."""

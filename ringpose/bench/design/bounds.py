@@ -1,0 +1,100 @@
+"""Cramér-Rao bounds: the smallest errors that a rig, a ring and its place allow (ringpose-method(7), section 14).
+
+The Fisher information is that of the measurement in information form (section 9) at the true ring: of a detection
+without errors, whose stated covariances are those of real ones. Errors of the rig are nuisance parameters with the
+covariance of rig.yaml and of its stability as their prior.
+"""
+
+from dataclasses import dataclass, replace
+from math import sqrt
+
+import numpy as np
+
+from ringpose.estimate.nuisance import EXACT, total_covariance
+from ringpose.geometry.ring import normal_and_center
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.assumptions import RigStability
+from ringpose.types.pose import MEASURED_PARAMETERS, PoseLine, PoseResult
+from ringpose.types.rig import Rig
+
+_POSE = 7
+"""Number of the ring's own parameters, the first of `MEASURED_PARAMETERS`; its rates, which follow, are zero."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Bound:
+    """Smallest covariances of an unbiased estimator, camera frame, for a ring without motion."""
+
+    parameters: Float64[Array, "7 7"]
+    """Of the first seven `MEASURED_PARAMETERS`."""
+    center_m2: Float64[Array, "3 3"]
+
+    @property
+    def center_sd_m(self) -> float:
+        """Root of the mean square length of the centre's error."""
+        return sqrt(float(np.trace(self.center_m2)))
+
+    @property
+    def normal_sd_rad(self) -> float:
+        """Root of the mean square angle of the normal's error."""
+        return sqrt(float(np.trace(self.parameters[:2, :2])))
+
+    @property
+    def radius_outer_sd_m(self) -> float:
+        """Standard deviation of the outer radius."""
+        return sqrt(float(self.parameters[6, 6]))
+
+
+def cramer_rao(line: PoseLine | PoseResult, rig: Rig) -> Bound | None:
+    """The bound at the ring of a pose from exact features; None if it leaves a parameter of the ring open.
+
+    `rig` is the one by which it was measured: its covariance is the prior of the nuisance parameters; those that it
+    does not name count as exact. The prior of the radii is that of the pose.
+    """
+    measurement, priors = line.measurement, line.priors
+    if measurement is None or priors is None or priors.regularization is not None:
+        return None  # weak priors have moved the ring away from the true one
+    count = len(MEASURED_PARAMETERS)
+    root = _prior_root(measurement.nuisance_parameters, rig)
+    rows, errors = measurement.square_root, root.shape[1]
+    whitened = np.concatenate([rows[:, :_POSE], rows[:, count:-1] @ root], axis=1)
+    information = whitened.T @ whitened
+    information[_POSE:, _POSE:] += np.eye(errors)
+    if priors.radius is not None:
+        sds_m = np.array([priors.radius.inner_sd_m, priors.radius.outer_sd_m])
+        given = np.isfinite([priors.radius.inner_m, priors.radius.outer_m])
+        information[[5, 6], [5, 6]] += np.where(given, 1.0 / sds_m**2, 0.0)
+    diagonal = information.diagonal()
+    if not bool((diagonal > 0).all()):
+        return None
+    scale = 1.0 / np.sqrt(diagonal)
+    scaled = information * scale[:, None] * scale
+    variances, axes = np.linalg.eigh(scaled)
+    if variances[0] <= 1e-14 * variances[-1]:
+        return None
+    covariance = (axes / variances) @ axes.T * scale[:, None] * scale
+    parameters = covariance[:_POSE, :_POSE]
+    at = measurement.linearized_at
+    _, center_wrt = normal_and_center(at.normal, at.center_m)
+    return Bound(parameters=parameters, center_m2=center_wrt @ parameters[:5, :5] @ center_wrt.T)
+
+
+def _prior_root(names: tuple[str, ...], rig: Rig) -> Float64[Array, "parameter error"]:
+    """R with R R^T the prior covariance of the nuisance parameters; zero rows for those that count as exact."""
+    if rig.covariance is None:
+        return np.zeros((len(names), 0))
+    place = {name: number for number, name in enumerate(rig.covariance.parameters)}
+    covariance = np.zeros((len(names), len(names)))
+    here = [number for number, name in enumerate(names) if name in place]
+    of_rig = [place[names[number]] for number in here]
+    covariance[np.ix_(here, here)] = rig.covariance.data[np.ix_(of_rig, of_rig)]
+    scale = np.sqrt(np.maximum(covariance.diagonal(), np.finfo(float).tiny))
+    variances, axes = np.linalg.eigh(covariance / scale[:, None] / scale)
+    root: Float64[Array, "parameter error"] = scale[:, None] * axes * np.sqrt(np.maximum(variances, 0.0))
+    return root
+
+
+def with_stability(rig: Rig, stability: RigStability) -> Rig:
+    """The rig with its stability as part of its covariance; without any variance the rig stays as it is."""
+    total = total_covariance(rig, stability)
+    return replace(rig, covariance=total, stability=EXACT) if total.data.any() else rig

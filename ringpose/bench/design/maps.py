@@ -1,0 +1,314 @@
+"""Accuracy before a rig is built: Cramér-Rao bounds over the working volume, and the best of a sweep (section 14).
+
+At each place the features that an image would show are predicted, with the errors that the scene's lasers, lens and
+sensor cause; the bound includes the covariance of the rig's calibration and its stability since then.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from math import degrees, inf, nan, radians
+
+import numpy as np
+
+from ringpose.bench.design.bounds import Bound, cramer_rao, with_stability
+from ringpose.bench.design.rig_changes import (
+    elevations_rad,
+    with_baseline,
+    with_focal_length,
+    with_laser_angle,
+    with_lasers,
+)
+from ringpose.bench.table import number
+from ringpose.estimate.covariance import standard_deviation
+from ringpose.geometry.rotations import facing_normal
+from ringpose.pose.record import RADIUS_SD_M, pose_line
+from ringpose.simulate.features import Deviations, drawn_features
+from ringpose.simulate.placement import image_ray, ring_rotation
+from ringpose.types.assumptions import NOISE_ONLY, RigStability
+from ringpose.types.detection import BreakPoints
+from ringpose.types.pose import PoseFlag, PoseLine
+from ringpose.types.rig import Rig
+from ringpose.types.ring import KnownRadii
+from ringpose.types.scene import RingView, Scene
+
+WEAK = PoseFlag.CENTER_WEAK | PoseFlag.NORMAL_WEAK | PoseFlag.RADIUS_WEAK | PoseFlag.GRASP_WEAK | PoseFlag.SIDE_UNKNOWN
+"""Flags of a pose whose errors are not at the bound: a linear approximation does not describe them."""
+
+PAPER_ANGLES = {"the paper's +-1.5 deg": radians(1.5), "the paper's +-10 deg": radians(10.0)}
+
+QUANTITIES = ("center_m", "normal_rad", "radius_outer_m", "grasp_m", "center_known_m", "normal_known_rad")
+"""Standard deviations at a place; `known`: with known radii."""
+
+SWEPT = ("laser_angle_rad", "baseline_m", "focal_px", "dark_noise_e", "lasers")
+"""What a sweep may change."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Place:
+    """Where the middle of the seen section of the ring's face is, and how the ring is turned."""
+
+    distance_m: float
+    """Depth of that point."""
+    offset_x: float = 0.0
+    offset_y: float = 0.0
+    """Its offset from the image centre, as a share of the image's width and height."""
+    pitch_rad: float = 0.0
+    yaw_rad: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlaceResult:
+    """What a rig can measure at a place."""
+
+    place: Place
+    stripes: int
+    """Number of stripes whose two break points are in view."""
+    sd: Mapping[str, float]
+    """Bounds by the names of `QUANTITIES`; NaN where the quantity is not determined."""
+    weak: bool
+    """Whether the estimator does not reach the bound of the ring without known radii."""
+    weak_known: bool
+    ambiguous: bool
+    """Whether the stripes of one frame with all lasers on can be assigned to the lasers in several ways."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Design:
+    """A rig of the sweep, with its map."""
+
+    name: str
+    changes: Mapping[str, float]
+    rig: Rig
+    results: tuple[PlaceResult, ...]
+    reference: bool = False
+    """Whether it is shown for comparison only."""
+
+    def coverage(self) -> float:
+        """Share of the places at which all stripes are in view."""
+        lasers = len(self.rig.lasers.names)
+        return sum(result.stripes == lasers for result in self.results) / len(self.results)
+
+    def share(self, attribute: str) -> float:
+        """Share of the places at which an attribute such as `weak` is true."""
+        return sum(bool(getattr(result, attribute)) for result in self.results) / len(self.results)
+
+    def median(self, quantity: str, distance_m: float | None = None) -> float:
+        """Median over the places (of one distance); infinite where most do not determine the quantity."""
+        values = [
+            result.sd[quantity] if np.isfinite(result.sd[quantity]) else inf
+            for result in self.results
+            if distance_m is None or result.place.distance_m == distance_m
+        ]
+        return float(np.median(values)) if values else nan
+
+    def full_view_m(self) -> tuple[float, float] | None:
+        """Nearest and farthest distance at which all stripes are in view in the middle; None if at none."""
+        lasers = len(self.rig.lasers.names)
+        seen = [
+            result.place.distance_m
+            for result in self.results
+            if result.stripes == lasers and abs(result.place.offset_x) < 1e-9
+        ]
+        return (min(seen), max(seen)) if seen else None
+
+
+def places(
+    distances_m: Sequence[float], offsets: Sequence[float], pitch_rad: float = 0.0, yaw_rad: float = 0.0
+) -> list[Place]:
+    """A grid over distance and horizontal offset."""
+    return [
+        Place(distance_m=float(distance_m), offset_x=float(offset), pitch_rad=pitch_rad, yaw_rad=yaw_rad)
+        for distance_m, offset in product(distances_m, offsets)
+    ]
+
+
+def designs(
+    scene: Scene, sweep: Mapping[str, Sequence[float]], where: Sequence[Place], stability: RigStability
+) -> Iterator[Design]:
+    """The scene's rig, every combination of the sweep, and the angles of the paper's rigs for comparison."""
+    yield Design(name="as given", changes={}, rig=scene.rig, results=tuple(measured(scene, where, stability)))
+    for values in product(*sweep.values()) if sweep else ():
+        changes = dict(zip(sweep, values, strict=True))
+        changed = scene_with(scene, changes)
+        name = ", ".join(change_text(key, value) for key, value in changes.items())
+        yield Design(name=name, changes=changes, rig=changed.rig, results=tuple(measured(changed, where, stability)))
+    for name, angle_rad in PAPER_ANGLES.items():
+        changed = scene_with(scene, {"laser_angle_rad": angle_rad})
+        yield Design(
+            name=name,
+            changes={"laser_angle_rad": angle_rad},
+            rig=changed.rig,
+            results=tuple(measured(changed, where, stability)),
+            reference=True,
+        )
+
+
+def scene_with(scene: Scene, changes: Mapping[str, float]) -> Scene:
+    """The scene with another rig or sensor, by the names of `SWEPT`."""
+    rig = scene.rig
+    if "lasers" in changes:
+        rig = with_lasers(rig, round(changes["lasers"]))
+    if "baseline_m" in changes:
+        rig = with_baseline(rig, changes["baseline_m"])
+    if "focal_px" in changes:
+        rig = with_focal_length(rig, changes["focal_px"])
+    if "laser_angle_rad" in changes:
+        rig = with_laser_angle(rig, changes["laser_angle_rad"])
+    if "dark_noise_e" in changes:
+        scene = replace(scene, sensor=replace(scene.sensor, temporal_dark_noise_e=changes["dark_noise_e"]))
+    if "lasers" in changes:
+        count = len(rig.lasers.names)
+        scene = replace(scene, sequence=(0, *(1 << laser for laser in range(count)), (1 << count) - 1))
+    return replace(scene, rig=rig)
+
+
+def change_text(name: str, value: float) -> str:
+    """A change in words."""
+    if name == "laser_angle_rad":
+        return f"+-{degrees(value):.3g} deg"
+    if name == "lasers":
+        return f"{value:.0f} lasers"
+    if name == "baseline_m":
+        return f"baseline {1e3 * value:g} mm"
+    return f"focal length {value:g} px" if name == "focal_px" else f"dark noise {value:g} e"
+
+
+def best(found: Iterable[Design], quantity: str, min_coverage: float) -> Design | None:
+    """The design with the smallest median of a quantity among those with this coverage; None if there is none."""
+    allowed = [design for design in found if not design.reference and design.coverage() >= min_coverage]
+    finite = [design for design in allowed if design.median(quantity) < inf]
+    return min(finite, key=lambda design: design.median(quantity), default=None)
+
+
+def measured(scene: Scene, where: Iterable[Place], stability: RigStability) -> Iterator[PlaceResult]:
+    """What the scene's rig can measure at each place."""
+    uncertain = replace(scene, rig=with_stability(scene.rig, stability))
+    for place in where:
+        yield place_result(uncertain, place)
+
+
+def place_result(scene: Scene, place: Place) -> PlaceResult:
+    """The bounds at one place; the rig's covariance includes its stability."""
+    at_place = scene_at(scene, place)
+    radius_m = np.array([scene.ring.radius_inner_m, scene.ring.radius_outer_m])
+    radii = KnownRadii(radius_m=radius_m, sd_m=np.full(2, RADIUS_SD_M))
+    exact = next(drawn_features(at_place, Deviations(noise=False), 1)).detection
+    line, known = (pose_line(exact, scene.rig, known=each, options=NOISE_ONLY) for each in (None, radii))
+    together = replace(at_place, sequence=((1 << len(scene.rig.lasers.names)) - 1,))
+    one_frame = pose_line(
+        next(drawn_features(together, Deviations(noise=False), 1)).detection, scene.rig, options=NOISE_ONLY
+    )
+    points = exact.break_points
+    stripes = int(points.seen.all(axis=1).sum()) if isinstance(points, BreakPoints) else 0
+    bound, bound_known = cramer_rao(line, scene.rig), cramer_rao(known, scene.rig)
+    sd = dict.fromkeys(QUANTITIES, nan)
+    sd |= {} if bound is None else _sds(bound)
+    sd |= {} if bound_known is None else _sds_known(bound_known)
+    sd["grasp_m"] = _grasp_sd_m(line)
+    return PlaceResult(
+        place=place,
+        stripes=stripes,
+        sd=sd,
+        weak=line.pose is None or bool(line.flags & WEAK),
+        weak_known=known.pose is None or bool(known.flags & WEAK),
+        ambiguous=bool(one_frame.flags & PoseFlag.ASSIGNMENT_AMBIGUOUS),
+    )
+
+
+def scene_at(scene: Scene, place: Place) -> Scene:
+    """The scene with one view: the middle of the face at the place, the centre of the ring to its right."""
+    normal = facing_normal(place.pitch_rad, place.yaw_rad)
+    point_m = place.distance_m * image_ray(scene.rig.camera, np.array([place.offset_x, place.offset_y]))
+    axis = ring_rotation(normal, 0.0)[:, 0]
+    radius_m = 0.5 * (scene.ring.radius_inner_m + scene.ring.radius_outer_m)
+    view = RingView(name="place", center_m=point_m + radius_m * axis, normal=normal, light=next(iter(scene.lights)))
+    return replace(scene, views=(view,), approaches=(), camera_boards=None, plane_boards=None)
+
+
+def _sds(bound: Bound) -> dict[str, float]:
+    return {
+        "center_m": bound.center_sd_m,
+        "normal_rad": bound.normal_sd_rad,
+        "radius_outer_m": bound.radius_outer_sd_m,
+    }
+
+
+def _sds_known(bound: Bound) -> dict[str, float]:
+    return {"center_known_m": bound.center_sd_m, "normal_known_rad": bound.normal_sd_rad}
+
+
+def _grasp_sd_m(line: PoseLine) -> float:
+    """In the direction in which it is largest, by the estimator's own covariance."""
+    covariance = None if line.pose is None else line.pose.covariance_grasp_m2
+    return nan if covariance is None or not np.isfinite(covariance).all() else standard_deviation(covariance)
+
+
+HEADINGS = ("distance", "in view", "center mm", "normal deg", "r_out mm", "grasp mm", "center mm (r known)", "weak")
+
+
+def design_rows(found: Sequence[Design]) -> list[list[str]]:
+    """A row for each design and distance: medians over the places."""
+    rows = [["rig", *HEADINGS]]
+    for design in found:
+        for distance_m in sorted({result.place.distance_m for result in design.results}):
+            here = replace(
+                design,
+                results=tuple(result for result in design.results if result.place.distance_m == distance_m),
+            )
+            rows.append(
+                [
+                    design.name,
+                    f"{1e3 * distance_m:.0f} mm",
+                    f"{100 * here.coverage():.0f} %",
+                    number(1e3 * here.median("center_m")),
+                    number(degrees(here.median("normal_rad"))),
+                    number(1e3 * here.median("radius_outer_m")),
+                    number(1e3 * here.median("grasp_m")),
+                    number(1e3 * here.median("center_known_m")),
+                    f"{100 * here.share('weak'):.0f} %",
+                ]
+            )
+    return rows
+
+
+def summary_lines(found: Sequence[Design]) -> list[str]:
+    """For each design its field of view, the distances with all stripes in view, and ambiguous assignments."""
+    lines = []
+    for design in found:
+        camera, range_m = design.rig.camera, design.full_view_m()
+        focal = camera.camera_matrix[0, 0], camera.camera_matrix[1, 1]
+        view = [
+            2 * degrees(np.arctan2(size / 2, length))
+            for size, length in zip((camera.image_width, camera.image_height), focal, strict=True)
+        ]
+        seen = "never" if range_m is None else f"from {1e3 * range_m[0]:.0f} to {1e3 * range_m[1]:.0f} mm"
+        angles = ", ".join(f"{round(degrees(each), 2) + 0.0:g}" for each in elevations_rad(design.rig.lasers))
+        lines.append(
+            f"{design.name}: field of view {view[0]:.1f} x {view[1]:.1f} deg, light planes at {angles} deg; "
+            f"all stripes in view {seen}; assignment ambiguous at {100 * design.share('ambiguous'):.0f} % of the places"
+        )
+    return lines
+
+
+CSV_HEADING = (
+    "rig", "reference", *SWEPT, "distance_m", "offset_x", "offset_y", "pitch_rad", "yaw_rad", "stripes",
+    *(f"sd_{name}" for name in QUANTITIES), "weak", "weak_known", "ambiguous",
+)  # fmt: skip
+
+
+def csv_rows(found: Iterable[Design]) -> Iterator[list[str | float | int | bool]]:
+    """The heading, then a row for each design and place; undetermined quantities are empty."""
+    yield list(CSV_HEADING)
+    for design in found:
+        for result in design.results:
+            place, sds = result.place, [result.sd[name] for name in QUANTITIES]
+            yield [
+                design.name,
+                design.reference,
+                *(design.changes.get(name, "") for name in SWEPT),
+                *(place.distance_m, place.offset_x, place.offset_y, place.pitch_rad, place.yaw_rad),
+                result.stripes,
+                *(sd if np.isfinite(sd) else "" for sd in sds),
+                *(result.weak, result.weak_known, result.ambiguous),
+            ]

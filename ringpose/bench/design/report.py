@@ -1,0 +1,200 @@
+"""The page that `ringpose bench design --report` writes: maps of the bounds, curves, and a sketch of each rig."""
+
+from collections.abc import Mapping, Sequence
+from math import degrees
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import FuncFormatter
+
+from ringpose.bench.design.maps import Design, design_rows, summary_lines
+from ringpose.report.figures import canvas, drawn, png_of
+from ringpose.report.page import Picture, Section, Table, page
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.rig import Rig
+
+MAX_MAPS = 12
+"""Maximum number of rigs of which maps are drawn: the best ones and the references."""
+
+UNITS = {
+    "center_m": ("centre, radius unknown", 1e3, "mm"),
+    "center_known_m": ("centre, radius known", 1e3, "mm"),
+    "normal_rad": ("normal", degrees(1), "deg"),
+    "grasp_m": ("grasp point", 1e3, "mm"),
+    "radius_outer_m": ("outer radius", 1e3, "mm"),
+}
+
+_WEAK_OF = {"center_known_m": "weak_known", "normal_known_rad": "weak_known"}
+
+
+def design_report(found: Sequence[Design], chosen: Design | None, quantity: str, provenance: Mapping[str, Any]) -> str:
+    """HTML page: what was chosen, tables, maps, curves and sketches."""
+    shown = _shown(found, chosen, quantity)
+    label = UNITS[quantity][0]
+    sections = [
+        Section(
+            title="Result",
+            text=[
+                f"Best by the median standard deviation of the {label}: {chosen.name}."
+                if chosen is not None
+                else "No rig has all stripes in view at enough places.",
+                "All values are Cramér-Rao bounds: the smallest standard deviations of an unbiased estimator, with the "
+                "noise of the simulated sensor, the covariance of the calibration and the rig's stability.",
+            ],
+            pictures=[_curves(shown), _sketches(shown)],
+        ),
+        Section(
+            title="Maps", pictures=[_maps(shown, name) for name in dict.fromkeys((quantity, "normal_rad", "grasp_m"))]
+        ),
+        Section(title="Fields of view and stripes", points=summary_lines(found)),
+        Section(title="Medians by distance", table=_table(found)),
+        Section(title="Provenance", text=[f"{key}: {value}" for key, value in provenance.items()]),
+    ]
+    return page("Rig design", sections)
+
+
+def _shown(found: Sequence[Design], chosen: Design | None, quantity: str) -> list[Design]:
+    """The given rig, the best ones, and the references."""
+    references = [design for design in found if design.reference]
+    others = sorted(
+        (design for design in found[1:] if not design.reference),
+        key=lambda design: (design is not chosen, design.median(quantity)),
+    )
+    return [found[0], *others[: MAX_MAPS - 1 - len(references)], *references]
+
+
+def _table(found: Sequence[Design]) -> Table:
+    heading, *rows = design_rows(found)
+    return Table(headings=heading, rows=rows)
+
+
+def _curves(shown: Sequence[Design]) -> Picture:
+    """Medians against distance."""
+    figure = canvas(11, 8)
+    names = ("center_m", "center_known_m", "normal_rad", "grasp_m")
+    for axis, name in zip(figure.subplots(2, 2).ravel(), names, strict=True):
+        label, factor, unit = UNITS[name]
+        for number, design in enumerate(shown):
+            distances_m = sorted({result.place.distance_m for result in design.results})
+            median = np.array([factor * design.median(name, distance_m) for distance_m in distances_m])
+            median[~np.isfinite(median)] = np.nan
+            style = "--" if design.reference else "-"
+            axis.plot(1e3 * np.array(distances_m), median, f"{style}o", color=f"C{number % 10}", markersize=3)
+        axis.set_yscale("log")
+        for ticks in (axis.yaxis.set_major_formatter, axis.yaxis.set_minor_formatter):
+            ticks(FuncFormatter(_tick))
+        axis.set_title(label, fontsize=10)
+        axis.set_ylabel(f"standard deviation ({unit})")
+        axis.set_xlabel("distance (mm)")
+        axis.grid(alpha=0.3, which="both")
+    figure.legend(
+        list(figure.axes[0].get_lines()),
+        [_name(design) for design in shown],
+        loc="outside upper center",
+        ncols=3,
+        fontsize=8,
+    )
+    caption = (
+        "Median over the places of a distance; dashed: the angles of the paper's rigs. A line ends where the quantity "
+        "is not determined at most places."
+    )
+    return Picture(png=png_of(figure), caption=caption)
+
+
+def _name(design: Design) -> str:
+    return drawn(design.name.replace("+-", "±"))
+
+
+def _tick(value: float, _: object) -> str:
+    """Labels at 1, 2 and 5 times powers of ten."""
+    digit = value / 10.0 ** np.floor(np.log10(value))
+    return f"{value:g}" if min(abs(digit - each) for each in (1, 2, 5)) < 1e-6 else ""
+
+
+def _maps(shown: Sequence[Design], quantity: str) -> Picture:
+    """A map of one quantity for each rig, over distance and offset."""
+    label, factor, unit = UNITS[quantity]
+    columns = min(3, len(shown))
+    rows = -(-len(shown) // columns)
+    figure = canvas(11, 1.1 + 2.7 * rows)
+    axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
+    grids = [factor * _grid(design, quantity) for design in shown]
+    finite = np.concatenate([grid[np.isfinite(grid)] for grid in grids])
+    norm = LogNorm(float(finite.min()), float(finite.max())) if len(finite) and finite.min() < finite.max() else None
+    for axis, design, grid in zip(axes, shown, grids, strict=False):
+        mesh = _map(axis, design, grid, norm, _WEAK_OF.get(quantity, "weak"))
+    for axis in axes[len(shown) :]:
+        axis.set_visible(False)
+    figure.supxlabel("offset from the image centre (image widths)", fontsize=9)
+    figure.supylabel("distance (mm)", fontsize=9)
+    figure.colorbar(mesh, ax=list(axes[: len(shown)]), label=f"{label} ({unit})")
+    caption = (
+        f"Standard deviation of the {label} ({unit}). Hatched: the estimator flags the pose as weak, the bound is not "
+        "reached there. Grey: not determined. Numbers: stripes in view, where not all are."
+    )
+    return Picture(png=png_of(figure), caption=caption)
+
+
+def _map(axis: Axes, design: Design, grid: Float64[Array, "distance offset"], norm: LogNorm | None, weak: str) -> Any:
+    axis.set_facecolor("0.85")
+    mesh = axis.pcolormesh(np.ma.masked_invalid(grid), norm=norm, cmap="viridis_r")
+    distances_m, offsets = _axes_of(design)
+    for result in design.results:
+        row, column = distances_m.index(result.place.distance_m), offsets.index(result.place.offset_x)
+        if getattr(result, weak):
+            axis.add_patch(Rectangle((column, row), 1, 1, fill=False, hatch="////", edgecolor="0.3", linewidth=0))
+        if result.stripes < len(design.rig.lasers.names):
+            box = {"boxstyle": "circle,pad=0.15", "facecolor": "white", "edgecolor": "none"}
+            axis.text(column + 0.5, row + 0.5, str(result.stripes), ha="center", va="center", fontsize=8, bbox=box)
+    axis.set_title(_name(design), fontsize=9)
+    axis.set_xticks(np.arange(len(offsets)) + 0.5, [f"{offset:g}" for offset in offsets], fontsize=8)
+    axis.set_yticks(np.arange(len(distances_m)) + 0.5, [f"{1e3 * each:.0f}" for each in distances_m], fontsize=8)
+    return mesh
+
+
+def _axes_of(design: Design) -> tuple[list[float], list[float]]:
+    distances_m = sorted({result.place.distance_m for result in design.results})
+    return distances_m, sorted({result.place.offset_x for result in design.results})
+
+
+def _grid(design: Design, quantity: str) -> Float64[Array, "distance offset"]:
+    distances_m, offsets = _axes_of(design)
+    grid = np.full((len(distances_m), len(offsets)), np.nan)
+    for result in design.results:
+        grid[distances_m.index(result.place.distance_m), offsets.index(result.place.offset_x)] = result.sd[quantity]
+    return grid
+
+
+def _sketches(shown: Sequence[Design]) -> Picture:
+    """Side view of each rig: the field of view and the light planes."""
+    columns = min(3, len(shown))
+    rows = -(-len(shown) // columns)
+    figure = canvas(11, 0.6 + 2.2 * rows)
+    axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True).ravel()
+    for axis, design in zip(axes, shown, strict=False):
+        draw_side_view(axis, design.rig, max(result.place.distance_m for result in design.results))
+        axis.set_title(_name(design), fontsize=9)
+        axis.tick_params(labelsize=8)
+    for axis in axes[len(shown) :]:
+        axis.set_visible(False)
+    figure.supxlabel("distance z (mm)", fontsize=9)
+    figure.supylabel("y (mm), down", fontsize=9)
+    return Picture(png=png_of(figure), caption="Side view of the rigs: field of view (grey) and light planes.")
+
+
+def draw_side_view(axis: Axes, rig: Rig, farthest_m: float) -> None:
+    """The field of view and the light planes of a rig, up to a little beyond a distance; y points down."""
+    z = np.array([0.0, 1.1 * farthest_m])
+    camera, lasers = rig.camera, rig.lasers
+    above = camera.camera_matrix[1, 2] / camera.camera_matrix[1, 1]
+    below = (camera.image_height - 1 - camera.camera_matrix[1, 2]) / camera.camera_matrix[1, 1]
+    axis.fill_between(1e3 * z, -1e3 * above * z, 1e3 * below * z, color="0.92", label="field of view")
+    for laser, name in enumerate(lasers.names):
+        along = np.array([max(float(np.nan_to_num(lasers.projector_m[laser, 2])), 0.0), z[1]])
+        heights = (lasers.distance_m[laser] - lasers.normal[laser, 2] * along) / lasers.normal[laser, 1]
+        axis.plot(1e3 * along, 1e3 * heights, linewidth=1.2, label=f"light plane {drawn(name)}")
+    if not axis.yaxis_inverted():  # shared axes are inverted once
+        axis.invert_yaxis()

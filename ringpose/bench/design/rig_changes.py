@@ -1,0 +1,78 @@
+"""Rigs that differ from a given one: angles, baseline and number of lasers, focal length."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from ringpose.errors import DataError
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.rig import LaserPlanes, Rig
+
+
+def elevations_rad(planes: LaserPlanes) -> Float64[Array, "laser"]:
+    """Rotation of each light plane about the camera's x axis; 0 for a plane that contains the viewing direction."""
+    elevation: Float64[Array, "laser"] = np.arctan2(planes.normal[:, 2], planes.normal[:, 1])
+    return elevation
+
+
+def with_laser_angle(rig: Rig, angle_rad: float) -> Rig:
+    """The rig with its light planes spread evenly from -angle to +angle, each turned about its projector.
+
+    They keep their order. The covariance, if there is one, is kept: calibration is as accurate as before.
+    """
+    order = np.argsort(elevations_rad(rig.lasers))
+    target = np.zeros(len(order))
+    target[order] = np.linspace(-angle_rad, angle_rad, len(order)) if len(order) > 1 else 0.0
+    turns = target - elevations_rad(rig.lasers)
+    normal = np.array(
+        [
+            cv2.Rodrigues(np.array([turn, 0.0, 0.0]))[0] @ each
+            for turn, each in zip(turns, rig.lasers.normal, strict=True)
+        ]
+    )
+    return replace(rig, lasers=_through_projectors(replace(rig.lasers, normal=normal)))
+
+
+def with_baseline(rig: Rig, baseline_m: float) -> Rig:
+    """The rig with its projectors moved across the optical axis, on average `baseline_m` away from it."""
+    across_m = rig.lasers.projector_m[:, :2]
+    mean_m = float(np.linalg.norm(across_m, axis=1).mean())
+    if not mean_m > 0:
+        raise DataError("rig", "its projectors lie on the optical axis", "give lasers beside the camera")
+    projector_m = rig.lasers.projector_m.copy()
+    projector_m[:, :2] = across_m * baseline_m / mean_m
+    return replace(rig, lasers=_through_projectors(replace(rig.lasers, projector_m=projector_m)))
+
+
+def with_lasers(rig: Rig, count: int) -> Rig:
+    """The rig with so many lasers: light planes spread evenly as far as before, projectors interpolated in between."""
+    elevation = elevations_rad(rig.lasers)
+    order = np.argsort(elevation)
+    place = np.linspace(0, len(order) - 1, count) if count > 1 else np.array([(len(order) - 1) / 2])
+    projector_m = np.stack(
+        [np.interp(place, np.arange(len(order)), rig.lasers.projector_m[order, axis]) for axis in range(3)], axis=1
+    )
+    angle = np.interp(place, np.arange(len(order)), elevation[order])
+    normal = np.stack([np.zeros(count), np.cos(angle), np.sin(angle)], axis=1)
+    lasers = LaserPlanes(
+        names=tuple(f"laser_{number}" for number in range(1, count + 1)),
+        normal=normal,
+        distance_m=np.zeros(count),
+        projector_m=projector_m,
+    )
+    return replace(rig, lasers=_through_projectors(lasers), covariance=None)
+
+
+def with_focal_length(rig: Rig, focal_px: float) -> Rig:
+    """The rig with another lens, of this focal length in x; distortion is left out, as it belongs to the old lens."""
+    matrix = rig.camera.camera_matrix.copy()
+    matrix[1, 1] *= focal_px / matrix[0, 0]
+    matrix[0, 0] = focal_px
+    coefficients = np.zeros_like(rig.camera.distortion_coefficients)
+    return replace(rig, camera=replace(rig.camera, camera_matrix=matrix, distortion_coefficients=coefficients))
+
+
+def _through_projectors(planes: LaserPlanes) -> LaserPlanes:
+    """The planes moved so that each contains its projector."""
+    return replace(planes, distance_m=(planes.normal * planes.projector_m).sum(axis=1))

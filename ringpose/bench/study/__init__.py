@@ -1,0 +1,1 @@
+"""study.yaml -> rows of results, tables and a page."""

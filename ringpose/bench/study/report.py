@@ -1,0 +1,363 @@
+"""The page that `ringpose bench study --report` writes."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from math import degrees, sqrt
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, NullFormatter
+
+from ringpose.bench.design.report import draw_side_view
+from ringpose.bench.study.table import (
+    HEADINGS,
+    PAPER_ROWS,
+    Key,
+    Statistics,
+    StudySummary,
+    sorted_keys,
+    statistics_cells,
+    value_text,
+)
+from ringpose.bench.table import number
+from ringpose.report.figures import canvas, drawn, png_of
+from ringpose.report.page import Picture, Section, Table, page
+from ringpose.types.study import Row, Study
+
+MAX_POINTS = 4000
+"""Maximum number of shots of each method in a scatter plot; of more, every n-th is drawn."""
+
+BINS = 8
+"""Bins of the reported standard deviation, with equally many shots."""
+
+ERROR_PLOTS = (
+    ("center_m", "centre error (mm)", 1e3),
+    ("normal_rad", "normal error (deg)", degrees(1)),
+    ("grasp_m", "grasp point error (mm)", 1e3),
+)
+
+NEES_DOF = {"center_nees": 3, "normal_nees": 2}
+
+Rows = Callable[[], Iterable[Row]]
+
+
+def study_report(
+    study: Study, summary: StudySummary, rows: Rows, overlays: Sequence[Picture], provenance: Mapping[str, Any]
+) -> str:
+    """HTML page: tables, errors beside their bounds, consistency, failures with the worst shots, times, provenance."""
+    columns = _columns(study, rows())
+    pictures = [_errors(study, summary), _scatter(study, columns)]
+    sections = [
+        Section(
+            title="Set-up",
+            text=[_set_up_text(study), "Methods: " + ", ".join(summary.methods) + "."],
+            pictures=[_sketch(study, columns)],
+        ),
+        Section(title="Errors in the form of the paper's tables", table=_paper_table(summary)),
+        Section(
+            title="Errors beside their Cramér-Rao bounds", table=_cells_table(summary, ERRORS_SHOWN), pictures=pictures
+        ),
+        Section(
+            title="Availability, and consistency of the reported covariances",
+            table=_cells_table(summary, CONSISTENCY_SHOWN),
+            pictures=[_nees(summary), _reliability(columns)],
+        ),
+        Section(title="Failures", table=_failures(summary), pictures=overlays),
+        Section(title="Time by stage", table=_times(study, summary)),
+        Section(title="Provenance", text=[f"{key}: {_plain(value)}" for key, value in provenance.items()]),
+    ]
+    return page(study.title, sections)
+
+
+def _plain(value: object) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {each}" for key, each in value.items())
+    return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+
+
+def _set_up_text(study: Study) -> str:
+    ring, level = study.scene.ring, "rendered images" if study.level == "images" else "features drawn from the model"
+    varied = [
+        f"{factor.name} from {factor.uniform[0]:g} to {factor.uniform[1]:g}"
+        if factor.uniform is not None
+        else f"{factor.name} {'drawn from ' if factor.drawn else ''}" + ", ".join(f"{value}" for value in factor.values)
+        for factor in study.factors
+    ]
+    radii = f"{1e3 * ring.radius_inner_m:g} and {1e3 * ring.radius_outer_m:g} mm"
+    return (
+        f"{study.shots} shots ({level}), {study.count} in each cell, seed {study.seed}; ring with radii {radii}; "
+        + ("; ".join(varied) + ".")
+    )
+
+
+# Data of the plots
+
+
+def _columns(study: Study, rows: Iterable[Row]) -> dict[str, dict[str, np.ndarray]]:
+    """By method: distance, error, bound, and reported standard deviation of the centre; NaN where there is none."""
+    stride = max(1, study.shots // MAX_POINTS)
+    names = ("distance_m", "center_m", "bound_center_m", "sigma_center_m", "true_center_x_m", "true_center_z_m")
+    found: dict[str, list[list[float]]] = {method.value: [] for method in study.methods}
+    for row in rows:
+        if int(row["shot"] or 0) % stride == 0:
+            values = [row.get(name) for name in names]
+            found[str(row["method"])].append(
+                [float(value) if isinstance(value, int | float) else np.nan for value in values]
+            )
+    return {
+        method: dict(zip(names, np.array(values).reshape(-1, len(names)).T, strict=True))
+        for method, values in found.items()
+    }
+
+
+def _color(summary_methods: Sequence[str], method: str) -> str:
+    return f"C{list(summary_methods).index(method) % 10}"
+
+
+# Set-up
+
+
+def _sketch(study: Study, columns: Mapping[str, Mapping[str, np.ndarray]]) -> Picture:
+    """Side view of the rig, and how far the rings are."""
+    distances = next(iter(columns.values()))["distance_m"]
+    figure = canvas(10, 3.6)
+    axis = figure.subplots()
+    draw_side_view(axis, study.scene.rig, float(np.nanmax(distances)))
+    for distance_m in np.unique(distances)[:: max(1, len(np.unique(distances)) // 12)]:
+        axis.axvline(1e3 * float(distance_m), color="0.5", linestyle=":", linewidth=0.9)
+    axis.plot([], [], color="0.5", linestyle=":", label="ring's face")
+    axis.plot([0], [0], "k>", markersize=9, label="camera")
+    axis.set_xlabel("distance z (mm)")
+    axis.set_ylabel("y (mm), down")
+    axis.legend(fontsize=8, ncols=3, loc="lower left")
+    return Picture(png=png_of(figure), caption="Side view: field of view, light planes, and distances of the ring.")
+
+
+# Tables
+
+
+ERRORS_SHOWN = (
+    "center mm", "median", "bound", "ratio", "normal deg", "normal bound", "normal ratio", "r_out mm", "grasp mm",
+)  # fmt: skip
+"""Columns of the first table by cells: root mean square errors, the median of the centre's, bounds and their ratios."""
+
+CONSISTENCY_SHOWN = ("shots", "pose %", "ok %", "wrong", "center NEES", "normal NEES", "pose ms")
+
+
+def _paper_table(summary: StudySummary) -> Table:
+    """Root mean square errors by components, a column for each value of the study's main factor."""
+    rows, headings = [], ["all"]
+    for method in summary.methods:
+        keys, found = _wide(summary, method)
+        headings = [value_text(summary.table, key[0]) if key else "all" for key in keys]
+        for label, name, factor in PAPER_ROWS:
+            rows.append([method, label, *(number(each.rms(name) * factor) for each in found)])
+        rows.append([method, "shots with a pose", *(f"{each.answers}/{each.targets}" for each in found)])
+    return Table(headings=("method", "root mean square", *headings), rows=rows)
+
+
+def _wide(summary: StudySummary, method: str) -> tuple[list[Key], list[Statistics]]:
+    keys = sorted_keys(key for name, key in summary.columns if name == method and key) or [()]
+    return keys, [summary.columns[method, key] for key in keys]
+
+
+def _cells_table(summary: StudySummary, shown: Sequence[str]) -> Table:
+    rows = [
+        [
+            *(value_text(name, value) for name, value in zip(summary.by, key, strict=True)),
+            method,
+            *(statistics_cells(summary.cells[method, key])[HEADINGS.index(heading)] for heading in shown),
+        ]
+        for key in sorted_keys(key for _, key in summary.cells)
+        for method in summary.methods
+        if (method, key) in summary.cells
+    ]
+    return Table(headings=(*summary.by, "method", *shown), rows=rows)
+
+
+def _failures(summary: StudySummary) -> Table:
+    rows = [
+        [method, reason, str(count), f"{100 * count / max(summary.all(method).shots, 1):.3g} %"]
+        for method in summary.methods
+        for reason, count in sorted(summary.all(method).reasons.items(), key=lambda item: -item[1])
+    ]
+    return Table(
+        headings=("method", "reason", "shots", "share"), rows=rows or [["-", "no shot without a pose", "0", ""]]
+    )
+
+
+def _times(study: Study, summary: StudySummary) -> Table:
+    rows = []
+    for method in summary.methods:
+        each = summary.all(method)
+        stages = ["simulate_s", "detect_s", "pose_s"] if study.level == "images" else ["simulate_s", "pose_s"]
+        for name in stages if method == summary.methods[0] else ["pose_s"]:
+            values = np.array(each.values.get(name, [np.nan]))
+            middle, high = (number(1e3 * float(value)) for value in np.quantile(values, [0.5, 0.99]))
+            stage = {"simulate_s": "simulation", "detect_s": "detection", "pose_s": f"pose, {method}"}[name]
+            rows.append([stage, middle, high])
+    return Table(headings=("stage", "median ms", "99 % ms"), rows=rows)
+
+
+# Errors
+
+
+def _errors(study: Study, summary: StudySummary) -> Picture:
+    """Root mean square errors of each method by the factor of the first table, with the bound."""
+    figure = canvas(11, 4)
+    axes = figure.subplots(1, len(ERROR_PLOTS))
+    for axis, (name, label, factor) in zip(axes, ERROR_PLOTS, strict=True):
+        for place, method in enumerate(summary.methods):
+            keys, found = _wide(summary, method)
+            values = np.array([factor * each.rms(name) for each in found])
+            x = _positions(keys, place, len(summary.methods))
+            axis.plot(x, values, "o-" if _numeric(keys) else "o", color=_color(summary.methods, method), markersize=4)
+        bounds = [summary.methods[0], *(method for method in summary.methods if method == "ml-known")]
+        for method, style in zip(bounds, ("k--", "k:"), strict=False):
+            keys, found = _wide(summary, method)
+            values = np.array([factor * each.bound(name) for each in found])
+            if _numeric(keys):
+                axis.plot(_positions(keys, 0, 1), values, style, linewidth=1.2)
+            else:
+                at = np.arange(len(keys))
+                axis.hlines(values, at - 0.35, at + 0.35, colors="black", linestyles=style[1:], linewidth=1.2)
+        axis.set_yscale("log")
+        axis.set_title(label, fontsize=10)
+        axis.grid(alpha=0.3)
+        if _numeric(keys):
+            axis.set_xlabel(drawn(summary.table))
+        else:
+            axis.set_xticks(range(len(keys)), [str(key[0]) if key else "all" for key in keys])
+    handles = [Line2D([], [], marker="o", linestyle="", color=_color(summary.methods, m)) for m in summary.methods]
+    handles += [Line2D([], [], color="black", dashes=dashes) for dashes in ((4, 2), (1, 1))[: len(bounds)]]
+    labels = [*map(drawn, summary.methods), "bound, radii unknown", "bound, radii known"][: len(handles)]
+    figure.legend(handles, labels, loc="outside upper center", ncols=5, fontsize=8)
+    caption = (
+        "Root mean square errors of the shots in which a method gives a pose, which differ between methods; "
+        "black: Cramér-Rao bound of centre and normal."
+    )
+    return Picture(png=png_of(figure), caption=caption)
+
+
+def _numeric(keys: Sequence[Key]) -> bool:
+    return all(key and isinstance(key[0], int | float) and not isinstance(key[0], bool) for key in keys)
+
+
+def _positions(keys: Sequence[Key], place: int, count: int) -> np.ndarray:
+    """Values on the axis; methods side by side for texts."""
+    if _numeric(keys):
+        return np.array([float(key[0]) for key in keys])
+    return np.arange(len(keys)) + 0.5 * ((place + 0.5) / count - 0.5)
+
+
+def _scatter(study: Study, columns: Mapping[str, Mapping[str, np.ndarray]]) -> Picture:
+    """Centre errors of single shots against distance."""
+    methods = list(columns)
+    figure = canvas(11, 4.5)
+    axis = figure.subplots()
+    rng = np.random.default_rng(0)
+    for method in methods:
+        distance_m = columns[method]["distance_m"]
+        spread = 0.01 * (np.nanmax(distance_m) - np.nanmin(distance_m) or 0.1) * rng.uniform(-1, 1, len(distance_m))
+        x, y = 1e3 * (distance_m + spread), 1e3 * columns[method]["center_m"]
+        axis.plot(
+            x, y, ".", markersize=_marker_size(study), color=_color(methods, method), alpha=0.6, label=drawn(method)
+        )
+    bound = columns[methods[0]]["bound_center_m"]
+    axis.plot(1e3 * columns[methods[0]]["distance_m"], 1e3 * bound, "k_", markersize=6, label="bound, radii unknown")
+    axis.set_yscale("log")
+    axis.set_xlabel("distance (mm), spread a little")
+    axis.set_ylabel("centre error (mm)")
+    axis.grid(alpha=0.3, which="both")
+    figure.legend(loc="outside upper center", ncols=5, fontsize=8, markerscale=2)
+    return Picture(png=png_of(figure), caption="Each shot; black: the bound for its place and light.")
+
+
+def _marker_size(study: Study) -> float:
+    """Smaller points for more shots."""
+    return 7.0 if study.shots < 300 else 3.0
+
+
+# Consistency
+
+
+def _plain_ticks(axis: Axes) -> None:
+    """Numbers such as 0.5 and 2 on a logarithmic axis of little range, instead of powers of ten."""
+    axis.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    low, high = axis.get_ylim()
+    minor = FuncFormatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in "25" else "")
+    axis.yaxis.set_minor_formatter(minor if high < 100 * low else NullFormatter())
+
+
+def _nees(summary: StudySummary) -> Picture:
+    """Mean NEES of each cell with the 99 % band of a correct covariance."""
+    from scipy.stats import chi2
+
+    figure = canvas(11, 3.8)
+    for axis, (name, dof) in zip(figure.subplots(1, 2), NEES_DOF.items(), strict=True):
+        shown = [method for method in summary.methods if name in summary.all(method).values]
+        for place, method in enumerate(shown):
+            keys, found = _wide(summary, method)
+            for at, each in enumerate(found):
+                count = len(each.values.get(name, ()))
+                if not count:
+                    continue
+                x = at + 0.6 * ((place + 0.5) / len(shown) - 0.5)
+                low, high = (float(chi2.ppf(p, count * dof)) / (count * dof) for p in (0.005, 0.995))
+                axis.plot([x, x], [low, high], color="0.75", linewidth=6, solid_capstyle="butt")
+                axis.plot(x, each.mean(name), "o", color=_color(summary.methods, method), markersize=5)
+        axis.axhline(1.0, color="black", linewidth=0.7)
+        keys, _ = _wide(summary, summary.methods[0])
+        axis.set_xticks(range(len(keys)), [value_text(summary.table, key[0]) if key else "all" for key in keys])
+        axis.set_xlabel(drawn(summary.table))
+        axis.set_yscale("log")
+        axis.set_title(
+            f"NEES of the {name.partition('_')[0].replace('center', 'centre')}, by degree of freedom", fontsize=10
+        )
+        axis.grid(alpha=0.3, axis="y", which="both")
+        _plain_ticks(axis)
+    shown = [method for method in summary.methods if "center_nees" in summary.all(method).values]
+    handles = [Line2D([], [], marker="o", linestyle="", color=_color(summary.methods, method)) for method in shown]
+    figure.legend(handles, list(map(drawn, shown)), loc="outside upper center", ncols=6, fontsize=8)
+    caption = (
+        "Mean NEES of all poses, also flagged ones; grey: 99 % band of a correct covariance. Above: too small a "
+        "covariance; below: too large."
+    )
+    return Picture(png=png_of(figure), caption=caption)
+
+
+def _reliability(columns: Mapping[str, Mapping[str, np.ndarray]]) -> Picture:
+    """Actual against reported standard deviation of the centre, in bins of the reported one."""
+    figure = canvas(6.5, 5)
+    axis = figure.subplots()
+    limits: list[float] = []
+    for method, values in columns.items():
+        x, y = _binned(values["sigma_center_m"], values["center_m"])
+        if len(x):
+            axis.plot(1e3 * x, 1e3 * y, "o-", color=_color(list(columns), method), markersize=4, label=drawn(method))
+            limits += [float(1e3 * x.min()), float(1e3 * x.max())]
+    if limits:
+        _diagonal(axis, min(limits), max(limits))
+        axis.legend(fontsize=8)
+    axis.set_xlabel("reported standard deviation of the centre (mm)")
+    axis.set_ylabel("root mean square centre error (mm)")
+    axis.grid(alpha=0.3, which="both")
+    return Picture(png=png_of(figure), caption="Reliability: on the line, errors are as large as reported.")
+
+
+def _diagonal(axis: Axes, low: float, high: float) -> None:
+    axis.plot([low, high], [low, high], color="black", linewidth=0.8)
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+
+
+def _binned(sigma: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Root mean square reported and actual errors in bins of the reported one."""
+    both = np.isfinite(sigma) & np.isfinite(error)
+    order = np.argsort(sigma[both])
+    if len(order) < 2 * BINS:
+        return np.empty(0), np.empty(0)
+    parts = np.array_split(order, BINS)
+    x, y = (np.array([sqrt(float(np.mean(values[both][part] ** 2))) for part in parts]) for values in (sigma, error))
+    return x, y

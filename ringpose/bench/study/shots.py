@@ -1,0 +1,305 @@
+"""One shot of a study: simulated, measured by every method, scored (ringpose-bench(1)).
+
+This is the only module of `bench` that knows how shots are simulated and poses estimated. A shot depends on nothing
+but the study and its index.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from math import isfinite
+from time import perf_counter
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ringpose.bench.design.bounds import Bound, cramer_rao
+from ringpose.bench.design.rig_changes import with_laser_angle
+from ringpose.bench.score import Judgement, PoseEstimate, Score, estimate_of, score
+from ringpose.bench.study.baselines import BASELINES
+from ringpose.detect.pipeline import detect
+from ringpose.errors import DataError
+from ringpose.estimate.covariance import standard_deviation
+from ringpose.pose.record import RADIUS_SD_M, pose_line
+from ringpose.simulate.common_errors import drawn_rig
+from ringpose.simulate.features import Deviations, drawn_features
+from ringpose.simulate.pipeline import simulated_shot
+from ringpose.simulate.placement import ring_views
+from ringpose.types.assumptions import NOISE_ONLY, AssumptionOptions, MotionPrior
+from ringpose.types.detection import BreakPoints, Detection
+from ringpose.types.image import Shot
+from ringpose.types.options import Method
+from ringpose.types.pose import NoPose, PoseFlag, PoseLine, RingPose
+from ringpose.types.rig import Rig
+from ringpose.types.ring import KnownRadii
+from ringpose.types.scene import Approach, Scene
+from ringpose.types.sequence import parsed_sequence
+from ringpose.types.study import Row, Study, StudyMethod, Value, columns
+from ringpose.types.target import RingShape
+from ringpose.types.truth import Truth
+
+_FACTORS, _SCENE, _RIG, _RADII = 10, 11, 12, 13
+"""First numbers of the seeds of a shot's factors, scene, true rig and assumed radii."""
+
+_POSE_METHODS = {
+    StudyMethod.ML: (Method.ML, False),
+    StudyMethod.ML_KNOWN: (Method.ML, True),
+    StudyMethod.PAPER: (Method.PAPER, False),
+    StudyMethod.PAPER_CONSTRAINED: (Method.PAPER_CONSTRAINED, False),
+}
+"""The methods of `ringpose pose`, and whether they are given the radii."""
+
+WITH_RADII = (StudyMethod.ML_KNOWN, StudyMethod.ELLIPSE, StudyMethod.ELLIPSE_REFINED)
+"""The methods that are given the radii, to which the bound for known radii applies."""
+
+ERROR = "error"
+"""Outcome of a shot whose computation failed."""
+
+
+class StudyShot(NamedTuple):
+    """A simulated shot with its truth."""
+
+    setting: Mapping[str, Value]
+    scene: Scene
+    """With the rig that measures; the shot itself may have been taken by another one."""
+    source: Shot | Detection
+    truth: Truth
+    simulate_s: float
+
+
+def study_rows(study: Study, index: int) -> list[Row]:
+    """The rows of a shot, one for each method; a shot that cannot be computed gives rows with the reason."""
+    setting = setting_of(study, index)
+    try:
+        return list(_rows(study, index, study_shot(study, index, setting)))
+    except DataError as error:
+        return failed_rows(study, index, str(error))
+    except Exception as error:  # a study of 10^5 shots must not end because of one
+        return failed_rows(study, index, f"{type(error).__name__}: {error}")
+
+
+def failed_rows(study: Study, index: int, reason: str) -> list[Row]:
+    """The rows of a shot without any result."""
+    empty: Row = dict.fromkeys(columns(study))
+    common = {"shot": index, **setting_of(study, index), "outcome": ERROR, "status": "none", "reason": reason}
+    return [{**empty, **common, "method": method.value} for method in study.methods]
+
+
+def setting_of(study: Study, index: int) -> dict[str, Value]:
+    """The values of the factors of a shot; shots go through the cells of the grid in turn, the last factor fastest."""
+    cell, values = index % study.cells, {}
+    for factor in reversed(study.grid):
+        cell, place = divmod(cell, len(factor.values))
+        values[factor.name] = factor.values[place]
+    rng = np.random.default_rng([_FACTORS, study.seed, index])
+    for factor in study.factors:
+        if factor.uniform is not None:
+            values[factor.name] = float(rng.uniform(*factor.uniform))
+        elif factor.drawn:
+            values[factor.name] = factor.values[int(rng.integers(len(factor.values)))]
+    return {factor.name: values[factor.name] for factor in study.factors}
+
+
+def study_shot(study: Study, index: int, setting: Mapping[str, Value]) -> StudyShot:
+    """The shot of an index, rendered or drawn."""
+    start_s = perf_counter()
+    scene = scene_of(study, index, setting)
+    deviations = _deviations(setting)
+    source: Shot | Detection
+    if study.level == "features":
+        drawn = next(drawn_features(scene, deviations, 1))
+        source, truth = drawn.detection, drawn.truth
+    else:
+        taken_by = scene
+        if deviations.rig_errors:
+            taken_by = replace(scene, rig=drawn_rig(scene.rig, np.random.default_rng([_RIG, study.seed, index])))
+        source, truth = simulated_shot(taken_by, taken_by.views, 0)
+    measured_by = scene if study.rig is None else replace(scene, rig=study.rig)
+    return StudyShot(setting, measured_by, source, truth, perf_counter() - start_s)
+
+
+def scene_of(study: Study, index: int, setting: Mapping[str, Value]) -> Scene:
+    """The scene of one shot: a single random view, with a seed of its own."""
+    seed = int(np.random.SeedSequence([_SCENE, study.seed, index]).generate_state(1)[0])
+    numbers: Mapping[str, Any] = setting
+    scene = study.scene
+    if "laser_angle_rad" in setting:
+        scene = replace(scene, rig=with_laser_angle(scene.rig, numbers["laser_angle_rad"]))
+    if "radius_outer_m" in setting:
+        scene = replace(scene, ring=_enlarged(scene.ring, numbers["radius_outer_m"]))
+    if "sequence" in setting:
+        lasers = len(scene.rig.lasers.names)
+        masks = tuple(step.mask(lasers) for step in parsed_sequence(str(setting["sequence"])))
+        scene = replace(scene, sequence=masks)
+    if "stripe_dn" in setting:
+        scene = replace(scene, stripe_dn=numbers["stripe_dn"])
+    if "blur_px" in setting:
+        scene = replace(scene, lens=replace(scene.lens, blur_px=numbers["blur_px"]))
+    if "speckle_contrast" in setting:
+        scene = replace(scene, speckle=replace(scene.speckle, contrast=numbers["speckle_contrast"]))
+    if "dark_noise_e" in setting:
+        scene = replace(scene, sensor=replace(scene.sensor, temporal_dark_noise_e=numbers["dark_noise_e"]))
+    approach = Approach(
+        count=1,
+        distances_m=(numbers["distance_m"],),
+        lights=(str(setting.get("light", next(iter(scene.lights)))),),
+        seed=0,
+        name=f"s{index:06d}_z",
+        **{name: numbers[name] for name in ("tilt_rad", "clock_rad", "offset") if name in setting},
+    )
+    scene = replace(scene, seed=seed, views=(), approaches=(approach,), camera_boards=None, plane_boards=None)
+    # as a view of its own, whose appearance is then computed once for the shot and its bound
+    return replace(scene, views=ring_views(scene), approaches=())
+
+
+def _enlarged(ring: RingShape, radius_outer_m: float) -> RingShape:
+    """The ring with another radius and the same cross-section."""
+    profile_m = ring.profile_m + np.array([radius_outer_m - ring.radius_outer_m, 0.0])
+    if float(profile_m[:, 0].min()) < 0:
+        raise DataError("radius_outer_m", f"is {radius_outer_m:g}, less than the width of the ring's cross-section")
+    return replace(ring, profile_m=profile_m)
+
+
+def _deviations(setting: Mapping[str, Value]) -> Deviations:
+    numbers: Mapping[str, Any] = setting
+    speed, rate = float(numbers.get("speed_sd_m_s", 0.0)), float(numbers.get("rate_sd_rad_s", 0.0))
+    return Deviations(
+        rig_errors=bool(setting.get("rig_errors", False)),
+        motion=MotionPrior(speed_sd_m_s=speed, rate_sd_rad_s=rate) if speed or rate else None,
+        ring_tolerance_m=float(numbers.get("ring_tolerance_m", 0.0)),
+        displaced_share=float(numbers.get("displaced_share", 0.0)),
+        background_share=float(numbers.get("background_share", 0.0)),
+        missing_share=float(numbers.get("missing_share", 0.0)),
+    )
+
+
+def options_of(setting: Mapping[str, Value]) -> AssumptionOptions:
+    """What the estimator assumes about a shot of this setting: the distributions that it was drawn from."""
+    numbers: Mapping[str, Any] = setting
+    speed_sd_m_s, rate_sd_rad_s = float(numbers.get("speed_sd_m_s", 0.0)), float(numbers.get("rate_sd_rad_s", 0.0))
+    moving = bool(speed_sd_m_s or rate_sd_rad_s)
+    return AssumptionOptions(
+        still=not moving,
+        max_speed_m_s=2.0 * speed_sd_m_s if moving else None,
+        max_rate_deg_s=math.degrees(2.0 * rate_sd_rad_s) if moving else None,
+        ring_tolerance_m=float(numbers.get("ring_tolerance_m", 0.0)),
+        rig_stability=1.0 if setting.get("rig_errors", False) else 0.0,
+    )
+
+
+def _rows(study: Study, index: int, shot: StudyShot) -> Iterator[Row]:
+    rig, source = shot.scene.rig, shot.source
+    start_s = perf_counter()
+    options = options_of(shot.setting)
+    assumptions = options.about_shot(rig.stability, still=source.still)
+    detection = detect(source, rig, assumptions=assumptions) if isinstance(source, Shot) else source
+    detect_s = perf_counter() - start_s
+    radii = _radii(
+        shot.scene, RADIUS_SD_M * float(np.random.default_rng([_RADII, study.seed, index]).standard_normal())
+    )
+    bounds = bounds_of(shot.scene, {method in WITH_RADII for method in study.methods})
+    points = detection.break_points
+    common: Row = {
+        "shot": index,
+        **shot.setting,
+        "expect": shot.truth.expect,
+        "break_points": int(points.seen.sum()) if isinstance(points, BreakPoints) else 0,
+        "edge_points": 0 if detection.ring_edges is None else len(detection.ring_edges.edge),
+        **_true_pose(shot.truth),
+        "simulate_s": shot.simulate_s,
+        "detect_s": detect_s,
+    }
+    empty: Row = dict.fromkeys(columns(study))
+    for method in study.methods:
+        start_s = perf_counter()
+        line = measured_line(detection, rig, method, radii, options)
+        pose_s = perf_counter() - start_s
+        estimate = replace(estimate_of(line, shot.truth.shot), shot=shot.truth.shot, method=method.value)
+        scored = score(shot.truth, estimate, method.value, rig.camera)
+        bound = bounds[method in WITH_RADII]
+        row = {**empty, **common, **_scored(scored, estimate, shot.truth, line), **_bound(bound), "pose_s": pose_s}
+        yield {name: None if isinstance(value, float) and not isfinite(value) else value for name, value in row.items()}
+
+
+def measured_line(
+    detection: Detection, rig: Rig, method: StudyMethod, radii: KnownRadii, options: AssumptionOptions
+) -> PoseLine:
+    """The pose line of a detection by one of the methods."""
+    if method in _POSE_METHODS:
+        of_pose, known = _POSE_METHODS[method]
+        return pose_line(detection, rig, of_pose, known=radii if known else None, options=options)
+    pose = BASELINES[method](detection, rig, radii)
+    found = pose if isinstance(pose, RingPose) else None
+    reason = pose if isinstance(pose, str) else pose.value if isinstance(pose, NoPose) else None
+    return PoseLine(
+        shot=detection.shot, stamp_s=detection.stamp_s, pose_stamp_s=detection.stamp_s, pose=found, reason=reason
+    )
+
+
+def bounds_of(scene: Scene, with_radii: Iterable[bool]) -> dict[bool, Bound | None]:
+    """Cramér-Rao bounds of the scene's view without and with known radii; None where the ring is not determined.
+
+    They are those of the break points and edges that an image of this scene shows, without motion.
+    """
+    exact = next(drawn_features(scene, Deviations(noise=False), 1)).detection
+    radii = {False: None, True: _radii(scene)}
+    lines = {known: pose_line(exact, scene.rig, known=radii[known], options=NOISE_ONLY) for known in with_radii}
+    return {known: cramer_rao(line, scene.rig) for known, line in lines.items()}
+
+
+def _radii(scene: Scene, error_m: float = 0.0) -> KnownRadii:
+    """The radii with the prior that the estimator is given; an error, drawn from that prior, is common to both."""
+    radius_m = np.array([scene.ring.radius_inner_m, scene.ring.radius_outer_m])
+    return KnownRadii(radius_m=radius_m + error_m, sd_m=np.full(2, RADIUS_SD_M))
+
+
+def _true_pose(truth: Truth) -> Row:
+    if truth.center_m is None or truth.normal is None:
+        return {}
+    center = dict(zip(("true_center_x_m", "true_center_y_m", "true_center_z_m"), truth.center_m.tolist(), strict=True))
+    normal = dict(zip(("true_normal_x", "true_normal_y", "true_normal_z"), truth.normal.tolist(), strict=True))
+    return {**center, **normal}
+
+
+def _scored(scored: Score, estimate: PoseEstimate, truth: Truth, line: PoseLine) -> Row:
+    """Outcome, errors and reported standard deviations of a method."""
+    flags = " ".join(str(flag.name).lower() for flag in PoseFlag if flag in estimate.flags)
+    row: Row = {
+        "method": scored.method,
+        "outcome": str(scored.outcome),
+        "status": scored.status,
+        "reason": line.reason,
+        "flags": flags,
+        "wrong": " ".join(scored.wrong),
+        "gross": " ".join(scored.gross),
+        "correct": " ".join(name for name, found in scored.judgements.items() if found is Judgement.CORRECT),
+        **{name: float(value) for name, value in scored.errors.items()},
+    }
+    pose = estimate.pose
+    if pose is None:
+        return row
+    if truth.normal is not None and "normal_rad" in scored.errors:
+        row["pitch_rad"] = pose.pitch_rad - math.atan2(-truth.normal[1], math.hypot(truth.normal[0], truth.normal[2]))
+        row["yaw_rad"] = pose.yaw_rad - math.atan2(-truth.normal[0], -truth.normal[2])
+    if pose.covariance_center_m2 is not None:
+        row["sigma_center_m"] = _root(np.trace(pose.covariance_center_m2))
+    if pose.covariance is not None:
+        row["sigma_normal_rad"] = _root(np.trace(pose.covariance[:2, :2]))
+        row["sigma_radius_outer_m"] = _root(pose.covariance[6, 6])
+    if pose.covariance_grasp_m2 is not None and np.isfinite(pose.covariance_grasp_m2).all():
+        row["sigma_grasp_m"] = standard_deviation(pose.covariance_grasp_m2)
+    return row
+
+
+def _root(variance: Any) -> float | None:
+    return math.sqrt(variance) if math.isfinite(variance) and variance >= 0 else None
+
+
+def _bound(bound: Bound | None) -> Row:
+    if bound is None:
+        return {}
+    return {
+        "bound_center_m": bound.center_sd_m,
+        "bound_normal_rad": bound.normal_sd_rad,
+        "bound_radius_outer_m": bound.radius_outer_sd_m,
+    }

@@ -1,0 +1,310 @@
+"""Statistics of a study's rows, and its tables: first in the form of the paper's, then with bounds and baselines."""
+
+from array import array
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from math import degrees, nan, sqrt
+from typing import Literal, cast
+
+import numpy as np
+
+from ringpose.bench.score import QUANTITIES, Judgement, Outcome, Score
+from ringpose.bench.summary import ABSENT
+from ringpose.bench.table import aligned, number
+from ringpose.types.study import ERRORS, LIMITS, SIGMAS, Row, Study, Value
+
+BOUND_OF = {
+    "center_m": "bound_center_m",
+    "normal_rad": "bound_normal_rad",
+    "radius_outer_m": "bound_radius_outer_m",
+}
+"""The Cramér-Rao bound of each error that has one."""
+
+_TIMES = ("simulate_s", "detect_s", "pose_s")
+
+Key = tuple[Value, ...]
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class Statistics:
+    """Sums over the rows of one method in one cell of the grid."""
+
+    shots: int = 0
+    targets: int = 0
+    """Shots in which a ring is visible."""
+    answers: int = 0
+    """Those of them with a pose."""
+    available: int = 0
+    """Those of them whose status is `ok`."""
+    false_poses: int = 0
+    """Poses where no ring is visible."""
+    failed: int = 0
+    """Shots that could not be computed."""
+    wrong: int = 0
+    judged: int = 0
+    gross: int = 0
+    reasons: dict[str, int] = field(default_factory=dict)
+    """Number of shots by the reason why they have no pose."""
+    values: dict[str, "array[float]"] = field(default_factory=dict)
+    """Errors, reported standard deviations and times of the shots that have them."""
+    bounded: dict[str, "array[float]"] = field(default_factory=dict)
+    """Errors of shots with a finite bound, divided by it."""
+    bounds: dict[str, "array[float]"] = field(default_factory=dict)
+
+    def add(self, row: Row) -> None:
+        """Include a row."""
+        self.shots += 1
+        self.failed += row["outcome"] == "error"
+        has_target, has_pose = row["expect"] in ("pose", "partial"), row["status"] in ("ok", "degraded")
+        self.targets += has_target
+        self.answers += has_target and has_pose
+        self.available += has_target and row["status"] == "ok"
+        self.false_poses += has_pose and row["expect"] == "no_target"
+        wrong = len(names_in(row["wrong"]))
+        self.wrong += wrong
+        self.judged += wrong + len(names_in(row["correct"]))
+        self.gross += len(names_in(row["gross"]))
+        if not has_pose and (has_target or row["outcome"] == "error"):
+            reason = str(row["reason"] or "no pose").split(":")[0]
+            self.reasons[reason] = self.reasons.get(reason, 0) + 1
+        for name in (*ERRORS, *SIGMAS, *_TIMES):
+            self._append(self.values, name, row.get(name))
+        for name, bound_name in BOUND_OF.items():
+            error, bound = row.get(name), row.get(bound_name)
+            self._append(self.bounds, name, bound)
+            if isinstance(error, float) and isinstance(bound, float) and bound > 0:
+                self._append(self.bounded, name, error / bound)
+
+    @staticmethod
+    def _append(values: dict[str, "array[float]"], name: str, value: object) -> None:
+        if isinstance(value, float | int) and not isinstance(value, bool):
+            values.setdefault(name, array("d")).append(value)
+
+    def rms(self, name: str) -> float:
+        """Root mean square; NaN without any value."""
+        return _rms(self.values.get(name))
+
+    def median(self, name: str) -> float:
+        """Median of the absolute values; NaN without any."""
+        values = self.values.get(name)
+        return nan if values is None else float(np.median(np.abs(values)))
+
+    def mean(self, name: str) -> float:
+        """Mean; NaN without any value."""
+        values = self.values.get(name)
+        return nan if values is None else float(np.mean(values))
+
+    def bound(self, name: str) -> float:
+        """Root mean square bound; NaN without any."""
+        return _rms(self.bounds.get(name))
+
+    def ratio(self, name: str) -> float:
+        """Root mean square of error over bound; NaN without any."""
+        return _rms(self.bounded.get(name))
+
+
+def _rms(values: "array[float] | None") -> float:
+    return nan if values is None else sqrt(float(np.mean(np.square(values))))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StudySummary:
+    """The statistics of a study's cells."""
+
+    methods: tuple[str, ...]
+    by: tuple[str, ...]
+    """The factors that distinguish the cells."""
+    table: str
+    cells: Mapping[tuple[str, Key], Statistics]
+    """By method and values of the factors."""
+    columns: Mapping[tuple[str, Key], Statistics]
+    """By method and value of the factor `table` alone."""
+
+    def all(self, method: str) -> Statistics:
+        """Those of all shots of a method."""
+        return self.columns[method, ()]
+
+
+def summarized(study: Study, rows: Iterable[Row]) -> StudySummary:
+    """The statistics of all rows; memory grows by the errors alone, a few hundred bytes a row."""
+    by = tuple(factor.name for factor in study.grid if len(factor.values) > 1)
+    cells: dict[tuple[str, Key], Statistics] = {}
+    wide: dict[tuple[str, Key], Statistics] = {(method.value, ()): Statistics() for method in study.methods}
+    for row in rows:
+        method = str(row["method"])
+        key = tuple(value for name in by if (value := row[name]) is not None)
+        cells.setdefault((method, key), Statistics()).add(row)
+        wide[method, ()].add(row)
+        if study.table and (value := row[study.table]) is not None:
+            wide.setdefault((method, (value,)), Statistics()).add(row)
+    methods = tuple(method.value for method in study.methods)
+    return StudySummary(methods=methods, by=by, table=study.table, cells=cells, columns=wide)
+
+
+def names_in(cell: object) -> list[str]:
+    """The names in a cell of a row, which are separated by blanks."""
+    return str(cell or "").split()
+
+
+def scores_of(rows: Iterable[Row], factors: Sequence[str]) -> list[Score]:
+    """The rows as scores, to compare two results of one study."""
+    return [
+        Score(
+            shot=str(row["shot"]),
+            method=str(row["method"]),
+            outcome=Outcome(str(row["outcome"])) if row["outcome"] != "error" else Outcome.LOST,
+            status=cast(Literal["ok", "degraded", "none"], row["status"]),
+            has_target=row["expect"] != "no_target",
+            groups={name: value for name in factors if (value := row[name]) is not None},
+            errors={name: float(value) for name in QUANTITIES if isinstance(value := row.get(name), float)},
+            judgements={
+                **dict.fromkeys(names_in(row["correct"]), Judgement.CORRECT),
+                **dict.fromkeys(names_in(row["wrong"]), Judgement.WRONG),
+            },
+            gross=tuple(names_in(row["gross"])),
+        )
+        for row in rows
+    ]
+
+
+PAPER_ROWS = (
+    ("position error x (mm)", "center_x_m", 1e3),
+    ("position error y (mm)", "center_y_m", 1e3),
+    ("position error z (mm)", "center_z_m", 1e3),
+    ("angle error pitch (deg)", "pitch_rad", degrees(1)),
+    ("angle error yaw (deg)", "yaw_rad", degrees(1)),
+)
+"""The rows of the paper's tables of results; here root mean square."""
+
+PAPER_TIMES = (("detection (ms)", "detect_s"), ("pose (ms)", "pose_s"))
+
+
+def study_text(study: Study, summary: StudySummary) -> str:
+    """All tables of a study."""
+    blocks = [f"{study.title}: {study.shots} shots ({study.level}), seed {study.seed}"]
+    blocks += [_paper_block(study, summary, method) for method in summary.methods]
+    blocks.append("\n".join(["errors beside their bounds, root mean square", *_cell_lines(summary)]))
+    if failures := _failures(summary):
+        blocks.append("\n".join(["shots with a visible ring but without a pose", *failures]))
+    return "\n\n".join(blocks) + "\n"
+
+
+def _paper_block(study: Study, summary: StudySummary, method: str) -> str:
+    """The table in the paper's form: a column for each distance or light, a row for each component of the error."""
+    keys = sorted_keys(key for name, key in summary.columns if name == method and key)
+    found = [summary.columns[method, key] for key in keys] or [summary.all(method)]
+    heading = [f"{method}, root mean square", *(value_text(study.table, key[0]) for key in keys)]
+    rows = [heading if keys else [heading[0], "all"]]
+    rows += [[label, *(number(each.rms(name) * factor) for each in found)] for label, name, factor in PAPER_ROWS]
+    if study.level == "images":
+        rows += [[label, *(number(each.median(name) * 1e3) for each in found)] for label, name in PAPER_TIMES]
+    rows.append(["shots with a pose", *(f"{each.answers}/{each.targets}" for each in found)])
+    return "\n".join(aligned(rows, 1))
+
+
+HEADINGS = (
+    "shots", "pose %", "ok %", "wrong", "center mm", "median", "bound", "ratio", "normal deg", "normal bound",
+    "normal ratio", "r_out mm", "grasp mm", "center NEES", "normal NEES", "pose ms",
+)  # fmt: skip
+
+
+def _cell_lines(summary: StudySummary) -> list[str]:
+    rows = [[*summary.by, "method", *HEADINGS]]
+    keys = sorted_keys(key for _, key in summary.cells)
+    for key in keys:
+        for method in summary.methods:
+            if (method, key) in summary.cells:
+                cells = statistics_cells(summary.cells[method, key])
+                rows.append([*(value_text(name, v) for name, v in zip(summary.by, key, strict=True)), method, *cells])
+    return aligned(rows, len(summary.by) + 1)
+
+
+def statistics_cells(each: Statistics) -> list[str]:
+    """The cells under `HEADINGS`."""
+    return [
+        str(each.shots),
+        _percent(each.answers, each.targets),
+        _percent(each.available, each.targets),
+        f"{each.wrong}/{each.judged}",
+        number(each.rms("center_m") * 1e3),
+        number(each.median("center_m") * 1e3),
+        number(each.bound("center_m") * 1e3),
+        number(each.ratio("center_m")),
+        number(degrees(each.rms("normal_rad"))),
+        number(degrees(each.bound("normal_rad"))),
+        number(each.ratio("normal_rad")),
+        number(each.rms("radius_outer_m") * 1e3),
+        number(each.rms("grasp_m") * 1e3),
+        number(each.mean("center_nees")),
+        number(each.mean("normal_nees")),
+        number(each.median("pose_s") * 1e3),
+    ]
+
+
+def _failures(summary: StudySummary) -> list[str]:
+    rows = [
+        [method, str(count), reason]
+        for method in summary.methods
+        for reason, count in sorted(summary.all(method).reasons.items(), key=lambda item: -item[1])
+    ]
+    return ["  ".join(row) for row in rows]
+
+
+def exceeded_limits(study: Study, summary: StudySummary) -> list[str]:
+    """A message for each limit that the first method misses in a cell, or that applies to nothing."""
+    method, found = summary.methods[0], []
+    for name, limit in study.limits.items():
+        what, values = LIMITS[name], []
+        for (of_method, key), each in summary.cells.items():
+            if of_method != method:
+                continue
+            value = _limited(each, what)
+            values.append(value)
+            place = ", ".join(f"{by} {value_text(by, v)}" for by, v in zip(summary.by, key, strict=True)) or "all shots"
+            if value < limit if name.startswith("min_") else value > limit:
+                relation = "is below" if name.startswith("min_") else "exceeds"
+                found.append(f"{name}: {what} {value:.4g} of {place} ({method}) {relation} {limit:.4g}")
+        if not any(value == value for value in values):
+            found.append(f"{name}: no shot of {method} has {what}, limit {limit:.4g}")
+    failed = summary.all(method).failed
+    return [*found, *([f"{failed} shots could not be computed"] if failed else [])]
+
+
+def _limited(each: Statistics, what: str) -> float:
+    if what == "available":
+        return each.available / each.targets if each.targets else nan
+    if what == "no_pose":
+        return 1.0 - each.answers / each.targets if each.targets else nan
+    return float(each.wrong) if what == "wrong" else each.rms(what)
+
+
+def sorted_keys(keys: Iterable[Key]) -> list[Key]:
+    """Numbers by value, texts in the order of their first occurrence."""
+    every = list(dict.fromkeys(keys))
+    texts = list(dict.fromkeys(part for key in every for part in key if isinstance(part, str)))
+    return sorted(every, key=lambda key: [texts.index(part) if isinstance(part, str) else part for part in key])
+
+
+def value_text(name: str, value: Value) -> str:
+    """A factor's value for a heading: distances in millimetres, angles in degrees."""
+    if isinstance(value, str | bool):
+        return str(value).lower() if isinstance(value, bool) else value
+    if name.endswith("_m"):
+        return f"{1e3 * value:g} mm"
+    return f"{degrees(value):.4g} deg" if name.endswith("_rad") else f"{value:g}"
+
+
+def _percent(part: int, whole: int) -> str:
+    return f"{100 * part / whole:.4g}" if whole else ABSENT
+
+
+def worst_shots(rows: Iterable[Row], method: str, count: int) -> list[int]:
+    """Indices of the shots with the largest centre errors of a method; those without a pose come first."""
+    ranked: list[tuple[float, int]] = []
+    for row in rows:
+        if row["method"] == method and row["expect"] in ("pose", "partial"):
+            error = row["center_m"]
+            ranked.append((float(error) if error is not None else float("inf"), int(row["shot"] or 0)))
+            if len(ranked) > 2 * count + 1000:
+                ranked = sorted(ranked, reverse=True)[:count]
+    return [index for _, index in sorted(ranked, reverse=True)[:count]]

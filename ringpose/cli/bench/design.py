@@ -1,0 +1,223 @@
+"""`ringpose bench design`: what accuracy a rig allows over its working volume, and which rig is best."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ringpose.cli.known_ring import RadiusInner, RadiusOuter
+from ringpose.cli.options import CsvFile, Force, Quiet, Report, finite
+from ringpose.types.options import Minimized
+
+if TYPE_CHECKING:
+    from ringpose.bench.design.maps import Design
+    from ringpose.types.scene import Scene
+
+MAX_DESIGNS = 500
+"""Maximum number of rigs in a sweep."""
+
+RigToDesign = Annotated[
+    Path, typer.Argument(metavar="RIG", help="The rig (rig.yaml), with the places of its projectors.")
+]
+SceneFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--scene", readable=False, metavar="FILE", help="Ring, lasers, lens, sensor and light; else usual ones."
+    ),
+]
+Vary = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--vary", metavar="NAME=VALUES", help="Values to try, by commas; may be given again: all are combined."
+    ),
+]
+Distances = Annotated[str, typer.Option("--distances", metavar="METRES", help="Distances of the ring, by commas.")]
+Offsets = Annotated[
+    str, typer.Option("--offsets", metavar="SHARES", help="Offsets from the image centre, in image widths, by commas.")
+]
+Pitch = Annotated[float, typer.Option("--pitch", metavar="DEG", min=-60, max=60, callback=finite, help="Of the ring.")]
+Yaw = Annotated[float, typer.Option("--yaw", metavar="DEG", min=-60, max=60, callback=finite, help="Of the ring.")]
+Stability = Annotated[
+    float,
+    typer.Option("--rig-stability", metavar="FACTOR", min=0, callback=finite, help="Scales the rig's usual stability."),
+]
+Minimize = Annotated[Minimized, typer.Option("--minimize", help="The quantity by which the best rig is chosen.")]
+MinCoverage = Annotated[
+    float,
+    typer.Option("--min-coverage", metavar="SHARE", min=0, max=1, help="Of the places, with all stripes in view."),
+]
+BestRig = Annotated[
+    Path | None,
+    typer.Option("--output", "-o", readable=False, metavar="FILE", help="Write the best rig, to start from."),
+]
+
+QUANTITY = {
+    Minimized.CENTER: "center_m",
+    Minimized.NORMAL: "normal_rad",
+    Minimized.GRASP: "grasp_m",
+    Minimized.RADIUS: "radius_outer_m",
+    Minimized.CENTER_KNOWN: "center_known_m",
+}
+
+
+def design(
+    rig: RigToDesign,
+    scene: SceneFile = None,
+    vary: Vary = None,
+    distances: Distances = "0.2,0.3,0.4,0.5,0.7,1.0",
+    offsets: Offsets = "-0.3,-0.15,0,0.15,0.3",
+    pitch: Pitch = 0.0,
+    yaw: Yaw = 0.0,
+    radius_outer: RadiusOuter = None,
+    radius_inner: RadiusInner = None,
+    rig_stability: Stability = 1.0,
+    minimize: Minimize = Minimized.CENTER,
+    min_coverage: MinCoverage = 0.8,
+    csv: CsvFile = None,
+    output: BestRig = None,
+    report: Report = None,
+    force: Force = False,
+    quiet: Quiet = False,
+) -> None:
+    """Map the accuracy that a rig allows (Cramer-Rao bounds), and find the best of a sweep."""
+    from math import radians
+
+    from ringpose.bench.design.maps import best, csv_rows, design_rows, designs, places, summary_lines
+    from ringpose.bench.table import aligned
+    from ringpose.cli.batch import Batch
+    from ringpose.cli.options import STDOUT
+    from ringpose.cli.progress import with_progress
+    from ringpose.errors import NO_POSE
+    from ringpose.files import records
+    from ringpose.files.io import csv_text, write_result
+
+    sweep = _sweep(vary or [])
+    where = places(
+        _numbers("--distances", distances, (0.02, 5.0)),
+        _numbers("--offsets", offsets, (-0.5, 0.5)),
+        radians(pitch),
+        radians(yaw),
+    )
+    _check_outputs(output, report, force)
+    base = _scene(rig, scene, radius_inner, radius_outer)
+    from ringpose.types.assumptions import TYPICAL_STABILITY
+
+    stability = TYPICAL_STABILITY.scaled(rig_stability)
+    found = list(with_progress(designs(base, sweep, where, stability), "rigs", quiet))
+    chosen = best(found, QUANTITY[minimize], min_coverage)
+    batch = Batch()
+    if csv != STDOUT:
+        lines = [
+            *aligned(design_rows(found), 1),
+            "",
+            *summary_lines(found),
+            "",
+            _choice(chosen, minimize, min_coverage),
+        ]
+        records.write_text("\n".join(lines) + "\n")
+    if csv is not None:
+        write_result(csv, csv_text(csv_rows(found)), force=force)
+    if chosen is None:
+        batch.record_status(NO_POSE)
+    elif output is not None:
+        from ringpose.files.rigs import write_rig
+
+        write_rig(output, chosen.rig, force=force, inputs=[rig])
+    if report is not None:
+        from ringpose.bench.design.report import design_report
+        from ringpose.files.io import provenance, write_page
+
+        write_page(report, design_report(found, chosen, QUANTITY[minimize], provenance([rig])), force=force)
+    batch.finish()
+
+
+def _check_outputs(output: Path | None, report: Path | None, force: bool) -> None:
+    from ringpose.files.atomic import reject_existing
+    from ringpose.report.page import require_matplotlib
+
+    for target in (output, report):
+        if target is not None:
+            reject_existing(target, force)
+    if report is not None:
+        require_matplotlib()
+
+
+def _choice(chosen: "Design | None", minimize: Minimized, min_coverage: float) -> str:
+    covered = f"with all stripes in view at {100 * min_coverage:g} % of the places"
+    if chosen is None:
+        return f"best by {minimize.value}: none {covered}"
+    return f"best by {minimize.value}: {chosen.name}, {covered}"
+
+
+def _sweep(words: list[str]) -> dict[str, list[float]]:
+    """Names and values of --vary."""
+    from ringpose.bench.design.maps import SWEPT
+    from ringpose.errors import UsageError
+    from ringpose.files.schema import hint
+
+    bounds = {
+        "laser_angle_rad": (0.001, 0.7),
+        "baseline_m": (0.005, 2.0),
+        "focal_px": (50.0, 1e5),
+        "dark_noise_e": (0.0, 1000.0),
+        "lasers": (1.0, 8.0),
+    }
+    sweep: dict[str, list[float]] = {}
+    for word in words:
+        name, _, values = word.partition("=")
+        if name not in SWEPT or name in sweep:
+            raise UsageError("--vary", f"{name!r} is not a new one of {', '.join(SWEPT)}", hint(name, SWEPT))
+        sweep[name] = _numbers(f"--vary {name}", values, bounds[name])
+        if name == "lasers" and any(value != round(value) for value in sweep[name]):
+            raise UsageError("--vary lasers", f"{values!r} are not whole numbers")
+    number = 1
+    for tried in sweep.values():
+        number *= len(tried)
+    if number > MAX_DESIGNS:
+        raise UsageError("--vary", f"gives {number} rigs, at most {MAX_DESIGNS} are tried", "give fewer values")
+    return sweep
+
+
+def _numbers(option: str, text: str, bounds: tuple[float, float]) -> list[float]:
+    from ringpose.errors import UsageError
+
+    try:
+        numbers = sorted({float(word) for word in text.split(",")})
+    except ValueError:
+        raise UsageError(option, f"{text!r} is not a list of numbers", "such as 0.3,0.5,1") from None
+    if not all(bounds[0] <= number <= bounds[1] for number in numbers):
+        raise UsageError(option, f"{text!r} must be from {bounds[0]:g} to {bounds[1]:g}")
+    return numbers
+
+
+def _scene(rig: Path, scene: Path | None, radius_inner_m: float | None, radius_outer_m: float | None) -> "Scene":
+    """The scene with the rig to be judged, and a ring of these radii."""
+    from dataclasses import replace
+
+    import numpy as np
+
+    from ringpose.errors import DataError, UsageError
+    from ringpose.files.rigs import read_rig
+    from ringpose.files.scenes import read_scene
+    from ringpose.files.studies.specification import PRESETS
+
+    judged, base = read_rig(rig), read_scene(scene or PRESETS / "paper-physical-scene.yaml")
+    if np.isnan(judged.lasers.projector_m).any():
+        raise DataError(str(rig), "does not say where the projectors are", "add projector_m to each laser")
+    count = len(judged.lasers.names)
+    sequence = (0, *(1 << laser for laser in range(count)), (1 << count) - 1)
+    ring = base.ring
+    if (radius_inner_m is None) != (radius_outer_m is None):
+        raise UsageError("--radius-inner", "and --radius-outer need each other")
+    if radius_inner_m is not None and radius_outer_m is not None:
+        if not 0 < radius_inner_m < radius_outer_m <= 5:
+            raise UsageError("--radius-inner", "must be positive and smaller than --radius-outer, in metres")
+        height_m = ring.height_m
+        profile_m = [
+            [radius_inner_m, 0.0],
+            [radius_inner_m, height_m],
+            [radius_outer_m, height_m],
+            [radius_outer_m, 0.0],
+        ]
+        ring = replace(ring, profile_m=np.array(profile_m))
+    return replace(base, rig=judged, sequence=sequence, ring=ring)

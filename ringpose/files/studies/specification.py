@@ -1,0 +1,221 @@
+"""study.yaml, the input of `ringpose bench study`; man/ringpose-bench.1 documents its keys."""
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, cast
+
+import numpy as np
+
+from ringpose.errors import DataError, UsageError
+from ringpose.files.io import read_bytes
+from ringpose.files.scenes import read_scene
+from ringpose.files.schema import Fields, hint
+from ringpose.files.yaml import read_yaml
+from ringpose.types.scene import Scene
+from ringpose.types.sequence import parsed_sequence
+from ringpose.types.study import LIMITS, NUMBERS, SWITCHES, TEXTS, Factor, Study, StudyMethod, Value
+
+SCHEMA = "study/1"
+
+PRESETS = Path(__file__).parent / "presets"
+
+MAX_SHOTS = 100_000_000
+
+_KEYS = ("ringpose", "title", "scene", "level", "count", "seed", "vary", "methods", "table", "calibrate", "limits")
+
+_FACTORS = (*TEXTS, *NUMBERS, *SWITCHES)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StudyFile:
+    """A study as it was read."""
+
+    study: Study
+    files: tuple[Path, ...]
+    """The files that it was read from."""
+    sha256: str
+    """Of their contents, with number of shots and seed: two studies with the same hash have the same shots."""
+
+
+def preset_names() -> list[str]:
+    """Names of the studies that are shipped."""
+    return sorted(file.stem for file in PRESETS.glob("*.yaml") if not file.stem.endswith(("-scene", "-rig")))
+
+
+def study_path(name: str) -> Path:
+    """The file of a preset, or the path itself."""
+    if name in preset_names():
+        return PRESETS / f"{name}.yaml"
+    if "/" not in name and "." not in name and not Path(name).exists():
+        remedy = hint(name, preset_names()) or f"give a study.yaml, or one of {', '.join(preset_names())}"
+        raise UsageError("", f"{name!r} is neither a file nor a preset", remedy)
+    return Path(name)
+
+
+def read_study(path: Path, count: int | None = None, seed: int | None = None) -> StudyFile:
+    """The study in a study.yaml; `count` and `seed` replace those of the file."""
+    fields = read_yaml(path, _KEYS)
+    if fields.text("ringpose") != SCHEMA:
+        raise fields.problem("ringpose", f"is {fields.text('ringpose')!r}, must be {SCHEMA!r}")
+    scene_file = path.parent / fields.text("scene")
+    scene = read_scene(scene_file)
+    factors = _factors(fields.fields("vary", _FACTORS), scene)
+    grid = [factor.name for factor in factors if not factor.drawn]
+    table = fields.text("table") if fields.has("table") else next(iter(grid), "")
+    if table and table not in grid:
+        raise fields.problem("table", f"is {table!r}, must be a factor of the grid", hint(table, grid))
+    level = fields.choice("level", ("images", "features"))
+    study = Study(
+        title=fields.text("title"),
+        scene=scene,
+        level=cast(Literal["images", "features"], level),
+        count=count if count is not None else fields.integer("count", least=1, most=MAX_SHOTS),
+        seed=seed if seed is not None else fields.integer("seed", least=0, most=2**32 - 1),
+        factors=factors,
+        methods=_methods(fields),
+        table=table,
+        calibrate=fields.boolean("calibrate") if fields.has("calibrate") else False,
+        limits=_limits(fields),
+    )
+    _check(fields, study)
+    files = (path, scene_file, scene_file.parent / read_yaml(scene_file).text("rig"))
+    contents = [hashlib.sha256(read_bytes(file)).hexdigest() for file in files]
+    identity = json.dumps({"files": contents, "count": study.count, "seed": study.seed})
+    return StudyFile(study=study, files=files, sha256=hashlib.sha256(identity.encode()).hexdigest())
+
+
+def _methods(fields: Fields) -> tuple[StudyMethod, ...]:
+    names = fields.texts("methods") if fields.has("methods") else ("ml", "paper")
+    known = [method.value for method in StudyMethod]
+    for name in names:
+        if name not in known:
+            raise fields.problem("methods", f"has {name!r}, must be of {', '.join(known)}", hint(name, known))
+    if not names or len(set(names)) < len(names):
+        raise fields.problem("methods", "must name each method once, and at least one")
+    return tuple(StudyMethod(name) for name in names)
+
+
+def _limits(fields: Fields) -> dict[str, float]:
+    if not fields.has("limits"):
+        return {}
+    limits = fields.fields("limits", tuple(LIMITS))
+    return {str(name): limits.number(str(name), least=0) for name in limits.values}
+
+
+def _factors(vary: Fields, scene: Scene) -> tuple[Factor, ...]:
+    factors = tuple(_factor(vary, str(name), scene) for name in vary.values if not str(name).startswith("x_"))
+    if "distance_m" not in [factor.name for factor in factors]:
+        raise vary.problem("", "has no distance_m", "give the distances of the ring")
+    return factors
+
+
+def _factor(vary: Fields, name: str, scene: Scene) -> Factor:
+    """A value, a list of values to combine, or `{uniform: [a, b]}` or `{choice: [...]}`, of which each shot draws."""
+    given = vary.raw(name)
+    if not isinstance(given, dict):
+        values = given if isinstance(given, list) else [given]
+        return Factor(name=name, values=_values(vary, name, values, scene))
+    entry = vary.fields(name, ("uniform", "choice"))
+    if entry.has("uniform") == entry.has("choice"):
+        raise vary.problem(name, "must have either uniform or choice")
+    if entry.has("choice"):
+        choices = entry.raw("choice")
+        return Factor(
+            name=name,
+            values=_values(entry, "choice", choices if isinstance(choices, list) else [choices], scene, name),
+            drawn=True,
+        )
+    if name not in NUMBERS:
+        raise vary.problem(name, "is not a number, and cannot be uniform", "give choice: [...]")
+    least, most = entry.vector("uniform", 2).tolist()
+    if not least < most:
+        raise entry.problem("uniform", f"is [{least:g}, {most:g}], must ascend")
+    _check_number(entry, "uniform", name, least)
+    _check_number(entry, "uniform", name, most)
+    return Factor(name=name, uniform=(least, most), drawn=True)
+
+
+def _values(fields: Fields, key: str, values: list[Any], scene: Scene, name: str = "") -> tuple[Value, ...]:
+    if not values:
+        raise fields.problem(key, "has no value")
+    checked = tuple(_value(fields, key, name or key, value, scene) for value in values)
+    if len(set(checked)) < len(checked):
+        raise fields.problem(key, "has a value twice")
+    return checked
+
+
+def _value(fields: Fields, key: str, name: str, value: Any, scene: Scene) -> Value:
+    if name in SWITCHES:
+        if not isinstance(value, bool):
+            raise fields.problem(key, f"has {value!r}, must be true or false")
+        return value
+    if name in TEXTS:
+        if not isinstance(value, str):
+            raise fields.problem(key, f"has {value!r}, must be a text")
+        if name == "light" and value not in scene.lights:
+            raise fields.problem(
+                key, f"has {value!r}, the scene has {', '.join(scene.lights)}", hint(value, scene.lights)
+            )
+        if name == "sequence":
+            _check_sequence(fields, key, value, scene)
+        return value
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise fields.problem(key, f"has {value!r}, must be a number")
+    _check_number(fields, key, name, float(value))
+    return float(value)
+
+
+def _check_sequence(fields: Fields, key: str, text: str, scene: Scene) -> None:
+    try:
+        masks = [step.mask(len(scene.rig.lasers.names)) for step in parsed_sequence(text)]
+    except UsageError as error:
+        raise fields.problem(key, f"has {text!r}: {error.found}", error.remedy) from error
+    if not any(masks):
+        raise fields.problem(key, f"has {text!r}, in which no laser is on")
+
+
+def _check_number(fields: Fields, key: str, name: str, value: float) -> None:
+    bounds = NUMBERS[name]
+    if not np.isfinite(value) or not bounds.least <= value <= bounds.most:
+        remedy = "a ring at or behind the camera cannot be seen" if name == "distance_m" and value <= 0 else ""
+        raise fields.problem(key, f"has {value:g}, must be from {bounds.least:g} to {bounds.most:g}", remedy)
+
+
+def _check(fields: Fields, study: Study) -> None:
+    """Reject factors that do not fit the level or the rig."""
+    if study.shots > MAX_SHOTS:
+        raise fields.problem(
+            "", f"has {study.shots} shots, must have at most {MAX_SHOTS}", "give a smaller grid or count"
+        )
+    for factor in study.factors:
+        if factor.name in NUMBERS and NUMBERS[factor.name].only_features and study.level == "images":
+            raise fields.problem(f"vary.{factor.name}", "is not rendered in images", "give level: features")
+        if factor.name == "rig_errors" and True in factor.values and study.scene.rig.covariance is None:
+            remedy = "give a rig.yaml with a covariance, as calibrate-planes writes it"
+            raise fields.problem("vary.rig_errors", "needs the rig's covariance, and the scene's rig has none", remedy)
+        if factor.name == "radius_outer_m":
+            _check_radii(fields, factor, study.scene)
+    if study.calibrate and study.level == "features":
+        raise fields.problem("calibrate", "needs images", "give level: images")
+    if study.calibrate and (study.scene.camera_boards is None or study.scene.plane_boards is None):
+        raise fields.problem("calibrate", "needs board views, and the scene has none", "add boards to the scene")
+
+
+def _check_radii(fields: Fields, factor: Factor, scene: Scene) -> None:
+    smallest_m = min(cast(tuple[float, ...], factor.uniform or factor.values))
+    inward_m = scene.ring.radius_outer_m - float(scene.ring.profile_m[:, 0].min())
+    if smallest_m <= inward_m:
+        raise fields.problem(
+            "vary.radius_outer_m",
+            f"has {smallest_m:g}, must be greater than {inward_m:g}, the width of the cross-section",
+        )
+
+
+def require_same(recorded: dict[str, Any], current: dict[str, Any], place: str) -> None:
+    """Reject results of another study or version; the message names the difference."""
+    for key, what in (("study_sha256", "another study"), ("code_sha256", "another version of ringpose")):
+        if recorded.get(key) != current[key]:
+            found = f"holds results of {what} ({recorded.get('title')}, version {recorded.get('version')})"
+            raise DataError(place, found, "choose another folder, or --force to discard them")

@@ -1,0 +1,32 @@
+"""Shots are computed by processes, of which some are killed."""
+
+import pytest
+from study_work import FATAL, dying_once, square, square_or_die
+
+from ringpose.bench.study.executors import by_processes, here, software
+
+
+def test_processes_compute_every_shot_once():
+    done = sorted(by_processes(square, range(40), 2))
+
+    assert done == list(here(square, range(40)))
+
+
+@pytest.mark.slow
+def test_a_shot_that_kills_its_worker_is_given_up_alone():
+    done = dict(by_processes(square_or_die, range(12), 2))
+
+    assert done.pop(FATAL) is None
+    assert done == {index: square(index) for index in range(12) if index != FATAL}
+
+
+@pytest.mark.slow
+def test_shots_of_a_worker_that_was_killed_from_outside_are_computed_again(tmp_path):
+    done = sorted(by_processes(dying_once(tmp_path), range(12), 2))
+
+    assert done == list(here(square, range(12)))
+
+
+def test_the_software_is_named_with_a_hash_of_its_code():
+    assert len(software()["code_sha256"]) == 64
+    assert software() == software()

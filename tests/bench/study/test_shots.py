@@ -1,0 +1,166 @@
+"""A shot of a study is a function of the study and its index; its rows are at their bound and name failures."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ringpose.bench.study.shots import scene_of, setting_of, study_rows
+from ringpose.bench.study.table import exceeded_limits, study_text, summarized, worst_shots
+from ringpose.files.scenes import read_scene
+from ringpose.types.study import TIMES, Factor, Study, StudyMethod, columns
+
+EXAMPLE = Path(__file__).parents[3] / "examples" / "scene.yaml"
+
+
+@pytest.fixture(scope="module")
+def study():
+    return Study(
+        title="test",
+        scene=read_scene(EXAMPLE),
+        level="features",
+        count=3,
+        seed=3,
+        factors=(
+            Factor(name="distance_m", values=(0.3, 0.5)),
+            Factor(name="light", values=("dim", "normal")),
+            Factor(name="tilt_rad", uniform=(0.0, 0.2), drawn=True),
+        ),
+        methods=(StudyMethod.ML, StudyMethod.ML_KNOWN, StudyMethod.PAPER),
+        table="distance_m",
+    )
+
+
+@pytest.fixture(scope="module")
+def rows(study):
+    return [row for index in range(study.shots) for row in study_rows(study, index)]
+
+
+def without_times(row):
+    return {name: value for name, value in row.items() if name not in TIMES}
+
+
+def test_a_shot_is_the_same_whenever_it_is_computed(study, rows):
+    again = study_rows(study, 9)
+
+    assert [without_times(row) for row in again] == [without_times(row) for row in rows if row["shot"] == 9]
+
+
+def test_shots_differ_from_each_other_and_with_the_seed(study):
+    first, second = (study_rows(study, index)[0]["center_m"] for index in (0, 4))
+    other = study_rows(replace(study, seed=4), 0)[0]["center_m"]
+
+    assert setting_of(study, 0)["distance_m"] == setting_of(study, 4)["distance_m"]
+    assert len({first, second, other}) == 3
+
+
+def test_shots_go_through_the_grid_in_turn_and_draw_the_rest(study):
+    settings = [setting_of(study, index) for index in range(study.shots)]
+
+    cells = [(each["distance_m"], each["light"]) for each in settings]
+    assert cells[:4] == [(0.3, "dim"), (0.3, "normal"), (0.5, "dim"), (0.5, "normal")]
+    assert {cell: cells.count(cell) for cell in cells[:4]} == dict.fromkeys(cells[:4], study.count)
+    assert len({each["tilt_rad"] for each in settings}) == study.shots
+    assert all(0 <= each["tilt_rad"] <= 0.2 for each in settings)
+
+
+def test_every_row_has_exactly_the_documented_columns(study, rows):
+    types = columns(study)
+
+    assert all(list(row) == list(types) for row in rows)
+    wrong = [
+        (name, value)
+        for row in rows
+        for name, value in row.items()
+        if value is not None and not isinstance(value, types[name])
+    ]
+    assert wrong == []
+    assert not any(value != value for row in rows for value in row.values())
+
+
+def test_errors_of_the_default_method_are_near_their_bound(study, rows):
+    statistics = summarized(study, rows).all("ml")
+
+    assert statistics.answers == statistics.targets == study.shots
+    # 12 shots: the 99.9 % band of a root mean square over few degrees of freedom
+    assert 0.5 < statistics.ratio("center_m") < 1.5
+    assert 0.5 < statistics.ratio("normal_rad") < 1.5
+    assert 0.4 < statistics.mean("center_nees") < 2.0
+    assert statistics.wrong == 0
+
+
+def test_a_known_radius_lowers_bound_and_error(study, rows):
+    summary = summarized(study, rows)
+
+    assert summary.all("ml-known").bound("center_m") < 0.5 * summary.all("ml").bound("center_m")
+    assert summary.all("ml-known").rms("center_m") < 0.5 * summary.all("ml").rms("center_m")
+
+
+def test_the_first_table_has_the_form_of_the_papers(study, rows):
+    lines = study_text(study, summarized(study, rows)).splitlines()
+
+    assert lines[2].split()[-4:] == ["300", "mm", "500", "mm"]
+    assert [line.split("(")[0].split()[-1] for line in lines[3:8]] == ["x", "y", "z", "pitch", "yaw"]
+
+
+def test_a_shot_that_cannot_be_computed_is_a_row_with_the_reason(study):
+    impossible = replace(study, factors=(*study.factors, Factor(name="rig_errors", values=(True,))))
+
+    failed = study_rows(impossible, 0)
+
+    assert [row["method"] for row in failed] == ["ml", "ml-known", "paper"]
+    assert all(row["outcome"] == "error" and "covariance" in row["reason"] for row in failed)
+    assert summarized(impossible, failed).all("ml").failed == 1
+
+
+def test_limits_are_checked_in_every_cell(study, rows):
+    limited = replace(study, limits={"max_center_m": 1e-9, "min_available_share": 0.5})
+
+    exceeded = exceeded_limits(limited, summarized(limited, rows))
+
+    cells = [message for message in exceeded if "max_center_m" in message]
+    assert len(cells) == len(exceeded) == study.cells
+    assert sum("300 mm" in message and "dim" in message for message in cells) == 1
+    assert exceeded_limits(replace(study, limits={"max_center_m": 1.0}), summarized(study, rows)) == []
+
+
+def test_the_worst_shots_are_those_with_the_largest_errors(study, rows):
+    worst = worst_shots(rows, "ml", 3)
+
+    errors = {row["shot"]: row["center_m"] for row in rows if row["method"] == "ml"}
+    assert worst == sorted(errors, key=errors.get, reverse=True)[:3]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "found"),
+    [
+        ("radius_outer_m", 0.8, lambda scene: scene.ring.radius_outer_m),
+        ("blur_px", 1.5, lambda scene: scene.lens.blur_px),
+        ("dark_noise_e", 20.0, lambda scene: scene.sensor.temporal_dark_noise_e),
+        ("speckle_contrast", 0.1, lambda scene: scene.speckle.contrast),
+        ("stripe_dn", 100.0, lambda scene: scene.stripe_dn),
+    ],
+)
+def test_a_factor_changes_what_it_names(study, name, value, found):
+    scene = scene_of(study, 0, {"distance_m": 0.5, name: value})
+
+    assert found(scene) == pytest.approx(value)
+
+
+def test_the_laser_angle_turns_the_outer_planes_about_their_projectors(study):
+    lasers = scene_of(study, 0, {"distance_m": 0.5, "laser_angle_rad": 0.1}).rig.lasers
+
+    assert np.arctan2(lasers.normal[:, 2], lasers.normal[:, 1]) == pytest.approx([-0.1, 0.0, 0.1])
+    assert (lasers.normal * lasers.projector_m).sum(axis=1) == pytest.approx(lasers.distance_m)
+
+
+@pytest.mark.slow
+def test_an_image_of_a_study_is_detected_and_scored(study):
+    images = replace(study, level="images", factors=(Factor(name="distance_m", values=(0.5,)),))
+
+    first, second = (study_rows(images, 0) for _ in range(2))
+
+    assert [without_times(row) for row in first] == [without_times(row) for row in second]
+    assert first[0]["status"] == "ok"
+    assert first[0]["detect_s"] > 0

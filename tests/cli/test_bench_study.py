@@ -1,0 +1,254 @@
+"""`ringpose bench study`: results, resumption, and what is refused."""
+
+import csv
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from filelock import SoftFileLock
+
+from ringpose.cli.main import main
+from ringpose.files.studies.specification import preset_names, read_study, study_path
+from ringpose.types.study import TIMES
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+STUDY = """\
+ringpose: study/1
+title: small
+scene: scene.yaml
+level: features
+count: 2
+seed: 1
+vary: {distance_m: [0.3, 0.5], light: dim}
+methods: [ml, paper]
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A working folder with a small study."""
+    for name in ("scene.yaml", "scene-rig.yaml"):
+        shutil.copy(EXAMPLES / name, tmp_path)
+    (tmp_path / "study.yaml").write_text(STUDY)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def rows_in(folder):
+    """The rows of results.csv without the times."""
+    with (folder / "results.csv").open() as stream:
+        return [{k: v for k, v in row.items() if k not in TIMES} for row in csv.DictReader(stream)]
+
+
+def test_a_study_prints_tables_and_writes_a_row_for_each_shot_and_method(folder, capsys):
+    assert main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1"]) == 0
+
+    rows = rows_in(folder / "out")
+    assert [(row["shot"], row["method"]) for row in rows] == [(str(i), m) for i in range(4) for m in ("ml", "paper")]
+    assert "position error x (mm)" in capsys.readouterr().out
+    about = json.loads((folder / "out" / "study.json").read_text())
+    assert about["shots"] == 4
+    assert len(about["study_sha256"]) == len(about["rig_sha256"]) == 64
+
+
+@pytest.mark.slow
+def test_parquet_has_the_same_rows_and_names_the_study(folder):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1"])
+
+    table = parquet.read_table("out/results.parquet")
+
+    expected = [float(row["center_m"]) for row in rows_in(folder / "out") if row["center_m"]]
+    assert [value for value in table["center_m"].to_pylist() if value is not None] == expected
+    assert json.loads(table.schema.metadata[b"ringpose"])["title"] == "small"
+
+
+def test_an_interrupted_study_resumes_to_the_same_results(folder):
+    main(["bench", "study", "study.yaml", "--output", "whole", "--jobs", "1"])
+    main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1"])
+    parts = list((folder / "out" / "parts").iterdir())
+    lines = [line for part in parts for line in part.read_text().splitlines(keepends=True)]
+    for part in parts[1:]:
+        part.unlink()
+    parts[0].write_text("".join(lines[1:3]))  # as if the rest had not been finished
+    (folder / "out" / "parts" / ".x.jsonl.abc.part").write_text("{")
+
+    assert main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1"]) == 0
+
+    assert rows_in(folder / "out") == rows_in(folder / "whole")
+
+
+@pytest.mark.slow
+def test_the_number_of_processes_does_not_change_the_results(folder):
+    for jobs in ("1", "3"):
+        main(["bench", "study", "study.yaml", "--output", jobs, "--jobs", jobs, "--count", "8"])
+
+    assert rows_in(folder / "1") == rows_in(folder / "3")
+
+
+def test_results_of_another_study_are_not_continued(folder, capsys):
+    main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1", "--count", "1"])
+
+    assert main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1"]) == 65
+    assert "another study" in capsys.readouterr().err
+    assert main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1", "--force"]) == 0
+    assert len(rows_in(folder / "out")) == 8
+
+
+@pytest.mark.slow
+def test_results_of_another_version_are_not_continued(folder, capsys):
+    main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1", "--count", "1"])
+    about = folder / "out" / "study.json"
+    about.write_text(json.dumps({**json.loads(about.read_text()), "code_sha256": "0"}))
+
+    assert main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1", "--count", "1"]) == 65
+    assert "version" in capsys.readouterr().err
+
+
+def test_a_folder_in_use_is_reported_with_its_holder(folder, capsys):
+    (folder / "out").mkdir()
+    with SoftFileLock(folder / "out" / "results.lock"):
+        assert main(["bench", "study", "study.yaml", "--output", "out"]) == 73
+
+    assert "in use" in capsys.readouterr().err
+
+
+def test_a_damaged_part_is_named(folder, capsys):
+    main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1"])
+    part = next((folder / "out" / "parts").iterdir())
+    part.write_text(part.read_text()[:-20])
+
+    assert main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1"]) == 65
+    assert part.name in capsys.readouterr().err
+
+
+def test_a_missed_limit_is_named_and_changes_the_status(folder, capsys):
+    with (folder / "study.yaml").open("a") as stream:
+        stream.write("limits: {max_center_m: 0.0001}\n")
+
+    assert main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1", "--count", "1", "--cron"]) == 3
+
+    printed = capsys.readouterr()
+    assert "max_center_m" in printed.err
+    assert "position error" in printed.out
+
+
+def test_cron_prints_nothing_while_all_limits_are_held(folder, capsys):
+    with (folder / "study.yaml").open("a") as stream:
+        stream.write("limits: {max_center_m: 1, min_available_share: 0.1}\n")
+
+    assert main(["bench", "study", "study.yaml", "--output", "out", "--jobs", "1", "--count", "1", "--cron"]) == 0
+
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.slow
+def test_two_results_of_one_study_are_compared(folder, capsys):
+    words = ["bench", "study", "study.yaml", "--jobs", "1", "--output"]
+    main([*words, "a"])
+    main([*words, "b"])
+    main([*words, "other", "--seed", "9"])
+    parquet = ["a/results.parquet"] if (folder / "a" / "results.parquet").exists() else []
+    capsys.readouterr()
+
+    for first in ("a", "a/results.csv", *parquet):
+        assert main(["bench", "compare", first, "b", "--by", "distance_m"]) == 0
+        assert "8 of 8" in (out := capsys.readouterr().out) or "4 of 4" in out
+    assert main(["bench", "compare", "a", "other"]) == 65
+    assert "another truth" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["results.csv", "results.parquet"])
+def test_a_table_that_is_cut_off_is_refused(folder, name):
+    pytest.importorskip("pyarrow")
+    main(["bench", "study", "study.yaml", "--output", "a", "--jobs", "1"])
+    whole = (folder / "a" / name).read_bytes()
+    (folder / "a" / name).write_bytes(whole[: len(whole) * 3 // 4])
+
+    assert main(["bench", "compare", f"a/{name}", "a"]) == 65
+
+
+@pytest.mark.slow
+def test_the_worst_shots_are_written_as_a_data_set(folder):
+    words = ["bench", "study", "study.yaml", "--output", "out", "--jobs", "1", "--keep", "worst:2"]
+    assert main(words) == 0
+
+    assert len(list((folder / "out" / "worst" / "detections").iterdir())) == 2
+    assert len((folder / "out" / "worst" / "truth.jsonl").read_text().splitlines()) == 2
+
+
+@pytest.mark.slow
+def test_a_report_has_every_section_and_stands_alone(folder):
+    pytest.importorskip("matplotlib")
+
+    words = ["bench", "study", "study.yaml", "--output", "out", "--jobs", "1", "--count", "20", "--report", "page.html"]
+    assert main(words) == 0
+
+    page = (folder / "page.html").read_text()
+    assert page.count("<img") == 5
+    assert all(word in page for word in ("Set-up", "bounds", "consistency", "Failures", "Time by stage", "Provenance"))
+    assert "http://" not in page
+    assert ">nan<" not in page
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "word"),
+    [
+        ("count: 2", "cuont: 2", "cuont"),
+        ("level: features", "level: pictures", "pictures"),
+        ("[0.3, 0.5]", "[-0.3, 0.5]", "distance_m"),
+        ("[0.3, 0.5]", "{uniform: [0.5, 0.3]}", "uniform"),
+        ("[0.3, 0.5]", "[]", "distance_m"),
+        ("distance_m: [0.3, 0.5], ", "", "distance_m"),
+        ("light: dim", "light: [dim, dusk]", "dusk"),
+        ("[ml, paper]", "[ml, papr]", "papr"),
+        ("light: dim", "light: dim, rig_errors: true", "covariance"),
+        ("light: dim", "light: dim, missing_share: 1.5", "missing_share"),
+        ("light: dim", "light: dim, radius_outer_m: 0.02", "radius_outer_m"),
+        ("light: dim", "light: dim, sequence: 'off,9'", "sequence"),
+        ("light: dim", "light: dim, wavelength: 1", "wavelength"),
+        ("methods:", "limits: {max_center: 1}\nmethods:", "max_center"),
+        ("methods:", "table: hue\nmethods:", "hue"),
+        ("level: features", "level: images\ncalibrate: 1", "calibrate"),
+        ("level: features", "level: features\ncalibrate: true", "calibrate"),
+        ("vary: {", "vary: {speed_sd_m_s: 0.1, ", "features"),
+    ],
+)
+def test_a_bad_study_is_refused_with_the_key_that_is_wrong(folder, capsys, old, new, word):
+    text = STUDY.replace(old, new)
+    (folder / "study.yaml").write_text(text.replace("level: features", "level: images") if word == "features" else text)
+
+    assert main(["bench", "study", "study.yaml", "--output", "out"]) == 65
+
+    assert word in capsys.readouterr().err
+    assert not (folder / "out").exists()
+
+
+def test_an_unknown_preset_is_a_wrong_usage(folder, capsys):
+    assert main(["bench", "study", "paper-sinthetic", "--output", "out"]) == 2
+    assert "paper-synthetic" in capsys.readouterr().err
+
+
+def test_a_missing_study_is_a_missing_input(folder):
+    assert main(["bench", "study", "none.yaml", "--output", "out"]) == 66
+
+
+@pytest.mark.parametrize("keep", ["best:2", "worst", "worst:0"])
+def test_what_to_keep_must_be_a_number_of_the_worst(folder, keep):
+    assert main(["bench", "study", "study.yaml", "--output", "out", "--keep", keep]) == 2
+
+
+def test_two_schedulers_are_a_wrong_usage(folder):
+    words = ["bench", "study", "study.yaml", "--output", "out", "--scheduler", "tcp://127.0.0.1:1"]
+    assert main([*words, "--scheduler-file", "x.json"]) == 2
+
+
+@pytest.mark.parametrize("name", preset_names())
+def test_the_presets_are_valid(name):
+    read = read_study(study_path(name))
+
+    assert read.study.shots >= 150
+    assert read_study(study_path(name), count=2).sha256 != read.sha256
