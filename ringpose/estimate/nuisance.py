@@ -90,20 +90,25 @@ def total_covariance(rig: Rig, stability: RigStability) -> ParameterCovariance:
     """The covariance of the rig's parameters: of its calibration, if it is known and finite, plus its stability.
 
     Since the calibration, each plane's tilts and distance, and both focal lengths together, may have changed.
+    That of a plane that was corrected is the one of its correction.
     """
     calibrated = rig.covariance
     if calibrated is None or not np.isfinite(calibrated.data).all():
         calibrated = ParameterCovariance(parameters=(), data=np.zeros((0, 0)))
-    if stability == EXACT:
+    if stability == EXACT and not rig.moved_planes:
         return calibrated
     names = (*laser_parameters(rig.lasers.names), FOCAL_RATIO)
     names = (*calibrated.parameters, *(name for name in names if name not in calibrated.parameters))
     covariance = np.zeros((len(names), len(names)))
     covariance[: len(calibrated.parameters), : len(calibrated.parameters)] = calibrated.data
     covariance[names.index(FOCAL_RATIO), names.index(FOCAL_RATIO)] = stability.focal_ratio**2
-    of_plane = (stability.plane_tilt_rad, stability.plane_tilt_rad, stability.plane_distance_m)
-    for name, sd in zip(laser_parameters(rig.lasers.names), of_plane * len(rig.lasers.names), strict=True):
-        covariance[names.index(name), names.index(name)] += sd**2
+    variance = np.array([stability.plane_tilt_rad, stability.plane_tilt_rad, stability.plane_distance_m]) ** 2
+    for laser in rig.lasers.names:
+        of_plane = [names.index(name) for name in laser_parameters([laser])]
+        covariance[of_plane, of_plane] += variance
+        if laser in rig.moved_planes:
+            covariance[of_plane], covariance[:, of_plane] = 0.0, 0.0
+            covariance[np.ix_(of_plane, of_plane)] = rig.moved_planes[laser]
     return ParameterCovariance(parameters=names, data=covariance)
 
 

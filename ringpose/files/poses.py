@@ -161,6 +161,7 @@ def _priors_values(priors: Priors) -> dict[str, Any]:
                 "plane_distance_m": stability.plane_distance_m,
                 "focal_ratio": stability.focal_ratio,
             },
+            **({"moved": dict(priors.moved_planes)} if priors.moved_planes else {}),
         },
         "regularization": priors.regularization,
     }
@@ -320,10 +321,15 @@ def _priors(fields: Fields) -> Priors:
         ),
         radius=_radius_prior(fields.fields("radius")) if fields.has("radius") else None,
         rig_covariance=rig.choice("covariance", ("rig.yaml", "none")) == "rig.yaml",
+        moved_planes=_moved_planes(rig.fields("moved")) if rig.has("moved") else {},
         regularization=fields.array("regularization", (None, len(MEASURED_PARAMETERS) + 1))
         if fields.has("regularization")
         else None,
     )
+
+
+def _moved_planes(fields: Fields) -> dict[str, Float64[Array, "3 3"]]:
+    return {name: checked_covariance(fields, name, fields.array(name, (3, 3))) for name in fields.values}
 
 
 def motion_prior(fields: Fields) -> MotionPrior | None:

@@ -19,7 +19,7 @@ from ringpose.estimate.solver import RIDGE, Estimate
 from ringpose.geometry.rotations import angle_between, tilted
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
-from ringpose.types.covariance import PLANE_PARAMETERS, ParameterCovariance, laser_parameters
+from ringpose.types.covariance import PLANE_PARAMETERS, laser_parameters
 from ringpose.types.pose import PlaneEvidence, PoseFlag, PoseLine
 from ringpose.types.rig import Rig
 
@@ -210,17 +210,12 @@ class DriftMonitor:
         normal, distance_m = lasers.normal.copy(), lasers.distance_m.copy()
         normal[laser] = tilted(normal[laser], moved.change[:2])
         distance_m[laser] += moved.change[2]
-        covariance, at = self._prior.copy(), self._columns(laser)
-        covariance[at], covariance[:, at] = 0.0, 0.0
-        covariance[np.ix_(at, at)] = moved.covariance
         self.rig = replace(
             self.rig,
             lasers=replace(lasers, normal=normal, distance_m=distance_m),
-            covariance=ParameterCovariance(parameters=self._parameters, data=covariance),
-            stability=RigStability(),
-            moved_planes=(*self.rig.moved_planes, lasers.names[laser]),
+            moved_planes={**self.rig.moved_planes, lasers.names[laser]: moved.covariance},
         )
-        self._parameters, self._prior = _parameters_and_prior(self.rig, RigStability())
+        self._parameters, self._prior = _parameters_and_prior(self.rig, self._stability)
         self._evidence = np.zeros((0, len(self._parameters) + 1))
         self._poses = []
 

@@ -200,7 +200,8 @@ def _priors(best: Explanation, rig: Rig, source: str) -> Priors:
     return Priors(
         assumptions=best.prior.assumptions,
         radius=radius,
-        rig_covariance=rig_errors(rig) is not None,
+        rig_covariance=rig.covariance is not None and bool(np.isfinite(rig.covariance.data).all()),
+        moved_planes=rig.moved_planes,
         regularization=prior_rows(best.estimate, best.prior),
     )
 

@@ -1,13 +1,16 @@
 """Errors that all shots have in common, with the priors that the records state (ringpose-method(7), 9, 11, 12)."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from types import MappingProxyType
 
 import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import RigStability
+from ringpose.types.covariance import laser_parameters
 from ringpose.types.pose import PoseLine, Priors, RingMeasurement
 from ringpose.types.rig import Rig
 
@@ -40,15 +43,22 @@ def common_errors(line: PoseLine, measurement: RingMeasurement, rig: Rig | None)
         rig = None
     elif rig is None or rig.covariance is None:
         raise DataError(line.shot, "its priors include the covariance of a rig file", "give that file with --rig")
-    found = _common_errors(names, priors.assumptions.stability, priors.assumptions.ring_tolerance_m, rig)
+    assumed = priors.assumptions
+    if priors.moved_planes:  # of the following shots; they change when another plane has moved
+        found = _common_errors(names, assumed.stability, assumed.ring_tolerance_m, rig, priors.moved_planes)
+    else:
+        found = _common_errors_of_stream(names, assumed.stability, assumed.ring_tolerance_m, rig)
     if isinstance(found, str):
         raise DataError(line.shot, f"has the nuisance parameter {found!r}, for which it states no prior")
     return found
 
 
-@lru_cache(maxsize=8)
 def _common_errors(
-    names: tuple[str, ...], stability: RigStability, ring_tolerance_m: float, rig: Rig | None
+    names: tuple[str, ...],
+    stability: RigStability,
+    ring_tolerance_m: float,
+    rig: Rig | None,
+    moved_planes: Mapping[str, Float64[Array, "3 3"]] = MappingProxyType({}),
 ) -> CommonErrors | str:
     """The errors, or the name of a parameter without a prior; the same for all records of a stream."""
     covariance = np.zeros((len(names), len(names))) if rig is None else _calibration(names, rig)
@@ -64,10 +74,17 @@ def _common_errors(
         if not form and what not in added and name not in calibrated:
             return name
         covariance[index, index] += ring_tolerance_m**2 / FORM_ORDERS if form else added.get(what, 0.0) ** 2
+    for laser, moved in moved_planes.items():
+        of_plane = [names.index(name) for name in laser_parameters([laser]) if name in names]
+        covariance[of_plane], covariance[:, of_plane] = 0.0, 0.0
+        covariance[np.ix_(of_plane, of_plane)] = moved
     scale = np.sqrt(np.maximum(covariance.diagonal(), np.finfo(float).tiny))
     variance, axes = np.linalg.eigh(covariance / scale / scale[:, None])
     kept = variance > _EXACT * variance.max(initial=0.0)
     return CommonErrors(names=names, root=scale[:, None] * axes[:, kept] * np.sqrt(variance[kept]))
+
+
+_common_errors_of_stream = lru_cache(maxsize=8)(_common_errors)
 
 
 def _calibration(names: tuple[str, ...], rig: Rig) -> Float64[Array, "n n"]:

@@ -195,7 +195,9 @@ class Priors:
     assumptions: Assumptions = Assumptions()
     radius: RadiusPrior | None = None
     rig_covariance: bool = False
-    """Whether the covariance of rig.yaml was used; without one the rig counts as exact."""
+    """Whether the covariance of rig.yaml was used; without one the calibration counts as exact."""
+    moved_planes: Mapping[str, Float64[Array, "parameter=3 parameter=3"]] = field(default_factory=dict)
+    """Of each light plane that was corrected, the covariance that replaces calibration and stability."""
     regularization: Float64[Array, "row column"] | None = None
     """Rows [J, z - h] in units of their standard deviations, columns `MEASURED_PARAMETERS` and residual: weak priors
     that hold the parameters which the shot leaves open; None if it leaves none open."""

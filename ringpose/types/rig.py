@@ -31,8 +31,11 @@ class Rig:
     stability: RigStability = TYPICAL_STABILITY
     """How far light planes and camera may have moved since the calibration."""
     tool_from_camera: Float64[Array, "4 4"] | None = None
-    moved_planes: tuple[str, ...] = ()
-    """Lasers whose light planes a stream of shots has shown to have moved, and which were corrected accordingly."""
+    moved_planes: Mapping[str, Float64[Array, "parameter=3 parameter=3"]] = field(default_factory=dict)
+    """Covariance of tilts and distance of each light plane that a stream of shots has shown to have moved.
+
+    The plane is the corrected one. Its covariance replaces that of the calibration and the stability.
+    """
     provenance: Mapping[str, Any] = field(default_factory=dict)
     sha256: str = ""
     """Hash of the rig file; empty if the rig was not read from a file."""
