@@ -145,7 +145,7 @@ ON_LINE_PX = 2.5
 away at 1 m."""
 
 SHORT_SERIES_CORRECTION = 1.25
-"""Bias correction of the correlation length: fitting a line removes part of the autocorrelation of a short series."""
+"""Bias correction of the autocorrelations: fitting a line removes a part of those of a short series."""
 
 FIT_DOF_CORRECTION, MIN_SEGMENT_COLUMNS = 5.0, 0.5
 """Degrees of freedom, in independent columns, that a line fit removes from a series, and the minimum that remains.

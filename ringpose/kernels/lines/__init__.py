@@ -38,7 +38,7 @@ class TrackParams(NamedTuple):
     joined_px: float
     """Tracks are joined if their lines differ by less than this, plus two of their sigmas, in the middle of the gap."""
     short_series: float
-    """Bias correction: factor on the correlation length of residuals, which a line fit reduces in short series."""
+    """Bias correction: factor on the correlation of residuals, which a line fit reduces in short series."""
     on_line_px: float
     """A centre belongs to a line if it is closer to it than this."""
     border_px: float

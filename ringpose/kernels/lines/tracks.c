@@ -80,7 +80,7 @@ static double correlation_columns(double *residual, size_t n, const TrackParams 
         if (!(correlation > 0)) break;
         columns += 2 * correlation;
     }
-    return params->short_series * columns;
+    return 1 + params->short_series * (columns - 1);
 }
 
 /* GNU C vectors: compilers do not reorder floating-point sums by themselves. */
