@@ -107,6 +107,11 @@ def straight(curvature: float, sd: float) -> bool:
     return abs(curvature) + STRAIGHT_SIGMAS * sd < MIN_CURVATURE_PER_M
 
 
+def curved(curvature: float, sd: float) -> bool:
+    """Whether edges of that curvature (1/m) cannot be straight: they bend at least as much as the largest ring."""
+    return abs(curvature) - STRAIGHT_SIGMAS * sd > MIN_CURVATURE_PER_M
+
+
 class BreakPointsOnRing(NamedTuple):
     """The break points that agree with one ring, and those that do not."""
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.detect.break_points import straight
+from ringpose.detect.break_points import curved, straight
 from ringpose.detect.edge_points import ring_edge_points
 from ringpose.detect.edge_search import (
     ALONG_PX,
@@ -52,8 +52,9 @@ REACH_PX = 2
 """Half width of the search across the predicted edge, after the tracking."""
 
 ONE_STRIPE = 1
-"""A single stripe. The tilt of the face about it follows from the course of both edges; a
-single edge determines it only by curvatures of tenths of a pixel, to which foil beside it contributes as much."""
+"""A single stripe, whose two ends are no evidence for a ring: the edges must be curved. The tilt of the face about the
+stripe follows from the course of both edges; a single edge determines it only by curvatures of tenths of a pixel, to
+which foil beside it contributes as much."""
 
 MIN_OF_BOTH = 8
 """Minimum number of points on either edge in that case."""
@@ -131,10 +132,12 @@ def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundE
     points = ring_edge_points(refined.arcs, trace.selected(clear), steps.offset_px[clear], steps.sigma_px[clear])
     if points is None:
         return None
-    if len(stripes.measured.lines.laser) == ONE_STRIPE and np.bincount(points.edge, minlength=2).min() < MIN_OF_BOTH:
-        return None
-    curvature_sd = float(np.sqrt(refined.covariance[CURVATURE, CURVATURE]))
-    return FoundEdges(points, refined.arcs.curvature / curvature_sd, straight(refined.arcs.curvature, curvature_sd))
+    curvature, curvature_sd = refined.arcs.curvature, float(np.sqrt(refined.covariance[CURVATURE, CURVATURE]))
+    if len(stripes.measured.lines.laser) == ONE_STRIPE:
+        both = np.bincount(points.edge, minlength=2).min() >= MIN_OF_BOTH
+        if not (both and curved(curvature, curvature_sd)):
+            return None
+    return FoundEdges(points, curvature / curvature_sd, straight(curvature, curvature_sd))
 
 
 def named_by_curvature(break_points: BreakPoints, found: Sequence[FoundEdges]) -> tuple[BreakPoints, RingEdgePoints]:
