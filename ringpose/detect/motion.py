@@ -38,6 +38,9 @@ MIN_CONTRAST_SHARE = 3 / 255
 ACROSS_PX = np.arange(-12.0, 13.0, 4.0)
 """Distances across the edge at which that range is taken."""
 
+MIN_ENDS = 3
+"""Minimum number of break points: they determine the depth of the places."""
+
 MIN_PLACES = 12
 """Minimum number of places with a displacement."""
 
@@ -169,12 +172,14 @@ def _fitted(
     ends_px = points.position_px[laser, edge]
     ends_m = intersect(rays(ends_px, rig.camera), rig.lasers.normal[laser], rig.lasers.distance_m[laser])
     pivot = ends_m.mean(axis=0)
-    if not (np.isfinite(ends_m).all() and pivot[2] > 0):
+    if len(ends_m) < MIN_ENDS or not (np.isfinite(ends_m).all() and pivot[2] > 0):
         return None
     # inverse depth of a plane is linear in the image
     design = np.column_stack([ends_px, np.ones(len(ends_px))])
     coefficients = np.linalg.lstsq(design, 1.0 / ends_m[:, 2])[0]
     place_m = rays(position, rig.camera) / (np.column_stack([position, np.ones(len(position))]) @ coefficients)[:, None]
+    if not (place_m[:, 2] > 0).all():
+        return None
     x, y, z = place_m.T
     focal = np.array([rig.camera.camera_matrix[0, 0], rig.camera.camera_matrix[1, 1]]) * normal
     by_point = np.column_stack([focal[:, 0] / z, focal[:, 1] / z, -(focal[:, 0] * x + focal[:, 1] * y) / z**2])

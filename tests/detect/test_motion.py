@@ -111,6 +111,20 @@ def test_a_ring_at_rest_shows_no_motion(resting, rig, rng):
     assert motion.edge_speed_px_s * 4 * PERIOD_S < 0.2
 
 
+@pytest.mark.parametrize("seen", [[], [(0, 0)], [(0, 0), (1, 0)], [(0, 0), (1, 1), (2, 0)]])
+def test_few_break_points_show_no_motion_or_a_plausible_one(moving, rig, rng, seen):
+    points = replace(measured(DrawnScene(), rig, rng), stamp_s=STAMPS_S[1:4])
+    kept = np.zeros((3, 2), dtype=bool)
+    for place in seen:
+        kept[place] = True
+
+    motion = ring_motion(
+        replace(points, position_px=np.where(kept[..., None], points.position_px, np.nan)), moving, rig
+    )
+
+    assert motion is None or np.abs(motion.velocity_m_s).max() < 0.1
+
+
 def test_frames_in_the_dark_show_no_motion(moving, rig, rng):
     noise = rng.integers(2, 5, moving.images.shape).astype(np.uint8)
 
