@@ -135,7 +135,7 @@ def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundE
     curvature, curvature_sd = refined.arcs.curvature, float(np.sqrt(refined.covariance[CURVATURE, CURVATURE]))
     if len(stripes.measured.lines.laser) == ONE_STRIPE:
         both = np.bincount(points.edge, minlength=2).min() >= MIN_OF_BOTH
-        if not (both and curved(curvature, curvature_sd)):
+        if not both or not (curved(curvature, curvature_sd) or straight(curvature, curvature_sd)):
             return None
     return FoundEdges(points, curvature / curvature_sd, straight(curvature, curvature_sd))
 
