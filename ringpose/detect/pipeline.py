@@ -81,10 +81,10 @@ def detect(
     found = on_ring.break_points
     if isinstance(found, BreakPoints) and (edges or not ends_clear(found)) and source is StripeSource.CENTERS:
         found, ring_edges = detect_ring_edges(found, shot, stripes, rig, assumptions.motion is None, on_ring.motion)
-    if isinstance(found, BreakPoints) and ring_edges is None:
+    if isinstance(found, BreakPoints) and (ring_edges is None or int(found.seen.any(axis=1).sum()) == 1):
         if not ends_clear(found):
             found = NoBreakPoints.NO_RING
-        elif hidden_by_saturation(found, images, images[0].saturation_dn):
+        elif ring_edges is None and hidden_by_saturation(found, images, images[0].saturation_dn):
             found = NoBreakPoints.HIDDEN_BY_SATURATION
     return Detection(
         shot=shot.name,
