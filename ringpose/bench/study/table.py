@@ -208,8 +208,8 @@ def _paper_block(study: Study, summary: StudySummary, method: str) -> str:
 
 
 HEADINGS = (
-    "shots", "pose %", "center %", "ok %", "wrong", "center mm", "median", "bound", "ratio", "normal deg", "normal bound",
-    "normal ratio", "r_out mm", "grasp mm", "center NEES", "normal NEES", "pose ms",
+    "shots", "pose %", "center %", "ok %", "wrong", "center mm", "median", "bound", "ratio",
+    "normal deg", "normal bound", "normal ratio", "r_out mm", "grasp mm", "center NEES", "normal NEES", "pose ms",
 )  # fmt: skip
 
 
