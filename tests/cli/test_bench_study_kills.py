@@ -105,3 +105,19 @@ def test_after_a_full_disk_the_finished_shots_are_valid_and_the_study_goes_on(fo
     assert "free space" in full.stderr
     assert parts > 0
     assert rows_in(folder / "out") == rows_in(folder / "whole")
+
+
+@pytest.mark.slow
+def test_an_interrupt_keeps_what_is_finished_and_ends_with_its_status(folder):
+    with started("out", "--jobs", "2", "--count", "100") as process:
+        while not list((folder / "out" / "parts").glob("*.jsonl")):
+            time.sleep(0.1)
+        time.sleep(0.3)
+        process.send_signal(signal.SIGINT)
+        status = process.wait(timeout=60)
+        error = process.stderr.read()
+
+    shots = sum(len(part.read_text().splitlines()) for part in (folder / "out" / "parts").glob("*.jsonl"))
+    assert (status, error) == (130, "")
+    assert 0 < shots < 400
+    assert not (folder / "out" / "results.lock").exists()

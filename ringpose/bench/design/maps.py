@@ -297,7 +297,7 @@ CSV_HEADING = (
 )  # fmt: skip
 
 
-def csv_rows(found: Iterable[Design]) -> Iterator[list[str | float | int | bool]]:
+def csv_rows(found: Iterable[Design]) -> Iterator[list[str | float | int]]:
     """The heading, then a row for each design and place; undetermined quantities are empty."""
     yield list(CSV_HEADING)
     for design in found:
@@ -305,10 +305,14 @@ def csv_rows(found: Iterable[Design]) -> Iterator[list[str | float | int | bool]
             place, sds = result.place, [result.sd[name] for name in QUANTITIES]
             yield [
                 design.name,
-                design.reference,
+                _truth(design.reference),
                 *(design.changes.get(name, "") for name in SWEPT),
                 *(place.distance_m, place.offset_x, place.offset_y, place.pitch_rad, place.yaw_rad),
                 result.stripes,
                 *(sd if np.isfinite(sd) else "" for sd in sds),
-                *(result.weak, result.weak_known, result.ambiguous),
+                *map(_truth, (result.weak, result.weak_known, result.ambiguous)),
             ]
+
+
+def _truth(value: bool) -> str:
+    return "true" if value else "false"

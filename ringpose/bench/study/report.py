@@ -142,7 +142,7 @@ ERRORS_SHOWN = (
 )  # fmt: skip
 """Columns of the first table by cells: root mean square errors, the median of the centre's, bounds and their ratios."""
 
-CONSISTENCY_SHOWN = ("shots", "pose %", "ok %", "wrong", "center NEES", "normal NEES", "pose ms")
+CONSISTENCY_SHOWN = ("shots", "pose %", "center %", "ok %", "wrong", "center NEES", "normal NEES", "pose ms")
 
 
 def _paper_table(summary: StudySummary) -> Table:
@@ -154,6 +154,7 @@ def _paper_table(summary: StudySummary) -> Table:
         for label, name, factor in PAPER_ROWS:
             rows.append([method, label, *(number(each.rms(name) * factor) for each in found)])
         rows.append([method, "shots with a pose", *(f"{each.answers}/{each.targets}" for each in found)])
+        rows.append([method, "shots with a centre", *(f"{each.count('center_m')}/{each.targets}" for each in found)])
     return Table(headings=("method", "root mean square", *headings), rows=rows)
 
 

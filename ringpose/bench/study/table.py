@@ -80,6 +80,10 @@ class Statistics:
         if isinstance(value, float | int) and not isinstance(value, bool):
             values.setdefault(name, array("d")).append(value)
 
+    def count(self, name: str) -> int:
+        """Number of values."""
+        return len(self.values.get(name, ()))
+
     def rms(self, name: str) -> float:
         """Root mean square; NaN without any value."""
         return _rms(self.values.get(name))
@@ -199,12 +203,13 @@ def _paper_block(study: Study, summary: StudySummary, method: str) -> str:
     if study.level == "images":
         rows += [[label, *(number(each.median(name) * 1e3) for each in found)] for label, name in PAPER_TIMES]
     rows.append(["shots with a pose", *(f"{each.answers}/{each.targets}" for each in found)])
+    rows.append(["shots with a centre", *(f"{each.count('center_m')}/{each.targets}" for each in found)])
     return "\n".join(aligned(rows, 1))
 
 
 HEADINGS = (
-    "shots", "pose %", "ok %", "wrong", "center mm", "median", "bound", "ratio", "normal deg", "normal bound",
-    "normal ratio", "r_out mm", "grasp mm", "center NEES", "normal NEES", "pose ms",
+    "shots", "pose %", "center %", "ok %", "wrong", "center mm", "median", "bound", "ratio",
+    "normal deg", "normal bound", "normal ratio", "r_out mm", "grasp mm", "center NEES", "normal NEES", "pose ms",
 )  # fmt: skip
 
 
@@ -224,6 +229,7 @@ def statistics_cells(each: Statistics) -> list[str]:
     return [
         str(each.shots),
         _percent(each.answers, each.targets),
+        _percent(each.count("center_m"), each.targets),
         _percent(each.available, each.targets),
         f"{each.wrong}/{each.judged}",
         number(each.rms("center_m") * 1e3),
