@@ -98,10 +98,11 @@ def _make_stripe(
     rows = np.flatnonzero(layer.any(axis=1))
     if len(rows) == 0:
         return
+    first, last = int(rows[0]), int(rows[-1]) + 1
+    layer[first:last] *= scale * speckle_pattern(scene.speckle, last - first, layer.shape[1], generator)
     reach_px = int(np.ceil(5 * scene.lens.blur_px))
-    first, last = max(int(rows[0]) - reach_px, 0), min(int(rows[-1]) + 1 + reach_px, len(layer))
-    pattern = speckle_pattern(scene.speckle, last - first, layer.shape[1], generator)
-    layer[first:last] = _blurred(layer[first:last] * (scale * pattern), scene.lens.blur_px)
+    near = slice(max(first - reach_px, 0), last + reach_px)
+    layer[near] = _blurred(layer[near], scene.lens.blur_px)
 
 
 def _blurred(layer: Float32[Array, "row column"], sigma_px: float) -> Float32[Array, "row column"]:
@@ -150,10 +151,12 @@ class PixelRays:
         return float(np.abs(self.per_px[:, :, self.direction.shape[1] // 2 + self.width // 2]).max())
 
 
-def layers(illuminated: IlluminatedTarget, rays: PixelRays, *, blur_px: float = 0.0, preview: bool = False) -> Layers:
-    """Radiance in each pixel due to each light source; a preview has one sample a pixel everywhere.
+def layers(
+    illuminated: IlluminatedTarget, rays: PixelRays, *, blur_px: float = 0.0, samples: int | None = None
+) -> Layers:
+    """Radiance in each pixel due to each light source; with a number of samples, the same in every pixel.
 
-    `blur_px` is the motion of the image during the exposure.
+    One sample gives a preview. `blur_px` is the motion of the image during the exposure.
     """
     light, pixels = caster_input(illuminated, rays.angle_per_px), rays.height * rays.width
     image = PixelImage(
@@ -165,14 +168,16 @@ def layers(illuminated: IlluminatedTarget, rays: PixelRays, *, blur_px: float = 
         render.render, illuminated.target, light.poses, light.lamps, light.lasers, light.light,
         rays.direction, rays.per_px, rays.width, image,
     )  # fmt: skip
-    cast()
-    if not preview:
+    if samples is not None:
+        cast(samples=samples)
+    else:
+        cast()
         shape = (rays.height, rays.width)
         coarse, fine = _to_refine(
             image.code.reshape(shape), image.stripe.reshape(shape), blur_px, everywhere=illuminated.has_ambient_light
         )
-        for refined, samples in ((coarse, SAMPLES), (fine, FINE_SAMPLES)):
-            cast(pixels=np.flatnonzero(refined), samples=samples)
+        for refined, count in ((coarse, SAMPLES), (fine, FINE_SAMPLES)):
+            cast(pixels=np.flatnonzero(refined), samples=count)
     radiance = image.radiance.reshape(-1, rays.height, rays.width)
     return Layers(ambient=radiance[0], laser=radiance[1:])
 
