@@ -91,7 +91,10 @@ def read_scene(path: Path) -> Scene:
         for key, name in (("camera", "camera_boards"), ("planes", "plane_boards")):
             values[name] = read_board_set(boards, key, lasers) if boards.has(key) else None
     body = _body(fields.fields("body", _BODY_KEYS)) if fields.has("body") or not fields.has("target") else None
-    target, values["views"] = _target(fields, values.get("views", ()))
+    target = _target(fields)
+    if target.ring is None:
+        for key in ("views", "approaches"):  # they show the rest
+            values[key] = tuple(replace(each, target=_WITHOUT_RING[each.target]) for each in values.get(key, ()))
     if fields.has("motion"):
         motion = fields.fields("motion", MOTION_KEYS)
         values["motion"] = read_motion(motion, *_inertia_and_center(fields, target, body), path.parent)
@@ -107,18 +110,19 @@ def read_scene(path: Path) -> Scene:
     )
 
 
-def _target(fields: Fields, views: tuple[RingView, ...]) -> tuple[Target, tuple[RingView, ...]]:
-    """The parts and the ring of the scene, and its views: of a target without a ring they show the rest."""
+_WITHOUT_RING: Mapping[TargetKind, TargetKind] = {"ring": "body", "body": "body", "none": "none"}
+
+
+def _target(fields: Fields) -> Target:
+    """The parts and the ring of the scene."""
     if not fields.has("target"):
-        return Target(parts=(), ring=_ring(fields.fields("ring", RING_KEYS))), views
+        return Target(parts=(), ring=_ring(fields.fields("ring", RING_KEYS)))
     target = read_target(fields.fields("target", TARGET_KEYS))
     if fields.has("ring"):
         if target.ring is not None:
             raise fields.problem("ring", "is given, but the target has a ring", "remove one of them")
         target = Target(parts=target.parts, ring=_ring(fields.fields("ring", RING_KEYS)))
-    if target.ring is None:
-        views = tuple(replace(view, target="body") if view.target == "ring" else view for view in views)
-    return target, views
+    return target
 
 
 def _inertia_and_center(
