@@ -80,45 +80,52 @@ def read_scene(path: Path) -> Scene:
     values: dict[str, Any] = fields.given(_NUMBERS, lambda key: fields.number(key, least=0))
     values |= fields.given(_RECORDS, lambda key: numbers_of(fields, key, _RECORDS[key]))
     values["sequence"] = read_sequence(fields, "sequence", lasers) if fields.has("sequence") else (0, (1 << lasers) - 1)
-    along_file = fields.has("motion") and fields.fields("motion").has("file")
-    if fields.has("trajectory"):
-        values["views"], values["approaches"] = read_trajectory(fields, "trajectory", tuple(lights), along_file)
-    elif along_file:
-        entry = Fields(fields.file, {"name": "moving"}, _VIEW_KEYS, "trajectory")
-        values["views"] = (_view(entry, tuple(lights), along_file),)
+    values["views"], values["approaches"] = _views(fields, tuple(lights))
     if fields.has("boards"):
         boards = fields.fields("boards", ("camera", "planes"))
         for key, name in (("camera", "camera_boards"), ("planes", "plane_boards")):
             values[name] = read_board_set(boards, key, lasers) if boards.has(key) else None
+    values |= _target_and_motion(fields, path.parent)
+    if values["ring"] is NO_RING:
+        for key in ("views", "approaches"):  # they show the rest
+            values[key] = tuple(replace(each, target=_WITHOUT_RING[each.target]) for each in values[key])
+    return Scene(rig=rig, lights=lights, seed=fields.integer("seed", least=0) if fields.has("seed") else 1, **values)
+
+
+def _views(fields: Fields, lights: tuple[str, ...]) -> tuple[tuple[RingView, ...], tuple[Approach, ...]]:
+    """The views of the trajectory; a target that moves along a file needs none."""
+    along_file = fields.has("motion") and fields.fields("motion").has("file")
+    if fields.has("trajectory"):
+        return read_trajectory(fields, "trajectory", lights, along_file)
+    if not along_file:
+        return (), ()
+    return (_view(Fields(fields.file, {"name": "moving"}, _VIEW_KEYS, "trajectory"), lights, along_file),), ()
+
+
+def _target_and_motion(fields: Fields, folder: Path) -> dict[str, Any]:
+    target = _target(fields)
     body = _body(fields.fields("body", _BODY_KEYS)) if fields.has("body") or not fields.has("target") else None
-    target, values["views"] = _target(fields, values.get("views", ()))
+    values: dict[str, Any] = {"ring": target.ring or NO_RING, "body": body, "parts": target.parts}
     if fields.has("motion"):
         motion = fields.fields("motion", MOTION_KEYS)
-        values["motion"] = read_motion(motion, *_inertia_and_center(fields, target, body), path.parent)
+        values["motion"] = read_motion(motion, *_inertia_and_center(fields, target, body), folder)
         values["shots"] = motion.integer("shots", least=1) if motion.has("shots") else 1
-    return Scene(
-        rig=rig,
-        ring=target.ring or NO_RING,
-        body=body,
-        parts=target.parts,
-        lights=lights,
-        seed=fields.integer("seed", least=0) if fields.has("seed") else 1,
-        **values,
-    )
+    return values
 
 
-def _target(fields: Fields, views: tuple[RingView, ...]) -> tuple[Target, tuple[RingView, ...]]:
-    """The parts and the ring of the scene, and its views: of a target without a ring they show the rest."""
+_WITHOUT_RING: Mapping[TargetKind, TargetKind] = {"ring": "body", "body": "body", "none": "none"}
+
+
+def _target(fields: Fields) -> Target:
+    """The parts and the ring of the scene."""
     if not fields.has("target"):
-        return Target(parts=(), ring=_ring(fields.fields("ring", RING_KEYS))), views
+        return Target(parts=(), ring=_ring(fields.fields("ring", RING_KEYS)))
     target = read_target(fields.fields("target", TARGET_KEYS))
     if fields.has("ring"):
         if target.ring is not None:
             raise fields.problem("ring", "is given, but the target has a ring", "remove one of them")
         target = Target(parts=target.parts, ring=_ring(fields.fields("ring", RING_KEYS)))
-    if target.ring is None:
-        views = tuple(replace(view, target="body") if view.target == "ring" else view for view in views)
-    return target, views
+    return target
 
 
 def _inertia_and_center(

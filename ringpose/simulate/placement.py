@@ -101,6 +101,7 @@ def _random_views(scene: Scene, approach: Approach) -> Iterator[RingView]:
                     center_m=center_m,
                     normal=normal,
                     light=light,
+                    target=approach.target,
                     groups={"distance_m": distance_m},
                 )
 

@@ -167,6 +167,7 @@ class Approach:
     """Maximum offset of that point from the image centre, as a share of the image's width and height."""
     name: str = "z"
     seed: int = 1
+    target: TargetKind = "ring"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

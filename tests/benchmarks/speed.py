@@ -9,12 +9,14 @@ import argparse
 import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter, process_time
 
 import numpy as np
+import yaml
 from benchmarks.accuracy import accuracy_figures, pose_accuracy
 from benchmarks.limits import Figure, Section, section_record, section_text
 from benchmarks.opencv_detectors import DetectorName, detector
@@ -38,14 +40,19 @@ from ringpose.files.records import line_of
 from ringpose.files.scenes import read_scene
 from ringpose.pose.pipeline import estimate_pose
 from ringpose.pose.record import pose_line
-from ringpose.simulate.pipeline import render_ring_view
+from ringpose.simulate.pipeline import illuminated_ring, moving_frame, render_ring_view
 from ringpose.simulate.placement import ring_views
+from ringpose.simulate.renderer import layers, pixel_rays
 from ringpose.simulate.sensor import digitised
+from ringpose.types.arrays import Array, Float32, Float64
+from ringpose.types.camera import Camera
 from ringpose.types.image import Shot
 from ringpose.types.options import Method
 from ringpose.types.rig import Rig
+from ringpose.types.scene import Scene
 
 SCENE = Path(__file__).parents[2] / "examples" / "scene.yaml"
+FULL_SCENE = SCENE.with_name("scene-full.yaml")
 EDGE_DRAWING, SOLVE_PNP = "x EdgeDrawing", "x solvePnP"
 
 TIMED_IMAGES = 3
@@ -68,6 +75,7 @@ def sections(seeds: int, rounds: int) -> Iterator[Section]:
         image = stripe_image(Kind.DARK, 0)
         calls = start_calls(Path(folder), shot_of(image), image.rig)
         yield Section(title="start", figures=start_figures(calls, rounds))
+    yield Section(title="rendered frame against 256 samples a pixel", figures=fidelity_figures())
     centers, ends = accuracy_figures(seeds)
     yield Section(title=f"stripe centres, {seeds} images of each kind", figures=centers)
     yield Section(title=f"break points, {seeds} images of each kind", figures=ends)
@@ -179,22 +187,112 @@ def latency_figures(rounds: int) -> list[Figure]:
 
 
 def rendering_figures(rounds: int) -> list[Figure]:
-    """A frame of a still view with all lasers on; the reference is the noise and quantisation of the sensor."""
-    scene = read_scene(SCENE)
-    view = render_ring_view(scene, ring_views(scene)[-1], 0)
-    exposure_s = scene.exposure_s
-    electrons = view.electrons(0b111, exposure_s)
+    """A frame of 1600 x 1200 with all lasers on, foil and sun; the reference is the sensor's noise and quantisation."""
+    scene = read_scene(FULL_SCENE)
+    view = replace(scene.views[0], light="strong")
+    still = render_ring_view(scene, view, 0)
+    electrons = still.electrons(0b111, scene.exposure_s)
     calls: dict[str, Callable[[], object]] = {
-        "reference": lambda: digitised(electrons, scene.sensor, view.generator),
-        "frame": lambda: view.frame(0b111, exposure_s, 0.0),
+        "reference": lambda: digitised(electrons, scene.sensor, still.generator),
+        "still view": lambda: still.frame(0b111, scene.exposure_s, 0.0),
     }
+    with TemporaryDirectory() as folder:
+        for model in ("ring-on-plate", "sinosat2"):
+            moving = moving_scene(Path(folder), model)
+            (first,) = ring_views(moving)
+            calls[f"{model}, moving"] = partial(moving_frame, moving, first, 0b111, moving.exposure_s, 0.0, 0.0, (1,))
+    small = replace(scene, rig=replace(scene.rig, camera=small_camera(scene.rig.camera)))
+    illuminated = illuminated_ring(small, view)
+    calls["preview, 640 x 480"] = partial(layers, illuminated, pixel_rays(small.rig.camera), samples=1)
     times_s = median_times_s(calls, rounds)
-    unit = "x sensor noise"
-    return [
-        Figure(name="still view", measured=times_s["frame"] / times_s["reference"], unit=unit, max_value=4.0),
-        Figure(name="ring-on-plate, moving", measured=None, unit=unit, max_value=10.0),
-        Figure(name="sinosat2, moving", measured=None, unit=unit, max_value=25.0),
+    limits = {"still view": 4.0, "ring-on-plate, moving": 10.0, "sinosat2, moving": 25.0}
+    figures = [
+        Figure(name=name, measured=times_s[name] / times_s["reference"], unit="x sensor noise", max_value=limit)
+        for name, limit in limits.items()
     ]
+    return [*figures, Figure(name="preview", measured=times_s["preview, 640 x 480"], unit="s", max_value=0.05)]
+
+
+def moving_scene(folder: Path, model: str) -> Scene:
+    """A model of the package that drifts and turns 0.5 m from the rig of the full scene, in sunlight."""
+    values = yaml.safe_load(FULL_SCENE.read_text())
+    for key in ("ring", "body", "boards"):
+        del values[key]
+    values |= {
+        "rig": str(FULL_SCENE.with_name(values["rig"])),
+        "exposure_s": 0.002,
+        "stripe_dn": None,
+        "target": {"model": model},
+        "motion": {"angular_velocity_rad_s": [0.05, 0.05, 0.04], "velocity_m_s": [0.03, 0.03, -0.02]},
+        "trajectory": [
+            {"name": "a", "center_m": [-0.582, -0.02, 0.5], "pitch_rad": 0.05, "yaw_rad": 0.0, "light": "strong"}
+        ],
+    }
+    path = folder / f"{model}.yaml"
+    path.write_text(yaml.safe_dump({key: value for key, value in values.items() if value is not None}))
+    return read_scene(path)
+
+
+def small_camera(camera: Camera) -> Camera:
+    """The same field of view in 640 x 480 pixels."""
+    matrix = camera.camera_matrix * np.array([[0.4], [0.4], [1.0]])
+    return replace(camera, image_width=640, image_height=480, camera_matrix=matrix)
+
+
+def fidelity_figures() -> list[Figure]:
+    """Stripes and edges of the adaptive samples against 256 samples in every pixel, on the small scene without foil."""
+    scene = read_scene(SCENE)
+    assert scene.body is not None
+    scene = replace(scene, body=replace(scene.body, foil=None))
+    view = next(view for view in ring_views(scene) if view.light == "normal")
+    illuminated, rays = illuminated_ring(scene, view), pixel_rays(scene.rig.camera)
+    quick, exact = layers(illuminated, rays), layers(illuminated, rays, samples=256)
+    centroids = [
+        np.abs(stripe_centroids(quick.laser[laser]) - stripe_centroids(exact.laser[laser]))
+        for laser in range(len(scene.rig.lasers.names))
+    ]
+    shift = edge_shifts_px(quick.ambient, exact.ambient)
+    return [
+        Figure(name="edge shift, rms", measured=float(np.sqrt(np.mean(shift**2))), unit="px", max_value=0.005),
+        Figure(
+            name="stripe centroid bias", measured=float(max(map(np.nanmedian, centroids))), unit="px", max_value=0.001
+        ),
+    ]
+
+
+def stripe_centroids(layer: Float32[Array, "row column"]) -> Float64[Array, "column"]:
+    """Centroid of the light in each column; NaN without light."""
+    light = layer.astype(float)
+    total = light.sum(axis=0)
+    centroid: Float64[Array, "column"] = (light * np.arange(len(light))[:, None]).sum(axis=0) / np.where(
+        total > 0.01 * total.max(), total, np.nan
+    )
+    return centroid
+
+
+ROWS = 12
+"""Rows that are averaged, as the detector averages the image along an edge."""
+
+
+def edge_shifts_px(quick: Float32[Array, "row column"], exact: Float32[Array, "row column"]) -> Float64[Array, "place"]:
+    """Horizontal displacement of edges between flat sides, averaged along the edge over `ROWS` rows.
+
+    In each row it is the difference of light in five pixels, over the step.
+    """
+    light = exact.astype(float)
+    step = light[:, 4:] - light[:, :-4]
+    flat = np.abs(np.diff(light, axis=1))
+    beside = np.maximum(flat[:, :-3], flat[:, 3:])
+    strong = (np.abs(step) > 0.05 * np.percentile(light, 99)) & (beside < 0.02 * np.abs(step))
+    difference = np.apply_along_axis(np.convolve, 1, quick.astype(float) - exact, np.ones(5), mode="valid")
+    row, column = np.nonzero(strong)
+    in_row, number = np.unique(row * light.shape[1] + column // 32, return_inverse=True)  # windows of one edge
+    of_row = np.bincount(number, difference[strong] / step[strong]) / np.bincount(number)
+    place, number = np.unique(
+        in_row // light.shape[1] // ROWS * light.shape[1] + in_row % light.shape[1], return_inverse=True
+    )
+    shifts: Float64[Array, "place"] = np.bincount(number, of_row) / ROWS
+    return shifts[np.bincount(number) == ROWS]
 
 
 def start_figures(calls: dict[str, Callable[[], object]], rounds: int) -> list[Figure]:

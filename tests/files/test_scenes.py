@@ -207,3 +207,58 @@ def test_a_rig_without_projectors_is_rejected(scene_of):
 def test_a_missing_rig_is_a_missing_input(scene_of):
     with pytest.raises(NoInputError):
         scene_of(("rig", "elsewhere.yaml"))
+
+
+TARGET = (("ring", None), ("body", None), ("target", {"model": "sinosat2"}))
+
+
+def test_a_target_replaces_ring_and_body(scene_of):
+    scene = scene_of(*TARGET)
+
+    assert scene.body is None
+    assert len(scene.parts) >= 12
+    assert scene.ring.radius_outer_m == pytest.approx(0.5965)
+
+
+def test_views_of_a_target_without_a_ring_show_the_rest(scene_of):
+    scene = scene_of(("ring", None), ("body", None), ("target", {"model": "bare"}))
+
+    assert {view.target for view in (*scene.views, *scene.approaches)} == {"body"}
+
+
+def test_sun_and_earth_are_in_all_lights_that_have_no_sun_of_their_own(scene_of):
+    scene = scene_of(
+        ("sun", {"irradiance_w_m2": 30, "direction": [0, 0, -1]}),
+        ("earth", {"direction": [1, 0, 0]}),
+        ("lights.dark", {"sun_w_m2": 0}),
+    )
+
+    assert scene.lights["dim"].sun_w_m2 == 30
+    assert scene.lights["sun"].sun_w_m2 == 15
+    assert scene.lights["dark"].sun_w_m2 == 0
+    assert all(light.earth is not None for light in scene.lights.values())
+
+
+@pytest.mark.parametrize(
+    ("changes", "place", "word"),
+    [
+        ((("target", {"model": "sinosat2"}), ("body", None)), "ring", "remove one"),
+        ((("sun", {"irradiance_w_m2": 30}),), "sun", "direction"),
+        ((("sun", {"irradiance_w_m2": 30, "direction": [0, 0, 0]}),), "sun.direction", "length 0"),
+        (
+            (("sun", {"irradiance_w_m2": 3, "direction": [0, 0, 1], "diameter_rad": 0.53}),),
+            "sun.diameter_rad",
+            "radians",
+        ),
+        ((("earth", {"direction": [0, 0, 1], "orbit_radius_m": 42164}),), "earth.orbit_radius_m", "at least"),
+        ((("trajectory.0.center_m", [0, 0, -0.5]),), "trajectory[0].center_m", "behind the camera"),
+        ((("ring.gaps", [{"angle_rad": 90, "width_m": 0.1, "depth_m": 0.01}]),), "ring.gaps[0].angle_rad", "degrees"),
+        ((("motion", {"preset": "stress"}), *TARGET[:2], ("target", {"parts": []})), "motion", "no mass"),
+    ],
+)
+def test_invalid_targets_and_lights_are_rejected_with_their_place(scene_of, changes, place, word):
+    with pytest.raises(DataError) as error:
+        scene_of(*changes)
+
+    assert place in error.value.location + error.value.found
+    assert word in str(error.value)

@@ -172,7 +172,8 @@ static double laser_light(const Scene *scene, const Laser *laser, Coating coatin
     const Light *light = &scene->light;
     const double off = dot(laser->normal, hit->point) - laser->distance;
     const Vector to_projector = minus(laser->projector, hit->point);
-    const double range = sqrt(dot(to_projector, to_projector)), sigma = hypot(light->sigma, light->divergence * range);
+    const double range = sqrt(dot(to_projector, to_projector)), spread = light->divergence * range;
+    const double sigma = sqrt(light->sigma * light->sigma + spread * spread);
     if (fabs(off) >= MAX_SIGMAS * sigma + footprint) return 0;
     *stripe |= footprint > MAX_PIXEL_SIGMAS * sigma ? THIN : WIDE;
     if (fabs(off) >= MAX_SIGMAS * sigma) return 0;
@@ -324,7 +325,7 @@ static double reversed(int number, int base) {
 
 /* Samples of a pixel: a Hammersley set. Rows are the same in all pixels, so that the profile of a stripe is integrated
    by the midpoint rule; everything else is shifted cyclically from pixel to pixel, so that edges show no banding. */
-static void draw_sample(const Scene *scene, int sample, int samples, int64_t column, int64_t row, double shift_px[2],
+static void draw_sample(const Scene *scene, int sample, int samples, uint32_t column, uint32_t row, double shift_px[2],
                         Draw *draw) {
     const double turn = fraction(0.7548776662 * (double)column + 0.5698402910 * (double)row);
     const int first = (int)(turn * DISC);
@@ -346,7 +347,8 @@ static void cast_block(const Scene *scene, const Rays *rays, const Choice *parts
     for (int i = 0; i < count; i++) {
         const int64_t at = pixel[i];
         double shift_px[2], x = rays->x[at], y = rays->y[at];
-        draw_sample(scene, sample, samples, at % rays->width, at / rays->width, shift_px, &ray[i].draw);
+        draw_sample(scene, sample, samples, (uint32_t)at % (uint32_t)rays->width, (uint32_t)at / (uint32_t)rays->width,
+                    shift_px, &ray[i].draw);
         if (samples > 1) {
             x += shift_px[0] * rays->per_px[0][0][at] + shift_px[1] * rays->per_px[1][0][at];
             y += shift_px[0] * rays->per_px[0][1][at] + shift_px[1] * rays->per_px[1][1][at];

@@ -6,6 +6,10 @@ static const double NEAREST_M = 1e-9;
 
 enum { FORM_STEPS = 4, RELIEF_STEPS = 2 };
 
+static int is_aligned(const Part *part) {
+    return part->rotation[0] == 1 && part->rotation[4] == 1 && part->rotation[8] == 1;
+}
+
 int near_ray(const Part *part, Vector origin, Vector direction, double limit) {
     const Vector to = minus(part->center, origin);
     const double square = dot(direction, direction), along = dot(to, direction), radius2 = part->radius * part->radius;
@@ -197,10 +201,6 @@ static double hit_revolution(const Target *target, const Part *part, Vector o, V
     return search.piece == EMPTY ? INFINITY : search.best;
 }
 
-static int is_aligned(const Part *part) {
-    return part->rotation[0] == 1 && part->rotation[4] == 1 && part->rotation[8] == 1;
-}
-
 static double hit_part(const Target *target, const Part *part, Vector origin, Vector direction, double nearest,
                        double limit, int *face) {
     Vector o = minus(origin, part->origin), d = direction;
@@ -292,20 +292,22 @@ static Vector from_face(int face, Vector a) {
     }
 }
 
+static Vector in_target(const Part *part, Vector a) { return is_aligned(part) ? a : rotated_back(part->rotation, a); }
+
 static Vector box_normal(const Target *target, const Part *part, Vector o, Vector d, Hit *hit, double *parameter) {
     Vector local_o, local_d, normal = {0, 0, 1};
     double level, slope[2], unused;
     face_frame(part, hit->face, o, &local_o, &level);
     face_frame(part, hit->face, d, &local_d, &unused);
     local_o.z -= level;
-    hit->flat_normal = rotated_back(part->rotation, from_face(hit->face, normal));
+    hit->flat_normal = in_target(part, from_face(hit->face, normal));
     if (part->relief >= 0) {
         hit_relief(target, (int)part->relief, local_o, local_d, parameter, slope);
         normal = unit((Vector){-slope[0], -slope[1], 1});
     }
     hit->u = local_o.x + *parameter * local_d.x;
     hit->v = local_o.y + *parameter * local_d.y;
-    return rotated_back(part->rotation, from_face(hit->face, normal));
+    return part->relief >= 0 ? in_target(part, from_face(hit->face, normal)) : hit->flat_normal;
 }
 
 static Vector revolution_normal(const Target *target, const Part *part, Vector p, const Hit *hit) {
@@ -330,7 +332,8 @@ static Vector revolution_normal(const Target *target, const Part *part, Vector p
 
 void complete_hit(const Target *target, Vector origin, Vector direction, Hit *hit) {
     const Part *part = target->part + hit->part;
-    const Vector o = rotated(part->rotation, minus(origin, part->origin)), d = rotated(part->rotation, direction);
+    Vector o = minus(origin, part->origin), d = direction;
+    if (!is_aligned(part)) o = rotated(part->rotation, o), d = rotated(part->rotation, d);
     double parameter = hit->parameter;
     hit->flat = plus(origin, times(parameter, direction));
     hit->u = hit->v = 0;
@@ -338,7 +341,7 @@ void complete_hit(const Target *target, Vector origin, Vector direction, Hit *hi
         hit->normal = box_normal(target, part, o, d, hit, &parameter);
     } else {
         const Vector normal = revolution_normal(target, part, plus(o, times(parameter, d)), hit);
-        hit->normal = rotated_back(part->rotation, normal);
+        hit->normal = in_target(part, normal);
         if (dot(hit->normal, direction) > 0) hit->normal = times(-1, hit->normal);
         hit->flat_normal = hit->normal;
     }
