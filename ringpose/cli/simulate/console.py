@@ -7,6 +7,7 @@ import typer
 
 if TYPE_CHECKING:
     from ringpose.console.engine import ConsolePicture
+    from ringpose.console.state import ConsoleState
 
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="The scene (scene.yaml).")]
 Port = Annotated[int, typer.Option("--port", metavar="PORT", min=1, max=65535, help="Port of the page at 127.0.0.1.")]
@@ -29,6 +30,7 @@ def console(
     from ringpose.errors import UsageError
     from ringpose.files import records
     from ringpose.files.images.simulations import SimulationFolder
+    from ringpose.files.scene_copies import write_scene_copy
     from ringpose.files.scenes import read_scene
 
     if find_spec("viser") is None:
@@ -43,6 +45,13 @@ def console(
         if folder is not None and picture.shot is not None:
             records.write_name(folder.add(picture.shot, picture.truth))
 
-    with ConsolePage(read, "127.0.0.1", port, width, None if folder is None else record) as page:
+    def save(state: "ConsoleState") -> str:
+        shown = state.scene_of(read)
+        target = Path(output or ".") / f"saved_{state.number:06d}"
+        view, light = state.view, state.light
+        return str(write_scene_copy(target, scene, shown.rig, view, light, shown.sequence, state.exposure_s))
+
+    callbacks = (None, None) if folder is None else (record, save)
+    with ConsolePage(read, "127.0.0.1", port, width, *callbacks) as page:
         records.write({"page": f"http://127.0.0.1:{page.port}"})
         page.serve()

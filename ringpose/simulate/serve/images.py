@@ -19,7 +19,7 @@ from datetime import UTC, datetime
 from types import TracebackType
 from typing import Any
 
-from ringpose.errors import DeviceError, UsageError
+from ringpose.errors import DataError, DeviceError, UsageError
 from ringpose.simulate.exposure import MAX_DURATION_S, MIN_DURATION_S
 from ringpose.simulate.pipeline import READOUT_S
 from ringpose.simulate.sensor import saturation_dn
@@ -159,6 +159,8 @@ class ImageServer:
         if len(scene.sequence) > wire.MAX_SEQUENCE:
             found = f"has {len(scene.sequence)} frames; at most {wire.MAX_SEQUENCE} can be served"
             raise UsageError("the scene's sequence", found)
+        if not scene.views and not any(approach.count for approach in scene.approaches):
+            raise DataError("the scene", "has no trajectory", "add one with a view")
         exposure_s = MIN_DURATION_S if scene.stripe_dn is not None else scene.exposure_s
         if 1.0 / setup.rate_hz < exposure_s + READOUT_S:
             found = f"{setup.rate_hz:g} frames a second leave no time for an exposure of {exposure_s:g} s"

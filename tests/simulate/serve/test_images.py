@@ -18,7 +18,7 @@ import pytest
 from image_client import ImageClient
 from served_scene import small_scene
 
-from ringpose.errors import DeviceError, UsageError
+from ringpose.errors import DataError, DeviceError, UsageError
 from ringpose.files.records import plain
 from ringpose.files.records.truths import truth_record
 from ringpose.simulate.placement import ring_views
@@ -451,3 +451,8 @@ def test_a_port_in_use_is_a_device_error(serve):
 def test_a_rate_that_leaves_no_time_for_the_exposure_is_wrong_usage(serve):
     with pytest.raises(UsageError, match="--rate"):
         serve(rate_hz=500.0)
+
+
+def test_a_scene_without_a_trajectory_cannot_be_served(serve, scene):
+    with pytest.raises(DataError, match="trajectory"):
+        serve(replace(scene, approaches=()))
