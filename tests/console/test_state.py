@@ -1,5 +1,6 @@
 """The scene that follows from the controls, and the engine that shows it."""
 
+import json
 import threading
 from dataclasses import replace
 
@@ -7,8 +8,10 @@ import numpy as np
 import pytest
 from served_scene import small_scene
 
+from ringpose.cli.simulate.console import trajectory_in
 from ringpose.console.engine import Engine
 from ringpose.console.state import first_state
+from ringpose.errors import DataError
 from ringpose.files.scene_copies import write_scene_copy
 from ringpose.files.scenes import read_scene
 from ringpose.geometry.rays import project
@@ -41,6 +44,36 @@ def test_the_target_moves_with_time(state):
     before, after = (each.normal[1:] / np.linalg.norm(each.normal[1:]) for each in (state.view, moving))
     assert np.arccos(before @ after) == pytest.approx(0.2)
     assert moving.normal[0] == pytest.approx(state.view.normal[0])
+
+
+def test_a_trajectory_is_followed_and_interpolated(state):
+    lines = [
+        {"shot": "a", "stamp_s": 10.0, "center_m": [0.5, 0.0, 0.6], "normal": [0.0, 0.0, -1.0]},
+        {"shot": "b", "expect": "no_target", "center_m": None, "normal": None},
+        {"shot": "c", "stamp_s": 12.0, "center_m": [0.6, 0.0, 0.8], "normal": [0.0, 0.6, -0.8]},
+    ]
+    trajectory = trajectory_in("\n".join(map(json.dumps, lines)).encode(), "t.jsonl")
+
+    views = [replace(state, trajectory=trajectory, time_s=time_s).view for time_s in (0.0, 1.0, 5.0)]
+
+    np.testing.assert_allclose([view.center_m for view in views], [[0.5, 0, 0.6], [0.55, 0, 0.7], [0.6, 0, 0.8]])
+    np.testing.assert_allclose(views[1].normal, np.array([0.0, 0.3, -0.9]) / np.hypot(0.3, 0.9))
+    np.testing.assert_allclose(views[2].normal, [0.0, 0.6, -0.8])
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "{",
+        '{"shot": "a"}',
+        '{"center_m": [0, 0], "normal": [0, 0, -1]}',
+        '{"stamp_s": 1, "center_m": [0, 0, 1], "normal": [0, 0, -1]}\n' * 2,
+    ],
+)
+def test_what_is_no_trajectory_is_rejected(text):
+    with pytest.raises(DataError, match=r"t\.jsonl"):
+        trajectory_in(text.encode(), "t.jsonl")
 
 
 def test_a_light_plane_turns_about_its_projector(scene, state):
