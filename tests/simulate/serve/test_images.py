@@ -139,8 +139,8 @@ def test_wall_clock_stamps_are_the_time_of_day_at_the_rate(serve):
 
 def test_frames_that_cannot_be_rendered_in_time_are_dropped_and_counted(serve, monkeypatch):
     server = serve(rate_hz=100.0)
-    exposed = images.SceneShots.shot
-    monkeypatch.setattr(images.SceneShots, "shot", lambda *words: (time.sleep(0.05), exposed(*words))[1])
+    exposed = scene_shots.SceneShots.shot
+    monkeypatch.setattr(scene_shots.SceneShots, "shot", lambda *words: (time.sleep(0.05), exposed(*words))[1])
     with ImageClient(server.port) as client:
         headers = [header for header, _ in client.frames(8)]
 
@@ -150,8 +150,8 @@ def test_frames_that_cannot_be_rendered_in_time_are_dropped_and_counted(serve, m
 
 def test_nothing_is_rendered_while_nobody_watches(serve, monkeypatch):
     rendered = []
-    exposed = images.SceneShots.shot
-    monkeypatch.setattr(images.SceneShots, "shot", lambda *words: (rendered.append(1), exposed(*words))[1])
+    exposed = scene_shots.SceneShots.shot
+    monkeypatch.setattr(scene_shots.SceneShots, "shot", lambda *words: (rendered.append(1), exposed(*words))[1])
     with ImageClient(serve(rate_hz=100.0).port) as client:
         time.sleep(0.1)
         assert not rendered
@@ -245,6 +245,17 @@ def test_time_continues_where_it_is_set_and_stands_while_paused(serve, scene):
     np.testing.assert_allclose(running, [views[1], views[1], views[2], views[2]], atol=1e-12)
 
 
+def test_a_shot_shows_one_view_although_the_time_is_set_meanwhile(serve):
+    with ImageClient(serve(clock="lockstep").port) as client:
+        (first, _), *_ = client.frames(1)
+        assert client.ask(type="time", time_s=2 * 2 / 50.0 + 1e-6)["from_frame"] == 3
+        (second, _), (third, _) = client.frames(2)
+
+    assert (first["step"], second["step"], third["step"]) == (0, 1, 0)
+    assert first["truth"] == second["truth"]
+    assert third["truth"]["center_m"] != first["truth"]["center_m"]
+
+
 @pytest.mark.parametrize(
     "request_header",
     [
@@ -318,6 +329,14 @@ def test_one_client_too_many_is_turned_away(serve, monkeypatch):
     port = serve().port
     with ImageClient(port) as first, ImageClient(port, hello=False) as second:
         assert second.message()[0]["type"] == "error"
+        assert len(first.frames(1)) == 1
+
+
+def test_connections_beyond_the_limit_are_closed_at_once(serve, monkeypatch):
+    monkeypatch.setattr(images, "MAX_CONNECTIONS", 2)
+    port = serve().port
+    with ImageClient(port) as first, ImageClient(port, hello=False), ImageClient(port, hello=False) as third:
+        assert third.ends()
         assert len(first.frames(1)) == 1
 
 
