@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 import pytest
 from image_client import ImageClient
+from quick_views import quick_view
 from served_scene import small_scene
 
 from ringpose.errors import DataError, DeviceError, UsageError
@@ -34,7 +35,8 @@ def scene(tmp_path_factory):
 
 
 @pytest.fixture
-def serve(scene):
+def serve(scene, monkeypatch):
+    monkeypatch.setattr(scene_shots, "render_ring_view", quick_view)
     servers = []
 
     def started(served=scene, report=None, on_truth=None, **setup):
