@@ -32,6 +32,8 @@ class OverlayFolder:
         """Write the picture of one shot."""
         from ringpose.files.images.codecs import write_image
 
+        if Path(name).name != name:
+            raise DataError(name, "cannot be the name of a file in the folder of overlays", "rename the shot")
         if name in self._names:
             raise DataError(name, "an earlier shot has this name; its overlay would be replaced", "rename one of them")
         self._names.add(name)

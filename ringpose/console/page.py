@@ -17,7 +17,8 @@ import viser.transforms
 from viser import uplot
 
 from ringpose.console.engine import ConsolePicture, Engine
-from ringpose.console.state import ConsoleState, first_state
+from ringpose.console.state import ConsoleState, Trajectory, first_state
+from ringpose.errors import DataError, RingposeError
 from ringpose.pose.record import remarks_on
 from ringpose.report.overlay import color_of, pose_texts
 from ringpose.simulate.pipeline import illuminated_ring
@@ -41,15 +42,28 @@ RING_POINTS = 90
 
 
 class ConsolePage:
-    """The page, within its context; `record` is called with each measured picture while recording is switched on."""
+    """The page, within its context.
+
+    `record` is called with each measured picture while recording is switched on, and `save` with the state when its
+    button is pressed; what it returns is shown. `load` makes a trajectory of the contents and the name of a file.
+    """
 
     def __init__(
-        self, scene: Scene, host: str, port: int, width: int, record: Callable[[ConsolePicture], None] | None = None
+        self,
+        scene: Scene,
+        host: str,
+        port: int,
+        width: int,
+        record: Callable[[ConsolePicture], None] | None = None,
+        save: Callable[[ConsoleState], str] | None = None,
+        load: Callable[[bytes, str], Trajectory] | None = None,
     ) -> None:
         self._scene = scene
         self._views = tuple(view for view in ring_views(scene) if view.target == "ring")
+        if not self._views:
+            raise DataError("the scene", "has no view of a ring", "add one to its trajectory")
         self._state = first_state(scene, self._views[0])
-        self._record = record
+        self._record, self._save, self._load = record, save, load
         self._lock = threading.RLock()
         self._ended = threading.Event()
         self._history: deque[tuple[float, ...]] = deque(maxlen=SHOWN_MEASUREMENTS)
@@ -137,6 +151,11 @@ class ConsolePage:
             self._speed = gui.add_dropdown("speed", ["0.25", "0.5", "1", "2", "4"], initial_value="1")
             self._time: Any = gui.add_slider("time (s)", 0.0, 60.0, PERIOD_S, 0.0)
             self._step = gui.add_button("step")
+            if self._load is not None:
+                self._loading: Any = gui.add_upload_button("load trajectory", mime_type="application/json,.jsonl")
+                self._loading.on_upload(lambda _: self._load_trajectory())
+                self._loaded = gui.add_markdown("")
+                gui.add_button("leave trajectory").on_click(lambda _: self._follow(None, ""))
         with gui.add_folder("Camera"):
             self._focal = gui.add_slider("focal length (%)", 50.0, 200.0, 1.0, 100.0)
             self._auto = gui.add_checkbox("exposure by the scene", True)
@@ -150,6 +169,9 @@ class ConsolePage:
             self._sun: Any = gui.add_slider("sun (W/m2)", 0.0, 100.0, 0.5, state.light.sun_w_m2)
         if self._record is not None:
             self._recording = gui.add_checkbox("record shots with their truth", False)
+        if self._save is not None:
+            self._saving = gui.add_button("save scene and rig")
+            self._saving.on_click(lambda _: self._save_state())
 
     def _add_plots(self) -> None:
         """Errors of the running measurement."""
@@ -208,6 +230,33 @@ class ConsolePage:
         with self._lock:
             self._state = replace(self._state, light=state.light)
         self._change()
+
+    def _load_trajectory(self) -> None:
+        if self._load is None:
+            return
+        uploaded = self._loading.value
+        try:
+            trajectory = self._load(uploaded.content, uploaded.name)
+        except RingposeError as problem:
+            self._loaded.content = f"not loaded: {problem}"
+            return
+        self._follow(trajectory, f"{uploaded.name}: {len(trajectory.time_s)} poses, {trajectory.time_s[-1]:.1f} s")
+
+    def _follow(self, trajectory: Trajectory | None, text: str) -> None:
+        """Show the poses of a trajectory from its beginning; None for those that the controls set."""
+        with self._lock:
+            self._state = replace(self._state, trajectory=trajectory)
+        self._loaded.content = text
+        self._time.value = 0.0
+        self._change()
+
+    def _save_state(self) -> None:
+        if self._save is None:
+            return
+        try:
+            self._saving.label = f"save scene and rig (saved as {self._save(self._state)})"
+        except RingposeError as problem:
+            self._saving.label = f"save scene and rig (not saved: {problem})"
 
     def _play(self) -> None:
         while not self._ended.wait(PERIOD_S):
@@ -382,7 +431,10 @@ def _light_plane(rig: Any, laser: int, depth_m: float) -> Float64[Array, "3 3"]:
     camera, lasers = rig.camera, rig.lasers
     normal, distance_m = lasers.normal[laser], lasers.distance_m[laser]
     half_m = camera.image_width / 2 / camera.camera_matrix[0, 0] * depth_m
-    ends = [[x, (distance_m - normal[0] * x - normal[2] * depth_m) / normal[1], depth_m] for x in (-half_m, half_m)]
+    if abs(normal[1]) > abs(normal[0]):
+        ends = [[x, (distance_m - normal[0] * x - normal[2] * depth_m) / normal[1], depth_m] for x in (-half_m, half_m)]
+    else:
+        ends = [[(distance_m - normal[1] * y - normal[2] * depth_m) / normal[0], y, depth_m] for y in (-half_m, half_m)]
     projector = lasers.projector_m[laser]
     start = projector if np.isfinite(projector).all() else np.zeros(3)
     return np.array([start, *ends])

@@ -14,6 +14,23 @@ LIGHT = "console"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Trajectory:
+    """Poses of the ring at increasing times; in between, centre and normal are interpolated linearly."""
+
+    time_s: Float64[Array, "pose"]
+    """From 0."""
+    center_m: Float64[Array, "pose xyz=3"]
+    normal: Float64[Array, "pose xyz=3"]
+
+    def at(self, time_s: float) -> tuple[Float64[Array, "xyz=3"], Float64[Array, "xyz=3"]]:
+        """Centre and unit normal at a time; after the end, those of the last pose."""
+        center_m, normal = (
+            np.array([np.interp(time_s, self.time_s, part) for part in each.T]) for each in (self.center_m, self.normal)
+        )
+        return center_m, normal / np.linalg.norm(normal)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ConsoleState:
     """Positions of the controls; `number` grows with every change, so that each picture names its state."""
 
@@ -29,6 +46,8 @@ class ConsoleState:
     """About the camera's x axis through the centre."""
     drift_m_s: Float64[Array, "xyz=3"] = field(default_factory=lambda: np.zeros(3))
     time_s: float = 0.0
+    trajectory: Trajectory | None = None
+    """Takes the place of pose, tumble and drift."""
     focal_scale: float = 1.0
     exposure_s: float | None = None
     """None for the rule of the scene."""
@@ -45,11 +64,16 @@ class ConsoleState:
     @property
     def view(self) -> RingView:
         """Target and light at the state's time."""
-        turned = rotation_by(np.array([self.tumble_rad_s * self.time_s, 0.0, 0.0]))
+        if self.trajectory is not None:
+            center_m, normal = self.trajectory.at(self.time_s)
+        else:
+            turned = rotation_by(np.array([self.tumble_rad_s * self.time_s, 0.0, 0.0]))
+            center_m = self.center_m + self.time_s * self.drift_m_s
+            normal = turned @ facing_normal(self.pitch_rad, self.yaw_rad)
         return RingView(
             name=f"console_{self.number:06d}",
-            center_m=self.center_m + self.time_s * self.drift_m_s,
-            normal=turned @ facing_normal(self.pitch_rad, self.yaw_rad),
+            center_m=center_m,
+            normal=normal,
             roll_rad=self.roll_rad + self.spin_rad_s * self.time_s,
             light=LIGHT,
         )

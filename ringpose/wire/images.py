@@ -9,6 +9,7 @@ import hashlib
 import hmac
 import json
 import math
+import re
 import struct
 import sys
 from collections.abc import Mapping, Sequence
@@ -370,6 +371,14 @@ def pixels(image: UInt[Array, "row column"]) -> memoryview:
     return np.ascontiguousarray(image, dtype=stored).data.cast("B")
 
 
+def _shot_name(header: Fields) -> str:
+    """The name of a shot, which clients use as that of a file."""
+    name = header.text("shot")
+    if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.+-]*", name):
+        raise header.problem("shot", "must consist of letters, digits and _ . + -, and not begin with a point")
+    return name
+
+
 def frame_in(header: Fields, payload: bytes) -> ServedFrame:
     """The frame of a message."""
     width, height = header.integer("width", 1, 1 << 16), header.integer("height", 1, 1 << 16)
@@ -385,7 +394,7 @@ def frame_in(header: Fields, payload: bytes) -> ServedFrame:
     return ServedFrame(
         image=image,
         frame_id=header.integer("frame_id"),
-        shot=header.text("shot"),
+        shot=_shot_name(header),
         step=header.integer("step", 0, MAX_SEQUENCE - 1),
         lasers=header.integer("lasers", 0, 255),
         stamp_s=header.number("stamp_s"),

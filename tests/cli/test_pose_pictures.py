@@ -78,3 +78,15 @@ def test_second_shot_of_a_name_is_reported_and_not_drawn_over_the_first(rig, det
     captured = capsys.readouterr()
     assert len(captured.out.splitlines()) == 6
     assert captured.err.count("earlier shot") == 3
+
+
+def test_overlays_stay_in_their_folder(rig, detections, tmp_path, capsys):
+    (tmp_path / "drawn").mkdir()
+    detections.write_text(detections.read_text().replace('"shot": "a"', '"shot": "../a"'))
+    words = ["--rig", str(rig), "--method", "paper", "--overlay", str(tmp_path / "drawn")]
+
+    assert main(["pose", str(detections), *words]) == 65
+
+    assert {path.name for path in (tmp_path / "drawn").iterdir()} == {"b.png", "c.png"}
+    assert not (tmp_path / "a.png").exists()
+    assert capsys.readouterr().err.count("../a") == 1

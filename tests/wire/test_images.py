@@ -157,6 +157,14 @@ def test_any_frame_is_read_or_rejected(values):
     assert frame is None or frame.image.size * frame.image.dtype.itemsize == 6
 
 
+@pytest.mark.parametrize("name", ["", "../a", "a/b", ".a", "a\nb", "a b", "C:a"])
+def test_a_shot_name_that_could_be_a_path_is_rejected(name):
+    sent = wire.frame_header(frame_of(np.zeros((2, 3), np.uint8))) | {"shot": name}
+
+    with pytest.raises(MalformedMessage, match="shot"):
+        wire.frame_in(wire.Fields(sent), bytes(6))
+
+
 def test_another_version_of_the_protocol_is_named():
     header = wire.Fields({"type": "greeting", "protocol": "ringpose/images/2"})
 

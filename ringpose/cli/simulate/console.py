@@ -7,6 +7,7 @@ import typer
 
 if TYPE_CHECKING:
     from ringpose.console.engine import ConsolePicture
+    from ringpose.console.state import ConsoleState, Trajectory
 
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="The scene (scene.yaml).")]
 Port = Annotated[int, typer.Option("--port", metavar="PORT", min=1, max=65535, help="Port of the page at 127.0.0.1.")]
@@ -29,6 +30,7 @@ def console(
     from ringpose.errors import UsageError
     from ringpose.files import records
     from ringpose.files.images.simulations import SimulationFolder
+    from ringpose.files.scene_copies import write_scene_copy
     from ringpose.files.scenes import read_scene
 
     if find_spec("viser") is None:
@@ -43,6 +45,42 @@ def console(
         if folder is not None and picture.shot is not None:
             records.write_name(folder.add(picture.shot, picture.truth))
 
-    with ConsolePage(read, "127.0.0.1", port, width, None if folder is None else record) as page:
+    def save(state: "ConsoleState") -> str:
+        shown = state.scene_of(read)
+        target = Path(output or ".") / f"saved_{state.number:06d}"
+        view, light = state.view, state.light
+        return str(write_scene_copy(target, scene, shown.rig, view, light, shown.sequence, state.exposure_s))
+
+    on_record, on_save = (None, None) if folder is None else (record, save)
+    with ConsolePage(read, "127.0.0.1", port, width, on_record, on_save, trajectory_in) as page:
         records.write({"page": f"http://127.0.0.1:{page.port}"})
         page.serve()
+
+
+def trajectory_in(content: bytes, name: str) -> "Trajectory":
+    """The poses of a file of JSON lines with `center_m` and `normal`, such as truth.jsonl.
+
+    Their times are those of `stamp_s`, or 0.1 s apart if one has none.
+    """
+    import numpy as np
+
+    from ringpose.console.state import Trajectory
+    from ringpose.errors import DataError
+    from ringpose.files import records
+    from ringpose.files.schema import Fields
+
+    lines = content.decode(errors="replace").splitlines()
+    entries = [Fields(location, record) for location, record in records.read(lines, name)]
+    entries = [entry for entry in entries if entry.has("center_m") and entry.has("normal")]
+    if not entries:
+        raise DataError(name, "has no poses", "give JSON lines with center_m and normal, such as truth.jsonl")
+    is_stamped = all(entry.has("stamp_s") for entry in entries)
+    stamps = [entry.number("stamp_s") if is_stamped else 0.1 * k for k, entry in enumerate(entries)]
+    time_s = np.array(stamps, dtype=np.float64) - stamps[0]
+    if (np.diff(time_s) <= 0).any():
+        raise DataError(name, "is not in chronological order: stamp_s must increase")
+    return Trajectory(
+        time_s=time_s,
+        center_m=np.array([entry.point_m("center_m") for entry in entries]),
+        normal=np.array([entry.unit_vector("normal") for entry in entries]),
+    )

@@ -15,13 +15,11 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from types import TracebackType
 from typing import Any
 
-from ringpose.errors import DeviceError, UsageError
-from ringpose.simulate.placement import MAX_DURATION_S, MIN_DURATION_S, READOUT_S
-from ringpose.simulate.sensor import saturation_dn
+from ringpose.errors import DeviceError
+from ringpose.simulate.serve.image_camera import ImageCamera
 from ringpose.simulate.serve.image_clients import (
     Client,
     Viewer,
@@ -32,13 +30,15 @@ from ringpose.simulate.serve.image_clients import (
     jpeg,
     received,
 )
-from ringpose.simulate.serve.scene_shots import SceneShots, truth_named
-from ringpose.types.scene import RingView, Scene
+from ringpose.types.scene import Scene
 from ringpose.types.truth import Truth
 from ringpose.wire import images as wire
 from ringpose.wire.images import MalformedMessage, ServedFrame
 
 MAX_CLIENTS = 32
+
+MAX_CONNECTIONS = 128
+"""Including those that have not been admitted yet; more are closed at once."""
 
 SEND_BUFFER = 1 << 18
 
@@ -61,8 +61,8 @@ class ImageSetup:
 class ImageServer:
     """Serves inside the block of its context.
 
-    `truth_record` makes the record of a truth, which each frame carries; `on_truth` receives it once a shot, and
-    `report` a message when a connection is closed because of its input.
+    `truth_record` and `on_truth` are those of `ImageCamera`; `report` receives a message when a connection is closed
+    because of its input.
     """
 
     def __init__(
@@ -73,25 +73,13 @@ class ImageServer:
         on_truth: Callable[[Mapping[str, Any]], None] | None = None,
         report: Callable[[str], None] | None = None,
     ) -> None:
-        self._check(scene, setup)
-        self._scene, self._setup = scene, setup
-        self._truth_record, self._on_truth, self._report = truth_record, on_truth, report
-        self._shots = SceneShots(scene)
+        self._setup, self._report = setup, report
+        self._camera = ImageCamera(scene, setup.rate_hz, setup.clock, truth_record, on_truth, report)
         self._clients: set[Client] = set()
         self._viewers: set[Viewer] = set()
-        self._began = f"{datetime.now(UTC):%Y%m%dT%H%M%S%f}Z"
-        self._views = self._shots.views
-        self._next_views: tuple[RingView, ...] | None = None
-        self._number, self._paused = -1, False
-        self._shot_name, self._shot_count = "", 0
-        self._next_id, self._next_step = 1, 0
-        self._mask: int | None = None
-        self._exposure_s: float | None = None
+        self._connections = 0
         self._showing: asyncio.Task[None] | None = None
-        self._is_clipped = False
         self._failure: BaseException | None = None
-        self.dropped = 0
-        """Frames that could not be rendered in time."""
         self.rejected = 0
         """Connections that were closed because of their input."""
         self._renderer = ThreadPoolExecutor(max_workers=1, thread_name_prefix="exposures")
@@ -122,7 +110,7 @@ class ImageServer:
             self._loop.call_soon_threadsafe(self._stop.set)
         self._thread.join()
         self._renderer.shutdown(wait=True, cancel_futures=True)
-        self._shots.close()
+        self._camera.close()
 
     @property
     def uris(self) -> dict[str, str]:
@@ -130,38 +118,6 @@ class ImageServer:
         host = f"[{self._setup.host}]" if ":" in self._setup.host else self._setup.host
         token = "" if self._setup.secret is None else f"?token={wire.stream_token(self._setup.secret)}"
         return {"camera": f"tcp://{host}:{self.port}", "stream": f"http://{host}:{self.port}/stream.mjpg{token}"}
-
-    @property
-    def greeting(self) -> wire.Greeting:
-        """What a client is greeted with."""
-        camera = self._scene.rig.camera
-        return wire.Greeting(
-            clock=self._setup.clock,
-            rate_hz=self._setup.rate_hz,
-            camera_name=camera.camera_name,
-            image_width=camera.image_width,
-            image_height=camera.image_height,
-            saturation_dn=saturation_dn(self._scene.sensor),
-            lasers=self._scene.rig.lasers.names,
-            sequence=self._sequence,
-            min_exposure_s=MIN_DURATION_S,
-            max_exposure_s=min(MAX_DURATION_S, 1.0 / self._setup.rate_hz - READOUT_S),
-        )
-
-    @property
-    def _sequence(self) -> tuple[int, ...]:
-        lasers = (1 << len(self._scene.rig.lasers.names)) - 1
-        return tuple(mask & lasers for mask in self._scene.sequence)
-
-    @staticmethod
-    def _check(scene: Scene, setup: ImageSetup) -> None:
-        if len(scene.sequence) > wire.MAX_SEQUENCE:
-            found = f"has {len(scene.sequence)} frames; at most {wire.MAX_SEQUENCE} can be served"
-            raise UsageError("the scene's sequence", found)
-        exposure_s = MIN_DURATION_S if scene.stripe_dn is not None else scene.exposure_s
-        if 1.0 / setup.rate_hz < exposure_s + READOUT_S:
-            found = f"{setup.rate_hz:g} frames a second leave no time for an exposure of {exposure_s:g} s"
-            raise UsageError("--rate", found, f"take at most {1.0 / (exposure_s + READOUT_S):.3g}")
 
     # The event loop
 
@@ -193,7 +149,11 @@ class ImageServer:
             raise self._failure
 
     def _on_failure(self, _: asyncio.AbstractEventLoop, context: Mapping[str, Any]) -> None:
-        """End the server when a task has failed, which is a bug."""
+        """End the server when a task has failed, which is a bug; a connection that cannot be accepted is reported."""
+        if "socket" in context:
+            if self._report is not None:
+                self._report(f"a connection could not be accepted: {context.get('exception')}")
+            return
         self._failure = context.get("exception") or RuntimeError(str(context.get("message")))
         self._stop.set()
 
@@ -203,67 +163,23 @@ class ImageServer:
         while True:
             if self._setup.clock == "lockstep":
                 await self._until(self._all_await_frames)
-                stamp_s = self._scene.start_s + exposed / self._setup.rate_hz
+                stamp_s = self._camera.start_s + exposed / self._setup.rate_hz
             else:
                 was_idle = not self._is_watched()
                 await self._until(self._is_watched)
                 due = math.ceil((self._loop.time() - began_s) * self._setup.rate_hz)
                 if not was_idle:
-                    self.dropped += max(due - slot - 1, 0)
+                    self._camera.dropped += max(due - slot - 1, 0)
                 slot = max(due, slot + 1)
                 await asyncio.sleep(began_s + slot / self._setup.rate_hz - self._loop.time())
                 stamp_s = time.time()
             exposed += 1
-            self._publish(await self._exposed(stamp_s))
-
-    async def _exposed(self, stamp_s: float) -> ServedFrame:
-        """The next frame; the first one of a shot takes over a new trajectory."""
-        frame_id, step = self._next_id, self._next_step
-        self._next_id, self._next_step = frame_id + 1, (step + 1) % len(self._sequence)
-        if step == 0:
-            self._begin_shot()
-        mask = self._sequence[step] if self._mask is None else self._mask
-        views, number, exposure_s = self._views, self._number, self._exposure_s
-        limit_s = 1.0 / self._setup.rate_hz - READOUT_S
-
-        def exposed() -> ServedFrame:
-            shot = self._shots.shot(views, number)
-            wanted_s = shot.exposure_s if exposure_s is None else exposure_s
-            if wanted_s > limit_s and not self._is_clipped and self._report is not None:
-                self._is_clipped = True
-                self._report(f"an exposure of {wanted_s:g} s is shortened to {limit_s:g} s; lower --rate")
-            frame = shot.frame(mask, min(wanted_s, limit_s), stamp_s)
-            return ServedFrame(
-                image=frame.image,
-                frame_id=frame_id,
-                shot=self._shot_name,
-                step=step,
-                lasers=mask,
-                stamp_s=stamp_s,
-                exposure_s=frame.exposure_s,
-                dropped=self.dropped,
-                truth=self._truth_record(truth_named(shot.truth, self._shot_name)),
-            )
-
-        frame = await self._loop.run_in_executor(self._renderer, exposed)
-        if step == 0 and self._on_truth is not None and frame.truth is not None:
-            self._on_truth(frame.truth)
-        return frame
-
-    def _begin_shot(self) -> None:
-        if self._next_views is not None:
-            self._views, self._next_views, self._number = self._next_views, None, -1
-        if not self._paused or self._number < 0:
-            self._number += 1
-        self._shot_count += 1
-        self._shot_name = f"{self._began}_{self._shot_count:06d}"
+            self._publish(await self._loop.run_in_executor(self._renderer, self._camera.next_exposure(stamp_s)))
 
     def _publish(self, frame: ServedFrame) -> None:
         for client in self._clients:
             client.offer(frame)
-        brightest = max(self._sequence, key=int.bit_count)
-        shows = self._mask is not None or frame.lasers == brightest
-        if self._viewers and shows and (self._showing is None or self._showing.done()):
+        if self._viewers and self._camera.is_brightest(frame) and (self._showing is None or self._showing.done()):
             self._showing = asyncio.create_task(self._show(frame))
 
     async def _show(self, frame: ServedFrame) -> None:
@@ -288,6 +204,16 @@ class ImageServer:
     # Connections
 
     async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._connections += 1
+        try:
+            if self._connections <= MAX_CONNECTIONS:
+                await self._serve_connection(reader, writer)
+        finally:
+            self._connections -= 1
+            writer.transport.abort()
+            self._changed.set()
+
+    async def _serve_connection(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         writer.transport.set_write_buffer_limits(high=0)  # drain() then waits until all is sent
         try:
             if len(self._clients) + len(self._viewers) >= MAX_CLIENTS:
@@ -308,9 +234,6 @@ class ImageServer:
                 await self._reject(writer, "the connection ended within a message")
         except (OSError, TimeoutError):  # the client has gone, or does not read
             pass
-        finally:
-            writer.transport.abort()
-            self._changed.set()
 
     async def _reject(self, writer: asyncio.StreamWriter, found: str) -> None:
         """Report to the client and to the user why a connection is closed."""
@@ -330,7 +253,7 @@ class ImageServer:
             raise MalformedMessage(f"the first message must be a hello with the protocol {wire.PROTOCOL}")
         if self._setup.secret is not None:
             await self._authenticate(self._setup.secret, reader, writer)
-        writer.write(wire.message(wire.greeting_header(self.greeting)))
+        writer.write(wire.message(wire.greeting_header(self._camera.greeting)))
         await drained(writer)
         client = Client(writer, self._changed)
         self._clients.add(client)
@@ -370,34 +293,10 @@ class ImageServer:
         if isinstance(request, wire.Subscribe | wire.Unsubscribe):
             client.subscribe(request)
             return None
-        problem = self._set(request)
+        problem = self._camera.set(request)
         if problem is not None:
             return {"type": "refused", "message": problem}
-        of_next_frame = isinstance(request, wire.SetLasers | wire.SetExposure)
-        until_shot = 0 if of_next_frame else -self._next_step % len(self._sequence)
-        return {"type": "done", "from_frame": self._next_id + until_shot}
-
-    def _set(self, request: wire.SetLasers | wire.SetExposure | wire.SetTrajectory | wire.SetTime) -> str | None:
-        """Change a setting; the finding if it is not possible."""
-        match request:
-            case wire.SetLasers(mask=mask):
-                if mask is not None and mask >> len(self._scene.rig.lasers.names):
-                    return f"mask {mask} names a laser that the rig does not have"
-                self._mask = mask
-            case wire.SetExposure(exposure_s=exposure_s):
-                low_s, high_s = self.greeting.min_exposure_s, self.greeting.max_exposure_s
-                if exposure_s is not None and not low_s <= exposure_s <= high_s:
-                    return f"the camera cannot expose for {exposure_s:g} s; it takes {low_s:g} to {high_s:g} s"
-                self._exposure_s = exposure_s
-            case wire.SetTime(time_s=time_s, paused=paused):
-                shot = int(time_s * self._setup.rate_hz / len(self._sequence))
-                self._number, self._paused = (shot if paused else shot - 1), paused
-            case wire.SetTrajectory(poses=poses):
-                unknown = {pose.light for pose in poses} - {None, *self._scene.lights}
-                if unknown:
-                    return f"the scene has no light {sorted(map(str, unknown))[0]!r}"
-                self._next_views = self._shots.views_at(poses)
-        return None
+        return {"type": "done", "from_frame": self._camera.first_frame_with(request)}
 
     # Browsers
 

@@ -8,6 +8,7 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
+from quick_views import quick_view
 from served_scene import small_scene
 
 from ringpose.capture.cameras import tcp
@@ -18,6 +19,7 @@ from ringpose.capture.uri import CAMERAS, device_uri
 from ringpose.errors import DeviceError, UsageError
 from ringpose.files.records import plain
 from ringpose.files.records.truths import truth_record
+from ringpose.simulate.serve import scene_shots
 from ringpose.simulate.serve.images import ImageServer, ImageSetup
 from ringpose.types.sequence import parsed_sequence
 
@@ -25,6 +27,11 @@ from ringpose.types.sequence import parsed_sequence
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
     return small_scene(tmp_path_factory.mktemp("scene"))
+
+
+@pytest.fixture(autouse=True)
+def _quick_views(monkeypatch):
+    monkeypatch.setattr(scene_shots, "render_ring_view", quick_view)
 
 
 def server_of(scene, **setup):

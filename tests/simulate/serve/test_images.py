@@ -16,9 +16,10 @@ import cv2
 import numpy as np
 import pytest
 from image_client import ImageClient
+from quick_views import quick_view
 from served_scene import small_scene
 
-from ringpose.errors import DeviceError, UsageError
+from ringpose.errors import DataError, DeviceError, UsageError
 from ringpose.files.records import plain
 from ringpose.files.records.truths import truth_record
 from ringpose.simulate.placement import ring_views
@@ -34,7 +35,8 @@ def scene(tmp_path_factory):
 
 
 @pytest.fixture
-def serve(scene):
+def serve(scene, monkeypatch):
+    monkeypatch.setattr(scene_shots, "render_ring_view", quick_view)
     servers = []
 
     def started(served=scene, report=None, on_truth=None, **setup):
@@ -139,8 +141,8 @@ def test_wall_clock_stamps_are_the_time_of_day_at_the_rate(serve):
 
 def test_frames_that_cannot_be_rendered_in_time_are_dropped_and_counted(serve, monkeypatch):
     server = serve(rate_hz=100.0)
-    exposed = images.SceneShots.shot
-    monkeypatch.setattr(images.SceneShots, "shot", lambda *words: (time.sleep(0.05), exposed(*words))[1])
+    exposed = scene_shots.SceneShots.shot
+    monkeypatch.setattr(scene_shots.SceneShots, "shot", lambda *words: (time.sleep(0.05), exposed(*words))[1])
     with ImageClient(server.port) as client:
         headers = [header for header, _ in client.frames(8)]
 
@@ -150,8 +152,8 @@ def test_frames_that_cannot_be_rendered_in_time_are_dropped_and_counted(serve, m
 
 def test_nothing_is_rendered_while_nobody_watches(serve, monkeypatch):
     rendered = []
-    exposed = images.SceneShots.shot
-    monkeypatch.setattr(images.SceneShots, "shot", lambda *words: (rendered.append(1), exposed(*words))[1])
+    exposed = scene_shots.SceneShots.shot
+    monkeypatch.setattr(scene_shots.SceneShots, "shot", lambda *words: (rendered.append(1), exposed(*words))[1])
     with ImageClient(serve(rate_hz=100.0).port) as client:
         time.sleep(0.1)
         assert not rendered
@@ -245,6 +247,17 @@ def test_time_continues_where_it_is_set_and_stands_while_paused(serve, scene):
     np.testing.assert_allclose(running, [views[1], views[1], views[2], views[2]], atol=1e-12)
 
 
+def test_a_shot_shows_one_view_although_the_time_is_set_meanwhile(serve):
+    with ImageClient(serve(clock="lockstep").port) as client:
+        (first, _), *_ = client.frames(1)
+        assert client.ask(type="time", time_s=2 * 2 / 50.0 + 1e-6)["from_frame"] == 3
+        (second, _), (third, _) = client.frames(2)
+
+    assert (first["step"], second["step"], third["step"]) == (0, 1, 0)
+    assert first["truth"] == second["truth"]
+    assert third["truth"]["center_m"] != first["truth"]["center_m"]
+
+
 @pytest.mark.parametrize(
     "request_header",
     [
@@ -318,6 +331,14 @@ def test_one_client_too_many_is_turned_away(serve, monkeypatch):
     port = serve().port
     with ImageClient(port) as first, ImageClient(port, hello=False) as second:
         assert second.message()[0]["type"] == "error"
+        assert len(first.frames(1)) == 1
+
+
+def test_connections_beyond_the_limit_are_closed_at_once(serve, monkeypatch):
+    monkeypatch.setattr(images, "MAX_CONNECTIONS", 2)
+    port = serve().port
+    with ImageClient(port) as first, ImageClient(port, hello=False), ImageClient(port, hello=False) as third:
+        assert third.ends()
         assert len(first.frames(1)) == 1
 
 
@@ -451,3 +472,8 @@ def test_a_port_in_use_is_a_device_error(serve):
 def test_a_rate_that_leaves_no_time_for_the_exposure_is_wrong_usage(serve):
     with pytest.raises(UsageError, match="--rate"):
         serve(rate_hz=500.0)
+
+
+def test_a_scene_without_a_trajectory_cannot_be_served(serve, scene):
+    with pytest.raises(DataError, match="trajectory"):
+        serve(replace(scene, approaches=()))
