@@ -12,6 +12,7 @@ correlation remains in the residuals raises the points' standard deviations (`in
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from itertools import product
 from math import sqrt
 from typing import NamedTuple
 
@@ -367,13 +368,14 @@ def _along_px(position_px: Float64[Array, "n xy=2"], normal: Float64[Array, "n x
 
 
 def inflate_sigma(edges: Edges, residual: Float64[Array, "visible"]) -> Edges:
-    """The edges with standard deviations raised by the root of their integrated autocorrelation time.
+    """The edges with standard deviations raised by the root of their integrated autocorrelation time in each frame.
 
     `residual`: of a fit to all measurements, in standard deviations.
     """
     factor = np.ones(len(residual))
-    for edge in (0, 1):
-        members = np.flatnonzero(edges.edge == edge)
+    _, frame = np.unique(edges.stamp_s, return_inverse=True)
+    for edge, number in product((0, 1), range(int(frame.max(initial=-1)) + 1)):
+        members = np.flatnonzero((edges.edge == edge) & (frame == number))
         if len(members) > MAX_SHARE_OF_LENGTH:
             along = edges.ray[members, :2] - edges.ray[members, :2].mean(axis=0)
             direction = np.linalg.svd(along, full_matrices=False)[2][0]

@@ -7,7 +7,7 @@ estimated.
 """
 
 from dataclasses import dataclass, replace
-from math import degrees, hypot, sqrt
+from math import degrees, hypot, nan, sqrt
 
 import numpy as np
 
@@ -110,7 +110,7 @@ class DriftMonitor:
         names = self.rig.lasers.names
         health = {name: sqrt(max(each, 0.0) / _PLANE) for name, each in zip(names, chi2.tolist(), strict=True)}
         if not len(self._evidence):
-            health = {}
+            health = dict.fromkeys(names, nan)
         line = replace(line, rig_health=health)
         self._judge(chi2, line)
         cause = self._reason.partition(" by ")[0]  # the figures change with every shot

@@ -26,6 +26,7 @@ from ringpose.estimate.nuisance import rig_errors
 from ringpose.estimate.residuals import Prior
 from ringpose.estimate.solver import Estimate
 from ringpose.geometry.rays import GRAZING
+from ringpose.geometry.ring import EDGE_SIGN
 from ringpose.pose.catalogue import likely_ring, ring_posterior
 from ringpose.pose.drift import plane_evidence
 from ringpose.pose.observability import determined, poorly_determined_flags, reported_pose
@@ -45,6 +46,15 @@ ERRORS_UNKNOWN = PoseFlag.CENTER_WEAK | PoseFlag.NORMAL_WEAK | PoseFlag.GRASP_WE
 
 VERIFIED_BELOW = 0.01
 """Relative standard deviation of the radius by the shot alone below which an assumed radius counts as verified."""
+
+ALL_WEAK = PoseFlag.CENTER_WEAK | PoseFlag.NORMAL_WEAK | PoseFlag.GRASP_WEAK | PoseFlag.RADIUS_WEAK
+"""Flags of all quantities of a pose whose ring may not be one."""
+
+CURVED_SIGMAS = 3.0
+"""Curvature in standard deviations from which a shot shows a ring, not a straight bar."""
+
+ENDS_OF_A_RING = 3
+"""Number of clear ends of stripes that show a ring if no stripe lacks one."""
 
 REDUNDANT_STRIPES = 3
 """Stripes from which a shot has redundancy that can show an error of the rig."""
@@ -82,6 +92,8 @@ def most_likely_pose(
             best = explained(Prior(ring.known_radii, assumptions)) or best
             source = ring.name
     result = _result(best, rig, source)
+    doubts, remark = _ring_doubts(best, break_points)
+    result = replace(result, flags=result.flags | doubts, remark="; ".join(filter(None, [result.remark, remark])))
     rejected = (*rejected, *result.rejected)
     states, flags = seen_lasers(best, break_points, rig, lasers_on, rejected)
     flags |= result.flags
@@ -155,6 +167,25 @@ def _result(best: Explanation, rig: Rig, source: str) -> PoseResult:
         velocity=velocity,
         measurement=ring_measurement(estimate, measured, errors),
     )
+
+
+def _ring_doubts(best: Explanation, break_points: BreakPoints) -> tuple[PoseFlag, str]:
+    """Flags of a shot that something else than a ring may have left, such as the side of a board, and why.
+
+    A ring is shown by its curvature, or by given radii; without visible edges also by most ends of its stripes. The two
+    ends of a single stripe alone may be those of any surface.
+    """
+    curvature, sd = curvature_alone(best.estimate)
+    if best.prior.radii is None and not abs(curvature) > CURVED_SIGMAS * sd:
+        return ALL_WEAK, "the edges may be straight: the shot does not show that it is a ring"
+    if len(best.measured.edges.edge):
+        return PoseFlag(0), ""
+    seen, lines = break_points.seen, np.isfinite(break_points.face_start_px[:, 0])
+    clear = int((seen & (break_points.flags & int(BreakPointFlag.UNCLEAR) == 0)).sum())
+    one_missing = bool((seen.sum(axis=1)[lines | seen.any(axis=1)] < len(EDGE_SIGN)).any())
+    if clear < ENDS_OF_A_RING or (clear == ENDS_OF_A_RING and one_missing):
+        return ALL_WEAK, "too few ends of stripes are clear to show that it is a ring"
+    return PoseFlag.GRASP_WEAK if len(best.measured.lines.laser) == 1 else PoseFlag(0), ""
 
 
 def _plane_evidence(best: Explanation, rig: Rig) -> PlaneEvidence | None:

@@ -143,6 +143,7 @@ def _read_table(name: str) -> _Result:
 
 def _score_of(fields: "Fields", of_version_2: bool) -> "Score":
     """A shot of a table; all poses of version 2 have the same assumptions, which are the default."""
+    from ringpose.bench.assumptions import StatedAssumptions
     from ringpose.bench.score import Judgement, Outcome, Score
 
     def numbers(key: str) -> dict[str, float]:
@@ -170,6 +171,7 @@ def _score_of(fields: "Fields", of_version_2: bool) -> "Score":
 
 
 def _assumptions(fields: "Fields") -> "StatedAssumptions | None":
+    from ringpose.bench.assumptions import StatedAssumptions
     from ringpose.files.poses import motion_prior
     from ringpose.files.rigs import rig_stability
 

@@ -9,6 +9,7 @@ import pytest
 from ringpose.bench.study.shots import scene_of, setting_of, study_rows
 from ringpose.bench.study.table import exceeded_limits, study_text, summarized, worst_shots
 from ringpose.files.scenes import read_scene
+from ringpose.types.assumptions import RigStability
 from ringpose.types.study import TIMES, Factor, Study, StudyMethod, columns
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "scene.yaml"
@@ -105,7 +106,8 @@ def test_the_first_table_has_the_form_of_the_papers(study, rows):
 
 
 def test_a_shot_that_cannot_be_computed_is_a_row_with_the_reason(study):
-    impossible = replace(study, factors=(*study.factors, Factor(name="rig_errors", values=(True,))))
+    exact = replace(study.scene, rig=replace(study.scene.rig, stability=RigStability()))
+    impossible = replace(study, scene=exact, factors=(*study.factors, Factor(name="rig_errors", values=(True,))))
 
     failed = study_rows(impossible, 0)
 
