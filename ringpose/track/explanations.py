@@ -25,6 +25,9 @@ MIN_WEIGHT = 1e-6
 MIN_TESTED_WEIGHT = 0.01
 """Weight from which an explanation takes part in the test of an innovation."""
 
+_IMPOSSIBLE = -1e9
+"""Log evidence of a filter that has lost the ring."""
+
 MAX_CHI2 = 1e6
 """Chi-squared of a ring that is not where it was seen, so that a model of no weight does not count."""
 
@@ -167,5 +170,6 @@ def _evidence(bank: Bank) -> float:
     own, common = bank.own[:, CURVATURE, CURVATURE], bank.common[:, CURVATURE]
     sd = np.sqrt(own + (common * common).sum(axis=1))
     each = scores + log_ndtr(curvature / sd)
+    each = np.where(np.isfinite(each), each, _IMPOSSIBLE)
     highest = float(each.max())
-    return highest + float(np.log(np.exp(each - highest).sum())) if highest > -np.inf else -np.inf
+    return highest + float(np.log(np.exp(each - highest).sum()))

@@ -180,15 +180,14 @@ def started(observed: Observation, side: int, motion: MotionPrior, radius: Radiu
     if side < 0:
         observed = observed.towards(-observed.arcs.axes[0])
     chart, count = observed.chart, len(MODELS.precession)
-    curvature, curvature_sd, half_band_m, half_band_sd_m = _size_prior(observed, radius)
+    curvature, half_band_m, size_covariance = _size_prior(chart.half_band_m[0], radius)
     coordinates = np.zeros((count, len(ERRORS)))
     coordinates[:, CURVATURE] = curvature - chart.curvature
     coordinates[:, HALF_BAND] = half_band_m - chart.half_band_m
     coordinates[MODELS.precession, LEVER] = LEVER_M
     prior = np.zeros((count, len(ERRORS), len(ERRORS)))
-    sds = np.full(len(STEP), _PLACE_SD)
-    sds[CURVATURE], sds[HALF_BAND] = curvature_sd, half_band_sd_m
-    prior[:, range(7), range(7)] = sds**2
+    prior[:, range(len(STEP)), range(len(STEP))] = _PLACE_SD**2
+    prior[:, CURVATURE : HALF_BAND + 1, CURVATURE : HALF_BAND + 1] = size_covariance
     # u = v_C + l w x n - R w x inward, with independent velocity of the centre and angular velocity
     of_rates = np.zeros((3, 3))
     of_rates[2, 1] = 1.0 / curvature
@@ -211,20 +210,23 @@ def started(observed: Observation, side: int, motion: MotionPrior, radius: Radiu
     return updated(bank, observed, innovation(bank, observed, *rates_near(bank, bank.coordinates)))
 
 
-def _size_prior(observed: Observation, radius: RadiusPrior | None) -> tuple[float, float, float, float]:
-    """Curvature and half width of the ring with their standard deviations, from the radii that the record assumes."""
-    half_band_m = observed.arcs.half_band_m
+def _size_prior(half_band_m: float, radius: RadiusPrior | None) -> tuple[float, float, Float64[Array, "2 2"]]:
+    """Curvature and half width of the ring with their covariance, from the radii that the record assumes.
+
+    Where no radius is assumed for an edge, it follows from the half width of the first shot, which is then widened.
+    """
     if radius is None:
-        return CURVATURE_PRIOR, CURVATURE_SD, half_band_m, HALF_BAND_SD_M
-    inner_m, outer_m = radius.inner_m, radius.outer_m
-    inner_sd_m, outer_sd_m = radius.inner_sd_m, radius.outer_sd_m
-    if inner_m == inner_m and outer_m == outer_m:
-        sd_m = 0.5 * float(np.hypot(inner_sd_m, outer_sd_m))
-        mean_m = 0.5 * (inner_m + outer_m)
-        return 1.0 / mean_m, sd_m / mean_m**2, 0.5 * (outer_m - inner_m), sd_m
-    mean_m = outer_m - half_band_m if outer_m == outer_m else inner_m + half_band_m
-    sd_m = outer_sd_m if outer_m == outer_m else inner_sd_m
-    return 1.0 / mean_m, float(np.hypot(sd_m, 0.002)) / mean_m**2, half_band_m, HALF_BAND_SD_M
+        return CURVATURE_PRIOR, half_band_m, np.diag([CURVATURE_SD**2, HALF_BAND_SD_M**2])
+    edges_m, sds_m = np.array([radius.inner_m, radius.outer_m]), np.array([radius.inner_sd_m, radius.outer_sd_m])
+    if np.isfinite(edges_m).all():
+        mean_m, half_band_m = float(edges_m.mean()), 0.5 * float(edges_m[1] - edges_m[0])
+        wrt_edges = 0.5 * np.array([[-1.0, -1.0], [-1.0, 1.0]]) / np.array([[mean_m**2], [1.0]])
+        return 1.0 / mean_m, half_band_m, (wrt_edges * sds_m**2) @ wrt_edges.T
+    edge = int(np.isfinite(edges_m[1]))
+    side = 2.0 * edge - 1.0  # R = outer - b, or inner + b
+    mean_m = float(edges_m[edge]) - side * half_band_m
+    wrt_both = np.array([[-1.0 / mean_m**2, side / mean_m**2], [0.0, 1.0]])
+    return 1.0 / mean_m, half_band_m, (wrt_both * np.array([sds_m[edge], HALF_BAND_SD_M]) ** 2) @ wrt_both.T
 
 
 class Ahead(NamedTuple):

@@ -89,7 +89,11 @@ class Tracker:
         Raises `DataError` for a record that does not belong to this track: of another rig, repeated, or with other
         nuisance parameters.
         """
-        status, ratio = self._fused(line, now_s)
+        try:
+            with np.errstate(all="ignore"):  # a ring that is not where it was seen has NaN coordinates
+                status, ratio = self._fused(line, now_s)
+        except np.linalg.LinAlgError:
+            status, ratio = FusionStatus.REJECTED_COVARIANCE, nan
         stamp_s = line.pose_stamp_s if isfinite(line.pose_stamp_s) else line.stamp_s
         attempt = Attempt(shot=line.shot, stamp_s=stamp_s, fusion_status=status, test_ratio=ratio)
         self._attempts.append(attempt)
@@ -145,12 +149,13 @@ class Tracker:
         place = bisect_left([each.key for each in self._entries], entry.key)
         if place < len(self._entries) and self._entries[place].key == entry.key:
             raise DataError(entry.observed.shot, "repeats a record", "give each record once")
-        again = [entry, *self._entries[place:]]
-        del self._entries[place:]
-        for each in again:
-            track, fusion = track_after(self.track, each.observed, each.radius, self._options)
-            self._entries.append(each._replace(track=track, fusion=fusion))
-        return self._entries[place].fusion
+        before, again = self._entries[:place], []
+        track = before[-1].track if before else self._base
+        for each in (entry, *self._entries[place:]):
+            track, fusion = track_after(track, each.observed, each.radius, self._options)
+            again.append(each._replace(track=track, fusion=fusion))
+        self._entries = before + again
+        return again[0].fusion
 
     def _forget(self) -> None:
         """Drop the records that are older than the buffer; what arrives before the last one of them is too old."""
