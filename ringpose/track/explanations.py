@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from ringpose.geometry.ring import CURVATURE
-from ringpose.track.filters import Bank, Innovation, innovation, predicted, started, updated
+from ringpose.track.filters import Bank, Innovation, ahead, innovation, started, updated
 from ringpose.track.observation import Observation
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.pose import MotionPrior, RadiusPrior
@@ -124,10 +124,10 @@ def _continued(track: Track, observed: Observation) -> tuple[Track, float]:
     banks, ratios, weights = [], [], track.weights
     for bank, weight in zip(track.banks, weights.tolist(), strict=True):
         seen = observed.towards(bank.chart.axes[0, 0])
-        ahead, rates, rates_wrt = predicted(bank, observed.stamp_s, seen.chart)
-        found = innovation(ahead, seen, rates, rates_wrt)
-        ratios.append(test_ratio(ahead, found) if weight > MIN_TESTED_WEIGHT else np.inf)
-        banks.append(updated(ahead, seen, found))
+        at, rates, rates_wrt = ahead(bank, seen)
+        found = innovation(at, seen, rates, rates_wrt)
+        ratios.append(test_ratio(at, found) if weight > MIN_TESTED_WEIGHT else np.inf)
+        banks.append(updated(at, seen, found))
     interval_s = observed.stamp_s - track.stamp_s
     return _pruned(replace(track, banks=tuple(banks), interval_s=interval_s, pending=None)), min(ratios)
 

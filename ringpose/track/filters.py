@@ -22,6 +22,7 @@ from ringpose.track.states import (
     RATE_INWARD,
     RATE_NORMAL,
     VELOCITY,
+    Charted,
     RingStates,
     after,
     charted,
@@ -128,7 +129,8 @@ class Bank:
     @property
     def weights(self) -> Float64[Array, "filter"]:
         """Probabilities of the models."""
-        weights = np.exp(self.scores - self.scores.max())
+        scores = self.scores
+        weights = np.exp(scores - scores.max())
         normalized: Float64[Array, "filter"] = weights / weights.sum()
         return normalized
 
@@ -230,7 +232,7 @@ def _size_prior(half_band_m: float, radius: RadiusPrior | None) -> tuple[float, 
 
 
 class Ahead(NamedTuple):
-    """A bank at a later time, with the rates at which the coordinates of its chart change there."""
+    """A bank at the time of a measurement and in its chart, with the rates at which the coordinates change there."""
 
     bank: Bank
     rates: Float64[Array, "filter 5"]
@@ -238,8 +240,30 @@ class Ahead(NamedTuple):
     """Derivatives by the coordinates."""
 
 
-def predicted(bank: Bank, stamp_s: float, chart: RingStates | None = None) -> Ahead:
-    """The bank at a later time, in a given chart, or in that of its best filter."""
+def ahead(bank: Bank, observed: Observation) -> Ahead:
+    """The bank at the time of a measurement, described about the place where it has seen the ring."""
+    transported = _transported(bank, observed.stamp_s, observed.chart)
+    rates = step_rates(observed.chart, transported.found)
+    transition = transported.transition
+    rates_wrt = jacobians(rates[len(bank.coordinates) :])
+    rates_wrt = np.linalg.solve(transition.swapaxes(1, 2), rates_wrt.swapaxes(1, 2)).swapaxes(1, 2)
+    return Ahead(transported.bank, rates[: len(bank.coordinates)], rates_wrt[transported.leader_of])
+
+
+def predicted(bank: Bank, stamp_s: float) -> Bank:
+    """The bank at another time, described about its best filter's state."""
+    return bank if stamp_s == bank.stamp_s else _transported(bank, stamp_s, None).bank
+
+
+class _Transported(NamedTuple):
+    bank: Bank
+    found: Charted
+    """The filters' states, and those perturbed by `perturbed` of the leaders."""
+    transition: Float64[Array, "leader error=14 error=14"]
+    leader_of: Int64[Array, "filter"]
+
+
+def _transported(bank: Bank, stamp_s: float, chart: RingStates | None) -> _Transported:
     time_s, count = stamp_s - bank.stamp_s, len(bank.coordinates)
     leaders, leader_of = _leaders(bank)
     around = np.concatenate([bank.coordinates, perturbed(bank.coordinates[leaders])])
@@ -248,21 +272,18 @@ def predicted(bank: Bank, stamp_s: float, chart: RingStates | None = None) -> Ah
         best = slice(bank.best, bank.best + 1)
         chart = RingStates(*(part[best] for part in states))._replace(motion=np.zeros((1, len(MOTION))))
     found = charted(chart, states)
-    rates = step_rates(chart, found)
-    transition, rates_wrt = jacobians(found.coordinates[count:]), jacobians(rates[count:])
-    rates_wrt = np.linalg.solve(transition.swapaxes(1, 2), rates_wrt.swapaxes(1, 2)).swapaxes(1, 2)[leader_of]
-    transition = transition[leader_of]
-    coordinates = found.coordinates[:count]
-    ahead = replace(
+    by_leader = jacobians(found.coordinates[count:])
+    transition, coordinates = by_leader[leader_of], found.coordinates[:count]
+    noise = process_noise(bank.models, chart, coordinates, transition, time_s)
+    moved_bank = replace(
         bank,
         stamp_s=stamp_s,
         chart=chart,
         coordinates=coordinates,
-        own=transition @ bank.own @ transition.swapaxes(1, 2)
-        + process_noise(bank.models, chart, coordinates, transition, time_s),
+        own=transition @ bank.own @ transition.swapaxes(1, 2) + noise,
         common=transition @ bank.common,
     )
-    return Ahead(ahead, rates[:count], rates_wrt)
+    return _Transported(moved_bank, found, by_leader, leader_of)
 
 
 def _leaders(bank: Bank) -> tuple[Int64[Array, "leader"], Int64[Array, "filter"]]:

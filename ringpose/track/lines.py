@@ -163,10 +163,9 @@ class _Reported:
     """The reported quantities of an explanation at an instant, with their joint covariance."""
 
     def __init__(self, bank: Bank, stamp_s: float) -> None:
-        probable = bank.probable()
-        ahead = probable if stamp_s == bank.stamp_s else predicted(probable, stamp_s).bank
-        mean, self.errors = mixed(ahead)
-        states = moved(ahead.chart, np.concatenate([mean[None], perturbed(mean[None])]))
+        at = predicted(bank.probable(), stamp_s)
+        mean, self.errors = mixed(at)
+        states = moved(at.chart, np.concatenate([mean[None], perturbed(mean[None])]))
         values = _quantities(states)
         self.value, self._jacobian = values[0], jacobians(values[1:])[0]
         self.axes, self.curvature = states.axes[0], float(states.curvature[0])
