@@ -172,6 +172,8 @@ class Innovation(NamedTuple):
     jacobian: Float64[Array, "filter row error=14"]
     wrt_common: Float64[Array, "filter row source"]
     covariance: Float64[Array, "filter row row"]
+    precision: Float64[Array, "filter row row"]
+    """Inverse of the covariance."""
     chi2: Float64[Array, "filter"]
     """Squared Mahalanobis length of the rows that depend on the ring; infinite for a ring that is not there."""
     degrees_of_freedom: int
@@ -229,6 +231,12 @@ def _size_prior(half_band_m: float, radius: RadiusPrior | None) -> tuple[float, 
     mean_m = float(edges_m[edge]) - side * half_band_m
     wrt_both = np.array([[-1.0 / mean_m**2, side / mean_m**2], [0.0, 1.0]])
     return 1.0 / mean_m, half_band_m, (wrt_both * np.array([sds_m[edge], HALF_BAND_SD_M]) ** 2) @ wrt_both.T
+
+
+def tempered(bank: Bank, temperature: float) -> Bank:
+    """The bank with less decided evidence: its differences between the models are divided by the temperature."""
+    best = float(bank.log_evidence.max())
+    return replace(bank, log_evidence=best + (bank.log_evidence - best) / temperature)
 
 
 class Ahead(NamedTuple):
@@ -359,10 +367,13 @@ def innovation(
     remaining[lost], jacobian[lost] = 0.0, 0.0
     wrt_common = jacobian @ bank.common + observed.wrt_common
     covariance = innovation_covariance(bank.own, jacobian, wrt_common)
-    ring = observed.of_ring
-    of_ring = remaining[:, :ring, None]
-    chi2 = (of_ring * np.linalg.solve(covariance[:, :ring, :ring], of_ring)).sum(axis=(1, 2))
-    return Innovation(remaining, jacobian, wrt_common, covariance, np.where(lost, np.inf, chi2), ring)
+    precision, ring, of_ring = np.linalg.inv(covariance), observed.of_ring, remaining[..., None]
+    if ring == len(observed.target):
+        chi2 = (of_ring * (precision @ of_ring)).sum(axis=(1, 2))
+    else:
+        of_ring = of_ring[:, :ring]
+        chi2 = (of_ring * np.linalg.solve(covariance[:, :ring, :ring], of_ring)).sum(axis=(1, 2))
+    return Innovation(remaining, jacobian, wrt_common, covariance, precision, np.where(lost, np.inf, chi2), ring)
 
 
 def innovation_covariance(
@@ -387,9 +398,8 @@ def updated(bank: Bank, observed: Observation, found: Innovation) -> Bank:
         found = innovation(bank, observed, *rates_near(bank, bank.coordinates + step), step)
     gain = schmidt_gain(bank.own, bank.common, found)
     own, common = covariances_after(bank.own, bank.common, gain, found)
-    weighted = np.linalg.solve(found.covariance, found.remaining[..., None])
     _, log_determinant = np.linalg.slogdet(found.covariance)
-    chi2 = (found.remaining[..., None] * weighted).sum(axis=(1, 2))
+    chi2 = (found.remaining[:, None] @ found.precision @ found.remaining[..., None])[:, 0, 0]
     log_likelihood = -0.5 * (chi2 + log_determinant + found.remaining.shape[1] * np.log(2.0 * pi))
     return replace(
         bank,
@@ -406,7 +416,7 @@ def schmidt_gain(
 ) -> Float64[Array, "filter error row"]:
     """The gain with the least covariance: K = (P H^T + B (H B + H_q)^T) S^-1, Eq. (10.4)."""
     cross = own @ found.jacobian.swapaxes(1, 2) + common @ found.wrt_common.swapaxes(1, 2)
-    gain: Float64[Array, "filter error row"] = np.linalg.solve(found.covariance, cross.swapaxes(1, 2)).swapaxes(1, 2)
+    gain: Float64[Array, "filter error row"] = cross @ found.precision
     return gain
 
 

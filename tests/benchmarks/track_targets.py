@@ -327,10 +327,9 @@ def speed(rng, runs: int) -> Iterator[Figure]:
         written.append(time.perf_counter() - added_s)
         steps.append(added_s - middle_s)
         reference.append((middle_s - start_s) / 5)
-    yield Figure(name="track step by a solvePnP call", value=np.quantile(steps, 0.25) / np.quantile(reference, 0.25), most=15.0)
-    yield Figure(
-        name="line of the track by a solvePnP call", value=np.quantile(written, 0.25) / np.quantile(reference, 0.25), most=15.0
-    )
+    call_s = np.quantile(reference, 0.25)
+    for name, durations in (("track step", steps), ("line of the track", written)):
+        yield Figure(name=f"{name} by a solvePnP call", value=float(np.quantile(durations, 0.25) / call_s), most=15.0)
 
 
 TARGETS: dict[str, Callable[..., Iterator[Figure]]] = {

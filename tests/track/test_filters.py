@@ -24,7 +24,8 @@ def linear(own, common, jacobian, wrt_common) -> Innovation:
     """An innovation of a linear problem with one filter."""
     sensitivity = jacobian @ common + wrt_common
     covariance = innovation_covariance(own, jacobian, sensitivity)
-    return Innovation(np.zeros((1, jacobian.shape[1])), jacobian, sensitivity, covariance, np.zeros(1), 1)
+    remaining = np.zeros((1, jacobian.shape[1]))
+    return Innovation(remaining, jacobian, sensitivity, covariance, np.linalg.inv(covariance), np.zeros(1), 1)
 
 
 def test_the_steady_gain_of_a_constant_velocity_target_is_that_of_the_alpha_beta_filter():
