@@ -160,6 +160,30 @@ def test_the_test_ratio_of_a_rejected_record_is_above_one(records):
     assert tracker.add(records[9], NOW_S).test_ratio < 1.0
 
 
+class Pushed:
+    """A motion whose velocity changes at once."""
+
+    def __init__(self, motion, time_s: float, change_m_s) -> None:
+        self.before, self.time_s = motion, time_s
+        self.after = replace(motion, ring=motion.at(time_s), velocity_m_s=motion.velocity_m_s + change_m_s)
+
+    def at(self, time_s: float):
+        return self.before.at(time_s) if time_s < self.time_s else self.after.at(time_s - self.time_s)
+
+
+def test_a_target_that_is_pushed_is_tracked_again_within_a_second(rng):
+    motion = Pushed(drawn_motion(rng), 1.0, np.array([0.0, 0.005, 0.01]))
+    tracker = Tracker(None)
+
+    found = statuses(tracker, stream(motion, 2.5, Shots(), rng))
+
+    assert FusionStatus.REJECTED_GATE in found
+    assert found[-3:] == [FusionStatus.FUSED] * 3
+    assert tracker.track.resets == 0
+    line = tracker.line_at(0.0)
+    np.testing.assert_allclose(line.velocity.center_m_s, motion.after.velocity_m_s, atol=0.008)
+
+
 def test_after_a_gap_a_record_inside_the_gate_continues_the_track(rng):
     motion, shots = drawn_motion(rng), Shots()
     tracker = Tracker(None)
