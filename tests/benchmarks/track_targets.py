@@ -284,15 +284,20 @@ def sides(rng, runs: int) -> Iterator[Figure]:
 
 
 def capture(rng, runs: int) -> Iterator[Figure]:
-    """Outcomes by reported probability: the gripper closes at the reported point, along the reported normal."""
+    """Outcomes by reported probability: the gripper closes at the reported point, along the reported normal.
+
+    Motions are drawn from the prior of a track, which matters for short ones.
+    """
+    prior = TrackOptions().motion
+    drawn = {"speed_m_s": prior.speed_sd_m_s, "rate_deg_s": float(np.degrees(prior.rate_sd_rad_s))}
     reported, captured = [], []
-    for motion in motions(rng, 20 * runs):
+    for motion in motions(rng, 20 * runs, **drawn):
         lines = stream(motion, rng.integers(2, 5) / SHOTS_HZ, Shots(), rng, SHOTS_HZ)
         gripper = Gripper(radial_m=10 ** rng.uniform(-4.3, -2.7), tilt_rad=10 ** rng.uniform(-2.9, -1.6))
         tracker = Tracker(None, lines=LineOptions(gripper=gripper))
         for line in lines:
             tracker.add(line)
-        found = tracker.line_at(tracker.track.stamp_s + 0.1)
+        found = tracker.line_at(0.0)
         ring = motion.at(found.stamp_s - START_S)
         tilt = float(angle_between(found.pose.normal, ring.normal))
         reported.append(found.capture_probability)
