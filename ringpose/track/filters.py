@@ -106,6 +106,8 @@ class Bank:
     """Covariance P of the part of the errors that is independent of the common errors."""
     common: Float64[Array, "filter error=14 source"]
     """Sensitivity B to the common errors, which have unit variance."""
+    common_root: Float64[Array, "parameter rig_error"]
+    """Root of the prior covariance by which they are defined."""
     log_evidence: Float64[Array, "filter"]
     measurements: int
 
@@ -208,6 +210,7 @@ def started(observed: Observation, side: int, motion: MotionPrior, radius: Radiu
         coordinates=coordinates,
         own=prior,
         common=np.zeros((count, len(ERRORS), observed.wrt_common.shape[1])),
+        common_root=observed.common_root,
         log_evidence=np.zeros(count),
         measurements=0,
     )
@@ -250,7 +253,7 @@ class Ahead(NamedTuple):
 
 def ahead(bank: Bank, observed: Observation) -> Ahead:
     """The bank at the time of a measurement, described about the place where it has seen the ring."""
-    transported = _transported(bank, observed.stamp_s, observed.chart)
+    transported = _transported(_with_common_errors_of(bank, observed), observed.stamp_s, observed.chart)
     rates = step_rates(observed.chart, transported.found)
     transition = transported.transition
     rates_wrt = jacobians(rates[len(bank.coordinates) :])
@@ -261,6 +264,18 @@ def ahead(bank: Bank, observed: Observation) -> Ahead:
 def predicted(bank: Bank, stamp_s: float) -> Bank:
     """The bank at another time, described about its best filter's state."""
     return bank if stamp_s == bank.stamp_s else _transported(bank, stamp_s, None).bank
+
+
+def _with_common_errors_of(bank: Bank, observed: Observation) -> Bank:
+    """The bank for a measurement whose common errors have another prior, as after a correction of the rig.
+
+    What the errors before have done to the states is an error of the past then, independent of those that follow.
+    """
+    root = observed.common_root
+    if bank.common_root is root or np.array_equal(bank.common_root, root):
+        return bank
+    common = np.zeros((*bank.common.shape[:2], observed.wrt_common.shape[1]))
+    return replace(bank, own=bank.covariance, common=common, common_root=root)
 
 
 class _Transported(NamedTuple):

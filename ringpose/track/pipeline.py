@@ -187,8 +187,8 @@ class Tracker:
         common = common_errors(line, line.measurement, self._rig)
         if self._common is None:
             self._common = common
-        elif common.names != self._common.names or common.root.shape != self._common.root.shape:
-            found = "has other nuisance parameters or priors than the records before"
+        elif common.names != self._common.names:
+            found = "has other nuisance parameters than the records before"
             raise DataError(line.shot, found, "give ringpose pose the same options for all of them")
         return common
 

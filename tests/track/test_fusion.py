@@ -334,6 +334,23 @@ def test_errors_of_the_rig_do_not_average_out(rng):
     assert normal_sd(RigStability()) < 0.17
 
 
+def test_a_rig_that_was_corrected_goes_on_with_its_new_errors(rng):
+    motion, uncertain = drawn_motion(rng), RigStability(plane_tilt_rad=5e-4, plane_distance_m=1e-4)
+    corrected = RigStability(plane_tilt_rad=1e-5, plane_distance_m=1e-5)
+    tracker = Tracker(None)
+
+    def normal_sd(stability, first, last):
+        for number in range(first, last):
+            statuses(tracker, [record(motion, number / 6, Shots(stability=stability), rng)])
+        return np.degrees(np.sqrt(np.trace(tracker.line_at(0.0).pose.covariance[:2, :2])))
+
+    before, at_once, later = (normal_sd(*each) for each in ((uncertain, 0, 6), (corrected, 6, 7), (corrected, 7, 12)))
+
+    assert before > 0.4
+    assert later < at_once < before
+    assert later < 0.25
+
+
 def test_both_sides_are_tracked_until_one_is_excluded(rng):
     motion, shots = drawn_motion(rng, rig="A", speed_m_s=0.01, rate_deg_s=3.0), Shots(rig="A")
     tracker = Tracker(None)
