@@ -33,6 +33,9 @@ MAX_ENTRIES = 500
 MAX_INFORMATION_ROOT = 1e10
 """Largest plausible number in the square root of a measurement: a standard deviation of 0.1 nm."""
 
+SAME_PRIOR_WITHIN = 0.5
+"""Difference of covariances of common errors, by their standard deviations, up to which they count as the same."""
+
 UNUSABLE = PoseFlag.ASSIGNMENT_AMBIGUOUS
 """Flags of records whose covariance does not describe their errors."""
 
@@ -185,12 +188,24 @@ class Tracker:
     def _checked_common(self, line: PoseLine) -> CommonErrors:
         assert line.measurement is not None
         common = common_errors(line, line.measurement, self._rig)
-        if self._common is None:
+        if self._common is None or not _alike(self._common, common):
+            if self._common is not None and common.names != self._common.names:
+                found = "has other nuisance parameters than the records before"
+                raise DataError(line.shot, found, "give ringpose pose the same options for all of them")
             self._common = common
-        elif common.names != self._common.names:
-            found = "has other nuisance parameters than the records before"
-            raise DataError(line.shot, found, "give ringpose pose the same options for all of them")
-        return common
+        return self._common
+
+
+def _alike(first: CommonErrors, second: CommonErrors) -> bool:
+    """Whether two priors are of the same errors: a covariance that is estimated again in each shot differs a little.
+
+    Taken as different, the errors of successive shots would count as independent and average out.
+    """
+    if first.names != second.names:
+        return False
+    covariance = first.root @ first.root.T
+    sd = np.sqrt(covariance.diagonal())
+    return bool((np.abs(second.root @ second.root.T - covariance) <= SAME_PRIOR_WITHIN * np.outer(sd, sd)).all())
 
 
 def _is_plausible(measurement: RingMeasurement) -> bool:

@@ -351,6 +351,17 @@ def test_a_rig_that_was_corrected_goes_on_with_its_new_errors(rng):
     assert later < 0.25
 
 
+def test_a_prior_of_the_rig_that_varies_a_little_does_not_make_its_errors_average_out(rng):
+    motion, steady, varied = drawn_motion(rng), Tracker(None), Tracker(None)
+    for number in range(8):
+        for tracker, tilt_rad in ((steady, 5e-4), (varied, 5e-4 * (1 + 0.01 * number))):
+            shots = Shots(stability=RigStability(plane_tilt_rad=tilt_rad, plane_distance_m=1e-4))
+            statuses(tracker, [record(motion, number / 6, shots, np.random.default_rng(number))])
+
+    sds = [np.trace(tracker.line_at(0.0).pose.covariance[:2, :2]) for tracker in (steady, varied)]
+    assert sds[1] == pytest.approx(sds[0], rel=0.02)
+
+
 def test_both_sides_are_tracked_until_one_is_excluded(rng):
     motion, shots = drawn_motion(rng, rig="A", speed_m_s=0.01, rate_deg_s=3.0), Shots(rig="A")
     tracker = Tracker(None)
