@@ -157,24 +157,31 @@ def rings_of(point: LinearizationPoint, increments: np.ndarray):
     return center, normal, radius, velocity, rate
 
 
-def measured(motion, start_s: float, shots: Shots, rng) -> tuple[RingMeasurement, float]:
-    """The measurement of one shot, and the time at which it holds, after the start."""
+def seen(motion, start_s: float, shots: Shots, rng) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The numbers of one shot and their standard deviations, the times of its frames, and places near its stripes."""
     rig = RIGS[shots.rig]
     frames_s = start_s + shots.frame_s * np.array(FRAMES)
-    reference_s = float(frames_s.mean())
-    times, truth, lasers = frames_s - reference_s, motion.at(reference_s), planes(rig, shots.offsets)
-    near = truth.break_points_m(lasers).mean(axis=1)
-    seen = []
+    lasers = planes(rig, shots.offsets)
+    near = motion.at(float(frames_s.mean())).break_points_m(lasers).mean(axis=1)
+    found = []
     for number, time_s in enumerate(frames_s):  # each laser sees the ring at its own time
         ring = motion.at(time_s)
         still = features(
             ring.center_m[None], ring.normal[None], ring.radius_m[None], np.zeros((1, 3)), np.zeros((1, 3)),
             lasers, np.zeros(3), near,
         )[0]  # fmt: skip
-        seen.append(still[4 * number : 4 * number + 4])
+        found.append(still[4 * number : 4 * number + 4])
     focal = rig.camera.camera_matrix[0, 0]
     sigma = np.tile(np.array([2 * shots.line_px, 2 * shots.line_px, shots.sigma_px, shots.sigma_px]) / focal, 3)
-    z = np.concatenate(seen) + (0.0 if rng is None else sigma * rng.normal(size=12))
+    return np.concatenate(found) + (0.0 if rng is None else sigma * rng.normal(size=12)), sigma, frames_s, near
+
+
+def measured(motion, start_s: float, shots: Shots, rng) -> tuple[RingMeasurement, float]:
+    """The measurement of one shot, and the time at which it holds, after the start."""
+    rig = RIGS[shots.rig]
+    z, sigma, frames_s, near = seen(motion, start_s, shots, rng)
+    reference_s = float(frames_s.mean())
+    times, truth = frames_s - reference_s, motion.at(reference_s)
 
     spread = 0.0 if rng is None else 0.01 * rng.normal()
     at = LinearizationPoint(

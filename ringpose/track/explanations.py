@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from ringpose.geometry.ring import CURVATURE
-from ringpose.track.filters import Bank, Innovation, innovation, predicted, started, updated
+from ringpose.track.filters import Bank, Innovation, ahead, innovation, started, tempered, updated
 from ringpose.track.observation import Observation
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import MotionPrior
@@ -23,11 +23,23 @@ GATE = 0.999
 MIN_WEIGHT = 1e-6
 """Weight below which an explanation is dropped."""
 
-MIN_TESTED_WEIGHT = 0.01
-"""Weight from which an explanation takes part in the test of an innovation."""
+MIN_TESTED_SHARE = 0.5
+"""Share of the largest weight from which an explanation or a motion model takes part in the test of an innovation."""
 
-MAX_CHI2 = 1e6
-"""Chi-squared of a ring that is not where it was seen, so that a model of no weight does not count."""
+MIN_PROBABILITY = 1e-12
+"""Probability below which a test ratio is that of the model that fits best."""
+
+TEMPERED_FROM = 2
+"""Rejections in a row from which the evidence of the motion models is tempered ..."""
+
+TEMPERATURE = 2.0
+"""... by this factor at each further one: a target that is pushed is no longer described by the models that were best.
+
+Single outliers leave the evidence as it is.
+"""
+
+_IMPOSSIBLE = -1e9
+"""Log evidence of a filter that has lost the ring."""
 
 MIN_CURVATURE = 0.2
 """Curvature of the largest ring, 5 m, in 1/m: an explanation's evidence includes the probability of a larger one."""
@@ -55,6 +67,8 @@ class Track:
     interval_s: float = 0.0
     """Time between the last two measurements that were used."""
     resets: int = 0
+    rejections: int = 0
+    """Number of measurements that were rejected since the last one that was used."""
     pending: "Track | None" = None
     """The track that begins with a measurement that does not continue this one."""
 
@@ -106,7 +120,7 @@ def track_after(
         if ratio <= 1.0:
             return continued, Fusion(status=FusionStatus.FUSED, test_ratio=ratio)
     if gap_s <= options.predict_for_s:
-        return track, Fusion(status=FusionStatus.REJECTED_GATE, test_ratio=ratio)
+        return _with_rejection(track), Fusion(status=FusionStatus.REJECTED_GATE, test_ratio=ratio)
     pending = track.pending
     if pending is not None and observed.stamp_s - pending.stamp_s <= options.lost_after_s:
         again, agreement = _continued(pending, observed)
@@ -117,28 +131,42 @@ def track_after(
     return replace(track, pending=pending), Fusion(status=FusionStatus.PENDING, test_ratio=ratio)
 
 
+def _with_rejection(track: Track) -> Track:
+    """The track after a measurement that was rejected."""
+    rejections = track.rejections + 1
+    if rejections < TEMPERED_FROM:
+        return replace(track, rejections=rejections)
+    return replace(track, rejections=rejections, banks=tuple(tempered(bank, TEMPERATURE) for bank in track.banks))
+
+
 def _continued(track: Track, observed: Observation) -> tuple[Track, float]:
     """The track with the measurement, and the test ratio of the explanation that it fits best."""
     banks, ratios, weights = [], [], track.weights
     for bank, weight in zip(track.banks, weights.tolist(), strict=True):
         seen = observed.towards(bank.chart.axes[0, 0])
-        ahead, rates, rates_wrt = predicted(bank, observed.stamp_s, seen.chart)
-        found = innovation(ahead, seen, rates, rates_wrt)
-        ratios.append(test_ratio(ahead, found) if weight > MIN_TESTED_WEIGHT else np.inf)
-        banks.append(updated(ahead, seen, found))
+        at, rates, rates_wrt = ahead(bank, seen)
+        found = innovation(at, seen, rates, rates_wrt)
+        ratios.append(test_ratio(at, found) if weight >= MIN_TESTED_SHARE * weights.max() else np.inf)
+        banks.append(updated(at, seen, found))
     interval_s = observed.stamp_s - track.stamp_s
-    return _pruned(replace(track, banks=tuple(banks), interval_s=interval_s, pending=None)), min(ratios)
+    return _pruned(replace(track, banks=tuple(banks), interval_s=interval_s, rejections=0, pending=None)), min(ratios)
 
 
 def test_ratio(bank: Bank, found: Innovation) -> float:
     """Chi-squared of an innovation over the limit of the gate; above 1 it is rejected.
 
-    The mean over the motion models with their weights: an improbable model with much process noise must not open the
-    gate for outliers.
+    The probability of a larger one is the mean over the motion models with their weights, and the ratio that of the
+    chi-squared which has this probability. Improbable models do not take part: those with much process noise would
+    open the gate for outliers.
     """
-    weights = bank.weights
-    chi2 = float(weights @ np.minimum(found.chi2, MAX_CHI2))
-    return chi2 / gate(found.degrees_of_freedom)
+    from scipy.special import chdtrc, chdtri
+
+    dof, weights = max(found.degrees_of_freedom, 1), bank.weights
+    tested = weights >= MIN_TESTED_SHARE * weights.max()
+    probability = float(weights[tested] @ chdtrc(dof, found.chi2[tested]))
+    if probability < MIN_PROBABILITY:
+        return float(found.chi2[tested].min()) / gate(dof)
+    return float(chdtri(dof, min(probability, 1.0))) / gate(dof)
 
 
 @lru_cache(maxsize=64)
@@ -168,5 +196,6 @@ def _evidence(bank: Bank) -> float:
     own, common = bank.own[:, CURVATURE, CURVATURE], bank.common[:, CURVATURE]
     sd = np.sqrt(own + (common * common).sum(axis=1))
     each = scores + log_ndtr(curvature / sd)
+    each = np.where(np.isfinite(each), each, _IMPOSSIBLE)
     highest = float(each.max())
-    return highest + float(np.log(np.exp(each - highest).sum())) if highest > -np.inf else -np.inf
+    return highest + float(np.log(np.exp(each - highest).sum()))

@@ -22,6 +22,7 @@ from ringpose.track.states import (
     RATE_INWARD,
     RATE_NORMAL,
     VELOCITY,
+    Charted,
     RingStates,
     after,
     charted,
@@ -106,6 +107,8 @@ class Bank:
     """Covariance P of the part of the errors that is independent of the common errors."""
     common: Float64[Array, "filter error=14 source"]
     """Sensitivity B to the common errors, which have unit variance."""
+    common_root: Float64[Array, "parameter rig_error"]
+    """Root of the prior covariance by which they are defined."""
     log_evidence: Float64[Array, "filter"]
     measurements: int
 
@@ -129,7 +132,8 @@ class Bank:
     @property
     def weights(self) -> Float64[Array, "filter"]:
         """Probabilities of the models."""
-        weights = np.exp(self.scores - self.scores.max())
+        scores = self.scores
+        weights = np.exp(scores - scores.max())
         normalized: Float64[Array, "filter"] = weights / weights.sum()
         return normalized
 
@@ -171,6 +175,8 @@ class Innovation(NamedTuple):
     jacobian: Float64[Array, "filter row error=14"]
     wrt_common: Float64[Array, "filter row source"]
     covariance: Float64[Array, "filter row row"]
+    precision: Float64[Array, "filter row row"]
+    """Inverse of the covariance."""
     chi2: Float64[Array, "filter"]
     """Squared Mahalanobis length of the rows that depend on the ring; infinite for a ring that is not there."""
     degrees_of_freedom: int
@@ -181,15 +187,14 @@ def started(observed: Observation, side: int, motion: MotionPrior, radius: Radiu
     if side < 0:
         observed = observed.towards(-observed.arcs.axes[0])
     chart, count = observed.chart, len(MODELS.precession)
-    curvature, curvature_sd, half_band_m, half_band_sd_m = _size_prior(observed, radius)
+    curvature, half_band_m, size_covariance = _size_prior(chart.half_band_m[0], radius)
     coordinates = np.zeros((count, len(ERRORS)))
     coordinates[:, CURVATURE] = curvature - chart.curvature
     coordinates[:, HALF_BAND] = half_band_m - chart.half_band_m
     coordinates[MODELS.precession, LEVER] = LEVER_M
     prior = np.zeros((count, len(ERRORS), len(ERRORS)))
-    sds = np.full(len(STEP), _PLACE_SD)
-    sds[CURVATURE], sds[HALF_BAND] = curvature_sd, half_band_sd_m
-    prior[:, range(7), range(7)] = sds**2
+    prior[:, range(len(STEP)), range(len(STEP))] = _PLACE_SD**2
+    prior[:, CURVATURE : HALF_BAND + 1, CURVATURE : HALF_BAND + 1] = size_covariance
     # u = v_C + l w x n - R w x inward, with independent velocity of the centre and angular velocity
     of_rates = np.zeros((3, 3))
     of_rates[2, 1] = 1.0 / curvature
@@ -206,30 +211,40 @@ def started(observed: Observation, side: int, motion: MotionPrior, radius: Radiu
         coordinates=coordinates,
         own=prior,
         common=np.zeros((count, len(ERRORS), observed.wrt_common.shape[1])),
+        common_root=observed.common_root,
         log_evidence=np.zeros(count),
         measurements=0,
     )
     return updated(bank, observed, innovation(bank, observed, *rates_near(bank, bank.coordinates)))
 
 
-def _size_prior(observed: Observation, radius: RadiusPrior | None) -> tuple[float, float, float, float]:
-    """Curvature and half width of the ring with their standard deviations, from the radii that the record assumes."""
-    half_band_m = observed.arcs.half_band_m
+def _size_prior(half_band_m: float, radius: RadiusPrior | None) -> tuple[float, float, Float64[Array, "2 2"]]:
+    """Curvature and half width of the ring with their covariance, from the radii that the record assumes.
+
+    Where no radius is assumed for an edge, it follows from the half width of the first shot, which is then widened.
+    """
     if radius is None:
-        return CURVATURE_PRIOR, CURVATURE_SD, half_band_m, HALF_BAND_SD_M
-    inner_m, outer_m = radius.inner_m, radius.outer_m
-    inner_sd_m, outer_sd_m = radius.inner_sd_m, radius.outer_sd_m
-    if inner_m == inner_m and outer_m == outer_m:
-        sd_m = 0.5 * float(np.hypot(inner_sd_m, outer_sd_m))
-        mean_m = 0.5 * (inner_m + outer_m)
-        return 1.0 / mean_m, sd_m / mean_m**2, 0.5 * (outer_m - inner_m), sd_m
-    mean_m = outer_m - half_band_m if outer_m == outer_m else inner_m + half_band_m
-    sd_m = outer_sd_m if outer_m == outer_m else inner_sd_m
-    return 1.0 / mean_m, float(np.hypot(sd_m, 0.002)) / mean_m**2, half_band_m, HALF_BAND_SD_M
+        return CURVATURE_PRIOR, half_band_m, np.diag([CURVATURE_SD**2, HALF_BAND_SD_M**2])
+    edges_m, sds_m = np.array([radius.inner_m, radius.outer_m]), np.array([radius.inner_sd_m, radius.outer_sd_m])
+    if np.isfinite(edges_m).all():
+        mean_m, half_band_m = float(edges_m.mean()), 0.5 * float(edges_m[1] - edges_m[0])
+        wrt_edges = 0.5 * np.array([[-1.0, -1.0], [-1.0, 1.0]]) / np.array([[mean_m**2], [1.0]])
+        return 1.0 / mean_m, half_band_m, (wrt_edges * sds_m**2) @ wrt_edges.T
+    edge = int(np.isfinite(edges_m[1]))
+    side = 2.0 * edge - 1.0  # R = outer - b, or inner + b
+    mean_m = float(edges_m[edge]) - side * half_band_m
+    wrt_both = np.array([[-1.0 / mean_m**2, side / mean_m**2], [0.0, 1.0]])
+    return 1.0 / mean_m, half_band_m, (wrt_both * np.array([sds_m[edge], HALF_BAND_SD_M]) ** 2) @ wrt_both.T
+
+
+def tempered(bank: Bank, temperature: float) -> Bank:
+    """The bank with less decided evidence: its differences between the models are divided by the temperature."""
+    best = float(bank.log_evidence.max())
+    return replace(bank, log_evidence=best + (bank.log_evidence - best) / temperature)
 
 
 class Ahead(NamedTuple):
-    """A bank at a later time, with the rates at which the coordinates of its chart change there."""
+    """A bank at the time of a measurement and in its chart, with the rates at which the coordinates change there."""
 
     bank: Bank
     rates: Float64[Array, "filter 5"]
@@ -237,8 +252,42 @@ class Ahead(NamedTuple):
     """Derivatives by the coordinates."""
 
 
-def predicted(bank: Bank, stamp_s: float, chart: RingStates | None = None) -> Ahead:
-    """The bank at a later time, in a given chart, or in that of its best filter."""
+def ahead(bank: Bank, observed: Observation) -> Ahead:
+    """The bank at the time of a measurement, described about the place where it has seen the ring."""
+    transported = _transported(_with_common_errors_of(bank, observed), observed.stamp_s, observed.chart)
+    rates = step_rates(observed.chart, transported.found)
+    transition = transported.transition
+    rates_wrt = jacobians(rates[len(bank.coordinates) :])
+    rates_wrt = np.linalg.solve(transition.swapaxes(1, 2), rates_wrt.swapaxes(1, 2)).swapaxes(1, 2)
+    return Ahead(transported.bank, rates[: len(bank.coordinates)], rates_wrt[transported.leader_of])
+
+
+def predicted(bank: Bank, stamp_s: float) -> Bank:
+    """The bank at another time, described about its best filter's state."""
+    return bank if stamp_s == bank.stamp_s else _transported(bank, stamp_s, None).bank
+
+
+def _with_common_errors_of(bank: Bank, observed: Observation) -> Bank:
+    """The bank for a measurement whose common errors have another prior, as after a correction of the rig.
+
+    What the errors before have done to the states is an error of the past then, independent of those that follow.
+    """
+    root = observed.common_root
+    if bank.common_root is root or np.array_equal(bank.common_root, root):
+        return bank
+    common = np.zeros((*bank.common.shape[:2], observed.wrt_common.shape[1]))
+    return replace(bank, own=bank.covariance, common=common, common_root=root)
+
+
+class _Transported(NamedTuple):
+    bank: Bank
+    found: Charted
+    """The filters' states, and those perturbed by `perturbed` of the leaders."""
+    transition: Float64[Array, "leader error=14 error=14"]
+    leader_of: Int64[Array, "filter"]
+
+
+def _transported(bank: Bank, stamp_s: float, chart: RingStates | None) -> _Transported:
     time_s, count = stamp_s - bank.stamp_s, len(bank.coordinates)
     leaders, leader_of = _leaders(bank)
     around = np.concatenate([bank.coordinates, perturbed(bank.coordinates[leaders])])
@@ -247,21 +296,18 @@ def predicted(bank: Bank, stamp_s: float, chart: RingStates | None = None) -> Ah
         best = slice(bank.best, bank.best + 1)
         chart = RingStates(*(part[best] for part in states))._replace(motion=np.zeros((1, len(MOTION))))
     found = charted(chart, states)
-    rates = step_rates(chart, found)
-    transition, rates_wrt = jacobians(found.coordinates[count:]), jacobians(rates[count:])
-    rates_wrt = np.linalg.solve(transition.swapaxes(1, 2), rates_wrt.swapaxes(1, 2)).swapaxes(1, 2)[leader_of]
-    transition = transition[leader_of]
-    coordinates = found.coordinates[:count]
-    ahead = replace(
+    by_leader = jacobians(found.coordinates[count:])
+    transition, coordinates = by_leader[leader_of], found.coordinates[:count]
+    noise = process_noise(bank.models, chart, coordinates, transition, time_s)
+    moved_bank = replace(
         bank,
         stamp_s=stamp_s,
         chart=chart,
         coordinates=coordinates,
-        own=transition @ bank.own @ transition.swapaxes(1, 2)
-        + process_noise(bank.models, chart, coordinates, transition, time_s),
+        own=transition @ bank.own @ transition.swapaxes(1, 2) + noise,
         common=transition @ bank.common,
     )
-    return Ahead(ahead, rates[:count], rates_wrt)
+    return _Transported(moved_bank, found, by_leader, leader_of)
 
 
 def _leaders(bank: Bank) -> tuple[Int64[Array, "leader"], Int64[Array, "filter"]]:
@@ -337,10 +383,13 @@ def innovation(
     remaining[lost], jacobian[lost] = 0.0, 0.0
     wrt_common = jacobian @ bank.common + observed.wrt_common
     covariance = innovation_covariance(bank.own, jacobian, wrt_common)
-    ring = observed.of_ring
-    of_ring = remaining[:, :ring, None]
-    chi2 = (of_ring * np.linalg.solve(covariance[:, :ring, :ring], of_ring)).sum(axis=(1, 2))
-    return Innovation(remaining, jacobian, wrt_common, covariance, np.where(lost, np.inf, chi2), ring)
+    precision, ring, of_ring = np.linalg.inv(covariance), observed.of_ring, remaining[..., None]
+    if ring == len(observed.target):
+        chi2 = (of_ring * (precision @ of_ring)).sum(axis=(1, 2))
+    else:
+        of_ring = of_ring[:, :ring]
+        chi2 = (of_ring * np.linalg.solve(covariance[:, :ring, :ring], of_ring)).sum(axis=(1, 2))
+    return Innovation(remaining, jacobian, wrt_common, covariance, precision, np.where(lost, np.inf, chi2), ring)
 
 
 def innovation_covariance(
@@ -365,9 +414,8 @@ def updated(bank: Bank, observed: Observation, found: Innovation) -> Bank:
         found = innovation(bank, observed, *rates_near(bank, bank.coordinates + step), step)
     gain = schmidt_gain(bank.own, bank.common, found)
     own, common = covariances_after(bank.own, bank.common, gain, found)
-    weighted = np.linalg.solve(found.covariance, found.remaining[..., None])
     _, log_determinant = np.linalg.slogdet(found.covariance)
-    chi2 = (found.remaining[..., None] * weighted).sum(axis=(1, 2))
+    chi2 = (found.remaining[:, None] @ found.precision @ found.remaining[..., None])[:, 0, 0]
     log_likelihood = -0.5 * (chi2 + log_determinant + found.remaining.shape[1] * np.log(2.0 * pi))
     return replace(
         bank,
@@ -384,7 +432,7 @@ def schmidt_gain(
 ) -> Float64[Array, "filter error row"]:
     """The gain with the least covariance: K = (P H^T + B (H B + H_q)^T) S^-1, Eq. (10.4)."""
     cross = own @ found.jacobian.swapaxes(1, 2) + common @ found.wrt_common.swapaxes(1, 2)
-    gain: Float64[Array, "filter error row"] = np.linalg.solve(found.covariance, cross.swapaxes(1, 2)).swapaxes(1, 2)
+    gain: Float64[Array, "filter error row"] = cross @ found.precision
     return gain
 
 

@@ -37,6 +37,9 @@ MIN_VALID_S = 0.1
 UNKNOWN_FROM = 0.5
 """Relative standard deviation of the curvature from which centre and radii are not reported."""
 
+GRASP_UNKNOWN_FROM_M = 0.01
+"""Standard deviation of the grasp point from which it is flagged."""
+
 VELOCITY_WEAK_SHARE = 0.5
 """Share of its prior's standard deviation from which the velocity counts as weak."""
 
@@ -160,10 +163,9 @@ class _Reported:
     """The reported quantities of an explanation at an instant, with their joint covariance."""
 
     def __init__(self, bank: Bank, stamp_s: float) -> None:
-        probable = bank.probable()
-        ahead = probable if stamp_s == bank.stamp_s else predicted(probable, stamp_s).bank
-        mean, self.errors = mixed(ahead)
-        states = moved(ahead.chart, np.concatenate([mean[None], perturbed(mean[None])]))
+        at = predicted(bank.probable(), stamp_s)
+        mean, self.errors = mixed(at)
+        states = moved(at.chart, np.concatenate([mean[None], perturbed(mean[None])]))
         values = _quantities(states)
         self.value, self._jacobian = values[0], jacobians(values[1:])[0]
         self.axes, self.curvature = states.axes[0], float(states.curvature[0])
@@ -171,9 +173,7 @@ class _Reported:
 
     def covariance(self, *parts: slice) -> Float64[Array, "n n"]:
         """Of some of the quantities."""
-        rows = np.concatenate([self._jacobian[part] for part in parts])
-        covariance: Float64[Array, "n n"] = rows @ self.errors @ rows.T
-        return 0.5 * (covariance + covariance.T)
+        return self._of(np.concatenate([self._jacobian[part] for part in parts]))
 
     def _rows(self, part: slice, across: Float64[Array, "n 3"]) -> Float64[Array, "n error"]:
         rows: Float64[Array, "n error"] = across @ self._jacobian[part]
@@ -234,10 +234,6 @@ def _weak_flags(found: _Reported, options: TrackOptions) -> PoseFlag:
     if standard_deviation(found.covariance(_VELOCITY)) > VELOCITY_WEAK_SHARE * options.motion.speed_sd_m_s:
         flags |= PoseFlag.VELOCITY_WEAK
     return flags
-
-
-GRASP_UNKNOWN_FROM_M = 0.01
-"""Standard deviation of the grasp point from which it is flagged."""
 
 
 def _curved(found: _Reported) -> bool:

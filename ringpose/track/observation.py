@@ -56,6 +56,8 @@ class Observation:
     wrt_step: Float64[Array, "row step=7"]
     wrt_step_rates: Float64[Array, "row 5"]
     wrt_common: Float64[Array, "row error"]
+    common_root: Float64[Array, "parameter rig_error"]
+    """Root of the prior covariance by which the independent common errors are defined."""
     target: Float64[Array, "row"]
     of_ring: int
     """Number of rows that depend on the ring; the others depend on common errors alone."""
@@ -118,6 +120,7 @@ def observation(
         wrt_step=rows[:, POSE] @ wrt_step,
         wrt_step_rates=np.linalg.solve(rates_wrt_motion.T, rows[:, MOTION].T).T,
         wrt_common=rows[:, count:-1] @ common.root,
+        common_root=common.root,
         target=rows[:, -1],
         of_ring=min(len(rows), count),
     )

@@ -33,6 +33,9 @@ MAX_ENTRIES = 500
 MAX_INFORMATION_ROOT = 1e10
 """Largest plausible number in the square root of a measurement: a standard deviation of 0.1 nm."""
 
+SAME_PRIOR_WITHIN = 0.5
+"""Difference of covariances of common errors, by their standard deviations, up to which they count as the same."""
+
 UNUSABLE = PoseFlag.ASSIGNMENT_AMBIGUOUS
 """Flags of records whose covariance does not describe their errors."""
 
@@ -89,7 +92,11 @@ class Tracker:
         Raises `DataError` for a record that does not belong to this track: of another rig, repeated, or with other
         nuisance parameters.
         """
-        status, ratio = self._fused(line, now_s)
+        try:
+            with np.errstate(all="ignore"):  # a ring that is not where it was seen has NaN coordinates
+                status, ratio = self._fused(line, now_s)
+        except np.linalg.LinAlgError:
+            status, ratio = FusionStatus.REJECTED_COVARIANCE, nan
         stamp_s = line.pose_stamp_s if isfinite(line.pose_stamp_s) else line.stamp_s
         attempt = Attempt(shot=line.shot, stamp_s=stamp_s, fusion_status=status, test_ratio=ratio)
         self._attempts.append(attempt)
@@ -145,12 +152,13 @@ class Tracker:
         place = bisect_left([each.key for each in self._entries], entry.key)
         if place < len(self._entries) and self._entries[place].key == entry.key:
             raise DataError(entry.observed.shot, "repeats a record", "give each record once")
-        again = [entry, *self._entries[place:]]
-        del self._entries[place:]
-        for each in again:
-            track, fusion = track_after(self.track, each.observed, each.radius, self._options)
-            self._entries.append(each._replace(track=track, fusion=fusion))
-        return self._entries[place].fusion
+        before, again = self._entries[:place], []
+        track = before[-1].track if before else self._base
+        for each in (entry, *self._entries[place:]):
+            track, fusion = track_after(track, each.observed, each.radius, self._options)
+            again.append(each._replace(track=track, fusion=fusion))
+        self._entries = before + again
+        return again[0].fusion
 
     def _forget(self) -> None:
         """Drop the records that are older than the buffer; what arrives before the last one of them is too old."""
@@ -180,12 +188,24 @@ class Tracker:
     def _checked_common(self, line: PoseLine) -> CommonErrors:
         assert line.measurement is not None
         common = common_errors(line, line.measurement, self._rig)
-        if self._common is None:
+        if self._common is None or not _alike(self._common, common):
+            if self._common is not None and common.names != self._common.names:
+                found = "has other nuisance parameters than the records before"
+                raise DataError(line.shot, found, "give ringpose pose the same options for all of them")
             self._common = common
-        elif common.names != self._common.names or common.root.shape != self._common.root.shape:
-            found = "has other nuisance parameters or priors than the records before"
-            raise DataError(line.shot, found, "give ringpose pose the same options for all of them")
-        return common
+        return self._common
+
+
+def _alike(first: CommonErrors, second: CommonErrors) -> bool:
+    """Whether two priors are of the same errors: a covariance that is estimated again in each shot differs a little.
+
+    Taken as different, the errors of successive shots would count as independent and average out.
+    """
+    if first.names != second.names:
+        return False
+    covariance = first.root @ first.root.T
+    sd = np.sqrt(covariance.diagonal())
+    return bool((np.abs(second.root @ second.root.T - covariance) <= SAME_PRIOR_WITHIN * np.outer(sd, sd)).all())
 
 
 def _is_plausible(measurement: RingMeasurement) -> bool:

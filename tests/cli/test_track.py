@@ -4,6 +4,7 @@ import hashlib
 import json
 import math
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -283,6 +284,34 @@ def test_a_slow_reader_gets_the_newest_line(lines):
 
     assert first
     assert delay_s < 0.25
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [[], ["--newest"]], ids=["every line", "newest"])
+def test_a_reader_that_has_gone_ends_the_command(lines, options):
+    with started("--rate", "50", *options) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        process.stdin.write("".join(lines))
+        process.stdin.flush()
+        process.stdout.readline()
+        process.stdout.close()
+
+        assert process.wait(timeout=20) == 141
+
+
+@pytest.mark.slow
+def test_a_signal_ends_the_command_while_a_line_waits_for_its_reader(lines):
+    with started("--rate", "50", "--newest") as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        process.stdin.write("".join(lines))
+        process.stdin.flush()
+        process.stdout.readline()
+        time.sleep(0.3)
+        process.send_signal(signal.SIGTERM)
+
+        assert process.wait(timeout=20) == 143
 
 
 def robot_pose(stamp_s: float, position_m=(1.0, 0.2, 0.3), orientation_xyzw=(0.0, 0.0, 0.0, 1.0)) -> str:

@@ -1,5 +1,7 @@
 """The filter's equations against published results, and its consistency by sampling."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from moving_rings import START_S, Shots, Wandering, drawn_motion, stream
@@ -15,13 +17,15 @@ from ringpose.track.filters import (
 )
 from ringpose.track.pipeline import Tracker
 from ringpose.track.states import ERRORS, RingStates
+from ringpose.types.pose import Priors, RadiusPrior
 
 
 def linear(own, common, jacobian, wrt_common) -> Innovation:
     """An innovation of a linear problem with one filter."""
     sensitivity = jacobian @ common + wrt_common
     covariance = innovation_covariance(own, jacobian, sensitivity)
-    return Innovation(np.zeros((1, jacobian.shape[1])), jacobian, sensitivity, covariance, np.zeros(1), 1)
+    remaining = np.zeros((1, jacobian.shape[1]))
+    return Innovation(remaining, jacobian, sensitivity, covariance, np.linalg.inv(covariance), np.zeros(1), 1)
 
 
 def test_the_steady_gain_of_a_constant_velocity_target_is_that_of_the_alpha_beta_filter():
@@ -116,3 +120,23 @@ def test_a_target_of_constant_velocity_is_tracked_several_times_better_than_a_sh
 
     single_still_deg = 0.24  # of these shots, with all twelve numbers for seven parameters
     assert np.degrees(np.sqrt(np.mean(squares))) < 0.4 * single_still_deg
+
+
+@pytest.mark.parametrize(
+    "known", [(0.567, 0.597), (np.nan, 0.597), (0.567, np.nan)], ids=["both radii", "the outer one", "the inner one"]
+)
+def test_given_radii_are_used_once(rng, known):
+    motion = drawn_motion(rng, speed_m_s=0.005, rate_deg_s=0.3)
+    radius = RadiusPrior(inner_m=known[0], outer_m=known[1], inner_sd_m=5e-4, outer_sd_m=5e-4, source="given")
+    records = [replace(each, priors=Priors(radius=radius)) for each in stream(motion, 1.0, Shots(), rng)]
+    tracker = Tracker(None)
+    sds_m = []
+    for record in records:
+        tracker.add(record)
+        line = tracker.line_at(0.0)
+        sds_m.append(np.sqrt(line.pose.covariance[6, 6]))
+
+    assert abs(line.pose.radius_outer_m - 0.597) < 0.0015
+    assert abs(line.pose.radius_inner_m - 0.567) < 0.0015
+    assert 3.5e-4 < sds_m[-1] <= sds_m[0] < 7e-4  # the same radius in every record does not count six times
+    assert np.sqrt(np.trace(line.pose.covariance_center_m2)) < 0.004

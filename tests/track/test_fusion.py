@@ -161,6 +161,30 @@ def test_the_test_ratio_of_a_rejected_record_is_above_one(records):
     assert tracker.add(records[9], NOW_S).test_ratio < 1.0
 
 
+class Pushed:
+    """A motion whose velocity changes at once."""
+
+    def __init__(self, motion, time_s: float, change_m_s) -> None:
+        self.before, self.time_s = motion, time_s
+        self.after = replace(motion, ring=motion.at(time_s), velocity_m_s=motion.velocity_m_s + change_m_s)
+
+    def at(self, time_s: float):
+        return self.before.at(time_s) if time_s < self.time_s else self.after.at(time_s - self.time_s)
+
+
+def test_a_target_that_is_pushed_is_tracked_again_within_a_second(rng):
+    motion = Pushed(drawn_motion(rng), 1.0, np.array([0.0, 0.005, 0.01]))
+    tracker = Tracker(None)
+
+    found = statuses(tracker, stream(motion, 2.5, Shots(), rng))
+
+    assert FusionStatus.REJECTED_GATE in found
+    assert found[-3:] == [FusionStatus.FUSED] * 3
+    assert tracker.track.resets == 0
+    line = tracker.line_at(0.0)
+    np.testing.assert_allclose(line.velocity.center_m_s, motion.after.velocity_m_s, atol=0.008)
+
+
 def test_after_a_gap_a_record_inside_the_gate_continues_the_track(rng):
     motion, shots = drawn_motion(rng), Shots()
     tracker = Tracker(None)
@@ -309,6 +333,34 @@ def test_errors_of_the_rig_do_not_average_out(rng):
 
     assert normal_sd(stability) > 0.25  # of a single shot of a still target 0.29 degrees (MATH.md, section 11)
     assert normal_sd(RigStability()) < 0.17
+
+
+def test_a_rig_that_was_corrected_goes_on_with_its_new_errors(rng):
+    motion, uncertain = drawn_motion(rng), RigStability(plane_tilt_rad=5e-4, plane_distance_m=1e-4)
+    corrected = RigStability(plane_tilt_rad=1e-5, plane_distance_m=1e-5)
+    tracker = Tracker(None)
+
+    def normal_sd(stability, first, last):
+        for number in range(first, last):
+            statuses(tracker, [record(motion, number / 6, Shots(stability=stability), rng)])
+        return np.degrees(np.sqrt(np.trace(tracker.line_at(0.0).pose.covariance[:2, :2])))
+
+    before, at_once, later = (normal_sd(*each) for each in ((uncertain, 0, 6), (corrected, 6, 7), (corrected, 7, 12)))
+
+    assert before > 0.4
+    assert later < at_once < before
+    assert later < 0.25
+
+
+def test_a_prior_of_the_rig_that_varies_a_little_does_not_make_its_errors_average_out(rng):
+    motion, steady, varied = drawn_motion(rng), Tracker(None), Tracker(None)
+    for number in range(8):
+        for tracker, tilt_rad in ((steady, 5e-4), (varied, 5e-4 * (1 + 0.01 * number))):
+            shots = Shots(stability=RigStability(plane_tilt_rad=tilt_rad, plane_distance_m=1e-4))
+            statuses(tracker, [record(motion, number / 6, shots, np.random.default_rng(number))])
+
+    sds = [np.trace(tracker.line_at(0.0).pose.covariance[:2, :2]) for tracker in (steady, varied)]
+    assert sds[1] == pytest.approx(sds[0], rel=0.02)
 
 
 def test_both_sides_are_tracked_until_one_is_excluded(rng):

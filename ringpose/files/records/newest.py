@@ -1,6 +1,7 @@
 """Output for slow readers: they get the newest line, not those that have piled up."""
 
 import os
+import select
 import sys
 import threading
 from contextlib import suppress
@@ -31,11 +32,13 @@ class NewestWriter:
     def __enter__(self) -> "NewestWriter":
         return self
 
-    def __exit__(self, *_: object) -> None:
-        """Wait until the last line has been written."""
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Wait until the last line has been written, unless an error or a signal ends the block."""
         with self._changed:
             self._ended = True
             self._changed.notify()
+        if kind is not None:
+            return
         self._thread.join()
         if self._failure is not None:
             raise self._failure
@@ -75,8 +78,9 @@ def _is_read() -> bool:
         import fcntl
         import termios
 
-        descriptor = sys.stdout.fileno()
-        if S_ISFIFO(os.fstat(descriptor).st_mode):
+        descriptor, closed = sys.stdout.fileno(), select.poll()
+        closed.register(descriptor, 0)
+        if S_ISFIFO(os.fstat(descriptor).st_mode) and not closed.poll(0):  # else writing reports the closed pipe
             waiting = fcntl.ioctl(descriptor, termios.FIONREAD, b"\0\0\0\0")
             return int.from_bytes(waiting, sys.byteorder) == 0
     return True

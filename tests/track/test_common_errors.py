@@ -1,0 +1,92 @@
+"""Priors of the nuisance parameters by their names."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from ring_scenes import RIGS
+
+from ringpose.errors import DataError
+from ringpose.track.common_errors import common_errors
+from ringpose.types.covariance import ParameterCovariance
+from ringpose.types.pose import LinearizationPoint, PoseLine, Priors, RigStability, RingMeasurement
+
+STABILITY = RigStability(plane_tilt_rad=1e-4, plane_distance_m=2e-5, focal_ratio=1e-4)
+CALIBRATED = ("fx", "fy", "left.tilt_1", "left.distance")
+CALIBRATION = np.array([[0.25, 0.2, 0, 0], [0.2, 0.36, 0, 0], [0, 0, 4e-8, 1e-9], [0, 0, 1e-9, 1e-10]])
+
+
+def covariance_of(names, rig=None, **priors) -> np.ndarray:
+    """Prior covariance of the nuisance parameters of a record with these priors."""
+    point = LinearizationPoint(
+        center_m=np.zeros(3),
+        normal=np.array([0.0, 0.0, -1.0]),
+        radius_inner_m=0.5,
+        radius_outer_m=0.6,
+        velocity_m_s=np.zeros(3),
+        rate_rad_s=np.zeros(3),
+    )
+    measurement = RingMeasurement(
+        linearized_at=point,
+        nuisance_parameters=names,
+        square_root=np.zeros((1, 13 + len(names))),
+        degrees_of_freedom=0,
+        chi2=0.0,
+    )
+    line = PoseLine(shot="a", stamp_s=0.0, pose=None, priors=Priors(**priors))
+    root = common_errors(line, measurement, rig).root
+    return root @ root.T
+
+
+def calibrated():
+    return replace(RIGS["B"], covariance=ParameterCovariance(parameters=CALIBRATED, data=CALIBRATION))
+
+
+def test_without_nuisance_parameters_there_are_no_common_errors():
+    assert covariance_of(()).shape == (0, 0)
+
+
+def test_stability_alone_gives_independent_errors_of_each_plane_and_of_the_focal_length():
+    names = ("left.tilt_1", "left.tilt_2", "left.distance", "focal_ratio")
+
+    np.testing.assert_allclose(
+        covariance_of(names, stability=STABILITY), np.diag([1e-8, 1e-8, 4e-10, 1e-8]), atol=1e-22
+    )
+
+
+def test_stability_is_added_to_the_covariance_of_the_calibration():
+    rig = calibrated()
+    focal_px = np.array([rig.camera.camera_matrix[0, 0], rig.camera.camera_matrix[1, 1], 0.0, 0.0])
+
+    found = covariance_of(CALIBRATED, rig, rig_covariance=True, stability=STABILITY)
+
+    expected = CALIBRATION + np.diag([0.0, 0.0, 1e-8, 4e-10]) + np.outer(1e-4 * focal_px, 1e-4 * focal_px)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-18)
+
+
+def test_the_order_of_the_parameters_is_that_of_the_record():
+    names = CALIBRATED[::-1]
+
+    found = covariance_of(names, calibrated(), rig_covariance=True)
+
+    np.testing.assert_allclose(found, CALIBRATION[::-1, ::-1], rtol=1e-9, atol=1e-18)
+
+
+def test_coefficients_of_the_rings_form_share_the_variance_of_its_tolerance():
+    found = covariance_of(("form.inner.a2", "form.axial.b4"), ring_tolerance_m=3e-4)
+
+    np.testing.assert_allclose(found, 3e-8 * np.eye(2), atol=1e-20)
+
+
+def test_a_tolerance_of_zero_leaves_no_error():
+    assert not covariance_of(("form.inner.a2",)).any()
+
+
+@pytest.mark.parametrize(
+    ("names", "priors", "word"),
+    [(("fx",), {"stability": STABILITY}, "fx"), (CALIBRATED, {"rig_covariance": True}, "--rig")],
+    ids=["no prior", "no rig file"],
+)
+def test_a_parameter_without_a_prior_is_an_error(names, priors, word):
+    with pytest.raises(DataError, match=word):
+        covariance_of(names, **priors)
