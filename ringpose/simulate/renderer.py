@@ -209,20 +209,20 @@ def _samples_needed(
 
     With ambient light edges are refined everywhere; otherwise only thin stripes, and edges of surfaces and of lasers'
     shadows where they cross a stripe, because these pixels determine the break points. A blur of up to a pixel stays
-    within the pixels on both sides of an edge, and does not displace a stripe.
+    within the pixels on both sides of an edge, and does not displace a stripe; what a wider one adds has fewer samples.
     """
     reach_px = max(round(np.ceil((blur_px - 1) / 2)), 0)
     around, nearest = np.ones((3 + 2 * reach_px,) * 2, np.uint8), np.ones((3, 3), np.uint8)
-    edges = [_edges(code), _edges(code & ~np.int32(SKY_SHADOWS))]
-    if reach_px:
-        edges = [cv2.dilate(each, around) for each in edges]
-    of_all, of_surfaces = (each > 0 for each in edges)
+    edge, of_surface = _edges(code), _edges(code & ~np.int32(SKY_SHADOWS))
+    at_stripe = cv2.dilate(stripe, around) > 0
     needed = np.ones(code.shape, np.int16)
     needed[cv2.dilate(stripe if blur_px > WIDE_BLUR_PX else stripe & np.uint8(THIN), nearest) > 0] = SAMPLES
     if everywhere:
-        needed[of_all] = SAMPLES
-        needed[of_surfaces] = EDGE_SAMPLES
-    needed[of_surfaces & (cv2.dilate(stripe, around) > 0)] = FINE_SAMPLES
+        needed[cv2.dilate(edge, around) > 0 if reach_px else edge > 0] = SAMPLES
+        needed[of_surface > 0] = EDGE_SAMPLES
+    if reach_px:
+        needed[(cv2.dilate(of_surface, around) > 0) & at_stripe] = EDGE_SAMPLES
+    needed[(of_surface > 0) & at_stripe] = FINE_SAMPLES
     return needed
 
 

@@ -189,6 +189,7 @@ def test_a_period_shorter_than_a_shot_is_an_error(moving):
         next(simulate(replace(moving, period_s=0.005)))
 
 
+@pytest.mark.slow
 def test_processes_do_not_change_moving_shots(moving):
     several = replace(moving, shots=8, period_s=0.05, sequence=(1,))
 
