@@ -61,7 +61,7 @@ def pose_line(
             stamp_s=source.stamp_s,
             pose=None,
             flags=PoseFlag.ASSIGNMENT_AMBIGUOUS if points in CONTRADICTED else PoseFlag(0),
-            reason=points.value,
+            reason="; ".join(filter(None, [points.value, source.advice])),
             frame=frame,
             latency_s=perf_counter() - start_s,
             stage_s=stage_s,
@@ -82,7 +82,7 @@ def pose_line(
         pose_stamp_s=result.stamp_s if isfinite(result.stamp_s) else source.stamp_s,
         pose=pose if isinstance(pose, RingPose) else None,
         flags=result.flags | flags_of(rejected),
-        reason=pose.value if isinstance(pose, NoPose) else contradictions(result, source.rejected),
+        reason=_reason(result, source),
         frame=frame,
         velocity=velocity,
         measurement=result.measurement,
@@ -94,6 +94,12 @@ def pose_line(
         stage_s={**stage_s, "pose": end_s - detected_s},
         rig=rig.sha256,
     )
+
+
+def _reason(result: PoseResult, source: Detection) -> str | None:
+    """Why there is no pose, or what contradicts it, and what would improve the shot; None if there is neither."""
+    why = result.pose.value if isinstance(result.pose, NoPose) else contradictions(result, source.rejected)
+    return "; ".join(filter(None, [why, source.advice])) or None
 
 
 CONTRADICTED = (NoBreakPoints.AMBIGUOUS_LABELS, NoBreakPoints.CONTRADICTED_MASKS, NoBreakPoints.CONTRADICTED_RIG)

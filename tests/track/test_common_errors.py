@@ -8,15 +8,16 @@ from ring_scenes import RIGS
 
 from ringpose.errors import DataError
 from ringpose.track.common_errors import common_errors
+from ringpose.types.assumptions import Assumptions, RigStability
 from ringpose.types.covariance import ParameterCovariance
-from ringpose.types.pose import LinearizationPoint, PoseLine, Priors, RigStability, RingMeasurement
+from ringpose.types.pose import LinearizationPoint, PoseLine, Priors, RingMeasurement
 
 STABILITY = RigStability(plane_tilt_rad=1e-4, plane_distance_m=2e-5, focal_ratio=1e-4)
 CALIBRATED = ("fx", "fy", "left.tilt_1", "left.distance")
 CALIBRATION = np.array([[0.25, 0.2, 0, 0], [0.2, 0.36, 0, 0], [0, 0, 4e-8, 1e-9], [0, 0, 1e-9, 1e-10]])
 
 
-def covariance_of(names, rig=None, **priors) -> np.ndarray:
+def covariance_of(names, rig=None, rig_covariance=False, moved_planes=None, **assumed) -> np.ndarray:
     """Prior covariance of the nuisance parameters of a record with these priors."""
     point = LinearizationPoint(
         center_m=np.zeros(3),
@@ -33,7 +34,9 @@ def covariance_of(names, rig=None, **priors) -> np.ndarray:
         degrees_of_freedom=0,
         chi2=0.0,
     )
-    line = PoseLine(shot="a", stamp_s=0.0, pose=None, priors=Priors(**priors))
+    assumptions = Assumptions(**assumed)
+    priors = Priors(assumptions=assumptions, rig_covariance=rig_covariance, moved_planes=moved_planes or {})
+    line = PoseLine(shot="a", stamp_s=0.0, pose=None, priors=priors)
     root = common_errors(line, measurement, rig).root
     return root @ root.T
 
@@ -55,13 +58,21 @@ def test_stability_alone_gives_independent_errors_of_each_plane_and_of_the_focal
 
 
 def test_stability_is_added_to_the_covariance_of_the_calibration():
-    rig = calibrated()
-    focal_px = np.array([rig.camera.camera_matrix[0, 0], rig.camera.camera_matrix[1, 1], 0.0, 0.0])
+    found = covariance_of((*CALIBRATED, "focal_ratio"), calibrated(), rig_covariance=True, stability=STABILITY)
 
-    found = covariance_of(CALIBRATED, rig, rig_covariance=True, stability=STABILITY)
-
-    expected = CALIBRATION + np.diag([0.0, 0.0, 1e-8, 4e-10]) + np.outer(1e-4 * focal_px, 1e-4 * focal_px)
+    expected = np.zeros((5, 5))
+    expected[:4, :4] = CALIBRATION
+    expected += np.diag([0.0, 0.0, 1e-8, 4e-10, 1e-8])
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-18)
+
+
+def test_the_covariance_of_a_corrected_plane_replaces_calibration_and_stability():
+    names, moved = ("left.tilt_1", "left.tilt_2", "left.distance", "right.tilt_1"), np.diag([1e-9, 4e-9, 1e-11])
+
+    found = covariance_of(names, stability=STABILITY, moved_planes={"left": moved})
+
+    expected = np.diag([1e-9, 4e-9, 1e-11, 1e-8])
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-20)
 
 
 def test_the_order_of_the_parameters_is_that_of_the_record():
