@@ -124,8 +124,16 @@ static void hit_gaps(Search *search) {
         inner = lesser(inner, point[i][0]);
         outer = greater(outer, point[i][0]);
     }
+    const Vector o = search->o, d = search->d;
+    const double low = (part->low.y - o.z) / d.z, high = (part->high.y - o.z) / d.z; /* where it enters and leaves */
+    const Vector enter = plus(o, times(low, d)), leave = plus(o, times(high, d));
     for (int i = 0; i < (int)part->gaps; i++, gap++) {
-        const Vector o = search->o, d = search->d;
+        const double one = enter.y * gap->cosine - enter.x * gap->sine;
+        const double other = leave.y * gap->cosine - leave.x * gap->sine;
+        if (d.z != 0 && (lesser(one, other) > gap->half_width || greater(one, other) < -gap->half_width)) continue;
+        if (d.z != 0 &&
+            lesser(enter.x * gap->cosine + enter.y * gap->sine, leave.x * gap->cosine + leave.y * gap->sine) > outer)
+            continue;
         const double across = o.y * gap->cosine - o.x * gap->sine, by_t = d.y * gap->cosine - d.x * gap->sine;
         for (int side = -1; side <= 2; side++) { /* the two walls, then the floor */
             const double t = side <= 1 ? (side * gap->half_width - across) / by_t : (gap->floor - o.z) / d.z;
