@@ -8,7 +8,7 @@ from ringpose.files.records.truths import read_truths
 from ringpose.files.rigs import read_rig
 from ringpose.simulate.pipeline import illuminated_ring, view_truth
 from ringpose.types.scene import RingView
-from ringpose.types.target import RingShape
+from ringpose.types.target import Gap, RingForm, RingShape
 
 
 def truth_of(scene, view):
@@ -128,3 +128,39 @@ def scene_of(scene, rig, truth):
 
 def view_of(truth):
     return RingView(name=truth.shot, center_m=truth.center_m, normal=truth.normal)
+
+
+@pytest.mark.parametrize("edge", [0, 1])
+def test_break_points_of_a_deformed_ring_lie_on_its_edge_and_the_light_plane(scene, view, rng, edge):
+    """The edge is a circle with radial and axial Fourier terms of the orders 2 to 4, solved by root finding."""
+    form = RingForm(radial_m=3e-4 * rng.standard_normal((2, 3, 2)), axial_m=3e-4 * rng.standard_normal((3, 2)))
+    deformed = replace(scene, ring=replace(scene.ring, form=form))
+    illuminated, planes = illuminated_ring(deformed, view), scene.rig.lasers
+    placement, radius_m = illuminated.placement, (0.567, 0.597)[edge]
+
+    def point(angle):
+        waves = np.array([[np.cos(k * angle), np.sin(k * angle)] for k in (2, 3, 4)])
+        r, z = radius_m + (waves * form.radial_m[edge]).sum(), 0.06 + (waves * form.axial_m).sum()
+        return placement.points_camera(np.array([r * np.cos(angle), r * np.sin(angle), z]))
+
+    truth, ideal = truth_of(deformed, view), truth_of(scene, view)
+
+    for laser in range(3):
+        normal, distance_m = planes.normal[laser], planes.distance_m[laser]
+        angle = brentq(lambda a, n=normal, d=distance_m: n @ point(a) - d, -0.6, 0.6, xtol=1e-15)
+        expected_px = pixel_of(point(angle), scene.rig.camera)
+        np.testing.assert_allclose(truth.break_points_px[laser, edge], expected_px, atol=1e-9)
+    assert np.abs(truth.break_points_px - ideal.break_points_px).max() > 0.05
+
+
+def test_a_break_point_in_a_gap_is_null(scene, view):
+    """The gap is where the second laser meets the ring; the stripes of the others are farther away than its width."""
+    target = illuminated_ring(scene, view).placement
+    plane = scene.rig.lasers.normal[1], scene.rig.lasers.distance_m[1]
+    at = target.points_target(point_where_circle_meets_plane(view, 0.582, *plane)[:, None])[:, 0]
+    gap = Gap(angle_rad=float(np.arctan2(at[1], at[0])), width_m=0.02, depth_m=0.01)
+
+    truth = truth_of(replace(scene, ring=replace(scene.ring, gaps=(gap,))), view)
+
+    np.testing.assert_array_equal(np.isnan(truth.break_points_px[..., 0]).all(axis=1), [False, True, False])
+    assert truth.expect == "partial"
