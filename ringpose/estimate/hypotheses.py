@@ -2,8 +2,9 @@
 
 Six break points and three stripes give twelve numbers for seven parameters. If the ring that fits all of them fails the
 chi-squared test, or misses one of them clearly, the shot is solved again for each hypothesis of `outlier_hypotheses`:
-one break point, a stripe, the visible edges, the assignment of the lasers, or the assumed radii are wrong. The
-hypotheses are compared by chi-squared plus a penalty for what they reject. Where two of them are comparable, only the
+one break point, a stripe, the visible edges, the assignment of the lasers, or the assumed radii are wrong; or the
+target moves faster, or the ring is less perfect, than assumed. The hypotheses are compared by chi-squared plus a
+penalty for what they reject, or for how much wider their priors are. Where two of them are comparable, only the
 quantities that they have in common are determined (`Explanation.differing`).
 """
 

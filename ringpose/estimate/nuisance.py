@@ -6,7 +6,7 @@ beside the ring, with the prior N(0, 1). The rates of a moving target (section 8
 and the common errors of the points of a visible edge (`Edges.common`) are treated in the same way.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import sqrt
 
@@ -110,6 +110,13 @@ def total_covariance(rig: Rig, stability: RigStability) -> ParameterCovariance:
             covariance[of_plane], covariance[:, of_plane] = 0.0, 0.0
             covariance[np.ix_(of_plane, of_plane)] = rig.moved_planes[laser]
     return ParameterCovariance(parameters=names, data=covariance)
+
+
+@lru_cache(maxsize=8)
+def with_stability(rig: Rig, stability: RigStability) -> Rig:
+    """The rig with its stability as part of its covariance; without any variance the rig stays as it is."""
+    total = total_covariance(rig, stability)
+    return replace(rig, covariance=total, stability=EXACT, moved_planes={}) if total.data.any() else rig
 
 
 @lru_cache(maxsize=8)

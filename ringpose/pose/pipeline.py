@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ringpose.errors import DataError
+from ringpose.estimate.nuisance import with_stability
 from ringpose.pose.maximum_likelihood import most_likely_pose
 from ringpose.types.arrays import Array, Bool
 from ringpose.types.assumptions import IDEAL, Assumptions
@@ -40,8 +41,8 @@ def pose_result(
     """Pose of the ring in the camera frame, or the reason why there is none, with what it assumes and rejected.
 
     Its covariances are None if a seen break point's covariance is NaN. `known` are the ring's radii, or a
-    catalogue that it may belong to; the paper's methods use neither it nor visible edges. `lasers_on`: which lasers
-    were on in the shot. `rejected`: what the detector has rejected.
+    catalogue that it may belong to; the paper's methods use neither it nor visible edges, and of the assumptions only
+    the stability of the rig. `lasers_on`: which lasers were on in the shot. `rejected`: what the detector has rejected.
     """
     lasers, known_lasers = len(break_points.position_px), len(rig.lasers.names)
     if lasers != known_lasers:
@@ -53,7 +54,7 @@ def pose_result(
                 return most_likely_pose(break_points, rig, ring_edges, known, assumptions, lasers_on, rejected)
             from ringpose.pose.closed_form import closed_form_pose  # not imported by method `ml`
 
-            pose = closed_form_pose(break_points, rig, method)
+            pose = closed_form_pose(break_points, with_stability(rig, assumptions.stability), method)
             flags = PoseFlag(0) if isinstance(pose, NoPose) else pose.flags
             return PoseResult(pose=pose, flags=flags, rejected=tuple(rejected))
     except np.linalg.LinAlgError:

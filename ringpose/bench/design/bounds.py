@@ -5,15 +5,13 @@ without errors, whose stated covariances are those of real ones. Errors of the r
 covariance of rig.yaml and of its stability as their prior.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
 
-from ringpose.estimate.nuisance import EXACT, total_covariance
 from ringpose.geometry.ring import normal_and_center
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.assumptions import RigStability
 from ringpose.types.pose import MEASURED_PARAMETERS, PoseLine, PoseResult
 from ringpose.types.rig import Rig
 
@@ -92,9 +90,3 @@ def _prior_root(names: tuple[str, ...], rig: Rig) -> Float64[Array, "parameter e
     variances, axes = np.linalg.eigh(covariance / scale[:, None] / scale)
     root: Float64[Array, "parameter error"] = scale[:, None] * axes * np.sqrt(np.maximum(variances, 0.0))
     return root
-
-
-def with_stability(rig: Rig, stability: RigStability) -> Rig:
-    """The rig with its stability as part of its covariance; without any variance the rig stays as it is."""
-    total = total_covariance(rig, stability)
-    return replace(rig, covariance=total, stability=EXACT) if total.data.any() else rig

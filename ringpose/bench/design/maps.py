@@ -11,7 +11,7 @@ from math import degrees, inf, nan, radians
 
 import numpy as np
 
-from ringpose.bench.design.bounds import Bound, cramer_rao, with_stability
+from ringpose.bench.design.bounds import Bound, cramer_rao
 from ringpose.bench.design.rig_changes import (
     elevations_rad,
     with_baseline,
@@ -21,6 +21,7 @@ from ringpose.bench.design.rig_changes import (
 )
 from ringpose.bench.table import number
 from ringpose.estimate.covariance import standard_deviation
+from ringpose.estimate.nuisance import with_stability
 from ringpose.geometry.rotations import facing_normal
 from ringpose.pose.record import RADIUS_SD_M, pose_line
 from ringpose.simulate.features import Deviations, drawn_features

@@ -5,7 +5,8 @@ import pytest
 from pose.test_bound import LINE_PX, POINT_PX, RADIUS_SD_M, center_by_parameters, information
 from ring_scenes import face_points_of, make_scene
 
-from ringpose.bench.design.bounds import cramer_rao, with_stability
+from ringpose.bench.design.bounds import cramer_rao
+from ringpose.estimate.nuisance import with_stability
 from ringpose.pose.pipeline import pose_result
 from ringpose.types.assumptions import RigStability
 from ringpose.types.ring import KnownRadii

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from ringpose.bench.design.bounds import with_stability
 from ringpose.bench.design.maps import (
     Place,
     best,
@@ -18,6 +17,7 @@ from ringpose.bench.design.maps import (
     scene_at,
     scene_with,
 )
+from ringpose.estimate.nuisance import with_stability
 from ringpose.files.scenes import read_scene
 from ringpose.pose.record import pose_line
 from ringpose.simulate.features import Deviations, drawn_features
