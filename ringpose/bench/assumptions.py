@@ -23,6 +23,10 @@ class AssumedRadii:
     sd_m: float | None = None
 
 
+OTHER_ASSUMPTIONS = PoseFlag.MOTION | PoseFlag.RING_FORM | PoseFlag.RADIUS_INCONSISTENT
+"""Flags of shots that were explained by other assumptions than the chosen ones."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StatedAssumptions(Assumptions):
     """The assumptions of a pose record, among them those about the radii."""
@@ -34,11 +38,11 @@ class StatedAssumptions(Assumptions):
 def assumptions_of(line: PoseLine) -> StatedAssumptions | None:
     """Assumptions of a pose line; None if it cannot be compared with others by them.
 
-    These are lines without a pose, closed forms, which have no assumptions to choose, and shots that only wider
+    These are lines without a pose, closed forms, which have no assumptions to choose, and shots that only other
     assumptions than the chosen ones explain. A pose without priors, as in records of version 1, counts as one of a
     still and perfect ring of unknown radius by an unchanged rig.
     """
-    if line.pose is None or line.pose.method != Method.ML or line.flags & (PoseFlag.MOTION | PoseFlag.RING_FORM):
+    if line.pose is None or line.pose.method != Method.ML or line.flags & OTHER_ASSUMPTIONS:
         return None
     if line.priors is None:
         return StatedAssumptions()

@@ -1,6 +1,5 @@
 """The options of what is assumed about motion, ring and rig; the same in every command that estimates."""
 
-import math
 from typing import Annotated
 
 import typer
@@ -11,11 +10,14 @@ from ringpose.types.assumptions import AssumptionOptions
 MAX_TOLERANCE_M = 0.05
 """Upper bound of a ring's tolerance; larger values are probably millimetres."""
 
-IMPLAUSIBLE_RATE_DEG_S = 720.0
+MAX_RATE_DEG_S = 720.0
 """Upper bound of a rate: no target turns twice a second."""
 
-IMPLAUSIBLE_SPEED_M_S = 10.0
+MAX_SPEED_M_S = 10.0
 """Upper bound of a speed; larger values are probably millimetres a second."""
+
+MAX_STABILITY = 1e3
+"""Upper bound of the factor: planes may then have moved by 6 degrees."""
 
 Still = Annotated[bool, typer.Option("--still", help="The target does not move within a shot.")]
 MaxSpeed = Annotated[
@@ -62,10 +64,10 @@ def assumption_options(
     for option, value in given.items():
         if still and value is not None:
             raise UsageError("--still", f"and {option} exclude each other", "leave one of them out")
-    _check("--max-speed", max_speed_m_s, IMPLAUSIBLE_SPEED_M_S, "give metres a second")
-    _check("--max-rate", max_rate_deg_s, IMPLAUSIBLE_RATE_DEG_S, "give degrees a second")
+    _check("--max-speed", max_speed_m_s, MAX_SPEED_M_S, "give metres a second")
+    _check("--max-rate", max_rate_deg_s, MAX_RATE_DEG_S, "give degrees a second")
     _check("--ring-tolerance", ring_tolerance_m, MAX_TOLERANCE_M, "give metres")
-    _check("--rig-stability", rig_stability, math.inf, "give a factor, 1 for the stability in the rig file")
+    _check("--rig-stability", rig_stability, MAX_STABILITY, "give a factor, 1 for the stability in the rig file")
     return AssumptionOptions(
         still=still,
         max_speed_m_s=max_speed_m_s,

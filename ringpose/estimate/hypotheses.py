@@ -10,7 +10,7 @@ quantities that they have in common are determined (`Explanation.differing`).
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import permutations
+from itertools import permutations, product
 from math import nan, sqrt
 from typing import NamedTuple
 
@@ -84,6 +84,9 @@ CONFIRMED_BELOW = 2.0
 
 WIDER = PoseFlag.MOTION | PoseFlag.RING_FORM
 """Flags of explanations that reject nothing but need a wider prior."""
+
+MAX_PERMUTED = 3
+"""Number of lasers up to which all assignments are tried."""
 
 WIDER_BY = 4.0
 """Factor on the standard deviations of that prior."""
@@ -416,8 +419,11 @@ def _wider_priors(measured: Measurements, prior: Prior) -> Iterator[Hypothesis]:
     motion, tolerance_m = prior.assumptions.motion, prior.assumptions.ring_tolerance_m
     times_s = measured.times_s(measured.stamp_s)
     if times_s.any():
-        usual = motion_prior() if motion is None else motion
-        faster = MotionPrior(speed_sd_m_s=WIDER_BY * usual.speed_sd_m_s, rate_sd_rad_s=WIDER_BY * usual.rate_sd_rad_s)
+        least, assumed = motion_prior(), motion_prior(0.0, 0.0) if motion is None else motion
+        faster = MotionPrior(
+            speed_sd_m_s=WIDER_BY * max(least.speed_sd_m_s, assumed.speed_sd_m_s),
+            rate_sd_rad_s=WIDER_BY * max(least.rate_sd_rad_s, assumed.rate_sd_rad_s),
+        )
         remark = "the target moved within the shot" if motion is None else "the target moves faster than assumed"
         assumptions = replace(prior.assumptions, motion=faster)
         yield Hypothesis(measured, prior._replace(assumptions=assumptions), PoseFlag.MOTION, remark, OUTLIER_PENALTY)
@@ -461,7 +467,7 @@ def _wrong_stripes(measured: Measurements, rig: Rig, prior: Prior) -> Iterator[H
 
 def _wrong_assignments(measured: Measurements, rig: Rig, prior: Prior, labelled: bool) -> Iterator[Hypothesis]:
     seen, names = measured.lasers, rig.lasers.names
-    for order in permutations(range(len(names)), len(seen)) if len(seen) <= 3 and len(names) <= 3 else []:
+    for order in _assignments(seen, len(names)):
         if list(order) != seen:
             changed = measured.relabelled(dict(zip(seen, order, strict=True)))
             given, fitting = (", ".join(names[laser] for laser in lasers) for lasers in (seen, order))
@@ -469,6 +475,20 @@ def _wrong_assignments(measured: Measurements, rig: Rig, prior: Prior, labelled:
             penalty = RELABEL_PENALTY if labelled else OUTLIER_PENALTY
             rejected = (Rejection(what="assignment"),)
             yield Hypothesis(changed, prior, PoseFlag.ASSIGNMENT_AMBIGUOUS, remark, penalty, rejected)
+
+
+def _assignments(seen: list[int], lasers: int) -> Iterator[Sequence[int]]:
+    """All assignments of the seen stripes to lasers; of more than three lasers those that differ in one or two."""
+    if lasers <= MAX_PERMUTED:
+        yield from permutations(range(lasers), len(seen))
+        return
+    for place, other in product(range(len(seen)), range(lasers)):
+        order = seen.copy()
+        if other in seen:
+            order[seen.index(other)] = seen[place]
+        order[place] = other
+        if other not in seen or seen.index(other) > place:
+            yield order
 
 
 def _is_ring(estimate: Estimate) -> bool:

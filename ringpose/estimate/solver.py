@@ -170,8 +170,8 @@ def _gauss_newton(
             return None
         sigmas = sqrt(max(float(step @ normal_matrix @ step), 0.0))  # Mahalanobis length
         predicted = residuals.residual + residuals.jacobian @ step + nuisance @ nuisance_step
-        rates = problem.moved_rates(arcs, rates, nuisance_step)
-        arcs = arcs.moved(step)
+        moved = arcs.moved(step)
+        rates, arcs = problem.moved_rates(arcs, moved, rates, nuisance_step), moved
         residuals = problem.residuals(arcs, rates)
         nuisance = problem.nuisance(residuals, fixed)
         if near and sigmas < MIN_STEP_SIGMAS:
@@ -251,12 +251,15 @@ class _Problem:
         values = np.concatenate([rates.velocity_m_s, arcs.axes[:2] @ rates.rate_rad_s])
         return values / np.maximum(self.rate_sds, np.finfo(float).tiny)
 
-    def moved_rates(self, arcs: RingArcs, rates: Rates, nuisance_step: Float64[Array, "error"]) -> Rates:
-        """The rates after a step of the common errors."""
+    def moved_rates(
+        self, arcs: RingArcs, moved: RingArcs, rates: Rates, nuisance_step: Float64[Array, "error"]
+    ) -> Rates:
+        """The rates after a step of the common errors and of the ring; the angular velocity stays across its normal."""
         if not len(self.rate_sds):
             return rates
         change = nuisance_step[:RATES] * self.rate_sds
-        return Rates(rates.velocity_m_s + change[:3], rates.rate_rad_s + change[3:] @ arcs.axes[:2])
+        across = arcs.axes[:2] @ rates.rate_rad_s + change[3:]
+        return Rates(rates.velocity_m_s + change[:3], across @ moved.axes[:2])
 
 
 def predicted_residuals(
@@ -314,8 +317,8 @@ def refine_ring(
             step = _shortened(step)
             if not _plausible(arcs, step):
                 return None
-            rates = problem.moved_rates(arcs, rates, nuisance_step)
-            arcs = arcs.moved(step)
+            moved = arcs.moved(step)
+            rates, arcs = problem.moved_rates(arcs, moved, rates, nuisance_step), moved
     except np.linalg.LinAlgError:
         return None
     inverse = _inverse(normal_matrix)

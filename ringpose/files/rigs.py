@@ -24,6 +24,9 @@ from ringpose.types.sequence import MAX_LASERS
 
 SCHEMA = "rig/1"
 
+MAX_STABILITY = RigStability(plane_tilt_rad=0.2, plane_distance_m=0.1, focal_ratio=0.2)
+"""Upper bounds of a rig's stability in radians and metres; larger values are probably degrees and millimetres."""
+
 MIN_DISTANCE_M = 1e-6
 """Minimum distance of a light plane from the camera's centre; a plane through the centre gives no depth."""
 
@@ -124,9 +127,9 @@ def rig_values(rig: Rig) -> dict[str, Any]:
 def rig_stability(fields: Fields) -> RigStability:
     """The key `stability` of a rig or a pose record."""
     return RigStability(
-        plane_tilt_rad=fields.number("plane_tilt_rad", least=0),
-        plane_distance_m=fields.number("plane_distance_m", least=0),
-        focal_ratio=fields.number("focal_ratio", least=0),
+        plane_tilt_rad=fields.number("plane_tilt_rad", least=0, most=MAX_STABILITY.plane_tilt_rad),
+        plane_distance_m=fields.number("plane_distance_m", least=0, most=MAX_STABILITY.plane_distance_m),
+        focal_ratio=fields.number("focal_ratio", least=0, most=MAX_STABILITY.focal_ratio),
     )
 
 

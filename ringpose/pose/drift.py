@@ -24,7 +24,7 @@ from ringpose.types.pose import PlaneEvidence, PoseFlag, PoseLine
 from ringpose.types.rig import Rig
 
 FORGETTING = 0.98
-"""Weight of the evidence so far when a shot is added: about fifty shots count."""
+"""Weight of earlier shots in the share of contradictory ones: about fifty count."""
 
 STREAM_SHOTS, FALSE_ALARM_SIGMAS = 50, 3.1
 """At most one stream of so many shots in a thousand may have a false alarm: a normal quantile."""
@@ -32,8 +32,11 @@ STREAM_SHOTS, FALSE_ALARM_SIGMAS = 50, 3.1
 MOVED_TILT_RAD, MOVED_DISTANCE_M = 0.05, 0.02
 """Standard deviations of a plane that has moved."""
 
-MAX_CHI2_OF_SHOT = 20.0
-"""Chi-squared with which a single shot can count at most: an outlier among its measurements is not a drift."""
+SHOTS_KEPT = 50
+"""Number of last shots whose evidence counts."""
+
+SHOTS_LEFT_OUT = 2
+"""Number of shots without which the others must still show a drift: one shot may have a wrong stripe."""
 
 CLEARLY = 8.0
 """Margin in chi-squared by which one plane's error must explain more than any other's, or than a turn of the camera
@@ -53,6 +56,10 @@ SHOTS_TO_NAME = 4.0
 
 DOUBTED_FROM = 0.4
 """Share of contradictory shots without evidence from which the rig is reported as changed, whatever the others show."""
+
+CONTRADICTED = "most of the last shots contradict one ring: a light plane or the camera has moved"
+DISAGREES = "the stripes disagree with the rig: a light plane or the camera has moved"
+"""Reasons of lines after a drift that is not explained by one plane."""
 
 CONTRADICTORY = PoseFlag.STRIPE_REJECTED | PoseFlag.ASSIGNMENT_AMBIGUOUS | PoseFlag.INCONSISTENT
 """Flags of a shot whose stripes do not fit one ring as they were assigned."""
@@ -87,10 +94,11 @@ class DriftMonitor:
         """The rig for the next shot: a plane that has moved is where the stream shows it."""
         self._stability = stability
         self._parameters, self._prior = _parameters_and_prior(rig, stability)
+        self._rows: list[Float64[Array, "row column"]] = []
         self._evidence = np.zeros((0, len(self._parameters) + 1))
         self._poses: list[tuple[Float64[Array, "3"], Float64[Array, "3"]]] = []
         self._shots, self._doubted = 0.0, 0.0
-        self._reason = ""
+        self._reason, self._corrected = "", False
 
     def update(self, line: PoseLine) -> tuple[PoseLine, str | None]:
         """The line with the lasers' health and the flag of a drift, and a warning where one is detected.
@@ -120,8 +128,8 @@ class DriftMonitor:
         """The line with the flags of a drift that was detected before it."""
         if not self._reason:
             return line
-        flags, corrected = line.flags | PoseFlag.RIG_DRIFT, self.rig.moved_planes
-        if not corrected or PoseFlag.RIG_UNCHECKED in line.flags:
+        flags = line.flags | PoseFlag.RIG_DRIFT
+        if not self._corrected or PoseFlag.RIG_UNCHECKED in line.flags:
             flags |= PoseFlag.INCONSISTENT
         reason = "; ".join(filter(None, [line.reason, self._reason]))
         pose = None if line.pose is None else replace(line.pose, flags=line.pose.flags | flags)
@@ -137,23 +145,35 @@ class DriftMonitor:
         return True
 
     def _add(self, evidence: PlaneEvidence) -> None:
-        """Add the rows of a shot; one that contradicts the rig strongly counts less."""
+        """Add the rows of a shot."""
         rows = np.zeros((len(evidence.rows), len(self._parameters) + 1))
         columns = [self._parameters.index(name) for name in evidence.parameters]
         rows[:, columns], rows[:, -1] = evidence.rows[:, :-1], evidence.rows[:, -1]
-        chi2 = float(self._explained_by_planes(rows).max(initial=0.0))
-        rows *= sqrt(min(1.0, MAX_CHI2_OF_SHOT / max(chi2, np.finfo(float).tiny)))
-        stacked = np.concatenate([sqrt(FORGETTING) * self._evidence, rows])
-        self._evidence = np.asarray(np.linalg.qr(stacked, mode="r"))
+        self._rows = [*self._rows, rows][-SHOTS_KEPT:]
+        self._evidence = np.asarray(np.linalg.qr(np.concatenate(self._rows), mode="r"))
         self._shots, self._doubted = FORGETTING * self._shots + 1.0, FORGETTING * self._doubted
 
     def _chi2_of_planes(self) -> Float64[Array, "laser"]:
-        return self._explained_by_planes(self._evidence)
+        """By how much chi-squared falls if each plane has moved, Eq. (11.2); a drift must show in most shots."""
+        stable, lasers = _chi2(self._evidence, self._prior), range(len(self.rig.lasers.names))
+        chi2 = np.array([stable - _chi2(self._evidence, self._prior_if_moved([laser])) for laser in lasers])
+        for laser in np.flatnonzero(chi2 > _limit(_PLANE, len(lasers))).tolist():
+            chi2[laser] = min(chi2[laser], self._explained_in_most_shots(laser))
+        return chi2
 
-    def _explained_by_planes(self, rows: Float64[Array, "row column"]) -> Float64[Array, "laser"]:
-        """By how much chi-squared falls if each plane has moved, Eq. (11.2)."""
-        stable = _chi2(rows, self._prior)
-        return np.array([stable - _chi2(rows, self._prior_if_moved([n])) for n in range(len(self.rig.lasers.names))])
+    def _explained_in_most_shots(self, laser: int) -> float:
+        """By how much chi-squared falls by the plane's estimated change, without the shots in which it falls most.
+
+        A shot with a wrong stripe may contradict the rig as strongly as a drift does in many shots.
+        """
+        change = self._mean_if_moved(laser)[0]
+        falls = []
+        for rows in self._rows:
+            jacobian, target = rows[:, :-1], rows[:, -1]
+            precision = np.linalg.inv(np.eye(len(target)) + jacobian @ self._prior @ jacobian.T)
+            left = target - jacobian @ change
+            falls.append(float(target @ precision @ target - left @ precision @ left))
+        return float(sum(sorted(falls)[: len(falls) - SHOTS_LEFT_OUT]))
 
     def _prior_if_moved(self, lasers: list[int]) -> Float64[Array, "parameter parameter"]:
         prior = self._prior.copy()
@@ -178,7 +198,7 @@ class DriftMonitor:
         """Name and correct a plane that has moved, or report that the rig has changed."""
         lasers, shots = len(chi2), self._shots
         if shots >= SHOTS_NEEDED and self._doubted > DOUBTED_FROM * shots:
-            self._reason = "most of the last shots contradict one ring: a light plane or the camera has moved"
+            self._reason, self._corrected = CONTRADICTED, False
         elif chi2.max(initial=0.0) > _limit(_PLANE, lasers):
             worst = int(np.argmax(chi2))
             turned = _chi2(self._evidence, self._prior) - _chi2(self._evidence, self._prior_if_camera_turned())
@@ -186,23 +206,29 @@ class DriftMonitor:
                 moved = self._moved(worst)
                 depth_m = 0.5 if line.plane_evidence is None else float(line.plane_evidence.place_m[2])
                 self._reason = moved.description(self.rig.lasers.names[worst], depth_m)
-                if turned + CLEARLY < chi2[worst] and shots - self._doubted >= SHOTS_TO_NAME:
+                self._corrected = turned + CLEARLY < chi2[worst] and shots - self._doubted >= SHOTS_TO_NAME
+                if self._corrected:
                     self._correct(moved)
                 elif turned + CLEARLY >= chi2[worst]:  # the middle of three planes hardly differs from a turn
                     self._reason = f"{self._reason}, or the camera has turned"
             else:
-                self._reason = "the stripes disagree with the rig: a light plane or the camera has moved"
+                self._reason, self._corrected = DISAGREES, False
         elif not self.rig.moved_planes:
             self._reason = ""  # contradictory shots are over
 
     def _moved(self, laser: int) -> MovedPlane:
         """The plane's change by the evidence, and its covariance."""
-        prior, at = self._prior_if_moved([laser]), self._columns(laser)
+        mean, covariance = self._mean_if_moved(laser)
+        at = self._columns(laser)
+        block = covariance[np.ix_(at, at)]
+        return MovedPlane(laser=laser, change=mean[at], covariance=0.5 * (block + block.T))
+
+    def _mean_if_moved(self, laser: int) -> tuple[Float64[Array, "parameter"], Float64[Array, "parameter parameter"]]:
+        """Mean and covariance of the rig's parameters by the evidence, if the plane of a laser has moved."""
+        prior = self._prior_if_moved([laser])
         jacobian, target = self._evidence[:, :-1], self._evidence[:, -1]
         gain = np.linalg.solve(np.eye(len(target)) + jacobian @ prior @ jacobian.T, jacobian @ prior).T
-        covariance = prior - gain @ jacobian @ prior
-        block = covariance[np.ix_(at, at)]
-        return MovedPlane(laser=laser, change=(gain @ target)[at], covariance=0.5 * (block + block.T))
+        return gain @ target, prior - gain @ jacobian @ prior
 
     def _correct(self, moved: MovedPlane) -> None:
         """Measure the next shots with the plane as estimated, with its covariance instead of the calibration's."""
@@ -216,7 +242,7 @@ class DriftMonitor:
             moved_planes={**self.rig.moved_planes, lasers.names[laser]: moved.covariance},
         )
         self._parameters, self._prior = _parameters_and_prior(self.rig, self._stability)
-        self._evidence = np.zeros((0, len(self._parameters) + 1))
+        self._rows, self._evidence = [], np.zeros((0, len(self._parameters) + 1))
         self._poses = []
 
 

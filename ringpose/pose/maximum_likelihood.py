@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from math import sqrt
+from math import isfinite, sqrt
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from ringpose.estimate.solver import Estimate
 from ringpose.geometry.rays import GRAZING
 from ringpose.geometry.ring import EDGE_SIGN
 from ringpose.pose.catalogue import likely_ring, ring_posterior
-from ringpose.pose.drift import plane_evidence
+from ringpose.pose.drift import REDUNDANT_STRIPES, plane_evidence
 from ringpose.pose.observability import determined, poorly_determined_flags, reported_pose
 from ringpose.pose.visibility import seen_lasers
 from ringpose.types.arrays import Array, Bool, Float64
@@ -41,23 +41,20 @@ from ringpose.types.ring import KnownRadii, Ring
 RIG_SUSPECT = PoseFlag.STRIPE_REJECTED | PoseFlag.INCONSISTENT | PoseFlag.RING_FORM | PoseFlag.MOTION
 """Flags of an explanation for which an error of the rig is an alternative."""
 
-ERRORS_UNKNOWN = PoseFlag.CENTER_WEAK | PoseFlag.NORMAL_WEAK | PoseFlag.GRASP_WEAK | PoseFlag.RADIUS_WEAK
-"""Flags of a pose whose break points have no covariance, so that its errors are not known."""
-
 VERIFIED_BELOW = 0.01
 """Relative standard deviation of the radius by the shot alone below which an assumed radius counts as verified."""
 
 ALL_WEAK = PoseFlag.CENTER_WEAK | PoseFlag.NORMAL_WEAK | PoseFlag.GRASP_WEAK | PoseFlag.RADIUS_WEAK
-"""Flags of all quantities of a pose whose ring may not be one."""
+"""Flags of all quantities: of a pose whose ring may not be one, or whose errors are not known."""
+
+NOT_TIMED = "the frames have no time stamps of their own: give --still if the target was still"
+"""Reason of the flags of a switched shot without stamps whose target may have moved."""
 
 CURVED_SIGMAS = 3.0
 """Curvature in standard deviations from which a shot shows a ring, not a straight bar."""
 
 ENDS_OF_A_RING = 3
 """Number of clear ends of stripes that show a ring if no stripe lacks one."""
-
-REDUNDANT_STRIPES = 3
-"""Stripes from which a shot has redundancy that can show an error of the rig."""
 
 
 def most_likely_pose(
@@ -79,6 +76,7 @@ def most_likely_pose(
         return PoseResult(pose=NoPose.TOO_FEW_BREAK_POINTS)
     if not bool(np.isfinite(measured.points.x + measured.points.y).all()):
         return PoseResult(pose=NoPose.UNTRIANGULATED)
+    assumptions, untimed = _timed(break_points, assumptions)
     radii, source, posterior = (known if isinstance(known, KnownRadii) else None), "given", None
     named = not bool((break_points.flags[break_points.seen] & int(BreakPointFlag.EDGE_UNKNOWN)).any())
     explained = partial(explain, measured, rig, labelled=break_points.labelled, edges_named=named)
@@ -92,7 +90,7 @@ def most_likely_pose(
             best = explained(Prior(ring.known_radii, assumptions)) or best
             source = ring.name
     result = _result(best, rig, source)
-    doubts, remark = _ring_doubts(best, break_points)
+    doubts, remark = untimed or _ring_doubts(best, break_points)
     result = replace(result, flags=result.flags | doubts, remark="; ".join(filter(None, [result.remark, remark])))
     rejected = (*rejected, *result.rejected)
     states, flags = seen_lasers(best, break_points, rig, lasers_on, rejected)
@@ -149,7 +147,7 @@ def _result(best: Explanation, rig: Rig, source: str) -> PoseResult:
         return replace(result, pose=NoPose.COLLINEAR if collinear else NoPose.UNDETERMINED)
     flags = best.flag | poorly_determined_flags(estimate, found, covariance, reported, bias_m) | _unverified(best)
     if not measured.has_covariances:
-        flags |= ERRORS_UNKNOWN
+        flags |= ALL_WEAK
     pose = replace(
         reported_pose(estimate, found, covariance if measured.has_covariances else None, reported),
         residual_rms_px=_residual_rms_px(estimate, measured, rig),
@@ -157,7 +155,8 @@ def _result(best: Explanation, rig: Rig, source: str) -> PoseResult:
         remark=best.remark,
     )
     if not measured.has_covariances:
-        return replace(result, pose=pose, flags=flags)
+        unknown = PoseFlag.VELOCITY_WEAK if best.prior.assumptions.motion is not None else PoseFlag(0)
+        return replace(result, pose=replace(pose, flags=flags | unknown), flags=flags | unknown)
     velocity, velocity_flag = _velocity(best)
     errors = rig_errors(rig, best.prior.assumptions.stability)
     return replace(
@@ -167,6 +166,19 @@ def _result(best: Explanation, rig: Rig, source: str) -> PoseResult:
         velocity=velocity,
         measurement=ring_measurement(estimate, measured, errors),
     )
+
+
+def _timed(break_points: BreakPoints, assumptions: Assumptions) -> tuple[Assumptions, tuple[PoseFlag, str] | None]:
+    """The assumptions, and flags with their reason where a motion cannot be estimated although it is assumed.
+
+    Stripes that were taken one after the other need stamps of their own.
+    """
+    seen = break_points.seen.any(axis=1) | np.isfinite(break_points.face_start_px[:, 0])
+    stamps = [] if break_points.stamp_s is None else break_points.stamp_s[seen].tolist()
+    distinct = len(set(stamps)) == int(seen.sum()) and all(map(isfinite, stamps))
+    if assumptions.motion is None or not break_points.labelled or distinct or int(seen.sum()) == 1:
+        return assumptions, None
+    return replace(assumptions, motion=None), (ALL_WEAK | PoseFlag.VELOCITY_WEAK, NOT_TIMED)
 
 
 def _ring_doubts(best: Explanation, break_points: BreakPoints) -> tuple[PoseFlag, str]:

@@ -161,6 +161,21 @@ def test_wrong_break_points_in_a_few_shots_are_no_drift(poses, rng, rig):
     assert not warnings
 
 
+@pytest.mark.parametrize("shift_px", [2.0, 8.0])
+@pytest.mark.parametrize("laser", range(3))
+def test_a_wrong_stripe_in_one_shot_is_no_drift(poses, rig, laser, shift_px):
+    scenes = list(poses(rig, 25))
+    _, points = scenes[3]
+    points.position_px[laser, :, 1] += shift_px
+    points.face_start_px[laser, 1] += shift_px
+    points.face_end_px[laser, 1] += shift_px
+
+    lines, warnings = measured_stream(rig, scenes)
+
+    assert not warnings
+    assert not any(PoseFlag.RIG_DRIFT in line.flags for line in lines)
+
+
 def test_shots_without_a_pose_since_a_plane_has_moved_count_too(poses, rig):
     lines, warnings = measured_stream(rig, poses(moved(rig, 1, (0.0, 0.02)), 15))
 

@@ -59,3 +59,14 @@ def test_every_line_of_a_stream_has_the_health_of_each_laser(shot):
     line, _ = DriftMonitor(rig, rig.stability).update(pose_line(shot, rig))
 
     assert set(line.rig_health) == set(rig.lasers.names)
+
+
+def test_a_switched_shot_without_stamps_of_its_own_is_weak_unless_it_is_still(shot):
+    undated = replace(shot, stamp_s=np.full(len(shot.stamp_s), 1.0))
+
+    line = pose_line(undated, drawn_rig())
+    still = pose_line(undated, drawn_rig(), options=AssumptionOptions(still=True))
+
+    assert {PoseFlag.CENTER_WEAK, PoseFlag.NORMAL_WEAK, PoseFlag.GRASP_WEAK} <= set(line.flags)
+    assert "--still" in (line.reason or "")
+    assert PoseFlag.NORMAL_WEAK not in still.flags
