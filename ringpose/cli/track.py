@@ -182,12 +182,14 @@ def _writer(
 
 def _added(item: "Input", tracker: "Tracker", batch: "Batch") -> "Attempt | None":
     """Add a record to the track; None if it is not a record of this track, which is reported on stderr."""
-    from ringpose.errors import DataError
+    from ringpose.errors import DataError, NoInputError
     from ringpose.files.poses import pose_line_of
 
     attempt = None
     with batch.guarded():
         if isinstance(item, Path):
+            if not item.exists():
+                raise NoInputError(str(item), "does not exist")
             raise DataError(str(item), "is not a file of pose records", "give the output of ringpose pose")
         line = pose_line_of(item.values, item.location)
         try:

@@ -64,11 +64,13 @@ def view(
         with batch.guarded():
             shot = read_shot(path_of_input(item), channel, loaded_rig)
             shots.append(_replay_shot(shot, loaded_rig, lines.get(shot.name), truths.get(shot.name)))
+    _check_names((("--poses", lines), ("--truth", truths)), [shot.name for shot in shots])
+    if not shots:
+        batch.finish()
     title = f"{len(shots)} shots of {inputs[0]}"
     page = replay_page(shots, loaded_rig, title)
     with atomic.replacing(html, force) as stream:
         stream.write(page.encode())
-    _check_names((("--poses", lines), ("--truth", truths)), [shot.name for shot in shots])
     batch.finish()
 
 

@@ -65,7 +65,7 @@ def _status_picture(lines: Sequence[PoseLine]) -> Picture:
     place, label = _abscissa(lines)
     for status, color in STATUS_COLORS.items():
         here = [x for x, line in zip(place, lines, strict=True) if line.status == status]
-        axes.vlines(here, 0, 1, color=color, linewidth=max(1.0, min(6.0, 600 / len(lines))), label=status)
+        axes.vlines(here, 0, 1, color=color, linewidth=max(1.0, min(6.0, 600 / max(len(lines), 1))), label=status)
     axes.set_yticks([])
     axes.set_xlabel(label)
     axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False)
@@ -103,7 +103,7 @@ def _draw_values(
     lines: Sequence[PoseLine],
 ) -> None:
     for status, color in STATUS_COLORS.items():
-        here = np.array([line.status == status for line in lines]) & np.isfinite(value)
+        here = np.array([line.status == status for line in lines], dtype=bool) & np.isfinite(value)
         axes.errorbar(
             place[here],
             value[here],
