@@ -9,6 +9,7 @@ import numpy as np
 from ringpose.bench.score import estimate_of, score
 from ringpose.console.state import ConsoleState
 from ringpose.detect.pipeline import detect
+from ringpose.errors import DataError
 from ringpose.pose.record import pose_line
 from ringpose.report.overlay import overlay, picture_of
 from ringpose.simulate.exposure import view_exposure_s
@@ -100,7 +101,13 @@ class Engine:
             return self._newest is not None
 
     def picture(self, state: ConsoleState, width: int, *, measured: bool) -> ConsolePicture:
-        """The picture of a state."""
+        """The picture of a state; of one that cannot be seen, such as from inside the target, a black one with why."""
+        try:
+            return self._picture(state, width, measured=measured)
+        except DataError as problem:
+            return _unseen(state, preview(state.scene_of(self._scene), width).rig, problem)
+
+    def _picture(self, state: ConsoleState, width: int, *, measured: bool) -> ConsolePicture:
         scene = self._with_same_camera(preview(state.scene_of(self._scene), width), state.focal_scale)
         view, masks = state.view, scene.sequence
         illuminated = illuminated_ring(scene, view, masks)
@@ -115,7 +122,7 @@ class Engine:
             lasers=np.array(masks, dtype=np.uint8),
             stamp_s=stamps_s,
             exposure_s=np.full(len(masks), exposure_s),
-            meta={"simulated": True},
+            meta={"simulated": True, "still": True},  # all frames show one state
         )
         truth = view_truth(scene, view, illuminated)
         picture = ConsolePicture(
@@ -141,6 +148,18 @@ class Engine:
             line=line,
             errors=dict(errors),
         )
+
+
+def _unseen(state: ConsoleState, rig: Rig, problem: DataError) -> ConsolePicture:
+    name, camera = state.view.name, rig.camera
+    return ConsolePicture(
+        state=state,
+        image=np.zeros((camera.image_height, camera.image_width, 3), dtype=np.uint8),
+        rig=rig,
+        truth=Truth(shot=name, expect="no_target", groups={}),
+        line=PoseLine(shot=name, stamp_s=state.time_s, pose=None, reason=str(problem)),
+        errors={},
+    )
 
 
 def _grey(image: Array) -> UInt8[Array, "row column 3"]:

@@ -21,7 +21,7 @@ from ringpose.types.assumptions import USUAL, AssumptionOptions
 from ringpose.types.detection import BreakPoints, Detection, NoBreakPoints, Rejection
 from ringpose.types.image import Shot
 from ringpose.types.options import Method, PoseFrame
-from ringpose.types.pose import LaserState, NoPose, PoseFlag, PoseLine, PoseResult, RingPose
+from ringpose.types.pose import HARMLESS_FLAGS, LaserState, NoPose, PoseFlag, PoseLine, PoseResult, RingPose
 from ringpose.types.rig import Rig
 from ringpose.types.ring import KnownRadii, Ring
 
@@ -99,7 +99,8 @@ def pose_line(
 def _reason(result: PoseResult, source: Detection) -> str | None:
     """Why there is no pose, or what contradicts it, and what would improve the shot; None if there is neither."""
     why = result.pose.value if isinstance(result.pose, NoPose) else contradictions(result, source.rejected)
-    return "; ".join(filter(None, [why, source.advice])) or None
+    limited = isinstance(result.pose, NoPose) or result.flags & ~HARMLESS_FLAGS
+    return "; ".join(filter(None, [why, source.advice if limited else ""])) or None
 
 
 CONTRADICTED = (NoBreakPoints.AMBIGUOUS_LABELS, NoBreakPoints.CONTRADICTED_MASKS, NoBreakPoints.CONTRADICTED_RIG)

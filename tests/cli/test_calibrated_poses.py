@@ -9,11 +9,14 @@ import pytest
 
 from ringpose.cli.main import main
 
+NOISE_ONLY = ("--still", "--ring-tolerance", "0", "--rig-stability", "0")
+"""The board views and the rings were rendered with one rig."""
+
 
 def errors_by_distance(shots, truth, rig) -> dict:
     """Root mean square errors and NEES by distance, of `ringpose bench`."""
     with contextlib.redirect_stdout(io.StringIO()) as lines:
-        main(["pose", str(shots), "--rig", str(rig), "--quiet"])
+        main(["pose", str(shots), "--rig", str(rig), "--quiet", *NOISE_ONLY])
     Path("poses.jsonl").write_text(lines.getvalue())
     main(["bench", "poses.jsonl", "--truth", str(truth), "--by", "distance_m", "--json", "bench.json", "--force"])
     groups = json.loads(Path("bench.json").read_text())["groups"]
