@@ -82,7 +82,7 @@ def rig_errors(rig: Rig, stability: RigStability = EXACT) -> RigErrors | None:
                 f"it names {name!r}, which is not a parameter of this rig",
                 "run ringpose calibrate-planes",
             )
-    root = _root(total.data[np.ix_(uncertain, uncertain)])
+    root = covariance_root(total.data[np.ix_(uncertain, uncertain)])
     return RigErrors(parameters=names, root=root, camera=camera, lasers=lasers, basis=light_plane_bases(rig))
 
 
@@ -125,9 +125,12 @@ def light_plane_bases(rig: Rig) -> Float64[Array, "laser 2 3"]:
     return np.array([tilt_basis(normal) for normal in rig.lasers.normal])
 
 
-def _root(covariance: Float64[Array, "n n"]) -> Float64[Array, "n error"]:
-    """R with R R^T the covariance, of correlations first: the parameters are pixels and microradians."""
-    scale = np.sqrt(np.diag(covariance))
+def covariance_root(covariance: Float64[Array, "n n"]) -> Float64[Array, "n error"]:
+    """R with R R^T the covariance, of correlations first: the parameters are pixels and microradians.
+
+    Parameters without variance have zero rows.
+    """
+    scale = np.sqrt(np.maximum(np.diag(covariance), np.finfo(float).tiny))
     variance, axes = np.linalg.eigh(covariance / scale[:, None] / scale)
     kept = variance > _NEGLIGIBLE * (float(variance[-1]) if len(variance) else 0.0)
     root: Float64[Array, "n error"] = scale[:, None] * axes[:, kept] * np.sqrt(variance[kept])

@@ -181,8 +181,7 @@ def _gauss_newton(
     inverse = _inverse(normal_matrix)
     if inverse is None or fixed is None:
         return None
-    errors = rig_errors(rig, prior.assumptions.stability)
-    mean_ray_wrt_rig = mean_ray_jacobian(residuals, measured, observations, errors, rig)
+    mean_ray_wrt_rig = mean_ray_jacobian(residuals, measured, observations, problem.errors, rig)
     by_rates = residuals.y_wrt_rates[residuals.ends :].mean(axis=0) * problem.rate_sds
     count = len(problem.rate_sds)
     return Estimate(
@@ -217,7 +216,7 @@ class _Problem:
 
     def __init__(self, measured: Measurements, observations: Observations, rig: Rig, prior: Prior) -> None:
         self._measured, self._observations, self._rig, self._prior = measured, observations, rig, prior
-        self._errors = rig_errors(rig, prior.assumptions.stability)
+        self.errors = rig_errors(rig, prior.assumptions.stability)
         motion = prior.assumptions.motion if measured.times_s(measured.stamp_s).any() else None
         self.rate_sds = np.zeros(0) if motion is None else rate_sds(motion)
 
@@ -228,9 +227,9 @@ class _Problem:
     def fixed_columns(self, residuals: Residuals, arcs: RingArcs) -> _FixedColumns:
         """Derivatives by the errors of rig, form and visible edges."""
         measured, rig, form, columns = self._measured, None, None, []
-        if self._errors is not None:
-            rig = rig_jacobian(residuals, measured, self._observations, self._errors, self._rig)
-            columns.append(rig @ self._errors.root)
+        if self.errors is not None:
+            rig = rig_jacobian(residuals, measured, self._observations, self.errors, self._rig)
+            columns.append(rig @ self.errors.root)
         if self._prior.assumptions.ring_tolerance_m > 0.0:
             form = form_jacobian(residuals, measured, arcs)
             columns.append(form_sd_m(self._prior.assumptions.ring_tolerance_m) * form)

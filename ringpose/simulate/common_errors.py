@@ -6,14 +6,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.errors import DataError
-from ringpose.estimate.nuisance import rig_errors
+from ringpose.estimate.nuisance import FORM_ORDERS, form_sd_m, rig_errors
 from ringpose.geometry.ring import RingArcs
 from ringpose.geometry.rotations import tilted
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.rig import Rig
-
-FORM_ORDERS = (2, 3, 4)
-"""Orders of a ring's deviations from a circle and a plane; lower ones are radius, centre, offset and tilt."""
 
 
 class RingForm(NamedTuple):
@@ -43,7 +40,7 @@ def drawn_common_errors(
     The form's deviations have the standard deviation `ring_tolerance_m` at any angle (ringpose-method(7), section 12).
     """
     # the form is drawn first, and also for a tolerance of 0: the rig does not depend on the tolerance
-    scale_m = ring_tolerance_m / np.sqrt(len(FORM_ORDERS))
+    scale_m = form_sd_m(ring_tolerance_m)
     form = RingForm(
         radial_m=scale_m * rng.standard_normal((2, len(FORM_ORDERS), 2)),
         axial_m=scale_m * rng.standard_normal((len(FORM_ORDERS), 2)),

@@ -8,17 +8,15 @@ from types import MappingProxyType
 import numpy as np
 
 from ringpose.errors import DataError
+from ringpose.estimate.nuisance import covariance_root, form_sd_m
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import RigStability
-from ringpose.types.covariance import laser_parameters
+from ringpose.types.covariance import ParameterCovariance, laser_parameters
 from ringpose.types.pose import PoseLine, Priors, RingMeasurement
 from ringpose.types.rig import Rig
 
-FORM_ORDERS = 3
-"""Orders of a ring's deviations from its ideal form, which share the variance (ringpose-method(7), section 12)."""
-
-_EXACT = 1e-12
-"""Share of the largest variance below which a combination of parameters counts as exact."""
+NOT_CALIBRATED = ParameterCovariance(parameters=(), data=np.zeros((0, 0)))
+"""Of a rig that counts as exact."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -61,8 +59,8 @@ def _common_errors(
     moved_planes: Mapping[str, Float64[Array, "3 3"]] = MappingProxyType({}),
 ) -> CommonErrors | str:
     """The errors, or the name of a parameter without a prior; the same for all records of a stream."""
-    covariance = np.zeros((len(names), len(names))) if rig is None else _calibration(names, rig)
-    calibrated = () if rig is None or rig.covariance is None else rig.covariance.parameters
+    calibrated = NOT_CALIBRATED if rig is None or rig.covariance is None else rig.covariance
+    covariance = calibrated.of(names)
     added = {
         "tilt_1": stability.plane_tilt_rad,
         "tilt_2": stability.plane_tilt_rad,
@@ -71,28 +69,14 @@ def _common_errors(
     }
     for index, name in enumerate(names):
         form, what = name.startswith("form."), name.rpartition(".")[2]
-        if not form and what not in added and name not in calibrated:
+        if not form and what not in added and name not in calibrated.parameters:
             return name
-        covariance[index, index] += ring_tolerance_m**2 / FORM_ORDERS if form else added.get(what, 0.0) ** 2
+        covariance[index, index] += (form_sd_m(ring_tolerance_m) if form else added.get(what, 0.0)) ** 2
     for laser, moved in moved_planes.items():
         of_plane = [names.index(name) for name in laser_parameters([laser]) if name in names]
         covariance[of_plane], covariance[:, of_plane] = 0.0, 0.0
         covariance[np.ix_(of_plane, of_plane)] = moved
-    scale = np.sqrt(np.maximum(covariance.diagonal(), np.finfo(float).tiny))
-    variance, axes = np.linalg.eigh(covariance / scale / scale[:, None])
-    kept = variance > _EXACT * variance.max(initial=0.0)
-    return CommonErrors(names=names, root=scale[:, None] * axes[:, kept] * np.sqrt(variance[kept]))
+    return CommonErrors(names=names, root=covariance_root(covariance))
 
 
 _common_errors_of_stream = lru_cache(maxsize=8)(_common_errors)
-
-
-def _calibration(names: tuple[str, ...], rig: Rig) -> Float64[Array, "n n"]:
-    """Covariance of those of the parameters that rig.yaml has."""
-    covariance = np.zeros((len(names), len(names)))
-    if rig.covariance is not None:
-        of_rig = [name for name in names if name in rig.covariance.parameters]
-        here = [names.index(name) for name in of_rig]
-        there = [rig.covariance.parameters.index(name) for name in of_rig]
-        covariance[np.ix_(here, here)] = rig.covariance.data[np.ix_(there, there)]
-    return covariance

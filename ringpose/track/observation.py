@@ -9,6 +9,7 @@ from math import sqrt
 
 import numpy as np
 
+from ringpose.estimate.information import POSE, RATES
 from ringpose.geometry.ring import (
     LIFT,
     SHIFT,
@@ -27,9 +28,6 @@ from ringpose.track.common_errors import CommonErrors
 from ringpose.track.states import MOVING, RingStates
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.pose import MEASURED_PARAMETERS, LinearizationPoint, PoseLine, RingMeasurement
-
-POSE, MOTION = slice(0, 7), slice(7, 12)
-"""Columns of `MEASURED_PARAMETERS`."""
 
 _BROAD = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.3, 0.3, 0.3, 0.3, 0.3, 1.0, 1.0])
 """Standard deviations that stand for no knowledge of the twelve parameters."""
@@ -118,7 +116,7 @@ def observation(
         arcs=arcs,
         step_rates=rates_wrt_motion @ motion,
         wrt_step=rows[:, POSE] @ wrt_step,
-        wrt_step_rates=np.linalg.solve(rates_wrt_motion.T, rows[:, MOTION].T).T,
+        wrt_step_rates=np.linalg.solve(rates_wrt_motion.T, rows[:, RATES].T).T,
         wrt_common=rows[:, count:-1] @ common.root,
         common_root=common.root,
         target=rows[:, -1],

@@ -35,6 +35,15 @@ class ParameterCovariance:
     parameters: tuple[str, ...]
     data: Float64[Array, "parameter parameter"]
 
+    def of(self, names: Sequence[str]) -> Float64[Array, "n n"]:
+        """The covariance of these parameters in their order; zero rows and columns for those that it does not have."""
+        known = [name for name in names if name in self.parameters]
+        here = [names.index(name) for name in known]
+        there = [self.parameters.index(name) for name in known]
+        covariance = np.zeros((len(names), len(names)))
+        covariance[np.ix_(here, here)] = self.data[np.ix_(there, there)]
+        return covariance
+
     @property
     def standard_deviations(self) -> dict[str, float]:
         """Standard deviations by name."""

@@ -10,6 +10,7 @@ from math import sqrt
 
 import numpy as np
 
+from ringpose.estimate.nuisance import covariance_root
 from ringpose.geometry.ring import normal_and_center
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.pose import MEASURED_PARAMETERS, PoseLine, PoseResult
@@ -81,12 +82,4 @@ def _prior_root(names: tuple[str, ...], rig: Rig) -> Float64[Array, "parameter e
     """R with R R^T the prior covariance of the nuisance parameters; zero rows for those that count as exact."""
     if rig.covariance is None:
         return np.zeros((len(names), 0))
-    place = {name: number for number, name in enumerate(rig.covariance.parameters)}
-    covariance = np.zeros((len(names), len(names)))
-    here = [number for number, name in enumerate(names) if name in place]
-    of_rig = [place[names[number]] for number in here]
-    covariance[np.ix_(here, here)] = rig.covariance.data[np.ix_(of_rig, of_rig)]
-    scale = np.sqrt(np.maximum(covariance.diagonal(), np.finfo(float).tiny))
-    variances, axes = np.linalg.eigh(covariance / scale[:, None] / scale)
-    root: Float64[Array, "parameter error"] = scale[:, None] * axes * np.sqrt(np.maximum(variances, 0.0))
-    return root
+    return covariance_root(rig.covariance.of(names))
