@@ -15,7 +15,7 @@ import numpy as np
 from ringpose.detect.break_points import break_points, ends_clear, without_outliers
 from ringpose.detect.difference_images import LaserImage, laser_images
 from ringpose.detect.motion import RingMotion, ring_motion
-from ringpose.detect.rim import CONFIRMED, Face, planes_per_m, ring_face
+from ringpose.detect.rim import CONFIRMED, Face, planes_per_m, ring_face, surface_in_front
 from ringpose.detect.ring_edges import detect_ring_edges
 from ringpose.detect.saturation import exposure_advice, hidden_by_saturation
 from ringpose.detect.stripes import find_stripes, stripe_line_segments
@@ -203,7 +203,9 @@ def _face(tracks: Float64[Array, "track column=11"], images: list[LaserImage], r
         return NoBreakPoints.CONTRADICTED_RIG
     if face is None:
         return NoBreakPoints.NO_RING
-    return NoBreakPoints.AMBIGUOUS_LABELS if face.ambiguous else face
+    if face.ambiguous:
+        return NoBreakPoints.AMBIGUOUS_LABELS
+    return NoBreakPoints.SURFACE_IN_FRONT if surface_in_front(face, tracks, rig) else face
 
 
 def _masks_contradicted(face: Face | None, tracks: Float64[Array, "track column=11"], rig: Rig) -> bool:

@@ -18,6 +18,7 @@ import numpy as np
 from ringpose.detect.stripes import FIT_DOF_CORRECTION, MIN_SEGMENT_COLUMNS, lens
 from ringpose.geometry.rays import undistorted_rays
 from ringpose.kernels.lines import (
+    CENTERS,
     CLIPPED,
     LASER,
     MIDDLE_X,
@@ -137,6 +138,15 @@ MAX_TO_SHORTEST = 2.5
 """Maximum ratio of the lengths of stripes on one face: they cross it at 45 degrees or more, and half of one may be
 occluded; segments on foil have any length."""
 
+IN_FRONT_M = (0.005, 0.3)
+"""Range of the distance of another flat surface in front of the plane of a ring."""
+
+PARALLEL_WITHIN = 0.05
+"""Maximum slope of a stripe on it to that plane; the normal of two short stripes is known to a few degrees."""
+
+MIN_LENGTH_RATIO, MIN_COLUMNS_IN_FRONT = 0.5, 30
+"""Minimum length of that stripe, as a share of those on the ring, and in columns; shorter ones may be reflections."""
+
 BODY_RANGE_M = (0.15, 1.5)
 """Range of the depth of the body behind a ring."""
 
@@ -217,6 +227,34 @@ def may_be_background(
             farther = other != laser and low > max(nearest, BODY_RANGE_M[0]) and high < BODY_RANGE_M[1]
             if farther and high > farthest and math.dist(*_points_m(row, other, rig)) > FACE_LENGTH_M[1]:
                 return True
+    return False
+
+
+def surface_in_front(face: Face, tracks: Float64[Array, "track column=11"], rig: Rig) -> bool:
+    """Whether one of these lasers has a further stripe, as long, on a flat surface parallel to the ring in front of it.
+
+    A ring's face is its foremost flat surface: that stripe may be on the face, and the selected ones on a flange behind
+    it, which is an annulus, too. False for a single laser, whose stripe does not determine a plane; segments that are
+    not assigned to a laser are not examined.
+    """
+    if len(face.lasers) < 2:
+        return False
+    selected = [_points_m(row, laser, rig) for row, laser in zip(face.tracks.tolist(), face.lasers, strict=True)]
+    lengths_m = [math.dist(*ends) for ends in selected]
+    points_m = np.array(selected).reshape(-1, 3)
+    origin = points_m.mean(axis=0)
+    normal = np.linalg.svd(points_m - origin)[2][2]
+    normal *= -np.sign(normal @ origin)  # towards the camera
+    for row in tracks.tolist():
+        if int(row[LASER]) not in face.lasers or row[CLIPPED] or row[CENTERS] < MIN_COLUMNS_IN_FRONT:
+            continue
+        ends = _points_m(row, int(row[LASER]), rig)
+        length_m = math.dist(*ends)
+        low_m, high_m = sorted(((np.array(ends) - origin) @ normal).tolist())
+        parallel = high_m - low_m < PARALLEL_WITHIN * length_m
+        as_long = MIN_LENGTH_RATIO * min(lengths_m) < length_m < MAX_TO_SHORTEST * max(lengths_m)
+        if IN_FRONT_M[0] < low_m and high_m < IN_FRONT_M[1] and parallel and as_long:
+            return True
     return False
 
 

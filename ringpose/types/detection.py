@@ -52,6 +52,7 @@ class NoBreakPoints(Enum):
     HIDDEN_BY_SATURATION = "the ambient light saturates where the stripes end; they may go on: reduce the exposure"
     NO_STRIPE = "no laser stripe found"
     NO_RING = "stripes found, but none of them looks like a stripe on the ring's face"
+    SURFACE_IN_FRONT = "the stripes fit a ring, but another is on a flat surface in front of it, which may be its face"
     STRAIGHT_EDGES = "the stripes end on straight edges, as on a bar or a plate: no ring"
     CONTRADICTED_MASKS = "the stripes fit a ring only if assigned to other lasers than by the masks; check the wiring"
     CONTRADICTED_RIG = "most stripes would lie behind the camera; the images are of another rig, or upside down"

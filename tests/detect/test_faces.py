@@ -5,7 +5,7 @@ import pytest
 from benchmarks.stripe_images import Kind, stripe_image, stripe_rig
 
 from ringpose.detect.break_points import without_outliers
-from ringpose.detect.rim import best_hypothesis, may_be_background, ring_face
+from ringpose.detect.rim import best_hypothesis, may_be_background, ring_face, surface_in_front
 from ringpose.geometry.rays import undistorted_pixels
 from ringpose.kernels.lines import TRACK_COLUMNS, Group
 from ringpose.types.detection import UNLABELLED, BreakPointFlag, BreakPoints
@@ -91,6 +91,31 @@ def test_a_labelled_stripe_is_not_assigned_to_another_laser():
     tracks = np.array([row(*body_ends(0, 2), laser=0)])
 
     assert not may_be_background(tracks, (0,), ALL, RIG)
+
+
+def in_front(ends, laser, height_m, slope, shift_m=0.05):
+    """The ends of a stripe beside one on the face, of the same laser, on a surface that much nearer to the camera."""
+    plane = RIG.lasers.normal[laser], RIG.lasers.distance_m[laser]
+    focal_px, principal_px = np.diag(RIG.camera.camera_matrix)[:2], RIG.camera.camera_matrix[:2, 2]
+    rays = np.hstack([(ends - principal_px) / focal_px, np.ones((2, 1))])
+    points = rays * (plane[1] / (rays @ plane[0]))[:, None]
+    points[:, 0] -= shift_m
+    points[:, 2] -= height_m + slope * (points[:, 0] - points[0, 0])
+    points[:, 1] = (plane[1] - points[:, 0] * plane[0][0] - points[:, 2] * plane[0][2]) / plane[0][1]
+    return points[:, :2] / points[:, 2:] * focal_px + principal_px
+
+
+@pytest.mark.parametrize(
+    ("height_m", "slope", "expected"), [(0.03, 0.0, True), (-0.03, 0.0, False), (0.03, 0.5, False), (0.0, 0.0, False)]
+)
+@pytest.mark.parametrize("laser", ALL)
+def test_a_ring_behind_a_parallel_surface_may_be_a_flange_below_the_face(laser, height_m, slope, expected):
+    faces = [row(*ends, own) for own, ends in enumerate(face_ends(1))]
+    face = ring_face(np.array(faces), (), RIG)
+    tracks = np.array([*faces, row(*in_front(face_ends(1)[laser], laser, height_m, slope), laser)])
+
+    assert face.lasers == ALL
+    assert surface_in_front(face, tracks, RIG) is expected
 
 
 def points_with_one_wrong(seed, by_px, *, labelled):
