@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from ringpose.detect.break_points import break_points, ends_clear, without_outliers
@@ -90,6 +91,7 @@ def detect(
             found = NoBreakPoints.NO_RING
         elif ring_edges is None and hidden_by_saturation(found, images, images[0].saturation_dn):
             found = NoBreakPoints.HIDDEN_BY_SATURATION
+    missing = ring_edges is None and edges and source is StripeSource.CENTERS
     return Detection(
         shot=shot.name,
         stamp_s=shot.measured_at_s,
@@ -99,7 +101,7 @@ def detect(
         ring_edges=ring_edges if edges else None,
         lasers_on=lasers_on,
         still=shot.still,
-        rejected=on_ring.rejected if isinstance(found, BreakPoints) else (),
+        rejected=(*on_ring.rejected, *_missing_edges(found, shot, missing)) if isinstance(found, BreakPoints) else (),
         advice=exposure_advice(found, shot, images),
     )
 
@@ -160,6 +162,35 @@ def _joined_segments(parts: list[Segments]) -> Segments:
         support=np.concatenate([part.support for part in parts]),
         stamp_s=np.concatenate([stamps_of(part) for part in parts]),
     )
+
+
+def _missing_edges(points: BreakPoints, shot: Shot, missing: bool) -> tuple[Rejection, ...]:
+    """The rejection of the ring's edges, if they were not found although ambient light should show them."""
+    return (Rejection(what="edge"),) if missing and edges_lit(points, shot) else ()
+
+
+LIT_SHARE = 8 / 255
+"""Range of grey values about the break points, as a share of the saturation value, from which ambient light shows the
+ring's edges. In 64 rendered shots without visible edges it is at most 3 / 255, in 26 of 27 with edges 13 / 255."""
+
+
+def edges_lit(points: BreakPoints, shot: Shot) -> bool:
+    """Whether the ring's edges should be visible: two break points of an edge, in ambient light.
+
+    The light is that of the frames without lasers, as the range of the grey values (5 to 95 %, at half size against
+    noise) in the box of the break points, which black level and a uniform background do not affect.
+    """
+    seen = points.seen
+    if int(seen.sum(axis=0).max()) < 2:
+        return False
+    position = points.position_px[seen]
+    left, top = np.maximum(position.min(axis=0).astype(np.int64) - BAND_PX, 0).tolist()
+    right, bottom = (position.max(axis=0).astype(np.int64) + BAND_PX).tolist()
+    for image in shot.images[shot.lasers == 0]:
+        low, high = np.percentile(cv2.pyrDown(image[top:bottom, left:right]), (5, 95)).tolist()
+        if high - low > LIT_SHARE * shot.saturation_dn:
+            return True
+    return False
 
 
 class _Found(NamedTuple):

@@ -29,7 +29,7 @@ from ringpose.geometry.ring import EDGE_SIGN
 from ringpose.pose.catalogue import likely_ring, ring_posterior
 from ringpose.pose.drift import REDUNDANT_STRIPES, plane_evidence
 from ringpose.pose.observability import determined, poorly_determined_flags, reported_pose
-from ringpose.pose.visibility import seen_lasers
+from ringpose.pose.visibility import seen_lasers, unused_lasers
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.assumptions import IDEAL, Assumptions
 from ringpose.types.detection import BreakPointFlag, BreakPoints, Rejection, RingEdgePoints
@@ -73,19 +73,23 @@ def most_likely_pose(
     `camera`: its motion, which is removed from that of the target; None for a camera that counts as inertial.
     """
     measured = measurements_of(break_points, rig, ring_edges, camera)
+    found = break_points.seen.any(axis=1) | np.isfinite(break_points.face_start_px[:, 0])
+    without = PoseResult(
+        pose=NoPose.TOO_FEW_BREAK_POINTS, lasers=unused_lasers(rig, lasers_on, found), rejected=tuple(rejected)
+    )
     if not len(measured.points.x):
-        return PoseResult(pose=NoPose.TOO_FEW_BREAK_POINTS)
+        return without
     if not bool(np.isfinite(measured.points.x + measured.points.y).all()):
-        return PoseResult(pose=NoPose.UNTRIANGULATED)
+        return replace(without, pose=NoPose.UNTRIANGULATED)
     if camera is not None and measured.observations(rig.lasers).view.camera is None:
-        return PoseResult(pose=NoPose.NO_ROBOT_POSES)
+        return replace(without, pose=NoPose.NO_ROBOT_POSES)
     assumptions, untimed = _timed(break_points, assumptions, moving=camera is not None)
     radii, source, posterior = (known if isinstance(known, KnownRadii) else None), "given", None
     named = not bool((break_points.flags[break_points.seen] & int(BreakPointFlag.EDGE_UNKNOWN)).any())
     explained = partial(explain, measured, rig, labelled=break_points.labelled, edges_named=named)
     best = explained(Prior(radii, assumptions))
     if best is None:
-        return PoseResult(pose=_why_no_estimate(measured, rig))
+        return replace(without, pose=_why_no_estimate(measured, rig))
     if known is not None and not isinstance(known, KnownRadii):
         posterior = _posterior(best, known)
         ring = likely_ring(posterior, known)

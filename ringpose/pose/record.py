@@ -17,6 +17,7 @@ import numpy as np
 from ringpose.estimate.covariance import standard_deviation
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.pose.pipeline import pose_result
+from ringpose.pose.visibility import unused_lasers
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import USUAL, AssumptionOptions
 from ringpose.types.detection import BreakPoints, Detection, NoBreakPoints, Rejection
@@ -66,6 +67,8 @@ def pose_line(
             flags=PoseFlag.ASSIGNMENT_AMBIGUOUS if points in CONTRADICTED else PoseFlag(0),
             reason="; ".join(filter(None, [points.value, source.advice])),
             frame=frame,
+            lasers=unused_lasers(rig, source.lasers_on, points not in WITHOUT_STRIPES),
+            rejected=source.rejected,
             latency_s=perf_counter() - start_s,
             stage_s=stage_s,
             rig=rig.sha256,
@@ -108,6 +111,14 @@ def _reason(result: PoseResult, source: Detection) -> str | None:
     return "; ".join(filter(None, [why, source.advice if limited else ""])) or None
 
 
+WITHOUT_STRIPES = (
+    NoBreakPoints.NO_LASER_FRAME,
+    NoBreakPoints.IMAGE_DARK,
+    NoBreakPoints.IMAGE_SATURATED,
+    NoBreakPoints.NO_STRIPE,
+)
+"""Reasons of shots in which no stripe was found."""
+
 CONTRADICTED = (NoBreakPoints.AMBIGUOUS_LABELS, NoBreakPoints.CONTRADICTED_MASKS, NoBreakPoints.CONTRADICTED_RIG)
 """Reasons of shots whose stripes fit no ring as the rig and the lasers' masks assign them."""
 
@@ -145,6 +156,8 @@ def contradictions(result: PoseResult, rejected: Sequence[Rejection]) -> str | N
     """What was rejected or is missing, in words; None if everything that should be in view was used and agreed."""
     missing = [name for name, state in result.lasers.items() if state is LaserState.NOT_SEEN]
     remarks = [result.remark, rejection_remark(rejected)]
+    if any(each.what == "edge" for each in rejected):  # by the detector
+        remarks.append("the ambient light should show the ring's edges, but they were not found")
     remarks += [f"the stripe of laser {name} should be in view, but was not found" for name in missing]
     remarks += [remark for flag, remark in REMARKS.items() if flag in result.flags]
     return "; ".join(filter(None, remarks)) or None

@@ -214,7 +214,7 @@ class LaserState(StrEnum):
     """One or both of its break points that should be in view were rejected or not found."""
     REJECTED = "rejected"
     NOT_SEEN = "not_seen"
-    """Its stripe should be in view but was not found."""
+    """Its stripe should be in view, or in a shot without a ring may be, but was not found."""
     OUT_OF_VIEW = "out_of_view"
     """By rig and ring, its stripe lies outside the image."""
 
