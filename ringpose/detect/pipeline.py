@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from ringpose.detect.break_points import break_points, ends_clear, without_outliers
@@ -19,6 +20,7 @@ from ringpose.detect.rim import CONFIRMED, Face, planes_per_m, ring_face, surfac
 from ringpose.detect.ring_edges import detect_ring_edges
 from ringpose.detect.saturation import exposure_advice, hidden_by_saturation
 from ringpose.detect.stripes import find_stripes, stripe_line_segments
+from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import project, undistorted_rays
 from ringpose.kernels.lines import CENTERS, LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
 from ringpose.types.arrays import Array, Bool, Float64, Int32
@@ -54,14 +56,17 @@ def detect(
     edges: bool = True,
     predicted: BreakPoints | None = None,
     assumptions: Assumptions | None = None,
+    camera: CameraMotion | None = None,
 ) -> Detection:
     """Stripes, break points (or the reason why there are none) and, unless `edges` is false, the ring's visible edges.
 
     With a prediction, only windows about its stripes are searched; if one of its break points is not found there, the
-    whole frames are searched. `assumptions`: None for the usual ones about this shot.
+    whole frames are searched. `assumptions`: None for the usual ones about this shot. `camera`: its motion, if a robot
+    moves it; then a ring at rest moves in the images, too.
     """
     if assumptions is None:
         assumptions = USUAL.about_shot(rig.stability, still=shot.still)
+    still = assumptions.motion is None and camera is None
     images = laser_images(shot, len(rig.lasers.names))
     lasers_on = (np.bitwise_or.reduce(shot.lasers, initial=0) >> np.arange(len(rig.lasers.names))) & 1 == 1
     if not images:
@@ -74,18 +79,19 @@ def detect(
         )
     stripes = None if predicted is None else _predicted_stripes(images, predicted, rig)
     segments, ring_edges = None, None
-    on_ring = None if stripes is None else _found(stripes, images, shot, rig, assumptions)
+    on_ring = None if stripes is None else _found(stripes, images, shot, rig, assumptions, camera)
     if stripes is None or on_ring is None or _lost(on_ring.break_points, predicted):
         stripes, segments = _all_stripes(images, source)
-        on_ring = _found(stripes, images, shot, rig, assumptions)
+        on_ring = _found(stripes, images, shot, rig, assumptions, camera)
     found = on_ring.break_points
     if isinstance(found, BreakPoints) and (edges or not ends_clear(found)) and source is StripeSource.CENTERS:
-        found, ring_edges = detect_ring_edges(found, shot, stripes, rig, assumptions.motion is None, on_ring.motion)
+        found, ring_edges = detect_ring_edges(found, shot, stripes, rig, still, on_ring.motion)
     if isinstance(found, BreakPoints) and (ring_edges is None or int(found.seen.any(axis=1).sum()) == 1):
         if not ends_clear(found):
             found = NoBreakPoints.NO_RING
         elif ring_edges is None and hidden_by_saturation(found, images, images[0].saturation_dn):
             found = NoBreakPoints.HIDDEN_BY_SATURATION
+    missing = ring_edges is None and edges and source is StripeSource.CENTERS
     return Detection(
         shot=shot.name,
         stamp_s=shot.measured_at_s,
@@ -95,7 +101,7 @@ def detect(
         ring_edges=ring_edges if edges else None,
         lasers_on=lasers_on,
         still=shot.still,
-        rejected=on_ring.rejected if isinstance(found, BreakPoints) else (),
+        rejected=(*on_ring.rejected, *_missing_edges(found, shot, missing)) if isinstance(found, BreakPoints) else (),
         advice=exposure_advice(found, shot, images),
     )
 
@@ -158,6 +164,35 @@ def _joined_segments(parts: list[Segments]) -> Segments:
     )
 
 
+def _missing_edges(points: BreakPoints, shot: Shot, missing: bool) -> tuple[Rejection, ...]:
+    """The rejection of the ring's edges, if they were not found although ambient light should show them."""
+    return (Rejection(what="edge"),) if missing and edges_lit(points, shot) else ()
+
+
+LIT_SHARE = 8 / 255
+"""Range of grey values about the break points, as a share of the saturation value, from which ambient light shows the
+ring's edges. In 64 rendered shots without visible edges it is at most 3 / 255, in 26 of 27 with edges 13 / 255."""
+
+
+def edges_lit(points: BreakPoints, shot: Shot) -> bool:
+    """Whether the ring's edges should be visible: two break points of an edge, in ambient light.
+
+    The light is that of the frames without lasers, as the range of the grey values (5 to 95 %, at half size against
+    noise) in the box of the break points, which black level and a uniform background do not affect.
+    """
+    seen = points.seen
+    if int(seen.sum(axis=0).max()) < 2:
+        return False
+    position = points.position_px[seen]
+    left, top = np.maximum(position.min(axis=0).astype(np.int64) - BAND_PX, 0).tolist()
+    right, bottom = (position.max(axis=0).astype(np.int64) + BAND_PX).tolist()
+    for image in shot.images[shot.lasers == 0]:
+        low, high = np.percentile(cv2.pyrDown(image[top:bottom, left:right]), (5, 95)).tolist()
+        if high - low > LIT_SHARE * shot.saturation_dn:
+            return True
+    return False
+
+
 class _Found(NamedTuple):
     """The break points that agree with one ring, those that do not, and the ring's motion if the shot shows it."""
 
@@ -166,7 +201,14 @@ class _Found(NamedTuple):
     motion: RingMotion | None = None
 
 
-def _found(stripes: Stripes, images: list[LaserImage], shot: Shot, rig: Rig, assumptions: Assumptions) -> _Found:
+def _found(
+    stripes: Stripes,
+    images: list[LaserImage],
+    shot: Shot,
+    rig: Rig,
+    assumptions: Assumptions,
+    camera: CameraMotion | None,
+) -> _Found:
     """The break points on the stripes that lie on one ring, or the reason why there are none.
 
     The background of a moving ring is not subtracted where the stripes end: it would leave the ring's edges, displaced.
@@ -179,12 +221,13 @@ def _found(stripes: Stripes, images: list[LaserImage], shot: Shot, rig: Rig, ass
         return _Found(face)
     saturation_dn = images[0].saturation_dn
     points = break_points(face, tracks, images, rig, saturation_dn)
-    motion = None if assumptions.motion is None else ring_motion(points, shot, rig)
+    still = assumptions.motion is None and camera is None
+    motion = None if still else ring_motion(points, shot, rig)
     if motion is not None:
         unmoved = [_without_moved_background(image, motion) for image in images]
         if unmoved != images:
             points = break_points(face, tracks, unmoved, rig, saturation_dn)
-    return _Found(*without_outliers(points, rig, assumptions), motion)
+    return _Found(*without_outliers(points, rig, assumptions, camera), motion)
 
 
 def _without_moved_background(image: LaserImage, motion: RingMotion) -> LaserImage:

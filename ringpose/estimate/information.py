@@ -5,11 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ringpose.estimate.consistency import chi2, degrees_of_freedom
 from ringpose.estimate.measurements import Measurements
 from ringpose.estimate.nuisance import FORM_PARAMETERS, RigErrors, edge_jacobian
-from ringpose.estimate.residuals import Prior
-from ringpose.estimate.solver import Estimate
+from ringpose.estimate.residuals import Estimate, Prior
 from ringpose.geometry.ring import normal_and_center, public_wrt_rates, public_wrt_step
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.arrays import Array, Float64
@@ -34,13 +32,14 @@ def ring_measurement(estimate: Estimate, measured: Measurements, errors: RigErro
         time_s = measured.times_s(measured.stamp_s)
         wrt_rates = time_s[:, None] * (jacobian @ public_wrt_rates(arcs.normal, arcs.center))
     empty = np.zeros((rows, 0))
-    wrt_rig = empty if estimate.rig is None else estimate.rig[:rows]
-    wrt_form = empty if estimate.form is None else estimate.form[:rows]
+    wrt_rig = empty if estimate.fixed.rig is None else estimate.fixed.rig[:rows]
+    wrt_form = empty if estimate.fixed.form is None else estimate.fixed.form[:rows]
+    wrt_camera = estimate.fixed.camera[:rows]
     own = edge_jacobian(estimate.residuals, measured)[:rows] if len(measured.edges.edge) else np.zeros((rows, 0))
     residual = estimate.residuals.residual[:rows]
 
     # z - h(x) = r falls by -J dx: the derivative of the prediction h is minus that of the residual
-    columns = np.concatenate([own, jacobian, wrt_rates, wrt_rig, wrt_form, -residual[:, None]], axis=1)
+    columns = np.concatenate([own, jacobian, wrt_rates, wrt_rig, wrt_form, wrt_camera, -residual[:, None]], axis=1)
     whitened = -columns * np.sqrt(estimate.weights[:rows])[:, None]
     count = own.shape[1]
     prior = np.eye(count, whitened.shape[1])
@@ -56,11 +55,13 @@ def ring_measurement(estimate: Estimate, measured: Measurements, errors: RigErro
         ),
         nuisance_parameters=(
             *(() if errors is None else errors.parameters),
-            *(() if estimate.form is None else FORM_PARAMETERS),
+            *(() if estimate.fixed.form is None else FORM_PARAMETERS),
+            *(() if measured.camera is None else measured.camera.mount.uncertain),
         ),
         square_root=np.asarray(triangle)[count:, count:],
-        degrees_of_freedom=degrees_of_freedom(estimate, measured),
-        chi2=chi2(estimate, measured),
+        degrees_of_freedom=estimate.degrees_of_freedom,
+        chi2=estimate.chi2,
+        camera_motion="none" if measured.camera is None else "robot_poses",
     )
 
 

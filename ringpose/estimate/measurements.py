@@ -19,7 +19,9 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import undistort
+from ringpose.geometry.ring import RingView
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.camera import Camera
 from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints
@@ -88,19 +90,15 @@ class Points:
 
 
 class Observations(NamedTuple):
-    """Rays of the lines' ends, then of the break points, with the light planes of their lasers."""
+    """The measurements with the light planes of their lasers, as one view of the ring."""
 
-    rays: Float64[Array, "sample xyz=3"]
-    light_normal: Float64[Array, "sample xyz=3"]
-    light_distance_m: Float64[Array, "sample"]
+    view: RingView
     whitening: Float64[Array, "end end"]
     """Block-diagonal, of the lines' ordinates."""
-    edge_sign: Float64[Array, "point"]
-    """-1 for the inner edge, +1 for the outer."""
     sigma_x: Float64[Array, "point"]
     """Standard deviations of the break points' abscissae."""
-    time_s: Float64[Array, "sample"]
-    """From the reference time to the mid exposure of the sample's frame."""
+    moving: bool
+    """Whether there are times from which a motion can be estimated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -128,9 +126,11 @@ class Measurements:
     """Whether every break point has a covariance; otherwise the pose is reported without."""
     reference_s: float = math.nan
     """The instant at which the ring is estimated, t_0; NaN if the stamps are unknown."""
+    camera: CameraMotion | None = None
+    """Motion of the camera by the poses of a robot that carries it; None if the camera counts as inertial."""
 
     def observations(self, planes: LaserPlanes) -> Observations:
-        """Ends of the lines and break points in one array, with the light planes of their lasers."""
+        """The view of the ring by ends of lines, break points and visible edge points, and the errors of these."""
         laser = np.concatenate([np.repeat(self.lines.laser, 2), self.points.laser])
         rays = np.ones((len(laser), 3))
         ends = 2 * len(self.lines.laser)
@@ -139,15 +139,22 @@ class Measurements:
         whitening = np.zeros((ends, ends))
         for number, block in enumerate(self.lines.whitening):
             whitening[2 * number : 2 * number + 2, 2 * number : 2 * number + 2] = block
-        return Observations(
+        stamp_s = np.concatenate([np.repeat(self.lines.stamp_s, 2), self.points.stamp_s, self.edges.stamp_s])
+        instant_s, instant = np.unique(self.times_s(stamp_s), return_inverse=True)
+        view = RingView(
             rays=rays,
             light_normal=planes.normal[laser],
             light_distance_m=planes.distance_m[laser],
-            whitening=whitening,
+            ends=ends,
             edge_sign=2.0 * self.points.edge - 1.0,
-            sigma_x=self.points.sigma_x,
-            time_s=self.times_s(np.concatenate([np.repeat(self.lines.stamp_s, 2), self.points.stamp_s])),
+            visible_rays=self.edges.ray,
+            visible_sign=2.0 * self.edges.edge - 1.0,
+            instant_s=instant_s,
+            of_sample=instant[: len(laser)],
+            of_visible=instant[len(laser) :],
+            camera=None if self.camera is None else self.camera.displacements(self.reference_s, instant_s),
         )
+        return Observations(view, whitening, self.points.sigma_x, moving=bool(instant_s.any()))
 
     def times_s(self, stamp_s: Float64[Array, "n"]) -> Float64[Array, "n"]:
         """Times from the reference time; 0 where a stamp is unknown."""
@@ -159,6 +166,11 @@ class Measurements:
         """Mid exposure of the frame that each residual of `ringpose.estimate.residuals` comes from; NaN if unknown."""
         isolated = self.points.stamp_s[self.points.isolated]
         return np.concatenate([np.repeat(self.lines.stamp_s, 2), self.points.stamp_s, isolated, self.edges.stamp_s])
+
+    @property
+    def stripe_numbers(self) -> int:
+        """Number of measured numbers of stripes and break points."""
+        return 2 * len(self.lines.laser) + len(self.points.laser) + int(self.points.isolated.sum())
 
     def with_points(self, keep: Bool[Array, "point"]) -> "Measurements":
         """The measurements with these break points only."""
@@ -192,7 +204,12 @@ class Measurements:
         return replace(self, lines=replace(self.lines, laser=lines), points=replace(self.points, laser=points))
 
 
-def measurements_of(break_points: BreakPoints, rig: Rig, ring_edges: RingEdgePoints | None = None) -> Measurements:
+def measurements_of(
+    break_points: BreakPoints,
+    rig: Rig,
+    ring_edges: RingEdgePoints | None = None,
+    camera: CameraMotion | None = None,
+) -> Measurements:
     """The measurements of a detection; NaN where a point cannot be undistorted."""
     lines = _lines(break_points, rig.camera)
     laser, edge = np.nonzero(break_points.seen)
@@ -225,6 +242,7 @@ def measurements_of(break_points: BreakPoints, rig: Rig, ring_edges: RingEdgePoi
         edges=_edges(ring_edges, rig.camera),
         has_covariances=has_covariances,
         reference_s=float(stamps.mean()) if len(stamps) else math.nan,
+        camera=camera,
     )
 
 

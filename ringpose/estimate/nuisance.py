@@ -14,11 +14,11 @@ import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.estimate.measurements import Measurements, Observations, pixels_wrt_ray_and_camera
-from ringpose.estimate.residuals import Residuals
-from ringpose.geometry.ring import EDGE_SIGN, HALF_BAND, LIFT, RingArcs, polar_angles
+from ringpose.estimate.residuals import FixedColumns, Prior, Residuals
+from ringpose.geometry.ring import EDGE_SIGN, HALF_BAND, LIFT, polar_angles
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.assumptions import MotionPrior, RigStability
+from ringpose.types.assumptions import RigStability
 from ringpose.types.covariance import CAMERA_PARAMETERS, PLANE_PARAMETERS, ParameterCovariance, laser_parameters
 from ringpose.types.rig import Rig
 
@@ -137,6 +137,28 @@ def covariance_root(covariance: Float64[Array, "n n"]) -> Float64[Array, "n erro
     return root
 
 
+def fixed_columns(
+    residuals: Residuals, measured: Measurements, observations: Observations, prior: Prior, rig: Rig
+) -> FixedColumns:
+    """Derivatives by the errors of rig, form, mount and visible edges."""
+    by_rig, form, columns = None, None, [np.zeros((len(residuals.residual), 0))]
+    errors = rig_errors(rig, prior.assumptions.stability)
+    if errors is not None:
+        by_rig = rig_jacobian(residuals, measured, observations, errors, rig)
+        columns.append(by_rig @ errors.root)
+    if prior.assumptions.ring_tolerance_m > 0.0:
+        form = form_jacobian(residuals, measured)
+        columns.append(form_sd_m(prior.assumptions.ring_tolerance_m) * form)
+    if residuals.wrt_camera.shape[1] and measured.camera is not None:
+        variance = measured.camera.mount.covariance
+        uncertain = np.diag(variance) > 0
+        columns.append(residuals.wrt_camera @ covariance_root(variance[np.ix_(uncertain, uncertain)]))
+    if len(measured.edges.edge):
+        columns.append(edge_jacobian(residuals, measured))
+    edge_errors = measured.edges.common.shape[1] if len(measured.edges.edge) else 0
+    return FixedColumns(by_rig, form, residuals.wrt_camera, np.concatenate(columns, axis=1), edge_errors)
+
+
 def rig_jacobian(
     residuals: Residuals, measured: Measurements, observations: Observations, errors: RigErrors, rig: Rig
 ) -> Float64[Array, "row parameter"]:
@@ -145,7 +167,7 @@ def rig_jacobian(
     Errors of the camera move the rays of fixed pixels, errors of a light plane move the predicted stripe.
     """
     ends, lines = residuals.ends, np.repeat(measured.lines.laser, 2)
-    ray = _ray_wrt_rig(observations.rays[:, :2], errors, rig)
+    ray = _ray_wrt_rig(observations.view.rays[:, :2], errors, rig)
     y_wrt_planes = _ordinate_wrt_planes(residuals, np.concatenate([lines, measured.points.laser]), errors)
     above = ray[:, 1] - residuals.stripes.slope[:, None] * ray[:, 0] - y_wrt_planes
     distance = residuals.points.wrt_ray[:, 1:] * y_wrt_planes[ends:] + residuals.distance_wrt_x[:, None] * ray[ends:, 0]
@@ -163,24 +185,23 @@ def rig_jacobian(
 
 
 def mean_ray_jacobian(
-    residuals: Residuals, measured: Measurements, observations: Observations, errors: RigErrors | None, rig: Rig
+    residuals: Residuals, measured: Measurements, observations: Observations, prior: Prior, rig: Rig
 ) -> Float64[Array, "xy=2 error"]:
-    """Derivatives of the mean of the predicted break points by the rig's errors of unit variance, for a fixed ring.
+    """Derivatives of the mean of the predicted break points by rates and errors of the rig, for a fixed ring.
 
     The abscissae are those of the measured pixels, the ordinates those of the predicted stripes.
     """
+    y_wrt_rates = residuals.y_wrt_rates[residuals.ends :].mean(axis=0) * residuals.rate_sds
+    wrt_rates = np.array([np.zeros_like(y_wrt_rates), y_wrt_rates])
+    errors = rig_errors(rig, prior.assumptions.stability)
     if errors is None:
-        return np.zeros((2, 0))
+        return wrt_rates
     points = slice(residuals.ends, None)
-    x_wrt_rig = _ray_wrt_rig(observations.rays[points, :2], errors, rig)[:, 0]
+    x_wrt_rig = _ray_wrt_rig(observations.view.rays[points, :2], errors, rig)[:, 0]
     laser = np.concatenate([np.repeat(measured.lines.laser, 2), measured.points.laser])
     y_wrt_rig = _ordinate_wrt_planes(residuals, laser, errors)[points] + residuals.slope[:, None] * x_wrt_rig
-    return np.array([x_wrt_rig.mean(axis=0), y_wrt_rig.mean(axis=0)]) @ errors.root
-
-
-def rate_sds(prior: MotionPrior) -> Float64[Array, "rate=5"]:
-    """Standard deviations of velocity and angular velocity, as the rates' columns of the residuals."""
-    return np.array([prior.speed_sd_m_s] * 3 + [prior.rate_sd_rad_s] * 2)
+    wrt_rig = np.array([x_wrt_rig.mean(axis=0), y_wrt_rig.mean(axis=0)]) @ errors.root
+    return np.concatenate([wrt_rates, wrt_rig], axis=1)
 
 
 def form_sd_m(tolerance_m: float) -> float:
@@ -188,7 +209,7 @@ def form_sd_m(tolerance_m: float) -> float:
     return tolerance_m / sqrt(len(FORM_ORDERS))
 
 
-def form_jacobian(residuals: Residuals, measured: Measurements, arcs: RingArcs) -> Float64[Array, "row amplitude=18"]:
+def form_jacobian(residuals: Residuals, measured: Measurements) -> Float64[Array, "row amplitude=18"]:
     """Derivatives of the residuals with respect to the amplitudes of the ring's form (`FORM_PARAMETERS`), Eq. (12.1).
 
     An axial deviation acts like an offset of the plane, a radial one like a change of its edge's radius, both at the
@@ -196,7 +217,7 @@ def form_jacobian(residuals: Residuals, measured: Measurements, arcs: RingArcs) 
     """
     isolated = np.flatnonzero(measured.points.isolated)
     rays = residuals.stripes.rays
-    angle = polar_angles(arcs, np.concatenate([rays, rays[residuals.ends :][isolated], measured.edges.ray]))
+    angle = polar_angles(residuals.arcs, np.concatenate([rays, rays[residuals.ends :][isolated], measured.edges.ray]))
     edge = [np.full(residuals.ends, -1), measured.points.edge, measured.points.edge[isolated], measured.edges.edge]
     of_edge = np.concatenate(edge)
     shape = np.column_stack([wave(order * angle) for order in FORM_ORDERS for wave in (np.cos, np.sin)])

@@ -1,30 +1,50 @@
 """Maximum-likelihood ring by Gauss-Newton (ringpose-method(7), section 5).
 
-Huber weights bring the iteration near the solution; from there on visible edge points count fully or not at all, and
-break points fully: outliers among them are judged by `ringpose.estimate.hypotheses`.
+The residuals are those of `ringpose.estimate.residuals`. Huber weights bring the iteration near the solution; from
+there on visible edge points count fully or not at all, and break points fully: outliers among them are judged by
+`ringpose.estimate.hypotheses`.
 """
 
+from dataclasses import replace
 from math import isfinite, sqrt
-from typing import NamedTuple
 
 import numpy as np
 
 from ringpose.estimate.initial_guess import initial_guess
-from ringpose.estimate.measurements import Measurements, Observations
-from ringpose.estimate.nuisance import (
-    edge_jacobian,
-    form_jacobian,
-    form_sd_m,
-    mean_ray_jacobian,
-    rate_sds,
-    rig_errors,
-    rig_jacobian,
+from ringpose.estimate.measurements import Measurements, Observations, Points
+from ringpose.estimate.nuisance import fixed_columns, mean_ray_jacobian
+from ringpose.estimate.residuals import (
+    CURVATURE_SD,
+    EXPECTED_CURVATURE,
+    EXPECTED_HALF_BAND_M,
+    HALF_BAND_SD_M,
+    PARAMETERS,
+    RIDGE,
+    STILL,
+    TILT_SD_RAD,
+    TURN_SD_RAD,
+    Estimate,
+    FixedColumns,
+    OrdinateScale,
+    Prior,
+    Residuals,
 )
-from ringpose.estimate.residuals import PARAMETERS, RATES, STILL, Prior, Rates, Residuals, ring_residuals
-from ringpose.geometry.ring import CURVATURE, LIFT, SHIFT, TILT_ALONG, TILT_INWARD, TURN, RingArcs
+from ringpose.geometry.ring import (
+    CURVATURE,
+    EDGE_SIGN,
+    HALF_BAND,
+    MIN_RATE,
+    TILT_ALONG,
+    TILT_INWARD,
+    TURN,
+    Rates,
+    RingArcs,
+    motion_derivatives,
+    predicted_view,
+)
 from ringpose.geometry.robust import huber_weights, redescending_weights
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.rig import Rig
+from ringpose.types.rig import LaserPlanes, Rig
 
 HUBER_SIGMAS = 3.0
 """Residual of a break point or visible edge point from which it counts linearly while the iteration approaches."""
@@ -44,11 +64,6 @@ record and its priors give its pose to a nanometre.
 STRIPES_OF_A_PLANE = 2
 """With fewer stripes the tilt about the stripe is determined by the edges only."""
 
-RIDGE = 1e-7
-"""Added to the diagonal of the normal matrix (m, rad, 1/m), so that undetermined parameters keep their values."""
-
-_RIDGE = RIDGE * np.eye(PARAMETERS)
-
 MIN_DEPTH_M, MAX_DEPTH_M = 1e-3, 1e3
 """Bounds of the plane's distance; beyond them the iteration has diverged."""
 
@@ -56,56 +71,7 @@ MAX_CURVATURE = 20.0
 """Bound in 1/m; beyond it the iteration has diverged."""
 
 MAX_TILT_RAD = 0.7
-"""Largest tilt in one iteration; a longer step is shortened as a whole."""
-
-
-class Estimate(NamedTuple):
-    """A maximum-likelihood ring, and the linearised problem at the solution."""
-
-    arcs: RingArcs
-    """At the reference time of the measurements."""
-    rates: Rates
-    residuals: Residuals
-    weights: Float64[Array, "row"]
-    """1 for a residual that was used, 0 for a rejected edge point."""
-    rig: Float64[Array, "row parameter"] | None
-    """Derivatives of the residuals by the rig's parameters, in their own units; None if the rig counts as exact."""
-    nuisance: Float64[Array, "row error"]
-    """Derivatives of the residuals by common errors of unit variance: rates, rig, form of the ring, visible edges."""
-    mean_ray_wrt_nuisance: Float64[Array, "xy=2 error"]
-    """Derivatives of the mean of the predicted break points by rates and rig's errors, for a fixed ring."""
-    nuisance_step: Float64[Array, "error"]
-    """The estimated common errors, in their standard deviations; 0 for the rates, which the residuals contain."""
-    rate_deviations: Float64[Array, "rate"]
-    """The estimated rates in standard deviations of their prior; empty for a still ring."""
-    form: Float64[Array, "row amplitude"] | None
-    """Derivatives of the residuals by the amplitudes of the ring's form, in metres; None for a perfect ring."""
-    normal_matrix: Float64[Array, "7 7"]
-    """Inverse covariance of the ring's step, the common errors marginalised."""
-    inverse: Float64[Array, "7 7"]
-    """Of the normal matrix with `RIDGE`."""
-    edge_errors: int
-    """Number of common errors that are those of visible edges, the last ones."""
-    prior: Prior
-    """As used; with weak priors (`regularize_about`) if the shot leaves parameters open."""
-
-    @property
-    def common_chi2(self) -> float:
-        """Chi-squared of the estimated rates, rig's errors and form of the ring with respect to their priors."""
-        edges = self.nuisance.shape[1] - self.edge_errors
-        common = np.concatenate([self.nuisance_step[:edges], self.rate_deviations])
-        return float(common @ common)
-
-    @property
-    def regularized(self) -> bool:
-        """Whether parameters that the shot leaves open were held by weak priors."""
-        return self.prior.regularize_about is not None
-
-    @property
-    def remaining(self) -> Float64[Array, "row"]:
-        """Residuals at the estimated ring less those that the estimated rig and edge errors explain, in sigmas."""
-        remaining: Float64[Array, "row"] = self.residuals.residual + self.nuisance @ self.nuisance_step
-        return remaining
+"""Largest tilt in one iteration."""
 
 
 def estimate_ring(measured: Measurements, rig: Rig, prior: Prior, start: RingArcs | None = None) -> Estimate | None:
@@ -149,31 +115,27 @@ def _gauss_newton(
     rig: Rig,
     arcs: RingArcs,
     prior: Prior,
+    rates: Rates = STILL,
 ) -> Estimate | None:
     """Iteratively reweighted Gauss-Newton from a ring; None if it diverges."""
-    problem = _Problem(measured, observations, rig, prior)
-    rates = STILL
-    residuals = problem.residuals(arcs, rates)  # r and J, whitened
-    nuisance = problem.nuisance(residuals, None)
+    residuals = ring_residuals(arcs, measured, observations, prior, rates)  # r and J, whitened
+    count = len(residuals.rate_sds)
+    nuisance = residuals.wrt_rates * residuals.rate_sds
     fixed, predicted, weights, near = None, residuals.residual, np.ones(len(residuals.residual)), False
     for iteration in range(MAX_ITERATIONS):
         if iteration == 1:  # these derivatives hardly change from here
-            fixed = problem.fixed_columns(residuals, arcs)
-            nuisance = problem.nuisance(residuals, fixed)
+            fixed = fixed_columns(residuals, measured, observations, prior, rig)
+            nuisance = _nuisance(residuals, fixed)
         if not near:
             # weights from the residuals that the last step predicts: before it, outliers hide among large residuals
             weights = _robust_weights(predicted, residuals)
-        deviations = problem.rate_deviations(arcs, rates)
-        normal_matrix, step, nuisance_step = solve_normal_equations(residuals, weights, nuisance, deviations)
-        step = _shortened(step)
-        if not _plausible(arcs, step):
-            return None
+        normal_matrix, step, nuisance_step = solve_normal_equations(residuals, weights, nuisance)
         sigmas = sqrt(max(float(step @ normal_matrix @ step), 0.0))  # Mahalanobis length
         predicted = residuals.residual + residuals.jacobian @ step + nuisance @ nuisance_step
-        moved = arcs.moved(step)
-        rates, arcs = problem.moved_rates(arcs, moved, rates, nuisance_step), moved
-        residuals = problem.residuals(arcs, rates)
-        nuisance = problem.nuisance(residuals, fixed)
+        moved = moved_residuals(residuals, step, nuisance_step[:count], measured, observations, prior)
+        if moved is None:
+            return None
+        residuals, nuisance = moved, _nuisance(moved, fixed)
         if near and sigmas < MIN_STEP_SIGMAS:
             break
         if iteration and not near and sigmas < NEAR_SIGMAS:
@@ -181,84 +143,30 @@ def _gauss_newton(
     inverse = _inverse(normal_matrix)
     if inverse is None or fixed is None:
         return None
-    mean_ray_wrt_rig = mean_ray_jacobian(residuals, measured, observations, problem.errors, rig)
-    by_rates = residuals.y_wrt_rates[residuals.ends :].mean(axis=0) * problem.rate_sds
-    count = len(problem.rate_sds)
+    nuisance_step[:count] = 0.0
+    remaining = residuals.residual + nuisance @ nuisance_step
+    squares = np.minimum(remaining**2, 1e6)
+    squares[residuals.stripe_rows : residuals.data_rows] = 0.0
+    common = np.concatenate([nuisance_step[: len(nuisance_step) - fixed.edge_errors], residuals.rate_deviations])
     return Estimate(
-        arcs=arcs,
-        rates=rates,
         residuals=residuals,
         weights=weights,
-        rig=fixed.rig,
+        fixed=fixed,
         nuisance=nuisance,
-        mean_ray_wrt_nuisance=np.concatenate([[np.zeros(count), by_rates], mean_ray_wrt_rig], axis=1),
-        nuisance_step=np.concatenate([np.zeros(count), nuisance_step[count:]]),
-        rate_deviations=problem.rate_deviations(arcs, rates),
-        form=fixed.form,
+        mean_ray_wrt_nuisance=mean_ray_jacobian(residuals, measured, observations, prior, rig),
+        nuisance_step=nuisance_step,
         normal_matrix=normal_matrix,
         inverse=inverse,
-        edge_errors=measured.edges.common.shape[1] if len(measured.edges.edge) else 0,
         prior=prior,
+        remaining=remaining,
+        chi2=float(squares.sum()) + float(common @ common),
     )
 
 
-class _FixedColumns(NamedTuple):
-    """Derivatives by common errors that are evaluated once, near the solution."""
-
-    rig: Float64[Array, "row parameter"] | None
-    form: Float64[Array, "row amplitude"] | None
-    columns: Float64[Array, "row error"]
-    """Of the rig's errors, the form and the visible edges, in standard deviations."""
-
-
-class _Problem:
-    """The residuals of one shot and their derivatives by common errors of unit variance."""
-
-    def __init__(self, measured: Measurements, observations: Observations, rig: Rig, prior: Prior) -> None:
-        self._measured, self._observations, self._rig, self._prior = measured, observations, rig, prior
-        self.errors = rig_errors(rig, prior.assumptions.stability)
-        motion = prior.assumptions.motion if measured.times_s(measured.stamp_s).any() else None
-        self.rate_sds = np.zeros(0) if motion is None else rate_sds(motion)
-
-    def residuals(self, arcs: RingArcs, rates: Rates) -> Residuals:
-        """At a ring that moves with these rates."""
-        return ring_residuals(arcs, self._measured, self._observations, self._prior, rates)
-
-    def fixed_columns(self, residuals: Residuals, arcs: RingArcs) -> _FixedColumns:
-        """Derivatives by the errors of rig, form and visible edges."""
-        measured, rig, form, columns = self._measured, None, None, []
-        if self.errors is not None:
-            rig = rig_jacobian(residuals, measured, self._observations, self.errors, self._rig)
-            columns.append(rig @ self.errors.root)
-        if self._prior.assumptions.ring_tolerance_m > 0.0:
-            form = form_jacobian(residuals, measured, arcs)
-            columns.append(form_sd_m(self._prior.assumptions.ring_tolerance_m) * form)
-        if len(measured.edges.edge):
-            columns.append(edge_jacobian(residuals, measured))
-        empty = np.zeros((len(residuals.residual), 0))
-        return _FixedColumns(rig, form, np.concatenate([empty, *columns], axis=1))
-
-    def nuisance(self, residuals: Residuals, fixed: _FixedColumns | None) -> Float64[Array, "row error"]:
-        """B: derivatives by the rates, then by the other common errors."""
-        by_rates = residuals.wrt_rates * self.rate_sds
-        return by_rates if fixed is None else np.concatenate([by_rates, fixed.columns], axis=1)
-
-    def rate_deviations(self, arcs: RingArcs, rates: Rates) -> Float64[Array, "rate"]:
-        """The rates in standard deviations of their prior; empty for a still ring."""
-        if not len(self.rate_sds):
-            return self.rate_sds
-        values = np.concatenate([rates.velocity_m_s, arcs.axes[:2] @ rates.rate_rad_s])
-        return values / np.maximum(self.rate_sds, np.finfo(float).tiny)
-
-    def moved_rates(
-        self, arcs: RingArcs, moved: RingArcs, rates: Rates, nuisance_step: Float64[Array, "error"]
-    ) -> Rates:
-        """The rates after a step of the common errors and of the ring; the angular velocity stays across its normal."""
-        if not len(self.rate_sds):
-            return rates
-        change = nuisance_step[:RATES] * self.rate_sds
-        across = arcs.axes[:2] @ rates.rate_rad_s + change[3:]
-        return Rates(rates.velocity_m_s + change[:3], across @ moved.axes[:2])
+def _nuisance(residuals: Residuals, fixed: FixedColumns | None) -> Float64[Array, "row error"]:
+    """B: derivatives by the rates, then by the other common errors, in standard deviations of their priors."""
+    by_rates = residuals.wrt_rates * residuals.rate_sds
+    return by_rates if fixed is None else np.concatenate([by_rates, fixed.columns], axis=1)
 
 
 def predicted_residuals(
@@ -268,31 +176,16 @@ def predicted_residuals(
 
     1 + [J B] C [J B]^T, with the joint covariance C of ring and common errors.
     """
-    problem = _Problem(measured, measured.observations(rig.lasers), rig, estimate.prior)
-    residuals = problem.residuals(estimate.arcs, estimate.rates)
-    fixed = problem.fixed_columns(residuals, estimate.arcs)
-    jacobian = np.concatenate([residuals.jacobian, problem.nuisance(residuals, fixed)], axis=1)
+    observations = measured.observations(rig.lasers)
+    residuals = ring_residuals(estimate.arcs, measured, observations, estimate.prior, estimate.rates)
+    fixed = fixed_columns(residuals, measured, observations, estimate.prior, rig)
+    jacobian = np.concatenate([residuals.jacobian, _nuisance(residuals, fixed)], axis=1)
     step = np.concatenate([np.zeros(PARAMETERS), estimate.nuisance_step])
-    covariance = np.linalg.inv(_joint_information(estimate))
+    covariance = np.linalg.inv(estimate.joint_information)
     rows = slice(residuals.data_rows)
     return (residuals.residual + jacobian @ step)[rows], (
         np.eye(residuals.data_rows) + jacobian[rows] @ covariance @ jacobian[rows].T
     )
-
-
-def log_determinant(estimate: Estimate) -> float:
-    """Log determinant of the information on ring and common errors: how much wider their priors are than the result."""
-    return float(np.linalg.slogdet(_joint_information(estimate))[1])
-
-
-def _joint_information(estimate: Estimate) -> Float64[Array, "n n"]:
-    """Information on the ring's step and the common errors, with their priors and the ridge."""
-    jacobian = np.concatenate([estimate.residuals.jacobian, estimate.nuisance], axis=1)
-    information: Float64[Array, "n n"] = (jacobian.T * estimate.weights) @ jacobian
-    diagonal = np.ones(len(information))
-    diagonal[:PARAMETERS] = RIDGE
-    information[range(len(information)), range(len(information))] += diagonal
-    return information
 
 
 def refine_ring(
@@ -302,64 +195,61 @@ def refine_ring(
 
     For tracking: many visible edge points may be outliers, so that these have redescending weights.
     """
-    problem = _Problem(measured, measured.observations(rig.lasers), rig, prior)
-    normal_matrix, fixed, rates = np.zeros((PARAMETERS, PARAMETERS)), None, STILL
+    observations = measured.observations(rig.lasers)
+    residuals = ring_residuals(arcs, measured, observations, prior)
+    fixed = fixed_columns(residuals, measured, observations, prior, rig)
+    normal_matrix = np.zeros((PARAMETERS, PARAMETERS))
+    robust = slice(residuals.ends, residuals.data_rows)
     try:
         for _ in range(iterations):
-            residuals = problem.residuals(arcs, rates)
-            fixed = problem.fixed_columns(residuals, arcs) if fixed is None else fixed
-            nuisance = problem.nuisance(residuals, fixed)
-            weights, robust = np.ones(len(residuals.residual)), slice(residuals.ends, residuals.data_rows)
+            weights = np.ones(len(residuals.residual))
             weights[robust] = redescending_weights(residuals.residual[robust], HUBER_SIGMAS)
-            deviations = problem.rate_deviations(arcs, rates)
-            normal_matrix, step, nuisance_step = solve_normal_equations(residuals, weights, nuisance, deviations)
-            step = _shortened(step)
-            if not _plausible(arcs, step):
+            normal_matrix, step, nuisance_step = solve_normal_equations(residuals, weights, _nuisance(residuals, fixed))
+            rate_step = nuisance_step[: len(residuals.rate_sds)]
+            moved = moved_residuals(residuals, step, rate_step, measured, observations, prior)
+            if moved is None:
                 return None
-            moved = arcs.moved(step)
-            rates, arcs = problem.moved_rates(arcs, moved, rates, nuisance_step), moved
+            residuals = moved
     except np.linalg.LinAlgError:
         return None
     inverse = _inverse(normal_matrix)
-    return None if inverse is None else (arcs, inverse)
+    return None if inverse is None else (residuals.arcs, inverse)
 
 
 def _inverse(normal_matrix: Float64[Array, "7 7"]) -> Float64[Array, "7 7"] | None:
     """The covariance; None if the matrix is singular, where rounding may leave variances that are not positive."""
     try:
-        inverse = np.linalg.inv(normal_matrix + _RIDGE)
+        inverse = np.linalg.inv(normal_matrix + RIDGE * np.eye(PARAMETERS))
     except np.linalg.LinAlgError:
         return None
     return inverse if bool((inverse.diagonal() > 0).all()) else None
 
 
 def solve_normal_equations(
-    residuals: Residuals,
-    weights: Float64[Array, "row"],
-    nuisance: Float64[Array, "row error"],
-    deviations: Float64[Array, "rate"],
+    residuals: Residuals, weights: Float64[Array, "row"], nuisance: Float64[Array, "row error"]
 ) -> tuple[Float64[Array, "7 7"], Float64[Array, "7"], Float64[Array, "error"]]:
     """The normal matrix with the common errors marginalised, the ring's step, and the step of the common errors.
 
     With residuals r, Jacobian J, weights W and the derivatives B with respect to the common errors (unit variance),
     the Schur complement of [J B]^T W [J B] + diag(0, 1): S = J^T W J - J^T W B (1 + B^T W B)^-1 B^T W J, and
     S step = -(J^T W r - J^T W B (1 + B^T W B)^-1 (B^T W r + q)), Eq. (5.9). The residuals contain the common errors q
-    that are estimated already, the first ones (`deviations`); the others are 0 there.
+    that are estimated already, the rates, which come first; the others are 0 there.
     """
     weighted = residuals.jacobian.T * weights  # J^T W
     normal_matrix, gradient = weighted @ residuals.jacobian, weighted @ residuals.residual
     count = nuisance.shape[1]
     if not count:
-        return normal_matrix, -np.linalg.solve(normal_matrix + _RIDGE, gradient), np.zeros(0)
+        return normal_matrix, -np.linalg.solve(normal_matrix + RIDGE * np.eye(PARAMETERS), gradient), np.zeros(0)
     weighted_nuisance = nuisance.T * weights  # B^T W
     cross_information = np.empty((count, PARAMETERS + 1))  # B^T W [J r]
     cross_information[:, :-1] = weighted_nuisance @ residuals.jacobian
     cross_information[:, -1] = weighted_nuisance @ residuals.residual
+    deviations = residuals.rate_deviations
     cross_information[: len(deviations), -1] += deviations
     solution = np.linalg.solve(weighted_nuisance @ nuisance + np.eye(count), cross_information)
     eliminated = cross_information[:, :-1].T @ solution
     normal_matrix = normal_matrix - eliminated[:, :-1]
-    step = -np.linalg.solve(normal_matrix + _RIDGE, gradient - eliminated[:, -1])
+    step = -np.linalg.solve(normal_matrix + RIDGE * np.eye(PARAMETERS), gradient - eliminated[:, -1])
     return normal_matrix, step, -solution[:, -1] - solution[:, :-1] @ step
 
 
@@ -379,19 +269,6 @@ def _inlier_weights(residual: Float64[Array, "row"], residuals: Residuals) -> Fl
     return weights
 
 
-def _shortened(step: Float64[Array, "7"]) -> Float64[Array, "7"]:
-    """The step, as a whole not longer than a tilt or turn by `MAX_TILT_RAD`."""
-    largest = max(map(abs, step[[TILT_INWARD, TILT_ALONG, TURN]].tolist()))
-    return step * (MAX_TILT_RAD / largest) if largest > MAX_TILT_RAD else step
-
-
-def _plausible(arcs: RingArcs, step: Float64[Array, "7"]) -> bool:
-    """Whether the next ring is in front of the camera and has a possible size."""
-    depth_m = -float(arcs.normal @ (arcs.origin + step[LIFT] * arcs.normal + step[SHIFT] * arcs.axes[0]))
-    curvature = abs(arcs.curvature + float(step[CURVATURE]))
-    return all(map(isfinite, step.tolist())) and MIN_DEPTH_M < depth_m < MAX_DEPTH_M and curvature < MAX_CURVATURE
-
-
 def is_poorly_determined(estimate: Estimate) -> bool:
     """Whether the shot leaves tilt or in-plane rotation to more than 0.5 rad, or curvature to more than 1/m (sigmas).
 
@@ -399,3 +276,161 @@ def is_poorly_determined(estimate: Estimate) -> bool:
     """
     variance = estimate.inverse.diagonal().tolist()
     return bool(max(variance[TILT_INWARD], variance[TILT_ALONG], variance[TURN]) > 0.25 or variance[CURVATURE] > 1.0)
+
+
+def ring_residuals(
+    arcs: RingArcs, measured: Measurements, observations: Observations, prior: Prior, rates: Rates = STILL
+) -> Residuals:
+    """The residuals of a ring at the reference time; `observations` are the measurements with their light planes.
+
+    With a prior of the motion, every residual is evaluated for the ring at the time of its own frame.
+    """
+    motion = prior.assumptions.motion if observations.moving else None
+    sds = np.zeros(0) if motion is None else np.array([motion.speed_sd_m_s] * 3 + [motion.rate_sd_rad_s] * 2)
+    stripes, points, edges = predicted_view(arcs, observations.view, rates if len(sds) else None)
+    ends = observations.view.ends
+    # a: whitened distances of the lines' ends from the predicted lines
+    above = observations.view.rays[:, 1] - stripes.rays[:, 1]
+    blocks = [(observations.whitening @ above[:ends], -observations.whitening @ stripes.y_wrt_step[:ends])]
+
+    # b: distances of the break points from their edges, along the predicted lines
+    wrt_step = points.wrt_step + points.wrt_ray[:, 1:] * stripes.y_wrt_step[ends:]  # the point moves with its line
+    distance_wrt_x = points.wrt_ray[:, 0] + stripes.slope[ends:] * points.wrt_ray[:, 1]
+    distance_wrt_x = np.where(np.abs(distance_wrt_x) < MIN_RATE, MIN_RATE, distance_wrt_x)
+    scale = 1.0 / (np.abs(distance_wrt_x) * observations.sigma_x)
+    blocks.append((scale * points.distance_m, scale[:, None] * wrt_step))
+
+    ordinates = _ordinate_scale(measured.points, stripes.slope[ends:], distance_wrt_x)
+    which, share, ordinate_scale = ordinates
+    if len(which):
+        remainder = above[ends:][which] - share * points.distance_m[which]
+        jacobian = -stripes.y_wrt_step[ends:][which] - share[:, None] * wrt_step[which]
+        blocks.append((ordinate_scale * remainder, ordinate_scale[:, None] * jacobian))
+
+    # c: distances of the visible edge points from their edges, along the edges' normals in the image
+    sigma_m = np.abs((edges.wrt_ray * measured.edges.step).sum(axis=1))
+    edge_scale = 1.0 / np.maximum(sigma_m, np.finfo(float).tiny)
+    blocks.append((edge_scale * edges.distance_m, edge_scale[:, None] * edges.wrt_step))
+
+    residual, wrt_all = (np.concatenate(each) for each in zip(*blocks, strict=True))
+    prior_residual, prior_jacobian = _prior_residuals(arcs, prior)  # d
+    rate_columns = slice(PARAMETERS, PARAMETERS + len(sds))
+    return Residuals(
+        arcs=arcs,
+        rates=rates,
+        rate_sds=sds,
+        rate_deviations=_rates_along(arcs, rates)[: len(sds)] / np.maximum(sds, np.finfo(float).tiny),
+        residual=np.concatenate([residual, prior_residual]),
+        jacobian=np.concatenate([wrt_all[:, :PARAMETERS], prior_jacobian]),
+        ends=ends,
+        data_rows=len(residual),
+        stripes=stripes._replace(y_wrt_step=stripes.y_wrt_step[:, :PARAMETERS]),
+        points=points,
+        edges=edges,
+        edge_scale=edge_scale,
+        distance_wrt_x=distance_wrt_x,
+        distance_scale=scale,
+        ordinates=ordinates,
+        wrt_rates=_with_zero_rows(wrt_all[:, rate_columns], len(prior_residual)),
+        wrt_camera=_with_zero_rows(wrt_all[:, rate_columns.stop :], len(prior_residual)),
+        y_wrt_rates=stripes.y_wrt_step[:, rate_columns],
+    )
+
+
+def moved_residuals(
+    residuals: Residuals,
+    step: Float64[Array, "step=7"],
+    rate_step: Float64[Array, "rate"],
+    measured: Measurements,
+    observations: Observations,
+    prior: Prior,
+) -> Residuals | None:
+    """The residuals after a step of the ring, and of its rates in their standard deviations.
+
+    A step longer than `MAX_TILT_RAD` is shortened as a whole. None if the ring is then not in front of the camera, or
+    has an impossible size. The angular velocity stays across the normal.
+    """
+    arcs, rates = residuals.arcs, residuals.rates
+    largest = max(map(abs, step[[TILT_INWARD, TILT_ALONG, TURN]].tolist()))
+    moved = arcs.moved(step * (MAX_TILT_RAD / largest) if largest > MAX_TILT_RAD else step)
+    depth_m = -float(arcs.axes[2] @ moved.origin)
+    possible = MIN_DEPTH_M < depth_m < MAX_DEPTH_M and abs(moved.curvature) < MAX_CURVATURE
+    if not (possible and all(map(isfinite, step.tolist()))):
+        return None
+    if len(rate_step):
+        along = _rates_along(arcs, rates) + rate_step * residuals.rate_sds
+        rates = Rates(along[:3], along[3:] @ moved.axes[:2])
+    return ring_residuals(moved, measured, observations, prior, rates)
+
+
+def _rates_along(arcs: RingArcs, rates: Rates) -> Float64[Array, "rate=5"]:
+    """The velocity, and the angular velocities about the inward axis and about the axis along the face."""
+    return np.concatenate([rates.velocity_m_s, arcs.axes[:2] @ rates.rate_rad_s])
+
+
+def _with_zero_rows(rows: Float64[Array, "data column"], count: int) -> Float64[Array, "row column"]:
+    """The rows, and zeros for those of the prior."""
+    return np.concatenate([rows, np.zeros((count, rows.shape[1]))])
+
+
+def at_reference_time(arcs: RingArcs, measured: Measurements, planes: LaserPlanes) -> Measurements:
+    """The measurements with t_0 the mean of their stamps, weighted by the information on the ring's position.
+
+    At this time pose and rates are least correlated (ringpose-method(7), section 8). `arcs`: an approximate ring.
+    """
+    stamp_s = measured.stamp_s
+    if not bool(np.isfinite(stamp_s).all()):
+        return measured
+    residuals = ring_residuals(arcs, measured, measured.observations(planes), Prior())
+    rows = residuals.jacobian[: len(stamp_s)] @ motion_derivatives(arcs, arcs, 1.0).wrt_rates[:, :3]
+    weight = (rows * rows).sum(axis=1)
+    if not 0.0 < float(weight.sum()) < np.inf:
+        return measured
+    first = float(stamp_s.min())
+    return replace(measured, reference_s=first + float(weight @ (stamp_s - first) / weight.sum()))
+
+
+def _ordinate_scale(
+    points: Points, slope: Float64[Array, "point"], distance_wrt_x: Float64[Array, "point"]
+) -> OrdinateScale:
+    """Weights of the ordinates of points without a line.
+
+    The height above the predicted line is correlated with the error of the abscissa, which residual b uses; the
+    remainder after regression on the abscissa (`share`) is independent of it and has the standard deviation 1 / scale.
+    """
+    which = np.flatnonzero(points.isolated)
+    if not len(which):
+        return OrdinateScale(which, np.empty(0), np.empty(0))
+    covariance, slope = points.covariance[which], slope[which]
+    xx, xy, yy = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
+    cross_covariance = xy - slope * xx
+    remainder = yy - 2.0 * slope * xy + slope**2 * xx - cross_covariance**2 / xx
+    scale = 1.0 / np.sqrt(np.maximum(remainder, 1e-12 * xx))
+    return OrdinateScale(which, cross_covariance / xx / distance_wrt_x[which], scale)
+
+
+def _prior_residuals(arcs: RingArcs, prior: Prior) -> tuple[Float64[Array, "row"], Float64[Array, "row step=7"]]:
+    """Residuals d: each row is a value and its nonzero derivatives by component of the step."""
+    rows: list[tuple[float, dict[int, float]]] = []
+    if prior.radii is not None:
+        for sign, radius_m, assumed_m, sd_m in zip(
+            EDGE_SIGN, arcs.radius_m.tolist(), prior.radii.radius_m.tolist(), prior.radii.sd_m.tolist(), strict=True
+        ):
+            if assumed_m == assumed_m:
+                derivatives = {CURVATURE: -(arcs.mean_radius_m**2) / sd_m, HALF_BAND: sign / sd_m}
+                rows.append(((radius_m - assumed_m) / sd_m, derivatives))
+    if prior.regularize_about is not None:
+        inward, along, normal = arcs.axes
+        rows += [
+            ((arcs.curvature - EXPECTED_CURVATURE) / CURVATURE_SD, {CURVATURE: 1.0 / CURVATURE_SD}),
+            (float(inward @ prior.regularize_about.axes[1]) / TURN_SD_RAD, {TURN: 1.0 / TURN_SD_RAD}),
+        ]
+        for axis in range(2):
+            derivatives = {TILT_INWARD: inward[axis] / TILT_SD_RAD, TILT_ALONG: along[axis] / TILT_SD_RAD}
+            rows.append((float(normal[axis]) / TILT_SD_RAD, derivatives))
+    if prior.single_edge:
+        rows.append(((arcs.half_band_m - EXPECTED_HALF_BAND_M) / HALF_BAND_SD_M, {HALF_BAND: 1.0 / HALF_BAND_SD_M}))
+    jacobian = np.zeros((len(rows), PARAMETERS))
+    for row, (_, derivatives) in zip(jacobian, rows, strict=True):
+        row[list(derivatives)] = list(derivatives.values())
+    return np.array([value for value, _ in rows], dtype=np.float64), jacobian

@@ -7,7 +7,6 @@ from math import isfinite, sqrt
 
 import numpy as np
 
-from ringpose.estimate.consistency import chi2, curvature_alone, degrees_of_freedom
 from ringpose.estimate.covariance import (
     CURVATURE_OUT,
     EDGE_ON_BELOW,
@@ -23,14 +22,14 @@ from ringpose.estimate.hypotheses import Explanation, explain
 from ringpose.estimate.information import prior_rows, ring_measurement
 from ringpose.estimate.measurements import Measurements, measurements_of
 from ringpose.estimate.nuisance import rig_errors
-from ringpose.estimate.residuals import Prior
-from ringpose.estimate.solver import Estimate
+from ringpose.estimate.residuals import Estimate, Prior
+from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import GRAZING
 from ringpose.geometry.ring import EDGE_SIGN
 from ringpose.pose.catalogue import likely_ring, ring_posterior
 from ringpose.pose.drift import REDUNDANT_STRIPES, plane_evidence
 from ringpose.pose.observability import determined, poorly_determined_flags, reported_pose
-from ringpose.pose.visibility import seen_lasers
+from ringpose.pose.visibility import seen_lasers, unused_lasers
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.assumptions import IDEAL, Assumptions
 from ringpose.types.detection import BreakPointFlag, BreakPoints, Rejection, RingEdgePoints
@@ -65,24 +64,32 @@ def most_likely_pose(
     assumptions: Assumptions = IDEAL,
     lasers_on: Bool[Array, "laser"] | None = None,
     rejected: Sequence[Rejection] = (),
+    camera: CameraMotion | None = None,
 ) -> PoseResult:
     """The pose, or the reason why there is none; covariances are None if the covariance of a break point is NaN.
 
     The radii of a catalogue's ring are used if the shot identifies it with high probability. `lasers_on`: which lasers
     were on in the shot, to report those whose stripe is missing; None if unknown. `rejected`: by the detector.
+    `camera`: its motion, which is removed from that of the target; None for a camera that counts as inertial.
     """
-    measured = measurements_of(break_points, rig, ring_edges)
+    measured = measurements_of(break_points, rig, ring_edges, camera)
+    found = break_points.seen.any(axis=1) | np.isfinite(break_points.face_start_px[:, 0])
+    without = PoseResult(
+        pose=NoPose.TOO_FEW_BREAK_POINTS, lasers=unused_lasers(rig, lasers_on, found), rejected=tuple(rejected)
+    )
     if not len(measured.points.x):
-        return PoseResult(pose=NoPose.TOO_FEW_BREAK_POINTS)
+        return without
     if not bool(np.isfinite(measured.points.x + measured.points.y).all()):
-        return PoseResult(pose=NoPose.UNTRIANGULATED)
-    assumptions, untimed = _timed(break_points, assumptions)
+        return replace(without, pose=NoPose.UNTRIANGULATED)
+    if camera is not None and measured.observations(rig.lasers).view.camera is None:
+        return replace(without, pose=NoPose.NO_ROBOT_POSES)
+    assumptions, untimed = _timed(break_points, assumptions, moving=camera is not None)
     radii, source, posterior = (known if isinstance(known, KnownRadii) else None), "given", None
     named = not bool((break_points.flags[break_points.seen] & int(BreakPointFlag.EDGE_UNKNOWN)).any())
     explained = partial(explain, measured, rig, labelled=break_points.labelled, edges_named=named)
     best = explained(Prior(radii, assumptions))
     if best is None:
-        return PoseResult(pose=_why_no_estimate(measured, rig))
+        return replace(without, pose=_why_no_estimate(measured, rig))
     if known is not None and not isinstance(known, KnownRadii):
         posterior = _posterior(best, known)
         ring = likely_ring(posterior, known)
@@ -168,7 +175,9 @@ def _result(best: Explanation, rig: Rig, source: str) -> PoseResult:
     )
 
 
-def _timed(break_points: BreakPoints, assumptions: Assumptions) -> tuple[Assumptions, tuple[PoseFlag, str] | None]:
+def _timed(
+    break_points: BreakPoints, assumptions: Assumptions, *, moving: bool
+) -> tuple[Assumptions, tuple[PoseFlag, str] | None]:
     """The assumptions, and flags with their reason where a motion cannot be estimated although it is assumed.
 
     Stripes that were taken one after the other need stamps of their own.
@@ -176,7 +185,8 @@ def _timed(break_points: BreakPoints, assumptions: Assumptions) -> tuple[Assumpt
     seen = break_points.seen.any(axis=1) | np.isfinite(break_points.face_start_px[:, 0])
     stamps = [] if break_points.stamp_s is None else break_points.stamp_s[seen].tolist()
     distinct = len(set(stamps)) == int(seen.sum()) and all(map(isfinite, stamps))
-    if assumptions.motion is None or not break_points.labelled or distinct or int(seen.sum()) == 1:
+    moving = moving or assumptions.motion is not None  # the camera or the target
+    if not moving or not break_points.labelled or distinct or int(seen.sum()) == 1:
         return assumptions, None
     return replace(assumptions, motion=None), (ALL_WEAK | PoseFlag.VELOCITY_WEAK, NOT_TIMED)
 
@@ -187,7 +197,7 @@ def _ring_doubts(best: Explanation, break_points: BreakPoints) -> tuple[PoseFlag
     A ring is shown by its curvature, or by given radii; without visible edges also by most ends of its stripes. The two
     ends of a single stripe alone may be those of any surface.
     """
-    curvature, sd = curvature_alone(best.estimate)
+    curvature, sd = best.estimate.curvature_alone
     if best.prior.radii is None and not abs(curvature) > CURVED_SIGMAS * sd:
         return ALL_WEAK, "the edges may be straight: the shot does not show that it is a ring"
     if len(best.measured.edges.edge):
@@ -225,7 +235,7 @@ def _unverified(best: Explanation) -> PoseFlag:
     """Flags of what the pose assumes without a check by the shot itself: its side, the radius, the rig."""
     flags = PoseFlag(0) if best.side_known else PoseFlag.SIDE_UNKNOWN
     if best.prior.radii is not None:
-        curvature, sd = curvature_alone(best.estimate)
+        curvature, sd = best.estimate.curvature_alone
         flags |= PoseFlag.RADIUS_UNVERIFIED if not sd < VERIFIED_BELOW * curvature else PoseFlag(0)
     if len(best.measured.lines.laser) < REDUNDANT_STRIPES:
         flags |= PoseFlag.RIG_UNCHECKED
@@ -254,8 +264,7 @@ def _covariance(best: Explanation, found: Quantities) -> Float64[Array, "15 15"]
     estimate = best.estimate
     covariance = joint_covariance(estimate, found)
     if best.flag & PoseFlag.INCONSISTENT:
-        dof = degrees_of_freedom(estimate, best.measured)
-        covariance = covariance * max(chi2(estimate, best.measured) / dof, 1.0)
+        covariance = covariance * max(estimate.chi2 / estimate.degrees_of_freedom, 1.0)
         for other in best.competing:
             difference = difference_from(other, quantities(other), estimate, found)
             covariance = covariance + np.outer(difference, difference)

@@ -15,7 +15,9 @@ from types import MappingProxyType
 import numpy as np
 
 from ringpose.estimate.covariance import standard_deviation
+from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.pose.pipeline import pose_result
+from ringpose.pose.visibility import unused_lasers
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import USUAL, AssumptionOptions
 from ringpose.types.detection import BreakPoints, Detection, NoBreakPoints, Rejection
@@ -36,12 +38,14 @@ def pose_line(
     frame: PoseFrame = PoseFrame.CAMERA,
     known: KnownRadii | Sequence[Ring] | None = None,
     options: AssumptionOptions = USUAL,
+    camera: CameraMotion | None = None,
 ) -> PoseLine:
     """The pose of one shot, or the reason why it has none, and the time that the computation took.
 
     `known` are the ring's radii, or the catalogue that it belongs to. `options` state what
-    is assumed. The frame `tool` needs the rig's mount; without
-    it vectors and record are in the camera frame.
+    is assumed. The frame `tool` needs the rig's mount; without it vectors and record are in the camera frame. `camera`:
+    its motion by the poses of the robot that carries it, which is removed within the shot; velocity and assumptions
+    about the motion are then relative to the robot's base. None for a camera that counts as inertial.
     """
     assumptions = options.about_shot(rig.stability, still=source.still)
     if rig.tool_from_camera is None:
@@ -51,7 +55,7 @@ def pose_line(
     if isinstance(source, Shot):
         from ringpose.detect.pipeline import detect  # not needed for detections, and slow to import
 
-        source = detect(source, rig, assumptions=assumptions)
+        source = detect(source, rig, assumptions=assumptions, camera=camera)
         detected_s = perf_counter()
         stage_s["detect"] = detected_s - start_s
     points = source.break_points
@@ -63,11 +67,15 @@ def pose_line(
             flags=PoseFlag.ASSIGNMENT_AMBIGUOUS if points in CONTRADICTED else PoseFlag(0),
             reason="; ".join(filter(None, [points.value, source.advice])),
             frame=frame,
+            lasers=unused_lasers(rig, source.lasers_on, points not in WITHOUT_STRIPES),
+            rejected=source.rejected,
             latency_s=perf_counter() - start_s,
             stage_s=stage_s,
             rig=rig.sha256,
         )
-    result = pose_result(points, rig, method, source.ring_edges, known, assumptions, source.lasers_on, source.rejected)
+    result = pose_result(
+        points, rig, method, source.ring_edges, known, assumptions, source.lasers_on, source.rejected, camera
+    )
     rejected = result.rejected or source.rejected
     pose, velocity = result.pose, result.velocity
     if isinstance(pose, RingPose) and frame is PoseFrame.TOOL and rig.tool_from_camera is not None:
@@ -102,6 +110,14 @@ def _reason(result: PoseResult, source: Detection) -> str | None:
     limited = isinstance(result.pose, NoPose) or result.flags & ~HARMLESS_FLAGS
     return "; ".join(filter(None, [why, source.advice if limited else ""])) or None
 
+
+WITHOUT_STRIPES = (
+    NoBreakPoints.NO_LASER_FRAME,
+    NoBreakPoints.IMAGE_DARK,
+    NoBreakPoints.IMAGE_SATURATED,
+    NoBreakPoints.NO_STRIPE,
+)
+"""Reasons of shots in which no stripe was found."""
 
 CONTRADICTED = (NoBreakPoints.AMBIGUOUS_LABELS, NoBreakPoints.CONTRADICTED_MASKS, NoBreakPoints.CONTRADICTED_RIG)
 """Reasons of shots whose stripes fit no ring as the rig and the lasers' masks assign them."""
@@ -140,6 +156,8 @@ def contradictions(result: PoseResult, rejected: Sequence[Rejection]) -> str | N
     """What was rejected or is missing, in words; None if everything that should be in view was used and agreed."""
     missing = [name for name, state in result.lasers.items() if state is LaserState.NOT_SEEN]
     remarks = [result.remark, rejection_remark(rejected)]
+    if any(each.what == "edge" for each in rejected):  # by the detector
+        remarks.append("the ambient light should show the ring's edges, but they were not found")
     remarks += [f"the stripe of laser {name} should be in view, but was not found" for name in missing]
     remarks += [remark for flag, remark in REMARKS.items() if flag in result.flags]
     return "; ".join(filter(None, remarks)) or None

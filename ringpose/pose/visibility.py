@@ -131,3 +131,12 @@ def _prediction_sigma_px(
     focal = rig.camera.camera_matrix[[0, 1], [0, 1]]
     sigma_px: Float64[Array, "laser"] = np.maximum(sigma_x * focal[0], sigma_y * focal[1]).reshape(-1, 2).max(axis=1)
     return sigma_px
+
+
+def unused_lasers(
+    rig: Rig, lasers_on: Bool[Array, "laser"] | None, found: bool | Bool[Array, "laser"]
+) -> Mapping[str, LaserState]:
+    """The states of the lasers that were on, in a shot that has no pose: whether a stripe was found for them."""
+    on, stripes = (np.broadcast_to(each, len(rig.lasers.names)) for each in (lasers_on is None or lasers_on, found))
+    states = (LaserState.REJECTED if stripe else LaserState.NOT_SEEN for stripe in stripes)
+    return {name: state for name, state, lit in zip(rig.lasers.names, states, on, strict=True) if lit}

@@ -1,10 +1,16 @@
 """A shot's break points, from drawn stripes whose truth is a formula."""
 
+from dataclasses import replace
+
+import cv2
 import numpy as np
 import pytest
 from drawn_scene import DrawnScene, draw_shot, true_break_points
 
-from ringpose.detect.pipeline import detect
+from ringpose.detect import pipeline
+from ringpose.detect.pipeline import detect, edges_lit
+from ringpose.files.images.shots import read_shot
+from ringpose.files.rigs import read_rig
 from ringpose.types.detection import BreakPointFlag, BreakPoints, NoBreakPoints
 from ringpose.types.image import Shot
 from ringpose.types.options import StripeSource
@@ -226,3 +232,35 @@ def test_a_lost_prediction_falls_back_to_the_whole_frame(rig, rng, monkeypatch):
     assert len(calls) == 3
     assert isinstance(tracked, BreakPoints)
     np.testing.assert_array_equal(tracked.position_px, found(shot, rig).position_px)
+
+
+@pytest.fixture
+def with_off_frame(carried_data):
+    """A rendered shot after a frame without lasers: the same without its thin bright stripes."""
+
+    def shot_of(name: str) -> tuple[Shot, Rig]:
+        rig = read_rig(carried_data / "rig_b" / "rig.yaml")
+        shot = read_shot(carried_data / "rig_b" / "shots" / f"{name}.npz", rig=rig)
+        off = cv2.morphologyEx(shot.images[-1], cv2.MORPH_OPEN, np.ones((31, 1), np.uint8))
+        stamps = {"stamp_s": np.array([0.0, 0.1]), "exposure_s": np.repeat(shot.exposure_s[-1:], 2)}
+        return replace(shot, images=np.stack([off, shot.images[-1]]), lasers=np.array([0, 7], np.uint8), **stamps), rig
+
+    return shot_of
+
+
+@pytest.mark.parametrize(("name", "lit"), [("B_z0500_p01_dim", False), ("B_z0500_p01_normal", True)])
+def test_ambient_light_should_show_edges_in_a_lit_shot_only_whatever_the_black_level(with_off_frame, name, lit):
+    shot, rig = with_off_frame(name)
+    points = found(shot, rig)
+
+    for black_level_dn in (0, 20):
+        raised = np.clip(shot.images.astype(int) + black_level_dn, 0, 255).astype(np.uint8)
+        assert edges_lit(points, replace(shot, images=raised)) == lit
+
+
+def test_lit_edges_that_are_not_found_are_recorded(with_off_frame, monkeypatch):
+    monkeypatch.setattr(pipeline, "detect_ring_edges", lambda points, *_: (points, None))
+
+    detection = detect(*with_off_frame("B_z0500_p01_normal"))
+
+    assert [each.what for each in detection.rejected] == ["edge"]

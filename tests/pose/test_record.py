@@ -10,7 +10,8 @@ from ringpose.detect.pipeline import detect
 from ringpose.pose.drift import SHOTS_NEEDED, DriftMonitor
 from ringpose.pose.record import pose_line, remarks_on
 from ringpose.types.assumptions import AssumptionOptions
-from ringpose.types.pose import PoseFlag
+from ringpose.types.detection import NoBreakPoints, Rejection
+from ringpose.types.pose import LaserState, PoseFlag
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +35,25 @@ def test_a_dark_shot_gives_a_line_with_the_reason(shot):
     assert line.pose is None
     assert line.status == "none"
     assert remarks_on(line) == line.reason
+    assert line.lasers == dict.fromkeys(drawn_rig().lasers.names, LaserState.NOT_SEEN)
+
+
+def test_stripes_that_are_on_no_ring_are_stated_as_rejected(shot):
+    detection = replace(detect(shot, drawn_rig()), break_points=NoBreakPoints.NO_RING)
+
+    line = pose_line(detection, drawn_rig())
+
+    assert line.lasers == dict.fromkeys(drawn_rig().lasers.names, LaserState.REJECTED)
+
+
+def test_edges_that_ambient_light_should_show_and_that_were_not_found_are_not_ok(shot):
+    detection = replace(detect(shot, drawn_rig()), rejected=(Rejection(what="edge"),))
+
+    line = pose_line(detection, drawn_rig(), options=AssumptionOptions(still=True))
+
+    assert PoseFlag.EDGE_REJECTED in line.flags
+    assert line.status == "degraded"
+    assert "ambient light" in line.reason
 
 
 def test_a_weak_center_is_remarked_with_the_measurement_that_would_help(shot):
