@@ -82,6 +82,11 @@ class Tracker:
         self._old: list[float] = []
 
     @property
+    def camera(self) -> CameraMotion | None:
+        """The motion of the camera, if it is known."""
+        return self._camera
+
+    @property
     def track(self) -> Track:
         """After all records so far."""
         return self._entries[-1].track if self._entries else self._base
