@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from ringpose.cli.batch import Batch
     from ringpose.files.inputs import Input
-    from ringpose.track.camera_motion import CameraMotion
+    from ringpose.geometry.camera_motion import CameraMotion
     from ringpose.track.lines import Gripper
     from ringpose.track.pipeline import Tracker
     from ringpose.types.track import Attempt, TrackLine
@@ -135,7 +135,7 @@ def track(
 
 def _camera_motion(robot_poses: Path | None, rig: Path | None) -> "CameraMotion | None":
     from ringpose.files.robot_poses import read_mount_with_errors, read_robot_poses
-    from ringpose.track.camera_motion import CameraMotion
+    from ringpose.geometry.camera_motion import CameraMotion
 
     if robot_poses is None:
         return None

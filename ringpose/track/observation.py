@@ -10,6 +10,7 @@ from math import sqrt
 import numpy as np
 
 from ringpose.estimate.information import POSE, RATES
+from ringpose.geometry.camera_motion import CameraState
 from ringpose.geometry.ring import (
     LIFT,
     SHIFT,
@@ -23,7 +24,6 @@ from ringpose.geometry.ring import (
     ring_arcs,
 )
 from ringpose.geometry.rotations import tilt_basis
-from ringpose.track.camera_motion import CameraState
 from ringpose.track.common_errors import CommonErrors
 from ringpose.track.states import MOVING, RingStates
 from ringpose.types.arrays import Array, Float64

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.errors import DataError
-from ringpose.track.camera_motion import CameraMotion
+from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.track.common_errors import CommonErrors, common_errors
 from ringpose.track.explanations import Fusion, Track, TrackOptions, track_after
 from ringpose.track.lines import LineOptions, track_line

@@ -6,7 +6,7 @@ import pytest
 from moving_rings import START_S, Motion, Shots, drawn_motion, stream
 from ring_scenes import Ring
 
-from ringpose.track.camera_motion import CameraMotion
+from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.track.pipeline import Tracker
 from ringpose.types.robot import Mount, RobotPoses
 from ringpose.types.track import FusionStatus
