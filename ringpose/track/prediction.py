@@ -7,7 +7,7 @@ import numpy as np
 from ringpose.geometry.rays import project, undistorted_pixels
 from ringpose.geometry.ring import STEP, RingArcs, edge_points, predicted_break_points
 from ringpose.pose.visibility import BORDER_PX, break_point_sigmas_px
-from ringpose.track.camera_motion import CameraMotion
+from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.track.explanations import Track
 from ringpose.track.filters import mixed, predicted
 from ringpose.track.states import RingStates, after, moved
