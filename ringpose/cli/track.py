@@ -165,7 +165,8 @@ def _writer(
     from ringpose.errors import NO_POSE
     from ringpose.files import records
     from ringpose.files.records.newest import NewestWriter
-    from ringpose.files.tracks import ros_messages, track_record
+    from ringpose.files.ros import ros_messages
+    from ringpose.files.tracks import track_record
 
     write = stack.enter_context(NewestWriter()).write if newest else records.write_text
 

@@ -131,7 +131,7 @@ def break_point_sigmas_px(
     rate = edges.wrt_ray[:, 0] + stripes.slope * edges.wrt_ray[:, 1]
     sigma_y = np.sqrt(((stripes.y_wrt_step @ covariance) * stripes.y_wrt_step).sum(axis=1))
     sigma_x = np.sqrt(((along_wrt_step @ covariance) * along_wrt_step).sum(axis=1)) / np.abs(rate)
-    sigma_px: Float64[Array, "point xy=2"] = np.stack([sigma_x, sigma_y], axis=1) * rig.camera.camera_matrix[
-        [0, 1], [0, 1]
-    ]
+    sigma_px: Float64[Array, "point xy=2"] = (
+        np.stack([sigma_x, sigma_y], axis=1) * rig.camera.camera_matrix[[0, 1], [0, 1]]
+    )
     return sigma_px.reshape(-1, 2, 2)
