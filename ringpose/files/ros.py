@@ -9,7 +9,7 @@ import numpy as np
 from ringpose.geometry.ring import normal_and_center
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.pose import RingPose, RingVelocity
+from ringpose.types.pose import PoseLine, RingPose, RingVelocity
 from ringpose.types.track import TrackLine
 
 TURN_VARIANCE_RAD2 = pi**2 / 3.0
@@ -19,17 +19,25 @@ SPIN_VARIANCE_RAD2_S2 = pi**2
 """Variance of the angular velocity about the ring's axis, which is not observable."""
 
 
-def ros_messages(line: TrackLine) -> dict[str, Any]:
-    """The track as geometry_msgs/PoseWithCovarianceStamped and geometry_msgs/TwistWithCovarianceStamped.
+def ros_messages(line: PoseLine | TrackLine) -> dict[str, Any]:
+    """A line as geometry_msgs/PoseWithCovarianceStamped and geometry_msgs/TwistWithCovarianceStamped.
 
-    Null where the centre or the normal is not determined. `validity` and `fusion_status` stand beside the messages.
+    Null where the centre or the normal is not determined, the twist also without a velocity. How far the line may be
+    trusted stands beside the messages: `status`, of a track also `validity` and `fusion_status`.
     """
-    grasp_m = line.grasp.point_m if line.grasp is not None else np.full(3, nan)
+    if isinstance(line, TrackLine):
+        stamp_s = line.stamp_s
+        beside: dict[str, str] = {"validity": line.validity, "fusion_status": line.attempt.fusion_status}
+        grasp_m = np.full(3, nan) if line.grasp is None else line.grasp.point_m
+    else:
+        stamp_s = line.pose_stamp_s if isfinite(line.pose_stamp_s) else line.stamp_s
+        beside = {"shot": line.shot}
+        grasp_m = np.full(3, nan) if line.pose is None else line.pose.grasp_m
     return {
-        "pose": ros_pose(line.stamp_s, line.frame, line.pose, grasp_m),
-        "twist": ros_twist(line.stamp_s, line.frame, line.pose, line.velocity),
-        "validity": line.validity,
-        "fusion_status": line.attempt.fusion_status,
+        "pose": ros_pose(stamp_s, line.frame, line.pose, grasp_m),
+        "twist": ros_twist(stamp_s, line.frame, line.pose, line.velocity),
+        "status": line.status,
+        **beside,
     }
 
 

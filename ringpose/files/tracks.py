@@ -49,6 +49,7 @@ def track_record(line: TrackLine, brief: bool = False) -> dict[str, Any]:
         "resets": line.resets,
         "attempts": [_attempt_values(each) for each in line.attempts],
         "shot": line.attempt.shot or None,
+        "reason": line.attempt.reason or None,
         "rig": line.rig or None,
     }
     if brief:
@@ -62,4 +63,5 @@ def _attempt_values(attempt: Attempt) -> dict[str, Any]:
         "stamp_s": attempt.stamp_s,
         "fusion_status": attempt.fusion_status,
         "test_ratio": attempt.test_ratio,
+        "reason": attempt.reason or None,
     }

@@ -122,7 +122,7 @@ def break_point_sigmas_px(
     points_m: Float64[Array, "laser edge=2 xyz=3"],
     rig: Rig,
 ) -> Float64[Array, "laser edge=2 xy=2"]:
-    """Standard deviations of predicted break points, by the covariance of the ring: along the stripe (x), across (y)."""
+    """Standard deviations of predicted break points by the ring's covariance: along the stripe (x), across it (y)."""
     rays = (points_m / points_m[..., 2:]).reshape(-1, 3)
     normal, distance_m = (np.repeat(each, 2, axis=0) for each in (rig.lasers.normal, rig.lasers.distance_m))
     stripes = predicted_stripes(arcs, rays[:, 0], normal, distance_m)

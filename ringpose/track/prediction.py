@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import project, undistorted_pixels
 from ringpose.geometry.ring import STEP, RingArcs, edge_points, predicted_break_points
 from ringpose.pose.visibility import BORDER_PX, break_point_sigmas_px
-from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.track.explanations import Track
 from ringpose.track.filters import mixed, predicted
 from ringpose.track.states import RingStates, after, moved
@@ -16,7 +16,7 @@ from ringpose.types.detection import BreakPoints
 from ringpose.types.rig import Rig
 
 MAX_ACROSS_PX, MAX_ALONG_PX = 6.0, 15.0
-"""Largest standard deviations of a prediction across and along a stripe: a quarter of the margins of a search window."""
+"""Largest standard deviations of a prediction across and along a stripe: a quarter of a search window's margins."""
 
 LABELLED_FROM = 5.0
 """Distance of neighbouring stripes, in standard deviations of their prediction, from which it assigns the lasers."""
@@ -75,8 +75,8 @@ def predicted_stripes(rings: list[PredictedRing], rig: Rig) -> BreakPoints | Non
         points_m[(points_m[..., 2] <= 0.0).any(axis=1)] = np.nan
         position_px = project(points_m, camera)
         size_px = np.array([camera.image_width, camera.image_height]) - 1.0
-        inside = ((position_px > BORDER_PX) & (position_px < size_px - BORDER_PX)).all(axis=-1)
-    in_view = inside.any(axis=1)
+    inside = np.asarray(((position_px > BORDER_PX) & (position_px < size_px - BORDER_PX)).all(axis=-1))
+    in_view = np.asarray(inside.any(axis=1))
     position_px = np.where(in_view[:, None, None], position_px, np.nan)
     sigma_px = np.where(in_view[:, None, None], sigma_px, np.nan)
     if not in_view.any() or not (sigma_px[in_view] < [MAX_ALONG_PX, MAX_ACROSS_PX]).all():

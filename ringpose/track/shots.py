@@ -12,7 +12,6 @@ import numpy as np
 
 from ringpose.detect.difference_images import laser_images
 from ringpose.detect.pipeline import MOVED_PX, detect
-from ringpose.track.explanations import TrackOptions
 from ringpose.track.lines import validity
 from ringpose.track.pipeline import Tracker
 from ringpose.track.prediction import PredictedRing, motion_px, predicted_ring, predicted_stripes
@@ -31,8 +30,8 @@ FOLLOWED = (Validity.VALID, Validity.PREDICTED)
 class ShotTracker:
     """Measures shots with the prediction of the track that they extend."""
 
-    def __init__(self, tracker: Tracker, options: TrackOptions) -> None:
-        self._tracker, self._options = tracker, options
+    def __init__(self, tracker: Tracker) -> None:
+        self._tracker = tracker
         self._background: Frame | None = None
         """The newest frame without lasers."""
         self._seen: Bool[Array, "laser edge=2"] | None = None
@@ -80,7 +79,7 @@ class ShotTracker:
 
     def _ring_at(self, stamp_s: float) -> PredictedRing | None:
         track = self._tracker.track
-        if not track.stamp_s <= stamp_s or validity(track, stamp_s, self._options) not in FOLLOWED:
+        if not track.stamp_s <= stamp_s or validity(track, stamp_s, self._tracker.options) not in FOLLOWED:
             return None
         with np.errstate(all="ignore"):  # improbable states may be far off
             return predicted_ring(track, stamp_s, self._tracker.camera)
