@@ -64,13 +64,10 @@ def track(
     from ringpose.files.inputs import RECORDS_SUFFIX
     from ringpose.files.inputs import inputs as named
     from ringpose.files.rigs import read_rig
-    from ringpose.track.lines import LineOptions
-    from ringpose.track.pipeline import Tracker
 
     settings = TrackSettings(predict_for, lost_after, gripper_radial_m, gripper_tilt_deg)
-    options = settings.track_options(assumption_options(False, max_speed, max_rate, None, 1.0))
-    lines, motion = LineOptions(gripper=settings.gripper), camera_motion(robot_poses, rig, inputs)
-    tracker = Tracker(read_rig(rig) if rig is not None else None, options, lines, motion)
+    assumed, motion = assumption_options(False, max_speed, max_rate, None, 1.0), camera_motion(robot_poses, rig, inputs)
+    tracker = settings.tracker(read_rig(rig) if rig is not None else None, assumed, motion)
     batch = Batch()
     items = batch.valid_inputs(named(inputs, (RECORDS_SUFFIX,)))
     with ExitStack() as stack:

@@ -15,9 +15,10 @@ from ringpose.errors import UsageError
 if TYPE_CHECKING:
     from ringpose.cli.batch import Batch
     from ringpose.geometry.camera_motion import CameraMotion
-    from ringpose.track.explanations import TrackOptions
     from ringpose.track.lines import Gripper
+    from ringpose.track.pipeline import Tracker
     from ringpose.types.assumptions import AssumptionOptions
+    from ringpose.types.rig import Rig
     from ringpose.types.track import TrackLine
 
 STDIN = "-"
@@ -96,9 +97,11 @@ class TrackSettings(NamedTuple):
             raise UsageError(missing, "is missing: the probability needs both limits of the gripper", "give both")
         return Gripper(radial_m=radial_m, tilt_rad=radians(tilt_deg))
 
-    def track_options(self, assumed: "AssumptionOptions") -> "TrackOptions":
-        """The limits of the track; it begins with the motion that is assumed within a shot."""
+    def tracker(self, rig: "Rig | None", assumed: "AssumptionOptions", camera: "CameraMotion | None") -> "Tracker":
+        """The tracker; a track begins with the motion that is assumed within a shot."""
         from ringpose.track.explanations import TrackOptions
+        from ringpose.track.lines import LineOptions
+        from ringpose.track.pipeline import Tracker
         from ringpose.types.assumptions import MAX_RATE_DEG_S, MAX_SPEED_M_S, motion_prior
 
         predict_for_s = PREDICT_FOR_S if self.predict_for_s is None else self.predict_for_s
@@ -113,7 +116,8 @@ class TrackSettings(NamedTuple):
             MAX_SPEED_M_S if assumed.max_speed_m_s is None else assumed.max_speed_m_s,
             MAX_RATE_DEG_S if assumed.max_rate_deg_s is None else assumed.max_rate_deg_s,
         )
-        return TrackOptions(predict_for_s=predict_for_s, lost_after_s=lost_after_s, motion=motion)
+        options = TrackOptions(predict_for_s=predict_for_s, lost_after_s=lost_after_s, motion=motion)
+        return Tracker(rig, options, LineOptions(gripper=self.gripper), camera)
 
 
 def camera_motion(robot_poses: str | None, rig: Path | None, inputs: list[str] | None) -> "CameraMotion | None":

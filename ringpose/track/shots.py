@@ -27,6 +27,13 @@ FOLLOWED = (Validity.VALID, Validity.PREDICTED)
 """States of a track whose prediction is used."""
 
 
+AHEAD = 2.0
+"""Intervals between shots after the last measurement at which the next frame is expected at the latest ..."""
+
+FIRST_INTERVAL_S = 0.5
+"""... and the interval before there were two shots."""
+
+
 class ShotTracker:
     """Measures shots with the prediction of the track that they extend."""
 
@@ -38,6 +45,7 @@ class ShotTracker:
         """Break points that the last shot with a pose showed."""
         self._is_followed = False
         """Whether the last measurement continued the track."""
+        self._stamp_s, self._interval_s = float("nan"), FIRST_INTERVAL_S
 
     def detected(self, shot: Shot, rig: Rig, assumptions: Assumptions) -> Detection:
         """What the shot shows, searched near the prediction if there is one, else everywhere."""
@@ -54,6 +62,10 @@ class ShotTracker:
 
     def added(self, line: PoseLine, now_s: float = float("inf")) -> TrackLine:
         """The track after a pose line; `now_s` is the host's clock. Raises `DataError` as `Tracker.add` does."""
+        self._is_followed = False
+        if line.stamp_s > self._stamp_s:
+            self._interval_s = line.stamp_s - self._stamp_s
+        self._stamp_s = line.stamp_s
         attempt = self._tracker.add(line, now_s)
         self._is_followed = attempt.fusion_status in (FusionStatus.FUSED, FusionStatus.FUSED_LATE)
         return self._tracker.line_of(attempt)
@@ -71,9 +83,9 @@ class ShotTracker:
         position_px = np.where(self._seen[..., None], predicted.position_px, np.nan)
         return replace(predicted, position_px=position_px)
 
-    def assigns_lasers(self, stamp_s: float, rig: Rig) -> bool:
-        """Whether the track will assign the stripes of a frame with all lasers on at that time to their lasers."""
-        ring = self._ring_at(stamp_s) if self._is_followed else None
+    def assigns_lasers(self, rig: Rig) -> bool:
+        """Whether the track will assign the stripes of the next frame with all lasers on to their lasers."""
+        ring = self._ring_at(self._tracker.track.stamp_s + AHEAD * self._interval_s) if self._is_followed else None
         predicted = None if ring is None else predicted_stripes([ring] * len(rig.lasers.names), rig)
         return predicted is not None and predicted.labelled
 
