@@ -225,6 +225,67 @@ class _Shifted:
         return self.motion.velocity_at(time_s - self.offset_s)
 
 
+def relays(rng, runs: int) -> Iterator[Figure]:
+    """Ten frames a second, as with relay boards: two switched shots a second, motions as in `steady` and `wandering`."""
+    found: dict[tuple[str, str, float], list[float]] = {}
+    for motion in motions(rng, runs):
+        noise = (1e-6, 1e-6)
+        for kind, truth in (("constant velocity", motion), ("wandering", Wandering(motion, noise, 7.5, rng))):
+            tracker = Tracker(None)
+            for line in stream(truth, 5.0, Shots(frame_s=0.1), rng, 2.0):
+                tracker.add(line)
+            for ahead_s in (0.0, 0.5, 2.0):
+                at = tracker.line_at(tracker.track.stamp_s + ahead_s)
+                for name, (error, covariance) in errors_at(truth, at).items():
+                    found.setdefault((kind, name, ahead_s), []).append(nees(error, covariance))
+    for (kind, name, ahead_s), values in found.items():
+        least, most = band(runs, 3 if name in ("centre", "velocity") else 2)
+        where = f"10 frames/s, {kind}, 5 s of track, {ahead_s:g} s ahead"
+        yield Figure(
+            name=f"NEES of {name}, {where}",
+            value=float(np.mean(values)),
+            least=least if kind == "wandering" else -np.inf,
+            most=most,
+        )
+
+
+WRONG_SIGMAS = 5.0
+
+
+def tumbling(rng, runs: int) -> Iterator[Figure]:
+    """1 to 8 degrees a second about an axis 30 degrees from the ring's, 1 m behind it, drifting at up to 100 mm/s."""
+    prior = MotionPrior(speed_sd_m_s=0.1, rate_sd_rad_s=np.deg2rad(4.0))
+    for rate_deg_s in (1.0, 2.67, 8.0):
+        found: dict[tuple[str, float], list[float]] = {}
+        wrong = quantities = rejected = 0
+        for motion in motions(rng, runs, speed_m_s=0.0, rate_deg_s=0.0):
+            axis, turn = rng.normal(size=2) @ tilt_basis(motion.ring.normal), np.deg2rad(30.0)
+            momentum = cv2.Rodrigues(turn * axis / np.linalg.norm(axis))[0] @ motion.ring.normal
+            drift = rng.normal(size=3)
+            drift *= rng.uniform(0.0, 0.1) / np.linalg.norm(drift)
+            spin = rng.choice([-1, 1]) * np.deg2rad(rate_deg_s) * momentum
+            truth = replace(motion, velocity_m_s=drift, rate_rad_s=spin, lever_m=1.0)
+            tracker = Tracker(None, TrackOptions(motion=prior))
+            for number, line in enumerate(stream(truth, 3.0, Shots(), rng, SHOTS_HZ)):
+                rejected += tracker.add(line).fusion_status is FusionStatus.REJECTED_GATE
+                if number not in (2, 6, 17):
+                    continue
+                for ahead_s in (0.0, 0.5):
+                    at = tracker.line_at(tracker.track.stamp_s + ahead_s)
+                    for name, (error, covariance) in errors_at(truth, at).items():
+                        square = nees(error, covariance)
+                        found.setdefault((name, ahead_s), []).append(square)
+                        quantities += 1
+                        wrong += square * len(error) > WRONG_SIGMAS**2
+        where = f"{rate_deg_s:g} deg/s, 30 degrees of nutation"
+        limit = float(binom.ppf(0.99, quantities, chi2.sf(WRONG_SIGMAS**2, 3)))
+        yield Figure(name=f"quantities beyond 5 sigma of {quantities}, {where}", value=wrong, most=limit)
+        yield Figure(name=f"share of shots rejected, {where}", value=rejected / (18 * runs), most=0.01)
+        for (name, ahead_s), values in found.items():
+            most = band(runs, 3 if name in ("centre", "velocity") else 2)[1]
+            yield Figure(name=f"NEES of {name}, {where}, {ahead_s:g} s ahead", value=float(np.mean(values)), most=most)
+
+
 def outliers(rng, runs: int) -> Iterator[Figure]:
     """Poses that are displaced by some standard deviations of their innovation, after 2 s of track."""
     rejected: dict[float, list[bool]] = {0.0: [], 6.0: [], 9.0: []}
@@ -338,7 +399,8 @@ def speed(rng, runs: int) -> Iterator[Figure]:
 
 
 TARGETS: dict[str, Callable[..., Iterator[Figure]]] = {
-    each.__name__: each for each in (speed, steady, wandering, rig_errors, precession, outliers, sides, capture)
+    each.__name__: each
+    for each in (speed, steady, wandering, relays, tumbling, rig_errors, precession, outliers, sides, capture)
 }
 
 
