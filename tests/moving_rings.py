@@ -12,7 +12,7 @@ import numpy as np
 from ring_scenes import RIGS, Ring, ring_at
 
 from ringpose.geometry.rotations import tilt_basis, tilted
-from ringpose.types.assumptions import Assumptions, RigStability
+from ringpose.types.assumptions import Assumptions, MotionPrior, RigStability
 from ringpose.types.pose import (
     LinearizationPoint,
     PoseLine,
@@ -26,8 +26,8 @@ START_S = 1_700_000_000.0
 FRAMES = (1, 2, 3)
 """Number of each laser's frame in the sequence off, 1, 2, 3, off."""
 
-PRIOR_SD = np.array([0.3, 0.3, 0.3, 0.5, 0.5, 0.3, 0.3, 0.025, 0.025, 0.025, 0.044, 0.044])
-"""Of the twelve parameters, for the fit alone; the record does not contain it."""
+RING_SD = (0.3, 0.3, 0.3, 0.5, 0.5, 0.3, 0.3)
+"""Prior of the ring's parameters, for the fit alone; the record does not contain it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,6 +100,8 @@ class Shots:
     """True errors of the light planes: `left.tilt_1`, ..."""
     stability: RigStability = RigStability()
     """What the records state about them."""
+    motion: MotionPrior = MotionPrior(speed_sd_m_s=0.025, rate_sd_rad_s=0.044)
+    """Prior of the motion by which the linearisation point is found."""
 
 
 def planes(rig: Rig, offsets: dict[str, float]) -> LaserPlanes:
@@ -183,6 +185,8 @@ def measured(motion, start_s: float, shots: Shots, rng) -> tuple[RingMeasurement
     reference_s = float(frames_s.mean())
     times, truth = frames_s - reference_s, motion.at(reference_s)
 
+    motion_sd = [shots.motion.speed_sd_m_s] * 3 + [shots.motion.rate_sd_rad_s] * 2
+    prior_sd = np.array([*RING_SD, *motion_sd])
     spread = 0.0 if rng is None else 0.01 * rng.normal()
     at = LinearizationPoint(
         center_m=truth.center_m + spread * tilt_basis(truth.normal)[0],
@@ -199,9 +203,9 @@ def measured(motion, start_s: float, shots: Shots, rng) -> tuple[RingMeasurement
         residual = z / sigma - values[0]
         if iteration == 5:
             break
-        information = jacobian.T @ jacobian + np.diag(PRIOR_SD**-2.0)
+        information = jacobian.T @ jacobian + np.diag(prior_sd**-2.0)
         so_far = np.concatenate([np.zeros(7), -at.velocity_m_s, -tilt_basis(at.normal) @ at.rate_rad_s])
-        move = np.linalg.solve(information, jacobian.T @ residual + so_far / PRIOR_SD**2)
+        move = np.linalg.solve(information, jacobian.T @ residual + so_far / prior_sd**2)
         center, normal, radius, velocity, rate = (part[0] for part in rings_of(at, move[None]))
         at = LinearizationPoint(
             center_m=center,

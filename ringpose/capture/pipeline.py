@@ -4,7 +4,7 @@
 settling time is in `settling_time`.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
@@ -56,7 +56,9 @@ RECONNECT_S = 1.0
 class Procedure:
     """How shots are taken."""
 
-    steps: Sequence[Step]
+    steps: tuple[Step, ...]
+    choose: Callable[[tuple[Step, ...]], tuple[Step, ...]] | None = None
+    """Returns the steps of the next shot, given these; they have no exposures of their own."""
     exposure_s: float | None = None
     """Exposure of the steps without their own; None for the setting of the device."""
     is_exposure_auto: bool = False
@@ -87,6 +89,7 @@ def captured_shots(
             raise UsageError("--exposure, --sequence", found)
     sequencer = _Sequencer(camera, lasers, procedure)
     for name in names:
+        sequencer.choose_steps()
         yield sequencer.shot(name)
 
 
@@ -111,12 +114,18 @@ class _Sequencer:
         self._lasers = lasers
         self._procedure = procedure
         self._checker = ShotChecker(camera, lasers, must_see=procedure.must_see)
-        self._masks = [step.mask(lasers.count) for step in procedure.steps]
+        self._steps = procedure.steps
+        """Of the shot that is being taken."""
         self._settle_s = 0.0 if procedure.settle_s is None else procedure.settle_s
         self._is_settle_measured = procedure.settle_s is not None
         self._control = self._exposure_control() if procedure.is_exposure_auto else None
         self._was_slow = False
         """Whether the last shot needed a longer settling time."""
+
+    def choose_steps(self) -> None:
+        """Choose the steps of the next shot, if that is wanted."""
+        if self._procedure.choose is not None:
+            self._steps = self._procedure.choose(self._procedure.steps)
 
     def shot(self, name: str) -> Shot:
         """A shot that passes all checks.
@@ -180,7 +189,8 @@ class _Sequencer:
         """One frame for each step; all lasers are off at the end."""
         frames, read_masks, switched_mask = [], [], -1
         controlled = None if self._control is None else self._control.exposures
-        for step, mask in zip(self._procedure.steps, self._masks, strict=True):
+        for step in self._steps:
+            mask = step.mask(self._lasers.count)
             self._lasers.set_mask(mask)
             if mask != switched_mask:
                 self._lasers.wait(settle_s)

@@ -24,6 +24,9 @@ from ringpose.types.rig import Rig
 from ringpose.types.sequence import Step, written_sequence
 from ringpose.types.session import Capture
 
+Choice = Callable[[tuple[Step, ...]], tuple[Step, ...]]
+"""Returns the steps of the next shot; called with those of a shot that switches the lasers one by one."""
+
 OnRead = Callable[[Path], None]
 """Called with each file that is read."""
 
@@ -37,6 +40,8 @@ class CaptureRequest:
     lasers: str | None = None
     """URI."""
     steps: tuple[Step, ...] | None = None
+    choose: Choice | None = None
+    """Chooses the steps of each shot where `steps` is None and the lasers can be switched."""
     exposure_s: float | Literal["auto"] | None = None
     count: int | None = None
     rate_hz: float | None = None
@@ -81,11 +86,16 @@ def camera_source(request: CaptureRequest) -> Source:
     camera = driver(CAMERAS, uri.scheme)(uri)
     lasers = laser_driver(request, camera)
     steps = request.steps
+    choose = None if steps or isinstance(lasers, UncontrolledLasers) else request.choose
     if not steps and isinstance(lasers, UncontrolledLasers):
         steps = (Step("all"),)
-    elif not steps:
-        steps = (Step("off"), *(Step(str(number + 1)) for number in range(lasers.count)), Step("off"))
-    return device_source(replace(request, steps=steps), camera, lasers, lambda _: names_by_time())
+    request = replace(request, steps=steps or switched_steps(lasers.count), choose=choose)
+    return device_source(request, camera, lasers, lambda _: names_by_time())
+
+
+def switched_steps(count: int) -> tuple[Step, ...]:
+    """Each of `count` lasers alone in one frame, between two frames without lasers."""
+    return (Step("off"), *(Step(str(number + 1)) for number in range(count)), Step("off"))
 
 
 def laser_driver(request: CaptureRequest, camera: CameraDriver | None) -> LaserDriver:
@@ -115,6 +125,7 @@ def device_source(
     settle_s = lasers.settle_s if request.settle_s is None else request.settle_s
     procedure = Procedure(
         steps=steps,
+        choose=request.choose,
         exposure_s=request.fixed_exposure_s,
         is_exposure_auto=request.exposure_s == "auto",
         rig=request.rig,

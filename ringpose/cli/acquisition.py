@@ -17,6 +17,7 @@ from ringpose.capture.source import (
     device_source,
     laser_driver,
     names_by_time,
+    switched_steps,
 )
 from ringpose.capture.uri import CAMERAS, LASERS, device_uri, scheme_and_rest, schemes
 from ringpose.cli.batch import Batch
@@ -141,9 +142,12 @@ def _served(request: CaptureRequest) -> Source:
         greeting = camera.greeting
     request = replace(request, lasers="sim:", laser_names=greeting.lasers)
     lasers = laser_driver(request, None)
-    if not request.steps:
-        request = replace(request, steps=steps_of(greeting.sequence, lasers.count))
+    camera.commands_lasers = request.choose is not None and not request.steps
+    steps = switched_steps(lasers.count) if camera.commands_lasers else steps_of(greeting.sequence, lasers.count)
+    request = replace(request, steps=request.steps or steps)
     source = device_source(request, camera, lasers, lambda _: names_by_time())
+    if camera.commands_lasers:
+        return replace(source, waits_for_consumer=greeting.clock == "lockstep")
 
     def shots(on_read: OnRead, existing: Container[str]) -> Iterator[Shot]:
         for shot in source.shots(on_read, existing):

@@ -1,9 +1,7 @@
 """Overlay images of `ringpose detect` and `ringpose pose`, one PNG file a shot, and the report of poses."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from time import perf_counter
 from typing import TYPE_CHECKING
 
 from ringpose.errors import DataError
@@ -16,8 +14,6 @@ if TYPE_CHECKING:
     from ringpose.types.image import Shot
     from ringpose.types.pose import PoseLine
     from ringpose.types.rig import Rig
-
-    Measure = Callable[[Shot | Detection], PoseLine]
 
 
 class OverlayFolder:
@@ -50,12 +46,9 @@ REPORT_WIDTH_PX = 900
 class PosePictures:
     """Overlays and report of `ringpose pose`; a picture is drawn after the line of its shot has been written."""
 
-    def __init__(
-        self, measure: "Measure", rig: "Rig", folder: Path | None, report: Path | None, *, force: bool
-    ) -> None:
+    def __init__(self, rig: "Rig", folder: Path | None, report: Path | None, *, force: bool) -> None:
         from ringpose.report.page import require_matplotlib
 
-        self._measure = measure
         self._rig = rig
         self._overlays = None if folder is None else OverlayFolder(folder, force=force)
         self._report = report
@@ -68,24 +61,14 @@ class PosePictures:
             require_matplotlib()
             atomic.reject_existing(report, force)
 
-    def measure(self, source: "Shot | Detection") -> "PoseLine":
-        """The pose line of a shot or detection, which is kept for its picture."""
+    def keep(self, source: "Shot | Detection", detection: "Detection") -> None:
+        """Keep what the next line was computed from, for its picture."""
         from ringpose.types.image import Shot
 
-        self._source, self._detection = None, None
-        if not isinstance(source, Shot):
-            self._detection = source
-            return self._measure(source)
-        from ringpose.detect.pipeline import detect
-
-        start_s = perf_counter()
-        self._source, self._detection = source, detect(source, self._rig)
-        detect_s = perf_counter() - start_s
-        line = self._measure(self._detection)
-        return replace(line, latency_s=line.latency_s + detect_s, stage_s={"detect": detect_s, **line.stage_s})
+        self._source, self._detection = source if isinstance(source, Shot) else None, detection
 
     def add(self, line: "PoseLine") -> None:
-        """Draw the shot of this line, which was the last to be measured."""
+        """Draw the shot of this line, which was the last to be kept."""
         if self._detection is None:
             return
         is_bad = self._report is not None and self._is_among_worst(line)

@@ -1,10 +1,10 @@
-"""`ringpose pose`: detections, shots, images or a live camera -> one pose line each."""
+"""`ringpose pose`: detections, shots, images or a live camera -> one pose line each, or the line of its track."""
 
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import replace
-from time import perf_counter
-from typing import TYPE_CHECKING, Annotated
+from time import perf_counter, time
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -18,7 +18,7 @@ from ringpose.cli.assumption_options import (
     assumption_options,
 )
 from ringpose.cli.device_options import AllowUnseen, Count, Duration, Exposure, LasersUri, Settle, Steps
-from ringpose.cli.known_ring import RadiusInner, RadiusOuter, RadiusSd, RingName, RingOptions, RingsFile
+from ringpose.cli.known_ring import RadiusInner, RadiusOuter, RadiusSd, RingName, RingOptions, RingsFile, known_ring
 from ringpose.cli.options import (
     Force,
     ImageChannel,
@@ -31,19 +31,34 @@ from ringpose.cli.options import (
     RigFile,
     Verbose,
 )
+from ringpose.cli.track_options import (
+    Format,
+    GripperRadial,
+    GripperTilt,
+    LostAfter,
+    Newest,
+    OutputFormat,
+    PredictFor,
+    TrackSettings,
+    record_writer,
+    track_writer,
+)
 from ringpose.errors import UsageError
 from ringpose.types.options import Method
 
 if TYPE_CHECKING:
-    from ringpose.capture.latest_frame import LiveShot
-    from ringpose.capture.source import CaptureRequest
+    from collections.abc import Sequence
+
+    from ringpose.capture.tracked_sequence import TrackedSequence
     from ringpose.cli.batch import Batch
     from ringpose.cli.overlays import PosePictures
-    from ringpose.pose.drift import DriftMonitor
+    from ringpose.track.pipeline import Tracker
+    from ringpose.types.assumptions import AssumptionOptions
     from ringpose.types.detection import Detection
     from ringpose.types.image import Shot
     from ringpose.types.pose import PoseLine
     from ringpose.types.rig import Rig
+    from ringpose.types.ring import KnownRadii, Ring
 
 LiveCamera = Annotated[
     str | None, typer.Option("--camera", metavar="URI", help="Measure what this camera sees, see ringpose-capture(1).")
@@ -51,9 +66,11 @@ LiveCamera = Annotated[
 
 Frame = Annotated[PoseFrame, typer.Option("--frame", help="Frame of the vectors; tool needs the rig's mount.")]
 
-Brief = Annotated[
-    bool, typer.Option("--brief", help="Write lines without the measurement in information form, which is long.")
+Track = Annotated[
+    bool, typer.Option("--track", help="Track the ring: write track records, and use the track in the next shots.")
 ]
+
+Brief = Annotated[bool, typer.Option("--brief", help="Write lines without what only filters use, which is long.")]
 
 
 @app.command()
@@ -81,6 +98,13 @@ def pose(
     allow_missing: AllowUnseen = False,
     count: Count = None,
     duration: Duration = None,
+    track: Track = False,
+    predict_for: PredictFor = None,
+    lost_after: LostAfter = None,
+    gripper_radial_m: GripperRadial = None,
+    gripper_tilt_deg: GripperTilt = None,
+    output_format: OutputFormat = Format.RINGPOSE,
+    newest: Newest = False,
     brief: Brief = False,
     overlay: Overlay = None,
     report: Report = None,
@@ -88,45 +112,32 @@ def pose(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Compute the pose of the ring: one JSON record a shot on stdout."""
+    """Compute the pose of the ring: one JSON record a shot on stdout, or with --track the record of its track."""
+    from ringpose.capture.source import CaptureRequest
     from ringpose.cli.batch import Batch
-    from ringpose.cli.known_ring import known_ring
+    from ringpose.cli.live import live_lines
     from ringpose.files.rigs import read_rig, require_mount
-    from ringpose.pose.drift import DriftMonitor
-    from ringpose.pose.record import pose_line
 
     _check_source(inputs, camera, lasers)
-    ring_options = RingOptions(
-        radius_outer_m=radius_outer, radius_inner_m=radius_inner, radius_sd_m=radius_sd, ring=ring, rings=rings
-    )
-    known = known_ring(ring_options, method)
-    options = assumption_options(still, max_speed, max_rate, ring_tolerance, rig_stability)
-    rig_of_shots = read_rig(rig)
+    known = known_ring(RingOptions(radius_outer, radius_inner, radius_sd, ring, rings), method)
+    assumed = assumption_options(still, max_speed, max_rate, ring_tolerance, rig_stability)
+    settings = TrackSettings(predict_for, lost_after, gripper_radial_m, gripper_tilt_deg)
+    _check_method(method, assumed)
+    _check_track(track, method, frame, settings)
+    rig_of_shots, batch = read_rig(rig), Batch()
     if frame is PoseFrame.TOOL:
         require_mount(rig_of_shots, rig)
-    batch = Batch()
-    monitor = DriftMonitor(rig_of_shots, rig_of_shots.stability.scaled(rig_stability))
-
-    def measured(source: "Shot | Detection") -> "PoseLine":
-        return pose_line(source, monitor.rig, method=method, frame=frame, known=known, options=options)
-
-    measure: Callable[[Shot | Detection], PoseLine] = measured
-    pictures = None
-    if overlay is not None or report is not None:
-        from ringpose.cli.overlays import PosePictures
-
-        pictures = PosePictures(measure, rig_of_shots, overlay, report, force=force)
-        measure = pictures.measure
+    tracker = settings.tracker(rig_of_shots, assumed, None) if track else None
+    stream = _Stream(rig_of_shots, method, frame, known, assumed, tracker)
     lines: AbstractContextManager[Iterator[PoseLine]]
     if camera is None:
-        lines = nullcontext(_recorded_lines(inputs or [], rig_of_shots, channel, batch, measure))
+        lines = nullcontext(_recorded_lines(inputs or [], rig_of_shots, channel, batch, stream.measured))
     else:
-        from ringpose.capture.source import CaptureRequest
-
         request = CaptureRequest(
             camera=camera,
             lasers=lasers,
             steps=sequence,
+            choose=stream.sequence if sequence is None else None,
             exposure_s=exposure,
             settle_s=settle,
             allow_missing=allow_missing,
@@ -135,13 +146,15 @@ def pose(
             count=count,
             duration_s=duration,
         )
-        lines = _live_lines(request, rig_of_shots, batch, measure)
-    try:
-        with lines as each:
-            _write(each, monitor, batch, brief, verbose, quiet, pictures)
-    finally:  # also after an interrupt, which is how the measurement of a live camera ends
-        if pictures is not None:
-            pictures.finish()
+        lines = live_lines(request, rig_of_shots, batch, stream.measured)
+    with ExitStack() as stack:
+        if overlay is not None or report is not None:
+            from ringpose.cli.overlays import PosePictures
+
+            stream.pictures = PosePictures(rig_of_shots, overlay, report, force=force)
+            stack.callback(stream.pictures.finish)  # also after an interrupt, which is how a live measurement ends
+        write = _writer(stream, record_writer(stack, newest), output_format, brief, verbose, batch)
+        _write(stack.enter_context(lines), stream, write, batch, verbose, quiet)
     batch.finish()
 
 
@@ -155,6 +168,79 @@ def _check_source(inputs: list[str] | None, camera: str | None, lasers: str | No
         raise UsageError("--lasers", "is of no use without --camera")
     if camera is not None and camera.startswith("files:"):
         raise UsageError("--camera", "a recording is not a live camera", f"name {camera[6:]} as INPUT")
+
+
+def _check_method(method: Method, assumed: "AssumptionOptions") -> None:
+    """The paper's methods know neither motion nor the ring's form."""
+    given = {
+        "--max-speed": assumed.max_speed_m_s,
+        "--max-rate": assumed.max_rate_deg_s,
+        "--ring-tolerance": assumed.ring_tolerance_m,
+    }
+    for option, value in given.items():
+        if method is not Method.ML and value is not None:
+            raise UsageError(option, f"is not used by --method {method.value}", "leave it out, or use --method ml")
+
+
+def _check_track(track: bool, method: Method, frame: PoseFrame, settings: TrackSettings) -> None:
+    """Options of a track need one, and a track needs the measurements of method ml."""
+    if not track and settings != TrackSettings():
+        raise UsageError("--track", "is missing: the options of a track are given", "add it, or leave them out")
+    if track and method is not Method.ML:
+        raise UsageError("--track", f"needs measurements, which --method {method.value} has not", "use --method ml")
+    if track and frame is PoseFrame.TOOL:
+        raise UsageError("--frame", "tool is not an inertial frame, as a track needs", "leave it out")
+
+
+class _Stream:
+    """Measures shots one after the other: monitors the rig, and with a `tracker` uses the track in the next shot."""
+
+    def __init__(
+        self,
+        rig: "Rig",
+        method: Method,
+        frame: PoseFrame,
+        known: "KnownRadii | Sequence[Ring] | None",
+        assumed: "AssumptionOptions",
+        tracker: "Tracker | None",
+    ) -> None:
+        from ringpose.pose.drift import DriftMonitor
+
+        self.monitor = DriftMonitor(rig, rig.stability.scaled(assumed.rig_stability))
+        self.pictures: PosePictures | None = None
+        self.sequence: TrackedSequence | None = None
+        self.shots = None
+        self._method, self._frame, self._known, self._assumed = method, frame, known, assumed
+        if tracker is not None:
+            from ringpose.capture import tracked_sequence
+            from ringpose.track.shots import ShotTracker
+
+            self.sequence, self.shots = tracked_sequence.TrackedSequence(), ShotTracker(tracker)
+
+    def measured(self, source: "Shot | Detection") -> "PoseLine":
+        """The pose line of a shot or detection."""
+        from ringpose.pose.record import pose_line
+        from ringpose.types.image import Shot
+
+        start_s, detect_s = perf_counter(), 0.0
+        detection = self._detected(source) if isinstance(source, Shot) else source
+        if isinstance(source, Shot):
+            detect_s = perf_counter() - start_s
+        if self.pictures is not None:
+            self.pictures.keep(source, detection)
+        rig, frame = self.monitor.rig, self._frame
+        line = pose_line(detection, rig, method=self._method, frame=frame, known=self._known, options=self._assumed)
+        stages_s = {"detect": detect_s, **line.stage_s} if isinstance(source, Shot) else line.stage_s
+        return replace(line, latency_s=line.latency_s + detect_s, stage_s=stages_s)
+
+    def _detected(self, shot: "Shot") -> "Detection":
+        from ringpose.detect.pipeline import detect
+
+        rig = self.monitor.rig
+        assumptions = self._assumed.about_shot(rig.stability, still=shot.still)
+        if self.shots is not None:
+            return self.shots.detected(shot, rig, assumptions)
+        return detect(shot, rig, assumptions=assumptions)
 
 
 def _recorded_lines(
@@ -173,63 +259,57 @@ def _recorded_lines(
             yield measure(read_source(item, rig, channel))
 
 
-@contextmanager
-def _live_lines(
-    request: "CaptureRequest", rig: "Rig", batch: "Batch", measure: "Callable[[Shot | Detection], PoseLine]"
-) -> "Iterator[Iterator[PoseLine]]":
-    """Pose lines of a camera; a bad shot ends the stream, as all that follow would be bad for the same reason."""
-    from ringpose.files.images.shots import checked_shot
+def _writer(
+    stream: _Stream,
+    write: "Callable[[Mapping[str, Any]], None]",
+    output_format: Format,
+    brief: bool,
+    verbose: bool,
+    batch: "Batch",
+) -> "Callable[[PoseLine], None]":
+    """Writes the record of a pose line, or of the track that it continues."""
+    from ringpose.errors import NO_POSE
+    from ringpose.files.poses import pose_record
+    from ringpose.files.ros import ros_messages
 
-    def line_of(live: "LiveShot") -> "PoseLine":
-        line = measure(checked_shot(live.shot, rig, request.camera))
-        return replace(line, shots_dropped=live.dropped, latency_s=perf_counter() - live.taken_s)
+    def pose_written(line: "PoseLine") -> None:
+        write(ros_messages(line) if output_format is Format.ROS else pose_record(line, brief))
+        if line.pose is None:
+            batch.record_status(NO_POSE)
 
-    with _newest_shots(request, batch) as newest:
-        import ringpose.detect.pipeline  # noqa: F401  # imported while the first shot is taken
+    if stream.shots is None:
+        return pose_written
+    shots, track_written = stream.shots, track_writer(write, output_format, brief, verbose, batch)
 
-        yield map(line_of, newest)
+    def track_of_pose_written(line: "PoseLine") -> None:
+        with batch.guarded():
+            track_written(shots.added(line, time()))
+        if stream.sequence is not None:
+            stream.sequence.report(is_assigned=shots.assigns_lasers(stream.monitor.rig))
 
-
-@contextmanager
-def _newest_shots(request: "CaptureRequest", batch: "Batch") -> "Iterator[Iterator[LiveShot]]":
-    """The latest shot whenever one is asked for; at the end of the block the lasers are off and the devices closed."""
-    from ringpose.capture.latest_frame import NewestShots
-    from ringpose.cli.acquisition import source_of
-
-    source = source_of(request, batch)
-    with ExitStack() as stack:
-        for device in source.devices:
-            stack.enter_context(device)
-        shots = source.shots(lambda _: None, ())  # live shots are not read from files
-        yield stack.enter_context(NewestShots(shots, source.abort, every=source.waits_for_consumer))
+    return track_of_pose_written
 
 
 def _write(
     lines: "Iterator[PoseLine]",
-    monitor: "DriftMonitor",
+    stream: _Stream,
+    write: "Callable[[PoseLine], None]",
     batch: "Batch",
-    brief: bool,
     verbose: bool,
     quiet: bool,
-    pictures: "PosePictures | None",
 ) -> None:
     """Every line as it comes, with the health of the rig; then its picture."""
     from ringpose.cli import messages
     from ringpose.cli.progress import with_progress
-    from ringpose.errors import NO_POSE
-    from ringpose.files import records
-    from ringpose.files.poses import pose_record
     from ringpose.pose.record import remarks_on
 
     for line in with_progress(lines, "shots", quiet):
-        with_health, warning = monitor.update(line)
+        with_health, warning = stream.monitor.update(line)
         if warning is not None:
             messages.echo(f"{line.shot}: {warning}; run ringpose calibrate-planes")
-        records.write(pose_record(with_health, brief))
+        write(with_health)
         if verbose:
             messages.echo(f"{line.shot}: {remarks_on(with_health)}")
-        if line.pose is None:
-            batch.record_status(NO_POSE)
-        if pictures is not None:
+        if stream.pictures is not None:
             with batch.guarded():
-                pictures.add(with_health)
+                stream.pictures.add(with_health)

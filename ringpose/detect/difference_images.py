@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ringpose.types.arrays import Array, Float64, UInt
-from ringpose.types.image import Shot
+from ringpose.types.image import Frame, Shot
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -42,11 +42,12 @@ class LaserImage:
         return self.lit.astype(np.float64) - (0.0 if self.dark is None else self.dark)
 
 
-def laser_images(shot: Shot, count: int) -> list[LaserImage]:
+def laser_images(shot: Shot, count: int, earlier: Frame | None = None) -> list[LaserImage]:
     """The frames to search for stripes, such that each of `count` lasers that was on is covered once.
 
     A frame with a single laser on takes precedence over frames with several. The background is the suitable frame
-    nearest in time, because the ambient light on a tumbling target changes.
+    nearest in time, because the ambient light on a tumbling target changes. `earlier`: a frame without lasers for a
+    shot that has none.
     """
     images, covered, saturation_dn = [], 0, shot.saturation_dn
     masks: list[int] = shot.lasers.tolist()
@@ -55,16 +56,15 @@ def laser_images(shot: Shot, count: int) -> list[LaserImage]:
         new = mask & ~covered & ((1 << count) - 1)
         if new:
             lasers = tuple(laser for laser in range(count) if new >> laser & 1)
-            background = _background(shot, number, mask & covered)
-            lit = shot.images[number]
+            dark, dark_stamp_s = _background(shot, number, mask & covered, earlier)
             images.append(
                 LaserImage(
-                    lit=lit,
-                    dark=None if background is None else shot.images[background],
+                    lit=shot.images[number],
+                    dark=dark,
                     saturation_dn=saturation_dn,
                     lasers=lasers,
                     stamp_s=shot.mid_exposure_s(number),
-                    dark_stamp_s=math.nan if background is None else shot.mid_exposure_s(background),
+                    dark_stamp_s=dark_stamp_s,
                     usual_full_dn=shot.merged_full_dn,
                 )
             )
@@ -79,7 +79,14 @@ def brightest_image(shot: Shot) -> UInt[Array, "row column"]:
     return image
 
 
-def _background(shot: Shot, number: int, also_on: int) -> int | None:
-    """The frame nearest in time in which exactly the lasers `also_on` are on; None if there is none."""
+def _background(
+    shot: Shot, number: int, also_on: int, earlier: Frame | None
+) -> tuple[UInt[Array, "row column"] | None, float]:
+    """The frame nearest in time in which exactly the lasers `also_on` are on, and its stamp; None and NaN without."""
     same = [each for each, mask in enumerate(shot.lasers.tolist()) if mask == also_on]
-    return min(same, key=lambda each: abs(shot.stamp_s[each] - shot.stamp_s[number])) if same else None
+    if same:
+        nearest = min(same, key=lambda each: abs(shot.stamp_s[each] - shot.stamp_s[number]))
+        return shot.images[nearest], shot.mid_exposure_s(nearest)
+    if earlier is not None and also_on == earlier.lasers:
+        return earlier.image, earlier.stamp_s + earlier.exposure_s / 2
+    return None, math.nan

@@ -37,7 +37,7 @@ from ringpose.types.detection import (
     joined_stripes,
     stamps_of,
 )
-from ringpose.types.image import Shot
+from ringpose.types.image import Frame, Shot
 from ringpose.types.options import StripeSource
 from ringpose.types.rig import Rig
 
@@ -55,19 +55,22 @@ def detect(
     *,
     edges: bool = True,
     predicted: BreakPoints | None = None,
+    background: Frame | None = None,
     assumptions: Assumptions | None = None,
     camera: CameraMotion | None = None,
 ) -> Detection:
     """Stripes, break points (or the reason why there are none) and, unless `edges` is false, the ring's visible edges.
 
     With a prediction, only windows about its stripes are searched; if one of its break points is not found there, the
-    whole frames are searched. `assumptions`: None for the usual ones about this shot. `camera`: its motion, if a robot
-    moves it; then a ring at rest moves in the images, too.
+    whole frames are searched. If the prediction is `labelled`, it assigns the stripes of frames with several lasers on.
+    `background`: a frame without lasers of an earlier shot, for a shot without one: it is subtracted, but the edges
+    that it shows are not measured again. `assumptions`: None for the usual ones about this shot. `camera`: its motion,
+    if a robot moves it; then a ring at rest moves in the images, too.
     """
     if assumptions is None:
         assumptions = USUAL.about_shot(rig.stability, still=shot.still)
     still = assumptions.motion is None and camera is None
-    images = laser_images(shot, len(rig.lasers.names))
+    images = laser_images(shot, len(rig.lasers.names), background)
     lasers_on = (np.bitwise_or.reduce(shot.lasers, initial=0) >> np.arange(len(rig.lasers.names))) & 1 == 1
     if not images:
         return Detection(
@@ -79,7 +82,8 @@ def detect(
         )
     stripes = None if predicted is None else _predicted_stripes(images, predicted, rig)
     segments, ring_edges = None, None
-    on_ring = None if stripes is None else _found(stripes, images, shot, rig, assumptions, camera)
+    assigned = predicted is not None and predicted.labelled
+    on_ring = None if stripes is None else _found(stripes, images, shot, rig, assumptions, camera, assigned=assigned)
     if stripes is None or on_ring is None or _lost(on_ring.break_points, predicted):
         stripes, segments = _all_stripes(images, source)
         on_ring = _found(stripes, images, shot, rig, assumptions, camera)
@@ -113,8 +117,32 @@ def _predicted_stripes(images: list[LaserImage], predicted: BreakPoints, rig: Ri
         bands = predicted_bands(predicted, image.lasers, rig.camera)
         if bands is not None:
             part = find_stripes(image.lit, image.dark, bands=bands, saturation_dn=image.threshold_scale_dn)
-            parts.append(_labelled(part, image))
+            part = _labelled(part, image)
+            parts.append(part if image.labelled or not predicted.labelled else _assigned(part, predicted, image, rig))
     return joined_stripes(parts) if parts else None
+
+
+ON_PREDICTED_SIGMAS, ON_PREDICTED_PX = 4.0, 2.0
+"""Distance from a predicted stripe within which a centre is on it: sigmas of the prediction, and a margin."""
+
+
+def _assigned(stripes: Stripes, predicted: BreakPoints, image: LaserImage, rig: Rig) -> Stripes:
+    """The stripes with each piece assigned to the laser on whose predicted stripe most of its centres are.
+
+    Pieces beside all of them, such as those on the body behind the ring, stay unassigned.
+    """
+    x, y = stripes.position_px.T
+    near = np.zeros((len(stripes.laser), len(rig.lasers.names)))
+    for laser in image.lasers:
+        ends = np.stack([predicted.face_start_px[laser], predicted.face_end_px[laser]])
+        if not np.isfinite(ends).all():
+            continue
+        (left, first), (right, last) = sorted(project(undistorted_rays(ends, rig.camera), rig.camera).tolist())
+        tolerance_px = ON_PREDICTED_SIGMAS * float(predicted.face_sigma_px[laser].max()) + ON_PREDICTED_PX
+        on = np.abs(y - np.interp(x, [left, right], [first, last])) < tolerance_px
+        on &= (x > left - tolerance_px) & (x < right + tolerance_px)
+        near[:, laser] = np.bincount(stripes.piece[on], minlength=len(stripes.laser))
+    return replace(stripes, laser=np.where(near.any(axis=1), near.argmax(axis=1), UNLABELLED))
 
 
 def _lost(found: BreakPoints | NoBreakPoints, predicted: BreakPoints | None) -> bool:
@@ -208,15 +236,18 @@ def _found(
     rig: Rig,
     assumptions: Assumptions,
     camera: CameraMotion | None,
+    *,
+    assigned: bool = False,
 ) -> _Found:
     """The break points on the stripes that lie on one ring, or the reason why there are none.
 
     The background of a moving ring is not subtracted where the stripes end: it would leave the ring's edges, displaced.
+    `assigned`: whether the stripes of frames with several lasers on are assigned already.
     """
     if not len(stripes.piece):
         return _Found(_why_no_stripe(images))
     tracks = stripe_line_segments(stripes, rig.camera)
-    face = _face(tracks, images, rig)
+    face = _face(tracks, [] if assigned else images, rig)
     if isinstance(face, NoBreakPoints):
         return _Found(face)
     saturation_dn = images[0].saturation_dn
@@ -237,7 +268,7 @@ def _without_moved_background(image: LaserImage, motion: RingMotion) -> LaserIma
 
 
 def _face(tracks: Float64[Array, "track column=11"], images: list[LaserImage], rig: Rig) -> Face | NoBreakPoints:
-    """The stripes on the ring's face, or the reason why there are none."""
+    """The stripes on the ring's face, or the reason why there are none; `images` may show stripes to be assigned."""
     unlabelled = [laser for image in images if not image.labelled for laser in image.lasers]
     face = ring_face(tracks, unlabelled, rig)
     if not unlabelled and _masks_contradicted(face, tracks, rig):

@@ -1,12 +1,16 @@
 """Poses of a robot (JSON lines), and the mount of the camera in rig.yaml with its errors."""
 
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.errors import DataError
+from ringpose.errors import DataError, NoInputError
 from ringpose.files.cameras.covariances import checked_covariance
-from ringpose.files.inputs import Record, inputs
+from ringpose.files.inputs import STDIN, Input, Problem, Record, inputs
 from ringpose.files.io import read_bytes
 from ringpose.files.rigs import read_mount
 from ringpose.files.schema import Fields
@@ -21,30 +25,90 @@ MAX_QUATERNION_ERROR = 1e-3
 """Tolerance of the length of a quaternion, for values rounded in a file."""
 
 
-def read_robot_poses(path: Path) -> RobotPoses:
-    """The poses in a file, in the order of their stamps."""
-    stamps_s, positions_m, rotations = [], [], []
-    for item in inputs([path], (".jsonl",)):
-        if not isinstance(item, Record):
-            if isinstance(item, Path):
-                raise DataError(str(item), "is not a file of robot poses", "give JSON lines in a file *.jsonl")
-            raise item
-        fields = Fields(item.location, item.values)
-        pose = fields.fields("base_from_tool")
-        position_m = pose.vector("position_m", 3)
-        if np.abs(position_m).max() > MAX_REACH_M:
-            raise pose.problem(
-                "position_m", f"is {np.abs(position_m).max():g}", "give metres; this looks like millimetres"
+KEPT_S = 30.0
+"""Time for which poses that arrive on standard input are kept."""
+
+
+class RobotPose(NamedTuple):
+    """The pose of the tool in the base frame at one time."""
+
+    stamp_s: float
+    position_m: Float64[Array, "xyz=3"]
+    rotation: Float64[Array, "3 3"]
+
+
+def read_robot_poses(source: Path | str) -> RobotPoses:
+    """The poses in a file, or on standard input (`-`) until its end, in the order of their stamps."""
+    poses = sorted((_robot_pose(item) for item in inputs([source], (".jsonl",))), key=lambda pose: pose.stamp_s)
+    location = "standard input" if source == STDIN else str(source)
+    stamps_s = [pose.stamp_s for pose in poses]
+    if len(poses) < 2 or len(set(stamps_s)) < len(poses):
+        found = "has two poses of one stamp" if len(poses) > 1 else "has fewer than two poses"
+        raise DataError(location, found, "give the robot's poses at least ten times a second")
+    return _joined(poses)
+
+
+class RobotPoseStream:
+    """Poses that arrive on standard input while the target is measured; a thread reads them."""
+
+    def __init__(self, report: Callable[[DataError | NoInputError], None]) -> None:
+        """`report` receives the errors of invalid poses, which are left out."""
+        self._report, self._poses, self._ended = report, deque[RobotPose](), False
+        self._changed = threading.Condition()
+        threading.Thread(target=self._read, name="robot poses", daemon=True).start()
+
+    def until(self, stamp_s: float, patience_s: float) -> RobotPoses | None:
+        """The poses so far, once there is one at `stamp_s` or later, for which it waits at most `patience_s`."""
+        with self._changed:
+            self._changed.wait_for(
+                lambda: self._ended or (len(self._poses) > 1 and self._poses[-1].stamp_s >= stamp_s), patience_s
             )
-        stamps_s.append(fields.number("stamp_s"))
-        positions_m.append(position_m)
-        rotations.append(_rotation(pose))
-    order = np.argsort(stamps_s, kind="stable")
-    stamp_s = np.array(stamps_s)[order]
-    if len(stamp_s) < 2 or (np.diff(stamp_s) <= 0).any():
-        found = "has two poses of one stamp" if len(stamp_s) > 1 else "has fewer than two poses"
-        raise DataError(str(path), found, "give the robot's poses at least ten times a second")
-    return RobotPoses(stamp_s=stamp_s, position_m=np.array(positions_m)[order], rotation=np.array(rotations)[order])
+            return _joined(list(self._poses)) if len(self._poses) > 1 else None
+
+    def _read(self) -> None:
+        try:
+            for item in inputs([STDIN], (".jsonl",)):
+                try:
+                    self._add(_robot_pose(item), getattr(item, "location", STDIN))
+                except (DataError, NoInputError) as problem:
+                    self._report(problem)
+        finally:
+            with self._changed:
+                self._ended = True
+                self._changed.notify_all()
+
+    def _add(self, pose: RobotPose, location: str) -> None:
+        with self._changed:
+            if self._poses and pose.stamp_s <= self._poses[-1].stamp_s:
+                found = f"has the stamp {pose.stamp_s:.6f}, which is not later than the one before"
+                raise DataError(location, found, "give the poses in the order of their stamps")
+            self._poses.append(pose)
+            while pose.stamp_s - self._poses[0].stamp_s > KEPT_S and len(self._poses) > 2:
+                self._poses.popleft()
+            self._changed.notify_all()
+
+
+def _joined(poses: Sequence[RobotPose]) -> RobotPoses:
+    return RobotPoses(
+        stamp_s=np.array([pose.stamp_s for pose in poses]),
+        position_m=np.array([pose.position_m for pose in poses]),
+        rotation=np.array([pose.rotation for pose in poses]),
+    )
+
+
+def _robot_pose(item: Input | Problem) -> RobotPose:
+    """The pose in a record; its errors name the line."""
+    if not isinstance(item, Record):
+        if isinstance(item, Path):
+            raise DataError(str(item), "is not a file of robot poses", "give JSON lines in a file *.jsonl")
+        raise item
+    fields = Fields(item.location, item.values)
+    pose = fields.fields("base_from_tool")
+    position_m = pose.vector("position_m", 3)
+    if np.abs(position_m).max() > MAX_REACH_M:
+        found = f"is {np.abs(position_m).max():g}"
+        raise pose.problem("position_m", found, "give metres; this looks like millimetres")
+    return RobotPose(stamp_s=fields.number("stamp_s"), position_m=position_m, rotation=_rotation(pose))
 
 
 def _rotation(pose: Fields) -> Float64[Array, "3 3"]:

@@ -67,6 +67,17 @@ class CameraMotion:
             displacement_root=root,
         )
 
+    def why_not_at(self, stamp_s: float) -> str:
+        """Why `at` has no camera for this stamp."""
+        stamps_s, time_s = self.poses.stamp_s, stamp_s + self.mount.delay_s
+        if time_s < stamps_s[0]:
+            return f"the robot's poses begin {stamps_s[0] - time_s:.3g} s after it"
+        if time_s > stamps_s[-1]:
+            return f"the robot's poses end {time_s - stamps_s[-1]:.3g} s before it"
+        after = int(np.searchsorted(stamps_s, time_s, side="right"))
+        gap_s = stamps_s[after] - stamps_s[after - 1]
+        return f"the robot's poses next to it are {gap_s:.3g} s apart, and at most {MAX_GAP_S:g} s are interpolated"
+
     def displacements(self, reference_s: float, instant_s: Float64[Array, "instant"]) -> CameraDisplacements | None:
         """How the camera is displaced at instants after `reference_s`; None if the robot's poses do not cover them.
 

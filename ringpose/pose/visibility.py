@@ -86,7 +86,8 @@ def expected_in_view(best: Explanation, rig: Rig) -> tuple[Bool[Array, "laser ed
         arcs = arcs.with_center_opposite()
     with np.errstate(all="ignore"):
         points_m = predicted_break_points(arcs, rig.lasers.normal, rig.lasers.distance_m)
-        margin_px = BORDER_PX + PREDICTION_SIGMAS * _prediction_sigma_px(best, arcs, points_m, rig)
+        sigma_px = break_point_sigmas_px(arcs, best.estimate.inverse, points_m, rig).reshape(len(points_m), -1)
+        margin_px = BORDER_PX + PREDICTION_SIGMAS * sigma_px.max(axis=1)
     distance_px = _distance_inside_px(points_m, rig)
     inside = distance_px > margin_px[:, None]  # false for NaN
     share: Float64[Array, "laser"] = np.maximum(inside.mean(axis=1), _share_by_single_stripes(best, rig))
@@ -115,22 +116,25 @@ def _distance_inside_px(points_m: Float64[Array, "laser edge=2 xyz=3"], rig: Rig
     return distance_px
 
 
-def _prediction_sigma_px(
-    best: Explanation, arcs: RingArcs, points_m: Float64[Array, "laser edge=2 xyz=3"], rig: Rig
-) -> Float64[Array, "laser"]:
-    """Standard deviation of each laser's predicted break points, the larger of both coordinates and edges."""
+def break_point_sigmas_px(
+    arcs: RingArcs,
+    covariance: Float64[Array, "step=7 step=7"],
+    points_m: Float64[Array, "laser edge=2 xyz=3"],
+    rig: Rig,
+) -> Float64[Array, "laser edge=2 xy=2"]:
+    """Standard deviations of predicted break points by the ring's covariance: along the stripe (x), across it (y)."""
     rays = (points_m / points_m[..., 2:]).reshape(-1, 3)
     normal, distance_m = (np.repeat(each, 2, axis=0) for each in (rig.lasers.normal, rig.lasers.distance_m))
     stripes = predicted_stripes(arcs, rays[:, 0], normal, distance_m)
     edges = edge_distances(arcs, rays, np.tile(EDGE_SIGN, len(points_m)))
     along_wrt_step = edges.wrt_step + edges.wrt_ray[:, 1:] * stripes.y_wrt_step
     rate = edges.wrt_ray[:, 0] + stripes.slope * edges.wrt_ray[:, 1]
-    covariance = best.estimate.inverse
     sigma_y = np.sqrt(((stripes.y_wrt_step @ covariance) * stripes.y_wrt_step).sum(axis=1))
     sigma_x = np.sqrt(((along_wrt_step @ covariance) * along_wrt_step).sum(axis=1)) / np.abs(rate)
-    focal = rig.camera.camera_matrix[[0, 1], [0, 1]]
-    sigma_px: Float64[Array, "laser"] = np.maximum(sigma_x * focal[0], sigma_y * focal[1]).reshape(-1, 2).max(axis=1)
-    return sigma_px
+    sigma_px: Float64[Array, "point xy=2"] = (
+        np.stack([sigma_x, sigma_y], axis=1) * rig.camera.camera_matrix[[0, 1], [0, 1]]
+    )
+    return sigma_px.reshape(-1, 2, 2)
 
 
 def unused_lasers(

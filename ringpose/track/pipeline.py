@@ -43,6 +43,17 @@ REPORTED_FLAGS = PoseFlag.RIG_DRIFT | PoseFlag.RADIUS_INCONSISTENT | PoseFlag.RA
 """Flags of the newest used record that also concern the track."""
 
 
+REASONS = {
+    FusionStatus.PENDING: "it does not continue the track; a second one that agrees with it starts the track anew",
+    FusionStatus.REJECTED_GATE: "it contradicts the track",
+}
+"""Why a measurement that was tested is not used."""
+
+MAX_DISTANCE_M, MAX_RADIUS_M = 100.0, 1e5
+"""Longest plausible distance of a ring's face from the camera, and radius at which nearly straight edges count as those
+of a ring whose curvature was not determined."""
+
+
 class _Entry(NamedTuple):
     """A record, and the track after it."""
 
@@ -69,7 +80,9 @@ class Tracker:
         camera: CameraMotion | None = None,
     ) -> None:
         """With the motion of its `camera` the track is in the robot's base frame."""
-        self._rig, self._options, self._camera = rig, options or TrackOptions(), camera
+        self._rig, self.options = rig, options or TrackOptions()
+        self.camera = camera
+        """The motion of the camera, which may be replaced by one with further poses; None if it is not known."""
         lines = lines or LineOptions()
         self._lines = lines if camera is None else replace(lines, frame="base", camera="robot_poses")
         self._hash = rig.sha256 if rig is not None else ""
@@ -94,11 +107,11 @@ class Tracker:
         """
         try:
             with np.errstate(all="ignore"):  # a ring that is not where it was seen has NaN coordinates
-                status, ratio = self._fused(line, now_s)
+                status, ratio, reason = self._fused(line, now_s)
         except np.linalg.LinAlgError:
-            status, ratio = FusionStatus.REJECTED_COVARIANCE, nan
+            status, ratio, reason = FusionStatus.REJECTED_COVARIANCE, nan, "its equations are singular"
         stamp_s = line.pose_stamp_s if isfinite(line.pose_stamp_s) else line.stamp_s
-        attempt = Attempt(shot=line.shot, stamp_s=stamp_s, fusion_status=status, test_ratio=ratio)
+        attempt = Attempt(shot=line.shot, stamp_s=stamp_s, fusion_status=status, test_ratio=ratio, reason=reason)
         self._attempts.append(attempt)
         return attempt
 
@@ -106,7 +119,7 @@ class Tracker:
         """The record of the track at an instant, and the attempts since the last one."""
         attempts, self._attempts = tuple(self._attempts), []
         return track_line(
-            self.track, stamp_s, next_stamp_s, attempts, self._flags(), self._hash, self._options, self._lines
+            self.track, stamp_s, next_stamp_s, attempts, self._flags(), self._hash, self.options, self._lines
         )
 
     def line_of(self, attempt: Attempt) -> TrackLine:
@@ -118,26 +131,29 @@ class Tracker:
         used = [e.flags for e in self._entries if e.fusion.status is FusionStatus.FUSED]
         return (used[-1] if used else self._base_flags) & REPORTED_FLAGS
 
-    def _fused(self, line: PoseLine, now_s: float) -> tuple[FusionStatus, float]:
+    def _fused(self, line: PoseLine, now_s: float) -> tuple[FusionStatus, float, str]:
+        """What becomes of a record, the ratio of its test, and why it is not used."""
         measurement, newest_s = line.measurement, self.track.stamp_s
         if measurement is None or not isfinite(line.pose_stamp_s):
-            return FusionStatus.NONE, nan
+            return FusionStatus.NONE, nan, _why_none(line)
         self._check_rig(line)
         stamp_s = line.pose_stamp_s
         if stamp_s > now_s + FUTURE_S:
-            return FusionStatus.TOO_NEW, nan
+            return FusionStatus.TOO_NEW, nan, f"its stamp is {stamp_s - now_s:.3g} s ahead of this computer's clock"
         if line.flags & UNUSABLE or not _is_plausible(measurement):
-            return FusionStatus.REJECTED_COVARIANCE, nan
+            ambiguous = line.flags & UNUSABLE
+            why = "the assignment of its stripes is ambiguous" if ambiguous else "its measurement describes no ring"
+            return FusionStatus.REJECTED_COVARIANCE, nan, why
         if stamp_s < self._base_stamp_s:
-            return self._too_old(stamp_s), nan
+            return self._too_old(stamp_s), nan, f"it is older than the buffer of {BUFFER_S:g} s"
         self._old.clear()
         inflation = 1.0
         if line.flags & PoseFlag.INCONSISTENT:
             inflation = max(measurement.chi2 / max(measurement.degrees_of_freedom, 1), 1.0)
         common = self._checked_common(line)
-        camera = None if self._camera is None else self._camera.at(stamp_s)
-        if self._camera is not None and camera is None:
-            return FusionStatus.REJECTED_COVARIANCE, nan
+        camera = None if self.camera is None else self.camera.at(stamp_s)
+        if self.camera is not None and camera is None:
+            return FusionStatus.REJECTED_COVARIANCE, nan, self.camera.why_not_at(stamp_s)
         observed = observation(line, measurement, common, inflation, camera)
         radius = None if line.priors is None else line.priors.radius
         fusion = self._inserted(_Entry(observed, radius, line.flags, self._base, Fusion(status=FusionStatus.NONE)))
@@ -145,7 +161,7 @@ class Tracker:
         if status is FusionStatus.FUSED and stamp_s < newest_s:
             status = FusionStatus.FUSED_LATE
         self._forget()
-        return status, fusion.test_ratio
+        return status, fusion.test_ratio, REASONS.get(status, "")
 
     def _inserted(self, entry: _Entry) -> Fusion:
         """Put an entry in its place, and repeat those after it."""
@@ -155,7 +171,7 @@ class Tracker:
         before, again = self._entries[:place], []
         track = before[-1].track if before else self._base
         for each in (entry, *self._entries[place:]):
-            track, fusion = track_after(track, each.observed, each.radius, self._options)
+            track, fusion = track_after(track, each.observed, each.radius, self.options)
             again.append(each._replace(track=track, fusion=fusion))
         self._entries = before + again
         return again[0].fusion
@@ -174,7 +190,7 @@ class Tracker:
     def _too_old(self, stamp_s: float) -> FusionStatus:
         """Count records that are too old: if they alone go on, the clock was set back, and the track starts anew."""
         self._old = [*(self._old if not self._old or stamp_s > self._old[-1] else []), stamp_s]
-        if self._old[-1] - self._old[0] > self._options.lost_after_s:
+        if self._old[-1] - self._old[0] > self.options.lost_after_s:
             self._base, self._base_stamp_s = Track(resets=self.track.resets + 1), self._old[-1]
             self._entries, self._old = [], []
         return FusionStatus.TOO_OLD
@@ -211,4 +227,12 @@ def _alike(first: CommonErrors, second: CommonErrors) -> bool:
 def _is_plausible(measurement: RingMeasurement) -> bool:
     """Whether a measurement contains information, and none that no camera can have, about a ring that can exist."""
     at, largest = measurement.linearized_at, float(np.abs(measurement.square_root[:, :-1]).max(initial=0.0))
-    return 0.0 < largest < MAX_INFORMATION_ROOT and 0.0 < at.radius_inner_m + at.radius_outer_m < float("inf")
+    radius_m = 0.5 * (at.radius_inner_m + at.radius_outer_m)
+    is_ring = 0.0 < radius_m < MAX_RADIUS_M and float(np.linalg.norm(at.center_m)) < MAX_DISTANCE_M + radius_m
+    return 0.0 < largest < MAX_INFORMATION_ROOT and is_ring
+
+
+def _why_none(line: PoseLine) -> str:
+    if line.pose is not None and line.measurement is None:
+        return "the record has no measurement: do not use --brief of ringpose pose, nor a method other than ml"
+    return line.reason or "the record has no time stamp"

@@ -60,6 +60,8 @@ class Attempt:
     fusion_status: FusionStatus
     test_ratio: float
     """Chi-squared of the innovation over the limit of the gate; NaN if it was not tested."""
+    reason: str = ""
+    """Why it was not used; empty if it was."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

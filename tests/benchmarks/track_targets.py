@@ -40,6 +40,7 @@ from ringpose.track.lines import Gripper, LineOptions
 from ringpose.track.observation import observation
 from ringpose.track.pipeline import Tracker
 from ringpose.types.assumptions import MotionPrior, RigStability
+from ringpose.types.pose import PoseLine
 from ringpose.types.track import FusionStatus, MotionModel
 
 SHOTS_HZ = 6.0
@@ -225,6 +226,81 @@ class _Shifted:
         return self.motion.velocity_at(time_s - self.offset_s)
 
 
+def relays(rng, runs: int) -> Iterator[Figure]:
+    """Ten frames a second, as with relay boards: two shots a second, motions as in `steady` and `wandering`."""
+    found: dict[tuple[str, str, float], list[float]] = {}
+    for motion in motions(rng, runs):
+        noise = (1e-6, 1e-6)
+        for kind, truth in (("constant velocity", motion), ("wandering", Wandering(motion, noise, 7.5, rng))):
+            tracker = Tracker(None)
+            for line in stream(truth, 5.0, Shots(frame_s=0.1), rng, 2.0):
+                tracker.add(line)
+            for ahead_s in (0.0, 0.5, 2.0):
+                at = tracker.line_at(tracker.track.stamp_s + ahead_s)
+                for name, (error, covariance) in errors_at(truth, at).items():
+                    found.setdefault((kind, name, ahead_s), []).append(nees(error, covariance))
+    for (kind, name, ahead_s), values in found.items():
+        least, most = band(runs, 3 if name in ("centre", "velocity") else 2)
+        where = f"10 frames/s, {kind}, 5 s of track, {ahead_s:g} s ahead"
+        yield Figure(
+            name=f"NEES of {name}, {where}",
+            value=float(np.mean(values)),
+            least=least if kind == "wandering" else -np.inf,
+            most=most,
+        )
+
+
+def tumbling(rng, runs: int) -> Iterator[Figure]:
+    """1 to 8 degrees a second about an axis 30 degrees from the ring's, 1 m behind it, drifting at up to 100 mm/s."""
+    prior = MotionPrior(speed_sd_m_s=0.1, rate_sd_rad_s=np.deg2rad(4.0))
+    for rate_deg_s in (1.0, 2.67, 8.0):
+        found: dict[tuple[str, float], list[float]] = {}
+        records, rejected = 0, 0
+        for motion in motions(rng, runs, speed_m_s=0.0, rate_deg_s=0.0):
+            truth, tracker = _tumbling(motion, rate_deg_s, rng), Tracker(None, TrackOptions(motion=prior))
+            lines = _lines_in_view(truth, Shots(motion=prior), rng)
+            for number, line in enumerate(lines):
+                records += 1
+                rejected += tracker.add(line).fusion_status is FusionStatus.REJECTED_GATE
+                for ahead_s in (0.0, 0.5) if number in (2, 6, 17) else ():
+                    at = tracker.line_at(tracker.track.stamp_s + ahead_s)
+                    for name, (error, covariance) in errors_at(truth, at).items():
+                        found.setdefault((name, ahead_s), []).append(nees(error, covariance))
+        where = f"{rate_deg_s:g} deg/s, 30 degrees of nutation"
+        dof = {"centre": 3, "normal": 2, "grasp": 2, "velocity": 3}
+        every = [dof[name] * value for (name, _), values in found.items() for value in values]
+        limit = float(binom.ppf(0.99, len(every), chi2.sf(WRONG_SIGMAS**2, 3)))
+        wrong = sum(value > WRONG_SIGMAS**2 for value in every)
+        yield Figure(name=f"quantities beyond 5 sigma of {len(every)}, {where}", value=wrong, most=limit)
+        yield Figure(name=f"share of shots rejected, {where}", value=rejected / records, most=0.01)
+        for (name, ahead_s), values in found.items():
+            most = band(min(len(values), runs), dof[name])[1]
+            yield Figure(name=f"NEES of {name}, {where}, {ahead_s:g} s ahead", value=float(np.mean(values)), most=most)
+
+
+WRONG_SIGMAS = 5.0
+
+
+def _tumbling(motion: Motion, rate_deg_s: float, rng) -> Motion:
+    axis, turn = rng.normal(size=2) @ tilt_basis(motion.ring.normal), np.deg2rad(30.0)
+    momentum = cv2.Rodrigues(turn * axis / np.linalg.norm(axis))[0] @ motion.ring.normal
+    drift = rng.normal(size=3)
+    drift *= rng.uniform(0.0, 0.1) / np.linalg.norm(drift)
+    spin = rng.choice([-1, 1]) * np.deg2rad(rate_deg_s) * momentum
+    return replace(motion, velocity_m_s=drift, rate_rad_s=spin, lever_m=1.0)
+
+
+def _lines_in_view(truth: Motion, shots: Shots, rng) -> Iterator[PoseLine]:
+    """Records of 3 s, until a break point leaves the image."""
+    camera = RIGS["B"].camera
+    for number in range(int(3.0 * SHOTS_HZ)):
+        for time_s in (number / SHOTS_HZ, number / SHOTS_HZ + 0.15):
+            pixels = pixels_of(truth.at(time_s).break_points_m(RIGS["B"].lasers), camera)
+            if not ((pixels > 0) & (pixels < [camera.image_width, camera.image_height])).all():
+                return
+        yield record(truth, number / SHOTS_HZ, shots, rng)
+
+
 def outliers(rng, runs: int) -> Iterator[Figure]:
     """Poses that are displaced by some standard deviations of their innovation, after 2 s of track."""
     rejected: dict[float, list[bool]] = {0.0: [], 6.0: [], 9.0: []}
@@ -338,7 +414,8 @@ def speed(rng, runs: int) -> Iterator[Figure]:
 
 
 TARGETS: dict[str, Callable[..., Iterator[Figure]]] = {
-    each.__name__: each for each in (speed, steady, wandering, rig_errors, precession, outliers, sides, capture)
+    each.__name__: each
+    for each in (speed, steady, wandering, relays, tumbling, rig_errors, precession, outliers, sides, capture)
 }
 
 

@@ -1,10 +1,18 @@
-"""Bands about predicted stripes."""
+"""Bands about predicted stripes, and the lasers that a prediction assigns to them."""
+
+from dataclasses import replace
 
 import numpy as np
+import pytest
 from benchmarks.stripe_images import Kind, exact_break_points, moved, stripe_image
+from drawn_scene import DrawnScene, draw_shot, drawn_rig, true_break_points
 
-from ringpose.detect.pipeline import BAND_PX, BEYOND_ENDS_PX, predicted_bands
+from ringpose.detect.difference_images import laser_images
+from ringpose.detect.pipeline import BAND_PX, BEYOND_ENDS_PX, detect, predicted_bands
 from ringpose.detect.stripes import find_stripes
+from ringpose.geometry.rays import undistorted_pixels
+from ringpose.types.detection import UNLABELLED, BreakPoints
+from ringpose.types.image import Frame
 
 IMAGE = stripe_image(Kind.DARK, 0)
 
@@ -35,3 +43,58 @@ def test_without_predicted_stripes_there_are_no_bands():
     points.face_start_px[1] = np.nan
 
     assert predicted_bands(points, (1,), IMAGE.rig.camera) is None
+
+
+@pytest.fixture
+def drawn(rng):
+    """A rig, a frame with all lasers on, and the prediction of its stripes."""
+    rig, scene = drawn_rig(), DrawnScene()
+    shot, truth_px = draw_shot(scene, rig, [7], rng), true_break_points(scene, rig)
+    ends_px = undistorted_pixels(truth_px, rig.camera)[:, ::-1]  # the outer edge is the left one
+    predicted = BreakPoints(
+        position_px=truth_px,
+        covariance_px2=np.tile(np.eye(2), (3, 2, 1, 1)),
+        flags=np.zeros((3, 2), np.int64),
+        face_start_px=ends_px[:, 0],
+        face_end_px=ends_px[:, 1],
+        face_sigma_px=np.full((3, 2), 2.0),
+        labelled=True,
+    )
+    return rig, shot, predicted
+
+
+def test_a_prediction_assigns_the_stripes_of_a_frame_with_all_lasers_on(drawn):
+    rig, shot, predicted = drawn
+
+    found = detect(shot, rig, predicted=predicted)
+
+    np.testing.assert_allclose(found.break_points.position_px, predicted.position_px, atol=0.2)
+    assert set(found.stripes.laser.tolist()) == {UNLABELLED, 0, 1, 2}  # pieces on the body are not assigned
+
+
+@pytest.mark.parametrize("wrong", ["exchanged lasers", "far away"])
+def test_a_wrong_prediction_is_replaced_by_a_search_of_the_whole_frame(drawn, wrong):
+    rig, shot, predicted = drawn
+    truth_px = predicted.position_px
+    if wrong == "far away":
+        predicted = moved(predicted, 200.0)
+    else:
+        names = ("position_px", "face_start_px", "face_end_px")
+        predicted = replace(predicted, **{name: getattr(predicted, name)[::-1] for name in names})
+
+    found = detect(shot, rig, predicted=predicted)
+
+    np.testing.assert_allclose(found.break_points.position_px, truth_px, atol=0.2)
+
+
+def test_the_background_of_an_earlier_shot_is_subtracted_from_a_shot_without_one(drawn):
+    rig, shot, _ = drawn
+    earlier = Frame(image=np.full_like(shot.images[0], 10), lasers=0, stamp_s=-0.1, exposure_s=0.004)
+
+    (found,), (without,) = laser_images(shot, 3, earlier), laser_images(shot, 3)
+
+    assert found.dark is earlier.image
+    assert found.dark_stamp_s == pytest.approx(-0.098)
+    assert without.dark is None
+    edges = detect(shot, rig, background=earlier).ring_edges
+    assert edges is None or set(edges.stamp_s.tolist()) == {shot.mid_exposure_s(0)}  # not those of the earlier frame

@@ -4,10 +4,11 @@ import cv2
 import numpy as np
 import pytest
 from moving_rings import START_S, Motion, Shots, drawn_motion, stream
-from ring_scenes import Ring
+from ring_scenes import RIGS, Ring, pixels_of
 
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.track.pipeline import Tracker
+from ringpose.track.prediction import predicted_ring, predicted_stripes
 from ringpose.types.robot import Mount, RobotPoses
 from ringpose.types.track import FusionStatus
 
@@ -138,3 +139,17 @@ def test_a_measurement_that_the_poses_do_not_cover_is_rejected_and_the_track_goe
 
     assert found[:3] == [FusionStatus.FUSED] * 3
     assert found[-1] is FusionStatus.REJECTED_COVARIANCE
+
+
+def test_the_prediction_of_a_track_in_the_base_frame_is_what_the_moving_camera_sees(in_base, rng):
+    tracker, seen = Tracker(None, camera=robot(3.0)), SeenByRobot(in_base)
+    for line in stream(seen, 1.5, Shots(), rng):
+        tracker.add(line)
+
+    stamp_s, rig = tracker.track.stamp_s + 0.2, RIGS["B"]
+    predicted = predicted_stripes([predicted_ring(tracker.track, stamp_s, tracker.camera)] * 3, rig)
+
+    truth_px = pixels_of(seen.at(stamp_s - START_S).break_points_m(rig.lasers), rig.camera).reshape(-1, 2, 2)
+    error_px = np.abs(predicted.position_px - truth_px)[predicted.seen]
+    sigma_px = np.sqrt(predicted.covariance_px2[..., [0, 1], [0, 1]])[predicted.seen]
+    assert (error_px < 4.5 * sigma_px).all()

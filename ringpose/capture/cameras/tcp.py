@@ -49,6 +49,8 @@ class TcpCamera(CameraDriver):
         """Number of the first frame with the settings of this client."""
         self._shot = ""
         self._payload = b""
+        self.commands_lasers = False
+        """Whether each trigger sets the lasers of the next frame, for all clients, instead of following the server."""
 
     def open(self) -> None:
         """Connect; a server that was connected before is tried again and again for about 13 s."""
@@ -61,7 +63,11 @@ class TcpCamera(CameraDriver):
         self._connect()
 
     def close(self) -> None:
-        """End the connection."""
+        """End the connection; the lasers follow the server's sequence again."""
+        if self._socket is not None and self.commands_lasers:
+            with suppress(DeviceError, OSError):
+                self._socket.settimeout(CONNECT_S)
+                self.request({"type": "lasers", "mask": None})
         if self._socket is not None:
             with suppress(OSError):
                 self._socket.close()
@@ -106,12 +112,15 @@ class TcpCamera(CameraDriver):
         self._skip_remaining()
         if exposure_s is not None:
             self._expose_for(exposure_s)
-        self._subscribe()
+        if not self.commands_lasers:
+            self._subscribe()
 
     def trigger(self, lasers: int, exposure_s: float | None = None) -> Frame:
         """The next frame with these lasers."""
         sequence = self.greeting.sequence
-        if lasers not in sequence:
+        if self.commands_lasers:
+            self._valid_from = self.request({"type": "lasers", "mask": lasers})
+        elif lasers not in sequence:
             steps = written_sequence(steps_of(sequence, len(self.greeting.lasers)))
             mask = written_sequence(steps_of([lasers], len(self.greeting.lasers)))
             raise UsageError("--sequence", f"no frame of {self.uri.text} has lasers {mask}", f"it sends {steps}")
@@ -152,8 +161,8 @@ class TcpCamera(CameraDriver):
             self._exposure_s = exposure_s
 
     def _subscribe(self) -> None:
-        frames = len(self.greeting.sequence)
-        self._send({"type": "subscribe", "frames": frames, "whole_shots": True})
+        frames = 1 if self.commands_lasers else len(self.greeting.sequence)
+        self._send({"type": "subscribe", "frames": frames, "whole_shots": not self.commands_lasers})
         self._remaining = frames
 
     def _skip_remaining(self) -> None:

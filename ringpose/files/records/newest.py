@@ -4,8 +4,10 @@ import os
 import select
 import sys
 import threading
+from collections.abc import Mapping
 from contextlib import suppress
 from stat import S_ISFIFO
+from typing import Any
 
 from ringpose.files import records
 
@@ -14,18 +16,19 @@ POLL_S = 0.001
 
 
 class NewestWriter:
-    """Writes the newest line whenever the reader has read the one before; lines in between are dropped.
+    """Writes the newest record whenever the reader has read the one before; those in between are skipped.
 
-    Standard output that is not a pipe takes every line. The pipe's contents are inspected with FIONREAD; where that is
-    not available, a line is written as soon as the pipe has room for it.
+    `lines_skipped` in each record is their number since the record before. Standard output that is not a pipe takes
+    every record. The pipe's contents are inspected with FIONREAD; where that is not available, a record is written as
+    soon as the pipe has room for it.
     """
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
-        self._line: str | None = None
+        self._waiting: Mapping[str, Any] | None = None
+        self._skipped = 0
         self._ended = False
         self._failure: BaseException | None = None
-        self.dropped = 0
         self._thread = threading.Thread(target=self._write, daemon=True)
         self._thread.start()
 
@@ -43,26 +46,27 @@ class NewestWriter:
         if self._failure is not None:
             raise self._failure
 
-    def write(self, line: str) -> None:
-        """Replace the line that waits; raises the error of an earlier line that could not be written."""
+    def write(self, record: Mapping[str, Any]) -> None:
+        """Replace the record that waits; raises the error of an earlier one that could not be written."""
         with self._changed:
             if self._failure is not None:
                 raise self._failure
-            self.dropped += self._line is not None
-            self._line = line
+            self._skipped += self._waiting is not None
+            self._waiting = record
             self._changed.notify()
 
     def _write(self) -> None:
         try:
             while True:
                 with self._changed:
-                    self._changed.wait_for(lambda: self._line is not None or self._ended)
-                    if self._line is None:
+                    self._changed.wait_for(lambda: self._waiting is not None or self._ended)
+                    if self._waiting is None:
                         return
                 self._wait_for_reader()
                 with self._changed:
-                    line, self._line = self._line, None
-                records.write_text(line)
+                    record, skipped = self._waiting, self._skipped
+                    self._waiting, self._skipped = None, 0
+                records.write({**record, "lines_skipped": skipped})
         except BaseException as failure:  # raised again by the main thread
             self._failure = failure
 

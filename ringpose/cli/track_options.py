@@ -1,0 +1,163 @@
+"""The options of a track, in `ringpose track` and `ringpose pose --track`, and those of how lines are written."""
+
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from enum import StrEnum
+from math import radians
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+
+import typer
+
+from ringpose.cli.options import finite
+from ringpose.errors import UsageError
+
+if TYPE_CHECKING:
+    from ringpose.cli.batch import Batch
+    from ringpose.geometry.camera_motion import CameraMotion
+    from ringpose.track.lines import Gripper
+    from ringpose.track.pipeline import Tracker
+    from ringpose.types.assumptions import AssumptionOptions
+    from ringpose.types.rig import Rig
+    from ringpose.types.track import TrackLine
+
+STDIN = "-"
+
+PREDICT_FOR_S, LOST_AFTER_S = 2.0, 3.0
+"""Defaults of the options."""
+
+
+class Format(StrEnum):
+    """Format of the lines."""
+
+    RINGPOSE = "ringpose"
+    ROS = "ros"
+
+
+PredictFor = Annotated[
+    float | None,
+    typer.Option(
+        "--predict-for",
+        metavar="S",
+        min=0,
+        callback=finite,
+        help="Longest prediction of a track, then two shots must agree; default: 2.",
+    ),
+]
+LostAfter = Annotated[
+    float | None,
+    typer.Option(
+        "--lost-after",
+        metavar="S",
+        min=0,
+        callback=finite,
+        help="Time without a shot that ends a track; default: 3.",
+    ),
+]
+GripperRadial = Annotated[
+    float | None,
+    typer.Option(
+        "--gripper-radial-m", metavar="M", min=0, callback=finite, help="How far the band may be from the grasp point."
+    ),
+]
+GripperTilt = Annotated[
+    float | None,
+    typer.Option(
+        "--gripper-tilt-deg", metavar="DEG", min=0, max=90, callback=finite, help="How far the normal may be off."
+    ),
+]
+RobotPosesFile = Annotated[
+    str | None,
+    typer.Option(
+        "--robot-poses", metavar="FILE|-", help="Poses of the robot that carries the camera; -: from standard input."
+    ),
+]
+OutputFormat = Annotated[Format, typer.Option("--format", help="Records, or messages of ROS 2 as JSON.")]
+Newest = Annotated[bool, typer.Option("--newest", help="Skip lines that a slow reader has not read in time.")]
+
+
+class TrackSettings(NamedTuple):
+    """The options of a track as given; None where they are not."""
+
+    predict_for_s: float | None = None
+    lost_after_s: float | None = None
+    gripper_radial_m: float | None = None
+    gripper_tilt_deg: float | None = None
+
+    @property
+    def gripper(self) -> "Gripper | None":
+        """The gripper's limits; both or none must be given."""
+        from ringpose.track.lines import Gripper
+
+        radial_m, tilt_deg = self.gripper_radial_m, self.gripper_tilt_deg
+        if radial_m is None and tilt_deg is None:
+            return None
+        if radial_m is None or tilt_deg is None:
+            missing = "--gripper-radial-m" if radial_m is None else "--gripper-tilt-deg"
+            raise UsageError(missing, "is missing: the probability needs both limits of the gripper", "give both")
+        return Gripper(radial_m=radial_m, tilt_rad=radians(tilt_deg))
+
+    def tracker(self, rig: "Rig | None", assumed: "AssumptionOptions", camera: "CameraMotion | None") -> "Tracker":
+        """The tracker; a track begins with the motion that is assumed within a shot."""
+        from ringpose.track.explanations import TrackOptions
+        from ringpose.track.lines import LineOptions
+        from ringpose.track.pipeline import Tracker
+        from ringpose.types.assumptions import MAX_RATE_DEG_S, MAX_SPEED_M_S, motion_prior
+
+        predict_for_s = PREDICT_FOR_S if self.predict_for_s is None else self.predict_for_s
+        lost_after_s = LOST_AFTER_S if self.lost_after_s is None else self.lost_after_s
+        if lost_after_s < predict_for_s:
+            found = f"is {lost_after_s:g} s, must not be shorter than --predict-for {predict_for_s:g}"
+            raise UsageError("--lost-after", found, "raise it, or lower --predict-for")
+        for option, value in (("--max-speed", assumed.max_speed_m_s), ("--max-rate", assumed.max_rate_deg_s)):
+            if value == 0:
+                raise UsageError(option, "is 0, but a track is of a target that may move", "give more, or leave it out")
+        motion = motion_prior(
+            MAX_SPEED_M_S if assumed.max_speed_m_s is None else assumed.max_speed_m_s,
+            MAX_RATE_DEG_S if assumed.max_rate_deg_s is None else assumed.max_rate_deg_s,
+        )
+        options = TrackOptions(predict_for_s=predict_for_s, lost_after_s=lost_after_s, motion=motion)
+        return Tracker(rig, options, LineOptions(gripper=self.gripper), camera)
+
+
+def camera_motion(robot_poses: str | None, rig: Path | None, inputs: list[str] | None) -> "CameraMotion | None":
+    """The motion of the camera, all of whose poses are read first; `inputs`: the arguments that may also be `-`."""
+    from ringpose.files.robot_poses import read_mount_with_errors, read_robot_poses
+    from ringpose.geometry.camera_motion import CameraMotion
+
+    if robot_poses is None:
+        return None
+    if rig is None:
+        raise UsageError("--robot-poses", "needs the mount of the camera", "give the rig file with --rig")
+    if robot_poses == STDIN and STDIN in (inputs or ()):
+        raise UsageError("--robot-poses", "and the input are both standard input", "give one of them as a file")
+    mount = read_mount_with_errors(rig)
+    return CameraMotion(poses=read_robot_poses(robot_poses), mount=mount)
+
+
+def record_writer(stack: ExitStack, newest: bool) -> Callable[[Mapping[str, Any]], None]:
+    """Writes records to stdout; with `newest` a slow reader gets the newest one. Ends with the stack."""
+    from ringpose.files import records
+    from ringpose.files.records.newest import NewestWriter
+
+    return stack.enter_context(NewestWriter()).write if newest else records.write
+
+
+def track_writer(
+    write: Callable[[Mapping[str, Any]], None], output_format: Format, brief: bool, verbose: bool, batch: "Batch"
+) -> "Callable[[TrackLine], None]":
+    """Writes lines of a track, and with `verbose` reports what became of each measurement."""
+    from ringpose.cli import messages
+    from ringpose.errors import NO_POSE
+    from ringpose.files.ros import ros_messages
+    from ringpose.files.tracks import track_record
+
+    def written(line: "TrackLine") -> None:
+        write(ros_messages(line) if output_format is Format.ROS else track_record(line, brief))
+        if line.pose is None:
+            batch.record_status(NO_POSE)
+        for each in line.attempts if verbose else ():
+            why = f" ({each.reason})" if each.reason else ""
+            messages.echo(f"{each.shot}: {each.fusion_status}{why}, the track is {line.validity}")
+
+    return written

@@ -1,0 +1,128 @@
+"""Poses and tracks as messages of ROS 2, in JSON."""
+
+from collections.abc import Mapping
+from math import isfinite, nan, pi
+from typing import Any
+
+import numpy as np
+
+from ringpose.geometry.ring import normal_and_center
+from ringpose.geometry.rotations import tilt_basis
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.pose import PoseLine, RingPose, RingVelocity
+from ringpose.types.track import TrackLine
+
+TURN_VARIANCE_RAD2 = pi**2 / 3.0
+"""Variance of the rotation about the ring's axis in messages of ROS: that of an angle of which nothing is known."""
+
+SPIN_VARIANCE_RAD2_S2 = pi**2
+"""Variance of the angular velocity about the ring's axis, which is not observable."""
+
+
+def ros_messages(line: PoseLine | TrackLine) -> dict[str, Any]:
+    """A line as geometry_msgs/PoseWithCovarianceStamped and geometry_msgs/TwistWithCovarianceStamped.
+
+    Null where the centre or the normal is not determined, the twist also without a velocity. How far the line may be
+    trusted stands beside the messages: `status`, of a track also `validity` and `fusion_status`.
+    """
+    if isinstance(line, TrackLine):
+        stamp_s = line.stamp_s
+        beside: dict[str, str] = {"validity": line.validity, "fusion_status": line.attempt.fusion_status}
+        grasp_m = np.full(3, nan) if line.grasp is None else line.grasp.point_m
+    else:
+        stamp_s = line.pose_stamp_s if isfinite(line.pose_stamp_s) else line.stamp_s
+        beside = {"shot": line.shot}
+        grasp_m = np.full(3, nan) if line.pose is None else line.pose.grasp_m
+    return {
+        "pose": ros_pose(stamp_s, line.frame, line.pose, grasp_m),
+        "twist": ros_twist(stamp_s, line.frame, line.pose, line.velocity),
+        "status": line.status,
+        **beside,
+    }
+
+
+def ros_pose(
+    stamp_s: float, frame: str, pose: RingPose | None, grasp_m: Float64[Array, "xyz=3"]
+) -> dict[str, Any] | None:
+    """PoseWithCovarianceStamped of the ring's frame; None if its centre or normal is not determined.
+
+    Origin: the ring's centre; z: the normal; x: towards the grasp point. The rotation about z is a convention, not a
+    measurement: its variance is `TURN_VARIANCE_RAD2`.
+    """
+    if pose is None or pose.covariance is None or not np.isfinite(pose.covariance[:5, :5]).all():
+        return None
+    normal, center_m = pose.normal, pose.center_m
+    outward = (grasp_m - center_m) if np.isfinite(grasp_m).all() else tilt_basis(normal)[0]
+    outward = outward - (outward @ normal) * normal
+    x = outward / np.linalg.norm(outward)
+    orientation = quaternion_xyzw(np.stack([x, np.cross(normal, x), normal], axis=1))
+    # a tilt dn is the rotation n x dn about fixed axes
+    normal_wrt, center_wrt = normal_and_center(normal, center_m)
+    rows = np.concatenate([center_wrt, np.cross(normal, normal_wrt, axisb=0, axisc=0)])
+    covariance = rows @ pose.covariance[:5, :5] @ rows.T
+    covariance[3:, 3:] += TURN_VARIANCE_RAD2 * np.outer(normal, normal)
+    return {
+        "header": ros_header(stamp_s, frame),
+        "pose": {
+            "pose": {
+                "position": _named("xyz", center_m),
+                "orientation": _named("xyzw", orientation),
+            },
+            "covariance": covariance.ravel(),
+        },
+    }
+
+
+def ros_twist(
+    stamp_s: float, frame: str, pose: RingPose | None, velocity: RingVelocity | None
+) -> dict[str, Any] | None:
+    """TwistWithCovarianceStamped: velocity of the ring's centre, and the angular velocity across its normal.
+
+    The angular velocity about the normal is not observable: it is 0 with the variance `SPIN_VARIANCE_RAD2_S2`.
+    """
+    if pose is None or velocity is None or not np.isfinite(pose.normal).all():
+        return None
+    rows = np.zeros((6, 5))
+    rows[:3, :3], rows[3:, 3:] = np.eye(3), tilt_basis(pose.normal).T
+    covariance = rows @ velocity.covariance @ rows.T
+    covariance[3:, 3:] += SPIN_VARIANCE_RAD2_S2 * np.outer(pose.normal, pose.normal)
+    return {
+        "header": ros_header(stamp_s, frame),
+        "twist": {
+            "twist": {
+                "linear": _named("xyz", velocity.center_m_s),
+                "angular": _named("xyz", velocity.rate_rad_s),
+            },
+            "covariance": covariance.ravel(),
+        },
+    }
+
+
+def ros_header(stamp_s: float, frame: str) -> dict[str, Any]:
+    """std_msgs/Header; the stamp in whole seconds and nanoseconds."""
+    seconds = int(stamp_s // 1.0) if isfinite(stamp_s) else 0
+    nanoseconds = min(round((stamp_s - seconds) * 1e9), 999_999_999) if isfinite(stamp_s) else 0
+    return {"stamp": {"sec": seconds, "nanosec": nanoseconds}, "frame_id": str(frame)}
+
+
+def quaternion_xyzw(rotation: Float64[Array, "3 3"]) -> Float64[Array, "xyzw=4"]:
+    """Unit quaternion of a rotation matrix, w not negative; by the largest component (Shepperd 1978)."""
+    r = rotation
+    squares = np.array(
+        [r[0, 0] - r[1, 1] - r[2, 2], r[1, 1] - r[0, 0] - r[2, 2], r[2, 2] - r[0, 0] - r[1, 1], r.trace()]
+    )
+    columns = np.array(
+        [
+            [1 + squares[0], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[2, 1] - r[1, 2]],
+            [r[0, 1] + r[1, 0], 1 + squares[1], r[1, 2] + r[2, 1], r[0, 2] - r[2, 0]],
+            [r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], 1 + squares[2], r[1, 0] - r[0, 1]],
+            [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], 1 + squares[3]],
+        ]
+    )
+    chosen = columns[int(np.argmax(squares))]
+    unit: Float64[Array, "xyzw=4"] = chosen / np.linalg.norm(chosen)
+    return -unit if unit[3] < 0 else unit
+
+
+def _named(names: str, values: Float64[Array, "n"]) -> Mapping[str, float]:
+    return dict(zip(names, values.tolist(), strict=True))

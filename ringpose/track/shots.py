@@ -1,0 +1,107 @@
+"""Shots -> track in one process: the track predicts where a shot shows the stripes, and to which lasers they belong.
+
+The computation of `ringpose pose --track`, with `ringpose.pose.record` between detection and track:
+
+detection = shots.detected(shot, rig, assumptions)
+track_line = shots.added(pose_line(detection, rig), now_s)
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ringpose.detect.difference_images import laser_images
+from ringpose.detect.pipeline import MOVED_PX, detect
+from ringpose.track.lines import validity
+from ringpose.track.pipeline import Tracker
+from ringpose.track.prediction import PredictedRing, motion_px, predicted_ring, predicted_stripes
+from ringpose.types.arrays import Array, Bool
+from ringpose.types.assumptions import Assumptions
+from ringpose.types.detection import BreakPoints, Detection
+from ringpose.types.image import Frame, Shot
+from ringpose.types.pose import PoseLine
+from ringpose.types.rig import Rig
+from ringpose.types.track import FusionStatus, TrackLine, Validity
+
+FOLLOWED = (Validity.VALID, Validity.PREDICTED)
+"""States of a track whose prediction is used."""
+
+
+AHEAD = 2.0
+"""Intervals between shots after the last measurement at which the next frame is expected at the latest ..."""
+
+FIRST_INTERVAL_S = 0.5
+"""... and the interval before there were two shots."""
+
+
+class ShotTracker:
+    """Measures shots with the prediction of the track that they extend."""
+
+    def __init__(self, tracker: Tracker) -> None:
+        self._tracker = tracker
+        self._background: Frame | None = None
+        """The newest frame without lasers."""
+        self._seen: Bool[Array, "laser edge=2"] | None = None
+        """Break points that the last shot with a pose showed."""
+        self._is_followed = False
+        """Whether the last measurement continued the track."""
+        self._stamp_s, self._interval_s = float("nan"), FIRST_INTERVAL_S
+
+    def detected(self, shot: Shot, rig: Rig, assumptions: Assumptions) -> Detection:
+        """What the shot shows, searched near the prediction if there is one, else everywhere."""
+        predicted = self.prediction(shot, rig)
+        background = self._usable_background(shot, rig)
+        found = detect(shot, rig, predicted=predicted, background=background, assumptions=assumptions)
+        points = found.break_points
+        if isinstance(points, BreakPoints):
+            self._seen = points.seen
+        dark = np.flatnonzero(shot.lasers == 0)
+        if len(dark):
+            self._background = list(shot.frames)[int(dark[-1])]
+        return found
+
+    def added(self, line: PoseLine, now_s: float = float("inf")) -> TrackLine:
+        """The track after a pose line; `now_s` is the host's clock. Raises `DataError` as `Tracker.add` does."""
+        self._is_followed = False
+        if line.stamp_s > self._stamp_s:
+            self._interval_s = line.stamp_s - self._stamp_s
+        self._stamp_s = line.stamp_s
+        attempt = self._tracker.add(line, now_s)
+        self._is_followed = attempt.fusion_status in (FusionStatus.FUSED, FusionStatus.FUSED_LATE)
+        return self._tracker.line_of(attempt)
+
+    def prediction(self, shot: Shot, rig: Rig) -> BreakPoints | None:
+        """The stripes at the times of the shot's frames; None if the track does not predict them well enough."""
+        stamps_s = np.full(len(rig.lasers.names), shot.measured_at_s)
+        for image in laser_images(shot, len(stamps_s)):
+            stamps_s[list(image.lasers)] = image.stamp_s
+        rings = {stamp_s: self._ring_at(stamp_s) for stamp_s in set(stamps_s.tolist())}
+        each = [rings[stamp_s] for stamp_s in stamps_s.tolist()]
+        predicted = None if None in each else predicted_stripes([ring for ring in each if ring is not None], rig)
+        if predicted is None or self._seen is None:
+            return predicted
+        position_px = np.where(self._seen[..., None], predicted.position_px, np.nan)
+        return replace(predicted, position_px=position_px)
+
+    def assigns_lasers(self, rig: Rig) -> bool:
+        """Whether the track will assign the stripes of the next frame with all lasers on to their lasers."""
+        ring = self._ring_at(self._tracker.track.stamp_s + AHEAD * self._interval_s) if self._is_followed else None
+        predicted = None if ring is None else predicted_stripes([ring] * len(rig.lasers.names), rig)
+        return predicted is not None and predicted.labelled
+
+    def _ring_at(self, stamp_s: float) -> PredictedRing | None:
+        track = self._tracker.track
+        if not track.stamp_s <= stamp_s or validity(track, stamp_s, self._tracker.options) not in FOLLOWED:
+            return None
+        with np.errstate(all="ignore"):  # improbable states may be far off
+            return predicted_ring(track, stamp_s, self._tracker.camera)
+
+    def _usable_background(self, shot: Shot, rig: Rig) -> Frame | None:
+        """The newest frame without lasers, unless the ring's edges have moved since, or the exposure is another."""
+        dark, track, stamp_s = self._background, self._tracker.track, shot.measured_at_s
+        if dark is None or not track.banks or not np.allclose(shot.exposure_s, dark.exposure_s, rtol=1e-3):
+            return None
+        with np.errstate(all="ignore"):
+            taken_s = dark.stamp_s + dark.exposure_s / 2
+            moved_px = motion_px(track, taken_s, stamp_s, rig, self._tracker.camera)
+        return dark if moved_px <= MOVED_PX and dark.image.shape == shot.images.shape[1:] else None
