@@ -5,7 +5,7 @@ Version 2 is written; versions 1 and 2 are read. Keys and flags that this versio
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any, Literal, cast, get_args
 
 import numpy as np
@@ -31,6 +31,7 @@ from ringpose.types.pose import (
     RingVelocity,
     Status,
 )
+from ringpose.types.rig import PlaneCorrection
 
 SCHEMA = "ringpose/pose/2"
 
@@ -139,6 +140,7 @@ def _measurement_values(measurement: RingMeasurement) -> dict[str, Any]:
 
 def _priors_values(priors: Priors) -> dict[str, Any]:
     motion, radius, stability = priors.assumptions.motion, priors.radius, priors.assumptions.stability
+    moved = {name: asdict(each) for name, each in priors.moved_planes.items()}
     return {
         "motion": STILL
         if motion is None
@@ -161,7 +163,7 @@ def _priors_values(priors: Priors) -> dict[str, Any]:
                 "plane_distance_m": stability.plane_distance_m,
                 "focal_ratio": stability.focal_ratio,
             },
-            **({"moved": dict(priors.moved_planes)} if priors.moved_planes else {}),
+            **({"moved": moved} if moved else {}),
         },
         "regularization": priors.regularization,
     }
@@ -328,8 +330,13 @@ def _priors(fields: Fields) -> Priors:
     )
 
 
-def _moved_planes(fields: Fields) -> dict[str, Float64[Array, "3 3"]]:
-    return {name: checked_covariance(fields, name, fields.array(name, (3, 3))) for name in fields.values}
+def _moved_planes(fields: Fields) -> dict[str, PlaneCorrection]:
+    corrections = {}
+    for name in fields.values:
+        each = fields.fields(name)
+        covariance = checked_covariance(each, "covariance", each.array("covariance", (3, 3)))
+        corrections[name] = PlaneCorrection(change=each.vector("change", 3), covariance=covariance)
+    return corrections
 
 
 def motion_prior(fields: Fields) -> MotionPrior | None:

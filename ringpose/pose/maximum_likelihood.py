@@ -28,8 +28,8 @@ from ringpose.estimate.solver import Estimate
 from ringpose.geometry.rays import GRAZING
 from ringpose.geometry.ring import EDGE_SIGN
 from ringpose.pose.catalogue import likely_ring, ring_posterior
-from ringpose.pose.drift import REDUNDANT_STRIPES, plane_evidence
 from ringpose.pose.observability import determined, poorly_determined_flags, reported_pose
+from ringpose.pose.plane_evidence import REDUNDANT_STRIPES, plane_evidence
 from ringpose.pose.visibility import seen_lasers
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.assumptions import IDEAL, Assumptions

@@ -24,6 +24,7 @@ from ringpose.types.pose import (
     RingPose,
     RingVelocity,
 )
+from ringpose.types.rig import PlaneCorrection
 
 SCHEMA = SCHEMAS["pose"]
 
@@ -86,7 +87,9 @@ def complete(rng, pose, measurement) -> PoseLine:
             ),
             radius=RadiusPrior(inner_m=math.nan, outer_m=0.597, inner_sd_m=math.nan, outer_sd_m=0.0005, source="given"),
             rig_covariance=True,
-            moved_planes={"left": np.diag([1e-9, 2e-9, 3e-10])},
+            moved_planes={
+                "left": PlaneCorrection(change=np.array([2e-3, 0.0, 1e-4]), covariance=np.diag([1e-9, 2e-9, 3e-10]))
+            },
             regularization=rng.normal(size=(2, 13)),
         ),
         lasers={"left": LaserState.USED, "middle": LaserState.PARTLY, "right": LaserState.OUT_OF_VIEW},
